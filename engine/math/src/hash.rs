@@ -1,0 +1,35 @@
+//! Integer hashes: the source of all randomness that is not a Sobol point.
+
+/// A bijective 32-bit mixer (\[wellons2018\], `lowbias32`).
+#[inline]
+pub fn mix32(mut x: u32) -> u32 {
+    x ^= x >> 16;
+    x = x.wrapping_mul(0x7feb_352d);
+    x ^= x >> 15;
+    x = x.wrapping_mul(0x846c_a68b);
+    x ^ (x >> 16)
+}
+
+/// A bijective 64-bit mixer (the finaliser of SplitMix64, \[steele2014\]).
+#[inline]
+pub fn mix64(mut x: u64) -> u64 {
+    x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    x ^ (x >> 31)
+}
+
+/// Hash of a sequence of words; the order matters.
+#[inline]
+pub fn combine(words: &[u64]) -> u64 {
+    let mut h = 0x9e37_79b9_7f4a_7c15;
+    for &w in words {
+        h = mix64(h ^ w).wrapping_add(0x9e37_79b9_7f4a_7c15);
+    }
+    mix64(h)
+}
+
+/// The 24 high bits of `x` as a float in [0, 1).
+#[inline]
+pub fn unit_f32(x: u32) -> f32 {
+    (x >> 8) as f32 * (1.0 / 16_777_216.0)
+}

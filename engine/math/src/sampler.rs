@@ -1,0 +1,139 @@
+//! Owen-scrambled Sobol points, keyed by (seed, frame, pixel, sample, dimension).
+//!
+//! Each pair of dimensions is a (0,2)-sequence whose index order is shuffled and whose digits are scrambled by hashes of
+//! (seed, frame, pixel, dimension) (\[burley2020\]). Pairs are therefore independent of each other (padding) and each is
+//! stratified over every power-of-two run of samples. A stream holds no state but its dimension counter, so any sample of
+//! any pixel can be redrawn anywhere.
+
+use crate::hash::{mix32, mix64, unit_f32};
+
+/// The random numbers of one sample of one pixel.
+#[derive(Clone, Copy, Debug)]
+pub struct SampleStream {
+    key: u64,
+    index: u32,
+    dimension: u32,
+}
+
+/// Reverses the digit order, scrambles each binary digit by the digits above it, and reverses back.
+/// `scramble_reversed` skips the first reversal: its input already has the digits reversed (\[laine2011\], constants of \[vegdahl2021\]).
+#[inline]
+fn scramble_reversed(mut x: u32, seed: u32) -> u32 {
+    x ^= x.wrapping_mul(0x3d20_adea);
+    x = x.wrapping_add(seed);
+    x = x.wrapping_mul((seed >> 16) | 1);
+    x ^= x.wrapping_mul(0x0552_6c56);
+    x ^= x.wrapping_mul(0x53a2_2864);
+    x.reverse_bits()
+}
+
+/// Second Sobol dimension (Pascal's triangle modulo 2) of `index`, as the digit-reversed 32-bit fraction.
+#[inline]
+fn pascal_reversed(index: u32) -> u32 {
+    // The generator matrix C[i][j] = binomial(j, i) mod 2 applied by five shift-and-xor steps, least significant digit first.
+    let mut x = index;
+    x ^= (x & 0xaaaa_aaaa) >> 1;
+    x ^= (x & 0xcccc_cccc) >> 2;
+    x ^= (x & 0xf0f0_f0f0) >> 4;
+    x ^= (x & 0xff00_ff00) >> 8;
+    x ^= (x & 0xffff_0000) >> 16;
+    x
+}
+
+impl SampleStream {
+    /// The stream of `sample` in `pixel` (row-major index in the whole film) of `frame`.
+    #[inline]
+    pub fn new(seed: u64, frame: u32, pixel: u32, sample: u32) -> Self {
+        let key = mix64(mix64(seed ^ 0x6a09_e667_f3bc_c908) ^ ((u64::from(frame) << 32) | u64::from(pixel)));
+        Self { key, index: sample, dimension: 0 }
+    }
+
+    /// Continues at `dimension`; decisions of a path start at fixed dimensions so that one branch does not shift another.
+    #[inline]
+    pub fn seek(&mut self, dimension: u32) {
+        self.dimension = dimension;
+    }
+
+    /// The dimension that the next draw uses.
+    #[inline]
+    pub fn dimension(&self) -> u32 {
+        self.dimension
+    }
+
+    /// The next number in [0, 1). Takes one dimension.
+    #[inline]
+    pub fn next_1d(&mut self) -> f32 {
+        let h = mix64(self.key.wrapping_add(u64::from(self.dimension).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
+        self.dimension += 1;
+        let shuffled = scramble_reversed(self.index.reverse_bits(), h as u32);
+        // Digit-reversed digits of the radical inverse of `shuffled` are `shuffled` itself.
+        unit_f32(scramble_reversed(shuffled, (h >> 32) as u32))
+    }
+
+    /// The next point in [0, 1)^2. Takes two dimensions.
+    #[inline]
+    pub fn next_2d(&mut self) -> [f32; 2] {
+        let h = mix64(self.key.wrapping_add(u64::from(self.dimension).wrapping_mul(0x9e37_79b9_7f4a_7c15)));
+        self.dimension += 2;
+        let shuffled = scramble_reversed(self.index.reverse_bits(), h as u32);
+        let high = (h >> 32) as u32;
+        [
+            unit_f32(scramble_reversed(shuffled, high)),
+            unit_f32(scramble_reversed(pascal_reversed(shuffled), mix32(high ^ 0x5bd1_e995))),
+        ]
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_power_of_two_run_is_stratified_in_all_elementary_intervals() {
+        for pixel in 0..20 {
+            for log in 0..=8u32 {
+                let n = 1usize << log;
+                let points: Vec<[f32; 2]> =
+                    (0..n).map(|s| SampleStream::new(7, 3, pixel, s as u32).next_2d()).collect();
+                for a in 0..=log {
+                    let (nx, ny) = (1usize << a, 1usize << (log - a));
+                    let mut seen = vec![false; n];
+                    for p in &points {
+                        let cell = (p[0] * nx as f32) as usize + nx * (p[1] * ny as f32) as usize;
+                        assert!(!seen[cell], "two points share an elementary interval {nx}x{ny}, pixel {pixel}");
+                        seen[cell] = true;
+                    }
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn pairs_of_dimensions_and_pixels_are_independent() {
+        // Correlation between dimensions 0 and 2 over pixels, and between neighbouring pixels, at the 4-sigma level.
+        let n = 20_000;
+        let (mut dims, mut pixels) = (0.0f64, 0.0f64);
+        for pixel in 0..n {
+            let mut s = SampleStream::new(1, 1, pixel, 5);
+            let a = s.next_2d()[0];
+            let b = s.next_2d()[0];
+            let c = SampleStream::new(1, 1, pixel + 1, 5).next_2d()[0];
+            dims += (f64::from(a) - 0.5) * (f64::from(b) - 0.5) * 12.0;
+            pixels += (f64::from(a) - 0.5) * (f64::from(c) - 0.5) * 12.0;
+        }
+        let bound = 4.0 * f64::from(n).sqrt();
+        assert!(dims.abs() < bound && pixels.abs() < bound, "{dims} {pixels} against {bound}");
+    }
+
+    #[test]
+    fn a_mean_over_scrambles_is_unbiased() {
+        let mut sum = 0.0f64;
+        let n = 40_000;
+        for pixel in 0..n {
+            let x = SampleStream::new(11, 0, pixel, 0).next_1d();
+            assert!((0.0..1.0).contains(&x));
+            sum += f64::from(x);
+        }
+        assert!((sum / f64::from(n) - 0.5).abs() < 4.0 / (12.0f64 * f64::from(n)).sqrt());
+    }
+}

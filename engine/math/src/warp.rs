@@ -1,0 +1,56 @@
+//! Maps from the unit square to directions and discs. All densities are per steradian or per unit area.
+
+use crate::elementary::sin_cos;
+use glam::{Vec2, Vec3A};
+use std::f32::consts::{FRAC_1_PI, FRAC_PI_2, FRAC_PI_4, TAU};
+
+/// Uniform point in the unit disc, concentric map (\[shirley1997\]); density 1/pi.
+#[inline]
+pub fn disc(u: [f32; 2]) -> Vec2 {
+    let (a, b) = (2.0 * u[0] - 1.0, 2.0 * u[1] - 1.0);
+    if a == 0.0 && b == 0.0 {
+        return Vec2::ZERO;
+    }
+    let (r, phi) = if a.abs() > b.abs() { (a, FRAC_PI_4 * (b / a)) } else { (b, FRAC_PI_2 - FRAC_PI_4 * (a / b)) };
+    let (sin, cos) = sin_cos(phi);
+    Vec2::new(r * cos, r * sin)
+}
+
+/// Cosine-distributed direction about +z; density `cos / pi`.
+#[inline]
+pub fn cosine_hemisphere(u: [f32; 2]) -> Vec3A {
+    let d = disc(u);
+    Vec3A::new(d.x, d.y, (1.0 - d.length_squared()).max(0.0).sqrt())
+}
+
+/// Density of [`cosine_hemisphere`], 1/sr, for a direction with cosine `cos` (0 below the horizon).
+#[inline]
+pub fn cosine_hemisphere_pdf(cos: f32) -> f32 {
+    cos.max(0.0) * FRAC_1_PI
+}
+
+/// Uniform direction on the sphere; density 1/(4 pi).
+#[inline]
+pub fn sphere(u: [f32; 2]) -> Vec3A {
+    direction(1.0 - 2.0 * u[0], u[1])
+}
+
+/// Unit vector with z = `cos` and azimuth `2 pi u`.
+#[inline]
+pub fn direction(cos: f32, u: f32) -> Vec3A {
+    let sin = ((1.0 - cos) * (1.0 + cos)).max(0.0).sqrt();
+    let (s, c) = sin_cos(TAU * u);
+    Vec3A::new(sin * c, sin * s, cos)
+}
+
+/// Uniform barycentric coordinates (b1, b2) on a triangle, low distortion (\[heitz2019\]).
+#[inline]
+pub fn triangle(u: [f32; 2]) -> [f32; 2] {
+    if u[1] > u[0] {
+        let x = u[0] * 0.5;
+        [x, u[1] - x]
+    } else {
+        let y = u[1] * 0.5;
+        [u[0] - y, y]
+    }
+}

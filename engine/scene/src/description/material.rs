@@ -1,0 +1,73 @@
+use super::{ImageId, Location, MediumId};
+use serde::{Deserialize, Serialize};
+
+/// A scalar with a colour: the product is what counts; selectors set `amount`.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Tinted {
+    /// The scalar of the file (reflectance, transmittance, or emittance in lm/m2).
+    pub amount: f64,
+    /// Linear Rec.709; luminance 1 unless it was given as raw RGB.
+    pub color: [f64; 3],
+}
+
+impl Default for Tinted {
+    fn default() -> Self {
+        Self { amount: 0.0, color: [1.0; 3] }
+    }
+}
+
+/// Which sides of a surface exist.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Sides {
+    /// Invisible from behind unless the material has an index of refraction, when it bounds a solid.
+    One,
+    /// The same from both sides; emits from both.
+    #[default]
+    Two,
+}
+
+/// Complex index of refraction.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Ior {
+    /// Real part.
+    pub re: f64,
+    /// Imaginary part; > 0 for conductors.
+    pub im: f64,
+}
+
+/// A material; the default is a two-sided black absorber.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Material {
+    /// Name; empty for the unnamed material.
+    pub name: String,
+    /// Where it was opened.
+    pub location: Location,
+    /// Sidedness.
+    pub sides: Sides,
+    /// Diffuse reflectance.
+    pub rd: Tinted,
+    /// Diffuse transmittance.
+    pub td: Tinted,
+    /// Specular reflectance.
+    pub rs: Tinted,
+    /// GGX roughness of `rs`; 0 = mirror.
+    pub rs_alpha: f64,
+    /// Specular transmittance.
+    pub ts: Tinted,
+    /// GGX roughness of `ts`.
+    pub ts_alpha: f64,
+    /// Index of refraction, when given.
+    pub ior: Option<Ior>,
+    /// Emittance, lm/m2.
+    pub ed: Tinted,
+    /// Exponent n of the emission lobe: radiance = ed (n+2)/(2 pi) cos^n; `None`: Lambertian.
+    pub lobe: Option<f64>,
+    /// Medium behind the surface.
+    pub inside: Option<MediumId>,
+    /// Texture that multiplies `rd`.
+    pub map_rd: Option<ImageId>,
+    /// Texture that multiplies `ed`.
+    pub map_ed: Option<ImageId>,
+    /// Tangent-space normal map.
+    pub map_n: Option<ImageId>,
+}

@@ -1,0 +1,88 @@
+use super::{Location, MediumId};
+use femc_math::{Transform, glam::DVec3};
+use serde::{Deserialize, Serialize};
+
+/// Phase function; cosines are between propagation directions (positive parameter: forward).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub enum Phase {
+    /// 1 / (4 pi).
+    #[default]
+    Isotropic,
+    /// Henyey-Greenstein with mean cosine g in (-1, 1).
+    HenyeyGreenstein {
+        /// Mean cosine.
+        g: f64,
+    },
+    /// Schlick's approximation with parameter k in (-1, 1).
+    Schlick {
+        /// Its parameter.
+        k: f64,
+    },
+    /// 3 / (16 pi) (1 + cos^2).
+    Rayleigh,
+}
+
+/// Factor on both coefficients.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub enum Density {
+    /// 1 everywhere.
+    #[default]
+    Uniform,
+    /// 1 below `z0`, exp(-(z - z0) / scale) above; world z.
+    Height {
+        /// Height of full density, m.
+        z0: f64,
+        /// Scale height, m, > 0.
+        scale: f64,
+    },
+}
+
+/// A participating medium.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Medium {
+    /// Name.
+    pub name: String,
+    /// Where it was opened.
+    pub location: Location,
+    /// Scattering coefficient, 1/m (amount; selectors set it).
+    pub sigma_s: f64,
+    /// Colour factor on `sigma_s`; (1, 1, 1) unless raw RGB was given.
+    pub color: [f64; 3],
+    /// Absorption coefficient, 1/m.
+    pub sigma_a: f64,
+    /// Phase function.
+    pub phase: Phase,
+    /// Isotropic emission, lm/m3: the emitted radiance per metre is `glow / (4 pi)`.
+    pub glow: f64,
+    /// Colour of the glow, luminance 1 unless raw RGB.
+    pub glow_color: [f64; 3],
+    /// Density factor.
+    pub density: Density,
+}
+
+/// Where a medium is. Overlapping regions add up.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct MediumRegion {
+    /// The medium.
+    pub medium: MediumId,
+    /// The volume.
+    pub bounds: RegionBounds,
+    /// Where the file has it.
+    pub location: Location,
+}
+
+/// The volume of a region.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub enum RegionBounds {
+    /// Everywhere, the camera included.
+    Everywhere,
+    /// A box in its own frame.
+    Box {
+        /// Lower corner, local frame, m.
+        min: DVec3,
+        /// Upper corner, local frame, m.
+        max: DVec3,
+        /// Local frame to world.
+        to_world: Transform,
+    },
+}

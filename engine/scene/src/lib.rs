@@ -4,6 +4,10 @@
 //! field says so and radians elsewhere, times seconds; everything is f64 until a frame is prepared.
 #![deny(missing_docs)]
 
+pub mod animation;
 pub mod description;
+pub mod objects;
+pub mod selector;
 
 pub use description::*;
+pub use selector::{Constraint, Scalars, SelectorError};

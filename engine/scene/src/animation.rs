@@ -1,0 +1,238 @@
+//! Where things are at a time: clips and frames, motion paths, cameras on paths, scalars that vary.
+//!
+//! Poses are similarities, possibly mirrored, and are interpolated as scale (linear), rotation (slerp on the shorter arc)
+//! and translation (linear or spline). A mirrored pose is taken as the point reflection -1 after a rotation, so that two
+//! mirrored keys interpolate like two plain ones. All of it is plain arithmetic and [`femc_math::elementary`], so every
+//! machine gets the same bits.
+//!
+//! The spline is the centripetal Catmull-Rom curve of \[yuksel2011\]: knots are apart by the square root of the distance
+//! between keys, and time runs evenly over each segment. It has no loops or cusps; the price is that the speed, though
+//! not the direction, may jump at a key.
+
+use crate::{
+    ObjectId,
+    description::{Camera, Clip, GroupId, Interpolation, Key, Motion, MotionPath, MotionStep, Scene, Vary},
+    objects::inherited,
+};
+use femc_math::{
+    Transform,
+    elementary::double::{atan2, sin},
+    glam::{DMat3, DQuat, DVec3},
+};
+
+impl Clip {
+    /// Number of frames: those k = 1, 2, .. whose time is before the end plus half a frame; at least 1.
+    pub fn frame_count(&self) -> u32 {
+        (((self.end - self.start) * self.fps + 0.5).ceil() as u32).max(1)
+    }
+
+    /// Time of frame `k` (the first is 1), s.
+    pub fn frame_time(&self, k: u32) -> f64 {
+        self.start + (f64::from(k) - 1.0) / self.fps
+    }
+}
+
+impl Vary {
+    /// The value at `time` (s): linear between keys, constant outside.
+    pub fn at(&self, time: f64) -> f64 {
+        let after = self.keys.partition_point(|key| key.0 <= time);
+        match (after.checked_sub(1).map(|i| self.keys[i]), self.keys.get(after)) {
+            (Some((t0, v0)), Some(&(t1, v1))) => v0 + (v1 - v0) * ((time - t0) / (t1 - t0)),
+            (Some((_, value)), None) | (None, Some(&(_, value))) => value,
+            (None, None) => 0.0,
+        }
+    }
+}
+
+impl MotionPath {
+    /// The pose at `time` (s); the first key's before it, the last key's after it, the identity without keys.
+    /// At a key's time it is that key's pose to the bit.
+    pub fn at(&self, time: f64) -> Transform {
+        let after = self.keys.partition_point(|key| key.time <= time);
+        let Some(before) = after.checked_sub(1) else {
+            return self.keys.first().map_or(Transform::IDENTITY, |key| key.pose);
+        };
+        let (Some(k1), Some(k0)) = (self.keys.get(after), self.keys.get(before)) else {
+            return self.keys[before].pose;
+        };
+        if time == k0.time || self.is_still(before) {
+            return k0.pose;
+        }
+        let u = (time - k0.time) / (k1.time - k0.time);
+        let (from, to) = (Similarity::of(&k0.pose), Similarity::of(&k1.pose));
+        let translation = match self.interpolation {
+            Interpolation::Linear => from.translation + (to.translation - from.translation) * u,
+            Interpolation::Spline => self.spline(before, u),
+        };
+        Similarity {
+            scale: from.scale + (to.scale - from.scale) * u,
+            rotation: slerp(from.rotation, to.rotation, u),
+            translation,
+        }
+        .transform()
+    }
+
+    /// Whether the pose is the same at all times.
+    pub fn is_constant(&self) -> bool {
+        self.keys.windows(2).all(|pair| pair[0].pose == pair[1].pose)
+    }
+
+    /// Whether nothing moves in the segment that begins at key `first`: its ends are equal, in a spline too.
+    fn is_still(&self, first: usize) -> bool {
+        self.keys[first].pose == self.keys[first + 1].pose
+    }
+
+    /// Translation at fraction `u` of the segment that begins at key `first`.
+    fn spline(&self, first: usize, u: f64) -> DVec3 {
+        let point = |key: &Key| key.pose.translation;
+        let (p1, p2) = (point(&self.keys[first]), point(&self.keys[first + 1]));
+        if p1 == p2 {
+            return p1;
+        }
+        // Outside the keys the curve goes on as the reflection of its last segment.
+        let before = first.checked_sub(1).map(|i| point(&self.keys[i])).filter(|&p| p != p1);
+        let after = self.keys.get(first + 2).map(point).filter(|&p| p != p2);
+        let (p0, p3) = (before.unwrap_or(p1 * 2.0 - p2), after.unwrap_or(p2 * 2.0 - p1));
+        let knot = |a: DVec3, b: DVec3| (b - a).length().sqrt();
+        let (d0, d1, d2) = (knot(p0, p1), knot(p1, p2), knot(p2, p3));
+        let m1 = ((p1 - p0) / d0 - (p2 - p0) / (d0 + d1) + (p2 - p1) / d1) * d1;
+        let m2 = ((p2 - p1) / d1 - (p3 - p1) / (d1 + d2) + (p3 - p2) / d2) * d1;
+        let (u2, u3) = (u * u, u * u * u);
+        p1 * (2.0 * u3 - 3.0 * u2 + 1.0) + m1 * (u3 - 2.0 * u2 + u) + p2 * (3.0 * u2 - 2.0 * u3) + m2 * (u3 - u2)
+    }
+}
+
+/// A similarity taken apart: `scale * rotation`, then the translation; a negative scale is a mirrored one.
+struct Similarity {
+    scale: f64,
+    rotation: DQuat,
+    translation: DVec3,
+}
+
+impl Similarity {
+    fn of(pose: &Transform) -> Self {
+        let m = pose.matrix3;
+        let scale = m.x_axis.length().copysign(m.determinant());
+        let rotation = if scale == 0.0 { DQuat::IDENTITY } else { DQuat::from_mat3(&(m * scale.recip())) };
+        Self { scale, rotation, translation: pose.translation }
+    }
+
+    fn transform(&self) -> Transform {
+        Transform { matrix3: DMat3::from_quat(self.rotation) * self.scale, translation: self.translation }
+    }
+}
+
+/// Spherical linear interpolation on the shorter arc (\[shoemake1985\]); unit quaternions in and out.
+fn slerp(a: DQuat, b: DQuat, u: f64) -> DQuat {
+    let b = if a.dot(b) < 0.0 { -b } else { b };
+    // Twice the angle between half-sum and half-difference: accurate near 0, where acos is not.
+    let angle = 2.0 * atan2((b - a).length(), (a + b).length());
+    let whole = sin(angle);
+    if whole < 1e-12 {
+        return (a * (1.0 - u) + b * u).normalize();
+    }
+    (a * (sin((1.0 - u) * angle) / whole) + b * (sin(u * angle) / whole)).normalize()
+}
+
+impl Motion {
+    /// The transform at `time` (s), local points to the parent's frame.
+    /// - `paths`: the scene's, which the steps index; a step along a path that is not there is the identity.
+    pub fn at(&self, paths: &[MotionPath], time: f64) -> Transform {
+        self.steps.iter().fold(Transform::IDENTITY, |done, step| {
+            let pose = match step {
+                MotionStep::Static(transform) => *transform,
+                MotionStep::Along(path) => paths.get(path.index()).map_or(Transform::IDENTITY, |path| path.at(time)),
+            };
+            pose * done
+        })
+    }
+
+    /// Whether the transform changes over time.
+    pub fn is_animated(&self, paths: &[MotionPath]) -> bool {
+        self.steps.iter().any(|step| match step {
+            MotionStep::Static(_) => false,
+            MotionStep::Along(path) => paths.get(path.index()).is_some_and(|path| !path.is_constant()),
+        })
+    }
+}
+
+impl Camera {
+    /// The camera at `time` (s): its own origin, target and up carried by the pose of its path; world frame.
+    /// Lens and focus stay as they are even where the path scales.
+    pub fn at(&self, paths: &[MotionPath], time: f64) -> Self {
+        let mut camera = Self { along: None, ..self.clone() };
+        if let Some(path) = self.along.and_then(|path| paths.get(path.index())) {
+            let pose = path.at(time);
+            camera.origin = pose.transform_point3(self.origin);
+            camera.target = pose.transform_point3(self.target);
+            camera.up = pose.transform_vector3(self.up);
+        }
+        camera
+    }
+
+    /// Whether it moves over time.
+    pub fn is_animated(&self, paths: &[MotionPath]) -> bool {
+        self.along.and_then(|path| paths.get(path.index())).is_some_and(|path| !path.is_constant())
+    }
+}
+
+impl Scene {
+    /// Number of frames of the clip; 1 for a still.
+    pub fn frame_count(&self) -> u32 {
+        self.clip.map_or(1, |clip| clip.frame_count())
+    }
+
+    /// Time of frame `k` (the first is 1), s; 0 for a still.
+    pub fn frame_time(&self, k: u32) -> f64 {
+        self.clip.map_or(0.0, |clip| clip.frame_time(k))
+    }
+
+    /// Times at which the shutter of `camera` opens and closes in frame `k`, s. Both are the frame's time for a still,
+    /// which has no frame interval to take a fraction of.
+    pub fn shutter(&self, camera: &Camera, k: u32) -> [f64; 2] {
+        let (time, interval) = (self.frame_time(k), self.clip.map_or(0.0, |clip| 1.0 / clip.fps));
+        [time + camera.shutter_open * interval, time + camera.shutter_close * interval]
+    }
+
+    /// For every group: whether what it holds changes over time in the group's own frame, because something placed in it
+    /// (or deeper) moves, or because the `hidden` of an object that it holds varies. What does not change keeps its
+    /// acceleration structure from frame to frame.
+    pub fn changing_groups(&self) -> Vec<bool> {
+        let blinking = self.blinking_objects();
+        let blinks = |object: Option<ObjectId>| object.is_some_and(|object| blinking[object.index()]);
+        let mut changes: Vec<bool> = self
+            .groups
+            .iter()
+            .map(|group| {
+                group.instances.iter().any(|instance| instance.motion.is_animated(&self.paths))
+                    || group.faces.iter().any(|face| blinks(face.object))
+                    || group.quadrics.iter().any(|quadric| blinks(quadric.object))
+                    || group.luminaires.iter().any(|luminaire| blinks(luminaire.object))
+            })
+            .collect();
+        // The graph has no cycles, so children spread to parents in at most its depth of rounds.
+        loop {
+            let mut spread = false;
+            for (index, group) in self.groups.iter().enumerate() {
+                let holds = |&GroupId(id): &GroupId| changes.get(id as usize) == Some(&true);
+                if !changes[index] && group.instances.iter().any(|instance| holds(&instance.group)) {
+                    changes[index] = true;
+                    spread = true;
+                }
+            }
+            if !spread {
+                return changes;
+            }
+        }
+    }
+
+    /// For every object: whether a `vary` hides or shows it, or one that encloses it.
+    pub fn blinking_objects(&self) -> Vec<bool> {
+        let varied: std::collections::BTreeSet<&str> = self
+            .varies
+            .iter()
+            .filter_map(|vary| vary.selector.strip_prefix("object.")?.strip_suffix(".hidden"))
+            .collect();
+        inherited(&self.objects, |object| varied.contains(object.name.as_str()))
+    }
+}

@@ -1,0 +1,303 @@
+//! The scalars of materials, media and cameras: their names, where they are kept, and what each may be by itself.
+
+use super::Constraint;
+use crate::description::{Camera, Density, Ior, Material, Medium, Phase, Sides, Tinted};
+
+/// Widest and highest film, pixels; the limit of textures.
+const FILM_LIMIT: u32 = 32768;
+
+/// A tinted quantity of a material.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Quantity {
+    Rd,
+    Td,
+    Rs,
+    Ts,
+    Ed,
+}
+
+impl Quantity {
+    fn of(self, material: &Material) -> &Tinted {
+        match self {
+            Self::Rd => &material.rd,
+            Self::Td => &material.td,
+            Self::Rs => &material.rs,
+            Self::Ts => &material.ts,
+            Self::Ed => &material.ed,
+        }
+    }
+
+    fn of_mut(self, material: &mut Material) -> &mut Tinted {
+        match self {
+            Self::Rd => &mut material.rd,
+            Self::Td => &mut material.td,
+            Self::Rs => &mut material.rs,
+            Self::Ts => &mut material.ts,
+            Self::Ed => &mut material.ed,
+        }
+    }
+}
+
+/// A scalar of a material.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum MaterialField {
+    Amount(Quantity),
+    Channel(Quantity, usize),
+    ReflectionRoughness,
+    TransmissionRoughness,
+    IorReal,
+    IorImaginary,
+    Lobe,
+    Sides,
+}
+
+use MaterialField::{Amount, Channel};
+use Quantity::{Ed, Rd, Rs, Td, Ts};
+
+impl MaterialField {
+    pub(super) const ALL: [(&'static str, Self); 26] = [
+        ("rd", Amount(Rd)),
+        ("rd.r", Channel(Rd, 0)),
+        ("rd.g", Channel(Rd, 1)),
+        ("rd.b", Channel(Rd, 2)),
+        ("td", Amount(Td)),
+        ("td.r", Channel(Td, 0)),
+        ("td.g", Channel(Td, 1)),
+        ("td.b", Channel(Td, 2)),
+        ("rs", Amount(Rs)),
+        ("rs.r", Channel(Rs, 0)),
+        ("rs.g", Channel(Rs, 1)),
+        ("rs.b", Channel(Rs, 2)),
+        ("rs_alpha", Self::ReflectionRoughness),
+        ("ts", Amount(Ts)),
+        ("ts.r", Channel(Ts, 0)),
+        ("ts.g", Channel(Ts, 1)),
+        ("ts.b", Channel(Ts, 2)),
+        ("ts_alpha", Self::TransmissionRoughness),
+        ("ed", Amount(Ed)),
+        ("ed.r", Channel(Ed, 0)),
+        ("ed.g", Channel(Ed, 1)),
+        ("ed.b", Channel(Ed, 2)),
+        ("ir", Self::IorReal),
+        ("ir.im", Self::IorImaginary),
+        ("lobe", Self::Lobe),
+        ("sides", Self::Sides),
+    ];
+
+    pub(super) fn read(self, material: &Material) -> Option<f64> {
+        match self {
+            Amount(quantity) => Some(quantity.of(material).amount),
+            Channel(quantity, channel) => Some(quantity.of(material).color[channel]),
+            Self::ReflectionRoughness => Some(material.rs_alpha),
+            Self::TransmissionRoughness => Some(material.ts_alpha),
+            Self::IorReal => material.ior.map(|ior| ior.re),
+            Self::IorImaginary => material.ior.map(|ior| ior.im),
+            Self::Lobe => Some(material.lobe.unwrap_or(0.0)),
+            Self::Sides => Some(if material.sides == Sides::One { 1.0 } else { 2.0 }),
+        }
+    }
+
+    pub(super) fn write(self, material: &mut Material, value: f64) {
+        match self {
+            Amount(quantity) => quantity.of_mut(material).amount = value,
+            Channel(quantity, channel) => quantity.of_mut(material).color[channel] = value,
+            Self::ReflectionRoughness => material.rs_alpha = value,
+            Self::TransmissionRoughness => material.ts_alpha = value,
+            Self::IorReal => material.ior = material.ior.map(|ior| Ior { re: value, ..ior }),
+            Self::IorImaginary => material.ior = material.ior.map(|ior| Ior { im: value, ..ior }),
+            Self::Lobe => material.lobe = (value != 0.0).then_some(value),
+            Self::Sides => material.sides = if value == 1.0 { Sides::One } else { Sides::Two },
+        }
+    }
+
+    pub(super) fn admits(self, value: f64) -> Result<(), Constraint> {
+        match self {
+            Amount(Ed) | Self::ReflectionRoughness | Self::TransmissionRoughness | Self::IorImaginary | Self::Lobe => {
+                not_negative(value)
+            }
+            Amount(Rd | Td | Rs | Ts) => within(value, 0.0, 1.0),
+            Channel(..) => finite(value),
+            Self::IorReal => positive(value),
+            Self::Sides => either(value, 1, 2),
+        }
+    }
+}
+
+/// A scalar of a medium.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum MediumField {
+    Scattering,
+    ScatteringChannel(usize),
+    Absorption,
+    Glow,
+    GlowChannel(usize),
+    HenyeyGreenstein,
+    Schlick,
+    DensityStart,
+    DensityScale,
+}
+
+impl MediumField {
+    pub(super) const ALL: [(&'static str, Self); 13] = [
+        ("sigma_s", Self::Scattering),
+        ("sigma_s.r", Self::ScatteringChannel(0)),
+        ("sigma_s.g", Self::ScatteringChannel(1)),
+        ("sigma_s.b", Self::ScatteringChannel(2)),
+        ("sigma_a", Self::Absorption),
+        ("glow", Self::Glow),
+        ("glow.r", Self::GlowChannel(0)),
+        ("glow.g", Self::GlowChannel(1)),
+        ("glow.b", Self::GlowChannel(2)),
+        ("phase.g", Self::HenyeyGreenstein),
+        ("phase.k", Self::Schlick),
+        ("density.z0", Self::DensityStart),
+        ("density.h", Self::DensityScale),
+    ];
+
+    pub(super) fn read(self, medium: &Medium) -> Option<f64> {
+        match (self, medium.phase, &medium.density) {
+            (Self::Scattering, ..) => Some(medium.sigma_s),
+            (Self::ScatteringChannel(channel), ..) => Some(medium.color[channel]),
+            (Self::Absorption, ..) => Some(medium.sigma_a),
+            (Self::Glow, ..) => Some(medium.glow),
+            (Self::GlowChannel(channel), ..) => Some(medium.glow_color[channel]),
+            (Self::HenyeyGreenstein, Phase::HenyeyGreenstein { g }, _) => Some(g),
+            (Self::Schlick, Phase::Schlick { k }, _) => Some(k),
+            (Self::DensityStart, _, &Density::Height { z0, .. }) => Some(z0),
+            (Self::DensityScale, _, &Density::Height { scale, .. }) => Some(scale),
+            (Self::HenyeyGreenstein | Self::Schlick | Self::DensityStart | Self::DensityScale, ..) => None,
+        }
+    }
+
+    /// Leaves a medium without this scalar as it is.
+    pub(super) fn write(self, medium: &mut Medium, value: f64) {
+        match (self, &mut medium.phase, &mut medium.density) {
+            (Self::Scattering, ..) => medium.sigma_s = value,
+            (Self::ScatteringChannel(channel), ..) => medium.color[channel] = value,
+            (Self::Absorption, ..) => medium.sigma_a = value,
+            (Self::Glow, ..) => medium.glow = value,
+            (Self::GlowChannel(channel), ..) => medium.glow_color[channel] = value,
+            (Self::HenyeyGreenstein, Phase::HenyeyGreenstein { g }, _) => *g = value,
+            (Self::Schlick, Phase::Schlick { k }, _) => *k = value,
+            (Self::DensityStart, _, Density::Height { z0, .. }) => *z0 = value,
+            (Self::DensityScale, _, Density::Height { scale, .. }) => *scale = value,
+            (Self::HenyeyGreenstein | Self::Schlick | Self::DensityStart | Self::DensityScale, ..) => {}
+        }
+    }
+
+    pub(super) fn admits(self, value: f64) -> Result<(), Constraint> {
+        match self {
+            Self::Scattering | Self::ScatteringChannel(_) | Self::Absorption | Self::Glow => not_negative(value),
+            Self::GlowChannel(_) | Self::DensityStart => finite(value),
+            Self::HenyeyGreenstein | Self::Schlick => between(value, -1.0, 1.0),
+            Self::DensityScale => positive(value),
+        }
+    }
+}
+
+/// A scalar of a camera.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum CameraField {
+    Origin(usize),
+    Target(usize),
+    Up(usize),
+    Fov,
+    Film(usize),
+    LensRadius,
+    Focus,
+    ShutterOpen,
+    ShutterClose,
+}
+
+impl CameraField {
+    pub(super) const ALL: [(&'static str, Self); 16] = [
+        ("origin.x", Self::Origin(0)),
+        ("origin.y", Self::Origin(1)),
+        ("origin.z", Self::Origin(2)),
+        ("target.x", Self::Target(0)),
+        ("target.y", Self::Target(1)),
+        ("target.z", Self::Target(2)),
+        ("up.x", Self::Up(0)),
+        ("up.y", Self::Up(1)),
+        ("up.z", Self::Up(2)),
+        ("fov", Self::Fov),
+        ("film.w", Self::Film(0)),
+        ("film.h", Self::Film(1)),
+        ("lens", Self::LensRadius),
+        ("focus", Self::Focus),
+        ("shutter.open", Self::ShutterOpen),
+        ("shutter.close", Self::ShutterClose),
+    ];
+
+    pub(super) fn read(self, camera: &Camera) -> f64 {
+        match self {
+            Self::Origin(axis) => camera.origin[axis],
+            Self::Target(axis) => camera.target[axis],
+            Self::Up(axis) => camera.up[axis],
+            Self::Fov => camera.fov,
+            Self::Film(axis) => f64::from(camera.film[axis]),
+            Self::LensRadius => camera.lens_radius,
+            Self::Focus => camera.focus,
+            Self::ShutterOpen => camera.shutter_open,
+            Self::ShutterClose => camera.shutter_close,
+        }
+    }
+
+    pub(super) fn write(self, camera: &mut Camera, value: f64) {
+        match self {
+            Self::Origin(axis) => camera.origin[axis] = value,
+            Self::Target(axis) => camera.target[axis] = value,
+            Self::Up(axis) => camera.up[axis] = value,
+            Self::Fov => camera.fov = value,
+            Self::Film(axis) => camera.film[axis] = value as u32,
+            Self::LensRadius => camera.lens_radius = value,
+            Self::Focus => camera.focus = value,
+            Self::ShutterOpen => camera.shutter_open = value,
+            Self::ShutterClose => camera.shutter_close = value,
+        }
+    }
+
+    pub(super) fn admits(self, value: f64) -> Result<(), Constraint> {
+        match self {
+            Self::Origin(_) | Self::Target(_) | Self::Up(_) | Self::ShutterOpen | Self::ShutterClose => finite(value),
+            Self::Fov => between(value, 0.0, 180.0),
+            Self::Film(_) => count(value, FILM_LIMIT),
+            Self::LensRadius => not_negative(value),
+            Self::Focus => positive(value),
+        }
+    }
+}
+
+pub(super) fn finite(value: f64) -> Result<(), Constraint> {
+    require(value.is_finite(), Constraint::Finite)
+}
+
+pub(super) fn not_negative(value: f64) -> Result<(), Constraint> {
+    finite(value)?;
+    require(value >= 0.0, Constraint::NotNegative)
+}
+
+pub(super) fn positive(value: f64) -> Result<(), Constraint> {
+    finite(value)?;
+    require(value > 0.0, Constraint::Positive)
+}
+
+pub(super) fn either(value: f64, a: u8, b: u8) -> Result<(), Constraint> {
+    require(value == f64::from(a) || value == f64::from(b), Constraint::Either(a, b))
+}
+
+fn within(value: f64, low: f64, high: f64) -> Result<(), Constraint> {
+    require((low..=high).contains(&value), Constraint::Within(low, high))
+}
+
+fn between(value: f64, low: f64, high: f64) -> Result<(), Constraint> {
+    require(value > low && value < high, Constraint::Between(low, high))
+}
+
+fn count(value: f64, limit: u32) -> Result<(), Constraint> {
+    require(value >= 1.0 && value <= f64::from(limit) && value.fract() == 0.0, Constraint::Count(limit))
+}
+
+pub(super) fn require(holds: bool, constraint: Constraint) -> Result<(), Constraint> {
+    if holds { Ok(()) } else { Err(constraint) }
+}

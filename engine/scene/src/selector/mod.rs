@@ -1,0 +1,304 @@
+//! Selectors: names for the scalars of a scene, used by `vary`, by sweeps and by overrides.
+//!
+//! | selector | scalar |
+//! | --- | --- |
+//! | `material.NAME.rd\|td\|rs\|ts\|ed` | the amount; `.r`, `.g`, `.b` after it: the colour's channels |
+//! | `material.NAME.rs_alpha\|ts_alpha` | GGX roughness |
+//! | `material.NAME.ir`, `.ir.im` | index of refraction, where the material has one |
+//! | `material.NAME.lobe` | exponent of the emission lobe; 0 = Lambertian |
+//! | `material.NAME.sides` | 1 or 2 |
+//! | `medium.NAME.sigma_s\|sigma_a\|glow` | coefficients; `sigma_s.r`, `glow.r` ..: the colours' channels |
+//! | `medium.NAME.phase.g`, `.phase.k` | parameter of `hg`, of `schlick`, where the medium has it |
+//! | `medium.NAME.density.z0`, `.density.h` | height fog, where the medium is one |
+//! | `camera.NAME.origin.x` .., `target.x` .., `up.x` .., `fov`, `film.w`, `film.h`, `lens`, `focus`, `shutter.open`, `shutter.close` | camera |
+//! | `object.NAME.hidden` | 0 or 1 |
+//! | `object.NAME.multiplier` | the factor (`-m`) of all IES luminaires in the object, nested ones too |
+//! | `ies.PATH.multiplier` | the same of all luminaires of one file |
+//! | `path.NAME.K.time\|x\|y\|z` | time and translation of key K = 1, 2, .. |
+//! | `time.t0\|t1\|fps` | the clip |
+//!
+//! Names may hold dots (`object.car.wheel.hidden`). Where several entries share a name (a material redefined), all that
+//! have the scalar are set and the first is read.
+
+mod field;
+mod nearest;
+mod slot;
+
+use crate::description::{Camera, Clip, Luminaire, Material, Medium, MotionPath, Object, Photometry, Scene};
+use slot::Slot;
+use std::fmt;
+
+/// Why a selector could not be used.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SelectorError {
+    /// No scalar of the scene has this name.
+    #[error("no scalar of the scene is called `{selector}`; nearest: {}", Names(nearest))]
+    Unknown {
+        /// The selector as given.
+        selector: String,
+        /// The three nearest names.
+        nearest: Vec<String>,
+    },
+    /// The scalar cannot have this value.
+    #[error("`{selector}` cannot be {value}: {constraint}")]
+    Refused {
+        /// The selector.
+        selector: String,
+        /// The value.
+        value: f64,
+        /// What it breaks.
+        constraint: Constraint,
+    },
+    /// The scalar cannot change over time.
+    #[error("`{selector}` belongs to the clip or the film and cannot vary over time")]
+    Timeless {
+        /// The selector.
+        selector: String,
+    },
+}
+
+/// What the value of a scalar must obey.
+#[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
+pub enum Constraint {
+    /// Any finite number.
+    #[error("it must be finite")]
+    Finite,
+    /// No less than 0.
+    #[error("it must be 0 or more")]
+    NotNegative,
+    /// More than 0.
+    #[error("it must be more than 0")]
+    Positive,
+    /// Between two bounds, bounds included.
+    #[error("it must be from {0} to {1}")]
+    Within(f64, f64),
+    /// Between two bounds, bounds excluded.
+    #[error("it must be between {0} and {1}, neither included")]
+    Between(f64, f64),
+    /// One of two values.
+    #[error("it must be {0} or {1}")]
+    Either(u8, u8),
+    /// A whole number up to a limit, at least 1.
+    #[error("it must be a whole number from 1 to {0}")]
+    Count(u32),
+    /// rd + td + rs + ts of the material would exceed 1.
+    #[error("rd + td + rs + ts would be {0}, more than 1")]
+    Energy(f64),
+    /// The shutter would close before it opens.
+    #[error("the shutter would close before it opens")]
+    Shutter,
+    /// The camera would look nowhere.
+    #[error("the camera's target would be at its origin, or its up direction along the view")]
+    View,
+    /// The keys of the path would not ascend.
+    #[error("the times of the path's keys would not ascend")]
+    KeyOrder,
+    /// The clip would end before it starts.
+    #[error("the clip would end before it starts")]
+    ClipOrder,
+}
+
+struct Names<'a>(&'a [String]);
+
+impl fmt::Display for Names<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        if self.0.is_empty() {
+            return f.write_str("none, the scene has no scalars");
+        }
+        for (index, name) in self.0.iter().enumerate() {
+            write!(f, "{}`{name}`", if index == 0 { "" } else { ", " })?;
+        }
+        Ok(())
+    }
+}
+
+/// The parts of a scene that scalars live in, apart from its geometry and images: cheap to copy for every frame.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Scalars {
+    /// As [`Scene::materials`].
+    pub materials: Vec<Material>,
+    /// As [`Scene::objects`].
+    pub objects: Vec<Object>,
+    /// As [`Scene::media`].
+    pub media: Vec<Medium>,
+    /// As [`Scene::cameras`]; not yet carried along their paths ([`Camera::at`]).
+    pub cameras: Vec<Camera>,
+    /// As [`Scene::paths`].
+    pub paths: Vec<MotionPath>,
+    /// [`crate::Group::luminaires`] of every group.
+    pub luminaires: Vec<Vec<Luminaire>>,
+}
+
+/// All that selectors read.
+struct View<'a> {
+    materials: &'a [Material],
+    objects: &'a [Object],
+    media: &'a [Medium],
+    cameras: &'a [Camera],
+    paths: &'a [MotionPath],
+    luminaires: Vec<&'a [Luminaire]>,
+    photometry: &'a [Photometry],
+    clip: Option<&'a Clip>,
+}
+
+/// All that selectors write.
+struct Parts<'a> {
+    materials: &'a mut [Material],
+    objects: &'a mut [Object],
+    media: &'a mut [Medium],
+    cameras: &'a mut [Camera],
+    paths: &'a mut [MotionPath],
+    luminaires: Vec<&'a mut [Luminaire]>,
+    clip: Option<&'a mut Clip>,
+}
+
+impl Parts<'_> {
+    fn view(&self) -> View<'_> {
+        View {
+            materials: self.materials,
+            objects: self.objects,
+            media: self.media,
+            cameras: self.cameras,
+            paths: self.paths,
+            luminaires: self.luminaires.iter().map(|group| &**group).collect(),
+            photometry: &[],
+            clip: self.clip.as_deref(),
+        }
+    }
+
+    /// Sets every slot to its value, then checks what the touched entities must obey together; puts all back on failure.
+    fn apply(&mut self, wanted: &[(Vec<Slot>, f64)]) -> Result<(), (usize, Constraint)> {
+        let mut done = Vec::new();
+        let outcome = self.write_all(wanted, &mut done);
+        if outcome.is_err() {
+            for (slot, old) in done.into_iter().rev() {
+                slot.write(self, old);
+            }
+        }
+        outcome
+    }
+
+    fn write_all(
+        &mut self,
+        wanted: &[(Vec<Slot>, f64)],
+        done: &mut Vec<(Slot, f64)>,
+    ) -> Result<(), (usize, Constraint)> {
+        for (index, (slots, value)) in wanted.iter().enumerate() {
+            for slot in slots {
+                slot.admits(*value).map_err(|constraint| (index, constraint))?;
+                done.extend(slot.read(&self.view()).map(|old| (*slot, old)));
+                slot.write(self, *value);
+            }
+        }
+        // Backwards: the last of the scalars that break a rule together is the one to blame.
+        for (index, (slots, _)) in wanted.iter().enumerate().rev() {
+            for slot in slots {
+                slot.consistent(&self.view()).map_err(|constraint| (index, constraint))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+impl Scene {
+    /// Sets one scalar at all times; see [`Self::set_all`].
+    pub fn set(&mut self, selector: &str, value: f64) -> Result<(), SelectorError> {
+        self.set_all(&[(selector, value)])
+    }
+
+    /// Sets scalars, in order, for all times: a `vary` of the same scalar goes. Values are checked together at the end,
+    /// so two that only make sense together may be given in either order. On failure the scene is as before.
+    pub fn set_all<S: AsRef<str>>(&mut self, values: &[(S, f64)]) -> Result<(), SelectorError> {
+        let wanted = self.resolve_all(values)?;
+        self.parts().apply(&wanted).map_err(|(index, constraint)| refused(&values[index], constraint))?;
+        self.varies.retain(|vary| values.iter().all(|(selector, _)| selector.as_ref() != vary.selector));
+        Ok(())
+    }
+
+    /// The value of a scalar, without its `vary`; of the first entity where several share the name.
+    pub fn get(&self, selector: &str) -> Result<f64, SelectorError> {
+        let view = self.view();
+        let first = slot::resolve(&view, selector).first().and_then(|slot| slot.read(&view));
+        first.ok_or_else(|| self.unknown(selector))
+    }
+
+    /// All names that [`Self::set`] knows, in the order of the scene, each once.
+    pub fn selectors(&self) -> Vec<String> {
+        slot::names(&self.view())
+    }
+
+    /// The scalars at `time` (s): what varies has its value of that time, the rest is as in the description.
+    pub fn scalars_at(&self, time: f64) -> Result<Scalars, SelectorError> {
+        let mut scalars = Scalars {
+            materials: self.materials.clone(),
+            objects: self.objects.clone(),
+            media: self.media.clone(),
+            cameras: self.cameras.clone(),
+            paths: self.paths.clone(),
+            luminaires: self.groups.iter().map(|group| group.luminaires.clone()).collect(),
+        };
+        let values: Vec<(&str, f64)> = self.varies.iter().map(|vary| (vary.selector.as_str(), vary.at(time))).collect();
+        let wanted = self.resolve_all(&values)?;
+        if let Some(index) = wanted.iter().position(|(slots, _)| slots.iter().any(Slot::is_timeless)) {
+            return Err(SelectorError::Timeless { selector: values[index].0.into() });
+        }
+        scalars.parts().apply(&wanted).map_err(|(index, constraint)| refused(&values[index], constraint))?;
+        Ok(scalars)
+    }
+
+    fn resolve_all<S: AsRef<str>>(&self, values: &[(S, f64)]) -> Result<Vec<(Vec<Slot>, f64)>, SelectorError> {
+        let view = self.view();
+        let resolve = |(selector, value): &(S, f64)| match slot::resolve(&view, selector.as_ref()) {
+            slots if slots.is_empty() => Err(self.unknown(selector.as_ref())),
+            slots => Ok((slots, *value)),
+        };
+        values.iter().map(resolve).collect()
+    }
+
+    fn unknown(&self, selector: &str) -> SelectorError {
+        SelectorError::Unknown { selector: selector.into(), nearest: nearest::nearest(selector, &self.selectors()) }
+    }
+
+    fn view(&self) -> View<'_> {
+        View {
+            materials: &self.materials,
+            objects: &self.objects,
+            media: &self.media,
+            cameras: &self.cameras,
+            paths: &self.paths,
+            luminaires: self.groups.iter().map(|group| group.luminaires.as_slice()).collect(),
+            photometry: &self.photometry,
+            clip: self.clip.as_ref(),
+        }
+    }
+
+    fn parts(&mut self) -> Parts<'_> {
+        Parts {
+            materials: &mut self.materials,
+            objects: &mut self.objects,
+            media: &mut self.media,
+            cameras: &mut self.cameras,
+            paths: &mut self.paths,
+            luminaires: self.groups.iter_mut().map(|group| group.luminaires.as_mut_slice()).collect(),
+            clip: self.clip.as_mut(),
+        }
+    }
+}
+
+impl Scalars {
+    fn parts(&mut self) -> Parts<'_> {
+        Parts {
+            materials: &mut self.materials,
+            objects: &mut self.objects,
+            media: &mut self.media,
+            cameras: &mut self.cameras,
+            paths: &mut self.paths,
+            luminaires: self.luminaires.iter_mut().map(Vec::as_mut_slice).collect(),
+            clip: None,
+        }
+    }
+}
+
+fn refused<S: AsRef<str>>((selector, value): &(S, f64), constraint: Constraint) -> SelectorError {
+    SelectorError::Refused { selector: selector.as_ref().into(), value: *value, constraint }
+}

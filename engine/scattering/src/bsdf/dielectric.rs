@@ -1,0 +1,230 @@
+//! The boundary of a solid dielectric, smooth or rough (\[walter2007\]).
+//!
+//! Reflection is F, transmission `(1 - F) ts`. Radiance refracted from index `n_i` to `n_o` scales by `(n_o / n_i)^2`; that
+//! factor is in the weights, and `eta` = `n_i / n_o` of a sample lets Russian roulette take it out again. Shadowing is
+//! `1 / (1 + Lambda_o + Lambda_i)` for both lobes. A diffuse part, where there is one, is shared as in [`super::coat`]
+//! with R = F of each direction's own side:
+//! `f_r = rd T(o) T(i) / (pi (1 - F_mean))`, `f_t = td T(o) T(i) n_o^2 / (pi (1 - F_mean outside))` with T = 1 - F.
+
+use super::{BsdfSample, LobeKind, Transmitted, onto_side};
+use crate::Fresnel;
+use crate::fresnel::{Interface, dielectric};
+use crate::microfacet::{
+    SMOOTH_ALPHA, masking_density, normal_distribution, reflect, reflection, sample_visible_normal, visibility,
+};
+use femc_math::{Rgb, glam::Vec3A, warp};
+use std::f32::consts::FRAC_1_PI;
+
+/// Relative distance of the index from 1 below which light passes straight and nothing is reflected.
+const MATCHED: f32 = 1e-3;
+
+/// A dielectric interface between the outside (front, index 1) and the inside.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Dielectric {
+    /// Index of the inside relative to the outside, > 0.
+    eta: f32,
+    /// Specular transmittance of one crossing.
+    ts: Rgb,
+    /// GGX roughness of both lobes; at most [`SMOOTH_ALPHA`] means smooth.
+    alpha: f32,
+    /// Diffuse reflectance.
+    rd: Rgb,
+    /// Diffuse transmittance.
+    td: Rgb,
+    /// `1 - F_mean` seen from the outside; from the inside it is this over `eta^2`.
+    transmitted_mean: f32,
+}
+
+/// Probabilities of the outer choice.
+struct Selection {
+    specular: f32,
+    rd: f32,
+    td: f32,
+}
+
+impl Dielectric {
+    /// `eta`: index of the inside over the outside, > 0; `alpha`: roughness of both specular lobes.
+    pub fn new(eta: f32, ts: Rgb, alpha: f32, rd: Rgb, td: Rgb) -> Self {
+        let matched = (eta - 1.0).abs() < MATCHED;
+        let (eta, alpha) = if matched { (1.0, 0.0) } else { (eta, alpha) };
+        let transmitted_mean = 1.0 - Fresnel::Dielectric { eta }.mean();
+        Self { eta, ts, alpha, rd, td, transmitted_mean }
+    }
+
+    /// The same with the diffuse reflectance multiplied by `factor`.
+    pub fn with_diffuse_factor(mut self, factor: Rgb) -> Self {
+        self.rd *= factor;
+        self
+    }
+
+    /// Whether the specular lobes are deltas.
+    #[inline]
+    pub fn is_smooth(&self) -> bool {
+        self.alpha <= SMOOTH_ALPHA
+    }
+
+    /// Whether there is a diffuse part.
+    #[inline]
+    pub fn has_diffuse(&self) -> bool {
+        self.rd.max_element() > 0.0 || self.td.max_element() > 0.0
+    }
+
+    /// Index of the other side over that of the side with the sign of `z`.
+    #[inline]
+    fn eta_from(&self, z: f32) -> f32 {
+        if z > 0.0 { self.eta } else { 1.0 / self.eta }
+    }
+
+    #[inline]
+    fn selection(&self, cos_o: f32, eta: f32) -> Selection {
+        if !self.has_diffuse() {
+            return Selection { specular: 1.0, rd: 0.0, td: 0.0 };
+        }
+        let f = dielectric(cos_o, eta).reflectance;
+        let specular = f + (1.0 - f) * self.ts.max_element();
+        let (rd, td) = ((1.0 - f) * self.rd.max_element(), (1.0 - f) * self.td.max_element());
+        let sum = specular + rd + td;
+        Selection { specular: specular / sum, rd: rd / sum, td: td / sum }
+    }
+
+    /// Probability of reflection given a facet of reflectance `f`.
+    #[inline]
+    fn reflection_probability(&self, f: f32) -> f32 {
+        let through = (1.0 - f) * self.ts.max_element();
+        if f + through > 0.0 { f / (f + through) } else { 1.0 }
+    }
+
+    /// The half vector, turned to `wo`'s side, for `wo` up and `wi` down; `None` where no facet joins the two.
+    #[inline]
+    fn half_vector(wo: Vec3A, wi: Vec3A, eta: f32) -> Option<Vec3A> {
+        let h = (wo + wi * eta).normalize_or_zero();
+        let h = if h.z < 0.0 { -h } else { h };
+        (h.z > 0.0 && wo.dot(h) > 0.0 && wi.dot(h) < 0.0).then_some(h)
+    }
+
+    /// Value and density of the non-delta parts; `wo` up, `wi` on either side, `eta` the other side over `wo`'s.
+    fn eval_pdf(&self, wo: Vec3A, wi: Vec3A, eta: f32) -> (Rgb, f32) {
+        let selection = self.selection(wo.z, eta);
+        let (mut value, mut pdf) = (Rgb::ZERO, 0.0);
+        let cos_i = wi.z.abs();
+        let left = |cos, eta| 1.0 - dielectric(cos, eta).reflectance;
+        // Index of wo's side, squared: the outside has index 1, and seen from the inside `eta` is the inverse index.
+        let n_o2 = if eta == self.eta { 1.0 } else { self.eta * self.eta };
+        if wi.z > 0.0 {
+            if selection.rd > 0.0 {
+                let shared = left(wo.z, eta) * left(cos_i, eta) * n_o2 / self.transmitted_mean;
+                value += self.rd * (shared * cos_i * FRAC_1_PI);
+                pdf += selection.rd * cos_i * FRAC_1_PI;
+            }
+            if !self.is_smooth() {
+                let lobe = reflection(wo, wi, self.alpha);
+                let f = dielectric(lobe.cos_half, eta).reflectance;
+                value += Rgb::splat(f * lobe.value);
+                pdf += selection.specular * self.reflection_probability(f) * lobe.pdf;
+            }
+        } else {
+            if selection.td > 0.0 {
+                let shared = left(wo.z, eta) * left(cos_i, 1.0 / eta) * n_o2 / self.transmitted_mean;
+                value += self.td * (shared * cos_i * FRAC_1_PI);
+                pdf += selection.td * cos_i * FRAC_1_PI;
+            }
+            if !self.is_smooth()
+                && let Some(h) = Self::half_vector(wo, wi, eta)
+            {
+                let (o_h, i_h) = (wo.dot(h), -wi.dot(h));
+                let f = dielectric(o_h.min(1.0), eta).reflectance;
+                let d = normal_distribution(h, self.alpha);
+                let denominator = o_h - eta * i_h;
+                let jacobian = 4.0 * o_h * i_h / (denominator * denominator);
+                value += self.ts * ((1.0 - f) * d * cos_i * visibility(wo.z, cos_i, self.alpha) * jacobian);
+                let through = 1.0 - self.reflection_probability(f);
+                pdf += selection.specular * through * d * masking_density(wo.z, self.alpha) * jacobian * eta * eta;
+            }
+        }
+        (value, pdf)
+    }
+
+    /// f |cos wi| without delta parts, 1/sr.
+    pub fn eval(&self, wo: Vec3A, wi: Vec3A) -> Rgb {
+        if wo.z * wi.z == 0.0 {
+            return Rgb::ZERO;
+        }
+        self.eval_pdf(onto_side(wo, wo.z), onto_side(wi, wo.z), self.eta_from(wo.z)).0
+    }
+
+    /// Density of `sample` without delta parts, 1/sr.
+    pub fn pdf(&self, wo: Vec3A, wi: Vec3A) -> f32 {
+        if wo.z * wi.z == 0.0 {
+            return 0.0;
+        }
+        self.eval_pdf(onto_side(wo, wo.z), onto_side(wi, wo.z), self.eta_from(wo.z)).1
+    }
+
+    /// Draws a direction; `choice` picks the lobe.
+    pub fn sample(&self, wo: Vec3A, u: [f32; 2], choice: f32) -> Option<BsdfSample> {
+        if wo.z == 0.0 {
+            return None;
+        }
+        let up = onto_side(wo, wo.z);
+        let eta = self.eta_from(wo.z);
+        let p = self.selection(up.z, eta);
+        let (wi, lobe) = if choice < p.specular {
+            let choice = choice / p.specular;
+            if self.is_smooth() {
+                return self.sample_smooth(wo, choice, p.specular);
+            }
+            let h = sample_visible_normal(up, self.alpha, u);
+            let o_h = up.dot(h).clamp(0.0, 1.0);
+            let interface = dielectric(o_h, eta);
+            let wi = if choice < self.reflection_probability(interface.reflectance) {
+                let wi = reflect(up, h);
+                (wi.z > 0.0).then_some(wi)?
+            } else {
+                let wi = refract(up, h, o_h, eta, interface);
+                (wi.z < 0.0).then_some(wi)?
+            };
+            (wi, LobeKind::Glossy)
+        } else {
+            let up_wi = warp::cosine_hemisphere(u);
+            (if choice < p.specular + p.rd { up_wi } else { onto_side(up_wi, -1.0) }, LobeKind::Diffuse)
+        };
+        let (value, pdf) = self.eval_pdf(up, wi, eta);
+        let (transmitted, eta) = if wi.z < 0.0 { (Transmitted::Yes, eta) } else { (Transmitted::No, 1.0) };
+        (pdf > 0.0).then(|| BsdfSample {
+            wi: Vec3A::new(wi.x, wi.y, if wo.z < 0.0 { -wi.z } else { wi.z }),
+            weight: value / pdf,
+            pdf,
+            lobe,
+            transmitted,
+            eta,
+        })
+    }
+
+    fn sample_smooth(&self, wo: Vec3A, choice: f32, selected: f32) -> Option<BsdfSample> {
+        let eta = self.eta_from(wo.z);
+        let interface = dielectric(wo.z.abs(), eta);
+        let f = interface.reflectance;
+        let p = self.reflection_probability(f);
+        let (wi, weight, p, transmitted, eta) = if choice < p {
+            (Vec3A::new(-wo.x, -wo.y, wo.z), Rgb::splat(f), p, Transmitted::No, 1.0)
+        } else {
+            let z = if wo.z > 0.0 { -interface.cos_transmitted } else { interface.cos_transmitted };
+            let wi = Vec3A::new(-wo.x / eta, -wo.y / eta, z).normalize();
+            (wi, self.ts * ((1.0 - f) / (eta * eta)), 1.0 - p, Transmitted::Yes, eta)
+        };
+        let pdf = p * selected;
+        (pdf > 0.0).then(|| BsdfSample { wi, weight: weight / pdf, pdf, lobe: LobeKind::Delta, transmitted, eta })
+    }
+
+    /// Directional albedo with the square of the index ratio taken out; the loss of single scattering is not taken off.
+    pub fn albedo(&self, wo: Vec3A) -> Rgb {
+        let f = dielectric(wo.z.abs(), self.eta_from(wo.z)).reflectance;
+        Rgb::splat(f) + (self.ts + self.rd + self.td) * (1.0 - f)
+    }
+}
+
+/// Refracts `wo` (`o_h` = wo.h > 0) through a facet with normal `h`.
+#[inline]
+fn refract(wo: Vec3A, h: Vec3A, o_h: f32, eta: f32, interface: Interface) -> Vec3A {
+    (h * (o_h / eta - interface.cos_transmitted) - wo / eta).normalize()
+}

@@ -1,0 +1,46 @@
+//! Lambertian reflection: `f = rd / pi` on one or both sides.
+
+use super::{BsdfSample, LobeKind, Sides, Transmitted};
+use femc_math::{Rgb, glam::Vec3A, warp};
+use std::f32::consts::FRAC_1_PI;
+
+/// A matte surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Diffuse {
+    /// Reflectance, in [0, 1].
+    pub rd: Rgb,
+    /// Sides that reflect.
+    pub sides: Sides,
+}
+
+impl Diffuse {
+    /// f |cos wi|, 1/sr.
+    #[inline]
+    pub fn eval(&self, wo: Vec3A, wi: Vec3A) -> Rgb {
+        self.rd * self.pdf(wo, wi)
+    }
+
+    /// `|cos wi| / pi` where both directions are on one side that exists, else 0.
+    #[inline]
+    pub fn pdf(&self, wo: Vec3A, wi: Vec3A) -> f32 {
+        if wo.z * wi.z > 0.0 && self.sides.exist_at(wo.z) { wi.z.abs() * FRAC_1_PI } else { 0.0 }
+    }
+
+    /// A cosine-distributed direction on the viewer's side.
+    #[inline]
+    pub fn sample(&self, wo: Vec3A, u: [f32; 2]) -> Option<BsdfSample> {
+        if wo.z == 0.0 || !self.sides.exist_at(wo.z) {
+            return None;
+        }
+        let wi = super::onto_side(warp::cosine_hemisphere(u), wo.z);
+        let pdf = wi.z.abs() * FRAC_1_PI;
+        (pdf > 0.0).then_some(BsdfSample {
+            wi,
+            weight: self.rd,
+            pdf,
+            lobe: LobeKind::Diffuse,
+            transmitted: Transmitted::No,
+            eta: 1.0,
+        })
+    }
+}

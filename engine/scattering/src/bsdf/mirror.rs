@@ -1,0 +1,37 @@
+//! A perfect mirror: `rs F(cos)` times a delta at the mirror direction.
+
+use super::{BsdfSample, LobeKind, Sides, Transmitted};
+use crate::Fresnel;
+use femc_math::{Rgb, glam::Vec3A};
+
+/// A smooth, purely specular surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Mirror {
+    /// Reflectance before the Fresnel factor, in [0, 1].
+    pub rs: Rgb,
+    /// Fresnel factor.
+    pub fresnel: Fresnel,
+    /// Sides that reflect.
+    pub sides: Sides,
+}
+
+impl Mirror {
+    /// The mirror direction.
+    #[inline]
+    pub fn sample(&self, wo: Vec3A) -> Option<BsdfSample> {
+        (wo.z != 0.0 && self.sides.exist_at(wo.z)).then(|| BsdfSample {
+            wi: Vec3A::new(-wo.x, -wo.y, wo.z),
+            weight: self.albedo(wo),
+            pdf: 1.0,
+            lobe: LobeKind::Delta,
+            transmitted: Transmitted::No,
+            eta: 1.0,
+        })
+    }
+
+    /// Exact directional albedo.
+    #[inline]
+    pub fn albedo(&self, wo: Vec3A) -> Rgb {
+        self.rs * self.fresnel.eval(wo.z.abs())
+    }
+}

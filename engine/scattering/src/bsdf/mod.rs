@@ -1,0 +1,276 @@
+//! Surface scattering: one member a file, dispatched by an enum.
+//!
+//! `eval` is `f |cos wi|` with delta parts excluded, `pdf` the density of `sample` over solid angle with delta parts excluded
+//! (the probability of choosing a non-delta part is included, so it may integrate to less than 1), and the weight of a
+//! sample is `f |cos wi| / pdf`. The probabilities of the lobes depend on `wo` and the material only.
+
+pub mod coat;
+pub mod dielectric;
+pub mod diffuse;
+pub mod mirror;
+pub mod opaque;
+pub mod sheet;
+
+use crate::Fresnel;
+use crate::microfacet::SMOOTH_ALPHA;
+use coat::Coat;
+pub use dielectric::Dielectric;
+pub use diffuse::Diffuse;
+use femc_math::{Rgb, glam::Vec3A};
+pub use mirror::Mirror;
+pub use opaque::Opaque;
+pub use sheet::Sheet;
+
+/// Which sides of a surface exist.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Sides {
+    /// The front only; the tracer lets rays pass from behind.
+    One,
+    /// Both, alike.
+    #[default]
+    Two,
+}
+
+impl Sides {
+    /// Whether the surface exists for a viewer at height `z`.
+    #[inline]
+    pub fn exist_at(self, z: f32) -> bool {
+        z > 0.0 || self == Self::Two
+    }
+}
+
+/// What kind of lobe a sample was drawn from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum LobeKind {
+    /// Lambertian, reflected or transmitted.
+    Diffuse,
+    /// A microfacet lobe.
+    Glossy,
+    /// A single direction; `pdf` is then the probability of having chosen it.
+    Delta,
+}
+
+/// Whether a sample leaves on the other side of the surface.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Transmitted {
+    /// Reflected: `wi` is on the side of `wo`.
+    No,
+    /// `wi` is on the other side.
+    Yes,
+}
+
+/// A sampled direction.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct BsdfSample {
+    /// Unit, local frame, away from the surface.
+    pub wi: Vec3A,
+    /// `f |cos wi| / pdf`, with the factor `1 / eta^2` of refracted radiance.
+    pub weight: Rgb,
+    /// 1/sr; for [`LobeKind::Delta`] the probability of the choice.
+    pub pdf: f32,
+    /// The lobe it came from.
+    pub lobe: LobeKind,
+    /// Side it leaves on.
+    pub transmitted: Transmitted,
+    /// Index on `wi`'s side over that on `wo`'s; 1 unless refracted. Russian roulette judges `throughput * product(eta^2)`.
+    pub eta: f32,
+}
+
+/// The parameters of the scene format's reflection model.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MaterialParameters {
+    /// Sides that exist.
+    pub sides: Sides,
+    /// Diffuse reflectance.
+    pub rd: Rgb,
+    /// Diffuse transmittance.
+    pub td: Rgb,
+    /// Specular reflectance.
+    pub rs: Rgb,
+    /// Specular transmittance.
+    pub ts: Rgb,
+    /// GGX roughness of `rs`; 0 is a mirror.
+    pub rs_alpha: f32,
+    /// GGX roughness of `ts`; 0 is clear.
+    pub ts_alpha: f32,
+    /// Complex index of refraction (re, im) where given; (1, 0), the format's default, counts as not given.
+    pub ior: Option<(f32, f32)>,
+}
+
+impl Default for MaterialParameters {
+    fn default() -> Self {
+        Self {
+            sides: Sides::Two,
+            rd: Rgb::ZERO,
+            td: Rgb::ZERO,
+            rs: Rgb::ZERO,
+            ts: Rgb::ZERO,
+            rs_alpha: 0.0,
+            ts_alpha: 0.0,
+            ior: None,
+        }
+    }
+}
+
+/// A surface's scattering function.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Bsdf {
+    /// Absorbs everything.
+    Black,
+    /// Lambertian reflection.
+    Diffuse(Diffuse),
+    /// Perfect mirror.
+    Mirror(Mirror),
+    /// Diffuse and specular reflection.
+    Opaque(Opaque),
+    /// Thin sheet: reflection and transmission, unbent.
+    Sheet(Sheet),
+    /// Boundary of a solid dielectric.
+    Dielectric(Dielectric),
+}
+
+impl Bsdf {
+    /// The cheapest member that has these parameters.
+    pub fn from_parameters(p: &MaterialParameters) -> Self {
+        let present = |color: Rgb| color.max_element() > 0.0;
+        // A surface with an index bounds a solid: it exists from both sides.
+        let sides = if p.ior.is_some() { Sides::Two } else { p.sides };
+        let fresnel = match p.ior {
+            None => Fresnel::Unit,
+            Some((eta, k)) if k > 0.0 => Fresnel::Conductor { eta, k },
+            Some((1.0, _)) => Fresnel::Unit,
+            Some((eta, _)) => Fresnel::Dielectric { eta },
+        };
+        if let (Sides::One, Fresnel::Dielectric { eta }) = (p.sides, fresnel)
+            && present(p.ts)
+        {
+            return Self::Dielectric(Dielectric::new(eta, p.ts, p.ts_alpha, p.rd, p.td));
+        }
+        if present(p.ts) || present(p.td) {
+            let fresnel = if present(p.ts) { Fresnel::Unit } else { fresnel };
+            return Self::Sheet(Sheet {
+                rd: p.rd,
+                td: p.td,
+                coat: Coat::new(p.rs, fresnel),
+                ts: p.ts,
+                rs_alpha: p.rs_alpha,
+                ts_alpha: p.ts_alpha,
+                sides,
+            });
+        }
+        match (present(p.rd), present(p.rs)) {
+            (false, false) => Self::Black,
+            (true, false) => Self::Diffuse(Diffuse { rd: p.rd, sides }),
+            (false, true) if p.rs_alpha <= SMOOTH_ALPHA => Self::Mirror(Mirror { rs: p.rs, fresnel, sides }),
+            (_, true) => Self::Opaque(Opaque { rd: p.rd, coat: Coat::new(p.rs, fresnel), alpha: p.rs_alpha, sides }),
+        }
+    }
+
+    /// The same with the diffuse reflectance multiplied by `factor` (a texture's value in [0, 1]); cheap, for use at a hit.
+    #[inline]
+    pub fn with_diffuse_factor(&self, factor: Rgb) -> Self {
+        match *self {
+            Self::Black => Self::Black,
+            Self::Diffuse(b) => Self::Diffuse(Diffuse { rd: b.rd * factor, ..b }),
+            Self::Mirror(b) => Self::Mirror(b),
+            Self::Opaque(b) => Self::Opaque(Opaque { rd: b.rd * factor, ..b }),
+            Self::Sheet(b) => Self::Sheet(Sheet { rd: b.rd * factor, ..b }),
+            Self::Dielectric(b) => Self::Dielectric(b.with_diffuse_factor(factor)),
+        }
+    }
+
+    /// `f |cos wi|`, 1/sr, delta parts excluded.
+    /// Laws: reciprocal (`reciprocity_holds`), the white furnace keeps at most 1 (`no_member_creates_energy`).
+    #[inline]
+    pub fn eval(&self, wo: Vec3A, wi: Vec3A) -> Rgb {
+        match self {
+            Self::Diffuse(b) => b.eval(wo, wi),
+            Self::Opaque(b) => b.eval(wo, wi),
+            Self::Sheet(b) => b.eval(wo, wi),
+            Self::Dielectric(b) => b.eval(wo, wi),
+            Self::Black | Self::Mirror(_) => Rgb::ZERO,
+        }
+    }
+
+    /// Density of [`Self::sample`], 1/sr, delta parts excluded; includes the probability of choosing a non-delta part.
+    #[inline]
+    pub fn pdf(&self, wo: Vec3A, wi: Vec3A) -> f32 {
+        match self {
+            Self::Diffuse(b) => b.pdf(wo, wi),
+            Self::Opaque(b) => b.pdf(wo, wi),
+            Self::Sheet(b) => b.pdf(wo, wi),
+            Self::Dielectric(b) => b.pdf(wo, wi),
+            Self::Black | Self::Mirror(_) => 0.0,
+        }
+    }
+
+    /// Draws a direction from `u` in [0, 1)^2; `choice` in [0, 1) picks the lobe. `None`: the light is absorbed.
+    #[inline]
+    pub fn sample(&self, wo: Vec3A, u: [f32; 2], choice: f32) -> Option<BsdfSample> {
+        match self {
+            Self::Black => None,
+            Self::Diffuse(b) => b.sample(wo, u),
+            Self::Mirror(b) => b.sample(wo),
+            Self::Opaque(b) => b.sample(wo, u, choice),
+            Self::Sheet(b) => b.sample(wo, u, choice),
+            Self::Dielectric(b) => b.sample(wo, u, choice),
+        }
+    }
+
+    /// Whether every sample is a delta (or there is none): light sampling is then useless.
+    #[inline]
+    pub fn is_delta_only(&self) -> bool {
+        match self {
+            Self::Black | Self::Mirror(_) => true,
+            Self::Diffuse(_) => false,
+            Self::Opaque(b) => b.is_smooth() && b.rd.max_element() <= 0.0,
+            Self::Sheet(b) => {
+                let rough = |color: Rgb, alpha: f32| color.max_element() > 0.0 && alpha > SMOOTH_ALPHA;
+                let diffuse = b.rd.max_element() > 0.0 || b.td.max_element() > 0.0;
+                !(diffuse || rough(b.coat.rs, b.rs_alpha) || rough(b.ts, b.ts_alpha))
+            }
+            Self::Dielectric(b) => b.is_smooth() && !b.has_diffuse(),
+        }
+    }
+
+    /// Whether some samples are deltas.
+    #[inline]
+    pub fn has_delta(&self) -> bool {
+        match self {
+            Self::Black | Self::Diffuse(_) => false,
+            Self::Mirror(_) => true,
+            Self::Opaque(b) => b.is_smooth() && b.coat.rs.max_element() > 0.0,
+            Self::Sheet(b) => {
+                let smooth = |color: Rgb, alpha: f32| color.max_element() > 0.0 && alpha <= SMOOTH_ALPHA;
+                smooth(b.coat.rs, b.rs_alpha) || smooth(b.ts, b.ts_alpha)
+            }
+            Self::Dielectric(b) => b.is_smooth(),
+        }
+    }
+
+    /// Whether light can pass to the other side.
+    #[inline]
+    pub fn transmits(&self) -> bool {
+        matches!(self, Self::Sheet(_) | Self::Dielectric(_))
+    }
+
+    /// Directional albedo, reflected plus transmitted. Exact for diffuse and smooth parts; the few percent that single
+    /// scattering loses in rough lobes are not taken off, nor is the square of the index ratio of refracted radiance.
+    #[inline]
+    pub fn albedo(&self, wo: Vec3A) -> Rgb {
+        match self {
+            Self::Black => Rgb::ZERO,
+            Self::Diffuse(b) => b.rd,
+            Self::Mirror(b) => b.albedo(wo),
+            Self::Opaque(b) => b.albedo(wo),
+            Self::Sheet(b) => b.albedo(wo),
+            Self::Dielectric(b) => b.albedo(wo),
+        }
+    }
+}
+
+/// `v` with its z negated where `z` is negative: turns a direction up, or back.
+#[inline]
+fn onto_side(v: Vec3A, z: f32) -> Vec3A {
+    if z < 0.0 { Vec3A::new(v.x, v.y, -v.z) } else { v }
+}

@@ -1,0 +1,115 @@
+//! Diffuse plus GGX or mirror reflection: `f = rd C / pi + rs F D G2 / (4 cos_o cos_i)`.
+//!
+//! Covers plastics (dielectric index), metals (complex index, no diffuse part) and the format's plain `rd` + `rs`.
+//! One of the two lobes is picked in proportion to its largest albedo channel at `wo`; `pdf` is the mixture's.
+
+use super::{BsdfSample, LobeKind, Sides, Transmitted, coat::Coat, onto_side};
+use crate::microfacet::{SMOOTH_ALPHA, reflect, reflection, sample_visible_normal};
+use femc_math::{Rgb, glam::Vec3A, warp};
+use std::f32::consts::FRAC_1_PI;
+
+/// An opaque surface with a diffuse and a specular part.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Opaque {
+    /// Diffuse reflectance.
+    pub rd: Rgb,
+    /// The specular part.
+    pub coat: Coat,
+    /// GGX roughness; at most [`SMOOTH_ALPHA`] means a mirror.
+    pub alpha: f32,
+    /// Sides that reflect.
+    pub sides: Sides,
+}
+
+impl Opaque {
+    /// Whether the specular part is a delta.
+    #[inline]
+    pub fn is_smooth(&self) -> bool {
+        self.alpha <= SMOOTH_ALPHA
+    }
+
+    /// Probability of the specular lobe at `cos_o` = |wo.z|.
+    #[inline]
+    fn specular_probability(&self, cos_o: f32) -> f32 {
+        let specular = self.coat.reflectance(cos_o).max_element();
+        let diffuse = (self.rd * self.coat.left(cos_o)).max_element();
+        if specular + diffuse > 0.0 { specular / (specular + diffuse) } else { 0.0 }
+    }
+
+    /// Both directions turned to the upper side, or `None` where nothing is reflected.
+    #[inline]
+    fn upright(&self, wo: Vec3A, wi: Vec3A) -> Option<(Vec3A, Vec3A)> {
+        (wo.z * wi.z > 0.0 && self.sides.exist_at(wo.z)).then(|| (onto_side(wo, wo.z), onto_side(wi, wi.z)))
+    }
+
+    /// Value and density, of the non-delta parts.
+    #[inline]
+    fn eval_pdf(&self, wo: Vec3A, wi: Vec3A) -> (Rgb, f32) {
+        let p = self.specular_probability(wo.z);
+        let cosine = wi.z * FRAC_1_PI;
+        let mut value = self.rd * self.coat.diffuse_factor(wo.z, wi.z) * cosine;
+        let mut pdf = (1.0 - p) * cosine;
+        if !self.is_smooth() {
+            let lobe = reflection(wo, wi, self.alpha);
+            value += self.coat.reflectance(lobe.cos_half) * lobe.value;
+            pdf += p * lobe.pdf;
+        }
+        (value, pdf)
+    }
+
+    /// f |cos wi| without a delta part, 1/sr.
+    #[inline]
+    pub fn eval(&self, wo: Vec3A, wi: Vec3A) -> Rgb {
+        self.upright(wo, wi).map_or(Rgb::ZERO, |(wo, wi)| self.eval_pdf(wo, wi).0)
+    }
+
+    /// Density of `sample` without a delta part, 1/sr.
+    #[inline]
+    pub fn pdf(&self, wo: Vec3A, wi: Vec3A) -> f32 {
+        self.upright(wo, wi).map_or(0.0, |(wo, wi)| self.eval_pdf(wo, wi).1)
+    }
+
+    /// Draws a direction; `choice` picks the lobe.
+    #[inline]
+    pub fn sample(&self, wo: Vec3A, u: [f32; 2], choice: f32) -> Option<BsdfSample> {
+        if wo.z == 0.0 || !self.sides.exist_at(wo.z) {
+            return None;
+        }
+        let up = onto_side(wo, wo.z);
+        let p = self.specular_probability(up.z);
+        let (wi, lobe) = if choice < p {
+            if self.is_smooth() {
+                return Some(BsdfSample {
+                    wi: Vec3A::new(-wo.x, -wo.y, wo.z),
+                    weight: self.coat.reflectance(up.z) / p,
+                    pdf: p,
+                    lobe: LobeKind::Delta,
+                    transmitted: Transmitted::No,
+                    eta: 1.0,
+                });
+            }
+            (reflect(up, sample_visible_normal(up, self.alpha, u)), LobeKind::Glossy)
+        } else {
+            (warp::cosine_hemisphere(u), LobeKind::Diffuse)
+        };
+        if wi.z <= 0.0 {
+            return None;
+        }
+        let (value, pdf) = self.eval_pdf(up, wi);
+        (pdf > 0.0).then(|| BsdfSample {
+            wi: onto_side(wi, wo.z),
+            weight: value / pdf,
+            pdf,
+            lobe,
+            transmitted: Transmitted::No,
+            eta: 1.0,
+        })
+    }
+
+    /// Directional albedo; the energy that single scattering loses in rough lobes is not taken off.
+    #[inline]
+    pub fn albedo(&self, wo: Vec3A) -> Rgb {
+        let cos = wo.z.abs();
+        self.coat.reflectance(cos) + self.rd * self.coat.left(cos)
+    }
+}

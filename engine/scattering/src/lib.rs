@@ -1,0 +1,20 @@
+//! Scattering kernels: surfaces ([`Bsdf`]) and phase functions ([`Phase`]).
+//!
+//! Closed families are enums with one file a member, and each member has the same three verbs: `eval`, `sample`, `pdf`.
+//! The crate takes plain `f32` parameters and knows nothing of scenes; it holds no state and draws no random numbers.
+//!
+//! Local frame of surfaces: z is the shading normal on the surface's FRONT side. `wo` (toward the viewer) and `wi` (toward
+//! the light) are unit and point AWAY from the surface; either may have a negative z.
+#![deny(missing_docs)]
+
+pub mod bsdf;
+pub mod fresnel;
+pub mod microfacet;
+pub mod phase;
+
+pub use bsdf::{Bsdf, BsdfSample, LobeKind, MaterialParameters, Sides, Transmitted};
+pub use fresnel::Fresnel;
+pub use phase::{Phase, PhaseSample};
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,89 @@
+//! Phase functions: one member a file.
+//!
+//! `wo` points back along the ray, `wi` toward the light, both unit. The cosine is between PROPAGATION directions, that is
+//! `-wo . wi`: positive parameters scatter forward. Every density is 1/sr and integrates to 1, and samples are drawn
+//! exactly from it, so a sample's weight is 1.
+
+mod henyey_greenstein;
+mod rayleigh;
+mod schlick;
+
+use femc_math::glam::Vec3A;
+use femc_math::{Frame, warp};
+use std::f32::consts::PI;
+
+/// A phase function.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Phase {
+    /// `1 / (4 pi)`.
+    #[default]
+    Isotropic,
+    /// `(1 - g^2) / (4 pi (1 + g^2 - 2 g cos)^1.5)` (\[henyey1941\]).
+    HenyeyGreenstein {
+        /// Mean cosine, in (-1, 1).
+        g: f32,
+    },
+    /// `(1 - k^2) / (4 pi (1 - k cos)^2)` (\[blasi1993\]).
+    Schlick {
+        /// Parameter, in (-1, 1); NOT the mean cosine.
+        k: f32,
+    },
+    /// `3 / (16 pi) (1 + cos^2)`.
+    Rayleigh,
+}
+
+/// A sampled direction; its weight is 1.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PhaseSample {
+    /// Unit, away from the scattering point.
+    pub wi: Vec3A,
+    /// 1/sr.
+    pub pdf: f32,
+}
+
+impl Phase {
+    /// Value for the cosine between propagation directions, 1/sr.
+    #[inline]
+    pub fn eval_cos(&self, cos: f32) -> f32 {
+        match *self {
+            Self::Isotropic => 1.0 / (4.0 * PI),
+            Self::HenyeyGreenstein { g } => henyey_greenstein::eval(g, cos),
+            Self::Schlick { k } => schlick::eval(k, cos),
+            Self::Rayleigh => rayleigh::eval(cos),
+        }
+    }
+
+    /// Phase function, 1/sr. Symmetric in its arguments; integrates to 1 over the sphere.
+    #[inline]
+    pub fn eval(&self, wo: Vec3A, wi: Vec3A) -> f32 {
+        self.eval_cos((-wo.dot(wi)).clamp(-1.0, 1.0))
+    }
+
+    /// Density of [`Self::sample`], 1/sr: equal to [`Self::eval`].
+    #[inline]
+    pub fn pdf(&self, wo: Vec3A, wi: Vec3A) -> f32 {
+        self.eval(wo, wi)
+    }
+
+    /// Draws a direction from `u` in [0, 1)^2.
+    #[inline]
+    pub fn sample(&self, wo: Vec3A, u: [f32; 2]) -> PhaseSample {
+        let cos = match *self {
+            Self::Isotropic => return PhaseSample { wi: warp::sphere(u), pdf: 1.0 / (4.0 * PI) },
+            Self::HenyeyGreenstein { g } => henyey_greenstein::sample_cos(g, u[0]),
+            Self::Schlick { k } => schlick::sample_cos(k, u[0]),
+            Self::Rayleigh => rayleigh::sample_cos(u[0]),
+        };
+        let wi = Frame::from_normal(-wo).to_world(warp::direction(cos, u[1])).normalize();
+        PhaseSample { wi, pdf: self.eval(wo, wi) }
+    }
+
+    /// Mean cosine between propagation directions.
+    pub fn mean_cosine(&self) -> f32 {
+        match *self {
+            Self::Isotropic | Self::Rayleigh => 0.0,
+            Self::HenyeyGreenstein { g } => g,
+            Self::Schlick { k } => schlick::mean_cosine(k),
+        }
+    }
+}

@@ -1,0 +1,27 @@
+//! Schlick's rational approximation (\[blasi1993\]).
+
+use femc_math::elementary::double::ln;
+use std::f32::consts::PI;
+
+#[inline]
+pub fn eval(k: f32, cos: f32) -> f32 {
+    let d = 1.0 - k * cos;
+    (1.0 - k) * (1.0 + k) / (4.0 * PI * d * d)
+}
+
+#[inline]
+pub fn sample_cos(k: f32, u: f32) -> f32 {
+    let s = 2.0 * u - 1.0;
+    ((s + k) / (1.0 + k * s)).clamp(-1.0, 1.0)
+}
+
+/// `1/k - (1 - k^2) / (2 k^2) ln((1 + k) / (1 - k))`; its series near 0.
+pub fn mean_cosine(k: f32) -> f32 {
+    let k = f64::from(k);
+    let mean = if k.abs() < 1e-3 {
+        2.0 * k / 3.0
+    } else {
+        1.0 / k - (1.0 - k * k) / (2.0 * k * k) * ln((1.0 + k) / (1.0 - k))
+    };
+    mean as f32
+}

@@ -227,7 +227,8 @@ impl Scene {
         slot::names(&self.view())
     }
 
-    /// The scalars at `time` (s): what varies has its value of that time, the rest is as in the description.
+    /// The scalars at `time` (s): what varies has its value of that time, the rest is as in the description. A varied
+    /// scalar that has only two values (`hidden`, `sides`) takes the nearer one: it switches half way between keys.
     pub fn scalars_at(&self, time: f64) -> Result<Scalars, SelectorError> {
         let mut scalars = Scalars {
             materials: self.materials.clone(),
@@ -238,7 +239,12 @@ impl Scene {
             luminaires: self.groups.iter().map(|group| group.luminaires.clone()).collect(),
         };
         let values: Vec<(&str, f64)> = self.varies.iter().map(|vary| (vary.selector.as_str(), vary.at(time))).collect();
-        let wanted = self.resolve_all(&values)?;
+        let mut wanted = self.resolve_all(&values)?;
+        for (slots, value) in &mut wanted {
+            if slots.iter().any(Slot::is_switch) {
+                *value = value.round();
+            }
+        }
         if let Some(index) = wanted.iter().position(|(slots, _)| slots.iter().any(Slot::is_timeless)) {
             return Err(SelectorError::Timeless { selector: values[index].0.into() });
         }

@@ -129,6 +129,11 @@ impl Slot {
         }
     }
 
+    /// Whether the scalar has only two values.
+    pub(super) fn is_switch(&self) -> bool {
+        matches!(self, Self::Hidden(_) | Self::Material(_, MaterialField::Sides))
+    }
+
     /// Whether the scalar holds for the whole clip and so cannot vary over time.
     pub(super) fn is_timeless(&self) -> bool {
         matches!(self, Self::Clip(_) | Self::Camera(_, CameraField::Film(_)))

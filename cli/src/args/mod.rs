@@ -1,0 +1,96 @@
+//! The arguments as typed. Every command has a file under `command/`; what they share is here.
+
+mod settings;
+mod values;
+
+pub use settings::SettingsArgs;
+pub use values::{Filter, Method};
+
+use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
+use clap_complete::Shell;
+
+/// The whole command line.
+#[derive(Debug, Parser)]
+#[command(
+    name = "femc",
+    version,
+    about = "A physically based render farm: foggy scenes to frames, exactly",
+    after_help = "Examples:\n  \
+        femc render scenes/cornell-fog.mgf -o cornell.exr --spp 64\n  \
+        femc render scenes/roundabout.mgf --frames 1..24 --size 320x180 -o drive --video drive.mp4\n  \
+        femc coordinator & femc worker --join http://127.0.0.1:7878 & femc submit scene.mgf\n\n\
+        Exit codes: 0 done, 1 the work failed or a check found a fault, 2 wrong usage,\n\
+        3 interrupted (the same command goes on), 4 the server could not be reached.",
+    arg_required_else_help = true,
+    infer_subcommands = false
+)]
+pub struct Cli {
+    /// What all commands share.
+    #[command(flatten)]
+    pub common: CommonArgs,
+    /// The command.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// Flags of every command.
+#[derive(Clone, Debug, Args)]
+#[command(next_display_order = 900)]
+pub struct CommonArgs {
+    /// Say less: no progress, no notes, only errors and the result
+    #[arg(long, short, global = true, conflicts_with = "verbose")]
+    pub quiet: bool,
+    /// Say more; twice for the most
+    #[arg(long, short, global = true, action = ArgAction::Count)]
+    pub verbose: u8,
+    /// Colors: on a terminal, always, or never (NO_COLOR is heeded)
+    #[arg(long, global = true, value_enum, default_value_t = ColorChoice::Auto, value_name = "WHEN")]
+    pub color: ColorChoice,
+}
+
+/// When to use colors.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum ColorChoice {
+    /// On a terminal, unless NO_COLOR is set.
+    Auto,
+    /// Always.
+    Always,
+    /// Never.
+    Never,
+}
+
+/// The output form of a command that lists or measures.
+#[derive(Clone, Copy, Debug, Args)]
+pub struct FormatArgs {
+    /// Print JSON on stdout, for machines
+    #[arg(long)]
+    pub json: bool,
+}
+
+/// The address of the farm, for every client command.
+#[derive(Clone, Debug, Args)]
+pub struct ServerArgs {
+    /// The farm's coordinator
+    #[arg(long, env = "FEMC_SERVER", value_name = "URL", default_value = "http://127.0.0.1:7878")]
+    pub server: String,
+}
+
+/// The commands, in the order of `--help`.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    /// Print a completion script for a shell
+    #[command(after_help = "Examples:\n  \
+        femc completions bash > ~/.local/share/bash-completion/completions/femc\n  \
+        femc completions zsh > \"${fpath[1]}/_femc\"")]
+    Completions {
+        /// The shell
+        shell: Shell,
+    },
+}
+
+impl Command {
+    /// Whether the command runs until it is stopped, and so tells what it does as it goes.
+    pub fn is_service(&self) -> bool {
+        false
+    }
+}

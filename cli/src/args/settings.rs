@@ -1,0 +1,126 @@
+use super::{Filter, Method};
+use crate::request::{Budget, Frames, Override, Size};
+use clap::Args;
+
+/// Render settings as typed, the same on every command that renders or plans. `None`: not typed.
+#[derive(Clone, Debug, Default, Args)]
+#[command(next_help_heading = "Render settings")]
+pub struct SettingsArgs {
+    /// Camera to look through [default: the scene's first]
+    #[arg(long, value_name = "NAME")]
+    pub camera: Option<String>,
+    /// Film size in pixels [default: the camera's]
+    #[arg(long, value_name = "WxH")]
+    pub size: Option<Size>,
+    /// Frames of the clip: K, A..B (B included) or A..B+STEP [default: all]
+    #[arg(long, value_name = "FRAMES")]
+    pub frames: Option<Frames>,
+    /// Stop at N samples a pixel
+    #[arg(long, value_name = "N", group = "stop", value_parser = clap::value_parser!(u32).range(1..))]
+    pub spp: Option<u32>,
+    /// Stop at relative error E (95 % confidence, every pixel block) [default: 0.05]. The rule is a simple one:
+    /// rounds of samples until the film's own variance says E for every block; deciding from the samples themselves
+    /// biases the result a little, and no round is spent on a part of the film alone
+    #[arg(long, value_name = "E", group = "stop", value_parser = positive)]
+    pub error: Option<f64>,
+    /// Stop at a time budget a frame: 90s, 2m, 1h30m
+    #[arg(long, value_name = "DURATION", group = "stop")]
+    pub time: Option<Budget>,
+    /// Path tracing alone, the two-pass method, or the plan's choice [default: auto]
+    #[arg(long, value_enum)]
+    pub method: Option<Method>,
+    /// Longest path in segments, the one from the camera counting 1; 0: unbounded [default: 0]
+    #[arg(long, value_name = "N")]
+    pub max_depth: Option<u32>,
+    /// Pixel filter; box: a pixel is the mean luminance over its area [default: box]
+    #[arg(long, value_enum)]
+    pub filter: Option<Filter>,
+    /// Seed: the same seed gives the same image, to the bit, for any number of workers and threads [default: 1]
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// Workers in this process [default: 1]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    pub workers: Option<u32>,
+    /// Threads of each worker [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
+    pub threads: Option<u32>,
+    /// Override a scalar of the scene, like medium.fog.sigma_s=0.03 (repeatable)
+    #[arg(long, value_name = "SELECTOR=VALUE")]
+    pub set: Vec<Override>,
+    /// Collect path statistics
+    #[arg(long)]
+    pub stats: bool,
+}
+
+impl SettingsArgs {
+    /// These settings, with those of a job file where nothing was typed. Overrides add up; the typed ones come last,
+    /// so that they win.
+    pub fn over(self, job: Self) -> Self {
+        let typed_stop = self.spp.is_some() || self.error.is_some() || self.time.is_some();
+        let (spp, error, time) =
+            if typed_stop { (self.spp, self.error, self.time) } else { (job.spp, job.error, job.time) };
+        Self {
+            camera: self.camera.or(job.camera),
+            size: self.size.or(job.size),
+            frames: self.frames.or(job.frames),
+            spp,
+            error,
+            time,
+            method: self.method.or(job.method),
+            max_depth: self.max_depth.or(job.max_depth),
+            filter: self.filter.or(job.filter),
+            seed: self.seed.or(job.seed),
+            workers: self.workers.or(job.workers),
+            threads: self.threads.or(job.threads),
+            set: job.set.into_iter().chain(self.set).collect(),
+            stats: self.stats || job.stats,
+        }
+    }
+}
+
+/// A finite number > 0.
+fn positive(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(number) if number.is_finite() && number > 0.0 => Ok(number),
+        _ => Err(format!("`{text}` is no relative error; write a number > 0, like 0.05 for 5 %")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::Parser;
+
+    #[derive(Debug, Parser)]
+    struct Typed {
+        #[command(flatten)]
+        settings: SettingsArgs,
+    }
+
+    fn typed(line: &str) -> Result<SettingsArgs, clap::Error> {
+        Typed::try_parse_from(line.split_whitespace()).map(|typed| typed.settings)
+    }
+
+    #[test]
+    fn the_three_stopping_rules_exclude_each_other() {
+        for line in ["femc --spp 4 --error 0.1", "femc --spp 4 --time 3s", "femc --error 0.1 --time 3s"] {
+            assert_eq!(typed(line).map_err(|e| e.exit_code()).err(), Some(2), "{line}");
+        }
+    }
+
+    #[test]
+    fn numbers_out_of_range_are_wrong_usage() {
+        for line in ["--spp 0", "--error 0", "--error -1", "--error nan", "--time 0s", "--threads 0", "--workers 0"] {
+            assert_eq!(typed(&format!("femc {line}")).map_err(|e| e.exit_code()).err(), Some(2), "{line}");
+        }
+    }
+
+    #[test]
+    fn a_typed_flag_wins_over_the_job_file_and_a_typed_stop_over_any_of_its_stops() {
+        let job = typed("femc --spp 64 --seed 3 --size 8x8 --set a.b.c=1").expect("settings");
+        let both = typed("femc --error 0.2 --seed 4 --set a.b.c=2").expect("settings").over(job);
+        assert_eq!((both.spp, both.error, both.seed), (None, Some(0.2), Some(4)));
+        assert_eq!(both.size, Some(Size { width: 8, height: 8 }));
+        assert_eq!(both.set.iter().map(|o| o.value).collect::<Vec<_>>(), [1.0, 2.0]);
+    }
+}

@@ -1,0 +1,28 @@
+use clap::ValueEnum;
+use serde::Deserialize;
+
+/// How light is computed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// The plan's choice.
+    Auto,
+    /// Path tracing alone.
+    Pt,
+    /// The two-pass method.
+    Femc,
+}
+
+/// Pixel filter.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Filter {
+    /// A pixel is the mean luminance over its area.
+    Box,
+    /// Tent of radius one pixel.
+    Triangle,
+    /// Gaussian.
+    Gaussian,
+    /// Blackman-Harris window.
+    BlackmanHarris,
+}

@@ -1,0 +1,96 @@
+//! Numbers and tables for people.
+
+use std::fmt::Write;
+
+/// `0.42 s`, `12.3 s`, `3 min 20 s`, `2 h 5 min`.
+pub fn seconds(s: f64) -> String {
+    if !s.is_finite() || s < 0.0 {
+        return "?".to_owned();
+    }
+    if s < 10.0 {
+        return format!("{s:.2} s");
+    }
+    if s < 100.0 {
+        return format!("{s:.1} s");
+    }
+    let whole = s.round() as u64;
+    if whole < 3600 {
+        format!("{} min {} s", whole / 60, whole % 60)
+    } else {
+        format!("{} h {} min", whole / 3600, whole % 3600 / 60)
+    }
+}
+
+/// `999`, `12.3 k`, `4.56 M`, `7.89 G`: three digits that count.
+pub fn quantity(n: f64) -> String {
+    let (scaled, unit) = match n.abs() {
+        a if a >= 1e9 => (n / 1e9, " G"),
+        a if a >= 1e6 => (n / 1e6, " M"),
+        a if a >= 1e4 => (n / 1e3, " k"),
+        _ => return format!("{n:.0}"),
+    };
+    let decimals = if scaled.abs() < 10.0 {
+        2
+    } else if scaled.abs() < 100.0 {
+        1
+    } else {
+        0
+    };
+    format!("{scaled:.decimals$}{unit}")
+}
+
+/// `4.2 %` of a fraction.
+pub fn percent(fraction: f64) -> String {
+    let p = fraction * 100.0;
+    if p < 10.0 { format!("{p:.2} %") } else { format!("{p:.0} %") }
+}
+
+/// `1 frame`, `3 frames`.
+pub fn count(n: u64, noun: &str) -> String {
+    if n == 1 { format!("1 {noun}") } else { format!("{n} {noun}s") }
+}
+
+/// Columns lined up, two blanks between, the header first; no blanks at line ends.
+pub fn table(header: &[&str], rows: &[Vec<String>]) -> String {
+    let header: Vec<String> = header.iter().map(|&cell| cell.to_owned()).collect();
+    let mut widths = vec![0; header.len()];
+    for row in std::iter::once(&header).chain(rows) {
+        for (width, cell) in widths.iter_mut().zip(row) {
+            *width = (*width).max(cell.chars().count());
+        }
+    }
+    let mut text = String::new();
+    for row in std::iter::once(&header).chain(rows) {
+        let mut line = String::new();
+        for (cell, width) in row.iter().zip(&widths) {
+            let _ = write!(line, "{cell:width$}  ");
+        }
+        text.push_str(line.trim_end());
+        text.push('\n');
+    }
+    text.pop();
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn durations_grow_coarser_as_they_grow_longer() {
+        let shown: Vec<_> = [0.421, 12.34, 200.0, 7500.0, f64::NAN].into_iter().map(seconds).collect();
+        assert_eq!(shown, ["0.42 s", "12.3 s", "3 min 20 s", "2 h 5 min", "?"]);
+    }
+
+    #[test]
+    fn quantities_keep_three_digits() {
+        let shown: Vec<_> = [999.0, 12_340.0, 4.56e6, 45.6e6, 7.891e9].into_iter().map(quantity).collect();
+        assert_eq!(shown, ["999", "12.3 k", "4.56 M", "45.6 M", "7.89 G"]);
+    }
+
+    #[test]
+    fn a_table_lines_its_columns_up() {
+        let rows = [vec!["7".to_owned(), "running".to_owned()], vec!["12".to_owned(), "done".to_owned()]];
+        assert_eq!(table(&["job", "state"], &rows), "job  state\n7    running\n12   done");
+    }
+}

@@ -1,0 +1,9 @@
+//! What is said, and where: results on stdout, progress, notes and errors on stderr.
+
+pub mod human;
+pub mod json;
+mod progress;
+mod say;
+
+pub use progress::{Progress, Snapshot};
+pub use say::Say;

@@ -1,0 +1,135 @@
+use super::{Say, human};
+use crate::clock::{Clock, Moment};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::io::{self, IsTerminal};
+use std::time::Duration;
+
+/// Between two lines where stderr is no terminal.
+const PLAIN_EVERY: Duration = Duration::from_secs(5);
+/// The bar counts in this many steps.
+const STEPS: u64 = 1000;
+
+/// How far a job is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Snapshot {
+    /// Frames finished.
+    pub frames_done: u64,
+    /// Frames of the job.
+    pub frames: u64,
+    /// Tasks (tiles of samples, merges) finished.
+    pub tasks_done: u64,
+    /// Tasks known so far; grows where a stopping rule asks for more.
+    pub tasks: u64,
+    /// Camera samples finished.
+    pub samples: u64,
+}
+
+impl Snapshot {
+    /// The part done, 0..=1, by tasks.
+    fn fraction(&self) -> f64 {
+        if self.tasks == 0 { 0.0 } else { (self.tasks_done as f64 / self.tasks as f64).clamp(0.0, 1.0) }
+    }
+}
+
+/// Progress on stderr: a bar on a terminal, else a line every few seconds.
+#[derive(Debug)]
+pub struct Progress {
+    form: Form,
+    clock: Clock,
+    started: Moment,
+    at_start: Option<Snapshot>,
+}
+
+#[derive(Debug)]
+enum Form {
+    Silent,
+    Bar(ProgressBar),
+    Lines { say: Say, last: Moment },
+}
+
+impl Progress {
+    /// A progress display that suits stderr; silent with `--quiet`.
+    pub fn new(say: Say, clock: Clock) -> Self {
+        let form = if say.quiet() {
+            Form::Silent
+        } else if io::stderr().is_terminal() {
+            let bar = ProgressBar::with_draw_target(Some(STEPS), ProgressDrawTarget::stderr());
+            let style = ProgressStyle::with_template("{bar:28} {percent:>3} %  {msg}");
+            bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
+            Form::Bar(bar)
+        } else {
+            Form::Lines { say, last: clock.now() }
+        };
+        Self { form, clock, started: clock.now(), at_start: None }
+    }
+
+    /// Show where the job is now.
+    pub fn show(&mut self, now: &Snapshot) {
+        let first = *self.at_start.get_or_insert(*now);
+        let elapsed = self.clock.since(self.started);
+        let text = || line(&first, now, elapsed);
+        match &mut self.form {
+            Form::Silent => {}
+            Form::Bar(bar) => {
+                bar.set_message(text());
+                bar.set_position((now.fraction() * STEPS as f64) as u64);
+            }
+            Form::Lines { say, last } => {
+                if self.clock.since(*last) >= PLAIN_EVERY {
+                    *last = self.clock.now();
+                    say.note(format!("{:3.0} %  {}", now.fraction() * 100.0, text()));
+                }
+            }
+        }
+    }
+
+    /// Take the bar away.
+    pub fn finish(&mut self) {
+        if let Form::Bar(bar) = &self.form {
+            bar.finish_and_clear();
+        }
+    }
+}
+
+impl Drop for Progress {
+    fn drop(&mut self) {
+        self.finish();
+    }
+}
+
+/// `frame 3/24, tile 120/960, 1.25 M samples/s, 2 min 3 s left`.
+fn line(first: &Snapshot, now: &Snapshot, elapsed: Duration) -> String {
+    let seconds = elapsed.as_secs_f64();
+    let mut text =
+        format!("frame {}/{}, task {}/{}", now.frames_done, now.frames, now.tasks_done, now.tasks);
+    if seconds > 0.0 && now.samples > first.samples {
+        let rate = (now.samples - first.samples) as f64 / seconds;
+        text += &format!(", {} samples/s", human::quantity(rate));
+    }
+    let (done, before) = (now.fraction(), first.fraction());
+    if done > before && done < 1.0 && seconds > 0.5 {
+        text += &format!(", {} left", human::seconds(seconds * (1.0 - done) / (done - before)));
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn time_left_and_rate_count_only_what_this_run_did() {
+        let first = Snapshot { frames: 4, frames_done: 2, tasks: 40, tasks_done: 20, samples: 1_000_000 };
+        let now = Snapshot { tasks_done: 30, frames_done: 3, samples: 3_000_000, ..first };
+        assert_eq!(
+            line(&first, &now, Duration::from_secs(10)),
+            "frame 3/4, task 30/40, 200 k samples/s, 10.0 s left"
+        );
+    }
+
+    #[test]
+    fn a_job_that_has_not_begun_promises_nothing() {
+        let first = Snapshot { frames: 4, ..Snapshot::default() };
+        assert_eq!(line(&first, &first, Duration::ZERO), "frame 0/4, task 0/0");
+    }
+}

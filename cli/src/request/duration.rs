@@ -1,0 +1,91 @@
+use serde::Deserialize;
+use serde::de::{Deserializer, Error as _};
+use std::str::FromStr;
+
+/// A time budget: `90s`, `2m`, `1h30m`, `500ms`, or a bare number of seconds.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Budget {
+    /// Seconds, finite and > 0.
+    pub seconds: f64,
+}
+
+/// Why a text is no time budget.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+#[error("`{0}` is no duration; write it like 90s, 2m, 1h30m or 500ms")]
+pub struct BudgetError(String);
+
+impl FromStr for Budget {
+    type Err = BudgetError;
+
+    fn from_str(text: &str) -> Result<Self, BudgetError> {
+        let wrong = || BudgetError(text.to_owned());
+        let seconds = match text.parse::<f64>() {
+            Ok(seconds) => seconds,
+            Err(_) => with_units(text).ok_or_else(wrong)?,
+        };
+        if seconds.is_finite() && seconds > 0.0 { Ok(Self { seconds }) } else { Err(wrong()) }
+    }
+}
+
+/// The sum of number-unit pairs; `None` where a number or a unit is missing or unknown.
+fn with_units(mut rest: &str) -> Option<f64> {
+    let mut seconds = 0.0;
+    while !rest.is_empty() {
+        let digits = rest.find(|c: char| !c.is_ascii_digit() && c != '.')?;
+        let (number, tail) = rest.split_at(digits);
+        let letters = tail.find(|c: char| !c.is_ascii_alphabetic()).unwrap_or(tail.len());
+        let (unit, tail) = tail.split_at(letters);
+        let scale = match unit {
+            "ms" => 1e-3,
+            "s" => 1.0,
+            "m" | "min" => 60.0,
+            "h" => 3600.0,
+            _ => return None,
+        };
+        seconds += number.parse::<f64>().ok()? * scale;
+        rest = tail;
+    }
+    Some(seconds)
+}
+
+impl<'de> Deserialize<'de> for Budget {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        #[derive(Deserialize)]
+        #[serde(untagged)]
+        enum Written {
+            Number(f64),
+            Text(String),
+        }
+        let text = match Written::deserialize(from)? {
+            Written::Number(seconds) => seconds.to_string(),
+            Written::Text(text) => text,
+        };
+        text.parse().map_err(D::Error::custom)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn seconds(text: &str) -> Option<f64> {
+        text.parse::<Budget>().ok().map(|budget| budget.seconds)
+    }
+
+    #[test]
+    fn durations_read_as_people_write_them() {
+        assert_eq!(seconds("90s"), Some(90.0));
+        assert_eq!(seconds("90"), Some(90.0));
+        assert_eq!(seconds("2m"), Some(120.0));
+        assert_eq!(seconds("1h30m"), Some(5400.0));
+        assert_eq!(seconds("500ms"), Some(0.5));
+        assert_eq!(seconds("1.5m"), Some(90.0));
+    }
+
+    #[test]
+    fn what_is_no_positive_time_is_refused() {
+        for text in ["", "s", "90x", "-3s", "0", "inf", "NaN", "1h30", "m2", "1..2s"] {
+            assert_eq!(seconds(text), None, "{text}");
+        }
+    }
+}

@@ -1,0 +1,145 @@
+use serde::Deserialize;
+use serde::de::{Deserializer, Error as _};
+use std::fmt;
+use std::str::FromStr;
+
+/// A choice of frames as typed: `K`, `A..B` (inclusive) or `A..B+STEP`. Frames count from 1.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Frames {
+    first: u32,
+    last: u32,
+    step: u32,
+}
+
+/// Why a choice of frames is refused.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FramesError {
+    /// Not of the three forms.
+    #[error("`{0}` names no frames; write K, A..B (B included) or A..B+STEP, like 7, 1..120 or 1..120+10")]
+    Form(String),
+    /// Frame 0.
+    #[error("frames count from 1")]
+    Zero,
+    /// Last before first.
+    #[error("the last frame, {last}, comes before the first, {first}; write A..B with A <= B")]
+    Backwards {
+        /// As typed.
+        first: u32,
+        /// As typed.
+        last: u32,
+    },
+    /// Beyond the clip.
+    #[error("frame {wanted} is beyond the clip, which has {}", Available(*.available))]
+    Beyond {
+        /// Largest frame asked for.
+        wanted: u32,
+        /// Frames of the clip.
+        available: u32,
+    },
+}
+
+/// "one frame", "frames 1..120".
+struct Available(u32);
+
+impl fmt::Display for Available {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.0 {
+            1 => f.write_str("only frame 1 (the scene has no `time`, or a time of one frame)"),
+            n => write!(f, "frames 1..{n}"),
+        }
+    }
+}
+
+impl Frames {
+    /// The frames named, ascending, given that the clip has frames 1..=`available`.
+    pub fn resolve(self, available: u32) -> Result<Vec<u32>, FramesError> {
+        let last = self.first + (self.last - self.first) / self.step * self.step;
+        if last > available {
+            return Err(FramesError::Beyond { wanted: last, available });
+        }
+        Ok((self.first..=last).step_by(self.step as usize).collect())
+    }
+}
+
+impl FromStr for Frames {
+    type Err = FramesError;
+
+    fn from_str(text: &str) -> Result<Self, FramesError> {
+        let wrong = || FramesError::Form(text.to_owned());
+        let number = |text: &str| text.trim().parse::<u32>().map_err(|_| wrong());
+        let (first, last, step) = match text.split_once("..") {
+            None => {
+                let frame = number(text)?;
+                (frame, frame, 1)
+            }
+            Some((first, rest)) => match rest.split_once('+') {
+                None => (number(first)?, number(rest)?, 1),
+                Some((last, step)) => (number(first)?, number(last)?, number(step)?),
+            },
+        };
+        match (first, last, step) {
+            (0, _, _) => Err(FramesError::Zero),
+            (_, _, 0) => Err(wrong()),
+            _ if last < first => Err(FramesError::Backwards { first, last }),
+            _ => Ok(Self { first, last, step }),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Frames {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        #[derive(Deserialize)]
+        #[serde(untagged)]
+        enum Written {
+            One(u32),
+            Text(String),
+        }
+        let text = match Written::deserialize(from)? {
+            Written::One(frame) => frame.to_string(),
+            Written::Text(text) => text,
+        };
+        text.parse().map_err(D::Error::custom)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn resolved(text: &str, available: u32) -> Result<Vec<u32>, FramesError> {
+        text.parse::<Frames>()?.resolve(available)
+    }
+
+    #[test]
+    fn one_frame_a_range_and_a_stepped_range() {
+        assert_eq!(resolved("7", 10), Ok(vec![7]));
+        assert_eq!(resolved("2..4", 10), Ok(vec![2, 3, 4]));
+        assert_eq!(resolved("1..10+4", 10), Ok(vec![1, 5, 9]));
+        assert_eq!(resolved("3..3+100", 10), Ok(vec![3]));
+    }
+
+    #[test]
+    fn a_step_that_never_reaches_the_last_frame_does_not_ask_for_it() {
+        assert_eq!(resolved("1..12+4", 9), Ok(vec![1, 5, 9]));
+    }
+
+    #[test]
+    fn frames_that_are_not_there_are_refused() {
+        assert_eq!(resolved("1..11", 10), Err(FramesError::Beyond { wanted: 11, available: 10 }));
+        assert_eq!(resolved("0", 10), Err(FramesError::Zero));
+        assert_eq!(resolved("5..2", 10), Err(FramesError::Backwards { first: 5, last: 2 }));
+    }
+
+    #[test]
+    fn what_is_no_choice_of_frames_is_refused() {
+        for text in ["", "a", "1..", "..3", "1..3+0", "1..3+", "1-3", "-1", "1.5", "99999999999"] {
+            assert_eq!(text.parse::<Frames>(), Err(FramesError::Form(text.to_owned())), "{text}");
+        }
+    }
+
+    #[test]
+    fn the_largest_range_resolves_without_overflow() {
+        let top = u32::MAX;
+        assert_eq!(resolved(&format!("{}..{top}", top - 1), top), Ok(vec![top - 1, top]));
+    }
+}

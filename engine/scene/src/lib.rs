@@ -6,8 +6,12 @@
 
 pub mod animation;
 pub mod description;
+pub mod digest;
+pub mod needs;
 pub mod objects;
 pub mod selector;
 
 pub use description::*;
+pub use digest::{DigestError, SceneDigest};
+pub use needs::{Feature, Needs, Spared};
 pub use selector::{Constraint, Scalars, SelectorError};

@@ -1,0 +1,137 @@
+//! The content hash of a scene.
+//!
+//! BLAKE3 over a canonical serialisation: a version, then every table of the description with its length, each entry in
+//! postcard's encoding. What cannot reach a pixel is left out: the scene's name, the names of source files (images and
+//! photometry count by their content) and all locations. So two files that differ in comments, blanks, line breaks or
+//! includes hash equal, and so does a copy of a scene elsewhere. Names of materials, media, cameras, objects and paths
+//! count, because overrides reach for them. Order counts: ids are indices.
+//!
+//! The price of the canonical form is that two descriptions of the same picture (a prism, its faces) hash differently.
+
+use crate::description::{
+    Camera, Face, Group, Image, Location, Luminaire, Material, Medium, MediumRegion, MotionPath, Photometry, Quadric,
+    Scene, Vary,
+};
+use serde::{Deserialize, Serialize};
+use std::{
+    fmt,
+    io::{BufWriter, Write},
+    str::FromStr,
+};
+
+/// Version of the canonical form; raised with every change of it or of the description.
+const VERSION: u32 = 1;
+
+/// The content hash of a scene; displays as 64 lower-case hexadecimal digits.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct SceneDigest(pub [u8; 32]);
+
+impl fmt::Display for SceneDigest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+impl fmt::Debug for SceneDigest {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "SceneDigest({self})")
+    }
+}
+
+/// A text that is not a scene digest.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("a scene digest has 64 hexadecimal digits")]
+pub struct DigestError;
+
+impl FromStr for SceneDigest {
+    type Err = DigestError;
+
+    fn from_str(text: &str) -> Result<Self, DigestError> {
+        blake3::Hash::from_hex(text).map(|hash| Self(*hash.as_bytes())).map_err(|_| DigestError)
+    }
+}
+
+impl Scene {
+    /// The content hash; see the [module](crate::digest) for what counts.
+    pub fn digest(&self) -> SceneDigest {
+        let mut canonical = Canonical { out: BufWriter::with_capacity(1 << 16, blake3::Hasher::new()) };
+        canonical.scene(self);
+        let hasher = canonical.out.into_inner().expect("a hasher takes every byte");
+        SceneDigest(*hasher.finalize().as_bytes())
+    }
+}
+
+/// Writes the canonical form into a hash.
+struct Canonical {
+    out: BufWriter<blake3::Hasher>,
+}
+
+impl Canonical {
+    fn value(&mut self, value: &impl Serialize) {
+        postcard::to_io(value, Write::by_ref(&mut self.out)).expect("plain data serialises, a hasher takes every byte");
+    }
+
+    /// A table: its length, then what `strip` leaves of each entry.
+    fn table<'a, T: 'a, S: Serialize>(&mut self, entries: &'a [T], strip: impl Fn(&'a T) -> S) {
+        self.value(&entries.len());
+        for entry in entries {
+            self.value(&strip(entry));
+        }
+    }
+
+    fn scene(&mut self, scene: &Scene) {
+        // No `..`: a new part of the description must choose.
+        let Scene {
+            name: _,
+            files: _,
+            materials,
+            objects,
+            groups,
+            media,
+            regions,
+            photometry,
+            images,
+            cameras,
+            clip,
+            paths,
+            varies,
+        } = scene;
+        self.value(&VERSION);
+        self.table(materials, |material| Material { location: NOWHERE, ..material.clone() });
+        self.table(objects, |object| object);
+        self.value(&groups.len());
+        groups.iter().for_each(|group| self.group(group));
+        self.table(media, |medium| Medium { location: NOWHERE, ..medium.clone() });
+        self.table(regions, |region| MediumRegion { location: NOWHERE, ..*region });
+        self.table(photometry, |photometry| {
+            let Photometry { path: _, kind, vertical, horizontal, candela, opening, location: _ } = photometry;
+            (kind, vertical, horizontal, candela, opening)
+        });
+        self.table(images, |image| {
+            let Image { path: _, width, height, pixels } = image;
+            (width, height, pixels)
+        });
+        self.table(cameras, |camera| Camera { location: NOWHERE, ..camera.clone() });
+        self.value(clip);
+        self.table(paths, |path| {
+            let MotionPath { name, location: _, interpolation, keys } = path;
+            (name, interpolation, keys)
+        });
+        self.table(varies, |vary| {
+            let Vary { selector, location: _, keys } = vary;
+            (selector, keys)
+        });
+    }
+
+    fn group(&mut self, group: &Group) {
+        let Group { vertices, triangles, faces, quadrics, luminaires, instances } = group;
+        self.value(vertices);
+        self.value(triangles);
+        self.table(faces, |face| Face { location: NOWHERE, ..*face });
+        self.table(quadrics, |quadric| Quadric { location: NOWHERE, ..*quadric });
+        self.table(luminaires, |luminaire| Luminaire { location: NOWHERE, ..*luminaire });
+        self.value(instances);
+    }
+}
+
+const NOWHERE: Location = Location { file: 0, line: 0, column: 0 };

@@ -1,0 +1,151 @@
+//! What a scene needs of the renderer, computed once, so that what it does not need is not paid for.
+//!
+//! An answer holds for the whole clip: a scalar that varies counts with its largest key, an object that is hidden now
+//! but shown at some time counts as shown.
+
+use crate::description::{Camera, Material, MediumId, Scene};
+use std::collections::BTreeSet;
+
+/// What the renderer must be able to do; picks its kernel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Needs {
+    /// Some space scatters, absorbs or glows.
+    pub media: bool,
+    /// Some surface reflects or transmits specularly, rough or smooth.
+    pub glossy: bool,
+    /// Some surface has an image texture.
+    pub textures: bool,
+    /// Something moves while the shutter is open.
+    pub motion: bool,
+}
+
+/// A need that a scene does not have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Feature {
+    /// [`Needs::media`]
+    Media,
+    /// [`Needs::glossy`]
+    Glossy,
+    /// [`Needs::textures`]
+    Textures,
+    /// [`Needs::motion`]
+    Motion,
+}
+
+/// Something left out, and why.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Spared {
+    /// What is left out.
+    pub feature: Feature,
+    /// Why, for people.
+    pub reason: String,
+}
+
+impl Scene {
+    /// What rendering this scene through `camera` needs.
+    pub fn needs(&self, camera: &Camera) -> Needs {
+        let materials = self.materials_shown();
+        Needs {
+            media: self.without_media(&materials).is_none(),
+            glossy: self.without_gloss(&materials).is_none(),
+            textures: without_textures(&materials).is_none(),
+            motion: self.without_motion(camera).is_none(),
+        }
+    }
+
+    /// What rendering this scene through `camera` can do without, with the reasons; what [`Self::needs`] denies.
+    pub fn spared(&self, camera: &Camera) -> Vec<Spared> {
+        let materials = self.materials_shown();
+        let reasons = [
+            (Feature::Media, self.without_media(&materials)),
+            (Feature::Glossy, self.without_gloss(&materials)),
+            (Feature::Textures, without_textures(&materials)),
+            (Feature::Motion, self.without_motion(camera)),
+        ];
+        reasons.into_iter().filter_map(|(feature, reason)| Some(Spared { feature, reason: reason? })).collect()
+    }
+
+    /// Whether each group is placed in the world, at any depth.
+    pub fn placed_groups(&self) -> Vec<bool> {
+        let mut placed = vec![false; self.groups.len()];
+        let mut open = vec![0];
+        while let Some(index) = open.pop() {
+            if placed.get(index) == Some(&false) {
+                placed[index] = true;
+                open.extend(self.groups[index].instances.iter().map(|instance| instance.group.index()));
+            }
+        }
+        placed
+    }
+
+    /// Materials of surfaces that are placed and shown at some time.
+    fn materials_shown(&self) -> Vec<&Material> {
+        let hidden = crate::objects::hidden_objects(&self.objects);
+        let blinking = self.blinking_objects();
+        let mut shown = BTreeSet::new();
+        for (group, _) in self.groups.iter().zip(self.placed_groups()).filter(|(_, placed)| *placed) {
+            let faces = group.faces.iter().map(|face| (face.material, face.object));
+            let quadrics = group.quadrics.iter().map(|quadric| (quadric.material, quadric.object));
+            let is_shown = |object: crate::ObjectId| !hidden[object.index()] || blinking[object.index()];
+            let surfaces = faces.chain(quadrics).filter(|(_, object)| object.is_none_or(is_shown));
+            shown.extend(surfaces.map(|(material, _)| material.index()));
+        }
+        shown.into_iter().filter_map(|index| self.materials.get(index)).collect()
+    }
+
+    /// The largest value that `field` of an entity takes: `now`, or a key of its `vary`.
+    fn largest(&self, entity: &str, field: &str, now: f64) -> f64 {
+        let selector = format!("{entity}.{field}");
+        let varies = self.varies.iter().filter(|vary| vary.selector == selector);
+        varies.flat_map(|vary| vary.keys.iter().map(|key| key.1)).fold(now, f64::max)
+    }
+
+    fn without_media(&self, shown: &[&Material]) -> Option<String> {
+        if self.media.is_empty() {
+            return Some("the scene defines no medium".into());
+        }
+        let regions = self.regions.iter().map(|region| region.medium);
+        let placed: BTreeSet<MediumId> = regions.chain(shown.iter().filter_map(|material| material.inside)).collect();
+        if placed.is_empty() {
+            return Some("no medium fills a box, the scene or the inside of a surface that is shown".into());
+        }
+        let acts = |medium: &crate::Medium| {
+            let entity = format!("medium.{}", medium.name);
+            let fields = [("sigma_s", medium.sigma_s), ("sigma_a", medium.sigma_a), ("glow", medium.glow)];
+            fields.iter().any(|(field, now)| self.largest(&entity, field, *now) > 0.0)
+        };
+        let vacuous = !placed.iter().filter_map(|id| self.media.get(id.index())).any(acts);
+        vacuous.then(|| "no placed medium scatters, absorbs or glows at any time".into())
+    }
+
+    fn without_gloss(&self, shown: &[&Material]) -> Option<String> {
+        let shines = |material: &&Material| {
+            let entity = format!("material.{}", material.name);
+            self.largest(&entity, "rs", material.rs.amount) > 0.0
+                || self.largest(&entity, "ts", material.ts.amount) > 0.0
+        };
+        (!shown.iter().any(shines)).then(|| "no surface that is shown has `rs` or `ts` above 0".into())
+    }
+
+    fn without_motion(&self, camera: &Camera) -> Option<String> {
+        if self.clip.is_none() {
+            return Some("a still has no frame interval to open the shutter in (no `time`)".into());
+        }
+        let entity = format!("camera.{}", camera.name);
+        let varied = |field: &str| self.varies.iter().any(|vary| vary.selector == format!("{entity}.{field}"));
+        let closed = camera.shutter_open >= camera.shutter_close;
+        if closed && !varied("shutter.open") && !varied("shutter.close") {
+            return Some(format!("the shutter of camera `{}` opens for no time", camera.name));
+        }
+        let placed = self.placed_groups();
+        let mut groups = self.groups.iter().zip(placed).filter(|(_, placed)| *placed).map(|(group, _)| group);
+        let moves = |group: &crate::Group| group.instances.iter().any(|i| i.motion.is_animated(&self.paths));
+        let still = !camera.is_animated(&self.paths) && !groups.any(moves);
+        still.then(|| format!("neither camera `{}` nor a surface is on a path that moves", camera.name))
+    }
+}
+
+fn without_textures(shown: &[&Material]) -> Option<String> {
+    let textured = |m: &&Material| m.map_rd.is_some() || m.map_ed.is_some() || m.map_n.is_some();
+    (!shown.iter().any(textured)).then(|| "no surface that is shown has a `map_rd`, `map_ed` or `map_n`".into())
+}

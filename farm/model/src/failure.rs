@@ -1,0 +1,85 @@
+//! Why a task was not done, and what follows from it: decided by variant, never by text.
+
+use serde::{Deserialize, Serialize};
+
+use crate::Digest;
+
+/// Root cause of a task that was not done, as its worker saw it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+pub enum Failure {
+    /// The scene cannot be read or prepared: it would fail everywhere.
+    #[error("scene: {message}")]
+    Scene {
+        /// What the importer or the preparation said.
+        message: String,
+    },
+    /// The settings cannot be understood.
+    #[error("settings: {message}")]
+    Settings {
+        /// What the reader said.
+        message: String,
+    },
+    /// The task's code panicked.
+    #[error("panic: {message}")]
+    Panicked {
+        /// The panic's message.
+        message: String,
+    },
+    /// An artefact that the task needs is not in the store.
+    #[error("artefact {digest} is missing")]
+    MissingInput {
+        /// Which.
+        digest: Digest,
+    },
+    /// An artefact that the task needs does not decode, or does not fit the task.
+    #[error("artefact {digest} is damaged: {message}")]
+    DamagedInput {
+        /// Which.
+        digest: Digest,
+        /// What the decoder said.
+        message: String,
+    },
+    /// The artefact store refused or was away.
+    #[error("store: {message}")]
+    Store {
+        /// What it said.
+        message: String,
+    },
+    /// The worker's disk or memory is used up.
+    #[error("out of resources: {message}")]
+    Resources {
+        /// Of what.
+        message: String,
+    },
+    /// The worker gave the task back: it was told to, or is leaving.
+    #[error("cancelled")]
+    Cancelled,
+}
+
+/// What a failure means for the task.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Verdict {
+    /// The task's own failure: counts as an attempt; try again elsewhere.
+    Retry,
+    /// Make this artefact again first.
+    Rebuild(Digest),
+    /// Every attempt would end the same: the job has failed.
+    Fatal,
+    /// Not the task's fault: try again, the worker rests a while.
+    Infrastructure,
+    /// Nobody's fault: try again.
+    Cancelled,
+}
+
+impl Failure {
+    /// What follows; exhaustive, so that a new failure must choose.
+    pub fn verdict(&self) -> Verdict {
+        match self {
+            Self::Scene { .. } | Self::Settings { .. } => Verdict::Fatal,
+            Self::Panicked { .. } => Verdict::Retry,
+            Self::MissingInput { digest } | Self::DamagedInput { digest, .. } => Verdict::Rebuild(*digest),
+            Self::Store { .. } | Self::Resources { .. } => Verdict::Infrastructure,
+            Self::Cancelled => Verdict::Cancelled,
+        }
+    }
+}

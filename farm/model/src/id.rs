@@ -1,0 +1,59 @@
+//! Names of things, and the scheduler's time.
+
+use std::fmt;
+
+use serde::{Deserialize, Serialize};
+
+/// A job, numbered from 1 in order of submission; never used twice.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct JobId(pub u64);
+
+impl fmt::Display for JobId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// One session of a worker: a worker that joins again gets a new one.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct WorkerId(pub u64);
+
+impl fmt::Display for WorkerId {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.fmt(f)
+    }
+}
+
+/// The fence of a lease: every lease has a greater epoch than all before it, over restarts too.
+///
+/// The upper bits hold the coordinator's incarnation, which is durable; the lower bits count the leases of that
+/// incarnation, which are not. So a lease costs no write, and a lease of a dead coordinator is always refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct Epoch(pub u64);
+
+impl Epoch {
+    /// Bits that count the leases of one incarnation.
+    const LEASE_BITS: u32 = 40;
+
+    /// Epoch of the lease number `lease` (from 1) of an incarnation (from 1).
+    pub const fn new(incarnation: u32, lease: u64) -> Self {
+        Self(((incarnation as u64) << Self::LEASE_BITS) | lease)
+    }
+}
+
+/// The coordinator's running time in milliseconds: it goes on where the log ended, and stands still while the
+/// coordinator is down.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub struct Tick(pub u64);
+
+impl Tick {
+    /// This instant and `milliseconds` more.
+    pub const fn after(self, milliseconds: u64) -> Self {
+        Self(self.0.saturating_add(milliseconds))
+    }
+
+    /// Milliseconds from `earlier` until this instant; 0 where `earlier` is later.
+    pub const fn since(self, earlier: Self) -> u64 {
+        self.0.saturating_sub(earlier.0)
+    }
+}

@@ -1,0 +1,245 @@
+//! What is asked for: a scene, its settings, its frames.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Digest, Grid};
+
+/// A job as it was submitted; it never changes, but for its priority.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct JobSpec {
+    /// Name for people and for file names: the scene file's stem.
+    pub name: String,
+    /// The scene bundle in the artefact store.
+    pub bundle: Digest,
+    /// Path of the scene file within the bundle.
+    pub entry: String,
+    /// The render settings as JSON; only the worker and the command line look inside.
+    pub settings: String,
+    /// Frame numbers, strictly ascending.
+    pub frames: Vec<u32>,
+    /// Film and tiles.
+    pub grid: Grid,
+    /// Samples a pixel at the end of each round, strictly ascending: round r of a frame renders the samples
+    /// `rounds[r - 1]..rounds[r]`, and its merge decides whether another round follows.
+    pub rounds: Vec<u32>,
+    /// 0..=100; greater goes first.
+    pub priority: u8,
+    /// Who submitted it.
+    pub owner: String,
+    /// A worker must have all of these.
+    pub tags: Vec<String>,
+}
+
+impl JobSpec {
+    /// Most tiles of a frame.
+    pub const MAX_TILES: u32 = 1 << 16;
+    /// Most frames of a job.
+    pub const MAX_FRAMES: usize = 1 << 20;
+    /// Most rounds of a frame.
+    pub const MAX_ROUNDS: usize = 64;
+    /// Most pixels along a side of the film.
+    pub const MAX_SIDE: u32 = 1 << 16;
+    /// Most bytes of settings.
+    pub const MAX_SETTINGS: usize = 1 << 20;
+    /// Most bytes of a name, an owner, a tag, a path.
+    pub const MAX_NAME: usize = 1 << 10;
+
+    /// Refuses what no scheduler should see.
+    pub fn check(&self) -> Result<(), SpecError> {
+        let Grid { film, tile } = self.grid;
+        if film.iter().any(|&side| side == 0 || side > Self::MAX_SIDE) || tile == 0 {
+            return Err(SpecError::Film { width: film[0], height: film[1], tile });
+        }
+        let tiles = u64::from(film[0].div_ceil(tile)) * u64::from(film[1].div_ceil(tile));
+        if tiles > u64::from(Self::MAX_TILES) {
+            return Err(SpecError::Tiles { tiles, limit: Self::MAX_TILES });
+        }
+        if self.frames.is_empty()
+            || self.frames.len() > Self::MAX_FRAMES
+            || self.frames.windows(2).any(|pair| pair[0] >= pair[1])
+        {
+            return Err(SpecError::Frames { frames: self.frames.len() });
+        }
+        if self.rounds.is_empty()
+            || self.rounds.len() > Self::MAX_ROUNDS
+            || self.rounds[0] == 0
+            || self.rounds.windows(2).any(|pair| pair[0] >= pair[1])
+        {
+            return Err(SpecError::Rounds);
+        }
+        if self.priority > 100 {
+            return Err(SpecError::Priority { priority: self.priority });
+        }
+        let names = [("name", &self.name), ("entry", &self.entry), ("owner", &self.owner)];
+        let tags = self.tags.iter().map(|tag| ("tags", tag));
+        if let Some((field, _)) = names.into_iter().chain(tags).find(|(_, text)| text.len() > Self::MAX_NAME) {
+            return Err(SpecError::TooLong { field });
+        }
+        if self.settings.len() > Self::MAX_SETTINGS {
+            return Err(SpecError::TooLong { field: "settings" });
+        }
+        Ok(())
+    }
+
+    /// Samples a pixel that round `round` adds, as a range of sample indices; empty beyond the last round.
+    pub fn samples(&self, round: u32) -> std::ops::Range<u32> {
+        let round = round as usize;
+        let start = round.checked_sub(1).and_then(|before| self.rounds.get(before)).copied().unwrap_or(0);
+        start..self.rounds.get(round).copied().unwrap_or(start)
+    }
+
+    /// Digest of all that decides the job's pixels: two jobs with one key have the same frames to the bit.
+    pub fn key(&self) -> Digest {
+        let mut bytes = Vec::new();
+        let mut put = |part: &[u8]| {
+            bytes.extend((part.len() as u64).to_le_bytes());
+            bytes.extend(part);
+        };
+        put(self.bundle.as_bytes());
+        put(self.entry.as_bytes());
+        put(self.settings.as_bytes());
+        put(&numbers(&self.frames));
+        put(&numbers(&[self.grid.film[0], self.grid.film[1], self.grid.tile]));
+        put(&numbers(&self.rounds));
+        Digest::of(&bytes)
+    }
+}
+
+fn numbers(values: &[u32]) -> Vec<u8> {
+    values.iter().flat_map(|value| value.to_le_bytes()).collect()
+}
+
+/// Why a job cannot be taken.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum SpecError {
+    /// A side is 0 or too long, or the tile's side is 0.
+    #[error("film of {width} x {height} pixels in tiles of {tile}")]
+    Film {
+        /// Pixels.
+        width: u32,
+        /// Pixels.
+        height: u32,
+        /// Pixels.
+        tile: u32,
+    },
+    /// Too many tiles.
+    #[error("{tiles} tiles a frame, at most {limit}")]
+    Tiles {
+        /// Tiles of a frame.
+        tiles: u64,
+        /// The most there may be.
+        limit: u32,
+    },
+    /// None, too many, or not ascending.
+    #[error("{frames} frames: at least 1, at most {}, ascending", JobSpec::MAX_FRAMES)]
+    Frames {
+        /// How many there are.
+        frames: usize,
+    },
+    /// None, too many, or not ascending from 1.
+    #[error("sample rounds must ascend from 1, at most {} of them", JobSpec::MAX_ROUNDS)]
+    Rounds,
+    /// Beyond 100.
+    #[error("priority {priority}, at most 100")]
+    Priority {
+        /// As given.
+        priority: u8,
+    },
+    /// A text beyond its limit.
+    #[error("{field} is too long")]
+    TooLong {
+        /// Which.
+        field: &'static str,
+    },
+}
+
+/// Where a job stands.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum JobState {
+    /// Nothing of it has been leased yet.
+    Queued,
+    /// Some task is leased or done.
+    Running,
+    /// Held by a person; running tasks end.
+    Paused,
+    /// Every frame is finished.
+    Done,
+    /// Nothing is left to do, and some frame could not be finished.
+    Failed,
+    /// Ended by a person.
+    Cancelled,
+}
+
+impl JobState {
+    /// Whether nothing more will happen by itself.
+    pub const fn has_ended(self) -> bool {
+        match self {
+            Self::Queued | Self::Running | Self::Paused => false,
+            Self::Done | Self::Failed | Self::Cancelled => true,
+        }
+    }
+}
+
+/// What a person may do to a job.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Control {
+    /// Lease no more of it.
+    Pause,
+    /// End a pause.
+    Resume,
+    /// End it now; what is finished stays.
+    Cancel,
+    /// Try again what failed, or what a cancel left undone.
+    Retry,
+    /// Change the priority (0..=100).
+    Priority(u8),
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn spec() -> JobSpec {
+        JobSpec {
+            name: "fog".into(),
+            bundle: Digest::of(b"scene"),
+            entry: "fog.mgf".into(),
+            settings: "{}".into(),
+            frames: vec![1, 2, 5],
+            grid: Grid { film: [64, 64], tile: 16 },
+            rounds: vec![4, 8, 16],
+            priority: 50,
+            owner: "me".into(),
+            tags: vec![],
+        }
+    }
+
+    #[test]
+    fn rounds_cut_the_samples_without_gap_or_overlap() {
+        let spec = spec();
+        assert_eq!([0, 1, 2, 3].map(|round| spec.samples(round)), [0..4, 4..8, 8..16, 16..16]);
+    }
+
+    #[test]
+    fn impossible_jobs_are_refused() {
+        assert_eq!(spec().check(), Ok(()));
+        let grid = Grid { film: [0, 64], tile: 16 };
+        assert_eq!(JobSpec { grid, ..spec() }.check(), Err(SpecError::Film { width: 0, height: 64, tile: 16 }));
+        let grid = Grid { film: [65536, 65536], tile: 1 };
+        assert!(matches!(JobSpec { grid, ..spec() }.check(), Err(SpecError::Tiles { .. })));
+        assert!(matches!(JobSpec { frames: vec![], ..spec() }.check(), Err(SpecError::Frames { frames: 0 })));
+        assert!(matches!(JobSpec { frames: vec![2, 2], ..spec() }.check(), Err(SpecError::Frames { frames: 2 })));
+        assert_eq!(JobSpec { rounds: vec![0, 4], ..spec() }.check(), Err(SpecError::Rounds));
+        assert_eq!(JobSpec { priority: 101, ..spec() }.check(), Err(SpecError::Priority { priority: 101 }));
+        let entry = "x".repeat(2000);
+        assert_eq!(JobSpec { entry, ..spec() }.check(), Err(SpecError::TooLong { field: "entry" }));
+    }
+
+    #[test]
+    fn the_key_follows_what_decides_the_pixels_and_nothing_else() {
+        let other = JobSpec { priority: 1, owner: "you".into(), name: "x".into(), tags: vec!["a".into()], ..spec() };
+        assert_eq!(spec().key(), other.key());
+        assert_ne!(spec().key(), JobSpec { frames: vec![1, 2], ..spec() }.key());
+        assert_ne!(spec().key(), JobSpec { settings: "{ }".into(), ..spec() }.key());
+    }
+}

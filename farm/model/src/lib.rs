@@ -1,0 +1,27 @@
+//! What the farm talks about: ids, jobs, tasks, results, failures, the words of a session and what may be asked.
+//!
+//! Values only: no clock, no network, no engine types. Everybody on the farm side (scheduler, wire, coordinator, worker,
+//! command line) shares these; the wire has its own generated types and converts.
+#![deny(missing_docs)]
+
+mod digest;
+mod failure;
+mod grid;
+mod id;
+mod job;
+mod refusal;
+mod result;
+mod session;
+mod status;
+mod task;
+
+pub use digest::{Digest, ParseDigestError};
+pub use failure::{Failure, Verdict};
+pub use grid::{Grid, TileRect};
+pub use id::{Epoch, JobId, Tick, WorkerId};
+pub use job::{Control, JobSpec, JobState, SpecError};
+pub use refusal::Refusal;
+pub use result::{Artefact, Decision, FrameRecord, MergeResult, TaskResult, TileResult};
+pub use session::{FromWorker, Phase, Registration, RevokeReason, TaskProgress, ToWorker};
+pub use status::{FrameProgress, JobStatus, Quarantined, Wait, WorkerStatus};
+pub use task::{Assignment, More, Stage, StageKind, TaskKey, Work};

@@ -1,0 +1,59 @@
+//! Why the coordinator says no.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Digest, JobId};
+
+/// A request that was understood and refused. Crosses the wire as an enum, not as text.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize, thiserror::Error)]
+pub enum Refusal {
+    /// No such job.
+    #[error("there is no job {job}")]
+    NoSuchJob {
+        /// As asked for.
+        job: JobId,
+    },
+    /// The job has ended, so that this cannot be done to it.
+    #[error("job {job} has ended")]
+    Ended {
+        /// Which.
+        job: JobId,
+    },
+    /// A field's value makes no sense.
+    #[error("{field}: {message}")]
+    Invalid {
+        /// Which field.
+        field: String,
+        /// What is wrong with it.
+        message: String,
+    },
+    /// The message is about a lease that is over.
+    #[error("the lease is over: another epoch holds the task, or it is finished")]
+    StaleEpoch,
+    /// No such artefact.
+    #[error("there is no artefact {digest}")]
+    NoSuchArtefact {
+        /// Which.
+        digest: Digest,
+    },
+    /// The bytes do not have the digest that was announced.
+    #[error("the bytes are not those of {digest}")]
+    DigestMismatch {
+        /// As announced.
+        digest: Digest,
+    },
+    /// Beyond a limit.
+    #[error("{what}: at most {limit}")]
+    TooLarge {
+        /// Of what.
+        what: String,
+        /// The most there may be.
+        limit: u64,
+    },
+    /// The coordinator is stopping, or its log or store does not answer: ask again later.
+    #[error("not now: {message}")]
+    Unavailable {
+        /// Why.
+        message: String,
+    },
+}

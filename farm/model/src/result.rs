@@ -1,0 +1,92 @@
+//! What tasks bring home.
+
+use serde::{Deserialize, Serialize};
+
+use crate::Digest;
+
+/// Bytes in the artefact store.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Artefact {
+    /// BLAKE3 of the bytes.
+    pub digest: Digest,
+    /// How many bytes.
+    pub bytes: u64,
+}
+
+impl Artefact {
+    /// The name of `bytes`.
+    pub fn of(bytes: &[u8]) -> Self {
+        Self { digest: Digest::of(bytes), bytes: bytes.len() as u64 }
+    }
+}
+
+/// A rendered tile.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct TileResult {
+    /// The encoded tile.
+    pub tile: Artefact,
+    /// Pixel samples that were taken.
+    pub samples: u64,
+    /// Samples refused because they were NaN, infinite or negative.
+    pub bad_samples: u64,
+    /// Seconds that the worker spent on it.
+    pub seconds: f64,
+}
+
+/// Whether a frame is good enough.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Decision {
+    /// Another round.
+    Continue,
+    /// The frame is finished.
+    Done,
+}
+
+/// A merged round of a frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct MergeResult {
+    /// Whether the frame is finished.
+    pub decision: Decision,
+    /// The encoded sums, for the next round's merge.
+    pub sums: Option<Artefact>,
+    /// The finished image as EXR; `None` while the decision is `Continue`.
+    pub image: Option<Artefact>,
+    /// The same, tone-mapped, as PNG.
+    pub preview: Option<Artefact>,
+    /// Relative error reached, as the settings' stop rule measures it.
+    pub relative_error: Option<f64>,
+    /// Samples refused in the whole frame so far.
+    pub bad_samples: u64,
+    /// Seconds that the worker spent on the merge.
+    pub seconds: f64,
+}
+
+/// Result of a task, by its kind.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum TaskResult {
+    /// Of a render task.
+    Tile(TileResult),
+    /// Of a merge task.
+    Merge(MergeResult),
+}
+
+/// A finished frame.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct FrameRecord {
+    /// Frame number.
+    pub frame: u32,
+    /// The image as EXR.
+    pub image: Artefact,
+    /// The image tone-mapped, as PNG.
+    pub preview: Option<Artefact>,
+    /// Samples a pixel.
+    pub spp: u32,
+    /// Relative error reached.
+    pub relative_error: Option<f64>,
+    /// Samples refused.
+    pub bad_samples: u64,
+    /// Seconds that workers spent on it, summed.
+    pub busy_seconds: f64,
+    /// Seconds from the first lease to the last merge.
+    pub seconds: f64,
+}

@@ -1,0 +1,134 @@
+//! The words of a worker's session with the coordinator.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Assignment, Epoch, Failure, JobId, JobSpec, Refusal, TaskKey, TaskResult, WorkerId};
+
+/// How a worker introduces itself.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Registration {
+    /// Name for people, such as the machine's.
+    pub name: String,
+    /// Random, the same for the life of the worker's process: a second session replaces the first.
+    pub instance: u64,
+    /// Build of the engine; the frames of a job are rendered by one build only.
+    pub engine: String,
+    /// Threads that render.
+    pub threads: u32,
+    /// Tasks that run side by side; one more is fetched ahead.
+    pub slots: u32,
+    /// What the worker offers.
+    pub tags: Vec<String>,
+}
+
+/// What the worker is doing for a task; ascending in the order of execution.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum Phase {
+    /// Fetched ahead, not begun.
+    Waiting,
+    /// Fetching inputs, reading and preparing the scene.
+    Preparing,
+    /// Rendering or merging.
+    Working,
+    /// Sending the result to the store.
+    Uploading,
+}
+
+/// How far a task is.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TaskProgress {
+    /// The task.
+    pub task: TaskKey,
+    /// Of the lease.
+    pub epoch: Epoch,
+    /// What is being done.
+    pub phase: Phase,
+    /// Pixel samples taken; only grows.
+    pub samples: u64,
+}
+
+/// From a worker to the coordinator.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum FromWorker {
+    /// The first message of a session.
+    Register(Registration),
+    /// I am here, and so far are my tasks.
+    Heartbeat(Vec<TaskProgress>),
+    /// The result is in the store.
+    Completed {
+        /// The task.
+        task: TaskKey,
+        /// Of the lease.
+        epoch: Epoch,
+        /// What came out.
+        result: TaskResult,
+    },
+    /// The task is not done.
+    Failed {
+        /// The task.
+        task: TaskKey,
+        /// Of the lease.
+        epoch: Epoch,
+        /// Why.
+        failure: Failure,
+    },
+    /// Give me no more tasks: I am leaving.
+    Draining,
+}
+
+/// Why a lease is taken back.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum RevokeReason {
+    /// The job was cancelled or has failed.
+    JobEnded,
+    /// The lease ran out.
+    Expired,
+}
+
+/// From the coordinator to a worker.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum ToWorker {
+    /// Registered.
+    Welcome {
+        /// Name of this session.
+        worker: WorkerId,
+        /// Milliseconds between heartbeats.
+        heartbeat: u64,
+    },
+    /// What a job is; comes before the first assignment of it.
+    Job {
+        /// The job.
+        job: JobId,
+        /// As submitted.
+        spec: Box<JobSpec>,
+    },
+    /// Do this.
+    Assign(Assignment),
+    /// Stop this; no answer is expected.
+    Revoke {
+        /// The task.
+        task: TaskKey,
+        /// Of the lease.
+        epoch: Epoch,
+        /// Why.
+        reason: RevokeReason,
+    },
+    /// The completion is durable.
+    Accepted {
+        /// The task.
+        task: TaskKey,
+        /// Of the lease.
+        epoch: Epoch,
+    },
+    /// The completion or failure changed nothing.
+    Refused {
+        /// The task.
+        task: TaskKey,
+        /// Of the lease.
+        epoch: Epoch,
+        /// Why.
+        refusal: Refusal,
+    },
+    /// The coordinator stops; come again later.
+    Goodbye,
+}

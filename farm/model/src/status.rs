@@ -1,0 +1,139 @@
+//! What may be asked about jobs and workers.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Failure, JobId, JobState, StageKind, TaskKey, WorkerId};
+
+/// A job at a glance.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct JobStatus {
+    /// The job.
+    pub job: JobId,
+    /// Its name.
+    pub name: String,
+    /// Who submitted it.
+    pub owner: String,
+    /// 0..=100.
+    pub priority: u8,
+    /// Where it stands.
+    pub state: JobState,
+    /// Why the job as a whole has failed, if it did.
+    pub failure: Option<Failure>,
+    /// Frames asked for.
+    pub frames_total: u32,
+    /// Frames finished.
+    pub frames_done: u32,
+    /// Frames that cannot be finished without a retry.
+    pub frames_failed: u32,
+    /// Frames in work, ascending.
+    pub active: Vec<FrameProgress>,
+    /// Workers that hold a lease of it.
+    pub workers: u32,
+    /// Pixel samples in results and in running tasks.
+    pub samples_done: u64,
+    /// Pixel samples if every frame uses every round: an upper bound.
+    pub samples_planned: u64,
+    /// Pixel samples a second of late; 0 until it is known.
+    pub samples_per_second: f64,
+    /// Samples refused because they were not finite.
+    pub bad_samples: u64,
+    /// Relative error of the frame merged last.
+    pub relative_error: Option<f64>,
+    /// Seconds since the first lease, or from the first lease to the end.
+    pub seconds: f64,
+    /// Tasks out of attempts.
+    pub quarantined: Vec<Quarantined>,
+    /// Messages refused because their lease was over.
+    pub stale_messages: u64,
+    /// Why tasks wait.
+    pub waits: Vec<Wait>,
+}
+
+/// How far a frame in work is.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct FrameProgress {
+    /// Frame number.
+    pub frame: u32,
+    /// Round, from 0.
+    pub round: u32,
+    /// Rounds planned at most.
+    pub rounds: u32,
+    /// What it is at.
+    pub stage: StageKind,
+    /// Tiles done in this round.
+    pub tiles_done: u32,
+    /// Tiles of the round.
+    pub tiles_total: u32,
+    /// Tasks of it that are leased.
+    pub running: u32,
+    /// Pixel samples in all rounds, results and running tasks.
+    pub samples_done: u64,
+    /// Relative error after the round before.
+    pub relative_error: Option<f64>,
+}
+
+/// A task that used up its attempts.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Quarantined {
+    /// The task.
+    pub task: TaskKey,
+    /// How often it was tried.
+    pub attempts: u32,
+    /// Why the last attempt failed.
+    pub failure: Failure,
+}
+
+/// Why tasks of a job wait; computed by the scheduler's own predicates.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Wait {
+    /// The job is held.
+    Paused,
+    /// No worker is there.
+    NoWorkers,
+    /// No worker has all these tags.
+    NoWorkerWithTags(Vec<String>),
+    /// Every worker that may take it has all that it can hold.
+    WorkersBusy {
+        /// How many there are.
+        workers: u32,
+    },
+    /// Every worker that may take it rests after a failure of its surroundings.
+    WorkersResting,
+    /// Jobs with more priority, or older, have tasks ready.
+    BehindJob(JobId),
+    /// The merge waits for tiles.
+    MergeWaitsForTiles {
+        /// Frame number.
+        frame: u32,
+        /// Tiles not done.
+        tiles: u32,
+    },
+    /// A task used up its attempts, and its frame cannot go on.
+    Quarantined {
+        /// Frame number.
+        frame: u32,
+        /// How many of its tasks.
+        tasks: u32,
+    },
+}
+
+/// A worker at a glance.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct WorkerStatus {
+    /// The session.
+    pub worker: WorkerId,
+    /// Its name.
+    pub name: String,
+    /// Threads that render.
+    pub threads: u32,
+    /// What it offers.
+    pub tags: Vec<String>,
+    /// Tasks it holds, in order of key.
+    pub tasks: Vec<TaskKey>,
+    /// Milliseconds since its last message.
+    pub silent: u64,
+    /// Results accepted in this session.
+    pub completed: u64,
+    /// Tasks failed in this session.
+    pub failed: u64,
+}

@@ -1,0 +1,34 @@
+//! The scheduler's times and limits.
+
+/// Times in milliseconds.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Config {
+    /// A lease ends so long after its last renewal.
+    pub lease: u64,
+    /// Workers are asked to send heartbeats so often; several fit into a lease.
+    pub heartbeat: u64,
+    /// A task that shows no progress for so long is not renewed any more.
+    pub stall: u64,
+    /// The same while a scene is prepared, which shows no progress.
+    pub preparation_stall: u64,
+    /// First rest of a worker after a failure of its surroundings; it doubles from failure to failure.
+    pub rest: u64,
+    /// Longest such rest.
+    pub longest_rest: u64,
+    /// Tasks that a worker holds beyond those that it runs.
+    pub prefetch: u32,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            lease: 5_000,
+            heartbeat: 500,
+            stall: 120_000,
+            preparation_stall: 900_000,
+            rest: 1_000,
+            longest_rest: 60_000,
+            prefetch: 1,
+        }
+    }
+}

@@ -1,0 +1,72 @@
+//! What people ask for: submit and steer.
+
+use femc_model::{Control, JobId, JobSpec, Refusal, RevokeReason, TaskKey, Tick};
+
+use crate::ledger::Hold;
+use crate::scheduler::Scheduler;
+use crate::{Answer, Command, Fact};
+
+impl Scheduler {
+    pub(crate) fn submit(
+        &mut self,
+        key: Option<String>,
+        spec: Box<JobSpec>,
+        now: Tick,
+        out: &mut Vec<Command>,
+    ) -> Result<Answer, Refusal> {
+        spec.check().map_err(|error| Refusal::Invalid { field: "job".into(), message: error.to_string() })?;
+        if let Some(job) = key.as_deref().and_then(|key| self.ledger.job_of_key(key)) {
+            return Ok(Answer::Submitted(job));
+        }
+        let job = self.ledger.next_job();
+        self.record(Fact::Submitted { job, key, spec }, now, out);
+        self.rebuild(job);
+        out.push(Command::Changed(job));
+        Ok(Answer::Submitted(job))
+    }
+
+    pub(crate) fn control(
+        &mut self,
+        id: JobId,
+        control: Control,
+        now: Tick,
+        out: &mut Vec<Command>,
+    ) -> Result<Answer, Refusal> {
+        let job = self.job(id)?;
+        let is_done = job.finished.len() == job.spec.frames.len();
+        let has_trouble =
+            !job.blocked.is_empty() || job.frames.values().any(|frame| frame.quarantined().next().is_some());
+        let changes = match control {
+            Control::Pause | Control::Resume | Control::Cancel if job.has_ended() => {
+                return Err(Refusal::Ended { job: id });
+            }
+            Control::Retry if is_done => return Err(Refusal::Ended { job: id }),
+            Control::Pause => job.hold != Hold::Paused,
+            Control::Resume => job.hold != Hold::Free,
+            Control::Cancel => true,
+            Control::Retry => job.has_ended() || has_trouble,
+            Control::Priority(priority) if priority > 100 => {
+                return Err(Refusal::Invalid { field: "priority".into(), message: "at most 100".into() });
+            }
+            Control::Priority(priority) => job.spec.priority != priority,
+        };
+        if changes {
+            self.record(Fact::Controlled { job: id, control }, now, out);
+            if control == Control::Cancel {
+                self.revoke_all(id, out);
+            }
+            self.order.retain(|&(_, job)| job != id);
+            self.rebuild(id);
+            out.push(Command::Changed(id));
+        }
+        Ok(Answer::Controlled(id))
+    }
+
+    /// Takes back every lease of a job that has ended.
+    pub(crate) fn revoke_all(&mut self, id: JobId, out: &mut Vec<Command>) {
+        let tasks: Vec<TaskKey> = self.floor.of_job(id).map(|(task, _)| *task).collect();
+        for task in tasks {
+            self.revoke(&task, RevokeReason::JobEnded, out);
+        }
+    }
+}

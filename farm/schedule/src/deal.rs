@@ -1,0 +1,170 @@
+//! Dealing: ready tasks to workers with room, and the reasons why a task waits, from one set of predicates.
+
+use femc_model::{Artefact, Assignment, JobId, More, Stage, StageKind, TaskKey, Tick, Wait, Work, WorkerId};
+
+use crate::Command;
+use crate::desk::Desk;
+use crate::floor::{Floor, Worker};
+use crate::ledger::Job;
+use crate::scheduler::Scheduler;
+
+/// What the search for a task of a job came to.
+enum Pick {
+    Task(TaskKey),
+    /// Ready tasks, but none for this worker.
+    NotForThisWorker,
+    NothingReady,
+}
+
+impl Scheduler {
+    /// Leases ready tasks until the workers or the tasks run out: the workers with the fewest tasks first, so that
+    /// nobody fetches ahead what another could begin at once.
+    pub(crate) fn deal(&mut self, now: Tick, out: &mut Vec<Command>) {
+        let mut next = (0, WorkerId(0));
+        while let Some(&(held, id)) = self.floor.spare.range(next..).next() {
+            next = (held, WorkerId(id.0 + 1));
+            let Some(worker) = self.floor.workers.get(&id) else { continue };
+            if held >= worker.capacity(&self.config) || !worker.is_fit(&self.config, now) {
+                continue;
+            }
+            match self.pick(id) {
+                Pick::Task(task) => self.grant(task, id, now, out),
+                Pick::NotForThisWorker => {}
+                Pick::NothingReady => return,
+            }
+        }
+    }
+
+    /// The first ready task that the worker may take: jobs by priority and age, frames in order, a frame's merge
+    /// before the tiles of later frames.
+    fn pick(&mut self, id: WorkerId) -> Pick {
+        let mut best = Pick::NothingReady;
+        let Some(worker) = self.floor.workers.get(&id) else { return best };
+        for &(_, job_id) in &self.order {
+            let (Some(job), Some(desk)) = (self.ledger.jobs.get(&job_id), self.desks.get_mut(&job_id)) else { continue };
+            if !worker.has_tags(&job.spec.tags) {
+                best = Pick::NotForThisWorker;
+                continue;
+            }
+            loop {
+                match first_ready(job_id, job, desk, id, &self.floor) {
+                    Pick::Task(task) => return Pick::Task(task),
+                    Pick::NotForThisWorker => best = Pick::NotForThisWorker,
+                    Pick::NothingReady => {}
+                }
+                // Each worker may be ahead by a frame, no more.
+                if desk.open.len() > self.floor.workers.len() || !desk.open_next(job) {
+                    break;
+                }
+            }
+        }
+        best
+    }
+
+    fn grant(&mut self, task: TaskKey, worker: WorkerId, now: Tick, out: &mut Vec<Command>) {
+        let Some(work) = self.work(&task, now) else {
+            debug_assert!(false, "a task that is not there was picked: {task}");
+            return;
+        };
+        let epoch = self.next_epoch();
+        if let Some(desk) = self.desks.get_mut(&task.job) {
+            desk.take(&task);
+        }
+        self.floor.lease(task, worker, epoch, &self.config, now);
+        out.push(Command::Assign { worker, assignment: Assignment { task, epoch, lease: self.config.lease, work } });
+    }
+
+    fn work(&self, task: &TaskKey, now: Tick) -> Option<Work> {
+        let job = self.ledger.jobs.get(&task.job)?;
+        let samples = job.spec.samples(task.stage.round);
+        Some(match task.stage.kind {
+            StageKind::Render => Work::Render { samples },
+            StageKind::Merge => {
+                let frame = job.frames.get(&task.stage.frame)?;
+                let tiles: Vec<Artefact> = frame.tiles.values().map(|tile| tile.result.tile).collect();
+                let is_last = task.stage.round as usize + 1 >= job.spec.rounds.len();
+                Work::Merge {
+                    previous: frame.sums,
+                    tiles,
+                    spp: samples.end,
+                    elapsed: now.since(frame.began),
+                    busy_seconds: frame.busy_seconds,
+                    more: if is_last { More::Last } else { More::Rounds },
+                }
+            }
+        })
+    }
+
+    /// Why tasks of this job wait; empty when none does.
+    pub(crate) fn waits(&self, id: JobId, job: &Job, desk: &Desk, now: Tick) -> Vec<Wait> {
+        let mut waits = Vec::new();
+        for &frame in &job.blocked {
+            let tasks = job.frames.get(&frame).map_or(0, |frame| frame.quarantined().count() as u32);
+            waits.push(Wait::Quarantined { frame, tasks });
+        }
+        if job.has_ended() {
+            return waits;
+        }
+        if !job.is_runnable() {
+            waits.push(Wait::Paused);
+            return waits;
+        }
+        let total = job.spec.grid.tiles();
+        for (&frame, open) in &desk.open {
+            let done = job.frames.get(&frame).map_or(0, |frame| frame.tiles.len() as u32);
+            if open.tiles.is_empty() && done < total {
+                waits.push(Wait::MergeWaitsForTiles { frame, tiles: total - done });
+            }
+        }
+        let is_ready = desk.open.values().any(|frame| frame.merge || !frame.tiles.is_empty());
+        if is_ready || desk.cursor < job.spec.frames.len() {
+            waits.extend(self.why_no_worker(id, job, now));
+        }
+        waits
+    }
+
+    fn why_no_worker(&self, id: JobId, job: &Job, now: Tick) -> Option<Wait> {
+        if self.floor.workers.is_empty() {
+            return Some(Wait::NoWorkers);
+        }
+        let able: Vec<&Worker> = self.floor.workers.values().filter(|worker| worker.has_tags(&job.spec.tags)).collect();
+        if able.is_empty() {
+            return Some(Wait::NoWorkerWithTags(job.spec.tags.clone()));
+        }
+        let fit: Vec<&&Worker> = able.iter().filter(|worker| worker.is_fit(&self.config, now)).collect();
+        if fit.is_empty() {
+            return Some(Wait::WorkersResting);
+        }
+        if fit.iter().all(|worker| worker.held.len() >= worker.capacity(&self.config)) {
+            let before = self.order.iter().map(|&(_, job)| job).take_while(|&job| job != id);
+            let holds = |other: &JobId| self.floor.of_job(*other).next().is_some();
+            return Some(match before.into_iter().find(holds) {
+                Some(other) => Wait::BehindJob(other),
+                None => Wait::WorkersBusy { workers: fit.len() as u32 },
+            });
+        }
+        None
+    }
+}
+
+fn first_ready(id: JobId, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor) -> Pick {
+    let mut best = Pick::NothingReady;
+    for (&frame, open) in &desk.open {
+        let key = |kind, index| TaskKey { job: id, stage: Stage { frame, round: open.round, kind }, index };
+        let merge = open.merge.then(|| key(StageKind::Merge, 0));
+        let tiles = open.tiles.iter().map(|index| key(StageKind::Render, index));
+        for task in merge.into_iter().chain(tiles) {
+            if !is_avoided(&task, job, desk, worker, floor) {
+                return Pick::Task(task);
+            }
+            best = Pick::NotForThisWorker;
+        }
+    }
+    best
+}
+
+/// Whether the task failed last on this very worker, and another that could take it is there.
+fn is_avoided(task: &TaskKey, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor) -> bool {
+    desk.avoid.get(task) == Some(&worker)
+        && floor.workers.iter().any(|(&id, other)| id != worker && !other.draining && other.has_tags(&job.spec.tags))
+}

@@ -1,0 +1,126 @@
+//! The ready tasks of a job that runs: derived from the ledger and the leases, never written down.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use femc_model::{JobId, Stage, StageKind, TaskKey, Tick, WorkerId};
+
+use crate::RangeSet;
+use crate::floor::Floor;
+use crate::ledger::Job;
+use crate::ledger::frame::Frame;
+
+/// A frame whose tasks may be leased.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub(crate) struct OpenFrame {
+    pub(crate) round: u32,
+    /// Tiles that nobody holds.
+    pub(crate) tiles: RangeSet,
+    /// Whether the merge can run and nobody holds it.
+    pub(crate) merge: bool,
+}
+
+/// A job on the table.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Desk {
+    /// Position in the job's frames: those before it are open, finished or blocked.
+    pub(crate) cursor: usize,
+    pub(crate) open: BTreeMap<u32, OpenFrame>,
+    /// Worker on which a task failed last.
+    pub(crate) avoid: BTreeMap<TaskKey, WorkerId>,
+    pub(crate) stale_messages: u64,
+    pub(crate) rate: Rate,
+}
+
+impl Desk {
+    /// Forgets what is ready and opens again every frame in work, before the ones that nobody has begun.
+    pub(crate) fn rebuild(&mut self, id: JobId, job: &Job, floor: &Floor) {
+        let opened: Vec<u32> = self.open.keys().chain(job.frames.keys()).copied().collect();
+        self.open.clear();
+        self.cursor = 0;
+        for frame in opened {
+            self.refresh(id, job, frame, floor);
+        }
+    }
+
+    /// Derives again what of one frame is ready.
+    pub(crate) fn refresh(&mut self, id: JobId, job: &Job, frame: u32, floor: &Floor) {
+        if !job.is_open(frame) {
+            self.open.remove(&frame);
+            return;
+        }
+        let total = job.spec.grid.tiles();
+        let round = job.round(frame);
+        let (mut tiles, mut merge) = match job.frames.get(&frame) {
+            Some(frame) => (frame.open_tiles(total), frame.merge_is_open(total)),
+            None => (RangeSet::full(0..total), false),
+        };
+        floor.of_stage(id, Stage { frame, round, kind: StageKind::Render }).for_each(|index| tiles.remove(index));
+        merge &= floor.of_stage(id, Stage { frame, round, kind: StageKind::Merge }).next().is_none();
+        self.open.insert(frame, OpenFrame { round, tiles, merge });
+    }
+
+    /// Takes notice of a completion: only the last of a round makes anything ready.
+    pub(crate) fn completed(&mut self, task: &TaskKey, job: &Job, floor: &Floor) {
+        let total = job.spec.grid.tiles() as usize;
+        let goes_on = |frame: &Frame| frame.round == task.stage.round && frame.tiles.len() < total;
+        let frame = task.stage.frame;
+        if !job.is_open(frame) || !job.frames.get(&frame).is_some_and(goes_on) {
+            self.refresh(task.job, job, frame, floor);
+        }
+    }
+
+    /// Opens the next frame that nobody has begun; `false` where there is none.
+    pub(crate) fn open_next(&mut self, job: &Job) -> bool {
+        while let Some(&frame) = job.spec.frames.get(self.cursor) {
+            self.cursor += 1;
+            if job.is_open(frame) && !self.open.contains_key(&frame) {
+                let tiles = RangeSet::full(0..job.spec.grid.tiles());
+                self.open.insert(frame, OpenFrame { round: 0, tiles, merge: false });
+                return true;
+            }
+        }
+        false
+    }
+
+    /// Takes a task off the table, because it is leased.
+    pub(crate) fn take(&mut self, task: &TaskKey) {
+        let Some(frame) = self.open.get_mut(&task.stage.frame) else { return };
+        match task.stage.kind {
+            StageKind::Render => frame.tiles.remove(task.index),
+            StageKind::Merge => frame.merge = false,
+        }
+    }
+}
+
+/// How fast samples come in.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Rate {
+    /// Time and samples until then, once a second, for the last ten seconds.
+    points: VecDeque<(Tick, u64)>,
+}
+
+impl Rate {
+    const SPACING: u64 = 1_000;
+    const POINTS: usize = 10;
+
+    pub(crate) fn is_due(&self, now: Tick) -> bool {
+        self.points.back().is_none_or(|(last, _)| now.since(*last) >= Self::SPACING)
+    }
+
+    pub(crate) fn note(&mut self, now: Tick, samples: u64) {
+        if self.points.len() > Self::POINTS {
+            self.points.pop_front();
+        }
+        self.points.push_back((now, samples));
+    }
+
+    /// Samples a second, 0 until two points are known.
+    pub(crate) fn per_second(&self) -> f64 {
+        match (self.points.front(), self.points.back()) {
+            (Some((from, first)), Some((to, last))) if to > from => {
+                last.saturating_sub(*first) as f64 * 1000.0 / to.since(*from) as f64
+            }
+            _ => 0.0,
+        }
+    }
+}

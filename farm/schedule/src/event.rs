@@ -1,0 +1,153 @@
+//! What the scheduler is told, and what it asks for.
+
+use femc_model::{
+    Assignment, Control, Digest, Epoch, Failure, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey,
+    TaskProgress, TaskResult, WorkerId,
+};
+
+use crate::Fact;
+
+/// Name of a request, so that its answer finds the way back.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct RequestId(pub u64);
+
+/// Something happened.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Event {
+    /// A job was submitted.
+    Submitted {
+        /// Who asks.
+        request: RequestId,
+        /// A second submission with this key is the same job.
+        key: Option<String>,
+        /// The job.
+        spec: Box<JobSpec>,
+    },
+    /// A person steers a job.
+    Controlled {
+        /// Who asks.
+        request: RequestId,
+        /// The job.
+        job: JobId,
+        /// How.
+        control: Control,
+    },
+    /// A worker's session began. The caller numbers sessions and never uses a number twice.
+    Joined {
+        /// The session.
+        worker: WorkerId,
+        /// How it introduced itself.
+        registration: Registration,
+    },
+    /// A worker's session ended.
+    Left {
+        /// The session.
+        worker: WorkerId,
+    },
+    /// A worker wants no more tasks.
+    Draining {
+        /// The session.
+        worker: WorkerId,
+    },
+    /// A worker says how far it is.
+    Heartbeat {
+        /// The session.
+        worker: WorkerId,
+        /// Its tasks.
+        tasks: Vec<TaskProgress>,
+    },
+    /// A worker has done a task; the artefacts are in the store.
+    Completed {
+        /// The session.
+        worker: WorkerId,
+        /// The task.
+        task: TaskKey,
+        /// Of the lease.
+        epoch: Epoch,
+        /// What came out.
+        result: TaskResult,
+    },
+    /// A worker has not done a task.
+    Failed {
+        /// The session.
+        worker: WorkerId,
+        /// The task.
+        task: TaskKey,
+        /// Of the lease.
+        epoch: Epoch,
+        /// Why.
+        failure: Failure,
+    },
+    /// Time went by.
+    Elapsed,
+}
+
+/// Something is to be done, in this order.
+#[derive(Debug, Clone, PartialEq)]
+pub enum Command {
+    /// Make this durable before any other command of the same call is obeyed.
+    Record(Fact),
+    /// Tell a worker to do a task.
+    Assign {
+        /// The session.
+        worker: WorkerId,
+        /// The lease.
+        assignment: Assignment,
+    },
+    /// Tell a worker to stop a task.
+    Revoke {
+        /// The session.
+        worker: WorkerId,
+        /// The task.
+        task: TaskKey,
+        /// Of the lease.
+        epoch: Epoch,
+        /// Why.
+        reason: RevokeReason,
+    },
+    /// Tell a worker that its report counts.
+    Accept {
+        /// The session.
+        worker: WorkerId,
+        /// The task.
+        task: TaskKey,
+        /// Of the lease.
+        epoch: Epoch,
+    },
+    /// Tell a worker that its report changed nothing.
+    Refuse {
+        /// The session.
+        worker: WorkerId,
+        /// The task.
+        task: TaskKey,
+        /// Of the lease.
+        epoch: Epoch,
+        /// Why.
+        refusal: Refusal,
+    },
+    /// End the session of a worker that has begun another.
+    Dismiss {
+        /// The session.
+        worker: WorkerId,
+    },
+    /// Answer a request.
+    Answer {
+        /// Who asked.
+        request: RequestId,
+        /// The answer.
+        answer: Result<Answer, Refusal>,
+    },
+    /// A job's status has changed.
+    Changed(JobId),
+    /// Nothing refers to these artefacts any more.
+    Discard(Vec<Digest>),
+}
+
+/// What came of a request.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Answer {
+    /// The job is in the queue, now or from before.
+    Submitted(JobId),
+    /// It was done to the job.
+    Controlled(JobId),
+}

@@ -1,0 +1,76 @@
+//! What has happened for good: the entries of the log.
+
+use femc_model::{Control, Epoch, Failure, JobId, JobSpec, MergeResult, TaskKey, Tick, TileResult};
+use serde::{Deserialize, Serialize};
+
+/// A change of the [`Ledger`](crate::Ledger). New variants go to the end: the log holds their numbers.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub enum Fact {
+    /// A coordinator has begun; leases of the ones before are void.
+    Opened {
+        /// Greater than any before.
+        incarnation: u32,
+    },
+    /// A job was taken.
+    Submitted {
+        /// Its number.
+        job: JobId,
+        /// A second submission with this key is the same job.
+        key: Option<String>,
+        /// As submitted.
+        spec: Box<JobSpec>,
+    },
+    /// A tile was rendered.
+    Rendered {
+        /// Which.
+        task: TaskKey,
+        /// Of the lease that did it.
+        epoch: Epoch,
+        /// When that lease was granted.
+        leased: Tick,
+        /// What came out.
+        result: TileResult,
+    },
+    /// A round of a frame was merged; it is over, or the frame is finished.
+    Merged {
+        /// Which.
+        task: TaskKey,
+        /// Of the lease that did it.
+        epoch: Epoch,
+        /// What came out.
+        result: Box<MergeResult>,
+    },
+    /// A task used up one attempt.
+    Failed {
+        /// Which.
+        task: TaskKey,
+        /// Why.
+        failure: Failure,
+    },
+    /// The artefact of a rendered tile is gone: the tile is to be rendered again.
+    Lost {
+        /// Which.
+        task: TaskKey,
+    },
+    /// The sums of a frame are gone: the frame begins anew.
+    Restarted {
+        /// The job.
+        job: JobId,
+        /// Frame number.
+        frame: u32,
+    },
+    /// The job cannot succeed.
+    Doomed {
+        /// The job.
+        job: JobId,
+        /// Why.
+        failure: Failure,
+    },
+    /// A person steered the job.
+    Controlled {
+        /// The job.
+        job: JobId,
+        /// How.
+        control: Control,
+    },
+}

@@ -1,0 +1,180 @@
+//! Who is there and who holds what: the half of the state that a restart forgets.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use femc_model::{Epoch, JobId, Phase, Registration, Stage, StageKind, TaskKey, TaskProgress, Tick, WorkerId};
+
+use crate::Config;
+
+/// A worker's session.
+#[derive(Debug, Clone)]
+pub(crate) struct Worker {
+    pub(crate) registration: Registration,
+    pub(crate) held: BTreeSet<TaskKey>,
+    pub(crate) draining: bool,
+    /// Last message.
+    pub(crate) seen: Tick,
+    /// Last progress of any of its tasks.
+    pub(crate) moved: Tick,
+    /// No tasks until then.
+    pub(crate) rests_until: Tick,
+    /// Failures of its surroundings in a row.
+    pub(crate) mishaps: u32,
+    pub(crate) completed: u64,
+    pub(crate) failed: u64,
+}
+
+impl Worker {
+    pub(crate) fn capacity(&self, config: &Config) -> usize {
+        (self.registration.slots.max(1) + config.prefetch) as usize
+    }
+
+    pub(crate) fn has_tags(&self, tags: &[String]) -> bool {
+        tags.iter().all(|tag| self.registration.tags.contains(tag))
+    }
+
+    /// Whether it is there, well, and wants work.
+    pub(crate) fn is_fit(&self, config: &Config, now: Tick) -> bool {
+        !self.draining && now >= self.rests_until && now.since(self.seen) < config.lease
+    }
+}
+
+/// A task in a worker's hands.
+#[derive(Debug, Clone)]
+pub(crate) struct Lease {
+    pub(crate) worker: WorkerId,
+    pub(crate) epoch: Epoch,
+    pub(crate) granted: Tick,
+    pub(crate) deadline: Tick,
+    /// Last progress.
+    moved: Tick,
+    phase: Phase,
+    pub(crate) samples: u64,
+}
+
+/// Workers and leases; each lease is also in its worker's `held` and in `deadlines`.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Floor {
+    pub(crate) workers: BTreeMap<WorkerId, Worker>,
+    pub(crate) leases: BTreeMap<TaskKey, Lease>,
+    deadlines: BTreeSet<(Tick, TaskKey)>,
+    /// Workers that can hold more, those with the fewest tasks first.
+    pub(crate) spare: BTreeSet<(usize, WorkerId)>,
+}
+
+impl Floor {
+    pub(crate) fn join(&mut self, worker: WorkerId, registration: Registration, now: Tick) {
+        let fresh = Worker {
+            registration,
+            held: BTreeSet::new(),
+            draining: false,
+            seen: now,
+            moved: now,
+            rests_until: Tick(0),
+            mishaps: 0,
+            completed: 0,
+            failed: 0,
+        };
+        self.workers.insert(worker, fresh);
+        self.spare.insert((0, worker));
+    }
+
+    /// Removes a worker; returns what it held.
+    pub(crate) fn leave(&mut self, worker: WorkerId) -> Vec<TaskKey> {
+        let held: Vec<TaskKey> =
+            self.workers.get(&worker).map(|worker| worker.held.iter().copied().collect()).unwrap_or_default();
+        for task in &held {
+            self.release(task);
+        }
+        self.workers.remove(&worker);
+        self.spare.remove(&(0, worker));
+        held
+    }
+
+    pub(crate) fn lease(&mut self, task: TaskKey, worker: WorkerId, epoch: Epoch, config: &Config, now: Tick) {
+        let deadline = now.after(config.lease);
+        let lease = Lease { worker, epoch, granted: now, deadline, moved: now, phase: Phase::Waiting, samples: 0 };
+        self.leases.insert(task, lease);
+        self.deadlines.insert((deadline, task));
+        if let Some(holder) = self.workers.get_mut(&worker) {
+            self.spare.remove(&(holder.held.len(), worker));
+            holder.held.insert(task);
+            if holder.held.len() < holder.capacity(config) {
+                self.spare.insert((holder.held.len(), worker));
+            }
+        }
+    }
+
+    /// Ends a lease.
+    pub(crate) fn release(&mut self, task: &TaskKey) -> Option<Lease> {
+        let lease = self.leases.remove(task)?;
+        self.deadlines.remove(&(lease.deadline, *task));
+        if let Some(holder) = self.workers.get_mut(&lease.worker) {
+            self.spare.remove(&(holder.held.len(), lease.worker));
+            holder.held.remove(task);
+            self.spare.insert((holder.held.len(), lease.worker));
+        }
+        Some(lease)
+    }
+
+    /// The lease, if this worker holds it under this epoch.
+    pub(crate) fn lease_of(&self, worker: WorkerId, task: &TaskKey, epoch: Epoch) -> Option<&Lease> {
+        self.leases.get(task).filter(|lease| lease.worker == worker && lease.epoch == epoch)
+    }
+
+    /// Renews the leases that a heartbeat lists, unless they stand still; returns those that are over.
+    pub(crate) fn renew(
+        &mut self,
+        worker: WorkerId,
+        tasks: &[TaskProgress],
+        config: &Config,
+        now: Tick,
+    ) -> Vec<(TaskKey, Epoch)> {
+        let Some(holder) = self.workers.get_mut(&worker) else { return Vec::new() };
+        holder.seen = now;
+        let mut over = Vec::new();
+        for progress in tasks {
+            let lease = self.leases.get_mut(&progress.task);
+            let Some(lease) = lease.filter(|lease| lease.worker == worker && lease.epoch == progress.epoch) else {
+                over.push((progress.task, progress.epoch));
+                continue;
+            };
+            if (progress.phase, progress.samples) > (lease.phase, lease.samples) {
+                (lease.phase, lease.samples) = (progress.phase, progress.samples.max(lease.samples));
+                lease.moved = now;
+                holder.moved = now;
+            }
+        }
+        for progress in tasks {
+            let Some(lease) = self.leases.get_mut(&progress.task) else { continue };
+            let (moved, stall) = match lease.phase {
+                Phase::Waiting => (holder.moved.max(lease.moved), config.preparation_stall),
+                Phase::Preparing => (lease.moved, config.preparation_stall),
+                Phase::Working | Phase::Uploading => (lease.moved, config.stall),
+            };
+            if lease.worker == worker && lease.epoch == progress.epoch && now.since(moved) < stall {
+                self.deadlines.remove(&(lease.deadline, progress.task));
+                lease.deadline = now.after(config.lease);
+                self.deadlines.insert((lease.deadline, progress.task));
+            }
+        }
+        over
+    }
+
+    /// The leases whose time is up, earliest first.
+    pub(crate) fn expired(&self, now: Tick) -> Vec<TaskKey> {
+        self.deadlines.iter().take_while(|(deadline, _)| *deadline <= now).map(|&(_, task)| task).collect()
+    }
+
+    /// Numbers of the leased tasks of a stage.
+    pub(crate) fn of_stage(&self, job: JobId, stage: Stage) -> impl Iterator<Item = u32> + '_ {
+        let key = |index| TaskKey { job, stage, index };
+        self.leases.range(key(0)..=key(u32::MAX)).map(|(task, _)| task.index)
+    }
+
+    /// The leases of a job.
+    pub(crate) fn of_job(&self, job: JobId) -> impl Iterator<Item = (&TaskKey, &Lease)> + '_ {
+        let first = TaskKey { job, stage: Stage { frame: 0, round: 0, kind: StageKind::Render }, index: 0 };
+        self.leases.range(first..).take_while(move |(task, _)| task.job == job)
+    }
+}

@@ -1,0 +1,212 @@
+//! A job in the ledger.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use femc_model::{
+    Control, Decision, Digest, Epoch, Failure, FrameRecord, JobSpec, MergeResult, StageKind, TaskKey, Tick, TileResult,
+};
+use serde::{Deserialize, Serialize};
+
+use super::frame::{Frame, Trouble};
+
+/// What a person has done to a job.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) enum Hold {
+    /// Nothing: it may run.
+    Free,
+    /// Held.
+    Paused,
+    /// Ended.
+    Cancelled,
+}
+
+/// A finished frame and the lease that finished it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Finished {
+    /// Of the last merge: a repeated completion gets the same answer.
+    pub epoch: Epoch,
+    /// What `femc fetch` needs.
+    pub record: FrameRecord,
+}
+
+/// A job: as asked for, and what has come of it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Job {
+    pub(crate) spec: Box<JobSpec>,
+    pub(crate) hold: Hold,
+    pub(crate) doom: Option<Failure>,
+    /// First lease of a task that was completed.
+    pub(crate) began: Option<Tick>,
+    pub(crate) ended: Option<Tick>,
+    /// Frames with some result or failure, not finished; the others cost nothing.
+    pub(crate) frames: BTreeMap<u32, Frame>,
+    pub(crate) finished: BTreeMap<u32, Finished>,
+    /// Frames that only a retry can move.
+    pub(crate) blocked: BTreeSet<u32>,
+    pub(crate) relative_error: Option<f64>,
+    submitted: Tick,
+}
+
+impl Job {
+    pub(super) fn new(spec: Box<JobSpec>, now: Tick) -> Self {
+        Self {
+            spec,
+            hold: Hold::Free,
+            doom: None,
+            began: None,
+            ended: None,
+            frames: BTreeMap::new(),
+            finished: BTreeMap::new(),
+            blocked: BTreeSet::new(),
+            relative_error: None,
+            submitted: now,
+        }
+    }
+
+    /// Whether every frame is finished or blocked, or the job as a whole is over.
+    pub(crate) fn has_ended(&self) -> bool {
+        self.hold == Hold::Cancelled
+            || self.doom.is_some()
+            || self.finished.len() + self.blocked.len() == self.spec.frames.len()
+    }
+
+    /// Whether its tasks may be leased.
+    pub(crate) fn is_runnable(&self) -> bool {
+        self.hold == Hold::Free && !self.has_ended()
+    }
+
+    /// Whether the frame is asked for and neither finished nor blocked.
+    pub(crate) fn is_open(&self, frame: u32) -> bool {
+        !self.finished.contains_key(&frame)
+            && !self.blocked.contains(&frame)
+            && self.spec.frames.binary_search(&frame).is_ok()
+    }
+
+    /// The round that the frame is in.
+    pub(crate) fn round(&self, frame: u32) -> u32 {
+        self.frames.get(&frame).map_or(0, |frame| frame.round)
+    }
+
+    fn frame(&mut self, number: u32, began: Tick) -> &mut Frame {
+        self.began.get_or_insert(began);
+        self.frames.entry(number).or_insert_with(|| Frame::new(began))
+    }
+
+    pub(super) fn rendered(&mut self, task: &TaskKey, epoch: Epoch, leased: Tick, result: &TileResult) -> Vec<Digest> {
+        let number = task.stage.frame;
+        if self.is_open(number) && self.round(number) == task.stage.round {
+            self.frame(number, leased).rendered(task.index, epoch, leased, result);
+            self.note_block(number);
+        }
+        Vec::new()
+    }
+
+    pub(super) fn merged(&mut self, task: &TaskKey, epoch: Epoch, result: &MergeResult, now: Tick) -> Vec<Digest> {
+        let number = task.stage.frame;
+        let spp = self.spec.samples(task.stage.round).end;
+        if !self.is_open(number) || self.round(number) != task.stage.round {
+            return Vec::new();
+        }
+        self.relative_error = result.relative_error.or(self.relative_error);
+        let Some(frame) = self.frames.get_mut(&number) else { return Vec::new() };
+        let mut released: Vec<Digest> = frame.artefacts().collect();
+        match (result.decision, result.image) {
+            (Decision::Done, Some(image)) => {
+                let record = FrameRecord {
+                    frame: number,
+                    image,
+                    preview: result.preview,
+                    spp,
+                    relative_error: result.relative_error,
+                    bad_samples: result.bad_samples,
+                    busy_seconds: frame.busy_seconds + result.seconds,
+                    seconds: now.since(frame.began) as f64 / 1000.0,
+                };
+                released.extend(result.sums.map(|sums| sums.digest));
+                self.finished.insert(number, Finished { epoch, record });
+                self.frames.remove(&number);
+            }
+            (Decision::Continue | Decision::Done, _) => frame.next_round(epoch, result),
+        }
+        released
+    }
+
+    pub(super) fn failed(&mut self, task: &TaskKey, failure: &Failure, now: Tick) -> Vec<Digest> {
+        let number = task.stage.frame;
+        if self.is_open(number) && self.round(number) == task.stage.round {
+            let trouble = self.frame(number, now).trouble.entry((task.stage.kind, task.index));
+            let trouble = trouble.or_insert(Trouble { attempts: 0, failure: failure.clone() });
+            trouble.attempts += 1;
+            trouble.failure = failure.clone();
+            self.note_block(number);
+        }
+        Vec::new()
+    }
+
+    pub(super) fn lost(&mut self, task: &TaskKey) -> Vec<Digest> {
+        self.frames.get_mut(&task.stage.frame).map(|frame| frame.lost(task.index)).unwrap_or_default()
+    }
+
+    pub(super) fn restarted(&mut self, frame: u32) -> Vec<Digest> {
+        self.blocked.remove(&frame);
+        self.frames.get_mut(&frame).map(Frame::restarted).unwrap_or_default()
+    }
+
+    pub(super) fn doomed(&mut self, failure: &Failure) -> Vec<Digest> {
+        self.doom = Some(failure.clone());
+        Vec::new()
+    }
+
+    pub(super) fn controlled(&mut self, control: Control) -> Vec<Digest> {
+        match control {
+            Control::Pause => self.hold = Hold::Paused,
+            Control::Resume => self.hold = Hold::Free,
+            Control::Cancel => self.hold = Hold::Cancelled,
+            Control::Retry => {
+                self.hold = Hold::Free;
+                self.doom = None;
+                self.ended = None;
+                self.blocked.clear();
+                self.frames.values_mut().for_each(|frame| frame.trouble.clear());
+            }
+            Control::Priority(priority) => self.spec.priority = priority,
+        }
+        Vec::new()
+    }
+
+    fn note_block(&mut self, number: u32) {
+        if self.frames.get(&number).is_some_and(|frame| frame.is_blocked(self.spec.grid.tiles())) {
+            self.blocked.insert(number);
+        }
+    }
+
+    pub(super) fn note_end(&mut self, now: Tick) {
+        if self.has_ended() {
+            self.ended.get_or_insert(now);
+        }
+    }
+
+    pub(super) fn each_artefact(&self, mut see: impl FnMut(Digest)) {
+        see(self.spec.bundle);
+        self.frames.values().flat_map(Frame::artefacts).for_each(&mut see);
+        for Finished { record, .. } in self.finished.values() {
+            see(record.image.digest);
+            record.preview.iter().for_each(|preview| see(preview.digest));
+        }
+    }
+
+    /// Whether this completion is the one that the ledger holds.
+    pub(crate) fn holds(&self, task: &TaskKey, epoch: Epoch) -> bool {
+        let number = task.stage.frame;
+        if let Some(finished) = self.finished.get(&number) {
+            return task.stage.kind == StageKind::Merge && finished.epoch == epoch;
+        }
+        let Some(frame) = self.frames.get(&number) else { return false };
+        match task.stage.kind {
+            StageKind::Render => {
+                frame.round == task.stage.round && frame.tiles.get(&task.index).is_some_and(|tile| tile.epoch == epoch)
+            }
+            StageKind::Merge => frame.merged == Some(epoch),
+        }
+    }
+}

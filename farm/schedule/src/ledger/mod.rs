@@ -1,0 +1,144 @@
+//! The durable half of the scheduler: what is asked for, what is done, what has failed.
+
+pub(crate) mod frame;
+mod job;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use femc_model::{Digest, JobId, Tick};
+use serde::{Deserialize, Serialize};
+
+use crate::Fact;
+pub(crate) use job::{Hold, Job};
+
+/// All jobs. Changes by [`Ledger::apply`] alone: same facts, same ledger.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Ledger {
+    pub(crate) incarnation: u32,
+    pub(crate) now: Tick,
+    last_job: u64,
+    keys: BTreeMap<String, JobId>,
+    pub(crate) jobs: BTreeMap<JobId, Job>,
+}
+
+/// A snapshot that cannot be read.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum SnapshotError {
+    /// Written by another version.
+    #[error("snapshot of version {found}, this program reads {}", Ledger::VERSION)]
+    Version {
+        /// What its first byte says.
+        found: u8,
+    },
+    /// Not what [`Ledger::encode`] writes.
+    #[error("snapshot or fact is damaged: {0}")]
+    Damaged(#[from] postcard::Error),
+    /// No bytes at all.
+    #[error("snapshot or fact is empty")]
+    Empty,
+}
+
+impl Ledger {
+    /// First byte of snapshots and of facts.
+    pub const VERSION: u8 = 1;
+
+    /// The number that the next job gets.
+    pub(crate) fn next_job(&self) -> JobId {
+        JobId(self.last_job + 1)
+    }
+
+    /// The job that was submitted with this key.
+    pub fn job_of_key(&self, key: &str) -> Option<JobId> {
+        self.keys.get(key).copied()
+    }
+
+    /// The time of the last fact.
+    pub fn now(&self) -> Tick {
+        self.now
+    }
+
+    /// Changes the ledger; returns the artefacts that it names no longer. A fact about what is not there changes nothing.
+    pub fn apply(&mut self, fact: &Fact, now: Tick) -> Vec<Digest> {
+        self.now = self.now.max(now);
+        let (job, released) = match fact {
+            Fact::Opened { incarnation } => {
+                self.incarnation = self.incarnation.max(*incarnation);
+                return Vec::new();
+            }
+            Fact::Submitted { job, key, spec } => {
+                self.last_job = self.last_job.max(job.0);
+                if let Some(key) = key {
+                    self.keys.insert(key.clone(), *job);
+                }
+                self.jobs.insert(*job, Job::new(spec.clone(), now));
+                return Vec::new();
+            }
+            Fact::Rendered { task, epoch, leased, result } => {
+                let job = self.jobs.get_mut(&task.job);
+                (task.job, job.map(|job| job.rendered(task, *epoch, *leased, result)))
+            }
+            Fact::Merged { task, epoch, result } => {
+                (task.job, self.jobs.get_mut(&task.job).map(|job| job.merged(task, *epoch, result, now)))
+            }
+            Fact::Failed { task, failure } => {
+                (task.job, self.jobs.get_mut(&task.job).map(|job| job.failed(task, failure, now)))
+            }
+            Fact::Lost { task } => (task.job, self.jobs.get_mut(&task.job).map(|job| job.lost(task))),
+            Fact::Restarted { job, frame } => (*job, self.jobs.get_mut(job).map(|j| j.restarted(*frame))),
+            Fact::Doomed { job, failure } => (*job, self.jobs.get_mut(job).map(|j| j.doomed(failure))),
+            Fact::Controlled { job, control } => (*job, self.jobs.get_mut(job).map(|j| j.controlled(*control))),
+        };
+        if let Some(job) = self.jobs.get_mut(&job) {
+            job.note_end(now);
+        }
+        self.unreferenced(released.unwrap_or_default())
+    }
+
+    /// Those of `digests` that no frame in work and no finished frame names.
+    pub fn unreferenced(&self, digests: Vec<Digest>) -> Vec<Digest> {
+        if digests.is_empty() {
+            return digests;
+        }
+        let mut left: BTreeSet<Digest> = digests.into_iter().collect();
+        for job in self.jobs.values() {
+            job.each_artefact(|digest| {
+                left.remove(&digest);
+            });
+        }
+        left.into_iter().collect()
+    }
+
+    /// Version and content, for a snapshot.
+    pub fn encode(&self) -> Result<Vec<u8>, SnapshotError> {
+        encode(self)
+    }
+
+    /// What [`Self::encode`] wrote.
+    pub fn decode(bytes: &[u8]) -> Result<Self, SnapshotError> {
+        decode(bytes)
+    }
+}
+
+impl Fact {
+    /// Version, time and content, for the log.
+    pub fn encode(&self, now: Tick) -> Result<Vec<u8>, SnapshotError> {
+        encode(&(now, self))
+    }
+
+    /// What [`Self::encode`] wrote.
+    pub fn decode(bytes: &[u8]) -> Result<(Tick, Self), SnapshotError> {
+        decode(bytes)
+    }
+}
+
+fn encode(value: &impl Serialize) -> Result<Vec<u8>, SnapshotError> {
+    Ok(postcard::to_extend(value, vec![Ledger::VERSION])?)
+}
+
+fn decode<T: for<'a> Deserialize<'a>>(bytes: &[u8]) -> Result<T, SnapshotError> {
+    match bytes.split_first() {
+        Some((&Ledger::VERSION, content)) => Ok(postcard::from_bytes(content)?),
+        Some((&found, _)) => Err(SnapshotError::Version { found }),
+        None => Err(SnapshotError::Empty),
+    }
+}

@@ -1,0 +1,30 @@
+//! The scheduler: who does what next, as a pure state machine.
+//!
+//! [`Scheduler::on`] takes what happened and the time, and returns what is to be done about it; it reads no clock, sends
+//! nothing and writes nothing. Its state has two halves. The [`Ledger`] is durable: it changes by [`Fact`]s alone, and
+//! the same facts give the same ledger. The floor (workers, leases, ready tasks) is not: after a restart every lease is
+//! void, and what was leased is ready again. A fact comes out as [`Command::Record`] before the commands that tell
+//! anybody about it; the caller makes the facts durable first.
+//!
+//! Waiting tasks are ranges: a frame that nobody has begun costs nothing, one in work costs a row for each finished tile.
+#![deny(missing_docs)]
+
+mod config;
+mod control;
+mod deal;
+mod desk;
+mod event;
+mod fact;
+mod floor;
+mod ledger;
+mod outcome;
+mod ranges;
+mod scheduler;
+mod view;
+
+pub use config::Config;
+pub use event::{Answer, Command, Event, RequestId};
+pub use fact::Fact;
+pub use ledger::{Ledger, SnapshotError};
+pub use ranges::RangeSet;
+pub use scheduler::Scheduler;

@@ -1,0 +1,165 @@
+//! What workers report: a result or a failure, counted once and only under a lease that holds.
+
+use femc_model::{
+    Decision, Digest, Epoch, Failure, JobId, MergeResult, Refusal, Stage, StageKind, TaskKey, TaskResult, Tick,
+    Verdict, WorkerId,
+};
+
+use crate::scheduler::Scheduler;
+use crate::{Command, Fact};
+
+impl Scheduler {
+    pub(crate) fn completed(
+        &mut self,
+        worker: WorkerId,
+        task: TaskKey,
+        epoch: Epoch,
+        result: TaskResult,
+        now: Tick,
+        out: &mut Vec<Command>,
+    ) {
+        self.note_seen(worker, now);
+        let Some(lease) = self.floor.lease_of(worker, &task, epoch) else {
+            return self.without_lease(worker, task, epoch, out);
+        };
+        let granted = lease.granted;
+        let rounds = self.ledger.jobs.get(&task.job).map_or(0, |job| job.spec.rounds.len());
+        let fact = match (task.stage.kind, result) {
+            (StageKind::Render, TaskResult::Tile(result)) => Fact::Rendered { task, epoch, leased: granted, result },
+            (StageKind::Merge, TaskResult::Merge(result)) if is_sound(&result, task.stage.round, rounds) => {
+                Fact::Merged { task, epoch, result: Box::new(result) }
+            }
+            (StageKind::Render | StageKind::Merge, _) => {
+                let failure = Failure::Panicked { message: "the result does not fit the task".into() };
+                return self.failed(worker, task, epoch, failure, now, out);
+            }
+        };
+        self.floor.release(&task);
+        if let Some(worker) = self.floor.workers.get_mut(&worker) {
+            worker.completed += 1;
+            worker.mishaps = 0;
+        }
+        self.record(fact, now, out);
+        if let (Some(desk), Some(job)) = (self.desks.get_mut(&task.job), self.ledger.jobs.get(&task.job)) {
+            desk.avoid.remove(&task);
+            desk.completed(&task, job, &self.floor);
+        }
+        self.reorder(task.job);
+        out.push(Command::Accept { worker, task, epoch });
+        out.push(Command::Changed(task.job));
+    }
+
+    pub(crate) fn failed(
+        &mut self,
+        worker: WorkerId,
+        task: TaskKey,
+        epoch: Epoch,
+        failure: Failure,
+        now: Tick,
+        out: &mut Vec<Command>,
+    ) {
+        self.note_seen(worker, now);
+        if self.floor.lease_of(worker, &task, epoch).is_none() {
+            return self.without_lease(worker, task, epoch, out);
+        }
+        self.floor.release(&task);
+        match failure.verdict() {
+            Verdict::Cancelled => {}
+            Verdict::Infrastructure => self.rest(worker, now),
+            Verdict::Retry => self.count_failure(worker, task, failure, now, out),
+            Verdict::Fatal => self.doom(task.job, failure, now, out),
+            Verdict::Rebuild(digest) => self.rebuild_input(worker, task, digest, failure, now, out),
+        }
+        self.put_back(&task);
+        out.push(Command::Accept { worker, task, epoch });
+        out.push(Command::Changed(task.job));
+    }
+
+    /// A report whose lease is over: the recorded answer if it is a repetition, a refusal otherwise.
+    fn without_lease(&mut self, worker: WorkerId, task: TaskKey, epoch: Epoch, out: &mut Vec<Command>) {
+        let refusal = match self.job(task.job) {
+            Ok(job) if job.holds(&task, epoch) => return out.push(Command::Accept { worker, task, epoch }),
+            Ok(_) => Refusal::StaleEpoch,
+            Err(refusal) => refusal,
+        };
+        self.note_stale(task.job);
+        out.push(Command::Refuse { worker, task, epoch, refusal });
+    }
+
+    fn note_seen(&mut self, worker: WorkerId, now: Tick) {
+        if let Some(worker) = self.floor.workers.get_mut(&worker) {
+            worker.seen = now;
+        }
+    }
+
+    fn rest(&mut self, worker: WorkerId, now: Tick) {
+        let Some(worker) = self.floor.workers.get_mut(&worker) else { return };
+        let rest = self.config.rest.saturating_mul(1 << worker.mishaps.min(20)).min(self.config.longest_rest);
+        worker.rests_until = now.after(rest);
+        worker.mishaps += 1;
+    }
+
+    fn count_failure(
+        &mut self,
+        worker: WorkerId,
+        task: TaskKey,
+        failure: Failure,
+        now: Tick,
+        out: &mut Vec<Command>,
+    ) {
+        if let Some(worker) = self.floor.workers.get_mut(&worker) {
+            worker.failed += 1;
+        }
+        if let Some(desk) = self.desks.get_mut(&task.job) {
+            desk.avoid.insert(task, worker);
+        }
+        self.record(Fact::Failed { task, failure }, now, out);
+    }
+
+    fn doom(&mut self, job: JobId, failure: Failure, now: Tick, out: &mut Vec<Command>) {
+        self.record(Fact::Doomed { job, failure }, now, out);
+        self.revoke_all(job, out);
+    }
+
+    /// An input is gone: what made it is to run again. Counts as an attempt of the task that missed it, so that a
+    /// store which loses everything ends the frame and not the night.
+    fn rebuild_input(
+        &mut self,
+        worker: WorkerId,
+        task: TaskKey,
+        digest: Digest,
+        failure: Failure,
+        now: Tick,
+        out: &mut Vec<Command>,
+    ) {
+        let Some(job) = self.ledger.jobs.get(&task.job) else { return };
+        if digest == job.spec.bundle {
+            return self.doom(task.job, failure, now, out);
+        }
+        let frame = task.stage.frame;
+        let mut repairs = Vec::new();
+        if let Some(work) = job.frames.get(&frame) {
+            if work.sums.is_some_and(|sums| sums.digest == digest) {
+                repairs.push(Fact::Restarted { job: task.job, frame });
+            }
+            let made_it = work.tiles.iter().filter(|(_, tile)| tile.result.tile.digest == digest);
+            repairs.extend(made_it.map(|(&index, _)| {
+                let stage = Stage { kind: StageKind::Render, ..task.stage };
+                Fact::Lost { task: TaskKey { stage, index, ..task } }
+            }));
+        }
+        self.count_failure(worker, task, failure, now, out);
+        let is_open = self.ledger.jobs.get(&task.job).is_some_and(|job| job.is_open(frame));
+        if is_open {
+            repairs.into_iter().for_each(|repair| self.record(repair, now, out));
+        }
+    }
+}
+
+/// Whether a merge's result says what it must: an image at the end, sums on the way, an end after the last round.
+fn is_sound(result: &MergeResult, round: u32, rounds: usize) -> bool {
+    match result.decision {
+        Decision::Done => result.image.is_some(),
+        Decision::Continue => result.sums.is_some() && (round as usize + 1) < rounds,
+    }
+}

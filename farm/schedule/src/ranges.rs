@@ -1,0 +1,113 @@
+//! Sets of task numbers, kept as ranges: a million waiting tasks cost one entry.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+/// A set of numbers as disjoint ranges that do not touch.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct RangeSet {
+    /// End by start.
+    ranges: BTreeMap<u32, u32>,
+}
+
+impl RangeSet {
+    /// All numbers of `range`.
+    pub fn full(range: Range<u32>) -> Self {
+        let mut set = Self::default();
+        if !range.is_empty() {
+            set.ranges.insert(range.start, range.end);
+        }
+        set
+    }
+
+    /// The ranges, ascending.
+    pub fn ranges(&self) -> impl Iterator<Item = Range<u32>> + '_ {
+        self.ranges.iter().map(|(&start, &end)| start..end)
+    }
+
+    /// The numbers, ascending.
+    pub fn iter(&self) -> impl Iterator<Item = u32> + '_ {
+        self.ranges().flatten()
+    }
+
+    /// Whether nothing is in it.
+    pub fn is_empty(&self) -> bool {
+        self.ranges.is_empty()
+    }
+
+    /// How many numbers are in it; walks the ranges.
+    pub fn count(&self) -> u32 {
+        self.ranges().map(|range| range.end - range.start).sum()
+    }
+
+    /// Whether `value` is in it.
+    pub fn contains(&self, value: u32) -> bool {
+        self.ranges.range(..=value).next_back().is_some_and(|(_, &end)| value < end)
+    }
+
+    /// Adds `value`; one that is in it already changes nothing.
+    pub fn insert(&mut self, value: u32) {
+        if self.contains(value) {
+            return;
+        }
+        let end = self.ranges.remove(&(value + 1)).unwrap_or(value + 1);
+        match self.ranges.range_mut(..=value).next_back() {
+            Some((_, before)) if *before == value => *before = end,
+            _ => {
+                self.ranges.insert(value, end);
+            }
+        }
+    }
+
+    /// Takes `value` out; one that is not in it changes nothing.
+    pub fn remove(&mut self, value: u32) {
+        let Some((&start, &end)) = self.ranges.range(..=value).next_back() else { return };
+        if value >= end {
+            return;
+        }
+        self.ranges.remove(&start);
+        if start < value {
+            self.ranges.insert(start, value);
+        }
+        if value + 1 < end {
+            self.ranges.insert(value + 1, end);
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use proptest::prelude::*;
+
+    use super::*;
+
+    proptest! {
+        #[test]
+        fn a_range_set_is_a_set(steps in prop::collection::vec((any::<bool>(), 0u32..24), 0..200)) {
+            let (mut ranges, mut set) = (RangeSet::full(4..12), (4..12).collect::<BTreeSet<u32>>());
+            for (insert, value) in steps {
+                if insert {
+                    ranges.insert(value);
+                    set.insert(value);
+                } else {
+                    ranges.remove(value);
+                    set.remove(&value);
+                }
+                prop_assert_eq!(ranges.iter().collect::<Vec<_>>(), set.iter().copied().collect::<Vec<_>>());
+                prop_assert_eq!(ranges.count() as usize, set.len());
+                prop_assert_eq!(ranges.contains(value), set.contains(&value));
+                let ends: Vec<_> = ranges.ranges().collect();
+                prop_assert!(ends.windows(2).all(|pair| pair[0].end < pair[1].start), "ranges touch: {:?}", ends);
+            }
+        }
+    }
+
+    #[test]
+    fn a_million_waiting_tasks_are_one_entry() {
+        let mut set = RangeSet::full(0..1_000_000);
+        (0..1000).for_each(|value| set.remove(value));
+        assert_eq!((set.ranges.len(), set.count()), (1, 999_000));
+    }
+}

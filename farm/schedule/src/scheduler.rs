@@ -1,0 +1,195 @@
+//! The state machine: takes events apart, and gives ready tasks to workers with room.
+
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BTreeSet};
+
+use femc_model::{Digest, Epoch, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey, TaskProgress, Tick, WorkerId};
+
+use crate::desk::Desk;
+use crate::floor::Floor;
+use crate::ledger::Job;
+use crate::{Command, Config, Event, Fact, Ledger};
+
+/// All that the coordinator knows.
+#[derive(Debug, Clone)]
+pub struct Scheduler {
+    pub(crate) config: Config,
+    pub(crate) ledger: Ledger,
+    pub(crate) floor: Floor,
+    /// One for each job, also for those that do not run.
+    pub(crate) desks: BTreeMap<JobId, Desk>,
+    /// Jobs whose tasks may be leased, in the order in which they are served.
+    pub(crate) order: BTreeSet<(Reverse<u8>, JobId)>,
+    /// Leases granted in this incarnation.
+    pub(crate) leases: u64,
+    pub(crate) stale_messages: u64,
+}
+
+impl Scheduler {
+    /// Goes on from `ledger`: what was leased is ready again. Returns also the fact that must be durable before
+    /// anything else is done.
+    pub fn new(config: Config, mut ledger: Ledger) -> (Self, Fact) {
+        let opened = Fact::Opened { incarnation: ledger.incarnation + 1 };
+        let now = ledger.now();
+        ledger.apply(&opened, now);
+        let mut scheduler = Self {
+            config,
+            floor: Floor::default(),
+            desks: BTreeMap::new(),
+            order: BTreeSet::new(),
+            leases: 0,
+            stale_messages: 0,
+            ledger,
+        };
+        let jobs: Vec<JobId> = scheduler.ledger.jobs.keys().copied().collect();
+        jobs.into_iter().for_each(|job| scheduler.rebuild(job));
+        (scheduler, opened)
+    }
+
+    /// The durable half, for a snapshot.
+    pub fn ledger(&self) -> &Ledger {
+        &self.ledger
+    }
+
+    /// What a job is.
+    pub fn spec(&self, job: JobId) -> Option<&JobSpec> {
+        self.ledger.jobs.get(&job).map(|job| &*job.spec)
+    }
+
+    /// Those of `digests` that nothing names any more.
+    pub fn unreferenced(&self, digests: Vec<Digest>) -> Vec<Digest> {
+        self.ledger.unreferenced(digests)
+    }
+
+    /// Takes notice of `event` at `now`, which never goes back, and says what is to be done.
+    pub fn on(&mut self, event: Event, now: Tick) -> Vec<Command> {
+        let mut out = Vec::new();
+        self.take(event, now, &mut out);
+        self.deal(now, &mut out);
+        out
+    }
+
+    fn take(&mut self, event: Event, now: Tick, out: &mut Vec<Command>) {
+        match event {
+            Event::Submitted { request, key, spec } => {
+                let answer = self.submit(key, spec, now, out);
+                out.push(Command::Answer { request, answer });
+            }
+            Event::Controlled { request, job, control } => {
+                let answer = self.control(job, control, now, out);
+                out.push(Command::Answer { request, answer });
+            }
+            Event::Joined { worker, registration } => self.join(worker, registration, now, out),
+            Event::Left { worker } => self.leave(worker, out),
+            Event::Draining { worker } => {
+                if let Some(worker) = self.floor.workers.get_mut(&worker) {
+                    worker.draining = true;
+                }
+            }
+            Event::Heartbeat { worker, tasks } => self.heartbeat(worker, &tasks, now, out),
+            Event::Completed { worker, task, epoch, result } => self.completed(worker, task, epoch, result, now, out),
+            Event::Failed { worker, task, epoch, failure } => self.failed(worker, task, epoch, failure, now, out),
+            Event::Elapsed => self.elapsed(now, out),
+        }
+    }
+
+    fn join(&mut self, worker: WorkerId, registration: Registration, now: Tick, out: &mut Vec<Command>) {
+        let same = |(&id, known): (&WorkerId, &crate::floor::Worker)| {
+            (known.registration.instance == registration.instance).then_some(id)
+        };
+        if let Some(before) = self.floor.workers.iter().find_map(same) {
+            self.leave(before, out);
+            out.push(Command::Dismiss { worker: before });
+        }
+        self.floor.join(worker, registration, now);
+    }
+
+    fn leave(&mut self, worker: WorkerId, out: &mut Vec<Command>) {
+        for task in self.floor.leave(worker) {
+            self.put_back(&task);
+            out.push(Command::Changed(task.job));
+        }
+    }
+
+    fn heartbeat(&mut self, worker: WorkerId, tasks: &[TaskProgress], now: Tick, out: &mut Vec<Command>) {
+        for (task, epoch) in self.floor.renew(worker, tasks, &self.config, now) {
+            self.note_stale(task.job);
+            out.push(Command::Revoke { worker, task, epoch, reason: RevokeReason::Expired });
+        }
+    }
+
+    fn elapsed(&mut self, now: Tick, out: &mut Vec<Command>) {
+        for task in self.floor.expired(now) {
+            self.revoke(&task, RevokeReason::Expired, out);
+            self.put_back(&task);
+            out.push(Command::Changed(task.job));
+        }
+        let running: Vec<JobId> = self.order.iter().map(|&(_, job)| job).collect();
+        for id in running {
+            if self.desks.get(&id).is_some_and(|desk| desk.rate.is_due(now)) {
+                let samples = self.samples(id);
+                if let Some(desk) = self.desks.get_mut(&id) {
+                    desk.rate.note(now, samples);
+                }
+            }
+        }
+    }
+
+    /// Makes a fact true; it becomes durable before what follows is told to anybody.
+    pub(crate) fn record(&mut self, fact: Fact, now: Tick, out: &mut Vec<Command>) {
+        let released = self.ledger.apply(&fact, now);
+        out.push(Command::Record(fact));
+        if !released.is_empty() {
+            out.push(Command::Discard(released));
+        }
+    }
+
+    /// Ends a lease and tells its worker.
+    pub(crate) fn revoke(&mut self, task: &TaskKey, reason: RevokeReason, out: &mut Vec<Command>) {
+        if let Some(lease) = self.floor.release(task) {
+            out.push(Command::Revoke { worker: lease.worker, task: *task, epoch: lease.epoch, reason });
+        }
+    }
+
+    /// Derives again what of the task's frame is ready: the task itself, if it is still wanted.
+    pub(crate) fn put_back(&mut self, task: &TaskKey) {
+        let Some(job) = self.ledger.jobs.get(&task.job) else { return };
+        self.desks.entry(task.job).or_default().refresh(task.job, job, task.stage.frame, &self.floor);
+        self.reorder(task.job);
+    }
+
+    /// Derives again what of a job is ready.
+    pub(crate) fn rebuild(&mut self, id: JobId) {
+        let Some(job) = self.ledger.jobs.get(&id) else { return };
+        self.desks.entry(id).or_default().rebuild(id, job, &self.floor);
+        self.reorder(id);
+    }
+
+    /// Puts the job into the order of service, or out of it.
+    pub(crate) fn reorder(&mut self, id: JobId) {
+        let Some(job) = self.ledger.jobs.get(&id) else { return };
+        let place = (Reverse(job.spec.priority), id);
+        if !job.is_runnable() {
+            self.order.remove(&place);
+        } else if !self.order.contains(&place) {
+            self.order.retain(|&(_, other)| other != id);
+            self.order.insert(place);
+        }
+    }
+
+    pub(crate) fn note_stale(&mut self, job: JobId) {
+        self.stale_messages += 1;
+        if let Some(desk) = self.desks.get_mut(&job) {
+            desk.stale_messages += 1;
+        }
+    }
+
+    pub(crate) fn job(&self, id: JobId) -> Result<&Job, Refusal> {
+        self.ledger.jobs.get(&id).ok_or(Refusal::NoSuchJob { job: id })
+    }
+
+    pub(crate) fn next_epoch(&mut self) -> Epoch {
+        self.leases += 1;
+        Epoch::new(self.ledger.incarnation, self.leases)
+    }
+}

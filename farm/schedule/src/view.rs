@@ -1,0 +1,146 @@
+//! What may be asked: a job at a glance, all jobs, the frames of one, the workers.
+
+use femc_model::{
+    FrameProgress, FrameRecord, JobId, JobState, JobStatus, Quarantined, Refusal, Stage, StageKind, TaskKey, Tick,
+    WorkerStatus,
+};
+
+use crate::ledger::{Hold, Job};
+use crate::scheduler::Scheduler;
+
+impl Scheduler {
+    /// Every job, in order of submission.
+    pub fn jobs(&self, now: Tick) -> Vec<JobStatus> {
+        self.ledger.jobs.keys().filter_map(|&job| self.status(job, now).ok()).collect()
+    }
+
+    /// One job.
+    pub fn status(&self, id: JobId, now: Tick) -> Result<JobStatus, Refusal> {
+        let job = self.job(id)?;
+        let desk = self.desks.get(&id).ok_or(Refusal::NoSuchJob { job: id })?;
+        let mut workers: Vec<_> = self.floor.of_job(id).map(|(_, lease)| lease.worker).collect();
+        workers.sort_unstable();
+        workers.dedup();
+        let spec = &job.spec;
+        let bad_finished: u64 = job.finished.values().map(|finished| finished.record.bad_samples).sum();
+        let bad_active: u64 = job.frames.values().map(|f| f.merged_bad_samples + f.fresh_bad_samples).sum();
+        let first_lease = self.floor.of_job(id).map(|(_, lease)| lease.granted).min();
+        let began = job.began.into_iter().chain(first_lease).min();
+        Ok(JobStatus {
+            job: id,
+            name: spec.name.clone(),
+            owner: spec.owner.clone(),
+            priority: spec.priority,
+            state: self.state(job, began.is_some()),
+            failure: job.doom.clone(),
+            frames_total: spec.frames.len() as u32,
+            frames_done: job.finished.len() as u32,
+            frames_failed: job.blocked.len() as u32,
+            active: self.active(id, job),
+            workers: workers.len() as u32,
+            samples_done: self.samples(id),
+            samples_planned: spec.frames.len() as u64
+                * spec.grid.pixels()
+                * u64::from(spec.rounds.last().copied().unwrap_or(0)),
+            samples_per_second: desk.rate.per_second(),
+            bad_samples: bad_finished + bad_active,
+            relative_error: job.relative_error,
+            seconds: began.map_or(0, |began| job.ended.unwrap_or(now).since(began)) as f64 / 1000.0,
+            quarantined: quarantined(id, job),
+            stale_messages: desk.stale_messages,
+            waits: self.waits(id, job, desk, now),
+        })
+    }
+
+    /// The finished frames of a job, ascending.
+    pub fn frames(&self, id: JobId) -> Result<Vec<FrameRecord>, Refusal> {
+        Ok(self.job(id)?.finished.values().map(|finished| finished.record.clone()).collect())
+    }
+
+    /// The workers, in order of joining.
+    pub fn workers(&self, now: Tick) -> Vec<WorkerStatus> {
+        let status = |(&worker, known): (_, &crate::floor::Worker)| WorkerStatus {
+            worker,
+            name: known.registration.name.clone(),
+            threads: known.registration.threads,
+            tags: known.registration.tags.clone(),
+            tasks: known.held.iter().copied().collect(),
+            silent: now.since(known.seen),
+            completed: known.completed,
+            failed: known.failed,
+        };
+        self.floor.workers.iter().map(status).collect()
+    }
+
+    /// Messages refused since the start because their lease was over.
+    pub fn stale_messages(&self) -> u64 {
+        self.stale_messages
+    }
+
+    fn state(&self, job: &Job, has_begun: bool) -> JobState {
+        if job.finished.len() == job.spec.frames.len() {
+            JobState::Done
+        } else if job.hold == Hold::Cancelled {
+            JobState::Cancelled
+        } else if job.has_ended() {
+            JobState::Failed
+        } else if job.hold == Hold::Paused {
+            JobState::Paused
+        } else if has_begun {
+            JobState::Running
+        } else {
+            JobState::Queued
+        }
+    }
+
+    /// Pixel samples in results and running tasks.
+    pub(crate) fn samples(&self, id: JobId) -> u64 {
+        let Some(job) = self.ledger.jobs.get(&id) else { return 0 };
+        let finished: u64 = job.finished.values().map(|f| u64::from(f.record.spp) * job.spec.grid.pixels()).sum();
+        let active: u64 = job.frames.values().map(|frame| frame.samples).sum();
+        let running: u64 = self.floor.of_job(id).map(|(_, lease)| lease.samples).sum();
+        finished + active + running
+    }
+
+    fn active(&self, id: JobId, job: &Job) -> Vec<FrameProgress> {
+        let mut active: std::collections::BTreeMap<u32, FrameProgress> = std::collections::BTreeMap::new();
+        let tiles_total = job.spec.grid.tiles();
+        let blank = |number: u32| {
+            let frame = job.frames.get(&number);
+            let tiles_done = frame.map_or(0, |frame| frame.tiles.len() as u32);
+            FrameProgress {
+                frame: number,
+                round: job.round(number),
+                rounds: job.spec.rounds.len() as u32,
+                stage: if tiles_done == tiles_total { StageKind::Merge } else { StageKind::Render },
+                tiles_done,
+                tiles_total,
+                running: 0,
+                samples_done: frame.map_or(0, |frame| frame.samples),
+                relative_error: frame.and_then(|frame| frame.relative_error),
+            }
+        };
+        for &number in job.frames.keys() {
+            active.insert(number, blank(number));
+        }
+        for (task, lease) in self.floor.of_job(id) {
+            let number = task.stage.frame;
+            let frame = active.entry(number).or_insert_with(|| blank(number));
+            frame.running += 1;
+            frame.samples_done += lease.samples;
+        }
+        active.into_values().collect()
+    }
+}
+
+fn quarantined(id: JobId, job: &Job) -> Vec<Quarantined> {
+    let mut all = Vec::new();
+    for (&number, frame) in &job.frames {
+        for (kind, index, trouble) in frame.quarantined() {
+            let stage = Stage { frame: number, round: frame.round, kind };
+            let task = TaskKey { job: id, stage, index };
+            all.push(Quarantined { task, attempts: trouble.attempts, failure: trouble.failure.clone() });
+        }
+    }
+    all
+}

@@ -1,0 +1,19 @@
+//! Light sources: sampling, densities, power, photometric files and the choice among many lights.
+//!
+//! Everything is in one common frame, f32 at the edges and f64 inside wherever far, tiny or grazing lights need it. A
+//! reference point may lie on a surface or in a medium: no normal is asked for. The crate knows nothing of scenes.
+//! Visibility is the caller's business.
+#![deny(missing_docs)]
+
+pub mod emission;
+pub mod equiangular;
+pub mod light;
+pub mod photometry;
+pub mod set;
+pub mod solid_angle;
+
+pub use emission::{Emission, Profile, Sides};
+pub use equiangular::Equiangular;
+pub use light::{DeltaKind, EmissionCone, Light, LightSample};
+pub use photometry::{IntensityDistribution, PhotometryError, PhotometryKind};
+pub use set::{LightChoice, LightSet};

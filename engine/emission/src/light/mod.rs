@@ -1,0 +1,232 @@
+//! Light sources: one member a file, dispatched by an enum.
+//!
+//! `sample` draws a point as seen from a reference point, `pdf` is the density that `sample` would have had for a point that
+//! was found otherwise; both are over solid angle at the reference. Which strategy is used depends on the light and the
+//! reference only, so the two always agree.
+
+pub mod cone;
+pub mod parallelogram;
+pub mod photometric_point;
+pub mod photometric_solid;
+pub mod ring;
+pub mod sphere;
+pub mod torus;
+pub mod triangle;
+
+pub use cone::Cone;
+use femc_math::glam::{DVec3, Vec3A};
+use femc_math::{Rgb, gamma};
+pub use parallelogram::Parallelogram;
+pub use photometric_point::PhotometricPoint;
+pub use photometric_solid::{Face, PhotometricSolid, Solid};
+pub use ring::Ring;
+pub use sphere::Sphere;
+pub use torus::Torus;
+pub use triangle::Triangle;
+
+/// Whether a light's samples have a density.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum DeltaKind {
+    /// An ordinary sample.
+    No,
+    /// The light is a point: no ray hits it, and the sample's weight under multiple importance sampling is 1.
+    Position,
+}
+
+/// A point on a light as seen from a reference point.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LightSample {
+    /// Unit, from the reference to the light.
+    pub dir: Vec3A,
+    /// m.
+    pub distance: f32,
+    /// The point, m.
+    pub position: Vec3A,
+    /// Front normal of the emitter at the point; zero for points.
+    pub normal: Vec3A,
+    /// Bound on the error of `position`, m, by coordinate.
+    pub error: Vec3A,
+    /// Radiance toward the reference, cd/m2; for a delta light intensity over squared distance, lx. Not divided by `pdf`.
+    pub radiance: Rgb,
+    /// 1/sr; 1 for a delta light.
+    pub pdf: f32,
+    /// Kind of sample.
+    pub delta: DeltaKind,
+    /// Parameters of the point: (s, t) along the edges, barycentric (b1, b2), or (azimuth / 2 pi, height) on round shapes.
+    pub uv: [f32; 2],
+}
+
+/// Bound on the directions of an emitter's normals, and on the emission about them.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct EmissionCone {
+    /// Axis of the normals' cone, unit.
+    pub axis: Vec3A,
+    /// Cosine of the half angle of the normals' cone; -1 for all directions.
+    pub cos_normals: f32,
+    /// Cosine of the largest angle between a normal and emitted light.
+    pub cos_emission: f32,
+}
+
+impl EmissionCone {
+    /// Every direction.
+    pub const ALL: Self = Self { axis: Vec3A::Z, cos_normals: -1.0, cos_emission: 0.0 };
+}
+
+/// A light source.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Light {
+    /// A flat triangle.
+    Triangle(Triangle),
+    /// A parallelogram; rectangles are sampled by their solid angle.
+    Parallelogram(Parallelogram),
+    /// A sphere.
+    Sphere(Sphere),
+    /// An open truncated cone or cylinder.
+    Cone(Cone),
+    /// An annulus or disc.
+    Ring(Ring),
+    /// A torus.
+    Torus(Torus),
+    /// A point with a measured intensity distribution.
+    PhotometricPoint(PhotometricPoint),
+    /// A convex luminous opening with a measured intensity distribution.
+    PhotometricSolid(PhotometricSolid),
+}
+
+macro_rules! each {
+    ($light:expr, $l:ident => $body:expr) => {
+        match $light {
+            Light::Triangle($l) => $body,
+            Light::Parallelogram($l) => $body,
+            Light::Sphere($l) => $body,
+            Light::Cone($l) => $body,
+            Light::Ring($l) => $body,
+            Light::Torus($l) => $body,
+            Light::PhotometricPoint($l) => $body,
+            Light::PhotometricSolid($l) => $body,
+        }
+    };
+}
+
+impl Light {
+    /// Draws a point from `u` in [0, 1)^2. `None`: nothing of the light can reach the reference by this draw.
+    /// Law: directions follow [`Self::pdf`] (tests `samples_follow_the_density_*`).
+    #[inline]
+    pub fn sample(&self, reference: Vec3A, u: [f32; 2]) -> Option<LightSample> {
+        each!(self, l => l.sample(reference, u))
+    }
+
+    /// Density, 1/sr, that [`Self::sample`] has for the point `position` of this light with front normal `normal`, seen in
+    /// direction `dir` (unit, from the reference to the light). 0 for delta lights and where it does not emit.
+    #[inline]
+    pub fn pdf(&self, reference: Vec3A, position: Vec3A, normal: Vec3A, dir: Vec3A) -> f32 {
+        each!(self, l => l.pdf(reference, position, normal, dir))
+    }
+
+    /// Radiance, cd/m2, in direction `dir_from_light` (unit, away from the light) at a point with front normal `normal`.
+    #[inline]
+    pub fn radiance(&self, dir_from_light: Vec3A, normal: Vec3A) -> Rgb {
+        match self {
+            Self::Triangle(l) => l.emission.radiance(dir_from_light.dot(normal)),
+            Self::Parallelogram(l) => l.emission.radiance(dir_from_light.dot(normal)),
+            Self::Sphere(l) => l.emission.radiance(dir_from_light.dot(normal)),
+            Self::Cone(l) => l.emission.radiance(dir_from_light.dot(normal)),
+            Self::Ring(l) => l.emission.radiance(dir_from_light.dot(normal)),
+            Self::Torus(l) => l.emission.radiance(dir_from_light.dot(normal)),
+            Self::PhotometricPoint(_) => Rgb::ZERO,
+            Self::PhotometricSolid(l) => l.radiance(dir_from_light, normal),
+        }
+    }
+
+    /// Luminous flux, lm.
+    pub fn power(&self) -> f32 {
+        each!(self, l => l.power())
+    }
+
+    /// Lower and upper corner of the bounding box, m.
+    pub fn bounds(&self) -> (Vec3A, Vec3A) {
+        each!(self, l => l.bounds())
+    }
+
+    /// A point in the middle of the light, for sampling along rays, m.
+    pub fn center(&self) -> Vec3A {
+        let (low, high) = self.bounds();
+        (low + high) * 0.5
+    }
+
+    /// Bound on normals and emission.
+    pub fn emission_cone(&self) -> EmissionCone {
+        match self {
+            Self::Triangle(l) => flat_cone(l.normal(), l.emission.sides),
+            Self::Parallelogram(l) => flat_cone(l.normal(), l.emission.sides),
+            Self::Ring(l) => flat_cone(l.normal(), l.emission.sides),
+            Self::Sphere(_)
+            | Self::Cone(_)
+            | Self::Torus(_)
+            | Self::PhotometricPoint(_)
+            | Self::PhotometricSolid(_) => EmissionCone::ALL,
+        }
+    }
+}
+
+fn flat_cone(normal: Vec3A, sides: crate::Sides) -> EmissionCone {
+    let cos_normals = match sides {
+        crate::Sides::One => 1.0,
+        crate::Sides::Two => -1.0,
+    };
+    EmissionCone { axis: normal, cos_normals, cos_emission: 0.0 }
+}
+
+/// Density over solid angle of a point drawn uniformly over `area` m2; 0 where it is not a positive finite number.
+#[inline]
+fn area_pdf(area: f64, distance2: f64, cos: f64) -> f32 {
+    let pdf = (distance2 / (area * cos.abs())) as f32;
+    if pdf.is_finite() { pdf } else { 0.0 }
+}
+
+/// Direction and distance from `reference` to `position`, in double precision.
+#[inline]
+fn toward(reference: DVec3, position: DVec3) -> Option<(DVec3, f64)> {
+    let v = position - reference;
+    let distance = v.length();
+    (distance > 0.0 && distance.is_finite()).then(|| (v / distance, distance))
+}
+
+/// Assembles a sample at the point `position` (f64), whose rounding to f32 is the error besides `relative` ulps of `scale`.
+#[inline]
+fn assemble(
+    reference: DVec3,
+    position: DVec3,
+    normal: DVec3,
+    scale: Vec3A,
+    pdf: impl FnOnce(DVec3, f64) -> f32,
+    radiance: impl FnOnce(DVec3, f32) -> Rgb,
+    uv: [f64; 2],
+) -> Option<LightSample> {
+    let (dir, distance) = toward(reference, position)?;
+    let pdf = pdf(dir, distance);
+    let radiance = radiance(dir, -dir.dot(normal) as f32);
+    if pdf <= 0.0 || !pdf.is_finite() || radiance == Rgb::ZERO {
+        return None;
+    }
+    let position = position.as_vec3a();
+    Some(LightSample {
+        dir: dir.as_vec3a(),
+        distance: distance as f32,
+        position,
+        normal: normal.as_vec3a(),
+        error: (position.abs() + scale) * gamma(3),
+        radiance,
+        pdf,
+        delta: DeltaKind::No,
+        uv: [uv[0] as f32, uv[1] as f32],
+    })
+}
+
+/// Bounds of a set of points.
+fn bounds_of(points: &[Vec3A]) -> (Vec3A, Vec3A) {
+    points.iter().fold((Vec3A::INFINITY, Vec3A::NEG_INFINITY), |(low, high), &p| (low.min(p), high.max(p)))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,179 @@
+//! A sphere. A negative radius turns the normals inward.
+//!
+//! From outside it is sampled uniformly over the cone that it fills, from inside uniformly over all directions. A one-sided
+//! sphere with inward normals is transparent from outside: what is seen there is the far wall's inside.
+
+use super::{LightSample, assemble};
+use crate::emission::{Emission, Sides};
+use femc_math::elementary::double::sin_cos;
+use femc_math::glam::{DVec3, Vec3A};
+use std::f64::consts::{PI, TAU};
+
+/// A spherical light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Sphere {
+    center: DVec3,
+    /// > 0, m.
+    radius: f64,
+    /// 1 for outward normals, -1 for inward ones.
+    facing: f64,
+    /// What it emits.
+    pub emission: Emission,
+}
+
+/// The cone that a sphere fills for a point outside it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct OutsideView {
+    radius: f64,
+    to_center: DVec3,
+    distance2: f64,
+    /// 1 - cos of the cone's half angle, without cancellation.
+    versine: f64,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Wall {
+    Near,
+    Far,
+}
+
+impl OutsideView {
+    /// `None` from inside. `to_center`: from the reference to the centre, m.
+    #[inline]
+    pub(super) fn new(radius: f64, to_center: DVec3) -> Option<Self> {
+        let distance2 = to_center.length_squared();
+        let sin2 = radius * radius / distance2;
+        let versine = sin2 / (1.0 + (1.0 - sin2).sqrt());
+        (sin2 < 1.0 && versine > 0.0).then_some(Self { radius, to_center, distance2, versine })
+    }
+
+    /// Density of the directions, 1/sr.
+    #[inline]
+    pub(super) fn density(&self) -> f64 {
+        1.0 / (TAU * self.versine)
+    }
+
+    /// Outward unit normal of a visible point, uniform over the cone.
+    #[inline]
+    pub(super) fn sample(&self, u: [f32; 2]) -> DVec3 {
+        self.sample_wall(u, Wall::Near)
+    }
+
+    #[inline]
+    fn sample_wall(&self, u: [f32; 2], wall: Wall) -> DVec3 {
+        let (sin_phi, cos_phi) = sin_cos(TAU * f64::from(u[1]));
+        let distance = self.distance2.sqrt();
+        let versine = f64::from(u[0]) * self.versine;
+        let (sin2, cos) = (versine * (2.0 - versine), 1.0 - versine);
+        // The point's angle at the centre, from the two sides and the angle at the reference.
+        let half_chord = (self.radius * self.radius - self.distance2 * sin2).max(0.0).sqrt();
+        let half_chord = match wall {
+            Wall::Near => half_chord,
+            Wall::Far => -half_chord,
+        };
+        let cos_at_center = ((distance * sin2 + half_chord * cos) / self.radius).clamp(-1.0, 1.0);
+        let sin_at_center = ((distance * cos - half_chord) * sin2.sqrt() / self.radius).clamp(0.0, 1.0);
+        let axis = self.to_center / distance;
+        let (x, y) = axis.any_orthonormal_pair();
+        (x * cos_phi + y * sin_phi) * sin_at_center - axis * cos_at_center
+    }
+}
+
+/// The wall that a reference point sees, and the density of its directions.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum View {
+    /// Nothing.
+    Dark,
+    /// From outside: the near wall, or the far one where the near one is transparent.
+    Cone(OutsideView, Wall),
+    /// From inside.
+    Inside,
+}
+
+impl Sphere {
+    /// - `center`, m; `radius`: m, negative for inward normals.
+    pub fn new(center: Vec3A, radius: f32, emission: Emission) -> Self {
+        Self {
+            center: center.as_dvec3(),
+            radius: f64::from(radius.abs()),
+            facing: if radius < 0.0 { -1.0 } else { 1.0 },
+            emission,
+        }
+    }
+
+    /// m2.
+    pub fn area(&self) -> f64 {
+        4.0 * PI * self.radius * self.radius
+    }
+
+    #[inline]
+    fn view(&self, to_center: DVec3) -> View {
+        let one_sided = self.emission.sides == Sides::One;
+        if let Some(outside) = OutsideView::new(self.radius, to_center) {
+            let wall = if one_sided && self.facing < 0.0 { Wall::Far } else { Wall::Near };
+            View::Cone(outside, wall)
+        } else if one_sided && self.facing > 0.0 {
+            View::Dark
+        } else {
+            View::Inside
+        }
+    }
+
+    #[inline]
+    fn density(view: View) -> f32 {
+        let pdf = match view {
+            View::Dark => 0.0,
+            View::Cone(outside, _) => outside.density(),
+            View::Inside => 0.5 / TAU,
+        } as f32;
+        if pdf.is_finite() { pdf } else { 0.0 }
+    }
+
+    /// See [`super::Light::sample`].
+    #[inline]
+    pub fn sample(&self, reference: Vec3A, u: [f32; 2]) -> Option<LightSample> {
+        let origin = reference.as_dvec3();
+        let to_center = self.center - origin;
+        let view = self.view(to_center);
+        let outward = match view {
+            View::Dark => return None,
+            View::Cone(outside, wall) => outside.sample_wall(u, wall),
+            View::Inside => {
+                let cos = 1.0 - 2.0 * f64::from(u[0]);
+                let sin = (1.0 - cos * cos).max(0.0).sqrt();
+                let (sin_phi, cos_phi) = sin_cos(TAU * f64::from(u[1]));
+                let dir = DVec3::new(sin * cos_phi, sin * sin_phi, cos);
+                let along = dir.dot(to_center);
+                let across2 = to_center.length_squared() - along * along;
+                let t = along + (self.radius * self.radius - across2).max(0.0).sqrt();
+                ((dir * t - to_center) / self.radius).normalize_or_zero()
+            }
+        };
+        let scale = self.center.as_vec3a().abs() + Vec3A::splat(self.radius as f32);
+        assemble(
+            origin,
+            self.center + outward * self.radius,
+            outward * self.facing,
+            scale,
+            |_, _| Self::density(view),
+            |_, cos| self.emission.radiance(cos),
+            [f64::from(u[1]), 0.5 * (outward.z + 1.0)],
+        )
+    }
+
+    /// See [`super::Light::pdf`].
+    #[inline]
+    pub fn pdf(&self, reference: Vec3A, _position: Vec3A, _normal: Vec3A, _dir: Vec3A) -> f32 {
+        Self::density(self.view(self.center - reference.as_dvec3()))
+    }
+
+    /// Luminous flux, lm.
+    pub fn power(&self) -> f32 {
+        self.emission.power(self.area())
+    }
+
+    /// Bounding box.
+    pub fn bounds(&self) -> (Vec3A, Vec3A) {
+        ((self.center - self.radius).as_vec3a(), (self.center + self.radius).as_vec3a())
+    }
+}

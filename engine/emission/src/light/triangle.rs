@@ -1,0 +1,143 @@
+//! A flat triangle, front side by the right-hand rule.
+//!
+//! Seen under a moderate solid angle it is sampled uniformly over it (\[arvo1995\]); nearly filling a hemisphere, over the
+//! hemisphere; below 1e-8 sr, by area.
+
+use super::{LightSample, area_pdf, assemble, bounds_of};
+use crate::emission::{Emission, Sides};
+use crate::solid_angle::{self, Strategy};
+use femc_math::glam::{DVec3, Vec3A};
+use femc_math::{Frame, warp};
+use std::f32::consts::TAU;
+
+/// A triangular light.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Triangle {
+    /// First vertex and the edges from it, m.
+    origin: DVec3,
+    e1: DVec3,
+    e2: DVec3,
+    /// `e1 x e2`.
+    cross: DVec3,
+    normal: DVec3,
+    area: f64,
+    /// Largest coordinates of the vertices, m: the scale of position errors.
+    scale: Vec3A,
+    /// What it emits.
+    pub emission: Emission,
+}
+
+impl Triangle {
+    /// From three vertices, m; the same floats as the geometry's.
+    pub fn new(vertices: [Vec3A; 3], emission: Emission) -> Self {
+        let [a, b, c] = vertices.map(|v| v.as_dvec3());
+        let cross = (b - a).cross(c - a);
+        Self {
+            origin: a,
+            e1: b - a,
+            e2: c - a,
+            cross,
+            normal: cross.normalize_or_zero(),
+            area: 0.5 * cross.length(),
+            scale: vertices[0].abs().max(vertices[1].abs()).max(vertices[2].abs()),
+            emission,
+        }
+    }
+
+    /// Front normal, unit; zero for a triangle without area.
+    pub fn normal(&self) -> Vec3A {
+        self.normal.as_vec3a()
+    }
+
+    /// m2.
+    pub fn area(&self) -> f64 {
+        self.area
+    }
+
+    /// Strategy for `a`, the first vertex as seen from the reference.
+    #[inline]
+    fn strategy(&self, a: DVec3) -> Strategy {
+        let behind = a.dot(self.normal);
+        if behind == 0.0 || (behind > 0.0 && self.emission.sides == Sides::One) {
+            return Strategy::EdgeOn;
+        }
+        Strategy::of(solid_angle::triangle(a, self.e1, self.e2, self.cross))
+    }
+
+    /// See [`super::Light::sample`].
+    #[inline]
+    pub fn sample(&self, reference: Vec3A, u: [f32; 2]) -> Option<LightSample> {
+        let origin = reference.as_dvec3();
+        let a = self.origin - origin;
+        let strategy = self.strategy(a);
+        let [b1, b2] = match strategy {
+            Strategy::EdgeOn => return None,
+            Strategy::Area => warp::triangle(u).map(f64::from),
+            Strategy::SolidAngle(omega) => {
+                let dir = solid_angle::sample_triangle(a, a + self.e1, a + self.e2, omega, u)?;
+                let [b1, b2] = self.barycentric(a, dir);
+                let (b1, b2) = (b1.clamp(0.0, 1.0), b2.clamp(0.0, 1.0));
+                let excess = (b1 + b2).max(1.0);
+                [b1 / excess, b2 / excess]
+            }
+            Strategy::Hemisphere => {
+                let [b1, b2] = self.barycentric(a, toward_plane(self.normal, a, u));
+                (b1 >= 0.0 && b2 >= 0.0 && b1 + b2 <= 1.0).then_some([b1, b2])?
+            }
+        };
+        let position = self.origin + self.e1 * b1 + self.e2 * b2;
+        assemble(
+            origin,
+            position,
+            self.normal,
+            self.scale,
+            |dir, distance| self.density(strategy, distance * distance, dir.dot(self.normal)),
+            |_, cos| self.emission.radiance(cos),
+            [b1, b2],
+        )
+    }
+
+    /// Barycentric coordinates of the point that the ray along `dir` hits.
+    #[inline]
+    fn barycentric(&self, a: DVec3, dir: DVec3) -> [f64; 2] {
+        let p = dir * (a.dot(self.cross) / dir.dot(self.cross)) - a;
+        let scale = 1.0 / self.cross.length_squared();
+        [p.cross(self.e2).dot(self.cross) * scale, self.e1.cross(p).dot(self.cross) * scale]
+    }
+
+    #[inline]
+    fn density(&self, strategy: Strategy, distance2: f64, cos: f64) -> f32 {
+        match strategy {
+            Strategy::EdgeOn => 0.0,
+            Strategy::Area => area_pdf(self.area, distance2, cos),
+            Strategy::SolidAngle(omega) => (1.0 / omega) as f32,
+            Strategy::Hemisphere => 1.0 / TAU,
+        }
+    }
+
+    /// See [`super::Light::pdf`].
+    #[inline]
+    pub fn pdf(&self, reference: Vec3A, position: Vec3A, _normal: Vec3A, dir: Vec3A) -> f32 {
+        let strategy = self.strategy(self.origin - reference.as_dvec3());
+        let distance2 = position.as_dvec3().distance_squared(reference.as_dvec3());
+        self.density(strategy, distance2, dir.as_dvec3().dot(self.normal))
+    }
+
+    /// Luminous flux, lm.
+    pub fn power(&self) -> f32 {
+        self.emission.power(self.area)
+    }
+
+    /// Bounding box.
+    pub fn bounds(&self) -> (Vec3A, Vec3A) {
+        let corners = [self.origin, self.origin + self.e1, self.origin + self.e2].map(|v| v.as_vec3a());
+        bounds_of(&corners)
+    }
+}
+
+/// A direction uniform over the hemisphere that looks at the plane with `normal` through the point `a`.
+#[inline]
+pub(super) fn toward_plane(normal: DVec3, a: DVec3, u: [f32; 2]) -> DVec3 {
+    let axis = if a.dot(normal) < 0.0 { -normal } else { normal };
+    Frame::from_normal(axis.as_vec3a()).to_world(warp::direction(1.0 - u[0], u[1])).as_dvec3()
+}

@@ -1,0 +1,185 @@
+//! Tiles as bytes: a versioned little-endian header, a checksum, and the sums, zstd-compressed.
+//!
+//! | bytes | what |
+//! | --- | --- |
+//! | 8 | `FEMCTILE` |
+//! | 4 | format version, 1 |
+//! | 16 | BLAKE3 of everything after this field, first half |
+//! | 4 x 4 | x, y, width, height |
+//! | 4 + 8 n | number of sample ranges; start and end of each |
+//! | 4 x 8 + 5 x 4 | bad samples: count of each kind; whether there is a first one, its row, column, sample and kind |
+//! | rest | zstd frame of the sums |
+//!
+//! The sums are stored as byte planes (the lowest byte of the first sum of all pixels, then the next): high bytes are mostly
+//! zero and compress to nothing. The checksum is verified before anything is allocated, and the size of the plain sums is
+//! fixed by the header, so a wrong length is refused.
+
+use crate::tile::{MAX_TILE_PIXELS, PixelSums};
+use crate::{BadKind, BadSample, BadSamples, FilmError, Rect, SampleRange, Tile};
+use femc_stats::ExactSum;
+
+const MAGIC: &[u8; 8] = b"FEMCTILE";
+const VERSION: u32 = 1;
+const CHECKSUM: usize = 16;
+const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
+const PIXEL_BYTES: usize = 7 * 16 + 3 * 8 + 2 * 4;
+/// A tile is cut into fewer sample ranges than this.
+const MAX_RANGES: u32 = 1 << 16;
+/// Fast, and what remains after the byte planes is noise.
+const LEVEL: i32 = 1;
+
+impl Tile {
+    /// The tile as bytes: the same bytes for the same sums.
+    pub fn encode(&self) -> Vec<u8> {
+        let mut out = Vec::new();
+        out.extend_from_slice(MAGIC);
+        out.extend_from_slice(&VERSION.to_le_bytes());
+        out.extend_from_slice(&[0; CHECKSUM]);
+        let mut word = |w: u32| out.extend_from_slice(&w.to_le_bytes());
+        let Rect { x, y, width, height } = self.rect;
+        [x, y, width, height, self.ranges.len() as u32].into_iter().for_each(&mut word);
+        self.ranges.iter().flat_map(|r| [r.start, r.end]).for_each(&mut word);
+        self.bad.counts.iter().flat_map(|&c| [c as u32, (c >> 32) as u32]).for_each(&mut word);
+        let first = self.bad.first.map_or([0; 5], |b| [1, b.y, b.x, b.sample, b.kind as u32]);
+        first.into_iter().for_each(&mut word);
+        // Compression of a buffer in memory to a growing one cannot fail; should it, the result does not decode.
+        out.extend(zstd::bulk::compress(&to_planes(&self.pixels), LEVEL).unwrap_or_default());
+        let sum = blake3::hash(&out[PREFIX..]);
+        out[PREFIX - CHECKSUM..PREFIX].copy_from_slice(&sum.as_bytes()[..CHECKSUM]);
+        out
+    }
+
+    /// The tile from its bytes; damage of any kind is an error.
+    pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
+        let (prefix, body) = bytes.split_at_checked(PREFIX).ok_or(FilmError::Corrupt("cut short"))?;
+        if prefix[..MAGIC.len()] != MAGIC[..] {
+            return Err(FilmError::Corrupt("not a tile"));
+        }
+        let mut reader = Reader(&prefix[MAGIC.len()..]);
+        let version = reader.word()?;
+        if version != VERSION {
+            return Err(FilmError::Version { found: version, expected: VERSION });
+        }
+        if blake3::hash(body).as_bytes()[..CHECKSUM] != *reader.0 {
+            return Err(FilmError::Corrupt("checksum mismatch"));
+        }
+        let mut reader = Reader(body);
+        let [x, y, width, height] = reader.words()?;
+        let rect = Rect { x, y, width, height }.check(MAX_TILE_PIXELS)?;
+        let ranges = reader.ranges()?;
+        let bad = reader.bad(rect)?;
+        let plain = rect.area() as usize * PIXEL_BYTES;
+        if zstd::zstd_safe::get_frame_content_size(reader.0).ok().flatten() != Some(plain as u64) {
+            return Err(FilmError::Corrupt("sums of another size"));
+        }
+        let planes =
+            zstd::bulk::decompress(reader.0, plain).map_err(|_| FilmError::Corrupt("sums do not decompress"))?;
+        if planes.len() != plain {
+            return Err(FilmError::Corrupt("sums of another size"));
+        }
+        let pixels = from_planes(&planes, rect.area() as usize);
+        let most: u64 = ranges.iter().map(|r| u64::from(r.len())).sum();
+        if pixels.iter().any(|p| p.hits > p.count || u64::from(p.count) > most) {
+            return Err(FilmError::Corrupt("more samples than its ranges hold"));
+        }
+        Ok(Self { rect, ranges, pixels, bad })
+    }
+}
+
+/// What is left of a header.
+struct Reader<'a>(&'a [u8]);
+
+impl Reader<'_> {
+    fn word(&mut self) -> Result<u32, FilmError> {
+        let (word, rest) = self.0.split_first_chunk().ok_or(FilmError::Corrupt("cut short"))?;
+        self.0 = rest;
+        Ok(u32::from_le_bytes(*word))
+    }
+
+    fn words<const N: usize>(&mut self) -> Result<[u32; N], FilmError> {
+        let mut words = [0; N];
+        for word in &mut words {
+            *word = self.word()?;
+        }
+        Ok(words)
+    }
+
+    fn ranges(&mut self) -> Result<Vec<SampleRange>, FilmError> {
+        let count = self.word()?;
+        if !(1..=MAX_RANGES).contains(&count) || self.0.len() < 8 * count as usize {
+            return Err(FilmError::Corrupt("impossible number of sample ranges"));
+        }
+        let mut ranges = Vec::with_capacity(count as usize);
+        let mut past = 0;
+        for _ in 0..count {
+            let [start, end] = self.words()?;
+            if start < past || end <= start {
+                return Err(FilmError::Corrupt("sample ranges out of order"));
+            }
+            past = end;
+            ranges.push(SampleRange { start, end });
+        }
+        Ok(ranges)
+    }
+
+    fn bad(&mut self, rect: Rect) -> Result<BadSamples, FilmError> {
+        let mut counts = [0; 4];
+        for count in &mut counts {
+            let [low, high] = self.words()?;
+            *count = u64::from(low) | (u64::from(high) << 32);
+        }
+        let [present, y, x, sample, kind] = self.words()?;
+        let first = match (present, BadKind::ALL.get(kind as usize)) {
+            (0, _) => None,
+            (1, Some(&kind)) if rect.contains(x, y) => Some(BadSample { y, x, sample, kind }),
+            _ => return Err(FilmError::Corrupt("impossible bad sample")),
+        };
+        Ok(BadSamples { counts, first })
+    }
+}
+
+fn to_bytes(p: &PixelSums) -> [u8; PIXEL_BYTES] {
+    let mut bytes = [0; PIXEL_BYTES];
+    let mut at = 0;
+    let mut put = |field: &[u8]| {
+        bytes[at..at + field.len()].copy_from_slice(field);
+        at += field.len();
+    };
+    p.color.iter().for_each(|s| put(&s.units().to_le_bytes()));
+    p.square.iter().for_each(|s| put(&s.units().to_le_bytes()));
+    put(&p.depth.units().to_le_bytes());
+    p.albedo.iter().for_each(|s| put(&s.to_le_bytes()));
+    put(&p.hits.to_le_bytes());
+    put(&p.count.to_le_bytes());
+    bytes
+}
+
+fn from_bytes(bytes: &[u8; PIXEL_BYTES]) -> PixelSums {
+    fn field<const N: usize>(bytes: &[u8; PIXEL_BYTES], at: usize) -> [u8; N] {
+        std::array::from_fn(|i| bytes[at + i])
+    }
+    let wide = |i: usize| u128::from_le_bytes(field(bytes, 16 * i));
+    let tail = 7 * 16;
+    PixelSums {
+        color: [0, 1, 2].map(|i| ExactSum::from_units(wide(i))),
+        square: [3, 4, 5].map(|i| ExactSum::from_units(wide(i))),
+        depth: ExactSum::from_units(wide(6)),
+        albedo: [0, 1, 2].map(|i| u64::from_le_bytes(field(bytes, tail + 8 * i))),
+        hits: u32::from_le_bytes(field(bytes, tail + 24)),
+        count: u32::from_le_bytes(field(bytes, tail + 28)),
+    }
+}
+
+fn to_planes(pixels: &[PixelSums]) -> Vec<u8> {
+    let mut planes = vec![0; pixels.len() * PIXEL_BYTES];
+    for (i, pixel) in pixels.iter().enumerate() {
+        for (plane, byte) in to_bytes(pixel).into_iter().enumerate() {
+            planes[plane * pixels.len() + i] = byte;
+        }
+    }
+    planes
+}
+
+fn from_planes(planes: &[u8], count: usize) -> Vec<PixelSums> {
+    (0..count).map(|i| from_bytes(&std::array::from_fn(|plane| planes[plane * count + i]))).collect()
+}

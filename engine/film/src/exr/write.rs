@@ -1,0 +1,135 @@
+//! Writing: one part, scan lines, ZIP, 32-bit floats, channels and attributes in alphabetical order.
+//!
+//! The bytes are a function of the image and its provenance: the `exr` crate keeps custom attributes in a hash map, so the
+//! header is put in order afterwards (attributes have no order in the format, and their total size does not change).
+
+use crate::exr::ATTRIBUTE_PREFIX;
+use crate::file::write_atomic;
+use crate::{BadSamples, FilmError, FrameImage};
+use exr::meta::attribute::{Chromaticities, Text};
+use exr::prelude::{
+    AnyChannel, AnyChannels, AttributeValue, Encoding, FlatSamples, Image, Layer, LayerAttributes, LineOrder, Vec2,
+    WritableImage,
+};
+use exr::{compression::Compression, image::Blocks};
+use std::io::Cursor;
+use std::path::Path;
+
+/// Where an image came from; written as string attributes `femc:...`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Provenance {
+    /// Version of the renderer.
+    pub version: String,
+    /// Render settings, JSON.
+    pub settings: String,
+    /// Digest of the scene.
+    pub scene: String,
+    /// Frame of the clip, from 1.
+    pub frame: u32,
+    /// Computing time, seconds.
+    pub seconds: f64,
+    /// Mean samples a pixel.
+    pub spp: f64,
+    /// Worst relative error of a block, 95 % confidence (see [`crate::FrameError`]).
+    pub relative_error: f64,
+    /// Samples left out of the image; as `nan=2 infinite=0 negative=0 out-of-range=0 first=x,y,sample`.
+    pub bad: BadSamples,
+}
+
+impl Provenance {
+    fn attributes(&self) -> [(String, String); 8] {
+        [
+            ("version", self.version.clone()),
+            ("settings", self.settings.clone()),
+            ("scene", self.scene.clone()),
+            ("frame", self.frame.to_string()),
+            ("seconds", self.seconds.to_string()),
+            ("spp", self.spp.to_string()),
+            ("relative_error", self.relative_error.to_string()),
+            ("bad_samples", account(&self.bad)),
+        ]
+        .map(|(name, value)| (format!("{ATTRIBUTE_PREFIX}{name}"), value))
+    }
+}
+
+/// The text of `femc:bad_samples`.
+fn account(bad: &BadSamples) -> String {
+    let [nan, infinite, negative, large] = bad.counts;
+    let counts = format!("nan={nan} infinite={infinite} negative={negative} out-of-range={large}");
+    match bad.first {
+        Some(first) => format!("{counts} first={},{},{}", first.x, first.y, first.sample),
+        None => counts,
+    }
+}
+
+/// Encodes `R G B` (32-bit float, linear Rec.709, cd/m2) and the layers `albedo.R G B`, `depth.Z` (metres), `variance.R G B`
+/// and `samples.Y` (32-bit integer).
+pub fn encode(image: &FrameImage, provenance: &Provenance) -> Result<Vec<u8>, FilmError> {
+    let color = |name: &str, pixels: &[[f32; 3]]| {
+        ["R", "G", "B"]
+            .into_iter()
+            .enumerate()
+            .map(|(i, c)| floats(format!("{name}{c}"), pixels.iter().map(|p| p[i])))
+            .collect::<Vec<_>>()
+    };
+    let mut channels = color("", &image.color.pixels);
+    channels.extend(color("albedo.", &image.albedo));
+    channels.extend(color("variance.", &image.variance));
+    channels.push(floats("depth.Z".into(), image.depth.iter().copied()));
+    channels.push(AnyChannel::new("samples.Y", FlatSamples::U32(image.samples.clone())));
+
+    let mut attributes = LayerAttributes { white_luminance: Some(1.0), ..LayerAttributes::default() };
+    for (name, value) in provenance.attributes() {
+        let value = Text::new_or_none(&value).ok_or_else(|| failed(format!("attribute {name} is not Latin-1 text")))?;
+        attributes.other.insert(Text::from(name.as_str()), AttributeValue::Text(value));
+    }
+    let encoding =
+        Encoding { compression: Compression::ZIP16, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
+    let size = Vec2(image.color.width as usize, image.color.height as usize);
+    let layer = Layer::new(size, attributes, encoding, AnyChannels::sort(channels.into()));
+    let mut file = Image::from_layer(layer);
+    file.attributes.chromaticities = Some(Chromaticities {
+        red: Vec2(0.64, 0.33),
+        green: Vec2(0.30, 0.60),
+        blue: Vec2(0.15, 0.06),
+        white: Vec2(0.3127, 0.3290),
+    });
+
+    let mut bytes = Cursor::new(Vec::new());
+    file.write().to_buffered(&mut bytes).map_err(|e| failed(e.to_string()))?;
+    let mut bytes = bytes.into_inner();
+    sort_attributes(&mut bytes).ok_or_else(|| failed("header of an unknown form".into()))?;
+    Ok(bytes)
+}
+
+/// Writes [`encode`]d bytes to `path`, whole or not at all.
+pub fn write(path: &Path, image: &FrameImage, provenance: &Provenance) -> Result<(), FilmError> {
+    write_atomic(path, &encode(image, provenance).map_err(|e| e.in_file(path))?)
+}
+
+fn floats(name: String, values: impl Iterator<Item = f32>) -> AnyChannel<FlatSamples> {
+    AnyChannel::new(name.as_str(), FlatSamples::F32(values.collect()))
+}
+
+fn failed(cause: String) -> FilmError {
+    FilmError::Format { what: "writing EXR", cause }
+}
+
+/// Sorts the attributes of a single-part file's header by name. An attribute is a name and a type, both closed by a zero
+/// byte, a 32-bit size and the value; a zero byte closes the header.
+fn sort_attributes(file: &mut [u8]) -> Option<()> {
+    const START: usize = 8;
+    let text = |at: usize| Some(at + file.get(at..)?.iter().position(|&b| b == 0)? + 1);
+    let mut attributes = Vec::new();
+    let mut at = START;
+    while *file.get(at)? != 0 {
+        let size_at = text(text(at)?)?;
+        let size = u32::from_le_bytes(file.get(size_at..size_at + 4)?.try_into().ok()?) as usize;
+        let end = size_at + 4 + size;
+        attributes.push(file.get(at..end)?.to_vec());
+        at = end;
+    }
+    attributes.sort_unstable();
+    file.get_mut(START..at)?.copy_from_slice(&attributes.concat());
+    Some(())
+}

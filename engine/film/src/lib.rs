@@ -1,0 +1,28 @@
+//! The film: what the renderer measured, how partial results become one image, and how images are stored and compared.
+//!
+//! A [`Tile`] holds exact sums of the samples of its pixels (see [`tile`] for the form and its cost); tiles of any sample
+//! ranges and any order merge into a [`Frame`] with the same bits. A frame resolves to a [`FrameImage`] of floats, which is
+//! written as OpenEXR ([`exr`]).
+#![deny(missing_docs)]
+
+pub mod codec;
+pub mod convergence;
+pub mod error;
+pub mod exr;
+pub mod file;
+pub mod filter;
+pub mod frame;
+pub mod image;
+pub mod rect;
+pub mod sample;
+pub mod tile;
+
+pub use convergence::{BlockError, FrameError};
+pub use error::FilmError;
+pub use exr::Provenance;
+pub use filter::Filter;
+pub use frame::{Frame, Inserted};
+pub use image::{FrameImage, Image, pixel_digest};
+pub use rect::{Rect, Tiling};
+pub use sample::{BadKind, BadSample, BadSamples, Sample};
+pub use tile::{SampleRange, Tile};

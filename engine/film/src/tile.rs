@@ -1,0 +1,227 @@
+//! Exact sums of the samples of a rectangle of pixels.
+//!
+//! Per pixel: the sums of color and of squared color in 128-bit fixed point, of albedo in 64-bit and of depth in 128-bit
+//! fixed point, and counts (144 bytes). A term is rounded once and added as an integer, so a tile is a function of the set
+//! of its samples; threads, order, tile cut and restarts leave no trace. Against floats this costs 144 instead of some 40
+//! bytes a pixel and a few nanoseconds a sample.
+//!
+//! A sample with a NaN, infinite, negative or absurd component is counted and left out: the pixel's mean is over the others.
+
+use crate::{BadSample, BadSamples, FilmError, Rect, Sample};
+use femc_stats::ExactSum;
+use femc_stats::exact::{RadianceSum, SquareSum};
+use serde::{Deserialize, Serialize};
+use std::ops::Range;
+
+/// Largest number of pixels of a tile.
+pub const MAX_TILE_PIXELS: u64 = 1 << 22;
+
+/// Fixed-point fraction bits of an albedo sum; a term is at most 255, so 2^32 of them fit.
+pub(crate) const ALBEDO_FRACTION: u32 = 24;
+
+/// Samples `start .. end` of every pixel of a tile.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct SampleRange {
+    /// First sample.
+    pub start: u32,
+    /// One past the last sample.
+    pub end: u32,
+}
+
+impl SampleRange {
+    /// Number of samples a pixel.
+    pub const fn len(self) -> u32 {
+        self.end.saturating_sub(self.start)
+    }
+
+    /// Whether there is none.
+    pub const fn is_empty(self) -> bool {
+        self.len() == 0
+    }
+
+    const fn overlaps(self, other: Self) -> bool {
+        self.start < other.end && other.start < self.end
+    }
+}
+
+impl From<Range<u32>> for SampleRange {
+    fn from(range: Range<u32>) -> Self {
+        Self { start: range.start, end: range.end }
+    }
+}
+
+/// Sums over the good samples of one pixel.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PixelSums {
+    /// Color, cd/m2.
+    pub color: [RadianceSum; 3],
+    /// Squared color.
+    pub square: [SquareSum; 3],
+    /// Depth of the samples that met a surface, metres.
+    pub depth: ExactSum<40>,
+    /// Albedo in units of 2^-24.
+    pub albedo: [u64; 3],
+    /// Samples that met a surface.
+    pub hits: u32,
+    /// Good samples.
+    pub count: u32,
+}
+
+impl PixelSums {
+    #[inline]
+    fn add(&mut self, sample: &Sample) {
+        for (i, c) in sample.color.to_array().into_iter().enumerate() {
+            let c = f64::from(c);
+            // The terms are finite and non-negative, so nothing is refused here; the square of a float is exact in a double.
+            let refused = self.color[i].add(c).is_err() | self.square[i].add(c * c).is_err();
+            debug_assert!(!refused, "a bad sample reached the sums");
+        }
+        for (sum, a) in self.albedo.iter_mut().zip(sample.albedo.to_array()) {
+            let units = f64::from(a.min(255.0)) * f64::from(1u32 << ALBEDO_FRACTION) + 0.5;
+            *sum = sum.saturating_add(units as u64);
+        }
+        if sample.depth.is_finite() {
+            let refused = self.depth.add(f64::from(sample.depth)).is_err();
+            debug_assert!(!refused, "a bad depth reached the sums");
+            self.hits = self.hits.saturating_add(1);
+        }
+        self.count = self.count.saturating_add(1);
+    }
+
+    fn merge(&mut self, other: &Self) {
+        for i in 0..3 {
+            self.color[i].merge(other.color[i]);
+            self.square[i].merge(other.square[i]);
+            self.albedo[i] = self.albedo[i].saturating_add(other.albedo[i]);
+        }
+        self.depth.merge(other.depth);
+        self.hits = self.hits.saturating_add(other.hits);
+        self.count = self.count.saturating_add(other.count);
+    }
+}
+
+/// The sums of some sample ranges of a rectangle of pixels.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Tile {
+    pub(crate) rect: Rect,
+    /// Sorted, disjoint, not joined: they are the keys under which samples were counted.
+    pub(crate) ranges: Vec<SampleRange>,
+    pub(crate) pixels: Vec<PixelSums>,
+    pub(crate) bad: BadSamples,
+}
+
+impl Tile {
+    /// A tile that will get the samples `samples` of each pixel of `rect`.
+    pub fn new(rect: Rect, samples: Range<u32>) -> Result<Self, FilmError> {
+        rect.check(MAX_TILE_PIXELS)?;
+        let range = SampleRange::from(samples);
+        if range.is_empty() {
+            return Err(FilmError::EmptyRange(range));
+        }
+        let pixels = vec![PixelSums::default(); rect.area() as usize];
+        Ok(Self { rect, ranges: vec![range], pixels, bad: BadSamples::default() })
+    }
+
+    /// A tile of `rect` from full-width strips that cover it from top to bottom, each with the samples `samples`: what
+    /// several threads filled at the same time.
+    /// - errors: strips that are not just these.
+    pub fn from_strips(rect: Rect, samples: Range<u32>, strips: Vec<Self>) -> Result<Self, FilmError> {
+        let mut whole = Self::new(rect, samples)?;
+        whole.pixels.clear();
+        let mut y = rect.y;
+        for strip in strips {
+            let expected = Rect { y, height: strip.rect.height, ..rect };
+            if strip.rect != expected || strip.ranges != whole.ranges {
+                return Err(FilmError::OtherPixels { expected, found: strip.rect });
+            }
+            y = y.saturating_add(strip.rect.height);
+            whole.pixels.extend_from_slice(&strip.pixels);
+            whole.bad.merge(&strip.bad);
+        }
+        if whole.pixels.len() as u64 != rect.area() {
+            return Err(FilmError::OtherPixels { expected: rect, found: Rect { height: y - rect.y, ..rect } });
+        }
+        Ok(whole)
+    }
+
+    /// The pixels.
+    pub fn rect(&self) -> Rect {
+        self.rect
+    }
+
+    /// The sample ranges whose samples are in the sums, ascending.
+    pub fn ranges(&self) -> &[SampleRange] {
+        &self.ranges
+    }
+
+    /// Samples a pixel in all ranges.
+    pub fn spp(&self) -> u64 {
+        self.ranges.iter().map(|r| u64::from(r.len())).sum()
+    }
+
+    /// Account of the samples that were left out.
+    pub fn bad(&self) -> &BadSamples {
+        &self.bad
+    }
+
+    /// Sums of the pixels, row by row.
+    pub fn pixels(&self) -> &[PixelSums] {
+        &self.pixels
+    }
+
+    /// Pixels one of whose sums has left its range and is a lower bound.
+    pub fn saturated(&self) -> usize {
+        let full = |p: &PixelSums| {
+            p.color.iter().any(|s| s.is_saturated())
+                || p.square.iter().any(|s| s.is_saturated())
+                || p.depth.is_saturated()
+        };
+        self.pixels.iter().filter(|p| full(p)).count()
+    }
+
+    /// Adds sample number `index` of the film's pixel (`x`, `y`), which must lie in the tile.
+    ///
+    /// A bad sample is counted, with its place, and changes no sum.
+    #[inline]
+    pub fn add(&mut self, x: u32, y: u32, index: u32, sample: &Sample) {
+        debug_assert!(self.rect.contains(x, y), "pixel {x},{y} outside of tile {}", self.rect);
+        debug_assert!(self.ranges.iter().any(|r| (r.start..r.end).contains(&index)), "sample {index} not announced");
+        match sample.fault() {
+            None => self.pixels[((y - self.rect.y) * self.rect.width + (x - self.rect.x)) as usize].add(sample),
+            Some(kind) => self.bad.add(BadSample { y, x, sample: index, kind }),
+        }
+    }
+
+    /// Adds the samples of `other`, a tile of the same pixels.
+    ///
+    /// The union is keyed by sample range: ranges that are there already are the same samples, so merging them again changes
+    /// nothing. Associative, commutative, idempotent (test `any_order_and_partition_gives_the_same_bytes`).
+    /// - errors: other pixels; ranges that partly overlap; some ranges known and others new. The tile stays as it was.
+    pub fn merge(&mut self, other: &Self) -> Result<Merged, FilmError> {
+        if self.rect != other.rect {
+            return Err(FilmError::OtherPixels { expected: self.rect, found: other.rect });
+        }
+        if other.ranges.iter().all(|r| self.ranges.binary_search(r).is_ok()) {
+            return Ok(Merged::Known);
+        }
+        for &new in &other.ranges {
+            if let Some(&old) = self.ranges.iter().find(|old| old.overlaps(new)) {
+                return Err(FilmError::Overlap { rect: self.rect, old, new });
+            }
+        }
+        self.ranges.extend_from_slice(&other.ranges);
+        self.ranges.sort_unstable();
+        self.pixels.iter_mut().zip(&other.pixels).for_each(|(mine, theirs)| mine.merge(theirs));
+        self.bad.merge(&other.bad);
+        Ok(Merged::New)
+    }
+}
+
+/// What a merge did.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Merged {
+    /// The samples were new and are counted now.
+    New,
+    /// The samples had been counted before; nothing changed.
+    Known,
+}

@@ -1,0 +1,160 @@
+//! OpenEXR files: what is written is what the command line promises, and bad files give errors.
+
+use exr::prelude::*;
+use femc_film::{BadKind, BadSample, BadSamples, FilmError, FrameImage, Image, Provenance, exr as film_exr, pixel_digest};
+use std::io::Cursor;
+
+fn frame(width: u32, height: u32) -> FrameImage {
+    let count = (width * height) as usize;
+    let ramp = |k: f32| (0..count).map(|i| [i as f32 * k, 0.5, 1.0 / (1.0 + i as f32)]).collect::<Vec<_>>();
+    FrameImage {
+        color: Image { width, height, pixels: ramp(3.7) },
+        variance: ramp(0.01),
+        albedo: ramp(0.001),
+        depth: (0..count).map(|i| i as f32 + 0.25).collect(),
+        samples: (0..count).map(|i| 16 + i as u32).collect(),
+    }
+}
+
+fn provenance() -> Provenance {
+    Provenance {
+        version: "0.1.0".into(),
+        settings: r#"{"spp":16}"#.into(),
+        scene: "00ff".into(),
+        frame: 7,
+        seconds: 1.25,
+        spp: 16.5,
+        relative_error: 0.03125,
+        bad: BadSamples {
+            counts: [2, 0, 1, 0],
+            first: Some(BadSample { y: 4, x: 3, sample: 9, kind: BadKind::NotANumber }),
+        },
+    }
+}
+
+#[test]
+fn colors_and_attributes_survive_the_file() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("a.exr");
+    let image = frame(33, 21);
+    film_exr::write(&path, &image, &provenance()).unwrap();
+    let back = film_exr::read(&path).unwrap();
+    assert_eq!(back.image, image.color);
+    assert_eq!(pixel_digest(&back.image), pixel_digest(&image.color));
+    let expected = [
+        ("femc:bad_samples", "nan=2 infinite=0 negative=1 out-of-range=0 first=3,4,9"),
+        ("femc:frame", "7"),
+        ("femc:relative_error", "0.03125"),
+        ("femc:scene", "00ff"),
+        ("femc:seconds", "1.25"),
+        ("femc:settings", r#"{"spp":16}"#),
+        ("femc:spp", "16.5"),
+        ("femc:version", "0.1.0"),
+    ];
+    for (name, value) in expected {
+        assert_eq!(back.attributes[name], value);
+    }
+    assert_eq!(film_exr::read_attributes(&path).unwrap(), back.attributes);
+}
+
+#[test]
+fn the_file_has_the_promised_form() {
+    let image = frame(5, 40);
+    let bytes = film_exr::encode(&image, &provenance()).unwrap();
+    let file = read().no_deep_data().largest_resolution_level().all_channels().all_layers().all_attributes();
+    let file = file.from_buffered(Cursor::new(&bytes)).unwrap();
+    assert_eq!(file.layer_data.len(), 1);
+    let layer = &file.layer_data[0];
+    assert_eq!((layer.encoding.compression, layer.encoding.blocks), (Compression::ZIP16, Blocks::ScanLines));
+    assert_eq!(layer.attributes.white_luminance, Some(1.0));
+    assert_eq!(file.attributes.chromaticities.unwrap().white, Vec2(0.3127, 0.3290));
+    let names: Vec<String> = layer.channel_data.list.iter().map(|c| c.name.to_string()).collect();
+    let promised = "B G R albedo.B albedo.G albedo.R depth.Z samples.Y variance.B variance.G variance.R";
+    assert_eq!(names.join(" "), promised);
+    let channel = |name: &str| layer.channel_data.list.iter().find(|c| c.name.eq(name)).unwrap().sample_data.clone();
+    assert_eq!(channel("samples.Y"), FlatSamples::U32(image.samples.clone()));
+    assert_eq!(channel("depth.Z"), FlatSamples::F32(image.depth.clone()));
+    assert_eq!(channel("variance.G"), FlatSamples::F32(image.variance.iter().map(|p| p[1]).collect()));
+    assert_eq!(channel("albedo.R"), FlatSamples::F32(image.albedo.iter().map(|p| p[0]).collect()));
+}
+
+#[test]
+fn the_same_image_gives_the_same_bytes() {
+    let image = frame(64, 64);
+    let first = film_exr::encode(&image, &provenance()).unwrap();
+    for _ in 0..8 {
+        assert!(film_exr::encode(&image, &provenance()).unwrap() == first);
+    }
+}
+
+#[test]
+fn half_floats_and_every_lossless_compression_are_read() {
+    let (width, height) = (37, 29);
+    let value = |at: Vec2<usize>| (at.x() as f32 * 0.25, at.y() as f32, 2.0f32);
+    for compression in
+        [Compression::Uncompressed, Compression::RLE, Compression::ZIP1, Compression::ZIP16, Compression::PIZ]
+    {
+        for blocks in [Blocks::ScanLines, Blocks::Tiles(Vec2(16, 16))] {
+            let channels = SpecificChannels::rgb(move |at: Vec2<usize>| {
+                let (r, g, b) = value(at);
+                (f16::from_f32(r), f16::from_f32(g), b)
+            });
+            let encoding = Encoding { compression, blocks, line_order: LineOrder::Increasing };
+            let layer = Layer::new((width, height), LayerAttributes::default(), encoding, channels);
+            let mut bytes = Cursor::new(Vec::new());
+            exr::prelude::Image::from_layer(layer).write().to_buffered(&mut bytes).unwrap();
+            let image = film_exr::decode(bytes).unwrap().image;
+            assert_eq!((image.width, image.height), (width as u32, height as u32));
+            for (i, pixel) in image.pixels.iter().enumerate() {
+                let (r, g, b) = value(Vec2(i % width, i / width));
+                assert_eq!(*pixel, [r, g, b], "{compression:?} {blocks:?} pixel {i}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_file_without_colors_names_its_channels() {
+    let channels = AnyChannels::sort([AnyChannel::new("Y", FlatSamples::F32(vec![0.0; 4]))].into_iter().collect());
+    let mut bytes = Cursor::new(Vec::new());
+    exr::prelude::Image::from_channels((2, 2), channels).write().to_buffered(&mut bytes).unwrap();
+    match film_exr::decode(bytes) {
+        Err(FilmError::NoColors { found }) => assert_eq!(found, "Y"),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn absurd_sizes_are_refused_from_the_header() {
+    let bytes = film_exr::encode(&frame(4, 4), &provenance()).unwrap();
+    // The data window is four integers behind its name, type and size; give it 2^30 columns and rows.
+    let name = b"dataWindow\0box2i\0";
+    let at = bytes.windows(name.len()).position(|w| w == name).unwrap() + name.len() + 4;
+    let mut forged = bytes.clone();
+    for offset in [8, 12] {
+        forged[at + offset..at + offset + 4].copy_from_slice(&(1i32 << 30).to_le_bytes());
+    }
+    let error = film_exr::decode(Cursor::new(forged)).unwrap_err();
+    assert!(matches!(error, FilmError::Size { .. } | FilmError::Format { .. }), "{error}");
+}
+
+#[test]
+fn cut_and_damaged_files_give_errors_or_pixels_but_never_panic() {
+    let bytes = film_exr::encode(&frame(9, 20), &provenance()).unwrap();
+    for cut in (0..bytes.len()).step_by(7) {
+        assert!(film_exr::decode(Cursor::new(bytes[..cut].to_vec())).is_err(), "cut at {cut}");
+    }
+    for at in 0..bytes.len() {
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 0x55;
+        if let Ok(file) = film_exr::decode(Cursor::new(damaged)) {
+            assert_eq!(file.image.pixels.len(), file.image.width as usize * file.image.height as usize);
+        }
+    }
+}
+
+#[test]
+fn a_missing_file_is_named() {
+    let error = film_exr::read(std::path::Path::new("no/such.exr")).unwrap_err();
+    assert!(error.to_string().starts_with("no/such.exr: "), "{error}");
+}

@@ -5,12 +5,14 @@
 #![deny(missing_docs)]
 
 pub mod animation;
+pub mod check;
 pub mod description;
 pub mod digest;
 pub mod needs;
 pub mod objects;
 pub mod selector;
 
+pub use check::{Fault, FaultKind, Severity, check};
 pub use description::*;
 pub use digest::{DigestError, SceneDigest};
 pub use needs::{Feature, Needs, Spared};

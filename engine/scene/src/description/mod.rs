@@ -48,7 +48,7 @@ pub struct Scene {
 }
 
 /// A place in a source file, for messages. Line and column count from 1; column 0: the whole line.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Location {
     /// Index into [`Scene::files`].
     pub file: u32,

@@ -1,0 +1,67 @@
+//! Cameras, and how big the scene is that they look at.
+
+use super::{Faults, Scope, WHOLE};
+use crate::{
+    FaultKind::{Camera as CameraFault, Scale},
+    Severity::{Error, Warning},
+    description::Camera,
+};
+
+/// Largest and smallest scene without suspicion, m.
+const LARGEST: f64 = 1e5;
+const SMALLEST: f64 = 1e-2;
+/// A camera this many diagonals away sees the scene as a dot.
+const FAR: f64 = 100.0;
+
+pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
+    let size = scope.bounds.diagonal();
+    if scope.bounds.is_empty() {
+        faults.add(Warning, Scale, WHOLE, "the scene has no surface and no luminaire", "add some");
+    } else if size > LARGEST {
+        let message = format!("the scene is {} across", length(size));
+        faults.add(Warning, Scale, WHOLE, message, "give lengths in metres (`xf -s` scales)");
+    } else if size < SMALLEST {
+        let message = format!("the scene is only {} across", length(size));
+        faults.add(Warning, Scale, WHOLE, message, "give lengths in metres (`xf -s` scales)");
+    }
+    if scope.scene.cameras.is_empty() {
+        faults.add(Warning, CameraFault, WHOLE, "the scene has no camera", "add one: `camera NAME =`");
+    }
+    scope.scene.cameras.iter().for_each(|camera| check_camera(scope, camera, faults));
+}
+
+fn check_camera(scope: &Scope<'_>, camera: &Camera, faults: &mut Faults) {
+    let (name, location) = (&camera.name, camera.location);
+    let view = camera.target - camera.origin;
+    if view.cross(camera.up).length() <= 1e-12 * view.length() * camera.up.length() {
+        let message = format!("camera `{name}` has its target at its origin, or its up direction along the view");
+        faults.add(Error, CameraFault, location, message, "move the target or turn `up`");
+        return;
+    }
+    if camera.shutter_open > camera.shutter_close {
+        let message = format!("the shutter of camera `{name}` closes before it opens");
+        faults.add(Error, CameraFault, location, message, "give the earlier fraction first");
+    } else if camera.shutter_open < camera.shutter_close && scope.scene.clip.is_none() {
+        let message = format!("the shutter of camera `{name}` is open for a part of no frame interval");
+        faults.add(Warning, CameraFault, location, message, "add `time t0 t1 fps`, or remove `shutter`");
+    }
+    if !scope.bounds.is_empty() {
+        let eye = camera.at(&scope.scene.paths, scope.time).origin;
+        let nearest = eye.clamp(scope.bounds.min, scope.bounds.max);
+        let (away, size) = (eye.distance(nearest), scope.bounds.diagonal());
+        if away > FAR * size {
+            let message = format!("camera `{name}` is {} from a scene {} across", length(away), length(size));
+            faults.add(Warning, Scale, location, message, "check the units of its origin");
+        }
+    }
+}
+
+/// A length for people.
+fn length(metres: f64) -> String {
+    match metres {
+        m if m >= 1e4 => format!("{:.4} km", m / 1e3),
+        m if m >= 1.0 => format!("{m:.1} m"),
+        m if m >= 1e-3 => format!("{:.1} mm", m * 1e3),
+        m => format!("{m:.1e} m"),
+    }
+}

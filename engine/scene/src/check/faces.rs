@@ -1,0 +1,63 @@
+//! Surfaces without area, faces out of plane.
+
+use super::{Faults, Scope, tree::Bounds};
+use crate::{
+    FaultKind::{DegenerateSurface, NonPlanarFace},
+    Severity::Warning,
+    description::{Face, Group, Quadric, Shape},
+};
+use femc_math::glam::DVec3;
+
+/// Area below this part of the squared size is none.
+const NO_AREA: f64 = 1e-12;
+/// Corners may be out of plane by this part of the size.
+const OUT_OF_PLANE: f64 = 1e-3;
+
+pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
+    for group in &scope.scene.groups {
+        group.faces.iter().for_each(|face| check_face(group, face, faults));
+        group.quadrics.iter().for_each(|quadric| check_quadric(quadric, faults));
+    }
+}
+
+fn check_face(group: &Group, face: &Face, faults: &mut Faults) {
+    let first = face.first_triangle as usize;
+    let triangles = group.triangles.get(first..first + face.triangle_count as usize).unwrap_or_default();
+    let corners = || triangles.iter().flatten().map(|&vertex| group.vertices[vertex as usize].position);
+    let crosses = triangles.iter().map(|triangle| {
+        let [a, b, c] = triangle.map(|vertex| group.vertices[vertex as usize].position);
+        (b - a).cross(c - a)
+    });
+    let (twice_area, cross) =
+        crosses.fold((0.0, DVec3::ZERO), |(area, sum), cross| (area + cross.length(), sum + cross));
+    let size = Bounds::of(corners()).diagonal();
+    if twice_area <= NO_AREA * size * size {
+        let message = "the face has no area: it is left out";
+        faults.add(Warning, DegenerateSurface, face.location, message, "remove it or move its corners apart");
+        return;
+    }
+    let Some(normal) = cross.try_normalize() else { return };
+    let (low, high) = corners()
+        .map(|p| normal.dot(p))
+        .fold((f64::INFINITY, f64::NEG_INFINITY), |(low, high), d| (low.min(d), high.max(d)));
+    if high - low > OUT_OF_PLANE * size {
+        let message =
+            format!("the face is not planar: its corners are within {:.1} % of its size", 100.0 * (high - low) / size);
+        faults.add(Warning, NonPlanarFace, face.location, message, "split it into triangles");
+    }
+}
+
+fn check_quadric(quadric: &Quadric, faults: &mut Faults) {
+    let (what, has_area) = match quadric.shape {
+        Shape::Sphere { radius, .. } => ("sphere", radius > 0.0),
+        Shape::Cone { start, end, start_radius, end_radius, .. } => {
+            ("cone or cylinder", start != end && start_radius.max(end_radius) > 0.0)
+        }
+        Shape::Ring { inner, outer, .. } => ("ring", outer > inner),
+        Shape::Torus { major, minor, .. } => ("torus", major > 0.0 && minor > 0.0),
+    };
+    if !has_area {
+        let message = format!("the {what} has no area: it is left out");
+        faults.add(Warning, DegenerateSurface, quadric.location, message, "remove it or give it a size");
+    }
+}

@@ -1,0 +1,129 @@
+//! Lights that light nothing.
+
+use super::{Faults, Scope, WHOLE, coplanar::Plane, materials::title, overlap::tolerance, scope::PlacedTriangle};
+use crate::{
+    FaultKind::LightsNothing,
+    Severity::{Note, Warning},
+    description::{Location, Luminaire, Material, Sides},
+};
+use std::{collections::BTreeMap, ops::ControlFlow};
+
+/// A surface this part of a lamp's size in front of it shuts it off.
+const GAP: f64 = 1e-3;
+/// Part of a lamp that must be covered for it to be shut off.
+const COVERED: f64 = 0.999;
+
+pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
+    let used = scope.scene.materials.iter().zip(&scope.used).filter(|(_, used)| **used);
+    used.for_each(|(material, _)| check_material(scope, material, faults));
+    for group in &scope.scene.groups {
+        group.luminaires.iter().for_each(|luminaire| check_luminaire(scope, luminaire, faults));
+    }
+    covered_lamps(scope, faults);
+    if !anything_shines(scope) {
+        let message = "nothing in the scene emits light: every picture of it is black";
+        faults.add(Warning, LightsNothing, WHOLE, message, "add a surface with `ed`, an `ies` luminaire or a `glow`");
+    }
+}
+
+/// Emittance at its largest over the clip, lm/m2.
+fn emittance(scope: &Scope<'_>, material: &Material) -> f64 {
+    scope.scene.largest(&format!("material.{}", material.name), "ed", material.ed.amount)
+}
+
+fn is_black(material: &Material) -> bool {
+    material.ed.color.iter().all(|channel| *channel <= 0.0)
+}
+
+fn check_material(scope: &Scope<'_>, material: &Material, faults: &mut Faults) {
+    let (location, title) = (material.location, title(material));
+    if emittance(scope, material) > 0.0 {
+        if is_black(material) {
+            let message = format!("{title} emits light of a black color");
+            faults.add(Warning, LightsNothing, location, message, "give `ed` another color");
+        }
+        return;
+    }
+    if material.map_ed.is_some() {
+        let message = format!("{title} has a `map_ed`, which multiplies an emittance of 0");
+        faults.add(Warning, LightsNothing, location, message, "give it an `ed`");
+    }
+    if material.lobe.is_some() {
+        let message = format!("{title} has an emission lobe, but emits nothing");
+        faults.add(Note, LightsNothing, location, message, "give it an `ed`");
+    }
+}
+
+fn power(scope: &Scope<'_>, luminaire: &Luminaire) -> f64 {
+    let photometry = scope.scene.photometry.get(luminaire.photometry.index());
+    let brightest = photometry.map_or(0.0, |photometry| photometry.candela.iter().fold(0.0_f64, |a, b| a.max(*b)));
+    brightest * luminaire.multiplier
+}
+
+/// Whether a `vary` sets the multiplier of luminaires somewhere.
+fn multipliers_vary(scope: &Scope<'_>) -> bool {
+    scope.scene.varies.iter().any(|vary| vary.selector.ends_with(".multiplier"))
+}
+
+fn check_luminaire(scope: &Scope<'_>, luminaire: &Luminaire, faults: &mut Faults) {
+    if power(scope, luminaire) <= 0.0 && !multipliers_vary(scope) {
+        let message = "the luminaire has an intensity of 0 in all directions";
+        faults.add(Warning, LightsNothing, luminaire.location, message, "check its file and its `-m`");
+    }
+}
+
+fn anything_shines(scope: &Scope<'_>) -> bool {
+    let scene = scope.scene;
+    let surfaces = scene.materials.iter().zip(&scope.visible).filter(|(_, visible)| **visible);
+    let placed = scene.groups.iter().zip(&scope.placed).filter(|(_, placed)| **placed);
+    let mut luminaires = placed.flat_map(|(group, _)| &group.luminaires);
+    surfaces.into_iter().any(|(material, _)| emittance(scope, material) > 0.0 && !is_black(material))
+        || luminaires.any(|l| scope.is_shown(l.object) && (power(scope, l) > 0.0 || multipliers_vary(scope)))
+        || scene.media.iter().any(|m| scene.largest(&format!("medium.{}", m.name), "glow", m.glow) > 0.0)
+}
+
+/// One-sided lamps whose front another surface covers.
+fn covered_lamps(scope: &Scope<'_>, faults: &mut Faults) {
+    let materials = &scope.scene.materials;
+    let emits: Vec<bool> = materials.iter().map(|m| m.sides == Sides::One && emittance(scope, m) > 0.0).collect();
+    // Face in its place -> its area, the part of it that is covered, where it is.
+    let mut lamps: BTreeMap<u32, (f64, f64, Location)> = BTreeMap::new();
+    for lamp in scope.triangles.iter().filter(|triangle| emits.get(triangle.material.index()) == Some(&true)) {
+        let Some(plane) = Plane::of(lamp) else { continue };
+        let entry = lamps.entry(lamp.face).or_insert((0.0, 0.0, lamp.location));
+        entry.0 += plane.area;
+        entry.1 += covered_area(scope, lamp, &plane);
+    }
+    for (area, covered, location) in lamps.into_values() {
+        if covered > COVERED * area {
+            let message = "the one-sided lamp shines straight into a surface right in front of it";
+            faults.add(Warning, LightsNothing, location, message, "turn it round, or move it to the other side");
+        }
+    }
+}
+
+/// Area of a lamp that opaque surfaces close in front of it cover.
+fn covered_area(scope: &Scope<'_>, lamp: &PlacedTriangle, plane: &Plane) -> f64 {
+    let (least, gap) = (tolerance(scope), GAP * plane.area.sqrt());
+    let mut covered = 0.0;
+    let _never_stops = scope.tree.find(&lamp.bounds().grown(gap), |other| {
+        let other = &scope.triangles[other];
+        if let (true, Some(cover)) = (other.face != lamp.face, Plane::of(other)) {
+            let (low, high) = plane.distances(&cover);
+            if plane.is_parallel(&cover) && low > least && high <= gap && stops_light(scope, other, plane, &cover) {
+                covered += plane.overlap(&cover);
+            }
+        }
+        ControlFlow::Continue(())
+    });
+    covered
+}
+
+fn stops_light(scope: &Scope<'_>, other: &PlacedTriangle, lamp: &Plane, cover: &Plane) -> bool {
+    scope.scene.materials.get(other.material.index()).is_some_and(|material| {
+        let entity = format!("material.{}", material.name);
+        let lets_through = scope.scene.largest(&entity, "td", material.td.amount) > 0.0
+            || scope.scene.largest(&entity, "ts", material.ts.amount) > 0.0;
+        !lets_through && (material.sides == Sides::Two || lamp.normal.dot(cover.normal) < 0.0)
+    })
+}

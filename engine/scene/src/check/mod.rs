@@ -1,0 +1,171 @@
+//! Faults of a scene: what is wrong (errors), what is probably not meant (warnings), what is worth knowing (notes).
+//!
+//! Every check is sound in one direction: a warning names something that can be seen in the description itself, never a
+//! guess about a picture. Geometry is looked at where it is at the start of the clip. The list has one order: by place in
+//! the files, then by kind and text.
+
+mod animation;
+mod cameras;
+mod closed;
+mod coplanar;
+mod faces;
+mod lights;
+mod materials;
+mod media;
+mod names;
+mod overlap;
+mod scope;
+mod tree;
+
+use crate::description::{Location, Scene};
+use scope::Scope;
+use serde::Serialize;
+use std::fmt;
+
+/// How bad a fault is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Severity {
+    /// The scene cannot be rendered as it stands.
+    Error,
+    /// Probably not what was meant.
+    Warning,
+    /// Worth knowing.
+    Note,
+}
+
+impl fmt::Display for Severity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::Error => "error",
+            Self::Warning => "warning",
+            Self::Note => "note",
+        })
+    }
+}
+
+/// What sort of fault.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum FaultKind {
+    /// A surface without area.
+    DegenerateSurface,
+    /// A face whose corners are not in one plane.
+    NonPlanarFace,
+    /// Surfaces in one plane, over each other.
+    OverlappingFaces,
+    /// Something defined and never used.
+    UnusedName,
+    /// Two definitions of one name.
+    DuplicateName,
+    /// A selector that matches nothing or sets what cannot be.
+    BadSelector,
+    /// A material that gives back more light than it gets.
+    EnergyGain,
+    /// A color with a negative channel.
+    OutOfGamut,
+    /// A medium that is placed nowhere, or in no volume.
+    MediumWithoutBounds,
+    /// A medium too thick to see through, or too thin to see.
+    OpticalDepth,
+    /// The boundary of a solid or a medium with holes in it.
+    OpenBoundary,
+    /// A light that lights nothing.
+    LightsNothing,
+    /// A size or an emittance far from any real one.
+    Scale,
+    /// A camera that is missing, or that cannot see.
+    Camera,
+    /// Motion that cannot be followed.
+    Animation,
+    /// A check that was cut short.
+    Incomplete,
+}
+
+/// A fault of a scene.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct Fault {
+    /// How bad.
+    pub severity: Severity,
+    /// What sort.
+    pub kind: FaultKind,
+    /// Where; line 1 of the scene file for the scene as a whole.
+    pub location: Location,
+    /// What is wrong.
+    pub message: String,
+    /// What to do about it.
+    pub advice: String,
+}
+
+impl Fault {
+    /// `file:line: warning: what; what to do`.
+    pub fn display<'a>(&'a self, scene: &'a Scene) -> impl fmt::Display + 'a {
+        DisplayFault { fault: self, scene }
+    }
+}
+
+struct DisplayFault<'a> {
+    fault: &'a Fault,
+    scene: &'a Scene,
+}
+
+impl fmt::Display for DisplayFault<'_> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Fault { severity, location, message, advice, .. } = self.fault;
+        write!(f, "{}: {severity}: {message}; {advice}", place(self.scene, *location))
+    }
+}
+
+/// `file:line`.
+fn place(scene: &Scene, location: Location) -> String {
+    let file = scene.files.get(location.file as usize).map_or("scene", String::as_str);
+    format!("{file}:{}", location.line)
+}
+
+/// The scene as a whole.
+const WHOLE: Location = Location { file: 0, line: 1, column: 0 };
+
+/// The faults found so far.
+#[derive(Default)]
+struct Faults(Vec<Fault>);
+
+impl Faults {
+    fn add(
+        &mut self,
+        severity: Severity,
+        kind: FaultKind,
+        location: Location,
+        message: impl Into<String>,
+        advice: impl Into<String>,
+    ) {
+        self.0.push(Fault { severity, kind, location, message: message.into(), advice: advice.into() });
+    }
+}
+
+/// All faults of a scene, in order of place, kind and text. O(n log n) in the number of placed triangles, of which the
+/// first million are looked at (a note says so where there are more).
+pub fn check(scene: &Scene) -> Vec<Fault> {
+    let mut faults = Faults::default();
+    let scope = Scope::new(scene);
+    for part in [
+        names::check,
+        animation::check,
+        cameras::check,
+        materials::check,
+        media::check,
+        lights::check,
+        faces::check,
+        overlap::check,
+        closed::check,
+    ] {
+        part(&scope, &mut faults);
+    }
+    let mut faults = faults.0;
+    faults.sort_by(|a, b| key(a).cmp(&key(b)));
+    faults.dedup();
+    faults
+}
+
+fn key(fault: &Fault) -> (Location, FaultKind, &str) {
+    (fault.location, fault.kind, &fault.message)
+}

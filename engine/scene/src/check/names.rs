@@ -1,0 +1,72 @@
+//! Names: defined and unused, defined twice.
+
+use super::{Faults, Scope, place};
+use crate::{
+    FaultKind::{DuplicateName, UnusedName},
+    Severity::{Note, Warning},
+    description::{Location, MotionStep},
+};
+use std::collections::BTreeMap;
+
+pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
+    unused_materials(scope, faults);
+    unused_paths(scope, faults);
+    let scene = scope.scene;
+    duplicates(scope, faults, "camera", scene.cameras.iter().map(|camera| (&*camera.name, camera.location)));
+    duplicates(scope, faults, "medium", scene.media.iter().map(|medium| (&*medium.name, medium.location)));
+    duplicates(scope, faults, "path", scene.paths.iter().map(|path| (&*path.name, path.location)));
+}
+
+/// A name is unused when none of its definitions is on a surface: MGF redefines materials freely.
+fn unused_materials(scope: &Scope<'_>, faults: &mut Faults) {
+    let mut named: BTreeMap<&str, (Location, bool)> = BTreeMap::new();
+    for (material, used) in scope.scene.materials.iter().zip(&scope.used).filter(|(m, _)| !m.name.is_empty()) {
+        named.entry(&material.name).or_insert((material.location, false)).1 |= used;
+    }
+    for (name, (location, _)) in named.into_iter().filter(|(_, (_, used))| !used) {
+        let message = format!("material `{name}` is on no surface");
+        faults.add(Note, UnusedName, location, message, "use it or remove it, unless it is a template");
+    }
+}
+
+fn unused_paths(scope: &Scope<'_>, faults: &mut Faults) {
+    let scene = scope.scene;
+    let steps = scene.groups.iter().flat_map(|group| &group.instances).flat_map(|instance| &instance.motion.steps);
+    let along = steps.filter_map(|step| match step {
+        MotionStep::Along(path) => Some(*path),
+        MotionStep::Static(_) => None,
+    });
+    let mut used = vec![false; scene.paths.len()];
+    for path in along.chain(scene.cameras.iter().filter_map(|camera| camera.along)) {
+        if let Some(used) = used.get_mut(path.index()) {
+            *used = true;
+        }
+    }
+    for (path, _) in scene.paths.iter().zip(used).filter(|(_, used)| !used) {
+        let message = format!("nothing moves along path `{}`", path.name);
+        faults.add(
+            Note,
+            UnusedName,
+            path.location,
+            message,
+            "use it in `xf -path` or a camera's `along`, or remove it",
+        );
+    }
+}
+
+fn duplicates<'a>(
+    scope: &Scope<'_>,
+    faults: &mut Faults,
+    what: &str,
+    names: impl Iterator<Item = (&'a str, Location)>,
+) {
+    let mut first: BTreeMap<&str, Location> = BTreeMap::new();
+    for (name, location) in names {
+        if let Some(earlier) = first.get(name) {
+            let message = format!("{what} `{name}` is defined before, at {}", place(scope.scene, *earlier));
+            faults.add(Warning, DuplicateName, location, message, "rename one of them");
+        } else {
+            first.insert(name, location);
+        }
+    }
+}

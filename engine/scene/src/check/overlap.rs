@@ -1,0 +1,119 @@
+//! Surfaces that lie in each other: a renderer sees one or the other, as rounding has it.
+//!
+//! Placed triangles are paired through a tree of their bounds, so the cost is O(n log n) for meshes; where too many bounds
+//! overlap the search stops and says so. Faces back to back (a table leg on the floor) are only noted.
+
+use super::{Faults, Scope, WHOLE, coplanar::Plane, place};
+use crate::{
+    FaultKind::{Incomplete, OverlappingFaces},
+    Severity::{Note, Warning},
+    description::{Location, MaterialId},
+};
+use std::{collections::BTreeMap, ops::ControlFlow};
+
+/// Planes this part of the largest coordinate apart are one: what single precision cannot tell.
+const ONE_PLANE: f64 = 1e-6;
+/// Part of the smaller triangle that must be covered.
+const COVERED: f64 = 1e-3;
+/// Most pairs of triangles that are compared.
+const PAIR_LIMIT: u64 = 50_000_000;
+/// Most pairs of faces that are reported.
+const REPORT_LIMIT: usize = 10_000;
+
+/// Which way the two faces of a pair look.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Sense {
+    Same,
+    Opposite,
+}
+
+/// Distance under which two planes are one, m.
+pub(super) fn tolerance(scope: &Scope<'_>) -> f64 {
+    ONE_PLANE * scope.bounds.magnitude()
+}
+
+pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
+    let tolerance = tolerance(scope);
+    let mut overlaps: BTreeMap<(Location, Location, Sense), (f64, [MaterialId; 2])> = BTreeMap::new();
+    let mut compared = 0;
+    let mut outcome = ControlFlow::Continue(());
+    for (index, triangle) in scope.triangles.iter().enumerate() {
+        let Some(plane) = Plane::of(triangle) else { continue };
+        outcome = scope.tree.find(&triangle.bounds().grown(tolerance), |other| {
+            if other <= index || scope.triangles[other].face == triangle.face {
+                return ControlFlow::Continue(());
+            }
+            compared += 1;
+            let other = &scope.triangles[other];
+            if let Some(found) = Plane::of(other).and_then(|other| coincident(&plane, &other, tolerance)) {
+                let (a, b) = (triangle.location, other.location);
+                let (first, second, materials) = if a <= b {
+                    (a, b, [triangle.material, other.material])
+                } else {
+                    (b, a, [other.material, triangle.material])
+                };
+                overlaps.entry((first, second, found.1)).or_insert((0.0, materials)).0 += found.0;
+            }
+            if compared > PAIR_LIMIT || overlaps.len() > REPORT_LIMIT {
+                return ControlFlow::Break(());
+            }
+            ControlFlow::Continue(())
+        });
+        if outcome.is_break() {
+            break;
+        }
+    }
+    if outcome.is_break() || scope.is_cut {
+        let message = "too many triangles to find all overlapping faces: only the first are listed";
+        faults.add(Note, Incomplete, WHOLE, message, "check the parts of the scene one by one");
+    }
+    for ((first, second, sense), (area, materials)) in overlaps {
+        report(scope, faults, (first, second), sense, area, materials);
+    }
+}
+
+/// Area that two triangles in one plane share, if it is more than a seam.
+fn coincident(a: &Plane, b: &Plane, tolerance: f64) -> Option<(f64, Sense)> {
+    let (large, small) = if a.area >= b.area { (a, b) } else { (b, a) };
+    let (low, high) = large.distances(small);
+    if !large.is_parallel(small) || low < -tolerance || high > tolerance {
+        return None;
+    }
+    let shared = large.overlap(small);
+    let sense = if large.normal.dot(small.normal) > 0.0 { Sense::Same } else { Sense::Opposite };
+    (shared > COVERED * small.area).then_some((shared, sense))
+}
+
+fn report(
+    scope: &Scope<'_>,
+    faults: &mut Faults,
+    (first, second): (Location, Location),
+    sense: Sense,
+    area: f64,
+    materials: [MaterialId; 2],
+) {
+    let other = if first == second {
+        "another copy of itself".into()
+    } else {
+        format!("the one at {}", place(scope.scene, first))
+    };
+    let bounds_solid = materials.iter().any(|id| {
+        scope
+            .scene
+            .materials
+            .get(id.index())
+            .is_some_and(|m| m.inside.is_some() || (m.ior.is_some() && m.ts.amount > 0.0))
+    });
+    let (severity, message) = match sense {
+        Sense::Same => (Warning, format!("the face overlaps {other} on {area:.3e} m2, both facing the same way")),
+        Sense::Opposite if bounds_solid => {
+            (Warning, format!("the face overlaps {other} on {area:.3e} m2, and one of them bounds a solid"))
+        }
+        Sense::Opposite => (Note, format!("the face touches {other} back to back on {area:.3e} m2")),
+    };
+    let advice = match severity {
+        Note => "nothing, unless both can be seen from one side",
+        _ => "move one of them, or remove the part that is covered",
+    };
+    faults.add(severity, OverlappingFaces, second, message, advice);
+}

@@ -1,0 +1,114 @@
+//! Boxes, and a tree of them that finds the ones near a place.
+
+use femc_math::glam::DVec3;
+use std::ops::ControlFlow;
+
+/// Boxes in a leaf.
+const LEAF: usize = 4;
+
+/// An axis-parallel box.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Bounds {
+    pub min: DVec3,
+    pub max: DVec3,
+}
+
+impl Bounds {
+    pub const EMPTY: Self = Self { min: DVec3::INFINITY, max: DVec3::NEG_INFINITY };
+
+    pub fn of(points: impl IntoIterator<Item = DVec3>) -> Self {
+        points.into_iter().fold(Self::EMPTY, |bounds, p| Self { min: bounds.min.min(p), max: bounds.max.max(p) })
+    }
+
+    pub fn union(self, other: Self) -> Self {
+        Self { min: self.min.min(other.min), max: self.max.max(other.max) }
+    }
+
+    pub fn is_empty(&self) -> bool {
+        !self.min.cmple(self.max).all()
+    }
+
+    pub fn grown(self, by: f64) -> Self {
+        Self { min: self.min - by, max: self.max + by }
+    }
+
+    pub fn overlaps(&self, other: &Self) -> bool {
+        self.min.cmple(other.max).all() && other.min.cmple(self.max).all()
+    }
+
+    /// Length of the diagonal; 0 when empty.
+    pub fn diagonal(&self) -> f64 {
+        if self.is_empty() { 0.0 } else { (self.max - self.min).length() }
+    }
+
+    /// Largest coordinate in size; 0 when empty.
+    pub fn magnitude(&self) -> f64 {
+        if self.is_empty() { 0.0 } else { self.min.abs().max(self.max.abs()).max_element() }
+    }
+}
+
+/// A binary tree of boxes, split at the median of the longest axis.
+#[derive(Default)]
+pub(super) struct BoxTree {
+    nodes: Vec<Node>,
+    /// Box numbers, those of a leaf side by side.
+    order: Vec<u32>,
+    boxes: Vec<Bounds>,
+}
+
+struct Node {
+    bounds: Bounds,
+    /// A leaf's boxes in `order`; empty for an inner node, whose first child is the next node.
+    first: u32,
+    count: u32,
+    second_child: u32,
+}
+
+impl BoxTree {
+    pub fn new(boxes: &[Bounds]) -> Self {
+        let order = (0..boxes.len() as u32).collect();
+        let mut tree = Self { nodes: Vec::new(), order, boxes: boxes.to_vec() };
+        if !boxes.is_empty() {
+            tree.build(0, boxes.len());
+        }
+        tree
+    }
+
+    fn build(&mut self, first: usize, end: usize) {
+        let boxes = &self.boxes;
+        let bounds = self.order[first..end].iter().map(|&i| boxes[i as usize]).fold(Bounds::EMPTY, Bounds::union);
+        let node = self.nodes.len();
+        self.nodes.push(Node { bounds, first: first as u32, count: (end - first) as u32, second_child: 0 });
+        if end - first <= LEAF {
+            return;
+        }
+        let axis = (bounds.max - bounds.min).max_position();
+        let center = |i: u32| boxes[i as usize].min[axis] + boxes[i as usize].max[axis];
+        let middle = (end - first) / 2;
+        self.order[first..end].select_nth_unstable_by(middle, |&a, &b| center(a).total_cmp(&center(b)).then(a.cmp(&b)));
+        self.nodes[node].count = 0;
+        self.build(first, first + middle);
+        self.nodes[node].second_child = self.nodes.len() as u32;
+        self.build(first + middle, end);
+    }
+
+    /// Calls `found` with the number of every box that overlaps `near`, in the order of the tree, until it says to stop.
+    pub fn find(&self, near: &Bounds, mut found: impl FnMut(usize) -> ControlFlow<()>) -> ControlFlow<()> {
+        let mut open = if self.nodes.is_empty() { Vec::new() } else { vec![0] };
+        while let Some(index) = open.pop() {
+            let node = &self.nodes[index as usize];
+            if !node.bounds.overlaps(near) {
+                continue;
+            }
+            if node.count == 0 {
+                open.extend([node.second_child, index + 1]);
+            }
+            for &number in &self.order[node.first as usize..(node.first + node.count) as usize] {
+                if self.boxes[number as usize].overlaps(near) {
+                    found(number as usize)?;
+                }
+            }
+        }
+        ControlFlow::Continue(())
+    }
+}

@@ -1,0 +1,55 @@
+//! Example scenes: what this crate generates, and where the hand-written ones lie.
+//!
+//! The scene files stand beside this crate's manifest (`scenes/*.mgf` and their parts in sub-folders). The short ones are
+//! written by hand; those in [`generated`] are written by this crate, deterministically, and committed, so that nobody needs
+//! the generator to render them. A test keeps both equal, byte for byte.
+#![deny(missing_docs)]
+
+mod greenhouse;
+mod ies;
+mod png;
+mod roundabout;
+mod sheet;
+
+/// A file of a scene.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SceneFile {
+    /// Path relative to the scenes' folder, `/`-separated.
+    pub path: String,
+    /// Its content.
+    pub bytes: Vec<u8>,
+}
+
+impl SceneFile {
+    fn text(path: &str, text: String) -> Self {
+        Self { path: path.to_owned(), bytes: text.into_bytes() }
+    }
+}
+
+/// Names for [`generate`], in the order of the files in [`generated`].
+pub const NAMES: [&str; 3] = ["roundabout", "greenhouse", "zoo"];
+
+/// The generated files of one scene: the scene file first where the generator writes it, then its parts.
+/// - `name`: one of [`NAMES`]; `None` for any other.
+pub fn generate(name: &str) -> Option<Vec<SceneFile>> {
+    match name {
+        "roundabout" => Some(roundabout::files()),
+        "greenhouse" => Some(greenhouse::files()),
+        "zoo" => Some(vec![
+            SceneFile { path: "zoo/checker.png".into(), bytes: png::checker() },
+            SceneFile { path: "zoo/ripples.png".into(), bytes: png::ripples() },
+            SceneFile::text("zoo/spot.ies", ies::spot()),
+        ]),
+        _ => None,
+    }
+}
+
+/// Every generated file.
+pub fn generated() -> Vec<SceneFile> {
+    NAMES.iter().filter_map(|name| generate(name)).flatten().collect()
+}
+
+/// The folder that holds the committed scenes, as it was when this crate was compiled.
+pub fn folder() -> &'static std::path::Path {
+    std::path::Path::new(env!("CARGO_MANIFEST_DIR"))
+}

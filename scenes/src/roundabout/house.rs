@@ -1,0 +1,69 @@
+//! A house of two storeys; its windows glow.
+//!
+//! Local frame: 10 m along x, 8 m along y, the front faces -y. Emitters lie 2 cm before the wall, on a white panel.
+
+use crate::sheet::{Point, Sheet};
+
+/// A window: centre on the wall (x along it, z up), and whether someone is at home behind it.
+const FRONT: [(f64, f64, &str); 5] = [
+    (-3.2, 1.6, "window_warm"),
+    (3.2, 1.6, "window_warm"),
+    (-3.2, 4.2, "darkglass"),
+    (0.0, 4.2, "window_cool"),
+    (3.2, 4.2, "darkglass"),
+];
+const SIDE: [(f64, f64, &str); 3] = [(-2.0, 1.6, "window_warm"), (2.0, 4.2, "window_cool"), (-2.0, 4.2, "darkglass")];
+const BACK: [(f64, f64, &str); 3] = [(-2.5, 1.6, "window_cool"), (2.5, 1.6, "darkglass"), (1.0, 4.2, "window_warm")];
+
+/// The house, seven polygons and its parts.
+pub fn house() -> String {
+    let mut sheet = Sheet::new("h");
+    sheet.put("# A house, 10 m by 8 m, 8.2 m high; the front faces -y.");
+    sheet.material("wall");
+    let gable = [[-4.0, -0.2], [4.0, -0.2], [4.0, 5.2], [0.0, 8.0], [-4.0, 5.2]];
+    let outline: Vec<Point> = gable.iter().map(|p| [5.0, p[0], p[1]]).collect();
+    sheet.prism(&outline, 10.0);
+    sheet.material("roof");
+    for side in [-1.0, 1.0] {
+        // 2 cm above the walls; the two slabs stay 6 mm apart at the ridge.
+        let mut slab: Vec<Point> =
+            [[0.003, 8.03], [4.5, 4.88], [4.58, 4.99], [0.003, 8.2]].map(|p| [5.4, side * p[0], p[1]]).to_vec();
+        if side < 0.0 {
+            slab.reverse(); // counter-clockwise seen from +x again
+        }
+        sheet.prism(&slab, 10.8);
+    }
+    sheet.material("wall");
+    sheet.block([2.6, 1.0, 6.2], [3.3, 1.7, 9.1]);
+    sheet.material("bark");
+    sheet.block([-0.55, -4.06, -0.1], [0.55, -3.9, 2.15]);
+    sheet.material("paving");
+    sheet.block([-0.9, -5.0, -0.25], [0.9, -3.85, 0.08]);
+    let walls: [(&str, &[(f64, f64, &str)]); 4] = [
+        ("-t 0 -4 0", &FRONT),
+        ("-t 0 -4 0 -rz 180", &BACK),
+        ("-t 0 -5 0 -rz 90", &SIDE),
+        ("-t 0 -5 0 -rz -90", &SIDE),
+    ];
+    for (place, windows) in walls {
+        for (x, z, material) in windows {
+            sheet.push(&format!("-t {x} 0 {z} {place}"));
+            sheet.include("window.mgf", "");
+            sheet.material(material);
+            sheet.face(&[[-0.55, -0.02, -0.65], [0.55, -0.02, -0.65], [0.55, -0.02, 0.65], [-0.55, -0.02, 0.65]]);
+            sheet.close();
+        }
+    }
+    sheet.finish()
+}
+
+/// A window's frame and bar, without its pane: 13 polygons.
+pub fn window() -> String {
+    let mut sheet = Sheet::new("w");
+    sheet.put("# A window's frame, bar and sill; the pane is the house's business.");
+    sheet.material("white");
+    sheet.face(&[[-0.65, -0.01, -0.75], [0.65, -0.01, -0.75], [0.65, -0.01, 0.75], [-0.65, -0.01, 0.75]]);
+    sheet.block([-0.025, -0.06, -0.7], [0.025, -0.03, 0.7]);
+    sheet.block([-0.75, -0.12, -0.82], [0.75, 0.05, -0.76]);
+    sheet.finish()
+}

@@ -1,0 +1,203 @@
+//! A scene file being written: vertices by position, faces, prisms, and balanced transforms.
+//!
+//! Coordinates are rounded to 0.01 mm. Vertices that coincide after rounding share one name, which is what keeps meshes small;
+//! the price is a prefix per file, because included files share one name space.
+
+use femc_math::elementary::double;
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+/// A point, m.
+pub type Point = [f64; 3];
+
+const UNITS_PER_METRE: f64 = 1e5;
+
+/// A file in the making.
+pub struct Sheet {
+    text: String,
+    prefix: &'static str,
+    known: BTreeMap<[i64; 3], usize>,
+    open: u32,
+}
+
+impl Sheet {
+    /// - `prefix`: begins every vertex name; differs between files that include each other.
+    pub fn new(prefix: &'static str) -> Self {
+        Self { text: String::new(), prefix, known: BTreeMap::new(), open: 0 }
+    }
+
+    /// Lines of `words`, as they stand; a last line end is added where it lacks.
+    pub fn put(&mut self, words: &str) {
+        self.text.push_str(words);
+        if !words.ends_with('\n') {
+            self.text.push('\n');
+        }
+    }
+
+    /// Pushes a transform.
+    pub fn push(&mut self, arguments: &str) {
+        let _ = writeln!(self.text, "xf {arguments}");
+        self.open += 1;
+    }
+
+    /// Pops the transform pushed last.
+    pub fn close(&mut self) {
+        debug_assert!(self.open > 0, "nothing is open");
+        self.open -= 1;
+        self.put("xf");
+    }
+
+    /// Makes `name` the current material.
+    pub fn material(&mut self, name: &str) {
+        let _ = writeln!(self.text, "m {name}");
+    }
+
+    /// Includes `path`, placed by `arguments`.
+    pub fn include(&mut self, path: &str, arguments: &str) {
+        self.put(format!("i {path} {arguments}").trim_end());
+    }
+
+    /// A planar polygon, counter-clockwise seen from its front.
+    pub fn face(&mut self, corners: &[Point]) {
+        let names = self.vertices(corners);
+        let _ = writeln!(self.text, "f{names}");
+    }
+
+    /// A closed prism whose one end is `corners` (its normal points out) and which reaches `length` behind it.
+    pub fn prism(&mut self, corners: &[Point], length: f64) {
+        let names = self.vertices(corners);
+        let _ = writeln!(self.text, "prism{names} {}", number(length));
+    }
+
+    /// An upright box from `low` to `high`.
+    pub fn block(&mut self, low: Point, high: Point) {
+        let z = high[2];
+        self.prism(
+            &[[low[0], low[1], z], [high[0], low[1], z], [high[0], high[1], z], [low[0], high[1], z]],
+            high[2] - low[2],
+        );
+    }
+
+    /// A straight rod of regular cross-section from `start` to `end`, not both at one place.
+    pub fn rod(&mut self, start: Point, end: Point, radius: f64, sides: u32) {
+        let axis = subtract(end, start);
+        let length = dot(axis, axis).sqrt();
+        let w = scale(axis, 1.0 / length);
+        let helper = if w[2].abs() > 0.9 { [1.0, 0.0, 0.0] } else { [0.0, 0.0, 1.0] };
+        let u = unit(cross(helper, w));
+        let v = cross(w, u);
+        let corners: Vec<Point> = (0..sides)
+            .map(|k| {
+                let (s, c) = turn(f64::from(k) * 360.0 / f64::from(sides));
+                add(end, add(scale(u, radius * c), scale(v, radius * s)))
+            })
+            .collect();
+        self.prism(&corners, length);
+    }
+
+    /// The text. All transforms are closed by now.
+    pub fn finish(self) -> String {
+        debug_assert!(self.open == 0, "{} transforms are open", self.open);
+        self.text
+    }
+
+    fn vertices(&mut self, corners: &[Point]) -> String {
+        let mut names = String::new();
+        for corner in corners {
+            let key = corner.map(|x| (x * UNITS_PER_METRE).round() as i64);
+            let next = self.known.len();
+            let index = *self.known.entry(key).or_insert_with(|| {
+                let [x, y, z] = corner.map(number);
+                let _ = writeln!(self.text, "v {}{next} =\n\tp {x} {y} {z}", self.prefix);
+                next
+            });
+            let _ = write!(names, " {}{index}", self.prefix);
+        }
+        names
+    }
+}
+
+/// `x` in at most five decimals.
+pub fn number(x: f64) -> String {
+    let rounded = (x * UNITS_PER_METRE).round() as i64;
+    let (whole, part) = (rounded.unsigned_abs() / 100_000, rounded.unsigned_abs() % 100_000);
+    let sign = if rounded < 0 { "-" } else { "" };
+    let digits = format!("{part:05}");
+    match digits.trim_end_matches('0') {
+        "" => format!("{sign}{whole}"),
+        decimals => format!("{sign}{whole}.{decimals}"),
+    }
+}
+
+/// Sine and cosine of `degrees`.
+pub fn turn(degrees: f64) -> (f64, f64) {
+    double::sin_cos(degrees.to_radians())
+}
+
+/// The point at `radius`, `degrees` about z, and height `z`.
+pub fn polar(radius: f64, degrees: f64, z: f64) -> Point {
+    let (s, c) = turn(degrees);
+    [radius * c, radius * s, z]
+}
+
+/// a + b
+pub fn add(a: Point, b: Point) -> Point {
+    [a[0] + b[0], a[1] + b[1], a[2] + b[2]]
+}
+
+/// a - b
+pub fn subtract(a: Point, b: Point) -> Point {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+/// f a
+pub fn scale(a: Point, f: f64) -> Point {
+    a.map(|x| x * f)
+}
+
+fn dot(a: Point, b: Point) -> f64 {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+fn cross(a: Point, b: Point) -> Point {
+    [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+fn unit(a: Point) -> Point {
+    scale(a, 1.0 / dot(a, a).sqrt())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_short_and_keep_five_decimals() {
+        assert_eq!(
+            [0.0, -0.000_001, 1.5, -2.0, 0.000_01, 12.345_678].map(number),
+            ["0", "0", "1.5", "-2", "0.00001", "12.34568"]
+        );
+    }
+
+    #[test]
+    fn coinciding_vertices_are_written_once_and_transforms_close() {
+        let mut sheet = Sheet::new("a");
+        sheet.push("-s 2");
+        sheet.push("-rz 10");
+        sheet.face(&[[0.0; 3], [1.0, 0.0, 0.0], [1.0, 1.0, 0.0]]);
+        sheet.face(&[[0.0; 3], [1.0, 1.0, 0.0], [0.0, 1.0, 0.0]]);
+        sheet.close();
+        sheet.close();
+        let text = sheet.finish();
+        assert_eq!(text.matches("v a").count(), 4);
+        assert!(text.ends_with("f a0 a2 a3\nxf\nxf\n"), "{text}");
+    }
+
+    #[test]
+    fn a_rod_ends_where_it_should() {
+        let mut sheet = Sheet::new("a");
+        sheet.rod([0.0; 3], [0.0, 0.0, 2.0], 0.1, 6);
+        let text = sheet.finish();
+        assert_eq!(text.matches(" 2\n").count(), 7, "six corners at z = 2 and the length: {text}");
+    }
+}

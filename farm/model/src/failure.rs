@@ -25,6 +25,12 @@ pub enum Failure {
         /// The panic's message.
         message: String,
     },
+    /// The worker was there, and the task made no progress for too long.
+    #[error("no progress for {seconds} s")]
+    Stalled {
+        /// How long.
+        seconds: u64,
+    },
     /// An artefact that the task needs is not in the store.
     #[error("artefact {digest} is missing")]
     MissingInput {
@@ -76,7 +82,7 @@ impl Failure {
     pub fn verdict(&self) -> Verdict {
         match self {
             Self::Scene { .. } | Self::Settings { .. } => Verdict::Fatal,
-            Self::Panicked { .. } => Verdict::Retry,
+            Self::Panicked { .. } | Self::Stalled { .. } => Verdict::Retry,
             Self::MissingInput { digest } | Self::DamagedInput { digest, .. } => Verdict::Rebuild(*digest),
             Self::Store { .. } | Self::Resources { .. } => Verdict::Infrastructure,
             Self::Cancelled => Verdict::Cancelled,

@@ -161,6 +161,14 @@ impl Floor {
         over
     }
 
+    /// Of a lease that ran out although its worker is there: that worker, and for how many seconds nothing moved.
+    pub(crate) fn stalled(&self, task: &TaskKey, config: &Config, now: Tick) -> Option<(WorkerId, u64)> {
+        let lease = self.leases.get(task)?;
+        let worker = self.workers.get(&lease.worker)?;
+        let is_there = now.since(worker.seen) < config.lease;
+        (is_there && lease.phase != Phase::Waiting).then(|| (lease.worker, now.since(lease.moved) / 1000))
+    }
+
     /// The leases whose time is up, earliest first.
     pub(crate) fn expired(&self, now: Tick) -> Vec<TaskKey> {
         self.deadlines.iter().take_while(|(deadline, _)| *deadline <= now).map(|&(_, task)| task).collect()

@@ -99,7 +99,7 @@ impl Scheduler {
         worker.mishaps += 1;
     }
 
-    fn count_failure(
+    pub(crate) fn count_failure(
         &mut self,
         worker: WorkerId,
         task: TaskKey,

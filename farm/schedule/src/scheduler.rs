@@ -3,7 +3,7 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Digest, Epoch, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey, TaskProgress, Tick, WorkerId};
+use femc_model::{Digest, Epoch, Failure, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey, TaskProgress, Tick, WorkerId};
 
 use crate::desk::Desk;
 use crate::floor::Floor;
@@ -120,7 +120,11 @@ impl Scheduler {
 
     fn elapsed(&mut self, now: Tick, out: &mut Vec<Command>) {
         for task in self.floor.expired(now) {
+            let stalled = self.floor.stalled(&task, &self.config, now);
             self.revoke(&task, RevokeReason::Expired, out);
+            if let Some((worker, seconds)) = stalled {
+                self.count_failure(worker, task, Failure::Stalled { seconds }, now, out);
+            }
             self.put_back(&task);
             out.push(Command::Changed(task.job));
         }

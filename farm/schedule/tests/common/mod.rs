@@ -1,0 +1,190 @@
+//! A farm to play with: a scheduler, its log, and workers that do as they are told.
+#![allow(dead_code, reason = "each test file uses its part")]
+
+use femc_model::*;
+use femc_schedule::*;
+
+/// A job of square films of `tiles` tiles in a row.
+pub fn job(frames: &[u32], tiles: u32, rounds: &[u32]) -> JobSpec {
+    JobSpec {
+        name: "fog".into(),
+        bundle: Digest::of(b"bundle"),
+        entry: "fog.mgf".into(),
+        settings: "{}".into(),
+        frames: frames.to_vec(),
+        grid: Grid { film: [tiles * 8, 8], tile: 8 },
+        rounds: rounds.to_vec(),
+        priority: 50,
+        owner: "me".into(),
+        tags: vec![],
+    }
+}
+
+/// Scheduler, time, and everything that was made durable.
+pub struct Farm {
+    pub scheduler: Scheduler,
+    pub now: Tick,
+    pub log: Vec<(Tick, Fact)>,
+    /// Leases as the workers know them.
+    pub held: Vec<(WorkerId, Assignment)>,
+    requests: u64,
+}
+
+impl Farm {
+    pub fn new() -> Self {
+        let (scheduler, opened) = Scheduler::new(Config::default(), Ledger::default());
+        Self { scheduler, now: Tick(0), log: vec![(Tick(0), opened)], held: vec![], requests: 0 }
+    }
+
+    /// The ledger that the log gives.
+    pub fn replay(&self) -> Ledger {
+        let mut ledger = Ledger::default();
+        for (now, fact) in &self.log {
+            let (now, fact) = Fact::decode(&fact.encode(*now).unwrap()).unwrap();
+            ledger.apply(&fact, now);
+        }
+        ledger
+    }
+
+    /// The coordinator dies and another goes on from the log; the workers are gone.
+    pub fn restart(&mut self) {
+        let ledger = self.replay();
+        assert_eq!(&ledger, self.scheduler.ledger());
+        let (scheduler, opened) = Scheduler::new(Config::default(), ledger);
+        self.log.push((scheduler.ledger().now(), opened));
+        self.scheduler = scheduler;
+        self.held.clear();
+    }
+
+    pub fn on(&mut self, event: Event) -> Vec<Command> {
+        let commands = self.scheduler.on(event, self.now);
+        for command in &commands {
+            match command {
+                Command::Record(fact) => self.log.push((self.now, fact.clone())),
+                Command::Assign { worker, assignment } => self.held.push((*worker, assignment.clone())),
+                Command::Revoke { task, epoch, .. } => self.drop_lease(*task, *epoch),
+                _ => {}
+            }
+        }
+        commands
+    }
+
+    fn drop_lease(&mut self, task: TaskKey, epoch: Epoch) {
+        self.held.retain(|(_, held)| (held.task, held.epoch) != (task, epoch));
+    }
+
+    pub fn submit(&mut self, spec: JobSpec) -> JobId {
+        self.requests += 1;
+        let request = RequestId(self.requests);
+        let commands = self.on(Event::Submitted { request, key: None, spec: Box::new(spec) });
+        answer(&commands).and_then(|answer| match answer {
+            Answer::Submitted(job) | Answer::Controlled(job) => Some(job),
+        })
+        .expect("the job is taken")
+    }
+
+    pub fn control(&mut self, job: JobId, control: Control) -> Vec<Command> {
+        self.requests += 1;
+        self.on(Event::Controlled { request: RequestId(self.requests), job, control })
+    }
+
+    pub fn join(&mut self, worker: u64) -> Vec<Command> {
+        self.join_as(worker, Registration { instance: worker, ..registration() })
+    }
+
+    pub fn join_as(&mut self, worker: u64, registration: Registration) -> Vec<Command> {
+        self.on(Event::Joined { worker: WorkerId(worker), registration })
+    }
+
+    pub fn leave(&mut self, worker: u64) -> Vec<Command> {
+        self.held.retain(|(holder, _)| holder.0 != worker);
+        self.on(Event::Left { worker: WorkerId(worker) })
+    }
+
+    /// What a worker holds, as (frame, round, kind, index), in the order in which it was told.
+    pub fn tasks_of(&self, worker: u64) -> Vec<(u32, u32, StageKind, u32)> {
+        let own = self.held.iter().filter(|(holder, _)| holder.0 == worker);
+        own.map(|(_, held)| (held.task.stage.frame, held.task.stage.round, held.task.stage.kind, held.task.index)).collect()
+    }
+
+    /// The worker's oldest lease.
+    pub fn first_of(&self, worker: u64) -> Assignment {
+        self.held.iter().find(|(holder, _)| holder.0 == worker).expect("it holds a task").1.clone()
+    }
+
+    pub fn complete(&mut self, worker: u64, held: &Assignment, decision: Decision) -> Vec<Command> {
+        self.drop_lease(held.task, held.epoch);
+        let (task, epoch) = (held.task, held.epoch);
+        self.on(Event::Completed { worker: WorkerId(worker), task, epoch, result: result(held, decision) })
+    }
+
+    pub fn fail(&mut self, worker: u64, held: &Assignment, failure: Failure) -> Vec<Command> {
+        self.drop_lease(held.task, held.epoch);
+        self.on(Event::Failed { worker: WorkerId(worker), task: held.task, epoch: held.epoch, failure })
+    }
+
+    /// The worker does its oldest task.
+    pub fn work(&mut self, worker: u64, decision: Decision) -> Vec<Command> {
+        let held = self.first_of(worker);
+        self.complete(worker, &held, decision)
+    }
+
+    pub fn heartbeat(&mut self, worker: u64, phase: Phase, samples: u64) -> Vec<Command> {
+        let own = self.held.iter().filter(|(holder, _)| holder.0 == worker);
+        let tasks = own.map(|(_, held)| TaskProgress { task: held.task, epoch: held.epoch, phase, samples }).collect();
+        self.on(Event::Heartbeat { worker: WorkerId(worker), tasks })
+    }
+
+    pub fn wait(&mut self, milliseconds: u64) -> Vec<Command> {
+        self.now = self.now.after(milliseconds);
+        self.on(Event::Elapsed)
+    }
+
+    pub fn status(&self, job: JobId) -> JobStatus {
+        self.scheduler.status(job, self.now).expect("the job is there")
+    }
+
+    pub fn state(&self, job: JobId) -> JobState {
+        self.status(job).state
+    }
+}
+
+pub fn registration() -> Registration {
+    Registration { name: "w".into(), instance: 0, engine: "e".into(), threads: 2, slots: 1, tags: vec![] }
+}
+
+pub fn answer(commands: &[Command]) -> Option<Answer> {
+    commands.iter().find_map(|command| match command {
+        Command::Answer { answer, .. } => answer.clone().ok(),
+        _ => None,
+    })
+}
+
+/// What an honest worker reports.
+pub fn result(held: &Assignment, decision: Decision) -> TaskResult {
+    let name = |what: &str| Artefact::of(format!("{what} {}", held.task).as_bytes());
+    match &held.work {
+        Work::Render { samples } => TaskResult::Tile(TileResult {
+            tile: name("tile"),
+            samples: u64::from(samples.end - samples.start) * 64,
+            bad_samples: 1,
+            seconds: 0.5,
+        }),
+        Work::Merge { more, .. } => {
+            let decision = if *more == More::Last { Decision::Done } else { decision };
+            TaskResult::Merge(MergeResult {
+                decision,
+                sums: (decision == Decision::Continue).then(|| name("sums")),
+                image: (decision == Decision::Done).then(|| name("image")),
+                preview: None,
+                relative_error: Some(0.1),
+                bad_samples: 0,
+                seconds: 0.25,
+            })
+        }
+    }
+}
+
+pub fn panic() -> Failure {
+    Failure::Panicked { message: "oops".into() }
+}

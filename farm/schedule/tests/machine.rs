@@ -1,0 +1,262 @@
+//! Any order of events: no task is lost, none is done twice, every job ends, a replay gives the same state, and
+//! dealing again changes nothing.
+
+mod common;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use common::{Farm, job, panic, result};
+use femc_model::*;
+use femc_schedule::*;
+use proptest::prelude::*;
+
+#[derive(Debug, Clone)]
+enum Step {
+    Submit { frames: u32, tiles: u32, rounds: usize },
+    Join,
+    Leave(usize),
+    Complete(usize, Decision),
+    Fail(usize, u8),
+    Late(usize),
+    Heartbeat(usize, u64),
+    Wait(u64),
+    Control(usize, u8),
+    Restart,
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    let decision = prop_oneof![Just(Decision::Continue), Just(Decision::Done)];
+    prop_oneof![
+        1 => (1..4u32, 1..5u32, 1..4usize).prop_map(|(frames, tiles, rounds)| Step::Submit { frames, tiles, rounds }),
+        2 => Just(Step::Join),
+        1 => any::<usize>().prop_map(Step::Leave),
+        12 => (any::<usize>(), decision).prop_map(|(which, decision)| Step::Complete(which, decision)),
+        3 => (any::<usize>(), 0..6u8).prop_map(|(which, kind)| Step::Fail(which, kind)),
+        2 => any::<usize>().prop_map(Step::Late),
+        3 => (any::<usize>(), 0..1000u64).prop_map(|(which, samples)| Step::Heartbeat(which, samples)),
+        3 => prop_oneof![Just(400u64), Just(2_000), Just(6_000)].prop_map(Step::Wait),
+        1 => (any::<usize>(), 0..5u8).prop_map(|(which, kind)| Step::Control(which, kind)),
+        1 => Just(Step::Restart),
+    ]
+}
+
+/// The farm, and what must hold of it.
+struct Machine {
+    farm: Farm,
+    workers: BTreeSet<u64>,
+    next_worker: u64,
+    jobs: Vec<JobId>,
+    /// Leases that are over, as a slow worker remembers them.
+    over: Vec<(WorkerId, Assignment)>,
+    live: BTreeMap<TaskKey, Epoch>,
+    last_epoch: Epoch,
+    done: BTreeSet<TaskKey>,
+}
+
+impl Machine {
+    fn new() -> Self {
+        Self {
+            farm: Farm::new(),
+            workers: BTreeSet::new(),
+            next_worker: 1,
+            jobs: vec![],
+            over: vec![],
+            live: BTreeMap::new(),
+            last_epoch: Epoch(0),
+            done: BTreeSet::new(),
+        }
+    }
+
+    /// Checks every command against what is known, and learns from it.
+    fn see(&mut self, commands: Vec<Command>) {
+        for command in commands {
+            match command {
+                Command::Assign { assignment, .. } => {
+                    let Assignment { task, epoch, .. } = assignment;
+                    assert!(epoch > self.last_epoch, "epochs grow");
+                    self.last_epoch = epoch;
+                    assert!(!self.done.contains(&task), "{task} is done and leased again");
+                    assert_eq!(self.live.insert(task, epoch), None, "{task} is leased twice");
+                }
+                Command::Revoke { task, epoch, .. } if self.live.get(&task) == Some(&epoch) => {
+                    self.live.remove(&task);
+                }
+                Command::Record(Fact::Rendered { task, epoch, .. } | Fact::Merged { task, epoch, .. }) => {
+                    assert_eq!(self.live.remove(&task), Some(epoch), "a result without a lease counts");
+                    assert!(self.done.insert(task), "{task} is done twice");
+                }
+                Command::Record(Fact::Lost { task }) => assert!(self.done.remove(&task)),
+                Command::Record(Fact::Restarted { job, frame }) => {
+                    self.done.retain(|task| (task.job, task.stage.frame) != (job, frame));
+                }
+                _ => {}
+            }
+        }
+    }
+
+    fn end_lease(&mut self, worker: WorkerId, held: &Assignment) {
+        self.over.push((worker, held.clone()));
+    }
+
+    fn held(&self, which: usize) -> Option<(WorkerId, Assignment)> {
+        let held = &self.farm.held;
+        (!held.is_empty()).then(|| held[which % held.len()].clone())
+    }
+
+    fn worker(&self, which: usize) -> Option<u64> {
+        self.workers.iter().nth(which % self.workers.len().max(1)).copied()
+    }
+
+    fn take(&mut self, step: Step) {
+        match step {
+            Step::Submit { frames, tiles, rounds } => {
+                let frames: Vec<u32> = (1..=frames).collect();
+                let spec = Box::new(job(&frames, tiles, &[2, 4, 8][..rounds]));
+                let commands = self.farm.on(Event::Submitted { request: RequestId(0), key: None, spec });
+                if let Some(Answer::Submitted(job)) = common::answer(&commands) {
+                    self.jobs.push(job);
+                }
+                self.see(commands);
+            }
+            Step::Join => {
+                self.workers.insert(self.next_worker);
+                let commands = self.farm.join(self.next_worker);
+                self.next_worker += 1;
+                self.see(commands);
+            }
+            Step::Leave(which) => {
+                let Some(worker) = self.worker(which) else { return };
+                self.workers.remove(&worker);
+                let held: Vec<_> = self.farm.held.iter().filter(|(holder, _)| holder.0 == worker).cloned().collect();
+                for (worker, held) in held {
+                    self.live.remove(&held.task);
+                    self.end_lease(worker, &held);
+                }
+                let commands = self.farm.leave(worker);
+                self.see(commands);
+            }
+            Step::Complete(which, decision) => {
+                let Some((worker, held)) = self.held(which) else { return };
+                self.end_lease(worker, &held);
+                let commands = self.farm.complete(worker.0, &held, decision);
+                assert!(!commands.iter().any(|c| matches!(c, Command::Refuse { .. })), "a live lease is refused");
+                self.see(commands);
+            }
+            Step::Fail(which, kind) => {
+                let Some((worker, held)) = self.held(which) else { return };
+                self.end_lease(worker, &held);
+                self.live.remove(&held.task);
+                let missing = match &held.work {
+                    Work::Merge { tiles, previous, .. } => previous.unwrap_or(tiles[0]).digest,
+                    Work::Render { .. } => Digest::of(b"nobody knows"),
+                };
+                let failure = match kind {
+                    0 | 1 => panic(),
+                    2 => Failure::Store { message: "away".into() },
+                    3 => Failure::Cancelled,
+                    4 => Failure::MissingInput { digest: missing },
+                    _ => Failure::Resources { message: "memory".into() },
+                };
+                let commands = self.farm.fail(worker.0, &held, failure);
+                self.see(commands);
+            }
+            Step::Late(which) => {
+                if self.over.is_empty() {
+                    return;
+                }
+                let (worker, task) = self.over[which % self.over.len()].clone();
+                let event = Event::Completed {
+                    worker,
+                    task: task.task,
+                    epoch: task.epoch,
+                    result: result(&task, Decision::Done),
+                };
+                let commands = self.farm.on(event);
+                assert!(!commands.iter().any(|c| matches!(c, Command::Record(_))), "a stale report changes something");
+                self.see(commands);
+            }
+            Step::Heartbeat(which, samples) => {
+                let Some(worker) = self.worker(which) else { return };
+                let commands = self.farm.heartbeat(worker, Phase::Working, samples);
+                self.see(commands);
+            }
+            Step::Wait(milliseconds) => {
+                let before = self.farm.held.clone();
+                let commands = self.farm.wait(milliseconds);
+                let lost = before.into_iter().filter(|held| !self.farm.held.contains(held));
+                self.over.extend(lost);
+                self.see(commands);
+            }
+            Step::Control(which, kind) => {
+                if self.jobs.is_empty() {
+                    return;
+                }
+                let job = self.jobs[which % self.jobs.len()];
+                let control = match kind {
+                    0 => Control::Pause,
+                    1 => Control::Resume,
+                    2 => Control::Cancel,
+                    3 => Control::Retry,
+                    _ => Control::Priority((which % 101) as u8),
+                };
+                let commands = self.farm.control(job, control);
+                self.see(commands);
+            }
+            Step::Restart => {
+                self.over.append(&mut self.farm.held.clone());
+                self.farm.restart();
+                self.workers.clear();
+                self.live.clear();
+            }
+        }
+    }
+
+    fn check(&mut self) {
+        assert_eq!(&self.farm.replay(), self.farm.scheduler.ledger(), "a replay gives the same state");
+        let again = self.farm.on(Event::Elapsed);
+        assert_eq!(again, [], "dealing again changes nothing");
+        let known: BTreeMap<TaskKey, Epoch> = self.farm.held.iter().map(|(_, h)| (h.task, h.epoch)).collect();
+        assert_eq!(known, self.live);
+    }
+
+    /// One good worker and no more faults: every job ends, and a job that is done has every frame.
+    fn finish(&mut self) {
+        for index in 0..self.jobs.len() {
+            self.take(Step::Control(index, 1));
+        }
+        self.take(Step::Join);
+        for _ in 0..10_000 {
+            if self.jobs.iter().all(|&job| self.farm.state(job).has_ended()) {
+                break;
+            }
+            match self.held(0) {
+                Some(_) => self.take(Step::Complete(0, Decision::Continue)),
+                None => self.take(Step::Wait(70_000)),
+            }
+            if self.farm.held.is_empty() {
+                self.take(Step::Join);
+            }
+        }
+        for &job in &self.jobs {
+            let status = self.farm.status(job);
+            assert!(status.state.has_ended(), "job {job} does not end: {status:?}");
+            let frames = self.farm.scheduler.frames(job).unwrap().len() as u32;
+            assert_eq!(status.state == JobState::Done, frames == status.frames_total);
+            assert_eq!(status.state == JobState::Failed, !status.quarantined.is_empty() && frames < status.frames_total && status.state != JobState::Cancelled);
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 256, failure_persistence: None, ..ProptestConfig::default() })]
+    #[test]
+    fn no_task_is_lost_and_none_is_done_twice_and_every_job_ends(steps in prop::collection::vec(step(), 1..120)) {
+        let mut machine = Machine::new();
+        for step in steps {
+            machine.take(step);
+            machine.check();
+        }
+        machine.finish();
+        machine.check();
+    }
+}

@@ -1,0 +1,399 @@
+//! What the scheduler promises, a sentence each.
+
+mod common;
+
+use common::{Farm, answer, job, panic, registration, result};
+use femc_model::*;
+use femc_schedule::*;
+
+use Decision::{Continue, Done};
+use StageKind::{Merge, Render};
+
+fn refused(commands: &[Command]) -> bool {
+    commands.iter().any(|command| matches!(command, Command::Refuse { .. }))
+}
+
+fn accepted(commands: &[Command]) -> bool {
+    commands.iter().any(|command| matches!(command, Command::Accept { .. }))
+}
+
+fn recorded(commands: &[Command]) -> bool {
+    commands.iter().any(|command| matches!(command, Command::Record(_)))
+}
+
+#[test]
+fn a_silent_worker_loses_its_lease_and_a_late_answer_changes_nothing() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    let late = farm.first_of(1);
+    farm.wait(4_999);
+    assert_eq!(farm.tasks_of(1).len(), 1);
+    farm.wait(1);
+    assert_eq!(farm.tasks_of(1), [], "revoked, and not given back to the silent one");
+    farm.join(2);
+    assert_eq!(farm.tasks_of(2), [(1, 0, Render, 0)]);
+    assert!(farm.first_of(2).epoch > late.epoch);
+    let answer = farm.complete(1, &late, Done);
+    assert!(refused(&answer) && !recorded(&answer) && !accepted(&answer));
+    assert_eq!(farm.status(id).stale_messages, 1);
+}
+
+#[test]
+fn heartbeats_with_progress_keep_a_lease_and_standing_still_loses_it() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    for step in 1..=100 {
+        farm.wait(4_000);
+        farm.heartbeat(1, Phase::Working, step);
+    }
+    assert_eq!(farm.tasks_of(1).len(), 1);
+    let mut farm_stands_still = |farm: &mut Farm| {
+        (1..100).find(|_| {
+            farm.heartbeat(1, Phase::Working, 100);
+            farm.wait(4_000).iter().any(|command| matches!(command, Command::Record(Fact::Failed { .. })))
+        })
+    };
+    assert_eq!(farm_stands_still(&mut farm), Some(31), "after the stall limit of 120 s and what was left of the lease");
+    assert_eq!(farm_stands_still(&mut farm), Some(31));
+    assert_eq!(farm_stands_still(&mut farm), Some(31));
+    assert_eq!(farm.state(id), JobState::Failed, "a task that stands still everywhere ends like one that panics");
+}
+
+#[test]
+fn a_worker_that_leaves_frees_its_tasks_at_once() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 2, &[4]));
+    farm.join(1);
+    assert_eq!(farm.tasks_of(1).len(), 2, "one that runs and one ahead");
+    farm.join(2);
+    assert_eq!(farm.tasks_of(2), []);
+    farm.leave(1);
+    assert_eq!(farm.tasks_of(2), [(1, 0, Render, 0), (1, 0, Render, 1)]);
+}
+
+#[test]
+fn nobody_fetches_ahead_what_another_could_begin() {
+    let mut farm = Farm::new();
+    farm.join(1);
+    farm.join(2);
+    farm.submit(job(&[1], 3, &[4]));
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 0), (1, 0, Render, 2)]);
+    assert_eq!(farm.tasks_of(2), [(1, 0, Render, 1)]);
+}
+
+#[test]
+fn a_frame_is_merged_after_its_last_tile_and_the_next_frame_overlaps() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1, 2], 2, &[4]));
+    farm.join(1);
+    farm.work(1, Done);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 1), (2, 0, Render, 0)]);
+    farm.work(1, Done);
+    assert_eq!(farm.tasks_of(1), [(2, 0, Render, 0), (1, 0, Merge, 0)]);
+    let merge = farm.held[1].1.clone();
+    let Work::Merge { previous: None, tiles, spp: 4, more: More::Last, .. } = &merge.work else { panic!("{merge:?}") };
+    assert_eq!(tiles.len(), 2);
+    farm.complete(1, &merge, Done);
+    assert_eq!(farm.status(id).frames_done, 1);
+    while farm.state(id) == JobState::Running {
+        farm.work(1, Done);
+    }
+    assert_eq!(farm.state(id), JobState::Done);
+    let frames: Vec<u32> = farm.scheduler.frames(id).unwrap().iter().map(|frame| frame.frame).collect();
+    assert_eq!(frames, [1, 2]);
+}
+
+#[test]
+fn a_merge_that_says_continue_opens_the_next_round_before_later_frames() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1, 2, 3], 1, &[4, 8, 16]));
+    farm.join_as(1, Registration { slots: 1, ..registration() });
+    farm.work(1, Done);
+    assert_eq!(farm.tasks_of(1), [(2, 0, Render, 0), (1, 0, Merge, 0)]);
+    let merge = farm.held[1].1.clone();
+    let commands = farm.complete(1, &merge, Continue);
+    assert!(commands.iter().any(|c| matches!(c, Command::Discard(digests) if digests.len() == 1)), "the merged tile");
+    assert_eq!(farm.tasks_of(1), [(2, 0, Render, 0), (1, 1, Render, 0)]);
+    let Work::Render { samples } = farm.held[1].1.work.clone() else { panic!() };
+    assert_eq!(samples, 4..8);
+    let tile = farm.held[1].1.clone();
+    farm.complete(1, &tile, Done);
+    let merge = farm.held[1].1.clone();
+    assert!(matches!(&merge.work, Work::Merge { previous: Some(_), spp: 8, more: More::Rounds, .. }));
+    farm.complete(1, &merge, Done);
+    assert_eq!(farm.scheduler.frames(id).unwrap()[0].spp, 8);
+}
+
+#[test]
+fn a_repeated_completion_gets_the_recorded_answer() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 2, &[4]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    assert!(recorded(&farm.complete(1, &held, Done)));
+    let again = farm.complete(1, &held, Done);
+    assert!(accepted(&again) && !recorded(&again) && !refused(&again));
+}
+
+#[test]
+fn a_task_that_fails_three_times_is_put_aside_and_the_job_goes_on_and_a_retry_runs_just_that() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1, 2], 2, &[4]));
+    farm.join(1);
+    for _ in 0..3 {
+        let bad = farm.held.iter().find(|(_, held)| held.task.stage.frame == 1 && held.task.index == 0).unwrap().1.clone();
+        farm.fail(1, &bad, panic());
+    }
+    while farm.state(id) == JobState::Running {
+        farm.work(1, Done);
+    }
+    let status = farm.status(id);
+    assert_eq!((status.state, status.frames_done, status.frames_failed), (JobState::Failed, 1, 1));
+    assert_eq!(status.quarantined[0].attempts, 3);
+    assert_eq!(status.waits, [Wait::Quarantined { frame: 1, tasks: 1 }]);
+    farm.control(id, Control::Retry);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 0)], "the other tile is kept");
+    farm.work(1, Done);
+    farm.work(1, Done);
+    assert_eq!(farm.state(id), JobState::Done);
+}
+
+#[test]
+fn a_failed_task_goes_to_another_worker_if_there_is_one() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    farm.join(2);
+    let held = farm.first_of(1);
+    farm.fail(1, &held, panic());
+    assert_eq!((farm.tasks_of(1).len(), farm.tasks_of(2).len()), (0, 1));
+    farm.leave(2);
+    assert_eq!(farm.tasks_of(1).len(), 1, "alone, it may try again");
+}
+
+#[test]
+fn a_full_disk_uses_up_no_attempt_and_gives_the_worker_a_rest() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    for pause in [1_000, 2_000, 4_000, 8_000] {
+        let held = farm.first_of(1);
+        farm.fail(1, &held, Failure::Store { message: "disk full".into() });
+        assert_eq!(farm.tasks_of(1), []);
+        assert_eq!(farm.status(id).waits, [Wait::WorkersResting]);
+        farm.now = farm.now.after(pause - 1);
+        farm.heartbeat(1, Phase::Waiting, 0);
+        assert_eq!(farm.tasks_of(1), []);
+        farm.wait(1);
+        assert_eq!(farm.tasks_of(1).len(), 1);
+    }
+    assert_eq!(farm.status(id).quarantined, []);
+}
+
+#[test]
+fn a_scene_that_cannot_be_read_fails_the_job_at_once_and_recalls_its_leases() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1, 2], 4, &[4]));
+    farm.join(1);
+    farm.join(2);
+    let held = farm.first_of(1);
+    farm.fail(1, &held, Failure::Scene { message: "no camera".into() });
+    assert_eq!(farm.held.len(), 0);
+    let status = farm.status(id);
+    assert_eq!(status.state, JobState::Failed);
+    assert_eq!(status.failure, Some(Failure::Scene { message: "no camera".into() }));
+}
+
+#[test]
+fn a_merge_that_misses_a_tile_has_it_rendered_again() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 2, &[4]));
+    farm.join(1);
+    farm.work(1, Done);
+    farm.work(1, Done);
+    let merge = farm.first_of(1);
+    let Work::Merge { tiles, .. } = &merge.work else { panic!() };
+    farm.fail(1, &merge, Failure::MissingInput { digest: tiles[1].digest });
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 1)]);
+    farm.work(1, Done);
+    farm.work(1, Done);
+    assert_eq!(farm.state(id), JobState::Done);
+}
+
+#[test]
+fn a_store_that_loses_every_tile_ends_the_job() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 2, &[4, 8]));
+    farm.join(1);
+    let mut steps = 0;
+    while farm.state(id) == JobState::Running {
+        let held = farm.first_of(1);
+        match &held.work {
+            Work::Render { .. } => farm.complete(1, &held, Continue),
+            Work::Merge { tiles, .. } => farm.fail(1, &held, Failure::MissingInput { digest: tiles[0].digest }),
+        };
+        steps += 1;
+        assert!(steps < 20);
+    }
+    assert_eq!(farm.state(id), JobState::Failed);
+}
+
+#[test]
+fn cancel_recalls_and_pause_lets_finish() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 9, &[4]));
+    farm.join(1);
+    farm.control(id, Control::Pause);
+    farm.work(1, Done);
+    farm.work(1, Done);
+    assert_eq!(farm.tasks_of(1), []);
+    assert_eq!((farm.state(id), farm.status(id).waits), (JobState::Paused, vec![Wait::Paused]));
+    farm.control(id, Control::Resume);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 2), (1, 0, Render, 3)]);
+    farm.control(id, Control::Cancel);
+    assert_eq!((farm.held.len(), farm.state(id)), (0, JobState::Cancelled));
+    assert!(answer(&farm.control(id, Control::Resume)).is_none(), "it has ended");
+    farm.control(id, Control::Retry);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 2), (1, 0, Render, 3)], "what was finished stays");
+}
+
+#[test]
+fn the_job_with_more_priority_goes_first_and_says_so() {
+    let mut farm = Farm::new();
+    let slow = farm.submit(job(&[1], 9, &[4]));
+    let fast = farm.submit(JobSpec { priority: 60, ..job(&[7], 9, &[4]) });
+    farm.join(1);
+    assert_eq!(farm.tasks_of(1), [(7, 0, Render, 0), (7, 0, Render, 1)]);
+    assert_eq!(farm.status(slow).waits, [Wait::BehindJob(fast)]);
+    assert_eq!(farm.status(fast).waits, [Wait::WorkersBusy { workers: 1 }]);
+    farm.control(slow, Control::Priority(70));
+    farm.work(1, Done);
+    assert_eq!(farm.tasks_of(1)[1], (1, 0, Render, 0));
+}
+
+#[test]
+fn a_job_goes_only_to_workers_with_its_tags() {
+    let mut farm = Farm::new();
+    let id = farm.submit(JobSpec { tags: vec!["lab".into()], ..job(&[1], 1, &[4]) });
+    assert_eq!(farm.status(id).waits, [Wait::NoWorkers]);
+    farm.join(1);
+    assert_eq!(farm.tasks_of(1), []);
+    assert_eq!(farm.status(id).waits, [Wait::NoWorkerWithTags(vec!["lab".into()])]);
+    let other = farm.submit(job(&[5], 1, &[4]));
+    assert_eq!(farm.tasks_of(1), [(5, 0, Render, 0)], "a job that it may not take is passed over");
+    farm.join_as(2, Registration { instance: 2, tags: vec!["lab".into()], ..registration() });
+    assert_eq!(farm.tasks_of(2), [(1, 0, Render, 0)]);
+    assert_ne!(id, other);
+}
+
+#[test]
+fn a_second_submission_with_the_same_key_is_the_same_job() {
+    let mut farm = Farm::new();
+    let submit = |farm: &mut Farm, key: &str| {
+        let spec = Box::new(job(&[1], 1, &[4]));
+        answer(&farm.on(Event::Submitted { request: RequestId(9), key: Some(key.into()), spec }))
+    };
+    let first = submit(&mut farm, "a");
+    assert_eq!(submit(&mut farm, "a"), first);
+    farm.restart();
+    assert_eq!(submit(&mut farm, "a"), first);
+    assert_ne!(submit(&mut farm, "b"), first);
+}
+
+#[test]
+fn a_restart_keeps_what_is_done_and_voids_every_lease() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 4, &[4]));
+    farm.join(1);
+    farm.work(1, Done);
+    let before = farm.first_of(1);
+    farm.restart();
+    farm.join(1);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 1), (1, 0, Render, 2)], "the leased ones, not the finished one");
+    assert!(farm.first_of(1).epoch > before.epoch);
+    let answer = farm.complete(1, &before, Done);
+    assert!(refused(&answer) && !recorded(&answer));
+    assert_eq!(farm.status(id).active[0].tiles_done, 1);
+}
+
+#[test]
+fn a_worker_that_comes_again_replaces_its_first_session() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 1, &[4]));
+    farm.join_as(1, Registration { instance: 7, ..registration() });
+    farm.held.clear();
+    let commands = farm.join_as(2, Registration { instance: 7, ..registration() });
+    assert!(commands.contains(&Command::Dismiss { worker: WorkerId(1) }));
+    assert_eq!(farm.tasks_of(2), [(1, 0, Render, 0)]);
+}
+
+#[test]
+fn a_leaving_worker_gets_nothing_new_and_finishes_what_it_holds() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 9, &[4]));
+    farm.join(1);
+    farm.on(Event::Draining { worker: WorkerId(1) });
+    assert!(accepted(&farm.work(1, Done)));
+    assert_eq!(farm.tasks_of(1).len(), 1);
+}
+
+#[test]
+fn a_result_of_the_wrong_kind_is_a_failure_of_the_task() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    let merge = Assignment {
+        work: Work::Merge { previous: None, tiles: vec![], spp: 4, elapsed: 0, busy_seconds: 0.0, more: More::Last },
+        ..held.clone()
+    };
+    let event = Event::Completed {
+        worker: WorkerId(1),
+        task: held.task,
+        epoch: held.epoch,
+        result: result(&merge, Done),
+    };
+    let commands = farm.on(event);
+    assert!(commands.iter().any(|command| matches!(command, Command::Record(Fact::Failed { .. }))));
+}
+
+#[test]
+fn samples_are_counted_in_results_and_in_running_tasks() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 2, &[4]));
+    farm.join(1);
+    farm.work(1, Done);
+    farm.heartbeat(1, Phase::Working, 100);
+    let status = farm.status(id);
+    assert_eq!((status.samples_done, status.samples_planned, status.bad_samples), (4 * 64 + 100, 8 * 64, 1));
+    farm.wait(1_000);
+    farm.heartbeat(1, Phase::Working, 150);
+    farm.wait(1_000);
+    assert_eq!(farm.status(id).samples_per_second, 50.0);
+}
+
+#[test]
+fn a_job_of_a_million_tasks_is_one_fact_and_no_rows() {
+    let mut farm = Farm::new();
+    let frames: Vec<u32> = (0..1_000).collect();
+    farm.submit(job(&frames, 1_000, &[4]));
+    let bytes = farm.scheduler.ledger().encode().unwrap();
+    assert!(bytes.len() < 3_000, "{} bytes: the frame numbers and no task", bytes.len());
+    farm.join(1);
+    assert_eq!(farm.tasks_of(1), [(0, 0, Render, 0), (0, 0, Render, 1)]);
+}
+
+#[test]
+fn a_snapshot_of_another_version_is_refused_and_a_damaged_one_too() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 4, &[4]));
+    let mut bytes = farm.scheduler.ledger().encode().unwrap();
+    assert_eq!(Ledger::decode(&bytes).as_ref(), Ok(farm.scheduler.ledger()));
+    bytes.truncate(bytes.len() - 1);
+    assert!(matches!(Ledger::decode(&bytes), Err(SnapshotError::Damaged(_))));
+    bytes[0] = 9;
+    assert_eq!(Ledger::decode(&bytes), Err(SnapshotError::Version { found: 9 }));
+    assert_eq!(Ledger::decode(&[]), Err(SnapshotError::Empty));
+}

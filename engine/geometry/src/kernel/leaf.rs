@@ -1,0 +1,225 @@
+//! Tests of the leaves of a bottom-level tree: blocks of eight triangles, and shapes.
+
+use super::{
+    probe::Probe,
+    simd::{Simd, Vector},
+    walk::{self, AnyLeaf, NearestLeaf},
+};
+use crate::{
+    blas::{Blas, Block, Shape},
+    shape::Span,
+    tree::{Child, WIDTH},
+};
+
+/// The closest hit so far.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Best {
+    pub t: f32,
+    pub primitive: u32,
+    pub u: f32,
+    pub v: f32,
+    /// Primitives below this win at equal `t`.
+    pub tie: u32,
+}
+
+impl Best {
+    /// Nothing yet; only hits before `t_max` count.
+    #[inline(always)]
+    pub fn before(t_max: f32) -> Self {
+        Self { t: t_max, primitive: u32::MAX, u: 0.0, v: 0.0, tie: 0 }
+    }
+
+    #[inline(always)]
+    fn admits(&self, t: f32, primitive: u32) -> bool {
+        t < self.t || (t == self.t && primitive < self.tie)
+    }
+}
+
+/// Improves `best` by the closest hit in `blas`; returns whether there was one.
+#[inline(always)]
+pub(crate) fn blas_closest<S: Simd>(simd: S, blas: &Blas, probe: &Probe, best: &mut Best) -> bool {
+    let before = best.primitive;
+    best.primitive = u32::MAX;
+    walk::nearest_first(simd, &blas.tree, probe, best.t, &mut Closest { simd, blas, probe, best });
+    let improved = best.primitive != u32::MAX;
+    if !improved {
+        best.primitive = before;
+    }
+    improved
+}
+
+/// Whether anything in `blas` is hit before `t_max`.
+#[inline(always)]
+pub(crate) fn blas_occluded<S: Simd>(simd: S, blas: &Blas, probe: &Probe, t_max: f32) -> bool {
+    walk::any(simd, &blas.tree, probe, t_max, &mut Occluded { simd, blas, probe, t_max })
+}
+
+struct Closest<'a, S> {
+    simd: S,
+    blas: &'a Blas,
+    probe: &'a Probe,
+    best: &'a mut Best,
+}
+
+impl<S: Simd> NearestLeaf for Closest<'_, S> {
+    #[inline(always)]
+    fn visit(&mut self, leaf: Child) -> f32 {
+        if leaf.is_second_kind() {
+            let shape = &self.blas.shapes[leaf.index()];
+            if let Some(t) = shape_distance(shape, self.probe, self.best.t)
+                && self.best.admits(t, shape.primitive)
+            {
+                *self.best = Best { t, primitive: shape.primitive, u: 0.0, v: 0.0, tie: shape.primitive };
+            }
+        } else {
+            let block = &self.blas.blocks[leaf.index()];
+            if let Some(found) = Crossing::find(self.simd, block, self.probe, self.best.t) {
+                found.improve(block, self.probe, self.best);
+            }
+        }
+        self.best.t
+    }
+}
+
+struct Occluded<'a, S> {
+    simd: S,
+    blas: &'a Blas,
+    probe: &'a Probe,
+    t_max: f32,
+}
+
+impl<S: Simd> AnyLeaf for Occluded<'_, S> {
+    #[inline(always)]
+    fn visit(&mut self, leaf: Child) -> bool {
+        if leaf.is_second_kind() {
+            let shape = &self.blas.shapes[leaf.index()];
+            shape_distance(shape, self.probe, self.t_max).is_some_and(|t| t < self.t_max)
+        } else {
+            let block = &self.blas.blocks[leaf.index()];
+            Crossing::find(self.simd, block, self.probe, self.t_max).is_some_and(|f| f.before(self.simd, self.t_max))
+        }
+    }
+}
+
+/// Distance of the first admissible crossing, at most `t_max`.
+#[inline(never)]
+fn shape_distance(shape: &Shape, probe: &Probe, t_max: f32) -> Option<f32> {
+    // The end is widened so that ties are seen; the caller compares in f32.
+    let span = Span { from: 0.0, to: f64::from(t_max) * (1.0 + 1e-7) };
+    let crossings = shape.crossings(probe.mirrored);
+    let t = shape.quadric.intersect(probe.origin.as_dvec3(), probe.dir.as_dvec3(), span, crossings)?;
+    Some(t as f32).filter(|&t| t > 0.0 && t <= t_max)
+}
+
+/// The triangles of a block that the ray crosses: at positive distances not beyond the limit, from a side from which they are visible.
+struct Crossing<V> {
+    mask: u32,
+    /// Lanes with an edge function that is 0 in f32.
+    on_edge: u32,
+    t: V,
+    /// Edge functions opposite to the three vertices.
+    edges: [V; 3],
+}
+
+impl<V: Vector> Crossing<V> {
+    /// The watertight test (\[woop2013\]) on eight triangles. A sum of two rounded products has the exact sign or is 0, and is the
+    /// neighbour's with the sign changed; where it is 0, f64 decides, in which the products are exact. The distance comes from the plane and
+    /// not from the edge functions: its sign is then that of `normal . (vertex - origin)` over `normal . dir`, which error bounds
+    /// can guarantee even for grazing rays.
+    #[inline(always)]
+    fn find<S: Simd<V = V>>(simd: S, block: &Block, probe: &Probe, t_max: f32) -> Option<Self> {
+        let [kx, ky, kz] = probe.axes;
+        let (origin, dir) = (probe.origin.to_array(), probe.dir.to_array());
+        let (rx, ry, rz) = (&block.rows[kx], &block.rows[ky], &block.rows[kz]);
+        let (ox, oy, oz) = (simd.splat(origin[kx]), simd.splat(origin[ky]), simd.splat(origin[kz]));
+        let (sx, sy) = (simd.splat(probe.shear[0]), simd.splat(probe.shear[1]));
+        let corner = |i: usize| {
+            let (x, y, z) = (simd.load(&rx[i]) - ox, simd.load(&ry[i]) - oy, simd.load(&rz[i]) - oz);
+            ([x, y, z], x - sx * z, y - sy * z)
+        };
+        let (a, ax, ay) = corner(0);
+        let (_, bx, by) = corner(1);
+        let (_, cx, cy) = corner(2);
+        let u = cx * by - cy * bx;
+        let v = ax * cy - ay * cx;
+        let w = bx * ay - by * ax;
+        let zero = simd.splat(0.0);
+        let (least, greatest) = (u.min(v).min(w), u.max(v).max(w));
+        let inside = zero.le(least) | greatest.le(zero);
+        if inside.signs() == 0 {
+            return None;
+        }
+        let (nx, ny, nz) = (simd.load(&rx[3]), simd.load(&ry[3]), simd.load(&rz[3]));
+        let (dx, dy, dz) = (simd.splat(dir[kx]), simd.splat(dir[ky]), simd.splat(dir[kz]));
+        let slope = nx * dx + ny * dy + nz * dz;
+        let t = (nx * a[0] + ny * a[1] + nz * a[2]) / slope;
+        let in_range = zero.lt(t) & t.le(simd.splat(t_max));
+        let mut mask = (inside & in_range).signs();
+        if mask == 0 {
+            return None;
+        }
+        // A mirrored frame turns the sides.
+        let from_behind = if probe.mirrored { slope.lt(zero).signs() } else { zero.lt(slope).signs() };
+        mask &= !(block.culled & from_behind);
+        let edges = [u, v, w];
+        let on_edge = (least.equal(zero) | greatest.equal(zero)).signs() & mask;
+        if on_edge != 0 {
+            mask = without_missed(block, probe, mask, on_edge);
+        }
+        (mask != 0).then_some(Self { mask, on_edge, t, edges })
+    }
+
+    #[inline(always)]
+    fn before<S: Simd<V = V>>(&self, simd: S, t_max: f32) -> bool {
+        self.t.lt(simd.splat(t_max)).signs() & self.mask != 0
+    }
+
+    /// Takes the nearest crossing into `best`, and of equally near ones that of the lowest primitive.
+    #[inline(always)]
+    fn improve(&self, block: &Block, probe: &Probe, best: &mut Best) {
+        let t = self.t.lanes().0;
+        let mut taken = None;
+        let mut mask = self.mask;
+        while mask != 0 {
+            let lane = mask.trailing_zeros() as usize % WIDTH;
+            mask &= mask - 1;
+            let primitive = block.primitives[lane];
+            if best.admits(t[lane], primitive) {
+                *best = Best { t: t[lane], primitive, tie: primitive, ..*best };
+                taken = Some(lane);
+            }
+        }
+        let Some(lane) = taken else { return };
+        let exact = if self.on_edge >> lane & 1 == 1 { exact_edges(block, probe, lane) } else { None };
+        let [u, v, w] = exact.unwrap_or_else(|| self.edges.map(|e| e.lanes().0[lane]));
+        let sum = u + v + w;
+        (best.u, best.v) = (v / sum, w / sum);
+    }
+}
+
+/// The mask without those lanes of `on_edge` that f64 edge functions find outside.
+#[cold]
+#[inline(never)]
+fn without_missed(block: &Block, probe: &Probe, mask: u32, on_edge: u32) -> u32 {
+    (0..WIDTH)
+        .filter(|lane| on_edge >> lane & 1 == 1)
+        .fold(mask, |mask, lane| if exact_edges(block, probe, lane).is_some() { mask } else { mask & !(1 << lane) })
+}
+
+/// Edge functions of one lane with exact products, if the ray is inside or on the edge and the triangle is not seen edge-on.
+#[cold]
+#[inline(never)]
+fn exact_edges(block: &Block, probe: &Probe, lane: usize) -> Option<[f32; 3]> {
+    let [kx, ky, kz] = probe.axes;
+    let origin = probe.origin.to_array();
+    let corner = |i: usize| {
+        let at = |k: usize| block.rows[k][i].0[lane] - origin[k];
+        let z = at(kz);
+        (f64::from(at(kx) - probe.shear[0] * z), f64::from(at(ky) - probe.shear[1] * z))
+    };
+    let ((ax, ay), (bx, by), (cx, cy)) = (corner(0), corner(1), corner(2));
+    let edges = [cx * by - cy * bx, ax * cy - ay * cx, bx * ay - by * ax];
+    let inside = edges.iter().all(|&e| e >= 0.0) || edges.iter().all(|&e| e <= 0.0);
+    let sum = edges[0] + edges[1] + edges[2];
+    (inside && sum != 0.0).then(|| edges.map(|e| (e / sum) as f32))
+}

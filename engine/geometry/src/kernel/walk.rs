@@ -1,0 +1,122 @@
+//! Traversal of an eight-wide tree, nearest first or in any order.
+
+use super::{
+    probe::Probe,
+    simd::{Simd, Vector},
+    stack::{Entry, Stack},
+};
+use crate::tree::{Child, Node, Tree};
+use femc_math::gamma;
+
+/// What a nearest-first traversal does with a leaf.
+pub(crate) trait NearestLeaf {
+    /// Tests the leaf; returns the distance beyond which nothing matters any more.
+    fn visit(&mut self, leaf: Child) -> f32;
+}
+
+/// What an any-order traversal does with a leaf.
+pub(crate) trait AnyLeaf {
+    /// Whether the leaf ends the traversal.
+    fn visit(&mut self, leaf: Child) -> bool;
+}
+
+/// The ray's side of the box test, broadcast.
+struct Slabs<V> {
+    origin: [V; 3],
+    inverse: [V; 3],
+    near: [usize; 3],
+    zero: V,
+    widen: V,
+}
+
+impl<V: Vector> Slabs<V> {
+    #[inline(always)]
+    fn new<S: Simd<V = V>>(simd: S, probe: &Probe) -> Self {
+        Self {
+            origin: probe.origin.to_array().map(|x| simd.splat(x)),
+            inverse: probe.inverse.to_array().map(|x| simd.splat(x)),
+            near: probe.side,
+            zero: simd.splat(0.0),
+            // Ize's bound for the rounding of both ends (\[ize2013\]): no box that the exact ray meets is missed.
+            widen: simd.splat(1.0 + 2.0 * gamma(3)),
+        }
+    }
+
+    /// Bits of the boxes that the ray meets before `limit`, and the distances at which it enters them. Products of 0 and infinity (the ray in
+    /// a plane of the box) are NaN, which the order of operands drops.
+    #[inline(always)]
+    fn test<S: Simd<V = V>>(&self, simd: S, node: &Node, limit: V) -> (u32, V) {
+        let (mut enter, mut leave) = (self.zero, limit);
+        for axis in 0..3 {
+            let planes = &node.planes[axis];
+            let near = simd.load(&planes[self.near[axis] & 1]);
+            let far = simd.load(&planes[(self.near[axis] & 1) ^ 1]);
+            enter = ((near - self.origin[axis]) * self.inverse[axis]).max(enter);
+            leave = ((far - self.origin[axis]) * self.inverse[axis]).min(leave);
+        }
+        (enter.le(leave * self.widen).signs(), enter)
+    }
+}
+
+/// Visits leaves in about the order of their boxes' distances, none of which is beyond the limit.
+#[inline(always)]
+pub(crate) fn nearest_first<S: Simd>(simd: S, tree: &Tree, probe: &Probe, limit: f32, leaf: &mut impl NearestLeaf) {
+    let slabs = Slabs::new(simd, probe);
+    let mut stack = Stack::new();
+    let mut limit = limit;
+    let mut wide_limit = simd.splat(limit);
+    let mut current = tree.root;
+    if current == Child::NONE {
+        return;
+    }
+    loop {
+        if current.is_node() {
+            let node = &tree.nodes[current.index()];
+            let (mask, distances) = slabs.test(simd, node, wide_limit);
+            if mask & mask.wrapping_sub(1) == 0 {
+                if mask != 0 {
+                    current = node.children[mask.trailing_zeros() as usize & 7];
+                    continue;
+                }
+            } else {
+                let count = simd.push(mask, distances, &node.children, &mut stack);
+                stack.sort_top(count);
+            }
+        } else {
+            limit = leaf.visit(current);
+            wide_limit = simd.splat(limit);
+        }
+        current = loop {
+            match stack.pop() {
+                None => return,
+                Some(entry) if entry.distance() <= limit * (1.0 + 2.0 * gamma(3)) => break Entry::child(entry),
+                Some(_) => {}
+            }
+        };
+    }
+}
+
+/// Visits leaves whose boxes the ray meets before `limit` until one says that it is enough; returns whether one did.
+#[inline(always)]
+pub(crate) fn any<S: Simd>(simd: S, tree: &Tree, probe: &Probe, limit: f32, leaf: &mut impl AnyLeaf) -> bool {
+    let slabs = Slabs::new(simd, probe);
+    let mut stack = Stack::new();
+    let limit = simd.splat(limit);
+    let mut current = tree.root;
+    if current == Child::NONE {
+        return false;
+    }
+    loop {
+        if current.is_node() {
+            let node = &tree.nodes[current.index()];
+            let (mask, distances) = slabs.test(simd, node, limit);
+            simd.push(mask, distances, &node.children, &mut stack);
+        } else if leaf.visit(current) {
+            return true;
+        }
+        match stack.pop() {
+            None => return false,
+            Some(entry) => current = entry.child(),
+        }
+    }
+}

@@ -1,0 +1,35 @@
+//! Ray tracing: trees of triangles and analytic shapes, placed in a world by fixed or moving poses.
+//!
+//! A [`Blas`] holds the surfaces of one group in its own frame; a [`World`] holds placed groups and answers
+//! [`World::intersect`] and [`World::occluded`]. Binary trees come from the `obvhs` builder and are collapsed into eight-wide
+//! ones ([`tree`](crate::Blas)); the kernels test eight boxes or eight triangles at once, with AVX2 where the processor has it
+//! and with equal bits elsewhere.
+//!
+//! Everything is f32 in metres, in coordinates that the preparation of a frame has moved near the origin; shapes other than
+//! triangles compute in f64 inside. No epsilons: triangles are watertight (\[woop2013\]), positions carry error bounds and
+//! rays leave a surface by those bounds (\[pharr2023\]). Hits do not depend on the layout of the trees: of equal
+//! distances the lowest (instance, primitive) wins.
+#![deny(missing_docs)]
+
+mod blas;
+mod bounds;
+mod interaction;
+mod kernel;
+mod motion;
+mod offset;
+mod ray;
+mod shape;
+mod tree;
+mod world;
+
+pub use blas::{Blas, Cull, ShapeInput, TriangleInput};
+pub use bounds::Aabb;
+pub use interaction::{Interaction, triangle_interaction};
+pub use motion::Pose;
+pub use offset::{offset_origin, segment};
+pub use ray::{Hit, Ray};
+pub use shape::{Facing, Quadric};
+pub use world::{InstanceInput, World};
+
+#[cfg(test)]
+mod tests;

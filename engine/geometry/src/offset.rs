@@ -1,0 +1,44 @@
+//! Leaving a surface: how far, follows from the error bound of the position and from nothing else (\[pharr2023\], 6.8.6).
+
+use crate::Ray;
+use femc_math::{gamma, glam::Vec3A};
+
+/// The start of a ray that leaves the surface point `position` in direction `dir` and cannot hit that surface again.
+/// - `error`: absolute bound per axis of the position's error, m (from [`Interaction`](crate::Interaction)).
+/// - `normal`: unit; either side. A zero normal (a point in space) leaves the position as it is.
+/// - `dir`: its side of the surface decides to which side the start moves.
+#[inline]
+pub fn offset_origin(position: Vec3A, error: Vec3A, normal: Vec3A, dir: Vec3A) -> Vec3A {
+    let distance = normal.abs().dot(error);
+    let offset = normal * if dir.dot(normal) < 0.0 { -distance } else { distance };
+    let moved = position + offset;
+    let away = |x: f32, o: f32| {
+        if o > 0.0 {
+            x.next_up()
+        } else if o < 0.0 {
+            x.next_down()
+        } else {
+            x
+        }
+    };
+    Vec3A::new(away(moved.x, offset.x), away(moved.y, offset.y), away(moved.z, offset.z))
+}
+
+/// The open segment between two surface points, each given by (position, error bound, normal), for shadow rays: neither
+/// end's surface is hit. A point in space has a zero error and a zero normal.
+///
+/// The far end moves by the ray's own error after that distance as well, so that rounding of the direction or of the distance cannot
+/// carry the segment through the far surface.
+#[inline]
+pub fn segment(from: (Vec3A, Vec3A, Vec3A), to: (Vec3A, Vec3A, Vec3A), time: f32) -> Ray {
+    let between = to.0 - from.0;
+    let start = offset_origin(from.0, from.1, from.2, between);
+    let end = offset_origin(to.0, to.1 + between.abs() * gamma(16), to.2, -between);
+    let way = end - start;
+    let length = way.length();
+    if length > 0.0 {
+        Ray { origin: start, dir: way / length, t_max: length, time }
+    } else {
+        Ray { origin: start, dir: Vec3A::X, t_max: 0.0, time }
+    }
+}

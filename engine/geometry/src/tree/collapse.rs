@@ -1,0 +1,193 @@
+//! From a binary tree to an eight-wide one.
+
+use super::{Child, Node, STACK, Tree, WIDTH, binary::Binary};
+use crate::Aabb;
+
+/// What may be a leaf, and what it costs in units of a node's test.
+pub(crate) trait LeafRule {
+    /// Whether primitives `a` and `b` may lie in one leaf (an equivalence).
+    fn may_share(&self, a: u32, b: u32) -> bool;
+    /// The most primitives in a leaf that holds primitive `a`.
+    fn most(&self, a: u32) -> usize;
+    /// Cost of testing a leaf of `count` primitives like `a`.
+    fn cost(&self, a: u32, count: usize) -> f32;
+    /// Makes a leaf of `primitives`.
+    fn leaf(&mut self, primitives: &[u32]) -> Child;
+    /// Forgets all leaves made.
+    fn clear(&mut self);
+}
+
+/// A tree over `boxes` whose leaves `rule` makes, in the order in which a traversal would meet them.
+pub(crate) fn collapse(boxes: &[Aabb], rule: &mut impl LeafRule) -> Tree {
+    if boxes.is_empty() {
+        return Tree { nodes: Vec::new(), root: Child::NONE, bounds: Aabb::EMPTY };
+    }
+    let tree = Plan::new(&Binary::build(boxes), rule).emit(rule);
+    if stack_need(&tree) <= STACK {
+        return tree;
+    }
+    // A degenerate input made a chain. The balanced tree is slower and never deep: fewer than 32 levels of at most 8 entries.
+    rule.clear();
+    Plan::new(&Binary::build_balanced(boxes), rule).emit(rule)
+}
+
+/// Entries that a traversal may have on its stack, with the spare ones that a wide store touches.
+fn stack_need(tree: &Tree) -> usize {
+    let mut need = vec![0usize; tree.nodes.len()];
+    for (index, node) in tree.nodes.iter().enumerate().rev() {
+        let used = node.children.iter().filter(|c| **c != Child::NONE);
+        let below = used.clone().filter(|c| c.is_node()).map(|c| need[c.index()]).max().unwrap_or(0);
+        need[index] = used.count() + below;
+    }
+    need.first().copied().unwrap_or(0) + WIDTH
+}
+
+/// What the subtree of a binary node becomes.
+#[derive(Clone, Copy)]
+struct Choice {
+    /// Least cost of the subtree as at most `i + 1` children of a wide node.
+    cost: [f32; WIDTH - 1],
+    /// Entry `i`: children of the left subtree when this one becomes `i + 1` children; 0: no better than `i` children. Entry 0 is for a node
+    /// of its own with `WIDTH` children.
+    left: [u8; WIDTH - 1],
+    /// Primitives below; 0 when they cannot share a leaf.
+    shareable: u32,
+    /// Some primitive below.
+    sample: u32,
+    is_leaf: bool,
+}
+
+impl Choice {
+    fn single(primitive: u32, cost: f32) -> Self {
+        Self { cost: [cost; WIDTH - 1], left: [0; WIDTH - 1], shareable: 1, sample: primitive, is_leaf: true }
+    }
+
+    /// The choice for a node of half area `area` from those for its children.
+    fn join(l: &Self, r: &Self, area: f32, rule: &impl LeafRule) -> Self {
+        let distribute = |total: usize| {
+            let split = |left: usize| l.cost[left - 1] + r.cost[total - left - 1];
+            let first = total.saturating_sub(WIDTH - 1).max(1);
+            let mut best = (split(first), first);
+            for left in first + 1..=(total - 1).min(WIDTH - 1) {
+                if split(left) < best.0 {
+                    best = (split(left), left);
+                }
+            }
+            best
+        };
+        let count = (l.shareable + r.shareable) as usize;
+        let may_share = l.shareable > 0 && r.shareable > 0 && rule.may_share(l.sample, r.sample);
+        let shareable = if may_share && count <= rule.most(l.sample) { count as u32 } else { 0 };
+        let (below, left) = distribute(WIDTH);
+        let mut choice =
+            Self { cost: [below + area; WIDTH - 1], left: [0; WIDTH - 1], shareable, sample: l.sample, is_leaf: false };
+        choice.left[0] = left as u8;
+        if shareable > 0 {
+            let leaf = area * rule.cost(l.sample, count);
+            if leaf <= choice.cost[0] {
+                choice.cost = [leaf; WIDTH - 1];
+                choice.is_leaf = true;
+            }
+        }
+        for i in 1..WIDTH - 1 {
+            choice.cost[i] = choice.cost[i - 1];
+            let (cost, left) = distribute(i + 1);
+            if cost < choice.cost[i] {
+                choice.cost[i] = cost;
+                choice.left[i] = left as u8;
+            }
+        }
+        choice
+    }
+}
+
+struct Plan<'a> {
+    binary: &'a Binary,
+    choices: Vec<Choice>,
+}
+
+impl<'a> Plan<'a> {
+    fn new(binary: &'a Binary, rule: &impl LeafRule) -> Self {
+        let nodes = &binary.nodes;
+        // Parents before children.
+        let mut order = Vec::with_capacity(nodes.len());
+        let mut pending = vec![0u32];
+        while let Some(index) = pending.pop() {
+            order.push(index);
+            let node = &nodes[index as usize];
+            if !node.is_leaf {
+                pending.extend([node.first + 1, node.first]);
+            }
+        }
+        let mut choices = vec![Choice::single(0, 0.0); nodes.len()];
+        for &index in order.iter().rev() {
+            let node = &nodes[index as usize];
+            let area = node.bounds.half_area();
+            choices[index as usize] = if node.is_leaf {
+                Choice::single(node.first, area * rule.cost(node.first, 1))
+            } else {
+                let (l, r) = (node.first as usize, node.first as usize + 1);
+                Choice::join(&choices[l], &choices[r], area, rule)
+            };
+        }
+        Self { binary, choices }
+    }
+
+    /// The binary nodes that become children when `index` becomes at most `slots` children.
+    fn children(&self, index: u32, slots: usize, found: &mut Vec<u32>) {
+        let mut pending = vec![(index, slots)];
+        while let Some((index, mut slots)) = pending.pop() {
+            let choice = &self.choices[index as usize];
+            while slots > 1 && choice.left[slots - 1] == 0 {
+                slots -= 1;
+            }
+            if slots == 1 {
+                found.push(index);
+            } else {
+                let (first, left) = (self.binary.nodes[index as usize].first, usize::from(choice.left[slots - 1]));
+                pending.extend([(first + 1, slots - left), (first, left)]);
+            }
+        }
+    }
+
+    fn primitives(&self, index: u32) -> Vec<u32> {
+        let mut found = Vec::with_capacity(WIDTH);
+        let mut pending = vec![index];
+        while let Some(index) = pending.pop() {
+            let node = &self.binary.nodes[index as usize];
+            if node.is_leaf { found.push(node.first) } else { pending.extend([node.first + 1, node.first]) }
+        }
+        found.sort_unstable();
+        found
+    }
+
+    fn emit(&self, rule: &mut impl LeafRule) -> Tree {
+        let bounds = self.binary.nodes[0].bounds;
+        if self.choices[0].is_leaf {
+            return Tree { nodes: Vec::new(), root: rule.leaf(&self.primitives(0)), bounds };
+        }
+        let mut nodes = vec![Node::new()];
+        let mut pending = vec![(0usize, 0u32)];
+        let mut found = Vec::with_capacity(WIDTH);
+        while let Some((wide, index)) = pending.pop() {
+            found.clear();
+            let (first, left) =
+                (self.binary.nodes[index as usize].first, usize::from(self.choices[index as usize].left[0]));
+            self.children(first, left, &mut found);
+            self.children(first + 1, WIDTH - left, &mut found);
+            let inner = pending.len();
+            for (slot, &below) in found.iter().enumerate() {
+                let child = if self.choices[below as usize].is_leaf {
+                    rule.leaf(&self.primitives(below))
+                } else {
+                    nodes.push(Node::new());
+                    pending.push((nodes.len() - 1, below));
+                    Child::node(nodes.len() - 1)
+                };
+                nodes[wide].set(slot, &self.binary.nodes[below as usize].bounds, child);
+            }
+            pending[inner..].reverse();
+        }
+        Tree { nodes, root: Child::node(0), bounds }
+    }
+}

@@ -1,0 +1,103 @@
+//! Eight-wide trees over boxes.
+//!
+//! A binary tree (from obvhs, or for small inputs from an exact sweep) is cut into nodes of up to eight children, and subtrees of
+//! up to eight triangles become one leaf block, by dynamic programming over the surface area cost (\[ylitie2017\]). Nodes keep
+//! full floats in a structure of arrays, 256 bytes: more memory than compressed nodes, but a box costs three vector operations
+//! a plane pair and no decoding.
+
+mod binary;
+mod collapse;
+mod sweep;
+
+pub(crate) use collapse::{LeafRule, collapse};
+
+use crate::Aabb;
+
+/// Number of children of a node and of triangles in a leaf.
+pub(crate) const WIDTH: usize = 8;
+/// The most entries that a traversal's stack holds.
+pub(crate) const STACK: usize = 384;
+
+/// Eight floats, aligned for one vector load.
+#[derive(Clone, Copy, Debug)]
+#[repr(C, align(32))]
+pub(crate) struct Lanes(pub [f32; WIDTH]);
+
+/// A reference to a child: a node, or a leaf of one of two kinds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[repr(transparent)]
+pub(crate) struct Child(pub u32);
+
+impl Child {
+    const LEAF: u32 = 1 << 31;
+    const SECOND: u32 = 1 << 30;
+    const INDEX: u32 = Self::SECOND - 1;
+    /// No child: a tree without primitives.
+    pub const NONE: Self = Self(u32::MAX);
+
+    pub fn node(index: usize) -> Self {
+        debug_assert!(index < Self::INDEX as usize);
+        Self(index as u32)
+    }
+
+    /// A leaf of the first kind: a block of triangles, or an instance.
+    pub fn first_kind(index: usize) -> Self {
+        debug_assert!(index < Self::INDEX as usize);
+        Self(Self::LEAF | index as u32)
+    }
+
+    /// A leaf of the second kind: a shape.
+    pub fn second_kind(index: usize) -> Self {
+        debug_assert!(index < Self::INDEX as usize);
+        Self(Self::LEAF | Self::SECOND | index as u32)
+    }
+
+    #[inline(always)]
+    pub fn is_node(self) -> bool {
+        self.0 < Self::LEAF
+    }
+
+    #[inline(always)]
+    pub fn is_second_kind(self) -> bool {
+        self.0 & Self::SECOND != 0
+    }
+
+    #[inline(always)]
+    pub fn index(self) -> usize {
+        (self.0 & Self::INDEX) as usize
+    }
+}
+
+/// Eight boxes and what is in them. Unused slots hold empty boxes, which no ray meets.
+#[derive(Clone, Debug)]
+#[repr(C, align(64))]
+pub(crate) struct Node {
+    /// Planes by axis, then least and greatest.
+    pub planes: [[Lanes; 2]; 3],
+    pub children: [Child; WIDTH],
+}
+
+impl Node {
+    fn new() -> Self {
+        Self {
+            planes: [[Lanes([f32::INFINITY; WIDTH]), Lanes([f32::NEG_INFINITY; WIDTH])]; 3],
+            children: [Child::NONE; WIDTH],
+        }
+    }
+
+    fn set(&mut self, slot: usize, bounds: &Aabb, child: Child) {
+        for axis in 0..3 {
+            self.planes[axis][0].0[slot] = bounds.min[axis];
+            self.planes[axis][1].0[slot] = bounds.max[axis];
+        }
+        self.children[slot] = child;
+    }
+}
+
+/// An eight-wide tree. Traversal needs at most [`STACK`] entries: [`collapse`] sees to it.
+#[derive(Clone, Debug)]
+pub(crate) struct Tree {
+    pub nodes: Vec<Node>,
+    pub root: Child,
+    pub bounds: Aabb,
+}

@@ -1,0 +1,292 @@
+//! Placed instances and the queries on them.
+
+use crate::{
+    Aabb, Blas, Hit, Interaction, Pose, Ray,
+    interaction::triangle_interaction,
+    kernel::{AnyLeaf, Best, Level, NearestLeaf, Probe, Simd, Task, any, blas_closest, blas_occluded, nearest_first},
+    motion::{Motion, Placement},
+    tree::{Child, LeafRule, Tree, collapse},
+};
+use femc_math::{
+    gamma,
+    glam::{Affine3A, Vec3A},
+};
+use std::sync::Arc;
+
+/// A group placed in the world.
+#[derive(Clone, Debug)]
+pub struct InstanceInput {
+    /// The group's surfaces.
+    pub blas: Arc<Blas>,
+    /// Where it is.
+    pub pose: Pose,
+}
+
+#[derive(Clone, Debug)]
+enum Place {
+    Identity,
+    Fixed(Placement),
+    Moving(Motion),
+}
+
+#[derive(Clone, Debug)]
+struct Instance {
+    blas: Arc<Blas>,
+    place: Place,
+}
+
+/// All that can be hit in a frame. Immutable; queries may come from any thread.
+#[derive(Clone, Debug)]
+pub struct World {
+    instances: Vec<Instance>,
+    /// The tree over the instances; its leaves are instance indices.
+    top: Tree,
+    level: Level,
+}
+
+impl World {
+    /// Builds the tree over the instances; the trees in them are shared, not rebuilt.
+    pub fn build(instances: Vec<InstanceInput>) -> Self {
+        let instances: Vec<Instance> = instances
+            .into_iter()
+            .map(|InstanceInput { blas, pose }| {
+                let place = match pose {
+                    Pose::Moving(poses) if poses.len() > 1 => Place::Moving(Motion::new(&poses)),
+                    Pose::Moving(poses) => Place::fixed(poses.first().copied().unwrap_or(Affine3A::IDENTITY)),
+                    Pose::Fixed(pose) => Place::fixed(pose),
+                };
+                Instance { blas, place }
+            })
+            .collect();
+        let (mut boxes, mut indices) = (Vec::new(), Vec::new());
+        for (index, instance) in instances.iter().enumerate() {
+            let bounds = instance.bounds();
+            if !bounds.is_empty() && bounds.min.is_finite() && bounds.max.is_finite() {
+                boxes.push(bounds);
+                indices.push(index);
+            }
+        }
+        let top = collapse(&boxes, &mut OneInstance(&indices));
+        Self { instances, top, level: Level::detect() }
+    }
+
+    /// The same world with the portable kernels, whatever the processor has: for the test that they agree.
+    #[cfg(test)]
+    pub(crate) fn portable(mut self) -> Self {
+        self.level = Level::Portable;
+        self
+    }
+
+    /// Bounds of all that can be hit during the shutter; empty if there is nothing.
+    pub fn bounds(&self) -> Aabb {
+        self.top.bounds
+    }
+
+    /// The closest hit with t in (0, `t_max`); of equally close ones that of the lowest (instance, primitive).
+    #[inline]
+    pub fn intersect(&self, ray: &Ray) -> Option<Hit> {
+        let mut hit = self.level.run(Closest { world: self, ray })?;
+        let blas = &self.instances[hit.instance as usize].blas;
+        if let Some(quadric) = (hit.primitive as usize).checked_sub(blas.triangles.len()) {
+            let place = self.placement(hit.instance, ray.time);
+            let local = place.map_or(ray.at(hit.t), |p| p.to_local.transform_point3a(ray.at(hit.t)));
+            let uv = blas.quadrics[quadric].nearest(local.as_dvec3()).uv;
+            (hit.u, hit.v) = (uv[0] as f32, uv[1] as f32);
+        }
+        Some(hit)
+    }
+
+    /// Whether anything is hit with t in (0, `t_max`).
+    #[inline]
+    pub fn occluded(&self, ray: &Ray) -> bool {
+        self.level.run(Occluded { world: self, ray })
+    }
+
+    /// The surface point of `hit`, which `intersect` gave for `ray`.
+    pub fn interaction(&self, ray: &Ray, hit: &Hit) -> Interaction {
+        let blas = &self.instances[hit.instance as usize].blas;
+        let place = self.placement(hit.instance, ray.time);
+        let local = match blas.triangles.get(hit.primitive as usize) {
+            Some(vertices) => triangle_interaction(&vertices.map(Vec3A::from_array), hit.u, hit.v),
+            None => {
+                let quadric = &blas.quadrics[hit.primitive as usize - blas.triangles.len()];
+                let near = ray.origin.as_dvec3() + ray.dir.as_dvec3() * f64::from(hit.t);
+                let near = match &place {
+                    Some(place) => place.to_local.transform_point3a(near.as_vec3a()).as_dvec3(),
+                    None => near,
+                };
+                let point = quadric.nearest(near);
+                let position = point.position.as_vec3a();
+                let bounds = quadric.bounds();
+                // Rounding to f32, and f64 arithmetic with the shape's largest coordinate.
+                let error = position.abs() * gamma(2) + bounds.min.abs().max(bounds.max.abs()).max_element() * 1e-12;
+                Interaction { position, error, normal: point.normal.as_vec3a(), uv: [hit.u, hit.v] }
+            }
+        };
+        match place {
+            Some(place) => local.transformed(&place.to_world, &place.to_local),
+            None => local,
+        }
+    }
+
+    /// The map of an instance's frame to the world's at a shutter time.
+    pub fn pose_at(&self, instance: u32, time: f32) -> Affine3A {
+        match &self.instances[instance as usize].place {
+            Place::Identity => Affine3A::IDENTITY,
+            Place::Fixed(place) => place.to_world,
+            Place::Moving(motion) => motion.pose_at(time),
+        }
+    }
+
+    fn placement(&self, instance: u32, time: f32) -> Option<Placement> {
+        match &self.instances[instance as usize].place {
+            Place::Identity => None,
+            Place::Fixed(place) => Some(*place),
+            Place::Moving(motion) => Some(motion.placement_at(time)),
+        }
+    }
+
+    /// The only instance, if it is not moved at all: then the top level is skipped.
+    #[inline(always)]
+    fn sole(&self) -> Option<&Blas> {
+        match &*self.instances {
+            [Instance { blas, place: Place::Identity }] => Some(blas),
+            _ => None,
+        }
+    }
+}
+
+impl Place {
+    fn fixed(pose: Affine3A) -> Self {
+        if pose == Affine3A::IDENTITY { Self::Identity } else { Self::Fixed(Placement::new(pose)) }
+    }
+}
+
+impl Instance {
+    fn bounds(&self) -> Aabb {
+        let local = self.blas.bounds();
+        match &self.place {
+            Place::Identity => local,
+            Place::Fixed(place) => local.transformed(&place.to_world),
+            Place::Moving(motion) => motion.bounds(&local),
+        }
+    }
+
+    /// The ray in the instance's frame.
+    #[inline(always)]
+    fn probe(&self, ray: &Ray) -> Probe {
+        match &self.place {
+            Place::Identity => Probe::new(ray.origin, ray.dir),
+            Place::Fixed(place) => Probe::transformed(ray.origin, ray.dir, &place.to_local, place.mirrored),
+            Place::Moving(motion) => {
+                let place = motion.placement_at(ray.time);
+                Probe::transformed(ray.origin, ray.dir, &place.to_local, place.mirrored)
+            }
+        }
+    }
+}
+
+/// Leaves of the top level: one instance each, at about the cost of a few nodes.
+struct OneInstance<'a>(&'a [usize]);
+
+impl LeafRule for OneInstance<'_> {
+    fn may_share(&self, _: u32, _: u32) -> bool {
+        false
+    }
+    fn most(&self, _: u32) -> usize {
+        1
+    }
+    fn cost(&self, _: u32, _: usize) -> f32 {
+        5.0
+    }
+    fn leaf(&mut self, items: &[u32]) -> Child {
+        Child::first_kind(self.0[items[0] as usize])
+    }
+    fn clear(&mut self) {}
+}
+
+struct Closest<'a> {
+    world: &'a World,
+    ray: &'a Ray,
+}
+
+impl Task for Closest<'_> {
+    type Output = Option<Hit>;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> Option<Hit> {
+        let Self { world, ray } = self;
+        let mut best = Best::before(ray.t_max);
+        let probe = Probe::new(ray.origin, ray.dir);
+        let instance = if let Some(blas) = world.sole() {
+            if !blas_closest(simd, blas, &probe, &mut best) {
+                return None;
+            }
+            0
+        } else {
+            let mut leaf = ClosestInstance { simd, world, ray, best: &mut best, instance: u32::MAX };
+            nearest_first(simd, &world.top, &probe, ray.t_max, &mut leaf);
+            if leaf.instance == u32::MAX {
+                return None;
+            }
+            leaf.instance
+        };
+        Some(Hit { t: best.t, instance, primitive: best.primitive, u: best.u, v: best.v })
+    }
+}
+
+struct ClosestInstance<'a, S> {
+    simd: S,
+    world: &'a World,
+    ray: &'a Ray,
+    best: &'a mut Best,
+    instance: u32,
+}
+
+impl<S: Simd> NearestLeaf for ClosestInstance<'_, S> {
+    #[inline(always)]
+    fn visit(&mut self, leaf: Child) -> f32 {
+        let index = leaf.index();
+        let instance = &self.world.instances[index];
+        let probe = instance.probe(self.ray);
+        // At equal distances a lower instance wins whatever the primitive; nothing wins over `t_max`.
+        self.best.tie = if self.instance == u32::MAX || index as u32 > self.instance { 0 } else { u32::MAX };
+        if blas_closest(self.simd, &instance.blas, &probe, self.best) {
+            self.instance = index as u32;
+        }
+        self.best.t
+    }
+}
+
+struct Occluded<'a> {
+    world: &'a World,
+    ray: &'a Ray,
+}
+
+impl Task for Occluded<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> bool {
+        let Self { world, ray } = self;
+        let probe = Probe::new(ray.origin, ray.dir);
+        match world.sole() {
+            Some(blas) => blas_occluded(simd, blas, &probe, ray.t_max),
+            None => any(simd, &world.top, &probe, ray.t_max, &mut AnyInstance { simd, world, ray }),
+        }
+    }
+}
+
+struct AnyInstance<'a, S> {
+    simd: S,
+    world: &'a World,
+    ray: &'a Ray,
+}
+
+impl<S: Simd> AnyLeaf for AnyInstance<'_, S> {
+    #[inline(always)]
+    fn visit(&mut self, leaf: Child) -> bool {
+        let instance = &self.world.instances[leaf.index()];
+        blas_occluded(self.simd, &instance.blas, &instance.probe(self.ray), self.ray.t_max)
+    }
+}

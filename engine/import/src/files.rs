@@ -1,0 +1,128 @@
+//! Where a scene's files come from: a folder, or a bundle in memory.
+
+use crate::error::Fault;
+use std::{
+    fs::File,
+    io::{self, Read},
+    path::{Path, PathBuf},
+};
+
+/// Longest path inside a scene, bytes.
+pub(crate) const MAX_PATH: usize = 1024;
+
+/// The files of a scene. Paths are relative to the scene's root, `/`-separated and normalised: no `.`, no `..`, no empty part.
+pub trait Files {
+    /// Size in bytes, without reading the file.
+    fn size(&self, path: &str) -> io::Result<u64>;
+    /// The whole file.
+    fn read(&self, path: &str) -> io::Result<Vec<u8>>;
+}
+
+/// A folder on disk; links that lead out of it are refused.
+#[derive(Clone, Debug)]
+pub struct Disk {
+    root: PathBuf,
+}
+
+impl Disk {
+    /// The folder `root`.
+    pub fn new(root: impl Into<PathBuf>) -> Self {
+        Self { root: root.into() }
+    }
+
+    fn open(&self, path: &str) -> io::Result<(File, u64)> {
+        let root = self.root.canonicalize()?;
+        let full = root.join(path).canonicalize()?;
+        if !full.starts_with(&root) {
+            return Err(io::Error::new(io::ErrorKind::PermissionDenied, "a link leads out of the scene's root folder"));
+        }
+        // Before opening: a pipe would block.
+        if !full.metadata()?.is_file() {
+            return Err(io::Error::new(io::ErrorKind::InvalidInput, "not a regular file"));
+        }
+        let file = File::open(&full)?;
+        let size = file.metadata()?.len();
+        Ok((file, size))
+    }
+}
+
+impl Files for Disk {
+    fn size(&self, path: &str) -> io::Result<u64> {
+        self.open(path).map(|(_, size)| size)
+    }
+
+    fn read(&self, path: &str) -> io::Result<Vec<u8>> {
+        let (file, size) = self.open(path)?;
+        let mut bytes = Vec::with_capacity(usize::try_from(size).unwrap_or(0));
+        // A file that grows while it is read does not grow memory.
+        file.take(size).read_to_end(&mut bytes)?;
+        Ok(bytes)
+    }
+}
+
+/// The path `named` inside the file `by`, relative to the root and normalised.
+pub(crate) fn resolve(by: &str, named: &str) -> Result<String, Fault> {
+    let unportable = |reason| Fault::UnportablePath { path: named.to_owned(), reason };
+    let drive = named.as_bytes().get(1) == Some(&b':');
+    if named.starts_with('/') || drive || Path::new(named).is_absolute() {
+        return Err(Fault::AbsolutePath { path: named.to_owned() });
+    }
+    if named.contains('\\') {
+        return Err(unportable("it has a backslash"));
+    }
+    if named.contains(['\0', '\u{fffd}']) {
+        return Err(unportable("it has bytes that are no UTF-8 text"));
+    }
+    let folder = by.rsplit_once('/').map_or("", |(folder, _)| folder);
+    let mut parts: Vec<&str> = folder.split('/').filter(|part| !part.is_empty()).collect();
+    for part in named.split('/') {
+        match part {
+            "" | "." => {}
+            ".." => {
+                if parts.pop().is_none() {
+                    return Err(Fault::OutsideRoot { path: named.to_owned() });
+                }
+            }
+            part => parts.push(part),
+        }
+    }
+    if parts.is_empty() || named.ends_with('/') {
+        return Err(unportable("it names a folder"));
+    }
+    let path = parts.join("/");
+    if path.len() > MAX_PATH {
+        return Err(unportable("it is longer than 1024 bytes"));
+    }
+    Ok(path)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn paths_are_relative_to_the_naming_file_and_stay_below_the_root() {
+        assert_eq!(resolve("a/b/main.mgf", "../lamp.mgf"), Ok("a/lamp.mgf".into()));
+        assert_eq!(resolve("main.mgf", "./x//y.mgf"), Ok("x/y.mgf".into()));
+        assert!(matches!(resolve("a/main.mgf", "../../x"), Err(Fault::OutsideRoot { .. })));
+        assert!(matches!(resolve("main.mgf", "/etc/passwd"), Err(Fault::AbsolutePath { .. })));
+        assert!(matches!(resolve("main.mgf", "C:/x"), Err(Fault::AbsolutePath { .. })));
+        assert!(matches!(resolve("main.mgf", "a\\b"), Err(Fault::UnportablePath { .. })));
+        assert!(matches!(resolve("main.mgf", "a/.."), Err(Fault::UnportablePath { .. })));
+    }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_link_out_of_the_root_is_refused_and_one_within_is_followed() {
+        let outside = tempfile::NamedTempFile::new().unwrap();
+        let root = tempfile::tempdir().unwrap();
+        std::fs::write(root.path().join("in.mgf"), "# in\n").unwrap();
+        std::os::unix::fs::symlink(outside.path(), root.path().join("out.mgf")).unwrap();
+        std::os::unix::fs::symlink("in.mgf", root.path().join("also.mgf")).unwrap();
+        let disk = Disk::new(root.path());
+        assert_eq!(disk.read("out.mgf").unwrap_err().kind(), io::ErrorKind::PermissionDenied);
+        assert_eq!(disk.read("also.mgf").unwrap(), b"# in\n");
+        assert_eq!(disk.size("in.mgf").unwrap(), 5);
+        assert!(disk.read("").is_err());
+    }
+}

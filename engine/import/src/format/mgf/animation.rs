@@ -1,0 +1,134 @@
+//! Time: `time`, `path`, `key`, `vary`.
+
+use super::{
+    args::{Args, Result},
+    reader::Reader,
+    table::nearest,
+    transform::{self, is_mirror, undefined_path},
+};
+use crate::{Fault, ImportError, Kind, Oddity};
+use femc_scene::{Clip, Interpolation, Key, MotionPath, PathId, Vary};
+
+/// Most frames of a clip.
+const MAX_FRAMES: f64 = 1e7;
+
+impl Reader<'_> {
+    /// `time t0 t1 fps`.
+    pub(super) fn time(&mut self, args: &Args<'_>) -> Result<()> {
+        args.count(3..=3, "t0 t1 fps")?;
+        let start = args.number(0, "start (s)")?;
+        let end = args.number_in(1, "end (s)", "not before the start", |t| t >= start)?;
+        let fps = args.number_in(2, "frames a second", "> 0", |f| f > 0.0)?;
+        let within = (end - start) * fps <= MAX_FRAMES;
+        if !within {
+            return Err(args.fault(Fault::TooMany { what: "frames", limit: MAX_FRAMES as u64 }));
+        }
+        if self.scene.clip.replace(Clip { start, end, fps }).is_some() {
+            self.warn(args, Oddity::Replaced { what: "time".into() });
+        }
+        Ok(())
+    }
+
+    /// `path NAME = linear | spline`, or `path NAME` to add keys to it.
+    pub(super) fn path(&mut self, args: &Args<'_>) -> Result<()> {
+        let expected = "NAME = linear | spline";
+        if args.len() == 1 {
+            self.path = Some(self.find_path(&args.text(0)).map_err(|fault| args.fault_at(0, fault))?);
+            return Ok(());
+        }
+        args.count(3..=3, expected)?;
+        let unexpected =
+            |i, expected| args.fault_at(i, Fault::Unexpected { found: args.text(i).into_owned(), expected });
+        if args.raw(1) != b"=" {
+            return Err(unexpected(1, "`=`"));
+        }
+        let interpolation = match args.raw(2) {
+            b"linear" => Interpolation::Linear,
+            b"spline" => Interpolation::Spline,
+            _ => return Err(unexpected(2, "linear or spline")),
+        };
+        let name = args.text(0).into_owned();
+        if let Some(known) = self.paths.get(&name) {
+            let line = self.scene.paths[known.index()].location.line;
+            return Err(args.fault_at(0, Fault::Redefined { kind: Kind::Path, name, line }));
+        }
+        let id = PathId(self.scene.paths.len() as u32);
+        self.scene.paths.push(MotionPath {
+            name: name.clone(),
+            location: args.location(),
+            interpolation,
+            keys: vec![],
+        });
+        self.paths.insert(name, id);
+        self.path = Some(id);
+        Ok(())
+    }
+
+    /// `key t [xf args]`.
+    pub(super) fn key(&mut self, args: &Args<'_>) -> Result<()> {
+        let Some(path) = self.path else {
+            return Err(args.fault(Fault::NoContext { entity: "key".into(), kind: Kind::Path }));
+        };
+        args.count(1.., "a time and transform arguments")?;
+        let time = args.number(0, "time (s)")?;
+        let spec = {
+            let find = |name: &str| self.find_path(name);
+            transform::parse(args.tail(1), &find)?
+        };
+        if !spec.layers.is_empty() {
+            let fault = Fault::Shape { what: "a key is one pose", advice: "use neither -a nor -path in it" };
+            return Err(args.fault(fault));
+        }
+        if is_mirror(&spec.baked) {
+            let fault = Fault::Shape {
+                what: "a key cannot mirror: poses between keys are turned",
+                advice: "mirror in the `xf`",
+            };
+            return Err(args.fault(fault));
+        }
+        let keys = &mut self.scene.paths[path.index()].keys;
+        if let Some(last) = keys.last().filter(|last| last.time >= time) {
+            return Err(args.fault_at(0, Fault::TimeOrder { time, previous: last.time }));
+        }
+        keys.push(Key { time, pose: spec.baked });
+        Ok(())
+    }
+
+    /// `vary SELECTOR = t v t v ...`; a later line for the same selector goes on where the earlier one ended.
+    pub(super) fn vary(&mut self, args: &Args<'_>) -> Result<()> {
+        args.count(4.., "SELECTOR = t v t v ...")?;
+        if args.raw(1) != b"=" {
+            return Err(args.fault_at(1, Fault::Unexpected { found: args.text(1).into_owned(), expected: "`=`" }));
+        }
+        if !args.len().is_multiple_of(2) {
+            args.count(0..0, "SELECTOR = and pairs of time and value")?;
+        }
+        let selector = args.text(0).into_owned();
+        let known = self.scene.varies.iter_mut().position(|vary| vary.selector == selector);
+        let mut keys = known.map_or(Vec::new(), |i| self.scene.varies[i].keys.clone());
+        for i in (2..args.len()).step_by(2) {
+            let (time, value) = (args.number(i, "time (s)")?, args.number(i + 1, "value")?);
+            if let Some((previous, _)) = keys.last().filter(|(last, _)| *last >= time) {
+                return Err(args.fault_at(i, Fault::TimeOrder { time, previous: *previous }));
+            }
+            keys.push((time, value));
+        }
+        match known {
+            Some(i) => self.scene.varies[i].keys = keys,
+            None => self.scene.varies.push(Vary { selector, location: args.location(), keys }),
+        }
+        Ok(())
+    }
+
+    /// The path of that name.
+    pub(super) fn find_path(&self, name: &str) -> std::result::Result<PathId, Fault> {
+        self.paths.get(name).copied().ok_or_else(|| undefined_path(name, nearest(name, self.paths.keys())))
+    }
+
+    /// Every path needs a key.
+    pub(super) fn finish_paths(&self) -> Result<()> {
+        let Some(path) = self.scene.paths.iter().find(|path| path.keys.is_empty()) else { return Ok(()) };
+        let fault = Fault::Shape { what: "this path has no keys", advice: "add `key t [xf args]` lines after it" };
+        Err(ImportError::new(self.position(path.location), fault))
+    }
+}

@@ -1,0 +1,140 @@
+//! The arguments of one entity, with typed access that knows where each stands.
+
+use super::lexer::Token;
+use crate::{Fault, ImportError, Position};
+use femc_math::glam::DVec3;
+use std::borrow::Cow;
+
+pub(super) type Result<T> = std::result::Result<T, ImportError>;
+
+/// An entity and its arguments.
+#[derive(Clone, Copy)]
+pub(super) struct Args<'a> {
+    pub file: &'a str,
+    pub file_index: u32,
+    tokens: &'a [Token<'a>],
+}
+
+impl<'a> Args<'a> {
+    /// `tokens` has at least the entity's name.
+    pub fn new(file: &'a str, file_index: u32, tokens: &'a [Token<'a>]) -> Self {
+        Self { file, file_index, tokens }
+    }
+
+    pub fn entity(&self) -> Cow<'a, str> {
+        String::from_utf8_lossy(self.tokens[0].text)
+    }
+
+    /// Number of arguments.
+    pub fn len(&self) -> usize {
+        self.tokens.len() - 1
+    }
+
+    /// The place of the entity.
+    pub fn at(&self) -> Position {
+        self.position(&self.tokens[0])
+    }
+
+    /// The same for descriptions.
+    pub fn location(&self) -> femc_scene::Location {
+        let token = &self.tokens[0];
+        femc_scene::Location { file: self.file_index, line: token.line, column: token.column }
+    }
+
+    fn position(&self, token: &Token<'_>) -> Position {
+        Position { file: self.file.to_owned(), line: token.line, column: token.column }
+    }
+
+    /// A fault of the entity as a whole.
+    pub fn fault(&self, fault: Fault) -> ImportError {
+        ImportError::new(self.at(), fault)
+    }
+
+    /// A fault of argument `i`.
+    pub fn fault_at(&self, i: usize, fault: Fault) -> ImportError {
+        let token = self.tokens.get(i + 1).unwrap_or(&self.tokens[0]);
+        ImportError::new(self.position(token), fault)
+    }
+
+    /// Fails unless the number of arguments is in `range`, which `expected` says in words.
+    pub fn count(&self, range: impl std::ops::RangeBounds<usize>, expected: &'static str) -> Result<()> {
+        if range.contains(&self.len()) {
+            return Ok(());
+        }
+        Err(self.fault(Fault::ArgumentCount { entity: self.entity().into_owned(), expected, found: self.len() }))
+    }
+
+    /// Argument `i` as bytes; empty where there is none.
+    pub fn raw(&self, i: usize) -> &'a [u8] {
+        self.tokens.get(i + 1).map_or(b"", |token| token.text)
+    }
+
+    /// Argument `i` as text.
+    pub fn text(&self, i: usize) -> Cow<'a, str> {
+        String::from_utf8_lossy(self.raw(i))
+    }
+
+    /// Argument `i` as a finite number.
+    pub fn number(&self, i: usize, what: &'static str) -> Result<f64> {
+        let raw = self.raw(i);
+        let value =
+            std::str::from_utf8(raw).ok().filter(|text| numeric(text)).and_then(|text| text.parse::<f64>().ok());
+        match value {
+            Some(value) if value.is_finite() => Ok(value),
+            Some(_) => Err(self.fault_at(i, Fault::NotFinite { what })),
+            None if self.is_non_finite_word(i) => Err(self.fault_at(i, Fault::NotFinite { what })),
+            None => Err(self.fault_at(i, Fault::NotANumber { found: self.text(i).into_owned(), expected: what })),
+        }
+    }
+
+    fn is_non_finite_word(&self, i: usize) -> bool {
+        let word = self.text(i).to_ascii_lowercase();
+        matches!(word.trim_start_matches(['+', '-']), "inf" | "infinity" | "nan")
+    }
+
+    /// Argument `i` as a number for which `allowed` holds; `domain` says it in words.
+    pub fn number_in(
+        &self,
+        i: usize,
+        what: &'static str,
+        domain: &'static str,
+        allowed: impl Fn(f64) -> bool,
+    ) -> Result<f64> {
+        let value = self.number(i, what)?;
+        if allowed(value) { Ok(value) } else { Err(self.range(i, what, value, domain)) }
+    }
+
+    /// The fault of a number out of its domain.
+    pub fn range(&self, i: usize, what: &'static str, value: f64, allowed: &'static str) -> ImportError {
+        self.fault_at(i, Fault::OutOfRange { what, value, allowed })
+    }
+
+    /// Argument `i` as a whole number in `[low, high]`.
+    pub fn whole(&self, i: usize, what: &'static str, range: [u64; 2], domain: &'static str) -> Result<u64> {
+        let [low, high] = range;
+        let value = self.number_in(i, what, domain, |x| x >= low as f64 && x <= high as f64 && x == x.trunc())?;
+        Ok(value as u64)
+    }
+
+    /// Arguments `i`, `i + 1`, `i + 2` as a vector.
+    pub fn vector(&self, i: usize, what: &'static str) -> Result<DVec3> {
+        Ok(DVec3::new(self.number(i, what)?, self.number(i + 1, what)?, self.number(i + 2, what)?))
+    }
+
+    /// The entity with the arguments from `i` on only.
+    pub fn tail(&self, i: usize) -> Tail<'a> {
+        Tail { args: *self, first: i }
+    }
+}
+
+/// Arguments from some index on.
+#[derive(Clone, Copy)]
+pub(super) struct Tail<'a> {
+    pub args: Args<'a>,
+    pub first: usize,
+}
+
+/// Whether `text` starts as a number of C does (Rust also reads words such as `inf`).
+fn numeric(text: &str) -> bool {
+    text.bytes().all(|byte| matches!(byte, b'0'..=b'9' | b'+' | b'-' | b'.' | b'e' | b'E'))
+}

@@ -1,0 +1,134 @@
+//! Camera contexts.
+
+use super::{
+    args::{Args, Result},
+    reader::Reader,
+    table::Opened,
+};
+use crate::{Fault, ImportError, Kind, Oddity};
+use femc_math::glam::DVec3;
+use femc_scene::{Camera, Location};
+
+/// Most pixels along one side of the film.
+const MAX_SIDE: u64 = 32_768;
+/// Most pixels of the film.
+const MAX_PIXELS: u64 = 1 << 28;
+/// Sine of the least angle between view and up direction.
+const PARALLEL: f64 = 1e-9;
+
+/// A camera before its fields are given: z up, 45 degrees, 640 x 480, pinhole, no motion blur.
+pub(super) fn default_camera() -> Camera {
+    Camera {
+        name: String::new(),
+        location: Location::default(),
+        origin: DVec3::ZERO,
+        target: DVec3::ZERO,
+        up: DVec3::Z,
+        fov: 45.0,
+        film: [640, 480],
+        lens_radius: 0.0,
+        focus: 1.0,
+        shutter_open: 0.0,
+        shutter_close: 0.0,
+        along: None,
+    }
+}
+
+impl Reader<'_> {
+    pub(super) fn camera(&mut self, args: &Args<'_>) -> Result<()> {
+        args.count(1..=3, "NAME [= [TEMPLATE]]")?;
+        let replaced = args.len() > 1 && self.cameras.defined(&args.text(0)).is_some();
+        if self.cameras.select(args)? == Opened::Again {
+            return Ok(());
+        }
+        let camera = self.cameras.current_mut();
+        camera.name = args.text(0).into_owned();
+        camera.location = args.location();
+        if replaced {
+            self.warn(args, Oddity::Replaced { what: format!("camera {}", args.text(0)) });
+        }
+        if self.is_transformed() {
+            self.warn(args, Oddity::NotTransformed { what: "camera" });
+        }
+        Ok(())
+    }
+
+    /// `origin`, `target`, `up`, `fov`, `film`, `lens`, `shutter`, `along`.
+    pub(super) fn camera_field(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
+        if !self.cameras.is_named() {
+            return Err(args.fault(Fault::NoContext { entity: args.entity().into_owned(), kind: Kind::Camera }));
+        }
+        let mut camera = self.cameras.current().clone();
+        let vector = || {
+            args.count(3..=3, "x y z")?;
+            args.vector(0, "coordinate (m)")
+        };
+        match entity {
+            b"origin" => camera.origin = vector()?,
+            b"target" => camera.target = vector()?,
+            b"up" => {
+                camera.up = vector()?;
+                if camera.up.try_normalize().is_none() {
+                    let fault = Fault::Shape { what: "`up` has no direction", advice: "give it a length near 1" };
+                    return Err(args.fault(fault));
+                }
+            }
+            b"fov" => {
+                args.count(1..=1, "an angle in degrees")?;
+                camera.fov = args.number_in(0, "field of view (degrees)", "in (0, 180)", |a| a > 0.0 && a < 180.0)?;
+            }
+            b"film" => camera.film = film(args)?,
+            b"lens" => {
+                args.count(2..=2, "radius and focus")?;
+                camera.lens_radius = args.number_in(0, "lens radius (m)", ">= 0", |r| r >= 0.0)?;
+                camera.focus =
+                    args.number_in(1, "focus distance (m)", "> 0", |f| f > 0.0 || camera.lens_radius == 0.0)?;
+            }
+            b"shutter" => {
+                args.count(2..=2, "open and close")?;
+                let unit = |i| args.number_in(i, "shutter time", "in [0, 1]", |x| (0.0..=1.0).contains(&x));
+                (camera.shutter_open, camera.shutter_close) = (unit(0)?, unit(1)?);
+                if camera.shutter_close < camera.shutter_open {
+                    return Err(args.range(
+                        1,
+                        "closing of the shutter",
+                        camera.shutter_close,
+                        "not before its opening",
+                    ));
+                }
+            }
+            _ => {
+                args.count(1..=1, "the name of a path")?;
+                camera.along = Some(self.find_path(&args.text(0)).map_err(|fault| args.fault_at(0, fault))?);
+            }
+        }
+        *self.cameras.current_mut() = camera;
+        Ok(())
+    }
+
+    /// Checks what depends on several fields and puts the cameras into the scene.
+    pub(super) fn finish_cameras(&mut self) -> Result<()> {
+        for camera in self.cameras.named() {
+            let fault =
+                |what, advice| Err(ImportError::new(self.position(camera.location), Fault::Shape { what, advice }));
+            let Some(view) = (camera.target - camera.origin).try_normalize() else {
+                return fault("this camera looks nowhere: origin and target are one point", "give both, and apart");
+            };
+            if view.cross(camera.up.normalize_or_zero()).length() < PARALLEL {
+                return fault("this camera's `up` is parallel to its view", "choose another `up`");
+            }
+        }
+        self.scene.cameras = self.cameras.named().cloned().collect();
+        Ok(())
+    }
+}
+
+fn film(args: &Args<'_>) -> Result<[u32; 2]> {
+    args.count(2..=2, "width and height")?;
+    let side = |i| args.whole(i, "film size (pixels)", [1, MAX_SIDE], "a whole number in [1, 32768]");
+    let (width, height) = (side(0)?, side(1)?);
+    if width * height > MAX_PIXELS {
+        return Err(args.fault(Fault::TooMany { what: "pixels of film", limit: MAX_PIXELS }));
+    }
+    Ok([width as u32, height as u32])
+}

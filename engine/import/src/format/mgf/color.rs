@@ -1,0 +1,105 @@
+//! Colour contexts: `c`, `cxy`, `cspec`, `cct`, `cmix`, `crgb`.
+
+use super::{
+    args::{Args, Result},
+    reader::Reader,
+    spectrum::{self, Gamut},
+};
+use crate::{Fault, Oddity};
+use femc_scene::Tinted;
+
+/// A colour as it stands.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Color {
+    /// Linear Rec.709; luminance 1 unless `raw`.
+    pub rgb: [f64; 3],
+    /// Given by `crgb`: used as is.
+    pub raw: bool,
+}
+
+impl Default for Color {
+    fn default() -> Self {
+        Self { rgb: [1.0; 3], raw: false }
+    }
+}
+
+impl Color {
+    /// `amount` in this colour.
+    pub fn tint(&self, amount: f64) -> Tinted {
+        Tinted { amount, color: self.rgb }
+    }
+}
+
+impl Reader<'_> {
+    pub(super) fn cxy(&mut self, args: &Args<'_>) -> Result<()> {
+        args.count(2..=2, "x y")?;
+        let x = args.number_in(0, "x", "in [0, 1]", |x| (0.0..=1.0).contains(&x))?;
+        let y = args.number_in(1, "y", "in (0, 1]", |y| y > 0.0 && y <= 1.0)?;
+        if x + y > 1.0 + 1e-9 {
+            return Err(args.range(0, "x + y", x + y, "at most 1"));
+        }
+        let color = spectrum::from_xy(x, y);
+        self.set_color(args, color)
+    }
+
+    pub(super) fn cspec(&mut self, args: &Args<'_>) -> Result<()> {
+        args.count(4.., "l0 l1 and at least two values")?;
+        let first = args.number_in(0, "first wavelength (nm)", "> 0", |x| x > 0.0)?;
+        let last = args.number(1, "last wavelength (nm)")?;
+        if last <= first {
+            return Err(args.range(1, "last wavelength (nm)", last, "above the first one"));
+        }
+        let value = |i| args.number_in(i, "spectral value", ">= 0", |x| x >= 0.0);
+        let samples = (2..args.len()).map(value).collect::<Result<Vec<f64>>>()?;
+        let color = spectrum::from_samples(first, last, &samples);
+        self.set_color(args, color)
+    }
+
+    pub(super) fn cct(&mut self, args: &Args<'_>) -> Result<()> {
+        args.count(1..=1, "a temperature in kelvin")?;
+        let kelvin = args.number_in(0, "temperature (K)", "in [100, 1e9]", |t| (100.0..=1e9).contains(&t))?;
+        let color = spectrum::from_temperature(kelvin);
+        self.set_color(args, color)
+    }
+
+    /// A mixture by relative luminances.
+    pub(super) fn cmix(&mut self, args: &Args<'_>) -> Result<()> {
+        if args.len() < 2 || !args.len().is_multiple_of(2) {
+            args.count(0..0, "pairs of weight and color name")?;
+        }
+        let (mut sum, mut total) = ([0.0; 3], 0.0);
+        for i in (0..args.len()).step_by(2) {
+            let weight = args.number_in(i, "weight", ">= 0", |w| w >= 0.0)?;
+            let color = *self.colors.get(self.colors.index(args, i + 1)?);
+            let what = Fault::Shape { what: "a black color has no chromaticity to mix", advice: "use a brighter one" };
+            let unit = spectrum::normalized(color.rgb).ok_or_else(|| args.fault_at(i + 1, what))?;
+            for k in 0..3 {
+                sum[k] += weight * unit[k];
+            }
+            total += weight;
+        }
+        if total <= 0.0 {
+            return Err(args.range(0, "sum of the weights", total, "> 0"));
+        }
+        let color = spectrum::normalized(sum).map(|rgb| Gamut { rgb, clipped: false });
+        self.set_color(args, color)
+    }
+
+    pub(super) fn crgb(&mut self, args: &Args<'_>) -> Result<()> {
+        args.count(3..=3, "r g b")?;
+        let channel = |i| args.number_in(i, "color component", ">= 0", |x| x >= 0.0);
+        *self.colors.current_mut() = Color { rgb: [channel(0)?, channel(1)?, channel(2)?], raw: true };
+        Ok(())
+    }
+
+    fn set_color(&mut self, args: &Args<'_>, color: Option<Gamut>) -> Result<()> {
+        let fault =
+            Fault::Shape { what: "this color has no visible light", advice: "use values with a finite luminance" };
+        let Gamut { rgb, clipped } = color.ok_or_else(|| args.fault(fault))?;
+        if clipped {
+            self.warn(args, Oddity::OutOfGamut);
+        }
+        *self.colors.current_mut() = Color { rgb, raw: false };
+        Ok(())
+    }
+}

@@ -1,0 +1,117 @@
+//! Source files: reading, caching, nesting.
+
+use super::{
+    args::{Args, Result},
+    lexer::{Lexer, MAX_LINE},
+    reader::Reader,
+};
+use crate::{Fault, ImportError, Position, files};
+use std::sync::Arc;
+
+/// Most nested files.
+const MAX_DEPTH: usize = 64;
+/// Most includes of a scene: nesting alone would allow 2^64.
+const MAX_INCLUDES: u64 = 1_000_000;
+/// Most text of a scene, counted as often as it is included, bytes.
+const MAX_VOLUME: u64 = 4 << 30;
+/// Largest text file, bytes.
+pub(super) const MAX_TEXT: u64 = 256 << 20;
+
+/// A file being read.
+pub(super) struct OpenFile {
+    pub path: String,
+    /// Transforms open when it began.
+    pub frames: usize,
+    /// Objects open when it began.
+    pub objects: usize,
+}
+
+impl Reader<'_> {
+    /// `i path [xf args]`.
+    pub(super) fn i(&mut self, args: &Args<'_>) -> Result<()> {
+        args.count(1.., "a path and transform arguments")?;
+        let path = files::resolve(args.file, &args.text(0)).map_err(|fault| args.fault_at(0, fault))?;
+        if args.len() == 1 {
+            return self.run(&path, args.fault_at(0, Fault::LineTooLong { limit: 0 }).at);
+        }
+        self.push_frame(args, 1)?;
+        self.run(&path, args.fault_at(0, Fault::LineTooLong { limit: 0 }).at)?;
+        self.pop_frame()
+    }
+
+    /// What was open when the current file began.
+    pub(super) fn open_at_start(&self) -> &OpenFile {
+        self.open.last().expect("entities come from an open file")
+    }
+
+    /// Reads the file `path`, named at `by`.
+    pub(super) fn run(&mut self, path: &str, by: Position) -> Result<()> {
+        if let Some(first) = self.open.iter().position(|file| file.path == path) {
+            let chain = self.open[first..].iter().map(|file| file.path.as_str()).chain([path]).collect::<Vec<_>>();
+            return Err(ImportError::new(by, Fault::IncludeCycle { path: path.into(), chain: chain.join(" > ") }));
+        }
+        if self.open.len() > MAX_DEPTH {
+            return Err(ImportError::new(by, Fault::IncludeDepth { limit: MAX_DEPTH }));
+        }
+        let text = self.text(path).map_err(|fault| ImportError::new(by.clone(), fault))?;
+        self.includes += 1;
+        self.included_bytes += text.len() as u64;
+        if self.includes > MAX_INCLUDES {
+            return Err(ImportError::new(by, Fault::IncludeVolume { limit: MAX_INCLUDES, unit: "files" }));
+        }
+        if self.included_bytes > MAX_VOLUME {
+            return Err(ImportError::new(by, Fault::IncludeVolume { limit: MAX_VOLUME, unit: "bytes" }));
+        }
+        let index = self.file_index(path);
+        self.open.push(OpenFile { path: path.into(), frames: self.frames.len(), objects: self.objects.len() });
+        let (mut lexer, mut tokens) = (Lexer::new(&text), Vec::new());
+        loop {
+            match lexer.next(&mut tokens) {
+                Ok(true) => self.entity(tokens[0].text, &Args::new(path, index, &tokens))?,
+                Ok(false) => break,
+                Err(long) => {
+                    let at = Position { file: path.into(), line: long.line, column: 0 };
+                    return Err(ImportError::new(at, Fault::LineTooLong { limit: MAX_LINE }));
+                }
+            }
+        }
+        self.close_frames()?;
+        self.close_objects();
+        self.open.pop();
+        Ok(())
+    }
+
+    /// The text of a file; read once, its size checked first.
+    pub(super) fn text(&mut self, path: &str) -> std::result::Result<Arc<Vec<u8>>, Fault> {
+        if let Some(text) = self.texts.get(path) {
+            return Ok(text.clone());
+        }
+        let unreadable = |e: std::io::Error| Fault::Unreadable { path: path.into(), reason: e.to_string() };
+        let size = self.files.size(path).map_err(unreadable)?;
+        if size > MAX_TEXT {
+            return Err(Fault::TextTooLarge { path: path.into(), size, limit: MAX_TEXT });
+        }
+        let text = Arc::new(self.files.read(path).map_err(unreadable)?);
+        self.note_read(path);
+        self.texts.insert(path.into(), text.clone());
+        Ok(text)
+    }
+
+    /// Remembers that `path` belongs to the scene.
+    pub(super) fn note_read(&mut self, path: &str) {
+        if !self.read.iter().any(|known| known == path) {
+            self.read.push(path.into());
+        }
+    }
+
+    /// The index of a source file for locations.
+    pub(super) fn file_index(&mut self, path: &str) -> u32 {
+        if let Some(&index) = self.file_indices.get(path) {
+            return index;
+        }
+        let index = self.scene.files.len() as u32;
+        self.scene.files.push(path.into());
+        self.file_indices.insert(path.into(), index);
+        index
+    }
+}

@@ -1,0 +1,169 @@
+//! Material contexts.
+//!
+//! A surface takes the material as it stands at that line. The state becomes an entry of the scene when a surface uses it or
+//! when another material is chosen; a state equal to an entry of its name is that entry, so that files that define a
+//! material again and again make one.
+
+use super::{
+    args::{Args, Result},
+    reader::Reader,
+    table::Opened,
+};
+use crate::{Fault, ImportError, Oddity};
+use femc_scene::{Ior, Location, Material, MaterialId, Sides};
+
+/// Slack of the sum of the reflectances: decimal fractions that add up to 1.
+const SUM_TOLERANCE: f64 = 1e-6;
+/// Entries of one name that are searched for an equal one.
+const SEARCHED: usize = 8;
+
+/// A material as it stands.
+#[derive(Clone, Debug, Default)]
+pub(super) struct MaterialState {
+    pub material: Material,
+    /// Its entry, unless it changed since.
+    entry: Option<MaterialId>,
+    /// The last entity that changed a reflectance.
+    reflectance_at: Location,
+}
+
+impl Reader<'_> {
+    pub(super) fn m(&mut self, args: &Args<'_>) -> Result<()> {
+        self.seal_material()?;
+        let opened = self.materials.select(args)?;
+        if opened != Opened::Again {
+            let state = self.materials.current_mut();
+            state.material.location = args.location();
+            state.material.name = args.text(0).into_owned();
+            state.reflectance_at = args.location();
+            state.entry = None;
+        }
+        Ok(())
+    }
+
+    /// The entry of the current material.
+    pub(super) fn material(&mut self) -> Result<MaterialId> {
+        let state = self.materials.current();
+        if let Some(entry) = state.entry {
+            return Ok(entry);
+        }
+        let material = state.material.clone();
+        let sum = material.rd.amount + material.td.amount + material.rs.amount + material.ts.amount;
+        if sum > 1.0 + SUM_TOLERANCE {
+            let at = self.position(state.reflectance_at);
+            let name = if material.name.is_empty() { "(unnamed)".into() } else { material.name };
+            return Err(ImportError::new(at, Fault::TooBright { material: name, sum }));
+        }
+        let id = self.material_entry(material);
+        self.materials.current_mut().entry = Some(id);
+        Ok(id)
+    }
+
+    /// Makes the current named material an entry, before it is left.
+    pub(super) fn seal_material(&mut self) -> Result<()> {
+        if self.materials.is_named() {
+            self.material()?;
+        }
+        Ok(())
+    }
+
+    fn material_entry(&mut self, material: Material) -> MaterialId {
+        let entries = self.material_entries.entry(material.name.clone()).or_default();
+        let equal = |id: &&MaterialId| {
+            let known = &self.scene.materials[id.index()];
+            Material { location: known.location, ..material.clone() } == *known
+        };
+        if let Some(&id) = entries.iter().rev().take(SEARCHED).find(equal) {
+            return id;
+        }
+        let id = MaterialId(self.scene.materials.len() as u32);
+        entries.push(id);
+        let tinted = [material.rd, material.td, material.rs, material.ts];
+        let channel = |k: usize| tinted.iter().map(|t| t.amount * t.color[k]).sum::<f64>();
+        let brightest = (0..3).map(channel).fold(0.0, f64::max);
+        if brightest > 1.0 + SUM_TOLERANCE {
+            let at = self.position(material.location);
+            self.warnings.push(at, Oddity::ChannelAboveOne { sum: brightest });
+        }
+        self.scene.materials.push(material);
+        id
+    }
+
+    /// The current material, about to change.
+    fn change_material(&mut self) -> &mut Material {
+        let state = self.materials.current_mut();
+        state.entry = None;
+        &mut state.material
+    }
+
+    pub(super) fn sides(&mut self, args: &Args<'_>) -> Result<()> {
+        args.count(1..=1, "1 or 2")?;
+        self.change_material().sides = match args.whole(0, "number of sides", [1, 2], "1 or 2")? {
+            1 => Sides::One,
+            _ => Sides::Two,
+        };
+        Ok(())
+    }
+
+    /// `rd r`, `td t`, `rs r a`, `ts t a`.
+    pub(super) fn reflectance(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
+        let specular = matches!(entity, b"rs" | b"ts");
+        if specular {
+            args.count(2..=2, "a fraction and a roughness")?;
+        } else {
+            args.count(1..=1, "a fraction")?;
+        }
+        let unit = |i, what| args.number_in(i, what, "in [0, 1]", |x| (0.0..=1.0).contains(&x));
+        let amount = unit(0, "reflectance or transmittance")?;
+        let alpha = if specular { unit(1, "roughness")? } else { 0.0 };
+        let tinted = self.colors.current().tint(amount);
+        let material = self.change_material();
+        match entity {
+            b"rd" => material.rd = tinted,
+            b"td" => material.td = tinted,
+            b"rs" => (material.rs, material.rs_alpha) = (tinted, alpha),
+            _ => (material.ts, material.ts_alpha) = (tinted, alpha),
+        }
+        self.materials.current_mut().reflectance_at = args.location();
+        Ok(())
+    }
+
+    pub(super) fn ir(&mut self, args: &Args<'_>) -> Result<()> {
+        args.count(2..=2, "the real and the imaginary part")?;
+        let re = args.number_in(0, "real index of refraction", "> 0", |x| x > 0.0)?;
+        let im = args.number_in(1, "imaginary index of refraction", ">= 0", |x| x >= 0.0)?;
+        self.change_material().ior = Some(Ior { re, im });
+        Ok(())
+    }
+
+    pub(super) fn ed(&mut self, args: &Args<'_>) -> Result<()> {
+        args.count(1..=1, "an emittance in lm/m2")?;
+        let emittance = args.number_in(0, "emittance (lm/m2)", ">= 0", |x| x >= 0.0)?;
+        let tinted = self.colors.current().tint(emittance);
+        self.change_material().ed = tinted;
+        Ok(())
+    }
+
+    pub(super) fn lobe(&mut self, args: &Args<'_>) -> Result<()> {
+        args.count(1..=1, "an exponent")?;
+        let n = args.number_in(0, "exponent of the lobe", "in [0, 1e6]", |n| (0.0..=1e6).contains(&n))?;
+        self.change_material().lobe = Some(n);
+        Ok(())
+    }
+
+    pub(super) fn inside(&mut self, args: &Args<'_>) -> Result<()> {
+        args.count(1..=1, "the name of a medium")?;
+        let medium = self.medium_named(args, 0)?;
+        self.change_material().inside = Some(medium);
+        Ok(())
+    }
+
+    /// `map_rd FILE`, `map_ed FILE`, `map_n FILE`.
+    pub(super) fn map(&mut self, _entity: &[u8], args: &Args<'_>) -> Result<()> {
+        Err(args.fault(Fault::Unsupported { what: "an image texture", advice: "remove this line" }))
+    }
+
+    pub(super) fn ies(&mut self, args: &Args<'_>) -> Result<()> {
+        Err(args.fault(Fault::Unsupported { what: "measured photometry", advice: "remove this line" }))
+    }
+}

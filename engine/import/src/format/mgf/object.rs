@@ -1,0 +1,58 @@
+//! Named objects: `o`.
+
+use super::{
+    args::{Args, Result},
+    reader::Reader,
+};
+use crate::{Fault, Oddity};
+use femc_scene::{Object, ObjectId};
+
+/// Most nested objects.
+const MAX_DEPTH: usize = 256;
+/// Longest dotted name, bytes.
+const MAX_NAME: usize = 4096;
+
+impl Reader<'_> {
+    /// `o [name]`. An object opened again under the same full name is the same object.
+    pub(super) fn o(&mut self, args: &Args<'_>) -> Result<()> {
+        args.count(..=1, "a name, or nothing to close")?;
+        if args.len() == 0 {
+            if self.objects.len() <= self.open_at_start().objects {
+                return Err(args.fault(Fault::NothingToClose { entity: "o" }));
+            }
+            self.objects.pop();
+            return Ok(());
+        }
+        let parent = self.object();
+        let name = match parent {
+            Some(outer) => format!("{}.{}", self.scene.objects[outer.index()].name, args.text(0)),
+            None => args.text(0).into_owned(),
+        };
+        if self.objects.len() >= MAX_DEPTH || name.len() > MAX_NAME {
+            return Err(args.fault(Fault::ObjectDepth { limit: MAX_DEPTH }));
+        }
+        let id = match self.object_ids.get(&name) {
+            Some(&id) => id,
+            None => {
+                let id = ObjectId(self.scene.objects.len() as u32);
+                self.scene.objects.push(Object { name: name.clone(), parent, hidden: false });
+                self.object_ids.insert(name, id);
+                id
+            }
+        };
+        self.objects.push((id, args.at()));
+        Ok(())
+    }
+
+    /// The innermost open object.
+    pub(super) fn object(&self) -> Option<ObjectId> {
+        self.objects.last().map(|(id, _)| *id)
+    }
+
+    /// Closes the objects that the current file left open.
+    pub(super) fn close_objects(&mut self) {
+        for (_, at) in self.objects.split_off(self.open_at_start().objects) {
+            self.warnings.push(at, Oddity::LeftOpen { entity: "o" });
+        }
+    }
+}

@@ -1,0 +1,322 @@
+//! Planar polygons, concave, with seams or holes, into triangles.
+//!
+//! The polygon is projected along the largest component of its normal (which keeps coordinates, and so collinearity and
+//! equality, exact) and cut by ear clipping \[eberly2002\] (crate `earcut`). Ear clipping drops vertices in the middle of
+//! straight edges; they are put back, because a neighbour's edge may end there. The signed areas decide whether the
+//! triangles are the polygon.
+
+use earcut::Earcut;
+use femc_math::glam::DVec3;
+
+/// Relative difference of areas above which triangles are not the polygon.
+const AREA_TOLERANCE: f64 = 1e-9;
+/// Area over squared size below which a face has none.
+const NO_AREA: f64 = 1e-15;
+
+/// What became of a polygon.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Outcome {
+    /// Vector area of the outer contour less the holes, m2; by the right-hand rule.
+    pub area: DVec3,
+    /// Largest distance of a vertex from the mean plane, over the size of the polygon.
+    pub deviation: f64,
+    /// Whether the triangles add up to the area.
+    pub covered: bool,
+    /// Whether a hole is wound like the outer contour.
+    pub hole_wound_like_outer: bool,
+}
+
+/// Triangulates; keeps its buffers.
+#[derive(Default)]
+pub(super) struct Triangulator {
+    earcut: Earcut<f64>,
+    flat: Vec<[f64; 2]>,
+    cut: Vec<u32>,
+    /// The triangles made last: indices into the points, counter-clockwise about the area. Empty without area.
+    pub triangles: Vec<[u32; 3]>,
+}
+
+impl Triangulator {
+    /// Triangulates the contours of `points`; `holes` are the first indices of the contours after the outer one.
+    pub fn run(&mut self, points: &[DVec3], holes: &[u32]) -> Outcome {
+        self.triangles.clear();
+        let outer = &points[..holes.first().map_or(points.len(), |&first| first as usize)];
+        let outer_area = vector_area(outer);
+        let hole_areas: Vec<DVec3> =
+            contours(points.len(), holes).skip(1).map(|range| vector_area(&points[range])).collect();
+        let like_outer = |area: &DVec3| area.dot(outer_area) > 0.0;
+        let hole_wound_like_outer = hole_areas.iter().any(like_outer);
+        let sum = |total: DVec3, area: &DVec3| total + if like_outer(area) { -*area } else { *area };
+        let area = hole_areas.iter().fold(outer_area, sum);
+        let size = extent(outer);
+        let deviation = deviation(points, outer_area.normalize_or_zero(), size);
+        let mut outcome = Outcome { area, deviation, covered: true, hole_wound_like_outer };
+        // Written so that NaN, too, has no area.
+        let has_area = area.length() > NO_AREA * size * size && area.is_finite();
+        if !has_area {
+            return outcome;
+        }
+        self.project(points, outer_area);
+        if !self.simple(points.len(), holes) {
+            self.clip_ears(points.len(), holes);
+        }
+        let signed: f64 = self.triangles.iter().map(|&t| self.signed_area(t)).sum();
+        let expected = projected(area, outer_area);
+        outcome.covered = (signed - expected).abs() <= AREA_TOLERANCE * expected.abs();
+        outcome
+    }
+
+    /// Drops the axis along which `normal` is largest, keeping counter-clockwise about `normal` counter-clockwise.
+    fn project(&mut self, points: &[DVec3], normal: DVec3) {
+        let (axis, positive) = dominant(normal);
+        let (u, v) = ((axis + 1) % 3, (axis + 2) % 3);
+        let (u, v) = if positive { (u, v) } else { (v, u) };
+        self.flat.clear();
+        self.flat.extend(points.iter().map(|p| [p[u], p[v]]));
+    }
+
+    /// Triangles and quadrangles without holes need no general method.
+    fn simple(&mut self, n: usize, holes: &[u32]) -> bool {
+        let candidates: &[&[[u32; 3]]] = match (n, holes) {
+            (3, []) => &[&[[0, 1, 2]]],
+            (4, []) => &[&[[0, 1, 2], [0, 2, 3]], &[[1, 2, 3], [1, 3, 0]]],
+            _ => return false,
+        };
+        let positive = |split: &&&[[u32; 3]]| split.iter().all(|&t| self.signed_area(t) > 0.0);
+        let Some(split) = candidates.iter().find(positive) else { return false };
+        self.triangles.extend_from_slice(split);
+        true
+    }
+
+    fn clip_ears(&mut self, n: usize, holes: &[u32]) {
+        self.earcut.earcut_slice(&self.flat, holes, &mut self.cut);
+        for &[a, b, c] in self.cut.as_chunks::<3>().0 {
+            let area = self.signed_area([a, b, c]);
+            if area > 0.0 {
+                self.triangles.push([a, b, c]);
+            } else if area < 0.0 {
+                self.triangles.push([a, c, b]);
+            }
+        }
+        // Every vertex has its part in this many triangles unless some were dropped.
+        if self.triangles.len() < n + 2 * holes.len() - 2 {
+            self.restore_dropped();
+        }
+    }
+
+    /// Splits every triangle edge at the vertices that lie on it.
+    fn restore_dropped(&mut self) {
+        let mut i = 0;
+        while i < self.triangles.len() {
+            match self.vertex_on_edge(self.triangles[i]) {
+                Some([a, b, c, d]) => {
+                    self.triangles[i] = [d, b, c];
+                    self.triangles.push([a, d, c]);
+                }
+                None => i += 1,
+            }
+        }
+    }
+
+    /// An edge a to b of the triangle (a, b, c), and a vertex d strictly inside it that leaves area on both sides.
+    fn vertex_on_edge(&self, [x, y, z]: [u32; 3]) -> Option<[u32; 4]> {
+        let splits = |[a, b, c]: [u32; 3], d: u32| {
+            self.between(a, d, b) && self.signed_area([d, b, c]) > 0.0 && self.signed_area([a, d, c]) > 0.0
+        };
+        [[x, y, z], [y, z, x], [z, x, y]].into_iter().find_map(|[a, b, c]| {
+            let d = (0..self.flat.len() as u32).find(|&d| splits([a, b, c], d))?;
+            Some([a, b, c, d])
+        })
+    }
+
+    /// Whether `d` lies on the straight edge from `a` to `b`, within rounding.
+    fn between(&self, a: u32, d: u32, b: u32) -> bool {
+        let [a, d, b] = [a, d, b].map(|i| self.flat[i as usize]);
+        let edge = [b[0] - a[0], b[1] - a[1]];
+        let part = [d[0] - a[0], d[1] - a[1]];
+        let length2 = edge[0] * edge[0] + edge[1] * edge[1];
+        let along = part[0] * edge[0] + part[1] * edge[1];
+        let across = edge[0] * part[1] - edge[1] * part[0];
+        across.abs() <= 1e-12 * length2 && along > 0.0 && along < length2
+    }
+
+    fn signed_area(&self, [a, b, c]: [u32; 3]) -> f64 {
+        let [a, b, c] = [a, b, c].map(|i| self.flat[i as usize]);
+        0.5 * ((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+    }
+}
+
+/// Half the sum of the cross products (Newell's normal \[sutherland1974\]), relative to the first vertex for accuracy.
+pub(super) fn vector_area(points: &[DVec3]) -> DVec3 {
+    let Some(&origin) = points.first() else { return DVec3::ZERO };
+    points.windows(2).map(|pair| (pair[0] - origin).cross(pair[1] - origin)).sum::<DVec3>() * 0.5
+}
+
+/// The contours as index ranges, the outer one first.
+fn contours(n: usize, holes: &[u32]) -> impl Iterator<Item = std::ops::Range<usize>> {
+    let starts = std::iter::once(0).chain(holes.iter().map(|&first| first as usize));
+    let ends = holes.iter().map(|&first| first as usize).chain(std::iter::once(n));
+    starts.zip(ends).map(|(start, end)| start..end)
+}
+
+fn dominant(normal: DVec3) -> (usize, bool) {
+    let size = normal.abs();
+    let axis = if size.x >= size.y && size.x >= size.z {
+        0
+    } else if size.y >= size.z {
+        1
+    } else {
+        2
+    };
+    (axis, normal[axis] > 0.0)
+}
+
+/// The component of `area` that the projection along `normal` sees.
+fn projected(area: DVec3, normal: DVec3) -> f64 {
+    let (axis, positive) = dominant(normal);
+    if positive { area[axis] } else { -area[axis] }
+}
+
+fn extent(points: &[DVec3]) -> f64 {
+    let low = points.iter().copied().reduce(DVec3::min).unwrap_or_default();
+    let high = points.iter().copied().reduce(DVec3::max).unwrap_or_default();
+    (high - low).length()
+}
+
+fn deviation(points: &[DVec3], normal: DVec3, size: f64) -> f64 {
+    let center = points.iter().map(|p| *p / points.len() as f64).sum::<DVec3>();
+    let farthest = points.iter().map(|p| (*p - center).dot(normal).abs()).fold(0.0, f64::max);
+    if size > 0.0 { farthest / size } else { 0.0 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn flat(points: &[[f64; 2]]) -> Vec<DVec3> {
+        points.iter().map(|p| DVec3::new(p[0], p[1], 0.0)).collect()
+    }
+
+    /// Checks area and orientation of every triangle; returns how many there are.
+    fn triangulate(points: &[DVec3], holes: &[u32]) -> (Outcome, Vec<[u32; 3]>) {
+        let mut triangulator = Triangulator::default();
+        let outcome = triangulator.run(points, holes);
+        let normal = outcome.area.normalize_or_zero();
+        let mut sum = 0.0;
+        for t in &triangulator.triangles {
+            let [a, b, c] = t.map(|i| points[i as usize]);
+            let area = 0.5 * (b - a).cross(c - a).dot(normal);
+            assert!(area > 0.0, "triangle {t:?} is turned over");
+            sum += area;
+        }
+        if outcome.covered {
+            assert!((sum - outcome.area.length()).abs() <= 1e-9 * sum.abs(), "{sum} is not {}", outcome.area.length());
+        }
+        (outcome, triangulator.triangles)
+    }
+
+    #[test]
+    fn a_concave_quadrangle_is_cut_inside() {
+        let (outcome, triangles) = triangulate(&flat(&[[0.0, 0.0], [2.0, 1.0], [0.0, 2.0], [0.5, 1.0]]), &[]);
+        assert!(outcome.covered);
+        assert_eq!(triangles, [[1, 2, 3], [1, 3, 0]]);
+    }
+
+    #[test]
+    fn a_comb_is_covered() {
+        let mut points = vec![[0.0, -1.0], [20.0, -1.0]];
+        points.extend((0..20).rev().flat_map(|i| {
+            let x = f64::from(i);
+            [[x + 0.9, 0.0], [x + 0.5, 5.0], [x + 0.1, 0.0]]
+        }));
+        let (outcome, triangles) = triangulate(&flat(&points), &[]);
+        assert!(outcome.covered);
+        assert_eq!(triangles.len(), points.len() - 2);
+    }
+
+    #[test]
+    fn a_seam_makes_a_hole() {
+        // The spec's `f v1 v2 v3 v4 v5 v6 v7 v8 v5 v4`: outer square, seam v4 v5, inner square the other way round.
+        let p = [[0.0, 0.0], [4.0, 0.0], [4.0, 4.0], [0.0, 4.0], [1.0, 3.0], [3.0, 3.0], [3.0, 1.0], [1.0, 1.0]];
+        let seam = [p[0], p[1], p[2], p[3], p[4], p[5], p[6], p[7], p[4], p[3]];
+        let (outcome, triangles) = triangulate(&flat(&seam), &[]);
+        assert!(outcome.covered);
+        assert!((outcome.area.z - 12.0).abs() < 1e-12);
+        assert_eq!(triangles.len(), 8);
+    }
+
+    #[test]
+    fn explicit_holes_are_cut_out_whichever_way_they_are_wound() {
+        let outer = [[0.0, 0.0], [9.0, 0.0], [9.0, 4.0], [0.0, 4.0]];
+        let one = [[1.0, 1.0], [1.0, 3.0], [3.0, 3.0], [3.0, 1.0]];
+        let two = [[5.0, 1.0], [5.0, 3.0], [7.0, 3.0], [7.0, 1.0]];
+        let all: Vec<_> = [outer, one, two].concat();
+        let (outcome, triangles) = triangulate(&flat(&all), &[4, 8]);
+        assert!(outcome.covered && !outcome.hole_wound_like_outer);
+        assert!((outcome.area.z - 28.0).abs() < 1e-12);
+        assert_eq!(triangles.len(), 14);
+        let mut reversed = all;
+        reversed[4..8].reverse();
+        let (outcome, _) = triangulate(&flat(&reversed), &[4, 8]);
+        assert!(outcome.covered && outcome.hole_wound_like_outer);
+        assert!((outcome.area.z - 28.0).abs() < 1e-12);
+    }
+
+    #[test]
+    fn the_right_hand_rule_holds_for_every_axis_and_both_windings() {
+        let square = [[0.0, 0.0], [2.0, 0.0], [2.0, 1.0], [1.0, 0.4], [0.0, 1.0]];
+        for axis in 0..3 {
+            for reversed in [false, true] {
+                let place = |p: &[f64; 2]| {
+                    let mut v = DVec3::splat(3.0);
+                    (v[(axis + 1) % 3], v[(axis + 2) % 3]) = (p[0], p[1]);
+                    v
+                };
+                let mut points: Vec<_> = square.iter().map(place).collect();
+                if reversed {
+                    points.reverse();
+                }
+                let (outcome, triangles) = triangulate(&points, &[]);
+                assert_eq!(outcome.area[axis] > 0.0, !reversed);
+                assert!(outcome.covered && triangles.len() == 3);
+            }
+        }
+    }
+
+    #[test]
+    fn vertices_on_straight_edges_are_kept() {
+        let points = flat(&[[0.0, 0.0], [1.0, 0.0], [2.0, 0.0], [3.0, 0.0], [3.0, 2.0], [1.5, 2.0], [0.0, 2.0]]);
+        let (outcome, triangles) = triangulate(&points, &[]);
+        assert!(outcome.covered);
+        for i in 0..points.len() as u32 {
+            assert!(triangles.iter().flatten().any(|&j| j == i), "vertex {i} is lost in {triangles:?}");
+        }
+        assert_eq!(triangles.len(), 5);
+    }
+
+    #[test]
+    fn faces_without_area_have_no_triangles() {
+        for points in [
+            flat(&[[0.0, 0.0], [1.0, 1.0], [2.0, 2.0]]),
+            flat(&[[1.0, 1.0]; 5]),
+            flat(&[[0.0, 0.0], [1.0, 0.0], [0.0, 0.0], [1.0, 0.0]]),
+        ] {
+            assert_eq!(triangulate(&points, &[]).1.len(), 0);
+        }
+    }
+
+    #[test]
+    fn a_polygon_that_crosses_itself_is_found_out() {
+        let bow = flat(&[[0.0, 0.0], [2.0, 2.0], [2.0, 0.0], [0.0, 1.0]]);
+        assert!(!triangulate(&bow, &[]).0.covered);
+    }
+
+    #[test]
+    fn the_deviation_from_the_plane_is_measured() {
+        let mut points = flat(&[[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]);
+        assert_eq!(triangulate(&points, &[]).0.deviation, 0.0);
+        points[2].z = 0.2;
+        let deviation = triangulate(&points, &[]).0.deviation;
+        assert!((0.02..0.1).contains(&deviation), "{deviation}");
+    }
+}

@@ -1,0 +1,181 @@
+//! The state of one import and the dispatch of entities.
+
+use super::{
+    args::{Args, Result},
+    camera,
+    color::Color,
+    include::OpenFile,
+    material::MaterialState,
+    medium::MediumState,
+    polygon::Triangulator,
+    stack::Frame,
+    table::Table,
+    vertex::VertexState,
+};
+use crate::{Files, ImportError, Kind, Loaded, Oddity, Position, warning::Warnings};
+use femc_scene::{Camera, Group, GroupId, Location, MaterialId, MediumId, ObjectId, PathId, Scene};
+use std::{
+    collections::{BTreeMap, HashMap, HashSet},
+    sync::Arc,
+};
+
+/// Most primitives (triangles, quadrics, luminaires) after array expansion.
+pub(super) const MAX_PRIMITIVES: u64 = 100_000_000;
+
+/// The state of one import. Hash tables are only looked up, never walked into the scene.
+pub(super) struct Reader<'f> {
+    pub files: &'f dyn Files,
+    pub scene: Scene,
+    pub warnings: Warnings,
+    /// Every file read.
+    pub read: Vec<String>,
+    pub texts: HashMap<String, Arc<Vec<u8>>>,
+    pub file_indices: HashMap<String, u32>,
+    /// Open files, outermost first.
+    pub open: Vec<OpenFile>,
+    pub includes: u64,
+    pub included_bytes: u64,
+    pub unknown: HashSet<String>,
+
+    pub colors: Table<Color>,
+    pub materials: Table<MaterialState>,
+    /// Entries of the scene by name, newest last.
+    pub material_entries: HashMap<String, Vec<MaterialId>>,
+    pub vertices: Table<VertexState>,
+    pub cameras: Table<Camera>,
+    pub media: Table<MediumState>,
+    pub medium_entries: HashMap<String, Vec<MediumId>>,
+    pub paths: BTreeMap<String, PathId>,
+    pub path: Option<PathId>,
+
+    pub objects: Vec<(ObjectId, Position)>,
+    pub object_ids: HashMap<String, ObjectId>,
+    pub frames: Vec<Frame>,
+    pub frame_ids: u32,
+    /// The group that surfaces go into.
+    pub group: GroupId,
+    /// Primitives of each group after expansion.
+    pub counts: Vec<u64>,
+    /// Mirror images of groups.
+    pub twins: HashMap<GroupId, GroupId>,
+    pub triangulator: Triangulator,
+}
+
+/// Imports `entry` of `files`.
+pub(crate) fn load(files: &dyn Files, entry: &str) -> Result<Loaded> {
+    let mut reader = Reader::new(files);
+    let path = crate::files::resolve("", entry)
+        .map_err(|fault| ImportError::new(Position { file: entry.to_owned(), line: 0, column: 0 }, fault))?;
+    let file = path.rsplit('/').next().unwrap_or(&path);
+    reader.scene.name = file.rsplit_once('.').map_or(file, |(stem, _)| stem).to_owned();
+    reader.run(&path, Position { file: path.clone(), line: 0, column: 0 })?;
+    reader.finish()
+}
+
+impl<'f> Reader<'f> {
+    fn new(files: &'f dyn Files) -> Self {
+        Self {
+            files,
+            scene: Scene { groups: vec![Group::default()], ..Scene::default() },
+            warnings: Warnings::default(),
+            read: Vec::new(),
+            texts: HashMap::new(),
+            file_indices: HashMap::new(),
+            open: Vec::new(),
+            includes: 0,
+            included_bytes: 0,
+            unknown: HashSet::new(),
+            colors: Table::new(Kind::Color, Color::default()),
+            materials: Table::new(Kind::Material, MaterialState::default()),
+            material_entries: HashMap::new(),
+            vertices: Table::new(Kind::Vertex, VertexState::default()),
+            cameras: Table::new(Kind::Camera, camera::default_camera()),
+            media: Table::new(Kind::Medium, MediumState::default()),
+            medium_entries: HashMap::new(),
+            paths: BTreeMap::new(),
+            path: None,
+            objects: Vec::new(),
+            object_ids: HashMap::new(),
+            frames: vec![Frame::world()],
+            frame_ids: 0,
+            group: GroupId(0),
+            counts: vec![0],
+            twins: HashMap::new(),
+            triangulator: Triangulator::default(),
+        }
+    }
+
+    /// One entity.
+    pub(super) fn entity(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
+        match entity {
+            b"v" => self.vertices.select(args).map(|_| ()),
+            b"p" => self.p(args),
+            b"n" => self.n(args),
+            b"uv" => self.uv(args),
+            b"f" => self.f(args),
+            b"fh" => self.fh(args),
+            b"c" => self.colors.select(args).map(|_| ()),
+            b"cxy" => self.cxy(args),
+            b"cspec" => self.cspec(args),
+            b"cct" => self.cct(args),
+            b"cmix" => self.cmix(args),
+            b"crgb" => self.crgb(args),
+            b"m" => self.m(args),
+            b"sides" => self.sides(args),
+            b"rd" | b"td" | b"rs" | b"ts" => self.reflectance(entity, args),
+            b"ir" => self.ir(args),
+            b"ed" => self.ed(args),
+            b"lobe" => self.lobe(args),
+            b"inside" => self.inside(args),
+            b"map_rd" | b"map_ed" | b"map_n" => self.map(entity, args),
+            b"o" => self.o(args),
+            b"xf" => self.xf(args),
+            b"i" => self.i(args),
+            b"ies" => self.ies(args),
+            b"sph" => self.sph(args),
+            b"cyl" => self.cyl(args),
+            b"cone" => self.cone(args),
+            b"ring" => self.ring(args),
+            b"torus" => self.torus(args),
+            b"prism" => self.prism(args),
+            b"camera" => self.camera(args),
+            b"origin" | b"target" | b"up" | b"fov" | b"film" | b"lens" | b"shutter" | b"along" => {
+                self.camera_field(entity, args)
+            }
+            b"medium" => self.medium(args),
+            b"sigma_s" | b"sigma_a" | b"phase" | b"glow" | b"density" => self.medium_field(entity, args),
+            b"mbox" => self.mbox(args),
+            b"mglobal" => self.mglobal(args),
+            b"time" => self.time(args),
+            b"path" => self.path(args),
+            b"key" => self.key(args),
+            b"vary" => self.vary(args),
+            _ => {
+                let name = args.entity();
+                if self.unknown.insert(name.clone().into_owned()) {
+                    self.warn(args, Oddity::UnknownEntity { name: name.into_owned() });
+                }
+                Ok(())
+            }
+        }
+    }
+
+    fn finish(mut self) -> Result<Loaded> {
+        self.seal_material()?;
+        self.seal_medium()?;
+        self.finish_cameras()?;
+        self.finish_paths()?;
+        Ok(Loaded { scene: self.scene, warnings: self.warnings.0, files: self.read })
+    }
+
+    /// Warns at the entity.
+    pub(super) fn warn(&mut self, args: &Args<'_>, oddity: Oddity) {
+        self.warnings.push(args.at(), oddity);
+    }
+
+    /// A place of the description as one for messages.
+    pub(super) fn position(&self, location: Location) -> Position {
+        let file = self.scene.files.get(location.file as usize).cloned().unwrap_or_default();
+        Position { file, line: location.line, column: location.column }
+    }
+}

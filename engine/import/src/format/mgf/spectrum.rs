@@ -1,0 +1,219 @@
+//! Spectra, black bodies and chromaticities to linear Rec.709.
+//!
+//! MGF's neutral colour is equal-energy light: `rd .4` under the default colour reflects 40 % in every channel. So the
+//! white point E is adapted to Rec.709's white by the Bradford transform (\[lam1985\]) before the primaries are applied, and
+//! E becomes exactly (1, 1, 1). The price: a D65 source comes out slightly blue, as it is relative to equal energy.
+
+use femc_math::{color::LUMINANCE_WEIGHTS, elementary::double as elementary};
+
+/// XYZ relative to white E, to linear Rec.709: Bradford adaptation from E to D65 (0.3127, 0.3290), then the inverse of the
+/// primaries' matrix (\[bt709\]); computed in exact rationals, rows sum to 1.
+const XYZ_TO_RGB: [[f64; 3]; 3] = [
+    [3.1466576541357187, -1.6664637545108374, -0.4801938996248811],
+    [-0.9955216057807181, 1.955756733809069, 0.03976487197164932],
+    [0.06359480293878869, -0.21456322222468066, 1.150968419285892],
+];
+
+/// The CIE 1931 2-degree observer (\[cie2018\]), 380 nm to 780 nm every 10 nm.
+const OBSERVER: [[f64; 3]; 41] = [
+    [0.001368, 0.000039, 0.006450],
+    [0.004243, 0.000120, 0.020050],
+    [0.014310, 0.000396, 0.067850],
+    [0.043510, 0.001210, 0.207400],
+    [0.134380, 0.004000, 0.645600],
+    [0.283900, 0.011600, 1.385600],
+    [0.348280, 0.023000, 1.747060],
+    [0.336200, 0.038000, 1.772110],
+    [0.290800, 0.060000, 1.669200],
+    [0.195360, 0.090980, 1.287640],
+    [0.095640, 0.139020, 0.812950],
+    [0.032010, 0.208020, 0.465180],
+    [0.004900, 0.323000, 0.272000],
+    [0.009300, 0.503000, 0.158200],
+    [0.063270, 0.710000, 0.078250],
+    [0.165500, 0.862000, 0.042160],
+    [0.290400, 0.954000, 0.020300],
+    [0.433450, 0.994950, 0.008750],
+    [0.594500, 0.995000, 0.003900],
+    [0.762100, 0.952000, 0.002100],
+    [0.916300, 0.870000, 0.001650],
+    [1.026300, 0.757000, 0.001100],
+    [1.062200, 0.631000, 0.000800],
+    [1.002600, 0.503000, 0.000340],
+    [0.854450, 0.381000, 0.000190],
+    [0.642400, 0.265000, 0.000050],
+    [0.447900, 0.175000, 0.000020],
+    [0.283500, 0.107000, 0.0],
+    [0.164900, 0.061000, 0.0],
+    [0.087400, 0.032000, 0.0],
+    [0.046770, 0.017000, 0.0],
+    [0.022700, 0.008210, 0.0],
+    [0.011359, 0.004102, 0.0],
+    [0.005790, 0.002091, 0.0],
+    [0.002899, 0.001047, 0.0],
+    [0.001440, 0.000520, 0.0],
+    [0.000690, 0.000249, 0.0],
+    [0.000332, 0.000120, 0.0],
+    [0.000166, 0.000060, 0.0],
+    [0.000083, 0.000030, 0.0],
+    [0.000042, 0.000015, 0.0],
+];
+
+const FIRST: f64 = 380.0;
+const LAST: f64 = 780.0;
+const STEP: f64 = 10.0;
+
+/// A colour of luminance 1, and whether it had to be clipped into Rec.709.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(super) struct Gamut {
+    pub rgb: [f64; 3],
+    pub clipped: bool,
+}
+
+/// Rec.709 luminance.
+pub(super) fn luminance(rgb: [f64; 3]) -> f64 {
+    let weights = LUMINANCE_WEIGHTS.to_array().map(f64::from);
+    (rgb[0] * weights[0] + rgb[1] * weights[1] + rgb[2] * weights[2]) / (weights[0] + weights[1] + weights[2])
+}
+
+/// `rgb` scaled to luminance 1; `None` for black.
+pub(super) fn normalized(rgb: [f64; 3]) -> Option<[f64; 3]> {
+    let y = luminance(rgb);
+    let scaled = rgb.map(|x| x / y);
+    (y > 0.0 && scaled.iter().all(|x| x.is_finite())).then_some(scaled)
+}
+
+/// The Rec.709 colour of a chromaticity, luminance 1; negative components are clipped to 0.
+/// `None` where the chromaticity has no finite colour.
+pub(super) fn from_xy(x: f64, y: f64) -> Option<Gamut> {
+    from_xyz([x / y, 1.0, (1.0 - x - y) / y])
+}
+
+fn from_xyz(xyz: [f64; 3]) -> Option<Gamut> {
+    let raw = XYZ_TO_RGB.map(|row| row[0] * xyz[0] + row[1] * xyz[1] + row[2] * xyz[2]);
+    // Rounding leaves a primary's other components a hair off 0: that is no clipping.
+    let clipped = raw.iter().any(|&x| x < -1e-6);
+    normalized(raw.map(|x| x.max(0.0))).map(|rgb| Gamut { rgb, clipped })
+}
+
+/// CIE chromaticity of the spectral density `power` (any unit, per nm), integrated every nm; flat is exactly (1/3, 1/3).
+/// `None` for a spectrum without visible power.
+fn chromaticity(power: impl Fn(f64) -> f64) -> Option<[f64; 2]> {
+    let mut xyz = [0.0; 3];
+    let mut equal_energy = [0.0; 3];
+    for nm in 380..=780 {
+        let nm = f64::from(nm);
+        let observer = observer(nm);
+        let p = power(nm);
+        for k in 0..3 {
+            xyz[k] += p * observer[k];
+            equal_energy[k] += observer[k];
+        }
+    }
+    let [x, y, z] = [xyz[0] / equal_energy[0], xyz[1] / equal_energy[1], xyz[2] / equal_energy[2]];
+    let sum = x + y + z;
+    let chromaticity = [x / sum, y / sum];
+    (y > 0.0 && sum.is_finite()).then_some(chromaticity)
+}
+
+/// Colour-matching functions at a wavelength in [380, 780] nm.
+fn observer(nm: f64) -> [f64; 3] {
+    let at = (nm - FIRST) / STEP;
+    let i = (at as usize).min(OBSERVER.len() - 2);
+    let f = at - i as f64;
+    std::array::from_fn(|k| OBSERVER[i][k] * (1.0 - f) + OBSERVER[i + 1][k] * f)
+}
+
+/// The colour of evenly spaced samples from `first` to `last` nm, linear between them and 0 outside.
+/// `None` without visible power.
+pub(super) fn from_samples(first: f64, last: f64, samples: &[f64]) -> Option<Gamut> {
+    let spacing = (last - first) / (samples.len() - 1) as f64;
+    let peak = samples.iter().copied().fold(0.0, f64::max);
+    let power = |nm: f64| {
+        if nm < first || nm > last {
+            return 0.0;
+        }
+        let at = (nm - first) / spacing;
+        let i = (at as usize).min(samples.len() - 2);
+        let f = at - i as f64;
+        (samples[i] / peak) * (1.0 - f) + (samples[i + 1] / peak) * f
+    };
+    let [x, y] = chromaticity(power)?;
+    from_xy(x, y)
+}
+
+/// The colour of a black body of `kelvin`.
+pub(super) fn from_temperature(kelvin: f64) -> Option<Gamut> {
+    let [x, y] = chromaticity(|nm| planck(nm, kelvin))?;
+    from_xy(x, y)
+}
+
+/// Planck's law relative to its value at the red end, where it is largest for the coolest bodies. c2 = h c / k.
+fn planck(nm: f64, kelvin: f64) -> f64 {
+    const C2: f64 = 1.438_776_877e7;
+    let exponent = |nm: f64| C2 / (nm * kelvin);
+    let ratio = LAST / nm;
+    // (e^b - 1) / (e^a - 1) = e^(b - a) (1 - e^-b) / (1 - e^-a): no overflow for cool bodies.
+    let (a, b) = (exponent(nm), exponent(LAST));
+    ratio * ratio * ratio * ratio * ratio * elementary::exp(b - a) * elementary::exp_m1(-b) / elementary::exp_m1(-a)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn close(a: &[f64], b: &[f64], tolerance: f64) {
+        assert_eq!(a.len(), b.len());
+        assert!(a.iter().zip(b).all(|(a, b)| (a - b).abs() <= tolerance), "{a:?} is not {b:?}");
+    }
+
+    #[test]
+    fn equal_energy_is_white_and_keeps_its_chromaticity() {
+        close(&from_xy(1.0 / 3.0, 1.0 / 3.0).unwrap().rgb, &[1.0; 3], 1e-12);
+        close(&chromaticity(|_| 7.0).unwrap(), &[1.0 / 3.0; 2], 1e-12);
+        close(&from_samples(300.0, 900.0, &[2.0, 2.0]).unwrap().rgb, &[1.0; 3], 1e-12);
+    }
+
+    #[test]
+    fn the_table_integrates_to_equal_sums_as_the_cie_made_it() {
+        let sum = |k: usize| OBSERVER.iter().map(|row| row[k]).sum::<f64>();
+        // Equal at the CIE's 1 nm; every tenth value leaves a trace of the steps.
+        close(&[sum(0) / sum(1), sum(2) / sum(1)], &[1.0, 1.0], 1e-3);
+    }
+
+    #[test]
+    fn black_bodies_lie_on_the_planckian_locus() {
+        // Chromaticities of the locus: 2856 K is illuminant A, the others are textbook values.
+        for (kelvin, xy) in [(2856.0, [0.4476, 0.4074]), (4000.0, [0.3805, 0.3768]), (6504.0, [0.3135, 0.3237])] {
+            close(&chromaticity(|nm| planck(nm, kelvin)).unwrap(), &xy, 3e-4);
+        }
+    }
+
+    #[test]
+    fn every_colour_has_luminance_one_and_no_negative_component() {
+        let mut samples = vec![0.0; 41];
+        for i in 0..41 {
+            samples[i] = 1.0;
+            let spike = from_samples(380.0, 780.0, &samples).unwrap();
+            close(&[luminance(spike.rgb)], &[1.0], 1e-12);
+            assert!(spike.rgb.iter().all(|&x| x >= 0.0));
+            samples[i] = 0.0;
+        }
+        for kelvin in [500.0, 1500.0, 1e4, 1e9] {
+            close(&[luminance(from_temperature(kelvin).unwrap().rgb)], &[1.0], 1e-12);
+        }
+    }
+
+    #[test]
+    fn saturated_chromaticities_are_clipped_and_say_so() {
+        assert!(from_xy(0.08, 0.84).unwrap().clipped);
+        assert!(!from_xy(0.4, 0.35).unwrap().clipped);
+    }
+
+    #[test]
+    fn invisible_spectra_have_no_colour() {
+        assert_eq!(from_samples(100.0, 200.0, &[1.0, 1.0]), None);
+        assert_eq!(from_samples(400.0, 700.0, &[0.0, 0.0]), None);
+        assert_eq!(normalized([0.0; 3]), None);
+    }
+}

@@ -1,0 +1,311 @@
+//! The transform stack: baked transforms, groups for arrays and paths, and their placement.
+//!
+//! A plain `xf` is baked into the vertices. An array or a path opens a group; closing it places instances in the group
+//! around it, so that copies share their geometry. Primitives are counted as prototypes times instances before anything
+//! is placed. No instance mirrors: a mirrored copy is an instance of a mirrored twin of the group (made once), so that a
+//! renderer never meets a triangle whose winding an instance has turned over.
+
+use super::{
+    args::{Args, Result},
+    reader::{MAX_PRIMITIVES, Reader},
+    transform::{self, Layer, Spec, is_mirror, power, push_step, scale_of},
+};
+use crate::{Fault, ImportError, Oddity, Position};
+use femc_math::{
+    Transform,
+    glam::{DMat3, DVec3},
+};
+use femc_scene::{Group, GroupId, Instance, Motion, MotionStep, Shape};
+
+/// Arrays of more copies are split in two levels, so that memory grows with the square root of their length.
+const FLAT_ARRAY: u64 = 4096;
+/// Most arrays and paths around a surface.
+const MAX_NESTING: u64 = 128;
+
+/// A transform in force.
+pub(super) struct Frame {
+    /// To the frame of the innermost group.
+    pub to_group: Transform,
+    /// Its uniform scale.
+    pub scale: f64,
+    /// Whether it turns right hands into left ones.
+    pub mirrored: bool,
+    /// Unique among the frames of a scene.
+    pub id: u32,
+    /// The group that this frame opened.
+    opened: Option<Opened>,
+    at: Position,
+    /// Copies of what is inside, over all frames around, saturated.
+    copies: u64,
+    /// Groups around what is inside.
+    nesting: u64,
+}
+
+struct Opened {
+    layers: Vec<Layer>,
+    content: GroupId,
+    outer: GroupId,
+}
+
+impl Frame {
+    /// The world's.
+    pub fn world() -> Self {
+        Self {
+            to_group: Transform::IDENTITY,
+            scale: 1.0,
+            mirrored: false,
+            id: 0,
+            opened: None,
+            at: Position::default(),
+            copies: 1,
+            nesting: 0,
+        }
+    }
+}
+
+impl Reader<'_> {
+    /// `xf [args]`.
+    pub(super) fn xf(&mut self, args: &Args<'_>) -> Result<()> {
+        if args.len() > 0 {
+            return self.push_frame(args, 0);
+        }
+        if self.frames.len() <= self.open_at_start().frames {
+            return Err(args.fault(Fault::NothingToClose { entity: "xf" }));
+        }
+        self.pop_frame()
+    }
+
+    /// The transform in force.
+    pub(super) fn frame(&self) -> &Frame {
+        self.frames.last().expect("the world's frame is never popped")
+    }
+
+    /// Pushes the transform of the arguments from `first` on.
+    pub(super) fn push_frame(&mut self, args: &Args<'_>, first: usize) -> Result<()> {
+        let spec = {
+            let find = |name: &str| self.find_path(name);
+            transform::parse(args.tail(first), &find)?
+        };
+        let Spec { baked, layers } = spec;
+        let outer = self.frame();
+        let copies = layers.iter().fold(outer.copies, |n, layer| n.saturating_mul(layer.count));
+        if copies > MAX_PRIMITIVES {
+            return Err(args.fault(Fault::TooManyPrimitives { count: copies, limit: MAX_PRIMITIVES }));
+        }
+        let nesting = outer.nesting + layers.len() as u64;
+        if nesting > MAX_NESTING {
+            return Err(args.fault(Fault::TooMany { what: "nested arrays and paths", limit: MAX_NESTING }));
+        }
+        let to_group = if layers.is_empty() { outer.to_group * baked } else { baked };
+        let scale = scale_of(&to_group);
+        if !to_group.is_finite() || !scale.is_normal() {
+            return Err(args.fault(Fault::NotFinite { what: "the transform with those around it" }));
+        }
+        let mirrored = is_mirror(&to_group);
+        let opened = (!layers.is_empty()).then(|| {
+            let content = self.new_group();
+            Opened { layers, content, outer: std::mem::replace(&mut self.group, content) }
+        });
+        self.frame_ids += 1;
+        self.frames.push(Frame {
+            to_group,
+            scale,
+            mirrored,
+            id: self.frame_ids,
+            opened,
+            at: args.at(),
+            copies,
+            nesting,
+        });
+        Ok(())
+    }
+
+    /// Pops the innermost transform and places what its group holds.
+    pub(super) fn pop_frame(&mut self) -> Result<()> {
+        let Some(Frame { opened: Some(opened), at, .. }) = self.frames.pop() else { return Ok(()) };
+        self.group = opened.outer;
+        let mut child = opened.content;
+        if self.counts[child.index()] == 0 {
+            self.drop_if_last(child);
+            return Ok(());
+        }
+        let outer = MotionStep::Static(self.frame().to_group);
+        let last = opened.layers.len() - 1;
+        for (i, mut layer) in opened.layers.into_iter().enumerate() {
+            let parent = if i == last { self.group } else { self.new_group() };
+            if i == last {
+                push_step(&mut layer.after, outer);
+            }
+            let total = self.counts[child.index()].saturating_mul(layer.count);
+            self.count(parent, total).map_err(|fault| ImportError::new(at.clone(), fault))?;
+            self.place(child, &layer, parent);
+            child = parent;
+        }
+        Ok(())
+    }
+
+    /// Closes the transforms that the current file left open.
+    pub(super) fn close_frames(&mut self) -> Result<()> {
+        while self.frames.len() > self.open_at_start().frames {
+            let at = self.frame().at.clone();
+            self.warnings.push(at, Oddity::LeftOpen { entity: "xf" });
+            self.pop_frame()?;
+        }
+        Ok(())
+    }
+
+    fn new_group(&mut self) -> GroupId {
+        let id = GroupId(self.scene.groups.len() as u32);
+        self.scene.groups.push(Group::default());
+        self.counts.push(0);
+        id
+    }
+
+    fn drop_if_last(&mut self, group: GroupId) {
+        if group.index() + 1 == self.scene.groups.len() {
+            self.scene.groups.pop();
+            self.counts.pop();
+        }
+    }
+
+    /// Counts `n` more primitives in `group`, after expansion.
+    pub(super) fn count(&mut self, group: GroupId, n: u64) -> std::result::Result<(), Fault> {
+        let count = &mut self.counts[group.index()];
+        *count = count.saturating_add(n);
+        if *count > MAX_PRIMITIVES {
+            return Err(Fault::TooManyPrimitives { count: *count, limit: MAX_PRIMITIVES });
+        }
+        Ok(())
+    }
+
+    fn place(&mut self, child: GroupId, layer: &Layer, parent: GroupId) {
+        let block = layer.fixed_body().filter(|_| layer.count > FLAT_ARRAY).map(|body| {
+            let side = layer.count.isqrt();
+            (body, side, power(body, side))
+        });
+        let Some((body, side, stride)) = block else {
+            for k in 0..layer.count {
+                self.add_instance(child, layer.motion(k), parent);
+            }
+            return;
+        };
+        // Rows of `side` copies, then what is left of the last row.
+        let row = self.new_group();
+        self.counts[row.index()] = self.counts[child.index()].saturating_mul(side);
+        let within =
+            Layer { before: layer.before.clone(), body: vec![MotionStep::Static(body)], count: side, after: vec![] };
+        for k in 0..side {
+            self.add_instance(child, within.motion(k), row);
+        }
+        let rows = Layer { body: vec![MotionStep::Static(stride)], after: layer.after.clone(), ..Layer::default() };
+        for k in 0..layer.count / side {
+            self.add_instance(row, rows.motion(k), parent);
+        }
+        for k in layer.count - layer.count % side..layer.count {
+            self.add_instance(child, layer.motion(k), parent);
+        }
+    }
+
+    fn add_instance(&mut self, child: GroupId, steps: Vec<MotionStep>, parent: GroupId) {
+        let mirrors = steps.iter().filter(|step| matches!(step, MotionStep::Static(t) if is_mirror(t))).count();
+        let (group, steps) = match mirrors % 2 {
+            0 => (child, steps),
+            _ => (self.twin(child), around_mirror(&steps, Some(mirror_x()), None)),
+        };
+        self.scene.groups[parent.index()].instances.push(Instance { group, motion: Motion { steps } });
+    }
+
+    /// The mirror image of `group` about its x = 0 plane.
+    fn twin(&mut self, group: GroupId) -> GroupId {
+        if let Some(&twin) = self.twins.get(&group) {
+            return twin;
+        }
+        let mut image = self.scene.groups[group.index()].clone();
+        mirror_surfaces(&mut image);
+        for instance in &mut image.instances {
+            instance.group = self.twin(instance.group);
+            instance.motion.steps = around_mirror(&instance.motion.steps, Some(mirror_x()), Some(mirror_x()));
+        }
+        let twin = self.new_group();
+        self.counts[twin.index()] = self.counts[group.index()];
+        self.scene.groups[twin.index()] = image;
+        self.twins.insert(group, twin);
+        self.twins.insert(twin, group);
+        twin
+    }
+
+    /// The world transforms of everything made now: one for each copy.
+    pub(super) fn world_transforms(&self, limit: u64) -> std::result::Result<Vec<Transform>, Placement> {
+        if self.frame().copies > limit {
+            return Err(Placement::TooMany);
+        }
+        let mut transforms = vec![self.frame().to_group];
+        for (i, frame) in self.frames.iter().enumerate().rev() {
+            let Some(opened) = &frame.opened else { continue };
+            let outer = self.frames[i - 1].to_group;
+            for layer in &opened.layers {
+                let mut placed = Vec::with_capacity(transforms.len() * layer.count as usize);
+                for k in 0..layer.count {
+                    let motion = Motion { steps: layer.motion(k) }.as_static().ok_or(Placement::Moving)?;
+                    placed.extend(transforms.iter().map(|t| motion * *t));
+                }
+                transforms = placed;
+            }
+            for t in &mut transforms {
+                *t = outer * *t;
+            }
+        }
+        Ok(transforms)
+    }
+
+    /// Whether a transform other than the identity is in force.
+    pub(super) fn is_transformed(&self) -> bool {
+        self.frames.iter().any(|frame| frame.opened.is_some() || frame.to_group != Transform::IDENTITY)
+    }
+}
+
+/// Why something has no list of world transforms.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Placement {
+    /// A path moves it.
+    Moving,
+    /// More copies than the limit.
+    TooMany,
+}
+
+fn mirror_x() -> Transform {
+    Transform::from_mat3_translation(DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0)), DVec3::ZERO)
+}
+
+/// `steps` with fixed transforms before and after them.
+fn around_mirror(steps: &[MotionStep], before: Option<Transform>, after: Option<Transform>) -> Vec<MotionStep> {
+    let mut all = Vec::new();
+    let fixed = |t: Option<Transform>| t.map(MotionStep::Static);
+    for step in fixed(before).into_iter().chain(steps.iter().copied()).chain(fixed(after)) {
+        push_step(&mut all, step);
+    }
+    all
+}
+
+/// Mirrors the surfaces of a group about x = 0; fronts stay fronts.
+fn mirror_surfaces(group: &mut Group) {
+    let flip = |v: &mut DVec3| v.x = -v.x;
+    for vertex in &mut group.vertices {
+        flip(&mut vertex.position);
+        vertex.normal.as_mut().map(flip);
+    }
+    for triangle in &mut group.triangles {
+        triangle.swap(1, 2);
+    }
+    for quadric in &mut group.quadrics {
+        match &mut quadric.shape {
+            Shape::Sphere { center, .. } => flip(center),
+            Shape::Cone { start, end, .. } => [start, end].into_iter().for_each(flip),
+            Shape::Ring { center, normal, .. } => [center, normal].into_iter().for_each(flip),
+            Shape::Torus { center, axis, .. } => [center, axis].into_iter().for_each(flip),
+        }
+    }
+    for luminaire in &mut group.luminaires {
+        luminaire.to_group = mirror_x() * luminaire.to_group;
+    }
+}

@@ -1,0 +1,378 @@
+//! The arguments of `xf`: fixed steps, repetitions, arrays and paths, read into layers.
+//!
+//! Arguments apply left to right. `-i n` repeats, and `-a n` makes an array of, the arguments after it up to the next `-i`
+//! or `-a` (as in MGF, `-i 1` ends an array's arguments). What comes before the first array or path is baked into the
+//! vertices; every array or path after it is a layer of instances around what the one before it placed.
+
+use super::args::{Args, Result, Tail};
+use crate::{Fault, Kind};
+use femc_math::{
+    Transform, elementary,
+    glam::{DMat3, DVec3},
+};
+use femc_scene::{Motion, MotionStep, PathId};
+
+/// Most copies of an array and repetitions of `-i`; more could not hold one primitive each.
+pub(super) const MAX_COPIES: u64 = 100_000_000;
+/// Most steps of the motions of one `xf` with paths in it.
+const MAX_STEPS: u64 = 1_000_000;
+
+/// What an `xf` does.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) struct Spec {
+    /// Applied first, to vertices.
+    pub baked: Transform,
+    /// Placements of what is inside, from the innermost out.
+    pub layers: Vec<Layer>,
+}
+
+/// One array (or a path alone): copy k goes through `before`, k times `body`, and `after`.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(super) struct Layer {
+    pub before: Vec<MotionStep>,
+    pub body: Vec<MotionStep>,
+    /// Number of copies, >= 1.
+    pub count: u64,
+    pub after: Vec<MotionStep>,
+}
+
+impl Layer {
+    /// The motion of copy `k`.
+    pub fn motion(&self, k: u64) -> Vec<MotionStep> {
+        let mut steps = Vec::new();
+        for &step in &self.before {
+            push_step(&mut steps, step);
+        }
+        repeat(&self.body, k, &mut steps);
+        for &step in &self.after {
+            push_step(&mut steps, step);
+        }
+        steps
+    }
+
+    /// The body as one fixed transform.
+    pub fn fixed_body(&self) -> Option<Transform> {
+        Motion { steps: self.body.clone() }.as_static()
+    }
+}
+
+/// Appends `step`; neighbouring fixed steps become one.
+pub(super) fn push_step(steps: &mut Vec<MotionStep>, step: MotionStep) {
+    match (steps.last_mut(), step) {
+        (_, MotionStep::Static(t)) if t == Transform::IDENTITY => {}
+        (Some(MotionStep::Static(last)), MotionStep::Static(t)) => *last = t * *last,
+        _ => steps.push(step),
+    }
+}
+
+/// Appends `n` times `body`.
+fn repeat(body: &[MotionStep], n: u64, steps: &mut Vec<MotionStep>) {
+    if let Some(fixed) = (Motion { steps: body.to_vec() }).as_static() {
+        push_step(steps, MotionStep::Static(power(fixed, n)));
+        return;
+    }
+    for _ in 0..n {
+        for &step in body {
+            push_step(steps, step);
+        }
+    }
+}
+
+/// `t` applied `n` times, by repeated squaring.
+pub(super) fn power(t: Transform, mut n: u64) -> Transform {
+    let (mut result, mut square) = (Transform::IDENTITY, t);
+    while n > 0 {
+        if n & 1 == 1 {
+            result = square * result;
+        }
+        n >>= 1;
+        if n > 0 {
+            square = square * square;
+        }
+    }
+    result
+}
+
+/// Uniform scale (>= 0) of a similarity.
+pub(super) fn scale_of(t: &Transform) -> f64 {
+    elementary::double::cbrt(t.matrix3.determinant().abs())
+}
+
+/// Whether `t` turns right hands into left ones.
+pub(super) fn is_mirror(t: &Transform) -> bool {
+    t.matrix3.determinant() < 0.0
+}
+
+enum Repeat {
+    Once,
+    Times(u64),
+    Array(u64),
+}
+
+/// Reads transform arguments. `find` looks a path up by name.
+pub(super) fn parse(tail: Tail<'_>, find: &dyn Fn(&str) -> std::result::Result<PathId, Fault>) -> Result<Spec> {
+    let args = tail.args;
+    let mut builder = Builder { spec: Spec { baked: Transform::IDENTITY, layers: Vec::new() }, open: None };
+    let mut block = Vec::new();
+    let mut mode = (Repeat::Once, tail.first);
+    let mut i = tail.first;
+    while i < args.len() {
+        let option = args.raw(i);
+        if let b"-i" | b"-a" = option {
+            builder.close(&args, &mode, &block)?;
+            block.clear();
+            let n = need(&args, i, 1).and_then(|()| match option {
+                b"-a" => args.whole(i + 1, "number of copies", [1, MAX_COPIES], "a whole number in [1, 1e8]"),
+                _ => args.whole(i + 1, "number of repetitions", [0, MAX_COPIES], "a whole number in [0, 1e8]"),
+            })?;
+            mode = (if option == b"-a" { Repeat::Array(n) } else { Repeat::Times(n) }, i);
+            i += 2;
+            continue;
+        }
+        let (step, used) = step(&args, i, find)?;
+        push_step(&mut block, step);
+        i += used;
+    }
+    builder.close(&args, &mode, &block)?;
+    let spec = builder.finish();
+    check_finite(&args, &spec)?;
+    Ok(spec)
+}
+
+struct Builder {
+    spec: Spec,
+    /// The layer that takes further steps.
+    open: Option<Layer>,
+}
+
+impl Builder {
+    fn close(&mut self, args: &Args<'_>, mode: &(Repeat, usize), block: &[MotionStep]) -> Result<()> {
+        let (repetition, at) = mode;
+        let moving = block.iter().any(|step| matches!(step, MotionStep::Along(_)));
+        let too_many = || args.fault_at(*at, Fault::TooMany { what: "repeated paths in one `xf`", limit: MAX_STEPS });
+        let length = block.len() as u64;
+        match *repetition {
+            Repeat::Array(n) if n > 1 => {
+                // The steps of all copies together: 0 + 1 + .. + (n - 1) times the body.
+                if moving && n.saturating_mul(n - 1).saturating_mul(length) / 2 > MAX_STEPS {
+                    return Err(too_many());
+                }
+                let mut layer = match self.open.take() {
+                    Some(layer) if layer.count == 1 => layer,
+                    open => {
+                        self.spec.layers.extend(open);
+                        Layer::default()
+                    }
+                };
+                layer.before.append(&mut layer.after);
+                (layer.count, layer.body) = (n, block.to_vec());
+                self.open = Some(layer);
+            }
+            Repeat::Array(_) => {}
+            Repeat::Once => self.apply(block),
+            Repeat::Times(n) => {
+                if moving && n.saturating_mul(length) > MAX_STEPS {
+                    return Err(too_many());
+                }
+                let mut steps = Vec::new();
+                repeat(block, n, &mut steps);
+                self.apply(&steps);
+            }
+        }
+        Ok(())
+    }
+
+    fn apply(&mut self, steps: &[MotionStep]) {
+        for &step in steps {
+            match (&mut self.open, step) {
+                (None, MotionStep::Static(t)) => self.spec.baked = t * self.spec.baked,
+                (None, MotionStep::Along(_)) => {
+                    self.open = Some(Layer { count: 1, after: vec![step], ..Layer::default() });
+                }
+                (Some(layer), step) => push_step(&mut layer.after, step),
+            }
+        }
+    }
+
+    fn finish(mut self) -> Spec {
+        self.spec.layers.extend(self.open);
+        self.spec
+    }
+}
+
+/// One option at `i` and the number of fields it takes.
+fn step(
+    args: &Args<'_>,
+    i: usize,
+    find: &dyn Fn(&str) -> std::result::Result<PathId, Fault>,
+) -> Result<(MotionStep, usize)> {
+    let fixed = |matrix: DMat3, used: usize| {
+        Ok((MotionStep::Static(Transform::from_mat3_translation(matrix, DVec3::ZERO)), used))
+    };
+    let angle = || need(args, i, 1).and_then(|()| args.number(i + 1, "angle (degrees)")).map(sin_cos_degrees);
+    let mirror = |x, y, z| fixed(DMat3::from_diagonal(DVec3::new(x, y, z)), 1);
+    match args.raw(i) {
+        b"-t" => {
+            need(args, i, 3)?;
+            Ok((MotionStep::Static(Transform::from_translation(args.vector(i + 1, "translation (m)")?)), 4))
+        }
+        b"-rx" => angle().and_then(|(s, c)| fixed(rows([1.0, 0.0, 0.0], [0.0, c, -s], [0.0, s, c]), 2)),
+        b"-ry" => angle().and_then(|(s, c)| fixed(rows([c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]), 2)),
+        b"-rz" => angle().and_then(|(s, c)| fixed(rows([c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]), 2)),
+        b"-s" => {
+            need(args, i, 1)?;
+            let scale = args.number_in(i + 1, "scale factor", "not 0", |s| s != 0.0)?;
+            fixed(DMat3::from_diagonal(DVec3::splat(scale)), 2)
+        }
+        b"-mx" => mirror(-1.0, 1.0, 1.0),
+        b"-my" => mirror(1.0, -1.0, 1.0),
+        b"-mz" => mirror(1.0, 1.0, -1.0),
+        b"-path" => {
+            need(args, i, 1)?;
+            let path = find(&args.text(i + 1)).map_err(|fault| args.fault_at(i + 1, fault))?;
+            Ok((MotionStep::Along(path), 2))
+        }
+        _ => {
+            let expected = "-t x y z, -rx a, -ry a, -rz a, -s f, -mx, -my, -mz, -i n, -a n or -path NAME";
+            Err(args.fault_at(i, Fault::Unexpected { found: args.text(i).into_owned(), expected }))
+        }
+    }
+}
+
+/// Fails unless the option at `i` has `n` more fields after it.
+fn need(args: &Args<'_>, i: usize, n: usize) -> Result<()> {
+    let found = args.len() - i - 1;
+    if found >= n {
+        return Ok(());
+    }
+    let expected = if n == 3 { "three numbers" } else { "one argument" };
+    Err(args.fault_at(i, Fault::ArgumentCount { entity: args.text(i).into_owned(), expected, found }))
+}
+
+fn rows(x: [f64; 3], y: [f64; 3], z: [f64; 3]) -> DMat3 {
+    DMat3::from_cols_array_2d(&[x, y, z]).transpose()
+}
+
+/// Sine and cosine of an angle in degrees; exact at multiples of a right angle, so that turned boxes stay boxes.
+fn sin_cos_degrees(degrees: f64) -> (f64, f64) {
+    let turn = elementary::double::fmod(degrees, 360.0);
+    match if turn < 0.0 { turn + 360.0 } else { turn } {
+        0.0 | 360.0 => (0.0, 1.0),
+        90.0 => (1.0, 0.0),
+        180.0 => (0.0, -1.0),
+        270.0 => (-1.0, 0.0),
+        rest => elementary::double::sin_cos(rest.to_radians()),
+    }
+}
+
+fn check_finite(args: &Args<'_>, spec: &Spec) -> Result<()> {
+    let fixed = |steps: &[MotionStep]| {
+        steps.iter().all(|step| match step {
+            MotionStep::Static(t) => t.is_finite(),
+            MotionStep::Along(_) => true,
+        })
+    };
+    let finite = spec.baked.is_finite()
+        && spec.layers.iter().all(|layer| [&layer.before, &layer.body, &layer.after].into_iter().all(|s| fixed(s)));
+    if finite { Ok(()) } else { Err(args.fault(Fault::NotFinite { what: "the transform" })) }
+}
+
+/// The fault of a path that is not there.
+pub(super) fn undefined_path(name: &str, nearest: Vec<String>) -> Fault {
+    Fault::Undefined { kind: Kind::Path, name: name.to_owned(), nearest }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{super::lexer::Lexer, *};
+
+    fn spec(text: &str) -> Result<Spec> {
+        let text = format!("xf {text}");
+        let mut tokens = Vec::new();
+        Lexer::new(text.as_bytes()).next(&mut tokens).unwrap();
+        let find = |name: &str| match name {
+            "p" => Ok(PathId(0)),
+            _ => Err(undefined_path(name, vec![])),
+        };
+        parse(Args::new("t.mgf", 0, &tokens).tail(0), &find)
+    }
+
+    fn at(t: &Transform, x: f64, y: f64, z: f64) -> [f64; 3] {
+        t.transform_point3(DVec3::new(x, y, z)).to_array()
+    }
+
+    #[test]
+    fn arguments_apply_left_to_right() {
+        assert_eq!(at(&spec("-t 1 0 0 -rz 90").unwrap().baked, 0.0, 0.0, 0.0), [0.0, 1.0, 0.0]);
+        assert_eq!(at(&spec("-rz 90 -t 1 0 0").unwrap().baked, 1.0, 0.0, 0.0), [1.0, 1.0, 0.0]);
+        assert_eq!(at(&spec("-s 2 -t 1 0 0").unwrap().baked, 1.0, 1.0, 0.0), [3.0, 2.0, 0.0]);
+    }
+
+    #[test]
+    fn rotations_are_counter_clockwise_about_each_axis_and_exact_at_right_angles() {
+        assert_eq!(at(&spec("-rx 90").unwrap().baked, 0.0, 1.0, 0.0), [0.0, 0.0, 1.0]);
+        assert_eq!(at(&spec("-ry 90").unwrap().baked, 0.0, 0.0, 1.0), [1.0, 0.0, 0.0]);
+        assert_eq!(at(&spec("-rz -270").unwrap().baked, 1.0, 0.0, 0.0), [0.0, 1.0, 0.0]);
+        let [x, y, _] = at(&spec("-rz 30").unwrap().baked, 1.0, 0.0, 0.0);
+        assert!((x - 0.75f64.sqrt()).abs() < 1e-15 && (y - 0.5).abs() < 1e-15);
+    }
+
+    #[test]
+    fn a_repetition_takes_all_arguments_up_to_the_next_one() {
+        let spec = spec("-i 3 -t 1 0 0 -s 2 -i 1 -t 0 0 5").unwrap();
+        assert_eq!(at(&spec.baked, 0.0, 0.0, 0.0), [14.0, 0.0, 5.0]);
+        assert!(spec.layers.is_empty());
+    }
+
+    #[test]
+    fn no_repetitions_are_the_identity() {
+        assert_eq!(spec("-i 0 -t 1 0 0").unwrap().baked, Transform::IDENTITY);
+    }
+
+    #[test]
+    fn a_power_equals_repeated_application() {
+        let t = spec("-rz 10 -t 1 2 3").unwrap().baked;
+        let slow = (0..13).fold(Transform::IDENTITY, |done, _| t * done);
+        assert!(power(t, 13).abs_diff_eq(slow, 1e-12));
+    }
+
+    #[test]
+    fn arrays_become_layers_and_what_is_before_them_is_baked() {
+        let spec = spec("-t 1 0 0 -a 3 -t 0 1 0 -a 2 -t 0 0 1 -i 1 -s 2").unwrap();
+        assert_eq!(at(&spec.baked, 0.0, 0.0, 0.0), [1.0, 0.0, 0.0]);
+        assert_eq!(spec.layers.iter().map(|layer| layer.count).collect::<Vec<_>>(), [3, 2]);
+        let place = |layer: &Layer, k| Motion { steps: layer.motion(k) }.as_static().unwrap();
+        let both = place(&spec.layers[1], 1) * place(&spec.layers[0], 2) * spec.baked;
+        assert_eq!(at(&both, 0.0, 0.0, 0.0), [2.0, 4.0, 2.0]);
+    }
+
+    #[test]
+    fn an_array_of_one_is_no_array() {
+        assert!(spec("-a 1 -t 1 0 0").unwrap().layers.is_empty());
+    }
+
+    #[test]
+    fn a_path_takes_the_steps_around_it_and_joins_the_array_after_it() {
+        let spec = spec("-t 1 0 0 -path p -rz 90 -a 2 -t 5 0 0").unwrap();
+        let [layer] = &spec.layers[..] else { panic!("one layer") };
+        assert_eq!(layer.count, 2);
+        assert_eq!(layer.motion(0).len(), 2);
+        assert_eq!(layer.motion(0)[0], MotionStep::Along(PathId(0)));
+        assert_eq!(layer.motion(1).len(), 2, "rotation and copy become one step");
+    }
+
+    #[test]
+    fn paths_inside_arrays_are_repeated_within_bounds() {
+        assert_eq!(spec("-a 3 -path p").unwrap().layers[0].motion(2).len(), 2);
+        assert!(matches!(*spec("-a 10000 -path p").unwrap_err().fault, Fault::TooMany { .. }));
+        assert!(matches!(*spec("-i 10000000 -path p").unwrap_err().fault, Fault::TooMany { .. }));
+    }
+
+    #[test]
+    fn bad_arguments_name_their_column() {
+        for (text, column) in [("-t 1 2", 4), ("-q", 4), ("-s 0", 7), ("-a 0", 7), ("-rz x", 8), ("-path q", 10)] {
+            assert_eq!(spec(text).unwrap_err().at.column, column, "{text}");
+        }
+        assert!(matches!(*spec("-i 5000 -s 10").unwrap_err().fault, Fault::NotFinite { .. }));
+    }
+}

@@ -1,0 +1,96 @@
+//! Vertex contexts and their use by surfaces.
+
+use super::{
+    args::{Args, Result},
+    reader::Reader,
+};
+use crate::Fault;
+use femc_math::glam::{DVec2, DVec3};
+use femc_scene::{GroupId, Vertex};
+
+/// A vertex as it stands.
+#[derive(Clone, Copy, Debug, Default)]
+pub(super) struct VertexState {
+    pub vertex: Vertex,
+    /// Where it was put last: the frame's id, the group, the index there. Neighbouring faces share it.
+    placed: Option<(u32, GroupId, u32)>,
+}
+
+impl Reader<'_> {
+    pub(super) fn p(&mut self, args: &Args<'_>) -> Result<()> {
+        args.count(3..=3, "x y z")?;
+        let position = args.vector(0, "coordinate (m)")?;
+        self.change_vertex().position = position;
+        Ok(())
+    }
+
+    pub(super) fn n(&mut self, args: &Args<'_>) -> Result<()> {
+        args.count(3..=3, "x y z")?;
+        let normal = args.vector(0, "normal component")?;
+        let fault =
+            Fault::Shape { what: "this normal has no direction in double precision", advice: "scale it to length 1" };
+        self.change_vertex().normal = match normal {
+            DVec3::ZERO => None,
+            n => Some(n.try_normalize().ok_or_else(|| args.fault(fault))?),
+        };
+        Ok(())
+    }
+
+    pub(super) fn uv(&mut self, args: &Args<'_>) -> Result<()> {
+        args.count(2..=2, "u v")?;
+        let uv = DVec2::new(args.number(0, "texture coordinate")?, args.number(1, "texture coordinate")?);
+        self.change_vertex().uv = Some(uv);
+        Ok(())
+    }
+
+    fn change_vertex(&mut self) -> &mut Vertex {
+        let state = self.vertices.current_mut();
+        state.placed = None;
+        &mut state.vertex
+    }
+
+    /// The vertex that argument `i` names, in its own coordinates.
+    pub(super) fn vertex(&self, args: &Args<'_>, i: usize) -> Result<Vertex> {
+        Ok(self.vertices.get(self.vertices.index(args, i)?).vertex)
+    }
+
+    /// `vertex` in the group's frame.
+    pub(super) fn transformed(&self, args: &Args<'_>, vertex: Vertex) -> Result<Vertex> {
+        let frame = self.frame();
+        let position = frame.to_group.transform_point3(vertex.position);
+        if !position.is_finite() {
+            return Err(args.fault(Fault::NotFinite { what: "a transformed coordinate" }));
+        }
+        let normal = vertex.normal.map(|n| frame.to_group.transform_vector3(n).normalize());
+        if normal.is_some_and(|n| !n.is_finite()) {
+            return Err(args.fault(Fault::NotFinite { what: "a transformed normal" }));
+        }
+        Ok(Vertex { position, normal, uv: vertex.uv })
+    }
+
+    /// Adds a vertex of the group's frame to the group.
+    pub(super) fn add_vertex(&mut self, args: &Args<'_>, vertex: Vertex) -> Result<u32> {
+        let vertices = &mut self.scene.groups[self.group.index()].vertices;
+        let limit = u64::from(u32::MAX - 1);
+        let fault = || args.fault(Fault::TooMany { what: "vertices in one group", limit });
+        let index = u32::try_from(vertices.len()).ok().filter(|&n| u64::from(n) < limit).ok_or_else(fault)?;
+        vertices.push(vertex);
+        Ok(index)
+    }
+
+    /// The index in the group of the vertex that argument `i` names, under the transform in force.
+    pub(super) fn placed_vertex(&mut self, args: &Args<'_>, i: usize) -> Result<u32> {
+        let slot = self.vertices.index(args, i)?;
+        let state = *self.vertices.get(slot);
+        let frame = self.frame().id;
+        if let Some((id, group, index)) = state.placed
+            && (id, group) == (frame, self.group)
+        {
+            return Ok(index);
+        }
+        let vertex = self.transformed(args, state.vertex)?;
+        let index = self.add_vertex(args, vertex)?;
+        self.vertices.get_mut(slot).placed = Some((frame, self.group, index));
+        Ok(index)
+    }
+}

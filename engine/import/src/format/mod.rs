@@ -1,0 +1,3 @@
+//! File formats, one folder or file each.
+
+pub(crate) mod mgf;

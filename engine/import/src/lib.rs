@@ -1,0 +1,52 @@
+//! Scene files to scene descriptions.
+//!
+//! [`load`] reads MGFE (MGF 1.1 with cameras, media, textures and animation) and the LM-63 luminaires and images that it
+//! names, from a folder ([`Disk`]) or from memory ([`Bundle`]). Faults carry file, line and column; nothing that the format
+//! defines is skipped silently. Everything is a pure function of the files: no clock, no order of hash tables, no threads.
+#![deny(missing_docs)]
+
+mod bundle;
+mod error;
+mod files;
+mod format;
+mod warning;
+
+pub use bundle::{Bundle, BundleError};
+pub use error::{Fault, ImportError, Kind, Position};
+pub use files::{Disk, Files};
+pub use warning::{Oddity, Warning};
+
+use femc_scene::Scene;
+use std::path::Path;
+
+/// An imported scene.
+#[derive(Clone, Debug)]
+pub struct Loaded {
+    /// The description.
+    pub scene: Scene,
+    /// What is odd about it, in file order; at most 1001.
+    pub warnings: Vec<Warning>,
+    /// Every file that was read, each once, in order of first use.
+    pub files: Vec<String>,
+}
+
+/// Imports the scene file `entry` of `files`; other files are found relative to the files that name them.
+pub fn load(files: &dyn Files, entry: &str) -> Result<Loaded, ImportError> {
+    format::mgf::load(files, entry)
+}
+
+/// Imports the scene file at `path`; its folder is the root that nothing may leave.
+pub fn load_path(path: &Path) -> Result<Loaded, ImportError> {
+    let unreadable = |reason: &str| {
+        let shown = path.display().to_string();
+        let at = Position { file: shown.clone(), line: 0, column: 0 };
+        ImportError::new(at, Fault::Unreadable { path: shown, reason: reason.to_owned() })
+    };
+    let name = path.file_name().ok_or_else(|| unreadable("it names no file"))?;
+    let name = name.to_str().ok_or_else(|| unreadable("its name is not UTF-8"))?;
+    let folder = match path.parent() {
+        Some(parent) if parent != Path::new("") => parent,
+        _ => Path::new("."),
+    };
+    load(&Disk::new(folder), name)
+}

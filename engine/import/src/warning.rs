@@ -1,0 +1,115 @@
+//! What is odd about a scene file but does not stop its import.
+
+use crate::Position;
+use std::fmt;
+
+/// Something odd at some place. Displays as `file:line:column: what`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Warning {
+    /// Where.
+    pub at: Position,
+    /// What.
+    pub oddity: Oddity,
+}
+
+impl fmt::Display for Warning {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}: {}", self.at, self.oddity)
+    }
+}
+
+/// What is odd.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Oddity {
+    /// An entity that the format does not know; said once per name.
+    UnknownEntity {
+        /// Its name.
+        name: String,
+    },
+    /// A face without area.
+    NoArea,
+    /// A face that is not planar.
+    NotPlanar {
+        /// Largest distance from the best plane over the size of the face.
+        deviation: f64,
+    },
+    /// A face whose triangles do not add up to it: it crosses itself.
+    CrossesItself,
+    /// A hole wound like the contour around it.
+    HoleOrientation,
+    /// A chromaticity outside Rec.709, clipped.
+    OutOfGamut,
+    /// A colour that makes a reflectance exceed 1 in a channel.
+    ChannelAboveOne {
+        /// The largest sum of the reflectances and transmittances in a channel.
+        sum: f64,
+    },
+    /// `o` or `xf` still open at the end of the file that opened it; closed there.
+    LeftOpen {
+        /// `o` or `xf`.
+        entity: &'static str,
+    },
+    /// A definition replaced by a later one.
+    Replaced {
+        /// What, `camera main`.
+        what: String,
+    },
+    /// A transform around something that is always in world coordinates.
+    NotTransformed {
+        /// What.
+        what: &'static str,
+    },
+    /// Photometric data outside the letter of LM-63 that has a clear meaning.
+    Photometry {
+        /// What was found and what was made of it.
+        what: &'static str,
+    },
+    /// More warnings than are kept.
+    More {
+        /// How many are kept.
+        kept: usize,
+    },
+}
+
+impl fmt::Display for Oddity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::UnknownEntity { name } => write!(f, "unknown entity `{name}` skipped (said once per name)"),
+            Self::NoArea => f.write_str("face without area"),
+            Self::NotPlanar { deviation } => {
+                write!(f, "face is not planar: vertices are up to {:.2} % of its size off the plane", deviation * 100.0)
+            }
+            Self::CrossesItself => f.write_str("face crosses itself: its triangles do not add up to its area"),
+            Self::HoleOrientation => f.write_str("hole is wound like its outer contour; taken as a hole"),
+            Self::OutOfGamut => f.write_str("color is outside Rec.709: negative components clipped, luminance kept"),
+            Self::ChannelAboveOne { sum } => {
+                write!(
+                    f,
+                    "color makes the material return {sum:.3} of the light in one channel (luminance is within 1)"
+                )
+            }
+            Self::LeftOpen { entity } => write!(f, "`{entity}` is never closed; closed at the end of its file"),
+            Self::Replaced { what } => write!(f, "{what} replaces an earlier one"),
+            Self::NotTransformed { what } => write!(f, "{what} inside `xf`: it stays in world coordinates"),
+            Self::Photometry { what } => f.write_str(what),
+            Self::More { kept } => write!(f, "more warnings follow; only the first {kept} are kept"),
+        }
+    }
+}
+
+/// How many warnings are kept.
+const KEPT: usize = 1000;
+
+/// A bounded list of warnings.
+#[derive(Debug, Default)]
+pub(crate) struct Warnings(pub Vec<Warning>);
+
+impl Warnings {
+    pub fn push(&mut self, at: Position, oddity: Oddity) {
+        match self.0.len() {
+            n if n < KEPT => self.0.push(Warning { at, oddity }),
+            KEPT => self.0.push(Warning { at, oddity: Oddity::More { kept: KEPT } }),
+            _ => {}
+        }
+    }
+}

@@ -1,0 +1,67 @@
+//! Scenes that are not part of the project: skipped, with a line that says so, where they are not there.
+
+use femc_import::{Loaded, load_path};
+use std::path::{Path, PathBuf};
+
+fn shared(folder: &str) -> Option<PathBuf> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared").join(folder);
+    if path.is_dir() {
+        return Some(path);
+    }
+    println!("skipped: {} is not there", path.display());
+    None
+}
+
+fn scenes(folder: &Path) -> Vec<PathBuf> {
+    let mut found = Vec::new();
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            found.extend(scenes(&path));
+        } else if path.extension().is_some_and(|extension| extension == "mgf") {
+            found.push(path);
+        }
+    }
+    found.sort();
+    found
+}
+
+fn load_or_say(path: &Path) -> Loaded {
+    let loaded = load_path(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+    let scene = &loaded.scene;
+    let faces: usize = scene.groups.iter().map(|group| group.faces.len()).sum();
+    let quadrics: usize = scene.groups.iter().map(|group| group.quadrics.len()).sum();
+    println!(
+        "{}: {faces} faces, {quadrics} quadrics, {} materials, {} objects, {} warnings",
+        scene.name,
+        scene.materials.len(),
+        scene.objects.len(),
+        loaded.warnings.len()
+    );
+    for warning in loaded.warnings.iter().take(6) {
+        println!("    {warning}");
+    }
+    loaded
+}
+
+#[test]
+fn reference_scenes_load_whole() {
+    let Some(folder) = shared("refs") else { return };
+    for path in scenes(&folder) {
+        let Loaded { scene, warnings, .. } = load_or_say(&path);
+        assert!(warnings.is_empty(), "{warnings:?}");
+        assert_eq!(scene.cameras.len(), 1);
+        let faces = std::fs::read_to_string(&path).unwrap().lines().filter(|line| line.starts_with("f ")).count();
+        assert_eq!(scene.groups[0].faces.len(), faces);
+        assert!(scene.groups[0].faces.iter().all(|face| face.triangle_count > 0));
+    }
+}
+
+#[test]
+fn real_scenes_load_without_an_error() {
+    let Some(folder) = shared("scenes-real") else { return };
+    for path in scenes(&folder) {
+        let Loaded { scene, .. } = load_or_say(&path);
+        assert!(!scene.groups[0].faces.is_empty());
+    }
+}

@@ -32,6 +32,17 @@ pub enum Feature {
     Motion,
 }
 
+impl std::fmt::Display for Feature {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str(match self {
+            Self::Media => "participating media",
+            Self::Glossy => "glossy transport",
+            Self::Textures => "image textures",
+            Self::Motion => "motion blur",
+        })
+    }
+}
+
 /// Something left out, and why.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Spared {

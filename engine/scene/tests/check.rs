@@ -44,7 +44,8 @@ fn a_sound_scene_has_no_fault() {
 #[test]
 fn each_fault_is_found_once_at_its_line() {
     type Change = fn(&mut Scene);
-    let table: [(&str, Change, &[(K, S, u32)]); 35] = [
+    type Found = &'static [(K, S, u32)];
+    let table: [(&str, Change, Found); 36] = [
         (
             "a face without area",
             |s| add_face(&mut s.groups[0], &[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [0.5, 0.0, 1.0]], 0, 20),
@@ -63,7 +64,12 @@ fn each_fault_is_found_once_at_its_line() {
         (
             "a bent face",
             |s| {
-                add_face(&mut s.groups[0], &[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.2], [0.0, 1.0, 1.0]], 0, 20)
+                add_face(
+                    &mut s.groups[0],
+                    &[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.2], [0.0, 1.0, 1.0]],
+                    0,
+                    20,
+                );
             },
             &[(K::NonPlanarFace, S::Warning, 20)],
         ),
@@ -87,6 +93,16 @@ fn each_fault_is_found_once_at_its_line() {
             },
             &[(K::OverlappingFaces, S::Warning, 20)],
         ),
+        (
+            "a sphere in a sphere's place",
+            |s| {
+                let shape = Shape::Sphere { center: DVec3::Z, radius: 0.2, facing: Facing::Outward };
+                add_quadric(s, shape, 0, 20);
+                add_quadric(s, shape, 1, 21);
+                add_quadric(s, Shape::Sphere { center: DVec3::Z, radius: 0.1, facing: Facing::Outward }, 0, 22);
+            },
+            &[(K::OverlappingFaces, S::Warning, 21)],
+        ),
         ("an unused material", |s| s.materials.push(material("wood", 20)), &[(K::UnusedName, S::Note, 20)]),
         (
             "an unused path",
@@ -98,7 +114,7 @@ fn each_fault_is_found_once_at_its_line() {
             "a selector of nothing",
             |s| {
                 s.clip = Some(CLIP);
-                s.varies = vec![vary("material.flor.rd", &[(0.0, 0.5)])]
+                s.varies = vec![vary("material.flor.rd", &[(0.0, 0.5)])];
             },
             &[(K::BadSelector, S::Error, 30)],
         ),
@@ -106,7 +122,7 @@ fn each_fault_is_found_once_at_its_line() {
             "a vary out of range",
             |s| {
                 s.clip = Some(CLIP);
-                s.varies = vec![vary("material.floor.rd", &[(0.0, 0.5), (1.0, 1.5)])]
+                s.varies = vec![vary("material.floor.rd", &[(0.0, 0.5), (1.0, 1.5)])];
             },
             &[(K::BadSelector, S::Error, 30)],
         ),
@@ -114,7 +130,7 @@ fn each_fault_is_found_once_at_its_line() {
             "a vary of the clip",
             |s| {
                 s.clip = Some(CLIP);
-                s.varies = vec![vary("time.fps", &[(0.0, 10.0)])]
+                s.varies = vec![vary("time.fps", &[(0.0, 10.0)])];
             },
             &[(K::BadSelector, S::Error, 30)],
         ),
@@ -154,7 +170,7 @@ fn each_fault_is_found_once_at_its_line() {
             "a medium inside two sides",
             |s| {
                 everywhere(s, medium("fog", 4));
-                s.materials[0].inside = Some(MediumId(0))
+                s.materials[0].inside = Some(MediumId(0));
             },
             &[(K::OpenBoundary, S::Warning, 1)],
         ),
@@ -162,7 +178,7 @@ fn each_fault_is_found_once_at_its_line() {
             "a pane of solid glass",
             |s| {
                 s.materials.push(glass(8));
-                add_face(&mut s.groups[0], &[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0]], 2, 20)
+                add_face(&mut s.groups[0], &[[0.0, 0.0, 1.0], [1.0, 0.0, 1.0], [1.0, 1.0, 1.0]], 2, 20);
             },
             &[(K::OpenBoundary, S::Warning, 20)],
         ),
@@ -194,7 +210,7 @@ fn each_fault_is_found_once_at_its_line() {
                     Shape::Sphere { center: DVec3::new(0.0, -5.0, 1.0), radius: 0.5, facing: Facing::Outward },
                     2,
                     20,
-                )
+                );
             },
             &[(K::Camera, S::Note, 3)],
         ),
@@ -213,7 +229,7 @@ fn each_fault_is_found_once_at_its_line() {
                     &[[-1.0, -1.0, 1.9999], [1.0, -1.0, 1.9999], [1.0, 1.0, 1.9999], [-1.0, 1.0, 1.9999]],
                     0,
                     20,
-                )
+                );
             },
             &[(K::LightsNothing, S::Warning, 11)],
         ),
@@ -221,7 +237,7 @@ fn each_fault_is_found_once_at_its_line() {
             "a scene in light years",
             |s| {
                 s.groups[0].vertices.iter_mut().for_each(|v| v.position *= 1e16);
-                s.cameras[0].origin *= 1e16
+                s.cameras[0].origin *= 1e16;
             },
             &[(K::Scale, S::Warning, 1)],
         ),

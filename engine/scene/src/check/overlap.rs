@@ -1,14 +1,16 @@
 //! Surfaces that lie in each other: a renderer sees one or the other, as rounding has it.
 //!
 //! Placed triangles are paired through a tree of their bounds, so the cost is O(n log n) for meshes; where too many bounds
-//! overlap the search stops and says so. Faces back to back (a table leg on the floor) are only noted.
+//! overlap the search stops and says so. Faces back to back (a table leg on the floor) are only noted. Of curved surfaces
+//! those that are the same in one group are found.
 
 use super::{Faults, Scope, WHOLE, coplanar::Plane, place};
 use crate::{
     FaultKind::{Incomplete, OverlappingFaces},
     Severity::{Note, Warning},
-    description::{Location, MaterialId},
+    description::{Location, MaterialId, Shape},
 };
+use femc_math::glam::DVec3;
 use std::{collections::BTreeMap, ops::ControlFlow};
 
 /// Planes this part of the largest coordinate apart are one: what single precision cannot tell.
@@ -67,9 +69,38 @@ pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
         let message = "too many triangles to find all overlapping faces: only the first are listed";
         faults.add(Note, Incomplete, WHOLE, message, "check the parts of the scene one by one");
     }
+    same_quadrics(scope, faults);
     for ((first, second, sense), (area, materials)) in overlaps {
         report(scope, faults, (first, second), sense, area, materials);
     }
+}
+
+/// Curved surfaces given twice.
+fn same_quadrics(scope: &Scope<'_>, faults: &mut Faults) {
+    for (group, _) in scope.scene.groups.iter().zip(&scope.placed).filter(|(_, placed)| **placed) {
+        let mut first: BTreeMap<[u64; 9], Location> = BTreeMap::new();
+        for quadric in group.quadrics.iter().filter(|quadric| scope.is_shown(quadric.object)) {
+            if let Some(earlier) = first.get(&bits(&quadric.shape)) {
+                let message =
+                    format!("the surface is in the same place as the one at {}", place(scope.scene, *earlier));
+                faults.add(Warning, OverlappingFaces, quadric.location, message, "remove one of them");
+            } else {
+                first.insert(bits(&quadric.shape), quadric.location);
+            }
+        }
+    }
+}
+
+/// A shape without its facing, as bits: equal for equal surfaces.
+fn bits(shape: &Shape) -> [u64; 9] {
+    let (tag, a, b, c, d) = match *shape {
+        Shape::Sphere { center, radius, .. } => (0.0, center, DVec3::ZERO, radius, 0.0),
+        Shape::Cone { start, end, start_radius, end_radius, .. } => (1.0, start, end, start_radius, end_radius),
+        Shape::Ring { center, normal, inner, outer } => (2.0, center, normal, inner, outer),
+        Shape::Torus { center, axis, major, minor, .. } => (3.0, center, axis, major, minor),
+    };
+    // Adding 0 makes one zero of the two.
+    [tag, a.x, a.y, a.z, b.x, b.y, b.z, c, d].map(|value: f64| (value + 0.0).to_bits())
 }
 
 /// Area that two triangles in one plane share, if it is more than a seam.

@@ -4,16 +4,18 @@
 
 use crate::sheet::{Point, Sheet};
 
-/// A window: centre on the wall (x along it, z up), and whether someone is at home behind it.
-const FRONT: [(f64, f64, &str); 5] = [
+/// A window: centre on the wall (x along it, z up), and the material of its pane.
+type Window = (f64, f64, &'static str);
+
+const FRONT: [Window; 5] = [
     (-3.2, 1.6, "window_warm"),
     (3.2, 1.6, "window_warm"),
     (-3.2, 4.2, "darkglass"),
     (0.0, 4.2, "window_cool"),
     (3.2, 4.2, "darkglass"),
 ];
-const SIDE: [(f64, f64, &str); 3] = [(-2.0, 1.6, "window_warm"), (2.0, 4.2, "window_cool"), (-2.0, 4.2, "darkglass")];
-const BACK: [(f64, f64, &str); 3] = [(-2.5, 1.6, "window_cool"), (2.5, 1.6, "darkglass"), (1.0, 4.2, "window_warm")];
+const SIDE: [Window; 3] = [(-2.0, 1.6, "window_warm"), (2.0, 4.2, "window_cool"), (-2.0, 4.2, "darkglass")];
+const BACK: [Window; 3] = [(-2.5, 1.6, "window_cool"), (2.5, 1.6, "darkglass"), (1.0, 4.2, "window_warm")];
 
 /// The house, seven polygons and its parts.
 pub fn house() -> String {
@@ -39,7 +41,7 @@ pub fn house() -> String {
     sheet.block([-0.55, -4.06, -0.1], [0.55, -3.9, 2.15]);
     sheet.material("paving");
     sheet.block([-0.9, -5.0, -0.25], [0.9, -3.85, 0.08]);
-    let walls: [(&str, &[(f64, f64, &str)]); 4] = [
+    let walls: [(&str, &[Window]); 4] = [
         ("-t 0 -4 0", &FRONT),
         ("-t 0 -4 0 -rz 180", &BACK),
         ("-t 0 -5 0 -rz 90", &SIDE),

@@ -78,11 +78,12 @@ fn give_way() -> Sign {
     }
 }
 
+/// Hangs below another sign, on its post.
 fn roundabout() -> Sign {
     // Three arrows that chase each other.
     let one = [[0.05, 0.21], [-0.1, 0.21], [-0.1, 0.27], [-0.2, 0.17], [-0.1, 0.07], [-0.1, 0.13], [0.05, 0.13]];
     let arrows = [0.0, 120.0, 240.0].map(|a| turned(&one, a)).to_vec();
-    Sign { height: 1.2, posts: &[0.0], plate: disc(0.32), layers: vec![("blue", vec![disc(0.32)]), ("white", arrows)] }
+    Sign { height: 1.2, posts: &[], plate: disc(0.32), layers: vec![("blue", vec![disc(0.32)]), ("white", arrows)] }
 }
 
 fn keep_right() -> Sign {

@@ -62,7 +62,8 @@ o
 
 const SCENE_IES: &str = "\
 # The roundabout of roundabout.mgf with measured-style photometry: its 40 lamps are LM-63 road luminaires (5000 lm) instead of
-# Lambertian panels, the fog is thinner and lies on the ground. A still.
+# Lambertian panels, the fog is thinner and lies on the ground.
+time 0 11.9 10
 camera overview =
 	origin 25 -29 17
 	target 1.5 -3 0
@@ -154,11 +155,6 @@ m blue =
 	sides 2
 	c
 	crgb 0.03 0.12 0.45
-	rd 1
-m yellow =
-	sides 2
-	c
-	crgb 0.75 0.5 0.03
 	rd 1
 m wall =
 	sides 2

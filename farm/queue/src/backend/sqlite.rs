@@ -1,0 +1,148 @@
+//! A log in one SQLite file: WAL mode, every commit synced, one transaction a batch.
+//!
+//! SQLite restores whole transactions after a crash by itself. The checksum of each record finds what SQLite cannot:
+//! pages that the disk has lost or changed. The file is locked, so that a second coordinator finds out at once.
+
+use std::path::Path;
+
+use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqliteLockingMode, SqliteSynchronous};
+use sqlx::{ConnectOptions as _, Connection as _, Row as _};
+
+use crate::{Contents, Queue, QueueError};
+
+/// A log in a file.
+#[derive(Debug)]
+pub struct Sqlite {
+    connection: SqliteConnection,
+    /// Number of the next record; they have no gaps.
+    next: i64,
+}
+
+const TABLES: &str = "
+    CREATE TABLE log (sequence INTEGER PRIMARY KEY, checksum BLOB NOT NULL, record BLOB NOT NULL) STRICT;
+    CREATE TABLE snapshot (sequence INTEGER PRIMARY KEY, checksum BLOB NOT NULL, state BLOB NOT NULL) STRICT;
+";
+
+impl Sqlite {
+    /// `PRAGMA application_id`: the letters of femc.
+    pub const APPLICATION: i64 = 0x6665_6d63;
+    /// `PRAGMA user_version`: of the tables, not of the records.
+    pub const VERSION: i64 = 1;
+
+    /// Opens the log at `path`, or makes it.
+    pub async fn open(path: &Path) -> Result<Self, QueueError> {
+        let options = SqliteConnectOptions::new()
+            .filename(path)
+            .create_if_missing(true)
+            .locking_mode(SqliteLockingMode::Exclusive)
+            .journal_mode(SqliteJournalMode::Wal)
+            .synchronous(SqliteSynchronous::Full)
+            .busy_timeout(std::time::Duration::from_millis(200))
+            .disable_statement_logging();
+        let in_use = |error| if is_busy(&error) { QueueError::InUse { path: path.display().to_string() } } else { error.into() };
+        let mut connection = options.connect().await.map_err(in_use)?;
+        // Takes the lock now, not at the first write.
+        sqlx::raw_sql("BEGIN EXCLUSIVE; COMMIT;").execute(&mut connection).await.map_err(in_use)?;
+        let number = async |connection: &mut SqliteConnection, sql: &'static str| -> Result<i64, QueueError> {
+            Ok(sqlx::query(sql).fetch_one(connection).await?.try_get(0)?)
+        };
+        let application = number(&mut connection, "PRAGMA application_id").await?;
+        let version = number(&mut connection, "PRAGMA user_version").await?;
+        let tables = number(&mut connection, "SELECT count(*) FROM sqlite_schema").await?;
+        if (application, version, tables) == (0, 0, 0) {
+            let mut begin = connection.begin().await?;
+            sqlx::raw_sql(TABLES).execute(&mut *begin).await?;
+            sqlx::raw_sql("PRAGMA application_id = 0x66656d63; PRAGMA user_version = 1;").execute(&mut *begin).await?;
+            begin.commit().await?;
+        } else if (application, version) != (Self::APPLICATION, Self::VERSION) {
+            return Err(QueueError::Foreign { path: path.display().to_string(), application, version });
+        }
+        Ok(Self { connection, next: 1 })
+    }
+}
+
+fn is_busy(error: &sqlx::Error) -> bool {
+    // SQLITE_BUSY and SQLITE_LOCKED, with their extended codes.
+    let code = error.as_database_error().and_then(|error| error.code()?.parse::<i64>().ok());
+    code.is_some_and(|code| matches!(code & 0xff, 5 | 6))
+}
+
+/// Of the record's place and content, so that a record that strayed is found too.
+fn checksum(sequence: i64, bytes: &[u8]) -> Vec<u8> {
+    let mut hash = blake3::Hasher::new();
+    hash.update(&sequence.to_le_bytes()).update(bytes);
+    hash.finalize().as_bytes()[..16].to_vec()
+}
+
+impl Queue for Sqlite {
+    async fn load(&mut self) -> Result<Contents, QueueError> {
+        let newest = "SELECT sequence, checksum, state FROM snapshot ORDER BY sequence DESC LIMIT 1";
+        let mut contents = Contents::default();
+        let mut last = 0;
+        if let Some(row) = sqlx::query(newest).fetch_optional(&mut self.connection).await? {
+            let (sequence, sum, state): (i64, Vec<u8>, Vec<u8>) = (row.try_get(0)?, row.try_get(1)?, row.try_get(2)?);
+            if sum != checksum(sequence, &state) {
+                return Err(QueueError::DamagedSnapshot);
+            }
+            contents.snapshot = Some(state);
+            last = sequence;
+        }
+        let rows = sqlx::query("SELECT sequence, checksum, record FROM log WHERE sequence > ? ORDER BY sequence")
+            .bind(last)
+            .fetch_all(&mut self.connection)
+            .await?;
+        let mut broken = None;
+        for row in rows {
+            let (sequence, sum, record): (i64, Vec<u8>, Vec<u8>) = (row.try_get(0)?, row.try_get(1)?, row.try_get(2)?);
+            let is_sound = sum == checksum(sequence, &record);
+            match broken {
+                None if is_sound && sequence == last + 1 => {
+                    last = sequence;
+                    contents.records.push(record);
+                }
+                None if is_sound => return Err(QueueError::Damaged { sequence: last + 1, after: 1 }),
+                None => {
+                    broken = Some(sequence);
+                    contents.torn = 1;
+                }
+                Some(sequence) if is_sound => return Err(QueueError::Damaged { sequence, after: 1 }),
+                Some(_) => contents.torn += 1,
+            }
+        }
+        if contents.torn > 0 {
+            sqlx::query("DELETE FROM log WHERE sequence > ?").bind(last).execute(&mut self.connection).await?;
+        }
+        self.next = last + 1;
+        Ok(contents)
+    }
+
+    async fn append(&mut self, records: &[Vec<u8>]) -> Result<(), QueueError> {
+        let mut batch = self.connection.begin().await?;
+        for (sequence, record) in (self.next..).zip(records) {
+            sqlx::query("INSERT INTO log (sequence, checksum, record) VALUES (?, ?, ?)")
+                .bind(sequence)
+                .bind(checksum(sequence, record))
+                .bind(record.as_slice())
+                .execute(&mut *batch)
+                .await?;
+        }
+        batch.commit().await?;
+        self.next += records.len() as i64;
+        Ok(())
+    }
+
+    async fn snapshot(&mut self, state: &[u8]) -> Result<(), QueueError> {
+        let last = self.next - 1;
+        let mut batch = self.connection.begin().await?;
+        sqlx::query("INSERT OR REPLACE INTO snapshot (sequence, checksum, state) VALUES (?, ?, ?)")
+            .bind(last)
+            .bind(checksum(last, state))
+            .bind(state)
+            .execute(&mut *batch)
+            .await?;
+        sqlx::query("DELETE FROM snapshot WHERE sequence < ?").bind(last).execute(&mut *batch).await?;
+        sqlx::query("DELETE FROM log WHERE sequence <= ?").bind(last).execute(&mut *batch).await?;
+        batch.commit().await?;
+        Ok(())
+    }
+}

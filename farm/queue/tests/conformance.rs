@@ -1,0 +1,145 @@
+//! What every log must do, and what the file must survive.
+
+use std::path::PathBuf;
+
+use femc_queue::{Contents, Memory, Queue, QueueError, Sqlite};
+use sqlx::{ConnectOptions as _, Connection as _};
+
+fn records(from: u8, to: u8) -> Vec<Vec<u8>> {
+    (from..to).map(|byte| vec![byte; byte as usize]).collect()
+}
+
+/// `open` gives a new handle to the same log after the one before is gone.
+async fn conforms<Q: Queue>(open: impl AsyncFn() -> Q) {
+    let mut queue = open().await;
+    assert_eq!(queue.load().await.unwrap(), Contents::default(), "a new log is empty");
+    queue.append(&records(0, 3)).await.unwrap();
+    queue.append(&[]).await.unwrap();
+    queue.append(&records(3, 5)).await.unwrap();
+    drop(queue);
+
+    let mut queue = open().await;
+    let expected = Contents { records: records(0, 5), ..Contents::default() };
+    assert_eq!(queue.load().await.unwrap(), expected, "records come back in order after a restart");
+    queue.append(&records(5, 6)).await.unwrap();
+    queue.snapshot(b"state").await.unwrap();
+    let after = Contents { snapshot: Some(b"state".to_vec()), ..Contents::default() };
+    assert_eq!(queue.load().await.unwrap(), after, "a snapshot replaces what is before it");
+    queue.append(&records(6, 8)).await.unwrap();
+    drop(queue);
+
+    let mut queue = open().await;
+    let expected = Contents { records: records(6, 8), ..after };
+    assert_eq!(queue.load().await.unwrap(), expected);
+    queue.snapshot(b"newer").await.unwrap();
+    queue.snapshot(b"newest").await.unwrap();
+    drop(queue);
+    let expected = Contents { snapshot: Some(b"newest".to_vec()), ..Contents::default() };
+    assert_eq!(open().await.load().await.unwrap(), expected, "the last snapshot counts");
+}
+
+#[tokio::test]
+async fn memory_conforms() {
+    let log = Memory::default();
+    conforms(async || log.clone()).await;
+}
+
+#[tokio::test]
+async fn sqlite_conforms() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.sqlite");
+    conforms(async || reopen(&path).await).await;
+}
+
+/// A dropped connection closes in the background; wait for it as a new process would not need to.
+async fn reopen(path: &PathBuf) -> Sqlite {
+    loop {
+        match Sqlite::open(path).await {
+            Err(QueueError::InUse { .. }) => tokio::task::yield_now().await,
+            other => return other.unwrap(),
+        }
+    }
+}
+
+async fn tamper(path: &PathBuf, sql: &'static str) {
+    let options = sqlx::sqlite::SqliteConnectOptions::new().filename(path);
+    let mut connection = loop {
+        let mut connection = options.connect().await.unwrap();
+        if sqlx::raw_sql("BEGIN IMMEDIATE; COMMIT;").execute(&mut connection).await.is_ok() {
+            break connection;
+        }
+    };
+    sqlx::raw_sql(sql).execute(&mut connection).await.unwrap();
+    connection.close().await.unwrap();
+}
+
+async fn with_five(path: &PathBuf) {
+    let mut queue = Sqlite::open(path).await.unwrap();
+    queue.load().await.unwrap();
+    queue.append(&records(1, 6)).await.unwrap();
+}
+
+#[tokio::test]
+async fn a_torn_tail_is_dropped_and_counted_and_the_log_goes_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.sqlite");
+    with_five(&path).await;
+    tamper(&path, "UPDATE log SET record = x'00' WHERE sequence >= 4").await;
+    let mut queue = reopen(&path).await;
+    let contents = queue.load().await.unwrap();
+    assert_eq!((contents.records, contents.torn), (records(1, 4), 2));
+    queue.append(&records(7, 8)).await.unwrap();
+    let contents = queue.load().await.unwrap();
+    assert_eq!((contents.records.len(), contents.torn), (4, 0));
+}
+
+#[tokio::test]
+async fn damage_before_the_end_is_not_passed_over() {
+    let folder = tempfile::tempdir().unwrap();
+    for sql in ["UPDATE log SET record = x'00' WHERE sequence = 2", "DELETE FROM log WHERE sequence = 2"] {
+        let path = folder.path().join(format!("{}.sqlite", sql.len()));
+        with_five(&path).await;
+        tamper(&path, sql).await;
+        let error = reopen(&path).await.load().await.unwrap_err();
+        assert!(matches!(error, QueueError::Damaged { sequence: 2, .. }), "{error}");
+    }
+}
+
+#[tokio::test]
+async fn a_file_of_another_program_or_version_is_refused_and_left_as_it_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.sqlite");
+    with_five(&path).await;
+    tamper(&path, "PRAGMA user_version = 7").await;
+    let error = Sqlite::open(&path).await.unwrap_err();
+    assert!(matches!(error, QueueError::Foreign { version: 7, .. }), "{error}");
+    let other = folder.path().join("other.sqlite");
+    std::fs::write(&other, b"this is not a database, but long enough to look at").unwrap();
+    assert!(Sqlite::open(&other).await.is_err());
+}
+
+#[tokio::test]
+async fn a_second_coordinator_cannot_open_the_log() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.sqlite");
+    let _first = Sqlite::open(&path).await.unwrap();
+    let error = Sqlite::open(&path).await.unwrap_err();
+    assert!(matches!(error, QueueError::InUse { .. }), "{error}");
+}
+
+#[tokio::test]
+async fn a_copy_of_the_files_taken_at_any_moment_holds_whole_batches_and_all_that_was_acknowledged() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("log.sqlite");
+    let mut queue = Sqlite::open(&path).await.unwrap();
+    queue.load().await.unwrap();
+    for batch in 0..10u8 {
+        queue.append(&[vec![batch; 100], vec![batch; 5000]]).await.unwrap();
+        // What a kill would leave: the files as they are now, without closing anything.
+        let copy = folder.path().join(format!("copy{batch}.sqlite"));
+        std::fs::copy(&path, &copy).unwrap();
+        std::fs::copy(folder.path().join("log.sqlite-wal"), folder.path().join(format!("copy{batch}.sqlite-wal"))).unwrap();
+        let contents = Sqlite::open(&copy).await.unwrap().load().await.unwrap();
+        assert_eq!(contents.records.len(), 2 * (batch as usize + 1));
+    }
+}

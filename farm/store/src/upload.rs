@@ -1,0 +1,82 @@
+//! An artefact that comes in pieces: hashed on the way, kept only if it is what was announced.
+
+use bytes::{Bytes, BytesMut};
+use femc_model::{Artefact, Digest};
+use object_store::{MultipartUpload, ObjectStoreExt as _};
+
+use crate::{Store, StoreError, place};
+
+/// Bytes kept in memory before they go to the medium; S3 wants at least 5 MiB a part.
+const PART: usize = 8 << 20;
+
+/// An artefact on its way in. Dropped before [`Upload::finish`], it leaves nothing that can be read.
+pub struct Upload {
+    store: Store,
+    announced: Digest,
+    hash: blake3::Hasher,
+    held: BytesMut,
+    size: u64,
+    parts: Option<Box<dyn MultipartUpload>>,
+}
+
+impl Upload {
+    pub(crate) fn new(store: Store, announced: Digest) -> Self {
+        Self { store, announced, hash: blake3::Hasher::new(), held: BytesMut::new(), size: 0, parts: None }
+    }
+
+    /// Takes the next piece.
+    pub async fn write(&mut self, piece: &[u8]) -> Result<(), StoreError> {
+        self.size += piece.len() as u64;
+        if self.size > self.store.limit {
+            self.abort().await;
+            return Err(StoreError::TooLarge { limit: self.store.limit });
+        }
+        self.hash.update(piece);
+        self.held.extend_from_slice(piece);
+        if self.held.len() >= PART {
+            self.flush().await?;
+        }
+        Ok(())
+    }
+
+    async fn flush(&mut self) -> Result<(), StoreError> {
+        let parts = match &mut self.parts {
+            Some(parts) => parts,
+            None => self.parts.insert(self.store.objects.put_multipart(&place(&self.announced)).await?),
+        };
+        parts.put_part(Bytes::from(self.held.split()).into()).await?;
+        Ok(())
+    }
+
+    async fn abort(&mut self) {
+        if let Some(mut parts) = self.parts.take() {
+            // What cannot be taken back is not readable either.
+            let _ = parts.abort().await;
+        }
+    }
+
+    /// Keeps the artefact, if its bytes are those announced.
+    pub async fn finish(mut self) -> Result<Artefact, StoreError> {
+        let found = Digest::from_bytes(*self.hash.finalize().as_bytes());
+        if found != self.announced {
+            self.abort().await;
+            return Err(StoreError::Mismatch { announced: self.announced, found });
+        }
+        if self.parts.is_none() {
+            return self.store.put(self.held.freeze()).await;
+        }
+        if !self.held.is_empty() {
+            self.flush().await?;
+        }
+        if let Some(mut parts) = self.parts.take() {
+            parts.complete().await?;
+        }
+        Ok(Artefact { digest: found, bytes: self.size })
+    }
+}
+
+impl std::fmt::Debug for Upload {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Upload").field("announced", &self.announced).field("size", &self.size).finish_non_exhaustive()
+    }
+}

@@ -1,0 +1,82 @@
+//! What every artefact store must do.
+
+use bytes::Bytes;
+use femc_model::{Artefact, Digest};
+use femc_store::{Store, StoreError};
+
+async fn conforms(store: &Store) {
+    let bytes = Bytes::from_static(b"a tile");
+    let digest = Digest::of(&bytes);
+    assert!(!store.has(&digest).await.unwrap());
+    assert!(matches!(store.get(&digest).await, Err(StoreError::Missing { .. })));
+    assert_eq!(store.put(bytes.clone()).await.unwrap(), Artefact { digest, bytes: 6 });
+    assert_eq!(store.put(bytes.clone()).await.unwrap().digest, digest, "a second time changes nothing");
+    assert_eq!(store.get(&digest).await.unwrap(), bytes);
+    assert_eq!(store.size(&digest).await.unwrap(), Some(6));
+    assert_eq!(store.list().await.unwrap(), [Artefact { digest, bytes: 6 }]);
+
+    // Larger than a part, and not a multiple of one.
+    let large: Vec<u8> = (0..20_000_003u32).map(|i| (i * 7 + i / 251) as u8).collect();
+    let digest = Digest::of(&large);
+    let mut upload = store.upload(digest);
+    for piece in large.chunks(3_000_000) {
+        upload.write(piece).await.unwrap();
+    }
+    assert!(!store.has(&digest).await.unwrap(), "not there before it is whole");
+    assert_eq!(upload.finish().await.unwrap().bytes, large.len() as u64);
+    assert_eq!(store.get(&digest).await.unwrap(), large);
+    let (send, mut receive) = tokio::sync::mpsc::channel(64);
+    store.read(&digest, 19_000_000, 400_000, &send).await.unwrap();
+    drop(send);
+    let mut tail = Vec::new();
+    while let Some(piece) = receive.recv().await {
+        let piece = piece.unwrap();
+        assert!(piece.len() <= 400_000);
+        tail.extend_from_slice(&piece);
+    }
+    assert_eq!(tail, large[19_000_000..]);
+
+    for size in [10, 20_000_000] {
+        let announced = Digest::of(b"something else");
+        let mut upload = store.upload(announced);
+        upload.write(&large[..size]).await.unwrap();
+        assert!(matches!(upload.finish().await, Err(StoreError::Mismatch { .. })));
+        assert!(!store.has(&announced).await.unwrap(), "others' bytes are not kept under this name");
+    }
+    let mut given_up = store.upload(digest);
+    given_up.write(&large[..9_000_000]).await.unwrap();
+    drop(given_up);
+
+    let small = store.clone().with_limit(5);
+    assert!(matches!(small.put(bytes.clone()).await, Err(StoreError::TooLarge { limit: 5 })));
+    assert!(matches!(small.upload(digest).write(&bytes).await, Err(StoreError::TooLarge { limit: 5 })));
+
+    store.remove(&digest).await.unwrap();
+    store.remove(&digest).await.unwrap();
+    assert!(!store.has(&digest).await.unwrap());
+}
+
+#[tokio::test]
+async fn memory_conforms() {
+    conforms(&Store::memory()).await;
+}
+
+#[tokio::test]
+async fn a_folder_conforms() {
+    let folder = tempfile::tempdir().unwrap();
+    conforms(&Store::folder(&folder.path().join("new/artefacts")).unwrap()).await;
+}
+
+#[tokio::test]
+async fn a_damaged_artefact_is_missing_and_can_be_put_again() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::folder(folder.path()).unwrap();
+    let bytes = Bytes::from_static(b"a tile");
+    let digest = store.put(bytes.clone()).await.unwrap().digest;
+    let name = digest.to_string();
+    std::fs::write(folder.path().join(&name[..2]).join(&name[2..]), b"a tale").unwrap();
+    assert!(matches!(store.get(&digest).await, Err(StoreError::Missing { .. })));
+    assert!(!store.has(&digest).await.unwrap());
+    store.put(bytes.clone()).await.unwrap();
+    assert_eq!(store.get(&digest).await.unwrap(), bytes);
+}

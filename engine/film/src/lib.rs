@@ -2,9 +2,11 @@
 //!
 //! A [`Tile`] holds exact sums of the samples of its pixels (see [`tile`] for the form and its cost); tiles of any sample
 //! ranges and any order merge into a [`Frame`] with the same bits. A frame resolves to a [`FrameImage`] of floats, which is
-//! written as OpenEXR ([`exr`]).
+//! written as OpenEXR ([`exr`]), measured against a reference ([`metrics`]), and shown through a tone curve ([`tone`]) as
+//! PNG, contact sheet or animated image ([`picture`], [`animation`]).
 #![deny(missing_docs)]
 
+pub mod animation;
 pub mod codec;
 pub mod convergence;
 pub mod error;
@@ -13,16 +15,23 @@ pub mod file;
 pub mod filter;
 pub mod frame;
 pub mod image;
+pub mod metrics;
+pub mod picture;
 pub mod rect;
 pub mod sample;
 pub mod tile;
+pub mod tone;
 
+pub use animation::Animation;
 pub use convergence::{BlockError, FrameError};
 pub use error::FilmError;
 pub use exr::Provenance;
 pub use filter::Filter;
 pub use frame::{Frame, Inserted};
 pub use image::{FrameImage, Image, pixel_digest};
+pub use metrics::{Comparison, compare};
+pub use picture::{Picture, contact_sheet};
 pub use rect::{Rect, Tiling};
 pub use sample::{BadKind, BadSample, BadSamples, Sample};
 pub use tile::{SampleRange, Tile};
+pub use tone::ToneCurve;

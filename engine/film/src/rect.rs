@@ -92,11 +92,8 @@ impl Tiling {
 
     /// The tile that has just these pixels.
     pub fn index_of(&self, rect: Rect) -> Option<usize> {
-        if !self.columns().checked_mul(rect.y / self.edge).is_some_and(|n| n.checked_add(rect.x / self.edge).is_some())
-        {
-            return None;
-        }
-        let index = (rect.y / self.edge * self.columns() + rect.x / self.edge) as usize;
+        let index =
+            rect.y as usize / self.edge as usize * self.columns() as usize + rect.x as usize / self.edge as usize;
         (self.rect(index) == Some(rect)).then_some(index)
     }
 

@@ -65,7 +65,7 @@ fn forged(words: &[u32], payload: &[u8]) -> Vec<u8> {
 #[test]
 fn forged_sizes_are_refused_before_they_are_allocated() {
     let no_bad = [0; 13];
-    let payload = zstd::bulk::compress(&vec![0; 144], 1).unwrap();
+    let payload = zstd::bulk::compress(&[0; 144], 1).unwrap();
     let with = |head: &[u32]| Tile::decode(&forged(&[head, &no_bad].concat(), &payload));
     assert!(with(&[0, 0, 1, 1, 1, 0, 1]).is_ok());
     assert!(matches!(with(&[0, 0, 1 << 31, 1 << 31, 1, 0, 1]), Err(FilmError::Size { .. })));

@@ -1,7 +1,9 @@
 //! OpenEXR files: what is written is what the command line promises, and bad files give errors.
 
 use exr::prelude::*;
-use femc_film::{BadKind, BadSample, BadSamples, FilmError, FrameImage, Image, Provenance, exr as film_exr, pixel_digest};
+use femc_film::{
+    BadKind, BadSample, BadSamples, FilmError, FrameImage, Image, Provenance, exr as film_exr, pixel_digest,
+};
 use std::io::Cursor;
 
 fn frame(width: u32, height: u32) -> FrameImage {
@@ -85,6 +87,13 @@ fn the_same_image_gives_the_same_bytes() {
     for _ in 0..8 {
         assert!(film_exr::encode(&image, &provenance()).unwrap() == first);
     }
+}
+
+#[test]
+fn long_settings_in_any_script_survive() {
+    let settings = format!(r#"{{"camera":"Kreisel-Süd 環状", "set":"{}"}}"#, "x".repeat(5000));
+    let bytes = film_exr::encode(&frame(2, 2), &Provenance { settings: settings.clone(), ..provenance() }).unwrap();
+    assert_eq!(film_exr::decode(Cursor::new(bytes)).unwrap().attributes["femc:settings"], settings);
 }
 
 #[test]

@@ -3,7 +3,11 @@
 
 use crate::rect::MAX_FILM_PIXELS;
 use crate::{FilmError, Image};
-use exr::meta::{BlockDescription, MetaData, attribute::AttributeValue, header::Header};
+use exr::meta::{
+    BlockDescription, MetaData,
+    attribute::{AttributeValue, Text},
+    header::Header,
+};
 use exr::prelude::{ReadChannels, ReadLayers, read as exr_read};
 use std::collections::BTreeMap;
 use std::fs::File;
@@ -101,10 +105,15 @@ fn names(meta: &MetaData) -> String {
 fn text_attributes(meta: &MetaData) -> BTreeMap<String, String> {
     let all = meta.headers.iter().flat_map(|h| h.own_attributes.other.iter().chain(&h.shared_attributes.other));
     all.filter_map(|(name, value)| match value {
-        AttributeValue::Text(text) => Some((name.to_string(), text.to_string())),
+        AttributeValue::Text(text) => Some((name.to_string(), utf8(text))),
         _ => None,
     })
     .collect()
+}
+
+/// UTF-8 where it is, Latin-1 as older files have it elsewhere.
+fn utf8(text: &Text) -> String {
+    std::str::from_utf8(text.as_slice()).map_or_else(|_| text.to_string(), str::to_owned)
 }
 
 fn failed(cause: &exr::error::Error) -> FilmError {

@@ -69,18 +69,19 @@ pub fn encode(image: &FrameImage, provenance: &Provenance) -> Result<Vec<u8>, Fi
         ["R", "G", "B"]
             .into_iter()
             .enumerate()
-            .map(|(i, c)| floats(format!("{name}{c}"), pixels.iter().map(|p| p[i])))
+            .map(|(i, c)| floats(&format!("{name}{c}"), pixels.iter().map(|p| p[i])))
             .collect::<Vec<_>>()
     };
     let mut channels = color("", &image.color.pixels);
     channels.extend(color("albedo.", &image.albedo));
     channels.extend(color("variance.", &image.variance));
-    channels.push(floats("depth.Z".into(), image.depth.iter().copied()));
+    channels.push(floats("depth.Z", image.depth.iter().copied()));
     channels.push(AnyChannel::new("samples.Y", FlatSamples::U32(image.samples.clone())));
 
     let mut attributes = LayerAttributes { white_luminance: Some(1.0), ..LayerAttributes::default() };
     for (name, value) in provenance.attributes() {
-        let value = Text::new_or_none(&value).ok_or_else(|| failed(format!("attribute {name} is not Latin-1 text")))?;
+        // UTF-8, as OpenEXR has it; the crate's own conversion would refuse what is not Latin-1.
+        let value = Text::from_slice_unchecked(value.as_bytes());
         attributes.other.insert(Text::from(name.as_str()), AttributeValue::Text(value));
     }
     let encoding =
@@ -107,8 +108,8 @@ pub fn write(path: &Path, image: &FrameImage, provenance: &Provenance) -> Result
     write_atomic(path, &encode(image, provenance).map_err(|e| e.in_file(path))?)
 }
 
-fn floats(name: String, values: impl Iterator<Item = f32>) -> AnyChannel<FlatSamples> {
-    AnyChannel::new(name.as_str(), FlatSamples::F32(values.collect()))
+fn floats(name: &str, values: impl Iterator<Item = f32>) -> AnyChannel<FlatSamples> {
+    AnyChannel::new(name, FlatSamples::F32(values.collect()))
 }
 
 fn failed(cause: String) -> FilmError {

@@ -1,0 +1,125 @@
+//! Images as bytes: PNG files and contact sheets.
+
+use crate::{FilmError, Image};
+
+/// sRGB picture of 8 bits a channel, row by row from the top left.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Picture {
+    /// Columns.
+    pub width: u32,
+    /// Rows.
+    pub height: u32,
+    /// `width * height` pixels.
+    pub pixels: Vec<[u8; 3]>,
+}
+
+impl Picture {
+    /// The picture as a PNG file; the same bytes for the same picture.
+    pub fn to_png(&self) -> Result<Vec<u8>, FilmError> {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, self.width, self.height);
+        encoder.set_color(png::ColorType::Rgb);
+        encoder.set_depth(png::BitDepth::Eight);
+        encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+        encoder
+            .write_header()
+            .and_then(|mut writer| writer.write_image_data(self.pixels.as_flattened()))
+            .map_err(|e| FilmError::Format { what: "writing PNG", cause: e.to_string() })?;
+        Ok(bytes)
+    }
+}
+
+impl Image {
+    /// The image shrunk by the smallest whole factor that makes it at most `width` wide: each pixel is the mean of a block of
+    /// linear pixels (a cut block at the right and lower border).
+    pub fn shrunk_to(&self, width: u32) -> Self {
+        let factor = self.width.div_ceil(width.max(1)).max(1);
+        let (columns, rows) = (self.width.div_ceil(factor), self.height.div_ceil(factor));
+        let block = |x: u32, y: u32| {
+            let (mut sum, mut count) = ([0.0f32; 3], 0.0f32);
+            for row in (y * factor)..((y + 1) * factor).min(self.height) {
+                for column in (x * factor)..((x + 1) * factor).min(self.width) {
+                    let pixel = self.pixels[row as usize * self.width as usize + column as usize];
+                    (0..3).for_each(|i| sum[i] += pixel[i]);
+                    count += 1.0;
+                }
+            }
+            sum.map(|s| s / count)
+        };
+        let pixels = (0..rows).flat_map(|y| (0..columns).map(move |x| block(x, y))).collect();
+        Self { width: columns, height: rows, pixels }
+    }
+}
+
+/// Pixels between and around the pictures of a contact sheet.
+const GAP: u32 = 4;
+/// The sheet's paper.
+const PAPER: [u8; 3] = [24, 24, 24];
+
+/// Lays `pictures` out in rows of `columns` (0: a nearly square sheet), each in a cell of the largest size, with small gaps.
+/// No pictures give a sheet of paper of one gap.
+pub fn contact_sheet(pictures: &[Picture], columns: u32) -> Picture {
+    let count = pictures.len() as u32;
+    let columns = if columns == 0 { (1..=count).find(|c| c * c >= count).unwrap_or(0) } else { columns.min(count) };
+    let rows = if columns == 0 { 0 } else { count.div_ceil(columns) };
+    let cell_width = pictures.iter().map(|p| p.width).max().unwrap_or(0) + GAP;
+    let cell_height = pictures.iter().map(|p| p.height).max().unwrap_or(0) + GAP;
+    let (width, height) = (GAP + columns * cell_width, GAP + rows * cell_height);
+    let mut sheet = Picture { width, height, pixels: vec![PAPER; width as usize * height as usize] };
+    for (i, picture) in (0..count).zip(pictures) {
+        let (left, top) = (GAP + i % columns * cell_width, GAP + i / columns * cell_height);
+        for (y, row) in (0..picture.height).zip(picture.pixels.chunks(picture.width as usize)) {
+            let start = (top + y) as usize * width as usize + left as usize;
+            sheet.pixels[start..start + row.len()].copy_from_slice(row);
+        }
+    }
+    sheet
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn plain(width: u32, height: u32, value: u8) -> Picture {
+        Picture { width, height, pixels: vec![[value; 3]; (width * height) as usize] }
+    }
+
+    #[test]
+    fn a_png_decodes_to_the_same_pixels() {
+        let mut picture = plain(7, 3, 9);
+        picture.pixels[8] = [1, 2, 250];
+        let bytes = picture.to_png().unwrap();
+        assert_eq!(bytes, picture.to_png().unwrap());
+        let mut reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().unwrap();
+        let mut out = vec![0; reader.output_buffer_size().unwrap()];
+        let info = reader.next_frame(&mut out).unwrap();
+        assert_eq!((info.width, info.height, info.color_type), (7, 3, png::ColorType::Rgb));
+        assert_eq!(out[..info.buffer_size()], *picture.pixels.as_flattened());
+    }
+
+    #[test]
+    fn a_sheet_holds_every_picture_in_its_cell() {
+        let pictures: Vec<Picture> = (0..5).map(|i| plain(4 + i, 3, 100 + i as u8)).collect();
+        let sheet = contact_sheet(&pictures, 0);
+        assert_eq!((sheet.width, sheet.height), (GAP + 3 * (8 + GAP), GAP + 2 * (3 + GAP)));
+        for (i, p) in pictures.iter().enumerate() {
+            let found = sheet.pixels.iter().filter(|&&pixel| pixel == p.pixels[0]).count();
+            assert_eq!(found, p.pixels.len(), "picture {i}");
+        }
+        assert_eq!(sheet.pixels[(GAP * sheet.width + GAP) as usize], [100; 3]);
+        assert_eq!(sheet.pixels[0], PAPER);
+        assert_eq!(contact_sheet(&pictures, 1).width, GAP + 8 + GAP);
+        assert_eq!(contact_sheet(&[], 0).pixels.len(), (GAP * GAP) as usize);
+    }
+
+    #[test]
+    fn shrinking_keeps_the_mean_and_the_borders() {
+        let image = Image { width: 4, height: 2, pixels: (0..8).map(|i| [i as f32, 1.0, 0.0]).collect() };
+        let half = image.shrunk_to(2);
+        assert_eq!((half.width, half.height), (2, 1));
+        assert_eq!(half.pixels, [[2.5, 1.0, 0.0], [4.5, 1.0, 0.0]]);
+        assert_eq!(image.shrunk_to(4), image);
+        assert_eq!(image.shrunk_to(3).width, 2);
+        assert_eq!(image.shrunk_to(1).pixels, [[3.5, 1.0, 0.0]]);
+    }
+}

@@ -1,0 +1,117 @@
+//! From luminance in cd/m2 to a display.
+//!
+//! The global photographic operator (\[reinhard2002\], equation 4), applied to luminance so that hues stay:
+//!
+//! ```text
+//! x       = exposure * Y                       Y: Rec.709 luminance, cd/m2
+//! y       = x (1 + x / w^2) / (1 + x)          w = 8: what is eight times the unit or more is white
+//! channel = srgb(clamp(exposure * c * y / x))  srgb: the transfer function of IEC 61966-2-1
+//! byte    = round(255 * channel)
+//! ```
+//!
+//! Automatic exposure brings the log-average luminance to 0.18, middle gray. Pixels below 1e-4 of the mean count as that, so
+//! that a black sky does not decide the exposure.
+
+use crate::{Image, Picture};
+use femc_math::elementary::{double, pow};
+use femc_math::{Rgb, color};
+
+/// Luminance, in units of 1 / exposure, that is shown as white.
+const WHITE: f32 = 8.0;
+/// What the log-average luminance is shown as, before the curve.
+const MIDDLE_GRAY: f64 = 0.18;
+/// Smallest luminance in the log-average, relative to the mean.
+const DARKEST: f64 = 1e-4;
+
+/// How radiances are shown.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ToneCurve {
+    /// Factor in front of the curve, 1/(cd/m2).
+    pub exposure: f32,
+}
+
+impl ToneCurve {
+    /// The curve of automatic exposure for all of `images` together, so that a clip does not flicker. Pixels that are not
+    /// finite do not count; with nothing but black the exposure is 1.
+    pub fn auto<'a>(images: impl IntoIterator<Item = &'a Image>) -> Self {
+        let luminances: Vec<f64> = images
+            .into_iter()
+            .flat_map(|image| (0..image.pixels.len()).map(|i| f64::from(image.luminance(i))))
+            .filter(|y| y.is_finite())
+            .collect();
+        let n = luminances.len().max(1) as f64;
+        let mean = luminances.iter().sum::<f64>() / n;
+        if mean <= 0.0 {
+            return Self { exposure: 1.0 };
+        }
+        let log_mean = luminances.iter().map(|&y| double::ln(y.max(DARKEST * mean))).sum::<f64>() / n;
+        Self { exposure: (MIDDLE_GRAY / double::exp(log_mean)) as f32 }
+    }
+
+    /// Display values, 0..1, of a linear color in cd/m2; NaN and negative components are shown as 0.
+    pub fn display(self, color: [f32; 3]) -> [f32; 3] {
+        let scaled = color.map(|c| if c > 0.0 { (c * self.exposure).min(f32::MAX / 4.0) } else { 0.0 });
+        let x = color::luminance(Rgb::from_array(scaled));
+        // y / x; for x above 1e18 the square would overflow, and everything is white long before.
+        let gain = if x < 1e18 { (1.0 + x / (WHITE * WHITE)) / (1.0 + x) } else { 1.0 };
+        scaled.map(|c| srgb((c * gain).min(1.0)))
+    }
+
+    /// The image as bytes.
+    pub fn picture(self, image: &Image) -> Picture {
+        let byte = |v: f32| (255.0 * v + 0.5) as u8;
+        let pixels = image.pixels.iter().map(|&p| self.display(p).map(byte)).collect();
+        Picture { width: image.width, height: image.height, pixels }
+    }
+}
+
+/// Transfer function of sRGB for `linear` in 0..1 (IEC 61966-2-1).
+pub fn srgb(linear: f32) -> f32 {
+    if linear <= 0.003_130_8 { 12.92 * linear } else { 1.055 * pow(linear, 1.0 / 2.4) - 0.055 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_formula_holds_at_hand_computed_points() {
+        let curve = ToneCurve { exposure: 0.5 };
+        assert_eq!(curve.display([0.0; 3]), [0.0; 3]);
+        // Gray of 2 cd/m2: x = 1, y = (1 + 1/64) / 2 = 0.5078125, srgb(y) = 0.7405.
+        let gray = curve.display([2.0; 3]);
+        assert!((gray[0] - 0.7405).abs() < 1e-4 && (gray[0] - gray[2]).abs() < 1e-6, "{gray:?}");
+        // White starts at x = 8.
+        let white = curve.display([16.0; 3]);
+        assert!(white.iter().all(|&v| (v - 1.0).abs() < 1e-4));
+        assert!((srgb(0.001) - 0.01292).abs() < 1e-7 && (srgb(1.0) - 1.0).abs() < 1e-6);
+    }
+
+    #[test]
+    fn the_curve_is_monotone_and_total() {
+        let curve = ToneCurve { exposure: 1.0 };
+        let mut last = -1.0;
+        for i in 0..400 {
+            let v = curve.display([1e-6 * 1.2f32.powi(i); 3])[1];
+            assert!(v >= last && v <= 1.0, "step {i}");
+            last = v;
+        }
+        for odd in [f32::NAN, f32::NEG_INFINITY, -3.0] {
+            assert_eq!(curve.display([odd; 3]), [0.0; 3]);
+        }
+        assert!(curve.display([f32::INFINITY; 3]).iter().all(|v| (v - 1.0).abs() < 1e-6));
+    }
+
+    #[test]
+    fn automatic_exposure_follows_the_light_and_ignores_black_and_nan() {
+        let image = Image::filled(8, 8, [3.0; 3]);
+        let exposure = ToneCurve::auto([&image]).exposure;
+        assert!((exposure - 0.06).abs() < 1e-5);
+        let brighter = Image::filled(8, 8, [300.0; 3]);
+        assert!((ToneCurve::auto([&brighter]).exposure * 100.0 - exposure).abs() < 1e-5);
+        let mut odd = image.clone();
+        odd.pixels[0] = [f32::NAN; 3];
+        assert_eq!(ToneCurve::auto([&odd]).exposure, exposure);
+        assert_eq!(ToneCurve::auto([&Image::filled(2, 2, [0.0; 3])]).exposure, 1.0);
+    }
+}

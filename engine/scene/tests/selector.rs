@@ -145,6 +145,15 @@ fn impossible_values_are_refused_with_the_reason_and_change_nothing() {
 }
 
 #[test]
+fn a_dark_raw_color_leaves_room_for_the_specular_part() {
+    let mut scene = scene();
+    scene.materials[0].rd.color = [0.5, 0.05, 0.04];
+    scene.set_all(&[("material.floor.rd", 1.0), ("material.floor.rs", 0.05)]).unwrap();
+    let error = scene.set("material.floor.rd.g", 1.5).unwrap_err();
+    assert!(matches!(error, SelectorError::Refused { constraint: Constraint::Energy(_), .. }), "{error}");
+}
+
+#[test]
 fn values_that_make_sense_only_together_may_come_in_either_order() {
     for order in [
         [("material.floor.rd", 0.1), ("material.floor.rs", 0.9)],

@@ -3,15 +3,17 @@
 use super::{Faults, Scope, tree::Bounds};
 use crate::{
     FaultKind::{DegenerateSurface, NonPlanarFace},
-    Severity::Warning,
+    Severity::{Note, Warning},
     description::{Face, Group, Quadric, Shape},
 };
 use femc_math::glam::DVec3;
 
 /// Area below this part of the squared size is none.
 const NO_AREA: f64 = 1e-12;
-/// Corners may be out of plane by this part of the size.
+/// Corners out of plane by this part of the size are noted.
 const OUT_OF_PLANE: f64 = 1e-3;
+/// And warned of beyond this one: measured rooms are not bent that much.
+const BENT: f64 = 1e-2;
 
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     for group in &scope.scene.groups {
@@ -43,7 +45,8 @@ fn check_face(group: &Group, face: &Face, faults: &mut Faults) {
     if high - low > OUT_OF_PLANE * size {
         let message =
             format!("the face is not planar: its corners are within {:.1} % of its size", 100.0 * (high - low) / size);
-        faults.add(Warning, NonPlanarFace, face.location, message, "split it into triangles");
+        let severity = if high - low > BENT * size { Warning } else { Note };
+        faults.add(severity, NonPlanarFace, face.location, message, "split it into triangles");
     }
 }
 

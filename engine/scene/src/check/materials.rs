@@ -9,8 +9,8 @@ use crate::{
 
 /// Emittance beyond the surface of the sun's order, lm/m2.
 const BRIGHTEST: f64 = 1e9;
-/// Rounding room.
-const ROOM: f64 = 1e-6;
+/// Room for rounded white points.
+const ROOM: f64 = 1e-3;
 
 pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
     let materials = scope.scene.materials.iter().zip(&scope.used).filter(|(_, used)| **used);
@@ -30,9 +30,10 @@ pub(super) fn title(material: &Material) -> String {
 }
 
 fn energy(scene: &Scene, material: &Material, faults: &mut Faults) {
-    let sum = material.rd.amount + material.td.amount + material.rs.amount + material.ts.amount;
-    if sum > 1.0 + ROOM {
-        let message = format!("{} has rd + td + rs + ts = {sum:.4}, more than 1", title(material));
+    let sum = material.reflectance_sum();
+    if sum > Material::SUM_LIMIT {
+        let message =
+            format!("{} gives back {sum:.4} times the light that it gets (rd + td + rs + ts)", title(material));
         faults.add(Error, EnergyGain, material.location, message, "make them smaller");
         return;
     }

@@ -135,16 +135,25 @@ fn report(
             .get(id.index())
             .is_some_and(|m| m.inside.is_some() || (m.ior.is_some() && m.ts.amount > 0.0))
     });
+    let area = area_for_people(area);
     let (severity, message) = match sense {
-        Sense::Same => (Warning, format!("the face overlaps {other} on {area:.3e} m2, both facing the same way")),
+        Sense::Same => (Warning, format!("the face overlaps {other} on {area}, both facing the same way")),
         Sense::Opposite if bounds_solid => {
-            (Warning, format!("the face overlaps {other} on {area:.3e} m2, and one of them bounds a solid"))
+            (Warning, format!("the face overlaps {other} on {area}, and one of them bounds a solid"))
         }
-        Sense::Opposite => (Note, format!("the face touches {other} back to back on {area:.3e} m2")),
+        Sense::Opposite => (Note, format!("the face touches {other} back to back on {area}")),
     };
     let advice = match severity {
         Note => "nothing, unless both can be seen from one side",
         _ => "move one of them, or remove the part that is covered",
     };
     faults.add(severity, OverlappingFaces, second, message, advice);
+}
+
+fn area_for_people(area: f64) -> String {
+    match area {
+        m2 if m2 >= 0.01 => format!("{m2:.2} m2"),
+        m2 if m2 >= 1e-5 => format!("{:.1} cm2", m2 * 1e4),
+        m2 => format!("{:.2} mm2", m2 * 1e6),
+    }
 }

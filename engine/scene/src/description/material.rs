@@ -1,4 +1,5 @@
 use super::{ImageId, Location, MediumId};
+use femc_math::color::LUMINANCE_WEIGHTS;
 use serde::{Deserialize, Serialize};
 
 /// A scalar with a colour: the product is what counts; selectors set `amount`.
@@ -8,6 +9,16 @@ pub struct Tinted {
     pub amount: f64,
     /// Linear Rec.709; luminance 1 unless it was given as raw RGB.
     pub color: [f64; 3],
+}
+
+impl Tinted {
+    /// Rec.709 luminance of the product: the photometric reflectance, transmittance or emittance. The amount itself where
+    /// the color has luminance 1; less for a darker raw RGB.
+    pub fn luminous(&self) -> f64 {
+        let weights = LUMINANCE_WEIGHTS.to_array().map(f64::from);
+        let weighted: f64 = self.color.iter().zip(weights).map(|(channel, weight)| channel * weight).sum();
+        self.amount * weighted / weights.iter().sum::<f64>()
+    }
 }
 
 impl Default for Tinted {
@@ -70,4 +81,15 @@ pub struct Material {
     pub map_ed: Option<ImageId>,
     /// Tangent-space normal map.
     pub map_n: Option<ImageId>,
+}
+
+impl Material {
+    /// Most that [`Self::reflectance_sum`] may be: 1 and room for rounded decimals.
+    pub const SUM_LIMIT: f64 = 1.0 + 1e-4;
+
+    /// What of equal-energy light the surface gives back in all, photometrically: rd + td + rs + ts, each times the
+    /// luminance of its color.
+    pub fn reflectance_sum(&self) -> f64 {
+        [&self.rd, &self.td, &self.rs, &self.ts].into_iter().map(Tinted::luminous).sum()
+    }
 }

@@ -81,8 +81,8 @@ pub enum Constraint {
     /// A whole number up to a limit, at least 1.
     #[error("it must be a whole number from 1 to {0}")]
     Count(u32),
-    /// rd + td + rs + ts of the material would exceed 1.
-    #[error("rd + td + rs + ts would be {0}, more than 1")]
+    /// [`Material::reflectance_sum`] would exceed 1.
+    #[error("rd + td + rs + ts, each times its color, would be {0}, more than 1")]
     Energy(f64),
     /// The shutter would close before it opens.
     #[error("the shutter would close before it opens")]

@@ -10,9 +10,6 @@ use crate::{
 };
 use std::collections::BTreeSet;
 
-/// Rounding room for rd + td + rs + ts <= 1: amounts are decimal fractions.
-const ENERGY_ROOM: f64 = 1e-6;
-
 /// One scalar of one entity; numbers are indices in the scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Slot {
@@ -116,7 +113,9 @@ impl Slot {
     /// Whether the slot's entity obeys the rules that join several of its scalars.
     pub(super) fn consistent(&self, view: &View<'_>) -> Result<(), Constraint> {
         match *self {
-            Self::Material(index, MaterialField::Amount(_)) => energy(&view.materials[index]),
+            Self::Material(index, MaterialField::Amount(_) | MaterialField::Channel(..)) => {
+                energy(&view.materials[index])
+            }
             Self::Camera(index, _) => framing(&view.cameras[index]),
             Self::Key { path, field: KeyField::Time, .. } => {
                 let keys = &view.paths[path].keys;
@@ -141,8 +140,8 @@ impl Slot {
 }
 
 fn energy(material: &Material) -> Result<(), Constraint> {
-    let sum = material.rd.amount + material.td.amount + material.rs.amount + material.ts.amount;
-    require(sum <= 1.0 + ENERGY_ROOM, Constraint::Energy(sum))
+    let sum = material.reflectance_sum();
+    require(sum <= Material::SUM_LIMIT, Constraint::Energy(sum))
 }
 
 fn framing(camera: &Camera) -> Result<(), Constraint> {

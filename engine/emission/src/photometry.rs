@@ -286,3 +286,6 @@ pub fn direction(kind: PhotometryKind, vertical: f64, horizontal: f64) -> DVec3 
         PhotometryKind::A => DVec3::new(cv * ch, -cv * sh, sv),
     }
 }
+
+#[cfg(test)]
+mod tests;

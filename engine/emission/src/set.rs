@@ -143,3 +143,81 @@ fn starts(counts: &[u32]) -> Vec<u32> {
     }
     starts
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::light::Sphere;
+    use crate::{Emission, Profile, Sides};
+    use femc_math::Rgb;
+    use femc_math::glam::Vec3A;
+    use femc_math::hash::{combine, unit_f32};
+
+    fn set(weights: &[f64]) -> LightSet {
+        let emission = Emission { emittance: Rgb::ONE, profile: Profile::Lambertian, sides: Sides::One };
+        let lights = weights.iter().map(|_| Light::Sphere(Sphere::new(Vec3A::ZERO, 1.0, emission))).collect();
+        LightSet::with_weights(lights, weights)
+    }
+
+    #[test]
+    fn probabilities_sum_to_one_and_are_the_exact_shares_of_the_numbers_that_choose() {
+        let weights = [1.0, 0.0, 5.0, 1e-12, 2.5, f64::NAN, 1e3, -4.0];
+        let set = set(&weights);
+        let mut counts = [0u32; 8];
+        for cell in 0..CELLS {
+            let choice = set.sample(cell as f32 / CELLS as f32).expect("lights with power");
+            counts[choice.index] += 1;
+        }
+        for (i, &count) in counts.iter().enumerate() {
+            assert_eq!(set.pmf(i), count as f32 / CELLS as f32, "light {i}");
+            assert_eq!(count == 0, weights[i].is_nan() || weights[i] <= 0.0, "light {i}");
+        }
+        assert_eq!(counts.iter().sum::<u32>(), CELLS);
+        assert!((set.pmf(2) / set.pmf(0) - 5.0).abs() < 1e-2 && set.pmf(3) == 1.0 / CELLS as f32);
+        assert_eq!(set.pmf(8), 0.0);
+    }
+
+    #[test]
+    fn choices_are_monotone_and_the_rest_of_the_number_is_uniform() {
+        let set = set(&[3.0, 1.0, 2.0, 4.0]);
+        let (mut last, mut sums) = (0, [0.0f64; 4]);
+        let n = 40_000u32;
+        for i in 0..n {
+            let choice = set.sample((i as f32 + 0.5) / n as f32).expect("lights with power");
+            assert!(choice.index >= last && (0.0..1.0).contains(&choice.u), "{choice:?}");
+            assert_eq!(choice.probability, set.pmf(choice.index));
+            last = choice.index;
+            sums[last] += f64::from(choice.u) / f64::from(choice.probability) / f64::from(n);
+        }
+        assert!(sums.iter().all(|mean| (mean - 0.5).abs() < 1e-3), "{sums:?}");
+    }
+
+    #[test]
+    fn ten_thousand_lights_of_very_different_power_keep_their_shares() {
+        let weights: Vec<f64> =
+            (0..10_000u64).map(|i| f64::from(unit_f32(combine(&[i]) as u32)).powi(8) + 1e-9).collect();
+        let set = set(&weights);
+        let total: f64 = weights.iter().sum();
+        let sum: f64 = (0..weights.len()).map(|i| f64::from(set.pmf(i))).sum();
+        assert!((sum - 1.0).abs() < 1e-12);
+        for (i, w) in weights.iter().enumerate() {
+            let cells = f64::from(set.pmf(i)) * f64::from(CELLS);
+            let wanted = w / total * f64::from(CELLS);
+            assert!(cells >= 1.0 && (cells - wanted).abs() <= 2.0 + wanted / 50.0, "light {i}: {cells} of {wanted}");
+        }
+        for i in 0..20_000u64 {
+            let u = unit_f32(combine(&[i, 7]) as u32);
+            let choice = set.sample(u).expect("lights with power");
+            assert!(set.starts[choice.index] as f32 <= u * CELLS as f32, "{choice:?}");
+        }
+    }
+
+    #[test]
+    fn without_power_there_is_no_choice() {
+        for weights in [&[][..], &[0.0, 0.0]] {
+            let set = set(weights);
+            assert!(set.is_empty() && set.sample(0.5).is_none() && set.pmf(0) == 0.0);
+        }
+        assert!(LightSet::default().is_empty() && LightSet::default().sample(0.1).is_none());
+    }
+}

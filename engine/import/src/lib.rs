@@ -9,6 +9,7 @@ mod bundle;
 mod error;
 mod files;
 mod format;
+mod image;
 mod warning;
 
 pub use bundle::{Bundle, BundleError};
@@ -24,7 +25,7 @@ use std::path::Path;
 pub struct Loaded {
     /// The description.
     pub scene: Scene,
-    /// What is odd about it, in file order; at most 1001.
+    /// What is odd about it, in the order of discovery; at most 1001.
     pub warnings: Vec<Warning>,
     /// Every file that was read, each once, in order of first use.
     pub files: Vec<String>,

@@ -44,6 +44,13 @@ pub enum Oddity {
         /// The largest sum of the reflectances and transmittances in a channel.
         sum: f64,
     },
+    /// A material that reflects a little more than it receives, scaled down to 1.
+    TooBright {
+        /// The material.
+        material: String,
+        /// The sum of its reflectances and transmittances in the file.
+        sum: f64,
+    },
     /// `o` or `xf` still open at the end of the file that opened it; closed there.
     LeftOpen {
         /// `o` or `xf`.
@@ -61,6 +68,11 @@ pub enum Oddity {
     },
     /// Photometric data outside the letter of LM-63 that has a clear meaning.
     Photometry {
+        /// What was found and what was made of it.
+        what: &'static str,
+    },
+    /// Image values outside their domain.
+    Texture {
         /// What was found and what was made of it.
         what: &'static str,
     },
@@ -88,10 +100,13 @@ impl fmt::Display for Oddity {
                     "color makes the material return {sum:.3} of the light in one channel (luminance is within 1)"
                 )
             }
+            Self::TooBright { material, sum } => {
+                write!(f, "material `{material}` has rd + td + rs + ts = {sum:.3}: all four scaled down to the sum 1")
+            }
             Self::LeftOpen { entity } => write!(f, "`{entity}` is never closed; closed at the end of its file"),
             Self::Replaced { what } => write!(f, "{what} replaces an earlier one"),
             Self::NotTransformed { what } => write!(f, "{what} inside `xf`: it stays in world coordinates"),
-            Self::Photometry { what } => f.write_str(what),
+            Self::Photometry { what } | Self::Texture { what } => f.write_str(what),
             Self::More { kept } => write!(f, "more warnings follow; only the first {kept} are kept"),
         }
     }

@@ -1,6 +1,7 @@
 //! Scenes that are not part of the project: skipped, with a line that says so, where they are not there.
 
-use femc_import::{Loaded, load_path};
+use femc_import::{Bundle, Disk, Loaded, load, load_path};
+use femc_scene::Opening;
 use std::path::{Path, PathBuf};
 
 fn shared(folder: &str) -> Option<PathBuf> {
@@ -62,6 +63,19 @@ fn real_scenes_load_without_an_error() {
     let Some(folder) = shared("scenes-real") else { return };
     for path in scenes(&folder) {
         let Loaded { scene, .. } = load_or_say(&path);
-        assert!(!scene.groups[0].faces.is_empty());
+        assert!(scene.groups.iter().any(|group| !group.faces.is_empty()));
     }
+}
+
+#[test]
+fn a_real_photometric_file_reads_without_a_remark() {
+    let Some(folder) = shared("scenes-real") else { return };
+    let mut bundle = Bundle::gather(&Disk::new(&folder), &["examp1.ies".into()]).unwrap();
+    bundle.0.insert("t.mgf".into(), b"ies examp1.ies\n".to_vec());
+    let Loaded { scene, warnings, .. } = load(&bundle, "t.mgf").unwrap();
+    assert!(warnings.is_empty(), "{warnings:?}");
+    let photometry = &scene.photometry[0];
+    assert_eq!((photometry.vertical.len(), photometry.horizontal.len()), (73, 5));
+    assert_eq!((photometry.candela[0], photometry.candela[364]), (778.4, 801.4));
+    assert!(matches!(photometry.opening, Opening::Box { length, .. } if (length - 4.04 * 0.3048).abs() < 1e-12));
 }

@@ -7,13 +7,18 @@
 use super::{
     args::{Args, Result},
     reader::Reader,
+    spectrum::luminance,
     table::Opened,
 };
 use crate::{Fault, ImportError, Oddity};
-use femc_scene::{Ior, Location, Material, MaterialId, Sides};
+use femc_scene::{Ior, Location, Material, MaterialId, Sides, Tinted};
 
 /// Slack of the sum of the reflectances: decimal fractions that add up to 1.
 const SUM_TOLERANCE: f64 = 1e-6;
+/// Sums up to this one are scaled down to 1 with a warning: scenes in use have them (rd .9 with rs .2). Above it: an error.
+const SCALED_SUM: f64 = 1.1;
+/// Sum in one channel above which it is said: chromaticities have few digits.
+const CHANNEL: f64 = 1.005;
 /// Entries of one name that are searched for an equal one.
 const SEARCHED: usize = 8;
 
@@ -25,6 +30,11 @@ pub(super) struct MaterialState {
     entry: Option<MaterialId>,
     /// The last entity that changed a reflectance.
     reflectance_at: Location,
+}
+
+/// The luminance that a surface returns of unit light: the amount itself, unless the colour is raw.
+fn returned(tinted: &Tinted) -> f64 {
+    tinted.amount * luminance(tinted.color)
 }
 
 impl Reader<'_> {
@@ -47,12 +57,18 @@ impl Reader<'_> {
         if let Some(entry) = state.entry {
             return Ok(entry);
         }
-        let material = state.material.clone();
-        let sum = material.rd.amount + material.td.amount + material.rs.amount + material.ts.amount;
+        let mut material = state.material.clone();
+        let sum = [material.rd, material.td, material.rs, material.ts].iter().map(returned).sum::<f64>();
         if sum > 1.0 + SUM_TOLERANCE {
             let at = self.position(state.reflectance_at);
-            let name = if material.name.is_empty() { "(unnamed)".into() } else { material.name };
-            return Err(ImportError::new(at, Fault::TooBright { material: name, sum }));
+            let name = if material.name.is_empty() { "(unnamed)".into() } else { material.name.clone() };
+            if sum > SCALED_SUM + SUM_TOLERANCE {
+                return Err(ImportError::new(at, Fault::TooBright { material: name, sum }));
+            }
+            for tinted in [&mut material.rd, &mut material.td, &mut material.rs, &mut material.ts] {
+                tinted.amount /= sum;
+            }
+            self.warnings.push(at, Oddity::TooBright { material: name, sum });
         }
         let id = self.material_entry(material);
         self.materials.current_mut().entry = Some(id);
@@ -81,7 +97,7 @@ impl Reader<'_> {
         let tinted = [material.rd, material.td, material.rs, material.ts];
         let channel = |k: usize| tinted.iter().map(|t| t.amount * t.color[k]).sum::<f64>();
         let brightest = (0..3).map(channel).fold(0.0, f64::max);
-        if brightest > 1.0 + SUM_TOLERANCE {
+        if brightest > CHANNEL {
             let at = self.position(material.location);
             self.warnings.push(at, Oddity::ChannelAboveOne { sum: brightest });
         }
@@ -90,7 +106,7 @@ impl Reader<'_> {
     }
 
     /// The current material, about to change.
-    fn change_material(&mut self) -> &mut Material {
+    pub(super) fn change_material(&mut self) -> &mut Material {
         let state = self.materials.current_mut();
         state.entry = None;
         &mut state.material
@@ -156,14 +172,5 @@ impl Reader<'_> {
         let medium = self.medium_named(args, 0)?;
         self.change_material().inside = Some(medium);
         Ok(())
-    }
-
-    /// `map_rd FILE`, `map_ed FILE`, `map_n FILE`.
-    pub(super) fn map(&mut self, _entity: &[u8], args: &Args<'_>) -> Result<()> {
-        Err(args.fault(Fault::Unsupported { what: "an image texture", advice: "remove this line" }))
-    }
-
-    pub(super) fn ies(&mut self, args: &Args<'_>) -> Result<()> {
-        Err(args.fault(Fault::Unsupported { what: "measured photometry", advice: "remove this line" }))
     }
 }

@@ -10,6 +10,7 @@ mod camera;
 mod color;
 mod include;
 mod lexer;
+mod luminaire;
 mod material;
 mod medium;
 mod object;
@@ -19,6 +20,7 @@ mod spectrum;
 mod stack;
 mod surface;
 mod table;
+mod texture;
 mod transform;
 mod vertex;
 

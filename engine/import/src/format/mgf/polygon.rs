@@ -107,7 +107,8 @@ impl Triangulator {
     /// Splits every triangle edge at the vertices that lie on it.
     fn restore_dropped(&mut self) {
         let mut i = 0;
-        while i < self.triangles.len() {
+        // The bound holds unless rounding contradicts itself; it makes the loop end even then.
+        while i < self.triangles.len() && self.triangles.len() < 4 * self.flat.len() {
             match self.vertex_on_edge(self.triangles[i]) {
                 Some([a, b, c, d]) => {
                     self.triangles[i] = [d, b, c];

@@ -12,8 +12,10 @@ use super::{
     table::Table,
     vertex::VertexState,
 };
-use crate::{Files, ImportError, Kind, Loaded, Oddity, Position, warning::Warnings};
-use femc_scene::{Camera, Group, GroupId, Location, MaterialId, MediumId, ObjectId, PathId, Scene};
+use crate::{Files, ImportError, Kind, Loaded, Oddity, Position, format::ies::Tilt, image::Role, warning::Warnings};
+use femc_scene::{
+    Camera, Group, GroupId, ImageId, Location, MaterialId, MediumId, ObjectId, PathId, PhotometryId, Scene,
+};
 use std::{
     collections::{BTreeMap, HashMap, HashSet},
     sync::Arc,
@@ -45,6 +47,8 @@ pub(super) struct Reader<'f> {
     pub cameras: Table<Camera>,
     pub media: Table<MediumState>,
     pub medium_entries: HashMap<String, Vec<MediumId>>,
+    pub photometries: HashMap<String, (PhotometryId, Option<Tilt>)>,
+    pub images: HashMap<(String, Role), ImageId>,
     pub paths: BTreeMap<String, PathId>,
     pub path: Option<PathId>,
 
@@ -56,6 +60,8 @@ pub(super) struct Reader<'f> {
     pub group: GroupId,
     /// Primitives of each group after expansion.
     pub counts: Vec<u64>,
+    /// Instances and steps of their motions, about.
+    pub stored: u64,
     /// Mirror images of groups.
     pub twins: HashMap<GroupId, GroupId>,
     pub triangulator: Triangulator,
@@ -92,6 +98,8 @@ impl<'f> Reader<'f> {
             cameras: Table::new(Kind::Camera, camera::default_camera()),
             media: Table::new(Kind::Medium, MediumState::default()),
             medium_entries: HashMap::new(),
+            photometries: HashMap::new(),
+            images: HashMap::new(),
             paths: BTreeMap::new(),
             path: None,
             objects: Vec::new(),
@@ -100,6 +108,7 @@ impl<'f> Reader<'f> {
             frame_ids: 0,
             group: GroupId(0),
             counts: vec![0],
+            stored: 0,
             twins: HashMap::new(),
             triangulator: Triangulator::default(),
         }

@@ -19,6 +19,8 @@ use femc_scene::{Group, GroupId, Instance, Motion, MotionStep, Shape};
 
 /// Arrays of more copies are split in two levels, so that memory grows with the square root of their length.
 const FLAT_ARRAY: u64 = 4096;
+/// Most instances and steps of their motions that are stored.
+const MAX_STORED: u64 = 10_000_000;
 /// Most arrays and paths around a surface.
 const MAX_NESTING: u64 = 128;
 
@@ -138,6 +140,13 @@ impl Reader<'_> {
             }
             let total = self.counts[child.index()].saturating_mul(layer.count);
             self.count(parent, total).map_err(|fault| ImportError::new(at.clone(), fault))?;
+            let stored = if layer.count > FLAT_ARRAY { 4 * layer.count.isqrt() } else { layer.count };
+            let steps = (layer.before.len() + layer.after.len() + 1) as u64 + layer.body.len() as u64 * stored / 2;
+            self.stored = self.stored.saturating_add(stored.saturating_mul(steps));
+            if self.stored > MAX_STORED {
+                let fault = Fault::TooMany { what: "instances (nest arrays in arrays)", limit: MAX_STORED };
+                return Err(ImportError::new(at, fault));
+            }
             self.place(child, &layer, parent);
             child = parent;
         }

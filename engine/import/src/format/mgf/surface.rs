@@ -13,7 +13,7 @@ use femc_math::glam::DVec3;
 use femc_scene::{Face, Facing, Quadric, Shape, Vertex};
 
 /// Deviation from the plane, relative to a face's size, that is said to be odd.
-const PLANAR: f64 = 1e-3;
+const PLANAR: f64 = 5e-3;
 
 impl Reader<'_> {
     pub(super) fn f(&mut self, args: &Args<'_>) -> Result<()> {

@@ -1,0 +1,56 @@
+//! `map_rd FILE`, `map_ed FILE`, `map_n FILE`: image textures of materials.
+
+use super::{
+    args::{Args, Result},
+    reader::Reader,
+};
+use crate::{
+    Fault, Oddity, files,
+    image::{self, Role},
+};
+use femc_scene::ImageId;
+
+/// Largest image file, bytes.
+const MAX_FILE: u64 = 1 << 31;
+
+impl Reader<'_> {
+    pub(super) fn map(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
+        args.count(1..=1, "the path of a PNG, JPEG or EXR file")?;
+        let role = if entity == b"map_n" { Role::Normals } else { Role::Color };
+        let path = files::resolve(args.file, &args.text(0)).map_err(|fault| args.fault_at(0, fault))?;
+        let image = Some(self.image(args, &path, role)?);
+        let material = self.change_material();
+        match entity {
+            b"map_rd" => material.map_rd = image,
+            b"map_ed" => material.map_ed = image,
+            _ => material.map_n = image,
+        }
+        Ok(())
+    }
+
+    /// The image of a file in a role; decoded once.
+    fn image(&mut self, args: &Args<'_>, path: &str, role: Role) -> Result<ImageId> {
+        let key = (path.to_owned(), role);
+        if let Some(&id) = self.images.get(&key) {
+            return Ok(id);
+        }
+        let unreadable = |e: std::io::Error| Fault::Unreadable { path: path.into(), reason: e.to_string() };
+        let size = self.files.size(path).map_err(|e| args.fault_at(0, unreadable(e)))?;
+        if size > MAX_FILE {
+            let reason = format!("it has {size} bytes, an image file may have {MAX_FILE}");
+            let advice = "make it smaller";
+            return Err(args.fault_at(0, Fault::BadFile { path: path.into(), reason, advice }));
+        }
+        let bytes = self.files.read(path).map_err(|e| args.fault_at(0, unreadable(e)))?;
+        self.note_read(path);
+        let used: u64 = self.scene.images.iter().map(|image| image::memory(image.width, image.height)).sum();
+        let decoded = image::decode(path, &bytes, role, used).map_err(|fault| args.fault_at(0, fault))?;
+        if decoded.negative {
+            self.warn(args, Oddity::Texture { what: "image has negative values: taken as 0" });
+        }
+        let id = ImageId(self.scene.images.len() as u32);
+        self.scene.images.push(decoded.image);
+        self.images.insert(key, id);
+        Ok(id)
+    }
+}

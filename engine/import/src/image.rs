@@ -1,0 +1,233 @@
+//! Image files to linear Rec.709.
+//!
+//! PNG and JPEG hold sRGB (\[iec61966\]) and are made linear through a table; EXR is linear already. Normal maps are not
+//! colours: their values go from [0, 1] to [-1, 1] as they stand. Sizes are checked in the file's header, before any pixel
+//! is decoded. Alpha is not used.
+
+use crate::Fault;
+use ::image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
+use exr::{meta::MetaData, prelude as exr_prelude};
+use exr_prelude::{ReadChannels, ReadLayers};
+use femc_math::elementary::double as elementary;
+use femc_scene::Image;
+use std::io::Cursor;
+
+/// Most pixels along one side.
+const MAX_SIDE: u32 = 32_768;
+/// Most memory of all images of a scene, bytes: one of the largest size, and then some.
+const MAX_MEMORY: u64 = 16 << 30;
+
+/// What an image is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) enum Role {
+    /// Factors on colours.
+    Color,
+    /// Directions in the tangent frame.
+    Normals,
+}
+
+/// An image and what was odd about it.
+#[derive(Debug)]
+pub(crate) struct Decoded {
+    pub image: Image,
+    /// Whether negative colours were taken as 0.
+    pub negative: bool,
+}
+
+/// Bytes of a decoded image.
+pub(crate) fn memory(width: u32, height: u32) -> u64 {
+    u64::from(width) * u64::from(height) * 12
+}
+
+/// Decodes a file. `used` is the memory that other images take, bytes.
+pub(crate) fn decode(path: &str, bytes: &[u8], role: Role, used: u64) -> Result<Decoded, Fault> {
+    let bad =
+        |reason: String| Fault::BadFile { path: path.to_owned(), reason, advice: "save it again as PNG, JPEG or EXR" };
+    let check = |width: usize, height: usize| {
+        let side = |n: usize| u32::try_from(n).ok().filter(|n| (1..=MAX_SIDE).contains(n));
+        let (Some(w), Some(h)) = (side(width), side(height)) else {
+            return Err(bad(format!("it has {width} x {height} pixels, 1 to {MAX_SIDE} a side are possible")));
+        };
+        if used.saturating_add(memory(w, h)) > MAX_MEMORY {
+            return Err(bad(format!("it takes the images of the scene above {MAX_MEMORY} bytes")));
+        }
+        Ok((w, h))
+    };
+    let (width, height, mut pixels) = match bytes {
+        [0x89, b'P', b'N', b'G', ..] => eight_or_sixteen_bits(bytes, ImageFormat::Png, role, &bad, &check)?,
+        [0xff, 0xd8, ..] => eight_or_sixteen_bits(bytes, ImageFormat::Jpeg, role, &bad, &check)?,
+        [0x76, 0x2f, 0x31, 0x01, ..] => open_exr(bytes, &bad, &check)?,
+        _ => return Err(bad("it is none of PNG, JPEG and EXR".into())),
+    };
+    if !pixels.iter().flatten().all(|x| x.is_finite()) {
+        return Err(bad("it has pixels that are not finite".into()));
+    }
+    let mut negative = false;
+    if let Role::Color = role {
+        for value in pixels.iter_mut().flatten().filter(|x| **x < 0.0) {
+            negative = true;
+            *value = 0.0;
+        }
+    } else if bytes[0] == 0x76 {
+        pixels.iter_mut().flatten().for_each(|x| *x = 2.0 * *x - 1.0);
+    }
+    Ok(Decoded { image: Image { path: path.to_owned(), width, height, pixels }, negative })
+}
+
+type Pixels = (u32, u32, Vec<[f32; 3]>);
+type Check<'a> = dyn Fn(usize, usize) -> Result<(u32, u32), Fault> + 'a;
+
+fn eight_or_sixteen_bits(
+    bytes: &[u8],
+    format: ImageFormat,
+    role: Role,
+    bad: &dyn Fn(String) -> Fault,
+    check: &Check<'_>,
+) -> Result<Pixels, Fault> {
+    let fault = |error: ::image::ImageError| bad(error.to_string());
+    let decoder = ImageReader::with_format(Cursor::new(bytes), format).into_decoder().map_err(fault)?;
+    let (width, height) = decoder.dimensions();
+    let (width, height) = check(width as usize, height as usize)?;
+    let image = DynamicImage::from_decoder(decoder).map_err(fault)?;
+    let pixels = match image {
+        DynamicImage::ImageLuma16(_)
+        | DynamicImage::ImageLumaA16(_)
+        | DynamicImage::ImageRgb16(_)
+        | DynamicImage::ImageRgba16(_) => {
+            let table: Vec<f32> = (0..=u16::MAX).map(|x| value(f64::from(x) / 65_535.0, role)).collect();
+            image.into_rgb16().pixels().map(|p| p.0.map(|x| table[usize::from(x)])).collect()
+        }
+        _ => {
+            let table: Vec<f32> = (0..=u8::MAX).map(|x| value(f64::from(x) / 255.0, role)).collect();
+            image.into_rgb8().pixels().map(|p| p.0.map(|x| table[usize::from(x)])).collect()
+        }
+    };
+    Ok((width, height, pixels))
+}
+
+/// A value of the file in [0, 1] in its role.
+fn value(x: f64, role: Role) -> f32 {
+    match role {
+        Role::Normals => (2.0 * x - 1.0) as f32,
+        Role::Color if x <= 0.04045 => (x / 12.92) as f32,
+        Role::Color => elementary::pow((x + 0.055) / 1.055, 2.4) as f32,
+    }
+}
+
+fn open_exr(bytes: &[u8], bad: &dyn Fn(String) -> Fault, check: &Check<'_>) -> Result<Pixels, Fault> {
+    let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(|error| bad(error.to_string()))?;
+    for header in &meta.headers {
+        check(header.layer_size.width(), header.layer_size.height())?;
+    }
+    let read = exr_prelude::read()
+        .no_deep_data()
+        .largest_resolution_level()
+        .rgba_channels(
+            |size: exr_prelude::Vec2<usize>, _: &exr_prelude::RgbaChannels| {
+                (size.width(), vec![[0.0f32; 3]; size.area()])
+            },
+            |(width, pixels), at, (r, g, b, _): (f32, f32, f32, f32)| pixels[at.y() * *width + at.x()] = [r, g, b],
+        )
+        .first_valid_layer()
+        .all_attributes()
+        .non_parallel()
+        .from_buffered(Cursor::new(bytes))
+        .map_err(|error| bad(error.to_string()))?;
+    let size = read.layer_data.size;
+    let (width, height) = check(size.width(), size.height())?;
+    Ok((width, height, read.layer_data.channel_data.pixels.1))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use ::image::{ImageBuffer, Luma, Rgb, Rgba};
+
+    fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
+        let mut bytes = Cursor::new(Vec::new());
+        image.write_to(&mut bytes, format).unwrap();
+        bytes.into_inner()
+    }
+
+    fn exr_bytes(pixel: (f32, f32, f32)) -> Vec<u8> {
+        use exr_prelude::WritableImage;
+        let mut bytes = Cursor::new(Vec::new());
+        let image = exr_prelude::Image::from_channels((3, 2), exr_prelude::SpecificChannels::rgb(|_| pixel));
+        image.write().non_parallel().to_buffered(&mut bytes).unwrap();
+        bytes.into_inner()
+    }
+
+    #[test]
+    fn srgb_becomes_linear_in_eight_and_sixteen_bits_with_and_without_alpha() {
+        let eight = DynamicImage::ImageRgb8(ImageBuffer::from_pixel(2, 1, Rgb([0, 188, 255])));
+        let alpha = DynamicImage::ImageRgba8(ImageBuffer::from_pixel(2, 1, Rgba([0, 188, 255, 9])));
+        let sixteen = DynamicImage::ImageRgb16(ImageBuffer::from_pixel(2, 1, Rgb([0, 188 * 257, 65_535])));
+        for image in [eight, alpha, sixteen] {
+            let Decoded { image, negative } =
+                decode("t.png", &encoded(&image, ImageFormat::Png), Role::Color, 0).unwrap();
+            assert_eq!((image.width, image.height, image.pixels.len(), negative), (2, 1, 2, false));
+            let [r, g, b] = image.pixels[1];
+            assert!(r == 0.0 && b == 1.0 && (g - 0.5029).abs() < 1e-4, "{:?}", image.pixels[1]);
+        }
+        let grey = DynamicImage::ImageLuma8(ImageBuffer::from_pixel(1, 1, Luma([255])));
+        let grey = decode("g.png", &encoded(&grey, ImageFormat::Png), Role::Color, 0).unwrap();
+        assert_eq!(grey.image.pixels, [[1.0; 3]]);
+    }
+
+    #[test]
+    fn jpeg_is_read() {
+        let grey = DynamicImage::ImageRgb8(ImageBuffer::from_pixel(8, 8, Rgb([255, 255, 255])));
+        let decoded = decode("t.jpg", &encoded(&grey, ImageFormat::Jpeg), Role::Color, 0).unwrap();
+        assert!(decoded.image.pixels.iter().flatten().all(|x| (x - 1.0).abs() < 0.02));
+    }
+
+    #[test]
+    fn exr_stays_as_it_is() {
+        let decoded = decode("t.exr", &exr_bytes((0.25, 1.5, 3.0)), Role::Color, 0).unwrap();
+        assert_eq!((decoded.image.width, decoded.image.height), (3, 2));
+        assert!(decoded.image.pixels.iter().all(|p| *p == [0.25, 1.5, 3.0]));
+    }
+
+    #[test]
+    fn normal_maps_are_mapped_to_directions_and_not_through_srgb() {
+        let map = DynamicImage::ImageRgb8(ImageBuffer::from_pixel(1, 1, Rgb([0, 51, 255])));
+        let decoded = decode("n.png", &encoded(&map, ImageFormat::Png), Role::Normals, 0).unwrap();
+        assert_eq!(decoded.image.pixels, [[-1.0, -0.6, 1.0]]);
+        let decoded = decode("n.exr", &exr_bytes((0.5, 0.0, 1.0)), Role::Normals, 0).unwrap();
+        assert_eq!(decoded.image.pixels[0], [0.0, -1.0, 1.0]);
+    }
+
+    #[test]
+    fn negative_values_are_taken_as_zero_and_infinite_ones_refused() {
+        let decoded = decode("t.exr", &exr_bytes((-1.0, 0.5, 0.5)), Role::Color, 0).unwrap();
+        assert!(decoded.negative && decoded.image.pixels[0] == [0.0, 0.5, 0.5]);
+        assert!(decode("t.exr", &exr_bytes((f32::INFINITY, 0.5, 0.5)), Role::Color, 0).is_err());
+    }
+
+    #[test]
+    fn sizes_beyond_the_limit_are_refused_by_the_header() {
+        // A header that claims 40000 x 2 pixels, and nothing behind it.
+        let small = DynamicImage::ImageLuma8(ImageBuffer::from_pixel(4, 2, Luma([1])));
+        let mut png = encoded(&small, ImageFormat::Png);
+        png[16..20].copy_from_slice(&40_000u32.to_be_bytes());
+        let checksum = crc32(&png[12..29]).to_be_bytes();
+        png[29..33].copy_from_slice(&checksum);
+        let fault = decode("big.png", &png, Role::Color, 0).unwrap_err();
+        assert!(fault.to_string().contains("40000 x 2"), "{fault}");
+        let fault = decode("t.exr", &exr_bytes((0.0, 0.0, 0.0)), Role::Color, MAX_MEMORY).unwrap_err();
+        assert!(fault.to_string().contains("bytes"), "{fault}");
+    }
+
+    #[test]
+    fn rubbish_is_refused() {
+        for bytes in [&b""[..], b"BM", b"\x89PNG\r\n\x1a\nxx", b"\xff\xd8\xff", b"\x76\x2f\x31\x01\x02"] {
+            assert!(decode("x", bytes, Role::Color, 0).is_err());
+        }
+    }
+
+    fn crc32(bytes: &[u8]) -> u32 {
+        !bytes.iter().fold(!0u32, |crc, &byte| {
+            (0..8).fold(crc ^ u32::from(byte), |c, _| if c & 1 == 1 { (c >> 1) ^ 0xedb8_8320 } else { c >> 1 })
+        })
+    }
+}

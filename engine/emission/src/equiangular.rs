@@ -92,8 +92,9 @@ mod tests {
         for (k, (t_max, along, beside)) in CASES.into_iter().enumerate() {
             let e = case(t_max, along, beside);
             // Cells at equal steps of u, their mass by the difference of arc tangents, computed apart from the code above.
-            let (cells, n) = (50usize, 20_000u64);
             let h = e.h;
+            // Coarser where the spacing of f32 distances is a good part of a cell.
+            let (cells, n) = if h < 1e-5 * e.a.abs() { (10usize, 2000u64) } else { (50, 20_000) };
             let angle = |t: f64| if t.is_infinite() { std::f64::consts::FRAC_PI_2 } else { ((t + e.a) / h).atan() };
             let (low, high) = (angle(0.0), angle(f64::from(t_max)));
             let border = |i: usize| {

@@ -108,7 +108,7 @@ impl SphericalRectangle {
         let corner_angle = |x: f64, y: f64, sign: f64| (sign * x * y, z0 * (x * x + y * y + z0 * z0).sqrt());
         let near = multiply(corner_angle(x1, y0, 1.0), corner_angle(x1, y1, -1.0));
         let far = multiply(corner_angle(x0, y1, 1.0), corner_angle(x0, y0, -1.0));
-        let all = multiply(normalize(near), normalize(far));
+        let all = multiply(near, far);
         let sum = atan2(all.1, all.0);
         // The four angles sum to 2 pi + S.
         let solid_angle = if z0 == 0.0 {
@@ -131,13 +131,16 @@ impl SphericalRectangle {
     pub fn sample(&self, u: [f32; 2]) -> [f64; 2] {
         let Self { x0, x1, y0, y1, z0, .. } = *self;
         let z02 = z0 * z0;
-        let b0 = -y0 / (y0 * y0 + z02).sqrt();
-        let b1 = y1 / (y1 * y1 + z02).sqrt();
+        let (r0, r1) = (1.0 / (y0 * y0 + z02), 1.0 / (y1 * y1 + z02));
+        let (b0, b1) = (-y0 * r0.sqrt(), y1 * r1.sqrt());
         let (sin, cos) = sin_cos(f64::from(u[0]) * self.solid_angle);
         let (cos, sin) = multiply((cos, sin), (self.far_angles.0, -self.far_angles.1));
-        let f = (cos * b0 - b1) / sin;
-        let below = f * f + b0 * b0 - 1.0;
-        let xu = if below > 0.0 { z0.copysign(f) / below.sqrt() } else { f64::INFINITY.copysign(f) };
+        // The paper's cu = sign(f) / sqrt(f^2 + b0^2) with f = (cos b0 - b1) / sin; here xu = z0 cu / sqrt(1 - cu^2) is
+        // multiplied out, and 1 - b0^2 is taken from the sides.
+        let f = cos * b0 - b1;
+        let below = f * f - z02 * r0 * sin * sin;
+        let numerator = (z0 * sin).copysign(if f < 0.0 { -sin } else { sin });
+        let xu = if below > 0.0 { numerator / below.sqrt() } else { f64::INFINITY.copysign(numerator) };
         let xu = xu.clamp(x0, x1);
         let d2 = xu * xu + z02;
         let (h0, h1) = (y0 / (d2 + y0 * y0).sqrt(), y1 / (d2 + y1 * y1).sqrt());

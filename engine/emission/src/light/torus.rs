@@ -78,9 +78,9 @@ impl Torus {
                 break;
             }
             if miss > 0.0 {
-                high = v
+                high = v;
             } else {
-                low = v
+                low = v;
             }
             let step = v - miss / (1.0 + ratio * cos);
             v = if step > low && step < high { step } else { 0.5 * (low + high) };

@@ -130,7 +130,8 @@ pub enum Bsdf {
 }
 
 impl Bsdf {
-    /// The cheapest member that has these parameters.
+    /// The cheapest member that has these parameters. A solid dielectric (one side, real index, `ts` > 0) reflects F with the
+    /// roughness of `ts`: `rs` and its roughness do not count there.
     pub fn from_parameters(p: &MaterialParameters) -> Self {
         let present = |color: Rgb| color.max_element() > 0.0;
         // A surface with an index bounds a solid: it exists from both sides.

@@ -6,6 +6,7 @@ mod values;
 pub use settings::SettingsArgs;
 pub use values::{Filter, Method};
 
+use crate::command;
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 
@@ -78,6 +79,9 @@ pub struct ServerArgs {
 /// The commands, in the order of `--help`.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    Plan(command::plan::PlanArgs),
+    Check(command::check::CheckArgs),
+    Compare(command::compare::CompareArgs),
     /// Print a completion script for a shell
     #[command(after_help = "Examples:\n  \
         femc completions bash > ~/.local/share/bash-completion/completions/femc\n  \

@@ -18,9 +18,11 @@ pub struct SettingsArgs {
     /// Stop at N samples a pixel
     #[arg(long, value_name = "N", group = "stop", value_parser = clap::value_parser!(u32).range(1..))]
     pub spp: Option<u32>,
-    /// Stop at relative error E (95 % confidence, every pixel block) [default: 0.05]. The rule is a simple one:
-    /// rounds of samples until the film's own variance says E for every block; deciding from the samples themselves
-    /// biases the result a little, and no round is spent on a part of the film alone
+    /// Stop when every 16x16 block's mean has relative error E at 95 % confidence [default: 0.05]
+    ///
+    /// Stop when the mean of every 16x16 block of pixels has relative error E at 95 % confidence [default: 0.05].
+    /// The rule is a simple one: a frame's samples double from round to round, and the same samples that make the
+    /// image decide whether it is good enough, which darkens dim, noisy blocks a little. A later version replaces it.
     #[arg(long, value_name = "E", group = "stop", value_parser = positive)]
     pub error: Option<f64>,
     /// Stop at a time budget a frame: 90s, 2m, 1h30m

@@ -16,19 +16,16 @@ pub struct Snapshot {
     pub frames_done: u64,
     /// Frames of the job.
     pub frames: u64,
-    /// Tasks (tiles of samples, merges) finished.
-    pub tasks_done: u64,
-    /// Tasks known so far; grows where a stopping rule asks for more.
-    pub tasks: u64,
+    /// Tiles finished of the frames in work, this round.
+    pub tiles_done: u64,
+    /// Tiles of the frames in work, this round.
+    pub tiles: u64,
     /// Camera samples finished.
     pub samples: u64,
-}
-
-impl Snapshot {
-    /// The part done, 0..=1, by tasks.
-    fn fraction(&self) -> f64 {
-        if self.tasks == 0 { 0.0 } else { (self.tasks_done as f64 / self.tasks as f64).clamp(0.0, 1.0) }
-    }
+    /// The part of the work that is done, 0..=1, as well as it is known.
+    pub fraction: f64,
+    /// Relative error of the frame merged last.
+    pub relative_error: Option<f64>,
 }
 
 /// Progress on stderr: a bar on a terminal, else a line every few seconds.
@@ -72,12 +69,12 @@ impl Progress {
             Form::Silent => {}
             Form::Bar(bar) => {
                 bar.set_message(text());
-                bar.set_position((now.fraction() * STEPS as f64) as u64);
+                bar.set_position((now.fraction * STEPS as f64) as u64);
             }
             Form::Lines { say, last } => {
                 if self.clock.since(*last) >= PLAIN_EVERY {
                     *last = self.clock.now();
-                    say.note(format!("{:3.0} %  {}", now.fraction() * 100.0, text()));
+                    say.note(format!("{:3.0} %  {}", now.fraction * 100.0, text()));
                 }
             }
         }
@@ -97,18 +94,20 @@ impl Drop for Progress {
     }
 }
 
-/// `frame 3/24, tile 120/960, 1.25 M samples/s, 2 min 3 s left`.
+/// `frame 3/24, tile 12/40, 1.25 M samples/s, error 7.1 %, 2 min 3 s left`.
 fn line(first: &Snapshot, now: &Snapshot, elapsed: Duration) -> String {
     let seconds = elapsed.as_secs_f64();
-    let mut text =
-        format!("frame {}/{}, task {}/{}", now.frames_done, now.frames, now.tasks_done, now.tasks);
+    let mut text = format!("frame {}/{}, tile {}/{}", now.frames_done, now.frames, now.tiles_done, now.tiles);
     if seconds > 0.0 && now.samples > first.samples {
         let rate = (now.samples - first.samples) as f64 / seconds;
         text += &format!(", {} samples/s", human::quantity(rate));
     }
-    let (done, before) = (now.fraction(), first.fraction());
-    if done > before && done < 1.0 && seconds > 0.5 {
-        text += &format!(", {} left", human::seconds(seconds * (1.0 - done) / (done - before)));
+    if let Some(error) = now.relative_error.filter(|error| error.is_finite()) {
+        text += &format!(", error {}", human::percent(error));
+    }
+    if now.fraction > first.fraction && now.fraction < 1.0 && seconds > 0.5 {
+        let left = seconds * (1.0 - now.fraction) / (now.fraction - first.fraction);
+        text += &format!(", {} left", human::seconds(left));
     }
     text
 }
@@ -119,17 +118,17 @@ mod tests {
 
     #[test]
     fn time_left_and_rate_count_only_what_this_run_did() {
-        let first = Snapshot { frames: 4, frames_done: 2, tasks: 40, tasks_done: 20, samples: 1_000_000 };
-        let now = Snapshot { tasks_done: 30, frames_done: 3, samples: 3_000_000, ..first };
+        let first = Snapshot { frames: 4, frames_done: 2, fraction: 0.5, samples: 1_000_000, ..Snapshot::default() };
+        let now = Snapshot { frames_done: 3, fraction: 0.75, samples: 3_000_000, tiles_done: 3, tiles: 8, ..first };
         assert_eq!(
             line(&first, &now, Duration::from_secs(10)),
-            "frame 3/4, task 30/40, 200 k samples/s, 10.0 s left"
+            "frame 3/4, tile 3/8, 200 k samples/s, 10.0 s left"
         );
     }
 
     #[test]
     fn a_job_that_has_not_begun_promises_nothing() {
         let first = Snapshot { frames: 4, ..Snapshot::default() };
-        assert_eq!(line(&first, &first, Duration::ZERO), "frame 0/4, task 0/0");
+        assert_eq!(line(&first, &first, Duration::ZERO), "frame 0/4, tile 0/0");
     }
 }

@@ -1,12 +1,14 @@
 //! The request: what the user meant. Values are parsed and in range here; what depends on the scene
 //! (which frames there are, which cameras) is resolved when the scene is known.
 
+mod asked;
 mod duration;
 mod frames;
 mod job_file;
 mod overrides;
 mod size;
 
+pub use asked::{Asked, FramesChosen, beside, load};
 pub use duration::Budget;
 pub use frames::{Frames, FramesError};
 pub use job_file::{JobFile, JobFileError};

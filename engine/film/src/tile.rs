@@ -68,21 +68,20 @@ pub struct PixelSums {
 }
 
 impl PixelSums {
+    /// Adds a sample without fault: finite, non-negative, at most [`MAX_RADIANCE`](crate::sample::MAX_RADIANCE).
     #[inline]
     fn add(&mut self, sample: &Sample) {
         for (i, c) in sample.color.to_array().into_iter().enumerate() {
-            let c = f64::from(c);
-            // The terms are finite and non-negative, so nothing is refused here; the square of a float is exact in a double.
-            let refused = self.color[i].add(c).is_err() | self.square[i].add(c * c).is_err();
-            debug_assert!(!refused, "a bad sample reached the sums");
+            let (mantissa, exponent) = parts(c);
+            self.color[i].add_parts(mantissa, exponent);
+            self.square[i].add_parts(mantissa * mantissa, 2 * exponent);
         }
         for (sum, a) in self.albedo.iter_mut().zip(sample.albedo.to_array()) {
-            let units = f64::from(a.min(255.0)) * f64::from(1u32 << ALBEDO_FRACTION) + 0.5;
-            *sum = sum.saturating_add(units as u64);
+            *sum = sum.saturating_add(albedo_units(a));
         }
         if sample.depth.is_finite() {
-            let refused = self.depth.add(f64::from(sample.depth)).is_err();
-            debug_assert!(!refused, "a bad depth reached the sums");
+            let (mantissa, exponent) = parts(sample.depth);
+            self.depth.add_parts(mantissa, exponent);
             self.hits = self.hits.saturating_add(1);
         }
         self.count = self.count.saturating_add(1);
@@ -98,6 +97,22 @@ impl PixelSums {
         self.hits = self.hits.saturating_add(other.hits);
         self.count = self.count.saturating_add(other.count);
     }
+}
+
+/// Mantissa and exponent of a finite float: `v = mantissa * 2^exponent`; subnormals, which no sum can hold, are 0.
+#[inline]
+fn parts(v: f32) -> (u64, i32) {
+    let bits = v.to_bits();
+    let exponent = (bits >> 23) & 0xff;
+    let mantissa = if exponent == 0 { 0 } else { (bits & 0x007f_ffff) | 0x0080_0000 };
+    (u64::from(mantissa), exponent as i32 - 150)
+}
+
+/// `round(2^24 min(a, 255))`: in a double of the size of this bias the lowest bit of the mantissa is 2^-24.
+#[inline]
+fn albedo_units(a: f32) -> u64 {
+    const BIAS: f64 = (1u64 << (52 - ALBEDO_FRACTION)) as f64;
+    (f64::from(a.min(255.0)) + BIAS).to_bits() - BIAS.to_bits()
 }
 
 /// The sums of some sample ranges of a rectangle of pixels.

@@ -1,0 +1,148 @@
+//! Talking to a coordinator: this process's own, or one at `--server`.
+
+use crate::args::ServerArgs;
+use crate::clock::Clock;
+use crate::exit::{Failure, failed, unreachable, usage};
+use crate::request::Asked;
+use femc_model::{
+    Artefact, Control, Digest, FrameRecord, Grid, JobId, JobSpec, JobStatus, Refusal, WorkerStatus,
+};
+use femc_proto::{CallError, Client};
+use std::time::Duration;
+
+/// How long a watch waits for a coordinator that has gone away to come back.
+const PATIENCE: Duration = Duration::from_secs(60);
+/// Between two tries.
+const RETRY: Duration = Duration::from_millis(500);
+
+/// A connection to a coordinator, its faults told as this program's.
+#[derive(Clone, Debug)]
+pub struct Farm {
+    client: Client,
+}
+
+/// Run `work` with the coordinator at `--server`.
+pub fn block_on<T>(
+    server: &ServerArgs,
+    work: impl AsyncFnOnce(&Farm) -> Result<T, Failure>,
+) -> Result<T, Failure> {
+    runtime()?.block_on(async {
+        let farm = Farm::connect(&server.server).await?;
+        work(&farm).await
+    })
+}
+
+/// A runtime for talking: rendering has threads of its own.
+pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
+    tokio::runtime::Builder::new_multi_thread()
+        .worker_threads(2)
+        .enable_all()
+        .build()
+        .map_err(|e| failed(format!("threads cannot be started: {e}")))
+}
+
+impl Farm {
+    /// Connect.
+    pub async fn connect(url: &str) -> Result<Self, Failure> {
+        Ok(Self { client: Client::connect(url).await.map_err(told)? })
+    }
+
+    /// Put bytes into the farm's store.
+    pub async fn put(&self, bytes: Vec<u8>) -> Result<Artefact, Failure> {
+        self.client.put(bytes.into()).await.map_err(told)
+    }
+
+    /// An artefact's bytes.
+    pub async fn get(&self, artefact: &Artefact) -> Result<Vec<u8>, Failure> {
+        Ok(self.client.get(&artefact.digest, artefact.bytes).await.map_err(told)?.to_vec())
+    }
+
+    /// Queue a job; `key`: a second submission with the same key is the same job.
+    pub async fn submit(&self, key: Option<Digest>, spec: JobSpec) -> Result<JobId, Failure> {
+        self.client.submit(key.map(|key| key.to_string()), spec).await.map_err(told)
+    }
+
+    /// All jobs.
+    pub async fn jobs(&self) -> Result<Vec<JobStatus>, Failure> {
+        self.client.list().await.map_err(told)
+    }
+
+    /// One job.
+    pub async fn status(&self, job: JobId) -> Result<JobStatus, Failure> {
+        self.client.status(job).await.map_err(told)
+    }
+
+    /// One job, of a coordinator that may be away for a while.
+    pub async fn patient_status(&self, job: JobId) -> Result<JobStatus, Failure> {
+        let begun = Clock.now();
+        loop {
+            match self.client.status(job).await {
+                Err(CallError::Unreachable { .. } | CallError::Refused(Refusal::Unavailable { .. }))
+                    if Clock.since(begun) < PATIENCE =>
+                {
+                    tokio::time::sleep(RETRY).await;
+                }
+                answer => return answer.map_err(told),
+            }
+        }
+    }
+
+    /// The finished frames of a job, ascending.
+    pub async fn frames(&self, job: JobId) -> Result<Vec<FrameRecord>, Failure> {
+        self.client.frames(job).await.map_err(told)
+    }
+
+    /// Steer a job.
+    pub async fn control(&self, job: JobId, control: Control) -> Result<(), Failure> {
+        self.client.control(job, control).await.map_err(told)
+    }
+
+    /// The workers that are there.
+    pub async fn workers(&self) -> Result<Vec<WorkerStatus>, Failure> {
+        self.client.workers().await.map_err(told)
+    }
+}
+
+/// A failed call as this program's failure.
+pub fn told(error: CallError) -> Failure {
+    match error {
+        CallError::Address { .. } => usage(format!("--server: {error}; write it like http://127.0.0.1:7878")),
+        CallError::Unreachable { .. } => unreachable(format!(
+            "{error}; start one with `femc coordinator`, or give its address with --server or FEMC_SERVER"
+        )),
+        CallError::Refused(refusal) => match refusal {
+            Refusal::NoSuchJob { .. } => usage(format!("{refusal}; `femc jobs` lists all")),
+            Refusal::Ended { .. } | Refusal::Invalid { .. } => usage(refusal),
+            Refusal::Unavailable { .. } => unreachable(refusal),
+            Refusal::StaleEpoch
+            | Refusal::NoSuchArtefact { .. }
+            | Refusal::DigestMismatch { .. }
+            | Refusal::TooLarge { .. } => failed(refusal),
+        },
+        CallError::Answer(_) | CallError::Status { .. } => failed(error),
+    }
+}
+
+/// A job of `frames` as the farm knows it.
+pub fn job_spec(asked: &Asked, bundle: Artefact, frames: Vec<u32>) -> Result<JobSpec, Failure> {
+    Ok(JobSpec {
+        name: asked.name(),
+        bundle: bundle.digest,
+        entry: asked.entry(),
+        settings: serde_json::to_string(&asked.settings).map_err(failed)?,
+        frames,
+        grid: Grid { film: asked.plan.film, tile: asked.plan.tile },
+        rounds: asked.plan.rounds.clone(),
+        priority: asked.priority.unwrap_or(DEFAULT_PRIORITY),
+        owner: user(),
+        tags: asked.tags.clone(),
+    })
+}
+
+/// Priority of a job that asks for none.
+pub const DEFAULT_PRIORITY: u8 = 50;
+
+/// The user's login name.
+fn user() -> String {
+    ["USER", "LOGNAME", "USERNAME"].iter().find_map(|name| std::env::var(name).ok()).unwrap_or_else(|| "nobody".into())
+}

@@ -1,0 +1,112 @@
+//! `femc compare A.exr B.exr`: how far an image is from a reference.
+
+use crate::args::FormatArgs;
+use crate::exit::{Exit, Failure, failed, usage};
+use crate::output::{Say, human, json};
+use clap::Args;
+use femc_film::metrics::{Comparison, Excluded, WorstPixel};
+use femc_film::{FilmError, exr};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// Error of image A against the reference B: mse, relmse, psnr, ssim, flip, mean_ratio, and the worst pixel
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc compare cornell.exr reference.exr\n  \
+    femc compare a.exr b.exr --json | jq .relmse\n\n\
+    mse: mean (A-B)^2; relmse: mean (A-B)^2/(B^2+0.01); psnr: in dB against B's largest value; ssim: structural\n\
+    similarity of the displayed luminance (1: equal); flip: mean HDR-FLIP (0: equal); mean_ratio: mean A / mean B.\n\
+    Pixels that are not finite in A or B are counted and left out.")]
+pub struct CompareArgs {
+    /// The image
+    #[arg(value_name = "A.exr")]
+    image: PathBuf,
+    /// The reference
+    #[arg(value_name = "B.exr")]
+    reference: PathBuf,
+    #[command(flatten)]
+    format: FormatArgs,
+}
+
+#[derive(Serialize)]
+struct Report {
+    image: String,
+    reference: String,
+    width: u32,
+    height: u32,
+    mse: f64,
+    relmse: f64,
+    /// Infinite, and so null, for equal images.
+    psnr: f64,
+    ssim: f64,
+    flip: f64,
+    mean_ratio: f64,
+    worst_pixel: WorstPixel,
+    excluded: Excluded,
+    same_pixels: bool,
+}
+
+/// Compare.
+pub fn run(args: CompareArgs, say: Say) -> Result<Exit, Failure> {
+    let (image, reference) = (read(&args.image)?, read(&args.reference)?);
+    let names = format!("{} and {}", args.image.display(), args.reference.display());
+    let comparison =
+        femc_film::compare(&image, &reference).map_err(|e| failed(format!("{names} cannot be compared: {e}")))?;
+    let Comparison { mse, relmse, psnr, ssim, flip, mean_ratio, worst, excluded } = comparison;
+    let report = Report {
+        image: args.image.display().to_string(),
+        reference: args.reference.display().to_string(),
+        width: image.width,
+        height: image.height,
+        mse,
+        relmse,
+        psnr,
+        ssim,
+        flip,
+        mean_ratio,
+        worst_pixel: worst,
+        excluded,
+        same_pixels: femc_film::pixel_digest(&image) == femc_film::pixel_digest(&reference),
+    };
+    if args.format.json {
+        json::print(say, &report)?;
+    } else {
+        print(say, &report);
+    }
+    Ok(Exit::Done)
+}
+
+fn read(path: &Path) -> Result<femc_film::Image, Failure> {
+    match exr::read(path) {
+        Ok(file) => Ok(file.image),
+        Err(FilmError::File { path, cause }) if cause.kind() == std::io::ErrorKind::NotFound => {
+            Err(usage(format!("{}: no such file; give two EXR images", path.display())))
+        }
+        Err(e) => Err(failed(e)),
+    }
+}
+
+fn print(say: Say, report: &Report) {
+    let row = |name: &str, value: String| vec![name.to_owned(), value];
+    let rows = [
+        row("mse", format!("{:.6e}", report.mse)),
+        row("relmse", format!("{:.6e}", report.relmse)),
+        row("psnr", format!("{:.3} dB", report.psnr)),
+        row("ssim", format!("{:.6}", report.ssim)),
+        row("flip", format!("{:.6}", report.flip)),
+        row("mean_ratio", format!("{:.6}", report.mean_ratio)),
+    ];
+    say.result(human::table(&["metric", "value"], &rows));
+    let WorstPixel { x, y, value, reference, relative } = report.worst_pixel;
+    say.result(format!("worst pixel {x},{y}: {value:?}, reference {reference:?}, relative error^2 {relative:.4e}"));
+    if report.same_pixels {
+        say.result("the pixels are equal to the bit");
+    }
+    if report.excluded.pixels > 0 {
+        let Excluded { image, reference, pixels } = report.excluded;
+        say.result(say.doubtful(&format!(
+            "{} left out: not finite ({image} of A, {reference} of B)",
+            human::count(pixels, "pixel")
+        )));
+    }
+}

@@ -1,0 +1,79 @@
+//! `femc fetch JOB -o DIR`: the finished frames of a job as files.
+
+use super::client::{self, Farm};
+use super::render::frame_name;
+use crate::args::{FormatArgs, ServerArgs};
+use crate::exit::{Exit, Failure, failed};
+use crate::output::{Say, human, job as show, json};
+use clap::Args;
+use femc_model::{Digest, FrameRecord, JobId, JobStatus};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// Write the finished frames of a job into a folder, under the names that `render` gives them
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc fetch 7 -o drive\n  \
+    femc watch 7; femc fetch 7 -o drive --json | jq -r '.files[]'\n\n\
+    Files that are there already are not fetched again. The exit code is 1 while frames are missing.")]
+pub struct FetchArgs {
+    /// The job's number, as `submit` printed it
+    #[arg(value_name = "JOB")]
+    job: u64,
+    /// Folder for the frames
+    #[arg(long, short, value_name = "DIR")]
+    out: PathBuf,
+    #[command(flatten)]
+    format: FormatArgs,
+    #[command(flatten)]
+    server: ServerArgs,
+}
+
+#[derive(Serialize)]
+struct Report {
+    job: u64,
+    state: &'static str,
+    frames: u32,
+    files: Vec<String>,
+}
+
+/// Fetch.
+pub fn run(args: FetchArgs, say: Say) -> Result<Exit, Failure> {
+    let (status, files) = client::block_on(&args.server, async |farm| {
+        let status = farm.status(JobId(args.job)).await?;
+        let mut files = Vec::new();
+        for frame in farm.frames(JobId(args.job)).await? {
+            files.push(file(farm, &status, &frame, &args.out).await?);
+        }
+        Ok((status, files))
+    })?;
+    if args.format.json {
+        let files = files.iter().map(|path| path.display().to_string()).collect();
+        let state = show::state(status.state);
+        json::print(say, &Report { job: args.job, state, frames: status.frames_total, files })?;
+    } else {
+        let frames = human::count(files.len() as u64, "frame");
+        say.result(format!("{frames} in {}", args.out.display()));
+    }
+    if files.len() < status.frames_total as usize {
+        return Err(failed(format!(
+            "{} of {} frames are finished, job {} is {}; fetch again later, what is here stays",
+            files.len(),
+            status.frames_total,
+            args.job,
+            show::state(status.state)
+        )));
+    }
+    Ok(Exit::Done)
+}
+
+/// Write one frame, unless the file has its bytes already.
+async fn file(farm: &Farm, job: &JobStatus, frame: &FrameRecord, folder: &Path) -> Result<PathBuf, Failure> {
+    let path = folder.join(frame_name(&job.name, frame.frame));
+    let there = std::fs::read(&path).is_ok_and(|bytes| Digest::of(&bytes) == frame.image.digest);
+    if !there {
+        let bytes = farm.get(&frame.image).await?;
+        femc_film::file::write_atomic(&path, &bytes).map_err(failed)?;
+    }
+    Ok(path)
+}

@@ -1,0 +1,209 @@
+//! `femc plan SCENE`: what would run, without running it.
+
+use crate::args::{FormatArgs, SettingsArgs};
+use crate::clock::Clock;
+use crate::exit::{Exit, Failure, failed};
+use crate::output::{Say, human, json};
+use crate::request::Asked;
+use clap::Args;
+use femc_pipeline::{LeftOut, Prepared, Stop};
+use serde::Serialize;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::time::Duration;
+
+/// Show what would run: passes, tasks, estimated cost, and for what is left out the reason
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc plan scenes/roundabout.mgf --frames 1..24 --spp 64\n  \
+    femc plan scene.mgf --json | jq .tasks\n\n\
+    The cost is measured by a short trial on this machine; with --no-trial nothing is rendered.")]
+pub struct PlanArgs {
+    /// Scene file, or JOB.toml
+    #[arg(value_name = "SCENE")]
+    pub scene: PathBuf,
+    #[command(flatten)]
+    settings: SettingsArgs,
+    /// Estimate no cost: render no trial
+    #[arg(long)]
+    no_trial: bool,
+    #[command(flatten)]
+    format: FormatArgs,
+}
+
+/// A trial renders for about this long.
+const TRIAL: Duration = Duration::from_millis(300);
+/// Edge of the blocks of a trial, pixels.
+const BLOCK: u32 = 8;
+
+#[derive(Serialize)]
+struct Report {
+    scene: String,
+    camera: String,
+    film: [u32; 2],
+    frames: Vec<u32>,
+    method: femc_pipeline::Method,
+    stop: Stop,
+    tile: u32,
+    tiles: u32,
+    rounds: Vec<u32>,
+    passes: Vec<Pass>,
+    tasks: u64,
+    samples_least: u64,
+    samples_most: u64,
+    cost: Option<Cost>,
+    left_out: Vec<LeftOut>,
+}
+
+#[derive(Serialize)]
+struct Pass {
+    pass: String,
+    tasks_per_frame: u64,
+    tasks: u64,
+}
+
+/// Estimated from a trial on this machine.
+#[derive(Serialize)]
+struct Cost {
+    prepare_seconds: f64,
+    samples_per_second: f64,
+    seconds_least: f64,
+    seconds_most: f64,
+}
+
+/// Plan, and estimate.
+pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
+    let asked = Asked::open(&args.scene, args.settings, say)?;
+    let (plan, frames) = (&asked.plan, asked.plan.frames.len() as u64);
+    let rounds = plan.rounds.len();
+    let least = match asked.settings.stop {
+        Stop::Spp(_) => rounds,
+        Stop::Error(_) | Stop::Time(_) => 1,
+    };
+    let pass = |pass: &str, tasks_per_frame: u64| Pass {
+        pass: pass.to_owned(),
+        tasks_per_frame,
+        tasks: tasks_per_frame * frames,
+    };
+    let mut passes = vec![pass("render", plan.render_tasks_per_frame()), pass("merge", rounds as u64)];
+    passes.retain(|pass| pass.tasks > 0);
+    let (samples_least, samples_most) =
+        (plan.samples_per_frame(least) * frames, plan.samples_per_frame(rounds) * frames);
+    let cost = if args.no_trial { None } else { Some(trial(&asked, samples_least, samples_most)?) };
+    let report = Report {
+        scene: args.scene.display().to_string(),
+        camera: plan.camera.clone(),
+        film: plan.film,
+        frames: plan.frames.clone(),
+        method: plan.method,
+        stop: asked.settings.stop,
+        tile: plan.tile,
+        tiles: plan.tiles,
+        rounds: plan.rounds.clone(),
+        tasks: passes.iter().map(|pass| pass.tasks).sum(),
+        passes,
+        samples_least,
+        samples_most,
+        cost,
+        left_out: plan.left_out.clone(),
+    };
+    if args.format.json {
+        json::print(say, &report)?;
+    } else {
+        print(say, &report);
+    }
+    Ok(Exit::Done)
+}
+
+/// Render a few blocks all over the first frame and count what a sample costs.
+fn trial(asked: &Asked, samples_least: u64, samples_most: u64) -> Result<Cost, Failure> {
+    let (clock, plan) = (Clock, &asked.plan);
+    let frame = plan.frames.first().copied().unwrap_or(1);
+    let begun = clock.now();
+    let prepared = femc_pipeline::prepare(&asked.scene, &asked.settings, frame, None).map_err(failed)?;
+    let prepare_seconds = clock.since(begun).as_secs_f64();
+    let begun = clock.now();
+    let mut samples = 0;
+    for round in 0.. {
+        samples += sweep(asked, &prepared, round);
+        if clock.since(begun) >= TRIAL {
+            break;
+        }
+    }
+    let samples_per_second = samples as f64 / clock.since(begun).as_secs_f64();
+    let all_prepared = prepare_seconds * plan.frames.len() as f64;
+    let budget = match asked.settings.stop {
+        Stop::Time(seconds) => Some(seconds * plan.frames.len() as f64),
+        Stop::Spp(_) | Stop::Error(_) => None,
+    };
+    let seconds = |samples: u64| all_prepared + samples as f64 / samples_per_second;
+    let seconds_most = budget.map_or(seconds(samples_most), |budget| budget.min(seconds(samples_most)));
+    let seconds_least = budget.unwrap_or(seconds(samples_least)).min(seconds_most);
+    Ok(Cost { prepare_seconds, samples_per_second, seconds_least, seconds_most })
+}
+
+/// One sample a pixel in 16 blocks spread over the film; how many samples that were.
+fn sweep(asked: &Asked, prepared: &Prepared, round: u32) -> u64 {
+    let [width, height] = asked.plan.film;
+    let (across, down) = (width.div_ceil(BLOCK).min(4), height.div_ceil(BLOCK).min(4));
+    let mut samples = 0;
+    for index in 0..across * down {
+        let (i, j) = (index % across, index / across);
+        let x = (width.saturating_sub(BLOCK) as u64 * u64::from(i) / u64::from(across.max(2) - 1)) as u32;
+        let y = (height.saturating_sub(BLOCK) as u64 * u64::from(j) / u64::from(down.max(2) - 1)) as u32;
+        let rect = femc_film::Rect { x, y, width: BLOCK.min(width - x), height: BLOCK.min(height - y) };
+        let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+        let rendered =
+            femc_pipeline::render_tile(prepared, &asked.settings, rect, round..round + 1, &cancel, &progress);
+        samples += rendered.map_or(0, |_| u64::from(rect.width) * u64::from(rect.height));
+    }
+    samples
+}
+
+fn print(say: Say, report: &Report) {
+    let Report { camera, film: [width, height], frames, tile, tiles, .. } = report;
+    say.result(format!("{}: camera {camera}, {width}x{height} pixels, {}", report.scene, spelled(frames)));
+    let rows: Vec<Vec<String>> = report
+        .passes
+        .iter()
+        .map(|pass| vec![pass.pass.clone(), pass.tasks_per_frame.to_string(), pass.tasks.to_string()])
+        .collect();
+    say.result(format!("\n{}", human::table(&["pass", "tasks a frame", "tasks"], &rows)));
+    let spp = match (report.stop, report.rounds.as_slice()) {
+        (Stop::Spp(n), _) => format!("{n} samples a pixel"),
+        (stop, [first, .., last]) => {
+            let until = match stop {
+                Stop::Error(e) => format!("until every block's relative error is {}", human::percent(e)),
+                Stop::Time(s) => format!("for {} a frame", human::seconds(s)),
+                Stop::Spp(_) => String::new(),
+            };
+            format!("{first} to {last} samples a pixel in {} rounds, {until}", report.rounds.len())
+        }
+        (_, rounds) => format!("{rounds:?} samples a pixel"),
+    };
+    say.result(format!("\n{} of {tile} pixels; {spp}", human::count(u64::from(*tiles), "tile")));
+    if let Some(cost) = &report.cost {
+        let range = if cost.seconds_least < cost.seconds_most {
+            format!("{} to {}", human::seconds(cost.seconds_least), human::seconds(cost.seconds_most))
+        } else {
+            human::seconds(cost.seconds_most)
+        };
+        let rate = human::quantity(cost.samples_per_second);
+        say.result(format!("estimated cost: {range} on this machine ({rate} samples/s in a short trial)"));
+    }
+    if !report.left_out.is_empty() {
+        say.result(format!("\n{}", say.heading("left out")));
+        for left in &report.left_out {
+            say.result(format!("  {}: {}", left.what, left.reason));
+        }
+    }
+}
+
+/// `frame 3`, `120 frames (1..120)`.
+fn spelled(frames: &[u32]) -> String {
+    match frames {
+        [one] => format!("frame {one}"),
+        [first, .., last] => format!("{} frames ({first}..{last})", frames.len()),
+        [] => "no frame".to_owned(),
+    }
+}

@@ -1,0 +1,132 @@
+//! Driving the embedded farm: submit or go on, write frames as they finish, stop when told to.
+
+use super::report::FrameReport;
+use super::state::State;
+use super::target::Target;
+use crate::clock::Clock;
+use crate::command::client::{self, Farm};
+use crate::command::embedded::Embedded;
+use crate::command::interrupt::Interrupt;
+use crate::exit::{Failure, failed, interrupted};
+use crate::output::{Progress, Say, job as show};
+use crate::request::Asked;
+use femc_model::{Artefact, Control, FrameRecord, JobId, JobState};
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// Between two looks: at first short, for small scenes.
+const FIRST_LOOK: Duration = Duration::from_millis(10);
+const LAST_LOOK: Duration = Duration::from_millis(200);
+
+/// What is rendered, and where it goes.
+pub struct Order<'a> {
+    /// The request.
+    pub asked: &'a Asked,
+    /// Where frames go.
+    pub target: &'a Target,
+    /// All frames asked for.
+    pub frames: &'a [u32],
+    /// Those that are not there yet.
+    pub missing: Vec<u32>,
+    /// The scene's files.
+    pub bundle: Vec<u8>,
+}
+
+/// Render the missing frames.
+pub fn run(order: &Order<'_>, state: &State, say: Say) -> Result<Vec<FrameReport>, Failure> {
+    client::runtime()?.block_on(async {
+        let mut interrupt = Interrupt::listen()?;
+        let farm = Embedded::start(state, order.asked.workers, order.asked.threads).await?;
+        let outcome = frames(order, farm.client(), state, &mut interrupt, say).await;
+        farm.stop().await;
+        outcome
+    })
+}
+
+async fn frames(
+    order: &Order<'_>,
+    farm: &Farm,
+    state: &State,
+    interrupt: &mut Interrupt,
+    say: Say,
+) -> Result<Vec<FrameReport>, Failure> {
+    let bundle = farm.put(order.bundle.clone()).await?;
+    let job = job(order, farm, state, bundle).await?;
+    let mut written = BTreeMap::new();
+    let mut progress = Progress::new(say, Clock);
+    let mut look = FIRST_LOOK;
+    loop {
+        let status = farm.status(job).await?;
+        if status.frames_done as usize > written.len() {
+            for record in farm.frames(job).await? {
+                if let std::collections::btree_map::Entry::Vacant(place) = written.entry(record.frame) {
+                    place.insert(write(order, farm, &record).await?);
+                }
+            }
+        }
+        progress.show(&show::snapshot(&status, Some(order.asked.settings.stop)));
+        if status.state.has_ended() {
+            progress.finish();
+            if status.state != JobState::Done {
+                let mut lines = show::trouble(&status);
+                lines.push(format!(
+                    "{} of {} frames are finished; the same command tries the others again",
+                    status.frames_done, status.frames_total
+                ));
+                return Err(failed(lines.join("\n")));
+            }
+            return Ok(written.into_values().collect());
+        }
+        tokio::select! {
+            () = tokio::time::sleep(look) => look = (look * 3 / 2).min(LAST_LOOK),
+            () = interrupt.wait() => {
+                progress.finish();
+                let done = order.frames.len() - order.missing.len() + written.len();
+                return Err(interrupted(format!(
+                    "interrupted: {done} of {} frames are finished in {}; the same command goes on from there",
+                    order.frames.len(), order.target.display()
+                )));
+            }
+        }
+    }
+}
+
+/// The job that a run before this one left, if it is of these frames, else a new one.
+async fn job(order: &Order<'_>, farm: &Farm, state: &State, bundle: Artefact) -> Result<JobId, Failure> {
+    let frames = state.frames().filter(|frames| order.fit(frames)).unwrap_or_else(|| order.missing.clone());
+    state.keep_frames(&frames)?;
+    let spec = client::job_spec(order.asked, bundle, frames)?;
+    let job = farm.submit(Some(spec.key()), spec).await?;
+    for other in farm.jobs().await? {
+        match other.state {
+            JobState::Paused if other.job == job => farm.control(job, Control::Resume).await?,
+            JobState::Failed | JobState::Cancelled if other.job == job => farm.control(job, Control::Retry).await?,
+            state if other.job != job && !state.has_ended() => farm.control(other.job, Control::Cancel).await?,
+            _ => {}
+        }
+    }
+    Ok(job)
+}
+
+impl Order<'_> {
+    /// Whether a job of `frames` renders all that is missing, and nothing that was not asked for.
+    fn fit(&self, frames: &[u32]) -> bool {
+        let asked_for = frames.iter().all(|frame| self.frames.contains(frame));
+        asked_for && self.missing.iter().all(|frame| frames.contains(frame))
+    }
+}
+
+/// Write a finished frame.
+async fn write(order: &Order<'_>, farm: &Farm, record: &FrameRecord) -> Result<FrameReport, Failure> {
+    let path = order.target.path(record.frame);
+    let bytes = farm.get(&record.image).await?;
+    femc_film::file::write_atomic(&path, &bytes).map_err(failed)?;
+    Ok(FrameReport {
+        frame: record.frame,
+        file: path.display().to_string(),
+        spp: f64::from(record.spp),
+        relative_error: record.relative_error,
+        seconds: record.busy_seconds,
+        bad_samples: record.bad_samples,
+    })
+}

@@ -1,0 +1,126 @@
+//! `femc render SCENE`: the same coordinator and workers as a farm's, inside this process.
+
+mod clip;
+mod drive;
+mod report;
+mod state;
+mod target;
+mod there;
+
+pub use target::frame_name;
+
+use crate::args::{FormatArgs, SettingsArgs};
+use crate::clock::Clock;
+use crate::exit::{Exit, Failure, failed, usage};
+use crate::output::{Say, human, json};
+use crate::request::Asked;
+use clap::Args;
+use drive::Order;
+use femc_model::Digest;
+use report::{FrameReport, Report};
+use state::{Found, Identity, Old, State};
+use std::collections::BTreeMap;
+use std::path::PathBuf;
+use target::Target;
+use there::Wanted;
+
+/// Render a scene on this machine; a run that was stopped goes on where it was
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc render scenes/cornell-fog.mgf -o cornell.exr --spp 256\n  \
+    femc render scenes/roundabout.mgf -o drive --frames 1..24 --size 320x180 --video drive.mp4\n  \
+    femc render scene.mgf -o out --error 0.02 --set medium.fog.sigma_s=0.05 --json\n\n\
+    A second run with the same OUT and settings renders what is missing: frames that are finished stay, and a frame\n\
+    that was interrupted keeps its samples. Frames whose scene or settings differ are rendered anew.")]
+pub struct RenderArgs {
+    /// Scene file, or JOB.toml
+    #[arg(value_name = "SCENE")]
+    scene: PathBuf,
+    /// A name ending in .exr: one frame; else a folder for `<scene>.0001.exr` ... [default: by the scene's name]
+    #[arg(long, short, value_name = "OUT")]
+    out: Option<PathBuf>,
+    /// Make a clip of the frames: by ffmpeg if it is on the PATH, else an animated PNG
+    #[arg(long, value_name = "FILE")]
+    video: Option<PathBuf>,
+    /// Write a PNG beside every EXR
+    #[arg(long)]
+    preview: bool,
+    /// Put all frames on one PNG
+    #[arg(long, value_name = "FILE.png")]
+    contact_sheet: Option<PathBuf>,
+    /// Begin anew, whatever is there
+    #[arg(long)]
+    fresh: bool,
+    #[command(flatten)]
+    settings: SettingsArgs,
+    #[command(flatten)]
+    format: FormatArgs,
+}
+
+/// Render.
+pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
+    let begun = Clock.now();
+    if let Some(sheet) = args.contact_sheet.as_ref().filter(|sheet| sheet.extension().is_none_or(|e| e != "png")) {
+        return Err(usage(format!("--contact-sheet {}: a sheet is a PNG; give FILE.png", sheet.display())));
+    }
+    let extras = clip::Extras::new(&args);
+    let asked = Asked::open(&args.scene, args.settings, say)?;
+    let target = Target::of(args.out.as_deref(), &asked.name(), asked.plan.frames.len())?;
+    let frames = target.frames(&asked, say)?;
+    let wanted = Wanted::new(&asked)?;
+    let mut done: BTreeMap<u32, FrameReport> = if args.fresh {
+        BTreeMap::new()
+    } else {
+        frames.iter().filter_map(|&frame| Some((frame, wanted.there(frame, &target.path(frame))?))).collect()
+    };
+    let missing: Vec<u32> = frames.iter().copied().filter(|frame| !done.contains_key(frame)).collect();
+    let mut report = Report {
+        scene: args.scene.display().to_string(),
+        out: target.display(),
+        size: asked.plan.film,
+        rendered: missing.len(),
+        ..Report::default()
+    };
+    if missing.is_empty() {
+        say.note(format!("{}: finished before, with this scene and these settings", target.display()));
+    } else {
+        let old = if args.fresh { Old::Discard } else { Old::Keep };
+        let order = Order { asked: &asked, target: &target, frames: &frames, missing, bundle: asked.bundle()? };
+        let rendered = render(&order, old, say)?;
+        done.extend(rendered.into_iter().map(|frame| (frame.frame, frame)));
+    }
+    report.sum(done.into_values().collect());
+    report.bad = there::bad_samples(&report.frames);
+    report.seconds = Clock.since(begun).as_secs_f64();
+    clip::write(&asked, &mut report, &extras, say)?;
+    report.warn(say);
+    if args.format.json {
+        json::print(say, &report)?;
+    } else {
+        report.print(say);
+    }
+    Ok(Exit::Done)
+}
+
+/// Render what is missing, from the state beside the output if there is one of this scene and these settings.
+fn render(order: &Order<'_>, old: Old, say: Say) -> Result<Vec<FrameReport>, Failure> {
+    let Order { asked, target, frames, missing, bundle } = order;
+    let identity = Identity {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        bundle: Digest::of(bundle).to_string(),
+        settings: serde_json::to_value(&asked.settings).map_err(failed)?,
+    };
+    let (state, found) = State::open(&target.state(), &identity, old)?;
+    let (out, all) = (target.display(), human::count(frames.len() as u64, "frame"));
+    let others = missing.iter().filter(|&&frame| target.path(frame).exists()).count();
+    match found {
+        Found::Same => say.note(format!("{out}: going on, {} of {all} finished", frames.len() - missing.len())),
+        Found::Nothing if others == 0 => {}
+        Found::Nothing | Found::Other => {
+            say.note(format!("{out}: what is there has another scene or other settings; rendering anew"));
+        }
+    }
+    let rendered = drive::run(order, &state, say)?;
+    state.remove().map_err(|e| failed(format!("{}: {e}", target.state().display())))?;
+    Ok(rendered)
+}

@@ -1,0 +1,182 @@
+//! What a render says at its end.
+
+use crate::output::{Say, human};
+use serde::Serialize;
+use std::fmt;
+
+/// The summary: `--json` prints it whole.
+#[derive(Debug, Default, Serialize)]
+pub struct Report {
+    /// Scene file.
+    pub scene: String,
+    /// OUT.
+    pub out: String,
+    /// The frames' files, in order of frames.
+    pub files: Vec<String>,
+    /// The frames.
+    pub frames: Vec<FrameReport>,
+    /// Frames that this run finished; the others were there.
+    pub rendered: usize,
+    /// Film size, pixels.
+    pub size: [u32; 2],
+    /// Wall-clock time of this run, s.
+    pub seconds: f64,
+    /// Mean samples a pixel over all frames.
+    pub spp: f64,
+    /// Worst relative error of a frame, where it is known.
+    pub relative_error: Option<f64>,
+    /// Camera samples in all frames.
+    pub samples: u64,
+    /// Samples left out because they were not finite, negative or beyond all range.
+    pub bad_samples: u64,
+    /// Where they were.
+    pub bad: Vec<BadReport>,
+    /// PNG files beside the frames.
+    pub previews: Vec<String>,
+    /// The clip.
+    pub video: Option<String>,
+    /// The sheet.
+    pub contact_sheet: Option<String>,
+}
+
+/// A frame.
+#[derive(Clone, Debug, Serialize)]
+pub struct FrameReport {
+    /// Its number.
+    pub frame: u32,
+    /// Its file.
+    pub file: String,
+    /// Samples a pixel.
+    pub spp: f64,
+    /// Worst relative error of a block at 95 % confidence, where it is known.
+    pub relative_error: Option<f64>,
+    /// Seconds that workers spent on it, summed.
+    pub seconds: f64,
+    /// Samples left out.
+    pub bad_samples: u64,
+}
+
+/// Bad samples of a frame.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct BadReport {
+    /// The frame.
+    pub frame: u32,
+    /// With a NaN.
+    pub nan: u64,
+    /// With an infinity.
+    pub infinite: u64,
+    /// With a negative component.
+    pub negative: u64,
+    /// Beyond the largest radiance that is taken.
+    pub out_of_range: u64,
+    /// The first of them by row, column and sample.
+    pub first: Option<First>,
+}
+
+/// A sample by its pixel and number.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+pub struct First {
+    /// Column.
+    pub x: u32,
+    /// Row.
+    pub y: u32,
+    /// Number in the pixel.
+    pub sample: u32,
+}
+
+impl BadReport {
+    /// All kinds.
+    pub fn total(&self) -> u64 {
+        self.nan + self.infinite + self.negative + self.out_of_range
+    }
+}
+
+impl fmt::Display for BadReport {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(
+            f,
+            "frame {}: {} NaN, {} infinite, {} negative, {} out of range",
+            self.frame, self.nan, self.infinite, self.negative, self.out_of_range
+        )?;
+        match self.first {
+            Some(First { x, y, sample }) => write!(f, "; the first: pixel {x},{y}, sample {sample}"),
+            None => Ok(()),
+        }
+    }
+}
+
+impl Report {
+    /// Sum the frames up.
+    pub fn sum(&mut self, frames: Vec<FrameReport>) {
+        let pixels = u64::from(self.size[0]) * u64::from(self.size[1]);
+        self.files = frames.iter().map(|frame| frame.file.clone()).collect();
+        let spp: f64 = frames.iter().map(|frame| frame.spp).sum();
+        self.spp = spp / frames.len().max(1) as f64;
+        self.samples = (spp * pixels as f64).round() as u64;
+        self.relative_error = frames.iter().filter_map(|frame| frame.relative_error).reduce(f64::max);
+        self.bad_samples = frames.iter().map(|frame| frame.bad_samples).sum();
+        self.frames = frames;
+    }
+
+    /// Warnings on stderr, of what must not pass unseen.
+    pub fn warn(&self, say: Say) {
+        if self.bad_samples > 0 {
+            let all = human::count(self.bad_samples, "bad sample");
+            say.warning(format!(
+                "{all} of {} left out of the image; please report the scene",
+                human::quantity(self.samples as f64)
+            ));
+            for bad in &self.bad {
+                say.warning(bad);
+            }
+        }
+    }
+
+    /// For people, on stdout.
+    pub fn print(&self, say: Say) {
+        let [width, height] = self.size;
+        let what = match self.frames.as_slice() {
+            [one] => one.file.clone(),
+            frames => format!("{}: {} frames", self.out, frames.len()),
+        };
+        let mut line = format!("{what}, {width}x{height} pixels, {} samples a pixel", trimmed(self.spp));
+        if let Some(error) = self.relative_error.filter(|error| error.is_finite()) {
+            line += &format!(", relative error {}", human::percent(error));
+        }
+        line += &format!(", {}", human::seconds(self.seconds));
+        let kept = self.frames.len() - self.rendered.min(self.frames.len());
+        if kept > 0 {
+            line += &format!(" ({} finished before)", human::count(kept as u64, "frame"));
+        }
+        say.result(line);
+        for made in [&self.video, &self.contact_sheet].into_iter().flatten() {
+            say.result(made);
+        }
+    }
+}
+
+/// A number without decimals that say nothing.
+fn trimmed(n: f64) -> String {
+    if n.fract() == 0.0 { format!("{n:.0}") } else { format!("{n:.1}") }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_sum_counts_all_frames_and_keeps_the_worst_error() {
+        let frame = |frame, spp, relative_error| FrameReport {
+            frame,
+            file: format!("{frame}.exr"),
+            spp,
+            relative_error,
+            seconds: 1.0,
+            bad_samples: 2,
+        };
+        let mut report = Report { size: [4, 2], ..Report::default() };
+        report.sum(vec![frame(1, 16.0, Some(0.1)), frame(2, 32.0, Some(0.2)), frame(3, 16.0, None)]);
+        assert_eq!((report.samples, report.bad_samples, report.relative_error), (512, 6, Some(0.2)));
+        assert_eq!(report.files, ["1.exr", "2.exr", "3.exr"]);
+    }
+}

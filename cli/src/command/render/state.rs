@@ -1,0 +1,178 @@
+//! What is kept beside the output until it is finished: the farm's log and artefacts, what they are for, and a lock.
+
+use crate::exit::{Failure, failed};
+use serde::{Deserialize, Serialize};
+use std::fs::{self, File, TryLockError};
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+/// Two runs with equal identities render the same bytes, so that one may go on from the other's state.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Identity {
+    /// Version of the program.
+    pub version: String,
+    /// Content hash of the scene's files.
+    pub bundle: String,
+    /// Render settings.
+    pub settings: serde_json::Value,
+}
+
+/// What to do with a state that is there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Old {
+    /// Go on from it, if its identity is the same.
+    Keep,
+    /// Remove it.
+    Discard,
+}
+
+/// How a state was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Found {
+    /// There was none.
+    Nothing,
+    /// One of the same identity: go on from it.
+    Same,
+    /// One of another identity; it has been removed.
+    Other,
+}
+
+/// The folder of the state, locked against a second process while this value lives.
+#[derive(Debug)]
+pub struct State {
+    folder: PathBuf,
+    _lock: File,
+}
+
+impl State {
+    /// Open the state in `folder`, made if it is not there; a state of another identity is removed.
+    pub fn open(folder: &Path, identity: &Identity, old: Old) -> Result<(Self, Found), Failure> {
+        let at = |what: &str, e: &dyn std::fmt::Display| failed(format!("{}: {what}: {e}", folder.display()));
+        fs::create_dir_all(folder).map_err(|e| at("cannot be made", &e))?;
+        let lock = File::create(folder.join("lock")).map_err(|e| at("cannot be written", &e))?;
+        match lock.try_lock() {
+            Ok(()) => {}
+            Err(TryLockError::WouldBlock) => {
+                return Err(failed(format!(
+                    "{}: another femc renders there; wait for it, or give another OUT",
+                    folder.display()
+                )));
+            }
+            Err(TryLockError::Error(e)) => return Err(at("cannot be locked", &e)),
+        }
+        let state = Self { folder: folder.to_owned(), _lock: lock };
+        let file = folder.join("identity.json");
+        let found = match fs::read(&file) {
+            Ok(text) if old == Old::Keep && same(&text, identity) => Found::Same,
+            Ok(_) => {
+                state.clear().map_err(|e| at("cannot be emptied", &e))?;
+                Found::Other
+            }
+            Err(_) => Found::Nothing,
+        };
+        if found != Found::Same {
+            let text = serde_json::to_vec_pretty(identity).map_err(failed)?;
+            let written = File::create(&file).and_then(|mut file| file.write_all(&text).and_then(|()| file.sync_all()));
+            written.map_err(|e| at("cannot be written", &e))?;
+        }
+        Ok((state, found))
+    }
+
+    /// The log of the embedded farm.
+    pub fn log(&self) -> PathBuf {
+        self.folder.join("farm.db")
+    }
+
+    /// The artefacts of the embedded farm.
+    pub fn artifacts(&self) -> PathBuf {
+        self.folder.join("artifacts")
+    }
+
+    /// The frames of the job in the log; `None` before there is one.
+    pub fn frames(&self) -> Option<Vec<u32>> {
+        serde_json::from_slice(&fs::read(self.folder.join("frames.json")).ok()?).ok()
+    }
+
+    /// Remember the frames of the job, before it is submitted.
+    pub fn keep_frames(&self, frames: &[u32]) -> Result<(), Failure> {
+        let text = serde_json::to_vec(frames).map_err(failed)?;
+        femc_film::file::write_atomic(&self.folder.join("frames.json"), &text).map_err(failed)
+    }
+
+    /// The work is done: leave nothing behind.
+    pub fn remove(self) -> std::io::Result<()> {
+        fs::remove_dir_all(&self.folder)
+    }
+
+    /// Remove all but the lock.
+    fn clear(&self) -> std::io::Result<()> {
+        for entry in fs::read_dir(&self.folder)? {
+            let entry = entry?;
+            if entry.file_type()?.is_dir() {
+                fs::remove_dir_all(entry.path())?;
+            } else if entry.file_name() != "lock" {
+                fs::remove_file(entry.path())?;
+            }
+        }
+        Ok(())
+    }
+}
+
+fn same(text: &[u8], identity: &Identity) -> bool {
+    serde_json::from_slice::<Identity>(text).is_ok_and(|found| found == *identity)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn identity(seed: u64) -> Identity {
+        Identity { version: "1".into(), bundle: "b".into(), settings: serde_json::json!({ "seed": seed }) }
+    }
+
+    #[test]
+    fn a_state_is_found_again_by_the_same_identity_and_emptied_by_another() {
+        let place = tempfile::tempdir().expect("a folder");
+        let folder = place.path().join("out/.femc");
+        let open = |seed| State::open(&folder, &identity(seed), Old::Keep).expect("a state");
+        let (state, found) = open(1);
+        assert_eq!(found, Found::Nothing);
+        fs::write(state.log(), "log").expect("written");
+        fs::create_dir(state.artifacts()).expect("made");
+        drop(state);
+        let (state, found) = open(1);
+        assert_eq!((found, state.log().exists()), (Found::Same, true));
+        drop(state);
+        let (state, found) = open(2);
+        assert_eq!((found, state.log().exists(), state.artifacts().exists()), (Found::Other, false, false));
+        state.remove().expect("removed");
+        assert!(!folder.exists() && place.path().join("out").exists());
+    }
+
+    #[test]
+    fn a_state_is_discarded_on_demand() {
+        let place = tempfile::tempdir().expect("a folder");
+        let open = |old| State::open(place.path(), &identity(1), old).expect("a state");
+        let (state, _) = open(Old::Keep);
+        fs::write(state.log(), "log").expect("written");
+        drop(state);
+        let (state, found) = open(Old::Discard);
+        assert_eq!((found, state.log().exists()), (Found::Other, false));
+    }
+
+    #[test]
+    fn a_state_in_use_is_refused() {
+        let place = tempfile::tempdir().expect("a folder");
+        let first = State::open(place.path(), &identity(1), Old::Keep).expect("a state");
+        let second = State::open(place.path(), &identity(1), Old::Keep).expect_err("a refusal");
+        assert!(second.message.contains("another femc"), "{second}");
+        drop(first);
+    }
+
+    #[test]
+    fn a_damaged_identity_is_another_one() {
+        let place = tempfile::tempdir().expect("a folder");
+        fs::write(place.path().join("identity.json"), "{").expect("written");
+        assert_eq!(State::open(place.path(), &identity(1), Old::Keep).expect("a state").1, Found::Other);
+    }
+}

@@ -1,0 +1,138 @@
+//! Where frames go: OUT ending in `.exr` is one image, anything else a folder of numbered ones.
+
+use crate::exit::{Failure, usage};
+use crate::output::Say;
+use crate::request::{Asked, FramesChosen};
+use std::path::{Path, PathBuf};
+
+/// Where frames go.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Target {
+    /// One frame, one file.
+    Image(PathBuf),
+    /// Frames `<stem>.0001.exr` ... in a folder.
+    Folder {
+        /// The folder.
+        folder: PathBuf,
+        /// The scene's name.
+        stem: String,
+    },
+}
+
+impl Target {
+    /// What `out` means for a scene called `stem` of `frames` frames.
+    pub fn of(out: Option<&Path>, stem: &str, frames: usize) -> Result<Self, Failure> {
+        let Some(out) = out else {
+            let (image, folder) = (PathBuf::from(format!("{stem}.exr")), PathBuf::from(stem));
+            return Ok(if frames == 1 { Self::Image(image) } else { Self::Folder { folder, stem: stem.to_owned() } });
+        };
+        let shown = out.display();
+        let extension = out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
+        match extension.as_str() {
+            "exr" if out.is_dir() => Err(usage(format!("-o {shown} is a folder; a name ending in .exr is one image"))),
+            "exr" => Ok(Self::Image(out.to_owned())),
+            "png" | "jpg" | "jpeg" | "hdr" | "tif" | "tiff" => Err(usage(format!(
+                "-o {shown}: frames are written as EXR; give NAME.exr, and --preview for a PNG beside it"
+            ))),
+            "mp4" | "mkv" | "webm" | "mov" | "gif" | "apng" => Err(usage(format!(
+                "-o {shown}: OUT is for the frames; give a folder, and --video {shown} for the clip"
+            ))),
+            _ if out.is_file() => Err(usage(format!(
+                "-o {shown} is a file that does not end in .exr; give NAME.exr for one frame, or a folder"
+            ))),
+            _ => Ok(Self::Folder { folder: out.to_owned(), stem: stem.to_owned() }),
+        }
+    }
+
+    /// The frames that go there: of a clip whose frames nobody chose, an image takes the first.
+    pub fn frames(&self, asked: &Asked, say: Say) -> Result<Vec<u32>, Failure> {
+        let frames = &asked.plan.frames;
+        match (self, frames.as_slice(), asked.frames_chosen) {
+            (Self::Image(path), [first, _, ..], FramesChosen::All) => {
+                let last = frames.last().copied().unwrap_or(*first);
+                let path = path.display();
+                say.note(format!(
+                    "{path} is one image: rendering frame {first} of {first}..{last} (a folder as OUT gets all)"
+                ));
+                Ok(vec![*first])
+            }
+            (Self::Image(path), [_, _, ..], FramesChosen::Typed) => Err(usage(format!(
+                "-o {}: --frames chooses {} frames, and a name ending in .exr is one; give a folder, or one frame",
+                path.display(),
+                frames.len()
+            ))),
+            _ => Ok(frames.clone()),
+        }
+    }
+
+    /// The file of a frame.
+    pub fn path(&self, frame: u32) -> PathBuf {
+        match self {
+            Self::Image(path) => path.clone(),
+            Self::Folder { folder, stem } => folder.join(frame_name(stem, frame)),
+        }
+    }
+
+    /// The folder of what is needed to go on after a stop.
+    pub fn state(&self) -> PathBuf {
+        match self {
+            Self::Image(path) => {
+                let mut name = path.clone().into_os_string();
+                name.push(".femc");
+                name.into()
+            }
+            Self::Folder { folder, .. } => folder.join(".femc"),
+        }
+    }
+
+    /// What the user calls it.
+    pub fn display(&self) -> String {
+        match self {
+            Self::Image(path) => path.display().to_string(),
+            Self::Folder { folder, .. } => folder.display().to_string(),
+        }
+    }
+}
+
+/// `<stem>.0007.exr`.
+pub fn frame_name(stem: &str, frame: u32) -> String {
+    format!("{stem}.{frame:04}.exr")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn of(out: &str, frames: usize) -> Option<Target> {
+        Target::of(Some(Path::new(out)), "fog", frames).ok()
+    }
+
+    #[test]
+    fn a_name_ending_in_exr_is_an_image_and_keeps_its_state_beside_it() {
+        let target = of("a/b.exr", 1).expect("a target");
+        assert_eq!(target.path(7), Path::new("a/b.exr"));
+        assert_eq!(target.state(), Path::new("a/b.exr.femc"));
+    }
+
+    #[test]
+    fn any_other_name_is_a_folder_of_numbered_frames() {
+        let target = of("clip", 1).expect("a target");
+        assert_eq!(target.path(7), Path::new("clip/fog.0007.exr"));
+        assert_eq!(target.path(12345), Path::new("clip/fog.12345.exr"));
+        assert_eq!(target.state(), Path::new("clip/.femc"));
+    }
+
+    #[test]
+    fn without_a_name_a_still_is_an_image_and_a_clip_a_folder() {
+        assert_eq!(Target::of(None, "fog", 1).ok(), Some(Target::Image("fog.exr".into())));
+        let folder = Target::Folder { folder: "fog".into(), stem: "fog".into() };
+        assert_eq!(Target::of(None, "fog", 2).ok(), Some(folder));
+    }
+
+    #[test]
+    fn names_that_promise_another_format_are_refused() {
+        for out in ["a.png", "a.JPG", "clip.mp4", "clip.gif"] {
+            assert_eq!(of(out, 1), None, "{out}");
+        }
+    }
+}

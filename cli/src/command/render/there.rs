@@ -1,0 +1,85 @@
+//! Frames that a run before this one finished: known by what their files say of themselves.
+
+use super::report::{BadReport, First, FrameReport};
+use crate::exit::{Failure, failed};
+use crate::request::Asked;
+use std::path::Path;
+
+/// What the file of a finished frame says.
+#[derive(Debug)]
+pub struct Wanted {
+    settings: serde_json::Value,
+    scene: String,
+}
+
+impl Wanted {
+    /// Of what was asked for.
+    pub fn new(asked: &Asked) -> Result<Self, Failure> {
+        let settings = serde_json::to_value(&asked.settings).map_err(failed)?;
+        Ok(Self { settings, scene: asked.scene.digest().to_string() })
+    }
+
+    /// The frame in `path`, if it is there, whole, and of this version, scene and settings.
+    pub fn there(&self, frame: u32, path: &Path) -> Option<FrameReport> {
+        let attributes = femc_film::exr::read_attributes(path).ok()?;
+        let says = |name: &str| attributes.get(&format!("femc:{name}")).map(String::as_str);
+        let settings: serde_json::Value = serde_json::from_str(says("settings")?).ok()?;
+        let same = says("version") == Some(env!("CARGO_PKG_VERSION"))
+            && says("scene") == Some(&self.scene)
+            && says("frame")?.parse() == Ok(frame)
+            && settings == self.settings;
+        if !same {
+            return None;
+        }
+        let number = |name| says(name)?.parse::<f64>().ok();
+        Some(FrameReport {
+            frame,
+            file: path.display().to_string(),
+            spp: number("spp")?,
+            relative_error: number("relative_error"),
+            seconds: number("seconds")?,
+            bad_samples: says("bad_samples").and_then(|text| account(frame, text)).map_or(0, |bad| bad.total()),
+        })
+    }
+}
+
+/// The accounts of all frames that have bad samples, from their files.
+pub fn bad_samples(frames: &[FrameReport]) -> Vec<BadReport> {
+    let account_of = |frame: &FrameReport| {
+        let attributes = femc_film::exr::read_attributes(Path::new(&frame.file)).ok()?;
+        account(frame.frame, attributes.get("femc:bad_samples")?)
+    };
+    frames.iter().filter(|frame| frame.bad_samples > 0).filter_map(account_of).collect()
+}
+
+/// Reads `nan=2 infinite=0 negative=0 out-of-range=0 first=3,4,9`.
+fn account(frame: u32, text: &str) -> Option<BadReport> {
+    let field = |name: &str| text.split(' ').find_map(|word| word.strip_prefix(name)?.strip_prefix('='));
+    let count = |name| field(name)?.parse().ok();
+    let first = field("first").map(|place| {
+        let mut numbers = place.split(',').map(|number| number.parse().unwrap_or(0));
+        let mut next = || numbers.next().unwrap_or(0);
+        First { x: next(), y: next(), sample: next() }
+    });
+    Some(BadReport {
+        frame,
+        nan: count("nan")?,
+        infinite: count("infinite")?,
+        negative: count("negative")?,
+        out_of_range: count("out-of-range")?,
+        first,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_account_of_bad_samples_is_read_back() {
+        let bad = account(7, "nan=2 infinite=0 negative=1 out-of-range=0 first=3,4,9").expect("an account");
+        assert_eq!((bad.total(), bad.nan, bad.negative), (3, 2, 1));
+        assert_eq!(bad.first, Some(First { x: 3, y: 4, sample: 9 }));
+        assert_eq!(account(7, "none"), None);
+    }
+}

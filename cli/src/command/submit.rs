@@ -1,0 +1,68 @@
+//! `femc submit SCENE|JOB.toml`: queue a job.
+
+use super::client;
+use crate::args::{FormatArgs, ServerArgs, SettingsArgs};
+use crate::exit::{Exit, Failure};
+use crate::output::{Say, human, json};
+use crate::request::Asked;
+use clap::Args;
+use serde::Serialize;
+use std::path::PathBuf;
+
+/// Queue a job on the farm, with all files that its scene needs; prints the job's number
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc submit scenes/roundabout.mgf --frames 1..120 --error 0.05\n  \
+    femc submit job.toml --priority 80\n  \
+    job=$(femc submit scene.mgf | tail -1); femc watch $job && femc fetch $job -o out\n\n\
+    A farm's workers have their own threads: --workers and --threads change nothing here.")]
+pub struct SubmitArgs {
+    /// Scene file, or JOB.toml
+    #[arg(value_name = "SCENE|JOB.toml")]
+    scene: PathBuf,
+    #[command(flatten)]
+    settings: SettingsArgs,
+    /// 0 to 100, greater goes first [default: 50]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=100))]
+    priority: Option<u8>,
+    /// Workers that may take it have all of these
+    #[arg(long, value_name = "A,B", value_delimiter = ',')]
+    tags: Vec<String>,
+    /// Who the job belongs to [default: the user's name]
+    #[arg(long, value_name = "NAME")]
+    owner: Option<String>,
+    #[command(flatten)]
+    format: FormatArgs,
+    #[command(flatten)]
+    server: ServerArgs,
+}
+
+#[derive(Serialize)]
+struct Report {
+    job: u64,
+}
+
+/// Submit.
+pub fn run(args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
+    let asked = Asked::open(&args.scene, args.settings, say)?;
+    let bundle = asked.bundle()?;
+    let count = human::count(asked.plan.frames.len() as u64, "frame");
+    let size = human::quantity(bundle.len() as f64);
+    let job = client::block_on(&args.server, async |farm| {
+        let bundle = farm.put(bundle).await?;
+        let mut spec = client::job_spec(&asked, bundle, asked.plan.frames.clone())?;
+        spec.priority = args.priority.unwrap_or(spec.priority);
+        spec.owner = args.owner.unwrap_or(spec.owner);
+        if !args.tags.is_empty() {
+            spec.tags = args.tags;
+        }
+        farm.submit(None, spec).await
+    })?;
+    if args.format.json {
+        json::print(say, &Report { job: job.0 })?;
+    } else {
+        say.note(format!("{}: {count}, {size}B of scene; `femc watch {job}` shows its progress", asked.path.display()));
+        say.result(job);
+    }
+    Ok(Exit::Done)
+}

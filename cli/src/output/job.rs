@@ -1,0 +1,244 @@
+//! Jobs, for people and for machines.
+
+use super::{Say, Snapshot, human};
+use crate::exit::Exit;
+use femc_model::{FrameProgress, JobState, JobStatus, StageKind, Wait};
+use femc_pipeline::Stop;
+use serde::Serialize;
+
+/// A job as JSON: the names of states in lower case, so that scripts compare words, not a program's spelling.
+#[derive(Debug, Serialize)]
+pub struct JobJson {
+    job: u64,
+    name: String,
+    state: &'static str,
+    owner: String,
+    priority: u8,
+    frames: u32,
+    frames_done: u32,
+    frames_failed: u32,
+    samples: u64,
+    samples_most: u64,
+    samples_per_second: f64,
+    bad_samples: u64,
+    relative_error: Option<f64>,
+    seconds: f64,
+    workers: u32,
+    failure: Option<String>,
+    active: Vec<ActiveJson>,
+    quarantined: Vec<QuarantinedJson>,
+    waits: Vec<String>,
+}
+
+#[derive(Debug, Serialize)]
+struct ActiveJson {
+    frame: u32,
+    stage: &'static str,
+    round: u32,
+    rounds: u32,
+    tiles_done: u32,
+    tiles: u32,
+    running: u32,
+    samples: u64,
+    relative_error: Option<f64>,
+}
+
+#[derive(Debug, Serialize)]
+struct QuarantinedJson {
+    frame: u32,
+    attempts: u32,
+    failure: String,
+}
+
+impl From<&JobStatus> for JobJson {
+    fn from(job: &JobStatus) -> Self {
+        Self {
+            job: job.job.0,
+            name: job.name.clone(),
+            state: state(job.state),
+            owner: job.owner.clone(),
+            priority: job.priority,
+            frames: job.frames_total,
+            frames_done: job.frames_done,
+            frames_failed: job.frames_failed,
+            samples: job.samples_done,
+            samples_most: job.samples_planned,
+            samples_per_second: job.samples_per_second,
+            bad_samples: job.bad_samples,
+            relative_error: job.relative_error,
+            seconds: job.seconds,
+            workers: job.workers,
+            failure: job.failure.as_ref().map(ToString::to_string),
+            active: job.active.iter().map(ActiveJson::from).collect(),
+            quarantined: job
+                .quarantined
+                .iter()
+                .map(|q| QuarantinedJson {
+                    frame: q.task.stage.frame,
+                    attempts: q.attempts,
+                    failure: q.failure.to_string(),
+                })
+                .collect(),
+            waits: job.waits.iter().map(wait).collect(),
+        }
+    }
+}
+
+impl From<&FrameProgress> for ActiveJson {
+    fn from(frame: &FrameProgress) -> Self {
+        Self {
+            frame: frame.frame,
+            stage: stage(frame.stage),
+            round: frame.round + 1,
+            rounds: frame.rounds,
+            tiles_done: frame.tiles_done,
+            tiles: frame.tiles_total,
+            running: frame.running,
+            samples: frame.samples_done,
+            relative_error: frame.relative_error,
+        }
+    }
+}
+
+/// The state in one word.
+pub fn state(state: JobState) -> &'static str {
+    match state {
+        JobState::Queued => "queued",
+        JobState::Running => "running",
+        JobState::Paused => "paused",
+        JobState::Done => "done",
+        JobState::Failed => "failed",
+        JobState::Cancelled => "cancelled",
+    }
+}
+
+fn stage(stage: StageKind) -> &'static str {
+    match stage {
+        StageKind::Render => "render",
+        StageKind::Merge => "merge",
+    }
+}
+
+/// The exit code of a job that has ended; `None` while it goes on.
+pub fn exit(state: JobState) -> Option<Exit> {
+    match state {
+        JobState::Queued | JobState::Running | JobState::Paused => None,
+        JobState::Done => Some(Exit::Done),
+        JobState::Failed | JobState::Cancelled => Some(Exit::Failed),
+    }
+}
+
+/// Why tasks wait.
+pub fn wait(wait: &Wait) -> String {
+    match wait {
+        Wait::Paused => "the job is paused".to_owned(),
+        Wait::NoWorkers => "no worker is there; start one with `femc worker --join URL`".to_owned(),
+        Wait::NoWorkerWithTags(tags) => format!("no worker has all the tags {}", tags.join(", ")),
+        Wait::WorkersBusy { workers: 1 } => "the only worker that may take it is busy".to_owned(),
+        Wait::WorkersBusy { workers } => format!("all {workers} workers that may take it are busy"),
+        Wait::WorkersResting => "the workers that may take it rest after a failure of disk, store or network".to_owned(),
+        Wait::BehindJob(job) => format!("job {job} goes first"),
+        Wait::MergeWaitsForTiles { frame, tiles } => {
+            format!("the merge of frame {frame} waits for {}", human::count(u64::from(*tiles), "tile"))
+        }
+        Wait::Quarantined { frame, tasks } => {
+            format!("frame {frame} cannot go on: {} out of attempts", human::count(u64::from(*tasks), "task"))
+        }
+    }
+}
+
+/// How far a job is, for the progress display.
+/// - `stop`: the job's stopping rule where it is known; without it the time left is told from finished frames alone.
+pub fn snapshot(job: &JobStatus, stop: Option<Stop>) -> Snapshot {
+    let in_work: f64 = job.active.iter().map(|frame| part_done(frame, stop)).sum();
+    let open = f64::from(job.frames_total.saturating_sub(job.frames_done));
+    Snapshot {
+        frames_done: u64::from(job.frames_done),
+        frames: u64::from(job.frames_total),
+        tiles_done: job.active.iter().map(|frame| u64::from(frame.tiles_done)).sum(),
+        tiles: job.active.iter().map(|frame| u64::from(frame.tiles_total)).sum(),
+        samples: job.samples_done,
+        fraction: (f64::from(job.frames_done) + in_work.min(open)) / f64::from(job.frames_total.max(1)),
+        relative_error: job.relative_error,
+    }
+}
+
+/// The part of a frame in work that is done, 0..1. With an error as the goal, from the error of the round before:
+/// it falls with the square root of the samples.
+fn part_done(frame: &FrameProgress, stop: Option<Stop>) -> f64 {
+    let of_round = f64::from(frame.tiles_done) / f64::from(frame.tiles_total.max(1));
+    match (stop, frame.relative_error) {
+        (Some(Stop::Spp(_)), _) => of_round / f64::from(frame.rounds.max(1)),
+        (Some(Stop::Error(goal)), Some(reached)) if reached > goal && reached.is_finite() => {
+            // The rounds double: this one began at 2^(round - 1) first rounds and ends at 2^round.
+            let begun = (goal / reached).powi(2);
+            (begun * (1.0 + of_round)).min(0.95)
+        }
+        _ => 0.0,
+    }
+}
+
+/// The table of `femc jobs`.
+pub fn table(jobs: &[JobStatus]) -> String {
+    let rows: Vec<Vec<String>> = jobs
+        .iter()
+        .map(|job| {
+            vec![
+                job.job.to_string(),
+                job.name.clone(),
+                state(job.state).to_owned(),
+                format!("{}/{}", job.frames_done, job.frames_total),
+                job.priority.to_string(),
+                job.owner.clone(),
+                job.workers.to_string(),
+                human::seconds(job.seconds),
+            ]
+        })
+        .collect();
+    human::table(&["job", "name", "state", "frames", "priority", "owner", "workers", "time"], &rows)
+}
+
+/// All about one job.
+pub fn describe(say: Say, job: &JobStatus) -> String {
+    let mut lines = vec![say.heading(&format!("job {} ({}): {}", job.job, job.name, state(job.state)))];
+    let mut frames = format!("frames   {} of {} done", job.frames_done, job.frames_total);
+    if job.frames_failed > 0 {
+        frames += &say.bad(&format!(", {} failed", job.frames_failed));
+    }
+    lines.push(frames);
+    let mut samples = format!("samples  {}", human::quantity(job.samples_done as f64));
+    if job.samples_per_second > 0.0 {
+        samples += &format!(", {} a second", human::quantity(job.samples_per_second));
+    }
+    if let Some(error) = job.relative_error {
+        samples += &format!(", relative error {}", human::percent(error));
+    }
+    lines.push(samples);
+    if job.bad_samples > 0 {
+        lines.push(say.doubtful(&format!("         {} left out: not finite", human::count(job.bad_samples, "sample"))));
+    }
+    lines.push(format!("time     {}, {} at it", human::seconds(job.seconds), human::count(job.workers.into(), "worker")));
+    for frame in &job.active {
+        lines.push(format!(
+            "frame {}: {}, round {} of {}, {} of {} tiles done, {} running",
+            frame.frame,
+            stage(frame.stage),
+            frame.round + 1,
+            frame.rounds,
+            frame.tiles_done,
+            frame.tiles_total,
+            frame.running
+        ));
+    }
+    lines.extend(trouble(job).into_iter().map(|line| say.bad(&line)));
+    lines.join("\n")
+}
+
+/// Why a job has failed, or some task of it is out of attempts.
+pub fn trouble(job: &JobStatus) -> Vec<String> {
+    let whole = job.failure.iter().map(|failure| format!("failed: {failure}"));
+    let tasks = job.quarantined.iter().map(|q| {
+        format!("frame {} failed {}: {}", q.task.stage.frame, human::count(q.attempts.into(), "time"), q.failure)
+    });
+    whole.chain(tasks).collect()
+}

@@ -1,0 +1,189 @@
+//! A scene or a job file on the command line, with the settings typed, made into a plan.
+
+use super::{JobFile, Size};
+use crate::args::{Filter, Method, SettingsArgs};
+use crate::exit::{Failure, failed, usage};
+use crate::output::Say;
+use femc_import::{Bundle, Disk, ImportError, Loaded};
+use femc_pipeline::{Plan, PlanError, Settings, Stop};
+use femc_scene::Scene;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+
+/// What was asked for, checked against its scene.
+pub struct Asked {
+    /// The scene file.
+    pub path: PathBuf,
+    /// The scene, overrides applied.
+    pub scene: Arc<Scene>,
+    /// Files that the scene is made of, relative to its folder.
+    pub files: Vec<String>,
+    /// The settings as meant.
+    pub settings: Settings,
+    /// What would run.
+    pub plan: Plan,
+    /// Whether the frames were chosen (or are all of a still).
+    pub frames_chosen: FramesChosen,
+    /// Embedded workers, >= 1.
+    pub workers: u32,
+    /// Threads of each worker; `None`: all cores.
+    pub threads: Option<u32>,
+    /// Priority of a job file.
+    pub priority: Option<u8>,
+    /// Tags of a job file.
+    pub tags: Vec<String>,
+}
+
+/// Who chose the frames.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum FramesChosen {
+    /// `--frames`, or `frames` of the job file.
+    Typed,
+    /// Nobody: all frames of the clip.
+    All,
+}
+
+impl Asked {
+    /// Read the scene or job file `path`, apply `typed`, plan. Warnings of the import go to stderr.
+    pub fn open(path: &Path, typed: SettingsArgs, say: Say) -> Result<Self, Failure> {
+        let (path, typed, priority, tags) = if path.extension().is_some_and(|extension| extension == "toml") {
+            let job = JobFile::load(path).map_err(usage)?;
+            (job.scene, typed.over(job.settings), job.priority, job.tags)
+        } else {
+            (path.to_owned(), typed, None, Vec::new())
+        };
+        let loaded = load(&path)?;
+        for warning in &loaded.warnings {
+            say.note(format!("warning: {}", beside(&path, warning)));
+        }
+        let mut scene = loaded.scene;
+        let settings = settings(&typed);
+        settings.apply(&mut scene).map_err(|e| usage(format!("--set: {e}")))?;
+        let frames = typed
+            .frames
+            .map(|frames| frames.resolve(scene.frame_count()))
+            .transpose()
+            .map_err(|e| usage(format!("--frames: {e}")))?;
+        let plan = femc_pipeline::plan(&scene, &settings, frames.as_deref()).map_err(|e| refused(&path, &e))?;
+        Ok(Self {
+            path,
+            scene: Arc::new(scene),
+            files: loaded.files,
+            settings,
+            plan,
+            frames_chosen: if frames.is_some() { FramesChosen::Typed } else { FramesChosen::All },
+            workers: typed.workers.unwrap_or(1),
+            threads: typed.threads,
+            priority,
+            tags,
+        })
+    }
+
+    /// Name of the scene file within its folder: the entry of the bundle.
+    pub fn entry(&self) -> String {
+        self.path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+    }
+
+    /// The scene file's stem: the first part of frames' names.
+    pub fn name(&self) -> String {
+        self.path.file_stem().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+    }
+
+    /// All files of the scene as one artefact.
+    pub fn bundle(&self) -> Result<Vec<u8>, Failure> {
+        let cannot = |e: &dyn std::fmt::Display| failed(format!("{}: cannot be bundled: {e}", self.path.display()));
+        let bundle = Bundle::gather(&Disk::new(folder(&self.path)), &self.files).map_err(|e| cannot(&e))?;
+        bundle.encode().map_err(|e| cannot(&e))
+    }
+}
+
+/// Import the scene at `path`, faults named by the path as typed.
+pub fn load(path: &Path) -> Result<Loaded, Failure> {
+    match path.metadata() {
+        Err(e) => return Err(usage(format!("{}: {e}; give the path of a scene file", path.display()))),
+        Ok(data) if data.is_dir() => {
+            return Err(usage(format!("{} is a folder; give the path of a scene file", path.display())));
+        }
+        Ok(_) => {}
+    }
+    femc_import::load_path(path).map_err(|e| unimportable(path, &e))
+}
+
+fn unimportable(path: &Path, e: &ImportError) -> Failure {
+    failed(beside(path, e))
+}
+
+/// A message that begins with a file below the scene's folder, made to begin with that file's path from here.
+pub fn beside(path: &Path, message: impl std::fmt::Display) -> String {
+    let folder = folder(path);
+    if folder == Path::new(".") { message.to_string() } else { format!("{}/{message}", folder.display()) }
+}
+
+fn folder(path: &Path) -> &Path {
+    match path.parent() {
+        Some(folder) if folder != Path::new("") => folder,
+        _ => Path::new("."),
+    }
+}
+
+fn refused(path: &Path, e: &PlanError) -> Failure {
+    usage(format!("{}: {e}", path.display()))
+}
+
+/// The settings typed, with the contract's defaults.
+fn settings(typed: &SettingsArgs) -> Settings {
+    let default = Settings::default();
+    let stop = match (typed.spp, typed.error, typed.time) {
+        (Some(n), _, _) => Stop::Spp(n),
+        (_, Some(e), _) => Stop::Error(e),
+        (_, _, Some(time)) => Stop::Time(time.seconds),
+        (None, None, None) => default.stop,
+    };
+    Settings {
+        camera: typed.camera.clone(),
+        size: typed.size.map(|Size { width, height }| [width, height]),
+        stop,
+        method: typed.method.map_or(default.method, method),
+        max_depth: typed.max_depth.unwrap_or(default.max_depth),
+        filter: typed.filter.map_or(default.filter, filter),
+        seed: typed.seed.unwrap_or(default.seed),
+        overrides: typed.set.iter().map(|o| (o.selector.clone(), o.value)).collect(),
+        statistics: typed.stats,
+    }
+}
+
+fn method(method: Method) -> femc_pipeline::Method {
+    match method {
+        Method::Auto => femc_pipeline::Method::Auto,
+        Method::Pt => femc_pipeline::Method::Pt,
+        Method::Femc => femc_pipeline::Method::Femc,
+    }
+}
+
+fn filter(filter: Filter) -> femc_film::Filter {
+    match filter {
+        Filter::Box => femc_film::Filter::Box,
+        Filter::Triangle => femc_film::Filter::Triangle,
+        Filter::Gaussian => femc_film::Filter::Gaussian,
+        Filter::BlackmanHarris => femc_film::Filter::BlackmanHarris,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn messages_name_the_file_from_where_the_user_stands() {
+        assert_eq!(beside(Path::new("a.mgf"), "a.mgf:3: fault"), "a.mgf:3: fault");
+        assert_eq!(beside(Path::new("scenes/a.mgf"), "a.mgf:3: fault"), "scenes/a.mgf:3: fault");
+        assert_eq!(beside(Path::new("/s/a.mgf"), "lamps/b.mgf:3: fault"), "/s/lamps/b.mgf:3: fault");
+    }
+
+    #[test]
+    fn what_is_not_typed_is_the_contracts_default() {
+        let settings = settings(&SettingsArgs::default());
+        assert_eq!((settings.stop, settings.seed, settings.max_depth), (Stop::Error(0.05), 1, 0));
+        assert_eq!((settings.method, settings.filter), (femc_pipeline::Method::Auto, femc_film::Filter::Box));
+    }
+}

@@ -1,0 +1,248 @@
+//! The real binary on small scenes in a temporary folder.
+#![allow(dead_code)] // every test file uses its own part of this
+
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Output, Stdio};
+use std::time::{Duration, Instant};
+
+/// Longer than anything here takes on a loaded machine.
+pub const PATIENCE: Duration = Duration::from_secs(120);
+
+/// A foggy box, 32 x 32 pixels, a clip of 8 frames in which the fog thickens.
+pub const FOG: &str = "\
+time 0 0.75 10
+vary medium.fog.sigma_s = 0 0.02 1 0.3
+camera main =
+\torigin 0 -3.4 1
+\ttarget 0 0 1
+\tfov 40
+\tfilm 32 32
+medium fog =
+\tsigma_s 0.1
+\tphase hg 0.4
+mbox fog -1 -1 0 1 1 2
+m wall =
+\tsides 2
+\trd 0.6
+m lamp =
+\tsides 2
+\ted 300
+v a =
+\tp -1 -1 0
+v b =
+\tp 1 -1 0
+v c =
+\tp 1 1 0
+v d =
+\tp -1 1 0
+v e =
+\tp -1 -1 2
+v f =
+\tp 1 -1 2
+v g =
+\tp 1 1 2
+v h =
+\tp -1 1 2
+m wall
+f a b c d
+f h g f e
+f d c g h
+f a d h e
+f c b f g
+m lamp
+v i =
+\tp -0.3 -0.3 1.98
+v j =
+\tp -0.3 0.3 1.98
+v k =
+\tp 0.3 0.3 1.98
+v l =
+\tp 0.3 -0.3 1.98
+f i j k l
+";
+
+/// A temporary folder with `fog.mgf` in it.
+pub struct Place {
+    folder: tempfile::TempDir,
+}
+
+impl Place {
+    pub fn new() -> Self {
+        let folder = tempfile::tempdir().expect("a temporary folder");
+        let place = Self { folder };
+        place.write("fog.mgf", FOG);
+        place
+    }
+
+    pub fn path(&self, name: &str) -> PathBuf {
+        self.folder.path().join(name)
+    }
+
+    pub fn write(&self, name: &str, text: &str) {
+        std::fs::write(self.path(name), text).expect("the file is written");
+    }
+
+    /// `femc` with the words of `line`, in this folder; no environment of the caller's reaches it.
+    pub fn command(&self, line: &str) -> Command {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_femc"));
+        command.args(line.split_whitespace()).current_dir(self.folder.path());
+        command.env_remove("FEMC_SERVER").env_remove("FEMC_LOG").stdin(Stdio::null());
+        command
+    }
+
+    /// Run to the end.
+    pub fn run(&self, line: &str) -> Ran {
+        let output = self.command(line).output().expect("femc starts");
+        Ran { line: line.to_owned(), output }
+    }
+
+    /// Start, output to a file `NAME.log` for the message of a failed test.
+    pub fn start(&self, line: &str) -> Running {
+        let stdout = Stdio::piped();
+        let child = self.command(line).stdout(stdout).stderr(Stdio::piped()).spawn().expect("femc starts");
+        Running { line: line.to_owned(), child: Some(child) }
+    }
+}
+
+/// A finished run.
+pub struct Ran {
+    line: String,
+    output: Output,
+}
+
+impl Ran {
+    pub fn code(&self) -> Option<i32> {
+        self.output.status.code()
+    }
+
+    pub fn stdout(&self) -> String {
+        String::from_utf8_lossy(&self.output.stdout).into_owned()
+    }
+
+    pub fn stderr(&self) -> String {
+        String::from_utf8_lossy(&self.output.stderr).into_owned()
+    }
+
+    /// Claim the exit code; on failure show what was said.
+    #[track_caller]
+    pub fn exits(self, code: i32) -> Self {
+        assert_eq!(
+            self.code(),
+            Some(code),
+            "femc {}\n--- stdout\n{}\n--- stderr\n{}",
+            self.line,
+            self.stdout(),
+            self.stderr()
+        );
+        self
+    }
+
+    /// The JSON on stdout.
+    #[track_caller]
+    pub fn json(&self) -> serde_json::Value {
+        serde_json::from_str(&self.stdout()).unwrap_or_else(|e| panic!("{e}: {}", self.stdout()))
+    }
+}
+
+/// A process that is killed when the test ends, however it ends.
+pub struct Running {
+    line: String,
+    child: Option<Child>,
+}
+
+impl Running {
+    fn child(&mut self) -> &mut Child {
+        self.child.as_mut().expect("not waited for yet")
+    }
+
+    /// Whether it still runs.
+    pub fn is_running(&mut self) -> bool {
+        self.child().try_wait().expect("its state").is_none()
+    }
+
+    /// Wait until `condition`, while the process runs.
+    #[track_caller]
+    pub fn wait_until(&mut self, what: &str, mut condition: impl FnMut() -> bool) {
+        let start = Instant::now();
+        while !condition() {
+            if !self.is_running() {
+                let line = self.line.clone();
+                let ran = self.end();
+                panic!("femc {line} ended before {what}\n{}\n{}", ran.stdout(), ran.stderr());
+            }
+            assert!(start.elapsed() < PATIENCE, "femc {}: {what} never came", self.line);
+            std::thread::sleep(Duration::from_millis(5));
+        }
+    }
+
+    /// SIGKILL, at once; false if the process had ended before.
+    pub fn kill(&mut self) -> bool {
+        let ran = self.is_running();
+        if let Some(mut child) = self.child.take() {
+            child.kill().expect("killed");
+            child.wait().expect("reaped");
+        }
+        ran
+    }
+
+    /// Send a signal by its name.
+    pub fn signal(&mut self, name: &str) {
+        let pid = self.child().id().to_string();
+        let sent = Command::new("kill").args(["-s", name, &pid]).status().expect("kill runs");
+        assert!(sent.success(), "the signal is delivered");
+    }
+
+    /// Wait for its end.
+    pub fn end(&mut self) -> Ran {
+        let child = self.child.take().expect("not waited for yet");
+        Ran { line: self.line.clone(), output: child.wait_with_output().expect("its output") }
+    }
+
+    /// The first line that it prints on stdout.
+    pub fn first_line(&mut self) -> String {
+        use std::io::{BufRead, BufReader};
+        let stdout = self.child().stdout.take().expect("stdout is a pipe");
+        let mut line = String::new();
+        BufReader::new(stdout).read_line(&mut line).expect("a line");
+        line.trim().to_owned()
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        if let Some(mut child) = self.child.take() {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+/// The names in a folder that do not begin with a dot, sorted.
+pub fn names(folder: &Path) -> Vec<String> {
+    let Ok(entries) = std::fs::read_dir(folder) else { return Vec::new() };
+    let mut names: Vec<String> =
+        entries.map(|entry| entry.expect("an entry").file_name().to_string_lossy().into_owned()).collect();
+    names.retain(|name| !name.starts_with('.'));
+    names.sort();
+    names
+}
+
+/// An image's size and values.
+pub struct Film {
+    pub width: u32,
+    pub height: u32,
+    pub rgb: Vec<f32>,
+}
+
+/// The image in a file.
+#[track_caller]
+pub fn film(path: &Path) -> Film {
+    let image = femc_film::exr::read(path).expect("an EXR file").image;
+    Film { width: image.width, height: image.height, rgb: image.pixels.concat() }
+}
+
+/// The bits of all values in a file.
+#[track_caller]
+pub fn pixels(path: &Path) -> Vec<u32> {
+    film(path).rgb.iter().map(|value| value.to_bits()).collect()
+}

@@ -1,0 +1,98 @@
+//! Coordinator, workers and clients as processes of their own.
+
+mod common;
+use common::{Place, Running, names};
+
+/// A coordinator on a free port, and its address.
+fn coordinator(place: &Place, port: u16) -> (Running, String) {
+    let mut coordinator =
+        place.start(&format!("coordinator --listen 127.0.0.1:{port} --store sqlite:farm.db --artifacts artifacts"));
+    let line = coordinator.first_line();
+    let url = line.split_whitespace().find(|word| word.starts_with("http://")).expect("the address").to_owned();
+    (coordinator, url)
+}
+
+fn worker(place: &Place, url: &str) -> Running {
+    place.start(&format!("worker --join {url} --threads 1"))
+}
+
+fn submit(place: &Place, url: &str, settings: &str) -> String {
+    let ran = place.run(&format!("submit fog.mgf {settings} --server {url}")).exits(0);
+    let id = ran.stdout().lines().last().expect("a job id").to_owned();
+    assert!(!id.is_empty() && !id.contains(' '), "the id stands alone: {id}");
+    id
+}
+
+fn frames_done(place: &Place, url: &str, job: &str) -> u64 {
+    let ran = place.run(&format!("status {job} --json --server {url}")).exits(0);
+    ran.json()["frames_done"].as_u64().expect("a number")
+}
+
+const SETTINGS: &str = "--spp 96 --size 64x64";
+
+fn same_as_one_process(place: &Place) {
+    place.run(&format!("render fog.mgf -o alone {SETTINGS}")).exits(0);
+    assert_eq!(names(&place.path("out")), names(&place.path("alone")));
+    for name in names(&place.path("alone")) {
+        let (farm, alone) = (place.path("out").join(&name), place.path("alone").join(&name));
+        assert_eq!(common::pixels(&farm), common::pixels(&alone), "{name}");
+    }
+}
+
+#[test]
+fn a_killed_worker_costs_no_pixel() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let (mut victim, _second, _third) = (worker(&place, &url), worker(&place, &url), worker(&place, &url));
+    let job = submit(&place, &url, SETTINGS);
+    farm.wait_until("a finished frame", || frames_done(&place, &url, &job) >= 1);
+    assert!(frames_done(&place, &url, &job) < 8, "it is not over yet");
+    assert!(victim.kill(), "the victim was alive");
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    same_as_one_process(&place);
+}
+
+#[test]
+fn a_killed_coordinator_comes_back_with_all_it_had_and_its_worker_joins_again() {
+    let place = Place::new();
+    let (mut first, url) = coordinator(&place, 0);
+    let _worker = worker(&place, &url);
+    let job = submit(&place, &url, SETTINGS);
+    first.wait_until("a finished frame", || frames_done(&place, &url, &job) >= 1);
+    let before = frames_done(&place, &url, &job);
+    assert!(before < 8, "it is not over yet");
+    assert!(first.kill(), "the coordinator was alive");
+    let port = url.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
+    let (_second, url) = coordinator(&place, port);
+    assert!(frames_done(&place, &url, &job) >= before, "what was finished is finished");
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    same_as_one_process(&place);
+}
+
+#[test]
+fn a_job_without_a_worker_says_so_and_a_client_may_leave_a_watch() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    let job = submit(&place, &url, "--spp 1 --frames 1");
+    let ran = place.run(&format!("status {job} --why --server {url}")).exits(0);
+    assert!(ran.stdout().contains("no worker"), "{}", ran.stdout());
+    let jobs = place.run(&format!("jobs --json --server {url}")).exits(0).json();
+    assert_eq!(jobs[0]["job"].to_string(), job);
+    let mut watch = place.start(&format!("watch {job} --server {url}"));
+    // The watch has no mark of its own that it stands; the signal may come at any time.
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    watch.signal("INT");
+    watch.end().exits(3);
+}
+
+#[test]
+fn a_job_that_does_not_exist_is_wrong_usage() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    for command in ["status 77", "watch 77", "fetch 77 -o out"] {
+        let ran = place.run(&format!("{command} --server {url}")).exits(2);
+        assert!(ran.stderr().contains("77"), "{command}: {}", ran.stderr());
+    }
+}

@@ -1,0 +1,113 @@
+//! `femc render` from end to end.
+
+mod common;
+use common::{Place, names};
+
+#[test]
+fn out_ending_in_exr_is_one_frame_and_leaves_nothing_else() {
+    let place = Place::new();
+    let ran = place.run("render fog.mgf -o a.exr --spp 2 --frames 3 --json").exits(0);
+    let summary = ran.json();
+    assert_eq!(summary["files"], serde_json::json!(["a.exr"]));
+    assert_eq!(summary["frames"][0]["frame"], 3);
+    assert_eq!(summary["frames"][0]["spp"], 2);
+    assert_eq!(summary["samples"], 2 * 32 * 32);
+    assert_eq!(summary["bad_samples"], 0);
+    assert_eq!(names(&place.path(".")), ["a.exr", "fog.mgf"]);
+}
+
+#[test]
+fn a_clip_becomes_a_folder_of_numbered_frames() {
+    let place = Place::new();
+    place.run("render fog.mgf -o out --spp 1 --frames 2..6+2 --preview").exits(0);
+    let frames: Vec<String> = names(&place.path("out")).into_iter().filter(|name| name.ends_with(".exr")).collect();
+    assert_eq!(frames, ["fog.0002.exr", "fog.0004.exr", "fog.0006.exr"]);
+    assert!(place.path("out/fog.0002.png").exists());
+    assert!(!place.path("out/.femc").exists());
+}
+
+#[test]
+fn a_second_run_with_the_same_settings_renders_nothing_and_another_seed_renders_anew() {
+    let place = Place::new();
+    let line = "render fog.mgf -o out --spp 2 --frames 1..2";
+    place.run(line).exits(0);
+    let first = std::fs::read(place.path("out/fog.0001.exr")).expect("a frame");
+    let again = place.run(&format!("{line} --json")).exits(0).json();
+    assert_eq!(again["rendered"], 0);
+    assert_eq!(std::fs::read(place.path("out/fog.0001.exr")).expect("a frame"), first);
+    let other = place.run(&format!("{line} --seed 2 --json")).exits(0).json();
+    assert_eq!(other["rendered"], 2);
+    assert_ne!(std::fs::read(place.path("out/fog.0001.exr")).expect("a frame"), first);
+}
+
+#[test]
+fn a_longer_clip_keeps_the_frames_that_are_there() {
+    let place = Place::new();
+    place.run("render fog.mgf -o out --spp 2 --frames 1..2").exits(0);
+    let more = place.run("render fog.mgf -o out --spp 2 --frames 1..4 --json").exits(0).json();
+    assert_eq!(more["rendered"], 2);
+    assert_eq!(names(&place.path("out")).len(), 4);
+}
+
+#[test]
+fn workers_threads_and_tiles_leave_no_trace_in_the_pixels() {
+    let place = Place::new();
+    place.run("render fog.mgf -o a.exr --spp 8 --frames 4 --workers 1 --threads 1").exits(0);
+    place.run("render fog.mgf -o b.exr --spp 8 --frames 4 --workers 3 --threads 2").exits(0);
+    assert_eq!(common::pixels(&place.path("a.exr")), common::pixels(&place.path("b.exr")));
+    place.run("render fog.mgf -o c.exr --spp 8 --frames 4 --seed 2").exits(0);
+    assert_ne!(common::pixels(&place.path("a.exr")), common::pixels(&place.path("c.exr")));
+}
+
+#[test]
+fn a_looser_error_takes_fewer_samples_and_says_what_it_reached() {
+    let place = Place::new();
+    let spp = |error: &str| {
+        let out = format!("e{error}.exr");
+        let json = place.run(&format!("render fog.mgf -o {out} --frames 1 --error {error} --json")).exits(0).json();
+        let frame = json["frames"][0].clone();
+        assert!(frame["relative_error"].as_f64().is_some_and(|reached| reached > 0.0), "{json}");
+        frame["spp"].as_u64().expect("a number")
+    };
+    assert!(spp("0.9") < spp("0.1"));
+}
+
+#[test]
+fn an_override_and_a_size_reach_the_image() {
+    let place = Place::new();
+    place.run("render fog.mgf -o dark.exr --spp 1 --frames 1 --size 16x8 --set material.lamp.ed=0").exits(0);
+    let film = common::film(&place.path("dark.exr"));
+    assert_eq!((film.width, film.height), (16, 8));
+    assert!(film.rgb.iter().all(|&value| value == 0.0));
+}
+
+#[test]
+fn a_job_file_renders_as_its_flags_would() {
+    let place = Place::new();
+    place.write("job.toml", "scene = \"fog.mgf\"\nframes = 2\nspp = 2\nseed = 7\n[set]\n\"material.wall.rd\" = 0.3\n");
+    place.run("render job.toml -o a.exr").exits(0);
+    place.run("render fog.mgf -o b.exr --frames 2 --spp 2 --seed 7 --set material.wall.rd=0.3").exits(0);
+    assert_eq!(common::pixels(&place.path("a.exr")), common::pixels(&place.path("b.exr")));
+}
+
+#[test]
+fn a_clip_gives_a_contact_sheet_and_a_video() {
+    let place = Place::new();
+    place
+        .run("render fog.mgf -o out --spp 1 --frames 1..3 --video clip.png --contact-sheet sheet.png")
+        .exits(0);
+    for name in ["clip.png", "sheet.png"] {
+        let bytes = std::fs::read(place.path(name)).expect(name);
+        assert!(bytes.starts_with(b"\x89PNG"), "{name}");
+    }
+}
+
+#[test]
+fn the_header_says_where_the_image_comes_from() {
+    let place = Place::new();
+    place.run("render fog.mgf -o a.exr --spp 2 --frames 1").exits(0);
+    let text = String::from_utf8_lossy(&std::fs::read(place.path("a.exr")).expect("a frame")).into_owned();
+    for name in ["femc:version", "femc:settings", "femc:scene", "femc:seconds", "femc:spp", "chromaticities"] {
+        assert!(text.contains(name), "{name}");
+    }
+}

@@ -1,0 +1,13 @@
+//! The second pass: unbiased path tracing of surfaces and fog.
+//!
+//! Direct light is joined from light sampling, from scattering that meets the light and, in fog, from equiangular distance
+//! sampling, by multiple importance sampling. The kernel is monomorphised over what the scene needs (media or none), chosen
+//! once a tile.
+#![deny(missing_docs)]
+
+mod dimensions;
+mod fog;
+mod path;
+mod shadow;
+
+pub use path::{Counters, PathSample, PathSettings, Tracer};

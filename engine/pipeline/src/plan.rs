@@ -1,0 +1,128 @@
+//! What would run, and what is left out and why.
+
+use crate::settings::{Method, Settings, SettingsError, Stop};
+use femc_film::{FilmError, Tiling};
+use femc_scene::Scene;
+use serde::{Deserialize, Serialize};
+
+/// The plan of a job.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Plan {
+    /// Camera.
+    pub camera: String,
+    /// The film, cut into tiles.
+    pub tiling: Tiling,
+    /// Samples a pixel at the end of each round.
+    pub rounds: Vec<u32>,
+    /// Frames of the clip to render, ascending.
+    pub frames: Vec<u32>,
+    /// The method chosen.
+    pub method: Method,
+    /// Passes that run, in order.
+    pub passes: Vec<String>,
+    /// What is left out.
+    pub left_out: Vec<LeftOut>,
+}
+
+/// Something that does not run.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LeftOut {
+    /// What.
+    pub what: String,
+    /// Why.
+    pub reason: String,
+}
+
+/// Why there is no plan.
+#[derive(Debug, thiserror::Error)]
+pub enum PlanError {
+    /// Settings out of their domains.
+    #[error(transparent)]
+    Settings(#[from] SettingsError),
+    /// The camera is missing or wrong.
+    #[error(transparent)]
+    Camera(#[from] femc_prepared::PrepareError),
+    /// The film is too large.
+    #[error(transparent)]
+    Film(#[from] FilmError),
+    /// A frame is outside of the clip.
+    #[error("frame {frame} is outside of the clip, which has frames 1 to {last}")]
+    FrameOutside {
+        /// The frame asked for.
+        frame: u32,
+        /// The last frame.
+        last: u32,
+    },
+    /// No frame at all.
+    #[error("no frames are left to render; give --frames A..B within 1..{last}")]
+    NoFrames {
+        /// The last frame.
+        last: u32,
+    },
+}
+
+impl Plan {
+    /// Render tasks of one frame if every round runs.
+    pub fn render_tasks_per_frame(&self) -> u64 {
+        self.tiling.count() as u64 * self.rounds.len() as u64
+    }
+
+    /// Camera samples of one frame after `rounds` rounds.
+    pub fn samples_per_frame(&self, rounds: usize) -> u64 {
+        let spp = self.rounds.get(rounds.saturating_sub(1)).copied().unwrap_or(0);
+        u64::from(self.tiling.width) * u64::from(self.tiling.height) * u64::from(spp)
+    }
+}
+
+/// Plans a job. `frames`: the frames asked for; `None`: all. The overrides must have been applied to `scene`.
+pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Result<Plan, PlanError> {
+    settings.check()?;
+    let camera = femc_prepared::find_camera(&scene.cameras, settings.camera.as_deref())?;
+    let film = settings.size.unwrap_or(camera.film);
+    let last = scene.frame_count();
+    let frames: Vec<u32> = match frames {
+        None => (1..=last).collect(),
+        Some(frames) => {
+            if let Some(&frame) = frames.iter().find(|f| **f == 0 || **f > last) {
+                return Err(PlanError::FrameOutside { frame, last });
+            }
+            frames.to_vec()
+        }
+    };
+    if frames.is_empty() {
+        return Err(PlanError::NoFrames { last });
+    }
+    let rounds = settings.rounds();
+    let tiling = Tiling::new(film[0], film[1], tile_edge(settings.stop, film))?;
+    let mut left_out = vec![LeftOut {
+        what: "finite-element first pass".into(),
+        reason: "this version renders by path tracing alone".into(),
+    }];
+    let spared = scene.spared(camera).into_iter();
+    left_out.extend(spared.map(|s| LeftOut { what: s.feature.to_string(), reason: s.reason }));
+    Ok(Plan {
+        camera: camera.name.clone(),
+        tiling,
+        rounds,
+        frames,
+        method: Method::Pt,
+        passes: vec!["prepare".into(), "render (path tracing)".into(), "merge".into()],
+        left_out,
+    })
+}
+
+/// Edge of a tile: tasks of about a quarter of a million samples, at least a few tasks a frame.
+fn tile_edge(stop: Stop, film: [u32; 2]) -> u32 {
+    let spp = match stop {
+        Stop::Spp(n) => n,
+        Stop::Error(_) | Stop::Time(_) => 64,
+    };
+    let mut edge = 128u32;
+    while edge > 16 && u64::from(edge * edge) * u64::from(spp) > 1 << 18 {
+        edge /= 2;
+    }
+    while edge > 16 && film[0].div_ceil(edge) * film[1].div_ceil(edge) < 8 {
+        edge /= 2;
+    }
+    edge
+}

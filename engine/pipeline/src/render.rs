@@ -1,0 +1,101 @@
+//! Frames made ready and tiles rendered.
+
+use crate::settings::Settings;
+use femc_film::{FilmError, Rect, Sample, Tile};
+use femc_montecarlo::{Counters, PathSettings, Tracer};
+use femc_prepared::{FrameSpec, PrepareError, Prepared};
+use femc_scene::Scene;
+use rayon::prelude::*;
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+/// Makes frame `frame` (from 1) of `scene`, which has the overrides applied, ready to render.
+/// `previous`: an earlier frame of the same scene; what did not change is shared with it.
+pub fn prepare(
+    scene: &Arc<Scene>,
+    settings: &Settings,
+    frame: u32,
+    previous: Option<&Prepared>,
+) -> Result<Prepared, PrepareError> {
+    let spec = FrameSpec { camera: settings.camera.clone(), size: settings.size, frame };
+    femc_prepared::prepare(scene, &spec, previous)
+}
+
+/// A tile and the work it took.
+#[derive(Debug)]
+pub struct RenderedTile {
+    /// Sums of the samples.
+    pub tile: Tile,
+    /// Closest-hit rays.
+    pub rays: u64,
+    /// Shadow rays.
+    pub shadow_rays: u64,
+}
+
+/// Why a tile was not rendered.
+#[derive(Debug, thiserror::Error)]
+pub enum RenderError {
+    /// The caller cancelled it.
+    #[error("cancelled")]
+    Cancelled,
+    /// The tile's pixels or samples are out of the film's limits.
+    #[error(transparent)]
+    Film(#[from] FilmError),
+}
+
+/// Renders samples `samples` of the pixels `rect` on the calling thread's rayon pool.
+/// `progress` counts finished camera samples; `cancel` is looked at once a pixel.
+pub fn render_tile(
+    prepared: &Prepared,
+    settings: &Settings,
+    rect: Rect,
+    samples: Range<u32>,
+    cancel: &AtomicBool,
+    progress: &AtomicU64,
+) -> Result<RenderedTile, RenderError> {
+    let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth };
+    let strips: Vec<Result<(Tile, Counters), RenderError>> = (0..rect.height)
+        .into_par_iter()
+        .map(|row| {
+            let strip = Rect { y: rect.y + row, height: 1, ..rect };
+            let mut tile = Tile::new(strip, samples.clone())?;
+            let mut tracer = Tracer::new(prepared, path);
+            for x in strip.x..strip.x + strip.width {
+                if cancel.load(Ordering::Relaxed) {
+                    return Err(RenderError::Cancelled);
+                }
+                render_pixel(prepared, settings, &mut tracer, &mut tile, [x, strip.y], samples.clone());
+                progress.fetch_add(u64::from(samples.end - samples.start), Ordering::Relaxed);
+            }
+            Ok((tile, tracer.counters))
+        })
+        .collect();
+    let (mut tiles, mut rays, mut shadow_rays) = (Vec::with_capacity(strips.len()), 0, 0);
+    for strip in strips {
+        let (tile, counters) = strip?;
+        tiles.push(tile);
+        rays += counters.rays;
+        shadow_rays += counters.shadow_rays;
+    }
+    Ok(RenderedTile { tile: Tile::from_strips(rect, samples, tiles)?, rays, shadow_rays })
+}
+
+fn render_pixel(
+    prepared: &Prepared,
+    settings: &Settings,
+    tracer: &mut Tracer<'_>,
+    tile: &mut Tile,
+    [x, y]: [u32; 2],
+    samples: Range<u32>,
+) {
+    let pixel = y * prepared.camera.film[0] + x;
+    let center = [x as f32 + 0.5, y as f32 + 0.5];
+    for index in samples {
+        let drawn = tracer.sample(pixel, index, |u| {
+            let offset = settings.filter.sample(u);
+            [center[0] + offset[0], center[1] + offset[1]]
+        });
+        tile.add(x, y, index, &Sample { color: drawn.color, albedo: drawn.albedo, depth: drawn.depth });
+    }
+}

@@ -1,0 +1,162 @@
+//! Render settings: the same on the command line, in job files and on the wire.
+
+use femc_film::Filter;
+use femc_scene::{Scene, SelectorError};
+use serde::{Deserialize, Serialize};
+
+/// Everything besides the scene that decides a frame's pixels.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Settings {
+    /// Camera by name; `None`: the scene's first.
+    pub camera: Option<String>,
+    /// Film size in pixels; `None`: the camera's.
+    pub size: Option<[u32; 2]>,
+    /// When a frame is done.
+    pub stop: Stop,
+    /// How light is computed.
+    pub method: Method,
+    /// Longest path in segments (what the camera sees directly is 1); 0: no bound.
+    pub max_depth: u32,
+    /// Pixel filter.
+    pub filter: Filter,
+    /// Key of all randomness.
+    pub seed: u64,
+    /// Scalars of the scene by selector, applied in order.
+    pub overrides: Vec<(String, f64)>,
+    /// Whether path statistics are collected.
+    pub statistics: bool,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        Self {
+            camera: None,
+            size: None,
+            stop: Stop::Error(0.05),
+            method: Method::Auto,
+            max_depth: 0,
+            filter: Filter::Box,
+            seed: 1,
+            overrides: Vec::new(),
+            statistics: false,
+        }
+    }
+}
+
+/// When a frame is done.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Stop {
+    /// At this many samples a pixel.
+    Spp(u32),
+    /// When every 16 x 16 block's mean luminance has at most this relative error (95 % confidence).
+    Error(f64),
+    /// When this many seconds have been spent on the frame.
+    Time(f64),
+}
+
+/// How light is computed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Method {
+    /// The plan's choice.
+    #[default]
+    Auto,
+    /// Path tracing alone.
+    Pt,
+    /// The finite-element first pass, then guided path tracing.
+    Femc,
+}
+
+/// What a frame does after a round of samples.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum RoundVerdict {
+    /// Another round.
+    Continue,
+    /// The frame is finished.
+    Done,
+}
+
+/// Why settings are refused.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SettingsError {
+    /// A number is out of its domain.
+    #[error("{setting} is {value}; it must be {domain}")]
+    Domain {
+        /// Name of the setting.
+        setting: &'static str,
+        /// Its value.
+        value: String,
+        /// What it may be.
+        domain: &'static str,
+    },
+    /// The two-pass method is not part of this build.
+    #[error("the method `femc` is not available in this version; use `pt` or `auto`")]
+    MethodUnavailable,
+    /// An override failed.
+    #[error(transparent)]
+    Selector(#[from] SelectorError),
+}
+
+/// Most samples a pixel that can be asked for.
+pub const MAX_SPP: u32 = 1 << 24;
+/// Samples a pixel of the first round when the number is not known in advance.
+const FIRST_ROUND: u32 = 16;
+/// Rounds double the samples; this many are the end even if the error asked for is not reached.
+const LAST_ROUND_SPP: u32 = 1 << 16;
+
+impl Settings {
+    /// Refuses values outside their domains.
+    pub fn check(&self) -> Result<(), SettingsError> {
+        let refuse = |setting, value: String, domain| Err(SettingsError::Domain { setting, value, domain });
+        match self.stop {
+            Stop::Spp(n) if n == 0 || n > MAX_SPP => refuse("spp", n.to_string(), "from 1 to 16777216"),
+            Stop::Error(e) if !(e > 0.0 && e < 10.0) => refuse("error", e.to_string(), "above 0 and below 10"),
+            Stop::Time(t) if !(t > 0.0 && t.is_finite()) => refuse("time", t.to_string(), "a positive time"),
+            _ => Ok(()),
+        }?;
+        if let Some([w, h]) = self.size
+            && (w == 0 || h == 0 || w > 32768 || h > 32768)
+        {
+            return refuse("size", format!("{w}x{h}"), "from 1x1 to 32768x32768");
+        }
+        if self.method == Method::Femc {
+            return Err(SettingsError::MethodUnavailable);
+        }
+        Ok(())
+    }
+
+    /// Applies the overrides to a scene.
+    pub fn apply(&self, scene: &mut Scene) -> Result<(), SettingsError> {
+        for (selector, value) in &self.overrides {
+            scene.set(selector, *value)?;
+        }
+        Ok(())
+    }
+
+    /// Samples a pixel at the end of each round, ascending. With [`Stop::Error`] and [`Stop::Time`] a frame may end after any.
+    pub fn rounds(&self) -> Vec<u32> {
+        match self.stop {
+            Stop::Spp(n) => vec![n],
+            Stop::Error(_) | Stop::Time(_) => {
+                std::iter::successors(Some(FIRST_ROUND), |n| (*n < LAST_ROUND_SPP).then_some(n * 2)).collect()
+            }
+        }
+    }
+
+    /// Whether a frame is finished.
+    /// - `worst_error`: largest relative error of a block after the round, 95 %;
+    /// - `spent`: seconds spent on the frame so far; `next`: estimate for the next round;
+    /// - `last`: whether this was the last round planned.
+    ///
+    /// The rule looks at the estimates that it stops, which biases dim, spiky frames slightly downward; rounds that double
+    /// keep that small.
+    pub fn verdict(&self, worst_error: f64, spent: f64, next: f64, last: bool) -> RoundVerdict {
+        let done = match self.stop {
+            Stop::Spp(_) => true,
+            Stop::Error(e) => worst_error <= e,
+            Stop::Time(t) => spent + next > t,
+        };
+        if done || last { RoundVerdict::Done } else { RoundVerdict::Continue }
+    }
+}

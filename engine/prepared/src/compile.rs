@@ -1,0 +1,491 @@
+//! Groups of the description compiled to BVHs: one for each group that is placed by itself, with the static groups inside
+//! it baked in where copies are few or small. What did not change since the previous frame is taken over whole.
+
+use crate::lights::PhotometryTables;
+use femc_emission::light::{Face, Light};
+use femc_geometry::{Blas, Cull, Facing as KernelFacing, Quadric as KernelShape, ShapeInput, TriangleInput};
+use femc_math::glam::{DAffine3, DMat3, DVec3, Vec2, Vec3, Vec3A};
+use femc_math::hash::combine;
+use femc_math::transform::transform_normal;
+use femc_scene::{
+    Facing, Group, GroupId, Luminaire, Motion, ObjectId, Scalars, Scene, Shape, Sides,
+};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// "None" among `u32` indices.
+pub const NONE: u32 = u32::MAX;
+
+/// What the kernels need to know of a primitive besides its shape.
+#[derive(Clone, Copy, Debug)]
+pub struct Primitive {
+    /// Index of its material.
+    pub material: u32,
+    /// Index into [`Compiled::corners`], or [`NONE`].
+    pub corners: u32,
+    /// Index into [`Compiled::emitters`], or [`NONE`].
+    pub emitter: u32,
+}
+
+/// Shading data at the three corners of a triangle.
+#[derive(Clone, Copy, Debug)]
+pub struct Corners {
+    /// Unit normals in the group's frame; zero where the file gives none.
+    pub normals: [Vec3; 3],
+    /// Texture coordinates.
+    pub uv: [Vec2; 3],
+}
+
+/// Shape of a light source in the compiled frame.
+#[derive(Clone, Copy, Debug)]
+pub enum EmitterShape {
+    /// One triangle.
+    Triangle([DVec3; 3]),
+    /// Corner and two edges; the front is on the side of their cross product.
+    Parallelogram([DVec3; 3]),
+    /// A curved surface.
+    Curved(Shape),
+    /// A luminaire with measured photometry; `to_group` maps to the compiled frame.
+    Photometric(Luminaire),
+}
+
+/// A light source of a compiled group.
+#[derive(Clone, Copy, Debug)]
+pub struct Emitter {
+    /// Its shape.
+    pub shape: EmitterShape,
+    /// Its material.
+    pub material: u32,
+}
+
+/// A group ready to trace.
+#[derive(Debug)]
+pub struct Compiled {
+    /// The tree over the primitives.
+    pub blas: Arc<Blas>,
+    /// By primitive index of the tree.
+    pub primitives: Vec<Primitive>,
+    /// Shading data of the triangles that have some.
+    pub corners: Vec<Corners>,
+    /// Surfaces that emit.
+    pub emitters: Vec<Emitter>,
+    /// Origin of the compiled frame in the group's frame, m.
+    pub center: DVec3,
+    /// Hash of what was compiled.
+    key: u64,
+}
+
+/// A compiled group with its place.
+#[derive(Clone, Debug)]
+pub struct Placed {
+    /// What.
+    pub compiled: Arc<Compiled>,
+    /// Motions from the group's frame to the world, innermost first.
+    pub motions: Vec<Motion>,
+    /// Whether the group was mirrored (x to -x) when it was compiled, so that its pose keeps orientation.
+    pub mirrored: bool,
+}
+
+/// Compiled groups by (group, mirrored).
+pub type Cache = BTreeMap<(GroupId, bool), Arc<Compiled>>;
+
+/// What the tracer must know about the materials: whether backs are invisible, and whether they emit.
+#[derive(Clone, Copy, Debug)]
+pub struct SurfaceClass {
+    /// Visibility of the back.
+    pub cull: Cull,
+    /// Whether the surface emits.
+    pub emits: bool,
+}
+
+/// Compiles and places everything that is visible at one time.
+pub struct Compiler<'a> {
+    scene: &'a Scene,
+    now: &'a Scalars,
+    photometry: &'a PhotometryTables,
+    classes: &'a [SurfaceClass],
+    hidden: Vec<bool>,
+    previous: &'a Cache,
+    /// What has been compiled; the next frame's `previous`.
+    pub cache: Cache,
+    /// The result.
+    pub placed: Vec<Placed>,
+    expanded: Vec<u64>,
+    mirror_at: &'a dyn Fn(&Motion) -> DAffine3,
+}
+
+impl<'a> Compiler<'a> {
+    /// A compiler for `scene` whose materials have `classes`; `pose` gives a motion's transform at shutter opening.
+    pub fn new(
+        scene: &'a Scene,
+        now: &'a Scalars,
+        photometry: &'a PhotometryTables,
+        classes: &'a [SurfaceClass],
+        previous: &'a Cache,
+        pose: &'a dyn Fn(&Motion) -> DAffine3,
+    ) -> Self {
+        let hidden = femc_scene::objects::hidden_objects(&now.objects);
+        let mut expanded = vec![u64::MAX; scene.groups.len()];
+        for g in 0..scene.groups.len() {
+            expand(scene, GroupId(g as u32), &mut expanded);
+        }
+        Self { scene, now, photometry, classes, hidden, previous, cache: Cache::new(), placed: Vec::new(), expanded, mirror_at: pose }
+    }
+
+    /// Compiles the world and everything placed in it.
+    pub fn run(&mut self) {
+        self.place(GroupId(0), &[], false);
+    }
+
+    fn place(&mut self, group: GroupId, motions: &[Motion], mirrored: bool) {
+        let mut builder = Builder::default();
+        let start = if mirrored { mirror() } else { DAffine3::IDENTITY };
+        let mut pending = Vec::new();
+        self.gather(group, start, &mut builder, &mut pending);
+        let compiled = self.finish(group, mirrored, builder);
+        if !compiled.primitives.is_empty() || !compiled.emitters.is_empty() {
+            self.placed.push(Placed { compiled, motions: motions.to_vec(), mirrored });
+        }
+        for (within, child, motion) in pending {
+            // `within` maps the child's parent to this group's compiled frame; undo the mirror that is part of it.
+            let within = if mirrored { mirror() * within } else { within };
+            let mut chain = vec![motion];
+            if within != DAffine3::IDENTITY {
+                chain.push(Motion::fixed(within));
+            }
+            chain.extend_from_slice(motions);
+            let flips = chain.iter().filter(|m| (self.mirror_at)(m).matrix3.determinant() < 0.0).count();
+            self.place(child, &chain, flips % 2 == 1);
+        }
+    }
+
+    /// Adds the surfaces of `group` and of what is baked into it; leaves the rest in `pending`.
+    fn gather(
+        &self,
+        group: GroupId,
+        to_compiled: DAffine3,
+        builder: &mut Builder,
+        pending: &mut Vec<(DAffine3, GroupId, Motion)>,
+    ) {
+        let source = &self.scene.groups[group.index()];
+        builder.sources.push((group, to_compiled));
+        let mut copies_of = BTreeMap::<GroupId, u64>::new();
+        source.instances.iter().for_each(|i| *copies_of.entry(i.group).or_default() += 1);
+        for instance in &source.instances {
+            let copies = copies_of[&instance.group];
+            let size = self.expanded[instance.group.index()];
+            match instance.motion.as_static() {
+                Some(pose) if copies == 1 || size <= 8 || size.saturating_mul(copies) <= 20_000 => {
+                    self.gather(instance.group, to_compiled * pose, builder, pending);
+                }
+                _ => pending.push((to_compiled, instance.group, instance.motion.clone())),
+            }
+        }
+    }
+
+    fn visible(&self, object: Option<ObjectId>) -> bool {
+        object.is_none_or(|o| !self.hidden[o.index()])
+    }
+
+    fn finish(&mut self, group: GroupId, mirrored: bool, builder: Builder) -> Arc<Compiled> {
+        if let Some(done) = self.cache.get(&(group, mirrored)) {
+            return done.clone();
+        }
+        let key = self.key(&builder);
+        if let Some(old) = self.previous.get(&(group, mirrored))
+            && old.key == key
+        {
+            self.cache.insert((group, mirrored), old.clone());
+            return old.clone();
+        }
+        let compiled = Arc::new(self.compile(&builder, key));
+        self.cache.insert((group, mirrored), compiled.clone());
+        compiled
+    }
+
+    /// Hash of what decides the compiled form besides the description itself: visibility, culling, emission.
+    fn key(&self, builder: &Builder) -> u64 {
+        let mut key = 0u64;
+        let mut add = |word: u64| key = combine(&[key, word]);
+        let word = |visible: bool, material: u32| {
+            let class = self.classes[material as usize];
+            u64::from(visible) | u64::from(class.cull == Cull::Back) << 1 | u64::from(class.emits) << 2
+        };
+        for (group, _) in &builder.sources {
+            let source = &self.scene.groups[group.index()];
+            source.faces.iter().for_each(|f| add(word(self.visible(f.object), f.material.0)));
+            source.quadrics.iter().for_each(|q| add(word(self.visible(q.object), q.material.0)));
+            for luminaire in &self.now.luminaires[group.index()] {
+                add(u64::from(self.visible(luminaire.object)));
+                add(luminaire.multiplier.to_bits());
+            }
+        }
+        key
+    }
+
+    fn compile(&self, builder: &Builder, key: u64) -> Compiled {
+        let center = self.center(builder);
+        let mut out = Output::default();
+        for (group, to_compiled) in &builder.sources {
+            let to_local = DAffine3::from_translation(-center) * *to_compiled;
+            let source = &self.scene.groups[group.index()];
+            self.add_faces(source, &to_local, &mut out);
+            self.add_quadrics(source, &to_local, &mut out);
+        }
+        for (group, to_compiled) in &builder.sources {
+            let to_local = DAffine3::from_translation(-center) * *to_compiled;
+            let luminaires = &self.now.luminaires[group.index()];
+            for luminaire in luminaires.iter().filter(|l| self.visible(l.object)) {
+                self.add_luminaire(&Luminaire { to_group: to_local * luminaire.to_group, ..*luminaire }, &mut out);
+            }
+        }
+        // Shapes come after all triangles in primitive order.
+        out.primitives.append(&mut out.shape_primitives);
+        let blas = Arc::new(Blas::build(out.triangles, out.shapes));
+        Compiled {
+            blas,
+            primitives: out.primitives,
+            corners: out.corners,
+            emitters: out.emitters,
+            center,
+            key,
+        }
+    }
+
+    /// A round point near the middle of what is compiled, so that its coordinates are small; zero when they are anyway.
+    fn center(&self, builder: &Builder) -> DVec3 {
+        let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+        for (group, to_compiled) in &builder.sources {
+            for vertex in &self.scene.groups[group.index()].vertices {
+                let p = to_compiled.transform_point3(vertex.position);
+                (min, max) = (min.min(p), max.max(p));
+            }
+        }
+        if min.x > max.x {
+            return DVec3::ZERO;
+        }
+        (0.5 * (min + max)).round()
+    }
+
+    fn add_faces(&self, source: &Group, to_local: &DAffine3, out: &mut Output) {
+        for face in source.faces.iter().filter(|f| self.visible(f.object)) {
+            let first = face.first_triangle as usize;
+            let triangles = &source.triangles[first..first + face.triangle_count as usize];
+            let material = face.material.0;
+            let class = self.classes[face.material.index()];
+            let textured = {
+                let m = &self.now.materials[face.material.index()];
+                m.map_rd.is_some() || m.map_ed.is_some() || m.map_n.is_some()
+            };
+            let pair = if class.emits && !textured { parallelogram(source, triangles) } else { None };
+            let shared = pair.map(|[o, a, b]| {
+                let q = to_local.transform_point3(o);
+                let edges = [to_local.transform_vector3(a), to_local.transform_vector3(b)];
+                out.emitters.push(Emitter { shape: EmitterShape::Parallelogram([q, edges[0], edges[1]]), material });
+                out.emitters.len() as u32 - 1
+            });
+            for triangle in triangles {
+                let corner = triangle.map(|v| source.vertices[v as usize]);
+                let p = corner.map(|v| to_local.transform_point3(v.position));
+                let emitter = match (shared, class.emits) {
+                    (Some(shared), _) => shared,
+                    (None, true) => {
+                        out.emitters.push(Emitter { shape: EmitterShape::Triangle(p), material });
+                        out.emitters.len() as u32 - 1
+                    }
+                    (None, false) => NONE,
+                };
+                let corners = if corner.iter().any(|v| v.normal.is_some() || v.uv.is_some()) {
+                    let normals = corner.map(|v| {
+                        v.normal.map_or(Vec3::ZERO, |n| transform_normal(to_local, n).as_vec3())
+                    });
+                    let uv = corner.map(|v| v.uv.map_or(Vec2::ZERO, |uv| uv.as_vec2()));
+                    out.corners.push(Corners { normals, uv });
+                    out.corners.len() as u32 - 1
+                } else {
+                    NONE
+                };
+                out.triangles.push(TriangleInput { vertices: p.map(|p| p.as_vec3a()), cull: class.cull });
+                out.primitives.push(Primitive { material, corners, emitter });
+            }
+        }
+    }
+
+    fn add_quadrics(&self, source: &Group, to_local: &DAffine3, out: &mut Output) {
+        for quadric in source.quadrics.iter().filter(|q| self.visible(q.object)) {
+            let class = self.classes[quadric.material.index()];
+            let shape = transform_shape(&quadric.shape, to_local);
+            let material = quadric.material.0;
+            let emitter = if class.emits {
+                out.emitters.push(Emitter { shape: EmitterShape::Curved(shape), material });
+                out.emitters.len() as u32 - 1
+            } else {
+                NONE
+            };
+            out.shapes.push(ShapeInput { shape: kernel_shape(&shape), cull: class.cull });
+            out.shape_primitives.push(Primitive { material, corners: NONE, emitter });
+        }
+    }
+
+    /// Adds a luminaire: the faces of its opening, behind whose emission is a black body, or nothing to hit for a point.
+    fn add_luminaire(&self, luminaire: &Luminaire, out: &mut Output) {
+        let emitter = out.emitters.len() as u32;
+        let material = self.scene.materials.len() as u32;
+        out.emitters.push(Emitter { shape: EmitterShape::Photometric(*luminaire), material });
+        let light = self.photometry.light(luminaire, &luminaire.to_group);
+        let Light::PhotometricSolid(solid) = light else { return };
+        let primitive = Primitive { material, corners: NONE, emitter };
+        for face in solid.faces() {
+            match face {
+                Face::Parallelogram { origin, edge_u, edge_v } => {
+                    let far = origin + edge_u + edge_v;
+                    for vertices in [[origin, origin + edge_u, far], [origin, far, origin + edge_v]] {
+                        out.triangles.push(TriangleInput { vertices, cull: Cull::None });
+                        out.primitives.push(primitive);
+                    }
+                }
+                curved => {
+                    out.shapes.push(ShapeInput { shape: face_shape(&curved), cull: Cull::None });
+                    out.shape_primitives.push(primitive);
+                }
+            }
+        }
+    }
+}
+
+/// Groups (and their maps to the compiled frame) that go into one compiled group.
+#[derive(Default)]
+struct Builder {
+    sources: Vec<(GroupId, DAffine3)>,
+}
+
+#[derive(Default)]
+struct Output {
+    triangles: Vec<TriangleInput>,
+    shapes: Vec<ShapeInput>,
+    primitives: Vec<Primitive>,
+    shape_primitives: Vec<Primitive>,
+    corners: Vec<Corners>,
+    emitters: Vec<Emitter>,
+}
+
+/// Primitives of a group with everything static in it, counted once each.
+fn expand(scene: &Scene, group: GroupId, sizes: &mut [u64]) -> u64 {
+    if sizes[group.index()] != u64::MAX {
+        return sizes[group.index()];
+    }
+    let source = &scene.groups[group.index()];
+    let mut size = (source.triangles.len() + source.quadrics.len() + source.luminaires.len()) as u64;
+    for instance in &source.instances {
+        size = size.saturating_add(expand(scene, instance.group, sizes)).min(u64::MAX - 1);
+    }
+    sizes[group.index()] = size;
+    size
+}
+
+/// The mirror that compiled groups of orientation-reversing placements carry.
+pub fn mirror() -> DAffine3 {
+    DAffine3::from_mat3(DMat3::from_diagonal(DVec3::new(-1.0, 1.0, 1.0)))
+}
+
+/// Corner and edges when the two triangles make up a parallelogram.
+fn parallelogram(source: &Group, triangles: &[[u32; 3]]) -> Option<[DVec3; 3]> {
+    let [a, b] = triangles else { return None };
+    let apex = a.iter().position(|v| !b.contains(v))?;
+    let other = b.iter().find(|v| !a.contains(v))?;
+    let p = |v: u32| source.vertices[v as usize].position;
+    // Around the quadrilateral: apex, next, other, last.
+    let (apex, next, last) = (p(a[apex]), p(a[(apex + 1) % 3]), p(a[(apex + 2) % 3]));
+    let miss = (next + last - apex - p(*other)).length();
+    let size = (next - last).length();
+    (miss <= 1e-6 * size).then_some([apex, next - apex, last - apex])
+}
+
+/// The tracer's shape of a curved face.
+fn face_shape(face: &Face) -> KernelShape {
+    let facing = KernelFacing::Outward;
+    match *face {
+        Face::Cylinder { base, top, radius } => {
+            KernelShape::Cone { start: base, end: top, start_radius: radius, end_radius: radius, facing }
+        }
+        Face::Disc { center, normal, radius } => KernelShape::Ring { center, normal, inner: 0.0, outer: radius },
+        Face::Sphere { center, radius } => KernelShape::Sphere { center, radius, facing },
+        // Parallelograms are split into triangles before.
+        Face::Parallelogram { origin, edge_u, edge_v } => KernelShape::Ring {
+            center: origin,
+            normal: edge_u.cross(edge_v).normalize_or(Vec3A::Z),
+            inner: 0.0,
+            outer: 0.0,
+        },
+    }
+}
+
+/// A shape under a similarity.
+pub fn transform_shape(shape: &Shape, t: &DAffine3) -> Shape {
+    let scale = t.matrix3.determinant().abs().cbrt();
+    let point = |p: DVec3| t.transform_point3(p);
+    let axis = |v: DVec3| t.transform_vector3(v).normalize_or(DVec3::Z);
+    match *shape {
+        Shape::Sphere { center, radius, facing } => {
+            Shape::Sphere { center: point(center), radius: radius * scale, facing }
+        }
+        Shape::Cone { start, end, start_radius, end_radius, facing } => Shape::Cone {
+            start: point(start),
+            end: point(end),
+            start_radius: start_radius * scale,
+            end_radius: end_radius * scale,
+            facing,
+        },
+        Shape::Ring { center, normal, inner, outer } => {
+            Shape::Ring { center: point(center), normal: axis(normal), inner: inner * scale, outer: outer * scale }
+        }
+        Shape::Torus { center, axis: a, major, minor, facing } => {
+            Shape::Torus { center: point(center), axis: axis(a), major: major * scale, minor: minor * scale, facing }
+        }
+    }
+}
+
+fn kernel_facing(facing: Facing) -> KernelFacing {
+    match facing {
+        Facing::Outward => KernelFacing::Outward,
+        Facing::Inward => KernelFacing::Inward,
+    }
+}
+
+/// The tracer's f32 twin of a shape.
+fn kernel_shape(shape: &Shape) -> KernelShape {
+    let v = |p: DVec3| -> Vec3A { p.as_vec3a() };
+    match *shape {
+        Shape::Sphere { center, radius, facing } => {
+            KernelShape::Sphere { center: v(center), radius: radius as f32, facing: kernel_facing(facing) }
+        }
+        Shape::Cone { start, end, start_radius, end_radius, facing } => KernelShape::Cone {
+            start: v(start),
+            end: v(end),
+            start_radius: start_radius as f32,
+            end_radius: end_radius as f32,
+            facing: kernel_facing(facing),
+        },
+        Shape::Ring { center, normal, inner, outer } => {
+            KernelShape::Ring { center: v(center), normal: v(normal), inner: inner as f32, outer: outer as f32 }
+        }
+        Shape::Torus { center, axis, major, minor, facing } => KernelShape::Torus {
+            center: v(center),
+            axis: v(axis),
+            major: major as f32,
+            minor: minor as f32,
+            facing: kernel_facing(facing),
+        },
+    }
+}
+
+/// How a material's surfaces appear to the tracer.
+pub fn surface_class(material: &femc_scene::Material) -> SurfaceClass {
+    // A one-sided surface with a medium behind it must be seen from behind: paths leave the medium there.
+    let cull = match material.sides {
+        Sides::One if material.ior.is_none() && material.inside.is_none() => Cull::Back,
+        _ => Cull::None,
+    };
+    let emits = material.ed.amount > 0.0 && material.ed.color.iter().any(|&c| c > 0.0);
+    SurfaceClass { cull, emits }
+}

@@ -1,0 +1,352 @@
+//! A frame made ready: compiled groups placed, lights collected, media and camera converted.
+
+use crate::camera::{CameraPose, KernelCamera};
+use crate::compile::{Cache, Compiled, Compiler, NONE, Placed, mirror, surface_class};
+use crate::lights::{Entry, Lights, PhotometryTables};
+use crate::material::{Crossing, KernelMaterial};
+use crate::media::{Inside, KernelMedium, Media, Profile};
+use crate::texture::Texture;
+use femc_emission::Light;
+use femc_geometry::{InstanceInput, Pose, Ray, World, offset_origin};
+use femc_math::Rgb;
+use femc_math::elementary::double;
+use femc_math::glam::{Affine3A, DAffine3, DVec3, Vec3A};
+use femc_scattering::Phase;
+use femc_scene::{Camera, Density, Motion, MotionPath, RegionBounds, Scalars, Scene};
+use std::f64::consts::PI;
+use std::sync::Arc;
+
+/// Which frame of a scene to prepare.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FrameSpec {
+    /// Camera by name; `None`: the scene's first.
+    pub camera: Option<String>,
+    /// Film size in place of the camera's own.
+    pub size: Option<[u32; 2]>,
+    /// Frame of the clip, from 1.
+    pub frame: u32,
+}
+
+/// Why a frame cannot be prepared.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum PrepareError {
+    /// The scene has no camera.
+    #[error("the scene has no camera; add a `camera` to it")]
+    NoCamera,
+    /// No camera has this name.
+    #[error("no camera is called `{name}`; the scene has {}", known.join(", "))]
+    UnknownCamera {
+        /// The name asked for.
+        name: String,
+        /// The cameras there are.
+        known: Vec<String>,
+    },
+    /// The camera looks nowhere.
+    #[error("camera `{name}` looks along its up direction or at its own origin in frame {frame}")]
+    DegenerateCamera {
+        /// Its name.
+        name: String,
+        /// The frame.
+        frame: u32,
+    },
+    /// A measured intensity distribution is unusable.
+    #[error("a luminaire's photometry cannot be used: {0}")]
+    Photometry(#[from] femc_emission::PhotometryError),
+    /// A varied scalar cannot be set.
+    #[error(transparent)]
+    Selector(#[from] femc_scene::SelectorError),
+}
+
+/// An instance of a compiled group as the kernels see it.
+#[derive(Clone, Debug)]
+pub struct PlacedGroup {
+    /// Its surfaces.
+    pub compiled: Arc<Compiled>,
+    /// Light index of its first emitter.
+    pub first_light: u32,
+}
+
+/// A frame ready to trace.
+#[derive(Debug)]
+pub struct Prepared {
+    /// The description that it was made from.
+    pub scene: Arc<Scene>,
+    /// Frame of the clip, from 1.
+    pub frame: u32,
+    /// All surfaces.
+    pub world: World,
+    /// By instance index of `world`.
+    pub instances: Vec<PlacedGroup>,
+    /// By material index of the description.
+    pub materials: Vec<KernelMaterial>,
+    /// By image index of the description.
+    pub textures: Arc<Vec<Texture>>,
+    /// Intensity distributions of luminaires.
+    pub photometry: Arc<PhotometryTables>,
+    /// Light sources.
+    pub lights: Lights,
+    /// Participating media.
+    pub media: Media,
+    /// The camera.
+    pub camera: KernelCamera,
+    /// World position of the prepared frame's origin, m.
+    pub origin: DVec3,
+    /// No distance between a light and a ray is treated as smaller than this, m: a millionth of the scene's extent.
+    pub least_distance: f32,
+    /// Closed objects with a medium inside that hold the camera.
+    pub camera_inside: Inside,
+    /// Whether a path can meet a surface that it goes through unscattered.
+    pub has_null_crossings: bool,
+    cache: Cache,
+}
+
+/// Prepares a frame. `previous`: an earlier frame of the SAME scene, whose unchanged parts are shared.
+pub fn prepare(scene: &Arc<Scene>, spec: &FrameSpec, previous: Option<&Prepared>) -> Result<Prepared, PrepareError> {
+    let now = scene.scalars_at(scene.frame_time(spec.frame))?;
+    let previous = previous.filter(|p| Arc::ptr_eq(&p.scene, scene));
+    let camera = find_camera(&now.cameras, spec.camera.as_deref())?;
+    let shutter = scene.shutter(camera, spec.frame);
+    let origin = rebase_origin(scene, spec.camera.as_deref())?;
+    let (textures, photometry) = match previous {
+        Some(previous) => (previous.textures.clone(), previous.photometry.clone()),
+        None => {
+            (Arc::new(scene.images.iter().map(Texture::new).collect()), Arc::new(PhotometryTables::new(scene)?))
+        }
+    };
+
+    let classes: Vec<_> = now.materials.iter().map(surface_class).collect();
+    let empty = Cache::new();
+    let at_open = |motion: &Motion| motion.at(&now.paths, shutter[0]);
+    let known = previous.map_or(&empty, |p| &p.cache);
+    let mut compiler = Compiler::new(scene, &now, &photometry, &classes, known, &at_open);
+    compiler.run();
+    let (placed, cache) = (compiler.placed, compiler.cache);
+
+    // The last material is the black body behind the openings of luminaires.
+    let black = femc_scene::Material::default();
+    let materials: Vec<_> = now.materials.iter().chain([&black]).map(KernelMaterial::new).collect();
+    let mut assembly = Assembly {
+        now: &now,
+        photometry: &photometry,
+        origin,
+        shutter,
+        inputs: Vec::new(),
+        instances: Vec::new(),
+        lights: Vec::new(),
+        entries: Vec::new(),
+    };
+    for group in &placed {
+        assembly.place(group);
+    }
+    let media = media(scene, &now, origin);
+    let camera = kernel_camera(&now.paths, camera, spec, origin, shutter)?;
+    let has_null_crossings =
+        materials.iter().any(|m| m.crossing.iter().any(|c| matches!(c, Crossing::Null { .. })) && m.inside.is_some());
+    let Assembly { inputs, instances, lights, entries, .. } = assembly;
+    let world = World::build(inputs);
+    let extent = world.bounds().size().max_element();
+    let mut prepared = Prepared {
+        scene: scene.clone(),
+        frame: spec.frame,
+        world,
+        least_distance: if extent.is_finite() { (extent * 1e-6).max(1e-9) } else { 1e-6 },
+        instances,
+        materials,
+        textures,
+        photometry,
+        lights: Lights::new(lights, entries),
+        media,
+        camera,
+        origin,
+        camera_inside: Inside::default(),
+        has_null_crossings,
+        cache,
+    };
+    if prepared.materials.iter().any(|m| m.inside.is_some()) {
+        prepared.camera_inside = prepared.media_around(prepared.camera.eye());
+    }
+    Ok(prepared)
+}
+
+impl Prepared {
+    /// The media of the closed objects that hold `point`: those whose surfaces a ray from there leaves without having
+    /// entered them.
+    fn media_around(&self, point: Vec3A) -> Inside {
+        let mut ray = Ray { origin: point, dir: Vec3A::new(0.36, 0.48, 0.8), t_max: f32::INFINITY, time: 0.0 };
+        let (mut entered, mut left) = (Inside::default(), Vec::new());
+        for _ in 0..10_000 {
+            let Some(hit) = self.world.intersect(&ray) else { break };
+            let surface = self.surface(&ray, &hit);
+            if let Some(medium) = self.materials[surface.material as usize].inside {
+                if surface.normal.dot(ray.dir) < 0.0 {
+                    entered.push(medium);
+                } else if entered.iter().any(|m| m == medium) {
+                    entered.remove(medium);
+                } else {
+                    left.push(medium);
+                }
+            }
+            ray.origin = offset_origin(surface.position, surface.error, surface.normal, ray.dir);
+        }
+        let mut inside = Inside::default();
+        left.into_iter().rev().for_each(|m| inside.push(m));
+        inside
+    }
+}
+
+/// The camera of a name, or the first.
+pub fn find_camera<'a>(cameras: &'a [Camera], name: Option<&str>) -> Result<&'a Camera, PrepareError> {
+    match name {
+        None => cameras.first().ok_or(PrepareError::NoCamera),
+        Some(name) => cameras.iter().find(|c| c.name == name).ok_or_else(|| PrepareError::UnknownCamera {
+            name: name.into(),
+            known: cameras.iter().map(|c| c.name.clone()).collect(),
+        }),
+    }
+}
+
+/// A whole number of metres near the camera at the start of the clip: the same for every frame.
+fn rebase_origin(scene: &Scene, camera: Option<&str>) -> Result<DVec3, PrepareError> {
+    let camera = find_camera(&scene.cameras, camera)?.at(&scene.paths, scene.frame_time(1));
+    Ok(camera.origin.round())
+}
+
+struct Assembly<'a> {
+    now: &'a Scalars,
+    photometry: &'a PhotometryTables,
+    origin: DVec3,
+    shutter: [f64; 2],
+    inputs: Vec<InstanceInput>,
+    instances: Vec<PlacedGroup>,
+    lights: Vec<Light>,
+    entries: Vec<Entry>,
+}
+
+impl Assembly<'_> {
+    /// Compiled frame to prepared frame at `time`.
+    fn pose(&self, placed: &Placed, time: f64) -> DAffine3 {
+        let mut pose = DAffine3::from_translation(placed.compiled.center);
+        if placed.mirrored {
+            pose = mirror() * pose;
+        }
+        for motion in &placed.motions {
+            pose = motion.at(&self.now.paths, time) * pose;
+        }
+        DAffine3::from_translation(-self.origin) * pose
+    }
+
+    fn place(&mut self, placed: &Placed) {
+        let [open, close] = self.shutter;
+        let moves = close > open && placed.motions.iter().any(|m| m.is_animated(&self.now.paths));
+        let first = self.pose(placed, open);
+        let pose = if moves {
+            let steps = pose_count(&first, &self.pose(placed, close));
+            let at = |k: usize| self.pose(placed, open + (close - open) * k as f64 / (steps - 1) as f64);
+            Pose::Moving((0..steps).map(|k| affine(&at(k))).collect())
+        } else {
+            Pose::Fixed(affine(&first))
+        };
+        let instance = self.inputs.len() as u32;
+        let first_light = self.lights.len() as u32;
+        let carrier = if moves { instance } else { NONE };
+        let to_frame = if moves { DAffine3::IDENTITY } else { first };
+        self.add_emitters(&placed.compiled, carrier, &to_frame);
+        self.inputs.push(InstanceInput { blas: placed.compiled.blas.clone(), pose });
+        self.instances.push(PlacedGroup { compiled: placed.compiled.clone(), first_light });
+    }
+
+    fn add_emitters(&mut self, compiled: &Compiled, carrier: u32, to_frame: &DAffine3) {
+        let first = self.lights.len();
+        for emitter in &compiled.emitters {
+            let material = self.now.materials.get(emitter.material as usize);
+            let shape = crate::lights::placed(emitter, to_frame);
+            self.lights.push(crate::lights::light_of(&shape, material, self.photometry));
+            let texture = material.and_then(|m| m.map_ed).map_or(NONE, |m| m.0);
+            self.entries.push(Entry { carrier, texture, ..Entry::default() });
+        }
+        for primitive in compiled.primitives.iter().filter(|p| p.emitter != NONE && p.corners != NONE) {
+            self.entries[first + primitive.emitter as usize].uv = compiled.corners[primitive.corners as usize].uv;
+        }
+    }
+}
+
+/// Shutter poses enough that the rotation between neighbours stays below 15 degrees, at least two.
+fn pose_count(a: &DAffine3, b: &DAffine3) -> usize {
+    let (_, qa, _) = a.to_scale_rotation_translation();
+    let (_, qb, _) = b.to_scale_rotation_translation();
+    let angle = 2.0 * double::acos(qa.dot(qb).abs().min(1.0));
+    2 + (angle / (PI / 12.0)) as usize
+}
+
+fn affine(t: &DAffine3) -> Affine3A {
+    Affine3A {
+        matrix3: femc_math::glam::Mat3A::from_cols(
+            t.matrix3.x_axis.as_vec3a(),
+            t.matrix3.y_axis.as_vec3a(),
+            t.matrix3.z_axis.as_vec3a(),
+        ),
+        translation: t.translation.as_vec3a(),
+    }
+}
+
+fn media(scene: &Scene, now: &Scalars, origin: DVec3) -> Media {
+    let color = |c: [f64; 3], amount: f64| Rgb::from_array(c.map(|c| (c * amount).max(0.0) as f32));
+    let kernels = now.media.iter().map(|m| {
+        let sigma_s = color(m.color, m.sigma_s);
+        KernelMedium {
+            sigma_s,
+            sigma_t: sigma_s + Rgb::splat(m.sigma_a as f32),
+            glow: color(m.glow_color, m.glow / (4.0 * PI)),
+            phase: phase(&m.phase),
+            profile: match m.density {
+                Density::Uniform => Profile::Uniform,
+                Density::Height { z0, scale } => {
+                    Profile::Height { z0: (z0 - origin.z) as f32, inverse_scale: (1.0 / scale) as f32 }
+                }
+            },
+        }
+    });
+    let mut media = Media::new(kernels.collect(), now.materials.iter().any(|m| m.inside.is_some()));
+    for region in &scene.regions {
+        let medium = region.medium.0 as u16;
+        match &region.bounds {
+            RegionBounds::Everywhere => media.fill_everywhere(medium),
+            RegionBounds::Box { min, max, to_world } => {
+                // Around the box's own middle, so that local coordinates are small.
+                let middle = 0.5 * (*min + *max);
+                let to_frame = DAffine3::from_translation(-origin) * *to_world * DAffine3::from_translation(middle);
+                let half = (0.5 * (*max - *min)).abs().as_vec3a();
+                media.fill_box(medium, affine(&to_frame.inverse()), -half, half);
+            }
+        }
+    }
+    media
+}
+
+fn phase(phase: &femc_scene::Phase) -> Phase {
+    match *phase {
+        femc_scene::Phase::Isotropic => Phase::Isotropic,
+        femc_scene::Phase::HenyeyGreenstein { g } => Phase::HenyeyGreenstein { g: g as f32 },
+        femc_scene::Phase::Schlick { k } => Phase::Schlick { k: k as f32 },
+        femc_scene::Phase::Rayleigh => Phase::Rayleigh,
+    }
+}
+
+fn kernel_camera(
+    paths: &[MotionPath],
+    camera: &Camera,
+    spec: &FrameSpec,
+    origin: DVec3,
+    shutter: [f64; 2],
+) -> Result<KernelCamera, PrepareError> {
+    let film = spec.size.unwrap_or(camera.film);
+    let steps = if camera.is_animated(paths) && shutter[1] > shutter[0] { 5 } else { 1 };
+    let poses = (0..steps).map(|k| {
+        let time = shutter[0] + (shutter[1] - shutter[0]) * f64::from(k) / f64::from((steps - 1).max(1));
+        let at = camera.at(paths, time);
+        CameraPose::new(at.origin - origin, at.target - origin, at.up, at.fov, film)
+            .ok_or_else(|| PrepareError::DegenerateCamera { name: camera.name.clone(), frame: spec.frame })
+    });
+    let poses = poses.collect::<Result<Vec<_>, _>>()?;
+    Ok(KernelCamera::new(poses, film, camera.lens_radius as f32, camera.focus as f32))
+}

@@ -1,0 +1,21 @@
+//! Prepared frames: a scene's description at one time, turned into what the kernels read: BVHs, materials, lights, media
+//! and the camera.
+//!
+//! Coordinates are rebased: a whole number of metres near the camera is subtracted in f64 before anything becomes f32, the
+//! same for all frames of a clip. What did not change since an earlier frame is shared with it.
+#![deny(missing_docs)]
+
+pub mod camera;
+pub mod compile;
+pub mod lights;
+pub mod material;
+pub mod media;
+pub mod texture;
+
+mod frame;
+mod surface;
+
+pub use frame::{FrameSpec, PrepareError, Prepared, find_camera, prepare};
+pub use lights::Lights;
+pub use material::{Crossing, KernelMaterial, Orientation};
+pub use surface::SurfacePoint;

@@ -1,0 +1,306 @@
+//! The light sources of a frame, with their places and textures.
+
+use crate::compile::{Emitter, EmitterShape, NONE};
+use crate::texture::Texture;
+use femc_emission::light::{
+    Cone, Parallelogram, PhotometricPoint, PhotometricSolid, Ring, Solid, Sphere, Torus, Triangle,
+};
+use femc_emission::{
+    DeltaKind, Emission, IntensityDistribution, Light, LightSample, LightSet, PhotometryError, PhotometryKind, Profile,
+    Sides,
+};
+use femc_geometry::World;
+use femc_math::Rgb;
+use femc_math::glam::{Affine3A, DAffine3, DVec3, Vec2, Vec3A};
+use femc_scene::{Facing, Luminaire, Material, Opening, Photometry, PhotometryType, Scene, Shape};
+use std::sync::Arc;
+
+/// All light sources. A light is fixed in the prepared frame, or in the frame of an instance that moves in the shutter.
+#[derive(Debug, Default)]
+pub struct Lights {
+    set: LightSet,
+    entries: Vec<Entry>,
+}
+
+/// Place and texture of a light.
+#[derive(Clone, Copy, Debug)]
+pub struct Entry {
+    /// Moving instance that carries it, or `NONE`.
+    pub carrier: u32,
+    /// Texture of its emission, or `NONE`.
+    pub texture: u32,
+    /// Texture coordinates at the corners of a triangle.
+    pub uv: [Vec2; 3],
+}
+
+impl Default for Entry {
+    fn default() -> Self {
+        Self { carrier: NONE, texture: NONE, uv: [Vec2::ZERO; 3] }
+    }
+}
+
+/// A point drawn on a light.
+#[derive(Clone, Copy, Debug)]
+pub struct Drawn {
+    /// The point, prepared frame; `pdf` includes the probability of the light.
+    pub sample: LightSample,
+    /// Index of the light.
+    pub light: u32,
+}
+
+impl Lights {
+    /// Joins lights with their entries (same length and order).
+    pub fn new(lights: Vec<Light>, entries: Vec<Entry>) -> Self {
+        debug_assert_eq!(lights.len(), entries.len());
+        Self { set: LightSet::new(lights), entries }
+    }
+
+    /// Whether there is no light at all.
+    pub fn is_empty(&self) -> bool {
+        self.entries.is_empty()
+    }
+
+    /// Number of lights.
+    pub fn len(&self) -> usize {
+        self.entries.len()
+    }
+
+    /// Chooses a light by its power: (index, probability). `None`: no light has any.
+    #[inline]
+    pub fn choose(&self, u: f32) -> Option<(u32, f32)> {
+        self.set.sample(u).map(|choice| (choice.index as u32, choice.probability))
+    }
+
+    /// Draws a light by power and a point on it as seen from `reference`.
+    #[inline]
+    pub fn sample(
+        &self,
+        world: &World,
+        textures: &[Texture],
+        reference: Vec3A,
+        time: f32,
+        choice: f32,
+        u: [f32; 2],
+    ) -> Option<Drawn> {
+        let (index, probability) = self.choose(choice)?;
+        let mut sample = self.sample_light(world, textures, index, reference, time, u)?;
+        sample.pdf *= probability;
+        Some(Drawn { sample, light: index })
+    }
+
+    /// Draws a point on one light; the density is that of the point alone.
+    #[inline]
+    pub fn sample_light(
+        &self,
+        world: &World,
+        textures: &[Texture],
+        light: u32,
+        reference: Vec3A,
+        time: f32,
+        u: [f32; 2],
+    ) -> Option<LightSample> {
+        let entry = &self.entries[light as usize];
+        let mut sample = if entry.carrier == NONE {
+            self.set.lights()[light as usize].sample(reference, u)?
+        } else {
+            let pose = world.pose_at(entry.carrier, time);
+            carried(&self.set.lights()[light as usize], &pose, reference, u)?
+        };
+        if entry.texture != NONE {
+            sample.radiance *= entry.texel(textures, sample.uv);
+        }
+        Some(sample)
+    }
+
+    /// Density, 1/sr, with which [`Lights::sample_light`] draws the point that a ray met, without the light's probability.
+    #[inline]
+    pub fn pdf(&self, world: &World, light: u32, reference: Vec3A, time: f32, at: (Vec3A, Vec3A), dir: Vec3A) -> f32 {
+        let entry = &self.entries[light as usize];
+        let source = &self.set.lights()[light as usize];
+        if entry.carrier == NONE {
+            return source.pdf(reference, at.0, at.1, dir);
+        }
+        let back = world.pose_at(entry.carrier, time).inverse();
+        source.pdf(
+            back.transform_point3a(reference),
+            back.transform_point3a(at.0),
+            back.transform_vector3a(at.1).normalize_or_zero(),
+            back.transform_vector3a(dir).normalize_or_zero(),
+        )
+    }
+
+    /// Radiance, cd/m2, that the light sends in `dir` (unit, away from it) from a point with `normal`.
+    #[inline]
+    pub fn radiance(
+        &self,
+        world: &World,
+        textures: &[Texture],
+        light: u32,
+        time: f32,
+        normal: Vec3A,
+        dir: Vec3A,
+        parametric: [f32; 2],
+    ) -> Rgb {
+        let entry = &self.entries[light as usize];
+        let source = &self.set.lights()[light as usize];
+        let mut radiance = if entry.carrier == NONE {
+            source.radiance(dir, normal)
+        } else {
+            let back = world.pose_at(entry.carrier, time).inverse();
+            source.radiance(
+                back.transform_vector3a(dir).normalize_or_zero(),
+                back.transform_vector3a(normal).normalize_or_zero(),
+            )
+        };
+        if entry.texture != NONE {
+            radiance *= entry.texel(textures, parametric);
+        }
+        radiance
+    }
+
+    /// Probability that a light is drawn.
+    #[inline]
+    pub fn probability(&self, light: u32) -> f32 {
+        self.set.pmf(light as usize)
+    }
+
+    /// Middle of a light, prepared frame, m.
+    #[inline]
+    pub fn center(&self, world: &World, light: u32, time: f32) -> Vec3A {
+        let center = self.set.lights()[light as usize].center();
+        match self.entries[light as usize].carrier {
+            NONE => center,
+            carrier => world.pose_at(carrier, time).transform_point3a(center),
+        }
+    }
+}
+
+impl Entry {
+    fn texel(&self, textures: &[Texture], parametric: [f32; 2]) -> Rgb {
+        let [b1, b2] = parametric;
+        let uv = self.uv[0] * (1.0 - b1 - b2) + self.uv[1] * b1 + self.uv[2] * b2;
+        textures[self.texture as usize].lookup(uv).max(Rgb::ZERO)
+    }
+}
+
+/// Draws a point on a light that a moving instance carries. Poses are similarities: densities per steradian stay, lengths scale.
+fn carried(light: &Light, pose: &Affine3A, reference: Vec3A, u: [f32; 2]) -> Option<LightSample> {
+    let back = pose.inverse();
+    let mut sample = light.sample(back.transform_point3a(reference), u)?;
+    let scale = pose.matrix3.x_axis.length();
+    sample.dir = pose.transform_vector3a(sample.dir).normalize_or_zero();
+    sample.position = pose.transform_point3a(sample.position);
+    sample.normal = pose.transform_vector3a(sample.normal).normalize_or_zero();
+    sample.error = pose.matrix3.abs() * sample.error + sample.position.abs() * femc_math::gamma(4);
+    sample.distance *= scale;
+    if sample.delta == DeltaKind::Position {
+        sample.radiance /= scale * scale;
+    }
+    Some(sample)
+}
+
+/// The shape of an emitter in the frame where its light is kept.
+pub fn placed(emitter: &Emitter, to_frame: &DAffine3) -> EmitterShape {
+    match emitter.shape {
+        EmitterShape::Triangle(p) => EmitterShape::Triangle(p.map(|p| to_frame.transform_point3(p))),
+        EmitterShape::Parallelogram([o, a, b]) => EmitterShape::Parallelogram([
+            to_frame.transform_point3(o),
+            to_frame.transform_vector3(a),
+            to_frame.transform_vector3(b),
+        ]),
+        EmitterShape::Curved(shape) => EmitterShape::Curved(crate::compile::transform_shape(&shape, to_frame)),
+        EmitterShape::Photometric(luminaire) => {
+            EmitterShape::Photometric(Luminaire { to_group: *to_frame * luminaire.to_group, ..luminaire })
+        }
+    }
+}
+
+/// Measured intensity distributions of a scene, ready to evaluate.
+#[derive(Clone, Debug, Default)]
+pub struct PhotometryTables {
+    tables: Vec<(Arc<IntensityDistribution>, Opening)>,
+}
+
+impl PhotometryTables {
+    /// By photometry index of the scene.
+    pub fn new(scene: &Scene) -> Result<Self, PhotometryError> {
+        let table = |p: &Photometry| {
+            let kind = match p.kind {
+                PhotometryType::A => PhotometryKind::A,
+                PhotometryType::B => PhotometryKind::B,
+                PhotometryType::C => PhotometryKind::C,
+            };
+            let table = IntensityDistribution::new(kind, &p.vertical, &p.horizontal, &p.candela)?;
+            Ok((Arc::new(table), p.opening))
+        };
+        Ok(Self { tables: scene.photometry.iter().map(table).collect::<Result<_, _>>()? })
+    }
+
+    /// The light of a luminaire; `to_frame` maps the luminaire's own frame to the one that the light is kept in.
+    pub fn light(&self, luminaire: &Luminaire, to_frame: &DAffine3) -> Light {
+        let (table, opening) = &self.tables[luminaire.photometry.index()];
+        let scale = to_frame.matrix3.determinant().abs().cbrt();
+        let axis = |v: DVec3| v.normalize_or_zero().as_vec3a();
+        let m = to_frame.matrix3;
+        let axes = [axis(m.x_axis), axis(m.y_axis), axis(m.z_axis)];
+        let position = to_frame.translation.as_vec3a();
+        let tint = Rgb::from_array(luminaire.color.map(|c| (c * luminaire.multiplier).max(0.0) as f32));
+        let size = |x: f64| (x * scale) as f32;
+        let solid = match *opening {
+            Opening::Point => {
+                return Light::PhotometricPoint(PhotometricPoint { position, axes, distribution: table.clone(), tint });
+            }
+            Opening::Box { width, length, height } => Solid::cuboid(size(length), size(width), size(height)),
+            Opening::Cylinder { diameter, height } => Solid::cylinder(size(diameter), size(height)),
+            Opening::Sphere { diameter } => Solid::sphere(size(diameter)),
+        };
+        Light::PhotometricSolid(PhotometricSolid { center: position, axes, solid, distribution: table.clone(), tint })
+    }
+}
+
+/// The light of an emitter; `material` is that of its surface, which luminaires do not have.
+pub fn light_of(shape: &EmitterShape, material: Option<&Material>, tables: &PhotometryTables) -> Light {
+    let black = Material::default();
+    let material = material.unwrap_or(&black);
+    let c = material.ed.color.map(|c| (c * material.ed.amount).max(0.0) as f32);
+    let emission = Emission {
+        emittance: Rgb::from_array(c),
+        profile: material.lobe.map_or(Profile::Lambertian, |n| Profile::Lobe { exponent: n as f32 }),
+        sides: match material.sides {
+            femc_scene::Sides::One => Sides::One,
+            femc_scene::Sides::Two => Sides::Two,
+        },
+    };
+    let v = |p: &DVec3| p.as_vec3a();
+    let signed = |radius: f64, facing: Facing| match facing {
+        Facing::Outward => radius as f32,
+        Facing::Inward => -radius as f32,
+    };
+    match shape {
+        EmitterShape::Triangle([a, b, c]) => Light::Triangle(Triangle::new([v(a), v(b), v(c)], emission)),
+        EmitterShape::Parallelogram([o, a, b]) => {
+            Light::Parallelogram(Parallelogram::new(v(o), v(a), v(b), emission))
+        }
+        EmitterShape::Curved(Shape::Sphere { center, radius, facing }) => {
+            Light::Sphere(Sphere::new(v(center), signed(*radius, *facing), emission))
+        }
+        EmitterShape::Curved(Shape::Cone { start, end, start_radius, end_radius, facing }) => Light::Cone(Cone::new(
+            v(start),
+            signed(*start_radius, *facing),
+            v(end),
+            signed(*end_radius, *facing),
+            emission,
+        )),
+        EmitterShape::Curved(Shape::Ring { center, normal, inner, outer }) => {
+            Light::Ring(Ring::new(v(center), v(normal), *inner as f32, *outer as f32, emission))
+        }
+        EmitterShape::Curved(Shape::Torus { center, axis, major, minor, facing }) => Light::Torus(Torus::new(
+            v(center),
+            v(axis),
+            signed(major - minor, *facing),
+            signed(major + minor, *facing),
+            emission,
+        )),
+        EmitterShape::Photometric(luminaire) => tables.light(luminaire, &luminaire.to_group),
+    }
+}

@@ -1,0 +1,119 @@
+//! Materials as the kernels read them.
+
+use crate::texture::Texture;
+use femc_math::Rgb;
+use femc_math::glam::{Vec2, Vec3A};
+use femc_scattering::{Bsdf, MaterialParameters, Sides as KernelSides};
+use femc_scene::{Material, Sides, Tinted};
+
+/// What happens to a path that meets the surface.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Crossing {
+    /// It scatters by the BSDF.
+    Scatter,
+    /// It goes straight on, multiplied by the tint: an index-matched clear interface, there only to bound a medium.
+    Null {
+        /// Factor on the radiance.
+        tint: Rgb,
+    },
+}
+
+/// A material of a prepared frame.
+#[derive(Clone, Debug)]
+pub struct KernelMaterial {
+    /// Scattering where no texture changes it.
+    pub bsdf: Bsdf,
+    /// What `bsdf` was made from.
+    pub parameters: MaterialParameters,
+    /// From the front, and from the back.
+    pub crossing: [Crossing; 2],
+    /// Whether shading happens in a frame that faces the viewer (no solid behind the surface).
+    pub faces_viewer: Orientation,
+    /// Medium behind the surface.
+    pub inside: Option<u16>,
+    /// Texture of `rd`.
+    pub map_rd: Option<u32>,
+    /// Texture of `ed`.
+    pub map_ed: Option<u32>,
+    /// Normal map.
+    pub map_n: Option<u32>,
+}
+
+/// How the shading frame is turned.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Orientation {
+    /// The frame's normal is turned to the side the path comes from.
+    TowardViewer,
+    /// The frame's normal stays on the front side (solids).
+    Front,
+}
+
+/// Linear Rec.709 product of a scalar and its colour; channels are clamped to `[0, limit]`.
+fn product(tinted: &Tinted, limit: f64) -> Rgb {
+    let c = tinted.color.map(|c| (c * tinted.amount).clamp(0.0, limit) as f32);
+    Rgb::from_array(c)
+}
+
+impl KernelMaterial {
+    /// Converts a description. Reflectances and transmittances above 1 in a channel (a saturated colour of luminance 1 may
+    /// ask for that) are cut to 1: nothing reflects more than it receives; `check` reports them.
+    pub fn new(material: &Material) -> Self {
+        let reflectance = |t: &Tinted| product(t, 1.0);
+        let parameters = MaterialParameters {
+            sides: match material.sides {
+                Sides::One => KernelSides::One,
+                Sides::Two => KernelSides::Two,
+            },
+            rd: reflectance(&material.rd),
+            td: reflectance(&material.td),
+            rs: reflectance(&material.rs),
+            ts: reflectance(&material.ts),
+            rs_alpha: material.rs_alpha as f32,
+            ts_alpha: material.ts_alpha as f32,
+            ior: material.ior.map(|i| (i.re as f32, i.im as f32)),
+        };
+        let solid = material.sides == Sides::One && material.ior.is_some();
+        let matched = solid
+            && material.ior.is_some_and(|i| i.re == 1.0 && i.im == 0.0)
+            && material.ts_alpha == 0.0
+            && material.ts.amount > 0.0
+            && material.rd.amount == 0.0
+            && material.td.amount == 0.0
+            && material.rs.amount == 0.0;
+        let crossing = if matched {
+            [Crossing::Null { tint: parameters.ts }; 2]
+        } else if material.sides == Sides::One && !solid {
+            // Invisible from behind; seen there only because a medium ends (see `surface_class`).
+            [Crossing::Scatter, Crossing::Null { tint: Rgb::ONE }]
+        } else {
+            [Crossing::Scatter; 2]
+        };
+        Self {
+            bsdf: Bsdf::from_parameters(&parameters),
+            parameters,
+            crossing,
+            faces_viewer: if solid { Orientation::Front } else { Orientation::TowardViewer },
+            inside: material.inside.map(|m| m.0 as u16),
+            map_rd: material.map_rd.map(|m| m.0),
+            map_ed: material.map_ed.map(|m| m.0),
+            map_n: material.map_n.map(|m| m.0),
+        }
+    }
+
+    /// The BSDF at a point whose texture of `rd` has value `texel`.
+    pub fn textured(&self, texel: Rgb) -> Bsdf {
+        let rd = self.parameters.rd * texel.clamp(Rgb::ZERO, Rgb::ONE);
+        Bsdf::from_parameters(&MaterialParameters { rd, ..self.parameters })
+    }
+}
+
+/// The shading normal under a normal map: `texel` is the tangent-space normal, `tangent` the direction of growing u.
+pub fn mapped_normal(normal: Vec3A, tangent: Vec3A, map: &Texture, uv: Vec2) -> Vec3A {
+    let texel = map.lookup(uv);
+    let tangent = (tangent - normal * normal.dot(tangent)).normalize_or_zero();
+    if tangent == Vec3A::ZERO {
+        return normal;
+    }
+    let bitangent = normal.cross(tangent);
+    (tangent * texel.x + bitangent * texel.y + normal * texel.z.max(1e-3)).normalize_or(normal)
+}

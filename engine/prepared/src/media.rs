@@ -1,0 +1,579 @@
+//! Participating media along a ray: intervals of constant coefficients plus height-dependent fog, all with closed-form
+//! optical depth, so that transmittance is exact and distances are drawn by inversion.
+//!
+//! Overlapping media add up. Coefficients may differ by colour channel; a distance is then drawn for one channel and its
+//! density is the mean over the channels, which keeps the estimator unbiased and its weights bounded.
+
+use femc_math::Rgb;
+use femc_math::elementary::{exp, exp_m1, ln_1p};
+use femc_math::glam::{Affine3A, Vec3A};
+use femc_scattering::Phase;
+
+/// Farthest distance along a ray, m: infinity for products that must stay finite.
+pub const FAR: f32 = 1e30;
+
+/// Relative density of a medium over height.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Profile {
+    /// 1 everywhere.
+    Uniform,
+    /// 1 below `z0`, `exp(-(z - z0) / scale)` above; prepared frame.
+    Height {
+        /// Height of full density, m.
+        z0: f32,
+        /// 1 / scale height, 1/m.
+        inverse_scale: f32,
+    },
+}
+
+/// A medium as the kernels read it.
+#[derive(Clone, Debug)]
+pub struct KernelMedium {
+    /// Scattering coefficient at density 1, 1/m.
+    pub sigma_s: Rgb,
+    /// Extinction coefficient at density 1, 1/m.
+    pub sigma_t: Rgb,
+    /// Emitted radiance per metre at density 1, cd/m2/m.
+    pub glow: Rgb,
+    /// Phase function.
+    pub phase: Phase,
+    /// Density over height.
+    pub profile: Profile,
+}
+
+impl KernelMedium {
+    fn scatters(&self) -> bool {
+        self.sigma_s.max_element() > 0.0
+    }
+
+    fn density(&self, z: f32) -> f32 {
+        match self.profile {
+            Profile::Uniform => 1.0,
+            Profile::Height { z0, inverse_scale } => exp(-((z - z0) * inverse_scale).max(0.0)),
+        }
+    }
+
+    /// Integral of the density over [a, b] along a ray with heights `oz + dz t`, m.
+    fn column(&self, oz: f32, dz: f32, a: f32, b: f32) -> f32 {
+        let Profile::Height { z0, inverse_scale } = self.profile else { return b - a };
+        // Split at the height of full density, then integrate an exponential over the part above it.
+        let crossing = if dz != 0.0 { (z0 - oz) / dz } else { FAR };
+        let (below, above) = if dz > 0.0 {
+            let c = crossing.clamp(a, b);
+            (c - a, (c, b))
+        } else if dz < 0.0 {
+            let c = crossing.clamp(a, b);
+            (b - c, (a, c))
+        } else if oz < z0 {
+            (b - a, (b, b))
+        } else {
+            (0.0, (a, b))
+        };
+        let length = above.1 - above.0;
+        if length <= 0.0 {
+            return below;
+        }
+        let start = exp(-((oz + dz * above.0 - z0) * inverse_scale).max(0.0));
+        let rate = dz * inverse_scale * length;
+        let mean = if rate.abs() < 1e-3 { 1.0 - 0.5 * rate } else { -exp_m1(-rate) / rate };
+        // A descending ray far above the fog: `start` underflows while `mean` overflows; measure from the dense end instead.
+        if rate < -60.0 {
+            let end = exp(-((oz + dz * above.1 - z0) * inverse_scale).max(0.0));
+            return below + end / (-dz * inverse_scale);
+        }
+        below + start * mean * length
+    }
+}
+
+/// Where a medium is.
+#[derive(Clone, Debug)]
+enum Bounds {
+    Everywhere,
+    Box { to_local: Affine3A, min: Vec3A, max: Vec3A },
+}
+
+/// All media of a prepared frame.
+#[derive(Clone, Debug, Default)]
+pub struct Media {
+    media: Vec<KernelMedium>,
+    regions: Vec<(u16, Bounds)>,
+    carried: bool,
+}
+
+/// Media that a path carries because it is inside a closed object: a multiset of medium indices.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Inside {
+    media: [u16; 8],
+    count: u8,
+}
+
+impl Inside {
+    /// Enters `medium`. More than eight nested media are not tracked; the deepest are ignored.
+    pub fn push(&mut self, medium: u16) {
+        if let Some(slot) = self.media.get_mut(usize::from(self.count)) {
+            *slot = medium;
+            self.count += 1;
+        }
+    }
+
+    /// Leaves `medium`; nothing happens when the path is not in it.
+    pub fn remove(&mut self, medium: u16) {
+        let n = usize::from(self.count);
+        if let Some(i) = self.media[..n].iter().rposition(|&m| m == medium) {
+            self.media.copy_within(i + 1..n, i);
+            self.count -= 1;
+        }
+    }
+
+    /// The media, outermost first.
+    pub fn iter(&self) -> impl Iterator<Item = u16> + '_ {
+        self.media[..usize::from(self.count)].iter().copied()
+    }
+}
+
+/// A run of the ray in which the set of media is constant.
+#[derive(Clone, Copy, Debug)]
+struct Interval {
+    start: f32,
+    end: f32,
+    /// Sums over the uniform media.
+    sigma_t: Rgb,
+    sigma_s: Rgb,
+    /// Extinction of the uniform media that scatter: what distances are drawn by.
+    drawn: Rgb,
+    glow: Rgb,
+    /// Media of the interval in `MediaRay::active`.
+    first: u32,
+    count: u32,
+    /// Whether some medium varies with height.
+    varies: bool,
+}
+
+/// Buffers of [`Media::along`], reused from ray to ray.
+#[derive(Default)]
+pub struct MediaRay {
+    crossings: Vec<(f32, u32, i32)>,
+    intervals: Vec<Interval>,
+    active: Vec<u16>,
+    present: Vec<u16>,
+    oz: f32,
+    dz: f32,
+}
+
+/// A scattering event on a ray.
+#[derive(Clone, Copy, Debug)]
+pub struct Event {
+    /// Distance, m.
+    pub t: f32,
+    /// Transmittance from the ray's origin times the scattering coefficient at `t`, divided by the density of `t`.
+    pub weight: Rgb,
+    /// Density of the distance, 1/m.
+    pub pdf: f32,
+    /// Interval of the event.
+    interval: u32,
+}
+
+/// Outcome of drawing a distance.
+#[derive(Clone, Copy, Debug)]
+pub enum Distance {
+    /// A scattering event.
+    Scatter(Event),
+    /// The ray went through; the weight is transmittance / probability.
+    Through {
+        /// Transmittance to the end divided by its probability.
+        weight: Rgb,
+    },
+}
+
+impl Media {
+    /// Media by index. `carried`: whether surfaces have media behind them (see [`Inside`]).
+    pub fn new(media: Vec<KernelMedium>, carried: bool) -> Self {
+        Self { media, regions: Vec::new(), carried }
+    }
+
+    /// Fills everything with `medium`.
+    pub fn fill_everywhere(&mut self, medium: u16) {
+        self.regions.push((medium, Bounds::Everywhere));
+    }
+
+    /// Fills a box with `medium`.
+    pub fn fill_box(&mut self, medium: u16, to_local: Affine3A, min: Vec3A, max: Vec3A) {
+        self.regions.push((medium, Bounds::Box { to_local, min, max }));
+    }
+
+    /// Whether no path can ever be in a medium.
+    pub fn is_empty(&self) -> bool {
+        self.regions.is_empty() && !self.carried
+    }
+
+    /// Whether some medium emits.
+    pub fn glows(&self) -> bool {
+        self.media.iter().any(|m| m.glow.max_element() > 0.0)
+    }
+
+    /// The medium of an index.
+    pub fn medium(&self, index: u16) -> &KernelMedium {
+        &self.media[usize::from(index)]
+    }
+
+    /// Cuts the ray's [0, `t_max`] into intervals of constant media. Returns whether there is any medium on it.
+    pub fn along(&self, origin: Vec3A, dir: Vec3A, t_max: f32, inside: &Inside, out: &mut MediaRay) -> bool {
+        let t_max = t_max.min(FAR);
+        out.crossings.clear();
+        out.intervals.clear();
+        out.active.clear();
+        out.present.clear();
+        (out.oz, out.dz) = (origin.z, dir.z);
+        out.present.extend(inside.iter());
+        for (region, (medium, bounds)) in self.regions.iter().enumerate() {
+            match bounds {
+                Bounds::Everywhere => out.present.push(*medium),
+                Bounds::Box { to_local, min, max } => {
+                    if let Some((a, b)) = slab(to_local, origin, dir, *min, *max, t_max) {
+                        out.crossings.push((a, region as u32, 1));
+                        out.crossings.push((b, region as u32, -1));
+                    }
+                }
+            }
+        }
+        if out.crossings.is_empty() {
+            if !out.present.is_empty() {
+                self.close(0.0, t_max, out);
+            }
+            return !out.intervals.is_empty();
+        }
+        out.crossings.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)).then(x.2.cmp(&y.2)));
+        let mut start = 0.0;
+        for i in 0..out.crossings.len() {
+            let (t, region, change) = out.crossings[i];
+            if t > start && !out.present.is_empty() {
+                self.close(start, t, out);
+            }
+            start = start.max(t);
+            let medium = self.regions[region as usize].0;
+            if change > 0 {
+                out.present.push(medium);
+            } else if let Some(k) = out.present.iter().rposition(|&m| m == medium) {
+                out.present.remove(k);
+            }
+        }
+        if t_max > start && !out.present.is_empty() {
+            self.close(start, t_max, out);
+        }
+        !out.intervals.is_empty()
+    }
+
+    fn close(&self, start: f32, end: f32, out: &mut MediaRay) {
+        let mut interval = Interval {
+            start,
+            end,
+            sigma_t: Rgb::ZERO,
+            sigma_s: Rgb::ZERO,
+            drawn: Rgb::ZERO,
+            glow: Rgb::ZERO,
+            first: out.active.len() as u32,
+            count: out.present.len() as u32,
+            varies: false,
+        };
+        for &m in &out.present {
+            let medium = self.medium(m);
+            match medium.profile {
+                Profile::Uniform => {
+                    interval.sigma_t += medium.sigma_t;
+                    interval.sigma_s += medium.sigma_s;
+                    interval.glow += medium.glow;
+                    if medium.scatters() {
+                        interval.drawn += medium.sigma_t;
+                    }
+                }
+                Profile::Height { .. } => interval.varies = true,
+            }
+        }
+        out.active.extend_from_slice(&out.present);
+        out.intervals.push(interval);
+    }
+
+    /// Optical depth of [a, b] within `interval`: (all extinction, extinction that distances are drawn by).
+    fn depth(&self, ray: &MediaRay, interval: &Interval, a: f32, b: f32) -> (Rgb, Rgb) {
+        let mut all = interval.sigma_t * (b - a);
+        let mut drawn = interval.drawn * (b - a);
+        if interval.varies {
+            for &m in ray.active_of(interval) {
+                let medium = self.medium(m);
+                if medium.profile != Profile::Uniform {
+                    let depth = medium.sigma_t * medium.column(ray.oz, ray.dz, a, b);
+                    all += depth;
+                    if medium.scatters() {
+                        drawn += depth;
+                    }
+                }
+            }
+        }
+        (all, drawn)
+    }
+
+    /// (scattering coefficient, drawn extinction) at `t`.
+    fn coefficients(&self, ray: &MediaRay, interval: &Interval, t: f32) -> (Rgb, Rgb) {
+        let (mut scatter, mut drawn) = (interval.sigma_s, interval.drawn);
+        if interval.varies {
+            for &m in ray.active_of(interval) {
+                let medium = self.medium(m);
+                if medium.profile != Profile::Uniform && medium.scatters() {
+                    let density = medium.density(ray.oz + ray.dz * t);
+                    scatter += medium.sigma_s * density;
+                    drawn += medium.sigma_t * density;
+                }
+            }
+        }
+        (scatter, drawn)
+    }
+
+    /// Transmittance of the whole cut.
+    pub fn transmittance(&self, ray: &MediaRay) -> Rgb {
+        let mut depth = Rgb::ZERO;
+        for interval in &ray.intervals {
+            depth += self.depth(ray, interval, interval.start, interval.end).0;
+        }
+        attenuate(depth)
+    }
+
+    /// The part of the ray on which something scatters: (first, last) distance, m.
+    pub fn scattering_range(&self, ray: &MediaRay) -> Option<(f32, f32)> {
+        let mut range: Option<(f32, f32)> = None;
+        for interval in &ray.intervals {
+            if interval.varies || interval.drawn.max_element() > 0.0 {
+                range = Some((range.map_or(interval.start, |r| r.0), interval.end));
+            }
+        }
+        range
+    }
+
+    /// The event at a distance that was drawn by other means, `pdf` the density (1/m) that [`Media::draw`] gives it.
+    /// `weight` is transmittance times scattering coefficient, NOT divided by a density. `None` where nothing scatters.
+    pub fn event_at(&self, ray: &MediaRay, t: f32) -> Option<Event> {
+        let (mut all, mut drawn) = (Rgb::ZERO, Rgb::ZERO);
+        for (index, interval) in ray.intervals.iter().enumerate() {
+            if t >= interval.end {
+                let depth = self.depth(ray, interval, interval.start, interval.end);
+                all += depth.0;
+                drawn += depth.1;
+                continue;
+            }
+            if t < interval.start {
+                return None;
+            }
+            let depth = self.depth(ray, interval, interval.start, t);
+            let (scatter, rate) = self.coefficients(ray, interval, t);
+            let pdf = mean(rate * attenuate(drawn + depth.1));
+            let weight = scatter * attenuate(all + depth.0);
+            return (pdf > 0.0 && weight.max_element() > 0.0).then_some(Event { t, weight, pdf, interval: index as u32 });
+        }
+        None
+    }
+
+    /// Draws a distance proportional to extinction times transmittance. `u` in [0, 1); `channel` in [0, 1) picks the colour
+    /// channel where the media are coloured.
+    pub fn draw(&self, ray: &MediaRay, u: f32, channel: f32) -> Distance {
+        let axis = ((channel * 3.0) as usize).min(2);
+        let target = -ln_1p(-u);
+        let (mut all, mut drawn) = (Rgb::ZERO, Rgb::ZERO);
+        for (index, interval) in ray.intervals.iter().enumerate() {
+            let depth = self.depth(ray, interval, interval.start, interval.end);
+            let reached = drawn + depth.1;
+            if target < reached[axis] {
+                let rest = target - drawn[axis];
+                let t = if interval.varies {
+                    self.invert(ray, interval, axis, rest)
+                } else {
+                    (interval.start + rest / interval.drawn[axis]).min(interval.end)
+                };
+                let part = self.depth(ray, interval, interval.start, t);
+                let (scatter, rate) = self.coefficients(ray, interval, t);
+                let pdf = mean(rate * attenuate(drawn + part.1));
+                if !(pdf > 0.0) {
+                    return Distance::Through { weight: Rgb::ZERO };
+                }
+                let weight = scatter * attenuate(all + part.0) / pdf;
+                return Distance::Scatter(Event { t, weight, pdf, interval: index as u32 });
+            }
+            all += depth.0;
+            drawn = reached;
+        }
+        let probability = mean(attenuate(drawn));
+        if !(probability > 0.0) {
+            return Distance::Through { weight: Rgb::ZERO };
+        }
+        Distance::Through { weight: attenuate(all) / probability }
+    }
+
+    /// The distance in `interval` at which the drawn optical depth of one channel reaches `target` (which it does).
+    fn invert(&self, ray: &MediaRay, interval: &Interval, axis: usize, target: f32) -> f32 {
+        let (mut low, mut high) = (interval.start, interval.end);
+        // Bring an endless interval to a finite bracket first; then safeguarded Newton steps.
+        let mut step = 1.0f32;
+        while high - low > step && self.depth(ray, interval, interval.start, low + step).1[axis] < target {
+            step *= 4.0;
+        }
+        high = high.min(low + step);
+        let mut t = 0.5 * (low + high);
+        for _ in 0..48 {
+            let error = self.depth(ray, interval, interval.start, t).1[axis] - target;
+            if error > 0.0 {
+                high = t;
+            } else {
+                low = t;
+            }
+            let slope = self.coefficients(ray, interval, t).1[axis];
+            let next = t - error / slope;
+            let next = if next > low && next < high { next } else { 0.5 * (low + high) };
+            if (next - t).abs() <= 1e-6 * t.abs() {
+                return next;
+            }
+            t = next;
+        }
+        t
+    }
+
+    /// Radiance that glowing media send to the ray's origin. Exact over uniform media; one point, drawn by `u`, on each
+    /// interval whose glow varies with height.
+    pub fn glow(&self, ray: &MediaRay, u: f32) -> Rgb {
+        let mut radiance = Rgb::ZERO;
+        let mut passed = Rgb::ZERO;
+        for interval in &ray.intervals {
+            let before = attenuate(passed);
+            if !interval.varies {
+                if interval.glow.max_element() > 0.0 {
+                    let length = interval.end - interval.start;
+                    let depth = interval.sigma_t * length;
+                    let share = |d: f32| if d < 1e-4 { 1.0 - 0.5 * d } else { -exp_m1(-d) / d };
+                    let mean = Rgb::new(share(depth.x), share(depth.y), share(depth.z));
+                    radiance += before * interval.glow * mean * length;
+                }
+            } else {
+                radiance += before * self.varying_glow(ray, interval, u);
+            }
+            passed += self.depth(ray, interval, interval.start, interval.end).0;
+        }
+        radiance
+    }
+
+    fn varying_glow(&self, ray: &MediaRay, interval: &Interval, u: f32) -> Rgb {
+        if !ray.active_of(interval).iter().any(|&m| self.medium(m).glow.max_element() > 0.0) {
+            return Rgb::ZERO;
+        }
+        // A point with density proportional to 1 / (1 + s)^2 over the interval, s in metres: finite on endless rays.
+        let length = interval.end - interval.start;
+        let top = length / (1.0 + length);
+        let x = u * top;
+        let s = (x / (1.0 - x)).min(length);
+        let t = interval.start + s;
+        let pdf = 1.0 / (top * (1.0 + s) * (1.0 + s));
+        let mut glow = interval.glow;
+        for &m in ray.active_of(interval) {
+            let medium = self.medium(m);
+            if medium.profile != Profile::Uniform {
+                glow += medium.glow * medium.density(ray.oz + ray.dz * t);
+            }
+        }
+        glow * attenuate(self.depth(ray, interval, interval.start, t).0) / pdf
+    }
+
+    /// The phase function at an event: one of the media present, drawn in proportion to its scattering by `u`.
+    /// Evaluate the mixture with [`Media::phase`].
+    pub fn draw_phase(&self, ray: &MediaRay, event: &Event, u: f32) -> &Phase {
+        let interval = &ray.intervals[event.interval as usize];
+        let active = ray.active_of(interval);
+        if active.len() == 1 {
+            return &self.medium(active[0]).phase;
+        }
+        let z = ray.oz + ray.dz * event.t;
+        let total: f32 = active.iter().map(|&m| self.share(m, z)).sum();
+        let mut rest = u * total;
+        let mut chosen = active[0];
+        for &m in active {
+            let share = self.share(m, z);
+            if share > 0.0 {
+                chosen = m;
+                if rest < share {
+                    break;
+                }
+                rest -= share;
+            }
+        }
+        &self.medium(chosen).phase
+    }
+
+    fn share(&self, medium: u16, z: f32) -> f32 {
+        let medium = self.medium(medium);
+        medium.sigma_s.element_sum() * medium.density(z)
+    }
+
+    /// Phase function of the mixture at an event, 1/sr: its value by colour channel (for coloured media that differ in their
+    /// phase functions) and the density of [`Media::draw_phase`] followed by sampling what it returns.
+    pub fn phase(&self, ray: &MediaRay, event: &Event, wo: Vec3A, wi: Vec3A) -> (Rgb, f32) {
+        let interval = &ray.intervals[event.interval as usize];
+        let active = ray.active_of(interval);
+        if active.len() == 1 {
+            let p = self.medium(active[0]).phase.eval(wo, wi);
+            return (Rgb::splat(p), p);
+        }
+        let z = ray.oz + ray.dz * event.t;
+        let (mut value, mut scatter, mut pdf, mut total) = (Rgb::ZERO, Rgb::ZERO, 0.0, 0.0);
+        for &m in active {
+            let share = self.share(m, z);
+            if share > 0.0 {
+                let medium = self.medium(m);
+                let p = medium.phase.eval(wo, wi);
+                let sigma_s = medium.sigma_s * medium.density(z);
+                value += sigma_s * p;
+                scatter += sigma_s;
+                pdf += share * p;
+                total += share;
+            }
+        }
+        let divide = |a: f32, b: f32| if b > 0.0 { a / b } else { 0.0 };
+        (
+            Rgb::new(divide(value.x, scatter.x), divide(value.y, scatter.y), divide(value.z, scatter.z)),
+            divide(pdf, total),
+        )
+    }
+}
+
+impl MediaRay {
+    fn active_of(&self, interval: &Interval) -> &[u16] {
+        &self.active[interval.first as usize..(interval.first + interval.count) as usize]
+    }
+}
+
+fn mean(c: Rgb) -> f32 {
+    (c.x + c.y + c.z) * (1.0 / 3.0)
+}
+
+/// `exp(-depth)` per channel; one exponential where the channels agree.
+#[inline]
+fn attenuate(depth: Rgb) -> Rgb {
+    if depth.x == depth.y && depth.y == depth.z {
+        return Rgb::splat(exp(-depth.x));
+    }
+    Rgb::new(exp(-depth.x), exp(-depth.y), exp(-depth.z))
+}
+
+/// The part of the ray in the box, clipped to [0, t_max].
+fn slab(to_local: &Affine3A, origin: Vec3A, dir: Vec3A, min: Vec3A, max: Vec3A, t_max: f32) -> Option<(f32, f32)> {
+    let o = to_local.transform_point3a(origin);
+    let d = to_local.transform_vector3a(dir);
+    let (mut a, mut b) = (0.0f32, t_max);
+    for axis in 0..3 {
+        if d[axis] == 0.0 {
+            if o[axis] < min[axis] || o[axis] > max[axis] {
+                return None;
+            }
+            continue;
+        }
+        let inverse = 1.0 / d[axis];
+        let (t0, t1) = ((min[axis] - o[axis]) * inverse, (max[axis] - o[axis]) * inverse);
+        a = a.max(t0.min(t1));
+        b = b.min(t0.max(t1));
+    }
+    (a < b).then_some((a, b))
+}

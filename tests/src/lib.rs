@@ -1,0 +1,52 @@
+//! Helpers of the tests that need the whole engine: scenes from text, images, statistics.
+
+use femc_film::{Frame, FrameImage};
+use femc_import::{Bundle, load};
+use femc_pipeline::{Settings, Stop, plan, prepare, render_tile};
+use femc_scene::Scene;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+
+/// A scene from the text of one file.
+pub fn scene(text: &str) -> Arc<Scene> {
+    scene_of(&[("test.mgf", text)])
+}
+
+/// A scene from several files; the first is the scene itself.
+///
+/// # Panics
+/// When the text is not a scene: tests only.
+pub fn scene_of(files: &[(&str, &str)]) -> Arc<Scene> {
+    let contents = files.iter().map(|(name, text)| (name.to_string(), text.as_bytes().to_vec())).collect();
+    let loaded = load(&Bundle(contents), files[0].0).unwrap_or_else(|error| panic!("{error}"));
+    Arc::new(loaded.scene)
+}
+
+/// Renders one frame in this process, by tiles.
+///
+/// # Panics
+/// When the plan or the preparation fails: tests only.
+pub fn render(scene: &Arc<Scene>, settings: &Settings, frame: u32) -> FrameImage {
+    let plan = plan(scene, settings, Some(&[frame])).unwrap_or_else(|error| panic!("{error}"));
+    let prepared = prepare(scene, settings, frame, None).unwrap_or_else(|error| panic!("{error}"));
+    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+    let mut film = Frame::new(plan.tiling);
+    let Stop::Spp(spp) = settings.stop else { panic!("tests render a fixed number of samples") };
+    for rect in plan.tiling.rects() {
+        let done = render_tile(&prepared, settings, rect, 0..spp, &cancel, &progress);
+        let tile = done.unwrap_or_else(|error| panic!("{error}")).tile;
+        film.insert(tile).unwrap_or_else(|error| panic!("{error}"));
+    }
+    film.resolve()
+}
+
+/// A folder of the material that is shared with the specifications, where it is present.
+pub fn shared(folder: &str) -> Option<PathBuf> {
+    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared").join(folder);
+    if path.is_dir() {
+        return Some(path);
+    }
+    println!("skipped: {} is not here", path.display());
+    None
+}

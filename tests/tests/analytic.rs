@@ -1,0 +1,147 @@
+//! Scenes whose radiance is known in closed form. Every check is statistical at a stated level, or exact.
+
+use femc_film::FrameImage;
+use femc_math::color::LUMINANCE_WEIGHTS;
+use femc_pipeline::{Settings, Stop};
+use femc_tests::{render, scene};
+
+fn spp(n: u32) -> Settings {
+    Settings { stop: Stop::Spp(n), seed: 5, ..Settings::default() }
+}
+
+/// Mean luminance of the image and (an upper bound of) its standard error.
+fn mean(image: &FrameImage) -> (f64, f64) {
+    let weights = LUMINANCE_WEIGHTS.to_array().map(f64::from);
+    let dot = |p: &[f32; 3], map: fn(f64) -> f64| (0..3).map(|i| weights[i] * map(f64::from(p[i]))).sum::<f64>();
+    let n = image.color.pixels.len() as f64;
+    let sum: f64 = image.color.pixels.iter().map(|p| dot(p, |x| x)).sum();
+    let variance: f64 = image.variance.iter().map(|p| dot(p, f64::sqrt).powi(2)).sum();
+    (sum / n, variance.sqrt() / n)
+}
+
+/// Within 4 standard errors (two-sided level 6e-5), plus `slack` (relative) for f32 in the scene itself.
+fn agrees(image: &FrameImage, expected: f64, slack: f64) {
+    let (value, error) = mean(image);
+    println!("{value} +- {error}, expected {expected}");
+    assert!(value.is_finite() && (value - expected).abs() <= 4.0 * error + slack * expected);
+}
+
+/// A closed box around the origin whose walls have material `wall`, seen from inside.
+fn closed_box(wall: &str, extra: &str) -> String {
+    format!(
+        "camera main =\n origin 0.3 0.2 0.1\n target 1 0.4 0\n fov 60\n film 16 16\n{extra}\nm wall =\n{wall}\n\
+         v a =\n p -1 -1 -1\nv b =\n p 1 -1 -1\nv c =\n p 1 1 -1\nv d =\n p -1 1 -1\nm wall\nprism a b c d -2\n"
+    )
+}
+
+#[test]
+fn a_furnace_has_emittance_over_one_minus_reflectance_everywhere() {
+    let text = closed_box(" sides 2\n c\n rd .5\n ed 3.14159265358979", "");
+    agrees(&render(&scene(&text), &spp(64), 1), 2.0, 1e-4);
+}
+
+#[test]
+fn a_furnace_with_glossy_walls_agrees_with_its_own_losses_only() {
+    // Mirrors lose nothing: rs 0.5 as a perfect mirror.
+    let text = closed_box(" sides 2\n c\n rs .5 0\n ed 3.14159265358979", "");
+    agrees(&render(&scene(&text), &spp(64), 1), 2.0, 1e-4);
+}
+
+#[test]
+fn fog_that_absorbs_nothing_leaves_a_furnace_as_it_is() {
+    for phase in ["iso", "hg .7", "schlick -.5", "rayleigh"] {
+        let fog = format!("medium fog =\n sigma_s 1.5\n phase {phase}\nmglobal fog");
+        let text = closed_box(" sides 2\n c\n rd .5\n ed 3.14159265358979", &fog);
+        agrees(&render(&scene(&text), &spp(128), 1), 2.0, 1e-4);
+    }
+}
+
+#[test]
+fn a_medium_as_bright_as_its_walls_is_invisible() {
+    // sigma_a L = glow / (4 pi) with L = 1 = ed / pi: exact on every path.
+    for density in ["uniform", "height -.5 .6"] {
+        let fog = format!("medium gas =\n sigma_a 2\n glow {}\n density {density}\nmglobal gas", 8.0 * std::f64::consts::PI);
+        let text = closed_box(" sides 2\n c\n ed 3.14159265358979", &fog);
+        let image = render(&scene(&text), &spp(256), 1);
+        agrees(&image, 1.0, 1e-4);
+    }
+}
+
+#[test]
+fn a_clear_absorber_attenuates_exactly() {
+    let wall = "camera main =\n origin 0 0 0\n target 1 0 0\n fov 1\n film 4 4\nm wall =\n sides 2\n c\n ed 3.14159265358979\n\
+                v a =\n p 5 -9 -9\nv b =\n p 5 9 -9\nv c =\n p 5 9 9\nv d =\n p 5 -9 9\nm wall\nf a b c d\n";
+    let boxed = format!("{wall}medium gas =\n sigma_a .8\nmbox gas 1 -9 -9 3 9 9\n");
+    agrees(&render(&scene(&boxed), &spp(4), 1), (-1.6f64).exp(), 1e-4);
+    // Two that overlap add up.
+    let two = format!("{boxed}medium more =\n sigma_a .5\nmbox more 2 -9 -9 9 9 9\n");
+    agrees(&render(&scene(&two), &spp(4), 1), (-1.6f64 - 1.5).exp(), 1e-4);
+    // Fog that thins with height: horizontal rays at z = 0 with z0 = -1 and scale 2 see exp(-1/2) of it.
+    let height = format!("{wall}medium gas =\n sigma_a .8\n density height -1 2\nmglobal gas\n");
+    agrees(&render(&scene(&height), &spp(4), 1), (-0.8 * 5.0 * (-0.5f64).exp()).exp(), 1e-3);
+}
+
+#[test]
+fn a_diffuse_floor_under_a_sphere_receives_its_form_factor() {
+    // dA -> sphere straight above: F = (R / d)^2; L = rho / pi * pi * L_lamp * F.
+    let text = "camera main =\n origin 0 -.001 1\n target 0 0 0\n up 0 1 0\n fov .05\n film 4 4\n\
+                m floor =\n sides 2\n c\n rd .6\nm lamp =\n sides 1\n c\n ed 314.159265358979\n\
+                v a =\n p -1 -1 0\nv b =\n p 1 -1 0\nv c =\n p 1 1 0\nv d =\n p -1 1 0\nm floor\nf a b c d\n\
+                v s =\n p 0 0 4\nm lamp\nsph s .5\n";
+    agrees(&render(&scene(text), &spp(256), 1), 0.6 * 100.0 * (0.5f64 / 4.0).powi(2), 2e-3);
+}
+
+#[test]
+fn airlight_of_a_point_source_has_its_closed_form() {
+    // Isotropic point of 1 cd at distance 1 from the line of sight, sigma_s = sigma_t = 1, eye 2 m before the foot:
+    // 0.008933162 (Gauss quadrature of exp(-(t + 2) - r) / (4 pi r^2)).
+    let ies = "IESNA:LM-63-2002\n[TEST] isotropic\nTILT=NONE\n1 1000 1 3 1 1 2 0 0 0\n1 1 1\n0 90 180\n0\n1 1 1\n";
+    let text = "camera main =\n origin -2 0 0\n target 0 0 0\n fov .02\n film 8 8\n\
+                medium fog =\n sigma_s 1\nmglobal fog\nies lamp.ies -t 0 0 1\n";
+    let scene = femc_tests::scene_of(&[("test.mgf", text), ("lamp.ies", ies)]);
+    let settings = Settings { max_depth: 2, ..spp(512) };
+    agrees(&render(&scene, &settings, 1), 0.008_933_162, 2e-4);
+}
+
+#[test]
+fn depth_one_shows_only_what_emits() {
+    let text = closed_box(" sides 2\n c\n rd .5\n ed 3.14159265358979", "medium fog =\n sigma_s .5\nmglobal fog");
+    let clear = closed_box(" sides 2\n c\n rd .5\n ed 3.14159265358979", "");
+    let settings = Settings { max_depth: 1, ..spp(16) };
+    agrees(&render(&scene(&clear), &settings, 1), 1.0, 1e-5);
+    let (foggy, _) = mean(&render(&scene(&text), &settings, 1));
+    assert!(foggy < 0.9, "{foggy}");
+}
+
+#[test]
+fn fog_behind_an_index_matched_surface_looks_like_the_same_fog_in_a_box() {
+    let room = "camera main =\n origin 0 -4 0\n target 0 0 0\n fov 30\n film 16 16\nm lamp =\n sides 2\n c\n ed 100\n\
+                v la =\n p -1 -1 2\nv lb =\n p 1 -1 2\nv lc =\n p 1 1 2\nv ld =\n p -1 1 2\nm lamp\nf la lb lc ld\n\
+                medium fog =\n sigma_s .9\n sigma_a .1\n phase hg .3\n";
+    let boxed = format!("{room}mbox fog -.7 -.7 -.7 .7 .7 .7\n");
+    let closed = format!(
+        "{room}m skin =\n sides 1\n c\n ir 1 0\n ts 1 0\n inside fog\n\
+         v a =\n p -.7 -.7 -.7\nv b =\n p .7 -.7 -.7\nv c =\n p .7 .7 -.7\nv d =\n p -.7 .7 -.7\nm skin\nprism d c b a 1.4\n"
+    );
+    let a = mean(&render(&scene(&boxed), &spp(256), 1));
+    let b = mean(&render(&scene(&closed), &spp(256), 1));
+    println!("{a:?} {b:?}");
+    assert!(a.0 > 0.5 && (a.0 - b.0).abs() < 4.0 * (a.1 * a.1 + b.1 * b.1).sqrt());
+}
+
+#[test]
+fn a_moved_scene_gives_the_same_image() {
+    let at = |x: f64| {
+        let lamp = "m lamp =\n sides 1\n c\n ed 30\n";
+        format!(
+            "camera main =\n origin {} 0 1\n target {} 0 0\n up 0 1 0\n fov 40\n film 8 8\nm floor =\n sides 2\n c\n rd .5\n{lamp}\
+             xf -t {x} 0 0\nv a =\n p -1 -1 0\nv b =\n p 1 -1 0\nv c =\n p 1 1 0\nv d =\n p -1 1 0\nm floor\nf a b c d\n\
+             v e =\n p -1 -1 2\nv f =\n p -1 1 2\nv g =\n p 1 1 2\nv h =\n p 1 -1 2\nm lamp\nf e f g h\nxf\n",
+            x + 0.2, x
+        )
+    };
+    let here = mean(&render(&scene(&at(0.0)), &spp(64), 1));
+    let there = mean(&render(&scene(&at(100_000.0)), &spp(64), 1));
+    println!("{here:?} {there:?}");
+    assert!((here.0 - there.0).abs() < 4.0 * (here.1 + there.1) + 1e-4 * here.0);
+}

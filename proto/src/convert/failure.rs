@@ -1,0 +1,84 @@
+//! Failures and refusals: enums on both sides, so that nobody decides by text.
+
+use femc_model::{Failure, JobId, Refusal};
+
+use super::{ConvertError, digest, digest_bytes, need};
+use crate::wire;
+use wire::failure::{Cause, Damaged, Text};
+use wire::refusal::{Field, Limit, Reason};
+
+impl From<Failure> for wire::Failure {
+    fn from(failure: Failure) -> Self {
+        let text = |message| Text { message };
+        Self {
+            cause: Some(match failure {
+                Failure::Scene { message } => Cause::Scene(text(message)),
+                Failure::Settings { message } => Cause::Settings(text(message)),
+                Failure::Panicked { message } => Cause::Panicked(text(message)),
+                Failure::Stalled { seconds } => Cause::Stalled(seconds),
+                Failure::MissingInput { digest } => Cause::MissingInput(digest_bytes(&digest)),
+                Failure::DamagedInput { digest, message } => {
+                    Cause::DamagedInput(Damaged { digest: digest_bytes(&digest), message })
+                }
+                Failure::Store { message } => Cause::Store(text(message)),
+                Failure::Resources { message } => Cause::Resources(text(message)),
+                Failure::Cancelled => Cause::Cancelled(wire::Empty {}),
+            }),
+        }
+    }
+}
+
+impl TryFrom<wire::Failure> for Failure {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::Failure) -> Result<Self, ConvertError> {
+        Ok(match need("failure.cause", wire.cause)? {
+            Cause::Scene(Text { message }) => Self::Scene { message },
+            Cause::Settings(Text { message }) => Self::Settings { message },
+            Cause::Panicked(Text { message }) => Self::Panicked { message },
+            Cause::Stalled(seconds) => Self::Stalled { seconds },
+            Cause::MissingInput(bytes) => Self::MissingInput { digest: digest("failure.missing_input", &bytes)? },
+            Cause::DamagedInput(damaged) => Self::DamagedInput {
+                digest: digest("failure.damaged_input", &damaged.digest)?,
+                message: damaged.message,
+            },
+            Cause::Store(Text { message }) => Self::Store { message },
+            Cause::Resources(Text { message }) => Self::Resources { message },
+            Cause::Cancelled(_) => Self::Cancelled,
+        })
+    }
+}
+
+impl From<Refusal> for wire::Refusal {
+    fn from(refusal: Refusal) -> Self {
+        Self {
+            reason: Some(match refusal {
+                Refusal::NoSuchJob { job } => Reason::NoSuchJob(job.0),
+                Refusal::Ended { job } => Reason::Ended(job.0),
+                Refusal::Invalid { field, message } => Reason::Invalid(Field { field, message }),
+                Refusal::StaleEpoch => Reason::StaleEpoch(wire::Empty {}),
+                Refusal::NoSuchArtefact { digest } => Reason::NoSuchArtefact(digest_bytes(&digest)),
+                Refusal::DigestMismatch { digest } => Reason::DigestMismatch(digest_bytes(&digest)),
+                Refusal::TooLarge { what, limit } => Reason::TooLarge(Limit { what, limit }),
+                Refusal::Unavailable { message } => Reason::Unavailable(message),
+            }),
+        }
+    }
+}
+
+impl TryFrom<wire::Refusal> for Refusal {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::Refusal) -> Result<Self, ConvertError> {
+        Ok(match need("refusal.reason", wire.reason)? {
+            Reason::NoSuchJob(job) => Self::NoSuchJob { job: JobId(job) },
+            Reason::Ended(job) => Self::Ended { job: JobId(job) },
+            Reason::Invalid(Field { field, message }) => Self::Invalid { field, message },
+            Reason::StaleEpoch(_) => Self::StaleEpoch,
+            Reason::NoSuchArtefact(bytes) => Self::NoSuchArtefact { digest: digest("refusal.artefact", &bytes)? },
+            Reason::DigestMismatch(bytes) => Self::DigestMismatch { digest: digest("refusal.mismatch", &bytes)? },
+            Reason::TooLarge(Limit { what, limit }) => Self::TooLarge { what, limit },
+            Reason::Unavailable(message) => Self::Unavailable { message },
+        })
+    }
+}

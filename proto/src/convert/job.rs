@@ -1,0 +1,109 @@
+//! Jobs and what is done to them.
+
+use femc_model::{Control, FrameRecord, Grid, JobSpec, JobState};
+
+use super::{ConvertError, digest, digest_bytes, maybe, need};
+use crate::wire;
+
+impl From<JobSpec> for wire::JobSpec {
+    fn from(spec: JobSpec) -> Self {
+        let JobSpec { name, bundle, entry, settings, frames, grid, rounds, priority, owner, tags } = spec;
+        let Grid { film: [film_width, film_height], tile } = grid;
+        let (bundle, priority) = (digest_bytes(&bundle), priority.into());
+        Self { name, bundle, entry, settings, frames, film_width, film_height, tile, rounds, priority, owner, tags }
+    }
+}
+
+impl TryFrom<wire::JobSpec> for JobSpec {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::JobSpec) -> Result<Self, ConvertError> {
+        Ok(Self {
+            name: wire.name,
+            bundle: digest("job.bundle", &wire.bundle)?,
+            entry: wire.entry,
+            settings: wire.settings,
+            frames: wire.frames,
+            grid: Grid { film: [wire.film_width, wire.film_height], tile: wire.tile },
+            rounds: wire.rounds,
+            priority: priority(wire.priority)?,
+            owner: wire.owner,
+            tags: wire.tags,
+        })
+    }
+}
+
+pub(super) fn priority(value: u32) -> Result<u8, ConvertError> {
+    value.try_into().map_err(|_| ConvertError::Range { field: "priority" })
+}
+
+impl From<Control> for wire::control_request::Control {
+    fn from(control: Control) -> Self {
+        match control {
+            Control::Pause => Self::Pause(wire::Empty {}),
+            Control::Resume => Self::Resume(wire::Empty {}),
+            Control::Cancel => Self::Cancel(wire::Empty {}),
+            Control::Retry => Self::Retry(wire::Empty {}),
+            Control::Priority(priority) => Self::Priority(priority.into()),
+        }
+    }
+}
+
+impl TryFrom<wire::control_request::Control> for Control {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::control_request::Control) -> Result<Self, ConvertError> {
+        use wire::control_request::Control as Wire;
+        Ok(match wire {
+            Wire::Pause(_) => Self::Pause,
+            Wire::Resume(_) => Self::Resume,
+            Wire::Cancel(_) => Self::Cancel,
+            Wire::Retry(_) => Self::Retry,
+            Wire::Priority(value) => Self::Priority(priority(value)?),
+        })
+    }
+}
+
+impl From<JobState> for wire::JobState {
+    fn from(state: JobState) -> Self {
+        match state {
+            JobState::Queued => Self::Queued,
+            JobState::Running => Self::Running,
+            JobState::Paused => Self::Paused,
+            JobState::Done => Self::Done,
+            JobState::Failed => Self::Failed,
+            JobState::Cancelled => Self::Cancelled,
+        }
+    }
+}
+
+pub(super) fn state(value: i32) -> Result<JobState, ConvertError> {
+    let unknown = ConvertError::Unknown { field: "job.state", value };
+    Ok(match wire::JobState::try_from(value).map_err(|_| unknown.clone())? {
+        wire::JobState::Unspecified => return Err(unknown),
+        wire::JobState::Queued => JobState::Queued,
+        wire::JobState::Running => JobState::Running,
+        wire::JobState::Paused => JobState::Paused,
+        wire::JobState::Done => JobState::Done,
+        wire::JobState::Failed => JobState::Failed,
+        wire::JobState::Cancelled => JobState::Cancelled,
+    })
+}
+
+impl From<FrameRecord> for wire::FrameRecord {
+    fn from(record: FrameRecord) -> Self {
+        let FrameRecord { frame, image, preview, spp, relative_error, bad_samples, busy_seconds, seconds } = record;
+        let (image, preview) = (Some(image.into()), preview.map(Into::into));
+        Self { frame, image, preview, spp, relative_error, bad_samples, busy_seconds, seconds }
+    }
+}
+
+impl TryFrom<wire::FrameRecord> for FrameRecord {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::FrameRecord) -> Result<Self, ConvertError> {
+        let wire::FrameRecord { frame, image, preview, spp, relative_error, bad_samples, busy_seconds, seconds } = wire;
+        let (image, preview) = (need("frame.image", image)?.try_into()?, maybe(preview)?);
+        Ok(Self { frame, image, preview, spp, relative_error, bad_samples, busy_seconds, seconds })
+    }
+}

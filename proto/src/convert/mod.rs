@@ -1,0 +1,84 @@
+//! Wire types to and from the farm's. Out is total; in is checked.
+
+mod failure;
+mod job;
+mod session;
+mod status;
+mod task;
+
+use bytes::Bytes;
+use femc_model::{Artefact, Digest};
+
+use crate::wire;
+
+/// A message that makes no sense.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ConvertError {
+    /// A field that must be there is not.
+    #[error("{field} is missing")]
+    Missing {
+        /// Which.
+        field: &'static str,
+    },
+    /// An enumeration's number that this program does not know.
+    #[error("{field} has the unknown value {value}")]
+    Unknown {
+        /// Which.
+        field: &'static str,
+        /// As sent.
+        value: i32,
+    },
+    /// Not 32 bytes.
+    #[error("{field} is no digest")]
+    Digest {
+        /// Which.
+        field: &'static str,
+    },
+    /// Outside of what it may be.
+    #[error("{field} is out of range")]
+    Range {
+        /// Which.
+        field: &'static str,
+    },
+    /// Another version of the protocol.
+    #[error("protocol {found}, this program speaks {}", crate::PROTOCOL)]
+    Protocol {
+        /// As sent.
+        found: u32,
+    },
+}
+
+pub(crate) fn need<T>(field: &'static str, value: Option<T>) -> Result<T, ConvertError> {
+    value.ok_or(ConvertError::Missing { field })
+}
+
+pub(crate) fn digest(field: &'static str, bytes: &Bytes) -> Result<Digest, ConvertError> {
+    Digest::try_from(&bytes[..]).map_err(|_| ConvertError::Digest { field })
+}
+
+pub(crate) fn digest_bytes(digest: &Digest) -> Bytes {
+    Bytes::copy_from_slice(digest.as_bytes())
+}
+
+/// Converts every element.
+pub(crate) fn each<W, M: TryFrom<W, Error = ConvertError>>(values: Vec<W>) -> Result<Vec<M>, ConvertError> {
+    values.into_iter().map(M::try_from).collect()
+}
+
+pub(crate) fn maybe<W, M: TryFrom<W, Error = ConvertError>>(value: Option<W>) -> Result<Option<M>, ConvertError> {
+    value.map(M::try_from).transpose()
+}
+
+impl From<Artefact> for wire::Artefact {
+    fn from(artefact: Artefact) -> Self {
+        Self { digest: digest_bytes(&artefact.digest), bytes: artefact.bytes }
+    }
+}
+
+impl TryFrom<wire::Artefact> for Artefact {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::Artefact) -> Result<Self, ConvertError> {
+        Ok(Self { digest: digest("artefact.digest", &wire.digest)?, bytes: wire.bytes })
+    }
+}

@@ -1,0 +1,165 @@
+//! The words of a worker's session.
+
+use femc_model::{FromWorker, JobId, Phase, Registration, RevokeReason, TaskProgress, ToWorker, WorkerId};
+
+use super::task::{from_lease, to_lease};
+use super::{ConvertError, each, need};
+use crate::{PROTOCOL, wire};
+
+impl From<FromWorker> for wire::FromWorker {
+    fn from(message: FromWorker) -> Self {
+        use wire::from_worker::Message;
+        let message = match message {
+            FromWorker::Register(registration) => Message::Register(registration.into()),
+            FromWorker::Heartbeat(tasks) => {
+                Message::Heartbeat(wire::Heartbeat { tasks: tasks.into_iter().map(Into::into).collect() })
+            }
+            FromWorker::Completed { task, epoch, result } => {
+                Message::Completed(wire::Completed { lease: to_lease(task, epoch), result: Some(result.into()) })
+            }
+            FromWorker::Failed { task, epoch, failure } => {
+                Message::Failed(wire::Failed { lease: to_lease(task, epoch), failure: Some(failure.into()) })
+            }
+            FromWorker::Draining => Message::Draining(wire::Empty {}),
+        };
+        Self { message: Some(message) }
+    }
+}
+
+impl TryFrom<wire::FromWorker> for FromWorker {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::FromWorker) -> Result<Self, ConvertError> {
+        use wire::from_worker::Message;
+        Ok(match need("message", wire.message)? {
+            Message::Register(registration) => Self::Register(registration.try_into()?),
+            Message::Heartbeat(heartbeat) => Self::Heartbeat(each(heartbeat.tasks)?),
+            Message::Completed(completed) => {
+                let (task, epoch) = from_lease(completed.lease)?;
+                Self::Completed { task, epoch, result: need("completed.result", completed.result)?.try_into()? }
+            }
+            Message::Failed(failed) => {
+                let (task, epoch) = from_lease(failed.lease)?;
+                Self::Failed { task, epoch, failure: need("failed.failure", failed.failure)?.try_into()? }
+            }
+            Message::Draining(_) => Self::Draining,
+        })
+    }
+}
+
+impl From<ToWorker> for wire::ToWorker {
+    fn from(message: ToWorker) -> Self {
+        use wire::to_worker::Message;
+        let message = match message {
+            ToWorker::Welcome { worker, heartbeat } => Message::Welcome(wire::Welcome { worker: worker.0, heartbeat }),
+            ToWorker::Job { job, spec } => Message::Job(wire::Job { job: job.0, spec: Some((*spec).into()) }),
+            ToWorker::Assign(assignment) => Message::Assign(assignment.into()),
+            ToWorker::Revoke { task, epoch, reason } => {
+                let reason = match reason {
+                    RevokeReason::JobEnded => wire::RevokeReason::JobEnded,
+                    RevokeReason::Expired => wire::RevokeReason::Expired,
+                };
+                Message::Revoke(wire::Revoke { lease: to_lease(task, epoch), reason: reason.into() })
+            }
+            ToWorker::Accepted { task, epoch } => {
+                Message::Accepted(wire::Lease { task: Some(task.into()), epoch: epoch.0 })
+            }
+            ToWorker::Refused { task, epoch, refusal } => {
+                Message::Refused(wire::Refused { lease: to_lease(task, epoch), refusal: Some(refusal.into()) })
+            }
+            ToWorker::Goodbye => Message::Goodbye(wire::Empty {}),
+        };
+        Self { message: Some(message) }
+    }
+}
+
+impl TryFrom<wire::ToWorker> for ToWorker {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::ToWorker) -> Result<Self, ConvertError> {
+        use wire::to_worker::Message;
+        Ok(match need("message", wire.message)? {
+            Message::Welcome(wire::Welcome { worker, heartbeat }) => {
+                Self::Welcome { worker: WorkerId(worker), heartbeat }
+            }
+            Message::Job(job) => {
+                Self::Job { job: JobId(job.job), spec: Box::new(need("job.spec", job.spec)?.try_into()?) }
+            }
+            Message::Assign(assignment) => Self::Assign(assignment.try_into()?),
+            Message::Revoke(revoke) => {
+                let (task, epoch) = from_lease(revoke.lease)?;
+                Self::Revoke { task, epoch, reason: reason(revoke.reason)? }
+            }
+            Message::Accepted(lease) => {
+                let (task, epoch) = from_lease(Some(lease))?;
+                Self::Accepted { task, epoch }
+            }
+            Message::Refused(refused) => {
+                let (task, epoch) = from_lease(refused.lease)?;
+                Self::Refused { task, epoch, refusal: need("refused.refusal", refused.refusal)?.try_into()? }
+            }
+            Message::Goodbye(_) => Self::Goodbye,
+        })
+    }
+}
+
+fn reason(value: i32) -> Result<RevokeReason, ConvertError> {
+    let unknown = ConvertError::Unknown { field: "revoke.reason", value };
+    Ok(match wire::RevokeReason::try_from(value).map_err(|_| unknown.clone())? {
+        wire::RevokeReason::Unspecified => return Err(unknown),
+        wire::RevokeReason::JobEnded => RevokeReason::JobEnded,
+        wire::RevokeReason::Expired => RevokeReason::Expired,
+    })
+}
+
+impl From<Registration> for wire::Registration {
+    fn from(registration: Registration) -> Self {
+        let Registration { name, instance, engine, threads, slots, tags } = registration;
+        Self { protocol: PROTOCOL, name, instance, engine, threads, slots, tags }
+    }
+}
+
+impl TryFrom<wire::Registration> for Registration {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::Registration) -> Result<Self, ConvertError> {
+        let wire::Registration { protocol, name, instance, engine, threads, slots, tags } = wire;
+        if protocol != PROTOCOL {
+            return Err(ConvertError::Protocol { found: protocol });
+        }
+        if slots == 0 || slots > 1024 {
+            return Err(ConvertError::Range { field: "registration.slots" });
+        }
+        Ok(Self { name, instance, engine, threads, slots, tags })
+    }
+}
+
+impl From<TaskProgress> for wire::TaskProgress {
+    fn from(progress: TaskProgress) -> Self {
+        let TaskProgress { task, epoch, phase, samples } = progress;
+        let phase = match phase {
+            Phase::Waiting => wire::Phase::Waiting,
+            Phase::Preparing => wire::Phase::Preparing,
+            Phase::Working => wire::Phase::Working,
+            Phase::Uploading => wire::Phase::Uploading,
+        };
+        Self { lease: to_lease(task, epoch), phase: phase.into(), samples }
+    }
+}
+
+impl TryFrom<wire::TaskProgress> for TaskProgress {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::TaskProgress) -> Result<Self, ConvertError> {
+        let (task, epoch) = from_lease(wire.lease)?;
+        let unknown = ConvertError::Unknown { field: "progress.phase", value: wire.phase };
+        let phase = match wire::Phase::try_from(wire.phase).map_err(|_| unknown.clone())? {
+            wire::Phase::Unspecified => return Err(unknown),
+            wire::Phase::Waiting => Phase::Waiting,
+            wire::Phase::Preparing => Phase::Preparing,
+            wire::Phase::Working => Phase::Working,
+            wire::Phase::Uploading => Phase::Uploading,
+        };
+        Ok(Self { task, epoch, phase, samples: wire.samples })
+    }
+}

@@ -1,0 +1,168 @@
+//! Statuses of jobs and workers.
+
+use femc_model::{FrameProgress, JobId, JobStatus, Quarantined, Wait, WorkerId, WorkerStatus};
+
+use super::{ConvertError, each, job, maybe, need, task};
+use crate::wire;
+use wire::wait::{Reason, Tags, Tasks};
+
+impl From<JobStatus> for wire::JobStatus {
+    fn from(status: JobStatus) -> Self {
+        Self {
+            job: status.job.0,
+            name: status.name,
+            owner: status.owner,
+            priority: status.priority.into(),
+            state: wire::JobState::from(status.state).into(),
+            failure: status.failure.map(Into::into),
+            frames_total: status.frames_total,
+            frames_done: status.frames_done,
+            frames_failed: status.frames_failed,
+            active: status.active.into_iter().map(Into::into).collect(),
+            workers: status.workers,
+            samples_done: status.samples_done,
+            samples_planned: status.samples_planned,
+            samples_per_second: status.samples_per_second,
+            bad_samples: status.bad_samples,
+            relative_error: status.relative_error,
+            seconds: status.seconds,
+            quarantined: status.quarantined.into_iter().map(Into::into).collect(),
+            stale_messages: status.stale_messages,
+            waits: status.waits.into_iter().map(Into::into).collect(),
+        }
+    }
+}
+
+impl TryFrom<wire::JobStatus> for JobStatus {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::JobStatus) -> Result<Self, ConvertError> {
+        Ok(Self {
+            job: JobId(wire.job),
+            name: wire.name,
+            owner: wire.owner,
+            priority: job::priority(wire.priority)?,
+            state: job::state(wire.state)?,
+            failure: maybe(wire.failure)?,
+            frames_total: wire.frames_total,
+            frames_done: wire.frames_done,
+            frames_failed: wire.frames_failed,
+            active: each(wire.active)?,
+            workers: wire.workers,
+            samples_done: wire.samples_done,
+            samples_planned: wire.samples_planned,
+            samples_per_second: wire.samples_per_second,
+            bad_samples: wire.bad_samples,
+            relative_error: wire.relative_error,
+            seconds: wire.seconds,
+            quarantined: each(wire.quarantined)?,
+            stale_messages: wire.stale_messages,
+            waits: each(wire.waits)?,
+        })
+    }
+}
+
+impl From<FrameProgress> for wire::FrameProgress {
+    fn from(progress: FrameProgress) -> Self {
+        Self {
+            frame: progress.frame,
+            round: progress.round,
+            rounds: progress.rounds,
+            stage: wire::StageKind::from(progress.stage).into(),
+            tiles_done: progress.tiles_done,
+            tiles_total: progress.tiles_total,
+            running: progress.running,
+            samples_done: progress.samples_done,
+            relative_error: progress.relative_error,
+        }
+    }
+}
+
+impl TryFrom<wire::FrameProgress> for FrameProgress {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::FrameProgress) -> Result<Self, ConvertError> {
+        Ok(Self {
+            frame: wire.frame,
+            round: wire.round,
+            rounds: wire.rounds,
+            stage: task::stage_kind(wire.stage)?,
+            tiles_done: wire.tiles_done,
+            tiles_total: wire.tiles_total,
+            running: wire.running,
+            samples_done: wire.samples_done,
+            relative_error: wire.relative_error,
+        })
+    }
+}
+
+impl From<Quarantined> for wire::Quarantined {
+    fn from(quarantined: Quarantined) -> Self {
+        let Quarantined { task, attempts, failure } = quarantined;
+        Self { task: Some(task.into()), attempts, failure: Some(failure.into()) }
+    }
+}
+
+impl TryFrom<wire::Quarantined> for Quarantined {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::Quarantined) -> Result<Self, ConvertError> {
+        Ok(Self {
+            task: need("quarantined.task", wire.task)?.try_into()?,
+            attempts: wire.attempts,
+            failure: need("quarantined.failure", wire.failure)?.try_into()?,
+        })
+    }
+}
+
+impl From<Wait> for wire::Wait {
+    fn from(wait: Wait) -> Self {
+        let empty = wire::Empty {};
+        Self {
+            reason: Some(match wait {
+                Wait::Paused => Reason::Paused(empty),
+                Wait::NoWorkers => Reason::NoWorkers(empty),
+                Wait::NoWorkerWithTags(tags) => Reason::NoWorkerWithTags(Tags { tags }),
+                Wait::WorkersBusy { workers } => Reason::WorkersBusy(workers),
+                Wait::WorkersResting => Reason::WorkersResting(empty),
+                Wait::BehindJob(job) => Reason::BehindJob(job.0),
+                Wait::MergeWaitsForTiles { frame, tiles } => Reason::MergeWaitsForTiles(Tasks { frame, tasks: tiles }),
+                Wait::Quarantined { frame, tasks } => Reason::Quarantined(Tasks { frame, tasks }),
+            }),
+        }
+    }
+}
+
+impl TryFrom<wire::Wait> for Wait {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::Wait) -> Result<Self, ConvertError> {
+        Ok(match need("wait.reason", wire.reason)? {
+            Reason::Paused(_) => Self::Paused,
+            Reason::NoWorkers(_) => Self::NoWorkers,
+            Reason::NoWorkerWithTags(Tags { tags }) => Self::NoWorkerWithTags(tags),
+            Reason::WorkersBusy(workers) => Self::WorkersBusy { workers },
+            Reason::WorkersResting(_) => Self::WorkersResting,
+            Reason::BehindJob(job) => Self::BehindJob(JobId(job)),
+            Reason::MergeWaitsForTiles(Tasks { frame, tasks }) => Self::MergeWaitsForTiles { frame, tiles: tasks },
+            Reason::Quarantined(Tasks { frame, tasks }) => Self::Quarantined { frame, tasks },
+        })
+    }
+}
+
+impl From<WorkerStatus> for wire::WorkerStatus {
+    fn from(status: WorkerStatus) -> Self {
+        let WorkerStatus { worker, name, threads, tags, tasks, silent, completed, failed } = status;
+        let tasks = tasks.into_iter().map(Into::into).collect();
+        Self { worker: worker.0, name, threads, tags, tasks, silent, completed, failed }
+    }
+}
+
+impl TryFrom<wire::WorkerStatus> for WorkerStatus {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::WorkerStatus) -> Result<Self, ConvertError> {
+        let wire::WorkerStatus { worker, name, threads, tags, tasks, silent, completed, failed } = wire;
+        Ok(Self { worker: WorkerId(worker), name, threads, tags, tasks: each(tasks)?, silent, completed, failed })
+    }
+}

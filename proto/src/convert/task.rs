@@ -1,0 +1,157 @@
+//! Tasks, leases, assignments and results.
+
+use femc_model::{
+    Assignment, Decision, Epoch, JobId, MergeResult, More, Stage, StageKind, TaskKey, TaskResult, TileResult, Work,
+};
+
+use super::{ConvertError, each, maybe, need};
+use crate::wire;
+
+impl From<StageKind> for wire::StageKind {
+    fn from(kind: StageKind) -> Self {
+        match kind {
+            StageKind::Render => Self::Render,
+            StageKind::Merge => Self::Merge,
+        }
+    }
+}
+
+pub(super) fn stage_kind(value: i32) -> Result<StageKind, ConvertError> {
+    let unknown = ConvertError::Unknown { field: "stage.kind", value };
+    Ok(match wire::StageKind::try_from(value).map_err(|_| unknown.clone())? {
+        wire::StageKind::Unspecified => return Err(unknown),
+        wire::StageKind::Render => StageKind::Render,
+        wire::StageKind::Merge => StageKind::Merge,
+    })
+}
+
+impl From<TaskKey> for wire::TaskKey {
+    fn from(task: TaskKey) -> Self {
+        let TaskKey { job, stage: Stage { frame, round, kind }, index } = task;
+        Self { job: job.0, frame, round, kind: wire::StageKind::from(kind).into(), index }
+    }
+}
+
+impl TryFrom<wire::TaskKey> for TaskKey {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::TaskKey) -> Result<Self, ConvertError> {
+        let stage = Stage { frame: wire.frame, round: wire.round, kind: stage_kind(wire.kind)? };
+        Ok(Self { job: JobId(wire.job), stage, index: wire.index })
+    }
+}
+
+pub(super) fn to_lease(task: TaskKey, epoch: Epoch) -> Option<wire::Lease> {
+    Some(wire::Lease { task: Some(task.into()), epoch: epoch.0 })
+}
+
+pub(super) fn from_lease(lease: Option<wire::Lease>) -> Result<(TaskKey, Epoch), ConvertError> {
+    let lease = need("lease", lease)?;
+    Ok((need("lease.task", lease.task)?.try_into()?, Epoch(lease.epoch)))
+}
+
+impl From<Assignment> for wire::Assignment {
+    fn from(assignment: Assignment) -> Self {
+        use wire::assignment::Work as Wire;
+        let Assignment { task, epoch, lease, work } = assignment;
+        let work = match work {
+            Work::Render { samples } => {
+                Wire::Render(wire::RenderWork { samples: Some(wire::Range { start: samples.start, end: samples.end }) })
+            }
+            Work::Merge { previous, tiles, spp, elapsed, busy_seconds, more } => Wire::Merge(wire::MergeWork {
+                previous: previous.map(Into::into),
+                tiles: tiles.into_iter().map(Into::into).collect(),
+                spp,
+                elapsed,
+                busy_seconds,
+                more: more == More::Rounds,
+            }),
+        };
+        Self { lease: to_lease(task, epoch), lease_time: lease, work: Some(work) }
+    }
+}
+
+impl TryFrom<wire::Assignment> for Assignment {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::Assignment) -> Result<Self, ConvertError> {
+        use wire::assignment::Work as Wire;
+        let (task, epoch) = from_lease(wire.lease)?;
+        let work = match need("assignment.work", wire.work)? {
+            Wire::Render(render) => {
+                let wire::Range { start, end } = need("render.samples", render.samples)?;
+                Work::Render { samples: start..end }
+            }
+            Wire::Merge(merge) => Work::Merge {
+                previous: maybe(merge.previous)?,
+                tiles: each(merge.tiles)?,
+                spp: merge.spp,
+                elapsed: merge.elapsed,
+                busy_seconds: merge.busy_seconds,
+                more: if merge.more { More::Rounds } else { More::Last },
+            },
+        };
+        Ok(Self { task, epoch, lease: wire.lease_time, work })
+    }
+}
+
+impl From<TaskResult> for wire::completed::Result {
+    fn from(result: TaskResult) -> Self {
+        match result {
+            TaskResult::Tile(TileResult { tile, samples, bad_samples, seconds }) => {
+                Self::Tile(wire::TileResult { tile: Some(tile.into()), samples, bad_samples, seconds })
+            }
+            TaskResult::Merge(result) => Self::Merge(wire::MergeResult {
+                decision: match result.decision {
+                    Decision::Continue => wire::Decision::Continue,
+                    Decision::Done => wire::Decision::Done,
+                }
+                .into(),
+                sums: result.sums.map(Into::into),
+                image: result.image.map(Into::into),
+                preview: result.preview.map(Into::into),
+                relative_error: result.relative_error,
+                bad_samples: result.bad_samples,
+                seconds: result.seconds,
+            }),
+        }
+    }
+}
+
+impl TryFrom<wire::completed::Result> for TaskResult {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::completed::Result) -> Result<Self, ConvertError> {
+        use wire::completed::Result as Wire;
+        Ok(match wire {
+            Wire::Tile(wire::TileResult { tile, samples, bad_samples, seconds }) => {
+                let tile = need("tile.artefact", tile)?.try_into()?;
+                Self::Tile(TileResult { tile, samples, bad_samples, seconds: finite(seconds)? })
+            }
+            Wire::Merge(merge) => Self::Merge(MergeResult {
+                decision: decision(merge.decision)?,
+                sums: maybe(merge.sums)?,
+                image: maybe(merge.image)?,
+                preview: maybe(merge.preview)?,
+                relative_error: merge.relative_error,
+                bad_samples: merge.bad_samples,
+                seconds: finite(merge.seconds)?,
+            }),
+        })
+    }
+}
+
+fn decision(value: i32) -> Result<Decision, ConvertError> {
+    let unknown = ConvertError::Unknown { field: "merge.decision", value };
+    Ok(match wire::Decision::try_from(value).map_err(|_| unknown.clone())? {
+        wire::Decision::Unspecified => return Err(unknown),
+        wire::Decision::Continue => Decision::Continue,
+        wire::Decision::Done => Decision::Done,
+    })
+}
+
+/// Seconds are summed: one that is not a number would spoil the sum for good.
+fn finite(seconds: f64) -> Result<f64, ConvertError> {
+    let is_sound = seconds.is_finite() && seconds >= 0.0;
+    is_sound.then_some(seconds).ok_or(ConvertError::Range { field: "seconds" })
+}

@@ -1,0 +1,94 @@
+//! What may go wrong on the way, and refusals as statuses and back.
+
+use femc_model::Refusal;
+use prost::Message as _;
+use tonic::{Code, Status};
+
+use crate::convert::ConvertError;
+use crate::wire;
+
+/// A call that brought no answer.
+#[derive(Debug, thiserror::Error)]
+pub enum CallError {
+    /// The address makes no sense.
+    #[error("{url} is no address of a coordinator: {message}")]
+    Address {
+        /// As given.
+        url: String,
+        /// What is wrong with it.
+        message: String,
+    },
+    /// Nobody answers there, or the connection broke.
+    #[error("the coordinator at {url} cannot be reached: {message}")]
+    Unreachable {
+        /// The address.
+        url: String,
+        /// What the transport said.
+        message: String,
+    },
+    /// The coordinator said no.
+    #[error(transparent)]
+    Refused(#[from] Refusal),
+    /// The answer makes no sense.
+    #[error("the coordinator's answer makes no sense: {0}")]
+    Answer(#[from] ConvertError),
+    /// The server failed in another way.
+    #[error("the coordinator failed: {code}: {message}")]
+    Status {
+        /// gRPC's code.
+        code: String,
+        /// What it said.
+        message: String,
+    },
+}
+
+/// A server that could not begin or go on.
+#[derive(Debug, thiserror::Error)]
+pub enum ServeError {
+    /// The transport failed.
+    #[error("server: {0}")]
+    Transport(#[from] tonic::transport::Error),
+    /// The reflection service cannot be built.
+    #[error("server reflection: {0}")]
+    Reflection(#[from] tonic_reflection::server::Error),
+}
+
+/// Exhaustive: a new refusal must choose its code.
+fn code(refusal: &Refusal) -> Code {
+    match refusal {
+        Refusal::NoSuchJob { .. } | Refusal::NoSuchArtefact { .. } => Code::NotFound,
+        Refusal::Ended { .. } | Refusal::StaleEpoch => Code::FailedPrecondition,
+        Refusal::Invalid { .. } => Code::InvalidArgument,
+        Refusal::DigestMismatch { .. } => Code::DataLoss,
+        Refusal::TooLarge { .. } => Code::ResourceExhausted,
+        Refusal::Unavailable { .. } => Code::Unavailable,
+    }
+}
+
+pub(crate) fn to_status(refusal: &Refusal) -> Status {
+    let details = wire::Refusal::from(refusal.clone()).encode_to_vec();
+    Status::with_details(code(refusal), refusal.to_string(), details.into())
+}
+
+pub(crate) fn from_status(url: &str, status: &Status) -> CallError {
+    if !status.details().is_empty()
+        && let Ok(refusal) = wire::Refusal::decode(status.details())
+    {
+        return refusal.try_into().map_or_else(CallError::Answer, CallError::Refused);
+    }
+    let message = status.message().to_owned();
+    match status.code() {
+        Code::Unavailable | Code::Cancelled | Code::DeadlineExceeded => CallError::Unreachable { url: url.into(), message },
+        // A connection that breaks within an answer has no code of its own.
+        Code::Unknown | Code::Internal if std::error::Error::source(status).is_some() => {
+            CallError::Unreachable { url: url.into(), message }
+        }
+        code => CallError::Status { code: format!("{code:?}"), message },
+    }
+}
+
+impl From<ConvertError> for Status {
+    fn from(error: ConvertError) -> Self {
+        Self::invalid_argument(error.to_string())
+    }
+}

@@ -1,0 +1,26 @@
+//! The wire: `femc/v1/femc.proto`, and typed clients and servers for it in the farm's own terms.
+//!
+//! The generated types stay in here. What comes in is checked once, on conversion; a message that makes no sense is a
+//! [`ConvertError`], never a default. Refusals travel as an enum in the status's details, beside code and text for
+//! other people's tools.
+#![deny(missing_docs)]
+
+mod client;
+mod convert;
+mod error;
+mod server;
+mod wire;
+
+pub use client::{Client, Incoming, Outgoing, Watch};
+pub use convert::ConvertError;
+pub use error::{CallError, ServeError};
+pub use server::{Call, Reply, Server, Session, Words};
+
+/// Version of the protocol: a worker says it when it registers, and is refused if it is not this or the one before.
+pub const PROTOCOL: u32 = 1;
+
+/// Bytes of an artefact that travel in one message.
+pub const PIECE: usize = 1 << 20;
+
+/// Most bytes of a message of the services `Jobs` and `Workers`.
+pub const MESSAGE: usize = 8 << 20;

@@ -1,0 +1,152 @@
+//! What the coordinator uses: every call comes to it as a [`Call`] with a place for the answer.
+
+mod artifacts;
+mod jobs;
+mod workers;
+
+use std::future::Future;
+use std::time::Duration;
+
+use femc_model::{
+    Control, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, Refusal, Registration, ToWorker, WorkerStatus,
+};
+use femc_store::Store;
+use tokio::net::TcpListener;
+use tokio::sync::{mpsc, oneshot, watch};
+use tonic::Streaming;
+use tonic::transport::server::TcpIncoming;
+
+use crate::convert::ConvertError;
+use crate::error::ServeError;
+use crate::{MESSAGE, PIECE, wire};
+use wire::artifacts_server::ArtifactsServer;
+use wire::jobs_server::JobsServer;
+use wire::workers_server::WorkersServer;
+
+/// Where an answer goes.
+pub type Reply<T> = oneshot::Sender<Result<T, Refusal>>;
+
+/// A request, to be answered in its own time.
+#[derive(Debug)]
+pub enum Call {
+    /// Queue a job.
+    Submit {
+        /// A second submission with this key is the same job.
+        key: Option<String>,
+        /// The job.
+        spec: Box<JobSpec>,
+        /// Its number.
+        reply: Reply<JobId>,
+    },
+    /// Every job.
+    List {
+        /// In order of submission.
+        reply: Reply<Vec<JobStatus>>,
+    },
+    /// One job.
+    Status {
+        /// Which.
+        job: JobId,
+        /// Now.
+        reply: Reply<JobStatus>,
+    },
+    /// One job, as it changes.
+    Watch {
+        /// Which.
+        job: JobId,
+        /// Its status now and later; closed after its end.
+        reply: Reply<watch::Receiver<JobStatus>>,
+    },
+    /// Steer a job.
+    Control {
+        /// Which.
+        job: JobId,
+        /// How.
+        control: Control,
+        /// When it is durable.
+        reply: Reply<()>,
+    },
+    /// The finished frames of a job.
+    Frames {
+        /// Which.
+        job: JobId,
+        /// Ascending.
+        reply: Reply<Vec<FrameRecord>>,
+    },
+    /// The workers that are there.
+    Workers {
+        /// In order of joining.
+        reply: Reply<Vec<WorkerStatus>>,
+    },
+    /// A worker has come.
+    Session(Session),
+}
+
+/// A worker's session. It ends when `out` is dropped, or when `words` does.
+#[derive(Debug)]
+pub struct Session {
+    /// How it introduced itself.
+    pub registration: Registration,
+    /// What it says.
+    pub words: Words,
+    /// What it hears.
+    pub out: mpsc::Sender<ToWorker>,
+}
+
+/// What a worker says after it registered.
+#[derive(Debug)]
+pub struct Words(Streaming<wire::FromWorker>);
+
+impl Words {
+    /// The next message; `None` at the end, also when the connection broke.
+    pub async fn next(&mut self) -> Option<Result<FromWorker, ConvertError>> {
+        Some(self.0.message().await.ok()??.try_into())
+    }
+}
+
+/// The three services, health and reflection on one port.
+#[derive(Debug, Clone)]
+pub struct Server {
+    /// Where calls go.
+    pub calls: mpsc::Sender<Call>,
+    /// Where artefacts live.
+    pub store: Store,
+}
+
+impl Server {
+    /// Most streams that one connection may have open.
+    const STREAMS: u32 = 256;
+
+    /// Serves until `stop` comes, then until the open calls have ended.
+    pub async fn serve(self, listener: TcpListener, stop: impl Future<Output = ()>) -> Result<(), ServeError> {
+        let (reporter, health) = tonic_health::server::health_reporter();
+        reporter.set_serving::<JobsServer<Self>>().await;
+        reporter.set_serving::<WorkersServer<Self>>().await;
+        reporter.set_serving::<ArtifactsServer<Self>>().await;
+        let reflection = tonic_reflection::server::Builder::configure()
+            .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
+            .build_v1()?;
+        tonic::transport::Server::builder()
+            .http2_keepalive_interval(Some(Duration::from_secs(10)))
+            .http2_keepalive_timeout(Some(Duration::from_secs(10)))
+            .max_concurrent_streams(Self::STREAMS)
+            .initial_stream_window_size(4 << 20)
+            .initial_connection_window_size(16 << 20)
+            .add_service(health)
+            .add_service(reflection)
+            .add_service(JobsServer::new(self.clone()).max_decoding_message_size(MESSAGE))
+            .add_service(WorkersServer::new(self.clone()).max_decoding_message_size(MESSAGE))
+            .add_service(ArtifactsServer::new(self).max_decoding_message_size(2 * PIECE))
+            .serve_with_incoming_shutdown(TcpIncoming::from(listener).with_nodelay(Some(true)), stop)
+            .await?;
+        Ok(())
+    }
+
+    /// Passes a call on and waits for its answer.
+    async fn ask<T>(&self, call: impl FnOnce(Reply<T>) -> Call) -> Result<T, tonic::Status> {
+        let stopping = || crate::error::to_status(&Refusal::Unavailable { message: "the coordinator is stopping".into() });
+        let (reply, answer) = oneshot::channel();
+        self.calls.send(call(reply)).await.map_err(|_| stopping())?;
+        answer.await.map_err(|_| stopping())?.map_err(|refusal| crate::error::to_status(&refusal))
+    }
+}

@@ -1,0 +1,83 @@
+//! The service `Artifacts`: straight to the store, past the scheduler.
+
+use std::pin::Pin;
+
+use bytes::Bytes;
+use femc_model::Refusal;
+use femc_store::StoreError;
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tokio_stream::{Stream, StreamExt as _};
+use tonic::{Request, Response, Status, Streaming};
+
+use super::Server;
+use crate::convert::{digest, need};
+use crate::error::to_status;
+use crate::{PIECE, wire};
+use wire::put_request::Part;
+
+/// Most digests that may be asked for at once.
+const DIGESTS: usize = 1 << 16;
+
+#[tonic::async_trait]
+impl wire::artifacts_server::Artifacts for Server {
+    async fn missing(&self, request: Request<wire::MissingRequest>) -> Result<Response<wire::MissingReply>, Status> {
+        let asked = request.into_inner().digests;
+        if asked.len() > DIGESTS {
+            return Err(to_status(&Refusal::TooLarge { what: "digests".into(), limit: DIGESTS as u64 }));
+        }
+        let mut digests = Vec::new();
+        for bytes in asked {
+            if !self.store.has(&digest("digest", &bytes)?).await.map_err(|error| refuse(&error))? {
+                digests.push(bytes);
+            }
+        }
+        Ok(Response::new(wire::MissingReply { digests }))
+    }
+
+    async fn put(&self, request: Request<Streaming<wire::PutRequest>>) -> Result<Response<wire::PutReply>, Status> {
+        let mut parts = request.into_inner();
+        let first = parts.message().await?.and_then(|first| first.part);
+        let Part::Digest(announced) = need("digest", first)? else {
+            return Err(Status::invalid_argument("the digest comes first"));
+        };
+        let mut upload = self.store.upload(digest("digest", &announced)?);
+        while let Some(part) = parts.message().await? {
+            let Part::Piece(piece) = need("piece", part.part)? else {
+                return Err(Status::invalid_argument("only one digest"));
+            };
+            upload.write(&piece).await.map_err(|error| refuse(&error))?;
+        }
+        let artefact = upload.finish().await.map_err(|error| refuse(&error))?;
+        Ok(Response::new(wire::PutReply { artefact: Some(artefact.into()) }))
+    }
+
+    type GetStream = Pin<Box<dyn Stream<Item = Result<wire::GetReply, Status>> + Send>>;
+
+    async fn get(&self, request: Request<wire::GetRequest>) -> Result<Response<Self::GetStream>, Status> {
+        let wire::GetRequest { digest: name, offset } = request.into_inner();
+        let name = digest("digest", &name)?;
+        if !self.store.has(&name).await.map_err(|error| refuse(&error))? {
+            return Err(to_status(&Refusal::NoSuchArtefact { digest: name }));
+        }
+        let store = self.store.clone();
+        let (send, receive) = mpsc::channel::<Result<Bytes, StoreError>>(4);
+        tokio::spawn(async move {
+            if let Err(error) = store.read(&name, offset, PIECE as u64, &send).await {
+                let _ = send.send(Err(error)).await;
+            }
+        });
+        let replies = ReceiverStream::new(receive)
+            .map(|piece| piece.map(|piece| wire::GetReply { piece }).map_err(|error| refuse(&error)));
+        Ok(Response::new(Box::pin(replies)))
+    }
+}
+
+fn refuse(error: &StoreError) -> Status {
+    to_status(&match error {
+        StoreError::Missing { digest } => Refusal::NoSuchArtefact { digest: *digest },
+        StoreError::Mismatch { announced, .. } => Refusal::DigestMismatch { digest: *announced },
+        StoreError::TooLarge { limit } => Refusal::TooLarge { what: "artefact".into(), limit: *limit },
+        StoreError::Medium(error) => Refusal::Unavailable { message: error.to_string() },
+    })
+}

@@ -1,0 +1,78 @@
+//! The service `Jobs`.
+
+use std::pin::Pin;
+
+use femc_model::{JobId, JobStatus};
+use tokio::sync::{mpsc, watch};
+use tokio_stream::Stream;
+use tokio_stream::wrappers::ReceiverStream;
+use tonic::{Request, Response, Status};
+
+use super::{Call, Server};
+use crate::convert::need;
+use crate::wire;
+
+type Answer<T> = Result<Response<T>, Status>;
+
+#[tonic::async_trait]
+impl wire::jobs_server::Jobs for Server {
+    async fn submit(&self, request: Request<wire::SubmitRequest>) -> Answer<wire::SubmitReply> {
+        let wire::SubmitRequest { job, key } = request.into_inner();
+        let spec = Box::new(need("job", job)?.try_into()?);
+        let JobId(job) = self.ask(|reply| Call::Submit { key, spec, reply }).await?;
+        Ok(Response::new(wire::SubmitReply { job }))
+    }
+
+    async fn list(&self, _: Request<wire::ListRequest>) -> Answer<wire::ListReply> {
+        let jobs = self.ask(|reply| Call::List { reply }).await?;
+        Ok(Response::new(wire::ListReply { jobs: jobs.into_iter().map(Into::into).collect() }))
+    }
+
+    async fn status(&self, request: Request<wire::StatusRequest>) -> Answer<wire::JobStatus> {
+        let job = JobId(request.into_inner().job);
+        Ok(Response::new(self.ask(|reply| Call::Status { job, reply }).await?.into()))
+    }
+
+    type WatchStream = Pin<Box<dyn Stream<Item = Result<wire::JobStatus, Status>> + Send>>;
+
+    async fn watch(&self, request: Request<wire::WatchRequest>) -> Answer<Self::WatchStream> {
+        let job = JobId(request.into_inner().job);
+        let statuses = self.ask(|reply| Call::Watch { job, reply }).await?;
+        let (send, receive) = mpsc::channel(1);
+        tokio::spawn(forward(statuses, send));
+        Ok(Response::new(Box::pin(ReceiverStream::new(receive))))
+    }
+
+    async fn control(&self, request: Request<wire::ControlRequest>) -> Answer<wire::ControlReply> {
+        let wire::ControlRequest { job, control } = request.into_inner();
+        let (job, control) = (JobId(job), need("control", control)?.try_into()?);
+        self.ask(|reply| Call::Control { job, control, reply }).await?;
+        Ok(Response::new(wire::ControlReply {}))
+    }
+
+    async fn frames(&self, request: Request<wire::FramesRequest>) -> Answer<wire::FramesReply> {
+        let job = JobId(request.into_inner().job);
+        let frames = self.ask(|reply| Call::Frames { job, reply }).await?;
+        Ok(Response::new(wire::FramesReply { frames: frames.into_iter().map(Into::into).collect() }))
+    }
+
+    async fn list_workers(&self, _: Request<wire::ListWorkersRequest>) -> Answer<wire::ListWorkersReply> {
+        let workers = self.ask(|reply| Call::Workers { reply }).await?;
+        Ok(Response::new(wire::ListWorkersReply { workers: workers.into_iter().map(Into::into).collect() }))
+    }
+}
+
+/// Sends the newest status whenever there is one; a slow listener misses the ones between, never the last.
+async fn forward(mut statuses: watch::Receiver<JobStatus>, send: mpsc::Sender<Result<wire::JobStatus, Status>>) {
+    loop {
+        let status = statuses.borrow_and_update().clone();
+        let has_ended = status.state.has_ended();
+        if send.send(Ok(status.into())).await.is_err() || has_ended {
+            return;
+        }
+        tokio::select! {
+            changed = statuses.changed() => if changed.is_err() { return },
+            () = send.closed() => return,
+        }
+    }
+}

@@ -1,0 +1,41 @@
+//! The service `Workers`.
+
+use std::pin::Pin;
+use std::time::Duration;
+
+use femc_model::FromWorker;
+use tokio::sync::mpsc;
+use tokio_stream::wrappers::ReceiverStream;
+use tokio_stream::{Stream, StreamExt as _};
+use tonic::{Request, Response, Status, Streaming};
+
+use super::{Call, Server, Session, Words};
+use crate::wire;
+
+/// Messages that may wait for a slow worker before its session is ended.
+const WAITING: usize = 256;
+
+/// How long a new session may be silent.
+const INTRODUCTION: Duration = Duration::from_secs(10);
+
+#[tonic::async_trait]
+impl wire::workers_server::Workers for Server {
+    type SessionStream = Pin<Box<dyn Stream<Item = Result<wire::ToWorker, Status>> + Send>>;
+
+    async fn session(
+        &self,
+        request: Request<Streaming<wire::FromWorker>>,
+    ) -> Result<Response<Self::SessionStream>, Status> {
+        let mut words = request.into_inner();
+        let first = tokio::time::timeout(INTRODUCTION, words.message()).await;
+        let first = first.map_err(|_| Status::deadline_exceeded("the worker did not register"))??;
+        let first = first.ok_or_else(|| Status::invalid_argument("the worker did not register"))?;
+        let FromWorker::Register(registration) = FromWorker::try_from(first)? else {
+            return Err(Status::invalid_argument("the first message must register the worker"));
+        };
+        let (out, receive) = mpsc::channel(WAITING);
+        let session = Session { registration, words: Words(words), out };
+        self.calls.send(Call::Session(session)).await.map_err(|_| Status::unavailable("the coordinator is stopping"))?;
+        Ok(Response::new(Box::pin(ReceiverStream::new(receive).map(|message| Ok(message.into())))))
+    }
+}

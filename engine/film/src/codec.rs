@@ -170,16 +170,34 @@ fn from_bytes(bytes: &[u8; PIXEL_BYTES]) -> PixelSums {
     }
 }
 
+/// Pixels transposed at a time: planes lie a power of two apart, and single bytes written to them would share a cache set.
+const STRIP: usize = 64;
+
 fn to_planes(pixels: &[PixelSums]) -> Vec<u8> {
     let mut planes = vec![0; pixels.len() * PIXEL_BYTES];
-    for (i, pixel) in pixels.iter().enumerate() {
-        for (plane, byte) in to_bytes(pixel).into_iter().enumerate() {
-            planes[plane * pixels.len() + i] = byte;
+    for (strip, chunk) in pixels.chunks(STRIP).enumerate() {
+        let mut block = [[0; STRIP]; PIXEL_BYTES];
+        for (i, pixel) in chunk.iter().enumerate() {
+            block.iter_mut().zip(to_bytes(pixel)).for_each(|(row, byte)| row[i] = byte);
+        }
+        for (plane, row) in block.iter().enumerate() {
+            let start = plane * pixels.len() + strip * STRIP;
+            planes[start..start + chunk.len()].copy_from_slice(&row[..chunk.len()]);
         }
     }
     planes
 }
 
 fn from_planes(planes: &[u8], count: usize) -> Vec<PixelSums> {
-    (0..count).map(|i| from_bytes(&std::array::from_fn(|plane| planes[plane * count + i]))).collect()
+    let mut pixels = Vec::with_capacity(count);
+    for start in (0..count).step_by(STRIP) {
+        let length = STRIP.min(count - start);
+        let mut block = [[0; STRIP]; PIXEL_BYTES];
+        for (plane, row) in block.iter_mut().enumerate() {
+            let at = plane * count + start;
+            row[..length].copy_from_slice(&planes[at..at + length]);
+        }
+        pixels.extend((0..length).map(|i| from_bytes(&std::array::from_fn(|plane| block[plane][i]))));
+    }
+    pixels
 }

@@ -79,3 +79,57 @@ impl FrameImage {
         deviation * deviation
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Image;
+
+    fn gray(width: u32, height: u32, value: f32, variance: f32) -> FrameImage {
+        let count = (width * height) as usize;
+        FrameImage {
+            color: Image::filled(width, height, [value; 3]),
+            variance: vec![[variance; 3]; count],
+            albedo: vec![[0.0; 3]; count],
+            depth: vec![0.0; count],
+            samples: vec![4; count],
+        }
+    }
+
+    #[test]
+    fn the_error_of_a_gray_block_is_its_standard_error_by_hand() {
+        // 256 pixels of variance 0.01: the block's mean has the standard error 0.1 / 16.
+        let error = gray(16, 16, 2.0, 0.01).error();
+        assert!((error.worst - 1.959_964 * 0.00625 / 2.0).abs() < 1e-7, "{error:?}");
+        assert_eq!((error.blocks.len(), error.worst), (1, error.mean));
+    }
+
+    #[test]
+    fn blocks_at_the_border_are_smaller_and_the_worst_one_decides() {
+        let mut image = gray(40, 20, 1.0, 1e-4);
+        image.variance[20 * 40 - 1] = [1.0; 3];
+        let error = image.error();
+        assert_eq!(error.blocks.len(), 6);
+        assert_eq!(error.blocks[5].rect, Rect { x: 32, y: 16, width: 8, height: 4 });
+        assert_eq!(error.worst, error.blocks[5].relative);
+        assert!(error.mean < error.worst);
+    }
+
+    #[test]
+    fn dark_blocks_are_measured_against_a_hundredth_of_the_mean() {
+        let mut image = gray(32, 16, 1.0, 0.0);
+        for (x, y) in (Rect { x: 16, y: 0, width: 16, height: 16 }).pixels() {
+            image.color.pixels[(y * 32 + x) as usize] = [0.0; 3];
+            image.variance[(y * 32 + x) as usize] = [0.01; 3];
+        }
+        assert!((image.error().worst - 1.959_964 * 0.00625 / 0.005).abs() < 1e-4);
+    }
+
+    #[test]
+    fn a_single_sample_is_not_convergence_and_black_without_variance_is() {
+        let mut image = gray(16, 16, 0.0, 0.0);
+        assert_eq!(image.error().worst, 0.0);
+        image.samples[77] = 1;
+        assert_eq!(image.error().worst, f64::INFINITY);
+    }
+}

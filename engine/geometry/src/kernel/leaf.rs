@@ -8,7 +8,7 @@ use super::{
 use crate::{
     blas::{Blas, Block, Shape},
     shape::Span,
-    tree::{Child, WIDTH},
+    tree::{Child, Lanes, WIDTH},
 };
 
 /// The closest hit so far.
@@ -96,7 +96,10 @@ impl<S: Simd> AnyLeaf for Occluded<'_, S> {
             shape_distance(shape, self.probe, self.t_max).is_some_and(|t| t < self.t_max)
         } else {
             let block = &self.blas.blocks[leaf.index()];
-            Crossing::find(self.simd, block, self.probe, self.t_max).is_some_and(|f| f.before(self.simd, self.t_max))
+            match Crossing::find(self.simd, block, self.probe, self.t_max) {
+                Some(found) => found.before(self.simd, self.t_max),
+                None => false,
+            }
         }
     }
 }
@@ -109,6 +112,31 @@ fn shape_distance(shape: &Shape, probe: &Probe, t_max: f32) -> Option<f32> {
     let crossings = shape.crossings(probe.mirrored);
     let t = shape.quadric.intersect(probe.origin.as_dvec3(), probe.dir.as_dvec3(), span, crossings)?;
     Some(t as f32).filter(|&t| t > 0.0 && t <= t_max)
+}
+
+/// The ray's frame in the watertight test: its start, permuted, and the shear.
+struct Frame<V> {
+    origin: [V; 3],
+    shear: [V; 2],
+}
+
+impl<V: Vector> Frame<V> {
+    /// Corner `i` of all triangles from the ray's start, and its sheared coordinates. A function and not a closure: closures are not
+    /// compiled for the caller's instruction set unless they are inlined.
+    #[inline(always)]
+    fn corner<S: Simd<V = V>>(
+        &self,
+        simd: S,
+        rx: &[Lanes; 4],
+        ry: &[Lanes; 4],
+        rz: &[Lanes; 4],
+        i: usize,
+    ) -> ([V; 3], V, V) {
+        let x = simd.load(&rx[i]) - self.origin[0];
+        let y = simd.load(&ry[i]) - self.origin[1];
+        let z = simd.load(&rz[i]) - self.origin[2];
+        ([x, y, z], x - self.shear[0] * z, y - self.shear[1] * z)
+    }
 }
 
 /// The triangles of a block that the ray crosses: at positive distances not beyond the limit, from a side from which they are visible.
@@ -133,13 +161,10 @@ impl<V: Vector> Crossing<V> {
         let (rx, ry, rz) = (&block.rows[kx], &block.rows[ky], &block.rows[kz]);
         let (ox, oy, oz) = (simd.splat(origin[kx]), simd.splat(origin[ky]), simd.splat(origin[kz]));
         let (sx, sy) = (simd.splat(probe.shear[0]), simd.splat(probe.shear[1]));
-        let corner = |i: usize| {
-            let (x, y, z) = (simd.load(&rx[i]) - ox, simd.load(&ry[i]) - oy, simd.load(&rz[i]) - oz);
-            ([x, y, z], x - sx * z, y - sy * z)
-        };
-        let (a, ax, ay) = corner(0);
-        let (_, bx, by) = corner(1);
-        let (_, cx, cy) = corner(2);
+        let frame = Frame { origin: [ox, oy, oz], shear: [sx, sy] };
+        let (a, ax, ay) = frame.corner(simd, rx, ry, rz, 0);
+        let (_, bx, by) = frame.corner(simd, rx, ry, rz, 1);
+        let (_, cx, cy) = frame.corner(simd, rx, ry, rz, 2);
         let u = cx * by - cy * bx;
         let v = ax * cy - ay * cx;
         let w = bx * ay - by * ax;
@@ -191,7 +216,13 @@ impl<V: Vector> Crossing<V> {
         }
         let Some(lane) = taken else { return };
         let exact = if self.on_edge >> lane & 1 == 1 { exact_edges(block, probe, lane) } else { None };
-        let [u, v, w] = exact.unwrap_or_else(|| self.edges.map(|e| e.lanes().0[lane]));
+        let [u, v, w] = match exact {
+            Some(edges) => edges,
+            None => {
+                let [u, v, w] = self.edges;
+                [u.lanes().0[lane], v.lanes().0[lane], w.lanes().0[lane]]
+            }
+        };
         let sum = u + v + w;
         (best.u, best.v) = (v / sum, w / sum);
     }

@@ -290,21 +290,19 @@ pub(crate) mod avx2 {
         #[inline(always)]
         fn push(self, mask: u32, distances: Floats, children: &[Child; WIDTH], stack: &mut Stack) -> usize {
             let count = mask.count_ones() as usize;
+            let room = stack.room().as_mut_ptr().cast::<__m256i>();
             // SAFETY: the token proves AVX2. `children` is eight u32 (Child is transparent); the room is eight u64, written whole, so
             // the first `count` <= 8 are initialised.
             unsafe {
-                stack.push_with(|room| {
-                    let places = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(COMPRESS[(mask & 255) as usize] as i64));
-                    let children = _mm256_loadu_si256(children.as_ptr().cast());
-                    let children = _mm256_permutevar8x32_epi32(children, places);
-                    let distances = _mm256_permutevar8x32_epi32(_mm256_castps_si256(distances.0), places);
-                    let (even, odd) =
-                        (_mm256_unpacklo_epi32(children, distances), _mm256_unpackhi_epi32(children, distances));
-                    let room = room.as_mut_ptr().cast::<__m256i>();
-                    _mm256_storeu_si256(room, _mm256_permute2x128_si256::<0x20>(even, odd));
-                    _mm256_storeu_si256(room.add(1), _mm256_permute2x128_si256::<0x31>(even, odd));
-                    count
-                });
+                let places = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(COMPRESS[(mask & 255) as usize] as i64));
+                let children = _mm256_loadu_si256(children.as_ptr().cast());
+                let children = _mm256_permutevar8x32_epi32(children, places);
+                let distances = _mm256_permutevar8x32_epi32(_mm256_castps_si256(distances.0), places);
+                let even = _mm256_unpacklo_epi32(children, distances);
+                let odd = _mm256_unpackhi_epi32(children, distances);
+                _mm256_storeu_si256(room, _mm256_permute2x128_si256::<0x20>(even, odd));
+                _mm256_storeu_si256(room.add(1), _mm256_permute2x128_si256::<0x31>(even, odd));
+                stack.take(count);
             }
             count
         }

@@ -44,16 +44,19 @@ impl Stack {
         self.len += 1;
     }
 
-    /// Lets `write` put entries at the stack's top: it gets room for [`WIDTH`] entries and returns how many of the first it has
-    /// initialised.
+    /// Room for [`WIDTH`] entries at the top.
+    #[inline(always)]
+    pub fn room(&mut self) -> &mut [MaybeUninit<u64>; WIDTH] {
+        self.entries[self.len..].first_chunk_mut::<WIDTH>().expect("trees are built to fit the stack")
+    }
+
+    /// Takes the first `count` entries of the room into the stack.
     ///
     /// # Safety
-    /// `write` must have initialised as many entries as it says, at most [`WIDTH`].
+    /// They must have been initialised, and `count` be at most [`WIDTH`].
     #[inline(always)]
-    pub unsafe fn push_with(&mut self, write: impl FnOnce(&mut [MaybeUninit<u64>; WIDTH]) -> usize) {
-        let top: &mut [MaybeUninit<u64>] = &mut self.entries[self.len..];
-        let room = top.first_chunk_mut::<WIDTH>().expect("trees are built to fit the stack");
-        self.len += write(room);
+    pub unsafe fn take(&mut self, count: usize) {
+        self.len += count;
     }
 
     #[inline(always)]

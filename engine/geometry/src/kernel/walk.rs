@@ -32,9 +32,10 @@ struct Slabs<V> {
 impl<V: Vector> Slabs<V> {
     #[inline(always)]
     fn new<S: Simd<V = V>>(simd: S, probe: &Probe) -> Self {
+        let (o, i) = (probe.origin, probe.inverse);
         Self {
-            origin: probe.origin.to_array().map(|x| simd.splat(x)),
-            inverse: probe.inverse.to_array().map(|x| simd.splat(x)),
+            origin: [simd.splat(o.x), simd.splat(o.y), simd.splat(o.z)],
+            inverse: [simd.splat(i.x), simd.splat(i.y), simd.splat(i.z)],
             near: probe.side,
             zero: simd.splat(0.0),
             // Ize's bound for the rounding of both ends (\[ize2013\]): no box that the exact ray meets is missed.

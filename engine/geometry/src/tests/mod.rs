@@ -62,11 +62,15 @@ pub fn placed(triangles: Vec<TriangleInput>, shapes: Vec<ShapeInput>, pose: Affi
 /// A closed mesh: a sphere of bumps about 0, seen from outside counter-clockwise.
 pub fn bumpy_sphere(rows: usize, columns: usize, radius: f32) -> Vec<TriangleInput> {
     let at = |i: usize, j: usize| {
-        let (sin_t, cos_t) = sin_cos(std::f32::consts::PI * i as f32 / rows as f32);
+        // The poles are exact, so that all triangles there share one vertex.
+        let (sin_t, cos_t) = match i {
+            0 => (0.0, 1.0),
+            _ if i == rows => (0.0, -1.0),
+            _ => sin_cos(std::f32::consts::PI * i as f32 / rows as f32),
+        };
         let (sin_p, cos_p) = sin_cos(std::f32::consts::TAU * (j % columns) as f32 / columns as f32);
-        let poles = if i == 0 || i == rows { 0.0 } else { 1.0 };
         let bump = 1.0 + 0.1 * sin_cos(7.0 * sin_t * cos_p).0 * sin_cos(5.0 * cos_t + 3.0 * sin_t * sin_p).0;
-        Vec3A::new(poles * sin_t * cos_p, poles * sin_t * sin_p, cos_t) * (radius * bump)
+        Vec3A::new(sin_t * cos_p, sin_t * sin_p, cos_t) * (radius * bump)
     };
     let mut triangles = Vec::new();
     for i in 0..rows {

@@ -71,6 +71,11 @@ pub enum Oddity {
         /// What was found and what was made of it.
         what: &'static str,
     },
+    /// A textured material on a surface without texture coordinates; said once per material.
+    NoTextureCoordinates {
+        /// The material.
+        material: String,
+    },
     /// Image values outside their domain.
     Texture {
         /// What was found and what was made of it.
@@ -102,6 +107,12 @@ impl fmt::Display for Oddity {
             }
             Self::TooBright { material, sum } => {
                 write!(f, "material `{material}` has rd + td + rs + ts = {sum:.3}: all four scaled down to the sum 1")
+            }
+            Self::NoTextureCoordinates { material } => {
+                write!(
+                    f,
+                    "material `{material}` has a texture, and this surface no coordinates (`uv`; said once per material)"
+                )
             }
             Self::LeftOpen { entity } => write!(f, "`{entity}` is never closed; closed at the end of its file"),
             Self::Replaced { what } => write!(f, "{what} replaces an earlier one"),

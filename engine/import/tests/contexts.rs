@@ -272,4 +272,5 @@ fn texture_coordinates_and_maps_arrive() {
     assert_eq!(vertex.uv.map(|uv| uv.to_array()), Some([0.25, 0.75]));
     assert_eq!(vertex.normal, Some(DVec3::Z));
     assert_eq!(loaded.files, ["t.mgf", "p.png"]);
+    assert_eq!(loaded.warnings.len(), 1, "the sphere has no coordinates: said once");
 }

@@ -5,8 +5,11 @@
 //! get the file's multiplier and ballast factors. Data a little outside the standard with one clear meaning is taken
 //! with a warning.
 
+mod numbers;
+
 use crate::{Fault, ImportError, Position};
 use femc_scene::{Location, Opening, Photometry, PhotometryType};
+use numbers::Numbers;
 use std::sync::Arc;
 
 /// Most angles of one list.
@@ -48,12 +51,11 @@ impl Tilt {
     }
 }
 
+/// Path and text of the file that a name in the text stands for.
+pub(crate) type Named = Result<(String, Arc<Vec<u8>>), Fault>;
+
 /// Reads a file. `open` gives the text of the tilt file that it names.
-pub(crate) fn parse(
-    path: &str,
-    text: &[u8],
-    open: &mut dyn FnMut(&str) -> Result<(String, Arc<Vec<u8>>), Fault>,
-) -> Result<Luminaire, ImportError> {
+pub(crate) fn parse(path: &str, text: &[u8], open: &mut dyn FnMut(&str) -> Named) -> Result<Luminaire, ImportError> {
     let (tilt_at, spec, rest) = tilt_line(path, text)?;
     let mut numbers = Numbers { file: path, rest, line: tilt_at.line + 1, column: 1 };
     let tilt = match spec.to_ascii_uppercase().as_str() {
@@ -80,11 +82,12 @@ fn tilt_line<'t>(path: &str, text: &'t [u8]) -> Result<(Position, String, &'t [u
         let this = rest[..end.unwrap_or(rest.len())].trim_ascii();
         rest = end.map_or(&[], |end| &rest[end + 1..]);
         line += 1;
-        if this.len() >= 4 && this[..4].eq_ignore_ascii_case(b"TILT") {
-            if let Some(value) = this[4..].trim_ascii_start().strip_prefix(b"=") {
-                let at = Position { file: path.to_owned(), line, column: 1 };
-                return Ok((at, String::from_utf8_lossy(value.trim_ascii()).into_owned(), rest));
-            }
+        if this.len() >= 4
+            && this[..4].eq_ignore_ascii_case(b"TILT")
+            && let Some(value) = this[4..].trim_ascii_start().strip_prefix(b"=")
+        {
+            let at = Position { file: path.to_owned(), line, column: 1 };
+            return Ok((at, String::from_utf8_lossy(value.trim_ascii()).into_owned(), rest));
         }
     }
     let fault = Fault::BadFile {
@@ -253,95 +256,6 @@ fn opening([width, length, height]: [f64; 3]) -> (Opening, Option<&'static str>)
         }
         _ if flat == 1 => (Opening::Point, Some("luminous opening is a line: taken as a point")),
         _ => (boxed, Some("lying round luminous opening: taken as the box around it")),
-    }
-}
-
-/// Numbers in free form, separated by blanks or commas.
-struct Numbers<'f, 't> {
-    file: &'f str,
-    rest: &'t [u8],
-    line: u32,
-    column: u32,
-}
-
-impl<'t> Numbers<'_, 't> {
-    /// The place of the next field.
-    fn here(&self) -> Position {
-        Position { file: self.file.to_owned(), line: self.line, column: self.column }
-    }
-
-    /// Moves to the next field, if there is one, without taking it.
-    fn token(&mut self) -> Option<&'t [u8]> {
-        let separator = |byte: &u8| byte.is_ascii_whitespace() || matches!(byte, b',' | 0x0b | 0 | 0x1a);
-        let skip = self.rest.iter().position(|byte| !separator(byte)).unwrap_or(self.rest.len());
-        for byte in &self.rest[..skip] {
-            self.advance(*byte);
-        }
-        self.rest = &self.rest[skip..];
-        let end = self.rest.iter().position(separator).unwrap_or(self.rest.len());
-        (end > 0).then(|| &self.rest[..end])
-    }
-
-    fn advance(&mut self, byte: u8) {
-        if byte == b'\n' {
-            (self.line, self.column) = (self.line.saturating_add(1), 1);
-        } else {
-            self.column = self.column.saturating_add(1);
-        }
-    }
-
-    fn number(&mut self, what: &'static str) -> Result<f64, ImportError> {
-        let Some(field) = self.token() else {
-            let reason = format!("it ends where the {what} should be");
-            let fault = Fault::BadFile { path: self.file.to_owned(), reason, advice: "it may be cut short" };
-            return Err(ImportError::new(self.here(), fault));
-        };
-        let text = std::str::from_utf8(field).ok().filter(|t| t.bytes().all(|b| b"0123456789+-.eE".contains(&b)));
-        let Some(value) = text.and_then(|text| text.parse::<f64>().ok()) else {
-            let found = String::from_utf8_lossy(field).into_owned();
-            return Err(ImportError::new(self.here(), Fault::NotANumber { found, expected: what }));
-        };
-        if !value.is_finite() {
-            return Err(ImportError::new(self.here(), Fault::NotFinite { what }));
-        }
-        self.rest = &self.rest[field.len()..];
-        self.column = self.column.saturating_add(field.len() as u32);
-        Ok(value)
-    }
-
-    fn number_in(
-        &mut self,
-        what: &'static str,
-        domain: &'static str,
-        allowed: impl Fn(f64) -> bool,
-    ) -> Result<f64, ImportError> {
-        self.token();
-        let at = self.here();
-        let value = self.number(what)?;
-        if allowed(value) {
-            return Ok(value);
-        }
-        Err(ImportError::new(at, Fault::OutOfRange { what, value, allowed: domain }))
-    }
-
-    fn whole(&mut self, what: &'static str, low: f64, high: f64, domain: &'static str) -> Result<usize, ImportError> {
-        Ok(self.number_in(what, domain, |x| x >= low && x <= high && x == x.trunc())? as usize)
-    }
-
-    fn ascending(
-        &mut self,
-        count: usize,
-        what: &'static str,
-        low: f64,
-        high: f64,
-        domain: &'static str,
-    ) -> Result<Vec<f64>, ImportError> {
-        let mut angles: Vec<f64> = Vec::new();
-        for _ in 0..count {
-            let last = angles.last().copied();
-            angles.push(self.number_in(what, domain, |x| x >= low && x <= high && last.is_none_or(|last| x > last))?);
-        }
-        Ok(angles)
     }
 }
 

@@ -37,13 +37,9 @@ impl<'t> Lexer<'t> {
             tokens.clear();
             let mut length = 0;
             let first = self.line + 1;
-            loop {
-                if self.rest.is_empty() {
-                    break;
-                }
-                let (line, joined) = self.physical();
-                length += line.len() + usize::from(joined);
-                fields(line, self.line, tokens);
+            while !self.rest.is_empty() {
+                let (bytes, joined) = self.physical(tokens);
+                length += bytes;
                 if !joined {
                     break;
                 }
@@ -61,28 +57,42 @@ impl<'t> Lexer<'t> {
         }
     }
 
-    /// One physical line without its end, and whether a `\` joins the next one to it.
-    fn physical(&mut self) -> (&'t [u8], bool) {
-        let end = self.rest.iter().position(|&byte| byte == b'\n');
-        let line = &self.rest[..end.unwrap_or(self.rest.len())];
-        self.rest = end.map_or(&[], |end| &self.rest[end + 1..]);
+    /// Adds the fields of one physical line; returns its length and whether a `\` joins the next line to it.
+    fn physical(&mut self, tokens: &mut Vec<Token<'t>>) -> (usize, bool) {
+        let bytes = self.rest;
         self.line = self.line.saturating_add(1);
-        let line = line.strip_suffix(b"\r").unwrap_or(line);
-        match line.strip_suffix(b"\\") {
-            Some(line) => (line, true),
-            None => (line, false),
+        let mut at = 0;
+        while at < bytes.len() && bytes[at] != b'\n' {
+            let start = at;
+            while at < bytes.len() && !is_space(bytes[at]) {
+                at += 1;
+            }
+            // A line of more fields than bytes allowed is too long (or a comment): no memory for it.
+            if at > start && tokens.len() > MAX_LINE {
+                continue;
+            }
+            if at > start {
+                tokens.push(Token { text: &bytes[start..at], line: self.line, column: start as u32 + 1 });
+            } else {
+                at += 1;
+            }
         }
+        self.rest = bytes.get(at + 1..).unwrap_or_default();
+        let line = &bytes[..at];
+        let line = line.strip_suffix(b"\r").unwrap_or(line);
+        let joined = line.ends_with(b"\\");
+        if let (true, Some(last)) = (joined, tokens.last_mut().filter(|last| last.text.ends_with(b"\\"))) {
+            last.text = &last.text[..last.text.len() - 1];
+            if last.text.is_empty() {
+                tokens.pop();
+            }
+        }
+        (line.len(), joined)
     }
 }
 
-fn fields<'t>(line: &'t [u8], number: u32, tokens: &mut Vec<Token<'t>>) {
-    let blank = |byte: &u8| matches!(byte, b' ' | b'\t' | b'\r' | 0x0b | 0x0c);
-    let mut at = 0;
-    while let Some(start) = line[at..].iter().position(|byte| !blank(byte)).map(|skip| at + skip) {
-        let end = line[start..].iter().position(blank).map_or(line.len(), |length| start + length);
-        tokens.push(Token { text: &line[start..end], line: number, column: start as u32 + 1 });
-        at = end;
-    }
+fn is_space(byte: u8) -> bool {
+    byte <= b' ' && matches!(byte, b' ' | b'\t' | b'\n' | b'\r' | 0x0b | 0x0c)
 }
 
 #[cfg(test)]
@@ -115,6 +125,16 @@ mod tests {
     fn a_join_at_the_end_of_the_text_ends_the_line() {
         assert_eq!(all(b"a b\\").len(), 1);
         assert_eq!(all(b"a b\\\n").len(), 1);
+    }
+
+    #[test]
+    fn a_line_of_a_million_fields_takes_no_memory_for_them() {
+        for (start, expected) in [("x ", Err(TooLong { line: 1 })), ("# ", Ok(false))] {
+            let text = start.to_owned() + &"y ".repeat(1_000_000);
+            let (mut lexer, mut tokens) = (Lexer::new(text.as_bytes()), Vec::new());
+            assert_eq!(lexer.next(&mut tokens), expected);
+            assert!(tokens.capacity() <= 4 * MAX_LINE);
+        }
     }
 
     #[test]

@@ -2,7 +2,8 @@
 //!
 //! One pass: each line changes the reader's contexts or adds to the scene, with the contexts as they stand at that line.
 //! Where MGF's text leaves a choice, the reference parser's readers decide: a mirrored face is reversed, so that a mirror
-//! image keeps its front sides; `-a` takes its arguments up to the next `-a` or `-i`.
+//! image keeps its front sides; `-a` takes its arguments up to the next `-a` or `-i`. Cameras are in world coordinates
+//! wherever they are opened; `mbox` follows the transforms around it.
 
 mod animation;
 mod args;

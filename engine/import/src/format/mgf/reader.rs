@@ -48,6 +48,8 @@ pub(super) struct Reader<'f> {
     pub media: Table<MediumState>,
     pub medium_entries: HashMap<String, Vec<MediumId>>,
     pub photometries: HashMap<String, (PhotometryId, Option<Tilt>)>,
+    /// Textured materials that were found on surfaces without texture coordinates.
+    pub without_uv: HashSet<MaterialId>,
     pub images: HashMap<(String, Role), ImageId>,
     pub paths: BTreeMap<String, PathId>,
     pub path: Option<PathId>,
@@ -99,6 +101,7 @@ impl<'f> Reader<'f> {
             media: Table::new(Kind::Medium, MediumState::default()),
             medium_entries: HashMap::new(),
             photometries: HashMap::new(),
+            without_uv: HashSet::new(),
             images: HashMap::new(),
             paths: BTreeMap::new(),
             path: None,

@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{Fault, Oddity};
 use femc_math::glam::DVec3;
-use femc_scene::{Face, Facing, Quadric, Shape, Vertex};
+use femc_scene::{Face, Facing, MaterialId, Quadric, Shape, Vertex};
 
 /// Deviation from the plane, relative to a face's size, that is said to be odd.
 const PLANAR: f64 = 5e-3;
@@ -59,6 +59,7 @@ impl Reader<'_> {
         let material = self.material()?;
         let object = self.object();
         let group = &mut self.scene.groups[self.group.index()];
+        let bare = indices.iter().any(|&i| group.vertices[i as usize].uv.is_none());
         let points: Vec<DVec3> = indices.iter().map(|&i| group.vertices[i as usize].position).collect();
         let outcome = self.triangulator.run(&points, holes);
         let triangles = &self.triangulator.triangles;
@@ -67,6 +68,9 @@ impl Reader<'_> {
         group.triangles.extend(triangles.iter().map(|t| t.map(|i| indices[i as usize])));
         group.faces.push(Face { first_triangle, triangle_count, material, object, location: args.location() });
         self.count(self.group, u64::from(triangle_count.max(1))).map_err(|fault| args.fault(fault))?;
+        if bare {
+            self.warn_without_uv(args, material);
+        }
         if triangle_count == 0 {
             self.warn(args, Oddity::NoArea);
             return Ok(());
@@ -81,6 +85,16 @@ impl Reader<'_> {
             self.warn(args, Oddity::HoleOrientation);
         }
         Ok(())
+    }
+
+    fn warn_without_uv(&mut self, args: &Args<'_>, id: MaterialId) {
+        let material = &self.scene.materials[id.index()];
+        let textured = [material.map_rd, material.map_ed, material.map_n].iter().any(Option::is_some);
+        if textured && !self.without_uv.contains(&id) {
+            let material = material.name.clone();
+            self.without_uv.insert(id);
+            self.warn(args, Oddity::NoTextureCoordinates { material });
+        }
     }
 
     /// `prism v1 .. vn len`: the far end is reversed, sides run from each edge to its copy.
@@ -217,6 +231,7 @@ impl Reader<'_> {
             return Err(args.fault(Fault::NotFinite { what: "a transformed radius (or it is 0)" }));
         }
         let material = self.material()?;
+        self.warn_without_uv(args, material);
         let quadric = Quadric { shape, material, object: self.object(), location: args.location() };
         self.scene.groups[self.group.index()].quadrics.push(quadric);
         self.count(self.group, 1).map_err(|fault| args.fault(fault))

@@ -15,7 +15,8 @@ pub struct Config {
     pub rest: u64,
     /// Longest such rest.
     pub longest_rest: u64,
-    /// Tasks that a worker holds beyond those that it runs.
+    /// Tasks that a worker holds beyond those that it runs: one that it can begin at once, and one whose result is on its
+    /// way and counts as held until it is durable.
     pub prefetch: u32,
 }
 
@@ -28,7 +29,7 @@ impl Default for Config {
             preparation_stall: 900_000,
             rest: 1_000,
             longest_rest: 60_000,
-            prefetch: 1,
+            prefetch: 2,
         }
     }
 }

@@ -46,6 +46,11 @@ impl Scheduler {
         (scheduler, opened)
     }
 
+    /// The times and limits.
+    pub fn config(&self) -> &Config {
+        &self.config
+    }
+
     /// The durable half, for a snapshot.
     pub fn ledger(&self) -> &Ledger {
         &self.ledger

@@ -20,6 +20,11 @@ pub fn job(frames: &[u32], tiles: u32, rounds: &[u32]) -> JobSpec {
     }
 }
 
+/// Workers hold one task beyond the one that they run.
+fn config() -> Config {
+    Config { prefetch: 1, ..Config::default() }
+}
+
 /// Scheduler, time, and everything that was made durable.
 pub struct Farm {
     pub scheduler: Scheduler,
@@ -32,7 +37,7 @@ pub struct Farm {
 
 impl Farm {
     pub fn new() -> Self {
-        let (scheduler, opened) = Scheduler::new(Config::default(), Ledger::default());
+        let (scheduler, opened) = Scheduler::new(config(), Ledger::default());
         Self { scheduler, now: Tick(0), log: vec![(Tick(0), opened)], held: vec![], requests: 0 }
     }
 
@@ -50,7 +55,7 @@ impl Farm {
     pub fn restart(&mut self) {
         let ledger = self.replay();
         assert_eq!(&ledger, self.scheduler.ledger());
-        let (scheduler, opened) = Scheduler::new(Config::default(), ledger);
+        let (scheduler, opened) = Scheduler::new(config(), ledger);
         self.log.push((scheduler.ledger().now(), opened));
         self.scheduler = scheduler;
         self.held.clear();

@@ -1,0 +1,250 @@
+//! The task that owns the scheduler and the log.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::Duration;
+
+use femc_model::{FromWorker, JobId, JobStatus, Tick, WorkerId};
+use femc_proto::{Call, Reply, Session};
+use femc_queue::Queue;
+use femc_schedule::{Command, Event, Fact, RequestId, Scheduler};
+use femc_store::Store;
+use tokio::sync::{mpsc, watch};
+
+use crate::clock::Clock;
+use crate::config::CoordinatorError;
+use crate::janitor::Janitor;
+use crate::obey::Watched;
+use crate::session::{self, Worker};
+
+/// What a session's reader passes on.
+#[derive(Debug)]
+pub(crate) enum Word {
+    /// The worker says something.
+    Said(FromWorker),
+    /// Its session is over.
+    Over,
+}
+
+/// Whom an answer of the scheduler goes to.
+#[derive(Debug)]
+pub(crate) enum Asker {
+    Submit(Reply<JobId>),
+    Control(Reply<()>),
+}
+
+/// A question that changes nothing; answered when all before it is durable.
+#[derive(Debug)]
+enum Question {
+    List(Reply<Vec<JobStatus>>),
+    Status(JobId, Reply<JobStatus>),
+    Watch(JobId, Reply<watch::Receiver<JobStatus>>),
+    Frames(JobId, Reply<Vec<femc_model::FrameRecord>>),
+    Workers(Reply<Vec<femc_model::WorkerStatus>>),
+}
+
+/// The shell around the scheduler.
+pub(crate) struct Actor<Q> {
+    pub(crate) scheduler: Scheduler,
+    queue: Q,
+    pub(crate) store: Store,
+    pub(crate) clock: Clock,
+    pub(crate) workers: BTreeMap<WorkerId, Worker>,
+    pub(crate) askers: BTreeMap<RequestId, Asker>,
+    pub(crate) watched: BTreeMap<JobId, Watched>,
+    pub(crate) changed: BTreeSet<JobId>,
+    pub(crate) janitor: Janitor,
+    /// What the scheduler holds for true and is not durable yet, each with the time at which it became true.
+    facts: Vec<(Tick, Fact)>,
+    /// What follows from obeying: sessions that broke.
+    pub(crate) echoes: VecDeque<Event>,
+    questions: Vec<Question>,
+    numbers: u64,
+    /// Records since the last snapshot.
+    records: usize,
+    words: mpsc::Sender<(WorkerId, Word)>,
+    heard: mpsc::Receiver<(WorkerId, Word)>,
+}
+
+impl<Q: Queue> Actor<Q> {
+    /// Most messages that are made durable in one go.
+    const BATCH: usize = 1024;
+    /// Records after which a snapshot takes their place.
+    const SNAPSHOT: usize = 20_000;
+    /// Between two looks at deadlines and watchers.
+    const TIMER: Duration = Duration::from_millis(100);
+
+    pub(crate) fn new(scheduler: Scheduler, queue: Q, store: Store, records: usize) -> Self {
+        let (words, heard) = mpsc::channel(4 * Self::BATCH);
+        Self {
+            clock: Clock::from(scheduler.ledger().now()),
+            scheduler,
+            queue,
+            store,
+            workers: BTreeMap::new(),
+            askers: BTreeMap::new(),
+            watched: BTreeMap::new(),
+            changed: BTreeSet::new(),
+            janitor: Janitor::default(),
+            facts: Vec::new(),
+            echoes: VecDeque::new(),
+            questions: Vec::new(),
+            numbers: 0,
+            records,
+            words,
+            heard,
+        }
+    }
+
+    /// Works until `stop`'s sender is dropped, or the log fails.
+    pub(crate) async fn run(
+        mut self,
+        mut calls: mpsc::Receiver<Call>,
+        mut stop: watch::Receiver<()>,
+    ) -> Result<(), CoordinatorError> {
+        let mut timer = tokio::time::interval(Self::TIMER);
+        timer.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        loop {
+            let mut commands = Vec::new();
+            tokio::select! {
+                biased;
+                _ = stop.changed() => break,
+                _ = timer.tick() => {
+                    self.hear(Event::Elapsed, &mut commands);
+                    self.look_after(&mut commands).await?;
+                }
+                Some((worker, word)) = self.heard.recv() => self.word(worker, word, &mut commands),
+                Some(call) = calls.recv() => self.call(call, &mut commands),
+            }
+            for _ in 0..Self::BATCH {
+                if let Ok((worker, word)) = self.heard.try_recv() {
+                    self.word(worker, word, &mut commands);
+                } else if let Ok(call) = calls.try_recv() {
+                    self.call(call, &mut commands);
+                } else if let Some(event) = self.echoes.pop_front() {
+                    self.hear(event, &mut commands);
+                } else {
+                    break;
+                }
+            }
+            self.commit(commands).await?;
+        }
+        self.say_goodbye();
+        Ok(())
+    }
+
+    /// Asks the scheduler what follows from `event`.
+    fn hear(&mut self, event: Event, commands: &mut Vec<Command>) {
+        let now = self.clock.now();
+        for command in self.scheduler.on(event, now) {
+            match command {
+                Command::Record(fact) => self.facts.push((now, fact)),
+                other => commands.push(other),
+            }
+        }
+    }
+
+    fn word(&mut self, worker: WorkerId, word: Word, commands: &mut Vec<Command>) {
+        if !self.workers.contains_key(&worker) {
+            return;
+        }
+        let event = match word {
+            Word::Said(FromWorker::Heartbeat(tasks)) => Event::Heartbeat { worker, tasks },
+            Word::Said(FromWorker::Completed { task, epoch, result }) => {
+                Event::Completed { worker, task, epoch, result }
+            }
+            Word::Said(FromWorker::Failed { task, epoch, failure }) => {
+                tracing::warn!(%worker, %task, %failure, "task failed");
+                Event::Failed { worker, task, epoch, failure }
+            }
+            Word::Said(FromWorker::Draining) => Event::Draining { worker },
+            // A session has one registration, and it is over.
+            Word::Said(FromWorker::Register(_)) => return,
+            Word::Over => {
+                self.workers.remove(&worker);
+                tracing::info!(%worker, "worker left");
+                Event::Left { worker }
+            }
+        };
+        self.hear(event, commands);
+    }
+
+    fn call(&mut self, call: Call, commands: &mut Vec<Command>) {
+        match call {
+            Call::Submit { key, spec, reply } => {
+                let request = self.ask(Asker::Submit(reply));
+                self.hear(Event::Submitted { request, key, spec }, commands);
+            }
+            Call::Control { job, control, reply } => {
+                let request = self.ask(Asker::Control(reply));
+                self.hear(Event::Controlled { request, job, control }, commands);
+            }
+            Call::Session(session) => self.join(session, commands),
+            Call::List { reply } => self.questions.push(Question::List(reply)),
+            Call::Status { job, reply } => self.questions.push(Question::Status(job, reply)),
+            Call::Watch { job, reply } => self.questions.push(Question::Watch(job, reply)),
+            Call::Frames { job, reply } => self.questions.push(Question::Frames(job, reply)),
+            Call::Workers { reply } => self.questions.push(Question::Workers(reply)),
+        }
+    }
+
+    fn number(&mut self) -> u64 {
+        self.numbers += 1;
+        self.numbers
+    }
+
+    fn ask(&mut self, asker: Asker) -> RequestId {
+        let request = RequestId(self.number());
+        self.askers.insert(request, asker);
+        request
+    }
+
+    fn join(&mut self, session: Session, commands: &mut Vec<Command>) {
+        let worker = WorkerId(self.number());
+        let Session { registration, words, out } = session;
+        tracing::info!(%worker, name = registration.name, threads = registration.threads, "worker joined");
+        self.workers.insert(worker, Worker::new(out));
+        tokio::spawn(session::listen(worker, words, self.store.clone(), self.words.clone()));
+        self.welcome(worker);
+        self.hear(Event::Joined { worker, registration }, commands);
+    }
+
+    /// Makes the facts durable, then obeys, then answers questions.
+    async fn commit(&mut self, commands: Vec<Command>) -> Result<(), CoordinatorError> {
+        if !self.facts.is_empty() {
+            let records = self.facts.drain(..).map(|(now, fact)| fact.encode(now)).collect::<Result<Vec<_>, _>>()?;
+            self.queue.append(&records).await?;
+            self.records += records.len();
+        }
+        self.obey(commands);
+        self.answer();
+        Ok(())
+    }
+
+    fn answer(&mut self) {
+        let now = self.clock.now();
+        // Whoever asked and went away does not hear the answer.
+        for question in std::mem::take(&mut self.questions) {
+            match question {
+                Question::List(reply) => drop(reply.send(Ok(self.scheduler.jobs(now)))),
+                Question::Status(job, reply) => drop(reply.send(self.scheduler.status(job, now))),
+                Question::Watch(job, reply) => drop(reply.send(self.watch(job))),
+                Question::Frames(job, reply) => drop(reply.send(self.scheduler.frames(job))),
+                Question::Workers(reply) => drop(reply.send(Ok(self.scheduler.workers(now)))),
+            }
+        }
+    }
+
+    /// What is done now and then: watchers, artefacts that nobody needs, snapshots.
+    async fn look_after(&mut self, commands: &mut Vec<Command>) -> Result<(), CoordinatorError> {
+        self.refresh_watched();
+        self.sweep();
+        if self.records >= Self::SNAPSHOT {
+            // The snapshot holds what these commands' facts say already.
+            self.commit(std::mem::take(commands)).await?;
+            let state = self.scheduler.ledger().encode()?;
+            self.queue.snapshot(&state).await?;
+            self.records = 0;
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,97 @@
+//! What a coordinator needs to know, and why it may not start.
+
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+use femc_proto::ServeError;
+use femc_queue::QueueError;
+use femc_schedule::SnapshotError;
+use femc_store::StoreError;
+
+/// Where the log lives.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Log {
+    /// In memory: nothing outlives the process.
+    Memory,
+    /// In this SQLite file.
+    Sqlite(PathBuf),
+}
+
+/// Where artefacts live.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub enum Artifacts {
+    /// In memory: nothing outlives the process.
+    Memory,
+    /// In this folder.
+    Folder(PathBuf),
+}
+
+/// Who may connect. There is no encryption yet.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Exposure {
+    /// Programs of this machine; any other address is refused.
+    Loopback,
+    /// Anybody who can reach the address.
+    Anybody,
+}
+
+/// A coordinator's configuration.
+#[derive(Debug, Clone)]
+pub struct Config {
+    /// Where to listen; port 0: any free port.
+    pub listen: SocketAddr,
+    /// Who may connect.
+    pub exposure: Exposure,
+    /// Where the log lives.
+    pub log: Log,
+    /// Where artefacts live.
+    pub artifacts: Artifacts,
+    /// The scheduler's times and limits.
+    pub scheduler: femc_schedule::Config,
+}
+
+impl Default for Config {
+    fn default() -> Self {
+        Self {
+            listen: SocketAddr::from(([127, 0, 0, 1], 0)),
+            exposure: Exposure::Loopback,
+            log: Log::Memory,
+            artifacts: Artifacts::Memory,
+            scheduler: femc_schedule::Config::default(),
+        }
+    }
+}
+
+/// Why a coordinator did not start, or stopped.
+#[derive(Debug, thiserror::Error)]
+pub enum CoordinatorError {
+    /// The address is taken, or none of this machine's.
+    #[error("cannot listen on {address}: {error}")]
+    Listen {
+        /// As configured.
+        address: SocketAddr,
+        /// What the system said.
+        error: std::io::Error,
+    },
+    /// The address can be reached from other machines, and that was not asked for.
+    #[error("{address} can be reached from other machines, and connections are not encrypted")]
+    Exposed {
+        /// As configured.
+        address: SocketAddr,
+    },
+    /// The log.
+    #[error(transparent)]
+    Queue(#[from] QueueError),
+    /// The log's content.
+    #[error(transparent)]
+    Ledger(#[from] SnapshotError),
+    /// The artefact store.
+    #[error(transparent)]
+    Store(#[from] StoreError),
+    /// The server.
+    #[error(transparent)]
+    Serve(#[from] ServeError),
+    /// A task of the coordinator panicked.
+    #[error("the coordinator panicked")]
+    Panicked,
+}

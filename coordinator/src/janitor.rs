@@ -1,0 +1,52 @@
+//! Removing artefacts that no job names any more: merged tiles, sums of earlier rounds.
+//!
+//! Some time after they were released, and only if nothing names them then: the same bytes may have come in again under
+//! the same digest, and a worker that found them in the store does not send them twice. Should one be removed all the
+//! same, the merge that misses it has it made again.
+
+use std::collections::VecDeque;
+
+use femc_model::{Digest, Tick};
+use femc_queue::Queue;
+
+use crate::actor::Actor;
+
+/// Artefacts on their way out.
+#[derive(Debug, Default)]
+pub(crate) struct Janitor {
+    released: VecDeque<(Tick, Vec<Digest>)>,
+}
+
+impl Janitor {
+    /// Milliseconds between release and removal.
+    const REST: u64 = 30_000;
+
+    pub(crate) fn note(&mut self, now: Tick, digests: Vec<Digest>) {
+        self.released.push_back((now, digests));
+    }
+
+    fn due(&mut self, now: Tick) -> Vec<Digest> {
+        let mut due = Vec::new();
+        while self.released.front().is_some_and(|(released, _)| now.since(*released) >= Self::REST) {
+            due.extend(self.released.pop_front().map(|(_, digests)| digests).unwrap_or_default());
+        }
+        due
+    }
+}
+
+impl<Q: Queue> Actor<Q> {
+    pub(crate) fn sweep(&mut self) {
+        let due = self.scheduler.unreferenced(self.janitor.due(self.clock.now()));
+        if due.is_empty() {
+            return;
+        }
+        let store = self.store.clone();
+        tokio::spawn(async move {
+            for digest in due {
+                if let Err(error) = store.remove(&digest).await {
+                    tracing::warn!(%digest, %error, "an artefact that nobody needs stays");
+                }
+            }
+        });
+    }
+}

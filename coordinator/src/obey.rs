@@ -1,0 +1,141 @@
+//! Commands of the scheduler as messages, and statuses for those who watch.
+
+use femc_model::{Assignment, JobId, JobStatus, Refusal, Tick, ToWorker, WorkerId};
+use femc_queue::Queue;
+use femc_schedule::{Answer, Command, Event, RequestId};
+use tokio::sync::watch;
+
+use crate::actor::{Actor, Asker};
+
+/// A job that somebody watches.
+#[derive(Debug)]
+pub(crate) struct Watched {
+    statuses: watch::Sender<JobStatus>,
+    sent: Tick,
+}
+
+impl<Q: Queue> Actor<Q> {
+    /// Least milliseconds between two statuses of a job.
+    const PAUSE: u64 = 50;
+
+    /// What the facts stand for is durable: tell everybody.
+    pub(crate) fn obey(&mut self, commands: Vec<Command>) {
+        for command in commands {
+            match command {
+                // Recorded before.
+                Command::Record(_) => {}
+                Command::Assign { worker, assignment } => self.assign(worker, assignment),
+                Command::Revoke { worker, task, epoch, reason } => {
+                    self.tell(worker, ToWorker::Revoke { task, epoch, reason });
+                }
+                Command::Accept { worker, task, epoch } => self.tell(worker, ToWorker::Accepted { task, epoch }),
+                Command::Refuse { worker, task, epoch, refusal } => {
+                    tracing::info!(%worker, %task, %refusal, "report refused");
+                    self.tell(worker, ToWorker::Refused { task, epoch, refusal });
+                }
+                Command::Dismiss { worker } => drop(self.workers.remove(&worker)),
+                Command::Answer { request, answer } => self.reply(request, answer),
+                Command::Changed(job) => drop(self.changed.insert(job)),
+                Command::Discard(digests) => self.janitor.note(self.clock.now(), digests),
+            }
+        }
+        self.notify();
+    }
+
+    pub(crate) fn welcome(&mut self, worker: WorkerId) {
+        let heartbeat = self.scheduler.config().heartbeat;
+        self.tell(worker, ToWorker::Welcome { worker, heartbeat });
+    }
+
+    fn assign(&mut self, worker: WorkerId, assignment: Assignment) {
+        let job = assignment.task.job;
+        let is_known = self.workers.get_mut(&worker).is_none_or(|known| !known.jobs.insert(job));
+        if !is_known && let Some(spec) = self.scheduler.spec(job).cloned() {
+            self.tell(worker, ToWorker::Job { job, spec: Box::new(spec) });
+        }
+        self.tell(worker, ToWorker::Assign(assignment));
+    }
+
+    /// A worker that does not read, or is gone, loses its session.
+    fn tell(&mut self, worker: WorkerId, message: ToWorker) {
+        let Some(known) = self.workers.get(&worker) else { return };
+        if known.out.try_send(message).is_err() {
+            self.workers.remove(&worker);
+            self.echoes.push_back(Event::Left { worker });
+        }
+    }
+
+    fn reply(&mut self, request: RequestId, answer: Result<Answer, Refusal>) {
+        // Whoever asked and went away does not hear the answer.
+        match self.askers.remove(&request) {
+            Some(Asker::Submit(reply)) => {
+                let job = |answer| match answer {
+                    Answer::Submitted(job) | Answer::Controlled(job) => job,
+                };
+                drop(reply.send(answer.map(job)));
+            }
+            Some(Asker::Control(reply)) => drop(reply.send(answer.map(|_| ()))),
+            None => {}
+        }
+    }
+
+    /// A job's status now, and from now on.
+    pub(crate) fn watch(&mut self, job: JobId) -> Result<watch::Receiver<JobStatus>, Refusal> {
+        let now = self.clock.now();
+        let status = self.scheduler.status(job, now)?;
+        if let Some(watched) = self.watched.get(&job) {
+            watched.statuses.send_replace(status);
+            return Ok(watched.statuses.subscribe());
+        }
+        let (statuses, receiver) = watch::channel(status);
+        self.watched.insert(job, Watched { statuses, sent: now });
+        Ok(receiver)
+    }
+
+    /// Sends the statuses of jobs that changed, none too often, an end at once.
+    fn notify(&mut self) {
+        let now = self.clock.now();
+        let (scheduler, watched) = (&self.scheduler, &mut self.watched);
+        self.changed.retain(|&job| {
+            let Some(watched) = watched.get_mut(&job) else { return false };
+            let is_due = now.since(watched.sent) >= Self::PAUSE;
+            match scheduler.status(job, now) {
+                Ok(status) if is_due || status.state.has_ended() => watched.send(status, now),
+                Ok(_) => return true,
+                Err(_) => {}
+            }
+            false
+        });
+    }
+
+    /// Sends statuses also where only time went by: samples a second, seconds.
+    pub(crate) fn refresh_watched(&mut self) {
+        let now = self.clock.now();
+        let scheduler = &self.scheduler;
+        self.watched.retain(|&job, watched| {
+            let Ok(status) = scheduler.status(job, now) else { return false };
+            if now.since(watched.sent) >= 4 * Self::PAUSE && !status.state.has_ended() {
+                watched.send(status, now);
+            }
+            watched.statuses.receiver_count() > 0
+        });
+    }
+
+    pub(crate) fn say_goodbye(&mut self) {
+        for worker in std::mem::take(&mut self.workers).into_values() {
+            // One that does not read finds the session closed.
+            let _ = worker.out.try_send(ToWorker::Goodbye);
+        }
+    }
+}
+
+impl Watched {
+    fn send(&mut self, status: JobStatus, now: Tick) {
+        self.sent = now;
+        self.statuses.send_if_modified(|old| {
+            let is_new = *old != status;
+            *old = status;
+            is_new
+        });
+    }
+}

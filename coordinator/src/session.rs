@@ -1,0 +1,74 @@
+//! A worker's session: its reader, which also sees that what is reported is really in the store.
+
+use std::collections::BTreeSet;
+
+use femc_model::{Artefact, Failure, FromWorker, JobId, TaskResult, ToWorker, WorkerId};
+use femc_proto::Words;
+use femc_store::Store;
+use tokio::sync::mpsc;
+
+use crate::actor::Word;
+
+/// The actor's end of a session.
+#[derive(Debug)]
+pub(crate) struct Worker {
+    pub(crate) out: mpsc::Sender<ToWorker>,
+    /// Jobs that it has been told about.
+    pub(crate) jobs: BTreeSet<JobId>,
+}
+
+impl Worker {
+    pub(crate) fn new(out: mpsc::Sender<ToWorker>) -> Self {
+        Self { out, jobs: BTreeSet::new() }
+    }
+}
+
+/// Passes on what the worker says until it says no more.
+pub(crate) async fn listen(
+    worker: WorkerId,
+    mut words: Words,
+    store: Store,
+    actor: mpsc::Sender<(WorkerId, Word)>,
+) {
+    loop {
+        let word = tokio::select! {
+            word = words.next() => word,
+            () = actor.closed() => return,
+        };
+        let word = match word {
+            Some(Ok(word)) => word,
+            Some(Err(error)) => {
+                tracing::warn!(%worker, %error, "worker makes no sense");
+                break;
+            }
+            None => break,
+        };
+        if actor.send((worker, Word::Said(checked(word, &store).await))).await.is_err() {
+            return;
+        }
+    }
+    // The actor is gone: then there is nobody to tell.
+    let _ = actor.send((worker, Word::Over)).await;
+}
+
+/// A completion without its artefacts is a failure of the store.
+async fn checked(word: FromWorker, store: &Store) -> FromWorker {
+    let FromWorker::Completed { task, epoch, result } = word else { return word };
+    for artefact in artefacts(&result) {
+        let message = match store.size(&artefact.digest).await {
+            Ok(Some(bytes)) if bytes == artefact.bytes => continue,
+            Ok(Some(bytes)) => format!("artefact {} has {bytes} bytes, not {}", artefact.digest, artefact.bytes),
+            Ok(None) => format!("artefact {} did not arrive", artefact.digest),
+            Err(error) => error.to_string(),
+        };
+        return FromWorker::Failed { task, epoch, failure: Failure::Store { message } };
+    }
+    FromWorker::Completed { task, epoch, result }
+}
+
+fn artefacts(result: &TaskResult) -> Vec<Artefact> {
+    match result {
+        TaskResult::Tile(tile) => vec![tile.tile],
+        TaskResult::Merge(merge) => [merge.sums, merge.image, merge.preview].into_iter().flatten().collect(),
+    }
+}

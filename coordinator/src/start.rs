@@ -1,0 +1,128 @@
+//! Starting, and stopping without haste.
+
+use std::net::SocketAddr;
+use std::time::Duration;
+
+use femc_model::Tick;
+use femc_proto::Server;
+use femc_queue::{Memory, Queue, Sqlite};
+use femc_schedule::{Fact, Ledger, Scheduler};
+use femc_store::Store;
+use tokio::net::TcpListener;
+use tokio::sync::{mpsc, watch};
+use tokio::task::JoinHandle;
+
+use crate::actor::Actor;
+use crate::config::{Artifacts, Config, CoordinatorError, Exposure, Log};
+
+/// The farm's server.
+#[derive(Debug)]
+pub struct Coordinator;
+
+impl Coordinator {
+    /// Calls that may wait for the actor.
+    const CALLS: usize = 1024;
+
+    /// Starts on the current tokio runtime; it listens when this returns.
+    pub async fn start(config: Config) -> Result<Handle, CoordinatorError> {
+        if config.exposure == Exposure::Loopback && !config.listen.ip().is_loopback() {
+            return Err(CoordinatorError::Exposed { address: config.listen });
+        }
+        let store = match &config.artifacts {
+            Artifacts::Memory => Store::memory(),
+            Artifacts::Folder(path) => Store::folder(path)?,
+        };
+        match config.log.clone() {
+            Log::Memory => Self::with(config, store, Memory::default()).await,
+            Log::Sqlite(path) => {
+                let queue = Sqlite::open(&path).await?;
+                Self::with(config, store, queue).await
+            }
+        }
+    }
+
+    /// Starts with this log and this store, whatever `config` says of them.
+    pub async fn with(config: Config, store: Store, mut queue: impl Queue) -> Result<Handle, CoordinatorError> {
+        let (scheduler, records) = recover(config.scheduler, &mut queue).await?;
+        let listen = |error| CoordinatorError::Listen { address: config.listen, error };
+        let listener = TcpListener::bind(config.listen).await.map_err(listen)?;
+        let address = listener.local_addr().map_err(listen)?;
+        let (calls, inbox) = mpsc::channel(Self::CALLS);
+        let (stop, stopped) = watch::channel(());
+        let actor = Actor::new(scheduler, queue, store.clone(), records);
+        let actor = tokio::spawn(actor.run(inbox, stopped));
+        let (serving, served) = watch::channel(());
+        let mut until = served.clone();
+        let server = Server { calls, store }.serve(listener, async move {
+            // Ends when the sender is dropped: on a stop, or because the actor is gone.
+            let _ = until.changed().await;
+        });
+        let server = tokio::spawn(async move { server.await.map_err(CoordinatorError::from) });
+        tracing::info!(%address, "coordinator listens");
+        let run = tokio::spawn(async move {
+            let outcome = actor.await.unwrap_or(Err(CoordinatorError::Panicked));
+            drop(serving);
+            // Whoever holds a connection open is not waited for.
+            let grace = tokio::time::timeout(Duration::from_secs(1), server).await;
+            outcome.and(match grace {
+                Ok(server) => server.unwrap_or(Err(CoordinatorError::Panicked)),
+                Err(_) => Ok(()),
+            })
+        });
+        Ok(Handle { address, stop, run })
+    }
+}
+
+/// The scheduler as the log has it, and the number of records since the snapshot.
+async fn recover(
+    config: femc_schedule::Config,
+    queue: &mut impl Queue,
+) -> Result<(Scheduler, usize), CoordinatorError> {
+    let contents = queue.load().await?;
+    if contents.torn > 0 {
+        tracing::warn!(records = contents.torn, "the log's tail was torn; what it said was never acknowledged");
+    }
+    let mut ledger = contents.snapshot.as_deref().map(Ledger::decode).transpose()?.unwrap_or_default();
+    for record in &contents.records {
+        let (now, fact) = Fact::decode(record)?;
+        ledger.apply(&fact, now);
+    }
+    let now: Tick = ledger.now();
+    let (scheduler, opened) = Scheduler::new(config, ledger);
+    queue.append(&[opened.encode(now)?]).await?;
+    Ok((scheduler, contents.records.len() + 1))
+}
+
+/// A running coordinator.
+#[derive(Debug)]
+pub struct Handle {
+    address: SocketAddr,
+    stop: watch::Sender<()>,
+    run: JoinHandle<Result<(), CoordinatorError>>,
+}
+
+impl Handle {
+    /// Where it listens; the port is the real one.
+    pub fn address(&self) -> SocketAddr {
+        self.address
+    }
+
+    /// The address as workers and clients want it.
+    pub fn url(&self) -> String {
+        format!("http://{}", self.address)
+    }
+
+    /// Says goodbye to the workers, makes durable what has come in, and ends.
+    pub async fn stop(self) -> Result<(), CoordinatorError> {
+        drop(self.stop);
+        self.run.await.unwrap_or(Err(CoordinatorError::Panicked))
+    }
+
+    /// Waits until it ends by itself: because something is broken.
+    pub async fn failed(&mut self) -> CoordinatorError {
+        match (&mut self.run).await {
+            Ok(Err(error)) => error,
+            Ok(Ok(())) | Err(_) => CoordinatorError::Panicked,
+        }
+    }
+}

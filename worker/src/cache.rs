@@ -1,0 +1,186 @@
+//! Scenes that are read and frames that are ready to render: a few of the latest.
+//!
+//! Who needs a frame first makes it ready, and others wait for it; so a frame is prepared once, however many threads
+//! and workers share the cache. A failure is not kept.
+
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+use femc_import::Bundle;
+use femc_model::{Digest, Failure, JobSpec};
+use femc_pipeline::{Prepared, Settings};
+use femc_proto::Client;
+use femc_scene::Scene;
+
+use crate::fetch::Fetch;
+
+/// Most bytes that a bundle may unpack to.
+const UNPACKED: u64 = 4 << 30;
+
+/// A scene with the job's overrides applied.
+#[derive(Debug)]
+pub(crate) struct Read {
+    pub(crate) scene: Arc<Scene>,
+    pub(crate) settings: Settings,
+    /// Content hash of the scene.
+    pub(crate) digest: String,
+}
+
+/// Scenes and prepared frames; clones share them.
+#[derive(Debug, Clone)]
+pub struct Cache(Arc<Shelves>);
+
+#[derive(Debug)]
+struct Shelves {
+    scenes: Shelf<Digest, Arc<Read>>,
+    frames: Shelf<(Digest, u32), Arc<Prepared>>,
+}
+
+impl Default for Cache {
+    fn default() -> Self {
+        Self::new(3)
+    }
+}
+
+impl Cache {
+    /// Scenes are larger and rarer than frames.
+    const SCENES: usize = 2;
+
+    /// Keeps at most `frames` prepared frames; they share what does not change between them.
+    pub fn new(frames: usize) -> Self {
+        Self(Arc::new(Shelves { scenes: Shelf::new(Self::SCENES), frames: Shelf::new(frames.max(1)) }))
+    }
+
+    /// The job's scene, read.
+    pub(crate) fn scene(&self, spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Arc<Read>, Failure> {
+        let slot = self.0.scenes.slot(scene_key(spec));
+        slot.get_or(|| read(spec, client, fetch).map(Arc::new))
+    }
+
+    /// The frame, ready to render.
+    pub(crate) fn frame(
+        &self,
+        spec: &JobSpec,
+        frame: u32,
+        client: &Client,
+        fetch: &Fetch,
+    ) -> Result<(Arc<Read>, Arc<Prepared>), Failure> {
+        let read = self.scene(spec, client, fetch)?;
+        let key = scene_key(spec);
+        let slot = self.0.frames.slot((key, frame));
+        let previous = self.0.frames.latest(|(scene, _)| *scene == key);
+        let prepared = slot.get_or(|| {
+            let prepared = femc_pipeline::prepare(&read.scene, &read.settings, frame, previous.as_deref());
+            prepared.map(Arc::new).map_err(|error| Failure::Scene { message: error.to_string() })
+        })?;
+        Ok((read, prepared))
+    }
+}
+
+fn scene_key(spec: &JobSpec) -> Digest {
+    let mut bytes = spec.bundle.as_bytes().to_vec();
+    bytes.extend((spec.entry.len() as u64).to_le_bytes());
+    bytes.extend(spec.entry.as_bytes());
+    bytes.extend(spec.settings.as_bytes());
+    Digest::of(&bytes)
+}
+
+fn read(spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Read, Failure> {
+    let settings: Settings =
+        serde_json::from_str(&spec.settings).map_err(|error| Failure::Settings { message: error.to_string() })?;
+    settings.check().map_err(|error| Failure::Settings { message: error.to_string() })?;
+    let bytes = fetch.bundle(client, &spec.bundle)?;
+    let bundle = Bundle::decode(&bytes, UNPACKED)
+        .map_err(|error| Failure::DamagedInput { digest: spec.bundle, message: error.to_string() })?;
+    let loaded = femc_import::load(&bundle, &spec.entry);
+    let mut scene = loaded.map_err(|error| Failure::Scene { message: error.to_string() })?.scene;
+    settings.apply(&mut scene).map_err(|error| Failure::Settings { message: error.to_string() })?;
+    Ok(Read { digest: scene.digest().to_string(), scene: Arc::new(scene), settings })
+}
+
+/// The latest few values by key.
+#[derive(Debug)]
+struct Shelf<K, V> {
+    most: usize,
+    /// The one used last at the end.
+    slots: Mutex<Vec<(K, Arc<Slot<V>>)>>,
+}
+
+/// A place for a value that one thread makes while others wait.
+#[derive(Debug)]
+struct Slot<V>(Mutex<Option<V>>);
+
+impl<K: PartialEq, V: Clone> Shelf<K, V> {
+    fn new(most: usize) -> Self {
+        Self { most, slots: Mutex::default() }
+    }
+
+    fn slot(&self, key: K) -> Arc<Slot<V>> {
+        let mut slots = lock(&self.slots);
+        let slot = match slots.iter().position(|(known, _)| *known == key) {
+            Some(place) => slots.remove(place).1,
+            None => Arc::new(Slot(Mutex::default())),
+        };
+        slots.push((key, slot.clone()));
+        if slots.len() > self.most {
+            slots.remove(0);
+        }
+        slot
+    }
+
+    /// The value used last, of those that are made and whose key is `wanted`.
+    fn latest(&self, wanted: impl Fn(&K) -> bool) -> Option<V> {
+        let slots = lock(&self.slots);
+        // One that is being made is not waited for.
+        slots.iter().rev().filter(|(key, _)| wanted(key)).find_map(|(_, slot)| slot.0.try_lock().ok()?.clone())
+    }
+}
+
+impl<V: Clone> Slot<V> {
+    fn get_or(&self, make: impl FnOnce() -> Result<V, Failure>) -> Result<V, Failure> {
+        let mut value = lock(&self.0);
+        if value.is_none() {
+            *value = Some(make()?);
+        }
+        // Just made, if it was not there.
+        value.clone().ok_or(Failure::Cancelled)
+    }
+}
+
+/// A panic while a value is made leaves none: the next one makes it again.
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_shelf_keeps_the_latest_and_makes_each_once() {
+        let shelf: Shelf<u32, u32> = Shelf::new(2);
+        let made = std::cell::Cell::new(0);
+        let get = |key| {
+            let make = || {
+                made.set(made.get() + 1);
+                Ok(key * 10)
+            };
+            shelf.slot(key).get_or(make)
+        };
+        assert_eq!([get(1), get(1), get(2), get(1), get(3)], [Ok(10), Ok(10), Ok(20), Ok(10), Ok(30)]);
+        assert_eq!(made.get(), 3);
+        assert_eq!((get(1), made.get()), (Ok(10), 3), "used lately");
+        assert_eq!((get(2), made.get()), (Ok(20), 4), "put away for 3");
+    }
+
+    #[test]
+    fn a_failure_is_not_kept_and_one_in_the_making_is_not_waited_for() {
+        let shelf: Shelf<u32, u32> = Shelf::new(2);
+        assert_eq!(shelf.slot(1).get_or(|| Err(Failure::Cancelled)), Err(Failure::Cancelled));
+        let slot = shelf.slot(1);
+        let inside = slot.get_or(|| {
+            assert_eq!(shelf.latest(|_| true), None);
+            Ok(7)
+        });
+        assert_eq!((inside, shelf.latest(|_| true)), (Ok(7), Some(7)));
+    }
+}

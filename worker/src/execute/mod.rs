@@ -1,0 +1,46 @@
+//! Doing tasks: one file a kind.
+
+mod merge;
+mod render;
+
+use std::any::Any;
+use std::panic::AssertUnwindSafe;
+use std::sync::Arc;
+
+use bytes::Bytes;
+use femc_model::{Failure, TaskResult, Work};
+use rayon::ThreadPool;
+
+use crate::Cache;
+use crate::fetch::Fetch;
+use crate::table::Task;
+
+/// What a task needs beside itself.
+#[derive(Debug, Clone)]
+pub(crate) struct Tools {
+    pub(crate) pool: Arc<ThreadPool>,
+    pub(crate) cache: Cache,
+    pub(crate) fetch: Fetch,
+}
+
+/// A result and the artefacts that it names.
+#[derive(Debug)]
+pub(crate) struct Product {
+    pub(crate) result: TaskResult,
+    pub(crate) artefacts: Vec<Bytes>,
+}
+
+/// Does the task. A panic is a failure like others.
+pub(crate) fn execute(task: &Task, tools: &Tools) -> Result<Product, Failure> {
+    let work = || match &task.assignment.work {
+        Work::Render { samples } => render::render(task, samples.clone(), tools),
+        Work::Merge { .. } => merge::merge(task, tools),
+    };
+    std::panic::catch_unwind(AssertUnwindSafe(work))
+        .unwrap_or_else(|panic| Err(Failure::Panicked { message: message(&*panic) }))
+}
+
+fn message(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().map(ToString::to_string);
+    text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "without a message".into())
+}

@@ -1,0 +1,55 @@
+//! Artefacts for threads that compute: blocking downloads, and failed calls as failures of a task.
+
+use bytes::Bytes;
+use femc_model::{Artefact, Digest, Failure, Refusal};
+use femc_proto::{CallError, Client};
+use tokio::runtime::Handle;
+
+/// Most bytes of a scene bundle.
+const BUNDLE: u64 = 1 << 30;
+
+/// What a failed call means for a task.
+pub(crate) fn failure(error: CallError) -> Failure {
+    match error {
+        CallError::Refused(Refusal::NoSuchArtefact { digest }) => Failure::MissingInput { digest },
+        CallError::Refused(Refusal::DigestMismatch { digest }) => {
+            Failure::DamagedInput { digest, message: "its bytes have another digest".into() }
+        }
+        error @ (CallError::Refused(_)
+        | CallError::Address { .. }
+        | CallError::Unreachable { .. }
+        | CallError::Answer(_)
+        | CallError::Status { .. }) => Failure::Store { message: error.to_string() },
+    }
+}
+
+/// Downloads for a thread outside of the runtime.
+#[derive(Debug, Clone)]
+pub(crate) struct Fetch(Handle);
+
+impl Fetch {
+    pub(crate) fn new(runtime: Handle) -> Self {
+        Self(runtime)
+    }
+
+    pub(crate) fn bundle(&self, client: &Client, digest: &Digest) -> Result<Bytes, Failure> {
+        self.0.block_on(client.get(digest, BUNDLE)).map_err(failure)
+    }
+
+    /// All of `artefacts`, in their order, side by side.
+    pub(crate) fn all(&self, client: &Client, artefacts: &[Artefact]) -> Result<Vec<Bytes>, Failure> {
+        self.0.block_on(async {
+            let download = |artefact: Artefact| {
+                let client = client.clone();
+                tokio::spawn(async move { client.get(&artefact.digest, artefact.bytes).await })
+            };
+            let downloads: Vec<_> = artefacts.iter().copied().map(download).collect();
+            let mut all = Vec::with_capacity(downloads.len());
+            for download in downloads {
+                let bytes = download.await.map_err(|error| Failure::Panicked { message: error.to_string() })?;
+                all.push(bytes.map_err(failure)?);
+            }
+            Ok(all)
+        })
+    }
+}

@@ -1,0 +1,129 @@
+//! The tasks that the worker holds, and the line in which they wait.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+
+use femc_model::{Assignment, Epoch, JobSpec, Phase, StageKind, TaskKey, TaskProgress};
+use femc_proto::Client;
+
+/// A task under a lease.
+#[derive(Debug)]
+pub(crate) struct Task {
+    pub(crate) assignment: Assignment,
+    pub(crate) spec: Arc<JobSpec>,
+    pub(crate) client: Client,
+    /// Set when the lease is over.
+    pub(crate) cancel: AtomicBool,
+    /// Pixel samples taken.
+    pub(crate) samples: AtomicU64,
+    phase: AtomicU8,
+}
+
+impl Task {
+    pub(crate) fn new(assignment: Assignment, spec: Arc<JobSpec>, client: Client) -> Self {
+        let (cancel, samples, phase) = (AtomicBool::new(false), AtomicU64::new(0), AtomicU8::new(0));
+        Self { assignment, spec, client, cancel, samples, phase }
+    }
+
+    pub(crate) fn key(&self) -> (TaskKey, Epoch) {
+        (self.assignment.task, self.assignment.epoch)
+    }
+
+    pub(crate) fn enter(&self, phase: Phase) {
+        self.phase.store(phase as u8, Ordering::Relaxed);
+    }
+
+    pub(crate) fn is_cancelled(&self) -> bool {
+        self.cancel.load(Ordering::Relaxed)
+    }
+
+    fn progress(&self) -> TaskProgress {
+        let phase = match self.phase.load(Ordering::Relaxed) {
+            0 => Phase::Waiting,
+            1 => Phase::Preparing,
+            2 => Phase::Working,
+            _ => Phase::Uploading,
+        };
+        let (task, epoch) = self.key();
+        TaskProgress { task, epoch, phase, samples: self.samples.load(Ordering::Relaxed) }
+    }
+}
+
+#[derive(Debug, Default)]
+struct State {
+    held: BTreeMap<(TaskKey, Epoch), Arc<Task>>,
+    /// Oldest first.
+    line: Vec<Arc<Task>>,
+    closed: bool,
+}
+
+/// What the worker holds; shared by the session and the threads.
+#[derive(Debug, Default)]
+pub(crate) struct Table {
+    state: Mutex<State>,
+    arrived: Condvar,
+}
+
+impl Table {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // A panic within the few lines under this lock leaves nothing half done.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    pub(crate) fn put(&self, task: Arc<Task>) {
+        let mut state = self.lock();
+        state.held.insert(task.key(), task.clone());
+        state.line.push(task);
+        self.arrived.notify_all();
+    }
+
+    /// The oldest waiting task of this kind; waits for one. `None` when the table is closed.
+    pub(crate) fn take(&self, kind: StageKind) -> Option<Arc<Task>> {
+        let mut state = self.lock();
+        loop {
+            if state.closed {
+                return None;
+            }
+            if let Some(place) = state.line.iter().position(|task| task.assignment.task.stage.kind == kind) {
+                return Some(state.line.remove(place));
+            }
+            state = self.arrived.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// The task, if its lease still holds, as far as the worker knows.
+    pub(crate) fn get(&self, key: &(TaskKey, Epoch)) -> Option<Arc<Task>> {
+        self.lock().held.get(key).cloned()
+    }
+
+    /// The task is reported, or its lease is over: stop it if it runs, forget it if it waits.
+    pub(crate) fn drop_task(&self, key: &(TaskKey, Epoch)) {
+        let mut state = self.lock();
+        if let Some(task) = state.held.remove(key) {
+            task.cancel.store(true, Ordering::Relaxed);
+        }
+        state.line.retain(|task| task.key() != *key);
+    }
+
+    /// Stops and forgets everything; returns what was held.
+    pub(crate) fn clear(&self) -> Vec<(TaskKey, Epoch)> {
+        let mut state = self.lock();
+        state.line.clear();
+        let held = std::mem::take(&mut state.held);
+        held.values().for_each(|task| task.cancel.store(true, Ordering::Relaxed));
+        held.into_keys().collect()
+    }
+
+    /// Ends the threads that wait for tasks.
+    pub(crate) fn close(&self) {
+        self.clear();
+        self.lock().closed = true;
+        self.arrived.notify_all();
+    }
+
+    /// How far every task is.
+    pub(crate) fn progress(&self) -> Vec<TaskProgress> {
+        self.lock().held.values().map(|task| task.progress()).collect()
+    }
+}

@@ -1,0 +1,89 @@
+//! A worker's life: join, work, lose the coordinator, join again.
+
+use std::future::Future;
+use std::hash::{BuildHasher as _, RandomState};
+use std::sync::Arc;
+use std::time::Duration;
+
+use femc_model::Registration;
+use femc_proto::{CallError, Client};
+use rayon::ThreadPoolBuilder;
+use tokio::runtime::Handle;
+use tokio::sync::mpsc;
+
+use crate::clock::Stopwatch;
+use crate::config::{Config, WorkerError};
+use crate::execute::Tools;
+use crate::fetch::Fetch;
+use crate::session::{End, Session};
+use crate::table::Table;
+use crate::threads;
+
+/// A farm machine.
+#[derive(Debug)]
+pub struct Worker;
+
+impl Worker {
+    /// First pause after a lost coordinator; it doubles.
+    const FIRST_PAUSE: Duration = Duration::from_millis(100);
+    /// Longest pause.
+    const LONGEST_PAUSE: Duration = Duration::from_secs(5);
+
+    /// Works on the current tokio runtime until `stop` comes; then gives back what it holds and ends. Survives the
+    /// coordinator's absence, unless the configuration bounds its patience.
+    pub async fn run(config: Config, stop: impl Future<Output = ()>) -> Result<(), WorkerError> {
+        let thread = config.name.clone();
+        let pool = ThreadPoolBuilder::new()
+            .num_threads(config.threads)
+            .thread_name(move |index| format!("{thread} {index}"))
+            .build()
+            .map_err(|error| WorkerError::Threads(error.to_string()))?;
+        let registration = Registration {
+            name: config.name.clone(),
+            instance: RandomState::new().hash_one(std::process::id()),
+            engine: env!("CARGO_PKG_VERSION").into(),
+            threads: pool.current_num_threads() as u32,
+            slots: 1,
+            tags: config.tags.clone(),
+        };
+        let tools =
+            Tools { pool: Arc::new(pool), cache: config.cache.clone(), fetch: Fetch::new(Handle::current()) };
+        let table = Arc::new(Table::default());
+        let (finish, mut finished) = mpsc::unbounded_channel();
+        let ahead = threads::start(&config.name, &tools, &table, &finish)?;
+        let mut stop = std::pin::pin!(stop);
+        let mut pause = Self::FIRST_PAUSE;
+        let mut away = Stopwatch::start();
+        let outcome = loop {
+            let session = async {
+                let client = tokio::select! {
+                    client = Client::connect(&config.join) => client?,
+                    () = &mut stop => return Ok(End::Stopped),
+                };
+                pause = Self::FIRST_PAUSE;
+                Session::new(client, &table, &ahead, &mut finished).run(registration.clone(), stop.as_mut()).await
+            };
+            let is_gone = match session.await {
+                Ok(End::Stopped) => break Ok(()),
+                Ok(End::Lost) => {
+                    away = Stopwatch::start();
+                    CallError::Unreachable { url: config.join.clone(), message: "it ended the session".into() }
+                }
+                Err(error @ (CallError::Unreachable { .. } | CallError::Refused(_))) => error,
+                Err(error @ (CallError::Address { .. } | CallError::Answer(_) | CallError::Status { .. })) => {
+                    break Err(error.into());
+                }
+            };
+            if config.patience.is_some_and(|patience| away.elapsed() > patience) {
+                break Err(is_gone.into());
+            }
+            tracing::info!(error = %is_gone, ?pause, "coordinator is away");
+            tokio::select! {
+                () = tokio::time::sleep(pause) => pause = (2 * pause).min(Self::LONGEST_PAUSE),
+                () = &mut stop => break Ok(()),
+            }
+        };
+        table.close();
+        outcome
+    }
+}

@@ -175,6 +175,13 @@ impl<'a> Plan<'a> {
                 (self.binary.nodes[index as usize].first, usize::from(self.choices[index as usize].left[0]));
             self.children(first, left, &mut found);
             self.children(first + 1, WIDTH - left, &mut found);
+            // A traversal in any order pops the last slot first: leaves before nodes, and large boxes, which are the likelier hits, before
+            // small ones.
+            found.sort_by(|&a, &b| {
+                let key = |i: u32| (self.choices[i as usize].is_leaf, self.binary.nodes[i as usize].bounds.half_area());
+                let (ka, kb) = (key(a), key(b));
+                ka.0.cmp(&kb.0).then(ka.1.total_cmp(&kb.1))
+            });
             let inner = pending.len();
             for (slot, &below) in found.iter().enumerate() {
                 let child = if self.choices[below as usize].is_leaf {

@@ -82,6 +82,25 @@ pub enum Command {
     Plan(command::plan::PlanArgs),
     Check(command::check::CheckArgs),
     Compare(command::compare::CompareArgs),
+    Submit(command::submit::SubmitArgs),
+    Jobs(command::jobs::JobsArgs),
+    Status(command::status::StatusArgs),
+    Watch(command::watch::WatchArgs),
+    Workers(command::workers::WorkersArgs),
+    /// Hold a job: running tasks end, no new ones begin
+    #[command(after_help = "Examples:\n  femc pause 7")]
+    Pause(command::control::JobArgs),
+    /// End a pause
+    #[command(after_help = "Examples:\n  femc resume 7")]
+    Resume(command::control::JobArgs),
+    /// End a job now; its finished frames stay
+    #[command(after_help = "Examples:\n  femc cancel 7")]
+    Cancel(command::control::JobArgs),
+    /// Try again what failed of a job, or what a cancel left undone
+    #[command(after_help = "Examples:\n  femc retry 7")]
+    Retry(command::control::JobArgs),
+    /// Change a job's priority
+    Priority(command::control::PriorityArgs),
     /// Print a completion script for a shell
     #[command(after_help = "Examples:\n  \
         femc completions bash > ~/.local/share/bash-completion/completions/femc\n  \

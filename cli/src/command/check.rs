@@ -145,6 +145,9 @@ fn same_as(oddity: &Oddity) -> Option<FaultKind> {
         | Oddity::LeftOpen { .. }
         | Oddity::NotTransformed { .. }
         | Oddity::Photometry { .. }
+        | Oddity::TooBright { .. }
+        | Oddity::NoTextureCoordinates { .. }
+        | Oddity::Texture { .. }
         | Oddity::More { .. } => None,
     }
 }

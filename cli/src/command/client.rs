@@ -131,7 +131,7 @@ pub fn job_spec(asked: &Asked, bundle: Artefact, frames: Vec<u32>) -> Result<Job
         entry: asked.entry(),
         settings: serde_json::to_string(&asked.settings).map_err(failed)?,
         frames,
-        grid: Grid { film: asked.plan.film, tile: asked.plan.tile },
+        grid: Grid { film: asked.film(), tile: asked.plan.tiling.edge },
         rounds: asked.plan.rounds.clone(),
         priority: asked.priority.unwrap_or(DEFAULT_PRIORITY),
         owner: user(),

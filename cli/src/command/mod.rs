@@ -1,13 +1,22 @@
 //! The commands, one a file.
 
 pub mod check;
+mod client;
 pub mod compare;
-pub mod completions;
+mod completions;
+pub mod control;
+mod interrupt;
+pub mod jobs;
 pub mod plan;
+pub mod status;
+pub mod submit;
+pub mod watch;
+pub mod workers;
 
 use crate::args::{Cli, Command};
 use crate::exit::{Exit, Failure};
 use crate::output::Say;
+use femc_model::Control;
 
 /// Do what was asked.
 pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
@@ -15,6 +24,16 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Plan(args) => plan::run(args, say),
         Command::Check(args) => check::run(args, say),
         Command::Compare(args) => compare::run(args, say),
+        Command::Submit(args) => submit::run(args, say),
+        Command::Jobs(args) => jobs::run(args, say),
+        Command::Status(args) => status::run(args, say),
+        Command::Watch(args) => watch::run(args, say),
+        Command::Workers(args) => workers::run(args, say),
+        Command::Pause(args) => control::run(&args, Control::Pause, say),
+        Command::Resume(args) => control::run(&args, Control::Resume, say),
+        Command::Cancel(args) => control::run(&args, Control::Cancel, say),
+        Command::Retry(args) => control::run(&args, Control::Retry, say),
+        Command::Priority(args) => control::prioritize(&args, say),
         Command::Completions { shell } => completions::run(shell),
     }
 }

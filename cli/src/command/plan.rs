@@ -45,7 +45,7 @@ struct Report {
     method: femc_pipeline::Method,
     stop: Stop,
     tile: u32,
-    tiles: u32,
+    tiles: usize,
     rounds: Vec<u32>,
     passes: Vec<Pass>,
     tasks: u64,
@@ -93,12 +93,12 @@ pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
     let report = Report {
         scene: args.scene.display().to_string(),
         camera: plan.camera.clone(),
-        film: plan.film,
+        film: asked.film(),
         frames: plan.frames.clone(),
         method: plan.method,
         stop: asked.settings.stop,
-        tile: plan.tile,
-        tiles: plan.tiles,
+        tile: plan.tiling.edge,
+        tiles: plan.tiling.count(),
         rounds: plan.rounds.clone(),
         tasks: passes.iter().map(|pass| pass.tasks).sum(),
         passes,
@@ -144,7 +144,7 @@ fn trial(asked: &Asked, samples_least: u64, samples_most: u64) -> Result<Cost, F
 
 /// One sample a pixel in 16 blocks spread over the film; how many samples that were.
 fn sweep(asked: &Asked, prepared: &Prepared, round: u32) -> u64 {
-    let [width, height] = asked.plan.film;
+    let [width, height] = asked.film();
     let (across, down) = (width.div_ceil(BLOCK).min(4), height.div_ceil(BLOCK).min(4));
     let mut samples = 0;
     for index in 0..across * down {
@@ -155,7 +155,7 @@ fn sweep(asked: &Asked, prepared: &Prepared, round: u32) -> u64 {
         let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
         let rendered =
             femc_pipeline::render_tile(prepared, &asked.settings, rect, round..round + 1, &cancel, &progress);
-        samples += rendered.map_or(0, |_| u64::from(rect.width) * u64::from(rect.height));
+        samples += rendered.map_or(0, |_| rect.area());
     }
     samples
 }
@@ -181,7 +181,7 @@ fn print(say: Say, report: &Report) {
         }
         (_, rounds) => format!("{rounds:?} samples a pixel"),
     };
-    say.result(format!("\n{} of {tile} pixels; {spp}", human::count(u64::from(*tiles), "tile")));
+    say.result(format!("\n{} of {tile} pixels; {spp}", human::count(*tiles as u64, "tile")));
     if let Some(cost) = &report.cost {
         let range = if cost.seconds_least < cost.seconds_most {
             format!("{} to {}", human::seconds(cost.seconds_least), human::seconds(cost.seconds_most))

@@ -89,6 +89,11 @@ impl Asked {
         self.path.file_stem().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
     }
 
+    /// Film size, pixels.
+    pub fn film(&self) -> [u32; 2] {
+        [self.plan.tiling.width, self.plan.tiling.height]
+    }
+
     /// All files of the scene as one artefact.
     pub fn bundle(&self) -> Result<Vec<u8>, Failure> {
         let cannot = |e: &dyn std::fmt::Display| failed(format!("{}: cannot be bundled: {e}", self.path.display()));

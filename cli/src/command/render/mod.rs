@@ -77,7 +77,7 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     let mut report = Report {
         scene: args.scene.display().to_string(),
         out: target.display(),
-        size: asked.plan.film,
+        size: asked.film(),
         rendered: missing.len(),
         ..Report::default()
     };

@@ -81,6 +81,7 @@ pub struct Blas {
 impl Blas {
     /// Builds the tree. Primitive indices are positions in `triangles`, then `triangles.len()` + positions in `shapes`.
     /// Triangles without area and surfaces with coordinates that are not finite keep their index and are never hit.
+    #[expect(clippy::needless_pass_by_value, reason = "the inputs end here; taking them says so")]
     pub fn build(triangles: Vec<TriangleInput>, shapes: Vec<ShapeInput>) -> Self {
         let mut boxes = Vec::with_capacity(triangles.len() + shapes.len());
         let mut primitives = Vec::with_capacity(boxes.capacity());

@@ -85,7 +85,10 @@ impl World {
     /// The closest hit with t in (0, `t_max`); of equally close ones that of the lowest (instance, primitive).
     #[inline]
     pub fn intersect(&self, ray: &Ray) -> Option<Hit> {
-        let mut hit = self.level.run(Closest { world: self, ray })?;
+        let mut hit = match self.sole() {
+            Some(blas) => self.level.run(ClosestInSole { blas, ray }),
+            None => self.level.run(Closest { world: self, ray }),
+        }?;
         let blas = &self.instances[hit.instance as usize].blas;
         if let Some(quadric) = (hit.primitive as usize).checked_sub(blas.triangles.len()) {
             let place = self.placement(hit.instance, ray.time);
@@ -99,7 +102,10 @@ impl World {
     /// Whether anything is hit with t in (0, `t_max`).
     #[inline]
     pub fn occluded(&self, ray: &Ray) -> bool {
-        self.level.run(Occluded { world: self, ray })
+        match self.sole() {
+            Some(blas) => self.level.run(OccludedBySole { blas, ray }),
+            None => self.level.run(Occluded { world: self, ray }),
+        }
     }
 
     /// The surface point of `hit`, which `intersect` gave for `ray`.
@@ -205,6 +211,22 @@ impl LeafRule for OneInstance<'_> {
     fn clear(&mut self) {}
 }
 
+struct ClosestInSole<'a> {
+    blas: &'a Blas,
+    ray: &'a Ray,
+}
+
+impl Task for ClosestInSole<'_> {
+    type Output = Option<Hit>;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> Option<Hit> {
+        let mut best = Best::before(self.ray.t_max);
+        let probe = Probe::new(self.ray.origin, self.ray.dir);
+        if blas_closest(simd, self.blas, &probe, &mut best) { Some(best.hit(0)) } else { None }
+    }
+}
+
 struct Closest<'a> {
     world: &'a World,
     ray: &'a Ray,
@@ -218,20 +240,10 @@ impl Task for Closest<'_> {
         let Self { world, ray } = self;
         let mut best = Best::before(ray.t_max);
         let probe = Probe::new(ray.origin, ray.dir);
-        let instance = if let Some(blas) = world.sole() {
-            if !blas_closest(simd, blas, &probe, &mut best) {
-                return None;
-            }
-            0
-        } else {
-            let mut leaf = ClosestInstance { simd, world, ray, best: &mut best, instance: u32::MAX };
-            nearest_first(simd, &world.top, &probe, ray.t_max, &mut leaf);
-            if leaf.instance == u32::MAX {
-                return None;
-            }
-            leaf.instance
-        };
-        Some(Hit { t: best.t, instance, primitive: best.primitive, u: best.u, v: best.v })
+        let mut leaf = ClosestInstance { simd, world, ray, best: &mut best, instance: u32::MAX };
+        nearest_first(simd, &world.top, &probe, ray.t_max, &mut leaf);
+        let instance = leaf.instance;
+        if instance == u32::MAX { None } else { Some(best.hit(instance)) }
     }
 }
 
@@ -258,6 +270,21 @@ impl<S: Simd> NearestLeaf for ClosestInstance<'_, S> {
     }
 }
 
+struct OccludedBySole<'a> {
+    blas: &'a Blas,
+    ray: &'a Ray,
+}
+
+impl Task for OccludedBySole<'_> {
+    type Output = bool;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> bool {
+        let probe = Probe::new(self.ray.origin, self.ray.dir);
+        blas_occluded(simd, self.blas, &probe, self.ray.t_max)
+    }
+}
+
 struct Occluded<'a> {
     world: &'a World,
     ray: &'a Ray,
@@ -270,10 +297,7 @@ impl Task for Occluded<'_> {
     fn run<S: Simd>(self, simd: S) -> bool {
         let Self { world, ray } = self;
         let probe = Probe::new(ray.origin, ray.dir);
-        match world.sole() {
-            Some(blas) => blas_occluded(simd, blas, &probe, ray.t_max),
-            None => any(simd, &world.top, &probe, ray.t_max, &mut AnyInstance { simd, world, ray }),
-        }
+        any(simd, &world.top, &probe, ray.t_max, &mut AnyInstance { simd, world, ray })
     }
 }
 

@@ -6,6 +6,7 @@ use super::{
     walk::{self, AnyLeaf, NearestLeaf},
 };
 use crate::{
+    Hit,
     blas::{Blas, Block, Shape},
     shape::Span,
     tree::{Child, Lanes, WIDTH},
@@ -27,6 +28,12 @@ impl Best {
     #[inline(always)]
     pub fn before(t_max: f32) -> Self {
         Self { t: t_max, primitive: u32::MAX, u: 0.0, v: 0.0, tie: 0 }
+    }
+
+    /// The hit, in `instance`.
+    #[inline(always)]
+    pub fn hit(&self, instance: u32) -> Hit {
+        Hit { t: self.t, instance, primitive: self.primitive, u: self.u, v: self.v }
     }
 
     #[inline(always)]

@@ -245,3 +245,23 @@ fn a_chain_of_nested_triangles_does_not_overflow_the_stack() {
     let back = Ray::new(Vec3A::splat(1e25), -Vec3A::ONE.normalize());
     assert_eq!(world.intersect(&back).map(|h| h.primitive), Some(999));
 }
+
+#[test]
+fn flat_and_stacked_meshes_build_and_are_hit() {
+    let at = |i: usize, j: usize| Vec3A::new(i as f32, j as f32, 2.0);
+    let mut flat = Vec::new();
+    for i in 0..40 {
+        for j in 0..40 {
+            flat.push(triangle(at(i, j), at(i + 1, j), at(i + 1, j + 1)));
+            flat.push(triangle(at(i, j), at(i + 1, j + 1), at(i, j + 1)));
+        }
+    }
+    let flat = world(flat, vec![]);
+    let stacked = world(vec![triangle(at(0, 0), at(40, 0), at(0, 40)); 3000], vec![]);
+    let mut random = Random(6);
+    for _ in 0..2000 {
+        let ray = Ray::new(Vec3A::new(random.between(0.1, 19.0), random.between(0.1, 19.0), 5.0), -Vec3A::Z);
+        assert_eq!(flat.intersect(&ray).map(|h| h.t), Some(3.0));
+        assert_eq!(stacked.intersect(&ray).map(|h| (h.t, h.primitive)), Some((3.0, 0)));
+    }
+}

@@ -134,19 +134,17 @@ impl<'a> Plan<'a> {
     }
 
     /// The binary nodes that become children when `index` becomes at most `slots` children.
-    fn children(&self, index: u32, slots: usize, found: &mut Vec<u32>) {
-        let mut pending = vec![(index, slots)];
-        while let Some((index, mut slots)) = pending.pop() {
-            let choice = &self.choices[index as usize];
-            while slots > 1 && choice.left[slots - 1] == 0 {
-                slots -= 1;
-            }
-            if slots == 1 {
-                found.push(index);
-            } else {
-                let (first, left) = (self.binary.nodes[index as usize].first, usize::from(choice.left[slots - 1]));
-                pending.extend([(first + 1, slots - left), (first, left)]);
-            }
+    fn children(&self, index: u32, mut slots: usize, found: &mut Vec<u32>) {
+        let choice = &self.choices[index as usize];
+        while slots > 1 && choice.left[slots - 1] == 0 {
+            slots -= 1;
+        }
+        if slots == 1 {
+            found.push(index);
+        } else {
+            let (first, left) = (self.binary.nodes[index as usize].first, usize::from(choice.left[slots - 1]));
+            self.children(first, left, found);
+            self.children(first + 1, slots - left, found);
         }
     }
 

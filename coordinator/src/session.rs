@@ -51,8 +51,16 @@ pub(crate) async fn listen(
     let _ = actor.send((worker, Word::Over)).await;
 }
 
-/// A completion without its artefacts is a failure of the store.
+/// A completion without its artefacts is a failure of the store. Artefacts that a worker calls lost are read, which
+/// removes those that are damaged, so that they can be put again.
 async fn checked(word: FromWorker, store: &Store) -> FromWorker {
+    if let FromWorker::Failed { failure: Failure::LostInputs { digests, .. }, .. } = &word {
+        for digest in digests {
+            if let Err(error) = store.get(digest).await {
+                tracing::warn!(%error, "an input is lost");
+            }
+        }
+    }
     let FromWorker::Completed { task, epoch, result } = word else { return word };
     for artefact in artefacts(&result) {
         let message = match store.size(&artefact.digest).await {

@@ -90,7 +90,7 @@ fn read(spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Read, Failure>
     settings.check().map_err(|error| Failure::Settings { message: error.to_string() })?;
     let bytes = fetch.bundle(client, &spec.bundle)?;
     let bundle = Bundle::decode(&bytes, UNPACKED)
-        .map_err(|error| Failure::DamagedInput { digest: spec.bundle, message: error.to_string() })?;
+        .map_err(|error| Failure::LostInputs { digests: vec![spec.bundle], message: error.to_string() })?;
     let loaded = femc_import::load(&bundle, &spec.entry);
     let mut scene = loaded.map_err(|error| Failure::Scene { message: error.to_string() })?.scene;
     settings.apply(&mut scene).map_err(|error| Failure::Settings { message: error.to_string() })?;

@@ -10,16 +10,16 @@ const BUNDLE: u64 = 1 << 30;
 
 /// What a failed call means for a task.
 pub(crate) fn failure(error: CallError) -> Failure {
+    let message = error.to_string();
     match error {
-        CallError::Refused(Refusal::NoSuchArtefact { digest }) => Failure::MissingInput { digest },
-        CallError::Refused(Refusal::DigestMismatch { digest }) => {
-            Failure::DamagedInput { digest, message: "its bytes have another digest".into() }
+        CallError::Refused(Refusal::NoSuchArtefact { digest } | Refusal::DigestMismatch { digest }) => {
+            Failure::LostInputs { digests: vec![digest], message }
         }
-        error @ (CallError::Refused(_)
+        CallError::Refused(_)
         | CallError::Address { .. }
         | CallError::Unreachable { .. }
         | CallError::Answer(_)
-        | CallError::Status { .. }) => Failure::Store { message: error.to_string() },
+        | CallError::Status { .. } => Failure::Store { message },
     }
 }
 
@@ -36,8 +36,8 @@ impl Fetch {
         self.0.block_on(client.get(digest, BUNDLE)).map_err(failure)
     }
 
-    /// All of `artefacts`, in their order, side by side.
-    pub(crate) fn all(&self, client: &Client, artefacts: &[Artefact]) -> Result<Vec<Bytes>, Failure> {
+    /// All of `artefacts` in their order, side by side; each is there, or lost, or not to be had.
+    pub(crate) fn all(&self, client: &Client, artefacts: &[Artefact]) -> Vec<Result<Bytes, Failure>> {
         self.0.block_on(async {
             let download = |artefact: Artefact| {
                 let client = client.clone();
@@ -46,10 +46,12 @@ impl Fetch {
             let downloads: Vec<_> = artefacts.iter().copied().map(download).collect();
             let mut all = Vec::with_capacity(downloads.len());
             for download in downloads {
-                let bytes = download.await.map_err(|error| Failure::Panicked { message: error.to_string() })?;
-                all.push(bytes.map_err(failure)?);
+                all.push(match download.await {
+                    Ok(bytes) => bytes.map_err(failure),
+                    Err(error) => Err(Failure::Panicked { message: error.to_string() }),
+                });
             }
-            Ok(all)
+            all
         })
     }
 }

@@ -31,18 +31,12 @@ pub enum Failure {
         /// How long.
         seconds: u64,
     },
-    /// An artefact that the task needs is not in the store.
-    #[error("artefact {digest} is missing")]
-    MissingInput {
-        /// Which.
-        digest: Digest,
-    },
-    /// An artefact that the task needs does not decode, or does not fit the task.
-    #[error("artefact {digest} is damaged: {message}")]
-    DamagedInput {
-        /// Which.
-        digest: Digest,
-        /// What the decoder said.
+    /// Artefacts that the task needs are not in the store, or do not decode, or do not fit the task.
+    #[error("{} artefacts are lost: {message}", digests.len())]
+    LostInputs {
+        /// All of them.
+        digests: Vec<Digest>,
+        /// Of one of them, in words.
         message: String,
     },
     /// The artefact store refused or was away.
@@ -67,8 +61,8 @@ pub enum Failure {
 pub enum Verdict {
     /// The task's own failure: counts as an attempt; try again elsewhere.
     Retry,
-    /// Make this artefact again first.
-    Rebuild(Digest),
+    /// Make these artefacts again first.
+    Rebuild(Vec<Digest>),
     /// Every attempt would end the same: the job has failed.
     Fatal,
     /// Not the task's fault: try again, the worker rests a while.
@@ -83,7 +77,7 @@ impl Failure {
         match self {
             Self::Scene { .. } | Self::Settings { .. } => Verdict::Fatal,
             Self::Panicked { .. } | Self::Stalled { .. } => Verdict::Retry,
-            Self::MissingInput { digest } | Self::DamagedInput { digest, .. } => Verdict::Rebuild(*digest),
+            Self::LostInputs { digests, .. } => Verdict::Rebuild(digests.clone()),
             Self::Store { .. } | Self::Resources { .. } => Verdict::Infrastructure,
             Self::Cancelled => Verdict::Cancelled,
         }

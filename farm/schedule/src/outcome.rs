@@ -68,7 +68,7 @@ impl Scheduler {
             Verdict::Infrastructure => self.rest(worker, now),
             Verdict::Retry => self.count_failure(worker, task, failure, now, out),
             Verdict::Fatal => self.doom(task.job, failure, now, out),
-            Verdict::Rebuild(digest) => self.rebuild_input(worker, task, digest, failure, now, out),
+            Verdict::Rebuild(digests) => self.rebuild_inputs(worker, task, &digests, failure, now, out),
         }
         self.put_back(&task);
         out.push(Command::Accept { worker, task, epoch });
@@ -121,29 +121,29 @@ impl Scheduler {
         self.revoke_all(job, out);
     }
 
-    /// An input is gone: what made it is to run again. Counts as an attempt of the task that missed it, so that a
+    /// Inputs are gone: what made them is to run again. Counts as an attempt of the task that missed it, so that a
     /// store which loses everything ends the frame and not the night.
-    fn rebuild_input(
+    fn rebuild_inputs(
         &mut self,
         worker: WorkerId,
         task: TaskKey,
-        digest: Digest,
+        digests: &[Digest],
         failure: Failure,
         now: Tick,
         out: &mut Vec<Command>,
     ) {
         let Some(job) = self.ledger.jobs.get(&task.job) else { return };
-        if digest == job.spec.bundle {
+        if digests.contains(&job.spec.bundle) {
             return self.doom(task.job, failure, now, out);
         }
         let frame = task.stage.frame;
         let mut repairs = Vec::new();
         if let Some(work) = job.frames.get(&frame) {
-            if work.sums.is_some_and(|sums| sums.digest == digest) {
+            if work.sums.is_some_and(|sums| digests.contains(&sums.digest)) {
                 repairs.push(Fact::Restarted { job: task.job, frame });
             }
-            let made_it = work.tiles.iter().filter(|(_, tile)| tile.result.tile.digest == digest);
-            repairs.extend(made_it.map(|(&index, _)| {
+            let made_them = work.tiles.iter().filter(|(_, tile)| digests.contains(&tile.result.tile.digest));
+            repairs.extend(made_them.map(|(&index, _)| {
                 let stage = Stage { kind: StageKind::Render, ..task.stage };
                 Fact::Lost { task: TaskKey { stage, index, ..task } }
             }));

@@ -154,7 +154,7 @@ impl Machine {
                     0 | 1 => panic(),
                     2 => Failure::Store { message: "away".into() },
                     3 => Failure::Cancelled,
-                    4 => Failure::MissingInput { digest: missing },
+                    4 => Failure::LostInputs { digests: vec![missing], message: "gone".into() },
                     _ => Failure::Resources { message: "memory".into() },
                 };
                 let commands = self.farm.fail(worker.0, &held, failure);

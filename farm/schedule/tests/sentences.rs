@@ -17,6 +17,11 @@ fn accepted(commands: &[Command]) -> bool {
     commands.iter().any(|command| matches!(command, Command::Accept { .. }))
 }
 
+fn lost(artefacts: &[Artefact]) -> Failure {
+    let digests = artefacts.iter().map(|artefact| artefact.digest).collect();
+    Failure::LostInputs { digests, message: "gone".into() }
+}
+
 fn recorded(commands: &[Command]) -> bool {
     commands.iter().any(|command| matches!(command, Command::Record(_)))
 }
@@ -49,7 +54,7 @@ fn heartbeats_with_progress_keep_a_lease_and_standing_still_loses_it() {
         farm.heartbeat(1, Phase::Working, step);
     }
     assert_eq!(farm.tasks_of(1).len(), 1);
-    let mut farm_stands_still = |farm: &mut Farm| {
+    let farm_stands_still = |farm: &mut Farm| {
         (1..100).find(|_| {
             farm.heartbeat(1, Phase::Working, 100);
             farm.wait(4_000).iter().any(|command| matches!(command, Command::Record(Fact::Failed { .. })))
@@ -207,18 +212,16 @@ fn a_scene_that_cannot_be_read_fails_the_job_at_once_and_recalls_its_leases() {
 }
 
 #[test]
-fn a_merge_that_misses_a_tile_has_it_rendered_again() {
+fn a_merge_that_misses_tiles_has_just_those_rendered_again() {
     let mut farm = Farm::new();
-    let id = farm.submit(job(&[1], 2, &[4]));
+    let id = farm.submit(job(&[1], 3, &[4]));
     farm.join(1);
-    farm.work(1, Done);
-    farm.work(1, Done);
+    (0..3).for_each(|_| drop(farm.work(1, Done)));
     let merge = farm.first_of(1);
     let Work::Merge { tiles, .. } = &merge.work else { panic!() };
-    farm.fail(1, &merge, Failure::MissingInput { digest: tiles[1].digest });
-    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 1)]);
-    farm.work(1, Done);
-    farm.work(1, Done);
+    farm.fail(1, &merge, lost(&[tiles[1], tiles[2]]));
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 1), (1, 0, Render, 2)]);
+    (0..3).for_each(|_| drop(farm.work(1, Done)));
     assert_eq!(farm.state(id), JobState::Done);
 }
 
@@ -232,7 +235,7 @@ fn a_store_that_loses_every_tile_ends_the_job() {
         let held = farm.first_of(1);
         match &held.work {
             Work::Render { .. } => farm.complete(1, &held, Continue),
-            Work::Merge { tiles, .. } => farm.fail(1, &held, Failure::MissingInput { digest: tiles[0].digest }),
+            Work::Merge { tiles, .. } => farm.fail(1, &held, lost(&tiles[..1])),
         };
         steps += 1;
         assert!(steps < 20);

@@ -4,7 +4,7 @@ use femc_model::{Failure, JobId, Refusal};
 
 use super::{ConvertError, digest, digest_bytes, need};
 use crate::wire;
-use wire::failure::{Cause, Damaged, Text};
+use wire::failure::{Cause, Lost, Text};
 use wire::refusal::{Field, Limit, Reason};
 
 impl From<Failure> for wire::Failure {
@@ -16,9 +16,8 @@ impl From<Failure> for wire::Failure {
                 Failure::Settings { message } => Cause::Settings(text(message)),
                 Failure::Panicked { message } => Cause::Panicked(text(message)),
                 Failure::Stalled { seconds } => Cause::Stalled(seconds),
-                Failure::MissingInput { digest } => Cause::MissingInput(digest_bytes(&digest)),
-                Failure::DamagedInput { digest, message } => {
-                    Cause::DamagedInput(Damaged { digest: digest_bytes(&digest), message })
+                Failure::LostInputs { digests, message } => {
+                    Cause::LostInputs(Lost { digests: digests.iter().map(digest_bytes).collect(), message })
                 }
                 Failure::Store { message } => Cause::Store(text(message)),
                 Failure::Resources { message } => Cause::Resources(text(message)),
@@ -37,11 +36,10 @@ impl TryFrom<wire::Failure> for Failure {
             Cause::Settings(Text { message }) => Self::Settings { message },
             Cause::Panicked(Text { message }) => Self::Panicked { message },
             Cause::Stalled(seconds) => Self::Stalled { seconds },
-            Cause::MissingInput(bytes) => Self::MissingInput { digest: digest("failure.missing_input", &bytes)? },
-            Cause::DamagedInput(damaged) => Self::DamagedInput {
-                digest: digest("failure.damaged_input", &damaged.digest)?,
-                message: damaged.message,
-            },
+            Cause::LostInputs(Lost { digests, message }) => {
+                let digests = digests.iter().map(|bytes| digest("failure.lost_inputs", bytes));
+                Self::LostInputs { digests: digests.collect::<Result<_, _>>()?, message }
+            }
             Cause::Store(Text { message }) => Self::Store { message },
             Cause::Resources(Text { message }) => Self::Resources { message },
             Cause::Cancelled(_) => Self::Cancelled,

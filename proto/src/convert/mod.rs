@@ -5,6 +5,8 @@ mod job;
 mod session;
 mod status;
 mod task;
+#[cfg(test)]
+mod tests;
 
 use bytes::Bytes;
 use femc_model::{Artefact, Digest};

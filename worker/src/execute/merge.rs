@@ -2,7 +2,7 @@
 
 use bytes::Bytes;
 use femc_film::{FilmError, Frame, FrameImage, Provenance, SampleRange, Tile, Tiling, ToneCurve, exr};
-use femc_model::{Artefact, Decision, Failure, MergeResult, More, Phase, TaskResult, Work};
+use femc_model::{Artefact, Decision, Digest, Failure, MergeResult, More, Phase, TaskResult, Work};
 use femc_pipeline::{RoundVerdict, Settings};
 use rayon::prelude::*;
 
@@ -87,38 +87,79 @@ fn damaged_picture(error: FilmError) -> Failure {
 }
 
 /// The sums of the rounds before and the tiles of this one. Whole: every tile holds just the samples of these rounds.
+/// Names every input that is lost, so that all are made again at once.
 fn union(task: &Task, previous: Option<Artefact>, tiles: &[Artefact], tools: &Tools) -> Result<Frame, Failure> {
     let grid = task.spec.grid;
     let tiling = Tiling::new(grid.film[0], grid.film[1], grid.tile);
     let mut frame = Frame::new(tiling.map_err(|error| Failure::Settings { message: error.to_string() })?);
+    let mut lost = Lost::default();
     if let Some(previous) = previous {
-        let bytes = tools.fetch.all(&task.client, &[previous])?;
-        for tile in tools.pool.install(|| sums::decode(&bytes[0])).map_err(|error| damaged(previous, &error))? {
-            frame.insert(tile).map_err(|error| damaged(previous, &error))?;
+        for bytes in tools.fetch.all(&task.client, &[previous]) {
+            let Some(bytes) = lost.note(bytes)? else { continue };
+            let insert = |tiles: Vec<Tile>| tiles.into_iter().try_for_each(|tile| frame.insert(tile).map(drop));
+            lost.check(previous, tools.pool.install(|| sums::decode(&bytes)).and_then(insert));
         }
     }
     for batch in tiles.chunks(BATCH) {
         if task.is_cancelled() {
             return Err(Failure::Cancelled);
         }
-        let bytes = tools.fetch.all(&task.client, batch)?;
+        let mut here = Vec::with_capacity(batch.len());
+        for (artefact, bytes) in batch.iter().zip(tools.fetch.all(&task.client, batch)) {
+            here.extend(lost.note(bytes)?.map(|bytes| (*artefact, bytes)));
+        }
         let decoded: Vec<Result<Tile, FilmError>> =
-            tools.pool.install(|| bytes.par_iter().map(|bytes| Tile::decode(bytes)).collect());
-        for (artefact, tile) in batch.iter().zip(decoded) {
-            tile.and_then(|tile| frame.insert(tile)).map_err(|error| damaged(*artefact, &error))?;
+            tools.pool.install(|| here.par_iter().map(|(_, bytes)| Tile::decode(bytes)).collect());
+        for ((artefact, _), tile) in here.iter().zip(decoded) {
+            lost.check(*artefact, tile.and_then(|tile| frame.insert(tile).map(drop)));
         }
     }
+    lost.verdict()?;
     let rounds = 0..=task.assignment.task.stage.round;
     let expected: Vec<SampleRange> = rounds.map(|round| task.spec.samples(round).into()).collect();
     for (index, artefact) in (0..frame.tiling().count()).zip(tiles) {
         if frame.ranges(index) != expected {
-            let message = format!("tile {index} holds the samples {:?}, not {expected:?}", frame.ranges(index));
-            return Err(Failure::DamagedInput { digest: artefact.digest, message });
+            lost.message = format!("tile {index} holds the samples {:?}, not {expected:?}", frame.ranges(index));
+            lost.digests.push(artefact.digest);
         }
     }
+    lost.verdict()?;
     Ok(frame)
 }
 
-fn damaged(artefact: Artefact, error: &FilmError) -> Failure {
-    Failure::DamagedInput { digest: artefact.digest, message: error.to_string() }
+/// Inputs that are missing or damaged.
+#[derive(Debug, Default)]
+struct Lost {
+    digests: Vec<Digest>,
+    message: String,
+}
+
+impl Lost {
+    /// The bytes; `None` where they are lost; a failure of another kind ends the merge.
+    fn note(&mut self, bytes: Result<Bytes, Failure>) -> Result<Option<Bytes>, Failure> {
+        match bytes {
+            Ok(bytes) => Ok(Some(bytes)),
+            Err(Failure::LostInputs { digests, message }) => {
+                self.digests.extend(digests);
+                self.message = message;
+                Ok(None)
+            }
+            Err(failure) => Err(failure),
+        }
+    }
+
+    fn check(&mut self, artefact: Artefact, outcome: Result<(), FilmError>) {
+        if let Err(error) = outcome {
+            self.digests.push(artefact.digest);
+            self.message = error.to_string();
+        }
+    }
+
+    fn verdict(&mut self) -> Result<(), Failure> {
+        if self.digests.is_empty() {
+            return Ok(());
+        }
+        let Self { digests, message } = std::mem::take(self);
+        Err(Failure::LostInputs { digests, message })
+    }
 }

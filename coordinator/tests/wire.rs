@@ -1,0 +1,125 @@
+//! What a client hears from a real coordinator without workers.
+
+use bytes::Bytes;
+use femc_coordinator::{Artifacts, Config, Coordinator, CoordinatorError, Log};
+use femc_model::*;
+use femc_proto::{CallError, Client};
+use femc_store::Store;
+
+fn spec() -> JobSpec {
+    JobSpec {
+        name: "fog".into(),
+        bundle: Digest::of(b"bundle"),
+        entry: "fog.mgf".into(),
+        settings: "{}".into(),
+        frames: vec![1, 2],
+        grid: Grid { film: [64, 64], tile: 16 },
+        rounds: vec![16],
+        priority: 50,
+        owner: "me".into(),
+        tags: vec![],
+    }
+}
+
+fn refusal<T: std::fmt::Debug>(answer: Result<T, CallError>) -> Refusal {
+    match answer {
+        Err(CallError::Refused(refusal)) => refusal,
+        other => panic!("not refused: {other:?}"),
+    }
+}
+
+#[tokio::test]
+async fn jobs_are_taken_listed_steered_and_watched_to_their_end() {
+    let farm = Coordinator::start(Config::default()).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    let first = client.submit(Some("a".into()), spec()).await.unwrap();
+    assert_eq!(client.submit(Some("a".into()), spec()).await.unwrap(), first);
+    let second = client.submit(None, spec()).await.unwrap();
+    let listed: Vec<JobId> = client.list().await.unwrap().iter().map(|status| status.job).collect();
+    assert_eq!(listed, [first, second]);
+    let status = client.status(first).await.unwrap();
+    assert_eq!((status.state, status.waits), (JobState::Queued, vec![Wait::NoWorkers]));
+    let mut watch = client.watch(first).await.unwrap();
+    assert_eq!(watch.next().await.unwrap().unwrap().state, JobState::Queued);
+    client.control(first, Control::Pause).await.unwrap();
+    client.control(first, Control::Priority(80)).await.unwrap();
+    client.control(first, Control::Cancel).await.unwrap();
+    let mut last = None;
+    while let Some(status) = watch.next().await.unwrap() {
+        last = Some(status);
+    }
+    let last = last.unwrap();
+    assert_eq!((last.state, last.priority), (JobState::Cancelled, 80), "the end is never missed");
+    assert_eq!(client.frames(first).await.unwrap(), []);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test]
+async fn what_makes_no_sense_is_refused_by_variant() {
+    let farm = Coordinator::start(Config::default()).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    let nobody = JobId(99);
+    assert_eq!(refusal(client.status(nobody).await), Refusal::NoSuchJob { job: nobody });
+    assert_eq!(refusal(client.frames(nobody).await), Refusal::NoSuchJob { job: nobody });
+    assert_eq!(refusal(client.control(nobody, Control::Pause).await), Refusal::NoSuchJob { job: nobody });
+    assert_eq!(refusal(client.watch(nobody).await), Refusal::NoSuchJob { job: nobody });
+    let empty = JobSpec { frames: vec![], ..spec() };
+    assert!(matches!(refusal(client.submit(None, empty).await), Refusal::Invalid { .. }));
+    let id = client.submit(None, spec()).await.unwrap();
+    client.control(id, Control::Cancel).await.unwrap();
+    assert_eq!(refusal(client.control(id, Control::Pause).await), Refusal::Ended { job: id });
+    assert!(matches!(refusal(client.control(id, Control::Priority(101)).await), Refusal::Invalid { .. }));
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test]
+async fn artefacts_go_up_and_come_down_whole_or_not_at_all() {
+    let store = Store::memory().with_limit(5_000_000);
+    let queue = femc_queue::Memory::default();
+    let farm = Coordinator::with(Config::default(), store, queue).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    let bytes: Bytes = (0..4_500_001u32).map(|i| (i ^ (i >> 9)) as u8).collect();
+    let digest = Digest::of(&bytes);
+    assert_eq!(refusal(client.get(&digest, u64::MAX).await), Refusal::NoSuchArtefact { digest });
+    assert_eq!(client.missing(&[digest]).await.unwrap(), [digest]);
+    assert_eq!(client.put(bytes.clone()).await.unwrap(), Artefact { digest, bytes: 4_500_001 });
+    assert_eq!(client.missing(&[digest]).await.unwrap(), []);
+    assert_eq!(client.put(bytes.clone()).await.unwrap().digest, digest, "a second time sends nothing");
+    assert_eq!(client.get(&digest, 4_500_001).await.unwrap(), bytes);
+    assert!(matches!(refusal(client.get(&digest, 4_500_000).await), Refusal::TooLarge { .. }));
+    assert!(matches!(refusal(client.put(vec![7; 5_000_001].into()).await), Refusal::TooLarge { limit: 5_000_000, .. }));
+    let empty = client.put(Bytes::new()).await.unwrap();
+    assert_eq!(client.get(&empty.digest, 0).await.unwrap(), Bytes::new());
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test]
+async fn a_stopped_coordinator_cannot_be_reached_and_its_log_is_free() {
+    let folder = tempfile::tempdir().unwrap();
+    let config = Config {
+        log: Log::Sqlite(folder.path().join("log.sqlite")),
+        artifacts: Artifacts::Folder(folder.path().join("artifacts")),
+        ..Config::default()
+    };
+    let farm = Coordinator::start(config.clone()).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    let id = client.submit(None, spec()).await.unwrap();
+    let second = Coordinator::start(config.clone()).await.map(|_| ()).unwrap_err();
+    assert!(matches!(second, CoordinatorError::Queue(femc_queue::QueueError::InUse { .. })), "{second}");
+    let url = farm.url();
+    farm.stop().await.unwrap();
+    assert!(matches!(client.list().await, Err(CallError::Unreachable { .. })));
+    assert!(matches!(Client::connect(&url).await, Err(CallError::Unreachable { .. })));
+    assert!(matches!(Client::connect("no address").await, Err(CallError::Address { .. } | CallError::Unreachable { .. })));
+    let farm = Coordinator::start(config).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    assert_eq!(client.list().await.unwrap()[0].job, id);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test]
+async fn an_address_that_others_can_reach_is_refused_unless_asked_for() {
+    let config = Config { listen: "0.0.0.0:0".parse().unwrap(), ..Config::default() };
+    let error = Coordinator::start(config).await.map(|_| ()).unwrap_err();
+    assert!(matches!(error, CoordinatorError::Exposed { .. }), "{error}");
+}

@@ -1,0 +1,241 @@
+//! Every word survives the wire, and nonsense is refused.
+
+use std::fmt::Debug;
+
+use femc_model::*;
+use prost::Message;
+
+use super::ConvertError;
+use crate::wire;
+
+/// Over the wire as bytes, and back.
+fn crosses<M, W>(value: M)
+where
+    M: Clone + PartialEq + Debug + Into<W> + TryFrom<W, Error = ConvertError>,
+    W: Message + Default,
+{
+    let bytes = value.clone().into().encode_to_vec();
+    assert_eq!(W::decode(&bytes[..]).unwrap().try_into(), Ok(value));
+}
+
+fn digest() -> Digest {
+    Digest::of(b"x")
+}
+
+fn artefact() -> Artefact {
+    Artefact { digest: digest(), bytes: u64::MAX }
+}
+
+fn task(kind: StageKind) -> TaskKey {
+    TaskKey { job: JobId(7), stage: Stage { frame: u32::MAX, round: 3, kind }, index: 5 }
+}
+
+fn spec() -> JobSpec {
+    JobSpec {
+        name: "fog".into(),
+        bundle: digest(),
+        entry: "a/fog.mgf".into(),
+        settings: "{}".into(),
+        frames: vec![0, 7, u32::MAX],
+        grid: Grid { film: [640, 360], tile: 16 },
+        rounds: vec![16, 32],
+        priority: 100,
+        owner: "me".into(),
+        tags: vec!["lab".into(), "ä".into()],
+    }
+}
+
+fn failures() -> Vec<Failure> {
+    let message = || "m".to_owned();
+    vec![
+        Failure::Scene { message: message() },
+        Failure::Settings { message: message() },
+        Failure::Panicked { message: message() },
+        Failure::Stalled { seconds: 3 },
+        Failure::LostInputs { digests: vec![digest(); 2], message: message() },
+        Failure::Store { message: message() },
+        Failure::Resources { message: message() },
+        Failure::Cancelled,
+    ]
+}
+
+fn refusals() -> Vec<Refusal> {
+    vec![
+        Refusal::NoSuchJob { job: JobId(1) },
+        Refusal::Ended { job: JobId(1) },
+        Refusal::Invalid { field: "f".into(), message: "m".into() },
+        Refusal::StaleEpoch,
+        Refusal::NoSuchArtefact { digest: digest() },
+        Refusal::DigestMismatch { digest: digest() },
+        Refusal::TooLarge { what: "w".into(), limit: 9 },
+        Refusal::Unavailable { message: "m".into() },
+    ]
+}
+
+#[test]
+fn failures_and_refusals_cross_the_wire_also_as_statuses() {
+    for failure in failures() {
+        crosses::<Failure, wire::Failure>(failure);
+    }
+    for refusal in refusals() {
+        let status = crate::error::to_status(&refusal);
+        let error = crate::error::from_status("url", &status);
+        assert!(matches!(error, crate::CallError::Refused(back) if back == refusal));
+        crosses::<Refusal, wire::Refusal>(refusal);
+    }
+}
+
+#[test]
+fn the_words_of_a_session_cross_the_wire() {
+    let registration = Registration {
+        name: "w".into(),
+        instance: u64::MAX,
+        engine: "0.1".into(),
+        threads: 64,
+        slots: 1,
+        tags: vec!["lab".into()],
+    };
+    let (render, merge, epoch) = (task(StageKind::Render), task(StageKind::Merge), Epoch::new(3, 9));
+    let phases = [Phase::Waiting, Phase::Preparing, Phase::Working, Phase::Uploading];
+    let progress = phases.map(|phase| TaskProgress { task: render, epoch, phase, samples: 12 });
+    let tile = TileResult { tile: artefact(), samples: 1 << 40, bad_samples: 2, seconds: 0.25 };
+    let done = MergeResult {
+        decision: Decision::Done,
+        sums: None,
+        image: Some(artefact()),
+        preview: Some(artefact()),
+        relative_error: Some(0.01),
+        bad_samples: 2,
+        seconds: 1.5,
+    };
+    let on = MergeResult {
+        decision: Decision::Continue,
+        sums: Some(artefact()),
+        image: None,
+        preview: None,
+        relative_error: None,
+        ..done.clone()
+    };
+    crosses::<FromWorker, wire::FromWorker>(FromWorker::Register(registration));
+    crosses::<FromWorker, wire::FromWorker>(FromWorker::Heartbeat(progress.to_vec()));
+    crosses::<FromWorker, wire::FromWorker>(FromWorker::Draining);
+    for result in [TaskResult::Tile(tile), TaskResult::Merge(done), TaskResult::Merge(on)] {
+        crosses::<FromWorker, wire::FromWorker>(FromWorker::Completed { task: render, epoch, result });
+    }
+    for failure in failures() {
+        crosses::<FromWorker, wire::FromWorker>(FromWorker::Failed { task: merge, epoch, failure });
+    }
+
+    let works = [More::Rounds, More::Last].map(|more| Work::Merge {
+        previous: (more == More::Last).then(artefact),
+        tiles: vec![artefact(); 3],
+        spp: 32,
+        elapsed: 1234,
+        busy_seconds: 0.5,
+        more,
+    });
+    for work in works.into_iter().chain([Work::Render { samples: 16..32 }]) {
+        let assignment = Assignment { task: merge, epoch, lease: 5000, work };
+        crosses::<ToWorker, wire::ToWorker>(ToWorker::Assign(assignment));
+    }
+    crosses::<ToWorker, wire::ToWorker>(ToWorker::Welcome { worker: WorkerId(4), heartbeat: 500 });
+    crosses::<ToWorker, wire::ToWorker>(ToWorker::Job { job: JobId(7), spec: Box::new(spec()) });
+    for reason in [RevokeReason::Expired, RevokeReason::JobEnded] {
+        crosses::<ToWorker, wire::ToWorker>(ToWorker::Revoke { task: render, epoch, reason });
+    }
+    crosses::<ToWorker, wire::ToWorker>(ToWorker::Accepted { task: render, epoch });
+    for refusal in refusals() {
+        crosses::<ToWorker, wire::ToWorker>(ToWorker::Refused { task: render, epoch, refusal });
+    }
+    crosses::<ToWorker, wire::ToWorker>(ToWorker::Goodbye);
+}
+
+#[test]
+fn statuses_cross_the_wire() {
+    use JobState::*;
+    let frame = FrameProgress {
+        frame: 3,
+        round: 1,
+        rounds: 4,
+        stage: StageKind::Merge,
+        tiles_done: 5,
+        tiles_total: 6,
+        running: 1,
+        samples_done: 99,
+        relative_error: Some(0.2),
+    };
+    let waits = vec![
+        Wait::Paused,
+        Wait::NoWorkers,
+        Wait::NoWorkerWithTags(vec!["lab".into()]),
+        Wait::WorkersBusy { workers: 3 },
+        Wait::WorkersResting,
+        Wait::BehindJob(JobId(2)),
+        Wait::MergeWaitsForTiles { frame: 1, tiles: 2 },
+        Wait::Quarantined { frame: 1, tasks: 2 },
+    ];
+    for state in [Queued, Running, Paused, Done, Failed, Cancelled] {
+        let status = JobStatus {
+            job: JobId(7),
+            name: "fog".into(),
+            owner: "me".into(),
+            priority: 50,
+            state,
+            failure: (state == Failed).then(|| failures().remove(0)),
+            frames_total: 10,
+            frames_done: 2,
+            frames_failed: 1,
+            active: vec![frame; 2],
+            workers: 3,
+            samples_done: 1,
+            samples_planned: 2,
+            samples_per_second: 1e6,
+            bad_samples: 4,
+            relative_error: Some(0.1),
+            seconds: 5.5,
+            quarantined: vec![Quarantined { task: task(StageKind::Render), attempts: 3, failure: Failure::Cancelled }],
+            stale_messages: 8,
+            waits: waits.clone(),
+        };
+        crosses::<JobStatus, wire::JobStatus>(status);
+    }
+    let tasks = vec![task(StageKind::Render)];
+    let (name, tags) = ("w".to_owned(), vec!["lab".to_owned()]);
+    let worker = WorkerStatus { worker: WorkerId(1), name, threads: 2, tags, tasks, silent: 3, completed: 4, failed: 5 };
+    crosses::<WorkerStatus, wire::WorkerStatus>(worker);
+    let record = FrameRecord {
+        frame: 1,
+        image: artefact(),
+        preview: None,
+        spp: 16,
+        relative_error: None,
+        bad_samples: 0,
+        busy_seconds: 1.0,
+        seconds: 2.0,
+    };
+    crosses::<FrameRecord, wire::FrameRecord>(record);
+    crosses::<JobSpec, wire::JobSpec>(spec());
+}
+
+#[test]
+fn nonsense_is_refused_by_name() {
+    let spec = wire::JobSpec::from(spec());
+    let short = wire::JobSpec { bundle: vec![1u8; 31].into(), ..spec.clone() };
+    assert_eq!(JobSpec::try_from(short), Err(ConvertError::Digest { field: "job.bundle" }));
+    let high = wire::JobSpec { priority: 256, ..spec };
+    assert_eq!(JobSpec::try_from(high), Err(ConvertError::Range { field: "priority" }));
+    let empty = wire::FromWorker { message: None };
+    assert_eq!(FromWorker::try_from(empty), Err(ConvertError::Missing { field: "message" }));
+    let kind = wire::TaskKey { kind: 9, ..task(StageKind::Render).into() };
+    assert_eq!(TaskKey::try_from(kind), Err(ConvertError::Unknown { field: "stage.kind", value: 9 }));
+    let kind = wire::TaskKey { kind: 0, ..task(StageKind::Render).into() };
+    assert!(TaskKey::try_from(kind).is_err(), "unspecified is no kind");
+    let old = wire::Registration { protocol: 99, slots: 1, ..wire::Registration::default() };
+    assert_eq!(Registration::try_from(old), Err(ConvertError::Protocol { found: 99 }));
+    let nan = wire::completed::Result::Tile(wire::TileResult {
+        tile: Some(artefact().into()),
+        seconds: f64::NAN,
+        ..wire::TileResult::default()
+    });
+    assert_eq!(TaskResult::try_from(nan), Err(ConvertError::Range { field: "seconds" }));
+}

@@ -1,0 +1,275 @@
+//! A real coordinator and real workers over loopback: the pixels depend on the job alone.
+
+use std::collections::BTreeMap;
+use std::future::pending;
+
+use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log};
+use femc_film::{Image, exr, pixel_digest};
+use femc_import::Bundle;
+use femc_model::*;
+use femc_pipeline::{Settings, Stop};
+use femc_proto::Client;
+use femc_store::Store;
+use femc_worker::Worker;
+use tokio::task::JoinHandle;
+
+/// A lamp over a floor in fog that thickens over three frames.
+const SCENE: &str = "
+camera main =
+    origin 0 -3 1
+    target 0 0 0.5
+    fov 40
+    film 48 32
+time 0 1 2
+vary medium.haze.sigma_s = 0 0.05 1 0.4
+medium haze =
+    sigma_s 0.05
+mbox haze -1 -1 -1 1 1 1
+m gray =
+    c
+    rd 0.6
+m bright =
+    c
+    ed 2000
+v a =
+    p -2 -2 0
+v b =
+    p 2 -2 0
+v c =
+    p 2 2 0
+v d =
+    p -2 2 0
+m gray
+f a b c d
+v e =
+    p 0 0 1.2
+m bright
+sph e 0.2
+";
+
+fn settings(stop: Stop) -> Settings {
+    Settings { stop, max_depth: 4, ..Settings::default() }
+}
+
+/// The job, and the bundle that goes with it.
+fn job(scene: &str, settings: &Settings) -> (JobSpec, Vec<u8>) {
+    let bundle = Bundle(BTreeMap::from([("haze.mgf".into(), scene.as_bytes().to_vec())])).encode().unwrap();
+    let spec = JobSpec {
+        name: "haze".into(),
+        bundle: Digest::of(&bundle),
+        entry: "haze.mgf".into(),
+        settings: serde_json::to_string(settings).unwrap(),
+        frames: vec![1, 2, 3],
+        grid: Grid { film: [48, 32], tile: 16 },
+        rounds: settings.rounds(),
+        priority: 50,
+        owner: "me".into(),
+        tags: vec![],
+    };
+    (spec, bundle)
+}
+
+async fn submit(client: &Client, (spec, bundle): (JobSpec, Vec<u8>)) -> JobId {
+    client.put(bundle.into()).await.unwrap();
+    client.submit(Some(spec.key().to_string()), spec).await.unwrap()
+}
+
+fn worker(farm: &Handle, threads: usize) -> JoinHandle<()> {
+    let config = femc_worker::Config { threads, ..femc_worker::Config::new(farm.url()) };
+    tokio::spawn(async { Worker::run(config, pending()).await.unwrap() })
+}
+
+/// Waits until the job's status is as wanted; the last status if it ends before.
+async fn until(client: &Client, job: JobId, wanted: impl Fn(&JobStatus) -> bool) -> JobStatus {
+    let mut watch = client.watch(job).await.unwrap();
+    let mut last = None;
+    while let Some(status) = watch.next().await.unwrap() {
+        let is_wanted = wanted(&status);
+        last = Some(status);
+        if is_wanted {
+            break;
+        }
+    }
+    last.unwrap()
+}
+
+async fn pixels(client: &Client, job: JobId) -> Vec<String> {
+    let mut digests = Vec::new();
+    for frame in client.frames(job).await.unwrap() {
+        let bytes = client.get(&frame.image.digest, frame.image.bytes).await.unwrap();
+        let image: Image = exr::decode(std::io::Cursor::new(bytes)).unwrap().image;
+        digests.push(format!("{:?}", pixel_digest(&image)));
+    }
+    digests
+}
+
+/// The frames as one worker of one thread renders them.
+async fn reference(stop: Stop) -> Vec<String> {
+    let farm = Coordinator::start(Config::default()).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    let id = submit(&client, job(SCENE, &settings(stop))).await;
+    let one = worker(&farm, 1);
+    let status = until(&client, id, |_| false).await;
+    assert_eq!((status.state, status.frames_done, status.bad_samples), (JobState::Done, 3, 0), "{status:?}");
+    let pixels = pixels(&client, id).await;
+    assert_eq!(pixels.len(), 3);
+    assert_ne!(pixels[0], pixels[2], "the fog thickens");
+    one.abort();
+    farm.stop().await.unwrap();
+    pixels
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn three_workers_of_which_one_vanishes_render_the_pixels_of_one() {
+    let expected = reference(Stop::Spp(64)).await;
+    let farm = Coordinator::start(Config::default()).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    let id = submit(&client, job(SCENE, &settings(Stop::Spp(64)))).await;
+    let lost = worker(&farm, 2);
+    let others = [worker(&farm, 1), worker(&farm, 2)];
+    until(&client, id, |status| status.samples_done > 0).await;
+    lost.abort();
+    let status = until(&client, id, |_| false).await;
+    assert_eq!(status.state, JobState::Done, "{status:?}");
+    assert_eq!(pixels(&client, id).await, expected);
+    others.each_ref().map(JoinHandle::abort);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_coordinator_that_comes_back_goes_on_where_it_was() {
+    let expected = reference(Stop::Spp(64)).await;
+    let folder = tempfile::tempdir().unwrap();
+    let config = Config {
+        log: Log::Sqlite(folder.path().join("log.sqlite")),
+        artifacts: Artifacts::Folder(folder.path().join("artifacts")),
+        ..Config::default()
+    };
+    let farm = Coordinator::start(config.clone()).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    let id = submit(&client, job(SCENE, &settings(Stop::Spp(64)))).await;
+    let first = worker(&farm, 1);
+    let tiles = |status: &JobStatus| status.frames_done * 6 + status.active.iter().map(|f| f.tiles_done).sum::<u32>();
+    let before = until(&client, id, |status| tiles(status) >= 3).await;
+    first.abort();
+    farm.stop().await.unwrap();
+
+    let farm = Coordinator::start(config).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    assert_eq!(submit(&client, job(SCENE, &settings(Stop::Spp(64)))).await, id, "the same job");
+    let after = client.status(id).await.unwrap();
+    assert!(tiles(&after) >= tiles(&before), "what was done is done: {after:?}");
+    let second = worker(&farm, 2);
+    assert_eq!(until(&client, id, |_| false).await.state, JobState::Done);
+    assert_eq!(pixels(&client, id).await, expected);
+    second.abort();
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_frame_goes_on_round_by_round_until_its_error_is_reached() {
+    let farm = Coordinator::start(Config::default()).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    let id = submit(&client, job(SCENE, &settings(Stop::Error(0.03)))).await;
+    let workers = [worker(&farm, 1), worker(&farm, 1)];
+    let status = until(&client, id, |_| false).await;
+    assert_eq!(status.state, JobState::Done, "{status:?}");
+    let frames = client.frames(id).await.unwrap();
+    assert!(frames.iter().all(|frame| frame.relative_error.unwrap() <= 0.03), "{frames:?}");
+    assert!(frames.iter().any(|frame| frame.spp > 16), "more than one round: {frames:?}");
+    let in_rounds = pixels(&client, id).await;
+    // The same samples in one round are the same frame.
+    let spp = frames[0].spp;
+    let once = submit(&client, job(SCENE, &settings(Stop::Spp(spp)))).await;
+    until(&client, once, |_| false).await;
+    assert_eq!(pixels(&client, once).await[0], in_rounds[0]);
+    workers.each_ref().map(JoinHandle::abort);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn tiles_that_the_store_has_lost_are_rendered_again() {
+    let expected = reference(Stop::Spp(64)).await;
+    let store = Store::memory();
+    let farm = Coordinator::with(Config::default(), store.clone(), femc_queue::Memory::default()).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    let (spec, bundle) = job(SCENE, &settings(Stop::Spp(64)));
+    let keep = spec.bundle;
+    let id = submit(&client, (spec, bundle)).await;
+    let first = worker(&farm, 1);
+    until(&client, id, |status| status.active.iter().any(|frame| frame.tiles_done >= 2)).await;
+    first.abort();
+    until(&client, id, |status| status.workers == 0).await;
+    for artefact in store.list().await.unwrap() {
+        if artefact.digest != keep && !client.frames(id).await.unwrap().iter().any(|f| f.image == artefact) {
+            store.remove(&artefact.digest).await.unwrap();
+        }
+    }
+    let second = worker(&farm, 2);
+    let status = until(&client, id, |_| false).await;
+    assert_eq!(status.state, JobState::Done, "{status:?}");
+    assert_eq!(pixels(&client, id).await, expected);
+    second.abort();
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_broken_scene_fails_its_job_and_the_next_job_is_done() {
+    let farm = Coordinator::start(Config::default()).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    let workers = [worker(&farm, 1)];
+    let broken = submit(&client, job("f nobody knows\n", &settings(Stop::Spp(4)))).await;
+    let status = until(&client, broken, |_| false).await;
+    assert_eq!(status.state, JobState::Failed);
+    let Some(Failure::Scene { message }) = status.failure else { panic!("{status:?}") };
+    assert!(message.contains("haze.mgf:1"), "{message}");
+    let sound = submit(&client, job(SCENE, &settings(Stop::Spp(4)))).await;
+    assert_eq!(until(&client, sound, |_| false).await.state, JobState::Done);
+    workers.each_ref().map(JoinHandle::abort);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_cancelled_job_frees_its_worker_and_a_stopped_worker_gives_its_tasks_back() {
+    let farm = Coordinator::start(Config::default()).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    let endless = submit(&client, job(SCENE, &settings(Stop::Spp(1 << 24)))).await;
+    let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
+    let config = femc_worker::Config { threads: 1, ..femc_worker::Config::new(farm.url()) };
+    let first = tokio::spawn(Worker::run(config, async { drop(stopped.await) }));
+    until(&client, endless, |status| status.samples_done > 0).await;
+    client.control(endless, Control::Cancel).await.unwrap();
+    let sound = submit(&client, job(SCENE, &settings(Stop::Spp(4)))).await;
+    assert_eq!(until(&client, sound, |_| false).await.state, JobState::Done);
+    client.control(endless, Control::Retry).await.unwrap();
+    until(&client, endless, |status| status.samples_done > 0).await;
+    stop.send(()).unwrap();
+    first.await.unwrap().unwrap();
+    let status = client.status(endless).await.unwrap();
+    assert_eq!((status.workers, status.state), (0, JobState::Queued), "{status:?}");
+    assert_eq!(client.workers().await.unwrap(), []);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_worker_waits_for_its_coordinator_and_impatient_ones_give_up() {
+    let farm = Coordinator::start(Config::default()).await.unwrap();
+    let address = farm.address();
+    farm.stop().await.unwrap();
+    let url = format!("http://{address}");
+    let impatient = femc_worker::Config {
+        threads: 1,
+        patience: Some(std::time::Duration::from_millis(1)),
+        ..femc_worker::Config::new(url.clone())
+    };
+    let error = Worker::run(impatient, pending()).await.unwrap_err();
+    assert!(error.to_string().contains("cannot be reached"), "{error}");
+    let patient = femc_worker::Config { threads: 1, ..femc_worker::Config::new(url) };
+    let patient = tokio::spawn(Worker::run(patient, pending()));
+    let farm = Coordinator::start(Config { listen: address, ..Config::default() }).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    let id = submit(&client, job(SCENE, &settings(Stop::Spp(4)))).await;
+    assert_eq!(until(&client, id, |_| false).await.state, JobState::Done);
+    patient.abort();
+    farm.stop().await.unwrap();
+}

@@ -6,7 +6,6 @@
 mod leaf;
 mod probe;
 mod simd;
-mod stack;
 mod walk;
 
 pub(crate) use leaf::{Best, blas_closest, blas_occluded};

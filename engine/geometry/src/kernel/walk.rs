@@ -2,8 +2,10 @@
 
 use super::{
     probe::Probe,
-    simd::{Simd, Vector},
-    stack::{Entry, Stack},
+    simd::{
+        Simd, Vector,
+        stack::{Entry, Stack},
+    },
 };
 use crate::tree::{Child, Node, Tree};
 use femc_math::gamma;

@@ -1,7 +1,5 @@
 //! The traversal's stack: distances and children packed into u64, ordered like the distances, which are not negative.
 
-#![expect(unsafe_code, reason = "entries are left uninitialised: clearing 3 KiB would cost as much as tracing a ray")]
-
 use crate::tree::{Child, STACK, WIDTH};
 use std::mem::MaybeUninit;
 

@@ -1,0 +1,142 @@
+//! AVX2: one register a vector, no fused multiply-add.
+
+use super::{Simd, Task, Vector, stack::Stack};
+use crate::tree::{Child, Lanes, WIDTH};
+use std::{
+    arch::x86_64::*,
+    ops::{Add, BitAnd, BitOr, Div, Mul, Sub},
+};
+
+/// Proof that the processor has AVX2 and the bit instructions that come with it.
+#[derive(Clone, Copy, Debug)]
+pub struct Token(());
+
+#[derive(Clone, Copy)]
+pub struct Floats(__m256);
+
+/// Entry `m`: the set bits of `m`, one lane number a byte.
+static COMPRESS: [u64; 256] = {
+    let mut table = [0; 256];
+    let mut mask = 0;
+    while mask < 256 {
+        let (mut lane, mut place) = (0, 0);
+        while lane < 8 {
+            if mask >> lane & 1 == 1 {
+                table[mask] |= (lane as u64) << (8 * place);
+                place += 1;
+            }
+            lane += 1;
+        }
+        mask += 1;
+    }
+    table
+};
+
+impl Token {
+    pub fn detect() -> Option<Self> {
+        let all = is_x86_feature_detected!("avx2")
+            && is_x86_feature_detected!("bmi1")
+            && is_x86_feature_detected!("bmi2")
+            && is_x86_feature_detected!("popcnt")
+            && is_x86_feature_detected!("lzcnt");
+        all.then_some(Self(()))
+    }
+
+    #[inline(always)]
+    pub fn run<T: Task>(self, task: T) -> T::Output {
+        #[target_feature(enable = "avx2,bmi1,bmi2,popcnt,lzcnt")]
+        fn run<T: Task>(token: Token, task: T) -> T::Output {
+            task.run(token)
+        }
+        // SAFETY: a token exists only where `detect` has found these features.
+        unsafe { run(self, task) }
+    }
+}
+
+macro_rules! operators {
+    ($($trait:ident $method:ident $intrinsic:ident;)*) => {$(
+        impl $trait for Floats {
+            type Output = Self;
+            #[inline(always)]
+            fn $method(self, other: Self) -> Self {
+                // SAFETY: vectors are made from a token, which proves AVX2.
+                Self(unsafe { $intrinsic(self.0, other.0) })
+            }
+        }
+    )*};
+}
+
+operators! {
+    Add add _mm256_add_ps;
+    Sub sub _mm256_sub_ps;
+    Mul mul _mm256_mul_ps;
+    Div div _mm256_div_ps;
+    BitAnd bitand _mm256_and_ps;
+    BitOr bitor _mm256_or_ps;
+}
+
+macro_rules! methods {
+    ($($method:ident $intrinsic:ident $(::<$comparison:ident>)?;)*) => {$(
+        #[inline(always)]
+        fn $method(self, other: Self) -> Self {
+            // SAFETY: vectors are made from a token, which proves AVX2.
+            Self(unsafe { $intrinsic$(::<$comparison>)?(self.0, other.0) })
+        }
+    )*};
+}
+
+impl Vector for Floats {
+    methods! {
+        min _mm256_min_ps;
+        max _mm256_max_ps;
+        le _mm256_cmp_ps::<_CMP_LE_OQ>;
+        lt _mm256_cmp_ps::<_CMP_LT_OQ>;
+        equal _mm256_cmp_ps::<_CMP_EQ_OQ>;
+    }
+    #[inline(always)]
+    fn signs(self) -> u32 {
+        // SAFETY: vectors are made from a token, which proves AVX2.
+        unsafe { _mm256_movemask_ps(self.0) as u32 }
+    }
+    #[inline(always)]
+    fn lanes(self) -> Lanes {
+        let mut lanes = Lanes([0.0; WIDTH]);
+        // SAFETY: as above; `Lanes` holds eight floats and is aligned to 32 bytes.
+        unsafe { _mm256_store_ps(lanes.0.as_mut_ptr(), self.0) };
+        lanes
+    }
+}
+
+impl Simd for Token {
+    type V = Floats;
+    #[inline(always)]
+    fn splat(self, x: f32) -> Floats {
+        // SAFETY: the token proves AVX2.
+        Floats(unsafe { _mm256_set1_ps(x) })
+    }
+    #[inline(always)]
+    fn load(self, lanes: &Lanes) -> Floats {
+        // SAFETY: the token proves AVX2; `Lanes` holds eight floats and is aligned to 32 bytes.
+        Floats(unsafe { _mm256_load_ps(lanes.0.as_ptr()) })
+    }
+    #[inline(always)]
+    fn push(self, mask: u32, distances: Floats, children: &[Child; WIDTH], stack: &mut Stack) -> usize {
+        let mask = mask & 255;
+        let count = mask.count_ones() as usize;
+        let room = stack.room().as_mut_ptr().cast::<__m256i>();
+        // SAFETY: the token proves AVX2. `children` is eight u32 (Child is transparent); the room is eight u64, written whole, so
+        // the first `count` <= 8 are initialised.
+        unsafe {
+            let places = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(COMPRESS[mask as usize] as i64));
+            let children = _mm256_loadu_si256(children.as_ptr().cast());
+            let children = _mm256_permutevar8x32_epi32(children, places);
+            let distances = _mm256_permutevar8x32_epi32(_mm256_castps_si256(distances.0), places);
+            let even = _mm256_unpacklo_epi32(children, distances);
+            let odd = _mm256_unpackhi_epi32(children, distances);
+            _mm256_storeu_si256(room, _mm256_permute2x128_si256::<0x20>(even, odd));
+            _mm256_storeu_si256(room.add(1), _mm256_permute2x128_si256::<0x31>(even, odd));
+            stack.take(count);
+        }
+        count
+    }
+}

@@ -133,10 +133,10 @@ fn an_unfinished_camera_has_the_defaults_of_the_format() {
 }
 
 #[test]
-fn media_take_colours_only_when_raw_and_fill_boxes_and_everything() {
+fn media_take_colours_only_when_raw_and_their_own_and_fill_boxes_and_everything() {
     let scene = scene(
-        "c\ncct 3000\nmedium fog =\nsigma_s .5\nsigma_a .1\nphase hg .7\nglow 2\ndensity height 1 4\n\
-        c\ncrgb 1 .5 .2\nmedium smoke = fog\nsigma_s 2\nphase schlick -.3\nmglobal fog\n\
+        "c\ncrgb .9 .1 .1\nmedium fog =\nsigma_s .5\nsigma_a .1\nphase hg .7\nc\ncct 3000\nglow 2\ndensity height 1 4\n\
+        medium smoke = fog\nc\ncrgb 1 .5 .2\nsigma_s 2\nphase schlick -.3\nmglobal fog\n\
         xf -s 2 -t 0 0 1\nmbox smoke 1 1 1 0 0 0\nxf\nmedium air =\nphase rayleigh",
     );
     let [fog, smoke, air] = &scene.media[..] else { panic!("three media") };

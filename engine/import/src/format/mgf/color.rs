@@ -88,6 +88,7 @@ impl Reader<'_> {
     pub(super) fn crgb(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(3..=3, "r g b")?;
         let channel = |i| args.number_in(i, "color component", ">= 0", |x| x >= 0.0);
+        self.medium_colored = true;
         *self.colors.current_mut() = Color { rgb: [channel(0)?, channel(1)?, channel(2)?], raw: true };
         Ok(())
     }
@@ -99,6 +100,7 @@ impl Reader<'_> {
         if clipped {
             self.warn(args, Oddity::OutOfGamut);
         }
+        self.medium_colored = true;
         *self.colors.current_mut() = Color { rgb, raw: false };
         Ok(())
     }

@@ -41,6 +41,7 @@ impl Reader<'_> {
     pub(super) fn medium(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(1..=3, "NAME [= [TEMPLATE]]")?;
         self.seal_medium()?;
+        self.medium_colored = false;
         if self.media.select(args)? != Opened::Again {
             let state = self.media.current_mut();
             state.medium.name = args.text(0).into_owned();
@@ -55,7 +56,7 @@ impl Reader<'_> {
         if !self.media.is_named() {
             return Err(args.fault(Fault::NoContext { entity: args.entity().into_owned(), kind: Kind::Medium }));
         }
-        let color = *self.colors.current();
+        let color = if self.medium_colored { *self.colors.current() } else { super::color::Color::default() };
         let coefficient = |what| {
             args.count(1..=1, "one number")?;
             args.number_in(0, what, ">= 0", |x| x >= 0.0)

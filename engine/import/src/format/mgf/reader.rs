@@ -46,6 +46,8 @@ pub(super) struct Reader<'f> {
     pub vertices: Table<VertexState>,
     pub cameras: Table<Camera>,
     pub media: Table<MediumState>,
+    /// Whether a colour was given since the medium was opened: colours of other contexts do not tint media.
+    pub medium_colored: bool,
     pub medium_entries: HashMap<String, Vec<MediumId>>,
     pub photometries: HashMap<String, (PhotometryId, Option<Tilt>)>,
     /// Textured materials that were found on surfaces without texture coordinates.
@@ -113,6 +115,7 @@ impl<'f> Reader<'f> {
             counts: vec![0],
             stored: 0,
             twins: HashMap::new(),
+            medium_colored: false,
             triangulator: Triangulator::default(),
         }
     }
@@ -126,7 +129,10 @@ impl<'f> Reader<'f> {
             b"uv" => self.uv(args),
             b"f" => self.f(args),
             b"fh" => self.fh(args),
-            b"c" => self.colors.select(args).map(|_| ()),
+            b"c" => {
+                self.medium_colored = true;
+                self.colors.select(args).map(|_| ())
+            }
             b"cxy" => self.cxy(args),
             b"cspec" => self.cspec(args),
             b"cct" => self.cct(args),

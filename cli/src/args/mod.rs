@@ -79,13 +79,17 @@ pub struct ServerArgs {
 /// The commands, in the order of `--help`.
 #[derive(Debug, Subcommand)]
 pub enum Command {
+    Render(command::render::RenderArgs),
     Plan(command::plan::PlanArgs),
     Check(command::check::CheckArgs),
     Compare(command::compare::CompareArgs),
+    Coordinator(command::coordinator::CoordinatorArgs),
+    Worker(command::worker::WorkerArgs),
     Submit(command::submit::SubmitArgs),
     Jobs(command::jobs::JobsArgs),
     Status(command::status::StatusArgs),
     Watch(command::watch::WatchArgs),
+    Fetch(command::fetch::FetchArgs),
     Workers(command::workers::WorkersArgs),
     /// Hold a job: running tasks end, no new ones begin
     #[command(after_help = "Examples:\n  femc pause 7")]
@@ -114,6 +118,6 @@ pub enum Command {
 impl Command {
     /// Whether the command runs until it is stopped, and so tells what it does as it goes.
     pub fn is_service(&self) -> bool {
-        false
+        matches!(self, Self::Coordinator(_) | Self::Worker(_))
     }
 }

@@ -5,12 +5,17 @@ mod client;
 pub mod compare;
 mod completions;
 pub mod control;
+pub mod coordinator;
+mod embedded;
+pub mod fetch;
 mod interrupt;
 pub mod jobs;
 pub mod plan;
+pub mod render;
 pub mod status;
 pub mod submit;
 pub mod watch;
+pub mod worker;
 pub mod workers;
 
 use crate::args::{Cli, Command};
@@ -21,13 +26,17 @@ use femc_model::Control;
 /// Do what was asked.
 pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
     match cli.command {
+        Command::Render(args) => render::run(args, say),
         Command::Plan(args) => plan::run(args, say),
         Command::Check(args) => check::run(args, say),
         Command::Compare(args) => compare::run(args, say),
+        Command::Coordinator(args) => coordinator::run(args, say),
+        Command::Worker(args) => worker::run(args, say),
         Command::Submit(args) => submit::run(args, say),
         Command::Jobs(args) => jobs::run(args, say),
         Command::Status(args) => status::run(args, say),
         Command::Watch(args) => watch::run(args, say),
+        Command::Fetch(args) => fetch::run(args, say),
         Command::Workers(args) => workers::run(args, say),
         Command::Pause(args) => control::run(&args, Control::Pause, say),
         Command::Resume(args) => control::run(&args, Control::Resume, say),

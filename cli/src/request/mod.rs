@@ -10,7 +10,7 @@ mod size;
 
 pub use asked::{Asked, FramesChosen, beside, load};
 pub use duration::Budget;
-pub use frames::{Frames, FramesError};
-pub use job_file::{JobFile, JobFileError};
+pub use frames::Frames;
+pub use job_file::JobFile;
 pub use overrides::Override;
 pub use size::Size;

@@ -5,7 +5,7 @@ use super::state::State;
 use super::target::Target;
 use crate::clock::Clock;
 use crate::command::client::{self, Farm};
-use crate::command::embedded::Embedded;
+use crate::command::embedded::{self, Embedded};
 use crate::command::interrupt::Interrupt;
 use crate::exit::{Failure, failed, interrupted};
 use crate::output::{Progress, Say, job as show};
@@ -36,8 +36,18 @@ pub struct Order<'a> {
 pub fn run(order: &Order<'_>, state: &State, say: Say) -> Result<Vec<FrameReport>, Failure> {
     client::runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
-        let farm = Embedded::start(state, order.asked.workers, order.asked.threads).await?;
-        let outcome = frames(order, farm.client(), state, &mut interrupt, say).await;
+        let plan = embedded::Plan {
+            log: state.log(),
+            artifacts: state.artifacts(),
+            workers: order.asked.workers,
+            threads: order.asked.threads,
+        };
+        let (mut farm, client) = Embedded::start(plan).await?;
+        let outcome = tokio::select! {
+            outcome = frames(order, &client, state, &mut interrupt, say) => outcome,
+            broken = farm.broken() => return Err(broken),
+        };
+        drop(client);
         farm.stop().await;
         outcome
     })

@@ -1,0 +1,111 @@
+//! `femc coordinator`: the farm's server.
+
+use super::client::runtime;
+use super::interrupt::Interrupt;
+use crate::exit::{Exit, Failure, failed, usage};
+use crate::output::Say;
+use clap::Args;
+use femc_coordinator::{Artifacts, Config, Coordinator, CoordinatorError, Exposure, Log};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+
+/// Run the farm's server, until it is stopped
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc coordinator\n  \
+    femc coordinator --listen 127.0.0.1:7878 --store sqlite:farm.db --artifacts artifacts\n  \
+    femc coordinator --listen 127.0.0.1:0    # any free port; the first line on stdout says which\n\n\
+    Stopped by Ctrl-C, SIGTERM or a crash, it goes on where it was when it is started again with the same --store\n\
+    and --artifacts; its workers join again by themselves.")]
+pub struct CoordinatorArgs {
+    /// Address and port to listen on
+    #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7878")]
+    listen: SocketAddr,
+    /// The log of jobs: sqlite:PATH, or memory (lost at the end)
+    #[arg(long, value_name = "STORE", default_value = "sqlite:femc-farm/farm.db", value_parser = store)]
+    store: Log,
+    /// Folder for scenes, tiles and images, or memory (lost at the end)
+    #[arg(long, value_name = "DIR", default_value = "femc-farm/artifacts", value_parser = artifacts)]
+    artifacts: Artifacts,
+    /// Listen on an address that other machines can reach, although connections are not encrypted yet
+    #[arg(long)]
+    insecure: bool,
+}
+
+fn store(text: &str) -> Result<Log, String> {
+    match text.split_once(':') {
+        None if text == "memory" => Ok(Log::Memory),
+        Some(("sqlite", path)) if !path.is_empty() => Ok(Log::Sqlite(PathBuf::from(path))),
+        Some(("postgres" | "postgresql", _)) => Err("PostgreSQL is not there yet; give sqlite:PATH".to_owned()),
+        _ => Err("give sqlite:PATH, like sqlite:farm.db, or memory".to_owned()),
+    }
+}
+
+fn artifacts(text: &str) -> Result<Artifacts, String> {
+    match text.split_once("://") {
+        _ if text == "memory" => Ok(Artifacts::Memory),
+        None => Ok(Artifacts::Folder(PathBuf::from(text))),
+        Some(("file", path)) => Ok(Artifacts::Folder(PathBuf::from(path))),
+        Some((scheme, _)) => Err(format!("{scheme}:// is not there yet; give a folder, or memory")),
+    }
+}
+
+/// Serve.
+pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
+    if let Log::Sqlite(path) = &args.store
+        && let Some(folder) = path.parent().filter(|folder| *folder != Path::new(""))
+    {
+        std::fs::create_dir_all(folder).map_err(|e| failed(format!("--store {}: {e}", folder.display())))?;
+    }
+    let exposure = if args.insecure { Exposure::Anybody } else { Exposure::Loopback };
+    if args.insecure && !args.listen.ip().is_loopback() {
+        say.warning(format!(
+            "{} can be reached from other machines; whoever reaches it can submit jobs and read images",
+            args.listen
+        ));
+    }
+    let config = Config {
+        listen: args.listen,
+        exposure,
+        log: args.store,
+        artifacts: args.artifacts,
+        scheduler: femc_schedule::Config::default(),
+    };
+    runtime()?.block_on(async {
+        let mut interrupt = Interrupt::listen()?;
+        let mut coordinator = Coordinator::start(config).await.map_err(|e| told(&e))?;
+        say.result(format!("listening on {}", coordinator.url()));
+        tokio::select! {
+            error = coordinator.failed() => return Err(told(&error)),
+            () = interrupt.wait() => {}
+        }
+        coordinator.stop().await.map_err(|e| told(&e))?;
+        say.note("stopped; start it again with the same --store and --artifacts to go on");
+        Ok(Exit::Done)
+    })
+}
+
+fn told(error: &CoordinatorError) -> Failure {
+    match error {
+        CoordinatorError::Listen { .. } => failed(format!("--listen: {error}; give another address or port")),
+        CoordinatorError::Exposed { .. } => usage(format!("--listen: {error}; use 127.0.0.1, or say --insecure")),
+        CoordinatorError::Queue(_) | CoordinatorError::Ledger(_) => failed(format!("--store: {error}")),
+        CoordinatorError::Store(_) => failed(format!("--artifacts: {error}")),
+        CoordinatorError::Serve(_) | CoordinatorError::Panicked => failed(error),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_store_is_a_file_or_memory_and_what_is_not_there_yet_says_so() {
+        assert_eq!(store("sqlite:a/b.db"), Ok(Log::Sqlite("a/b.db".into())));
+        assert_eq!(store("memory"), Ok(Log::Memory));
+        assert!(store("postgres://host/farm").is_err_and(|error| error.contains("not there yet")));
+        assert!(store("sqlite:").is_err() && store("farm.db").is_err());
+        assert_eq!(artifacts("a/b"), Ok(Artifacts::Folder("a/b".into())));
+        assert!(artifacts("s3://bucket/prefix").is_err_and(|error| error.contains("not there yet")));
+    }
+}

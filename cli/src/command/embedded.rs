@@ -1,0 +1,82 @@
+//! A farm in this process: the coordinator and the workers of `femc coordinator` and `femc worker`, on a loopback port
+//! that the system chooses. What that costs is a copy of every result through a socket; what it buys is that there is no
+//! second way to render.
+
+use super::client::Farm;
+use crate::exit::{Failure, failed};
+use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log};
+use femc_worker::{Cache, Worker, WorkerError};
+use std::path::PathBuf;
+use tokio::sync::watch;
+use tokio::task::JoinSet;
+
+/// What the farm is made of.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    /// SQLite file of the log.
+    pub log: PathBuf,
+    /// Folder of the artefacts.
+    pub artifacts: PathBuf,
+    /// Workers, >= 1.
+    pub workers: u32,
+    /// Threads of each worker; `None`: all cores.
+    pub threads: Option<u32>,
+}
+
+/// A running farm.
+pub struct Embedded {
+    coordinator: Handle,
+    workers: JoinSet<Result<(), WorkerError>>,
+    stop: watch::Sender<()>,
+}
+
+impl Embedded {
+    /// Start it, and connect to it.
+    pub async fn start(plan: Plan) -> Result<(Self, Farm), Failure> {
+        let config =
+            Config { log: Log::Sqlite(plan.log), artifacts: Artifacts::Folder(plan.artifacts), ..Config::default() };
+        let coordinator = Coordinator::start(config).await.map_err(failed)?;
+        let (stop, stopped) = watch::channel(());
+        let (mut workers, cache) = (JoinSet::new(), Cache::default());
+        for number in 1..=plan.workers {
+            let config = femc_worker::Config {
+                name: format!("worker {number}"),
+                threads: plan.threads.map_or(0, |threads| threads as usize),
+                cache: cache.clone(),
+                ..femc_worker::Config::new(coordinator.url())
+            };
+            let mut stopped = stopped.clone();
+            workers.spawn(Worker::run(config, async move {
+                // Ends when the sender is dropped.
+                let _ = stopped.changed().await;
+            }));
+        }
+        let client = Farm::connect(&coordinator.url()).await?;
+        Ok((Self { coordinator, workers, stop }, client))
+    }
+
+    /// Waits until a part of it ends by itself, which it does only when something is broken.
+    pub async fn broken(&mut self) -> Failure {
+        tokio::select! {
+            error = self.coordinator.failed() => failed(error),
+            Some(worker) = self.workers.join_next() => match worker {
+                Ok(Err(error)) => failed(format!("a worker ended: {error}")),
+                Ok(Ok(())) => failed("a worker ended"),
+                Err(panic) => failed(format!("a worker ended: {panic}")),
+            },
+        }
+    }
+
+    /// End it: what runs is given back to the log, so that the next run goes on from there. Drop clients before.
+    pub async fn stop(mut self) {
+        drop(self.stop);
+        while let Some(worker) = self.workers.join_next().await {
+            if let Ok(Err(error)) = worker {
+                tracing::warn!(%error, "a worker ended badly");
+            }
+        }
+        if let Err(error) = self.coordinator.stop().await {
+            tracing::warn!(%error, "the coordinator ended badly");
+        }
+    }
+}

@@ -60,7 +60,8 @@ fn fog_that_absorbs_nothing_leaves_a_furnace_as_it_is() {
 fn a_medium_as_bright_as_its_walls_is_invisible() {
     // sigma_a L = glow / (4 pi) with L = 1 = ed / pi: exact on every path.
     for density in ["uniform", "height -.5 .6"] {
-        let fog = format!("medium gas =\n sigma_a 2\n glow {}\n density {density}\nmglobal gas", 8.0 * std::f64::consts::PI);
+        let fog =
+            format!("medium gas =\n sigma_a 2\n glow {}\n density {density}\nmglobal gas", 8.0 * std::f64::consts::PI);
         let text = closed_box(" sides 2\n c\n ed 3.14159265358979", &fog);
         let image = render(&scene(&text), &spp(256), 1);
         agrees(&image, 1.0, 1e-4);
@@ -137,7 +138,8 @@ fn a_moved_scene_gives_the_same_image() {
             "camera main =\n origin {} 0 1\n target {} 0 0\n up 0 1 0\n fov 40\n film 8 8\nm floor =\n sides 2\n c\n rd .5\n{lamp}\
              xf -t {x} 0 0\nv a =\n p -1 -1 0\nv b =\n p 1 -1 0\nv c =\n p 1 1 0\nv d =\n p -1 1 0\nm floor\nf a b c d\n\
              v e =\n p -1 -1 2\nv f =\n p -1 1 2\nv g =\n p 1 1 2\nv h =\n p 1 -1 2\nm lamp\nf e f g h\nxf\n",
-            x + 0.2, x
+            x + 0.2,
+            x
         )
     };
     let here = mean(&render(&scene(&at(0.0)), &spp(64), 1));

@@ -68,9 +68,8 @@ fn compare(image: &FrameImage, halves: [&Image; 2]) -> Comparison {
 fn check(name: &str, spp: u32, tolerance: f64, limit: f64) {
     let Some(folder) = shared("refs") else { return };
     let loaded = femc_import::load_path(&folder.join(format!("{name}.mgf"))).unwrap_or_else(|e| panic!("{e}"));
-    let halves = ["A", "B"].map(|half| {
-        read(&folder.join(format!("{name}_{half}.exr"))).unwrap_or_else(|e| panic!("{e}")).image
-    });
+    let halves =
+        ["A", "B"].map(|half| read(&folder.join(format!("{name}_{half}.exr"))).unwrap_or_else(|e| panic!("{e}")).image);
     let start = std::time::Instant::now();
     let settings = Settings { stop: Stop::Spp(spp), ..Settings::default() };
     let image = render(&Arc::new(loaded.scene), &settings, 1);
@@ -79,7 +78,12 @@ fn check(name: &str, spp: u32, tolerance: f64, limit: f64) {
     let net = c.relmse - c.reference_noise;
     println!(
         "{name}: {spp} spp, {seconds:.2} s, mean_ratio {:.5}, relmse {:.4e} (reference's own {:.2e}, net {net:.4e}), K {:.3e}, worst z {:.2} at {:?}",
-        c.mean_ratio, c.relmse, c.reference_noise, net * seconds, c.worst_z, c.worst_block
+        c.mean_ratio,
+        c.relmse,
+        c.reference_noise,
+        net * seconds,
+        c.worst_z,
+        c.worst_block
     );
     assert!((c.mean_ratio - 1.0).abs() <= tolerance, "mean ratio {}", c.mean_ratio);
     assert!(net <= limit, "relmse less the reference's own noise {net} > {limit}");

@@ -20,6 +20,7 @@ pub use sampler::SampleStream;
 pub use transform::Transform;
 
 /// Relative error bound of `n` chained f32 operations, `n eps / (1 - n eps)` with `eps = 2^-24` (\[higham2002\]).
+#[inline]
 pub const fn gamma(n: u32) -> f32 {
     const EPSILON: f32 = f32::EPSILON * 0.5;
     (n as f32 * EPSILON) / (1.0 - n as f32 * EPSILON)

@@ -106,7 +106,8 @@ impl Fog<'_, '_> {
         let u = stream.next_2d();
         stream.seek(segment.base + dim::LIGHT);
         let choice = stream.next_1d();
-        let Some(drawn) = scene.lights.sample(&scene.world, &scene.textures, collision.position, segment.time, choice, u)
+        let Some(drawn) =
+            scene.lights.sample(&scene.world, &scene.textures, collision.position, segment.time, choice, u)
         else {
             return Rgb::ZERO;
         };
@@ -141,7 +142,8 @@ impl Fog<'_, '_> {
         let position = segment.origin + segment.dir * t;
         stream.seek(segment.base + dim::EQUIANGULAR_POINT);
         let point = stream.next_2d();
-        let Some(sample) = scene.lights.sample_light(&scene.world, &scene.textures, light, position, segment.time, point)
+        let Some(sample) =
+            scene.lights.sample_light(&scene.world, &scene.textures, light, position, segment.time, point)
         else {
             return Rgb::ZERO;
         };
@@ -151,7 +153,8 @@ impl Fog<'_, '_> {
         let (phase, phase_pdf) = scene.media.phase(self.ray, &event, -segment.dir, sample.dir);
         let pdf = probability * sample.pdf;
         let by_light = square(event.pdf / density);
-        let by_phase = if sample.delta == DeltaKind::Position { 0.0 } else { square(event.pdf * phase_pdf / (density * pdf)) };
+        let by_phase =
+            if sample.delta == DeltaKind::Position { 0.0 } else { square(event.pdf * phase_pdf / (density * pdf)) };
         let weight = 1.0 / (1.0 + by_light + by_phase);
         let visibility = self.visibility(segment, position, &sample);
         event.weight * phase * sample.radiance * visibility * (weight / (density * pdf))

@@ -73,7 +73,13 @@ pub struct Tracer<'a> {
 impl<'a> Tracer<'a> {
     /// A tracer of `scene`.
     pub fn new(scene: &'a Prepared, settings: PathSettings) -> Self {
-        Self { scene, settings, segment_media: MediaRay::default(), shadow: Shadow::default(), counters: Counters::default() }
+        Self {
+            scene,
+            settings,
+            segment_media: MediaRay::default(),
+            shadow: Shadow::default(),
+            counters: Counters::default(),
+        }
     }
 
     /// Draws sample `sample` of `pixel` (row-major index in the whole film); `place` maps two random numbers to the film
@@ -110,7 +116,8 @@ impl<'a> Tracer<'a> {
 
             if MEDIA && scene.media.along(ray.origin, ray.dir, t_hit, &inside, &mut self.segment_media) {
                 let may_scatter = self.settings.max_depth == 0 || segment + 1 < self.settings.max_depth;
-                let mut fog = Fog { scene, ray: &self.segment_media, shadow: &mut self.shadow, counters: &mut self.counters };
+                let mut fog =
+                    Fog { scene, ray: &self.segment_media, shadow: &mut self.shadow, counters: &mut self.counters };
                 let stretch = Segment { origin: ray.origin, dir: ray.dir, time: ray.time, inside: &inside, base };
                 out.color += throughput * fog.glow(&stretch, &mut stream);
                 if may_scatter {
@@ -167,7 +174,8 @@ impl<'a> Tracer<'a> {
             let bsdf = self.bsdf(material, &point);
             let (frame, wo) = local_wo(material, &point, ray.dir);
             if !bsdf.is_delta_only() {
-                out.color += throughput * self.direct::<MEDIA>(&bsdf, &frame, wo, &point, back, ray.time, &inside, base, &mut stream);
+                out.color += throughput
+                    * self.direct::<MEDIA>(&bsdf, &frame, wo, &point, back, ray.time, &inside, base, &mut stream);
             }
             stream.seek(base + dim::LOBE);
             let choice = stream.next_1d();
@@ -203,7 +211,14 @@ impl<'a> Tracer<'a> {
 
     /// Russian roulette; also ends paths that carry nothing.
     #[inline]
-    fn survives(&self, segment: u32, throughput: &mut Rgb, eta_scale: f32, stream: &mut SampleStream, base: u32) -> bool {
+    fn survives(
+        &self,
+        segment: u32,
+        throughput: &mut Rgb,
+        eta_scale: f32,
+        stream: &mut SampleStream,
+        base: u32,
+    ) -> bool {
         let most = throughput.max_element();
         if !(most > 0.0) {
             // A NaN must reach the film, where it is counted.
@@ -232,8 +247,15 @@ impl<'a> Tracer<'a> {
     #[inline]
     fn met_light(&self, ray: &Ray, point: &SurfacePoint, previous: &Previous) -> Rgb {
         let (scene, light) = (self.scene, point.light);
-        let radiance =
-            scene.lights.radiance(&scene.world, &scene.textures, light, ray.time, point.normal, -ray.dir, point.parametric);
+        let radiance = scene.lights.radiance(
+            &scene.world,
+            &scene.textures,
+            light,
+            ray.time,
+            point.normal,
+            -ray.dir,
+            point.parametric,
+        );
         let Some(pdf) = previous.pdf else { return radiance };
         if radiance == Rgb::ZERO {
             return radiance;
@@ -311,7 +333,8 @@ fn local_wo(material: &KernelMaterial, point: &SurfacePoint, dir: Vec3A) -> (Fra
     // An interpolated normal may put the viewer on the wrong side of the surface: shade with the geometric normal there.
     let expected_front = !back || material.faces_viewer == Orientation::TowardViewer;
     if (wo.z > 0.0) != expected_front {
-        let normal = if back && material.faces_viewer == Orientation::TowardViewer { -point.normal } else { point.normal };
+        let normal =
+            if back && material.faces_viewer == Orientation::TowardViewer { -point.normal } else { point.normal };
         frame = Frame::from_normal(normal);
         wo = frame.to_local(outward);
     }

@@ -7,9 +7,7 @@ use femc_geometry::{Blas, Cull, Facing as KernelFacing, Quadric as KernelShape, 
 use femc_math::glam::{DAffine3, DMat3, DVec3, Vec2, Vec3, Vec3A};
 use femc_math::hash::combine;
 use femc_math::transform::transform_normal;
-use femc_scene::{
-    Facing, Group, GroupId, Luminaire, Motion, ObjectId, Scalars, Scene, Shape, Sides,
-};
+use femc_scene::{Facing, Group, GroupId, Luminaire, Motion, ObjectId, Scalars, Scene, Shape, Sides};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -129,7 +127,18 @@ impl<'a> Compiler<'a> {
         for g in 0..scene.groups.len() {
             expand(scene, GroupId(g as u32), &mut expanded);
         }
-        Self { scene, now, photometry, classes, hidden, previous, cache: Cache::new(), placed: Vec::new(), expanded, mirror_at: pose }
+        Self {
+            scene,
+            now,
+            photometry,
+            classes,
+            hidden,
+            previous,
+            cache: Cache::new(),
+            placed: Vec::new(),
+            expanded,
+            mirror_at: pose,
+        }
     }
 
     /// Compiles the world and everything placed in it.
@@ -242,14 +251,7 @@ impl<'a> Compiler<'a> {
         // Shapes come after all triangles in primitive order.
         out.primitives.append(&mut out.shape_primitives);
         let blas = Arc::new(Blas::build(out.triangles, out.shapes));
-        Compiled {
-            blas,
-            primitives: out.primitives,
-            corners: out.corners,
-            emitters: out.emitters,
-            center,
-            key,
-        }
+        Compiled { blas, primitives: out.primitives, corners: out.corners, emitters: out.emitters, center, key }
     }
 
     /// A round point near the middle of what is compiled, so that its coordinates are small; zero when they are anyway.
@@ -296,9 +298,8 @@ impl<'a> Compiler<'a> {
                     (None, false) => NONE,
                 };
                 let corners = if corner.iter().any(|v| v.normal.is_some() || v.uv.is_some()) {
-                    let normals = corner.map(|v| {
-                        v.normal.map_or(Vec3::ZERO, |n| transform_normal(to_local, n).as_vec3())
-                    });
+                    let normals =
+                        corner.map(|v| v.normal.map_or(Vec3::ZERO, |n| transform_normal(to_local, n).as_vec3()));
                     let uv = corner.map(|v| v.uv.map_or(Vec2::ZERO, |uv| uv.as_vec2()));
                     out.corners.push(Corners { normals, uv });
                     out.corners.len() as u32 - 1

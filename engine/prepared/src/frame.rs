@@ -109,9 +109,7 @@ pub fn prepare(scene: &Arc<Scene>, spec: &FrameSpec, previous: Option<&Prepared>
     let origin = rebase_origin(scene, spec.camera.as_deref())?;
     let (textures, photometry) = match previous {
         Some(previous) => (previous.textures.clone(), previous.photometry.clone()),
-        None => {
-            (Arc::new(scene.images.iter().map(Texture::new).collect()), Arc::new(PhotometryTables::new(scene)?))
-        }
+        None => (Arc::new(scene.images.iter().map(Texture::new).collect()), Arc::new(PhotometryTables::new(scene)?)),
     };
 
     let classes: Vec<_> = now.materials.iter().map(surface_class).collect();

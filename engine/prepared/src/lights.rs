@@ -20,6 +20,8 @@ use std::sync::Arc;
 pub struct Lights {
     set: LightSet,
     entries: Vec<Entry>,
+    /// Middles of the lights, in the frames that they are kept in.
+    centers: Vec<Vec3A>,
 }
 
 /// Place and texture of a light.
@@ -52,7 +54,8 @@ impl Lights {
     /// Joins lights with their entries (same length and order).
     pub fn new(lights: Vec<Light>, entries: Vec<Entry>) -> Self {
         debug_assert_eq!(lights.len(), entries.len());
-        Self { set: LightSet::new(lights), entries }
+        let centers = lights.iter().map(Light::center).collect();
+        Self { set: LightSet::new(lights), entries, centers }
     }
 
     /// Whether there is no light at all.
@@ -167,7 +170,7 @@ impl Lights {
     /// Middle of a light, prepared frame, m.
     #[inline]
     pub fn center(&self, world: &World, light: u32, time: f32) -> Vec3A {
-        let center = self.set.lights()[light as usize].center();
+        let center = self.centers[light as usize];
         match self.entries[light as usize].carrier {
             NONE => center,
             carrier => world.pose_at(carrier, time).transform_point3a(center),
@@ -278,9 +281,7 @@ pub fn light_of(shape: &EmitterShape, material: Option<&Material>, tables: &Phot
     };
     match shape {
         EmitterShape::Triangle([a, b, c]) => Light::Triangle(Triangle::new([v(a), v(b), v(c)], emission)),
-        EmitterShape::Parallelogram([o, a, b]) => {
-            Light::Parallelogram(Parallelogram::new(v(o), v(a), v(b), emission))
-        }
+        EmitterShape::Parallelogram([o, a, b]) => Light::Parallelogram(Parallelogram::new(v(o), v(a), v(b), emission)),
         EmitterShape::Curved(Shape::Sphere { center, radius, facing }) => {
             Light::Sphere(Sphere::new(v(center), signed(*radius, *facing), emission))
         }

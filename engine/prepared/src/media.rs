@@ -98,6 +98,7 @@ pub struct Media {
     media: Vec<KernelMedium>,
     regions: Vec<(u16, Bounds)>,
     carried: bool,
+    glows: bool,
 }
 
 /// Media that a path carries because it is inside a closed object: a multiset of medium indices.
@@ -188,7 +189,8 @@ pub enum Distance {
 impl Media {
     /// Media by index. `carried`: whether surfaces have media behind them (see [`Inside`]).
     pub fn new(media: Vec<KernelMedium>, carried: bool) -> Self {
-        Self { media, regions: Vec::new(), carried }
+        let glows = media.iter().any(|m| m.glow.max_element() > 0.0);
+        Self { media, regions: Vec::new(), carried, glows }
     }
 
     /// Fills everything with `medium`.
@@ -208,7 +210,7 @@ impl Media {
 
     /// Whether some medium emits.
     pub fn glows(&self) -> bool {
-        self.media.iter().any(|m| m.glow.max_element() > 0.0)
+        self.glows
     }
 
     /// The medium of an index.
@@ -241,6 +243,14 @@ impl Media {
                 self.close(0.0, t_max, out);
             }
             return !out.intervals.is_empty();
+        }
+        if let [(a, region, _), (b, ..)] = out.crossings[..]
+            && out.present.is_empty()
+        {
+            // One box and nothing else: by far the most common case.
+            out.present.push(self.regions[region as usize].0);
+            self.close(a, b, out);
+            return true;
         }
         out.crossings.sort_by(|x, y| x.0.total_cmp(&y.0).then(x.1.cmp(&y.1)).then(x.2.cmp(&y.2)));
         let mut start = 0.0;
@@ -366,7 +376,12 @@ impl Media {
             let (scatter, rate) = self.coefficients(ray, interval, t);
             let pdf = mean(rate * attenuate(drawn + depth.1));
             let weight = scatter * attenuate(all + depth.0);
-            return (pdf > 0.0 && weight.max_element() > 0.0).then_some(Event { t, weight, pdf, interval: index as u32 });
+            return (pdf > 0.0 && weight.max_element() > 0.0).then_some(Event {
+                t,
+                weight,
+                pdf,
+                interval: index as u32,
+            });
         }
         None
     }

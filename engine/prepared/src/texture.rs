@@ -36,8 +36,8 @@ impl Texture {
         let (fx, fy) = (x - x0, y - y0);
         let (ix, iy) = (x0 as i64, y0 as i64);
         let top = self.texel(ix, iy) * (1.0 - fx) + self.texel(ix.saturating_add(1), iy) * fx;
-        let bottom =
-            self.texel(ix, iy.saturating_add(1)) * (1.0 - fx) + self.texel(ix.saturating_add(1), iy.saturating_add(1)) * fx;
+        let bottom = self.texel(ix, iy.saturating_add(1)) * (1.0 - fx)
+            + self.texel(ix.saturating_add(1), iy.saturating_add(1)) * fx;
         top * (1.0 - fy) + bottom * fy
     }
 }

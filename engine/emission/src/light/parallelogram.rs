@@ -22,6 +22,8 @@ pub struct Parallelogram {
     cross: DVec3,
     normal: DVec3,
     area: f64,
+    /// Square of half the longer diagonal, m2.
+    reach2: f64,
     shape: Shape,
     scale: Vec3A,
     /// What it emits.
@@ -65,6 +67,7 @@ impl Parallelogram {
             cross,
             normal: cross.normalize_or_zero(),
             area: cross.length(),
+            reach2: 0.25 * (u + v).length_squared().max((u - v).length_squared()),
             shape,
             scale: origin.abs() + edge_u.abs() + edge_v.abs(),
             emission,
@@ -103,6 +106,9 @@ impl Parallelogram {
         let behind = a.dot(self.normal);
         if behind == 0.0 || (behind > 0.0 && self.emission.sides == Sides::One) {
             return (None, Strategy::EdgeOn);
+        }
+        if solid_angle::is_far(a + 0.5 * (self.edge_u + self.edge_v), self.reach2) {
+            return (None, Strategy::Area);
         }
         let (view, omega) = self.view(a);
         (Some(view), Strategy::of(omega))

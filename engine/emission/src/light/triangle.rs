@@ -21,6 +21,8 @@ pub struct Triangle {
     cross: DVec3,
     normal: DVec3,
     area: f64,
+    /// Square of the largest distance of a vertex from the centroid, m2.
+    reach2: f64,
     /// Largest coordinates of the vertices, m: the scale of position errors.
     scale: Vec3A,
     /// What it emits.
@@ -32,7 +34,9 @@ impl Triangle {
     pub fn new(vertices: [Vec3A; 3], emission: Emission) -> Self {
         let [a, b, c] = vertices.map(|v| v.as_dvec3());
         let cross = (b - a).cross(c - a);
+        let centroid = (a + b + c) / 3.0;
         Self {
+            reach2: [a, b, c].map(|v| v.distance_squared(centroid)).into_iter().fold(0.0, f64::max),
             origin: a,
             e1: b - a,
             e2: c - a,
@@ -60,6 +64,9 @@ impl Triangle {
         let behind = a.dot(self.normal);
         if behind == 0.0 || (behind > 0.0 && self.emission.sides == Sides::One) {
             return Strategy::EdgeOn;
+        }
+        if solid_angle::is_far(a + (self.e1 + self.e2) / 3.0, self.reach2) {
+            return Strategy::Area;
         }
         Strategy::of(solid_angle::triangle(a, self.e1, self.e2, self.cross))
     }

@@ -24,12 +24,7 @@ impl Worker {
 }
 
 /// Passes on what the worker says until it says no more.
-pub(crate) async fn listen(
-    worker: WorkerId,
-    mut words: Words,
-    store: Store,
-    actor: mpsc::Sender<(WorkerId, Word)>,
-) {
+pub(crate) async fn listen(worker: WorkerId, mut words: Words, store: Store, actor: mpsc::Sender<(WorkerId, Word)>) {
     loop {
         let word = tokio::select! {
             word = words.next() => word,

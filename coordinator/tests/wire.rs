@@ -110,7 +110,10 @@ async fn a_stopped_coordinator_cannot_be_reached_and_its_log_is_free() {
     farm.stop().await.unwrap();
     assert!(matches!(client.list().await, Err(CallError::Unreachable { .. })));
     assert!(matches!(Client::connect(&url).await, Err(CallError::Unreachable { .. })));
-    assert!(matches!(Client::connect("no address").await, Err(CallError::Address { .. } | CallError::Unreachable { .. })));
+    assert!(matches!(
+        Client::connect("no address").await,
+        Err(CallError::Address { .. } | CallError::Unreachable { .. })
+    ));
     let farm = Coordinator::start(config).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
     assert_eq!(client.list().await.unwrap()[0].job, id);

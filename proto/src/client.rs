@@ -101,7 +101,8 @@ impl Client {
 
     /// The workers that are there.
     pub async fn workers(&self) -> Result<Vec<WorkerStatus>, CallError> {
-        let reply = self.jobs().list_workers(wire::ListWorkersRequest {}).await.map_err(|status| self.error(&status))?;
+        let reply =
+            self.jobs().list_workers(wire::ListWorkersRequest {}).await.map_err(|status| self.error(&status))?;
         Ok(each(reply.into_inner().workers)?)
     }
 

@@ -78,7 +78,9 @@ pub(crate) fn from_status(url: &str, status: &Status) -> CallError {
     }
     let message = status.message().to_owned();
     match status.code() {
-        Code::Unavailable | Code::Cancelled | Code::DeadlineExceeded => CallError::Unreachable { url: url.into(), message },
+        Code::Unavailable | Code::Cancelled | Code::DeadlineExceeded => {
+            CallError::Unreachable { url: url.into(), message }
+        }
         // A connection that breaks within an answer has no code of its own.
         Code::Unknown | Code::Internal if std::error::Error::source(status).is_some() => {
             CallError::Unreachable { url: url.into(), message }

@@ -144,7 +144,8 @@ impl Server {
 
     /// Passes a call on and waits for its answer.
     async fn ask<T>(&self, call: impl FnOnce(Reply<T>) -> Call) -> Result<T, tonic::Status> {
-        let stopping = || crate::error::to_status(&Refusal::Unavailable { message: "the coordinator is stopping".into() });
+        let stopping =
+            || crate::error::to_status(&Refusal::Unavailable { message: "the coordinator is stopping".into() });
         let (reply, answer) = oneshot::channel();
         self.calls.send(call(reply)).await.map_err(|_| stopping())?;
         answer.await.map_err(|_| stopping())?.map_err(|refusal| crate::error::to_status(&refusal))

@@ -1,5 +1,12 @@
 //! Generated from `femc/v1/femc.proto`.
-#![allow(missing_docs, unused_qualifications, rust_2018_idioms, clippy::all, clippy::semicolon_if_nothing_returned, reason = "generated")]
+#![allow(
+    missing_docs,
+    unused_qualifications,
+    rust_2018_idioms,
+    clippy::all,
+    clippy::semicolon_if_nothing_returned,
+    reason = "generated"
+)]
 
 tonic::include_proto!("femc.v1");
 

@@ -15,10 +15,8 @@ const VERSION: u32 = 1;
 
 /// All tiles of `frame` that hold samples, in their order; the same bytes for the same sums.
 pub(crate) fn encode(frame: &Frame) -> Vec<u8> {
-    let tiles: Vec<Vec<u8>> = (0..frame.tiling().count())
-        .into_par_iter()
-        .filter_map(|index| frame.tile(index).map(Tile::encode))
-        .collect();
+    let tiles: Vec<Vec<u8>> =
+        (0..frame.tiling().count()).into_par_iter().filter_map(|index| frame.tile(index).map(Tile::encode)).collect();
     let mut bytes = Vec::with_capacity(16 + tiles.iter().map(|tile| tile.len() + 8).sum::<usize>());
     bytes.extend(MAGIC);
     bytes.extend(VERSION.to_le_bytes());

@@ -46,8 +46,7 @@ impl Worker {
             slots: 1,
             tags: config.tags.clone(),
         };
-        let tools =
-            Tools { pool: Arc::new(pool), cache: config.cache.clone(), fetch: Fetch::new(Handle::current()) };
+        let tools = Tools { pool: Arc::new(pool), cache: config.cache.clone(), fetch: Fetch::new(Handle::current()) };
         let table = Arc::new(Table::default());
         let (finish, mut finished) = mpsc::unbounded_channel();
         let ahead = threads::start(&config.name, &tools, &table, &finish)?;

@@ -121,10 +121,10 @@ async fn reference(stop: Stop) -> Vec<String> {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn three_workers_of_which_one_vanishes_render_the_pixels_of_one() {
-    let expected = reference(Stop::Spp(64)).await;
+    let expected = reference(Stop::Spp(32)).await;
     let farm = Coordinator::start(Config::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
-    let id = submit(&client, job(SCENE, &settings(Stop::Spp(64)))).await;
+    let id = submit(&client, job(SCENE, &settings(Stop::Spp(32)))).await;
     let lost = worker(&farm, 2);
     let others = [worker(&farm, 1), worker(&farm, 2)];
     until(&client, id, |status| status.samples_done > 0).await;
@@ -132,13 +132,13 @@ async fn three_workers_of_which_one_vanishes_render_the_pixels_of_one() {
     let status = until(&client, id, |_| false).await;
     assert_eq!(status.state, JobState::Done, "{status:?}");
     assert_eq!(pixels(&client, id).await, expected);
-    others.each_ref().map(JoinHandle::abort);
+    others.iter().for_each(JoinHandle::abort);
     farm.stop().await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_coordinator_that_comes_back_goes_on_where_it_was() {
-    let expected = reference(Stop::Spp(64)).await;
+    let expected = reference(Stop::Spp(32)).await;
     let folder = tempfile::tempdir().unwrap();
     let config = Config {
         log: Log::Sqlite(folder.path().join("log.sqlite")),
@@ -147,7 +147,7 @@ async fn a_coordinator_that_comes_back_goes_on_where_it_was() {
     };
     let farm = Coordinator::start(config.clone()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
-    let id = submit(&client, job(SCENE, &settings(Stop::Spp(64)))).await;
+    let id = submit(&client, job(SCENE, &settings(Stop::Spp(32)))).await;
     let first = worker(&farm, 1);
     let tiles = |status: &JobStatus| status.frames_done * 6 + status.active.iter().map(|f| f.tiles_done).sum::<u32>();
     let before = until(&client, id, |status| tiles(status) >= 3).await;
@@ -156,7 +156,7 @@ async fn a_coordinator_that_comes_back_goes_on_where_it_was() {
 
     let farm = Coordinator::start(config).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
-    assert_eq!(submit(&client, job(SCENE, &settings(Stop::Spp(64)))).await, id, "the same job");
+    assert_eq!(submit(&client, job(SCENE, &settings(Stop::Spp(32)))).await, id, "the same job");
     let after = client.status(id).await.unwrap();
     assert!(tiles(&after) >= tiles(&before), "what was done is done: {after:?}");
     let second = worker(&farm, 2);
@@ -183,17 +183,17 @@ async fn a_frame_goes_on_round_by_round_until_its_error_is_reached() {
     let once = submit(&client, job(SCENE, &settings(Stop::Spp(spp)))).await;
     until(&client, once, |_| false).await;
     assert_eq!(pixels(&client, once).await[0], in_rounds[0]);
-    workers.each_ref().map(JoinHandle::abort);
+    workers.iter().for_each(JoinHandle::abort);
     farm.stop().await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn tiles_that_the_store_has_lost_are_rendered_again() {
-    let expected = reference(Stop::Spp(64)).await;
+    let expected = reference(Stop::Spp(32)).await;
     let store = Store::memory();
     let farm = Coordinator::with(Config::default(), store.clone(), femc_queue::Memory::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
-    let (spec, bundle) = job(SCENE, &settings(Stop::Spp(64)));
+    let (spec, bundle) = job(SCENE, &settings(Stop::Spp(32)));
     let keep = spec.bundle;
     let id = submit(&client, (spec, bundle)).await;
     let first = worker(&farm, 1);
@@ -225,7 +225,7 @@ async fn a_broken_scene_fails_its_job_and_the_next_job_is_done() {
     assert!(message.contains("haze.mgf:1"), "{message}");
     let sound = submit(&client, job(SCENE, &settings(Stop::Spp(4)))).await;
     assert_eq!(until(&client, sound, |_| false).await.state, JobState::Done);
-    workers.each_ref().map(JoinHandle::abort);
+    workers.iter().for_each(JoinHandle::abort);
     farm.stop().await.unwrap();
 }
 

@@ -138,7 +138,8 @@ async fn a_copy_of_the_files_taken_at_any_moment_holds_whole_batches_and_all_tha
         // What a kill would leave: the files as they are now, without closing anything.
         let copy = folder.path().join(format!("copy{batch}.sqlite"));
         std::fs::copy(&path, &copy).unwrap();
-        std::fs::copy(folder.path().join("log.sqlite-wal"), folder.path().join(format!("copy{batch}.sqlite-wal"))).unwrap();
+        std::fs::copy(folder.path().join("log.sqlite-wal"), folder.path().join(format!("copy{batch}.sqlite-wal")))
+            .unwrap();
         let contents = Sqlite::open(&copy).await.unwrap().load().await.unwrap();
         assert_eq!(contents.records.len(), 2 * (batch as usize + 1));
     }

@@ -41,7 +41,9 @@ impl Scheduler {
         let mut best = Pick::NothingReady;
         let Some(worker) = self.floor.workers.get(&id) else { return best };
         for &(_, job_id) in &self.order {
-            let (Some(job), Some(desk)) = (self.ledger.jobs.get(&job_id), self.desks.get_mut(&job_id)) else { continue };
+            let (Some(job), Some(desk)) = (self.ledger.jobs.get(&job_id), self.desks.get_mut(&job_id)) else {
+                continue;
+            };
             if !worker.has_tags(&job.spec.tags) {
                 best = Pick::NotForThisWorker;
                 continue;

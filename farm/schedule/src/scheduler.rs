@@ -3,7 +3,9 @@
 use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Digest, Epoch, Failure, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey, TaskProgress, Tick, WorkerId};
+use femc_model::{
+    Digest, Epoch, Failure, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey, TaskProgress, Tick, WorkerId,
+};
 
 use crate::desk::Desk;
 use crate::floor::Floor;

@@ -242,7 +242,10 @@ impl Machine {
             assert!(status.state.has_ended(), "job {job} does not end: {status:?}");
             let frames = self.farm.scheduler.frames(job).unwrap().len() as u32;
             assert_eq!(status.state == JobState::Done, frames == status.frames_total);
-            assert_eq!(status.state == JobState::Failed, !status.quarantined.is_empty() && frames < status.frames_total && status.state != JobState::Cancelled);
+            assert_eq!(
+                status.state == JobState::Failed,
+                !status.quarantined.is_empty() && frames < status.frames_total && status.state != JobState::Cancelled
+            );
         }
     }
 }

@@ -148,7 +148,8 @@ fn a_task_that_fails_three_times_is_put_aside_and_the_job_goes_on_and_a_retry_ru
     let id = farm.submit(job(&[1, 2], 2, &[4]));
     farm.join(1);
     for _ in 0..3 {
-        let bad = farm.held.iter().find(|(_, held)| held.task.stage.frame == 1 && held.task.index == 0).unwrap().1.clone();
+        let bad =
+            farm.held.iter().find(|(_, held)| held.task.stage.frame == 1 && held.task.index == 0).unwrap().1.clone();
         farm.fail(1, &bad, panic());
     }
     while farm.state(id) == JobState::Running {
@@ -352,12 +353,8 @@ fn a_result_of_the_wrong_kind_is_a_failure_of_the_task() {
         work: Work::Merge { previous: None, tiles: vec![], spp: 4, elapsed: 0, busy_seconds: 0.0, more: More::Last },
         ..held.clone()
     };
-    let event = Event::Completed {
-        worker: WorkerId(1),
-        task: held.task,
-        epoch: held.epoch,
-        result: result(&merge, Done),
-    };
+    let event =
+        Event::Completed { worker: WorkerId(1), task: held.task, epoch: held.epoch, result: result(&merge, Done) };
     let commands = farm.on(event);
     assert!(commands.iter().any(|command| matches!(command, Command::Record(Fact::Failed { .. }))));
 }

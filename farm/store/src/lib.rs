@@ -61,10 +61,8 @@ impl Store {
 
     /// In a folder of this machine, which is made if it is not there; every artefact is synced to the disk.
     pub fn folder(path: &FilePath) -> Result<Self, StoreError> {
-        std::fs::create_dir_all(path).map_err(|error| object_store::Error::Generic {
-            store: "folder",
-            source: Box::new(error),
-        })?;
+        std::fs::create_dir_all(path)
+            .map_err(|error| object_store::Error::Generic { store: "folder", source: Box::new(error) })?;
         let files = LocalFileSystem::new_with_prefix(path)?.with_fsync(true);
         Ok(Self { objects: Arc::new(files), limit: Self::LIMIT })
     }

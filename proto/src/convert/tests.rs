@@ -201,7 +201,8 @@ fn statuses_cross_the_wire() {
     }
     let tasks = vec![task(StageKind::Render)];
     let (name, tags) = ("w".to_owned(), vec!["lab".to_owned()]);
-    let worker = WorkerStatus { worker: WorkerId(1), name, threads: 2, tags, tasks, silent: 3, completed: 4, failed: 5 };
+    let worker =
+        WorkerStatus { worker: WorkerId(1), name, threads: 2, tags, tasks, silent: 3, completed: 4, failed: 5 };
     crosses::<WorkerStatus, wire::WorkerStatus>(worker);
     let record = FrameRecord {
         frame: 1,

@@ -35,7 +35,10 @@ impl wire::workers_server::Workers for Server {
         };
         let (out, receive) = mpsc::channel(WAITING);
         let session = Session { registration, words: Words(words), out };
-        self.calls.send(Call::Session(session)).await.map_err(|_| Status::unavailable("the coordinator is stopping"))?;
+        self.calls
+            .send(Call::Session(session))
+            .await
+            .map_err(|_| Status::unavailable("the coordinator is stopping"))?;
         Ok(Response::new(Box::pin(ReceiverStream::new(receive).map(|message| Ok(message.into())))))
     }
 }

@@ -39,7 +39,8 @@ impl Sqlite {
             .synchronous(SqliteSynchronous::Full)
             .busy_timeout(std::time::Duration::from_millis(200))
             .disable_statement_logging();
-        let in_use = |error| if is_busy(&error) { QueueError::InUse { path: path.display().to_string() } } else { error.into() };
+        let in_use =
+            |error| if is_busy(&error) { QueueError::InUse { path: path.display().to_string() } } else { error.into() };
         let mut connection = options.connect().await.map_err(in_use)?;
         // Takes the lock now, not at the first write.
         sqlx::raw_sql("BEGIN EXCLUSIVE; COMMIT;").execute(&mut connection).await.map_err(in_use)?;

@@ -82,10 +82,11 @@ impl Farm {
         self.requests += 1;
         let request = RequestId(self.requests);
         let commands = self.on(Event::Submitted { request, key: None, spec: Box::new(spec) });
-        answer(&commands).and_then(|answer| match answer {
-            Answer::Submitted(job) | Answer::Controlled(job) => Some(job),
-        })
-        .expect("the job is taken")
+        answer(&commands)
+            .and_then(|answer| match answer {
+                Answer::Submitted(job) | Answer::Controlled(job) => Some(job),
+            })
+            .expect("the job is taken")
     }
 
     pub fn control(&mut self, job: JobId, control: Control) -> Vec<Command> {
@@ -109,7 +110,8 @@ impl Farm {
     /// What a worker holds, as (frame, round, kind, index), in the order in which it was told.
     pub fn tasks_of(&self, worker: u64) -> Vec<(u32, u32, StageKind, u32)> {
         let own = self.held.iter().filter(|(holder, _)| holder.0 == worker);
-        own.map(|(_, held)| (held.task.stage.frame, held.task.stage.round, held.task.stage.kind, held.task.index)).collect()
+        own.map(|(_, held)| (held.task.stage.frame, held.task.stage.round, held.task.stage.kind, held.task.index))
+            .collect()
     }
 
     /// The worker's oldest lease.

@@ -1,0 +1,84 @@
+//! What the farm costs: the same frame by direct calls on one pool, and through an embedded coordinator and worker.
+//!
+//! `cargo run --release -p femc-worker --example overhead -- SCENE [SPP] [SIDE]`
+
+use std::future::pending;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::time::Instant;
+
+use femc_coordinator::{Artifacts, Config, Coordinator, Log};
+use femc_film::{Frame, Tiling};
+use femc_import::{Bundle, Disk, Files as _};
+use femc_model::{Digest, Grid, JobSpec};
+use femc_pipeline::{Settings, Stop};
+use femc_proto::Client;
+use femc_worker::Worker;
+
+#[tokio::main]
+async fn main() -> Result<(), Box<dyn std::error::Error>> {
+    let mut args = std::env::args().skip(1);
+    let path = args.next().ok_or("a scene file")?;
+    let spp = args.next().map_or(Ok(64), |text| text.parse())?;
+    let side: u32 = args.next().map_or(Ok(256), |text| text.parse())?;
+    let settings = Settings { stop: Stop::Spp(spp), size: Some([side, side]), ..Settings::default() };
+    let scene = Arc::new(femc_import::load_path(Path::new(&path))?.scene);
+    let plan = femc_pipeline::plan(&scene, &settings, Some(&[1]))?;
+
+    let begun = Instant::now();
+    let prepared = femc_pipeline::prepare(&scene, &settings, 1, None)?;
+    let mut frame = Frame::new(Tiling::new(side, side, plan.tiling.edge)?);
+    for rect in plan.tiling.rects() {
+        let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+        frame.insert(femc_pipeline::render_tile(&prepared, &settings, rect, 0..spp, &cancel, &progress)?.tile)?;
+    }
+    let samples = frame.resolve().samples.len();
+    let direct = begun.elapsed();
+
+    let folder = tempfile::tempdir()?;
+    let config = Config {
+        log: Log::Sqlite(folder.path().join("log.sqlite")),
+        artifacts: Artifacts::Folder(folder.path().join("artifacts")),
+        ..Config::default()
+    };
+    let file = Path::new(&path);
+    let disk = Disk::new(file.parent().unwrap_or(Path::new(".")));
+    let entry = file.file_name().ok_or("a scene file")?.to_string_lossy().into_owned();
+    let names = femc_import::load(&disk, &entry)?.files;
+    let files = names.into_iter().map(|name| Ok((name.clone(), disk.read(&name)?))).collect::<std::io::Result<_>>()?;
+    let bundle = Bundle(files).encode()?;
+    let begun = Instant::now();
+    let farm = Coordinator::start(config).await?;
+    let worker = tokio::spawn(Worker::run(femc_worker::Config::new(farm.url()), pending()));
+    let client = Client::connect(&farm.url()).await?;
+    let spec = JobSpec {
+        name: "overhead".into(),
+        bundle: Digest::of(&bundle),
+        entry,
+        settings: serde_json::to_string(&settings)?,
+        frames: vec![1],
+        grid: Grid { film: [side, side], tile: plan.tiling.edge },
+        rounds: plan.rounds.clone(),
+        priority: 50,
+        owner: "bench".into(),
+        tags: vec![],
+    };
+    client.put(bundle.into()).await?;
+    let job = client.submit(None, spec).await?;
+    let mut watch = client.watch(job).await?;
+    let mut last = None;
+    while let Some(status) = watch.next().await? {
+        last = Some(status);
+    }
+    let through = begun.elapsed();
+    let status = last.ok_or("a status")?;
+    println!("{samples} pixels, {} tiles of {} pixels, {spp} spp", plan.tiling.count(), plan.tiling.edge);
+    println!("direct  {:8.1} ms", direct.as_secs_f64() * 1e3);
+    println!("farm    {:8.1} ms  ({:?})", through.as_secs_f64() * 1e3, status.state);
+    let extra = through.as_secs_f64() - direct.as_secs_f64();
+    println!("extra   {:8.1} ms, {:.2} ms a tile", extra * 1e3, extra * 1e3 / plan.tiling.count() as f64);
+    worker.abort();
+    farm.stop().await?;
+    Ok(())
+}

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-use femc_model::{FromWorker, JobId, JobStatus, Tick, WorkerId};
+use femc_model::{Failure, FromWorker, JobId, JobStatus, Tick, WorkerId};
 use femc_proto::{Call, Reply, Session};
 use femc_queue::Queue;
 use femc_schedule::{Command, Event, Fact, RequestId, Scheduler};
@@ -20,7 +20,7 @@ use crate::session::{self, Worker};
 #[derive(Debug)]
 pub(crate) enum Word {
     /// The worker says something.
-    Said(FromWorker),
+    Said(Box<FromWorker>),
     /// Its session is over.
     Over,
 }
@@ -148,24 +148,16 @@ impl<Q: Queue> Actor<Q> {
             return;
         }
         let event = match word {
-            Word::Said(FromWorker::Heartbeat(tasks)) => Event::Heartbeat { worker, tasks },
-            Word::Said(FromWorker::Completed { task, epoch, result }) => {
-                Event::Completed { worker, task, epoch, result }
-            }
-            Word::Said(FromWorker::Failed { task, epoch, failure }) => {
-                tracing::warn!(%worker, %task, %failure, "task failed");
-                Event::Failed { worker, task, epoch, failure }
-            }
-            Word::Said(FromWorker::Draining) => Event::Draining { worker },
-            // A session has one registration, and it is over.
-            Word::Said(FromWorker::Register(_)) => return,
+            Word::Said(said) => event_of(worker, *said),
             Word::Over => {
                 self.workers.remove(&worker);
                 tracing::info!(%worker, "worker left");
-                Event::Left { worker }
+                Some(Event::Left { worker })
             }
         };
-        self.hear(event, commands);
+        if let Some(event) = event {
+            self.hear(event, commands);
+        }
     }
 
     fn call(&mut self, call: Call, commands: &mut Vec<Command>) {
@@ -178,7 +170,7 @@ impl<Q: Queue> Actor<Q> {
                 let request = self.ask(Asker::Control(reply));
                 self.hear(Event::Controlled { request, job, control }, commands);
             }
-            Call::Session(session) => self.join(session, commands),
+            Call::Session(session) => self.join(*session, commands),
             Call::List { reply } => self.questions.push(Question::List(reply)),
             Call::Status { job, reply } => self.questions.push(Question::Status(job, reply)),
             Call::Watch { job, reply } => self.questions.push(Question::Watch(job, reply)),
@@ -247,4 +239,22 @@ impl<Q: Queue> Actor<Q> {
         }
         Ok(())
     }
+}
+
+/// What a worker says, as the scheduler hears it.
+fn event_of(worker: WorkerId, said: FromWorker) -> Option<Event> {
+    Some(match said {
+        FromWorker::Heartbeat(tasks) => Event::Heartbeat { worker, tasks },
+        FromWorker::Completed { task, epoch, result } => Event::Completed { worker, task, epoch, result },
+        FromWorker::Failed { task, epoch, failure } => {
+            match failure {
+                Failure::Cancelled => tracing::debug!(%worker, %task, "task given back"),
+                _ => tracing::warn!(%worker, %task, %failure, "task failed"),
+            }
+            Event::Failed { worker, task, epoch, failure }
+        }
+        FromWorker::Draining => Event::Draining { worker },
+        // A session has one registration, and it is over.
+        FromWorker::Register(_) => return None,
+    })
 }

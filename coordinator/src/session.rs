@@ -38,7 +38,7 @@ pub(crate) async fn listen(worker: WorkerId, mut words: Words, store: Store, act
             }
             None => break,
         };
-        if actor.send((worker, Word::Said(checked(word, &store).await))).await.is_err() {
+        if actor.send((worker, Word::Said(Box::new(checked(word, &store).await)))).await.is_err() {
             return;
         }
     }

@@ -79,7 +79,7 @@ pub enum Call {
         reply: Reply<Vec<WorkerStatus>>,
     },
     /// A worker has come.
-    Session(Session),
+    Session(Box<Session>),
 }
 
 /// A worker's session. It ends when `out` is dropped, or when `words` does.

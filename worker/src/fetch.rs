@@ -9,11 +9,11 @@ use tokio::runtime::Handle;
 const BUNDLE: u64 = 1 << 30;
 
 /// What a failed call means for a task.
-pub(crate) fn failure(error: CallError) -> Failure {
+pub(crate) fn failure(error: &CallError) -> Failure {
     let message = error.to_string();
     match error {
         CallError::Refused(Refusal::NoSuchArtefact { digest } | Refusal::DigestMismatch { digest }) => {
-            Failure::LostInputs { digests: vec![digest], message }
+            Failure::LostInputs { digests: vec![*digest], message }
         }
         CallError::Refused(_)
         | CallError::Address { .. }
@@ -33,7 +33,7 @@ impl Fetch {
     }
 
     pub(crate) fn bundle(&self, client: &Client, digest: &Digest) -> Result<Bytes, Failure> {
-        self.0.block_on(client.get(digest, BUNDLE)).map_err(failure)
+        self.0.block_on(client.get(digest, BUNDLE)).map_err(|error| failure(&error))
     }
 
     /// All of `artefacts` in their order, side by side; each is there, or lost, or not to be had.
@@ -47,7 +47,7 @@ impl Fetch {
             let mut all = Vec::with_capacity(downloads.len());
             for download in downloads {
                 all.push(match download.await {
-                    Ok(bytes) => bytes.map_err(failure),
+                    Ok(bytes) => bytes.map_err(|error| failure(&error)),
                     Err(error) => Err(Failure::Panicked { message: error.to_string() }),
                 });
             }

@@ -144,7 +144,7 @@ impl<'a> Session<'a> {
 
 async fn upload(client: &Client, product: Product) -> Result<Product, Failure> {
     for bytes in &product.artefacts {
-        client.put(bytes.clone()).await.map_err(fetch::failure)?;
+        client.put(bytes.clone()).await.map_err(|error| fetch::failure(&error))?;
     }
     Ok(product)
 }

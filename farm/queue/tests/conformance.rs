@@ -1,6 +1,6 @@
 //! What every log must do, and what the file must survive.
 
-use std::path::PathBuf;
+use std::path::Path;
 
 use femc_queue::{Contents, Memory, Queue, QueueError, Sqlite};
 use sqlx::{ConnectOptions as _, Connection as _};
@@ -52,7 +52,7 @@ async fn sqlite_conforms() {
 }
 
 /// A dropped connection closes in the background; wait for it as a new process would not need to.
-async fn reopen(path: &PathBuf) -> Sqlite {
+async fn reopen(path: &Path) -> Sqlite {
     loop {
         match Sqlite::open(path).await {
             Err(QueueError::InUse { .. }) => tokio::task::yield_now().await,
@@ -61,7 +61,7 @@ async fn reopen(path: &PathBuf) -> Sqlite {
     }
 }
 
-async fn tamper(path: &PathBuf, sql: &'static str) {
+async fn tamper(path: &Path, sql: &'static str) {
     let options = sqlx::sqlite::SqliteConnectOptions::new().filename(path);
     let mut connection = loop {
         let mut connection = options.connect().await.unwrap();
@@ -73,7 +73,7 @@ async fn tamper(path: &PathBuf, sql: &'static str) {
     connection.close().await.unwrap();
 }
 
-async fn with_five(path: &PathBuf) {
+async fn with_five(path: &Path) {
     let mut queue = Sqlite::open(path).await.unwrap();
     queue.load().await.unwrap();
     queue.append(&records(1, 6)).await.unwrap();

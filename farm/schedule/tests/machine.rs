@@ -10,7 +10,7 @@ use femc_model::*;
 use femc_schedule::*;
 use proptest::prelude::*;
 
-#[derive(Debug, Clone)]
+#[derive(Debug, Clone, Copy)]
 enum Step {
     Submit { frames: u32, tiles: u32, rounds: usize },
     Join,

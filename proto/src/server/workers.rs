@@ -36,7 +36,7 @@ impl wire::workers_server::Workers for Server {
         let (out, receive) = mpsc::channel(WAITING);
         let session = Session { registration, words: Words(words), out };
         self.calls
-            .send(Call::Session(session))
+            .send(Call::Session(Box::new(session)))
             .await
             .map_err(|_| Status::unavailable("the coordinator is stopping"))?;
         Ok(Response::new(Box::pin(ReceiverStream::new(receive).map(|message| Ok(message.into())))))

@@ -60,7 +60,8 @@ pub(crate) fn merge(task: &Task, tools: &Tools) -> Result<Product, Failure> {
                 relative_error: error.worst,
                 bad: frame.bad(),
             };
-            let (file, preview) = tools.pool.install(|| pictures(&image, &provenance)).map_err(damaged_picture)?;
+            let (file, preview) =
+                tools.pool.install(|| pictures(&image, &provenance)).map_err(|error| damaged_picture(&error))?;
             result.image = keep(file);
             result.preview = keep(preview);
         }
@@ -82,7 +83,7 @@ fn pictures(image: &FrameImage, provenance: &Provenance) -> Result<(Vec<u8>, Vec
     Ok((file?, preview?))
 }
 
-fn damaged_picture(error: FilmError) -> Failure {
+fn damaged_picture(error: &FilmError) -> Failure {
     Failure::Panicked { message: format!("the image cannot be written: {error}") }
 }
 

@@ -82,11 +82,10 @@ impl Farm {
         self.requests += 1;
         let request = RequestId(self.requests);
         let commands = self.on(Event::Submitted { request, key: None, spec: Box::new(spec) });
-        answer(&commands)
-            .and_then(|answer| match answer {
-                Answer::Submitted(job) | Answer::Controlled(job) => Some(job),
-            })
-            .expect("the job is taken")
+        let taken = answer(&commands).map(|answer| match answer {
+            Answer::Submitted(job) | Answer::Controlled(job) => job,
+        });
+        taken.expect("the job is taken")
     }
 
     pub fn control(&mut self, job: JobId, control: Control) -> Vec<Command> {

@@ -1,0 +1,75 @@
+//! What the scheduler alone costs: `cargo run --release -p femc-schedule --example scale -- [WORKERS] [FRAMES] [TILES]`
+//!
+//! Workers that do everything at once; no log, no network.
+
+use std::time::Instant;
+
+use femc_model::*;
+use femc_schedule::*;
+
+fn main() {
+    let mut args = std::env::args().skip(1).filter_map(|text| text.parse::<u32>().ok());
+    let workers = args.next().unwrap_or(100);
+    let (frames, tiles) = (args.next().unwrap_or(1000), args.next().unwrap_or(1000));
+    let (mut farm, _) = Scheduler::new(Config::default(), Ledger::default());
+    let spec = JobSpec {
+        name: "scale".into(),
+        bundle: Digest::of(b"bundle"),
+        entry: "a.mgf".into(),
+        settings: "{}".into(),
+        frames: (1..=frames).collect(),
+        grid: Grid { film: [tiles * 8, 8], tile: 8 },
+        rounds: vec![16],
+        priority: 50,
+        owner: "me".into(),
+        tags: vec![],
+    };
+    let begun = Instant::now();
+    farm.on(Event::Submitted { request: RequestId(1), key: None, spec: Box::new(spec) }, Tick(0));
+    println!("submit of {} tasks: {:?}", u64::from(frames) * u64::from(tiles), begun.elapsed());
+
+    let mut line = std::collections::VecDeque::new();
+    let see = |commands: Vec<Command>, line: &mut std::collections::VecDeque<_>| {
+        for command in commands {
+            if let Command::Assign { worker, assignment } = command {
+                line.push_back((worker, assignment));
+            }
+        }
+    };
+    for worker in 1..=u64::from(workers) {
+        let registration = Registration {
+            name: "w".into(),
+            instance: worker,
+            engine: "e".into(),
+            threads: 1,
+            slots: 1,
+            tags: vec![],
+        };
+        see(farm.on(Event::Joined { worker: WorkerId(worker), registration }, Tick(0)), &mut line);
+    }
+    let (begun, mut done) = (Instant::now(), 0u64);
+    while let Some((worker, Assignment { task, epoch, work, .. })) = line.pop_front() {
+        let name = Artefact { digest: Digest::from_bytes([task.index as u8; 32]), bytes: 1 };
+        let result = match work {
+            Work::Render { .. } => {
+                TaskResult::Tile(TileResult { tile: name, samples: 1024, bad_samples: 0, seconds: 0.0 })
+            }
+            Work::Merge { .. } => TaskResult::Merge(MergeResult {
+                decision: Decision::Done,
+                sums: None,
+                image: Some(name),
+                preview: None,
+                relative_error: None,
+                bad_samples: 0,
+                seconds: 0.0,
+            }),
+        };
+        see(farm.on(Event::Completed { worker, task, epoch, result }, Tick(1)), &mut line);
+        done += 1;
+    }
+    let spent = begun.elapsed();
+    println!("{workers} workers, {done} tasks: {spent:?}, {:.2} us a task", spent.as_secs_f64() * 1e6 / done as f64);
+    let begun = Instant::now();
+    let bytes = farm.ledger().encode().map_or(0, |bytes| bytes.len());
+    println!("snapshot: {bytes} bytes in {:?}", begun.elapsed());
+}

@@ -1,8 +1,8 @@
 //! Ray tracing: trees of triangles and analytic shapes, placed in a world by fixed or moving poses.
 //!
 //! A [`Blas`] holds the surfaces of one group in its own frame; a [`World`] holds placed groups and answers
-//! [`World::intersect`] and [`World::occluded`]. Binary trees come from the `obvhs` builder and are collapsed into eight-wide
-//! ones ([`tree`](crate::Blas)); the kernels test eight boxes or eight triangles at once, with AVX2 where the processor has it
+//! [`World::intersect`] and [`World::occluded`]. Binary trees by surface area are collapsed into eight-wide
+//! ones; the kernels test eight boxes or eight triangles at once, with AVX2 where the processor has it
 //! and with equal bits elsewhere.
 //!
 //! Everything is f32 in metres, in coordinates that the preparation of a frame has moved near the origin; shapes other than

@@ -1,6 +1,9 @@
 //! From a binary tree to an eight-wide one.
 
-use super::{Child, Node, STACK, Tree, WIDTH, binary::Binary};
+use super::{
+    Child, Node, STACK, Tree, WIDTH,
+    sweep::{self, BinaryNode},
+};
 use crate::Aabb;
 
 /// What may be a leaf, and what it costs in units of a node's test.
@@ -22,13 +25,13 @@ pub(crate) fn collapse(boxes: &[Aabb], rule: &mut impl LeafRule) -> Tree {
     if boxes.is_empty() {
         return Tree { nodes: Vec::new(), root: Child::NONE, bounds: Aabb::EMPTY };
     }
-    let tree = Plan::new(&Binary::build(boxes), rule).emit(rule);
+    let tree = Plan::new(&sweep::build(boxes), rule).emit(rule);
     if stack_need(&tree) <= STACK {
         return tree;
     }
     // A degenerate input made a chain. The balanced tree is slower and never deep: fewer than 32 levels of at most 8 entries.
     rule.clear();
-    Plan::new(&Binary::build_balanced(boxes), rule).emit(rule)
+    Plan::new(&sweep::build_balanced(boxes), rule).emit(rule)
 }
 
 /// Entries that a traversal may have on its stack, with the spare ones that a wide store touches.
@@ -102,13 +105,13 @@ impl Choice {
 }
 
 struct Plan<'a> {
-    binary: &'a Binary,
+    binary: &'a [BinaryNode],
     choices: Vec<Choice>,
 }
 
 impl<'a> Plan<'a> {
-    fn new(binary: &'a Binary, rule: &impl LeafRule) -> Self {
-        let nodes = &binary.nodes;
+    fn new(binary: &'a [BinaryNode], rule: &impl LeafRule) -> Self {
+        let nodes = binary;
         // Parents before children.
         let mut order = Vec::with_capacity(nodes.len());
         let mut pending = vec![0u32];
@@ -142,7 +145,7 @@ impl<'a> Plan<'a> {
         if slots == 1 {
             found.push(index);
         } else {
-            let (first, left) = (self.binary.nodes[index as usize].first, usize::from(choice.left[slots - 1]));
+            let (first, left) = (self.binary[index as usize].first, usize::from(choice.left[slots - 1]));
             self.children(first, left, found);
             self.children(first + 1, slots - left, found);
         }
@@ -152,7 +155,7 @@ impl<'a> Plan<'a> {
         let mut found = Vec::with_capacity(WIDTH);
         let mut pending = vec![index];
         while let Some(index) = pending.pop() {
-            let node = &self.binary.nodes[index as usize];
+            let node = &self.binary[index as usize];
             if node.is_leaf { found.push(node.first) } else { pending.extend([node.first + 1, node.first]) }
         }
         found.sort_unstable();
@@ -160,7 +163,7 @@ impl<'a> Plan<'a> {
     }
 
     fn emit(&self, rule: &mut impl LeafRule) -> Tree {
-        let bounds = self.binary.nodes[0].bounds;
+        let bounds = self.binary[0].bounds;
         if self.choices[0].is_leaf {
             return Tree { nodes: Vec::new(), root: rule.leaf(&self.primitives(0)), bounds };
         }
@@ -169,14 +172,13 @@ impl<'a> Plan<'a> {
         let mut found = Vec::with_capacity(WIDTH);
         while let Some((wide, index)) = pending.pop() {
             found.clear();
-            let (first, left) =
-                (self.binary.nodes[index as usize].first, usize::from(self.choices[index as usize].left[0]));
+            let (first, left) = (self.binary[index as usize].first, usize::from(self.choices[index as usize].left[0]));
             self.children(first, left, &mut found);
             self.children(first + 1, WIDTH - left, &mut found);
             // A traversal in any order pops the last slot first: leaves before nodes, and large boxes, which are the likelier hits, before
             // small ones.
             found.sort_by(|&a, &b| {
-                let key = |i: u32| (self.choices[i as usize].is_leaf, self.binary.nodes[i as usize].bounds.half_area());
+                let key = |i: u32| (self.choices[i as usize].is_leaf, self.binary[i as usize].bounds.half_area());
                 let (ka, kb) = (key(a), key(b));
                 ka.0.cmp(&kb.0).then(ka.1.total_cmp(&kb.1))
             });
@@ -189,7 +191,7 @@ impl<'a> Plan<'a> {
                     pending.push((nodes.len() - 1, below));
                     Child::node(nodes.len() - 1)
                 };
-                nodes[wide].set(slot, &self.binary.nodes[below as usize].bounds, child);
+                nodes[wide].set(slot, &self.binary[below as usize].bounds, child);
             }
             pending[inner..].reverse();
         }

@@ -1,11 +1,10 @@
 //! Eight-wide trees over boxes.
 //!
-//! A binary tree (from obvhs, or for small inputs from an exact sweep) is cut into nodes of up to eight children, and subtrees of
+//! A binary tree ([`sweep`]) is cut into nodes of up to eight children, and subtrees of
 //! up to eight triangles become one leaf block, by dynamic programming over the surface area cost (\[ylitie2017\]). Nodes keep
 //! full floats in a structure of arrays, 256 bytes: more memory than compressed nodes, but a box costs three vector operations
 //! a plane pair and no decoding.
 
-mod binary;
 mod collapse;
 mod sweep;
 

@@ -28,7 +28,7 @@ fn frames_done(place: &Place, url: &str, job: &str) -> u64 {
     ran.json()["frames_done"].as_u64().expect("a number")
 }
 
-const SETTINGS: &str = "--spp 96 --size 64x64";
+const SETTINGS: &str = "--spp 12 --size 64x64";
 
 fn same_as_one_process(place: &Place) {
     place.run(&format!("render fog.mgf -o alone {SETTINGS}")).exits(0);

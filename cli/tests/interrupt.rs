@@ -4,7 +4,7 @@ mod common;
 use common::{Place, Running, names};
 use std::time::SystemTime;
 
-const LINE: &str = "render fog.mgf -o out --spp 96 --size 64x64 --threads 1";
+const LINE: &str = "render fog.mgf -o out --spp 12 --size 64x64 --threads 1";
 
 /// Frame 1 is there, frame 8 is not.
 fn under_way(place: &Place, render: &mut Running) {

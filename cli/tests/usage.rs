@@ -56,6 +56,15 @@ fn a_broken_scene_fails_with_its_file_and_line() {
 }
 
 #[test]
+fn a_scene_without_a_camera_cannot_be_rendered() {
+    let place = Place::new();
+    place.write("blind.mgf", "m lamp =\n\ted 1\nv a =\n\tp 0 0 0\nsph a 1\n");
+    let ran = place.run("render blind.mgf --spp 1").exits(1);
+    assert!(ran.stderr().contains("camera"), "{}", ran.stderr());
+    assert_eq!(common::names(&place.path(".")), ["blind.mgf", "fog.mgf"]);
+}
+
+#[test]
 fn an_absent_server_ends_with_4_and_its_address() {
     let place = Place::new();
     // Port 1 is reserved, and nobody listens there.

@@ -20,7 +20,7 @@ use clap_complete::Shell;
         femc render scenes/cornell-fog.mgf -o cornell.exr --spp 64\n  \
         femc render scenes/roundabout.mgf --frames 1..24 --size 320x180 -o drive --video drive.mp4\n  \
         femc coordinator & femc worker --join http://127.0.0.1:7878 & femc submit scene.mgf\n\n\
-        Exit codes: 0 done, 1 the work failed or a check found a fault, 2 wrong usage,\n\
+        Exit codes: 0 done, 1 the work failed or a check found a fault, 2 wrong usage, \
         3 interrupted (the same command goes on), 4 the server could not be reached.",
     arg_required_else_help = true,
     infer_subcommands = false
@@ -41,7 +41,7 @@ pub struct CommonArgs {
     /// Say less: no progress, no notes, only errors and the result
     #[arg(long, short, global = true, conflicts_with = "verbose")]
     pub quiet: bool,
-    /// Say more; twice for the most
+    /// Say more; up to three times
     #[arg(long, short, global = true, action = ArgAction::Count)]
     pub verbose: u8,
     /// Colors: on a terminal, always, or never (NO_COLOR is heeded)

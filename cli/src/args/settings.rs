@@ -49,7 +49,7 @@ pub struct SettingsArgs {
     /// Override a scalar of the scene, like medium.fog.sigma_s=0.03 (repeatable)
     #[arg(long, value_name = "SELECTOR=VALUE")]
     pub set: Vec<Override>,
-    /// Collect path statistics
+    /// Collect path statistics (this version keeps the wish with the settings, and collects none yet)
     #[arg(long)]
     pub stats: bool,
 }

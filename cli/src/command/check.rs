@@ -47,7 +47,7 @@ struct Line {
 }
 
 /// Load, check, list.
-pub fn run(args: CheckArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &CheckArgs, say: Say) -> Result<Exit, Failure> {
     let loaded = match load(&args.scene) {
         Ok(loaded) => loaded,
         Err(failure) => {
@@ -117,14 +117,7 @@ fn lines(path: &Path, scene: &Scene, warnings: &[Warning]) -> Vec<Line> {
     }
     for Fault { severity, kind, location, message, advice } in faults {
         let file = scene.files.get(location.file as usize).map_or("", String::as_str);
-        let line = Line {
-            severity,
-            kind: kebab(kind),
-            file: beside(path, file),
-            line: location.line,
-            message,
-            advice,
-        };
+        let line = Line { severity, kind: kebab(kind), file: beside(path, file), line: location.line, message, advice };
         keyed.push(((location.file as usize, location.line), line));
     }
     keyed.sort_by_key(|(place, _)| *place);

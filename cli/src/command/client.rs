@@ -4,9 +4,7 @@ use crate::args::ServerArgs;
 use crate::clock::Clock;
 use crate::exit::{Failure, failed, unreachable, usage};
 use crate::request::Asked;
-use femc_model::{
-    Artefact, Control, Digest, FrameRecord, Grid, JobId, JobSpec, JobStatus, Refusal, WorkerStatus,
-};
+use femc_model::{Artefact, Control, Digest, FrameRecord, Grid, JobId, JobSpec, JobStatus, Refusal, WorkerStatus};
 use femc_proto::{CallError, Client};
 use std::time::Duration;
 
@@ -22,10 +20,7 @@ pub struct Farm {
 }
 
 /// Run `work` with the coordinator at `--server`.
-pub fn block_on<T>(
-    server: &ServerArgs,
-    work: impl AsyncFnOnce(&Farm) -> Result<T, Failure>,
-) -> Result<T, Failure> {
+pub fn block_on<T>(server: &ServerArgs, work: impl AsyncFnOnce(&Farm) -> Result<T, Failure>) -> Result<T, Failure> {
     runtime()?.block_on(async {
         let farm = Farm::connect(&server.server).await?;
         work(&farm).await

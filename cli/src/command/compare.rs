@@ -14,8 +14,8 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "Examples:\n  \
     femc compare cornell.exr reference.exr\n  \
     femc compare a.exr b.exr --json | jq .relmse\n\n\
-    mse: mean (A-B)^2; relmse: mean (A-B)^2/(B^2+0.01); psnr: in dB against B's largest value; ssim: structural\n\
-    similarity of the displayed luminance (1: equal); flip: mean HDR-FLIP (0: equal); mean_ratio: mean A / mean B.\n\
+    mse: mean (A-B)^2; relmse: mean (A-B)^2/(B^2+0.01); psnr: in dB against B's largest value; ssim: structural \
+    similarity of the displayed luminance (1: equal); flip: mean HDR-FLIP (0: equal); mean_ratio: mean A / mean B. \
     Pixels that are not finite in A or B are counted and left out.")]
 pub struct CompareArgs {
     /// The image
@@ -47,7 +47,7 @@ struct Report {
 }
 
 /// Compare.
-pub fn run(args: CompareArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &CompareArgs, say: Say) -> Result<Exit, Failure> {
     let (image, reference) = (read(&args.image)?, read(&args.reference)?);
     let names = format!("{} and {}", args.image.display(), args.reference.display());
     let comparison =

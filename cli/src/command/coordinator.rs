@@ -15,7 +15,7 @@ use std::path::{Path, PathBuf};
     femc coordinator\n  \
     femc coordinator --listen 127.0.0.1:7878 --store sqlite:farm.db --artifacts artifacts\n  \
     femc coordinator --listen 127.0.0.1:0    # any free port; the first line on stdout says which\n\n\
-    Stopped by Ctrl-C, SIGTERM or a crash, it goes on where it was when it is started again with the same --store\n\
+    Stopped by Ctrl-C, SIGTERM or a crash, it goes on where it was when it is started again with the same --store \
     and --artifacts; its workers join again by themselves.")]
 pub struct CoordinatorArgs {
     /// Address and port to listen on

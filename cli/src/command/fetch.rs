@@ -38,7 +38,7 @@ struct Report {
 }
 
 /// Fetch.
-pub fn run(args: FetchArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
     let (status, files) = client::block_on(&args.server, async |farm| {
         let status = farm.status(JobId(args.job)).await?;
         let mut files = Vec::new();

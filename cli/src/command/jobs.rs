@@ -20,7 +20,7 @@ pub struct JobsArgs {
 }
 
 /// List.
-pub fn run(args: JobsArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &JobsArgs, say: Say) -> Result<Exit, Failure> {
     let jobs = client::block_on(&args.server, async |farm| farm.jobs().await)?;
     if args.format.json {
         json::print(say, &jobs.iter().map(JobJson::from).collect::<Vec<_>>())?;

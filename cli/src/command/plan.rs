@@ -22,13 +22,13 @@ pub struct PlanArgs {
     /// Scene file, or JOB.toml
     #[arg(value_name = "SCENE")]
     pub scene: PathBuf,
-    #[command(flatten)]
-    settings: SettingsArgs,
     /// Estimate no cost: render no trial
     #[arg(long)]
     no_trial: bool,
     #[command(flatten)]
     format: FormatArgs,
+    #[command(flatten)]
+    settings: SettingsArgs,
 }
 
 /// A trial renders for about this long.
@@ -183,10 +183,14 @@ fn print(say: Say, report: &Report) {
     };
     say.result(format!("\n{} of {tile} pixels; {spp}", human::count(*tiles as u64, "tile")));
     if let Some(cost) = &report.cost {
-        let range = if cost.seconds_least < cost.seconds_most {
-            format!("{} to {}", human::seconds(cost.seconds_least), human::seconds(cost.seconds_most))
-        } else {
-            human::seconds(cost.seconds_most)
+        let range = match report.stop {
+            Stop::Error(_) => format!(
+                "{} for the first round, {} if all {} rounds are needed,",
+                human::seconds(cost.seconds_least),
+                human::seconds(cost.seconds_most),
+                report.rounds.len()
+            ),
+            Stop::Spp(_) | Stop::Time(_) => human::seconds(cost.seconds_most),
         };
         let rate = human::quantity(cost.samples_per_second);
         say.result(format!("estimated cost: {range} on this machine ({rate} samples/s in a short trial)"));

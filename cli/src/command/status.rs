@@ -28,7 +28,7 @@ pub struct StatusArgs {
 }
 
 /// Show.
-pub fn run(args: StatusArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &StatusArgs, say: Say) -> Result<Exit, Failure> {
     let job = client::block_on(&args.server, async |farm| farm.status(JobId(args.job)).await)?;
     if args.format.json {
         json::print(say, &JobJson::from(&job))?;

@@ -20,8 +20,6 @@ pub struct SubmitArgs {
     /// Scene file, or JOB.toml
     #[arg(value_name = "SCENE|JOB.toml")]
     scene: PathBuf,
-    #[command(flatten)]
-    settings: SettingsArgs,
     /// 0 to 100, greater goes first [default: 50]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=100))]
     priority: Option<u8>,
@@ -35,6 +33,8 @@ pub struct SubmitArgs {
     format: FormatArgs,
     #[command(flatten)]
     server: ServerArgs,
+    #[command(flatten)]
+    settings: SettingsArgs,
 }
 
 #[derive(Serialize)]

@@ -28,7 +28,7 @@ pub struct WatchArgs {
 const EVERY: Duration = Duration::from_millis(250);
 
 /// Watch.
-pub fn run(args: WatchArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &WatchArgs, say: Say) -> Result<Exit, Failure> {
     let last = client::block_on(&args.server, async |farm| {
         let mut interrupt = Interrupt::listen()?;
         let mut progress = Progress::new(say, Clock);

@@ -67,7 +67,9 @@ async fn coordinator(url: &str, patience: Budget) -> Result<(), Failure> {
     let begun = Clock.now();
     loop {
         match Farm::connect(url).await {
-            Err(failure) if failure.exit == Exit::Unreachable && Clock.since(begun).as_secs_f64() < patience.seconds => {
+            Err(failure)
+                if failure.exit == Exit::Unreachable && Clock.since(begun).as_secs_f64() < patience.seconds =>
+            {
                 tokio::time::sleep(RETRY).await;
             }
             found => return found.map(drop),

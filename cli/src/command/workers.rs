@@ -48,7 +48,7 @@ impl From<&WorkerStatus> for WorkerJson {
 }
 
 /// List.
-pub fn run(args: WorkersArgs, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &WorkersArgs, say: Say) -> Result<Exit, Failure> {
     let workers = client::block_on(&args.server, async |farm| farm.workers().await)?;
     if args.format.json {
         json::print(say, &workers.iter().map(WorkerJson::from).collect::<Vec<_>>())?;

@@ -136,7 +136,9 @@ pub fn wait(wait: &Wait) -> String {
         Wait::NoWorkerWithTags(tags) => format!("no worker has all the tags {}", tags.join(", ")),
         Wait::WorkersBusy { workers: 1 } => "the only worker that may take it is busy".to_owned(),
         Wait::WorkersBusy { workers } => format!("all {workers} workers that may take it are busy"),
-        Wait::WorkersResting => "the workers that may take it rest after a failure of disk, store or network".to_owned(),
+        Wait::WorkersResting => {
+            "the workers that may take it rest after a failure of disk, store or network".to_owned()
+        }
         Wait::BehindJob(job) => format!("job {job} goes first"),
         Wait::MergeWaitsForTiles { frame, tiles } => {
             format!("the merge of frame {frame} waits for {}", human::count(u64::from(*tiles), "tile"))
@@ -217,7 +219,11 @@ pub fn describe(say: Say, job: &JobStatus) -> String {
     if job.bad_samples > 0 {
         lines.push(say.doubtful(&format!("         {} left out: not finite", human::count(job.bad_samples, "sample"))));
     }
-    lines.push(format!("time     {}, {} at it", human::seconds(job.seconds), human::count(job.workers.into(), "worker")));
+    lines.push(format!(
+        "time     {}, {} at it",
+        human::seconds(job.seconds),
+        human::count(job.workers.into(), "worker")
+    ));
     for frame in &job.active {
         lines.push(format!(
             "frame {}: {}, round {} of {}, {} of {} tiles done, {} running",

@@ -120,10 +120,7 @@ mod tests {
     fn time_left_and_rate_count_only_what_this_run_did() {
         let first = Snapshot { frames: 4, frames_done: 2, fraction: 0.5, samples: 1_000_000, ..Snapshot::default() };
         let now = Snapshot { frames_done: 3, fraction: 0.75, samples: 3_000_000, tiles_done: 3, tiles: 8, ..first };
-        assert_eq!(
-            line(&first, &now, Duration::from_secs(10)),
-            "frame 3/4, tile 3/8, 200 k samples/s, 10.0 s left"
-        );
+        assert_eq!(line(&first, &now, Duration::from_secs(10)), "frame 3/4, tile 3/8, 200 k samples/s, 10.0 s left");
     }
 
     #[test]

@@ -5,7 +5,7 @@ use crate::args::{Filter, Method, SettingsArgs};
 use crate::exit::{Failure, failed, usage};
 use crate::output::Say;
 use femc_import::{Bundle, Disk, ImportError, Loaded};
-use femc_pipeline::{Plan, PlanError, Settings, Stop};
+use femc_pipeline::{Plan, PlanError, PrepareError, Settings, Stop};
 use femc_scene::Scene;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
@@ -59,6 +59,9 @@ impl Asked {
         let mut scene = loaded.scene;
         let settings = settings(&typed);
         settings.apply(&mut scene).map_err(|e| usage(format!("--set: {e}")))?;
+        if settings.statistics {
+            say.note("--stats: this version does not collect path statistics yet");
+        }
         let frames = typed
             .frames
             .map(|frames| frames.resolve(scene.frame_count()))
@@ -131,8 +134,16 @@ fn folder(path: &Path) -> &Path {
     }
 }
 
+/// Settings that do not fit the scene are wrong usage; a scene that cannot be looked at is the scene's fault.
 fn refused(path: &Path, e: &PlanError) -> Failure {
-    usage(format!("{}: {e}", path.display()))
+    let message = format!("{}: {e}", path.display());
+    match e {
+        PlanError::Camera(PrepareError::UnknownCamera { .. }) => usage(format!("--camera: {message}")),
+        PlanError::Camera(_) => failed(message),
+        PlanError::Settings(_) | PlanError::Film(_) | PlanError::FrameOutside { .. } | PlanError::NoFrames { .. } => {
+            usage(message)
+        }
+    }
 }
 
 /// The settings typed, with the contract's defaults.

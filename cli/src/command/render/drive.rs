@@ -11,7 +11,7 @@ use crate::exit::{Failure, failed, interrupted};
 use crate::output::{Progress, Say, job as show};
 use crate::request::Asked;
 use femc_model::{Artefact, Control, FrameRecord, JobId, JobState};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, btree_map::Entry};
 use std::time::Duration;
 
 /// Between two looks: at first short, for small scenes.
@@ -62,15 +62,18 @@ async fn frames(
 ) -> Result<Vec<FrameReport>, Failure> {
     let bundle = farm.put(order.bundle.clone()).await?;
     let job = job(order, farm, state, bundle).await?;
-    let mut written = BTreeMap::new();
+    let (mut written, mut seen) = (BTreeMap::new(), 0);
     let mut progress = Progress::new(say, Clock);
     let mut look = FIRST_LOOK;
     loop {
         let status = farm.status(job).await?;
-        if status.frames_done as usize > written.len() {
-            for record in farm.frames(job).await? {
-                if let std::collections::btree_map::Entry::Vacant(place) = written.entry(record.frame) {
-                    place.insert(write(order, farm, &record).await?);
+        if status.frames_done > seen {
+            let records = farm.frames(job).await?;
+            seen = records.len() as u32;
+            // The job of a run before this one also has frames whose files are there.
+            for record in records.iter().filter(|record| order.missing.contains(&record.frame)) {
+                if let Entry::Vacant(place) = written.entry(record.frame) {
+                    place.insert(write(order, farm, record).await?);
                 }
             }
         }
@@ -134,7 +137,7 @@ async fn write(order: &Order<'_>, farm: &Farm, record: &FrameRecord) -> Result<F
     Ok(FrameReport {
         frame: record.frame,
         file: path.display().to_string(),
-        spp: f64::from(record.spp),
+        spp: record.spp,
         relative_error: record.relative_error,
         seconds: record.busy_seconds,
         bad_samples: record.bad_samples,

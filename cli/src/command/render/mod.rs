@@ -30,7 +30,7 @@ use there::Wanted;
     femc render scenes/cornell-fog.mgf -o cornell.exr --spp 256\n  \
     femc render scenes/roundabout.mgf -o drive --frames 1..24 --size 320x180 --video drive.mp4\n  \
     femc render scene.mgf -o out --error 0.02 --set medium.fog.sigma_s=0.05 --json\n\n\
-    A second run with the same OUT and settings renders what is missing: frames that are finished stay, and a frame\n\
+    A second run with the same OUT and settings renders what is missing: frames that are finished stay, and a frame \
     that was interrupted keeps its samples. Frames whose scene or settings differ are rendered anew.")]
 pub struct RenderArgs {
     /// Scene file, or JOB.toml
@@ -52,9 +52,9 @@ pub struct RenderArgs {
     #[arg(long)]
     fresh: bool,
     #[command(flatten)]
-    settings: SettingsArgs,
-    #[command(flatten)]
     format: FormatArgs,
+    #[command(flatten)]
+    settings: SettingsArgs,
 }
 
 /// Render.

@@ -47,7 +47,7 @@ pub struct FrameReport {
     /// Its file.
     pub file: String,
     /// Samples a pixel.
-    pub spp: f64,
+    pub spp: u32,
     /// Worst relative error of a block at 95 % confidence, where it is known.
     pub relative_error: Option<f64>,
     /// Seconds that workers spent on it, summed.
@@ -110,9 +110,9 @@ impl Report {
     pub fn sum(&mut self, frames: Vec<FrameReport>) {
         let pixels = u64::from(self.size[0]) * u64::from(self.size[1]);
         self.files = frames.iter().map(|frame| frame.file.clone()).collect();
-        let spp: f64 = frames.iter().map(|frame| frame.spp).sum();
-        self.spp = spp / frames.len().max(1) as f64;
-        self.samples = (spp * pixels as f64).round() as u64;
+        let spp: u64 = frames.iter().map(|frame| u64::from(frame.spp)).sum();
+        self.spp = spp as f64 / frames.len().max(1) as f64;
+        self.samples = spp * pixels;
         self.relative_error = frames.iter().filter_map(|frame| frame.relative_error).reduce(f64::max);
         self.bad_samples = frames.iter().map(|frame| frame.bad_samples).sum();
         self.frames = frames;
@@ -175,7 +175,7 @@ mod tests {
             bad_samples: 2,
         };
         let mut report = Report { size: [4, 2], ..Report::default() };
-        report.sum(vec![frame(1, 16.0, Some(0.1)), frame(2, 32.0, Some(0.2)), frame(3, 16.0, None)]);
+        report.sum(vec![frame(1, 16, Some(0.1)), frame(2, 32, Some(0.2)), frame(3, 16, None)]);
         assert_eq!((report.samples, report.bad_samples, report.relative_error), (512, 6, Some(0.2)));
         assert_eq!(report.files, ["1.exr", "2.exr", "3.exr"]);
     }

@@ -35,7 +35,8 @@ impl Wanted {
         Some(FrameReport {
             frame,
             file: path.display().to_string(),
-            spp: number("spp")?,
+            // The mean over the film, from which samples that were left out are missing.
+            spp: number("spp")?.ceil() as u32,
             relative_error: number("relative_error"),
             seconds: number("seconds")?,
             bad_samples: says("bad_samples").and_then(|text| account(frame, text)).map_or(0, |bad| bad.total()),

@@ -132,3 +132,26 @@ fn a_time_budget_ends_a_frame() {
     let json = place.run("render fog.mgf -o a.exr --frames 1 --time 1s --json").exits(0).json();
     assert!(json["frames"][0]["spp"].as_u64().is_some_and(|spp| spp >= 16), "{json}");
 }
+
+#[cfg(unix)]
+#[test]
+fn ffmpeg_gets_every_frame_where_it_is_on_the_path_and_an_animated_png_stands_in_where_it_is_not() {
+    use std::os::unix::fs::PermissionsExt;
+    let place = Place::new();
+    std::fs::create_dir(place.path("bin")).expect("made");
+    let line = "render fog.mgf -o out --spp 1 --frames 1..3 --size 8x4 --video clip.mp4 --json";
+    let with_path = |path| place.command(line).env("PATH", path).output().expect("femc starts");
+    let without = with_path(place.path("nowhere"));
+    assert_eq!(without.status.code(), Some(0));
+    assert!(String::from_utf8_lossy(&without.stderr).contains("ffmpeg is not on the PATH"));
+    assert!(std::fs::read(place.path("clip.png")).is_ok_and(|bytes| bytes.starts_with(b"\x89PNG")));
+    // Stands for ffmpeg: keeps what comes in, in the file that the last argument names.
+    place.write(
+        "bin/ffmpeg",
+        "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\nfor out; do :; done\nexec /bin/cat > \"$out\"\n",
+    );
+    std::fs::set_permissions(place.path("bin/ffmpeg"), PermissionsExt::from_mode(0o755)).expect("made executable");
+    let with = with_path(place.path("bin"));
+    assert_eq!(with.status.code(), Some(0), "{}", String::from_utf8_lossy(&with.stderr));
+    assert_eq!(std::fs::read(place.path("clip.mp4")).expect("a clip").len(), 3 * 8 * 4 * 3);
+}

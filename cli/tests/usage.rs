@@ -53,6 +53,9 @@ fn a_broken_scene_fails_with_its_file_and_line() {
         let ran = place.run(&format!("{command} broken.mgf")).exits(1);
         assert!(ran.stderr().contains("broken.mgf:2"), "{command}: {}", ran.stderr());
     }
+    place.write("lost.mgf", &common::FOG.replace("vary medium.fog", "vary medium.frog"));
+    let ran = place.run("render lost.mgf").exits(1);
+    assert!(ran.stderr().contains("lost.mgf:2") && ran.stderr().contains("medium.fog.sigma_s"), "{}", ran.stderr());
 }
 
 #[test]

@@ -57,6 +57,7 @@ impl Asked {
             say.note(format!("warning: {}", beside(&path, warning)));
         }
         let mut scene = loaded.scene;
+        known_varies(&path, &scene)?;
         let settings = settings(&typed);
         settings.apply(&mut scene).map_err(|e| usage(format!("--set: {e}")))?;
         if settings.statistics {
@@ -115,6 +116,17 @@ pub fn load(path: &Path) -> Result<Loaded, Failure> {
         Ok(_) => {}
     }
     femc_import::load_path(path).map_err(|e| unimportable(path, &e))
+}
+
+/// A `vary` of what is not there would fail on the farm, in every frame and without its place in the file.
+fn known_varies(path: &Path, scene: &Scene) -> Result<(), Failure> {
+    for vary in &scene.varies {
+        if let Err(e) = scene.get(&vary.selector) {
+            let file = scene.files.get(vary.location.file as usize).map_or("", String::as_str);
+            return Err(failed(format!("{}:{}: vary: {e}", beside(path, file), vary.location.line)));
+        }
+    }
+    Ok(())
 }
 
 fn unimportable(path: &Path, e: &ImportError) -> Failure {

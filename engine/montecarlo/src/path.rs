@@ -220,9 +220,9 @@ impl<'a> Tracer<'a> {
         base: u32,
     ) -> bool {
         let most = throughput.max_element();
-        if !(most > 0.0) {
-            // A NaN must reach the film, where it is counted.
-            return most.is_nan() && segment < 2;
+        if most.is_nan() || most <= 0.0 {
+            // A NaN is not carried on; the film counts the sample when the NaN has reached its color.
+            return false;
         }
         if segment < ROULETTE_FROM {
             return true;

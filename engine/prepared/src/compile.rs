@@ -103,6 +103,8 @@ pub struct Compiler<'a> {
     photometry: &'a PhotometryTables,
     classes: &'a [SurfaceClass],
     hidden: Vec<bool>,
+    /// World position of the prepared frame's origin, m.
+    origin: DVec3,
     previous: &'a Cache,
     /// What has been compiled; the next frame's `previous`.
     pub cache: Cache,
@@ -119,6 +121,7 @@ impl<'a> Compiler<'a> {
         now: &'a Scalars,
         photometry: &'a PhotometryTables,
         classes: &'a [SurfaceClass],
+        origin: DVec3,
         previous: &'a Cache,
         pose: &'a dyn Fn(&Motion) -> DAffine3,
     ) -> Self {
@@ -133,6 +136,7 @@ impl<'a> Compiler<'a> {
             photometry,
             classes,
             hidden,
+            origin,
             previous,
             cache: Cache::new(),
             placed: Vec::new(),
@@ -151,7 +155,7 @@ impl<'a> Compiler<'a> {
         let start = if mirrored { mirror() } else { DAffine3::IDENTITY };
         let mut pending = Vec::new();
         self.gather(group, start, &mut builder, &mut pending);
-        let compiled = self.finish(group, mirrored, builder);
+        let compiled = self.finish(group, mirrored, &builder);
         if !compiled.primitives.is_empty() || !compiled.emitters.is_empty() {
             self.placed.push(Placed { compiled, motions: motions.to_vec(), mirrored });
         }
@@ -196,18 +200,19 @@ impl<'a> Compiler<'a> {
         object.is_none_or(|o| !self.hidden[o.index()])
     }
 
-    fn finish(&mut self, group: GroupId, mirrored: bool, builder: Builder) -> Arc<Compiled> {
+    fn finish(&mut self, group: GroupId, mirrored: bool, builder: &Builder) -> Arc<Compiled> {
         if let Some(done) = self.cache.get(&(group, mirrored)) {
             return done.clone();
         }
-        let key = self.key(&builder);
+        let key = self.key(builder);
         if let Some(old) = self.previous.get(&(group, mirrored))
             && old.key == key
         {
             self.cache.insert((group, mirrored), old.clone());
             return old.clone();
         }
-        let compiled = Arc::new(self.compile(&builder, key));
+        let center = if group == GroupId(0) { self.origin } else { self.center(builder) };
+        let compiled = Arc::new(self.compile(builder, center, key));
         self.cache.insert((group, mirrored), compiled.clone());
         compiled
     }
@@ -232,8 +237,9 @@ impl<'a> Compiler<'a> {
         key
     }
 
-    fn compile(&self, builder: &Builder, key: u64) -> Compiled {
-        let center = self.center(builder);
+    /// `center`: origin of the compiled frame. The world's is the prepared frame's own origin, so that its pose is the
+    /// identity: nothing is rounded twice, and the tracer needs no top level.
+    fn compile(&self, builder: &Builder, center: DVec3, key: u64) -> Compiled {
         let mut out = Output::default();
         for (group, to_compiled) in &builder.sources {
             let to_local = DAffine3::from_translation(-center) * *to_compiled;

@@ -116,7 +116,7 @@ pub fn prepare(scene: &Arc<Scene>, spec: &FrameSpec, previous: Option<&Prepared>
     let empty = Cache::new();
     let at_open = |motion: &Motion| motion.at(&now.paths, shutter[0]);
     let known = previous.map_or(&empty, |p| &p.cache);
-    let mut compiler = Compiler::new(scene, &now, &photometry, &classes, known, &at_open);
+    let mut compiler = Compiler::new(scene, &now, &photometry, &classes, origin, known, &at_open);
     compiler.run();
     let (placed, cache) = (compiler.placed, compiler.cache);
 
@@ -249,6 +249,15 @@ impl Assembly<'_> {
         let carrier = if moves { instance } else { NONE };
         let to_frame = if moves { DAffine3::IDENTITY } else { first };
         self.add_emitters(&placed.compiled, carrier, &to_frame);
+        // The tracer's surface is rounded in the compiled frame and again by the pose: the light's points are only that near.
+        if first != DAffine3::IDENTITY {
+            let bounds = placed.compiled.blas.bounds();
+            let local = bounds.min.abs().max(bounds.max.abs()).max_element();
+            let scale = first.matrix3.determinant().abs().cbrt() as f32;
+            let shift = first.translation.abs().max_element() as f32;
+            let slack = femc_math::gamma(8) * (local * scale + shift);
+            self.entries[first_light as usize..].iter_mut().for_each(|e| e.slack = slack);
+        }
         self.inputs.push(InstanceInput { blas: placed.compiled.blas.clone(), pose });
         self.instances.push(PlacedGroup { compiled: placed.compiled.clone(), first_light });
     }

@@ -33,11 +33,13 @@ pub struct Entry {
     pub texture: u32,
     /// Texture coordinates at the corners of a triangle.
     pub uv: [Vec2; 3],
+    /// How far the traced surface may lie from the light's, m, per axis.
+    pub slack: f32,
 }
 
 impl Default for Entry {
     fn default() -> Self {
-        Self { carrier: NONE, texture: NONE, uv: [Vec2::ZERO; 3] }
+        Self { carrier: NONE, texture: NONE, uv: [Vec2::ZERO; 3], slack: 0.0 }
     }
 }
 
@@ -109,6 +111,7 @@ impl Lights {
             let pose = world.pose_at(entry.carrier, time);
             carried(&self.set.lights()[light as usize], &pose, reference, u)?
         };
+        sample.error += entry.slack;
         if entry.texture != NONE {
             sample.radiance *= entry.texel(textures, sample.uv);
         }

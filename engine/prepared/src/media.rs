@@ -405,7 +405,7 @@ impl Media {
                 let part = self.depth(ray, interval, interval.start, t);
                 let (scatter, rate) = self.coefficients(ray, interval, t);
                 let pdf = mean(rate * attenuate(drawn + part.1));
-                if !(pdf > 0.0) {
+                if pdf <= 0.0 {
                     return Distance::Through { weight: Rgb::ZERO };
                 }
                 let weight = scatter * attenuate(all + part.0) / pdf;
@@ -415,7 +415,7 @@ impl Media {
             drawn = reached;
         }
         let probability = mean(attenuate(drawn));
-        if !(probability > 0.0) {
+        if probability <= 0.0 {
             return Distance::Through { weight: Rgb::ZERO };
         }
         Distance::Through { weight: attenuate(all) / probability }

@@ -1,29 +1,40 @@
-//! The log on stderr. `FEMC_LOG` (the syntax of tracing's env-filter) overrules the flags.
+//! The log on stderr. `FEMC_LOG` (`LEVEL` or `TARGET=LEVEL,...`) overrules the flags.
 
 use crate::args::{Cli, ColorChoice};
 use std::io::{self, IsTerminal};
-use tracing_subscriber::EnvFilter;
+use tracing_subscriber::filter::{LevelFilter, Targets};
+use tracing_subscriber::layer::{Layer, SubscriberExt};
+use tracing_subscriber::util::SubscriberInitExt;
 
 /// Start logging as the flags say.
 pub fn start(cli: &Cli) {
-    let level = match (cli.common.quiet, cli.common.verbose) {
-        (true, _) => "error",
-        (_, 0) if cli.command.is_service() => "warn,femc=info,femc_coordinator=info,femc_worker=info",
-        (_, 0) => "error",
-        (_, 1) => "warn,femc=info,femc_coordinator=info,femc_worker=info,femc_schedule=info",
-        (_, 2) => "info,femc=debug,femc_coordinator=debug,femc_worker=debug,femc_schedule=debug",
-        _ => "trace",
+    let own = |level| {
+        ["femc", "femc_coordinator", "femc_worker", "femc_schedule"]
+            .map(|target| (target, LevelFilter::from_level(level)))
     };
-    let filter = EnvFilter::try_from_env("FEMC_LOG").unwrap_or_else(|_| EnvFilter::new(level));
+    let service = Targets::new().with_default(LevelFilter::WARN).with_targets(own(tracing::Level::INFO));
+    let flags = match (cli.common.quiet, cli.common.verbose) {
+        (true, _) => Targets::new().with_default(LevelFilter::ERROR),
+        (_, 0) if cli.command.is_service() => service,
+        (_, 0) => Targets::new().with_default(LevelFilter::ERROR),
+        (_, 1) => service,
+        (_, 2) => Targets::new().with_default(LevelFilter::INFO).with_targets(own(tracing::Level::DEBUG)),
+        _ => Targets::new().with_default(LevelFilter::TRACE),
+    };
+    let asked = std::env::var("FEMC_LOG").ok().map(|text| text.parse::<Targets>().map_err(|error| (text, error)));
+    let (filter, refused) = match asked {
+        None => (flags, None),
+        Some(Ok(asked)) => (asked, None),
+        Some(Err(refused)) => (flags, Some(refused)),
+    };
     let colored = match cli.common.color {
         ColorChoice::Always => true,
         ColorChoice::Never => false,
         ColorChoice::Auto => io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none(),
     };
-    tracing_subscriber::fmt()
-        .with_env_filter(filter)
-        .with_writer(io::stderr)
-        .with_ansi(colored)
-        .with_target(false)
-        .init();
+    let lines = tracing_subscriber::fmt::layer().with_writer(io::stderr).with_ansi(colored).with_target(false);
+    tracing_subscriber::registry().with(lines.with_filter(filter)).init();
+    if let Some((text, error)) = refused {
+        tracing::error!("FEMC_LOG={text} is not a log filter ({error}); write LEVEL or TARGET=LEVEL,...");
+    }
 }

@@ -5,12 +5,15 @@
 //! is decoded. Alpha is not used.
 
 use crate::Fault;
-use ::image::{DynamicImage, ImageDecoder, ImageFormat, ImageReader};
 use exr::{meta::MetaData, prelude as exr_prelude};
 use exr_prelude::{ReadChannels, ReadLayers};
 use femc_math::elementary::double as elementary;
 use femc_scene::Image;
 use std::io::Cursor;
+use zune_jpeg::JpegDecoder;
+use zune_jpeg::zune_core::bytestream::ZCursor;
+use zune_jpeg::zune_core::colorspace::ColorSpace;
+use zune_jpeg::zune_core::options::DecoderOptions;
 
 /// Most pixels along one side.
 const MAX_SIDE: u32 = 32_768;
@@ -54,8 +57,8 @@ pub(crate) fn decode(path: &str, bytes: &[u8], role: Role, used: u64) -> Result<
         Ok((w, h))
     };
     let (width, height, mut pixels) = match bytes {
-        [0x89, b'P', b'N', b'G', ..] => eight_or_sixteen_bits(bytes, ImageFormat::Png, role, &bad, &check)?,
-        [0xff, 0xd8, ..] => eight_or_sixteen_bits(bytes, ImageFormat::Jpeg, role, &bad, &check)?,
+        [0x89, b'P', b'N', b'G', ..] => open_png(bytes, role, &bad, &check)?,
+        [0xff, 0xd8, ..] => open_jpeg(bytes, role, &bad, &check)?,
         [0x76, 0x2f, 0x31, 0x01, ..] => open_exr(bytes, &bad, &check)?,
         _ => return Err(bad("it is none of PNG, JPEG and EXR".into())),
     };
@@ -77,32 +80,50 @@ pub(crate) fn decode(path: &str, bytes: &[u8], role: Role, used: u64) -> Result<
 type Pixels = (u32, u32, Vec<[f32; 3]>);
 type Check<'a> = dyn Fn(usize, usize) -> Result<(u32, u32), Fault> + 'a;
 
-fn eight_or_sixteen_bits(
-    bytes: &[u8],
-    format: ImageFormat,
-    role: Role,
-    bad: &dyn Fn(String) -> Fault,
-    check: &Check<'_>,
-) -> Result<Pixels, Fault> {
-    let fault = |error: ::image::ImageError| bad(error.to_string());
-    let decoder = ImageReader::with_format(Cursor::new(bytes), format).into_decoder().map_err(fault)?;
-    let (width, height) = decoder.dimensions();
-    let (width, height) = check(width as usize, height as usize)?;
-    let image = DynamicImage::from_decoder(decoder).map_err(fault)?;
-    let pixels = match image {
-        DynamicImage::ImageLuma16(_)
-        | DynamicImage::ImageLumaA16(_)
-        | DynamicImage::ImageRgb16(_)
-        | DynamicImage::ImageRgba16(_) => {
-            let table: Vec<f32> = (0..=u16::MAX).map(|x| value(f64::from(x) / 65_535.0, role)).collect();
-            image.into_rgb16().pixels().map(|p| p.0.map(|x| table[usize::from(x)])).collect()
-        }
-        _ => {
-            let table: Vec<f32> = (0..=u8::MAX).map(|x| value(f64::from(x) / 255.0, role)).collect();
-            image.into_rgb8().pixels().map(|p| p.0.map(|x| table[usize::from(x)])).collect()
-        }
+fn open_png(bytes: &[u8], role: Role, bad: &dyn Fn(String) -> Fault, check: &Check<'_>) -> Result<Pixels, Fault> {
+    let fault = |error: png::DecodingError| bad(error.to_string());
+    let mut decoder = png::Decoder::new(Cursor::new(bytes));
+    // Palettes and fewer than 8 bits become whole bytes; 16 bits stay.
+    decoder.set_transformations(png::Transformations::EXPAND);
+    let mut reader = decoder.read_info().map_err(fault)?;
+    let (width, height) = check(reader.info().width as usize, reader.info().height as usize)?;
+    let (color, depth) = reader.output_color_type();
+    let size = reader.output_buffer_size().ok_or_else(|| bad("it is too large for this machine".into()))?;
+    let mut values = vec![0; size];
+    reader.next_frame(&mut values).map_err(fault)?;
+    let channels = color.samples();
+    let pixels = if depth == png::BitDepth::Sixteen {
+        let table: Vec<f32> = (0..=u16::MAX).map(|x| value(f64::from(x) / 65_535.0, role)).collect();
+        let at = |pixel: &[u8], i: usize| table[usize::from(u16::from_be_bytes([pixel[2 * i], pixel[2 * i + 1]]))];
+        values.chunks_exact(2 * channels).map(|pixel| spread(channels, |i| at(pixel, i))).collect()
+    } else {
+        let table = byte_table(role);
+        values.chunks_exact(channels).map(|pixel| spread(channels, |i| table[usize::from(pixel[i])])).collect()
     };
     Ok((width, height, pixels))
+}
+
+/// Red, green and blue of a pixel of 1 to 4 channels; grey ones repeat.
+fn spread(channels: usize, at: impl Fn(usize) -> f32) -> [f32; 3] {
+    if channels < 3 { [at(0); 3] } else { [at(0), at(1), at(2)] }
+}
+
+fn open_jpeg(bytes: &[u8], role: Role, bad: &dyn Fn(String) -> Fault, check: &Check<'_>) -> Result<Pixels, Fault> {
+    let most = usize::from(u16::MAX);
+    let options =
+        DecoderOptions::default().set_max_width(most).set_max_height(most).jpeg_set_out_colorspace(ColorSpace::RGB);
+    let mut decoder = JpegDecoder::new_with_options(ZCursor::new(bytes), options);
+    decoder.decode_headers().map_err(|error| bad(error.to_string()))?;
+    let (width, height) = decoder.dimensions().ok_or_else(|| bad("its header has no size".into()))?;
+    let (width, height) = check(width, height)?;
+    let values = decoder.decode().map_err(|error| bad(error.to_string()))?;
+    let table = byte_table(role);
+    let pixels = values.chunks_exact(3).map(|p| [0, 1, 2].map(|i| table[usize::from(p[i])])).collect();
+    Ok((width, height, pixels))
+}
+
+fn byte_table(role: Role) -> Vec<f32> {
+    (0..=u8::MAX).map(|x| value(f64::from(x) / 255.0, role)).collect()
 }
 
 /// A value of the file in [0, 1] in its role.
@@ -141,12 +162,17 @@ fn open_exr(bytes: &[u8], bad: &dyn Fn(String) -> Fault, check: &Check<'_>) -> R
 #[cfg(test)]
 mod tests {
     use super::*;
-    use ::image::{ImageBuffer, Luma, Rgb, Rgba};
 
-    fn encoded(image: &DynamicImage, format: ImageFormat) -> Vec<u8> {
-        let mut bytes = Cursor::new(Vec::new());
-        image.write_to(&mut bytes, format).unwrap();
-        bytes.into_inner()
+    fn png_of((width, height): (u32, u32), color: png::ColorType, depth: png::BitDepth, values: &[u8]) -> Vec<u8> {
+        let mut bytes = Vec::new();
+        let mut encoder = png::Encoder::new(&mut bytes, width, height);
+        encoder.set_color(color);
+        encoder.set_depth(depth);
+        if color == png::ColorType::Indexed {
+            encoder.set_palette(vec![0, 188, 255, 255, 0, 188]);
+        }
+        encoder.write_header().and_then(|mut writer| writer.write_image_data(values)).unwrap();
+        bytes
     }
 
     fn exr_bytes(pixel: (f32, f32, f32)) -> Vec<u8> {
@@ -158,27 +184,39 @@ mod tests {
     }
 
     #[test]
-    fn srgb_becomes_linear_in_eight_and_sixteen_bits_with_and_without_alpha() {
-        let eight = DynamicImage::ImageRgb8(ImageBuffer::from_pixel(2, 1, Rgb([0, 188, 255])));
-        let alpha = DynamicImage::ImageRgba8(ImageBuffer::from_pixel(2, 1, Rgba([0, 188, 255, 9])));
-        let sixteen = DynamicImage::ImageRgb16(ImageBuffer::from_pixel(2, 1, Rgb([0, 188 * 257, 65_535])));
-        for image in [eight, alpha, sixteen] {
-            let Decoded { image, negative } =
-                decode("t.png", &encoded(&image, ImageFormat::Png), Role::Color, 0).unwrap();
+    fn srgb_becomes_linear_at_every_depth_with_and_without_alpha_and_palette() {
+        use png::{BitDepth, ColorType};
+        let sixteen: Vec<u8> = [0u16, 188 * 257, 65_535].iter().flat_map(|x| x.to_be_bytes()).collect();
+        for (color, depth, pixel) in [
+            (ColorType::Rgb, BitDepth::Eight, &[0, 188, 255][..]),
+            (ColorType::Rgba, BitDepth::Eight, &[0, 188, 255, 9]),
+            (ColorType::Rgb, BitDepth::Sixteen, &sixteen),
+            (ColorType::Indexed, BitDepth::Eight, &[0]),
+        ] {
+            let bytes = png_of((2, 1), color, depth, &pixel.repeat(2));
+            let Decoded { image, negative } = decode("t.png", &bytes, Role::Color, 0).unwrap();
             assert_eq!((image.width, image.height, image.pixels.len(), negative), (2, 1, 2, false));
             let [r, g, b] = image.pixels[1];
-            assert!(r == 0.0 && b == 1.0 && (g - 0.5029).abs() < 1e-4, "{:?}", image.pixels[1]);
+            assert!(r == 0.0 && b == 1.0 && (g - 0.5029).abs() < 1e-4, "{color:?}: {:?}", image.pixels[1]);
         }
-        let grey = DynamicImage::ImageLuma8(ImageBuffer::from_pixel(1, 1, Luma([255])));
-        let grey = decode("g.png", &encoded(&grey, ImageFormat::Png), Role::Color, 0).unwrap();
-        assert_eq!(grey.image.pixels, [[1.0; 3]]);
+        // Grey: with alpha, and of one bit, where a row's last byte has bits to spare.
+        let grey = png_of((1, 1), ColorType::GrayscaleAlpha, BitDepth::Eight, &[255, 0]);
+        assert_eq!(decode("g.png", &grey, Role::Color, 0).unwrap().image.pixels, [[1.0; 3]]);
+        let bits = png_of((3, 2), ColorType::Grayscale, BitDepth::One, &[0b0100_0000, 0b1010_0000]);
+        let bits = decode("g.png", &bits, Role::Color, 0).unwrap().image.pixels;
+        assert_eq!(bits, [0.0, 1.0, 0.0, 1.0, 0.0, 1.0].map(|x| [x; 3]));
     }
 
     #[test]
-    fn jpeg_is_read() {
-        let grey = DynamicImage::ImageRgb8(ImageBuffer::from_pixel(8, 8, Rgb([255, 255, 255])));
-        let decoded = decode("t.jpg", &encoded(&grey, ImageFormat::Jpeg), Role::Color, 0).unwrap();
-        assert!(decoded.image.pixels.iter().flatten().all(|x| (x - 1.0).abs() < 0.02));
+    fn jpeg_is_read_in_color_and_in_grey() {
+        // 8 x 8 pixels of (255, 128, 0), and 5 x 3 of grey 188.
+        let color = decode("t.jpg", include_bytes!("../tests/files/orange.jpg"), Role::Color, 0).unwrap().image;
+        assert_eq!((color.width, color.height, color.pixels.len()), (8, 8, 64));
+        let near = |pixel: &[f32; 3], wanted: [f32; 3]| (0..3).all(|i| (pixel[i] - wanted[i]).abs() < 0.03);
+        assert!(color.pixels.iter().all(|p| near(p, [1.0, 0.2159, 0.0])), "{:?}", color.pixels[0]);
+        let grey = decode("t.jpg", include_bytes!("../tests/files/grey.jpg"), Role::Color, 0).unwrap().image;
+        assert_eq!((grey.width, grey.height, grey.pixels.len()), (5, 3, 15));
+        assert!(grey.pixels.iter().all(|p| near(p, [0.5029; 3])), "{:?}", grey.pixels[0]);
     }
 
     #[test]
@@ -190,8 +228,8 @@ mod tests {
 
     #[test]
     fn normal_maps_are_mapped_to_directions_and_not_through_srgb() {
-        let map = DynamicImage::ImageRgb8(ImageBuffer::from_pixel(1, 1, Rgb([0, 51, 255])));
-        let decoded = decode("n.png", &encoded(&map, ImageFormat::Png), Role::Normals, 0).unwrap();
+        let map = png_of((1, 1), png::ColorType::Rgb, png::BitDepth::Eight, &[0, 51, 255]);
+        let decoded = decode("n.png", &map, Role::Normals, 0).unwrap();
         assert_eq!(decoded.image.pixels, [[-1.0, -0.6, 1.0]]);
         let decoded = decode("n.exr", &exr_bytes((0.5, 0.0, 1.0)), Role::Normals, 0).unwrap();
         assert_eq!(decoded.image.pixels[0], [0.0, -1.0, 1.0]);
@@ -207,8 +245,7 @@ mod tests {
     #[test]
     fn sizes_beyond_the_limit_are_refused_by_the_header() {
         // A header that claims 40000 x 2 pixels, and nothing behind it.
-        let small = DynamicImage::ImageLuma8(ImageBuffer::from_pixel(4, 2, Luma([1])));
-        let mut png = encoded(&small, ImageFormat::Png);
+        let mut png = png_of((4, 2), png::ColorType::Grayscale, png::BitDepth::Eight, &[1; 8]);
         png[16..20].copy_from_slice(&40_000u32.to_be_bytes());
         let checksum = crc32(&png[12..29]).to_be_bytes();
         png[29..33].copy_from_slice(&checksum);

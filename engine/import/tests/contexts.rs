@@ -260,10 +260,9 @@ fn texture_coordinates_and_maps_arrive() {
         "t.mgf",
         "m a =\nmap_rd p.png\nmap_ed p.png\nmap_n p.png\nv x =\nuv .25 .75\nn 0 0 2\nsph x 1\nv y =\np 1 0 0\nv z =\np 0 1 0\nf x y z",
     )]);
-    let mut png = std::io::Cursor::new(Vec::new());
-    let white = image::DynamicImage::ImageLuma8(image::ImageBuffer::from_pixel(1, 1, image::Luma([255])));
-    white.write_to(&mut png, image::ImageFormat::Png).unwrap();
-    bundle.0.insert("p.png".into(), png.into_inner());
+    let mut white = Vec::new();
+    png::Encoder::new(&mut white, 1, 1).write_header().and_then(|mut w| w.write_image_data(&[255])).unwrap();
+    bundle.0.insert("p.png".into(), white);
     let loaded = femc_import::load(&bundle, "t.mgf").unwrap();
     let m = &loaded.scene.materials[0];
     assert_eq!((m.map_rd, m.map_ed, m.map_n), (Some(ImageId(0)), Some(ImageId(0)), Some(ImageId(1))));

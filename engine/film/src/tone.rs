@@ -9,8 +9,8 @@
 //! byte    = round(255 * channel)
 //! ```
 //!
-//! Automatic exposure brings the log-average luminance to 0.18, middle gray. Pixels below 1e-4 of the mean count as that, so
-//! that a black sky does not decide the exposure.
+//! Automatic exposure brings the log-average luminance to 0.18, middle gray. Pixels that no light reaches are left out, and
+//! those below 1e-4 of the mean count as that, so that a black sky does not decide the exposure.
 
 use crate::{Image, Picture};
 use femc_math::elementary::{double, pow};
@@ -32,12 +32,12 @@ pub struct ToneCurve {
 
 impl ToneCurve {
     /// The curve of automatic exposure for all of `images` together, so that a clip does not flicker. Pixels that are not
-    /// finite do not count; with nothing but black the exposure is 1.
+    /// finite or have no light do not count; with nothing but black the exposure is 1.
     pub fn auto<'a>(images: impl IntoIterator<Item = &'a Image>) -> Self {
         let luminances: Vec<f64> = images
             .into_iter()
             .flat_map(|image| (0..image.pixels.len()).map(|i| f64::from(image.luminance(i))))
-            .filter(|y| y.is_finite())
+            .filter(|y| y.is_finite() && *y > 0.0)
             .collect();
         let n = luminances.len().max(1) as f64;
         let mean = luminances.iter().sum::<f64>() / n;

@@ -5,7 +5,7 @@
 //! on the ground reaches 5 cm or more into it, so that no two faces share a plane where they overlap.
 //!
 //! Light: 40 lamps of 5000 lm, 8 m high, give about 20 lx on the carriageway and with 9 % reflectance 0.5 to 1 cd/m2.
-//! Fog: sigma_t = 3.912 / 90 m (Koschmieder's law at 2 % contrast, \[koschmieder1924\]): a visibility of 90 m.
+//! Fog: sigma_t = 3.912 / 250 m (Koschmieder's law at 2 % contrast, \[koschmieder1924\]): a visibility of 250 m.
 
 mod car;
 mod drive;
@@ -46,11 +46,11 @@ camera kerbside =
 
 time 0 11.9 10
 
-# Visibility 90 m: sigma_t = 3.912 / 90; droplets scatter forward and hardly absorb.
+# Visibility 250 m: sigma_t = 3.912 / 250; droplets scatter forward and hardly absorb.
 medium fog =
 	c
-	sigma_s 0.0426
-	sigma_a 0.0009
+	sigma_s 0.0153
+	sigma_a 0.0003
 	phase hg 0.7
 mglobal fog
 

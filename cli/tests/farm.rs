@@ -96,3 +96,90 @@ fn a_job_that_does_not_exist_is_wrong_usage() {
         assert!(ran.stderr().contains("77"), "{command}: {}", ran.stderr());
     }
 }
+
+/// Share of the job's samples that are done.
+fn share(place: &Place, url: &str, job: &str) -> f64 {
+    let status = place.run(&format!("status {job} --json --server {url}")).exits(0).json();
+    let number = |key: &str| status[key].as_f64().expect("a number");
+    number("samples") / number("samples_most")
+}
+
+/// Waits until between a third and two thirds of the job are done.
+fn half_way(place: &Place, farm: &mut Running, url: &str, job: &str) {
+    farm.wait_until("a third of the samples", || share(place, url, job) > 0.33);
+    let share = share(place, url, job);
+    println!("killed with {:.0} % of the samples done", 100.0 * share);
+    assert!(share < 0.67, "it is not over yet: {share}");
+}
+
+/// The frame of a foggy Cornell box rendered in six ways; `FEMC_SIX_WAYS` names another scene.
+#[test]
+#[ignore = "minutes: cargo test --release -p femc --test farm -- --ignored --nocapture six_ways"]
+fn six_ways_to_one_frame() {
+    let place = Place::new();
+    let scene = std::env::var("FEMC_SIX_WAYS")
+        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../scenes/cornell-fog.mgf").into());
+    let settings = "--spp 128 --size 192x192";
+    let mut ways = Vec::new();
+    for (name, split) in [
+        ("one worker of one thread", "--workers 1 --threads 1"),
+        ("three workers of one thread", "--workers 3 --threads 1"),
+        ("one worker of two threads", "--workers 1 --threads 2"),
+    ] {
+        place.run(&format!("render {scene} -o one.exr {settings} {split}")).exits(0);
+        ways.push((name, common::pixels(&place.path("one.exr"))));
+        std::fs::remove_file(place.path("one.exr")).expect("it was written");
+    }
+    let queue = |url: &str| {
+        let ran = place.run(&format!("submit {scene} {settings} --server {url}")).exits(0);
+        ran.stdout().lines().last().expect("a job id").to_owned()
+    };
+    let get = |url: &str, job: &str, out: &str| {
+        place.run(&format!("watch {job} --server {url}")).exits(0);
+        place.run(&format!("fetch {job} -o {out} --server {url}")).exits(0);
+        let name = names(&place.path(out)).into_iter().find(|name| name.ends_with(".exr")).expect("a frame");
+        common::pixels(&place.path(out).join(name))
+    };
+
+    let (mut farm, url) = coordinator(&place, 0);
+    let mut workers = [worker(&place, &url), worker(&place, &url), worker(&place, &url)];
+    let job = queue(&url);
+    half_way(&place, &mut farm, &url, &job);
+    assert!(workers[1].kill(), "the victim was alive");
+    ways.push(("three worker processes, one killed half way", get(&url, &job, "killed")));
+
+    // Another seed would be another frame; the same job again would be answered from the store: a fresh farm.
+    drop((farm, workers));
+    for name in ["farm.db", "farm.db-wal", "farm.db-shm"] {
+        let _ = std::fs::remove_file(place.path(name));
+    }
+    std::fs::remove_dir_all(place.path("artifacts")).expect("the artefacts");
+    let (mut farm, url) = coordinator(&place, 0);
+    let mut workers = [worker(&place, &url), worker(&place, &url)];
+    let job = queue(&url);
+    half_way(&place, &mut farm, &url, &job);
+    assert!(farm.kill() && workers.iter_mut().all(Running::kill), "all were alive");
+    let port = url.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
+    let (_farm, url) = coordinator(&place, port);
+    let kept = share(&place, &url, &job);
+    println!("{:.0} % of the samples were kept", 100.0 * kept);
+    assert!((0.1..0.67).contains(&kept), "what was acknowledged is kept, the rest is to do: {kept}");
+    let _workers = [worker(&place, &url), worker(&place, &url)];
+    ways.push(("all killed half way and started again", get(&url, &job, "resumed")));
+
+    let line = format!("render {scene} -o clip --frames 1 {settings} --threads 1");
+    let mut render = place.start(&line);
+    let begun = std::time::Instant::now();
+    render.wait_until("some seconds", || begun.elapsed().as_secs() >= 4);
+    assert!(render.kill(), "it was alive");
+    assert!(names(&place.path("clip")).is_empty(), "it had no frame yet");
+    assert!(place.path("clip/.femc").is_dir(), "what it had is kept");
+    place.run(&line).exits(0);
+    let name = names(&place.path("clip")).into_iter().find(|name| name.ends_with(".exr")).expect("a frame");
+    ways.push(("one process, killed and started again", common::pixels(&place.path("clip").join(name))));
+
+    for (name, pixels) in &ways {
+        println!("{}  {name}", common::digest(pixels));
+        assert!(*pixels == ways[0].1, "{name}");
+    }
+}

@@ -246,3 +246,9 @@ pub fn film(path: &Path) -> Film {
 pub fn pixels(path: &Path) -> Vec<u32> {
     film(path).rgb.iter().map(|value| value.to_bits()).collect()
 }
+
+/// A digest of values' bits, to print.
+pub fn digest(bits: &[u32]) -> String {
+    let bytes: Vec<u8> = bits.iter().flat_map(|bits| bits.to_le_bytes()).collect();
+    blake3::hash(&bytes).to_hex().to_string()
+}

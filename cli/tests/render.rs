@@ -127,6 +127,30 @@ fn samples_beyond_all_range_are_left_out_counted_and_told() {
 }
 
 #[test]
+fn samples_that_are_not_numbers_are_left_out_counted_and_told_and_their_pixels_stay_right() {
+    let place = Place::new();
+    let trap = "medium trap =\n\tsigma_s 1e-6\nmbox trap 0.2 -0.9 0.9 0.45 -0.8 1.15\n";
+    place.write("trap.mgf", &format!("{}{trap}", common::FOG));
+    let line = "render trap.mgf -o OUT --spp 64 --frames 1 --json";
+    let clean = place.run(&line.replace("OUT", "clean.exr")).exits(0).json();
+    assert_eq!(clean["bad_samples"], 0);
+    // Beyond all range of numbers: in the little box the albedo becomes infinity over infinity.
+    let ran = place.run(&format!("{} --set medium.trap.sigma_s=1e39", line.replace("OUT", "a.exr"))).exits(0);
+    let summary = ran.json();
+    let bad = summary["bad_samples"].as_u64().expect("a number");
+    assert!(bad > 100 && summary["bad"][0]["nan"] == bad, "{summary}");
+    assert!(ran.stderr().contains(&format!("{bad} NaN")), "{}", ran.stderr());
+    let (clean, image) = (common::film(&place.path("clean.exr")), common::film(&place.path("a.exr")));
+    assert!(image.rgb.iter().all(|value| value.is_finite()));
+    // Where the camera looks into the box every sample is bad and the pixel is black; elsewhere some are, and the pixel
+    // keeps its value by the others.
+    let near = |(a, b): &(&f32, &f32)| (*a - *b).abs() <= 0.25 * b.abs();
+    let kept = image.rgb.iter().zip(&clean.rgb).filter(near).count() as f64 / image.rgb.len() as f64;
+    println!("{bad} NaN; {kept} of the values are within 25 %");
+    assert!(kept > 0.9, "{kept}");
+}
+
+#[test]
 fn a_time_budget_ends_a_frame() {
     let place = Place::new();
     let json = place.run("render fog.mgf -o a.exr --frames 1 --time 1s --json").exits(0).json();

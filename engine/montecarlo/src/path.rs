@@ -206,6 +206,10 @@ impl<'a> Tracer<'a> {
                 break;
             }
         }
+        // A path that went wrong and met no light after that would pass for a dark one: the film is to count it.
+        if !throughput.is_finite() {
+            out.color = Rgb::NAN;
+        }
         out
     }
 
@@ -220,8 +224,7 @@ impl<'a> Tracer<'a> {
         base: u32,
     ) -> bool {
         let most = throughput.max_element();
-        if most.is_nan() || most <= 0.0 {
-            // A NaN is not carried on; the film counts the sample when the NaN has reached its color.
+        if !throughput.is_finite() || most <= 0.0 {
             return false;
         }
         if segment < ROULETTE_FROM {

@@ -102,8 +102,7 @@ impl KernelMaterial {
 
     /// The BSDF at a point whose texture of `rd` has value `texel`.
     pub fn textured(&self, texel: Rgb) -> Bsdf {
-        let rd = self.parameters.rd * texel.clamp(Rgb::ZERO, Rgb::ONE);
-        Bsdf::from_parameters(&MaterialParameters { rd, ..self.parameters })
+        self.bsdf.with_diffuse_factor(texel.clamp(Rgb::ZERO, Rgb::ONE))
     }
 }
 

@@ -66,7 +66,20 @@ fn compare(image: &FrameImage, halves: [&Image; 2]) -> Comparison {
 /// Renders `name` at `spp`: mean within `tolerance`, error (less the reference's own noise) at most `limit`, no block's
 /// mean off by more than 4.5 standard errors.
 fn check(name: &str, spp: u32, tolerance: f64, limit: f64) {
-    let Some(folder) = shared("refs") else { return };
+    let Some(c) = measure(name, spp) else { return };
+    let net = c.relmse - c.reference_noise;
+    assert!((c.mean_ratio - 1.0).abs() <= tolerance, "mean ratio {}", c.mean_ratio);
+    assert!(net <= limit, "relmse less the reference's own noise {net} > {limit}");
+    blocks_agree(&c);
+}
+
+fn blocks_agree(c: &Comparison) {
+    assert!(c.worst_z <= 4.5, "block {:?} is {} standard errors off", c.worst_block, c.worst_z);
+}
+
+/// Renders `name` at `spp` and compares; `None` where the references are absent.
+fn measure(name: &str, spp: u32) -> Option<Comparison> {
+    let folder = shared("refs")?;
     let loaded = femc_import::load_path(&folder.join(format!("{name}.mgf"))).unwrap_or_else(|e| panic!("{e}"));
     let halves =
         ["A", "B"].map(|half| read(&folder.join(format!("{name}_{half}.exr"))).unwrap_or_else(|e| panic!("{e}")).image);
@@ -85,9 +98,7 @@ fn check(name: &str, spp: u32, tolerance: f64, limit: f64) {
         c.worst_z,
         c.worst_block
     );
-    assert!((c.mean_ratio - 1.0).abs() <= tolerance, "mean ratio {}", c.mean_ratio);
-    assert!(net <= limit, "relmse less the reference's own noise {net} > {limit}");
-    assert!(c.worst_z <= 4.5, "block {:?} is {} standard errors off", c.worst_block, c.worst_z);
+    Some(c)
 }
 
 #[test]
@@ -124,8 +135,15 @@ fn sphere_is_within_its_bounds() {
     check("sphere", 256, 0.005, 1.40e-2);
 }
 
+/// The blocks are judged at 512 samples: lamps of a hundredth of a pixel are met by so few camera rays at 64 that a block may
+/// hold none, and then its samples do not know their own variance.
 #[test]
 #[ignore = "minutes"]
 fn roundabout_is_within_its_bounds() {
-    check("roundabout", 64, 0.01, 0.661);
+    if let (Some(few), Some(many)) = (measure("roundabout", 64), measure("roundabout", 512)) {
+        let net = few.relmse - few.reference_noise;
+        assert!(net <= 0.661, "relmse less the reference's own noise {net}");
+        assert!((few.mean_ratio - 1.0).abs() <= 0.01 && (many.mean_ratio - 1.0).abs() <= 0.01);
+        blocks_agree(&many);
+    }
 }

@@ -9,11 +9,11 @@ pub mod emission;
 pub mod equiangular;
 pub mod light;
 pub mod photometry;
-pub mod set;
 pub mod solid_angle;
+pub mod tree;
 
 pub use emission::{Emission, Profile, Sides};
 pub use equiangular::Equiangular;
 pub use light::{DeltaKind, EmissionCone, Light, LightSample};
 pub use photometry::{IntensityDistribution, PhotometryError, PhotometryKind};
-pub use set::{LightChoice, LightSet};
+pub use tree::{AlongSegment, AtPoint, LightBounds, LightTree, Place};

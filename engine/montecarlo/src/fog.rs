@@ -43,9 +43,13 @@ pub struct Collision {
 }
 
 impl Collision {
-    /// Density, 1/m, with which equiangular sampling about `light` draws this event's distance.
+    /// Density, 1/m, with which way 2 chooses `light` and draws this event's distance about it.
     pub fn equiangular_pdf(&self, scene: &Prepared, light: u32, time: f32) -> f32 {
-        about(scene, light, time, self.origin, self.dir, self.range).pdf(self.event.t - self.range.0)
+        let chosen = scene.lights.probability(&scene.lights.along(self.origin, self.dir, self.range), light);
+        if chosen <= 0.0 {
+            return 0.0;
+        }
+        chosen * about(scene, light, time, self.origin, self.dir, self.range).pdf(self.event.t - self.range.0)
     }
 }
 
@@ -105,10 +109,9 @@ impl Fog<'_, '_> {
         stream.seek(segment.base + dim::LIGHT_POINT);
         let u = stream.next_2d();
         stream.seek(segment.base + dim::LIGHT);
-        let choice = stream.next_1d();
-        let Some(drawn) =
-            scene.lights.sample(&scene.world, &scene.textures, collision.position, segment.time, choice, u)
-        else {
+        let choice = dim::fine(stream.next_2d());
+        let place = scene.lights.at_point(collision.position, Vec3A::ZERO);
+        let Some(drawn) = scene.lights.sample(&scene.world, &scene.textures, &place, segment.time, choice, u) else {
             return Rgb::ZERO;
         };
         let light = &drawn.sample;
@@ -118,7 +121,7 @@ impl Fog<'_, '_> {
         let (phase, phase_pdf) = scene.media.phase(self.ray, &collision.event, -segment.dir, light.dir);
         let equiangular = collision.equiangular_pdf(scene, drawn.light, segment.time);
         // Relative to way 1 for the same light and direction.
-        let by_distance = square(equiangular / collision.event.pdf);
+        let by_distance = square(equiangular / (collision.event.pdf * drawn.probability));
         let by_phase = if light.delta == DeltaKind::Position { 0.0 } else { square(phase_pdf / light.pdf) };
         let weight = 1.0 / (1.0 + by_distance + by_phase);
         let visibility = self.visibility(segment, collision.position, light);
@@ -133,8 +136,11 @@ impl Fog<'_, '_> {
         }
         let Some(range) = scene.media.scattering_range(self.ray) else { return Rgb::ZERO };
         stream.seek(segment.base + dim::EQUIANGULAR);
-        let [u, choice] = stream.next_2d();
-        let Some((light, probability)) = scene.lights.choose(choice) else { return Rgb::ZERO };
+        let u = stream.next_1d();
+        stream.seek(segment.base + dim::EQUIANGULAR_LIGHT);
+        let choice = dim::fine(stream.next_2d());
+        let place = scene.lights.along(segment.origin, segment.dir, range);
+        let Some((light, probability)) = scene.lights.choose(&place, choice) else { return Rgb::ZERO };
         let distances = about(scene, light, segment.time, segment.origin, segment.dir, range);
         let Some((t, density)) = distances.sample(u) else { return Rgb::ZERO };
         let t = range.0 + t;
@@ -152,7 +158,8 @@ impl Fog<'_, '_> {
         }
         let (phase, phase_pdf) = scene.media.phase(self.ray, &event, -segment.dir, sample.dir);
         let pdf = probability * sample.pdf;
-        let by_light = square(event.pdf / density);
+        let at_event = scene.lights.probability(&scene.lights.at_point(position, Vec3A::ZERO), light);
+        let by_light = square(event.pdf * at_event / (density * probability));
         let by_phase =
             if sample.delta == DeltaKind::Position { 0.0 } else { square(event.pdf * phase_pdf / (density * pdf)) };
         let weight = 1.0 / (1.0 + by_light + by_phase);

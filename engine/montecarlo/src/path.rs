@@ -54,6 +54,8 @@ pub struct PathSample {
 #[derive(Clone, Copy)]
 struct Previous {
     position: Vec3A,
+    /// Normal of the side that light was scattered from; zero where light counted from all sides.
+    normal: Vec3A,
     /// Density of the segment's direction, 1/sr; `None`: it could only be met this way (camera, mirror).
     pdf: Option<f32>,
     /// The scattering event when the vertex was in a medium.
@@ -102,7 +104,7 @@ impl<'a> Tracer<'a> {
         let mut out = PathSample { color: Rgb::ZERO, albedo: Rgb::ZERO, depth: f32::INFINITY };
         let mut throughput = Rgb::ONE;
         let mut inside = scene.camera_inside;
-        let mut previous = Previous { position: ray.origin, pdf: None, collision: None };
+        let mut previous = Previous { position: ray.origin, normal: Vec3A::ZERO, pdf: None, collision: None };
         // Square of the index ratio that radiance was scaled by: roulette must not count it as a loss.
         let mut eta_scale = 1.0f32;
         let mut first = true;
@@ -133,8 +135,12 @@ impl<'a> Tracer<'a> {
                         out.color += throughput * fog.direct(&stretch, &collision, &mut stream);
                         let Some((dir, pdf, weight)) = fog.scatter(&stretch, &collision, &mut stream) else { break };
                         throughput *= weight;
-                        previous =
-                            Previous { position: collision.position, pdf: Some(pdf), collision: Some(collision) };
+                        previous = Previous {
+                            position: collision.position,
+                            normal: Vec3A::ZERO,
+                            pdf: Some(pdf),
+                            collision: Some(collision),
+                        };
                         ray = Ray { origin: collision.position, dir, t_max: f32::INFINITY, time: ray.time };
                         segment += 1;
                         if !self.survives(segment, &mut throughput, eta_scale, &mut stream, base) {
@@ -195,6 +201,7 @@ impl<'a> Tracer<'a> {
             }
             previous = Previous {
                 position: point.position,
+                normal: lit_side(&bsdf, &point, back),
                 pdf: (scattered.lobe != LobeKind::Delta).then_some(scattered.pdf),
                 collision: None,
             };
@@ -264,13 +271,13 @@ impl<'a> Tracer<'a> {
             return radiance;
         }
         let at = (point.position, point.normal);
-        let drawn = scene.lights.pdf(&scene.world, light, previous.position, ray.time, at, ray.dir)
-            * scene.lights.probability(light);
+        let drawn = scene.lights.pdf(&scene.world, light, previous.position, ray.time, at, ray.dir);
+        let chosen = scene.lights.probability(&scene.lights.at_point(previous.position, previous.normal), light);
         let others = match &previous.collision {
-            None => square(drawn),
+            None => square(drawn * chosen),
             Some(collision) => {
                 let equiangular = collision.equiangular_pdf(scene, light, ray.time);
-                square(drawn) * (1.0 + square(equiangular / collision.event.pdf))
+                square(drawn) * (square(chosen) + square(equiangular / collision.event.pdf))
             }
         };
         radiance * (square(pdf) / (square(pdf) + others))
@@ -297,8 +304,9 @@ impl<'a> Tracer<'a> {
         stream.seek(base + dim::LIGHT_POINT);
         let u = stream.next_2d();
         stream.seek(base + dim::LIGHT);
-        let choice = stream.next_1d();
-        let Some(drawn) = scene.lights.sample(&scene.world, &scene.textures, point.position, time, choice, u) else {
+        let choice = dim::fine(stream.next_2d());
+        let place = scene.lights.at_point(point.position, lit_side(bsdf, point, back));
+        let Some(drawn) = scene.lights.sample(&scene.world, &scene.textures, &place, time, choice, u) else {
             return Rgb::ZERO;
         };
         let light = &drawn.sample;
@@ -342,6 +350,18 @@ fn local_wo(material: &KernelMaterial, point: &SurfacePoint, dir: Vec3A) -> (Fra
         wo = frame.to_local(outward);
     }
     (frame, wo)
+}
+
+/// Normal of the side that light is scattered from, as the choice of a light wants it; zero where light comes through.
+#[inline]
+fn lit_side(bsdf: &Bsdf, point: &SurfacePoint, back: bool) -> Vec3A {
+    if bsdf.transmits() {
+        Vec3A::ZERO
+    } else if back {
+        -point.normal
+    } else {
+        point.normal
+    }
 }
 
 /// Whether shading and geometry agree on the side of `wi`.

@@ -143,6 +143,7 @@ pub fn prepare(scene: &Arc<Scene>, spec: &FrameSpec, previous: Option<&Prepared>
     let Assembly { inputs, instances, lights, entries, .. } = assembly;
     let world = World::build(inputs);
     let extent = world.bounds().size().max_element();
+    let lights = Lights::new(lights, entries, &world, media.haze());
     let mut prepared = Prepared {
         scene: scene.clone(),
         frame: spec.frame,
@@ -152,7 +153,7 @@ pub fn prepare(scene: &Arc<Scene>, spec: &FrameSpec, previous: Option<&Prepared>
         materials,
         textures,
         photometry,
-        lights: Lights::new(lights, entries),
+        lights,
         media,
         camera,
         origin,

@@ -6,8 +6,8 @@ use femc_emission::light::{
     Cone, Parallelogram, PhotometricPoint, PhotometricSolid, Ring, Solid, Sphere, Torus, Triangle,
 };
 use femc_emission::{
-    DeltaKind, Emission, IntensityDistribution, Light, LightSample, LightSet, PhotometryError, PhotometryKind, Profile,
-    Sides,
+    AlongSegment, AtPoint, DeltaKind, Emission, EmissionCone, IntensityDistribution, Light, LightBounds, LightSample,
+    LightTree, PhotometryError, PhotometryKind, Place, Profile, Sides,
 };
 use femc_geometry::World;
 use femc_math::Rgb;
@@ -18,10 +18,15 @@ use std::sync::Arc;
 /// All light sources. A light is fixed in the prepared frame, or in the frame of an instance that moves in the shutter.
 #[derive(Debug, Default)]
 pub struct Lights {
-    set: LightSet,
+    lights: Vec<Light>,
     entries: Vec<Entry>,
     /// Middles of the lights, in the frames that they are kept in.
     centers: Vec<Vec3A>,
+    tree: LightTree,
+    /// Extinction of the haze that is everywhere, 1/m: it makes far lights less important.
+    haze: f32,
+    /// Longest stretch of a ray that is looked at when a light is chosen for it, m.
+    reach: f32,
 }
 
 /// Place and texture of a light.
@@ -50,14 +55,19 @@ pub struct Drawn {
     pub sample: LightSample,
     /// Index of the light.
     pub light: u32,
+    /// Probability with which it was chosen.
+    pub probability: f32,
 }
 
 impl Lights {
-    /// Joins lights with their entries (same length and order).
-    pub fn new(lights: Vec<Light>, entries: Vec<Entry>) -> Self {
+    /// Joins lights with their entries (same length and order) in `world`. `haze`: extinction that is everywhere, 1/m.
+    pub fn new(lights: Vec<Light>, entries: Vec<Entry>, world: &World, haze: f32) -> Self {
         debug_assert_eq!(lights.len(), entries.len());
         let centers = lights.iter().map(Light::center).collect();
-        Self { set: LightSet::new(lights), entries, centers }
+        let bounds: Vec<_> = lights.iter().zip(&entries).map(|(light, entry)| bounds(light, entry, world)).collect();
+        let reach = 4.0 * world.bounds().size().max_element();
+        let reach = if reach.is_finite() && reach > 0.0 { reach } else { 1e6 };
+        Self { tree: LightTree::new(&bounds), lights, entries, centers, haze, reach }
     }
 
     /// Whether there is no light at all.
@@ -70,27 +80,45 @@ impl Lights {
         self.entries.len()
     }
 
-    /// Chooses a light by its power: (index, probability). `None`: no light has any.
+    /// A point that wants light. `normal`: of the side that light is scattered from; zero where light counts from all sides.
     #[inline]
-    pub fn choose(&self, u: f32) -> Option<(u32, f32)> {
-        self.set.sample(u).map(|choice| (choice.index as u32, choice.probability))
+    pub fn at_point(&self, position: Vec3A, normal: Vec3A) -> AtPoint {
+        AtPoint { position, normal, haze: self.haze }
     }
 
-    /// Draws a light by power and a point on it as seen from `reference`.
+    /// A stretch `range` of a ray along which light is wanted.
+    #[inline]
+    pub fn along(&self, origin: Vec3A, dir: Vec3A, range: (f32, f32)) -> AlongSegment {
+        AlongSegment { origin, dir, range: (range.0, range.1.min(range.0 + self.reach)), haze: self.haze }
+    }
+
+    /// Chooses a light for a place by `u` in [0, 1): (index, probability). `None`: none can send anything there.
+    #[inline]
+    pub fn choose(&self, place: &impl Place, u: f64) -> Option<(u32, f32)> {
+        self.tree.choose(place, u)
+    }
+
+    /// Probability that [`Lights::choose`] chooses a light.
+    #[inline]
+    pub fn probability(&self, place: &impl Place, light: u32) -> f32 {
+        self.tree.probability(place, light)
+    }
+
+    /// Chooses a light for a point and draws a point on it.
     #[inline]
     pub fn sample(
         &self,
         world: &World,
         textures: &[Texture],
-        reference: Vec3A,
+        place: &AtPoint,
         time: f32,
-        choice: f32,
+        choice: f64,
         u: [f32; 2],
     ) -> Option<Drawn> {
-        let (index, probability) = self.choose(choice)?;
-        let mut sample = self.sample_light(world, textures, index, reference, time, u)?;
+        let (index, probability) = self.choose(place, choice)?;
+        let mut sample = self.sample_light(world, textures, index, place.position, time, u)?;
         sample.pdf *= probability;
-        Some(Drawn { sample, light: index })
+        Some(Drawn { sample, light: index, probability })
     }
 
     /// Draws a point on one light; the density is that of the point alone.
@@ -106,10 +134,10 @@ impl Lights {
     ) -> Option<LightSample> {
         let entry = &self.entries[light as usize];
         let mut sample = if entry.carrier == NONE {
-            self.set.lights()[light as usize].sample(reference, u)?
+            self.lights[light as usize].sample(reference, u)?
         } else {
             let pose = world.pose_at(entry.carrier, time);
-            carried(&self.set.lights()[light as usize], &pose, reference, u)?
+            carried(&self.lights[light as usize], &pose, reference, u)?
         };
         sample.error += entry.slack;
         if entry.texture != NONE {
@@ -122,7 +150,7 @@ impl Lights {
     #[inline]
     pub fn pdf(&self, world: &World, light: u32, reference: Vec3A, time: f32, at: (Vec3A, Vec3A), dir: Vec3A) -> f32 {
         let entry = &self.entries[light as usize];
-        let source = &self.set.lights()[light as usize];
+        let source = &self.lights[light as usize];
         if entry.carrier == NONE {
             return source.pdf(reference, at.0, at.1, dir);
         }
@@ -148,7 +176,7 @@ impl Lights {
         parametric: [f32; 2],
     ) -> Rgb {
         let entry = &self.entries[light as usize];
-        let source = &self.set.lights()[light as usize];
+        let source = &self.lights[light as usize];
         let mut radiance = if entry.carrier == NONE {
             source.radiance(dir, normal)
         } else {
@@ -162,12 +190,6 @@ impl Lights {
             radiance *= entry.texel(textures, parametric);
         }
         radiance
-    }
-
-    /// Probability that a light is drawn.
-    #[inline]
-    pub fn probability(&self, light: u32) -> f32 {
-        self.set.pmf(light as usize)
     }
 
     /// Middle of a light, prepared frame, m.
@@ -203,6 +225,21 @@ fn carried(light: &Light, pose: &Affine3A, reference: Vec3A, u: [f32; 2]) -> Opt
         sample.radiance /= scale * scale;
     }
     Some(sample)
+}
+
+/// What the choice of a light knows of it, in the prepared frame over the whole shutter.
+fn bounds(light: &Light, entry: &Entry, world: &World) -> LightBounds {
+    let ((low, high), power) = (light.bounds(), light.power());
+    if entry.carrier == NONE {
+        return LightBounds { low, high, power, cone: light.emission_cone() };
+    }
+    // Places between these are estimates: the choice is unbiased as long as no direction is ruled out.
+    let corner = |k: usize| Vec3A::select(femc_math::glam::BVec3A::new(k & 1 > 0, k & 2 > 0, k & 4 > 0), high, low);
+    let poses = (0..=4).map(|k| world.pose_at(entry.carrier, k as f32 / 4.0));
+    let corners = poses.flat_map(|pose| (0..8).map(move |k| pose.transform_point3a(corner(k))));
+    let none = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);
+    let (low, high) = corners.fold(none, |(low, high), p| (low.min(p), high.max(p)));
+    LightBounds { low, high, power, cone: EmissionCone::ALL }
 }
 
 /// The shape of an emitter in the frame where its light is kept.

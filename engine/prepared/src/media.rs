@@ -5,6 +5,7 @@
 //! density is the mean over the channels, which keeps the estimator unbiased and its weights bounded.
 
 use femc_math::Rgb;
+use femc_math::color::luminance;
 use femc_math::elementary::{exp, exp_m1, ln_1p};
 use femc_math::glam::{Affine3A, Vec3A};
 use femc_scattering::Phase;
@@ -211,6 +212,13 @@ impl Media {
     /// Whether some medium emits.
     pub fn glows(&self) -> bool {
         self.glows
+    }
+
+    /// Extinction, 1/m, of the uniform media that are everywhere.
+    pub fn haze(&self) -> f32 {
+        let everywhere = self.regions.iter().filter(|(_, bounds)| matches!(bounds, Bounds::Everywhere));
+        let uniform = everywhere.map(|&(m, _)| self.medium(m)).filter(|m| matches!(m.profile, Profile::Uniform));
+        uniform.map(|m| luminance(m.sigma_t)).sum()
     }
 
     /// The medium of an index.

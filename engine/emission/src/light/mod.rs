@@ -13,7 +13,9 @@ pub mod sphere;
 pub mod torus;
 pub mod triangle;
 
+use crate::{Emission, Profile, Sides};
 pub use cone::Cone;
+use femc_math::elementary::double;
 use femc_math::glam::{DVec3, Vec3A};
 use femc_math::{Rgb, gamma};
 pub use parallelogram::Parallelogram;
@@ -21,6 +23,7 @@ pub use photometric_point::PhotometricPoint;
 pub use photometric_solid::{Face, PhotometricSolid, Solid};
 pub use ring::Ring;
 pub use sphere::Sphere;
+use std::f64::consts::{FRAC_PI_2, PI, TAU};
 pub use torus::Torus;
 pub use triangle::Triangle;
 
@@ -56,20 +59,65 @@ pub struct LightSample {
     pub uv: [f32; 2],
 }
 
-/// Bound on the directions of an emitter's normals, and on the emission about them.
+/// Bound on the directions of an emitter's normals, and the profile of the emission about them.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct EmissionCone {
     /// Axis of the normals' cone, unit.
     pub axis: Vec3A,
-    /// Cosine of the half angle of the normals' cone; -1 for all directions.
+    /// Cosine of the half angle of the normals' cone; -1: light in every direction.
     pub cos_normals: f32,
-    /// Cosine of the largest angle between a normal and emitted light.
-    pub cos_emission: f32,
+    /// Power of the cosine with the normal that the intensity follows, >= 1 (1: Lambertian).
+    pub exponent: f32,
+    /// Whether light leaves along the opposite of the normals too.
+    pub two_sided: bool,
 }
 
 impl EmissionCone {
     /// Every direction.
-    pub const ALL: Self = Self { axis: Vec3A::Z, cos_normals: -1.0, cos_emission: 0.0 };
+    pub const ALL: Self = Self { axis: Vec3A::Z, cos_normals: -1.0, exponent: 1.0, two_sided: false };
+
+    /// Whether light may leave in every direction.
+    pub fn is_everywhere(&self) -> bool {
+        self.cos_normals <= -1.0
+    }
+
+    /// A cone that holds both.
+    pub fn join(&self, other: &Self) -> Self {
+        let exponent = self.exponent.min(other.exponent);
+        let two_sided = self.two_sided || other.two_sided;
+        let angle = |cos: f32| f64::from(double::acos(f64::from(cos.clamp(-1.0, 1.0))) as f32);
+        let (a, b) = (angle(self.cos_normals), angle(other.cos_normals));
+        if self.is_everywhere() || other.is_everywhere() {
+            return Self { exponent, two_sided, ..Self::ALL };
+        }
+        let between = angle(self.axis.dot(other.axis));
+        // One holds the other.
+        for (wide, narrow, cone) in [(a, b, self), (b, a, other)] {
+            if (between + narrow).min(PI) <= wide {
+                return Self { exponent, two_sided, ..*cone };
+            }
+        }
+        let half = 0.5 * (a + b + between);
+        let across = self.axis.cross(other.axis);
+        if half >= PI || across.length_squared() == 0.0 {
+            return Self { exponent, two_sided, ..Self::ALL };
+        }
+        // The first axis turned toward the second by what it lacks.
+        let (sin, cos) = double::sin_cos(half - a);
+        let sideways = across.normalize().cross(self.axis);
+        let axis = (self.axis * cos as f32 + sideways * sin as f32).normalize();
+        Self { axis, cos_normals: double::cos(half) as f32 - 1e-6, exponent, two_sided }
+    }
+
+    /// Solid angle of the directions that light leaves in, weighted by a cosine at the border (\[conty2018\]); 1: one direction
+    /// with a Lambertian profile is pi.
+    pub fn measure(&self) -> f32 {
+        let normals = double::acos(f64::from(self.cos_normals.clamp(-1.0, 1.0)));
+        let whole = (normals + FRAC_PI_2).min(PI);
+        let (sin, cos) = double::sin_cos(normals);
+        let border = 2.0 * whole * sin - double::cos(normals - 2.0 * whole) - 2.0 * normals * sin + cos;
+        (TAU * (1.0 - cos) + FRAC_PI_2 * border) as f32
+    }
 }
 
 /// A light source.
@@ -157,9 +205,9 @@ impl Light {
     /// Bound on normals and emission.
     pub fn emission_cone(&self) -> EmissionCone {
         match self {
-            Self::Triangle(l) => flat_cone(l.normal(), l.emission.sides),
-            Self::Parallelogram(l) => flat_cone(l.normal(), l.emission.sides),
-            Self::Ring(l) => flat_cone(l.normal(), l.emission.sides),
+            Self::Triangle(l) => flat_cone(l.normal(), &l.emission),
+            Self::Parallelogram(l) => flat_cone(l.normal(), &l.emission),
+            Self::Ring(l) => flat_cone(l.normal(), &l.emission),
             Self::Sphere(_)
             | Self::Cone(_)
             | Self::Torus(_)
@@ -169,12 +217,12 @@ impl Light {
     }
 }
 
-fn flat_cone(normal: Vec3A, sides: crate::Sides) -> EmissionCone {
-    let cos_normals = match sides {
-        crate::Sides::One => 1.0,
-        crate::Sides::Two => -1.0,
+fn flat_cone(normal: Vec3A, emission: &Emission) -> EmissionCone {
+    let exponent = match emission.profile {
+        Profile::Lambertian => 1.0,
+        Profile::Lobe { exponent } => exponent + 1.0,
     };
-    EmissionCone { axis: normal, cos_normals, cos_emission: 0.0 }
+    EmissionCone { axis: normal, cos_normals: 1.0, exponent, two_sided: emission.sides == Sides::Two }
 }
 
 /// Density over solid angle of a point drawn uniformly over `area` m2; 0 where it is not a positive finite number.

@@ -71,7 +71,7 @@ fn samples_follow_the_density_for_every_light_from_near_far_and_inside() {
                     Drawn::Every => 44,
                     Drawn::Nearest => 20,
                 };
-            let solid_angle = std::f64::consts::TAU * f64::from(widest) / (fine * fine) as f64;
+            let solid_angle = TAU * f64::from(widest) / (fine * fine) as f64;
             for i in 0..fine * fine {
                 let at = |i: usize| (i as f32 + 0.5) / fine as f32;
                 let (x, azimuth) = (widest * at(i / fine), at(i % fine));

@@ -14,6 +14,7 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "Examples:\n  \
     femc coordinator\n  \
     femc coordinator --listen 127.0.0.1:7878 --store sqlite:farm.db --artifacts artifacts\n  \
+    femc coordinator --share ann=3 --share bob=1    # ann's jobs get three times the time of bob's\n  \
     femc coordinator --listen 127.0.0.1:0    # any free port; the first line on stdout says which\n\n\
     Stopped by Ctrl-C, SIGTERM or a crash, it goes on where it was when it is started again with the same --store \
     and --artifacts; its workers join again by themselves.")]
@@ -27,6 +28,10 @@ pub struct CoordinatorArgs {
     /// Folder for scenes, tiles and images, or memory (lost at the end)
     #[arg(long, value_name = "DIR", default_value = "femc-farm/artifacts", value_parser = artifacts)]
     artifacts: Artifacts,
+    /// Weight of an owner's jobs in the fair share of the workers' time, among jobs of one priority; may be given again
+    /// (without it everybody has 1)
+    #[arg(long, value_name = "OWNER=WEIGHT", value_parser = share)]
+    share: Vec<(String, u32)>,
     /// Listen on an address that other machines can reach, although connections are not encrypted yet
     #[arg(long)]
     insecure: bool,
@@ -50,6 +55,13 @@ fn artifacts(text: &str) -> Result<Artifacts, String> {
     }
 }
 
+fn share(text: &str) -> Result<(String, u32), String> {
+    let fault = || "give OWNER=WEIGHT with a whole weight from 1 to 1000000, like ann=3".to_owned();
+    let (owner, weight) = text.rsplit_once('=').ok_or_else(fault)?;
+    let weight = weight.parse().ok().filter(|weight| (1..=1_000_000).contains(weight)).ok_or_else(fault)?;
+    if owner.is_empty() { Err(fault()) } else { Ok((owner.to_owned(), weight)) }
+}
+
 /// Serve.
 pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
     if let Log::Sqlite(path) = &args.store
@@ -69,7 +81,10 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         exposure,
         log: args.store,
         artifacts: args.artifacts,
-        scheduler: femc_schedule::Config::default(),
+        scheduler: femc_schedule::Config {
+            weights: args.share.into_iter().collect(),
+            ..femc_schedule::Config::default()
+        },
     };
     runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
@@ -105,6 +120,8 @@ mod tests {
         assert_eq!(store("memory"), Ok(Log::Memory));
         assert!(store("postgres://host/farm").is_err_and(|error| error.contains("not there yet")));
         assert!(store("sqlite:").is_err() && store("farm.db").is_err());
+        assert_eq!(share("ann=3"), Ok(("ann".into(), 3)));
+        assert!(["ann", "ann=0", "=3", "ann=-1", "ann=many"].iter().all(|text| share(text).is_err()));
         assert_eq!(artifacts("a/b"), Ok(Artifacts::Folder("a/b".into())));
         assert!(artifacts("s3://bucket/prefix").is_err_and(|error| error.contains("not there yet")));
     }

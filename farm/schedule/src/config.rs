@@ -1,5 +1,7 @@
 //! The scheduler's times and limits.
 
+use std::collections::BTreeMap;
+
 /// Times in milliseconds.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Config {
@@ -18,6 +20,15 @@ pub struct Config {
     /// Tasks that a worker holds beyond those that it runs: one that it can begin at once, and one whose result is on its
     /// way and counts as held until it is durable.
     pub prefetch: u32,
+    /// Weights of owners in the fair share of time; who is not named has 1.
+    pub weights: BTreeMap<String, u32>,
+}
+
+impl Config {
+    /// An owner's weight.
+    pub fn weight(&self, owner: &str) -> u32 {
+        self.weights.get(owner).copied().unwrap_or(1)
+    }
 }
 
 impl Default for Config {
@@ -30,6 +41,7 @@ impl Default for Config {
             rest: 1_000,
             longest_rest: 60_000,
             prefetch: 2,
+            weights: BTreeMap::new(),
         }
     }
 }

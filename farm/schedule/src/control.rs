@@ -55,7 +55,6 @@ impl Scheduler {
             if control == Control::Cancel {
                 self.revoke_all(id, out);
             }
-            self.order.retain(|&(_, job)| job != id);
             self.rebuild(id);
             out.push(Command::Changed(id));
         }

@@ -35,12 +35,12 @@ impl Scheduler {
         }
     }
 
-    /// The first ready task that the worker may take: jobs by priority and age, frames in order, a frame's merge
+    /// The first ready task that the worker may take: jobs in their order of service, frames in order, a frame's merge
     /// before the tiles of later frames.
     fn pick(&mut self, id: WorkerId) -> Pick {
         let mut best = Pick::NothingReady;
         let Some(worker) = self.floor.workers.get(&id) else { return best };
-        for &(_, job_id) in &self.order {
+        for job_id in self.order.service() {
             let (Some(job), Some(desk)) = (self.ledger.jobs.get(&job_id), self.desks.get_mut(&job_id)) else {
                 continue;
             };
@@ -72,8 +72,26 @@ impl Scheduler {
         if let Some(desk) = self.desks.get_mut(&task.job) {
             desk.take(&task);
         }
+        self.charge(&task);
         self.floor.lease(task, worker, epoch, &self.config, now);
         out.push(Command::Assign { worker, assignment: Assignment { task, epoch, lease: self.config.lease, work } });
+    }
+
+    /// Charges a job's owner for a task that begins: what the job's tasks take on the average.
+    fn charge(&mut self, task: &TaskKey) {
+        let (Some(job), Some(desk)) = (self.ledger.jobs.get(&task.job), self.desks.get(&task.job)) else { return };
+        let owner = &job.spec.owner;
+        self.order.charge(owner, desk.pace.expected(), self.config.weight(owner));
+    }
+
+    /// Corrects the charge of a task that has taken `milliseconds`.
+    pub(crate) fn settle(&mut self, task: &TaskKey, milliseconds: u64) {
+        let (Some(job), Some(desk)) = (self.ledger.jobs.get(&task.job), self.desks.get_mut(&task.job)) else { return };
+        let (owner, expected) = (&job.spec.owner, desk.pace.expected());
+        let weight = self.config.weight(owner);
+        self.order.charge(owner, milliseconds.saturating_sub(expected), weight);
+        self.order.refund(owner, expected.saturating_sub(milliseconds), weight);
+        desk.pace.note(milliseconds);
     }
 
     fn work(&self, task: &TaskKey, now: Tick) -> Option<Work> {
@@ -138,9 +156,9 @@ impl Scheduler {
             return Some(Wait::WorkersResting);
         }
         if fit.iter().all(|worker| worker.held.len() >= worker.capacity(&self.config)) {
-            let before = self.order.iter().map(|&(_, job)| job).take_while(|&job| job != id);
+            let mut before = self.order.service().take_while(|&job| job != id);
             let holds = |other: &JobId| self.floor.of_job(*other).next().is_some();
-            return Some(match before.into_iter().find(holds) {
+            return Some(match before.find(holds) {
                 Some(other) => Wait::BehindJob(other),
                 None => Wait::WorkersBusy { workers: fit.len() as u32 },
             });

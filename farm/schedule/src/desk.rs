@@ -29,6 +29,7 @@ pub(crate) struct Desk {
     pub(crate) avoid: BTreeMap<TaskKey, WorkerId>,
     pub(crate) stale_messages: u64,
     pub(crate) rate: Rate,
+    pub(crate) pace: Pace,
 }
 
 impl Desk {
@@ -89,6 +90,28 @@ impl Desk {
             StageKind::Render => frame.tiles.remove(task.index),
             StageKind::Merge => frame.merge = false,
         }
+    }
+}
+
+/// How long the job's tasks take.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Pace {
+    /// Smoothed, ms; 0: none is done yet.
+    mean: u64,
+}
+
+impl Pace {
+    /// What is expected of the first task, ms.
+    const FIRST: u64 = 1_000;
+
+    /// Milliseconds that the next task is expected to take.
+    pub(crate) fn expected(&self) -> u64 {
+        if self.mean == 0 { Self::FIRST } else { self.mean }
+    }
+
+    pub(crate) fn note(&mut self, milliseconds: u64) {
+        let taken = milliseconds.max(1);
+        self.mean = if self.mean == 0 { taken } else { (7 * self.mean + taken).div_ceil(8) };
     }
 }
 

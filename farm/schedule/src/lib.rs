@@ -17,6 +17,7 @@ mod event;
 mod fact;
 mod floor;
 mod ledger;
+mod order;
 mod outcome;
 mod ranges;
 mod scheduler;

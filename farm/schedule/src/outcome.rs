@@ -23,6 +23,10 @@ impl Scheduler {
             return self.without_lease(worker, task, epoch, out);
         };
         let granted = lease.granted;
+        let seconds = match &result {
+            TaskResult::Tile(tile) => tile.seconds,
+            TaskResult::Merge(merge) => merge.seconds,
+        };
         let rounds = self.ledger.jobs.get(&task.job).map_or(0, |job| job.spec.rounds.len());
         let fact = match (task.stage.kind, result) {
             (StageKind::Render, TaskResult::Tile(result)) => Fact::Rendered { task, epoch, leased: granted, result },
@@ -35,6 +39,8 @@ impl Scheduler {
             }
         };
         self.floor.release(&task);
+        // A worker's clock, at most what went by here: a lease may have waited for its turn.
+        self.settle(&task, ((seconds.max(0.0) * 1000.0) as u64).min(now.since(granted)));
         if let Some(worker) = self.floor.workers.get_mut(&worker) {
             worker.completed += 1;
             worker.mishaps = 0;

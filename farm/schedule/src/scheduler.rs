@@ -1,7 +1,6 @@
 //! The state machine: takes events apart, and gives ready tasks to workers with room.
 
-use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use femc_model::{
     Digest, Epoch, Failure, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey, TaskProgress, Tick, WorkerId,
@@ -10,6 +9,7 @@ use femc_model::{
 use crate::desk::Desk;
 use crate::floor::Floor;
 use crate::ledger::Job;
+use crate::order::Order;
 use crate::{Command, Config, Event, Fact, Ledger};
 
 /// All that the coordinator knows.
@@ -20,8 +20,8 @@ pub struct Scheduler {
     pub(crate) floor: Floor,
     /// One for each job, also for those that do not run.
     pub(crate) desks: BTreeMap<JobId, Desk>,
-    /// Jobs whose tasks may be leased, in the order in which they are served.
-    pub(crate) order: BTreeSet<(Reverse<u8>, JobId)>,
+    /// Jobs whose tasks may be leased.
+    pub(crate) order: Order,
     /// Leases granted in this incarnation.
     pub(crate) leases: u64,
     pub(crate) stale_messages: u64,
@@ -38,7 +38,7 @@ impl Scheduler {
             config,
             floor: Floor::default(),
             desks: BTreeMap::new(),
-            order: BTreeSet::new(),
+            order: Order::default(),
             leases: 0,
             stale_messages: 0,
             ledger,
@@ -135,7 +135,7 @@ impl Scheduler {
             self.put_back(&task);
             out.push(Command::Changed(task.job));
         }
-        let running: Vec<JobId> = self.order.iter().map(|&(_, job)| job).collect();
+        let running: Vec<JobId> = self.order.jobs().collect();
         for id in running {
             if self.desks.get(&id).is_some_and(|desk| desk.rate.is_due(now)) {
                 let samples = self.samples(id);
@@ -179,12 +179,10 @@ impl Scheduler {
     /// Puts the job into the order of service, or out of it.
     pub(crate) fn reorder(&mut self, id: JobId) {
         let Some(job) = self.ledger.jobs.get(&id) else { return };
-        let place = (Reverse(job.spec.priority), id);
-        if !job.is_runnable() {
-            self.order.remove(&place);
-        } else if !self.order.contains(&place) {
-            self.order.retain(|&(_, other)| other != id);
-            self.order.insert(place);
+        if job.is_runnable() {
+            self.order.insert(id, job.spec.priority, &job.spec.owner);
+        } else {
+            self.order.remove(id);
         }
     }
 

@@ -278,6 +278,32 @@ fn the_job_with_more_priority_goes_first_and_says_so() {
 }
 
 #[test]
+fn owners_share_the_time_by_their_weights() {
+    let weights = [("ann".to_owned(), 3)].into();
+    let mut farm = Farm::with(Config { weights, ..common::config() });
+    let owned = |owner: &str| JobSpec { owner: owner.into(), ..job(&[1, 2], 4000, &[8]) };
+    let ann = farm.submit(owned("ann"));
+    let bob = farm.submit(owned("bob"));
+    (1..=4).for_each(|worker| drop(farm.join(worker)));
+    let mut done = [0u64; 2];
+    for step in 0..800u64 {
+        let worker = 1 + step % 4;
+        let assignment = farm.first_of(worker);
+        // Bob's tasks take twice as long: it is time that is shared, not tasks.
+        let is_ann = assignment.task.job == ann;
+        assert!(is_ann || assignment.task.job == bob);
+        let milliseconds = if is_ann { 250 } else { 500 };
+        farm.now = farm.now.after(milliseconds);
+        done[usize::from(!is_ann)] += milliseconds;
+        let TaskResult::Tile(tile) = result(&assignment, Done) else { panic!("a tile") };
+        let tile = TileResult { seconds: milliseconds as f64 / 1000.0, ..tile };
+        farm.complete_with(worker, &assignment, TaskResult::Tile(tile));
+    }
+    let share = done[0] as f64 / (done[0] + done[1]) as f64;
+    assert!((share - 0.75).abs() < 0.05, "{done:?}: {share}");
+}
+
+#[test]
 fn a_job_goes_only_to_workers_with_its_tags() {
     let mut farm = Farm::new();
     let id = farm.submit(JobSpec { tags: vec!["lab".into()], ..job(&[1], 1, &[4]) });

@@ -21,7 +21,7 @@ pub fn job(frames: &[u32], tiles: u32, rounds: &[u32]) -> JobSpec {
 }
 
 /// Workers hold one task beyond the one that they run.
-fn config() -> Config {
+pub fn config() -> Config {
     Config { prefetch: 1, ..Config::default() }
 }
 
@@ -37,7 +37,11 @@ pub struct Farm {
 
 impl Farm {
     pub fn new() -> Self {
-        let (scheduler, opened) = Scheduler::new(config(), Ledger::default());
+        Self::with(config())
+    }
+
+    pub fn with(config: Config) -> Self {
+        let (scheduler, opened) = Scheduler::new(config, Ledger::default());
         Self { scheduler, now: Tick(0), log: vec![(Tick(0), opened)], held: vec![], requests: 0 }
     }
 
@@ -119,9 +123,13 @@ impl Farm {
     }
 
     pub fn complete(&mut self, worker: u64, held: &Assignment, decision: Decision) -> Vec<Command> {
+        self.complete_with(worker, held, result(held, decision))
+    }
+
+    pub fn complete_with(&mut self, worker: u64, held: &Assignment, result: TaskResult) -> Vec<Command> {
         self.drop_lease(held.task, held.epoch);
         let (task, epoch) = (held.task, held.epoch);
-        self.on(Event::Completed { worker: WorkerId(worker), task, epoch, result: result(held, decision) })
+        self.on(Event::Completed { worker: WorkerId(worker), task, epoch, result })
     }
 
     pub fn fail(&mut self, worker: u64, held: &Assignment, failure: Failure) -> Vec<Command> {

@@ -139,6 +139,10 @@ pub fn wait(wait: &Wait) -> String {
         Wait::WorkersResting => {
             "the workers that may take it rest after a failure of disk, store or network".to_owned()
         }
+        Wait::WorkersShunned { workers, seconds } => format!(
+            "tasks kept failing on {}: the next try there in {seconds} s",
+            human::count(u64::from(*workers), "worker")
+        ),
         Wait::BehindJob(job) => format!("job {job} goes first"),
         Wait::MergeWaitsForTiles { frame, tiles } => {
             format!("the merge of frame {frame} waits for {}", human::count(u64::from(*tiles), "tile"))

@@ -99,6 +99,13 @@ pub enum Wait {
     },
     /// Every worker that may take it rests after a failure of its surroundings.
     WorkersResting,
+    /// Tasks of the job kept failing on some workers: they get none of it for a while.
+    WorkersShunned {
+        /// How many workers.
+        workers: u32,
+        /// Until the first of them gets a task as a probe; 0: it has it.
+        seconds: u64,
+    },
     /// Jobs with more priority, or older, have tasks ready.
     BehindJob(JobId),
     /// The merge waits for tiles.

@@ -17,6 +17,11 @@ pub struct Config {
     pub rest: u64,
     /// Longest such rest.
     pub longest_rest: u64,
+    /// A worker on which three tasks of a job have failed in a row gets no more of that job for so long, then one task as a
+    /// probe; it doubles from probe to failed probe.
+    pub shun: u64,
+    /// Longest such time.
+    pub longest_shun: u64,
     /// Tasks that a worker holds beyond those that it runs: one that it can begin at once, and one whose result is on its
     /// way and counts as held until it is durable.
     pub prefetch: u32,
@@ -40,6 +45,8 @@ impl Default for Config {
             preparation_stall: 900_000,
             rest: 1_000,
             longest_rest: 60_000,
+            shun: 60_000,
+            longest_shun: 3_600_000,
             prefetch: 2,
             weights: BTreeMap::new(),
         }

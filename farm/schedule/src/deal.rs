@@ -27,7 +27,7 @@ impl Scheduler {
             if held >= worker.capacity(&self.config) || !worker.is_fit(&self.config, now) {
                 continue;
             }
-            match self.pick(id) {
+            match self.pick(id, now) {
                 Pick::Task(task) => self.grant(task, id, now, out),
                 Pick::NotForThisWorker => {}
                 Pick::NothingReady => return,
@@ -37,14 +37,14 @@ impl Scheduler {
 
     /// The first ready task that the worker may take: jobs in their order of service, frames in order, a frame's merge
     /// before the tiles of later frames.
-    fn pick(&mut self, id: WorkerId) -> Pick {
+    fn pick(&mut self, id: WorkerId, now: Tick) -> Pick {
         let mut best = Pick::NothingReady;
         let Some(worker) = self.floor.workers.get(&id) else { return best };
         for job_id in self.order.service() {
             let (Some(job), Some(desk)) = (self.ledger.jobs.get(&job_id), self.desks.get_mut(&job_id)) else {
                 continue;
             };
-            if !worker.has_tags(&job.spec.tags) {
+            if !worker.has_tags(&job.spec.tags) || is_shunned(job, desk, id, &self.floor, now) {
                 best = Pick::NotForThisWorker;
                 continue;
             }
@@ -71,6 +71,7 @@ impl Scheduler {
         let epoch = self.next_epoch();
         if let Some(desk) = self.desks.get_mut(&task.job) {
             desk.take(&task);
+            self.floor.instance(worker).into_iter().for_each(|instance| desk.distrust.granted(instance, task));
         }
         self.charge(&task);
         self.floor.lease(task, worker, epoch, &self.config, now);
@@ -138,12 +139,13 @@ impl Scheduler {
         }
         let is_ready = desk.open.values().any(|frame| frame.merge || !frame.tiles.is_empty());
         if is_ready || desk.cursor < job.spec.frames.len() {
-            waits.extend(self.why_no_worker(id, job, now));
+            waits.extend(self.why_no_worker(id, job, desk, now));
+            waits.extend(self.why_shunned(job, desk, now));
         }
         waits
     }
 
-    fn why_no_worker(&self, id: JobId, job: &Job, now: Tick) -> Option<Wait> {
+    fn why_no_worker(&self, id: JobId, job: &Job, desk: &Desk, now: Tick) -> Option<Wait> {
         if self.floor.workers.is_empty() {
             return Some(Wait::NoWorkers);
         }
@@ -152,6 +154,9 @@ impl Scheduler {
             return Some(Wait::NoWorkerWithTags(job.spec.tags.clone()));
         }
         let fit: Vec<&&Worker> = able.iter().filter(|worker| worker.is_fit(&self.config, now)).collect();
+        let is_trusted = |worker: &&&Worker| desk.distrust.shuns(worker.registration.instance, now).is_none();
+        let trusted: Vec<&&Worker> = fit.iter().copied().filter(is_trusted).collect();
+        let fit = if trusted.is_empty() { fit } else { trusted };
         if fit.is_empty() {
             return Some(Wait::WorkersResting);
         }
@@ -165,6 +170,29 @@ impl Scheduler {
         }
         None
     }
+}
+
+impl Scheduler {
+    /// Workers that the job does without for now.
+    fn why_shunned(&self, job: &Job, desk: &Desk, now: Tick) -> Option<Wait> {
+        let shunned = |(&id, worker): (&WorkerId, &Worker)| {
+            let left = desk.distrust.shuns(worker.registration.instance, now)?;
+            (worker.has_tags(&job.spec.tags) && is_shunned(job, desk, id, &self.floor, now)).then_some(left)
+        };
+        let left: Vec<u64> = self.floor.workers.iter().filter_map(shunned).collect();
+        let seconds = left.iter().min()?.div_ceil(1000);
+        Some(Wait::WorkersShunned { workers: left.len() as u32, seconds })
+    }
+}
+
+/// Whether the job's tasks keep failing on this worker, and another that is trusted could take them.
+fn is_shunned(job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor, now: Tick) -> bool {
+    let shuns = |id| floor.instance(id).is_some_and(|instance| desk.distrust.shuns(instance, now).is_some());
+    shuns(worker)
+        && floor
+            .workers
+            .iter()
+            .any(|(&id, other)| id != worker && !other.draining && other.has_tags(&job.spec.tags) && !shuns(id))
 }
 
 fn first_ready(id: JobId, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor) -> Pick {

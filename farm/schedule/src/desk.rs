@@ -5,6 +5,7 @@ use std::collections::{BTreeMap, VecDeque};
 use femc_model::{JobId, Stage, StageKind, TaskKey, Tick, WorkerId};
 
 use crate::RangeSet;
+use crate::distrust::Distrust;
 use crate::floor::Floor;
 use crate::ledger::Job;
 use crate::ledger::frame::Frame;
@@ -27,6 +28,8 @@ pub(crate) struct Desk {
     pub(crate) open: BTreeMap<u32, OpenFrame>,
     /// Worker on which a task failed last.
     pub(crate) avoid: BTreeMap<TaskKey, WorkerId>,
+    /// Workers on which its tasks keep failing.
+    pub(crate) distrust: Distrust,
     pub(crate) stale_messages: u64,
     pub(crate) rate: Rate,
     pub(crate) pace: Pace,

@@ -79,6 +79,11 @@ impl Floor {
         self.spare.insert((0, worker));
     }
 
+    /// The process behind a session.
+    pub(crate) fn instance(&self, worker: WorkerId) -> Option<u64> {
+        self.workers.get(&worker).map(|worker| worker.registration.instance)
+    }
+
     /// Removes a worker; returns what it held.
     pub(crate) fn leave(&mut self, worker: WorkerId) -> Vec<TaskKey> {
         let held: Vec<TaskKey> =

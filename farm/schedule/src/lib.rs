@@ -13,6 +13,7 @@ mod config;
 mod control;
 mod deal;
 mod desk;
+mod distrust;
 mod event;
 mod fact;
 mod floor;

@@ -46,8 +46,10 @@ impl Scheduler {
             worker.mishaps = 0;
         }
         self.record(fact, now, out);
+        let instance = self.floor.instance(worker);
         if let (Some(desk), Some(job)) = (self.desks.get_mut(&task.job), self.ledger.jobs.get(&task.job)) {
             desk.avoid.remove(&task);
+            instance.into_iter().for_each(|instance| desk.distrust.succeeded(instance));
             desk.completed(&task, job, &self.floor);
         }
         self.reorder(task.job);
@@ -118,6 +120,9 @@ impl Scheduler {
         }
         if let Some(desk) = self.desks.get_mut(&task.job) {
             desk.avoid.insert(task, worker);
+            if let Some(instance) = self.floor.instance(worker) {
+                desk.distrust.failed(instance, task, &self.config, now);
+            }
         }
         self.record(Fact::Failed { task, failure }, now, out);
     }

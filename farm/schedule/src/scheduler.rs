@@ -165,7 +165,9 @@ impl Scheduler {
     /// Derives again what of the task's frame is ready: the task itself, if it is still wanted.
     pub(crate) fn put_back(&mut self, task: &TaskKey) {
         let Some(job) = self.ledger.jobs.get(&task.job) else { return };
-        self.desks.entry(task.job).or_default().refresh(task.job, job, task.stage.frame, &self.floor);
+        let desk = self.desks.entry(task.job).or_default();
+        desk.distrust.released(task);
+        desk.refresh(task.job, job, task.stage.frame, &self.floor);
         self.reorder(task.job);
     }
 

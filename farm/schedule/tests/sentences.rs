@@ -278,6 +278,45 @@ fn the_job_with_more_priority_goes_first_and_says_so() {
 }
 
 #[test]
+fn a_worker_on_which_three_tasks_fail_gets_no_more_of_the_job_until_it_has_proved_itself() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 400, &[8]));
+    farm.join(1);
+    farm.join(2);
+    for _ in 0..3 {
+        let held = farm.first_of(1);
+        farm.fail(1, &held, panic());
+    }
+    // It still held one more task; when that fails too, nothing changes.
+    let held = farm.first_of(1);
+    farm.fail(1, &held, panic());
+    assert!(farm.tasks_of(1).is_empty());
+    assert!(farm.status(id).waits.contains(&Wait::WorkersShunned { workers: 1, seconds: 60 }));
+    farm.work(2, Done);
+    assert!(farm.tasks_of(1).is_empty() && farm.tasks_of(2).len() == 2);
+
+    // A minute later it gets one task, not two.
+    (0..61).for_each(|_| {
+        farm.wait(1000);
+        farm.heartbeat(1, Phase::Waiting, 0);
+        farm.heartbeat(2, Phase::Working, farm.now.0);
+    });
+    assert_eq!(farm.tasks_of(1).len(), 1, "{:?}", farm.status(id).waits);
+    let held = farm.first_of(1);
+    farm.fail(1, &held, panic());
+    assert!(farm.tasks_of(1).is_empty());
+    assert!(farm.status(id).waits.contains(&Wait::WorkersShunned { workers: 1, seconds: 120 }), "twice as long");
+
+    // With nobody else there it must do.
+    farm.leave(2);
+    assert_eq!(farm.tasks_of(1).len(), 2);
+    farm.work(1, Done);
+    farm.join(3);
+    farm.work(1, Done);
+    assert_eq!(farm.tasks_of(1).len(), 2, "a success forgives");
+}
+
+#[test]
 fn owners_share_the_time_by_their_weights() {
     let weights = [("ann".to_owned(), 3)].into();
     let mut farm = Farm::with(Config { weights, ..common::config() });

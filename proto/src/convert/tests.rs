@@ -170,6 +170,7 @@ fn statuses_cross_the_wire() {
         Wait::NoWorkerWithTags(vec!["lab".into()]),
         Wait::WorkersBusy { workers: 3 },
         Wait::WorkersResting,
+        Wait::WorkersShunned { workers: 2, seconds: 60 },
         Wait::BehindJob(JobId(2)),
         Wait::MergeWaitsForTiles { frame: 1, tiles: 2 },
         Wait::Quarantined { frame: 1, tasks: 2 },

@@ -72,6 +72,26 @@ fn a_killed_coordinator_comes_back_with_all_it_had_and_its_worker_joins_again() 
 }
 
 #[test]
+fn a_worker_that_is_told_to_stop_finishes_its_task_and_leaves_the_rest_to_others() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let mut leaver = worker(&place, &url);
+    let job = submit(&place, &url, SETTINGS);
+    farm.wait_until("a finished frame", || frames_done(&place, &url, &job) >= 1);
+    leaver.signal("TERM");
+    leaver.end().exits(0);
+    let workers = place.run(&format!("workers --json --server {url}")).exits(0).json();
+    assert_eq!(workers.as_array().map(Vec::len), Some(0), "{workers}");
+    let status = place.run(&format!("status {job} --json --server {url}")).exits(0).json();
+    assert!(status["frames_done"].as_u64().is_some_and(|frames| frames < 8), "it is not over yet: {status}");
+    assert!(status["failure"].is_null() && status["quarantined"].as_array().is_some_and(Vec::is_empty), "{status}");
+    let _other = worker(&place, &url);
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    same_as_one_process(&place);
+}
+
+#[test]
 fn a_job_without_a_worker_says_so_and_a_client_may_leave_a_watch() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);

@@ -21,6 +21,17 @@ pub struct Config {
     pub cache: Cache,
     /// How long to look for a coordinator that is away; `None`: forever.
     pub patience: Option<Duration>,
+    /// What to do when asked to stop.
+    pub at_stop: AtStop,
+}
+
+/// What a worker does when it is asked to stop.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum AtStop {
+    /// It gives back all that it holds, at once.
+    GiveBack,
+    /// It finishes the tasks that run and gives back those that wait.
+    Finish,
 }
 
 impl Config {
@@ -33,6 +44,7 @@ impl Config {
             tags: Vec::new(),
             cache: Cache::default(),
             patience: None,
+            at_stop: AtStop::GiveBack,
         }
     }
 }

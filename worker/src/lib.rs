@@ -17,5 +17,5 @@ mod threads;
 mod worker;
 
 pub use cache::Cache;
-pub use config::{Config, WorkerError};
+pub use config::{AtStop, Config, WorkerError};
 pub use worker::Worker;

@@ -10,6 +10,7 @@ use femc_model::{Epoch, Failure, FromWorker, JobId, JobSpec, Phase, Registration
 use femc_proto::{CallError, Client, Incoming, Outgoing};
 use tokio::sync::mpsc::UnboundedReceiver;
 
+use crate::config::AtStop;
 use crate::execute::Product;
 use crate::fetch;
 use crate::table::{Table, Task};
@@ -30,6 +31,7 @@ pub(crate) struct Session<'a> {
     pub(crate) table: &'a Arc<Table>,
     pub(crate) ahead: &'a mpsc::Sender<Ahead>,
     pub(crate) finished: &'a mut UnboundedReceiver<Finished>,
+    at_stop: AtStop,
     jobs: BTreeMap<JobId, Arc<JobSpec>>,
 }
 
@@ -42,8 +44,9 @@ impl<'a> Session<'a> {
         table: &'a Arc<Table>,
         ahead: &'a mpsc::Sender<Ahead>,
         finished: &'a mut UnboundedReceiver<Finished>,
+        at_stop: AtStop,
     ) -> Self {
-        Self { client, table, ahead, finished, jobs: BTreeMap::new() }
+        Self { client, table, ahead, finished, at_stop, jobs: BTreeMap::new() }
     }
 
     /// Works until the session or the worker ends. Nothing runs on after it.
@@ -58,10 +61,21 @@ impl<'a> Session<'a> {
         };
         let mut heartbeat = tokio::time::interval(Duration::from_millis(500));
         heartbeat.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        let mut draining = false;
         let end = loop {
+            if draining && self.table.is_empty() {
+                break Ok(End::Stopped);
+            }
             tokio::select! {
                 biased;
-                () = &mut stop => break Ok(End::Stopped),
+                () = &mut stop, if !draining => {
+                    if self.at_stop == AtStop::GiveBack {
+                        break Ok(End::Stopped);
+                    }
+                    draining = true;
+                    out.send(FromWorker::Draining).await;
+                    give_back(self.table.clear_line(), &out).await;
+                }
                 _ = heartbeat.tick() => out.send(FromWorker::Heartbeat(self.table.progress())).await,
                 Some((key, outcome)) = self.finished.recv() => self.report(key, outcome, &out),
                 message = incoming.next() => match message {
@@ -76,6 +90,8 @@ impl<'a> Session<'a> {
                 },
             }
         };
+        // Once asked to stop it does not look for the coordinator again.
+        let end = if draining { Ok(End::Stopped) } else { end };
         let held = self.table.clear();
         if matches!(end, Ok(End::Stopped)) {
             Self::farewell(held, out, incoming).await;
@@ -133,12 +149,16 @@ impl<'a> Session<'a> {
 
     /// Gives back what is held, so that nobody waits for deadlines.
     async fn farewell(held: Vec<(TaskKey, Epoch)>, out: Outgoing, mut incoming: Incoming) {
-        for (task, epoch) in held {
-            out.send(FromWorker::Failed { task, epoch, failure: Failure::Cancelled }).await;
-        }
+        give_back(held, &out).await;
         drop(out);
         let end = async { while let Ok(Some(_)) = incoming.next().await {} };
         let _ = tokio::time::timeout(Self::FAREWELL, end).await;
+    }
+}
+
+async fn give_back(tasks: Vec<(TaskKey, Epoch)>, out: &Outgoing) {
+    for (task, epoch) in tasks {
+        out.send(FromWorker::Failed { task, epoch, failure: Failure::Cancelled }).await;
     }
 }
 

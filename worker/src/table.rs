@@ -106,6 +106,19 @@ impl Table {
         state.line.retain(|task| task.key() != *key);
     }
 
+    /// Forgets the tasks that wait; returns them.
+    pub(crate) fn clear_line(&self) -> Vec<(TaskKey, Epoch)> {
+        let mut state = self.lock();
+        let waiting: Vec<_> = std::mem::take(&mut state.line).iter().map(|task| task.key()).collect();
+        waiting.iter().for_each(|key| drop(state.held.remove(key)));
+        waiting
+    }
+
+    /// Whether the worker holds nothing.
+    pub(crate) fn is_empty(&self) -> bool {
+        self.lock().held.is_empty()
+    }
+
     /// Stops and forgets everything; returns what was held.
     pub(crate) fn clear(&self) -> Vec<(TaskKey, Epoch)> {
         let mut state = self.lock();

@@ -60,7 +60,8 @@ impl Worker {
                     () = &mut stop => return Ok(End::Stopped),
                 };
                 pause = Self::FIRST_PAUSE;
-                Session::new(client, &table, &ahead, &mut finished).run(registration.clone(), stop.as_mut()).await
+                let session = Session::new(client, &table, &ahead, &mut finished, config.at_stop);
+                session.run(registration.clone(), stop.as_mut()).await
             };
             let is_gone = match session.await {
                 Ok(End::Stopped) => break Ok(()),

@@ -7,7 +7,7 @@ use crate::exit::{Exit, Failure, failed};
 use crate::output::Say;
 use crate::request::Budget;
 use clap::Args;
-use femc_worker::{Config, Worker, WorkerError};
+use femc_worker::{AtStop, Config, Worker, WorkerError};
 use std::time::Duration;
 
 /// Render for a farm, until it is stopped
@@ -15,7 +15,7 @@ use std::time::Duration;
 #[command(after_help = "Examples:\n  \
     femc worker --join http://127.0.0.1:7878\n  \
     femc worker --join http://farm:7878 --threads 8 --tags lab,big\n\n\
-    Ctrl-C or SIGTERM gives back what the worker holds. A worker that loses its coordinator looks for it until it is back.")]
+    Ctrl-C or SIGTERM lets the worker finish what it is at and gives back the rest; a second one ends it at once. A worker that loses its coordinator looks for it until it is back.")]
 pub struct WorkerArgs {
     /// The farm's coordinator
     #[arg(long, value_name = "URL", env = "FEMC_SERVER")]
@@ -49,11 +49,16 @@ pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
             name: args.name.unwrap_or_else(machine),
             threads: args.threads.map_or(0, |threads| threads as usize),
             tags: args.tags,
+            at_stop: AtStop::Finish,
             ..Config::new(args.join)
         };
-        match Worker::run(config, async move { interrupt.wait().await }).await {
+        let stop = async move {
+            interrupt.wait().await;
+            say.note("stopping after the task that runs; once more to stop at once");
+        };
+        match Worker::run(config, stop).await {
             Ok(()) => {
-                say.note("stopped; what it held has gone back to the farm");
+                say.note("stopped");
                 Ok(Exit::Done)
             }
             Err(WorkerError::Call(error)) => Err(super::client::told(error)),

@@ -72,6 +72,31 @@ fn a_killed_coordinator_comes_back_with_all_it_had_and_its_worker_joins_again() 
 }
 
 #[test]
+fn a_task_under_way_lives_through_the_coordinator_s_death() {
+    let place = Place::new();
+    let (mut first, url) = coordinator(&place, 0);
+    let _worker = worker(&place, &url);
+    // One tile, some seconds long.
+    let job = submit(&place, &url, "--spp 1500 --size 32x32 --frames 1");
+    first.wait_until("some samples", || share(&place, &url, &job) > 0.1);
+    let before = share(&place, &url, &job);
+    assert!(before < 0.7 && first.kill(), "it is not over, and the coordinator was alive");
+    let port = url.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
+    let (mut second, url) = coordinator(&place, port);
+    let mut least = 1.0f64;
+    second.wait_until("the worker's news", || {
+        let share = share(&place, &url, &job);
+        least = if share > 0.0 { least.min(share) } else { least };
+        least < 1.0 || frames_done(&place, &url, &job) == 1
+    });
+    println!("{:.0} % before, {:.0} % after", 100.0 * before, 100.0 * least);
+    assert!(least > before, "the tile began anew: {before} before, {least} after");
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    let status = place.run(&format!("status {job} --json --server {url}")).exits(0).json();
+    assert_eq!(status["state"], "done");
+}
+
+#[test]
 fn a_worker_that_is_told_to_stop_finishes_its_task_and_leaves_the_rest_to_others() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);

@@ -49,7 +49,8 @@ impl<'a> Session<'a> {
         Self { client, table, ahead, finished, at_stop, jobs: BTreeMap::new() }
     }
 
-    /// Works until the session or the worker ends. Nothing runs on after it.
+    /// Works until the session or the worker ends. When the session is lost, what runs goes on, and results are kept for the
+    /// next one.
     pub(crate) async fn run<S: Future<Output = ()>>(
         mut self,
         registration: Registration,
@@ -77,10 +78,19 @@ impl<'a> Session<'a> {
                     give_back(self.table.clear_line(), &out).await;
                 }
                 _ = heartbeat.tick() => out.send(FromWorker::Heartbeat(self.table.progress())).await,
-                Some((key, outcome)) = self.finished.recv() => self.report(key, outcome, &out),
+                Some((key, outcome)) = self.finished.recv() => {
+                    // Of a lease that is over, nobody wants to hear.
+                    if let Some(task) = self.table.get(&key) {
+                        task.settle(outcome);
+                        self.send(task, &out);
+                    }
+                }
                 message = incoming.next() => match message {
                     Ok(Some(ToWorker::Welcome { worker, heartbeat: pause })) => {
                         tracing::info!(%worker, url = self.client.url(), "joined");
+                        // Results that an earlier session did not get rid of.
+                        let kept = self.table.held().into_iter().filter(|task| task.outcome().is_some());
+                        kept.for_each(|task| self.send(task, &out));
                         heartbeat = tokio::time::interval(Duration::from_millis(pause.max(10)));
                         heartbeat.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
                     }
@@ -92,9 +102,8 @@ impl<'a> Session<'a> {
         };
         // Once asked to stop it does not look for the coordinator again.
         let end = if draining { Ok(End::Stopped) } else { end };
-        let held = self.table.clear();
         if matches!(end, Ok(End::Stopped)) {
-            Self::farewell(held, out, incoming).await;
+            Self::farewell(self.table.clear(), out, incoming).await;
         }
         end
     }
@@ -128,19 +137,18 @@ impl<'a> Session<'a> {
     }
 
     /// Sends a result's artefacts and then the result, while the next task runs.
-    fn report(&self, key: (TaskKey, Epoch), outcome: Result<Product, Failure>, out: &Outgoing) {
-        // Of a lease that is over, nobody wants to hear.
-        let Some(held) = self.table.get(&key) else { return };
+    fn send(&self, done: Arc<Task>, out: &Outgoing) {
         let (client, out) = (self.client.clone(), out.clone());
-        let (task, epoch) = key;
         tokio::spawn(async move {
-            held.enter(Phase::Uploading);
-            let outcome = match outcome {
-                Ok(product) => upload(&client, product).await,
-                Err(failure) => Err(failure),
+            let Some(outcome) = done.outcome() else { return };
+            let (task, epoch) = done.key();
+            done.enter(Phase::Uploading);
+            let sent = match outcome {
+                Ok(product) => upload(&client, product).await.map(|()| product.result.clone()),
+                Err(failure) => Err(failure.clone()),
             };
-            out.send(match outcome {
-                Ok(product) => FromWorker::Completed { task, epoch, result: product.result },
+            out.send(match sent {
+                Ok(result) => FromWorker::Completed { task, epoch, result },
                 Err(failure) => FromWorker::Failed { task, epoch, failure },
             })
             .await;
@@ -162,9 +170,9 @@ async fn give_back(tasks: Vec<(TaskKey, Epoch)>, out: &Outgoing) {
     }
 }
 
-async fn upload(client: &Client, product: Product) -> Result<Product, Failure> {
+async fn upload(client: &Client, product: &Product) -> Result<(), Failure> {
     for bytes in &product.artefacts {
         client.put(bytes.clone()).await.map_err(|error| fetch::failure(&error))?;
     }
-    Ok(product)
+    Ok(())
 }

@@ -2,10 +2,12 @@
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 
-use femc_model::{Assignment, Epoch, JobSpec, Phase, StageKind, TaskKey, TaskProgress};
+use femc_model::{Assignment, Epoch, Failure, HeldLease, JobSpec, Phase, StageKind, TaskKey, TaskProgress};
 use femc_proto::Client;
+
+use crate::execute::Product;
 
 /// A task under a lease.
 #[derive(Debug)]
@@ -18,12 +20,32 @@ pub(crate) struct Task {
     /// Pixel samples taken.
     pub(crate) samples: AtomicU64,
     phase: AtomicU8,
+    /// What came of it, kept until the coordinator has answered: a session may end in between.
+    outcome: OnceLock<Outcome>,
 }
+
+/// What came of a task.
+pub(crate) type Outcome = Result<Product, Failure>;
 
 impl Task {
     pub(crate) fn new(assignment: Assignment, spec: Arc<JobSpec>, client: Client) -> Self {
         let (cancel, samples, phase) = (AtomicBool::new(false), AtomicU64::new(0), AtomicU8::new(0));
-        Self { assignment, spec, client, cancel, samples, phase }
+        Self { assignment, spec, client, cancel, samples, phase, outcome: OnceLock::new() }
+    }
+
+    /// The lease, as a later session brings it along.
+    pub(crate) fn lease(&self) -> HeldLease {
+        let (task, epoch) = self.key();
+        HeldLease { task, epoch, job: self.spec.key() }
+    }
+
+    /// Keeps what came of it; what is there already stays.
+    pub(crate) fn settle(&self, outcome: Outcome) {
+        let _ = self.outcome.set(outcome);
+    }
+
+    pub(crate) fn outcome(&self) -> Option<&Outcome> {
+        self.outcome.get()
     }
 
     pub(crate) fn key(&self) -> (TaskKey, Epoch) {
@@ -112,6 +134,11 @@ impl Table {
         let waiting: Vec<_> = std::mem::take(&mut state.line).iter().map(|task| task.key()).collect();
         waiting.iter().for_each(|key| drop(state.held.remove(key)));
         waiting
+    }
+
+    /// All that the worker holds, in order of key.
+    pub(crate) fn held(&self) -> Vec<Arc<Task>> {
+        self.lock().held.values().cloned().collect()
     }
 
     /// Whether the worker holds nothing.

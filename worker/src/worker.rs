@@ -45,6 +45,7 @@ impl Worker {
             threads: pool.current_num_threads() as u32,
             slots: 1,
             tags: config.tags.clone(),
+            held: Vec::new(),
         };
         let tools = Tools { pool: Arc::new(pool), cache: config.cache.clone(), fetch: Fetch::new(Handle::current()) };
         let table = Arc::new(Table::default());
@@ -61,7 +62,8 @@ impl Worker {
                 };
                 pause = Self::FIRST_PAUSE;
                 let session = Session::new(client, &table, &ahead, &mut finished, config.at_stop);
-                session.run(registration.clone(), stop.as_mut()).await
+                let held = table.held().iter().map(|task| task.lease()).collect();
+                session.run(Registration { held, ..registration.clone() }, stop.as_mut()).await
             };
             let is_gone = match session.await {
                 Ok(End::Stopped) => break Ok(()),

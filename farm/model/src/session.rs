@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Assignment, Epoch, Failure, JobId, JobSpec, Refusal, TaskKey, TaskResult, WorkerId};
+use crate::{Assignment, Digest, Epoch, Failure, JobId, JobSpec, Refusal, TaskKey, TaskResult, WorkerId};
 
 /// How a worker introduces itself.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -19,6 +19,19 @@ pub struct Registration {
     pub slots: u32,
     /// What the worker offers.
     pub tags: Vec<String>,
+    /// Leases of an earlier session that it still works on, or whose results it still has.
+    pub held: Vec<HeldLease>,
+}
+
+/// A lease that a worker brings along from an earlier session.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct HeldLease {
+    /// The task.
+    pub task: TaskKey,
+    /// Of the lease.
+    pub epoch: Epoch,
+    /// [`JobSpec::key`] of the job, so that the task of another farm's job of the same number is not taken for this one.
+    pub job: Digest,
 }
 
 /// What the worker is doing for a task; ascending in the order of execution.

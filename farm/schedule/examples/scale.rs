@@ -37,8 +37,15 @@ fn main() {
         }
     };
     for worker in 1..=u64::from(workers) {
-        let registration =
-            Registration { name: "w".into(), instance: worker, engine: "e".into(), threads: 1, slots: 1, tags: vec![] };
+        let registration = Registration {
+            name: "w".into(),
+            instance: worker,
+            engine: "e".into(),
+            threads: 1,
+            slots: 1,
+            tags: vec![],
+            held: vec![],
+        };
         see(farm.on(Event::Joined { worker: WorkerId(worker), registration }, Tick(0)), &mut line);
     }
     let (begun, mut done) = (Instant::now(), 0u64);

@@ -17,6 +17,9 @@ pub struct Config {
     pub rest: u64,
     /// Longest such rest.
     pub longest_rest: u64,
+    /// After a restart with unfinished jobs nothing is dealt for so long: workers that have lived on come back with what they
+    /// still work on, and that shall not be given to others.
+    pub regroup: u64,
     /// A worker on which three tasks of a job have failed in a row gets no more of that job for so long, then one task as a
     /// probe; it doubles from probe to failed probe.
     pub shun: u64,
@@ -45,6 +48,7 @@ impl Default for Config {
             preparation_stall: 900_000,
             rest: 1_000,
             longest_rest: 60_000,
+            regroup: 500,
             shun: 60_000,
             longest_shun: 3_600_000,
             prefetch: 2,

@@ -20,6 +20,9 @@ impl Scheduler {
     /// Leases ready tasks until the workers or the tasks run out: the workers with the fewest tasks first, so that
     /// nobody fetches ahead what another could begin at once.
     pub(crate) fn deal(&mut self, now: Tick, out: &mut Vec<Command>) {
+        if now < self.deals_from {
+            return;
+        }
         let mut next = (0, WorkerId(0));
         while let Some(&(held, id)) = self.floor.spare.range(next..).next() {
             next = (held, WorkerId(id.0 + 1));
@@ -79,7 +82,7 @@ impl Scheduler {
     }
 
     /// Charges a job's owner for a task that begins: what the job's tasks take on the average.
-    fn charge(&mut self, task: &TaskKey) {
+    pub(crate) fn charge(&mut self, task: &TaskKey) {
         let (Some(job), Some(desk)) = (self.ledger.jobs.get(&task.job), self.desks.get(&task.job)) else { return };
         let owner = &job.spec.owner;
         self.order.charge(owner, desk.pace.expected(), self.config.weight(owner));

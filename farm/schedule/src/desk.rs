@@ -86,6 +86,15 @@ impl Desk {
         false
     }
 
+    /// Whether the task is on the table.
+    pub(crate) fn is_ready(&self, task: &TaskKey) -> bool {
+        let open = self.open.get(&task.stage.frame).filter(|open| open.round == task.stage.round);
+        open.is_some_and(|open| match task.stage.kind {
+            StageKind::Render => open.tiles.contains(task.index),
+            StageKind::Merge => open.merge && task.index == 0,
+        })
+    }
+
     /// Takes a task off the table, because it is leased.
     pub(crate) fn take(&mut self, task: &TaskKey) {
         let Some(frame) = self.open.get_mut(&task.stage.frame) else { return };

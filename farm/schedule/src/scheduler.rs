@@ -3,7 +3,8 @@
 use std::collections::BTreeMap;
 
 use femc_model::{
-    Digest, Epoch, Failure, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey, TaskProgress, Tick, WorkerId,
+    Digest, Epoch, Failure, HeldLease, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey, TaskProgress,
+    Tick, WorkerId,
 };
 
 use crate::desk::Desk;
@@ -25,6 +26,8 @@ pub struct Scheduler {
     /// Leases granted in this incarnation.
     pub(crate) leases: u64,
     pub(crate) stale_messages: u64,
+    /// Nothing is dealt before: after a restart the workers come back one by one, with what they still work on.
+    pub(crate) deals_from: Tick,
 }
 
 impl Scheduler {
@@ -41,10 +44,14 @@ impl Scheduler {
             order: Order::default(),
             leases: 0,
             stale_messages: 0,
+            deals_from: Tick(0),
             ledger,
         };
         let jobs: Vec<JobId> = scheduler.ledger.jobs.keys().copied().collect();
         jobs.into_iter().for_each(|job| scheduler.rebuild(job));
+        if scheduler.order.jobs().next().is_some() {
+            scheduler.deals_from = now.after(scheduler.config.regroup);
+        }
         (scheduler, opened)
     }
 
@@ -100,7 +107,8 @@ impl Scheduler {
         }
     }
 
-    fn join(&mut self, worker: WorkerId, registration: Registration, now: Tick, out: &mut Vec<Command>) {
+    fn join(&mut self, worker: WorkerId, mut registration: Registration, now: Tick, out: &mut Vec<Command>) {
+        let held = std::mem::take(&mut registration.held);
         let same = |(&id, known): (&WorkerId, &crate::floor::Worker)| {
             (known.registration.instance == registration.instance).then_some(id)
         };
@@ -109,6 +117,30 @@ impl Scheduler {
             out.push(Command::Dismiss { worker: before });
         }
         self.floor.join(worker, registration, now);
+        for HeldLease { task, epoch, job } in held {
+            if self.may_adopt(&task, &job) {
+                self.charge(&task);
+                if let Some(desk) = self.desks.get_mut(&task.job) {
+                    desk.take(&task);
+                }
+                self.floor.lease(task, worker, epoch, &self.config, now);
+                out.push(Command::Changed(task.job));
+            } else {
+                self.note_stale(task.job);
+                out.push(Command::Revoke { worker, task, epoch, reason: RevokeReason::Expired });
+            }
+        }
+    }
+
+    /// Whether a task that a worker brings along is wanted and nobody else has it. `key`: of the job as the worker knows it.
+    fn may_adopt(&mut self, task: &TaskKey, key: &Digest) -> bool {
+        let Some(job) = self.ledger.jobs.get(&task.job) else { return false };
+        if job.has_ended() || !job.is_open(task.stage.frame) || job.spec.key() != *key {
+            return false;
+        }
+        let desk = self.desks.entry(task.job).or_default();
+        desk.refresh(task.job, job, task.stage.frame, &self.floor);
+        desk.is_ready(task)
     }
 
     fn leave(&mut self, worker: WorkerId, out: &mut Vec<Command>) {

@@ -317,6 +317,47 @@ fn a_worker_on_which_three_tasks_fail_gets_no_more_of_the_job_until_it_has_prove
 }
 
 #[test]
+fn a_worker_that_lived_through_a_restart_keeps_its_tasks_and_its_results_count() {
+    let mut farm = Farm::with(Config { regroup: 500, ..common::config() });
+    let id = farm.submit(job(&[1], 6, &[8]));
+    farm.join(1);
+    farm.join(2);
+    let own = |farm: &Farm, worker: u64| -> Vec<Assignment> {
+        farm.held.iter().filter(|(holder, _)| holder.0 == worker).map(|(_, held)| held.clone()).collect()
+    };
+    let (first, second) = (own(&farm, 1), own(&farm, 2));
+    farm.restart();
+    // The first worker is back before the second, and gets nothing that is the second's.
+    farm.rejoin(11, &first);
+    assert_eq!(own(&farm, 11), first);
+    farm.wait(200);
+    farm.rejoin(12, &second);
+    farm.wait(400);
+    assert_eq!((own(&farm, 11), own(&farm, 12)), (first.clone(), second));
+    assert!(recorded(&farm.complete(11, &first[0], Done)), "done once, under the lease of before");
+    assert_eq!(farm.status(id).stale_messages, 0);
+}
+
+#[test]
+fn what_a_returning_worker_brings_is_taken_back_if_another_has_it_or_the_job_is_another() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 2, &[8]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    farm.leave(1);
+    farm.join(2);
+    let commands = farm.rejoin(3, std::slice::from_ref(&held));
+    assert!(commands.iter().any(|c| matches!(c, Command::Revoke { task, .. } if *task == held.task)), "{commands:?}");
+    assert!(refused(&farm.complete(3, &held, Done)), "the other worker's lease counts");
+
+    let mut farm = Farm::new();
+    assert_eq!(farm.submit(job(&[1], 3, &[8])), id);
+    let other = HeldLease { task: held.task, epoch: held.epoch, job: job(&[1], 2, &[8]).key() };
+    let commands = farm.join_as(1, Registration { held: vec![other], ..registration() });
+    assert!(commands.iter().any(|c| matches!(c, Command::Revoke { .. })), "another farm's job of the same number");
+}
+
+#[test]
 fn owners_share_the_time_by_their_weights() {
     let weights = [("ann".to_owned(), 3)].into();
     let mut farm = Farm::with(Config { weights, ..common::config() });

@@ -1,9 +1,9 @@
 //! The words of a worker's session.
 
-use femc_model::{FromWorker, JobId, Phase, Registration, RevokeReason, TaskProgress, ToWorker, WorkerId};
+use femc_model::{FromWorker, HeldLease, JobId, Phase, Registration, RevokeReason, TaskProgress, ToWorker, WorkerId};
 
 use super::task::{from_lease, to_lease};
-use super::{ConvertError, each, need};
+use super::{ConvertError, digest, digest_bytes, each, need};
 use crate::{PROTOCOL, wire};
 
 impl From<FromWorker> for wire::FromWorker {
@@ -114,8 +114,9 @@ fn reason(value: i32) -> Result<RevokeReason, ConvertError> {
 
 impl From<Registration> for wire::Registration {
     fn from(registration: Registration) -> Self {
-        let Registration { name, instance, engine, threads, slots, tags } = registration;
-        Self { protocol: PROTOCOL, name, instance, engine, threads, slots, tags }
+        let Registration { name, instance, engine, threads, slots, tags, held } = registration;
+        let held = held.into_iter().map(Into::into).collect();
+        Self { protocol: PROTOCOL, name, instance, engine, threads, slots, tags, held }
     }
 }
 
@@ -123,14 +124,30 @@ impl TryFrom<wire::Registration> for Registration {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Registration) -> Result<Self, ConvertError> {
-        let wire::Registration { protocol, name, instance, engine, threads, slots, tags } = wire;
+        let wire::Registration { protocol, name, instance, engine, threads, slots, tags, held } = wire;
         if protocol != PROTOCOL {
             return Err(ConvertError::Protocol { found: protocol });
         }
         if slots == 0 || slots > 1024 {
             return Err(ConvertError::Range { field: "registration.slots" });
         }
-        Ok(Self { name, instance, engine, threads, slots, tags })
+        Ok(Self { name, instance, engine, threads, slots, tags, held: each(held)? })
+    }
+}
+
+impl From<HeldLease> for wire::HeldLease {
+    fn from(held: HeldLease) -> Self {
+        let HeldLease { task, epoch, job } = held;
+        Self { lease: to_lease(task, epoch), job: digest_bytes(&job) }
+    }
+}
+
+impl TryFrom<wire::HeldLease> for HeldLease {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::HeldLease) -> Result<Self, ConvertError> {
+        let (task, epoch) = from_lease(wire.lease)?;
+        Ok(Self { task, epoch, job: digest("held.job", &wire.job)? })
     }
 }
 

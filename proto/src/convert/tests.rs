@@ -94,6 +94,7 @@ fn the_words_of_a_session_cross_the_wire() {
         threads: 64,
         slots: 1,
         tags: vec!["lab".into()],
+        held: vec![HeldLease { task: task(StageKind::Merge), epoch: Epoch::new(1, 4), job: Digest::of(b"job") }],
     };
     let (render, merge, epoch) = (task(StageKind::Render), task(StageKind::Merge), Epoch::new(3, 9));
     let phases = [Phase::Waiting, Phase::Preparing, Phase::Working, Phase::Uploading];

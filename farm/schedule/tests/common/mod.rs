@@ -22,7 +22,7 @@ pub fn job(frames: &[u32], tiles: u32, rounds: &[u32]) -> JobSpec {
 
 /// Workers hold one task beyond the one that they run.
 pub fn config() -> Config {
-    Config { prefetch: 1, ..Config::default() }
+    Config { prefetch: 1, regroup: 0, ..Config::default() }
 }
 
 /// Scheduler, time, and everything that was made durable.
@@ -59,7 +59,8 @@ impl Farm {
     pub fn restart(&mut self) {
         let ledger = self.replay();
         assert_eq!(&ledger, self.scheduler.ledger());
-        let (scheduler, opened) = Scheduler::new(config(), ledger);
+        let config = self.scheduler.config().clone();
+        let (scheduler, opened) = Scheduler::new(config, ledger);
         self.log.push((scheduler.ledger().now(), opened));
         self.scheduler = scheduler;
         self.held.clear();
@@ -103,6 +104,17 @@ impl Farm {
 
     pub fn join_as(&mut self, worker: u64, registration: Registration) -> Vec<Command> {
         self.on(Event::Joined { worker: WorkerId(worker), registration })
+    }
+
+    /// A worker comes back in a new session with leases of an earlier one.
+    pub fn rejoin(&mut self, worker: u64, leases: &[Assignment]) -> Vec<Command> {
+        let key = |job: JobId| self.scheduler.spec(job).expect("the job is there").key();
+        let held: Vec<HeldLease> = leases
+            .iter()
+            .map(|held| HeldLease { task: held.task, epoch: held.epoch, job: key(held.task.job) })
+            .collect();
+        self.held.extend(leases.iter().map(|held| (WorkerId(worker), held.clone())));
+        self.join_as(worker, Registration { instance: worker, held, ..registration() })
     }
 
     pub fn leave(&mut self, worker: u64) -> Vec<Command> {
@@ -164,7 +176,7 @@ impl Farm {
 }
 
 pub fn registration() -> Registration {
-    Registration { name: "w".into(), instance: 0, engine: "e".into(), threads: 2, slots: 1, tags: vec![] }
+    Registration { name: "w".into(), instance: 0, engine: "e".into(), threads: 2, slots: 1, tags: vec![], held: vec![] }
 }
 
 pub fn answer(commands: &[Command]) -> Option<Answer> {

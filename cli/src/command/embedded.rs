@@ -33,8 +33,13 @@ pub struct Embedded {
 impl Embedded {
     /// Start it, and connect to it.
     pub async fn start(plan: Plan) -> Result<(Self, Farm), Failure> {
-        let config =
-            Config { log: Log::Sqlite(plan.log), artifacts: Artifacts::Folder(plan.artifacts), ..Config::default() };
+        let config = Config {
+            log: Log::Sqlite(plan.log),
+            artifacts: Artifacts::Folder(plan.artifacts),
+            // Its workers end with it: there is nobody to wait for.
+            scheduler: femc_schedule::Config { regroup: 0, ..femc_schedule::Config::default() },
+            ..Config::default()
+        };
         let coordinator = Coordinator::start(config).await.map_err(failed)?;
         let (stop, stopped) = watch::channel(());
         let (mut workers, cache) = (JoinSet::new(), Cache::default());

@@ -12,8 +12,14 @@ use proptest::prelude::*;
 
 #[derive(Debug, Clone, Copy)]
 enum Step {
-    Submit { frames: u32, tiles: u32, rounds: usize },
+    Submit {
+        frames: u32,
+        tiles: u32,
+        rounds: usize,
+    },
     Join,
+    /// A worker comes back with the leases that an earlier session left over.
+    Return(usize),
     Leave(usize),
     Complete(usize, Decision),
     Fail(usize, u8),
@@ -29,6 +35,7 @@ fn step() -> impl Strategy<Value = Step> {
     prop_oneof![
         1 => (1..4u32, 1..5u32, 1..4usize).prop_map(|(frames, tiles, rounds)| Step::Submit { frames, tiles, rounds }),
         2 => Just(Step::Join),
+        2 => any::<usize>().prop_map(Step::Return),
         1 => any::<usize>().prop_map(Step::Leave),
         12 => (any::<usize>(), decision).prop_map(|(which, decision)| Step::Complete(which, decision)),
         3 => (any::<usize>(), 0..6u8).prop_map(|(which, kind)| Step::Fail(which, kind)),
@@ -122,6 +129,33 @@ impl Machine {
                 self.workers.insert(self.next_worker);
                 let commands = self.farm.join(self.next_worker);
                 self.next_worker += 1;
+                self.see(commands);
+            }
+            Step::Return(which) => {
+                if self.over.is_empty() {
+                    return;
+                }
+                let (before, _) = self.over[which % self.over.len()];
+                let mut leases: Vec<Assignment> =
+                    self.over.iter().filter(|(worker, _)| *worker == before).map(|(_, held)| held.clone()).collect();
+                leases.retain(|held| self.live.get(&held.task) != Some(&held.epoch));
+                leases.dedup();
+                let worker = self.next_worker;
+                self.next_worker += 1;
+                self.workers.insert(worker);
+                let commands = self.farm.rejoin(worker, &leases);
+                for held in leases {
+                    let is_back = |c: &Command| matches!(c, Command::Revoke { task, epoch, .. } if (*task, *epoch) == (held.task, held.epoch));
+                    if !commands.iter().any(is_back) {
+                        assert!(!self.done.contains(&held.task), "{} is done and adopted", held.task);
+                        assert_eq!(
+                            self.live.insert(held.task, held.epoch),
+                            None,
+                            "{} is adopted and leased",
+                            held.task
+                        );
+                    }
+                }
                 self.see(commands);
             }
             Step::Leave(which) => {

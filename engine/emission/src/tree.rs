@@ -8,7 +8,6 @@
 //! [`LightTree::probability`] for the weights the choice is unbiased whatever they are.
 
 use crate::light::EmissionCone;
-use femc_math::elementary;
 use femc_math::glam::Vec3A;
 use std::f32::consts::{FRAC_PI_2, PI};
 
@@ -71,7 +70,9 @@ pub struct AlongSegment {
 pub struct Node {
     center: Vec3A,
     axis: Vec3A,
-    /// Squared radius of the sphere around the lights, m2.
+    /// Radius of the sphere around the lights, m.
+    radius: f32,
+    /// Its square.
     radius2: f32,
     /// Candela at the peak of the profile, summed.
     intensity: f32,
@@ -112,8 +113,9 @@ impl Node {
         if distance2 <= self.radius2 * 1.001 || distance2 == 0.0 {
             return (self.radius2.max(distance2).max(f32::MIN_POSITIVE), Vec3A::ZERO, (-1.0, 0.0));
         }
-        let sin2 = self.radius2 / distance2;
-        (distance2, toward / distance2.sqrt(), ((1.0 - sin2).max(0.0).sqrt(), sin2.sqrt()))
+        let inverse = 1.0 / distance2.sqrt();
+        let sin = self.radius * inverse;
+        (distance2, toward * inverse, ((1.0 - sin * sin).max(0.0).sqrt(), sin))
     }
 
     /// Bound on the intensity, cd, in direction `dir` (unit, from the lights to the place), whose error is `spread`.
@@ -129,11 +131,26 @@ impl Node {
         if cos < -SLACK {
             return 0.0;
         }
-        let cos = cos.max(SLACK);
-        // A part of a lobe's light is taken to be spread wide, so that no place depends on the lobe's foot being right.
-        let profile =
-            if self.exponent == 1.0 { cos } else { 0.99 * elementary::pow(cos.min(1.0), self.exponent) + 0.01 * cos };
-        self.intensity * profile
+        self.intensity * self.profile(cos.max(SLACK))
+    }
+
+    /// The cosine's power, by a quotient that falls off more slowly (\[schlick1994\]).
+    #[inline]
+    fn profile(&self, cos: f32) -> f32 {
+        cos / (self.exponent - self.exponent * cos + cos)
+    }
+
+    /// Estimate of the intensity, cd, toward a place that sees the lights' middle along `toward` (m, not unit).
+    #[inline]
+    fn intensity_about(&self, toward: Vec3A) -> f32 {
+        if self.is_everywhere() {
+            return self.intensity;
+        }
+        let inverse = 1.0 / toward.length_squared().max(self.radius2).max(f32::MIN_POSITIVE).sqrt();
+        let cos = -self.axis.dot(toward) * inverse;
+        let cos = if self.two_sided { cos.abs() } else { cos };
+        let open = 1.0 - self.cos_normals + self.radius * inverse;
+        self.intensity * self.profile((cos + open).clamp(SLACK, 1.0))
     }
 }
 
@@ -168,8 +185,8 @@ impl Place for AtPoint {
 }
 
 impl Place for AlongSegment {
-    /// The integral of 1 / distance^2 along the segment, times the intensity toward its nearest point, or toward its ends where
-    /// that one is behind the lights.
+    /// The integral of 1 / distance^2 along the segment, times an estimate of the intensity toward its nearest point, or toward
+    /// its ends where that one is behind the lights.
     #[inline]
     fn importance(&self, node: &Node) -> f32 {
         let (t0, t1) = self.range;
@@ -178,16 +195,12 @@ impl Place for AlongSegment {
         let beside2 = (node.center - (self.origin + self.dir * along)).length_squared();
         let h = beside2.max(node.radius2).sqrt().max(f32::MIN_POSITIVE.sqrt());
         let angle = subtended(h * (t1 - t0), h * h + (t0 - along) * (t1 - along));
-        let toward = |t: f32| {
-            let (_, toward, spread) = node.seen_from(self.origin + self.dir * t);
-            node.intensity_toward(-toward, spread)
-        };
+        let toward = |t: f32| node.intensity_about(node.center - (self.origin + self.dir * t));
         let mut intensity = toward(nearest);
-        if intensity <= 0.0 {
-            intensity = 0.5 * toward(t0).max(toward(t1));
+        if intensity <= 2.0 * SLACK * node.intensity {
+            intensity = intensity.max(0.5 * toward(t0).max(toward(t1)));
         }
-        // Light may also pass between the three: keep a little.
-        let importance = intensity.max(node.intensity * SLACK) * angle / h;
+        let importance = intensity * angle / h;
         if self.haze > 0.0 { importance * attenuation(self.haze * (nearest + h - t0)) } else { importance }
     }
 }
@@ -310,6 +323,7 @@ impl Node {
     const ABSENT: Self = Self {
         center: Vec3A::ZERO,
         axis: Vec3A::Z,
+        radius: 0.0,
         radius2: 0.0,
         intensity: 0.0,
         cos_normals: -1.0,
@@ -360,6 +374,7 @@ impl Cluster {
         Node {
             center: (self.low + self.high) * 0.5,
             axis: self.cone.axis,
+            radius: (self.high - self.low).length() * 0.5,
             radius2: (self.high - self.low).length_squared() * 0.25,
             intensity: self.intensity,
             cos_normals: self.cone.cos_normals,

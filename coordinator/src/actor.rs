@@ -10,7 +10,7 @@ use femc_schedule::{Command, Event, Fact, RequestId, Scheduler};
 use femc_store::Store;
 use tokio::sync::{mpsc, watch};
 
-use crate::clock::Clock;
+use crate::clock::{Clock, Time};
 use crate::config::CoordinatorError;
 use crate::janitor::Janitor;
 use crate::obey::Watched;
@@ -73,10 +73,10 @@ impl<Q: Queue> Actor<Q> {
     /// Between two looks at deadlines and watchers.
     const TIMER: Duration = Duration::from_millis(100);
 
-    pub(crate) fn new(scheduler: Scheduler, queue: Q, store: Store, records: usize) -> Self {
+    pub(crate) fn new(scheduler: Scheduler, queue: Q, store: Store, records: usize, time: Time) -> Self {
         let (words, heard) = mpsc::channel(4 * Self::BATCH);
         Self {
-            clock: Clock::from(scheduler.ledger().now()),
+            clock: Clock::from(scheduler.ledger().now(), time),
             scheduler,
             queue,
             store,

@@ -8,6 +8,8 @@ use femc_queue::QueueError;
 use femc_schedule::SnapshotError;
 use femc_store::StoreError;
 
+use crate::clock::Time;
+
 /// Where the log lives.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Log {
@@ -48,6 +50,8 @@ pub struct Config {
     pub artifacts: Artifacts,
     /// The scheduler's times and limits.
     pub scheduler: femc_schedule::Config,
+    /// The clock.
+    pub time: Time,
 }
 
 impl Default for Config {
@@ -58,6 +62,7 @@ impl Default for Config {
             log: Log::Memory,
             artifacts: Artifacts::Memory,
             scheduler: femc_schedule::Config::default(),
+            time: Time::default(),
         }
     }
 }

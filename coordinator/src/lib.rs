@@ -14,5 +14,6 @@ mod obey;
 mod session;
 mod start;
 
+pub use clock::Time;
 pub use config::{Artifacts, Config, CoordinatorError, Exposure, Log};
 pub use start::{Coordinator, Handle};

@@ -27,6 +27,7 @@ impl Worker {
 pub(crate) async fn listen(worker: WorkerId, mut words: Words, store: Store, actor: mpsc::Sender<(WorkerId, Word)>) {
     loop {
         let word = tokio::select! {
+            biased;
             word = words.next() => word,
             () = actor.closed() => return,
         };

@@ -1,16 +1,18 @@
 //! Starting, and stopping without haste.
 
+use std::io;
 use std::net::SocketAddr;
 use std::time::Duration;
 
 use femc_model::Tick;
-use femc_proto::Server;
+use femc_proto::{Connected, Io, Server, TcpIncoming};
 use femc_queue::{Memory, Queue, Sqlite};
 use femc_schedule::{Fact, Ledger, Scheduler};
 use femc_store::Store;
 use tokio::net::TcpListener;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
+use tokio_stream::Stream;
 
 use crate::actor::Actor;
 use crate::config::{Artifacts, Config, CoordinatorError, Exposure, Log};
@@ -42,18 +44,33 @@ impl Coordinator {
     }
 
     /// Starts with this log and this store, whatever `config` says of them.
-    pub async fn with(config: Config, store: Store, mut queue: impl Queue) -> Result<Handle, CoordinatorError> {
-        let (scheduler, records) = recover(config.scheduler, &mut queue).await?;
+    pub async fn with(config: Config, store: Store, queue: impl Queue) -> Result<Handle, CoordinatorError> {
         let listen = |error| CoordinatorError::Listen { address: config.listen, error };
         let listener = TcpListener::bind(config.listen).await.map_err(listen)?;
         let address = listener.local_addr().map_err(listen)?;
+        let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
+        Self::on(incoming, Config { listen: address, ..config }, store, queue).await
+    }
+
+    /// The same on connections that come in some other way than over TCP; `config.listen` is only told to others.
+    pub async fn on<C>(
+        incoming: impl Stream<Item = io::Result<C>> + Send + 'static,
+        config: Config,
+        store: Store,
+        mut queue: impl Queue,
+    ) -> Result<Handle, CoordinatorError>
+    where
+        C: Io + Connected,
+    {
+        let address = config.listen;
+        let (scheduler, records) = recover(config.scheduler, &mut queue).await?;
         let (calls, inbox) = mpsc::channel(Self::CALLS);
         let (stop, stopped) = watch::channel(());
-        let actor = Actor::new(scheduler, queue, store.clone(), records);
+        let actor = Actor::new(scheduler, queue, store.clone(), records, config.time);
         let actor = tokio::spawn(actor.run(inbox, stopped));
         let (serving, served) = watch::channel(());
         let mut until = served.clone();
-        let server = Server { calls, store }.serve(listener, async move {
+        let server = Server { calls, store }.serve(incoming, async move {
             // Ends when the sender is dropped: on a stop, or because the actor is gone.
             let _ = until.changed().await;
         });

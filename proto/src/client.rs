@@ -6,14 +6,16 @@ use bytes::{Bytes, BytesMut};
 use femc_model::{
     Artefact, Control, Digest, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, Registration, ToWorker, WorkerStatus,
 };
+use hyper_util::rt::TokioIo;
 use tokio::sync::mpsc;
 use tokio_stream::StreamExt as _;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Streaming;
-use tonic::transport::{Channel, Endpoint};
+use tonic::transport::{Channel, Endpoint, Uri};
 
 use crate::convert::{ConvertError, digest, digest_bytes, each, need};
 use crate::error::{CallError, from_status};
+use crate::net::Dial;
 use crate::{MESSAGE, PIECE, wire};
 use wire::artifacts_client::ArtifactsClient;
 use wire::jobs_client::JobsClient;
@@ -29,6 +31,11 @@ pub struct Client {
 impl Client {
     /// Connects to `url`, such as `http://127.0.0.1:7878`.
     pub async fn connect(url: &str) -> Result<Self, CallError> {
+        Self::connect_by(&Dial::tcp(), url).await
+    }
+
+    /// The same over another network.
+    pub async fn connect_by(dial: &Dial, url: &str) -> Result<Self, CallError> {
         let address = |error: tonic::transport::Error| CallError::Address { url: url.into(), message: chain(&error) };
         let endpoint = Endpoint::from_shared(url.to_owned())
             .map_err(address)?
@@ -38,7 +45,18 @@ impl Client {
             .initial_stream_window_size(4 << 20)
             .initial_connection_window_size(16 << 20);
         let unreachable = |error| CallError::Unreachable { url: url.into(), message: chain(&error) };
-        Ok(Self { url: url.into(), channel: endpoint.connect().await.map_err(unreachable)? })
+        let channel = match &dial.0 {
+            None => endpoint.connect().await,
+            Some(dial) => {
+                let dial = dial.clone();
+                let connector = tower::service_fn(move |to: Uri| {
+                    let link = dial(to.host().unwrap_or_default().to_owned(), to.port_u16().unwrap_or(80));
+                    async move { link.await.map(TokioIo::new) }
+                });
+                endpoint.connect_with_connector(connector).await
+            }
+        };
+        Ok(Self { url: url.into(), channel: channel.map_err(unreachable)? })
     }
 
     /// The coordinator's address.

@@ -8,13 +8,16 @@
 mod client;
 mod convert;
 mod error;
+mod net;
 mod server;
 mod wire;
 
 pub use client::{Client, Incoming, Outgoing, Watch};
 pub use convert::ConvertError;
 pub use error::{CallError, ServeError};
+pub use net::{Dial, Dialing, Io, Link};
 pub use server::{Call, Reply, Server, Session, Words};
+pub use tonic::transport::server::{Connected, TcpIncoming};
 
 /// Version of the protocol: a worker says it when it registers, and is refused if it is not this or the one before.
 pub const PROTOCOL: u32 = 1;

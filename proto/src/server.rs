@@ -5,19 +5,21 @@ mod jobs;
 mod workers;
 
 use std::future::Future;
+use std::io;
 use std::time::Duration;
 
 use femc_model::{
     Control, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, Refusal, Registration, ToWorker, WorkerStatus,
 };
 use femc_store::Store;
-use tokio::net::TcpListener;
 use tokio::sync::{mpsc, oneshot, watch};
+use tokio_stream::Stream;
 use tonic::Streaming;
-use tonic::transport::server::TcpIncoming;
+use tonic::transport::server::Connected;
 
 use crate::convert::ConvertError;
 use crate::error::ServeError;
+use crate::net::Io;
 use crate::{MESSAGE, PIECE, wire};
 use wire::artifacts_server::ArtifactsServer;
 use wire::jobs_server::JobsServer;
@@ -117,8 +119,15 @@ impl Server {
     /// Most streams that one connection may have open.
     const STREAMS: u32 = 256;
 
-    /// Serves until `stop` comes, then until the open calls have ended.
-    pub async fn serve(self, listener: TcpListener, stop: impl Future<Output = ()>) -> Result<(), ServeError> {
+    /// Serves the connections that come in until `stop` comes, then until the open calls have ended.
+    pub async fn serve<C>(
+        self,
+        incoming: impl Stream<Item = io::Result<C>>,
+        stop: impl Future<Output = ()>,
+    ) -> Result<(), ServeError>
+    where
+        C: Io + Connected,
+    {
         let (reporter, health) = tonic_health::server::health_reporter();
         reporter.set_serving::<JobsServer<Self>>().await;
         reporter.set_serving::<WorkersServer<Self>>().await;
@@ -137,7 +146,7 @@ impl Server {
             .add_service(JobsServer::new(self.clone()).max_decoding_message_size(MESSAGE))
             .add_service(WorkersServer::new(self.clone()).max_decoding_message_size(MESSAGE))
             .add_service(ArtifactsServer::new(self).max_decoding_message_size(2 * PIECE))
-            .serve_with_incoming_shutdown(TcpIncoming::from(listener).with_nodelay(Some(true)), stop)
+            .serve_with_incoming_shutdown(incoming, stop)
             .await?;
         Ok(())
     }

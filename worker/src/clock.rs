@@ -1,6 +1,8 @@
 //! The worker's one clock.
 
-use std::time::{Duration, Instant};
+use std::time::Duration;
+
+use tokio::time::Instant;
 
 /// A moment to measure from.
 #[derive(Debug, Clone, Copy)]

@@ -1,8 +1,12 @@
 //! What a worker needs to know, and why it may end.
 
+use std::fmt;
+use std::hash::{BuildHasher as _, RandomState};
+use std::sync::Arc;
 use std::time::Duration;
 
-use femc_proto::CallError;
+use femc_model::Assignment;
+use femc_proto::{CallError, Dial};
 
 use crate::Cache;
 
@@ -23,6 +27,43 @@ pub struct Config {
     pub patience: Option<Duration>,
     /// What to do when asked to stop.
     pub at_stop: AtStop,
+    /// Tells this worker from all others, and from an earlier one that had its name.
+    pub instance: u64,
+    /// How to reach the coordinator.
+    pub dial: Dial,
+    /// Who does the tasks.
+    pub hands: Hands,
+}
+
+/// Who does a worker's tasks.
+#[derive(Debug, Clone, Default)]
+pub enum Hands {
+    /// Threads of their own, beside the asynchronous ones.
+    #[default]
+    Threads,
+    /// The runtime itself, in the time that [`Pace`] says: for simulations.
+    Simulated(Pace),
+}
+
+/// How long a task takes in a simulation.
+#[derive(Clone)]
+pub struct Pace(Arc<dyn Fn(&Assignment) -> Duration + Send + Sync>);
+
+impl Pace {
+    /// As `pace` says.
+    pub fn by(pace: impl Fn(&Assignment) -> Duration + Send + Sync + 'static) -> Self {
+        Self(Arc::new(pace))
+    }
+
+    pub(crate) fn of(&self, assignment: &Assignment) -> Duration {
+        (self.0)(assignment)
+    }
+}
+
+impl fmt::Debug for Pace {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Pace")
+    }
 }
 
 /// What a worker does when it is asked to stop.
@@ -45,6 +86,9 @@ impl Config {
             cache: Cache::default(),
             patience: None,
             at_stop: AtStop::GiveBack,
+            instance: RandomState::new().hash_one(std::process::id()),
+            dial: Dial::tcp(),
+            hands: Hands::Threads,
         }
     }
 }

@@ -1,5 +1,8 @@
 //! Artefacts for threads that compute: blocking downloads, and failed calls as failures of a task.
 
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
 use bytes::Bytes;
 use femc_model::{Artefact, Digest, Failure, Refusal};
 use femc_proto::{CallError, Client};
@@ -23,35 +26,57 @@ pub(crate) fn failure(error: &CallError) -> Failure {
     }
 }
 
-/// Downloads for a thread outside of the runtime.
+/// How a task comes by its inputs.
 #[derive(Debug, Clone)]
-pub(crate) struct Fetch(Handle);
+pub(crate) enum Fetch {
+    /// Downloads when they are needed, for a thread outside of the runtime.
+    Blocking(Handle),
+    /// All are there already.
+    Collected(Arc<BTreeMap<Digest, Result<Bytes, Failure>>>),
+}
 
 impl Fetch {
-    pub(crate) fn new(runtime: Handle) -> Self {
-        Self(runtime)
-    }
-
     pub(crate) fn bundle(&self, client: &Client, digest: &Digest) -> Result<Bytes, Failure> {
-        self.0.block_on(client.get(digest, BUNDLE)).map_err(|error| failure(&error))
+        match self {
+            Self::Blocking(runtime) => runtime.block_on(client.get(digest, BUNDLE)).map_err(|error| failure(&error)),
+            Self::Collected(inputs) => collected(inputs, digest),
+        }
     }
 
     /// All of `artefacts` in their order, side by side; each is there, or lost, or not to be had.
     pub(crate) fn all(&self, client: &Client, artefacts: &[Artefact]) -> Vec<Result<Bytes, Failure>> {
-        self.0.block_on(async {
-            let download = |artefact: Artefact| {
-                let client = client.clone();
-                tokio::spawn(async move { client.get(&artefact.digest, artefact.bytes).await })
-            };
-            let downloads: Vec<_> = artefacts.iter().copied().map(download).collect();
-            let mut all = Vec::with_capacity(downloads.len());
-            for download in downloads {
-                all.push(match download.await {
-                    Ok(bytes) => bytes.map_err(|error| failure(&error)),
-                    Err(error) => Err(Failure::Panicked { message: error.to_string() }),
-                });
-            }
-            all
-        })
+        match self {
+            Self::Blocking(runtime) => runtime.block_on(side_by_side(client, artefacts)),
+            Self::Collected(inputs) => artefacts.iter().map(|artefact| collected(inputs, &artefact.digest)).collect(),
+        }
     }
+
+    /// Downloads a task's inputs before it begins.
+    pub(crate) async fn collect(client: &Client, bundle: Digest, artefacts: &[Artefact]) -> Self {
+        let all = side_by_side(client, artefacts).await;
+        let mut inputs: BTreeMap<_, _> = artefacts.iter().map(|artefact| artefact.digest).zip(all).collect();
+        inputs.insert(bundle, client.get(&bundle, BUNDLE).await.map_err(|error| failure(&error)));
+        Self::Collected(Arc::new(inputs))
+    }
+}
+
+fn collected(inputs: &BTreeMap<Digest, Result<Bytes, Failure>>, digest: &Digest) -> Result<Bytes, Failure> {
+    let missing = || Err(Failure::LostInputs { digests: vec![*digest], message: "it was not collected".into() });
+    inputs.get(digest).cloned().unwrap_or_else(missing)
+}
+
+async fn side_by_side(client: &Client, artefacts: &[Artefact]) -> Vec<Result<Bytes, Failure>> {
+    let download = |artefact: Artefact| {
+        let client = client.clone();
+        tokio::spawn(async move { client.get(&artefact.digest, artefact.bytes).await })
+    };
+    let downloads: Vec<_> = artefacts.iter().copied().map(download).collect();
+    let mut all = Vec::with_capacity(downloads.len());
+    for download in downloads {
+        all.push(match download.await {
+            Ok(bytes) => bytes.map_err(|error| failure(&error)),
+            Err(error) => Err(Failure::Panicked { message: error.to_string() }),
+        });
+    }
+    all
 }

@@ -11,11 +11,12 @@ mod config;
 mod execute;
 mod fetch;
 mod session;
+mod simulated;
 mod sums;
 mod table;
 mod threads;
 mod worker;
 
 pub use cache::Cache;
-pub use config::{AtStop, Config, WorkerError};
+pub use config::{AtStop, Config, Hands, Pace, WorkerError};
 pub use worker::Worker;

@@ -57,6 +57,7 @@ impl<'a> Session<'a> {
         mut stop: Pin<&mut S>,
     ) -> Result<End, CallError> {
         let (out, mut incoming) = tokio::select! {
+            biased;
             session = self.client.session(registration) => session?,
             () = &mut stop => return Ok(End::Stopped),
         };

@@ -6,6 +6,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use femc_model::{Assignment, Epoch, Failure, HeldLease, JobSpec, Phase, StageKind, TaskKey, TaskProgress};
 use femc_proto::Client;
+use tokio::sync::Notify;
 
 use crate::execute::Product;
 
@@ -80,11 +81,21 @@ struct State {
     closed: bool,
 }
 
+impl State {
+    /// Takes the oldest waiting task of this kind out of the line.
+    fn first(&mut self, kind: StageKind) -> Option<Arc<Task>> {
+        let place = self.line.iter().position(|task| task.assignment.task.stage.kind == kind)?;
+        Some(self.line.remove(place))
+    }
+}
+
 /// What the worker holds; shared by the session and the threads.
 #[derive(Debug, Default)]
 pub(crate) struct Table {
     state: Mutex<State>,
     arrived: Condvar,
+    /// The same for those who wait without a thread.
+    changed: Notify,
 }
 
 impl Table {
@@ -98,6 +109,7 @@ impl Table {
         state.held.insert(task.key(), task.clone());
         state.line.push(task);
         self.arrived.notify_all();
+        self.changed.notify_waiters();
     }
 
     /// The oldest waiting task of this kind; waits for one. `None` when the table is closed.
@@ -107,10 +119,27 @@ impl Table {
             if state.closed {
                 return None;
             }
-            if let Some(place) = state.line.iter().position(|task| task.assignment.task.stage.kind == kind) {
-                return Some(state.line.remove(place));
+            if let Some(task) = state.first(kind) {
+                return Some(task);
             }
             state = self.arrived.wait(state).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    /// The same without a thread.
+    pub(crate) async fn taken(&self, kind: StageKind) -> Option<Arc<Task>> {
+        loop {
+            let changed = self.changed.notified();
+            {
+                let mut state = self.lock();
+                if state.closed {
+                    return None;
+                }
+                if let Some(task) = state.first(kind) {
+                    return Some(task);
+                }
+            }
+            changed.await;
         }
     }
 
@@ -160,6 +189,7 @@ impl Table {
         self.clear();
         self.lock().closed = true;
         self.arrived.notify_all();
+        self.changed.notify_waiters();
     }
 
     /// How far every task is.

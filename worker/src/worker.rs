@@ -1,7 +1,6 @@
 //! A worker's life: join, work, lose the coordinator, join again.
 
 use std::future::Future;
-use std::hash::{BuildHasher as _, RandomState};
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -12,12 +11,12 @@ use tokio::runtime::Handle;
 use tokio::sync::mpsc;
 
 use crate::clock::Stopwatch;
-use crate::config::{Config, WorkerError};
+use crate::config::{Config, Hands, WorkerError};
 use crate::execute::Tools;
 use crate::fetch::Fetch;
 use crate::session::{End, Session};
 use crate::table::Table;
-use crate::threads;
+use crate::{simulated, threads};
 
 /// A farm machine.
 #[derive(Debug)]
@@ -40,24 +39,29 @@ impl Worker {
             .map_err(|error| WorkerError::Threads(error.to_string()))?;
         let registration = Registration {
             name: config.name.clone(),
-            instance: RandomState::new().hash_one(std::process::id()),
+            instance: config.instance,
             engine: env!("CARGO_PKG_VERSION").into(),
             threads: pool.current_num_threads() as u32,
             slots: 1,
             tags: config.tags.clone(),
             held: Vec::new(),
         };
-        let tools = Tools { pool: Arc::new(pool), cache: config.cache.clone(), fetch: Fetch::new(Handle::current()) };
+        let tools =
+            Tools { pool: Arc::new(pool), cache: config.cache.clone(), fetch: Fetch::Blocking(Handle::current()) };
         let table = Arc::new(Table::default());
         let (finish, mut finished) = mpsc::unbounded_channel();
-        let ahead = threads::start(&config.name, &tools, &table, &finish)?;
+        let ahead = match &config.hands {
+            Hands::Threads => threads::start(&config.name, &tools, &table, &finish)?,
+            Hands::Simulated(pace) => simulated::start(pace, &tools, &table, &finish),
+        };
         let mut stop = std::pin::pin!(stop);
         let mut pause = Self::FIRST_PAUSE;
         let mut away = Stopwatch::start();
         let outcome = loop {
             let session = async {
                 let client = tokio::select! {
-                    client = Client::connect(&config.join) => client?,
+                    biased;
+                    client = Client::connect_by(&config.dial, &config.join) => client?,
                     () = &mut stop => return Ok(End::Stopped),
                 };
                 pause = Self::FIRST_PAUSE;
@@ -81,6 +85,7 @@ impl Worker {
             }
             tracing::info!(error = %is_gone, ?pause, "coordinator is away");
             tokio::select! {
+                biased;
                 () = tokio::time::sleep(pause) => pause = (2 * pause).min(Self::LONGEST_PAUSE),
                 () = &mut stop => break Ok(()),
             }

@@ -85,6 +85,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
             weights: args.share.into_iter().collect(),
             ..femc_schedule::Config::default()
         },
+        ..Config::default()
     };
     runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;

@@ -71,6 +71,7 @@ async fn forward(mut statuses: watch::Receiver<JobStatus>, send: mpsc::Sender<Re
             return;
         }
         tokio::select! {
+            biased;
             changed = statuses.changed() => if changed.is_err() { return },
             () = send.closed() => return,
         }

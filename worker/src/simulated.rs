@@ -1,0 +1,56 @@
+//! Hands for simulations: the tasks are really done, on the runtime itself, and take the time that the simulation says.
+
+use std::sync::atomic::Ordering;
+use std::sync::{Arc, mpsc};
+use std::time::Duration;
+
+use femc_model::{Failure, Phase, StageKind, Work};
+use tokio::sync::mpsc::UnboundedSender;
+
+use crate::config::Pace;
+use crate::execute::{Product, Tools, execute};
+use crate::fetch::Fetch;
+use crate::table::{Table, Task};
+use crate::threads::{Ahead, Finished};
+
+/// Steps in which a task shows its progress.
+const STEPS: u32 = 8;
+
+/// Starts the hands; they end when the table is closed. Nothing is prepared ahead.
+pub(crate) fn start(
+    pace: &Pace,
+    tools: &Tools,
+    table: &Arc<Table>,
+    finished: &UnboundedSender<Finished>,
+) -> mpsc::Sender<Ahead> {
+    for kind in [StageKind::Render, StageKind::Merge] {
+        let (pace, tools, table, finished) = (pace.clone(), tools.clone(), table.clone(), finished.clone());
+        tokio::spawn(async move {
+            while let Some(task) = table.taken(kind).await {
+                let outcome = work(&task, &pace, &tools).await;
+                // Without a listener the worker is ending.
+                let _ = finished.send((task.key(), outcome));
+            }
+        });
+    }
+    mpsc::channel().0
+}
+
+async fn work(task: &Task, pace: &Pace, tools: &Tools) -> Result<Product, Failure> {
+    task.enter(Phase::Preparing);
+    let inputs: Vec<_> = match &task.assignment.work {
+        Work::Render { .. } => Vec::new(),
+        Work::Merge { previous, tiles, .. } => previous.iter().chain(tiles).copied().collect(),
+    };
+    let fetch = Fetch::collect(&task.client, task.spec.bundle, &inputs).await;
+    task.enter(Phase::Working);
+    let step: Duration = pace.of(&task.assignment) / STEPS;
+    for _ in 0..STEPS {
+        tokio::time::sleep(step).await;
+        task.samples.fetch_add(1, Ordering::Relaxed);
+        if task.is_cancelled() {
+            return Err(Failure::Cancelled);
+        }
+    }
+    execute(task, &Tools { fetch, ..tools.clone() })
+}

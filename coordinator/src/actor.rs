@@ -10,8 +10,8 @@ use femc_schedule::{Command, Event, Fact, RequestId, Scheduler};
 use femc_store::Store;
 use tokio::sync::{mpsc, watch};
 
-use crate::clock::{Clock, Time};
-use crate::config::CoordinatorError;
+use crate::clock::Clock;
+use crate::config::{Config, CoordinatorError};
 use crate::janitor::Janitor;
 use crate::obey::Watched;
 use crate::session::{self, Worker};
@@ -61,6 +61,8 @@ pub(crate) struct Actor<Q> {
     numbers: u64,
     /// Records since the last snapshot.
     records: usize,
+    /// Records after which the next snapshot is due.
+    snapshot: usize,
     words: mpsc::Sender<(WorkerId, Word)>,
     heard: mpsc::Receiver<(WorkerId, Word)>,
 }
@@ -68,15 +70,13 @@ pub(crate) struct Actor<Q> {
 impl<Q: Queue> Actor<Q> {
     /// Most messages that are made durable in one go.
     const BATCH: usize = 1024;
-    /// Records after which a snapshot takes their place.
-    const SNAPSHOT: usize = 20_000;
     /// Between two looks at deadlines and watchers.
     const TIMER: Duration = Duration::from_millis(100);
 
-    pub(crate) fn new(scheduler: Scheduler, queue: Q, store: Store, records: usize, time: Time) -> Self {
+    pub(crate) fn new(scheduler: Scheduler, queue: Q, store: Store, records: usize, config: &Config) -> Self {
         let (words, heard) = mpsc::channel(4 * Self::BATCH);
         Self {
-            clock: Clock::from(scheduler.ledger().now(), time),
+            clock: Clock::from(scheduler.ledger().now(), config.time.clone()),
             scheduler,
             queue,
             store,
@@ -90,6 +90,7 @@ impl<Q: Queue> Actor<Q> {
             questions: Vec::new(),
             numbers: 0,
             records,
+            snapshot: config.snapshot,
             words,
             heard,
         }
@@ -230,7 +231,7 @@ impl<Q: Queue> Actor<Q> {
     async fn look_after(&mut self, commands: &mut Vec<Command>) -> Result<(), CoordinatorError> {
         self.refresh_watched();
         self.sweep();
-        if self.records >= Self::SNAPSHOT {
+        if self.records >= self.snapshot {
             // The snapshot holds what these commands' facts say already.
             self.commit(std::mem::take(commands)).await?;
             let state = self.scheduler.ledger().encode()?;

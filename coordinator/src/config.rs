@@ -50,6 +50,8 @@ pub struct Config {
     pub artifacts: Artifacts,
     /// The scheduler's times and limits.
     pub scheduler: femc_schedule::Config,
+    /// Records of the log after which a snapshot takes their place.
+    pub snapshot: usize,
     /// The clock.
     pub time: Time,
 }
@@ -62,6 +64,7 @@ impl Default for Config {
             log: Log::Memory,
             artifacts: Artifacts::Memory,
             scheduler: femc_schedule::Config::default(),
+            snapshot: 20_000,
             time: Time::default(),
         }
     }

@@ -1,11 +1,13 @@
 //! Starting, and stopping without haste.
 
+use std::future::Future;
 use std::io;
 use std::net::SocketAddr;
+use std::pin::Pin;
 use std::time::Duration;
 
 use femc_model::Tick;
-use femc_proto::{Connected, Io, Server, TcpIncoming};
+use femc_proto::{Connected, Io, ServeError, Server, TcpIncoming};
 use femc_queue::{Memory, Queue, Sqlite};
 use femc_schedule::{Fact, Ledger, Scheduler};
 use femc_store::Store;
@@ -16,6 +18,9 @@ use tokio_stream::Stream;
 
 use crate::actor::Actor;
 use crate::config::{Artifacts, Config, CoordinatorError, Exposure, Log};
+
+/// Ends when the server is to stop.
+type Until = Pin<Box<dyn Future<Output = ()> + Send>>;
 
 /// The farm's server.
 #[derive(Debug)]
@@ -49,41 +54,69 @@ impl Coordinator {
         let listener = TcpListener::bind(config.listen).await.map_err(listen)?;
         let address = listener.local_addr().map_err(listen)?;
         let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
-        Self::on(incoming, Config { listen: address, ..config }, store, queue).await
+        let serve = |server: Server, stop| server.serve(incoming, stop);
+        Self::begin(Config { listen: address, ..config }, store, queue, serve).await
     }
 
-    /// The same on connections that come in some other way than over TCP; `config.listen` is only told to others.
-    pub async fn on<C>(
+    /// The same on connections that come in some other way than over TCP, and that end when `incoming` is dropped;
+    /// `config.listen` is only told to others.
+    pub async fn on<C: Io + Connected>(
         incoming: impl Stream<Item = io::Result<C>> + Send + 'static,
         config: Config,
         store: Store,
+        queue: impl Queue,
+    ) -> Result<Handle, CoordinatorError> {
+        let serve = |server: Server, stop| async move {
+            tokio::select! {
+                biased;
+                outcome = server.serve_on(incoming) => outcome,
+                () = stop => Ok(()),
+            }
+        };
+        Self::begin(config, store, queue, serve).await
+    }
+
+    async fn begin<S>(
+        config: Config,
+        store: Store,
         mut queue: impl Queue,
+        serve: impl FnOnce(Server, Until) -> S,
     ) -> Result<Handle, CoordinatorError>
     where
-        C: Io + Connected,
+        S: Future<Output = Result<(), ServeError>> + Send + 'static,
     {
         let address = config.listen;
-        let (scheduler, records) = recover(config.scheduler, &mut queue).await?;
+        let (scheduler, records) = recover(config.scheduler.clone(), &mut queue).await?;
         let (calls, inbox) = mpsc::channel(Self::CALLS);
         let (stop, stopped) = watch::channel(());
-        let actor = Actor::new(scheduler, queue, store.clone(), records, config.time);
+        let actor = Actor::new(scheduler, queue, store.clone(), records, &config);
         let actor = tokio::spawn(actor.run(inbox, stopped));
-        let (serving, served) = watch::channel(());
-        let mut until = served.clone();
-        let server = Server { calls, store }.serve(incoming, async move {
-            // Ends when the sender is dropped: on a stop, or because the actor is gone.
-            let _ = until.changed().await;
-        });
-        let server = tokio::spawn(async move { server.await.map_err(CoordinatorError::from) });
+        let (serving, mut until) = watch::channel(());
+        let server = serve(
+            Server { calls, store },
+            Box::pin(async move {
+                // Ends when the sender is dropped: on a stop, or because the actor is gone.
+                let _ = until.changed().await;
+            }),
+        );
+        let mut server = tokio::spawn(async move { server.await.map_err(CoordinatorError::from) });
         tracing::info!(%address, "coordinator listens");
         let run = tokio::spawn(async move {
             let outcome = actor.await.unwrap_or(Err(CoordinatorError::Panicked));
+            if outcome.is_err() {
+                // What it says from now on could be wrong.
+                server.abort();
+                return outcome;
+            }
             drop(serving);
             // Whoever holds a connection open is not waited for.
-            let grace = tokio::time::timeout(Duration::from_secs(1), server).await;
+            let grace = tokio::time::timeout(Duration::from_secs(1), &mut server).await;
             outcome.and(match grace {
                 Ok(server) => server.unwrap_or(Err(CoordinatorError::Panicked)),
-                Err(_) => Ok(()),
+                Err(_) => {
+                    server.abort();
+                    Ok(())
+                }
             })
         });
         Ok(Handle { address, stop, run })

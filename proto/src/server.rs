@@ -15,7 +15,7 @@ use femc_store::Store;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_stream::Stream;
 use tonic::Streaming;
-use tonic::transport::server::Connected;
+use tonic::transport::server::{Connected, Router};
 
 use crate::convert::ConvertError;
 use crate::error::ServeError;
@@ -120,14 +120,23 @@ impl Server {
     const STREAMS: u32 = 256;
 
     /// Serves the connections that come in until `stop` comes, then until the open calls have ended.
-    pub async fn serve<C>(
+    pub async fn serve<C: Io + Connected>(
         self,
         incoming: impl Stream<Item = io::Result<C>>,
         stop: impl Future<Output = ()>,
-    ) -> Result<(), ServeError>
-    where
-        C: Io + Connected,
-    {
+    ) -> Result<(), ServeError> {
+        Ok(self.router().await?.serve_with_incoming_shutdown(incoming, stop).await?)
+    }
+
+    /// Serves for ever: who drops this ends the connections himself.
+    pub async fn serve_on<C: Io + Connected>(
+        self,
+        incoming: impl Stream<Item = io::Result<C>>,
+    ) -> Result<(), ServeError> {
+        Ok(self.router().await?.serve_with_incoming(incoming).await?)
+    }
+
+    async fn router(self) -> Result<Router, ServeError> {
         let (reporter, health) = tonic_health::server::health_reporter();
         reporter.set_serving::<JobsServer<Self>>().await;
         reporter.set_serving::<WorkersServer<Self>>().await;
@@ -135,7 +144,7 @@ impl Server {
         let reflection = tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
             .build_v1()?;
-        tonic::transport::Server::builder()
+        Ok(tonic::transport::Server::builder()
             .http2_keepalive_interval(Some(Duration::from_secs(10)))
             .http2_keepalive_timeout(Some(Duration::from_secs(10)))
             .max_concurrent_streams(Self::STREAMS)
@@ -145,10 +154,7 @@ impl Server {
             .add_service(reflection)
             .add_service(JobsServer::new(self.clone()).max_decoding_message_size(MESSAGE))
             .add_service(WorkersServer::new(self.clone()).max_decoding_message_size(MESSAGE))
-            .add_service(ArtifactsServer::new(self).max_decoding_message_size(2 * PIECE))
-            .serve_with_incoming_shutdown(incoming, stop)
-            .await?;
-        Ok(())
+            .add_service(ArtifactsServer::new(self).max_decoding_message_size(2 * PIECE)))
     }
 
     /// Passes a call on and waits for its answer.

@@ -64,6 +64,9 @@ pub enum QueueError {
     /// The snapshot is damaged.
     #[error("the log's snapshot is damaged")]
     DamagedSnapshot,
+    /// The medium said no.
+    #[error("log: {0}")]
+    Medium(#[from] std::io::Error),
     /// SQLite said no.
     #[error("log: {0}")]
     Sqlite(#[from] sqlx::Error),

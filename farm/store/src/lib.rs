@@ -18,6 +18,7 @@ use object_store::path::Path;
 use object_store::{ObjectStore, ObjectStoreExt as _, PutMode, PutOptions};
 use tokio_stream::StreamExt as _;
 
+pub use object_store;
 pub use upload::Upload;
 
 /// Where artefacts live; clones share it.
@@ -69,7 +70,12 @@ impl Store {
 
     /// In memory, as long as a clone lives.
     pub fn memory() -> Self {
-        Self { objects: Arc::new(InMemory::new()), limit: Self::LIMIT }
+        Self::over(Arc::new(InMemory::new()))
+    }
+
+    /// Over any medium.
+    pub fn over(objects: Arc<dyn ObjectStore>) -> Self {
+        Self { objects, limit: Self::LIMIT }
     }
 
     /// The same store with another limit of bytes an artefact.

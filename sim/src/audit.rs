@@ -1,0 +1,137 @@
+//! What must be true after a run, whatever happened in it.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use femc_model::{Epoch, JobState, TaskKey};
+use femc_schedule::{Fact, SnapshotError};
+
+use crate::shared::State;
+use crate::stage::Stage;
+
+/// Something that must never be.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum Violation {
+    /// The job did not come to its end in time.
+    #[error("the job has not ended")]
+    Unfinished,
+    /// It ended otherwise than done.
+    #[error("the job ended as {state}")]
+    Failed {
+        /// As what.
+        state: String,
+    },
+    /// A frame's pixels are not those of one process.
+    #[error("frame {frame} has the pixels {found}, not {expected}")]
+    Pixels {
+        /// Position among the job's frames.
+        frame: usize,
+        /// Digest.
+        found: String,
+        /// Digest.
+        expected: String,
+    },
+    /// The log counts a task twice.
+    #[error("{task} counts twice: under epoch {} and under {}", .epochs[0].0, .epochs[1].0)]
+    Twice {
+        /// Which.
+        task: TaskKey,
+        /// Of its two results.
+        epochs: [Epoch; 2],
+    },
+    /// A result was acknowledged, and the log does not have it.
+    #[error("{task} under epoch {} was acknowledged and is not in the log", .epoch.0)]
+    Forgotten {
+        /// Which.
+        task: TaskKey,
+        /// Of its lease.
+        epoch: Epoch,
+    },
+    /// The log counts a result that nobody was asked for.
+    #[error("{task} under epoch {} counts and was never leased", .epoch.0)]
+    Unleased {
+        /// Which.
+        task: TaskKey,
+        /// Of its result.
+        epoch: Epoch,
+    },
+    /// The job's account does not agree with what was done.
+    #[error("the account says {found} {what}, it should be {expected}")]
+    Account {
+        /// Of what.
+        what: &'static str,
+        /// As told.
+        found: u64,
+        /// As it should be.
+        expected: u64,
+    },
+    /// The log cannot be read.
+    #[error("the log cannot be read: {0}")]
+    Log(#[from] SnapshotError),
+    /// The simulation itself broke.
+    #[error("the world broke: {0}")]
+    World(String),
+}
+
+/// All that is wrong.
+pub(crate) fn audit(stage: &Stage, state: &State) -> Vec<Violation> {
+    let mut wrong = match log(state) {
+        Ok(wrong) => wrong,
+        Err(error) => vec![error.into()],
+    };
+    let Some((status, pixels)) = &state.end else {
+        wrong.push(Violation::Unfinished);
+        return wrong;
+    };
+    if status.state != JobState::Done {
+        wrong.push(Violation::Failed { state: format!("{:?} ({:?})", status.state, status.failure) });
+        return wrong;
+    }
+    for (frame, expected) in stage.pixels.iter().enumerate() {
+        let found = pixels.get(frame).cloned().unwrap_or_default();
+        if found != *expected {
+            wrong.push(Violation::Pixels { frame, found, expected: expected.clone() });
+        }
+    }
+    let mut check = |what, found: u64, expected: u64| {
+        if found != expected {
+            wrong.push(Violation::Account { what, found, expected });
+        }
+    };
+    let spp = stage.spec.rounds.last().copied().unwrap_or(0);
+    let frames = stage.spec.frames.len() as u64;
+    check("frames", u64::from(status.frames_done), frames);
+    check("samples", status.samples_done, frames * stage.spec.grid.pixels() * u64::from(spp));
+    check("bad samples", status.bad_samples, 0);
+    wrong
+}
+
+/// What the log says that it must not say.
+fn log(state: &State) -> Result<Vec<Violation>, SnapshotError> {
+    let mut wrong = Vec::new();
+    let mut done: BTreeMap<TaskKey, Epoch> = BTreeMap::new();
+    let mut counted: BTreeSet<(TaskKey, Epoch)> = BTreeSet::new();
+    for record in &state.disk.history {
+        match Fact::decode(record)?.1 {
+            Fact::Rendered { task, epoch, .. } | Fact::Merged { task, epoch, .. } => {
+                counted.insert((task, epoch));
+                if let Some(before) = done.insert(task, epoch) {
+                    wrong.push(Violation::Twice { task, epochs: [before, epoch] });
+                }
+                if !state.assigned.contains(&(task, epoch)) {
+                    wrong.push(Violation::Unleased { task, epoch });
+                }
+            }
+            Fact::Lost { task } => drop(done.remove(&task)),
+            Fact::Restarted { job, frame } => {
+                done.retain(|task, _| (task.job, task.stage.frame) != (job, frame));
+            }
+            _ => {}
+        }
+    }
+    for &(task, epoch) in state.accepted.intersection(&state.reported) {
+        if !counted.contains(&(task, epoch)) {
+            wrong.push(Violation::Forgotten { task, epoch });
+        }
+    }
+    Ok(wrong)
+}

@@ -1,0 +1,186 @@
+//! The disks: a log that outlives crashes and knows who may write, and a store that may be full.
+
+use std::fmt;
+use std::future::pending;
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use async_trait::async_trait;
+use femc_queue::{Contents, Queue, QueueError};
+use femc_store::object_store::memory::InMemory;
+use femc_store::object_store::path::Path;
+use femc_store::object_store::{
+    CopyOptions, Error, GetOptions, GetResult, ListResult, MultipartUpload, ObjectMeta, ObjectStore,
+    PutMultipartOptions, PutOptions, PutPayload, PutResult, Result,
+};
+use futures_util::stream::BoxStream;
+
+use crate::shared::{Shared, Trap};
+
+/// Longest that the disk takes before and after a write.
+const SEEK: Duration = Duration::from_millis(6);
+
+/// What is on the log's disk.
+#[derive(Debug, Default)]
+pub(crate) struct Disk {
+    contents: Contents,
+    /// All records ever written, whatever snapshots have replaced.
+    pub(crate) history: Vec<Vec<u8>>,
+    /// Of the coordinator that may write.
+    epoch: u64,
+    /// So many writes find no room.
+    pub(crate) full: u32,
+    pub(crate) snapshots: u32,
+}
+
+/// The log, in the hands of one coordinator.
+#[derive(Debug)]
+pub(crate) struct Log {
+    shared: Shared,
+    host: usize,
+    epoch: u64,
+}
+
+impl Log {
+    /// Takes the lead: whoever had it before may write no more.
+    pub(crate) fn lead(shared: &Shared, host: usize) -> Self {
+        let mut state = shared.lock();
+        state.disk.epoch += 1;
+        Self { shared: shared.clone(), host, epoch: state.disk.epoch }
+    }
+
+    /// Writes, unless another leads, there is no room, or the process dies over it.
+    async fn write(&self, write: impl FnOnce(&mut Disk)) -> Result<(), QueueError> {
+        tokio::time::sleep(self.shared.pause(SEEK)).await;
+        if self.falls(Trap::Before) {
+            pending::<()>().await;
+        }
+        {
+            let mut state = self.shared.lock();
+            if state.disk.epoch != self.epoch {
+                state.fired("stale leader refused");
+                return Err(io::Error::other("another coordinator leads").into());
+            }
+            if state.disk.full > 0 {
+                state.disk.full -= 1;
+                state.fired("log full");
+                return Err(io::Error::from(io::ErrorKind::StorageFull).into());
+            }
+            write(&mut state.disk);
+        }
+        if self.falls(Trap::After) {
+            pending::<()>().await;
+        }
+        tokio::time::sleep(self.shared.pause(SEEK)).await;
+        Ok(())
+    }
+
+    /// Whether the process dies here.
+    fn falls(&self, at: Trap) -> bool {
+        let mut state = self.shared.lock();
+        match &mut state.trap {
+            Some((left, trap)) if *trap == at => {
+                *left = left.saturating_sub(1);
+                if *left > 0 {
+                    return false;
+                }
+            }
+            _ => return false,
+        }
+        state.trap = None;
+        state.sprung = Some(self.host);
+        state.fired(match at {
+            Trap::Before => "died before a write",
+            Trap::After => "died after a write",
+        });
+        true
+    }
+}
+
+impl Queue for Log {
+    async fn load(&mut self) -> Result<Contents, QueueError> {
+        Ok(self.shared.lock().disk.contents.clone())
+    }
+
+    async fn append(&mut self, records: &[Vec<u8>]) -> Result<(), QueueError> {
+        let records = records.to_vec();
+        self.write(|disk| {
+            disk.contents.records.extend_from_slice(&records);
+            disk.history.extend(records);
+        })
+        .await
+    }
+
+    async fn snapshot(&mut self, state: &[u8]) -> Result<(), QueueError> {
+        let fresh = Contents { snapshot: Some(state.to_vec()), ..Contents::default() };
+        self.write(|disk| {
+            disk.contents = fresh;
+            disk.snapshots += 1;
+        })
+        .await
+    }
+}
+
+/// Artefacts in memory that outlive every host, on a medium that may be full.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Shelf {
+    objects: Arc<InMemory>,
+    full: Arc<AtomicBool>,
+}
+
+impl Shelf {
+    /// From now on nothing new finds room, or does again.
+    pub(crate) fn fill(&self, full: bool) {
+        self.full.store(full, Ordering::Relaxed);
+    }
+
+    fn room(&self) -> Result<()> {
+        if self.full.load(Ordering::Relaxed) {
+            let source = Box::new(io::Error::from(io::ErrorKind::StorageFull));
+            return Err(Error::Generic { store: "shelf", source });
+        }
+        Ok(())
+    }
+}
+
+impl fmt::Display for Shelf {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("Shelf")
+    }
+}
+
+#[async_trait]
+impl ObjectStore for Shelf {
+    async fn put_opts(&self, location: &Path, payload: PutPayload, opts: PutOptions) -> Result<PutResult> {
+        self.room()?;
+        self.objects.put_opts(location, payload, opts).await
+    }
+
+    async fn put_multipart_opts(&self, at: &Path, opts: PutMultipartOptions) -> Result<Box<dyn MultipartUpload>> {
+        self.room()?;
+        self.objects.put_multipart_opts(at, opts).await
+    }
+
+    async fn get_opts(&self, location: &Path, options: GetOptions) -> Result<GetResult> {
+        self.objects.get_opts(location, options).await
+    }
+
+    fn delete_stream(&self, locations: BoxStream<'static, Result<Path>>) -> BoxStream<'static, Result<Path>> {
+        self.objects.delete_stream(locations)
+    }
+
+    fn list(&self, prefix: Option<&Path>) -> BoxStream<'static, Result<ObjectMeta>> {
+        self.objects.list(prefix)
+    }
+
+    async fn list_with_delimiter(&self, prefix: Option<&Path>) -> Result<ListResult> {
+        self.objects.list_with_delimiter(prefix).await
+    }
+
+    async fn copy_opts(&self, from: &Path, to: &Path, options: CopyOptions) -> Result<()> {
+        self.room()?;
+        self.objects.copy_opts(from, to, options).await
+    }
+}

@@ -1,0 +1,21 @@
+//! The farm in a simulated world: the real coordinator and worker code over a simulated network and clock, with faults.
+//!
+//! One number, the seed, decides everything: latencies, which faults come and when, how long tasks take. After each run
+//! the log and the frames are held against what must be true of them ([`Violation`]). A seed that fails fails again.
+//!
+//! Simulated are the network (turmoil), the clock, the disk under the log  and the time that a task takes. Real
+//! are the scheduler, the coordinator's shell, the wire, the sessions, the rendering and the merging of real frames.
+#![deny(missing_docs)]
+
+mod audit;
+mod disk;
+mod faults;
+mod network;
+mod shared;
+mod stage;
+mod switch;
+mod world;
+
+pub use audit::Violation;
+pub use faults::{Fault, Planned};
+pub use world::{Outcome, Tells, run};

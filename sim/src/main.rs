@@ -1,0 +1,142 @@
+//! `femc-sim`: lives through simulated farms, one for each seed, and says which went wrong.
+
+use std::collections::BTreeMap;
+use std::process::{Command, ExitCode, Stdio};
+use std::time::Instant;
+
+use anyhow::Context as _;
+use clap::Parser;
+use femc_sim::{Outcome, Planned, Tells, run};
+use serde::{Deserialize, Serialize};
+
+/// Runs the farm in simulated worlds with faults and checks that no result is lost or counted twice
+#[derive(Debug, Parser)]
+#[command(
+    name = "femc-sim",
+    after_help = "Examples:\n  \
+    femc-sim --seeds 2000\n  \
+    femc-sim --from 1234 --seeds 1 --story    # every message of one world\n\n\
+    Exit code 1 if a world went wrong; its seed is printed, and goes wrong again."
+)]
+struct Args {
+    /// How many seeds
+    #[arg(long, default_value_t = 200)]
+    seeds: u64,
+    /// The first seed
+    #[arg(long, default_value_t = 0)]
+    from: u64,
+    /// Processes that live through worlds side by side
+    #[arg(long, default_value_t = 2, value_parser = clap::value_parser!(u64).range(1..=1024))]
+    processes: u64,
+    /// Live through every n-th world twice and compare; 0: none
+    #[arg(long, default_value_t = 10)]
+    twice_each: u64,
+    /// Print all that was said
+    #[arg(long, requires = "from")]
+    story: bool,
+    /// Print the sum as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+/// What all worlds came to.
+#[derive(Debug, Default, Serialize, Deserialize)]
+struct Sum {
+    seeds: u64,
+    wrong: BTreeMap<u64, Vec<String>>,
+    simulated_seconds: f64,
+    stale_messages: u64,
+    fired: BTreeMap<String, u64>,
+}
+
+impl Sum {
+    fn add(&mut self, other: Self) {
+        self.seeds += other.seeds;
+        self.wrong.extend(other.wrong);
+        self.simulated_seconds += other.simulated_seconds;
+        self.stale_messages += other.stale_messages;
+        for (fault, times) in other.fired {
+            *self.fired.entry(fault).or_default() += times;
+        }
+    }
+}
+
+fn main() -> anyhow::Result<ExitCode> {
+    let args = Args::parse();
+    let begun = Instant::now();
+    let sum = if args.processes == 1 || args.seeds == 1 || args.story { here(&args)? } else { elsewhere(&args)? };
+    if args.json {
+        println!("{}", serde_json::to_string(&sum)?);
+    } else {
+        for (seed, wrong) in &sum.wrong {
+            println!("seed {seed}:");
+            wrong.iter().for_each(|violation| println!("  {violation}"));
+        }
+        println!(
+            "{} seeds, {} wrong; {:.0} simulated s in {:.1} s; {} messages changed nothing",
+            sum.seeds,
+            sum.wrong.len(),
+            sum.simulated_seconds,
+            begun.elapsed().as_secs_f64(),
+            sum.stale_messages
+        );
+        sum.fired.iter().for_each(|(fault, times)| println!("  {times:6} {fault}"));
+    }
+    Ok(if sum.wrong.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+/// The worlds one after the other.
+fn here(args: &Args) -> anyhow::Result<Sum> {
+    let mut sum = Sum::default();
+    for seed in args.from..args.from + args.seeds {
+        let plan = Planned::of(seed);
+        let tells = if args.story { Tells::Story } else { Tells::Outcome };
+        let outcome = run(seed, &plan, tells)?;
+        outcome.story.iter().for_each(|line| println!("{line}"));
+        let mut wrong: Vec<String> = outcome.violations.iter().map(ToString::to_string).collect();
+        if args.twice_each > 0 && seed % args.twice_each == 0 {
+            wrong.extend(difference(&outcome, &run(seed, &plan, tells)?));
+        }
+        if !wrong.is_empty() {
+            sum.wrong.insert(seed, wrong);
+        }
+        let fired = outcome.fired.into_iter().map(|(fault, times)| (fault.to_owned(), u64::from(times))).collect();
+        sum.add(Sum {
+            seeds: 1,
+            wrong: BTreeMap::new(),
+            simulated_seconds: outcome.seconds,
+            stale_messages: outcome.stale,
+            fired,
+        });
+    }
+    Ok(sum)
+}
+
+fn difference(first: &Outcome, second: &Outcome) -> Option<String> {
+    let place = || first.story.iter().zip(&second.story).find(|(first, second)| first != second);
+    let at = place().map(|(first, second)| format!(": {first} | {second}")).unwrap_or_default();
+    (first.trace != second.trace).then(|| format!("the seed does not give the same world again{at}"))
+}
+
+/// The worlds in processes of their own, for those of one process cannot live side by side.
+fn elsewhere(args: &Args) -> anyhow::Result<Sum> {
+    let program = std::env::current_exe()?;
+    let share = args.seeds.div_ceil(args.processes);
+    let mut children = Vec::new();
+    for from in (0..args.processes).map(|number| number * share).take_while(|&from| from < args.seeds) {
+        let seeds = share.min(args.seeds - from);
+        let numbers =
+            [("--from", args.from + from), ("--seeds", seeds), ("--processes", 1), ("--twice-each", args.twice_each)];
+        let mut child = Command::new(&program);
+        for (name, value) in numbers {
+            child.args([name, &value.to_string()]);
+        }
+        children.push(child.arg("--json").stdout(Stdio::piped()).spawn()?);
+    }
+    let mut sum = Sum::default();
+    for child in children {
+        let output = child.wait_with_output()?.stdout;
+        sum.add(serde_json::from_slice(&output).context("a process did not come to its end")?);
+    }
+    Ok(sum)
+}

@@ -1,0 +1,96 @@
+//! Connections of the simulated network in the terms of the wire.
+
+use std::collections::BTreeMap;
+use std::io;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::task::{Context, Poll, Waker};
+use std::time::Duration;
+
+use femc_proto::{Dial, Link};
+use futures_util::stream::{self, Stream};
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use turmoil::net::{TcpListener, TcpStream};
+
+/// Every server's port.
+pub(crate) const PORT: u16 = 7878;
+
+/// The address of a host.
+pub(crate) fn url(host: &str) -> String {
+    format!("http://{host}:{PORT}")
+}
+
+/// Connects from the current host.
+pub(crate) fn dial() -> Dial {
+    Dial::by(|host, port| Box::pin(async move { TcpStream::connect((host.as_str(), port)).await.map(Link::new) }))
+}
+
+/// Listens on the current host; the connections end when this is dropped. Waits for the port: what held it before may
+/// still be on its way out.
+pub(crate) async fn listen() -> impl Stream<Item = io::Result<Link>> + Send + 'static {
+    let listener = loop {
+        match TcpListener::bind(("0.0.0.0", PORT)).await {
+            Ok(listener) => break listener,
+            Err(_) => tokio::time::sleep(Duration::from_millis(20)).await,
+        }
+    };
+    stream::unfold((listener, Server::default(), 0), |(listener, server, number)| async move {
+        let link =
+            listener.accept().await.map(|(stream, _)| Link::new(Accepted { stream, number, life: server.0.clone() }));
+        Some((link, (listener, server, number + 1)))
+    })
+}
+
+/// Whether the server is there, and those who wait for its end, by number: woken in that order, always the same.
+#[derive(Debug, Default)]
+struct Life {
+    is_over: bool,
+    wakers: BTreeMap<u64, Waker>,
+}
+
+#[derive(Debug, Default)]
+struct Server(Arc<Mutex<Life>>);
+
+impl Drop for Server {
+    fn drop(&mut self) {
+        let mut life = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        life.is_over = true;
+        std::mem::take(&mut life.wakers).into_values().for_each(Waker::wake);
+    }
+}
+
+/// A server's end of a connection: nothing more comes when the server is gone.
+#[derive(Debug)]
+struct Accepted {
+    stream: TcpStream,
+    number: u64,
+    life: Arc<Mutex<Life>>,
+}
+
+impl AsyncRead for Accepted {
+    fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        let number = self.number;
+        {
+            let mut life = self.life.lock().unwrap_or_else(PoisonError::into_inner);
+            if life.is_over {
+                return Poll::Ready(Err(io::ErrorKind::ConnectionAborted.into()));
+            }
+            life.wakers.insert(number, cx.waker().clone());
+        }
+        Pin::new(&mut self.stream).poll_read(cx, buffer)
+    }
+}
+
+impl AsyncWrite for Accepted {
+    fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.stream).poll_write(cx, bytes)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_flush(cx)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_shutdown(cx)
+    }
+}

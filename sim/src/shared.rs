@@ -1,0 +1,112 @@
+//! What stands outside of all hosts: disks, the will of the seed, and what was seen.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use femc_model::{Epoch, JobStatus, TaskKey};
+use rand::rngs::SmallRng;
+use rand::{RngExt as _, SeedableRng as _};
+
+use crate::disk::Disk;
+
+/// A crash of the writing coordinator at a chosen write.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Trap {
+    /// Before the batch is on the disk.
+    Before,
+    /// After that, before anybody hears of it.
+    After,
+}
+
+/// What everybody can see or must not lose.
+#[derive(Debug)]
+pub(crate) struct State {
+    pub(crate) rng: SmallRng,
+    pub(crate) disk: Disk,
+    /// The coordinator that leads.
+    pub(crate) leader: usize,
+    /// Writes of the log until the trap springs.
+    pub(crate) trap: Option<(u32, Trap)>,
+    /// The coordinator in which the trap sprang.
+    pub(crate) sprung: Option<usize>,
+    /// How far the coordinators' clocks are ahead.
+    pub(crate) ahead: Duration,
+    /// Of a hundred messages of workers, how many come twice, and how many come late.
+    pub(crate) twice: u32,
+    pub(crate) late: u32,
+    /// Leases that were given out.
+    pub(crate) assigned: BTreeSet<(TaskKey, Epoch)>,
+    /// Results that were reported.
+    pub(crate) reported: BTreeSet<(TaskKey, Epoch)>,
+    /// Results that were acknowledged.
+    pub(crate) accepted: BTreeSet<(TaskKey, Epoch)>,
+    /// How often each kind of fault has really come about.
+    pub(crate) fired: BTreeMap<&'static str, u32>,
+    /// What the person came home with: the job's end, and the frames' pixels.
+    pub(crate) end: Option<(JobStatus, Vec<String>)>,
+    pub(crate) trace: blake3::Hasher,
+    pub(crate) story: Option<Vec<String>>,
+    pub(crate) boots: u64,
+}
+
+/// One world's state; clones share it.
+#[derive(Debug, Clone)]
+pub(crate) struct Shared(Arc<Mutex<State>>);
+
+impl Shared {
+    pub(crate) fn new(seed: u64, tells: bool) -> Self {
+        Self(Arc::new(Mutex::new(State {
+            rng: SmallRng::seed_from_u64(seed),
+            disk: Disk::default(),
+            leader: 0,
+            trap: None,
+            sprung: None,
+            ahead: Duration::ZERO,
+            twice: 0,
+            late: 0,
+            assigned: BTreeSet::new(),
+            reported: BTreeSet::new(),
+            accepted: BTreeSet::new(),
+            fired: BTreeMap::new(),
+            end: None,
+            trace: blake3::Hasher::new(),
+            story: tells.then(Vec::new),
+            boots: 0,
+        })))
+    }
+
+    pub(crate) fn lock(&self) -> MutexGuard<'_, State> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// A duration below `most`.
+    pub(crate) fn pause(&self, most: Duration) -> Duration {
+        Duration::from_micros(self.lock().rng.random_range(0..most.as_micros().max(1) as u64))
+    }
+
+    /// Writes down what happened.
+    pub(crate) fn note(&self, what: impl FnOnce() -> String) {
+        let now = turmoil::sim_elapsed().unwrap_or_default();
+        self.lock().note(now, &what());
+    }
+}
+
+impl State {
+    pub(crate) fn note(&mut self, now: Duration, what: &str) {
+        let line = format!("{:9.3} {what}", now.as_secs_f64());
+        self.trace.update(line.as_bytes());
+        if let Some(story) = &mut self.story {
+            story.push(line);
+        }
+    }
+
+    pub(crate) fn fired(&mut self, fault: &'static str) {
+        *self.fired.entry(fault).or_default() += 1;
+    }
+
+    /// True for `percent` of a hundred.
+    pub(crate) fn chance(&mut self, percent: u32) -> bool {
+        self.rng.random_range(0..100) < percent
+    }
+}

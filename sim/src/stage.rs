@@ -1,0 +1,115 @@
+//! What is rendered: a small scene, its job, and its frames as the engine renders them without a farm.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::sync::{Arc, LazyLock};
+
+use anyhow::Context as _;
+use bytes::Bytes;
+use femc_film::{Frame, Image, Tiling, exr, pixel_digest};
+use femc_import::Bundle;
+use femc_model::{Digest, Grid, JobSpec};
+use femc_pipeline::{Settings, Stop};
+use femc_worker::Cache;
+
+/// A lamp over a floor in fog that thickens.
+const SCENE: &str = "
+camera main =
+    origin 0 -3 1
+    target 0 0 0.5
+    fov 40
+    film 16 12
+time 0 1 2
+vary medium.haze.sigma_s = 0 0.05 1 0.4
+medium haze =
+    sigma_s 0.05
+mbox haze -1 -1 -1 1 1 1
+m gray =
+    c
+    rd 0.6
+m bright =
+    c
+    ed 2000
+v a =
+    p -2 -2 0
+v b =
+    p 2 -2 0
+v c =
+    p 2 2 0
+v d =
+    p -2 2 0
+m gray
+f a b c d
+v e =
+    p 0 0 1.2
+m bright
+sph e 0.2
+";
+
+const FRAMES: [u32; 3] = [1, 2, 3];
+const FILM: [u32; 2] = [16, 12];
+const TILE: u32 = 8;
+
+/// Scenes and frames ready to render, for all workers of all worlds: to make them again would teach nothing.
+pub(crate) static CACHE: LazyLock<Cache> = LazyLock::new(|| Cache::new(16));
+
+/// A job, its bundle, and the digests of its frames' pixels.
+#[derive(Debug, Clone)]
+pub(crate) struct Stage {
+    pub(crate) spec: JobSpec,
+    pub(crate) bundle: Bytes,
+    pub(crate) pixels: Vec<String>,
+}
+
+/// The jobs there are: one round, and three.
+static STAGES: LazyLock<Result<[Stage; 2], String>> = LazyLock::new(|| {
+    let make = || anyhow::Ok([stage(&[2])?, stage(&[1, 2, 4])?]);
+    make().map_err(|error| format!("{error:#}"))
+});
+
+/// The job of this number.
+pub(crate) fn pick(number: u64) -> anyhow::Result<&'static Stage> {
+    let stages = STAGES.as_ref().map_err(|error| anyhow::anyhow!("{error}"))?;
+    stages.get((number % 2) as usize).context("a stage")
+}
+
+fn stage(rounds: &[u32]) -> anyhow::Result<Stage> {
+    // An error that is never reached: every round runs.
+    let stop = if let [spp] = rounds { Stop::Spp(*spp) } else { Stop::Error(1e-9) };
+    let settings = Settings { stop, max_depth: 3, ..Settings::default() };
+    let bundle = Bundle(BTreeMap::from([("haze.mgf".into(), SCENE.as_bytes().to_vec())]));
+    let scene = Arc::new(femc_import::load(&bundle, "haze.mgf")?.scene);
+    let spp = *rounds.last().context("a round")?;
+    let mut pixels = Vec::new();
+    for number in FRAMES {
+        let prepared = femc_pipeline::prepare(&scene, &settings, number, None)?;
+        let tiling = Tiling::new(FILM[0], FILM[1], TILE)?;
+        let mut frame = Frame::new(tiling);
+        for rect in tiling.rects() {
+            let (cancel, samples) = (AtomicBool::new(false), AtomicU64::new(0));
+            let tile = femc_pipeline::render_tile(&prepared, &settings, rect, 0..spp, &cancel, &samples)?.tile;
+            frame.insert(tile)?;
+        }
+        pixels.push(pixel_digest(&frame.resolve().color).to_string());
+    }
+    let bytes = bundle.encode()?;
+    let spec = JobSpec {
+        name: "haze".into(),
+        bundle: Digest::of(&bytes),
+        entry: "haze.mgf".into(),
+        settings: serde_json::to_string(&settings)?,
+        frames: FRAMES.to_vec(),
+        grid: Grid { film: FILM, tile: TILE },
+        rounds: rounds.to_vec(),
+        priority: 50,
+        owner: "me".into(),
+        tags: vec![],
+    };
+    Ok(Stage { spec, bundle: bytes.into(), pixels })
+}
+
+/// Digest of a finished frame's pixels.
+pub(crate) fn pixels(file: Bytes) -> anyhow::Result<String> {
+    let image: Image = exr::decode(std::io::Cursor::new(file))?.image;
+    Ok(pixel_digest(&image).to_string())
+}

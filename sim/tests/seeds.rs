@@ -1,0 +1,27 @@
+//! Simulated farms with every kind of fault. One test: worlds of one process live one after the other.
+
+use std::collections::BTreeMap;
+
+use femc_sim::{Planned, Tells, run};
+
+/// A few of them; `cargo run --release -p femc-sim -- --seeds 200` lives through more, sixfold as fast.
+#[test]
+fn some_worlds_lose_nothing_count_nothing_twice_and_come_again() {
+    let outcome = run(1, &Planned::default(), Tells::Outcome).unwrap();
+    assert_eq!(outcome.violations, [], "a world without faults");
+    assert!(outcome.seconds < 60.0, "it is quick: {} s", outcome.seconds);
+
+    let mut fired: BTreeMap<&str, u32> = BTreeMap::new();
+    let mut wrong = Vec::new();
+    for seed in 0..24 {
+        let outcome = run(seed, &Planned::of(seed), Tells::Outcome).unwrap();
+        outcome.fired.iter().for_each(|(fault, times)| *fired.entry(fault).or_default() += times);
+        wrong.extend(outcome.violations.into_iter().map(|violation| (seed, violation)));
+        if seed % 8 == 0 {
+            let again = run(seed, &Planned::of(seed), Tells::Outcome).unwrap();
+            assert_eq!(outcome.trace, again.trace, "seed {seed}");
+        }
+    }
+    assert!(wrong.is_empty(), "{wrong:#?}");
+    assert!(fired.len() >= 12, "most kinds of faults came about: {fired:?}");
+}

@@ -16,6 +16,7 @@ use tokio_stream::Stream;
 
 use crate::actor::Actor;
 use crate::config::{Artifacts, Config, CoordinatorError, Exposure, Log};
+use crate::lead::{self, Standing};
 
 /// The farm's server.
 #[derive(Debug)]
@@ -25,7 +26,8 @@ impl Coordinator {
     /// Calls that may wait for the actor.
     const CALLS: usize = 1024;
 
-    /// Starts on the current tokio runtime; it listens when this returns.
+    /// Starts on the current tokio runtime; it listens when this returns, but for a coordinator of several, which waits for
+    /// its turn: [`Handle::standing`] tells.
     pub async fn start(config: Config) -> Result<Handle, CoordinatorError> {
         if config.exposure == Exposure::Loopback && !config.listen.ip().is_loopback() {
             return Err(CoordinatorError::Exposed { address: config.listen });
@@ -40,6 +42,7 @@ impl Coordinator {
                 let queue = Sqlite::open(&path).await?;
                 Self::with(config, store, queue).await
             }
+            Log::Postgres { database, silence } => lead::start(config, store, database, silence).await,
         }
     }
 
@@ -74,19 +77,24 @@ impl Coordinator {
             // Ends when the sender is dropped: on a stop, or because the actor is gone.
             let _ = until.changed().await;
         });
-        let server = tokio::spawn(async move { server.await.map_err(CoordinatorError::from) });
+        let mut server = tokio::spawn(async move { server.await.map_err(CoordinatorError::from) });
         tracing::info!(%address, "coordinator listens");
         let run = tokio::spawn(async move {
             let outcome = actor.await.unwrap_or(Err(CoordinatorError::Panicked));
             drop(serving);
             // Whoever holds a connection open is not waited for.
-            let grace = tokio::time::timeout(Duration::from_secs(1), server).await;
+            let grace = tokio::time::timeout(Duration::from_secs(1), &mut server).await;
             outcome.and(match grace {
                 Ok(server) => server.unwrap_or(Err(CoordinatorError::Panicked)),
-                Err(_) => Ok(()),
+                Err(_) => {
+                    // Frees the port before this is over.
+                    server.abort();
+                    let _ = server.await;
+                    Ok(())
+                }
             })
         });
-        Ok(Handle { address, stop, run })
+        Ok(Handle::new(address, stop, run, watch::channel(Standing::Leads).1))
     }
 }
 
@@ -116,9 +124,24 @@ pub struct Handle {
     address: SocketAddr,
     stop: watch::Sender<()>,
     run: JoinHandle<Result<(), CoordinatorError>>,
+    standing: watch::Receiver<Standing>,
 }
 
 impl Handle {
+    pub(crate) fn new(
+        address: SocketAddr,
+        stop: watch::Sender<()>,
+        run: JoinHandle<Result<(), CoordinatorError>>,
+        standing: watch::Receiver<Standing>,
+    ) -> Self {
+        Self { address, stop, run, standing }
+    }
+
+    /// Where it stands among the coordinators of its farm, now and later; one that is alone leads.
+    pub fn standing(&self) -> watch::Receiver<Standing> {
+        self.standing.clone()
+    }
+
     /// Where it listens; the port is the real one.
     pub fn address(&self) -> SocketAddr {
         self.address

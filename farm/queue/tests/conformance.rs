@@ -57,7 +57,7 @@ async fn postgres_conforms() {
     let Some(scratch) = Scratch::new().await else { return };
     conforms(async || {
         let database = scratch.url().parse().unwrap();
-        let standby = Standby::open(database, "http://one".into(), Postgres::PATIENCE).await.unwrap();
+        let standby = Standby::open(database, "http://one".into(), Postgres::SILENCE).await.unwrap();
         standby.lead(|_| ()).await.unwrap()
     })
     .await;

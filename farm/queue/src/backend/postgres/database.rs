@@ -13,7 +13,7 @@ use crate::QueueError;
 #[derive(Clone)]
 pub struct Database {
     url: String,
-    options: PgConnectOptions,
+    options: Box<PgConnectOptions>,
 }
 
 /// What a commit on a connection waits for.
@@ -34,7 +34,7 @@ impl Database {
             Commit::Durable => "on",
             Commit::Fleeting => "off",
         };
-        let options = self.options.clone().options([("synchronous_commit", setting)]);
+        let options = self.options.as_ref().clone().options([("synchronous_commit", setting)]);
         self.answers(options.connect()).await
     }
 
@@ -85,7 +85,7 @@ impl FromStr for Database {
             other => no_address(other.to_string()),
         })?;
         let options = options.application_name("femc").disable_statement_logging();
-        Ok(Self { url: url.to_owned(), options })
+        Ok(Self { url: url.to_owned(), options: Box::new(options) })
     }
 }
 

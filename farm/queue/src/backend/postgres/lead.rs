@@ -20,13 +20,14 @@ const TAKE: &str = "
     UPDATE femc.leader SET epoch = epoch + 1, url = $2, backend = pg_backend_pid(), seen = clock_timestamp()
     FROM lock WHERE lock.had RETURNING epoch";
 
-/// Who leads; ends the leader's connection, and with it the lock, if there was no sign of life for `$2` seconds. Looks
-/// whether the lock's holder is the one that was silent: another may lead since.
+/// Who leads, if anybody does: the holder of the lock that also has the epoch. Ends that one's connection, and with it the
+/// lock, if there was no sign of life for `$2` seconds.
 const LOOK: &str = "
     SELECT leader.url, leader.epoch, CASE
-        WHEN leader.backend = held.pid AND leader.seen < clock_timestamp() - make_interval(secs => $2)
+        WHEN leader.seen < clock_timestamp() - make_interval(secs => $2)
         THEN pg_terminate_backend(held.pid) ELSE false END
-    FROM femc.leader LEFT JOIN pg_locks held ON held.locktype = 'advisory' AND held.granted
+    FROM femc.leader JOIN pg_locks held ON held.pid = leader.backend AND held.granted
+        AND held.locktype = 'advisory'
         AND held.database = (SELECT oid FROM pg_database WHERE datname = current_database())
         AND held.classid = 0 AND held.objid = $1::bigint::oid AND held.objsubid = 1";
 
@@ -35,7 +36,7 @@ const LOOK: &str = "
 pub struct Leader {
     /// Where it can be reached.
     pub url: String,
-    /// Which leadership it is; 0: nobody has led yet.
+    /// Which leadership it is.
     pub epoch: i64,
 }
 
@@ -45,7 +46,7 @@ pub struct Standby {
     database: Database,
     connection: PgConnection,
     url: String,
-    patience: Duration,
+    silence: Duration,
 }
 
 impl Standby {
@@ -53,11 +54,11 @@ impl Standby {
     const LOOK: Duration = Duration::from_millis(200);
 
     /// Connects, and makes the tables if there are none. `url`: where this coordinator can be reached when it leads.
-    /// `patience`: how long a leader may give no sign of life; all coordinators of a farm should agree on it.
-    pub async fn open(database: Database, url: String, patience: Duration) -> Result<Self, QueueError> {
+    /// `silence`: how long a leader may give no sign of life; all coordinators of a farm should agree on it.
+    pub async fn open(database: Database, url: String, silence: Duration) -> Result<Self, QueueError> {
         let mut connection = database.connect(Commit::Durable).await?;
         schema::prepare(&database, &mut connection).await?;
-        Ok(Self { database, connection, url, patience })
+        Ok(Self { database, connection, url, silence })
     }
 
     /// Waits until this coordinator leads. `hear` is told who leads, at first and whenever that changes.
@@ -66,12 +67,13 @@ impl Standby {
         loop {
             let asked = Instant::now();
             if let Some(epoch) = self.take().await? {
-                let Self { database, connection, patience, .. } = self;
-                let pulse = Pulse::start(database.clone(), epoch, asked, patience);
+                let Self { database, connection, silence, .. } = self;
+                let pulse = Pulse::start(database.clone(), epoch, asked, silence);
                 return Ok(Postgres { database, connection, pulse, epoch, next: 1 });
             }
-            let leader = self.look().await?;
-            if known.as_ref() != Some(&leader) {
+            if let Some(leader) = self.look().await?
+                && known.as_ref() != Some(&leader)
+            {
                 known = Some(leader.clone());
                 hear(leader);
             }
@@ -85,15 +87,15 @@ impl Standby {
         taken.map(|row| row.try_get(0)).transpose().map_err(|error| self.database.told(&error))
     }
 
-    async fn look(&mut self) -> Result<Leader, QueueError> {
-        let seconds = self.patience.as_secs_f64();
-        let look = sqlx::query(LOOK).bind(LOCK).bind(seconds).fetch_one(&mut self.connection);
-        let row = self.database.answers(look).await?;
+    async fn look(&mut self) -> Result<Option<Leader>, QueueError> {
+        let seconds = self.silence.as_secs_f64();
+        let look = sqlx::query(LOOK).bind(LOCK).bind(seconds).fetch_optional(&mut self.connection);
+        let Some(row) = self.database.answers(look).await? else { return Ok(None) };
         let read = || Ok((Leader { url: row.try_get(0)?, epoch: row.try_get(1)? }, row.try_get::<bool, _>(2)?));
         let (leader, is_ended) = read().map_err(|error| self.database.told(&error))?;
         if is_ended {
             tracing::warn!(url = leader.url, seconds, "the leader is silent; its connection was ended");
         }
-        Ok(leader)
+        Ok(Some(leader))
     }
 }

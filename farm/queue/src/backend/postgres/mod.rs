@@ -39,7 +39,7 @@ impl Postgres {
     /// Of the tables, not of the records.
     pub const VERSION: i32 = schema::VERSION;
     /// A leader is taken for dead after this long without a sign of life, unless told otherwise.
-    pub const PATIENCE: Duration = Duration::from_secs(3);
+    pub const SILENCE: Duration = Duration::from_secs(3);
 
     /// Which leadership this is: each is one more than the one before.
     pub fn epoch(&self) -> i64 {

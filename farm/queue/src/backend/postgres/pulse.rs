@@ -19,7 +19,7 @@ const BEAT: &str = "UPDATE femc.leader SET seen = clock_timestamp() WHERE epoch 
 /// What the last sign of life has told.
 #[derive(Debug, Clone, Copy)]
 enum Standing {
-    /// This process led at this moment, and leads for as long as the others' patience lasts.
+    /// This process led at this moment, and leads for as long as the others bear with it.
     Leads(Instant),
     /// Another leads.
     Deposed,
@@ -30,7 +30,7 @@ enum Standing {
 pub(super) struct Pulse {
     database: Database,
     epoch: i64,
-    patience: Duration,
+    silence: Duration,
     standing: watch::Receiver<Standing>,
     beating: JoinHandle<()>,
 }
@@ -46,16 +46,16 @@ impl Pulse {
     const LONGEST: Duration = Duration::from_secs(1);
 
     /// `since`: when this process asked for the leadership that it has got.
-    pub(super) fn start(database: Database, epoch: i64, since: Instant, patience: Duration) -> Self {
+    pub(super) fn start(database: Database, epoch: i64, since: Instant, silence: Duration) -> Self {
         let (tell, standing) = watch::channel(Standing::Leads(since));
-        let beating = tokio::spawn(beat(database.clone(), epoch, patience, tell));
-        Self { database, epoch, patience, standing, beating }
+        let beating = tokio::spawn(beat(database.clone(), epoch, silence, tell));
+        Self { database, epoch, silence, standing, beating }
     }
 
     /// Fails when this process does not lead, or cannot be sure that it does.
     pub(super) fn check(&self) -> Result<(), QueueError> {
         match *self.standing.borrow() {
-            Standing::Leads(since) if since.elapsed() < self.patience => Ok(()),
+            Standing::Leads(since) if since.elapsed() < self.silence => Ok(()),
             Standing::Leads(_) => Err(self.lost()),
             Standing::Deposed => Err(QueueError::Deposed { epoch: self.epoch }),
         }
@@ -65,7 +65,7 @@ impl Pulse {
     pub(super) async fn doubt(&mut self) -> QueueError {
         loop {
             let until = match *self.standing.borrow_and_update() {
-                Standing::Leads(since) => since + self.patience,
+                Standing::Leads(since) => since + self.silence,
                 Standing::Deposed => return QueueError::Deposed { epoch: self.epoch },
             };
             tokio::select! {
@@ -77,12 +77,12 @@ impl Pulse {
     }
 
     fn lost(&self) -> QueueError {
-        self.database.away(format!("no answer for {:.1} s", self.patience.as_secs_f64()))
+        self.database.away(format!("no answer for {:.1} s", self.silence.as_secs_f64()))
     }
 }
 
-async fn beat(database: Database, epoch: i64, patience: Duration, tell: watch::Sender<Standing>) {
-    let pause = (patience / 4).min(Pulse::LONGEST);
+async fn beat(database: Database, epoch: i64, silence: Duration, tell: watch::Sender<Standing>) {
+    let pause = (silence / 4).min(Pulse::LONGEST);
     let mut connection: Option<PgConnection> = None;
     loop {
         let asked = Instant::now();
@@ -95,7 +95,7 @@ async fn beat(database: Database, epoch: i64, patience: Duration, tell: watch::S
             let beaten = beaten.map_err(|error| database.told(&error))?.rows_affected();
             Ok::<_, QueueError>((open, beaten))
         };
-        match timeout(patience, sign).await {
+        match timeout(silence, sign).await {
             Ok(Ok((open, 1))) => {
                 connection = Some(open);
                 tell.send_replace(Standing::Leads(asked));

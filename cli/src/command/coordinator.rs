@@ -19,7 +19,7 @@ use std::time::Duration;
     femc coordinator\n  \
     femc coordinator --listen 127.0.0.1:7878 --store sqlite:farm.db --artifacts artifacts\n  \
     femc coordinator --share ann=3 --share bob=1    # ann's jobs get three times the time of bob's\n  \
-    femc coordinator --store postgres://femc@db/farm --artifacts /farm/artifacts    # on two machines: one leads\n  \
+    femc coordinator --store postgres://femc@127.0.0.1/farm --artifacts artifacts    # of several: one leads\n  \
     femc coordinator --listen 127.0.0.1:0    # any free port; the first line on stdout says which\n\n\
     Stopped by Ctrl-C, SIGTERM or a crash, it goes on where it was when it is started again with the same --store \
     and --artifacts; its workers join again by themselves.\n\n\

@@ -201,9 +201,11 @@ impl<Q: Queue> Actor<Q> {
         self.hear(Event::Joined { worker, registration }, commands);
     }
 
-    /// Makes the facts durable, then obeys, then answers questions.
+    /// Makes the facts durable, then obeys, then answers questions. Whoever may lead no longer says nothing.
     async fn commit(&mut self, commands: Vec<Command>) -> Result<(), CoordinatorError> {
-        if !self.facts.is_empty() {
+        if self.facts.is_empty() {
+            self.queue.check()?;
+        } else {
             let records = self.facts.drain(..).map(|(now, fact)| fact.encode(now)).collect::<Result<Vec<_>, _>>()?;
             self.queue.append(&records).await?;
             self.records += records.len();
@@ -229,6 +231,7 @@ impl<Q: Queue> Actor<Q> {
 
     /// What is done now and then: watchers, artefacts that nobody needs, snapshots.
     async fn look_after(&mut self, commands: &mut Vec<Command>) -> Result<(), CoordinatorError> {
+        self.queue.check()?;
         self.refresh_watched();
         self.sweep();
         if self.records >= self.snapshot {

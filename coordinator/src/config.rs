@@ -2,9 +2,10 @@
 
 use std::net::SocketAddr;
 use std::path::PathBuf;
+use std::time::Duration;
 
 use femc_proto::ServeError;
-use femc_queue::QueueError;
+use femc_queue::{Database, QueueError};
 use femc_schedule::SnapshotError;
 use femc_store::StoreError;
 
@@ -17,6 +18,13 @@ pub enum Log {
     Memory,
     /// In this SQLite file.
     Sqlite(PathBuf),
+    /// In a PostgreSQL database, which other coordinators may share: one leads, the others stand by.
+    Postgres {
+        /// Where.
+        database: Database,
+        /// A leader that gives no sign of life for so long is taken for dead; the same for all coordinators of a farm.
+        silence: Duration,
+    },
 }
 
 /// Where artefacts live.

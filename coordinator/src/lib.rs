@@ -2,18 +2,21 @@
 //!
 //! One task owns the scheduler and the log. It takes what has come in since the last time, lets the scheduler say what
 //! follows, makes the facts durable in one go, and only then obeys: nobody hears of what a crash could undo. If the log
-//! cannot be written the coordinator stops, because what it knows is ahead of what is durable. Artefacts go past it,
-//! straight into the store.
+//! cannot be written the coordinator stops, because what it knows is ahead of what is durable; one of several stands by
+//! instead, and begins anew from the log when it leads again. Artefacts go past it, straight into the store.
 #![deny(missing_docs)]
 
 mod actor;
 mod clock;
 mod config;
 mod janitor;
+mod lead;
 mod obey;
 mod session;
 mod start;
 
 pub use clock::Time;
 pub use config::{Artifacts, Config, CoordinatorError, Exposure, Log};
+pub use femc_queue::{Database, Postgres, QueueError};
+pub use lead::Standing;
 pub use start::{Coordinator, Handle};

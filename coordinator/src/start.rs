@@ -18,6 +18,7 @@ use tokio_stream::Stream;
 
 use crate::actor::Actor;
 use crate::config::{Artifacts, Config, CoordinatorError, Exposure, Log};
+use crate::lead::{self, Standing};
 
 /// Ends when the server is to stop.
 type Until = Pin<Box<dyn Future<Output = ()> + Send>>;
@@ -30,7 +31,8 @@ impl Coordinator {
     /// Calls that may wait for the actor.
     const CALLS: usize = 1024;
 
-    /// Starts on the current tokio runtime; it listens when this returns.
+    /// Starts on the current tokio runtime; it listens when this returns, but for a coordinator of several, which waits for
+    /// its turn: [`Handle::standing`] tells.
     pub async fn start(config: Config) -> Result<Handle, CoordinatorError> {
         if config.exposure == Exposure::Loopback && !config.listen.ip().is_loopback() {
             return Err(CoordinatorError::Exposed { address: config.listen });
@@ -45,6 +47,7 @@ impl Coordinator {
                 let queue = Sqlite::open(&path).await?;
                 Self::with(config, store, queue).await
             }
+            Log::Postgres { database, silence } => lead::start(config, store, database, silence).await,
         }
     }
 
@@ -53,9 +56,18 @@ impl Coordinator {
         let listen = |error| CoordinatorError::Listen { address: config.listen, error };
         let listener = TcpListener::bind(config.listen).await.map_err(listen)?;
         let address = listener.local_addr().map_err(listen)?;
+        Self::at(listener, Config { listen: address, ..config }, store, queue).await
+    }
+
+    /// The same on a port that listens already; its address is `config.listen`.
+    pub(crate) async fn at(
+        listener: TcpListener,
+        config: Config,
+        store: Store,
+        queue: impl Queue,
+    ) -> Result<Handle, CoordinatorError> {
         let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
-        let serve = |server: Server, stop| server.serve(incoming, stop);
-        Self::begin(Config { listen: address, ..config }, store, queue, serve).await
+        Self::begin(config, store, queue, |server: Server, stop| server.serve(incoming, stop)).await
     }
 
     /// The same on connections that come in some other way than over TCP, and that end when `incoming` is dropped;
@@ -106,6 +118,7 @@ impl Coordinator {
             if outcome.is_err() {
                 // What it says from now on could be wrong.
                 server.abort();
+                let _ = server.await;
                 return outcome;
             }
             drop(serving);
@@ -114,12 +127,14 @@ impl Coordinator {
             outcome.and(match grace {
                 Ok(server) => server.unwrap_or(Err(CoordinatorError::Panicked)),
                 Err(_) => {
+                    // Frees the port before this is over.
                     server.abort();
+                    let _ = server.await;
                     Ok(())
                 }
             })
         });
-        Ok(Handle { address, stop, run })
+        Ok(Handle::new(address, stop, run, watch::channel(Standing::Leads).1))
     }
 }
 
@@ -149,9 +164,24 @@ pub struct Handle {
     address: SocketAddr,
     stop: watch::Sender<()>,
     run: JoinHandle<Result<(), CoordinatorError>>,
+    standing: watch::Receiver<Standing>,
 }
 
 impl Handle {
+    pub(crate) fn new(
+        address: SocketAddr,
+        stop: watch::Sender<()>,
+        run: JoinHandle<Result<(), CoordinatorError>>,
+        standing: watch::Receiver<Standing>,
+    ) -> Self {
+        Self { address, stop, run, standing }
+    }
+
+    /// Where it stands among the coordinators of its farm, now and later; one that is alone leads.
+    pub fn standing(&self) -> watch::Receiver<Standing> {
+        self.standing.clone()
+    }
+
     /// Where it listens; the port is the real one.
     pub fn address(&self) -> SocketAddr {
         self.address

@@ -1,5 +1,6 @@
 //! What a program that is not the coordinator uses: ask, fetch, and be a worker.
 
+use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::{Bytes, BytesMut};
@@ -13,6 +14,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::Streaming;
 use tonic::transport::{Channel, Endpoint, Uri};
 
+use crate::addresses::Addresses;
 use crate::convert::{ConvertError, digest, digest_bytes, each, need};
 use crate::error::{CallError, from_status};
 use crate::net::Dial;
@@ -21,47 +23,72 @@ use wire::artifacts_client::ArtifactsClient;
 use wire::jobs_client::JobsClient;
 use wire::workers_client::WorkersClient;
 
-/// A connection to a coordinator; clones share it. It mends itself when the coordinator comes back.
+/// A connection to a coordinator; clones share it. It mends itself when the coordinator comes back, or when another of
+/// those that were given leads.
 #[derive(Debug, Clone)]
 pub struct Client {
-    url: String,
+    addresses: Arc<Addresses>,
     channel: Channel,
 }
 
 impl Client {
-    /// Connects to `url`, such as `http://127.0.0.1:7878`.
-    pub async fn connect(url: &str) -> Result<Self, CallError> {
-        Self::connect_by(&Dial::tcp(), url).await
+    /// How long one of several coordinators may take to answer the first call: one that is frozen takes connections.
+    const PATIENCE: Duration = Duration::from_millis(1500);
+
+    /// Connects to `urls`: one, such as `http://127.0.0.1:7878`, or several with commas between, of which the first that
+    /// answers is used.
+    pub async fn connect(urls: &str) -> Result<Self, CallError> {
+        Self::connect_by(&Dial::tcp(), urls).await
     }
 
     /// The same over another network.
-    pub async fn connect_by(dial: &Dial, url: &str) -> Result<Self, CallError> {
-        let address = |error: tonic::transport::Error| CallError::Address { url: url.into(), message: chain(&error) };
-        let endpoint = Endpoint::from_shared(url.to_owned())
-            .map_err(address)?
-            .connect_timeout(Duration::from_secs(5))
-            .http2_keep_alive_interval(Duration::from_secs(10))
-            .keep_alive_timeout(Duration::from_secs(10))
+    pub async fn connect_by(dial: &Dial, urls: &str) -> Result<Self, CallError> {
+        let addresses = Arc::new(Addresses::parse(urls)?);
+        let mut left = addresses.count();
+        if left == 1 {
+            return Self::open(dial, addresses).await;
+        }
+        loop {
+            let client = Self::open(dial, addresses.clone()).await?;
+            left -= 1;
+            let silent = || CallError::Unreachable { url: client.url().into(), message: "it does not answer".into() };
+            match tokio::time::timeout(Self::PATIENCE, client.missing(&[])).await {
+                Ok(Ok(_)) => return Ok(client),
+                Ok(Err(error)) if left == 0 => return Err(error),
+                Err(_) if left == 0 => return Err(silent()),
+                Ok(Err(_)) | Err(_) => {}
+            }
+        }
+    }
+
+    async fn open(dial: &Dial, addresses: Arc<Addresses>) -> Result<Self, CallError> {
+        let url = || addresses.list();
+        let is_alone = addresses.count() == 1;
+        // Where another may have taken over, a coordinator that is silent is left soon.
+        let (every, patience) = if is_alone { (10, 10) } else { (1, 3) };
+        let endpoint = Endpoint::from_shared(addresses.first().to_string())
+            .map_err(|error| CallError::Address { url: url(), message: chain(&error) })?
+            .http2_keep_alive_interval(Duration::from_secs(every))
+            .keep_alive_timeout(Duration::from_secs(patience))
             .initial_stream_window_size(4 << 20)
             .initial_connection_window_size(16 << 20);
-        let unreachable = |error| CallError::Unreachable { url: url.into(), message: chain(&error) };
-        let channel = match &dial.0 {
-            None => endpoint.connect().await,
-            Some(dial) => {
-                let dial = dial.clone();
-                let connector = tower::service_fn(move |to: Uri| {
-                    let link = dial(to.host().unwrap_or_default().to_owned(), to.port_u16().unwrap_or(80));
-                    async move { link.await.map(TokioIo::new) }
-                });
-                endpoint.connect_with_connector(connector).await
-            }
+        let channel = if is_alone && dial.0.is_none() {
+            endpoint.connect_timeout(Duration::from_secs(5)).connect().await
+        } else {
+            let (dial, addresses) = (dial.clone(), addresses.clone());
+            let connector = tower::service_fn(move |_: Uri| {
+                let link = addresses.clone().reach(dial.clone());
+                async move { link.await.map(TokioIo::new) }
+            });
+            endpoint.connect_with_connector(connector).await
         };
-        Ok(Self { url: url.into(), channel: channel.map_err(unreachable)? })
+        let channel = channel.map_err(|error| CallError::Unreachable { url: url(), message: chain(&error) })?;
+        Ok(Self { addresses, channel })
     }
 
     /// The coordinator's address.
     pub fn url(&self) -> &str {
-        &self.url
+        self.addresses.used()
     }
 
     fn jobs(&self) -> JobsClient<Channel> {
@@ -73,7 +100,7 @@ impl Client {
     }
 
     fn error(&self, status: &tonic::Status) -> CallError {
-        from_status(&self.url, status)
+        from_status(self.url(), status)
     }
 
     /// Queues a job; a second submission with the same key gives the same job.
@@ -100,7 +127,7 @@ impl Client {
     pub async fn watch(&self, job: JobId) -> Result<Watch, CallError> {
         let request = wire::WatchRequest { job: job.0 };
         let reply = self.jobs().watch(request).await.map_err(|status| self.error(&status))?;
-        Ok(Watch { url: self.url.clone(), stream: reply.into_inner() })
+        Ok(Watch { url: self.url().into(), stream: reply.into_inner() })
     }
 
     /// Pauses, resumes, cancels, retries, changes the priority.
@@ -175,7 +202,7 @@ impl Client {
         let mut client = WorkersClient::new(self.channel.clone()).max_decoding_message_size(MESSAGE);
         let words = ReceiverStream::new(receive).map(wire::FromWorker::from);
         let reply = client.session(words).await.map_err(|status| self.error(&status))?;
-        Ok((outgoing, Incoming { url: self.url.clone(), stream: reply.into_inner() }))
+        Ok((outgoing, Incoming { url: self.url().into(), stream: reply.into_inner() }))
     }
 }
 

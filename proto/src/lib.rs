@@ -5,6 +5,7 @@
 //! other people's tools.
 #![deny(missing_docs)]
 
+mod addresses;
 mod client;
 mod convert;
 mod error;

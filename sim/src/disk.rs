@@ -29,7 +29,7 @@ pub(crate) struct Disk {
     /// All records ever written, whatever snapshots have replaced.
     pub(crate) history: Vec<Vec<u8>>,
     /// Of the coordinator that may write.
-    epoch: u64,
+    epoch: i64,
     /// So many writes find no room.
     pub(crate) full: u32,
     pub(crate) snapshots: u32,
@@ -40,7 +40,7 @@ pub(crate) struct Disk {
 pub(crate) struct Log {
     shared: Shared,
     host: usize,
-    epoch: u64,
+    epoch: i64,
 }
 
 impl Log {
@@ -61,7 +61,7 @@ impl Log {
             let mut state = self.shared.lock();
             if state.disk.epoch != self.epoch {
                 state.fired("stale leader refused");
-                return Err(io::Error::other("another coordinator leads").into());
+                return Err(QueueError::Deposed { epoch: self.epoch });
             }
             if state.disk.full > 0 {
                 state.disk.full -= 1;

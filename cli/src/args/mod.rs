@@ -71,8 +71,8 @@ pub struct FormatArgs {
 /// The address of the farm, for every client command.
 #[derive(Clone, Debug, Args)]
 pub struct ServerArgs {
-    /// The farm's coordinator
-    #[arg(long, env = "FEMC_SERVER", value_name = "URL", default_value = "http://127.0.0.1:7878")]
+    /// The farm's coordinator; of several, with commas between, the one that answers
+    #[arg(long, env = "FEMC_SERVER", value_name = "URL,..", default_value = "http://127.0.0.1:7878")]
     pub server: String,
 }
 

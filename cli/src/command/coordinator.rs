@@ -4,10 +4,14 @@ use super::client::runtime;
 use super::interrupt::Interrupt;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::Say;
+use crate::request::Budget;
 use clap::Args;
-use femc_coordinator::{Artifacts, Config, Coordinator, CoordinatorError, Exposure, Log};
+use femc_coordinator::{
+    Artifacts, Config, Coordinator, CoordinatorError, Exposure, Log, Postgres, QueueError, Standing,
+};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Run the farm's server, until it is stopped
 #[derive(Debug, Args)]
@@ -15,17 +19,26 @@ use std::path::{Path, PathBuf};
     femc coordinator\n  \
     femc coordinator --listen 127.0.0.1:7878 --store sqlite:farm.db --artifacts artifacts\n  \
     femc coordinator --share ann=3 --share bob=1    # ann's jobs get three times the time of bob's\n  \
+    femc coordinator --store postgres://femc@127.0.0.1/farm --artifacts artifacts    # of several: one leads\n  \
     femc coordinator --listen 127.0.0.1:0    # any free port; the first line on stdout says which\n\n\
     Stopped by Ctrl-C, SIGTERM or a crash, it goes on where it was when it is started again with the same --store \
-    and --artifacts; its workers join again by themselves.")]
+    and --artifacts; its workers join again by themselves.\n\n\
+    Several coordinators may share one PostgreSQL database and one artifacts folder. One leads and listens; the others stand \
+    by, and one of them goes on within seconds when the leader has died, frozen or lost the database. Workers and clients \
+    get all their addresses: --join http://one:7878,http://two:7878. The password may come from PGPASSWORD or \
+    ~/.pgpass. Everything is kept in the schema femc, which is made if it is not there.")]
 pub struct CoordinatorArgs {
     /// Address and port to listen on
     #[arg(long, value_name = "ADDRESS:PORT", default_value = "127.0.0.1:7878")]
     listen: SocketAddr,
-    /// The log of jobs: sqlite:PATH, or memory (lost at the end)
+    /// The log of jobs: sqlite:PATH, postgres://USER@HOST:PORT/DATABASE, or memory (lost at the end)
     #[arg(long, value_name = "STORE", default_value = "sqlite:femc-farm/farm.db", value_parser = store)]
     store: Log,
-    /// Folder for scenes, tiles and images, or memory (lost at the end)
+    /// With postgres://: a leader that gives no sign of life for so long is taken for dead; the same for all coordinators of a
+    /// farm
+    #[arg(long, value_name = "DURATION", default_value = "3s", value_parser = silence)]
+    silence: Duration,
+    /// Folder for scenes, tiles and images, or memory (lost at the end); several coordinators share one
     #[arg(long, value_name = "DIR", default_value = "femc-farm/artifacts", value_parser = artifacts)]
     artifacts: Artifacts,
     /// Weight of an owner's jobs in the fair share of the workers' time, among jobs of one priority; may be given again
@@ -41,8 +54,20 @@ fn store(text: &str) -> Result<Log, String> {
     match text.split_once(':') {
         None if text == "memory" => Ok(Log::Memory),
         Some(("sqlite", path)) if !path.is_empty() => Ok(Log::Sqlite(PathBuf::from(path))),
-        Some(("postgres" | "postgresql", _)) => Err("PostgreSQL is not there yet; give sqlite:PATH".to_owned()),
-        _ => Err("give sqlite:PATH, like sqlite:farm.db, or memory".to_owned()),
+        Some(("postgres" | "postgresql", _)) => match text.parse() {
+            Ok(database) => Ok(Log::Postgres { database, silence: Postgres::SILENCE }),
+            Err(error) => Err(format!("{error}; write it like postgres://user@host:5432/database")),
+        },
+        _ => Err("give sqlite:PATH, like sqlite:farm.db, postgres://user@host/database, or memory".to_owned()),
+    }
+}
+
+fn silence(text: &str) -> Result<Duration, String> {
+    let Budget { seconds } = text.parse::<Budget>().map_err(|error| error.to_string())?;
+    if (1.0..=3600.0).contains(&seconds) {
+        Ok(Duration::from_secs_f64(seconds))
+    } else {
+        Err("give 1s to 1h".to_owned())
     }
 }
 
@@ -69,6 +94,15 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
     {
         std::fs::create_dir_all(folder).map_err(|e| failed(format!("--store {}: {e}", folder.display())))?;
     }
+    let log = match args.store {
+        Log::Postgres { .. } if args.artifacts == Artifacts::Memory => {
+            return Err(usage(
+                "--artifacts memory: the coordinators on one database share a folder; give --artifacts DIR",
+            ));
+        }
+        Log::Postgres { database, .. } => Log::Postgres { database, silence: args.silence },
+        log => log,
+    };
     let exposure = if args.insecure { Exposure::Anybody } else { Exposure::Loopback };
     if args.insecure && !args.listen.ip().is_loopback() {
         say.warning(format!(
@@ -79,7 +113,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
     let config = Config {
         listen: args.listen,
         exposure,
-        log: args.store,
+        log,
         artifacts: args.artifacts,
         scheduler: femc_schedule::Config {
             weights: args.share.into_iter().collect(),
@@ -90,10 +124,14 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
     runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
         let mut coordinator = Coordinator::start(config).await.map_err(|e| told(&e))?;
-        say.result(format!("listening on {}", coordinator.url()));
-        tokio::select! {
-            error = coordinator.failed() => return Err(told(&error)),
-            () = interrupt.wait() => {}
+        let (mut news, url) = (coordinator.standing(), coordinator.url());
+        loop {
+            tell(say, &news.borrow_and_update(), &url);
+            tokio::select! {
+                error = coordinator.failed() => return Err(told(&error)),
+                () = interrupt.wait() => break,
+                Ok(()) = news.changed() => {}
+            }
         }
         coordinator.stop().await.map_err(|e| told(&e))?;
         say.note("stopped; start it again with the same --store and --artifacts to go on");
@@ -101,10 +139,28 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
     })
 }
 
+fn tell(say: Say, standing: &Standing, url: &str) {
+    match standing {
+        Standing::Leads => say.result(format!("listening on {url}")),
+        Standing::StandsBy { leader: Some(leader) } => say.note(format!("standing by; {leader} leads")),
+        Standing::StandsBy { leader: None } => {}
+        Standing::Seeks { message } => say.warning(format!("{message}; trying again until it is back")),
+    }
+}
+
 fn told(error: &CoordinatorError) -> Failure {
     match error {
         CoordinatorError::Listen { .. } => failed(format!("--listen: {error}; give another address or port")),
         CoordinatorError::Exposed { .. } => usage(format!("--listen: {error}; use 127.0.0.1, or say --insecure")),
+        CoordinatorError::Queue(QueueError::Away { .. }) => {
+            failed(format!("--store: {error}; is PostgreSQL running there, and does it listen on that port?"))
+        }
+        CoordinatorError::Queue(QueueError::Rejected { .. }) => {
+            failed(format!("--store: {error}; check user, password (PGPASSWORD, ~/.pgpass) and database"))
+        }
+        CoordinatorError::Queue(QueueError::ForeignTables { .. }) => {
+            failed(format!("--store: {error}; it is left as it is: give another database"))
+        }
         CoordinatorError::Queue(_) | CoordinatorError::Ledger(_) => failed(format!("--store: {error}")),
         CoordinatorError::Store(_) => failed(format!("--artifacts: {error}")),
         CoordinatorError::Serve(_) | CoordinatorError::Panicked => failed(error),
@@ -116,11 +172,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_store_is_a_file_or_memory_and_what_is_not_there_yet_says_so() {
+    fn a_store_is_a_file_a_database_or_memory_and_what_is_not_there_yet_says_so() {
         assert_eq!(store("sqlite:a/b.db"), Ok(Log::Sqlite("a/b.db".into())));
         assert_eq!(store("memory"), Ok(Log::Memory));
-        assert!(store("postgres://host/farm").is_err_and(|error| error.contains("not there yet")));
+        assert!(matches!(store("postgres://ann:secret@host/farm"), Ok(Log::Postgres { .. })));
+        for wrong in ["postgres:farm", "postgres://ann:secret@host:port/farm"] {
+            let error = store(wrong).expect_err("no address");
+            assert!(error.contains("postgres://user@host") && !error.contains("secret"), "{error}");
+        }
         assert!(store("sqlite:").is_err() && store("farm.db").is_err());
+        assert_eq!(silence("1500ms"), Ok(Duration::from_millis(1500)));
+        assert!(["0s", "10ms", "2h", "long"].iter().all(|text| silence(text).is_err()));
         assert_eq!(share("ann=3"), Ok(("ann".into(), 3)));
         assert!(["ann", "ann=0", "=3", "ann=-1", "ann=many"].iter().all(|text| share(text).is_err()));
         assert_eq!(artifacts("a/b"), Ok(Artifacts::Folder("a/b".into())));

@@ -14,11 +14,12 @@ use std::time::Duration;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc worker --join http://127.0.0.1:7878\n  \
-    femc worker --join http://farm:7878 --threads 8 --tags lab,big\n\n\
+    femc worker --join http://farm:7878 --threads 8 --tags lab,big\n  \
+    femc worker --join http://one:7878,http://two:7878    # whichever of the two coordinators leads\n\n\
     Ctrl-C or SIGTERM lets the worker finish what it is at and gives back the rest; a second one ends it at once. A worker that loses its coordinator looks for it until it is back.")]
 pub struct WorkerArgs {
-    /// The farm's coordinator
-    #[arg(long, value_name = "URL", env = "FEMC_SERVER")]
+    /// The farm's coordinator; of several, with commas between, the one that answers
+    #[arg(long, value_name = "URL,..", env = "FEMC_SERVER")]
     join: String,
     /// Threads that render [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]

@@ -96,7 +96,19 @@ impl Place {
         Ran { line: line.to_owned(), output }
     }
 
-    /// Start, output to a file `NAME.log` for the message of a failed test.
+    /// Start, its output to the files `NAME.out` and `NAME.err`.
+    pub fn start_as(&self, name: &str, line: &str) -> Running {
+        let file = |kind| std::fs::File::create(self.path(&format!("{name}.{kind}"))).expect("a file");
+        let child = self.command(line).stdout(file("out")).stderr(file("err")).spawn().expect("femc starts");
+        Running { line: line.to_owned(), child: Some(child) }
+    }
+
+    /// What is in a file, as far as it is there.
+    pub fn read(&self, name: &str) -> String {
+        std::fs::read_to_string(self.path(name)).unwrap_or_default()
+    }
+
+    /// Start; what it says is in the message of a failed test.
     pub fn start(&self, line: &str) -> Running {
         let stdout = Stdio::piped();
         let child = self.command(line).stdout(stdout).stderr(Stdio::piped()).spawn().expect("femc starts");

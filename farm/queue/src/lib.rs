@@ -5,10 +5,13 @@
 #![deny(missing_docs)]
 
 mod backend;
+#[cfg(feature = "testing")]
+pub mod testing;
 
 use std::future::Future;
 
 pub use backend::memory::Memory;
+pub use backend::postgres::{Database, Leader, Postgres, Standby};
 pub use backend::sqlite::Sqlite;
 
 /// What a log holds.
@@ -32,6 +35,40 @@ pub trait Queue: Send + 'static {
 
     /// Puts `state` in place of everything before it.
     fn snapshot(&mut self, state: &[u8]) -> impl Future<Output = Result<(), QueueError>> + Send;
+
+    /// Whether this is still the one writer: where another may take its place, fails once that has happened or cannot be
+    /// ruled out. Asks nobody, and costs next to nothing.
+    fn check(&mut self) -> Result<(), QueueError> {
+        Ok(())
+    }
+}
+
+/// What to do about an error.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Remedy {
+    /// Open the log again, later: what it holds is whole.
+    Reopen,
+    /// A person must look.
+    None,
+}
+
+impl QueueError {
+    /// What to do about it.
+    pub fn remedy(&self) -> Remedy {
+        match self {
+            Self::Away { .. } | Self::Deposed { .. } => Remedy::Reopen,
+            Self::Address { .. }
+            | Self::Rejected { .. }
+            | Self::Foreign { .. }
+            | Self::ForeignTables { .. }
+            | Self::InUse { .. }
+            | Self::Damaged { .. }
+            | Self::DamagedSnapshot
+            | Self::Database { .. }
+            | Self::Medium(_)
+            | Self::Sqlite(_) => Remedy::None,
+        }
+    }
 }
 
 /// What a log may answer instead.
@@ -67,6 +104,54 @@ pub enum QueueError {
     /// The medium said no.
     #[error("log: {0}")]
     Medium(#[from] std::io::Error),
+    /// The address of the database makes no sense.
+    #[error("this is no address of a PostgreSQL database: {message}")]
+    Address {
+        /// What is wrong with it.
+        message: String,
+    },
+    /// The database does not answer, or the connection broke: later it may be there again.
+    #[error("the database {database} cannot be reached: {message}")]
+    Away {
+        /// Where, and its name.
+        database: String,
+        /// What happened.
+        message: String,
+    },
+    /// The database does not let this user in, or does not let it do what it must.
+    #[error("the database {database} refuses: {message}")]
+    Rejected {
+        /// Where, and its name.
+        database: String,
+        /// What the server said.
+        message: String,
+    },
+    /// The schema `femc` of the database is not a log of this program, or of another version.
+    #[error(
+        "the schema femc of the database {database} is not a femc log of version {}: version {}",
+        Postgres::VERSION,
+        found.as_deref().unwrap_or("unknown")
+    )]
+    ForeignTables {
+        /// Where, and its name.
+        database: String,
+        /// The version that it states.
+        found: Option<String>,
+    },
+    /// Another coordinator leads: nothing was written.
+    #[error("another coordinator leads; leadership {epoch} of this one is over")]
+    Deposed {
+        /// Of the leadership that is over.
+        epoch: i64,
+    },
+    /// PostgreSQL failed in a way that trying again does not mend.
+    #[error("the database {database} failed: {message}")]
+    Database {
+        /// Where, and its name.
+        database: String,
+        /// What the server said.
+        message: String,
+    },
     /// SQLite said no.
     #[error("log: {0}")]
     Sqlite(#[from] sqlx::Error),

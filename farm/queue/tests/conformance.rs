@@ -2,7 +2,8 @@
 
 use std::path::Path;
 
-use femc_queue::{Contents, Memory, Queue, QueueError, Sqlite};
+use femc_queue::testing::Scratch;
+use femc_queue::{Contents, Memory, Postgres, Queue, QueueError, Sqlite, Standby};
 use sqlx::{ConnectOptions as _, Connection as _};
 
 fn records(from: u8, to: u8) -> Vec<Vec<u8>> {
@@ -49,6 +50,17 @@ async fn sqlite_conforms() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.sqlite");
     conforms(async || reopen(&path).await).await;
+}
+
+#[tokio::test]
+async fn postgres_conforms() {
+    let Some(scratch) = Scratch::new().await else { return };
+    conforms(async || {
+        let database = scratch.url().parse().unwrap();
+        let standby = Standby::open(database, "http://one".into(), Postgres::SILENCE).await.unwrap();
+        standby.lead(|_| ()).await.unwrap()
+    })
+    .await;
 }
 
 /// A dropped connection closes in the background; wait for it as a new process would not need to.

@@ -1,4 +1,6 @@
 //! Where a log may live.
 
 pub(crate) mod memory;
+pub(crate) mod postgres;
+mod rows;
 pub(crate) mod sqlite;

@@ -5,9 +5,12 @@
 
 use std::path::Path;
 
-use sqlx::sqlite::{SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqliteLockingMode, SqliteSynchronous};
+use sqlx::sqlite::{
+    SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqliteLockingMode, SqliteRow, SqliteSynchronous,
+};
 use sqlx::{ConnectOptions as _, Connection as _, Row as _};
 
+use super::rows::{Row, checksum, contents};
 use crate::{Contents, Queue, QueueError};
 
 /// A log in a file.
@@ -68,48 +71,21 @@ fn is_busy(error: &sqlx::Error) -> bool {
     code.is_some_and(|code| matches!(code & 0xff, 5 | 6))
 }
 
-/// Of the record's place and content, so that a record that strayed is found too.
-fn checksum(sequence: i64, bytes: &[u8]) -> Vec<u8> {
-    let mut hash = blake3::Hasher::new();
-    hash.update(&sequence.to_le_bytes()).update(bytes);
-    hash.finalize().as_bytes()[..16].to_vec()
+fn row(row: &SqliteRow) -> Result<Row, sqlx::Error> {
+    Ok(Row { sequence: row.try_get(0)?, sum: row.try_get(1)?, bytes: row.try_get(2)? })
 }
 
 impl Queue for Sqlite {
     async fn load(&mut self) -> Result<Contents, QueueError> {
         let newest = "SELECT sequence, checksum, state FROM snapshot ORDER BY sequence DESC LIMIT 1";
-        let mut contents = Contents::default();
-        let mut last = 0;
-        if let Some(row) = sqlx::query(newest).fetch_optional(&mut self.connection).await? {
-            let (sequence, sum, state): (i64, Vec<u8>, Vec<u8>) = (row.try_get(0)?, row.try_get(1)?, row.try_get(2)?);
-            if sum != checksum(sequence, &state) {
-                return Err(QueueError::DamagedSnapshot);
-            }
-            contents.snapshot = Some(state);
-            last = sequence;
-        }
+        let snapshot = sqlx::query(newest).fetch_optional(&mut self.connection).await?;
+        let snapshot = snapshot.as_ref().map(row).transpose()?;
         let rows = sqlx::query("SELECT sequence, checksum, record FROM log WHERE sequence > ? ORDER BY sequence")
-            .bind(last)
+            .bind(snapshot.as_ref().map_or(0, |snapshot| snapshot.sequence))
             .fetch_all(&mut self.connection)
             .await?;
-        let mut broken = None;
-        for row in rows {
-            let (sequence, sum, record): (i64, Vec<u8>, Vec<u8>) = (row.try_get(0)?, row.try_get(1)?, row.try_get(2)?);
-            let is_sound = sum == checksum(sequence, &record);
-            match broken {
-                None if is_sound && sequence == last + 1 => {
-                    last = sequence;
-                    contents.records.push(record);
-                }
-                None if is_sound => return Err(QueueError::Damaged { sequence: last + 1, after: 1 }),
-                None => {
-                    broken = Some(sequence);
-                    contents.torn = 1;
-                }
-                Some(sequence) if is_sound => return Err(QueueError::Damaged { sequence, after: 1 }),
-                Some(_) => contents.torn += 1,
-            }
-        }
+        let rows: Vec<Row> = rows.iter().map(row).collect::<Result<_, _>>()?;
+        let (contents, last) = contents(snapshot, rows)?;
         if contents.torn > 0 {
             sqlx::query("DELETE FROM log WHERE sequence > ?").bind(last).execute(&mut self.connection).await?;
         }

@@ -1,0 +1,177 @@
+//! Coordinators that lose their database, or each other.
+
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Duration;
+
+use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log, Standing};
+use femc_model::{Digest, Grid, JobId, JobSpec};
+use femc_proto::{CallError, Client};
+use femc_queue::testing::Scratch;
+use tokio::net::{TcpListener, TcpStream};
+use tokio::sync::watch;
+
+const SILENCE: Duration = Duration::from_millis(1200);
+/// Longer than anything here takes on a loaded machine.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// How the way to the database is.
+#[derive(Debug, Clone, Copy, PartialEq)]
+enum Way {
+    Open,
+    /// Connections stay and nothing arrives.
+    Silent,
+    /// Connections break, and new ones are refused.
+    Broken,
+}
+
+/// A way to the database at `url` that can be closed, and the address at its beginning.
+async fn way(url: &str) -> (watch::Sender<Way>, String) {
+    let (head, tail) = url.split_once('@').unwrap();
+    let (place, path) = tail.split_once('/').unwrap();
+    let (place, listener) = (Arc::<str>::from(place), TcpListener::bind("127.0.0.1:0").await.unwrap());
+    let url = format!("{head}@{}/{path}", listener.local_addr().unwrap());
+    let (set, way) = watch::channel(Way::Open);
+    tokio::spawn(async move {
+        while let Ok((near, _)) = listener.accept().await {
+            tokio::spawn(pass(near, place.clone(), way.clone()));
+        }
+    });
+    (set, url)
+}
+
+async fn pass(mut near: TcpStream, place: Arc<str>, mut way: watch::Receiver<Way>) {
+    if *way.borrow() == Way::Broken {
+        return;
+    }
+    let mut far = TcpStream::connect(&*place).await.unwrap();
+    tokio::select! {
+        _ = tokio::io::copy_bidirectional(&mut near, &mut far) => return,
+        _ = way.wait_for(|way| *way != Way::Open) => {}
+    }
+    // Both ends stay open, and nothing arrives, until it breaks.
+    if *way.borrow() == Way::Silent {
+        let _ = way.wait_for(|way| *way == Way::Broken).await;
+    }
+}
+
+async fn coordinator(url: &str, artifacts: &Path) -> Handle {
+    let log = Log::Postgres { database: url.parse().unwrap(), silence: SILENCE };
+    let artifacts = Artifacts::Folder(artifacts.to_owned());
+    Coordinator::start(Config { log, artifacts, ..Config::default() }).await.unwrap()
+}
+
+async fn until(farm: &Handle, wanted: impl Fn(&Standing) -> bool) -> Standing {
+    let mut standing = farm.standing();
+    let heard = tokio::time::timeout(PATIENCE, standing.wait_for(wanted)).await;
+    heard.expect("it stays as it is").unwrap().clone()
+}
+
+async fn leads(farm: &Handle) -> Client {
+    until(farm, |standing| *standing == Standing::Leads).await;
+    Client::connect(&farm.url()).await.unwrap()
+}
+
+async fn submit(client: &Client) -> JobId {
+    let spec = JobSpec {
+        name: "fog".into(),
+        bundle: Digest::of(b"bundle"),
+        entry: "fog.mgf".into(),
+        settings: "{}".into(),
+        frames: vec![1, 2],
+        grid: Grid { film: [64, 64], tile: 16 },
+        rounds: vec![16],
+        priority: 50,
+        owner: "me".into(),
+        tags: vec![],
+    };
+    client.submit(None, spec).await.unwrap()
+}
+
+async fn jobs(client: &Client) -> Vec<JobId> {
+    client.list().await.unwrap().iter().map(|status| status.job).collect()
+}
+
+#[tokio::test]
+async fn a_coordinator_that_loses_its_database_goes_on_when_it_is_back() {
+    let Some(scratch) = Scratch::new().await else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let (set, url) = way(&scratch.url()).await;
+    let farm = coordinator(&url, folder.path()).await;
+    let client = leads(&farm).await;
+    let job = submit(&client).await;
+    set.send(Way::Broken).unwrap();
+    let standing = until(&farm, |standing| *standing != Standing::Leads).await;
+    assert!(matches!(standing, Standing::Seeks { .. }), "{standing:?}");
+    let refused = Client::connect(&farm.url()).await.map(drop);
+    assert!(matches!(refused, Err(CallError::Unreachable { .. })), "who does not lead does not listen: {refused:?}");
+    set.send(Way::Open).unwrap();
+    let again = leads(&farm).await;
+    assert_eq!(jobs(&again).await, [job]);
+    assert_eq!(jobs(&client).await, [job], "a client mends itself");
+    assert!(submit(&again).await > job);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test]
+async fn a_leader_cut_off_from_its_database_says_nothing_any_more_and_another_leads() {
+    let Some(scratch) = Scratch::new().await else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let (set, url) = way(&scratch.url()).await;
+    let one = coordinator(&url, folder.path()).await;
+    let client = leads(&one).await;
+    let first = submit(&client).await;
+    let two = coordinator(&scratch.url(), folder.path()).await;
+    let heard = until(&two, |standing| *standing != Standing::StandsBy { leader: None }).await;
+    assert_eq!(heard, Standing::StandsBy { leader: Some(one.url()) });
+    let watch = client.watch(first).await.unwrap();
+    set.send(Way::Silent).unwrap();
+    // Not told before it is durable, and so never.
+    let lost = tokio::spawn({
+        let client = client.clone();
+        async move { client.control(first, femc_model::Control::Pause).await }
+    });
+    let taken = leads(&two).await;
+    // The old leader has counted itself out before the new one could lead; its end reaches its clients soon.
+    assert!(*one.standing().borrow() != Standing::Leads || client.list().await.is_err(), "two answer");
+    assert!(lost.await.unwrap().is_err());
+    let mut watch = watch;
+    while let Ok(Some(_)) = watch.next().await {}
+    assert_eq!(jobs(&taken).await, [first]);
+    assert_eq!(taken.status(first).await.unwrap().state, femc_model::JobState::Queued);
+    let second = submit(&taken).await;
+    set.send(Way::Broken).unwrap();
+    set.send(Way::Open).unwrap();
+    let heard = until(&one, |standing| matches!(standing, Standing::StandsBy { leader: Some(_) })).await;
+    assert_eq!(heard, Standing::StandsBy { leader: Some(two.url()) });
+    drop(taken);
+    two.stop().await.unwrap();
+    assert_eq!(jobs(&leads(&one).await).await, [first, second], "it has read the log anew");
+    one.stop().await.unwrap();
+}
+
+#[tokio::test]
+async fn an_idle_leader_that_is_deposed_stops_answering_by_itself() {
+    let Some(scratch) = Scratch::new().await else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let farm = coordinator(&scratch.url(), folder.path()).await;
+    let client = leads(&farm).await;
+    let job = submit(&client).await;
+    scratch.tamper("UPDATE femc.leader SET epoch = epoch + 1").await;
+    until(&farm, |standing| *standing != Standing::Leads).await;
+    // Nobody else is there: it leads again, in a term of its own.
+    assert_eq!(jobs(&leads(&farm).await).await, [job]);
+    assert_eq!(scratch.number("SELECT epoch FROM femc.leader").await, 3);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test]
+async fn a_coordinator_that_stands_by_stops_when_it_is_told() {
+    let Some(scratch) = Scratch::new().await else { return };
+    let folder = tempfile::tempdir().unwrap();
+    let one = coordinator(&scratch.url(), folder.path()).await;
+    leads(&one).await;
+    let two = coordinator(&scratch.url(), folder.path()).await;
+    two.stop().await.unwrap();
+    one.stop().await.unwrap();
+}

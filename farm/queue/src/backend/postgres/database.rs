@@ -1,0 +1,138 @@
+//! Where a database is, and what its errors mean for a coordinator.
+
+use std::fmt;
+use std::str::FromStr;
+use std::time::Duration;
+
+use sqlx::ConnectOptions as _;
+use sqlx::postgres::{PgConnectOptions, PgConnection};
+
+use crate::QueueError;
+
+/// A PostgreSQL database by its address. Is shown without user and password.
+#[derive(Clone)]
+pub struct Database {
+    url: String,
+    options: Box<PgConnectOptions>,
+}
+
+/// What a commit on a connection waits for.
+#[derive(Debug, Clone, Copy)]
+pub(super) enum Commit {
+    /// The disk.
+    Durable,
+    /// Nothing: what it writes may be forgotten.
+    Fleeting,
+}
+
+impl Database {
+    /// How long a server may take to let a connection in, or to answer a small question.
+    const PATIENCE: Duration = Duration::from_secs(5);
+
+    pub(super) async fn connect(&self, commit: Commit) -> Result<PgConnection, QueueError> {
+        let setting = match commit {
+            Commit::Durable => "on",
+            Commit::Fleeting => "off",
+        };
+        let options = self.options.as_ref().clone().options([("synchronous_commit", setting)]);
+        self.answers(options.connect()).await
+    }
+
+    /// What the server answers to `asked`, unless that takes too long.
+    pub(super) async fn answers<T>(
+        &self,
+        asked: impl Future<Output = Result<T, sqlx::Error>>,
+    ) -> Result<T, QueueError> {
+        match tokio::time::timeout(Self::PATIENCE, asked).await {
+            Ok(answer) => answer.map_err(|error| self.told(&error)),
+            Err(_) => Err(self.away("it does not answer")),
+        }
+    }
+
+    pub(super) fn away(&self, message: impl fmt::Display) -> QueueError {
+        QueueError::Away { database: self.to_string(), message: message.to_string() }
+    }
+
+    /// What an error means: by the classes of PostgreSQL's codes.
+    pub(super) fn told(&self, error: &sqlx::Error) -> QueueError {
+        let rejected = |message: String| QueueError::Rejected { database: self.to_string(), message };
+        match error {
+            sqlx::Error::Database(said) => match said.code().as_deref().map(|code| code.split_at(2)) {
+                // Authorization; no such database; no right to do this.
+                Some(("28", _) | ("3D", _) | ("42", "501")) => rejected(said.message().to_owned()),
+                // Connection, a transaction that gave way, a read-only server, resources, shut down, the system.
+                Some(("08" | "25" | "40" | "53" | "57" | "58", _)) => self.away(said.message()),
+                _ => QueueError::Database { database: self.to_string(), message: said.message().to_owned() },
+            },
+            sqlx::Error::Tls(error) => rejected(format!("{error}; this version speaks without encryption")),
+            sqlx::Error::Io(error) => self.away(error),
+            sqlx::Error::Protocol(message) => self.away(message),
+            other => QueueError::Database { database: self.to_string(), message: other.to_string() },
+        }
+    }
+}
+
+impl FromStr for Database {
+    type Err = QueueError;
+
+    fn from_str(url: &str) -> Result<Self, QueueError> {
+        let no_address = |message: String| QueueError::Address { message };
+        if !["postgres://", "postgresql://"].iter().any(|scheme| url.starts_with(scheme)) {
+            return Err(no_address("it does not begin with postgres://".into()));
+        }
+        let options: PgConnectOptions = url.parse().map_err(|error: sqlx::Error| match error {
+            sqlx::Error::Configuration(error) => no_address(error.to_string()),
+            other => no_address(other.to_string()),
+        })?;
+        let options = options.application_name("femc").disable_statement_logging();
+        Ok(Self { url: url.to_owned(), options: Box::new(options) })
+    }
+}
+
+impl fmt::Display for Database {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.options.get_socket() {
+            Some(folder) => write!(f, "{}", folder.display())?,
+            None => write!(f, "{}:{}", self.options.get_host(), self.options.get_port())?,
+        }
+        // As PostgreSQL has it, a database that is not named has the user's name.
+        write!(f, "/{}", self.options.get_database().unwrap_or(self.options.get_username()))
+    }
+}
+
+impl fmt::Debug for Database {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Database({self})")
+    }
+}
+
+impl PartialEq for Database {
+    fn eq(&self, other: &Self) -> bool {
+        self.url == other.url
+    }
+}
+
+impl Eq for Database {}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_is_shown_without_its_password() {
+        let database: Database = "postgres://ann:secret@db.example:5433/farm".parse().unwrap();
+        assert_eq!(database.to_string(), "db.example:5433/farm");
+        assert!(!format!("{database:?}").contains("secret"));
+        let database: Database = "postgresql://ann@localhost/farm?host=/run/postgresql".parse().unwrap();
+        assert_eq!(database.to_string(), "/run/postgresql/farm");
+    }
+
+    #[test]
+    fn what_is_no_address_is_refused_without_its_password() {
+        for url in ["postgres://ann:secret@host:port/farm", "mysql://ann:secret@host/farm", "", "postgres:farm"] {
+            let error = url.parse::<Database>().unwrap_err();
+            assert!(matches!(error, QueueError::Address { .. }), "{error}");
+            assert!(!error.to_string().contains("secret"), "{error}");
+        }
+    }
+}

@@ -1,0 +1,101 @@
+//! Standing by until this coordinator leads.
+
+use std::time::Duration;
+
+use sqlx::Row as _;
+use sqlx::postgres::PgConnection;
+use tokio::time::Instant;
+
+use super::database::{Commit, Database};
+use super::pulse::Pulse;
+use super::{Postgres, schema};
+use crate::QueueError;
+
+/// Held by who leads, on the connection that writes: the letters of femc.
+const LOCK: i64 = 0x6665_6d63;
+
+/// Takes the lock and the next epoch in one statement: a coordinator that freezes has both or neither.
+const TAKE: &str = "
+    WITH lock AS MATERIALIZED (SELECT pg_try_advisory_lock($1) AS had)
+    UPDATE femc.leader SET epoch = epoch + 1, url = $2, backend = pg_backend_pid(), seen = clock_timestamp()
+    FROM lock WHERE lock.had RETURNING epoch";
+
+/// Who leads, if anybody does: the holder of the lock that also has the epoch. Ends that one's connection, and with it the
+/// lock, if there was no sign of life for `$2` seconds.
+const LOOK: &str = "
+    SELECT leader.url, leader.epoch, CASE
+        WHEN leader.seen < clock_timestamp() - make_interval(secs => $2)
+        THEN pg_terminate_backend(held.pid) ELSE false END
+    FROM femc.leader JOIN pg_locks held ON held.pid = leader.backend AND held.granted
+        AND held.locktype = 'advisory'
+        AND held.database = (SELECT oid FROM pg_database WHERE datname = current_database())
+        AND held.classid = 0 AND held.objid = $1::bigint::oid AND held.objsubid = 1";
+
+/// Who leads, as the database has it.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Leader {
+    /// Where it can be reached.
+    pub url: String,
+    /// Which leadership it is.
+    pub epoch: i64,
+}
+
+/// A coordinator that waits for its turn.
+#[derive(Debug)]
+pub struct Standby {
+    database: Database,
+    connection: PgConnection,
+    url: String,
+    silence: Duration,
+}
+
+impl Standby {
+    /// Between two looks.
+    const LOOK: Duration = Duration::from_millis(200);
+
+    /// Connects, and makes the tables if there are none. `url`: where this coordinator can be reached when it leads.
+    /// `silence`: how long a leader may give no sign of life; all coordinators of a farm should agree on it.
+    pub async fn open(database: Database, url: String, silence: Duration) -> Result<Self, QueueError> {
+        let mut connection = database.connect(Commit::Durable).await?;
+        schema::prepare(&database, &mut connection).await?;
+        Ok(Self { database, connection, url, silence })
+    }
+
+    /// Waits until this coordinator leads. `hear` is told who leads, at first and whenever that changes.
+    pub async fn lead(mut self, mut hear: impl FnMut(Leader) + Send) -> Result<Postgres, QueueError> {
+        let mut known = None;
+        loop {
+            let asked = Instant::now();
+            if let Some(epoch) = self.take().await? {
+                let Self { database, connection, silence, .. } = self;
+                let pulse = Pulse::start(database.clone(), epoch, asked, silence);
+                return Ok(Postgres { database, connection, pulse, epoch, next: 1 });
+            }
+            if let Some(leader) = self.look().await?
+                && known.as_ref() != Some(&leader)
+            {
+                known = Some(leader.clone());
+                hear(leader);
+            }
+            tokio::time::sleep(Self::LOOK).await;
+        }
+    }
+
+    async fn take(&mut self) -> Result<Option<i64>, QueueError> {
+        let take = sqlx::query(TAKE).bind(LOCK).bind(&self.url).fetch_optional(&mut self.connection);
+        let taken = self.database.answers(take).await?;
+        taken.map(|row| row.try_get(0)).transpose().map_err(|error| self.database.told(&error))
+    }
+
+    async fn look(&mut self) -> Result<Option<Leader>, QueueError> {
+        let seconds = self.silence.as_secs_f64();
+        let look = sqlx::query(LOOK).bind(LOCK).bind(seconds).fetch_optional(&mut self.connection);
+        let Some(row) = self.database.answers(look).await? else { return Ok(None) };
+        let read = || Ok((Leader { url: row.try_get(0)?, epoch: row.try_get(1)? }, row.try_get::<bool, _>(2)?));
+        let (leader, is_ended) = read().map_err(|error| self.database.told(&error))?;
+        if is_ended {
+            tracing::warn!(url = leader.url, seconds, "the leader is silent; its connection was ended");
+        }
+        Ok(Some(leader))
+    }
+}

@@ -1,0 +1,142 @@
+//! A log in PostgreSQL, for several coordinators of which one leads.
+//!
+//! Who leads holds an advisory lock on the connection that writes, and has the greatest epoch. The lock is how a leader's
+//! death is noticed at once; the epoch is what keeps the log whole: every write checks it within its own transaction, and
+//! keeps it from changing until that has ended. So a leader that was frozen, cut off or declared dead by mistake writes
+//! nothing once another leads. A batch is one statement and so one transaction, durable when it returns.
+//!
+//! Costs a second connection for signs of life ([`pulse`]), and a server. A connection pool between that hands one
+//! connection to many (PgBouncer's transaction mode) takes the lock's meaning away: connect directly.
+
+mod database;
+mod lead;
+mod pulse;
+mod schema;
+
+use std::time::Duration;
+
+use sqlx::Row as _;
+use sqlx::postgres::{PgConnection, PgRow};
+
+use super::rows::{Row, checksum, contents};
+use crate::{Contents, Queue, QueueError};
+pub use database::Database;
+pub use lead::{Leader, Standby};
+use pulse::Pulse;
+
+/// A log that this process leads.
+#[derive(Debug)]
+pub struct Postgres {
+    database: Database,
+    connection: PgConnection,
+    pulse: Pulse,
+    epoch: i64,
+    /// Number of the next record; they have no gaps.
+    next: i64,
+}
+
+impl Postgres {
+    /// Of the tables, not of the records.
+    pub const VERSION: i32 = schema::VERSION;
+    /// A leader is taken for dead after this long without a sign of life, unless told otherwise.
+    pub const SILENCE: Duration = Duration::from_secs(3);
+
+    /// Which leadership this is: each is one more than the one before.
+    pub fn epoch(&self) -> i64 {
+        self.epoch
+    }
+
+    /// Does `work` on the connection while this process leads.
+    async fn leading<T>(
+        database: &Database,
+        pulse: &mut Pulse,
+        work: impl Future<Output = Result<T, sqlx::Error>>,
+    ) -> Result<T, QueueError> {
+        tokio::select! {
+            biased;
+            done = work => done.map_err(|error| database.told(&error)),
+            doubt = pulse.doubt() => Err(doubt),
+        }
+    }
+}
+
+/// `SELECT`s the leader's row if the epoch in `$1` leads, and keeps others from leading until the transaction ends. Signs
+/// of life are not kept waiting: they leave the key alone.
+macro_rules! mine {
+    ($rest:literal) => {
+        concat!("WITH mine AS MATERIALIZED (SELECT epoch FROM femc.leader WHERE epoch = $1 FOR KEY SHARE) ", $rest)
+    };
+}
+
+const APPEND: &str = mine!(
+    "INSERT INTO femc.log (sequence, checksum, record)
+     SELECT row.* FROM mine, unnest($2::bigint[], $3::bytea[], $4::bytea[]) AS row"
+);
+const SNAPSHOT: &str = mine!(
+    ", older AS (DELETE FROM femc.snapshot WHERE sequence < $2 AND EXISTS (SELECT FROM mine)),
+       covered AS (DELETE FROM femc.log WHERE sequence <= $2 AND EXISTS (SELECT FROM mine))
+     INSERT INTO femc.snapshot (sequence, checksum, state) SELECT $2, $3, $4 FROM mine
+     ON CONFLICT (sequence) DO UPDATE SET checksum = excluded.checksum, state = excluded.state"
+);
+const CUT: &str = mine!("DELETE FROM femc.log WHERE sequence > $2 AND EXISTS (SELECT FROM mine)");
+
+fn row(row: &PgRow) -> Result<Row, sqlx::Error> {
+    Ok(Row { sequence: row.try_get(0)?, sum: row.try_get(1)?, bytes: row.try_get(2)? })
+}
+
+impl Queue for Postgres {
+    async fn load(&mut self) -> Result<Contents, QueueError> {
+        let connection = &mut self.connection;
+        let read = async {
+            let newest = "SELECT sequence, checksum, state FROM femc.snapshot ORDER BY sequence DESC LIMIT 1";
+            let snapshot = sqlx::query(newest).fetch_optional(&mut *connection).await?;
+            let snapshot = snapshot.as_ref().map(row).transpose()?;
+            let after = "SELECT sequence, checksum, record FROM femc.log WHERE sequence > $1 ORDER BY sequence";
+            let rows = sqlx::query(after)
+                .bind(snapshot.as_ref().map_or(0, |snapshot| snapshot.sequence))
+                .fetch_all(&mut *connection)
+                .await?;
+            Ok((snapshot, rows.iter().map(row).collect::<Result<Vec<_>, _>>()?))
+        };
+        let (snapshot, rows) = Self::leading(&self.database, &mut self.pulse, read).await?;
+        let (contents, last) = contents(snapshot, rows)?;
+        if contents.torn > 0 {
+            let cut = sqlx::query(CUT).bind(self.epoch).bind(last).execute(&mut self.connection);
+            if Self::leading(&self.database, &mut self.pulse, cut).await?.rows_affected() != contents.torn {
+                return Err(QueueError::Deposed { epoch: self.epoch });
+            }
+        }
+        self.next = last + 1;
+        Ok(contents)
+    }
+
+    async fn append(&mut self, records: &[Vec<u8>]) -> Result<(), QueueError> {
+        if records.is_empty() {
+            return self.check();
+        }
+        let sequences: Vec<i64> = (self.next..).take(records.len()).collect();
+        let sums: Vec<Vec<u8>> = sequences.iter().zip(records).map(|(&at, record)| checksum(at, record)).collect();
+        let insert = sqlx::query(APPEND).bind(self.epoch).bind(sequences).bind(sums).bind(records);
+        let insert = insert.execute(&mut self.connection);
+        let inserted = Self::leading(&self.database, &mut self.pulse, insert).await?.rows_affected();
+        if inserted != records.len() as u64 {
+            return Err(QueueError::Deposed { epoch: self.epoch });
+        }
+        self.next += records.len() as i64;
+        Ok(())
+    }
+
+    async fn snapshot(&mut self, state: &[u8]) -> Result<(), QueueError> {
+        let last = self.next - 1;
+        let put = sqlx::query(SNAPSHOT).bind(self.epoch).bind(last).bind(checksum(last, state)).bind(state);
+        let put = put.execute(&mut self.connection);
+        if Self::leading(&self.database, &mut self.pulse, put).await?.rows_affected() != 1 {
+            return Err(QueueError::Deposed { epoch: self.epoch });
+        }
+        Ok(())
+    }
+
+    fn check(&mut self) -> Result<(), QueueError> {
+        self.pulse.check()
+    }
+}

@@ -1,0 +1,59 @@
+//! The tables, and the version that stands beside them.
+
+use sqlx::postgres::PgConnection;
+use sqlx::{Connection as _, Row as _};
+
+use super::database::Database;
+use crate::QueueError;
+
+/// Of the tables.
+pub(super) const VERSION: i32 = 1;
+
+/// Held while the tables are made; the letters of fems.
+const MAKING: i64 = 0x6665_6d73;
+
+/// `leader` has one row. Its key is what writes keep from changing; its other columns may change under them.
+const TABLES: &str = "
+    CREATE TABLE femc.header (version integer NOT NULL);
+    CREATE TABLE femc.leader (epoch bigint PRIMARY KEY, url text NOT NULL, backend integer NOT NULL,
+        seen timestamptz NOT NULL) WITH (fillfactor = 50);
+    CREATE TABLE femc.log (sequence bigint PRIMARY KEY, checksum bytea NOT NULL, record bytea NOT NULL);
+    CREATE TABLE femc.snapshot (sequence bigint PRIMARY KEY, checksum bytea NOT NULL, state bytea NOT NULL);
+    INSERT INTO femc.header VALUES (1);
+    INSERT INTO femc.leader VALUES (0, '', 0, '-infinity');
+";
+
+/// Makes the tables where there are none; refuses those of others, and leaves them as they are.
+pub(super) async fn prepare(database: &Database, connection: &mut PgConnection) -> Result<(), QueueError> {
+    let found = made_or_found(connection).await.map_err(|error| database.told(&error))?;
+    if found.as_deref() == Some(VERSION.to_string().as_str()) {
+        return Ok(());
+    }
+    Err(QueueError::ForeignTables { database: database.to_string(), found })
+}
+
+async fn made_or_found(connection: &mut PgConnection) -> Result<Option<String>, sqlx::Error> {
+    let mut making = connection.begin().await?;
+    // Two coordinators may begin at the same moment.
+    sqlx::query("SELECT pg_advisory_xact_lock($1)").bind(MAKING).execute(&mut *making).await?;
+    let look = "SELECT to_regnamespace('femc') IS NOT NULL, to_regclass('femc.header') IS NOT NULL,
+        EXISTS (SELECT FROM pg_class WHERE relnamespace = to_regnamespace('femc'))";
+    let looked = sqlx::query(look).fetch_one(&mut *making).await?;
+    let (has_schema, has_header, has_tables): (bool, bool, bool) =
+        (looked.try_get(0)?, looked.try_get(1)?, looked.try_get(2)?);
+    if !has_tables {
+        if !has_schema {
+            sqlx::raw_sql("CREATE SCHEMA femc").execute(&mut *making).await?;
+        }
+        sqlx::raw_sql(TABLES).execute(&mut *making).await?;
+    }
+    let version = if has_tables && !has_header {
+        None
+    } else {
+        // By way of JSON: a header of somebody else's may have other columns.
+        let version = "SELECT to_jsonb(header) ->> 'version' FROM femc.header LIMIT 1";
+        sqlx::query(version).fetch_optional(&mut *making).await?.map(|row| row.try_get(0)).transpose()?.flatten()
+    };
+    making.commit().await?;
+    Ok(version)
+}

@@ -1,0 +1,83 @@
+//! A scratch database in the server that `FEMC_TEST_POSTGRES` names; `tests/postgres COMMAND` starts one for a command.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU32, Ordering};
+
+use sqlx::postgres::{PgConnectOptions, PgConnection};
+use sqlx::{AssertSqlSafe, ConnectOptions as _};
+use tokio::sync::Notify;
+
+/// A database of one test's own. It stays: to drop one takes a second, and the server is there to be thrown away.
+#[derive(Debug)]
+pub struct Scratch {
+    server: PgConnectOptions,
+    name: String,
+}
+
+impl Scratch {
+    /// A new database; `None` without a server, which is printed.
+    ///
+    /// # Panics
+    /// If there should be a server and is none, or not a willing one.
+    pub async fn new() -> Option<Self> {
+        static COUNT: AtomicU32 = AtomicU32::new(0);
+        let Ok(url) = std::env::var("FEMC_TEST_POSTGRES") else {
+            println!("skipped: FEMC_TEST_POSTGRES is not set (tests/postgres runs them)");
+            return None;
+        };
+        let server: PgConnectOptions = url.parse().expect("FEMC_TEST_POSTGRES is an address");
+        let name = format!("femc_{}_{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
+        let scratch = Self { server, name };
+        scratch.on_server(&format!("CREATE DATABASE {}", scratch.name)).await;
+        Some(scratch)
+    }
+
+    /// Its address, as `--store` wants it.
+    pub fn url(&self) -> String {
+        self.options().to_url_lossy().to_string()
+    }
+
+    fn options(&self) -> PgConnectOptions {
+        self.server.clone().database(&self.name)
+    }
+
+    async fn on_server(&self, sql: &str) {
+        let mut server = self.server.connect().await.expect("the server lets us in");
+        run(&mut server, sql).await;
+    }
+
+    /// Does something to it behind a coordinator's back.
+    ///
+    /// # Panics
+    /// If the server does not do it.
+    pub async fn tamper(&self, sql: &str) {
+        let mut connection = self.options().connect().await.expect("the server lets us in");
+        run(&mut connection, sql).await;
+    }
+
+    /// What a query with one number as its answer answers.
+    ///
+    /// # Panics
+    /// If it does not.
+    pub async fn number(&self, sql: &str) -> i64 {
+        let mut connection = self.options().connect().await.expect("the server lets us in");
+        sqlx::query_scalar(AssertSqlSafe(sql)).fetch_one(&mut connection).await.expect("a number")
+    }
+}
+
+async fn run(connection: &mut PgConnection, sql: &str) {
+    let ran = sqlx::raw_sql(AssertSqlSafe(sql)).execute(connection).await;
+    ran.unwrap_or_else(|error| panic!("{sql}: {error}"));
+}
+
+/// Keeps `table` of the database at `url` from everybody until `release`.
+///
+/// # Panics
+/// If the server does not do it.
+pub async fn hold(url: &str, table: &str, release: Arc<Notify>) {
+    let options: PgConnectOptions = url.parse().expect("an address");
+    let mut connection = options.connect().await.expect("the server lets us in");
+    run(&mut connection, &format!("BEGIN; LOCK TABLE {table} IN ACCESS EXCLUSIVE MODE")).await;
+    release.notified().await;
+    run(&mut connection, "COMMIT").await;
+}

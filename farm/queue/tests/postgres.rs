@@ -1,0 +1,324 @@
+//! What the log in PostgreSQL must survive: damage, strangers, and several coordinators at once.
+
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use femc_queue::testing::Scratch;
+use femc_queue::{Contents, Database, Leader, Postgres, Queue, QueueError, Remedy, Standby};
+
+/// Shorter than in life: nothing here waits for more than these.
+const PATIENCE: Duration = Duration::from_millis(800);
+
+fn records(from: u8, to: u8) -> Vec<Vec<u8>> {
+    (from..to).map(|byte| vec![byte; byte as usize]).collect()
+}
+
+async fn standby(scratch: &Scratch, url: &str) -> Standby {
+    Standby::open(scratch.url().parse().unwrap(), url.into(), PATIENCE).await.unwrap()
+}
+
+async fn leader(scratch: &Scratch, url: &str) -> Postgres {
+    let mut queue = standby(scratch, url).await.lead(|_| ()).await.unwrap();
+    queue.load().await.unwrap();
+    queue
+}
+
+/// So patient that its signs of life come a second apart: it does not hear by itself that it is deposed.
+async fn trusting_leader(scratch: &Scratch) -> Postgres {
+    let standby = Standby::open(scratch.url().parse().unwrap(), "http://one".into(), Duration::from_secs(60)).await;
+    let mut queue = standby.unwrap().lead(|_| ()).await.unwrap();
+    queue.load().await.unwrap();
+    queue
+}
+
+async fn with_five(scratch: &Scratch) {
+    leader(scratch, "http://one").await.append(&records(1, 6)).await.unwrap();
+}
+
+/// Lets another coordinator lead, as far as the epoch goes; the connections and the lock stay as they are.
+const NEXT_EPOCH: &str = "UPDATE femc.leader SET epoch = epoch + 1";
+
+#[tokio::test]
+async fn a_torn_tail_is_dropped_and_counted_and_the_log_goes_on() {
+    let Some(scratch) = Scratch::new().await else { return };
+    with_five(&scratch).await;
+    scratch.tamper("UPDATE femc.log SET record = '\\x00' WHERE sequence >= 4").await;
+    let mut queue = standby(&scratch, "http://one").await.lead(|_| ()).await.unwrap();
+    let contents = queue.load().await.unwrap();
+    assert_eq!((contents.records, contents.torn), (records(1, 4), 2));
+    queue.append(&records(7, 8)).await.unwrap();
+    let contents = queue.load().await.unwrap();
+    assert_eq!((contents.records.len(), contents.torn), (4, 0));
+}
+
+#[tokio::test]
+async fn damage_before_the_end_is_not_passed_over() {
+    for sql in ["UPDATE femc.log SET record = '\\x00' WHERE sequence = 2", "DELETE FROM femc.log WHERE sequence = 2"] {
+        let Some(scratch) = Scratch::new().await else { return };
+        with_five(&scratch).await;
+        scratch.tamper(sql).await;
+        let mut queue = standby(&scratch, "http://one").await.lead(|_| ()).await.unwrap();
+        let error = queue.load().await.unwrap_err();
+        assert!(matches!(error, QueueError::Damaged { sequence: 2, .. }), "{error}");
+        assert_eq!(error.remedy(), Remedy::None);
+    }
+}
+
+#[tokio::test]
+async fn a_damaged_snapshot_is_not_passed_over() {
+    let Some(scratch) = Scratch::new().await else { return };
+    leader(&scratch, "http://one").await.snapshot(b"state").await.unwrap();
+    scratch.tamper("UPDATE femc.snapshot SET state = '\\x00'").await;
+    let mut queue = standby(&scratch, "http://one").await.lead(|_| ()).await.unwrap();
+    assert!(matches!(queue.load().await.unwrap_err(), QueueError::DamagedSnapshot));
+}
+
+#[tokio::test]
+async fn tables_of_another_program_or_version_are_refused_and_left_as_they_are() {
+    for (tamper, version) in [
+        ("UPDATE femc.header SET version = 7", Some("7".to_owned())),
+        ("DROP TABLE femc.header", None),
+        ("DROP TABLE femc.header; CREATE TABLE femc.header (title text); INSERT INTO femc.header VALUES ('x')", None),
+    ] {
+        let Some(scratch) = Scratch::new().await else { return };
+        with_five(&scratch).await;
+        scratch.tamper(tamper).await;
+        let database = scratch.url().parse().unwrap();
+        let error = Standby::open(database, "http://one".into(), PATIENCE).await.unwrap_err();
+        assert!(matches!(&error, QueueError::ForeignTables { found, .. } if *found == version), "{error}");
+        assert_eq!(scratch.number("SELECT count(*) FROM femc.log").await, 5);
+    }
+}
+
+#[tokio::test]
+async fn an_empty_schema_that_somebody_made_is_used() {
+    let Some(scratch) = Scratch::new().await else { return };
+    scratch.tamper("CREATE SCHEMA femc").await;
+    with_five(&scratch).await;
+}
+
+#[tokio::test]
+async fn coordinators_that_begin_at_the_same_moment_make_the_tables_once_and_one_leads() {
+    let Some(scratch) = Scratch::new().await else { return };
+    let (sent, mut leaders) = tokio::sync::mpsc::unbounded_channel();
+    let begin = |number: u32| {
+        let (database, sent) = (scratch.url().parse::<Database>().unwrap(), sent.clone());
+        tokio::spawn(async move {
+            let standby = Standby::open(database, format!("http://{number}"), PATIENCE).await.unwrap();
+            let queue = standby.lead(|_| ()).await.unwrap();
+            sent.send(()).unwrap();
+            // Leads until the test ends.
+            std::future::pending::<()>().await;
+            drop(queue);
+        })
+    };
+    let all: Vec<_> = (0..6).map(begin).collect();
+    leaders.recv().await.unwrap();
+    tokio::time::sleep(2 * PATIENCE).await;
+    assert!(leaders.try_recv().is_err(), "a second one leads");
+    assert_eq!(scratch.number("SELECT epoch FROM femc.leader").await, 1);
+    all.iter().for_each(|one| one.abort());
+}
+
+#[tokio::test]
+async fn who_stands_by_hears_who_leads_and_leads_when_the_leader_is_gone() {
+    let Some(scratch) = Scratch::new().await else { return };
+    let mut first = leader(&scratch, "http://one").await;
+    first.append(&records(1, 3)).await.unwrap();
+    let heard: Arc<Mutex<Vec<Leader>>> = Arc::default();
+    let second = standby(&scratch, "http://two").await;
+    let hear = heard.clone();
+    let second = tokio::spawn(async move { second.lead(|leader| hear.lock().unwrap().push(leader)).await });
+    tokio::time::sleep(2 * PATIENCE).await;
+    assert!(!second.is_finished(), "an idle leader stays");
+    assert_eq!(*heard.lock().unwrap(), [Leader { url: "http://one".into(), epoch: 1 }], "told once");
+    first.append(&records(3, 4)).await.unwrap();
+    drop(first);
+    let mut second = second.await.unwrap().unwrap();
+    assert_eq!(second.epoch(), 2);
+    let expected = Contents { records: records(1, 4), ..Contents::default() };
+    assert_eq!(second.load().await.unwrap(), expected);
+}
+
+#[tokio::test]
+async fn a_deposed_leader_appends_nothing() {
+    let Some(scratch) = Scratch::new().await else { return };
+    let mut queue = trusting_leader(&scratch).await;
+    queue.append(&records(1, 3)).await.unwrap();
+    scratch.tamper(NEXT_EPOCH).await;
+    let error = queue.append(&records(3, 5)).await.unwrap_err();
+    assert!(matches!(error, QueueError::Deposed { epoch: 1 }), "{error}");
+    assert_eq!(error.remedy(), Remedy::Reopen);
+    assert_eq!(scratch.number("SELECT count(*) FROM femc.log").await, 2);
+}
+
+#[tokio::test]
+async fn a_deposed_leader_s_snapshot_replaces_nothing() {
+    let Some(scratch) = Scratch::new().await else { return };
+    let mut queue = trusting_leader(&scratch).await;
+    queue.append(&records(1, 3)).await.unwrap();
+    scratch.tamper(NEXT_EPOCH).await;
+    let error = queue.snapshot(b"state").await.unwrap_err();
+    assert!(matches!(error, QueueError::Deposed { epoch: 1 }), "{error}");
+    assert_eq!(scratch.number("SELECT count(*) FROM femc.log").await, 2);
+    assert_eq!(scratch.number("SELECT count(*) FROM femc.snapshot").await, 0);
+}
+
+#[tokio::test]
+async fn a_deposed_leader_does_not_cut_a_torn_tail() {
+    let Some(scratch) = Scratch::new().await else { return };
+    with_five(&scratch).await;
+    scratch.tamper("UPDATE femc.log SET record = '\\x00' WHERE sequence >= 4").await;
+    let mut queue = standby(&scratch, "http://one").await.lead(|_| ()).await.unwrap();
+    scratch.tamper(NEXT_EPOCH).await;
+    let error = queue.load().await.unwrap_err();
+    assert!(matches!(error, QueueError::Deposed { .. }), "{error}");
+    assert_eq!(scratch.number("SELECT count(*) FROM femc.log").await, 5);
+}
+
+#[tokio::test]
+async fn nobody_leads_while_a_write_of_the_leader_before_is_under_way() {
+    let Some(scratch) = Scratch::new().await else { return };
+    let mut queue = trusting_leader(&scratch).await;
+    scratch
+        .tamper(
+            "CREATE FUNCTION femc.dawdle() RETURNS trigger LANGUAGE plpgsql AS
+             $$ BEGIN PERFORM pg_sleep(0.5); RETURN NEW; END $$;
+             CREATE TRIGGER dawdle BEFORE INSERT ON femc.log FOR EACH ROW EXECUTE FUNCTION femc.dawdle()",
+        )
+        .await;
+    let write = tokio::spawn(async move { queue.append(&records(1, 2)).await });
+    let asleep = "SELECT count(*) FROM pg_stat_activity WHERE wait_event = 'PgSleep' AND datname = current_database()";
+    while scratch.number(asleep).await == 0 {}
+    scratch.tamper(NEXT_EPOCH).await;
+    assert_eq!(scratch.number("SELECT count(*) FROM femc.log").await, 1, "the write ended before");
+    write.await.unwrap().unwrap();
+}
+
+#[tokio::test]
+async fn a_deposed_leader_hears_of_it_without_writing() {
+    let Some(scratch) = Scratch::new().await else { return };
+    let mut queue = leader(&scratch, "http://one").await;
+    queue.check().unwrap();
+    scratch.tamper(NEXT_EPOCH).await;
+    let error = loop {
+        match queue.check() {
+            Ok(()) => tokio::time::sleep(Duration::from_millis(10)).await,
+            Err(error) => break error,
+        }
+    };
+    assert!(matches!(error, QueueError::Deposed { epoch: 1 }), "{error}");
+}
+
+#[tokio::test]
+async fn a_leader_cut_off_in_the_middle_of_a_write_gives_up_before_another_leads() {
+    let Some(scratch) = Scratch::new().await else { return };
+    let mut first = leader(&scratch, "http://one").await;
+    let second = standby(&scratch, "http://two").await;
+    // Whoever holds this keeps appends and signs of life waiting, as a database that is out of reach does.
+    let (held, release) = (scratch.url(), Arc::new(tokio::sync::Notify::new()));
+    let until = release.clone();
+    let holder = tokio::spawn(async move { femc_queue::testing::hold(&held, "femc.leader", until).await });
+    let error = loop {
+        match first.append(&records(1, 2)).await {
+            Ok(()) => tokio::task::yield_now().await,
+            Err(error) => break error,
+        }
+    };
+    assert!(matches!(error, QueueError::Away { .. }), "{error}");
+    assert_eq!(scratch.number("SELECT count(*) FROM pg_locks WHERE locktype = 'advisory'").await, 1, "it still leads");
+    release.notify_one();
+    holder.await.unwrap();
+    drop(first);
+    assert_eq!(second.lead(|_| ()).await.unwrap().epoch(), 2);
+}
+
+/// A leader in a runtime of its own, which stands still whenever nobody runs it: like a process that was stopped.
+#[tokio::test]
+async fn a_frozen_leader_is_replaced_and_writes_nothing_when_it_wakes() {
+    let Some(scratch) = Scratch::new().await else { return };
+    let (url, frozen) = (scratch.url(), tokio::runtime::Builder::new_current_thread().enable_all().build().unwrap());
+    let (thread, queue) = std::thread::spawn(move || {
+        let queue = frozen.block_on(async {
+            let first = Standby::open(url.parse().unwrap(), "http://one".into(), PATIENCE).await.unwrap();
+            let mut queue = first.lead(|_| ()).await.unwrap();
+            queue.load().await.unwrap();
+            queue.append(&records(1, 3)).await.unwrap();
+            queue
+        });
+        (frozen, queue)
+    })
+    .join()
+    .unwrap();
+    let mut second = standby(&scratch, "http://two").await.lead(|_| ()).await.unwrap();
+    assert_eq!((second.epoch(), second.load().await.unwrap().records), (2, records(1, 3)));
+    let woken = std::thread::spawn(move || {
+        let mut queue = queue;
+        let refused = [
+            queue.check().unwrap_err(),
+            thread.block_on(queue.append(&records(7, 9))).unwrap_err(),
+            thread.block_on(queue.snapshot(b"stale")).unwrap_err(),
+        ];
+        thread.block_on(async { drop(queue) });
+        refused
+    });
+    for error in woken.join().unwrap() {
+        assert_eq!(error.remedy(), Remedy::Reopen, "{error}");
+    }
+    second.append(&records(3, 4)).await.unwrap();
+    assert_eq!(second.load().await.unwrap().records, records(1, 4));
+}
+
+async fn refused(url: &str) -> QueueError {
+    Standby::open(url.parse().unwrap(), "http://one".into(), PATIENCE).await.map(drop).unwrap_err()
+}
+
+#[tokio::test]
+async fn a_wrong_password_or_database_and_a_server_that_is_away_are_told_apart() {
+    let Some(scratch) = Scratch::new().await else { return };
+    let url = scratch.url();
+    let (head, tail) = url.split_once('@').unwrap();
+    let (user, password) = head.rsplit_once(':').unwrap();
+    let error = refused(&format!("{user}:wrong@{tail}")).await;
+    assert!(matches!(error, QueueError::Rejected { .. }), "{error}");
+    assert!(!error.to_string().contains("wrong"), "{error}");
+    let (place, _) = tail.split_once('/').unwrap();
+    let error = refused(&format!("{head}@{place}/no_such_database")).await;
+    assert!(matches!(&error, QueueError::Rejected { message, .. } if message.contains("no_such_database")), "{error}");
+    assert!(!error.to_string().contains(password), "{error}");
+    let error = refused(&format!("{head}@{tail}&sslmode=require")).await;
+    assert!(matches!(error, QueueError::Rejected { .. }), "{error}");
+    // A port that nobody listens on: bound, so that nobody else takes it.
+    let taken = tokio::net::TcpSocket::new_v4().unwrap();
+    taken.bind("127.0.0.1:0".parse().unwrap()).unwrap();
+    let error = refused(&format!("postgres://ann:x@{}/farm", taken.local_addr().unwrap())).await;
+    assert!(matches!(error, QueueError::Away { .. }), "{error}");
+}
+
+#[tokio::test]
+async fn commits_wait_for_the_disk_even_where_the_server_would_not() {
+    let Some(scratch) = Scratch::new().await else { return };
+    scratch
+        .tamper(
+            "DO $$ BEGIN EXECUTE format('ALTER DATABASE %I SET synchronous_commit = off', current_database()); END $$",
+        )
+        .await;
+    scratch
+        .tamper(
+            "CREATE SCHEMA seen; CREATE TABLE seen.settings (setting text);
+             CREATE FUNCTION seen.note() RETURNS trigger LANGUAGE plpgsql AS
+             $$ BEGIN INSERT INTO seen.settings VALUES (current_setting('synchronous_commit')); RETURN NEW; END $$",
+        )
+        .await;
+    let mut queue = leader(&scratch, "http://one").await;
+    scratch
+        .tamper("CREATE TRIGGER note AFTER INSERT ON femc.log FOR EACH STATEMENT EXECUTE FUNCTION seen.note()")
+        .await;
+    queue.append(&records(1, 3)).await.unwrap();
+    assert_eq!(
+        scratch.number("SELECT count(*) FROM seen.settings WHERE setting = 'on'").await,
+        1,
+        "one statement a batch"
+    );
+    assert_eq!(scratch.number("SELECT count(*) FROM seen.settings").await, 1);
+}

@@ -1,0 +1,133 @@
+//! The addresses of one farm's coordinators, of which one leads and answers.
+//!
+//! A connection goes to the first that takes it. When it breaks, the next goes to the one after: who has just failed is
+//! asked last. So a client finds the leader again by itself, at the cost of refused connections to those that stand by.
+
+use std::io;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::time::Duration;
+
+use tokio::net::TcpStream;
+use tonic::transport::Uri;
+
+use crate::error::CallError;
+use crate::net::{Dial, Link};
+
+/// One or more addresses, and the one in use.
+#[derive(Debug)]
+pub(crate) struct Addresses {
+    all: Vec<Uri>,
+    urls: Vec<String>,
+    used: AtomicUsize,
+}
+
+impl Addresses {
+    /// How long one of several may take to take a connection.
+    const PATIENCE: Duration = Duration::from_secs(2);
+
+    /// From a list with commas between.
+    pub(crate) fn parse(list: &str) -> Result<Self, CallError> {
+        let no_address = |message: String| CallError::Address { url: list.into(), message };
+        let urls: Vec<String> = list.split(',').map(|url| url.trim().to_owned()).collect();
+        let mut all = Vec::new();
+        for url in &urls {
+            let uri: Uri = url.parse().map_err(|error| no_address(format!("`{url}`: {error}")))?;
+            if urls.len() > 1 && (uri.scheme_str() != Some("http") || uri.host().is_none()) {
+                return Err(no_address(format!("`{url}` does not begin with http://")));
+            }
+            all.push(uri);
+        }
+        // The first that is tried is the one after the one in use.
+        let used = AtomicUsize::new(all.len() - 1);
+        Ok(Self { all, urls, used })
+    }
+
+    pub(crate) fn count(&self) -> usize {
+        self.all.len()
+    }
+
+    /// For what must have one address to begin with.
+    pub(crate) fn first(&self) -> Uri {
+        self.all[0].clone()
+    }
+
+    /// The one in use.
+    pub(crate) fn used(&self) -> &str {
+        &self.urls[self.used.load(Ordering::Relaxed)]
+    }
+
+    /// All of them, as they were given.
+    pub(crate) fn list(&self) -> String {
+        self.urls.join(",")
+    }
+
+    /// A connection to the first that takes one, from the one after that in use.
+    pub(crate) async fn reach(self: Arc<Self>, dial: Dial) -> io::Result<Link> {
+        let mut faults = Vec::new();
+        let begin = self.used.load(Ordering::Relaxed) + 1;
+        for at in (begin..begin + self.count()).map(|at| at % self.count()) {
+            let uri = &self.all[at];
+            let (host, port) = (uri.host().unwrap_or_default().to_owned(), uri.port_u16().unwrap_or(80));
+            let link = async {
+                match &dial.0 {
+                    Some(dial) => dial(host, port).await,
+                    None => tcp(host, port).await,
+                }
+            };
+            match tokio::time::timeout(Self::PATIENCE, link).await {
+                Ok(Ok(link)) => {
+                    self.used.store(at, Ordering::Relaxed);
+                    return Ok(link);
+                }
+                Ok(Err(error)) => faults.push(error.to_string()),
+                Err(_) => faults.push("no answer".into()),
+            }
+        }
+        faults.dedup();
+        Err(io::Error::other(faults.join("; ")))
+    }
+}
+
+async fn tcp(host: String, port: u16) -> io::Result<Link> {
+    let host = host.trim_start_matches('[').trim_end_matches(']').to_owned();
+    let stream = TcpStream::connect((host, port)).await?;
+    stream.set_nodelay(true)?;
+    Ok(Link::new(stream))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_list_is_addresses_with_commas_between() {
+        let addresses = Addresses::parse("http://one:7878, http://two:7879").unwrap();
+        assert_eq!(addresses.list(), "http://one:7878,http://two:7879");
+        assert_eq!(addresses.count(), 2);
+        for wrong in ["http://one,", ",", "http://one,two:7878", "http://one,http://a b", "http://one,ftp://two"] {
+            assert!(matches!(Addresses::parse(wrong), Err(CallError::Address { .. })), "{wrong}");
+        }
+    }
+
+    #[tokio::test]
+    async fn a_broken_connection_is_followed_by_one_to_the_next_that_takes_it() {
+        let dial = Dial::by(|host, _| {
+            Box::pin(async move {
+                match host.as_str() {
+                    "down" => Err(io::Error::other("refused")),
+                    _ => Ok(Link::new(tokio::io::empty())),
+                }
+            })
+        });
+        let addresses = Arc::new(Addresses::parse("http://down,http://one,http://two").unwrap());
+        let mut used = Vec::new();
+        for _ in 0..3 {
+            addresses.clone().reach(dial.clone()).await.unwrap();
+            used.push(addresses.used().to_owned());
+        }
+        assert_eq!(used, ["http://one", "http://two", "http://one"]);
+        let down = Arc::new(Addresses::parse("http://down,http://down").unwrap());
+        assert_eq!(down.reach(dial).await.unwrap_err().to_string(), "refused");
+    }
+}

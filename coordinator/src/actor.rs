@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-use femc_model::{Failure, FromWorker, JobId, JobStatus, Tick, WorkerId};
+use femc_model::{Failure, FromWorker, JobId, JobStatus, Tick, ToWorker, WorkerId};
 use femc_proto::{Call, Reply, Session};
 use femc_queue::Queue;
 use femc_schedule::{Command, Event, Fact, RequestId, Scheduler};
@@ -58,6 +58,8 @@ pub(crate) struct Actor<Q> {
     /// What follows from obeying: sessions that broke.
     pub(crate) echoes: VecDeque<Event>,
     questions: Vec<Question>,
+    /// Heartbeats that are heard and not answered, with their numbers.
+    heartbeats: Vec<(WorkerId, u64)>,
     numbers: u64,
     /// Records since the last snapshot.
     records: usize,
@@ -88,6 +90,7 @@ impl<Q: Queue> Actor<Q> {
             facts: Vec::new(),
             echoes: VecDeque::new(),
             questions: Vec::new(),
+            heartbeats: Vec::new(),
             numbers: 0,
             records,
             words,
@@ -146,6 +149,11 @@ impl<Q: Queue> Actor<Q> {
     fn word(&mut self, worker: WorkerId, word: Word, commands: &mut Vec<Command>) {
         if !self.workers.contains_key(&worker) {
             return;
+        }
+        if let Word::Said(said) = &word
+            && let FromWorker::Heartbeat { number, .. } = **said
+        {
+            self.heartbeats.push((worker, number));
         }
         let event = match word {
             Word::Said(said) => event_of(worker, *said),
@@ -208,8 +216,19 @@ impl<Q: Queue> Actor<Q> {
             self.records += records.len();
         }
         self.obey(commands);
+        self.renew();
         self.answer();
         Ok(())
+    }
+
+    /// Answers the heartbeats. After the commands: an assignment that a worker gets after such an answer was made after the
+    /// heartbeat was sent.
+    fn renew(&mut self) {
+        let now = self.clock.now();
+        for (worker, heartbeat) in std::mem::take(&mut self.heartbeats) {
+            let leases = self.scheduler.leases(worker, now);
+            self.tell(worker, ToWorker::Renewed { heartbeat, leases });
+        }
     }
 
     fn answer(&mut self) {
@@ -244,7 +263,7 @@ impl<Q: Queue> Actor<Q> {
 /// What a worker says, as the scheduler hears it.
 fn event_of(worker: WorkerId, said: FromWorker) -> Option<Event> {
     Some(match said {
-        FromWorker::Heartbeat(tasks) => Event::Heartbeat { worker, tasks },
+        FromWorker::Heartbeat { tasks, .. } => Event::Heartbeat { worker, tasks },
         FromWorker::Completed { task, epoch, result } => Event::Completed { worker, task, epoch, result },
         FromWorker::Failed { task, epoch, failure } => {
             match failure {

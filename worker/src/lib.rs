@@ -2,19 +2,22 @@
 //!
 //! Talking is asynchronous; work is not. Two threads take tasks, one renders and one merges, and both compute on the
 //! worker's own rayon pool; a third prepares the frames of tasks that were fetched ahead. Results go up while the next
-//! task runs. When the session breaks, what runs is cancelled: the coordinator has given it to others.
+//! task runs. When the session breaks, what runs goes on, and what is done is kept: the next session brings both along.
 #![deny(missing_docs)]
 
 mod cache;
+mod claims;
 mod clock;
 mod config;
 mod execute;
 mod fetch;
+mod finish;
 mod session;
 mod simulated;
 mod sums;
 mod table;
 mod threads;
+mod upload;
 mod worker;
 
 pub use cache::Cache;

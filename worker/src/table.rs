@@ -61,7 +61,7 @@ impl Task {
         self.cancel.load(Ordering::Relaxed)
     }
 
-    fn progress(&self) -> TaskProgress {
+    pub(crate) fn progress(&self) -> TaskProgress {
         let phase = match self.phase.load(Ordering::Relaxed) {
             0 => Phase::Waiting,
             1 => Phase::Preparing,
@@ -190,10 +190,5 @@ impl Table {
         self.lock().closed = true;
         self.arrived.notify_all();
         self.changed.notify_waiters();
-    }
-
-    /// How far every task is.
-    pub(crate) fn progress(&self) -> Vec<TaskProgress> {
-        self.lock().held.values().map(|task| task.progress()).collect()
     }
 }

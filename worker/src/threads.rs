@@ -2,16 +2,13 @@
 
 use std::sync::{Arc, mpsc};
 
-use femc_model::{Epoch, Failure, JobSpec, StageKind, TaskKey};
+use femc_model::{JobSpec, StageKind};
 use femc_proto::Client;
-use tokio::sync::mpsc::UnboundedSender;
 
 use crate::config::WorkerError;
-use crate::execute::{Product, Tools, execute};
+use crate::execute::{Tools, execute};
+use crate::finish::Finish;
 use crate::table::Table;
-
-/// A task that is done, or not.
-pub(crate) type Finished = ((TaskKey, Epoch), Result<Product, Failure>);
 
 /// A frame that will be needed soon.
 pub(crate) struct Ahead {
@@ -25,15 +22,14 @@ pub(crate) fn start(
     name: &str,
     tools: &Tools,
     table: &Arc<Table>,
-    finished: &UnboundedSender<Finished>,
+    finish: &Finish,
 ) -> Result<mpsc::Sender<Ahead>, WorkerError> {
     for (kind, what) in [(StageKind::Render, "render"), (StageKind::Merge, "merge")] {
-        let (tools, table, finished) = (tools.clone(), table.clone(), finished.clone());
+        let (tools, table, finish) = (tools.clone(), table.clone(), finish.clone());
         spawn(format!("{name} {what}"), move || {
             while let Some(task) = table.take(kind) {
                 let outcome = execute(&task, &tools);
-                // Without a listener the worker is ending.
-                let _ = finished.send((task.key(), outcome));
+                finish.done(&task, outcome);
             }
         })?;
     }

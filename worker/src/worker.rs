@@ -14,6 +14,7 @@ use crate::clock::Stopwatch;
 use crate::config::{Config, Hands, WorkerError};
 use crate::execute::Tools;
 use crate::fetch::Fetch;
+use crate::finish::Finish;
 use crate::session::{End, Session};
 use crate::table::Table;
 use crate::{simulated, threads};
@@ -49,7 +50,8 @@ impl Worker {
         let tools =
             Tools { pool: Arc::new(pool), cache: config.cache.clone(), fetch: Fetch::Blocking(Handle::current()) };
         let table = Arc::new(Table::default());
-        let (finish, mut finished) = mpsc::unbounded_channel();
+        let (told, mut finished) = mpsc::unbounded_channel();
+        let finish = Finish { told };
         let ahead = match &config.hands {
             Hands::Threads => threads::start(&config.name, &tools, &table, &finish)?,
             Hands::Simulated(pace) => simulated::start(pace, &tools, &table, &finish),

@@ -22,6 +22,6 @@ pub use id::{Epoch, JobId, Tick, WorkerId};
 pub use job::{Control, JobSpec, JobState, SpecError};
 pub use refusal::Refusal;
 pub use result::{Artefact, Decision, FrameRecord, MergeResult, TaskResult, TileResult};
-pub use session::{FromWorker, HeldLease, Phase, Registration, RevokeReason, TaskProgress, ToWorker};
+pub use session::{FromWorker, HeldLease, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, ToWorker};
 pub use status::{FrameProgress, JobStatus, Quarantined, Wait, WorkerStatus};
 pub use task::{Assignment, More, Stage, StageKind, TaskKey, Work};

@@ -118,6 +118,7 @@ impl Scheduler {
         }
         self.floor.join(worker, registration, now);
         for HeldLease { task, epoch, job } in held {
+            self.take_over(&task, epoch);
             if self.may_adopt(&task, &job) {
                 self.charge(&task);
                 if let Some(desk) = self.desks.get_mut(&task.job) {
@@ -129,6 +130,15 @@ impl Scheduler {
                 self.note_stale(task.job);
                 out.push(Command::Revoke { worker, task, epoch, reason: RevokeReason::Expired });
             }
+        }
+    }
+
+    /// A lease is its worker's, whatever session or process of it comes with it: an earlier one that has not been heard to
+    /// end yet loses it.
+    fn take_over(&mut self, task: &TaskKey, epoch: Epoch) {
+        if self.floor.leases.get(task).is_some_and(|lease| lease.epoch == epoch) {
+            self.floor.release(task);
+            self.put_back(task);
         }
     }
 

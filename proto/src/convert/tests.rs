@@ -118,7 +118,7 @@ fn the_words_of_a_session_cross_the_wire() {
         ..done.clone()
     };
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Register(registration));
-    crosses::<FromWorker, wire::FromWorker>(FromWorker::Heartbeat(progress.to_vec()));
+    crosses::<FromWorker, wire::FromWorker>(FromWorker::Heartbeat { number: 3, tasks: progress.to_vec() });
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Draining);
     for result in [TaskResult::Tile(tile), TaskResult::Merge(done), TaskResult::Merge(on)] {
         crosses::<FromWorker, wire::FromWorker>(FromWorker::Completed { task: render, epoch, result });
@@ -139,7 +139,9 @@ fn the_words_of_a_session_cross_the_wire() {
         let assignment = Assignment { task: merge, epoch, lease: 5000, work };
         crosses::<ToWorker, wire::ToWorker>(ToWorker::Assign(assignment));
     }
-    crosses::<ToWorker, wire::ToWorker>(ToWorker::Welcome { worker: WorkerId(4), heartbeat: 500 });
+    crosses::<ToWorker, wire::ToWorker>(ToWorker::Welcome { worker: WorkerId(4), heartbeat: 500, lease: 5000 });
+    let leases = vec![LeaseLeft { task: render, epoch, left: 4321 }];
+    crosses::<ToWorker, wire::ToWorker>(ToWorker::Renewed { heartbeat: 3, leases });
     crosses::<ToWorker, wire::ToWorker>(ToWorker::Job { job: JobId(7), spec: Box::new(spec()) });
     for reason in [RevokeReason::Expired, RevokeReason::JobEnded] {
         crosses::<ToWorker, wire::ToWorker>(ToWorker::Revoke { task: render, epoch, reason });

@@ -1,7 +1,7 @@
 //! A farm machine: joins a coordinator, renders tiles, merges frames.
 //!
-//! Talking is asynchronous; work is not. Two threads take tasks, one renders and one merges, and both compute on the
-//! worker's own rayon pool; a third prepares the frames of tasks that were fetched ahead. Results go up while the next
+//! Talking is asynchronous; work is not. Two lanes take tasks, one renders and one merges, and both compute on the
+//! worker's own rayon pool; a thread prepares the frames of tasks that were fetched ahead. Results go up while the next
 //! task runs. When the session breaks, what runs goes on, and what is done is kept: the next session brings both along.
 #![deny(missing_docs)]
 

@@ -157,13 +157,15 @@ impl<'a> Session<'a> {
                     tracing::warn!(task = %assignment.task, "a task of a job that was not told");
                     return;
                 };
-                if let Work::Render { .. } = assignment.work {
+                let task = (assignment.task, assignment.epoch);
+                let ahead = matches!(assignment.work, Work::Render { .. }).then(|| {
                     let (spec, frame) = (spec.clone(), assignment.task.stage.frame);
-                    // Without its thread the worker is ending.
-                    let _ = self.ahead.send(Ahead { spec, frame, client: self.client.clone() });
-                }
-                self.claims.assigned((assignment.task, assignment.epoch), assignment.lease);
+                    Ahead { spec, frame, client: self.client.clone(), task }
+                });
+                self.claims.assigned(task, assignment.lease);
                 self.table.put(Arc::new(Task::new(assignment, spec.clone(), self.client.clone())));
+                // Without its thread the worker is ending.
+                ahead.into_iter().for_each(|ahead| drop(self.ahead.send(ahead)));
             }
             ToWorker::Renewed { heartbeat, leases } => {
                 self.claims.renewed(heartbeat, &leases);

@@ -358,6 +358,23 @@ fn what_a_returning_worker_brings_is_taken_back_if_another_has_it_or_the_job_is_
 }
 
 #[test]
+fn a_worker_that_starts_again_takes_its_lease_from_the_session_that_nobody_has_heard_to_end() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[8]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    // Another process: nothing but the lease tells that it is the same worker.
+    let commands = farm.rejoin(2, std::slice::from_ref(&held));
+    assert!(!commands.iter().any(|c| matches!(c, Command::Revoke { .. })), "{commands:?}");
+    assert!(refused(&farm.complete(1, &held, Done)), "the old session has lost it");
+    assert!(recorded(&farm.complete(2, &held, Done)), "and nobody else has got it");
+    assert_eq!(farm.status(id).stale_messages, 1);
+    // One that comes with the lease again, later, changes nothing.
+    let commands = farm.rejoin(3, std::slice::from_ref(&held));
+    assert!(commands.iter().any(|c| matches!(c, Command::Revoke { .. })), "{commands:?}");
+}
+
+#[test]
 fn owners_share_the_time_by_their_weights() {
     let weights = [("ann".to_owned(), 3)].into();
     let mut farm = Farm::with(Config { weights, ..common::config() });

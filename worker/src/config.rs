@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::hash::{BuildHasher as _, RandomState};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -33,6 +34,28 @@ pub struct Config {
     pub dial: Dial,
     /// Who does the tasks.
     pub hands: Hands,
+    /// Where results are kept until the coordinator has acknowledged them; `None`: in memory.
+    pub outbox: Option<OutboxConfig>,
+}
+
+/// Where a worker keeps results that are not acknowledged.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct OutboxConfig {
+    /// A folder of its own; it is made.
+    pub folder: PathBuf,
+    /// Most bytes in it.
+    pub limit: u64,
+    /// What to do when another worker uses it.
+    pub if_taken: IfTaken,
+}
+
+/// What to do when another worker uses the folder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum IfTaken {
+    /// Do not start.
+    Fail,
+    /// Take the first that is free of `FOLDER-2`, `FOLDER-3` and so on.
+    NextFree,
 }
 
 /// Who does a worker's tasks.
@@ -89,6 +112,7 @@ impl Config {
             instance: RandomState::new().hash_one(std::process::id()),
             dial: Dial::tcp(),
             hands: Hands::Threads,
+            outbox: None,
         }
     }
 }
@@ -99,6 +123,14 @@ pub enum WorkerError {
     /// The coordinator's address is none, it refuses this worker, or it was away for too long.
     #[error(transparent)]
     Call(#[from] CallError),
+    /// The folder for results cannot be used.
+    #[error("outbox {}: {message}", folder.display())]
+    Outbox {
+        /// Which.
+        folder: PathBuf,
+        /// Why.
+        message: String,
+    },
     /// The render threads cannot be started.
     #[error("render threads: {0}")]
     Threads(String),

@@ -12,6 +12,7 @@ mod config;
 mod execute;
 mod fetch;
 mod finish;
+mod outbox;
 mod session;
 mod simulated;
 mod sums;
@@ -21,5 +22,5 @@ mod upload;
 mod worker;
 
 pub use cache::Cache;
-pub use config::{AtStop, Config, Hands, Pace, WorkerError};
+pub use config::{AtStop, Config, Hands, IfTaken, OutboxConfig, Pace, WorkerError};
 pub use worker::Worker;

@@ -16,6 +16,7 @@ use tokio::time::{Instant, Interval, MissedTickBehavior};
 
 use crate::claims::Claims;
 use crate::config::AtStop;
+use crate::outbox::Outbox;
 use crate::table::{Table, Task};
 use crate::threads::Ahead;
 use crate::upload::{NotSent, upload};
@@ -36,6 +37,7 @@ type Sent = ((TaskKey, Epoch), Result<TaskResult, NotSent>);
 pub(crate) struct Session<'a> {
     client: Client,
     table: &'a Arc<Table>,
+    outbox: &'a Outbox,
     ahead: &'a mpsc::Sender<Ahead>,
     finished: &'a mut UnboundedReceiver<(TaskKey, Epoch)>,
     at_stop: AtStop,
@@ -54,6 +56,7 @@ impl<'a> Session<'a> {
     pub(crate) fn new(
         client: Client,
         table: &'a Arc<Table>,
+        outbox: &'a Outbox,
         ahead: &'a mpsc::Sender<Ahead>,
         finished: &'a mut UnboundedReceiver<(TaskKey, Epoch)>,
         at_stop: AtStop,
@@ -61,6 +64,7 @@ impl<'a> Session<'a> {
         Self {
             client,
             table,
+            outbox,
             ahead,
             finished,
             at_stop,
@@ -190,6 +194,7 @@ impl<'a> Session<'a> {
         self.claims.forget(&key);
         self.sending.remove(&key);
         self.table.drop_task(&key);
+        self.outbox.forget(key);
     }
 
     /// Sends a result's artefacts, while the next task runs. Not of a lease that may be over: it waits until the coordinator

@@ -9,6 +9,7 @@ use femc_proto::Client;
 use tokio::sync::Notify;
 
 use crate::execute::Product;
+use crate::outbox::Restored;
 
 /// A task under a lease.
 #[derive(Debug)]
@@ -32,6 +33,14 @@ impl Task {
     pub(crate) fn new(assignment: Assignment, spec: Arc<JobSpec>, client: Client) -> Self {
         let (cancel, samples, phase) = (AtomicBool::new(false), AtomicU64::new(0), AtomicU8::new(0));
         Self { assignment, spec, client, cancel, samples, phase, outcome: OnceLock::new() }
+    }
+
+    /// A task that an earlier life of this worker has done.
+    pub(crate) fn restored(restored: Restored, client: Client) -> Self {
+        let Restored { assignment, spec, product } = restored;
+        let task = Self::new(assignment, Arc::new(spec), client);
+        task.settle(Ok(product));
+        task
     }
 
     /// The lease, as a later session brings it along.
@@ -110,6 +119,11 @@ impl Table {
         state.line.push(task);
         self.arrived.notify_all();
         self.changed.notify_waiters();
+    }
+
+    /// Holds a task that is done.
+    pub(crate) fn keep(&self, task: Arc<Task>) {
+        self.lock().held.insert(task.key(), task);
     }
 
     /// The oldest waiting task of this kind; waits for one. `None` when the table is closed.

@@ -15,8 +15,9 @@ use crate::config::{Config, Hands, WorkerError};
 use crate::execute::Tools;
 use crate::fetch::Fetch;
 use crate::finish::Finish;
+use crate::outbox::Outbox;
 use crate::session::{End, Session};
-use crate::table::Table;
+use crate::table::{Table, Task};
 use crate::{simulated, threads};
 
 /// A farm machine.
@@ -51,7 +52,13 @@ impl Worker {
             Tools { pool: Arc::new(pool), cache: config.cache.clone(), fetch: Fetch::Blocking(Handle::current()) };
         let table = Arc::new(Table::default());
         let (told, mut finished) = mpsc::unbounded_channel();
-        let finish = Finish { told };
+        let (outbox, mut restored) = match config.outbox.clone() {
+            None => (Outbox::default(), Vec::new()),
+            Some(outbox) => tokio::task::spawn_blocking(move || Outbox::open(&outbox))
+                .await
+                .map_err(|error| WorkerError::Threads(error.to_string()))??,
+        };
+        let finish = Finish { told, outbox: outbox.clone() };
         let ahead = match &config.hands {
             Hands::Threads => threads::start(&config.name, &tools, &table, &finish)?,
             Hands::Simulated(pace) => simulated::start(pace, &tools, &table, &finish),
@@ -67,7 +74,9 @@ impl Worker {
                     () = &mut stop => return Ok(End::Stopped),
                 };
                 pause = Self::FIRST_PAUSE;
-                let session = Session::new(client, &table, &ahead, &mut finished, config.at_stop);
+                let kept = restored.drain(..).map(|restored| Task::restored(restored, client.clone()));
+                kept.for_each(|task| table.keep(Arc::new(task)));
+                let session = Session::new(client, &table, &outbox, &ahead, &mut finished, config.at_stop);
                 let held = table.held().iter().map(|task| task.lease()).collect();
                 session.run(Registration { held, ..registration.clone() }, stop.as_mut()).await
             };
@@ -93,6 +102,8 @@ impl Worker {
             }
         };
         table.close();
+        // What it does at the end it does within milliseconds, or the disk is broken.
+        let _ = tokio::task::spawn_blocking(move || outbox.close()).await;
         outcome
     }
 }

@@ -10,6 +10,7 @@ mod embedded;
 pub mod fetch;
 mod interrupt;
 pub mod jobs;
+mod outbox;
 pub mod plan;
 pub mod render;
 pub mod status;

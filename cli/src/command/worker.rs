@@ -2,6 +2,7 @@
 
 use super::client::{Farm, runtime};
 use super::interrupt::Interrupt;
+use super::outbox;
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed};
 use crate::output::Say;
@@ -29,6 +30,10 @@ pub struct WorkerArgs {
     /// Name for people [default: the machine's]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
+    /// Folder for results that the coordinator has not acknowledged, or memory: a worker that is killed brings them along
+    /// when it starts again [default: one under the user's state folder, by coordinator and name]
+    #[arg(long, value_name = "DIR", value_parser = outbox::parse)]
+    outbox: Option<outbox::Outbox>,
     /// How long to look for the coordinator at the start
     #[arg(long, value_name = "DURATION", default_value = "30s")]
     patience: Budget,
@@ -45,8 +50,10 @@ pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
             found = coordinator(&args.join, args.patience) => found?,
             () = interrupt.wait() => return Ok(Exit::Done),
         }
+        let name = args.name.unwrap_or_else(machine);
         let config = Config {
-            name: args.name.unwrap_or_else(machine),
+            outbox: outbox::config(args.outbox, &args.join, &name),
+            name,
             threads: args.threads.map_or(0, |threads| threads as usize),
             tags: args.tags,
             at_stop: AtStop::Finish,
@@ -63,6 +70,9 @@ pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
             }
             Err(WorkerError::Call(error)) => Err(super::client::told(error)),
             Err(error @ WorkerError::Threads(_)) => Err(failed(error)),
+            Err(error @ WorkerError::Outbox { .. }) => {
+                Err(failed(format!("--{error}; give another folder, or memory")))
+            }
         }
     })
 }

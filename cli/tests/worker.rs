@@ -1,0 +1,64 @@
+//! A worker's own life, as a process: what it keeps, what it heeds, when it ends.
+
+mod common;
+use common::{Place, Proxy, coordinator, share, status, submit, workers};
+
+/// One tile, some seconds long.
+const TILE: &str = "--spp 2500 --size 16x16 --frames 1";
+
+/// The results in an outbox.
+fn kept(place: &Place, folder: &str) -> Vec<String> {
+    let names = common::names(&place.path(folder));
+    names.into_iter().filter(|name| name.ends_with(".done")).collect()
+}
+
+#[test]
+fn a_worker_killed_between_a_result_and_its_acknowledgement_brings_the_result_along() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let proxy = Proxy::to(&url);
+    let mut first = place.start(&format!("worker --join {} --threads 1 --tags lab --outbox box", proxy.url));
+    let job = submit(&place, &url, &format!("{TILE} --tags lab"));
+    farm.wait_until("some samples", || share(&place, &url, &job) > 0.05);
+    proxy.freeze();
+    first.wait_until("a finished tile", || !kept(&place, "box").is_empty());
+    let tiles_done = |status: &serde_json::Value| status["active"][0]["tiles_done"].as_u64();
+    let before = status(&place, &url, &job);
+    assert_ne!(tiles_done(&before), Some(1), "the farm has not heard of it: {before}");
+    assert!(first.kill(), "it was alive");
+    assert_eq!(kept(&place, "box").len(), 1, "it outlives the kill");
+
+    // Without the tag it gets no task of this job: what it brings is what it had.
+    let mut second = place.start(&format!("worker --join {url} --threads 1 --outbox box"));
+    farm.wait_until("the tile", || tiles_done(&status(&place, &url, &job)) == Some(1));
+    second.wait_until("an empty outbox", || kept(&place, "box").is_empty());
+    let third = place.start(&format!("worker --join {url} --threads 1 --tags lab --name merger"));
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    let all = workers(&place, &url);
+    let merger = all.as_array().expect("a list").iter().find(|worker| worker["name"] == "merger");
+    assert_eq!(merger.expect("it is there")["completed"], 1, "only the merge was left to do: {all}");
+    drop(third);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    place.run(&format!("render fog.mgf -o alone {TILE}")).exits(0);
+    let name = &common::names(&place.path("alone"))[0];
+    assert_eq!(
+        common::pixels(&place.path("out").join(name)),
+        common::pixels(&place.path("alone").join(name)),
+        "the tile of the killed worker is the tile"
+    );
+}
+
+#[test]
+fn an_outbox_in_use_is_refused_and_the_default_one_is_not() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    let mut first = place.start(&format!("worker --join {url} --threads 1 --outbox box"));
+    first.wait_until("its folder", || place.path("box/lock").exists() && workers(&place, &url)[0].is_object());
+    let ran = place.run(&format!("worker --join {url} --threads 1 --outbox box")).exits(1);
+    assert!(ran.stderr().contains("--outbox box: another worker uses it"), "{}", ran.stderr());
+    let mut others = [1, 2].map(|_| place.start(&format!("worker --join {url} --threads 1 --name same")));
+    let count = || workers(&place, &url).as_array().map_or(0, Vec::len);
+    others[0].wait_until("both", || count() == 3);
+    let folders = common::names(&place.path(".state/femc/outbox"));
+    assert!(folders.len() == 2 && folders[1].ends_with("same-2"), "{folders:?}");
+}

@@ -49,6 +49,26 @@ fn a_worker_killed_between_a_result_and_its_acknowledgement_brings_the_result_al
 }
 
 #[test]
+fn a_drained_worker_gets_nothing_and_says_so_until_that_is_undone() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let _worker = place.start(&format!("worker --join {url} --threads 1 --name lab"));
+    farm.wait_until("a worker", || workers(&place, &url)[0].is_object());
+    let ran = place.run(&format!("drain lap --server {url}")).exits(2);
+    assert!(ran.stderr().contains("there is no worker lap"), "{}", ran.stderr());
+    let ran = place.run(&format!("drain lab --server {url}")).exits(0);
+    assert!(ran.stderr().contains("--undo"), "{}", ran.stderr());
+    assert_eq!(workers(&place, &url)[0]["intake"], "draining");
+    let job = submit(&place, &url, "--spp 1 --frames 1");
+    let why = place.run(&format!("status {job} --why --server {url}")).exits(0).stdout();
+    assert!(why.contains("takes no more tasks"), "{why}");
+    let number = workers(&place, &url)[0]["worker"].to_string();
+    place.run(&format!("drain {number} --undo --server {url}")).exits(0);
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    assert_eq!(workers(&place, &url)[0]["intake"], "open");
+}
+
+#[test]
 fn an_outbox_in_use_is_refused_and_the_default_one_is_not() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-use femc_model::{Failure, FromWorker, JobId, JobStatus, Tick, ToWorker, WorkerId};
+use femc_model::{Failure, FromWorker, JobId, JobStatus, Refusal, Tick, ToWorker, WorkerId};
 use femc_proto::{Call, Reply, Session};
 use femc_queue::Queue;
 use femc_schedule::{Command, Event, Fact, RequestId, Scheduler};
@@ -40,6 +40,7 @@ enum Question {
     Watch(JobId, Reply<watch::Receiver<JobStatus>>),
     Frames(JobId, Reply<Vec<femc_model::FrameRecord>>),
     Workers(Reply<Vec<femc_model::WorkerStatus>>),
+    Drained(Result<Vec<WorkerId>, Refusal>, Reply<Vec<WorkerId>>),
 }
 
 /// The shell around the scheduler.
@@ -183,6 +184,15 @@ impl<Q: Queue> Actor<Q> {
             Call::Status { job, reply } => self.questions.push(Question::Status(job, reply)),
             Call::Watch { job, reply } => self.questions.push(Question::Watch(job, reply)),
             Call::Frames { job, reply } => self.questions.push(Question::Frames(job, reply)),
+            Call::Drain { worker, drain, reply } => {
+                let workers = self.scheduler.named(&worker);
+                for &worker in &workers {
+                    self.hear(Event::Drained { worker, drain }, commands);
+                }
+                let nobody = || Refusal::NoSuchWorker { worker: worker.to_string() };
+                let answer = if workers.is_empty() { Err(nobody()) } else { Ok(workers) };
+                self.questions.push(Question::Drained(answer, reply));
+            }
             Call::Workers { reply } => self.questions.push(Question::Workers(reply)),
         }
     }
@@ -240,6 +250,7 @@ impl<Q: Queue> Actor<Q> {
                 Question::Status(job, reply) => drop(reply.send(self.scheduler.status(job, now))),
                 Question::Watch(job, reply) => drop(reply.send(self.watch(job))),
                 Question::Frames(job, reply) => drop(reply.send(self.scheduler.frames(job))),
+                Question::Drained(answer, reply) => drop(reply.send(answer)),
                 Question::Workers(reply) => drop(reply.send(Ok(self.scheduler.workers(now)))),
             }
         }
@@ -273,6 +284,7 @@ fn event_of(worker: WorkerId, said: FromWorker) -> Option<Event> {
             Event::Failed { worker, task, epoch, failure }
         }
         FromWorker::Draining => Event::Draining { worker },
+        FromWorker::Available => Event::Available { worker },
         // A session has one registration, and it is over.
         FromWorker::Register(_) => return None,
     })

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use bytes::{Bytes, BytesMut};
 use femc_model::{
-    Artefact, Control, Digest, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, Registration, ToWorker, WorkerStatus,
+    Artefact, Control, Digest, Drain, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, Registration, ToWorker,
+    WorkerId, WorkerName, WorkerStatus,
 };
 use hyper_util::rt::TokioIo;
 use tokio::sync::mpsc;
@@ -122,6 +123,13 @@ impl Client {
         let reply =
             self.jobs().list_workers(wire::ListWorkersRequest {}).await.map_err(|status| self.error(&status))?;
         Ok(each(reply.into_inner().workers)?)
+    }
+
+    /// Gives workers no more tasks, or tasks again; returns the sessions that it was done to.
+    pub async fn drain(&self, worker: WorkerName, drain: Drain) -> Result<Vec<WorkerId>, CallError> {
+        let request = wire::DrainWorkersRequest::from((worker, drain));
+        let reply = self.jobs().drain_workers(request).await.map_err(|status| self.error(&status))?;
+        Ok(reply.into_inner().workers.into_iter().map(WorkerId).collect())
     }
 
     /// Those of `digests` that the coordinator's store does not have.

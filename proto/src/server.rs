@@ -9,7 +9,8 @@ use std::io;
 use std::time::Duration;
 
 use femc_model::{
-    Control, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, Refusal, Registration, ToWorker, WorkerStatus,
+    Control, Drain, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, Refusal, Registration, ToWorker, WorkerId,
+    WorkerName, WorkerStatus,
 };
 use femc_store::Store;
 use tokio::sync::{mpsc, oneshot, watch};
@@ -79,6 +80,15 @@ pub enum Call {
     Workers {
         /// In order of joining.
         reply: Reply<Vec<WorkerStatus>>,
+    },
+    /// Give workers no more tasks, or tasks again.
+    Drain {
+        /// Which.
+        worker: WorkerName,
+        /// How.
+        drain: Drain,
+        /// The sessions that it was done to, when it is durable.
+        reply: Reply<Vec<WorkerId>>,
     },
     /// A worker has come.
     Session(Box<Session>),

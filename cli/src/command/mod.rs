@@ -6,6 +6,7 @@ pub mod compare;
 mod completions;
 pub mod control;
 pub mod coordinator;
+pub mod drain;
 mod embedded;
 pub mod fetch;
 mod interrupt;
@@ -39,6 +40,7 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Watch(args) => watch::run(&args, say),
         Command::Fetch(args) => fetch::run(&args, say),
         Command::Workers(args) => workers::run(&args, say),
+        Command::Drain(args) => drain::run(&args, say),
         Command::Pause(args) => control::run(&args, Control::Pause, say),
         Command::Resume(args) => control::run(&args, Control::Resume, say),
         Command::Cancel(args) => control::run(&args, Control::Cancel, say),

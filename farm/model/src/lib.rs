@@ -23,5 +23,5 @@ pub use job::{Control, JobSpec, JobState, SpecError};
 pub use refusal::Refusal;
 pub use result::{Artefact, Decision, FrameRecord, MergeResult, TaskResult, TileResult};
 pub use session::{FromWorker, HeldLease, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, ToWorker};
-pub use status::{FrameProgress, JobStatus, Quarantined, Wait, WorkerStatus};
+pub use status::{Drain, FrameProgress, Intake, JobStatus, Quarantined, Wait, WorkerName, WorkerStatus};
 pub use task::{Assignment, More, Stage, StageKind, TaskKey, Work};

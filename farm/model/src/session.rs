@@ -101,8 +101,10 @@ pub enum FromWorker {
         /// Why.
         failure: Failure,
     },
-    /// Give me no more tasks: I am leaving.
+    /// Give me no more tasks: I am leaving, or off duty.
     Draining,
+    /// I take tasks again.
+    Available,
 }
 
 /// Why a lease is taken back.

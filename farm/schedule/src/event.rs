@@ -1,7 +1,7 @@
 //! What the scheduler is told, and what it asks for.
 
 use femc_model::{
-    Assignment, Control, Digest, Epoch, Failure, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey,
+    Assignment, Control, Digest, Drain, Epoch, Failure, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey,
     TaskProgress, TaskResult, WorkerId,
 };
 
@@ -48,6 +48,18 @@ pub enum Event {
     Draining {
         /// The session.
         worker: WorkerId,
+    },
+    /// A worker wants tasks again.
+    Available {
+        /// The session.
+        worker: WorkerId,
+    },
+    /// An operator lets a worker have no more tasks, or tasks again.
+    Drained {
+        /// The session.
+        worker: WorkerId,
+        /// Which.
+        drain: Drain,
     },
     /// A worker says how far it is.
     Heartbeat {

@@ -17,6 +17,7 @@ mod distrust;
 mod event;
 mod fact;
 mod floor;
+mod intake;
 mod ledger;
 mod order;
 mod outcome;

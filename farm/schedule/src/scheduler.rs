@@ -3,8 +3,8 @@
 use std::collections::BTreeMap;
 
 use femc_model::{
-    Digest, Epoch, Failure, HeldLease, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey, TaskProgress,
-    Tick, WorkerId,
+    Digest, Epoch, Failure, HeldLease, Intake, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey,
+    TaskProgress, Tick, WorkerId,
 };
 
 use crate::desk::Desk;
@@ -95,11 +95,9 @@ impl Scheduler {
             }
             Event::Joined { worker, registration } => self.join(worker, registration, now, out),
             Event::Left { worker } => self.leave(worker, out),
-            Event::Draining { worker } => {
-                if let Some(worker) = self.floor.workers.get_mut(&worker) {
-                    worker.draining = true;
-                }
-            }
+            Event::Draining { worker } => self.wish(worker, Intake::Off),
+            Event::Available { worker } => self.wish(worker, Intake::Open),
+            Event::Drained { worker, drain } => self.drained(worker, drain, now, out),
             Event::Heartbeat { worker, tasks } => self.heartbeat(worker, &tasks, now, out),
             Event::Completed { worker, task, epoch, result } => self.completed(worker, task, epoch, result, now, out),
             Event::Failed { worker, task, epoch, failure } => self.failed(worker, task, epoch, failure, now, out),
@@ -117,6 +115,7 @@ impl Scheduler {
             out.push(Command::Dismiss { worker: before });
         }
         self.floor.join(worker, registration, now);
+        self.note_intake(worker);
         for HeldLease { task, epoch, job } in held {
             self.take_over(&task, epoch);
             if self.may_adopt(&task, &job) {

@@ -68,6 +68,7 @@ impl Scheduler {
             silent: now.since(known.seen),
             completed: known.completed,
             failed: known.failed,
+            intake: known.intake,
         };
         self.floor.workers.iter().map(status).collect()
     }

@@ -375,6 +375,36 @@ fn a_worker_that_starts_again_takes_its_lease_from_the_session_that_nobody_has_h
 }
 
 #[test]
+fn a_drained_worker_finishes_what_it_has_and_gets_nothing_until_the_operator_undoes_it() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1, 2], 2, &[8]));
+    farm.join(1);
+    assert_eq!(farm.tasks_of(1).len(), 2);
+    let named = |farm: &Farm, name: &str| farm.scheduler.named(&WorkerName::Name(name.into()));
+    assert_eq!((named(&farm, "w"), named(&farm, "x")), (vec![WorkerId(1)], vec![]));
+    assert_eq!(farm.scheduler.named(&WorkerName::Number(WorkerId(1))), [WorkerId(1)]);
+    farm.on(Event::Drained { worker: WorkerId(1), drain: Drain::Begin });
+    assert!(recorded(&farm.work(1, Done)) && recorded(&farm.work(1, Done)));
+    assert_eq!(farm.tasks_of(1), []);
+    assert!(farm.status(id).waits.contains(&Wait::WorkersDraining { workers: 1 }), "{:?}", farm.status(id).waits);
+    // What the worker wants does not count, nor a new session of it, nor a new coordinator.
+    farm.on(Event::Available { worker: WorkerId(1) });
+    assert_eq!(farm.tasks_of(1), []);
+    farm.restart();
+    farm.join_as(2, Registration { instance: 1, ..registration() });
+    assert_eq!(farm.tasks_of(2), []);
+    assert_eq!(farm.scheduler.workers(farm.now)[0].intake, Intake::Drained);
+    farm.on(Event::Drained { worker: WorkerId(2), drain: Drain::Undo });
+    assert_eq!(farm.tasks_of(2).len(), 2);
+    // Of itself it may want none, too.
+    farm.on(Event::Draining { worker: WorkerId(2) });
+    assert!(recorded(&farm.work(2, Done)) && recorded(&farm.work(2, Done)));
+    assert_eq!((farm.tasks_of(2), farm.scheduler.workers(farm.now)[0].intake), (vec![], Intake::Off));
+    farm.on(Event::Available { worker: WorkerId(2) });
+    assert!(!farm.tasks_of(2).is_empty());
+}
+
+#[test]
 fn owners_share_the_time_by_their_weights() {
     let weights = [("ann".to_owned(), 3)].into();
     let mut farm = Farm::with(Config { weights, ..common::config() });

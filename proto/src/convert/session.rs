@@ -23,6 +23,7 @@ impl From<FromWorker> for wire::FromWorker {
                 Message::Failed(wire::Failed { lease: to_lease(task, epoch), failure: Some(failure.into()) })
             }
             FromWorker::Draining => Message::Draining(wire::Empty {}),
+            FromWorker::Available => Message::Available(wire::Empty {}),
         };
         Self { message: Some(message) }
     }
@@ -45,6 +46,7 @@ impl TryFrom<wire::FromWorker> for FromWorker {
                 Self::Failed { task, epoch, failure: need("failed.failure", failed.failure)?.try_into()? }
             }
             Message::Draining(_) => Self::Draining,
+            Message::Available(_) => Self::Available,
         })
     }
 }

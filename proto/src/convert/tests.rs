@@ -69,6 +69,7 @@ fn refusals() -> Vec<Refusal> {
         Refusal::DigestMismatch { digest: digest() },
         Refusal::TooLarge { what: "w".into(), limit: 9 },
         Refusal::Unavailable { message: "m".into() },
+        Refusal::NoSuchWorker { worker: "w".into() },
     ]
 }
 
@@ -120,6 +121,7 @@ fn the_words_of_a_session_cross_the_wire() {
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Register(registration));
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Heartbeat { number: 3, tasks: progress.to_vec() });
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Draining);
+    crosses::<FromWorker, wire::FromWorker>(FromWorker::Available);
     for result in [TaskResult::Tile(tile), TaskResult::Merge(done), TaskResult::Merge(on)] {
         crosses::<FromWorker, wire::FromWorker>(FromWorker::Completed { task: render, epoch, result });
     }
@@ -172,6 +174,7 @@ fn statuses_cross_the_wire() {
         Wait::NoWorkers,
         Wait::NoWorkerWithTags(vec!["lab".into()]),
         Wait::WorkersBusy { workers: 3 },
+        Wait::WorkersDraining { workers: 1 },
         Wait::WorkersResting,
         Wait::WorkersShunned { workers: 2, seconds: 60 },
         Wait::BehindJob(JobId(2)),
@@ -205,9 +208,17 @@ fn statuses_cross_the_wire() {
     }
     let tasks = vec![task(StageKind::Render)];
     let (name, tags) = ("w".to_owned(), vec!["lab".to_owned()]);
+    let intake = Intake::Open;
     let worker =
-        WorkerStatus { worker: WorkerId(1), name, threads: 2, tags, tasks, silent: 3, completed: 4, failed: 5 };
-    crosses::<WorkerStatus, wire::WorkerStatus>(worker);
+        WorkerStatus { worker: WorkerId(1), name, threads: 2, tags, tasks, silent: 3, completed: 4, failed: 5, intake };
+    for intake in [Intake::Open, Intake::Off, Intake::Drained] {
+        crosses::<WorkerStatus, wire::WorkerStatus>(WorkerStatus { intake, ..worker.clone() });
+    }
+    for worker in [WorkerName::Number(WorkerId(3)), WorkerName::Name("w".into())] {
+        for drain in [Drain::Begin, Drain::Undo] {
+            crosses::<(WorkerName, Drain), wire::DrainWorkersRequest>((worker.clone(), drain));
+        }
+    }
     let record = FrameRecord {
         frame: 1,
         image: artefact(),

@@ -60,6 +60,12 @@ impl wire::jobs_server::Jobs for Server {
         let workers = self.ask(|reply| Call::Workers { reply }).await?;
         Ok(Response::new(wire::ListWorkersReply { workers: workers.into_iter().map(Into::into).collect() }))
     }
+
+    async fn drain_workers(&self, request: Request<wire::DrainWorkersRequest>) -> Answer<wire::DrainWorkersReply> {
+        let (worker, drain) = request.into_inner().try_into()?;
+        let workers = self.ask(|reply| Call::Drain { worker, drain, reply }).await?;
+        Ok(Response::new(wire::DrainWorkersReply { workers: workers.into_iter().map(|worker| worker.0).collect() }))
+    }
 }
 
 /// Sends the newest status whenever there is one; a slow listener misses the ones between, never the last.

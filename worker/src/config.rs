@@ -9,7 +9,7 @@ use std::time::Duration;
 use femc_model::Assignment;
 use femc_proto::{CallError, Dial};
 
-use crate::Cache;
+use crate::{Cache, MemoryLimit, Shift};
 
 /// A worker's configuration.
 #[derive(Debug, Clone)]
@@ -36,6 +36,14 @@ pub struct Config {
     pub hands: Hands,
     /// Where results are kept until the coordinator has acknowledged them; `None`: in memory.
     pub outbox: Option<OutboxConfig>,
+    /// The most memory that it may use before it gives tasks back.
+    pub memory: Option<MemoryLimit>,
+    /// Niceness of the threads that compute, 0 to 19; `None`: as it is.
+    pub nice: Option<u8>,
+    /// When it takes tasks.
+    pub shift: Shift,
+    /// It stops after so long without a task; `None`: never.
+    pub idle_limit: Option<Duration>,
 }
 
 /// Where a worker keeps results that are not acknowledged.
@@ -113,6 +121,10 @@ impl Config {
             dial: Dial::tcp(),
             hands: Hands::Threads,
             outbox: None,
+            memory: None,
+            nice: None,
+            shift: Shift::default(),
+            idle_limit: None,
         }
     }
 }
@@ -129,6 +141,14 @@ pub enum WorkerError {
         /// Which.
         folder: PathBuf,
         /// Why.
+        message: String,
+    },
+    /// The threads cannot have the niceness.
+    #[error("niceness {niceness}: {message}")]
+    Nice {
+        /// As configured.
+        niceness: u8,
+        /// What the system said.
         message: String,
     },
     /// The render threads cannot be started.

@@ -16,6 +16,7 @@ use tokio::time::{Instant, Interval, MissedTickBehavior};
 
 use crate::claims::Claims;
 use crate::config::AtStop;
+use crate::duty::{Duty, Shift};
 use crate::outbox::Outbox;
 use crate::table::{Table, Task};
 use crate::threads::Ahead;
@@ -41,6 +42,9 @@ pub(crate) struct Session<'a> {
     ahead: &'a mpsc::Sender<Ahead>,
     finished: &'a mut UnboundedReceiver<(TaskKey, Epoch)>,
     at_stop: AtStop,
+    shift: &'a Shift,
+    /// As the coordinator knows it.
+    duty: Duty,
     jobs: BTreeMap<JobId, Arc<JobSpec>>,
     claims: Claims,
     /// Results on their way to the store; they end with the session.
@@ -60,6 +64,7 @@ impl<'a> Session<'a> {
         ahead: &'a mpsc::Sender<Ahead>,
         finished: &'a mut UnboundedReceiver<(TaskKey, Epoch)>,
         at_stop: AtStop,
+        shift: &'a Shift,
     ) -> Self {
         Self {
             client,
@@ -68,6 +73,8 @@ impl<'a> Session<'a> {
             ahead,
             finished,
             at_stop,
+            shift,
+            duty: Duty::On,
             jobs: BTreeMap::new(),
             claims: Claims::new(Instant::now()),
             uploads: JoinSet::new(),
@@ -108,7 +115,12 @@ impl<'a> Session<'a> {
                     out.send(FromWorker::Draining).await;
                     give_back(self.table.clear_line(), &out).await;
                 }
-                () = next(&mut heartbeat) => self.beat(&out).await,
+                () = next(&mut heartbeat) => {
+                    if !draining {
+                        self.heed_hours(&out).await;
+                    }
+                    self.beat(&out).await;
+                }
                 Some(key) = self.finished.recv() => self.send(key),
                 Some(sent) = self.uploads.join_next(), if !self.uploads.is_empty() => {
                     // One that panicked, or was aborted, has nothing to report.
@@ -123,9 +135,10 @@ impl<'a> Session<'a> {
                         let every = Duration::from_millis(pause.max(10));
                         let pulse = heartbeat.insert(tokio::time::interval(every));
                         pulse.set_missed_tick_behavior(MissedTickBehavior::Delay);
+                        self.heed_hours(&out).await;
                     }
                     Ok(Some(ToWorker::Goodbye) | None) => break Ok(End::Lost),
-                    Ok(Some(message)) => self.hear(message),
+                    Ok(Some(message)) => self.hear(message, &out).await,
                     Err(error) => break Err(error),
                 },
                 // Last: what the coordinator has said meanwhile is heard first.
@@ -143,6 +156,26 @@ impl<'a> Session<'a> {
         end
     }
 
+    /// Tells the coordinator when the worker's hours begin and end; at their end what waits is given back.
+    async fn heed_hours(&mut self, out: &Outgoing) {
+        let duty = self.shift.now();
+        if duty == self.duty {
+            return;
+        }
+        self.duty = duty;
+        match duty {
+            Duty::On => {
+                tracing::info!("on duty");
+                out.send(FromWorker::Available).await;
+            }
+            Duty::Off => {
+                tracing::info!("off duty: it finishes what it is at");
+                out.send(FromWorker::Draining).await;
+                give_back(self.table.clear_line(), out).await;
+            }
+        }
+    }
+
     /// Says that the worker is there, and how far its tasks are.
     async fn beat(&mut self, out: &Outgoing) {
         let now = Instant::now();
@@ -153,7 +186,7 @@ impl<'a> Session<'a> {
         out.send(FromWorker::Heartbeat { number, tasks }).await;
     }
 
-    fn hear(&mut self, message: ToWorker) {
+    async fn hear(&mut self, message: ToWorker, out: &Outgoing) {
         match message {
             ToWorker::Job { job, spec } => drop(self.jobs.insert(job, Arc::from(spec))),
             ToWorker::Assign(assignment) => {
@@ -162,6 +195,10 @@ impl<'a> Session<'a> {
                     return;
                 };
                 let task = (assignment.task, assignment.epoch);
+                if self.duty == Duty::Off {
+                    // Dealt before the coordinator had heard of it.
+                    return give_back(vec![task], out).await;
+                }
                 let ahead = matches!(assignment.work, Work::Render { .. }).then(|| {
                     let (spec, frame) = (spec.clone(), assignment.task.stage.frame);
                     Ahead { spec, frame, client: self.client.clone(), task }

@@ -7,6 +7,7 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use femc_model::{Assignment, Epoch, Failure, HeldLease, JobSpec, Phase, StageKind, TaskKey, TaskProgress};
 use femc_proto::Client;
 use tokio::sync::Notify;
+use tokio::time::Instant;
 
 use crate::execute::Product;
 use crate::outbox::Restored;
@@ -88,6 +89,8 @@ struct State {
     /// Oldest first.
     line: Vec<Arc<Task>>,
     closed: bool,
+    /// When it held something last; `None`: now.
+    idle: Option<Instant>,
 }
 
 impl State {
@@ -115,6 +118,7 @@ impl Table {
 
     pub(crate) fn put(&self, task: Arc<Task>) {
         let mut state = self.lock();
+        state.idle = None;
         state.held.insert(task.key(), task.clone());
         state.line.push(task);
         self.arrived.notify_all();
@@ -123,7 +127,9 @@ impl Table {
 
     /// Holds a task that is done.
     pub(crate) fn keep(&self, task: Arc<Task>) {
-        self.lock().held.insert(task.key(), task);
+        let mut state = self.lock();
+        state.idle = None;
+        state.held.insert(task.key(), task);
     }
 
     /// The oldest waiting task of this kind; waits for one. `None` when the table is closed.
@@ -177,6 +183,12 @@ impl Table {
         let waiting: Vec<_> = std::mem::take(&mut state.line).iter().map(|task| task.key()).collect();
         waiting.iter().for_each(|key| drop(state.held.remove(key)));
         waiting
+    }
+
+    /// Since when the worker holds nothing.
+    pub(crate) fn idle_since(&self) -> Option<Instant> {
+        let mut state = self.lock();
+        if state.held.is_empty() { Some(*state.idle.get_or_insert_with(Instant::now)) } else { None }
     }
 
     /// All that the worker holds, in order of key.

@@ -46,10 +46,11 @@ pub(crate) fn start(
         })?;
     }
     let (ahead, frames) = mpsc::channel::<Ahead>();
-    let (Tools { cache, fetch, .. }, table) = (tools.clone(), table.clone());
+    let (Tools { cache, fetch, memory, nice, .. }, table) = (tools.clone(), table.clone());
     spawn(format!("{name} prepare"), move || {
+        nice.apply();
         for Ahead { spec, frame, client, task } in frames {
-            if table.get(&task).is_none() {
+            if table.get(&task).is_none() || !memory.has_room_ahead() {
                 continue;
             }
             // The task itself meets the same failure, and reports it.
@@ -142,6 +143,7 @@ impl Hand {
         let (done, outcomes) = mpsc::channel();
         let tools = tools.clone();
         let thread = spawn(format!("{name} hand"), move || {
+            tools.nice.apply();
             for task in line {
                 if done.send(execute(&task, &tools)).is_err() {
                     break;

@@ -15,10 +15,12 @@ use crate::config::{Config, Hands, WorkerError};
 use crate::execute::Tools;
 use crate::fetch::Fetch;
 use crate::finish::Finish;
+use crate::memory::Memory;
+use crate::nice::Nice;
 use crate::outbox::Outbox;
 use crate::session::{End, Session};
 use crate::table::{Table, Task};
-use crate::{simulated, threads};
+use crate::{duty, simulated, threads};
 
 /// A farm machine.
 #[derive(Debug)]
@@ -33,10 +35,12 @@ impl Worker {
     /// Works on the current tokio runtime until `stop` comes; then gives back what it holds and ends. Survives the
     /// coordinator's absence, unless the configuration bounds its patience.
     pub async fn run(config: Config, stop: impl Future<Output = ()>) -> Result<(), WorkerError> {
+        let nice = Nice::tried(config.nice)?;
         let thread = config.name.clone();
         let pool = ThreadPoolBuilder::new()
             .num_threads(config.threads)
             .thread_name(move |index| format!("{thread} {index}"))
+            .start_handler(move |_| nice.apply())
             .build()
             .map_err(|error| WorkerError::Threads(error.to_string()))?;
         let registration = Registration {
@@ -48,8 +52,13 @@ impl Worker {
             tags: config.tags.clone(),
             held: Vec::new(),
         };
-        let tools =
-            Tools { pool: Arc::new(pool), cache: config.cache.clone(), fetch: Fetch::Blocking(Handle::current()) };
+        let tools = Tools {
+            pool: Arc::new(pool),
+            cache: config.cache.clone(),
+            fetch: Fetch::Blocking(Handle::current()),
+            memory: Memory::new(config.memory.clone()),
+            nice,
+        };
         let table = Arc::new(Table::default());
         let (told, mut finished) = mpsc::unbounded_channel();
         let (outbox, mut restored) = match config.outbox.clone() {
@@ -63,7 +72,13 @@ impl Worker {
             Hands::Threads => threads::start(&config.name, &tools, &table, &finish)?,
             Hands::Simulated(pace) => simulated::start(pace, &tools, &table, &finish),
         };
-        let mut stop = std::pin::pin!(stop);
+        let mut stop = std::pin::pin!(async {
+            tokio::select! {
+                biased;
+                () = stop => {}
+                () = duty::idle(&table, config.idle_limit) => {}
+            }
+        });
         let mut pause = Self::FIRST_PAUSE;
         let mut away = Stopwatch::start();
         let outcome = loop {
@@ -76,7 +91,8 @@ impl Worker {
                 pause = Self::FIRST_PAUSE;
                 let kept = restored.drain(..).map(|restored| Task::restored(restored, client.clone()));
                 kept.for_each(|task| table.keep(Arc::new(task)));
-                let session = Session::new(client, &table, &outbox, &ahead, &mut finished, config.at_stop);
+                let session =
+                    Session::new(client, &table, &outbox, &ahead, &mut finished, config.at_stop, &config.shift);
                 let held = table.held().iter().map(|task| task.lease()).collect();
                 session.run(Registration { held, ..registration.clone() }, stop.as_mut()).await
             };

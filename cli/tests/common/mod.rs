@@ -181,9 +181,7 @@ impl Place {
 
     /// Start, output to a file `NAME.log` for the message of a failed test.
     pub fn start(&self, line: &str) -> Running {
-        let stdout = Stdio::piped();
-        let child = self.command(line).stdout(stdout).stderr(Stdio::piped()).spawn().expect("femc starts");
-        Running { line: line.to_owned(), child: Some(child) }
+        Running::of(&mut self.command(line))
     }
 }
 
@@ -234,6 +232,23 @@ pub struct Running {
 }
 
 impl Running {
+    /// Start a command, its output caught.
+    pub fn of(command: &mut Command) -> Self {
+        let line = format!("{command:?}");
+        let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("femc starts");
+        Self { line, child: Some(child) }
+    }
+
+    /// The process's number.
+    pub fn id(&self) -> u32 {
+        self.child.as_ref().expect("not waited for yet").id()
+    }
+
+    /// Kill it, and return all that it has said on stderr.
+    pub fn kill_for_stderr(&mut self) -> String {
+        self.child().kill().expect("killed");
+        self.end().stderr()
+    }
     fn child(&mut self) -> &mut Child {
         self.child.as_mut().expect("not waited for yet")
     }

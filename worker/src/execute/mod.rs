@@ -13,6 +13,8 @@ use rayon::ThreadPool;
 
 use crate::Cache;
 use crate::fetch::Fetch;
+use crate::memory::Memory;
+use crate::nice::Nice;
 use crate::table::Task;
 
 /// What a task needs beside itself.
@@ -21,6 +23,8 @@ pub(crate) struct Tools {
     pub(crate) pool: Arc<ThreadPool>,
     pub(crate) cache: Cache,
     pub(crate) fetch: Fetch,
+    pub(crate) memory: Memory,
+    pub(crate) nice: Nice,
 }
 
 /// A result and the artefacts that it names.
@@ -36,8 +40,11 @@ pub(crate) fn execute(task: &Task, tools: &Tools) -> Result<Product, Failure> {
         Work::Render { samples } => render::render(task, samples.clone(), tools),
         Work::Merge { .. } => merge::merge(task, tools),
     };
-    std::panic::catch_unwind(AssertUnwindSafe(work))
-        .unwrap_or_else(|panic| Err(Failure::Panicked { message: message(&*panic) }))
+    let measured = tools.memory.begin(task.assignment.task.stage.kind, &tools.cache)?;
+    let outcome = std::panic::catch_unwind(AssertUnwindSafe(work))
+        .unwrap_or_else(|panic| Err(Failure::Panicked { message: message(&*panic) }));
+    measured.end();
+    outcome
 }
 
 fn message(panic: &(dyn Any + Send)) -> String {

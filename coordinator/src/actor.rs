@@ -39,6 +39,7 @@ enum Question {
     Status(JobId, Reply<JobStatus>),
     Watch(JobId, Reply<watch::Receiver<JobStatus>>),
     Frames(JobId, Reply<Vec<femc_model::FrameRecord>>),
+    Logs(JobId, Tick, Reply<Vec<femc_model::LogRecord>>),
     Workers(Reply<Vec<femc_model::WorkerStatus>>),
     Drained(Result<Vec<WorkerId>, Refusal>, Reply<Vec<WorkerId>>),
 }
@@ -157,7 +158,12 @@ impl<Q: Queue> Actor<Q> {
             self.heartbeats.push((worker, number));
         }
         let event = match word {
-            Word::Said(said) => event_of(worker, *said),
+            Word::Said(mut said) => {
+                if let Some(event) = log_of(worker, &mut said) {
+                    self.hear(event, commands);
+                }
+                event_of(worker, *said)
+            }
             Word::Over => {
                 self.workers.remove(&worker);
                 tracing::info!(%worker, "worker left");
@@ -193,6 +199,7 @@ impl<Q: Queue> Actor<Q> {
                 let answer = if workers.is_empty() { Err(nobody()) } else { Ok(workers) };
                 self.questions.push(Question::Drained(answer, reply));
             }
+            Call::Logs { job, since, reply } => self.questions.push(Question::Logs(job, since, reply)),
             Call::Workers { reply } => self.questions.push(Question::Workers(reply)),
         }
     }
@@ -250,6 +257,7 @@ impl<Q: Queue> Actor<Q> {
                 Question::Status(job, reply) => drop(reply.send(self.scheduler.status(job, now))),
                 Question::Watch(job, reply) => drop(reply.send(self.watch(job))),
                 Question::Frames(job, reply) => drop(reply.send(self.scheduler.frames(job))),
+                Question::Logs(job, since, reply) => drop(reply.send(self.scheduler.logs(job, since))),
                 Question::Drained(answer, reply) => drop(reply.send(answer)),
                 Question::Workers(reply) => drop(reply.send(Ok(self.scheduler.workers(now)))),
             }
@@ -271,12 +279,23 @@ impl<Q: Queue> Actor<Q> {
     }
 }
 
+/// The log that a worker's report brings.
+fn log_of(worker: WorkerId, said: &mut FromWorker) -> Option<Event> {
+    match said {
+        FromWorker::Completed { task, epoch, log, .. } | FromWorker::Failed { task, epoch, log, .. } => {
+            let (task, epoch) = (*task, *epoch);
+            log.take().map(|log| Event::Logged { worker, task, epoch, log })
+        }
+        FromWorker::Register(_) | FromWorker::Heartbeat { .. } | FromWorker::Draining | FromWorker::Available => None,
+    }
+}
+
 /// What a worker says, as the scheduler hears it.
 fn event_of(worker: WorkerId, said: FromWorker) -> Option<Event> {
     Some(match said {
         FromWorker::Heartbeat { tasks, .. } => Event::Heartbeat { worker, tasks },
-        FromWorker::Completed { task, epoch, result } => Event::Completed { worker, task, epoch, result },
-        FromWorker::Failed { task, epoch, failure } => {
+        FromWorker::Completed { task, epoch, result, .. } => Event::Completed { worker, task, epoch, result },
+        FromWorker::Failed { task, epoch, failure, .. } => {
             match failure {
                 Failure::Cancelled => tracing::debug!(%worker, %task, "task given back"),
                 _ => tracing::warn!(%worker, %task, %failure, "task failed"),

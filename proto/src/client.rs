@@ -4,8 +4,8 @@ use std::time::Duration;
 
 use bytes::{Bytes, BytesMut};
 use femc_model::{
-    Artefact, Control, Digest, Drain, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, Registration, ToWorker,
-    WorkerId, WorkerName, WorkerStatus,
+    Artefact, Control, Digest, Drain, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord, Registration,
+    Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use hyper_util::rt::TokioIo;
 use tokio::sync::mpsc;
@@ -116,6 +116,13 @@ impl Client {
         let request = wire::FramesRequest { job: job.0 };
         let reply = self.jobs().frames(request).await.map_err(|status| self.error(&status))?;
         Ok(each(reply.into_inner().frames)?)
+    }
+
+    /// What workers wrote down while they did the job's tasks, oldest first, of attempts reported since then.
+    pub async fn logs(&self, job: JobId, since: Tick) -> Result<Vec<LogRecord>, CallError> {
+        let request = wire::LogsRequest { job: job.0, since: since.0 };
+        let reply = self.jobs().logs(request).await.map_err(|status| self.error(&status))?;
+        Ok(each(reply.into_inner().logs)?)
     }
 
     /// The workers that are there.

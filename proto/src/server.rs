@@ -9,8 +9,8 @@ use std::io;
 use std::time::Duration;
 
 use femc_model::{
-    Control, Drain, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, Refusal, Registration, ToWorker, WorkerId,
-    WorkerName, WorkerStatus,
+    Control, Drain, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord, Refusal, Registration, Tick,
+    ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use femc_store::Store;
 use tokio::sync::{mpsc, oneshot, watch};
@@ -75,6 +75,15 @@ pub enum Call {
         job: JobId,
         /// Ascending.
         reply: Reply<Vec<FrameRecord>>,
+    },
+    /// What workers wrote down while they did the job's tasks.
+    Logs {
+        /// Which.
+        job: JobId,
+        /// Of attempts reported then or later.
+        since: Tick,
+        /// Oldest first.
+        reply: Reply<Vec<LogRecord>>,
     },
     /// The workers that are there.
     Workers {

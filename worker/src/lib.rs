@@ -13,6 +13,7 @@ mod duty;
 mod execute;
 mod fetch;
 mod finish;
+mod log;
 mod memory;
 mod nice;
 mod outbox;
@@ -27,5 +28,9 @@ mod worker;
 pub use cache::Cache;
 pub use config::{AtStop, Config, Hands, IfTaken, OutboxConfig, Pace, WorkerError};
 pub use duty::{Duty, Shift};
+pub use log::{TASK_LOG_LEVEL, TaskLogs};
 pub use memory::MemoryLimit;
 pub use worker::Worker;
+
+/// The build of the engine that this worker renders with.
+const ENGINE: &str = env!("CARGO_PKG_VERSION");

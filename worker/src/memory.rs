@@ -39,6 +39,11 @@ fn resident() -> Option<u64> {
     kilobytes("VmRSS:")
 }
 
+/// The most that this process had in memory, bytes, where the system says.
+pub(crate) fn peak() -> Option<u64> {
+    kilobytes("VmHWM:")
+}
+
 fn kilobytes(field: &str) -> Option<u64> {
     let status = std::fs::read_to_string("/proc/self/status").ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix(field))?;
@@ -163,7 +168,7 @@ mod tests {
         let memory = Memory::default();
         assert!(memory.begin(StageKind::Render, &Cache::default()).is_ok() && memory.has_room_ahead());
         if cfg!(target_os = "linux") {
-            assert!(resident().unwrap() > 1 << 20);
+            assert!(resident().unwrap() > 1 << 20 && peak().unwrap() >= resident().unwrap() / 2);
         }
     }
 }

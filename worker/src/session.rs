@@ -7,7 +7,7 @@ use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
 use femc_model::{
-    Epoch, Failure, FromWorker, JobId, JobSpec, Phase, Registration, TaskKey, TaskResult, ToWorker, Work,
+    Epoch, Failure, FromWorker, JobId, JobSpec, Phase, Registration, TaskKey, TaskLog, TaskResult, ToWorker, Work,
 };
 use femc_proto::{CallError, Client, Incoming, Outgoing};
 use tokio::sync::mpsc::UnboundedReceiver;
@@ -20,7 +20,7 @@ use crate::duty::{Duty, Shift};
 use crate::outbox::Outbox;
 use crate::table::{Table, Task};
 use crate::threads::Ahead;
-use crate::upload::{NotSent, upload};
+use crate::upload::{NotSent, upload, upload_log};
 
 /// Why a session ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -32,7 +32,7 @@ pub(crate) enum End {
 }
 
 /// A result on its way, or what stopped it.
-type Sent = ((TaskKey, Epoch), Result<TaskResult, NotSent>);
+type Sent = ((TaskKey, Epoch), Result<TaskResult, NotSent>, Option<TaskLog>);
 
 /// The worker's part of a session.
 pub(crate) struct Session<'a> {
@@ -249,20 +249,21 @@ impl<'a> Session<'a> {
                 Some(Err(failure)) => Err(NotSent::Failed(failure.clone())),
                 None => Err(NotSent::Later),
             };
-            (key, sent)
+            let log = upload_log(&client, &task).await;
+            (key, sent, log)
         });
     }
 
     /// Reports a result whose artefacts are in the store, if its lease still holds.
-    async fn report(&mut self, (key, sent): Sent, out: &Outgoing) {
+    async fn report(&mut self, (key, sent, log): Sent, out: &Outgoing) {
         let (task, epoch) = key;
         if !self.claims.holds(&key, Instant::now()) {
             self.sending.remove(&key);
             return;
         }
         match sent {
-            Ok(result) => out.send(FromWorker::Completed { task, epoch, result }).await,
-            Err(NotSent::Failed(failure)) => out.send(FromWorker::Failed { task, epoch, failure }).await,
+            Ok(result) => out.send(FromWorker::Completed { task, epoch, result, log }).await,
+            Err(NotSent::Failed(failure)) => out.send(FromWorker::Failed { task, epoch, failure, log }).await,
             Err(NotSent::Later) => drop(self.sending.remove(&key)),
         }
     }
@@ -286,6 +287,6 @@ async fn next(heartbeat: &mut Option<Interval>) {
 
 async fn give_back(tasks: Vec<(TaskKey, Epoch)>, out: &Outgoing) {
     for (task, epoch) in tasks {
-        out.send(FromWorker::Failed { task, epoch, failure: Failure::Cancelled }).await;
+        out.send(FromWorker::Failed { task, epoch, failure: Failure::Cancelled, log: None }).await;
     }
 }

@@ -10,6 +10,7 @@ use tokio::sync::Notify;
 use tokio::time::Instant;
 
 use crate::execute::Product;
+use crate::log::TaskLog;
 use crate::outbox::Restored;
 
 /// A task under a lease.
@@ -25,6 +26,10 @@ pub(crate) struct Task {
     phase: AtomicU8,
     /// What came of it, kept until the coordinator has answered: a session may end in between.
     outcome: OnceLock<Outcome>,
+    /// What is written down meanwhile.
+    pub(crate) log: TaskLog,
+    /// Seconds that it took, and the log's text.
+    written: OnceLock<(f64, String)>,
 }
 
 /// What came of a task.
@@ -33,7 +38,8 @@ pub(crate) type Outcome = Result<Product, Failure>;
 impl Task {
     pub(crate) fn new(assignment: Assignment, spec: Arc<JobSpec>, client: Client) -> Self {
         let (cancel, samples, phase) = (AtomicBool::new(false), AtomicU64::new(0), AtomicU8::new(0));
-        Self { assignment, spec, client, cancel, samples, phase, outcome: OnceLock::new() }
+        let (outcome, log, written) = (OnceLock::new(), TaskLog::default(), OnceLock::new());
+        Self { assignment, spec, client, cancel, samples, phase, outcome, log, written }
     }
 
     /// A task that an earlier life of this worker has done.
@@ -53,6 +59,16 @@ impl Task {
     /// Keeps what came of it; what is there already stays.
     pub(crate) fn settle(&self, outcome: Outcome) {
         let _ = self.outcome.set(outcome);
+    }
+
+    /// Keeps the log as it is to be reported.
+    pub(crate) fn write_log(&self, seconds: f64, text: String) {
+        let _ = self.written.set((seconds, text));
+    }
+
+    /// Seconds that it took, and the log's text; a task of an earlier life has none.
+    pub(crate) fn written_log(&self) -> Option<&(f64, String)> {
+        self.written.get()
     }
 
     pub(crate) fn outcome(&self) -> Option<&Outcome> {

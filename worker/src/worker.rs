@@ -20,7 +20,7 @@ use crate::nice::Nice;
 use crate::outbox::Outbox;
 use crate::session::{End, Session};
 use crate::table::{Table, Task};
-use crate::{duty, simulated, threads};
+use crate::{duty, memory, simulated, threads};
 
 /// A farm machine.
 #[derive(Debug)]
@@ -46,7 +46,7 @@ impl Worker {
         let registration = Registration {
             name: config.name.clone(),
             instance: config.instance,
-            engine: env!("CARGO_PKG_VERSION").into(),
+            engine: crate::ENGINE.into(),
             threads: pool.current_num_threads() as u32,
             slots: 1,
             tags: config.tags.clone(),
@@ -67,7 +67,11 @@ impl Worker {
                 .await
                 .map_err(|error| WorkerError::Threads(error.to_string()))??,
         };
-        let finish = Finish { told, outbox: outbox.clone() };
+        let peak = match config.hands {
+            Hands::Threads => memory::peak,
+            Hands::Simulated(_) => || None,
+        };
+        let finish = Finish { told, outbox: outbox.clone(), worker: Arc::from(config.name.as_str()), peak };
         let ahead = match &config.hands {
             Hands::Threads => threads::start(&config.name, &tools, &table, &finish)?,
             Hands::Simulated(pace) => simulated::start(pace, &tools, &table, &finish),

@@ -5,8 +5,8 @@ use crate::clock::Clock;
 use crate::exit::{Failure, failed, unreachable, usage};
 use crate::request::Asked;
 use femc_model::{
-    Artefact, Control, Digest, Drain, FrameRecord, Grid, JobId, JobSpec, JobStatus, Refusal, WorkerId, WorkerName,
-    WorkerStatus,
+    Artefact, Control, Digest, Drain, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord, Refusal, Tick, WorkerId,
+    WorkerName, WorkerStatus,
 };
 use femc_proto::{CallError, Client};
 use std::time::Duration;
@@ -93,6 +93,11 @@ impl Farm {
     /// Steer a job.
     pub async fn control(&self, job: JobId, control: Control) -> Result<(), Failure> {
         self.client.control(job, control).await.map_err(told)
+    }
+
+    /// What workers wrote down while they did the job's tasks, oldest first, of attempts reported since then.
+    pub async fn logs(&self, job: JobId, since: Tick) -> Result<Vec<LogRecord>, Failure> {
+        self.client.logs(job, since).await.map_err(told)
     }
 
     /// Give workers no more tasks, or tasks again; the sessions that it was done to.

@@ -9,6 +9,7 @@ mod hours;
 mod job_file;
 mod overrides;
 mod size;
+mod task;
 
 pub use asked::{Asked, FramesChosen, beside, load};
 pub use bytes::Bytes;
@@ -18,3 +19,4 @@ pub use hours::Hours;
 pub use job_file::JobFile;
 pub use overrides::Override;
 pub use size::Size;
+pub use task::{JobTasks, Tasks};

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Assignment, Digest, Epoch, Failure, JobId, JobSpec, Refusal, TaskKey, TaskResult, WorkerId};
+use crate::{Assignment, Digest, Epoch, Failure, JobId, JobSpec, Refusal, TaskKey, TaskLog, TaskResult, WorkerId};
 
 /// How a worker introduces itself.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -91,6 +91,8 @@ pub enum FromWorker {
         epoch: Epoch,
         /// What came out.
         result: TaskResult,
+        /// What was written down.
+        log: Option<TaskLog>,
     },
     /// The task is not done.
     Failed {
@@ -100,6 +102,8 @@ pub enum FromWorker {
         epoch: Epoch,
         /// Why.
         failure: Failure,
+        /// What was written down.
+        log: Option<TaskLog>,
     },
     /// Give me no more tasks: I am leaving, or off duty.
     Draining,

@@ -2,7 +2,7 @@
 
 use femc_model::{
     Assignment, Control, Digest, Drain, Epoch, Failure, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey,
-    TaskProgress, TaskResult, WorkerId,
+    TaskLog, TaskProgress, TaskResult, WorkerId,
 };
 
 use crate::Fact;
@@ -67,6 +67,17 @@ pub enum Event {
         worker: WorkerId,
         /// Its tasks.
         tasks: Vec<TaskProgress>,
+    },
+    /// What a worker wrote down during an attempt; comes before the attempt's outcome.
+    Logged {
+        /// The session.
+        worker: WorkerId,
+        /// The task.
+        task: TaskKey,
+        /// Of the lease.
+        epoch: Epoch,
+        /// The log; one that is stored is in the store.
+        log: TaskLog,
     },
     /// A worker has done a task; the artefacts are in the store.
     Completed {

@@ -19,6 +19,7 @@ mod fact;
 mod floor;
 mod intake;
 mod ledger;
+mod logs;
 mod order;
 mod outcome;
 mod ranges;

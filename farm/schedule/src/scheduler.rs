@@ -10,6 +10,7 @@ use femc_model::{
 use crate::desk::Desk;
 use crate::floor::Floor;
 use crate::ledger::Job;
+use crate::logs::Shelf;
 use crate::order::Order;
 use crate::{Command, Config, Event, Fact, Ledger};
 
@@ -26,6 +27,7 @@ pub struct Scheduler {
     /// Leases granted in this incarnation.
     pub(crate) leases: u64,
     pub(crate) stale_messages: u64,
+    pub(crate) logs: Shelf,
     /// Nothing is dealt before: after a restart the workers come back one by one, with what they still work on.
     pub(crate) deals_from: Tick,
 }
@@ -44,6 +46,7 @@ impl Scheduler {
             order: Order::default(),
             leases: 0,
             stale_messages: 0,
+            logs: Shelf::default(),
             deals_from: Tick(0),
             ledger,
         };
@@ -99,6 +102,7 @@ impl Scheduler {
             Event::Available { worker } => self.wish(worker, Intake::Open),
             Event::Drained { worker, drain } => self.drained(worker, drain, now, out),
             Event::Heartbeat { worker, tasks } => self.heartbeat(worker, &tasks, now, out),
+            Event::Logged { worker, task, epoch, log } => self.logged(worker, task, epoch, log, now, out),
             Event::Completed { worker, task, epoch, result } => self.completed(worker, task, epoch, result, now, out),
             Event::Failed { worker, task, epoch, failure } => self.failed(worker, task, epoch, failure, now, out),
             Event::Elapsed => self.elapsed(now, out),

@@ -405,6 +405,43 @@ fn a_drained_worker_finishes_what_it_has_and_gets_nothing_until_the_operator_und
 }
 
 #[test]
+fn logs_of_failures_are_kept_with_the_job_and_those_of_tiles_for_a_while() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 2, &[8]));
+    farm.join(1);
+    let (first, second) = (farm.held[0].1.clone(), farm.held[1].1.clone());
+    let logged = |held: &Assignment, attempt, text: LogText| Event::Logged {
+        worker: WorkerId(1),
+        task: held.task,
+        epoch: held.epoch,
+        log: TaskLog { attempt, seconds: 1.0, text },
+    };
+    let stored = |index: usize| LogText::Stored(Artefact::of(&index.to_le_bytes()));
+    farm.on(logged(&first, Attempt::Failed, stored(0)));
+    farm.fail(1, &first, Failure::Panicked { message: "oh".into() });
+    farm.now = farm.now.after(10);
+    farm.on(logged(&second, Attempt::Done, LogText::Inline("tile".into())));
+    assert!(farm.on(logged(&first, Attempt::Failed, stored(1))).is_empty(), "that lease is over");
+    let logs = |farm: &Farm, since| {
+        let logs = farm.scheduler.logs(id, Tick(since)).unwrap();
+        logs.into_iter().map(|record| (record.task.index, record.worker, record.log.attempt)).collect::<Vec<_>>()
+    };
+    let both = [(0, "w".to_owned(), Attempt::Failed), (1, "w".to_owned(), Attempt::Done)];
+    assert_eq!((logs(&farm, 0), logs(&farm, 10)), (both.to_vec(), both[1..].to_vec()));
+    assert_eq!(farm.scheduler.unreferenced(vec![Artefact::of(&0usize.to_le_bytes()).digest]), []);
+    // A worker that writes without end: the oldest goes, the failure stays.
+    let mut discarded = 0;
+    for index in 2..600 {
+        let commands = farm.on(logged(&second, Attempt::Done, stored(index)));
+        discarded += commands.iter().filter(|c| matches!(c, Command::Discard(_))).count();
+    }
+    assert_eq!((discarded, farm.scheduler.logs(id, Tick(0)).unwrap().len()), (600 - 2 + 1 - 512, 513));
+    farm.restart();
+    assert_eq!(logs(&farm, 0)[0], both[0]);
+    assert_eq!(farm.scheduler.logs(JobId(9), Tick(0)), Err(Refusal::NoSuchJob { job: JobId(9) }));
+}
+
+#[test]
 fn owners_share_the_time_by_their_weights() {
     let weights = [("ann".to_owned(), 3)].into();
     let mut farm = Farm::with(Config { weights, ..common::config() });

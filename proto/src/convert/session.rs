@@ -5,7 +5,7 @@ use femc_model::{
 };
 
 use super::task::{from_lease, to_lease};
-use super::{ConvertError, digest, digest_bytes, each, need};
+use super::{ConvertError, digest, digest_bytes, each, maybe, need};
 use crate::{PROTOCOL, wire};
 
 impl From<FromWorker> for wire::FromWorker {
@@ -16,11 +16,13 @@ impl From<FromWorker> for wire::FromWorker {
             FromWorker::Heartbeat { number, tasks } => {
                 Message::Heartbeat(wire::Heartbeat { number, tasks: tasks.into_iter().map(Into::into).collect() })
             }
-            FromWorker::Completed { task, epoch, result } => {
-                Message::Completed(wire::Completed { lease: to_lease(task, epoch), result: Some(result.into()) })
+            FromWorker::Completed { task, epoch, result, log } => {
+                let (lease, result, log) = (to_lease(task, epoch), Some(result.into()), log.map(Into::into));
+                Message::Completed(wire::Completed { lease, result, log })
             }
-            FromWorker::Failed { task, epoch, failure } => {
-                Message::Failed(wire::Failed { lease: to_lease(task, epoch), failure: Some(failure.into()) })
+            FromWorker::Failed { task, epoch, failure, log } => {
+                let (lease, failure, log) = (to_lease(task, epoch), Some(failure.into()), log.map(Into::into));
+                Message::Failed(wire::Failed { lease, failure, log })
             }
             FromWorker::Draining => Message::Draining(wire::Empty {}),
             FromWorker::Available => Message::Available(wire::Empty {}),
@@ -39,11 +41,13 @@ impl TryFrom<wire::FromWorker> for FromWorker {
             Message::Heartbeat(wire::Heartbeat { number, tasks }) => Self::Heartbeat { number, tasks: each(tasks)? },
             Message::Completed(completed) => {
                 let (task, epoch) = from_lease(completed.lease)?;
-                Self::Completed { task, epoch, result: need("completed.result", completed.result)?.try_into()? }
+                let result = need("completed.result", completed.result)?.try_into()?;
+                Self::Completed { task, epoch, result, log: maybe(completed.log)? }
             }
             Message::Failed(failed) => {
                 let (task, epoch) = from_lease(failed.lease)?;
-                Self::Failed { task, epoch, failure: need("failed.failure", failed.failure)?.try_into()? }
+                let failure = need("failed.failure", failed.failure)?.try_into()?;
+                Self::Failed { task, epoch, failure, log: maybe(failed.log)? }
             }
             Message::Draining(_) => Self::Draining,
             Message::Available(_) => Self::Available,

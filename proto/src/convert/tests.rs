@@ -45,6 +45,10 @@ fn spec() -> JobSpec {
     }
 }
 
+fn log(text: LogText) -> TaskLog {
+    TaskLog { attempt: Attempt::Failed, seconds: 1.5, text }
+}
+
 fn failures() -> Vec<Failure> {
     let message = || "m".to_owned();
     vec![
@@ -122,11 +126,23 @@ fn the_words_of_a_session_cross_the_wire() {
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Heartbeat { number: 3, tasks: progress.to_vec() });
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Draining);
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Available);
+    let stored = LogText::Stored(Artefact { bytes: LogText::STORED as u64, ..artefact() });
+    let record = LogRecord { task: render, epoch, worker: "w".into(), at: Tick(7), log: log(stored) };
+    crosses::<LogRecord, wire::LogRecord>(record);
+    let long = wire::TaskLog::from(log(LogText::Inline("x".repeat(LogText::INLINE + 1))));
+    assert_eq!(TaskLog::try_from(long), Err(ConvertError::Range { field: "log.inline" }));
+    let large = wire::TaskLog::from(log(LogText::Stored(artefact())));
+    assert_eq!(TaskLog::try_from(large), Err(ConvertError::Range { field: "log.stored" }));
     for result in [TaskResult::Tile(tile), TaskResult::Merge(done), TaskResult::Merge(on)] {
-        crosses::<FromWorker, wire::FromWorker>(FromWorker::Completed { task: render, epoch, result });
+        crosses::<FromWorker, wire::FromWorker>(FromWorker::Completed {
+            task: render,
+            epoch,
+            result,
+            log: Some(log(LogText::Inline("ä".into()))),
+        });
     }
     for failure in failures() {
-        crosses::<FromWorker, wire::FromWorker>(FromWorker::Failed { task: merge, epoch, failure });
+        crosses::<FromWorker, wire::FromWorker>(FromWorker::Failed { task: merge, epoch, failure, log: None });
     }
 
     let works = [More::Rounds, More::Last].map(|more| Work::Merge {

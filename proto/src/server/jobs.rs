@@ -2,7 +2,7 @@
 
 use std::pin::Pin;
 
-use femc_model::{JobId, JobStatus};
+use femc_model::{JobId, JobStatus, Tick};
 use tokio::sync::{mpsc, watch};
 use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
@@ -54,6 +54,13 @@ impl wire::jobs_server::Jobs for Server {
         let job = JobId(request.into_inner().job);
         let frames = self.ask(|reply| Call::Frames { job, reply }).await?;
         Ok(Response::new(wire::FramesReply { frames: frames.into_iter().map(Into::into).collect() }))
+    }
+
+    async fn logs(&self, request: Request<wire::LogsRequest>) -> Answer<wire::LogsReply> {
+        let wire::LogsRequest { job, since } = request.into_inner();
+        let (job, since) = (JobId(job), Tick(since));
+        let logs = self.ask(|reply| Call::Logs { job, since, reply }).await?;
+        Ok(Response::new(wire::LogsReply { logs: logs.into_iter().map(Into::into).collect() }))
     }
 
     async fn list_workers(&self, _: Request<wire::ListWorkersRequest>) -> Answer<wire::ListWorkersReply> {

@@ -27,6 +27,13 @@ pub(crate) struct Tools {
     pub(crate) nice: Nice,
 }
 
+impl Tools {
+    /// Does `work` for `task` on the pool.
+    pub(crate) fn install<T: Send>(&self, task: &Task, work: impl FnOnce() -> T + Send) -> T {
+        self.pool.install(|| task.log.hear(work))
+    }
+}
+
 /// A result and the artefacts that it names.
 #[derive(Debug)]
 pub(crate) struct Product {
@@ -36,6 +43,18 @@ pub(crate) struct Product {
 
 /// Does the task. A panic is a failure like others.
 pub(crate) fn execute(task: &Task, tools: &Tools) -> Result<Product, Failure> {
+    task.log.begin();
+    task.log.hear(|| {
+        let outcome = attempt(task, tools);
+        match &outcome {
+            Ok(_) | Err(Failure::Cancelled) => {}
+            Err(failure) => tracing::warn!(task = %task.key().0, %failure, "task failed"),
+        }
+        outcome
+    })
+}
+
+fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
     let work = || match &task.assignment.work {
         Work::Render { samples } => render::render(task, samples.clone(), tools),
         Work::Merge { .. } => merge::merge(task, tools),

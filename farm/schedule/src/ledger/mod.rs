@@ -82,6 +82,11 @@ impl Ledger {
                 self.annex.drain(*instance, *drain);
                 return Vec::new();
             }
+            Fact::Logged(record) => {
+                let is_known = self.jobs.contains_key(&record.task.job);
+                let released = if is_known { self.annex.log(record) } else { Vec::new() };
+                return self.unreferenced(released);
+            }
             Fact::Rendered { task, epoch, leased, result } => {
                 let job = self.jobs.get_mut(&task.job);
                 (task.job, job.map(|job| job.rendered(task, *epoch, *leased, result)))
@@ -114,6 +119,9 @@ impl Ledger {
                 left.remove(&digest);
             });
         }
+        self.annex.each_artefact(|digest| {
+            left.remove(&digest);
+        });
         left.into_iter().collect()
     }
 

@@ -82,6 +82,18 @@ impl Cache {
     }
 }
 
+#[cfg(test)]
+impl Cache {
+    /// A frame that is not made yet.
+    pub(crate) fn hold_something(&self) {
+        self.0.frames.slot((Digest::of(b"scene"), 1));
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        lock(&self.0.frames.slots).is_empty() && lock(&self.0.scenes.slots).is_empty()
+    }
+}
+
 fn scene_key(spec: &JobSpec) -> Digest {
     let mut bytes = spec.bundle.as_bytes().to_vec();
     bytes.extend((spec.entry.len() as u64).to_le_bytes());

@@ -164,6 +164,19 @@ mod tests {
     }
 
     #[test]
+    fn a_task_begins_when_letting_go_of_the_caches_has_made_room() {
+        // What the cache holds is all that there is in memory.
+        let cache = Cache::default();
+        cache.hold_something();
+        let held = cache.clone();
+        let resident = Arc::new(move || Some(if held.is_empty() { 10 << 20 } else { 200 << 20 }));
+        let memory = Memory::new(Some(MemoryLimit { bytes: 100 << 20, resident }));
+        assert!(!memory.has_room_ahead() && !cache.is_empty());
+        assert!(memory.begin(StageKind::Render, &cache).is_ok());
+        assert!(cache.is_empty() && memory.has_room_ahead());
+    }
+
+    #[test]
     fn without_a_limit_everything_begins_and_this_process_has_a_size_where_the_system_says() {
         let memory = Memory::default();
         assert!(memory.begin(StageKind::Render, &Cache::default()).is_ok() && memory.has_room_ahead());

@@ -114,15 +114,16 @@ impl Ledger {
             return digests;
         }
         let mut left: BTreeSet<Digest> = digests.into_iter().collect();
-        for job in self.jobs.values() {
-            job.each_artefact(|digest| {
-                left.remove(&digest);
-            });
-        }
-        self.annex.each_artefact(|digest| {
+        self.each_artefact(|digest| {
             left.remove(&digest);
         });
         left.into_iter().collect()
+    }
+
+    /// Every artefact that is named: what is not, may go.
+    fn each_artefact(&self, mut see: impl FnMut(Digest)) {
+        self.jobs.values().for_each(|job| job.each_artefact(&mut see));
+        self.annex.each_artefact(see);
     }
 
     /// Version and content, for a snapshot.

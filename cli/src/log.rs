@@ -1,6 +1,7 @@
 //! The log on stderr. `FEMC_LOG` (`LEVEL` or `TARGET=LEVEL,...`) overrules the flags.
 
 use crate::args::{Cli, ColorChoice};
+use femc_worker::{TASK_LOG_LEVEL, TaskLogs};
 use std::io::{self, IsTerminal};
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::{Layer, SubscriberExt};
@@ -33,7 +34,10 @@ pub fn start(cli: &Cli) {
         ColorChoice::Auto => io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none(),
     };
     let lines = tracing_subscriber::fmt::layer().with_writer(io::stderr).with_ansi(colored).with_target(false);
-    tracing_subscriber::registry().with(lines.with_filter(filter)).init();
+    // What a worker's tasks write down goes to their logs, whatever is said on stderr.
+    let level = LevelFilter::from_level(TASK_LOG_LEVEL);
+    let tasks = TaskLogs.with_filter(Targets::new().with_default(LevelFilter::WARN).with_target("femc", level));
+    tracing_subscriber::registry().with(lines.with_filter(filter)).with(tasks).init();
     if let Some((text, error)) = refused {
         tracing::error!("FEMC_LOG={text} is not a log filter ({error}); write LEVEL or TARGET=LEVEL,...");
     }

@@ -1,26 +1,10 @@
 //! Coordinator, workers and clients as processes of their own.
 
 mod common;
-use common::{Place, Running, names};
-
-/// A coordinator on a free port, and its address.
-fn coordinator(place: &Place, port: u16) -> (Running, String) {
-    let mut coordinator =
-        place.start(&format!("coordinator --listen 127.0.0.1:{port} --store sqlite:farm.db --artifacts artifacts"));
-    let line = coordinator.first_line();
-    let url = line.split_whitespace().find(|word| word.starts_with("http://")).expect("the address").to_owned();
-    (coordinator, url)
-}
+use common::{Place, Running, coordinator, names, share, submit};
 
 fn worker(place: &Place, url: &str) -> Running {
     place.start(&format!("worker --join {url} --threads 1"))
-}
-
-fn submit(place: &Place, url: &str, settings: &str) -> String {
-    let ran = place.run(&format!("submit fog.mgf {settings} --server {url}")).exits(0);
-    let id = ran.stdout().lines().last().expect("a job id").to_owned();
-    assert!(!id.is_empty() && !id.contains(' '), "the id stands alone: {id}");
-    id
 }
 
 fn frames_done(place: &Place, url: &str, job: &str) -> u64 {
@@ -140,13 +124,6 @@ fn a_job_that_does_not_exist_is_wrong_usage() {
         let ran = place.run(&format!("{command} --server {url}")).exits(2);
         assert!(ran.stderr().contains("77"), "{command}: {}", ran.stderr());
     }
-}
-
-/// Share of the job's samples that are done.
-fn share(place: &Place, url: &str, job: &str) -> f64 {
-    let status = place.run(&format!("status {job} --json --server {url}")).exits(0).json();
-    let number = |key: &str| status[key].as_f64().expect("a number");
-    number("samples") / number("samples_most")
 }
 
 /// Waits until between a third and two thirds of the job are done.

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
-use femc_model::{Failure, FromWorker, JobId, JobStatus, Tick, WorkerId};
+use femc_model::{Failure, FromWorker, JobId, JobStatus, Refusal, Tick, ToWorker, WorkerId};
 use femc_proto::{Call, Reply, Session};
 use femc_queue::Queue;
 use femc_schedule::{Command, Event, Fact, RequestId, Scheduler};
@@ -39,7 +39,9 @@ enum Question {
     Status(JobId, Reply<JobStatus>),
     Watch(JobId, Reply<watch::Receiver<JobStatus>>),
     Frames(JobId, Reply<Vec<femc_model::FrameRecord>>),
+    Logs(JobId, Tick, Reply<Vec<femc_model::LogRecord>>),
     Workers(Reply<Vec<femc_model::WorkerStatus>>),
+    Drained(Result<Vec<WorkerId>, Refusal>, Reply<Vec<WorkerId>>),
 }
 
 /// The shell around the scheduler.
@@ -58,6 +60,8 @@ pub(crate) struct Actor<Q> {
     /// What follows from obeying: sessions that broke.
     pub(crate) echoes: VecDeque<Event>,
     questions: Vec<Question>,
+    /// Heartbeats that are heard and not answered, with their numbers.
+    heartbeats: Vec<(WorkerId, u64)>,
     numbers: u64,
     /// Records since the last snapshot.
     records: usize,
@@ -88,6 +92,7 @@ impl<Q: Queue> Actor<Q> {
             facts: Vec::new(),
             echoes: VecDeque::new(),
             questions: Vec::new(),
+            heartbeats: Vec::new(),
             numbers: 0,
             records,
             snapshot: config.snapshot,
@@ -148,8 +153,18 @@ impl<Q: Queue> Actor<Q> {
         if !self.workers.contains_key(&worker) {
             return;
         }
+        if let Word::Said(said) = &word
+            && let FromWorker::Heartbeat { number, .. } = **said
+        {
+            self.heartbeats.push((worker, number));
+        }
         let event = match word {
-            Word::Said(said) => event_of(worker, *said),
+            Word::Said(mut said) => {
+                if let Some(event) = log_of(worker, &mut said) {
+                    self.hear(event, commands);
+                }
+                event_of(worker, *said)
+            }
             Word::Over => {
                 self.workers.remove(&worker);
                 tracing::info!(%worker, "worker left");
@@ -176,6 +191,16 @@ impl<Q: Queue> Actor<Q> {
             Call::Status { job, reply } => self.questions.push(Question::Status(job, reply)),
             Call::Watch { job, reply } => self.questions.push(Question::Watch(job, reply)),
             Call::Frames { job, reply } => self.questions.push(Question::Frames(job, reply)),
+            Call::Drain { worker, drain, reply } => {
+                let workers = self.scheduler.named(&worker);
+                for &worker in &workers {
+                    self.hear(Event::Drained { worker, drain }, commands);
+                }
+                let nobody = || Refusal::NoSuchWorker { worker: worker.to_string() };
+                let answer = if workers.is_empty() { Err(nobody()) } else { Ok(workers) };
+                self.questions.push(Question::Drained(answer, reply));
+            }
+            Call::Logs { job, since, reply } => self.questions.push(Question::Logs(job, since, reply)),
             Call::Workers { reply } => self.questions.push(Question::Workers(reply)),
         }
     }
@@ -211,8 +236,19 @@ impl<Q: Queue> Actor<Q> {
             self.records += records.len();
         }
         self.obey(commands);
+        self.renew();
         self.answer();
         Ok(())
+    }
+
+    /// Answers the heartbeats. After the commands: an assignment that a worker gets after such an answer was made after the
+    /// heartbeat was sent.
+    fn renew(&mut self) {
+        let now = self.clock.now();
+        for (worker, heartbeat) in std::mem::take(&mut self.heartbeats) {
+            let leases = self.scheduler.leases(worker, now);
+            self.tell(worker, ToWorker::Renewed { heartbeat, leases });
+        }
     }
 
     fn answer(&mut self) {
@@ -224,6 +260,8 @@ impl<Q: Queue> Actor<Q> {
                 Question::Status(job, reply) => drop(reply.send(self.scheduler.status(job, now))),
                 Question::Watch(job, reply) => drop(reply.send(self.watch(job))),
                 Question::Frames(job, reply) => drop(reply.send(self.scheduler.frames(job))),
+                Question::Logs(job, since, reply) => drop(reply.send(self.scheduler.logs(job, since))),
+                Question::Drained(answer, reply) => drop(reply.send(answer)),
                 Question::Workers(reply) => drop(reply.send(Ok(self.scheduler.workers(now)))),
             }
         }
@@ -245,12 +283,23 @@ impl<Q: Queue> Actor<Q> {
     }
 }
 
+/// The log that a worker's report brings.
+fn log_of(worker: WorkerId, said: &mut FromWorker) -> Option<Event> {
+    match said {
+        FromWorker::Completed { task, epoch, log, .. } | FromWorker::Failed { task, epoch, log, .. } => {
+            let (task, epoch) = (*task, *epoch);
+            log.take().map(|log| Event::Logged { worker, task, epoch, log })
+        }
+        FromWorker::Register(_) | FromWorker::Heartbeat { .. } | FromWorker::Draining | FromWorker::Available => None,
+    }
+}
+
 /// What a worker says, as the scheduler hears it.
 fn event_of(worker: WorkerId, said: FromWorker) -> Option<Event> {
     Some(match said {
-        FromWorker::Heartbeat(tasks) => Event::Heartbeat { worker, tasks },
-        FromWorker::Completed { task, epoch, result } => Event::Completed { worker, task, epoch, result },
-        FromWorker::Failed { task, epoch, failure } => {
+        FromWorker::Heartbeat { tasks, .. } => Event::Heartbeat { worker, tasks },
+        FromWorker::Completed { task, epoch, result, .. } => Event::Completed { worker, task, epoch, result },
+        FromWorker::Failed { task, epoch, failure, .. } => {
             match failure {
                 Failure::Cancelled => tracing::debug!(%worker, %task, "task given back"),
                 _ => tracing::warn!(%worker, %task, %failure, "task failed"),
@@ -258,6 +307,7 @@ fn event_of(worker: WorkerId, said: FromWorker) -> Option<Event> {
             Event::Failed { worker, task, epoch, failure }
         }
         FromWorker::Draining => Event::Draining { worker },
+        FromWorker::Available => Event::Available { worker },
         // A session has one registration, and it is over.
         FromWorker::Register(_) => return None,
     })

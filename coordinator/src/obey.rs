@@ -43,8 +43,8 @@ impl<Q: Queue> Actor<Q> {
     }
 
     pub(crate) fn welcome(&mut self, worker: WorkerId) {
-        let heartbeat = self.scheduler.config().heartbeat;
-        self.tell(worker, ToWorker::Welcome { worker, heartbeat });
+        let femc_schedule::Config { heartbeat, lease, .. } = *self.scheduler.config();
+        self.tell(worker, ToWorker::Welcome { worker, heartbeat, lease });
     }
 
     fn assign(&mut self, worker: WorkerId, assignment: Assignment) {
@@ -57,7 +57,7 @@ impl<Q: Queue> Actor<Q> {
     }
 
     /// A worker that does not read, or is gone, loses its session.
-    fn tell(&mut self, worker: WorkerId, message: ToWorker) {
+    pub(crate) fn tell(&mut self, worker: WorkerId, message: ToWorker) {
         let Some(known) = self.workers.get(&worker) else { return };
         if known.out.try_send(message).is_err() {
             self.workers.remove(&worker);

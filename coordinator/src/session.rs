@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use femc_model::{Artefact, Failure, FromWorker, JobId, TaskResult, ToWorker, WorkerId};
+use femc_model::{Artefact, Failure, FromWorker, JobId, LogText, TaskResult, ToWorker, WorkerId};
 use femc_proto::Words;
 use femc_store::Store;
 use tokio::sync::mpsc;
@@ -49,7 +49,8 @@ pub(crate) async fn listen(worker: WorkerId, mut words: Words, store: Store, act
 
 /// A completion without its artefacts is a failure of the store. Artefacts that a worker calls lost are read, which
 /// removes those that are damaged, so that they can be put again.
-async fn checked(word: FromWorker, store: &Store) -> FromWorker {
+async fn checked(mut word: FromWorker, store: &Store) -> FromWorker {
+    check_log(&mut word, store).await;
     if let FromWorker::Failed { failure: Failure::LostInputs { digests, .. }, .. } = &word {
         for digest in digests {
             if let Err(error) = store.get(digest).await {
@@ -57,7 +58,7 @@ async fn checked(word: FromWorker, store: &Store) -> FromWorker {
             }
         }
     }
-    let FromWorker::Completed { task, epoch, result } = word else { return word };
+    let FromWorker::Completed { task, epoch, result, log } = word else { return word };
     for artefact in artefacts(&result) {
         let message = match store.size(&artefact.digest).await {
             Ok(Some(bytes)) if bytes == artefact.bytes => continue,
@@ -65,9 +66,21 @@ async fn checked(word: FromWorker, store: &Store) -> FromWorker {
             Ok(None) => format!("artefact {} did not arrive", artefact.digest),
             Err(error) => error.to_string(),
         };
-        return FromWorker::Failed { task, epoch, failure: Failure::Store { message } };
+        return FromWorker::Failed { task, epoch, failure: Failure::Store { message }, log };
     }
-    FromWorker::Completed { task, epoch, result }
+    FromWorker::Completed { task, epoch, result, log }
+}
+
+/// A log that did not arrive says so; it is no reason to do the task again.
+async fn check_log(word: &mut FromWorker, store: &Store) {
+    let (FromWorker::Completed { log: Some(log), .. } | FromWorker::Failed { log: Some(log), .. }) = word else {
+        return;
+    };
+    if let LogText::Stored(artefact) = log.text
+        && !matches!(store.size(&artefact.digest).await, Ok(Some(bytes)) if bytes == artefact.bytes)
+    {
+        log.text = LogText::Inline("the log did not arrive".into());
+    }
 }
 
 fn artefacts(result: &TaskResult) -> Vec<Artefact> {

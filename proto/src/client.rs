@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use bytes::{Bytes, BytesMut};
 use femc_model::{
-    Artefact, Control, Digest, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, Registration, ToWorker, WorkerStatus,
+    Artefact, Control, Digest, Drain, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord, Registration,
+    Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use hyper_util::rt::TokioIo;
 use tokio::sync::mpsc;
@@ -144,11 +145,25 @@ impl Client {
         Ok(each(reply.into_inner().frames)?)
     }
 
+    /// What workers wrote down while they did the job's tasks, oldest first, of attempts reported since then.
+    pub async fn logs(&self, job: JobId, since: Tick) -> Result<Vec<LogRecord>, CallError> {
+        let request = wire::LogsRequest { job: job.0, since: since.0 };
+        let reply = self.jobs().logs(request).await.map_err(|status| self.error(&status))?;
+        Ok(each(reply.into_inner().logs)?)
+    }
+
     /// The workers that are there.
     pub async fn workers(&self) -> Result<Vec<WorkerStatus>, CallError> {
         let reply =
             self.jobs().list_workers(wire::ListWorkersRequest {}).await.map_err(|status| self.error(&status))?;
         Ok(each(reply.into_inner().workers)?)
+    }
+
+    /// Gives workers no more tasks, or tasks again; returns the sessions that it was done to.
+    pub async fn drain(&self, worker: WorkerName, drain: Drain) -> Result<Vec<WorkerId>, CallError> {
+        let request = wire::DrainWorkersRequest::from((worker, drain));
+        let reply = self.jobs().drain_workers(request).await.map_err(|status| self.error(&status))?;
+        Ok(reply.into_inner().workers.into_iter().map(WorkerId).collect())
     }
 
     /// Those of `digests` that the coordinator's store does not have.

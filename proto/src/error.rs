@@ -56,7 +56,7 @@ pub enum ServeError {
 /// Exhaustive: a new refusal must choose its code.
 fn code(refusal: &Refusal) -> Code {
     match refusal {
-        Refusal::NoSuchJob { .. } | Refusal::NoSuchArtefact { .. } => Code::NotFound,
+        Refusal::NoSuchJob { .. } | Refusal::NoSuchArtefact { .. } | Refusal::NoSuchWorker { .. } => Code::NotFound,
         Refusal::Ended { .. } | Refusal::StaleEpoch => Code::FailedPrecondition,
         Refusal::Invalid { .. } => Code::InvalidArgument,
         Refusal::DigestMismatch { .. } => Code::DataLoss,

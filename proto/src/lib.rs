@@ -21,7 +21,7 @@ pub use server::{Call, Reply, Server, Session, Words};
 pub use tonic::transport::server::{Connected, TcpIncoming};
 
 /// Version of the protocol: a worker says it when it registers, and is refused if it is not this or the one before.
-pub const PROTOCOL: u32 = 1;
+pub const PROTOCOL: u32 = 2;
 
 /// Bytes of an artefact that travel in one message.
 pub const PIECE: usize = 1 << 20;

@@ -9,7 +9,8 @@ use std::io;
 use std::time::Duration;
 
 use femc_model::{
-    Control, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, Refusal, Registration, ToWorker, WorkerStatus,
+    Control, Drain, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord, Refusal, Registration, Tick,
+    ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use femc_store::Store;
 use tokio::sync::{mpsc, oneshot, watch};
@@ -75,10 +76,28 @@ pub enum Call {
         /// Ascending.
         reply: Reply<Vec<FrameRecord>>,
     },
+    /// What workers wrote down while they did the job's tasks.
+    Logs {
+        /// Which.
+        job: JobId,
+        /// Of attempts reported then or later.
+        since: Tick,
+        /// Oldest first.
+        reply: Reply<Vec<LogRecord>>,
+    },
     /// The workers that are there.
     Workers {
         /// In order of joining.
         reply: Reply<Vec<WorkerStatus>>,
+    },
+    /// Give workers no more tasks, or tasks again.
+    Drain {
+        /// Which.
+        worker: WorkerName,
+        /// How.
+        drain: Drain,
+        /// The sessions that it was done to, when it is durable.
+        reply: Reply<Vec<WorkerId>>,
     },
     /// A worker has come.
     Session(Box<Session>),

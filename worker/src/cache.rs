@@ -50,6 +50,12 @@ impl Cache {
         Self(Arc::new(Shelves { scenes: Shelf::new(Self::SCENES), frames: Shelf::new(frames.max(1)) }))
     }
 
+    /// Lets go of everything; what is in use stays until it is not.
+    pub(crate) fn clear(&self) {
+        self.0.scenes.clear();
+        self.0.frames.clear();
+    }
+
     /// The job's scene, read.
     pub(crate) fn scene(&self, spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Arc<Read>, Failure> {
         let slot = self.0.scenes.slot(scene_key(spec));
@@ -73,6 +79,18 @@ impl Cache {
             prepared.map(Arc::new).map_err(|error| Failure::Scene { message: error.to_string() })
         })?;
         Ok((read, prepared))
+    }
+}
+
+#[cfg(test)]
+impl Cache {
+    /// A frame that is not made yet.
+    pub(crate) fn hold_something(&self) {
+        self.0.frames.slot((Digest::of(b"scene"), 1));
+    }
+
+    pub(crate) fn is_empty(&self) -> bool {
+        lock(&self.0.frames.slots).is_empty() && lock(&self.0.scenes.slots).is_empty()
     }
 }
 
@@ -125,6 +143,10 @@ impl<K: PartialEq, V: Clone> Shelf<K, V> {
             slots.remove(0);
         }
         slot
+    }
+
+    fn clear(&self) {
+        lock(&self.slots).clear();
     }
 
     /// The value used last, of those that are made and whose key is `wanted`.

@@ -2,13 +2,14 @@
 
 use std::fmt;
 use std::hash::{BuildHasher as _, RandomState};
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::Assignment;
 use femc_proto::{CallError, Dial};
 
-use crate::Cache;
+use crate::{Cache, MemoryLimit, Shift};
 
 /// A worker's configuration.
 #[derive(Debug, Clone)]
@@ -33,6 +34,36 @@ pub struct Config {
     pub dial: Dial,
     /// Who does the tasks.
     pub hands: Hands,
+    /// Where results are kept until the coordinator has acknowledged them; `None`: in memory.
+    pub outbox: Option<OutboxConfig>,
+    /// The most memory that it may use before it gives tasks back.
+    pub memory: Option<MemoryLimit>,
+    /// Niceness of the threads that compute, 0 to 19; `None`: as it is.
+    pub nice: Option<u8>,
+    /// When it takes tasks.
+    pub shift: Shift,
+    /// It stops after so long without a task; `None`: never.
+    pub idle_limit: Option<Duration>,
+}
+
+/// Where a worker keeps results that are not acknowledged.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct OutboxConfig {
+    /// A folder of its own; it is made.
+    pub folder: PathBuf,
+    /// Most bytes in it.
+    pub limit: u64,
+    /// What to do when another worker uses it.
+    pub if_taken: IfTaken,
+}
+
+/// What to do when another worker uses the folder.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum IfTaken {
+    /// Do not start.
+    Fail,
+    /// Take the first that is free of `FOLDER-2`, `FOLDER-3` and so on.
+    NextFree,
 }
 
 /// Who does a worker's tasks.
@@ -89,6 +120,11 @@ impl Config {
             instance: RandomState::new().hash_one(std::process::id()),
             dial: Dial::tcp(),
             hands: Hands::Threads,
+            outbox: None,
+            memory: None,
+            nice: None,
+            shift: Shift::default(),
+            idle_limit: None,
         }
     }
 }
@@ -99,6 +135,22 @@ pub enum WorkerError {
     /// The coordinator's address is none, it refuses this worker, or it was away for too long.
     #[error(transparent)]
     Call(#[from] CallError),
+    /// The folder for results cannot be used.
+    #[error("outbox {}: {message}", folder.display())]
+    Outbox {
+        /// Which.
+        folder: PathBuf,
+        /// Why.
+        message: String,
+    },
+    /// The threads cannot have the niceness.
+    #[error("niceness {niceness}: {message}")]
+    Nice {
+        /// As configured.
+        niceness: u8,
+        /// What the system said.
+        message: String,
+    },
     /// The render threads cannot be started.
     #[error("render threads: {0}")]
     Threads(String),

@@ -1,22 +1,36 @@
 //! A farm machine: joins a coordinator, renders tiles, merges frames.
 //!
-//! Talking is asynchronous; work is not. Two threads take tasks, one renders and one merges, and both compute on the
-//! worker's own rayon pool; a third prepares the frames of tasks that were fetched ahead. Results go up while the next
-//! task runs. When the session breaks, what runs is cancelled: the coordinator has given it to others.
+//! Talking is asynchronous; work is not. Two lanes take tasks, one renders and one merges, and both compute on the
+//! worker's own rayon pool; a thread prepares the frames of tasks that were fetched ahead. Results go up while the next
+//! task runs. When the session breaks, what runs goes on, and what is done is kept: the next session brings both along.
 #![deny(missing_docs)]
 
 mod cache;
+mod claims;
 mod clock;
 mod config;
+mod duty;
 mod execute;
 mod fetch;
+mod finish;
+mod log;
+mod memory;
+mod nice;
+mod outbox;
 mod session;
 mod simulated;
 mod sums;
 mod table;
 mod threads;
+mod upload;
 mod worker;
 
 pub use cache::Cache;
-pub use config::{AtStop, Config, Hands, Pace, WorkerError};
+pub use config::{AtStop, Config, Hands, IfTaken, OutboxConfig, Pace, WorkerError};
+pub use duty::{Duty, Shift};
+pub use log::{TASK_LOG_LEVEL, TaskLogs};
+pub use memory::MemoryLimit;
 pub use worker::Worker;
+
+/// The build of the engine that this worker renders with.
+const ENGINE: &str = env!("CARGO_PKG_VERSION");

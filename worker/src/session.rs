@@ -1,20 +1,26 @@
 //! One session with the coordinator, from registration to the end of the connection.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
-use femc_model::{Epoch, Failure, FromWorker, JobId, JobSpec, Phase, Registration, TaskKey, ToWorker, Work};
+use femc_model::{
+    Epoch, Failure, FromWorker, JobId, JobSpec, Phase, Registration, TaskKey, TaskLog, TaskResult, ToWorker, Work,
+};
 use femc_proto::{CallError, Client, Incoming, Outgoing};
 use tokio::sync::mpsc::UnboundedReceiver;
+use tokio::task::JoinSet;
+use tokio::time::{Instant, Interval, MissedTickBehavior};
 
+use crate::claims::Claims;
 use crate::config::AtStop;
-use crate::execute::Product;
-use crate::fetch;
+use crate::duty::{Duty, Shift};
+use crate::outbox::Outbox;
 use crate::table::{Table, Task};
-use crate::threads::{Ahead, Finished};
+use crate::threads::Ahead;
+use crate::upload::{NotSent, upload, upload_log};
 
 /// Why a session ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -25,14 +31,26 @@ pub(crate) enum End {
     Stopped,
 }
 
+/// A result on its way, or what stopped it.
+type Sent = ((TaskKey, Epoch), Result<TaskResult, NotSent>, Option<TaskLog>);
+
 /// The worker's part of a session.
 pub(crate) struct Session<'a> {
-    pub(crate) client: Client,
-    pub(crate) table: &'a Arc<Table>,
-    pub(crate) ahead: &'a mpsc::Sender<Ahead>,
-    pub(crate) finished: &'a mut UnboundedReceiver<Finished>,
+    client: Client,
+    table: &'a Arc<Table>,
+    outbox: &'a Outbox,
+    ahead: &'a mpsc::Sender<Ahead>,
+    finished: &'a mut UnboundedReceiver<(TaskKey, Epoch)>,
     at_stop: AtStop,
+    shift: &'a Shift,
+    /// As the coordinator knows it.
+    duty: Duty,
     jobs: BTreeMap<JobId, Arc<JobSpec>>,
+    claims: Claims,
+    /// Results on their way to the store; they end with the session.
+    uploads: JoinSet<Sent>,
+    /// Results that are uploaded or reported, and not answered.
+    sending: BTreeSet<(TaskKey, Epoch)>,
 }
 
 impl<'a> Session<'a> {
@@ -42,11 +60,26 @@ impl<'a> Session<'a> {
     pub(crate) fn new(
         client: Client,
         table: &'a Arc<Table>,
+        outbox: &'a Outbox,
         ahead: &'a mpsc::Sender<Ahead>,
-        finished: &'a mut UnboundedReceiver<Finished>,
+        finished: &'a mut UnboundedReceiver<(TaskKey, Epoch)>,
         at_stop: AtStop,
+        shift: &'a Shift,
     ) -> Self {
-        Self { client, table, ahead, finished, at_stop, jobs: BTreeMap::new() }
+        Self {
+            client,
+            table,
+            outbox,
+            ahead,
+            finished,
+            at_stop,
+            shift,
+            duty: Duty::On,
+            jobs: BTreeMap::new(),
+            claims: Claims::new(Instant::now()),
+            uploads: JoinSet::new(),
+            sending: BTreeSet::new(),
+        }
     }
 
     /// Works until the session or the worker ends. When the session is lost, what runs goes on, and results are kept for the
@@ -56,13 +89,17 @@ impl<'a> Session<'a> {
         registration: Registration,
         mut stop: Pin<&mut S>,
     ) -> Result<End, CallError> {
+        let silent = || CallError::Unreachable {
+            url: self.client.url().into(),
+            message: format!("it said nothing for {} s", Claims::INTRODUCTION.as_secs()),
+        };
         let (out, mut incoming) = tokio::select! {
             biased;
             session = self.client.session(registration) => session?,
             () = &mut stop => return Ok(End::Stopped),
+            () = tokio::time::sleep(Claims::INTRODUCTION) => return Err(silent()),
         };
-        let mut heartbeat = tokio::time::interval(Duration::from_millis(500));
-        heartbeat.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        let mut heartbeat: Option<Interval> = None;
         let mut draining = false;
         let end = loop {
             if draining && self.table.is_empty() {
@@ -78,27 +115,37 @@ impl<'a> Session<'a> {
                     out.send(FromWorker::Draining).await;
                     give_back(self.table.clear_line(), &out).await;
                 }
-                _ = heartbeat.tick() => out.send(FromWorker::Heartbeat(self.table.progress())).await,
-                Some((key, outcome)) = self.finished.recv() => {
-                    // Of a lease that is over, nobody wants to hear.
-                    if let Some(task) = self.table.get(&key) {
-                        task.settle(outcome);
-                        self.send(task, &out);
+                () = next(&mut heartbeat) => {
+                    if !draining {
+                        self.heed_hours(&out).await;
+                    }
+                    self.beat(&out).await;
+                }
+                Some(key) = self.finished.recv() => self.send(key),
+                Some(sent) = self.uploads.join_next(), if !self.uploads.is_empty() => {
+                    // One that panicked, or was aborted, has nothing to report.
+                    if let Ok(sent) = sent {
+                        self.report(sent, &out).await;
                     }
                 }
                 message = incoming.next() => match message {
-                    Ok(Some(ToWorker::Welcome { worker, heartbeat: pause })) => {
+                    Ok(Some(ToWorker::Welcome { worker, heartbeat: pause, lease })) => {
                         tracing::info!(%worker, url = self.client.url(), "joined");
-                        // Results that an earlier session did not get rid of.
-                        let kept = self.table.held().into_iter().filter(|task| task.outcome().is_some());
-                        kept.for_each(|task| self.send(task, &out));
-                        heartbeat = tokio::time::interval(Duration::from_millis(pause.max(10)));
-                        heartbeat.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+                        self.claims.welcomed(lease);
+                        let every = Duration::from_millis(pause.max(10));
+                        let pulse = heartbeat.insert(tokio::time::interval(every));
+                        pulse.set_missed_tick_behavior(MissedTickBehavior::Delay);
+                        self.heed_hours(&out).await;
                     }
                     Ok(Some(ToWorker::Goodbye) | None) => break Ok(End::Lost),
-                    Ok(Some(message)) => self.hear(message),
+                    Ok(Some(message)) => self.hear(message, &out).await,
                     Err(error) => break Err(error),
                 },
+                // Last: what the coordinator has said meanwhile is heard first.
+                () = tokio::time::sleep_until(self.claims.end()) => {
+                    tracing::warn!(url = self.client.url(), "coordinator is silent: no lease is counted on any more");
+                    break Ok(End::Lost);
+                }
             }
         };
         // Once asked to stop it does not look for the coordinator again.
@@ -109,7 +156,37 @@ impl<'a> Session<'a> {
         end
     }
 
-    fn hear(&mut self, message: ToWorker) {
+    /// Tells the coordinator when the worker's hours begin and end; at their end what waits is given back.
+    async fn heed_hours(&mut self, out: &Outgoing) {
+        let duty = self.shift.now();
+        if duty == self.duty {
+            return;
+        }
+        self.duty = duty;
+        match duty {
+            Duty::On => {
+                tracing::info!("on duty");
+                out.send(FromWorker::Available).await;
+            }
+            Duty::Off => {
+                tracing::info!("off duty: it finishes what it is at");
+                out.send(FromWorker::Draining).await;
+                give_back(self.table.clear_line(), out).await;
+            }
+        }
+    }
+
+    /// Says that the worker is there, and how far its tasks are.
+    async fn beat(&mut self, out: &Outgoing) {
+        let now = Instant::now();
+        let held = self.table.held();
+        let claimed = held.iter().filter(|task| self.claims.holds(&task.key(), now));
+        let tasks = claimed.map(|task| task.progress()).collect();
+        let number = self.claims.beat(now);
+        out.send(FromWorker::Heartbeat { number, tasks }).await;
+    }
+
+    async fn hear(&mut self, message: ToWorker, out: &Outgoing) {
         match message {
             ToWorker::Job { job, spec } => drop(self.jobs.insert(job, Arc::from(spec))),
             ToWorker::Assign(assignment) => {
@@ -117,43 +194,78 @@ impl<'a> Session<'a> {
                     tracing::warn!(task = %assignment.task, "a task of a job that was not told");
                     return;
                 };
-                if let Work::Render { .. } = assignment.work {
-                    let (spec, frame) = (spec.clone(), assignment.task.stage.frame);
-                    // Without its thread the worker is ending.
-                    let _ = self.ahead.send(Ahead { spec, frame, client: self.client.clone() });
+                let task = (assignment.task, assignment.epoch);
+                if self.duty == Duty::Off {
+                    // Dealt before the coordinator had heard of it.
+                    return give_back(vec![task], out).await;
                 }
+                let ahead = matches!(assignment.work, Work::Render { .. }).then(|| {
+                    let (spec, frame) = (spec.clone(), assignment.task.stage.frame);
+                    Ahead { spec, frame, client: self.client.clone(), task }
+                });
+                self.claims.assigned(task, assignment.lease);
                 self.table.put(Arc::new(Task::new(assignment, spec.clone(), self.client.clone())));
+                // Without its thread the worker is ending.
+                ahead.into_iter().for_each(|ahead| drop(self.ahead.send(ahead)));
+            }
+            ToWorker::Renewed { heartbeat, leases } => {
+                self.claims.renewed(heartbeat, &leases);
+                // Results that an earlier session did not get rid of, and those that could not be sent.
+                leases.iter().for_each(|lease| self.send((lease.task, lease.epoch)));
             }
             ToWorker::Revoke { task, epoch, reason } => {
                 tracing::debug!(%task, ?reason, "lease taken back");
-                self.table.drop_task(&(task, epoch));
+                self.forget((task, epoch));
             }
-            ToWorker::Accepted { task, epoch } => self.table.drop_task(&(task, epoch)),
+            ToWorker::Accepted { task, epoch } => self.forget((task, epoch)),
             ToWorker::Refused { task, epoch, refusal } => {
                 tracing::info!(%task, %refusal, "report refused");
-                self.table.drop_task(&(task, epoch));
+                self.forget((task, epoch));
             }
             ToWorker::Welcome { .. } | ToWorker::Goodbye => {}
         }
     }
 
-    /// Sends a result's artefacts and then the result, while the next task runs.
-    fn send(&self, done: Arc<Task>, out: &Outgoing) {
-        let (client, out) = (self.client.clone(), out.clone());
-        tokio::spawn(async move {
-            let Some(outcome) = done.outcome() else { return };
-            let (task, epoch) = done.key();
-            done.enter(Phase::Uploading);
-            let sent = match outcome {
-                Ok(product) => upload(&client, product).await.map(|()| product.result.clone()),
-                Err(failure) => Err(failure.clone()),
+    /// The lease is over: done, given to another, or not wanted any more.
+    fn forget(&mut self, key: (TaskKey, Epoch)) {
+        self.claims.forget(&key);
+        self.sending.remove(&key);
+        self.table.drop_task(&key);
+        self.outbox.forget(key);
+    }
+
+    /// Sends a result's artefacts, while the next task runs. Not of a lease that may be over: it waits until the coordinator
+    /// says that it holds.
+    fn send(&mut self, key: (TaskKey, Epoch)) {
+        let Some(task) = self.table.get(&key) else { return };
+        if task.outcome().is_none() || !self.claims.holds(&key, Instant::now()) || !self.sending.insert(key) {
+            return;
+        }
+        task.enter(Phase::Uploading);
+        let client = self.client.clone();
+        self.uploads.spawn(async move {
+            let sent = match task.outcome() {
+                Some(Ok(product)) => upload(&client, product).await.map(|()| product.result.clone()),
+                Some(Err(failure)) => Err(NotSent::Failed(failure.clone())),
+                None => Err(NotSent::Later),
             };
-            out.send(match sent {
-                Ok(result) => FromWorker::Completed { task, epoch, result },
-                Err(failure) => FromWorker::Failed { task, epoch, failure },
-            })
-            .await;
+            let log = upload_log(&client, &task).await;
+            (key, sent, log)
         });
+    }
+
+    /// Reports a result whose artefacts are in the store, if its lease still holds.
+    async fn report(&mut self, (key, sent, log): Sent, out: &Outgoing) {
+        let (task, epoch) = key;
+        if !self.claims.holds(&key, Instant::now()) {
+            self.sending.remove(&key);
+            return;
+        }
+        match sent {
+            Ok(result) => out.send(FromWorker::Completed { task, epoch, result, log }).await,
+            Err(NotSent::Failed(failure)) => out.send(FromWorker::Failed { task, epoch, failure, log }).await,
+            Err(NotSent::Later) => drop(self.sending.remove(&key)),
+        }
     }
 
     /// Gives back what is held, so that nobody waits for deadlines.
@@ -165,15 +277,16 @@ impl<'a> Session<'a> {
     }
 }
 
-async fn give_back(tasks: Vec<(TaskKey, Epoch)>, out: &Outgoing) {
-    for (task, epoch) in tasks {
-        out.send(FromWorker::Failed { task, epoch, failure: Failure::Cancelled }).await;
+/// The next heartbeat; none before the coordinator has said how often.
+async fn next(heartbeat: &mut Option<Interval>) {
+    match heartbeat {
+        Some(heartbeat) => drop(heartbeat.tick().await),
+        None => std::future::pending().await,
     }
 }
 
-async fn upload(client: &Client, product: &Product) -> Result<(), Failure> {
-    for bytes in &product.artefacts {
-        client.put(bytes.clone()).await.map_err(|error| fetch::failure(&error))?;
+async fn give_back(tasks: Vec<(TaskKey, Epoch)>, out: &Outgoing) {
+    for (task, epoch) in tasks {
+        out.send(FromWorker::Failed { task, epoch, failure: Failure::Cancelled, log: None }).await;
     }
-    Ok(())
 }

@@ -5,31 +5,25 @@ use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
 use femc_model::{Failure, Phase, StageKind, Work};
-use tokio::sync::mpsc::UnboundedSender;
 
 use crate::config::Pace;
 use crate::execute::{Product, Tools, execute};
 use crate::fetch::Fetch;
+use crate::finish::Finish;
 use crate::table::{Table, Task};
-use crate::threads::{Ahead, Finished};
+use crate::threads::Ahead;
 
 /// Steps in which a task shows its progress.
 const STEPS: u32 = 8;
 
 /// Starts the hands; they end when the table is closed. Nothing is prepared ahead.
-pub(crate) fn start(
-    pace: &Pace,
-    tools: &Tools,
-    table: &Arc<Table>,
-    finished: &UnboundedSender<Finished>,
-) -> mpsc::Sender<Ahead> {
+pub(crate) fn start(pace: &Pace, tools: &Tools, table: &Arc<Table>, finish: &Finish) -> mpsc::Sender<Ahead> {
     for kind in [StageKind::Render, StageKind::Merge] {
-        let (pace, tools, table, finished) = (pace.clone(), tools.clone(), table.clone(), finished.clone());
+        let (pace, tools, table, finish) = (pace.clone(), tools.clone(), table.clone(), finish.clone());
         tokio::spawn(async move {
             while let Some(task) = table.taken(kind).await {
                 let outcome = work(&task, &pace, &tools).await;
-                // Without a listener the worker is ending.
-                let _ = finished.send((task.key(), outcome));
+                finish.done(&task, outcome);
             }
         });
     }

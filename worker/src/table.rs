@@ -7,8 +7,11 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 use femc_model::{Assignment, Epoch, Failure, HeldLease, JobSpec, Phase, StageKind, TaskKey, TaskProgress};
 use femc_proto::Client;
 use tokio::sync::Notify;
+use tokio::time::Instant;
 
 use crate::execute::Product;
+use crate::log::TaskLog;
+use crate::outbox::Restored;
 
 /// A task under a lease.
 #[derive(Debug)]
@@ -23,6 +26,10 @@ pub(crate) struct Task {
     phase: AtomicU8,
     /// What came of it, kept until the coordinator has answered: a session may end in between.
     outcome: OnceLock<Outcome>,
+    /// What is written down meanwhile.
+    pub(crate) log: TaskLog,
+    /// Seconds that it took, and the log's text.
+    written: OnceLock<(f64, String)>,
 }
 
 /// What came of a task.
@@ -31,7 +38,16 @@ pub(crate) type Outcome = Result<Product, Failure>;
 impl Task {
     pub(crate) fn new(assignment: Assignment, spec: Arc<JobSpec>, client: Client) -> Self {
         let (cancel, samples, phase) = (AtomicBool::new(false), AtomicU64::new(0), AtomicU8::new(0));
-        Self { assignment, spec, client, cancel, samples, phase, outcome: OnceLock::new() }
+        let (outcome, log, written) = (OnceLock::new(), TaskLog::default(), OnceLock::new());
+        Self { assignment, spec, client, cancel, samples, phase, outcome, log, written }
+    }
+
+    /// A task that an earlier life of this worker has done.
+    pub(crate) fn restored(restored: Restored, client: Client) -> Self {
+        let Restored { assignment, spec, product } = restored;
+        let task = Self::new(assignment, Arc::new(spec), client);
+        task.settle(Ok(product));
+        task
     }
 
     /// The lease, as a later session brings it along.
@@ -43,6 +59,16 @@ impl Task {
     /// Keeps what came of it; what is there already stays.
     pub(crate) fn settle(&self, outcome: Outcome) {
         let _ = self.outcome.set(outcome);
+    }
+
+    /// Keeps the log as it is to be reported.
+    pub(crate) fn write_log(&self, seconds: f64, text: String) {
+        let _ = self.written.set((seconds, text));
+    }
+
+    /// Seconds that it took, and the log's text; a task of an earlier life has none.
+    pub(crate) fn written_log(&self) -> Option<&(f64, String)> {
+        self.written.get()
     }
 
     pub(crate) fn outcome(&self) -> Option<&Outcome> {
@@ -61,7 +87,7 @@ impl Task {
         self.cancel.load(Ordering::Relaxed)
     }
 
-    fn progress(&self) -> TaskProgress {
+    pub(crate) fn progress(&self) -> TaskProgress {
         let phase = match self.phase.load(Ordering::Relaxed) {
             0 => Phase::Waiting,
             1 => Phase::Preparing,
@@ -79,6 +105,8 @@ struct State {
     /// Oldest first.
     line: Vec<Arc<Task>>,
     closed: bool,
+    /// When it held something last; `None`: now.
+    idle: Option<Instant>,
 }
 
 impl State {
@@ -106,10 +134,18 @@ impl Table {
 
     pub(crate) fn put(&self, task: Arc<Task>) {
         let mut state = self.lock();
+        state.idle = None;
         state.held.insert(task.key(), task.clone());
         state.line.push(task);
         self.arrived.notify_all();
         self.changed.notify_waiters();
+    }
+
+    /// Holds a task that is done.
+    pub(crate) fn keep(&self, task: Arc<Task>) {
+        let mut state = self.lock();
+        state.idle = None;
+        state.held.insert(task.key(), task);
     }
 
     /// The oldest waiting task of this kind; waits for one. `None` when the table is closed.
@@ -165,6 +201,12 @@ impl Table {
         waiting
     }
 
+    /// Since when the worker holds nothing.
+    pub(crate) fn idle_since(&self) -> Option<Instant> {
+        let mut state = self.lock();
+        if state.held.is_empty() { Some(*state.idle.get_or_insert_with(Instant::now)) } else { None }
+    }
+
     /// All that the worker holds, in order of key.
     pub(crate) fn held(&self) -> Vec<Arc<Task>> {
         self.lock().held.values().cloned().collect()
@@ -190,10 +232,5 @@ impl Table {
         self.lock().closed = true;
         self.arrived.notify_all();
         self.changed.notify_waiters();
-    }
-
-    /// How far every task is.
-    pub(crate) fn progress(&self) -> Vec<TaskProgress> {
-        self.lock().held.values().map(|task| task.progress()).collect()
     }
 }

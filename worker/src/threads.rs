@@ -1,23 +1,30 @@
-//! The threads that work: one renders, one merges, one prepares ahead; all compute on one pool.
+//! The threads that work: one lane renders, one merges, one thread prepares ahead; all compute on one pool.
+//!
+//! A lane is two threads: one that does a task, the hand, and one that waits for it. Rendering notices a cancellation within
+//! milliseconds; reading a large scene or building its trees does not. Then the lane leaves the hand behind, to end
+//! unheard, and goes on with a new one: the worker is free for other tasks at once. What is left behind costs memory and
+//! processor until it ends, so a lane leaves few behind and waits when there are more.
 
 use std::sync::{Arc, mpsc};
+use std::thread::JoinHandle;
+use std::time::Duration;
 
 use femc_model::{Epoch, Failure, JobSpec, StageKind, TaskKey};
 use femc_proto::Client;
-use tokio::sync::mpsc::UnboundedSender;
 
+use crate::clock::Stopwatch;
 use crate::config::WorkerError;
-use crate::execute::{Product, Tools, execute};
-use crate::table::Table;
-
-/// A task that is done, or not.
-pub(crate) type Finished = ((TaskKey, Epoch), Result<Product, Failure>);
+use crate::execute::{Tools, execute};
+use crate::finish::Finish;
+use crate::table::{Outcome, Table, Task};
 
 /// A frame that will be needed soon.
 pub(crate) struct Ahead {
     pub(crate) spec: Arc<JobSpec>,
     pub(crate) frame: u32,
     pub(crate) client: Client,
+    /// The task that needs it.
+    pub(crate) task: (TaskKey, Epoch),
 }
 
 /// Starts the threads; they end when the table is closed and the sender of frames ahead is dropped.
@@ -25,22 +32,27 @@ pub(crate) fn start(
     name: &str,
     tools: &Tools,
     table: &Arc<Table>,
-    finished: &UnboundedSender<Finished>,
+    finish: &Finish,
 ) -> Result<mpsc::Sender<Ahead>, WorkerError> {
     for (kind, what) in [(StageKind::Render, "render"), (StageKind::Merge, "merge")] {
-        let (tools, table, finished) = (tools.clone(), table.clone(), finished.clone());
-        spawn(format!("{name} {what}"), move || {
+        let (table, finish, name) = (table.clone(), finish.clone(), format!("{name} {what}"));
+        let mut lane = Lane::new(name.clone(), tools.clone())?;
+        spawn(name, move || {
             while let Some(task) = table.take(kind) {
-                let outcome = execute(&task, &tools);
-                // Without a listener the worker is ending.
-                let _ = finished.send((task.key(), outcome));
+                if let Some(outcome) = lane.work(&task) {
+                    finish.done(&task, outcome);
+                }
             }
         })?;
     }
     let (ahead, frames) = mpsc::channel::<Ahead>();
-    let Tools { cache, fetch, .. } = tools.clone();
+    let (Tools { cache, fetch, memory, nice, .. }, table) = (tools.clone(), table.clone());
     spawn(format!("{name} prepare"), move || {
-        for Ahead { spec, frame, client } in frames {
+        nice.apply();
+        for Ahead { spec, frame, client, task } in frames {
+            if table.get(&task).is_none() || !memory.has_room_ahead() {
+                continue;
+            }
             // The task itself meets the same failure, and reports it.
             let prepare = || drop(cache.frame(&spec, frame, &client, &fetch));
             let _ = std::panic::catch_unwind(std::panic::AssertUnwindSafe(prepare));
@@ -49,7 +61,99 @@ pub(crate) fn start(
     Ok(ahead)
 }
 
-fn spawn(name: String, work: impl FnOnce() + Send + 'static) -> Result<(), WorkerError> {
-    let spawned = std::thread::Builder::new().name(name).spawn(work);
-    spawned.map(drop).map_err(|error| WorkerError::Threads(error.to_string()))
+/// Does tasks one after the other.
+struct Lane {
+    name: String,
+    tools: Tools,
+    hand: Hand,
+    /// Hands whose tasks were cancelled and go on all the same.
+    left_behind: Vec<JoinHandle<()>>,
+}
+
+/// A thread that does tasks.
+struct Hand {
+    tasks: mpsc::Sender<Arc<Task>>,
+    outcomes: mpsc::Receiver<Outcome>,
+    thread: JoinHandle<()>,
+}
+
+impl Lane {
+    /// Between two looks at whether a task is cancelled.
+    const LOOK: Duration = Duration::from_millis(50);
+    /// How long a cancelled task may go on before its hand is left behind.
+    const GRACE: Duration = Duration::from_millis(250);
+    /// Most hands that are left behind at a time.
+    const MOST: usize = 3;
+
+    fn new(name: String, tools: Tools) -> Result<Self, WorkerError> {
+        Ok(Self { hand: Hand::new(&name, &tools)?, name, tools, left_behind: Vec::new() })
+    }
+
+    /// Does the task; `None` if it was cancelled and does not end.
+    fn work(&mut self, task: &Arc<Task>) -> Option<Outcome> {
+        let died = || Some(Err(Failure::Panicked { message: "the thread that did it died".into() }));
+        if self.hand.tasks.send(task.clone()).is_err() {
+            self.replace_hand();
+            return died();
+        }
+        let mut cancelled: Option<Stopwatch> = None;
+        loop {
+            match self.hand.outcomes.recv_timeout(Self::LOOK) {
+                Ok(outcome) => return Some(outcome),
+                Err(mpsc::RecvTimeoutError::Disconnected) => {
+                    self.replace_hand();
+                    return died();
+                }
+                Err(mpsc::RecvTimeoutError::Timeout) if task.is_cancelled() => {
+                    let since = cancelled.get_or_insert_with(Stopwatch::start);
+                    if since.elapsed() >= Self::GRACE && self.may_leave_behind() && self.replace_hand() {
+                        tracing::info!(task = %task.key().0, "cancelled; it goes on for a while, unheard");
+                        return None;
+                    }
+                }
+                Err(mpsc::RecvTimeoutError::Timeout) => {}
+            }
+        }
+    }
+
+    fn may_leave_behind(&mut self) -> bool {
+        self.left_behind.retain(|thread| !thread.is_finished());
+        self.left_behind.len() < Self::MOST
+    }
+
+    /// Whether there is a new hand; without one the lane keeps the old.
+    fn replace_hand(&mut self) -> bool {
+        match Hand::new(&self.name, &self.tools) {
+            Ok(hand) => {
+                self.left_behind.push(std::mem::replace(&mut self.hand, hand).thread);
+                true
+            }
+            Err(error) => {
+                tracing::warn!(%error, "no thread can be started");
+                false
+            }
+        }
+    }
+}
+
+impl Hand {
+    /// A thread that ends when it is dropped and its task is done.
+    fn new(name: &str, tools: &Tools) -> Result<Self, WorkerError> {
+        let (tasks, line) = mpsc::channel::<Arc<Task>>();
+        let (done, outcomes) = mpsc::channel();
+        let tools = tools.clone();
+        let thread = spawn(format!("{name} hand"), move || {
+            tools.nice.apply();
+            for task in line {
+                if done.send(execute(&task, &tools)).is_err() {
+                    break;
+                }
+            }
+        })?;
+        Ok(Self { tasks, outcomes, thread })
+    }
+}
+
+fn spawn(name: String, work: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, WorkerError> {
+    std::thread::Builder::new().name(name).spawn(work).map_err(|error| WorkerError::Threads(error.to_string()))
 }

@@ -14,9 +14,13 @@ use crate::clock::Stopwatch;
 use crate::config::{Config, Hands, WorkerError};
 use crate::execute::Tools;
 use crate::fetch::Fetch;
+use crate::finish::Finish;
+use crate::memory::Memory;
+use crate::nice::Nice;
+use crate::outbox::Outbox;
 use crate::session::{End, Session};
-use crate::table::Table;
-use crate::{simulated, threads};
+use crate::table::{Table, Task};
+use crate::{duty, memory, simulated, threads};
 
 /// A farm machine.
 #[derive(Debug)]
@@ -31,30 +35,54 @@ impl Worker {
     /// Works on the current tokio runtime until `stop` comes; then gives back what it holds and ends. Survives the
     /// coordinator's absence, unless the configuration bounds its patience.
     pub async fn run(config: Config, stop: impl Future<Output = ()>) -> Result<(), WorkerError> {
+        let nice = Nice::tried(config.nice)?;
         let thread = config.name.clone();
         let pool = ThreadPoolBuilder::new()
             .num_threads(config.threads)
             .thread_name(move |index| format!("{thread} {index}"))
+            .start_handler(move |_| nice.apply())
             .build()
             .map_err(|error| WorkerError::Threads(error.to_string()))?;
         let registration = Registration {
             name: config.name.clone(),
             instance: config.instance,
-            engine: env!("CARGO_PKG_VERSION").into(),
+            engine: crate::ENGINE.into(),
             threads: pool.current_num_threads() as u32,
             slots: 1,
             tags: config.tags.clone(),
             held: Vec::new(),
         };
-        let tools =
-            Tools { pool: Arc::new(pool), cache: config.cache.clone(), fetch: Fetch::Blocking(Handle::current()) };
+        let tools = Tools {
+            pool: Arc::new(pool),
+            cache: config.cache.clone(),
+            fetch: Fetch::Blocking(Handle::current()),
+            memory: Memory::new(config.memory.clone()),
+            nice,
+        };
         let table = Arc::new(Table::default());
-        let (finish, mut finished) = mpsc::unbounded_channel();
+        let (told, mut finished) = mpsc::unbounded_channel();
+        let (outbox, mut restored) = match config.outbox.clone() {
+            None => (Outbox::default(), Vec::new()),
+            Some(outbox) => tokio::task::spawn_blocking(move || Outbox::open(&outbox))
+                .await
+                .map_err(|error| WorkerError::Threads(error.to_string()))??,
+        };
+        let peak = match config.hands {
+            Hands::Threads => memory::peak,
+            Hands::Simulated(_) => || None,
+        };
+        let finish = Finish { told, outbox: outbox.clone(), worker: Arc::from(config.name.as_str()), peak };
         let ahead = match &config.hands {
             Hands::Threads => threads::start(&config.name, &tools, &table, &finish)?,
             Hands::Simulated(pace) => simulated::start(pace, &tools, &table, &finish),
         };
-        let mut stop = std::pin::pin!(stop);
+        let mut stop = std::pin::pin!(async {
+            tokio::select! {
+                biased;
+                () = stop => {}
+                () = duty::idle(&table, config.idle_limit) => {}
+            }
+        });
         let mut pause = Self::FIRST_PAUSE;
         let mut away = Stopwatch::start();
         let outcome = loop {
@@ -65,7 +93,10 @@ impl Worker {
                     () = &mut stop => return Ok(End::Stopped),
                 };
                 pause = Self::FIRST_PAUSE;
-                let session = Session::new(client, &table, &ahead, &mut finished, config.at_stop);
+                let kept = restored.drain(..).map(|restored| Task::restored(restored, client.clone()));
+                kept.for_each(|task| table.keep(Arc::new(task)));
+                let session =
+                    Session::new(client, &table, &outbox, &ahead, &mut finished, config.at_stop, &config.shift);
                 let held = table.held().iter().map(|task| task.lease()).collect();
                 session.run(Registration { held, ..registration.clone() }, stop.as_mut()).await
             };
@@ -91,6 +122,8 @@ impl Worker {
             }
         };
         table.close();
+        // What it does at the end it does within milliseconds, or the disk is broken.
+        let _ = tokio::task::spawn_blocking(move || outbox.close()).await;
         outcome
     }
 }

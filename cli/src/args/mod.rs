@@ -90,7 +90,9 @@ pub enum Command {
     Status(command::status::StatusArgs),
     Watch(command::watch::WatchArgs),
     Fetch(command::fetch::FetchArgs),
+    Logs(command::logs::LogsArgs),
     Workers(command::workers::WorkersArgs),
+    Drain(command::drain::DrainArgs),
     /// Hold a job: running tasks end, no new ones begin
     #[command(after_help = "Examples:\n  femc pause 7")]
     Pause(command::control::JobArgs),

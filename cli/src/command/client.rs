@@ -4,7 +4,10 @@ use crate::args::ServerArgs;
 use crate::clock::Clock;
 use crate::exit::{Failure, failed, unreachable, usage};
 use crate::request::Asked;
-use femc_model::{Artefact, Control, Digest, FrameRecord, Grid, JobId, JobSpec, JobStatus, Refusal, WorkerStatus};
+use femc_model::{
+    Artefact, Control, Digest, Drain, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord, Refusal, Tick, WorkerId,
+    WorkerName, WorkerStatus,
+};
 use femc_proto::{CallError, Client};
 use std::time::Duration;
 
@@ -92,6 +95,16 @@ impl Farm {
         self.client.control(job, control).await.map_err(told)
     }
 
+    /// What workers wrote down while they did the job's tasks, oldest first, of attempts reported since then.
+    pub async fn logs(&self, job: JobId, since: Tick) -> Result<Vec<LogRecord>, Failure> {
+        self.client.logs(job, since).await.map_err(told)
+    }
+
+    /// Give workers no more tasks, or tasks again; the sessions that it was done to.
+    pub async fn drain(&self, worker: WorkerName, drain: Drain) -> Result<Vec<WorkerId>, Failure> {
+        self.client.drain(worker, drain).await.map_err(told)
+    }
+
     /// The workers that are there.
     pub async fn workers(&self) -> Result<Vec<WorkerStatus>, Failure> {
         self.client.workers().await.map_err(told)
@@ -107,6 +120,7 @@ pub fn told(error: CallError) -> Failure {
         )),
         CallError::Refused(refusal) => match refusal {
             Refusal::NoSuchJob { .. } => usage(format!("{refusal}; `femc jobs` lists all")),
+            Refusal::NoSuchWorker { .. } => usage(format!("{refusal}; `femc workers` lists all")),
             Refusal::Ended { .. } | Refusal::Invalid { .. } => usage(refusal),
             Refusal::Unavailable { .. } => unreachable(refusal),
             Refusal::StaleEpoch

@@ -6,10 +6,13 @@ pub mod compare;
 mod completions;
 pub mod control;
 pub mod coordinator;
+pub mod drain;
 mod embedded;
 pub mod fetch;
 mod interrupt;
 pub mod jobs;
+pub mod logs;
+mod outbox;
 pub mod plan;
 pub mod render;
 pub mod status;
@@ -38,6 +41,8 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Watch(args) => watch::run(&args, say),
         Command::Fetch(args) => fetch::run(&args, say),
         Command::Workers(args) => workers::run(&args, say),
+        Command::Logs(args) => logs::run(&args, say),
+        Command::Drain(args) => drain::run(&args, say),
         Command::Pause(args) => control::run(&args, Control::Pause, say),
         Command::Resume(args) => control::run(&args, Control::Resume, say),
         Command::Cancel(args) => control::run(&args, Control::Cancel, say),

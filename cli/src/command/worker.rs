@@ -2,12 +2,13 @@
 
 use super::client::{Farm, runtime};
 use super::interrupt::Interrupt;
+use super::outbox;
 use crate::clock::Clock;
-use crate::exit::{Exit, Failure, failed};
+use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::Say;
-use crate::request::Budget;
+use crate::request::{Budget, Bytes, Hours};
 use clap::Args;
-use femc_worker::{AtStop, Config, Worker, WorkerError};
+use femc_worker::{AtStop, Config, Duty, MemoryLimit, Shift, Worker, WorkerError};
 use std::time::Duration;
 
 /// Render for a farm, until it is stopped
@@ -15,7 +16,10 @@ use std::time::Duration;
 #[command(after_help = "Examples:\n  \
     femc worker --join http://127.0.0.1:7878\n  \
     femc worker --join http://farm:7878 --threads 8 --tags lab,big\n  \
-    femc worker --join http://one:7878,http://two:7878    # whichever of the two coordinators leads\n\n\
+    femc worker --join http://one:7878,http://two:7878                   # whichever of the two coordinators leads\n  \
+    femc worker --join http://farm:7878 --nice 10 --memory 8G            # beside other work\n  \
+    femc worker --join http://farm:7878 --hours 'Mon-Fri 20:00-06:00,Sat-Sun 00:00-24:00'\n  \
+    femc worker --join http://farm:7878 --idle-exit 10m                  # on a rented machine\n\n\
     Ctrl-C or SIGTERM lets the worker finish what it is at and gives back the rest; a second one ends it at once. A worker that loses its coordinator looks for it until it is back.")]
 pub struct WorkerArgs {
     /// The farm's coordinator; of several, with commas between, the one that answers
@@ -30,6 +34,29 @@ pub struct WorkerArgs {
     /// Name for people [default: the machine's]
     #[arg(long, value_name = "NAME")]
     name: Option<String>,
+    /// Folder for results that the coordinator has not acknowledged, or memory: a worker that is killed brings them along
+    /// when it starts again [default: one under the user's state folder, by coordinator and name]
+    #[arg(long, value_name = "DIR", value_parser = outbox::parse)]
+    outbox: Option<outbox::Outbox>,
+    /// Resident memory above which it lets go of cached scenes, then gives tasks back: 8G, 512M
+    ///
+    /// Resident memory above which it lets go of cached scenes, then gives tasks back: 8G, 512M. Before a task begins, the
+    /// worker's size and the most that a task of its kind has added so far must fit. It is no wall: a single task may be
+    /// larger than was expected.
+    #[arg(long, value_name = "SIZE")]
+    memory: Option<Bytes>,
+    /// Niceness of the threads that compute, 0 to 19: greater lets others of the machine go first
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=19))]
+    nice: Option<u8>,
+    /// Local time in which it takes tasks, like 20:00-06:00 or 'Mon-Fri 20:00-06:00,Sat-Sun 00:00-24:00'
+    ///
+    /// Local time in which it takes tasks, like 20:00-06:00 or 'Mon-Fri 20:00-06:00,Sat-Sun 00:00-24:00'. A window over
+    /// midnight belongs to the day on which it begins. Outside it finishes what it is at, gives back the rest, and stays.
+    #[arg(long, value_name = "WINDOWS")]
+    hours: Option<Hours>,
+    /// End, with exit code 0, after so long without a task: 10m, 1h
+    #[arg(long, value_name = "DURATION")]
+    idle_exit: Option<Budget>,
     /// How long to look for the coordinator at the start
     #[arg(long, value_name = "DURATION", default_value = "30s")]
     patience: Budget,
@@ -38,18 +65,31 @@ pub struct WorkerArgs {
 /// Between two looks.
 const RETRY: Duration = Duration::from_millis(300);
 
+/// On duty within `hours`.
+fn shift(hours: Hours) -> Shift {
+    Shift::by(move || if hours.hold_now() { Duty::On } else { Duty::Off })
+}
+
 /// Work.
 pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
+    let unknown = || usage("--memory: this system does not tell how much memory a process uses; leave it away");
+    let memory = args.memory.map(|Bytes(bytes)| MemoryLimit::of_process(bytes).ok_or_else(unknown)).transpose()?;
     runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
         tokio::select! {
             found = coordinator(&args.join, args.patience) => found?,
             () = interrupt.wait() => return Ok(Exit::Done),
         }
+        let name = args.name.unwrap_or_else(machine);
         let config = Config {
-            name: args.name.unwrap_or_else(machine),
+            outbox: outbox::config(args.outbox, &args.join, &name),
+            name,
             threads: args.threads.map_or(0, |threads| threads as usize),
             tags: args.tags,
+            memory,
+            nice: args.nice,
+            shift: args.hours.map_or_else(Shift::default, shift),
+            idle_limit: args.idle_exit.map(|limit| Duration::from_secs_f64(limit.seconds.min(1e9))),
             at_stop: AtStop::Finish,
             ..Config::new(args.join)
         };
@@ -63,7 +103,11 @@ pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
                 Ok(Exit::Done)
             }
             Err(WorkerError::Call(error)) => Err(super::client::told(error)),
+            Err(error @ WorkerError::Nice { .. }) => Err(failed(format!("--nice: {error}; leave it away"))),
             Err(error @ WorkerError::Threads(_)) => Err(failed(error)),
+            Err(error @ WorkerError::Outbox { .. }) => {
+                Err(failed(format!("--{error}; give another folder, or memory")))
+            }
         }
     })
 }

@@ -5,14 +5,15 @@ use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure};
 use crate::output::{Say, human, json};
 use clap::Args;
-use femc_model::WorkerStatus;
+use femc_model::{Intake, WorkerStatus};
 use serde::Serialize;
 
 /// List the farm's workers
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc workers\n  \
-    femc workers --json | jq 'map(.threads) | add'")]
+    femc workers --json | jq 'map(.threads) | add'\n\n\
+    Intake: open; off (the worker wants no more tasks: it is leaving, or outside its --hours); draining (`femc drain`).")]
 pub struct WorkersArgs {
     #[command(flatten)]
     format: FormatArgs,
@@ -30,6 +31,7 @@ struct WorkerJson {
     silent_seconds: f64,
     completed: u64,
     failed: u64,
+    intake: &'static str,
 }
 
 impl From<&WorkerStatus> for WorkerJson {
@@ -43,6 +45,7 @@ impl From<&WorkerStatus> for WorkerJson {
             silent_seconds: worker.silent as f64 / 1000.0,
             completed: worker.completed,
             failed: worker.failed,
+            intake: intake(worker.intake),
         }
     }
 }
@@ -56,7 +59,10 @@ pub fn run(args: &WorkersArgs, say: Say) -> Result<Exit, Failure> {
         say.note(format!("no workers; start one with `femc worker --join {}`", args.server.server));
     } else {
         let rows: Vec<Vec<String>> = workers.iter().map(row).collect();
-        say.result(human::table(&["worker", "name", "threads", "tags", "tasks", "done", "failed", "silent"], &rows));
+        say.result(human::table(
+            &["worker", "name", "threads", "tags", "tasks", "done", "failed", "silent", "intake"],
+            &rows,
+        ));
     }
     Ok(Exit::Done)
 }
@@ -71,5 +77,15 @@ fn row(worker: &WorkerStatus) -> Vec<String> {
         worker.completed.to_string(),
         worker.failed.to_string(),
         human::seconds(worker.silent as f64 / 1000.0),
+        intake(worker.intake).to_owned(),
     ]
+}
+
+/// Whether it gets more tasks, in one word.
+fn intake(intake: Intake) -> &'static str {
+    match intake {
+        Intake::Open => "open",
+        Intake::Off => "off",
+        Intake::Drained => "draining",
+    }
 }

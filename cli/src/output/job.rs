@@ -136,6 +136,12 @@ pub fn wait(wait: &Wait) -> String {
         Wait::NoWorkerWithTags(tags) => format!("no worker has all the tags {}", tags.join(", ")),
         Wait::WorkersBusy { workers: 1 } => "the only worker that may take it is busy".to_owned(),
         Wait::WorkersBusy { workers } => format!("all {workers} workers that may take it are busy"),
+        Wait::WorkersDraining { workers: 1 } => {
+            "the only worker that may take it takes no more tasks; `femc workers` tells more".to_owned()
+        }
+        Wait::WorkersDraining { workers } => {
+            format!("all {workers} workers that may take it take no more tasks; `femc workers` tells more")
+        }
         Wait::WorkersResting => {
             "the workers that may take it rest after a failure of disk, store or network".to_owned()
         }

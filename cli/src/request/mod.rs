@@ -2,15 +2,21 @@
 //! (which frames there are, which cameras) is resolved when the scene is known.
 
 mod asked;
+mod bytes;
 mod duration;
 mod frames;
+mod hours;
 mod job_file;
 mod overrides;
 mod size;
+mod task;
 
 pub use asked::{Asked, FramesChosen, beside, load};
+pub use bytes::Bytes;
 pub use duration::Budget;
 pub use frames::Frames;
+pub use hours::Hours;
 pub use job_file::JobFile;
 pub use overrides::Override;
 pub use size::Size;
+pub use task::{JobTasks, Tasks};

@@ -61,6 +61,87 @@ v l =
 f i j k l
 ";
 
+/// A coordinator on a free port or this one, and its address.
+pub fn coordinator(place: &Place, port: u16) -> (Running, String) {
+    let mut coordinator =
+        place.start(&format!("coordinator --listen 127.0.0.1:{port} --store sqlite:farm.db --artifacts artifacts"));
+    let line = coordinator.first_line();
+    let url = line.split_whitespace().find(|word| word.starts_with("http://")).expect("the address").to_owned();
+    (coordinator, url)
+}
+
+/// Queue `fog.mgf`; the job's number.
+pub fn submit(place: &Place, url: &str, settings: &str) -> String {
+    let ran = place.run(&format!("submit fog.mgf {settings} --server {url}")).exits(0);
+    let id = ran.stdout().lines().last().expect("a job id").to_owned();
+    assert!(!id.is_empty() && !id.contains(' '), "the id stands alone: {id}");
+    id
+}
+
+/// A job's status.
+pub fn status(place: &Place, url: &str, job: &str) -> serde_json::Value {
+    place.run(&format!("status {job} --json --server {url}")).exits(0).json()
+}
+
+/// The farm's workers.
+pub fn workers(place: &Place, url: &str) -> serde_json::Value {
+    place.run(&format!("workers --json --server {url}")).exits(0).json()
+}
+
+/// Share of the job's samples that are done.
+pub fn share(place: &Place, url: &str, job: &str) -> f64 {
+    let status = status(place, url, job);
+    let number = |key: &str| status[key].as_f64().expect("a number");
+    number("samples") / number("samples_most")
+}
+
+/// A way to a server that can be held up: bytes are kept back, and nobody hears of it.
+pub struct Proxy {
+    pub url: String,
+    is_frozen: std::sync::Arc<std::sync::atomic::AtomicBool>,
+}
+
+impl Proxy {
+    /// To the server at `url`.
+    pub fn to(url: &str) -> Self {
+        let target = url.trim_start_matches("http://").to_owned();
+        let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
+        let url = format!("http://{}", listener.local_addr().expect("its address"));
+        let is_frozen = std::sync::Arc::<std::sync::atomic::AtomicBool>::default();
+        let frozen = is_frozen.clone();
+        std::thread::spawn(move || {
+            for near in listener.incoming() {
+                let (Ok(near), Ok(far)) = (near, std::net::TcpStream::connect(&target)) else { continue };
+                let (Ok(back), Ok(forth)) = (near.try_clone(), far.try_clone()) else { continue };
+                for (from, to) in [(near, far), (forth, back)] {
+                    let frozen = frozen.clone();
+                    std::thread::spawn(move || relay(from, to, &frozen));
+                }
+            }
+        });
+        Self { url, is_frozen }
+    }
+
+    /// From now on nothing passes.
+    pub fn freeze(&self) {
+        self.is_frozen.store(true, std::sync::atomic::Ordering::SeqCst);
+    }
+}
+
+fn relay(mut from: std::net::TcpStream, mut to: std::net::TcpStream, frozen: &std::sync::atomic::AtomicBool) {
+    use std::io::{Read as _, Write as _};
+    let mut bytes = [0; 1 << 16];
+    while let Ok(count) = from.read(&mut bytes) {
+        while frozen.load(std::sync::atomic::Ordering::SeqCst) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        if count == 0 || to.write_all(&bytes[..count]).is_err() {
+            break;
+        }
+    }
+    let _ = to.shutdown(std::net::Shutdown::Both);
+}
+
 /// A temporary folder with `fog.mgf` in it.
 pub struct Place {
     folder: tempfile::TempDir,
@@ -87,6 +168,8 @@ impl Place {
         let mut command = Command::new(env!("CARGO_BIN_EXE_femc"));
         command.args(line.split_whitespace()).current_dir(self.folder.path());
         command.env_remove("FEMC_SERVER").env_remove("FEMC_LOG").stdin(Stdio::null());
+        // Out of sight: a name that begins with a dot.
+        command.env("XDG_STATE_HOME", self.folder.path().join(".state"));
         command
     }
 
@@ -110,9 +193,7 @@ impl Place {
 
     /// Start; what it says is in the message of a failed test.
     pub fn start(&self, line: &str) -> Running {
-        let stdout = Stdio::piped();
-        let child = self.command(line).stdout(stdout).stderr(Stdio::piped()).spawn().expect("femc starts");
-        Running { line: line.to_owned(), child: Some(child) }
+        Running::of(&mut self.command(line))
     }
 }
 
@@ -163,6 +244,23 @@ pub struct Running {
 }
 
 impl Running {
+    /// Start a command, its output caught.
+    pub fn of(command: &mut Command) -> Self {
+        let line = format!("{command:?}");
+        let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("femc starts");
+        Self { line, child: Some(child) }
+    }
+
+    /// The process's number.
+    pub fn id(&self) -> u32 {
+        self.child.as_ref().expect("not waited for yet").id()
+    }
+
+    /// Kill it, and return all that it has said on stderr.
+    pub fn kill_for_stderr(&mut self) -> String {
+        self.child().kill().expect("killed");
+        self.end().stderr()
+    }
     fn child(&mut self) -> &mut Child {
         self.child.as_mut().expect("not waited for yet")
     }

@@ -45,7 +45,7 @@ pub enum RenderError {
 }
 
 /// Renders samples `samples` of the pixels `rect` on the calling thread's rayon pool.
-/// `progress` counts finished camera samples; `cancel` is looked at once a pixel.
+/// `progress` counts finished camera samples; `cancel` is looked at before each.
 pub fn render_tile(
     prepared: &Prepared,
     settings: &Settings,
@@ -62,11 +62,13 @@ pub fn render_tile(
             let mut tile = Tile::new(strip, samples.clone())?;
             let mut tracer = Tracer::new(prepared, path);
             for x in strip.x..strip.x + strip.width {
-                if cancel.load(Ordering::Relaxed) {
-                    return Err(RenderError::Cancelled);
+                // Progress shows also within a pixel of very many samples.
+                for begin in samples.clone().step_by(STEP) {
+                    let step = begin..samples.end.min(begin.saturating_add(STEP as u32));
+                    let count = u64::from(step.end - step.start);
+                    render_pixel(prepared, settings, &mut tracer, &mut tile, [x, strip.y], step, cancel)?;
+                    progress.fetch_add(count, Ordering::Relaxed);
                 }
-                render_pixel(prepared, settings, &mut tracer, &mut tile, [x, strip.y], samples.clone());
-                progress.fetch_add(u64::from(samples.end - samples.start), Ordering::Relaxed);
             }
             Ok((tile, tracer.counters))
         })
@@ -81,6 +83,9 @@ pub fn render_tile(
     Ok(RenderedTile { tile: Tile::from_strips(rect, samples, tiles)?, rays, shadow_rays })
 }
 
+/// Samples of a pixel between two signs of progress.
+const STEP: usize = 256;
+
 fn render_pixel(
     prepared: &Prepared,
     settings: &Settings,
@@ -88,14 +93,19 @@ fn render_pixel(
     tile: &mut Tile,
     [x, y]: [u32; 2],
     samples: Range<u32>,
-) {
+    cancel: &AtomicBool,
+) -> Result<(), RenderError> {
     let pixel = y * prepared.camera.film[0] + x;
     let center = [x as f32 + 0.5, y as f32 + 0.5];
     for index in samples {
+        if cancel.load(Ordering::Relaxed) {
+            return Err(RenderError::Cancelled);
+        }
         let drawn = tracer.sample(pixel, index, |u| {
             let offset = settings.filter.sample(u);
             [center[0] + offset[0], center[1] + offset[1]]
         });
         tile.add(x, y, index, &Sample { color: drawn.color, albedo: drawn.albedo, depth: drawn.depth });
     }
+    Ok(())
 }

@@ -13,6 +13,12 @@ pub enum Refusal {
         /// As asked for.
         job: JobId,
     },
+    /// No such worker.
+    #[error("there is no worker {worker}")]
+    NoSuchWorker {
+        /// As asked for.
+        worker: String,
+    },
     /// The job has ended, so that this cannot be done to it.
     #[error("job {job} has ended")]
     Ended {

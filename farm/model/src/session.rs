@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Assignment, Digest, Epoch, Failure, JobId, JobSpec, Refusal, TaskKey, TaskResult, WorkerId};
+use crate::{Assignment, Digest, Epoch, Failure, JobId, JobSpec, Refusal, TaskKey, TaskLog, TaskResult, WorkerId};
 
 /// How a worker introduces itself.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -60,13 +60,29 @@ pub struct TaskProgress {
     pub samples: u64,
 }
 
+/// A lease that holds, and for how long.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LeaseLeft {
+    /// The task.
+    pub task: TaskKey,
+    /// Of the lease.
+    pub epoch: Epoch,
+    /// Milliseconds until it ends, unless it is renewed.
+    pub left: u64,
+}
+
 /// From a worker to the coordinator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum FromWorker {
     /// The first message of a session.
     Register(Registration),
     /// I am here, and so far are my tasks.
-    Heartbeat(Vec<TaskProgress>),
+    Heartbeat {
+        /// Of this session, from 1; the answer names it.
+        number: u64,
+        /// The tasks whose leases hold, as far as the worker knows.
+        tasks: Vec<TaskProgress>,
+    },
     /// The result is in the store.
     Completed {
         /// The task.
@@ -75,6 +91,8 @@ pub enum FromWorker {
         epoch: Epoch,
         /// What came out.
         result: TaskResult,
+        /// What was written down.
+        log: Option<TaskLog>,
     },
     /// The task is not done.
     Failed {
@@ -84,9 +102,13 @@ pub enum FromWorker {
         epoch: Epoch,
         /// Why.
         failure: Failure,
+        /// What was written down.
+        log: Option<TaskLog>,
     },
-    /// Give me no more tasks: I am leaving.
+    /// Give me no more tasks: I am leaving, or off duty.
     Draining,
+    /// I take tasks again.
+    Available,
 }
 
 /// Why a lease is taken back.
@@ -107,6 +129,15 @@ pub enum ToWorker {
         worker: WorkerId,
         /// Milliseconds between heartbeats.
         heartbeat: u64,
+        /// Milliseconds for which a lease holds after a heartbeat.
+        lease: u64,
+    },
+    /// The answer to a heartbeat. An assignment that comes after it was made after the heartbeat was sent.
+    Renewed {
+        /// The heartbeat's number.
+        heartbeat: u64,
+        /// All leases of this session, with the time left when this was said.
+        leases: Vec<LeaseLeft>,
     },
     /// What a job is; comes before the first assignment of it.
     Job {

@@ -1,5 +1,7 @@
 //! What may be asked about jobs and workers.
 
+use std::fmt;
+
 use serde::{Deserialize, Serialize};
 
 use crate::{Failure, JobId, JobState, StageKind, TaskKey, WorkerId};
@@ -97,6 +99,11 @@ pub enum Wait {
         /// How many there are.
         workers: u32,
     },
+    /// Every worker that may take it takes no more tasks: it is drained, leaving or off duty.
+    WorkersDraining {
+        /// How many there are.
+        workers: u32,
+    },
     /// Every worker that may take it rests after a failure of its surroundings.
     WorkersResting,
     /// Tasks of the job kept failing on some workers: they get none of it for a while.
@@ -124,6 +131,45 @@ pub enum Wait {
     },
 }
 
+/// Whether a worker gets more tasks.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Intake {
+    /// Yes.
+    #[default]
+    Open,
+    /// It wants none: it is leaving, or off duty.
+    Off,
+    /// An operator has drained it.
+    Drained,
+}
+
+/// What an operator does to a worker's intake.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Drain {
+    /// It gets no more tasks; what it has it finishes.
+    Begin,
+    /// It gets tasks again.
+    Undo,
+}
+
+/// A worker as people name it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum WorkerName {
+    /// One session.
+    Number(WorkerId),
+    /// Every worker of this name.
+    Name(String),
+}
+
+impl fmt::Display for WorkerName {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Number(worker) => worker.fmt(f),
+            Self::Name(name) => name.fmt(f),
+        }
+    }
+}
+
 /// A worker at a glance.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WorkerStatus {
@@ -143,4 +189,6 @@ pub struct WorkerStatus {
     pub completed: u64,
     /// Tasks failed in this session.
     pub failed: u64,
+    /// Whether it gets more tasks.
+    pub intake: Intake,
 }

@@ -156,6 +156,11 @@ impl Scheduler {
         if able.is_empty() {
             return Some(Wait::NoWorkerWithTags(job.spec.tags.clone()));
         }
+        let able_count = able.len();
+        let able: Vec<&Worker> = able.into_iter().filter(|worker| worker.is_open()).collect();
+        if able.is_empty() {
+            return Some(Wait::WorkersDraining { workers: able_count as u32 });
+        }
         let fit: Vec<&&Worker> = able.iter().filter(|worker| worker.is_fit(&self.config, now)).collect();
         let is_trusted = |worker: &&&Worker| desk.distrust.shuns(worker.registration.instance, now).is_none();
         let trusted: Vec<&&Worker> = fit.iter().copied().filter(is_trusted).collect();
@@ -195,7 +200,7 @@ fn is_shunned(job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor, now: Tick
         && floor
             .workers
             .iter()
-            .any(|(&id, other)| id != worker && !other.draining && other.has_tags(&job.spec.tags) && !shuns(id))
+            .any(|(&id, other)| id != worker && other.is_open() && other.has_tags(&job.spec.tags) && !shuns(id))
 }
 
 fn first_ready(id: JobId, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor) -> Pick {
@@ -217,5 +222,5 @@ fn first_ready(id: JobId, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floo
 /// Whether the task failed last on this very worker, and another that could take it is there.
 fn is_avoided(task: &TaskKey, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor) -> bool {
     desk.avoid.get(task) == Some(&worker)
-        && floor.workers.iter().any(|(&id, other)| id != worker && !other.draining && other.has_tags(&job.spec.tags))
+        && floor.workers.iter().any(|(&id, other)| id != worker && other.is_open() && other.has_tags(&job.spec.tags))
 }

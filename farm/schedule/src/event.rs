@@ -1,8 +1,8 @@
 //! What the scheduler is told, and what it asks for.
 
 use femc_model::{
-    Assignment, Control, Digest, Epoch, Failure, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey,
-    TaskProgress, TaskResult, WorkerId,
+    Assignment, Control, Digest, Drain, Epoch, Failure, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey,
+    TaskLog, TaskProgress, TaskResult, WorkerId,
 };
 
 use crate::Fact;
@@ -49,12 +49,35 @@ pub enum Event {
         /// The session.
         worker: WorkerId,
     },
+    /// A worker wants tasks again.
+    Available {
+        /// The session.
+        worker: WorkerId,
+    },
+    /// An operator lets a worker have no more tasks, or tasks again.
+    Drained {
+        /// The session.
+        worker: WorkerId,
+        /// Which.
+        drain: Drain,
+    },
     /// A worker says how far it is.
     Heartbeat {
         /// The session.
         worker: WorkerId,
         /// Its tasks.
         tasks: Vec<TaskProgress>,
+    },
+    /// What a worker wrote down during an attempt; comes before the attempt's outcome.
+    Logged {
+        /// The session.
+        worker: WorkerId,
+        /// The task.
+        task: TaskKey,
+        /// Of the lease.
+        epoch: Epoch,
+        /// The log; one that is stored is in the store.
+        log: TaskLog,
     },
     /// A worker has done a task; the artefacts are in the store.
     Completed {

@@ -1,6 +1,6 @@
 //! What has happened for good: the entries of the log.
 
-use femc_model::{Control, Epoch, Failure, JobId, JobSpec, MergeResult, TaskKey, Tick, TileResult};
+use femc_model::{Control, Drain, Epoch, Failure, JobId, JobSpec, LogRecord, MergeResult, TaskKey, Tick, TileResult};
 use serde::{Deserialize, Serialize};
 
 /// A change of the [`Ledger`](crate::Ledger). New variants go to the end: the log holds their numbers.
@@ -73,4 +73,13 @@ pub enum Fact {
         /// How.
         control: Control,
     },
+    /// An operator let a worker have no more tasks, or tasks again.
+    Drained {
+        /// The worker's process.
+        instance: u64,
+        /// Which.
+        drain: Drain,
+    },
+    /// A worker wrote something down during an attempt.
+    Logged(Box<LogRecord>),
 }

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Epoch, JobId, Phase, Registration, Stage, StageKind, TaskKey, TaskProgress, Tick, WorkerId};
+use femc_model::{Epoch, Intake, JobId, Phase, Registration, Stage, StageKind, TaskKey, TaskProgress, Tick, WorkerId};
 
 use crate::Config;
 
@@ -11,7 +11,10 @@ use crate::Config;
 pub(crate) struct Worker {
     pub(crate) registration: Registration,
     pub(crate) held: BTreeSet<TaskKey>,
-    pub(crate) draining: bool,
+    /// What it wants: `Open` or `Off`.
+    pub(crate) wish: Intake,
+    /// What it gets.
+    pub(crate) intake: Intake,
     /// Last message.
     pub(crate) seen: Tick,
     /// Last progress of any of its tasks.
@@ -33,9 +36,14 @@ impl Worker {
         tags.iter().all(|tag| self.registration.tags.contains(tag))
     }
 
+    /// Whether it gets more tasks.
+    pub(crate) fn is_open(&self) -> bool {
+        self.intake == Intake::Open
+    }
+
     /// Whether it is there, well, and wants work.
     pub(crate) fn is_fit(&self, config: &Config, now: Tick) -> bool {
-        !self.draining && now >= self.rests_until && now.since(self.seen) < config.lease
+        self.is_open() && now >= self.rests_until && now.since(self.seen) < config.lease
     }
 }
 
@@ -67,7 +75,8 @@ impl Floor {
         let fresh = Worker {
             registration,
             held: BTreeSet::new(),
-            draining: false,
+            wish: Intake::Open,
+            intake: Intake::Open,
             seen: now,
             moved: now,
             rests_until: Tick(0),

@@ -3,13 +3,14 @@
 use std::collections::BTreeMap;
 
 use femc_model::{
-    Digest, Epoch, Failure, HeldLease, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey, TaskProgress,
-    Tick, WorkerId,
+    Digest, Epoch, Failure, HeldLease, Intake, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey,
+    TaskProgress, Tick, WorkerId,
 };
 
 use crate::desk::Desk;
 use crate::floor::Floor;
 use crate::ledger::Job;
+use crate::logs::Shelf;
 use crate::order::Order;
 use crate::{Command, Config, Event, Fact, Ledger};
 
@@ -26,6 +27,7 @@ pub struct Scheduler {
     /// Leases granted in this incarnation.
     pub(crate) leases: u64,
     pub(crate) stale_messages: u64,
+    pub(crate) logs: Shelf,
     /// Nothing is dealt before: after a restart the workers come back one by one, with what they still work on.
     pub(crate) deals_from: Tick,
 }
@@ -44,6 +46,7 @@ impl Scheduler {
             order: Order::default(),
             leases: 0,
             stale_messages: 0,
+            logs: Shelf::default(),
             deals_from: Tick(0),
             ledger,
         };
@@ -95,12 +98,11 @@ impl Scheduler {
             }
             Event::Joined { worker, registration } => self.join(worker, registration, now, out),
             Event::Left { worker } => self.leave(worker, out),
-            Event::Draining { worker } => {
-                if let Some(worker) = self.floor.workers.get_mut(&worker) {
-                    worker.draining = true;
-                }
-            }
+            Event::Draining { worker } => self.wish(worker, Intake::Off),
+            Event::Available { worker } => self.wish(worker, Intake::Open),
+            Event::Drained { worker, drain } => self.drained(worker, drain, now, out),
             Event::Heartbeat { worker, tasks } => self.heartbeat(worker, &tasks, now, out),
+            Event::Logged { worker, task, epoch, log } => self.logged(worker, task, epoch, log, now, out),
             Event::Completed { worker, task, epoch, result } => self.completed(worker, task, epoch, result, now, out),
             Event::Failed { worker, task, epoch, failure } => self.failed(worker, task, epoch, failure, now, out),
             Event::Elapsed => self.elapsed(now, out),
@@ -117,7 +119,9 @@ impl Scheduler {
             out.push(Command::Dismiss { worker: before });
         }
         self.floor.join(worker, registration, now);
+        self.note_intake(worker);
         for HeldLease { task, epoch, job } in held {
+            self.take_over(&task, epoch);
             if self.may_adopt(&task, &job) {
                 self.charge(&task);
                 if let Some(desk) = self.desks.get_mut(&task.job) {
@@ -129,6 +133,15 @@ impl Scheduler {
                 self.note_stale(task.job);
                 out.push(Command::Revoke { worker, task, epoch, reason: RevokeReason::Expired });
             }
+        }
+    }
+
+    /// A lease is its worker's, whatever session or process of it comes with it: an earlier one that has not been heard to
+    /// end yet loses it.
+    fn take_over(&mut self, task: &TaskKey, epoch: Epoch) {
+        if self.floor.leases.get(task).is_some_and(|lease| lease.epoch == epoch) {
+            self.floor.release(task);
+            self.put_back(task);
         }
     }
 

@@ -1,8 +1,8 @@
 //! What may be asked: a job at a glance, all jobs, the frames of one, the workers.
 
 use femc_model::{
-    FrameProgress, FrameRecord, JobId, JobState, JobStatus, Quarantined, Refusal, Stage, StageKind, TaskKey, Tick,
-    WorkerStatus,
+    FrameProgress, FrameRecord, JobId, JobState, JobStatus, LeaseLeft, Quarantined, Refusal, Stage, StageKind, TaskKey,
+    Tick, WorkerId, WorkerStatus,
 };
 
 use crate::ledger::{Hold, Job};
@@ -68,8 +68,19 @@ impl Scheduler {
             silent: now.since(known.seen),
             completed: known.completed,
             failed: known.failed,
+            intake: known.intake,
         };
         self.floor.workers.iter().map(status).collect()
+    }
+
+    /// The leases of one worker, and how long they hold.
+    pub fn leases(&self, worker: WorkerId, now: Tick) -> Vec<LeaseLeft> {
+        let held = self.floor.workers.get(&worker).into_iter().flat_map(|worker| &worker.held);
+        let lease = |task: &TaskKey| {
+            let lease = self.floor.leases.get(task).filter(|lease| lease.worker == worker)?;
+            Some(LeaseLeft { task: *task, epoch: lease.epoch, left: lease.deadline.since(now) })
+        };
+        held.filter_map(lease).collect()
     }
 
     /// Messages refused since the start because their lease was over.

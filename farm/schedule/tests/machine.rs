@@ -20,6 +20,9 @@ enum Step {
     Join,
     /// A worker comes back with the leases that an earlier session left over.
     Return(usize),
+    /// A worker starts again, and nobody has heard its earlier session end.
+    StartAgain(usize),
+    Drain(usize, Drain),
     Leave(usize),
     Complete(usize, Decision),
     Fail(usize, u8),
@@ -36,6 +39,8 @@ fn step() -> impl Strategy<Value = Step> {
         1 => (1..4u32, 1..5u32, 1..4usize).prop_map(|(frames, tiles, rounds)| Step::Submit { frames, tiles, rounds }),
         2 => Just(Step::Join),
         2 => any::<usize>().prop_map(Step::Return),
+        1 => any::<usize>().prop_map(Step::StartAgain),
+        1 => (any::<usize>(), prop_oneof![Just(Drain::Begin), Just(Drain::Undo)]).prop_map(|(which, drain)| Step::Drain(which, drain)),
         1 => any::<usize>().prop_map(Step::Leave),
         12 => (any::<usize>(), decision).prop_map(|(which, decision)| Step::Complete(which, decision)),
         3 => (any::<usize>(), 0..6u8).prop_map(|(which, kind)| Step::Fail(which, kind)),
@@ -156,6 +161,25 @@ impl Machine {
                         );
                     }
                 }
+                self.see(commands);
+            }
+            Step::StartAgain(which) => {
+                let Some((before, held)) = self.held(which) else { return };
+                self.farm.held.retain(|(holder, other)| (*holder, other.epoch) != (before, held.epoch));
+                self.end_lease(before, &held);
+                let worker = self.next_worker;
+                self.next_worker += 1;
+                self.workers.insert(worker);
+                let commands = self.farm.rejoin(worker, std::slice::from_ref(&held));
+                let is_back = |c: &Command| matches!(c, Command::Revoke { epoch, .. } if *epoch == held.epoch);
+                assert!(!commands.iter().any(is_back), "its own lease is taken from it: {commands:?}");
+                self.see(commands);
+            }
+            Step::Drain(which, drain) => {
+                let Some(worker) = self.worker(which) else { return };
+                let commands = self.farm.on(Event::Drained { worker: WorkerId(worker), drain });
+                let assigned = |c: &Command| matches!(c, Command::Assign { worker: to, .. } if to.0 == worker);
+                assert!(drain == Drain::Undo || !commands.iter().any(assigned), "a drained worker gets a task");
                 self.see(commands);
             }
             Step::Leave(which) => {

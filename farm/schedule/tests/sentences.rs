@@ -358,6 +358,90 @@ fn what_a_returning_worker_brings_is_taken_back_if_another_has_it_or_the_job_is_
 }
 
 #[test]
+fn a_worker_that_starts_again_takes_its_lease_from_the_session_that_nobody_has_heard_to_end() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[8]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    // Another process: nothing but the lease tells that it is the same worker.
+    let commands = farm.rejoin(2, std::slice::from_ref(&held));
+    assert!(!commands.iter().any(|c| matches!(c, Command::Revoke { .. })), "{commands:?}");
+    assert!(refused(&farm.complete(1, &held, Done)), "the old session has lost it");
+    assert!(recorded(&farm.complete(2, &held, Done)), "and nobody else has got it");
+    assert_eq!(farm.status(id).stale_messages, 1);
+    // One that comes with the lease again, later, changes nothing.
+    let commands = farm.rejoin(3, std::slice::from_ref(&held));
+    assert!(commands.iter().any(|c| matches!(c, Command::Revoke { .. })), "{commands:?}");
+}
+
+#[test]
+fn a_drained_worker_finishes_what_it_has_and_gets_nothing_until_the_operator_undoes_it() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1, 2], 2, &[8]));
+    farm.join(1);
+    assert_eq!(farm.tasks_of(1).len(), 2);
+    let named = |farm: &Farm, name: &str| farm.scheduler.named(&WorkerName::Name(name.into()));
+    assert_eq!((named(&farm, "w"), named(&farm, "x")), (vec![WorkerId(1)], vec![]));
+    assert_eq!(farm.scheduler.named(&WorkerName::Number(WorkerId(1))), [WorkerId(1)]);
+    farm.on(Event::Drained { worker: WorkerId(1), drain: Drain::Begin });
+    assert!(recorded(&farm.work(1, Done)) && recorded(&farm.work(1, Done)));
+    assert_eq!(farm.tasks_of(1), []);
+    assert!(farm.status(id).waits.contains(&Wait::WorkersDraining { workers: 1 }), "{:?}", farm.status(id).waits);
+    // What the worker wants does not count, nor a new session of it, nor a new coordinator.
+    farm.on(Event::Available { worker: WorkerId(1) });
+    assert_eq!(farm.tasks_of(1), []);
+    farm.restart();
+    farm.join_as(2, Registration { instance: 1, ..registration() });
+    assert_eq!(farm.tasks_of(2), []);
+    assert_eq!(farm.scheduler.workers(farm.now)[0].intake, Intake::Drained);
+    farm.on(Event::Drained { worker: WorkerId(2), drain: Drain::Undo });
+    assert_eq!(farm.tasks_of(2).len(), 2);
+    // Of itself it may want none, too.
+    farm.on(Event::Draining { worker: WorkerId(2) });
+    assert!(recorded(&farm.work(2, Done)) && recorded(&farm.work(2, Done)));
+    assert_eq!((farm.tasks_of(2), farm.scheduler.workers(farm.now)[0].intake), (vec![], Intake::Off));
+    farm.on(Event::Available { worker: WorkerId(2) });
+    assert!(!farm.tasks_of(2).is_empty());
+}
+
+#[test]
+fn logs_of_failures_are_kept_with_the_job_and_those_of_tiles_for_a_while() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 2, &[8]));
+    farm.join(1);
+    let (first, second) = (farm.held[0].1.clone(), farm.held[1].1.clone());
+    let logged = |held: &Assignment, attempt, text: LogText| Event::Logged {
+        worker: WorkerId(1),
+        task: held.task,
+        epoch: held.epoch,
+        log: TaskLog { attempt, seconds: 1.0, text },
+    };
+    let stored = |index: usize| LogText::Stored(Artefact::of(&index.to_le_bytes()));
+    farm.on(logged(&first, Attempt::Failed, stored(0)));
+    farm.fail(1, &first, Failure::Panicked { message: "oh".into() });
+    farm.now = farm.now.after(10);
+    farm.on(logged(&second, Attempt::Done, LogText::Inline("tile".into())));
+    assert!(farm.on(logged(&first, Attempt::Failed, stored(1))).is_empty(), "that lease is over");
+    let logs = |farm: &Farm, since| {
+        let logs = farm.scheduler.logs(id, Tick(since)).unwrap();
+        logs.into_iter().map(|record| (record.task.index, record.worker, record.log.attempt)).collect::<Vec<_>>()
+    };
+    let both = [(0, "w".to_owned(), Attempt::Failed), (1, "w".to_owned(), Attempt::Done)];
+    assert_eq!((logs(&farm, 0), logs(&farm, 10)), (both.to_vec(), both[1..].to_vec()));
+    assert_eq!(farm.scheduler.unreferenced(vec![Artefact::of(&0usize.to_le_bytes()).digest]), []);
+    // A worker that writes without end: the oldest goes, the failure stays.
+    let mut discarded = 0;
+    for index in 2..600 {
+        let commands = farm.on(logged(&second, Attempt::Done, stored(index)));
+        discarded += commands.iter().filter(|c| matches!(c, Command::Discard(_))).count();
+    }
+    assert_eq!((discarded, farm.scheduler.logs(id, Tick(0)).unwrap().len()), (600 - 2 + 1 - 512, 513));
+    farm.restart();
+    assert_eq!(logs(&farm, 0)[0], both[0]);
+    assert_eq!(farm.scheduler.logs(JobId(9), Tick(0)), Err(Refusal::NoSuchJob { job: JobId(9) }));
+}
+
+#[test]
 fn owners_share_the_time_by_their_weights() {
     let weights = [("ann".to_owned(), 3)].into();
     let mut farm = Farm::with(Config { weights, ..common::config() });

@@ -59,6 +59,7 @@ impl From<Refusal> for wire::Refusal {
                 Refusal::DigestMismatch { digest } => Reason::DigestMismatch(digest_bytes(&digest)),
                 Refusal::TooLarge { what, limit } => Reason::TooLarge(Limit { what, limit }),
                 Refusal::Unavailable { message } => Reason::Unavailable(message),
+                Refusal::NoSuchWorker { worker } => Reason::NoSuchWorker(worker),
             }),
         }
     }
@@ -77,6 +78,7 @@ impl TryFrom<wire::Refusal> for Refusal {
             Reason::DigestMismatch(bytes) => Self::DigestMismatch { digest: digest("refusal.mismatch", &bytes)? },
             Reason::TooLarge(Limit { what, limit }) => Self::TooLarge { what, limit },
             Reason::Unavailable(message) => Self::Unavailable { message },
+            Reason::NoSuchWorker(worker) => Self::NoSuchWorker { worker },
         })
     }
 }

@@ -2,6 +2,7 @@
 
 mod failure;
 mod job;
+mod log;
 mod session;
 mod status;
 mod task;

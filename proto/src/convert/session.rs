@@ -1,9 +1,11 @@
 //! The words of a worker's session.
 
-use femc_model::{FromWorker, HeldLease, JobId, Phase, Registration, RevokeReason, TaskProgress, ToWorker, WorkerId};
+use femc_model::{
+    FromWorker, HeldLease, JobId, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, ToWorker, WorkerId,
+};
 
 use super::task::{from_lease, to_lease};
-use super::{ConvertError, digest, digest_bytes, each, need};
+use super::{ConvertError, digest, digest_bytes, each, maybe, need};
 use crate::{PROTOCOL, wire};
 
 impl From<FromWorker> for wire::FromWorker {
@@ -11,16 +13,19 @@ impl From<FromWorker> for wire::FromWorker {
         use wire::from_worker::Message;
         let message = match message {
             FromWorker::Register(registration) => Message::Register(registration.into()),
-            FromWorker::Heartbeat(tasks) => {
-                Message::Heartbeat(wire::Heartbeat { tasks: tasks.into_iter().map(Into::into).collect() })
+            FromWorker::Heartbeat { number, tasks } => {
+                Message::Heartbeat(wire::Heartbeat { number, tasks: tasks.into_iter().map(Into::into).collect() })
             }
-            FromWorker::Completed { task, epoch, result } => {
-                Message::Completed(wire::Completed { lease: to_lease(task, epoch), result: Some(result.into()) })
+            FromWorker::Completed { task, epoch, result, log } => {
+                let (lease, result, log) = (to_lease(task, epoch), Some(result.into()), log.map(Into::into));
+                Message::Completed(wire::Completed { lease, result, log })
             }
-            FromWorker::Failed { task, epoch, failure } => {
-                Message::Failed(wire::Failed { lease: to_lease(task, epoch), failure: Some(failure.into()) })
+            FromWorker::Failed { task, epoch, failure, log } => {
+                let (lease, failure, log) = (to_lease(task, epoch), Some(failure.into()), log.map(Into::into));
+                Message::Failed(wire::Failed { lease, failure, log })
             }
             FromWorker::Draining => Message::Draining(wire::Empty {}),
+            FromWorker::Available => Message::Available(wire::Empty {}),
         };
         Self { message: Some(message) }
     }
@@ -33,16 +38,19 @@ impl TryFrom<wire::FromWorker> for FromWorker {
         use wire::from_worker::Message;
         Ok(match need("message", wire.message)? {
             Message::Register(registration) => Self::Register(registration.try_into()?),
-            Message::Heartbeat(heartbeat) => Self::Heartbeat(each(heartbeat.tasks)?),
+            Message::Heartbeat(wire::Heartbeat { number, tasks }) => Self::Heartbeat { number, tasks: each(tasks)? },
             Message::Completed(completed) => {
                 let (task, epoch) = from_lease(completed.lease)?;
-                Self::Completed { task, epoch, result: need("completed.result", completed.result)?.try_into()? }
+                let result = need("completed.result", completed.result)?.try_into()?;
+                Self::Completed { task, epoch, result, log: maybe(completed.log)? }
             }
             Message::Failed(failed) => {
                 let (task, epoch) = from_lease(failed.lease)?;
-                Self::Failed { task, epoch, failure: need("failed.failure", failed.failure)?.try_into()? }
+                let failure = need("failed.failure", failed.failure)?.try_into()?;
+                Self::Failed { task, epoch, failure, log: maybe(failed.log)? }
             }
             Message::Draining(_) => Self::Draining,
+            Message::Available(_) => Self::Available,
         })
     }
 }
@@ -51,7 +59,12 @@ impl From<ToWorker> for wire::ToWorker {
     fn from(message: ToWorker) -> Self {
         use wire::to_worker::Message;
         let message = match message {
-            ToWorker::Welcome { worker, heartbeat } => Message::Welcome(wire::Welcome { worker: worker.0, heartbeat }),
+            ToWorker::Welcome { worker, heartbeat, lease } => {
+                Message::Welcome(wire::Welcome { worker: worker.0, heartbeat, lease })
+            }
+            ToWorker::Renewed { heartbeat, leases } => {
+                Message::Renewed(wire::Renewed { heartbeat, leases: leases.into_iter().map(Into::into).collect() })
+            }
             ToWorker::Job { job, spec } => Message::Job(wire::Job { job: job.0, spec: Some((*spec).into()) }),
             ToWorker::Assign(assignment) => Message::Assign(assignment.into()),
             ToWorker::Revoke { task, epoch, reason } => {
@@ -79,9 +92,10 @@ impl TryFrom<wire::ToWorker> for ToWorker {
     fn try_from(wire: wire::ToWorker) -> Result<Self, ConvertError> {
         use wire::to_worker::Message;
         Ok(match need("message", wire.message)? {
-            Message::Welcome(wire::Welcome { worker, heartbeat }) => {
-                Self::Welcome { worker: WorkerId(worker), heartbeat }
+            Message::Welcome(wire::Welcome { worker, heartbeat, lease }) => {
+                Self::Welcome { worker: WorkerId(worker), heartbeat, lease }
             }
+            Message::Renewed(wire::Renewed { heartbeat, leases }) => Self::Renewed { heartbeat, leases: each(leases)? },
             Message::Job(job) => {
                 Self::Job { job: JobId(job.job), spec: Box::new(need("job.spec", job.spec)?.try_into()?) }
             }
@@ -148,6 +162,22 @@ impl TryFrom<wire::HeldLease> for HeldLease {
     fn try_from(wire: wire::HeldLease) -> Result<Self, ConvertError> {
         let (task, epoch) = from_lease(wire.lease)?;
         Ok(Self { task, epoch, job: digest("held.job", &wire.job)? })
+    }
+}
+
+impl From<LeaseLeft> for wire::LeaseLeft {
+    fn from(lease: LeaseLeft) -> Self {
+        let LeaseLeft { task, epoch, left } = lease;
+        Self { lease: to_lease(task, epoch), left }
+    }
+}
+
+impl TryFrom<wire::LeaseLeft> for LeaseLeft {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::LeaseLeft) -> Result<Self, ConvertError> {
+        let (task, epoch) = from_lease(wire.lease)?;
+        Ok(Self { task, epoch, left: wire.left })
     }
 }
 

@@ -1,6 +1,8 @@
 //! Statuses of jobs and workers.
 
-use femc_model::{FrameProgress, JobId, JobStatus, Quarantined, Wait, WorkerId, WorkerStatus};
+use femc_model::{
+    Drain, FrameProgress, Intake, JobId, JobStatus, Quarantined, Wait, WorkerId, WorkerName, WorkerStatus,
+};
 
 use super::{ConvertError, each, job, maybe, need, task};
 use crate::wire;
@@ -124,6 +126,7 @@ impl From<Wait> for wire::Wait {
                 Wait::NoWorkers => Reason::NoWorkers(empty),
                 Wait::NoWorkerWithTags(tags) => Reason::NoWorkerWithTags(Tags { tags }),
                 Wait::WorkersBusy { workers } => Reason::WorkersBusy(workers),
+                Wait::WorkersDraining { workers } => Reason::WorkersDraining(workers),
                 Wait::WorkersResting => Reason::WorkersResting(empty),
                 Wait::WorkersShunned { workers, seconds } => Reason::WorkersShunned(wire::Shunned { workers, seconds }),
                 Wait::BehindJob(job) => Reason::BehindJob(job.0),
@@ -143,6 +146,7 @@ impl TryFrom<wire::Wait> for Wait {
             Reason::NoWorkers(_) => Self::NoWorkers,
             Reason::NoWorkerWithTags(Tags { tags }) => Self::NoWorkerWithTags(tags),
             Reason::WorkersBusy(workers) => Self::WorkersBusy { workers },
+            Reason::WorkersDraining(workers) => Self::WorkersDraining { workers },
             Reason::WorkersResting(_) => Self::WorkersResting,
             Reason::WorkersShunned(wire::Shunned { workers, seconds }) => Self::WorkersShunned { workers, seconds },
             Reason::BehindJob(job) => Self::BehindJob(JobId(job)),
@@ -154,9 +158,15 @@ impl TryFrom<wire::Wait> for Wait {
 
 impl From<WorkerStatus> for wire::WorkerStatus {
     fn from(status: WorkerStatus) -> Self {
-        let WorkerStatus { worker, name, threads, tags, tasks, silent, completed, failed } = status;
+        let WorkerStatus { worker, name, threads, tags, tasks, silent, completed, failed, intake } = status;
         let tasks = tasks.into_iter().map(Into::into).collect();
-        Self { worker: worker.0, name, threads, tags, tasks, silent, completed, failed }
+        let intake = match intake {
+            Intake::Open => wire::Intake::Open,
+            Intake::Off => wire::Intake::Off,
+            Intake::Drained => wire::Intake::Drained,
+        };
+        let intake = intake.into();
+        Self { worker: worker.0, name, threads, tags, tasks, silent, completed, failed, intake }
     }
 }
 
@@ -164,7 +174,39 @@ impl TryFrom<wire::WorkerStatus> for WorkerStatus {
     type Error = ConvertError;
 
     fn try_from(wire: wire::WorkerStatus) -> Result<Self, ConvertError> {
-        let wire::WorkerStatus { worker, name, threads, tags, tasks, silent, completed, failed } = wire;
-        Ok(Self { worker: WorkerId(worker), name, threads, tags, tasks: each(tasks)?, silent, completed, failed })
+        let wire::WorkerStatus { worker, name, threads, tags, tasks, silent, completed, failed, intake } = wire;
+        let unknown = ConvertError::Unknown { field: "worker.intake", value: intake };
+        let intake = match wire::Intake::try_from(intake).map_err(|_| unknown.clone())? {
+            wire::Intake::Unspecified => return Err(unknown),
+            wire::Intake::Open => Intake::Open,
+            wire::Intake::Off => Intake::Off,
+            wire::Intake::Drained => Intake::Drained,
+        };
+        let (worker, tasks) = (WorkerId(worker), each(tasks)?);
+        Ok(Self { worker, name, threads, tags, tasks, silent, completed, failed, intake })
+    }
+}
+
+impl From<(WorkerName, Drain)> for wire::DrainWorkersRequest {
+    fn from((worker, drain): (WorkerName, Drain)) -> Self {
+        use wire::drain_workers_request::Worker;
+        let worker = match worker {
+            WorkerName::Number(WorkerId(number)) => Worker::Number(number),
+            WorkerName::Name(name) => Worker::Name(name),
+        };
+        Self { worker: Some(worker), undo: drain == Drain::Undo }
+    }
+}
+
+impl TryFrom<wire::DrainWorkersRequest> for (WorkerName, Drain) {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::DrainWorkersRequest) -> Result<Self, ConvertError> {
+        use wire::drain_workers_request::Worker;
+        let worker = match need("drain.worker", wire.worker)? {
+            Worker::Number(number) => WorkerName::Number(WorkerId(number)),
+            Worker::Name(name) => WorkerName::Name(name),
+        };
+        Ok((worker, if wire.undo { Drain::Undo } else { Drain::Begin }))
     }
 }

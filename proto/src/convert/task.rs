@@ -151,7 +151,7 @@ fn decision(value: i32) -> Result<Decision, ConvertError> {
 }
 
 /// Seconds are summed: one that is not a number would spoil the sum for good.
-fn finite(seconds: f64) -> Result<f64, ConvertError> {
+pub(super) fn finite(seconds: f64) -> Result<f64, ConvertError> {
     let is_sound = seconds.is_finite() && seconds >= 0.0;
     is_sound.then_some(seconds).ok_or(ConvertError::Range { field: "seconds" })
 }

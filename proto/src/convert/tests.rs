@@ -45,6 +45,10 @@ fn spec() -> JobSpec {
     }
 }
 
+fn log(text: LogText) -> TaskLog {
+    TaskLog { attempt: Attempt::Failed, seconds: 1.5, text }
+}
+
 fn failures() -> Vec<Failure> {
     let message = || "m".to_owned();
     vec![
@@ -69,6 +73,7 @@ fn refusals() -> Vec<Refusal> {
         Refusal::DigestMismatch { digest: digest() },
         Refusal::TooLarge { what: "w".into(), limit: 9 },
         Refusal::Unavailable { message: "m".into() },
+        Refusal::NoSuchWorker { worker: "w".into() },
     ]
 }
 
@@ -118,13 +123,26 @@ fn the_words_of_a_session_cross_the_wire() {
         ..done.clone()
     };
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Register(registration));
-    crosses::<FromWorker, wire::FromWorker>(FromWorker::Heartbeat(progress.to_vec()));
+    crosses::<FromWorker, wire::FromWorker>(FromWorker::Heartbeat { number: 3, tasks: progress.to_vec() });
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Draining);
+    crosses::<FromWorker, wire::FromWorker>(FromWorker::Available);
+    let stored = LogText::Stored(Artefact { bytes: LogText::STORED as u64, ..artefact() });
+    let record = LogRecord { task: render, epoch, worker: "w".into(), at: Tick(7), log: log(stored) };
+    crosses::<LogRecord, wire::LogRecord>(record);
+    let long = wire::TaskLog::from(log(LogText::Inline("x".repeat(LogText::INLINE + 1))));
+    assert_eq!(TaskLog::try_from(long), Err(ConvertError::Range { field: "log.inline" }));
+    let large = wire::TaskLog::from(log(LogText::Stored(artefact())));
+    assert_eq!(TaskLog::try_from(large), Err(ConvertError::Range { field: "log.stored" }));
     for result in [TaskResult::Tile(tile), TaskResult::Merge(done), TaskResult::Merge(on)] {
-        crosses::<FromWorker, wire::FromWorker>(FromWorker::Completed { task: render, epoch, result });
+        crosses::<FromWorker, wire::FromWorker>(FromWorker::Completed {
+            task: render,
+            epoch,
+            result,
+            log: Some(log(LogText::Inline("ä".into()))),
+        });
     }
     for failure in failures() {
-        crosses::<FromWorker, wire::FromWorker>(FromWorker::Failed { task: merge, epoch, failure });
+        crosses::<FromWorker, wire::FromWorker>(FromWorker::Failed { task: merge, epoch, failure, log: None });
     }
 
     let works = [More::Rounds, More::Last].map(|more| Work::Merge {
@@ -139,7 +157,9 @@ fn the_words_of_a_session_cross_the_wire() {
         let assignment = Assignment { task: merge, epoch, lease: 5000, work };
         crosses::<ToWorker, wire::ToWorker>(ToWorker::Assign(assignment));
     }
-    crosses::<ToWorker, wire::ToWorker>(ToWorker::Welcome { worker: WorkerId(4), heartbeat: 500 });
+    crosses::<ToWorker, wire::ToWorker>(ToWorker::Welcome { worker: WorkerId(4), heartbeat: 500, lease: 5000 });
+    let leases = vec![LeaseLeft { task: render, epoch, left: 4321 }];
+    crosses::<ToWorker, wire::ToWorker>(ToWorker::Renewed { heartbeat: 3, leases });
     crosses::<ToWorker, wire::ToWorker>(ToWorker::Job { job: JobId(7), spec: Box::new(spec()) });
     for reason in [RevokeReason::Expired, RevokeReason::JobEnded] {
         crosses::<ToWorker, wire::ToWorker>(ToWorker::Revoke { task: render, epoch, reason });
@@ -170,6 +190,7 @@ fn statuses_cross_the_wire() {
         Wait::NoWorkers,
         Wait::NoWorkerWithTags(vec!["lab".into()]),
         Wait::WorkersBusy { workers: 3 },
+        Wait::WorkersDraining { workers: 1 },
         Wait::WorkersResting,
         Wait::WorkersShunned { workers: 2, seconds: 60 },
         Wait::BehindJob(JobId(2)),
@@ -203,9 +224,17 @@ fn statuses_cross_the_wire() {
     }
     let tasks = vec![task(StageKind::Render)];
     let (name, tags) = ("w".to_owned(), vec!["lab".to_owned()]);
+    let intake = Intake::Open;
     let worker =
-        WorkerStatus { worker: WorkerId(1), name, threads: 2, tags, tasks, silent: 3, completed: 4, failed: 5 };
-    crosses::<WorkerStatus, wire::WorkerStatus>(worker);
+        WorkerStatus { worker: WorkerId(1), name, threads: 2, tags, tasks, silent: 3, completed: 4, failed: 5, intake };
+    for intake in [Intake::Open, Intake::Off, Intake::Drained] {
+        crosses::<WorkerStatus, wire::WorkerStatus>(WorkerStatus { intake, ..worker.clone() });
+    }
+    for worker in [WorkerName::Number(WorkerId(3)), WorkerName::Name("w".into())] {
+        for drain in [Drain::Begin, Drain::Undo] {
+            crosses::<(WorkerName, Drain), wire::DrainWorkersRequest>((worker.clone(), drain));
+        }
+    }
     let record = FrameRecord {
         frame: 1,
         image: artefact(),

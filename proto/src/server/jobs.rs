@@ -2,7 +2,7 @@
 
 use std::pin::Pin;
 
-use femc_model::{JobId, JobStatus};
+use femc_model::{JobId, JobStatus, Tick};
 use tokio::sync::{mpsc, watch};
 use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
@@ -56,9 +56,22 @@ impl wire::jobs_server::Jobs for Server {
         Ok(Response::new(wire::FramesReply { frames: frames.into_iter().map(Into::into).collect() }))
     }
 
+    async fn logs(&self, request: Request<wire::LogsRequest>) -> Answer<wire::LogsReply> {
+        let wire::LogsRequest { job, since } = request.into_inner();
+        let (job, since) = (JobId(job), Tick(since));
+        let logs = self.ask(|reply| Call::Logs { job, since, reply }).await?;
+        Ok(Response::new(wire::LogsReply { logs: logs.into_iter().map(Into::into).collect() }))
+    }
+
     async fn list_workers(&self, _: Request<wire::ListWorkersRequest>) -> Answer<wire::ListWorkersReply> {
         let workers = self.ask(|reply| Call::Workers { reply }).await?;
         Ok(Response::new(wire::ListWorkersReply { workers: workers.into_iter().map(Into::into).collect() }))
+    }
+
+    async fn drain_workers(&self, request: Request<wire::DrainWorkersRequest>) -> Answer<wire::DrainWorkersReply> {
+        let (worker, drain) = request.into_inner().try_into()?;
+        let workers = self.ask(|reply| Call::Drain { worker, drain, reply }).await?;
+        Ok(Response::new(wire::DrainWorkersReply { workers: workers.into_iter().map(|worker| worker.0).collect() }))
     }
 }
 

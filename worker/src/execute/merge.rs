@@ -23,7 +23,8 @@ pub(crate) fn merge(task: &Task, tools: &Tools) -> Result<Product, Failure> {
     let read = tools.cache.scene(&task.spec, &task.client, &tools.fetch)?;
     task.enter(Phase::Working);
     let frame = union(task, *previous, tiles, tools)?;
-    let (image, error) = tools.pool.install(|| {
+    tracing::debug!(tiles = tiles.len(), spp, seconds = watch.seconds(), "tiles are joined");
+    let (image, error) = tools.install(task, || {
         let image = frame.resolve();
         let error = image.error();
         (image, error)
@@ -32,6 +33,7 @@ pub(crate) fn merge(task: &Task, tools: &Tools) -> Result<Product, Failure> {
     let next = task.spec.samples(task.assignment.task.stage.round + 1).len();
     let estimate = spent * next as f64 / f64::from((*spp).max(1));
     let decision = verdict(&read.settings, error.worst, spent, estimate, *more);
+    tracing::debug!(error = error.worst, bad = frame.bad().total(), ?decision, "the frame is measured");
     let mut result = MergeResult {
         decision,
         sums: None,
@@ -48,7 +50,7 @@ pub(crate) fn merge(task: &Task, tools: &Tools) -> Result<Product, Failure> {
         Some(artefact)
     };
     match decision {
-        Decision::Continue => result.sums = keep(tools.pool.install(|| sums::encode(&frame))),
+        Decision::Continue => result.sums = keep(tools.install(task, || sums::encode(&frame))),
         Decision::Done => {
             let provenance = Provenance {
                 version: env!("CARGO_PKG_VERSION").into(),
@@ -61,7 +63,7 @@ pub(crate) fn merge(task: &Task, tools: &Tools) -> Result<Product, Failure> {
                 bad: frame.bad(),
             };
             let (file, preview) =
-                tools.pool.install(|| pictures(&image, &provenance)).map_err(|error| damaged_picture(&error))?;
+                tools.install(task, || pictures(&image, &provenance)).map_err(|error| damaged_picture(&error))?;
             result.image = keep(file);
             result.preview = keep(preview);
         }
@@ -98,7 +100,7 @@ fn union(task: &Task, previous: Option<Artefact>, tiles: &[Artefact], tools: &To
         for bytes in tools.fetch.all(&task.client, &[previous]) {
             let Some(bytes) = lost.note(bytes)? else { continue };
             let insert = |tiles: Vec<Tile>| tiles.into_iter().try_for_each(|tile| frame.insert(tile).map(drop));
-            lost.check(previous, tools.pool.install(|| sums::decode(&bytes)).and_then(insert));
+            lost.check(previous, tools.install(task, || sums::decode(&bytes)).and_then(insert));
         }
     }
     for batch in tiles.chunks(BATCH) {
@@ -110,7 +112,7 @@ fn union(task: &Task, previous: Option<Artefact>, tiles: &[Artefact], tools: &To
             here.extend(lost.note(bytes)?.map(|bytes| (*artefact, bytes)));
         }
         let decoded: Vec<Result<Tile, FilmError>> =
-            tools.pool.install(|| here.par_iter().map(|(_, bytes)| Tile::decode(bytes)).collect());
+            tools.install(task, || here.par_iter().map(|(_, bytes)| Tile::decode(bytes)).collect());
         for ((artefact, _), tile) in here.iter().zip(decoded) {
             lost.check(*artefact, tile.and_then(|tile| frame.insert(tile).map(drop)));
         }

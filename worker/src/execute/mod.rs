@@ -13,6 +13,8 @@ use rayon::ThreadPool;
 
 use crate::Cache;
 use crate::fetch::Fetch;
+use crate::memory::Memory;
+use crate::nice::Nice;
 use crate::table::Task;
 
 /// What a task needs beside itself.
@@ -21,6 +23,15 @@ pub(crate) struct Tools {
     pub(crate) pool: Arc<ThreadPool>,
     pub(crate) cache: Cache,
     pub(crate) fetch: Fetch,
+    pub(crate) memory: Memory,
+    pub(crate) nice: Nice,
+}
+
+impl Tools {
+    /// Does `work` for `task` on the pool.
+    pub(crate) fn install<T: Send>(&self, task: &Task, work: impl FnOnce() -> T + Send) -> T {
+        self.pool.install(|| task.log.hear(work))
+    }
 }
 
 /// A result and the artefacts that it names.
@@ -32,12 +43,27 @@ pub(crate) struct Product {
 
 /// Does the task. A panic is a failure like others.
 pub(crate) fn execute(task: &Task, tools: &Tools) -> Result<Product, Failure> {
+    task.log.begin();
+    task.log.hear(|| {
+        let outcome = attempt(task, tools);
+        match &outcome {
+            Ok(_) | Err(Failure::Cancelled) => {}
+            Err(failure) => tracing::warn!(task = %task.key().0, %failure, "task failed"),
+        }
+        outcome
+    })
+}
+
+fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
     let work = || match &task.assignment.work {
         Work::Render { samples } => render::render(task, samples.clone(), tools),
         Work::Merge { .. } => merge::merge(task, tools),
     };
-    std::panic::catch_unwind(AssertUnwindSafe(work))
-        .unwrap_or_else(|panic| Err(Failure::Panicked { message: message(&*panic) }))
+    let measured = tools.memory.begin(task.assignment.task.stage.kind, &tools.cache)?;
+    let outcome = std::panic::catch_unwind(AssertUnwindSafe(work))
+        .unwrap_or_else(|panic| Err(Failure::Panicked { message: message(&*panic) }));
+    measured.end();
+    outcome
 }
 
 fn message(panic: &(dyn Any + Send)) -> String {

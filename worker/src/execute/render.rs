@@ -14,7 +14,9 @@ use crate::table::Task;
 pub(crate) fn render(task: &Task, samples: Range<u32>, tools: &Tools) -> Result<Product, Failure> {
     let key = task.assignment.task;
     task.enter(Phase::Preparing);
+    let preparing = Stopwatch::start();
     let (read, prepared) = tools.cache.frame(&task.spec, key.stage.frame, &task.client, &tools.fetch)?;
+    tracing::debug!(frame = key.stage.frame, seconds = preparing.seconds(), "the frame is ready");
     let grid = task.spec.grid;
     let rect = grid.rect(key.index).filter(|_| prepared.camera.film == grid.film);
     let Some(TileRect { x, y, width, height }) = rect else {
@@ -24,9 +26,12 @@ pub(crate) fn render(task: &Task, samples: Range<u32>, tools: &Tools) -> Result<
     task.enter(Phase::Working);
     let watch = Stopwatch::start();
     let (settings, range) = (&read.settings, samples.clone());
-    let rendered = tools.pool.install(|| {
-        femc_pipeline::render_tile(&prepared, settings, rect, range, &task.cancel, &task.samples)
-            .map(|rendered| (rendered.tile.bad().total(), Bytes::from(rendered.tile.encode())))
+    let rendered = tools.install(task, || {
+        femc_pipeline::render_tile(&prepared, settings, rect, range, &task.cancel, &task.samples).map(|rendered| {
+            let (rays, shadow_rays, bad) = (rendered.rays, rendered.shadow_rays, rendered.tile.bad().total());
+            tracing::debug!(?rect, samples = ?samples, rays, shadow_rays, bad, seconds = watch.seconds(), "rendered");
+            (bad, Bytes::from(rendered.tile.encode()))
+        })
     });
     let (bad_samples, bytes) = rendered.map_err(|error| match error {
         RenderError::Cancelled => Failure::Cancelled,

@@ -1,5 +1,6 @@
 //! The durable half of the scheduler: what is asked for, what is done, what has failed.
 
+mod annex;
 pub(crate) mod frame;
 mod job;
 
@@ -9,6 +10,7 @@ use femc_model::{Digest, JobId, Tick};
 use serde::{Deserialize, Serialize};
 
 use crate::Fact;
+pub(crate) use annex::Annex;
 pub(crate) use job::{Hold, Job};
 
 /// All jobs. Changes by [`Ledger::apply`] alone: same facts, same ledger.
@@ -19,6 +21,9 @@ pub struct Ledger {
     last_job: u64,
     keys: BTreeMap<String, JobId>,
     pub(crate) jobs: BTreeMap<JobId, Job>,
+    /// What later versions have added: it follows the rest in a snapshot, and an older snapshot ends without it.
+    #[serde(skip)]
+    pub(crate) annex: Annex,
 }
 
 /// A snapshot that cannot be read.
@@ -39,8 +44,8 @@ pub enum SnapshotError {
 }
 
 impl Ledger {
-    /// First byte of snapshots and of facts.
-    pub const VERSION: u8 = 1;
+    /// First byte of snapshots and of facts. Those of version 1 are read too: its snapshots end before the annex.
+    pub const VERSION: u8 = 2;
 
     /// The number that the next job gets.
     pub(crate) fn next_job(&self) -> JobId {
@@ -73,6 +78,15 @@ impl Ledger {
                 self.jobs.insert(*job, Job::new(spec.clone(), now));
                 return Vec::new();
             }
+            Fact::Drained { instance, drain } => {
+                self.annex.drain(*instance, *drain);
+                return Vec::new();
+            }
+            Fact::Logged(record) => {
+                let is_known = self.jobs.contains_key(&record.task.job);
+                let released = if is_known { self.annex.log(record) } else { Vec::new() };
+                return self.unreferenced(released);
+            }
             Fact::Rendered { task, epoch, leased, result } => {
                 let job = self.jobs.get_mut(&task.job);
                 (task.job, job.map(|job| job.rendered(task, *epoch, *leased, result)))
@@ -100,22 +114,29 @@ impl Ledger {
             return digests;
         }
         let mut left: BTreeSet<Digest> = digests.into_iter().collect();
-        for job in self.jobs.values() {
-            job.each_artefact(|digest| {
-                left.remove(&digest);
-            });
-        }
+        self.each_artefact(|digest| {
+            left.remove(&digest);
+        });
         left.into_iter().collect()
+    }
+
+    /// Every artefact that is named: what is not, may go.
+    fn each_artefact(&self, mut see: impl FnMut(Digest)) {
+        self.jobs.values().for_each(|job| job.each_artefact(&mut see));
+        self.annex.each_artefact(see);
     }
 
     /// Version and content, for a snapshot.
     pub fn encode(&self) -> Result<Vec<u8>, SnapshotError> {
-        encode(self)
+        Ok(postcard::to_extend(&self.annex, encode(self)?)?)
     }
 
-    /// What [`Self::encode`] wrote.
+    /// What [`Self::encode`] wrote, now or in an earlier version.
     pub fn decode(bytes: &[u8]) -> Result<Self, SnapshotError> {
-        decode(bytes)
+        let (version, content) = content(bytes)?;
+        let (ledger, rest) = postcard::take_from_bytes(content)?;
+        let annex = if version == 1 { Annex::default() } else { postcard::from_bytes(rest)? };
+        Ok(Self { annex, ..ledger })
     }
 }
 
@@ -136,8 +157,13 @@ fn encode(value: &impl Serialize) -> Result<Vec<u8>, SnapshotError> {
 }
 
 fn decode<T: for<'a> Deserialize<'a>>(bytes: &[u8]) -> Result<T, SnapshotError> {
+    Ok(postcard::from_bytes(content(bytes)?.1)?)
+}
+
+/// The version, and what follows it.
+fn content(bytes: &[u8]) -> Result<(u8, &[u8]), SnapshotError> {
     match bytes.split_first() {
-        Some((&Ledger::VERSION, content)) => Ok(postcard::from_bytes(content)?),
+        Some((&version @ 1..=Ledger::VERSION, content)) => Ok((version, content)),
         Some((&found, _)) => Err(SnapshotError::Version { found }),
         None => Err(SnapshotError::Empty),
     }

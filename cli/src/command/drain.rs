@@ -1,0 +1,44 @@
+//! `femc drain WORKER`: a worker gets no more tasks.
+
+use super::client;
+use crate::args::ServerArgs;
+use crate::exit::{Exit, Failure};
+use crate::output::Say;
+use clap::Args;
+use femc_model::{Drain, WorkerId, WorkerName};
+
+/// Give a worker no more tasks; it finishes what it has and stays
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc drain 3\n  \
+    femc drain lab-7             # every worker of this name\n  \
+    femc drain lab-7 --undo      # tasks again\n\n\
+    A drain lasts as long as the worker's process, also when it loses its coordinator or the coordinator starts again. \
+    `femc workers` shows who drains and what is still being done there.")]
+pub struct DrainArgs {
+    /// The worker's number or name, as `femc workers` shows it
+    #[arg(value_name = "WORKER")]
+    worker: String,
+    /// Give it tasks again
+    #[arg(long)]
+    undo: bool,
+    #[command(flatten)]
+    server: ServerArgs,
+}
+
+/// Drain.
+pub fn run(args: &DrainArgs, say: Say) -> Result<Exit, Failure> {
+    let worker = match args.worker.parse() {
+        Ok(number) => WorkerName::Number(WorkerId(number)),
+        Err(_) => WorkerName::Name(args.worker.clone()),
+    };
+    let drain = if args.undo { Drain::Undo } else { Drain::Begin };
+    let workers = client::block_on(&args.server, async |farm| farm.drain(worker, drain).await)?;
+    for worker in workers {
+        say.note(match drain {
+            Drain::Begin => format!("worker {worker} gets no more tasks; `femc drain {worker} --undo` ends that"),
+            Drain::Undo => format!("worker {worker} gets tasks again"),
+        });
+    }
+    Ok(Exit::Done)
+}

@@ -1,0 +1,151 @@
+//! `femc logs JOB [TASK]`: what workers wrote down.
+
+use super::client::{self, Farm};
+use super::interrupt::Interrupt;
+use crate::args::{FormatArgs, ServerArgs};
+use crate::exit::{Exit, Failure, interrupted, usage};
+use crate::output::{Say, human, json};
+use crate::request::{JobTasks, Tasks};
+use clap::Args;
+use femc_model::{Attempt, Epoch, JobId, LogRecord, LogText, TaskKey, Tick};
+use serde::Serialize;
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+/// Print what workers wrote down while they did a job's tasks, the newest last
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc logs 7                      # every attempt whose log is kept\n  \
+    femc logs 7 12                   # those of frame 12\n  \
+    femc logs 7/12.0/render/3        # one task, as `status` and the coordinator name it\n  \
+    femc logs 7 --failed             # failures only\n  \
+    femc logs 7 --follow             # go on until the job ends\n  \
+    femc logs 7 --json | jq -r '.[] | select(.attempt == \"failed\") | .text'\n\n\
+    Logs of failures and of merges are kept with the job, 512 at most; those of tiles that went well are short, and the \
+    latest of all jobs are kept in the coordinator's memory.")]
+pub struct LogsArgs {
+    /// The job's number, or a task with its job, like 7/12.0/render/3
+    #[arg(value_name = "JOB")]
+    job: JobTasks,
+    /// A frame, or a task: 12, 12.0/render/3, 12.0/merge
+    #[arg(value_name = "TASK")]
+    task: Option<Tasks>,
+    /// Only attempts that failed
+    #[arg(long)]
+    failed: bool,
+    /// Print new ones as they come, until the job ends; with --json one document a line
+    #[arg(long, short)]
+    follow: bool,
+    #[command(flatten)]
+    format: FormatArgs,
+    #[command(flatten)]
+    server: ServerArgs,
+}
+
+/// Between two looks.
+const EVERY: Duration = Duration::from_millis(500);
+
+#[derive(Serialize)]
+struct LogJson {
+    task: String,
+    epoch: u64,
+    worker: String,
+    attempt: &'static str,
+    seconds: f64,
+    text: String,
+}
+
+impl LogJson {
+    fn new(record: &LogRecord, text: String) -> Self {
+        Self {
+            task: record.task.to_string(),
+            epoch: record.epoch.0,
+            worker: record.worker.clone(),
+            attempt: match record.log.attempt {
+                Attempt::Done => "done",
+                Attempt::Failed => "failed",
+            },
+            seconds: record.log.seconds,
+            text,
+        }
+    }
+}
+
+/// Print.
+pub fn run(args: &LogsArgs, say: Say) -> Result<Exit, Failure> {
+    if args.task.is_some() && args.job.tasks != Tasks::default() {
+        return Err(usage("TASK: the task is named twice; write JOB TASK, or JOB/TASK"));
+    }
+    client::block_on(&args.server, async |farm| {
+        let mut interrupt = Interrupt::listen()?;
+        let mut seen = Seen::default();
+        loop {
+            // Asked before the logs: what is logged before the end is not missed.
+            let has_ended = !args.follow || farm.patient_status(JobId(args.job.job)).await?.state.has_ended();
+            let records = seen.fresh(farm.logs(JobId(args.job.job), seen.since).await?);
+            show(args, farm, &records, say).await?;
+            if has_ended {
+                return Ok(Exit::Done);
+            }
+            tokio::select! {
+                () = tokio::time::sleep(EVERY) => {}
+                () = interrupt.wait() => return Err(interrupted("no longer following; the job goes on")),
+            }
+        }
+    })
+}
+
+/// What has been shown.
+#[derive(Default)]
+struct Seen {
+    since: Tick,
+    attempts: BTreeSet<(TaskKey, Epoch)>,
+}
+
+impl Seen {
+    /// Those of `records` that have not been seen.
+    fn fresh(&mut self, records: Vec<LogRecord>) -> Vec<LogRecord> {
+        self.since = records.last().map_or(self.since, |record| record.at);
+        let attempts = &mut self.attempts;
+        records.into_iter().filter(|record| attempts.insert((record.task, record.epoch))).collect()
+    }
+}
+
+async fn show(args: &LogsArgs, farm: &Farm, records: &[LogRecord], say: Say) -> Result<(), Failure> {
+    let wanted = |record: &&LogRecord| {
+        let is_named = args.task.unwrap_or(args.job.tasks).hold(&record.task);
+        is_named && (!args.failed || record.log.attempt == Attempt::Failed)
+    };
+    let mut all = Vec::new();
+    for record in records.iter().filter(wanted) {
+        let text = match &record.log.text {
+            LogText::Inline(text) => text.clone(),
+            LogText::Stored(artefact) => match farm.get(artefact).await {
+                Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
+                Err(failure) => format!("the log cannot be read: {failure}\n"),
+            },
+        };
+        if args.format.json && args.follow {
+            say.result(serde_json::to_string(&LogJson::new(record, text)).map_err(crate::exit::failed)?);
+        } else if args.format.json {
+            all.push(LogJson::new(record, text));
+        } else {
+            say.result(heading(record, say));
+            say.result(text);
+        }
+    }
+    if args.format.json && !args.follow {
+        json::print(say, &all)?;
+    } else if records.is_empty() && !args.follow {
+        say.note("no attempt of this job has a log yet");
+    }
+    Ok(())
+}
+
+fn heading(record: &LogRecord, say: Say) -> String {
+    let seconds = human::seconds(record.log.seconds);
+    match record.log.attempt {
+        Attempt::Done => say.heading(&format!("== {} on {}: done, {seconds}", record.task, record.worker)),
+        Attempt::Failed => say.bad(&format!("== {} on {}: FAILED, {seconds}", record.task, record.worker)),
+    }
+}

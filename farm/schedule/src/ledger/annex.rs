@@ -1,0 +1,86 @@
+//! What later versions of the ledger have added.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use femc_model::{Attempt, Digest, Drain, JobId, LogRecord, LogText};
+use serde::{Deserialize, Serialize};
+
+/// The ledger's later fields. New ones go to the end.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Annex {
+    /// Workers that an operator has drained, by their process, the latest at the end.
+    drained: Vec<u64>,
+    /// Stored logs of attempts, oldest first.
+    logs: BTreeMap<JobId, VecDeque<LogRecord>>,
+}
+
+impl Annex {
+    /// Most workers that are remembered as drained: processes end, and nobody says that they will not come back.
+    const DRAINED: usize = 4096;
+
+    /// Most logs of a job.
+    const LOGS: usize = 512;
+
+    /// Keeps a log; returns what is named no longer. Logs of failures are kept for longer than others.
+    pub(super) fn log(&mut self, record: &LogRecord) -> Vec<Digest> {
+        let logs = self.logs.entry(record.task.job).or_default();
+        logs.push_back(record.clone());
+        if logs.len() <= Self::LOGS {
+            return Vec::new();
+        }
+        let oldest = logs.iter().position(|record| record.log.attempt == Attempt::Done).unwrap_or(0);
+        logs.remove(oldest).iter().filter_map(stored).collect()
+    }
+
+    pub(crate) fn logs(&self, job: JobId) -> impl Iterator<Item = &LogRecord> + '_ {
+        self.logs.get(&job).into_iter().flatten()
+    }
+
+    pub(super) fn each_artefact(&self, see: impl FnMut(Digest)) {
+        self.logs.values().flatten().filter_map(stored).for_each(see);
+    }
+
+    pub(super) fn drain(&mut self, instance: u64, drain: Drain) {
+        self.drained.retain(|&other| other != instance);
+        if drain == Drain::Begin {
+            self.drained.push(instance);
+            let surplus = self.drained.len().saturating_sub(Self::DRAINED);
+            self.drained.drain(..surplus);
+        }
+    }
+
+    pub(crate) fn is_drained(&self, instance: u64) -> bool {
+        self.drained.contains(&instance)
+    }
+}
+
+fn stored(record: &LogRecord) -> Option<Digest> {
+    match &record.log.text {
+        LogText::Stored(artefact) => Some(artefact.digest),
+        LogText::Inline(_) => None,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{Fact, Ledger};
+
+    use super::*;
+
+    #[test]
+    fn a_snapshot_of_before_the_annex_is_read() {
+        let mut ledger = Ledger::default();
+        ledger.apply(&Fact::Opened { incarnation: 7 }, femc_model::Tick(3));
+        let old = postcard::to_extend(&ledger, vec![1]).unwrap();
+        assert_eq!(Ledger::decode(&old), Ok(ledger.clone()));
+        ledger.apply(&Fact::Drained { instance: 5, drain: Drain::Begin }, femc_model::Tick(4));
+        let new = ledger.encode().unwrap();
+        assert_eq!(Ledger::decode(&new), Ok(ledger.clone()));
+        assert!(ledger.annex.is_drained(5) && !ledger.annex.is_drained(6));
+        for end in 0..new.len() {
+            assert!(Ledger::decode(&new[..end]).is_err(), "cut at {end}");
+        }
+        ledger.apply(&Fact::Drained { instance: 5, drain: Drain::Undo }, femc_model::Tick(5));
+        assert!(!ledger.annex.is_drained(5));
+    }
+}

@@ -1,0 +1,73 @@
+//! Logs of attempts. Those in the store are few (failures and merges) and are facts, kept with the job. Those of tiles that went
+//! well are many and small: they travel in the report, and the latest are kept in memory alone.
+
+use std::collections::VecDeque;
+
+use femc_model::{Epoch, JobId, LogRecord, LogText, Refusal, TaskKey, TaskLog, Tick, WorkerId};
+
+use crate::scheduler::Scheduler;
+use crate::{Command, Fact};
+
+/// The latest inline logs of all jobs.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Shelf {
+    records: VecDeque<LogRecord>,
+    bytes: usize,
+}
+
+impl Shelf {
+    /// Most bytes of text.
+    const BYTES: usize = 4 << 20;
+
+    fn put(&mut self, record: LogRecord) {
+        self.bytes += size(&record);
+        self.records.push_back(record);
+        while self.bytes > Self::BYTES {
+            let Some(oldest) = self.records.pop_front() else { break };
+            self.bytes -= size(&oldest);
+        }
+    }
+}
+
+/// Bytes of a record, about.
+fn size(record: &LogRecord) -> usize {
+    let text = match &record.log.text {
+        LogText::Inline(text) => text.len(),
+        LogText::Stored(_) => 0,
+    };
+    size_of::<LogRecord>() + record.worker.len() + text
+}
+
+impl Scheduler {
+    /// Keeps the log of an attempt whose lease holds.
+    pub(crate) fn logged(
+        &mut self,
+        worker: WorkerId,
+        task: TaskKey,
+        epoch: Epoch,
+        log: TaskLog,
+        now: Tick,
+        out: &mut Vec<Command>,
+    ) {
+        let known = self.floor.workers.get(&worker).filter(|_| self.floor.lease_of(worker, &task, epoch).is_some());
+        let Some(known) = known else { return };
+        let record = LogRecord { task, epoch, worker: known.registration.name.clone(), at: now, log };
+        match record.log.text {
+            LogText::Inline(_) => self.logs.put(record),
+            LogText::Stored(_) => self.record(Fact::Logged(Box::new(record)), now, out),
+        }
+    }
+
+    /// The logs of a job's attempts that were reported since then, oldest first; the latest, where they are very many.
+    pub fn logs(&self, job: JobId, since: Tick) -> Result<Vec<LogRecord>, Refusal> {
+        /// Most records of one answer.
+        const MOST: usize = 2048;
+        self.job(job)?;
+        let of_tiles = self.logs.records.iter().filter(|record| record.task.job == job);
+        let all = self.ledger.annex.logs(job).chain(of_tiles);
+        let mut all: Vec<LogRecord> = all.filter(|record| record.at >= since).cloned().collect();
+        all.sort_by_key(|record| (record.at, record.epoch));
+        all.drain(..all.len().saturating_sub(MOST));
+        Ok(all)
+    }
+}

@@ -1,0 +1,57 @@
+//! Logs of tasks.
+
+use femc_model::{Attempt, LogRecord, LogText, TaskLog, Tick};
+
+use super::task::{finite, from_lease, to_lease};
+use super::{ConvertError, need};
+use crate::wire;
+
+impl From<TaskLog> for wire::TaskLog {
+    fn from(log: TaskLog) -> Self {
+        use wire::task_log::Text;
+        let TaskLog { attempt, seconds, text } = log;
+        let text = match text {
+            LogText::Inline(text) => Text::Inline(text),
+            LogText::Stored(artefact) => Text::Stored(artefact.into()),
+        };
+        Self { done: attempt == Attempt::Done, seconds, text: Some(text) }
+    }
+}
+
+impl TryFrom<wire::TaskLog> for TaskLog {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::TaskLog) -> Result<Self, ConvertError> {
+        use wire::task_log::Text;
+        let wire::TaskLog { done, seconds, text } = wire;
+        let text = match need("log.text", text)? {
+            Text::Inline(text) if text.len() > LogText::INLINE => {
+                return Err(ConvertError::Range { field: "log.inline" });
+            }
+            Text::Inline(text) => LogText::Inline(text),
+            Text::Stored(artefact) if artefact.bytes > LogText::STORED as u64 => {
+                return Err(ConvertError::Range { field: "log.stored" });
+            }
+            Text::Stored(artefact) => LogText::Stored(artefact.try_into()?),
+        };
+        let attempt = if done { Attempt::Done } else { Attempt::Failed };
+        Ok(Self { attempt, seconds: finite(seconds)?, text })
+    }
+}
+
+impl From<LogRecord> for wire::LogRecord {
+    fn from(record: LogRecord) -> Self {
+        let LogRecord { task, epoch, worker, at: Tick(at), log } = record;
+        Self { lease: to_lease(task, epoch), worker, at, log: Some(log.into()) }
+    }
+}
+
+impl TryFrom<wire::LogRecord> for LogRecord {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::LogRecord) -> Result<Self, ConvertError> {
+        let wire::LogRecord { lease, worker, at, log } = wire;
+        let (task, epoch) = from_lease(lease)?;
+        Ok(Self { task, epoch, worker, at: Tick(at), log: need("record.log", log)?.try_into()? })
+    }
+}

@@ -1,0 +1,140 @@
+//! Which leases a session may claim, by the worker's own clock.
+//!
+//! The worker does not know when the coordinator heard a heartbeat, but it knows when it sent it: a lease that the
+//! coordinator, in its answer, says to hold for another 5 s holds at least until 5 s after the heartbeat was sent. A
+//! sixteenth less is counted on, because clocks do not run at one rate. What is not claimed is not reported and not kept
+//! alive; it may still be computed, and claimed again when the coordinator says that it holds.
+//!
+//! Claims belong to a session. A later one begins with none: leases that it brings along are claimed when an answer names
+//! them.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use femc_model::{Epoch, LeaseLeft, TaskKey};
+use tokio::time::Instant;
+
+/// The leases of a session.
+#[derive(Debug)]
+pub(crate) struct Claims {
+    /// When a message was sent that the coordinator has surely heard, the latest such.
+    heard: Instant,
+    /// How long the coordinator may be silent.
+    patience: Duration,
+    /// Heartbeats without an answer.
+    sent: BTreeMap<u64, Instant>,
+    last: u64,
+    until: BTreeMap<(TaskKey, Epoch), Instant>,
+}
+
+impl Claims {
+    /// How long a coordinator may take to say its first word.
+    pub(crate) const INTRODUCTION: Duration = Duration::from_secs(10);
+    /// The part of a lease that is not counted on.
+    const MARGIN: u32 = 16;
+
+    /// Of a session that begins with a registration sent at `now`.
+    pub(crate) fn new(now: Instant) -> Self {
+        Self { heard: now, patience: Self::INTRODUCTION, sent: BTreeMap::new(), last: 0, until: BTreeMap::new() }
+    }
+
+    /// The coordinator has taken the registration.
+    /// - `lease`: milliseconds.
+    pub(crate) fn welcomed(&mut self, lease: u64) {
+        self.patience = sure(lease);
+    }
+
+    /// A heartbeat goes out; its number.
+    pub(crate) fn beat(&mut self, now: Instant) -> u64 {
+        self.last += 1;
+        self.sent.insert(self.last, now);
+        self.last
+    }
+
+    /// The coordinator answers a heartbeat: just these leases hold.
+    pub(crate) fn renewed(&mut self, heartbeat: u64, leases: &[LeaseLeft]) {
+        let Some(sent) = self.sent.remove(&heartbeat) else { return };
+        self.sent.retain(|&number, _| number > heartbeat);
+        self.heard = self.heard.max(sent);
+        self.until = leases.iter().map(|lease| ((lease.task, lease.epoch), sent + sure(lease.left))).collect();
+    }
+
+    /// A lease comes, granted after the last answered heartbeat was sent.
+    /// - `lease`: milliseconds.
+    pub(crate) fn assigned(&mut self, key: (TaskKey, Epoch), lease: u64) {
+        self.until.insert(key, self.heard + sure(lease));
+    }
+
+    /// The lease is over.
+    pub(crate) fn forget(&mut self, key: &(TaskKey, Epoch)) {
+        self.until.remove(key);
+    }
+
+    /// Whether the lease surely holds at `now`.
+    pub(crate) fn holds(&self, key: &(TaskKey, Epoch), now: Instant) -> bool {
+        self.until.get(key).is_some_and(|until| now < *until)
+    }
+
+    /// When every lease must be taken for lost, unless the coordinator says something before.
+    pub(crate) fn end(&self) -> Instant {
+        self.heard + self.patience
+    }
+}
+
+/// What one can count on of so many milliseconds.
+fn sure(milliseconds: u64) -> Duration {
+    let whole = Duration::from_millis(milliseconds);
+    whole - whole / Claims::MARGIN
+}
+
+#[cfg(test)]
+mod tests {
+    use femc_model::{JobId, Stage, StageKind};
+
+    use super::*;
+
+    fn key(index: u32) -> (TaskKey, Epoch) {
+        let stage = Stage { frame: 1, round: 0, kind: StageKind::Render };
+        (TaskKey { job: JobId(1), stage, index }, Epoch(9))
+    }
+
+    fn left(index: u32, left: u64) -> LeaseLeft {
+        let (task, epoch) = key(index);
+        LeaseLeft { task, epoch, left }
+    }
+
+    #[test]
+    fn a_lease_is_counted_from_when_the_answered_heartbeat_was_sent_not_from_the_answer() {
+        let start = Instant::now();
+        let at = |milliseconds| start + Duration::from_millis(milliseconds);
+        let mut claims = Claims::new(start);
+        claims.welcomed(1600);
+        claims.assigned(key(1), 1600);
+        assert!(claims.holds(&key(1), at(1499)) && !claims.holds(&key(1), at(1500)));
+        assert_eq!((claims.beat(at(100)), claims.beat(at(1000))), (1, 2));
+        // However late the answer comes.
+        claims.renewed(1, &[left(1, 1600)]);
+        assert!(claims.holds(&key(1), at(1599)) && !claims.holds(&key(1), at(1600)));
+        assert_eq!(claims.end(), at(1600));
+        claims.assigned(key(2), 1600);
+        assert!(!claims.holds(&key(2), at(1600)), "it may have been granted right after the first heartbeat");
+        claims.renewed(2, &[left(1, 160), left(2, 1600)]);
+        assert!(!claims.holds(&key(1), at(1150)), "a task that does not move is not renewed");
+        assert!(claims.holds(&key(2), at(2499)));
+    }
+
+    #[test]
+    fn what_an_answer_does_not_name_is_over_and_old_or_invented_answers_change_nothing() {
+        let start = Instant::now();
+        let mut claims = Claims::new(start);
+        claims.assigned(key(1), 1600);
+        let (first, second) = (claims.beat(start), claims.beat(start));
+        claims.renewed(second, &[left(2, 1600)]);
+        assert!(!claims.holds(&key(1), start) && claims.holds(&key(2), start));
+        claims.renewed(first, &[left(1, 1600)]);
+        claims.renewed(77, &[left(1, 1600)]);
+        assert!(!claims.holds(&key(1), start) && claims.holds(&key(2), start));
+        claims.forget(&key(2));
+        assert!(!claims.holds(&key(2), start));
+    }
+}

@@ -1,0 +1,65 @@
+//! What becomes of a task that is done: it is kept, with its log, and the session is told.
+
+use std::fmt::Write as _;
+use std::sync::Arc;
+
+use femc_model::{Epoch, LogText, StageKind, TaskKey};
+use tokio::sync::mpsc::UnboundedSender;
+
+use crate::outbox::Outbox;
+use crate::table::{Outcome, Task};
+
+/// Takes in what came of tasks.
+#[derive(Debug, Clone)]
+pub(crate) struct Finish {
+    /// Hears of every task that is done.
+    pub(crate) told: UnboundedSender<(TaskKey, Epoch)>,
+    pub(crate) outbox: Outbox,
+    /// The worker's name, for logs.
+    pub(crate) worker: Arc<str>,
+    /// The most memory that the process had; a simulation's has none that could be told.
+    pub(crate) peak: fn() -> Option<u64>,
+}
+
+impl Finish {
+    pub(crate) fn done(&self, task: &Arc<Task>, outcome: Outcome) {
+        if !task.is_cancelled() {
+            self.close_log(task, &outcome);
+        }
+        task.settle(outcome);
+        if !task.is_cancelled() {
+            self.outbox.keep(task);
+        }
+        // Without a listener the worker is ending.
+        let _ = self.told.send(task.key());
+    }
+
+    /// A tile that went well has a short log, which travels with the report; the others' go to the store.
+    fn close_log(&self, task: &Task, outcome: &Outcome) {
+        let Some(seconds) = task.log.seconds() else { return };
+        let limit = match (task.assignment.task.stage.kind, outcome) {
+            (StageKind::Render, Ok(_)) => LogText::INLINE,
+            (StageKind::Merge, _) | (StageKind::Render, Err(_)) => LogText::STORED,
+        };
+        task.write_log(seconds, task.log.text(&self.header(task, outcome, seconds), limit));
+    }
+
+    fn header(&self, task: &Task, outcome: &Outcome, seconds: f64) -> String {
+        let (key, epoch) = task.key();
+        let mut header = format!("task {key}, epoch {}\nworker {}, engine {}\n", epoch.0, self.worker, crate::ENGINE);
+        let samples = task.samples.load(std::sync::atomic::Ordering::Relaxed);
+        // Writing into a string does not fail.
+        let _ = match outcome {
+            Ok(_) => write!(header, "done in {seconds:.3} s"),
+            Err(failure) => write!(header, "failed after {seconds:.3} s: {failure}"),
+        };
+        if key.stage.kind == StageKind::Render {
+            let _ = write!(header, "; {samples} samples");
+        }
+        if let Some(peak) = (self.peak)() {
+            let _ = write!(header, "; {} MiB at most in this process so far", peak.div_ceil(1 << 20));
+        }
+        header.push('\n');
+        header
+    }
+}

@@ -1,0 +1,187 @@
+//! A limit of memory: a worker above it lets go of its caches, or gives the task back.
+//!
+//! Before a task begins, the worker's resident size and the most that a task of this kind has added so far must fit under the
+//! limit. If they do not, cached scenes and frames go, except those that a running task uses; if they do not then, the task is
+//! given back for want of resources, and the coordinator lets the worker rest. A first task of a kind is estimated at nothing:
+//! the limit keeps a worker from growing on, it cannot keep one task from being too large.
+
+use std::fmt;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use femc_model::{Failure, StageKind};
+
+use crate::Cache;
+
+/// A worker's limit of resident memory, and how its size is known.
+#[derive(Clone)]
+pub struct MemoryLimit {
+    bytes: u64,
+    resident: Arc<dyn Fn() -> Option<u64> + Send + Sync>,
+}
+
+impl fmt::Debug for MemoryLimit {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "MemoryLimit({} bytes)", self.bytes)
+    }
+}
+
+impl MemoryLimit {
+    /// At most `bytes` of this process; `None` where the system does not tell a process's size.
+    pub fn of_process(bytes: u64) -> Option<Self> {
+        resident()?;
+        Some(Self { bytes, resident: Arc::new(resident) })
+    }
+}
+
+/// Bytes of this process that are in memory, where the system says.
+fn resident() -> Option<u64> {
+    kilobytes("VmRSS:")
+}
+
+/// The most that this process had in memory, bytes, where the system says.
+pub(crate) fn peak() -> Option<u64> {
+    kilobytes("VmHWM:")
+}
+
+fn kilobytes(field: &str) -> Option<u64> {
+    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    let line = status.lines().find_map(|line| line.strip_prefix(field))?;
+    line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kilobytes| kilobytes << 10)
+}
+
+/// Watches over the limit; without one it does nothing.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Memory(Option<Arc<Watch>>);
+
+#[derive(Debug)]
+struct Watch {
+    limit: MemoryLimit,
+    /// Most that a render task has added, and a merge task.
+    largest: [AtomicU64; 2],
+}
+
+/// A task under way.
+pub(crate) struct Measured {
+    watch: Option<(Arc<Watch>, usize)>,
+    before: u64,
+}
+
+impl Memory {
+    pub(crate) fn new(limit: Option<MemoryLimit>) -> Self {
+        Self(limit.map(|limit| Arc::new(Watch { limit, largest: [AtomicU64::new(0), AtomicU64::new(0)] })))
+    }
+
+    /// Makes room for a task; its end is to be told to what is returned.
+    pub(crate) fn begin(&self, kind: StageKind, cache: &Cache) -> Result<Measured, Failure> {
+        let Some(watch) = &self.0 else { return Ok(Measured { watch: None, before: 0 }) };
+        let kind = slot(kind);
+        let estimate = watch.largest[kind].load(Ordering::Relaxed);
+        let fits = |resident: u64| resident.saturating_add(estimate) <= watch.limit.bytes;
+        if !fits(watch.resident()) {
+            tracing::info!("at the limit of memory: cached scenes and frames go");
+            cache.clear();
+            let resident = watch.resident();
+            if !fits(resident) {
+                let mega = |bytes: u64| bytes.div_ceil(1 << 20);
+                return Err(Failure::Resources {
+                    message: format!(
+                        "{} MiB are in use and the task may need {} MiB, of {} MiB that the worker may use (--memory)",
+                        mega(resident),
+                        mega(estimate),
+                        mega(watch.limit.bytes)
+                    ),
+                });
+            }
+        }
+        Ok(Measured { watch: Some((watch.clone(), kind)), before: watch.resident() })
+    }
+
+    /// Whether something that is not asked for yet may be prepared.
+    pub(crate) fn has_room_ahead(&self) -> bool {
+        let fits = |watch: &Arc<Watch>| {
+            let estimate = watch.largest[slot(StageKind::Render)].load(Ordering::Relaxed);
+            watch.resident().saturating_add(estimate) <= watch.limit.bytes
+        };
+        self.0.as_ref().is_none_or(fits)
+    }
+}
+
+impl Watch {
+    fn resident(&self) -> u64 {
+        (self.limit.resident)().unwrap_or(0)
+    }
+}
+
+impl Measured {
+    /// The task is done, and what it has made is still there.
+    pub(crate) fn end(self) {
+        if let Some((watch, kind)) = self.watch {
+            let added = watch.resident().saturating_sub(self.before);
+            watch.largest[kind].fetch_max(added, Ordering::Relaxed);
+        }
+    }
+}
+
+fn slot(kind: StageKind) -> usize {
+    match kind {
+        StageKind::Render => 0,
+        StageKind::Merge => 1,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A limit of 100 MiB, and the size that the process seems to have.
+    fn memory() -> (Memory, Arc<AtomicU64>) {
+        let size = Arc::new(AtomicU64::new(0));
+        let seen = size.clone();
+        let resident = Arc::new(move || Some(seen.load(Ordering::Relaxed) << 20));
+        (Memory::new(Some(MemoryLimit { bytes: 100 << 20, resident })), size)
+    }
+
+    #[test]
+    fn a_task_begins_where_the_largest_of_its_kind_so_far_would_fit() {
+        let ((memory, size), cache) = (memory(), Cache::default());
+        let set = |megabytes| size.store(megabytes, Ordering::Relaxed);
+        set(60);
+        let first = memory.begin(StageKind::Render, &cache).unwrap();
+        set(95);
+        first.end();
+        let refused = memory.begin(StageKind::Render, &cache).err();
+        assert!(
+            matches!(&refused, Some(Failure::Resources { message }) if message.contains("95 MiB") && message.contains("35 MiB")),
+            "{refused:?}"
+        );
+        assert!(!memory.has_room_ahead());
+        assert!(memory.begin(StageKind::Merge, &cache).is_ok(), "merges have added nothing so far");
+        set(65);
+        assert!(memory.begin(StageKind::Render, &cache).is_ok() && memory.has_room_ahead());
+        set(101);
+        assert!(memory.begin(StageKind::Merge, &cache).is_err(), "above the limit nothing begins");
+    }
+
+    #[test]
+    fn a_task_begins_when_letting_go_of_the_caches_has_made_room() {
+        // What the cache holds is all that there is in memory.
+        let cache = Cache::default();
+        cache.hold_something();
+        let held = cache.clone();
+        let resident = Arc::new(move || Some(if held.is_empty() { 10 << 20 } else { 200 << 20 }));
+        let memory = Memory::new(Some(MemoryLimit { bytes: 100 << 20, resident }));
+        assert!(!memory.has_room_ahead() && !cache.is_empty());
+        assert!(memory.begin(StageKind::Render, &cache).is_ok());
+        assert!(cache.is_empty() && memory.has_room_ahead());
+    }
+
+    #[test]
+    fn without_a_limit_everything_begins_and_this_process_has_a_size_where_the_system_says() {
+        let memory = Memory::default();
+        assert!(memory.begin(StageKind::Render, &Cache::default()).is_ok() && memory.has_room_ahead());
+        if cfg!(target_os = "linux") {
+            assert!(resident().unwrap() > 1 << 20 && peak().unwrap() >= resident().unwrap() / 2);
+        }
+    }
+}

@@ -1,0 +1,50 @@
+//! Artefacts on their way to the store.
+
+use bytes::Bytes;
+use femc_model::{Attempt, Failure, LogText, StageKind, TaskLog};
+use femc_proto::{CallError, Client};
+
+use crate::execute::Product;
+use crate::fetch;
+use crate::log::cut;
+use crate::table::Task;
+
+/// Why a result is not in the store.
+#[derive(Debug)]
+pub(crate) enum NotSent {
+    /// The connection broke: the result is kept and sent again.
+    Later,
+    /// The task has failed, or the store will not have it.
+    Failed(Failure),
+}
+
+/// Puts all of a result's artefacts into the coordinator's store.
+pub(crate) async fn upload(client: &Client, product: &Product) -> Result<(), NotSent> {
+    for bytes in &product.artefacts {
+        client.put(bytes.clone()).await.map_err(|error| match error {
+            CallError::Unreachable { .. } => NotSent::Later,
+            CallError::Refused(_) | CallError::Address { .. } | CallError::Answer(_) | CallError::Status { .. } => {
+                NotSent::Failed(fetch::failure(&error))
+            }
+        })?;
+    }
+    Ok(())
+}
+
+/// The log of a task that is done, as it is reported: a long one goes to the store, where it can.
+pub(crate) async fn upload_log(client: &Client, task: &Task) -> Option<TaskLog> {
+    let (seconds, text) = task.written_log()?;
+    let is_done = matches!(task.outcome(), Some(Ok(_)));
+    let is_stored = !is_done || task.assignment.task.stage.kind == StageKind::Merge;
+    let text = if is_stored {
+        match client.put(Bytes::copy_from_slice(text.as_bytes())).await {
+            Ok(artefact) => LogText::Stored(artefact),
+            Err(error) => {
+                LogText::Inline(cut(&format!("the log was not kept: {error}\n{text}"), LogText::INLINE).into())
+            }
+        }
+    } else {
+        LogText::Inline(text.clone())
+    };
+    Some(TaskLog { attempt: if is_done { Attempt::Done } else { Attempt::Failed }, seconds: *seconds, text })
+}

@@ -1,0 +1,147 @@
+//! A small job, and networks in memory that a test can hold up. Time is tokio's: paused, it goes on when all wait.
+#![allow(dead_code)] // every test file uses its own part of this
+
+use std::collections::BTreeMap;
+use std::io;
+use std::sync::Arc;
+use std::time::Duration;
+
+use femc_import::Bundle;
+use femc_model::*;
+use femc_pipeline::{Settings, Stop};
+use femc_proto::{Dial, Link};
+use femc_worker::{Config, Hands, Pace};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _, DuplexStream, ReadHalf, WriteHalf};
+use tokio::sync::{mpsc, watch};
+use tokio_stream::wrappers::UnboundedReceiverStream;
+
+/// A lamp over a floor in fog; two tiles.
+const SCENE: &str = "
+camera main =
+    origin 0 -3 1
+    target 0 0 0.5
+    fov 40
+    film 32 16
+medium haze =
+    sigma_s 0.05
+mbox haze -1 -1 -1 1 1 1
+m gray =
+    c
+    rd 0.6
+m bright =
+    c
+    ed 2000
+v a =
+    p -2 -2 0
+v b =
+    p 2 -2 0
+v c =
+    p 2 2 0
+v d =
+    p -2 2 0
+m gray
+f a b c d
+v e =
+    p 0 0 1.2
+m bright
+sph e 0.2
+";
+
+/// A job of one frame of two tiles, and its bundle.
+pub fn job(spp: u32) -> (JobSpec, Vec<u8>) {
+    let settings = Settings { stop: Stop::Spp(spp), max_depth: 4, ..Settings::default() };
+    let bundle = Bundle(BTreeMap::from([("haze.mgf".into(), SCENE.as_bytes().to_vec())])).encode().unwrap();
+    let spec = JobSpec {
+        name: "haze".into(),
+        bundle: Digest::of(&bundle),
+        entry: "haze.mgf".into(),
+        settings: serde_json::to_string(&settings).unwrap(),
+        frames: vec![1],
+        grid: Grid { film: [32, 16], tile: 16 },
+        rounds: settings.rounds(),
+        priority: 50,
+        owner: "me".into(),
+        tags: vec![],
+    };
+    (spec, bundle)
+}
+
+/// Where a server takes connections from.
+pub type Connections = UnboundedReceiverStream<io::Result<Link>>;
+
+/// The way to a server in memory.
+#[derive(Debug, Clone)]
+pub struct Net(mpsc::UnboundedSender<io::Result<Link>>);
+
+/// Whether bytes pass.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Way {
+    Open,
+    /// They are kept back; nobody hears of it.
+    Frozen,
+}
+
+impl Net {
+    pub fn new() -> (Self, Connections) {
+        let (send, receive) = mpsc::unbounded_channel();
+        (Self(send), UnboundedReceiverStream::new(receive))
+    }
+
+    /// Connections on which bytes pass while `way` says so.
+    pub fn dial(&self, way: watch::Receiver<Way>) -> Dial {
+        let net = self.clone();
+        Dial::by(move |_, _| {
+            let (net, way) = (net.clone(), way.clone());
+            Box::pin(async move {
+                let ((client, near), (far, server)) = (tokio::io::duplex(1 << 20), tokio::io::duplex(1 << 20));
+                let ((from_near, to_near), (from_far, to_far)) = (tokio::io::split(near), tokio::io::split(far));
+                tokio::spawn(relay(from_near, to_far, way.clone()));
+                tokio::spawn(relay(from_far, to_near, way));
+                net.0.send(Ok(Link::new(server))).map_err(|_| io::Error::from(io::ErrorKind::ConnectionRefused))?;
+                Ok(Link::new(client))
+            })
+        })
+    }
+
+    /// The same, always open.
+    pub fn open(&self) -> Dial {
+        self.dial(watch::channel(Way::Open).1)
+    }
+}
+
+async fn relay(mut from: ReadHalf<DuplexStream>, mut to: WriteHalf<DuplexStream>, mut way: watch::Receiver<Way>) {
+    let mut bytes = vec![0; 1 << 16];
+    while let Ok(count @ 1..) = from.read(&mut bytes).await {
+        // Without anybody who could change it, it stays as it is.
+        if way.wait_for(|way| *way == Way::Open).await.is_err() && *way.borrow() == Way::Frozen {
+            std::future::pending::<()>().await;
+        }
+        if to.write_all(&bytes[..count]).await.is_err() {
+            break;
+        }
+    }
+    let _ = to.shutdown().await;
+}
+
+/// A worker whose render tasks take `render` of the simulated time.
+pub fn simulated(name: &str, dial: Dial, render: Duration) -> Config {
+    let pace = Pace::by(move |assignment| match assignment.task.stage.kind {
+        StageKind::Render => render,
+        StageKind::Merge => Duration::from_millis(80),
+    });
+    let instance = u64::from_le_bytes(Digest::of(name.as_bytes()).as_bytes()[..8].try_into().unwrap());
+    Config {
+        name: name.into(),
+        threads: 1,
+        instance,
+        dial,
+        hands: Hands::Simulated(pace),
+        ..Config::new("http://farm:7878")
+    }
+}
+
+/// The clock that the paused time moves.
+pub fn time() -> femc_coordinator::Time {
+    let started = Arc::new(tokio::time::Instant::now());
+    femc_coordinator::Time::by(move || started.elapsed())
+}

@@ -33,7 +33,17 @@ impl Coordinator {
         let store = match &config.artifacts {
             Artifacts::Memory => Store::memory(),
             Artifacts::Folder(path) => Store::folder(path)?,
+            Artifacts::S3(url) => Store::s3(url)?,
         };
+        tokio::spawn({
+            let store = store.clone();
+            async move {
+                if let Err(error) = store.probe().await {
+                    // It may come back; until then whoever needs it is told.
+                    tracing::warn!(%error, "the artefact store does not answer");
+                }
+            }
+        });
         match config.log.clone() {
             Log::Memory => Self::with(config, store, Memory::default()).await,
             Log::Sqlite(path) => {

@@ -98,8 +98,12 @@ impl Place {
 
     /// Start, output to a file `NAME.log` for the message of a failed test.
     pub fn start(&self, line: &str) -> Running {
-        let stdout = Stdio::piped();
-        let child = self.command(line).stdout(stdout).stderr(Stdio::piped()).spawn().expect("femc starts");
+        self.spawn(line, self.command(line))
+    }
+
+    /// The same of a command whose environment was changed.
+    pub fn spawn(&self, line: &str, mut command: Command) -> Running {
+        let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("femc starts");
         Running { line: line.to_owned(), child: Some(child) }
     }
 }

@@ -1,10 +1,12 @@
 //! Artefacts by content: tiles, sums, images and scene bundles, named by the BLAKE3 digest of their bytes.
 //!
-//! Over `object_store`, so that a folder, memory and (later) an S3-compatible server behave alike. An artefact is written
+//! Over `object_store`, so that a folder, memory and an S3-compatible server behave alike. An artefact is written
 //! whole or not at all, never changed, and checked whenever it is read: one that is damaged is removed and reported as
 //! missing, so that whoever needs it has it made again.
 #![deny(missing_docs)]
 
+mod backend;
+mod error;
 mod upload;
 
 use std::path::Path as FilePath;
@@ -18,58 +20,62 @@ use object_store::path::Path;
 use object_store::{ObjectStore, ObjectStoreExt as _, PutMode, PutOptions};
 use tokio_stream::StreamExt as _;
 
+pub use error::StoreError;
 pub use upload::Upload;
 
 /// Where artefacts live; clones share it.
 #[derive(Debug, Clone)]
 pub struct Store {
+    /// For messages.
+    name: Arc<str>,
     objects: Arc<dyn ObjectStore>,
     limit: u64,
-}
-
-/// Why an artefact cannot be had or kept.
-#[derive(Debug, thiserror::Error)]
-pub enum StoreError {
-    /// It is not there, or what was there was damaged.
-    #[error("there is no artefact {digest}")]
-    Missing {
-        /// Which.
-        digest: Digest,
-    },
-    /// The bytes are others than announced.
-    #[error("the bytes are those of {found}, not of {announced}")]
-    Mismatch {
-        /// As announced.
-        announced: Digest,
-        /// As computed.
-        found: Digest,
-    },
-    /// Beyond the store's limit.
-    #[error("an artefact of more than {limit} bytes")]
-    TooLarge {
-        /// Bytes.
-        limit: u64,
-    },
-    /// The medium said no.
-    #[error("artefact store: {0}")]
-    Medium(#[from] object_store::Error),
 }
 
 impl Store {
     /// Most bytes of an artefact, unless [`Store::with_limit`] says otherwise.
     pub const LIMIT: u64 = 1 << 30;
+    /// Bytes that are asked of the medium at once.
+    const READ: u64 = 4 << 20;
 
     /// In a folder of this machine, which is made if it is not there; every artefact is synced to the disk.
     pub fn folder(path: &FilePath) -> Result<Self, StoreError> {
+        let name = path.display().to_string();
+        let wrong = |error| StoreError::Medium { store: name.clone(), error };
         std::fs::create_dir_all(path)
-            .map_err(|error| object_store::Error::Generic { store: "folder", source: Box::new(error) })?;
-        let files = LocalFileSystem::new_with_prefix(path)?.with_fsync(true);
-        Ok(Self { objects: Arc::new(files), limit: Self::LIMIT })
+            .map_err(|error| wrong(object_store::Error::Generic { store: "folder", source: Box::new(error) }))?;
+        let files = LocalFileSystem::new_with_prefix(path).map_err(wrong)?.with_fsync(true);
+        Ok(Self::on(&name, Arc::new(files)))
     }
 
     /// In memory, as long as a clone lives.
     pub fn memory() -> Self {
-        Self { objects: Arc::new(InMemory::new()), limit: Self::LIMIT }
+        Self::on("memory", Arc::new(InMemory::new()))
+    }
+
+    /// In a bucket: `s3://bucket/prefix`, with region, keys and endpoint from the usual `AWS_` variables. Nothing is asked of
+    /// the server yet; [`Store::probe`] does.
+    pub fn s3(url: &str) -> Result<Self, StoreError> {
+        Ok(Self::on(url, backend::s3::open(url)?))
+    }
+
+    fn on(name: &str, objects: Arc<dyn ObjectStore>) -> Self {
+        Self { name: name.into(), objects, limit: Self::LIMIT }
+    }
+
+    pub(crate) fn medium(&self, error: object_store::Error) -> StoreError {
+        StoreError::Medium { store: self.name.to_string(), error }
+    }
+
+    /// Its name for people: a folder, an address, or `memory`.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Whether it is there and answers; waits for as long as it retries.
+    pub async fn probe(&self) -> Result<(), StoreError> {
+        let first = self.objects.list(None).next().await.transpose();
+        first.map(drop).map_err(|error| self.medium(error))
     }
 
     /// The same store with another limit of bytes an artefact.
@@ -92,7 +98,7 @@ impl Store {
         match self.objects.head(&place(digest)).await {
             Ok(meta) => Ok(Some(meta.size)),
             Err(object_store::Error::NotFound { .. }) => Ok(None),
-            Err(error) => Err(error.into()),
+            Err(error) => Err(self.medium(error)),
         }
     }
 
@@ -105,7 +111,7 @@ impl Store {
         let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
         match self.objects.put_opts(&place(&artefact.digest), bytes.into(), options).await {
             Ok(_) | Err(object_store::Error::AlreadyExists { .. }) => Ok(artefact),
-            Err(error) => Err(error.into()),
+            Err(error) => Err(self.medium(error)),
         }
     }
 
@@ -118,9 +124,9 @@ impl Store {
     pub async fn get(&self, digest: &Digest) -> Result<Bytes, StoreError> {
         let result = match self.objects.get(&place(digest)).await {
             Err(object_store::Error::NotFound { .. }) => return Err(StoreError::Missing { digest: *digest }),
-            other => other?,
+            other => other.map_err(|error| self.medium(error))?,
         };
-        let bytes = result.bytes().await?;
+        let bytes = result.bytes().await.map_err(|error| self.medium(error))?;
         if Digest::of(&bytes) != *digest {
             self.remove(digest).await?;
             return Err(StoreError::Missing { digest: *digest });
@@ -134,16 +140,22 @@ impl Store {
         &self,
         digest: &Digest,
         offset: u64,
-        piece: u64,
+        piece: usize,
         out: &tokio::sync::mpsc::Sender<Result<Bytes, StoreError>>,
     ) -> Result<(), StoreError> {
         let size = self.size(digest).await?.ok_or(StoreError::Missing { digest: *digest })?;
         let mut at = offset;
         while at < size {
-            let end = size.min(at + piece.max(1));
-            let bytes = self.objects.get_range(&place(digest), at..end).await?;
-            if out.send(Ok(bytes)).await.is_err() {
-                break;
+            let end = size.min(at + Self::READ);
+            let mut block = match self.objects.get_range(&place(digest), at..end).await {
+                Err(object_store::Error::NotFound { .. }) => return Err(StoreError::Missing { digest: *digest }),
+                other => other.map_err(|error| self.medium(error))?,
+            };
+            while !block.is_empty() {
+                let bytes = block.split_to(block.len().min(piece.max(1)));
+                if out.send(Ok(bytes)).await.is_err() {
+                    return Ok(());
+                }
             }
             at = end;
         }
@@ -154,7 +166,7 @@ impl Store {
     pub async fn remove(&self, digest: &Digest) -> Result<(), StoreError> {
         match self.objects.delete(&place(digest)).await {
             Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
-            Err(error) => Err(error.into()),
+            Err(error) => Err(self.medium(error)),
         }
     }
 
@@ -163,7 +175,7 @@ impl Store {
         let mut objects = self.objects.list(None);
         let mut all = Vec::new();
         while let Some(meta) = objects.next().await {
-            let meta = meta?;
+            let meta = meta.map_err(|error| self.medium(error))?;
             let name: String = meta.location.parts().map(|part| part.as_ref().to_owned()).collect();
             if let Ok(digest) = name.parse() {
                 all.push(Artefact { digest, bytes: meta.size });

@@ -1,6 +1,6 @@
 //! An artefact that comes in pieces: hashed on the way, kept only if it is what was announced.
 
-use bytes::{Bytes, BytesMut};
+use bytes::BytesMut;
 use femc_model::{Artefact, Digest};
 use object_store::{MultipartUpload, ObjectStoreExt as _};
 
@@ -33,7 +33,7 @@ impl Upload {
         }
         self.hash.update(piece);
         self.held.extend_from_slice(piece);
-        if self.held.len() >= PART {
+        while self.held.len() >= PART {
             self.flush().await?;
         }
         Ok(())
@@ -42,10 +42,14 @@ impl Upload {
     async fn flush(&mut self) -> Result<(), StoreError> {
         let parts = match &mut self.parts {
             Some(parts) => parts,
-            None => self.parts.insert(self.store.objects.put_multipart(&place(&self.announced)).await?),
+            None => {
+                let begun = self.store.objects.put_multipart(&place(&self.announced)).await;
+                self.parts.insert(begun.map_err(|error| self.store.medium(error))?)
+            }
         };
-        parts.put_part(Bytes::from(self.held.split()).into()).await?;
-        Ok(())
+        // Parts of one size: some servers want that. The last may be shorter.
+        let part = self.held.split_to(self.held.len().min(PART)).freeze();
+        parts.put_part(part.into()).await.map_err(|error| self.store.medium(error))
     }
 
     async fn abort(&mut self) {
@@ -69,7 +73,7 @@ impl Upload {
             self.flush().await?;
         }
         if let Some(mut parts) = self.parts.take() {
-            parts.complete().await?;
+            parts.complete().await.map_err(|error| self.store.medium(error))?;
         }
         Ok(Artefact { digest: found, bytes: self.size })
     }

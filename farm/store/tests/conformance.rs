@@ -54,6 +54,48 @@ async fn conforms(store: &Store) {
     store.remove(&digest).await.unwrap();
     store.remove(&digest).await.unwrap();
     assert!(!store.has(&digest).await.unwrap());
+
+    // Two who put the same at the same time both have it.
+    let same = Bytes::from(vec![7; 300_000]);
+    let both = tokio::join!(store.put(same.clone()), store.put(same.clone()));
+    assert_eq!(both.0.unwrap(), both.1.unwrap());
+    assert_eq!(store.get(&Digest::of(&same)).await.unwrap(), same);
+}
+
+/// A place of its own on the S3 server that `tests/s3` starts.
+fn s3(name: &str) -> Option<Store> {
+    let Ok(bucket) = std::env::var("FEMC_TEST_S3") else {
+        println!("skipped: FEMC_TEST_S3 is not set (tests/s3 runs them)");
+        return None;
+    };
+    Some(Store::s3(&format!("{bucket}/{name}/{}", std::process::id())).unwrap())
+}
+
+#[tokio::test]
+async fn an_s3_server_conforms() {
+    let Some(store) = s3("conforms") else { return };
+    store.probe().await.unwrap();
+    conforms(&store).await;
+}
+
+#[tokio::test]
+async fn two_prefixes_of_a_bucket_are_two_stores() {
+    let (Some(one), Some(two)) = (s3("one"), s3("two")) else { return };
+    let artefact = one.put(Bytes::from_static(b"a tile")).await.unwrap();
+    assert_eq!((one.list().await.unwrap(), two.list().await.unwrap()), (vec![artefact], vec![]));
+}
+
+#[tokio::test]
+async fn a_store_that_is_away_is_named_with_the_cause_and_nothing_is_called_missing() {
+    let Some(store) = s3("no-such-bucket") else { return };
+    // What the bucket's name is may not be known to the server.
+    let url = store.name().replace("femc-test", "femc-nowhere");
+    let away = Store::s3(&url).unwrap();
+    let bytes = Bytes::from_static(b"a tile");
+    for error in [away.probe().await.unwrap_err(), away.put(bytes).await.unwrap_err()] {
+        assert!(matches!(error, StoreError::Medium { .. }), "{error}");
+        assert!(error.to_string().contains(&url) && error.to_string().contains("NoSuchBucket"), "{error}");
+    }
 }
 
 #[tokio::test]

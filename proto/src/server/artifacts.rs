@@ -63,7 +63,7 @@ impl wire::artifacts_server::Artifacts for Server {
         let store = self.store.clone();
         let (send, receive) = mpsc::channel::<Result<Bytes, StoreError>>(4);
         tokio::spawn(async move {
-            if let Err(error) = store.read(&name, offset, PIECE as u64, &send).await {
+            if let Err(error) = store.read(&name, offset, PIECE, &send).await {
                 let _ = send.send(Err(error)).await;
             }
         });
@@ -78,6 +78,6 @@ fn refuse(error: &StoreError) -> Status {
         StoreError::Missing { digest } => Refusal::NoSuchArtefact { digest: *digest },
         StoreError::Mismatch { announced, .. } => Refusal::DigestMismatch { digest: *announced },
         StoreError::TooLarge { limit } => Refusal::TooLarge { what: "artefact".into(), limit: *limit },
-        StoreError::Medium(error) => Refusal::Unavailable { message: error.to_string() },
+        StoreError::Medium { .. } | StoreError::Url { .. } => Refusal::Unavailable { message: error.to_string() },
     })
 }

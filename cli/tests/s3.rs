@@ -1,0 +1,60 @@
+//! A farm whose artefacts lie on an S3 server: run by `tests/s3`.
+
+mod common;
+use common::{Place, Running, names};
+
+/// A bucket's address for this test alone, on the server that `tests/s3` starts.
+fn bucket(name: &str) -> Option<String> {
+    let Ok(bucket) = std::env::var("FEMC_TEST_S3") else {
+        println!("skipped: FEMC_TEST_S3 is not set (tests/s3 runs them)");
+        return None;
+    };
+    Some(format!("{bucket}/{name}/{}", std::process::id()))
+}
+
+fn coordinator(place: &Place, artifacts: &str) -> (Running, String) {
+    let line = format!("coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts {artifacts}");
+    let mut coordinator = place.start(&line);
+    let line = coordinator.first_line();
+    let url = line.split_whitespace().find(|word| word.starts_with("http://")).expect("the address").to_owned();
+    (coordinator, url)
+}
+
+#[test]
+fn a_farm_over_a_bucket_gives_the_bytes_of_one_process() {
+    let Some(bucket) = bucket("farm") else { return };
+    let place = Place::new();
+    let settings = "--spp 8 --size 48x48 --frames 1..2";
+    let (_farm, url) = coordinator(&place, &bucket);
+    let _workers = [(); 2].map(|()| place.start(&format!("worker --join {url} --threads 1")));
+    let ran = place.run(&format!("submit fog.mgf {settings} --server {url}")).exits(0);
+    let job = ran.stdout().lines().last().expect("a job id").to_owned();
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    assert!(!place.path("artifacts").exists() && !place.path("femc-farm").exists(), "nothing lies on this disk");
+    place.run(&format!("render fog.mgf -o alone {settings}")).exits(0);
+    let frames = names(&place.path("alone"));
+    assert_eq!((names(&place.path("out")), frames.len()), (frames.clone(), 2));
+    for name in frames {
+        let (farm, alone) = (place.path("out").join(&name), place.path("alone").join(&name));
+        assert_eq!(common::pixels(&farm), common::pixels(&alone), "{name}");
+    }
+}
+
+#[test]
+fn a_store_that_is_away_is_named_and_costs_no_job() {
+    let place = Place::new();
+    // Nobody listens there.
+    let line = "coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts s3://nobody/there";
+    let mut command = place.command(line);
+    command.env("AWS_ENDPOINT_URL", "http://127.0.0.1:9").env("AWS_ALLOW_HTTP", "true");
+    command.env("AWS_ACCESS_KEY_ID", "a").env("AWS_SECRET_ACCESS_KEY", "b").env("AWS_REGION", "us-east-1");
+    let mut farm = place.spawn(line, command);
+    let line = farm.first_line();
+    let url = line.split_whitespace().find(|word| word.starts_with("http://")).expect("the address").to_owned();
+    let refused = place.run(&format!("submit fog.mgf --spp 1 --frames 1 --server {url}")).exits(4);
+    let told = refused.stderr();
+    assert!(told.contains("s3://nobody/there") && told.contains("127.0.0.1:9"), "{told}");
+    let jobs = place.run(&format!("jobs --json --server {url}")).exits(0).json();
+    assert_eq!(jobs.as_array().map(Vec::len), Some(0), "the coordinator itself answers");
+}

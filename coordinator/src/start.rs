@@ -80,7 +80,7 @@ impl Coordinator {
         let actor = tokio::spawn(actor.run(inbox, stopped));
         let (serving, served) = watch::channel(());
         let mut until = served.clone();
-        let server = Server { calls, store }.serve(incoming, async move {
+        let server = Server::new(calls, store).serve(incoming, async move {
             // Ends when the sender is dropped: on a stop, or because the actor is gone.
             let _ = until.changed().await;
         });

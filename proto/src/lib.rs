@@ -10,6 +10,7 @@ mod convert;
 mod error;
 mod net;
 mod server;
+mod transfer;
 mod wire;
 
 pub use client::{Client, Incoming, Outgoing, Watch};

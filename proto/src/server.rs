@@ -2,6 +2,7 @@
 
 mod artifacts;
 mod jobs;
+mod uploads;
 mod workers;
 
 use std::future::Future;
@@ -21,6 +22,7 @@ use crate::convert::ConvertError;
 use crate::error::ServeError;
 use crate::net::Io;
 use crate::{MESSAGE, PIECE, wire};
+use uploads::Uploads;
 use wire::artifacts_server::ArtifactsServer;
 use wire::jobs_server::JobsServer;
 use wire::workers_server::WorkersServer;
@@ -110,14 +112,20 @@ impl Words {
 #[derive(Debug, Clone)]
 pub struct Server {
     /// Where calls go.
-    pub calls: mpsc::Sender<Call>,
+    calls: mpsc::Sender<Call>,
     /// Where artefacts live.
-    pub store: Store,
+    store: Store,
+    uploads: Uploads,
 }
 
 impl Server {
     /// Most streams that one connection may have open.
     const STREAMS: u32 = 256;
+
+    /// Passes calls on to `calls`; artefacts live in `store`.
+    pub fn new(calls: mpsc::Sender<Call>, store: Store) -> Self {
+        Self { calls, store, uploads: Uploads::default() }
+    }
 
     /// Serves the connections that come in until `stop` comes, then until the open calls have ended.
     pub async fn serve<C>(

@@ -112,7 +112,9 @@ pub fn told(error: CallError) -> Failure {
             Refusal::StaleEpoch
             | Refusal::NoSuchArtefact { .. }
             | Refusal::DigestMismatch { .. }
-            | Refusal::TooLarge { .. } => failed(refusal),
+            | Refusal::TooLarge { .. }
+            | Refusal::MissingArtefacts { .. }
+            | Refusal::Resume { .. } => failed(refusal),
         },
         CallError::Answer(_) | CallError::Status { .. } => failed(error),
     }

@@ -24,7 +24,17 @@ impl Upload {
         Self { store, announced, hash: blake3::Hasher::new(), held: BytesMut::new(), size: 0, parts: None }
     }
 
-    /// Takes the next piece.
+    /// Bytes taken so far.
+    pub fn size(&self) -> u64 {
+        self.size
+    }
+
+    /// Forgets it, and what of it lies on the medium.
+    pub async fn abandon(mut self) {
+        self.abort().await;
+    }
+
+    /// Takes the next piece. After an error the upload is of no use any more.
     pub async fn write(&mut self, piece: &[u8]) -> Result<(), StoreError> {
         self.size += piece.len() as u64;
         if self.size > self.store.limit {

@@ -3,7 +3,7 @@
 use std::pin::Pin;
 
 use bytes::Bytes;
-use femc_model::Refusal;
+use femc_model::{Artefact, Refusal};
 use femc_store::StoreError;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
@@ -35,20 +35,20 @@ impl wire::artifacts_server::Artifacts for Server {
         Ok(Response::new(wire::MissingReply { digests }))
     }
 
+    async fn offer(&self, request: Request<wire::OfferRequest>) -> Result<Response<wire::OfferReply>, Status> {
+        use wire::offer_reply::Answer;
+        let name = digest("digest", &request.into_inner().digest)?;
+        // First this: an upload that is being finished is waited for.
+        let from = self.uploads.size(&name).await;
+        let is_there = self.store.has(&name).await.map_err(|error| refuse(&error))?;
+        let answer = if is_there { Answer::There(wire::Empty {}) } else { Answer::From(from) };
+        Ok(Response::new(wire::OfferReply { answer: Some(answer) }))
+    }
+
     async fn put(&self, request: Request<Streaming<wire::PutRequest>>) -> Result<Response<wire::PutReply>, Status> {
-        let mut parts = request.into_inner();
-        let first = parts.message().await?.and_then(|first| first.part);
-        let Part::Digest(announced) = need("digest", first)? else {
-            return Err(Status::invalid_argument("the digest comes first"));
-        };
-        let mut upload = self.store.upload(digest("digest", &announced)?);
-        while let Some(part) = parts.message().await? {
-            let Part::Piece(piece) = need("piece", part.part)? else {
-                return Err(Status::invalid_argument("only one digest"));
-            };
-            upload.write(&piece).await.map_err(|error| refuse(&error))?;
-        }
-        let artefact = upload.finish().await.map_err(|error| refuse(&error))?;
+        // In a task of its own: what has come of an upload is taken in to the last byte also when its sender is gone.
+        let put = tokio::spawn(put(self.clone(), request.into_inner()));
+        let artefact = put.await.map_err(|error| Status::internal(error.to_string()))??;
         Ok(Response::new(wire::PutReply { artefact: Some(artefact.into()) }))
     }
 
@@ -73,11 +73,31 @@ impl wire::artifacts_server::Artifacts for Server {
     }
 }
 
-fn refuse(error: &StoreError) -> Status {
-    to_status(&match error {
+async fn put(server: Server, mut parts: Streaming<wire::PutRequest>) -> Result<Artefact, Status> {
+    let first = need("digest", parts.message().await?)?;
+    let Part::Digest(announced) = need("digest", first.part)? else {
+        return Err(Status::invalid_argument("the digest comes first"));
+    };
+    let announced = digest("digest", &announced)?;
+    let upload = server.uploads.take(&server.store, announced, first.offset).await.map_err(|no| to_status(&no))?;
+    while let Some(part) = parts.message().await? {
+        let Part::Piece(piece) = need("piece", part.part)? else {
+            return Err(Status::invalid_argument("only one digest"));
+        };
+        upload.write(&piece).await.map_err(|no| to_status(&no))?;
+    }
+    upload.finish().await.map_err(|no| to_status(&no))
+}
+
+pub(super) fn refuse(error: &StoreError) -> Status {
+    to_status(&refusal(error))
+}
+
+pub(super) fn refusal(error: &StoreError) -> Refusal {
+    match error {
         StoreError::Missing { digest } => Refusal::NoSuchArtefact { digest: *digest },
         StoreError::Mismatch { announced, .. } => Refusal::DigestMismatch { digest: *announced },
         StoreError::TooLarge { limit } => Refusal::TooLarge { what: "artefact".into(), limit: *limit },
         StoreError::Medium { .. } | StoreError::Url { .. } => Refusal::Unavailable { message: error.to_string() },
-    })
+    }
 }

@@ -1,6 +1,7 @@
 //! What the coordinator uses: every call comes to it as a [`Call`] with a place for the answer.
 
 mod artifacts;
+mod inputs;
 mod jobs;
 mod uploads;
 mod workers;
@@ -22,6 +23,7 @@ use crate::convert::ConvertError;
 use crate::error::ServeError;
 use crate::net::Io;
 use crate::{MESSAGE, PIECE, wire};
+pub use inputs::pieces;
 use uploads::Uploads;
 use wire::artifacts_server::ArtifactsServer;
 use wire::jobs_server::JobsServer;

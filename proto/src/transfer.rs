@@ -1,5 +1,6 @@
 //! Artefacts up and down. A transfer that is cut goes on where it was, by itself, as long as it gets on.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 use bytes::{Bytes, BytesMut};
@@ -69,10 +70,10 @@ impl Client {
     /// Puts those of `all` that are not there; how many bytes they have.
     pub async fn put_all(&self, all: &[Bytes]) -> Result<u64, CallError> {
         let digests: Vec<Digest> = all.iter().map(|bytes| Digest::of(bytes)).collect();
-        let missing = self.missing(&digests).await?;
+        let mut missing: BTreeSet<Digest> = self.missing(&digests).await?.into_iter().collect();
         let mut sent = 0;
         for (digest, bytes) in digests.iter().zip(all) {
-            if missing.contains(digest) {
+            if missing.remove(digest) {
                 self.put(bytes.clone()).await?;
                 sent += bytes.len() as u64;
             }

@@ -10,6 +10,9 @@ mod clock;
 mod config;
 mod execute;
 mod fetch;
+mod gather;
+mod parcel;
+mod pieces;
 mod session;
 mod simulated;
 mod sums;
@@ -19,4 +22,6 @@ mod worker;
 
 pub use cache::Cache;
 pub use config::{AtStop, Config, Hands, Pace, WorkerError};
+pub use parcel::{Parcel, ParcelError};
+pub use pieces::Pieces;
 pub use worker::Worker;

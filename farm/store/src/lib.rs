@@ -35,6 +35,8 @@ pub struct Store {
 impl Store {
     /// Most bytes of an artefact, unless [`Store::with_limit`] says otherwise.
     pub const LIMIT: u64 = 1 << 30;
+    /// Questions to the medium at a time.
+    const AT_ONCE: usize = 32;
     /// Bytes that are asked of the medium at once.
     const READ: u64 = 4 << 20;
 
@@ -100,6 +102,25 @@ impl Store {
             Err(object_store::Error::NotFound { .. }) => Ok(None),
             Err(error) => Err(self.medium(error)),
         }
+    }
+
+    /// Those of `digests` that are not there, in their order; asks for several at once.
+    pub async fn missing(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
+        let mut missing = Vec::new();
+        for some in digests.chunks(Self::AT_ONCE) {
+            let ask = |digest: Digest| {
+                let store = self.clone();
+                tokio::spawn(async move { store.has(&digest).await })
+            };
+            let asked: Vec<_> = some.iter().copied().map(ask).collect();
+            for (digest, asked) in some.iter().zip(asked) {
+                // One that panicked knows nothing.
+                if !asked.await.unwrap_or(Ok(false))? {
+                    missing.push(*digest);
+                }
+            }
+        }
+        Ok(missing)
     }
 
     /// Keeps `bytes`; what is there already is left alone.

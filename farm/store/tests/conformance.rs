@@ -15,6 +15,10 @@ async fn conforms(store: &Store) {
     assert_eq!(store.size(&digest).await.unwrap(), Some(6));
     assert_eq!(store.list().await.unwrap(), [Artefact { digest, bytes: 6 }]);
 
+    let others: Vec<Digest> = (0..100u8).map(|i| Digest::of(&[i])).collect();
+    let asked: Vec<Digest> = others.iter().take(50).chain([&digest]).chain(&others[50..]).copied().collect();
+    assert_eq!(store.missing(&asked).await.unwrap(), others);
+
     // Larger than a part, and not a multiple of one.
     let large: Vec<u8> = (0..20_000_003u32).map(|i| (i * 7 + i / 251) as u8).collect();
     let digest = Digest::of(&large);

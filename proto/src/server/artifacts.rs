@@ -11,7 +11,7 @@ use tokio_stream::{Stream, StreamExt as _};
 use tonic::{Request, Response, Status, Streaming};
 
 use super::Server;
-use crate::convert::{digest, need};
+use crate::convert::{digest, digest_bytes, need};
 use crate::error::to_status;
 use crate::{PIECE, wire};
 use wire::put_request::Part;
@@ -26,12 +26,9 @@ impl wire::artifacts_server::Artifacts for Server {
         if asked.len() > DIGESTS {
             return Err(to_status(&Refusal::TooLarge { what: "digests".into(), limit: DIGESTS as u64 }));
         }
-        let mut digests = Vec::new();
-        for bytes in asked {
-            if !self.store.has(&digest("digest", &bytes)?).await.map_err(|error| refuse(&error))? {
-                digests.push(bytes);
-            }
-        }
+        let digests = asked.iter().map(|bytes| digest("digest", bytes)).collect::<Result<Vec<_>, _>>()?;
+        let missing = self.store.missing(&digests).await.map_err(|error| refuse(&error))?;
+        let digests = missing.iter().map(digest_bytes).collect();
         Ok(Response::new(wire::MissingReply { digests }))
     }
 

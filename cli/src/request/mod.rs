@@ -7,6 +7,7 @@ mod frames;
 mod job_file;
 mod overrides;
 mod size;
+mod volume;
 
 pub use asked::{Asked, FramesChosen, beside, load};
 pub use duration::Budget;
@@ -14,3 +15,4 @@ pub use frames::Frames;
 pub use job_file::JobFile;
 pub use overrides::Override;
 pub use size::Size;
+pub use volume::Volume;

@@ -1,7 +1,7 @@
 //! A farm whose artefacts lie on an S3 server: run by `tests/s3`.
 
 mod common;
-use common::{Place, Running, names};
+use common::{Place, coordinator, names};
 
 /// A bucket's address for this test alone, on the server that `tests/s3` starts.
 fn bucket(name: &str) -> Option<String> {
@@ -10,14 +10,6 @@ fn bucket(name: &str) -> Option<String> {
         return None;
     };
     Some(format!("{bucket}/{name}/{}", std::process::id()))
-}
-
-fn coordinator(place: &Place, artifacts: &str) -> (Running, String) {
-    let line = format!("coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts {artifacts}");
-    let mut coordinator = place.start(&line);
-    let line = coordinator.first_line();
-    let url = line.split_whitespace().find(|word| word.starts_with("http://")).expect("the address").to_owned();
-    (coordinator, url)
 }
 
 #[test]
@@ -50,8 +42,7 @@ fn a_store_that_is_away_is_named_and_costs_no_job() {
     command.env("AWS_ENDPOINT_URL", "http://127.0.0.1:9").env("AWS_ALLOW_HTTP", "true");
     command.env("AWS_ACCESS_KEY_ID", "a").env("AWS_SECRET_ACCESS_KEY", "b").env("AWS_REGION", "us-east-1");
     let mut farm = place.spawn(line, command);
-    let line = farm.first_line();
-    let url = line.split_whitespace().find(|word| word.starts_with("http://")).expect("the address").to_owned();
+    let url = farm.address();
     let refused = place.run(&format!("submit fog.mgf --spp 1 --frames 1 --server {url}")).exits(4);
     let told = refused.stderr();
     assert!(told.contains("s3://nobody/there") && told.contains("127.0.0.1:9"), "{told}");

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 use femc_model::{Failure, FromWorker, JobId, JobStatus, Tick, WorkerId};
-use femc_proto::{Call, Reply, Session};
+use femc_proto::{Call, References, Reply, Session};
 use femc_queue::Queue;
 use femc_schedule::{Command, Event, Fact, RequestId, Scheduler};
 use femc_store::Store;
@@ -40,6 +40,7 @@ enum Question {
     Watch(JobId, Reply<watch::Receiver<JobStatus>>),
     Frames(JobId, Reply<Vec<femc_model::FrameRecord>>),
     Workers(Reply<Vec<femc_model::WorkerStatus>>),
+    References(Reply<References>),
 }
 
 /// The shell around the scheduler.
@@ -176,6 +177,7 @@ impl<Q: Queue> Actor<Q> {
             Call::Watch { job, reply } => self.questions.push(Question::Watch(job, reply)),
             Call::Frames { job, reply } => self.questions.push(Question::Frames(job, reply)),
             Call::Workers { reply } => self.questions.push(Question::Workers(reply)),
+            Call::References { reply } => self.questions.push(Question::References(reply)),
         }
     }
 
@@ -222,6 +224,11 @@ impl<Q: Queue> Actor<Q> {
                 Question::Watch(job, reply) => drop(reply.send(self.watch(job))),
                 Question::Frames(job, reply) => drop(reply.send(self.scheduler.frames(job))),
                 Question::Workers(reply) => drop(reply.send(Ok(self.scheduler.workers(now)))),
+                Question::References(reply) => {
+                    let ledger = self.scheduler.ledger();
+                    let (artefacts, scenes) = (ledger.references(), ledger.scenes());
+                    drop(reply.send(Ok(References { artefacts, scenes })));
+                }
             }
         }
     }

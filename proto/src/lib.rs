@@ -17,7 +17,7 @@ pub use client::{Client, Incoming, Outgoing, Watch};
 pub use convert::ConvertError;
 pub use error::{CallError, ServeError};
 pub use net::{Dial, Dialing, Io, Link};
-pub use server::{Call, Reply, Server, Session, Words, pieces};
+pub use server::{Call, CollectMode, Collected, LEAST_GRACE, References, Reply, Server, Session, Volume, Words};
 pub use tonic::transport::server::{Connected, TcpIncoming};
 
 /// Version of the protocol: a worker says it when it registers, and is refused if it is not this or the one before.

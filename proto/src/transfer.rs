@@ -1,4 +1,4 @@
-//! Artefacts up and down. A transfer that is cut goes on where it was, by itself, as long as it gets on.
+//! Artefacts up and down, and out. A transfer that is cut goes on where it was, by itself, as long as it gets on.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -10,6 +10,7 @@ use tokio::time::Instant;
 use crate::client::Client;
 use crate::convert::{digest_bytes, need};
 use crate::error::CallError;
+use crate::server::{CollectMode, Collected};
 use crate::{PIECE, wire};
 use wire::offer_reply::Answer;
 use wire::put_request::Part;
@@ -129,5 +130,14 @@ impl Client {
             bytes.extend_from_slice(&reply.piece);
         }
         Ok(())
+    }
+
+    /// Removes from the store what no job refers to and what has been there for longer than `grace`, or says what that
+    /// would be.
+    pub async fn collect(&self, mode: CollectMode, grace: Duration) -> Result<Collected, CallError> {
+        let grace = u64::try_from(grace.as_millis()).unwrap_or(u64::MAX);
+        let request = wire::CollectRequest { mode: wire::CollectMode::from(mode).into(), grace };
+        let reply = self.artifacts().collect(request).await.map_err(|status| self.error(&status))?;
+        Ok(reply.into_inner().try_into()?)
     }
 }

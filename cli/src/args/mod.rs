@@ -91,6 +91,7 @@ pub enum Command {
     Watch(command::watch::WatchArgs),
     Fetch(command::fetch::FetchArgs),
     Workers(command::workers::WorkersArgs),
+    Gc(command::gc::GcArgs),
     /// Hold a job: running tasks end, no new ones begin
     #[command(after_help = "Examples:\n  femc pause 7")]
     Pause(command::control::JobArgs),

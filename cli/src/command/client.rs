@@ -5,7 +5,7 @@ use crate::clock::Clock;
 use crate::exit::{Failure, failed, unreachable, usage};
 use crate::request::Asked;
 use femc_model::{Artefact, Control, Digest, FrameRecord, Grid, JobId, JobSpec, JobStatus, Refusal, WorkerStatus};
-use femc_proto::{CallError, Client};
+use femc_proto::{CallError, Client, CollectMode, Collected};
 use femc_worker::Parcel;
 use std::time::Duration;
 
@@ -107,6 +107,11 @@ impl Farm {
     /// The workers that are there.
     pub async fn workers(&self) -> Result<Vec<WorkerStatus>, Failure> {
         self.client.workers().await.map_err(told)
+    }
+
+    /// Remove garbage from the store, or say what that would be.
+    pub async fn collect(&self, mode: CollectMode, grace: Duration) -> Result<Collected, Failure> {
+        self.client.collect(mode, grace).await.map_err(told)
     }
 }
 

@@ -8,6 +8,7 @@ pub mod control;
 pub mod coordinator;
 mod embedded;
 pub mod fetch;
+pub mod gc;
 mod interrupt;
 pub mod jobs;
 pub mod plan;
@@ -38,6 +39,7 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Watch(args) => watch::run(&args, say),
         Command::Fetch(args) => fetch::run(&args, say),
         Command::Workers(args) => workers::run(&args, say),
+        Command::Gc(args) => gc::run(&args, say),
         Command::Pause(args) => control::run(&args, Control::Pause, say),
         Command::Resume(args) => control::run(&args, Control::Resume, say),
         Command::Cancel(args) => control::run(&args, Control::Cancel, say),

@@ -11,6 +11,7 @@ mod upload;
 
 use std::path::Path as FilePath;
 use std::sync::Arc;
+use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
 use femc_model::{Artefact, Digest};
@@ -29,6 +30,8 @@ pub struct Store {
     /// For messages.
     name: Arc<str>,
     objects: Arc<dyn ObjectStore>,
+    /// Where the objects are files.
+    folder: Option<Arc<FilePath>>,
     limit: u64,
 }
 
@@ -47,7 +50,7 @@ impl Store {
         std::fs::create_dir_all(path)
             .map_err(|error| wrong(object_store::Error::Generic { store: "folder", source: Box::new(error) }))?;
         let files = LocalFileSystem::new_with_prefix(path).map_err(wrong)?.with_fsync(true);
-        Ok(Self::on(&name, Arc::new(files)))
+        Ok(Self { folder: Some(path.into()), ..Self::on(&name, Arc::new(files)) })
     }
 
     /// In memory, as long as a clone lives.
@@ -62,7 +65,7 @@ impl Store {
     }
 
     fn on(name: &str, objects: Arc<dyn ObjectStore>) -> Self {
-        Self { name: name.into(), objects, limit: Self::LIMIT }
+        Self { name: name.into(), objects, folder: None, limit: Self::LIMIT }
     }
 
     pub(crate) fn medium(&self, error: object_store::Error) -> StoreError {
@@ -193,17 +196,56 @@ impl Store {
 
     /// Every artefact that is there, in no order.
     pub async fn list(&self) -> Result<Vec<Artefact>, StoreError> {
+        Ok(self.listing().await?.into_iter().map(|stored| stored.artefact).collect())
+    }
+
+    /// The same with the times at which they were kept, by the medium's clock.
+    pub async fn listing(&self) -> Result<Vec<Stored>, StoreError> {
         let mut objects = self.objects.list(None);
         let mut all = Vec::new();
         while let Some(meta) = objects.next().await {
             let meta = meta.map_err(|error| self.medium(error))?;
             let name: String = meta.location.parts().map(|part| part.as_ref().to_owned()).collect();
             if let Ok(digest) = name.parse() {
-                all.push(Artefact { digest, bytes: meta.size });
+                let artefact = Artefact { digest, bytes: meta.size };
+                all.push(Stored { artefact, kept: meta.last_modified.into() });
             }
         }
         Ok(all)
     }
+
+    /// Files of uploads that have not got on for `idle`: their number and their bytes. A bucket has a rule of its own for
+    /// such.
+    pub async fn sweep_uploads(&self, idle: Duration, sweep: Sweep) -> Result<(u64, u64), StoreError> {
+        let Some(folder) = self.folder.clone() else { return Ok((0, 0)) };
+        let work = move || {
+            let staged = backend::folder::staged(&folder, idle)?;
+            if sweep == Sweep::Remove {
+                staged.iter().try_for_each(|(path, _)| backend::folder::remove(path))?;
+            }
+            Ok((staged.len() as u64, staged.iter().map(|(_, bytes)| bytes).sum()))
+        };
+        let swept = tokio::task::spawn_blocking(work).await.unwrap_or_else(|panic| Err(std::io::Error::other(panic)));
+        swept.map_err(|error| self.medium(object_store::Error::Generic { store: "folder", source: Box::new(error) }))
+    }
+}
+
+/// Whether something goes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sweep {
+    /// It is only counted.
+    Count,
+    /// It goes.
+    Remove,
+}
+
+/// An artefact in the store.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Stored {
+    /// Which.
+    pub artefact: Artefact,
+    /// Since when.
+    pub kept: SystemTime,
 }
 
 /// Two digits for the folder, the rest for the file: no folder grows too large.

@@ -1,8 +1,10 @@
 //! What every artefact store must do.
 
+use std::time::Duration;
+
 use bytes::Bytes;
 use femc_model::{Artefact, Digest};
-use femc_store::{Store, StoreError};
+use femc_store::{Store, StoreError, Sweep};
 
 async fn conforms(store: &Store) {
     let bytes = Bytes::from_static(b"a tile");
@@ -14,6 +16,10 @@ async fn conforms(store: &Store) {
     assert_eq!(store.get(&digest).await.unwrap(), bytes);
     assert_eq!(store.size(&digest).await.unwrap(), Some(6));
     assert_eq!(store.list().await.unwrap(), [Artefact { digest, bytes: 6 }]);
+
+    let listing = store.listing().await.unwrap();
+    let age = listing[0].kept.elapsed().unwrap_or_default();
+    assert!(listing.len() == 1 && age.as_secs() < 3600, "kept just now, give or take the clocks: {listing:?}");
 
     let others: Vec<Digest> = (0..100u8).map(|i| Digest::of(&[i])).collect();
     let asked: Vec<Digest> = others.iter().take(50).chain([&digest]).chain(&others[50..]).copied().collect();
@@ -125,4 +131,24 @@ async fn a_damaged_artefact_is_missing_and_can_be_put_again() {
     assert!(!store.has(&digest).await.unwrap());
     store.put(bytes.clone()).await.unwrap();
     assert_eq!(store.get(&digest).await.unwrap(), bytes);
+}
+
+#[tokio::test]
+async fn the_file_of_an_upload_that_nobody_finished_is_found_and_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::folder(folder.path()).unwrap();
+    store.put(Bytes::from_static(b"a tile")).await.unwrap();
+    std::fs::write(folder.path().join("a person's note #1"), "stays").unwrap();
+    let mut upload = store.upload(Digest::of(b"large"));
+    upload.write(&[7; 9_000_000]).await.unwrap();
+    // As if its process had been killed.
+    std::mem::forget(upload);
+    let (now, hour) = (Duration::ZERO, Duration::from_secs(3600));
+    assert_eq!(store.sweep_uploads(hour, Sweep::Remove).await.unwrap(), (0, 0));
+    assert_eq!(store.sweep_uploads(now, Sweep::Count).await.unwrap(), (1, 8 << 20));
+    assert_eq!(store.sweep_uploads(now, Sweep::Remove).await.unwrap(), (1, 8 << 20));
+    assert_eq!(store.sweep_uploads(now, Sweep::Count).await.unwrap(), (0, 0));
+    assert_eq!(store.list().await.unwrap().len(), 1);
+    assert!(folder.path().join("a person's note #1").exists());
+    assert_eq!(Store::memory().sweep_uploads(now, Sweep::Remove).await.unwrap(), (0, 0));
 }

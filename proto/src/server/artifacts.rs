@@ -1,6 +1,7 @@
 //! The service `Artifacts`: straight to the store, past the scheduler.
 
 use std::pin::Pin;
+use std::time::Duration;
 
 use bytes::Bytes;
 use femc_model::{Artefact, Refusal};
@@ -10,8 +11,8 @@ use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt as _};
 use tonic::{Request, Response, Status, Streaming};
 
-use super::Server;
-use crate::convert::{digest, digest_bytes, need};
+use super::{Server, collect};
+use crate::convert::{self, digest, digest_bytes, need};
 use crate::error::to_status;
 use crate::{PIECE, wire};
 use wire::put_request::Part;
@@ -27,6 +28,7 @@ impl wire::artifacts_server::Artifacts for Server {
             return Err(to_status(&Refusal::TooLarge { what: "digests".into(), limit: DIGESTS as u64 }));
         }
         let digests = asked.iter().map(|bytes| digest("digest", bytes)).collect::<Result<Vec<_>, _>>()?;
+        self.promised.note(&digests).await;
         let missing = self.store.missing(&digests).await.map_err(|error| refuse(&error))?;
         let digests = missing.iter().map(digest_bytes).collect();
         Ok(Response::new(wire::MissingReply { digests }))
@@ -35,7 +37,8 @@ impl wire::artifacts_server::Artifacts for Server {
     async fn offer(&self, request: Request<wire::OfferRequest>) -> Result<Response<wire::OfferReply>, Status> {
         use wire::offer_reply::Answer;
         let name = digest("digest", &request.into_inner().digest)?;
-        // First this: an upload that is being finished is waited for.
+        self.promised.note(&[name]).await;
+        // Before the store is asked: an upload that is being finished is waited for.
         let from = self.uploads.size(&name).await;
         let is_there = self.store.has(&name).await.map_err(|error| refuse(&error))?;
         let answer = if is_there { Answer::There(wire::Empty {}) } else { Answer::From(from) };
@@ -47,6 +50,13 @@ impl wire::artifacts_server::Artifacts for Server {
         let put = tokio::spawn(put(self.clone(), request.into_inner()));
         let artefact = put.await.map_err(|error| Status::internal(error.to_string()))??;
         Ok(Response::new(wire::PutReply { artefact: Some(artefact.into()) }))
+    }
+
+    async fn collect(&self, request: Request<wire::CollectRequest>) -> Result<Response<wire::CollectReply>, Status> {
+        let request = request.into_inner();
+        let mode = convert::collect_mode(request.mode)?;
+        let collected = collect::collect(self, mode, Duration::from_millis(request.grace)).await;
+        Ok(Response::new(collected.map_err(|no| to_status(&no))?.into()))
     }
 
     type GetStream = Pin<Box<dyn Stream<Item = Result<wire::GetReply, Status>> + Send>>;
@@ -76,6 +86,7 @@ async fn put(server: Server, mut parts: Streaming<wire::PutRequest>) -> Result<A
         return Err(Status::invalid_argument("the digest comes first"));
     };
     let announced = digest("digest", &announced)?;
+    server.promised.note(&[announced]).await;
     let upload = server.uploads.take(&server.store, announced, first.offset).await.map_err(|no| to_status(&no))?;
     while let Some(part) = parts.message().await? {
         let Part::Piece(piece) = need("piece", part.part)? else {
@@ -83,6 +94,8 @@ async fn put(server: Server, mut parts: Streaming<wire::PutRequest>) -> Result<A
         };
         upload.write(&piece).await.map_err(|no| to_status(&no))?;
     }
+    // Again: it may have taken long, and bytes that are there already keep their age.
+    server.promised.note(&[announced]).await;
     upload.finish().await.map_err(|no| to_status(&no))
 }
 

@@ -4,9 +4,10 @@ use femc_model::{Digest, Manifest, Refusal};
 use femc_store::{Store, StoreError};
 
 use super::artifacts::refusal;
+use super::promised::Promised;
 
-/// The artefacts that hold a scene, besides the one that names it. Also for those who look after the store.
-pub async fn pieces(store: &Store, bundle: &Digest) -> Result<Vec<Digest>, Refusal> {
+/// The artefacts that hold a scene, besides the one that names it.
+pub(super) async fn pieces(store: &Store, bundle: &Digest) -> Result<Vec<Digest>, Refusal> {
     let missing = |digest: &Digest| Refusal::MissingArtefacts { digests: vec![*digest], count: 1 };
     let size = store.size(bundle).await.map_err(|error| refusal(&error))?.ok_or_else(|| missing(bundle))?;
     if size > Manifest::MOST {
@@ -26,9 +27,11 @@ pub async fn pieces(store: &Store, bundle: &Digest) -> Result<Vec<Digest>, Refus
     Ok(manifest.pieces.iter().map(|piece| piece.artefact.digest).collect())
 }
 
-/// Refuses a job whose scene is not whole.
-pub(super) async fn check(store: &Store, bundle: &Digest) -> Result<(), Refusal> {
+/// Refuses a job whose scene is not whole. What is found stays for a while.
+pub(super) async fn check(store: &Store, promised: &Promised, bundle: &Digest) -> Result<(), Refusal> {
+    promised.note(&[*bundle]).await;
     let pieces = pieces(store, bundle).await?;
+    promised.note(&pieces).await;
     let mut missing = store.missing(&pieces).await.map_err(|error| refusal(&error))?;
     if missing.is_empty() {
         return Ok(());

@@ -20,7 +20,7 @@ impl wire::jobs_server::Jobs for Server {
     async fn submit(&self, request: Request<wire::SubmitRequest>) -> Answer<wire::SubmitReply> {
         let wire::SubmitRequest { job, key } = request.into_inner();
         let spec: Box<JobSpec> = Box::new(need("job", job)?.try_into()?);
-        inputs::check(&self.store, &spec.bundle).await.map_err(|no| to_status(&no))?;
+        inputs::check(&self.store, &self.promised, &spec.bundle).await.map_err(|no| to_status(&no))?;
         let JobId(job) = self.ask(|reply| Call::Submit { key, spec, reply }).await?;
         Ok(Response::new(wire::SubmitReply { job }))
     }

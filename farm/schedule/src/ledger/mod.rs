@@ -108,6 +108,22 @@ impl Ledger {
         left.into_iter().collect()
     }
 
+    /// Every artefact that some job names: scenes, frames in work, finished frames.
+    pub fn references(&self) -> BTreeSet<Digest> {
+        let mut all = BTreeSet::new();
+        for job in self.jobs.values() {
+            job.each_artefact(|digest| {
+                all.insert(digest);
+            });
+        }
+        all
+    }
+
+    /// The scenes of all jobs: what each of them names belongs to the job, too.
+    pub fn scenes(&self) -> BTreeSet<Digest> {
+        self.jobs.values().map(|job| job.spec.bundle).collect()
+    }
+
     /// Version and content, for a snapshot.
     pub fn encode(&self) -> Result<Vec<u8>, SnapshotError> {
         encode(self)

@@ -1,4 +1,5 @@
-//! Where the bytes lie when that is more than a folder or memory.
+//! What the media need beyond `object_store`.
 
+pub(crate) mod folder;
 mod http;
 pub(crate) mod s3;

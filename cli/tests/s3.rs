@@ -1,6 +1,7 @@
 //! A farm whose artefacts lie on an S3 server: run by `tests/s3`.
 
 mod common;
+use common::outage::Outage;
 use common::{Place, coordinator, names};
 
 /// A bucket's address for this test alone, on the server that `tests/s3` starts.
@@ -28,6 +29,44 @@ fn a_farm_over_a_bucket_gives_the_bytes_of_one_process() {
     let frames = names(&place.path("alone"));
     assert_eq!((names(&place.path("out")), frames.len()), (frames.clone(), 2));
     for name in frames {
+        let (farm, alone) = (place.path("out").join(&name), place.path("alone").join(&name));
+        assert_eq!(common::pixels(&farm), common::pixels(&alone), "{name}");
+    }
+}
+
+#[test]
+fn a_store_that_goes_away_for_a_while_costs_no_task_and_no_pixel() {
+    let (Some(bucket), Ok(server)) = (bucket("outage"), std::env::var("AWS_ENDPOINT_URL")) else { return };
+    let (place, outage) = (Place::new(), Outage::of(&server));
+    let line = format!("coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts {bucket}");
+    let mut command = place.command(&line);
+    command.env("AWS_ENDPOINT_URL", &outage.url);
+    let mut farm = place.spawn(&line, command);
+    let url = farm.address();
+    let mut worker = place.start(&format!("worker --join {url} --threads 1"));
+    let settings = "--spp 12 --size 64x64";
+    let ran = place.run(&format!("submit fog.mgf {settings} --server {url}")).exits(0);
+    let job = ran.stdout().lines().last().expect("a job id").to_owned();
+    let frames_done = || {
+        let status = place.run(&format!("status {job} --json --server {url}")).exits(0).json();
+        status["frames_done"].as_u64().expect("a number")
+    };
+    worker.wait_until("a finished frame", || frames_done() >= 1);
+    outage.begin();
+    // A call tries six times; so several are given up and reported.
+    worker.wait_until("calls that are given up", || outage.refused() >= 20);
+    assert!(frames_done() < 8, "it is not over yet");
+    outage.end();
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    let status = place.run(&format!("status {job} --json --server {url}")).exits(0).json();
+    assert!(status["quarantined"].as_array().is_some_and(Vec::is_empty), "{status}");
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    farm.signal("TERM");
+    let told = farm.end().stderr();
+    assert!(told.contains("task failed") && told.contains(&bucket), "a task met the outage: {told}");
+    place.run(&format!("render fog.mgf -o alone {settings}")).exits(0);
+    assert_eq!(names(&place.path("out")), names(&place.path("alone")));
+    for name in names(&place.path("alone")) {
         let (farm, alone) = (place.path("out").join(&name), place.path("alone").join(&name));
         assert_eq!(common::pixels(&farm), common::pixels(&alone), "{name}");
     }

@@ -1,6 +1,8 @@
 //! The real binary on small scenes in a temporary folder.
 #![allow(dead_code)] // every test file uses its own part of this
 
+pub mod outage;
+
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};

@@ -128,13 +128,18 @@ impl Store {
 
     /// Keeps `bytes`; what is there already is left alone.
     pub async fn put(&self, bytes: Bytes) -> Result<Artefact, StoreError> {
+        Ok(self.keep(bytes).await?.0)
+    }
+
+    pub(crate) async fn keep(&self, bytes: Bytes) -> Result<(Artefact, Novelty), StoreError> {
         if bytes.len() as u64 > self.limit {
             return Err(StoreError::TooLarge { limit: self.limit });
         }
         let artefact = Artefact::of(&bytes);
         let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
         match self.objects.put_opts(&place(&artefact.digest), bytes.into(), options).await {
-            Ok(_) | Err(object_store::Error::AlreadyExists { .. }) => Ok(artefact),
+            Ok(_) => Ok((artefact, Novelty::New)),
+            Err(object_store::Error::AlreadyExists { .. }) => Ok((artefact, Novelty::Older)),
             Err(error) => Err(self.medium(error)),
         }
     }
@@ -228,6 +233,15 @@ impl Store {
         let swept = tokio::task::spawn_blocking(work).await.unwrap_or_else(|panic| Err(std::io::Error::other(panic)));
         swept.map_err(|error| self.medium(object_store::Error::Generic { store: "folder", source: Box::new(error) }))
     }
+}
+
+/// How old an artefact is that has just been put.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Novelty {
+    /// As old as this.
+    New,
+    /// Perhaps older: it was there before, or came in parts (S3 counts from the first of them).
+    Older,
 }
 
 /// Whether something goes.

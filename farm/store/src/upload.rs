@@ -4,7 +4,7 @@ use bytes::BytesMut;
 use femc_model::{Artefact, Digest};
 use object_store::{MultipartUpload, ObjectStoreExt as _};
 
-use crate::{Store, StoreError, place};
+use crate::{Novelty, Store, StoreError, place};
 
 /// Bytes kept in memory before they go to the medium; S3 wants at least 5 MiB a part.
 const PART: usize = 8 << 20;
@@ -69,15 +69,15 @@ impl Upload {
         }
     }
 
-    /// Keeps the artefact, if its bytes are those announced.
-    pub async fn finish(mut self) -> Result<Artefact, StoreError> {
+    /// Keeps the artefact, if its bytes are those announced. A large one takes the place of one that is there.
+    pub async fn finish(mut self) -> Result<(Artefact, Novelty), StoreError> {
         let found = Digest::from_bytes(*self.hash.finalize().as_bytes());
         if found != self.announced {
             self.abort().await;
             return Err(StoreError::Mismatch { announced: self.announced, found });
         }
         if self.parts.is_none() {
-            return self.store.put(self.held.freeze()).await;
+            return self.store.keep(self.held.freeze()).await;
         }
         if !self.held.is_empty() {
             self.flush().await?;
@@ -85,7 +85,7 @@ impl Upload {
         if let Some(mut parts) = self.parts.take() {
             parts.complete().await.map_err(|error| self.store.medium(error))?;
         }
-        Ok(Artefact { digest: found, bytes: self.size })
+        Ok((Artefact { digest: found, bytes: self.size }, Novelty::Older))
     }
 }
 

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use femc_model::{Artefact, Digest};
-use femc_store::{Store, StoreError, Sweep};
+use femc_store::{Novelty, Store, StoreError, Sweep};
 
 async fn conforms(store: &Store) {
     let bytes = Bytes::from_static(b"a tile");
@@ -33,7 +33,8 @@ async fn conforms(store: &Store) {
         upload.write(piece).await.unwrap();
     }
     assert!(!store.has(&digest).await.unwrap(), "not there before it is whole");
-    assert_eq!(upload.finish().await.unwrap().bytes, large.len() as u64);
+    let whole = Artefact { digest, bytes: large.len() as u64 };
+    assert_eq!(upload.finish().await.unwrap(), (whole, Novelty::Older));
     assert_eq!(store.get(&digest).await.unwrap(), large);
     let (send, mut receive) = tokio::sync::mpsc::channel(64);
     store.read(&digest, 19_000_000, 400_000, &send).await.unwrap();
@@ -64,6 +65,12 @@ async fn conforms(store: &Store) {
     store.remove(&digest).await.unwrap();
     store.remove(&digest).await.unwrap();
     assert!(!store.has(&digest).await.unwrap());
+
+    for novelty in [Novelty::New, Novelty::Older] {
+        let mut upload = store.upload(Digest::of(b"small"));
+        upload.write(b"small").await.unwrap();
+        assert_eq!(upload.finish().await.unwrap(), (Artefact::of(b"small"), novelty));
+    }
 
     // Two who put the same at the same time both have it.
     let same = Bytes::from(vec![7; 300_000]);

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use femc_model::{Artefact, Refusal};
-use femc_store::StoreError;
+use femc_store::{Novelty, StoreError};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt as _};
@@ -96,7 +96,12 @@ async fn put(server: Server, mut parts: Streaming<wire::PutRequest>) -> Result<A
     }
     // Again: it may have taken long, and bytes that are there already keep their age.
     server.promised.note(&[announced]).await;
-    upload.finish().await.map_err(|no| to_status(&no))
+    let (artefact, novelty) = upload.finish().await.map_err(|no| to_status(&no))?;
+    if novelty == Novelty::New {
+        // Its age keeps it.
+        server.promised.forget(&announced);
+    }
+    Ok(artefact)
 }
 
 pub(super) fn refuse(error: &StoreError) -> Status {

@@ -59,6 +59,11 @@ impl Promised {
         }
     }
 
+    /// What is new needs no promise; so a farm that makes a lot of artefacts has few of them.
+    pub(super) fn forget(&self, digest: &Digest) {
+        self.lock().times.remove(digest);
+    }
+
     /// Until dropped, nothing is noted.
     pub(super) async fn close(&self) -> RwLockWriteGuard<'_, ()> {
         self.0.gate.write().await

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use femc_model::{Artefact, Digest, Refusal};
-use femc_store::{Store, Upload};
+use femc_store::{Novelty, Store, Upload};
 use tokio::time::Instant;
 
 use super::artifacts::refusal;
@@ -141,7 +141,7 @@ impl Sending {
     }
 
     /// Keeps the artefact, if it is the one that was announced.
-    pub(super) async fn finish(self) -> Result<Artefact, Refusal> {
+    pub(super) async fn finish(self) -> Result<(Artefact, Novelty), Refusal> {
         let mut slot = self.upload.lock().await;
         if !self.is_mine() {
             return Err(Self::taken_over());
@@ -183,7 +183,7 @@ mod tests {
         }
         let second = uploads.take(&store, digest, 3).await.unwrap();
         second.write(b"def").await.unwrap();
-        assert_eq!(second.finish().await.unwrap(), Artefact { digest, bytes: 6 });
+        assert_eq!(second.finish().await.unwrap(), (Artefact { digest, bytes: 6 }, Novelty::New));
         assert_eq!((uploads.size(&digest).await, uploads.lock().entries.len()), (0, 0));
         assert_eq!(store.get(&digest).await.unwrap(), "abcdef");
     }

@@ -101,6 +101,39 @@ fn a_worker_that_is_told_to_stop_finishes_its_task_and_leaves_the_rest_to_others
 }
 
 #[test]
+fn after_an_edit_only_the_changed_files_are_sent() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    // Comments that do not compress away stand for a mesh.
+    let mut state = 1u64;
+    let mut line = |_| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        format!("# {:016x}{:016x}\n", state.rotate_left(7), state.wrapping_mul(state))
+    };
+    place.write("mesh.mgf", &(0..20_000).map(&mut line).collect::<String>());
+    let submit = |brightness: u32| {
+        place.write("main.mgf", &format!("# {brightness}\ni mesh.mgf\n{}", common::FOG));
+        let line = format!("submit main.mgf --spp 4 --frames 1 --json --server {url}");
+        let report = place.run(&line).exits(0).json();
+        let number = |key: &str| report[key].as_u64().expect("a number");
+        (number("job"), number("scene_bytes"), number("sent_bytes"))
+    };
+    let (_, size, first) = submit(300);
+    assert!(first == size && size > 300_000, "{first} of {size} bytes");
+    assert_eq!(submit(300).2, 0, "the same scene again");
+    let (edited, size, sent) = submit(301);
+    println!("{sent} of {size} bytes after the edit");
+    assert!((1..10_000).contains(&sent), "{sent} of {size} bytes");
+    let _worker = place.start(&format!("worker --join {url} --threads 1 --cache pieces --cache-size 1MiB"));
+    place.run(&format!("watch {edited} --server {url}")).exits(0);
+    place.run(&format!("fetch {edited} -o out --server {url}")).exits(0);
+    place.run("render main.mgf -o alone --spp 4 --frames 1").exits(0);
+    let pixels = |folder| common::pixels(&place.path(folder).join("main.0001.exr"));
+    assert_eq!(pixels("out"), pixels("alone"));
+    assert!(names(&place.path("pieces")).len() >= 3, "manifest, mesh and the rest are kept");
+}
+
+#[test]
 fn a_job_without_a_worker_says_so_and_a_client_may_leave_a_watch() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 use femc_model::{Failure, FromWorker, JobId, JobStatus, Refusal, Tick, ToWorker, WorkerId};
-use femc_proto::{Call, Reply, Session};
+use femc_proto::{Call, References, Reply, Session};
 use femc_queue::Queue;
 use femc_schedule::{Command, Event, Fact, RequestId, Scheduler};
 use femc_store::Store;
@@ -42,6 +42,7 @@ enum Question {
     Logs(JobId, Tick, Reply<Vec<femc_model::LogRecord>>),
     Workers(Reply<Vec<femc_model::WorkerStatus>>),
     Drained(Result<Vec<WorkerId>, Refusal>, Reply<Vec<WorkerId>>),
+    References(Reply<References>),
 }
 
 /// The shell around the scheduler.
@@ -202,6 +203,7 @@ impl<Q: Queue> Actor<Q> {
             }
             Call::Logs { job, since, reply } => self.questions.push(Question::Logs(job, since, reply)),
             Call::Workers { reply } => self.questions.push(Question::Workers(reply)),
+            Call::References { reply } => self.questions.push(Question::References(reply)),
         }
     }
 
@@ -263,6 +265,11 @@ impl<Q: Queue> Actor<Q> {
                 Question::Logs(job, since, reply) => drop(reply.send(self.scheduler.logs(job, since))),
                 Question::Drained(answer, reply) => drop(reply.send(answer)),
                 Question::Workers(reply) => drop(reply.send(Ok(self.scheduler.workers(now)))),
+                Question::References(reply) => {
+                    let ledger = self.scheduler.ledger();
+                    let (artefacts, scenes) = (ledger.references(), ledger.scenes());
+                    drop(reply.send(Ok(References { artefacts, scenes })));
+                }
             }
         }
     }

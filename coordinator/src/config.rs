@@ -34,6 +34,8 @@ pub enum Artifacts {
     Memory,
     /// In this folder.
     Folder(PathBuf),
+    /// In a bucket, `s3://bucket/prefix`; the rest is in the usual `AWS_` variables.
+    S3(String),
 }
 
 /// Who may connect. There is no encryption yet.

@@ -3,6 +3,9 @@
 //! Some time after they were released, and only if nothing names them then: the same bytes may have come in again under
 //! the same digest, and a worker that found them in the store does not send them twice. Should one be removed all the
 //! same, the merge that misses it has it made again.
+//!
+//! The list is in memory: what a restart leaves behind is found by `femc gc`, as is what a killed client or worker uploaded
+//! for nothing.
 
 use std::collections::VecDeque;
 

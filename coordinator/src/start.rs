@@ -40,7 +40,17 @@ impl Coordinator {
         let store = match &config.artifacts {
             Artifacts::Memory => Store::memory(),
             Artifacts::Folder(path) => Store::folder(path)?,
+            Artifacts::S3(url) => Store::s3(url)?,
         };
+        tokio::spawn({
+            let store = store.clone();
+            async move {
+                if let Err(error) = store.probe().await {
+                    // It may come back; until then whoever needs it is told.
+                    tracing::warn!(%error, "the artefact store does not answer");
+                }
+            }
+        });
         match config.log.clone() {
             Log::Memory => Self::with(config, store, Memory::default()).await,
             Log::Sqlite(path) => {
@@ -105,7 +115,7 @@ impl Coordinator {
         let actor = tokio::spawn(actor.run(inbox, stopped));
         let (serving, mut until) = watch::channel(());
         let server = serve(
-            Server { calls, store },
+            Server::new(calls, store),
             Box::pin(async move {
                 // Ends when the sender is dropped: on a stop, or because the actor is gone.
                 let _ = until.changed().await;

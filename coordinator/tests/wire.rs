@@ -1,7 +1,7 @@
 //! What a client hears from a real coordinator without workers.
 
 use bytes::Bytes;
-use femc_coordinator::{Artifacts, Config, Coordinator, CoordinatorError, Log};
+use femc_coordinator::{Artifacts, Config, Coordinator, CoordinatorError, Handle, Log};
 use femc_model::*;
 use femc_proto::{CallError, Client};
 use femc_store::Store;
@@ -21,6 +21,13 @@ fn spec() -> JobSpec {
     }
 }
 
+/// A client of the farm, whose store has the scene of [`spec`].
+async fn client(farm: &Handle) -> Client {
+    let client = Client::connect(&farm.url()).await.unwrap();
+    client.put(Bytes::from_static(b"bundle")).await.unwrap();
+    client
+}
+
 fn refusal<T: std::fmt::Debug>(answer: Result<T, CallError>) -> Refusal {
     match answer {
         Err(CallError::Refused(refusal)) => refusal,
@@ -31,7 +38,7 @@ fn refusal<T: std::fmt::Debug>(answer: Result<T, CallError>) -> Refusal {
 #[tokio::test]
 async fn jobs_are_taken_listed_steered_and_watched_to_their_end() {
     let farm = Coordinator::start(Config::default()).await.unwrap();
-    let client = Client::connect(&farm.url()).await.unwrap();
+    let client = client(&farm).await;
     let first = client.submit(Some("a".into()), spec()).await.unwrap();
     assert_eq!(client.submit(Some("a".into()), spec()).await.unwrap(), first);
     let second = client.submit(None, spec()).await.unwrap();
@@ -57,7 +64,7 @@ async fn jobs_are_taken_listed_steered_and_watched_to_their_end() {
 #[tokio::test]
 async fn what_makes_no_sense_is_refused_by_variant() {
     let farm = Coordinator::start(Config::default()).await.unwrap();
-    let client = Client::connect(&farm.url()).await.unwrap();
+    let client = client(&farm).await;
     let nobody = JobId(99);
     assert_eq!(refusal(client.status(nobody).await), Refusal::NoSuchJob { job: nobody });
     assert_eq!(refusal(client.frames(nobody).await), Refusal::NoSuchJob { job: nobody });
@@ -94,6 +101,36 @@ async fn artefacts_go_up_and_come_down_whole_or_not_at_all() {
 }
 
 #[tokio::test]
+async fn a_job_whose_scene_is_not_whole_is_refused_with_what_is_missing() {
+    let store = Store::memory();
+    let farm = Coordinator::with(Config::default(), store.clone(), femc_queue::Memory::default()).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    let of = |bytes: &[u8]| Piece { artefact: Artefact::of(bytes), unpacked: 9 };
+    let manifest = Manifest { pieces: vec![of(b"one"), of(b"two"), of(b"three")], ..Manifest::default() };
+    let bytes = Bytes::from(manifest.encode().unwrap());
+    let job = JobSpec { bundle: Digest::of(&bytes), ..spec() };
+    let lacks = |digests: Vec<Digest>| Refusal::MissingArtefacts { count: digests.len() as u64, digests };
+    let [one, two, three] = [b"one".as_slice(), b"two", b"three"].map(Digest::of);
+    assert_eq!(refusal(client.submit(None, job.clone()).await), lacks(vec![job.bundle]));
+    client.put(bytes).await.unwrap();
+    client.put(Bytes::from_static(b"two")).await.unwrap();
+    let refused = refusal(client.submit(None, job.clone()).await);
+    assert_eq!(refused, lacks(vec![one, three]));
+    assert!(refused.to_string().contains(&one.to_string()), "{refused}");
+    assert_eq!(client.list().await.unwrap(), [], "nothing was queued");
+    let all = [b"one".as_slice(), b"two", b"three", b"one"].map(Bytes::copy_from_slice);
+    assert_eq!(client.put_all(&all).await.unwrap(), 8, "only what is missing, and once");
+    let id = client.submit(None, job.clone()).await.unwrap();
+    store.remove(&two).await.unwrap();
+    assert_eq!(refusal(client.submit(None, job).await), lacks(vec![two]));
+    assert_eq!(client.list().await.unwrap()[0].job, id);
+    let damaged = client.put(Bytes::from_static(b"femcmnft and rubbish")).await.unwrap().digest;
+    let job = JobSpec { bundle: damaged, ..spec() };
+    assert!(matches!(refusal(client.submit(None, job).await), Refusal::Invalid { field, .. } if field == "bundle"));
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test]
 async fn a_stopped_coordinator_cannot_be_reached_and_its_log_is_free() {
     let folder = tempfile::tempdir().unwrap();
     let config = Config {
@@ -102,7 +139,7 @@ async fn a_stopped_coordinator_cannot_be_reached_and_its_log_is_free() {
         ..Config::default()
     };
     let farm = Coordinator::start(config.clone()).await.unwrap();
-    let client = Client::connect(&farm.url()).await.unwrap();
+    let client = client(&farm).await;
     let id = client.submit(None, spec()).await.unwrap();
     let second = Coordinator::start(config.clone()).await.map(|_| ()).unwrap_err();
     assert!(matches!(second, CoordinatorError::Queue(femc_queue::QueueError::InUse { .. })), "{second}");

@@ -3,10 +3,9 @@
 use std::sync::Arc;
 use std::time::Duration;
 
-use bytes::{Bytes, BytesMut};
 use femc_model::{
-    Artefact, Control, Digest, Drain, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord, Registration,
-    Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
+    Control, Digest, Drain, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord, Registration, Tick,
+    ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use hyper_util::rt::TokioIo;
 use tokio::sync::mpsc;
@@ -16,7 +15,7 @@ use tonic::Streaming;
 use tonic::transport::{Channel, Endpoint, Uri};
 
 use crate::addresses::Addresses;
-use crate::convert::{ConvertError, digest, digest_bytes, each, need};
+use crate::convert::{ConvertError, digest, digest_bytes, each};
 use crate::error::{CallError, from_status};
 use crate::net::Dial;
 use crate::{MESSAGE, PIECE, wire};
@@ -96,11 +95,11 @@ impl Client {
         JobsClient::new(self.channel.clone()).max_decoding_message_size(MESSAGE)
     }
 
-    fn artifacts(&self) -> ArtifactsClient<Channel> {
+    pub(crate) fn artifacts(&self) -> ArtifactsClient<Channel> {
         ArtifactsClient::new(self.channel.clone()).max_decoding_message_size(2 * PIECE)
     }
 
-    fn error(&self, status: &tonic::Status) -> CallError {
+    pub(crate) fn error(&self, status: &tonic::Status) -> CallError {
         from_status(self.url(), status)
     }
 
@@ -172,41 +171,6 @@ impl Client {
         let reply = self.artifacts().missing(request).await.map_err(|status| self.error(&status))?;
         let digests = reply.into_inner().digests;
         Ok(digests.iter().map(|bytes| digest("missing.digest", bytes)).collect::<Result<_, ConvertError>>()?)
-    }
-
-    /// Puts an artefact into the coordinator's store, unless it is there.
-    pub async fn put(&self, bytes: Bytes) -> Result<Artefact, CallError> {
-        use wire::put_request::Part;
-        let artefact = Artefact::of(&bytes);
-        if self.missing(&[artefact.digest]).await?.is_empty() {
-            return Ok(artefact);
-        }
-        let head = std::iter::once(Part::Digest(digest_bytes(&artefact.digest)));
-        let pieces = (0..bytes.len()).step_by(PIECE).map({
-            let bytes = bytes.clone();
-            move |at| Part::Piece(bytes.slice(at..bytes.len().min(at + PIECE)))
-        });
-        let parts = head.chain(pieces).map(|part| wire::PutRequest { part: Some(part) });
-        let reply = self.artifacts().put(tokio_stream::iter(parts)).await.map_err(|status| self.error(&status))?;
-        Ok(need("put.artefact", reply.into_inner().artefact)?.try_into()?)
-    }
-
-    /// An artefact's bytes, checked; refused beyond `limit` bytes.
-    pub async fn get(&self, name: &Digest, limit: u64) -> Result<Bytes, CallError> {
-        let request = wire::GetRequest { digest: digest_bytes(name), offset: 0 };
-        let reply = self.artifacts().get(request).await.map_err(|status| self.error(&status))?;
-        let mut stream = reply.into_inner();
-        let mut bytes = BytesMut::new();
-        while let Some(reply) = stream.message().await.map_err(|status| self.error(&status))? {
-            if bytes.len() as u64 + reply.piece.len() as u64 > limit {
-                return Err(femc_model::Refusal::TooLarge { what: "artefact".into(), limit }.into());
-            }
-            bytes.extend_from_slice(&reply.piece);
-        }
-        if Digest::of(&bytes) != *name {
-            return Err(femc_model::Refusal::DigestMismatch { digest: *name }.into());
-        }
-        Ok(bytes.freeze())
     }
 
     /// Begins a worker's session.

@@ -57,7 +57,8 @@ pub enum ServeError {
 fn code(refusal: &Refusal) -> Code {
     match refusal {
         Refusal::NoSuchJob { .. } | Refusal::NoSuchArtefact { .. } | Refusal::NoSuchWorker { .. } => Code::NotFound,
-        Refusal::Ended { .. } | Refusal::StaleEpoch => Code::FailedPrecondition,
+        Refusal::Ended { .. } | Refusal::StaleEpoch | Refusal::MissingArtefacts { .. } => Code::FailedPrecondition,
+        Refusal::Resume { .. } => Code::OutOfRange,
         Refusal::Invalid { .. } => Code::InvalidArgument,
         Refusal::DigestMismatch { .. } => Code::DataLoss,
         Refusal::TooLarge { .. } => Code::ResourceExhausted,

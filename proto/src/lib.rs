@@ -11,16 +11,18 @@ mod convert;
 mod error;
 mod net;
 mod server;
+mod transfer;
 mod wire;
 
 pub use client::{Client, Incoming, Outgoing, Watch};
 pub use convert::ConvertError;
 pub use error::{CallError, ServeError};
 pub use net::{Dial, Dialing, Io, Link};
-pub use server::{Call, Reply, Server, Session, Words};
+pub use server::{Call, CollectMode, Collected, LEAST_GRACE, References, Reply, Server, Session, Volume, Words};
 pub use tonic::transport::server::{Connected, TcpIncoming};
 
-/// Version of the protocol: a worker says it when it registers, and is refused if it is not this or the one before.
+/// Version of the protocol: a worker says it when it registers, and is refused if it is another. From 2 on a job's scene is a
+/// manifest, which a worker of version 1 would take for damaged.
 pub const PROTOCOL: u32 = 2;
 
 /// Bytes of an artefact that travel in one message.

@@ -1,11 +1,16 @@
 //! What the coordinator uses: every call comes to it as a [`Call`] with a place for the answer.
 
 mod artifacts;
+mod collect;
+mod inputs;
 mod jobs;
+mod promised;
+mod uploads;
 mod workers;
 
 use std::future::Future;
 use std::io;
+use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::{
@@ -22,6 +27,9 @@ use crate::convert::ConvertError;
 use crate::error::ServeError;
 use crate::net::Io;
 use crate::{MESSAGE, PIECE, wire};
+pub use collect::{CollectMode, Collected, LEAST_GRACE, References, Volume};
+use promised::Promised;
+use uploads::Uploads;
 use wire::artifacts_server::ArtifactsServer;
 use wire::jobs_server::JobsServer;
 use wire::workers_server::WorkersServer;
@@ -99,6 +107,11 @@ pub enum Call {
         /// The sessions that it was done to, when it is durable.
         reply: Reply<Vec<WorkerId>>,
     },
+    /// What all jobs refer to.
+    References {
+        /// When all before it is durable.
+        reply: Reply<References>,
+    },
     /// A worker has come.
     Session(Box<Session>),
 }
@@ -129,14 +142,23 @@ impl Words {
 #[derive(Debug, Clone)]
 pub struct Server {
     /// Where calls go.
-    pub calls: mpsc::Sender<Call>,
+    calls: mpsc::Sender<Call>,
     /// Where artefacts live.
-    pub store: Store,
+    store: Store,
+    uploads: Uploads,
+    promised: Promised,
+    /// Held while garbage is collected.
+    collecting: Arc<tokio::sync::Mutex<()>>,
 }
 
 impl Server {
     /// Most streams that one connection may have open.
     const STREAMS: u32 = 256;
+
+    /// Passes calls on to `calls`; artefacts live in `store`.
+    pub fn new(calls: mpsc::Sender<Call>, store: Store) -> Self {
+        Self { calls, store, uploads: Uploads::default(), promised: Promised::default(), collecting: Arc::default() }
+    }
 
     /// Serves the connections that come in until `stop` comes, then until the open calls have ended.
     pub async fn serve<C: Io + Connected>(
@@ -178,10 +200,14 @@ impl Server {
 
     /// Passes a call on and waits for its answer.
     async fn ask<T>(&self, call: impl FnOnce(Reply<T>) -> Call) -> Result<T, tonic::Status> {
-        let stopping =
-            || crate::error::to_status(&Refusal::Unavailable { message: "the coordinator is stopping".into() });
+        self.question(call).await.map_err(|refusal| crate::error::to_status(&refusal))
+    }
+
+    /// The same for those who decide by the refusal.
+    async fn question<T>(&self, call: impl FnOnce(Reply<T>) -> Call) -> Result<T, Refusal> {
+        let stopping = || Refusal::Unavailable { message: "the coordinator is stopping".into() };
         let (reply, answer) = oneshot::channel();
         self.calls.send(call(reply)).await.map_err(|_| stopping())?;
-        answer.await.map_err(|_| stopping())?.map_err(|refusal| crate::error::to_status(&refusal))
+        answer.await.map_err(|_| stopping())?
     }
 }

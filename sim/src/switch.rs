@@ -17,7 +17,7 @@ const LATE: Duration = Duration::from_secs(8);
 /// Serves for ever.
 pub(crate) async fn serve(shared: Shared, store: Store) -> turmoil::Result {
     let (calls, mut inbox) = mpsc::channel(64);
-    tokio::spawn(Server { calls, store }.serve_on(listen().await));
+    tokio::spawn(Server::new(calls, store).serve_on(listen().await));
     while let Some(call) = inbox.recv().await {
         // Others than workers ask the coordinator itself.
         if let Call::Session(session) = call {

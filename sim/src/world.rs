@@ -53,7 +53,7 @@ pub fn run(seed: u64, plan: &Planned, tells: Tells) -> anyhow::Result<Outcome> {
         (state.twice, state.late) = (plan.twice, plan.late);
     }
     let shelf = Shelf::default();
-    let store = Store::over(Arc::new(shelf.clone()));
+    let store = Store::over("shelf", Arc::new(shelf.clone()));
     let mut sim = turmoil::Builder::new()
         .simulation_duration(END)
         .tick_duration(TICK)

@@ -11,10 +11,10 @@ use std::time::Instant;
 use femc_coordinator::{Artifacts, Config, Coordinator, Log};
 use femc_film::{Frame, Tiling};
 use femc_import::{Bundle, Disk, Files as _};
-use femc_model::{Digest, Grid, JobSpec};
+use femc_model::{Grid, JobSpec};
 use femc_pipeline::{Settings, Stop};
 use femc_proto::Client;
-use femc_worker::Worker;
+use femc_worker::{Parcel, Worker};
 
 /// Processor seconds of this process so far, where the system says: a busy machine does not change them.
 fn processor() -> f64 {
@@ -54,14 +54,14 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let entry = file.file_name().ok_or("a scene file")?.to_string_lossy().into_owned();
     let names = femc_import::load(&disk, &entry)?.files;
     let files = names.into_iter().map(|name| Ok((name.clone(), disk.read(&name)?))).collect::<std::io::Result<_>>()?;
-    let bundle = Bundle(files).encode()?;
+    let scene = Parcel::pack(&Bundle(files))?;
     let (begun, before) = (Instant::now(), processor());
     let farm = Coordinator::start(config).await?;
     let worker = tokio::spawn(Worker::run(femc_worker::Config::new(farm.url()), pending()));
     let client = Client::connect(&farm.url()).await?;
     let spec = JobSpec {
         name: "overhead".into(),
-        bundle: Digest::of(&bundle),
+        bundle: scene.digest(),
         entry,
         settings: serde_json::to_string(&settings)?,
         frames: vec![1],
@@ -71,7 +71,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         owner: "bench".into(),
         tags: vec![],
     };
-    client.put(bundle.into()).await?;
+    client.put_all(&scene.artefacts()).await?;
     let job = client.submit(None, spec).await?;
     let mut watch = client.watch(job).await?;
     let mut last = None;

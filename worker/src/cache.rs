@@ -2,19 +2,20 @@
 //!
 //! Who needs a frame first makes it ready, and others wait for it; so a frame is prepared once, however many threads
 //! and workers share the cache. A failure is not kept.
+//!
+//! Scenes and frames are bounded by their number (2 and 3): what a frame takes follows from its scene, and frames of a
+//! scene share what does not change. The pieces that scenes are made of are bounded by their bytes, see [`Pieces`].
 
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
-use femc_import::Bundle;
 use femc_model::{Digest, Failure, JobSpec};
 use femc_pipeline::{Prepared, Settings};
 use femc_proto::Client;
 use femc_scene::Scene;
 
+use crate::Pieces;
 use crate::fetch::Fetch;
-
-/// Most bytes that a bundle may unpack to.
-const UNPACKED: u64 = 4 << 30;
+use crate::gather::gather;
 
 /// A scene with the job's overrides applied.
 #[derive(Debug)]
@@ -33,11 +34,12 @@ pub struct Cache(Arc<Shelves>);
 struct Shelves {
     scenes: Shelf<Digest, Arc<Read>>,
     frames: Shelf<(Digest, u32), Arc<Prepared>>,
+    pieces: Pieces,
 }
 
 impl Default for Cache {
     fn default() -> Self {
-        Self::new(3)
+        Self::new(Self::FRAMES)
     }
 }
 
@@ -45,9 +47,21 @@ impl Cache {
     /// Scenes are larger and rarer than frames.
     const SCENES: usize = 2;
 
+    /// Most prepared frames, unless [`Cache::new`] says otherwise.
+    const FRAMES: usize = 3;
+
     /// Keeps at most `frames` prepared frames; they share what does not change between them.
     pub fn new(frames: usize) -> Self {
-        Self(Arc::new(Shelves { scenes: Shelf::new(Self::SCENES), frames: Shelf::new(frames.max(1)) }))
+        Self::holding(frames, Pieces::memory(Pieces::IN_MEMORY))
+    }
+
+    /// The usual number of frames, and these pieces of scenes.
+    pub fn with(pieces: Pieces) -> Self {
+        Self::holding(Self::FRAMES, pieces)
+    }
+
+    fn holding(frames: usize, pieces: Pieces) -> Self {
+        Self(Arc::new(Shelves { scenes: Shelf::new(Self::SCENES), frames: Shelf::new(frames.max(1)), pieces }))
     }
 
     /// Lets go of everything; what is in use stays until it is not.
@@ -59,7 +73,7 @@ impl Cache {
     /// The job's scene, read.
     pub(crate) fn scene(&self, spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Arc<Read>, Failure> {
         let slot = self.0.scenes.slot(scene_key(spec));
-        slot.get_or(|| read(spec, client, fetch).map(Arc::new))
+        slot.get_or(|| read(spec, client, fetch, &self.0.pieces).map(Arc::new))
     }
 
     /// The frame, ready to render.
@@ -102,13 +116,11 @@ fn scene_key(spec: &JobSpec) -> Digest {
     Digest::of(&bytes)
 }
 
-fn read(spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Read, Failure> {
+fn read(spec: &JobSpec, client: &Client, fetch: &Fetch, pieces: &Pieces) -> Result<Read, Failure> {
     let settings: Settings =
         serde_json::from_str(&spec.settings).map_err(|error| Failure::Settings { message: error.to_string() })?;
     settings.check().map_err(|error| Failure::Settings { message: error.to_string() })?;
-    let bytes = fetch.bundle(client, &spec.bundle)?;
-    let bundle = Bundle::decode(&bytes, UNPACKED)
-        .map_err(|error| Failure::LostInputs { digests: vec![spec.bundle], message: error.to_string() })?;
+    let bundle = gather(&spec.bundle, client, fetch, pieces)?;
     let loaded = femc_import::load(&bundle, &spec.entry);
     let mut scene = loaded.map_err(|error| Failure::Scene { message: error.to_string() })?.scene;
     settings.apply(&mut scene).map_err(|error| Failure::Settings { message: error.to_string() })?;

@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use bytes::Bytes;
-use femc_model::{Artefact, Digest, Failure, Refusal};
+use femc_model::{Artefact, Digest, Failure, Manifest, Refusal};
 use femc_proto::{CallError, Client};
 use tokio::runtime::Handle;
 
-/// Most bytes of a scene bundle.
+/// Most bytes of what a job's `bundle` names: a manifest, or all of a scene from an earlier version.
 const BUNDLE: u64 = 1 << 30;
 
 /// What a failed call means for a task.
@@ -36,7 +36,8 @@ pub(crate) enum Fetch {
 }
 
 impl Fetch {
-    pub(crate) fn bundle(&self, client: &Client, digest: &Digest) -> Result<Bytes, Failure> {
+    /// What names a scene's pieces, or, from earlier versions, holds them.
+    pub(crate) fn scene(&self, client: &Client, digest: &Digest) -> Result<Bytes, Failure> {
         match self {
             Self::Blocking(runtime) => runtime.block_on(client.get(digest, BUNDLE)).map_err(|error| failure(&error)),
             Self::Collected(inputs) => collected(inputs, digest),
@@ -53,9 +54,13 @@ impl Fetch {
 
     /// Downloads a task's inputs before it begins.
     pub(crate) async fn collect(client: &Client, bundle: Digest, artefacts: &[Artefact]) -> Self {
-        let all = side_by_side(client, artefacts).await;
+        let scene = client.get(&bundle, BUNDLE).await.map_err(|error| failure(&error));
+        let manifest = scene.as_ref().ok().and_then(|bytes| Manifest::decode(bytes).ok()).unwrap_or_default();
+        let pieces = manifest.pieces.iter().map(|piece| piece.artefact);
+        let artefacts: Vec<Artefact> = artefacts.iter().copied().chain(pieces).collect();
+        let all = side_by_side(client, &artefacts).await;
         let mut inputs: BTreeMap<_, _> = artefacts.iter().map(|artefact| artefact.digest).zip(all).collect();
-        inputs.insert(bundle, client.get(&bundle, BUNDLE).await.map_err(|error| failure(&error)));
+        inputs.insert(bundle, scene);
         Self::Collected(Arc::new(inputs))
     }
 }

@@ -13,10 +13,13 @@ mod duty;
 mod execute;
 mod fetch;
 mod finish;
+mod gather;
 mod log;
 mod memory;
 mod nice;
 mod outbox;
+mod parcel;
+mod pieces;
 mod session;
 mod simulated;
 mod sums;
@@ -30,6 +33,8 @@ pub use config::{AtStop, Config, Hands, IfTaken, OutboxConfig, Pace, WorkerError
 pub use duty::{Duty, Shift};
 pub use log::{TASK_LOG_LEVEL, TaskLogs};
 pub use memory::MemoryLimit;
+pub use parcel::{Parcel, ParcelError};
+pub use pieces::Pieces;
 pub use worker::Worker;
 
 /// The build of the engine that this worker renders with.

@@ -37,7 +37,7 @@ async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_tol
     let store = Store::memory();
     store.put(bundle.into()).await.unwrap();
     let ((net, connections), (send, mut calls)) = (Net::new(), mpsc::channel(16));
-    tokio::spawn(Server { calls: send, store }.serve(connections, pending()));
+    tokio::spawn(Server::new(send, store).serve(connections, pending()));
     let config = simulated("w", net.open(), Duration::from_millis(4000));
     tokio::spawn(Worker::run(config, pending()));
 

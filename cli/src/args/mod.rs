@@ -93,6 +93,7 @@ pub enum Command {
     Logs(command::logs::LogsArgs),
     Workers(command::workers::WorkersArgs),
     Drain(command::drain::DrainArgs),
+    Gc(command::gc::GcArgs),
     /// Hold a job: running tasks end, no new ones begin
     #[command(after_help = "Examples:\n  femc pause 7")]
     Pause(command::control::JobArgs),

@@ -8,11 +8,14 @@ use femc_model::{
     Artefact, Control, Digest, Drain, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord, Refusal, Tick, WorkerId,
     WorkerName, WorkerStatus,
 };
-use femc_proto::{CallError, Client};
+use femc_proto::{CallError, Client, CollectMode, Collected};
+use femc_worker::Parcel;
 use std::time::Duration;
 
 /// How long a watch waits for a coordinator that has gone away to come back.
 const PATIENCE: Duration = Duration::from_secs(60);
+/// How often a scene is uploaded again that the store has lost meanwhile.
+const UPLOADS: usize = 2;
 /// Between two tries.
 const RETRY: Duration = Duration::from_millis(500);
 
@@ -45,19 +48,28 @@ impl Farm {
         Ok(Self { client: Client::connect(url).await.map_err(told)? })
     }
 
-    /// Put bytes into the farm's store.
-    pub async fn put(&self, bytes: Vec<u8>) -> Result<Artefact, Failure> {
-        self.client.put(bytes.into()).await.map_err(told)
+    /// Put those artefacts of a scene into the farm's store that are not there; bytes that were sent.
+    async fn put(&self, scene: &Parcel) -> Result<u64, Failure> {
+        self.client.put_all(&scene.artefacts()).await.map_err(told)
+    }
+
+    /// Queue a job of `scene`, which is uploaded as far as it is missing; the bytes that were sent. `key`: a second
+    /// submission with the same key is the same job.
+    pub async fn submit(&self, scene: &Parcel, key: Option<Digest>, spec: JobSpec) -> Result<(JobId, u64), Failure> {
+        let mut sent = self.put(scene).await?;
+        for _ in 0..UPLOADS {
+            match self.client.submit(key.map(|key| key.to_string()), spec.clone()).await {
+                // Removed between upload and submission.
+                Err(CallError::Refused(Refusal::MissingArtefacts { .. })) => sent += self.put(scene).await?,
+                submitted => return Ok((submitted.map_err(told)?, sent)),
+            }
+        }
+        Ok((self.client.submit(key.map(|key| key.to_string()), spec).await.map_err(told)?, sent))
     }
 
     /// An artefact's bytes.
     pub async fn get(&self, artefact: &Artefact) -> Result<Vec<u8>, Failure> {
         Ok(self.client.get(&artefact.digest, artefact.bytes).await.map_err(told)?.to_vec())
-    }
-
-    /// Queue a job; `key`: a second submission with the same key is the same job.
-    pub async fn submit(&self, key: Option<Digest>, spec: JobSpec) -> Result<JobId, Failure> {
-        self.client.submit(key.map(|key| key.to_string()), spec).await.map_err(told)
     }
 
     /// All jobs.
@@ -109,6 +121,11 @@ impl Farm {
     pub async fn workers(&self) -> Result<Vec<WorkerStatus>, Failure> {
         self.client.workers().await.map_err(told)
     }
+
+    /// Remove garbage from the store, or say what that would be.
+    pub async fn collect(&self, mode: CollectMode, grace: Duration) -> Result<Collected, Failure> {
+        self.client.collect(mode, grace).await.map_err(told)
+    }
 }
 
 /// A failed call as this program's failure.
@@ -126,17 +143,19 @@ pub fn told(error: CallError) -> Failure {
             Refusal::StaleEpoch
             | Refusal::NoSuchArtefact { .. }
             | Refusal::DigestMismatch { .. }
-            | Refusal::TooLarge { .. } => failed(refusal),
+            | Refusal::TooLarge { .. }
+            | Refusal::MissingArtefacts { .. }
+            | Refusal::Resume { .. } => failed(refusal),
         },
         CallError::Answer(_) | CallError::Status { .. } => failed(error),
     }
 }
 
 /// A job of `frames` as the farm knows it.
-pub fn job_spec(asked: &Asked, bundle: Artefact, frames: Vec<u32>) -> Result<JobSpec, Failure> {
+pub fn job_spec(asked: &Asked, scene: &Parcel, frames: Vec<u32>) -> Result<JobSpec, Failure> {
     Ok(JobSpec {
         name: asked.name(),
-        bundle: bundle.digest,
+        bundle: scene.digest(),
         entry: asked.entry(),
         settings: serde_json::to_string(&asked.settings).map_err(failed)?,
         frames,

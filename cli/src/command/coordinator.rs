@@ -18,6 +18,7 @@ use std::time::Duration;
 #[command(after_help = "Examples:\n  \
     femc coordinator\n  \
     femc coordinator --listen 127.0.0.1:7878 --store sqlite:farm.db --artifacts artifacts\n  \
+    AWS_ENDPOINT_URL=http://minio:9000 AWS_ALLOW_HTTP=true femc coordinator --artifacts s3://farm/artifacts\n  \
     femc coordinator --share ann=3 --share bob=1    # ann's jobs get three times the time of bob's\n  \
     femc coordinator --store postgres://femc@127.0.0.1/farm --artifacts artifacts    # of several: one leads\n  \
     femc coordinator --listen 127.0.0.1:0    # any free port; the first line on stdout says which\n\n\
@@ -38,8 +39,10 @@ pub struct CoordinatorArgs {
     /// farm
     #[arg(long, value_name = "DURATION", default_value = "3s", value_parser = silence)]
     silence: Duration,
-    /// Folder for scenes, tiles and images, or memory (lost at the end); several coordinators share one
-    #[arg(long, value_name = "DIR", default_value = "femc-farm/artifacts", value_parser = artifacts)]
+    /// Where scenes, tiles and images are kept: a folder, s3://BUCKET/PREFIX (keys, region and endpoint are read from
+    /// AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION, AWS_ENDPOINT_URL, AWS_ALLOW_HTTP), or memory (lost at the end); several
+    /// coordinators share one
+    #[arg(long, value_name = "DIR|URL", default_value = "femc-farm/artifacts", value_parser = artifacts)]
     artifacts: Artifacts,
     /// Weight of an owner's jobs in the fair share of the workers' time, among jobs of one priority; may be given again
     /// (without it everybody has 1)
@@ -76,7 +79,8 @@ fn artifacts(text: &str) -> Result<Artifacts, String> {
         _ if text == "memory" => Ok(Artifacts::Memory),
         None => Ok(Artifacts::Folder(PathBuf::from(text))),
         Some(("file", path)) => Ok(Artifacts::Folder(PathBuf::from(path))),
-        Some((scheme, _)) => Err(format!("{scheme}:// is not there yet; give a folder, or memory")),
+        Some(("s3", _)) => Ok(Artifacts::S3(text.to_owned())),
+        Some((scheme, _)) => Err(format!("{scheme}:// is not there yet; give a folder, s3://BUCKET/PREFIX, or memory")),
     }
 }
 
@@ -186,6 +190,7 @@ mod tests {
         assert_eq!(share("ann=3"), Ok(("ann".into(), 3)));
         assert!(["ann", "ann=0", "=3", "ann=-1", "ann=many"].iter().all(|text| share(text).is_err()));
         assert_eq!(artifacts("a/b"), Ok(Artifacts::Folder("a/b".into())));
-        assert!(artifacts("s3://bucket/prefix").is_err_and(|error| error.contains("not there yet")));
+        assert_eq!(artifacts("s3://bucket/prefix"), Ok(Artifacts::S3("s3://bucket/prefix".into())));
+        assert!(artifacts("gs://bucket/prefix").is_err_and(|error| error.contains("not there yet")));
     }
 }

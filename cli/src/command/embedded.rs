@@ -5,7 +5,7 @@
 use super::client::Farm;
 use crate::exit::{Failure, failed};
 use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log};
-use femc_worker::{Cache, Worker, WorkerError};
+use femc_worker::{Cache, Pieces, Worker, WorkerError};
 use std::path::PathBuf;
 use tokio::sync::watch;
 use tokio::task::JoinSet;
@@ -42,7 +42,8 @@ impl Embedded {
         };
         let coordinator = Coordinator::start(config).await.map_err(failed)?;
         let (stop, stopped) = watch::channel(());
-        let (mut workers, cache) = (JoinSet::new(), Cache::default());
+        // The store is on this disk anyway.
+        let (mut workers, cache) = (JoinSet::new(), Cache::with(Pieces::memory(0)));
         for number in 1..=plan.workers {
             let config = femc_worker::Config {
                 name: format!("worker {number}"),

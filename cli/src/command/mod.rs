@@ -9,6 +9,7 @@ pub mod coordinator;
 pub mod drain;
 mod embedded;
 pub mod fetch;
+pub mod gc;
 mod interrupt;
 pub mod jobs;
 pub mod logs;
@@ -43,6 +44,7 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Workers(args) => workers::run(&args, say),
         Command::Logs(args) => logs::run(&args, say),
         Command::Drain(args) => drain::run(&args, say),
+        Command::Gc(args) => gc::run(&args, say),
         Command::Pause(args) => control::run(&args, Control::Pause, say),
         Command::Resume(args) => control::run(&args, Control::Resume, say),
         Command::Cancel(args) => control::run(&args, Control::Cancel, say),

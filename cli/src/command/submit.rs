@@ -10,6 +10,8 @@ use serde::Serialize;
 use std::path::PathBuf;
 
 /// Queue a job on the farm, with all files that its scene needs; prints the job's number
+///
+/// Of the scene only what the farm does not have is sent: after an edit the changed files, not the textures.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc submit scenes/roundabout.mgf --frames 1..120 --error 0.05\n  \
@@ -40,28 +42,30 @@ pub struct SubmitArgs {
 #[derive(Serialize)]
 struct Report {
     job: u64,
+    scene_bytes: u64,
+    sent_bytes: u64,
 }
 
 /// Submit.
 pub fn run(args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
     let asked = Asked::open(&args.scene, args.settings, say)?;
-    let bundle = asked.bundle()?;
+    let scene = asked.parcel()?;
     let count = human::count(asked.plan.frames.len() as u64, "frame");
-    let size = human::quantity(bundle.len() as f64);
-    let job = client::block_on(&args.server, async |farm| {
-        let bundle = farm.put(bundle).await?;
-        let mut spec = client::job_spec(&asked, bundle, asked.plan.frames.clone())?;
+    let (job, sent) = client::block_on(&args.server, async |farm| {
+        let mut spec = client::job_spec(&asked, &scene, asked.plan.frames.clone())?;
         spec.priority = args.priority.unwrap_or(spec.priority);
         spec.owner = args.owner.unwrap_or(spec.owner);
         if !args.tags.is_empty() {
             spec.tags = args.tags;
         }
-        farm.submit(None, spec).await
+        farm.submit(&scene, None, spec).await
     })?;
     if args.format.json {
-        json::print(say, &Report { job: job.0 })?;
+        json::print(say, &Report { job: job.0, scene_bytes: scene.size(), sent_bytes: sent })?;
     } else {
-        say.note(format!("{}: {count}, {size}B of scene; `femc watch {job}` shows its progress", asked.path.display()));
+        let [size, sent] = [scene.size(), sent].map(|bytes| human::quantity(bytes as f64));
+        let path = asked.path.display();
+        say.note(format!("{path}: {count}, {size}B of scene, {sent}B sent; `femc watch {job}` shows its progress"));
         say.result(job);
     }
     Ok(Exit::Done)

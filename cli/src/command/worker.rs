@@ -6,9 +6,10 @@ use super::outbox;
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::Say;
-use crate::request::{Budget, Bytes, Hours};
+use crate::request::{Budget, Hours, Volume};
 use clap::Args;
-use femc_worker::{AtStop, Config, Duty, MemoryLimit, Shift, Worker, WorkerError};
+use femc_worker::{AtStop, Cache, Config, Duty, MemoryLimit, Pieces, Shift, Worker, WorkerError};
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Render for a farm, until it is stopped
@@ -19,7 +20,8 @@ use std::time::Duration;
     femc worker --join http://one:7878,http://two:7878                   # whichever of the two coordinators leads\n  \
     femc worker --join http://farm:7878 --nice 10 --memory 8G            # beside other work\n  \
     femc worker --join http://farm:7878 --hours 'Mon-Fri 20:00-06:00,Sat-Sun 00:00-24:00'\n  \
-    femc worker --join http://farm:7878 --idle-exit 10m                  # on a rented machine\n\n\
+    femc worker --join http://farm:7878 --idle-exit 10m                  # on a rented machine\n  \
+    femc worker --join http://farm:7878 --cache /var/cache/femc --cache-size 50GiB\n\n\
     Ctrl-C or SIGTERM lets the worker finish what it is at and gives back the rest; a second one ends it at once. A worker that loses its coordinator looks for it until it is back.")]
 pub struct WorkerArgs {
     /// The farm's coordinator; of several, with commas between, the one that answers
@@ -44,7 +46,7 @@ pub struct WorkerArgs {
     /// worker's size and the most that a task of its kind has added so far must fit. It is no wall: a single task may be
     /// larger than was expected.
     #[arg(long, value_name = "SIZE")]
-    memory: Option<Bytes>,
+    memory: Option<Volume>,
     /// Niceness of the threads that compute, 0 to 19: greater lets others of the machine go first
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=19))]
     nice: Option<u8>,
@@ -57,6 +59,12 @@ pub struct WorkerArgs {
     /// End, with exit code 0, after so long without a task: 10m, 1h
     #[arg(long, value_name = "DURATION")]
     idle_exit: Option<Budget>,
+    /// Folder that keeps pieces of scenes, also for the next start [default: they are kept in memory]
+    #[arg(long, value_name = "DIR")]
+    cache: Option<PathBuf>,
+    /// Most bytes of such pieces; what was used longest ago goes first [default: 256MiB, with --cache 10GiB]
+    #[arg(long, value_name = "SIZE")]
+    cache_size: Option<Volume>,
     /// How long to look for the coordinator at the start
     #[arg(long, value_name = "DURATION", default_value = "30s")]
     patience: Budget,
@@ -73,7 +81,8 @@ fn shift(hours: Hours) -> Shift {
 /// Work.
 pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
     let unknown = || usage("--memory: this system does not tell how much memory a process uses; leave it away");
-    let memory = args.memory.map(|Bytes(bytes)| MemoryLimit::of_process(bytes).ok_or_else(unknown)).transpose()?;
+    let memory = args.memory.map(|Volume(bytes)| MemoryLimit::of_process(bytes).ok_or_else(unknown)).transpose()?;
+    let pieces = pieces(args.cache.as_deref(), args.cache_size)?;
     runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
         tokio::select! {
@@ -90,6 +99,7 @@ pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
             nice: args.nice,
             shift: args.hours.map_or_else(Shift::default, shift),
             idle_limit: args.idle_exit.map(|limit| Duration::from_secs_f64(limit.seconds.min(1e9))),
+            cache: Cache::with(pieces),
             at_stop: AtStop::Finish,
             ..Config::new(args.join)
         };
@@ -110,6 +120,16 @@ pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
             }
         }
     })
+}
+
+/// Where pieces of scenes are kept.
+fn pieces(folder: Option<&Path>, size: Option<Volume>) -> Result<Pieces, Failure> {
+    let Some(folder) = folder else {
+        return Ok(Pieces::memory(size.map_or(Pieces::IN_MEMORY, |size| size.0)));
+    };
+    let limit = size.map_or(Pieces::IN_FOLDER, |size| size.0);
+    let wrong = |e| failed(format!("--cache {}: {e}; give a folder that can be written", folder.display()));
+    Pieces::folder(folder, limit).map_err(wrong)
 }
 
 /// Wait for the coordinator: it may be starting too.

@@ -7,6 +7,7 @@ use crate::output::Say;
 use femc_import::{Bundle, Disk, ImportError, Loaded};
 use femc_pipeline::{Plan, PlanError, PrepareError, Settings, Stop};
 use femc_scene::Scene;
+use femc_worker::Parcel;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -83,7 +84,7 @@ impl Asked {
         })
     }
 
-    /// Name of the scene file within its folder: the entry of the bundle.
+    /// Name of the scene file within its folder.
     pub fn entry(&self) -> String {
         self.path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
     }
@@ -98,11 +99,11 @@ impl Asked {
         [self.plan.tiling.width, self.plan.tiling.height]
     }
 
-    /// All files of the scene as one artefact.
-    pub fn bundle(&self) -> Result<Vec<u8>, Failure> {
-        let cannot = |e: &dyn std::fmt::Display| failed(format!("{}: cannot be bundled: {e}", self.path.display()));
+    /// All files of the scene as artefacts.
+    pub fn parcel(&self) -> Result<Parcel, Failure> {
+        let cannot = |e: &dyn std::fmt::Display| failed(format!("{}: cannot be packed: {e}", self.path.display()));
         let bundle = Bundle::gather(&Disk::new(folder(&self.path)), &self.files).map_err(|e| cannot(&e))?;
-        bundle.encode().map_err(|e| cannot(&e))
+        Parcel::pack(&bundle).map_err(|e| cannot(&e))
     }
 }
 

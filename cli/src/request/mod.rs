@@ -2,7 +2,6 @@
 //! (which frames there are, which cameras) is resolved when the scene is known.
 
 mod asked;
-mod bytes;
 mod duration;
 mod frames;
 mod hours;
@@ -10,9 +9,9 @@ mod job_file;
 mod overrides;
 mod size;
 mod task;
+mod volume;
 
 pub use asked::{Asked, FramesChosen, beside, load};
-pub use bytes::Bytes;
 pub use duration::Budget;
 pub use frames::Frames;
 pub use hours::Hours;
@@ -20,3 +19,4 @@ pub use job_file::JobFile;
 pub use overrides::Override;
 pub use size::Size;
 pub use task::{JobTasks, Tasks};
+pub use volume::Volume;

@@ -1,6 +1,8 @@
 //! The real binary on small scenes in a temporary folder.
 #![allow(dead_code)] // every test file uses its own part of this
 
+pub mod outage;
+
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::time::{Duration, Instant};
@@ -197,6 +199,14 @@ impl Place {
     }
 }
 
+/// A coordinator on a free port with its log in `place` and these artefacts, and its address.
+pub fn coordinator_with(place: &Place, artifacts: &str) -> (Running, String) {
+    let line = format!("coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts {artifacts}");
+    let mut coordinator = place.start(&line);
+    let url = coordinator.address();
+    (coordinator, url)
+}
+
 /// A finished run.
 pub struct Ran {
     line: String,
@@ -306,6 +316,12 @@ impl Running {
     pub fn end(&mut self) -> Ran {
         let child = self.child.take().expect("not waited for yet");
         Ran { line: self.line.clone(), output: child.wait_with_output().expect("its output") }
+    }
+
+    /// The address that a coordinator prints.
+    pub fn address(&mut self) -> String {
+        let line = self.first_line();
+        line.split_whitespace().find(|word| word.starts_with("http://")).expect("the address").to_owned()
     }
 
     /// The first line that it prints on stdout.

@@ -9,7 +9,7 @@ use crate::{Digest, Grid};
 pub struct JobSpec {
     /// Name for people and for file names: the scene file's stem.
     pub name: String,
-    /// The scene bundle in the artefact store.
+    /// The scene in the artefact store: a [`Manifest`](crate::Manifest), which names the artefacts that hold its files.
     pub bundle: Digest,
     /// Path of the scene file within the bundle.
     pub entry: String,

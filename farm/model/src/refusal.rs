@@ -56,10 +56,32 @@ pub enum Refusal {
         /// The most there may be.
         limit: u64,
     },
+    /// The job needs artefacts that are not in the store.
+    #[error(
+        "the store lacks {count} of the artefacts that the job needs, as {}; upload them and submit again",
+        digests.first().map_or_else(String::new, ToString::to_string)
+    )]
+    MissingArtefacts {
+        /// Some of them: at most [`Refusal::MOST_NAMED`].
+        digests: Vec<Digest>,
+        /// How many there are.
+        count: u64,
+    },
+    /// The upload is elsewhere than its sender believes.
+    #[error("the upload goes on at byte {offset}")]
+    Resume {
+        /// The next byte that is wanted.
+        offset: u64,
+    },
     /// The coordinator is stopping, or its log or store does not answer: ask again later.
     #[error("not now: {message}")]
     Unavailable {
         /// Why.
         message: String,
     },
+}
+
+impl Refusal {
+    /// Most artefacts that a refusal names: it travels in a header.
+    pub const MOST_NAMED: usize = 64;
 }

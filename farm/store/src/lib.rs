@@ -1,14 +1,17 @@
 //! Artefacts by content: tiles, sums, images and scene bundles, named by the BLAKE3 digest of their bytes.
 //!
-//! Over `object_store`, so that a folder, memory and (later) an S3-compatible server behave alike. An artefact is written
+//! Over `object_store`, so that a folder, memory and an S3-compatible server behave alike. An artefact is written
 //! whole or not at all, never changed, and checked whenever it is read: one that is damaged is removed and reported as
 //! missing, so that whoever needs it has it made again.
 #![deny(missing_docs)]
 
+mod backend;
+mod error;
 mod upload;
 
 use std::path::Path as FilePath;
 use std::sync::Arc;
+use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
 use femc_model::{Artefact, Digest};
@@ -18,64 +21,72 @@ use object_store::path::Path;
 use object_store::{ObjectStore, ObjectStoreExt as _, PutMode, PutOptions};
 use tokio_stream::StreamExt as _;
 
+pub use error::StoreError;
 pub use object_store;
 pub use upload::Upload;
 
 /// Where artefacts live; clones share it.
 #[derive(Debug, Clone)]
 pub struct Store {
+    /// For messages.
+    name: Arc<str>,
     objects: Arc<dyn ObjectStore>,
+    /// Where the objects are files.
+    folder: Option<Arc<FilePath>>,
     limit: u64,
-}
-
-/// Why an artefact cannot be had or kept.
-#[derive(Debug, thiserror::Error)]
-pub enum StoreError {
-    /// It is not there, or what was there was damaged.
-    #[error("there is no artefact {digest}")]
-    Missing {
-        /// Which.
-        digest: Digest,
-    },
-    /// The bytes are others than announced.
-    #[error("the bytes are those of {found}, not of {announced}")]
-    Mismatch {
-        /// As announced.
-        announced: Digest,
-        /// As computed.
-        found: Digest,
-    },
-    /// Beyond the store's limit.
-    #[error("an artefact of more than {limit} bytes")]
-    TooLarge {
-        /// Bytes.
-        limit: u64,
-    },
-    /// The medium said no.
-    #[error("artefact store: {0}")]
-    Medium(#[from] object_store::Error),
 }
 
 impl Store {
     /// Most bytes of an artefact, unless [`Store::with_limit`] says otherwise.
     pub const LIMIT: u64 = 1 << 30;
+    /// Questions to the medium at a time.
+    const AT_ONCE: usize = 32;
+    /// Bytes that are asked of the medium at once.
+    const READ: u64 = 4 << 20;
 
     /// In a folder of this machine, which is made if it is not there; every artefact is synced to the disk.
     pub fn folder(path: &FilePath) -> Result<Self, StoreError> {
+        let name = path.display().to_string();
+        let wrong = |error| StoreError::Medium { store: name.clone(), error };
         std::fs::create_dir_all(path)
-            .map_err(|error| object_store::Error::Generic { store: "folder", source: Box::new(error) })?;
-        let files = LocalFileSystem::new_with_prefix(path)?.with_fsync(true);
-        Ok(Self { objects: Arc::new(files), limit: Self::LIMIT })
+            .map_err(|error| wrong(object_store::Error::Generic { store: "folder", source: Box::new(error) }))?;
+        let files = LocalFileSystem::new_with_prefix(path).map_err(wrong)?.with_fsync(true);
+        Ok(Self { folder: Some(path.into()), ..Self::on(&name, Arc::new(files)) })
     }
 
     /// In memory, as long as a clone lives.
     pub fn memory() -> Self {
-        Self::over(Arc::new(InMemory::new()))
+        Self::on("memory", Arc::new(InMemory::new()))
+    }
+
+    /// In a bucket: `s3://bucket/prefix`, with region, keys and endpoint from the usual `AWS_` variables. Nothing is asked of
+    /// the server yet; [`Store::probe`] does.
+    pub fn s3(url: &str) -> Result<Self, StoreError> {
+        Ok(Self::on(url, backend::s3::open(url)?))
     }
 
     /// Over any medium.
-    pub fn over(objects: Arc<dyn ObjectStore>) -> Self {
-        Self { objects, limit: Self::LIMIT }
+    pub fn over(name: &str, objects: Arc<dyn ObjectStore>) -> Self {
+        Self::on(name, objects)
+    }
+
+    fn on(name: &str, objects: Arc<dyn ObjectStore>) -> Self {
+        Self { name: name.into(), objects, folder: None, limit: Self::LIMIT }
+    }
+
+    pub(crate) fn medium(&self, error: object_store::Error) -> StoreError {
+        StoreError::Medium { store: self.name.to_string(), error }
+    }
+
+    /// Its name for people: a folder, an address, or `memory`.
+    pub fn name(&self) -> &str {
+        &self.name
+    }
+
+    /// Whether it is there and answers; waits for as long as it retries.
+    pub async fn probe(&self) -> Result<(), StoreError> {
+        let first = self.objects.list(None).next().await.transpose();
+        first.map(drop).map_err(|error| self.medium(error))
     }
 
     /// The same store with another limit of bytes an artefact.
@@ -98,20 +109,44 @@ impl Store {
         match self.objects.head(&place(digest)).await {
             Ok(meta) => Ok(Some(meta.size)),
             Err(object_store::Error::NotFound { .. }) => Ok(None),
-            Err(error) => Err(error.into()),
+            Err(error) => Err(self.medium(error)),
         }
+    }
+
+    /// Those of `digests` that are not there, in their order; asks for several at once.
+    pub async fn missing(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
+        let mut missing = Vec::new();
+        for some in digests.chunks(Self::AT_ONCE) {
+            let ask = |digest: Digest| {
+                let store = self.clone();
+                tokio::spawn(async move { store.has(&digest).await })
+            };
+            let asked: Vec<_> = some.iter().copied().map(ask).collect();
+            for (digest, asked) in some.iter().zip(asked) {
+                // One that panicked knows nothing.
+                if !asked.await.unwrap_or(Ok(false))? {
+                    missing.push(*digest);
+                }
+            }
+        }
+        Ok(missing)
     }
 
     /// Keeps `bytes`; what is there already is left alone.
     pub async fn put(&self, bytes: Bytes) -> Result<Artefact, StoreError> {
+        Ok(self.keep(bytes).await?.0)
+    }
+
+    pub(crate) async fn keep(&self, bytes: Bytes) -> Result<(Artefact, Novelty), StoreError> {
         if bytes.len() as u64 > self.limit {
             return Err(StoreError::TooLarge { limit: self.limit });
         }
         let artefact = Artefact::of(&bytes);
         let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
         match self.objects.put_opts(&place(&artefact.digest), bytes.into(), options).await {
-            Ok(_) | Err(object_store::Error::AlreadyExists { .. }) => Ok(artefact),
-            Err(error) => Err(error.into()),
+            Ok(_) => Ok((artefact, Novelty::New)),
+            Err(object_store::Error::AlreadyExists { .. }) => Ok((artefact, Novelty::Older)),
+            Err(error) => Err(self.medium(error)),
         }
     }
 
@@ -124,9 +159,9 @@ impl Store {
     pub async fn get(&self, digest: &Digest) -> Result<Bytes, StoreError> {
         let result = match self.objects.get(&place(digest)).await {
             Err(object_store::Error::NotFound { .. }) => return Err(StoreError::Missing { digest: *digest }),
-            other => other?,
+            other => other.map_err(|error| self.medium(error))?,
         };
-        let bytes = result.bytes().await?;
+        let bytes = result.bytes().await.map_err(|error| self.medium(error))?;
         if Digest::of(&bytes) != *digest {
             self.remove(digest).await?;
             return Err(StoreError::Missing { digest: *digest });
@@ -140,16 +175,22 @@ impl Store {
         &self,
         digest: &Digest,
         offset: u64,
-        piece: u64,
+        piece: usize,
         out: &tokio::sync::mpsc::Sender<Result<Bytes, StoreError>>,
     ) -> Result<(), StoreError> {
         let size = self.size(digest).await?.ok_or(StoreError::Missing { digest: *digest })?;
         let mut at = offset;
         while at < size {
-            let end = size.min(at + piece.max(1));
-            let bytes = self.objects.get_range(&place(digest), at..end).await?;
-            if out.send(Ok(bytes)).await.is_err() {
-                break;
+            let end = size.min(at + Self::READ);
+            let mut block = match self.objects.get_range(&place(digest), at..end).await {
+                Err(object_store::Error::NotFound { .. }) => return Err(StoreError::Missing { digest: *digest }),
+                other => other.map_err(|error| self.medium(error))?,
+            };
+            while !block.is_empty() {
+                let bytes = block.split_to(block.len().min(piece.max(1)));
+                if out.send(Ok(bytes)).await.is_err() {
+                    return Ok(());
+                }
             }
             at = end;
         }
@@ -160,23 +201,71 @@ impl Store {
     pub async fn remove(&self, digest: &Digest) -> Result<(), StoreError> {
         match self.objects.delete(&place(digest)).await {
             Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
-            Err(error) => Err(error.into()),
+            Err(error) => Err(self.medium(error)),
         }
     }
 
     /// Every artefact that is there, in no order.
     pub async fn list(&self) -> Result<Vec<Artefact>, StoreError> {
+        Ok(self.listing().await?.into_iter().map(|stored| stored.artefact).collect())
+    }
+
+    /// The same with the times at which they were kept, by the medium's clock.
+    pub async fn listing(&self) -> Result<Vec<Stored>, StoreError> {
         let mut objects = self.objects.list(None);
         let mut all = Vec::new();
         while let Some(meta) = objects.next().await {
-            let meta = meta?;
+            let meta = meta.map_err(|error| self.medium(error))?;
             let name: String = meta.location.parts().map(|part| part.as_ref().to_owned()).collect();
             if let Ok(digest) = name.parse() {
-                all.push(Artefact { digest, bytes: meta.size });
+                let artefact = Artefact { digest, bytes: meta.size };
+                all.push(Stored { artefact, kept: meta.last_modified.into() });
             }
         }
         Ok(all)
     }
+
+    /// Files of uploads that have not got on for `idle`: their number and their bytes. A bucket has a rule of its own for
+    /// such.
+    pub async fn sweep_uploads(&self, idle: Duration, sweep: Sweep) -> Result<(u64, u64), StoreError> {
+        let Some(folder) = self.folder.clone() else { return Ok((0, 0)) };
+        let work = move || {
+            let staged = backend::folder::staged(&folder, idle)?;
+            if sweep == Sweep::Remove {
+                staged.iter().try_for_each(|(path, _)| backend::folder::remove(path))?;
+            }
+            Ok((staged.len() as u64, staged.iter().map(|(_, bytes)| bytes).sum()))
+        };
+        let swept = tokio::task::spawn_blocking(work).await.unwrap_or_else(|panic| Err(std::io::Error::other(panic)));
+        swept.map_err(|error| self.medium(object_store::Error::Generic { store: "folder", source: Box::new(error) }))
+    }
+}
+
+/// How old an artefact is that has just been put.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Novelty {
+    /// As old as this.
+    New,
+    /// Perhaps older: it was there before, or came in parts (S3 counts from the first of them).
+    Older,
+}
+
+/// Whether something goes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Sweep {
+    /// It is only counted.
+    Count,
+    /// It goes.
+    Remove,
+}
+
+/// An artefact in the store.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Stored {
+    /// Which.
+    pub artefact: Artefact,
+    /// Since when.
+    pub kept: SystemTime,
 }
 
 /// Two digits for the folder, the rest for the file: no folder grows too large.

@@ -1,10 +1,10 @@
 //! An artefact that comes in pieces: hashed on the way, kept only if it is what was announced.
 
-use bytes::{Bytes, BytesMut};
+use bytes::BytesMut;
 use femc_model::{Artefact, Digest};
 use object_store::{MultipartUpload, ObjectStoreExt as _};
 
-use crate::{Store, StoreError, place};
+use crate::{Novelty, Store, StoreError, place};
 
 /// Bytes kept in memory before they go to the medium; S3 wants at least 5 MiB a part.
 const PART: usize = 8 << 20;
@@ -24,7 +24,17 @@ impl Upload {
         Self { store, announced, hash: blake3::Hasher::new(), held: BytesMut::new(), size: 0, parts: None }
     }
 
-    /// Takes the next piece.
+    /// Bytes taken so far.
+    pub fn size(&self) -> u64 {
+        self.size
+    }
+
+    /// Forgets it, and what of it lies on the medium.
+    pub async fn abandon(mut self) {
+        self.abort().await;
+    }
+
+    /// Takes the next piece. After an error the upload is of no use any more.
     pub async fn write(&mut self, piece: &[u8]) -> Result<(), StoreError> {
         self.size += piece.len() as u64;
         if self.size > self.store.limit {
@@ -33,7 +43,7 @@ impl Upload {
         }
         self.hash.update(piece);
         self.held.extend_from_slice(piece);
-        if self.held.len() >= PART {
+        while self.held.len() >= PART {
             self.flush().await?;
         }
         Ok(())
@@ -42,10 +52,14 @@ impl Upload {
     async fn flush(&mut self) -> Result<(), StoreError> {
         let parts = match &mut self.parts {
             Some(parts) => parts,
-            None => self.parts.insert(self.store.objects.put_multipart(&place(&self.announced)).await?),
+            None => {
+                let begun = self.store.objects.put_multipart(&place(&self.announced)).await;
+                self.parts.insert(begun.map_err(|error| self.store.medium(error))?)
+            }
         };
-        parts.put_part(Bytes::from(self.held.split()).into()).await?;
-        Ok(())
+        // Parts of one size: some servers want that. The last may be shorter.
+        let part = self.held.split_to(self.held.len().min(PART)).freeze();
+        parts.put_part(part.into()).await.map_err(|error| self.store.medium(error))
     }
 
     async fn abort(&mut self) {
@@ -55,23 +69,23 @@ impl Upload {
         }
     }
 
-    /// Keeps the artefact, if its bytes are those announced.
-    pub async fn finish(mut self) -> Result<Artefact, StoreError> {
+    /// Keeps the artefact, if its bytes are those announced. A large one takes the place of one that is there.
+    pub async fn finish(mut self) -> Result<(Artefact, Novelty), StoreError> {
         let found = Digest::from_bytes(*self.hash.finalize().as_bytes());
         if found != self.announced {
             self.abort().await;
             return Err(StoreError::Mismatch { announced: self.announced, found });
         }
         if self.parts.is_none() {
-            return self.store.put(self.held.freeze()).await;
+            return self.store.keep(self.held.freeze()).await;
         }
         if !self.held.is_empty() {
             self.flush().await?;
         }
         if let Some(mut parts) = self.parts.take() {
-            parts.complete().await?;
+            parts.complete().await.map_err(|error| self.store.medium(error))?;
         }
-        Ok(Artefact { digest: found, bytes: self.size })
+        Ok((Artefact { digest: found, bytes: self.size }, Novelty::Older))
     }
 }
 

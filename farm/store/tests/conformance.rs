@@ -1,8 +1,10 @@
 //! What every artefact store must do.
 
+use std::time::Duration;
+
 use bytes::Bytes;
 use femc_model::{Artefact, Digest};
-use femc_store::{Store, StoreError};
+use femc_store::{Novelty, Store, StoreError, Sweep};
 
 async fn conforms(store: &Store) {
     let bytes = Bytes::from_static(b"a tile");
@@ -15,6 +17,14 @@ async fn conforms(store: &Store) {
     assert_eq!(store.size(&digest).await.unwrap(), Some(6));
     assert_eq!(store.list().await.unwrap(), [Artefact { digest, bytes: 6 }]);
 
+    let listing = store.listing().await.unwrap();
+    let age = listing[0].kept.elapsed().unwrap_or_default();
+    assert!(listing.len() == 1 && age.as_secs() < 3600, "kept just now, give or take the clocks: {listing:?}");
+
+    let others: Vec<Digest> = (0..100u8).map(|i| Digest::of(&[i])).collect();
+    let asked: Vec<Digest> = others.iter().take(50).chain([&digest]).chain(&others[50..]).copied().collect();
+    assert_eq!(store.missing(&asked).await.unwrap(), others);
+
     // Larger than a part, and not a multiple of one.
     let large: Vec<u8> = (0..20_000_003u32).map(|i| (i * 7 + i / 251) as u8).collect();
     let digest = Digest::of(&large);
@@ -23,7 +33,8 @@ async fn conforms(store: &Store) {
         upload.write(piece).await.unwrap();
     }
     assert!(!store.has(&digest).await.unwrap(), "not there before it is whole");
-    assert_eq!(upload.finish().await.unwrap().bytes, large.len() as u64);
+    let whole = Artefact { digest, bytes: large.len() as u64 };
+    assert_eq!(upload.finish().await.unwrap(), (whole, Novelty::Older));
     assert_eq!(store.get(&digest).await.unwrap(), large);
     let (send, mut receive) = tokio::sync::mpsc::channel(64);
     store.read(&digest, 19_000_000, 400_000, &send).await.unwrap();
@@ -54,6 +65,54 @@ async fn conforms(store: &Store) {
     store.remove(&digest).await.unwrap();
     store.remove(&digest).await.unwrap();
     assert!(!store.has(&digest).await.unwrap());
+
+    for novelty in [Novelty::New, Novelty::Older] {
+        let mut upload = store.upload(Digest::of(b"small"));
+        upload.write(b"small").await.unwrap();
+        assert_eq!(upload.finish().await.unwrap(), (Artefact::of(b"small"), novelty));
+    }
+
+    // Two who put the same at the same time both have it.
+    let same = Bytes::from(vec![7; 300_000]);
+    let both = tokio::join!(store.put(same.clone()), store.put(same.clone()));
+    assert_eq!(both.0.unwrap(), both.1.unwrap());
+    assert_eq!(store.get(&Digest::of(&same)).await.unwrap(), same);
+}
+
+/// A place of its own on the S3 server that `tests/s3` starts.
+fn s3(name: &str) -> Option<Store> {
+    let Ok(bucket) = std::env::var("FEMC_TEST_S3") else {
+        println!("skipped: FEMC_TEST_S3 is not set (tests/s3 runs them)");
+        return None;
+    };
+    Some(Store::s3(&format!("{bucket}/{name}/{}", std::process::id())).unwrap())
+}
+
+#[tokio::test]
+async fn an_s3_server_conforms() {
+    let Some(store) = s3("conforms") else { return };
+    store.probe().await.unwrap();
+    conforms(&store).await;
+}
+
+#[tokio::test]
+async fn two_prefixes_of_a_bucket_are_two_stores() {
+    let (Some(one), Some(two)) = (s3("one"), s3("two")) else { return };
+    let artefact = one.put(Bytes::from_static(b"a tile")).await.unwrap();
+    assert_eq!((one.list().await.unwrap(), two.list().await.unwrap()), (vec![artefact], vec![]));
+}
+
+#[tokio::test]
+async fn a_store_that_is_away_is_named_with_the_cause_and_nothing_is_called_missing() {
+    let Some(store) = s3("no-such-bucket") else { return };
+    // What the bucket's name is may not be known to the server.
+    let url = store.name().replace("femc-test", "femc-nowhere");
+    let away = Store::s3(&url).unwrap();
+    let bytes = Bytes::from_static(b"a tile");
+    for error in [away.probe().await.unwrap_err(), away.put(bytes).await.unwrap_err()] {
+        assert!(matches!(error, StoreError::Medium { .. }), "{error}");
+        assert!(error.to_string().contains(&url) && error.to_string().contains("NoSuchBucket"), "{error}");
+    }
 }
 
 #[tokio::test]
@@ -79,4 +138,24 @@ async fn a_damaged_artefact_is_missing_and_can_be_put_again() {
     assert!(!store.has(&digest).await.unwrap());
     store.put(bytes.clone()).await.unwrap();
     assert_eq!(store.get(&digest).await.unwrap(), bytes);
+}
+
+#[tokio::test]
+async fn the_file_of_an_upload_that_nobody_finished_is_found_and_nothing_else() {
+    let folder = tempfile::tempdir().unwrap();
+    let store = Store::folder(folder.path()).unwrap();
+    store.put(Bytes::from_static(b"a tile")).await.unwrap();
+    std::fs::write(folder.path().join("a person's note #1"), "stays").unwrap();
+    let mut upload = store.upload(Digest::of(b"large"));
+    upload.write(&[7; 9_000_000]).await.unwrap();
+    // As if its process had been killed.
+    std::mem::forget(upload);
+    let (now, hour) = (Duration::ZERO, Duration::from_secs(3600));
+    assert_eq!(store.sweep_uploads(hour, Sweep::Remove).await.unwrap(), (0, 0));
+    assert_eq!(store.sweep_uploads(now, Sweep::Count).await.unwrap(), (1, 8 << 20));
+    assert_eq!(store.sweep_uploads(now, Sweep::Remove).await.unwrap(), (1, 8 << 20));
+    assert_eq!(store.sweep_uploads(now, Sweep::Count).await.unwrap(), (0, 0));
+    assert_eq!(store.list().await.unwrap().len(), 1);
+    assert!(folder.path().join("a person's note #1").exists());
+    assert_eq!(Store::memory().sweep_uploads(now, Sweep::Remove).await.unwrap(), (0, 0));
 }

@@ -5,7 +5,7 @@ use femc_model::{Failure, JobId, Refusal};
 use super::{ConvertError, digest, digest_bytes, need};
 use crate::wire;
 use wire::failure::{Cause, Lost, Text};
-use wire::refusal::{Field, Limit, Reason};
+use wire::refusal::{Field, Lacking, Limit, Reason};
 
 impl From<Failure> for wire::Failure {
     fn from(failure: Failure) -> Self {
@@ -58,6 +58,10 @@ impl From<Refusal> for wire::Refusal {
                 Refusal::NoSuchArtefact { digest } => Reason::NoSuchArtefact(digest_bytes(&digest)),
                 Refusal::DigestMismatch { digest } => Reason::DigestMismatch(digest_bytes(&digest)),
                 Refusal::TooLarge { what, limit } => Reason::TooLarge(Limit { what, limit }),
+                Refusal::MissingArtefacts { digests, count } => {
+                    Reason::MissingArtefacts(Lacking { digests: digests.iter().map(digest_bytes).collect(), count })
+                }
+                Refusal::Resume { offset } => Reason::Resume(offset),
                 Refusal::Unavailable { message } => Reason::Unavailable(message),
                 Refusal::NoSuchWorker { worker } => Reason::NoSuchWorker(worker),
             }),
@@ -77,6 +81,11 @@ impl TryFrom<wire::Refusal> for Refusal {
             Reason::NoSuchArtefact(bytes) => Self::NoSuchArtefact { digest: digest("refusal.artefact", &bytes)? },
             Reason::DigestMismatch(bytes) => Self::DigestMismatch { digest: digest("refusal.mismatch", &bytes)? },
             Reason::TooLarge(Limit { what, limit }) => Self::TooLarge { what, limit },
+            Reason::MissingArtefacts(Lacking { digests, count }) => {
+                let digests = digests.iter().map(|bytes| digest("refusal.missing", bytes)).collect::<Result<_, _>>()?;
+                Self::MissingArtefacts { digests, count }
+            }
+            Reason::Resume(offset) => Self::Resume { offset },
             Reason::Unavailable(message) => Self::Unavailable { message },
             Reason::NoSuchWorker(worker) => Self::NoSuchWorker { worker },
         })

@@ -1,5 +1,6 @@
 //! Wire types to and from the farm's. Out is total; in is checked.
 
+mod collect;
 mod failure;
 mod job;
 mod log;
@@ -13,6 +14,7 @@ use bytes::Bytes;
 use femc_model::{Artefact, Digest};
 
 use crate::wire;
+pub(crate) use collect::collect_mode;
 
 /// A message that makes no sense.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]

@@ -72,6 +72,8 @@ fn refusals() -> Vec<Refusal> {
         Refusal::NoSuchArtefact { digest: digest() },
         Refusal::DigestMismatch { digest: digest() },
         Refusal::TooLarge { what: "w".into(), limit: 9 },
+        Refusal::MissingArtefacts { digests: vec![digest(); Refusal::MOST_NAMED], count: 70 },
+        Refusal::Resume { offset: 5 },
         Refusal::Unavailable { message: "m".into() },
         Refusal::NoSuchWorker { worker: "w".into() },
     ]

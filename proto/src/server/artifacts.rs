@@ -1,17 +1,18 @@
 //! The service `Artifacts`: straight to the store, past the scheduler.
 
 use std::pin::Pin;
+use std::time::Duration;
 
 use bytes::Bytes;
-use femc_model::Refusal;
-use femc_store::StoreError;
+use femc_model::{Artefact, Refusal};
+use femc_store::{Novelty, StoreError};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt as _};
 use tonic::{Request, Response, Status, Streaming};
 
-use super::Server;
-use crate::convert::{digest, need};
+use super::{Server, collect};
+use crate::convert::{self, digest, digest_bytes, need};
 use crate::error::to_status;
 use crate::{PIECE, wire};
 use wire::put_request::Part;
@@ -26,30 +27,36 @@ impl wire::artifacts_server::Artifacts for Server {
         if asked.len() > DIGESTS {
             return Err(to_status(&Refusal::TooLarge { what: "digests".into(), limit: DIGESTS as u64 }));
         }
-        let mut digests = Vec::new();
-        for bytes in asked {
-            if !self.store.has(&digest("digest", &bytes)?).await.map_err(|error| refuse(&error))? {
-                digests.push(bytes);
-            }
-        }
+        let digests = asked.iter().map(|bytes| digest("digest", bytes)).collect::<Result<Vec<_>, _>>()?;
+        self.promised.note(&digests).await;
+        let missing = self.store.missing(&digests).await.map_err(|error| refuse(&error))?;
+        let digests = missing.iter().map(digest_bytes).collect();
         Ok(Response::new(wire::MissingReply { digests }))
     }
 
+    async fn offer(&self, request: Request<wire::OfferRequest>) -> Result<Response<wire::OfferReply>, Status> {
+        use wire::offer_reply::Answer;
+        let name = digest("digest", &request.into_inner().digest)?;
+        self.promised.note(&[name]).await;
+        // Before the store is asked: an upload that is being finished is waited for.
+        let from = self.uploads.size(&name).await;
+        let is_there = self.store.has(&name).await.map_err(|error| refuse(&error))?;
+        let answer = if is_there { Answer::There(wire::Empty {}) } else { Answer::From(from) };
+        Ok(Response::new(wire::OfferReply { answer: Some(answer) }))
+    }
+
     async fn put(&self, request: Request<Streaming<wire::PutRequest>>) -> Result<Response<wire::PutReply>, Status> {
-        let mut parts = request.into_inner();
-        let first = parts.message().await?.and_then(|first| first.part);
-        let Part::Digest(announced) = need("digest", first)? else {
-            return Err(Status::invalid_argument("the digest comes first"));
-        };
-        let mut upload = self.store.upload(digest("digest", &announced)?);
-        while let Some(part) = parts.message().await? {
-            let Part::Piece(piece) = need("piece", part.part)? else {
-                return Err(Status::invalid_argument("only one digest"));
-            };
-            upload.write(&piece).await.map_err(|error| refuse(&error))?;
-        }
-        let artefact = upload.finish().await.map_err(|error| refuse(&error))?;
+        // In a task of its own: what has come of an upload is taken in to the last byte also when its sender is gone.
+        let put = tokio::spawn(put(self.clone(), request.into_inner()));
+        let artefact = put.await.map_err(|error| Status::internal(error.to_string()))??;
         Ok(Response::new(wire::PutReply { artefact: Some(artefact.into()) }))
+    }
+
+    async fn collect(&self, request: Request<wire::CollectRequest>) -> Result<Response<wire::CollectReply>, Status> {
+        let request = request.into_inner();
+        let mode = convert::collect_mode(request.mode)?;
+        let collected = collect::collect(self, mode, Duration::from_millis(request.grace)).await;
+        Ok(Response::new(collected.map_err(|no| to_status(&no))?.into()))
     }
 
     type GetStream = Pin<Box<dyn Stream<Item = Result<wire::GetReply, Status>> + Send>>;
@@ -63,7 +70,7 @@ impl wire::artifacts_server::Artifacts for Server {
         let store = self.store.clone();
         let (send, receive) = mpsc::channel::<Result<Bytes, StoreError>>(4);
         tokio::spawn(async move {
-            if let Err(error) = store.read(&name, offset, PIECE as u64, &send).await {
+            if let Err(error) = store.read(&name, offset, PIECE, &send).await {
                 let _ = send.send(Err(error)).await;
             }
         });
@@ -73,11 +80,39 @@ impl wire::artifacts_server::Artifacts for Server {
     }
 }
 
-fn refuse(error: &StoreError) -> Status {
-    to_status(&match error {
+async fn put(server: Server, mut parts: Streaming<wire::PutRequest>) -> Result<Artefact, Status> {
+    let first = need("digest", parts.message().await?)?;
+    let Part::Digest(announced) = need("digest", first.part)? else {
+        return Err(Status::invalid_argument("the digest comes first"));
+    };
+    let announced = digest("digest", &announced)?;
+    server.promised.note(&[announced]).await;
+    let upload = server.uploads.take(&server.store, announced, first.offset).await.map_err(|no| to_status(&no))?;
+    while let Some(part) = parts.message().await? {
+        let Part::Piece(piece) = need("piece", part.part)? else {
+            return Err(Status::invalid_argument("only one digest"));
+        };
+        upload.write(&piece).await.map_err(|no| to_status(&no))?;
+    }
+    // Again: it may have taken long, and bytes that are there already keep their age.
+    server.promised.note(&[announced]).await;
+    let (artefact, novelty) = upload.finish().await.map_err(|no| to_status(&no))?;
+    if novelty == Novelty::New {
+        // Its age keeps it.
+        server.promised.forget(&announced);
+    }
+    Ok(artefact)
+}
+
+pub(super) fn refuse(error: &StoreError) -> Status {
+    to_status(&refusal(error))
+}
+
+pub(super) fn refusal(error: &StoreError) -> Refusal {
+    match error {
         StoreError::Missing { digest } => Refusal::NoSuchArtefact { digest: *digest },
         StoreError::Mismatch { announced, .. } => Refusal::DigestMismatch { digest: *announced },
         StoreError::TooLarge { limit } => Refusal::TooLarge { what: "artefact".into(), limit: *limit },
-        StoreError::Medium(error) => Refusal::Unavailable { message: error.to_string() },
-    })
+        StoreError::Medium { .. } | StoreError::Url { .. } => Refusal::Unavailable { message: error.to_string() },
+    }
 }

@@ -2,14 +2,15 @@
 
 use std::pin::Pin;
 
-use femc_model::{JobId, JobStatus, Tick};
+use femc_model::{JobId, JobSpec, JobStatus, Tick};
 use tokio::sync::{mpsc, watch};
 use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
-use super::{Call, Server};
+use super::{Call, Server, inputs};
 use crate::convert::need;
+use crate::error::to_status;
 use crate::wire;
 
 type Answer<T> = Result<Response<T>, Status>;
@@ -18,7 +19,8 @@ type Answer<T> = Result<Response<T>, Status>;
 impl wire::jobs_server::Jobs for Server {
     async fn submit(&self, request: Request<wire::SubmitRequest>) -> Answer<wire::SubmitReply> {
         let wire::SubmitRequest { job, key } = request.into_inner();
-        let spec = Box::new(need("job", job)?.try_into()?);
+        let spec: Box<JobSpec> = Box::new(need("job", job)?.try_into()?);
+        inputs::check(&self.store, &self.promised, &spec.bundle).await.map_err(|no| to_status(&no))?;
         let JobId(job) = self.ask(|reply| Call::Submit { key, spec, reply }).await?;
         Ok(Response::new(wire::SubmitReply { job }))
     }

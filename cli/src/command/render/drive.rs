@@ -10,7 +10,8 @@ use crate::command::interrupt::Interrupt;
 use crate::exit::{Failure, failed, interrupted};
 use crate::output::{Progress, Say, job as show};
 use crate::request::Asked;
-use femc_model::{Artefact, Control, FrameRecord, JobId, JobState};
+use femc_model::{Control, FrameRecord, JobId, JobState};
+use femc_worker::Parcel;
 use std::collections::{BTreeMap, btree_map::Entry};
 use std::time::Duration;
 
@@ -29,7 +30,7 @@ pub struct Order<'a> {
     /// Those that are not there yet.
     pub missing: Vec<u32>,
     /// The scene's files.
-    pub bundle: Vec<u8>,
+    pub scene: Parcel,
 }
 
 /// Render the missing frames.
@@ -60,8 +61,7 @@ async fn frames(
     interrupt: &mut Interrupt,
     say: Say,
 ) -> Result<Vec<FrameReport>, Failure> {
-    let bundle = farm.put(order.bundle.clone()).await?;
-    let job = job(order, farm, state, bundle).await?;
+    let job = job(order, farm, state).await?;
     let (mut written, mut seen) = (BTreeMap::new(), 0);
     let mut progress = Progress::new(say, Clock);
     let mut look = FIRST_LOOK;
@@ -105,11 +105,11 @@ async fn frames(
 }
 
 /// The job that a run before this one left, if it is of these frames, else a new one.
-async fn job(order: &Order<'_>, farm: &Farm, state: &State, bundle: Artefact) -> Result<JobId, Failure> {
+async fn job(order: &Order<'_>, farm: &Farm, state: &State) -> Result<JobId, Failure> {
     let frames = state.frames().filter(|frames| order.fit(frames)).unwrap_or_else(|| order.missing.clone());
     state.keep_frames(&frames)?;
-    let spec = client::job_spec(order.asked, bundle, frames)?;
-    let job = farm.submit(Some(spec.key()), spec).await?;
+    let spec = client::job_spec(order.asked, &order.scene, frames)?;
+    let (job, _) = farm.submit(&order.scene, Some(spec.key()), spec).await?;
     for other in farm.jobs().await? {
         match other.state {
             JobState::Paused if other.job == job => farm.control(job, Control::Resume).await?,

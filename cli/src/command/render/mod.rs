@@ -16,7 +16,6 @@ use crate::output::{Say, human, json};
 use crate::request::Asked;
 use clap::Args;
 use drive::Order;
-use femc_model::Digest;
 use report::{FrameReport, Report};
 use state::{Found, Identity, Old, State};
 use std::collections::BTreeMap;
@@ -85,7 +84,7 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
         say.note(format!("{}: finished before, with this scene and these settings", target.display()));
     } else {
         let old = if args.fresh { Old::Discard } else { Old::Keep };
-        let order = Order { asked: &asked, target: &target, frames: &frames, missing, bundle: asked.bundle()? };
+        let order = Order { asked: &asked, target: &target, frames: &frames, missing, scene: asked.parcel()? };
         let rendered = render(&order, old, say)?;
         done.extend(rendered.into_iter().map(|frame| (frame.frame, frame)));
     }
@@ -104,10 +103,10 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
 
 /// Render what is missing, from the state beside the output if there is one of this scene and these settings.
 fn render(order: &Order<'_>, old: Old, say: Say) -> Result<Vec<FrameReport>, Failure> {
-    let Order { asked, target, frames, missing, bundle } = order;
+    let Order { asked, target, frames, missing, scene } = order;
     let identity = Identity {
         version: env!("CARGO_PKG_VERSION").to_owned(),
-        bundle: Digest::of(bundle).to_string(),
+        bundle: scene.digest().to_string(),
         settings: serde_json::to_value(&asked.settings).map_err(failed)?,
     };
     let (state, found) = State::open(&target.state(), &identity, old)?;

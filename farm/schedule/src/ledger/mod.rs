@@ -126,6 +126,20 @@ impl Ledger {
         self.annex.each_artefact(see);
     }
 
+    /// Every artefact that is named: scenes, frames in work, finished frames, logs.
+    pub fn references(&self) -> BTreeSet<Digest> {
+        let mut all = BTreeSet::new();
+        self.each_artefact(|digest| {
+            all.insert(digest);
+        });
+        all
+    }
+
+    /// The scenes of all jobs: what each of them names belongs to the job, too.
+    pub fn scenes(&self) -> BTreeSet<Digest> {
+        self.jobs.values().map(|job| job.spec.bundle).collect()
+    }
+
     /// Version and content, for a snapshot.
     pub fn encode(&self) -> Result<Vec<u8>, SnapshotError> {
         Ok(postcard::to_extend(&self.annex, encode(self)?)?)

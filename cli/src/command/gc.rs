@@ -1,0 +1,78 @@
+//! `femc gc`: remove from the farm's store what no job refers to.
+
+use super::client;
+use crate::args::{FormatArgs, ServerArgs};
+use crate::exit::{Exit, Failure};
+use crate::output::{Say, human, json};
+use crate::request::Budget;
+use clap::Args;
+use femc_proto::{CollectMode, Collected, Volume};
+use serde::Serialize;
+use std::time::Duration;
+
+/// Remove from the farm's store what no job refers to
+///
+/// Scenes, frames in work and finished frames of all jobs stay, also of jobs that have ended. What goes: uploads whose job was
+/// never submitted, and what a coordinator that was killed had no time to remove.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc gc --dry-run\n  \
+    femc gc --grace 24h\n  \
+    femc gc --dry-run --json | jq '.garbage.bytes'")]
+pub struct GcArgs {
+    /// Remove nothing, say what would go
+    #[arg(long)]
+    dry_run: bool,
+    /// What is younger stays: it may belong to a submission or a result under way; at least 60s
+    #[arg(long, value_name = "DURATION", default_value = "1h")]
+    grace: Budget,
+    #[command(flatten)]
+    format: FormatArgs,
+    #[command(flatten)]
+    server: ServerArgs,
+}
+
+#[derive(Serialize)]
+struct VolumeJson {
+    artefacts: u64,
+    bytes: u64,
+}
+
+impl From<Volume> for VolumeJson {
+    fn from(Volume { artefacts, bytes }: Volume) -> Self {
+        Self { artefacts, bytes }
+    }
+}
+
+#[derive(Serialize)]
+struct Report {
+    dry_run: bool,
+    referenced: VolumeJson,
+    young: VolumeJson,
+    garbage: VolumeJson,
+    names: Vec<String>,
+}
+
+/// Collect.
+pub fn run(args: &GcArgs, say: Say) -> Result<Exit, Failure> {
+    let mode = if args.dry_run { CollectMode::DryRun } else { CollectMode::Remove };
+    let grace = Duration::try_from_secs_f64(args.grace.seconds).unwrap_or(Duration::MAX);
+    let collected = client::block_on(&args.server, async |farm| farm.collect(mode, grace).await)?;
+    let Collected { referenced, young, garbage, names } = collected;
+    if args.format.json {
+        let names = names.iter().map(|artefact| artefact.digest.to_string()).collect();
+        let [referenced, young, garbage] = [referenced, young, garbage].map(VolumeJson::from);
+        json::print(say, &Report { dry_run: args.dry_run, referenced, young, garbage, names })?;
+        return Ok(Exit::Done);
+    }
+    let told = |volume: Volume| {
+        format!("{}, {}B", human::count(volume.artefacts, "artefact"), human::quantity(volume.bytes as f64))
+    };
+    let what = match mode {
+        CollectMode::DryRun => "would be removed",
+        CollectMode::Remove => "removed",
+    };
+    say.result(format!("{what}: {}", told(garbage)));
+    say.note(format!("kept: {} that jobs refer to; {} too young to tell", told(referenced), told(young)));
+    Ok(Exit::Done)
+}

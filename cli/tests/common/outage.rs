@@ -1,0 +1,76 @@
+//! A server that can be made to go away, seen from those who reach it through here.
+
+use std::io::{Read, Write};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex};
+
+/// Between clients and a server, on threads of its own.
+pub struct Outage {
+    /// Where clients find the server.
+    pub url: String,
+    state: Arc<State>,
+}
+
+#[derive(Default)]
+struct State {
+    /// `None` while the server is away.
+    connections: Mutex<Option<Vec<TcpStream>>>,
+    refused: AtomicUsize,
+}
+
+impl Outage {
+    /// In front of the server at `url`, like `http://127.0.0.1:9000`.
+    pub fn of(url: &str) -> Self {
+        let server = url.trim_start_matches("http://").trim_end_matches('/').to_owned();
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let url = format!("http://{}", listener.local_addr().expect("an address"));
+        let state = Arc::new(State { connections: Mutex::new(Some(Vec::new())), ..State::default() });
+        let shared = state.clone();
+        std::thread::spawn(move || listener.incoming().flatten().for_each(|client| connect(client, &server, &shared)));
+        Self { url, state }
+    }
+
+    /// Breaks all connections and refuses new ones.
+    pub fn begin(&self) {
+        let connections = self.state.connections.lock().expect("no panic").take();
+        for connection in connections.into_iter().flatten() {
+            // It may be over already.
+            let _ = connection.shutdown(Shutdown::Both);
+        }
+    }
+
+    /// The server is back.
+    pub fn end(&self) {
+        *self.state.connections.lock().expect("no panic") = Some(Vec::new());
+    }
+
+    /// Connections refused so far.
+    pub fn refused(&self) -> usize {
+        self.state.refused.load(Ordering::SeqCst)
+    }
+}
+
+fn connect(client: TcpStream, server: &str, state: &State) {
+    let mut connections = state.connections.lock().expect("no panic");
+    let (Some(open), Ok(server)) = (&mut *connections, TcpStream::connect(server)) else {
+        state.refused.fetch_add(1, Ordering::SeqCst);
+        return;
+    };
+    let clone = |stream: &TcpStream| stream.try_clone().expect("another handle");
+    open.extend([clone(&client), clone(&server)]);
+    let (up, down) = ((clone(&client), clone(&server)), (server, client));
+    for (from, to) in [up, down] {
+        std::thread::spawn(move || pump(from, to));
+    }
+}
+
+fn pump(mut from: TcpStream, mut to: TcpStream) {
+    let mut buffer = vec![0; 1 << 16];
+    while let Ok(read @ 1..) = from.read(&mut buffer) {
+        if to.write_all(&buffer[..read]).is_err() {
+            break;
+        }
+    }
+    let _ = to.shutdown(Shutdown::Both);
+}

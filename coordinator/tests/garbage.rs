@@ -1,0 +1,170 @@
+//! What `femc gc` removes, and what it must never.
+
+use std::path::Path;
+use std::time::{Duration, SystemTime};
+
+use bytes::Bytes;
+use femc_coordinator::{Artifacts, Config, Coordinator, Handle};
+use femc_model::*;
+use femc_proto::{CallError, Client, CollectMode, Volume};
+use femc_store::Store;
+
+const HOUR: Duration = Duration::from_secs(3600);
+
+struct Farm {
+    folder: tempfile::TempDir,
+    farm: Handle,
+    client: Client,
+    /// The farm's store, past its coordinator.
+    store: Store,
+}
+
+impl Farm {
+    async fn start() -> Self {
+        let folder = tempfile::tempdir().unwrap();
+        let config = Config { artifacts: Artifacts::Folder(folder.path().to_owned()), ..Config::default() };
+        let farm = Coordinator::start(config).await.unwrap();
+        let client = Client::connect(&farm.url()).await.unwrap();
+        let store = Store::folder(folder.path()).unwrap();
+        Self { folder, farm, client, store }
+    }
+
+    /// Makes all that is in the store two hours old.
+    fn age(&self) {
+        age(self.folder.path());
+    }
+
+    /// Bytes that nobody has put through the coordinator.
+    async fn stray(&self, bytes: &[u8]) -> Artefact {
+        self.store.put(Bytes::copy_from_slice(bytes)).await.unwrap()
+    }
+}
+
+fn age(folder: &Path) {
+    for entry in std::fs::read_dir(folder).unwrap() {
+        let path = entry.unwrap().path();
+        if path.is_dir() {
+            age(&path);
+        } else if let Ok(file) = std::fs::File::options().write(true).open(&path) {
+            file.set_modified(SystemTime::now() - 2 * HOUR).unwrap();
+        }
+    }
+}
+
+/// Pieces, and the manifest that names them, at the end.
+fn scene(name: &str) -> Vec<Bytes> {
+    let mut pieces: Vec<Bytes> = (0..5).map(|i| Bytes::from(format!("{name}, piece {i}"))).collect();
+    let named = pieces.iter().map(|bytes| Piece { artefact: Artefact::of(bytes), unpacked: 9 }).collect();
+    let manifest = Manifest { pieces: named, ..Manifest::default() };
+    pieces.push(manifest.encode().unwrap().into());
+    pieces
+}
+
+fn digests(artefacts: &[Bytes]) -> Vec<Digest> {
+    artefacts.iter().map(|bytes| Digest::of(bytes)).collect()
+}
+
+fn job(scene: &[Bytes]) -> JobSpec {
+    JobSpec {
+        name: "fog".into(),
+        bundle: Digest::of(scene.last().unwrap()),
+        entry: "fog.mgf".into(),
+        settings: "{}".into(),
+        frames: vec![1],
+        grid: Grid { film: [64, 64], tile: 16 },
+        rounds: vec![16],
+        priority: 50,
+        owner: "me".into(),
+        tags: vec![],
+    }
+}
+
+#[tokio::test]
+async fn what_no_job_refers_to_goes_and_a_dry_run_says_so_before() {
+    let farm = Farm::start().await;
+    let scene = scene("a scene");
+    farm.client.put_all(&scene).await.unwrap();
+    let id = farm.client.submit(None, job(&scene)).await.unwrap();
+    farm.client.control(id, Control::Cancel).await.unwrap();
+    let stray = [farm.stray(b"of a client that was killed").await, farm.stray(b"of no job").await];
+    farm.age();
+    let young = farm.stray(b"just now").await;
+    let bytes = stray.iter().map(|artefact| artefact.bytes).sum();
+    let garbage = Volume { artefacts: 2, bytes };
+    let steps = [
+        (CollectMode::DryRun, garbage, 9),
+        (CollectMode::Remove, garbage, 7),
+        (CollectMode::Remove, Volume::default(), 7),
+    ];
+    for (mode, garbage, left) in steps {
+        let found = farm.client.collect(mode, HOUR).await.unwrap();
+        assert_eq!(found.referenced.artefacts, 6, "also of a job that has ended");
+        assert_eq!(found.young, Volume { artefacts: 1, bytes: young.bytes });
+        assert_eq!(found.garbage, garbage);
+        assert_eq!(found.names.len() as u64, garbage.artefacts);
+        assert!(found.names.iter().all(|artefact| stray.contains(artefact)), "{found:?}");
+        assert_eq!(farm.store.list().await.unwrap().len(), left);
+    }
+    assert_eq!(farm.store.missing(&digests(&scene)).await.unwrap(), []);
+    assert!(farm.store.has(&young.digest).await.unwrap());
+    let hasty = farm.client.collect(CollectMode::Remove, Duration::from_secs(1)).await.unwrap_err();
+    assert!(matches!(hasty, CallError::Refused(Refusal::Invalid { ref field, .. }) if field == "grace"), "{hasty}");
+    farm.farm.stop().await.unwrap();
+}
+
+#[tokio::test]
+async fn what_a_submission_was_told_is_there_stays_until_it_is_submitted() {
+    let farm = Farm::start().await;
+    let (told, untold) = (scene("told"), scene("untold"));
+    for bytes in told.iter().chain(&untold) {
+        farm.stray(bytes).await;
+    }
+    farm.age();
+    assert_eq!(farm.client.missing(&digests(&told)).await.unwrap(), []);
+    let found = farm.client.collect(CollectMode::Remove, HOUR).await.unwrap();
+    assert_eq!((found.young.artefacts, found.garbage.artefacts), (6, 6));
+    farm.client.submit(None, job(&told)).await.unwrap();
+    let refused = farm.client.submit(None, job(&untold)).await.unwrap_err();
+    assert!(matches!(refused, CallError::Refused(Refusal::MissingArtefacts { .. })), "{refused}");
+    let found = farm.client.collect(CollectMode::Remove, HOUR).await.unwrap();
+    assert_eq!((found.referenced.artefacts, found.garbage.artefacts), (6, 0));
+    farm.farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn no_job_that_was_taken_loses_a_piece_however_collections_and_submissions_meet() {
+    let farm = Farm::start().await;
+    let scenes: Vec<Vec<Bytes>> = (0..40).map(|i| scene(&format!("scene {i}"))).collect();
+    let collector = tokio::spawn({
+        let client = farm.client.clone();
+        async move {
+            let mut garbage = 0;
+            loop {
+                garbage += client.collect(CollectMode::Remove, HOUR).await.unwrap().garbage.artefacts;
+                if client.list().await.unwrap().len() == 40 {
+                    return garbage;
+                }
+            }
+        }
+    });
+    for scene in &scenes {
+        // Old leftovers of an earlier attempt: what a submission finds and a collection wants to remove.
+        for bytes in scene {
+            farm.stray(bytes).await;
+        }
+        farm.stray(format!("beside {:?}", scene[0]).as_bytes()).await;
+        farm.age();
+        farm.client.put_all(scene).await.unwrap();
+        farm.client.submit(None, job(scene)).await.expect("what was told is there");
+    }
+    let meanwhile = collector.await.unwrap();
+    println!("{meanwhile} artefacts went meanwhile");
+    farm.age();
+    let found = farm.client.collect(CollectMode::Remove, HOUR).await.unwrap();
+    assert_eq!(found.referenced.artefacts, 40 * 6);
+    assert!(meanwhile > 0 && meanwhile + found.garbage.artefacts >= 40, "{meanwhile}, {found:?}");
+    for scene in &scenes {
+        assert_eq!(farm.store.missing(&digests(scene)).await.unwrap(), []);
+    }
+    farm.farm.stop().await.unwrap();
+}

@@ -1,0 +1,293 @@
+//! A scene's files as pieces in the artefact store: what a job's `bundle` names.
+//!
+//! A manifest says which pieces there are and where in them every file lies. The farm looks at the pieces alone: whether
+//! they are there, and that they stay. A bundle that is not a manifest (earlier versions made one artefact of a scene) has
+//! no pieces.
+
+use std::collections::BTreeMap;
+
+use crate::{Artefact, Digest};
+
+const MAGIC: &[u8; 8] = b"femcmnft";
+const VERSION: u32 = 1;
+
+/// A scene's files, and the artefacts that hold them.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Manifest {
+    /// The artefacts.
+    pub pieces: Vec<Piece>,
+    /// Where each file lies, by its path: relative, `/`-separated, without `.`, `..` and empty parts.
+    pub files: BTreeMap<String, Extent>,
+}
+
+/// An artefact that holds a large file or several small ones, compressed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Piece {
+    /// As stored.
+    pub artefact: Artefact,
+    /// Bytes once unpacked.
+    pub unpacked: u64,
+}
+
+/// Where a file lies.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Extent {
+    /// Index of the piece.
+    pub piece: u32,
+    /// First byte within the unpacked piece.
+    pub offset: u64,
+    /// Bytes of the file.
+    pub bytes: u64,
+}
+
+/// Why bytes are no manifest.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum ManifestError {
+    /// Not made by [`Manifest::encode`].
+    #[error("not a manifest")]
+    Magic,
+    /// Made by another version.
+    #[error("manifest version {found}, this program reads {VERSION}")]
+    Version {
+        /// Its version.
+        found: u32,
+    },
+    /// Cut short, or with rubbish in it.
+    #[error("the manifest is damaged")]
+    Damaged,
+    /// A path that could lead out of the scene, or that some system would read differently.
+    #[error("the manifest has the bad path {path:?}")]
+    Path {
+        /// As found.
+        path: String,
+    },
+    /// A path twice, or out of order.
+    #[error("the manifest has {path:?} twice or out of order")]
+    Order {
+        /// As found.
+        path: String,
+    },
+    /// A file beyond its piece.
+    #[error("{path:?} lies beyond its piece")]
+    Extent {
+        /// Which file.
+        path: String,
+    },
+    /// Beyond a limit.
+    #[error("{what}: at most {limit}")]
+    TooLarge {
+        /// Of what.
+        what: &'static str,
+        /// The most there may be.
+        limit: u64,
+    },
+}
+
+impl Manifest {
+    /// Most bytes of an encoded manifest.
+    pub const MOST: u64 = 64 << 20;
+    /// Most pieces.
+    pub const MOST_PIECES: u32 = 1 << 16;
+    /// Most bytes of a path.
+    pub const MOST_PATH: usize = 1024;
+    /// Most bytes that the files of a scene, or its unpacked pieces, may add up to.
+    pub const MOST_UNPACKED: u64 = 4 << 30;
+
+    /// Whether `bytes` begin like a manifest.
+    pub fn is_one(bytes: &[u8]) -> bool {
+        bytes.starts_with(MAGIC)
+    }
+
+    /// The manifest as bytes; the same manifest gives the same bytes. Fails on what [`Manifest::decode`] would refuse.
+    pub fn encode(&self) -> Result<Vec<u8>, ManifestError> {
+        self.check()?;
+        let mut out = Vec::from(MAGIC);
+        out.extend(VERSION.to_le_bytes());
+        out.extend((self.pieces.len() as u32).to_le_bytes());
+        for Piece { artefact, unpacked } in &self.pieces {
+            out.extend(artefact.digest.as_bytes());
+            out.extend(artefact.bytes.to_le_bytes());
+            out.extend(unpacked.to_le_bytes());
+        }
+        out.extend((self.files.len() as u32).to_le_bytes());
+        for (path, Extent { piece, offset, bytes }) in &self.files {
+            out.extend((path.len() as u32).to_le_bytes());
+            out.extend(path.as_bytes());
+            out.extend(piece.to_le_bytes());
+            out.extend(offset.to_le_bytes());
+            out.extend(bytes.to_le_bytes());
+        }
+        limit("bytes of a manifest", out.len() as u64, Self::MOST)?;
+        Ok(out)
+    }
+
+    /// The manifest of `bytes`, checked.
+    pub fn decode(bytes: &[u8]) -> Result<Self, ManifestError> {
+        limit("bytes of a manifest", bytes.len() as u64, Self::MOST)?;
+        let mut rest = bytes;
+        if take::<8>(&mut rest) != Ok(*MAGIC) {
+            return Err(ManifestError::Magic);
+        }
+        let found = u32::from_le_bytes(take(&mut rest)?);
+        if found != VERSION {
+            return Err(ManifestError::Version { found });
+        }
+        let mut manifest = Self::default();
+        for _ in 0..u32::from_le_bytes(take(&mut rest)?) {
+            let digest = Digest::from_bytes(take(&mut rest)?);
+            let artefact = Artefact { digest, bytes: u64::from_le_bytes(take(&mut rest)?) };
+            manifest.pieces.push(Piece { artefact, unpacked: u64::from_le_bytes(take(&mut rest)?) });
+        }
+        for _ in 0..u32::from_le_bytes(take(&mut rest)?) {
+            let length = u32::from_le_bytes(take(&mut rest)?) as usize;
+            let (path, tail) = rest.split_at_checked(length).ok_or(ManifestError::Damaged)?;
+            rest = tail;
+            let path = String::from_utf8(path.to_vec()).map_err(|_| ManifestError::Damaged)?;
+            let piece = u32::from_le_bytes(take(&mut rest)?);
+            let (offset, bytes) = (u64::from_le_bytes(take(&mut rest)?), u64::from_le_bytes(take(&mut rest)?));
+            if manifest.files.last_key_value().is_some_and(|(last, _)| *last >= path) {
+                return Err(ManifestError::Order { path });
+            }
+            manifest.files.insert(path, Extent { piece, offset, bytes });
+        }
+        if !rest.is_empty() {
+            return Err(ManifestError::Damaged);
+        }
+        manifest.check()?;
+        Ok(manifest)
+    }
+
+    fn check(&self) -> Result<(), ManifestError> {
+        limit("pieces of a scene", self.pieces.len() as u64, Self::MOST_PIECES.into())?;
+        let unpacked = self.pieces.iter().fold(0u64, |sum, piece| sum.saturating_add(piece.unpacked));
+        limit("unpacked bytes of a scene", unpacked, Self::MOST_UNPACKED)?;
+        // Files may share bytes, but not so that a small scene becomes a large one.
+        let bytes = self.files.values().fold(0u64, |sum, extent| sum.saturating_add(extent.bytes));
+        limit("bytes of a scene's files", bytes, Self::MOST_UNPACKED)?;
+        for (path, extent) in &self.files {
+            if !is_normal(path) {
+                return Err(ManifestError::Path { path: path.clone() });
+            }
+            let piece = self.pieces.get(extent.piece as usize);
+            let end = extent.offset.checked_add(extent.bytes);
+            if piece.zip(end).is_none_or(|(piece, end)| end > piece.unpacked) {
+                return Err(ManifestError::Extent { path: path.clone() });
+            }
+        }
+        Ok(())
+    }
+}
+
+fn limit(what: &'static str, found: u64, limit: u64) -> Result<(), ManifestError> {
+    if found <= limit { Ok(()) } else { Err(ManifestError::TooLarge { what, limit }) }
+}
+
+fn take<const N: usize>(rest: &mut &[u8]) -> Result<[u8; N], ManifestError> {
+    let (head, tail) = rest.split_first_chunk::<N>().ok_or(ManifestError::Damaged)?;
+    *rest = tail;
+    Ok(*head)
+}
+
+/// Whether every system reads the path as the same file below the scene's folder.
+fn is_normal(path: &str) -> bool {
+    let parts = || path.split('/');
+    path.len() <= Manifest::MOST_PATH
+        && path.as_bytes().get(1) != Some(&b':')
+        && !path.contains(|c: char| c == '\\' || c.is_control())
+        && parts().all(|part| !matches!(part, "" | "." | ".."))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn piece(name: &[u8], unpacked: u64) -> Piece {
+        Piece { artefact: Artefact::of(name), unpacked }
+    }
+
+    fn sample() -> Manifest {
+        Manifest {
+            pieces: vec![piece(b"pack", 10), piece(b"texture", 1 << 20)],
+            files: BTreeMap::from([
+                ("lamps/a.ies".into(), Extent { piece: 0, offset: 7, bytes: 3 }),
+                ("main.mgf".into(), Extent { piece: 0, offset: 0, bytes: 7 }),
+                ("wall.png".into(), Extent { piece: 1, offset: 0, bytes: 1 << 20 }),
+            ]),
+        }
+    }
+
+    /// As [`Manifest::encode`] writes it, but of any paths in any order.
+    fn raw(paths: &[&str]) -> Vec<u8> {
+        let mut out = Manifest { files: BTreeMap::new(), ..sample() }.encode().unwrap();
+        out.truncate(out.len() - 4);
+        out.extend((paths.len() as u32).to_le_bytes());
+        for path in paths {
+            out.extend((path.len() as u32).to_le_bytes());
+            out.extend(path.as_bytes());
+            out.extend([0; 4 + 8 + 8]);
+        }
+        out
+    }
+
+    #[test]
+    fn a_manifest_comes_back_and_an_older_bundle_is_none() {
+        let bytes = sample().encode().unwrap();
+        assert!(Manifest::is_one(&bytes) && !Manifest::is_one(b"femcbndl"));
+        assert_eq!(Manifest::decode(&bytes), Ok(sample()));
+        assert_eq!(Manifest::decode(b"femcbndl"), Err(ManifestError::Magic));
+        assert_eq!(Manifest::decode(&Manifest::default().encode().unwrap()), Ok(Manifest::default()));
+    }
+
+    #[test]
+    fn one_cut_or_flipped_anywhere_never_panics() {
+        let bytes = sample().encode().unwrap();
+        for n in 0..bytes.len() {
+            assert!(Manifest::decode(&bytes[..n]).is_err(), "cut at {n}");
+            for bits in [0x01, 0x80, 0xff] {
+                let mut flipped = bytes.clone();
+                flipped[n] ^= bits;
+                let _ = Manifest::decode(&flipped);
+            }
+        }
+    }
+
+    #[test]
+    fn paths_that_lead_elsewhere_are_refused_on_both_sides() {
+        let long = "x".repeat(Manifest::MOST_PATH + 1);
+        for path in
+            ["/abs", "..", "../up", "a/../b", "a\\b", "nul\0", "", ".", "./x", "a//b", "dir/", "c:/x", "a\nb", &long]
+        {
+            assert_eq!(Manifest::decode(&raw(&[path])), Err(ManifestError::Path { path: path.into() }));
+            let files = BTreeMap::from([(path.to_owned(), Extent { piece: 0, offset: 0, bytes: 0 })]);
+            let manifest = Manifest { files, ..sample() };
+            assert_eq!(manifest.encode(), Err(ManifestError::Path { path: path.into() }));
+        }
+        assert!(Manifest::decode(&raw(&["..a", "a..", "b.c/d"])).is_ok());
+    }
+
+    #[test]
+    fn a_path_twice_or_out_of_order_is_refused() {
+        assert_eq!(Manifest::decode(&raw(&["a", "a"])), Err(ManifestError::Order { path: "a".into() }));
+        assert_eq!(Manifest::decode(&raw(&["b", "a"])), Err(ManifestError::Order { path: "a".into() }));
+    }
+
+    #[test]
+    fn files_beyond_their_piece_and_scenes_beyond_the_limits_are_refused() {
+        for extent in [
+            Extent { piece: 2, offset: 0, bytes: 0 },
+            Extent { piece: 0, offset: 8, bytes: 3 },
+            Extent { piece: 0, offset: u64::MAX, bytes: 2 },
+        ] {
+            let manifest = Manifest { files: BTreeMap::from([("a".into(), extent)]), ..sample() };
+            assert_eq!(manifest.encode(), Err(ManifestError::Extent { path: "a".into() }), "{extent:?}");
+        }
+        let huge = Manifest { pieces: vec![piece(b"a", u64::MAX), piece(b"b", u64::MAX)], ..Manifest::default() };
+        assert!(matches!(huge.encode(), Err(ManifestError::TooLarge { what: "unpacked bytes of a scene", .. })));
+        let half = Extent { piece: 0, offset: 0, bytes: Manifest::MOST_UNPACKED / 2 + 1 };
+        let pieces = vec![piece(b"a", half.bytes)];
+        let bomb = Manifest { pieces, files: BTreeMap::from([("a".into(), half), ("b".into(), half)]) };
+        assert!(matches!(bomb.encode(), Err(ManifestError::TooLarge { what: "bytes of a scene's files", .. })));
+        let many = Manifest { pieces: vec![piece(b"a", 0); (1 << 16) + 1], ..Manifest::default() };
+        assert!(matches!(many.encode(), Err(ManifestError::TooLarge { what: "pieces of a scene", .. })));
+    }
+}

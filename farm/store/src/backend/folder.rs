@@ -1,0 +1,47 @@
+//! What a folder keeps beside its artefacts: files of uploads that nobody finished, which are not listed.
+
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use std::{fs, io};
+
+use femc_model::Digest;
+
+/// A file of an upload, and its bytes.
+pub(crate) type Staged = (PathBuf, u64);
+
+/// The files of uploads below `root` that have not changed for `idle`.
+pub(crate) fn staged(root: &Path, idle: Duration) -> io::Result<Vec<Staged>> {
+    let mut all = Vec::new();
+    for folder in fs::read_dir(root)? {
+        let folder = folder?;
+        if !folder.file_type()?.is_dir() {
+            continue;
+        }
+        for file in fs::read_dir(folder.path())? {
+            let file = file?;
+            if !is_staged(&folder.file_name().to_string_lossy(), &file.file_name().to_string_lossy()) {
+                continue;
+            }
+            // One that has been renamed or removed meanwhile is none.
+            let Ok(data) = file.metadata() else { continue };
+            if data.modified().is_ok_and(|time| time.elapsed().is_ok_and(|age| age >= idle)) {
+                all.push((file.path(), data.len()));
+            }
+        }
+    }
+    Ok(all)
+}
+
+/// Removes a file; one that is not there is no error.
+pub(crate) fn remove(path: &Path) -> io::Result<()> {
+    match fs::remove_file(path) {
+        Err(error) if error.kind() != io::ErrorKind::NotFound => Err(error),
+        Ok(()) | Err(_) => Ok(()),
+    }
+}
+
+/// `object_store` writes `ab/cdef...#1` and renames it at the end.
+fn is_staged(folder: &str, file: &str) -> bool {
+    let Some((name, number)) = file.split_once('#') else { return false };
+    format!("{folder}{name}").parse::<Digest>().is_ok() && number.parse::<u64>().is_ok()
+}

@@ -1,0 +1,44 @@
+//! Why an artefact cannot be had or kept.
+
+use femc_model::Digest;
+
+/// Why an artefact cannot be had or kept.
+#[derive(Debug, thiserror::Error)]
+pub enum StoreError {
+    /// It is not there, or what was there was damaged.
+    #[error("there is no artefact {digest}")]
+    Missing {
+        /// Which.
+        digest: Digest,
+    },
+    /// The bytes are others than announced.
+    #[error("the bytes are those of {found}, not of {announced}")]
+    Mismatch {
+        /// As announced.
+        announced: Digest,
+        /// As computed.
+        found: Digest,
+    },
+    /// Beyond the store's limit.
+    #[error("an artefact of more than {limit} bytes")]
+    TooLarge {
+        /// Bytes.
+        limit: u64,
+    },
+    /// An address that is none.
+    #[error("{url} is no address of an artefact store: {message}; write it like s3://bucket/prefix")]
+    Url {
+        /// As given.
+        url: String,
+        /// What is wrong with it.
+        message: String,
+    },
+    /// The medium said no, or is away.
+    #[error("artefact store {store}: {error}")]
+    Medium {
+        /// Its name: a folder, an address, or `memory`.
+        store: String,
+        /// What it said.
+        error: object_store::Error,
+    },
+}

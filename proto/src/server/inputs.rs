@@ -1,0 +1,42 @@
+//! What a job needs of the store, seen to before the scheduler hears of it.
+
+use femc_model::{Digest, Manifest, Refusal};
+use femc_store::{Store, StoreError};
+
+use super::artifacts::refusal;
+use super::promised::Promised;
+
+/// The artefacts that hold a scene, besides the one that names it.
+pub(super) async fn pieces(store: &Store, bundle: &Digest) -> Result<Vec<Digest>, Refusal> {
+    let missing = |digest: &Digest| Refusal::MissingArtefacts { digests: vec![*digest], count: 1 };
+    let size = store.size(bundle).await.map_err(|error| refusal(&error))?.ok_or_else(|| missing(bundle))?;
+    if size > Manifest::MOST {
+        // One of the bundles of earlier versions, which may be that large.
+        return Ok(Vec::new());
+    }
+    let bytes = store.get(bundle).await.map_err(|error| match error {
+        StoreError::Missing { digest } => missing(&digest),
+        other => refusal(&other),
+    })?;
+    if !Manifest::is_one(&bytes) {
+        return Ok(Vec::new());
+    }
+    let invalid =
+        |error: &dyn std::fmt::Display| Refusal::Invalid { field: "bundle".into(), message: error.to_string() };
+    let manifest = Manifest::decode(&bytes).map_err(|error| invalid(&error))?;
+    Ok(manifest.pieces.iter().map(|piece| piece.artefact.digest).collect())
+}
+
+/// Refuses a job whose scene is not whole. What is found stays for a while.
+pub(super) async fn check(store: &Store, promised: &Promised, bundle: &Digest) -> Result<(), Refusal> {
+    promised.note(&[*bundle]).await;
+    let pieces = pieces(store, bundle).await?;
+    promised.note(&pieces).await;
+    let mut missing = store.missing(&pieces).await.map_err(|error| refusal(&error))?;
+    if missing.is_empty() {
+        return Ok(());
+    }
+    let count = missing.len() as u64;
+    missing.truncate(Refusal::MOST_NAMED);
+    Err(Refusal::MissingArtefacts { digests: missing, count })
+}

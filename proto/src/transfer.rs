@@ -1,0 +1,143 @@
+//! Artefacts up and down, and out. A transfer that is cut goes on where it was, by itself, as long as it gets on.
+
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+use bytes::{Bytes, BytesMut};
+use femc_model::{Artefact, Digest, Refusal};
+use tokio::time::Instant;
+
+use crate::client::Client;
+use crate::convert::{digest_bytes, need};
+use crate::error::CallError;
+use crate::server::{CollectMode, Collected};
+use crate::{PIECE, wire};
+use wire::offer_reply::Answer;
+use wire::put_request::Part;
+
+/// How long a transfer tries again without getting on.
+struct Patience {
+    reached: u64,
+    since: Instant,
+    pause: Duration,
+}
+
+impl Patience {
+    const LONGEST: Duration = Duration::from_secs(10);
+    const FIRST_PAUSE: Duration = Duration::from_millis(50);
+    const LONGEST_PAUSE: Duration = Duration::from_secs(2);
+
+    fn new() -> Self {
+        Self { reached: 0, since: Instant::now(), pause: Self::FIRST_PAUSE }
+    }
+
+    fn reached(&mut self, offset: u64) {
+        if offset > self.reached {
+            *self = Self { reached: offset, ..Self::new() };
+        }
+    }
+
+    /// Waits before another try, if one makes sense.
+    async fn after(&mut self, error: CallError) -> Result<(), CallError> {
+        let makes_sense = match &error {
+            CallError::Unreachable { .. } | CallError::Refused(Refusal::Resume { .. }) => true,
+            CallError::Refused(_) | CallError::Address { .. } | CallError::Answer(_) | CallError::Status { .. } => {
+                false
+            }
+        };
+        if !makes_sense || self.since.elapsed() + self.pause > Self::LONGEST {
+            return Err(error);
+        }
+        tracing::debug!(%error, reached = self.reached, "a transfer was cut; it goes on");
+        tokio::time::sleep(self.pause).await;
+        self.pause = (2 * self.pause).min(Self::LONGEST_PAUSE);
+        Ok(())
+    }
+}
+
+impl Client {
+    /// Puts an artefact into the coordinator's store, unless it is there.
+    pub async fn put(&self, bytes: Bytes) -> Result<Artefact, CallError> {
+        let artefact = Artefact::of(&bytes);
+        let mut patience = Patience::new();
+        loop {
+            match self.send(&artefact, &bytes, &mut patience).await {
+                Ok(()) => return Ok(artefact),
+                Err(error) => patience.after(error).await?,
+            }
+        }
+    }
+
+    /// Puts those of `all` that are not there; how many bytes they have.
+    pub async fn put_all(&self, all: &[Bytes]) -> Result<u64, CallError> {
+        let digests: Vec<Digest> = all.iter().map(|bytes| Digest::of(bytes)).collect();
+        let mut missing: BTreeSet<Digest> = self.missing(&digests).await?.into_iter().collect();
+        let mut sent = 0;
+        for (digest, bytes) in digests.iter().zip(all) {
+            if missing.remove(digest) {
+                self.put(bytes.clone()).await?;
+                sent += bytes.len() as u64;
+            }
+        }
+        Ok(sent)
+    }
+
+    async fn send(&self, artefact: &Artefact, bytes: &Bytes, patience: &mut Patience) -> Result<(), CallError> {
+        let digest = digest_bytes(&artefact.digest);
+        let offer = wire::OfferRequest { digest: digest.clone() };
+        let reply = self.artifacts().offer(offer).await.map_err(|status| self.error(&status))?;
+        let from = match need("offer.answer", reply.into_inner().answer)? {
+            Answer::There(_) => return Ok(()),
+            // More than there is: the upload's first sender had other bytes. Begin anew.
+            Answer::From(from) if from > artefact.bytes => 0,
+            Answer::From(from) => from,
+        };
+        patience.reached(from);
+        let head = wire::PutRequest { part: Some(Part::Digest(digest)), offset: from };
+        let pieces = (from as usize..bytes.len()).step_by(PIECE).map({
+            let bytes = bytes.clone();
+            move |at| Part::Piece(bytes.slice(at..bytes.len().min(at + PIECE)))
+        });
+        let pieces = pieces.map(|part| wire::PutRequest { part: Some(part), offset: 0 });
+        let parts = tokio_stream::iter(std::iter::once(head).chain(pieces));
+        let reply = self.artifacts().put(parts).await.map_err(|status| self.error(&status))?;
+        let kept: Artefact = need("put.artefact", reply.into_inner().artefact)?.try_into()?;
+        if kept == *artefact { Ok(()) } else { Err(Refusal::DigestMismatch { digest: artefact.digest }.into()) }
+    }
+
+    /// An artefact's bytes, checked; refused beyond `limit` bytes.
+    pub async fn get(&self, name: &Digest, limit: u64) -> Result<Bytes, CallError> {
+        let (mut bytes, mut patience) = (BytesMut::new(), Patience::new());
+        while let Err(error) = self.receive(name, limit, &mut bytes).await {
+            patience.reached(bytes.len() as u64);
+            patience.after(error).await?;
+        }
+        if Digest::of(&bytes) != *name {
+            return Err(Refusal::DigestMismatch { digest: *name }.into());
+        }
+        Ok(bytes.freeze())
+    }
+
+    /// Takes in what is not here yet.
+    async fn receive(&self, name: &Digest, limit: u64, bytes: &mut BytesMut) -> Result<(), CallError> {
+        let request = wire::GetRequest { digest: digest_bytes(name), offset: bytes.len() as u64 };
+        let reply = self.artifacts().get(request).await.map_err(|status| self.error(&status))?;
+        let mut stream = reply.into_inner();
+        while let Some(reply) = stream.message().await.map_err(|status| self.error(&status))? {
+            if bytes.len() as u64 + reply.piece.len() as u64 > limit {
+                return Err(Refusal::TooLarge { what: "artefact".into(), limit }.into());
+            }
+            bytes.extend_from_slice(&reply.piece);
+        }
+        Ok(())
+    }
+
+    /// Removes from the store what no job refers to and what has been there for longer than `grace`, or says what that
+    /// would be.
+    pub async fn collect(&self, mode: CollectMode, grace: Duration) -> Result<Collected, CallError> {
+        let grace = u64::try_from(grace.as_millis()).unwrap_or(u64::MAX);
+        let request = wire::CollectRequest { mode: wire::CollectMode::from(mode).into(), grace };
+        let reply = self.artifacts().collect(request).await.map_err(|status| self.error(&status))?;
+        Ok(reply.into_inner().try_into()?)
+    }
+}

@@ -1,0 +1,286 @@
+//! Pieces of scenes, kept near so that a second job of a scene downloads none of them.
+//!
+//! In memory or in a folder, up to a number of bytes; what was used longest ago goes first. What is read is checked against
+//! its digest: a damaged file is removed and downloaded again. Several workers of a machine may share a folder; each then
+//! counts what was there when it started and what it adds itself.
+
+use std::collections::BTreeMap;
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, SystemTime};
+
+use bytes::Bytes;
+use femc_model::Digest;
+
+/// Pieces by digest; clones share them.
+#[derive(Debug, Clone)]
+pub struct Pieces(Arc<Inner>);
+
+#[derive(Debug)]
+struct Inner {
+    limit: u64,
+    place: Place,
+    state: Mutex<State>,
+    fetched: AtomicU64,
+}
+
+#[derive(Debug)]
+enum Place {
+    Memory,
+    Folder(PathBuf),
+}
+
+#[derive(Debug, Default)]
+struct State {
+    entries: BTreeMap<Digest, Entry>,
+    /// Bytes of all entries.
+    bytes: u64,
+    /// Uses so far: the age of an entry.
+    uses: u64,
+}
+
+#[derive(Debug)]
+struct Entry {
+    bytes: u64,
+    used: u64,
+    /// In memory only.
+    content: Option<Bytes>,
+}
+
+impl State {
+    fn add(&mut self, digest: Digest, bytes: u64, content: Option<Bytes>) {
+        self.uses += 1;
+        self.bytes += bytes;
+        let old = self.entries.insert(digest, Entry { bytes, used: self.uses, content });
+        self.bytes -= old.map_or(0, |old| old.bytes);
+    }
+
+    fn forget(&mut self, digest: &Digest) {
+        self.bytes -= self.entries.remove(digest).map_or(0, |entry| entry.bytes);
+    }
+
+    /// Forgets what was used longest ago until there is room for `bytes` more; what that was.
+    fn make_room(&mut self, bytes: u64, limit: u64) -> Vec<Digest> {
+        let mut gone = Vec::new();
+        while self.bytes.saturating_add(bytes) > limit {
+            let oldest = self.entries.iter().min_by_key(|(_, entry)| entry.used).map(|(digest, _)| *digest);
+            let Some(oldest) = oldest else { break };
+            self.forget(&oldest);
+            gone.push(oldest);
+        }
+        gone
+    }
+}
+
+impl Pieces {
+    /// What a worker keeps in memory unless it is told otherwise.
+    pub const IN_MEMORY: u64 = 256 << 20;
+    /// What a worker keeps in a folder unless it is told otherwise.
+    pub const IN_FOLDER: u64 = 10 << 30;
+    /// After which a file that a killed worker was writing is removed.
+    const STALE: Duration = Duration::from_secs(3600);
+
+    /// Keeps up to `limit` bytes in memory; 0: none.
+    pub fn memory(limit: u64) -> Self {
+        Self::with(limit, Place::Memory, State::default())
+    }
+
+    /// Keeps up to `limit` bytes in `folder`, which is made if it is not there; what it has from an earlier run counts.
+    pub fn folder(folder: &Path, limit: u64) -> io::Result<Self> {
+        fs::create_dir_all(folder)?;
+        let (mut found, mut state) = (Vec::new(), State::default());
+        for entry in fs::read_dir(folder)? {
+            let entry = entry?;
+            let (Some(name), Ok(data)) = (entry.file_name().to_str().map(str::to_owned), entry.metadata()) else {
+                continue;
+            };
+            let modified = data.modified().unwrap_or(SystemTime::UNIX_EPOCH);
+            match name.parse::<Digest>() {
+                Ok(digest) if data.is_file() => found.push((modified, digest, data.len())),
+                Err(_) if name.starts_with(".new-") && modified.elapsed().is_ok_and(|age| age > Self::STALE) => {
+                    // Should it stay, it takes room and does no harm.
+                    let _ = fs::remove_file(entry.path());
+                }
+                Ok(_) | Err(_) => {}
+            }
+        }
+        found.sort_unstable();
+        found.into_iter().for_each(|(_, digest, bytes)| state.add(digest, bytes, None));
+        let pieces = Self::with(limit, Place::Folder(folder.to_owned()), state);
+        let gone = pieces.lock().make_room(0, limit);
+        pieces.delete(&gone);
+        Ok(pieces)
+    }
+
+    fn with(limit: u64, place: Place, state: State) -> Self {
+        Self(Arc::new(Inner { limit, place, state: Mutex::new(state), fetched: AtomicU64::new(0) }))
+    }
+
+    /// Bytes that it holds.
+    pub fn bytes(&self) -> u64 {
+        self.lock().bytes
+    }
+
+    /// Bytes that were not here and had to be fetched.
+    pub fn fetched(&self) -> u64 {
+        self.0.fetched.load(Ordering::Relaxed)
+    }
+
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // A panic within the few lines under this lock leaves nothing half done.
+        self.0.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The piece, if it is here and whole.
+    pub(crate) fn get(&self, digest: &Digest) -> Option<Bytes> {
+        let kept = {
+            let mut state = self.lock();
+            state.uses += 1;
+            let uses = state.uses;
+            let entry = state.entries.get_mut(digest)?;
+            entry.used = uses;
+            entry.content.clone()
+        };
+        let bytes = match &self.0.place {
+            Place::Memory => kept,
+            Place::Folder(folder) => read(&folder.join(digest.to_string())),
+        };
+        let sound = bytes.filter(|bytes| Digest::of(bytes) == *digest);
+        if sound.is_none() {
+            tracing::warn!(%digest, "a cached piece of a scene is gone or damaged; it is fetched again");
+            self.lock().forget(digest);
+            self.delete(&[*digest]);
+        }
+        sound
+    }
+
+    /// Keeps a piece that was fetched, if there is room for it at all.
+    pub(crate) fn keep(&self, digest: &Digest, bytes: &Bytes) {
+        let size = bytes.len() as u64;
+        self.0.fetched.fetch_add(size, Ordering::Relaxed);
+        if size > self.0.limit {
+            return;
+        }
+        let gone = {
+            let mut state = self.lock();
+            // Two may have fetched it at the same time.
+            state.forget(digest);
+            state.make_room(size, self.0.limit)
+        };
+        self.delete(&gone);
+        let content = match &self.0.place {
+            Place::Memory => Some(bytes.clone()),
+            Place::Folder(folder) => {
+                if let Err(error) = write(folder, digest, bytes) {
+                    tracing::warn!(folder = %folder.display(), %error, "a piece of a scene is not cached");
+                    return;
+                }
+                None
+            }
+        };
+        self.lock().add(*digest, size, content);
+    }
+
+    fn delete(&self, digests: &[Digest]) {
+        if let Place::Folder(folder) = &self.0.place {
+            for digest in digests {
+                // Another worker may have been quicker.
+                let _ = fs::remove_file(folder.join(digest.to_string()));
+            }
+        }
+    }
+}
+
+fn read(path: &Path) -> Option<Bytes> {
+    let bytes = fs::read(path).ok()?;
+    // The order of use outlives the process; should this fail, it is the order of download.
+    let _ = File::options().write(true).open(path).and_then(|file| file.set_modified(SystemTime::now()));
+    Some(bytes.into())
+}
+
+/// Whole or not at all.
+fn write(folder: &Path, digest: &Digest, bytes: &[u8]) -> io::Result<()> {
+    let new = folder.join(format!(".new-{digest}-{}", std::process::id()));
+    let written = fs::write(&new, bytes).and_then(|()| fs::rename(&new, folder.join(digest.to_string())));
+    if written.is_err() {
+        let _ = fs::remove_file(&new);
+    }
+    written
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn piece(fill: u8) -> (Digest, Bytes) {
+        let bytes = Bytes::from(vec![fill; 100]);
+        (Digest::of(&bytes), bytes)
+    }
+
+    fn keep(pieces: &Pieces, fill: u8) {
+        let (digest, bytes) = piece(fill);
+        pieces.keep(&digest, &bytes);
+    }
+
+    fn has(pieces: &Pieces, fill: u8) -> bool {
+        let (digest, bytes) = piece(fill);
+        pieces.get(&digest).inspect(|found| assert_eq!(*found, bytes)).is_some()
+    }
+
+    fn keeps_the_latest(pieces: &Pieces) {
+        (1..=3).for_each(|fill| keep(pieces, fill));
+        assert!(has(pieces, 1), "used lately");
+        keep(pieces, 4);
+        assert_eq!([1, 2, 3, 4].map(|fill| has(pieces, fill)), [true, false, true, true]);
+        assert_eq!(pieces.bytes(), 300);
+        pieces.keep(&Digest::of(&[0; 400]), &vec![0; 400].into());
+        assert_eq!((pieces.bytes(), pieces.fetched()), (300, 800), "what does not fit pushes nothing out");
+        keep(pieces, 4);
+        assert_eq!(pieces.bytes(), 300, "twice is once");
+    }
+
+    #[test]
+    fn what_was_used_longest_ago_makes_room() {
+        keeps_the_latest(&Pieces::memory(399));
+        let folder = tempfile::tempdir().unwrap();
+        keeps_the_latest(&Pieces::folder(&folder.path().join("new"), 399).unwrap());
+        assert_eq!(fs::read_dir(folder.path().join("new")).unwrap().count(), 3, "what went is gone from the disk");
+        let none = Pieces::memory(0);
+        keep(&none, 1);
+        assert!(!has(&none, 1));
+    }
+
+    #[test]
+    fn a_folder_outlives_its_worker_and_a_smaller_limit_holds_at_once() {
+        let folder = tempfile::tempdir().unwrap();
+        let first = Pieces::folder(folder.path(), 1000).unwrap();
+        (1..=5).for_each(|fill| keep(&first, fill));
+        drop(first);
+        fs::write(folder.path().join("a person's note"), "stays").unwrap();
+        let second = Pieces::folder(folder.path(), 1000).unwrap();
+        assert_eq!((second.bytes(), has(&second, 3)), (500, true));
+        assert_eq!(second.fetched(), 0);
+        let third = Pieces::folder(folder.path(), 250).unwrap();
+        assert_eq!(third.bytes(), 200);
+        assert!(has(&third, 3), "the order of use is remembered");
+        assert_eq!(fs::read_dir(folder.path()).unwrap().count(), 3);
+    }
+
+    #[test]
+    fn a_damaged_file_is_fetched_again() {
+        let folder = tempfile::tempdir().unwrap();
+        let pieces = Pieces::folder(folder.path(), 1000).unwrap();
+        keep(&pieces, 1);
+        let path = folder.path().join(piece(1).0.to_string());
+        fs::write(&path, b"something else").unwrap();
+        assert!(!has(&pieces, 1) && !path.exists());
+        assert_eq!(pieces.bytes(), 0);
+        keep(&pieces, 1);
+        assert!(has(&pieces, 1));
+        fs::remove_file(&path).unwrap();
+        assert!(!has(&pieces, 1), "somebody else has removed it");
+    }
+}

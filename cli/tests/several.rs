@@ -125,6 +125,7 @@ impl Farm {
                 Fact::Submitted { job, spec: submitted, .. } => spec = Some((job, submitted)),
                 Fact::Rendered { task, .. } | Fact::Merged { task, .. } => *effects.entry(task).or_insert(0) += 1,
                 Fact::Opened { .. } => terms += 1,
+                Fact::Logged { .. } => {}
                 other => others.push(other),
             }
         }

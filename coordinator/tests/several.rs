@@ -85,6 +85,7 @@ async fn submit(client: &Client) -> JobId {
         owner: "me".into(),
         tags: vec![],
     };
+    client.put(b"bundle".as_slice().into()).await.unwrap();
     client.submit(None, spec).await.unwrap()
 }
 

@@ -60,7 +60,7 @@ async fn checked(mut word: FromWorker, store: &Store) -> FromWorker {
     }
     let FromWorker::Completed { task, epoch, result, log } = word else { return word };
     for artefact in artefacts(&result) {
-        let message = match store.size(&artefact.digest).await {
+        let message = match store.size_seen(&artefact.digest).await {
             Ok(Some(bytes)) if bytes == artefact.bytes => continue,
             Ok(Some(bytes)) => format!("artefact {} has {bytes} bytes, not {}", artefact.digest, artefact.bytes),
             Ok(None) => format!("artefact {} did not arrive", artefact.digest),
@@ -77,7 +77,7 @@ async fn check_log(word: &mut FromWorker, store: &Store) {
         return;
     };
     if let LogText::Stored(artefact) = log.text
-        && !matches!(store.size(&artefact.digest).await, Ok(Some(bytes)) if bytes == artefact.bytes)
+        && !matches!(store.size_seen(&artefact.digest).await, Ok(Some(bytes)) if bytes == artefact.bytes)
     {
         log.text = LogText::Inline("the log did not arrive".into());
     }

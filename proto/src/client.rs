@@ -1,5 +1,6 @@
 //! What a program that is not the coordinator uses: ask, fetch, and be a worker.
 
+use std::collections::VecDeque;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -17,6 +18,7 @@ use tonic::transport::{Channel, Endpoint, Uri};
 use crate::addresses::Addresses;
 use crate::convert::{ConvertError, digest, digest_bytes, each};
 use crate::error::{CallError, from_status};
+use crate::many::{Many, together};
 use crate::net::Dial;
 use crate::{MESSAGE, PIECE, wire};
 use wire::artifacts_client::ArtifactsClient;
@@ -179,9 +181,9 @@ impl Client {
         let outgoing = Outgoing(send);
         outgoing.send(FromWorker::Register(registration)).await;
         let mut client = WorkersClient::new(self.channel.clone()).max_decoding_message_size(MESSAGE);
-        let words = ReceiverStream::new(receive).map(wire::FromWorker::from);
+        let words = together(ReceiverStream::new(receive).map(wire::FromWorker::from));
         let reply = client.session(words).await.map_err(|status| self.error(&status))?;
-        Ok((outgoing, Incoming { url: self.url().into(), stream: reply.into_inner() }))
+        Ok((outgoing, Incoming { url: self.url().into(), stream: reply.into_inner(), waiting: VecDeque::new() }))
     }
 }
 
@@ -223,12 +225,23 @@ impl Outgoing {
 pub struct Incoming {
     url: String,
     stream: Streaming<wire::ToWorker>,
+    /// Came together with the one before.
+    waiting: VecDeque<wire::ToWorker>,
 }
 
 impl Incoming {
     /// The next message; `None` at the session's end.
     pub async fn next(&mut self) -> Result<Option<ToWorker>, CallError> {
-        let message = self.stream.message().await.map_err(|status| from_status(&self.url, &status))?;
-        Ok(message.map(ToWorker::try_from).transpose()?)
+        loop {
+            if let Some(message) = self.waiting.pop_front() {
+                return Ok(Some(message.try_into()?));
+            }
+            let message = self.stream.message().await.map_err(|status| from_status(&self.url, &status))?;
+            match message.map(Many::split) {
+                None => return Ok(None),
+                Some(Ok(many)) => self.waiting.extend(many),
+                Some(Err(one)) => return Ok(Some(one.try_into()?)),
+            }
+        }
     }
 }

@@ -9,6 +9,7 @@ mod addresses;
 mod client;
 mod convert;
 mod error;
+mod many;
 mod net;
 mod server;
 mod transfer;

@@ -8,6 +8,7 @@ mod promised;
 mod uploads;
 mod workers;
 
+use std::collections::VecDeque;
 use std::future::Future;
 use std::io;
 use std::sync::Arc;
@@ -25,6 +26,7 @@ use tonic::transport::server::{Connected, Router};
 
 use crate::convert::ConvertError;
 use crate::error::ServeError;
+use crate::many::Many as _;
 use crate::net::Io;
 use crate::{MESSAGE, PIECE, wire};
 pub use collect::{CollectMode, Collected, LEAST_GRACE, References, Volume};
@@ -129,12 +131,28 @@ pub struct Session {
 
 /// What a worker says after it registered.
 #[derive(Debug)]
-pub struct Words(Streaming<wire::FromWorker>);
+pub struct Words {
+    stream: Streaming<wire::FromWorker>,
+    /// Came together with the one before.
+    waiting: VecDeque<wire::FromWorker>,
+}
 
 impl Words {
+    pub(crate) fn new(stream: Streaming<wire::FromWorker>) -> Self {
+        Self { stream, waiting: VecDeque::new() }
+    }
+
     /// The next message; `None` at the end, also when the connection broke.
     pub async fn next(&mut self) -> Option<Result<FromWorker, ConvertError>> {
-        Some(self.0.message().await.ok()??.try_into())
+        loop {
+            if let Some(message) = self.waiting.pop_front() {
+                return Some(message.try_into());
+            }
+            match self.stream.message().await.ok()??.split() {
+                Ok(many) => self.waiting.extend(many),
+                Err(one) => return Some(one.try_into()),
+            }
+        }
     }
 }
 

@@ -28,11 +28,22 @@ pub struct Config {
     /// Tasks that a worker holds beyond those that it runs: one that it can begin at once, and one whose result is on its
     /// way and counts as held until it is durable.
     pub prefetch: u32,
+    /// Where tasks take less than this, a worker holds more of them, up to so many milliseconds of work and at most
+    /// [`Config::DEEPEST`] tasks: then none waits for the next one's way.
+    pub ahead: u64,
     /// Weights of owners in the fair share of time; who is not named has 1.
     pub weights: BTreeMap<String, u32>,
 }
 
 impl Config {
+    /// Most tasks that a worker holds beyond `prefetch`.
+    pub const DEEPEST: u64 = 64;
+
+    /// Tasks that a worker holds beyond `prefetch`, where each takes so many milliseconds.
+    pub(crate) fn depth(&self, milliseconds: u64) -> usize {
+        (self.ahead / milliseconds.max(1)).min(Self::DEEPEST) as usize
+    }
+
     /// An owner's weight.
     pub fn weight(&self, owner: &str) -> u32 {
         self.weights.get(owner).copied().unwrap_or(1)
@@ -42,7 +53,7 @@ impl Config {
 impl Default for Config {
     fn default() -> Self {
         Self {
-            lease: 5_000,
+            lease: 4_500,
             heartbeat: 500,
             stall: 120_000,
             preparation_stall: 900_000,
@@ -52,6 +63,7 @@ impl Default for Config {
             shun: 60_000,
             longest_shun: 3_600_000,
             prefetch: 2,
+            ahead: 200,
             weights: BTreeMap::new(),
         }
     }

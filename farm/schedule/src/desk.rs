@@ -108,7 +108,7 @@ impl Desk {
 /// How long the job's tasks take.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Pace {
-    /// Smoothed, ms; 0: none is done yet.
+    /// Smoothed, us; 0: none is done yet.
     mean: u64,
 }
 
@@ -118,12 +118,12 @@ impl Pace {
 
     /// Milliseconds that the next task is expected to take.
     pub(crate) fn expected(&self) -> u64 {
-        if self.mean == 0 { Self::FIRST } else { self.mean }
+        if self.mean == 0 { Self::FIRST } else { self.mean.div_ceil(1_000) }
     }
 
     pub(crate) fn note(&mut self, milliseconds: u64) {
-        let taken = milliseconds.max(1);
-        self.mean = if self.mean == 0 { taken } else { (7 * self.mean + taken).div_ceil(8) };
+        let taken = milliseconds.max(1).saturating_mul(1_000);
+        self.mean = if self.mean == 0 { taken } else { (7 * self.mean).saturating_add(taken) / 8 };
     }
 }
 

@@ -25,11 +25,13 @@ pub(crate) struct Worker {
     pub(crate) mishaps: u32,
     pub(crate) completed: u64,
     pub(crate) failed: u64,
+    /// Tasks that it may hold beyond `prefetch`, because they are short.
+    depth: usize,
 }
 
 impl Worker {
     pub(crate) fn capacity(&self, config: &Config) -> usize {
-        (self.registration.slots.max(1) + config.prefetch) as usize
+        (self.registration.slots.max(1) + config.prefetch) as usize + self.depth
     }
 
     pub(crate) fn has_tags(&self, tags: &[String]) -> bool {
@@ -83,6 +85,7 @@ impl Floor {
             mishaps: 0,
             completed: 0,
             failed: 0,
+            depth: 0,
         };
         self.workers.insert(worker, fresh);
         self.spare.insert((0, worker));
@@ -116,6 +119,18 @@ impl Floor {
             if holder.held.len() < holder.capacity(config) {
                 self.spare.insert((holder.held.len(), worker));
             }
+        }
+    }
+
+    /// The worker's tasks take so many milliseconds.
+    pub(crate) fn pace(&mut self, worker: WorkerId, milliseconds: u64, config: &Config) {
+        let Some(holder) = self.workers.get_mut(&worker) else { return };
+        holder.depth = config.depth(milliseconds);
+        let place = (holder.held.len(), worker);
+        if place.0 < holder.capacity(config) {
+            self.spare.insert(place);
+        } else {
+            self.spare.remove(&place);
         }
     }
 

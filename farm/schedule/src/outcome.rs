@@ -41,6 +41,9 @@ impl Scheduler {
         self.floor.release(&task);
         // A worker's clock, at most what went by here: a lease may have waited for its turn.
         self.settle(&task, ((seconds.max(0.0) * 1000.0) as u64).min(now.since(granted)));
+        if let Some(desk) = self.desks.get(&task.job) {
+            self.floor.pace(worker, desk.pace.expected(), &self.config);
+        }
         if let Some(worker) = self.floor.workers.get_mut(&worker) {
             worker.completed += 1;
             worker.mishaps = 0;

@@ -587,3 +587,24 @@ fn a_snapshot_of_another_version_is_refused_and_a_damaged_one_too() {
     assert_eq!(Ledger::decode(&bytes), Err(SnapshotError::Version { found: 9 }));
     assert_eq!(Ledger::decode(&[]), Err(SnapshotError::Empty));
 }
+
+#[test]
+fn a_worker_with_short_tasks_holds_more_of_them() {
+    let mut farm = Farm::with(Config { ahead: 200, lease: 60_000, ..common::config() });
+    farm.submit(job(&[1], 1000, &[4]));
+    farm.join(1);
+    assert_eq!(farm.tasks_of(1).len(), 2, "nothing is known of the tasks yet");
+    let mut done = |count, milliseconds: u64| {
+        for _ in 0..count {
+            farm.wait(milliseconds);
+            let held = farm.first_of(1);
+            let TaskResult::Tile(tile) = result(&held, Done) else { panic!("a merge") };
+            let seconds = milliseconds as f64 / 1000.0;
+            farm.complete_with(1, &held, TaskResult::Tile(TileResult { seconds, ..tile }));
+        }
+        farm.tasks_of(1).len()
+    };
+    assert_eq!(done(1, 40), 2 + 5, "200 ms of tasks that take 40 ms");
+    assert_eq!(done(60, 1), 2 + 64, "at most so many");
+    assert_eq!(done(120, 300), 2, "long ones are fetched one ahead");
+}

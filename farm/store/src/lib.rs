@@ -7,10 +7,11 @@
 
 mod backend;
 mod error;
+mod seen;
 mod upload;
 
 use std::path::Path as FilePath;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
@@ -20,6 +21,8 @@ use object_store::memory::InMemory;
 use object_store::path::Path;
 use object_store::{ObjectStore, ObjectStoreExt as _, PutMode, PutOptions};
 use tokio_stream::StreamExt as _;
+
+use crate::seen::Seen;
 
 pub use error::StoreError;
 pub use object_store;
@@ -34,6 +37,7 @@ pub struct Store {
     /// Where the objects are files.
     folder: Option<Arc<FilePath>>,
     limit: u64,
+    seen: Arc<Mutex<Seen>>,
 }
 
 impl Store {
@@ -71,7 +75,7 @@ impl Store {
     }
 
     fn on(name: &str, objects: Arc<dyn ObjectStore>) -> Self {
-        Self { name: name.into(), objects, folder: None, limit: Self::LIMIT }
+        Self { name: name.into(), objects, folder: None, limit: Self::LIMIT, seen: Arc::default() }
     }
 
     pub(crate) fn medium(&self, error: object_store::Error) -> StoreError {
@@ -113,6 +117,23 @@ impl Store {
         }
     }
 
+    /// As [`Store::size`], but from memory for what came in lately: somebody else may have removed it since.
+    pub async fn size_seen(&self, digest: &Digest) -> Result<Option<u64>, StoreError> {
+        if let Some(bytes) = self.seen().size(digest) {
+            return Ok(Some(bytes));
+        }
+        let size = self.size(digest).await?;
+        if let Some(bytes) = size {
+            self.seen().note(Artefact { digest: *digest, bytes });
+        }
+        Ok(size)
+    }
+
+    pub(crate) fn seen(&self) -> MutexGuard<'_, Seen> {
+        // Nothing panics under this lock.
+        self.seen.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     /// Those of `digests` that are not there, in their order; asks for several at once.
     pub async fn missing(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
         let mut missing = Vec::new();
@@ -143,11 +164,13 @@ impl Store {
         }
         let artefact = Artefact::of(&bytes);
         let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
-        match self.objects.put_opts(&place(&artefact.digest), bytes.into(), options).await {
-            Ok(_) => Ok((artefact, Novelty::New)),
-            Err(object_store::Error::AlreadyExists { .. }) => Ok((artefact, Novelty::Older)),
-            Err(error) => Err(self.medium(error)),
-        }
+        let novelty = match self.objects.put_opts(&place(&artefact.digest), bytes.into(), options).await {
+            Ok(_) => Novelty::New,
+            Err(object_store::Error::AlreadyExists { .. }) => Novelty::Older,
+            Err(error) => return Err(self.medium(error)),
+        };
+        self.seen().note(artefact);
+        Ok((artefact, novelty))
     }
 
     /// Begins to keep an artefact that comes in pieces.
@@ -199,6 +222,7 @@ impl Store {
 
     /// Removes it; one that is not there is no error.
     pub async fn remove(&self, digest: &Digest) -> Result<(), StoreError> {
+        self.seen().forget(digest);
         match self.objects.delete(&place(digest)).await {
             Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
             Err(error) => Err(self.medium(error)),

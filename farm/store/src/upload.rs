@@ -85,7 +85,9 @@ impl Upload {
         if let Some(mut parts) = self.parts.take() {
             parts.complete().await.map_err(|error| self.store.medium(error))?;
         }
-        Ok((Artefact { digest: found, bytes: self.size }, Novelty::Older))
+        let artefact = Artefact { digest: found, bytes: self.size };
+        self.store.seen().note(artefact);
+        Ok((artefact, Novelty::Older))
     }
 }
 

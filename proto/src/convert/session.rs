@@ -37,6 +37,7 @@ impl TryFrom<wire::FromWorker> for FromWorker {
     fn try_from(wire: wire::FromWorker) -> Result<Self, ConvertError> {
         use wire::from_worker::Message;
         Ok(match need("message", wire.message)? {
+            Message::Many(_) => return Err(ConvertError::Nested),
             Message::Register(registration) => Self::Register(registration.try_into()?),
             Message::Heartbeat(wire::Heartbeat { number, tasks }) => Self::Heartbeat { number, tasks: each(tasks)? },
             Message::Completed(completed) => {
@@ -92,6 +93,7 @@ impl TryFrom<wire::ToWorker> for ToWorker {
     fn try_from(wire: wire::ToWorker) -> Result<Self, ConvertError> {
         use wire::to_worker::Message;
         Ok(match need("message", wire.message)? {
+            Message::Many(_) => return Err(ConvertError::Nested),
             Message::Welcome(wire::Welcome { worker, heartbeat, lease }) => {
                 Self::Welcome { worker: WorkerId(worker), heartbeat, lease }
             }

@@ -10,10 +10,11 @@ use tokio_stream::{Stream, StreamExt as _};
 use tonic::{Request, Response, Status, Streaming};
 
 use super::{Call, Server, Session, Words};
+use crate::many::together;
 use crate::wire;
 
 /// Messages that may wait for a slow worker before its session is ended.
-const WAITING: usize = 256;
+const WAITING: usize = 1024;
 
 /// How long a new session may be silent.
 const INTRODUCTION: Duration = Duration::from_secs(10);
@@ -34,11 +35,11 @@ impl wire::workers_server::Workers for Server {
             return Err(Status::invalid_argument("the first message must register the worker"));
         };
         let (out, receive) = mpsc::channel(WAITING);
-        let session = Session { registration, words: Words(words), out };
+        let session = Session { registration, words: Words::new(words), out };
         self.calls
             .send(Call::Session(Box::new(session)))
             .await
             .map_err(|_| Status::unavailable("the coordinator is stopping"))?;
-        Ok(Response::new(Box::pin(ReceiverStream::new(receive).map(|message| Ok(message.into())))))
+        Ok(Response::new(Box::pin(together(ReceiverStream::new(receive).map(Into::into)).map(Ok))))
     }
 }

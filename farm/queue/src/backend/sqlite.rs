@@ -4,6 +4,7 @@
 //! pages that the disk has lost or changed. The file is locked, so that a second coordinator finds out at once.
 
 use std::path::Path;
+use std::sync::LazyLock;
 
 use sqlx::sqlite::{
     SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqliteLockingMode, SqliteRow, SqliteSynchronous,
@@ -25,6 +26,14 @@ const TABLES: &str = "
     CREATE TABLE log (sequence INTEGER PRIMARY KEY, checksum BLOB NOT NULL, record BLOB NOT NULL) STRICT;
     CREATE TABLE snapshot (sequence INTEGER PRIMARY KEY, checksum BLOB NOT NULL, state BLOB NOT NULL) STRICT;
 ";
+
+/// Statements that insert so many rows, the longest first.
+static INSERTS: LazyLock<[(usize, String); 3]> = LazyLock::new(|| {
+    [64, 8, 1].map(|rows| {
+        let places = vec!["(?, ?, ?)"; rows].join(", ");
+        (rows, format!("INSERT INTO log (sequence, checksum, record) VALUES {places}"))
+    })
+});
 
 impl Sqlite {
     /// `PRAGMA application_id`: the letters of femc.
@@ -95,13 +104,19 @@ impl Queue for Sqlite {
 
     async fn append(&mut self, records: &[Vec<u8>]) -> Result<(), QueueError> {
         let mut batch = self.connection.begin().await?;
-        for (sequence, record) in (self.next..).zip(records) {
-            sqlx::query("INSERT INTO log (sequence, checksum, record) VALUES (?, ?, ?)")
-                .bind(sequence)
-                .bind(checksum(sequence, record))
-                .bind(record.as_slice())
-                .execute(&mut *batch)
-                .await?;
+        let (mut sequence, mut rest) = (self.next, records);
+        while !rest.is_empty() {
+            // Each statement is a message to SQLite's thread and back: many rows in one, in a few lengths that stay prepared.
+            let (rows, sql) =
+                INSERTS.iter().find(|(rows, _)| *rows <= rest.len()).unwrap_or(&INSERTS[INSERTS.len() - 1]);
+            let (some, later) = rest.split_at(*rows);
+            let mut insert = sqlx::query(sql.as_str());
+            for (sequence, record) in (sequence..).zip(some) {
+                insert = insert.bind(sequence).bind(checksum(sequence, record)).bind(record.as_slice());
+            }
+            insert.execute(&mut *batch).await?;
+            sequence += some.len() as i64;
+            rest = later;
         }
         batch.commit().await?;
         self.next += records.len() as i64;

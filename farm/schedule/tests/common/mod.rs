@@ -22,7 +22,7 @@ pub fn job(frames: &[u32], tiles: u32, rounds: &[u32]) -> JobSpec {
 
 /// Workers hold one task beyond the one that they run.
 pub fn config() -> Config {
-    Config { prefetch: 1, regroup: 0, ..Config::default() }
+    Config { lease: 5_000, prefetch: 1, ahead: 0, regroup: 0, ..Config::default() }
 }
 
 /// Scheduler, time, and everything that was made durable.

@@ -1,0 +1,324 @@
+//! The farm's own figures, without a picture: a real coordinator with its log on the disk, and workers in a process of their
+//! own that have every task done at once.
+//!
+//! `cargo run --release -p femc-coordinator --example figures`
+
+use std::error::Error;
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::time::{Duration, Instant};
+
+use bytes::Bytes;
+use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log};
+use femc_model::*;
+use femc_proto::{Client, Incoming, Outgoing};
+use femc_schedule::{Fact, Ledger};
+
+type Result<T> = std::result::Result<T, Box<dyn Error>>;
+
+const SCENE: &[u8] = b"a scene that nobody reads";
+const RESULT: &[u8] = b"a tile that nobody looks at";
+
+#[tokio::main]
+async fn main() -> Result<()> {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    match args.iter().map(String::as_str).collect::<Vec<_>>()[..] {
+        ["worker", url, sessions, kind] => work(url, sessions.parse()?, kind == "holds").await,
+        _ => measure().await,
+    }
+}
+
+async fn measure() -> Result<()> {
+    for sessions in [4, 16, 64] {
+        throughput(sessions, 100).await?;
+    }
+    submission().await?;
+    memory().await?;
+    restart().await?;
+    for signal in ["KILL", "STOP"] {
+        let mut all = Vec::new();
+        for _ in 0..3 {
+            all.push(again(signal).await?);
+        }
+        println!("task of a worker that got SIG{signal} runs again after {all:.1?} ms");
+    }
+    Ok(())
+}
+
+fn config(folder: &Path) -> Config {
+    Config {
+        log: Log::Sqlite(folder.join("log.sqlite")),
+        artifacts: Artifacts::Folder(folder.join("artifacts")),
+        ..Config::default()
+    }
+}
+
+fn job(frames: u32, tiles: u32) -> JobSpec {
+    JobSpec {
+        name: "figures".into(),
+        bundle: Digest::of(SCENE),
+        entry: "a.mgf".into(),
+        settings: "{}".into(),
+        frames: (1..=frames).collect(),
+        grid: Grid { film: [tiles * 8, 8], tile: 8 },
+        rounds: vec![16],
+        priority: 50,
+        owner: "me".into(),
+        tags: vec![],
+    }
+}
+
+async fn start(folder: &Path) -> Result<(Handle, Client)> {
+    let farm = Coordinator::start(config(folder)).await?;
+    let client = Client::connect(&farm.url()).await?;
+    client.put(Bytes::from_static(SCENE)).await?;
+    client.put(Bytes::from_static(RESULT)).await?;
+    Ok((farm, client))
+}
+
+fn workers(url: &str, sessions: u32, kind: &str) -> Result<Child> {
+    let mut command = Command::new(std::env::current_exe()?);
+    Ok(command.args(["worker", url, &sessions.to_string(), kind]).stdin(Stdio::null()).spawn()?)
+}
+
+async fn throughput(sessions: u32, frames: u32) -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let (farm, client) = start(folder.path()).await?;
+    let mut others = workers(&farm.url(), sessions, "works")?;
+    while client.workers().await?.len() < sessions as usize {
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    let (begun, before) = (Instant::now(), processor());
+    let id = client.submit(None, job(frames, 1000)).await?;
+    let mut watch = client.watch(id).await?;
+    while watch.next().await?.is_some() {}
+    let (spent, used) = (begun.elapsed().as_secs_f64(), processor() - before);
+    let state = client.status(id).await?.state;
+    let tasks = f64::from(frames) * 1001.0;
+    println!(
+        "{sessions} workers, {tasks} no-op tasks, {state:?}: {:.0} tasks/s, {:.1} us of the coordinator's processor a task",
+        tasks / spent,
+        used * 1e6 / tasks
+    );
+    others.kill()?;
+    others.wait()?;
+    farm.stop().await?;
+    Ok(())
+}
+
+async fn submission() -> Result<()> {
+    let folder = tempfile::tempdir()?;
+    let (farm, client) = start(folder.path()).await?;
+    let mut all = Vec::new();
+    for first in 0..5 {
+        let spec = JobSpec { frames: (first..first + 1000).collect(), ..job(1000, 1000) };
+        let begun = Instant::now();
+        client.submit(None, spec).await?;
+        all.push(begun.elapsed().as_secs_f64() * 1e3);
+    }
+    println!("job of 1,000,000 tasks submitted, durable and answered after {all:.1?} ms");
+    farm.stop().await?;
+    Ok(())
+}
+
+async fn memory() -> Result<()> {
+    const JOBS: u32 = 50;
+    let folder = tempfile::tempdir()?;
+    let (farm, client) = start(folder.path()).await?;
+    client.submit(None, job(1000, 1000)).await?;
+    let before = resident();
+    for _ in 0..JOBS {
+        client.submit(None, job(1000, 1000)).await?;
+    }
+    let bytes = resident().saturating_sub(before);
+    println!("{JOBS} jobs of 1,000,000 queued tasks: {:.4} bytes a task", bytes as f64 / (f64::from(JOBS) * 1e6));
+    farm.stop().await?;
+    Ok(())
+}
+
+/// Half of a million tasks is done: in frames that are all finished, and in frames that are all half done.
+async fn restart() -> Result<()> {
+    for (name, frames, tiles) in
+        [("500 of 1000 frames of 1000 tiles finished", 500, 1000), ("500 tiles of each of 1000 frames done", 1000, 500)]
+    {
+        let folder = tempfile::tempdir()?;
+        let log = folder.path().join("log.sqlite");
+        half_done(femc_queue::Sqlite::open(&log).await?, frames, tiles).await?;
+        let begun = Instant::now();
+        let farm = loop {
+            match Coordinator::start(config(folder.path())).await {
+                Ok(farm) => break farm,
+                // The log is still being closed.
+                Err(error) if error.to_string().contains("in use") => tokio::task::yield_now().await,
+                Err(error) => return Err(error.into()),
+            }
+        };
+        let status = Client::connect(&farm.url()).await?.status(JobId(1)).await?;
+        let spent = begun.elapsed();
+        let active: u64 = status.active.iter().map(|frame| u64::from(frame.tiles_done)).sum();
+        let done = u64::from(status.frames_done) * 1000 + active;
+        println!("restart, {name} ({done}): {:.0} ms until it answers", spent.as_secs_f64() * 1e3);
+        farm.stop().await?;
+    }
+    Ok(())
+}
+
+/// The log of a job that far, with snapshots as the coordinator makes them.
+async fn half_done(mut queue: impl femc_queue::Queue, frames: u32, tiles: u32) -> Result<()> {
+    queue.load().await?;
+    let (mut ledger, mut since) = (Ledger::default(), 0);
+    let mut facts = vec![
+        Fact::Opened { incarnation: 1 },
+        Fact::Submitted { job: JobId(1), key: None, spec: Box::new(job(1000, 1000)) },
+    ];
+    for frame in 1..=frames {
+        let key = |kind, index| TaskKey { job: JobId(1), stage: Stage { frame, round: 0, kind }, index };
+        let epoch = Epoch::new(1, 1);
+        for index in 0..tiles {
+            let digest = Digest::of(&[frame.to_le_bytes(), index.to_le_bytes()].concat());
+            let tile = Artefact { digest, bytes: 2000 };
+            let result = TileResult { tile, samples: 1024, bad_samples: 0, seconds: 0.5 };
+            facts.push(Fact::Rendered { task: key(StageKind::Render, index), epoch, leased: Tick(1), result });
+        }
+        if tiles == 1000 {
+            facts.push(Fact::Merged { task: key(StageKind::Merge, 0), epoch, result: Box::new(merged()) });
+        }
+        let mut records = Vec::new();
+        for fact in facts.drain(..) {
+            ledger.apply(&fact, Tick(2));
+            records.push(fact.encode(Tick(2))?);
+        }
+        queue.append(&records).await?;
+        since += records.len();
+        // The last ones stay records.
+        if since >= 20_000 && frame + 30 < frames {
+            queue.snapshot(&ledger.encode()?).await?;
+            since = 0;
+        }
+    }
+    Ok(())
+}
+
+fn merged() -> MergeResult {
+    MergeResult {
+        decision: Decision::Done,
+        sums: None,
+        image: Some(Artefact::of(RESULT)),
+        preview: None,
+        relative_error: None,
+        bad_samples: 0,
+        seconds: 0.0,
+    }
+}
+
+/// Milliseconds from the signal to a worker until one of its tasks is given to another.
+async fn again(signal: &str) -> Result<f64> {
+    let folder = tempfile::tempdir()?;
+    let (farm, client) = start(folder.path()).await?;
+    let mut victim = workers(&farm.url(), 1, "holds")?;
+    client.submit(None, job(1, 16)).await?;
+    while client.workers().await?.iter().all(|worker| worker.tasks.is_empty()) {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    let (out, mut incoming) = join(&client, 1 << 40).await?;
+    let (mut number, mut struck) = (0, None);
+    let mut beat = tokio::time::interval(Duration::from_millis(250));
+    let taken = loop {
+        tokio::select! {
+            _ = beat.tick() => {
+                number += 1;
+                out.send(FromWorker::Heartbeat { number, tasks: vec![] }).await;
+                // All other tasks are done by then, and the victim's heartbeats have been heard.
+                if number == 8 {
+                    let before = Instant::now();
+                    let sent = Command::new("kill").args(["-s", signal, &victim.id().to_string()]).status()?;
+                    struck = sent.success().then_some(before);
+                }
+            }
+            message = incoming.next() => if let ToWorker::Assign(lease) = message?.ok_or("the session ended")? {
+                if let Some(struck) = struck {
+                    break struck.elapsed();
+                }
+                out.send(done(&lease)).await;
+            }
+        }
+    };
+    victim.kill()?;
+    victim.wait()?;
+    farm.stop().await?;
+    Ok(taken.as_secs_f64() * 1e3)
+}
+
+async fn join(client: &Client, instance: u64) -> Result<(Outgoing, Incoming)> {
+    let registration = Registration {
+        name: "no-op".into(),
+        instance,
+        engine: "figures".into(),
+        threads: 1,
+        slots: 1,
+        tags: vec![],
+        held: vec![],
+    };
+    Ok(client.session(registration).await?)
+}
+
+fn done(lease: &Assignment) -> FromWorker {
+    let tile = || TileResult { tile: Artefact::of(RESULT), samples: 1024, bad_samples: 0, seconds: 0.0 };
+    let result = match lease.work {
+        Work::Render { .. } => TaskResult::Tile(tile()),
+        Work::Merge { .. } => TaskResult::Merge(merged()),
+    };
+    FromWorker::Completed { task: lease.task, epoch: lease.epoch, result, log: None }
+}
+
+/// Sessions that have their tasks done at once, or hold them.
+async fn work(url: &str, sessions: u64, holds: bool) -> Result<()> {
+    let mut all = tokio::task::JoinSet::new();
+    for instance in 1..=sessions {
+        let url = url.to_owned();
+        all.spawn(async move {
+            let client = Client::connect(&url).await.map_err(|error| error.to_string())?;
+            session(&client, instance, holds).await.map_err(|error| error.to_string())
+        });
+    }
+    while let Some(ended) = all.join_next().await {
+        ended??;
+    }
+    Ok(())
+}
+
+async fn session(client: &Client, instance: u64, holds: bool) -> Result<()> {
+    let (out, mut incoming) = join(client, instance).await?;
+    let (mut held, mut number): (Vec<TaskProgress>, u64) = (Vec::new(), 0);
+    let mut beat = tokio::time::interval(Duration::from_millis(500));
+    loop {
+        tokio::select! {
+            _ = beat.tick() => {
+                number += 1;
+                held.iter_mut().for_each(|task| task.samples += 1);
+                out.send(FromWorker::Heartbeat { number, tasks: held.clone() }).await;
+            }
+            message = incoming.next() => match message? {
+                Some(ToWorker::Assign(Assignment { task, epoch, .. })) if holds => {
+                    held.push(TaskProgress { task, epoch, phase: Phase::Working, samples: 0 });
+                }
+                Some(ToWorker::Assign(lease)) => out.send(done(&lease)).await,
+                Some(_) => {}
+                None => return Ok(()),
+            }
+        }
+    }
+}
+
+/// Processor seconds of this process so far.
+fn processor() -> f64 {
+    let stat = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
+    let fields = stat.rsplit_once(')').map_or("", |(_, fields)| fields).split_whitespace();
+    fields.skip(11).take(2).filter_map(|ticks| ticks.parse::<f64>().ok()).sum::<f64>() / 100.0
+}
+
+/// Bytes of memory that this process has.
+fn resident() -> u64 {
+    let pages = std::fs::read_to_string("/proc/self/statm").unwrap_or_default();
+    pages.split_whitespace().nth(1).and_then(|pages| pages.parse::<u64>().ok()).unwrap_or(0) * 4096
+}

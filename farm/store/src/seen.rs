@@ -1,0 +1,54 @@
+//! What came in lately: known to be there without asking the medium.
+
+use std::collections::{BTreeMap, VecDeque};
+
+use femc_model::{Artefact, Digest};
+
+/// Sizes of the latest artefacts, oldest first to go.
+#[derive(Debug, Default)]
+pub(crate) struct Seen {
+    sizes: BTreeMap<Digest, u64>,
+    order: VecDeque<Digest>,
+}
+
+impl Seen {
+    /// Most artefacts that are remembered: a few megabytes.
+    const MOST: usize = 1 << 16;
+
+    pub(crate) fn note(&mut self, Artefact { digest, bytes }: Artefact) {
+        if self.sizes.insert(digest, bytes).is_none() {
+            self.order.push_back(digest);
+        }
+        while self.order.len() > Self::MOST {
+            if let Some(oldest) = self.order.pop_front() {
+                self.sizes.remove(&oldest);
+            }
+        }
+    }
+
+    pub(crate) fn size(&self, digest: &Digest) -> Option<u64> {
+        self.sizes.get(digest).copied()
+    }
+
+    pub(crate) fn forget(&mut self, digest: &Digest) {
+        // Its place in the order goes when its time comes.
+        self.sizes.remove(digest);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_latest_are_remembered_and_what_is_removed_is_not() {
+        let mut seen = Seen::default();
+        let artefact = |number: u32| Artefact::of(&number.to_le_bytes());
+        let count = Seen::MOST as u32 + 2;
+        (0..count).for_each(|number| seen.note(artefact(number)));
+        assert_eq!((seen.size(&artefact(1).digest), seen.size(&artefact(2).digest)), (None, Some(4)));
+        seen.forget(&artefact(2).digest);
+        assert_eq!(seen.size(&artefact(2).digest), None);
+        assert_eq!((seen.sizes.len(), seen.order.len()), (Seen::MOST - 1, Seen::MOST));
+    }
+}

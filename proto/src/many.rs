@@ -1,0 +1,94 @@
+//! Small messages of a session that are ready at the same time travel as one: most of what a message costs is its envelope.
+
+use futures_util::StreamExt as _;
+use futures_util::stream::{self, Stream};
+
+use crate::wire;
+
+/// Most messages that travel together.
+const MOST: usize = 128;
+
+/// Bytes beyond which a message travels alone, so that all of them together stay far below the limit of a message.
+const SMALL: usize = 4 << 10;
+
+/// A message that may hold others of its kind.
+pub(crate) trait Many: prost::Message + Sized {
+    /// One message for several.
+    fn join(messages: Vec<Self>) -> Self;
+
+    /// The several, or the message itself.
+    fn split(self) -> Result<Vec<Self>, Self>;
+}
+
+impl Many for wire::ToWorker {
+    fn join(messages: Vec<Self>) -> Self {
+        Self { message: Some(wire::to_worker::Message::Many(wire::ManyToWorker { messages })) }
+    }
+
+    fn split(self) -> Result<Vec<Self>, Self> {
+        match self.message {
+            Some(wire::to_worker::Message::Many(many)) => Ok(many.messages),
+            message => Err(Self { message }),
+        }
+    }
+}
+
+impl Many for wire::FromWorker {
+    fn join(messages: Vec<Self>) -> Self {
+        Self { message: Some(wire::from_worker::Message::Many(wire::ManyFromWorker { messages })) }
+    }
+
+    fn split(self) -> Result<Vec<Self>, Self> {
+        match self.message {
+            Some(wire::from_worker::Message::Many(many)) => Ok(many.messages),
+            message => Err(Self { message }),
+        }
+    }
+}
+
+/// The same messages in fewer envelopes; nothing waits for anything.
+pub(crate) fn together<T: Many + Send + 'static>(messages: impl Stream<Item = T>) -> impl Stream<Item = T> {
+    messages.ready_chunks(MOST).flat_map(|ready| stream::iter(pack(ready)))
+}
+
+fn pack<T: Many>(messages: Vec<T>) -> Vec<T> {
+    let (mut packed, mut small) = (Vec::new(), Vec::new());
+    let close = |small: &mut Vec<T>, packed: &mut Vec<T>| match small.len() {
+        0 => {}
+        1 => packed.append(small),
+        _ => packed.push(T::join(std::mem::take(small))),
+    };
+    for message in messages {
+        if message.encoded_len() <= SMALL {
+            small.push(message);
+        } else {
+            close(&mut small, &mut packed);
+            packed.push(message);
+        }
+    }
+    close(&mut small, &mut packed);
+    packed
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn refused(message: usize) -> wire::FromWorker {
+        let failure = wire::Failure {
+            cause: Some(wire::failure::Cause::Store(wire::failure::Text { message: "x".repeat(message) })),
+        };
+        let failed = wire::Failed { failure: Some(failure), ..wire::Failed::default() };
+        wire::FromWorker { message: Some(wire::from_worker::Message::Failed(failed)) }
+    }
+
+    #[test]
+    fn the_order_stays_and_large_ones_travel_alone() {
+        let messages: Vec<_> = [1, 2, 9_000, 3, 9_001, 4, 5, 6].into_iter().map(refused).collect();
+        let packed = pack(messages.clone());
+        assert_eq!(packed.len(), 5);
+        let again: Vec<_> = packed.into_iter().flat_map(|one| one.split().unwrap_or_else(|one| vec![one])).collect();
+        assert_eq!(again, messages);
+        assert!(pack(Vec::<wire::FromWorker>::new()).is_empty());
+    }
+}

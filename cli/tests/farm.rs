@@ -56,6 +56,29 @@ fn a_killed_coordinator_comes_back_with_all_it_had_and_its_worker_joins_again() 
 }
 
 #[test]
+fn a_frame_in_work_can_be_seen_and_shows_what_it_will_be() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let mut worker = worker(&place, &url);
+    let job = submit(&place, &url, "--spp 200 --size 64x64 --frames 1");
+    let tiles = || common::status(&place, &url, &job)["active"][0]["tiles_done"].as_u64().unwrap_or(0);
+    farm.wait_until("a tile", || tiles() >= 1);
+    worker.signal("STOP");
+    let ran = place.run(&format!("fetch {job} -o out --partial --json --server {url}")).exits(1);
+    assert_eq!(ran.json()["partial"][0], "out/fog.0001.partial.exr", "{}", ran.stdout());
+    worker.signal("CONT");
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --partial --server {url}")).exits(0);
+    let (partial, whole) =
+        (common::film(&place.path("out/fog.0001.partial.exr")), common::film(&place.path("out/fog.0001.exr")));
+    assert_eq!((partial.width, partial.height), (whole.width, whole.height));
+    let lit = partial.rgb.iter().filter(|value| **value > 0.0).count();
+    assert!(lit > 0 && lit < whole.rgb.len(), "{lit} of {} values", whole.rgb.len());
+    let differs = |(part, whole): (&f32, &f32)| *part > 0.0 && part.to_bits() != whole.to_bits();
+    assert!(!partial.rgb.iter().zip(&whole.rgb).any(differs), "what is there is what it will be");
+}
+
+#[test]
 fn a_task_under_way_lives_through_the_coordinator_s_death() {
     let place = Place::new();
     let (mut first, url) = coordinator(&place, 0);

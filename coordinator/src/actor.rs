@@ -38,6 +38,7 @@ enum Question {
     List(Reply<Vec<JobStatus>>),
     Status(JobId, Reply<JobStatus>),
     Watch(JobId, Reply<watch::Receiver<JobStatus>>),
+    Parts(JobId, Reply<Vec<femc_model::FrameParts>>),
     Frames(JobId, Reply<Vec<femc_model::FrameRecord>>),
     Logs(JobId, Tick, Reply<Vec<femc_model::LogRecord>>),
     Workers(Reply<Vec<femc_model::WorkerStatus>>),
@@ -191,6 +192,7 @@ impl<Q: Queue> Actor<Q> {
             Call::List { reply } => self.questions.push(Question::List(reply)),
             Call::Status { job, reply } => self.questions.push(Question::Status(job, reply)),
             Call::Watch { job, reply } => self.questions.push(Question::Watch(job, reply)),
+            Call::Parts { job, reply } => self.questions.push(Question::Parts(job, reply)),
             Call::Frames { job, reply } => self.questions.push(Question::Frames(job, reply)),
             Call::Drain { worker, drain, reply } => {
                 let workers = self.scheduler.named(&worker);
@@ -261,6 +263,7 @@ impl<Q: Queue> Actor<Q> {
                 Question::List(reply) => drop(reply.send(Ok(self.scheduler.jobs(now)))),
                 Question::Status(job, reply) => drop(reply.send(self.scheduler.status(job, now))),
                 Question::Watch(job, reply) => drop(reply.send(self.watch(job))),
+                Question::Parts(job, reply) => drop(reply.send(self.scheduler.parts(job))),
                 Question::Frames(job, reply) => drop(reply.send(self.scheduler.frames(job))),
                 Question::Logs(job, since, reply) => drop(reply.send(self.scheduler.logs(job, since))),
                 Question::Drained(answer, reply) => drop(reply.send(answer)),

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::{
-    Control, Digest, Drain, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord, Registration, Tick,
-    ToWorker, WorkerId, WorkerName, WorkerStatus,
+    Control, Digest, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord, Registration,
+    Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use hyper_util::rt::TokioIo;
 use tokio::sync::mpsc;
@@ -137,6 +137,13 @@ impl Client {
         let request = wire::ControlRequest { job: job.0, control: Some(control.into()) };
         self.jobs().control(request).await.map_err(|status| self.error(&status))?;
         Ok(())
+    }
+
+    /// What there is of a job's frames in work, ascending.
+    pub async fn parts(&self, job: JobId) -> Result<Vec<FrameParts>, CallError> {
+        let request = wire::PartsRequest { job: job.0 };
+        let reply = self.jobs().parts(request).await.map_err(|status| self.error(&status))?;
+        Ok(each(reply.into_inner().frames)?)
     }
 
     /// The finished frames of a job, ascending.

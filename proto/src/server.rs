@@ -15,8 +15,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::{
-    Control, Drain, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord, Refusal, Registration, Tick,
-    ToWorker, WorkerId, WorkerName, WorkerStatus,
+    Control, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord, Refusal, Registration,
+    Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use femc_store::Store;
 use tokio::sync::{mpsc, oneshot, watch};
@@ -78,6 +78,13 @@ pub enum Call {
         control: Control,
         /// When it is durable.
         reply: Reply<()>,
+    },
+    /// What there is of a job's frames in work.
+    Parts {
+        /// Which.
+        job: JobId,
+        /// Ascending.
+        reply: Reply<Vec<FrameParts>>,
     },
     /// The finished frames of a job.
     Frames {

@@ -35,6 +35,7 @@ pub use log::{TASK_LOG_LEVEL, TaskLogs};
 pub use memory::MemoryLimit;
 pub use parcel::{Parcel, ParcelError};
 pub use pieces::Pieces;
+pub use sums::decode as decode_sums;
 pub use worker::Worker;
 
 /// The build of the engine that this worker renders with.

@@ -29,7 +29,7 @@ pub(crate) fn encode(frame: &Frame) -> Vec<u8> {
 }
 
 /// The tiles that [`encode`] wrote.
-pub(crate) fn decode(bytes: &[u8]) -> Result<Vec<Tile>, FilmError> {
+pub fn decode(bytes: &[u8]) -> Result<Vec<Tile>, FilmError> {
     let mut rest = bytes;
     if take::<8>(&mut rest)? != *MAGIC {
         return Err(FilmError::Corrupt("sums do not begin as sums do"));

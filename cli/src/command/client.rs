@@ -5,8 +5,8 @@ use crate::clock::Clock;
 use crate::exit::{Failure, failed, unreachable, usage};
 use crate::request::Asked;
 use femc_model::{
-    Artefact, Control, Digest, Drain, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord, Refusal, Tick, WorkerId,
-    WorkerName, WorkerStatus,
+    Artefact, Control, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord, Refusal,
+    Tick, WorkerId, WorkerName, WorkerStatus,
 };
 use femc_proto::{CallError, Client, CollectMode, Collected};
 use femc_worker::Parcel;
@@ -72,6 +72,15 @@ impl Farm {
         Ok(self.client.get(&artefact.digest, artefact.bytes).await.map_err(told)?.to_vec())
     }
 
+    /// The same of one that may be gone.
+    pub async fn get_if_there(&self, artefact: &Artefact) -> Result<Option<Vec<u8>>, Failure> {
+        match self.client.get(&artefact.digest, artefact.bytes).await {
+            Ok(bytes) => Ok(Some(bytes.to_vec())),
+            Err(CallError::Refused(Refusal::NoSuchArtefact { .. })) => Ok(None),
+            Err(error) => Err(told(error)),
+        }
+    }
+
     /// All jobs.
     pub async fn jobs(&self) -> Result<Vec<JobStatus>, Failure> {
         self.client.list().await.map_err(told)
@@ -100,6 +109,11 @@ impl Farm {
     /// The finished frames of a job, ascending.
     pub async fn frames(&self, job: JobId) -> Result<Vec<FrameRecord>, Failure> {
         self.client.frames(job).await.map_err(told)
+    }
+
+    /// What there is of a job's frames in work, ascending.
+    pub async fn parts(&self, job: JobId) -> Result<Vec<FrameParts>, Failure> {
+        self.client.parts(job).await.map_err(told)
     }
 
     /// Steer a job.

@@ -1,6 +1,7 @@
 //! `femc fetch JOB -o DIR`: the finished frames of a job as files.
 
 use super::client::{self, Farm};
+use super::preview;
 use super::render::frame_name;
 use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure, failed};
@@ -14,6 +15,7 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc fetch 7 -o drive\n  \
+    femc fetch 7 -o drive --partial    # also what there is of the frames in work\n  \
     femc watch 7; femc fetch 7 -o drive --json | jq -r '.files[]'\n\n\
     Files that are there already are not fetched again. The exit code is 1 while frames are missing.")]
 pub struct FetchArgs {
@@ -23,6 +25,9 @@ pub struct FetchArgs {
     /// Folder for the frames
     #[arg(long, short, value_name = "DIR")]
     out: PathBuf,
+    /// Also what there is of the frames in work, as NAME.NNNN.partial.exr; what is not rendered yet is black
+    #[arg(long)]
+    partial: bool,
     #[command(flatten)]
     format: FormatArgs,
     #[command(flatten)]
@@ -35,25 +40,33 @@ struct Report {
     state: &'static str,
     frames: u32,
     files: Vec<String>,
+    partial: Vec<String>,
 }
 
 /// Fetch.
 pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
-    let (status, files) = client::block_on(&args.server, async |farm| {
+    let (status, files, partial) = client::block_on(&args.server, async |farm| {
         let status = farm.status(JobId(args.job)).await?;
         let mut files = Vec::new();
         for frame in farm.frames(JobId(args.job)).await? {
             files.push(file(farm, &status, &frame, &args.out).await?);
         }
-        Ok((status, files))
+        let mut partial = Vec::new();
+        for parts in if args.partial { farm.parts(JobId(args.job)).await? } else { Vec::new() } {
+            let path = args.out.join(format!("{}.{:04}.partial.exr", status.name, parts.frame));
+            partial.extend(preview::write(farm, parts, &path).await?.then_some(path));
+        }
+        Ok((status, files, partial))
     })?;
     if args.format.json {
-        let files = files.iter().map(|path| path.display().to_string()).collect();
+        let names = |paths: &[PathBuf]| paths.iter().map(|path| path.display().to_string()).collect();
+        let (files, partial) = (names(&files), names(&partial));
         let state = show::state(status.state);
-        json::print(say, &Report { job: args.job, state, frames: status.frames_total, files })?;
+        json::print(say, &Report { job: args.job, state, frames: status.frames_total, files, partial })?;
     } else {
         let frames = human::count(files.len() as u64, "frame");
         say.result(format!("{frames} in {}", args.out.display()));
+        partial.iter().for_each(|path| say.result(format!("in work: {}", path.display())));
     }
     if files.len() < status.frames_total as usize {
         return Err(failed(format!(

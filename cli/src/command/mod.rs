@@ -15,6 +15,7 @@ pub mod jobs;
 pub mod logs;
 mod outbox;
 pub mod plan;
+mod preview;
 pub mod render;
 pub mod status;
 pub mod submit;

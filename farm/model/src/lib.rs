@@ -25,7 +25,7 @@ pub use job::{Control, JobSpec, JobState, SpecError};
 pub use log::{Attempt, LogRecord, LogText, TaskLog};
 pub use manifest::{Extent, Manifest, ManifestError, Piece};
 pub use refusal::Refusal;
-pub use result::{Artefact, Decision, FrameRecord, MergeResult, TaskResult, TileResult};
+pub use result::{Artefact, Decision, FrameParts, FrameRecord, MergeResult, TaskResult, TileResult};
 pub use session::{FromWorker, HeldLease, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, ToWorker};
 pub use status::{Drain, FrameProgress, Intake, JobStatus, Quarantined, Wait, WorkerName, WorkerStatus};
 pub use task::{Assignment, More, Stage, StageKind, TaskKey, Work};

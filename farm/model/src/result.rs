@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::Digest;
+use crate::{Digest, Grid};
 
 /// Bytes in the artefact store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -68,6 +68,19 @@ pub enum TaskResult {
     Tile(TileResult),
     /// Of a merge task.
     Merge(MergeResult),
+}
+
+/// What there is of a frame in work: enough for a preview.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct FrameParts {
+    /// Frame number.
+    pub frame: u32,
+    /// Film and tiles.
+    pub grid: Grid,
+    /// What the rounds before add up to.
+    pub sums: Option<Artefact>,
+    /// The tiles of this round that are done, in order of their index.
+    pub tiles: Vec<Artefact>,
 }
 
 /// A finished frame.

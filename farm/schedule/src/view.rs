@@ -1,8 +1,8 @@
 //! What may be asked: a job at a glance, all jobs, the frames of one, the workers.
 
 use femc_model::{
-    FrameProgress, FrameRecord, JobId, JobState, JobStatus, LeaseLeft, Quarantined, Refusal, Stage, StageKind, TaskKey,
-    Tick, WorkerId, WorkerStatus,
+    FrameParts, FrameProgress, FrameRecord, JobId, JobState, JobStatus, LeaseLeft, Quarantined, Refusal, Stage,
+    StageKind, TaskKey, Tick, WorkerId, WorkerStatus,
 };
 
 use crate::ledger::{Hold, Job};
@@ -55,6 +55,18 @@ impl Scheduler {
     /// The finished frames of a job, ascending.
     pub fn frames(&self, id: JobId) -> Result<Vec<FrameRecord>, Refusal> {
         Ok(self.job(id)?.finished.values().map(|finished| finished.record.clone()).collect())
+    }
+
+    /// What there is of a job's frames in work, ascending.
+    pub fn parts(&self, id: JobId) -> Result<Vec<FrameParts>, Refusal> {
+        let job = self.job(id)?;
+        let parts = |(&number, frame): (&u32, &crate::ledger::frame::Frame)| FrameParts {
+            frame: number,
+            grid: job.spec.grid,
+            sums: frame.sums,
+            tiles: frame.tiles.values().map(|tile| tile.result.tile).collect(),
+        };
+        Ok(job.frames.iter().map(parts).filter(|parts| parts.sums.is_some() || !parts.tiles.is_empty()).collect())
     }
 
     /// The workers, in order of joining.

@@ -1,7 +1,8 @@
 //! Tasks, leases, assignments and results.
 
 use femc_model::{
-    Assignment, Decision, Epoch, JobId, MergeResult, More, Stage, StageKind, TaskKey, TaskResult, TileResult, Work,
+    Assignment, Decision, Epoch, FrameParts, Grid, JobId, MergeResult, More, Stage, StageKind, TaskKey, TaskResult,
+    TileResult, Work,
 };
 
 use super::{ConvertError, each, maybe, need};
@@ -154,4 +155,25 @@ fn decision(value: i32) -> Result<Decision, ConvertError> {
 pub(super) fn finite(seconds: f64) -> Result<f64, ConvertError> {
     let is_sound = seconds.is_finite() && seconds >= 0.0;
     is_sound.then_some(seconds).ok_or(ConvertError::Range { field: "seconds" })
+}
+
+impl From<FrameParts> for wire::FrameParts {
+    fn from(FrameParts { frame, grid, sums, tiles }: FrameParts) -> Self {
+        let Grid { film: [film_width, film_height], tile } = grid;
+        let tiles = tiles.into_iter().map(Into::into).collect();
+        Self { frame, film_width, film_height, tile, sums: sums.map(Into::into), tiles }
+    }
+}
+
+impl TryFrom<wire::FrameParts> for FrameParts {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::FrameParts) -> Result<Self, ConvertError> {
+        Ok(Self {
+            frame: wire.frame,
+            grid: Grid { film: [wire.film_width, wire.film_height], tile: wire.tile },
+            sums: maybe(wire.sums)?,
+            tiles: each(wire.tiles)?,
+        })
+    }
 }

@@ -58,6 +58,12 @@ impl wire::jobs_server::Jobs for Server {
         Ok(Response::new(wire::FramesReply { frames: frames.into_iter().map(Into::into).collect() }))
     }
 
+    async fn parts(&self, request: Request<wire::PartsRequest>) -> Answer<wire::PartsReply> {
+        let job = JobId(request.into_inner().job);
+        let frames = self.ask(|reply| Call::Parts { job, reply }).await?;
+        Ok(Response::new(wire::PartsReply { frames: frames.into_iter().map(Into::into).collect() }))
+    }
+
     async fn logs(&self, request: Request<wire::LogsRequest>) -> Answer<wire::LogsReply> {
         let wire::LogsRequest { job, since } = request.into_inner();
         let (job, since) = (JobId(job), Tick(since));

@@ -109,7 +109,7 @@ async fn job(order: &Order<'_>, farm: &Farm, state: &State) -> Result<JobId, Fai
     let frames = state.frames().filter(|frames| order.fit(frames)).unwrap_or_else(|| order.missing.clone());
     state.keep_frames(&frames)?;
     let spec = client::job_spec(order.asked, &order.scene, frames)?;
-    let (job, _) = farm.submit(&order.scene, Some(spec.key()), spec).await?;
+    let (job, _) = farm.submit(&order.scene, spec.key(), spec).await?;
     for other in farm.jobs().await? {
         match other.state {
             JobState::Paused if other.job == job => farm.control(job, Control::Resume).await?,

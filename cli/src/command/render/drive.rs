@@ -10,6 +10,7 @@ use crate::command::interrupt::Interrupt;
 use crate::exit::{Failure, failed, interrupted};
 use crate::output::{Progress, Say, job as show};
 use crate::request::Asked;
+use femc_fault::{Point, pass_async};
 use femc_model::{Control, FrameRecord, JobId, JobState};
 use femc_worker::Parcel;
 use std::collections::{BTreeMap, btree_map::Entry};
@@ -133,7 +134,9 @@ impl Order<'_> {
 async fn write(order: &Order<'_>, farm: &Farm, record: &FrameRecord) -> Result<FrameReport, Failure> {
     let path = order.target.path(record.frame);
     let bytes = farm.get(&record.image).await?;
+    pass_async(Point::RenderBeforeFile).await;
     femc_film::file::write_atomic(&path, &bytes).map_err(failed)?;
+    pass_async(Point::RenderAfterFile).await;
     Ok(FrameReport {
         frame: record.frame,
         file: path.display().to_string(),

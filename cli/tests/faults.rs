@@ -421,6 +421,7 @@ fn at_every_point_the_frames_are_those_of_one_process() {
     place.run(&format!("render fog.mgf -o alone {SETTINGS}")).exits(0);
     let alone = frames(&place, "alone");
     assert_eq!(alone.len(), 2);
+    // A part of a line of the table: that line alone.
     let only = std::env::var("FEMC_ONLY_FAULT").unwrap_or_default();
     let points: Vec<_> = POINTS.iter().filter(|(fault, point)| format!("{fault:?} {point}").contains(&only)).collect();
     let (next, failed) = (AtomicUsize::new(0), Mutex::new(Vec::new()));

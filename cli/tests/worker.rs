@@ -1,7 +1,8 @@
 //! A worker's own life, as a process: what it keeps, what it heeds, when it ends.
 
 mod common;
-use common::{Place, Proxy, coordinator, share, status, submit, workers};
+use common::proxy::Proxy;
+use common::{Place, coordinator, share, status, submit, workers};
 
 /// One tile, some seconds long.
 const TILE: &str = "--spp 2500 --size 16x16 --frames 1";

@@ -3,6 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
+use femc_fault::{Point, pass, pass_async};
 use femc_model::{Failure, FromWorker, JobId, JobStatus, Refusal, Tick, ToWorker, WorkerId};
 use femc_proto::{Call, References, Reply, Session};
 use femc_queue::Queue;
@@ -221,6 +222,7 @@ impl<Q: Queue> Actor<Q> {
     }
 
     fn join(&mut self, session: Session, commands: &mut Vec<Command>) {
+        pass(Point::CoordinatorBeforeJoin);
         let worker = WorkerId(self.number());
         let Session { registration, words, out } = session;
         tracing::info!(%worker, name = registration.name, threads = registration.threads, "worker joined");
@@ -236,7 +238,9 @@ impl<Q: Queue> Actor<Q> {
             self.queue.check()?;
         } else {
             let records = self.facts.drain(..).map(|(now, fact)| fact.encode(now)).collect::<Result<Vec<_>, _>>()?;
+            pass_async(Point::CoordinatorBeforeAppend).await;
             self.queue.append(&records).await?;
+            pass_async(Point::CoordinatorAfterAppend).await;
             self.records += records.len();
         }
         self.obey(commands);
@@ -286,7 +290,9 @@ impl<Q: Queue> Actor<Q> {
             // The snapshot holds what these commands' facts say already.
             self.commit(std::mem::take(commands)).await?;
             let state = self.scheduler.ledger().encode()?;
+            pass_async(Point::CoordinatorBeforeSnapshot).await;
             self.queue.snapshot(&state).await?;
+            pass_async(Point::CoordinatorAfterSnapshot).await;
             self.records = 0;
         }
         Ok(())

@@ -1,5 +1,6 @@
 //! Commands of the scheduler as messages, and statuses for those who watch.
 
+use femc_fault::{Point, pass};
 use femc_model::{Assignment, JobId, JobStatus, Refusal, Tick, ToWorker, WorkerId};
 use femc_queue::Queue;
 use femc_schedule::{Answer, Command, Event, RequestId};
@@ -72,6 +73,7 @@ impl<Q: Queue> Actor<Q> {
                 let job = |answer| match answer {
                     Answer::Submitted(job) | Answer::Controlled(job) => job,
                 };
+                pass(Point::CoordinatorBeforeAnswer);
                 drop(reply.send(answer.map(job)));
             }
             Some(Asker::Control(reply)) => drop(reply.send(answer.map(|_| ()))),

@@ -3,6 +3,7 @@
 use std::fmt::Write as _;
 use std::sync::Arc;
 
+use femc_fault::{Point, pass};
 use femc_model::{Epoch, LogText, StageKind, TaskKey};
 use tokio::sync::mpsc::UnboundedSender;
 
@@ -23,6 +24,7 @@ pub(crate) struct Finish {
 
 impl Finish {
     pub(crate) fn done(&self, task: &Arc<Task>, outcome: Outcome) {
+        pass(Point::WorkerAfterTask);
         if !task.is_cancelled() {
             self.close_log(task, &outcome);
         }

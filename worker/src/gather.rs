@@ -1,6 +1,7 @@
 //! The files of a job's scene: from what is kept near, else from the farm's store.
 
 use bytes::Bytes;
+use femc_fault::{Point, pass};
 use femc_import::Bundle;
 use femc_model::{Artefact, Digest, Failure, Manifest};
 use femc_proto::Client;
@@ -41,6 +42,7 @@ fn contents(
     let mut contents: Vec<Option<Bytes>> = artefacts.iter().map(|artefact| pieces.get(&artefact.digest)).collect();
     let missing: Vec<usize> = (0..artefacts.len()).filter(|&index| contents[index].is_none()).collect();
     for batch in missing.chunks(BATCH) {
+        pass(Point::WorkerMidFetch);
         let wanted: Vec<Artefact> = batch.iter().map(|&index| artefacts[index]).collect();
         for (&index, bytes) in batch.iter().zip(fetch.all(client, &wanted)) {
             let bytes = bytes.map_err(|failure| match failure {

@@ -6,6 +6,7 @@ use std::pin::Pin;
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
 
+use femc_fault::{Point, pass_async};
 use femc_model::{
     Epoch, Failure, FromWorker, JobId, JobSpec, Phase, Registration, TaskKey, TaskLog, TaskResult, ToWorker, Work,
 };
@@ -217,7 +218,10 @@ impl<'a> Session<'a> {
                 tracing::debug!(%task, ?reason, "lease taken back");
                 self.forget((task, epoch));
             }
-            ToWorker::Accepted { task, epoch } => self.forget((task, epoch)),
+            ToWorker::Accepted { task, epoch } => {
+                pass_async(Point::WorkerBeforeForget).await;
+                self.forget((task, epoch));
+            }
             ToWorker::Refused { task, epoch, refusal } => {
                 tracing::info!(%task, %refusal, "report refused");
                 self.forget((task, epoch));
@@ -244,12 +248,14 @@ impl<'a> Session<'a> {
         task.enter(Phase::Uploading);
         let client = self.client.clone();
         self.uploads.spawn(async move {
+            pass_async(Point::WorkerBeforeUpload).await;
             let sent = match task.outcome() {
                 Some(Ok(product)) => upload(&client, product).await.map(|()| product.result.clone()),
                 Some(Err(failure)) => Err(NotSent::Failed(failure.clone())),
                 None => Err(NotSent::Later),
             };
             let log = upload_log(&client, &task).await;
+            pass_async(Point::WorkerAfterUpload).await;
             (key, sent, log)
         });
     }
@@ -262,7 +268,10 @@ impl<'a> Session<'a> {
             return;
         }
         match sent {
-            Ok(result) => out.send(FromWorker::Completed { task, epoch, result, log }).await,
+            Ok(result) => {
+                out.send(FromWorker::Completed { task, epoch, result, log }).await;
+                pass_async(Point::WorkerAfterReport).await;
+            }
             Err(NotSent::Failed(failure)) => out.send(FromWorker::Failed { task, epoch, failure, log }).await,
             Err(NotSent::Later) => drop(self.sending.remove(&key)),
         }

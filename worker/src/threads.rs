@@ -9,6 +9,7 @@ use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
 use std::time::Duration;
 
+use femc_fault::{Point, pass};
 use femc_model::{Epoch, Failure, JobSpec, StageKind, TaskKey};
 use femc_proto::Client;
 
@@ -111,7 +112,7 @@ impl Lane {
                         return None;
                     }
                 }
-                Err(mpsc::RecvTimeoutError::Timeout) => {}
+                Err(mpsc::RecvTimeoutError::Timeout) => pass(Point::WorkerInTask),
             }
         }
     }

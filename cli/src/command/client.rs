@@ -12,7 +12,7 @@ use femc_proto::{CallError, Client, CollectMode, Collected};
 use femc_worker::Parcel;
 use std::time::Duration;
 
-/// How long a watch waits for a coordinator that has gone away to come back.
+/// How long is waited for a coordinator that has gone away to come back.
 const PATIENCE: Duration = Duration::from_secs(60);
 /// How often a scene is uploaded again that the store has lost meanwhile.
 const UPLOADS: usize = 2;
@@ -54,17 +54,18 @@ impl Farm {
     }
 
     /// Queue a job of `scene`, which is uploaded as far as it is missing; the bytes that were sent. `key`: a second
-    /// submission with the same key is the same job.
-    pub async fn submit(&self, scene: &Parcel, key: Option<Digest>, spec: JobSpec) -> Result<(JobId, u64), Failure> {
+    /// submission with the same key is the same job, so it is repeated when the coordinator goes away before it answers.
+    pub async fn submit(&self, scene: &Parcel, key: Digest, spec: JobSpec) -> Result<(JobId, u64), Failure> {
         let mut sent = self.put(scene).await?;
+        let submit = || patiently(|| self.client.submit(Some(key.to_string()), spec.clone()));
         for _ in 0..UPLOADS {
-            match self.client.submit(key.map(|key| key.to_string()), spec.clone()).await {
+            match submit().await {
                 // Removed between upload and submission.
                 Err(CallError::Refused(Refusal::MissingArtefacts { .. })) => sent += self.put(scene).await?,
                 submitted => return Ok((submitted.map_err(told)?, sent)),
             }
         }
-        Ok((self.client.submit(key.map(|key| key.to_string()), spec).await.map_err(told)?, sent))
+        Ok((submit().await.map_err(told)?, sent))
     }
 
     /// An artefact's bytes.
@@ -93,17 +94,7 @@ impl Farm {
 
     /// One job, of a coordinator that may be away for a while.
     pub async fn patient_status(&self, job: JobId) -> Result<JobStatus, Failure> {
-        let begun = Clock.now();
-        loop {
-            match self.client.status(job).await {
-                Err(CallError::Unreachable { .. } | CallError::Refused(Refusal::Unavailable { .. }))
-                    if Clock.since(begun) < PATIENCE =>
-                {
-                    tokio::time::sleep(RETRY).await;
-                }
-                answer => return answer.map_err(told),
-            }
-        }
+        patiently(|| self.client.status(job)).await.map_err(told)
     }
 
     /// The finished frames of a job, ascending.
@@ -139,6 +130,21 @@ impl Farm {
     /// Remove garbage from the store, or say what that would be.
     pub async fn collect(&self, mode: CollectMode, grace: Duration) -> Result<Collected, Failure> {
         self.client.collect(mode, grace).await.map_err(told)
+    }
+}
+
+/// Call again while the coordinator is away.
+async fn patiently<T>(call: impl AsyncFn() -> Result<T, CallError>) -> Result<T, CallError> {
+    let begun = Clock.now();
+    loop {
+        match call().await {
+            Err(CallError::Unreachable { .. } | CallError::Refused(Refusal::Unavailable { .. }))
+                if Clock.since(begun) < PATIENCE =>
+            {
+                tokio::time::sleep(RETRY).await;
+            }
+            answer => return answer,
+        }
     }
 }
 

@@ -39,6 +39,12 @@ pub struct CoordinatorArgs {
     /// farm
     #[arg(long, value_name = "DURATION", default_value = "3s", value_parser = silence)]
     silence: Duration,
+    /// A worker that is silent for so long loses its tasks to others, 1s to 10m; longer on networks that falter
+    #[arg(long, value_name = "DURATION", default_value = "5s", value_parser = lease)]
+    lease: Duration,
+    /// Changes after which the log is written anew, shorter: with fewer a restart is quicker, with more the log is written less
+    #[arg(long, value_name = "N", default_value = "20000", value_parser = clap::value_parser!(u32).range(1..))]
+    compact: u32,
     /// Where scenes, tiles and images are kept: a folder, s3://BUCKET/PREFIX (keys, region and endpoint are read from
     /// AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION, AWS_ENDPOINT_URL, AWS_ALLOW_HTTP), or memory (lost at the end); several
     /// coordinators share one
@@ -66,12 +72,17 @@ fn store(text: &str) -> Result<Log, String> {
 }
 
 fn silence(text: &str) -> Result<Duration, String> {
+    within(text, 3600.0, "1s to 1h")
+}
+
+fn lease(text: &str) -> Result<Duration, String> {
+    within(text, 600.0, "1s to 10m")
+}
+
+/// A duration from one second to `most`, which is the range called `range`.
+fn within(text: &str, most: f64, range: &str) -> Result<Duration, String> {
     let Budget { seconds } = text.parse::<Budget>().map_err(|error| error.to_string())?;
-    if (1.0..=3600.0).contains(&seconds) {
-        Ok(Duration::from_secs_f64(seconds))
-    } else {
-        Err("give 1s to 1h".to_owned())
-    }
+    if (1.0..=most).contains(&seconds) { Ok(Duration::from_secs_f64(seconds)) } else { Err(format!("give {range}")) }
 }
 
 fn artifacts(text: &str) -> Result<Artifacts, String> {
@@ -121,8 +132,9 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         artifacts: args.artifacts,
         scheduler: femc_schedule::Config {
             weights: args.share.into_iter().collect(),
-            ..femc_schedule::Config::default()
+            ..femc_schedule::Config::with_lease(args.lease.as_millis() as u64)
         },
+        snapshot: args.compact as usize,
         ..Config::default()
     };
     runtime()?.block_on(async {
@@ -187,6 +199,8 @@ mod tests {
         assert!(store("sqlite:").is_err() && store("farm.db").is_err());
         assert_eq!(silence("1500ms"), Ok(Duration::from_millis(1500)));
         assert!(["0s", "10ms", "2h", "long"].iter().all(|text| silence(text).is_err()));
+        assert_eq!(lease("30s"), Ok(Duration::from_secs(30)));
+        assert!(["0.5s", "11m", "ever"].iter().all(|text| lease(text).is_err()));
         assert_eq!(share("ann=3"), Ok(("ann".into(), 3)));
         assert!(["ann", "ann=0", "=3", "ann=-1", "ann=many"].iter().all(|text| share(text).is_err()));
         assert_eq!(artifacts("a/b"), Ok(Artifacts::Folder("a/b".into())));

@@ -6,7 +6,9 @@ use crate::exit::{Exit, Failure};
 use crate::output::{Say, human, json};
 use crate::request::Asked;
 use clap::Args;
+use femc_model::Digest;
 use serde::Serialize;
+use std::hash::{BuildHasher as _, RandomState};
 use std::path::PathBuf;
 
 /// Queue a job on the farm, with all files that its scene needs; prints the job's number
@@ -58,7 +60,7 @@ pub fn run(args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
         if !args.tags.is_empty() {
             spec.tags = args.tags;
         }
-        farm.submit(&scene, None, spec).await
+        farm.submit(&scene, own_key(), spec).await
     })?;
     if args.format.json {
         json::print(say, &Report { job: job.0, scene_bytes: scene.size(), sent_bytes: sent })?;
@@ -69,4 +71,10 @@ pub fn run(args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
         say.result(job);
     }
     Ok(Exit::Done)
+}
+
+/// A key that no other submission has, also of the same job: every `femc submit` is a job of its own.
+fn own_key() -> Digest {
+    let number = || RandomState::new().hash_one(std::process::id()).to_le_bytes();
+    Digest::of(&[number(), number()].concat())
 }

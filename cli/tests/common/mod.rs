@@ -2,6 +2,7 @@
 #![allow(dead_code)] // every test file uses its own part of this
 
 pub mod outage;
+pub mod proxy;
 
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
@@ -97,53 +98,6 @@ pub fn share(place: &Place, url: &str, job: &str) -> f64 {
     number("samples") / number("samples_most")
 }
 
-/// A way to a server that can be held up: bytes are kept back, and nobody hears of it.
-pub struct Proxy {
-    pub url: String,
-    is_frozen: std::sync::Arc<std::sync::atomic::AtomicBool>,
-}
-
-impl Proxy {
-    /// To the server at `url`.
-    pub fn to(url: &str) -> Self {
-        let target = url.trim_start_matches("http://").to_owned();
-        let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
-        let url = format!("http://{}", listener.local_addr().expect("its address"));
-        let is_frozen = std::sync::Arc::<std::sync::atomic::AtomicBool>::default();
-        let frozen = is_frozen.clone();
-        std::thread::spawn(move || {
-            for near in listener.incoming() {
-                let (Ok(near), Ok(far)) = (near, std::net::TcpStream::connect(&target)) else { continue };
-                let (Ok(back), Ok(forth)) = (near.try_clone(), far.try_clone()) else { continue };
-                for (from, to) in [(near, far), (forth, back)] {
-                    let frozen = frozen.clone();
-                    std::thread::spawn(move || relay(from, to, &frozen));
-                }
-            }
-        });
-        Self { url, is_frozen }
-    }
-
-    /// From now on nothing passes.
-    pub fn freeze(&self) {
-        self.is_frozen.store(true, std::sync::atomic::Ordering::SeqCst);
-    }
-}
-
-fn relay(mut from: std::net::TcpStream, mut to: std::net::TcpStream, frozen: &std::sync::atomic::AtomicBool) {
-    use std::io::{Read as _, Write as _};
-    let mut bytes = [0; 1 << 16];
-    while let Ok(count) = from.read(&mut bytes) {
-        while frozen.load(std::sync::atomic::Ordering::SeqCst) {
-            std::thread::sleep(Duration::from_millis(5));
-        }
-        if count == 0 || to.write_all(&bytes[..count]).is_err() {
-            break;
-        }
-    }
-    let _ = to.shutdown(std::net::Shutdown::Both);
-}
-
 /// A temporary folder with `fog.mgf` in it.
 pub struct Place {
     folder: tempfile::TempDir,
@@ -169,7 +123,7 @@ impl Place {
     pub fn command(&self, line: &str) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_femc"));
         command.args(line.split_whitespace()).current_dir(self.folder.path());
-        command.env_remove("FEMC_SERVER").env_remove("FEMC_LOG").stdin(Stdio::null());
+        command.env_remove("FEMC_SERVER").env_remove("FEMC_LOG").env_remove("FEMC_FAULT").stdin(Stdio::null());
         // Out of sight: a name that begins with a dot.
         command.env("XDG_STATE_HOME", self.folder.path().join(".state"));
         command
@@ -183,9 +137,15 @@ impl Place {
 
     /// Start, its output to the files `NAME.out` and `NAME.err`.
     pub fn start_as(&self, name: &str, line: &str) -> Running {
+        self.start_told(name, &mut self.command(line))
+    }
+
+    /// The same of a command.
+    pub fn start_told(&self, name: &str, command: &mut Command) -> Running {
         let file = |kind| std::fs::File::create(self.path(&format!("{name}.{kind}"))).expect("a file");
-        let child = self.command(line).stdout(file("out")).stderr(file("err")).spawn().expect("femc starts");
-        Running { line: line.to_owned(), child: Some(child) }
+        let line = format!("{command:?}");
+        let child = command.stdout(file("out")).stderr(file("err")).spawn().expect("femc starts");
+        Running { line, child: Some(child) }
     }
 
     /// What is in a file, as far as it is there.

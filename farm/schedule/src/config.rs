@@ -44,6 +44,14 @@ impl Config {
         (self.ahead / milliseconds.max(1)).min(Self::DEEPEST) as usize
     }
 
+    /// Heartbeats in a lease.
+    const HEARTBEATS: u64 = 10;
+
+    /// Leases of so many milliseconds and heartbeats to match.
+    pub fn with_lease(lease: u64) -> Self {
+        Self { lease, heartbeat: lease / Self::HEARTBEATS, ..Self::default() }
+    }
+
     /// An owner's weight.
     pub fn weight(&self, owner: &str) -> u32 {
         self.weights.get(owner).copied().unwrap_or(1)

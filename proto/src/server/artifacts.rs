@@ -4,6 +4,7 @@ use std::pin::Pin;
 use std::time::Duration;
 
 use bytes::Bytes;
+use femc_fault::{Point, pass_async};
 use femc_model::{Artefact, Refusal};
 use femc_store::{Novelty, StoreError};
 use tokio::sync::mpsc;
@@ -92,6 +93,7 @@ async fn put(server: Server, mut parts: Streaming<wire::PutRequest>) -> Result<A
         let Part::Piece(piece) = need("piece", part.part)? else {
             return Err(Status::invalid_argument("only one digest"));
         };
+        pass_async(Point::CoordinatorMidUpload).await;
         upload.write(&piece).await.map_err(|no| to_status(&no))?;
     }
     // Again: it may have taken long, and bytes that are there already keep their age.

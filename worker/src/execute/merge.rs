@@ -1,6 +1,7 @@
 //! All tiles of a frame's round: their union, its error, and what follows; the image, if the frame is finished.
 
 use bytes::Bytes;
+use femc_fault::{Point, pass};
 use femc_film::{FilmError, Frame, FrameImage, Provenance, SampleRange, Tile, Tiling, ToneCurve, exr};
 use femc_model::{Artefact, Decision, Digest, Failure, MergeResult, More, Phase, TaskResult, Work};
 use femc_pipeline::{RoundVerdict, Settings};
@@ -114,6 +115,7 @@ fn union(task: &Task, previous: Option<Artefact>, tiles: &[Artefact], tools: &To
         let decoded: Vec<Result<Tile, FilmError>> =
             tools.install(task, || here.par_iter().map(|(_, bytes)| Tile::decode(bytes)).collect());
         for ((artefact, _), tile) in here.iter().zip(decoded) {
+            pass(Point::WorkerMidMerge);
             lost.check(*artefact, tile.and_then(|tile| frame.insert(tile).map(drop)));
         }
     }

@@ -8,6 +8,7 @@ use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 
 use bytes::Bytes;
+use femc_fault::{Point, pass};
 use femc_model::{Failure, TaskResult, Work};
 use rayon::ThreadPool;
 
@@ -44,6 +45,7 @@ pub(crate) struct Product {
 /// Does the task. A panic is a failure like others.
 pub(crate) fn execute(task: &Task, tools: &Tools) -> Result<Product, Failure> {
     task.log.begin();
+    pass(Point::WorkerBeforeTask);
     task.log.hear(|| {
         let outcome = attempt(task, tools);
         match &outcome {

@@ -10,6 +10,7 @@ use crate::command::interrupt::Interrupt;
 use crate::exit::{Failure, failed, interrupted};
 use crate::output::{Progress, Say, job as show};
 use crate::request::Asked;
+use femc_fault::{Point, pass_async};
 use femc_model::{Control, FrameRecord, JobId, JobState};
 use femc_worker::Parcel;
 use std::collections::{BTreeMap, btree_map::Entry};
@@ -109,7 +110,7 @@ async fn job(order: &Order<'_>, farm: &Farm, state: &State) -> Result<JobId, Fai
     let frames = state.frames().filter(|frames| order.fit(frames)).unwrap_or_else(|| order.missing.clone());
     state.keep_frames(&frames)?;
     let spec = client::job_spec(order.asked, &order.scene, frames)?;
-    let (job, _) = farm.submit(&order.scene, Some(spec.key()), spec).await?;
+    let (job, _) = farm.submit(&order.scene, spec.key(), spec).await?;
     for other in farm.jobs().await? {
         match other.state {
             JobState::Paused if other.job == job => farm.control(job, Control::Resume).await?,
@@ -133,7 +134,9 @@ impl Order<'_> {
 async fn write(order: &Order<'_>, farm: &Farm, record: &FrameRecord) -> Result<FrameReport, Failure> {
     let path = order.target.path(record.frame);
     let bytes = farm.get(&record.image).await?;
+    pass_async(Point::RenderBeforeFile).await;
     femc_film::file::write_atomic(&path, &bytes).map_err(failed)?;
+    pass_async(Point::RenderAfterFile).await;
     Ok(FrameReport {
         frame: record.frame,
         file: path.display().to_string(),

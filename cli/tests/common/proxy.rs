@@ -1,0 +1,99 @@
+//! A way to a server that can be held up, or cut: seen from those who go through here.
+
+use std::io::{Read as _, Write as _};
+use std::net::{Shutdown, TcpListener, TcpStream};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+/// Which way bytes go.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Way {
+    /// To the server.
+    Up,
+    /// From the server.
+    Down,
+}
+
+/// Between clients and a server. What is held up is late, and not lost.
+pub struct Proxy {
+    /// Where clients find the server.
+    pub url: String,
+    state: Arc<State>,
+}
+
+#[derive(Default)]
+struct State {
+    up: AtomicBool,
+    down: AtomicBool,
+    streams: Mutex<Vec<TcpStream>>,
+}
+
+impl State {
+    fn is_frozen(&self, way: Way) -> &AtomicBool {
+        match way {
+            Way::Up => &self.up,
+            Way::Down => &self.down,
+        }
+    }
+}
+
+impl Proxy {
+    /// To the server at `url`.
+    pub fn to(url: &str) -> Self {
+        let target = url.trim_start_matches("http://").to_owned();
+        let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+        let url = format!("http://{}", listener.local_addr().expect("its address"));
+        let state = Arc::<State>::default();
+        let shared = state.clone();
+        std::thread::spawn(move || {
+            for near in listener.incoming() {
+                let (Ok(near), Ok(far)) = (near, TcpStream::connect(&target)) else { continue };
+                let clone = |stream: &TcpStream| stream.try_clone().expect("another handle");
+                shared.streams.lock().expect("no panic").extend([clone(&near), clone(&far)]);
+                let (back, forth) = (clone(&near), clone(&far));
+                for (from, to, way) in [(near, far, Way::Up), (forth, back, Way::Down)] {
+                    let shared = shared.clone();
+                    std::thread::spawn(move || relay(from, to, shared.is_frozen(way)));
+                }
+            }
+        });
+        Self { url, state }
+    }
+
+    /// From now on nothing passes, and nobody hears of it.
+    pub fn freeze(&self) {
+        [Way::Up, Way::Down].into_iter().for_each(|way| self.freeze_way(way));
+    }
+
+    /// The same one way.
+    pub fn freeze_way(&self, way: Way) {
+        self.state.is_frozen(way).store(true, Ordering::SeqCst);
+    }
+
+    /// What was kept back arrives, and all passes again.
+    pub fn thaw(&self) {
+        [Way::Up, Way::Down].into_iter().for_each(|way| self.state.is_frozen(way).store(false, Ordering::SeqCst));
+    }
+
+    /// Breaks all connections; new ones can be made.
+    pub fn cut(&self) {
+        for stream in self.state.streams.lock().expect("no panic").drain(..) {
+            // It may be over already.
+            let _ = stream.shutdown(Shutdown::Both);
+        }
+    }
+}
+
+fn relay(mut from: TcpStream, mut to: TcpStream, is_frozen: &AtomicBool) {
+    let mut bytes = [0; 1 << 16];
+    while let Ok(count) = from.read(&mut bytes) {
+        while is_frozen.load(Ordering::SeqCst) {
+            std::thread::sleep(Duration::from_millis(5));
+        }
+        if count == 0 || to.write_all(&bytes[..count]).is_err() {
+            break;
+        }
+    }
+    let _ = to.shutdown(Shutdown::Both);
+}

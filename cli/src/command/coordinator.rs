@@ -40,7 +40,7 @@ pub struct CoordinatorArgs {
     #[arg(long, value_name = "DURATION", default_value = "3s", value_parser = silence)]
     silence: Duration,
     /// A worker that is silent for so long loses its tasks to others, 1s to 10m; longer on networks that falter
-    #[arg(long, value_name = "DURATION", default_value = "5s", value_parser = lease)]
+    #[arg(long, value_name = "DURATION", default_value = "4.5s", value_parser = lease)]
     lease: Duration,
     /// Changes after which the log is written anew, shorter: with fewer a restart is quicker, with more the log is written less
     #[arg(long, value_name = "N", default_value = "20000", value_parser = clap::value_parser!(u32).range(1..))]

@@ -54,6 +54,16 @@ pub enum Violation {
         /// Of its result.
         epoch: Epoch,
     },
+    /// A result counts although its lease was over: the task had been given out anew.
+    #[error("{task} counts under epoch {} after it was leased under {}", .epoch.0, .later.0)]
+    Superseded {
+        /// Which.
+        task: TaskKey,
+        /// Of its result.
+        epoch: Epoch,
+        /// Of the lease that held.
+        later: Epoch,
+    },
     /// The job's account does not agree with what was done.
     #[error("the account says {found} {what}, it should be {expected}")]
     Account {
@@ -74,10 +84,11 @@ pub enum Violation {
 
 /// All that is wrong.
 pub(crate) fn audit(stage: &Stage, state: &State) -> Vec<Violation> {
-    let mut wrong = match log(state) {
-        Ok(wrong) => wrong,
-        Err(error) => vec![error.into()],
-    };
+    let mut wrong = state.wrong.clone();
+    match log(state) {
+        Ok(found) => wrong.extend(found),
+        Err(error) => wrong.push(error.into()),
+    }
     let Some((status, pixels)) = &state.end else {
         wrong.push(Violation::Unfinished);
         return wrong;
@@ -116,9 +127,6 @@ fn log(state: &State) -> Result<Vec<Violation>, SnapshotError> {
                 counted.insert((task, epoch));
                 if let Some(before) = done.insert(task, epoch) {
                     wrong.push(Violation::Twice { task, epochs: [before, epoch] });
-                }
-                if !state.assigned.contains(&(task, epoch)) {
-                    wrong.push(Violation::Unleased { task, epoch });
                 }
             }
             Fact::Lost { task } => drop(done.remove(&task)),

@@ -9,6 +9,7 @@ use std::time::Duration;
 
 use async_trait::async_trait;
 use femc_queue::{Contents, Queue, QueueError};
+use femc_schedule::Fact;
 use femc_store::object_store::memory::InMemory;
 use femc_store::object_store::path::Path;
 use femc_store::object_store::{
@@ -17,7 +18,7 @@ use femc_store::object_store::{
 };
 use futures_util::stream::BoxStream;
 
-use crate::shared::{Shared, Trap};
+use crate::shared::{Shared, State, Trap};
 
 /// Longest that the disk takes before and after a write.
 const SEEK: Duration = Duration::from_millis(6);
@@ -52,7 +53,7 @@ impl Log {
     }
 
     /// Writes, unless another leads, there is no room, or the process dies over it.
-    async fn write(&self, write: impl FnOnce(&mut Disk)) -> Result<(), QueueError> {
+    async fn write(&self, write: impl FnOnce(&mut State)) -> Result<(), QueueError> {
         tokio::time::sleep(self.shared.pause(SEEK)).await;
         if self.falls(Trap::Before) {
             pending::<()>().await;
@@ -68,7 +69,7 @@ impl Log {
                 state.fired("log full");
                 return Err(io::Error::from(io::ErrorKind::StorageFull).into());
             }
-            write(&mut state.disk);
+            write(&mut state);
         }
         if self.falls(Trap::After) {
             pending::<()>().await;
@@ -106,18 +107,20 @@ impl Queue for Log {
 
     async fn append(&mut self, records: &[Vec<u8>]) -> Result<(), QueueError> {
         let records = records.to_vec();
-        self.write(|disk| {
-            disk.contents.records.extend_from_slice(&records);
-            disk.history.extend(records);
+        self.write(|state| {
+            let facts = records.iter().filter_map(|record| Fact::decode(record).ok());
+            state.wrong.extend(facts.filter_map(|(_, fact)| state.leases.judge(&fact)));
+            state.disk.contents.records.extend_from_slice(&records);
+            state.disk.history.extend(records);
         })
         .await
     }
 
     async fn snapshot(&mut self, state: &[u8]) -> Result<(), QueueError> {
         let fresh = Contents { snapshot: Some(state.to_vec()), ..Contents::default() };
-        self.write(|disk| {
-            disk.contents = fresh;
-            disk.snapshots += 1;
+        self.write(|state| {
+            state.disk.contents = fresh;
+            state.disk.snapshots += 1;
         })
         .await
     }

@@ -3,13 +3,16 @@
 //! One number, the seed, decides everything: latencies, which faults come and when, how long tasks take. After each run
 //! the log and the frames are held against what must be true of them ([`Violation`]). A seed that fails fails again.
 //!
-//! Simulated are the network (turmoil), the clock, the disk under the log  and the time that a task takes. Real
+//! That the audit would see it is shown by planted bugs, one at a time: `sim/plants/run` gives the seed that finds each.
+//!
+//! Simulated are the network (turmoil), the clock, the disk under the log and the time that a task takes. Real
 //! are the scheduler, the coordinator's shell, the wire, the sessions, the rendering and the merging of real frames.
 #![deny(missing_docs)]
 
 mod audit;
 mod disk;
 mod faults;
+mod leases;
 mod network;
 mod shared;
 mod stage;

@@ -8,7 +8,9 @@ use femc_model::{Epoch, JobStatus, TaskKey};
 use rand::rngs::SmallRng;
 use rand::{RngExt as _, SeedableRng as _};
 
+use crate::audit::Violation;
 use crate::disk::Disk;
+use crate::leases::Leases;
 
 /// A crash of the writing coordinator at a chosen write.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -35,8 +37,10 @@ pub(crate) struct State {
     /// Of a hundred messages of workers, how many come twice, and how many come late.
     pub(crate) twice: u32,
     pub(crate) late: u32,
-    /// Leases that were given out.
-    pub(crate) assigned: BTreeSet<(TaskKey, Epoch)>,
+    /// Leases as seen on the way.
+    pub(crate) leases: Leases,
+    /// What was wrong when it was written.
+    pub(crate) wrong: Vec<Violation>,
     /// Results that were reported.
     pub(crate) reported: BTreeSet<(TaskKey, Epoch)>,
     /// Results that were acknowledged.
@@ -65,7 +69,8 @@ impl Shared {
             ahead: Duration::ZERO,
             twice: 0,
             late: 0,
-            assigned: BTreeSet::new(),
+            leases: Leases::default(),
+            wrong: Vec::new(),
             reported: BTreeSet::new(),
             accepted: BTreeSet::new(),
             fired: BTreeMap::new(),

@@ -32,6 +32,8 @@ async fn relay(session: Session, shared: Shared) {
     let leader = url(&format!("c{}", shared.lock().leader));
     let name = registration.name.clone();
     shared.note(|| format!("{name} joins {leader} with {:?}", registration.held));
+    let held = registration.held.iter().map(|held| (held.task, held.epoch));
+    let number = shared.lock().leases.joined(held);
     let Ok(client) = Client::connect_by(&dial(), &leader).await else { return };
     let Ok((up, mut down)) = client.session(registration).await else { return };
     let upwards = async {
@@ -47,7 +49,8 @@ async fn relay(session: Session, shared: Shared) {
         while let Ok(Some(message)) = down.next().await {
             shared.note(|| format!("{name} < {message:?}"));
             match &message {
-                ToWorker::Assign(lease) => drop(shared.lock().assigned.insert((lease.task, lease.epoch))),
+                ToWorker::Assign(lease) => shared.lock().leases.assigned(lease.task, lease.epoch),
+                ToWorker::Revoke { task, epoch, .. } => shared.lock().leases.revoked(number, *task, *epoch),
                 ToWorker::Accepted { task, epoch } => drop(shared.lock().accepted.insert((*task, *epoch))),
                 _ => {}
             }

@@ -1,0 +1,61 @@
+//! Who holds what, as seen on the way between coordinators and workers.
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use femc_model::{Epoch, TaskKey};
+use femc_schedule::Fact;
+
+use crate::audit::Violation;
+
+/// Number of a session that the switch has relayed.
+pub(crate) type SessionNumber = u64;
+
+/// Leases that were seen to be given out, brought along, and ended.
+#[derive(Debug, Default)]
+pub(crate) struct Leases {
+    /// All that were given out.
+    given: BTreeSet<(TaskKey, Epoch)>,
+    /// Of each task's leases the latest: epochs grow with the log.
+    latest: BTreeMap<TaskKey, Epoch>,
+    /// Leases that a worker brought along, and the sessions in which nobody has taken them away again.
+    brought: BTreeMap<(TaskKey, Epoch), BTreeSet<SessionNumber>>,
+    sessions: SessionNumber,
+}
+
+impl Leases {
+    /// A session begins, and these leases come with it.
+    pub(crate) fn joined(&mut self, held: impl Iterator<Item = (TaskKey, Epoch)>) -> SessionNumber {
+        self.sessions += 1;
+        for lease in held {
+            self.brought.entry(lease).or_default().insert(self.sessions);
+        }
+        self.sessions
+    }
+
+    /// A coordinator gives a lease out.
+    pub(crate) fn assigned(&mut self, task: TaskKey, epoch: Epoch) {
+        self.given.insert((task, epoch));
+        let latest = self.latest.entry(task).or_insert(epoch);
+        *latest = epoch.max(*latest);
+    }
+
+    /// A coordinator ends a lease.
+    pub(crate) fn revoked(&mut self, session: SessionNumber, task: TaskKey, epoch: Epoch) {
+        if let Some(sessions) = self.brought.get_mut(&(task, epoch)) {
+            sessions.remove(&session);
+        }
+    }
+
+    /// What is wrong with a record that is being written now. A result may count only under a lease that holds: the task's
+    /// latest, or one that a worker has brought along and that may have been adopted.
+    pub(crate) fn judge(&self, fact: &Fact) -> Option<Violation> {
+        let (Fact::Rendered { task, epoch, .. } | Fact::Merged { task, epoch, .. }) = fact else { return None };
+        let (task, epoch) = (*task, *epoch);
+        if !self.given.contains(&(task, epoch)) {
+            return Some(Violation::Unleased { task, epoch });
+        }
+        let later = self.latest.get(&task).copied().filter(|latest| *latest > epoch)?;
+        let may_hold = self.brought.get(&(task, epoch)).is_some_and(|sessions| !sessions.is_empty());
+        (!may_hold).then_some(Violation::Superseded { task, epoch, later })
+    }
+}

@@ -55,7 +55,7 @@ pub enum Violation {
         epoch: Epoch,
     },
     /// A result counts although its lease was over: the task had been given out anew.
-    #[error("{task} counts under epoch {} after it was leased under {}", .epoch.0, .later.0)]
+    #[error("{task} counts under epoch {}, and was leased anew under {}", .epoch.0, .later.0)]
     Superseded {
         /// Which.
         task: TaskKey,

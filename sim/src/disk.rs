@@ -108,8 +108,10 @@ impl Queue for Log {
     async fn append(&mut self, records: &[Vec<u8>]) -> Result<(), QueueError> {
         let records = records.to_vec();
         self.write(|state| {
-            let facts = records.iter().filter_map(|record| Fact::decode(record).ok());
-            state.wrong.extend(facts.filter_map(|(_, fact)| state.leases.judge(&fact)));
+            for (_, fact) in records.iter().filter_map(|record| Fact::decode(record).ok()) {
+                let wrong = state.leases.judge(&fact);
+                state.wrong.extend(wrong);
+            }
             state.disk.contents.records.extend_from_slice(&records);
             state.disk.history.extend(records);
         })

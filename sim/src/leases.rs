@@ -19,6 +19,8 @@ pub(crate) struct Leases {
     latest: BTreeMap<TaskKey, Epoch>,
     /// Leases that a worker brought along, and the sessions in which nobody has taken them away again.
     brought: BTreeMap<(TaskKey, Epoch), BTreeSet<SessionNumber>>,
+    /// Tasks that the log counts, under leases that nobody has brought along.
+    counted: BTreeMap<TaskKey, Epoch>,
     sessions: SessionNumber,
 }
 
@@ -32,11 +34,12 @@ impl Leases {
         self.sessions
     }
 
-    /// A coordinator gives a lease out.
-    pub(crate) fn assigned(&mut self, task: TaskKey, epoch: Epoch) {
+    /// A coordinator gives a lease out; what is wrong with that.
+    pub(crate) fn assigned(&mut self, task: TaskKey, epoch: Epoch) -> Option<Violation> {
         self.given.insert((task, epoch));
         let latest = self.latest.entry(task).or_insert(epoch);
         *latest = epoch.max(*latest);
+        self.superseded(task)
     }
 
     /// A coordinator ends a lease.
@@ -48,14 +51,32 @@ impl Leases {
 
     /// What is wrong with a record that is being written now. A result may count only under a lease that holds: the task's
     /// latest, or one that a worker has brought along and that may have been adopted.
-    pub(crate) fn judge(&self, fact: &Fact) -> Option<Violation> {
-        let (Fact::Rendered { task, epoch, .. } | Fact::Merged { task, epoch, .. }) = fact else { return None };
-        let (task, epoch) = (*task, *epoch);
+    pub(crate) fn judge(&mut self, fact: &Fact) -> Option<Violation> {
+        let (task, epoch) = match fact {
+            Fact::Rendered { task, epoch, .. } | Fact::Merged { task, epoch, .. } => (*task, *epoch),
+            Fact::Lost { task } => {
+                self.counted.remove(task);
+                return None;
+            }
+            Fact::Restarted { job, frame } => {
+                self.counted.retain(|task, _| (task.job, task.stage.frame) != (*job, *frame));
+                return None;
+            }
+            _ => return None,
+        };
         if !self.given.contains(&(task, epoch)) {
             return Some(Violation::Unleased { task, epoch });
         }
-        let later = self.latest.get(&task).copied().filter(|latest| *latest > epoch)?;
-        let may_hold = self.brought.get(&(task, epoch)).is_some_and(|sessions| !sessions.is_empty());
-        (!may_hold).then_some(Violation::Superseded { task, epoch, later })
+        if self.brought.get(&(task, epoch)).is_some_and(|sessions| !sessions.is_empty()) {
+            return None;
+        }
+        self.counted.insert(task, epoch);
+        self.superseded(task)
+    }
+
+    /// A task that counts is not given out again, whether the lease that came after its own is seen before or later.
+    fn superseded(&self, task: TaskKey) -> Option<Violation> {
+        let (epoch, later) = (*self.counted.get(&task)?, *self.latest.get(&task)?);
+        (later > epoch).then_some(Violation::Superseded { task, epoch, later })
     }
 }

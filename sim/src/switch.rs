@@ -49,7 +49,11 @@ async fn relay(session: Session, shared: Shared) {
         while let Ok(Some(message)) = down.next().await {
             shared.note(|| format!("{name} < {message:?}"));
             match &message {
-                ToWorker::Assign(lease) => shared.lock().leases.assigned(lease.task, lease.epoch),
+                ToWorker::Assign(lease) => {
+                    let mut state = shared.lock();
+                    let wrong = state.leases.assigned(lease.task, lease.epoch);
+                    state.wrong.extend(wrong);
+                }
                 ToWorker::Revoke { task, epoch, .. } => shared.lock().leases.revoked(number, *task, *epoch),
                 ToWorker::Accepted { task, epoch } => drop(shared.lock().accepted.insert((*task, *epoch))),
                 _ => {}

@@ -276,7 +276,13 @@ fn coordinator_killed_twice(point: &str) -> (Frames, Duration) {
     let mut farm = Farm::new(Place::new(), None);
     let _worker = worker(&farm.place, "first", &farm.url, None);
     farm.submitted();
-    wait("a tile", || farm.done().0 > 64 * 256);
+    // The samples that `done` counts may be those of a task under way.
+    wait("a tile", || {
+        let status = common::status(&farm.place, &farm.url, &farm.job);
+        let tiles = |frame: &serde_json::Value| frame["tiles_done"].as_u64();
+        status["frames_done"].as_u64() > Some(0)
+            || status["active"].as_array().is_some_and(|active| active.iter().any(|frame| tiles(frame) > Some(0)))
+    });
     let begun = Instant::now();
     farm.restart(Some(point));
     farm.fires();

@@ -28,7 +28,7 @@ pub(crate) fn encode(frame: &Frame) -> Vec<u8> {
     bytes
 }
 
-/// The tiles that [`encode`] wrote.
+/// The tiles of encoded sums.
 pub fn decode(bytes: &[u8]) -> Result<Vec<Tile>, FilmError> {
     let mut rest = bytes;
     if take::<8>(&mut rest)? != *MAGIC {

@@ -41,10 +41,12 @@ fn a_store_that_goes_away_for_a_while_costs_no_task_and_no_pixel() {
     let line = format!("coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts {bucket}");
     let mut command = place.command(&line);
     command.env("AWS_ENDPOINT_URL", &outage.url);
-    let mut farm = Running::of(&mut command);
-    let url = farm.address();
+    let mut farm = place.start_told("farm", &mut command);
+    farm.wait_until("its address", || place.read("farm.out").ends_with('\n'));
+    let line = place.read("farm.out");
+    let url = line.split_whitespace().find(|word| word.starts_with("http://")).expect("the address");
     let mut worker = place.start(&format!("worker --join {url} --threads 1"));
-    let settings = "--spp 12 --size 64x64";
+    let settings = "--spp 24 --size 64x64";
     let ran = place.run(&format!("submit fog.mgf {settings} --server {url}")).exits(0);
     let job = ran.stdout().lines().last().expect("a job id").to_owned();
     let frames_done = || {
@@ -53,17 +55,16 @@ fn a_store_that_goes_away_for_a_while_costs_no_task_and_no_pixel() {
     };
     worker.wait_until("a finished frame", || frames_done() >= 1);
     outage.begin();
-    // A call tries six times; so several are given up and reported.
-    worker.wait_until("calls that are given up", || outage.refused() >= 20);
-    assert!(frames_done() < 8, "it is not over yet");
+    let told = || place.read("farm.err");
+    farm.wait_until("a task that met the outage", || {
+        told().lines().any(|line| line.contains("task failed") && line.contains(&bucket))
+    });
+    assert!(outage.refused() > 0 && frames_done() < 8, "it is not over yet");
     outage.end();
     place.run(&format!("watch {job} --server {url}")).exits(0);
     let status = place.run(&format!("status {job} --json --server {url}")).exits(0).json();
     assert!(status["quarantined"].as_array().is_some_and(Vec::is_empty), "{status}");
     place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
-    farm.signal("TERM");
-    let told = farm.end().stderr();
-    assert!(told.contains("task failed") && told.contains(&bucket), "a task met the outage: {told}");
     place.run(&format!("render fog.mgf -o alone {settings}")).exits(0);
     assert_eq!(names(&place.path("out")), names(&place.path("alone")));
     for name in names(&place.path("alone")) {

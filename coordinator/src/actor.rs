@@ -79,6 +79,8 @@ impl<Q: Queue> Actor<Q> {
     const BATCH: usize = 1024;
     /// Between two looks at deadlines and watchers.
     const TIMER: Duration = Duration::from_millis(100);
+    /// Whoever looks so late has heard nobody in the meantime.
+    const STANDSTILL: Duration = Duration::from_millis(500);
 
     pub(crate) fn new(scheduler: Scheduler, queue: Q, store: Store, records: usize, config: &Config) -> Self {
         let (words, heard) = mpsc::channel(4 * Self::BATCH);
@@ -117,7 +119,11 @@ impl<Q: Queue> Actor<Q> {
             tokio::select! {
                 biased;
                 _ = stop.changed() => break,
-                _ = timer.tick() => {
+                due = timer.tick() => {
+                    if due.elapsed() > Self::STANDSTILL {
+                        tracing::warn!(seconds = due.elapsed().as_secs_f64(), "stood still; workers are heard first");
+                        self.hear(Event::Awoke, &mut commands);
+                    }
                     self.hear(Event::Elapsed, &mut commands);
                     self.look_after(&mut commands).await?;
                 }
@@ -138,7 +144,7 @@ impl<Q: Queue> Actor<Q> {
             self.commit(commands).await?;
         }
         self.say_goodbye();
-        Ok(())
+        Ok(self.queue.close().await?)
     }
 
     /// Asks the scheduler what follows from `event`.

@@ -6,7 +6,7 @@ use super::outbox;
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::Say;
-use crate::request::{Budget, Hours, Volume};
+use crate::request::{Budget, Hours, Volume, VolumeError};
 use clap::Args;
 use femc_worker::{AtStop, Cache, Config, Duty, MemoryLimit, Pieces, Shift, Worker, WorkerError};
 use std::path::{Path, PathBuf};
@@ -45,7 +45,7 @@ pub struct WorkerArgs {
     /// Resident memory above which it lets go of cached scenes, then gives tasks back: 8G, 512M. Before a task begins, the
     /// worker's size and the most that a task of its kind has added so far must fit. It is no wall: a single task may be
     /// larger than was expected.
-    #[arg(long, value_name = "SIZE")]
+    #[arg(long, value_name = "SIZE", value_parser = memory)]
     memory: Option<Volume>,
     /// Niceness of the threads that compute, 0 to 19: greater lets others of the machine go first
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u8).range(0..=19))]
@@ -72,6 +72,17 @@ pub struct WorkerArgs {
 
 /// Between two looks.
 const RETRY: Duration = Duration::from_millis(300);
+
+/// A limit below is a slip of the pen.
+const LEAST_MEMORY: u64 = 1 << 20;
+
+fn memory(text: &str) -> Result<Volume, String> {
+    let volume: Volume = text.parse().map_err(|error: VolumeError| error.to_string())?;
+    if volume.0 < LEAST_MEMORY {
+        return Err(format!("no task would ever fit; give some GiB, {} at least", Volume(LEAST_MEMORY)));
+    }
+    Ok(volume)
+}
 
 /// On duty within `hours`.
 fn shift(hours: Hours) -> Shift {

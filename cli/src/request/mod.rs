@@ -19,4 +19,4 @@ pub use job_file::JobFile;
 pub use overrides::Override;
 pub use size::Size;
 pub use task::{JobTasks, Tasks};
-pub use volume::Volume;
+pub use volume::{Volume, VolumeError};

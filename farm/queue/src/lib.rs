@@ -41,6 +41,14 @@ pub trait Queue: Send + 'static {
     fn check(&mut self) -> Result<(), QueueError> {
         Ok(())
     }
+
+    /// The writer's end: what lay beside the log's own place is brought there. A log whose writer was killed is as whole.
+    fn close(self) -> impl Future<Output = Result<(), QueueError>> + Send
+    where
+        Self: Sized,
+    {
+        async { Ok(()) }
+    }
 }
 
 /// What to do about an error.

@@ -226,7 +226,9 @@ async fn a_leader_cut_off_in_the_middle_of_a_write_gives_up_before_another_leads
         }
     };
     assert!(matches!(error, QueueError::Away { .. }), "{error}");
-    assert_eq!(scratch.number("SELECT count(*) FROM pg_locks WHERE locktype = 'advisory'").await, 1, "it still leads");
+    let locks = "SELECT count(*) FROM pg_locks, pg_database
+                 WHERE locktype = 'advisory' AND database = pg_database.oid AND datname = current_database()";
+    assert_eq!(scratch.number(locks).await, 1, "it still leads");
     release.notify_one();
     holder.await.unwrap();
     drop(first);

@@ -103,6 +103,8 @@ pub enum Event {
     },
     /// Time went by.
     Elapsed,
+    /// The coordinator stood still for a while: what renews leases, or brings them along, has yet to be heard.
+    Awoke,
 }
 
 /// Something is to be done, in this order.

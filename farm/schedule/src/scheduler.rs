@@ -28,7 +28,8 @@ pub struct Scheduler {
     pub(crate) leases: u64,
     pub(crate) stale_messages: u64,
     pub(crate) logs: Shelf,
-    /// Nothing is dealt before: after a restart the workers come back one by one, with what they still work on.
+    /// Nothing is dealt and no lease runs out before: after a restart the workers come back one by one, with what they still
+    /// work on.
     pub(crate) deals_from: Tick,
 }
 
@@ -106,6 +107,7 @@ impl Scheduler {
             Event::Completed { worker, task, epoch, result } => self.completed(worker, task, epoch, result, now, out),
             Event::Failed { worker, task, epoch, failure } => self.failed(worker, task, epoch, failure, now, out),
             Event::Elapsed => self.elapsed(now, out),
+            Event::Awoke => self.awoke(now),
         }
     }
 
@@ -170,7 +172,17 @@ impl Scheduler {
         }
     }
 
+    /// As after a restart. Not again within a lease's time: whoever stumbles all the time must go on all the same.
+    fn awoke(&mut self, now: Tick) {
+        if now >= self.deals_from.after(self.config.lease) {
+            self.deals_from = now.after(self.config.regroup);
+        }
+    }
+
     fn elapsed(&mut self, now: Tick, out: &mut Vec<Command>) {
+        if now < self.deals_from {
+            return;
+        }
         for task in self.floor.expired(now) {
             let stalled = self.floor.stalled(&task, &self.config, now);
             self.revoke(&task, RevokeReason::Expired, out);

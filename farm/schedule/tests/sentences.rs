@@ -339,6 +339,27 @@ fn a_worker_that_lived_through_a_restart_keeps_its_tasks_and_its_results_count()
 }
 
 #[test]
+fn after_a_standstill_of_the_coordinator_workers_are_heard_before_leases_run_out() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    farm.join(2);
+    let held = farm.first_of(1);
+    farm.now = farm.now.after(60_000);
+    farm.on(Event::Awoke);
+    assert_eq!(farm.wait(100), [], "its lease is long over, and stays");
+    farm.heartbeat(1, Phase::Working, 9);
+    farm.wait(400);
+    assert_eq!((farm.first_of(1).epoch, farm.tasks_of(2).len()), (held.epoch, 0));
+    // A coordinator that stumbles all the time lets leases run out all the same.
+    for _ in 0..100 {
+        farm.on(Event::Awoke);
+        farm.wait(100);
+    }
+    assert_eq!((farm.tasks_of(1).len(), farm.tasks_of(2).len()), (0, 1));
+}
+
+#[test]
 fn what_a_returning_worker_brings_is_taken_back_if_another_has_it_or_the_job_is_another() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 2, &[8]));

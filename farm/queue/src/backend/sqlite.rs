@@ -137,4 +137,9 @@ impl Queue for Sqlite {
         batch.commit().await?;
         Ok(())
     }
+
+    /// One file holds it all from then on; until then the newest records may lie in the file beside it, `-wal`.
+    async fn close(self) -> Result<(), QueueError> {
+        Ok(self.connection.close().await?)
+    }
 }

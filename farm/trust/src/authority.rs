@@ -1,0 +1,179 @@
+//! A farm's own authority: a folder with a key, and a list of what it was used for.
+
+use std::io::Write as _;
+use std::net::IpAddr;
+use std::path::{Path, PathBuf};
+
+use rcgen::{
+    BasicConstraints, CertificateParams, DistinguishedName, DnType, ExtendedKeyUsagePurpose, IsCa, Issuer, KeyPair,
+    KeyUsagePurpose, SanType,
+};
+use serde::{Deserialize, Serialize};
+use time::{Duration, OffsetDateTime};
+
+use crate::identity::{create, private};
+use crate::{Fingerprint, Holder, Identity, TrustError};
+
+/// A folder: `authority.pem` (its certificate), `authority.key`, `issued.jsonl`, `revoked`.
+#[derive(Debug)]
+pub struct Authority {
+    folder: PathBuf,
+    certificate: String,
+    issuer: Issuer<'static, KeyPair>,
+}
+
+/// What is asked of an authority.
+#[derive(Debug, Clone)]
+pub struct Issue {
+    /// For whom.
+    pub holder: Holder,
+    /// Names and addresses under which a coordinator is reached; `localhost` and the loopback addresses are added.
+    pub hosts: Vec<String>,
+    /// How long it holds, days.
+    pub days: u32,
+}
+
+/// What an authority has issued.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Issued {
+    /// For whom, as its certificate says it.
+    pub holder: String,
+    /// For people and for `revoke`.
+    pub name: String,
+    /// The certificate's.
+    pub fingerprint: String,
+    /// Seconds since 1970 from which it holds no more.
+    pub until: i64,
+}
+
+/// A clock that is a little behind takes a new certificate for one of the future.
+const SKEW: Duration = Duration::hours(1);
+
+impl Authority {
+    /// Years that an authority holds.
+    const YEARS: i64 = 10;
+
+    /// Makes one in `folder`, which is made; `name` is for people. One that is there already is left as it is.
+    pub fn init(folder: &Path, name: &str) -> Result<Self, TrustError> {
+        Holder::Coordinator { name: name.into() }.check()?;
+        std::fs::create_dir_all(folder).map_err(TrustError::file(folder))?;
+        let key = KeyPair::generate()?;
+        let certificate = of_authority(name).self_signed(&key)?.pem();
+        // The key first: a folder with one is an authority.
+        create(&folder.join("authority.key"), &key.serialize_pem())?;
+        create(&folder.join("name"), name)?;
+        create(&folder.join("authority.pem"), &certificate)?;
+        Self::open(folder)
+    }
+
+    /// The one in `folder`.
+    pub fn open(folder: &Path) -> Result<Self, TrustError> {
+        let read = |name: &str| {
+            let path = folder.join(name);
+            std::fs::read_to_string(&path).map_err(TrustError::file(path))
+        };
+        let path = folder.join("authority.key");
+        let key = read("authority.key")?;
+        private(&path)?;
+        let key =
+            KeyPair::from_pem(&key).map_err(|error| TrustError::Malformed { path, message: error.to_string() })?;
+        let (certificate, name) = (read("authority.pem")?, read("name")?);
+        Ok(Self { folder: folder.into(), certificate, issuer: Issuer::new(of_authority(name.trim()), key) })
+    }
+
+    /// A new identity, noted in the folder before it is returned.
+    pub fn issue(&self, issue: &Issue) -> Result<Identity, TrustError> {
+        issue.holder.check()?;
+        let until = OffsetDateTime::now_utc() + Duration::days(i64::from(issue.days));
+        let key = KeyPair::generate()?;
+        let certificate = of_holder(issue, until)?.signed_by(&key, &self.issuer)?;
+        let issued = Issued {
+            holder: issue.holder.uri(),
+            name: issue.holder.name().into(),
+            fingerprint: Fingerprint::of(certificate.der()).to_string(),
+            until: until.unix_timestamp(),
+        };
+        let line = serde_json::to_string(&issued).map_err(|error| self.malformed("issued.jsonl", &error))?;
+        self.append("issued.jsonl", &line)?;
+        Ok(Identity::new(certificate.pem(), key.serialize_pem(), self.certificate.clone(), issue.holder.clone()))
+    }
+
+    /// All that it has issued, oldest first.
+    pub fn issued(&self) -> Result<Vec<Issued>, TrustError> {
+        let path = self.folder.join("issued.jsonl");
+        let text = match std::fs::read_to_string(&path) {
+            Ok(text) => text,
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Vec::new()),
+            Err(error) => return Err(TrustError::File { path, error }),
+        };
+        let parse = |line| serde_json::from_str(line).map_err(|error| self.malformed("issued.jsonl", &error));
+        text.lines().map(parse).collect()
+    }
+
+    /// From now on nothing counts that was issued to `name`; returns how many certificates that are.
+    pub fn revoke(&self, name: &str) -> Result<usize, TrustError> {
+        let issued = self.issued()?;
+        let of_name: Vec<&Issued> = issued.iter().filter(|issued| issued.name == name).collect();
+        if of_name.is_empty() {
+            return Err(TrustError::Unknown { name: name.into() });
+        }
+        for issued in &of_name {
+            self.append("revoked", &format!("{} {}", issued.fingerprint, issued.holder))?;
+        }
+        Ok(of_name.len())
+    }
+
+    /// The list for coordinators: [`crate::Revoked`].
+    pub fn revoked(&self) -> PathBuf {
+        self.folder.join("revoked")
+    }
+
+    fn append(&self, name: &str, line: &str) -> Result<(), TrustError> {
+        let path = self.folder.join(name);
+        let file = std::fs::OpenOptions::new().create(true).append(true).open(&path);
+        let written = file.and_then(|mut file| file.write_all(format!("{line}\n").as_bytes()).and(file.sync_all()));
+        written.map_err(TrustError::file(path))
+    }
+
+    fn malformed(&self, name: &str, error: &serde_json::Error) -> TrustError {
+        TrustError::Malformed { path: self.folder.join(name), message: error.to_string() }
+    }
+}
+
+fn named(name: &str) -> DistinguishedName {
+    let mut distinguished = DistinguishedName::new();
+    distinguished.push(DnType::CommonName, name);
+    distinguished
+}
+
+fn of_authority(name: &str) -> CertificateParams {
+    let now = OffsetDateTime::now_utc();
+    let mut params = CertificateParams::default();
+    params.distinguished_name = named(&format!("femc authority {name}"));
+    params.is_ca = IsCa::Ca(BasicConstraints::Constrained(0));
+    params.key_usages = vec![KeyUsagePurpose::KeyCertSign, KeyUsagePurpose::CrlSign];
+    params.not_before = now - SKEW;
+    params.not_after = now + Duration::days(365 * Authority::YEARS);
+    params
+}
+
+fn of_holder(issue: &Issue, until: OffsetDateTime) -> Result<CertificateParams, TrustError> {
+    let mut params = CertificateParams::default();
+    params.distinguished_name = named(&issue.holder.to_string());
+    params.use_authority_key_identifier_extension = true;
+    params.key_usages = vec![KeyUsagePurpose::DigitalSignature];
+    params.not_before = OffsetDateTime::now_utc() - SKEW;
+    params.not_after = until;
+    params.subject_alt_names = vec![SanType::URI(issue.holder.uri().try_into()?)];
+    params.extended_key_usages = vec![ExtendedKeyUsagePurpose::ClientAuth];
+    if let Holder::Coordinator { .. } = issue.holder {
+        params.extended_key_usages.push(ExtendedKeyUsagePurpose::ServerAuth);
+        for host in ["localhost", "127.0.0.1", "::1"].into_iter().chain(issue.hosts.iter().map(String::as_str)) {
+            params.subject_alt_names.push(match host.parse::<IpAddr>() {
+                Ok(address) => SanType::IpAddress(address),
+                Err(_) => SanType::DnsName(host.try_into()?),
+            });
+        }
+    }
+    Ok(params)
+}

@@ -1,0 +1,64 @@
+use std::path::PathBuf;
+
+/// Why an authority or an identity cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum TrustError {
+    /// A file or folder.
+    #[error("{}: {error}", path.display())]
+    File {
+        /// Which.
+        path: PathBuf,
+        /// What the system said.
+        error: std::io::Error,
+    },
+    /// There is one already; it is left as it is.
+    #[error("{} is there already, and is left as it is", path.display())]
+    Exists {
+        /// Which.
+        path: PathBuf,
+    },
+    /// The file is no identity or no authority.
+    #[error("{}: {message}", path.display())]
+    Malformed {
+        /// Which.
+        path: PathBuf,
+        /// What is wrong with it.
+        message: String,
+    },
+    /// Other users of this machine can read a private key.
+    #[error("{} holds a private key and other users can read it (mode {mode:o}); chmod 600 it", path.display())]
+    Readable {
+        /// Which.
+        path: PathBuf,
+        /// Its permissions.
+        mode: u32,
+    },
+    /// A name that would not do in a certificate.
+    #[error("`{name}` is no name: 1 to 64 letters, digits, and . _ -")]
+    Name {
+        /// As given.
+        name: String,
+    },
+    /// Nothing was issued under this name.
+    #[error("nothing was issued to `{name}`")]
+    Unknown {
+        /// As given.
+        name: String,
+    },
+    /// Not by this farm's authority for this farm.
+    #[error("the certificate does not say whose it is: {message}")]
+    Holder {
+        /// What it says.
+        message: String,
+    },
+    /// Certificates cannot be made.
+    #[error("certificate: {0}")]
+    Certificate(#[from] rcgen::Error),
+}
+
+impl TrustError {
+    pub(crate) fn file(path: impl Into<PathBuf>) -> impl FnOnce(std::io::Error) -> Self {
+        let path = path.into();
+        move |error| Self::File { path, error }
+    }
+}

@@ -1,0 +1,162 @@
+//! Whom a certificate is for, and what roles may do.
+
+use std::fmt;
+use std::str::FromStr;
+
+use crate::TrustError;
+
+/// What a user may do; each role may do all that those before it may.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub enum Role {
+    /// See jobs, workers, logs and images.
+    Viewer,
+    /// Submit jobs, and steer those of its own.
+    Submitter,
+    /// Steer every job, and drain workers.
+    Operator,
+    /// Remove from the store what no job refers to.
+    Admin,
+}
+
+impl Role {
+    /// Least first.
+    pub const ALL: [Self; 4] = [Self::Viewer, Self::Submitter, Self::Operator, Self::Admin];
+
+    /// In lower case.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Viewer => "viewer",
+            Self::Submitter => "submitter",
+            Self::Operator => "operator",
+            Self::Admin => "admin",
+        }
+    }
+}
+
+impl fmt::Display for Role {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}
+
+impl FromStr for Role {
+    type Err = String;
+
+    fn from_str(text: &str) -> Result<Self, String> {
+        let role = Self::ALL.into_iter().find(|role| role.name() == text);
+        role.ok_or_else(|| format!("`{text}` is no role; give viewer, submitter, operator or admin"))
+    }
+}
+
+/// Whom a certificate is for. As a URI: `femc://user/ann?role=operator`, `femc://worker/w1`, `femc://coordinator/farm`.
+#[derive(Debug, Clone, PartialEq, Eq, Hash)]
+pub enum Holder {
+    /// A coordinator.
+    Coordinator {
+        /// For people.
+        name: String,
+    },
+    /// A worker, which takes part in rendering and may nothing else.
+    Worker {
+        /// For people.
+        name: String,
+    },
+    /// A person, or a program of one.
+    User {
+        /// Owner of the jobs that it submits.
+        name: String,
+        /// What it may do.
+        role: Role,
+    },
+}
+
+impl Holder {
+    const SCHEME: &str = "femc://";
+
+    /// Its name.
+    pub fn name(&self) -> &str {
+        match self {
+            Self::Coordinator { name } | Self::Worker { name } | Self::User { name, .. } => name,
+        }
+    }
+
+    /// Refuses a name that would not do in a certificate and in a file's name.
+    pub(crate) fn check(&self) -> Result<(), TrustError> {
+        let name = self.name();
+        let is_good = |c: char| c.is_ascii_alphanumeric() || matches!(c, '.' | '_' | '-');
+        let is_name = (1..=64).contains(&name.len()) && name.chars().all(is_good) && !name.starts_with('.');
+        if is_name { Ok(()) } else { Err(TrustError::Name { name: name.to_owned() }) }
+    }
+
+    /// What the certificate says.
+    pub(crate) fn uri(&self) -> String {
+        let scheme = Self::SCHEME;
+        match self {
+            Self::Coordinator { name } => format!("{scheme}coordinator/{name}"),
+            Self::Worker { name } => format!("{scheme}worker/{name}"),
+            Self::User { name, role } => format!("{scheme}user/{name}?role={role}"),
+        }
+    }
+
+    pub(crate) fn of_uri(uri: &str) -> Result<Self, TrustError> {
+        let strange = || TrustError::Holder { message: format!("`{uri}`") };
+        let (kind, rest) = uri.strip_prefix(Self::SCHEME).and_then(|rest| rest.split_once('/')).ok_or_else(strange)?;
+        let holder = match kind {
+            "coordinator" => Self::Coordinator { name: rest.to_owned() },
+            "worker" => Self::Worker { name: rest.to_owned() },
+            "user" => {
+                let (name, role) = rest.split_once("?role=").ok_or_else(strange)?;
+                Self::User { name: name.to_owned(), role: role.parse().map_err(|_| strange())? }
+            }
+            _ => return Err(strange()),
+        };
+        holder.check().map_err(|_| strange())?;
+        Ok(holder)
+    }
+}
+
+impl fmt::Display for Holder {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Coordinator { name } => write!(f, "coordinator {name}"),
+            Self::Worker { name } => write!(f, "worker {name}"),
+            Self::User { name, role } => write!(f, "{role} {name}"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_uri_says_whose_a_certificate_is_and_nothing_else_passes_for_one() {
+        let name = || "ann.b-c_1".to_owned();
+        let users = Role::ALL.map(|role| Holder::User { name: name(), role });
+        for holder in users.into_iter().chain([Holder::Coordinator { name: name() }, Holder::Worker { name: name() }]) {
+            assert_eq!(Holder::of_uri(&holder.uri()).unwrap(), holder);
+        }
+        for wrong in [
+            "",
+            "femc://",
+            "femc://user/ann",
+            "femc://user/ann?role=king",
+            "femc://user/?role=admin",
+            "femc://worker/",
+            "femc://worker/a/b",
+            "femc://worker/a?role=admin",
+            "femc://user/ann?role=viewer?role=admin",
+            "femc://user/a\0b?role=admin",
+            "http://user/ann?role=admin",
+            "femc://root/ann",
+            "femc://worker/../../etc",
+        ] {
+            assert!(matches!(Holder::of_uri(wrong), Err(TrustError::Holder { .. })), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn roles_are_in_order() {
+        assert!(Role::ALL.windows(2).all(|pair| pair[0] < pair[1]));
+    }
+}

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use femc_proto::ServeError;
+use femc_proto::{Entrance, ServeError};
 use femc_queue::{Database, QueueError};
 use femc_schedule::SnapshotError;
 use femc_store::StoreError;
@@ -38,7 +38,7 @@ pub enum Artifacts {
     S3(String),
 }
 
-/// Who may connect. There is no encryption yet.
+/// Who may connect to a coordinator without an entrance.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Exposure {
     /// Programs of this machine; any other address is refused.
@@ -52,8 +52,10 @@ pub enum Exposure {
 pub struct Config {
     /// Where to listen; port 0: any free port.
     pub listen: SocketAddr,
-    /// Who may connect.
+    /// Who may connect, where nothing is encrypted.
     pub exposure: Exposure,
+    /// Its identity and whom it lets in; `None`: connections are not encrypted.
+    pub entrance: Option<Entrance>,
     /// Where the log lives.
     pub log: Log,
     /// Where artefacts live.
@@ -71,12 +73,21 @@ impl Default for Config {
         Self {
             listen: SocketAddr::from(([127, 0, 0, 1], 0)),
             exposure: Exposure::Loopback,
+            entrance: None,
             log: Log::Memory,
             artifacts: Artifacts::Memory,
             scheduler: femc_schedule::Config::default(),
             snapshot: 20_000,
             time: Time::default(),
         }
+    }
+}
+
+impl Config {
+    /// Where it is reached, if it listens at `address`.
+    pub(crate) fn url(&self, address: SocketAddr) -> String {
+        let scheme = if self.entrance.is_some() { "https" } else { "http" };
+        format!("{scheme}://{address}")
     }
 }
 

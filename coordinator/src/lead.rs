@@ -55,10 +55,11 @@ pub(crate) async fn start(
     let (stop, stopped) = watch::channel(());
     let (standing, news) = watch::channel(Standing::StandsBy { leader: None });
     let config = Config { listen: address, ..config };
+    let url = config.url(address);
     let candidate = Candidate { config, store, database, silence, standing, stopped };
     let standby = candidate.stand_by().await?;
     let run = tokio::spawn(candidate.run(standby, port));
-    Ok(Handle::new(address, stop, run, news))
+    Ok(Handle::new(address, url, stop, run, news))
 }
 
 /// The port, without listening on it.
@@ -84,7 +85,7 @@ impl Candidate {
     const LONGEST_PAUSE: Duration = Duration::from_secs(3);
 
     async fn stand_by(&self) -> Result<Standby, QueueError> {
-        Standby::open(self.database.clone(), format!("http://{}", self.config.listen), self.silence).await
+        Standby::open(self.database.clone(), self.config.url(self.config.listen), self.silence).await
     }
 
     /// Until it is told to stop, or something is broken that waiting does not mend.

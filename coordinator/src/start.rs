@@ -34,7 +34,7 @@ impl Coordinator {
     /// Starts on the current tokio runtime; it listens when this returns, but for a coordinator of several, which waits for
     /// its turn: [`Handle::standing`] tells.
     pub async fn start(config: Config) -> Result<Handle, CoordinatorError> {
-        if config.exposure == Exposure::Loopback && !config.listen.ip().is_loopback() {
+        if config.entrance.is_none() && config.exposure == Exposure::Loopback && !config.listen.ip().is_loopback() {
             return Err(CoordinatorError::Exposed { address: config.listen });
         }
         let store = match &config.artifacts {
@@ -107,7 +107,7 @@ impl Coordinator {
     where
         S: Future<Output = Result<(), ServeError>> + Send + 'static,
     {
-        let address = config.listen;
+        let (address, url) = (config.listen, config.url(config.listen));
         let (scheduler, records) = recover(config.scheduler.clone(), &mut queue).await?;
         let (calls, inbox) = mpsc::channel(Self::CALLS);
         let (stop, stopped) = watch::channel(());
@@ -115,7 +115,7 @@ impl Coordinator {
         let actor = tokio::spawn(actor.run(inbox, stopped));
         let (serving, mut until) = watch::channel(());
         let server = serve(
-            Server::new(calls, store),
+            Server::new(calls, store).behind(config.entrance),
             Box::pin(async move {
                 // Ends when the sender is dropped: on a stop, or because the actor is gone.
                 let _ = until.changed().await;
@@ -144,7 +144,7 @@ impl Coordinator {
                 }
             })
         });
-        Ok(Handle::new(address, stop, run, watch::channel(Standing::Leads).1))
+        Ok(Handle::new(address, url, stop, run, watch::channel(Standing::Leads).1))
     }
 }
 
@@ -172,6 +172,7 @@ async fn recover(
 #[derive(Debug)]
 pub struct Handle {
     address: SocketAddr,
+    url: String,
     stop: watch::Sender<()>,
     run: JoinHandle<Result<(), CoordinatorError>>,
     standing: watch::Receiver<Standing>,
@@ -180,11 +181,12 @@ pub struct Handle {
 impl Handle {
     pub(crate) fn new(
         address: SocketAddr,
+        url: String,
         stop: watch::Sender<()>,
         run: JoinHandle<Result<(), CoordinatorError>>,
         standing: watch::Receiver<Standing>,
     ) -> Self {
-        Self { address, stop, run, standing }
+        Self { address, url, stop, run, standing }
     }
 
     /// Where it stands among the coordinators of its farm, now and later; one that is alone leads.
@@ -199,7 +201,7 @@ impl Handle {
 
     /// The address as workers and clients want it.
     pub fn url(&self) -> String {
-        format!("http://{}", self.address)
+        self.url.clone()
     }
 
     /// Says goodbye to the workers, makes durable what has come in, and ends.

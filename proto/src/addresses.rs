@@ -33,10 +33,13 @@ impl Addresses {
         let mut all = Vec::new();
         for url in &urls {
             let uri: Uri = url.parse().map_err(|error| no_address(format!("`{url}`: {error}")))?;
-            if urls.len() > 1 && (uri.scheme_str() != Some("http") || uri.host().is_none()) {
-                return Err(no_address(format!("`{url}` does not begin with http://")));
+            if urls.len() > 1 && (!matches!(uri.scheme_str(), Some("http" | "https")) || uri.host().is_none()) {
+                return Err(no_address(format!("`{url}` does not begin with http:// or https://")));
             }
             all.push(uri);
+        }
+        if all.windows(2).any(|pair| pair[0].scheme() != pair[1].scheme()) {
+            return Err(no_address("all begin with http://, or all with https://".into()));
         }
         // The first that is tried is the one after the one in use.
         let used = AtomicUsize::new(all.len() - 1);
@@ -50,6 +53,11 @@ impl Addresses {
     /// For what must have one address to begin with.
     pub(crate) fn first(&self) -> Uri {
         self.all[0].clone()
+    }
+
+    /// Whether connections are encrypted.
+    pub(crate) fn are_encrypted(&self) -> bool {
+        self.all[0].scheme_str() == Some("https")
     }
 
     /// The one in use.
@@ -68,9 +76,12 @@ impl Addresses {
         let begin = self.used.load(Ordering::Relaxed) + 1;
         for at in (begin..begin + self.count()).map(|at| at % self.count()) {
             let uri = &self.all[at];
-            let (host, port) = (uri.host().unwrap_or_default().to_owned(), uri.port_u16().unwrap_or(80));
+            let (host, port) = (
+                uri.host().unwrap_or_default().to_owned(),
+                uri.port_u16().unwrap_or(if self.are_encrypted() { 443 } else { 80 }),
+            );
             let link = async {
-                match &dial.0 {
+                match &dial.way {
                     Some(dial) => dial(host, port).await,
                     None => tcp(host, port).await,
                 }
@@ -105,7 +116,14 @@ mod tests {
         let addresses = Addresses::parse("http://one:7878, http://two:7879").unwrap();
         assert_eq!(addresses.list(), "http://one:7878,http://two:7879");
         assert_eq!(addresses.count(), 2);
-        for wrong in ["http://one,", ",", "http://one,two:7878", "http://one,http://a b", "http://one,ftp://two"] {
+        for wrong in [
+            "http://one,",
+            ",",
+            "http://one,two:7878",
+            "http://one,http://a b",
+            "http://one,ftp://two",
+            "http://one,https://two",
+        ] {
             assert!(matches!(Addresses::parse(wrong), Err(CallError::Address { .. })), "{wrong}");
         }
     }

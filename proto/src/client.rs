@@ -20,7 +20,7 @@ use crate::convert::{ConvertError, digest, digest_bytes, each};
 use crate::error::{CallError, from_status};
 use crate::many::{Many, together};
 use crate::net::Dial;
-use crate::{MESSAGE, PIECE, wire};
+use crate::{MESSAGE, PIECE, tls, wire};
 use wire::artifacts_client::ArtifactsClient;
 use wire::jobs_client::JobsClient;
 use wire::workers_client::WorkersClient;
@@ -68,13 +68,18 @@ impl Client {
         let is_alone = addresses.count() == 1;
         // Where another may have taken over, a coordinator that is silent is left soon.
         let (every, patience) = if is_alone { (10, 10) } else { (1, 3) };
-        let endpoint = Endpoint::from_shared(addresses.first().to_string())
-            .map_err(|error| CallError::Address { url: url(), message: chain(&error) })?
+        let address = |message: String| CallError::Address { url: url(), message };
+        let mut endpoint = Endpoint::from_shared(addresses.first().to_string())
+            .map_err(|error| address(chain(&error)))?
             .http2_keep_alive_interval(Duration::from_secs(every))
             .keep_alive_timeout(Duration::from_secs(patience))
             .initial_stream_window_size(4 << 20)
             .initial_connection_window_size(16 << 20);
-        let channel = if is_alone && dial.0.is_none() {
+        if addresses.are_encrypted() {
+            let identity = dial.identity.as_deref().ok_or_else(|| CallError::NoIdentity { url: url() })?;
+            endpoint = endpoint.tls_config(tls::client(identity)).map_err(|error| address(chain(&error)))?;
+        }
+        let channel = if is_alone && dial.way.is_none() {
             endpoint.connect_timeout(Duration::from_secs(5)).connect().await
         } else {
             let (dial, addresses) = (dial.clone(), addresses.clone());

@@ -18,6 +18,12 @@ pub enum CallError {
         /// What is wrong with it.
         message: String,
     },
+    /// The address asks for an identity, and none was given.
+    #[error("{url} is encrypted, which takes an identity")]
+    NoIdentity {
+        /// As given.
+        url: String,
+    },
     /// Nobody answers there, or the connection broke.
     #[error("the coordinator at {url} cannot be reached: {message}")]
     Unreachable {
@@ -63,6 +69,7 @@ fn code(refusal: &Refusal) -> Code {
         Refusal::DigestMismatch { .. } => Code::DataLoss,
         Refusal::TooLarge { .. } => Code::ResourceExhausted,
         Refusal::Unavailable { .. } => Code::Unavailable,
+        Refusal::Forbidden { .. } => Code::PermissionDenied,
     }
 }
 

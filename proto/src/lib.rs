@@ -12,6 +12,7 @@ mod error;
 mod many;
 mod net;
 mod server;
+mod tls;
 mod transfer;
 mod wire;
 
@@ -19,7 +20,9 @@ pub use client::{Client, Incoming, Outgoing, Watch};
 pub use convert::ConvertError;
 pub use error::{CallError, ServeError};
 pub use net::{Dial, Dialing, Io, Link};
-pub use server::{Call, CollectMode, Collected, LEAST_GRACE, References, Reply, Server, Session, Volume, Words};
+pub use server::{
+    Call, CollectMode, Collected, Entrance, LEAST_GRACE, References, Reply, Server, Session, Volume, Words,
+};
 pub use tonic::transport::server::{Connected, TcpIncoming};
 
 /// Version of the protocol: a worker says it when it registers, and is refused if it is another. From 2 on a job's scene is a

@@ -7,6 +7,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 
+use femc_trust::Identity;
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tonic::transport::server::Connected;
 
@@ -60,9 +61,14 @@ impl Connected for Link {
 /// A connection on its way.
 pub type Dialing = Pin<Box<dyn Future<Output = io::Result<Link>> + Send>>;
 
-/// How a client reaches a coordinator.
+type Way = dyn Fn(String, u16) -> Dialing + Send + Sync;
+
+/// How a client reaches a coordinator, and who it says that it is.
 #[derive(Clone, Default)]
-pub struct Dial(pub(crate) Option<Arc<dyn Fn(String, u16) -> Dialing + Send + Sync>>);
+pub struct Dial {
+    pub(crate) way: Option<Arc<Way>>,
+    pub(crate) identity: Option<Arc<Identity>>,
+}
 
 impl Dial {
     /// Over TCP.
@@ -72,12 +78,18 @@ impl Dial {
 
     /// By `dial`, which gets host and port.
     pub fn by(dial: impl Fn(String, u16) -> Dialing + Send + Sync + 'static) -> Self {
-        Self(Some(Arc::new(dial)))
+        Self { way: Some(Arc::new(dial)), identity: None }
+    }
+
+    /// With this identity, which addresses that begin with `https://` ask for.
+    pub fn with(self, identity: Identity) -> Self {
+        Self { identity: Some(Arc::new(identity)), ..self }
     }
 }
 
 impl fmt::Debug for Dial {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(if self.0.is_none() { "Dial(tcp)" } else { "Dial" })
+        let way = if self.way.is_none() { "tcp" } else { "another way" };
+        f.debug_struct("Dial").field("way", &way).field("identity", &self.identity).finish()
     }
 }

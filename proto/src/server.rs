@@ -2,6 +2,7 @@
 
 mod artifacts;
 mod collect;
+mod guard;
 mod inputs;
 mod jobs;
 mod promised;
@@ -19,17 +20,20 @@ use femc_model::{
     Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use femc_store::Store;
+use femc_trust::{Identity, Revoked};
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio_stream::Stream;
 use tonic::Streaming;
 use tonic::transport::server::{Connected, Router};
+use tower::layer::util::Stack;
 
 use crate::convert::ConvertError;
 use crate::error::ServeError;
 use crate::many::Many as _;
 use crate::net::Io;
-use crate::{MESSAGE, PIECE, wire};
+use crate::{MESSAGE, PIECE, tls, wire};
 pub use collect::{CollectMode, Collected, LEAST_GRACE, References, Volume};
+use guard::{Caller, Guard};
 use promised::Promised;
 use uploads::Uploads;
 use wire::artifacts_server::ArtifactsServer;
@@ -142,16 +146,20 @@ pub struct Words {
     stream: Streaming<wire::FromWorker>,
     /// Came together with the one before.
     waiting: VecDeque<wire::FromWorker>,
+    caller: Option<Arc<Caller>>,
 }
 
 impl Words {
-    pub(crate) fn new(stream: Streaming<wire::FromWorker>) -> Self {
-        Self { stream, waiting: VecDeque::new() }
+    pub(crate) fn new(stream: Streaming<wire::FromWorker>, caller: Option<Arc<Caller>>) -> Self {
+        Self { stream, waiting: VecDeque::new(), caller }
     }
 
-    /// The next message; `None` at the end, also when the connection broke.
+    /// The next message; `None` at the end, also when the connection broke or the worker's identity counts no more.
     pub async fn next(&mut self) -> Option<Result<FromWorker, ConvertError>> {
         loop {
+            if self.caller.as_ref().is_some_and(|caller| !caller.still_counts()) {
+                return None;
+            }
             if let Some(message) = self.waiting.pop_front() {
                 return Some(message.try_into());
             }
@@ -174,6 +182,17 @@ pub struct Server {
     promised: Promised,
     /// Held while garbage is collected.
     collecting: Arc<tokio::sync::Mutex<()>>,
+    /// Who it is and whom it lets in; `None`: connections are not encrypted, and everybody may do everything.
+    entrance: Option<Entrance>,
+}
+
+/// The door of an encrypted server.
+#[derive(Debug, Clone)]
+pub struct Entrance {
+    /// A coordinator's. Whoever shows an identity of the same authority is let in, and may do what its role may.
+    pub identity: Identity,
+    /// Identities that count no more.
+    pub revoked: Option<Revoked>,
 }
 
 impl Server {
@@ -182,7 +201,19 @@ impl Server {
 
     /// Passes calls on to `calls`; artefacts live in `store`.
     pub fn new(calls: mpsc::Sender<Call>, store: Store) -> Self {
-        Self { calls, store, uploads: Uploads::default(), promised: Promised::default(), collecting: Arc::default() }
+        Self {
+            calls,
+            store,
+            uploads: Uploads::default(),
+            promised: Promised::default(),
+            collecting: Arc::default(),
+            entrance: None,
+        }
+    }
+
+    /// Encrypted, if there is an entrance.
+    pub fn behind(self, entrance: Option<Entrance>) -> Self {
+        Self { entrance, ..self }
     }
 
     /// Serves the connections that come in until `stop` comes, then until the open calls have ended.
@@ -202,7 +233,7 @@ impl Server {
         Ok(self.router().await?.serve_with_incoming(incoming).await?)
     }
 
-    async fn router(self) -> Result<Router, ServeError> {
+    async fn router(self) -> Result<Router<Stack<Guard, tower::layer::util::Identity>>, ServeError> {
         let (reporter, health) = tonic_health::server::health_reporter();
         reporter.set_serving::<JobsServer<Self>>().await;
         reporter.set_serving::<WorkersServer<Self>>().await;
@@ -210,7 +241,14 @@ impl Server {
         let reflection = tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
             .build_v1()?;
-        Ok(tonic::transport::Server::builder()
+        let mut builder = tonic::transport::Server::builder();
+        let mut guard = Guard::Open;
+        if let Some(Entrance { identity, revoked }) = &self.entrance {
+            builder = builder.tls_config(tls::server(identity))?;
+            guard = Guard::Checks(revoked.clone());
+        }
+        Ok(builder
+            .layer(guard)
             .http2_keepalive_interval(Some(Duration::from_secs(10)))
             .http2_keepalive_timeout(Some(Duration::from_secs(10)))
             .max_concurrent_streams(Self::STREAMS)

@@ -41,9 +41,11 @@ impl Patience {
     async fn after(&mut self, error: CallError) -> Result<(), CallError> {
         let makes_sense = match &error {
             CallError::Unreachable { .. } | CallError::Refused(Refusal::Resume { .. }) => true,
-            CallError::Refused(_) | CallError::Address { .. } | CallError::Answer(_) | CallError::Status { .. } => {
-                false
-            }
+            CallError::Refused(_)
+            | CallError::Address { .. }
+            | CallError::NoIdentity { .. }
+            | CallError::Answer(_)
+            | CallError::Status { .. } => false,
         };
         if !makes_sense || self.since.elapsed() + self.pause > Self::LONGEST {
             return Err(error);

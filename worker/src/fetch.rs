@@ -20,6 +20,7 @@ pub(crate) fn failure(error: &CallError) -> Failure {
         }
         CallError::Refused(_)
         | CallError::Address { .. }
+        | CallError::NoIdentity { .. }
         | CallError::Unreachable { .. }
         | CallError::Answer(_)
         | CallError::Status { .. } => Failure::Store { message },

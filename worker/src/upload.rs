@@ -23,9 +23,11 @@ pub(crate) async fn upload(client: &Client, product: &Product) -> Result<(), Not
     for bytes in &product.artefacts {
         client.put(bytes.clone()).await.map_err(|error| match error {
             CallError::Unreachable { .. } => NotSent::Later,
-            CallError::Refused(_) | CallError::Address { .. } | CallError::Answer(_) | CallError::Status { .. } => {
-                NotSent::Failed(fetch::failure(&error))
-            }
+            CallError::Refused(_)
+            | CallError::Address { .. }
+            | CallError::NoIdentity { .. }
+            | CallError::Answer(_)
+            | CallError::Status { .. } => NotSent::Failed(fetch::failure(&error)),
         })?;
     }
     Ok(())

@@ -4,7 +4,7 @@ use std::future::Future;
 use std::sync::Arc;
 use std::time::Duration;
 
-use femc_model::Registration;
+use femc_model::{Refusal, Registration};
 use femc_proto::{CallError, Client};
 use rayon::ThreadPoolBuilder;
 use tokio::runtime::Handle;
@@ -106,10 +106,14 @@ impl Worker {
                     away = Stopwatch::start();
                     CallError::Unreachable { url: config.join.clone(), message: "it ended the session".into() }
                 }
+                Err(
+                    error @ (CallError::Refused(Refusal::Forbidden { .. })
+                    | CallError::Address { .. }
+                    | CallError::NoIdentity { .. }
+                    | CallError::Answer(_)
+                    | CallError::Status { .. }),
+                ) => break Err(error.into()),
                 Err(error @ (CallError::Unreachable { .. } | CallError::Refused(_))) => error,
-                Err(error @ (CallError::Address { .. } | CallError::Answer(_) | CallError::Status { .. })) => {
-                    break Err(error.into());
-                }
             };
             if config.patience.is_some_and(|patience| away.elapsed() > patience) {
                 break Err(is_gone.into());

@@ -7,8 +7,12 @@ pub use settings::SettingsArgs;
 pub use values::{Filter, Method};
 
 use crate::command;
+use crate::exit::{Failure, failed};
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
+use femc_proto::Dial;
+use femc_trust::Identity;
+use std::path::{Path, PathBuf};
 
 /// The whole command line.
 #[derive(Debug, Parser)]
@@ -74,6 +78,31 @@ pub struct ServerArgs {
     /// The farm's coordinator; of several, with commas between, the one that answers
     #[arg(long, env = "FEMC_SERVER", value_name = "URL,..", default_value = "http://127.0.0.1:7878")]
     pub server: String,
+    #[command(flatten)]
+    pub identity: IdentityArgs,
+}
+
+/// Who this program says that it is.
+#[derive(Clone, Debug, Args)]
+pub struct IdentityArgs {
+    /// File that says who you are, for addresses that begin with https://; `femc ca issue` makes one
+    #[arg(long, env = "FEMC_IDENTITY", value_name = "FILE")]
+    pub identity: Option<PathBuf>,
+}
+
+impl IdentityArgs {
+    /// How to reach a coordinator with it.
+    pub fn dial(&self) -> Result<Dial, Failure> {
+        Ok(match &self.identity {
+            None => Dial::tcp(),
+            Some(path) => Dial::tcp().with(identity(path)?),
+        })
+    }
+}
+
+/// Read one.
+pub fn identity(path: &Path) -> Result<Identity, Failure> {
+    Identity::read(path).map_err(|error| failed(format!("--identity: {error}")))
 }
 
 /// The commands, in the order of `--help`.
@@ -94,6 +123,7 @@ pub enum Command {
     Workers(command::workers::WorkersArgs),
     Drain(command::drain::DrainArgs),
     Gc(command::gc::GcArgs),
+    Ca(command::ca::CaArgs),
     /// Hold a job: running tasks end, no new ones begin
     #[command(after_help = "Examples:\n  femc pause 7")]
     Pause(command::control::JobArgs),

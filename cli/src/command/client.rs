@@ -8,7 +8,7 @@ use femc_model::{
     Artefact, Control, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord, Refusal,
     Tick, WorkerId, WorkerName, WorkerStatus,
 };
-use femc_proto::{CallError, Client, CollectMode, Collected};
+use femc_proto::{CallError, Client, CollectMode, Collected, Dial};
 use femc_worker::Parcel;
 use std::time::Duration;
 
@@ -28,7 +28,7 @@ pub struct Farm {
 /// Run `work` with the coordinator at `--server`.
 pub fn block_on<T>(server: &ServerArgs, work: impl AsyncFnOnce(&Farm) -> Result<T, Failure>) -> Result<T, Failure> {
     runtime()?.block_on(async {
-        let farm = Farm::connect(&server.server).await?;
+        let farm = Farm::connect(&server.identity.dial()?, &server.server).await?;
         work(&farm).await
     })
 }
@@ -44,8 +44,8 @@ pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
 
 impl Farm {
     /// Connect.
-    pub async fn connect(url: &str) -> Result<Self, Failure> {
-        Ok(Self { client: Client::connect(url).await.map_err(told)? })
+    pub async fn connect(dial: &Dial, url: &str) -> Result<Self, Failure> {
+        Ok(Self { client: Client::connect_by(dial, url).await.map_err(told)? })
     }
 
     /// Put those artefacts of a scene into the farm's store that are not there; bytes that were sent.
@@ -152,6 +152,7 @@ async fn patiently<T>(call: impl AsyncFn() -> Result<T, CallError>) -> Result<T,
 pub fn told(error: CallError) -> Failure {
     match error {
         CallError::Address { .. } => usage(format!("--server: {error}; write it like http://127.0.0.1:7878")),
+        CallError::NoIdentity { .. } => usage(format!("{error}; give it with --identity or FEMC_IDENTITY")),
         CallError::Unreachable { .. } => unreachable(format!(
             "{error}; start one with `femc coordinator`, or give its address with --server or FEMC_SERVER"
         )),
@@ -166,6 +167,9 @@ pub fn told(error: CallError) -> Failure {
             | Refusal::TooLarge { .. }
             | Refusal::MissingArtefacts { .. }
             | Refusal::Resume { .. } => failed(refusal),
+            Refusal::Forbidden { .. } => {
+                failed(format!("{refusal}; ask whoever keeps the farm's authority (`femc ca`)"))
+            }
         },
         CallError::Answer(_) | CallError::Status { .. } => failed(error),
     }

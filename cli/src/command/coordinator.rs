@@ -7,8 +7,9 @@ use crate::output::Say;
 use crate::request::Budget;
 use clap::Args;
 use femc_coordinator::{
-    Artifacts, Config, Coordinator, CoordinatorError, Exposure, Log, Postgres, QueueError, Standing,
+    Artifacts, Config, Coordinator, CoordinatorError, Entrance, Exposure, Log, Postgres, QueueError, Standing,
 };
+use femc_trust::{Holder, Revoked};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -54,7 +55,14 @@ pub struct CoordinatorArgs {
     /// (without it everybody has 1)
     #[arg(long, value_name = "OWNER=WEIGHT", value_parser = share)]
     share: Vec<(String, u32)>,
-    /// Listen on an address that other machines can reach, although connections are not encrypted yet
+    /// File that says that this is the farm's coordinator (`femc ca issue coordinator NAME`): connections are encrypted, and
+    /// only those who show an identity of the same authority are let in
+    #[arg(long, env = "FEMC_IDENTITY", value_name = "FILE", conflicts_with = "insecure")]
+    identity: Option<PathBuf>,
+    /// List of identities that are let in no more, the file `revoked` in the authority's folder; read again when it changes
+    #[arg(long, value_name = "FILE", requires = "identity")]
+    revoked: Option<PathBuf>,
+    /// Listen, not encrypted, on an address that other machines can reach
     #[arg(long)]
     insecure: bool,
 }
@@ -118,6 +126,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         Log::Postgres { database, .. } => Log::Postgres { database, silence: args.silence },
         log => log,
     };
+    let entrance = entrance(args.identity.as_deref(), args.revoked)?;
     let exposure = if args.insecure { Exposure::Anybody } else { Exposure::Loopback };
     if args.insecure && !args.listen.ip().is_loopback() {
         say.warning(format!(
@@ -128,6 +137,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
     let config = Config {
         listen: args.listen,
         exposure,
+        entrance,
         log,
         artifacts: args.artifacts,
         scheduler: femc_schedule::Config {
@@ -155,6 +165,17 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
     })
 }
 
+fn entrance(identity: Option<&Path>, revoked: Option<PathBuf>) -> Result<Option<Entrance>, Failure> {
+    let Some(path) = identity else { return Ok(None) };
+    let identity = crate::args::identity(path)?;
+    if !matches!(identity.holder(), Holder::Coordinator { .. }) {
+        let what = "is no coordinator's; make one with `femc ca issue coordinator NAME`";
+        return Err(failed(format!("--identity {}: the identity of {} {what}", path.display(), identity.holder())));
+    }
+    let revoked = revoked.map(Revoked::open).transpose().map_err(|error| failed(format!("--revoked: {error}")))?;
+    Ok(Some(Entrance { identity, revoked }))
+}
+
 fn tell(say: Say, standing: &Standing, url: &str) {
     match standing {
         Standing::Leads => say.result(format!("listening on {url}")),
@@ -167,7 +188,9 @@ fn tell(say: Say, standing: &Standing, url: &str) {
 fn told(error: &CoordinatorError) -> Failure {
     match error {
         CoordinatorError::Listen { .. } => failed(format!("--listen: {error}; give another address or port")),
-        CoordinatorError::Exposed { .. } => usage(format!("--listen: {error}; use 127.0.0.1, or say --insecure")),
+        CoordinatorError::Exposed { .. } => {
+            usage(format!("--listen: {error}; use 127.0.0.1, or give --identity (`femc ca --help`), or say --insecure"))
+        }
         CoordinatorError::Queue(QueueError::Away { .. }) => {
             failed(format!("--store: {error}; is PostgreSQL running there, and does it listen on that port?"))
         }

@@ -5,6 +5,7 @@
 use super::client::Farm;
 use crate::exit::{Failure, failed};
 use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log};
+use femc_proto::Dial;
 use femc_worker::{Cache, Pieces, Worker, WorkerError};
 use std::path::PathBuf;
 use tokio::sync::watch;
@@ -57,7 +58,7 @@ impl Embedded {
                 let _ = stopped.changed().await;
             }));
         }
-        let client = Farm::connect(&coordinator.url()).await?;
+        let client = Farm::connect(&Dial::tcp(), &coordinator.url()).await?;
         Ok((Self { coordinator, workers, stop }, client))
     }
 

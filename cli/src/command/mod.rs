@@ -1,5 +1,6 @@
 //! The commands, one a file.
 
+pub mod ca;
 pub mod check;
 mod client;
 pub mod compare;
@@ -46,6 +47,7 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Logs(args) => logs::run(&args, say),
         Command::Drain(args) => drain::run(&args, say),
         Command::Gc(args) => gc::run(&args, say),
+        Command::Ca(args) => ca::run(args, say),
         Command::Pause(args) => control::run(&args, Control::Pause, say),
         Command::Resume(args) => control::run(&args, Control::Resume, say),
         Command::Cancel(args) => control::run(&args, Control::Cancel, say),

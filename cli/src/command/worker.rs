@@ -3,11 +3,13 @@
 use super::client::{Farm, runtime};
 use super::interrupt::Interrupt;
 use super::outbox;
+use crate::args::IdentityArgs;
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::Say;
 use crate::request::{Budget, Hours, Volume, VolumeError};
 use clap::Args;
+use femc_proto::Dial;
 use femc_worker::{AtStop, Cache, Config, Duty, MemoryLimit, Pieces, Shift, Worker, WorkerError};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -27,6 +29,8 @@ pub struct WorkerArgs {
     /// The farm's coordinator; of several, with commas between, the one that answers
     #[arg(long, value_name = "URL,..", env = "FEMC_SERVER")]
     join: String,
+    #[command(flatten)]
+    identity: IdentityArgs,
     /// Threads that render [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
     threads: Option<u32>,
@@ -93,11 +97,12 @@ fn shift(hours: Hours) -> Shift {
 pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
     let unknown = || usage("--memory: this system does not tell how much memory a process uses; leave it away");
     let memory = args.memory.map(|Volume(bytes)| MemoryLimit::of_process(bytes).ok_or_else(unknown)).transpose()?;
+    let dial = args.identity.dial()?;
     let pieces = pieces(args.cache.as_deref(), args.cache_size)?;
     runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
         tokio::select! {
-            found = coordinator(&args.join, args.patience) => found?,
+            found = coordinator(&dial, &args.join, args.patience) => found?,
             () = interrupt.wait() => return Ok(Exit::Done),
         }
         let name = args.name.unwrap_or_else(machine);
@@ -112,6 +117,7 @@ pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
             idle_limit: args.idle_exit.map(|limit| Duration::from_secs_f64(limit.seconds.min(1e9))),
             cache: Cache::with(pieces),
             at_stop: AtStop::Finish,
+            dial,
             ..Config::new(args.join)
         };
         let stop = async move {
@@ -144,10 +150,10 @@ fn pieces(folder: Option<&Path>, size: Option<Volume>) -> Result<Pieces, Failure
 }
 
 /// Wait for the coordinator: it may be starting too.
-async fn coordinator(url: &str, patience: Budget) -> Result<(), Failure> {
+async fn coordinator(dial: &Dial, url: &str, patience: Budget) -> Result<(), Failure> {
     let begun = Clock.now();
     loop {
-        match Farm::connect(url).await {
+        match Farm::connect(dial, url).await {
             Err(failure)
                 if failure.exit == Exit::Unreachable && Clock.since(begun).as_secs_f64() < patience.seconds =>
             {

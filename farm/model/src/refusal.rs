@@ -73,6 +73,14 @@ pub enum Refusal {
         /// The next byte that is wanted.
         offset: u64,
     },
+    /// Who asks may not do this.
+    #[error("{who} may not do this: it takes {takes}")]
+    Forbidden {
+        /// Who asked.
+        who: String,
+        /// Who may.
+        takes: String,
+    },
     /// The coordinator is stopping, or its log or store does not answer: ask again later.
     #[error("not now: {message}")]
     Unavailable {

@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use time::{Duration, OffsetDateTime};
 
 use crate::identity::{create, private};
-use crate::{Fingerprint, Holder, Identity, TrustError};
+use crate::{Fingerprint, Holder, Identity, Revoked, TrustError};
 
 /// A folder: `authority.pem` (its certificate), `authority.key`, `issued.jsonl`, `revoked`.
 #[derive(Debug)]
@@ -22,12 +22,16 @@ pub struct Authority {
     issuer: Issuer<'static, KeyPair>,
 }
 
+/// A name that every coordinator's certificate has: who trusts the authority needs no other to know a coordinator by.
+pub const COORDINATOR_HOST: &str = "coordinator.femc.internal";
+
 /// What is asked of an authority.
 #[derive(Debug, Clone)]
 pub struct Issue {
     /// For whom.
     pub holder: Holder,
-    /// Names and addresses under which a coordinator is reached; `localhost` and the loopback addresses are added.
+    /// Names and addresses under which a coordinator is reached by tools that check them; femc's own do not need them.
+    /// `localhost` and the loopback addresses are added.
     pub hosts: Vec<String>,
     /// How long it holds, days.
     pub days: u32,
@@ -44,6 +48,18 @@ pub struct Issued {
     pub fingerprint: String,
     /// Seconds since 1970 from which it holds no more.
     pub until: i64,
+}
+
+impl Issued {
+    /// Days that it still holds; negative: it held until then.
+    pub fn days_left(&self) -> i64 {
+        (self.until - OffsetDateTime::now_utc().unix_timestamp()).div_euclid(86_400)
+    }
+
+    /// Whether the list names its certificate.
+    pub fn is_revoked(&self, revoked: &Revoked) -> bool {
+        Fingerprint::parse(&self.fingerprint).is_none_or(|fingerprint| revoked.holds(&fingerprint))
+    }
 }
 
 /// A clock that is a little behind takes a new certificate for one of the future.
@@ -168,7 +184,10 @@ fn of_holder(issue: &Issue, until: OffsetDateTime) -> Result<CertificateParams, 
     params.extended_key_usages = vec![ExtendedKeyUsagePurpose::ClientAuth];
     if let Holder::Coordinator { .. } = issue.holder {
         params.extended_key_usages.push(ExtendedKeyUsagePurpose::ServerAuth);
-        for host in ["localhost", "127.0.0.1", "::1"].into_iter().chain(issue.hosts.iter().map(String::as_str)) {
+        for host in [COORDINATOR_HOST, "localhost", "127.0.0.1", "::1"]
+            .into_iter()
+            .chain(issue.hosts.iter().map(String::as_str))
+        {
             params.subject_alt_names.push(match host.parse::<IpAddr>() {
                 Ok(address) => SanType::IpAddress(address),
                 Err(_) => SanType::DnsName(host.try_into()?),

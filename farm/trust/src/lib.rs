@@ -11,7 +11,7 @@ mod holder;
 mod identity;
 mod revoked;
 
-pub use authority::{Authority, Issue, Issued};
+pub use authority::{Authority, COORDINATOR_HOST, Issue, Issued};
 pub use error::TrustError;
 pub use holder::{Holder, Role};
 pub use identity::{Fingerprint, Identity, holder_of};

@@ -76,6 +76,7 @@ fn refusals() -> Vec<Refusal> {
         Refusal::Resume { offset: 5 },
         Refusal::Unavailable { message: "m".into() },
         Refusal::NoSuchWorker { worker: "w".into() },
+        Refusal::Forbidden { who: "viewer ann".into(), takes: "an admin".into() },
     ]
 }
 

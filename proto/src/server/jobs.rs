@@ -1,14 +1,16 @@
 //! The service `Jobs`.
 
 use std::pin::Pin;
+use std::sync::Arc;
 
 use femc_model::{JobId, JobSpec, JobStatus, Tick};
+use femc_trust::{Holder, Role};
 use tokio::sync::{mpsc, watch};
 use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
-use super::{Call, Server, inputs};
+use super::{Call, Caller, Server, inputs};
 use crate::convert::need;
 use crate::error::to_status;
 use crate::wire;
@@ -18,8 +20,13 @@ type Answer<T> = Result<Response<T>, Status>;
 #[tonic::async_trait]
 impl wire::jobs_server::Jobs for Server {
     async fn submit(&self, request: Request<wire::SubmitRequest>) -> Answer<wire::SubmitReply> {
+        let caller = request.extensions().get::<Arc<Caller>>().cloned();
         let wire::SubmitRequest { job, key } = request.into_inner();
-        let spec: Box<JobSpec> = Box::new(need("job", job)?.try_into()?);
+        let mut spec: Box<JobSpec> = Box::new(need("job", job)?.try_into()?);
+        if let Some(caller) = caller {
+            // Nobody spends another's share.
+            spec.owner = caller.holder.name().to_owned();
+        }
         inputs::check(&self.store, &self.promised, &spec.bundle).await.map_err(|no| to_status(&no))?;
         let JobId(job) = self.ask(|reply| Call::Submit { key, spec, reply }).await?;
         Ok(Response::new(wire::SubmitReply { job }))
@@ -46,8 +53,12 @@ impl wire::jobs_server::Jobs for Server {
     }
 
     async fn control(&self, request: Request<wire::ControlRequest>) -> Answer<wire::ControlReply> {
+        let caller = request.extensions().get::<Arc<Caller>>().cloned();
         let wire::ControlRequest { job, control } = request.into_inner();
         let (job, control) = (JobId(job), need("control", control)?.try_into()?);
+        if let Some(caller) = caller {
+            self.may_steer(&caller, job).await?;
+        }
         self.ask(|reply| Call::Control { job, control, reply }).await?;
         Ok(Response::new(wire::ControlReply {}))
     }
@@ -80,6 +91,19 @@ impl wire::jobs_server::Jobs for Server {
         let (worker, drain) = request.into_inner().try_into()?;
         let workers = self.ask(|reply| Call::Drain { worker, drain, reply }).await?;
         Ok(Response::new(wire::DrainWorkersReply { workers: workers.into_iter().map(|worker| worker.0).collect() }))
+    }
+}
+
+impl Server {
+    /// A submitter steers jobs of its own, others need an operator.
+    async fn may_steer(&self, caller: &Caller, job: JobId) -> Result<(), Status> {
+        match &caller.holder {
+            Holder::User { role: Role::Operator | Role::Admin, .. } => Ok(()),
+            Holder::User { name, .. } if self.ask(|reply| Call::Status { job, reply }).await?.owner == *name => Ok(()),
+            Holder::User { .. } | Holder::Worker { .. } | Holder::Coordinator { .. } => {
+                Err(caller.forbidden("the job's owner, or a user of role operator"))
+            }
+        }
     }
 }
 

@@ -1,6 +1,7 @@
 //! The service `Workers`.
 
 use std::pin::Pin;
+use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::FromWorker;
@@ -9,7 +10,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt as _};
 use tonic::{Request, Response, Status, Streaming};
 
-use super::{Call, Server, Session, Words};
+use super::{Call, Caller, Server, Session, Words};
 use crate::many::together;
 use crate::wire;
 
@@ -27,6 +28,7 @@ impl wire::workers_server::Workers for Server {
         &self,
         request: Request<Streaming<wire::FromWorker>>,
     ) -> Result<Response<Self::SessionStream>, Status> {
+        let caller = request.extensions().get::<Arc<Caller>>().cloned();
         let mut words = request.into_inner();
         let first = tokio::time::timeout(INTRODUCTION, words.message()).await;
         let first = first.map_err(|_| Status::deadline_exceeded("the worker did not register"))??;
@@ -35,7 +37,7 @@ impl wire::workers_server::Workers for Server {
             return Err(Status::invalid_argument("the first message must register the worker"));
         };
         let (out, receive) = mpsc::channel(WAITING);
-        let session = Session { registration, words: Words::new(words), out };
+        let session = Session { registration, words: Words::new(words, caller), out };
         self.calls
             .send(Call::Session(Box::new(session)))
             .await

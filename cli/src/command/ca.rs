@@ -1,0 +1,213 @@
+//! `femc ca`: the farm's own authority, which says who belongs to it.
+
+use crate::args::FormatArgs;
+use crate::exit::{Exit, Failure, failed, usage};
+use crate::output::{Say, human, json};
+use clap::{Args, Subcommand, ValueEnum};
+use femc_trust::{Authority, Holder, Issue, Issued, Role, TrustError};
+use serde::Serialize;
+use std::path::{Path, PathBuf};
+
+/// Make an authority of the farm's own, and identities for its coordinators, workers and users
+///
+/// An identity is one file: a certificate, its private key, and the authority's certificate. Coordinators, workers and users show
+/// theirs to each other; whoever has none is not let in. Keep the authority's folder where only administrators can read it.
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc ca init\n  \
+    femc ca issue coordinator farm -o farm.pem\n  \
+    femc ca issue worker node-7 -o node-7.pem\n  \
+    femc ca issue user ann --role operator -o ann.pem\n  \
+    femc coordinator --listen 0.0.0.0:7878 --identity farm.pem --revoked femc-ca/revoked\n  \
+    femc worker --join https://farm.lan:7878 --identity node-7.pem\n  \
+    FEMC_SERVER=https://farm.lan:7878 FEMC_IDENTITY=ann.pem femc jobs\n  \
+    femc ca revoke node-7    # from the next message on, node-7 is let in no more")]
+pub struct CaArgs {
+    #[command(subcommand)]
+    action: Action,
+}
+
+#[derive(Debug, Subcommand)]
+enum Action {
+    /// Make the authority
+    #[command(after_help = "Examples:\n  femc ca init\n  femc ca init --dir /etc/femc/ca --name night-drives")]
+    Init {
+        /// Name for people, in every certificate
+        #[arg(long, default_value = "farm")]
+        name: String,
+        #[command(flatten)]
+        folder: FolderArgs,
+    },
+    /// Issue an identity
+    #[command(after_help = "Examples:\n  \
+        femc ca issue coordinator farm --host farm.lan --host 10.0.0.1 -o farm.pem\n  \
+        femc ca issue worker node-7\n  \
+        femc ca issue user ann --role submitter --days 90")]
+    Issue(IssueArgs),
+    /// List what was issued
+    #[command(
+        after_help = "Examples:\n  femc ca list\n  femc ca list --json | jq '.[] | select(.revoked | not) | .name'"
+    )]
+    List {
+        #[command(flatten)]
+        folder: FolderArgs,
+        #[command(flatten)]
+        format: FormatArgs,
+    },
+    /// Let whoever shows an identity of this name in no more
+    #[command(after_help = "Examples:\n  femc ca revoke node-7")]
+    Revoke {
+        /// As it was issued
+        name: String,
+        #[command(flatten)]
+        folder: FolderArgs,
+    },
+}
+
+#[derive(Debug, Args)]
+struct FolderArgs {
+    /// The authority's folder
+    #[arg(long = "dir", value_name = "DIR", default_value = "femc-ca")]
+    folder: PathBuf,
+}
+
+#[derive(Debug, Args)]
+struct IssueArgs {
+    /// Whom it is for
+    kind: Kind,
+    /// Its name: letters, digits, and . _ -
+    name: String,
+    /// What a user may do: viewer sees; submitter submits, and steers jobs of its own; operator steers every job and drains
+    /// workers; admin removes garbage
+    #[arg(long, value_name = "ROLE", required_if_eq("kind", "user"))]
+    role: Option<Role>,
+    /// For a coordinator: a name or address at which tools other than femc reach it; may be given again
+    #[arg(long, value_name = "HOST")]
+    host: Vec<String>,
+    /// How long it holds
+    #[arg(long, value_name = "DAYS", default_value_t = 365, value_parser = clap::value_parser!(u32).range(1..=3650))]
+    days: u32,
+    /// Where to write it [default: NAME.pem]
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    folder: FolderArgs,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Kind {
+    Coordinator,
+    Worker,
+    User,
+}
+
+/// Do it.
+pub fn run(args: CaArgs, say: Say) -> Result<Exit, Failure> {
+    match args.action {
+        Action::Init { name, folder } => {
+            Authority::init(&folder.folder, &name).map_err(|error| told(&error))?;
+            say.note(format!(
+                "{} is the farm's authority now; keep it private, and back it up",
+                folder.folder.display()
+            ));
+        }
+        Action::Issue(args) => issue(args, say)?,
+        Action::List { folder, format } => list(&folder.folder, format, say)?,
+        Action::Revoke { name, folder } => {
+            let authority = open(&folder.folder)?;
+            let count = authority.revoke(&name).map_err(|error| told(&error))?;
+            let list = authority.revoked();
+            say.note(format!(
+                "{count} of {name} revoked; coordinators read {} (--revoked), copy it to those elsewhere",
+                list.display()
+            ));
+        }
+    }
+    Ok(Exit::Done)
+}
+
+fn open(folder: &Path) -> Result<Authority, Failure> {
+    Authority::open(folder).map_err(|error| match &error {
+        TrustError::File { error: cause, .. } if cause.kind() == std::io::ErrorKind::NotFound => {
+            usage(format!("--dir {}: no authority is there; make one with `femc ca init`", folder.display()))
+        }
+        _ => told(&error),
+    })
+}
+
+fn issue(args: IssueArgs, say: Say) -> Result<(), Failure> {
+    let IssueArgs { kind, name, role, host, days, output, folder } = args;
+    if kind != Kind::Coordinator && !host.is_empty() {
+        return Err(usage("--host: only a coordinator is reached by a name"));
+    }
+    let holder = match (kind, role) {
+        (Kind::Coordinator, None) => Holder::Coordinator { name: name.clone() },
+        (Kind::Worker, None) => Holder::Worker { name: name.clone() },
+        (Kind::User, Some(role)) => Holder::User { name: name.clone(), role },
+        (Kind::User, None) => return Err(usage("--role: a user has one")),
+        (Kind::Coordinator | Kind::Worker, Some(_)) => return Err(usage("--role: only users have one")),
+    };
+    let path = output.unwrap_or_else(|| PathBuf::from(format!("{name}.pem")));
+    if path.exists() {
+        return Err(failed(format!("{} is there already, and is left as it is; give another -o", path.display())));
+    }
+    let issue = Issue { holder, hosts: host, days };
+    let identity = open(&folder.folder)?.issue(&issue).map_err(|error| told(&error))?;
+    identity.write(&path).map_err(|error| told(&error))?;
+    say.result(path.display());
+    Ok(())
+}
+
+#[derive(Serialize)]
+struct Line {
+    name: String,
+    holder: String,
+    fingerprint: String,
+    /// Seconds since 1970.
+    until: i64,
+    days_left: i64,
+    revoked: bool,
+}
+
+fn list(folder: &Path, format: FormatArgs, say: Say) -> Result<(), Failure> {
+    let authority = open(folder)?;
+    let revoked = femc_trust::Revoked::open(authority.revoked()).map_err(|error| told(&error))?;
+    let line = |issued: Issued| {
+        let (revoked, days_left) = (issued.is_revoked(&revoked), issued.days_left());
+        let Issued { holder, name, fingerprint, until } = issued;
+        Line { name, holder, fingerprint, until, days_left, revoked }
+    };
+    let lines: Vec<Line> = authority.issued().map_err(|error| told(&error))?.into_iter().map(line).collect();
+    if format.json {
+        return json::print(say, &lines);
+    }
+    if lines.is_empty() {
+        say.note("nothing was issued yet; `femc ca issue` does");
+    } else {
+        say.result(human::table(&["holder", "state", "fingerprint"], &lines.iter().map(row).collect::<Vec<_>>()));
+    }
+    Ok(())
+}
+
+fn row(line: &Line) -> Vec<String> {
+    let state = match (line.revoked, line.days_left) {
+        (true, _) => "revoked".to_owned(),
+        (false, ..0) => "expired".to_owned(),
+        (false, days) => format!("holds {days} days"),
+    };
+    vec![line.holder.trim_start_matches("femc://").to_owned(), state, line.fingerprint.chars().take(16).collect()]
+}
+
+/// What an authority said, as this program's failure.
+pub fn told(error: &TrustError) -> Failure {
+    match error {
+        TrustError::Name { .. } => usage(error),
+        TrustError::Unknown { .. } => usage(format!("{error}; `femc ca list` lists all")),
+        TrustError::File { .. }
+        | TrustError::Exists { .. }
+        | TrustError::Malformed { .. }
+        | TrustError::Readable { .. }
+        | TrustError::Holder { .. }
+        | TrustError::Certificate(_) => failed(error),
+    }
+}

@@ -13,32 +13,58 @@
 //! ```
 //!
 //! Then both were stopped with SIGTERM. The second file is from a coordinator that made a snapshot after 12 records instead
-//! of 20,000. A change of the format adds files and leaves these as they are.
+//! of 20,000. `data/log-2.sqlite` and `data/log-2-snapshot.sqlite` (`--compact 12`) are of facts and snapshots of version 2,
+//! with logs of tasks, a drained worker and a fifth job, of whose four tiles a worker had done one when it was killed:
+//!
+//! ```text
+//! femc submit fog.mgf --frames 6 --spp 4096 --tags slow --owner ann
+//! ```
+//!
+//! A change of the format adds files and leaves these as they are.
 
+use std::collections::BTreeSet;
 use std::path::Path;
 
 use femc_coordinator::{Artifacts, Config, Coordinator, Log};
-use femc_model::{Artefact, Control, JobId, JobState, JobStatus};
+use femc_model::{Artefact, Control, JobId, JobState, JobStatus, Registration, ToWorker, Work};
 use femc_proto::Client;
 
 #[tokio::test]
 async fn a_log_of_version_1_is_read_and_gone_on_with() {
-    holds_the_farm("log-1.sqlite").await;
+    holds_the_farm("log-1.sqlite", &[]).await;
 }
 
 #[tokio::test]
 async fn a_snapshot_of_version_1_is_read_and_gone_on_with() {
-    holds_the_farm("log-1-snapshot.sqlite").await;
+    holds_the_farm("log-1-snapshot.sqlite", &[]).await;
 }
 
-async fn holds_the_farm(name: &str) {
+#[tokio::test]
+async fn a_log_of_version_2_is_read_and_gone_on_with() {
+    holds_the_farm("log-2.sqlite", &[JobId(5)]).await;
+}
+
+#[tokio::test]
+async fn a_snapshot_of_version_2_is_read_and_gone_on_with() {
+    holds_the_farm("log-2-snapshot.sqlite", &[JobId(5)]).await;
+}
+
+/// - `begun`: the jobs of which a tile is done.
+async fn holds_the_farm(name: &str, begun: &[JobId]) {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.sqlite");
     std::fs::copy(Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/data").join(name), &path).unwrap();
     let config = Config { log: Log::Sqlite(path), artifacts: Artifacts::Memory, ..Config::default() };
     let farm = Coordinator::start(config.clone()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
-    let jobs = client.list().await.unwrap();
+    let (jobs, under_way): (Vec<_>, Vec<_>) =
+        client.list().await.unwrap().into_iter().partition(|job| !begun.contains(&job.job));
+    assert_eq!(under_way.len(), begun.len());
+    for job in under_way {
+        let progress = job.active[0];
+        assert_eq!((job.state, progress.tiles_done, progress.tiles_total), (JobState::Running, 1, 4), "{job:?}");
+        goes_on_with_whole_tiles(&client, &job).await;
+    }
     let glance = |job: &JobStatus| {
         (job.job.0, job.owner.clone(), job.priority, job.state, job.frames_done, job.frames_total, job.samples_planned)
     };
@@ -69,8 +95,29 @@ async fn holds_the_farm(name: &str) {
     let farm = Coordinator::start(config).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
     let states: Vec<_> = client.list().await.unwrap().iter().map(|job| job.state).collect();
-    assert_eq!(states, [JobState::Done, JobState::Done, JobState::Queued, JobState::Queued]);
+    assert_eq!(states[..4], [JobState::Done, JobState::Done, JobState::Queued, JobState::Queued]);
     farm.stop().await.unwrap();
+}
+
+/// A worker is given the tiles that are not done, each with all of its samples, however many: that version cut no tile.
+async fn goes_on_with_whole_tiles(client: &Client, job: &JobStatus) {
+    let registration = Registration {
+        name: "slow".into(),
+        instance: 1,
+        engine: "0.1".into(),
+        threads: 1,
+        slots: 8,
+        tags: vec!["slow".into()],
+        held: vec![],
+    };
+    let (_out, mut incoming) = client.session(registration).await.unwrap();
+    let mut leased = BTreeSet::new();
+    while leased.len() < 3 {
+        let Some(ToWorker::Assign(assignment)) = incoming.next().await.unwrap() else { continue };
+        let Work::Render { tile, samples } = assignment.work else { panic!("no merge is due") };
+        assert_eq!((assignment.task.job, assignment.task.index, samples), (job.job, tile, 0..4096));
+        leased.insert(tile);
+    }
 }
 
 /// The beginning of an artefact's name.

@@ -2,9 +2,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Epoch, JobState, TaskKey};
+use femc_model::{Epoch, JobState, Stage as TaskStage, StageKind, TaskKey};
 use femc_schedule::{Fact, SnapshotError};
 
+use crate::leases::Unit;
 use crate::shared::State;
 use crate::stage::Stage;
 
@@ -30,13 +31,23 @@ pub enum Violation {
         /// Digest.
         expected: String,
     },
-    /// The log counts a task twice.
-    #[error("{task} counts twice: under epoch {} and under {}", .epochs[0].0, .epochs[1].0)]
+    /// The log counts a sample of a tile twice, or a merge.
+    #[error("{task} counts twice, in part at least: under epoch {} and under {}", .epochs[0].0, .epochs[1].0)]
     Twice {
         /// Which.
         task: TaskKey,
         /// Of its two results.
         epochs: [Epoch; 2],
+    },
+    /// The log counts a merge to which samples of its round were missing.
+    #[error("{task} counts, and sample {sample} of tile {tile} does not")]
+    Missing {
+        /// The merge.
+        task: TaskKey,
+        /// Number in the grid.
+        tile: u32,
+        /// Of each pixel.
+        sample: u32,
     },
     /// A result was acknowledged, and the log does not have it.
     #[error("{task} under epoch {} was acknowledged and is not in the log", .epoch.0)]
@@ -85,7 +96,7 @@ pub enum Violation {
 /// All that is wrong.
 pub(crate) fn audit(stage: &Stage, state: &State) -> Vec<Violation> {
     let mut wrong = state.wrong.clone();
-    match log(state) {
+    match log(stage, state) {
         Ok(found) => wrong.extend(found),
         Err(error) => wrong.push(error.into()),
     }
@@ -117,21 +128,24 @@ pub(crate) fn audit(stage: &Stage, state: &State) -> Vec<Violation> {
 }
 
 /// What the log says that it must not say.
-fn log(state: &State) -> Result<Vec<Violation>, SnapshotError> {
+fn log(stage: &Stage, state: &State) -> Result<Vec<Violation>, SnapshotError> {
     let mut wrong = Vec::new();
-    let mut done: BTreeMap<TaskKey, Epoch> = BTreeMap::new();
+    let mut done: BTreeMap<Unit, (TaskKey, Epoch)> = BTreeMap::new();
     let mut counted: BTreeSet<(TaskKey, Epoch)> = BTreeSet::new();
     for record in &state.disk.history {
         match Fact::decode(record)?.1 {
             Fact::Rendered { task, epoch, .. } | Fact::Merged { task, epoch, .. } => {
                 counted.insert((task, epoch));
-                if let Some(before) = done.insert(task, epoch) {
-                    wrong.push(Violation::Twice { task, epochs: [before, epoch] });
+                if task.stage.kind == StageKind::Merge {
+                    wrong.extend(missing(stage, task, &done));
                 }
+                let units = state.leases.units(task, epoch).iter();
+                let before = units.filter_map(|unit| done.insert(*unit, (task, epoch))).next();
+                wrong.extend(before.map(|(_, before)| Violation::Twice { task, epochs: [before, epoch] }));
             }
-            Fact::Lost { task } => drop(done.remove(&task)),
+            Fact::Lost { task } => done.retain(|_, (by, _)| *by != task),
             Fact::Restarted { job, frame } => {
-                done.retain(|task, _| (task.job, task.stage.frame) != (job, frame));
+                done.retain(|unit, _| (unit.job, unit.stage.frame) != (job, frame));
             }
             _ => {}
         }
@@ -142,4 +156,16 @@ fn log(state: &State) -> Result<Vec<Violation>, SnapshotError> {
         }
     }
     Ok(wrong)
+}
+
+/// A sample that is not there when its round is merged.
+fn missing(stage: &Stage, merge: TaskKey, done: &BTreeMap<Unit, (TaskKey, Epoch)>) -> Option<Violation> {
+    let stage_of_tiles = TaskStage { kind: StageKind::Render, ..merge.stage };
+    let samples = stage.spec.samples(merge.stage.round);
+    let mut all = (0..stage.spec.grid.tiles()).flat_map(|tile| samples.clone().map(move |sample| (tile, sample)));
+    let is_missing = |&(tile, sample): &(u32, u32)| {
+        !done.contains_key(&Unit { job: merge.job, stage: stage_of_tiles, tile, sample })
+    };
+    let (tile, sample) = all.find(is_missing)?;
+    Some(Violation::Missing { task: merge, tile, sample })
 }

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Epoch, TaskKey};
+use femc_model::{Assignment, Epoch, JobId, Stage, TaskKey, Work};
 use femc_schedule::Fact;
 
 use crate::audit::Violation;
@@ -10,17 +10,26 @@ use crate::audit::Violation;
 /// Number of a session that the switch has relayed.
 pub(crate) type SessionNumber = u64;
 
+/// The least that can be given out: a sample of a tile, or a merge.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Unit {
+    pub(crate) job: JobId,
+    pub(crate) stage: Stage,
+    pub(crate) tile: u32,
+    pub(crate) sample: u32,
+}
+
 /// Leases that were seen to be given out, brought along, and ended.
 #[derive(Debug, Default)]
 pub(crate) struct Leases {
-    /// All that were given out.
-    given: BTreeSet<(TaskKey, Epoch)>,
-    /// Of each task's leases the latest: epochs grow with the log.
-    latest: BTreeMap<TaskKey, Epoch>,
+    /// All that were given out, and what each covers.
+    given: BTreeMap<(TaskKey, Epoch), Vec<Unit>>,
+    /// Of each unit's leases the latest: epochs grow with the log.
+    latest: BTreeMap<Unit, Epoch>,
     /// Leases that a worker brought along, and the sessions in which nobody has taken them away again.
     brought: BTreeMap<(TaskKey, Epoch), BTreeSet<SessionNumber>>,
-    /// Tasks that the log counts, under leases that nobody has brought along.
-    counted: BTreeMap<TaskKey, Epoch>,
+    /// What the log counts, under leases that nobody has brought along.
+    counted: BTreeMap<Unit, (TaskKey, Epoch)>,
     sessions: SessionNumber,
 }
 
@@ -35,11 +44,20 @@ impl Leases {
     }
 
     /// A coordinator gives a lease out; what is wrong with that.
-    pub(crate) fn assigned(&mut self, task: TaskKey, epoch: Epoch) -> Option<Violation> {
-        self.given.insert((task, epoch));
-        let latest = self.latest.entry(task).or_insert(epoch);
-        *latest = epoch.max(*latest);
-        self.superseded(task)
+    pub(crate) fn assigned(&mut self, lease: &Assignment) -> Option<Violation> {
+        let (key, units) = ((lease.task, lease.epoch), units(lease));
+        for unit in &units {
+            let latest = self.latest.entry(*unit).or_insert(lease.epoch);
+            *latest = lease.epoch.max(*latest);
+        }
+        let wrong = self.superseded(&units);
+        self.given.insert(key, units);
+        wrong
+    }
+
+    /// What a lease covers that was given out.
+    pub(crate) fn units(&self, task: TaskKey, epoch: Epoch) -> &[Unit] {
+        self.given.get(&(task, epoch)).map_or(&[], Vec::as_slice)
     }
 
     /// A coordinator ends a lease.
@@ -49,34 +67,46 @@ impl Leases {
         }
     }
 
-    /// What is wrong with a record that is being written now. A result may count only under a lease that holds: the task's
-    /// latest, or one that a worker has brought along and that may have been adopted.
+    /// What is wrong with a record that is being written now. A result may count only under a lease that holds: the latest of
+    /// all that it covers, or one that a worker has brought along and that may have been adopted.
     pub(crate) fn judge(&mut self, fact: &Fact) -> Option<Violation> {
-        let (task, epoch) = match fact {
+        let key = match fact {
             Fact::Rendered { task, epoch, .. } | Fact::Merged { task, epoch, .. } => (*task, *epoch),
             Fact::Lost { task } => {
-                self.counted.remove(task);
+                self.counted.retain(|_, (by, _)| by != task);
                 return None;
             }
             Fact::Restarted { job, frame } => {
-                self.counted.retain(|task, _| (task.job, task.stage.frame) != (*job, *frame));
+                self.counted.retain(|unit, _| (unit.job, unit.stage.frame) != (*job, *frame));
                 return None;
             }
             _ => return None,
         };
-        if !self.given.contains(&(task, epoch)) {
-            return Some(Violation::Unleased { task, epoch });
-        }
-        if self.brought.get(&(task, epoch)).is_some_and(|sessions| !sessions.is_empty()) {
+        let Some(units) = self.given.get(&key) else {
+            return Some(Violation::Unleased { task: key.0, epoch: key.1 });
+        };
+        if self.brought.get(&key).is_some_and(|sessions| !sessions.is_empty()) {
             return None;
         }
-        self.counted.insert(task, epoch);
-        self.superseded(task)
+        self.counted.extend(units.iter().map(|unit| (*unit, key)));
+        self.superseded(units)
     }
 
-    /// A task that counts is not given out again, whether the lease that came after its own is seen before or later.
-    fn superseded(&self, task: TaskKey) -> Option<Violation> {
-        let (epoch, later) = (*self.counted.get(&task)?, *self.latest.get(&task)?);
-        (later > epoch).then_some(Violation::Superseded { task, epoch, later })
+    /// What counts is not given out again, whether the lease that came after its own is seen before or later.
+    fn superseded(&self, units: &[Unit]) -> Option<Violation> {
+        units.iter().find_map(|unit| {
+            let (&(task, epoch), &later) = (self.counted.get(unit)?, self.latest.get(unit)?);
+            (later > epoch).then_some(Violation::Superseded { task, epoch, later })
+        })
+    }
+}
+
+fn units(lease: &Assignment) -> Vec<Unit> {
+    let TaskKey { job, stage, .. } = lease.task;
+    match &lease.work {
+        Work::Render { tile, samples } => {
+            samples.clone().map(|sample| Unit { job, stage, tile: *tile, sample }).collect()
+        }
+        Work::Merge { .. } => vec![Unit { job, stage, tile: 0, sample: 0 }],
     }
 }

@@ -1,6 +1,7 @@
 //! What is rendered: a small scene, its job, and its frames as the engine renders them without a farm.
 
 use std::collections::BTreeMap;
+use std::num::NonZeroU64;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, LazyLock};
 
@@ -8,7 +9,7 @@ use anyhow::Context as _;
 use bytes::Bytes;
 use femc_film::{Frame, Image, Tiling, exr, pixel_digest};
 use femc_import::Bundle;
-use femc_model::{Digest, Grid, JobSpec};
+use femc_model::{Cut, Digest, Grains, Grid, JobSpec};
 use femc_pipeline::{Settings, Stop};
 use femc_worker::Cache;
 
@@ -57,23 +58,39 @@ pub(crate) static CACHE: LazyLock<Cache> = LazyLock::new(|| Cache::new(16));
 #[derive(Debug, Clone)]
 pub(crate) struct Stage {
     pub(crate) spec: JobSpec,
+    /// How its farm cuts tasks.
+    pub(crate) schedule: femc_schedule::Config,
     pub(crate) bundle: Bytes,
     pub(crate) pixels: Vec<String>,
 }
 
-/// The jobs there are: one round, and three.
-static STAGES: LazyLock<Result<[Stage; 2], String>> = LazyLock::new(|| {
-    let make = || anyhow::Ok([stage(&[2])?, stage(&[1, 2, 4])?]);
+impl Stage {
+    /// Whether its tiles are rendered in parts.
+    pub(crate) fn is_cut(&self) -> bool {
+        Grains::of(&self.spec, 0, Cut::Grains(self.schedule.grain)).per_tile() > 1
+    }
+}
+
+/// The jobs there are: one round, and several; tiles that are not cut, of which workers hold many, and tiles in grains of a
+/// sample a pixel.
+static STAGES: LazyLock<Result<[Stage; 4], String>> = LazyLock::new(|| {
+    let whole = femc_schedule::Config { ahead: 100_000, ..femc_schedule::Config::default() };
+    let pixels = u64::from(TILE * TILE);
+    let grain = NonZeroU64::new(pixels).unwrap_or(NonZeroU64::MIN);
+    let cut = femc_schedule::Config { grain, task: 2_000, least_task: 500, ..femc_schedule::Config::default() };
+    let make = || {
+        anyhow::Ok([stage(&[2], &whole)?, stage(&[1, 2, 4], &whole)?, stage(&[12], &cut)?, stage(&[3, 5, 12], &cut)?])
+    };
     make().map_err(|error| format!("{error:#}"))
 });
 
 /// The job of this number.
 pub(crate) fn pick(number: u64) -> anyhow::Result<&'static Stage> {
     let stages = STAGES.as_ref().map_err(|error| anyhow::anyhow!("{error}"))?;
-    stages.get((number % 2) as usize).context("a stage")
+    stages.get((number % 4) as usize).context("a stage")
 }
 
-fn stage(rounds: &[u32]) -> anyhow::Result<Stage> {
+fn stage(rounds: &[u32], schedule: &femc_schedule::Config) -> anyhow::Result<Stage> {
     // An error that is never reached: every round runs.
     let stop = if let [spp] = rounds { Stop::Spp(*spp) } else { Stop::Error(1e-9) };
     let settings = Settings { stop, max_depth: 3, ..Settings::default() };
@@ -105,7 +122,7 @@ fn stage(rounds: &[u32]) -> anyhow::Result<Stage> {
         owner: "me".into(),
         tags: vec![],
     };
-    Ok(Stage { spec, bundle: bytes.into(), pixels })
+    Ok(Stage { spec, schedule: schedule.clone(), bundle: bytes.into(), pixels })
 }
 
 /// Digest of a finished frame's pixels.

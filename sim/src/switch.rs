@@ -51,7 +51,7 @@ async fn relay(session: Session, shared: Shared) {
             match &message {
                 ToWorker::Assign(lease) => {
                     let mut state = shared.lock();
-                    let wrong = state.leases.assigned(lease.task, lease.epoch);
+                    let wrong = state.leases.assigned(lease);
                     state.wrong.extend(wrong);
                 }
                 ToWorker::Revoke { task, epoch, .. } => shared.lock().leases.revoked(number, *task, *epoch),

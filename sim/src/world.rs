@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_coordinator::{Config, Coordinator, Time};
-use femc_model::{Assignment, JobId, JobStatus, StageKind};
+use femc_model::{Assignment, JobId, JobStatus, Work};
 use femc_proto::{CallError, Client};
 use femc_store::Store;
 use femc_worker::{Hands, Pace, Worker};
@@ -64,7 +64,7 @@ pub fn run(seed: u64, plan: &Planned, tells: Tells) -> anyhow::Result<Outcome> {
         .build();
     for host in 0..COORDINATORS {
         let (shared, store) = (shared.clone(), store.clone());
-        sim.host(coordinator_name(host), move || coordinator(host, shared.clone(), store.clone()));
+        sim.host(coordinator_name(host), move || coordinator(host, stage, shared.clone(), store.clone()));
     }
     {
         let (shared, store) = (shared.clone(), store.clone());
@@ -72,7 +72,7 @@ pub fn run(seed: u64, plan: &Planned, tells: Tells) -> anyhow::Result<Outcome> {
     }
     for host in 0..WORKERS {
         let shared = shared.clone();
-        sim.host(worker_name(host), move || worker(seed, host, shared.clone()));
+        sim.host(worker_name(host), move || worker(seed, host, stage, shared.clone()));
     }
     sim.client("person", person(shared.clone(), stage));
     let broken = drive(&mut sim, plan, &shared, &shelf);
@@ -294,7 +294,7 @@ fn start(sim: &mut Sim<'_>, host: String) {
 }
 
 /// A coordinator: stands by until it leads, and again when it leads no more.
-async fn coordinator(host: usize, shared: Shared, store: Store) -> turmoil::Result {
+async fn coordinator(host: usize, stage: &'static Stage, shared: Shared, store: Store) -> turmoil::Result {
     loop {
         while shared.lock().leader != host {
             tokio::time::sleep(Duration::from_millis(50)).await;
@@ -304,6 +304,7 @@ async fn coordinator(host: usize, shared: Shared, store: Store) -> turmoil::Resu
         let clock = shared.clone();
         let config = Config {
             snapshot: 25,
+            scheduler: stage.schedule.clone(),
             time: Time::by(move || started.elapsed() + clock.lock().ahead),
             ..Config::default()
         };
@@ -330,7 +331,7 @@ async fn coordinator(host: usize, shared: Shared, store: Store) -> turmoil::Resu
     }
 }
 
-async fn worker(seed: u64, host: usize, shared: Shared) -> turmoil::Result {
+async fn worker(seed: u64, host: usize, stage: &'static Stage, shared: Shared) -> turmoil::Result {
     let boot = {
         let mut state = shared.lock();
         state.boots += 1;
@@ -342,22 +343,23 @@ async fn worker(seed: u64, host: usize, shared: Shared) -> turmoil::Result {
         cache: CACHE.clone(),
         instance: boot,
         dial: dial(),
-        hands: Hands::Simulated(Pace::by(move |assignment| pace(seed, assignment))),
+        hands: Hands::Simulated(Pace::by(move |assignment| pace(seed, stage, assignment))),
         ..femc_worker::Config::new(url("switch"))
     };
     Ok(Worker::run(config, std::future::pending()).await?)
 }
 
-/// From a fifth of a second to three seconds.
-fn pace(seed: u64, assignment: &Assignment) -> Duration {
+/// From a fifth of a second to three seconds; where tiles are cut, from a twentieth to a half a sample.
+fn pace(seed: u64, stage: &Stage, assignment: &Assignment) -> Duration {
     let name = format!("{seed} {} {}", assignment.task, assignment.epoch.0);
     let hash = blake3::hash(name.as_bytes());
     let draw = u64::from(u16::from_le_bytes([hash.as_bytes()[0], hash.as_bytes()[1]]));
-    let most = match assignment.task.stage.kind {
-        StageKind::Render => 2_800,
-        StageKind::Merge => 800,
-    };
-    Duration::from_millis(200 + draw * most / 65_536)
+    let between = |least: u64, most: u64| Duration::from_millis(least + draw * (most - least) / 65_536);
+    match &assignment.work {
+        Work::Render { samples, .. } if stage.is_cut() => between(50, 500) * samples.len() as u32,
+        Work::Render { .. } => between(200, 3_000),
+        Work::Merge { .. } => between(200, 1_000),
+    }
 }
 
 /// Submits the job, waits for its end, fetches its frames; never gives up.

@@ -5,7 +5,7 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCDONE` |
-//! | 4 | format version, 1 |
+//! | 4 | format version, 2 |
 //! | 32 | BLAKE3 of all that follows |
 //! | 8 | length of the head |
 //! | | the head, in postcard: assignment, job, result, lengths of the artefacts |
@@ -31,7 +31,7 @@ use crate::execute::Product;
 use crate::table::Task;
 
 const MAGIC: &[u8; 8] = b"FEMCDONE";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// Bytes before the head.
 const FRONT: usize = 8 + 4 + 32 + 8;
 /// Folders that are tried when one is taken.
@@ -308,7 +308,7 @@ mod tests {
     async fn task(index: u32, bytes: &'static [u8]) -> Arc<Task> {
         let stage = Stage { frame: 1, round: 0, kind: StageKind::Render };
         let task = TaskKey { job: JobId(3), stage, index };
-        let work = Work::Render { samples: 0..4 };
+        let work = Work::Render { tile: index, samples: 0..4 };
         let assignment = Assignment { task, epoch: Epoch(9), lease: 5000, work };
         let dial = femc_proto::Dial::by(|_, _| {
             let (near, far) = tokio::io::duplex(1 << 16);

@@ -2,9 +2,8 @@
 
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, mpsc};
-use std::time::Duration;
 
-use femc_model::{Failure, Phase, StageKind, Work};
+use femc_model::{Failure, Phase, StageKind, TaskResult, Work};
 
 use crate::config::Pace;
 use crate::execute::{Product, Tools, execute};
@@ -38,13 +37,30 @@ async fn work(task: &Task, pace: &Pace, tools: &Tools) -> Result<Product, Failur
     };
     let fetch = Fetch::collect(&task.client, task.spec.bundle, &inputs).await;
     task.enter(Phase::Working);
-    let step: Duration = pace.of(&task.assignment) / STEPS;
-    for _ in 0..STEPS {
-        tokio::time::sleep(step).await;
-        task.samples.fetch_add(1, Ordering::Relaxed);
+    let (whole, samples) = (pace.of(&task.assignment), samples(task));
+    for step in 1..=STEPS {
+        tokio::time::sleep(whole / STEPS).await;
+        task.samples.store(samples * u64::from(step) / u64::from(STEPS), Ordering::Relaxed);
         if task.is_cancelled() {
             return Err(Failure::Cancelled);
         }
     }
-    execute(task, &Tools { fetch, ..tools.clone() })
+    // They are counted again as they are really taken, in no time at all.
+    task.samples.store(0, Ordering::Relaxed);
+    let mut product = execute(task, &Tools { fetch, ..tools.clone() })?;
+    match &mut product.result {
+        TaskResult::Tile(tile) => tile.seconds = whole.as_secs_f64(),
+        TaskResult::Merge(merge) => merge.seconds = whole.as_secs_f64(),
+    }
+    Ok(product)
+}
+
+/// Pixel samples of the task; one for each step of a merge.
+fn samples(task: &Task) -> u64 {
+    match &task.assignment.work {
+        Work::Render { tile, samples } => {
+            task.spec.grid.rect(*tile).map_or(0, |rect| rect.pixels()) * samples.len() as u64
+        }
+        Work::Merge { .. } => u64::from(STEPS),
+    }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 
-use femc_model::{Assignment, Epoch, Failure, HeldLease, JobSpec, Phase, StageKind, TaskKey, TaskProgress};
+use femc_model::{Assignment, Epoch, Failure, HeldLease, JobSpec, Phase, StageKind, TaskKey, TaskProgress, Work};
 use femc_proto::Client;
 use tokio::sync::Notify;
 use tokio::time::Instant;
@@ -53,7 +53,11 @@ impl Task {
     /// The lease, as a later session brings it along.
     pub(crate) fn lease(&self) -> HeldLease {
         let (task, epoch) = self.key();
-        HeldLease { task, epoch, job: self.spec.key() }
+        let samples = match &self.assignment.work {
+            Work::Render { samples, .. } => samples.clone(),
+            Work::Merge { .. } => 0..0,
+        };
+        HeldLease { task, epoch, samples, job: self.spec.key() }
     }
 
     /// Keeps what came of it; what is there already stays.

@@ -46,7 +46,7 @@ async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_tol
     let stage = Stage { frame: 1, round: 0, kind: StageKind::Render };
     let task = TaskKey { job: JobId(7), stage, index: 0 };
     let epoch = Epoch::new(3, 1);
-    let assignment = Assignment { task, epoch, lease: LEASE, work: Work::Render { samples: 0..4 } };
+    let assignment = Assignment { task, epoch, lease: LEASE, work: Work::Render { tile: 0, samples: 0..4 } };
     let welcome = ToWorker::Welcome { worker: WorkerId(1), heartbeat: HEARTBEAT, lease: LEASE };
     first.out.send(welcome.clone()).await.unwrap();
     first.out.send(ToWorker::Job { job: JobId(7), spec: Box::new(spec.clone()) }).await.unwrap();
@@ -71,7 +71,7 @@ async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_tol
 
     // It comes back with the lease. The task gets done, and is not reported: nobody has said that the lease holds.
     let mut second = session(&mut calls).await;
-    assert_eq!(second.registration.held, [HeldLease { task, epoch, job: spec.key() }]);
+    assert_eq!(second.registration.held, [HeldLease { task, epoch, samples: 0..4, job: spec.key() }]);
     second.out.send(welcome).await.unwrap();
     let mut last = 0;
     while begun.elapsed() < Duration::from_millis(5000) {

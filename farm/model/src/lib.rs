@@ -6,6 +6,7 @@
 
 mod digest;
 mod failure;
+mod grains;
 mod grid;
 mod id;
 mod job;
@@ -19,6 +20,7 @@ mod task;
 
 pub use digest::{Digest, ParseDigestError};
 pub use failure::{Failure, Verdict};
+pub use grains::{Cut, Grains};
 pub use grid::{Grid, TileRect};
 pub use id::{Epoch, JobId, Tick, WorkerId};
 pub use job::{Control, JobSpec, JobState, SpecError};

@@ -20,7 +20,7 @@ impl Artefact {
     }
 }
 
-/// A rendered tile.
+/// A rendered tile, or some of its samples.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub struct TileResult {
     /// The encoded tile.
@@ -79,7 +79,7 @@ pub struct FrameParts {
     pub grid: Grid,
     /// What the rounds before add up to.
     pub sums: Option<Artefact>,
-    /// The tiles of this round that are done, in order of their index.
+    /// The tiles of this round that are done, some in parts, in order of key.
     pub tiles: Vec<Artefact>,
 }
 

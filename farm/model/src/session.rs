@@ -1,5 +1,7 @@
 //! The words of a worker's session with the coordinator.
 
+use std::ops::Range;
+
 use serde::{Deserialize, Serialize};
 
 use crate::{Assignment, Digest, Epoch, Failure, JobId, JobSpec, Refusal, TaskKey, TaskLog, TaskResult, WorkerId};
@@ -24,12 +26,14 @@ pub struct Registration {
 }
 
 /// A lease that a worker brings along from an earlier session.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct HeldLease {
     /// The task.
     pub task: TaskKey,
     /// Of the lease.
     pub epoch: Epoch,
+    /// The samples that it covers, of each pixel of its tile; empty where it renders nothing.
+    pub samples: Range<u32>,
     /// [`JobSpec::key`] of the job, so that the task of another farm's job of the same number is not taken for this one.
     pub job: Digest,
 }

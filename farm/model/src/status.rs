@@ -62,7 +62,7 @@ pub struct FrameProgress {
     pub rounds: u32,
     /// What it is at.
     pub stage: StageKind,
-    /// Tiles done in this round.
+    /// Tiles of which all samples of this round are done.
     pub tiles_done: u32,
     /// Tiles of the round.
     pub tiles_total: u32,

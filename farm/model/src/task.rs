@@ -34,7 +34,7 @@ pub struct TaskKey {
     pub job: JobId,
     /// The stage of the job.
     pub stage: Stage,
-    /// Number within the stage: of a render stage, the tile's number in the grid.
+    /// Number within the stage: of a render stage, the first of the task's [`Grains`](crate::Grains).
     pub index: u32,
 }
 
@@ -65,8 +65,10 @@ pub struct Assignment {
 /// The content of a task.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Work {
-    /// Render tile `key.index` for these samples of each pixel.
+    /// Render these samples of each pixel of a tile.
     Render {
+        /// Number of the tile in the grid.
+        tile: u32,
         /// Sample indices.
         samples: Range<u32>,
     },
@@ -74,7 +76,7 @@ pub enum Work {
     Merge {
         /// Sums of the rounds before, if any.
         previous: Option<Artefact>,
-        /// The tiles of this round in the order of their index.
+        /// The tiles of this round, some in parts, in order of key: together each sample of each tile once.
         tiles: Vec<Artefact>,
         /// Samples a pixel that the sums hold after this merge.
         spp: u32,

@@ -1,6 +1,7 @@
 //! The scheduler's times and limits.
 
 use std::collections::BTreeMap;
+use std::num::NonZeroU64;
 
 /// Times in milliseconds.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -31,6 +32,12 @@ pub struct Config {
     /// Where tasks take less than this, a worker holds more of them, up to so many milliseconds of work and at most
     /// [`Config::DEEPEST`] tasks: then none waits for the next one's way.
     pub ahead: u64,
+    /// A task is meant to take so long, where a tile can be cut.
+    pub task: u64,
+    /// And so long at least, where there is too little for everybody.
+    pub least_task: u64,
+    /// Pixel samples of a tile below which it is not cut; of jobs that are submitted from now on.
+    pub grain: NonZeroU64,
     /// Weights of owners in the fair share of time; who is not named has 1.
     pub weights: BTreeMap<String, u32>,
 }
@@ -43,6 +50,9 @@ impl Config {
     pub(crate) fn depth(&self, milliseconds: u64) -> usize {
         (self.ahead / milliseconds.max(1)).min(Self::DEEPEST) as usize
     }
+
+    /// Pixel samples of a grain: some tenths of a second of one processor, seconds where light is hard to find.
+    pub const GRAIN: NonZeroU64 = NonZeroU64::new(1 << 15).unwrap();
 
     /// Heartbeats in a lease.
     const HEARTBEATS: u64 = 10;
@@ -72,6 +82,9 @@ impl Default for Config {
             longest_shun: 3_600_000,
             prefetch: 2,
             ahead: 200,
+            task: 8_000,
+            least_task: 1_500,
+            grain: Self::GRAIN,
             weights: BTreeMap::new(),
         }
     }

@@ -1,6 +1,6 @@
 //! What people ask for: submit and steer.
 
-use femc_model::{Control, JobId, JobSpec, Refusal, RevokeReason, TaskKey, Tick};
+use femc_model::{Control, Cut, Grains, JobId, JobSpec, Refusal, RevokeReason, TaskKey, Tick};
 
 use crate::ledger::Hold;
 use crate::scheduler::Scheduler;
@@ -19,7 +19,13 @@ impl Scheduler {
             return Ok(Answer::Submitted(job));
         }
         let job = self.ledger.next_job();
+        let samples = self.config.grain;
+        let is_cut =
+            (0..spec.rounds.len() as u32).any(|round| Grains::of(&spec, round, Cut::Grains(samples)).per_tile() > 1);
         self.record(Fact::Submitted { job, key, spec }, now, out);
+        if is_cut {
+            self.record(Fact::Cut { job, samples }, now, out);
+        }
         self.rebuild(job);
         out.push(Command::Changed(job));
         Ok(Answer::Submitted(job))

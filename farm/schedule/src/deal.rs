@@ -1,6 +1,8 @@
 //! Dealing: ready tasks to workers with room, and the reasons why a task waits, from one set of predicates.
 
-use femc_model::{Artefact, Assignment, JobId, More, Stage, StageKind, TaskKey, Tick, Wait, Work, WorkerId};
+use std::ops::Range;
+
+use femc_model::{Artefact, Assignment, Epoch, JobId, More, Stage, StageKind, TaskKey, Tick, Wait, Work, WorkerId};
 
 use crate::Command;
 use crate::desk::Desk;
@@ -67,42 +69,38 @@ impl Scheduler {
     }
 
     fn grant(&mut self, task: TaskKey, worker: WorkerId, now: Tick, out: &mut Vec<Command>) {
-        let Some(work) = self.work(&task, now) else {
+        let run = self.share(&task);
+        let Some(work) = self.work(&task, &run, now) else {
             debug_assert!(false, "a task that is not there was picked: {task}");
             return;
         };
         let epoch = self.next_epoch();
-        if let Some(desk) = self.desks.get_mut(&task.job) {
-            desk.take(&task);
-            self.floor.instance(worker).into_iter().for_each(|instance| desk.distrust.granted(instance, task));
+        if let Some(instance) = self.floor.instance(worker)
+            && let Some(desk) = self.desks.get_mut(&task.job)
+        {
+            desk.distrust.granted(instance, task);
         }
-        self.charge(&task);
-        self.floor.lease(task, worker, epoch, &self.config, now);
+        self.hand_out(task, &run, (worker, epoch), now);
         out.push(Command::Assign { worker, assignment: Assignment { task, epoch, lease: self.config.lease, work } });
     }
 
-    /// Charges a job's owner for a task that begins: what the job's tasks take on the average.
-    pub(crate) fn charge(&mut self, task: &TaskKey) {
-        let (Some(job), Some(desk)) = (self.ledger.jobs.get(&task.job), self.desks.get(&task.job)) else { return };
-        let owner = &job.spec.owner;
-        self.order.charge(owner, desk.pace.expected(), self.config.weight(owner));
+    /// Takes a task off the table and puts it into a worker's hands.
+    pub(crate) fn hand_out(&mut self, task: TaskKey, run: &Range<u32>, lease: (WorkerId, Epoch), now: Tick) {
+        if let Some(desk) = self.desks.get_mut(&task.job) {
+            desk.take(&task, run);
+        }
+        let size = self.size(&task, run);
+        self.charge(&task, size);
+        self.floor.lease(task, run, lease, size, &self.config, now);
     }
 
-    /// Corrects the charge of a task that has taken `milliseconds`.
-    pub(crate) fn settle(&mut self, task: &TaskKey, milliseconds: u64) {
-        let (Some(job), Some(desk)) = (self.ledger.jobs.get(&task.job), self.desks.get_mut(&task.job)) else { return };
-        let (owner, expected) = (&job.spec.owner, desk.pace.expected());
-        let weight = self.config.weight(owner);
-        self.order.charge(owner, milliseconds.saturating_sub(expected), weight);
-        self.order.refund(owner, expected.saturating_sub(milliseconds), weight);
-        desk.pace.note(milliseconds);
-    }
-
-    fn work(&self, task: &TaskKey, now: Tick) -> Option<Work> {
+    fn work(&self, task: &TaskKey, run: &Range<u32>, now: Tick) -> Option<Work> {
         let job = self.ledger.jobs.get(&task.job)?;
-        let samples = job.spec.samples(task.stage.round);
         Some(match task.stage.kind {
-            StageKind::Render => Work::Render { samples },
+            StageKind::Render => {
+                let grains = job.grains(task.stage.round);
+                Work::Render { tile: grains.tile(task.index), samples: grains.samples(run) }
+            }
             StageKind::Merge => {
                 let frame = job.frames.get(&task.stage.frame)?;
                 let tiles: Vec<Artefact> = frame.tiles.values().map(|tile| tile.result.tile).collect();
@@ -110,7 +108,7 @@ impl Scheduler {
                 Work::Merge {
                     previous: frame.sums,
                     tiles,
-                    spp: samples.end,
+                    spp: job.spec.samples(task.stage.round).end,
                     elapsed: now.since(frame.began),
                     busy_seconds: frame.busy_seconds,
                     more: if is_last { More::Last } else { More::Rounds },
@@ -135,12 +133,12 @@ impl Scheduler {
         }
         let total = job.spec.grid.tiles();
         for (&frame, open) in &desk.open {
-            let done = job.frames.get(&frame).map_or(0, |frame| frame.tiles.len() as u32);
-            if open.tiles.is_empty() && done < total {
+            let done = job.frames.get(&frame).map_or(0, |frame| frame.whole);
+            if open.grains.is_empty() && done < total {
                 waits.push(Wait::MergeWaitsForTiles { frame, tiles: total - done });
             }
         }
-        let is_ready = desk.open.values().any(|frame| frame.merge || !frame.tiles.is_empty());
+        let is_ready = desk.open.values().any(|frame| frame.merge || !frame.grains.is_empty());
         if is_ready || desk.cursor < job.spec.frames.len() {
             waits.extend(self.why_no_worker(id, job, desk, now));
             waits.extend(self.why_shunned(job, desk, now));
@@ -208,8 +206,8 @@ fn first_ready(id: JobId, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floo
     for (&frame, open) in &desk.open {
         let key = |kind, index| TaskKey { job: id, stage: Stage { frame, round: open.round, kind }, index };
         let merge = open.merge.then(|| key(StageKind::Merge, 0));
-        let tiles = open.tiles.iter().map(|index| key(StageKind::Render, index));
-        for task in merge.into_iter().chain(tiles) {
+        let renders = open.grains.iter().map(|index| key(StageKind::Render, index));
+        for task in merge.into_iter().chain(renders) {
             if !is_avoided(&task, job, desk, worker, floor) {
                 return Pick::Task(task);
             }

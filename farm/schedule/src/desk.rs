@@ -1,6 +1,7 @@
 //! The ready tasks of a job that runs: derived from the ledger and the leases, never written down.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::ops::Range;
 
 use femc_model::{JobId, Stage, StageKind, TaskKey, Tick, WorkerId};
 
@@ -9,13 +10,14 @@ use crate::distrust::Distrust;
 use crate::floor::Floor;
 use crate::ledger::Job;
 use crate::ledger::frame::Frame;
+use crate::pace::Pace;
 
 /// A frame whose tasks may be leased.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub(crate) struct OpenFrame {
     pub(crate) round: u32,
-    /// Tiles that nobody holds.
-    pub(crate) tiles: RangeSet,
+    /// Grains of its tiles that nobody holds.
+    pub(crate) grains: RangeSet,
     /// Whether the merge can run and nobody holds it.
     pub(crate) merge: bool,
 }
@@ -52,21 +54,21 @@ impl Desk {
             self.open.remove(&frame);
             return;
         }
-        let total = job.spec.grid.tiles();
         let round = job.round(frame);
-        let (mut tiles, mut merge) = match job.frames.get(&frame) {
-            Some(frame) => (frame.open_tiles(total), frame.merge_is_open(total)),
-            None => (RangeSet::full(0..total), false),
+        let keys = job.grains(round);
+        let (mut grains, mut merge) = match job.frames.get(&frame) {
+            Some(frame) => (frame.open_grains(&keys), frame.merge_is_open(&keys)),
+            None => (RangeSet::full(keys.all()), false),
         };
-        floor.of_stage(id, Stage { frame, round, kind: StageKind::Render }).for_each(|index| tiles.remove(index));
+        floor.of_stage(id, Stage { frame, round, kind: StageKind::Render }).for_each(|run| grains.remove(run));
         merge &= floor.of_stage(id, Stage { frame, round, kind: StageKind::Merge }).next().is_none();
-        self.open.insert(frame, OpenFrame { round, tiles, merge });
+        self.open.insert(frame, OpenFrame { round, grains, merge });
     }
 
     /// Takes notice of a completion: only the last of a round makes anything ready.
     pub(crate) fn completed(&mut self, task: &TaskKey, job: &Job, floor: &Floor) {
-        let total = job.spec.grid.tiles() as usize;
-        let goes_on = |frame: &Frame| frame.round == task.stage.round && frame.tiles.len() < total;
+        let keys = job.grains(task.stage.round);
+        let goes_on = |frame: &Frame| frame.round == task.stage.round && !frame.is_rendered(&keys);
         let frame = task.stage.frame;
         if !job.is_open(frame) || !job.frames.get(&frame).is_some_and(goes_on) {
             self.refresh(task.job, job, frame, floor);
@@ -78,52 +80,30 @@ impl Desk {
         while let Some(&frame) = job.spec.frames.get(self.cursor) {
             self.cursor += 1;
             if job.is_open(frame) && !self.open.contains_key(&frame) {
-                let tiles = RangeSet::full(0..job.spec.grid.tiles());
-                self.open.insert(frame, OpenFrame { round: 0, tiles, merge: false });
+                let grains = RangeSet::full(job.grains(0).all());
+                self.open.insert(frame, OpenFrame { round: 0, grains, merge: false });
                 return true;
             }
         }
         false
     }
 
-    /// Whether the task is on the table.
-    pub(crate) fn is_ready(&self, task: &TaskKey) -> bool {
+    /// Whether the task is on the table, with all of its grains.
+    pub(crate) fn is_ready(&self, task: &TaskKey, run: &Range<u32>) -> bool {
         let open = self.open.get(&task.stage.frame).filter(|open| open.round == task.stage.round);
         open.is_some_and(|open| match task.stage.kind {
-            StageKind::Render => open.tiles.contains(task.index),
+            StageKind::Render => open.grains.covers(run),
             StageKind::Merge => open.merge && task.index == 0,
         })
     }
 
     /// Takes a task off the table, because it is leased.
-    pub(crate) fn take(&mut self, task: &TaskKey) {
+    pub(crate) fn take(&mut self, task: &TaskKey, run: &Range<u32>) {
         let Some(frame) = self.open.get_mut(&task.stage.frame) else { return };
         match task.stage.kind {
-            StageKind::Render => frame.tiles.remove(task.index),
+            StageKind::Render => frame.grains.remove(run.clone()),
             StageKind::Merge => frame.merge = false,
         }
-    }
-}
-
-/// How long the job's tasks take.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Pace {
-    /// Smoothed, us; 0: none is done yet.
-    mean: u64,
-}
-
-impl Pace {
-    /// What is expected of the first task, ms.
-    const FIRST: u64 = 1_000;
-
-    /// Milliseconds that the next task is expected to take.
-    pub(crate) fn expected(&self) -> u64 {
-        if self.mean == 0 { Self::FIRST } else { self.mean.div_ceil(1_000) }
-    }
-
-    pub(crate) fn note(&mut self, milliseconds: u64) {
-        let taken = milliseconds.max(1).saturating_mul(1_000);
-        self.mean = if self.mean == 0 { taken } else { (7 * self.mean).saturating_add(taken) / 8 };
     }
 }
 

@@ -1,5 +1,7 @@
 //! What has happened for good: the entries of the log.
 
+use std::num::NonZeroU64;
+
 use femc_model::{Control, Drain, Epoch, Failure, JobId, JobSpec, LogRecord, MergeResult, TaskKey, Tick, TileResult};
 use serde::{Deserialize, Serialize};
 
@@ -20,9 +22,9 @@ pub enum Fact {
         /// As submitted.
         spec: Box<JobSpec>,
     },
-    /// A tile was rendered.
+    /// A tile was rendered, or some grains of it.
     Rendered {
-        /// Which.
+        /// Which; the result's samples say how many grains, from the task's own key on.
         task: TaskKey,
         /// Of the lease that did it.
         epoch: Epoch,
@@ -47,9 +49,9 @@ pub enum Fact {
         /// Why.
         failure: Failure,
     },
-    /// The artefact of a rendered tile is gone: the tile is to be rendered again.
+    /// The artefact of a rendered tile is gone: it is to be rendered again.
     Lost {
-        /// Which.
+        /// The task that had made it.
         task: TaskKey,
     },
     /// The sums of a frame are gone: the frame begins anew.
@@ -82,4 +84,11 @@ pub enum Fact {
     },
     /// A worker wrote something down during an attempt.
     Logged(Box<LogRecord>),
+    /// The tiles of a job are cut; follows its submission. Without this they are not.
+    Cut {
+        /// The job.
+        job: JobId,
+        /// Pixel samples of a grain: see [`Grains`](femc_model::Grains).
+        samples: NonZeroU64,
+    },
 }

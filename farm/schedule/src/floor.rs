@@ -1,6 +1,7 @@
 //! Who is there and who holds what: the half of the state that a restart forgets.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 
 use femc_model::{Epoch, Intake, JobId, Phase, Registration, Stage, StageKind, TaskKey, TaskProgress, Tick, WorkerId};
 
@@ -49,17 +50,44 @@ impl Worker {
     }
 }
 
+/// How much a task is.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Size {
+    /// Pixel samples; 0 where it renders nothing.
+    pub(crate) samples: u64,
+    /// Milliseconds that it is expected to take.
+    pub(crate) milliseconds: u64,
+}
+
 /// A task in a worker's hands.
 #[derive(Debug, Clone)]
 pub(crate) struct Lease {
     pub(crate) worker: WorkerId,
     pub(crate) epoch: Epoch,
+    /// Of a render task, the end of its run of grains; it begins with the task's key.
+    end: u32,
+    pub(crate) size: Size,
     pub(crate) granted: Tick,
     pub(crate) deadline: Tick,
     /// Last progress.
     moved: Tick,
     phase: Phase,
+    /// When its worker began to compute, at the earliest.
+    began: Option<Tick>,
     pub(crate) samples: u64,
+}
+
+impl Lease {
+    /// The grains of a render task, or the one key of another.
+    pub(crate) fn run(&self, task: &TaskKey) -> Range<u32> {
+        task.index..self.end
+    }
+
+    /// Milliseconds and pixel samples of its computation so far, as heard; `None` before there is any progress.
+    pub(crate) fn progress(&self) -> Option<(u64, u64)> {
+        let began = self.began.filter(|_| self.samples > 0)?;
+        Some((self.moved.since(began), self.samples))
+    }
 }
 
 /// Workers and leases; each lease is also in its worker's `held` and in `deadlines`.
@@ -108,9 +136,29 @@ impl Floor {
         held
     }
 
-    pub(crate) fn lease(&mut self, task: TaskKey, worker: WorkerId, epoch: Epoch, config: &Config, now: Tick) {
+    /// - `run`: the task's grains.
+    pub(crate) fn lease(
+        &mut self,
+        task: TaskKey,
+        run: &Range<u32>,
+        (worker, epoch): (WorkerId, Epoch),
+        size: Size,
+        config: &Config,
+        now: Tick,
+    ) {
         let deadline = now.after(config.lease);
-        let lease = Lease { worker, epoch, granted: now, deadline, moved: now, phase: Phase::Waiting, samples: 0 };
+        let lease = Lease {
+            worker,
+            epoch,
+            end: run.end,
+            size,
+            granted: now,
+            deadline,
+            moved: now,
+            phase: Phase::Waiting,
+            began: None,
+            samples: 0,
+        };
         self.leases.insert(task, lease);
         self.deadlines.insert((deadline, task));
         if let Some(holder) = self.workers.get_mut(&worker) {
@@ -160,7 +208,7 @@ impl Floor {
         now: Tick,
     ) -> Vec<(TaskKey, Epoch)> {
         let Some(holder) = self.workers.get_mut(&worker) else { return Vec::new() };
-        holder.seen = now;
+        let before = std::mem::replace(&mut holder.seen, now);
         let mut over = Vec::new();
         for progress in tasks {
             let lease = self.leases.get_mut(&progress.task);
@@ -168,6 +216,9 @@ impl Floor {
                 over.push((progress.task, progress.epoch));
                 continue;
             };
+            if progress.phase == Phase::Working {
+                lease.began.get_or_insert(before.max(lease.granted));
+            }
             if (progress.phase, progress.samples) > (lease.phase, lease.samples) {
                 (lease.phase, lease.samples) = (progress.phase, progress.samples.max(lease.samples));
                 lease.moved = now;
@@ -203,10 +254,10 @@ impl Floor {
         self.deadlines.iter().take_while(|(deadline, _)| *deadline <= now).map(|&(_, task)| task).collect()
     }
 
-    /// Numbers of the leased tasks of a stage.
-    pub(crate) fn of_stage(&self, job: JobId, stage: Stage) -> impl Iterator<Item = u32> + '_ {
+    /// The keys of a stage that are leased.
+    pub(crate) fn of_stage(&self, job: JobId, stage: Stage) -> impl Iterator<Item = Range<u32>> + '_ {
         let key = |index| TaskKey { job, stage, index };
-        self.leases.range(key(0)..=key(u32::MAX)).map(|(task, _)| task.index)
+        self.leases.range(key(0)..=key(u32::MAX)).map(|(task, lease)| lease.run(task))
     }
 
     /// The leases of a job.

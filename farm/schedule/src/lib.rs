@@ -22,8 +22,10 @@ mod ledger;
 mod logs;
 mod order;
 mod outcome;
+mod pace;
 mod ranges;
 mod scheduler;
+mod share;
 mod view;
 
 pub use config::Config;

@@ -22,15 +22,19 @@ impl Scheduler {
         let Some(lease) = self.floor.lease_of(worker, &task, epoch) else {
             return self.without_lease(worker, task, epoch, out);
         };
-        let granted = lease.granted;
+        let (granted, size) = (lease.granted, lease.size);
         let seconds = match &result {
             TaskResult::Tile(tile) => tile.seconds,
             TaskResult::Merge(merge) => merge.seconds,
         };
-        let rounds = self.ledger.jobs.get(&task.job).map_or(0, |job| job.spec.rounds.len());
+        let Some(job) = self.ledger.jobs.get(&task.job) else { return };
         let fact = match (task.stage.kind, result) {
-            (StageKind::Render, TaskResult::Tile(result)) => Fact::Rendered { task, epoch, leased: granted, result },
-            (StageKind::Merge, TaskResult::Merge(result)) if is_sound(&result, task.stage.round, rounds) => {
+            (StageKind::Render, TaskResult::Tile(result)) if result.samples == size.samples => {
+                Fact::Rendered { task, epoch, leased: granted, result }
+            }
+            (StageKind::Merge, TaskResult::Merge(result))
+                if is_sound(&result, task.stage.round, job.spec.rounds.len()) =>
+            {
                 Fact::Merged { task, epoch, result: Box::new(result) }
             }
             (StageKind::Render | StageKind::Merge, _) => {
@@ -40,9 +44,9 @@ impl Scheduler {
         };
         self.floor.release(&task);
         // A worker's clock, at most what went by here: a lease may have waited for its turn.
-        self.settle(&task, ((seconds.max(0.0) * 1000.0) as u64).min(now.since(granted)));
-        if let Some(desk) = self.desks.get(&task.job) {
-            self.floor.pace(worker, desk.pace.expected(), &self.config);
+        let spent = ((seconds.max(0.0) * 1000.0) as u64).min(now.since(granted));
+        if let Some(typical) = self.settle(&task, size, spent) {
+            self.floor.pace(worker, typical, &self.config);
         }
         if let Some(worker) = self.floor.workers.get_mut(&worker) {
             worker.completed += 1;

@@ -59,19 +59,32 @@ impl RangeSet {
         }
     }
 
-    /// Takes `value` out; one that is not in it changes nothing.
-    pub fn remove(&mut self, value: u32) {
-        let Some((&start, &end)) = self.ranges.range(..=value).next_back() else { return };
-        if value >= end {
+    /// Takes all numbers of `range` out; those that are not in it change nothing.
+    pub fn remove(&mut self, range: Range<u32>) {
+        if range.is_empty() {
             return;
         }
-        self.ranges.remove(&start);
-        if start < value {
-            self.ranges.insert(start, value);
+        let touched = |entry: &(&u32, &u32)| *entry.1 > range.start;
+        while let Some((&start, &end)) = self.ranges.range(..range.end).next_back().filter(touched) {
+            self.ranges.remove(&start);
+            if range.end < end {
+                self.ranges.insert(range.end, end);
+            }
+            if start < range.start {
+                self.ranges.insert(start, range.start);
+            }
         }
-        if value + 1 < end {
-            self.ranges.insert(value + 1, end);
-        }
+    }
+
+    /// The numbers from `value` on that are in it without a gap.
+    pub fn run(&self, value: u32) -> Range<u32> {
+        let around = self.ranges.range(..=value).next_back().filter(|&(_, &end)| value < end);
+        value..around.map_or(value, |(_, &end)| end)
+    }
+
+    /// Whether all numbers of `range` are in it.
+    pub fn covers(&self, range: &Range<u32>) -> bool {
+        self.run(range.start).end >= range.end
     }
 }
 
@@ -85,15 +98,18 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_range_set_is_a_set(steps in prop::collection::vec((any::<bool>(), 0u32..24), 0..200)) {
+        fn a_range_set_is_a_set(steps in prop::collection::vec((any::<bool>(), 0u32..24, 0u32..6), 0..200)) {
             let (mut ranges, mut set) = (RangeSet::full(4..12), (4..12).collect::<BTreeSet<u32>>());
-            for (insert, value) in steps {
+            for (insert, value, length) in steps {
+                let range = value..value + length;
+                prop_assert_eq!(ranges.covers(&range), range.clone().all(|value| set.contains(&value)));
+                prop_assert_eq!(ranges.run(value).count(), (value..).take_while(|value| set.contains(value)).count());
                 if insert {
                     ranges.insert(value);
                     set.insert(value);
                 } else {
-                    ranges.remove(value);
-                    set.remove(&value);
+                    ranges.remove(range.clone());
+                    set.retain(|value| !range.contains(value));
                 }
                 prop_assert_eq!(ranges.iter().collect::<Vec<_>>(), set.iter().copied().collect::<Vec<_>>());
                 prop_assert_eq!(ranges.count() as usize, set.len());
@@ -107,7 +123,7 @@ mod tests {
     #[test]
     fn a_million_waiting_tasks_are_one_entry() {
         let mut set = RangeSet::full(0..1_000_000);
-        (0..1000).for_each(|value| set.remove(value));
+        (0..1000).for_each(|value| set.remove(value..value + 1));
         assert_eq!((set.ranges.len(), set.count()), (1, 999_000));
     }
 }

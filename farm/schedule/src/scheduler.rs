@@ -1,9 +1,10 @@
 //! The state machine: takes events apart, and gives ready tasks to workers with room.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use femc_model::{
-    Digest, Epoch, Failure, HeldLease, Intake, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey,
+    Digest, Epoch, Failure, HeldLease, Intake, JobId, JobSpec, Refusal, Registration, RevokeReason, StageKind, TaskKey,
     TaskProgress, Tick, WorkerId,
 };
 
@@ -122,14 +123,11 @@ impl Scheduler {
         }
         self.floor.join(worker, registration, now);
         self.note_intake(worker);
-        for HeldLease { task, epoch, job } in held {
+        for held in held {
+            let HeldLease { task, epoch, .. } = held;
             self.take_over(&task, epoch);
-            if self.may_adopt(&task, &job) {
-                self.charge(&task);
-                if let Some(desk) = self.desks.get_mut(&task.job) {
-                    desk.take(&task);
-                }
-                self.floor.lease(task, worker, epoch, &self.config, now);
+            if let Some(run) = self.adoptable(&held) {
+                self.hand_out(task, &run, (worker, epoch), now);
                 out.push(Command::Changed(task.job));
             } else {
                 self.note_stale(task.job);
@@ -147,15 +145,20 @@ impl Scheduler {
         }
     }
 
-    /// Whether a task that a worker brings along is wanted and nobody else has it. `key`: of the job as the worker knows it.
-    fn may_adopt(&mut self, task: &TaskKey, key: &Digest) -> bool {
-        let Some(job) = self.ledger.jobs.get(&task.job) else { return false };
+    /// The keys of a task that a worker brings along, if it is wanted and nobody else has any of it.
+    fn adoptable(&mut self, held: &HeldLease) -> Option<Range<u32>> {
+        let HeldLease { task, samples, job: key, .. } = held;
+        let job = self.ledger.jobs.get(&task.job)?;
         if job.has_ended() || !job.is_open(task.stage.frame) || job.spec.key() != *key {
-            return false;
+            return None;
         }
+        let run = match task.stage.kind {
+            StageKind::Render => job.grains(task.stage.round).run(task.index, samples)?,
+            StageKind::Merge => 0..1,
+        };
         let desk = self.desks.entry(task.job).or_default();
         desk.refresh(task.job, job, task.stage.frame, &self.floor);
-        desk.is_ready(task)
+        desk.is_ready(task, &run).then_some(run)
     }
 
     fn leave(&mut self, worker: WorkerId, out: &mut Vec<Command>) {

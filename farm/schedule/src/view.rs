@@ -130,7 +130,7 @@ impl Scheduler {
         let tiles_total = job.spec.grid.tiles();
         let blank = |number: u32| {
             let frame = job.frames.get(&number);
-            let tiles_done = frame.map_or(0, |frame| frame.tiles.len() as u32);
+            let tiles_done = frame.map_or(0, |frame| frame.whole);
             FrameProgress {
                 frame: number,
                 round: job.round(number),

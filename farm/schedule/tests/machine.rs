@@ -1,9 +1,10 @@
-//! Any order of events: no task is lost, none is done twice, every job ends, a replay gives the same state, and
-//! dealing again changes nothing.
+//! Any order of events: no task is lost, no sample of a tile is done twice, every job ends, a replay gives the same state,
+//! and dealing again changes nothing.
 
 mod common;
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::num::NonZeroU64;
 
 use common::{Farm, job, panic, result};
 use femc_model::*;
@@ -24,7 +25,8 @@ enum Step {
     StartAgain(usize),
     Drain(usize, Drain),
     Leave(usize),
-    Complete(usize, Decision),
+    /// After so many milliseconds of work.
+    Complete(usize, Decision, u64),
     Fail(usize, u8),
     Late(usize),
     Heartbeat(usize, u64),
@@ -42,7 +44,8 @@ fn step() -> impl Strategy<Value = Step> {
         1 => any::<usize>().prop_map(Step::StartAgain),
         1 => (any::<usize>(), prop_oneof![Just(Drain::Begin), Just(Drain::Undo)]).prop_map(|(which, drain)| Step::Drain(which, drain)),
         1 => any::<usize>().prop_map(Step::Leave),
-        12 => (any::<usize>(), decision).prop_map(|(which, decision)| Step::Complete(which, decision)),
+        12 => (any::<usize>(), decision, prop_oneof![Just(0u64), Just(30), Just(2_000)])
+            .prop_map(|(which, decision, milliseconds)| Step::Complete(which, decision, milliseconds)),
         3 => (any::<usize>(), 0..6u8).prop_map(|(which, kind)| Step::Fail(which, kind)),
         2 => any::<usize>().prop_map(Step::Late),
         3 => (any::<usize>(), 0..1000u64).prop_map(|(which, samples)| Step::Heartbeat(which, samples)),
@@ -61,21 +64,45 @@ struct Machine {
     /// Leases that are over, as a slow worker remembers them.
     over: Vec<(WorkerId, Assignment)>,
     live: BTreeMap<TaskKey, Epoch>,
+    /// What the leases of render tasks cover, of all that were ever seen.
+    runs: BTreeMap<Epoch, Vec<Unit>>,
     last_epoch: Epoch,
     done: BTreeSet<TaskKey>,
+    /// By which lease each was done last.
+    made: BTreeMap<TaskKey, Epoch>,
+    /// What is rendered.
+    rendered: BTreeSet<Unit>,
+}
+
+/// A sample of a tile: stage, tile, sample.
+type Unit = (JobId, Stage, u32, u32);
+
+/// What a lease covers.
+fn units(held: &Assignment) -> Vec<Unit> {
+    match &held.work {
+        Work::Render { tile, samples } => {
+            samples.clone().map(|sample| (held.task.job, held.task.stage, *tile, sample)).collect()
+        }
+        Work::Merge { .. } => vec![],
+    }
 }
 
 impl Machine {
-    fn new() -> Self {
+    /// - `grain`: pixel samples; a tile has 64 pixels.
+    fn new(grain: u64) -> Self {
+        let grain = NonZeroU64::new(grain).unwrap();
         Self {
-            farm: Farm::new(),
+            farm: Farm::with(Config { grain, task: 100, least_task: 20, ..common::config() }),
             workers: BTreeSet::new(),
             next_worker: 1,
             jobs: vec![],
             over: vec![],
             live: BTreeMap::new(),
+            runs: BTreeMap::new(),
             last_epoch: Epoch(0),
             done: BTreeSet::new(),
+            made: BTreeMap::new(),
+            rendered: BTreeSet::new(),
         }
     }
 
@@ -88,7 +115,10 @@ impl Machine {
                     assert!(epoch > self.last_epoch, "epochs grow");
                     self.last_epoch = epoch;
                     assert!(!self.done.contains(&task), "{task} is done and leased again");
-                    assert_eq!(self.live.insert(task, epoch), None, "{task} is leased twice");
+                    if let Work::Merge { spp, .. } = assignment.work {
+                        self.all_is_rendered(&task, spp);
+                    }
+                    self.begins(&assignment);
                 }
                 Command::Revoke { task, epoch, .. } if self.live.get(&task) == Some(&epoch) => {
                     self.live.remove(&task);
@@ -96,13 +126,49 @@ impl Machine {
                 Command::Record(Fact::Rendered { task, epoch, .. } | Fact::Merged { task, epoch, .. }) => {
                     assert_eq!(self.live.remove(&task), Some(epoch), "a result without a lease counts");
                     assert!(self.done.insert(task), "{task} is done twice");
+                    for unit in &self.runs[&epoch] {
+                        assert!(self.rendered.insert(*unit), "{unit:?} of {task} counts twice");
+                    }
+                    self.made.insert(task, epoch);
                 }
-                Command::Record(Fact::Lost { task }) => assert!(self.done.remove(&task)),
+                Command::Record(Fact::Lost { task }) => {
+                    assert!(self.done.remove(&task));
+                    let lost = &self.runs[&self.made[&task]];
+                    assert!(lost.iter().all(|unit| self.rendered.remove(unit)));
+                }
                 Command::Record(Fact::Restarted { job, frame }) => {
                     self.done.retain(|task| (task.job, task.stage.frame) != (job, frame));
+                    self.rendered.retain(|(of, stage, ..)| (*of, stage.frame) != (job, frame));
                 }
                 _ => {}
             }
+        }
+    }
+
+    /// A lease begins, by being granted or adopted: nobody else has any of it, and none of it is done.
+    fn begins(&mut self, held: &Assignment) {
+        let units = units(held);
+        let others = self.live.values().flat_map(|epoch| &self.runs[epoch]);
+        for taken in others.chain(&self.rendered) {
+            assert!(!units.contains(taken), "{taken:?} of {} is leased or done", held.task);
+        }
+        assert_eq!(self.live.insert(held.task, held.epoch), None, "{} is leased twice", held.task);
+        self.runs.insert(held.epoch, units);
+    }
+
+    /// Before a merge each sample of each tile of its round is there.
+    fn all_is_rendered(&self, merge: &TaskKey, spp: u32) {
+        let stage = Stage { kind: StageKind::Render, ..merge.stage };
+        let spec = self.farm.scheduler.spec(merge.job).unwrap();
+        let samples = spec.samples(stage.round);
+        assert_eq!(samples.end, spp);
+        for tile in 0..spec.grid.tiles() {
+            let is_there = |sample: &u32| self.rendered.contains(&(merge.job, stage, tile, *sample));
+            assert_eq!(
+                samples.clone().find(|sample| !is_there(sample)),
+                None,
+                "a sample of tile {tile} before {merge}"
+            );
         }
     }
 
@@ -123,7 +189,7 @@ impl Machine {
         match step {
             Step::Submit { frames, tiles, rounds } => {
                 let frames: Vec<u32> = (1..=frames).collect();
-                let spec = Box::new(job(&frames, tiles, &[2, 4, 8][..rounds]));
+                let spec = Box::new(job(&frames, tiles, &[3, 8, 16][..rounds]));
                 let commands = self.farm.on(Event::Submitted { request: RequestId(0), key: None, spec });
                 if let Some(Answer::Submitted(job)) = common::answer(&commands) {
                     self.jobs.push(job);
@@ -153,12 +219,7 @@ impl Machine {
                     let is_back = |c: &Command| matches!(c, Command::Revoke { task, epoch, .. } if (*task, *epoch) == (held.task, held.epoch));
                     if !commands.iter().any(is_back) {
                         assert!(!self.done.contains(&held.task), "{} is done and adopted", held.task);
-                        assert_eq!(
-                            self.live.insert(held.task, held.epoch),
-                            None,
-                            "{} is adopted and leased",
-                            held.task
-                        );
+                        self.begins(&held);
                     }
                 }
                 self.see(commands);
@@ -193,10 +254,12 @@ impl Machine {
                 let commands = self.farm.leave(worker);
                 self.see(commands);
             }
-            Step::Complete(which, decision) => {
+            Step::Complete(which, decision, milliseconds) => {
+                self.take(Step::Wait(milliseconds));
                 let Some((worker, held)) = self.held(which) else { return };
                 self.end_lease(worker, &held);
-                let commands = self.farm.complete(worker.0, &held, decision);
+                let seconds = milliseconds as f64 / 1000.0;
+                let commands = self.farm.complete_with(worker.0, &held, common::result_in(&held, decision, seconds));
                 assert!(!commands.iter().any(|c| matches!(c, Command::Refuse { .. })), "a live lease is refused");
                 self.see(commands);
             }
@@ -288,7 +351,7 @@ impl Machine {
                 break;
             }
             match self.held(0) {
-                Some(_) => self.take(Step::Complete(0, Decision::Continue)),
+                Some(_) => self.take(Step::Complete(0, Decision::Continue, 30)),
                 None => self.take(Step::Wait(70_000)),
             }
             if self.farm.held.is_empty() {
@@ -311,8 +374,11 @@ impl Machine {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 256, failure_persistence: None, ..ProptestConfig::default() })]
     #[test]
-    fn no_task_is_lost_and_none_is_done_twice_and_every_job_ends(steps in prop::collection::vec(step(), 1..120)) {
-        let mut machine = Machine::new();
+    fn no_task_is_lost_and_none_is_done_twice_and_every_job_ends(
+        grain in prop_oneof![Just(1u64), Just(128), Just(1 << 15)],
+        steps in prop::collection::vec(step(), 1..120),
+    ) {
+        let mut machine = Machine::new(grain);
         for step in steps {
             machine.take(step);
             machine.check();

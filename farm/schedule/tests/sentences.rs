@@ -121,7 +121,7 @@ fn a_merge_that_says_continue_opens_the_next_round_before_later_frames() {
     let commands = farm.complete(1, &merge, Continue);
     assert!(commands.iter().any(|c| matches!(c, Command::Discard(digests) if digests.len() == 1)), "the merged tile");
     assert_eq!(farm.tasks_of(1), [(2, 0, Render, 0), (1, 1, Render, 0)]);
-    let Work::Render { samples } = farm.held[1].1.work.clone() else { panic!() };
+    let Work::Render { samples, .. } = farm.held[1].1.work.clone() else { panic!() };
     assert_eq!(samples, 4..8);
     let tile = farm.held[1].1.clone();
     farm.complete(1, &tile, Done);
@@ -373,7 +373,8 @@ fn what_a_returning_worker_brings_is_taken_back_if_another_has_it_or_the_job_is_
 
     let mut farm = Farm::new();
     assert_eq!(farm.submit(job(&[1], 3, &[8])), id);
-    let other = HeldLease { task: held.task, epoch: held.epoch, job: job(&[1], 2, &[8]).key() };
+    let (task, epoch) = (held.task, held.epoch);
+    let other = HeldLease { task, epoch, samples: 0..4, job: job(&[1], 2, &[8]).key() };
     let commands = farm.join_as(1, Registration { held: vec![other], ..registration() });
     assert!(commands.iter().any(|c| matches!(c, Command::Revoke { .. })), "another farm's job of the same number");
 }

@@ -4,7 +4,7 @@ use femc_model::{
     FromWorker, HeldLease, JobId, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, ToWorker, WorkerId,
 };
 
-use super::task::{from_lease, to_lease};
+use super::task::{from_lease, from_range, to_lease, to_range};
 use super::{ConvertError, digest, digest_bytes, each, maybe, need};
 use crate::{PROTOCOL, wire};
 
@@ -153,8 +153,9 @@ impl TryFrom<wire::Registration> for Registration {
 
 impl From<HeldLease> for wire::HeldLease {
     fn from(held: HeldLease) -> Self {
-        let HeldLease { task, epoch, job } = held;
-        Self { lease: to_lease(task, epoch), job: digest_bytes(&job) }
+        let HeldLease { task, epoch, samples, job } = held;
+        let samples = (!samples.is_empty()).then(|| to_range(&samples));
+        Self { lease: to_lease(task, epoch), job: digest_bytes(&job), samples }
     }
 }
 
@@ -163,7 +164,8 @@ impl TryFrom<wire::HeldLease> for HeldLease {
 
     fn try_from(wire: wire::HeldLease) -> Result<Self, ConvertError> {
         let (task, epoch) = from_lease(wire.lease)?;
-        Ok(Self { task, epoch, job: digest("held.job", &wire.job)? })
+        let samples = wire.samples.map(from_range).unwrap_or_default();
+        Ok(Self { task, epoch, samples, job: digest("held.job", &wire.job)? })
     }
 }
 

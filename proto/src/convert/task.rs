@@ -1,5 +1,7 @@
 //! Tasks, leases, assignments and results.
 
+use std::ops::Range;
+
 use femc_model::{
     Assignment, Decision, Epoch, FrameParts, Grid, JobId, MergeResult, More, Stage, StageKind, TaskKey, TaskResult,
     TileResult, Work,
@@ -51,13 +53,21 @@ pub(super) fn from_lease(lease: Option<wire::Lease>) -> Result<(TaskKey, Epoch),
     Ok((need("lease.task", lease.task)?.try_into()?, Epoch(lease.epoch)))
 }
 
+pub(super) fn to_range(range: &Range<u32>) -> wire::Range {
+    wire::Range { start: range.start, end: range.end }
+}
+
+pub(super) fn from_range(range: wire::Range) -> Range<u32> {
+    range.start..range.end
+}
+
 impl From<Assignment> for wire::Assignment {
     fn from(assignment: Assignment) -> Self {
         use wire::assignment::Work as Wire;
         let Assignment { task, epoch, lease, work } = assignment;
         let work = match work {
-            Work::Render { samples } => {
-                Wire::Render(wire::RenderWork { samples: Some(wire::Range { start: samples.start, end: samples.end }) })
+            Work::Render { tile, samples } => {
+                Wire::Render(wire::RenderWork { samples: Some(to_range(&samples)), tile })
             }
             Work::Merge { previous, tiles, spp, elapsed, busy_seconds, more } => Wire::Merge(wire::MergeWork {
                 previous: previous.map(Into::into),
@@ -79,9 +89,8 @@ impl TryFrom<wire::Assignment> for Assignment {
         use wire::assignment::Work as Wire;
         let (task, epoch) = from_lease(wire.lease)?;
         let work = match need("assignment.work", wire.work)? {
-            Wire::Render(render) => {
-                let wire::Range { start, end } = need("render.samples", render.samples)?;
-                Work::Render { samples: start..end }
+            Wire::Render(wire::RenderWork { samples, tile }) => {
+                Work::Render { tile, samples: from_range(need("render.samples", samples)?) }
             }
             Wire::Merge(merge) => Work::Merge {
                 previous: maybe(merge.previous)?,

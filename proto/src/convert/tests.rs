@@ -102,7 +102,14 @@ fn the_words_of_a_session_cross_the_wire() {
         threads: 64,
         slots: 1,
         tags: vec!["lab".into()],
-        held: vec![HeldLease { task: task(StageKind::Merge), epoch: Epoch::new(1, 4), job: Digest::of(b"job") }],
+        held: [(StageKind::Merge, 0..0), (StageKind::Render, 4..9)]
+            .map(|(kind, samples)| HeldLease {
+                task: task(kind),
+                epoch: Epoch::new(1, 4),
+                samples,
+                job: Digest::of(b"job"),
+            })
+            .to_vec(),
     };
     let (render, merge, epoch) = (task(StageKind::Render), task(StageKind::Merge), Epoch::new(3, 9));
     let phases = [Phase::Waiting, Phase::Preparing, Phase::Working, Phase::Uploading];
@@ -156,7 +163,7 @@ fn the_words_of_a_session_cross_the_wire() {
         busy_seconds: 0.5,
         more,
     });
-    for work in works.into_iter().chain([Work::Render { samples: 16..32 }]) {
+    for work in works.into_iter().chain([Work::Render { tile: 5, samples: 16..32 }]) {
         let assignment = Assignment { task: merge, epoch, lease: 5000, work };
         crosses::<ToWorker, wire::ToWorker>(ToWorker::Assign(assignment));
     }

@@ -1,5 +1,7 @@
 //! All tiles of a frame's round: their union, its error, and what follows; the image, if the frame is finished.
 
+use std::collections::BTreeMap;
+
 use bytes::Bytes;
 use femc_fault::{Point, pass};
 use femc_film::{FilmError, Frame, FrameImage, Provenance, SampleRange, Tile, Tiling, ToneCurve, exr};
@@ -90,13 +92,15 @@ fn damaged_picture(error: &FilmError) -> Failure {
     Failure::Panicked { message: format!("the image cannot be written: {error}") }
 }
 
-/// The sums of the rounds before and the tiles of this one. Whole: every tile holds just the samples of these rounds.
-/// Names every input that is lost, so that all are made again at once.
+/// The sums of the rounds before and the tiles of this one. Whole: every tile holds just the samples of these rounds, in
+/// whatever parts they came. Names every input that is lost, so that all are made again at once.
 fn union(task: &Task, previous: Option<Artefact>, tiles: &[Artefact], tools: &Tools) -> Result<Frame, Failure> {
     let grid = task.spec.grid;
     let tiling = Tiling::new(grid.film[0], grid.film[1], grid.tile);
     let mut frame = Frame::new(tiling.map_err(|error| Failure::Settings { message: error.to_string() })?);
     let mut lost = Lost::default();
+    // What each tile of this round is made of.
+    let mut parts: BTreeMap<Option<usize>, Vec<Digest>> = BTreeMap::new();
     if let Some(previous) = previous {
         for bytes in tools.fetch.all(&task.client, &[previous]) {
             let Some(bytes) = lost.note(bytes)? else { continue };
@@ -116,20 +120,27 @@ fn union(task: &Task, previous: Option<Artefact>, tiles: &[Artefact], tools: &To
             tools.install(task, || here.par_iter().map(|(_, bytes)| Tile::decode(bytes)).collect());
         for ((artefact, _), tile) in here.iter().zip(decoded) {
             pass(Point::WorkerMidMerge);
+            let place = tile.as_ref().ok().and_then(|tile| frame.tiling().index_of(tile.rect()));
+            parts.entry(place).or_default().push(artefact.digest);
             lost.check(*artefact, tile.and_then(|tile| frame.insert(tile).map(drop)));
         }
     }
     lost.verdict()?;
-    let rounds = 0..=task.assignment.task.stage.round;
-    let expected: Vec<SampleRange> = rounds.map(|round| task.spec.samples(round).into()).collect();
-    for (index, artefact) in (0..frame.tiling().count()).zip(tiles) {
-        if frame.ranges(index) != expected {
-            lost.message = format!("tile {index} holds the samples {:?}, not {expected:?}", frame.ranges(index));
-            lost.digests.push(artefact.digest);
-        }
+    let spp = task.spec.samples(task.assignment.task.stage.round).end;
+    for index in (0..frame.tiling().count()).filter(|&index| !hold(frame.ranges(index), spp)) {
+        let message = format!("tile {index} holds the samples {:?}, not 0..{spp}", frame.ranges(index));
+        let Some(digests) = parts.remove(&Some(index)) else { return Err(Failure::Panicked { message }) };
+        lost.digests.extend(digests);
+        lost.message = message;
     }
     lost.verdict()?;
     Ok(frame)
+}
+
+/// Whether the ranges, which are disjoint and ascend, are together the samples `0..spp`.
+fn hold(ranges: &[SampleRange], spp: u32) -> bool {
+    let end = ranges.iter().try_fold(0, |end, range| (range.start == end).then_some(range.end));
+    end == Some(spp)
 }
 
 /// Inputs that are missing or damaged.

@@ -58,7 +58,7 @@ pub(crate) fn execute(task: &Task, tools: &Tools) -> Result<Product, Failure> {
 
 fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
     let work = || match &task.assignment.work {
-        Work::Render { samples } => render::render(task, samples.clone(), tools),
+        Work::Render { tile, samples } => render::render(task, *tile, samples.clone(), tools),
         Work::Merge { .. } => merge::merge(task, tools),
     };
     let measured = tools.memory.begin(task.assignment.task.stage.kind, &tools.cache)?;

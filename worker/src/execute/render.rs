@@ -11,14 +11,14 @@ use super::{Product, Tools};
 use crate::clock::Stopwatch;
 use crate::table::Task;
 
-pub(crate) fn render(task: &Task, samples: Range<u32>, tools: &Tools) -> Result<Product, Failure> {
+pub(crate) fn render(task: &Task, tile: u32, samples: Range<u32>, tools: &Tools) -> Result<Product, Failure> {
     let key = task.assignment.task;
     task.enter(Phase::Preparing);
     let preparing = Stopwatch::start();
     let (read, prepared) = tools.cache.frame(&task.spec, key.stage.frame, &task.client, &tools.fetch)?;
     tracing::debug!(frame = key.stage.frame, seconds = preparing.seconds(), "the frame is ready");
     let grid = task.spec.grid;
-    let rect = grid.rect(key.index).filter(|_| prepared.camera.film == grid.film);
+    let rect = grid.rect(tile).filter(|_| prepared.camera.film == grid.film);
     let Some(TileRect { x, y, width, height }) = rect else {
         return Err(Failure::Settings { message: "the job's film is not that of its settings".into() });
     };

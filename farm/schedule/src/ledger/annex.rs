@@ -1,8 +1,9 @@
 //! What later versions of the ledger have added.
 
 use std::collections::{BTreeMap, VecDeque};
+use std::num::NonZeroU64;
 
-use femc_model::{Attempt, Digest, Drain, JobId, LogRecord, LogText};
+use femc_model::{Attempt, Cut, Digest, Drain, JobId, LogRecord, LogText};
 use serde::{Deserialize, Serialize};
 
 /// The ledger's later fields. New ones go to the end.
@@ -12,6 +13,8 @@ pub(crate) struct Annex {
     drained: Vec<u64>,
     /// Stored logs of attempts, oldest first.
     logs: BTreeMap<JobId, VecDeque<LogRecord>>,
+    /// Jobs whose tiles are cut, and how finely. Since version 3.
+    cuts: BTreeMap<JobId, NonZeroU64>,
 }
 
 impl Annex {
@@ -20,6 +23,23 @@ impl Annex {
 
     /// Most logs of a job.
     const LOGS: usize = 512;
+
+    /// What a snapshot of this version holds behind the rest of the ledger.
+    pub(super) fn decode(version: u8, bytes: &[u8]) -> postcard::Result<Self> {
+        match version {
+            1 => Ok(Self::default()),
+            2 => postcard::from_bytes(bytes).map(|(drained, logs)| Self { drained, logs, ..Self::default() }),
+            _ => postcard::from_bytes(bytes),
+        }
+    }
+
+    pub(super) fn cut(&mut self, job: JobId, samples: NonZeroU64) {
+        self.cuts.insert(job, samples);
+    }
+
+    pub(super) fn cut_of(&self, job: JobId) -> Cut {
+        self.cuts.get(&job).map_or(Cut::Whole, |&samples| Cut::Grains(samples))
+    }
 
     /// Keeps a log; returns what is named no longer. Logs of failures are kept for longer than others.
     pub(super) fn log(&mut self, record: &LogRecord) -> Vec<Digest> {

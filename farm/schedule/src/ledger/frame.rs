@@ -1,8 +1,9 @@
 //! A frame in work.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
-use femc_model::{Artefact, Digest, Epoch, Failure, MergeResult, StageKind, Tick, TileResult};
+use femc_model::{Artefact, Digest, Epoch, Failure, Grains, MergeResult, StageKind, Tick, TileResult};
 use serde::{Deserialize, Serialize};
 
 use crate::RangeSet;
@@ -10,7 +11,7 @@ use crate::RangeSet;
 /// Attempts after which a task is put aside. A constant of the ledger, so that a log means the same to every program.
 pub(crate) const ATTEMPTS: u32 = 3;
 
-/// A rendered tile and the lease that rendered it.
+/// A rendered tile, or some grains of it, and the lease that rendered it. Which grains follows from the result's samples.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Tile {
     pub(crate) epoch: Epoch,
@@ -36,8 +37,11 @@ pub(crate) struct Frame {
     pub(crate) round: u32,
     /// First lease of a task that was completed.
     pub(crate) began: Tick,
-    /// Finished tiles of this round.
+    /// What is rendered of this round's tiles, by the first key of each.
     pub(crate) tiles: BTreeMap<u32, Tile>,
+    /// How many tiles are whole: see [`Frame::is_whole`].
+    #[serde(skip)]
+    pub(crate) whole: u32,
     /// What the rounds before add up to.
     pub(crate) sums: Option<Artefact>,
     /// Of the merge of the round before.
@@ -59,6 +63,7 @@ impl Frame {
             round: 0,
             began,
             tiles: BTreeMap::new(),
+            whole: 0,
             sums: None,
             merged: None,
             trouble: BTreeMap::new(),
@@ -70,21 +75,50 @@ impl Frame {
         }
     }
 
-    pub(super) fn rendered(&mut self, index: u32, epoch: Epoch, leased: Tick, result: &TileResult) {
-        if self.tiles.contains_key(&index) {
-            return;
-        }
+    /// Takes in what was rendered from key `first` on; grains that are there already change nothing.
+    pub(super) fn rendered(&mut self, grains: &Grains, first: u32, epoch: Epoch, leased: Tick, result: &TileResult) {
+        let Some(run) = grains.run_of(first, result.samples).filter(|run| !self.holds_any(grains, run)) else { return };
         self.began = self.began.min(leased);
-        self.tiles.insert(index, Tile { epoch, result: *result });
-        self.trouble.remove(&(StageKind::Render, index));
+        self.tiles.insert(first, Tile { epoch, result: *result });
+        let is_all = run.end - run.start == grains.per_tile();
+        self.whole += u32::from(is_all || self.is_whole(grains, grains.tile(first)));
+        self.trouble.retain(|(kind, key), _| *kind != StageKind::Render || !run.contains(key));
         self.samples += result.samples;
         self.fresh_bad_samples += result.bad_samples;
         self.busy_seconds += result.seconds;
     }
 
+    /// The runs of grains that are rendered, of those that begin in `keys`, ascending.
+    fn runs(&self, grains: &Grains, keys: Range<u32>) -> impl DoubleEndedIterator<Item = Range<u32>> {
+        self.tiles.range(keys).filter_map(|(&first, tile)| grains.run_of(first, tile.result.samples))
+    }
+
+    fn holds_any(&self, grains: &Grains, run: &Range<u32>) -> bool {
+        self.runs(grains, 0..run.end).next_back().is_some_and(|before| before.end > run.start)
+    }
+
+    /// Whether all samples of a tile's round are there.
+    pub(crate) fn is_whole(&self, grains: &Grains, tile: u32) -> bool {
+        self.runs(grains, grains.of_tile(tile)).map(|run| run.end - run.start).sum::<u32>() == grains.per_tile()
+    }
+
+    /// Counts the whole tiles again: a snapshot does not have their number.
+    pub(super) fn recount(&mut self, grains: &Grains) {
+        let (mut whole, mut tile, mut done) = (0, 0, 0);
+        for run in self.runs(grains, grains.all()) {
+            if grains.tile(run.start) != tile {
+                (tile, done) = (grains.tile(run.start), 0);
+            }
+            done += run.end - run.start;
+            whole += u32::from(done == grains.per_tile());
+        }
+        self.whole = whole;
+    }
+
     pub(super) fn next_round(&mut self, epoch: Epoch, result: &MergeResult) {
         self.round += 1;
         self.tiles.clear();
+        self.whole = 0;
         // Failures of merges add up over the rounds, so that a frame whose sums are lost again and again ends.
         self.trouble.retain(|&(kind, _), _| kind == StageKind::Merge);
         self.sums = result.sums;
@@ -95,8 +129,10 @@ impl Frame {
         self.relative_error = result.relative_error;
     }
 
-    pub(super) fn lost(&mut self, index: u32) -> Vec<Digest> {
-        let Some(tile) = self.tiles.remove(&index) else { return Vec::new() };
+    pub(super) fn lost(&mut self, grains: &Grains, first: u32) -> Vec<Digest> {
+        let was_whole = self.is_whole(grains, grains.tile(first));
+        let Some(tile) = self.tiles.remove(&first) else { return Vec::new() };
+        self.whole -= u32::from(was_whole);
         self.samples -= tile.result.samples;
         self.fresh_bad_samples -= tile.result.bad_samples;
         Vec::new()
@@ -109,22 +145,32 @@ impl Frame {
         released
     }
 
-    /// Tiles of the round that are neither done nor out of attempts.
-    pub(crate) fn open_tiles(&self, total: u32) -> RangeSet {
-        let mut open = RangeSet::full(0..total);
-        self.tiles.keys().for_each(|&index| open.remove(index));
-        for (&(kind, index), trouble) in &self.trouble {
+    /// Grains of the round that are neither done nor out of attempts.
+    pub(crate) fn open_grains(&self, grains: &Grains) -> RangeSet {
+        let mut open = RangeSet::full(grains.all());
+        self.runs(grains, grains.all()).for_each(|run| open.remove(run));
+        for (&(kind, key), trouble) in &self.trouble {
             if kind == StageKind::Render && trouble.is_quarantined() {
-                open.remove(index);
+                open.remove(key..key + 1);
             }
         }
         open
     }
 
+    /// The first grain of a run that has failed before.
+    pub(crate) fn first_trouble(&self, run: &Range<u32>) -> Option<u32> {
+        let keys = (StageKind::Render, run.start)..(StageKind::Render, run.end);
+        self.trouble.range(keys).next().map(|(&(_, key), _)| key)
+    }
+
+    /// Whether all samples of the round are there.
+    pub(crate) fn is_rendered(&self, grains: &Grains) -> bool {
+        self.whole == grains.tiles()
+    }
+
     /// Whether the merge may run.
-    pub(crate) fn merge_is_open(&self, total: u32) -> bool {
-        self.tiles.len() == total as usize
-            && !self.trouble.get(&(StageKind::Merge, 0)).is_some_and(Trouble::is_quarantined)
+    pub(crate) fn merge_is_open(&self, grains: &Grains) -> bool {
+        self.is_rendered(grains) && !self.trouble.get(&(StageKind::Merge, 0)).is_some_and(Trouble::is_quarantined)
     }
 
     /// Tasks out of attempts.
@@ -134,15 +180,15 @@ impl Frame {
     }
 
     /// Whether nothing of it can run without a retry.
-    pub(crate) fn is_blocked(&self, total: u32) -> bool {
-        let (mut tiles, mut merges) = (0, 0);
+    pub(crate) fn is_blocked(&self, grains: &Grains) -> bool {
+        let (mut renders, mut merges) = (0, 0);
         for (kind, ..) in self.quarantined() {
             match kind {
-                StageKind::Render => tiles += 1,
+                StageKind::Render => renders += 1,
                 StageKind::Merge => merges += 1,
             }
         }
-        merges > 0 || (tiles > 0 && self.tiles.len() + tiles == total as usize)
+        merges > 0 || (renders > 0 && self.open_grains(grains).is_empty())
     }
 
     /// Everything in the store that the frame needs.

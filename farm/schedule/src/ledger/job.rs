@@ -3,7 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use femc_model::{
-    Control, Decision, Digest, Epoch, Failure, FrameRecord, JobSpec, MergeResult, StageKind, TaskKey, Tick, TileResult,
+    Control, Cut, Decision, Digest, Epoch, Failure, FrameRecord, Grains, JobSpec, MergeResult, StageKind, TaskKey,
+    Tick, TileResult,
 };
 use serde::{Deserialize, Serialize};
 
@@ -45,6 +46,9 @@ pub(crate) struct Job {
     pub(crate) blocked: BTreeSet<u32>,
     pub(crate) relative_error: Option<f64>,
     submitted: Tick,
+    /// Durable in the annex.
+    #[serde(skip)]
+    cut: Cut,
 }
 
 impl Job {
@@ -60,7 +64,21 @@ impl Job {
             blocked: BTreeSet::new(),
             relative_error: None,
             submitted: now,
+            cut: Cut::Whole,
         }
+    }
+
+    /// Says how its tiles are cut: once, before anything of it is done, or as a snapshot is read.
+    pub(super) fn cut(&mut self, cut: Cut) {
+        self.cut = cut;
+        for frame in self.frames.values_mut() {
+            frame.recount(&Grains::of(&self.spec, frame.round, cut));
+        }
+    }
+
+    /// The keys of a round's render stage.
+    pub(crate) fn grains(&self, round: u32) -> Grains {
+        Grains::of(&self.spec, round, self.cut)
     }
 
     /// Whether every frame is finished or blocked, or the job as a whole is over.
@@ -95,7 +113,8 @@ impl Job {
     pub(super) fn rendered(&mut self, task: &TaskKey, epoch: Epoch, leased: Tick, result: &TileResult) -> Vec<Digest> {
         let number = task.stage.frame;
         if self.is_open(number) && self.round(number) == task.stage.round {
-            self.frame(number, leased).rendered(task.index, epoch, leased, result);
+            let grains = self.grains(task.stage.round);
+            self.frame(number, leased).rendered(&grains, task.index, epoch, leased, result);
             self.note_block(number);
         }
         Vec::new()
@@ -144,7 +163,8 @@ impl Job {
     }
 
     pub(super) fn lost(&mut self, task: &TaskKey) -> Vec<Digest> {
-        self.frames.get_mut(&task.stage.frame).map(|frame| frame.lost(task.index)).unwrap_or_default()
+        let grains = self.grains(task.stage.round);
+        self.frames.get_mut(&task.stage.frame).map(|frame| frame.lost(&grains, task.index)).unwrap_or_default()
     }
 
     pub(super) fn restarted(&mut self, frame: u32) -> Vec<Digest> {
@@ -175,7 +195,7 @@ impl Job {
     }
 
     fn note_block(&mut self, number: u32) {
-        if self.frames.get(&number).is_some_and(|frame| frame.is_blocked(self.spec.grid.tiles())) {
+        if self.frames.get(&number).is_some_and(|frame| frame.is_blocked(&self.grains(frame.round))) {
             self.blocked.insert(number);
         }
     }

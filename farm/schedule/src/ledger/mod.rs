@@ -44,8 +44,8 @@ pub enum SnapshotError {
 }
 
 impl Ledger {
-    /// First byte of snapshots and of facts. Those of version 1 are read too: its snapshots end before the annex.
-    pub const VERSION: u8 = 2;
+    /// First byte of snapshots and of facts. Earlier ones are read too: their snapshots end before the annex, or within it.
+    pub const VERSION: u8 = 3;
 
     /// The number that the next job gets.
     pub(crate) fn next_job(&self) -> JobId {
@@ -80,6 +80,13 @@ impl Ledger {
             }
             Fact::Drained { instance, drain } => {
                 self.annex.drain(*instance, *drain);
+                return Vec::new();
+            }
+            Fact::Cut { job, samples } => {
+                if let Some(known) = self.jobs.get_mut(job) {
+                    self.annex.cut(*job, *samples);
+                    known.cut(self.annex.cut_of(*job));
+                }
                 return Vec::new();
             }
             Fact::Logged(record) => {
@@ -149,8 +156,11 @@ impl Ledger {
     pub fn decode(bytes: &[u8]) -> Result<Self, SnapshotError> {
         let (version, content) = content(bytes)?;
         let (ledger, rest) = postcard::take_from_bytes(content)?;
-        let annex = if version == 1 { Annex::default() } else { postcard::from_bytes(rest)? };
-        Ok(Self { annex, ..ledger })
+        let mut ledger = Self { annex: Annex::decode(version, rest)?, ..ledger };
+        for (&id, job) in &mut ledger.jobs {
+            job.cut(ledger.annex.cut_of(id));
+        }
+        Ok(ledger)
     }
 }
 

@@ -111,7 +111,12 @@ impl Farm {
         let key = |job: JobId| self.scheduler.spec(job).expect("the job is there").key();
         let held: Vec<HeldLease> = leases
             .iter()
-            .map(|held| HeldLease { task: held.task, epoch: held.epoch, job: key(held.task.job) })
+            .map(|held| HeldLease {
+                task: held.task,
+                epoch: held.epoch,
+                samples: samples(held),
+                job: key(held.task.job),
+            })
             .collect();
         self.held.extend(leases.iter().map(|held| (WorkerId(worker), held.clone())));
         self.join_as(worker, Registration { instance: worker, held, ..registration() })
@@ -188,13 +193,18 @@ pub fn answer(commands: &[Command]) -> Option<Answer> {
 
 /// What an honest worker reports.
 pub fn result(held: &Assignment, decision: Decision) -> TaskResult {
-    let name = |what: &str| Artefact::of(format!("{what} {}", held.task).as_bytes());
+    result_in(held, decision, 0.5)
+}
+
+/// The same after so many seconds of work.
+pub fn result_in(held: &Assignment, decision: Decision, seconds: f64) -> TaskResult {
+    let name = |what: &str| Artefact::of(format!("{what} {} {:?}", held.task, samples(held)).as_bytes());
     match &held.work {
-        Work::Render { samples } => TaskResult::Tile(TileResult {
+        Work::Render { samples, .. } => TaskResult::Tile(TileResult {
             tile: name("tile"),
             samples: u64::from(samples.end - samples.start) * 64,
             bad_samples: 1,
-            seconds: 0.5,
+            seconds,
         }),
         Work::Merge { more, .. } => {
             let decision = if *more == More::Last { Decision::Done } else { decision };
@@ -205,9 +215,17 @@ pub fn result(held: &Assignment, decision: Decision) -> TaskResult {
                 preview: None,
                 relative_error: Some(0.1),
                 bad_samples: 0,
-                seconds: 0.25,
+                seconds: seconds / 2.0,
             })
         }
+    }
+}
+
+/// The samples that a lease covers.
+pub fn samples(held: &Assignment) -> std::ops::Range<u32> {
+    match &held.work {
+        Work::Render { samples, .. } => samples.clone(),
+        Work::Merge { .. } => 0..0,
     }
 }
 

@@ -23,8 +23,8 @@ pub use server::{Call, CollectMode, Collected, LEAST_GRACE, References, Reply, S
 pub use tonic::transport::server::{Connected, TcpIncoming};
 
 /// Version of the protocol: a worker says it when it registers, and is refused if it is another. From 2 on a job's scene is a
-/// manifest, which a worker of version 1 would take for damaged.
-pub const PROTOCOL: u32 = 2;
+/// manifest, which a worker of version 1 would take for damaged; from 3 on groups of tiles are gathered.
+pub const PROTOCOL: u32 = 3;
 
 /// Bytes of an artefact that travel in one message.
 pub const PIECE: usize = 1 << 20;

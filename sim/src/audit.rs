@@ -2,11 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Epoch, JobState, TaskKey};
+use femc_model::{Epoch, JobState, Stage, StageKind, TaskKey};
 use femc_schedule::{Fact, SnapshotError};
 
 use crate::shared::State;
-use crate::stage::Stage;
+use crate::stage;
 
 /// Something that must never be.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -83,7 +83,7 @@ pub enum Violation {
 }
 
 /// All that is wrong.
-pub(crate) fn audit(stage: &Stage, state: &State) -> Vec<Violation> {
+pub(crate) fn audit(stage: &stage::Stage, state: &State) -> Vec<Violation> {
     let mut wrong = state.wrong.clone();
     match log(state) {
         Ok(found) => wrong.extend(found),
@@ -121,15 +121,22 @@ fn log(state: &State) -> Result<Vec<Violation>, SnapshotError> {
     let mut wrong = Vec::new();
     let mut done: BTreeMap<TaskKey, Epoch> = BTreeMap::new();
     let mut counted: BTreeSet<(TaskKey, Epoch)> = BTreeSet::new();
+    let mut group = 1;
     for record in &state.disk.history {
         match Fact::decode(record)?.1 {
-            Fact::Rendered { task, epoch, .. } | Fact::Merged { task, epoch, .. } => {
+            Fact::Rendered { task, epoch, .. }
+            | Fact::Gathered { task, epoch, .. }
+            | Fact::Merged { task, epoch, .. } => {
                 counted.insert((task, epoch));
                 if let Some(before) = done.insert(task, epoch) {
                     wrong.push(Violation::Twice { task, epochs: [before, epoch] });
                 }
             }
-            Fact::Lost { task } => drop(done.remove(&task)),
+            Fact::Grouped { tiles, .. } => group = tiles,
+            Fact::Lost { task } => {
+                done.remove(&task);
+                done.retain(|other, _| !is_of_group(other, &task, group));
+            }
             Fact::Restarted { job, frame } => {
                 done.retain(|task, _| (task.job, task.stage.frame) != (job, frame));
             }
@@ -142,4 +149,11 @@ fn log(state: &State) -> Result<Vec<Violation>, SnapshotError> {
         }
     }
     Ok(wrong)
+}
+
+/// Whether `tile` is rendered for `gather`, of groups of `tiles` tiles.
+fn is_of_group(tile: &TaskKey, gather: &TaskKey, tiles: u32) -> bool {
+    let stage = Stage { kind: StageKind::Render, ..gather.stage };
+    gather.stage.kind == StageKind::Gather
+        && (tile.job, tile.stage, tile.index / tiles) == (gather.job, stage, gather.index)
 }

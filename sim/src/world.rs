@@ -64,7 +64,7 @@ pub fn run(seed: u64, plan: &Planned, tells: Tells) -> anyhow::Result<Outcome> {
         .build();
     for host in 0..COORDINATORS {
         let (shared, store) = (shared.clone(), store.clone());
-        sim.host(coordinator_name(host), move || coordinator(host, shared.clone(), store.clone()));
+        sim.host(coordinator_name(host), move || coordinator(seed, host, shared.clone(), store.clone()));
     }
     {
         let (shared, store) = (shared.clone(), store.clone());
@@ -294,7 +294,7 @@ fn start(sim: &mut Sim<'_>, host: String) {
 }
 
 /// A coordinator: stands by until it leads, and again when it leads no more.
-async fn coordinator(host: usize, shared: Shared, store: Store) -> turmoil::Result {
+async fn coordinator(seed: u64, host: usize, shared: Shared, store: Store) -> turmoil::Result {
     loop {
         while shared.lock().leader != host {
             tokio::time::sleep(Duration::from_millis(50)).await;
@@ -304,6 +304,7 @@ async fn coordinator(host: usize, shared: Shared, store: Store) -> turmoil::Resu
         let clock = shared.clone();
         let config = Config {
             snapshot: 25,
+            scheduler: femc_schedule::Config { group: stage::group(seed), ..femc_schedule::Config::default() },
             time: Time::by(move || started.elapsed() + clock.lock().ahead),
             ..Config::default()
         };
@@ -355,7 +356,7 @@ fn pace(seed: u64, assignment: &Assignment) -> Duration {
     let draw = u64::from(u16::from_le_bytes([hash.as_bytes()[0], hash.as_bytes()[1]]));
     let most = match assignment.task.stage.kind {
         StageKind::Render => 2_800,
-        StageKind::Merge => 800,
+        StageKind::Gather | StageKind::Merge => 800,
     };
     Duration::from_millis(200 + draw * most / 65_536)
 }

@@ -5,7 +5,7 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCDONE` |
-//! | 4 | format version, 1 |
+//! | 4 | format version, 2 |
 //! | 32 | BLAKE3 of all that follows |
 //! | 8 | length of the head |
 //! | | the head, in postcard: assignment, job, result, lengths of the artefacts |
@@ -31,7 +31,7 @@ use crate::execute::Product;
 use crate::table::Task;
 
 const MAGIC: &[u8; 8] = b"FEMCDONE";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// Bytes before the head.
 const FRONT: usize = 8 + 4 + 32 + 8;
 /// Folders that are tried when one is taken.

@@ -19,7 +19,11 @@ impl Scheduler {
             return Ok(Answer::Submitted(job));
         }
         let job = self.ledger.next_job();
+        let group = self.config.group_of(&spec.grid);
         self.record(Fact::Submitted { job, key, spec }, now, out);
+        if let Some(tiles) = group {
+            self.record(Fact::Grouped { job, tiles }, now, out);
+        }
         self.rebuild(job);
         out.push(Command::Changed(job));
         Ok(Answer::Submitted(job))

@@ -7,8 +7,7 @@ use femc_model::{JobId, Stage, StageKind, TaskKey, Tick, WorkerId};
 use crate::RangeSet;
 use crate::distrust::Distrust;
 use crate::floor::Floor;
-use crate::ledger::Job;
-use crate::ledger::frame::Frame;
+use crate::ledger::{Cut, Job};
 
 /// A frame whose tasks may be leased.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
@@ -16,8 +15,22 @@ pub(crate) struct OpenFrame {
     pub(crate) round: u32,
     /// Tiles that nobody holds.
     pub(crate) tiles: RangeSet,
+    /// Groups of tiles that can be gathered and that nobody holds.
+    pub(crate) gathers: RangeSet,
     /// Whether the merge can run and nobody holds it.
     pub(crate) merge: bool,
+}
+
+impl OpenFrame {
+    /// A frame that nobody has begun.
+    fn fresh(cut: Cut) -> Self {
+        Self { tiles: RangeSet::full(0..cut.tiles()), ..Self::default() }
+    }
+
+    /// Whether something of it can be leased.
+    pub(crate) fn has_some(&self) -> bool {
+        self.merge || !self.gathers.is_empty() || !self.tiles.is_empty()
+    }
 }
 
 /// A job on the table.
@@ -52,24 +65,33 @@ impl Desk {
             self.open.remove(&frame);
             return;
         }
-        let total = job.spec.grid.tiles();
-        let round = job.round(frame);
-        let (mut tiles, mut merge) = match job.frames.get(&frame) {
-            Some(frame) => (frame.open_tiles(total), frame.merge_is_open(total)),
-            None => (RangeSet::full(0..total), false),
-        };
-        floor.of_stage(id, Stage { frame, round, kind: StageKind::Render }).for_each(|index| tiles.remove(index));
-        merge &= floor.of_stage(id, Stage { frame, round, kind: StageKind::Merge }).next().is_none();
-        self.open.insert(frame, OpenFrame { round, tiles, merge });
+        let cut = job.cut();
+        let mut open = OpenFrame::fresh(cut);
+        if let Some(frame) = job.frames.get(&frame) {
+            open.round = frame.round;
+            open.tiles = frame.open_tiles(cut);
+            open.gathers = frame.open_gathers(cut);
+            open.merge = frame.merge_is_open(cut);
+        }
+        let leased = |kind| floor.of_stage(id, Stage { frame, round: open.round, kind });
+        leased(StageKind::Render).for_each(|index| open.tiles.remove(index));
+        leased(StageKind::Gather).for_each(|group| open.gathers.remove(group));
+        open.merge &= leased(StageKind::Merge).next().is_none();
+        self.open.insert(frame, open);
     }
 
-    /// Takes notice of a completion: only the last of a round makes anything ready.
+    /// Takes notice of a completion: only the last of a group or of a round makes anything ready.
     pub(crate) fn completed(&mut self, task: &TaskKey, job: &Job, floor: &Floor) {
-        let total = job.spec.grid.tiles() as usize;
-        let goes_on = |frame: &Frame| frame.round == task.stage.round && frame.tiles.len() < total;
-        let frame = task.stage.frame;
-        if !job.is_open(frame) || !job.frames.get(&frame).is_some_and(goes_on) {
-            self.refresh(task.job, job, frame, floor);
+        let (frame, cut) = (task.stage.frame, job.cut());
+        let work = job.frames.get(&frame).filter(|work| work.round == task.stage.round && !work.is_whole(cut));
+        let Some(work) = work.filter(|_| job.is_open(frame)) else {
+            return self.refresh(task.job, job, frame, floor);
+        };
+        if let (StageKind::Render, Some(group)) = (task.stage.kind, cut.group_of(task.index))
+            && let Some(open) = self.open.get_mut(&frame)
+            && work.gather_is_open(cut, group)
+        {
+            open.gathers.insert(group);
         }
     }
 
@@ -78,8 +100,7 @@ impl Desk {
         while let Some(&frame) = job.spec.frames.get(self.cursor) {
             self.cursor += 1;
             if job.is_open(frame) && !self.open.contains_key(&frame) {
-                let tiles = RangeSet::full(0..job.spec.grid.tiles());
-                self.open.insert(frame, OpenFrame { round: 0, tiles, merge: false });
+                self.open.insert(frame, OpenFrame::fresh(job.cut()));
                 return true;
             }
         }
@@ -91,6 +112,7 @@ impl Desk {
         let open = self.open.get(&task.stage.frame).filter(|open| open.round == task.stage.round);
         open.is_some_and(|open| match task.stage.kind {
             StageKind::Render => open.tiles.contains(task.index),
+            StageKind::Gather => open.gathers.contains(task.index),
             StageKind::Merge => open.merge && task.index == 0,
         })
     }
@@ -100,6 +122,7 @@ impl Desk {
         let Some(frame) = self.open.get_mut(&task.stage.frame) else { return };
         match task.stage.kind {
             StageKind::Render => frame.tiles.remove(task.index),
+            StageKind::Gather => frame.gathers.remove(task.index),
             StageKind::Merge => frame.merge = false,
         }
     }

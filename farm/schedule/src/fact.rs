@@ -1,6 +1,8 @@
 //! What has happened for good: the entries of the log.
 
-use femc_model::{Control, Drain, Epoch, Failure, JobId, JobSpec, LogRecord, MergeResult, TaskKey, Tick, TileResult};
+use femc_model::{
+    Control, Drain, Epoch, Failure, GatherResult, JobId, JobSpec, LogRecord, MergeResult, TaskKey, Tick, TileResult,
+};
 use serde::{Deserialize, Serialize};
 
 /// A change of the [`Ledger`](crate::Ledger). New variants go to the end: the log holds their numbers.
@@ -47,7 +49,8 @@ pub enum Fact {
         /// Why.
         failure: Failure,
     },
-    /// The artefact of a rendered tile is gone: the tile is to be rendered again.
+    /// The artefact of a rendered tile is gone, or one of a gathered group: the tile, or the group's tiles of this round, are
+    /// to be rendered again.
     Lost {
         /// Which.
         task: TaskKey,
@@ -82,4 +85,20 @@ pub enum Fact {
     },
     /// A worker wrote something down during an attempt.
     Logged(Box<LogRecord>),
+    /// The frames of a job that was just taken are merged as a tree; those of a job without this fact are not.
+    Grouped {
+        /// The job.
+        job: JobId,
+        /// Tiles of a group.
+        tiles: u32,
+    },
+    /// A group of tiles was gathered.
+    Gathered {
+        /// Which.
+        task: TaskKey,
+        /// Of the lease that did it.
+        epoch: Epoch,
+        /// What came out.
+        result: GatherResult,
+    },
 }

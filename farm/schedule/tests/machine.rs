@@ -36,7 +36,7 @@ enum Step {
 fn step() -> impl Strategy<Value = Step> {
     let decision = prop_oneof![Just(Decision::Continue), Just(Decision::Done)];
     prop_oneof![
-        1 => (1..4u32, 1..5u32, 1..4usize).prop_map(|(frames, tiles, rounds)| Step::Submit { frames, tiles, rounds }),
+        1 => (1..4u32, 1..7u32, 1..4usize).prop_map(|(frames, tiles, rounds)| Step::Submit { frames, tiles, rounds }),
         2 => Just(Step::Join),
         2 => any::<usize>().prop_map(Step::Return),
         1 => any::<usize>().prop_map(Step::StartAgain),
@@ -54,6 +54,7 @@ fn step() -> impl Strategy<Value = Step> {
 
 /// The farm, and what must hold of it.
 struct Machine {
+    group: u32,
     farm: Farm,
     workers: BTreeSet<u64>,
     next_worker: u64,
@@ -66,9 +67,11 @@ struct Machine {
 }
 
 impl Machine {
-    fn new() -> Self {
+    /// `group`: tiles of a group; 0: frames are merged whole.
+    fn new(group: u32) -> Self {
         Self {
-            farm: Farm::new(),
+            group,
+            farm: Farm::with(Config { group, ..common::config() }),
             workers: BTreeSet::new(),
             next_worker: 1,
             jobs: vec![],
@@ -93,11 +96,22 @@ impl Machine {
                 Command::Revoke { task, epoch, .. } if self.live.get(&task) == Some(&epoch) => {
                     self.live.remove(&task);
                 }
-                Command::Record(Fact::Rendered { task, epoch, .. } | Fact::Merged { task, epoch, .. }) => {
+                Command::Record(
+                    Fact::Rendered { task, epoch, .. }
+                    | Fact::Gathered { task, epoch, .. }
+                    | Fact::Merged { task, epoch, .. },
+                ) => {
                     assert_eq!(self.live.remove(&task), Some(epoch), "a result without a lease counts");
                     assert!(self.done.insert(task), "{task} is done twice");
                 }
-                Command::Record(Fact::Lost { task }) => assert!(self.done.remove(&task)),
+                Command::Record(Fact::Lost { task }) => {
+                    assert!(self.done.remove(&task));
+                    if task.stage.kind == StageKind::Gather {
+                        let stage = Stage { kind: StageKind::Render, ..task.stage };
+                        let own = |other: &TaskKey| other.stage == stage && other.index / self.group == task.index;
+                        self.done.retain(|other| other.job != task.job || !own(other));
+                    }
+                }
                 Command::Record(Fact::Restarted { job, frame }) => {
                     self.done.retain(|task| (task.job, task.stage.frame) != (job, frame));
                 }
@@ -204,10 +218,7 @@ impl Machine {
                 let Some((worker, held)) = self.held(which) else { return };
                 self.end_lease(worker, &held);
                 self.live.remove(&held.task);
-                let missing = match &held.work {
-                    Work::Merge { tiles, previous, .. } => previous.unwrap_or(tiles[0]).digest,
-                    Work::Render { .. } => Digest::of(b"nobody knows"),
-                };
+                let missing = held.work.inputs().next().map_or(Digest::of(b"nobody knows"), |first| first.digest);
                 let failure = match kind {
                     0 | 1 => panic(),
                     2 => Failure::Store { message: "away".into() },
@@ -311,8 +322,11 @@ impl Machine {
 proptest! {
     #![proptest_config(ProptestConfig { cases: 256, failure_persistence: None, ..ProptestConfig::default() })]
     #[test]
-    fn no_task_is_lost_and_none_is_done_twice_and_every_job_ends(steps in prop::collection::vec(step(), 1..120)) {
-        let mut machine = Machine::new();
+    fn no_task_is_lost_and_none_is_done_twice_and_every_job_ends(
+        group in 0..4u32,
+        steps in prop::collection::vec(step(), 1..120),
+    ) {
+        let mut machine = Machine::new(group);
         for step in steps {
             machine.take(step);
             machine.check();

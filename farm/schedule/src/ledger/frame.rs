@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use femc_model::{Artefact, Digest, Epoch, Failure, MergeResult, StageKind, Tick, TileResult};
 use serde::{Deserialize, Serialize};
 
+use super::group::{Cut, Groups};
 use crate::RangeSet;
 
 /// Attempts after which a task is put aside. A constant of the ledger, so that a log means the same to every program.
@@ -51,6 +52,9 @@ pub(crate) struct Frame {
     pub(crate) merged_bad_samples: u64,
     pub(crate) busy_seconds: f64,
     pub(crate) relative_error: Option<f64>,
+    /// In a snapshot they follow the ledger's first versions.
+    #[serde(skip)]
+    pub(crate) groups: Groups,
 }
 
 impl Frame {
@@ -67,6 +71,7 @@ impl Frame {
             merged_bad_samples: 0,
             busy_seconds: 0.0,
             relative_error: None,
+            groups: Groups::default(),
         }
     }
 
@@ -86,8 +91,9 @@ impl Frame {
         self.round += 1;
         self.tiles.clear();
         // Failures of merges add up over the rounds, so that a frame whose sums are lost again and again ends.
-        self.trouble.retain(|&(kind, _), _| kind == StageKind::Merge);
+        self.trouble.retain(|&(kind, _), _| kind != StageKind::Render);
         self.sums = result.sums;
+        self.groups.next_round();
         self.merged = Some(epoch);
         self.fresh_bad_samples = 0;
         self.merged_bad_samples = result.bad_samples;
@@ -95,11 +101,17 @@ impl Frame {
         self.relative_error = result.relative_error;
     }
 
-    pub(super) fn lost(&mut self, index: u32) -> Vec<Digest> {
-        let Some(tile) = self.tiles.remove(&index) else { return Vec::new() };
-        self.samples -= tile.result.samples;
-        self.fresh_bad_samples -= tile.result.bad_samples;
+    pub(super) fn lost_tile(&mut self, index: u32) -> Vec<Digest> {
+        if let Some(tile) = self.tiles.remove(&index) {
+            self.forget(tile.result.samples, tile.result.bad_samples);
+        }
         Vec::new()
+    }
+
+    /// Samples of this round that are to be taken again.
+    pub(super) fn forget(&mut self, samples: u64, bad_samples: u64) {
+        self.samples -= samples;
+        self.fresh_bad_samples -= bad_samples;
     }
 
     pub(super) fn restarted(&mut self) -> Vec<Digest> {
@@ -110,11 +122,12 @@ impl Frame {
     }
 
     /// Tiles of the round that are neither done nor out of attempts.
-    pub(crate) fn open_tiles(&self, total: u32) -> RangeSet {
-        let mut open = RangeSet::full(0..total);
-        self.tiles.keys().for_each(|&index| open.remove(index));
-        for (&(kind, index), trouble) in &self.trouble {
-            if kind == StageKind::Render && trouble.is_quarantined() {
+    pub(crate) fn open_tiles(&self, cut: Cut) -> RangeSet {
+        let mut open = RangeSet::full(0..cut.tiles());
+        let gathered = self.groups.done.keys().flat_map(|&group| cut.span(group));
+        self.tiles.keys().copied().chain(gathered).for_each(|index| open.remove(index));
+        for (kind, index, _) in self.quarantined() {
+            if kind == StageKind::Render {
                 open.remove(index);
             }
         }
@@ -122,9 +135,12 @@ impl Frame {
     }
 
     /// Whether the merge may run.
-    pub(crate) fn merge_is_open(&self, total: u32) -> bool {
-        self.tiles.len() == total as usize
-            && !self.trouble.get(&(StageKind::Merge, 0)).is_some_and(Trouble::is_quarantined)
+    pub(crate) fn merge_is_open(&self, cut: Cut) -> bool {
+        self.is_whole(cut) && !self.is_quarantined(StageKind::Merge, 0)
+    }
+
+    pub(super) fn is_quarantined(&self, kind: StageKind, index: u32) -> bool {
+        self.trouble.get(&(kind, index)).is_some_and(Trouble::is_quarantined)
     }
 
     /// Tasks out of attempts.
@@ -134,19 +150,22 @@ impl Frame {
     }
 
     /// Whether nothing of it can run without a retry.
-    pub(crate) fn is_blocked(&self, total: u32) -> bool {
-        let (mut tiles, mut merges) = (0, 0);
+    pub(crate) fn is_blocked(&self, cut: Cut) -> bool {
+        let (mut tiles, mut gathers) = (0, 0);
         for (kind, ..) in self.quarantined() {
             match kind {
                 StageKind::Render => tiles += 1,
-                StageKind::Merge => merges += 1,
+                StageKind::Gather => gathers += 1,
+                StageKind::Merge => return true,
             }
         }
-        merges > 0 || (tiles > 0 && self.tiles.len() + tiles == total as usize)
+        let no_tile_is_left = self.tiles_done(cut) + tiles == cut.tiles();
+        tiles + gathers > 0 && no_tile_is_left && self.open_gathers(cut).is_empty()
     }
 
     /// Everything in the store that the frame needs.
     pub(crate) fn artefacts(&self) -> impl Iterator<Item = Digest> + '_ {
-        self.tiles.values().map(|tile| tile.result.tile.digest).chain(self.sums.iter().map(|sums| sums.digest))
+        let tiles = self.tiles.values().map(|tile| tile.result.tile);
+        tiles.chain(self.sums).chain(self.groups.artefacts()).map(|artefact| artefact.digest)
     }
 }

@@ -1,13 +1,16 @@
 //! A job in the ledger.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::num::NonZeroU32;
 
 use femc_model::{
-    Control, Decision, Digest, Epoch, Failure, FrameRecord, JobSpec, MergeResult, StageKind, TaskKey, Tick, TileResult,
+    Control, Decision, Digest, Epoch, Failure, FrameRecord, GatherResult, JobSpec, MergeResult, StageKind, TaskKey,
+    Tick, TileResult,
 };
 use serde::{Deserialize, Serialize};
 
 use super::frame::{Frame, Trouble};
+use super::group::Cut;
 
 /// What a person has done to a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -45,6 +48,9 @@ pub(crate) struct Job {
     pub(crate) blocked: BTreeSet<u32>,
     pub(crate) relative_error: Option<f64>,
     submitted: Tick,
+    /// Tiles of a group, where frames are merged as a tree. In a snapshot it follows the ledger's first versions.
+    #[serde(skip)]
+    pub(super) group: Option<NonZeroU32>,
 }
 
 impl Job {
@@ -60,7 +66,18 @@ impl Job {
             blocked: BTreeSet::new(),
             relative_error: None,
             submitted: now,
+            group: None,
         }
+    }
+
+    /// How the work on its frames is cut.
+    pub(crate) fn cut(&self) -> Cut {
+        Cut::new(self.spec.grid.tiles(), self.group)
+    }
+
+    pub(super) fn grouped(&mut self, tiles: u32) -> Vec<Digest> {
+        self.group = NonZeroU32::new(tiles);
+        Vec::new()
     }
 
     /// Whether every frame is finished or blocked, or the job as a whole is over.
@@ -99,6 +116,17 @@ impl Job {
             self.note_block(number);
         }
         Vec::new()
+    }
+
+    pub(super) fn gathered(&mut self, task: &TaskKey, epoch: Epoch, result: &GatherResult) -> Vec<Digest> {
+        let (number, cut) = (task.stage.frame, self.cut());
+        if !self.is_open(number) || self.round(number) != task.stage.round {
+            return Vec::new();
+        }
+        let Some(frame) = self.frames.get_mut(&number) else { return Vec::new() };
+        let released = frame.gathered(task.index, epoch, cut, *result);
+        self.note_block(number);
+        released
     }
 
     pub(super) fn merged(&mut self, task: &TaskKey, epoch: Epoch, result: &MergeResult, now: Tick) -> Vec<Digest> {
@@ -144,7 +172,12 @@ impl Job {
     }
 
     pub(super) fn lost(&mut self, task: &TaskKey) -> Vec<Digest> {
-        self.frames.get_mut(&task.stage.frame).map(|frame| frame.lost(task.index)).unwrap_or_default()
+        let Some(frame) = self.frames.get_mut(&task.stage.frame) else { return Vec::new() };
+        match task.stage.kind {
+            StageKind::Render => frame.lost_tile(task.index),
+            StageKind::Gather => frame.lost_group(task.index),
+            StageKind::Merge => Vec::new(),
+        }
     }
 
     pub(super) fn restarted(&mut self, frame: u32) -> Vec<Digest> {
@@ -175,7 +208,7 @@ impl Job {
     }
 
     fn note_block(&mut self, number: u32) {
-        if self.frames.get(&number).is_some_and(|frame| frame.is_blocked(self.spec.grid.tiles())) {
+        if self.frames.get(&number).is_some_and(|frame| frame.is_blocked(self.cut())) {
             self.blocked.insert(number);
         }
     }
@@ -205,6 +238,10 @@ impl Job {
         match task.stage.kind {
             StageKind::Render => {
                 frame.round == task.stage.round && frame.tiles.get(&task.index).is_some_and(|tile| tile.epoch == epoch)
+            }
+            StageKind::Gather => {
+                frame.round == task.stage.round
+                    && frame.groups.done.get(&task.index).is_some_and(|group| group.epoch == epoch)
             }
             StageKind::Merge => frame.merged == Some(epoch),
         }

@@ -17,7 +17,8 @@ use femc_schedule::Fact;
 
 /// Two frames of four tiles; a tile takes some tenths of a second.
 const SETTINGS: &str = "--spp 64 --size 32x32 --frames 1..2";
-const TASKS: usize = 2 * (4 + 1);
+/// The coordinator's frames are merged from a group of three tiles and one of one; `femc render` merges four tiles at once.
+const TASKS: usize = 2 * (4 + 2 + 1);
 /// Points that are tried side by side: most of their time goes by with waiting.
 const LANES: usize = 4;
 
@@ -67,7 +68,11 @@ const POINTS: &[(Fault, &str)] = &[
     (WorkerKilledWithResult, "worker-after-upload:1"),
     (WorkerKilledWithResult, "worker-after-report:1"),
     (WorkerKilledWithResult, "worker-before-forget:1"),
+    // A tile of the first group, and the second group.
     (WorkerKilled, "worker-mid-merge:3"),
+    (WorkerKilled, "worker-mid-merge:6"),
+    // The first group's.
+    (WorkerKilledWithResult, "worker-after-upload:4"),
     (WorkerStopped, "worker-in-task:1"),
     (WorkerStopped, "worker-after-upload:2"),
     (LinkCut, "worker-in-task:1"),
@@ -115,7 +120,8 @@ fn coordinator(place: &Place, port: &str, fault: Option<&str>) -> (Running, Stri
     // Few changes are enough for a snapshot where one is waited for.
     let compact = if fault.is_some_and(|fault| fault.contains("snapshot")) { 4 } else { 20_000 };
     let line = format!(
-        "coordinator --listen 127.0.0.1:{port} --store sqlite:farm.db --artifacts artifacts --lease 2s --compact {compact}"
+        "coordinator --listen 127.0.0.1:{port} --store sqlite:farm.db --artifacts artifacts --lease 2s --compact {compact} \
+         --gather 3"
     );
     let mut process = started(place, &line, fault);
     let url = process.address();
@@ -148,10 +154,12 @@ fn effects(place: &Place) -> (Vec<String>, bool) {
     let mut effects = Vec::new();
     for record in &contents.records {
         match Fact::decode(record).expect("a fact").1 {
-            Fact::Rendered { task, epoch, .. } | Fact::Merged { task, epoch, .. } => {
+            Fact::Rendered { task, epoch, .. }
+            | Fact::Gathered { task, epoch, .. }
+            | Fact::Merged { task, epoch, .. } => {
                 effects.push(format!("{}.{}", task.to_string().replace('/', "-"), epoch.0));
             }
-            Fact::Opened { .. } | Fact::Submitted { .. } | Fact::Logged { .. } => {}
+            Fact::Opened { .. } | Fact::Submitted { .. } | Fact::Grouped { .. } | Fact::Logged { .. } => {}
             other => panic!("something failed, was lost or began anew: {other:?}"),
         }
     }

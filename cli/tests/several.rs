@@ -123,7 +123,9 @@ impl Farm {
         for record in &records {
             match Fact::decode(record).expect("a fact").1 {
                 Fact::Submitted { job, spec: submitted, .. } => spec = Some((job, submitted)),
-                Fact::Rendered { task, .. } | Fact::Merged { task, .. } => *effects.entry(task).or_insert(0) += 1,
+                Fact::Rendered { task, .. } | Fact::Gathered { task, .. } | Fact::Merged { task, .. } => {
+                    *effects.entry(task).or_insert(0) += 1;
+                }
                 Fact::Opened { .. } => terms += 1,
                 Fact::Logged { .. } => {}
                 other => others.push(other),

@@ -266,9 +266,15 @@ fn done(lease: &Assignment) -> FromWorker {
     let tile = || TileResult { tile: Artefact::of(RESULT), samples: 1024, bad_samples: 0, seconds: 0.0 };
     let result = match lease.work {
         Work::Render { .. } => TaskResult::Tile(tile()),
+        Work::Gather { .. } => TaskResult::Gather(gathered()),
         Work::Merge { .. } => TaskResult::Merge(merged()),
     };
     FromWorker::Completed { task: lease.task, epoch: lease.epoch, result, log: None }
+}
+
+fn gathered() -> GatherResult {
+    let artefact = Artefact::of(RESULT);
+    GatherResult { sums: Some(artefact), pixels: artefact, seconds: 0.0 }
 }
 
 /// Sessions that have their tasks done at once, or hold them.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use femc_model::{Artefact, Failure, FromWorker, JobId, LogText, TaskResult, ToWorker, WorkerId};
+use femc_model::{Failure, FromWorker, JobId, LogText, ToWorker, WorkerId};
 use femc_proto::Words;
 use femc_store::Store;
 use tokio::sync::mpsc;
@@ -59,7 +59,7 @@ async fn checked(mut word: FromWorker, store: &Store) -> FromWorker {
         }
     }
     let FromWorker::Completed { task, epoch, result, log } = word else { return word };
-    for artefact in artefacts(&result) {
+    for artefact in result.artefacts() {
         let message = match store.size_seen(&artefact.digest).await {
             Ok(Some(bytes)) if bytes == artefact.bytes => continue,
             Ok(Some(bytes)) => format!("artefact {} has {bytes} bytes, not {}", artefact.digest, artefact.bytes),
@@ -80,12 +80,5 @@ async fn check_log(word: &mut FromWorker, store: &Store) {
         && !matches!(store.size_seen(&artefact.digest).await, Ok(Some(bytes)) if bytes == artefact.bytes)
     {
         log.text = LogText::Inline("the log did not arrive".into());
-    }
-}
-
-fn artefacts(result: &TaskResult) -> Vec<Artefact> {
-    match result {
-        TaskResult::Tile(tile) => vec![tile.tile],
-        TaskResult::Merge(merge) => [merge.sums, merge.image, merge.preview].into_iter().flatten().collect(),
     }
 }

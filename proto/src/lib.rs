@@ -26,7 +26,8 @@ pub use server::{
 pub use tonic::transport::server::{Connected, TcpIncoming};
 
 /// Version of the protocol: a worker says it when it registers, and is refused if it is another. From 2 on a job's scene is a
-/// manifest, which a worker of version 1 would take for damaged; from 3 on a task's key does not tell the tile.
+/// manifest, which a worker of version 1 would take for damaged; from 3 on a task's key does not tell the tile, and groups of tiles
+/// are gathered.
 pub const PROTOCOL: u32 = 3;
 
 /// Bytes of an artefact that travel in one message.

@@ -132,9 +132,12 @@ fn log(stage: &Stage, state: &State) -> Result<Vec<Violation>, SnapshotError> {
     let mut wrong = Vec::new();
     let mut done: BTreeMap<Unit, (TaskKey, Epoch)> = BTreeMap::new();
     let mut counted: BTreeSet<(TaskKey, Epoch)> = BTreeSet::new();
+    let mut group = 1;
     for record in &state.disk.history {
         match Fact::decode(record)?.1 {
-            Fact::Rendered { task, epoch, .. } | Fact::Merged { task, epoch, .. } => {
+            Fact::Rendered { task, epoch, .. }
+            | Fact::Gathered { task, epoch, .. }
+            | Fact::Merged { task, epoch, .. } => {
                 counted.insert((task, epoch));
                 if task.stage.kind == StageKind::Merge {
                     wrong.extend(missing(stage, task, &done));
@@ -143,7 +146,10 @@ fn log(stage: &Stage, state: &State) -> Result<Vec<Violation>, SnapshotError> {
                 let before = units.filter_map(|unit| done.insert(*unit, (task, epoch))).next();
                 wrong.extend(before.map(|(_, before)| Violation::Twice { task, epochs: [before, epoch] }));
             }
-            Fact::Lost { task } => done.retain(|_, (by, _)| *by != task),
+            Fact::Grouped { tiles, .. } => group = tiles,
+            Fact::Lost { task } => {
+                done.retain(|unit, (by, _)| *by != task && !unit.is_gathered_by(&task, group));
+            }
             Fact::Restarted { job, frame } => {
                 done.retain(|unit, _| (unit.job, unit.stage.frame) != (job, frame));
             }

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Assignment, Epoch, JobId, Stage, TaskKey, Work};
+use femc_model::{Assignment, Epoch, JobId, Stage, StageKind, TaskKey, Work};
 use femc_schedule::Fact;
 
 use crate::audit::Violation;
@@ -10,13 +10,22 @@ use crate::audit::Violation;
 /// Number of a session that the switch has relayed.
 pub(crate) type SessionNumber = u64;
 
-/// The least that can be given out: a sample of a tile, or a merge.
+/// The least that can be given out: a sample of a tile, the gathering of a group, or a merge.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Unit {
     pub(crate) job: JobId,
     pub(crate) stage: Stage,
     pub(crate) tile: u32,
     pub(crate) sample: u32,
+}
+
+impl Unit {
+    /// Whether it is a sample that is rendered for `gather`, of groups of `tiles` tiles.
+    pub(crate) fn is_gathered_by(&self, gather: &TaskKey, tiles: u32) -> bool {
+        let stage = Stage { kind: StageKind::Render, ..gather.stage };
+        gather.stage.kind == StageKind::Gather
+            && (self.job, self.stage, self.tile / tiles) == (gather.job, stage, gather.index)
+    }
 }
 
 /// Leases that were seen to be given out, brought along, and ended.
@@ -30,6 +39,8 @@ pub(crate) struct Leases {
     brought: BTreeMap<(TaskKey, Epoch), BTreeSet<SessionNumber>>,
     /// What the log counts, under leases that nobody has brought along.
     counted: BTreeMap<Unit, (TaskKey, Epoch)>,
+    /// Tiles of a group.
+    groups: BTreeMap<JobId, u32>,
     sessions: SessionNumber,
 }
 
@@ -71,9 +82,16 @@ impl Leases {
     /// all that it covers, or one that a worker has brought along and that may have been adopted.
     pub(crate) fn judge(&mut self, fact: &Fact) -> Option<Violation> {
         let key = match fact {
-            Fact::Rendered { task, epoch, .. } | Fact::Merged { task, epoch, .. } => (*task, *epoch),
+            Fact::Rendered { task, epoch, .. }
+            | Fact::Gathered { task, epoch, .. }
+            | Fact::Merged { task, epoch, .. } => (*task, *epoch),
+            Fact::Grouped { job, tiles } => {
+                self.groups.insert(*job, *tiles);
+                return None;
+            }
             Fact::Lost { task } => {
-                self.counted.retain(|_, (by, _)| by != task);
+                let tiles = self.groups.get(&task.job).copied().unwrap_or(1);
+                self.counted.retain(|unit, (by, _)| by != task && !unit.is_gathered_by(task, tiles));
                 return None;
             }
             Fact::Restarted { job, frame } => {
@@ -107,6 +125,6 @@ fn units(lease: &Assignment) -> Vec<Unit> {
         Work::Render { tile, samples } => {
             samples.clone().map(|sample| Unit { job, stage, tile: *tile, sample }).collect()
         }
-        Work::Merge { .. } => vec![Unit { job, stage, tile: 0, sample: 0 }],
+        Work::Gather { .. } | Work::Merge { .. } => vec![Unit { job, stage, tile: lease.task.index, sample: 0 }],
     }
 }

@@ -90,6 +90,11 @@ pub(crate) fn pick(number: u64) -> anyhow::Result<&'static Stage> {
     stages.get((number % 4) as usize).context("a stage")
 }
 
+/// Tiles that are gathered before the merge, of four: all at once, or a merge as a tree, of even or uneven groups.
+pub(crate) fn group(number: u64) -> u32 {
+    [0, 1, 2, 3][(number / 4 % 4) as usize]
+}
+
 fn stage(rounds: &[u32], schedule: &femc_schedule::Config) -> anyhow::Result<Stage> {
     // An error that is never reached: every round runs.
     let stop = if let [spp] = rounds { Stop::Spp(*spp) } else { Stop::Error(1e-9) };

@@ -64,7 +64,7 @@ pub fn run(seed: u64, plan: &Planned, tells: Tells) -> anyhow::Result<Outcome> {
         .build();
     for host in 0..COORDINATORS {
         let (shared, store) = (shared.clone(), store.clone());
-        sim.host(coordinator_name(host), move || coordinator(host, stage, shared.clone(), store.clone()));
+        sim.host(coordinator_name(host), move || coordinator(seed, host, stage, shared.clone(), store.clone()));
     }
     {
         let (shared, store) = (shared.clone(), store.clone());
@@ -294,7 +294,7 @@ fn start(sim: &mut Sim<'_>, host: String) {
 }
 
 /// A coordinator: stands by until it leads, and again when it leads no more.
-async fn coordinator(host: usize, stage: &'static Stage, shared: Shared, store: Store) -> turmoil::Result {
+async fn coordinator(seed: u64, host: usize, stage: &'static Stage, shared: Shared, store: Store) -> turmoil::Result {
     loop {
         while shared.lock().leader != host {
             tokio::time::sleep(Duration::from_millis(50)).await;
@@ -304,7 +304,7 @@ async fn coordinator(host: usize, stage: &'static Stage, shared: Shared, store: 
         let clock = shared.clone();
         let config = Config {
             snapshot: 25,
-            scheduler: stage.schedule.clone(),
+            scheduler: femc_schedule::Config { group: stage::group(seed), ..stage.schedule.clone() },
             time: Time::by(move || started.elapsed() + clock.lock().ahead),
             ..Config::default()
         };
@@ -358,7 +358,7 @@ fn pace(seed: u64, stage: &Stage, assignment: &Assignment) -> Duration {
     match &assignment.work {
         Work::Render { samples, .. } if stage.is_cut() => between(50, 500) * samples.len() as u32,
         Work::Render { .. } => between(200, 3_000),
-        Work::Merge { .. } => between(200, 1_000),
+        Work::Gather { .. } | Work::Merge { .. } => between(200, 1_000),
     }
 }
 

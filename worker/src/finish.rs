@@ -40,8 +40,8 @@ impl Finish {
     fn close_log(&self, task: &Task, outcome: &Outcome) {
         let Some(seconds) = task.log.seconds() else { return };
         let limit = match (task.assignment.task.stage.kind, outcome) {
-            (StageKind::Render, Ok(_)) => LogText::INLINE,
-            (StageKind::Merge, _) | (StageKind::Render, Err(_)) => LogText::STORED,
+            (StageKind::Render | StageKind::Gather, Ok(_)) => LogText::INLINE,
+            (StageKind::Merge, _) | (StageKind::Render | StageKind::Gather, Err(_)) => LogText::STORED,
         };
         task.write_log(seconds, task.log.text(&self.header(task, outcome, seconds), limit));
     }

@@ -57,8 +57,8 @@ pub(crate) struct Memory(Option<Arc<Watch>>);
 #[derive(Debug)]
 struct Watch {
     limit: MemoryLimit,
-    /// Most that a render task has added, and a merge task.
-    largest: [AtomicU64; 2],
+    /// Most that a task of each kind has added.
+    largest: [AtomicU64; 3],
 }
 
 /// A task under way.
@@ -69,7 +69,7 @@ pub(crate) struct Measured {
 
 impl Memory {
     pub(crate) fn new(limit: Option<MemoryLimit>) -> Self {
-        Self(limit.map(|limit| Arc::new(Watch { limit, largest: [AtomicU64::new(0), AtomicU64::new(0)] })))
+        Self(limit.map(|limit| Arc::new(Watch { limit, largest: Default::default() })))
     }
 
     /// Makes room for a task; its end is to be told to what is returned.
@@ -127,6 +127,7 @@ fn slot(kind: StageKind) -> usize {
     match kind {
         StageKind::Render => 0,
         StageKind::Merge => 1,
+        StageKind::Gather => 2,
     }
 }
 

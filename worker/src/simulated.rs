@@ -3,13 +3,13 @@
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, mpsc};
 
-use femc_model::{Failure, Phase, StageKind, TaskResult, Work};
+use femc_model::{Failure, Phase, TaskResult, Work};
 
 use crate::config::Pace;
 use crate::execute::{Product, Tools, execute};
 use crate::fetch::Fetch;
 use crate::finish::Finish;
-use crate::table::{Table, Task};
+use crate::table::{Lane, Table, Task};
 use crate::threads::Ahead;
 
 /// Steps in which a task shows its progress.
@@ -17,10 +17,10 @@ const STEPS: u32 = 8;
 
 /// Starts the hands; they end when the table is closed. Nothing is prepared ahead.
 pub(crate) fn start(pace: &Pace, tools: &Tools, table: &Arc<Table>, finish: &Finish) -> mpsc::Sender<Ahead> {
-    for kind in [StageKind::Render, StageKind::Merge] {
+    for lane in Lane::ALL {
         let (pace, tools, table, finish) = (pace.clone(), tools.clone(), table.clone(), finish.clone());
         tokio::spawn(async move {
-            while let Some(task) = table.taken(kind).await {
+            while let Some(task) = table.taken(lane).await {
                 let outcome = work(&task, &pace, &tools).await;
                 finish.done(&task, outcome);
             }
@@ -31,10 +31,7 @@ pub(crate) fn start(pace: &Pace, tools: &Tools, table: &Arc<Table>, finish: &Fin
 
 async fn work(task: &Task, pace: &Pace, tools: &Tools) -> Result<Product, Failure> {
     task.enter(Phase::Preparing);
-    let inputs: Vec<_> = match &task.assignment.work {
-        Work::Render { .. } => Vec::new(),
-        Work::Merge { previous, tiles, .. } => previous.iter().chain(tiles).copied().collect(),
-    };
+    let inputs: Vec<_> = task.assignment.work.inputs().collect();
     let fetch = Fetch::collect(&task.client, task.spec.bundle, &inputs).await;
     task.enter(Phase::Working);
     let (whole, samples) = (pace.of(&task.assignment), samples(task));
@@ -50,17 +47,18 @@ async fn work(task: &Task, pace: &Pace, tools: &Tools) -> Result<Product, Failur
     let mut product = execute(task, &Tools { fetch, ..tools.clone() })?;
     match &mut product.result {
         TaskResult::Tile(tile) => tile.seconds = whole.as_secs_f64(),
+        TaskResult::Gather(gather) => gather.seconds = whole.as_secs_f64(),
         TaskResult::Merge(merge) => merge.seconds = whole.as_secs_f64(),
     }
     Ok(product)
 }
 
-/// Pixel samples of the task; one for each step of a merge.
+/// Pixel samples of the task; one for each step of others.
 fn samples(task: &Task) -> u64 {
     match &task.assignment.work {
         Work::Render { tile, samples } => {
             task.spec.grid.rect(*tile).map_or(0, |rect| rect.pixels()) * samples.len() as u64
         }
-        Work::Merge { .. } => u64::from(STEPS),
+        Work::Gather { .. } | Work::Merge { .. } => u64::from(STEPS),
     }
 }

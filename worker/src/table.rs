@@ -13,6 +13,33 @@ use crate::execute::Product;
 use crate::log::TaskLog;
 use crate::outbox::Restored;
 
+/// Tasks of one lane are done one after the other, those of different lanes side by side.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Lane {
+    /// Rendering.
+    Render,
+    /// Joining what is rendered.
+    Join,
+}
+
+impl Lane {
+    pub(crate) const ALL: [Self; 2] = [Self::Render, Self::Join];
+
+    pub(crate) fn of(kind: StageKind) -> Self {
+        match kind {
+            StageKind::Render => Self::Render,
+            StageKind::Gather | StageKind::Merge => Self::Join,
+        }
+    }
+
+    pub(crate) fn name(self) -> &'static str {
+        match self {
+            Self::Render => "render",
+            Self::Join => "merge",
+        }
+    }
+}
+
 /// A task under a lease.
 #[derive(Debug)]
 pub(crate) struct Task {
@@ -55,7 +82,7 @@ impl Task {
         let (task, epoch) = self.key();
         let samples = match &self.assignment.work {
             Work::Render { samples, .. } => samples.clone(),
-            Work::Merge { .. } => 0..0,
+            Work::Gather { .. } | Work::Merge { .. } => 0..0,
         };
         HeldLease { task, epoch, samples, job: self.spec.key() }
     }
@@ -114,9 +141,9 @@ struct State {
 }
 
 impl State {
-    /// Takes the oldest waiting task of this kind out of the line.
-    fn first(&mut self, kind: StageKind) -> Option<Arc<Task>> {
-        let place = self.line.iter().position(|task| task.assignment.task.stage.kind == kind)?;
+    /// Takes the oldest waiting task of this lane out of the line.
+    fn first(&mut self, lane: Lane) -> Option<Arc<Task>> {
+        let place = self.line.iter().position(|task| Lane::of(task.assignment.task.stage.kind) == lane)?;
         Some(self.line.remove(place))
     }
 }
@@ -152,14 +179,14 @@ impl Table {
         state.held.insert(task.key(), task);
     }
 
-    /// The oldest waiting task of this kind; waits for one. `None` when the table is closed.
-    pub(crate) fn take(&self, kind: StageKind) -> Option<Arc<Task>> {
+    /// The oldest waiting task of this lane; waits for one. `None` when the table is closed.
+    pub(crate) fn take(&self, lane: Lane) -> Option<Arc<Task>> {
         let mut state = self.lock();
         loop {
             if state.closed {
                 return None;
             }
-            if let Some(task) = state.first(kind) {
+            if let Some(task) = state.first(lane) {
                 return Some(task);
             }
             state = self.arrived.wait(state).unwrap_or_else(PoisonError::into_inner);
@@ -167,7 +194,7 @@ impl Table {
     }
 
     /// The same without a thread.
-    pub(crate) async fn taken(&self, kind: StageKind) -> Option<Arc<Task>> {
+    pub(crate) async fn taken(&self, lane: Lane) -> Option<Arc<Task>> {
         loop {
             let changed = self.changed.notified();
             {
@@ -175,7 +202,7 @@ impl Table {
                 if state.closed {
                     return None;
                 }
-                if let Some(task) = state.first(kind) {
+                if let Some(task) = state.first(lane) {
                     return Some(task);
                 }
             }

@@ -1,4 +1,4 @@
-//! The threads that work: one lane renders, one merges, one thread prepares ahead; all compute on one pool.
+//! The threads that work: one lane renders, one gathers and merges, one thread prepares ahead; all compute on one pool.
 //!
 //! A lane is two threads: one that does a task, the hand, and one that waits for it. Rendering notices a cancellation within
 //! milliseconds; reading a large scene or building its trees does not. Then the lane leaves the hand behind, to end
@@ -10,14 +10,14 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use femc_fault::{Point, pass};
-use femc_model::{Epoch, Failure, JobSpec, StageKind, TaskKey};
+use femc_model::{Epoch, Failure, JobSpec, TaskKey};
 use femc_proto::Client;
 
 use crate::clock::Stopwatch;
 use crate::config::WorkerError;
 use crate::execute::{Tools, execute};
 use crate::finish::Finish;
-use crate::table::{Outcome, Table, Task};
+use crate::table::{Lane, Outcome, Table, Task};
 
 /// A frame that will be needed soon.
 pub(crate) struct Ahead {
@@ -35,12 +35,12 @@ pub(crate) fn start(
     table: &Arc<Table>,
     finish: &Finish,
 ) -> Result<mpsc::Sender<Ahead>, WorkerError> {
-    for (kind, what) in [(StageKind::Render, "render"), (StageKind::Merge, "merge")] {
-        let (table, finish, name) = (table.clone(), finish.clone(), format!("{name} {what}"));
-        let mut lane = Lane::new(name.clone(), tools.clone())?;
+    for lane in Lane::ALL {
+        let (table, finish, name) = (table.clone(), finish.clone(), format!("{name} {}", lane.name()));
+        let mut runner = Runner::new(name.clone(), tools.clone())?;
         spawn(name, move || {
-            while let Some(task) = table.take(kind) {
-                if let Some(outcome) = lane.work(&task) {
+            while let Some(task) = table.take(lane) {
+                if let Some(outcome) = runner.work(&task) {
                     finish.done(&task, outcome);
                 }
             }
@@ -62,8 +62,8 @@ pub(crate) fn start(
     Ok(ahead)
 }
 
-/// Does tasks one after the other.
-struct Lane {
+/// Does the tasks of a lane, one after the other.
+struct Runner {
     name: String,
     tools: Tools,
     hand: Hand,
@@ -78,7 +78,7 @@ struct Hand {
     thread: JoinHandle<()>,
 }
 
-impl Lane {
+impl Runner {
     /// Between two looks at whether a task is cancelled.
     const LOOK: Duration = Duration::from_millis(50);
     /// How long a cancelled task may go on before its hand is left behind.

@@ -93,6 +93,11 @@ async fn until(client: &Client, job: JobId, wanted: impl Fn(&JobStatus) -> bool)
     last.unwrap()
 }
 
+/// Frames as the coordinator has them gathered in groups of so many tiles.
+fn gathering(group: u32) -> Config {
+    Config { scheduler: femc_schedule::Config { group, ..femc_schedule::Config::default() }, ..Config::default() }
+}
+
 async fn pixels(client: &Client, job: JobId) -> Vec<String> {
     let mut digests = Vec::new();
     for frame in client.frames(job).await.unwrap() {
@@ -134,6 +139,52 @@ async fn three_workers_of_which_one_vanishes_render_the_pixels_of_one() {
     assert_eq!(pixels(&client, id).await, expected);
     others.iter().for_each(JoinHandle::abort);
     farm.stop().await.unwrap();
+}
+
+/// All that a frame's file holds but what differs from run to run, and its record without seconds.
+async fn contents(client: &Client, job: JobId) -> Vec<(String, FrameRecord)> {
+    let mut contents = Vec::new();
+    for frame in client.frames(job).await.unwrap() {
+        let bytes = client.get(&frame.image.digest, frame.image.bytes).await.unwrap();
+        let layers = exr_layers(&bytes);
+        let nothing = Artefact::of(b"");
+        contents.push((layers, FrameRecord { image: nothing, busy_seconds: 0.0, seconds: 0.0, ..frame }));
+    }
+    contents
+}
+
+/// Digest of all channels, and the attributes but for the seconds.
+fn exr_layers(bytes: &[u8]) -> String {
+    use ::exr::prelude::*;
+    let image = read().no_deep_data().largest_resolution_level().all_channels().all_layers().all_attributes();
+    let image = image.from_buffered(std::io::Cursor::new(bytes)).unwrap();
+    let attributes = exr::decode(std::io::Cursor::new(bytes)).unwrap().attributes;
+    let attributes: BTreeMap<_, _> = attributes.into_iter().filter(|(name, _)| !name.contains("seconds")).collect();
+    let channels = format!("{:?}", image.layer_data[0].channel_data);
+    format!("{} {attributes:?}", Digest::of(channels.as_bytes()))
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_merge_as_a_tree_gives_the_frames_of_one_merge_to_the_bit_over_several_rounds_too() {
+    // An error that is never reached: all rounds run.
+    for stop in [Stop::Spp(8), Stop::Error(0.05)] {
+        let mut all = Vec::new();
+        for group in [0, 1, 4] {
+            let farm = Coordinator::start(gathering(group)).await.unwrap();
+            let client = Client::connect(&farm.url()).await.unwrap();
+            let id = submit(&client, job(SCENE, &settings(stop))).await;
+            let workers = [worker(&farm, 1), worker(&farm, 1)];
+            let status = until(&client, id, |_| false).await;
+            assert_eq!((status.state, status.stale_messages), (JobState::Done, 0), "{status:?}");
+            all.push(contents(&client, id).await);
+            workers.iter().for_each(JoinHandle::abort);
+            farm.stop().await.unwrap();
+        }
+        let is_bounded = matches!(stop, Stop::Spp(_));
+        assert!(is_bounded || all[0].iter().any(|(_, frame)| frame.spp > settings(stop).rounds()[0]), "several rounds");
+        assert_eq!(all[0].len(), 3);
+        assert_eq!((&all[1], &all[2]), (&all[0], &all[0]));
+    }
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

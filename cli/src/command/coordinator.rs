@@ -46,6 +46,10 @@ pub struct CoordinatorArgs {
     /// Changes after which the log is written anew, shorter: with fewer a restart is quicker, with more the log is written less
     #[arg(long, value_name = "N", default_value = "20000", value_parser = clap::value_parser!(u32).range(1..))]
     compact: u32,
+    /// Workers gather at most so many tiles at a time, fewer of large ones, while a frame is still being rendered, and its
+    /// merge reads what is gathered; smaller frames are merged at once, with 0 all are. Holds for jobs submitted from now on
+    #[arg(long, value_name = "TILES", default_value_t = femc_schedule::Config::default().group)]
+    gather: u32,
     /// Where scenes, tiles and images are kept: a folder, s3://BUCKET/PREFIX (keys, region and endpoint are read from
     /// AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION, AWS_ENDPOINT_URL, AWS_ALLOW_HTTP), or memory (lost at the end); several
     /// coordinators share one
@@ -142,6 +146,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         artifacts: args.artifacts,
         scheduler: femc_schedule::Config {
             weights: args.share.into_iter().collect(),
+            group: args.gather,
             ..femc_schedule::Config::with_lease(args.lease.as_millis() as u64)
         },
         snapshot: args.compact as usize,

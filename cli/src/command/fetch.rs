@@ -1,7 +1,7 @@
 //! `femc fetch JOB -o DIR`: the finished frames of a job as files.
 
 use super::client::{self, Farm};
-use super::preview;
+use super::preview::Partial;
 use super::render::frame_name;
 use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure, failed};
@@ -54,7 +54,11 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
         let mut partial = Vec::new();
         for parts in if args.partial { farm.parts(JobId(args.job)).await? } else { Vec::new() } {
             let path = args.out.join(format!("{}.{:04}.partial.exr", status.name, parts.frame));
-            partial.extend(preview::write(farm, parts, &path).await?.then_some(path));
+            let mut there = Partial::new(&parts)?;
+            if there.take(farm, &parts).await? {
+                there.write(&path)?;
+                partial.push(path);
+            }
         }
         Ok((status, files, partial))
     })?;

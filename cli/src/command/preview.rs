@@ -2,34 +2,85 @@
 
 use super::client::Farm;
 use crate::exit::{Failure, failed};
-use femc_film::{Frame, Provenance, Tile, Tiling, exr};
-use femc_model::FrameParts;
+use femc_film::{BadSamples, Frame, FrameImage, Piece, Provenance, Tile, Tiling, exr};
+use femc_model::{Digest, FrameParts};
+use std::collections::BTreeSet;
 use std::path::Path;
 
-/// Write what there is of a frame; false if it went on meanwhile, and its parts are gone.
-pub async fn write(farm: &Farm, parts: FrameParts, path: &Path) -> Result<bool, Failure> {
-    let [width, height] = parts.grid.film;
-    let mut frame = Frame::new(Tiling::new(width, height, parts.grid.tile).map_err(failed)?);
-    let mut insert = |tile: Tile| frame.insert(tile).map(drop).map_err(failed);
-    if let Some(sums) = parts.sums {
-        let Some(bytes) = farm.get_if_there(&sums).await? else { return Ok(false) };
-        femc_worker::decode_sums(&bytes).map_err(failed)?.into_iter().try_for_each(&mut insert)?;
+/// A frame as far as it is done; it grows.
+pub struct Partial {
+    frame: u32,
+    union: Frame,
+    /// Of groups of tiles, which take the place of what is in `union`.
+    pieces: Vec<Piece>,
+    /// What is taken in.
+    seen: BTreeSet<Digest>,
+}
+
+impl Partial {
+    /// Nothing of a frame yet.
+    pub fn new(parts: &FrameParts) -> Result<Self, Failure> {
+        let ([width, height], edge) = (parts.grid.film, parts.grid.tile);
+        let union = Frame::new(Tiling::new(width, height, edge).map_err(failed)?);
+        Ok(Self { frame: parts.frame, union, pieces: Vec::new(), seen: BTreeSet::new() })
     }
-    for tile in &parts.tiles {
-        let Some(bytes) = farm.get_if_there(tile).await? else { return Ok(false) };
-        insert(Tile::decode(&bytes).map_err(failed)?)?;
+
+    /// Whether these parts are of the same frame and add to what is here: another round begins with other sums.
+    pub fn may_take(&self, parts: &FrameParts) -> bool {
+        self.frame == parts.frame && parts.sums.iter().all(|sums| self.seen.contains(&sums.digest))
     }
-    let image = frame.resolve();
-    let provenance = Provenance {
-        version: env!("CARGO_PKG_VERSION").into(),
-        settings: String::new(),
-        scene: String::new(),
-        frame: parts.frame,
-        seconds: 0.0,
-        spp: frame.mean_spp(),
-        relative_error: image.error().worst,
-        bad: frame.bad(),
-    };
-    femc_film::file::write_atomic(path, &exr::encode(&image, &provenance).map_err(failed)?).map_err(failed)?;
-    Ok(true)
+
+    /// Take in what is new; false if the frame went on meanwhile, and its parts are gone.
+    pub async fn take(&mut self, farm: &Farm, parts: &FrameParts) -> Result<bool, Failure> {
+        for artefact in parts.sums.iter().chain(&parts.tiles).chain(&parts.groups) {
+            if self.seen.contains(&artefact.digest) {
+                continue;
+            }
+            let Some(bytes) = farm.get_if_there(artefact).await? else { return Ok(false) };
+            if parts.groups.contains(artefact) {
+                self.pieces.push(Piece::decode(&bytes).map_err(failed)?);
+            } else if parts.tiles.contains(artefact) {
+                self.insert(vec![Tile::decode(&bytes).map_err(failed)?])?;
+            } else {
+                self.insert(femc_worker::decode_sums(&bytes).map_err(failed)?)?;
+            }
+            self.seen.insert(artefact.digest);
+        }
+        Ok(true)
+    }
+
+    fn insert(&mut self, tiles: Vec<Tile>) -> Result<(), Failure> {
+        tiles.into_iter().try_for_each(|tile| self.union.insert(tile).map(drop)).map_err(failed)
+    }
+
+    /// Black where nothing is rendered yet.
+    pub fn image(&self) -> Result<FrameImage, Failure> {
+        let mut image = self.union.resolve();
+        self.pieces.iter().try_for_each(|piece| image.put(piece)).map_err(failed)?;
+        Ok(image)
+    }
+
+    fn bad(&self) -> BadSamples {
+        let mut bad = BadSamples::default();
+        let is_loose = |index: &usize| !self.pieces.iter().any(|piece| piece.tiles().contains(index));
+        let loose = (0..self.union.tiling().count()).filter(is_loose).filter_map(|index| self.union.tile(index));
+        loose.map(Tile::bad).chain(self.pieces.iter().map(Piece::bad)).for_each(|part| bad.merge(part));
+        bad
+    }
+
+    /// Write it as EXR.
+    pub fn write(&self, path: &Path) -> Result<(), Failure> {
+        let image = self.image()?;
+        let provenance = Provenance {
+            version: env!("CARGO_PKG_VERSION").into(),
+            settings: String::new(),
+            scene: String::new(),
+            frame: self.frame,
+            seconds: 0.0,
+            spp: image.mean_spp(),
+            relative_error: image.error().worst,
+            bad: self.bad(),
+        };
+        femc_film::file::write_atomic(path, &exr::encode(&image, &provenance).map_err(failed)?).map_err(failed)
+    }
 }

@@ -116,6 +116,7 @@ fn stage(stage: StageKind) -> &'static str {
     match stage {
         StageKind::Render => "render",
         StageKind::Merge => "merge",
+        StageKind::Gather => "gather",
     }
 }
 
@@ -152,6 +153,10 @@ pub fn wait(wait: &Wait) -> String {
         Wait::BehindJob(job) => format!("job {job} goes first"),
         Wait::MergeWaitsForTiles { frame, tiles } => {
             format!("the merge of frame {frame} waits for {}", human::count(u64::from(*tiles), "tile"))
+        }
+        Wait::MergeWaitsForGroups { frame, groups } => {
+            let groups = human::count(u64::from(*groups), "group");
+            format!("the merge of frame {frame} waits for {groups} of tiles to be gathered")
         }
         Wait::Quarantined { frame, tasks } => {
             format!("frame {frame} cannot go on: {} out of attempts", human::count(u64::from(*tasks), "task"))

@@ -54,6 +54,7 @@ impl FromStr for Tasks {
             None => None,
             Some("render") => Some(StageKind::Render),
             Some("merge") => Some(StageKind::Merge),
+            Some("gather") => Some(StageKind::Gather),
             Some(_) => return Err(wrong()),
         };
         let index = parts.next().map(number).transpose()?;

@@ -31,53 +31,22 @@ const LEVEL: i32 = 1;
 impl Tile {
     /// The tile as bytes: the same bytes for the same sums.
     pub fn encode(&self) -> Vec<u8> {
-        let mut out = Vec::new();
-        out.extend_from_slice(MAGIC);
-        out.extend_from_slice(&VERSION.to_le_bytes());
-        out.extend_from_slice(&[0; CHECKSUM]);
+        let mut out = begin(MAGIC, VERSION);
         let mut word = |w: u32| out.extend_from_slice(&w.to_le_bytes());
         let Rect { x, y, width, height } = self.rect;
-        [x, y, width, height, self.ranges.len() as u32].into_iter().for_each(&mut word);
-        self.ranges.iter().flat_map(|r| [r.start, r.end]).for_each(&mut word);
-        self.bad.counts.iter().flat_map(|&c| [c as u32, (c >> 32) as u32]).for_each(&mut word);
-        let first = self.bad.first.map_or([0; 5], |b| [1, b.y, b.x, b.sample, b.kind as u32]);
-        first.into_iter().for_each(&mut word);
-        // Compression of a buffer in memory to a growing one cannot fail; should it, the result does not decode.
-        out.extend(zstd::bulk::compress(&to_planes(&self.pixels), LEVEL).unwrap_or_default());
-        let sum = blake3::hash(&out[PREFIX..]);
-        out[PREFIX - CHECKSUM..PREFIX].copy_from_slice(&sum.as_bytes()[..CHECKSUM]);
-        out
+        [x, y, width, height].into_iter().for_each(&mut word);
+        put_account(&self.ranges, &self.bad, &mut word);
+        finish(out, &to_planes(&self.pixels, to_bytes))
     }
 
     /// The tile from its bytes; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
-        let (prefix, body) = bytes.split_at_checked(PREFIX).ok_or(FilmError::Corrupt("cut short"))?;
-        if prefix[..MAGIC.len()] != MAGIC[..] {
-            return Err(FilmError::Corrupt("not a tile"));
-        }
-        let mut reader = Reader(&prefix[MAGIC.len()..]);
-        let version = reader.word()?;
-        if version != VERSION {
-            return Err(FilmError::Version { found: version, expected: VERSION });
-        }
-        if blake3::hash(body).as_bytes()[..CHECKSUM] != *reader.0 {
-            return Err(FilmError::Corrupt("checksum mismatch"));
-        }
-        let mut reader = Reader(body);
+        let mut reader = open(MAGIC, VERSION, bytes)?;
         let [x, y, width, height] = reader.words()?;
         let rect = Rect { x, y, width, height }.check(MAX_TILE_PIXELS)?;
         let ranges = reader.ranges()?;
         let bad = reader.bad(rect)?;
-        let plain = rect.area() as usize * PIXEL_BYTES;
-        if zstd::zstd_safe::get_frame_content_size(reader.0).ok().flatten() != Some(plain as u64) {
-            return Err(FilmError::Corrupt("sums of another size"));
-        }
-        let planes =
-            zstd::bulk::decompress(reader.0, plain).map_err(|_| FilmError::Corrupt("sums do not decompress"))?;
-        if planes.len() != plain {
-            return Err(FilmError::Corrupt("sums of another size"));
-        }
-        let pixels = from_planes(&planes, rect.area() as usize);
+        let pixels = reader.planes(rect.area() as usize, from_bytes)?;
         let most: u64 = ranges.iter().map(|r| u64::from(r.len())).sum();
         if pixels.iter().any(|p| p.hits > p.count || u64::from(p.count) > most) {
             return Err(FilmError::Corrupt("more samples than its ranges hold"));
@@ -86,17 +55,78 @@ impl Tile {
     }
 }
 
-/// What is left of a header.
-struct Reader<'a>(&'a [u8]);
+/// Magic, version, and room for the checksum.
+pub(crate) fn begin(magic: &[u8; 8], version: u32) -> Vec<u8> {
+    let mut out = magic.to_vec();
+    out.extend_from_slice(&version.to_le_bytes());
+    out.extend_from_slice(&[0; CHECKSUM]);
+    out
+}
+
+/// Sample ranges and bad samples, as words.
+pub(crate) fn put_account(ranges: &[SampleRange], bad: &BadSamples, mut word: impl FnMut(u32)) {
+    word(ranges.len() as u32);
+    ranges.iter().flat_map(|r| [r.start, r.end]).for_each(&mut word);
+    bad.counts.iter().flat_map(|&c| [c as u32, (c >> 32) as u32]).for_each(&mut word);
+    let first = bad.first.map_or([0; 5], |b| [1, b.y, b.x, b.sample, b.kind as u32]);
+    first.into_iter().for_each(&mut word);
+}
+
+/// The header, the byte planes compressed, and the checksum of both.
+pub(crate) fn finish(mut out: Vec<u8>, planes: &[u8]) -> Vec<u8> {
+    // Compression of a buffer in memory to a growing one cannot fail; should it, the result does not decode.
+    out.extend(zstd::bulk::compress(planes, LEVEL).unwrap_or_default());
+    let sum = blake3::hash(&out[PREFIX..]);
+    out[PREFIX - CHECKSUM..PREFIX].copy_from_slice(&sum.as_bytes()[..CHECKSUM]);
+    out
+}
+
+/// What follows the checksum, which is right.
+pub(crate) fn open<'a>(magic: &[u8; 8], version: u32, bytes: &'a [u8]) -> Result<Reader<'a>, FilmError> {
+    let (prefix, body) = bytes.split_at_checked(PREFIX).ok_or(FilmError::Corrupt("cut short"))?;
+    if prefix[..magic.len()] != magic[..] {
+        return Err(FilmError::Corrupt("it begins as something else"));
+    }
+    let mut reader = Reader(&prefix[magic.len()..]);
+    let found = reader.word()?;
+    if found != version {
+        return Err(FilmError::Version { found, expected: version });
+    }
+    if blake3::hash(body).as_bytes()[..CHECKSUM] != *reader.0 {
+        return Err(FilmError::Corrupt("checksum mismatch"));
+    }
+    Ok(Reader(body))
+}
+
+/// What is left to read.
+pub(crate) struct Reader<'a>(&'a [u8]);
 
 impl Reader<'_> {
+    /// The pixels of compressed byte planes.
+    pub(crate) fn planes<T, const N: usize>(
+        self,
+        count: usize,
+        from_bytes: impl Fn(&[u8; N]) -> T,
+    ) -> Result<Vec<T>, FilmError> {
+        let plain = count * N;
+        if zstd::zstd_safe::get_frame_content_size(self.0).ok().flatten() != Some(plain as u64) {
+            return Err(FilmError::Corrupt("pixels of another number"));
+        }
+        let planes =
+            zstd::bulk::decompress(self.0, plain).map_err(|_| FilmError::Corrupt("pixels do not decompress"))?;
+        if planes.len() != plain {
+            return Err(FilmError::Corrupt("pixels of another number"));
+        }
+        Ok(from_planes(&planes, count, from_bytes))
+    }
+
     fn word(&mut self) -> Result<u32, FilmError> {
         let (word, rest) = self.0.split_first_chunk().ok_or(FilmError::Corrupt("cut short"))?;
         self.0 = rest;
         Ok(u32::from_le_bytes(*word))
     }
 
-    fn words<const N: usize>(&mut self) -> Result<[u32; N], FilmError> {
+    pub(crate) fn words<const N: usize>(&mut self) -> Result<[u32; N], FilmError> {
         let mut words = [0; N];
         for word in &mut words {
             *word = self.word()?;
@@ -104,7 +134,7 @@ impl Reader<'_> {
         Ok(words)
     }
 
-    fn ranges(&mut self) -> Result<Vec<SampleRange>, FilmError> {
+    pub(crate) fn ranges(&mut self) -> Result<Vec<SampleRange>, FilmError> {
         let count = self.word()?;
         if !(1..=MAX_RANGES).contains(&count) || self.0.len() < 8 * count as usize {
             return Err(FilmError::Corrupt("impossible number of sample ranges"));
@@ -122,7 +152,7 @@ impl Reader<'_> {
         Ok(ranges)
     }
 
-    fn bad(&mut self, rect: Rect) -> Result<BadSamples, FilmError> {
+    pub(crate) fn bad(&mut self, rect: Rect) -> Result<BadSamples, FilmError> {
         let mut counts = [0; 4];
         for count in &mut counts {
             let [low, high] = self.words()?;
@@ -173,10 +203,10 @@ fn from_bytes(bytes: &[u8; PIXEL_BYTES]) -> PixelSums {
 /// Pixels transposed at a time: planes lie a power of two apart, and single bytes written to them would share a cache set.
 const STRIP: usize = 64;
 
-fn to_planes(pixels: &[PixelSums]) -> Vec<u8> {
-    let mut planes = vec![0; pixels.len() * PIXEL_BYTES];
+pub(crate) fn to_planes<T, const N: usize>(pixels: &[T], to_bytes: impl Fn(&T) -> [u8; N]) -> Vec<u8> {
+    let mut planes = vec![0; pixels.len() * N];
     for (strip, chunk) in pixels.chunks(STRIP).enumerate() {
-        let mut block = [[0; STRIP]; PIXEL_BYTES];
+        let mut block = [[0; STRIP]; N];
         for (i, pixel) in chunk.iter().enumerate() {
             block.iter_mut().zip(to_bytes(pixel)).for_each(|(row, byte)| row[i] = byte);
         }
@@ -188,11 +218,11 @@ fn to_planes(pixels: &[PixelSums]) -> Vec<u8> {
     planes
 }
 
-fn from_planes(planes: &[u8], count: usize) -> Vec<PixelSums> {
+fn from_planes<T, const N: usize>(planes: &[u8], count: usize, from_bytes: impl Fn(&[u8; N]) -> T) -> Vec<T> {
     let mut pixels = Vec::with_capacity(count);
     for start in (0..count).step_by(STRIP) {
         let length = STRIP.min(count - start);
-        let mut block = [[0; STRIP]; PIXEL_BYTES];
+        let mut block = [[0; STRIP]; N];
         for (plane, row) in block.iter_mut().enumerate() {
             let at = plane * count + start;
             row[..length].copy_from_slice(&planes[at..at + length]);

@@ -1,7 +1,7 @@
 //! One frame: the union of tiles.
 
-use crate::tile::{ALBEDO_FRACTION, Merged, PixelSums};
-use crate::{BadSamples, FilmError, FrameImage, Image, SampleRange, Tile, Tiling};
+use crate::tile::Merged;
+use crate::{BadSamples, FilmError, FrameImage, SampleRange, Tile, Tiling};
 
 /// What an insertion did.
 pub type Inserted = Merged;
@@ -56,61 +56,15 @@ impl Frame {
         all
     }
 
-    /// Samples a pixel, averaged over the film; left-out samples do not count.
-    pub fn mean_spp(&self) -> f64 {
-        let total: u64 = self.tiles.iter().flatten().flat_map(Tile::pixels).map(|p| u64::from(p.count)).sum();
-        total as f64 / (f64::from(self.tiling.width) * f64::from(self.tiling.height))
-    }
-
     /// The image: means, variances of the means, counts. Pixels without samples are zero.
     pub fn resolve(&self) -> FrameImage {
         let Tiling { width, height, .. } = self.tiling;
         let mut image = FrameImage::black(width, height);
         for tile in self.tiles.iter().flatten() {
             for ((x, y), sums) in tile.rect.pixels().zip(&tile.pixels) {
-                image.set(y as usize * width as usize + x as usize, sums);
+                image.set(y as usize * width as usize + x as usize, &sums.resolve());
             }
         }
         image
     }
-}
-
-impl FrameImage {
-    fn black(width: u32, height: u32) -> Self {
-        let count = width as usize * height as usize;
-        Self {
-            color: Image { width, height, pixels: vec![[0.0; 3]; count] },
-            variance: vec![[0.0; 3]; count],
-            albedo: vec![[0.0; 3]; count],
-            depth: vec![0.0; count],
-            samples: vec![0; count],
-        }
-    }
-
-    fn set(&mut self, at: usize, sums: &PixelSums) {
-        if sums.count == 0 {
-            return;
-        }
-        let n = f64::from(sums.count);
-        for i in 0..3 {
-            let mean = sums.color[i].value() / n;
-            self.color.pixels[at][i] = mean as f32;
-            self.variance[at][i] = variance_of_mean(mean, sums.square[i].value(), n) as f32;
-            let unit = f64::from(1u32 << ALBEDO_FRACTION);
-            self.albedo[at][i] = (sums.albedo[i] as f64 / unit / n) as f32;
-        }
-        if sums.hits > 0 {
-            self.depth[at] = (sums.depth.value() / f64::from(sums.hits)) as f32;
-        }
-        self.samples[at] = sums.count;
-    }
-}
-
-/// Unbiased estimate of the variance of a mean of `n` independent samples from their sum of squares; one sample tells
-/// nothing, and the squared mean stands in for it (a relative error of 1).
-fn variance_of_mean(mean: f64, squares: f64, n: f64) -> f64 {
-    if n < 2.0 {
-        return mean * mean;
-    }
-    ((squares / n - mean * mean) / (n - 1.0)).max(0.0)
 }

@@ -39,6 +39,13 @@ impl SampleRange {
         self.len() == 0
     }
 
+    /// Ranges that ascend without a gap, as one; `None` for others, and for no range.
+    pub fn joined(ranges: &[Self]) -> Option<Self> {
+        let (first, rest) = ranges.split_first()?;
+        let join = |one: Self, next: &Self| (one.end == next.start).then_some(Self { end: next.end, ..one });
+        rest.iter().try_fold(*first, join)
+    }
+
     const fn overlaps(self, other: Self) -> bool {
         self.start < other.end && other.start < self.end
     }

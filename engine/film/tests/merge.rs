@@ -172,7 +172,7 @@ fn means_variances_and_layers_are_those_of_the_samples() {
     assert_eq!(image.variance[0], [14.0f32 / 12.0, 14.0f32 / 3.0, 0.0]);
     assert_eq!(image.albedo[0], [0.25, 1.0, 255.0]);
     assert_eq!(image.depth[0], 11.0 / 3.0);
-    assert_eq!((image.samples[0], frame.mean_spp()), (4, 4.0));
+    assert_eq!((image.samples[0], image.mean_spp()), (4, 4.0));
 }
 
 #[test]

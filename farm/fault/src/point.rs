@@ -52,7 +52,7 @@ points! {
     WorkerAfterReport = "worker-after-report",
     /// A report is acknowledged; the result is still kept.
     WorkerBeforeForget = "worker-before-forget",
-    /// A tile is about to join the frame; those before it have.
+    /// A tile or a group of them is about to join the frame; those before it have.
     WorkerMidMerge = "worker-mid-merge",
     /// A scene's list of pieces is there, and pieces are missing.
     WorkerMidFetch = "worker-mid-fetch",

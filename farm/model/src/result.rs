@@ -47,7 +47,7 @@ pub enum Decision {
 pub struct MergeResult {
     /// Whether the frame is finished.
     pub decision: Decision,
-    /// The encoded sums, for the next round's merge.
+    /// The encoded sums, for the next round's merge; those of a frame in groups are the groups'.
     pub sums: Option<Artefact>,
     /// The finished image as EXR; `None` while the decision is `Continue`.
     pub image: Option<Artefact>,
@@ -61,6 +61,24 @@ pub struct MergeResult {
     pub seconds: f64,
 }
 
+/// A gathered group of tiles.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct GatherResult {
+    /// Its encoded sums, for the next round; `None` after the last.
+    pub sums: Option<Artefact>,
+    /// Its resolved pixels, for the merge and for previews.
+    pub pixels: Artefact,
+    /// Seconds that the worker spent on it.
+    pub seconds: f64,
+}
+
+impl GatherResult {
+    /// Every artefact that it names.
+    pub fn artefacts(&self) -> impl Iterator<Item = Artefact> + use<> {
+        self.sums.into_iter().chain([self.pixels])
+    }
+}
+
 /// Result of a task, by its kind.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum TaskResult {
@@ -68,6 +86,29 @@ pub enum TaskResult {
     Tile(TileResult),
     /// Of a merge task.
     Merge(MergeResult),
+    /// Of a gather task.
+    Gather(GatherResult),
+}
+
+impl TaskResult {
+    /// Every artefact that it names.
+    pub fn artefacts(&self) -> impl Iterator<Item = Artefact> {
+        let all = match self {
+            Self::Tile(tile) => [Some(tile.tile), None, None],
+            Self::Merge(merge) => [merge.sums, merge.image, merge.preview],
+            Self::Gather(group) => [group.sums, Some(group.pixels), None],
+        };
+        all.into_iter().flatten()
+    }
+
+    /// Seconds that the worker spent on it.
+    pub fn seconds(&self) -> f64 {
+        match self {
+            Self::Tile(tile) => tile.seconds,
+            Self::Merge(merge) => merge.seconds,
+            Self::Gather(group) => group.seconds,
+        }
+    }
 }
 
 /// What there is of a frame in work: enough for a preview.
@@ -77,10 +118,12 @@ pub struct FrameParts {
     pub frame: u32,
     /// Film and tiles.
     pub grid: Grid,
-    /// What the rounds before add up to.
-    pub sums: Option<Artefact>,
-    /// The tiles of this round that are done, some in parts, in order of key.
+    /// What the rounds before add up to, where it is not in `groups`: of the whole frame, or of groups of tiles.
+    pub sums: Vec<Artefact>,
+    /// The tiles of this round that are done and not in `groups`, some in parts, in order of key.
     pub tiles: Vec<Artefact>,
+    /// Resolved pixels of the groups that are gathered in this round.
+    pub groups: Vec<Artefact>,
 }
 
 /// A finished frame.

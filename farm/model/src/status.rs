@@ -122,6 +122,13 @@ pub enum Wait {
         /// Tiles not done.
         tiles: u32,
     },
+    /// All tiles are done, and the merge waits for groups of them that workers are gathering.
+    MergeWaitsForGroups {
+        /// Frame number.
+        frame: u32,
+        /// Groups not gathered.
+        groups: u32,
+    },
     /// A task used up its attempts, and its frame cannot go on.
     Quarantined {
         /// Frame number.

@@ -14,6 +14,8 @@ pub enum StageKind {
     Render,
     /// Union all tiles of a frame's round, measure, decide, write the image.
     Merge,
+    /// Union the tiles of one group: what the merge of a large frame reads instead of its tiles.
+    Gather,
 }
 
 /// An array of tasks that may run side by side: one round of one frame.
@@ -34,7 +36,8 @@ pub struct TaskKey {
     pub job: JobId,
     /// The stage of the job.
     pub stage: Stage,
-    /// Number within the stage: of a render stage, the first of the task's [`Grains`](crate::Grains).
+    /// Number within the stage: of a render stage, the first of the task's [`Grains`](crate::Grains); of a gather stage, the
+    /// group's.
     pub index: u32,
 }
 
@@ -44,6 +47,7 @@ impl fmt::Display for TaskKey {
         let kind = match kind {
             StageKind::Render => "render",
             StageKind::Merge => "merge",
+            StageKind::Gather => "gather",
         };
         write!(f, "{}/{frame}.{round}/{kind}/{}", self.job, self.index)
     }
@@ -72,12 +76,10 @@ pub enum Work {
         /// Sample indices.
         samples: Range<u32>,
     },
-    /// Union the tiles, and what was merged before them.
+    /// Union all that there is of the frame, measure, decide.
     Merge {
-        /// Sums of the rounds before, if any.
-        previous: Option<Artefact>,
-        /// The tiles of this round, some in parts, in order of key: together each sample of each tile once.
-        tiles: Vec<Artefact>,
+        /// What there is of it.
+        inputs: MergeInputs,
         /// Samples a pixel that the sums hold after this merge.
         spp: u32,
         /// Milliseconds since the frame's first lease: for a time budget.
@@ -87,6 +89,48 @@ pub enum Work {
         /// Whether another round may follow.
         more: More,
     },
+    /// Union the tiles of a group, and what was gathered of them before.
+    Gather {
+        /// Their numbers in the grid.
+        span: Range<u32>,
+        /// What there is of them.
+        parts: Parts,
+        /// Whether another round may follow: only then are the sums kept.
+        more: More,
+    },
+}
+
+/// The tiles of a task that unites some.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Parts {
+    /// Sums of the rounds before, if any.
+    pub previous: Option<Artefact>,
+    /// The tiles of this round in the order of their index.
+    pub tiles: Vec<Artefact>,
+}
+
+/// What a merge is made of.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub enum MergeInputs {
+    /// All tiles of the frame.
+    Tiles(Parts),
+    /// The resolved pixels of every group of tiles, in the order of their index.
+    Groups(Vec<Artefact>),
+}
+
+impl Work {
+    /// Every artefact that is read for it, beside the scene.
+    pub fn inputs(&self) -> impl Iterator<Item = Artefact> + '_ {
+        let (parts, groups) = match self {
+            Self::Render { .. } => (None, &[][..]),
+            Self::Gather { parts, .. } | Self::Merge { inputs: MergeInputs::Tiles(parts), .. } => {
+                (Some(parts), &[][..])
+            }
+            Self::Merge { inputs: MergeInputs::Groups(groups), .. } => (None, &groups[..]),
+        };
+        let parts = parts.into_iter().flat_map(|parts| parts.previous.iter().chain(&parts.tiles));
+        parts.chain(groups).copied()
+    }
 }
 
 /// Whether the plan has a round after this one.
@@ -94,6 +138,6 @@ pub enum Work {
 pub enum More {
     /// The merge may ask for another round.
     Rounds,
-    /// This is the last: finish the frame with what there is.
+    /// This is the last: the frame is finished with what there is.
     Last,
 }

@@ -55,6 +55,7 @@ fn main() {
             Work::Render { .. } => {
                 TaskResult::Tile(TileResult { tile: name, samples: 1024, bad_samples: 0, seconds: 0.0 })
             }
+            Work::Gather { .. } => TaskResult::Gather(GatherResult { sums: Some(name), pixels: name, seconds: 0.0 }),
             Work::Merge { .. } => TaskResult::Merge(MergeResult {
                 decision: Decision::Done,
                 sums: None,

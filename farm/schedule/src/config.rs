@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::num::NonZeroU64;
 
+use femc_model::Grid;
+
 /// Times in milliseconds.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Config {
@@ -38,6 +40,9 @@ pub struct Config {
     pub least_task: u64,
     /// Pixel samples of a tile below which it is not cut; of jobs that are submitted from now on.
     pub grain: NonZeroU64,
+    /// Most tiles that are gathered at a time before the merge, in frames of more than so many; of large tiles fewer. 0: the
+    /// merge reads all tiles.
+    pub group: u32,
     /// Weights of owners in the fair share of time; who is not named has 1.
     pub weights: BTreeMap<String, u32>,
 }
@@ -60,6 +65,16 @@ impl Config {
     /// Leases of so many milliseconds and heartbeats to match.
     pub fn with_lease(lease: u64) -> Self {
         Self { lease, heartbeat: lease / Self::HEARTBEATS, ..Self::default() }
+    }
+
+    /// Most pixels of a group: a worker unites their sums, 144 bytes each, in about a second.
+    const GATHERED: u64 = 1 << 18;
+
+    /// Tiles of a group in a frame of this grid; `None`: its merge reads all tiles.
+    pub(crate) fn group_of(&self, grid: &Grid) -> Option<u32> {
+        let tile = u64::from(grid.tile) * u64::from(grid.tile);
+        let group = u64::from(self.group).min((Self::GATHERED / tile.max(1)).max(1)) as u32;
+        (group > 0 && grid.tiles() > group).then_some(group)
     }
 
     /// An owner's weight.
@@ -85,7 +100,23 @@ impl Default for Config {
             task: 8_000,
             least_task: 1_500,
             grain: Self::GRAIN,
+            group: 256,
             weights: BTreeMap::new(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_group_has_a_number_of_tiles_and_of_pixels_that_it_does_not_exceed() {
+        let group = |film, tile| Config::default().group_of(&Grid { film, tile });
+        assert_eq!(group([3840, 2160], 16), Some(256));
+        assert_eq!(group([3840, 2160], 64), Some(64), "64 x 64 x 64 pixels");
+        assert_eq!(group([3840, 2160], 1024), Some(1));
+        assert_eq!((group([512, 512], 64), group([256, 256], 16)), (None, None), "one group is none");
+        assert_eq!(Config { group: 0, ..Config::default() }.group_of(&Grid { film: [3840, 2160], tile: 16 }), None);
     }
 }

@@ -19,12 +19,15 @@ impl Scheduler {
             return Ok(Answer::Submitted(job));
         }
         let job = self.ledger.next_job();
-        let samples = self.config.grain;
+        let (samples, group) = (self.config.grain, self.config.group_of(&spec.grid));
         let is_cut =
             (0..spec.rounds.len() as u32).any(|round| Grains::of(&spec, round, Cut::Grains(samples)).per_tile() > 1);
         self.record(Fact::Submitted { job, key, spec }, now, out);
         if is_cut {
             self.record(Fact::Cut { job, samples }, now, out);
+        }
+        if let Some(tiles) = group {
+            self.record(Fact::Grouped { job, tiles }, now, out);
         }
         self.rebuild(job);
         out.push(Command::Changed(job));

@@ -2,10 +2,10 @@
 
 use std::ops::Range;
 
-use femc_model::{Artefact, Assignment, Epoch, JobId, More, Stage, StageKind, TaskKey, Tick, Wait, Work, WorkerId};
+use femc_model::{Assignment, Epoch, JobId, More, Stage, StageKind, TaskKey, Tick, Wait, Work, WorkerId};
 
 use crate::Command;
-use crate::desk::Desk;
+use crate::desk::{Desk, OpenFrame};
 use crate::floor::{Floor, Worker};
 use crate::ledger::Job;
 use crate::scheduler::Scheduler;
@@ -41,7 +41,7 @@ impl Scheduler {
     }
 
     /// The first ready task that the worker may take: jobs in their order of service, frames in order, a frame's merge
-    /// before the tiles of later frames.
+    /// and groups before the tiles of later frames.
     fn pick(&mut self, id: WorkerId, now: Tick) -> Pick {
         let mut best = Pick::NothingReady;
         let Some(worker) = self.floor.workers.get(&id) else { return best };
@@ -96,22 +96,25 @@ impl Scheduler {
 
     fn work(&self, task: &TaskKey, run: &Range<u32>, now: Tick) -> Option<Work> {
         let job = self.ledger.jobs.get(&task.job)?;
+        let layout = job.layout(task.stage.round);
+        let is_last = task.stage.round as usize + 1 >= job.spec.rounds.len();
+        let more = if is_last { More::Last } else { More::Rounds };
         Some(match task.stage.kind {
             StageKind::Render => {
-                let grains = job.grains(task.stage.round);
-                Work::Render { tile: grains.tile(task.index), samples: grains.samples(run) }
+                Work::Render { tile: layout.grains.tile(task.index), samples: layout.grains.samples(run) }
+            }
+            StageKind::Gather => {
+                let frame = job.frames.get(&task.stage.frame)?;
+                Work::Gather { span: layout.span(task.index), parts: frame.parts_of(&layout, task.index), more }
             }
             StageKind::Merge => {
                 let frame = job.frames.get(&task.stage.frame)?;
-                let tiles: Vec<Artefact> = frame.tiles.values().map(|tile| tile.result.tile).collect();
-                let is_last = task.stage.round as usize + 1 >= job.spec.rounds.len();
                 Work::Merge {
-                    previous: frame.sums,
-                    tiles,
+                    inputs: frame.merge_inputs(&layout),
                     spp: job.spec.samples(task.stage.round).end,
                     elapsed: now.since(frame.began),
                     busy_seconds: frame.busy_seconds,
-                    more: if is_last { More::Last } else { More::Rounds },
+                    more,
                 }
             }
         })
@@ -131,14 +134,10 @@ impl Scheduler {
             waits.push(Wait::Paused);
             return waits;
         }
-        let total = job.spec.grid.tiles();
         for (&frame, open) in &desk.open {
-            let done = job.frames.get(&frame).map_or(0, |frame| frame.whole);
-            if open.grains.is_empty() && done < total {
-                waits.push(Wait::MergeWaitsForTiles { frame, tiles: total - done });
-            }
+            waits.extend(why_no_merge(job, frame, open));
         }
-        let is_ready = desk.open.values().any(|frame| frame.merge || !frame.grains.is_empty());
+        let is_ready = desk.open.values().any(OpenFrame::has_some);
         if is_ready || desk.cursor < job.spec.frames.len() {
             waits.extend(self.why_no_worker(id, job, desk, now));
             waits.extend(self.why_shunned(job, desk, now));
@@ -191,6 +190,18 @@ impl Scheduler {
     }
 }
 
+/// What the frame's merge waits for, where it cannot be leased now.
+fn why_no_merge(job: &Job, number: u32, open: &OpenFrame) -> Option<Wait> {
+    let (frame, layout) = (job.frames.get(&number), job.layout(open.round));
+    let tiles = layout.tiles() - frame.map_or(0, |frame| frame.tiles_done(&layout));
+    let groups = layout.groups() - frame.map_or(0, |frame| frame.groups.done.len() as u32);
+    if tiles > 0 {
+        open.grains.is_empty().then_some(Wait::MergeWaitsForTiles { frame: number, tiles })
+    } else {
+        (groups > 0 && open.gathers.is_empty()).then_some(Wait::MergeWaitsForGroups { frame: number, groups })
+    }
+}
+
 /// Whether the job's tasks keep failing on this worker, and another that is trusted could take them.
 fn is_shunned(job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor, now: Tick) -> bool {
     let shuns = |id| floor.instance(id).is_some_and(|instance| desk.distrust.shuns(instance, now).is_some());
@@ -206,8 +217,9 @@ fn first_ready(id: JobId, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floo
     for (&frame, open) in &desk.open {
         let key = |kind, index| TaskKey { job: id, stage: Stage { frame, round: open.round, kind }, index };
         let merge = open.merge.then(|| key(StageKind::Merge, 0));
+        let gathers = open.gathers.iter().map(|group| key(StageKind::Gather, group));
         let renders = open.grains.iter().map(|index| key(StageKind::Render, index));
-        for task in merge.into_iter().chain(renders) {
+        for task in merge.into_iter().chain(gathers).chain(renders) {
             if !is_avoided(&task, job, desk, worker, floor) {
                 return Pick::Task(task);
             }

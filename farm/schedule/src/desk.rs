@@ -8,8 +8,7 @@ use femc_model::{JobId, Stage, StageKind, TaskKey, Tick, WorkerId};
 use crate::RangeSet;
 use crate::distrust::Distrust;
 use crate::floor::Floor;
-use crate::ledger::Job;
-use crate::ledger::frame::Frame;
+use crate::ledger::{Job, Layout};
 use crate::pace::Pace;
 
 /// A frame whose tasks may be leased.
@@ -18,8 +17,22 @@ pub(crate) struct OpenFrame {
     pub(crate) round: u32,
     /// Grains of its tiles that nobody holds.
     pub(crate) grains: RangeSet,
+    /// Groups of tiles that can be gathered and that nobody holds.
+    pub(crate) gathers: RangeSet,
     /// Whether the merge can run and nobody holds it.
     pub(crate) merge: bool,
+}
+
+impl OpenFrame {
+    /// A frame that nobody has begun.
+    fn fresh(layout: &Layout) -> Self {
+        Self { grains: RangeSet::full(layout.grains.all()), ..Self::default() }
+    }
+
+    /// Whether something of it can be leased.
+    pub(crate) fn has_some(&self) -> bool {
+        self.merge || !self.gathers.is_empty() || !self.grains.is_empty()
+    }
 }
 
 /// A job on the table.
@@ -54,24 +67,33 @@ impl Desk {
             self.open.remove(&frame);
             return;
         }
-        let round = job.round(frame);
-        let keys = job.grains(round);
-        let (mut grains, mut merge) = match job.frames.get(&frame) {
-            Some(frame) => (frame.open_grains(&keys), frame.merge_is_open(&keys)),
-            None => (RangeSet::full(keys.all()), false),
-        };
-        floor.of_stage(id, Stage { frame, round, kind: StageKind::Render }).for_each(|run| grains.remove(run));
-        merge &= floor.of_stage(id, Stage { frame, round, kind: StageKind::Merge }).next().is_none();
-        self.open.insert(frame, OpenFrame { round, grains, merge });
+        let layout = job.layout(job.round(frame));
+        let mut open = OpenFrame::fresh(&layout);
+        if let Some(frame) = job.frames.get(&frame) {
+            open.round = frame.round;
+            open.grains = frame.open_grains(&layout);
+            open.gathers = frame.open_gathers(&layout);
+            open.merge = frame.merge_is_open(&layout);
+        }
+        let leased = |kind| floor.of_stage(id, Stage { frame, round: open.round, kind });
+        leased(StageKind::Render).for_each(|run| open.grains.remove(run));
+        leased(StageKind::Gather).for_each(|run| open.gathers.remove(run));
+        open.merge &= leased(StageKind::Merge).next().is_none();
+        self.open.insert(frame, open);
     }
 
-    /// Takes notice of a completion: only the last of a round makes anything ready.
+    /// Takes notice of a completion: only the last of a group or of a round makes anything ready.
     pub(crate) fn completed(&mut self, task: &TaskKey, job: &Job, floor: &Floor) {
-        let keys = job.grains(task.stage.round);
-        let goes_on = |frame: &Frame| frame.round == task.stage.round && !frame.is_rendered(&keys);
-        let frame = task.stage.frame;
-        if !job.is_open(frame) || !job.frames.get(&frame).is_some_and(goes_on) {
-            self.refresh(task.job, job, frame, floor);
+        let (frame, layout) = (task.stage.frame, job.layout(task.stage.round));
+        let work = job.frames.get(&frame).filter(|work| work.round == task.stage.round && !work.is_complete(&layout));
+        let Some(work) = work.filter(|_| job.is_open(frame)) else {
+            return self.refresh(task.job, job, frame, floor);
+        };
+        if let (StageKind::Render, Some(group)) = (task.stage.kind, layout.group_of(task.index))
+            && let Some(open) = self.open.get_mut(&frame)
+            && work.gather_is_open(&layout, group)
+        {
+            open.gathers.insert(group);
         }
     }
 
@@ -80,8 +102,7 @@ impl Desk {
         while let Some(&frame) = job.spec.frames.get(self.cursor) {
             self.cursor += 1;
             if job.is_open(frame) && !self.open.contains_key(&frame) {
-                let grains = RangeSet::full(job.grains(0).all());
-                self.open.insert(frame, OpenFrame { round: 0, grains, merge: false });
+                self.open.insert(frame, OpenFrame::fresh(&job.layout(0)));
                 return true;
             }
         }
@@ -93,6 +114,7 @@ impl Desk {
         let open = self.open.get(&task.stage.frame).filter(|open| open.round == task.stage.round);
         open.is_some_and(|open| match task.stage.kind {
             StageKind::Render => open.grains.covers(run),
+            StageKind::Gather => open.gathers.covers(run),
             StageKind::Merge => open.merge && task.index == 0,
         })
     }
@@ -102,6 +124,7 @@ impl Desk {
         let Some(frame) = self.open.get_mut(&task.stage.frame) else { return };
         match task.stage.kind {
             StageKind::Render => frame.grains.remove(run.clone()),
+            StageKind::Gather => frame.gathers.remove(run.clone()),
             StageKind::Merge => frame.merge = false,
         }
     }

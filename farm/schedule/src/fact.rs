@@ -2,7 +2,9 @@
 
 use std::num::NonZeroU64;
 
-use femc_model::{Control, Drain, Epoch, Failure, JobId, JobSpec, LogRecord, MergeResult, TaskKey, Tick, TileResult};
+use femc_model::{
+    Control, Drain, Epoch, Failure, GatherResult, JobId, JobSpec, LogRecord, MergeResult, TaskKey, Tick, TileResult,
+};
 use serde::{Deserialize, Serialize};
 
 /// A change of the [`Ledger`](crate::Ledger). New variants go to the end: the log holds their numbers.
@@ -49,7 +51,8 @@ pub enum Fact {
         /// Why.
         failure: Failure,
     },
-    /// The artefact of a rendered tile is gone: it is to be rendered again.
+    /// The artefact of a rendered tile is gone, or one of a gathered group: the tile, or the group's tiles of this round, are
+    /// to be rendered again.
     Lost {
         /// The task that had made it.
         task: TaskKey,
@@ -90,5 +93,21 @@ pub enum Fact {
         job: JobId,
         /// Pixel samples of a grain: see [`Grains`](femc_model::Grains).
         samples: NonZeroU64,
+    },
+    /// The frames of a job are merged as a tree; follows its submission. Without this they are not.
+    Grouped {
+        /// The job.
+        job: JobId,
+        /// Tiles of a group.
+        tiles: u32,
+    },
+    /// A group of tiles was gathered.
+    Gathered {
+        /// Which.
+        task: TaskKey,
+        /// Of the lease that did it.
+        epoch: Epoch,
+        /// What came out.
+        result: GatherResult,
     },
 }

@@ -1,10 +1,12 @@
 //! What workers report: a result or a failure, counted once and only under a lease that holds.
 
 use femc_model::{
-    Decision, Digest, Epoch, Failure, JobId, MergeResult, Refusal, Stage, StageKind, TaskKey, TaskResult, Tick,
-    Verdict, WorkerId,
+    Decision, Digest, Epoch, Failure, GatherResult, JobId, MergeResult, Refusal, RevokeReason, Stage, StageKind,
+    TaskKey, TaskResult, Tick, Verdict, WorkerId,
 };
 
+use crate::ledger::Job;
+use crate::ledger::frame::Frame;
 use crate::scheduler::Scheduler;
 use crate::{Command, Fact};
 
@@ -23,21 +25,19 @@ impl Scheduler {
             return self.without_lease(worker, task, epoch, out);
         };
         let (granted, size) = (lease.granted, lease.size);
-        let seconds = match &result {
-            TaskResult::Tile(tile) => tile.seconds,
-            TaskResult::Merge(merge) => merge.seconds,
-        };
-        let Some(job) = self.ledger.jobs.get(&task.job) else { return };
+        let seconds = result.seconds();
+        let sound = self.ledger.jobs.get(&task.job).map_or(Sound::default(), |job| Sound::of(job, task.stage.round));
         let fact = match (task.stage.kind, result) {
             (StageKind::Render, TaskResult::Tile(result)) if result.samples == size.samples => {
                 Fact::Rendered { task, epoch, leased: granted, result }
             }
-            (StageKind::Merge, TaskResult::Merge(result))
-                if is_sound(&result, task.stage.round, job.spec.rounds.len()) =>
-            {
+            (StageKind::Merge, TaskResult::Merge(result)) if sound.merge(&result) => {
                 Fact::Merged { task, epoch, result: Box::new(result) }
             }
-            (StageKind::Render | StageKind::Merge, _) => {
+            (StageKind::Gather, TaskResult::Gather(result)) if sound.gather(&result) => {
+                Fact::Gathered { task, epoch, result }
+            }
+            (StageKind::Render | StageKind::Merge | StageKind::Gather, _) => {
                 let failure = Failure::Panicked { message: "the result does not fit the task".into() };
                 return self.failed(worker, task, epoch, failure, now, out);
             }
@@ -155,29 +155,68 @@ impl Scheduler {
             return self.doom(task.job, failure, now, out);
         }
         let frame = task.stage.frame;
-        let mut repairs = Vec::new();
-        if let Some(work) = job.frames.get(&frame) {
-            if work.sums.is_some_and(|sums| digests.contains(&sums.digest)) {
-                repairs.push(Fact::Restarted { job: task.job, frame });
-            }
-            let made_them = work.tiles.iter().filter(|(_, tile)| digests.contains(&tile.result.tile.digest));
-            repairs.extend(made_them.map(|(&index, _)| {
-                let stage = Stage { kind: StageKind::Render, ..task.stage };
-                Fact::Lost { task: TaskKey { stage, index, ..task } }
-            }));
-        }
+        let repairs = job.frames.get(&frame).map(|work| repairs(&task, work, digests)).unwrap_or_default();
         self.count_failure(worker, task, failure, now, out);
         let is_open = self.ledger.jobs.get(&task.job).is_some_and(|job| job.is_open(frame));
         if is_open {
-            repairs.into_iter().for_each(|repair| self.record(repair, now, out));
+            for repair in repairs {
+                if let Fact::Restarted { .. } = repair {
+                    self.revoke_frame(task.job, frame, out);
+                }
+                self.record(repair, now, out);
+            }
+        }
+    }
+
+    /// Takes back the leases of a frame that begins anew: they are of another round.
+    fn revoke_frame(&mut self, job: JobId, frame: u32, out: &mut Vec<Command>) {
+        let leases = self.floor.of_job(job).map(|(task, _)| *task);
+        let tasks: Vec<TaskKey> = leases.filter(|task| task.stage.frame == frame).collect();
+        for task in tasks {
+            self.revoke(&task, RevokeReason::Expired, out);
+            if let Some(desk) = self.desks.get_mut(&job) {
+                desk.distrust.released(&task);
+            }
         }
     }
 }
 
-/// Whether a merge's result says what it must: an image at the end, sums on the way, an end after the last round.
-fn is_sound(result: &MergeResult, round: u32, rounds: usize) -> bool {
-    match result.decision {
-        Decision::Done => result.image.is_some(),
-        Decision::Continue => result.sums.is_some() && (round as usize + 1) < rounds,
+/// What is to be done again so that the lost inputs of a task are there.
+fn repairs(task: &TaskKey, work: &Frame, lost: &[Digest]) -> Vec<Fact> {
+    let (job, frame) = (task.job, task.stage.frame);
+    if work.sums.is_some_and(|sums| lost.contains(&sums.digest)) || work.groups.has_lost_sums(lost) {
+        return vec![Fact::Restarted { job, frame }];
+    }
+    let again = |kind, index| Fact::Lost { task: TaskKey { job, stage: Stage { kind, ..task.stage }, index } };
+    let tiles = work.tiles.iter().filter(|(_, tile)| lost.contains(&tile.result.tile.digest));
+    let tiles = tiles.map(|(&index, _)| again(StageKind::Render, index));
+    tiles.chain(work.groups.lost(lost).map(|group| again(StageKind::Gather, group))).collect()
+}
+
+/// Which results say what they must.
+#[derive(Debug, Clone, Copy, Default)]
+struct Sound {
+    /// Another round may follow this one.
+    may_go_on: bool,
+    /// The merge reads groups, which have the sums.
+    is_grouped: bool,
+}
+
+impl Sound {
+    fn of(job: &Job, round: u32) -> Self {
+        Self { may_go_on: (round as usize + 1) < job.spec.rounds.len(), is_grouped: job.layout(round).groups() > 0 }
+    }
+
+    /// An image at the end, sums on the way, an end after the last round.
+    fn merge(self, result: &MergeResult) -> bool {
+        match result.decision {
+            Decision::Done => result.image.is_some(),
+            Decision::Continue => self.may_go_on && (self.is_grouped || result.sums.is_some()),
+        }
+    }
+
+    /// Sums, unless this round is the last.
+    fn gather(self, result: &GatherResult) -> bool {
+        result.sums.is_some() || !self.may_go_on
     }
 }

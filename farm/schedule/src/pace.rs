@@ -5,6 +5,8 @@
 pub(crate) struct Pace {
     /// Picoseconds a pixel sample.
     sample: u64,
+    /// Microseconds a gathered group.
+    gather: u64,
     /// Microseconds a merge.
     merge: u64,
 }
@@ -27,10 +29,20 @@ impl Pace {
         (self.merge > 0).then(|| self.merge.div_ceil(1_000))
     }
 
+    /// Milliseconds that a group is expected to take; `None`: nobody knows yet.
+    pub(crate) fn gather(&self) -> Option<u64> {
+        (self.gather > 0).then(|| self.gather.div_ceil(1_000))
+    }
+
     /// Pixel samples were rendered in so many milliseconds.
     pub(crate) fn note_render(&mut self, samples: u64, milliseconds: u64) {
         let taken = u128::from(milliseconds.max(1)) * u128::from(Self::PICOS) / u128::from(samples.max(1));
         smooth(&mut self.sample, u64::try_from(taken).unwrap_or(u64::MAX));
+    }
+
+    /// A group has taken so many milliseconds.
+    pub(crate) fn note_gather(&mut self, milliseconds: u64) {
+        smooth(&mut self.gather, milliseconds.saturating_mul(1_000));
     }
 
     /// A merge has taken so many milliseconds.

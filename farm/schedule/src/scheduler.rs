@@ -154,6 +154,7 @@ impl Scheduler {
         }
         let run = match task.stage.kind {
             StageKind::Render => job.grains(task.stage.round).run(task.index, samples)?,
+            StageKind::Gather => task.index..task.index.checked_add(1)?,
             StageKind::Merge => 0..1,
         };
         let desk = self.desks.entry(task.job).or_default();

@@ -19,7 +19,7 @@ impl Scheduler {
             return first;
         };
         let grains = job.grains(task.stage.round);
-        if task.stage.kind == StageKind::Merge || grains.per_tile() == 1 {
+        if task.stage.kind != StageKind::Render || grains.per_tile() == 1 {
             return first;
         }
         let run = ready_run(task, job, desk, &grains);
@@ -45,10 +45,11 @@ impl Scheduler {
         let (job, desk) = (self.ledger.jobs.get(&task.job), self.desks.get(&task.job));
         let samples = match task.stage.kind {
             StageKind::Render => job.map_or(0, |job| job.grains(task.stage.round).pixel_samples(run)),
-            StageKind::Merge => 0,
+            StageKind::Gather | StageKind::Merge => 0,
         };
         let expected = desk.and_then(|desk| match task.stage.kind {
             StageKind::Render => desk.pace.render(samples),
+            StageKind::Gather => desk.pace.gather(),
             StageKind::Merge => desk.pace.merge(),
         });
         Size { samples, milliseconds: expected.unwrap_or(Pace::FIRST) }
@@ -70,6 +71,7 @@ impl Scheduler {
         self.order.refund(owner, size.milliseconds.saturating_sub(milliseconds), weight);
         match task.stage.kind {
             StageKind::Render => pace.note_render(size.samples, milliseconds),
+            StageKind::Gather => pace.note_gather(milliseconds),
             StageKind::Merge => pace.note_merge(milliseconds),
         }
         let grains = job.grains(task.stage.round);

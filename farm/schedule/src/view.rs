@@ -5,6 +5,7 @@ use femc_model::{
     StageKind, TaskKey, Tick, WorkerId, WorkerStatus,
 };
 
+use crate::ledger::frame::Frame;
 use crate::ledger::{Hold, Job};
 use crate::scheduler::Scheduler;
 
@@ -60,13 +61,16 @@ impl Scheduler {
     /// What there is of a job's frames in work, ascending.
     pub fn parts(&self, id: JobId) -> Result<Vec<FrameParts>, Refusal> {
         let job = self.job(id)?;
-        let parts = |(&number, frame): (&u32, &crate::ledger::frame::Frame)| FrameParts {
+        let parts = |(&number, frame): (&u32, &Frame)| FrameParts {
             frame: number,
             grid: job.spec.grid,
-            sums: frame.sums,
-            tiles: frame.tiles.values().map(|tile| tile.result.tile).collect(),
+            sums: frame.sums.into_iter().chain(frame.groups.sums_before()).collect(),
+            tiles: frame.parts_there(0..u32::MAX).collect(),
+            groups: frame.groups.pixels(),
         };
-        Ok(job.frames.iter().map(parts).filter(|parts| parts.sums.is_some() || !parts.tiles.is_empty()).collect())
+        let has_some =
+            |parts: &FrameParts| !(parts.sums.is_empty() && parts.tiles.is_empty() && parts.groups.is_empty());
+        Ok(job.frames.iter().map(parts).filter(has_some).collect())
     }
 
     /// The workers, in order of joining.
@@ -127,17 +131,15 @@ impl Scheduler {
 
     fn active(&self, id: JobId, job: &Job) -> Vec<FrameProgress> {
         let mut active: std::collections::BTreeMap<u32, FrameProgress> = std::collections::BTreeMap::new();
-        let tiles_total = job.spec.grid.tiles();
         let blank = |number: u32| {
-            let frame = job.frames.get(&number);
-            let tiles_done = frame.map_or(0, |frame| frame.whole);
+            let (frame, layout) = (job.frames.get(&number), job.layout(job.round(number)));
             FrameProgress {
                 frame: number,
                 round: job.round(number),
                 rounds: job.spec.rounds.len() as u32,
-                stage: if tiles_done == tiles_total { StageKind::Merge } else { StageKind::Render },
-                tiles_done,
-                tiles_total,
+                stage: frame.map_or(StageKind::Render, |frame| frame.stage(&layout)),
+                tiles_done: frame.map_or(0, |frame| frame.tiles_done(&layout)),
+                tiles_total: layout.tiles(),
                 running: 0,
                 samples_done: frame.map_or(0, |frame| frame.samples),
                 relative_error: frame.and_then(|frame| frame.relative_error),

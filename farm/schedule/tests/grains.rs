@@ -114,7 +114,9 @@ fn a_lease_that_ends_gives_back_all_of_its_grains_and_a_late_result_changes_noth
     }
     let all: Vec<u32> = covered.into_iter().flatten().collect();
     assert_eq!(all, (0..64).collect::<Vec<_>>());
-    let Work::Merge { tiles, .. } = &farm.held[0].1.work else { panic!("the merge follows") };
+    let Work::Merge { inputs: MergeInputs::Tiles(Parts { tiles, .. }), .. } = &farm.held[0].1.work else {
+        panic!("the merge follows")
+    };
     assert!(tiles.len() > 2, "a tile in parts");
     farm.work(2, Done);
     assert_eq!((farm.state(id), farm.status(id).samples_done), (JobState::Done, 64 * 64));
@@ -130,7 +132,9 @@ fn a_part_that_is_lost_is_rendered_again_and_no_other() {
         parts.push(work(&mut farm, 1, 100));
     }
     let merge = farm.first_of(1);
-    let Work::Merge { tiles, .. } = &merge.work else { panic!("the merge follows") };
+    let Work::Merge { inputs: MergeInputs::Tiles(Parts { tiles, .. }), .. } = &merge.work else {
+        panic!("the merge follows")
+    };
     assert_eq!(tiles.len(), parts.len());
     let failure = Failure::LostInputs { digests: vec![tiles[1].digest], message: "gone".into() };
     farm.fail(1, &merge, failure);

@@ -38,7 +38,7 @@ enum Step {
 fn step() -> impl Strategy<Value = Step> {
     let decision = prop_oneof![Just(Decision::Continue), Just(Decision::Done)];
     prop_oneof![
-        1 => (1..4u32, 1..5u32, 1..4usize).prop_map(|(frames, tiles, rounds)| Step::Submit { frames, tiles, rounds }),
+        1 => (1..4u32, 1..7u32, 1..4usize).prop_map(|(frames, tiles, rounds)| Step::Submit { frames, tiles, rounds }),
         2 => Just(Step::Join),
         2 => any::<usize>().prop_map(Step::Return),
         1 => any::<usize>().prop_map(Step::StartAgain),
@@ -57,6 +57,7 @@ fn step() -> impl Strategy<Value = Step> {
 
 /// The farm, and what must hold of it.
 struct Machine {
+    group: u32,
     farm: Farm,
     workers: BTreeSet<u64>,
     next_worker: u64,
@@ -83,16 +84,18 @@ fn units(held: &Assignment) -> Vec<Unit> {
         Work::Render { tile, samples } => {
             samples.clone().map(|sample| (held.task.job, held.task.stage, *tile, sample)).collect()
         }
-        Work::Merge { .. } => vec![],
+        Work::Gather { .. } | Work::Merge { .. } => vec![],
     }
 }
 
 impl Machine {
     /// - `grain`: pixel samples; a tile has 64 pixels.
-    fn new(grain: u64) -> Self {
+    /// - `group`: tiles of a group; 0: frames are merged whole.
+    fn new(grain: u64, group: u32) -> Self {
         let grain = NonZeroU64::new(grain).unwrap();
         Self {
-            farm: Farm::with(Config { grain, task: 100, least_task: 20, ..common::config() }),
+            group,
+            farm: Farm::with(Config { grain, group, task: 100, least_task: 20, ..common::config() }),
             workers: BTreeSet::new(),
             next_worker: 1,
             jobs: vec![],
@@ -123,7 +126,11 @@ impl Machine {
                 Command::Revoke { task, epoch, .. } if self.live.get(&task) == Some(&epoch) => {
                     self.live.remove(&task);
                 }
-                Command::Record(Fact::Rendered { task, epoch, .. } | Fact::Merged { task, epoch, .. }) => {
+                Command::Record(
+                    Fact::Rendered { task, epoch, .. }
+                    | Fact::Gathered { task, epoch, .. }
+                    | Fact::Merged { task, epoch, .. },
+                ) => {
                     assert_eq!(self.live.remove(&task), Some(epoch), "a result without a lease counts");
                     assert!(self.done.insert(task), "{task} is done twice");
                     for unit in &self.runs[&epoch] {
@@ -135,6 +142,9 @@ impl Machine {
                     assert!(self.done.remove(&task));
                     let lost = &self.runs[&self.made[&task]];
                     assert!(lost.iter().all(|unit| self.rendered.remove(unit)));
+                    if task.stage.kind == StageKind::Gather {
+                        self.lose_group(&task);
+                    }
                 }
                 Command::Record(Fact::Restarted { job, frame }) => {
                     self.done.retain(|task| (task.job, task.stage.frame) != (job, frame));
@@ -143,6 +153,16 @@ impl Machine {
                 _ => {}
             }
         }
+    }
+
+    /// What was rendered for a gathered group is to be rendered again.
+    fn lose_group(&mut self, gather: &TaskKey) {
+        let stage = Stage { kind: StageKind::Render, ..gather.stage };
+        let group = self.group;
+        let is_of_it = |&(job, of, tile, _): &Unit| (job, of, tile / group) == (gather.job, stage, gather.index);
+        self.rendered.retain(|unit| !is_of_it(unit));
+        let (runs, made) = (&self.runs, &self.made);
+        self.done.retain(|task| !made.get(task).is_some_and(|epoch| runs[epoch].iter().any(is_of_it)));
     }
 
     /// A lease begins, by being granted or adopted: nobody else has any of it, and none of it is done.
@@ -267,10 +287,7 @@ impl Machine {
                 let Some((worker, held)) = self.held(which) else { return };
                 self.end_lease(worker, &held);
                 self.live.remove(&held.task);
-                let missing = match &held.work {
-                    Work::Merge { tiles, previous, .. } => previous.unwrap_or(tiles[0]).digest,
-                    Work::Render { .. } => Digest::of(b"nobody knows"),
-                };
+                let missing = held.work.inputs().next().map_or(Digest::of(b"nobody knows"), |first| first.digest);
                 let failure = match kind {
                     0 | 1 => panic(),
                     2 => Failure::Store { message: "away".into() },
@@ -376,9 +393,10 @@ proptest! {
     #[test]
     fn no_task_is_lost_and_none_is_done_twice_and_every_job_ends(
         grain in prop_oneof![Just(1u64), Just(128), Just(1 << 15)],
+        group in 0..4u32,
         steps in prop::collection::vec(step(), 1..120),
     ) {
-        let mut machine = Machine::new(grain);
+        let mut machine = Machine::new(grain, group);
         for step in steps {
             machine.take(step);
             machine.check();

@@ -98,8 +98,8 @@ fn a_frame_is_merged_after_its_last_tile_and_the_next_frame_overlaps() {
     farm.work(1, Done);
     assert_eq!(farm.tasks_of(1), [(2, 0, Render, 0), (1, 0, Merge, 0)]);
     let merge = farm.held[1].1.clone();
-    let Work::Merge { previous: None, tiles, spp: 4, more: More::Last, .. } = &merge.work else { panic!("{merge:?}") };
-    assert_eq!(tiles.len(), 2);
+    let Work::Merge { inputs, spp: 4, more: More::Last, .. } = &merge.work else { panic!("{merge:?}") };
+    assert!(matches!(inputs, MergeInputs::Tiles(Parts { previous: None, tiles }) if tiles.len() == 2), "{inputs:?}");
     farm.complete(1, &merge, Done);
     assert_eq!(farm.status(id).frames_done, 1);
     while farm.state(id) == JobState::Running {
@@ -126,7 +126,8 @@ fn a_merge_that_says_continue_opens_the_next_round_before_later_frames() {
     let tile = farm.held[1].1.clone();
     farm.complete(1, &tile, Done);
     let merge = farm.held[1].1.clone();
-    assert!(matches!(&merge.work, Work::Merge { previous: Some(_), spp: 8, more: More::Rounds, .. }));
+    assert!(matches!(&merge.work, Work::Merge { spp: 8, more: More::Rounds, .. }));
+    assert_eq!(merge.work.inputs().count(), 2, "the sums of the round before and the tile");
     farm.complete(1, &merge, Done);
     assert_eq!(farm.scheduler.frames(id).unwrap()[0].spp, 8);
 }
@@ -219,7 +220,7 @@ fn a_merge_that_misses_tiles_has_just_those_rendered_again() {
     farm.join(1);
     (0..3).for_each(|_| drop(farm.work(1, Done)));
     let merge = farm.first_of(1);
-    let Work::Merge { tiles, .. } = &merge.work else { panic!() };
+    let tiles: Vec<Artefact> = merge.work.inputs().collect();
     farm.fail(1, &merge, lost(&[tiles[1], tiles[2]]));
     assert_eq!(farm.tasks_of(1), [(1, 0, Render, 1), (1, 0, Render, 2)]);
     (0..3).for_each(|_| drop(farm.work(1, Done)));
@@ -236,7 +237,10 @@ fn a_store_that_loses_every_tile_ends_the_job() {
         let held = farm.first_of(1);
         match &held.work {
             Work::Render { .. } => farm.complete(1, &held, Continue),
-            Work::Merge { tiles, .. } => farm.fail(1, &held, lost(&tiles[..1])),
+            Work::Merge { .. } | Work::Gather { .. } => {
+                let tile = held.work.inputs().next().unwrap();
+                farm.fail(1, &held, lost(&[tile]))
+            }
         };
         steps += 1;
         assert!(steps < 20);
@@ -340,7 +344,7 @@ fn a_worker_that_lived_through_a_restart_keeps_its_tasks_and_its_results_count()
 
 #[test]
 fn after_a_standstill_of_the_coordinator_workers_are_heard_before_leases_run_out() {
-    let mut farm = Farm::new();
+    let mut farm = Farm::with(Config { regroup: 500, ..common::config() });
     farm.submit(job(&[1], 1, &[4]));
     farm.join(1);
     farm.join(2);
@@ -562,7 +566,13 @@ fn a_result_of_the_wrong_kind_is_a_failure_of_the_task() {
     farm.join(1);
     let held = farm.first_of(1);
     let merge = Assignment {
-        work: Work::Merge { previous: None, tiles: vec![], spp: 4, elapsed: 0, busy_seconds: 0.0, more: More::Last },
+        work: Work::Merge {
+            inputs: MergeInputs::Groups(vec![]),
+            spp: 4,
+            elapsed: 0,
+            busy_seconds: 0.0,
+            more: More::Last,
+        },
         ..held.clone()
     };
     let event =

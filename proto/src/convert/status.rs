@@ -131,6 +131,9 @@ impl From<Wait> for wire::Wait {
                 Wait::WorkersShunned { workers, seconds } => Reason::WorkersShunned(wire::Shunned { workers, seconds }),
                 Wait::BehindJob(job) => Reason::BehindJob(job.0),
                 Wait::MergeWaitsForTiles { frame, tiles } => Reason::MergeWaitsForTiles(Tasks { frame, tasks: tiles }),
+                Wait::MergeWaitsForGroups { frame, groups } => {
+                    Reason::MergeWaitsForGroups(Tasks { frame, tasks: groups })
+                }
                 Wait::Quarantined { frame, tasks } => Reason::Quarantined(Tasks { frame, tasks }),
             }),
         }
@@ -151,6 +154,7 @@ impl TryFrom<wire::Wait> for Wait {
             Reason::WorkersShunned(wire::Shunned { workers, seconds }) => Self::WorkersShunned { workers, seconds },
             Reason::BehindJob(job) => Self::BehindJob(JobId(job)),
             Reason::MergeWaitsForTiles(Tasks { frame, tasks }) => Self::MergeWaitsForTiles { frame, tiles: tasks },
+            Reason::MergeWaitsForGroups(Tasks { frame, tasks }) => Self::MergeWaitsForGroups { frame, groups: tasks },
             Reason::Quarantined(Tasks { frame, tasks }) => Self::Quarantined { frame, tasks },
         })
     }

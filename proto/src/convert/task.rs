@@ -3,8 +3,8 @@
 use std::ops::Range;
 
 use femc_model::{
-    Assignment, Decision, Epoch, FrameParts, Grid, JobId, MergeResult, More, Stage, StageKind, TaskKey, TaskResult,
-    TileResult, Work,
+    Artefact, Assignment, Decision, Epoch, FrameParts, GatherResult, Grid, JobId, MergeInputs, MergeResult, More,
+    Parts, Stage, StageKind, TaskKey, TaskResult, TileResult, Work,
 };
 
 use super::{ConvertError, each, maybe, need};
@@ -15,6 +15,7 @@ impl From<StageKind> for wire::StageKind {
         match kind {
             StageKind::Render => Self::Render,
             StageKind::Merge => Self::Merge,
+            StageKind::Gather => Self::Gather,
         }
     }
 }
@@ -25,6 +26,7 @@ pub(super) fn stage_kind(value: i32) -> Result<StageKind, ConvertError> {
         wire::StageKind::Unspecified => return Err(unknown),
         wire::StageKind::Render => StageKind::Render,
         wire::StageKind::Merge => StageKind::Merge,
+        wire::StageKind::Gather => StageKind::Gather,
     })
 }
 
@@ -69,12 +71,19 @@ impl From<Assignment> for wire::Assignment {
             Work::Render { tile, samples } => {
                 Wire::Render(wire::RenderWork { samples: Some(to_range(&samples)), tile })
             }
-            Work::Merge { previous, tiles, spp, elapsed, busy_seconds, more } => Wire::Merge(wire::MergeWork {
+            Work::Merge { inputs, spp, elapsed, busy_seconds, more } => {
+                let (Parts { previous, tiles }, groups) = match inputs {
+                    MergeInputs::Tiles(parts) => (parts, Vec::new()),
+                    MergeInputs::Groups(groups) => (Parts { previous: None, tiles: Vec::new() }, groups),
+                };
+                let (tiles, groups) = (list(tiles), list(groups));
+                let (previous, more) = (previous.map(Into::into), more == More::Rounds);
+                Wire::Merge(wire::MergeWork { previous, tiles, spp, elapsed, busy_seconds, more, groups })
+            }
+            Work::Gather { span, parts: Parts { previous, tiles }, more } => Wire::Gather(wire::GatherWork {
+                span: Some(wire::Range { start: span.start, end: span.end }),
                 previous: previous.map(Into::into),
-                tiles: tiles.into_iter().map(Into::into).collect(),
-                spp,
-                elapsed,
-                busy_seconds,
+                tiles: list(tiles),
                 more: more == More::Rounds,
             }),
         };
@@ -93,16 +102,32 @@ impl TryFrom<wire::Assignment> for Assignment {
                 Work::Render { tile, samples: from_range(need("render.samples", samples)?) }
             }
             Wire::Merge(merge) => Work::Merge {
-                previous: maybe(merge.previous)?,
-                tiles: each(merge.tiles)?,
+                inputs: if merge.groups.is_empty() {
+                    MergeInputs::Tiles(Parts { previous: maybe(merge.previous)?, tiles: each(merge.tiles)? })
+                } else {
+                    MergeInputs::Groups(each(merge.groups)?)
+                },
                 spp: merge.spp,
                 elapsed: merge.elapsed,
                 busy_seconds: merge.busy_seconds,
-                more: if merge.more { More::Rounds } else { More::Last },
+                more: more(merge.more),
             },
+            Wire::Gather(gather) => {
+                let wire::Range { start, end } = need("gather.span", gather.span)?;
+                let parts = Parts { previous: maybe(gather.previous)?, tiles: each(gather.tiles)? };
+                Work::Gather { span: start..end, parts, more: more(gather.more) }
+            }
         };
         Ok(Self { task, epoch, lease: wire.lease_time, work })
     }
+}
+
+fn more(another: bool) -> More {
+    if another { More::Rounds } else { More::Last }
+}
+
+fn list(artefacts: Vec<Artefact>) -> Vec<wire::Artefact> {
+    artefacts.into_iter().map(Into::into).collect()
 }
 
 impl From<TaskResult> for wire::completed::Result {
@@ -124,6 +149,9 @@ impl From<TaskResult> for wire::completed::Result {
                 bad_samples: result.bad_samples,
                 seconds: result.seconds,
             }),
+            TaskResult::Gather(GatherResult { sums, pixels, seconds }) => {
+                Self::Gather(wire::GatherResult { sums: sums.map(Into::into), pixels: Some(pixels.into()), seconds })
+            }
         }
     }
 }
@@ -147,6 +175,10 @@ impl TryFrom<wire::completed::Result> for TaskResult {
                 bad_samples: merge.bad_samples,
                 seconds: finite(merge.seconds)?,
             }),
+            Wire::Gather(wire::GatherResult { sums, pixels, seconds }) => {
+                let pixels = need("gather.pixels", pixels)?.try_into()?;
+                Self::Gather(GatherResult { sums: maybe(sums)?, pixels, seconds: finite(seconds)? })
+            }
         })
     }
 }
@@ -167,10 +199,10 @@ pub(super) fn finite(seconds: f64) -> Result<f64, ConvertError> {
 }
 
 impl From<FrameParts> for wire::FrameParts {
-    fn from(FrameParts { frame, grid, sums, tiles }: FrameParts) -> Self {
+    fn from(FrameParts { frame, grid, sums, tiles, groups }: FrameParts) -> Self {
         let Grid { film: [film_width, film_height], tile } = grid;
-        let tiles = tiles.into_iter().map(Into::into).collect();
-        Self { frame, film_width, film_height, tile, sums: sums.map(Into::into), tiles }
+        let (sums, tiles, groups) = (list(sums), list(tiles), list(groups));
+        Self { frame, film_width, film_height, tile, sums, tiles, groups }
     }
 }
 
@@ -181,8 +213,9 @@ impl TryFrom<wire::FrameParts> for FrameParts {
         Ok(Self {
             frame: wire.frame,
             grid: Grid { film: [wire.film_width, wire.film_height], tile: wire.tile },
-            sums: maybe(wire.sums)?,
+            sums: each(wire.sums)?,
             tiles: each(wire.tiles)?,
+            groups: each(wire.groups)?,
         })
     }
 }

@@ -155,15 +155,17 @@ fn the_words_of_a_session_cross_the_wire() {
         crosses::<FromWorker, wire::FromWorker>(FromWorker::Failed { task: merge, epoch, failure, log: None });
     }
 
-    let works = [More::Rounds, More::Last].map(|more| Work::Merge {
-        previous: (more == More::Last).then(artefact),
-        tiles: vec![artefact(); 3],
+    let parts = [None, Some(artefact())].map(|previous| Parts { previous, tiles: vec![artefact(); 3] });
+    let [first, later] = parts.clone().map(MergeInputs::Tiles);
+    let works = [first, later, MergeInputs::Groups(vec![artefact(); 2])].map(|inputs| Work::Merge {
+        inputs,
         spp: 32,
         elapsed: 1234,
         busy_seconds: 0.5,
-        more,
+        more: More::Rounds,
     });
-    for work in works.into_iter().chain([Work::Render { tile: 5, samples: 16..32 }]) {
+    let gathers = parts.map(|parts| Work::Gather { span: 3..6, parts, more: More::Last });
+    for work in works.into_iter().chain(gathers).chain([Work::Render { tile: 5, samples: 16..32 }]) {
         let assignment = Assignment { task: merge, epoch, lease: 5000, work };
         crosses::<ToWorker, wire::ToWorker>(ToWorker::Assign(assignment));
     }
@@ -205,6 +207,7 @@ fn statuses_cross_the_wire() {
         Wait::WorkersShunned { workers: 2, seconds: 60 },
         Wait::BehindJob(JobId(2)),
         Wait::MergeWaitsForTiles { frame: 1, tiles: 2 },
+        Wait::MergeWaitsForGroups { frame: 1, groups: 3 },
         Wait::Quarantined { frame: 1, tasks: 2 },
     ];
     for state in [Queued, Running, Paused, Done, Failed, Cancelled] {

@@ -1,7 +1,9 @@
 //! Doing tasks: one file a kind.
 
+mod gather;
 mod merge;
 mod render;
+mod union;
 
 use std::any::Any;
 use std::panic::AssertUnwindSafe;
@@ -59,6 +61,7 @@ pub(crate) fn execute(task: &Task, tools: &Tools) -> Result<Product, Failure> {
 fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
     let work = || match &task.assignment.work {
         Work::Render { tile, samples } => render::render(task, *tile, samples.clone(), tools),
+        Work::Gather { span, parts, more } => gather::gather(task, span.clone(), parts, *more, tools),
         Work::Merge { .. } => merge::merge(task, tools),
     };
     let measured = tools.memory.begin(task.assignment.task.stage.kind, &tools.cache)?;

@@ -127,7 +127,7 @@ async fn relay(mut from: ReadHalf<DuplexStream>, mut to: WriteHalf<DuplexStream>
 pub fn simulated(name: &str, dial: Dial, render: Duration) -> Config {
     let pace = Pace::by(move |assignment| match assignment.task.stage.kind {
         StageKind::Render => render,
-        StageKind::Merge => Duration::from_millis(80),
+        StageKind::Gather | StageKind::Merge => Duration::from_millis(80),
     });
     let instance = u64::from_le_bytes(Digest::of(name.as_bytes()).as_bytes()[..8].try_into().unwrap());
     Config {

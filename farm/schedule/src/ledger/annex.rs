@@ -24,12 +24,15 @@ impl Annex {
     /// Most logs of a job.
     const LOGS: usize = 512;
 
-    /// What a snapshot of this version holds behind the rest of the ledger.
-    pub(super) fn decode(version: u8, bytes: &[u8]) -> postcard::Result<Self> {
+    /// What a snapshot of this version holds behind its first section, and what follows.
+    pub(super) fn take(version: u8, bytes: &[u8]) -> postcard::Result<(Self, &[u8])> {
         match version {
-            1 => Ok(Self::default()),
-            2 => postcard::from_bytes(bytes).map(|(drained, logs)| Self { drained, logs, ..Self::default() }),
-            _ => postcard::from_bytes(bytes),
+            1 => Ok((Self::default(), bytes)),
+            2 => {
+                let ((drained, logs), rest) = postcard::take_from_bytes(bytes)?;
+                Ok((Self { drained, logs, ..Self::default() }, rest))
+            }
+            _ => postcard::take_from_bytes(bytes),
         }
     }
 

@@ -6,6 +6,8 @@ use std::ops::Range;
 use femc_model::{Artefact, Digest, Epoch, Failure, Grains, MergeResult, StageKind, Tick, TileResult};
 use serde::{Deserialize, Serialize};
 
+use super::group::Groups;
+use super::layout::Layout;
 use crate::RangeSet;
 
 /// Attempts after which a task is put aside. A constant of the ledger, so that a log means the same to every program.
@@ -39,7 +41,7 @@ pub(crate) struct Frame {
     pub(crate) began: Tick,
     /// What is rendered of this round's tiles, by the first key of each.
     pub(crate) tiles: BTreeMap<u32, Tile>,
-    /// How many tiles are whole: see [`Frame::is_whole`].
+    /// How many of them are whole: see [`Frame::is_whole`].
     #[serde(skip)]
     pub(crate) whole: u32,
     /// What the rounds before add up to.
@@ -55,6 +57,9 @@ pub(crate) struct Frame {
     pub(crate) merged_bad_samples: u64,
     pub(crate) busy_seconds: f64,
     pub(crate) relative_error: Option<f64>,
+    /// In a snapshot they follow the ledger's first versions.
+    #[serde(skip)]
+    pub(crate) groups: Groups,
 }
 
 impl Frame {
@@ -72,11 +77,16 @@ impl Frame {
             merged_bad_samples: 0,
             busy_seconds: 0.0,
             relative_error: None,
+            groups: Groups::default(),
         }
     }
 
     /// Takes in what was rendered from key `first` on; grains that are there already change nothing.
-    pub(super) fn rendered(&mut self, grains: &Grains, first: u32, epoch: Epoch, leased: Tick, result: &TileResult) {
+    pub(super) fn rendered(&mut self, layout: &Layout, first: u32, epoch: Epoch, leased: Tick, result: &TileResult) {
+        let grains = &layout.grains;
+        if layout.group_of(first).is_some_and(|group| self.groups.done.contains_key(&group)) {
+            return;
+        }
         let Some(run) = grains.run_of(first, result.samples).filter(|run| !self.holds_any(grains, run)) else { return };
         self.began = self.began.min(leased);
         self.tiles.insert(first, Tile { epoch, result: *result });
@@ -120,8 +130,9 @@ impl Frame {
         self.tiles.clear();
         self.whole = 0;
         // Failures of merges add up over the rounds, so that a frame whose sums are lost again and again ends.
-        self.trouble.retain(|&(kind, _), _| kind == StageKind::Merge);
+        self.trouble.retain(|&(kind, _), _| kind != StageKind::Render);
         self.sums = result.sums;
+        self.groups.next_round();
         self.merged = Some(epoch);
         self.fresh_bad_samples = 0;
         self.merged_bad_samples = result.bad_samples;
@@ -129,13 +140,19 @@ impl Frame {
         self.relative_error = result.relative_error;
     }
 
-    pub(super) fn lost(&mut self, grains: &Grains, first: u32) -> Vec<Digest> {
+    pub(super) fn lost_part(&mut self, grains: &Grains, first: u32) -> Vec<Digest> {
         let was_whole = self.is_whole(grains, grains.tile(first));
-        let Some(tile) = self.tiles.remove(&first) else { return Vec::new() };
-        self.whole -= u32::from(was_whole);
-        self.samples -= tile.result.samples;
-        self.fresh_bad_samples -= tile.result.bad_samples;
+        if let Some(tile) = self.tiles.remove(&first) {
+            self.whole -= u32::from(was_whole);
+            self.forget(tile.result.samples, tile.result.bad_samples);
+        }
         Vec::new()
+    }
+
+    /// Samples of this round that are to be taken again.
+    pub(super) fn forget(&mut self, samples: u64, bad_samples: u64) {
+        self.samples -= samples;
+        self.fresh_bad_samples -= bad_samples;
     }
 
     pub(super) fn restarted(&mut self) -> Vec<Digest> {
@@ -146,11 +163,12 @@ impl Frame {
     }
 
     /// Grains of the round that are neither done nor out of attempts.
-    pub(crate) fn open_grains(&self, grains: &Grains) -> RangeSet {
-        let mut open = RangeSet::full(grains.all());
-        self.runs(grains, grains.all()).for_each(|run| open.remove(run));
-        for (&(kind, key), trouble) in &self.trouble {
-            if kind == StageKind::Render && trouble.is_quarantined() {
+    pub(crate) fn open_grains(&self, layout: &Layout) -> RangeSet {
+        let mut open = RangeSet::full(layout.grains.all());
+        let gathered = self.groups.done.keys().map(|&group| layout.keys(&layout.span(group)));
+        self.runs(&layout.grains, layout.grains.all()).chain(gathered).for_each(|run| open.remove(run));
+        for (kind, key, _) in self.quarantined() {
+            if kind == StageKind::Render {
                 open.remove(key..key + 1);
             }
         }
@@ -163,14 +181,13 @@ impl Frame {
         self.trouble.range(keys).next().map(|(&(_, key), _)| key)
     }
 
-    /// Whether all samples of the round are there.
-    pub(crate) fn is_rendered(&self, grains: &Grains) -> bool {
-        self.whole == grains.tiles()
+    /// Whether the merge may run.
+    pub(crate) fn merge_is_open(&self, layout: &Layout) -> bool {
+        self.is_complete(layout) && !self.is_quarantined(StageKind::Merge, 0)
     }
 
-    /// Whether the merge may run.
-    pub(crate) fn merge_is_open(&self, grains: &Grains) -> bool {
-        self.is_rendered(grains) && !self.trouble.get(&(StageKind::Merge, 0)).is_some_and(Trouble::is_quarantined)
+    pub(super) fn is_quarantined(&self, kind: StageKind, index: u32) -> bool {
+        self.trouble.get(&(kind, index)).is_some_and(Trouble::is_quarantined)
     }
 
     /// Tasks out of attempts.
@@ -180,19 +197,20 @@ impl Frame {
     }
 
     /// Whether nothing of it can run without a retry.
-    pub(crate) fn is_blocked(&self, grains: &Grains) -> bool {
-        let (mut renders, mut merges) = (0, 0);
+    pub(crate) fn is_blocked(&self, layout: &Layout) -> bool {
+        let mut is_in_trouble = false;
         for (kind, ..) in self.quarantined() {
             match kind {
-                StageKind::Render => renders += 1,
-                StageKind::Merge => merges += 1,
+                StageKind::Render | StageKind::Gather => is_in_trouble = true,
+                StageKind::Merge => return true,
             }
         }
-        merges > 0 || (renders > 0 && self.open_grains(grains).is_empty())
+        is_in_trouble && self.open_grains(layout).is_empty() && self.open_gathers(layout).is_empty()
     }
 
     /// Everything in the store that the frame needs.
     pub(crate) fn artefacts(&self) -> impl Iterator<Item = Digest> + '_ {
-        self.tiles.values().map(|tile| tile.result.tile.digest).chain(self.sums.iter().map(|sums| sums.digest))
+        let tiles = self.tiles.values().map(|tile| tile.result.tile);
+        tiles.chain(self.sums).chain(self.groups.artefacts()).map(|artefact| artefact.digest)
     }
 }

@@ -1,14 +1,16 @@
 //! A job in the ledger.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::num::NonZeroU32;
 
 use femc_model::{
-    Control, Cut, Decision, Digest, Epoch, Failure, FrameRecord, Grains, JobSpec, MergeResult, StageKind, TaskKey,
-    Tick, TileResult,
+    Control, Cut, Decision, Digest, Epoch, Failure, FrameRecord, GatherResult, Grains, JobSpec, MergeResult, StageKind,
+    TaskKey, Tick, TileResult,
 };
 use serde::{Deserialize, Serialize};
 
 use super::frame::{Frame, Trouble};
+use super::layout::Layout;
 
 /// What a person has done to a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -49,6 +51,9 @@ pub(crate) struct Job {
     /// Durable in the annex.
     #[serde(skip)]
     cut: Cut,
+    /// Tiles of a group, where frames are merged as a tree. In a snapshot it follows the ledger's first versions.
+    #[serde(skip)]
+    pub(super) group: Option<NonZeroU32>,
 }
 
 impl Job {
@@ -65,6 +70,7 @@ impl Job {
             relative_error: None,
             submitted: now,
             cut: Cut::Whole,
+            group: None,
         }
     }
 
@@ -79,6 +85,16 @@ impl Job {
     /// The keys of a round's render stage.
     pub(crate) fn grains(&self, round: u32) -> Grains {
         Grains::of(&self.spec, round, self.cut)
+    }
+
+    /// How the work on a round of its frames is cut.
+    pub(crate) fn layout(&self, round: u32) -> Layout {
+        Layout::new(self.grains(round), self.group)
+    }
+
+    pub(super) fn grouped(&mut self, tiles: u32) -> Vec<Digest> {
+        self.group = NonZeroU32::new(tiles);
+        Vec::new()
     }
 
     /// Whether every frame is finished or blocked, or the job as a whole is over.
@@ -113,11 +129,22 @@ impl Job {
     pub(super) fn rendered(&mut self, task: &TaskKey, epoch: Epoch, leased: Tick, result: &TileResult) -> Vec<Digest> {
         let number = task.stage.frame;
         if self.is_open(number) && self.round(number) == task.stage.round {
-            let grains = self.grains(task.stage.round);
-            self.frame(number, leased).rendered(&grains, task.index, epoch, leased, result);
+            let layout = self.layout(task.stage.round);
+            self.frame(number, leased).rendered(&layout, task.index, epoch, leased, result);
             self.note_block(number);
         }
         Vec::new()
+    }
+
+    pub(super) fn gathered(&mut self, task: &TaskKey, epoch: Epoch, result: &GatherResult) -> Vec<Digest> {
+        let (number, layout) = (task.stage.frame, self.layout(task.stage.round));
+        if !self.is_open(number) || self.round(number) != task.stage.round {
+            return Vec::new();
+        }
+        let Some(frame) = self.frames.get_mut(&number) else { return Vec::new() };
+        let released = frame.gathered(task.index, epoch, &layout, *result);
+        self.note_block(number);
+        released
     }
 
     pub(super) fn merged(&mut self, task: &TaskKey, epoch: Epoch, result: &MergeResult, now: Tick) -> Vec<Digest> {
@@ -164,7 +191,12 @@ impl Job {
 
     pub(super) fn lost(&mut self, task: &TaskKey) -> Vec<Digest> {
         let grains = self.grains(task.stage.round);
-        self.frames.get_mut(&task.stage.frame).map(|frame| frame.lost(&grains, task.index)).unwrap_or_default()
+        let Some(frame) = self.frames.get_mut(&task.stage.frame) else { return Vec::new() };
+        match task.stage.kind {
+            StageKind::Render => frame.lost_part(&grains, task.index),
+            StageKind::Gather => frame.lost_group(task.index),
+            StageKind::Merge => Vec::new(),
+        }
     }
 
     pub(super) fn restarted(&mut self, frame: u32) -> Vec<Digest> {
@@ -195,7 +227,7 @@ impl Job {
     }
 
     fn note_block(&mut self, number: u32) {
-        if self.frames.get(&number).is_some_and(|frame| frame.is_blocked(&self.grains(frame.round))) {
+        if self.frames.get(&number).is_some_and(|frame| frame.is_blocked(&self.layout(frame.round))) {
             self.blocked.insert(number);
         }
     }
@@ -225,6 +257,10 @@ impl Job {
         match task.stage.kind {
             StageKind::Render => {
                 frame.round == task.stage.round && frame.tiles.get(&task.index).is_some_and(|tile| tile.epoch == epoch)
+            }
+            StageKind::Gather => {
+                frame.round == task.stage.round
+                    && frame.groups.done.get(&task.index).is_some_and(|group| group.epoch == epoch)
             }
             StageKind::Merge => frame.merged == Some(epoch),
         }

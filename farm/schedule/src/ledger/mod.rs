@@ -2,7 +2,10 @@
 
 mod annex;
 pub(crate) mod frame;
+mod group;
 mod job;
+mod layout;
+mod snapshot;
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -12,6 +15,8 @@ use serde::{Deserialize, Serialize};
 use crate::Fact;
 pub(crate) use annex::Annex;
 pub(crate) use job::{Hold, Job};
+pub(crate) use layout::Layout;
+pub use snapshot::SnapshotError;
 
 /// All jobs. Changes by [`Ledger::apply`] alone: same facts, same ledger.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -21,32 +26,12 @@ pub struct Ledger {
     last_job: u64,
     keys: BTreeMap<String, JobId>,
     pub(crate) jobs: BTreeMap<JobId, Job>,
-    /// What later versions have added: it follows the rest in a snapshot, and an older snapshot ends without it.
+    /// What version 2 has added: it follows the rest in a snapshot, and an older snapshot ends without it.
     #[serde(skip)]
     pub(crate) annex: Annex,
 }
 
-/// A snapshot that cannot be read.
-#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
-pub enum SnapshotError {
-    /// Written by another version.
-    #[error("snapshot of version {found}, this program reads {}", Ledger::VERSION)]
-    Version {
-        /// What its first byte says.
-        found: u8,
-    },
-    /// Not what [`Ledger::encode`] writes.
-    #[error("snapshot or fact is damaged: {0}")]
-    Damaged(#[from] postcard::Error),
-    /// No bytes at all.
-    #[error("snapshot or fact is empty")]
-    Empty,
-}
-
 impl Ledger {
-    /// First byte of snapshots and of facts. Earlier ones are read too: their snapshots end before the annex, or within it.
-    pub const VERSION: u8 = 3;
-
     /// The number that the next job gets.
     pub(crate) fn next_job(&self) -> JobId {
         JobId(self.last_job + 1)
@@ -104,6 +89,10 @@ impl Ledger {
             Fact::Failed { task, failure } => {
                 (task.job, self.jobs.get_mut(&task.job).map(|job| job.failed(task, failure, now)))
             }
+            Fact::Grouped { job, tiles } => (*job, self.jobs.get_mut(job).map(|job| job.grouped(*tiles))),
+            Fact::Gathered { task, epoch, result } => {
+                (task.job, self.jobs.get_mut(&task.job).map(|job| job.gathered(task, *epoch, result)))
+            }
             Fact::Lost { task } => (task.job, self.jobs.get_mut(&task.job).map(|job| job.lost(task))),
             Fact::Restarted { job, frame } => (*job, self.jobs.get_mut(job).map(|j| j.restarted(*frame))),
             Fact::Doomed { job, failure } => (*job, self.jobs.get_mut(job).map(|j| j.doomed(failure))),
@@ -145,50 +134,5 @@ impl Ledger {
     /// The scenes of all jobs: what each of them names belongs to the job, too.
     pub fn scenes(&self) -> BTreeSet<Digest> {
         self.jobs.values().map(|job| job.spec.bundle).collect()
-    }
-
-    /// Version and content, for a snapshot.
-    pub fn encode(&self) -> Result<Vec<u8>, SnapshotError> {
-        Ok(postcard::to_extend(&self.annex, encode(self)?)?)
-    }
-
-    /// What [`Self::encode`] wrote, now or in an earlier version.
-    pub fn decode(bytes: &[u8]) -> Result<Self, SnapshotError> {
-        let (version, content) = content(bytes)?;
-        let (ledger, rest) = postcard::take_from_bytes(content)?;
-        let mut ledger = Self { annex: Annex::decode(version, rest)?, ..ledger };
-        for (&id, job) in &mut ledger.jobs {
-            job.cut(ledger.annex.cut_of(id));
-        }
-        Ok(ledger)
-    }
-}
-
-impl Fact {
-    /// Version, time and content, for the log.
-    pub fn encode(&self, now: Tick) -> Result<Vec<u8>, SnapshotError> {
-        encode(&(now, self))
-    }
-
-    /// What [`Self::encode`] wrote.
-    pub fn decode(bytes: &[u8]) -> Result<(Tick, Self), SnapshotError> {
-        decode(bytes)
-    }
-}
-
-fn encode(value: &impl Serialize) -> Result<Vec<u8>, SnapshotError> {
-    Ok(postcard::to_extend(value, vec![Ledger::VERSION])?)
-}
-
-fn decode<T: for<'a> Deserialize<'a>>(bytes: &[u8]) -> Result<T, SnapshotError> {
-    Ok(postcard::from_bytes(content(bytes)?.1)?)
-}
-
-/// The version, and what follows it.
-fn content(bytes: &[u8]) -> Result<(u8, &[u8]), SnapshotError> {
-    match bytes.split_first() {
-        Some((&version @ 1..=Ledger::VERSION, content)) => Ok((version, content)),
-        Some((&found, _)) => Err(SnapshotError::Version { found }),
-        None => Err(SnapshotError::Empty),
     }
 }

@@ -20,9 +20,9 @@ pub fn job(frames: &[u32], tiles: u32, rounds: &[u32]) -> JobSpec {
     }
 }
 
-/// Workers hold one task beyond the one that they run.
+/// Workers hold one task beyond the one that they run; frames are merged whole.
 pub fn config() -> Config {
-    Config { lease: 5_000, prefetch: 1, ahead: 0, regroup: 0, ..Config::default() }
+    Config { lease: 5_000, prefetch: 1, ahead: 0, regroup: 0, group: 0, ..Config::default() }
 }
 
 /// Scheduler, time, and everything that was made durable.
@@ -206,11 +206,17 @@ pub fn result_in(held: &Assignment, decision: Decision, seconds: f64) -> TaskRes
             bad_samples: 1,
             seconds,
         }),
-        Work::Merge { more, .. } => {
+        Work::Gather { more, .. } => TaskResult::Gather(GatherResult {
+            sums: (*more == More::Rounds).then(|| name("sums")),
+            pixels: name("pixels"),
+            seconds: 0.125,
+        }),
+        Work::Merge { more, inputs, .. } => {
+            let keeps_sums = matches!(inputs, MergeInputs::Tiles(_));
             let decision = if *more == More::Last { Decision::Done } else { decision };
             TaskResult::Merge(MergeResult {
                 decision,
-                sums: (decision == Decision::Continue).then(|| name("sums")),
+                sums: (decision == Decision::Continue && keeps_sums).then(|| name("sums")),
                 image: (decision == Decision::Done).then(|| name("image")),
                 preview: None,
                 relative_error: Some(0.1),
@@ -225,7 +231,7 @@ pub fn result_in(held: &Assignment, decision: Decision, seconds: f64) -> TaskRes
 pub fn samples(held: &Assignment) -> std::ops::Range<u32> {
     match &held.work {
         Work::Render { samples, .. } => samples.clone(),
-        Work::Merge { .. } => 0..0,
+        Work::Gather { .. } | Work::Merge { .. } => 0..0,
     }
 }
 

@@ -1,0 +1,211 @@
+//! Resolved pixels, and pieces of a frame that is resolved in several places.
+//!
+//! A [`Piece`] is what an image needs of some tiles: 44 bytes a pixel instead of the 144 of exact sums. Nothing can be added
+//! to it. As bytes:
+//!
+//! | bytes | what |
+//! | --- | --- |
+//! | 8 | `FEMCPIEC` |
+//! | 4 | format version, 1 |
+//! | 16 | BLAKE3 of everything after this field, first half |
+//! | 5 x 4 | film width, film height, tile edge; first tile, one past the last |
+//! | | its samples as one range, and bad samples, as in a tile ([`crate::codec`]) |
+//! | rest | zstd frame of the pixels in the order of the tiles, in byte planes |
+
+use crate::codec::{begin, finish, open, put_account, to_planes};
+use crate::tile::{ALBEDO_FRACTION, PixelSums};
+use crate::{BadSamples, FilmError, Frame, FrameImage, Image, Rect, SampleRange, Tiling};
+use std::ops::Range;
+
+const MAGIC: &[u8; 8] = b"FEMCPIEC";
+const VERSION: u32 = 1;
+const WORDS: usize = 11;
+const PIXEL_BYTES: usize = 4 * WORDS;
+
+/// What an image says of a pixel; see [`FrameImage`].
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(crate) struct Pixel {
+    color: [f32; 3],
+    variance: [f32; 3],
+    albedo: [f32; 3],
+    depth: f32,
+    samples: u32,
+}
+
+impl PixelSums {
+    /// Means and the variance of the mean; zero without samples.
+    pub(crate) fn resolve(&self) -> Pixel {
+        let mut pixel = Pixel { samples: self.count, ..Pixel::default() };
+        if self.count == 0 {
+            return pixel;
+        }
+        let n = f64::from(self.count);
+        for i in 0..3 {
+            let mean = self.color[i].value() / n;
+            pixel.color[i] = mean as f32;
+            pixel.variance[i] = variance_of_mean(mean, self.square[i].value(), n) as f32;
+            let unit = f64::from(1u32 << ALBEDO_FRACTION);
+            pixel.albedo[i] = (self.albedo[i] as f64 / unit / n) as f32;
+        }
+        if self.hits > 0 {
+            pixel.depth = (self.depth.value() / f64::from(self.hits)) as f32;
+        }
+        pixel
+    }
+}
+
+/// Unbiased estimate of the variance of a mean of `n` independent samples from their sum of squares; one sample tells
+/// nothing, and the squared mean stands in for it (a relative error of 1).
+fn variance_of_mean(mean: f64, squares: f64, n: f64) -> f64 {
+    if n < 2.0 {
+        return mean * mean;
+    }
+    ((squares / n - mean * mean) / (n - 1.0)).max(0.0)
+}
+
+impl Pixel {
+    fn to_bytes(self) -> [u8; PIXEL_BYTES] {
+        let mut bytes = [0; PIXEL_BYTES];
+        let floats = [self.color, self.variance, self.albedo].concat().into_iter().chain([self.depth]);
+        let words = floats.map(f32::to_bits).chain([self.samples]);
+        bytes.chunks_exact_mut(4).zip(words).for_each(|(field, word)| field.copy_from_slice(&word.to_le_bytes()));
+        bytes
+    }
+
+    fn from_bytes(bytes: &[u8; PIXEL_BYTES]) -> Self {
+        let word = |at: usize| u32::from_le_bytes(std::array::from_fn(|i| bytes[4 * at + i]));
+        let three = |at: usize| [at, at + 1, at + 2].map(|at| f32::from_bits(word(at)));
+        Self {
+            color: three(0),
+            variance: three(3),
+            albedo: three(6),
+            depth: f32::from_bits(word(9)),
+            samples: word(10),
+        }
+    }
+}
+
+/// Some tiles of a frame, resolved: all hold the same samples.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Piece {
+    tiling: Tiling,
+    tiles: Range<usize>,
+    samples: SampleRange,
+    bad: BadSamples,
+    /// Tile by tile, row by row.
+    pixels: Vec<Pixel>,
+}
+
+impl Piece {
+    /// These tiles of `frame`.
+    /// - errors: the frame has fewer tiles; one has no samples, or a gap in them, or others than the first.
+    pub fn of(frame: &Frame, tiles: Range<usize>) -> Result<Self, FilmError> {
+        let samples = SampleRange::joined(frame.ranges(tiles.start));
+        let mut piece = Self {
+            tiling: frame.tiling(),
+            samples: samples.ok_or(FilmError::Corrupt("tiles without samples, or with a gap in them"))?,
+            tiles: tiles.clone(),
+            bad: BadSamples::default(),
+            pixels: Vec::new(),
+        };
+        for index in tiles {
+            let rect = frame.tiling().rect(index).ok_or(FilmError::Corrupt("more tiles than the film has"))?;
+            let tile = frame.tile(index).filter(|tile| SampleRange::joined(tile.ranges()) == samples);
+            let tile = tile.ok_or(FilmError::Uneven(rect))?;
+            piece.bad.merge(tile.bad());
+            piece.pixels.extend(tile.pixels().iter().map(PixelSums::resolve));
+        }
+        Ok(piece)
+    }
+
+    /// Numbers of its tiles.
+    pub fn tiles(&self) -> Range<usize> {
+        self.tiles.clone()
+    }
+
+    /// How its film is cut.
+    pub fn tiling(&self) -> Tiling {
+        self.tiling
+    }
+
+    /// The samples of each of its tiles.
+    pub fn samples(&self) -> SampleRange {
+        self.samples
+    }
+
+    /// Account of the samples that were left out.
+    pub fn bad(&self) -> &BadSamples {
+        &self.bad
+    }
+
+    /// The piece as bytes: the same bytes for the same pixels.
+    pub fn encode(&self) -> Vec<u8> {
+        let mut out = begin(MAGIC, VERSION);
+        let mut word = |w: u32| out.extend_from_slice(&w.to_le_bytes());
+        let Tiling { width, height, edge } = self.tiling;
+        [width, height, edge, self.tiles.start as u32, self.tiles.end as u32].into_iter().for_each(&mut word);
+        put_account(&[self.samples], &self.bad, word);
+        finish(out, &to_planes(&self.pixels, |pixel| pixel.to_bytes()))
+    }
+
+    /// The piece from its bytes; damage of any kind is an error.
+    pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
+        let mut reader = open(MAGIC, VERSION, bytes)?;
+        let [width, height, edge, start, end] = reader.words()?;
+        let (tiling, tiles) = (Tiling::new(width, height, edge)?, start as usize..end as usize);
+        if tiles.is_empty() || tiles.end > tiling.count() {
+            return Err(FilmError::Corrupt("impossible tiles"));
+        }
+        let (ranges, bad) = (reader.ranges()?, reader.bad(Rect { x: 0, y: 0, width, height })?);
+        let count: u64 = tiles.clone().filter_map(|index| tiling.rect(index)).map(|rect| rect.area()).sum();
+        let pixels = reader.planes(count as usize, Pixel::from_bytes)?;
+        let [samples] = ranges[..] else { return Err(FilmError::Corrupt("a gap in its samples")) };
+        if pixels.iter().any(|pixel| pixel.samples > samples.len()) {
+            return Err(FilmError::Corrupt("more samples than its range holds"));
+        }
+        Ok(Self { tiling, tiles, samples, bad, pixels })
+    }
+}
+
+impl FrameImage {
+    /// An image without samples.
+    pub fn black(width: u32, height: u32) -> Self {
+        let count = width as usize * height as usize;
+        Self {
+            color: Image { width, height, pixels: vec![[0.0; 3]; count] },
+            variance: vec![[0.0; 3]; count],
+            albedo: vec![[0.0; 3]; count],
+            depth: vec![0.0; count],
+            samples: vec![0; count],
+        }
+    }
+
+    /// Puts the pixels of `piece` in their place, over what is there.
+    /// - errors: the piece is of a film of another size.
+    pub fn put(&mut self, piece: &Piece) -> Result<(), FilmError> {
+        let Tiling { width, height, .. } = piece.tiling;
+        let own = Rect { x: 0, y: 0, width: self.color.width, height: self.color.height };
+        if (own.width, own.height) != (width, height) {
+            return Err(FilmError::OtherPixels { expected: own, found: Rect { width, height, ..own } });
+        }
+        let places = piece.tiles().filter_map(|index| piece.tiling.rect(index)).flat_map(Rect::pixels);
+        for ((x, y), pixel) in places.zip(&piece.pixels) {
+            self.set(y as usize * width as usize + x as usize, pixel);
+        }
+        Ok(())
+    }
+
+    /// Samples a pixel, averaged over the film; left-out samples do not count.
+    pub fn mean_spp(&self) -> f64 {
+        let total: u64 = self.samples.iter().map(|&count| u64::from(count)).sum();
+        total as f64 / (f64::from(self.color.width) * f64::from(self.color.height))
+    }
+
+    pub(crate) fn set(&mut self, at: usize, pixel: &Pixel) {
+        self.color.pixels[at] = pixel.color;
+        self.variance[at] = pixel.variance;
+        self.albedo[at] = pixel.albedo;
+        self.depth[at] = pixel.depth;
+        self.samples[at] = pixel.samples;
+    }
+}

@@ -1,0 +1,116 @@
+//! The union of tiles, keyed by (tile, sample range): in any order and grouping the same sums to the bit.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use bytes::Bytes;
+use femc_fault::{Point, pass};
+use femc_film::{FilmError, Frame, SampleRange, Tile, Tiling};
+use femc_model::{Artefact, Digest, Failure, Parts};
+use rayon::prelude::*;
+
+use super::Tools;
+use crate::sums;
+use crate::table::Task;
+
+/// Tiles that are downloaded and taken in side by side: bounds what is in memory beside the frame.
+const BATCH: usize = 16;
+
+/// How the job's film is cut.
+pub(super) fn tiling(task: &Task) -> Result<Tiling, Failure> {
+    let grid = task.spec.grid;
+    let tiling = Tiling::new(grid.film[0], grid.film[1], grid.tile);
+    tiling.map_err(|error| Failure::Settings { message: error.to_string() })
+}
+
+/// The samples that a tile holds when the task's round is whole.
+pub(super) fn expected(task: &Task) -> SampleRange {
+    (0..task.spec.samples(task.assignment.task.stage.round).end).into()
+}
+
+/// The sums of the rounds before and the tiles of this one, of the tiles `span`. Whole: each of them holds just the samples
+/// of these rounds, in whatever parts they came. Names every input that is lost, so that all are made again at once.
+pub(super) fn union(task: &Task, span: Range<u32>, parts: &Parts, tools: &Tools) -> Result<Frame, Failure> {
+    let mut frame = Frame::new(tiling(task)?);
+    let mut lost = Lost::default();
+    // What each tile of this round is made of.
+    let mut made_of: BTreeMap<Option<usize>, Vec<Digest>> = BTreeMap::new();
+    for (previous, bytes) in lost.fetch(task, parts.previous.as_slice(), tools)? {
+        let insert = |tiles: Vec<Tile>| tiles.into_iter().try_for_each(|tile| frame.insert(tile).map(drop));
+        lost.check(previous, tools.install(task, || sums::decode(&bytes)).and_then(insert));
+    }
+    for batch in parts.tiles.chunks(BATCH) {
+        if task.is_cancelled() {
+            return Err(Failure::Cancelled);
+        }
+        let here = lost.fetch(task, batch, tools)?;
+        let decoded: Vec<Result<Tile, FilmError>> =
+            tools.install(task, || here.par_iter().map(|(_, bytes)| Tile::decode(bytes)).collect());
+        for ((artefact, _), tile) in here.iter().zip(decoded) {
+            pass(Point::WorkerMidMerge);
+            let place = tile.as_ref().ok().and_then(|tile| frame.tiling().index_of(tile.rect()));
+            made_of.entry(place).or_default().push(artefact.digest);
+            lost.check(*artefact, tile.and_then(|tile| frame.insert(tile).map(drop)));
+        }
+    }
+    lost.verdict()?;
+    let expected = expected(task);
+    for index in span.start as usize..span.end as usize {
+        let found = frame.ranges(index);
+        if SampleRange::joined(found) != Some(expected) {
+            let message = format!("tile {index} holds the samples {found:?}, not {expected:?}");
+            let Some(digests) = made_of.remove(&Some(index)) else { return Err(Failure::Panicked { message }) };
+            lost.digests.extend(digests);
+            lost.message = message;
+        }
+    }
+    lost.verdict()?;
+    Ok(frame)
+}
+
+/// Inputs that are missing or damaged.
+#[derive(Debug, Default)]
+pub(super) struct Lost {
+    digests: Vec<Digest>,
+    message: String,
+}
+
+impl Lost {
+    /// Downloads these; what is lost is left out, a failure of another kind ends the task.
+    pub(super) fn fetch(
+        &mut self,
+        task: &Task,
+        artefacts: &[Artefact],
+        tools: &Tools,
+    ) -> Result<Vec<(Artefact, Bytes)>, Failure> {
+        let mut here = Vec::with_capacity(artefacts.len());
+        for (artefact, bytes) in artefacts.iter().zip(tools.fetch.all(&task.client, artefacts)) {
+            match bytes {
+                Ok(bytes) => here.push((*artefact, bytes)),
+                Err(Failure::LostInputs { digests, message }) => {
+                    self.digests.extend(digests);
+                    self.message = message;
+                }
+                Err(failure) => return Err(failure),
+            }
+        }
+        Ok(here)
+    }
+
+    /// Takes note of one that does not fit.
+    pub(super) fn check(&mut self, artefact: Artefact, outcome: Result<(), FilmError>) {
+        if let Err(error) = outcome {
+            self.digests.push(artefact.digest);
+            self.message = error.to_string();
+        }
+    }
+
+    /// Fails if anything is lost.
+    pub(super) fn verdict(&mut self) -> Result<(), Failure> {
+        if self.digests.is_empty() {
+            return Ok(());
+        }
+        let Self { digests, message } = std::mem::take(self);
+        Err(Failure::LostInputs { digests, message })
+    }
+}

@@ -14,6 +14,7 @@ pub mod gc;
 mod interrupt;
 pub mod jobs;
 pub mod logs;
+mod lookout;
 mod outbox;
 pub mod plan;
 mod preview;

@@ -1,27 +1,75 @@
 //! `femc watch JOB`: progress until the job ends, then its exit code.
 
-use super::client;
+use super::client::{self, Farm};
 use super::interrupt::Interrupt;
+use super::lookout::{Lookout, Views};
 use crate::args::ServerArgs;
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, interrupted};
-use crate::output::{Progress, Say, human, job as show};
-use clap::Args;
+use crate::output::blocks::Room;
+use crate::output::{Progress, Say, Stage, human, job as show};
+use clap::{Args, ValueEnum};
 use femc_model::{JobId, JobStatus};
+use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Show a job's progress until it ends; the exit code is the job's
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc watch 7\n  \
-    femc watch $(femc submit scene.mgf | tail -1) && echo finished\n\n\
+    femc watch $(femc submit scene.mgf | tail -1) && echo finished\n  \
+    femc watch 7 --preview-to now.png    # a picture of the frame in work, again and again\n\n\
     Ctrl-C leaves the watch (exit code 3) and not the job.")]
 pub struct WatchArgs {
     /// The job's number, as `submit` printed it
     #[arg(value_name = "JOB")]
     job: u64,
+    /// Draw the frame in work above the bar, as far as it is done: with auto on a terminal with room whose COLORTERM says
+    /// that it has 24-bit colors
+    #[arg(
+        long,
+        value_name = "WHEN",
+        default_value = "auto",
+        num_args = 0..=1,
+        require_equals = true,
+        default_missing_value = "always"
+    )]
+    preview: When,
+    /// Keep this file up to date with the frame in work, as far as it is done; at the end it is the last frame
+    #[arg(long, value_name = "FILE.png", value_parser = png)]
+    preview_to: Option<PathBuf>,
     #[command(flatten)]
     server: ServerArgs,
+}
+
+/// Whether to draw.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum When {
+    /// Where it can be seen.
+    Auto,
+    /// Wherever progress is shown.
+    Always,
+    /// Not at all.
+    Never,
+}
+
+impl When {
+    fn draws(self, stage: Stage, say: Say) -> bool {
+        match (self, stage) {
+            (Self::Never, _) | (_, Stage::None) | (Self::Auto, Stage::Lines) => false,
+            (Self::Always, Stage::Lines | Stage::Terminal) => true,
+            (Self::Auto, Stage::Terminal) => say.true_color() && Room::at_stderr().is_some(),
+        }
+    }
+}
+
+fn png(text: &str) -> Result<PathBuf, String> {
+    let path = PathBuf::from(text);
+    if path.extension().is_some_and(|extension| extension == "png") {
+        Ok(path)
+    } else {
+        Err("a preview is a PNG; give FILE.png".to_owned())
+    }
 }
 
 /// Between two looks.
@@ -32,10 +80,22 @@ pub fn run(args: &WatchArgs, say: Say) -> Result<Exit, Failure> {
     let last = client::block_on(&args.server, async |farm| {
         let mut interrupt = Interrupt::listen()?;
         let mut progress = Progress::new(say, Clock);
+        let views = Views { drawn: args.preview.draws(progress.stage(), say), file: args.preview_to.clone() };
+        let is_seen = views.drawn || views.file.is_some();
+        let mut lookout = is_seen.then(|| Lookout::new(farm.clone(), JobId(args.job), views));
         loop {
             let status = farm.patient_status(JobId(args.job)).await?;
             if status.state.has_ended() {
+                drop(lookout.take());
+                if let Some(file) = &args.preview_to {
+                    last_frame(farm, JobId(args.job), file).await?;
+                }
                 return Ok(status);
+            }
+            if let Some(lookout) = &mut lookout
+                && let Some(picture) = lookout.latest().await?
+            {
+                progress.picture(&picture);
             }
             progress.show(&show::snapshot(&status, None));
             tokio::select! {
@@ -50,6 +110,15 @@ pub fn run(args: &WatchArgs, say: Say) -> Result<Exit, Failure> {
         }
     })?;
     ended(say, &last)
+}
+
+/// The last finished frame takes the place of what there was of it; without one, what there was stays.
+async fn last_frame(farm: &Farm, job: JobId, file: &Path) -> Result<(), Failure> {
+    let preview = farm.frames(job).await?.last().and_then(|frame| frame.preview);
+    match preview {
+        Some(preview) => femc_film::file::write_atomic(file, &farm.get(&preview).await?).map_err(failed),
+        None => Ok(()),
+    }
 }
 
 /// Say how a job has ended.

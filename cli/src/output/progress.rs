@@ -44,6 +44,17 @@ enum Form {
     Lines { say: Say, last: Moment },
 }
 
+/// Where progress is shown.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stage {
+    /// Nowhere.
+    None,
+    /// As lines in a file or a pipe.
+    Lines,
+    /// On a terminal, in place.
+    Terminal,
+}
+
 impl Progress {
     /// A progress display that suits stderr; silent with `--quiet`.
     pub fn new(say: Say, clock: Clock) -> Self {
@@ -51,7 +62,7 @@ impl Progress {
             Form::Silent
         } else if io::stderr().is_terminal() {
             let bar = ProgressBar::with_draw_target(Some(STEPS), ProgressDrawTarget::stderr());
-            let style = ProgressStyle::with_template("{bar:28} {percent:>3} %  {msg}");
+            let style = ProgressStyle::with_template("{prefix}{bar:28} {percent:>3} %  {msg}");
             bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
             Form::Bar(bar)
         } else {
@@ -77,6 +88,24 @@ impl Progress {
                     say.note(format!("{:3.0} %  {}", now.fraction * 100.0, text()));
                 }
             }
+        }
+    }
+
+    /// Where it is shown.
+    pub fn stage(&self) -> Stage {
+        match &self.form {
+            Form::Silent => Stage::None,
+            Form::Lines { .. } => Stage::Lines,
+            Form::Bar(_) => Stage::Terminal,
+        }
+    }
+
+    /// Show a picture: above the bar, in the place of the one before, or as lines.
+    pub fn picture(&mut self, text: &str) {
+        match &self.form {
+            Form::Silent => {}
+            Form::Bar(bar) => bar.set_prefix(format!("{text}\n")),
+            Form::Lines { say, .. } => say.note(text),
         }
     }
 

@@ -1,0 +1,113 @@
+//! Pictures on a terminal: half blocks, two pixels a character, colors of 24 bits.
+
+use femc_film::{Image, Picture, ToneCurve};
+use std::fmt::Write as _;
+
+/// Characters for a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Room {
+    /// Characters of a line.
+    columns: u32,
+    /// Lines.
+    lines: u32,
+}
+
+impl Room {
+    /// Widest picture, characters: it is for a glance.
+    const WIDEST: u32 = 60;
+    /// Lines that stay for other things.
+    const BESIDE: u32 = 4;
+    /// Where less is left than this there is no room.
+    const LEAST: Self = Self { columns: 20, lines: 5 };
+    /// Where nobody knows the terminal's size.
+    const USUAL: Self = Self { columns: Self::WIDEST, lines: 20 };
+
+    /// What the terminal at stderr has, if that is enough.
+    pub fn at_stderr() -> Option<Self> {
+        let (lines, columns) = console::Term::stderr().size_checked()?;
+        let room = Self {
+            columns: u32::from(columns).saturating_sub(1).min(Self::WIDEST),
+            lines: u32::from(lines).saturating_sub(Self::BESIDE),
+        };
+        (room.columns >= Self::LEAST.columns && room.lines >= Self::LEAST.lines).then_some(room)
+    }
+
+    /// The same; what is usual where it is not known or not enough.
+    pub fn at_stderr_or_usual() -> Self {
+        Self::at_stderr().unwrap_or(Self::USUAL)
+    }
+}
+
+/// `image` as lines of half blocks that fit into `room`, each with its colors and back to none at its end.
+/// - `curve`: how radiances are shown; black stays black.
+pub fn draw(image: &Image, curve: ToneCurve, room: Room) -> String {
+    // Square pixels: two to a line.
+    let by_height = u64::from(2 * room.lines) * u64::from(image.width) / u64::from(image.height.max(1));
+    let small = image.shrunk_to(room.columns.min(by_height.max(1) as u32));
+    blocks(&curve.picture(&small), room.lines)
+}
+
+/// The first `most` lines; only a film that is a hundred times as high as wide has more.
+fn blocks(picture: &Picture, most: u32) -> String {
+    let width = picture.width.max(1) as usize;
+    let rows = picture.pixels.chunks(2 * width).take(most as usize);
+    rows.map(|rows| line(rows, width)).collect::<Vec<_>>().join("\n")
+}
+
+/// One or two rows of pixels.
+fn line(rows: &[[u8; 3]], width: usize) -> String {
+    let (upper, lower) = rows.split_at(width.min(rows.len()));
+    let (mut text, mut last) = (String::new(), None);
+    for (i, &above) in upper.iter().enumerate() {
+        let below = lower.get(i).copied();
+        // Writing into a string does not fail.
+        if last != Some((above, below)) {
+            let [r, g, b] = above;
+            let _ = write!(text, "\x1b[38;2;{r};{g};{b}m");
+            if let Some([r, g, b]) = below {
+                let _ = write!(text, "\x1b[48;2;{r};{g};{b}m");
+            }
+            last = Some((above, below));
+        }
+        text.push('▀');
+    }
+    text + "\x1b[0m"
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_rows_are_a_line_and_an_odd_one_leaves_the_ground_as_it_is() {
+        let (red, green, blue) = ([255, 0, 0], [0, 255, 0], [0, 0, 255]);
+        let picture = Picture { width: 2, height: 3, pixels: vec![red, red, green, green, blue, red] };
+        let expected = "\x1b[38;2;255;0;0m\x1b[48;2;0;255;0m▀▀\x1b[0m\n\
+                        \x1b[38;2;0;0;255m▀\x1b[38;2;255;0;0m▀\x1b[0m";
+        assert_eq!(blocks(&picture, 20), expected);
+    }
+
+    #[test]
+    fn a_picture_keeps_its_proportions_and_fits() {
+        let size = |width, height, room| {
+            let text = draw(&Image::filled(width, height, [1.0; 3]), ToneCurve { exposure: 1.0 }, room);
+            let lines: Vec<&str> = text.lines().collect();
+            (lines[0].matches('▀').count(), lines.len())
+        };
+        let room = Room { columns: 60, lines: 20 };
+        assert_eq!(size(3840, 2160, room), (60, 17));
+        assert_eq!(size(1080, 1920, room), (22, 20), "as high as there is room");
+        assert_eq!(size(32, 16, room), (32, 8), "never enlarged");
+        assert_eq!(size(10, 10_000, room), (1, 20));
+    }
+
+    #[test]
+    fn what_is_not_rendered_is_black_and_the_light_decides_the_exposure() {
+        let mut image = Image::filled(2, 2, [3.0; 3]);
+        image.pixels[0] = [0.0; 3];
+        let text = draw(&image, ToneCurve::auto([&image]), Room { columns: 60, lines: 20 });
+        assert!(text.starts_with("\x1b[38;2;0;0;0m"), "{text:?}");
+        let gray = ToneCurve::auto([&image]).picture(&Image::filled(1, 1, [3.0; 3])).pixels[0][0];
+        assert!(text.contains(&format!("\x1b[48;2;{gray};{gray};{gray}m")) && gray > 90, "{text:?}");
+    }
+}

@@ -158,6 +158,7 @@ impl Scheduler {
         if is_ready || desk.cursor < job.spec.frames.len() {
             waits.extend(self.why_no_worker(id, job, desk, now));
             waits.extend(self.why_shunned(job, desk, now));
+            waits.extend(self.why_avoided(job, desk));
         }
         waits
     }
@@ -195,6 +196,16 @@ impl Scheduler {
 }
 
 impl Scheduler {
+    /// Ready tasks that are kept from the worker on which they failed last.
+    fn why_avoided(&self, job: &Job, desk: &Desk) -> Option<Wait> {
+        let is_kept = |(task, worker): &(&TaskKey, &WorkerId)| {
+            let first = task.index..task.index + 1;
+            desk.is_ready(task, &first) && is_avoided(task, job, desk, **worker, &self.floor)
+        };
+        let tasks = desk.avoid.iter().filter(is_kept).count() as u32;
+        (tasks > 0).then_some(Wait::WorkersAvoided { tasks })
+    }
+
     /// Workers that the job does without for now.
     fn why_shunned(&self, job: &Job, desk: &Desk, now: Tick) -> Option<Wait> {
         let shunned = |(&id, worker): (&WorkerId, &Worker)| {

@@ -343,6 +343,12 @@ impl Machine {
         assert_eq!(&self.farm.replay(), self.farm.scheduler.ledger(), "a replay gives the same state");
         let again = self.farm.on(Event::Elapsed);
         assert_eq!(again, [], "dealing again changes nothing");
+        for &job in &self.jobs {
+            let status = self.farm.status(job);
+            let is_under_way = self.farm.held.iter().any(|(_, held)| held.task.job == job);
+            let says_why = is_under_way || status.state.has_ended() || !status.waits.is_empty();
+            assert!(says_why, "nothing of job {job} is under way, and it does not say why: {status:?}");
+        }
         let known: BTreeSet<_> = self.farm.held.iter().map(|(_, h)| (h.task, h.epoch)).collect();
         assert_eq!(known, self.live);
         assert!(self.live.iter().all(|(task, _)| !self.done.contains(task)), "what is done is no longer leased");

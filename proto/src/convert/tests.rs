@@ -204,6 +204,7 @@ fn statuses_cross_the_wire() {
         Wait::WorkersDraining { workers: 1 },
         Wait::WorkersResting,
         Wait::WorkersShunned { workers: 2, seconds: 60 },
+        Wait::WorkersAvoided { tasks: 3 },
         Wait::BehindJob(JobId(2)),
         Wait::MergeWaitsForTiles { frame: 1, tiles: 2 },
         Wait::Quarantined { frame: 1, tasks: 2 },

@@ -4,7 +4,7 @@ mod common;
 use common::proxy::Proxy;
 use common::{Place, coordinator, share, status, submit, workers};
 
-/// One tile, some seconds long.
+/// One tile, some seconds long: it is done in parts.
 const TILE: &str = "--spp 2500 --size 16x16 --frames 1";
 
 /// The results in an outbox.
@@ -18,26 +18,28 @@ fn a_worker_killed_between_a_result_and_its_acknowledgement_brings_the_result_al
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let proxy = Proxy::to(&url);
-    let mut first = place.start(&format!("worker --join {} --threads 1 --tags lab --outbox box", proxy.url));
+    let mut first =
+        place.start(&format!("worker --join {} --threads 1 --tags lab --outbox box --name first", proxy.url));
     let job = submit(&place, &url, &format!("{TILE} --tags lab"));
     farm.wait_until("some samples", || share(&place, &url, &job) > 0.05);
     proxy.freeze();
-    first.wait_until("a finished tile", || !kept(&place, "box").is_empty());
-    let tiles_done = |status: &serde_json::Value| status["active"][0]["tiles_done"].as_u64();
-    let before = status(&place, &url, &job);
-    assert_ne!(tiles_done(&before), Some(1), "the farm has not heard of it: {before}");
+    // One may have been on its way.
+    first.wait_until("two finished parts", || kept(&place, "box").len() >= 2);
+    let completed = |name: &str| {
+        let all = workers(&place, &url);
+        let worker = all.as_array().expect("a list").iter().find(|worker| worker["name"] == name);
+        worker.and_then(|worker| worker["completed"].as_u64()).unwrap_or(0)
+    };
     assert!(first.kill(), "it was alive");
-    assert_eq!(kept(&place, "box").len(), 1, "it outlives the kill");
+    assert!(kept(&place, "box").len() >= 2, "they outlive the kill");
 
     // Without the tag it gets no task of this job: what it brings is what it had.
-    let mut second = place.start(&format!("worker --join {url} --threads 1 --outbox box"));
-    farm.wait_until("the tile", || tiles_done(&status(&place, &url, &job)) == Some(1));
+    let mut second = place.start(&format!("worker --join {url} --threads 1 --outbox box --name second"));
+    farm.wait_until("a result", || completed("second") >= 1);
     second.wait_until("an empty outbox", || kept(&place, "box").is_empty());
-    let third = place.start(&format!("worker --join {url} --threads 1 --tags lab --name merger"));
+    let third = place.start(&format!("worker --join {url} --threads 1 --tags lab --name third"));
     place.run(&format!("watch {job} --server {url}")).exits(0);
-    let all = workers(&place, &url);
-    let merger = all.as_array().expect("a list").iter().find(|worker| worker["name"] == "merger");
-    assert_eq!(merger.expect("it is there")["completed"], 1, "only the merge was left to do: {all}");
+    assert!(completed("third") >= 1, "at least the merge was left to do");
     drop(third);
     place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
     place.run(&format!("render fog.mgf -o alone {TILE}")).exits(0);
@@ -45,7 +47,7 @@ fn a_worker_killed_between_a_result_and_its_acknowledgement_brings_the_result_al
     assert_eq!(
         common::pixels(&place.path("out").join(name)),
         common::pixels(&place.path("alone").join(name)),
-        "the tile of the killed worker is the tile"
+        "the parts of the killed worker are the tile's"
     );
 }
 

@@ -33,8 +33,8 @@ impl Unit {
 pub(crate) struct Leases {
     /// All that were given out, and what each covers.
     given: BTreeMap<(TaskKey, Epoch), Vec<Unit>>,
-    /// Of each unit's leases the latest: epochs grow with the log.
-    latest: BTreeMap<Unit, Epoch>,
+    /// Of each unit's leases the latest, for epochs grow with the log, and the one that it is a copy of.
+    latest: BTreeMap<Unit, (Epoch, Option<Epoch>)>,
     /// Leases that a worker brought along, and the sessions in which nobody has taken them away again.
     brought: BTreeMap<(TaskKey, Epoch), BTreeSet<SessionNumber>>,
     /// What the log counts, under leases that nobody has brought along.
@@ -58,8 +58,9 @@ impl Leases {
     pub(crate) fn assigned(&mut self, lease: &Assignment) -> Option<Violation> {
         let (key, units) = ((lease.task, lease.epoch), units(lease));
         for unit in &units {
-            let latest = self.latest.entry(*unit).or_insert(lease.epoch);
-            *latest = lease.epoch.max(*latest);
+            let this = (lease.epoch, lease.copy_of);
+            let latest = self.latest.entry(*unit).or_insert(this);
+            *latest = this.max(*latest);
         }
         let wrong = self.superseded(&units);
         self.given.insert(key, units);
@@ -79,7 +80,8 @@ impl Leases {
     }
 
     /// What is wrong with a record that is being written now. A result may count only under a lease that holds: the latest of
-    /// all that it covers, or one that a worker has brought along and that may have been adopted.
+    /// all that it covers, the one that this is a copy of, or one that a worker has brought along and that may have been
+    /// adopted.
     pub(crate) fn judge(&mut self, fact: &Fact) -> Option<Violation> {
         let key = match fact {
             Fact::Rendered { task, epoch, .. }
@@ -110,11 +112,11 @@ impl Leases {
         self.superseded(units)
     }
 
-    /// What counts is not given out again, whether the lease that came after its own is seen before or later.
+    /// What counts is not given out again, but for a copy, whether the lease that came after its own is seen before or later.
     fn superseded(&self, units: &[Unit]) -> Option<Violation> {
         units.iter().find_map(|unit| {
-            let (&(task, epoch), &later) = (self.counted.get(unit)?, self.latest.get(unit)?);
-            (later > epoch).then_some(Violation::Superseded { task, epoch, later })
+            let (&(task, epoch), &(later, copy_of)) = (self.counted.get(unit)?, self.latest.get(unit)?);
+            (later > epoch && copy_of != Some(epoch)).then_some(Violation::Superseded { task, epoch, later })
         })
     }
 }

@@ -51,6 +51,9 @@ async fn relay(session: Session, shared: Shared) {
             match &message {
                 ToWorker::Assign(lease) => {
                     let mut state = shared.lock();
+                    if lease.copy_of.is_some() {
+                        state.fired("given out twice");
+                    }
                     let wrong = state.leases.assigned(lease);
                     state.wrong.extend(wrong);
                 }

@@ -309,7 +309,7 @@ mod tests {
         let stage = Stage { frame: 1, round: 0, kind: StageKind::Render };
         let task = TaskKey { job: JobId(3), stage, index };
         let work = Work::Render { tile: index, samples: 0..4 };
-        let assignment = Assignment { task, epoch: Epoch(9), lease: 5000, work };
+        let assignment = Assignment { task, epoch: Epoch(9), lease: 5000, copy_of: None, work };
         let dial = femc_proto::Dial::by(|_, _| {
             let (near, far) = tokio::io::duplex(1 << 16);
             // Nobody answers, and nobody hangs up.

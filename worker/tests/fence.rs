@@ -46,7 +46,8 @@ async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_tol
     let stage = Stage { frame: 1, round: 0, kind: StageKind::Render };
     let task = TaskKey { job: JobId(7), stage, index: 0 };
     let epoch = Epoch::new(3, 1);
-    let assignment = Assignment { task, epoch, lease: LEASE, work: Work::Render { tile: 0, samples: 0..4 } };
+    let assignment =
+        Assignment { task, epoch, lease: LEASE, copy_of: None, work: Work::Render { tile: 0, samples: 0..4 } };
     let welcome = ToWorker::Welcome { worker: WorkerId(1), heartbeat: HEARTBEAT, lease: LEASE };
     first.out.send(welcome.clone()).await.unwrap();
     first.out.send(ToWorker::Job { job: JobId(7), spec: Box::new(spec.clone()) }).await.unwrap();

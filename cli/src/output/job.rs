@@ -150,6 +150,10 @@ pub fn wait(wait: &Wait) -> String {
             "tasks kept failing on {}: the next try there in {seconds} s",
             human::count(u64::from(*workers), "worker")
         ),
+        Wait::WorkersAvoided { tasks } => format!(
+            "{} failed last on the workers with room, and another worker is to try next",
+            human::count(u64::from(*tasks), "task")
+        ),
         Wait::BehindJob(job) => format!("job {job} goes first"),
         Wait::MergeWaitsForTiles { frame, tiles } => {
             format!("the merge of frame {frame} waits for {}", human::count(u64::from(*tiles), "tile"))

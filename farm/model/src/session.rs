@@ -122,6 +122,8 @@ pub enum RevokeReason {
     JobEnded,
     /// The lease ran out.
     Expired,
+    /// Another worker has done the task.
+    Done,
 }
 
 /// From the coordinator to a worker.

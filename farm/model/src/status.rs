@@ -113,6 +113,11 @@ pub enum Wait {
         /// Until the first of them gets a task as a probe; 0: it has it.
         seconds: u64,
     },
+    /// Tasks that failed last on the workers with room wait for others.
+    WorkersAvoided {
+        /// How many tasks.
+        tasks: u32,
+    },
     /// Jobs with more priority, or older, have tasks ready.
     BehindJob(JobId),
     /// The merge waits for tiles.

@@ -62,6 +62,8 @@ pub struct Assignment {
     pub epoch: Epoch,
     /// Milliseconds after which the lease ends, unless a heartbeat renews it.
     pub lease: u64,
+    /// The lease of another worker that does the same, where this is its copy: the first that is done counts.
+    pub copy_of: Option<Epoch>,
     /// What to do.
     pub work: Work,
 }

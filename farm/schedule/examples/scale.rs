@@ -1,6 +1,7 @@
 //! What the scheduler alone costs: `cargo run --release -p femc-schedule --example scale -- [WORKERS] [FRAMES] [TILES]`
 //!
-//! Workers that do everything at once; no log, no network.
+//! Workers that do everything at once; no log, no network. Memory is that of the process: by how much it grows with the job,
+//! with the workers and their leases, with the job's end, and the most that it ever was.
 
 use std::time::Instant;
 
@@ -24,10 +25,12 @@ fn main() {
         owner: "me".into(),
         tags: vec![],
     };
+    let empty = memory("VmRSS");
     let begun = Instant::now();
     farm.on(Event::Submitted { request: RequestId(1), key: None, spec: Box::new(spec) }, Tick(0));
     println!("submit of {} tasks: {:?}", u64::from(frames) * u64::from(tiles), begun.elapsed());
 
+    let submitted = memory("VmRSS");
     let mut line = std::collections::VecDeque::new();
     let see = |commands: Vec<Command>, line: &mut std::collections::VecDeque<_>| {
         for command in commands {
@@ -48,6 +51,7 @@ fn main() {
         };
         see(farm.on(Event::Joined { worker: WorkerId(worker), registration }, Tick(0)), &mut line);
     }
+    let joined = memory("VmRSS");
     let (begun, mut done) = (Instant::now(), 0u64);
     while let Some((worker, Assignment { task, epoch, work, .. })) = line.pop_front() {
         let name = Artefact { digest: Digest::from_bytes([task.index as u8; 32]), bytes: 1 };
@@ -71,7 +75,16 @@ fn main() {
     }
     let spent = begun.elapsed();
     println!("{workers} workers, {done} tasks: {spent:?}, {:.2} us a task", spent.as_secs_f64() * 1e6 / done as f64);
+    let grown = [submitted - empty, joined - submitted, memory("VmRSS") - joined];
+    println!("memory: {empty} KiB, and {grown:?} with job, workers and end; {} KiB at most", memory("VmHWM"));
     let begun = Instant::now();
     let bytes = farm.ledger().encode().map_or(0, |bytes| bytes.len());
     println!("snapshot: {bytes} bytes in {:?}", begun.elapsed());
+}
+
+/// KiB of this process, by the name that Linux gives it.
+fn memory(name: &str) -> i64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find(|line| line.starts_with(name)).unwrap_or_default();
+    line.split_whitespace().nth(1).and_then(|number| number.parse().ok()).unwrap_or(0)
 }

@@ -38,6 +38,8 @@ pub struct Config {
     pub task: u64,
     /// And so long at least, where there is too little for everybody.
     pub least_task: u64,
+    /// A task that takes longer than this, and twice as long as expected, may be given to a second worker that is idle.
+    pub late: u64,
     /// Pixel samples of a tile below which it is not cut; of jobs that are submitted from now on.
     pub grain: NonZeroU64,
     /// Most tiles that are gathered at a time before the merge, in frames of more than so many; of large tiles fewer. 0: the
@@ -99,6 +101,7 @@ impl Default for Config {
             ahead: 200,
             task: 8_000,
             least_task: 1_500,
+            late: 2_000,
             grain: Self::GRAIN,
             group: 256,
             weights: BTreeMap::new(),

@@ -1,7 +1,8 @@
 //! What people ask for: submit and steer.
 
-use femc_model::{Control, Cut, Grains, JobId, JobSpec, Refusal, RevokeReason, TaskKey, Tick};
+use femc_model::{Control, Cut, Grains, JobId, JobSpec, Refusal, RevokeReason, Tick};
 
+use crate::floor::LeaseKey;
 use crate::ledger::Hold;
 use crate::scheduler::Scheduler;
 use crate::{Answer, Command, Fact};
@@ -72,9 +73,9 @@ impl Scheduler {
 
     /// Takes back every lease of a job that has ended.
     pub(crate) fn revoke_all(&mut self, id: JobId, out: &mut Vec<Command>) {
-        let tasks: Vec<TaskKey> = self.floor.of_job(id).map(|(task, _)| *task).collect();
-        for task in tasks {
-            self.revoke(&task, RevokeReason::JobEnded, out);
+        let keys: Vec<LeaseKey> = self.floor.of_job(id).map(|(key, _)| *key).collect();
+        for key in keys {
+            self.revoke(&key, RevokeReason::JobEnded, out);
         }
     }
 }

@@ -6,7 +6,7 @@ use femc_model::{Assignment, Epoch, JobId, More, Stage, StageKind, TaskKey, Tick
 
 use crate::Command;
 use crate::desk::{Desk, OpenFrame};
-use crate::floor::{Floor, Worker};
+use crate::floor::{Floor, LeaseKey, Worker};
 use crate::ledger::Job;
 use crate::scheduler::Scheduler;
 
@@ -70,7 +70,21 @@ impl Scheduler {
 
     fn grant(&mut self, task: TaskKey, worker: WorkerId, now: Tick, out: &mut Vec<Command>) {
         let run = self.share(&task);
-        let Some(work) = self.work(&task, &run, now) else {
+        self.assign(task, &run, None, worker, now, out);
+    }
+
+    /// Leases a task to a worker.
+    /// - `copy_of`: the lease of another worker that does the same.
+    pub(crate) fn assign(
+        &mut self,
+        task: TaskKey,
+        run: &Range<u32>,
+        copy_of: Option<Epoch>,
+        worker: WorkerId,
+        now: Tick,
+        out: &mut Vec<Command>,
+    ) {
+        let Some(work) = self.work(&task, run, now) else {
             debug_assert!(false, "a task that is not there was picked: {task}");
             return;
         };
@@ -80,18 +94,20 @@ impl Scheduler {
         {
             desk.distrust.granted(instance, task);
         }
-        self.hand_out(task, &run, (worker, epoch), now);
-        out.push(Command::Assign { worker, assignment: Assignment { task, epoch, lease: self.config.lease, work } });
+        self.hand_out((task, epoch), run, worker, now);
+        let assignment = Assignment { task, epoch, lease: self.config.lease, copy_of, work };
+        out.push(Command::Assign { worker, assignment });
     }
 
     /// Takes a task off the table and puts it into a worker's hands.
-    pub(crate) fn hand_out(&mut self, task: TaskKey, run: &Range<u32>, lease: (WorkerId, Epoch), now: Tick) {
+    pub(crate) fn hand_out(&mut self, key: LeaseKey, run: &Range<u32>, worker: WorkerId, now: Tick) {
+        let (task, _) = &key;
         if let Some(desk) = self.desks.get_mut(&task.job) {
-            desk.take(&task, run);
+            desk.take(task, run);
         }
-        let size = self.size(&task, run);
-        self.charge(&task, size);
-        self.floor.lease(task, run, lease, size, &self.config, now);
+        let size = self.size(task, run);
+        self.charge(task, size);
+        self.floor.lease(key, run, worker, size, &self.config, now);
     }
 
     fn work(&self, task: &TaskKey, run: &Range<u32>, now: Tick) -> Option<Work> {
@@ -141,6 +157,7 @@ impl Scheduler {
         if is_ready || desk.cursor < job.spec.frames.len() {
             waits.extend(self.why_no_worker(id, job, desk, now));
             waits.extend(self.why_shunned(job, desk, now));
+            waits.extend(self.why_avoided(job, desk));
         }
         waits
     }
@@ -178,6 +195,16 @@ impl Scheduler {
 }
 
 impl Scheduler {
+    /// Ready tasks that are kept from the worker on which they failed last.
+    fn why_avoided(&self, job: &Job, desk: &Desk) -> Option<Wait> {
+        let is_kept = |(task, worker): &(&TaskKey, &WorkerId)| {
+            let first = task.index..task.index + 1;
+            desk.is_ready(task, &first) && is_avoided(task, job, desk, **worker, &self.floor)
+        };
+        let tasks = desk.avoid.iter().filter(is_kept).count() as u32;
+        (tasks > 0).then_some(Wait::WorkersAvoided { tasks })
+    }
+
     /// Workers that the job does without for now.
     fn why_shunned(&self, job: &Job, desk: &Desk, now: Tick) -> Option<Wait> {
         let shunned = |(&id, worker): (&WorkerId, &Worker)| {
@@ -203,7 +230,7 @@ fn why_no_merge(job: &Job, number: u32, open: &OpenFrame) -> Option<Wait> {
 }
 
 /// Whether the job's tasks keep failing on this worker, and another that is trusted could take them.
-fn is_shunned(job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor, now: Tick) -> bool {
+pub(crate) fn is_shunned(job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor, now: Tick) -> bool {
     let shuns = |id| floor.instance(id).is_some_and(|instance| desk.distrust.shuns(instance, now).is_some());
     shuns(worker)
         && floor
@@ -230,7 +257,7 @@ fn first_ready(id: JobId, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floo
 }
 
 /// Whether the task failed last on this very worker, and another that could take it is there.
-fn is_avoided(task: &TaskKey, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor) -> bool {
+pub(crate) fn is_avoided(task: &TaskKey, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor) -> bool {
     desk.avoid.get(task) == Some(&worker)
         && floor.workers.iter().any(|(&id, other)| id != worker && other.is_open() && other.has_tags(&job.spec.tags))
 }

@@ -7,11 +7,14 @@ use femc_model::{Epoch, Intake, JobId, Phase, Registration, Stage, StageKind, Ta
 
 use crate::Config;
 
+/// A lease's name: a task may be leased twice, see `speculate.rs`.
+pub(crate) type LeaseKey = (TaskKey, Epoch);
+
 /// A worker's session.
 #[derive(Debug, Clone)]
 pub(crate) struct Worker {
     pub(crate) registration: Registration,
-    pub(crate) held: BTreeSet<TaskKey>,
+    pub(crate) held: BTreeSet<LeaseKey>,
     /// What it wants: `Open` or `Off`.
     pub(crate) wish: Intake,
     /// What it gets.
@@ -63,7 +66,6 @@ pub(crate) struct Size {
 #[derive(Debug, Clone)]
 pub(crate) struct Lease {
     pub(crate) worker: WorkerId,
-    pub(crate) epoch: Epoch,
     /// Of a render task, the end of its run of grains; it begins with the task's key.
     end: u32,
     pub(crate) size: Size,
@@ -94,8 +96,8 @@ impl Lease {
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Floor {
     pub(crate) workers: BTreeMap<WorkerId, Worker>,
-    pub(crate) leases: BTreeMap<TaskKey, Lease>,
-    deadlines: BTreeSet<(Tick, TaskKey)>,
+    pub(crate) leases: BTreeMap<LeaseKey, Lease>,
+    deadlines: BTreeSet<(Tick, LeaseKey)>,
     /// Workers that can hold more, those with the fewest tasks first.
     pub(crate) spare: BTreeSet<(usize, WorkerId)>,
 }
@@ -125,11 +127,11 @@ impl Floor {
     }
 
     /// Removes a worker; returns what it held.
-    pub(crate) fn leave(&mut self, worker: WorkerId) -> Vec<TaskKey> {
-        let held: Vec<TaskKey> =
+    pub(crate) fn leave(&mut self, worker: WorkerId) -> Vec<LeaseKey> {
+        let held: Vec<LeaseKey> =
             self.workers.get(&worker).map(|worker| worker.held.iter().copied().collect()).unwrap_or_default();
-        for task in &held {
-            self.release(task);
+        for key in &held {
+            self.release(key);
         }
         self.workers.remove(&worker);
         self.spare.remove(&(0, worker));
@@ -139,9 +141,9 @@ impl Floor {
     /// - `run`: the task's grains.
     pub(crate) fn lease(
         &mut self,
-        task: TaskKey,
+        key: LeaseKey,
         run: &Range<u32>,
-        (worker, epoch): (WorkerId, Epoch),
+        worker: WorkerId,
         size: Size,
         config: &Config,
         now: Tick,
@@ -149,7 +151,6 @@ impl Floor {
         let deadline = now.after(config.lease);
         let lease = Lease {
             worker,
-            epoch,
             end: run.end,
             size,
             granted: now,
@@ -159,11 +160,11 @@ impl Floor {
             began: None,
             samples: 0,
         };
-        self.leases.insert(task, lease);
-        self.deadlines.insert((deadline, task));
+        self.leases.insert(key, lease);
+        self.deadlines.insert((deadline, key));
         if let Some(holder) = self.workers.get_mut(&worker) {
             self.spare.remove(&(holder.held.len(), worker));
-            holder.held.insert(task);
+            holder.held.insert(key);
             if holder.held.len() < holder.capacity(config) {
                 self.spare.insert((holder.held.len(), worker));
             }
@@ -183,12 +184,12 @@ impl Floor {
     }
 
     /// Ends a lease.
-    pub(crate) fn release(&mut self, task: &TaskKey) -> Option<Lease> {
-        let lease = self.leases.remove(task)?;
-        self.deadlines.remove(&(lease.deadline, *task));
+    pub(crate) fn release(&mut self, key: &LeaseKey) -> Option<Lease> {
+        let lease = self.leases.remove(key)?;
+        self.deadlines.remove(&(lease.deadline, *key));
         if let Some(holder) = self.workers.get_mut(&lease.worker) {
             self.spare.remove(&(holder.held.len(), lease.worker));
-            holder.held.remove(task);
+            holder.held.remove(key);
             self.spare.insert((holder.held.len(), lease.worker));
         }
         Some(lease)
@@ -196,7 +197,17 @@ impl Floor {
 
     /// The lease, if this worker holds it under this epoch.
     pub(crate) fn lease_of(&self, worker: WorkerId, task: &TaskKey, epoch: Epoch) -> Option<&Lease> {
-        self.leases.get(task).filter(|lease| lease.worker == worker && lease.epoch == epoch)
+        self.leases.get(&(*task, epoch)).filter(|lease| lease.worker == worker)
+    }
+
+    /// The leases of a task: none, one, or a second that does the same.
+    pub(crate) fn of_task(&self, task: &TaskKey) -> impl Iterator<Item = (&LeaseKey, &Lease)> + '_ {
+        self.leases.range((*task, Epoch(0))..=(*task, Epoch(u64::MAX)))
+    }
+
+    /// Workers that have nothing to do.
+    pub(crate) fn idle(&self) -> impl Iterator<Item = WorkerId> + '_ {
+        self.spare.range((0, WorkerId(0))..(1, WorkerId(0))).map(|&(_, worker)| worker)
     }
 
     /// Renews the leases that a heartbeat lists, unless they stand still; returns those that are over.
@@ -206,14 +217,14 @@ impl Floor {
         tasks: &[TaskProgress],
         config: &Config,
         now: Tick,
-    ) -> Vec<(TaskKey, Epoch)> {
+    ) -> Vec<LeaseKey> {
         let Some(holder) = self.workers.get_mut(&worker) else { return Vec::new() };
         let before = std::mem::replace(&mut holder.seen, now);
         let mut over = Vec::new();
         for progress in tasks {
-            let lease = self.leases.get_mut(&progress.task);
-            let Some(lease) = lease.filter(|lease| lease.worker == worker && lease.epoch == progress.epoch) else {
-                over.push((progress.task, progress.epoch));
+            let key = (progress.task, progress.epoch);
+            let Some(lease) = self.leases.get_mut(&key).filter(|lease| lease.worker == worker) else {
+                over.push(key);
                 continue;
             };
             if progress.phase == Phase::Working {
@@ -226,43 +237,44 @@ impl Floor {
             }
         }
         for progress in tasks {
-            let Some(lease) = self.leases.get_mut(&progress.task) else { continue };
+            let key = (progress.task, progress.epoch);
+            let Some(lease) = self.leases.get_mut(&key).filter(|lease| lease.worker == worker) else { continue };
             let (moved, stall) = match lease.phase {
                 Phase::Waiting => (holder.moved.max(lease.moved), config.preparation_stall),
                 Phase::Preparing => (lease.moved, config.preparation_stall),
                 Phase::Working | Phase::Uploading => (lease.moved, config.stall),
             };
-            if lease.worker == worker && lease.epoch == progress.epoch && now.since(moved) < stall {
-                self.deadlines.remove(&(lease.deadline, progress.task));
+            if now.since(moved) < stall {
+                self.deadlines.remove(&(lease.deadline, key));
                 lease.deadline = now.after(config.lease);
-                self.deadlines.insert((lease.deadline, progress.task));
+                self.deadlines.insert((lease.deadline, key));
             }
         }
         over
     }
 
     /// Of a lease that ran out although its worker is there: that worker, and for how many seconds nothing moved.
-    pub(crate) fn stalled(&self, task: &TaskKey, config: &Config, now: Tick) -> Option<(WorkerId, u64)> {
-        let lease = self.leases.get(task)?;
+    pub(crate) fn stalled(&self, key: &LeaseKey, config: &Config, now: Tick) -> Option<(WorkerId, u64)> {
+        let lease = self.leases.get(key)?;
         let worker = self.workers.get(&lease.worker)?;
         let is_there = now.since(worker.seen) < config.lease;
         (is_there && lease.phase != Phase::Waiting).then(|| (lease.worker, now.since(lease.moved) / 1000))
     }
 
     /// The leases whose time is up, earliest first.
-    pub(crate) fn expired(&self, now: Tick) -> Vec<TaskKey> {
-        self.deadlines.iter().take_while(|(deadline, _)| *deadline <= now).map(|&(_, task)| task).collect()
+    pub(crate) fn expired(&self, now: Tick) -> Vec<LeaseKey> {
+        self.deadlines.iter().take_while(|(deadline, _)| *deadline <= now).map(|&(_, key)| key).collect()
     }
 
     /// The keys of a stage that are leased.
     pub(crate) fn of_stage(&self, job: JobId, stage: Stage) -> impl Iterator<Item = Range<u32>> + '_ {
-        let key = |index| TaskKey { job, stage, index };
-        self.leases.range(key(0)..=key(u32::MAX)).map(|(task, lease)| lease.run(task))
+        let key = |index, epoch| (TaskKey { job, stage, index }, Epoch(epoch));
+        self.leases.range(key(0, 0)..=key(u32::MAX, u64::MAX)).map(|((task, _), lease)| lease.run(task))
     }
 
     /// The leases of a job.
-    pub(crate) fn of_job(&self, job: JobId) -> impl Iterator<Item = (&TaskKey, &Lease)> + '_ {
+    pub(crate) fn of_job(&self, job: JobId) -> impl Iterator<Item = (&LeaseKey, &Lease)> + '_ {
         let first = TaskKey { job, stage: Stage { frame: 0, round: 0, kind: StageKind::Render }, index: 0 };
-        self.leases.range(first..).take_while(move |(task, _)| task.job == job)
+        self.leases.range((first, Epoch(0))..).take_while(move |((task, _), _)| task.job == job)
     }
 }

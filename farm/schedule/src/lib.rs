@@ -26,6 +26,7 @@ mod pace;
 mod ranges;
 mod scheduler;
 mod share;
+mod speculate;
 mod view;
 
 pub use config::Config;

@@ -5,6 +5,7 @@ use femc_model::{
     TaskKey, TaskResult, Tick, Verdict, WorkerId,
 };
 
+use crate::floor::LeaseKey;
 use crate::ledger::Job;
 use crate::ledger::frame::Frame;
 use crate::scheduler::Scheduler;
@@ -42,7 +43,7 @@ impl Scheduler {
                 return self.failed(worker, task, epoch, failure, now, out);
             }
         };
-        self.floor.release(&task);
+        self.floor.release(&(task, epoch));
         // A worker's clock, at most what went by here: a lease may have waited for its turn.
         let spent = ((seconds.max(0.0) * 1000.0) as u64).min(now.since(granted));
         if let Some(typical) = self.settle(&task, size, spent) {
@@ -53,6 +54,7 @@ impl Scheduler {
             worker.mishaps = 0;
         }
         self.record(fact, now, out);
+        self.revoke_others(&task, RevokeReason::Done, out);
         let instance = self.floor.instance(worker);
         if let (Some(desk), Some(job)) = (self.desks.get_mut(&task.job), self.ledger.jobs.get(&task.job)) {
             desk.avoid.remove(&task);
@@ -77,7 +79,7 @@ impl Scheduler {
         if self.floor.lease_of(worker, &task, epoch).is_none() {
             return self.without_lease(worker, task, epoch, out);
         }
-        self.floor.release(&task);
+        self.floor.release(&(task, epoch));
         match failure.verdict() {
             Verdict::Cancelled => {}
             Verdict::Infrastructure => self.rest(worker, now),
@@ -88,6 +90,12 @@ impl Scheduler {
         self.put_back(&task);
         out.push(Command::Accept { worker, task, epoch });
         out.push(Command::Changed(task.job));
+    }
+
+    /// Takes back what else does the same.
+    fn revoke_others(&mut self, task: &TaskKey, reason: RevokeReason, out: &mut Vec<Command>) {
+        let others: Vec<LeaseKey> = self.floor.of_task(task).map(|(key, _)| *key).collect();
+        others.iter().for_each(|key| self.revoke(key, reason, out));
     }
 
     /// A report whose lease is over: the recorded answer if it is a repetition, a refusal otherwise.
@@ -114,6 +122,7 @@ impl Scheduler {
         worker.mishaps += 1;
     }
 
+    /// A failure counts as an attempt unless another worker does the same.
     pub(crate) fn count_failure(
         &mut self,
         worker: WorkerId,
@@ -131,7 +140,9 @@ impl Scheduler {
                 desk.distrust.failed(instance, task, &self.config, now);
             }
         }
-        self.record(Fact::Failed { task, failure }, now, out);
+        if self.floor.of_task(&task).next().is_none() {
+            self.record(Fact::Failed { task, failure }, now, out);
+        }
     }
 
     fn doom(&mut self, job: JobId, failure: Failure, now: Tick, out: &mut Vec<Command>) {
@@ -154,6 +165,9 @@ impl Scheduler {
         if digests.contains(&job.spec.bundle) {
             return self.doom(task.job, failure, now, out);
         }
+        // It would miss the same.
+        self.revoke_others(&task, RevokeReason::Expired, out);
+        let Some(job) = self.ledger.jobs.get(&task.job) else { return };
         let frame = task.stage.frame;
         let repairs = job.frames.get(&frame).map(|work| repairs(&task, work, digests)).unwrap_or_default();
         self.count_failure(worker, task, failure, now, out);
@@ -170,12 +184,12 @@ impl Scheduler {
 
     /// Takes back the leases of a frame that begins anew: they are of another round.
     fn revoke_frame(&mut self, job: JobId, frame: u32, out: &mut Vec<Command>) {
-        let leases = self.floor.of_job(job).map(|(task, _)| *task);
-        let tasks: Vec<TaskKey> = leases.filter(|task| task.stage.frame == frame).collect();
-        for task in tasks {
-            self.revoke(&task, RevokeReason::Expired, out);
+        let leases = self.floor.of_job(job).map(|(key, _)| *key);
+        let leases: Vec<LeaseKey> = leases.filter(|(task, _)| task.stage.frame == frame).collect();
+        for key in leases {
+            self.revoke(&key, RevokeReason::Expired, out);
             if let Some(desk) = self.desks.get_mut(&job) {
-                desk.distrust.released(&task);
+                desk.distrust.released(&key.0);
             }
         }
     }

@@ -9,7 +9,7 @@ use femc_model::{
 };
 
 use crate::desk::Desk;
-use crate::floor::Floor;
+use crate::floor::{Floor, LeaseKey, Worker};
 use crate::ledger::Job;
 use crate::logs::Shelf;
 use crate::order::Order;
@@ -83,8 +83,12 @@ impl Scheduler {
     /// Takes notice of `event` at `now`, which never goes back, and says what is to be done.
     pub fn on(&mut self, event: Event, now: Tick) -> Vec<Command> {
         let mut out = Vec::new();
+        let is_time = event == Event::Elapsed;
         self.take(event, now, &mut out);
         self.deal(now, &mut out);
+        if is_time {
+            self.speculate(now, &mut out);
+        }
         out
     }
 
@@ -114,20 +118,20 @@ impl Scheduler {
 
     fn join(&mut self, worker: WorkerId, mut registration: Registration, now: Tick, out: &mut Vec<Command>) {
         let held = std::mem::take(&mut registration.held);
-        let same = |(&id, known): (&WorkerId, &crate::floor::Worker)| {
-            (known.registration.instance == registration.instance).then_some(id)
-        };
-        if let Some(before) = self.floor.workers.iter().find_map(same) {
+        let same =
+            |(&id, known): (&WorkerId, &Worker)| (known.registration.instance == registration.instance).then_some(id);
+        let before = self.floor.workers.iter().find_map(same);
+        self.floor.join(worker, registration, now);
+        self.note_intake(worker);
+        let held: Vec<HeldLease> = held.into_iter().filter(|held| !self.take_over(held, worker, now)).collect();
+        if let Some(before) = before {
             self.leave(before, out);
             out.push(Command::Dismiss { worker: before });
         }
-        self.floor.join(worker, registration, now);
-        self.note_intake(worker);
         for held in held {
             let HeldLease { task, epoch, .. } = held;
-            self.take_over(&task, epoch);
             if let Some(run) = self.adoptable(&held) {
-                self.hand_out(task, &run, (worker, epoch), now);
+                self.hand_out((task, epoch), &run, worker, now);
                 out.push(Command::Changed(task.job));
             } else {
                 self.note_stale(task.job);
@@ -137,12 +141,13 @@ impl Scheduler {
     }
 
     /// A lease is its worker's, whatever session or process of it comes with it: an earlier one that has not been heard to
-    /// end yet loses it.
-    fn take_over(&mut self, task: &TaskKey, epoch: Epoch) {
-        if self.floor.leases.get(task).is_some_and(|lease| lease.epoch == epoch) {
-            self.floor.release(task);
-            self.put_back(task);
-        }
+    /// end yet loses it. Returns whether there is such a lease.
+    fn take_over(&mut self, held: &HeldLease, worker: WorkerId, now: Tick) -> bool {
+        let key = (held.task, held.epoch);
+        let is_of_job = self.spec(held.task.job).is_some_and(|spec| spec.key() == held.job);
+        let Some(lease) = is_of_job.then(|| self.floor.release(&key)).flatten() else { return false };
+        self.floor.lease(key, &lease.run(&held.task), worker, lease.size, &self.config, now);
+        true
     }
 
     /// The keys of a task that a worker brings along, if it is wanted and nobody else has any of it.
@@ -163,7 +168,7 @@ impl Scheduler {
     }
 
     fn leave(&mut self, worker: WorkerId, out: &mut Vec<Command>) {
-        for task in self.floor.leave(worker) {
+        for (task, _) in self.floor.leave(worker) {
             self.put_back(&task);
             out.push(Command::Changed(task.job));
         }
@@ -187,9 +192,9 @@ impl Scheduler {
         if now < self.deals_from {
             return;
         }
-        for task in self.floor.expired(now) {
-            let stalled = self.floor.stalled(&task, &self.config, now);
-            self.revoke(&task, RevokeReason::Expired, out);
+        for key in self.floor.expired(now) {
+            let (task, stalled) = (key.0, self.floor.stalled(&key, &self.config, now));
+            self.revoke(&key, RevokeReason::Expired, out);
             if let Some((worker, seconds)) = stalled {
                 self.count_failure(worker, task, Failure::Stalled { seconds }, now, out);
             }
@@ -217,9 +222,9 @@ impl Scheduler {
     }
 
     /// Ends a lease and tells its worker.
-    pub(crate) fn revoke(&mut self, task: &TaskKey, reason: RevokeReason, out: &mut Vec<Command>) {
-        if let Some(lease) = self.floor.release(task) {
-            out.push(Command::Revoke { worker: lease.worker, task: *task, epoch: lease.epoch, reason });
+    pub(crate) fn revoke(&mut self, key: &LeaseKey, reason: RevokeReason, out: &mut Vec<Command>) {
+        if let Some(lease) = self.floor.release(key) {
+            out.push(Command::Revoke { worker: lease.worker, task: key.0, epoch: key.1, reason });
         }
     }
 
@@ -227,7 +232,9 @@ impl Scheduler {
     pub(crate) fn put_back(&mut self, task: &TaskKey) {
         let Some(job) = self.ledger.jobs.get(&task.job) else { return };
         let desk = self.desks.entry(task.job).or_default();
-        desk.distrust.released(task);
+        if self.floor.of_task(task).next().is_none() {
+            desk.distrust.released(task);
+        }
         desk.refresh(task.job, job, task.stage.frame, &self.floor);
         self.reorder(task.job);
     }

@@ -5,6 +5,7 @@ use femc_model::{
     StageKind, TaskKey, Tick, WorkerId, WorkerStatus,
 };
 
+use crate::floor::LeaseKey;
 use crate::ledger::frame::Frame;
 use crate::ledger::{Hold, Job};
 use crate::scheduler::Scheduler;
@@ -80,7 +81,7 @@ impl Scheduler {
             name: known.registration.name.clone(),
             threads: known.registration.threads,
             tags: known.registration.tags.clone(),
-            tasks: known.held.iter().copied().collect(),
+            tasks: known.held.iter().map(|(task, _)| *task).collect(),
             silent: now.since(known.seen),
             completed: known.completed,
             failed: known.failed,
@@ -92,9 +93,9 @@ impl Scheduler {
     /// The leases of one worker, and how long they hold.
     pub fn leases(&self, worker: WorkerId, now: Tick) -> Vec<LeaseLeft> {
         let held = self.floor.workers.get(&worker).into_iter().flat_map(|worker| &worker.held);
-        let lease = |task: &TaskKey| {
-            let lease = self.floor.leases.get(task).filter(|lease| lease.worker == worker)?;
-            Some(LeaseLeft { task: *task, epoch: lease.epoch, left: lease.deadline.since(now) })
+        let lease = |key: &LeaseKey| {
+            let lease = self.floor.leases.get(key)?;
+            Some(LeaseLeft { task: key.0, epoch: key.1, left: lease.deadline.since(now) })
         };
         held.filter_map(lease).collect()
     }
@@ -125,8 +126,21 @@ impl Scheduler {
         let Some(job) = self.ledger.jobs.get(&id) else { return 0 };
         let finished: u64 = job.finished.values().map(|f| u64::from(f.record.spp) * job.spec.grid.pixels()).sum();
         let active: u64 = job.frames.values().map(|frame| frame.samples).sum();
-        let running: u64 = self.floor.of_job(id).map(|(_, lease)| lease.samples).sum();
+        let running: u64 = self.under_way(id).map(|(_, samples)| samples).sum();
         finished + active + running
+    }
+
+    /// The tasks of a job that are leased, and the pixel samples of each so far; of two leases of a task the one that is further counts.
+    fn under_way(&self, id: JobId) -> impl Iterator<Item = (&TaskKey, u64)> + '_ {
+        let mut leases = self.floor.of_job(id).peekable();
+        std::iter::from_fn(move || {
+            let ((task, _), lease) = leases.next()?;
+            let mut samples = lease.samples;
+            while let Some((_, other)) = leases.next_if(|((next, _), _)| next == task) {
+                samples = samples.max(other.samples);
+            }
+            Some((task, samples))
+        })
     }
 
     fn active(&self, id: JobId, job: &Job) -> Vec<FrameProgress> {
@@ -148,11 +162,11 @@ impl Scheduler {
         for &number in job.frames.keys() {
             active.insert(number, blank(number));
         }
-        for (task, lease) in self.floor.of_job(id) {
+        for (task, samples) in self.under_way(id) {
             let number = task.stage.frame;
             let frame = active.entry(number).or_insert_with(|| blank(number));
             frame.running += 1;
-            frame.samples_done += lease.samples;
+            frame.samples_done += samples;
         }
         active.into_values().collect()
     }

@@ -64,7 +64,8 @@ struct Machine {
     jobs: Vec<JobId>,
     /// Leases that are over, as a slow worker remembers them.
     over: Vec<(WorkerId, Assignment)>,
-    live: BTreeMap<TaskKey, Epoch>,
+    /// Of a task one, or two when the second is a copy of the first.
+    live: BTreeSet<(TaskKey, Epoch)>,
     /// What the leases of render tasks cover, of all that were ever seen.
     runs: BTreeMap<Epoch, Vec<Unit>>,
     last_epoch: Epoch,
@@ -100,7 +101,7 @@ impl Machine {
             next_worker: 1,
             jobs: vec![],
             over: vec![],
-            live: BTreeMap::new(),
+            live: BTreeSet::new(),
             runs: BTreeMap::new(),
             last_epoch: Epoch(0),
             done: BTreeSet::new(),
@@ -123,15 +124,18 @@ impl Machine {
                     }
                     self.begins(&assignment);
                 }
-                Command::Revoke { task, epoch, .. } if self.live.get(&task) == Some(&epoch) => {
-                    self.live.remove(&task);
+                Command::Revoke { worker, task, epoch, .. } => {
+                    if let Some(held) = self.farm.ended.iter().find(|(to, held)| (*to, held.epoch) == (worker, epoch)) {
+                        self.over.push(held.clone());
+                    }
+                    self.live.remove(&(task, epoch));
                 }
                 Command::Record(
                     Fact::Rendered { task, epoch, .. }
                     | Fact::Gathered { task, epoch, .. }
                     | Fact::Merged { task, epoch, .. },
                 ) => {
-                    assert_eq!(self.live.remove(&task), Some(epoch), "a result without a lease counts");
+                    assert!(self.live.remove(&(task, epoch)), "a result without a lease counts");
                     assert!(self.done.insert(task), "{task} is done twice");
                     for unit in &self.runs[&epoch] {
                         assert!(self.rendered.insert(*unit), "{unit:?} of {task} counts twice");
@@ -168,11 +172,14 @@ impl Machine {
     /// A lease begins, by being granted or adopted: nobody else has any of it, and none of it is done.
     fn begins(&mut self, held: &Assignment) {
         let units = units(held);
-        let others = self.live.values().flat_map(|epoch| &self.runs[epoch]);
-        for taken in others.chain(&self.rendered) {
+        let original = held.copy_of.filter(|original| self.live.contains(&(held.task, *original)));
+        assert!(original.is_none_or(|original| self.runs[&original] == units), "{} is no copy", held.task);
+        let others = self.live.iter().filter(|(_, epoch)| Some(*epoch) != original);
+        for taken in others.clone().flat_map(|(_, epoch)| &self.runs[epoch]).chain(&self.rendered) {
             assert!(!units.contains(taken), "{taken:?} of {} is leased or done", held.task);
         }
-        assert_eq!(self.live.insert(held.task, held.epoch), None, "{} is leased twice", held.task);
+        assert!(others.clone().all(|(task, _)| *task != held.task), "{} is leased twice", held.task);
+        self.live.insert((held.task, held.epoch));
         self.runs.insert(held.epoch, units);
     }
 
@@ -229,7 +236,8 @@ impl Machine {
                 let (before, _) = self.over[which % self.over.len()];
                 let mut leases: Vec<Assignment> =
                     self.over.iter().filter(|(worker, _)| *worker == before).map(|(_, held)| held.clone()).collect();
-                leases.retain(|held| self.live.get(&held.task) != Some(&held.epoch));
+                leases.retain(|held| !self.live.contains(&(held.task, held.epoch)));
+                leases.sort_by_key(|held| held.epoch);
                 leases.dedup();
                 let worker = self.next_worker;
                 self.next_worker += 1;
@@ -268,7 +276,7 @@ impl Machine {
                 self.workers.remove(&worker);
                 let held: Vec<_> = self.farm.held.iter().filter(|(holder, _)| holder.0 == worker).cloned().collect();
                 for (worker, held) in held {
-                    self.live.remove(&held.task);
+                    self.live.remove(&(held.task, held.epoch));
                     self.end_lease(worker, &held);
                 }
                 let commands = self.farm.leave(worker);
@@ -286,7 +294,7 @@ impl Machine {
             Step::Fail(which, kind) => {
                 let Some((worker, held)) = self.held(which) else { return };
                 self.end_lease(worker, &held);
-                self.live.remove(&held.task);
+                self.live.remove(&(held.task, held.epoch));
                 let missing = held.work.inputs().next().map_or(Digest::of(b"nobody knows"), |first| first.digest);
                 let failure = match kind {
                     0 | 1 => panic(),
@@ -319,10 +327,7 @@ impl Machine {
                 self.see(commands);
             }
             Step::Wait(milliseconds) => {
-                let before = self.farm.held.clone();
                 let commands = self.farm.wait(milliseconds);
-                let lost = before.into_iter().filter(|held| !self.farm.held.contains(held));
-                self.over.extend(lost);
                 self.see(commands);
             }
             Step::Control(which, kind) => {
@@ -350,11 +355,20 @@ impl Machine {
     }
 
     fn check(&mut self) {
+        // Copies are given out as time goes by.
+        self.take(Step::Wait(0));
         assert_eq!(&self.farm.replay(), self.farm.scheduler.ledger(), "a replay gives the same state");
         let again = self.farm.on(Event::Elapsed);
         assert_eq!(again, [], "dealing again changes nothing");
-        let known: BTreeMap<TaskKey, Epoch> = self.farm.held.iter().map(|(_, h)| (h.task, h.epoch)).collect();
+        for &job in &self.jobs {
+            let status = self.farm.status(job);
+            let is_under_way = self.farm.held.iter().any(|(_, held)| held.task.job == job);
+            let says_why = is_under_way || status.state.has_ended() || !status.waits.is_empty();
+            assert!(says_why, "nothing of job {job} is under way, and it does not say why: {status:?}");
+        }
+        let known: BTreeSet<_> = self.farm.held.iter().map(|(_, h)| (h.task, h.epoch)).collect();
         assert_eq!(known, self.live);
+        assert!(self.live.iter().all(|(task, _)| !self.done.contains(task)), "what is done is no longer leased");
     }
 
     /// One good worker and no more faults: every job ends, and a job that is done has every frame.

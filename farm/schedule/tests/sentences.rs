@@ -358,6 +358,7 @@ fn after_a_standstill_of_the_coordinator_workers_are_heard_before_leases_run_out
     // A coordinator that stumbles all the time lets leases run out all the same.
     for _ in 0..100 {
         farm.on(Event::Awoke);
+        farm.heartbeat(2, Phase::Waiting, 0);
         farm.wait(100);
     }
     assert_eq!((farm.tasks_of(1).len(), farm.tasks_of(2).len()), (0, 1));

@@ -72,6 +72,7 @@ impl From<ToWorker> for wire::ToWorker {
                 let reason = match reason {
                     RevokeReason::JobEnded => wire::RevokeReason::JobEnded,
                     RevokeReason::Expired => wire::RevokeReason::Expired,
+                    RevokeReason::Done => wire::RevokeReason::Done,
                 };
                 Message::Revoke(wire::Revoke { lease: to_lease(task, epoch), reason: reason.into() })
             }
@@ -125,6 +126,7 @@ fn reason(value: i32) -> Result<RevokeReason, ConvertError> {
         wire::RevokeReason::Unspecified => return Err(unknown),
         wire::RevokeReason::JobEnded => RevokeReason::JobEnded,
         wire::RevokeReason::Expired => RevokeReason::Expired,
+        wire::RevokeReason::Done => RevokeReason::Done,
     })
 }
 

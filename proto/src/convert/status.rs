@@ -129,6 +129,7 @@ impl From<Wait> for wire::Wait {
                 Wait::WorkersDraining { workers } => Reason::WorkersDraining(workers),
                 Wait::WorkersResting => Reason::WorkersResting(empty),
                 Wait::WorkersShunned { workers, seconds } => Reason::WorkersShunned(wire::Shunned { workers, seconds }),
+                Wait::WorkersAvoided { tasks } => Reason::WorkersAvoided(tasks),
                 Wait::BehindJob(job) => Reason::BehindJob(job.0),
                 Wait::MergeWaitsForTiles { frame, tiles } => Reason::MergeWaitsForTiles(Tasks { frame, tasks: tiles }),
                 Wait::MergeWaitsForGroups { frame, groups } => {
@@ -153,6 +154,7 @@ impl TryFrom<wire::Wait> for Wait {
             Reason::WorkersResting(_) => Self::WorkersResting,
             Reason::WorkersShunned(wire::Shunned { workers, seconds }) => Self::WorkersShunned { workers, seconds },
             Reason::BehindJob(job) => Self::BehindJob(JobId(job)),
+            Reason::WorkersAvoided(tasks) => Self::WorkersAvoided { tasks },
             Reason::MergeWaitsForTiles(Tasks { frame, tasks }) => Self::MergeWaitsForTiles { frame, tiles: tasks },
             Reason::MergeWaitsForGroups(Tasks { frame, tasks }) => Self::MergeWaitsForGroups { frame, groups: tasks },
             Reason::Quarantined(Tasks { frame, tasks }) => Self::Quarantined { frame, tasks },

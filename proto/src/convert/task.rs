@@ -66,7 +66,7 @@ pub(super) fn from_range(range: wire::Range) -> Range<u32> {
 impl From<Assignment> for wire::Assignment {
     fn from(assignment: Assignment) -> Self {
         use wire::assignment::Work as Wire;
-        let Assignment { task, epoch, lease, work } = assignment;
+        let Assignment { task, epoch, lease, copy_of, work } = assignment;
         let work = match work {
             Work::Render { tile, samples } => {
                 Wire::Render(wire::RenderWork { samples: Some(to_range(&samples)), tile })
@@ -87,7 +87,8 @@ impl From<Assignment> for wire::Assignment {
                 more: more == More::Rounds,
             }),
         };
-        Self { lease: to_lease(task, epoch), lease_time: lease, work: Some(work) }
+        let copy_of = copy_of.map_or(0, |epoch| epoch.0);
+        Self { lease: to_lease(task, epoch), lease_time: lease, work: Some(work), copy_of }
     }
 }
 
@@ -118,7 +119,8 @@ impl TryFrom<wire::Assignment> for Assignment {
                 Work::Gather { span: start..end, parts, more: more(gather.more) }
             }
         };
-        Ok(Self { task, epoch, lease: wire.lease_time, work })
+        let copy_of = (wire.copy_of > 0).then_some(Epoch(wire.copy_of));
+        Ok(Self { task, epoch, lease: wire.lease_time, copy_of, work })
     }
 }
 

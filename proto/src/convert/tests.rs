@@ -166,14 +166,16 @@ fn the_words_of_a_session_cross_the_wire() {
     });
     let gathers = parts.map(|parts| Work::Gather { span: 3..6, parts, more: More::Last });
     for work in works.into_iter().chain(gathers).chain([Work::Render { tile: 5, samples: 16..32 }]) {
-        let assignment = Assignment { task: merge, epoch, lease: 5000, work };
-        crosses::<ToWorker, wire::ToWorker>(ToWorker::Assign(assignment));
+        for copy_of in [None, Some(Epoch::new(2, 8))] {
+            let assignment = Assignment { task: merge, epoch, lease: 5000, copy_of, work: work.clone() };
+            crosses::<ToWorker, wire::ToWorker>(ToWorker::Assign(assignment));
+        }
     }
     crosses::<ToWorker, wire::ToWorker>(ToWorker::Welcome { worker: WorkerId(4), heartbeat: 500, lease: 5000 });
     let leases = vec![LeaseLeft { task: render, epoch, left: 4321 }];
     crosses::<ToWorker, wire::ToWorker>(ToWorker::Renewed { heartbeat: 3, leases });
     crosses::<ToWorker, wire::ToWorker>(ToWorker::Job { job: JobId(7), spec: Box::new(spec()) });
-    for reason in [RevokeReason::Expired, RevokeReason::JobEnded] {
+    for reason in [RevokeReason::Expired, RevokeReason::JobEnded, RevokeReason::Done] {
         crosses::<ToWorker, wire::ToWorker>(ToWorker::Revoke { task: render, epoch, reason });
     }
     crosses::<ToWorker, wire::ToWorker>(ToWorker::Accepted { task: render, epoch });
@@ -205,6 +207,7 @@ fn statuses_cross_the_wire() {
         Wait::WorkersDraining { workers: 1 },
         Wait::WorkersResting,
         Wait::WorkersShunned { workers: 2, seconds: 60 },
+        Wait::WorkersAvoided { tasks: 3 },
         Wait::BehindJob(JobId(2)),
         Wait::MergeWaitsForTiles { frame: 1, tiles: 2 },
         Wait::MergeWaitsForGroups { frame: 1, groups: 3 },

@@ -32,6 +32,8 @@ pub struct Farm {
     pub log: Vec<(Tick, Fact)>,
     /// Leases as the workers know them.
     pub held: Vec<(WorkerId, Assignment)>,
+    /// Leases that the last commands have taken back.
+    pub ended: Vec<(WorkerId, Assignment)>,
     requests: u64,
 }
 
@@ -42,7 +44,7 @@ impl Farm {
 
     pub fn with(config: Config) -> Self {
         let (scheduler, opened) = Scheduler::new(config, Ledger::default());
-        Self { scheduler, now: Tick(0), log: vec![(Tick(0), opened)], held: vec![], requests: 0 }
+        Self { scheduler, now: Tick(0), log: vec![(Tick(0), opened)], held: vec![], ended: vec![], requests: 0 }
     }
 
     /// The ledger that the log gives.
@@ -68,11 +70,15 @@ impl Farm {
 
     pub fn on(&mut self, event: Event) -> Vec<Command> {
         let commands = self.scheduler.on(event, self.now);
+        self.ended.clear();
         for command in &commands {
             match command {
                 Command::Record(fact) => self.log.push((self.now, fact.clone())),
                 Command::Assign { worker, assignment } => self.held.push((*worker, assignment.clone())),
-                Command::Revoke { task, epoch, .. } => self.drop_lease(*task, *epoch),
+                Command::Revoke { task, epoch, .. } => {
+                    self.ended.extend(self.held.iter().filter(|(_, held)| held.epoch == *epoch).cloned());
+                    self.drop_lease(*task, *epoch);
+                }
                 _ => {}
             }
         }

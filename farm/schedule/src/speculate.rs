@@ -1,0 +1,71 @@
+//! The tail of a frame: a worker that has nothing else to do does once more what takes another far too long. Whichever is done
+//! first counts; the other is revoked at once, and its result changes nothing. Costs work that is thrown away, by workers that
+//! would stand still; a task is given out twice at most.
+
+use femc_model::{StageKind, TaskKey, Tick, WorkerId};
+
+use crate::Command;
+use crate::deal::{is_avoided, is_shunned};
+use crate::floor::{Lease, LeaseKey};
+use crate::scheduler::Scheduler;
+
+impl Scheduler {
+    /// A task is late after so many times what it was expected to take.
+    const LATE: u64 = 2;
+
+    /// Leases late tasks to idle workers a second time, the latest first. Nothing is ready for these workers: they would have
+    /// been dealt it.
+    pub(crate) fn speculate(&mut self, now: Tick, out: &mut Vec<Command>) {
+        if now < self.deals_from {
+            return;
+        }
+        let is_fit = |id: &WorkerId| self.floor.workers.get(id).is_some_and(|known| known.is_fit(&self.config, now));
+        let idle: Vec<WorkerId> = self.floor.idle().filter(is_fit).collect();
+        let mut late = if idle.is_empty() { Vec::new() } else { self.late(now) };
+        for worker in idle {
+            let Some(place) = late.iter().position(|key| self.may_copy(key, worker, now)) else { continue };
+            let (task, epoch) = late.remove(place);
+            if let Some(run) = self.floor.leases.get(&(task, epoch)).map(|lease| lease.run(&task)) {
+                self.assign(task, &run, Some(epoch), worker, now, out);
+            }
+        }
+    }
+
+    /// Leases that take too long and of which there is no copy: by their jobs' order of service, the latest first.
+    fn late(&self, now: Tick) -> Vec<LeaseKey> {
+        let mut all = Vec::new();
+        for job in self.order.service() {
+            let mut late: Vec<(u64, LeaseKey)> = (self.floor.of_job(job))
+                .filter(|((task, _), _)| self.floor.of_task(task).nth(1).is_none())
+                .filter_map(|(key, lease)| Some((self.lateness(&key.0, lease, now)?, *key)))
+                .collect();
+            late.sort_by_key(|&(lateness, key)| (std::cmp::Reverse(lateness), key));
+            all.extend(late.into_iter().map(|(_, key)| key));
+        }
+        all
+    }
+
+    /// Thousandths of the expected time that a lease has taken until now; `None`: it is not late, or nobody knows.
+    fn lateness(&self, task: &TaskKey, lease: &Lease, now: Tick) -> Option<u64> {
+        let pace = &self.desks.get(&task.job)?.pace;
+        let expected = match task.stage.kind {
+            StageKind::Render => pace.render(lease.size.samples),
+            StageKind::Gather => pace.gather(),
+            StageKind::Merge => pace.merge(),
+        }?;
+        let taken = now.since(lease.granted);
+        let is_late = taken > Self::LATE * expected && taken > self.config.late;
+        is_late.then(|| taken.saturating_mul(1_000) / expected.max(1))
+    }
+
+    fn may_copy(&self, (task, epoch): &LeaseKey, id: WorkerId, now: Tick) -> bool {
+        let (Some(job), Some(desk)) = (self.ledger.jobs.get(&task.job), self.desks.get(&task.job)) else {
+            return false;
+        };
+        let (holder, worker) = (self.floor.leases.get(&(*task, *epoch)), self.floor.workers.get(&id));
+        holder.is_some_and(|lease| lease.worker != id)
+            && worker.is_some_and(|worker| worker.has_tags(&job.spec.tags))
+            && !is_shunned(job, desk, id, &self.floor, now)
+            && !is_avoided(task, job, desk, id, &self.floor)
+    }
+}

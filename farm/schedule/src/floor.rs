@@ -97,7 +97,8 @@ impl Lease {
 pub(crate) struct Floor {
     pub(crate) workers: BTreeMap<WorkerId, Worker>,
     pub(crate) leases: BTreeMap<LeaseKey, Lease>,
-    deadlines: BTreeSet<(Tick, LeaseKey)>,
+    /// By epoch before task: epochs are told apart in one comparison.
+    deadlines: BTreeSet<(Tick, Epoch, TaskKey)>,
     /// Workers that can hold more, those with the fewest tasks first.
     pub(crate) spare: BTreeSet<(usize, WorkerId)>,
 }
@@ -161,7 +162,7 @@ impl Floor {
             samples: 0,
         };
         self.leases.insert(key, lease);
-        self.deadlines.insert((deadline, key));
+        self.deadlines.insert((deadline, key.1, key.0));
         if let Some(holder) = self.workers.get_mut(&worker) {
             self.spare.remove(&(holder.held.len(), worker));
             holder.held.insert(key);
@@ -186,7 +187,7 @@ impl Floor {
     /// Ends a lease.
     pub(crate) fn release(&mut self, key: &LeaseKey) -> Option<Lease> {
         let lease = self.leases.remove(key)?;
-        self.deadlines.remove(&(lease.deadline, *key));
+        self.deadlines.remove(&(lease.deadline, key.1, key.0));
         if let Some(holder) = self.workers.get_mut(&lease.worker) {
             self.spare.remove(&(holder.held.len(), lease.worker));
             holder.held.remove(key);
@@ -202,7 +203,8 @@ impl Floor {
 
     /// The leases of a task: none, one, or a second that does the same.
     pub(crate) fn of_task(&self, task: &TaskKey) -> impl Iterator<Item = (&LeaseKey, &Lease)> + '_ {
-        self.leases.range((*task, Epoch(0))..=(*task, Epoch(u64::MAX)))
+        let task = *task;
+        self.leases.range((task, Epoch(0))..).take_while(move |((other, _), _)| *other == task)
     }
 
     /// Workers that have nothing to do.
@@ -245,9 +247,9 @@ impl Floor {
                 Phase::Working | Phase::Uploading => (lease.moved, config.stall),
             };
             if now.since(moved) < stall {
-                self.deadlines.remove(&(lease.deadline, key));
+                self.deadlines.remove(&(lease.deadline, key.1, key.0));
                 lease.deadline = now.after(config.lease);
-                self.deadlines.insert((lease.deadline, key));
+                self.deadlines.insert((lease.deadline, key.1, key.0));
             }
         }
         over
@@ -263,7 +265,8 @@ impl Floor {
 
     /// The leases whose time is up, earliest first.
     pub(crate) fn expired(&self, now: Tick) -> Vec<LeaseKey> {
-        self.deadlines.iter().take_while(|(deadline, _)| *deadline <= now).map(|&(_, key)| key).collect()
+        let is_up = |(deadline, ..): &&(Tick, Epoch, TaskKey)| *deadline <= now;
+        self.deadlines.iter().take_while(is_up).map(|&(_, epoch, task)| (task, epoch)).collect()
     }
 
     /// The keys of a stage that are leased.

@@ -73,6 +73,9 @@ impl RangeSet {
             if start < range.start {
                 self.ranges.insert(start, range.start);
             }
+            if start <= range.start {
+                return;
+            }
         }
     }
 

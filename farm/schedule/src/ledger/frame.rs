@@ -104,6 +104,9 @@ impl Frame {
     }
 
     fn holds_any(&self, grains: &Grains, run: &Range<u32>) -> bool {
+        if grains.per_tile() == 1 {
+            return self.tiles.contains_key(&run.start);
+        }
         self.runs(grains, 0..run.end).next_back().is_some_and(|before| before.end > run.start)
     }
 

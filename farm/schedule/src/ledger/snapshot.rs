@@ -108,3 +108,22 @@ fn content(bytes: &[u8]) -> Result<(u8, &[u8]), SnapshotError> {
         None => Err(SnapshotError::Empty),
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use femc_model::Drain;
+
+    use super::*;
+
+    #[test]
+    fn a_snapshot_of_before_the_groups_is_read() {
+        let mut ledger = Ledger::default();
+        ledger.apply(&Fact::Opened { incarnation: 7 }, Tick(3));
+        ledger.apply(&Fact::Drained { instance: 5, drain: Drain::Begin }, Tick(4));
+        let old = postcard::to_extend(&ledger.annex, postcard::to_extend(&ledger, vec![2]).unwrap()).unwrap();
+        assert_eq!(Ledger::decode(&old), Ok(ledger.clone()));
+        let new = ledger.encode().unwrap();
+        assert_eq!((Ledger::decode(&new), new[0]), (Ok(ledger), 3));
+        assert!(Ledger::decode(&new[..new.len() - 1]).is_err());
+    }
+}

@@ -31,6 +31,8 @@ pub struct Config {
     /// Where tasks take less than this, a worker holds more of them, up to so many milliseconds of work and at most
     /// [`Config::DEEPEST`] tasks: then none waits for the next one's way.
     pub ahead: u64,
+    /// A job that ended so long ago is forgotten; `None`: never.
+    pub keep_ended: Option<u64>,
     /// Weights of owners in the fair share of time; who is not named has 1.
     pub weights: BTreeMap<String, u32>,
 }
@@ -72,6 +74,7 @@ impl Default for Config {
             longest_shun: 3_600_000,
             prefetch: 2,
             ahead: 200,
+            keep_ended: None,
             weights: BTreeMap::new(),
         }
     }

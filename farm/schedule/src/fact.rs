@@ -82,4 +82,9 @@ pub enum Fact {
     },
     /// A worker wrote something down during an attempt.
     Logged(Box<LogRecord>),
+    /// A job that had ended was forgotten, with its key and its logs.
+    Forgotten {
+        /// The job.
+        job: JobId,
+    },
 }

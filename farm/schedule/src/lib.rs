@@ -23,6 +23,7 @@ mod logs;
 mod order;
 mod outcome;
 mod ranges;
+mod retention;
 mod scheduler;
 mod view;
 

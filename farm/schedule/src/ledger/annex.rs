@@ -32,6 +32,11 @@ impl Annex {
         logs.remove(oldest).iter().filter_map(stored).collect()
     }
 
+    /// Keeps the logs of a job no longer.
+    pub(super) fn forget(&mut self, job: JobId) {
+        self.logs.remove(&job);
+    }
+
     pub(crate) fn logs(&self, job: JobId) -> impl Iterator<Item = &LogRecord> + '_ {
         self.logs.get(&job).into_iter().flatten()
     }

@@ -113,6 +113,9 @@ impl Queue for Log {
                 state.wrong.extend(wrong);
             }
             state.disk.contents.records.extend_from_slice(&records);
+            for record in &records {
+                state.trace.update(record);
+            }
             state.disk.history.extend(records);
         })
         .await

@@ -12,11 +12,14 @@
 mod audit;
 mod disk;
 mod faults;
+mod hosts;
 mod leases;
 mod network;
+mod person;
 mod shared;
 mod stage;
 mod switch;
+mod weather;
 mod world;
 
 pub use audit::Violation;

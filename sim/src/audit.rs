@@ -2,10 +2,10 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Epoch, JobState, TaskKey};
+use femc_model::{Epoch, JobId, JobSpec, JobState, JobStatus, TaskKey};
 use femc_schedule::{Fact, SnapshotError};
 
-use crate::shared::State;
+use crate::shared::{Reports, State};
 use crate::stage::Stage;
 
 /// Something that must never be.
@@ -14,6 +14,14 @@ pub enum Violation {
     /// The job did not come to its end in time.
     #[error("the job has not ended")]
     Unfinished,
+    /// A job did not end within its time.
+    #[error("after {seconds} s it has not ended: {state}")]
+    Stuck {
+        /// So long somebody waited.
+        seconds: u64,
+        /// What the farm says of it.
+        state: String,
+    },
     /// It ended otherwise than done.
     #[error("the job ended as {state}")]
     Failed {
@@ -74,6 +82,24 @@ pub enum Violation {
         /// As it should be.
         expected: u64,
     },
+    /// One of many jobs went wrong.
+    #[error("job {job}: {violation}")]
+    OfJob {
+        /// Which.
+        job: JobId,
+        /// How.
+        violation: Box<Violation>,
+    },
+    /// What should stay as it is has grown.
+    #[error("{what} grew from {before} to {after} on the average")]
+    Growth {
+        /// What.
+        what: &'static str,
+        /// In the first half.
+        before: u64,
+        /// In the second half.
+        after: u64,
+    },
     /// The log cannot be read.
     #[error("the log cannot be read: {0}")]
     Log(#[from] SnapshotError),
@@ -82,10 +108,17 @@ pub enum Violation {
     World(String),
 }
 
+impl Violation {
+    /// As that of one of many jobs.
+    pub(crate) fn of(self, job: JobId) -> Self {
+        Self::OfJob { job, violation: Box::new(self) }
+    }
+}
+
 /// All that is wrong.
 pub(crate) fn audit(stage: &Stage, state: &State) -> Vec<Violation> {
     let mut wrong = state.wrong.clone();
-    match log(state) {
+    match log(&state.disk.history, &state.accepted, &state.reported) {
         Ok(found) => wrong.extend(found),
         Err(error) => wrong.push(error.into()),
     }
@@ -103,25 +136,36 @@ pub(crate) fn audit(stage: &Stage, state: &State) -> Vec<Violation> {
             wrong.push(Violation::Pixels { frame, found, expected: expected.clone() });
         }
     }
+    wrong.extend(account(&stage.spec, status));
+    wrong
+}
+
+/// Whether the status of a job that is done agrees with what was asked for.
+pub(crate) fn account(spec: &JobSpec, status: &JobStatus) -> Vec<Violation> {
+    let mut wrong = Vec::new();
     let mut check = |what, found: u64, expected: u64| {
         if found != expected {
             wrong.push(Violation::Account { what, found, expected });
         }
     };
-    let spp = stage.spec.rounds.last().copied().unwrap_or(0);
-    let frames = stage.spec.frames.len() as u64;
+    let spp = spec.rounds.last().copied().unwrap_or(0);
+    let frames = spec.frames.len() as u64;
     check("frames", u64::from(status.frames_done), frames);
-    check("samples", status.samples_done, frames * stage.spec.grid.pixels() * u64::from(spp));
+    check("samples", status.samples_done, frames * spec.grid.pixels() * u64::from(spp));
     check("bad samples", status.bad_samples, 0);
     wrong
 }
 
 /// What the log says that it must not say.
-fn log(state: &State) -> Result<Vec<Violation>, SnapshotError> {
+pub(crate) fn log<'a>(
+    history: impl IntoIterator<Item = &'a Vec<u8>>,
+    accepted: &Reports,
+    reported: &Reports,
+) -> Result<Vec<Violation>, SnapshotError> {
     let mut wrong = Vec::new();
     let mut done: BTreeMap<TaskKey, Epoch> = BTreeMap::new();
     let mut counted: BTreeSet<(TaskKey, Epoch)> = BTreeSet::new();
-    for record in &state.disk.history {
+    for record in history {
         match Fact::decode(record)?.1 {
             Fact::Rendered { task, epoch, .. } | Fact::Merged { task, epoch, .. } => {
                 counted.insert((task, epoch));
@@ -136,7 +180,7 @@ fn log(state: &State) -> Result<Vec<Violation>, SnapshotError> {
             _ => {}
         }
     }
-    for &(task, epoch) in state.accepted.intersection(&state.reported) {
+    for &(task, epoch) in accepted.intersection(reported) {
         if !counted.contains(&(task, epoch)) {
             wrong.push(Violation::Forgotten { task, epoch });
         }

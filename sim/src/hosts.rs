@@ -9,10 +9,11 @@ use femc_store::Store;
 use femc_worker::{Hands, Pace, Worker};
 use turmoil::Sim;
 
-use crate::disk::{Log, Shelf};
+use crate::disk::Log;
 use crate::faults::{COORDINATORS, WORKERS};
 use crate::network::{dial, listen, url};
 use crate::shared::Shared;
+use crate::shelf::Shelf;
 use crate::stage::CACHE;
 use crate::switch;
 

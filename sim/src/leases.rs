@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Epoch, TaskKey};
+use femc_model::{Epoch, JobId, TaskKey};
 use femc_schedule::Fact;
 
 use crate::audit::Violation;
@@ -47,6 +47,14 @@ impl Leases {
         if let Some(sessions) = self.brought.get_mut(&(task, epoch)) {
             sessions.remove(&session);
         }
+    }
+
+    /// Keeps nothing of this job and those before it: what the log counts of them from now on is wrong.
+    pub(crate) fn forget_until(&mut self, job: JobId) {
+        self.given.retain(|(task, _)| task.job > job);
+        self.latest.retain(|task, _| task.job > job);
+        self.brought.retain(|(task, _), _| task.job > job);
+        self.counted.retain(|task, _| task.job > job);
     }
 
     /// What is wrong with a record that is being written now. A result may count only under a lease that holds: the task's

@@ -17,6 +17,8 @@ mod leases;
 mod network;
 mod person;
 mod shared;
+mod shelf;
+mod soak;
 mod stage;
 mod switch;
 mod weather;
@@ -24,4 +26,5 @@ mod world;
 
 pub use audit::Violation;
 pub use faults::{Fault, Planned};
+pub use soak::{Gauge, Soak, Soaked};
 pub use world::{Outcome, Tells, run};

@@ -1,11 +1,14 @@
 //! `femc-sim`: lives through simulated farms, one for each seed, and says which went wrong.
 
+#[path = "command/soak.rs"]
+mod soak;
+
 use std::collections::BTreeMap;
 use std::process::{Command, ExitCode, Stdio};
 use std::time::Instant;
 
 use anyhow::Context as _;
-use clap::Parser;
+use clap::{Parser, Subcommand};
 use femc_sim::{Outcome, Planned, Tells, run};
 use serde::{Deserialize, Serialize};
 
@@ -15,10 +18,14 @@ use serde::{Deserialize, Serialize};
     name = "femc-sim",
     after_help = "Examples:\n  \
     femc-sim --seeds 2000\n  \
-    femc-sim --from 1234 --seeds 1 --story    # every message of one world\n\n\
-    Exit code 1 if a world went wrong; its seed is printed, and goes wrong again."
+    femc-sim --from 1234 --seeds 1 --story    # every message of one world\n  \
+    femc-sim soak --hours 24                  # one world for a day\n\n\
+    Exit code 1 if a world went wrong; its seed is printed, and goes wrong again.",
+    args_conflicts_with_subcommands = true
 )]
 struct Args {
+    #[command(subcommand)]
+    long: Option<Long>,
     /// How many seeds
     #[arg(long, default_value_t = 200)]
     seeds: u64,
@@ -37,6 +44,11 @@ struct Args {
     /// Print the sum as JSON
     #[arg(long)]
     json: bool,
+}
+
+#[derive(Debug, Subcommand)]
+enum Long {
+    Soak(soak::Args),
 }
 
 /// What all worlds came to.
@@ -63,6 +75,9 @@ impl Sum {
 
 fn main() -> anyhow::Result<ExitCode> {
     let args = Args::parse();
+    if let Some(Long::Soak(args)) = args.long {
+        return soak::run(&args);
+    }
     let begun = Instant::now();
     let sum = if args.processes == 1 || args.seeds == 1 || args.story { here(&args)? } else { elsewhere(&args)? };
     if args.json {

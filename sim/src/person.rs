@@ -11,7 +11,7 @@ use crate::shared::Shared;
 use crate::stage::{self, Stage};
 
 /// Between two questions whether a job has ended.
-pub(crate) const LOOK: Duration = Duration::from_millis(400);
+const LOOK: Duration = Duration::from_millis(400);
 
 /// Submits the job, waits for its end, fetches its frames; never gives up.
 pub(crate) async fn person(shared: Shared, stage: &'static Stage) -> turmoil::Result {
@@ -67,6 +67,9 @@ pub(crate) async fn answer<T>(
         });
         match answer.await {
             Ok(Ok(answer)) => return Ok(answer),
+            Ok(Err(CallError::Refused(Refusal::Unavailable { message }))) => {
+                shared.note(|| format!("person: {message}"))
+            }
             Ok(Err(CallError::Refused(refusal))) => return Err(refusal),
             Ok(Err(error)) => shared.note(|| format!("person: {error}")),
             Err(_) => shared.note(|| "person: no answer".into()),

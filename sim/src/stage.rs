@@ -62,8 +62,11 @@ pub(crate) struct Stage {
 }
 
 /// The jobs there are: one round, and three.
+const ROUNDS: [&[u32]; 2] = [&[2], &[1, 2, 4]];
+
+/// One of each kind.
 static STAGES: LazyLock<Result<[Stage; 2], String>> = LazyLock::new(|| {
-    let make = || anyhow::Ok([stage(&[2])?, stage(&[1, 2, 4])?]);
+    let make = || anyhow::Ok([stage(ROUNDS[0], 0)?, stage(ROUNDS[1], 0)?]);
     make().map_err(|error| format!("{error:#}"))
 });
 
@@ -73,10 +76,15 @@ pub(crate) fn pick(number: u64) -> anyhow::Result<&'static Stage> {
     stages.get((number % 2) as usize).context("a stage")
 }
 
-fn stage(rounds: &[u32]) -> anyhow::Result<Stage> {
+/// A job that shares no artefact but its scene with any of another number.
+pub(crate) fn fresh(number: u64) -> anyhow::Result<Stage> {
+    stage(ROUNDS[(number % 2) as usize], number)
+}
+
+fn stage(rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
     // An error that is never reached: every round runs.
     let stop = if let [spp] = rounds { Stop::Spp(*spp) } else { Stop::Error(1e-9) };
-    let settings = Settings { stop, max_depth: 3, ..Settings::default() };
+    let settings = Settings { stop, max_depth: 3, seed, ..Settings::default() };
     let bundle = Bundle(BTreeMap::from([("haze.mgf".into(), SCENE.as_bytes().to_vec())]));
     let scene = Arc::new(femc_import::load(&bundle, "haze.mgf")?.scene);
     let spp = *rounds.last().context("a round")?;

@@ -5,10 +5,10 @@ use std::time::Duration;
 
 use turmoil::Sim;
 
-use crate::disk::Shelf;
 use crate::faults::{COORDINATORS, Fault, Planned, WORKERS};
 use crate::hosts::{LATENCY, coordinator_name, worker_name};
 use crate::shared::{Shared, Trap};
+use crate::shelf::Shelf;
 
 /// How long a plan's faults come, and whatever they broke stays broken.
 const STORM: Duration = Duration::from_secs(32);

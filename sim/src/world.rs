@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use crate::audit::{Violation, audit};
-use crate::disk::Shelf;
 use crate::faults::Planned;
 use crate::hosts;
 use crate::person::person;
 use crate::shared::Shared;
+use crate::shelf::Shelf;
 use crate::stage;
 use crate::weather::Weather;
 

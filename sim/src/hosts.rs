@@ -17,15 +17,13 @@ use crate::shelf::Shelf;
 use crate::stage::CACHE;
 use crate::switch;
 
-/// Step of the simulated time.
-const TICK: Duration = Duration::from_millis(5);
 /// Longest that a message takes when nothing is wrong.
 pub(crate) const LATENCY: Duration = Duration::from_millis(15);
 
-/// A world that lasts for `end` at most, with all its hosts; `scheduler` is that of every coordinator.
+/// A world in steps of `tick` that lasts for `end` at most, with all its hosts; `scheduler` is that of every coordinator.
 pub(crate) fn settle(
     seed: u64,
-    end: Duration,
+    [tick, end]: [Duration; 2],
     shared: &Shared,
     shelf: &Shelf,
     scheduler: &femc_schedule::Config,
@@ -33,7 +31,7 @@ pub(crate) fn settle(
     let store = Store::over("shelf", Arc::new(shelf.clone()));
     let mut sim = turmoil::Builder::new()
         .simulation_duration(end)
-        .tick_duration(TICK)
+        .tick_duration(tick)
         .min_message_latency(Duration::from_millis(1))
         .max_message_latency(LATENCY)
         .tcp_capacity(1 << 16)

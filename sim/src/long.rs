@@ -1,11 +1,18 @@
-//! `femc-sim soak`: one world for a long time.
+//! Commands that live in one world for a long time.
 
 use std::process::ExitCode;
 use std::time::Duration;
 
+use clap::Subcommand;
 use femc_sim::{Gauge, Soak, Soaked, Tells};
 
-/// Lives in one world for a long time, with people, storms of faults and an operator, and checks that nothing grows
+/// What to live through.
+#[derive(Debug, Subcommand)]
+pub enum Long {
+    Soak(Args),
+}
+
+/// Live in one world for a long time, with people, storms of faults and an operator, and check that nothing grows
 ///
 /// Storms come every simulated minute. Three people submit job after job, pause, cancel, retry, change priorities; an operator
 /// drains workers and removes garbage. Each job's frames and its part of the log are audited after its end. Jobs that ended are kept
@@ -31,13 +38,23 @@ fn hours(text: &str) -> Result<f64, String> {
     text.parse().ok().filter(|hours| (0.01..=8760.0).contains(hours)).ok_or_else(|| "give 0.01 to 8760".to_owned())
 }
 
-/// Lives.
-pub fn run(args: &Args) -> anyhow::Result<ExitCode> {
+impl Long {
+    /// Lives.
+    pub fn run(&self) -> anyhow::Result<ExitCode> {
+        match self {
+            Self::Soak(args) => soak(args),
+        }
+    }
+}
+
+fn soak(args: &Args) -> anyhow::Result<ExitCode> {
     let time = Duration::from_secs_f64(args.hours * 3600.0);
     let tells = if args.story { Tells::Story } else { Tells::Outcome };
     let soak = Soak { seed: args.seed, time, tells };
     let soaked = soak.run(|gauge| {
-        eprintln!("{:6.2} h of {:.2} after {:.0} s: {} jobs", gauge.hours, args.hours, gauge.seconds, gauge.jobs_ended);
+        let Gauge { hours, seconds, jobs_ended, resident_bytes, .. } = gauge;
+        let memory = *resident_bytes as f64 / f64::from(1 << 20);
+        eprintln!("{hours:6.2} h of {:.2} after {seconds:.0} s: {jobs_ended} jobs, {memory:.1} MiB", args.hours);
     })?;
     soaked.story.iter().for_each(|line| println!("{line}"));
     if args.json {

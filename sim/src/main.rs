@@ -1,14 +1,13 @@
 //! `femc-sim`: lives through simulated farms, one for each seed, and says which went wrong.
 
-#[path = "command/soak.rs"]
-mod soak;
+mod long;
 
 use std::collections::BTreeMap;
 use std::process::{Command, ExitCode, Stdio};
 use std::time::Instant;
 
 use anyhow::Context as _;
-use clap::{Parser, Subcommand};
+use clap::Parser;
 use femc_sim::{Outcome, Planned, Tells, run};
 use serde::{Deserialize, Serialize};
 
@@ -25,7 +24,7 @@ use serde::{Deserialize, Serialize};
 )]
 struct Args {
     #[command(subcommand)]
-    long: Option<Long>,
+    long: Option<long::Long>,
     /// How many seeds
     #[arg(long, default_value_t = 200)]
     seeds: u64,
@@ -44,11 +43,6 @@ struct Args {
     /// Print the sum as JSON
     #[arg(long)]
     json: bool,
-}
-
-#[derive(Debug, Subcommand)]
-enum Long {
-    Soak(soak::Args),
 }
 
 /// What all worlds came to.
@@ -75,8 +69,8 @@ impl Sum {
 
 fn main() -> anyhow::Result<ExitCode> {
     let args = Args::parse();
-    if let Some(Long::Soak(args)) = args.long {
-        return soak::run(&args);
+    if let Some(long) = args.long {
+        return long.run();
     }
     let begun = Instant::now();
     let sum = if args.processes == 1 || args.seeds == 1 || args.story { here(&args)? } else { elsewhere(&args)? };

@@ -12,6 +12,8 @@ use crate::shelf::Shelf;
 use crate::stage;
 use crate::weather::Weather;
 
+/// Step of the simulated time.
+const TICK: Duration = Duration::from_millis(5);
 /// When the job must be done.
 const END: Duration = Duration::from_secs(240);
 
@@ -37,7 +39,7 @@ pub fn run(seed: u64, plan: &Planned, tells: Tells) -> anyhow::Result<Outcome> {
     let stage = stage::pick(seed)?;
     line_up()?;
     let (shared, shelf) = (Shared::new(seed, tells == Tells::Story), Shelf::default());
-    let mut sim = hosts::settle(seed, END, &shared, &shelf, &femc_schedule::Config::default());
+    let mut sim = hosts::settle(seed, [TICK, END], &shared, &shelf, &femc_schedule::Config::default());
     sim.client("person", person(shared.clone(), stage));
     let mut weather = Weather::default();
     weather.storm(Duration::ZERO, plan, &shared);

@@ -23,6 +23,8 @@ use crate::world::{Tells, line_up};
 use book::Book;
 pub use gauge::Gauge;
 
+/// Step of the simulated time; most of the real time goes by with steps in which nothing happens.
+const TICK: Duration = Duration::from_millis(20);
 /// From the beginning of a storm to that of the next; the second half is quiet, so that jobs end.
 const CYCLE: Duration = Duration::from_secs(60);
 /// An ended job is forgotten after that.
@@ -73,7 +75,7 @@ impl Soak {
         let (shared, shelf, book) =
             (Shared::new(self.seed, self.tells == Tells::Story), Shelf::default(), Book::default());
         let config = Config { keep_ended: Some(KEEP.as_millis() as u64), ..Config::default() };
-        let mut sim = hosts::settle(self.seed, self.time + LAST, &shared, &shelf, &config);
+        let mut sim = hosts::settle(self.seed, [TICK, self.time + LAST], &shared, &shelf, &config);
         for number in 0..people::PERSONS {
             sim.client(people::name(number), people::person(*self, number, shared.clone(), book.clone()));
         }

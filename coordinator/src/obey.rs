@@ -50,8 +50,9 @@ impl<Q: Queue> Actor<Q> {
 
     fn assign(&mut self, worker: WorkerId, assignment: Assignment) {
         let job = assignment.task.job;
-        let is_known = self.workers.get_mut(&worker).is_none_or(|known| !known.jobs.insert(job));
+        let is_known = self.workers.get(&worker).is_none_or(|known| known.jobs.get(&job).is_some());
         if !is_known && let Some(spec) = self.scheduler.spec(job).cloned() {
+            self.workers.entry(worker).and_modify(|known| known.jobs.put(job, ()));
             self.tell(worker, ToWorker::Job { job, spec: Box::new(spec) });
         }
         self.tell(worker, ToWorker::Assign(assignment));

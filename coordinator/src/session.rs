@@ -1,8 +1,6 @@
 //! A worker's session: its reader, which also sees that what is reported is really in the store.
 
-use std::collections::BTreeSet;
-
-use femc_model::{Failure, FromWorker, JobId, LogText, ToWorker, WorkerId};
+use femc_model::{Failure, FromWorker, JobId, JobSpec, Latest, LogText, ToWorker, WorkerId};
 use femc_proto::Words;
 use femc_store::Store;
 use tokio::sync::mpsc;
@@ -13,13 +11,13 @@ use crate::actor::Word;
 #[derive(Debug)]
 pub(crate) struct Worker {
     pub(crate) out: mpsc::Sender<ToWorker>,
-    /// Jobs that it has been told about.
-    pub(crate) jobs: BTreeSet<JobId>,
+    /// Jobs that it has been told about, the latest: others are told again.
+    pub(crate) jobs: Latest<JobId, ()>,
 }
 
 impl Worker {
     pub(crate) fn new(out: mpsc::Sender<ToWorker>) -> Self {
-        Self { out, jobs: BTreeSet::new() }
+        Self { out, jobs: Latest::new(JobSpec::TOLD) }
     }
 }
 

@@ -2,11 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Epoch, JobState, Stage as TaskStage, StageKind, TaskKey};
+use femc_model::{Epoch, JobId, JobSpec, JobState, JobStatus, Stage as TaskStage, StageKind, TaskKey};
 use femc_schedule::{Fact, SnapshotError};
 
-use crate::leases::Unit;
-use crate::shared::State;
+use crate::leases::{Leases, Unit};
+use crate::shared::{Reports, State};
 use crate::stage::Stage;
 
 /// Something that must never be.
@@ -15,6 +15,14 @@ pub enum Violation {
     /// The job did not come to its end in time.
     #[error("the job has not ended")]
     Unfinished,
+    /// A job did not end within its time.
+    #[error("after {seconds} s it has not ended: {state}")]
+    Stuck {
+        /// So long somebody waited.
+        seconds: u64,
+        /// What the farm says of it.
+        state: String,
+    },
     /// It ended otherwise than done.
     #[error("the job ended as {state}")]
     Failed {
@@ -85,6 +93,24 @@ pub enum Violation {
         /// As it should be.
         expected: u64,
     },
+    /// One of many jobs went wrong.
+    #[error("job {job}: {violation}")]
+    OfJob {
+        /// Which.
+        job: JobId,
+        /// How.
+        violation: Box<Violation>,
+    },
+    /// What should stay as it is has grown.
+    #[error("{what} grew from {before} to {after} on the average")]
+    Growth {
+        /// What.
+        what: &'static str,
+        /// In the first half.
+        before: u64,
+        /// In the second half.
+        after: u64,
+    },
     /// The log cannot be read.
     #[error("the log cannot be read: {0}")]
     Log(#[from] SnapshotError),
@@ -93,10 +119,17 @@ pub enum Violation {
     World(String),
 }
 
+impl Violation {
+    /// As that of one of many jobs.
+    pub(crate) fn of(self, job: JobId) -> Self {
+        Self::OfJob { job, violation: Box::new(self) }
+    }
+}
+
 /// All that is wrong.
 pub(crate) fn audit(stage: &Stage, state: &State) -> Vec<Violation> {
     let mut wrong = state.wrong.clone();
-    match log(stage, state) {
+    match log(&state.disk.history, [&state.accepted, &state.reported], &state.leases) {
         Ok(found) => wrong.extend(found),
         Err(error) => wrong.push(error.into()),
     }
@@ -114,41 +147,55 @@ pub(crate) fn audit(stage: &Stage, state: &State) -> Vec<Violation> {
             wrong.push(Violation::Pixels { frame, found, expected: expected.clone() });
         }
     }
+    wrong.extend(account(&stage.spec, status));
+    wrong
+}
+
+/// Whether the status of a job that is done agrees with what was asked for.
+pub(crate) fn account(spec: &JobSpec, status: &JobStatus) -> Vec<Violation> {
+    let mut wrong = Vec::new();
     let mut check = |what, found: u64, expected: u64| {
         if found != expected {
             wrong.push(Violation::Account { what, found, expected });
         }
     };
-    let spp = stage.spec.rounds.last().copied().unwrap_or(0);
-    let frames = stage.spec.frames.len() as u64;
+    let spp = spec.rounds.last().copied().unwrap_or(0);
+    let frames = spec.frames.len() as u64;
     check("frames", u64::from(status.frames_done), frames);
-    check("samples", status.samples_done, frames * stage.spec.grid.pixels() * u64::from(spp));
+    check("samples", status.samples_done, frames * spec.grid.pixels() * u64::from(spp));
     check("bad samples", status.bad_samples, 0);
     wrong
 }
 
 /// What the log says that it must not say.
-fn log(stage: &Stage, state: &State) -> Result<Vec<Violation>, SnapshotError> {
+pub(crate) fn log<'a>(
+    history: impl IntoIterator<Item = &'a Vec<u8>>,
+    [accepted, reported]: [&Reports; 2],
+    leases: &Leases,
+) -> Result<Vec<Violation>, SnapshotError> {
     let mut wrong = Vec::new();
     let mut done: BTreeMap<Unit, (TaskKey, Epoch)> = BTreeMap::new();
     let mut counted: BTreeSet<(TaskKey, Epoch)> = BTreeSet::new();
-    let mut group = 1;
-    for record in &state.disk.history {
+    let mut specs: BTreeMap<JobId, Box<JobSpec>> = BTreeMap::new();
+    let mut groups: BTreeMap<JobId, u32> = BTreeMap::new();
+    for record in history {
         match Fact::decode(record)?.1 {
             Fact::Rendered { task, epoch, .. }
             | Fact::Gathered { task, epoch, .. }
             | Fact::Merged { task, epoch, .. } => {
                 counted.insert((task, epoch));
                 if task.stage.kind == StageKind::Merge {
-                    wrong.extend(missing(stage, task, &done));
+                    wrong.extend(specs.get(&task.job).and_then(|spec| missing(spec, task, &done)));
                 }
-                let units = state.leases.units(task, epoch).iter();
+                let units = leases.units(task, epoch).iter();
                 let before = units.filter_map(|unit| done.insert(*unit, (task, epoch))).next();
                 wrong.extend(before.map(|(_, before)| Violation::Twice { task, epochs: [before, epoch] }));
             }
-            Fact::Grouped { tiles, .. } => group = tiles,
+            Fact::Submitted { job, spec, .. } => drop(specs.insert(job, spec)),
+            Fact::Grouped { job, tiles } => drop(groups.insert(job, tiles)),
             Fact::Lost { task } => {
-                done.retain(|unit, (by, _)| *by != task && !unit.is_gathered_by(&task, group));
+                let tiles = groups.get(&task.job).copied().unwrap_or(1);
+                done.retain(|unit, (by, _)| *by != task && !unit.is_gathered_by(&task, tiles));
             }
             Fact::Restarted { job, frame } => {
                 done.retain(|unit, _| (unit.job, unit.stage.frame) != (job, frame));
@@ -156,7 +203,7 @@ fn log(stage: &Stage, state: &State) -> Result<Vec<Violation>, SnapshotError> {
             _ => {}
         }
     }
-    for &(task, epoch) in state.accepted.intersection(&state.reported) {
+    for &(task, epoch) in accepted.intersection(reported) {
         if !counted.contains(&(task, epoch)) {
             wrong.push(Violation::Forgotten { task, epoch });
         }
@@ -165,10 +212,10 @@ fn log(stage: &Stage, state: &State) -> Result<Vec<Violation>, SnapshotError> {
 }
 
 /// A sample that is not there when its round is merged.
-fn missing(stage: &Stage, merge: TaskKey, done: &BTreeMap<Unit, (TaskKey, Epoch)>) -> Option<Violation> {
+fn missing(spec: &JobSpec, merge: TaskKey, done: &BTreeMap<Unit, (TaskKey, Epoch)>) -> Option<Violation> {
     let stage_of_tiles = TaskStage { kind: StageKind::Render, ..merge.stage };
-    let samples = stage.spec.samples(merge.stage.round);
-    let mut all = (0..stage.spec.grid.tiles()).flat_map(|tile| samples.clone().map(move |sample| (tile, sample)));
+    let samples = spec.samples(merge.stage.round);
+    let mut all = (0..spec.grid.tiles()).flat_map(|tile| samples.clone().map(move |sample| (tile, sample)));
     let is_missing = |&(tile, sample): &(u32, u32)| {
         !done.contains_key(&Unit { job: merge.job, stage: stage_of_tiles, tile, sample })
     };

@@ -1,22 +1,11 @@
-//! The disks: a log that outlives crashes and knows who may write, and a store that may be full.
+//! The log's disk: it outlives crashes and knows who may write.
 
-use std::fmt;
 use std::future::pending;
 use std::io;
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
-use async_trait::async_trait;
 use femc_queue::{Contents, Queue, QueueError};
 use femc_schedule::Fact;
-use femc_store::object_store::memory::InMemory;
-use femc_store::object_store::path::Path;
-use femc_store::object_store::{
-    CopyOptions, Error, GetOptions, GetResult, ListResult, MultipartUpload, ObjectMeta, ObjectStore,
-    PutMultipartOptions, PutOptions, PutPayload, PutResult, Result,
-};
-use futures_util::stream::BoxStream;
 
 use crate::shared::{Shared, State, Trap};
 
@@ -26,7 +15,7 @@ const SEEK: Duration = Duration::from_millis(6);
 /// What is on the log's disk.
 #[derive(Debug, Default)]
 pub(crate) struct Disk {
-    contents: Contents,
+    pub(crate) contents: Contents,
     /// All records ever written, whatever snapshots have replaced.
     pub(crate) history: Vec<Vec<u8>>,
     /// Of the coordinator that may write.
@@ -34,6 +23,8 @@ pub(crate) struct Disk {
     /// So many writes find no room.
     pub(crate) full: u32,
     pub(crate) snapshots: u32,
+    /// Most records that were there at a time beside a snapshot.
+    pub(crate) longest: usize,
 }
 
 /// The log, in the hands of one coordinator.
@@ -113,6 +104,10 @@ impl Queue for Log {
                 state.wrong.extend(wrong);
             }
             state.disk.contents.records.extend_from_slice(&records);
+            state.disk.longest = state.disk.longest.max(state.disk.contents.records.len());
+            for record in &records {
+                state.trace.update(record);
+            }
             state.disk.history.extend(records);
         })
         .await
@@ -125,67 +120,5 @@ impl Queue for Log {
             state.disk.snapshots += 1;
         })
         .await
-    }
-}
-
-/// Artefacts in memory that outlive every host, on a medium that may be full.
-#[derive(Debug, Clone, Default)]
-pub(crate) struct Shelf {
-    objects: Arc<InMemory>,
-    full: Arc<AtomicBool>,
-}
-
-impl Shelf {
-    /// From now on nothing new finds room, or does again.
-    pub(crate) fn fill(&self, full: bool) {
-        self.full.store(full, Ordering::Relaxed);
-    }
-
-    fn room(&self) -> Result<()> {
-        if self.full.load(Ordering::Relaxed) {
-            let source = Box::new(io::Error::from(io::ErrorKind::StorageFull));
-            return Err(Error::Generic { store: "shelf", source });
-        }
-        Ok(())
-    }
-}
-
-impl fmt::Display for Shelf {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str("Shelf")
-    }
-}
-
-#[async_trait]
-impl ObjectStore for Shelf {
-    async fn put_opts(&self, location: &Path, payload: PutPayload, opts: PutOptions) -> Result<PutResult> {
-        self.room()?;
-        self.objects.put_opts(location, payload, opts).await
-    }
-
-    async fn put_multipart_opts(&self, at: &Path, opts: PutMultipartOptions) -> Result<Box<dyn MultipartUpload>> {
-        self.room()?;
-        self.objects.put_multipart_opts(at, opts).await
-    }
-
-    async fn get_opts(&self, location: &Path, options: GetOptions) -> Result<GetResult> {
-        self.objects.get_opts(location, options).await
-    }
-
-    fn delete_stream(&self, locations: BoxStream<'static, Result<Path>>) -> BoxStream<'static, Result<Path>> {
-        self.objects.delete_stream(locations)
-    }
-
-    fn list(&self, prefix: Option<&Path>) -> BoxStream<'static, Result<ObjectMeta>> {
-        self.objects.list(prefix)
-    }
-
-    async fn list_with_delimiter(&self, prefix: Option<&Path>) -> Result<ListResult> {
-        self.objects.list_with_delimiter(prefix).await
-    }
-
-    async fn copy_opts(&self, from: &Path, to: &Path, options: CopyOptions) -> Result<()> {
-        self.room()?;
-        self.objects.copy_opts(from, to, options).await
     }
 }

@@ -79,6 +79,15 @@ impl Leases {
         }
     }
 
+    /// Keeps nothing of this job and those before it: what the log counts of them from now on is wrong.
+    pub(crate) fn forget_until(&mut self, job: JobId) {
+        self.given.retain(|(task, _), _| task.job > job);
+        self.latest.retain(|unit, _| unit.job > job);
+        self.brought.retain(|(task, _), _| task.job > job);
+        self.counted.retain(|unit, _| unit.job > job);
+        self.groups.retain(|&other, _| other > job);
+    }
+
     /// What is wrong with a record that is being written now. A result may count only under a lease that holds: the latest of
     /// all that it covers, the one that this is a copy of, or one that a worker has brought along and that may have been
     /// adopted.

@@ -12,13 +12,19 @@
 mod audit;
 mod disk;
 mod faults;
+mod hosts;
 mod leases;
 mod network;
+mod person;
 mod shared;
+mod shelf;
+mod soak;
 mod stage;
 mod switch;
+mod weather;
 mod world;
 
 pub use audit::Violation;
 pub use faults::{Fault, Planned};
+pub use soak::{Gauge, Soak, Soaked};
 pub use world::{Outcome, Tells, run};

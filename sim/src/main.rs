@@ -1,5 +1,7 @@
 //! `femc-sim`: lives through simulated farms, one for each seed, and says which went wrong.
 
+mod long;
+
 use std::collections::BTreeMap;
 use std::process::{Command, ExitCode, Stdio};
 use std::time::Instant;
@@ -15,10 +17,14 @@ use serde::{Deserialize, Serialize};
     name = "femc-sim",
     after_help = "Examples:\n  \
     femc-sim --seeds 2000\n  \
-    femc-sim --from 1234 --seeds 1 --story    # every message of one world\n\n\
-    Exit code 1 if a world went wrong; its seed is printed, and goes wrong again."
+    femc-sim --from 1234 --seeds 1 --story    # every message of one world\n  \
+    femc-sim soak --hours 24                  # one world for a day\n\n\
+    Exit code 1 if a world went wrong; its seed is printed, and goes wrong again.",
+    args_conflicts_with_subcommands = true
 )]
 struct Args {
+    #[command(subcommand)]
+    long: Option<long::Long>,
     /// How many seeds
     #[arg(long, default_value_t = 200)]
     seeds: u64,
@@ -63,6 +69,9 @@ impl Sum {
 
 fn main() -> anyhow::Result<ExitCode> {
     let args = Args::parse();
+    if let Some(long) = args.long {
+        return long.run();
+    }
     let begun = Instant::now();
     let sum = if args.processes == 1 || args.seeds == 1 || args.story { here(&args)? } else { elsewhere(&args)? };
     if args.json {

@@ -1,6 +1,7 @@
 //! Connections of the simulated network in the terms of the wire.
 
 use std::collections::BTreeMap;
+use std::future::Future;
 use std::io;
 use std::pin::Pin;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -10,6 +11,7 @@ use std::time::Duration;
 use femc_proto::{Dial, Link};
 use futures_util::stream::{self, Stream};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::time::{Instant, Sleep};
 use turmoil::net::{TcpListener, TcpStream};
 
 /// Every server's port.
@@ -22,7 +24,54 @@ pub(crate) fn url(host: &str) -> String {
 
 /// Connects from the current host.
 pub(crate) fn dial() -> Dial {
-    Dial::by(|host, port| Box::pin(async move { TcpStream::connect((host.as_str(), port)).await.map(Link::new) }))
+    Dial::by(|host, port| {
+        Box::pin(
+            async move { TcpStream::connect((host.as_str(), port)).await.map(|stream| Link::new(Wire::of(stream))) },
+        )
+    })
+}
+
+/// A connection that breaks when nothing has come for long: the simulated network sends nothing again, so the end of one whose
+/// last word was lost would never be heard.
+#[derive(Debug)]
+struct Wire {
+    stream: TcpStream,
+    silence: Pin<Box<Sleep>>,
+}
+
+impl Wire {
+    /// Longer than anybody who is there is silent.
+    const SILENCE: Duration = Duration::from_secs(60);
+
+    fn of(stream: TcpStream) -> Self {
+        Self { stream, silence: Box::pin(tokio::time::sleep(Self::SILENCE)) }
+    }
+}
+
+impl AsyncRead for Wire {
+    fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        let read = Pin::new(&mut self.stream).poll_read(cx, buffer);
+        if read.is_ready() {
+            self.silence.as_mut().reset(Instant::now() + Self::SILENCE);
+        } else if self.silence.as_mut().poll(cx).is_ready() {
+            return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
+        }
+        read
+    }
+}
+
+impl AsyncWrite for Wire {
+    fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.stream).poll_write(cx, bytes)
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_flush(cx)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.stream).poll_shutdown(cx)
+    }
 }
 
 /// Listens on the current host; the connections end when this is dropped. Waits for the port: what held it before may
@@ -35,8 +84,10 @@ pub(crate) async fn listen() -> impl Stream<Item = io::Result<Link>> + Send + 's
         }
     };
     stream::unfold((listener, Server::default(), 0), |(listener, server, number)| async move {
-        let link =
-            listener.accept().await.map(|(stream, _)| Link::new(Accepted { stream, number, life: server.0.clone() }));
+        let link = listener
+            .accept()
+            .await
+            .map(|(stream, _)| Link::new(Accepted { stream: Wire::of(stream), number, life: server.0.clone() }));
         Some((link, (listener, server, number + 1)))
     })
 }
@@ -62,7 +113,7 @@ impl Drop for Server {
 /// A server's end of a connection: nothing more comes when the server is gone.
 #[derive(Debug)]
 struct Accepted {
-    stream: TcpStream,
+    stream: Wire,
     number: u64,
     life: Arc<Mutex<Life>>,
 }

@@ -21,6 +21,9 @@ pub(crate) enum Trap {
     After,
 }
 
+/// Results, each with its lease.
+pub(crate) type Reports = BTreeSet<(TaskKey, Epoch)>;
+
 /// What everybody can see or must not lose.
 #[derive(Debug)]
 pub(crate) struct State {
@@ -42,9 +45,9 @@ pub(crate) struct State {
     /// What was wrong when it was written.
     pub(crate) wrong: Vec<Violation>,
     /// Results that were reported.
-    pub(crate) reported: BTreeSet<(TaskKey, Epoch)>,
+    pub(crate) reported: Reports,
     /// Results that were acknowledged.
-    pub(crate) accepted: BTreeSet<(TaskKey, Epoch)>,
+    pub(crate) accepted: Reports,
     /// How often each kind of fault has really come about.
     pub(crate) fired: BTreeMap<&'static str, u32>,
     /// What the person came home with: the job's end, and the frames' pixels.

@@ -9,8 +9,9 @@ use anyhow::Context as _;
 use bytes::Bytes;
 use femc_film::{Frame, Image, Tiling, exr, pixel_digest};
 use femc_import::Bundle;
-use femc_model::{Cut, Digest, Grains, Grid, JobSpec};
+use femc_model::{Digest, Grid, JobSpec};
 use femc_pipeline::{Settings, Stop};
+use femc_schedule::Config;
 use femc_worker::Cache;
 
 /// A lamp over a floor in fog that thickens.
@@ -59,27 +60,34 @@ pub(crate) static CACHE: LazyLock<Cache> = LazyLock::new(|| Cache::new(16));
 pub(crate) struct Stage {
     pub(crate) spec: JobSpec,
     /// How its farm cuts tasks.
-    pub(crate) schedule: femc_schedule::Config,
+    pub(crate) schedule: Config,
     pub(crate) bundle: Bytes,
     pub(crate) pixels: Vec<String>,
 }
 
-impl Stage {
-    /// Whether its tiles are rendered in parts.
-    pub(crate) fn is_cut(&self) -> bool {
-        Grains::of(&self.spec, 0, Cut::Grains(self.schedule.grain)).per_tile() > 1
-    }
+/// Tiles are not cut, and workers hold many of them.
+fn whole() -> Config {
+    Config { ahead: 100_000, ..Config::default() }
 }
 
-/// The jobs there are: one round, and several; tiles that are not cut, of which workers hold many, and tiles in grains of a
-/// sample a pixel.
+/// Tiles are in grains of a sample a pixel.
+pub(crate) fn cut() -> Config {
+    let grain = NonZeroU64::new(u64::from(TILE * TILE)).unwrap_or(NonZeroU64::MIN);
+    Config { grain, task: 2_000, least_task: 500, ..Config::default() }
+}
+
+/// The rounds of the jobs: one, and several; the later ones are long enough to be cut.
+const ROUNDS: [&[u32]; 4] = [&[2], &[1, 2, 4], &[12], &[3, 5, 12]];
+
+/// One of each kind.
 static STAGES: LazyLock<Result<[Stage; 4], String>> = LazyLock::new(|| {
-    let whole = femc_schedule::Config { ahead: 100_000, ..femc_schedule::Config::default() };
-    let pixels = u64::from(TILE * TILE);
-    let grain = NonZeroU64::new(pixels).unwrap_or(NonZeroU64::MIN);
-    let cut = femc_schedule::Config { grain, task: 2_000, least_task: 500, ..femc_schedule::Config::default() };
     let make = || {
-        anyhow::Ok([stage(&[2], &whole)?, stage(&[1, 2, 4], &whole)?, stage(&[12], &cut)?, stage(&[3, 5, 12], &cut)?])
+        anyhow::Ok([
+            stage(ROUNDS[0], &whole(), 0)?,
+            stage(ROUNDS[1], &whole(), 0)?,
+            stage(ROUNDS[2], &cut(), 0)?,
+            stage(ROUNDS[3], &cut(), 0)?,
+        ])
     };
     make().map_err(|error| format!("{error:#}"))
 });
@@ -95,10 +103,15 @@ pub(crate) fn group(number: u64) -> u32 {
     [0, 1, 2, 3][(number / 4 % 4) as usize]
 }
 
-fn stage(rounds: &[u32], schedule: &femc_schedule::Config) -> anyhow::Result<Stage> {
+/// A job that shares no artefact but its scene with any of another number.
+pub(crate) fn fresh(number: u64) -> anyhow::Result<Stage> {
+    stage(ROUNDS[(number % 4) as usize], &cut(), number)
+}
+
+fn stage(rounds: &[u32], schedule: &Config, seed: u64) -> anyhow::Result<Stage> {
     // An error that is never reached: every round runs.
     let stop = if let [spp] = rounds { Stop::Spp(*spp) } else { Stop::Error(1e-9) };
-    let settings = Settings { stop, max_depth: 3, ..Settings::default() };
+    let settings = Settings { stop, max_depth: 3, seed, ..Settings::default() };
     let bundle = Bundle(BTreeMap::from([("haze.mgf".into(), SCENE.as_bytes().to_vec())]));
     let scene = Arc::new(femc_import::load(&bundle, "haze.mgf")?.scene);
     let spp = *rounds.last().context("a round")?;

@@ -14,6 +14,9 @@ use crate::shared::Shared;
 /// Latest that a message comes.
 const LATE: Duration = Duration::from_secs(8);
 
+/// After so long a coordinator that does not answer is taken for dead.
+const GIVE_UP: Duration = Duration::from_secs(30);
+
 /// Serves for ever.
 pub(crate) async fn serve(shared: Shared, store: Store) -> turmoil::Result {
     let (calls, mut inbox) = mpsc::channel(64);
@@ -34,8 +37,12 @@ async fn relay(session: Session, shared: Shared) {
     shared.note(|| format!("{name} joins {leader} with {:?}", registration.held));
     let held = registration.held.iter().map(|held| (held.task, held.epoch));
     let number = shared.lock().leases.joined(held);
-    let Ok(client) = Client::connect_by(&dial(), &leader).await else { return };
-    let Ok((up, mut down)) = client.session(registration).await else { return };
+    let session = async {
+        let client = Client::connect_by(&dial(), &leader).await?;
+        client.session(registration).await
+    };
+    // A host that is dead says nothing, for ever.
+    let Ok(Ok((up, mut down))) = tokio::time::timeout(GIVE_UP, session).await else { return };
     let upwards = async {
         while let Some(Ok(word)) = words.next().await {
             shared.note(|| format!("{name} > {word:?}"));

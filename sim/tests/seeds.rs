@@ -2,7 +2,9 @@
 
 use std::collections::BTreeMap;
 
-use femc_sim::{Planned, Tells, run};
+use std::time::Duration;
+
+use femc_sim::{Planned, Soak, Tells, run};
 
 /// A few of them; `cargo run --release -p femc-sim -- --seeds 200` lives through more, sixfold as fast.
 #[test]
@@ -23,5 +25,11 @@ fn some_worlds_lose_nothing_count_nothing_twice_and_come_again() {
         }
     }
     assert!(wrong.is_empty(), "{wrong:#?}");
+
+    let soak = Soak { seed: 1, time: Duration::from_secs(150), tells: Tells::Outcome };
+    let [first, again] = [(); 2].map(|()| soak.run(|_| {}).unwrap());
+    assert_eq!(first.violations, [""; 0]);
+    assert!(first.deeds["done"] > 5 && !first.fired.is_empty(), "{:?}", first.deeds);
+    assert_eq!(first.trace, again.trace, "the soak's seed");
     assert!(fired.len() >= 12, "most kinds of faults came about: {fired:?}");
 }

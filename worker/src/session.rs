@@ -1,6 +1,6 @@
 //! One session with the coordinator, from registration to the end of the connection.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeSet;
 use std::future::Future;
 use std::pin::Pin;
 use std::sync::{Arc, mpsc};
@@ -8,7 +8,8 @@ use std::time::Duration;
 
 use femc_fault::{Point, pass_async};
 use femc_model::{
-    Epoch, Failure, FromWorker, JobId, JobSpec, Phase, Registration, TaskKey, TaskLog, TaskResult, ToWorker, Work,
+    Epoch, Failure, FromWorker, JobId, JobSpec, Latest, Phase, Registration, TaskKey, TaskLog, TaskResult, ToWorker,
+    Work,
 };
 use femc_proto::{CallError, Client, Incoming, Outgoing};
 use tokio::sync::mpsc::UnboundedReceiver;
@@ -46,7 +47,8 @@ pub(crate) struct Session<'a> {
     shift: &'a Shift,
     /// As the coordinator knows it.
     duty: Duty,
-    jobs: BTreeMap<JobId, Arc<JobSpec>>,
+    /// More than the coordinator counts on.
+    jobs: Latest<JobId, Arc<JobSpec>>,
     claims: Claims,
     /// Results on their way to the store; they end with the session.
     uploads: JoinSet<Sent>,
@@ -76,7 +78,7 @@ impl<'a> Session<'a> {
             at_stop,
             shift,
             duty: Duty::On,
-            jobs: BTreeMap::new(),
+            jobs: Latest::new(4 * JobSpec::TOLD),
             claims: Claims::new(Instant::now()),
             uploads: JoinSet::new(),
             sending: BTreeSet::new(),
@@ -189,7 +191,7 @@ impl<'a> Session<'a> {
 
     async fn hear(&mut self, message: ToWorker, out: &Outgoing) {
         match message {
-            ToWorker::Job { job, spec } => drop(self.jobs.insert(job, Arc::from(spec))),
+            ToWorker::Job { job, spec } => self.jobs.put(job, Arc::from(spec)),
             ToWorker::Assign(assignment) => {
                 let Some(spec) = self.jobs.get(&assignment.task.job) else {
                     tracing::warn!(task = %assignment.task, "a task of a job that was not told");

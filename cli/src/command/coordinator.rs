@@ -50,6 +50,10 @@ pub struct CoordinatorArgs {
     /// merge reads what is gathered; smaller frames are merged at once, with 0 all are. Holds for jobs submitted from now on
     #[arg(long, value_name = "TILES", default_value_t = femc_schedule::Config::default().group)]
     gather: u32,
+    /// Jobs that ended so long ago are forgotten, 1m or more, like 30d: then nobody can fetch them, and `femc gc` frees what they
+    /// alone had in the store (without it they are kept for ever)
+    #[arg(long, value_name = "DURATION", value_parser = keep_ended)]
+    keep_ended: Option<Duration>,
     /// Where scenes, tiles and images are kept: a folder, s3://BUCKET/PREFIX (keys, region and endpoint are read from
     /// AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION, AWS_ENDPOINT_URL, AWS_ALLOW_HTTP), or memory (lost at the end); several
     /// coordinators share one
@@ -89,6 +93,15 @@ fn silence(text: &str) -> Result<Duration, String> {
 
 fn lease(text: &str) -> Result<Duration, String> {
     within(text, 600.0, "1s to 10m")
+}
+
+fn keep_ended(text: &str) -> Result<Duration, String> {
+    let Budget { seconds } = text.parse::<Budget>().map_err(|error| error.to_string())?;
+    // Whoever waits for the end shall still find the job there.
+    if seconds < 60.0 {
+        return Err("give 1m or more".to_owned());
+    }
+    Duration::try_from_secs_f64(seconds).map_err(|error| error.to_string())
 }
 
 /// A duration from one second to `most`, which is the range called `range`.
@@ -145,6 +158,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         log,
         artifacts: args.artifacts,
         scheduler: femc_schedule::Config {
+            keep_ended: args.keep_ended.map(|keep| u64::try_from(keep.as_millis()).unwrap_or(u64::MAX)),
             weights: args.share.into_iter().collect(),
             group: args.gather,
             ..femc_schedule::Config::with_lease(args.lease.as_millis() as u64)
@@ -229,6 +243,8 @@ mod tests {
         assert!(["0s", "10ms", "2h", "long"].iter().all(|text| silence(text).is_err()));
         assert_eq!(lease("30s"), Ok(Duration::from_secs(30)));
         assert!(["0.5s", "11m", "ever"].iter().all(|text| lease(text).is_err()));
+        assert_eq!(keep_ended("30d"), Ok(Duration::from_secs(30 * 86_400)));
+        assert!(["59s", "1e30d", "ever"].iter().all(|text| keep_ended(text).is_err()));
         assert_eq!(share("ann=3"), Ok(("ann".into(), 3)));
         assert!(["ann", "ann=0", "=3", "ann=-1", "ann=many"].iter().all(|text| share(text).is_err()));
         assert_eq!(artifacts("a/b"), Ok(Artifacts::Folder("a/b".into())));

@@ -2,7 +2,7 @@ use serde::Deserialize;
 use serde::de::{Deserializer, Error as _};
 use std::str::FromStr;
 
-/// A time budget: `90s`, `2m`, `1h30m`, `500ms`, or a bare number of seconds.
+/// A time budget: `90s`, `2m`, `1h30m`, `7d`, `500ms`, or a bare number of seconds.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Budget {
     /// Seconds, finite and > 0.
@@ -11,7 +11,7 @@ pub struct Budget {
 
 /// Why a text is no time budget.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` is no duration; write it like 90s, 2m, 1h30m or 500ms")]
+#[error("`{0}` is no duration; write it like 90s, 2m, 1h30m, 7d or 500ms")]
 pub struct BudgetError(String);
 
 impl FromStr for Budget {
@@ -40,6 +40,7 @@ fn with_units(mut rest: &str) -> Option<f64> {
             "s" => 1.0,
             "m" | "min" => 60.0,
             "h" => 3600.0,
+            "d" => 86_400.0,
             _ => return None,
         };
         seconds += number.parse::<f64>().ok()? * scale;
@@ -78,6 +79,7 @@ mod tests {
         assert_eq!(seconds("90"), Some(90.0));
         assert_eq!(seconds("2m"), Some(120.0));
         assert_eq!(seconds("1h30m"), Some(5400.0));
+        assert_eq!(seconds("7d"), Some(604_800.0));
         assert_eq!(seconds("500ms"), Some(0.5));
         assert_eq!(seconds("1.5m"), Some(90.0));
     }

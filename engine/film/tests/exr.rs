@@ -90,6 +90,17 @@ fn the_same_image_gives_the_same_bytes() {
 }
 
 #[test]
+fn a_large_image_has_the_same_bytes_for_any_number_of_threads() {
+    let image = frame(512, 512);
+    let [one, two] = [1, 2].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        pool.install(|| film_exr::encode(&image, &provenance()).unwrap())
+    });
+    assert!(one == two);
+    assert!(film_exr::decode(Cursor::new(one)).unwrap().image == image.color);
+}
+
+#[test]
 fn long_settings_in_any_script_survive() {
     let settings = format!(r#"{{"camera":"Kreisel-Süd 環状", "set":"{}"}}"#, "x".repeat(5000));
     let bytes = film_exr::encode(&frame(2, 2), &Provenance { settings: settings.clone(), ..provenance() }).unwrap();

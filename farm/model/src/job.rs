@@ -41,6 +41,8 @@ impl JobSpec {
     pub const MAX_SIDE: u32 = 1 << 16;
     /// Most bytes of settings.
     pub const MAX_SETTINGS: usize = 1 << 20;
+    /// A coordinator tells a worker a job again when it has told it so many others in the session.
+    pub const TOLD: usize = 1024;
     /// Most bytes of a name, an owner, a tag, a path.
     pub const MAX_NAME: usize = 1 << 10;
 

@@ -45,6 +45,8 @@ pub struct Config {
     /// Most tiles that are gathered at a time before the merge, in frames of more than so many; of large tiles fewer. 0: the
     /// merge reads all tiles.
     pub group: u32,
+    /// A job that ended so long ago is forgotten; `None`: never.
+    pub keep_ended: Option<u64>,
     /// Weights of owners in the fair share of time; who is not named has 1.
     pub weights: BTreeMap<String, u32>,
 }
@@ -104,6 +106,7 @@ impl Default for Config {
             late: 2_000,
             grain: Self::GRAIN,
             group: 256,
+            keep_ended: None,
             weights: BTreeMap::new(),
         }
     }

@@ -110,4 +110,9 @@ pub enum Fact {
         /// What came out.
         result: GatherResult,
     },
+    /// A job that had ended was forgotten, with its key and its logs.
+    Forgotten {
+        /// The job.
+        job: JobId,
+    },
 }

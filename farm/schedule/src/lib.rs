@@ -24,6 +24,7 @@ mod order;
 mod outcome;
 mod pace;
 mod ranges;
+mod retention;
 mod scheduler;
 mod share;
 mod speculate;

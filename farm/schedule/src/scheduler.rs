@@ -29,6 +29,8 @@ pub struct Scheduler {
     pub(crate) leases: u64,
     pub(crate) stale_messages: u64,
     pub(crate) logs: Shelf,
+    /// The jobs that have ended are not looked at before.
+    pub(crate) looks_from: Tick,
     /// Nothing is dealt and no lease runs out before: after a restart the workers come back one by one, with what they still
     /// work on.
     pub(crate) deals_from: Tick,
@@ -49,6 +51,7 @@ impl Scheduler {
             leases: 0,
             stale_messages: 0,
             logs: Shelf::default(),
+            looks_from: Tick(0),
             deals_from: Tick(0),
             ledger,
         };
@@ -210,6 +213,7 @@ impl Scheduler {
                 }
             }
         }
+        self.forget_ended(now, out);
     }
 
     /// Makes a fact true; it becomes durable before what follows is told to anybody.

@@ -641,3 +641,40 @@ fn a_worker_with_short_tasks_holds_more_of_them() {
     assert_eq!(done(60, 1), 2 + 64, "at most so many");
     assert_eq!(done(120, 300), 2, "long ones are fetched one ahead");
 }
+
+#[test]
+fn a_job_that_ended_long_ago_is_forgotten_and_one_that_somebody_retries_is_not() {
+    let mut farm = Farm::with(Config { keep_ended: Some(60_000), ..common::config() });
+    let submit = |farm: &mut Farm, key: &str| {
+        let spec = Box::new(job(&[1], 1, &[4]));
+        match answer(&farm.on(Event::Submitted { request: RequestId(9), key: Some(key.into()), spec })) {
+            Some(Answer::Submitted(job)) => job,
+            other => panic!("{other:?}"),
+        }
+    };
+    let (done, retried, runs) = (submit(&mut farm, "done"), submit(&mut farm, "retried"), submit(&mut farm, "runs"));
+    farm.control(runs, Control::Pause);
+    farm.control(retried, Control::Cancel);
+    farm.join(1);
+    let tile = farm.first_of(1);
+    farm.work(1, Done);
+    farm.work(1, Done);
+    assert_eq!(farm.state(done), JobState::Done);
+    farm.leave(1);
+    farm.wait(59_000);
+    farm.control(retried, Control::Retry);
+    assert!(!farm.wait(900).iter().any(|c| matches!(c, Command::Record(Fact::Forgotten { .. }))), "not yet");
+    let commands = farm.wait(1_100);
+    let forgotten: Vec<_> =
+        commands.iter().filter(|c| matches!(c, Command::Record(Fact::Forgotten { .. }))).cloned().collect();
+    assert_eq!(forgotten, [Command::Record(Fact::Forgotten { job: done })]);
+    let left = |farm: &Farm| farm.scheduler.jobs(farm.now).iter().map(|status| status.job).collect::<Vec<_>>();
+    assert_eq!(left(&farm), [retried, runs]);
+    assert_eq!(farm.scheduler.frames(done), Err(Refusal::NoSuchJob { job: done }));
+    assert_eq!(answer(&farm.control(done, Control::Retry)), None);
+    assert!(refused(&farm.complete(2, &tile, Done)), "a late word about it");
+    farm.restart();
+    assert_eq!(left(&farm), [retried, runs]);
+    let again = submit(&mut farm, "done");
+    assert!(again > runs, "a number is never used twice, and the key is free: {again}");
+}

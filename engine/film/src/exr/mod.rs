@@ -8,3 +8,21 @@ pub use write::{Provenance, encode, write};
 
 /// Prefix of the string attributes that the renderer writes.
 pub const ATTRIBUTE_PREFIX: &str = "femc:";
+
+/// By how many threads a file is packed or unpacked; its bytes are the same.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Threads {
+    One,
+    Many,
+}
+
+impl Threads {
+    /// Pixels from which on threads are worth it.
+    const WORTH: usize = 1 << 18;
+
+    /// For a file of so many pixels. The `exr` crate starts a pool of all the machine's threads for each file: not where the
+    /// caller's pool is one thread, nor for a small file, of which a farm writes many.
+    fn of(pixels: usize) -> Self {
+        if pixels < Self::WORTH || rayon::current_num_threads() == 1 { Self::One } else { Self::Many }
+    }
+}

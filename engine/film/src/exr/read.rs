@@ -1,6 +1,7 @@
 //! Reading: the colors of any flat EXR file, half or float, scan lines or tiles, of every compression that the `exr` crate
 //! decodes. Sizes are checked in the header before anything of that size is allocated.
 
+use super::Threads;
 use crate::rect::MAX_FILM_PIXELS;
 use crate::{FilmError, Image};
 use exr::meta::{
@@ -49,7 +50,7 @@ pub fn decode(mut source: impl Read + Seek) -> Result<ExrFile, FilmError> {
     }
     let (width, height) = (colors.layer_size.width(), colors.layer_size.height());
     source.rewind().map_err(broken)?;
-    let found = exr_read()
+    let file = exr_read()
         .no_deep_data()
         .largest_resolution_level()
         .rgb_channels(
@@ -61,9 +62,12 @@ pub fn decode(mut source: impl Read + Seek) -> Result<ExrFile, FilmError> {
             },
         )
         .first_valid_layer()
-        .all_attributes()
-        .from_buffered(source)
-        .map_err(|e| failed(&e))?;
+        .all_attributes();
+    let found = match Threads::of(width * height) {
+        Threads::One => file.non_parallel().from_buffered(source),
+        Threads::Many => file.from_buffered(source),
+    };
+    let found = found.map_err(|e| failed(&e))?;
     let pixels = found.layer_data.channel_data.pixels;
     let image = Image { width: width as u32, height: height as u32, pixels };
     Ok(ExrFile { image, attributes: text_attributes(&meta) })

@@ -3,7 +3,7 @@
 //! The bytes are a function of the image and its provenance: the `exr` crate keeps custom attributes in a hash map, so the
 //! header is put in order afterwards (attributes have no order in the format, and their total size does not change).
 
-use crate::exr::ATTRIBUTE_PREFIX;
+use crate::exr::{ATTRIBUTE_PREFIX, Threads};
 use crate::file::write_atomic;
 use crate::{BadSamples, FilmError, FrameImage};
 use exr::meta::attribute::{Chromaticities, Text};
@@ -97,7 +97,11 @@ pub fn encode(image: &FrameImage, provenance: &Provenance) -> Result<Vec<u8>, Fi
     });
 
     let mut bytes = Cursor::new(Vec::new());
-    file.write().to_buffered(&mut bytes).map_err(|e| failed(e.to_string()))?;
+    let written = match Threads::of(image.color.pixels.len()) {
+        Threads::One => file.write().non_parallel().to_buffered(&mut bytes),
+        Threads::Many => file.write().to_buffered(&mut bytes),
+    };
+    written.map_err(|e| failed(e.to_string()))?;
     let mut bytes = bytes.into_inner();
     sort_attributes(&mut bytes).ok_or_else(|| failed("header of an unknown form".into()))?;
     Ok(bytes)

@@ -55,6 +55,12 @@ impl Annex {
         logs.remove(oldest).iter().filter_map(stored).collect()
     }
 
+    /// Keeps nothing of a job any longer.
+    pub(super) fn forget(&mut self, job: JobId) {
+        self.logs.remove(&job);
+        self.cuts.remove(&job);
+    }
+
     pub(crate) fn logs(&self, job: JobId) -> impl Iterator<Item = &LogRecord> + '_ {
         self.logs.get(&job).into_iter().flatten()
     }

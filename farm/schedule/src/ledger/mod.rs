@@ -79,6 +79,12 @@ impl Ledger {
                 let released = if is_known { self.annex.log(record) } else { Vec::new() };
                 return self.unreferenced(released);
             }
+            Fact::Forgotten { job } => {
+                self.jobs.remove(job);
+                self.keys.retain(|_, other| other != job);
+                self.annex.forget(*job);
+                return Vec::new();
+            }
             Fact::Rendered { task, epoch, leased, result } => {
                 let job = self.jobs.get_mut(&task.job);
                 (task.job, job.map(|job| job.rendered(task, *epoch, *leased, result)))

@@ -1,0 +1,148 @@
+//! How large the processes and their files are, from time to time.
+
+use std::path::Path;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
+
+use crate::farm::{Farm, Seat};
+
+/// Between two measurements.
+const EVERY: Duration = Duration::from_secs(10);
+/// So much more in the second half than in the first is nothing: percent, and bytes.
+const TOLERANCE: (u64, u64) = (10, 2 << 20);
+/// A shorter run says nothing about growth: ended jobs are kept for a minute, garbage for another.
+const LEAST: Duration = Duration::from_secs(600);
+
+/// Of one process.
+#[derive(Debug, Clone, Copy, Default)]
+struct Process {
+    /// 0: it is dead.
+    id: u32,
+    resident_bytes: u64,
+    /// User and system.
+    cpu_seconds: f64,
+}
+
+/// One measurement.
+#[derive(Debug, Clone, Default)]
+pub struct Gauge {
+    seconds: f64,
+    coordinator: Process,
+    workers: Vec<Process>,
+    log_bytes: u64,
+    artefacts: u64,
+    artefact_bytes: u64,
+}
+
+/// Measures until it is over.
+pub fn watch(farm: &Farm, begun: Instant, is_over: &AtomicBool) -> Vec<Gauge> {
+    let mut gauges = Vec::new();
+    while !is_over.load(Ordering::SeqCst) {
+        gauges.push(Gauge::read(farm, begun));
+        let next = begun + EVERY * gauges.len() as u32;
+        while Instant::now() < next && !is_over.load(Ordering::SeqCst) {
+            std::thread::sleep(Duration::from_millis(100));
+        }
+    }
+    gauges
+}
+
+impl Gauge {
+    fn read(farm: &Farm, begun: Instant) -> Self {
+        let (artefacts, artefact_bytes) = volume(&farm.place.path("artifacts"));
+        let size = |name| farm.place.path(name).metadata().map_or(0, |data| data.len());
+        Self {
+            seconds: begun.elapsed().as_secs_f64(),
+            coordinator: Process::of(&farm.coordinator),
+            workers: farm.workers.iter().map(Process::of).collect(),
+            log_bytes: size("farm.db") + size("farm.db-wal"),
+            artefacts,
+            artefact_bytes,
+        }
+    }
+
+    /// All of them, a line each.
+    pub fn table(gauges: &[Self], between: &str) -> String {
+        let mut head: Vec<String> = ["seconds", "log KiB", "artefacts", "artefact KiB"].map(str::to_owned).into();
+        let workers = gauges.first().map_or(0, |gauge| gauge.workers.len());
+        let names = std::iter::once("coordinator".to_owned()).chain((0..workers).map(|number| format!("w{number}")));
+        head.extend(names.flat_map(|name| [format!("{name} pid"), format!("{name} KiB"), format!("{name} CPU s")]));
+        let line = |gauge: &Self| {
+            let mut line = vec![
+                format!("{:.1}", gauge.seconds),
+                kib(gauge.log_bytes),
+                gauge.artefacts.to_string(),
+                kib(gauge.artefact_bytes),
+            ];
+            for process in std::iter::once(&gauge.coordinator).chain(&gauge.workers) {
+                line.extend([
+                    process.id.to_string(),
+                    kib(process.resident_bytes),
+                    format!("{:.2}", process.cpu_seconds),
+                ]);
+            }
+            line.join(between)
+        };
+        std::iter::once(head.join(between)).chain(gauges.iter().map(line)).map(|line| line + "\n").collect()
+    }
+}
+
+fn kib(bytes: u64) -> String {
+    (bytes >> 10).to_string()
+}
+
+impl Process {
+    fn of(seat: &Seat) -> Self {
+        let Some(id) = seat.id() else { return Self::default() };
+        let read = |name| std::fs::read_to_string(format!("/proc/{id}/{name}")).unwrap_or_default();
+        let (status, stat) = (read("status"), read("stat"));
+        let resident =
+            status.lines().find_map(|line| line.strip_prefix("VmRSS:")?.split_whitespace().next()?.parse().ok());
+        // After the name in brackets; clock ticks are hundredths of a second on Linux.
+        let ticks = |index| stat.rsplit(')').next()?.split_whitespace().nth(index)?.parse::<f64>().ok();
+        let cpu = ticks(11).zip(ticks(12)).map_or(0.0, |(user, system)| (user + system) / 100.0);
+        Self { id, resident_bytes: resident.unwrap_or(0u64) * 1024, cpu_seconds: cpu }
+    }
+}
+
+/// The number of files below a folder, and their bytes.
+fn volume(folder: &Path) -> (u64, u64) {
+    let Ok(entries) = std::fs::read_dir(folder) else { return (0, 0) };
+    entries.flatten().fold((0, 0), |(count, bytes), entry| match entry.metadata() {
+        Ok(data) if data.is_dir() => {
+            let below = volume(&entry.path());
+            (count + below.0, bytes + below.1)
+        }
+        Ok(data) => (count + 1, bytes + data.len()),
+        // It went away meanwhile.
+        Err(_) => (count, bytes),
+    })
+}
+
+/// What is larger in the second half than in the first: the means over all lives of each process, and the files. The first
+/// eighth is left out: there the farm fills up.
+pub fn growth(gauges: &[Gauge], time: Duration) -> Vec<String> {
+    let gauges = &gauges[gauges.len() / 8..];
+    if time < LEAST || gauges.len() < 8 {
+        return Vec::new();
+    }
+    let (first, second) = gauges.split_at(gauges.len() / 2);
+    let mut grown = Vec::new();
+    let mut compare = |what: String, of: &dyn Fn(&Gauge) -> u64| {
+        let mean = |half: &[Gauge]| {
+            let values: Vec<u64> = half.iter().map(of).filter(|&value| value > 0).collect();
+            values.iter().sum::<u64>() / (values.len() as u64).max(1)
+        };
+        let (before, after) = (mean(first), mean(second));
+        if after > before + before * TOLERANCE.0 / 100 + TOLERANCE.1 {
+            grown.push(format!("{what}: from {before} to {after} bytes on the average"));
+        }
+    };
+    compare("memory of the coordinator".into(), &|gauge| gauge.coordinator.resident_bytes);
+    for worker in 0..gauges[0].workers.len() {
+        compare(format!("memory of worker {worker}"), &|gauge| gauge.workers[worker].resident_bytes);
+    }
+    compare("the log".into(), &|gauge| gauge.log_bytes);
+    compare("the store".into(), &|gauge| gauge.artefact_bytes);
+    grown
+}

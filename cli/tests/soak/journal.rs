@@ -1,0 +1,99 @@
+//! The log read along: again and again the coordinator stands still for an instant, and its file is copied as a crash would leave it.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::Duration;
+
+use femc_model::{Epoch, TaskKey};
+use femc_queue::{Contents, Queue as _, Sqlite};
+use femc_schedule::Fact;
+use serde::Serialize;
+
+use crate::farm::Farm;
+
+/// Between two copies.
+const EVERY: Duration = Duration::from_secs(2);
+/// What the log has said so far.
+#[derive(Debug, Default, Serialize)]
+pub struct Journal {
+    /// Copies that were read.
+    pub copies: u64,
+    /// Times that a snapshot had taken the place of the records.
+    pub snapshots: u64,
+    /// Different results that count.
+    pub effects: u64,
+    /// Most records that were there at a time.
+    pub longest: usize,
+    /// Tasks that count twice, although nothing was lost in between.
+    pub twice: Vec<String>,
+    #[serde(skip)]
+    counted: BTreeMap<TaskKey, Epoch>,
+    #[serde(skip)]
+    snapshot: Option<Vec<u8>>,
+    /// Records after that snapshot that are noted.
+    #[serde(skip)]
+    noted: usize,
+}
+
+impl Journal {
+    /// Reads along until it is over.
+    pub fn follow(farm: &Farm, is_over: &AtomicBool) -> Self {
+        let mut journal = Self::default();
+        while !is_over.load(Ordering::SeqCst) {
+            journal.read(farm);
+            std::thread::sleep(EVERY);
+        }
+        journal
+    }
+
+    /// Reads what is there at the very end.
+    pub fn end(mut self, farm: &Farm) -> Self {
+        farm.coordinator.kill();
+        self.read(farm);
+        self
+    }
+
+    fn read(&mut self, farm: &Farm) {
+        let copied = farm.coordinator.stopped(|| {
+            ["farm.db", "farm.db-wal"].map(|name| {
+                let copy = farm.place.path(&name.replace("farm", "copy"));
+                // A log that has just been begun or closed has no such file.
+                let _ = std::fs::remove_file(&copy);
+                std::fs::copy(farm.place.path(name), copy).is_ok()
+            })
+        });
+        if copied[0] {
+            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+            self.note(runtime.block_on(async {
+                Sqlite::open(&farm.place.path("copy.db")).await.expect("a log").load().await.expect("its content")
+            }));
+        }
+    }
+
+    fn note(&mut self, Contents { snapshot, records, .. }: Contents) {
+        self.copies += 1;
+        self.longest = self.longest.max(records.len());
+        if self.snapshot != snapshot {
+            self.snapshots += 1;
+            (self.snapshot, self.noted) = (snapshot, 0);
+        }
+        for record in records.iter().skip(self.noted) {
+            match Fact::decode(record).expect("a fact").1 {
+                Fact::Rendered { task, epoch, .. } | Fact::Merged { task, epoch, .. } => self.count(task, epoch),
+                Fact::Lost { task } => drop(self.counted.remove(&task)),
+                Fact::Restarted { job, frame } => {
+                    self.counted.retain(|task, _| (task.job, task.stage.frame) != (job, frame));
+                }
+                _ => {}
+            }
+        }
+        self.noted = records.len();
+    }
+
+    fn count(&mut self, task: TaskKey, epoch: Epoch) {
+        self.effects += 1;
+        if let Some(before) = self.counted.insert(task, epoch) {
+            self.twice.push(format!("{task}: {} and {}", before.0, epoch.0));
+        }
+    }
+}

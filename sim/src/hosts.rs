@@ -1,0 +1,133 @@
+//! Who lives in a world: coordinators of which one leads, the switch, and workers.
+
+use std::num::NonZeroU64;
+use std::sync::Arc;
+use std::time::Duration;
+
+use femc_coordinator::{Config, Coordinator, Time};
+use femc_model::{Assignment, Work};
+use femc_store::Store;
+use femc_worker::{Hands, Pace, Worker};
+use turmoil::Sim;
+
+use crate::disk::Log;
+use crate::faults::{COORDINATORS, WORKERS};
+use crate::network::{dial, listen, url};
+use crate::shared::Shared;
+use crate::shelf::Shelf;
+use crate::stage::{self, CACHE};
+use crate::switch;
+
+/// Longest that a message takes when nothing is wrong.
+pub(crate) const LATENCY: Duration = Duration::from_millis(15);
+
+/// A world in steps of `tick` that lasts for `end` at most, with all its hosts; `scheduler` is that of every coordinator.
+pub(crate) fn settle(
+    seed: u64,
+    [tick, end]: [Duration; 2],
+    shared: &Shared,
+    shelf: &Shelf,
+    scheduler: &femc_schedule::Config,
+) -> Sim<'static> {
+    let store = Store::over("shelf", Arc::new(shelf.clone()));
+    let mut sim = turmoil::Builder::new()
+        .simulation_duration(end)
+        .tick_duration(tick)
+        .min_message_latency(Duration::from_millis(1))
+        .max_message_latency(LATENCY)
+        .tcp_capacity(1 << 16)
+        .rng_seed(seed)
+        .build();
+    for host in 0..COORDINATORS {
+        let (shared, store, scheduler) = (shared.clone(), store.clone(), scheduler.clone());
+        sim.host(coordinator_name(host), move || coordinator(host, shared.clone(), store.clone(), scheduler.clone()));
+    }
+    {
+        let (shared, store) = (shared.clone(), store.clone());
+        sim.host("switch", move || switch::serve(shared.clone(), store.clone()));
+    }
+    for host in 0..WORKERS {
+        let (shared, scheduler) = (shared.clone(), scheduler.clone());
+        sim.host(worker_name(host), move || worker(seed, host, shared.clone(), scheduler.grain));
+    }
+    sim
+}
+
+pub(crate) fn coordinator_name(host: usize) -> String {
+    format!("c{host}")
+}
+
+pub(crate) fn worker_name(host: usize) -> String {
+    format!("w{host}")
+}
+
+/// A coordinator: stands by until it leads, and again when it leads no more.
+async fn coordinator(host: usize, shared: Shared, store: Store, scheduler: femc_schedule::Config) -> turmoil::Result {
+    loop {
+        while shared.lock().leader != host {
+            tokio::time::sleep(Duration::from_millis(50)).await;
+        }
+        let log = Log::lead(&shared, host);
+        let started = tokio::time::Instant::now();
+        let clock = shared.clone();
+        let config = Config {
+            scheduler: scheduler.clone(),
+            snapshot: 25,
+            time: Time::by(move || started.elapsed() + clock.lock().ahead),
+            ..Config::default()
+        };
+        shared.note(|| format!("c{host} leads"));
+        let failed = async {
+            match Coordinator::on(listen().await, config, store.clone(), log).await {
+                Ok(mut handle) => handle.failed().await,
+                Err(error) => error,
+            }
+        };
+        // One that leads no more finds out at its next write; one that has nothing to write, after a while.
+        let dethroned = async {
+            while shared.lock().leader == host {
+                tokio::time::sleep(Duration::from_millis(50)).await;
+            }
+            tokio::time::sleep(shared.pause(Duration::from_secs(10))).await;
+        };
+        tokio::select! {
+            biased;
+            error = failed => shared.note(|| format!("c{host} fails: {error}")),
+            () = dethroned => shared.note(|| format!("c{host} leads no more")),
+        }
+        tokio::time::sleep(Duration::from_millis(200)).await;
+    }
+}
+
+/// `grain`: pixel samples of a grain, as the farm has them.
+async fn worker(seed: u64, host: usize, shared: Shared, grain: NonZeroU64) -> turmoil::Result {
+    let boot = {
+        let mut state = shared.lock();
+        state.boots += 1;
+        state.boots
+    };
+    let config = femc_worker::Config {
+        name: worker_name(host),
+        threads: 1,
+        cache: CACHE.clone(),
+        instance: boot,
+        dial: dial(),
+        hands: Hands::Simulated(Pace::by(move |assignment| pace(seed, grain, assignment))),
+        ..femc_worker::Config::new(url("switch"))
+    };
+    Ok(Worker::run(config, std::future::pending()).await?)
+}
+
+/// From a fifth of a second to three seconds; where tiles are cut into grains of a sample a pixel, from a twentieth to a half a
+/// sample.
+fn pace(seed: u64, grain: NonZeroU64, assignment: &Assignment) -> Duration {
+    let name = format!("{seed} {} {}", assignment.task, assignment.epoch.0);
+    let hash = blake3::hash(name.as_bytes());
+    let draw = u64::from(u16::from_le_bytes([hash.as_bytes()[0], hash.as_bytes()[1]]));
+    let between = |least: u64, most: u64| Duration::from_millis(least + draw * (most - least) / 65_536);
+    match &assignment.work {
+        Work::Render { samples, .. } if grain == stage::cut().grain => between(50, 500) * samples.len() as u32,
+        Work::Render { .. } => between(200, 3_000),
+        Work::Gather { .. } | Work::Merge { .. } => between(200, 1_000),
+    }
+}

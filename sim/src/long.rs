@@ -1,0 +1,103 @@
+//! Commands that live in one world for a long time.
+
+use std::process::ExitCode;
+use std::time::Duration;
+
+use clap::Subcommand;
+use femc_sim::{Gauge, Soak, Soaked, Tells};
+
+/// What to live through.
+#[derive(Debug, Subcommand)]
+pub enum Long {
+    Soak(Args),
+}
+
+/// Live in one world for a long time, with people, storms of faults and an operator, and check that nothing grows
+///
+/// Storms come every simulated minute. Three people submit job after job, pause, cancel, retry, change priorities; an operator
+/// drains workers and removes garbage. Each job's frames and its part of the log are audited after its end. Jobs that ended are kept
+/// for ten minutes. From 4 hours on it is judged whether memory, log and store stay as they are: the second half of the measurements
+/// may have at most 5 % more than the first, of which the first eighth does not count. Exit code 1 if anything went wrong.
+#[derive(Debug, clap::Args)]
+pub struct Args {
+    /// How long people come, simulated
+    #[arg(long, default_value_t = 24.0, value_parser = hours)]
+    hours: f64,
+    /// Decides everything
+    #[arg(long, default_value_t = 0)]
+    seed: u64,
+    /// Print all that was said
+    #[arg(long)]
+    story: bool,
+    /// Print what came of it as JSON
+    #[arg(long)]
+    json: bool,
+}
+
+fn hours(text: &str) -> Result<f64, String> {
+    text.parse().ok().filter(|hours| (0.01..=8760.0).contains(hours)).ok_or_else(|| "give 0.01 to 8760".to_owned())
+}
+
+impl Long {
+    /// Lives.
+    pub fn run(&self) -> anyhow::Result<ExitCode> {
+        match self {
+            Self::Soak(args) => soak(args),
+        }
+    }
+}
+
+fn soak(args: &Args) -> anyhow::Result<ExitCode> {
+    let time = Duration::from_secs_f64(args.hours * 3600.0);
+    let tells = if args.story { Tells::Story } else { Tells::Outcome };
+    let soak = Soak { seed: args.seed, time, tells };
+    let soaked = soak.run(|gauge| {
+        let Gauge { hours, seconds, jobs_ended, resident_bytes, .. } = gauge;
+        let memory = *resident_bytes as f64 / f64::from(1 << 20);
+        eprintln!("{hours:6.2} h of {:.2} after {seconds:.0} s: {jobs_ended} jobs, {memory:.1} MiB", args.hours);
+    })?;
+    soaked.story.iter().for_each(|line| println!("{line}"));
+    if args.json {
+        println!("{}", serde_json::to_string(&soaked)?);
+    } else {
+        print(args, &soaked);
+    }
+    Ok(if soaked.violations.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
+}
+
+fn print(args: &Args, soaked: &Soaked) {
+    println!(" hours  memory   jobs   kept    log  snapshots  artefacts   store  audited  faults");
+    println!("           MiB  ended           KiB                          KiB  records");
+    for Gauge {
+        hours,
+        resident_bytes,
+        jobs_ended,
+        jobs_kept,
+        log_bytes,
+        snapshots,
+        artefacts,
+        artefact_bytes,
+        audited_records,
+        faults,
+        ..
+    } in &soaked.gauges
+    {
+        println!(
+            "{hours:6.2} {:7.1} {jobs_ended:6} {jobs_kept:6} {:6} {snapshots:10} {artefacts:10} {:7} {audited_records:8} {faults:7}",
+            *resident_bytes as f64 / f64::from(1 << 20),
+            log_bytes >> 10,
+            artefact_bytes >> 10,
+        );
+    }
+    soaked.fired.iter().for_each(|(fault, times)| println!("  {times:6} {fault}"));
+    soaked.deeds.iter().for_each(|(deed, times)| println!("  {times:6} {deed}"));
+    soaked.violations.iter().for_each(|violation| println!("seed {}: {violation}", args.seed));
+    println!(
+        "seed {}: {:.0} simulated s, {} violations; at most {} records in the log; world {}",
+        args.seed,
+        soaked.seconds,
+        soaked.violations.len(),
+        soaked.longest_log,
+        &soaked.trace[..16]
+    );
+}

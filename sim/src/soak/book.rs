@@ -1,0 +1,115 @@
+//! What is known of jobs that have ended, until they are audited.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use femc_model::JobId;
+use femc_schedule::Fact;
+
+use crate::audit::{Violation, log};
+use crate::shared::{Reports, Shared, State};
+
+/// Longer than any message can be on its way.
+const SETTLED: Duration = Duration::from_secs(120);
+
+#[derive(Debug, Default)]
+struct Pages {
+    /// When the jobs ended that are not audited yet.
+    ended: BTreeMap<JobId, Duration>,
+    /// All jobs up to this one are audited.
+    audited: u64,
+    deeds: BTreeMap<&'static str, u64>,
+}
+
+/// Clones share it.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Book(Arc<Mutex<Pages>>);
+
+impl Book {
+    fn lock(&self) -> MutexGuard<'_, Pages> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Somebody did this.
+    pub(super) fn did(&self, what: &'static str) {
+        *self.lock().deeds.entry(what).or_default() += 1;
+    }
+
+    pub(super) fn deeds(&self) -> BTreeMap<&'static str, u64> {
+        self.lock().deeds.clone()
+    }
+
+    /// A job has ended, and nobody will do anything to it any more.
+    pub(super) fn ended(&self, job: JobId, now: Duration) {
+        self.lock().ended.insert(job, now);
+    }
+
+    /// Jobs that have ended so far.
+    pub(super) fn jobs(&self) -> u64 {
+        let pages = self.lock();
+        pages.audited + pages.ended.len() as u64
+    }
+
+    /// Audits the jobs that ended long before `now`, in order of their numbers; then nothing is kept of them.
+    pub(super) fn settle(&self, shared: &Shared, now: Duration) {
+        let mut pages = self.lock();
+        let before = pages.audited;
+        let is_due = |ended: &Duration| now.saturating_sub(*ended) >= SETTLED;
+        while pages.ended.get(&JobId(pages.audited + 1)).is_some_and(is_due) {
+            pages.audited += 1;
+            let job = JobId(pages.audited);
+            pages.ended.remove(&job);
+        }
+        if pages.audited > before {
+            let mut state = shared.lock();
+            let wrong = close(&mut state, JobId(pages.audited));
+            state.wrong.extend(wrong);
+        }
+    }
+}
+
+/// Takes out what is known of the jobs up to `last`; what is wrong with it.
+fn close(state: &mut State, last: JobId) -> Vec<Violation> {
+    let mut records = Vec::new();
+    for record in std::mem::take(&mut state.disk.history) {
+        match Fact::decode(&record) {
+            Ok((_, fact)) => match job_of(&fact) {
+                Some(job) if job > last => state.disk.history.push(record),
+                Some(_) => records.push(record),
+                None => {}
+            },
+            Err(error) => return vec![error.into()],
+        }
+    }
+    let [accepted, reported] = [&mut state.accepted, &mut state.reported].map(|reports| take(reports, last));
+    let wrong = log(&records, [&accepted, &reported], &state.leases).unwrap_or_else(|error| vec![error.into()]);
+    state.leases.forget_until(last);
+    wrong
+}
+
+/// Takes out those of the jobs up to `last`.
+fn take(reports: &mut Reports, last: JobId) -> Reports {
+    let (taken, left) = std::mem::take(reports).into_iter().partition(|(task, _)| task.job <= last);
+    *reports = left;
+    taken
+}
+
+fn job_of(fact: &Fact) -> Option<JobId> {
+    match fact {
+        Fact::Opened { .. } | Fact::Drained { .. } => None,
+        Fact::Submitted { job, .. }
+        | Fact::Cut { job, .. }
+        | Fact::Grouped { job, .. }
+        | Fact::Restarted { job, .. }
+        | Fact::Doomed { job, .. }
+        | Fact::Controlled { job, .. }
+        | Fact::Forgotten { job } => Some(*job),
+        Fact::Rendered { task, .. }
+        | Fact::Gathered { task, .. }
+        | Fact::Merged { task, .. }
+        | Fact::Failed { task, .. }
+        | Fact::Lost { task } => Some(task.job),
+        Fact::Logged(record) => Some(record.task.job),
+    }
+}

@@ -1,0 +1,140 @@
+//! The size of the farm from time to time, and whether it stays as it is.
+
+use std::time::Duration;
+
+use femc_schedule::{Config, Fact, Ledger, Scheduler, SnapshotError};
+use serde::Serialize;
+
+use super::book::Book;
+use crate::audit::Violation;
+use crate::shared::Shared;
+use crate::shelf::Shelf;
+
+/// A farm that stays as it is may seem so much larger in its second half, in percent.
+const TOLERANCE: u64 = 5;
+/// A life shorter than this says nothing about growth.
+const LEAST: Duration = Duration::from_secs(4 * 3600);
+
+/// One measurement.
+#[derive(Debug, Clone, Serialize)]
+pub struct Gauge {
+    /// Simulated.
+    pub hours: f64,
+    /// Real.
+    pub seconds: f64,
+    /// Resident memory of the process: all hosts, the network, the audit; 0 where the system does not tell.
+    pub resident_bytes: u64,
+    /// Jobs that have ended so far.
+    pub jobs_ended: u64,
+    /// Jobs in the ledger.
+    pub jobs_kept: u64,
+    /// Bytes of the log, with its snapshot.
+    pub log_bytes: u64,
+    /// Snapshots so far.
+    pub snapshots: u32,
+    /// Artefacts in the store.
+    pub artefacts: u64,
+    /// Their bytes.
+    pub artefact_bytes: u64,
+    /// Records that the audit keeps.
+    pub audited_records: u64,
+    /// Faults so far.
+    pub faults: u64,
+}
+
+impl Gauge {
+    /// Reads the disks.
+    pub(super) fn read(
+        now: Duration,
+        real: Duration,
+        shared: &Shared,
+        shelf: &Shelf,
+        book: &Book,
+    ) -> Result<Self, SnapshotError> {
+        let state = shared.lock();
+        let contents = &state.disk.contents;
+        let mut ledger = contents.snapshot.as_deref().map(Ledger::decode).transpose()?.unwrap_or_default();
+        for record in &contents.records {
+            let (now, fact) = Fact::decode(record)?;
+            ledger.apply(&fact, now);
+        }
+        let then = ledger.now();
+        let (artefacts, artefact_bytes) = shelf.volume();
+        Ok(Self {
+            hours: now.as_secs_f64() / 3600.0,
+            seconds: real.as_secs_f64(),
+            resident_bytes: resident_bytes(),
+            jobs_ended: book.jobs(),
+            jobs_kept: Scheduler::new(Config::default(), ledger).0.jobs(then).len() as u64,
+            log_bytes: contents.snapshot.iter().chain(&contents.records).map(|bytes| bytes.len() as u64).sum(),
+            snapshots: state.disk.snapshots,
+            artefacts,
+            artefact_bytes,
+            audited_records: state.disk.history.len() as u64,
+            faults: state.fired.values().map(|&times| u64::from(times)).sum(),
+        })
+    }
+}
+
+/// What should stay as it is, and how much of it is nothing.
+const STEADY: [(&str, fn(&Gauge) -> u64, u64); 5] = [
+    ("resident bytes", |gauge| gauge.resident_bytes, 4 << 20),
+    ("jobs in the ledger", |gauge| gauge.jobs_kept, 5),
+    ("bytes of the log", |gauge| gauge.log_bytes, 64 << 10),
+    ("bytes in the store", |gauge| gauge.artefact_bytes, 64 << 10),
+    ("records of the audit", |gauge| gauge.audited_records, 500),
+];
+
+/// What the second half of the measurements has more of than the first, of which the first eighth is left out: there the
+/// farm fills up.
+pub(super) fn growth(gauges: &[Gauge], time: Duration) -> Vec<Violation> {
+    let gauges = &gauges[gauges.len().div_ceil(8)..];
+    if time < LEAST || gauges.len() < 4 {
+        return Vec::new();
+    }
+    let (first, second) = gauges.split_at(gauges.len() / 2);
+    let grown = |&(what, of, slack): &(&'static str, fn(&Gauge) -> u64, u64)| {
+        let mean = |half: &[Gauge]| half.iter().map(of).sum::<u64>() / half.len() as u64;
+        let (before, after) = (mean(first), mean(second));
+        (after > before + before * TOLERANCE / 100 + slack).then_some(Violation::Growth { what, before, after })
+    };
+    STEADY.iter().filter_map(grown).collect()
+}
+
+fn resident_bytes() -> u64 {
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
+    let number = line.and_then(|line| line.split_whitespace().next()?.parse::<u64>().ok());
+    number.unwrap_or(0) * 1024
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn gauges(resident: impl Fn(u64) -> u64) -> Vec<Gauge> {
+        let gauge = |hour: u64| Gauge {
+            hours: hour as f64,
+            seconds: 0.0,
+            resident_bytes: resident(hour),
+            jobs_ended: 0,
+            jobs_kept: 50,
+            log_bytes: 1 << 16,
+            snapshots: 0,
+            artefacts: 0,
+            artefact_bytes: 0,
+            audited_records: 1000,
+            faults: 0,
+        };
+        (0..=24).map(gauge).collect()
+    }
+
+    #[test]
+    fn what_fills_up_and_stays_is_steady_and_what_goes_on_growing_is_not() {
+        let day = Duration::from_secs(86_400);
+        assert_eq!(growth(&gauges(|hour| (60 << 20) + (hour % 3 << 20)), day), []);
+        assert_eq!(growth(&gauges(|hour| hour.min(3) * (20 << 20)), day), []);
+        let grown = growth(&gauges(|hour| (60 << 20) + (hour << 20)), day);
+        assert!(matches!(grown[..], [Violation::Growth { what: "resident bytes", .. }]), "{grown:?}");
+    }
+}

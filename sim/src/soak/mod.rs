@@ -1,0 +1,136 @@
+//! One world for a long time: people come with job after job and change their minds, storms of faults come and go, an
+//! operator drains workers and removes garbage. At the end the farm is no larger than it was in the middle.
+//!
+//! A job is audited some minutes after its end; then nothing is kept of it but that the log may say nothing of it any more.
+
+mod book;
+mod gauge;
+mod people;
+
+use std::collections::BTreeMap;
+use std::time::{Duration, Instant};
+
+use femc_schedule::Config;
+use serde::Serialize;
+
+use crate::audit::Violation;
+use crate::faults::Planned;
+use crate::hosts;
+use crate::shared::Shared;
+use crate::shelf::Shelf;
+use crate::stage;
+use crate::weather::Weather;
+use crate::world::{Tells, line_up};
+use book::Book;
+pub use gauge::Gauge;
+
+/// Step of the simulated time; most of the real time goes by with steps in which nothing happens.
+const TICK: Duration = Duration::from_millis(20);
+/// From the beginning of a storm to that of the next; the second half is quiet, so that jobs end.
+const CYCLE: Duration = Duration::from_secs(60);
+/// An ended job is forgotten after that.
+const KEEP: Duration = Duration::from_secs(600);
+/// When people stop to come, their last jobs must end within that.
+const LAST: Duration = Duration::from_secs(3600);
+/// Tiles that are gathered before the merge, of four.
+const GROUP: u32 = 2;
+/// Times that the farm is measured.
+const GAUGES: u32 = 24;
+
+/// A long life to be lived.
+#[derive(Debug, Clone, Copy)]
+pub struct Soak {
+    /// Decides everything.
+    pub seed: u64,
+    /// How long people come, simulated.
+    pub time: Duration,
+    /// Whether the story is kept, which takes memory.
+    pub tells: Tells,
+}
+
+/// What came of it.
+#[derive(Debug, Clone, Serialize)]
+pub struct Soaked {
+    /// What must never be, and was.
+    pub violations: Vec<String>,
+    /// The farm from time to time.
+    pub gauges: Vec<Gauge>,
+    /// What people did, and how jobs ended.
+    pub deeds: BTreeMap<&'static str, u64>,
+    /// How often each kind of fault came about.
+    pub fired: BTreeMap<&'static str, u32>,
+    /// Most records of the log beside a snapshot.
+    pub longest_log: usize,
+    /// Simulated seconds.
+    pub seconds: f64,
+    /// Digest of all that was said and written.
+    pub trace: String,
+    /// All that was said, one line each, if it was asked for.
+    #[serde(skip)]
+    pub story: Vec<String>,
+}
+
+impl Soak {
+    /// Lives through it, or to the first violation; `see` is shown each measurement.
+    pub fn run(&self, mut see: impl FnMut(&Gauge)) -> anyhow::Result<Soaked> {
+        line_up()?;
+        let begun = Instant::now();
+        let (shared, shelf, book) =
+            (Shared::new(self.seed, self.tells == Tells::Story), Shelf::default(), Book::default());
+        let config = Config { keep_ended: Some(KEEP.as_millis() as u64), group: GROUP, ..stage::cut() };
+        let mut sim = hosts::settle(self.seed, [TICK, self.time + LAST], &shared, &shelf, &config);
+        for number in 0..people::PERSONS {
+            sim.client(people::name(number), people::person(*self, number, shared.clone(), book.clone()));
+        }
+        sim.client("operator", people::operator(*self, shared.clone(), book.clone()));
+        let (mut weather, mut storms, mut gauges) = (Weather::default(), 0, Vec::new());
+        let broken = loop {
+            match sim.step() {
+                Ok(true) => break None,
+                Ok(false) => {}
+                Err(error) => break Some(Violation::World(error.to_string())),
+            }
+            let now = sim.elapsed();
+            weather.pass(&mut sim, &shared, &shelf);
+            if now >= CYCLE * storms && now < self.time {
+                weather.storm(now, &Planned::of(self.storm(storms)), &shared);
+                book.settle(&shared, now);
+                storms += 1;
+            }
+            if now >= self.time / GAUGES * gauges.len() as u32 && gauges.len() <= GAUGES as usize {
+                let gauge = Gauge::read(now, begun.elapsed(), &shared, &shelf, &book)?;
+                see(&gauge);
+                gauges.push(gauge);
+            }
+            if !shared.lock().wrong.is_empty() {
+                break None;
+            }
+        };
+        book.settle(&shared, Duration::MAX);
+        let state = shared.lock();
+        let grown = gauge::growth(&gauges, self.time);
+        let violations = state.wrong.iter().cloned().chain(broken).chain(grown);
+        Ok(Soaked {
+            violations: violations.map(|violation| violation.to_string()).collect(),
+            gauges,
+            deeds: book.deeds(),
+            fired: state.fired.clone(),
+            longest_log: state.disk.longest,
+            seconds: sim.elapsed().as_secs_f64(),
+            trace: state.trace.finalize().to_hex().to_string(),
+            story: state.story.clone().unwrap_or_default(),
+        })
+    }
+
+    /// The seed of a storm.
+    fn storm(&self, number: u32) -> u64 {
+        self.draw(&format!("storm {number}"))
+    }
+
+    /// A number for a purpose.
+    fn draw(&self, purpose: &str) -> u64 {
+        let hash = blake3::hash(format!("{} {purpose}", self.seed).as_bytes());
+        let first = hash.as_bytes().first_chunk().copied();
+        u64::from_le_bytes(first.unwrap_or_default())
+    }
+}

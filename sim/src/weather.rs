@@ -1,0 +1,194 @@
+//! What goes wrong in a world, when its time has come.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use turmoil::Sim;
+
+use crate::faults::{COORDINATORS, Fault, Planned, WORKERS};
+use crate::hosts::{LATENCY, coordinator_name, worker_name};
+use crate::shared::{Shared, Trap};
+use crate::shelf::Shelf;
+
+/// How long a plan's faults come, and whatever they broke stays broken.
+const STORM: Duration = Duration::from_secs(32);
+
+/// What is to be done at some time.
+#[derive(Debug, Clone, Copy)]
+enum Act {
+    Begin(Fault),
+    End(Fault),
+    /// A dead coordinator is started again.
+    Start(usize),
+    Peace,
+}
+
+/// What is still to come, in order of time; of one time, in order of planning.
+#[derive(Debug, Default)]
+pub(crate) struct Weather {
+    agenda: BTreeMap<(Duration, u64), Act>,
+    planned: u64,
+}
+
+impl Weather {
+    /// From `now` on a plan's faults come, then there is peace.
+    pub(crate) fn storm(&mut self, now: Duration, plan: &Planned, shared: &Shared) {
+        {
+            let mut state = shared.lock();
+            (state.twice, state.late) = (plan.twice, plan.late);
+        }
+        plan.faults.iter().for_each(|&(at, fault)| self.plan(now + at, Act::Begin(fault)));
+        self.plan(now + STORM, Act::Peace);
+    }
+
+    fn plan(&mut self, at: Duration, act: Act) {
+        self.planned += 1;
+        self.agenda.insert((at, self.planned), act);
+    }
+
+    /// Does what is due.
+    pub(crate) fn pass(&mut self, sim: &mut Sim<'_>, shared: &Shared, shelf: &Shelf) {
+        let now = sim.elapsed();
+        let sprung = shared.lock().sprung.take();
+        if let Some(host) = sprung {
+            die(sim, shared, coordinator_name(host), now);
+            self.plan(now + Duration::from_secs(1), Act::Start(host));
+        }
+        while let Some(entry) = self.agenda.first_entry().filter(|entry| entry.key().0 <= now) {
+            let act = entry.remove();
+            shared.lock().note(now, &format!("{act:?}"));
+            match act {
+                Act::Begin(fault) => {
+                    if let Some(end) = begin_fault(sim, fault, shared, shelf, now) {
+                        self.plan(now + end, Act::End(fault));
+                    }
+                }
+                Act::End(fault) => end_fault(sim, fault, shared, shelf),
+                Act::Start(host) => start(sim, coordinator_name(host)),
+                Act::Peace => make_peace(sim, shared, shelf),
+            }
+        }
+    }
+}
+
+/// Lets it begin; how long it lasts, if it ends by itself.
+fn begin_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf, now: Duration) -> Option<Duration> {
+    let fired = |what| shared.lock().fired(what);
+    match fault {
+        Fault::WorkerDies(host, pause) => {
+            die(sim, shared, worker_name(host), now).then(|| fired("worker died"));
+            Some(pause)
+        }
+        Fault::CoordinatorDies(pause) => {
+            let leader = shared.lock().leader;
+            die(sim, shared, coordinator_name(leader), now).then(|| fired("coordinator died"));
+            Some(pause)
+        }
+        Fault::DiesBeforeWrite(writes) => {
+            shared.lock().trap = Some((writes, Trap::Before));
+            None
+        }
+        Fault::DiesAfterWrite(writes) => {
+            shared.lock().trap = Some((writes, Trap::After));
+            None
+        }
+        Fault::LeadChanges => {
+            let mut state = shared.lock();
+            state.leader = (state.leader + 1) % COORDINATORS;
+            state.fired("lead changed");
+            None
+        }
+        Fault::WorkerCut(host, pause) => {
+            sim.partition(worker_name(host), "switch");
+            fired("worker cut off");
+            Some(pause)
+        }
+        Fault::WorkerMute(host, pause) => {
+            sim.partition_oneway(worker_name(host), "switch");
+            fired("worker mute");
+            Some(pause)
+        }
+        Fault::CoordinatorCut(pause) => {
+            (0..COORDINATORS).for_each(|host| sim.partition(coordinator_name(host), "switch"));
+            fired("coordinator cut off");
+            Some(pause)
+        }
+        Fault::WorkerFreezes(host, pause) => {
+            sim.hold(worker_name(host), "switch");
+            fired("worker frozen");
+            Some(pause)
+        }
+        Fault::CoordinatorFreezes(pause) => {
+            (0..COORDINATORS).for_each(|host| sim.hold(coordinator_name(host), "switch"));
+            fired("coordinator frozen");
+            Some(pause)
+        }
+        Fault::Slow(most, pause) => {
+            sim.set_max_message_latency(most);
+            fired("slow network");
+            Some(pause)
+        }
+        Fault::LogFull(writes) => {
+            shared.lock().disk.full = writes;
+            None
+        }
+        Fault::StoreFull(pause) => {
+            shelf.fill(true);
+            fired("store full");
+            Some(pause)
+        }
+        Fault::ClockJumps(jump) => {
+            shared.lock().ahead += jump;
+            fired("clock jumped");
+            None
+        }
+    }
+}
+
+fn end_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf) {
+    match fault {
+        Fault::WorkerDies(host, _) => start(sim, worker_name(host)),
+        Fault::CoordinatorDies(_) => (0..COORDINATORS).for_each(|host| start(sim, coordinator_name(host))),
+        Fault::WorkerCut(host, _) => sim.repair(worker_name(host), "switch"),
+        Fault::WorkerMute(host, _) => sim.repair_oneway(worker_name(host), "switch"),
+        Fault::CoordinatorCut(_) => (0..COORDINATORS).for_each(|host| sim.repair(coordinator_name(host), "switch")),
+        Fault::WorkerFreezes(host, _) => sim.release(worker_name(host), "switch"),
+        Fault::CoordinatorFreezes(_) => {
+            (0..COORDINATORS).for_each(|host| sim.release(coordinator_name(host), "switch"));
+        }
+        Fault::Slow(..) => sim.set_max_message_latency(LATENCY),
+        Fault::StoreFull(_) => shelf.fill(false),
+        Fault::LogFull(_) => shared.lock().disk.full = 0,
+        Fault::DiesBeforeWrite(_) | Fault::DiesAfterWrite(_) | Fault::LeadChanges | Fault::ClockJumps(_) => {}
+    }
+}
+
+/// Whatever is broken is mended, and whoever is dead lives.
+fn make_peace(sim: &mut Sim<'_>, shared: &Shared, shelf: &Shelf) {
+    let hosts = (0..COORDINATORS).map(coordinator_name).chain((0..WORKERS).map(worker_name));
+    for host in hosts {
+        sim.release(host.as_str(), "switch");
+        sim.repair(host.as_str(), "switch");
+        start(sim, host);
+    }
+    sim.set_max_message_latency(LATENCY);
+    shelf.fill(false);
+    let mut state = shared.lock();
+    (state.trap, state.disk.full, state.twice, state.late) = (None, 0, 0, 0);
+}
+
+/// Kills a process; `false` if it was dead.
+fn die(sim: &mut Sim<'_>, shared: &Shared, host: String, now: Duration) -> bool {
+    let lives = sim.is_host_running(host.as_str());
+    if lives {
+        shared.lock().note(now, &format!("{host} dies"));
+        sim.crash(host);
+    }
+    lives
+}
+
+fn start(sim: &mut Sim<'_>, host: String) {
+    if !sim.is_host_running(host.as_str()) {
+        sim.bounce(host);
+    }
+}

@@ -95,6 +95,9 @@ impl Scheduler {
             desk.distrust.granted(instance, task);
         }
         self.hand_out((task, epoch), run, worker, now);
+        if copy_of.is_some() {
+            self.floor.copies.insert((task, epoch));
+        }
         let assignment = Assignment { task, epoch, lease: self.config.lease, copy_of, work };
         out.push(Command::Assign { worker, assignment });
     }

@@ -97,6 +97,8 @@ impl Lease {
 pub(crate) struct Floor {
     pub(crate) workers: BTreeMap<WorkerId, Worker>,
     pub(crate) leases: BTreeMap<LeaseKey, Lease>,
+    /// Leases that were granted as second ones of their tasks. Few: without any, no task needs a look for its other lease.
+    pub(crate) copies: BTreeSet<LeaseKey>,
     /// By epoch before task: epochs are told apart in one comparison.
     deadlines: BTreeSet<(Tick, Epoch, TaskKey)>,
     /// Workers that can hold more, those with the fewest tasks first.
@@ -187,6 +189,7 @@ impl Floor {
     /// Ends a lease.
     pub(crate) fn release(&mut self, key: &LeaseKey) -> Option<Lease> {
         let lease = self.leases.remove(key)?;
+        self.copies.remove(key);
         self.deadlines.remove(&(lease.deadline, key.1, key.0));
         if let Some(holder) = self.workers.get_mut(&lease.worker) {
             self.spare.remove(&(holder.held.len(), lease.worker));
@@ -194,6 +197,17 @@ impl Floor {
             self.spare.insert((holder.held.len(), lease.worker));
         }
         Some(lease)
+    }
+
+    /// Puts a lease into the hands of another session of its worker; `false`: there is no such lease.
+    pub(crate) fn hand_over(&mut self, key: &LeaseKey, worker: WorkerId, config: &Config, now: Tick) -> bool {
+        let is_copy = self.copies.contains(key);
+        let Some(lease) = self.release(key) else { return false };
+        self.lease(*key, &lease.run(&key.0), worker, lease.size, config, now);
+        if is_copy {
+            self.copies.insert(*key);
+        }
+        true
     }
 
     /// The lease, if this worker holds it under this epoch.

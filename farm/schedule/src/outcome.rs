@@ -43,6 +43,7 @@ impl Scheduler {
                 return self.failed(worker, task, epoch, failure, now, out);
             }
         };
+        let is_alone = self.floor.copies.is_empty();
         self.floor.release(&(task, epoch));
         // A worker's clock, at most what went by here: a lease may have waited for its turn.
         let spent = ((seconds.max(0.0) * 1000.0) as u64).min(now.since(granted));
@@ -54,7 +55,9 @@ impl Scheduler {
             worker.mishaps = 0;
         }
         self.record(fact, now, out);
-        self.revoke_others(&task, RevokeReason::Done, out);
+        if !is_alone {
+            self.revoke_others(&task, RevokeReason::Done, out);
+        }
         let instance = self.floor.instance(worker);
         if let (Some(desk), Some(job)) = (self.desks.get_mut(&task.job), self.ledger.jobs.get(&task.job)) {
             desk.avoid.remove(&task);

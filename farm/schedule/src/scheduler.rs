@@ -148,9 +148,7 @@ impl Scheduler {
     fn take_over(&mut self, held: &HeldLease, worker: WorkerId, now: Tick) -> bool {
         let key = (held.task, held.epoch);
         let is_of_job = self.spec(held.task.job).is_some_and(|spec| spec.key() == held.job);
-        let Some(lease) = is_of_job.then(|| self.floor.release(&key)).flatten() else { return false };
-        self.floor.lease(key, &lease.run(&held.task), worker, lease.size, &self.config, now);
-        true
+        is_of_job && self.floor.hand_over(&key, worker, &self.config, now)
     }
 
     /// The keys of a task that a worker brings along, if it is wanted and nobody else has any of it.

@@ -68,7 +68,7 @@ pub(crate) async fn answer<T>(
         match answer.await {
             Ok(Ok(answer)) => return Ok(answer),
             Ok(Err(CallError::Refused(Refusal::Unavailable { message }))) => {
-                shared.note(|| format!("person: {message}"))
+                shared.note(|| format!("person: {message}"));
             }
             Ok(Err(CallError::Refused(refusal))) => return Err(refusal),
             Ok(Err(error)) => shared.note(|| format!("person: {error}")),

@@ -247,3 +247,22 @@ pub enum Merged {
     /// The samples had been counted before; nothing changed.
     Known,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn ranges_that_ascend_without_a_gap_are_one_and_others_are_none() {
+        let joined = |bounds: &[(u32, u32)]| {
+            let ranges: Vec<SampleRange> = bounds.iter().map(|&(start, end)| SampleRange { start, end }).collect();
+            SampleRange::joined(&ranges).map(|one| (one.start, one.end))
+        };
+        assert_eq!(joined(&[(0, 12)]), Some((0, 12)));
+        assert_eq!(joined(&[(0, 1), (1, 7), (7, 12)]), Some((0, 12)));
+        assert_eq!(joined(&[(3, 5), (5, 6)]), Some((3, 6)));
+        for other in [&[][..], &[(0, 5), (6, 12)], &[(5, 6), (3, 5)], &[(0, 5), (4, 6)]] {
+            assert_eq!(joined(other), None, "{other:?}");
+        }
+    }
+}

@@ -76,8 +76,11 @@ impl Gauge {
     }
 }
 
+/// Of a measurement.
+type Reading = fn(&Gauge) -> u64;
+
 /// What should stay as it is, and how much of it is nothing.
-const STEADY: [(&str, fn(&Gauge) -> u64, u64); 5] = [
+const STEADY: [(&str, Reading, u64); 5] = [
     ("resident bytes", |gauge| gauge.resident_bytes, 4 << 20),
     ("jobs in the ledger", |gauge| gauge.jobs_kept, 5),
     ("bytes of the log", |gauge| gauge.log_bytes, 64 << 10),
@@ -132,7 +135,7 @@ mod tests {
     #[test]
     fn what_fills_up_and_stays_is_steady_and_what_goes_on_growing_is_not() {
         let day = Duration::from_secs(86_400);
-        assert_eq!(growth(&gauges(|hour| (60 << 20) + (hour % 3 << 20)), day), []);
+        assert_eq!(growth(&gauges(|hour| (60 << 20) + ((hour % 3) << 20)), day), []);
         assert_eq!(growth(&gauges(|hour| hour.min(3) * (20 << 20)), day), []);
         let grown = growth(&gauges(|hour| (60 << 20) + (hour << 20)), day);
         assert!(matches!(grown[..], [Violation::Growth { what: "resident bytes", .. }]), "{grown:?}");

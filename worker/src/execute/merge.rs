@@ -139,20 +139,3 @@ fn put_together(task: &Task, groups: &[Artefact], tools: &Tools) -> Result<Joine
     }
     Err(Failure::Settings { message: format!("the groups hold {covered} tiles, the frame has {}", tiling.count()) })
 }
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_tile_is_whole_in_whatever_parts_and_not_with_a_gap_or_less_or_more() {
-        let whole = |bounds: &[(u32, u32)]| {
-            let ranges: Vec<SampleRange> = bounds.iter().map(|&(start, end)| SampleRange { start, end }).collect();
-            hold(&ranges, 12)
-        };
-        assert!(whole(&[(0, 12)]) && whole(&[(0, 1), (1, 7), (7, 12)]));
-        for other in [&[][..], &[(0, 11)], &[(1, 12)], &[(0, 5), (6, 12)], &[(0, 12), (12, 13)]] {
-            assert!(!whole(other), "{other:?}");
-        }
-    }
-}

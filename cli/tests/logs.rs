@@ -20,7 +20,7 @@ fn every_attempt_has_a_log_and_failures_are_marked_and_outlive_the_coordinator()
         assert!(one.contains(said), "{said}: {one}");
     }
     let merge = place.run(&format!("logs {job}/1.0/merge/0 --server {url}")).exits(0).stdout();
-    assert!(merge.contains("tiles are joined") && !merge.contains("render/"), "{merge}");
+    assert!(merge.contains("the frame is put together") && !merge.contains("render/"), "{merge}");
 
     // A scene that nobody can read.
     place.write("fog.mgf", &common::FOG.replace("origin 0 -3.4 1", "origin 0 -3.4"));

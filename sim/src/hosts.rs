@@ -53,6 +53,12 @@ pub(crate) fn settle(
     sim
 }
 
+/// Ends of connections that the network keeps. To be asked from within.
+pub(crate) fn ends() -> usize {
+    let names = (0..COORDINATORS).map(coordinator_name).chain((0..WORKERS).map(worker_name)).chain(["switch".into()]);
+    names.map(turmoil::established_tcp_stream_count_on).sum()
+}
+
 pub(crate) fn coordinator_name(host: usize) -> String {
     format!("c{host}")
 }

@@ -55,6 +55,8 @@ pub(crate) struct State {
     pub(crate) trace: blake3::Hasher,
     pub(crate) story: Option<Vec<String>>,
     pub(crate) boots: u64,
+    /// Ends of connections that the simulated network keeps, also of attempts that were refused or given up.
+    pub(crate) ends: usize,
 }
 
 /// One world's state; clones share it.
@@ -81,6 +83,7 @@ impl Shared {
             trace: blake3::Hasher::new(),
             story: tells.then(Vec::new),
             boots: 0,
+            ends: 0,
         })))
     }
 

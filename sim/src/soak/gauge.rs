@@ -24,6 +24,8 @@ pub struct Gauge {
     pub seconds: f64,
     /// Resident memory of the process: all hosts, the network, the audit; 0 where the system does not tell.
     pub resident_bytes: u64,
+    /// Ends of connections that the simulated network keeps, also of attempts that were refused or given up.
+    pub ends: u64,
     /// Jobs that have ended so far.
     pub jobs_ended: u64,
     /// Jobs in the ledger.
@@ -64,6 +66,7 @@ impl Gauge {
             hours: now.as_secs_f64() / 3600.0,
             seconds: real.as_secs_f64(),
             resident_bytes: resident_bytes(),
+            ends: state.ends as u64,
             jobs_ended: book.jobs(),
             jobs_kept: Scheduler::new(Config::default(), ledger).0.jobs(then).len() as u64,
             log_bytes: contents.snapshot.iter().chain(&contents.records).map(|bytes| bytes.len() as u64).sum(),
@@ -128,6 +131,7 @@ mod tests {
             artefact_bytes: 0,
             audited_records: 1000,
             faults: 0,
+            ends: 0,
         };
         (0..=24).map(gauge).collect()
     }

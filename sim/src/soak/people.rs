@@ -79,6 +79,7 @@ pub(super) async fn person(soak: Soak, number: u64, shared: Shared, book: Book) 
         };
         shared.lock().wrong.extend(wrong.into_iter().map(|violation| violation.of(job)));
         book.ended(job, now());
+        shared.lock().ends = crate::hosts::ends();
     }
     Ok(())
 }

@@ -68,8 +68,8 @@ fn job(frames: u32, tiles: u32) -> JobSpec {
     }
 }
 
-async fn start(folder: &Path) -> Result<(Handle, Client)> {
-    let farm = Coordinator::start(config(folder)).await?;
+async fn start(config: Config) -> Result<(Handle, Client)> {
+    let farm = Coordinator::start(config).await?;
     let client = Client::connect(&farm.url()).await?;
     client.put(Bytes::from_static(SCENE)).await?;
     client.put(Bytes::from_static(RESULT)).await?;
@@ -83,7 +83,7 @@ fn workers(url: &str, sessions: u32, kind: &str) -> Result<Child> {
 
 async fn throughput(sessions: u32, frames: u32) -> Result<()> {
     let folder = tempfile::tempdir()?;
-    let (farm, client) = start(folder.path()).await?;
+    let (farm, client) = start(config(folder.path())).await?;
     let mut others = workers(&farm.url(), sessions, "works")?;
     while client.workers().await?.len() < sessions as usize {
         tokio::time::sleep(Duration::from_millis(10)).await;
@@ -108,7 +108,7 @@ async fn throughput(sessions: u32, frames: u32) -> Result<()> {
 
 async fn submission() -> Result<()> {
     let folder = tempfile::tempdir()?;
-    let (farm, client) = start(folder.path()).await?;
+    let (farm, client) = start(config(folder.path())).await?;
     let mut all = Vec::new();
     for first in 0..5 {
         let spec = JobSpec { frames: (first..first + 1000).collect(), ..job(1000, 1000) };
@@ -124,7 +124,7 @@ async fn submission() -> Result<()> {
 async fn memory() -> Result<()> {
     const JOBS: u32 = 50;
     let folder = tempfile::tempdir()?;
-    let (farm, client) = start(folder.path()).await?;
+    let (farm, client) = start(config(folder.path())).await?;
     client.submit(None, job(1000, 1000)).await?;
     let before = resident();
     for _ in 0..JOBS {
@@ -214,7 +214,9 @@ fn merged() -> MergeResult {
 /// Milliseconds from the signal to a worker until one of its tasks is given to another.
 async fn again(signal: &str) -> Result<f64> {
     let folder = tempfile::tempdir()?;
-    let (farm, client) = start(folder.path()).await?;
+    // A copy of a task that is late would be measured else, not the end of its lease.
+    let scheduler = femc_schedule::Config { late: u64::MAX, ..femc_schedule::Config::default() };
+    let (farm, client) = start(Config { scheduler, ..config(folder.path()) }).await?;
     let mut victim = workers(&farm.url(), 1, "holds")?;
     client.submit(None, job(1, 16)).await?;
     while client.workers().await?.iter().all(|worker| worker.tasks.is_empty()) {

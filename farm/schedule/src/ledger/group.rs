@@ -70,7 +70,8 @@ impl Groups {
 impl Frame {
     /// Whether all samples that this round takes of these tiles are there, and not gathered yet.
     fn has_all(&self, layout: &Layout, span: &Range<u32>) -> bool {
-        span.clone().all(|tile| self.is_whole(&layout.grains, tile))
+        // Tiles come in their order, more or less: the last one tells soonest.
+        span.clone().rev().all(|tile| self.is_whole(&layout.grains, tile))
     }
 
     /// The artefacts of this round that there are of these tiles, in key order.

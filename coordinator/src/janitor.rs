@@ -18,11 +18,14 @@ use crate::actor::Actor;
 #[derive(Debug, Default)]
 pub(crate) struct Janitor {
     released: VecDeque<(Tick, Vec<Digest>)>,
+    swept: Tick,
 }
 
 impl Janitor {
     /// Milliseconds between release and removal.
     const REST: u64 = 30_000;
+    /// Milliseconds from one removal to the next: each looks at all that the jobs name.
+    const EVERY: u64 = 2_000;
 
     pub(crate) fn note(&mut self, now: Tick, digests: Vec<Digest>) {
         self.released.push_back((now, digests));
@@ -30,6 +33,10 @@ impl Janitor {
 
     fn due(&mut self, now: Tick) -> Vec<Digest> {
         let mut due = Vec::new();
+        if now.since(self.swept) < Self::EVERY {
+            return due;
+        }
+        self.swept = now;
         while self.released.front().is_some_and(|(released, _)| now.since(*released) >= Self::REST) {
             due.extend(self.released.pop_front().map(|(_, digests)| digests).unwrap_or_default());
         }

@@ -5,9 +5,10 @@ use std::ops::Range;
 use femc_model::{Assignment, Epoch, JobId, More, Stage, StageKind, TaskKey, Tick, Wait, Work, WorkerId};
 
 use crate::Command;
-use crate::desk::{Desk, OpenFrame};
+use crate::desk::Desk;
 use crate::floor::{Floor, LeaseKey, Worker};
 use crate::ledger::Job;
+use crate::open::OpenFrame;
 use crate::scheduler::Scheduler;
 
 /// What the search for a task of a job came to.
@@ -153,10 +154,10 @@ impl Scheduler {
             waits.push(Wait::Paused);
             return waits;
         }
-        for (&frame, open) in &desk.open {
+        for (frame, open) in desk.open.iter() {
             waits.extend(why_no_merge(job, frame, open));
         }
-        let is_ready = desk.open.values().any(OpenFrame::has_some);
+        let is_ready = desk.open.ready().next().is_some();
         if is_ready || desk.cursor < job.spec.frames.len() {
             waits.extend(self.why_no_worker(id, job, desk, now));
             waits.extend(self.why_shunned(job, desk, now));
@@ -244,7 +245,7 @@ pub(crate) fn is_shunned(job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor
 
 fn first_ready(id: JobId, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor) -> Pick {
     let mut best = Pick::NothingReady;
-    for (&frame, open) in &desk.open {
+    for (frame, open) in desk.open.ready() {
         let key = |kind, index| TaskKey { job: id, stage: Stage { frame, round: open.round, kind }, index };
         let merge = open.merge.then(|| key(StageKind::Merge, 0));
         let gathers = open.gathers.iter().map(|group| key(StageKind::Gather, group));

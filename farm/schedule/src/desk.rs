@@ -5,42 +5,18 @@ use std::ops::Range;
 
 use femc_model::{JobId, Stage, StageKind, TaskKey, Tick, WorkerId};
 
-use crate::RangeSet;
 use crate::distrust::Distrust;
 use crate::floor::Floor;
-use crate::ledger::{Job, Layout};
+use crate::ledger::Job;
+use crate::open::{OpenFrame, OpenFrames};
 use crate::pace::Pace;
-
-/// A frame whose tasks may be leased.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(crate) struct OpenFrame {
-    pub(crate) round: u32,
-    /// Grains of its tiles that nobody holds.
-    pub(crate) grains: RangeSet,
-    /// Groups of tiles that can be gathered and that nobody holds.
-    pub(crate) gathers: RangeSet,
-    /// Whether the merge can run and nobody holds it.
-    pub(crate) merge: bool,
-}
-
-impl OpenFrame {
-    /// A frame that nobody has begun.
-    fn fresh(layout: &Layout) -> Self {
-        Self { grains: RangeSet::full(layout.grains.all()), ..Self::default() }
-    }
-
-    /// Whether something of it can be leased.
-    pub(crate) fn has_some(&self) -> bool {
-        self.merge || !self.gathers.is_empty() || !self.grains.is_empty()
-    }
-}
 
 /// A job on the table.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Desk {
     /// Position in the job's frames: those before it are open, finished or blocked.
     pub(crate) cursor: usize,
-    pub(crate) open: BTreeMap<u32, OpenFrame>,
+    pub(crate) open: OpenFrames,
     /// Worker on which a task failed last.
     pub(crate) avoid: BTreeMap<TaskKey, WorkerId>,
     /// Workers on which its tasks keep failing.
@@ -53,8 +29,8 @@ pub(crate) struct Desk {
 impl Desk {
     /// Forgets what is ready and opens again every frame in work, before the ones that nobody has begun.
     pub(crate) fn rebuild(&mut self, id: JobId, job: &Job, floor: &Floor) {
-        let opened: Vec<u32> = self.open.keys().chain(job.frames.keys()).copied().collect();
-        self.open.clear();
+        let opened = std::mem::take(&mut self.open);
+        let opened: Vec<u32> = opened.iter().map(|(frame, _)| frame).chain(job.frames.keys().copied()).collect();
         self.cursor = 0;
         for frame in opened {
             self.refresh(id, job, frame, floor);
@@ -64,7 +40,7 @@ impl Desk {
     /// Derives again what of one frame is ready.
     pub(crate) fn refresh(&mut self, id: JobId, job: &Job, frame: u32, floor: &Floor) {
         if !job.is_open(frame) {
-            self.open.remove(&frame);
+            self.open.remove(frame);
             return;
         }
         let layout = job.layout(job.round(frame));
@@ -79,7 +55,7 @@ impl Desk {
         leased(StageKind::Render).for_each(|run| open.grains.remove(run));
         leased(StageKind::Gather).for_each(|run| open.gathers.remove(run));
         open.merge &= leased(StageKind::Merge).next().is_none();
-        self.open.insert(frame, open);
+        self.open.put(frame, open);
     }
 
     /// Takes notice of a completion: only the last of a group or of a round makes anything ready.
@@ -90,10 +66,9 @@ impl Desk {
             return self.refresh(task.job, job, frame, floor);
         };
         if let (StageKind::Render, Some(group)) = (task.stage.kind, layout.group_of(task.index))
-            && let Some(open) = self.open.get_mut(&frame)
             && work.gather_is_open(&layout, group)
         {
-            open.gathers.insert(group);
+            self.open.change(frame, |open| open.gathers.insert(group));
         }
     }
 
@@ -101,8 +76,8 @@ impl Desk {
     pub(crate) fn open_next(&mut self, job: &Job) -> bool {
         while let Some(&frame) = job.spec.frames.get(self.cursor) {
             self.cursor += 1;
-            if job.is_open(frame) && !self.open.contains_key(&frame) {
-                self.open.insert(frame, OpenFrame::fresh(&job.layout(0)));
+            if job.is_open(frame) && self.open.get(frame).is_none() {
+                self.open.put(frame, OpenFrame::fresh(&job.layout(0)));
                 return true;
             }
         }
@@ -111,7 +86,7 @@ impl Desk {
 
     /// Whether the task is on the table, with all of its grains.
     pub(crate) fn is_ready(&self, task: &TaskKey, run: &Range<u32>) -> bool {
-        let open = self.open.get(&task.stage.frame).filter(|open| open.round == task.stage.round);
+        let open = self.open.get(task.stage.frame).filter(|open| open.round == task.stage.round);
         open.is_some_and(|open| match task.stage.kind {
             StageKind::Render => open.grains.covers(run),
             StageKind::Gather => open.gathers.covers(run),
@@ -121,12 +96,11 @@ impl Desk {
 
     /// Takes a task off the table, because it is leased.
     pub(crate) fn take(&mut self, task: &TaskKey, run: &Range<u32>) {
-        let Some(frame) = self.open.get_mut(&task.stage.frame) else { return };
-        match task.stage.kind {
+        self.open.change(task.stage.frame, |frame| match task.stage.kind {
             StageKind::Render => frame.grains.remove(run.clone()),
             StageKind::Gather => frame.gathers.remove(run.clone()),
             StageKind::Merge => frame.merge = false,
-        }
+        });
     }
 }
 

@@ -164,7 +164,8 @@ pub enum Command {
     },
     /// A job's status has changed.
     Changed(JobId),
-    /// Nothing refers to these artefacts any more.
+    /// Something refers to these artefacts no longer: those to which nothing else does may go, see
+    /// [`crate::Scheduler::unreferenced`].
     Discard(Vec<Digest>),
 }
 

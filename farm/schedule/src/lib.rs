@@ -20,6 +20,7 @@ mod floor;
 mod intake;
 mod ledger;
 mod logs;
+mod open;
 mod order;
 mod outcome;
 mod pace;

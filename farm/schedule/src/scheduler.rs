@@ -78,7 +78,7 @@ impl Scheduler {
         self.ledger.jobs.get(&job).map(|job| &*job.spec)
     }
 
-    /// Those of `digests` that nothing names any more.
+    /// Those of `digests` that nothing names any more, each once; for many at a time.
     pub fn unreferenced(&self, digests: Vec<Digest>) -> Vec<Digest> {
         self.ledger.unreferenced(digests)
     }

@@ -82,7 +82,7 @@ impl Scheduler {
 
 /// The ready grains from the task's on, within its tile. One that has failed stands alone: its attempts are its own.
 fn ready_run(task: &TaskKey, job: &Job, desk: &Desk, grains: &Grains) -> Range<u32> {
-    let ready = desk.open.get(&task.stage.frame).map_or(task.index, |open| open.grains.run(task.index).end);
+    let ready = desk.open.get(task.stage.frame).map_or(task.index, |open| open.grains.run(task.index).end);
     let run = task.index..ready.min(grains.of_tile(grains.tile(task.index)).end).max(task.index + 1);
     let trouble = job.frames.get(&task.stage.frame).and_then(|frame| frame.first_trouble(&run));
     match trouble {
@@ -95,7 +95,7 @@ fn ready_run(task: &TaskKey, job: &Job, desk: &Desk, grains: &Grains) -> Range<u
 fn ready(job: &Job, desk: &Desk, grains: &Grains, enough: u64) -> u64 {
     let unopened = job.spec.frames.len() - desk.cursor.min(job.spec.frames.len());
     let mut ready = unopened as u64 * u64::from(grains.all().end);
-    for open in desk.open.values() {
+    for (_, open) in desk.open.ready() {
         if ready >= enough {
             break;
         }

@@ -47,7 +47,8 @@ impl Ledger {
         self.now
     }
 
-    /// Changes the ledger; returns the artefacts that it names no longer. A fact about what is not there changes nothing.
+    /// Changes the ledger; returns the artefacts that it may name no longer: [`Self::unreferenced`] tells. A fact about what
+    /// is not there changes nothing.
     pub fn apply(&mut self, fact: &Fact, now: Tick) -> Vec<Digest> {
         self.now = self.now.max(now);
         let (job, released) = match fact {
@@ -76,8 +77,7 @@ impl Ledger {
             }
             Fact::Logged(record) => {
                 let is_known = self.jobs.contains_key(&record.task.job);
-                let released = if is_known { self.annex.log(record) } else { Vec::new() };
-                return self.unreferenced(released);
+                return if is_known { self.annex.log(record) } else { Vec::new() };
             }
             Fact::Forgotten { job } => {
                 self.jobs.remove(job);
@@ -107,10 +107,10 @@ impl Ledger {
         if let Some(job) = self.jobs.get_mut(&job) {
             job.note_end(now);
         }
-        self.unreferenced(released.unwrap_or_default())
+        released.unwrap_or_default()
     }
 
-    /// Those of `digests` that no frame in work and no finished frame names.
+    /// Those of `digests` that nothing names, each once. Walks all that is named: for many digests at a time.
     pub fn unreferenced(&self, digests: Vec<Digest>) -> Vec<Digest> {
         if digests.is_empty() {
             return digests;

@@ -12,7 +12,7 @@ use turmoil::Sim;
 
 use crate::disk::Log;
 use crate::faults::{COORDINATORS, WORKERS};
-use crate::network::{dial, listen, url};
+use crate::network::{SWITCH, dial, listen, url};
 use crate::shared::Shared;
 use crate::shelf::Shelf;
 use crate::stage::{self, CACHE};
@@ -44,7 +44,7 @@ pub(crate) fn settle(
     }
     {
         let (shared, store) = (shared.clone(), store.clone());
-        sim.host("switch", move || switch::serve(shared.clone(), store.clone()));
+        sim.host(SWITCH, move || switch::serve(shared.clone(), store.clone()));
     }
     for host in 0..WORKERS {
         let (shared, scheduler) = (shared.clone(), scheduler.clone());
@@ -55,7 +55,7 @@ pub(crate) fn settle(
 
 /// Ends of connections that the network keeps. To be asked from within.
 pub(crate) fn ends() -> usize {
-    let names = (0..COORDINATORS).map(coordinator_name).chain((0..WORKERS).map(worker_name)).chain(["switch".into()]);
+    let names = (0..COORDINATORS).map(coordinator_name).chain((0..WORKERS).map(worker_name)).chain([SWITCH.into()]);
     names.map(turmoil::established_tcp_stream_count_on).sum()
 }
 
@@ -84,7 +84,7 @@ async fn coordinator(host: usize, shared: Shared, store: Store, scheduler: femc_
         };
         shared.note(|| format!("c{host} leads"));
         let failed = async {
-            match Coordinator::on(listen().await, config, store.clone(), log).await {
+            match Coordinator::on(listen(&shared, &coordinator_name(host)).await, config, store.clone(), log).await {
                 Ok(mut handle) => handle.failed().await,
                 Err(error) => error,
             }
@@ -117,9 +117,9 @@ async fn worker(seed: u64, host: usize, shared: Shared, grain: NonZeroU64) -> tu
         threads: 1,
         cache: CACHE.clone(),
         instance: boot,
-        dial: dial(),
+        dial: dial(&shared, &worker_name(host)),
         hands: Hands::Simulated(Pace::by(move |assignment| pace(seed, grain, assignment))),
-        ..femc_worker::Config::new(url("switch"))
+        ..femc_worker::Config::new(url(SWITCH))
     };
     Ok(Worker::run(config, std::future::pending()).await?)
 }

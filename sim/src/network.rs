@@ -1,6 +1,6 @@
 //! Connections of the simulated network in the terms of the wire.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::future::Future;
 use std::io;
 use std::pin::Pin;
@@ -14,20 +14,58 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Instant, Sleep};
 use turmoil::net::{TcpListener, TcpStream};
 
+use crate::shared::Shared;
+
 /// Every server's port.
 pub(crate) const PORT: u16 = 7878;
+
+/// Through which the workers reach the coordinator that leads.
+pub(crate) const SWITCH: &str = "switch";
+
+/// A refusal takes so long.
+const REFUSAL: Duration = Duration::from_millis(10);
 
 /// The address of a host.
 pub(crate) fn url(host: &str) -> String {
     format!("http://{host}:{PORT}")
 }
 
-/// Connects from the current host.
-pub(crate) fn dial() -> Dial {
-    Dial::by(|host, port| {
-        Box::pin(
-            async move { TcpStream::connect((host.as_str(), port)).await.map(|stream| Link::new(Wire::of(stream))) },
-        )
+/// Who can be reached.
+#[derive(Debug, Default)]
+pub(crate) struct Reach {
+    listening: BTreeSet<String>,
+    /// Hosts between which and the switch nothing goes.
+    cut: BTreeSet<String>,
+}
+
+impl Reach {
+    pub(crate) fn cut(&mut self, host: String) {
+        self.cut.insert(host);
+    }
+
+    pub(crate) fn mend(&mut self, host: &str) {
+        self.cut.remove(host);
+    }
+
+    fn allows(&self, from: &str, to: &str) -> bool {
+        let is_cut = (from == SWITCH && self.cut.contains(to)) || (to == SWITCH && self.cut.contains(from));
+        self.listening.contains(to) && !is_cut
+    }
+}
+
+/// Connects from the host of this name. The simulated network would refuse what leads nowhere, too, but keep two kilobytes of
+/// each such attempt for ever: those do not get as far.
+pub(crate) fn dial(shared: &Shared, from: &str) -> Dial {
+    let (shared, from) = (shared.clone(), from.to_owned());
+    Dial::by(move |to, port| {
+        let (shared, from) = (shared.clone(), from.clone());
+        Box::pin(async move {
+            if !shared.lock().reach.allows(&from, &to) {
+                tokio::time::sleep(REFUSAL).await;
+                return Err(io::ErrorKind::ConnectionRefused.into());
+            }
+            Ok(Link::new(Wire::of(TcpStream::connect((to.as_str(), port)).await?)))
+        })
     })
 }
 
@@ -74,20 +112,22 @@ impl AsyncWrite for Wire {
     }
 }
 
-/// Listens on the current host; the connections end when this is dropped. Waits for the port: what held it before may
-/// still be on its way out.
-pub(crate) async fn listen() -> impl Stream<Item = io::Result<Link>> + Send + 'static {
+/// Listens on the current host, which has this name; the connections end when this is dropped. Waits for the port: what held
+/// it before may still be on its way out.
+pub(crate) async fn listen(shared: &Shared, host: &str) -> impl Stream<Item = io::Result<Link>> + Send + 'static {
     let listener = loop {
         match TcpListener::bind(("0.0.0.0", PORT)).await {
             Ok(listener) => break listener,
             Err(_) => tokio::time::sleep(Duration::from_millis(20)).await,
         }
     };
-    stream::unfold((listener, Server::default(), 0), |(listener, server, number)| async move {
+    shared.lock().reach.listening.insert(host.to_owned());
+    let server = Server { life: Arc::default(), shared: shared.clone(), host: host.to_owned() };
+    stream::unfold((listener, server, 0), |(listener, server, number)| async move {
         let link = listener
             .accept()
             .await
-            .map(|(stream, _)| Link::new(Accepted { stream: Wire::of(stream), number, life: server.0.clone() }));
+            .map(|(stream, _)| Link::new(Accepted { stream: Wire::of(stream), number, life: server.life.clone() }));
         Some((link, (listener, server, number + 1)))
     })
 }
@@ -99,12 +139,17 @@ struct Life {
     wakers: BTreeMap<u64, Waker>,
 }
 
-#[derive(Debug, Default)]
-struct Server(Arc<Mutex<Life>>);
+#[derive(Debug)]
+struct Server {
+    life: Arc<Mutex<Life>>,
+    shared: Shared,
+    host: String,
+}
 
 impl Drop for Server {
     fn drop(&mut self) {
-        let mut life = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        self.shared.lock().reach.listening.remove(&self.host);
+        let mut life = self.life.lock().unwrap_or_else(PoisonError::into_inner);
         life.is_over = true;
         std::mem::take(&mut life.wakers).into_values().for_each(Waker::wake);
     }
@@ -116,6 +161,13 @@ struct Accepted {
     stream: Wire,
     number: u64,
     life: Arc<Mutex<Life>>,
+}
+
+impl Drop for Accepted {
+    /// A waker keeps the memory of its task, also of one that has ended.
+    fn drop(&mut self) {
+        self.life.lock().unwrap_or_else(PoisonError::into_inner).wakers.remove(&self.number);
+    }
 }
 
 impl AsyncRead for Accepted {

@@ -62,7 +62,7 @@ pub(crate) async fn answer<T>(
     loop {
         let leader = url(&coordinator_name(shared.lock().leader));
         let answer = tokio::time::timeout(Duration::from_secs(5), async {
-            let client = Client::connect_by(&dial(), &leader).await?;
+            let client = Client::connect_by(&dial(shared, "person"), &leader).await?;
             ask(client).await
         });
         match answer.await {

@@ -11,6 +11,7 @@ use rand::{RngExt as _, SeedableRng as _};
 use crate::audit::Violation;
 use crate::disk::Disk;
 use crate::leases::Leases;
+use crate::network::Reach;
 
 /// A crash of the writing coordinator at a chosen write.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -57,6 +58,7 @@ pub(crate) struct State {
     pub(crate) boots: u64,
     /// Ends of connections that the simulated network keeps, also of attempts that were refused or given up.
     pub(crate) ends: usize,
+    pub(crate) reach: Reach,
 }
 
 /// One world's state; clones share it.
@@ -84,6 +86,7 @@ impl Shared {
             story: tells.then(Vec::new),
             boots: 0,
             ends: 0,
+            reach: Reach::default(),
         })))
     }
 

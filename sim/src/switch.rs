@@ -8,7 +8,7 @@ use femc_proto::{Call, Client, Outgoing, Server, Session};
 use femc_store::Store;
 use tokio::sync::mpsc;
 
-use crate::network::{dial, listen, url};
+use crate::network::{SWITCH, dial, listen, url};
 use crate::shared::Shared;
 
 /// Latest that a message comes.
@@ -20,7 +20,7 @@ const GIVE_UP: Duration = Duration::from_secs(30);
 /// Serves for ever.
 pub(crate) async fn serve(shared: Shared, store: Store) -> turmoil::Result {
     let (calls, mut inbox) = mpsc::channel(64);
-    tokio::spawn(Server::new(calls, store).serve_on(listen().await));
+    tokio::spawn(Server::new(calls, store).serve_on(listen(&shared, SWITCH).await));
     while let Some(call) = inbox.recv().await {
         // Others than workers ask the coordinator itself.
         if let Call::Session(session) = call {
@@ -38,7 +38,7 @@ async fn relay(session: Session, shared: Shared) {
     let held = registration.held.iter().map(|held| (held.task, held.epoch));
     let number = shared.lock().leases.joined(held);
     let session = async {
-        let client = Client::connect_by(&dial(), &leader).await?;
+        let client = Client::connect_by(&dial(&shared, SWITCH), &leader).await?;
         client.session(registration).await
     };
     // A host that is dead says nothing, for ever.

@@ -7,6 +7,7 @@ use turmoil::Sim;
 
 use crate::faults::{COORDINATORS, Fault, Planned, WORKERS};
 use crate::hosts::{LATENCY, coordinator_name, worker_name};
+use crate::network::SWITCH;
 use crate::shared::{Shared, Trap};
 use crate::shelf::Shelf;
 
@@ -99,27 +100,28 @@ fn begin_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf, 
             None
         }
         Fault::WorkerCut(host, pause) => {
-            sim.partition(worker_name(host), "switch");
+            cut(sim, shared, worker_name(host));
             fired("worker cut off");
             Some(pause)
         }
         Fault::WorkerMute(host, pause) => {
-            sim.partition_oneway(worker_name(host), "switch");
+            sim.partition_oneway(worker_name(host), SWITCH);
+            shared.lock().reach.cut(worker_name(host));
             fired("worker mute");
             Some(pause)
         }
         Fault::CoordinatorCut(pause) => {
-            (0..COORDINATORS).for_each(|host| sim.partition(coordinator_name(host), "switch"));
+            (0..COORDINATORS).for_each(|host| cut(sim, shared, coordinator_name(host)));
             fired("coordinator cut off");
             Some(pause)
         }
         Fault::WorkerFreezes(host, pause) => {
-            sim.hold(worker_name(host), "switch");
+            sim.hold(worker_name(host), SWITCH);
             fired("worker frozen");
             Some(pause)
         }
         Fault::CoordinatorFreezes(pause) => {
-            (0..COORDINATORS).for_each(|host| sim.hold(coordinator_name(host), "switch"));
+            (0..COORDINATORS).for_each(|host| sim.hold(coordinator_name(host), SWITCH));
             fired("coordinator frozen");
             Some(pause)
         }
@@ -149,12 +151,11 @@ fn end_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf) {
     match fault {
         Fault::WorkerDies(host, _) => start(sim, worker_name(host)),
         Fault::CoordinatorDies(_) => (0..COORDINATORS).for_each(|host| start(sim, coordinator_name(host))),
-        Fault::WorkerCut(host, _) => sim.repair(worker_name(host), "switch"),
-        Fault::WorkerMute(host, _) => sim.repair_oneway(worker_name(host), "switch"),
-        Fault::CoordinatorCut(_) => (0..COORDINATORS).for_each(|host| sim.repair(coordinator_name(host), "switch")),
-        Fault::WorkerFreezes(host, _) => sim.release(worker_name(host), "switch"),
+        Fault::WorkerCut(host, _) | Fault::WorkerMute(host, _) => mend(sim, shared, worker_name(host)),
+        Fault::CoordinatorCut(_) => (0..COORDINATORS).for_each(|host| mend(sim, shared, coordinator_name(host))),
+        Fault::WorkerFreezes(host, _) => sim.release(worker_name(host), SWITCH),
         Fault::CoordinatorFreezes(_) => {
-            (0..COORDINATORS).for_each(|host| sim.release(coordinator_name(host), "switch"));
+            (0..COORDINATORS).for_each(|host| sim.release(coordinator_name(host), SWITCH));
         }
         Fault::Slow(..) => sim.set_max_message_latency(LATENCY),
         Fault::StoreFull(_) => shelf.fill(false),
@@ -167,14 +168,25 @@ fn end_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf) {
 fn make_peace(sim: &mut Sim<'_>, shared: &Shared, shelf: &Shelf) {
     let hosts = (0..COORDINATORS).map(coordinator_name).chain((0..WORKERS).map(worker_name));
     for host in hosts {
-        sim.release(host.as_str(), "switch");
-        sim.repair(host.as_str(), "switch");
+        sim.release(host.as_str(), SWITCH);
+        mend(sim, shared, host.clone());
         start(sim, host);
     }
     sim.set_max_message_latency(LATENCY);
     shelf.fill(false);
     let mut state = shared.lock();
     (state.trap, state.disk.full, state.twice, state.late) = (None, 0, 0, 0);
+}
+
+/// Nothing goes between a host and the switch.
+fn cut(sim: &mut Sim<'_>, shared: &Shared, host: String) {
+    sim.partition(host.as_str(), SWITCH);
+    shared.lock().reach.cut(host);
+}
+
+fn mend(sim: &mut Sim<'_>, shared: &Shared, host: String) {
+    sim.repair(host.as_str(), SWITCH);
+    shared.lock().reach.mend(&host);
 }
 
 /// Kills a process; `false` if it was dead.

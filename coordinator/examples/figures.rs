@@ -188,7 +188,7 @@ async fn half_done(mut queue: impl femc_queue::Queue, frames: u32, tiles: u32) -
             ledger.apply(&fact, Tick(2));
             records.push(fact.encode(Tick(2))?);
         }
-        queue.append(&records).await?;
+        queue.append(femc_queue::Batch::of(&records)).await?;
         since += records.len();
         // The last ones stay records.
         if since >= 20_000 && frame + 30 < frames {
@@ -229,7 +229,7 @@ async fn again(signal: &str) -> Result<f64> {
         tokio::select! {
             _ = beat.tick() => {
                 number += 1;
-                out.send(FromWorker::Heartbeat { number, tasks: vec![] }).await;
+                out.send(FromWorker::Heartbeat { number, tasks: vec![], spent: vec![] }).await;
                 // All other tasks are done by then, and the victim's heartbeats have been heard.
                 if number == 8 {
                     let before = Instant::now();
@@ -271,7 +271,18 @@ fn done(lease: &Assignment) -> FromWorker {
         Work::Gather { .. } => TaskResult::Gather(gathered()),
         Work::Merge { .. } => TaskResult::Merge(merged()),
     };
-    FromWorker::Completed { task: lease.task, epoch: lease.epoch, result, log: None }
+    let usage = Usage {
+        wait: 0.012_345,
+        wall: 0.123_456,
+        preparation: 0.001_234,
+        cpu: 0.111_111,
+        peak: Some(123_456_789),
+        samples: 1024,
+        rays: 12_345,
+        fetched: 12_345,
+        sent: RESULT.len() as u64,
+    };
+    FromWorker::Completed { task: lease.task, epoch: lease.epoch, result, log: None, usage: Some(usage) }
 }
 
 fn gathered() -> GatherResult {
@@ -304,7 +315,7 @@ async fn session(client: &Client, instance: u64, holds: bool) -> Result<()> {
             _ = beat.tick() => {
                 number += 1;
                 held.iter_mut().for_each(|task| task.samples += 1);
-                out.send(FromWorker::Heartbeat { number, tasks: held.clone() }).await;
+                out.send(FromWorker::Heartbeat { number, tasks: held.clone(), spent: vec![] }).await;
             }
             message = incoming.next() => match message? {
                 Some(ToWorker::Assign(Assignment { task, epoch, .. })) if holds => {

@@ -4,13 +4,14 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 use femc_fault::{Point, pass, pass_async};
-use femc_model::{Failure, FromWorker, JobId, JobStatus, Refusal, Tick, ToWorker, WorkerId};
-use femc_proto::{Call, References, Reply, Session};
-use femc_queue::Queue;
+use femc_model::{Failure, FromWorker, JobId, JobStatus, Refusal, Spent, Tick, ToWorker, WorkerId};
+use femc_proto::{AttemptPage, Call, JobShape, References, Reply, Session};
+use femc_queue::{Batch, Queue};
 use femc_schedule::{Command, Event, Fact, RequestId, Scheduler};
 use femc_store::Store;
 use tokio::sync::{mpsc, watch};
 
+use crate::attempts::{self, Ended};
 use crate::clock::Clock;
 use crate::config::{Config, CoordinatorError};
 use crate::janitor::Janitor;
@@ -42,6 +43,8 @@ enum Question {
     Parts(JobId, Reply<Vec<femc_model::FrameParts>>),
     Frames(JobId, Reply<Vec<femc_model::FrameRecord>>),
     Logs(JobId, Tick, Reply<Vec<femc_model::LogRecord>>),
+    Shape(JobId, Reply<JobShape>),
+    Attempts(JobId, u64, Reply<AttemptPage>),
     Workers(Reply<Vec<femc_model::WorkerStatus>>),
     Drained(Result<Vec<WorkerId>, Refusal>, Reply<Vec<WorkerId>>),
     References(Reply<References>),
@@ -60,6 +63,8 @@ pub(crate) struct Actor<Q> {
     pub(crate) janitor: Janitor,
     /// What the scheduler holds for true and is not durable yet, each with the time at which it became true.
     facts: Vec<(Tick, Fact)>,
+    /// What attempts took, not durable yet.
+    attempts: Ended,
     /// What follows from obeying: sessions that broke.
     pub(crate) echoes: VecDeque<Event>,
     questions: Vec<Question>,
@@ -95,6 +100,7 @@ impl<Q: Queue> Actor<Q> {
             changed: BTreeSet::new(),
             janitor: Janitor::default(),
             facts: Vec::new(),
+            attempts: Ended::default(),
             echoes: VecDeque::new(),
             questions: Vec::new(),
             heartbeats: Vec::new(),
@@ -152,7 +158,11 @@ impl<Q: Queue> Actor<Q> {
         let now = self.clock.now();
         for command in self.scheduler.on(event, now) {
             match command {
-                Command::Record(fact) => self.facts.push((now, fact)),
+                Command::Record(fact) => {
+                    self.attempts.heed(&fact);
+                    self.facts.push((now, fact));
+                }
+                Command::Note(attempt) => self.attempts.put(attempt),
                 other => commands.push(other),
             }
         }
@@ -162,15 +172,16 @@ impl<Q: Queue> Actor<Q> {
         if !self.workers.contains_key(&worker) {
             return;
         }
-        if let Word::Said(said) = &word
-            && let FromWorker::Heartbeat { number, .. } = **said
-        {
-            self.heartbeats.push((worker, number));
-        }
         let event = match word {
             Word::Said(mut said) => {
+                if let FromWorker::Heartbeat { number, .. } = *said {
+                    self.heartbeats.push((worker, number));
+                }
                 if let Some(event) = log_of(worker, &mut said) {
                     self.hear(event, commands);
+                }
+                for spent in spent_of(&mut said) {
+                    self.hear(Event::Spent { worker, spent }, commands);
                 }
                 event_of(worker, *said)
             }
@@ -211,6 +222,8 @@ impl<Q: Queue> Actor<Q> {
                 self.questions.push(Question::Drained(answer, reply));
             }
             Call::Logs { job, since, reply } => self.questions.push(Question::Logs(job, since, reply)),
+            Call::Shape { job, reply } => self.questions.push(Question::Shape(job, reply)),
+            Call::Attempts { job, from, reply } => self.questions.push(Question::Attempts(job, from, reply)),
             Call::Workers { reply } => self.questions.push(Question::Workers(reply)),
             Call::References { reply } => self.questions.push(Question::References(reply)),
         }
@@ -240,19 +253,19 @@ impl<Q: Queue> Actor<Q> {
 
     /// Makes the facts durable, then obeys, then answers questions. Whoever may lead no longer says nothing.
     async fn commit(&mut self, commands: Vec<Command>) -> Result<(), CoordinatorError> {
-        if self.facts.is_empty() {
+        if self.facts.is_empty() && self.attempts.is_empty() {
             self.queue.check()?;
         } else {
             let records = self.facts.drain(..).map(|(now, fact)| fact.encode(now)).collect::<Result<Vec<_>, _>>()?;
             pass_async(Point::CoordinatorBeforeAppend).await;
-            self.queue.append(&records).await?;
+            let (notes, forgotten) = self.attempts.take()?;
+            self.queue.append(Batch { records: &records, notes: &notes, forgotten: &forgotten }).await?;
             pass_async(Point::CoordinatorAfterAppend).await;
             self.records += records.len();
         }
         self.obey(commands);
         self.renew();
-        self.answer();
-        Ok(())
+        self.answer().await
     }
 
     /// Answers the heartbeats. After the commands: an assignment that a worker gets after such an answer was made after the
@@ -265,7 +278,7 @@ impl<Q: Queue> Actor<Q> {
         }
     }
 
-    fn answer(&mut self) {
+    async fn answer(&mut self) -> Result<(), CoordinatorError> {
         let now = self.clock.now();
         // Whoever asked and went away does not hear the answer.
         for question in std::mem::take(&mut self.questions) {
@@ -276,6 +289,11 @@ impl<Q: Queue> Actor<Q> {
                 Question::Parts(job, reply) => drop(reply.send(self.scheduler.parts(job))),
                 Question::Frames(job, reply) => drop(reply.send(self.scheduler.frames(job))),
                 Question::Logs(job, since, reply) => drop(reply.send(self.scheduler.logs(job, since))),
+                Question::Shape(job, reply) => drop(reply.send(self.shape(job))),
+                Question::Attempts(job, from, reply) => {
+                    let page = self.queue.notes(job.0, from).await?;
+                    drop(reply.send(Ok(attempts::page(page))));
+                }
                 Question::Drained(answer, reply) => drop(reply.send(answer)),
                 Question::Workers(reply) => drop(reply.send(Ok(self.scheduler.workers(now)))),
                 Question::References(reply) => {
@@ -285,6 +303,7 @@ impl<Q: Queue> Actor<Q> {
                 }
             }
         }
+        Ok(())
     }
 
     /// What is done now and then: watchers, artefacts that nobody needs, snapshots.
@@ -313,6 +332,18 @@ fn log_of(worker: WorkerId, said: &mut FromWorker) -> Option<Event> {
             log.take().map(|log| Event::Logged { worker, task, epoch, log })
         }
         FromWorker::Register(_) | FromWorker::Heartbeat { .. } | FromWorker::Draining | FromWorker::Available => None,
+    }
+}
+
+/// What leases took, as a worker says.
+fn spent_of(said: &mut FromWorker) -> Vec<Spent> {
+    match said {
+        FromWorker::Heartbeat { spent, .. } => std::mem::take(spent),
+        FromWorker::Completed { task, epoch, usage, .. } | FromWorker::Failed { task, epoch, usage, .. } => {
+            let (task, epoch) = (*task, *epoch);
+            usage.map(|usage| Spent { task, epoch, usage }).into_iter().collect()
+        }
+        FromWorker::Register(_) | FromWorker::Draining | FromWorker::Available => Vec::new(),
     }
 }
 

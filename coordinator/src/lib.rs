@@ -7,6 +7,7 @@
 #![deny(missing_docs)]
 
 mod actor;
+mod attempts;
 mod clock;
 mod config;
 mod janitor;

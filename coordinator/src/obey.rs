@@ -23,8 +23,8 @@ impl<Q: Queue> Actor<Q> {
     pub(crate) fn obey(&mut self, commands: Vec<Command>) {
         for command in commands {
             match command {
-                // Recorded before.
-                Command::Record(_) => {}
+                // Kept before.
+                Command::Record(_) | Command::Note(_) => {}
                 Command::Assign { worker, assignment } => self.assign(worker, assignment),
                 Command::Revoke { worker, task, epoch, reason } => {
                     self.tell(worker, ToWorker::Revoke { task, epoch, reason });

@@ -56,7 +56,7 @@ async fn checked(mut word: FromWorker, store: &Store) -> FromWorker {
             }
         }
     }
-    let FromWorker::Completed { task, epoch, result, log } = word else { return word };
+    let FromWorker::Completed { task, epoch, result, log, usage } = word else { return word };
     for artefact in result.artefacts() {
         let message = match store.size_seen(&artefact.digest).await {
             Ok(Some(bytes)) if bytes == artefact.bytes => continue,
@@ -64,9 +64,9 @@ async fn checked(mut word: FromWorker, store: &Store) -> FromWorker {
             Ok(None) => format!("artefact {} did not arrive", artefact.digest),
             Err(error) => error.to_string(),
         };
-        return FromWorker::Failed { task, epoch, failure: Failure::Store { message }, log };
+        return FromWorker::Failed { task, epoch, failure: Failure::Store { message }, log, usage };
     }
-    FromWorker::Completed { task, epoch, result, log }
+    FromWorker::Completed { task, epoch, result, log, usage }
 }
 
 /// A log that did not arrive says so; it is no reason to do the task again.

@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use femc_model::Tick;
 use femc_proto::{Connected, Io, ServeError, Server, TcpIncoming};
-use femc_queue::{Memory, Queue, Sqlite};
+use femc_queue::{Batch, Memory, Queue, Sqlite};
 use femc_schedule::{Fact, Ledger, Scheduler};
 use femc_store::Store;
 use tokio::net::TcpListener;
@@ -164,7 +164,7 @@ async fn recover(
     }
     let now: Tick = ledger.now();
     let (scheduler, opened) = Scheduler::new(config, ledger);
-    queue.append(&[opened.encode(now)?]).await?;
+    queue.append(Batch::of(&[opened.encode(now)?])).await?;
     Ok((scheduler, contents.records.len() + 1))
 }
 

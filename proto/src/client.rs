@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::{
-    Control, Digest, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord, Registration,
+    Attempts, Control, Digest, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord, Registration,
     Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use hyper_util::rt::TokioIo;
@@ -16,11 +16,13 @@ use tonic::Streaming;
 use tonic::transport::{Channel, Endpoint, Uri};
 
 use crate::addresses::Addresses;
-use crate::convert::{ConvertError, digest, digest_bytes, each};
+use crate::convert::{ConvertError, digest, digest_bytes, each, need};
 use crate::error::{CallError, from_status};
 use crate::many::{Many, together};
 use crate::net::Dial;
+use crate::server::JobShape;
 use crate::{MESSAGE, PIECE, tls, wire};
+use wire::attempts_reply::Part;
 use wire::artifacts_client::ArtifactsClient;
 use wire::jobs_client::JobsClient;
 use wire::workers_client::WorkersClient;
@@ -163,6 +165,24 @@ impl Client {
         let request = wire::LogsRequest { job: job.0, since: since.0 };
         let reply = self.jobs().logs(request).await.map_err(|status| self.error(&status))?;
         Ok(each(reply.into_inner().logs)?)
+    }
+
+    /// What a job is made of, and what the attempts at its tasks took.
+    pub async fn attempts(&self, job: JobId) -> Result<(JobShape, Attempts), CallError> {
+        let request = wire::AttemptsRequest { job: job.0 };
+        let reply = self.jobs().attempts(request).await.map_err(|status| self.error(&status))?;
+        let (mut stream, mut shape, mut attempts) = (reply.into_inner(), None, Attempts::default());
+        while let Some(part) = stream.message().await.map_err(|status| self.error(&status))? {
+            match need("attempts.part", part.part)? {
+                Part::Job(job) => shape = Some(job.try_into()?),
+                Part::Attempts(page) => {
+                    for record in page.attempts {
+                        attempts.put(record.try_into()?);
+                    }
+                }
+            }
+        }
+        Ok((need("attempts.job", shape)?, attempts))
     }
 
     /// The workers that are there.

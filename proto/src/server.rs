@@ -16,7 +16,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::{
-    Control, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord, Refusal, Registration,
+    AttemptRecord, Control, Cut, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord, Refusal, Registration,
     Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use femc_store::Store;
@@ -39,6 +39,24 @@ use uploads::Uploads;
 use wire::artifacts_server::ArtifactsServer;
 use wire::jobs_server::JobsServer;
 use wire::workers_server::WorkersServer;
+
+/// What a job is made of.
+#[derive(Debug, Clone, PartialEq)]
+pub struct JobShape {
+    /// As submitted.
+    pub spec: Box<JobSpec>,
+    /// How its tiles are cut.
+    pub cut: Cut,
+}
+
+/// Some of a job's attempts.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct AttemptPage {
+    /// In the order in which they ended; see [`femc_model::Attempts`].
+    pub attempts: Vec<AttemptRecord>,
+    /// Where the next page begins; `None`: there is none.
+    pub next: Option<u64>,
+}
 
 /// Where an answer goes.
 pub type Reply<T> = oneshot::Sender<Result<T, Refusal>>;
@@ -105,6 +123,22 @@ pub enum Call {
         since: Tick,
         /// Oldest first.
         reply: Reply<Vec<LogRecord>>,
+    },
+    /// What a job is made of.
+    Shape {
+        /// Which.
+        job: JobId,
+        /// As it is.
+        reply: Reply<JobShape>,
+    },
+    /// What the attempts at a job's tasks took.
+    Attempts {
+        /// Which.
+        job: JobId,
+        /// 0, or the `next` of the page before.
+        from: u64,
+        /// In the order in which they ended.
+        reply: Reply<AttemptPage>,
     },
     /// The workers that are there.
     Workers {

@@ -2,11 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 
 use bytes::Bytes;
 use femc_model::{Artefact, Digest, Failure, Manifest, Refusal};
 use femc_proto::{CallError, Client};
 use tokio::runtime::Handle;
+
+use crate::table::Task;
 
 /// Most bytes of what a job's `bundle` names: a manifest, or all of a scene from an earlier version.
 const BUNDLE: u64 = 1 << 30;
@@ -29,7 +32,14 @@ pub(crate) fn failure(error: &CallError) -> Failure {
 
 /// How a task comes by its inputs.
 #[derive(Debug, Clone)]
-pub(crate) enum Fetch {
+pub(crate) struct Fetch {
+    way: Way,
+    /// Whose inputs they are.
+    task: Option<Arc<Task>>,
+}
+
+#[derive(Debug, Clone)]
+enum Way {
     /// Downloads when they are needed, for a thread outside of the runtime.
     Blocking(Handle),
     /// All are there already.
@@ -37,20 +47,50 @@ pub(crate) enum Fetch {
 }
 
 impl Fetch {
+    /// Downloads when they are needed, on this runtime.
+    pub(crate) fn blocking(runtime: Handle) -> Self {
+        Self { way: Way::Blocking(runtime), task: None }
+    }
+
+    /// The same for one task.
+    pub(crate) fn of(&self, task: &Arc<Task>) -> Self {
+        Self { way: self.way.clone(), task: Some(task.clone()) }
+    }
+
+    /// Counts what comes in as the task's.
+    fn count(&self, bytes: usize) {
+        if let Some(task) = &self.task {
+            task.account.fetched.fetch_add(bytes as u64, Ordering::Relaxed);
+        }
+    }
+
+    /// Waits for the network.
+    fn wait<T>(&self, runtime: &Handle, work: impl Future<Output = T>) -> T {
+        match &self.task {
+            Some(task) if task.is_begun() => task.account.moving(|| runtime.block_on(work)),
+            Some(_) | None => runtime.block_on(work),
+        }
+    }
+
     /// What names a scene's pieces, or, from earlier versions, holds them.
     pub(crate) fn scene(&self, client: &Client, digest: &Digest) -> Result<Bytes, Failure> {
-        match self {
-            Self::Blocking(runtime) => runtime.block_on(client.get(digest, BUNDLE)).map_err(|error| failure(&error)),
-            Self::Collected(inputs) => collected(inputs, digest),
-        }
+        let bytes = match &self.way {
+            Way::Blocking(runtime) => {
+                self.wait(runtime, client.get(digest, BUNDLE)).map_err(|error| failure(&error))
+            }
+            Way::Collected(inputs) => collected(inputs, digest),
+        };
+        bytes.inspect(|bytes| self.count(bytes.len()))
     }
 
     /// All of `artefacts` in their order, side by side; each is there, or lost, or not to be had.
     pub(crate) fn all(&self, client: &Client, artefacts: &[Artefact]) -> Vec<Result<Bytes, Failure>> {
-        match self {
-            Self::Blocking(runtime) => runtime.block_on(side_by_side(client, artefacts)),
-            Self::Collected(inputs) => artefacts.iter().map(|artefact| collected(inputs, &artefact.digest)).collect(),
-        }
+        let all: Vec<_> = match &self.way {
+            Way::Blocking(runtime) => self.wait(runtime, side_by_side(client, artefacts)),
+            Way::Collected(inputs) => artefacts.iter().map(|artefact| collected(inputs, &artefact.digest)).collect(),
+        };
+        all.iter().flatten().for_each(|bytes| self.count(bytes.len()));
+        all
     }
 
     /// Downloads a task's inputs before it begins.
@@ -62,7 +102,7 @@ impl Fetch {
         let all = side_by_side(client, &artefacts).await;
         let mut inputs: BTreeMap<_, _> = artefacts.iter().map(|artefact| artefact.digest).zip(all).collect();
         inputs.insert(bundle, scene);
-        Self::Collected(Arc::new(inputs))
+        Self { way: Way::Collected(Arc::new(inputs)), task: None }
     }
 }
 

@@ -18,13 +18,12 @@ pub(crate) struct Finish {
     pub(crate) outbox: Outbox,
     /// The worker's name, for logs.
     pub(crate) worker: Arc<str>,
-    /// The most memory that the process had; a simulation's has none that could be told.
-    pub(crate) peak: fn() -> Option<u64>,
 }
 
 impl Finish {
     pub(crate) fn done(&self, task: &Arc<Task>, outcome: Outcome) {
         pass(Point::WorkerAfterTask);
+        task.account.end();
         if !task.is_cancelled() {
             self.close_log(task, &outcome);
         }
@@ -58,8 +57,8 @@ impl Finish {
         if key.stage.kind == StageKind::Render {
             let _ = write!(header, "; {samples} samples");
         }
-        if let Some(peak) = (self.peak)() {
-            let _ = write!(header, "; {} MiB at most in this process so far", peak.div_ceil(1 << 20));
+        if let Some(peak) = task.account.peak() {
+            let _ = write!(header, "; {} MiB at most in this process meanwhile", peak.div_ceil(1 << 20));
         }
         header.push('\n');
         header

@@ -16,6 +16,7 @@ mod finish;
 mod gather;
 mod log;
 mod memory;
+mod meter;
 mod nice;
 mod outbox;
 mod parcel;

@@ -39,9 +39,15 @@ fn resident() -> Option<u64> {
     kilobytes("VmRSS:")
 }
 
-/// The most that this process had in memory, bytes, where the system says.
+/// The most that this process had in memory since [`forget_peak`], bytes, where the system says.
 pub(crate) fn peak() -> Option<u64> {
     kilobytes("VmHWM:")
+}
+
+/// Lets the system count the most anew, where it can; else [`peak`] is the most since the process began.
+pub(crate) fn forget_peak() {
+    // The number is the kernel's name for this.
+    let _ = std::fs::write("/proc/self/clear_refs", "5");
 }
 
 fn kilobytes(field: &str) -> Option<u64> {

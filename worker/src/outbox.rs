@@ -288,6 +288,7 @@ mod tests {
     use femc_proto::Client;
 
     use super::*;
+    use crate::meter::Meter;
 
     fn spec() -> JobSpec {
         JobSpec {
@@ -317,7 +318,7 @@ mod tests {
             Box::pin(async { Ok(femc_proto::Link::new(near)) })
         });
         let client = Client::connect_by(&dial, "http://nobody:1").await.unwrap();
-        let task = Task::new(assignment, Arc::new(spec()), client);
+        let task = Task::new(assignment, Arc::new(spec()), client, &Meter::none());
         let result = TileResult { tile: Artefact::of(bytes), samples: 4, bad_samples: 0, seconds: 0.5 };
         task.settle(Ok(Product { result: TaskResult::Tile(result), artefacts: vec![Bytes::from_static(bytes)] }));
         Arc::new(task)

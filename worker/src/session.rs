@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use femc_fault::{Point, pass_async};
 use femc_model::{
-    Epoch, Failure, FromWorker, JobId, JobSpec, Latest, Phase, Registration, TaskKey, TaskLog, TaskResult, ToWorker,
-    Work,
+    Epoch, Failure, FromWorker, JobId, JobSpec, Latest, Phase, Registration, Spent, TaskKey, TaskLog, TaskResult,
+    ToWorker, Usage, Work,
 };
 use femc_proto::{CallError, Client, Incoming, Outgoing};
 use tokio::sync::mpsc::UnboundedReceiver;
@@ -19,6 +19,7 @@ use tokio::time::{Instant, Interval, MissedTickBehavior};
 use crate::claims::Claims;
 use crate::config::AtStop;
 use crate::duty::{Duty, Shift};
+use crate::meter::Meter;
 use crate::outbox::Outbox;
 use crate::table::{Table, Task};
 use crate::threads::Ahead;
@@ -34,7 +35,7 @@ pub(crate) enum End {
 }
 
 /// A result on its way, or what stopped it.
-type Sent = ((TaskKey, Epoch), Result<TaskResult, NotSent>, Option<TaskLog>);
+type Sent = ((TaskKey, Epoch), Result<TaskResult, NotSent>, Option<TaskLog>, Option<Usage>);
 
 /// The worker's part of a session.
 pub(crate) struct Session<'a> {
@@ -52,6 +53,9 @@ pub(crate) struct Session<'a> {
     claims: Claims,
     /// Results on their way to the store; they end with the session.
     uploads: JoinSet<Sent>,
+    meter: &'a Meter,
+    /// What went into leases that were taken back, until the next heartbeat.
+    spent: Vec<Spent>,
     /// Results that are uploaded or reported, and not answered.
     sending: BTreeSet<(TaskKey, Epoch)>,
 }
@@ -68,6 +72,7 @@ impl<'a> Session<'a> {
         finished: &'a mut UnboundedReceiver<(TaskKey, Epoch)>,
         at_stop: AtStop,
         shift: &'a Shift,
+        meter: &'a Meter,
     ) -> Self {
         Self {
             client,
@@ -81,6 +86,8 @@ impl<'a> Session<'a> {
             jobs: Latest::new(4 * JobSpec::TOLD),
             claims: Claims::new(Instant::now()),
             uploads: JoinSet::new(),
+            meter,
+            spent: Vec::new(),
             sending: BTreeSet::new(),
         }
     }
@@ -186,7 +193,7 @@ impl<'a> Session<'a> {
         let claimed = held.iter().filter(|task| self.claims.holds(&task.key(), now));
         let tasks = claimed.map(|task| task.progress()).collect();
         let number = self.claims.beat(now);
-        out.send(FromWorker::Heartbeat { number, tasks }).await;
+        out.send(FromWorker::Heartbeat { number, tasks, spent: std::mem::take(&mut self.spent) }).await;
     }
 
     async fn hear(&mut self, message: ToWorker, out: &Outgoing) {
@@ -200,14 +207,16 @@ impl<'a> Session<'a> {
                 let task = (assignment.task, assignment.epoch);
                 if self.duty == Duty::Off {
                     // Dealt before the coordinator had heard of it.
-                    return give_back(vec![task], out).await;
+                    let failure = Failure::Cancelled;
+                    let (task, epoch) = task;
+                    return out.send(FromWorker::Failed { task, epoch, failure, log: None, usage: None }).await;
                 }
                 let ahead = matches!(assignment.work, Work::Render { .. }).then(|| {
                     let (spec, frame) = (spec.clone(), assignment.task.stage.frame);
                     Ahead { spec, frame, client: self.client.clone(), task }
                 });
                 self.claims.assigned(task, assignment.lease);
-                self.table.put(Arc::new(Task::new(assignment, spec.clone(), self.client.clone())));
+                self.table.put(Arc::new(Task::new(assignment, spec.clone(), self.client.clone(), self.meter)));
                 // Without its thread the worker is ending.
                 ahead.into_iter().for_each(|ahead| drop(self.ahead.send(ahead)));
             }
@@ -218,26 +227,27 @@ impl<'a> Session<'a> {
             }
             ToWorker::Revoke { task, epoch, reason } => {
                 tracing::debug!(%task, ?reason, "lease taken back");
-                self.forget((task, epoch));
+                let usage = self.forget((task, epoch)).and_then(|task| task.usage());
+                self.spent.extend(usage.map(|usage| Spent { task, epoch, usage }));
             }
             ToWorker::Accepted { task, epoch } => {
                 pass_async(Point::WorkerBeforeForget).await;
-                self.forget((task, epoch));
+                drop(self.forget((task, epoch)));
             }
             ToWorker::Refused { task, epoch, refusal } => {
                 tracing::info!(%task, %refusal, "report refused");
-                self.forget((task, epoch));
+                drop(self.forget((task, epoch)));
             }
             ToWorker::Welcome { .. } | ToWorker::Goodbye => {}
         }
     }
 
     /// The lease is over: done, given to another, or not wanted any more.
-    fn forget(&mut self, key: (TaskKey, Epoch)) {
+    fn forget(&mut self, key: (TaskKey, Epoch)) -> Option<Arc<Task>> {
         self.claims.forget(&key);
         self.sending.remove(&key);
-        self.table.drop_task(&key);
         self.outbox.forget(key);
+        self.table.drop_task(&key)
     }
 
     /// Sends a result's artefacts, while the next task runs. Not of a lease that may be over: it waits until the coordinator
@@ -252,18 +262,18 @@ impl<'a> Session<'a> {
         self.uploads.spawn(async move {
             pass_async(Point::WorkerBeforeUpload).await;
             let sent = match task.outcome() {
-                Some(Ok(product)) => upload(&client, product).await.map(|()| product.result.clone()),
+                Some(Ok(product)) => upload(&client, &task, product).await.map(|()| product.result.clone()),
                 Some(Err(failure)) => Err(NotSent::Failed(failure.clone())),
                 None => Err(NotSent::Later),
             };
             let log = upload_log(&client, &task).await;
             pass_async(Point::WorkerAfterUpload).await;
-            (key, sent, log)
+            (key, sent, log, task.usage())
         });
     }
 
     /// Reports a result whose artefacts are in the store, if its lease still holds.
-    async fn report(&mut self, (key, sent, log): Sent, out: &Outgoing) {
+    async fn report(&mut self, (key, sent, log, usage): Sent, out: &Outgoing) {
         let (task, epoch) = key;
         if !self.claims.holds(&key, Instant::now()) {
             self.sending.remove(&key);
@@ -271,16 +281,18 @@ impl<'a> Session<'a> {
         }
         match sent {
             Ok(result) => {
-                out.send(FromWorker::Completed { task, epoch, result, log }).await;
+                out.send(FromWorker::Completed { task, epoch, result, log, usage }).await;
                 pass_async(Point::WorkerAfterReport).await;
             }
-            Err(NotSent::Failed(failure)) => out.send(FromWorker::Failed { task, epoch, failure, log }).await,
+            Err(NotSent::Failed(failure)) => {
+                out.send(FromWorker::Failed { task, epoch, failure, log, usage }).await;
+            }
             Err(NotSent::Later) => drop(self.sending.remove(&key)),
         }
     }
 
     /// Gives back what is held, so that nobody waits for deadlines.
-    async fn farewell(held: Vec<(TaskKey, Epoch)>, out: Outgoing, mut incoming: Incoming) {
+    async fn farewell(held: Vec<Arc<Task>>, out: Outgoing, mut incoming: Incoming) {
         give_back(held, &out).await;
         drop(out);
         let end = async { while let Ok(Some(_)) = incoming.next().await {} };
@@ -296,8 +308,9 @@ async fn next(heartbeat: &mut Option<Interval>) {
     }
 }
 
-async fn give_back(tasks: Vec<(TaskKey, Epoch)>, out: &Outgoing) {
-    for (task, epoch) in tasks {
-        out.send(FromWorker::Failed { task, epoch, failure: Failure::Cancelled, log: None }).await;
+async fn give_back(tasks: Vec<Arc<Task>>, out: &Outgoing) {
+    for held in tasks {
+        let ((task, epoch), usage) = (held.key(), held.usage());
+        out.send(FromWorker::Failed { task, epoch, failure: Failure::Cancelled, log: None, usage }).await;
     }
 }

@@ -29,7 +29,8 @@ pub(crate) fn start(pace: &Pace, tools: &Tools, table: &Arc<Table>, finish: &Fin
     mpsc::channel().0
 }
 
-async fn work(task: &Task, pace: &Pace, tools: &Tools) -> Result<Product, Failure> {
+async fn work(task: &Arc<Task>, pace: &Pace, tools: &Tools) -> Result<Product, Failure> {
+    task.begin();
     task.enter(Phase::Preparing);
     let inputs: Vec<_> = task.assignment.work.inputs().collect();
     let fetch = Fetch::collect(&task.client, task.spec.bundle, &inputs).await;

@@ -4,13 +4,17 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 
-use femc_model::{Assignment, Epoch, Failure, HeldLease, JobSpec, Phase, StageKind, TaskKey, TaskProgress, Work};
+use femc_model::{
+    Assignment, Epoch, Failure, HeldLease, JobSpec, Phase, StageKind, TaskKey, TaskProgress, Usage, Work,
+};
 use femc_proto::Client;
 use tokio::sync::Notify;
 use tokio::time::Instant;
 
+use crate::clock::Stopwatch;
 use crate::execute::Product;
 use crate::log::TaskLog;
+use crate::meter::{Account, Meter};
 use crate::outbox::Restored;
 
 /// Tasks of one lane are done one after the other, those of different lanes side by side.
@@ -55,6 +59,11 @@ pub(crate) struct Task {
     outcome: OnceLock<Outcome>,
     /// What is written down meanwhile.
     pub(crate) log: TaskLog,
+    /// What it takes.
+    pub(crate) account: Account,
+    arrived: Stopwatch,
+    /// Seconds that it waited for its turn.
+    waited: OnceLock<f64>,
     /// Seconds that it took, and the log's text.
     written: OnceLock<(f64, String)>,
 }
@@ -63,16 +72,17 @@ pub(crate) struct Task {
 pub(crate) type Outcome = Result<Product, Failure>;
 
 impl Task {
-    pub(crate) fn new(assignment: Assignment, spec: Arc<JobSpec>, client: Client) -> Self {
+    pub(crate) fn new(assignment: Assignment, spec: Arc<JobSpec>, client: Client, meter: &Meter) -> Self {
         let (cancel, samples, phase) = (AtomicBool::new(false), AtomicU64::new(0), AtomicU8::new(0));
         let (outcome, log, written) = (OnceLock::new(), TaskLog::default(), OnceLock::new());
-        Self { assignment, spec, client, cancel, samples, phase, outcome, log, written }
+        let (account, arrived, waited) = (meter.open(), Stopwatch::start(), OnceLock::new());
+        Self { assignment, spec, client, cancel, samples, phase, outcome, log, written, account, arrived, waited }
     }
 
     /// A task that an earlier life of this worker has done.
-    pub(crate) fn restored(restored: Restored, client: Client) -> Self {
+    pub(crate) fn restored(restored: Restored, client: Client, meter: &Meter) -> Self {
         let Restored { assignment, spec, product } = restored;
-        let task = Self::new(assignment, Arc::new(spec), client);
+        let task = Self::new(assignment, Arc::new(spec), client, meter);
         task.settle(Ok(product));
         task
     }
@@ -85,6 +95,36 @@ impl Task {
             Work::Gather { .. } | Work::Merge { .. } => 0..0,
         };
         HeldLease { task, epoch, samples, job: self.spec.key() }
+    }
+
+    /// Its turn has come; again changes nothing.
+    pub(crate) fn begin(&self) {
+        if self.waited.set(self.arrived.seconds()).is_ok() {
+            self.log.begin();
+            self.account.begin();
+        }
+    }
+
+    /// Whether its turn has come.
+    pub(crate) fn is_begun(&self) -> bool {
+        self.waited.get().is_some()
+    }
+
+    /// What it has taken until now; `None` if it has not begun, or was done in an earlier life.
+    pub(crate) fn usage(&self) -> Option<Usage> {
+        let wait = *self.waited.get()?;
+        let until_now = || self.log.seconds().unwrap_or(0.0);
+        Some(Usage {
+            wait,
+            wall: self.written.get().map_or_else(until_now, |(seconds, _)| *seconds),
+            preparation: self.account.preparation(),
+            cpu: self.account.cpu(),
+            peak: self.account.peak(),
+            samples: self.samples.load(Ordering::Relaxed),
+            rays: self.account.rays.load(Ordering::Relaxed),
+            fetched: self.account.fetched.load(Ordering::Relaxed),
+            sent: self.account.sent.load(Ordering::Relaxed),
+        })
     }
 
     /// Keeps what came of it; what is there already stays.
@@ -216,19 +256,19 @@ impl Table {
     }
 
     /// The task is reported, or its lease is over: stop it if it runs, forget it if it waits.
-    pub(crate) fn drop_task(&self, key: &(TaskKey, Epoch)) {
+    pub(crate) fn drop_task(&self, key: &(TaskKey, Epoch)) -> Option<Arc<Task>> {
         let mut state = self.lock();
-        if let Some(task) = state.held.remove(key) {
-            task.cancel.store(true, Ordering::Relaxed);
-        }
+        let task = state.held.remove(key);
+        task.iter().for_each(|task| task.cancel.store(true, Ordering::Relaxed));
         state.line.retain(|task| task.key() != *key);
+        task
     }
 
     /// Forgets the tasks that wait; returns them.
-    pub(crate) fn clear_line(&self) -> Vec<(TaskKey, Epoch)> {
+    pub(crate) fn clear_line(&self) -> Vec<Arc<Task>> {
         let mut state = self.lock();
-        let waiting: Vec<_> = std::mem::take(&mut state.line).iter().map(|task| task.key()).collect();
-        waiting.iter().for_each(|key| drop(state.held.remove(key)));
+        let waiting = std::mem::take(&mut state.line);
+        waiting.iter().for_each(|task| drop(state.held.remove(&task.key())));
         waiting
     }
 
@@ -249,12 +289,12 @@ impl Table {
     }
 
     /// Stops and forgets everything; returns what was held.
-    pub(crate) fn clear(&self) -> Vec<(TaskKey, Epoch)> {
+    pub(crate) fn clear(&self) -> Vec<Arc<Task>> {
         let mut state = self.lock();
         state.line.clear();
         let held = std::mem::take(&mut state.held);
         held.values().for_each(|task| task.cancel.store(true, Ordering::Relaxed));
-        held.into_keys().collect()
+        held.into_values().collect()
     }
 
     /// Ends the threads that wait for tasks.

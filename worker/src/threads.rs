@@ -51,9 +51,8 @@ pub(crate) fn start(
     spawn(format!("{name} prepare"), move || {
         nice.apply();
         for Ahead { spec, frame, client, task } in frames {
-            if table.get(&task).is_none() || !memory.has_room_ahead() {
-                continue;
-            }
+            let Some(task) = table.get(&task).filter(|_| memory.has_room_ahead()) else { continue };
+            let fetch = fetch.of(&task);
             // The task itself meets the same failure, and reports it.
             let prepare = || drop(cache.frame(&spec, frame, &client, &fetch));
             let _ = std::panic::catch_unwind(std::panic::AssertUnwindSafe(prepare));

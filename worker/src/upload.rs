@@ -1,5 +1,7 @@
 //! Artefacts on their way to the store.
 
+use std::sync::atomic::Ordering;
+
 use bytes::Bytes;
 use femc_model::{Attempt, Failure, LogText, StageKind, TaskLog};
 use femc_proto::{CallError, Client};
@@ -19,7 +21,7 @@ pub(crate) enum NotSent {
 }
 
 /// Puts all of a result's artefacts into the coordinator's store.
-pub(crate) async fn upload(client: &Client, product: &Product) -> Result<(), NotSent> {
+pub(crate) async fn upload(client: &Client, task: &Task, product: &Product) -> Result<(), NotSent> {
     for bytes in &product.artefacts {
         client.put(bytes.clone()).await.map_err(|error| match error {
             CallError::Unreachable { .. } => NotSent::Later,
@@ -30,6 +32,8 @@ pub(crate) async fn upload(client: &Client, product: &Product) -> Result<(), Not
             | CallError::Status { .. } => NotSent::Failed(fetch::failure(&error)),
         })?;
     }
+    let bytes = product.artefacts.iter().map(|bytes| bytes.len() as u64).sum();
+    task.account.sent.store(bytes, Ordering::Relaxed);
     Ok(())
 }
 

@@ -16,11 +16,12 @@ use crate::execute::Tools;
 use crate::fetch::Fetch;
 use crate::finish::Finish;
 use crate::memory::Memory;
+use crate::meter::Meter;
 use crate::nice::Nice;
 use crate::outbox::Outbox;
 use crate::session::{End, Session};
 use crate::table::{Table, Task};
-use crate::{duty, memory, simulated, threads};
+use crate::{duty, simulated, threads};
 
 /// A farm machine.
 #[derive(Debug)]
@@ -55,7 +56,7 @@ impl Worker {
         let tools = Tools {
             pool: Arc::new(pool),
             cache: config.cache.clone(),
-            fetch: Fetch::Blocking(Handle::current()),
+            fetch: Fetch::blocking(Handle::current()),
             memory: Memory::new(config.memory.clone()),
             nice,
         };
@@ -67,11 +68,11 @@ impl Worker {
                 .await
                 .map_err(|error| WorkerError::Threads(error.to_string()))??,
         };
-        let peak = match config.hands {
-            Hands::Threads => memory::peak,
-            Hands::Simulated(_) => || None,
+        let meter = match config.hands {
+            Hands::Threads => Meter::of_process(),
+            Hands::Simulated(_) => Meter::none(),
         };
-        let finish = Finish { told, outbox: outbox.clone(), worker: Arc::from(config.name.as_str()), peak };
+        let finish = Finish { told, outbox: outbox.clone(), worker: Arc::from(config.name.as_str()) };
         let ahead = match &config.hands {
             Hands::Threads => threads::start(&config.name, &tools, &table, &finish)?,
             Hands::Simulated(pace) => simulated::start(pace, &tools, &table, &finish),
@@ -93,10 +94,19 @@ impl Worker {
                     () = &mut stop => return Ok(End::Stopped),
                 };
                 pause = Self::FIRST_PAUSE;
-                let kept = restored.drain(..).map(|restored| Task::restored(restored, client.clone()));
+                let kept = restored.drain(..).map(|restored| Task::restored(restored, client.clone(), &meter));
                 kept.for_each(|task| table.keep(Arc::new(task)));
                 let session =
-                    Session::new(client, &table, &outbox, &ahead, &mut finished, config.at_stop, &config.shift);
+                    Session::new(
+                    client,
+                    &table,
+                    &outbox,
+                    &ahead,
+                    &mut finished,
+                    config.at_stop,
+                    &config.shift,
+                    &meter,
+                );
                 let held = table.held().iter().map(|task| task.lease()).collect();
                 session.run(Registration { held, ..registration.clone() }, stop.as_mut()).await
             };

@@ -54,7 +54,7 @@ async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_tol
     first.out.send(ToWorker::Assign(assignment.clone())).await.unwrap();
     let (begun, mut answered, mut heartbeats) = (Instant::now(), Instant::now(), 0);
     while let Some(word) = first.words.next().await {
-        let FromWorker::Heartbeat { number, tasks } = word.unwrap() else { panic!("only heartbeats") };
+        let FromWorker::Heartbeat { number, tasks, .. } = word.unwrap() else { panic!("only heartbeats") };
         heartbeats += 1;
         // The first one may have gone out before the task came.
         if number > 1 && answered.elapsed() < Duration::from_millis(LEASE - 2 * HEARTBEAT) {
@@ -77,7 +77,7 @@ async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_tol
     let mut last = 0;
     while begun.elapsed() < Duration::from_millis(5000) {
         let word = second.words.next().await.unwrap().unwrap();
-        let FromWorker::Heartbeat { number, tasks } = word else { panic!("reported without a lease: {word:?}") };
+        let FromWorker::Heartbeat { number, tasks, .. } = word else { panic!("reported without a lease: {word:?}") };
         assert_eq!(tasks, [], "it is not claimed either");
         last = number;
         second.out.send(ToWorker::Renewed { heartbeat: number, leases: vec![] }).await.unwrap();

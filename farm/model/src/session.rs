@@ -4,7 +4,7 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Assignment, Digest, Epoch, Failure, JobId, JobSpec, Refusal, TaskKey, TaskLog, TaskResult, WorkerId};
+use crate::{Assignment, Digest, Epoch, Failure, JobId, JobSpec, Refusal, TaskKey, TaskLog, TaskResult, Usage, WorkerId};
 
 /// How a worker introduces itself.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -75,6 +75,17 @@ pub struct LeaseLeft {
     pub left: u64,
 }
 
+/// What went into a lease.
+#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
+pub struct Spent {
+    /// The task.
+    pub task: TaskKey,
+    /// Of the lease.
+    pub epoch: Epoch,
+    /// What it took.
+    pub usage: Usage,
+}
+
 /// From a worker to the coordinator.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum FromWorker {
@@ -86,6 +97,8 @@ pub enum FromWorker {
         number: u64,
         /// The tasks whose leases hold, as far as the worker knows.
         tasks: Vec<TaskProgress>,
+        /// What went into leases that were taken back since the heartbeat before.
+        spent: Vec<Spent>,
     },
     /// The result is in the store.
     Completed {
@@ -97,6 +110,8 @@ pub enum FromWorker {
         result: TaskResult,
         /// What was written down.
         log: Option<TaskLog>,
+        /// What it took.
+        usage: Option<Usage>,
     },
     /// The task is not done.
     Failed {
@@ -108,6 +123,8 @@ pub enum FromWorker {
         failure: Failure,
         /// What was written down.
         log: Option<TaskLog>,
+        /// What it took.
+        usage: Option<Usage>,
     },
     /// Give me no more tasks: I am leaving, or off duty.
     Draining,

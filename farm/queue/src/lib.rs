@@ -1,5 +1,7 @@
 //! The log under the scheduler: records that are durable before anybody hears of them, and snapshots that replace them.
 //!
+//! Beside the log lie notes: by subject, read in pages when somebody asks, never when a log is opened.
+//!
 //! A record is bytes; what they mean is the scheduler's affair. One [`Queue`], several backends, one conformance suite
 //! (`tests/conformance.rs`). A batch is appended whole or not at all.
 #![deny(missing_docs)]
@@ -25,16 +27,80 @@ pub struct Contents {
     pub torn: u64,
 }
 
-/// An append-only log of one writer.
+/// What becomes durable at once.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Batch<'a> {
+    /// Records of the log.
+    pub records: &'a [Vec<u8>],
+    /// What is kept beside the log: no snapshot holds it or replaces it, and a start does not read it.
+    pub notes: &'a [Note],
+    /// Subjects whose notes of before go.
+    pub forgotten: &'a [u64],
+}
+
+impl<'a> Batch<'a> {
+    /// Records alone.
+    pub fn of(records: &'a [Vec<u8>]) -> Self {
+        Self { records, ..Self::default() }
+    }
+
+    fn is_empty(&self) -> bool {
+        self.records.is_empty() && self.notes.is_empty() && self.forgotten.is_empty()
+    }
+}
+
+/// Something that is kept beside the log.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Note {
+    /// What it is about; at most `i64::MAX`.
+    pub subject: u64,
+    /// What it says.
+    pub bytes: Vec<u8>,
+}
+
+/// Some of a subject's notes.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Page {
+    /// What they say, oldest first; a damaged one is left out.
+    pub notes: Vec<Vec<u8>>,
+    /// Where the next page begins; `None`: there is none.
+    pub next: Option<u64>,
+}
+
+impl Page {
+    /// Most notes of a page.
+    pub const NOTES: usize = 64;
+    /// Bytes after which a page ends.
+    pub const BYTES: usize = 256 << 10;
+
+    /// A page of the first of these notes, which have numbers; of a damaged one there is nothing else.
+    fn of(notes: impl IntoIterator<Item = (u64, Option<Vec<u8>>)>) -> Self {
+        let (mut page, mut bytes) = (Self::default(), 0);
+        for (place, (number, note)) in notes.into_iter().enumerate() {
+            if place == Self::NOTES || bytes >= Self::BYTES {
+                page.next = Some(number);
+                break;
+            }
+            bytes += note.as_ref().map_or(0, Vec::len);
+            page.notes.extend(note);
+        }
+        page
+    }
+}
+
+/// An append-only log of one writer, and notes beside it.
 pub trait Queue: Send + 'static {
     /// What there is. Drops a torn tail, so that appending goes on after the last sound record.
     fn load(&mut self) -> impl Future<Output = Result<Contents, QueueError>> + Send;
 
-    /// Appends records; they are on the disk when this returns. Whole or not at all.
-    fn append(&mut self, records: &[Vec<u8>]) -> impl Future<Output = Result<(), QueueError>> + Send;
+    /// Appends a batch; it is on the disk when this returns. Whole or not at all.
+    fn append(&mut self, batch: Batch<'_>) -> impl Future<Output = Result<(), QueueError>> + Send;
 
     /// Puts `state` in place of everything before it.
     fn snapshot(&mut self, state: &[u8]) -> impl Future<Output = Result<(), QueueError>> + Send;
+
+    /// A subject's notes from `from` on, which is 0 or the `next` of the page before.
+    fn notes(&mut self, subject: u64, from: u64) -> impl Future<Output = Result<Page, QueueError>> + Send;
 
     /// Whether this is still the one writer: where another may take its place, fails once that has happened or cannot be
     /// ruled out. Asks nobody, and costs next to nothing.

@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use femc_queue::testing::Scratch;
-use femc_queue::{Contents, Database, Leader, Postgres, Queue, QueueError, Remedy, Standby};
+use femc_queue::{Batch, Contents, Database, Leader, Postgres, Queue, QueueError, Remedy, Standby};
 
 /// Shorter than in life: nothing here waits for more than these.
 const PATIENCE: Duration = Duration::from_millis(800);
@@ -32,7 +32,7 @@ async fn trusting_leader(scratch: &Scratch) -> Postgres {
 }
 
 async fn with_five(scratch: &Scratch) {
-    leader(scratch, "http://one").await.append(&records(1, 6)).await.unwrap();
+    leader(scratch, "http://one").await.append(Batch::of(&records(1, 6))).await.unwrap();
 }
 
 /// Lets another coordinator lead, as far as the epoch goes; the connections and the lock stay as they are.
@@ -46,7 +46,7 @@ async fn a_torn_tail_is_dropped_and_counted_and_the_log_goes_on() {
     let mut queue = standby(&scratch, "http://one").await.lead(|_| ()).await.unwrap();
     let contents = queue.load().await.unwrap();
     assert_eq!((contents.records, contents.torn), (records(1, 4), 2));
-    queue.append(&records(7, 8)).await.unwrap();
+    queue.append(Batch::of(&records(7, 8))).await.unwrap();
     let contents = queue.load().await.unwrap();
     assert_eq!((contents.records.len(), contents.torn), (4, 0));
 }
@@ -124,7 +124,7 @@ async fn coordinators_that_begin_at_the_same_moment_make_the_tables_once_and_one
 async fn who_stands_by_hears_who_leads_and_leads_when_the_leader_is_gone() {
     let Some(scratch) = Scratch::new().await else { return };
     let mut first = leader(&scratch, "http://one").await;
-    first.append(&records(1, 3)).await.unwrap();
+    first.append(Batch::of(&records(1, 3))).await.unwrap();
     let heard: Arc<Mutex<Vec<Leader>>> = Arc::default();
     let second = standby(&scratch, "http://two").await;
     let hear = heard.clone();
@@ -132,7 +132,7 @@ async fn who_stands_by_hears_who_leads_and_leads_when_the_leader_is_gone() {
     tokio::time::sleep(2 * PATIENCE).await;
     assert!(!second.is_finished(), "an idle leader stays");
     assert_eq!(*heard.lock().unwrap(), [Leader { url: "http://one".into(), epoch: 1 }], "told once");
-    first.append(&records(3, 4)).await.unwrap();
+    first.append(Batch::of(&records(3, 4))).await.unwrap();
     drop(first);
     let mut second = second.await.unwrap().unwrap();
     assert_eq!(second.epoch(), 2);
@@ -144,9 +144,9 @@ async fn who_stands_by_hears_who_leads_and_leads_when_the_leader_is_gone() {
 async fn a_deposed_leader_appends_nothing() {
     let Some(scratch) = Scratch::new().await else { return };
     let mut queue = trusting_leader(&scratch).await;
-    queue.append(&records(1, 3)).await.unwrap();
+    queue.append(Batch::of(&records(1, 3))).await.unwrap();
     scratch.tamper(NEXT_EPOCH).await;
-    let error = queue.append(&records(3, 5)).await.unwrap_err();
+    let error = queue.append(Batch::of(&records(3, 5))).await.unwrap_err();
     assert!(matches!(error, QueueError::Deposed { epoch: 1 }), "{error}");
     assert_eq!(error.remedy(), Remedy::Reopen);
     assert_eq!(scratch.number("SELECT count(*) FROM femc.log").await, 2);
@@ -156,7 +156,7 @@ async fn a_deposed_leader_appends_nothing() {
 async fn a_deposed_leader_s_snapshot_replaces_nothing() {
     let Some(scratch) = Scratch::new().await else { return };
     let mut queue = trusting_leader(&scratch).await;
-    queue.append(&records(1, 3)).await.unwrap();
+    queue.append(Batch::of(&records(1, 3))).await.unwrap();
     scratch.tamper(NEXT_EPOCH).await;
     let error = queue.snapshot(b"state").await.unwrap_err();
     assert!(matches!(error, QueueError::Deposed { epoch: 1 }), "{error}");
@@ -187,7 +187,7 @@ async fn nobody_leads_while_a_write_of_the_leader_before_is_under_way() {
              CREATE TRIGGER dawdle BEFORE INSERT ON femc.log FOR EACH ROW EXECUTE FUNCTION femc.dawdle()",
         )
         .await;
-    let write = tokio::spawn(async move { queue.append(&records(1, 2)).await });
+    let write = tokio::spawn(async move { queue.append(Batch::of(&records(1, 2))).await });
     let asleep = "SELECT count(*) FROM pg_stat_activity WHERE wait_event = 'PgSleep' AND datname = current_database()";
     while scratch.number(asleep).await == 0 {}
     scratch.tamper(NEXT_EPOCH).await;
@@ -220,7 +220,7 @@ async fn a_leader_cut_off_in_the_middle_of_a_write_gives_up_before_another_leads
     let until = release.clone();
     let holder = tokio::spawn(async move { femc_queue::testing::hold(&held, "femc.leader", until).await });
     let error = loop {
-        match first.append(&records(1, 2)).await {
+        match first.append(Batch::of(&records(1, 2))).await {
             Ok(()) => tokio::task::yield_now().await,
             Err(error) => break error,
         }
@@ -245,7 +245,7 @@ async fn a_frozen_leader_is_replaced_and_writes_nothing_when_it_wakes() {
             let first = Standby::open(url.parse().unwrap(), "http://one".into(), PATIENCE).await.unwrap();
             let mut queue = first.lead(|_| ()).await.unwrap();
             queue.load().await.unwrap();
-            queue.append(&records(1, 3)).await.unwrap();
+            queue.append(Batch::of(&records(1, 3))).await.unwrap();
             queue
         });
         (frozen, queue)
@@ -258,7 +258,7 @@ async fn a_frozen_leader_is_replaced_and_writes_nothing_when_it_wakes() {
         let mut queue = queue;
         let refused = [
             queue.check().unwrap_err(),
-            thread.block_on(queue.append(&records(7, 9))).unwrap_err(),
+            thread.block_on(queue.append(Batch::of(&records(7, 9)))).unwrap_err(),
             thread.block_on(queue.snapshot(b"stale")).unwrap_err(),
         ];
         thread.block_on(async { drop(queue) });
@@ -267,7 +267,7 @@ async fn a_frozen_leader_is_replaced_and_writes_nothing_when_it_wakes() {
     for error in woken.join().unwrap() {
         assert_eq!(error.remedy(), Remedy::Reopen, "{error}");
     }
-    second.append(&records(3, 4)).await.unwrap();
+    second.append(Batch::of(&records(3, 4))).await.unwrap();
     assert_eq!(second.load().await.unwrap().records, records(1, 4));
 }
 
@@ -316,7 +316,7 @@ async fn commits_wait_for_the_disk_even_where_the_server_would_not() {
     scratch
         .tamper("CREATE TRIGGER note AFTER INSERT ON femc.log FOR EACH STATEMENT EXECUTE FUNCTION seen.note()")
         .await;
-    queue.append(&records(1, 3)).await.unwrap();
+    queue.append(Batch::of(&records(1, 3))).await.unwrap();
     assert_eq!(
         scratch.number("SELECT count(*) FROM seen.settings WHERE setting = 'on'").await,
         1,

@@ -1,7 +1,7 @@
 //! What the scheduler is told, and what it asks for.
 
 use femc_model::{
-    Assignment, Control, Digest, Drain, Epoch, Failure, JobId, JobSpec, Refusal, Registration, RevokeReason, TaskKey,
+    Assignment, AttemptRecord, Control, Digest, Drain, Epoch, Failure, JobId, JobSpec, Refusal, Registration, RevokeReason, Spent, TaskKey,
     TaskLog, TaskProgress, TaskResult, WorkerId,
 };
 
@@ -79,6 +79,13 @@ pub enum Event {
         /// The log; one that is stored is in the store.
         log: TaskLog,
     },
+    /// What a lease took; comes before the attempt's outcome, or after the lease is over.
+    Spent {
+        /// The session.
+        worker: WorkerId,
+        /// What it took.
+        spent: Spent,
+    },
     /// A worker has done a task; the artefacts are in the store.
     Completed {
         /// The session.
@@ -112,6 +119,8 @@ pub enum Event {
 pub enum Command {
     /// Make this durable before any other command of the same call is obeyed.
     Record(Fact),
+    /// Keep this with the job, as durable as the facts; nothing follows from it.
+    Note(Box<AttemptRecord>),
     /// Tell a worker to do a task.
     Assign {
         /// The session.

@@ -73,7 +73,7 @@ pub(crate) struct Lease {
     pub(crate) deadline: Tick,
     /// Last progress.
     moved: Tick,
-    phase: Phase,
+    pub(crate) phase: Phase,
     /// When its worker began to compute, at the earliest.
     began: Option<Tick>,
     pub(crate) samples: u64,

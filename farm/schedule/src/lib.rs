@@ -9,6 +9,7 @@
 //! Waiting tasks are ranges: a frame that nobody has begun costs nothing, one in work costs a row for each finished tile.
 #![deny(missing_docs)]
 
+mod attempts;
 mod config;
 mod control;
 mod deal;
@@ -31,6 +32,7 @@ mod share;
 mod speculate;
 mod view;
 
+pub use attempts::{decode_attempts, encode_attempts};
 pub use config::Config;
 pub use event::{Answer, Command, Event, RequestId};
 pub use fact::Fact;

@@ -1,10 +1,11 @@
 //! What workers report: a result or a failure, counted once and only under a lease that holds.
 
 use femc_model::{
-    Decision, Digest, Epoch, Failure, GatherResult, JobId, MergeResult, Refusal, RevokeReason, Stage, StageKind,
+    Decision, Digest, Ending, Epoch, Failure, GatherResult, JobId, MergeResult, Refusal, RevokeReason, Stage, StageKind,
     TaskKey, TaskResult, Tick, Verdict, WorkerId,
 };
 
+use crate::attempts::Counted;
 use crate::floor::LeaseKey;
 use crate::ledger::Job;
 use crate::ledger::frame::Frame;
@@ -26,7 +27,7 @@ impl Scheduler {
             return self.without_lease(worker, task, epoch, out);
         };
         let (granted, size) = (lease.granted, lease.size);
-        let seconds = result.seconds();
+        let (seconds, counted) = (result.seconds(), Counted::of(&result));
         let sound = self.ledger.jobs.get(&task.job).map_or(Sound::default(), |job| Sound::of(job, task.stage.round));
         let fact = match (task.stage.kind, result) {
             (StageKind::Render, TaskResult::Tile(result)) if result.samples == size.samples => {
@@ -44,7 +45,9 @@ impl Scheduler {
             }
         };
         let is_alone = self.floor.copies.is_empty();
-        self.floor.release(&(task, epoch));
+        if let Some(lease) = self.floor.release(&(task, epoch)) {
+            self.note(&(task, epoch), &lease, Ending::Done, counted, out);
+        }
         // A worker's clock, at most what went by here: a lease may have waited for its turn.
         let spent = ((seconds.max(0.0) * 1000.0) as u64).min(now.since(granted));
         if let Some(typical) = self.settle(&task, size, spent) {
@@ -82,7 +85,10 @@ impl Scheduler {
         if self.floor.lease_of(worker, &task, epoch).is_none() {
             return self.without_lease(worker, task, epoch, out);
         }
-        self.floor.release(&(task, epoch));
+        if let Some(lease) = self.floor.release(&(task, epoch)) {
+            let ending = if failure == Failure::Cancelled { Ending::Cancelled } else { Ending::Failed };
+            self.note(&(task, epoch), &lease, ending, Counted::default(), out);
+        }
         match failure.verdict() {
             Verdict::Cancelled => {}
             Verdict::Infrastructure => self.rest(worker, now),

@@ -4,12 +4,13 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use femc_model::{
-    Digest, Epoch, Failure, HeldLease, Intake, JobId, JobSpec, Refusal, Registration, RevokeReason, StageKind, TaskKey,
-    TaskProgress, Tick, WorkerId,
+    Cut, Digest, Ending, Epoch, Failure, HeldLease, Intake, JobId, JobSpec, Refusal, Registration, RevokeReason, StageKind, TaskKey,
+    TaskProgress, Tick, Usage, WorkerId,
 };
 
+use crate::attempts::Counted;
 use crate::desk::Desk;
-use crate::floor::{Floor, LeaseKey, Worker};
+use crate::floor::{Floor, Lease, LeaseKey, Worker};
 use crate::ledger::Job;
 use crate::logs::Shelf;
 use crate::order::Order;
@@ -29,6 +30,10 @@ pub struct Scheduler {
     pub(crate) leases: u64,
     pub(crate) stale_messages: u64,
     pub(crate) logs: Shelf,
+    /// What a lease took whose end is about to be heard.
+    pub(crate) told: Option<(LeaseKey, Usage)>,
+    /// Of the event that is being taken.
+    pub(crate) now: Tick,
     /// The jobs that have ended are not looked at before.
     pub(crate) looks_from: Tick,
     /// Nothing is dealt and no lease runs out before: after a restart the workers come back one by one, with what they still
@@ -51,6 +56,8 @@ impl Scheduler {
             leases: 0,
             stale_messages: 0,
             logs: Shelf::default(),
+            told: None,
+            now,
             looks_from: Tick(0),
             deals_from: Tick(0),
             ledger,
@@ -78,6 +85,11 @@ impl Scheduler {
         self.ledger.jobs.get(&job).map(|job| &*job.spec)
     }
 
+    /// How a job's tiles are cut.
+    pub fn cut(&self, job: JobId) -> Cut {
+        self.ledger.annex.cut_of(job)
+    }
+
     /// Those of `digests` that nothing names any more, each once; for many at a time.
     pub fn unreferenced(&self, digests: Vec<Digest>) -> Vec<Digest> {
         self.ledger.unreferenced(digests)
@@ -86,9 +98,13 @@ impl Scheduler {
     /// Takes notice of `event` at `now`, which never goes back, and says what is to be done.
     pub fn on(&mut self, event: Event, now: Tick) -> Vec<Command> {
         let mut out = Vec::new();
+        self.now = now;
         let is_time = event == Event::Elapsed;
+        let makes_room = !matches!(event, Event::Spent { .. });
         self.take(event, now, &mut out);
-        self.deal(now, &mut out);
+        if makes_room {
+            self.deal(now, &mut out);
+        }
         if is_time {
             self.speculate(now, &mut out);
         }
@@ -114,6 +130,7 @@ impl Scheduler {
             Event::Logged { worker, task, epoch, log } => self.logged(worker, task, epoch, log, now, out),
             Event::Completed { worker, task, epoch, result } => self.completed(worker, task, epoch, result, now, out),
             Event::Failed { worker, task, epoch, failure } => self.failed(worker, task, epoch, failure, now, out),
+            Event::Spent { worker, spent } => self.spent(worker, spent, now, out),
             Event::Elapsed => self.elapsed(now, out),
             Event::Awoke => self.awoke(now),
         }
@@ -169,6 +186,10 @@ impl Scheduler {
     }
 
     fn leave(&mut self, worker: WorkerId, out: &mut Vec<Command>) {
+        let held = self.floor.workers.get(&worker).into_iter().flat_map(|known| &known.held);
+        let leases: Vec<(LeaseKey, Lease)> =
+            held.filter_map(|key| Some((*key, self.floor.leases.get(key)?.clone()))).collect();
+        leases.iter().for_each(|(key, lease)| self.note(key, lease, Ending::Lost, Counted::default(), out));
         for (task, _) in self.floor.leave(worker) {
             self.put_back(&task);
             out.push(Command::Changed(task.job));
@@ -226,6 +247,11 @@ impl Scheduler {
     /// Ends a lease and tells its worker.
     pub(crate) fn revoke(&mut self, key: &LeaseKey, reason: RevokeReason, out: &mut Vec<Command>) {
         if let Some(lease) = self.floor.release(key) {
+            let ending = match reason {
+                RevokeReason::JobEnded => Ending::Cancelled,
+                RevokeReason::Expired | RevokeReason::Done => Ending::Revoked,
+            };
+            self.note(key, &lease, ending, Counted::default(), out);
             out.push(Command::Revoke { worker: lease.worker, task: key.0, epoch: key.1, reason });
         }
     }

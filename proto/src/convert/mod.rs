@@ -7,6 +7,7 @@ mod log;
 mod session;
 mod status;
 mod task;
+mod usage;
 #[cfg(test)]
 mod tests;
 

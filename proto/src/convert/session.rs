@@ -13,16 +13,18 @@ impl From<FromWorker> for wire::FromWorker {
         use wire::from_worker::Message;
         let message = match message {
             FromWorker::Register(registration) => Message::Register(registration.into()),
-            FromWorker::Heartbeat { number, tasks } => {
-                Message::Heartbeat(wire::Heartbeat { number, tasks: tasks.into_iter().map(Into::into).collect() })
-            }
-            FromWorker::Completed { task, epoch, result, log } => {
+            FromWorker::Heartbeat { number, tasks, spent } => Message::Heartbeat(wire::Heartbeat {
+                number,
+                tasks: tasks.into_iter().map(Into::into).collect(),
+                spent: spent.into_iter().map(Into::into).collect(),
+            }),
+            FromWorker::Completed { task, epoch, result, log, usage } => {
                 let (lease, result, log) = (to_lease(task, epoch), Some(result.into()), log.map(Into::into));
-                Message::Completed(wire::Completed { lease, result, log })
+                Message::Completed(wire::Completed { lease, result, log, usage: usage.map(Into::into) })
             }
-            FromWorker::Failed { task, epoch, failure, log } => {
+            FromWorker::Failed { task, epoch, failure, log, usage } => {
                 let (lease, failure, log) = (to_lease(task, epoch), Some(failure.into()), log.map(Into::into));
-                Message::Failed(wire::Failed { lease, failure, log })
+                Message::Failed(wire::Failed { lease, failure, log, usage: usage.map(Into::into) })
             }
             FromWorker::Draining => Message::Draining(wire::Empty {}),
             FromWorker::Available => Message::Available(wire::Empty {}),
@@ -39,16 +41,18 @@ impl TryFrom<wire::FromWorker> for FromWorker {
         Ok(match need("message", wire.message)? {
             Message::Many(_) => return Err(ConvertError::Nested),
             Message::Register(registration) => Self::Register(registration.try_into()?),
-            Message::Heartbeat(wire::Heartbeat { number, tasks }) => Self::Heartbeat { number, tasks: each(tasks)? },
+            Message::Heartbeat(wire::Heartbeat { number, tasks, spent }) => {
+                Self::Heartbeat { number, tasks: each(tasks)?, spent: each(spent)? }
+            }
             Message::Completed(completed) => {
                 let (task, epoch) = from_lease(completed.lease)?;
                 let result = need("completed.result", completed.result)?.try_into()?;
-                Self::Completed { task, epoch, result, log: maybe(completed.log)? }
+                Self::Completed { task, epoch, result, log: maybe(completed.log)?, usage: maybe(completed.usage)? }
             }
             Message::Failed(failed) => {
                 let (task, epoch) = from_lease(failed.lease)?;
                 let failure = need("failed.failure", failed.failure)?.try_into()?;
-                Self::Failed { task, epoch, failure, log: maybe(failed.log)? }
+                Self::Failed { task, epoch, failure, log: maybe(failed.log)?, usage: maybe(failed.usage)? }
             }
             Message::Draining(_) => Self::Draining,
             Message::Available(_) => Self::Available,

@@ -133,7 +133,11 @@ fn the_words_of_a_session_cross_the_wire() {
         ..done.clone()
     };
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Register(registration));
-    crosses::<FromWorker, wire::FromWorker>(FromWorker::Heartbeat { number: 3, tasks: progress.to_vec() });
+    crosses::<FromWorker, wire::FromWorker>(FromWorker::Heartbeat {
+        number: 3,
+        tasks: progress.to_vec(),
+        spent: vec![Spent { task: merge, epoch, usage: usage() }],
+    });
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Draining);
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Available);
     let stored = LogText::Stored(Artefact { bytes: LogText::STORED as u64, ..artefact() });
@@ -149,11 +153,35 @@ fn the_words_of_a_session_cross_the_wire() {
             epoch,
             result,
             log: Some(log(LogText::Inline("ä".into()))),
+            usage: Some(usage()),
         });
     }
     for failure in failures() {
-        crosses::<FromWorker, wire::FromWorker>(FromWorker::Failed { task: merge, epoch, failure, log: None });
+        crosses::<FromWorker, wire::FromWorker>(FromWorker::Failed {
+            task: merge,
+            epoch,
+            failure,
+            log: None,
+            usage: None,
+        });
     }
+    for ending in Ending::ALL {
+        let usage = (ending == Ending::Done).then(usage);
+        crosses::<AttemptRecord, wire::AttemptRecord>(AttemptRecord {
+            task: merge,
+            epoch,
+            worker: "w".into(),
+            instance: u64::MAX,
+            granted: Tick(3),
+            ended: Tick(7),
+            ending,
+            samples: 11,
+            relative_error: Some(0.03),
+            usage,
+        });
+    }
+    let endless = wire::Usage::from(Usage { cpu: f64::NAN, ..usage() });
+    assert_eq!(Usage::try_from(endless), Err(ConvertError::Range { field: "seconds" }));
 
     let parts = [None, Some(artefact())].map(|previous| Parts { previous, tiles: vec![artefact(); 3] });
     let [first, later] = parts.clone().map(MergeInputs::Tiles);
@@ -286,4 +314,18 @@ fn nonsense_is_refused_by_name() {
         ..wire::TileResult::default()
     });
     assert_eq!(TaskResult::try_from(nan), Err(ConvertError::Range { field: "seconds" }));
+}
+
+fn usage() -> Usage {
+    Usage {
+        wait: 0.5,
+        wall: 2.0,
+        preparation: 0.25,
+        cpu: 3.5,
+        peak: Some(1 << 30),
+        samples: 1024,
+        rays: 9000,
+        fetched: 77,
+        sent: 78,
+    }
 }

@@ -55,7 +55,7 @@ impl Right {
         };
         match (service, call) {
             ("femc.v1.Workers", "Session") => Self::Worker,
-            ("femc.v1.Jobs", "List" | "Status" | "Watch" | "Frames" | "Parts" | "Logs" | "ListWorkers") => {
+            ("femc.v1.Jobs", "List" | "Status" | "Watch" | "Frames" | "Parts" | "Logs" | "Attempts" | "ListWorkers") => {
                 Self::User(Role::Viewer)
             }
             // Whose job it is decides the call itself.

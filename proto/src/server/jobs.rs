@@ -10,10 +10,11 @@ use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
-use super::{Call, Caller, Server, inputs};
+use super::{Call, Caller, JobShape, Server, inputs};
 use crate::convert::need;
 use crate::error::to_status;
 use crate::wire;
+use wire::attempts_reply::Part;
 
 type Answer<T> = Result<Response<T>, Status>;
 
@@ -82,6 +83,16 @@ impl wire::jobs_server::Jobs for Server {
         Ok(Response::new(wire::LogsReply { logs: logs.into_iter().map(Into::into).collect() }))
     }
 
+    type AttemptsStream = Pin<Box<dyn Stream<Item = Result<wire::AttemptsReply, Status>> + Send>>;
+
+    async fn attempts(&self, request: Request<wire::AttemptsRequest>) -> Answer<Self::AttemptsStream> {
+        let job = JobId(request.into_inner().job);
+        let shape = self.ask(|reply| Call::Shape { job, reply }).await?;
+        let (send, receive) = mpsc::channel(1);
+        tokio::spawn(pages(self.clone(), job, shape, send));
+        Ok(Response::new(Box::pin(ReceiverStream::new(receive))))
+    }
+
     async fn list_workers(&self, _: Request<wire::ListWorkersRequest>) -> Answer<wire::ListWorkersReply> {
         let workers = self.ask(|reply| Call::Workers { reply }).await?;
         Ok(Response::new(wire::ListWorkersReply { workers: workers.into_iter().map(Into::into).collect() }))
@@ -103,6 +114,32 @@ impl Server {
             Holder::User { .. } | Holder::Worker { .. } | Holder::Coordinator { .. } => {
                 Err(caller.forbidden("the job's owner, or a user of role operator"))
             }
+        }
+    }
+}
+
+/// Sends what a job is made of and its attempts, page by page, as fast as the listener reads.
+async fn pages(
+    server: Server,
+    job: JobId,
+    shape: JobShape,
+    send: mpsc::Sender<Result<wire::AttemptsReply, Status>>,
+) {
+    let mut part = Part::Job(shape.into());
+    let mut from = Some(0);
+    loop {
+        if send.send(Ok(wire::AttemptsReply { part: Some(part) })).await.is_err() {
+            return;
+        }
+        let Some(at) = from else { return };
+        match server.ask(|reply| Call::Attempts { job, from: at, reply }).await {
+            Ok(page) => {
+                let attempts = page.attempts.into_iter().map(Into::into).collect();
+                part = Part::Attempts(wire::AttemptRecords { attempts });
+                from = page.next;
+            }
+            // Who does not listen any more need not hear it.
+            Err(status) => return drop(send.send(Err(status)).await),
         }
     }
 }

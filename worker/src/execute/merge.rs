@@ -32,6 +32,7 @@ pub(crate) fn merge(task: &Task, tools: &Tools) -> Result<Product, Failure> {
     let watch = Stopwatch::start();
     let read = tools.cache.scene(&task.spec, &task.client, &tools.fetch)?;
     task.enter(Phase::Working);
+    task.account.prepared(watch.elapsed());
     let Joined { image, bad, sums } = match inputs {
         MergeInputs::Tiles(parts) => {
             let frame = union(task, 0..task.spec.grid.tiles(), parts, tools)?;

@@ -31,6 +31,11 @@ pub(crate) struct Tools {
 }
 
 impl Tools {
+    /// The same for one task: what is fetched with them is fetched for it.
+    fn of(&self, task: &Arc<Task>) -> Self {
+        Self { fetch: self.fetch.of(task), ..self.clone() }
+    }
+
     /// Does `work` for `task` on the pool.
     pub(crate) fn install<T: Send>(&self, task: &Task, work: impl FnOnce() -> T + Send) -> T {
         self.pool.install(|| task.log.hear(work))
@@ -45,8 +50,9 @@ pub(crate) struct Product {
 }
 
 /// Does the task. A panic is a failure like others.
-pub(crate) fn execute(task: &Task, tools: &Tools) -> Result<Product, Failure> {
-    task.log.begin();
+pub(crate) fn execute(task: &Arc<Task>, tools: &Tools) -> Result<Product, Failure> {
+    task.begin();
+    let tools = &tools.of(task);
     pass(Point::WorkerBeforeTask);
     task.log.hear(|| {
         let outcome = attempt(task, tools);

@@ -1,6 +1,7 @@
 //! One tile, one range of samples.
 
 use std::ops::Range;
+use std::sync::atomic::Ordering;
 
 use bytes::Bytes;
 use femc_film::Rect;
@@ -16,6 +17,7 @@ pub(crate) fn render(task: &Task, tile: u32, samples: Range<u32>, tools: &Tools)
     task.enter(Phase::Preparing);
     let preparing = Stopwatch::start();
     let (read, prepared) = tools.cache.frame(&task.spec, key.stage.frame, &task.client, &tools.fetch)?;
+    task.account.prepared(preparing.elapsed());
     tracing::debug!(frame = key.stage.frame, seconds = preparing.seconds(), "the frame is ready");
     let grid = task.spec.grid;
     let rect = grid.rect(tile).filter(|_| prepared.camera.film == grid.film);
@@ -29,6 +31,7 @@ pub(crate) fn render(task: &Task, tile: u32, samples: Range<u32>, tools: &Tools)
     let rendered = tools.install(task, || {
         femc_pipeline::render_tile(&prepared, settings, rect, range, &task.cancel, &task.samples).map(|rendered| {
             let (rays, shadow_rays, bad) = (rendered.rays, rendered.shadow_rays, rendered.tile.bad().total());
+            task.account.rays.store(rays + shadow_rays, Ordering::Relaxed);
             tracing::debug!(?rect, samples = ?samples, rays, shadow_rays, bad, seconds = watch.seconds(), "rendered");
             (bad, Bytes::from(rendered.tile.encode()))
         })

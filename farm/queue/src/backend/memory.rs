@@ -2,32 +2,54 @@
 
 use std::sync::{Arc, Mutex, PoisonError};
 
-use crate::{Contents, Queue, QueueError};
+use crate::{Batch, Contents, Note, Page, Queue, QueueError};
 
 /// A log that lives as long as one of its clones.
 #[derive(Debug, Clone, Default)]
-pub struct Memory(Arc<Mutex<Contents>>);
+pub struct Memory(Arc<Mutex<Kept>>);
+
+#[derive(Debug, Default)]
+struct Kept {
+    contents: Contents,
+    /// By their numbers, ascending.
+    notes: Vec<(u64, Note)>,
+    numbers: u64,
+}
 
 impl Memory {
-    fn with<T>(&self, act: impl FnOnce(&mut Contents) -> T) -> T {
-        // A poisoned lock still holds whole batches: each change below is one assignment or one `extend`.
+    fn with<T>(&self, act: impl FnOnce(&mut Kept) -> T) -> T {
+        // A poisoned lock still holds whole batches: nothing below stops half way.
         act(&mut self.0.lock().unwrap_or_else(PoisonError::into_inner))
     }
 }
 
 impl Queue for Memory {
     async fn load(&mut self) -> Result<Contents, QueueError> {
-        Ok(self.with(|contents| contents.clone()))
+        Ok(self.with(|kept| kept.contents.clone()))
     }
 
-    async fn append(&mut self, records: &[Vec<u8>]) -> Result<(), QueueError> {
-        self.with(|contents| contents.records.extend_from_slice(records));
+    async fn append(&mut self, batch: Batch<'_>) -> Result<(), QueueError> {
+        self.with(|kept| {
+            kept.contents.records.extend_from_slice(batch.records);
+            kept.notes.retain(|(_, note)| !batch.forgotten.contains(&note.subject));
+            for note in batch.notes {
+                kept.numbers += 1;
+                kept.notes.push((kept.numbers, note.clone()));
+            }
+        });
         Ok(())
     }
 
     async fn snapshot(&mut self, state: &[u8]) -> Result<(), QueueError> {
         let fresh = Contents { snapshot: Some(state.to_vec()), ..Contents::default() };
-        self.with(|contents| *contents = fresh);
+        self.with(|kept| kept.contents = fresh);
         Ok(())
+    }
+
+    async fn notes(&mut self, subject: u64, from: u64) -> Result<Page, QueueError> {
+        Ok(self.with(|kept| {
+            let later = kept.notes.iter().filter(|(number, note)| *number >= from && note.subject == subject);
+            Page::of(later.map(|(number, note)| (*number, Some(note.bytes.clone()))))
+        }))
     }
 }

@@ -1,6 +1,6 @@
 //! Records with a number and a checksum, as the databases keep them.
 
-use crate::{Contents, QueueError};
+use crate::{Contents, Page, QueueError};
 
 /// A row as it was read.
 pub(super) struct Row {
@@ -13,6 +13,22 @@ impl Row {
     fn is_sound(&self) -> bool {
         self.sum == checksum(self.sequence, &self.bytes)
     }
+}
+
+/// The notes in these rows, of which there is one more than a page holds if another page follows.
+pub(super) fn page(rows: Vec<Row>) -> Page {
+    Page::of(rows.into_iter().map(|row| {
+        let is_sound = row.sum == note_checksum(&row.bytes);
+        if !is_sound {
+            tracing::warn!(number = row.sequence, "a note beside the log is damaged");
+        }
+        (row.sequence.cast_unsigned(), is_sound.then_some(row.bytes))
+    }))
+}
+
+/// Of a note's content.
+pub(super) fn note_checksum(bytes: &[u8]) -> Vec<u8> {
+    blake3::hash(bytes).as_bytes()[..16].to_vec()
 }
 
 /// Of the record's place and content, so that a record that strayed is found too.

@@ -11,8 +11,8 @@ use sqlx::sqlite::{
 };
 use sqlx::{ConnectOptions as _, Connection as _, Row as _};
 
-use super::rows::{Row, checksum, contents};
-use crate::{Contents, Queue, QueueError};
+use super::rows::{Row, checksum, contents, note_checksum, page};
+use crate::{Batch, Contents, Page, Queue, QueueError};
 
 /// A log in a file.
 #[derive(Debug)]
@@ -25,6 +25,15 @@ pub struct Sqlite {
 const TABLES: &str = "
     CREATE TABLE log (sequence INTEGER PRIMARY KEY, checksum BLOB NOT NULL, record BLOB NOT NULL) STRICT;
     CREATE TABLE snapshot (sequence INTEGER PRIMARY KEY, checksum BLOB NOT NULL, state BLOB NOT NULL) STRICT;
+";
+
+/// What later versions have added. A version that does not know them works beside them.
+///
+/// A note's `sequence` is that of the last record of the log when it came: a tail that is cut takes its notes along.
+const LATER_TABLES: &str = "
+    CREATE TABLE IF NOT EXISTS notes (number INTEGER PRIMARY KEY, subject INTEGER NOT NULL, sequence INTEGER NOT NULL,
+        checksum BLOB NOT NULL, note BLOB NOT NULL) STRICT;
+    CREATE INDEX IF NOT EXISTS notes_by_subject ON notes (subject);
 ";
 
 /// Statements that insert so many rows, the longest first.
@@ -70,6 +79,7 @@ impl Sqlite {
         } else if (application, version) != (Self::APPLICATION, Self::VERSION) {
             return Err(QueueError::Foreign { path: path.display().to_string(), application, version });
         }
+        sqlx::raw_sql(LATER_TABLES).execute(&mut connection).await?;
         Ok(Self { connection, next: 1 })
     }
 }
@@ -96,13 +106,16 @@ impl Queue for Sqlite {
         let rows: Vec<Row> = rows.iter().map(row).collect::<Result<_, _>>()?;
         let (contents, last) = contents(snapshot, rows)?;
         if contents.torn > 0 {
-            sqlx::query("DELETE FROM log WHERE sequence > ?").bind(last).execute(&mut self.connection).await?;
+            let mut cut = self.connection.begin().await?;
+            sqlx::query("DELETE FROM log WHERE sequence > ?").bind(last).execute(&mut *cut).await?;
+            sqlx::query("DELETE FROM notes WHERE sequence > ?").bind(last).execute(&mut *cut).await?;
+            cut.commit().await?;
         }
         self.next = last + 1;
         Ok(contents)
     }
 
-    async fn append(&mut self, records: &[Vec<u8>]) -> Result<(), QueueError> {
+    async fn append(&mut self, Batch { records, notes, forgotten }: Batch<'_>) -> Result<(), QueueError> {
         let mut batch = self.connection.begin().await?;
         let (mut sequence, mut rest) = (self.next, records);
         while !rest.is_empty() {
@@ -117,6 +130,21 @@ impl Queue for Sqlite {
             insert.execute(&mut *batch).await?;
             sequence += some.len() as i64;
             rest = later;
+        }
+        for &subject in forgotten {
+            sqlx::query("DELETE FROM notes WHERE subject = ?")
+                .bind(subject.cast_signed())
+                .execute(&mut *batch)
+                .await?;
+        }
+        for note in notes {
+            sqlx::query("INSERT INTO notes (subject, sequence, checksum, note) VALUES (?, ?, ?, ?)")
+                .bind(note.subject.cast_signed())
+                .bind(sequence - 1)
+                .bind(note_checksum(&note.bytes))
+                .bind(note.bytes.as_slice())
+                .execute(&mut *batch)
+                .await?;
         }
         batch.commit().await?;
         self.next += records.len() as i64;
@@ -136,6 +164,18 @@ impl Queue for Sqlite {
         sqlx::query("DELETE FROM log WHERE sequence <= ?").bind(last).execute(&mut *batch).await?;
         batch.commit().await?;
         Ok(())
+    }
+
+    async fn notes(&mut self, subject: u64, from: u64) -> Result<Page, QueueError> {
+        let rows = sqlx::query(
+            "SELECT number, checksum, note FROM notes WHERE subject = ? AND number >= ? ORDER BY number LIMIT ?",
+        )
+        .bind(subject.cast_signed())
+        .bind(from.cast_signed())
+        .bind(Page::NOTES as i64 + 1)
+        .fetch_all(&mut self.connection)
+        .await?;
+        Ok(page(rows.iter().map(row).collect::<Result<_, _>>()?))
     }
 
     /// One file holds it all from then on; until then the newest records may lie in the file beside it, `-wal`.

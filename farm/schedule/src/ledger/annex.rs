@@ -40,7 +40,7 @@ impl Annex {
         self.cuts.insert(job, samples);
     }
 
-    pub(super) fn cut_of(&self, job: JobId) -> Cut {
+    pub(crate) fn cut_of(&self, job: JobId) -> Cut {
         self.cuts.get(&job).map_or(Cut::Whole, |&samples| Cut::Grains(samples))
     }
 

@@ -19,7 +19,7 @@ use femc_model::Refusal;
 const HOLDERS: [&str; 6] = ["coordinator", "worker", "viewer", "submitter", "operator", "admin"];
 
 /// Who may call what.
-const TABLE: [(&str, &[&str]); 16] = [
+const TABLE: [(&str, &[&str]); 17] = [
     ("Jobs/Submit", &["submitter", "operator", "admin"]),
     ("Jobs/List", &["viewer", "submitter", "operator", "admin"]),
     ("Jobs/Status", &["viewer", "submitter", "operator", "admin"]),
@@ -28,6 +28,7 @@ const TABLE: [(&str, &[&str]); 16] = [
     ("Jobs/Frames", &["viewer", "submitter", "operator", "admin"]),
     ("Jobs/Parts", &["viewer", "submitter", "operator", "admin"]),
     ("Jobs/Logs", &["viewer", "submitter", "operator", "admin"]),
+    ("Jobs/Attempts", &["viewer", "submitter", "operator", "admin"]),
     ("Jobs/ListWorkers", &["viewer", "submitter", "operator", "admin"]),
     ("Jobs/DrainWorkers", &["operator", "admin"]),
     ("Workers/Session", &["worker"]),

@@ -18,8 +18,8 @@ use std::time::Duration;
 use sqlx::Row as _;
 use sqlx::postgres::{PgConnection, PgRow};
 
-use super::rows::{Row, checksum, contents};
-use crate::{Contents, Queue, QueueError};
+use super::rows::{Row, checksum, contents, note_checksum, page};
+use crate::{Batch, Contents, Page, Queue, QueueError};
 pub use database::Database;
 pub use lead::{Leader, Standby};
 use pulse::Pulse;
@@ -69,8 +69,13 @@ macro_rules! mine {
 }
 
 const APPEND: &str = mine!(
-    "INSERT INTO femc.log (sequence, checksum, record)
-     SELECT row.* FROM mine, unnest($2::bigint[], $3::bytea[], $4::bytea[]) AS row"
+    ", logged AS (INSERT INTO femc.log (sequence, checksum, record)
+         SELECT row.* FROM mine, unnest($2::bigint[], $3::bytea[], $4::bytea[]) AS row),
+       forgotten AS (DELETE FROM femc.notes WHERE subject = ANY($5) AND EXISTS (SELECT FROM mine)),
+       noted AS (INSERT INTO femc.notes (subject, sequence, checksum, note)
+         SELECT row.subject, $9, row.checksum, row.note
+         FROM mine, unnest($6::bigint[], $7::bytea[], $8::bytea[]) AS row (subject, checksum, note))
+     SELECT epoch FROM mine"
 );
 const SNAPSHOT: &str = mine!(
     ", older AS (DELETE FROM femc.snapshot WHERE sequence < $2 AND EXISTS (SELECT FROM mine)),
@@ -78,7 +83,10 @@ const SNAPSHOT: &str = mine!(
      INSERT INTO femc.snapshot (sequence, checksum, state) SELECT $2, $3, $4 FROM mine
      ON CONFLICT (sequence) DO UPDATE SET checksum = excluded.checksum, state = excluded.state"
 );
-const CUT: &str = mine!("DELETE FROM femc.log WHERE sequence > $2 AND EXISTS (SELECT FROM mine)");
+const CUT: &str = mine!(
+    ", noted AS (DELETE FROM femc.notes WHERE sequence > $2 AND EXISTS (SELECT FROM mine))
+     DELETE FROM femc.log WHERE sequence > $2 AND EXISTS (SELECT FROM mine)"
+);
 
 fn row(row: &PgRow) -> Result<Row, sqlx::Error> {
     Ok(Row { sequence: row.try_get(0)?, sum: row.try_get(1)?, bytes: row.try_get(2)? })
@@ -110,19 +118,30 @@ impl Queue for Postgres {
         Ok(contents)
     }
 
-    async fn append(&mut self, records: &[Vec<u8>]) -> Result<(), QueueError> {
-        if records.is_empty() {
+    async fn append(&mut self, batch: Batch<'_>) -> Result<(), QueueError> {
+        if batch.is_empty() {
             return self.check();
         }
+        let Batch { records, notes, forgotten } = batch;
         let sequences: Vec<i64> = (self.next..).take(records.len()).collect();
         let sums: Vec<Vec<u8>> = sequences.iter().zip(records).map(|(&at, record)| checksum(at, record)).collect();
-        let insert = sqlx::query(APPEND).bind(self.epoch).bind(sequences).bind(sums).bind(records);
-        let insert = insert.execute(&mut self.connection);
-        let inserted = Self::leading(&self.database, &mut self.pulse, insert).await?.rows_affected();
-        if inserted != records.len() as u64 {
+        let last = self.next - 1 + records.len() as i64;
+        let signed = |subjects: Vec<u64>| -> Vec<i64> { subjects.into_iter().map(u64::cast_signed).collect() };
+        let append = sqlx::query(APPEND)
+            .bind(self.epoch)
+            .bind(sequences)
+            .bind(sums)
+            .bind(records)
+            .bind(signed(forgotten.to_vec()))
+            .bind(signed(notes.iter().map(|note| note.subject).collect()))
+            .bind(notes.iter().map(|note| note_checksum(&note.bytes)).collect::<Vec<_>>())
+            .bind(notes.iter().map(|note| note.bytes.as_slice()).collect::<Vec<_>>())
+            .bind(last)
+            .fetch_optional(&mut self.connection);
+        if Self::leading(&self.database, &mut self.pulse, append).await?.is_none() {
             return Err(QueueError::Deposed { epoch: self.epoch });
         }
-        self.next += records.len() as i64;
+        self.next = last + 1;
         Ok(())
     }
 
@@ -134,6 +153,19 @@ impl Queue for Postgres {
             return Err(QueueError::Deposed { epoch: self.epoch });
         }
         Ok(())
+    }
+
+    async fn notes(&mut self, subject: u64, from: u64) -> Result<Page, QueueError> {
+        let some = "SELECT number, checksum, note FROM femc.notes WHERE subject = $1 AND number >= $2
+            ORDER BY number LIMIT $3";
+        let read = sqlx::query(some)
+            .bind(subject.cast_signed())
+            .bind(from.cast_signed())
+            .bind(Page::NOTES as i64 + 1)
+            .fetch_all(&mut self.connection);
+        let rows = Self::leading(&self.database, &mut self.pulse, read).await?;
+        let rows: Result<Vec<Row>, sqlx::Error> = rows.iter().map(row).collect();
+        Ok(page(rows.map_err(|error| self.database.told(&error))?))
     }
 
     fn check(&mut self) -> Result<(), QueueError> {

@@ -23,6 +23,15 @@ const TABLES: &str = "
     INSERT INTO femc.leader VALUES (0, '', 0, '-infinity');
 ";
 
+/// What later versions have added. A version that does not know them works beside them.
+///
+/// A note's `sequence` is that of the last record of the log when it came: a tail that is cut takes its notes along.
+const LATER_TABLES: &str = "
+    CREATE TABLE IF NOT EXISTS femc.notes (number bigint GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
+        subject bigint NOT NULL, sequence bigint NOT NULL, checksum bytea NOT NULL, note bytea NOT NULL);
+    CREATE INDEX IF NOT EXISTS notes_by_subject ON femc.notes (subject, number);
+";
+
 /// Makes the tables where there are none; refuses those of others, and leaves them as they are.
 pub(super) async fn prepare(database: &Database, connection: &mut PgConnection) -> Result<(), QueueError> {
     let found = made_or_found(connection).await.map_err(|error| database.told(&error))?;
@@ -54,6 +63,12 @@ async fn made_or_found(connection: &mut PgConnection) -> Result<Option<String>, 
         let version = "SELECT to_jsonb(header) ->> 'version' FROM femc.header LIMIT 1";
         sqlx::query(version).fetch_optional(&mut *making).await?.map(|row| row.try_get(0)).transpose()?.flatten()
     };
+    if version.as_deref() == Some(VERSION.to_string().as_str()) {
+        let there = sqlx::query("SELECT to_regclass('femc.notes') IS NOT NULL").fetch_one(&mut *making).await?;
+        if !there.try_get(0)? {
+            sqlx::raw_sql(LATER_TABLES).execute(&mut *making).await?;
+        }
+    }
     making.commit().await?;
     Ok(version)
 }

@@ -1,0 +1,102 @@
+//! What attempts took. It is told to the caller, to be kept beside the log: the ledger does not grow with it.
+
+use femc_model::{AttemptRecord, Ending, Phase, Spent, TaskResult, Tick, WorkerId};
+
+use crate::floor::{Lease, LeaseKey};
+use crate::scheduler::Scheduler;
+use crate::{Command, SnapshotError};
+
+/// First byte of a note: of the version of what follows.
+const VERSION: u8 = 1;
+
+/// Attempts as one note beside the log.
+pub fn encode_attempts(attempts: &[Box<AttemptRecord>]) -> Result<Vec<u8>, SnapshotError> {
+    Ok(postcard::to_extend(attempts, vec![VERSION])?)
+}
+
+/// What [`encode_attempts`] wrote.
+pub fn decode_attempts(note: &[u8]) -> Result<Vec<AttemptRecord>, SnapshotError> {
+    match note.split_first() {
+        Some((&VERSION, attempts)) => Ok(postcard::from_bytes(attempts)?),
+        Some((&found, _)) => Err(SnapshotError::Version { found }),
+        None => Err(SnapshotError::Empty),
+    }
+}
+
+/// What counts of a result.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Counted {
+    samples: u64,
+    relative_error: Option<f64>,
+}
+
+impl Counted {
+    pub(crate) fn of(result: &TaskResult) -> Self {
+        match result {
+            TaskResult::Tile(tile) => Self { samples: tile.samples, relative_error: None },
+            TaskResult::Merge(merge) => Self { samples: 0, relative_error: merge.relative_error },
+            TaskResult::Gather(_) => Self::default(),
+        }
+    }
+}
+
+impl Scheduler {
+    /// A worker says what a lease took: of one that holds, its end follows; of one that is over, this is all that will be heard.
+    pub(crate) fn spent(
+        &mut self,
+        worker: WorkerId,
+        Spent { task, epoch, usage }: Spent,
+        now: Tick,
+        out: &mut Vec<Command>,
+    ) {
+        if self.floor.lease_of(worker, &task, epoch).is_some() {
+            self.told = Some(((task, epoch), usage));
+            return;
+        }
+        // What counts was noted with its usage: this is a repetition.
+        let is_news = self.ledger.jobs.get(&task.job).is_some_and(|job| !job.holds(&task, epoch));
+        let Some(known) = self.floor.workers.get(&worker).filter(|_| is_news) else { return };
+        let milliseconds = ((usage.wall + usage.wait) * 1000.0) as u64;
+        out.push(Command::Note(Box::new(AttemptRecord {
+            task,
+            epoch,
+            worker: known.registration.name.clone(),
+            instance: known.registration.instance,
+            granted: Tick(now.0.saturating_sub(milliseconds)),
+            ended: now,
+            ending: Ending::Revoked,
+            samples: 0,
+            relative_error: None,
+            usage: Some(usage),
+        })));
+    }
+
+    /// Notes the end of a lease; to be called while its worker is known.
+    pub(crate) fn note(
+        &mut self,
+        key: &LeaseKey,
+        lease: &Lease,
+        ending: Ending,
+        counted: Counted,
+        out: &mut Vec<Command>,
+    ) {
+        let usage = self.told.take_if(|(told, _)| told == key).map(|(_, usage)| usage);
+        let is_begun = match ending {
+            Ending::Done | Ending::Failed => true,
+            Ending::Lost | Ending::Revoked | Ending::Cancelled => usage.is_some() || lease.phase > Phase::Waiting,
+        };
+        let Some(known) = self.floor.workers.get(&lease.worker).filter(|_| is_begun) else { return };
+        out.push(Command::Note(Box::new(AttemptRecord {
+            task: key.0,
+            epoch: key.1,
+            worker: known.registration.name.clone(),
+            instance: known.registration.instance,
+            granted: lease.granted,
+            ended: self.now,
+            ending,
+            samples: counted.samples,
+            relative_error: counted.relative_error,
+            usage,
+        })));
+    }
+}

@@ -1,0 +1,125 @@
+//! What attempts took, and the job that they are of.
+
+use std::num::NonZeroU64;
+
+use femc_model::{AttemptRecord, Cut, Ending, Spent, Tick, Usage};
+
+use super::task::{finite, from_lease, to_lease};
+use super::{ConvertError, maybe, need};
+use crate::{JobShape, wire};
+
+impl From<JobShape> for wire::JobShape {
+    fn from(JobShape { spec, cut }: JobShape) -> Self {
+        let grain = match cut {
+            Cut::Whole => None,
+            Cut::Grains(samples) => Some(samples.get()),
+        };
+        Self { job: Some((*spec).into()), grain }
+    }
+}
+
+impl TryFrom<wire::JobShape> for JobShape {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::JobShape) -> Result<Self, ConvertError> {
+        let cut = match wire.grain.map(NonZeroU64::new) {
+            None => Cut::Whole,
+            Some(samples) => Cut::Grains(need("shape.grain", samples)?),
+        };
+        Ok(Self { spec: Box::new(need("shape.job", wire.job)?.try_into()?), cut })
+    }
+}
+
+impl From<Usage> for wire::Usage {
+    fn from(usage: Usage) -> Self {
+        let Usage { wait, wall, preparation, cpu, peak, samples, rays, fetched, sent } = usage;
+        Self { wait, wall, preparation, cpu, peak, samples, rays, fetched, sent }
+    }
+}
+
+impl TryFrom<wire::Usage> for Usage {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::Usage) -> Result<Self, ConvertError> {
+        let wire::Usage { wait, wall, preparation, cpu, peak, samples, rays, fetched, sent } = wire;
+        let [wait, wall, preparation, cpu] = [finite(wait)?, finite(wall)?, finite(preparation)?, finite(cpu)?];
+        Ok(Self { wait, wall, preparation, cpu, peak, samples, rays, fetched, sent })
+    }
+}
+
+impl From<Spent> for wire::Spent {
+    fn from(Spent { task, epoch, usage }: Spent) -> Self {
+        Self { lease: to_lease(task, epoch), usage: Some(usage.into()) }
+    }
+}
+
+impl TryFrom<wire::Spent> for Spent {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::Spent) -> Result<Self, ConvertError> {
+        let (task, epoch) = from_lease(wire.lease)?;
+        Ok(Self { task, epoch, usage: need("spent.usage", wire.usage)?.try_into()? })
+    }
+}
+
+impl From<Ending> for wire::Ending {
+    fn from(ending: Ending) -> Self {
+        match ending {
+            Ending::Lost => Self::Lost,
+            Ending::Revoked => Self::Revoked,
+            Ending::Cancelled => Self::Cancelled,
+            Ending::Failed => Self::Failed,
+            Ending::Done => Self::Done,
+        }
+    }
+}
+
+fn ending(value: i32) -> Result<Ending, ConvertError> {
+    let unknown = ConvertError::Unknown { field: "attempt.ending", value };
+    Ok(match wire::Ending::try_from(value).map_err(|_| unknown.clone())? {
+        wire::Ending::Unspecified => return Err(unknown),
+        wire::Ending::Lost => Ending::Lost,
+        wire::Ending::Revoked => Ending::Revoked,
+        wire::Ending::Cancelled => Ending::Cancelled,
+        wire::Ending::Failed => Ending::Failed,
+        wire::Ending::Done => Ending::Done,
+    })
+}
+
+impl From<AttemptRecord> for wire::AttemptRecord {
+    fn from(record: AttemptRecord) -> Self {
+        let AttemptRecord { task, epoch, worker, instance, granted, ended, ending, samples, relative_error, usage } =
+            record;
+        Self {
+            lease: to_lease(task, epoch),
+            worker,
+            instance,
+            granted: granted.0,
+            ended: ended.0,
+            ending: wire::Ending::from(ending).into(),
+            samples,
+            relative_error,
+            usage: usage.map(Into::into),
+        }
+    }
+}
+
+impl TryFrom<wire::AttemptRecord> for AttemptRecord {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::AttemptRecord) -> Result<Self, ConvertError> {
+        let (task, epoch) = from_lease(wire.lease)?;
+        Ok(Self {
+            task,
+            epoch,
+            worker: wire.worker,
+            instance: wire.instance,
+            granted: Tick(wire.granted),
+            ended: Tick(wire.ended),
+            ending: ending(wire.ending)?,
+            samples: wire.samples,
+            relative_error: wire.relative_error,
+            usage: maybe(wire.usage)?,
+        })
+    }
+}

@@ -1,0 +1,260 @@
+//! What tasks take. Processor time is the process's: reading a scene, building its trees, rendering on a pool that two lanes
+//! share, encoding, hashing and sending happen on many threads, and no thread's clock says which task it worked for.
+//!
+//! So the process's clock is read whenever a task begins or ends, or begins or ends to wait for the network, and what has passed
+//! since the last reading is shared evenly among the tasks that compute; where none does, among those that move bytes; where
+//! there is none of those either, among those that wait for their turn, whose frames are prepared ahead. The sum over all tasks
+//! is what the process used while it had any. Costs exactness for each of two tasks that run side by side; workers of one
+//! process share one meter, and with it the coordinator's time where that is in the process, too.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, LazyLock, Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+use crate::memory;
+
+/// What a task does at the moment; of those that do the most, each gets its share.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Doing {
+    /// It waits for its turn.
+    Waits,
+    /// Its inputs come in, or its result goes out.
+    Moves,
+    /// It computes.
+    Computes,
+}
+
+/// A task's account. Closed when it is dropped: what it has until then stays its own.
+#[derive(Debug)]
+pub(crate) struct Account {
+    meter: Meter,
+    number: u64,
+    /// Nanoseconds of processor time.
+    cpu: Arc<AtomicU64>,
+    pub(crate) fetched: AtomicU64,
+    pub(crate) sent: AtomicU64,
+    pub(crate) rays: AtomicU64,
+    /// Nanoseconds from the beginning until the inputs were ready.
+    preparation: AtomicU64,
+    /// Most bytes of the process, 0: not known.
+    peak: AtomicU64,
+}
+
+impl Account {
+    pub(crate) fn doing(&self, doing: Doing) {
+        self.meter.0.lock().enter(self.number, doing);
+    }
+
+    /// Does `work` that waits for the network, for a task that computes before and after.
+    pub(crate) fn moving<T>(&self, work: impl FnOnce() -> T) -> T {
+        self.doing(Doing::Moves);
+        let done = work();
+        self.doing(Doing::Computes);
+        done
+    }
+
+    /// The task begins to compute.
+    pub(crate) fn begin(&self) {
+        let mut books = self.meter.0.lock();
+        if self.meter.0.clock.is_some() && books.computing() == 0 {
+            memory::forget_peak();
+        }
+        books.enter(self.number, Doing::Computes);
+    }
+
+    /// There is a result, or a failure.
+    pub(crate) fn end(&self) {
+        if self.meter.0.clock.is_some() {
+            self.peak.store(memory::peak().unwrap_or(0), Ordering::Relaxed);
+        }
+        self.doing(Doing::Moves);
+    }
+
+    pub(crate) fn prepared(&self, after: Duration) {
+        self.preparation.store(u64::try_from(after.as_nanos()).unwrap_or(u64::MAX), Ordering::Relaxed);
+    }
+
+    /// Seconds from the beginning until the inputs were ready.
+    pub(crate) fn preparation(&self) -> f64 {
+        Duration::from_nanos(self.preparation.load(Ordering::Relaxed)).as_secs_f64()
+    }
+
+    /// Processor seconds until now.
+    pub(crate) fn cpu(&self) -> f64 {
+        self.meter.0.lock().settle();
+        Duration::from_nanos(self.cpu.load(Ordering::Relaxed)).as_secs_f64()
+    }
+
+    /// The most that the process had in memory while the task computed, or one that it ran beside.
+    pub(crate) fn peak(&self) -> Option<u64> {
+        Some(self.peak.load(Ordering::Relaxed)).filter(|peak| *peak > 0)
+    }
+}
+
+impl Drop for Account {
+    fn drop(&mut self) {
+        let mut books = self.meter.0.lock();
+        books.settle();
+        books.open.remove(&self.number);
+    }
+}
+
+/// Where processor time is read and shared out; clones are the same one.
+#[derive(Debug, Clone)]
+pub(crate) struct Meter(Arc<Shared>);
+
+#[derive(Debug)]
+struct Shared {
+    clock: Option<fn() -> Duration>,
+    books: Mutex<Books>,
+}
+
+#[derive(Debug, Default)]
+struct Books {
+    clock: Option<fn() -> Duration>,
+    read: Duration,
+    numbers: u64,
+    open: BTreeMap<u64, (Doing, Arc<AtomicU64>)>,
+}
+
+impl Meter {
+    /// The one of this process.
+    pub(crate) fn of_process() -> Self {
+        static METER: LazyLock<Meter> = LazyLock::new(|| Meter::by(Some(process_time)));
+        METER.clone()
+    }
+
+    /// One that knows of no processor time: a simulation is the same every time.
+    pub(crate) fn none() -> Self {
+        Self::by(None)
+    }
+
+    fn by(clock: Option<fn() -> Duration>) -> Self {
+        Self(Arc::new(Shared { clock, books: Mutex::new(Books { clock, ..Books::default() }) }))
+    }
+
+    /// Opens the account of a task that waits for its turn.
+    pub(crate) fn open(&self) -> Account {
+        let cpu = Arc::new(AtomicU64::new(0));
+        let mut books = self.0.lock();
+        books.numbers += 1;
+        let number = books.numbers;
+        books.settle();
+        books.open.insert(number, (Doing::Waits, cpu.clone()));
+        let [fetched, sent, rays, preparation, peak] = [const { AtomicU64::new(0) }; 5];
+        Account { meter: self.clone(), number, cpu, fetched, sent, rays, preparation, peak }
+    }
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Books> {
+        // A panic within the few lines under this lock leaves nothing half done.
+        self.books.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Books {
+    fn computing(&self) -> usize {
+        self.open.values().filter(|(doing, _)| *doing == Doing::Computes).count()
+    }
+
+    fn enter(&mut self, number: u64, doing: Doing) {
+        self.settle();
+        if let Some((known, _)) = self.open.get_mut(&number) {
+            *known = doing;
+        }
+    }
+
+    /// Shares out what has passed since the last reading.
+    fn settle(&mut self) {
+        let Some(clock) = self.clock else { return };
+        let now = clock();
+        let passed = now.saturating_sub(self.read).as_nanos() as u64;
+        self.read = now;
+        let Some(most) = self.open.values().map(|(doing, _)| *doing).max() else { return };
+        let shares: Vec<_> = self.open.values().filter(|(doing, _)| *doing == most).collect();
+        let (share, rest) = (passed / shares.len() as u64, passed % shares.len() as u64);
+        for (place, (_, cpu)) in shares.into_iter().enumerate() {
+            cpu.fetch_add(share + u64::from((place as u64) < rest), Ordering::Relaxed);
+        }
+    }
+}
+
+/// Processor time of this process, all of its threads, since it began.
+#[cfg(unix)]
+fn process_time() -> Duration {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    Duration::new(time.tv_sec.try_into().unwrap_or(0), time.tv_nsec.try_into().unwrap_or(0))
+}
+
+/// Not known here.
+#[cfg(not(unix))]
+fn process_time() -> Duration {
+    Duration::ZERO
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+
+    use super::*;
+
+    thread_local! {
+        static TIME: Cell<u64> = const { Cell::new(0) };
+    }
+
+    fn passes(seconds: u64) {
+        TIME.set(TIME.get() + seconds);
+    }
+
+    fn meter() -> Meter {
+        Meter::by(Some(|| Duration::from_secs(TIME.get())))
+    }
+
+    #[test]
+    fn time_goes_to_those_that_compute_else_to_those_that_move_else_to_those_that_wait() {
+        let meter = meter();
+        passes(100);
+        let (one, two, three) = (meter.open(), meter.open(), meter.open());
+        passes(3);
+        one.doing(Doing::Moves);
+        passes(4);
+        two.doing(Doing::Computes);
+        passes(10);
+        three.doing(Doing::Computes);
+        passes(10);
+        assert_eq!([one.cpu(), two.cpu(), three.cpu()], [5.0, 16.0, 6.0], "before there was any task, nobody's");
+    }
+
+    #[test]
+    fn the_sum_is_what_passed_and_what_is_closed_gets_no_more() {
+        let meter = meter();
+        let (one, two) = (meter.open(), meter.open());
+        one.doing(Doing::Computes);
+        two.doing(Doing::Computes);
+        passes(7);
+        let first = one.cpu();
+        one.moving(|| passes(2));
+        drop(one);
+        passes(5);
+        assert_eq!((first, two.cpu()), (3.5, 10.5));
+    }
+
+    #[test]
+    fn a_simulation_takes_no_processor_time() {
+        let account = Meter::none().open();
+        account.begin();
+        account.end();
+        assert_eq!((account.cpu(), account.peak()), (0.0, None));
+    }
+
+    #[test]
+    fn this_process_uses_its_processor() {
+        if cfg!(unix) {
+            let before = process_time();
+            let sum: u64 = (0..20_000_000_u64).map(std::hint::black_box).sum();
+            assert!(sum > 0 && process_time() > before);
+        }
+    }
+}

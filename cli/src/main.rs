@@ -4,6 +4,7 @@
 //! engine's and the farm's libraries; [`output`] says what came of it.
 
 mod args;
+mod attempts;
 mod clock;
 mod command;
 mod exit;

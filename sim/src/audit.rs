@@ -2,8 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Epoch, JobId, JobSpec, JobState, JobStatus, Stage as TaskStage, StageKind, TaskKey};
-use femc_schedule::{Fact, SnapshotError};
+use femc_model::{Ending, Epoch, JobId, JobSpec, JobState, JobStatus, Stage as TaskStage, StageKind, TaskKey};
+use femc_queue::Note;
+use femc_schedule::{Fact, SnapshotError, decode_attempts};
 
 use crate::leases::{Leases, Unit};
 use crate::shared::{Reports, State};
@@ -83,6 +84,24 @@ pub enum Violation {
         /// Of the lease that held.
         later: Epoch,
     },
+    /// A result counts, and what it took was noted otherwise than once.
+    #[error("{task} under epoch {} counts, and what it took was noted {times} times", .epoch.0)]
+    Noted {
+        /// Which.
+        task: TaskKey,
+        /// Of its lease.
+        epoch: Epoch,
+        /// How often.
+        times: u64,
+    },
+    /// What an attempt took was noted as that of a result, which does not count.
+    #[error("what {task} took under epoch {} was noted as that of a result, and it does not count", .epoch.0)]
+    NotedForNothing {
+        /// Which.
+        task: TaskKey,
+        /// Of its lease.
+        epoch: Epoch,
+    },
     /// The job's account does not agree with what was done.
     #[error("the account says {found} {what}, it should be {expected}")]
     Account {
@@ -130,6 +149,10 @@ impl Violation {
 pub(crate) fn audit(stage: &Stage, state: &State) -> Vec<Violation> {
     let mut wrong = state.wrong.clone();
     match log(&state.disk.history, [&state.accepted, &state.reported], &state.leases) {
+        Ok(found) => wrong.extend(found),
+        Err(error) => wrong.push(error.into()),
+    }
+    match noted(&state.disk.history, &state.disk.notes) {
         Ok(found) => wrong.extend(found),
         Err(error) => wrong.push(error.into()),
     }
@@ -208,6 +231,41 @@ pub(crate) fn log<'a>(
             wrong.push(Violation::Forgotten { task, epoch });
         }
     }
+    Ok(wrong)
+}
+
+/// Whether of each result that counts it was noted once what it took, and of nothing else as of a result. Of jobs that are
+/// forgotten there are no notes.
+pub(crate) fn noted<'a>(
+    history: impl IntoIterator<Item = &'a Vec<u8>>,
+    notes: &[Note],
+) -> Result<Vec<Violation>, SnapshotError> {
+    let (mut counted, mut forgotten) = (BTreeSet::new(), BTreeSet::new());
+    for record in history {
+        match Fact::decode(record)?.1 {
+            Fact::Rendered { task, epoch, .. }
+            | Fact::Gathered { task, epoch, .. }
+            | Fact::Merged { task, epoch, .. } => drop(counted.insert((task, epoch))),
+            Fact::Forgotten { job } => drop(forgotten.insert(job)),
+            _ => {}
+        }
+    }
+    counted.retain(|(task, _)| !forgotten.contains(&task.job));
+    let mut times: BTreeMap<(TaskKey, Epoch), u64> = BTreeMap::new();
+    for note in notes {
+        for attempt in decode_attempts(&note.bytes)?.into_iter().filter(|attempt| attempt.ending == Ending::Done) {
+            *times.entry((attempt.task, attempt.epoch)).or_default() += 1;
+        }
+    }
+    let mut wrong = Vec::new();
+    for &(task, epoch) in &counted {
+        let times = times.get(&(task, epoch)).copied().unwrap_or(0);
+        if times != 1 {
+            wrong.push(Violation::Noted { task, epoch, times });
+        }
+    }
+    let for_nothing = times.keys().filter(|key| !counted.contains(key));
+    wrong.extend(for_nothing.map(|&(task, epoch)| Violation::NotedForNothing { task, epoch }));
     Ok(wrong)
 }
 

@@ -4,7 +4,7 @@ use std::future::pending;
 use std::io;
 use std::time::Duration;
 
-use femc_queue::{Contents, Queue, QueueError};
+use femc_queue::{Batch, Contents, Note, Page, Queue, QueueError};
 use femc_schedule::Fact;
 
 use crate::shared::{Shared, State, Trap};
@@ -18,6 +18,8 @@ pub(crate) struct Disk {
     pub(crate) contents: Contents,
     /// All records ever written, whatever snapshots have replaced.
     pub(crate) history: Vec<Vec<u8>>,
+    /// What is kept beside the log, oldest first.
+    pub(crate) notes: Vec<Note>,
     /// Of the coordinator that may write.
     epoch: i64,
     /// So many writes find no room.
@@ -96,9 +98,14 @@ impl Queue for Log {
         Ok(self.shared.lock().disk.contents.clone())
     }
 
-    async fn append(&mut self, records: &[Vec<u8>]) -> Result<(), QueueError> {
-        let records = records.to_vec();
+    async fn append(&mut self, batch: Batch<'_>) -> Result<(), QueueError> {
+        let records = batch.records.to_vec();
         self.write(|state| {
+            for note in batch.notes {
+                state.trace.update(&note.bytes);
+            }
+            state.disk.notes.retain(|note| !batch.forgotten.contains(&note.subject));
+            state.disk.notes.extend_from_slice(batch.notes);
             for (_, fact) in records.iter().filter_map(|record| Fact::decode(record).ok()) {
                 let wrong = state.leases.judge(&fact);
                 state.wrong.extend(wrong);
@@ -111,6 +118,12 @@ impl Queue for Log {
             state.disk.history.extend(records);
         })
         .await
+    }
+
+    async fn notes(&mut self, subject: u64, _from: u64) -> Result<Page, QueueError> {
+        let state = self.shared.lock();
+        let of_subject = state.disk.notes.iter().filter(|note| note.subject == subject);
+        Ok(Page { notes: of_subject.map(|note| note.bytes.clone()).collect(), next: None })
     }
 
     async fn snapshot(&mut self, state: &[u8]) -> Result<(), QueueError> {

@@ -120,6 +120,7 @@ pub enum Command {
     Watch(command::watch::WatchArgs),
     Fetch(command::fetch::FetchArgs),
     Logs(command::logs::LogsArgs),
+    Stats(command::stats::StatsArgs),
     Workers(command::workers::WorkersArgs),
     Drain(command::drain::DrainArgs),
     Gc(command::gc::GcArgs),

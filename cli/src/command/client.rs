@@ -5,10 +5,10 @@ use crate::clock::Clock;
 use crate::exit::{Failure, failed, unreachable, usage};
 use crate::request::Asked;
 use femc_model::{
-    Artefact, Control, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord, Refusal,
+    Artefact, Attempts, Control, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord, Refusal,
     Tick, WorkerId, WorkerName, WorkerStatus,
 };
-use femc_proto::{CallError, Client, CollectMode, Collected, Dial};
+use femc_proto::{CallError, Client, CollectMode, Collected, Dial, JobShape};
 use femc_worker::Parcel;
 use std::time::Duration;
 
@@ -115,6 +115,11 @@ impl Farm {
     /// What workers wrote down while they did the job's tasks, oldest first, of attempts reported since then.
     pub async fn logs(&self, job: JobId, since: Tick) -> Result<Vec<LogRecord>, Failure> {
         self.client.logs(job, since).await.map_err(told)
+    }
+
+    /// What a job is made of, and what the attempts at its tasks took.
+    pub async fn attempts(&self, job: JobId) -> Result<(JobShape, Attempts), Failure> {
+        self.client.attempts(job).await.map_err(told)
     }
 
     /// Give workers no more tasks, or tasks again; the sessions that it was done to.

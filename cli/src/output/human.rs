@@ -39,6 +39,25 @@ pub fn quantity(n: f64) -> String {
     format!("{scaled:.decimals$}{unit}")
 }
 
+/// `999 B`, `12.3 KiB`, `4.56 MiB`, `7.89 GiB`: three digits that count.
+pub fn bytes(n: u64) -> String {
+    let n = n as f64;
+    let units = [(1u64 << 30, "GiB"), (1 << 20, "MiB"), (1 << 10, "KiB")];
+    let Some((scaled, unit)) =
+        units.iter().find_map(|&(size, unit)| (n >= size as f64).then_some((n / size as f64, unit)))
+    else {
+        return format!("{n:.0} B");
+    };
+    let decimals = if scaled.abs() < 10.0 {
+        2
+    } else if scaled.abs() < 100.0 {
+        1
+    } else {
+        0
+    };
+    format!("{scaled:.decimals$} {unit}")
+}
+
 /// `4.2 %` of a fraction.
 pub fn percent(fraction: f64) -> String {
     let p = fraction * 100.0;
@@ -86,6 +105,7 @@ mod tests {
     fn quantities_keep_three_digits() {
         let shown: Vec<_> = [999.0, 12_340.0, 4.56e6, 45.6e6, 7.891e9].into_iter().map(quantity).collect();
         assert_eq!(shown, ["999", "12.3 k", "4.56 M", "45.6 M", "7.89 G"]);
+        assert_eq!([999, 12_600, 5 << 30].map(bytes), ["999 B", "12.3 KiB", "5.00 GiB"]);
     }
 
     #[test]

@@ -5,9 +5,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use femc_model::JobId;
+use femc_queue::Note;
 use femc_schedule::Fact;
 
-use crate::audit::{Violation, log};
+use crate::audit::{Violation, log, noted};
 use crate::shared::{Reports, Shared, State};
 
 /// Longer than any message can be on its way.
@@ -83,7 +84,10 @@ fn close(state: &mut State, last: JobId) -> Vec<Violation> {
         }
     }
     let [accepted, reported] = [&mut state.accepted, &mut state.reported].map(|reports| take(reports, last));
-    let wrong = log(&records, [&accepted, &reported], &state.leases).unwrap_or_else(|error| vec![error.into()]);
+    let mut wrong = log(&records, [&accepted, &reported], &state.leases).unwrap_or_else(|error| vec![error.into()]);
+    let (notes, left) = std::mem::take(&mut state.disk.notes).into_iter().partition(|note: &Note| note.subject <= last.0);
+    state.disk.notes = left;
+    wrong.extend(noted(&records, &notes).unwrap_or_else(|error| vec![error.into()]));
     state.leases.forget_until(last);
     wrong
 }

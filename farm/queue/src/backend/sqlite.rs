@@ -31,10 +31,14 @@ const TABLES: &str = "
 ///
 /// A note's `sequence` is that of the last record of the log when it came: a tail that is cut takes its notes along.
 const LATER_TABLES: &str = "
-    CREATE TABLE IF NOT EXISTS notes (number INTEGER PRIMARY KEY, subject INTEGER NOT NULL, sequence INTEGER NOT NULL,
-        checksum BLOB NOT NULL, note BLOB NOT NULL) STRICT;
-    CREATE INDEX IF NOT EXISTS notes_by_subject ON notes (subject);
+    CREATE TABLE IF NOT EXISTS notes (subject INTEGER NOT NULL, number INTEGER NOT NULL, sequence INTEGER NOT NULL,
+        checksum BLOB NOT NULL, note BLOB NOT NULL, PRIMARY KEY (subject, number)) STRICT, WITHOUT ROWID;
 ";
+
+/// The first number of a subject is 1.
+const NOTE: &str = "
+    INSERT INTO notes (subject, number, sequence, checksum, note)
+    VALUES (?1, 1 + (SELECT ifnull(max(number), 0) FROM notes WHERE subject = ?1), ?2, ?3, ?4)";
 
 /// Statements that insert so many rows, the longest first.
 static INSERTS: LazyLock<[(usize, String); 3]> = LazyLock::new(|| {
@@ -138,7 +142,7 @@ impl Queue for Sqlite {
                 .await?;
         }
         for note in notes {
-            sqlx::query("INSERT INTO notes (subject, sequence, checksum, note) VALUES (?, ?, ?, ?)")
+            sqlx::query(NOTE)
                 .bind(note.subject.cast_signed())
                 .bind(sequence - 1)
                 .bind(note_checksum(&note.bytes))

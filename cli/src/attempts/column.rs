@@ -1,0 +1,133 @@
+//! The columns of rows: one list for people's tables and every file.
+
+use super::row::{By, Row};
+use femc_model::StageKind;
+
+/// A value in a column; `Gap`: there is none.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Cell {
+    /// Of a [`Kind::Text`] column.
+    Text(String),
+    /// Of a column of whole numbers.
+    Count(u64),
+    /// Of the others.
+    Real(f64),
+    /// Nothing.
+    Gap,
+}
+
+/// What a column holds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Words.
+    Text,
+    /// Whole numbers: how many, or which.
+    Count,
+    /// Whole numbers: of bytes.
+    Bytes,
+    /// Seconds.
+    Seconds,
+    /// A share of one.
+    Share,
+}
+
+/// Who reads a column.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reader {
+    /// People and programs.
+    Anybody,
+    /// Programs.
+    Programs,
+}
+
+/// One column.
+#[derive(Clone, Copy)]
+pub struct Column {
+    /// As programs name it, with its unit.
+    pub name: &'static str,
+    /// As people read it.
+    pub title: &'static str,
+    /// What it holds.
+    pub kind: Kind,
+    /// For whom it is.
+    pub reader: Reader,
+    /// A row's value.
+    pub of: fn(&Row) -> Cell,
+}
+
+impl From<Option<u64>> for Cell {
+    fn from(value: Option<u64>) -> Self {
+        value.map_or(Self::Gap, Self::Count)
+    }
+}
+
+const fn column(name: &'static str, title: &'static str, kind: Kind, reader: Reader, of: fn(&Row) -> Cell) -> Column {
+    Column { name, title, kind, reader, of }
+}
+
+/// Those of such rows.
+pub fn columns(by: By) -> Vec<Column> {
+    use Kind::{Bytes, Count, Seconds, Share, Text};
+    use Reader::{Anybody, Programs};
+    let task = column("task", "task", Text, Anybody, |row| {
+        row.task.map_or(Cell::Gap, |task| Cell::Text(task.to_string()))
+    });
+    let frame = |reader| {
+        column("frame", "frame", Count, reader, |row| row.task.map(|task| u64::from(task.stage.frame)).into())
+    };
+    let stage = [
+        column("round", "round", Count, Programs, |row| row.task.map(|task| u64::from(task.stage.round)).into()),
+        column("stage", "stage", Text, Programs, |row| row.task.map_or(Cell::Gap, |task| Cell::Text(kind(task.stage.kind)))),
+        column("tile", "tile", Count, Programs, |row| row.tile.map(u64::from).into()),
+    ];
+    let worker = [
+        column("worker", "worker", Text, Anybody, |row| Cell::Text(row.worker.clone())),
+        column("instance", "instance", Text, Programs, |row| Cell::Text(format!("{:016x}", row.instance))),
+    ];
+    let ending = column("ending", "ended", Text, Anybody, |row| {
+        row.ending.map_or(Cell::Gap, |ending| Cell::Text(ending.name().to_owned()))
+    });
+    let tasks = column("tasks", "tasks", Count, Anybody, |row| Cell::Count(row.tasks));
+    let attempts = column("attempts", "attempts", Count, Anybody, |row| Cell::Count(row.attempts));
+    let failed = column("failed", "failed", Count, Anybody, |row| Cell::Count(row.failed));
+    let mut all = match by {
+        By::Attempt => {
+            let attempt = column("attempt", "attempt", Count, Anybody, |row| Cell::Count(row.attempt));
+            let epoch = column("epoch", "epoch", Count, Programs, |row| Cell::Count(row.epoch));
+            [&[task, frame(Programs)][..], &stage, &[attempt, epoch], &worker, &[ending]].concat()
+        }
+        By::Task => [&[task, frame(Programs)][..], &stage, &worker, &[ending, attempts, failed]].concat(),
+        By::Frame => {
+            let workers = column("workers", "workers", Count, Anybody, |row| Cell::Count(row.workers));
+            vec![frame(Anybody), tasks, attempts, failed, workers]
+        }
+        By::Worker => [&worker[..], &[tasks, attempts, failed]].concat(),
+    };
+    all.extend([
+        column("began_seconds", "began", Seconds, Programs, |row| Cell::Real(row.began)),
+        column("ended_seconds", "ended", Seconds, Programs, |row| Cell::Real(row.ended)),
+        column("wait_seconds", "wait", Seconds, Anybody, |row| Cell::Real(row.wait)),
+        column("wall_seconds", "wall", Seconds, Anybody, |row| Cell::Real(row.wall)),
+        column("preparation_seconds", "preparation", Seconds, Programs, |row| Cell::Real(row.preparation)),
+        column("cpu_seconds", "CPU", Seconds, Anybody, |row| Cell::Real(row.cpu)),
+        column("peak_memory_bytes", "memory", Bytes, Anybody, |row| row.peak.into()),
+        column("samples", "samples", Count, Anybody, |row| Cell::Count(row.samples)),
+        column("samples_taken", "taken", Count, Programs, |row| Cell::Count(row.taken)),
+        column("rays", "rays", Count, Anybody, |row| Cell::Count(row.rays)),
+        column("fetched_bytes", "fetched", Bytes, Anybody, |row| Cell::Count(row.fetched)),
+        column("sent_bytes", "sent", Bytes, Anybody, |row| Cell::Count(row.sent)),
+    ]);
+    if by != By::Worker {
+        all.push(column("relative_error", "error", Share, Anybody, |row| row.relative_error.map_or(Cell::Gap, Cell::Real)));
+    }
+    all
+}
+
+fn kind(kind: StageKind) -> String {
+    match kind {
+        StageKind::Render => "render",
+        StageKind::Gather => "gather",
+        StageKind::Merge => "merge",
+    }
+    .to_owned()
+}

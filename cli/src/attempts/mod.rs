@@ -1,0 +1,11 @@
+//! What a job's attempts took: as rows, one an attempt or one of many, as columns of these, and as files for other programs.
+
+mod column;
+mod files;
+mod parquet;
+mod row;
+
+pub use column::columns;
+pub use files::{Json, csv, human};
+pub use parquet::write as write_parquet;
+pub use row::{By, rows};

@@ -1,0 +1,185 @@
+//! Attempts, and what they add up to.
+
+use clap::ValueEnum;
+use femc_model::{AttemptRecord, Attempts, Ending, Grains, StageKind, TaskKey, Tick};
+use femc_proto::JobShape;
+use std::collections::{BTreeMap, BTreeSet};
+
+/// What a row is of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum By {
+    /// A task, with all its attempts.
+    Task,
+    /// A frame.
+    Frame,
+    /// A worker's process.
+    Worker,
+    /// One attempt at a task.
+    Attempt,
+}
+
+/// What one attempt took, or several together. Seconds, bytes; times are since the job's first attempt began.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Row {
+    /// The task, of the first of the attempts.
+    pub task: Option<TaskKey>,
+    /// Number of the tile in the grid, where the task renders one.
+    pub tile: Option<u32>,
+    /// Which attempt at its task, from 1; of several the last.
+    pub attempt: u64,
+    /// Epoch of the lease, of the first of the attempts.
+    pub epoch: u64,
+    /// The worker of the result that counts, else of the last attempt.
+    pub worker: String,
+    /// Its process.
+    pub instance: u64,
+    /// How it ended; of several, the best end.
+    pub ending: Option<Ending>,
+    /// Tasks.
+    pub tasks: u64,
+    /// Attempts.
+    pub attempts: u64,
+    /// Of these, those whose result counts.
+    pub done: u64,
+    /// Of these, those that failed.
+    pub failed: u64,
+    /// Workers.
+    pub workers: u64,
+    /// When the first began.
+    pub began: f64,
+    /// When the last ended.
+    pub ended: f64,
+    /// Between arrival and beginning.
+    pub wait: f64,
+    /// From the beginning to the result.
+    pub wall: f64,
+    /// Of these, until the inputs were ready.
+    pub preparation: f64,
+    /// Processor time.
+    pub cpu: f64,
+    /// Most memory of the worker's process.
+    pub peak: Option<u64>,
+    /// Pixel samples of results that count.
+    pub samples: u64,
+    /// Pixel samples taken.
+    pub taken: u64,
+    /// Rays traced.
+    pub rays: u64,
+    /// Bytes fetched.
+    pub fetched: u64,
+    /// Bytes brought home.
+    pub sent: u64,
+    /// Relative error that the last merge measured.
+    pub relative_error: Option<f64>,
+}
+
+impl Row {
+    /// Of one attempt.
+    /// - `zero`: when the job's first attempt began.
+    fn of(record: &AttemptRecord, shape: &JobShape, attempt: u64, zero: f64) -> Self {
+        let usage = record.usage.unwrap_or_default();
+        let began = began(record);
+        let ended = if record.usage.is_some() { began + usage.wall } else { seconds(record.ended) };
+        let TaskKey { stage, index, .. } = record.task;
+        let tile = (stage.kind == StageKind::Render).then(|| Grains::of(&shape.spec, stage.round, shape.cut).tile(index));
+        Self {
+            task: Some(record.task),
+            tile,
+            attempt,
+            epoch: record.epoch.0,
+            worker: record.worker.clone(),
+            instance: record.instance,
+            ending: Some(record.ending),
+            tasks: u64::from(attempt == 1),
+            attempts: 1,
+            done: u64::from(record.ending == Ending::Done),
+            failed: u64::from(record.ending == Ending::Failed),
+            workers: 1,
+            began: began - zero,
+            ended: ended - zero,
+            wait: usage.wait,
+            wall: if record.usage.is_some() { usage.wall } else { ended - began },
+            preparation: usage.preparation,
+            cpu: usage.cpu,
+            peak: usage.peak,
+            samples: record.samples,
+            taken: usage.samples,
+            rays: usage.rays,
+            fetched: usage.fetched,
+            sent: usage.sent,
+            relative_error: record.relative_error,
+        }
+    }
+
+    /// Both together; the tasks and workers of both are told apart by who calls this.
+    fn add(&mut self, other: &Self) {
+        if other.ending >= self.ending {
+            (self.worker, self.instance, self.ending) = (other.worker.clone(), other.instance, other.ending);
+        }
+        if other.relative_error.is_some() && other.ended >= self.ended || self.relative_error.is_none() {
+            self.relative_error = other.relative_error;
+        }
+        self.attempt = self.attempt.max(other.attempt);
+        self.tasks += other.tasks;
+        self.attempts += other.attempts;
+        self.done += other.done;
+        self.failed += other.failed;
+        self.began = self.began.min(other.began);
+        self.ended = self.ended.max(other.ended);
+        self.wait += other.wait;
+        self.wall += other.wall;
+        self.preparation += other.preparation;
+        self.cpu += other.cpu;
+        self.peak = self.peak.max(other.peak);
+        self.samples += other.samples;
+        self.taken += other.taken;
+        self.rays += other.rays;
+        self.fetched += other.fetched;
+        self.sent += other.sent;
+    }
+}
+
+fn seconds(tick: Tick) -> f64 {
+    tick.0 as f64 / 1000.0
+}
+
+/// When an attempt began, in seconds of the coordinator: after its lease was granted and it had waited; a lease that was
+/// handed over says a later time than that.
+fn began(record: &AttemptRecord) -> f64 {
+    let (wait, wall) = record.usage.map_or((0.0, 0.0), |usage| (usage.wait, usage.wall));
+    (seconds(record.granted) + wait).min(seconds(record.ended) - wall)
+}
+
+/// One row for each task, frame, worker or attempt, in their order.
+pub fn rows(attempts: &Attempts, shape: &JobShape, by: By) -> Vec<Row> {
+    let zero = attempts.iter().map(began).fold(f64::INFINITY, f64::min);
+    let (mut last, mut number) = (None, 0);
+    let all = attempts.iter().map(|record| {
+        number = if last == Some(record.task) { number + 1 } else { 1 };
+        last = Some(record.task);
+        Row::of(record, shape, number, zero)
+    });
+    match by {
+        By::Attempt => all.collect(),
+        By::Task => grouped(all, |row| row.task),
+        By::Frame => grouped(all, |row| row.task.map(|task| task.stage.frame)),
+        By::Worker => {
+            let mut workers = grouped(all, |row| (row.worker.clone(), row.instance));
+            workers.iter_mut().for_each(|worker| worker.tasks = worker.done);
+            workers
+        }
+    }
+}
+
+fn grouped<K: Ord>(all: impl Iterator<Item = Row>, key: impl Fn(&Row) -> K) -> Vec<Row> {
+    let mut groups: BTreeMap<K, (Row, BTreeSet<u64>)> = BTreeMap::new();
+    for row in all {
+        let instance = row.instance;
+        let (_, workers) = (groups.entry(key(&row)))
+            .and_modify(|(sum, _)| sum.add(&row))
+            .or_insert_with(|| (row, BTreeSet::new()));
+        workers.insert(instance);
+    }
+    let count = |(row, workers): (Row, BTreeSet<u64>)| Row { workers: workers.len() as u64, ..row };
+    groups.into_values().map(count).collect()
+}

@@ -1,0 +1,62 @@
+//! `femc stats JOB`: what a job's tasks took.
+
+use super::client;
+use crate::args::{FormatArgs, ServerArgs};
+use crate::attempts::{By, Json, columns, csv, human, rows, write_parquet};
+use crate::exit::{Exit, Failure};
+use crate::output::{Say, json};
+use clap::Args;
+use femc_model::JobId;
+use std::path::PathBuf;
+
+/// Print what a job's tasks took: time, processor, memory, samples, rays, bytes
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc stats 7                              # a line a frame\n  \
+    femc stats 7 --by worker                  # who did how much\n  \
+    femc stats 7 --by attempt --csv > 7.csv   # every attempt at every task, failed and abandoned ones too\n  \
+    femc stats 7 --by task --parquet 7.parquet && python3 -c \\\n    \
+    \"import pandas; print(pandas.read_parquet('7.parquet').groupby('worker').cpu_seconds.sum())\"\n  \
+    femc stats 7 --json | jq '[.[].cpu_seconds] | add'\n\n\
+    An attempt is a lease under which work was begun; it ended done, failed, cancelled (given back, or its job had ended), \
+    revoked (it ran out, or another worker was the first) or lost (its worker was gone, and nobody knows what it used). \
+    CPU is the time of the worker's process while it had the task, shared among what it did at the same time; memory is \
+    the most that the process had meanwhile. Seconds of `began` and `ended` count from the job's first attempt, by the \
+    coordinator's clock.")]
+pub struct StatsArgs {
+    /// The job's number
+    #[arg(value_name = "JOB")]
+    job: u64,
+    /// What a line is of
+    #[arg(long, value_enum, default_value_t = By::Frame, value_name = "WHAT")]
+    by: By,
+    /// Print CSV on stdout, the names of the columns first
+    #[arg(long, conflicts_with = "json")]
+    csv: bool,
+    /// Write an Apache Parquet file
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["json", "csv"])]
+    parquet: Option<PathBuf>,
+    #[command(flatten)]
+    format: FormatArgs,
+    #[command(flatten)]
+    server: ServerArgs,
+}
+
+/// Print.
+pub fn run(args: &StatsArgs, say: Say) -> Result<Exit, Failure> {
+    let (shape, attempts) = client::block_on(&args.server, async |farm| farm.attempts(JobId(args.job)).await)?;
+    let (columns, rows) = (columns(args.by), rows(&attempts, &shape, args.by));
+    if let Some(path) = &args.parquet {
+        write_parquet(path, &columns, &rows)?;
+        say.note(format!("{}: {} rows", path.display(), rows.len()));
+    } else if args.format.json {
+        json::print(say, &Json(&columns, &rows))?;
+    } else if args.csv {
+        say.result(csv(&columns, &rows));
+    } else if rows.is_empty() {
+        say.note("no attempt at a task of this job has ended yet");
+    } else {
+        say.result(human(&columns, &rows));
+    }
+    Ok(Exit::Done)
+}

@@ -10,6 +10,7 @@ mod command;
 mod exit;
 mod log;
 mod output;
+mod report;
 mod request;
 
 use clap::Parser;

@@ -5,8 +5,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::{
-    Attempts, Control, Digest, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord, Registration,
-    Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
+    Attempts, Control, Digest, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord,
+    Registration, Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use hyper_util::rt::TokioIo;
 use tokio::sync::mpsc;
@@ -22,8 +22,8 @@ use crate::many::{Many, together};
 use crate::net::Dial;
 use crate::server::JobShape;
 use crate::{MESSAGE, PIECE, tls, wire};
-use wire::attempts_reply::Part;
 use wire::artifacts_client::ArtifactsClient;
+use wire::attempts_reply::Part;
 use wire::jobs_client::JobsClient;
 use wire::workers_client::WorkersClient;
 

@@ -21,7 +21,8 @@ pub use convert::ConvertError;
 pub use error::{CallError, ServeError};
 pub use net::{Dial, Dialing, Io, Link};
 pub use server::{
-    AttemptPage, Call, CollectMode, Collected, Entrance, JobShape, LEAST_GRACE, References, Reply, Server, Session, Volume, Words,
+    AttemptPage, Call, CollectMode, Collected, Entrance, JobShape, LEAST_GRACE, References, Reply, Server, Session,
+    Volume, Words,
 };
 pub use tonic::transport::server::{Connected, TcpIncoming};
 

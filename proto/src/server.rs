@@ -16,8 +16,8 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::{
-    AttemptRecord, Control, Cut, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord, Refusal, Registration,
-    Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
+    AttemptRecord, Control, Cut, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord,
+    Refusal, Registration, Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use femc_store::Store;
 use femc_trust::{Identity, Revoked};

@@ -75,9 +75,7 @@ impl Fetch {
     /// What names a scene's pieces, or, from earlier versions, holds them.
     pub(crate) fn scene(&self, client: &Client, digest: &Digest) -> Result<Bytes, Failure> {
         let bytes = match &self.way {
-            Way::Blocking(runtime) => {
-                self.wait(runtime, client.get(digest, BUNDLE)).map_err(|error| failure(&error))
-            }
+            Way::Blocking(runtime) => self.wait(runtime, client.get(digest, BUNDLE)).map_err(|error| failure(&error)),
             Way::Collected(inputs) => collected(inputs, digest),
         };
         bytes.inspect(|bytes| self.count(bytes.len()))

@@ -97,16 +97,7 @@ impl Worker {
                 let kept = restored.drain(..).map(|restored| Task::restored(restored, client.clone(), &meter));
                 kept.for_each(|task| table.keep(Arc::new(task)));
                 let session =
-                    Session::new(
-                    client,
-                    &table,
-                    &outbox,
-                    &ahead,
-                    &mut finished,
-                    config.at_stop,
-                    &config.shift,
-                    &meter,
-                );
+                    Session::new(client, &table, &outbox, &ahead, &mut finished, config.at_stop, &config.shift, &meter);
                 let held = table.held().iter().map(|task| task.lease()).collect();
                 session.run(Registration { held, ..registration.clone() }, stop.as_mut()).await
             };

@@ -121,6 +121,7 @@ pub enum Command {
     Fetch(command::fetch::FetchArgs),
     Logs(command::logs::LogsArgs),
     Stats(command::stats::StatsArgs),
+    Report(command::report::ReportArgs),
     Workers(command::workers::WorkersArgs),
     Drain(command::drain::DrainArgs),
     Gc(command::gc::GcArgs),

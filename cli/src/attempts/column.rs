@@ -69,15 +69,15 @@ const fn column(name: &'static str, title: &'static str, kind: Kind, reader: Rea
 pub fn columns(by: By) -> Vec<Column> {
     use Kind::{Bytes, Count, Seconds, Share, Text};
     use Reader::{Anybody, Programs};
-    let task = column("task", "task", Text, Anybody, |row| {
-        row.task.map_or(Cell::Gap, |task| Cell::Text(task.to_string()))
-    });
-    let frame = |reader| {
-        column("frame", "frame", Count, reader, |row| row.task.map(|task| u64::from(task.stage.frame)).into())
-    };
+    let task =
+        column("task", "task", Text, Anybody, |row| row.task.map_or(Cell::Gap, |task| Cell::Text(task.to_string())));
+    let frame =
+        |reader| column("frame", "frame", Count, reader, |row| row.task.map(|task| u64::from(task.stage.frame)).into());
     let stage = [
         column("round", "round", Count, Programs, |row| row.task.map(|task| u64::from(task.stage.round)).into()),
-        column("stage", "stage", Text, Programs, |row| row.task.map_or(Cell::Gap, |task| Cell::Text(kind(task.stage.kind)))),
+        column("stage", "stage", Text, Programs, |row| {
+            row.task.map_or(Cell::Gap, |task| Cell::Text(kind(task.stage.kind)))
+        }),
         column("tile", "tile", Count, Programs, |row| row.tile.map(u64::from).into()),
     ];
     let worker = [
@@ -118,7 +118,9 @@ pub fn columns(by: By) -> Vec<Column> {
         column("sent_bytes", "sent", Bytes, Anybody, |row| Cell::Count(row.sent)),
     ]);
     if by != By::Worker {
-        all.push(column("relative_error", "error", Share, Anybody, |row| row.relative_error.map_or(Cell::Gap, Cell::Real)));
+        all.push(column("relative_error", "error", Share, Anybody, |row| {
+            row.relative_error.map_or(Cell::Gap, Cell::Real)
+        }));
     }
     all
 }

@@ -59,15 +59,24 @@ pub fn csv(columns: &[Column], rows: &[Row]) -> String {
 
 /// A field in quotes where it needs them (RFC 4180).
 fn quoted(field: &str) -> Cow<'_, str> {
-    if field.contains([',', '"', '\n', '\r']) { format!("\"{}\"", field.replace('"', "\"\"")).into() } else { field.into() }
+    if field.contains([',', '"', '\n', '\r']) {
+        format!("\"{}\"", field.replace('"', "\"\"")).into()
+    } else {
+        field.into()
+    }
+}
+
+/// What people read of it: the columns' titles, and each row's cells in words.
+pub fn shown(columns: &[Column], rows: &[Row]) -> (Vec<&'static str>, Vec<Vec<String>>) {
+    let shown: Vec<&Column> = columns.iter().filter(|column| column.reader == Reader::Anybody).collect();
+    let cells = |row: &Row| shown.iter().map(|column| cell(column.kind, &(column.of)(row))).collect();
+    (shown.iter().map(|column| column.title).collect(), rows.iter().map(cells).collect())
 }
 
 /// A table.
 pub fn human(columns: &[Column], rows: &[Row]) -> String {
-    let shown: Vec<&Column> = columns.iter().filter(|column| column.reader == Reader::Anybody).collect();
-    let titles: Vec<&str> = shown.iter().map(|column| column.title).collect();
-    let cells = |row: &Row| shown.iter().map(|column| cell(column.kind, &(column.of)(row))).collect();
-    human::table(&titles, &rows.iter().map(cells).collect::<Vec<_>>())
+    let (titles, cells) = shown(columns, rows);
+    human::table(&titles, &cells)
 }
 
 fn cell(kind: Kind, cell: &Cell) -> String {

@@ -6,6 +6,6 @@ mod parquet;
 mod row;
 
 pub use column::columns;
-pub use files::{Json, csv, human};
+pub use files::{Json, csv, human, shown};
 pub use parquet::write as write_parquet;
-pub use row::{By, rows};
+pub use row::{By, Row, rows};

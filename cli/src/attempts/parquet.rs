@@ -73,7 +73,9 @@ fn put_column(out: &mut SerializedColumnWriter<'_>, column: &Column, rows: &[Row
             out.typed::<ByteArrayType>().write_batch(&values, levels, None)?;
         }
         Kind::Count | Kind::Bytes => {
-            let count = |cell| if let Cell::Count(count) = cell { Some(i64::try_from(count).unwrap_or(i64::MAX)) } else { None };
+            let count = |cell| {
+                if let Cell::Count(count) = cell { Some(i64::try_from(count).unwrap_or(i64::MAX)) } else { None }
+            };
             let values: Vec<i64> = cells.into_iter().filter_map(count).collect();
             out.typed::<Int64Type>().write_batch(&values, levels, None)?;
         }

@@ -81,7 +81,8 @@ impl Row {
         let began = began(record);
         let ended = if record.usage.is_some() { began + usage.wall } else { seconds(record.ended) };
         let TaskKey { stage, index, .. } = record.task;
-        let tile = (stage.kind == StageKind::Render).then(|| Grains::of(&shape.spec, stage.round, shape.cut).tile(index));
+        let tile =
+            (stage.kind == StageKind::Render).then(|| Grains::of(&shape.spec, stage.round, shape.cut).tile(index));
         Self {
             task: Some(record.task),
             tile,
@@ -175,9 +176,8 @@ fn grouped<K: Ord>(all: impl Iterator<Item = Row>, key: impl Fn(&Row) -> K) -> V
     let mut groups: BTreeMap<K, (Row, BTreeSet<u64>)> = BTreeMap::new();
     for row in all {
         let instance = row.instance;
-        let (_, workers) = (groups.entry(key(&row)))
-            .and_modify(|(sum, _)| sum.add(&row))
-            .or_insert_with(|| (row, BTreeSet::new()));
+        let (_, workers) =
+            (groups.entry(key(&row))).and_modify(|(sum, _)| sum.add(&row)).or_insert_with(|| (row, BTreeSet::new()));
         workers.insert(instance);
     }
     let count = |(row, workers): (Row, BTreeSet<u64>)| Row { workers: workers.len() as u64, ..row };

@@ -5,8 +5,8 @@ use crate::clock::Clock;
 use crate::exit::{Failure, failed, unreachable, usage};
 use crate::request::Asked;
 use femc_model::{
-    Artefact, Attempts, Control, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord, Refusal,
-    Tick, WorkerId, WorkerName, WorkerStatus,
+    Artefact, Attempts, Control, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord,
+    Refusal, Tick, WorkerId, WorkerName, WorkerStatus,
 };
 use femc_proto::{CallError, Client, CollectMode, Collected, Dial, JobShape};
 use femc_worker::Parcel;

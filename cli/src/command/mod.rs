@@ -19,6 +19,7 @@ mod outbox;
 pub mod plan;
 mod preview;
 pub mod render;
+pub mod report;
 pub mod stats;
 pub mod status;
 pub mod submit;
@@ -46,6 +47,7 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Watch(args) => watch::run(&args, say),
         Command::Fetch(args) => fetch::run(&args, say),
         Command::Workers(args) => workers::run(&args, say),
+        Command::Report(args) => report::run(&args, say),
         Command::Stats(args) => stats::run(&args, say),
         Command::Logs(args) => logs::run(&args, say),
         Command::Drain(args) => drain::run(&args, say),

@@ -4,7 +4,9 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Assignment, Digest, Epoch, Failure, JobId, JobSpec, Refusal, TaskKey, TaskLog, TaskResult, Usage, WorkerId};
+use crate::{
+    Assignment, Digest, Epoch, Failure, JobId, JobSpec, Refusal, TaskKey, TaskLog, TaskResult, Usage, WorkerId,
+};
 
 /// How a worker introduces itself.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]

@@ -72,7 +72,11 @@ async fn keeps_notes<Q: Queue>(open: impl AsyncFn() -> Q) {
     let many: Vec<Note> = (0..150).map(|byte| note(3, byte)).collect();
     queue.append(Batch { notes: &many, forgotten: &[1, 7], ..Batch::default() }).await.unwrap();
     assert_eq!(notes(&mut queue, 3).await, (0..150).collect::<Vec<u8>>(), "in order, page by page");
-    assert_eq!((notes(&mut queue, 1).await, notes(&mut queue, 2).await), (vec![], vec![2]), "what is forgotten is gone");
+    assert_eq!(
+        (notes(&mut queue, 1).await, notes(&mut queue, 2).await),
+        (vec![], vec![2]),
+        "what is forgotten is gone"
+    );
     let again = Batch { notes: &[note(2, 9)], forgotten: &[2], ..Batch::default() };
     queue.append(again).await.unwrap();
     assert_eq!(queue.load().await.unwrap().records, Vec::<Vec<u8>>::new(), "notes are no records");

@@ -1,8 +1,8 @@
 //! What the scheduler is told, and what it asks for.
 
 use femc_model::{
-    Assignment, AttemptRecord, Control, Digest, Drain, Epoch, Failure, JobId, JobSpec, Refusal, Registration, RevokeReason, Spent, TaskKey,
-    TaskLog, TaskProgress, TaskResult, WorkerId,
+    Assignment, AttemptRecord, Control, Digest, Drain, Epoch, Failure, JobId, JobSpec, Refusal, Registration,
+    RevokeReason, Spent, TaskKey, TaskLog, TaskProgress, TaskResult, WorkerId,
 };
 
 use crate::Fact;

@@ -1,8 +1,8 @@
 //! What workers report: a result or a failure, counted once and only under a lease that holds.
 
 use femc_model::{
-    Decision, Digest, Ending, Epoch, Failure, GatherResult, JobId, MergeResult, Refusal, RevokeReason, Stage, StageKind,
-    TaskKey, TaskResult, Tick, Verdict, WorkerId,
+    Decision, Digest, Ending, Epoch, Failure, GatherResult, JobId, MergeResult, Refusal, RevokeReason, Stage,
+    StageKind, TaskKey, TaskResult, Tick, Verdict, WorkerId,
 };
 
 use crate::attempts::Counted;

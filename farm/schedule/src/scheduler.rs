@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use femc_model::{
-    Cut, Digest, Ending, Epoch, Failure, HeldLease, Intake, JobId, JobSpec, Refusal, Registration, RevokeReason, StageKind, TaskKey,
-    TaskProgress, Tick, Usage, WorkerId,
+    Cut, Digest, Ending, Epoch, Failure, HeldLease, Intake, JobId, JobSpec, Refusal, Registration, RevokeReason,
+    StageKind, TaskKey, TaskProgress, Tick, Usage, WorkerId,
 };
 
 use crate::attempts::Counted;

@@ -7,9 +7,9 @@ mod log;
 mod session;
 mod status;
 mod task;
-mod usage;
 #[cfg(test)]
 mod tests;
+mod usage;
 
 use bytes::Bytes;
 use femc_model::{Artefact, Digest};

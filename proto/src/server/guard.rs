@@ -55,9 +55,10 @@ impl Right {
         };
         match (service, call) {
             ("femc.v1.Workers", "Session") => Self::Worker,
-            ("femc.v1.Jobs", "List" | "Status" | "Watch" | "Frames" | "Parts" | "Logs" | "Attempts" | "ListWorkers") => {
-                Self::User(Role::Viewer)
-            }
+            (
+                "femc.v1.Jobs",
+                "List" | "Status" | "Watch" | "Frames" | "Parts" | "Logs" | "Attempts" | "ListWorkers",
+            ) => Self::User(Role::Viewer),
             // Whose job it is decides the call itself.
             ("femc.v1.Jobs", "Submit" | "Control") => Self::User(Role::Submitter),
             ("femc.v1.Jobs", "DrainWorkers") => Self::User(Role::Operator),

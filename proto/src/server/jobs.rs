@@ -119,12 +119,7 @@ impl Server {
 }
 
 /// Sends what a job is made of and its attempts, page by page, as fast as the listener reads.
-async fn pages(
-    server: Server,
-    job: JobId,
-    shape: JobShape,
-    send: mpsc::Sender<Result<wire::AttemptsReply, Status>>,
-) {
+async fn pages(server: Server, job: JobId, shape: JobShape, send: mpsc::Sender<Result<wire::AttemptsReply, Status>>) {
     let mut part = Part::Job(shape.into());
     let mut from = Some(0);
     loop {

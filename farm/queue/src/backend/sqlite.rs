@@ -136,10 +136,7 @@ impl Queue for Sqlite {
             rest = later;
         }
         for &subject in forgotten {
-            sqlx::query("DELETE FROM notes WHERE subject = ?")
-                .bind(subject.cast_signed())
-                .execute(&mut *batch)
-                .await?;
+            sqlx::query("DELETE FROM notes WHERE subject = ?").bind(subject.cast_signed()).execute(&mut *batch).await?;
         }
         for note in notes {
             sqlx::query(NOTE)

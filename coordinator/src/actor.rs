@@ -162,7 +162,7 @@ impl<Q: Queue> Actor<Q> {
                     self.attempts.heed(&fact);
                     self.facts.push((now, fact));
                 }
-                Command::Note(attempt) => self.attempts.put(attempt),
+                Command::Note(attempt) => self.attempts.put(*attempt),
                 other => commands.push(other),
             }
         }

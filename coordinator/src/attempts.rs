@@ -12,12 +12,12 @@ use crate::actor::Actor;
 /// Attempts that have ended, by job, and jobs whose attempts nobody wants any more.
 #[derive(Debug, Default)]
 pub(crate) struct Ended {
-    attempts: BTreeMap<JobId, Vec<Box<AttemptRecord>>>,
+    attempts: BTreeMap<JobId, Vec<AttemptRecord>>,
     forgotten: Vec<u64>,
 }
 
 impl Ended {
-    pub(crate) fn put(&mut self, attempt: Box<AttemptRecord>) {
+    pub(crate) fn put(&mut self, attempt: AttemptRecord) {
         self.attempts.entry(attempt.task.job).or_default().push(attempt);
     }
 

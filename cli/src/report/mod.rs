@@ -65,6 +65,10 @@ impl Report {
         let unknown = self.attempts.iter().filter(|record: &&AttemptRecord| record.usage.is_none()).count();
         let span = attempts.iter().map(|row| row.ended).fold(0.0, f64::max);
         let [width, height] = self.shape.spec.grid.film;
+        let attempts_told = match unknown {
+            0 => attempts.len().to_string(),
+            _ => format!("{}; what {unknown} of them took is not known", attempts.len()),
+        };
         vec![
             ("State", format!("{:?}", self.status.state).to_lowercase()),
             ("Frames", format!("{} of {} finished", self.status.frames_done, self.status.frames_total)),
@@ -79,7 +83,7 @@ impl Report {
                 ),
             ),
             ("Workers", count(workers.len() as u64, "process").replace("processs", "processes")),
-            ("Attempts", format!("{}; what {unknown} of them took is not known", attempts.len())),
+            ("Attempts", attempts_told),
             ("Samples", quantity(sum(|row| row.samples as f64))),
             ("Rays", quantity(sum(|row| row.rays as f64))),
             (

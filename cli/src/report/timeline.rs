@@ -44,18 +44,22 @@ type Spans = Vec<(f64, f64)>;
 /// Of attempts.
 pub fn draw(attempts: &[Row]) -> Result<String, Failure> {
     let end = beyond(attempts.iter().map(|row| row.ended).fold(0.0, f64::max));
+    // Half a pixel.
+    let gap = end / f64::from(2 * WIDTH);
     let mut lanes: BTreeMap<(String, u64, bool), BTreeMap<Bar, Spans>> = BTreeMap::new();
     for row in attempts {
         let joins = row.task.is_some_and(|task| task.stage.kind != StageKind::Render);
         let lane = lanes.entry((row.worker.clone(), row.instance, joins)).or_default();
-        lane.entry(Bar::of(row)).or_default().push((row.began, row.ended.max(row.began)));
+        // Two pixels at least.
+        lane.entry(Bar::of(row)).or_default().push((row.began, row.ended.max(row.began + 4.0 * gap)));
     }
-    // Half a pixel.
-    let gap = end / f64::from(2 * WIDTH);
     lanes.values_mut().flat_map(BTreeMap::values_mut).for_each(|spans| join(spans, gap));
-    let names: Vec<String> =
-        lanes.keys().map(|(name, _, joins)| if *joins { format!("{name}, merge") } else { name.clone() }).collect();
-    let bars: Vec<_> = lanes.into_values().collect();
+    let names: Vec<String> = lanes
+        .keys()
+        .rev()
+        .map(|(name, _, joins)| if *joins { format!("{name}, merge") } else { name.clone() })
+        .collect();
+    let bars: Vec<_> = lanes.into_values().rev().collect();
     figure(60 + 24 * names.len() as u32, |area| chart(area, &names, &bars, end))
 }
 

@@ -10,7 +10,7 @@ use crate::{Command, SnapshotError};
 const VERSION: u8 = 1;
 
 /// Attempts as one note beside the log.
-pub fn encode_attempts(attempts: &[Box<AttemptRecord>]) -> Result<Vec<u8>, SnapshotError> {
+pub fn encode_attempts(attempts: &[AttemptRecord]) -> Result<Vec<u8>, SnapshotError> {
     Ok(postcard::to_extend(attempts, vec![VERSION])?)
 }
 

@@ -6,6 +6,7 @@ use std::ops::Range;
 use femc_model::{Epoch, Intake, JobId, Phase, Registration, Stage, StageKind, TaskKey, TaskProgress, Tick, WorkerId};
 
 use crate::Config;
+use crate::affinity::AtHand;
 
 /// A lease's name: a task may be leased twice, see `speculate.rs`.
 pub(crate) type LeaseKey = (TaskKey, Epoch);
@@ -31,6 +32,7 @@ pub(crate) struct Worker {
     pub(crate) failed: u64,
     /// Tasks that it may hold beyond `prefetch`, because they are short.
     depth: usize,
+    pub(crate) at_hand: AtHand,
 }
 
 impl Worker {
@@ -119,6 +121,7 @@ impl Floor {
             completed: 0,
             failed: 0,
             depth: 0,
+            at_hand: AtHand::default(),
         };
         self.workers.insert(worker, fresh);
         self.spare.insert((0, worker));
@@ -168,6 +171,7 @@ impl Floor {
         if let Some(holder) = self.workers.get_mut(&worker) {
             self.spare.remove(&(holder.held.len(), worker));
             holder.held.insert(key);
+            holder.at_hand.note(&key.0);
             if holder.held.len() < holder.capacity(config) {
                 self.spare.insert((holder.held.len(), worker));
             }

@@ -50,6 +50,7 @@ impl Scheduler {
             seconds: began.map_or(0, |began| job.ended.unwrap_or(now).since(began)) as f64 / 1000.0,
             quarantined: quarantined(id, job),
             stale_messages: desk.stale_messages,
+            copies: desk.copies,
             waits: self.waits(id, job, desk, now),
         })
     }

@@ -334,6 +334,7 @@ fn a_worker_that_lived_through_a_restart_keeps_its_tasks_and_its_results_count()
     // The first worker is back before the second, and gets nothing that is the second's.
     farm.rejoin(11, &first);
     assert_eq!(own(&farm, 11), first);
+    assert_eq!(farm.status(id).waits, [Wait::Regrouping { milliseconds: 500 }]);
     farm.wait(200);
     farm.rejoin(12, &second);
     farm.wait(400);

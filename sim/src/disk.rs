@@ -5,7 +5,7 @@ use std::io;
 use std::time::Duration;
 
 use femc_queue::{Contents, Queue, QueueError};
-use femc_schedule::Fact;
+use femc_schedule::{Fact, Ledger, SnapshotError};
 
 use crate::shared::{Shared, State, Trap};
 
@@ -27,6 +27,18 @@ pub(crate) struct Disk {
     pub(crate) longest: usize,
 }
 
+impl Disk {
+    /// What a coordinator that begins now would know.
+    pub(crate) fn ledger(&self) -> Result<Ledger, SnapshotError> {
+        let mut ledger = self.contents.snapshot.as_deref().map(Ledger::decode).transpose()?.unwrap_or_default();
+        for record in &self.contents.records {
+            let (now, fact) = Fact::decode(record)?;
+            ledger.apply(&fact, now);
+        }
+        Ok(ledger)
+    }
+}
+
 /// The log, in the hands of one coordinator.
 #[derive(Debug)]
 pub(crate) struct Log {
@@ -44,25 +56,25 @@ impl Log {
     }
 
     /// Writes, unless another leads, there is no room, or the process dies over it.
-    async fn write(&self, write: impl FnOnce(&mut State)) -> Result<(), QueueError> {
+    async fn write(&self, write: impl FnOnce(&mut State) -> Written) -> Result<(), QueueError> {
         tokio::time::sleep(self.shared.pause(SEEK)).await;
-        if self.falls(Trap::Before) {
-            pending::<()>().await;
-        }
-        {
+        let written = {
             let mut state = self.shared.lock();
-            if state.disk.epoch != self.epoch {
+            if self.falls(&mut state, Trap::Before) {
+                Written::Torn
+            } else if state.disk.epoch != self.epoch {
                 state.fired("stale leader refused");
                 return Err(QueueError::Deposed { epoch: self.epoch });
-            }
-            if state.disk.full > 0 {
+            } else if state.disk.full > 0 {
                 state.disk.full -= 1;
                 state.fired("log full");
                 return Err(io::Error::from(io::ErrorKind::StorageFull).into());
+            } else {
+                let written = write(&mut state);
+                if self.falls(&mut state, Trap::After) { Written::Torn } else { written }
             }
-            write(&mut state);
-        }
-        if self.falls(Trap::After) {
+        };
+        if written == Written::Torn {
             pending::<()>().await;
         }
         tokio::time::sleep(self.shared.pause(SEEK)).await;
@@ -70,8 +82,7 @@ impl Log {
     }
 
     /// Whether the process dies here.
-    fn falls(&self, at: Trap) -> bool {
-        let mut state = self.shared.lock();
+    fn falls(&self, state: &mut State, at: Trap) -> bool {
         match &mut state.trap {
             Some((left, trap)) if *trap == at => {
                 *left = left.saturating_sub(1);
@@ -85,20 +96,38 @@ impl Log {
         state.sprung = Some(self.host);
         state.fired(match at {
             Trap::Before => "died before a write",
+            Trap::Within => "torn write",
             Trap::After => "died after a write",
         });
         true
     }
 }
 
+/// Whether a write came to its end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Written {
+    Whole,
+    /// The process is as good as dead.
+    Torn,
+}
+
 impl Queue for Log {
+    /// What was torn is told once, and cut off.
     async fn load(&mut self) -> Result<Contents, QueueError> {
-        Ok(self.shared.lock().disk.contents.clone())
+        let contents = &mut self.shared.lock().disk.contents;
+        let loaded = contents.clone();
+        contents.torn = 0;
+        Ok(loaded)
     }
 
     async fn append(&mut self, records: &[Vec<u8>]) -> Result<(), QueueError> {
-        let records = records.to_vec();
+        let mut records = records.to_vec();
         self.write(|state| {
+            let written = if self.falls(state, Trap::Within) { Written::Torn } else { Written::Whole };
+            if written == Written::Torn {
+                let torn = records.split_off(records.len() / 2);
+                state.disk.contents.torn = torn.len() as u64;
+            }
             for (_, fact) in records.iter().filter_map(|record| Fact::decode(record).ok()) {
                 let wrong = state.leases.judge(&fact);
                 state.wrong.extend(wrong);
@@ -109,6 +138,7 @@ impl Queue for Log {
                 state.trace.update(record);
             }
             state.disk.history.extend(records);
+            written
         })
         .await
     }
@@ -118,6 +148,7 @@ impl Queue for Log {
         self.write(|state| {
             state.disk.contents = fresh;
             state.disk.snapshots += 1;
+            Written::Whole
         })
         .await
     }

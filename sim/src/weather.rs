@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use femc_model::{Digest, JobId};
+use rand::RngExt as _;
 use turmoil::Sim;
 
 use crate::faults::{COORDINATORS, Fault, Planned, WORKERS};
@@ -93,6 +95,18 @@ fn begin_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf, 
             shared.lock().trap = Some((writes, Trap::After));
             None
         }
+        Fault::TornWrite(writes) => {
+            shared.lock().trap = Some((writes, Trap::Within));
+            None
+        }
+        Fault::ArtefactLost => {
+            rob(shared, |artefact| shelf.lose(artefact)).then(|| fired("artefact lost"));
+            None
+        }
+        Fault::ArtefactDamaged => {
+            rob(shared, |artefact| shelf.damage(artefact)).then(|| fired("artefact damaged"));
+            None
+        }
         Fault::LeadChanges => {
             let mut state = shared.lock();
             state.leader = (state.leader + 1) % COORDINATORS;
@@ -160,7 +174,13 @@ fn end_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf) {
         Fault::Slow(..) => sim.set_max_message_latency(LATENCY),
         Fault::StoreFull(_) => shelf.fill(false),
         Fault::LogFull(_) => shared.lock().disk.full = 0,
-        Fault::DiesBeforeWrite(_) | Fault::DiesAfterWrite(_) | Fault::LeadChanges | Fault::ClockJumps(_) => {}
+        Fault::DiesBeforeWrite(_)
+        | Fault::TornWrite(_)
+        | Fault::DiesAfterWrite(_)
+        | Fault::LeadChanges
+        | Fault::ArtefactLost
+        | Fault::ArtefactDamaged
+        | Fault::ClockJumps(_) => {}
     }
 }
 
@@ -176,6 +196,23 @@ fn make_peace(sim: &mut Sim<'_>, shared: &Shared, shelf: &Shelf) {
     shelf.fill(false);
     let mut state = shared.lock();
     (state.trap, state.disk.full, state.twice, state.late) = (None, 0, 0, 0);
+}
+
+/// Does something to an artefact of a frame in work; `false` if there is none. To a frame once only: what misses an input counts
+/// as failed, and after three times a job fails as it should.
+fn rob(shared: &Shared, harm: impl FnOnce(&Digest) -> bool) -> bool {
+    let mut state = shared.lock();
+    let needed: Vec<(JobId, u32, Digest)> = match state.disk.ledger() {
+        Ok(ledger) => ledger.inputs().collect(),
+        Err(_) => return false,
+    };
+    let needed: Vec<_> = needed.into_iter().filter(|(job, frame, _)| !state.robbed.contains(&(*job, *frame))).collect();
+    if needed.is_empty() {
+        return false;
+    }
+    let (job, frame, artefact) = needed[state.rng.random_range(0..needed.len())];
+    state.robbed.insert((job, frame));
+    harm(&artefact)
 }
 
 /// Nothing goes between a host and the switch.

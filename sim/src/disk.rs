@@ -62,14 +62,8 @@ impl Log {
             let mut state = self.shared.lock();
             if self.falls(&mut state, Trap::Before) {
                 Written::Torn
-            } else if state.disk.epoch != self.epoch {
-                state.fired("stale leader refused");
-                return Err(QueueError::Deposed { epoch: self.epoch });
-            } else if state.disk.full > 0 {
-                state.disk.full -= 1;
-                state.fired("log full");
-                return Err(io::Error::from(io::ErrorKind::StorageFull).into());
             } else {
+                self.admitted(&mut state)?;
                 let written = write(&mut state);
                 if self.falls(&mut state, Trap::After) { Written::Torn } else { written }
             }
@@ -78,6 +72,20 @@ impl Log {
             pending::<()>().await;
         }
         tokio::time::sleep(self.shared.pause(SEEK)).await;
+        Ok(())
+    }
+
+    /// Whether it may write, and there is room.
+    fn admitted(&self, state: &mut State) -> Result<(), QueueError> {
+        if state.disk.epoch != self.epoch {
+            state.fired("stale leader refused");
+            return Err(QueueError::Deposed { epoch: self.epoch });
+        }
+        if state.disk.full > 0 {
+            state.disk.full -= 1;
+            state.fired("log full");
+            return Err(io::Error::from(io::ErrorKind::StorageFull).into());
+        }
         Ok(())
     }
 

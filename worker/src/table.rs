@@ -48,7 +48,7 @@ pub(crate) struct Task {
     pub(crate) client: Client,
     /// Set when the lease is over.
     pub(crate) cancel: AtomicBool,
-    /// Pixel samples taken.
+    /// Pixel samples taken; of a task that joins, inputs that are in.
     pub(crate) samples: AtomicU64,
     phase: AtomicU8,
     /// What came of it, kept until the coordinator has answered: a session may end in between.

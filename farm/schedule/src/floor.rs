@@ -78,7 +78,8 @@ pub(crate) struct Lease {
     phase: Phase,
     /// When its worker began to compute, at the earliest.
     began: Option<Tick>,
-    pub(crate) samples: u64,
+    /// Pixel samples, or inputs joined.
+    done: u64,
 }
 
 impl Lease {
@@ -87,10 +88,18 @@ impl Lease {
         task.index..self.end
     }
 
-    /// Milliseconds and pixel samples of its computation so far, as heard; `None` before there is any progress.
-    pub(crate) fn progress(&self) -> Option<(u64, u64)> {
-        let began = self.began.filter(|_| self.samples > 0)?;
-        Some((self.moved.since(began), self.samples))
+    /// Pixel samples so far, as heard.
+    pub(crate) fn samples(&self, task: &TaskKey) -> u64 {
+        match task.stage.kind {
+            StageKind::Render => self.done,
+            StageKind::Gather | StageKind::Merge => 0,
+        }
+    }
+
+    /// Milliseconds and pixel samples of its computation so far, as heard; `None` before there are any.
+    pub(crate) fn progress(&self, task: &TaskKey) -> Option<(u64, u64)> {
+        let (began, samples) = (self.began?, self.samples(task));
+        (samples > 0).then(|| (self.moved.since(began), samples))
     }
 }
 
@@ -164,7 +173,7 @@ impl Floor {
             moved: now,
             phase: Phase::Waiting,
             began: None,
-            samples: 0,
+            done: 0,
         };
         self.leases.insert(key, lease);
         self.deadlines.insert((deadline, key.1, key.0));
@@ -250,8 +259,8 @@ impl Floor {
             if progress.phase == Phase::Working {
                 lease.began.get_or_insert(before.max(lease.granted));
             }
-            if (progress.phase, progress.samples) > (lease.phase, lease.samples) {
-                (lease.phase, lease.samples) = (progress.phase, progress.samples.max(lease.samples));
+            if (progress.phase, progress.samples) > (lease.phase, lease.done) {
+                (lease.phase, lease.done) = (progress.phase, progress.samples.max(lease.done));
                 lease.moved = now;
                 holder.moved = now;
             }

@@ -136,9 +136,9 @@ impl Scheduler {
         let mut leases = self.floor.of_job(id).peekable();
         std::iter::from_fn(move || {
             let ((task, _), lease) = leases.next()?;
-            let mut samples = lease.samples;
+            let mut samples = lease.samples(task);
             while let Some((_, other)) = leases.next_if(|((next, _), _)| next == task) {
-                samples = samples.max(other.samples);
+                samples = samples.max(other.samples(task));
             }
             Some((task, samples))
         })

@@ -67,6 +67,20 @@ fn heartbeats_with_progress_keep_a_lease_and_standing_still_loses_it() {
 }
 
 #[test]
+fn a_long_merge_keeps_its_lease_by_the_inputs_that_are_in_and_these_are_no_samples() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    farm.work(1, Done);
+    for inputs in 1..=100 {
+        farm.wait(4_000);
+        farm.heartbeat(1, Phase::Working, inputs);
+    }
+    assert_eq!(farm.tasks_of(1), [(1, 0, Merge, 0)]);
+    assert_eq!((farm.status(id).samples_done, farm.status(id).active[0].samples_done), (4 * 64, 4 * 64));
+}
+
+#[test]
 fn a_worker_that_leaves_frees_its_tasks_at_once() {
     let mut farm = Farm::new();
     farm.submit(job(&[1], 2, &[4]));

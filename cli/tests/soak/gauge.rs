@@ -140,9 +140,9 @@ pub fn growth(gauges: &[Gauge], time: Duration) -> Vec<String> {
             grown.push(format!("{what}: from {before} to {after} bytes on the average"));
         }
     };
-    for number in 0..gauges[0].coordinators.len() {
-        compare(format!("memory of coordinator {number}"), &|gauge| gauge.coordinators[number].resident_bytes);
-    }
+    // Of several the one that leads is the largest; the others only wait.
+    let leader = |gauge: &Gauge| gauge.coordinators.iter().map(|process| process.resident_bytes).max().unwrap_or(0);
+    compare("memory of the coordinator that leads".into(), &leader);
     for worker in 0..gauges[0].workers.len() {
         compare(format!("memory of worker {worker}"), &|gauge| gauge.workers[worker].resident_bytes);
     }

@@ -111,6 +111,8 @@ impl Candidate {
                 Err(CoordinatorError::Queue(error)) if error.remedy() == Remedy::Reopen => self.note(&error),
                 Err(error) => return Err(error),
             }
+            // Taken again at once, before somebody else's connection gets it; if it cannot be had now, the next term tries.
+            port = port.or_else(|| reserve(self.config.listen).ok().map(|(port, _)| port));
             tokio::select! {
                 biased;
                 _ = stopped.changed() => return Ok(()),

@@ -6,6 +6,7 @@ use femc_model::{Ending, Epoch, JobId, JobSpec, JobState, JobStatus, Stage as Ta
 use femc_queue::Note;
 use femc_schedule::{Fact, SnapshotError, decode_attempts};
 
+use crate::disk::Tail;
 use crate::leases::{Leases, Unit};
 use crate::shared::{Reports, State};
 use crate::stage::Stage;
@@ -152,7 +153,7 @@ pub(crate) fn audit(stage: &Stage, state: &State) -> Vec<Violation> {
         Ok(found) => wrong.extend(found),
         Err(error) => wrong.push(error.into()),
     }
-    match noted(&state.disk.history, &state.disk.notes) {
+    match noted(&state.disk.history, &state.disk.notes, state.disk.tail()) {
         Ok(found) => wrong.extend(found),
         Err(error) => wrong.push(error.into()),
     }
@@ -235,10 +236,11 @@ pub(crate) fn log<'a>(
 }
 
 /// Whether of each result that counts it was noted once what it took, and of nothing else as of a result. Of jobs that are
-/// forgotten there are no notes.
+/// forgotten there are no notes. Where a write was torn, there may be more: what was noted along with a record that was lost.
 pub(crate) fn noted<'a>(
     history: impl IntoIterator<Item = &'a Vec<u8>>,
     notes: &[Note],
+    tail: Tail,
 ) -> Result<Vec<Violation>, SnapshotError> {
     let (mut counted, mut forgotten) = (BTreeSet::new(), BTreeSet::new());
     for record in history {
@@ -260,11 +262,11 @@ pub(crate) fn noted<'a>(
     let mut wrong = Vec::new();
     for &(task, epoch) in &counted {
         let times = times.get(&(task, epoch)).copied().unwrap_or(0);
-        if times != 1 {
+        if times == 0 || times > 1 && tail == Tail::Whole {
             wrong.push(Violation::Noted { task, epoch, times });
         }
     }
-    let for_nothing = times.keys().filter(|key| !counted.contains(key));
+    let for_nothing = times.keys().filter(|key| tail == Tail::Whole && !counted.contains(key));
     wrong.extend(for_nothing.map(|&(task, epoch)| Violation::NotedForNothing { task, epoch }));
     Ok(wrong)
 }

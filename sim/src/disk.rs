@@ -5,12 +5,20 @@ use std::io;
 use std::time::Duration;
 
 use femc_queue::{Batch, Contents, Note, Page, Queue, QueueError};
-use femc_schedule::Fact;
+use femc_schedule::{Fact, Ledger, SnapshotError};
 
 use crate::shared::{Shared, State, Trap};
 
 /// Longest that the disk takes before and after a write.
 const SEEK: Duration = Duration::from_millis(6);
+
+/// Whether a write was ever torn.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub(crate) enum Tail {
+    #[default]
+    Whole,
+    Torn,
+}
 
 /// What is on the log's disk.
 #[derive(Debug, Default)]
@@ -20,6 +28,7 @@ pub(crate) struct Disk {
     pub(crate) history: Vec<Vec<u8>>,
     /// What is kept beside the log, oldest first.
     pub(crate) notes: Vec<Note>,
+    tail: Tail,
     /// Of the coordinator that may write.
     epoch: i64,
     /// So many writes find no room.
@@ -27,6 +36,27 @@ pub(crate) struct Disk {
     pub(crate) snapshots: u32,
     /// Most records that were there at a time beside a snapshot.
     pub(crate) longest: usize,
+}
+
+impl Disk {
+    pub(crate) fn tail(&self) -> Tail {
+        self.tail
+    }
+
+    fn keep(&mut self, Batch { notes, forgotten, .. }: &Batch<'_>) {
+        self.notes.retain(|note| !forgotten.contains(&note.subject));
+        self.notes.extend_from_slice(notes);
+    }
+
+    /// What a coordinator that begins now would know.
+    pub(crate) fn ledger(&self) -> Result<Ledger, SnapshotError> {
+        let mut ledger = self.contents.snapshot.as_deref().map(Ledger::decode).transpose()?.unwrap_or_default();
+        for record in &self.contents.records {
+            let (now, fact) = Fact::decode(record)?;
+            ledger.apply(&fact, now);
+        }
+        Ok(ledger)
+    }
 }
 
 /// The log, in the hands of one coordinator.
@@ -46,34 +76,41 @@ impl Log {
     }
 
     /// Writes, unless another leads, there is no room, or the process dies over it.
-    async fn write(&self, write: impl FnOnce(&mut State)) -> Result<(), QueueError> {
+    async fn write(&self, write: impl FnOnce(&mut State) -> Written) -> Result<(), QueueError> {
         tokio::time::sleep(self.shared.pause(SEEK)).await;
-        if self.falls(Trap::Before) {
-            pending::<()>().await;
-        }
-        {
+        let written = {
             let mut state = self.shared.lock();
-            if state.disk.epoch != self.epoch {
-                state.fired("stale leader refused");
-                return Err(QueueError::Deposed { epoch: self.epoch });
+            if self.falls(&mut state, Trap::Before) {
+                Written::Torn
+            } else {
+                self.admitted(&mut state)?;
+                let written = write(&mut state);
+                if self.falls(&mut state, Trap::After) { Written::Torn } else { written }
             }
-            if state.disk.full > 0 {
-                state.disk.full -= 1;
-                state.fired("log full");
-                return Err(io::Error::from(io::ErrorKind::StorageFull).into());
-            }
-            write(&mut state);
-        }
-        if self.falls(Trap::After) {
+        };
+        if written == Written::Torn {
             pending::<()>().await;
         }
         tokio::time::sleep(self.shared.pause(SEEK)).await;
         Ok(())
     }
 
+    /// Whether it may write, and there is room.
+    fn admitted(&self, state: &mut State) -> Result<(), QueueError> {
+        if state.disk.epoch != self.epoch {
+            state.fired("stale leader refused");
+            return Err(QueueError::Deposed { epoch: self.epoch });
+        }
+        if state.disk.full > 0 {
+            state.disk.full -= 1;
+            state.fired("log full");
+            return Err(io::Error::from(io::ErrorKind::StorageFull).into());
+        }
+        Ok(())
+    }
+
     /// Whether the process dies here.
-    fn falls(&self, at: Trap) -> bool {
-        let mut state = self.shared.lock();
+    fn falls(&self, state: &mut State, at: Trap) -> bool {
         match &mut state.trap {
             Some((left, trap)) if *trap == at => {
                 *left = left.saturating_sub(1);
@@ -87,25 +124,43 @@ impl Log {
         state.sprung = Some(self.host);
         state.fired(match at {
             Trap::Before => "died before a write",
+            Trap::Within => "torn write",
             Trap::After => "died after a write",
         });
         true
     }
 }
 
+/// Whether a write came to its end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Written {
+    Whole,
+    /// The process is as good as dead.
+    Torn,
+}
+
 impl Queue for Log {
+    /// What was torn is told once, and cut off.
     async fn load(&mut self) -> Result<Contents, QueueError> {
-        Ok(self.shared.lock().disk.contents.clone())
+        let contents = &mut self.shared.lock().disk.contents;
+        let loaded = contents.clone();
+        contents.torn = 0;
+        Ok(loaded)
     }
 
+    /// Of a batch that is torn the notes stay if any of its records does.
     async fn append(&mut self, batch: Batch<'_>) -> Result<(), QueueError> {
-        let records = batch.records.to_vec();
+        let mut records = batch.records.to_vec();
         self.write(|state| {
-            for note in batch.notes {
-                state.trace.update(&note.bytes);
+            let written = if self.falls(state, Trap::Within) { Written::Torn } else { Written::Whole };
+            if written == Written::Torn {
+                let torn = records.split_off(records.len() / 2);
+                state.disk.contents.torn = torn.len() as u64;
+                state.disk.tail = Tail::Torn;
             }
-            state.disk.notes.retain(|note| !batch.forgotten.contains(&note.subject));
-            state.disk.notes.extend_from_slice(batch.notes);
+            if written == Written::Whole || !records.is_empty() {
+                state.disk.keep(&batch);
+            }
             for (_, fact) in records.iter().filter_map(|record| Fact::decode(record).ok()) {
                 let wrong = state.leases.judge(&fact);
                 state.wrong.extend(wrong);
@@ -116,6 +171,7 @@ impl Queue for Log {
                 state.trace.update(record);
             }
             state.disk.history.extend(records);
+            written
         })
         .await
     }
@@ -131,6 +187,7 @@ impl Queue for Log {
         self.write(|state| {
             state.disk.contents = fresh;
             state.disk.snapshots += 1;
+            Written::Whole
         })
         .await
     }

@@ -19,6 +19,8 @@ pub enum Fault {
     CoordinatorDies(Duration),
     /// The coordinator is killed in its n-th write from now on, before the batch is on the disk.
     DiesBeforeWrite(u32),
+    /// The same when half of the batch is on the disk.
+    TornWrite(u32),
     /// The same after the batch is on the disk, before anybody hears of it.
     DiesAfterWrite(u32),
     /// The other coordinator takes the lead, while the one before goes on as if nothing had happened.
@@ -39,6 +41,10 @@ pub enum Fault {
     LogFull(u32),
     /// Nothing new finds room in the store.
     StoreFull(Duration),
+    /// Something that a frame in work needs is gone from the store.
+    ArtefactLost,
+    /// Bits of it flip.
+    ArtefactDamaged,
     /// The coordinators' clocks jump ahead.
     ClockJumps(Duration),
 }
@@ -71,7 +77,7 @@ fn fault(rng: &mut SmallRng) -> Fault {
     let pause = Duration::from_millis(rng.random_range(50..12_000));
     let worker = rng.random_range(0..WORKERS);
     let few = rng.random_range(1..12);
-    match rng.random_range(0..14) {
+    match rng.random_range(0..17) {
         0 => Fault::WorkerDies(worker, pause),
         1 => Fault::CoordinatorDies(pause),
         2 => Fault::DiesBeforeWrite(few),
@@ -85,6 +91,9 @@ fn fault(rng: &mut SmallRng) -> Fault {
         10 => Fault::Slow(pause / 8, pause),
         11 => Fault::LogFull(few.min(4)),
         12 => Fault::StoreFull(pause),
+        13 => Fault::TornWrite(few),
+        14 => Fault::ArtefactLost,
+        15 => Fault::ArtefactDamaged,
         _ => Fault::ClockJumps(pause),
     }
 }

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use femc_model::{Epoch, JobStatus, TaskKey};
+use femc_model::{Epoch, JobId, JobStatus, TaskKey};
 use rand::rngs::SmallRng;
 use rand::{RngExt as _, SeedableRng as _};
 
@@ -18,6 +18,8 @@ use crate::network::Reach;
 pub(crate) enum Trap {
     /// Before the batch is on the disk.
     Before,
+    /// When half of the batch is on the disk.
+    Within,
     /// After that, before anybody hears of it.
     After,
 }
@@ -59,6 +61,8 @@ pub(crate) struct State {
     /// Ends of connections that the simulated network keeps, also of attempts that were refused or given up.
     pub(crate) ends: usize,
     pub(crate) reach: Reach,
+    /// Frames of which an artefact was lost.
+    pub(crate) robbed: BTreeSet<(JobId, u32)>,
 }
 
 /// One world's state; clones share it.
@@ -87,6 +91,7 @@ impl Shared {
             boots: 0,
             ends: 0,
             reach: Reach::default(),
+            robbed: BTreeSet::new(),
         })))
     }
 

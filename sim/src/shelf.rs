@@ -9,12 +9,14 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime};
 
 use async_trait::async_trait;
+use femc_model::Digest;
 use femc_store::object_store::memory::InMemory;
 use femc_store::object_store::path::Path;
 use femc_store::object_store::{
     CopyOptions, Error, GetOptions, GetResult, ListResult, MultipartUpload, ObjectMeta, ObjectStore,
-    PutMultipartOptions, PutOptions, PutPayload, PutResult, Result,
+    ObjectStoreExt as _, PutMultipartOptions, PutOptions, PutPayload, PutResult, Result,
 };
+use femc_store::place;
 use futures_util::stream::BoxStream;
 use futures_util::{FutureExt as _, StreamExt as _, TryStreamExt as _};
 
@@ -31,6 +33,24 @@ impl Shelf {
     /// From now on nothing new finds room, or does again.
     pub(crate) fn fill(&self, full: bool) {
         self.full.store(full, Ordering::Relaxed);
+    }
+
+    /// An artefact is gone; `false` if it was not there.
+    pub(crate) fn lose(&self, artefact: &Digest) -> bool {
+        let at = place(artefact);
+        let was_there = self.births().remove(&at).is_some();
+        was_there && self.objects.delete(&at).now_or_never().is_some_and(|gone| gone.is_ok())
+    }
+
+    /// Half of an artefact's bytes are wrong; `false` if it was not there.
+    pub(crate) fn damage(&self, artefact: &Digest) -> bool {
+        let at = place(artefact);
+        let harm = async {
+            let mut bytes = self.objects.get(&at).await?.bytes().await?.to_vec();
+            bytes.iter_mut().step_by(2).for_each(|byte| *byte ^= 0x55);
+            self.objects.put(&at, bytes.into()).await
+        };
+        harm.now_or_never().is_some_and(|harmed| harmed.is_ok())
     }
 
     /// How many objects there are, and their bytes.

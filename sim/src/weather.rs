@@ -3,6 +3,8 @@
 use std::collections::BTreeMap;
 use std::time::Duration;
 
+use femc_model::{Digest, JobId};
+use rand::RngExt as _;
 use turmoil::Sim;
 
 use crate::faults::{COORDINATORS, Fault, Planned, WORKERS};
@@ -93,6 +95,18 @@ fn begin_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf, 
             shared.lock().trap = Some((writes, Trap::After));
             None
         }
+        Fault::TornWrite(writes) => {
+            shared.lock().trap = Some((writes, Trap::Within));
+            None
+        }
+        Fault::ArtefactLost => {
+            rob(shared, |artefact| shelf.lose(artefact)).then(|| fired("artefact lost"));
+            None
+        }
+        Fault::ArtefactDamaged => {
+            rob(shared, |artefact| shelf.damage(artefact)).then(|| fired("artefact damaged"));
+            None
+        }
         Fault::LeadChanges => {
             let mut state = shared.lock();
             state.leader = (state.leader + 1) % COORDINATORS;
@@ -151,8 +165,8 @@ fn end_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf) {
     match fault {
         Fault::WorkerDies(host, _) => start(sim, worker_name(host)),
         Fault::CoordinatorDies(_) => (0..COORDINATORS).for_each(|host| start(sim, coordinator_name(host))),
-        Fault::WorkerCut(host, _) | Fault::WorkerMute(host, _) => mend(sim, shared, worker_name(host)),
-        Fault::CoordinatorCut(_) => (0..COORDINATORS).for_each(|host| mend(sim, shared, coordinator_name(host))),
+        Fault::WorkerCut(host, _) | Fault::WorkerMute(host, _) => mend(sim, shared, &worker_name(host)),
+        Fault::CoordinatorCut(_) => (0..COORDINATORS).for_each(|host| mend(sim, shared, &coordinator_name(host))),
         Fault::WorkerFreezes(host, _) => sim.release(worker_name(host), SWITCH),
         Fault::CoordinatorFreezes(_) => {
             (0..COORDINATORS).for_each(|host| sim.release(coordinator_name(host), SWITCH));
@@ -160,7 +174,13 @@ fn end_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf) {
         Fault::Slow(..) => sim.set_max_message_latency(LATENCY),
         Fault::StoreFull(_) => shelf.fill(false),
         Fault::LogFull(_) => shared.lock().disk.full = 0,
-        Fault::DiesBeforeWrite(_) | Fault::DiesAfterWrite(_) | Fault::LeadChanges | Fault::ClockJumps(_) => {}
+        Fault::DiesBeforeWrite(_)
+        | Fault::TornWrite(_)
+        | Fault::DiesAfterWrite(_)
+        | Fault::LeadChanges
+        | Fault::ArtefactLost
+        | Fault::ArtefactDamaged
+        | Fault::ClockJumps(_) => {}
     }
 }
 
@@ -169,7 +189,7 @@ fn make_peace(sim: &mut Sim<'_>, shared: &Shared, shelf: &Shelf) {
     let hosts = (0..COORDINATORS).map(coordinator_name).chain((0..WORKERS).map(worker_name));
     for host in hosts {
         sim.release(host.as_str(), SWITCH);
-        mend(sim, shared, host.clone());
+        mend(sim, shared, &host);
         start(sim, host);
     }
     sim.set_max_message_latency(LATENCY);
@@ -178,15 +198,32 @@ fn make_peace(sim: &mut Sim<'_>, shared: &Shared, shelf: &Shelf) {
     (state.trap, state.disk.full, state.twice, state.late) = (None, 0, 0, 0);
 }
 
+/// Does something to an artefact of a frame in work; `false` if there is none. To a frame once only: what misses an input counts
+/// as failed, and after three times a job fails as it should.
+fn rob(shared: &Shared, harm: impl FnOnce(&Digest) -> bool) -> bool {
+    let mut state = shared.lock();
+    let needed: Vec<(JobId, u32, Digest)> = match state.disk.ledger() {
+        Ok(ledger) => ledger.inputs().collect(),
+        Err(_) => return false,
+    };
+    let needed: Vec<_> = needed.into_iter().filter(|(job, frame, _)| !state.robbed.contains(&(*job, *frame))).collect();
+    if needed.is_empty() {
+        return false;
+    }
+    let (job, frame, artefact) = needed[state.rng.random_range(0..needed.len())];
+    state.robbed.insert((job, frame));
+    harm(&artefact)
+}
+
 /// Nothing goes between a host and the switch.
 fn cut(sim: &mut Sim<'_>, shared: &Shared, host: String) {
     sim.partition(host.as_str(), SWITCH);
     shared.lock().reach.cut(host);
 }
 
-fn mend(sim: &mut Sim<'_>, shared: &Shared, host: String) {
-    sim.repair(host.as_str(), SWITCH);
-    shared.lock().reach.mend(&host);
+fn mend(sim: &mut Sim<'_>, shared: &Shared, host: &str) {
+    sim.repair(host, SWITCH);
+    shared.lock().reach.mend(host);
 }
 
 /// Kills a process; `false` if it was dead.

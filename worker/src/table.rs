@@ -52,7 +52,7 @@ pub(crate) struct Task {
     pub(crate) client: Client,
     /// Set when the lease is over.
     pub(crate) cancel: AtomicBool,
-    /// Pixel samples taken.
+    /// Pixel samples taken; of a task that joins, inputs that are in.
     pub(crate) samples: AtomicU64,
     phase: AtomicU8,
     /// What came of it, kept until the coordinator has answered: a session may end in between.
@@ -105,6 +105,14 @@ impl Task {
         }
     }
 
+    /// Pixel samples taken.
+    fn rendered(&self) -> u64 {
+        match &self.assignment.work {
+            Work::Render { .. } => self.samples.load(Ordering::Relaxed),
+            Work::Gather { .. } | Work::Merge { .. } => 0,
+        }
+    }
+
     /// Whether its turn has come.
     pub(crate) fn is_begun(&self) -> bool {
         self.waited.get().is_some()
@@ -120,7 +128,7 @@ impl Task {
             preparation: self.account.preparation(),
             cpu: self.account.cpu(),
             peak: self.account.peak(),
-            samples: self.samples.load(Ordering::Relaxed),
+            samples: self.rendered(),
             rays: self.account.rays.load(Ordering::Relaxed),
             fetched: self.account.fetched.load(Ordering::Relaxed),
             sent: self.account.sent.load(Ordering::Relaxed),

@@ -26,6 +26,8 @@ pub struct JobJson {
     workers: u32,
     failure: Option<String>,
     active: Vec<ActiveJson>,
+    /// Late tasks that were given to a second worker.
+    copies: u64,
     quarantined: Vec<QuarantinedJson>,
     waits: Vec<String>,
 }
@@ -70,6 +72,7 @@ impl From<&JobStatus> for JobJson {
             workers: job.workers,
             failure: job.failure.as_ref().map(ToString::to_string),
             active: job.active.iter().map(ActiveJson::from).collect(),
+            copies: job.copies,
             quarantined: job
                 .quarantined
                 .iter()
@@ -154,6 +157,9 @@ pub fn wait(wait: &Wait) -> String {
             "{} failed last on the workers with room, and another worker is to try next",
             human::count(u64::from(*tasks), "task")
         ),
+        Wait::Regrouping { milliseconds } => {
+            format!("the coordinator hears the workers out after its start; tasks go out in {milliseconds} ms")
+        }
         Wait::BehindJob(job) => format!("job {job} goes first"),
         Wait::MergeWaitsForTiles { frame, tiles } => {
             format!("the merge of frame {frame} waits for {}", human::count(u64::from(*tiles), "tile"))
@@ -243,6 +249,9 @@ pub fn describe(say: Say, job: &JobStatus) -> String {
         human::seconds(job.seconds),
         human::count(job.workers.into(), "worker")
     ));
+    if job.copies > 0 {
+        lines.push(format!("copies   {} given to a second worker", human::count(job.copies, "late task")));
+    }
     for frame in &job.active {
         lines.push(format!(
             "frame {}: {}, round {} of {}, {} of {} tiles done, {} running",

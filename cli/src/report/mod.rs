@@ -45,11 +45,11 @@ impl Report {
         page.legend(&timeline::LEGEND);
         page.table(By::Worker, &workers);
         page.section("Durations of tasks", "From the beginning of a render task to its result.");
-        page.figures(durations::draw(&attempts)?, "No render task is done yet.");
+        page.figures(&durations::draw(&attempts)?, "No render task is done yet.");
         page.section("Error against time", "Relative error of a frame as each of its merges measured it.");
-        page.figures(errors::draw(&attempts)?, "No merge has measured an error yet.");
+        page.figures(&errors::draw(&attempts)?, "No merge has measured an error yet.");
         page.section("Samples", "Samples a pixel of each tile, of results that count.");
-        page.figures(heat::draw(&tasks, &self.shape)?, "No tile is done yet.");
+        page.figures(&heat::draw(&tasks, &self.shape)?, "No tile is done yet.");
         page.section("Cost", "Processor seconds of a frame, attempts that came to nothing included.");
         page.figure(&cost::draw(&frames)?);
         page.table(By::Frame, &frames);

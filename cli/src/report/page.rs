@@ -63,7 +63,7 @@ impl Page {
     }
 
     /// SVGs, or words where there are none.
-    pub fn figures(&mut self, svgs: Vec<String>, without: &str) {
+    pub fn figures(&mut self, svgs: &[String], without: &str) {
         if svgs.is_empty() {
             self.text(without);
         }

@@ -70,7 +70,7 @@ fn join(spans: &mut Spans, gap: f64) {
     for &(began, ended) in spans.iter() {
         match joined.last_mut() {
             Some(last) if began - last.1 < gap && (began - last.0 < gap || ended - began < gap) => {
-                last.1 = last.1.max(ended)
+                last.1 = last.1.max(ended);
             }
             _ => joined.push((began, ended)),
         }

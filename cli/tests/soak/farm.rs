@@ -1,9 +1,13 @@
-//! The processes: a coordinator at one address, and workers that reach it each on a way of its own.
+//! The processes: a coordinator, or two on one PostgreSQL, and workers that reach them each on ways of its own.
 
-use std::net::TcpListener;
+use std::net::{SocketAddr, TcpListener};
+use std::path::PathBuf;
 use std::sync::{Mutex, MutexGuard};
 
 use crate::common::proxy::Proxy;
+use femc_queue::testing::Scratch;
+use femc_queue::{Contents, Queue as _, Sqlite};
+
 use crate::common::{Place, Running};
 
 pub const WORKERS: usize = 3;
@@ -12,6 +16,8 @@ pub const WORKERS: usize = 3;
 pub struct Seat {
     pub name: String,
     line: String,
+    /// What it says.
+    words: PathBuf,
     life: Mutex<Life>,
 }
 
@@ -22,18 +28,21 @@ struct Life {
     stands: bool,
 }
 
-impl Life {
-    /// The process; one that has ended by itself is no part of the plan.
-    fn process(&mut self) -> Option<&mut Running> {
-        let process = self.process.as_mut()?;
-        assert!(process.is_running(), "a process ended by itself");
-        Some(process)
-    }
-}
-
 impl Seat {
-    fn new(name: &str, line: String) -> Self {
-        Self { name: name.into(), line, life: Mutex::default() }
+    fn new(place: &Place, name: &str, line: String) -> Self {
+        Self { name: name.into(), line, words: place.path(&format!("{name}.err")), life: Mutex::default() }
+    }
+
+    /// The process; one that has ended by itself is no part of the plan.
+    fn process<'a>(&self, life: &'a mut Life) -> Option<&'a mut Running> {
+        let process = life.process.as_mut()?;
+        assert!(
+            process.is_running(),
+            "{} ended by itself: {}",
+            self.name,
+            std::fs::read_to_string(&self.words).unwrap_or_default()
+        );
+        Some(process)
     }
 
     fn lock(&self) -> MutexGuard<'_, Life> {
@@ -47,7 +56,7 @@ impl Seat {
     /// SIGKILL; `false` if it was not there.
     pub fn kill(&self) -> bool {
         let mut life = self.lock();
-        let was_there = life.process().is_some_and(Running::kill);
+        let was_there = self.process(&mut life).is_some_and(Running::kill);
         *life = Life::default();
         was_there
     }
@@ -56,24 +65,24 @@ impl Seat {
     pub fn stop(&self) -> bool {
         let mut life = self.lock();
         life.stands = true;
-        life.process().map(|process| process.signal("STOP")).is_some()
+        self.process(&mut life).map(|process| process.signal("STOP")).is_some()
     }
 
     /// SIGCONT.
     pub fn go_on(&self) {
         let mut life = self.lock();
         life.stands = false;
-        life.process().into_iter().for_each(|process| process.signal("CONT"));
+        self.process(&mut life).into_iter().for_each(|process| process.signal("CONT"));
     }
 
     /// Does `what` while the process stands still; a process that is not there does so, too.
     pub fn stopped<T>(&self, what: impl FnOnce() -> T) -> T {
         let mut life = self.lock();
         let stands = life.stands;
-        life.process().into_iter().for_each(|process| process.signal("STOP"));
+        self.process(&mut life).into_iter().for_each(|process| process.signal("STOP"));
         let done = what();
         if !stands {
-            life.process().into_iter().for_each(|process| process.signal("CONT"));
+            self.process(&mut life).into_iter().for_each(|process| process.signal("CONT"));
         }
         done
     }
@@ -84,42 +93,91 @@ impl Seat {
     }
 }
 
+/// Ports that are free now. A coordinator that is dead for a while must get its own back: so they lie below those that the
+/// system gives to connections.
+fn free(count: usize) -> Vec<SocketAddr> {
+    let loopback = |port| SocketAddr::from(([127, 0, 0, 1], port));
+    let all = (20_000..30_000).map(loopback).filter(|&address| TcpListener::bind(address).is_ok());
+    all.skip(std::process::id() as usize % 1000).take(count).collect()
+}
+
+/// Where the log is.
+enum Store {
+    Sqlite,
+    Postgres(Scratch),
+}
+
 pub struct Farm {
     pub place: Place,
+    /// Of all coordinators.
     pub url: String,
-    pub coordinator: Seat,
+    pub coordinators: Vec<Seat>,
     pub workers: Vec<Seat>,
-    /// Each worker's way.
-    pub ways: Vec<Proxy>,
+    /// Each worker's way to each coordinator.
+    pub ways: Vec<Vec<Proxy>>,
+    store: Store,
+    runtime: tokio::runtime::Runtime,
 }
 
 impl Farm {
-    /// Ended jobs are forgotten after a minute.
+    /// Ended jobs are forgotten after a minute. Two coordinators where there is a PostgreSQL, else one.
     pub fn new() -> Self {
         let place = Place::new();
-        // Free now; who else takes ports here takes others, as the system gives them in turn.
-        let free = TcpListener::bind("127.0.0.1:0").expect("a free port").local_addr().expect("an address");
-        let url = format!("http://{free}");
-        let line = format!(
-            "coordinator --listen {free} --store sqlite:farm.db --artifacts artifacts --lease 2s --compact 4000 --keep-ended 1m"
-        );
-        let coordinator = Seat::new("coordinator", line);
-        let ways: Vec<Proxy> = (0..WORKERS).map(|_| Proxy::to(&url)).collect();
-        let worker = |(number, way): (usize, &Proxy)| {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+        let store = runtime.block_on(Scratch::new()).map_or(Store::Sqlite, Store::Postgres);
+        let (count, log) = match &store {
+            Store::Sqlite => (1, "sqlite:farm.db".to_owned()),
+            Store::Postgres(scratch) => (2, scratch.url()),
+        };
+        let free = free(count);
+        let urls: Vec<String> = free.iter().map(|address| format!("http://{address}")).collect();
+        let coordinator = |(number, address): (usize, &SocketAddr)| {
+            let line = format!(
+                "coordinator --listen {address} --store {log} --artifacts artifacts --lease 2s --compact 4000 --keep-ended 1m"
+            );
+            Seat::new(&place, &format!("c{number}"), line)
+        };
+        let coordinators = free.iter().enumerate().map(coordinator).collect();
+        let ways: Vec<Vec<Proxy>> = (0..WORKERS).map(|_| urls.iter().map(|url| Proxy::to(url)).collect()).collect();
+        let worker = |(number, ways): (usize, &Vec<Proxy>)| {
             let name = format!("w{number}");
-            let line = format!("worker --join {} --threads 1 --name {name} --outbox {name} --color never", way.url);
-            Seat::new(&name, line)
+            let join = ways.iter().map(|way| way.url.as_str()).collect::<Vec<_>>().join(",");
+            let line = format!("worker --join {join} --threads 1 --name {name} --outbox {name} --color never");
+            Seat::new(&place, &name, line)
         };
         let workers = ways.iter().enumerate().map(worker).collect();
-        let farm = Self { place, url, coordinator, workers, ways };
+        let farm = Self { place, url: urls.join(","), coordinators, workers, ways, store, runtime };
         farm.heal();
         farm
     }
 
     /// Everybody lives, and all ways are open.
     pub fn heal(&self) {
-        self.coordinator.start(&self.place);
-        self.workers.iter().for_each(|worker| worker.start(&self.place));
-        self.ways.iter().for_each(Proxy::thaw);
+        self.coordinators.iter().chain(&self.workers).for_each(|seat| seat.start(&self.place));
+        self.ways.iter().flatten().for_each(Proxy::thaw);
+    }
+
+    /// What the log says at some moment, if there is one.
+    pub fn log(&self) -> Option<Contents> {
+        match &self.store {
+            Store::Sqlite => self.copy_of_log(),
+            Store::Postgres(scratch) => self.runtime.block_on(scratch.log()),
+        }
+    }
+
+    /// The coordinator stands still for an instant, and its file is copied as a crash would leave it.
+    fn copy_of_log(&self) -> Option<Contents> {
+        let copied = self.coordinators[0].stopped(|| {
+            ["farm.db", "farm.db-wal"].map(|name| {
+                let copy = self.place.path(&name.replace("farm", "copy"));
+                // A log that has just been begun or closed has no such file.
+                let _ = std::fs::remove_file(&copy);
+                std::fs::copy(self.place.path(name), copy).is_ok()
+            })
+        });
+        let read = async {
+            Sqlite::open(&self.place.path("copy.db")).await.expect("a log").load().await.expect("its content")
+        };
+        copied[0].then(|| self.runtime.block_on(read))
     }
 }

@@ -29,8 +29,8 @@ impl Draw {
 enum Fault {
     WorkerKilled(usize),
     WorkerStopped(usize),
-    CoordinatorKilled,
-    CoordinatorStopped,
+    CoordinatorKilled(usize),
+    CoordinatorStopped(usize),
     LinkCut(usize),
     LinkFrozen(usize),
     LinkFrozenOneWay(usize, Way),
@@ -38,13 +38,14 @@ enum Fault {
 use Fault::*;
 
 impl Fault {
-    fn draw(draw: &mut Draw) -> Self {
+    fn draw(draw: &mut Draw, coordinators: usize) -> Self {
         let worker = draw.below(WORKERS as u64) as usize;
+        let coordinator = worker % coordinators;
         match draw.below(12) {
             0..3 => WorkerKilled(worker),
             3..5 => WorkerStopped(worker),
-            5 => CoordinatorKilled,
-            6 => CoordinatorStopped,
+            5 => CoordinatorKilled(coordinator),
+            6 => CoordinatorStopped(coordinator),
             7..9 => LinkCut(worker),
             9 => LinkFrozen(worker),
             10 => LinkFrozenOneWay(worker, Way::Up),
@@ -56,8 +57,8 @@ impl Fault {
         match self {
             WorkerKilled(_) => "worker killed",
             WorkerStopped(_) => "worker stopped",
-            CoordinatorKilled => "coordinator killed",
-            CoordinatorStopped => "coordinator stopped",
+            CoordinatorKilled(_) => "coordinator killed",
+            CoordinatorStopped(_) => "coordinator stopped",
             LinkCut(_) => "link cut",
             LinkFrozen(_) => "link frozen",
             LinkFrozenOneWay(_, Way::Up) => "link frozen upwards",
@@ -70,11 +71,11 @@ impl Fault {
         match self {
             WorkerKilled(worker) => farm.workers[worker].kill(),
             WorkerStopped(worker) => farm.workers[worker].stop(),
-            CoordinatorKilled => farm.coordinator.kill(),
-            CoordinatorStopped => farm.coordinator.stop(),
-            LinkCut(worker) => does(|| farm.ways[worker].cut()),
-            LinkFrozen(worker) => does(|| farm.ways[worker].freeze()),
-            LinkFrozenOneWay(worker, way) => does(|| farm.ways[worker].freeze_way(way)),
+            CoordinatorKilled(coordinator) => farm.coordinators[coordinator].kill(),
+            CoordinatorStopped(coordinator) => farm.coordinators[coordinator].stop(),
+            LinkCut(worker) => does(|| farm.ways[worker].iter().for_each(Proxy::cut)),
+            LinkFrozen(worker) => does(|| farm.ways[worker].iter().for_each(Proxy::freeze)),
+            LinkFrozenOneWay(worker, way) => does(|| farm.ways[worker].iter().for_each(|proxy| proxy.freeze_way(way))),
         }
     }
 
@@ -82,10 +83,10 @@ impl Fault {
         match self {
             WorkerKilled(worker) => farm.workers[worker].start(&farm.place),
             WorkerStopped(worker) => farm.workers[worker].go_on(),
-            CoordinatorKilled => farm.coordinator.start(&farm.place),
-            CoordinatorStopped => farm.coordinator.go_on(),
+            CoordinatorKilled(coordinator) => farm.coordinators[coordinator].start(&farm.place),
+            CoordinatorStopped(coordinator) => farm.coordinators[coordinator].go_on(),
             LinkCut(_) => {}
-            LinkFrozen(worker) | LinkFrozenOneWay(worker, _) => Proxy::thaw(&farm.ways[worker]),
+            LinkFrozen(worker) | LinkFrozenOneWay(worker, _) => farm.ways[worker].iter().for_each(Proxy::thaw),
         }
     }
 }
@@ -107,7 +108,7 @@ pub fn storm(farm: &Farm, seed: u64, end: Instant) -> BTreeMap<&'static str, u64
         under_way = rest;
         Vec::into_iter(over).for_each(|(_, fault): (Instant, Fault)| fault.end(farm));
         if now >= next {
-            let (fault, lasts) = (Fault::draw(&mut draw), draw.pause(100, 6_000));
+            let (fault, lasts) = (Fault::draw(&mut draw, farm.coordinators.len()), draw.pause(100, 6_000));
             let is_new = under_way.iter().all(|&(_, other)| other.name() != fault.name());
             if is_new && fault.begin(farm) {
                 *fired.entry(fault.name()).or_insert(0) += 1;

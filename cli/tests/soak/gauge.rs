@@ -27,7 +27,7 @@ struct Process {
 #[derive(Debug, Clone, Default)]
 pub struct Gauge {
     seconds: f64,
-    coordinator: Process,
+    coordinators: Vec<Process>,
     workers: Vec<Process>,
     log_bytes: u64,
     artefacts: u64,
@@ -53,7 +53,7 @@ impl Gauge {
         let size = |name| farm.place.path(name).metadata().map_or(0, |data| data.len());
         Self {
             seconds: begun.elapsed().as_secs_f64(),
-            coordinator: Process::of(&farm.coordinator),
+            coordinators: farm.coordinators.iter().map(Process::of).collect(),
             workers: farm.workers.iter().map(Process::of).collect(),
             log_bytes: size("farm.db") + size("farm.db-wal"),
             artefacts,
@@ -64,8 +64,10 @@ impl Gauge {
     /// All of them, a line each.
     pub fn table(gauges: &[Self], between: &str) -> String {
         let mut head: Vec<String> = ["seconds", "log KiB", "artefacts", "artefact KiB"].map(str::to_owned).into();
-        let workers = gauges.first().map_or(0, |gauge| gauge.workers.len());
-        let names = std::iter::once("coordinator".to_owned()).chain((0..workers).map(|number| format!("w{number}")));
+        let (coordinators, workers) =
+            gauges.first().map_or((0, 0), |gauge| (gauge.coordinators.len(), gauge.workers.len()));
+        let names = |letter: char, count: usize| (0..count).map(move |number| format!("{letter}{number}"));
+        let names = names('c', coordinators).chain(names('w', workers));
         head.extend(names.flat_map(|name| [format!("{name} pid"), format!("{name} KiB"), format!("{name} CPU s")]));
         let line = |gauge: &Self| {
             let mut line = vec![
@@ -74,7 +76,7 @@ impl Gauge {
                 gauge.artefacts.to_string(),
                 kib(gauge.artefact_bytes),
             ];
-            for process in std::iter::once(&gauge.coordinator).chain(&gauge.workers) {
+            for process in gauge.coordinators.iter().chain(&gauge.workers) {
                 line.extend([
                     process.id.to_string(),
                     kib(process.resident_bytes),
@@ -138,7 +140,9 @@ pub fn growth(gauges: &[Gauge], time: Duration) -> Vec<String> {
             grown.push(format!("{what}: from {before} to {after} bytes on the average"));
         }
     };
-    compare("memory of the coordinator".into(), &|gauge| gauge.coordinator.resident_bytes);
+    // Of several the one that leads is the largest; the others only wait.
+    let leader = |gauge: &Gauge| gauge.coordinators.iter().map(|process| process.resident_bytes).max().unwrap_or(0);
+    compare("memory of the coordinator that leads".into(), &leader);
     for worker in 0..gauges[0].workers.len() {
         compare(format!("memory of worker {worker}"), &|gauge| gauge.workers[worker].resident_bytes);
     }

@@ -1,11 +1,11 @@
-//! The log read along: again and again the coordinator stands still for an instant, and its file is copied as a crash would leave it.
+//! The log read along.
 
 use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::Duration;
 
 use femc_model::{Epoch, TaskKey};
-use femc_queue::{Contents, Queue as _, Sqlite};
+use femc_queue::Contents;
 use femc_schedule::Fact;
 use serde::Serialize;
 
@@ -48,26 +48,15 @@ impl Journal {
 
     /// Reads what is there at the very end.
     pub fn end(mut self, farm: &Farm) -> Self {
-        farm.coordinator.kill();
+        for coordinator in &farm.coordinators {
+            coordinator.kill();
+        }
         self.read(farm);
         self
     }
 
     fn read(&mut self, farm: &Farm) {
-        let copied = farm.coordinator.stopped(|| {
-            ["farm.db", "farm.db-wal"].map(|name| {
-                let copy = farm.place.path(&name.replace("farm", "copy"));
-                // A log that has just been begun or closed has no such file.
-                let _ = std::fs::remove_file(&copy);
-                std::fs::copy(farm.place.path(name), copy).is_ok()
-            })
-        });
-        if copied[0] {
-            let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
-            self.note(runtime.block_on(async {
-                Sqlite::open(&farm.place.path("copy.db")).await.expect("a log").load().await.expect("its content")
-            }));
-        }
+        farm.log().into_iter().for_each(|contents| self.note(contents));
     }
 
     fn note(&mut self, Contents { snapshot, records, .. }: Contents) {

@@ -6,7 +6,7 @@
 //!     cargo test --release -p femc --test soak -- --ignored --nocapture
 //! ```
 //!
-//! The seed decides which faults come and when; what they hit is up to the machine. `FEMC_SOAK_OUT` is a folder for the
+//! Under `tests/postgres` there are two coordinators on one PostgreSQL. The seed decides which faults come and when; what they hit is up to the machine. `FEMC_SOAK_OUT` is a folder for the
 //! measurements (`soak.csv`) and the sum (`soak.json`).
 #![cfg(target_os = "linux")]
 

@@ -62,7 +62,7 @@ pub struct TaskProgress {
     pub epoch: Epoch,
     /// What is being done.
     pub phase: Phase,
-    /// Pixel samples taken; only grows.
+    /// Pixel samples taken; of a task that joins, inputs that are in. Only grows.
     pub samples: u64,
 }
 

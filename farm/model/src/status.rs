@@ -47,6 +47,8 @@ pub struct JobStatus {
     pub quarantined: Vec<Quarantined>,
     /// Messages refused because their lease was over.
     pub stale_messages: u64,
+    /// Late tasks that were given to a second worker, since the coordinator's start.
+    pub copies: u64,
     /// Why tasks wait.
     pub waits: Vec<Wait>,
 }
@@ -117,6 +119,11 @@ pub enum Wait {
     WorkersAvoided {
         /// How many tasks.
         tasks: u32,
+    },
+    /// The coordinator has just begun, or slept: first it hears which workers still have tasks.
+    Regrouping {
+        /// Milliseconds until tasks are given out.
+        milliseconds: u64,
     },
     /// Jobs with more priority, or older, have tasks ready.
     BehindJob(JobId),

@@ -7,6 +7,9 @@ use sqlx::postgres::{PgConnectOptions, PgConnection};
 use sqlx::{AssertSqlSafe, ConnectOptions as _};
 use tokio::sync::Notify;
 
+use crate::Contents;
+use crate::backend::postgres;
+
 /// A database of one test's own. It stays: to drop one takes a second, and the server is there to be thrown away.
 #[derive(Debug)]
 pub struct Scratch {
@@ -62,6 +65,20 @@ impl Scratch {
     pub async fn number(&self, sql: &str) -> i64 {
         let mut connection = self.options().connect().await.expect("the server lets us in");
         sqlx::query_scalar(AssertSqlSafe(sql)).fetch_one(&mut connection).await.expect("a number")
+    }
+}
+
+impl Scratch {
+    /// The log in it, at one moment and whoever leads; `None`: nobody has begun one.
+    ///
+    /// # Panics
+    /// If it cannot be read, or is damaged.
+    pub async fn log(&self) -> Option<Contents> {
+        if self.number("SELECT count(*) FROM pg_tables WHERE schemaname = 'femc' AND tablename = 'log'").await == 0 {
+            return None;
+        }
+        let mut connection = self.options().connect().await.expect("the server lets us in");
+        Some(postgres::look(&mut connection).await.expect("a sound log"))
     }
 }
 

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use femc_model::{Assignment, Epoch, JobId, More, Stage, StageKind, TaskKey, Tick, Wait, Work, WorkerId};
+use femc_model::{Assignment, Epoch, JobId, More, StageKind, TaskKey, Tick, Wait, Work, WorkerId};
 
 use crate::Command;
 use crate::desk::Desk;
@@ -34,7 +34,7 @@ impl Scheduler {
                 continue;
             }
             match self.pick(id, now) {
-                Pick::Task(task) => self.grant(task, id, now, out),
+                Pick::Task(task) => self.serve(id, task, now, out),
                 Pick::NotForThisWorker => {}
                 Pick::NothingReady => return,
             }
@@ -69,11 +69,6 @@ impl Scheduler {
         best
     }
 
-    fn grant(&mut self, task: TaskKey, worker: WorkerId, now: Tick, out: &mut Vec<Command>) {
-        let run = self.share(&task);
-        self.assign(task, &run, None, worker, now, out);
-    }
-
     /// Leases a task to a worker.
     /// - `copy_of`: the lease of another worker that does the same.
     pub(crate) fn assign(
@@ -98,6 +93,7 @@ impl Scheduler {
         self.hand_out((task, epoch), run, worker, now);
         if copy_of.is_some() {
             self.floor.copies.insert((task, epoch));
+            self.desks.entry(task.job).or_default().copies += 1;
         }
         let assignment = Assignment { task, epoch, lease: self.config.lease, copy_of, work };
         out.push(Command::Assign { worker, assignment });
@@ -167,6 +163,9 @@ impl Scheduler {
     }
 
     fn why_no_worker(&self, id: JobId, job: &Job, desk: &Desk, now: Tick) -> Option<Wait> {
+        if now < self.deals_from {
+            return Some(Wait::Regrouping { milliseconds: self.deals_from.since(now) });
+        }
         if self.floor.workers.is_empty() {
             return Some(Wait::NoWorkers);
         }
@@ -246,11 +245,7 @@ pub(crate) fn is_shunned(job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor
 fn first_ready(id: JobId, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor) -> Pick {
     let mut best = Pick::NothingReady;
     for (frame, open) in desk.open.ready() {
-        let key = |kind, index| TaskKey { job: id, stage: Stage { frame, round: open.round, kind }, index };
-        let merge = open.merge.then(|| key(StageKind::Merge, 0));
-        let gathers = open.gathers.iter().map(|group| key(StageKind::Gather, group));
-        let renders = open.grains.iter().map(|index| key(StageKind::Render, index));
-        for task in merge.into_iter().chain(gathers).chain(renders) {
+        for task in open.tasks(id, frame) {
             if !is_avoided(&task, job, desk, worker, floor) {
                 return Pick::Task(task);
             }

@@ -22,6 +22,8 @@ pub(crate) struct Desk {
     /// Workers on which its tasks keep failing.
     pub(crate) distrust: Distrust,
     pub(crate) stale_messages: u64,
+    /// Second leases of late tasks.
+    pub(crate) copies: u64,
     pub(crate) rate: Rate,
     pub(crate) pace: Pace,
 }

@@ -6,6 +6,7 @@ use std::ops::Range;
 use femc_model::{Epoch, Intake, JobId, Phase, Registration, Stage, StageKind, TaskKey, TaskProgress, Tick, WorkerId};
 
 use crate::Config;
+use crate::affinity::AtHand;
 
 /// A lease's name: a task may be leased twice, see `speculate.rs`.
 pub(crate) type LeaseKey = (TaskKey, Epoch);
@@ -31,6 +32,7 @@ pub(crate) struct Worker {
     pub(crate) failed: u64,
     /// Tasks that it may hold beyond `prefetch`, because they are short.
     depth: usize,
+    pub(crate) at_hand: AtHand,
 }
 
 impl Worker {
@@ -76,7 +78,8 @@ pub(crate) struct Lease {
     pub(crate) phase: Phase,
     /// When its worker began to compute, at the earliest.
     began: Option<Tick>,
-    pub(crate) samples: u64,
+    /// Pixel samples, or inputs joined.
+    done: u64,
 }
 
 impl Lease {
@@ -85,10 +88,18 @@ impl Lease {
         task.index..self.end
     }
 
-    /// Milliseconds and pixel samples of its computation so far, as heard; `None` before there is any progress.
-    pub(crate) fn progress(&self) -> Option<(u64, u64)> {
-        let began = self.began.filter(|_| self.samples > 0)?;
-        Some((self.moved.since(began), self.samples))
+    /// Pixel samples so far, as heard.
+    pub(crate) fn samples(&self, task: &TaskKey) -> u64 {
+        match task.stage.kind {
+            StageKind::Render => self.done,
+            StageKind::Gather | StageKind::Merge => 0,
+        }
+    }
+
+    /// Milliseconds and pixel samples of its computation so far, as heard; `None` before there are any.
+    pub(crate) fn progress(&self, task: &TaskKey) -> Option<(u64, u64)> {
+        let (began, samples) = (self.began?, self.samples(task));
+        (samples > 0).then(|| (self.moved.since(began), samples))
     }
 }
 
@@ -119,6 +130,7 @@ impl Floor {
             completed: 0,
             failed: 0,
             depth: 0,
+            at_hand: AtHand::default(),
         };
         self.workers.insert(worker, fresh);
         self.spare.insert((0, worker));
@@ -161,13 +173,14 @@ impl Floor {
             moved: now,
             phase: Phase::Waiting,
             began: None,
-            samples: 0,
+            done: 0,
         };
         self.leases.insert(key, lease);
         self.deadlines.insert((deadline, key.1, key.0));
         if let Some(holder) = self.workers.get_mut(&worker) {
             self.spare.remove(&(holder.held.len(), worker));
             holder.held.insert(key);
+            holder.at_hand.note(&key.0);
             if holder.held.len() < holder.capacity(config) {
                 self.spare.insert((holder.held.len(), worker));
             }
@@ -246,8 +259,8 @@ impl Floor {
             if progress.phase == Phase::Working {
                 lease.began.get_or_insert(before.max(lease.granted));
             }
-            if (progress.phase, progress.samples) > (lease.phase, lease.samples) {
-                (lease.phase, lease.samples) = (progress.phase, progress.samples.max(lease.samples));
+            if (progress.phase, progress.samples) > (lease.phase, lease.done) {
+                (lease.phase, lease.done) = (progress.phase, progress.samples.max(lease.done));
                 lease.moved = now;
                 holder.moved = now;
             }

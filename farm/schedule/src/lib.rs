@@ -9,6 +9,7 @@
 //! Waiting tasks are ranges: a frame that nobody has begun costs nothing, one in work costs a row for each finished tile.
 #![deny(missing_docs)]
 
+mod affinity;
 mod attempts;
 mod config;
 mod control;

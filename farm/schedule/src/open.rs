@@ -2,6 +2,8 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use femc_model::{JobId, Stage, StageKind, TaskKey};
+
 use crate::RangeSet;
 use crate::ledger::Layout;
 
@@ -21,6 +23,20 @@ impl OpenFrame {
     /// A frame that nobody has begun.
     pub(crate) fn fresh(layout: &Layout) -> Self {
         Self { grains: RangeSet::full(layout.grains.all()), ..Self::default() }
+    }
+
+    /// Its ready tasks: the merge, then groups, then tiles.
+    pub(crate) fn tasks(&self, job: JobId, frame: u32) -> impl Iterator<Item = TaskKey> {
+        let stage = move |kind| Stage { frame, round: self.round, kind };
+        let merge = self.merge.then(|| TaskKey { job, stage: stage(StageKind::Merge), index: 0 });
+        let gathers = self.gathers.iter().map(move |index| TaskKey { job, stage: stage(StageKind::Gather), index });
+        merge.into_iter().chain(gathers).chain(self.renders(job, frame))
+    }
+
+    /// Those that render.
+    pub(crate) fn renders(&self, job: JobId, frame: u32) -> impl Iterator<Item = TaskKey> {
+        let stage = Stage { frame, round: self.round, kind: StageKind::Render };
+        self.grains.iter().map(move |index| TaskKey { job, stage, index })
     }
 
     /// Whether something of it can be leased.

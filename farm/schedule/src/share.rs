@@ -35,7 +35,7 @@ impl Scheduler {
 
     /// Milliseconds that so many pixel samples of the job would take at the pace of its running tasks, before any is done.
     fn heard(&self, task: &TaskKey, samples: u64) -> Option<u64> {
-        let running = self.floor.of_job(task.job).filter_map(|(_, lease)| lease.progress());
+        let running = self.floor.of_job(task.job).filter_map(|((task, _), lease)| lease.progress(task));
         let (spent, done) = running.fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
         (done > 0).then(|| (u128::from(spent) * u128::from(samples)).div_ceil(u128::from(done)) as u64)
     }

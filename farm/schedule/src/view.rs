@@ -50,6 +50,7 @@ impl Scheduler {
             seconds: began.map_or(0, |began| job.ended.unwrap_or(now).since(began)) as f64 / 1000.0,
             quarantined: quarantined(id, job),
             stale_messages: desk.stale_messages,
+            copies: desk.copies,
             waits: self.waits(id, job, desk, now),
         })
     }
@@ -135,9 +136,9 @@ impl Scheduler {
         let mut leases = self.floor.of_job(id).peekable();
         std::iter::from_fn(move || {
             let ((task, _), lease) = leases.next()?;
-            let mut samples = lease.samples;
+            let mut samples = lease.samples(task);
             while let Some((_, other)) = leases.next_if(|((next, _), _)| next == task) {
-                samples = samples.max(other.samples);
+                samples = samples.max(other.samples(task));
             }
             Some((task, samples))
         })

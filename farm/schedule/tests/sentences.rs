@@ -67,6 +67,20 @@ fn heartbeats_with_progress_keep_a_lease_and_standing_still_loses_it() {
 }
 
 #[test]
+fn a_long_merge_keeps_its_lease_by_the_inputs_that_are_in_and_these_are_no_samples() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    farm.work(1, Done);
+    for inputs in 1..=100 {
+        farm.wait(4_000);
+        farm.heartbeat(1, Phase::Working, inputs);
+    }
+    assert_eq!(farm.tasks_of(1), [(1, 0, Merge, 0)]);
+    assert_eq!((farm.status(id).samples_done, farm.status(id).active[0].samples_done), (4 * 64, 4 * 64));
+}
+
+#[test]
 fn a_worker_that_leaves_frees_its_tasks_at_once() {
     let mut farm = Farm::new();
     farm.submit(job(&[1], 2, &[4]));
@@ -334,6 +348,7 @@ fn a_worker_that_lived_through_a_restart_keeps_its_tasks_and_its_results_count()
     // The first worker is back before the second, and gets nothing that is the second's.
     farm.rejoin(11, &first);
     assert_eq!(own(&farm, 11), first);
+    assert_eq!(farm.status(id).waits, [Wait::Regrouping { milliseconds: 500 }]);
     farm.wait(200);
     farm.rejoin(12, &second);
     farm.wait(400);

@@ -292,8 +292,8 @@ pub struct Stored {
     pub kept: SystemTime,
 }
 
-/// Two digits for the folder, the rest for the file: no folder grows too large.
-fn place(digest: &Digest) -> Path {
+/// Where an artefact lies: two digits for the folder, the rest for the file; no folder grows too large.
+pub fn place(digest: &Digest) -> Path {
     let name = digest.to_string();
     Path::from_iter([&name[..2], &name[2..]])
 }

@@ -30,6 +30,7 @@ impl From<JobStatus> for wire::JobStatus {
             seconds: status.seconds,
             quarantined: status.quarantined.into_iter().map(Into::into).collect(),
             stale_messages: status.stale_messages,
+            copies: status.copies,
             waits: status.waits.into_iter().map(Into::into).collect(),
         }
     }
@@ -59,6 +60,7 @@ impl TryFrom<wire::JobStatus> for JobStatus {
             seconds: wire.seconds,
             quarantined: each(wire.quarantined)?,
             stale_messages: wire.stale_messages,
+            copies: wire.copies,
             waits: each(wire.waits)?,
         })
     }
@@ -130,6 +132,7 @@ impl From<Wait> for wire::Wait {
                 Wait::WorkersResting => Reason::WorkersResting(empty),
                 Wait::WorkersShunned { workers, seconds } => Reason::WorkersShunned(wire::Shunned { workers, seconds }),
                 Wait::WorkersAvoided { tasks } => Reason::WorkersAvoided(tasks),
+                Wait::Regrouping { milliseconds } => Reason::Regrouping(milliseconds),
                 Wait::BehindJob(job) => Reason::BehindJob(job.0),
                 Wait::MergeWaitsForTiles { frame, tiles } => Reason::MergeWaitsForTiles(Tasks { frame, tasks: tiles }),
                 Wait::MergeWaitsForGroups { frame, groups } => {
@@ -153,6 +156,7 @@ impl TryFrom<wire::Wait> for Wait {
             Reason::WorkersDraining(workers) => Self::WorkersDraining { workers },
             Reason::WorkersResting(_) => Self::WorkersResting,
             Reason::WorkersShunned(wire::Shunned { workers, seconds }) => Self::WorkersShunned { workers, seconds },
+            Reason::Regrouping(milliseconds) => Self::Regrouping { milliseconds },
             Reason::BehindJob(job) => Self::BehindJob(JobId(job)),
             Reason::WorkersAvoided(tasks) => Self::WorkersAvoided { tasks },
             Reason::MergeWaitsForTiles(Tasks { frame, tasks }) => Self::MergeWaitsForTiles { frame, tiles: tasks },

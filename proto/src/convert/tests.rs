@@ -236,6 +236,7 @@ fn statuses_cross_the_wire() {
         Wait::WorkersResting,
         Wait::WorkersShunned { workers: 2, seconds: 60 },
         Wait::WorkersAvoided { tasks: 3 },
+        Wait::Regrouping { milliseconds: 300 },
         Wait::BehindJob(JobId(2)),
         Wait::MergeWaitsForTiles { frame: 1, tiles: 2 },
         Wait::MergeWaitsForGroups { frame: 1, groups: 3 },
@@ -262,6 +263,7 @@ fn statuses_cross_the_wire() {
             seconds: 5.5,
             quarantined: vec![Quarantined { task: task(StageKind::Render), attempts: 3, failure: Failure::Cancelled }],
             stale_messages: 8,
+            copies: 2,
             waits: waits.clone(),
         };
         crosses::<JobStatus, wire::JobStatus>(status);

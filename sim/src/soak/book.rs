@@ -88,7 +88,7 @@ fn close(state: &mut State, last: JobId) -> Vec<Violation> {
     let (notes, left) =
         std::mem::take(&mut state.disk.notes).into_iter().partition(|note: &Note| note.subject <= last.0);
     state.disk.notes = left;
-    wrong.extend(noted(&records, &notes).unwrap_or_else(|error| vec![error.into()]));
+    wrong.extend(noted(&records, &notes, state.disk.tail()).unwrap_or_else(|error| vec![error.into()]));
     state.leases.forget_until(last);
     wrong
 }

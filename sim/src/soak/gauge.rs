@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use femc_schedule::{Config, Fact, Ledger, Scheduler, SnapshotError};
+use femc_schedule::{Config, Scheduler, SnapshotError};
 use serde::Serialize;
 
 use super::book::Book;
@@ -55,11 +55,7 @@ impl Gauge {
     ) -> Result<Self, SnapshotError> {
         let state = shared.lock();
         let contents = &state.disk.contents;
-        let mut ledger = contents.snapshot.as_deref().map(Ledger::decode).transpose()?.unwrap_or_default();
-        for record in &contents.records {
-            let (now, fact) = Fact::decode(record)?;
-            ledger.apply(&fact, now);
-        }
+        let ledger = state.disk.ledger()?;
         let then = ledger.now();
         let (artefacts, artefact_bytes) = shelf.volume();
         Ok(Self {

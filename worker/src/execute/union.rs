@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::ops::Range;
+use std::sync::atomic::Ordering;
 
 use bytes::Bytes;
 use femc_fault::{Point, pass};
@@ -76,7 +77,7 @@ pub(super) struct Lost {
 }
 
 impl Lost {
-    /// Downloads these; what is lost is left out, a failure of another kind ends the task.
+    /// Downloads these, which shows as progress; what is lost is left out, a failure of another kind ends the task.
     pub(super) fn fetch(
         &mut self,
         task: &Task,
@@ -94,6 +95,7 @@ impl Lost {
                 Err(failure) => return Err(failure),
             }
         }
+        task.samples.fetch_add(here.len() as u64, Ordering::Relaxed);
         Ok(here)
     }
 

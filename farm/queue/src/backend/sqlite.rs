@@ -29,7 +29,8 @@ const TABLES: &str = "
 
 /// What later versions have added. A version that does not know them works beside them.
 ///
-/// A note's `sequence` is that of the last record of the log when it came: a tail that is cut takes its notes along.
+/// A note's `sequence` is that of the first record of its batch, or of the last before: a tail that is cut takes along the notes
+/// of batches of which nothing is left.
 const LATER_TABLES: &str = "
     CREATE TABLE IF NOT EXISTS notes (subject INTEGER NOT NULL, number INTEGER NOT NULL, sequence INTEGER NOT NULL,
         checksum BLOB NOT NULL, note BLOB NOT NULL, PRIMARY KEY (subject, number)) STRICT, WITHOUT ROWID;
@@ -138,10 +139,11 @@ impl Queue for Sqlite {
         for &subject in forgotten {
             sqlx::query("DELETE FROM notes WHERE subject = ?").bind(subject.cast_signed()).execute(&mut *batch).await?;
         }
+        let at = if records.is_empty() { self.next - 1 } else { self.next };
         for note in notes {
             sqlx::query(NOTE)
                 .bind(note.subject.cast_signed())
-                .bind(sequence - 1)
+                .bind(at)
                 .bind(note_checksum(&note.bytes))
                 .bind(note.bytes.as_slice())
                 .execute(&mut *batch)

@@ -137,6 +137,13 @@ impl Ledger {
         all
     }
 
+    /// What the frames in work need that is made already, with job and frame.
+    pub fn inputs(&self) -> impl Iterator<Item = (JobId, u32, Digest)> {
+        let frames =
+            self.jobs.iter().flat_map(|(&id, job)| job.frames.iter().map(move |(&number, frame)| (id, number, frame)));
+        frames.flat_map(|(id, number, frame)| frame.artefacts().map(move |digest| (id, number, digest)))
+    }
+
     /// The scenes of all jobs: what each of them names belongs to the job, too.
     pub fn scenes(&self) -> BTreeSet<Digest> {
         self.jobs.values().map(|job| job.spec.bundle).collect()

@@ -92,20 +92,29 @@ fn row(row: &PgRow) -> Result<Row, sqlx::Error> {
     Ok(Row { sequence: row.try_get(0)?, sum: row.try_get(1)?, bytes: row.try_get(2)? })
 }
 
+/// The latest snapshot and the records after it.
+async fn read(connection: &mut PgConnection) -> Result<(Option<Row>, Vec<Row>), sqlx::Error> {
+    let newest = "SELECT sequence, checksum, state FROM femc.snapshot ORDER BY sequence DESC LIMIT 1";
+    let snapshot = sqlx::query(newest).fetch_optional(&mut *connection).await?;
+    let snapshot = snapshot.as_ref().map(row).transpose()?;
+    let after = "SELECT sequence, checksum, record FROM femc.log WHERE sequence > $1 ORDER BY sequence";
+    let rows = sqlx::query(after).bind(snapshot.as_ref().map_or(0, |snapshot| snapshot.sequence));
+    let rows = rows.fetch_all(&mut *connection).await?;
+    Ok((snapshot, rows.iter().map(row).collect::<Result<_, _>>()?))
+}
+
+/// What is in the log, whoever leads.
+#[cfg(feature = "testing")]
+pub(crate) async fn look(connection: &mut PgConnection) -> Result<Contents, QueueError> {
+    use sqlx::Connection as _;
+    let mut moment = connection.begin_with("BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY").await?;
+    let (snapshot, rows) = read(&mut moment).await?;
+    Ok(contents(snapshot, rows)?.0)
+}
+
 impl Queue for Postgres {
     async fn load(&mut self) -> Result<Contents, QueueError> {
-        let connection = &mut self.connection;
-        let read = async {
-            let newest = "SELECT sequence, checksum, state FROM femc.snapshot ORDER BY sequence DESC LIMIT 1";
-            let snapshot = sqlx::query(newest).fetch_optional(&mut *connection).await?;
-            let snapshot = snapshot.as_ref().map(row).transpose()?;
-            let after = "SELECT sequence, checksum, record FROM femc.log WHERE sequence > $1 ORDER BY sequence";
-            let rows = sqlx::query(after)
-                .bind(snapshot.as_ref().map_or(0, |snapshot| snapshot.sequence))
-                .fetch_all(&mut *connection)
-                .await?;
-            Ok((snapshot, rows.iter().map(row).collect::<Result<Vec<_>, _>>()?))
-        };
+        let read = read(&mut self.connection);
         let (snapshot, rows) = Self::leading(&self.database, &mut self.pulse, read).await?;
         let (contents, last) = contents(snapshot, rows)?;
         if contents.torn > 0 {
@@ -136,7 +145,7 @@ impl Queue for Postgres {
             .bind(signed(notes.iter().map(|note| note.subject).collect()))
             .bind(notes.iter().map(|note| note_checksum(&note.bytes)).collect::<Vec<_>>())
             .bind(notes.iter().map(|note| note.bytes.as_slice()).collect::<Vec<_>>())
-            .bind(last)
+            .bind(if records.is_empty() { last } else { self.next })
             .fetch_optional(&mut self.connection);
         if Self::leading(&self.database, &mut self.pulse, append).await?.is_none() {
             return Err(QueueError::Deposed { epoch: self.epoch });

@@ -25,7 +25,8 @@ const TABLES: &str = "
 
 /// What later versions have added. A version that does not know them works beside them.
 ///
-/// A note's `sequence` is that of the last record of the log when it came: a tail that is cut takes its notes along.
+/// A note's `sequence` is that of the first record of its batch, or of the last before: a tail that is cut takes along the notes
+/// of batches of which nothing is left.
 const LATER_TABLES: &str = "
     CREATE TABLE IF NOT EXISTS femc.notes (number bigint GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
         subject bigint NOT NULL, sequence bigint NOT NULL, checksum bytea NOT NULL, note bytea NOT NULL);

@@ -104,7 +104,7 @@ fn free(count: usize) -> Vec<SocketAddr> {
 /// Where the log is.
 enum Store {
     Sqlite,
-    Postgres(Scratch),
+    Postgres(Box<Scratch>),
 }
 
 pub struct Farm {
@@ -124,7 +124,7 @@ impl Farm {
     pub fn new() -> Self {
         let place = Place::new();
         let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
-        let store = runtime.block_on(Scratch::new()).map_or(Store::Sqlite, Store::Postgres);
+        let store = runtime.block_on(Scratch::new()).map_or(Store::Sqlite, |scratch| Store::Postgres(scratch.into()));
         let (count, log) = match &store {
             Store::Sqlite => (1, "sqlite:farm.db".to_owned()),
             Store::Postgres(scratch) => (2, scratch.url()),

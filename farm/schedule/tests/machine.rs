@@ -72,6 +72,8 @@ struct Machine {
     done: BTreeSet<TaskKey>,
     /// By which lease each was done last.
     made: BTreeMap<TaskKey, Epoch>,
+    /// Results of which it was noted what they took.
+    noted: BTreeSet<(TaskKey, Epoch)>,
     /// What is rendered.
     rendered: BTreeSet<Unit>,
 }
@@ -106,6 +108,7 @@ impl Machine {
             last_epoch: Epoch(0),
             done: BTreeSet::new(),
             made: BTreeMap::new(),
+            noted: BTreeSet::new(),
             rendered: BTreeSet::new(),
         }
     }
@@ -141,6 +144,10 @@ impl Machine {
                         assert!(self.rendered.insert(*unit), "{unit:?} of {task} counts twice");
                     }
                     self.made.insert(task, epoch);
+                    assert!(self.noted.contains(&(task, epoch)), "what {task} took is not noted");
+                }
+                Command::Note(note) if note.ending == Ending::Done => {
+                    assert!(self.noted.insert((note.task, note.epoch)), "{} is noted twice", note.task);
                 }
                 Command::Record(Fact::Lost { task }) => {
                     assert!(self.done.remove(&task));

@@ -1,0 +1,101 @@
+//! What attempts took, a sentence each.
+
+mod common;
+
+use common::{Farm, job, panic, registration};
+use femc_model::*;
+use femc_schedule::*;
+
+use Decision::Done;
+
+fn usage(cpu: f64) -> Usage {
+    Usage { cpu, wall: 1.0, ..Usage::default() }
+}
+
+/// The worker says what the lease took.
+fn tell(farm: &mut Farm, worker: u64, held: &Assignment, cpu: f64) -> Vec<Command> {
+    let spent = Spent { task: held.task, epoch: held.epoch, usage: usage(cpu) };
+    farm.on(Event::Spent { worker: WorkerId(worker), spent })
+}
+
+fn notes(commands: &[Command]) -> Vec<(Epoch, Ending, Option<f64>)> {
+    let note = |command: &Command| match command {
+        Command::Note(note) => Some((note.epoch, note.ending, note.usage.map(|usage| usage.cpu))),
+        _ => None,
+    };
+    commands.iter().filter_map(note).collect()
+}
+
+/// A worker with a task, at which it works.
+fn at_work() -> (Farm, JobId, Assignment) {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    farm.heartbeat(1, Phase::Working, 1);
+    (farm, id, held)
+}
+
+#[test]
+fn a_result_is_noted_once_with_what_it_took_and_the_ledger_does_not_grow() {
+    let (mut farm, _, held) = at_work();
+    farm.wait(700);
+    assert_eq!(tell(&mut farm, 1, &held, 2.0), [], "its end is to come");
+    let commands = farm.complete(1, &held, Done);
+    let [Command::Note(note)] =
+        &commands.iter().filter(|c| matches!(c, Command::Note(_))).cloned().collect::<Vec<_>>()[..]
+    else {
+        panic!("{commands:?}")
+    };
+    let found = (note.task, note.worker.as_str(), note.granted, note.ended, note.ending, note.samples);
+    assert_eq!(found, (held.task, registration().name.as_str(), Tick(0), Tick(700), Ending::Done, 256));
+    assert_eq!(note.usage, Some(usage(2.0)));
+    tell(&mut farm, 1, &held, 2.0);
+    assert_eq!(notes(&farm.complete(1, &held, Done)), [], "a repetition is no attempt");
+    let again = decode_attempts(&encode_attempts(&[(**note).clone()]).unwrap()).unwrap();
+    assert_eq!(again, [(**note).clone()]);
+    assert_eq!(farm.replay(), *farm.scheduler.ledger());
+}
+
+#[test]
+fn every_end_of_a_lease_under_which_work_was_begun_is_an_attempt() {
+    let (mut farm, _, held) = at_work();
+    tell(&mut farm, 1, &held, 0.5);
+    assert_eq!(notes(&farm.fail(1, &held, panic())), [(held.epoch, Ending::Failed, Some(0.5))]);
+
+    let (mut farm, _, held) = at_work();
+    tell(&mut farm, 1, &held, 0.25);
+    assert_eq!(notes(&farm.fail(1, &held, Failure::Cancelled)), [(held.epoch, Ending::Cancelled, Some(0.25))]);
+
+    let (mut farm, _, held) = at_work();
+    assert_eq!(notes(&farm.leave(1)), [(held.epoch, Ending::Lost, None)]);
+
+    let (mut farm, id, held) = at_work();
+    assert_eq!(notes(&farm.control(id, Control::Cancel)), [(held.epoch, Ending::Cancelled, None)]);
+    assert_eq!(
+        notes(&tell(&mut farm, 1, &held, 3.0)),
+        [(held.epoch, Ending::Revoked, Some(3.0))],
+        "told after its end"
+    );
+
+    let (mut farm, _, held) = at_work();
+    assert_eq!(notes(&farm.wait(6_000)), [(held.epoch, Ending::Revoked, None)]);
+}
+
+#[test]
+fn a_task_that_only_waited_was_no_attempt() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 2, &[4]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    assert_eq!(notes(&farm.fail(1, &held, Failure::Cancelled)), []);
+    assert_eq!(notes(&farm.leave(1)), []);
+}
+
+#[test]
+fn what_a_stranger_says_of_a_job_that_is_not_there_is_not_kept() {
+    let (mut farm, _, held) = at_work();
+    let strange = Assignment { task: TaskKey { job: JobId(77), ..held.task }, ..held };
+    assert_eq!(tell(&mut farm, 1, &strange, 1.0), []);
+    assert_eq!(tell(&mut farm, 9, &strange, 1.0), []);
+}

@@ -74,25 +74,30 @@ impl Fetch {
 
     /// What names a scene's pieces, or, from earlier versions, holds them.
     pub(crate) fn scene(&self, client: &Client, digest: &Digest) -> Result<Bytes, Failure> {
-        let bytes = match &self.way {
-            Way::Blocking(runtime) => self.wait(runtime, client.get(digest, BUNDLE)).map_err(|error| failure(&error)),
+        match &self.way {
+            Way::Blocking(runtime) => {
+                let bytes = self.wait(runtime, client.get(digest, BUNDLE)).map_err(|error| failure(&error));
+                bytes.inspect(|bytes| self.count(bytes.len()))
+            }
             Way::Collected(inputs) => collected(inputs, digest),
-        };
-        bytes.inspect(|bytes| self.count(bytes.len()))
+        }
     }
 
     /// All of `artefacts` in their order, side by side; each is there, or lost, or not to be had.
     pub(crate) fn all(&self, client: &Client, artefacts: &[Artefact]) -> Vec<Result<Bytes, Failure>> {
-        let all: Vec<_> = match &self.way {
-            Way::Blocking(runtime) => self.wait(runtime, side_by_side(client, artefacts)),
+        match &self.way {
+            Way::Blocking(runtime) => {
+                let all = self.wait(runtime, side_by_side(client, artefacts));
+                all.iter().flatten().for_each(|bytes| self.count(bytes.len()));
+                all
+            }
             Way::Collected(inputs) => artefacts.iter().map(|artefact| collected(inputs, &artefact.digest)).collect(),
-        };
-        all.iter().flatten().for_each(|bytes| self.count(bytes.len()));
-        all
+        }
     }
 
-    /// Downloads a task's inputs before it begins.
-    pub(crate) async fn collect(client: &Client, bundle: Digest, artefacts: &[Artefact]) -> Self {
+    /// Downloads a task's inputs before it begins, all of them, whatever is kept near.
+    pub(crate) async fn collect(task: &Arc<Task>, artefacts: &[Artefact]) -> Self {
+        let (client, bundle) = (&task.client, task.spec.bundle);
         let scene = client.get(&bundle, BUNDLE).await.map_err(|error| failure(&error));
         let manifest = scene.as_ref().ok().and_then(|bytes| Manifest::decode(bytes).ok()).unwrap_or_default();
         let pieces = manifest.pieces.iter().map(|piece| piece.artefact);
@@ -100,7 +105,10 @@ impl Fetch {
         let all = side_by_side(client, &artefacts).await;
         let mut inputs: BTreeMap<_, _> = artefacts.iter().map(|artefact| artefact.digest).zip(all).collect();
         inputs.insert(bundle, scene);
-        Self { way: Way::Collected(Arc::new(inputs)), task: None }
+        let inputs = Arc::new(inputs);
+        let fetch = Self { way: Way::Collected(inputs.clone()), task: Some(task.clone()) };
+        inputs.values().flatten().for_each(|bytes| fetch.count(bytes.len()));
+        fetch
     }
 }
 

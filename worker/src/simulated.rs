@@ -33,7 +33,7 @@ async fn work(task: &Arc<Task>, pace: &Pace, tools: &Tools) -> Result<Product, F
     task.begin();
     task.enter(Phase::Preparing);
     let inputs: Vec<_> = task.assignment.work.inputs().collect();
-    let fetch = Fetch::collect(&task.client, task.spec.bundle, &inputs).await;
+    let fetch = Fetch::collect(task, &inputs).await;
     task.enter(Phase::Working);
     let (whole, samples) = (pace.of(&task.assignment), samples(task));
     for step in 1..=STEPS {

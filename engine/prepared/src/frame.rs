@@ -113,13 +113,14 @@ struct Sight<'a> {
 }
 
 impl<'a> Sight<'a> {
-    fn of(scene: &Scene, now: &'a Scalars, spec: &FrameSpec) -> Result<Self, PrepareError> {
+    fn of(source: &Source, now: &'a Scalars, spec: &FrameSpec) -> Result<Self, PrepareError> {
+        let scene = source.scene();
         let camera = find_camera(&now.cameras, spec.camera.as_deref())?;
         Ok(Self {
             camera,
             film: spec.size.unwrap_or(camera.film),
             shutter: scene.shutter(camera, spec.frame),
-            origin: rebase_origin(scene, spec.camera.as_deref())?,
+            origin: rebase_origin(source, spec.camera.as_deref())?,
         })
     }
 
@@ -133,7 +134,7 @@ impl<'a> Sight<'a> {
 pub fn moment(source: &Source, spec: &FrameSpec) -> Result<Moment, PrepareError> {
     let scene = source.scene();
     let now = scene.scalars_at(scene.frame_time(spec.frame))?;
-    Ok(Sight::of(scene, &now, spec)?.moment(source, &now, spec.frame))
+    Ok(Sight::of(source, &now, spec)?.moment(source, &now, spec.frame))
 }
 
 /// Prepares a frame. `previous`: any other; what the two have in common is shared: all but the camera if their worlds are
@@ -141,7 +142,7 @@ pub fn moment(source: &Source, spec: &FrameSpec) -> Result<Moment, PrepareError>
 pub fn prepare(source: &Source, spec: &FrameSpec, previous: Option<&Prepared>) -> Result<Prepared, PrepareError> {
     let scene = source.scene();
     let now = scene.scalars_at(scene.frame_time(spec.frame))?;
-    let sight = Sight::of(scene, &now, spec)?;
+    let sight = Sight::of(source, &now, spec)?;
     let moment = sight.moment(source, &now, spec.frame);
     let camera = kernel_camera(&now.paths, spec, &sight)?;
     let mut prepared = match previous.filter(|p| p.moment.fixed == moment.fixed) {
@@ -276,9 +277,10 @@ pub fn find_camera<'a>(cameras: &'a [Camera], name: Option<&str>) -> Result<&'a 
 }
 
 /// A whole number of metres near the camera at the start of the clip: the same for every frame.
-fn rebase_origin(scene: &Scene, camera: Option<&str>) -> Result<DVec3, PrepareError> {
+fn rebase_origin(source: &Source, camera: Option<&str>) -> Result<DVec3, PrepareError> {
+    let scene = source.scene();
     let camera = find_camera(&scene.cameras, camera)?.at(&scene.paths, scene.frame_time(1));
-    Ok(camera.origin.round())
+    Ok((camera.origin / source.grid()).round() * source.grid())
 }
 
 struct Assembly<'a> {

@@ -48,6 +48,10 @@ fn a_grid_becomes_folders_tables_and_a_sheet_and_equals_separate_renders() {
     for name in ["fog.0001.exr", "fog.0002.exr"] {
         assert_eq!(pixels(&place.path("out/sigma_s=0.2,ed=300").join(name)), pixels(&place.path("alone").join(name)));
     }
+    let compared = place.run("compare out/sigma_s=0.2,ed=300 out/sigma_s=0.2,ed=100 --json").exits(0).json();
+    assert_eq!(compared["frames"].as_array().map(Vec::len), Some(2));
+    let mean_ratio = compared["mean"]["mean_ratio"].as_f64().expect("a ratio");
+    assert!((mean_ratio - 3.0).abs() < 0.01, "{compared}");
     let csv = place.read("out/variants.csv");
     let lines: Vec<&str> = csv.lines().collect();
     assert_eq!(lines.len(), 5, "{csv}");

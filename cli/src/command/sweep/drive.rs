@@ -122,7 +122,7 @@ pub async fn collect(
     let mut look = FIRST_LOOK;
     loop {
         let all: BTreeMap<JobId, JobStatus> =
-            farm.jobs().await?.into_iter().map(|status| (status.job, status)).collect();
+            farm.patient_jobs().await?.into_iter().map(|status| (status.job, status)).collect();
         for queued in queued.iter_mut() {
             if let Some(status) = all.get(&queued.job).filter(|status| status.frames_done > queued.seen) {
                 queued.seen = status.frames_done;

@@ -95,9 +95,9 @@ impl Folder {
     fn forget_what_is_gone(&mut self) {
         let path = self.path.clone();
         self.manifest.files.retain(|name, _| femc_film::exr::read_attributes(&path.join(name)).is_ok());
-        let rendered_first = |shot: &Shot| shot.same_as.is_some();
         let mut files: Vec<_> = self.manifest.files.iter().collect();
-        files.sort_by_key(|(_, shot)| !rendered_first(shot));
+        // Of equal files the last one stands for all: one that was rendered rather than linked.
+        files.sort_by_key(|(_, shot)| shot.same_as.is_none());
         self.by_key = files.into_iter().map(|(name, shot)| (shot.key.clone(), name.clone())).collect();
     }
 

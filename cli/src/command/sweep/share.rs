@@ -8,7 +8,7 @@ use serde::Serialize;
 use std::collections::BTreeSet;
 
 /// What is shared.
-#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
 pub struct Shares {
     /// Variants.
     pub variants: usize,
@@ -64,12 +64,12 @@ impl Shares {
             count(frames, "frame")
         )];
         if render > 0 {
-            lines.push(format!(
-                "the scene is read once for {}; {} prepared for {}, the others differ in the camera alone",
-                count(variants, "variant"),
-                if worlds == 1 { "1 world is".to_owned() } else { format!("{worlds} worlds are") },
-                count(render, "frame")
-            ));
+            let prepared = match worlds {
+                _ if worlds == render => "every frame has a world of its own".to_owned(),
+                1 => format!("{} have one world and differ in the camera alone", count(render, "frame")),
+                _ => format!("{} have {worlds} worlds; the others differ in the camera alone", count(render, "frame")),
+            };
+            lines.push(format!("the scene is read once for {}; {prepared}", count(variants, "variant")));
         }
         if samples_saved > 0 {
             lines.push(format!("linking saves {} samples", human::quantity(samples_saved as f64)));

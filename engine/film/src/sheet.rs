@@ -115,7 +115,7 @@ mod tests {
     use super::*;
 
     fn cell(width: u32, height: u32, value: u8, caption: &str) -> SheetCell {
-        let picture = Picture { width, height, pixels: vec![[value; 3]; (width * height) as usize] };
+        let picture = Picture { width, height, pixels: vec![[value, 0, 0]; (width * height) as usize] };
         SheetCell { picture, caption: caption.into() }
     }
 
@@ -133,7 +133,7 @@ mod tests {
         let sheet = labelled_sheet(&rows);
         assert_eq!((sheet.width, sheet.height), (2 * 106 + GAP, GAP + (LINE + 10 + LINE + GAP) + (10 + GAP)));
         for (value, area) in [(60, 1000), (61, 720), (62, 1000)] {
-            assert_eq!(sheet.pixels.iter().filter(|pixel| **pixel == [value; 3]).count(), area, "picture {value}");
+            assert_eq!(sheet.pixels.iter().filter(|pixel| **pixel == [value, 0, 0]).count(), area, "picture {value}");
         }
         assert!(inked(&sheet, GAP..GAP + LINE) > 50, "the title is written");
         assert!(inked(&sheet, GAP + LINE + 10..GAP + LINE + 10 + LINE) > 20, "the caption is written");

@@ -113,11 +113,11 @@ fn stage(rounds: &[u32], schedule: &Config, seed: u64) -> anyhow::Result<Stage> 
     let stop = if let [spp] = rounds { Stop::Spp(*spp) } else { Stop::Error(1e-9) };
     let settings = Settings { stop, max_depth: 3, seed, ..Settings::default() };
     let bundle = Bundle(BTreeMap::from([("haze.mgf".into(), SCENE.as_bytes().to_vec())]));
-    let scene = Arc::new(femc_import::load(&bundle, "haze.mgf")?.scene);
+    let source = femc_pipeline::Source::new(Arc::new(femc_import::load(&bundle, "haze.mgf")?.scene));
     let spp = *rounds.last().context("a round")?;
     let mut pixels = Vec::new();
     for number in FRAMES {
-        let prepared = femc_pipeline::prepare(&scene, &settings, number, None)?;
+        let prepared = femc_pipeline::prepare(&source, &settings, number, None)?;
         let tiling = Tiling::new(FILM[0], FILM[1], TILE)?;
         let mut frame = Frame::new(tiling);
         for rect in tiling.rects() {

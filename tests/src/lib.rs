@@ -2,7 +2,7 @@
 
 use femc_film::{Frame, FrameImage};
 use femc_import::{Bundle, load};
-use femc_pipeline::{Settings, Stop, plan, prepare, render_tile};
+use femc_pipeline::{Settings, Source, Stop, plan, prepare, render_tile};
 use femc_scene::Scene;
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -29,7 +29,8 @@ pub fn scene_of(files: &[(&str, &str)]) -> Arc<Scene> {
 /// When the plan or the preparation fails: tests only.
 pub fn render(scene: &Arc<Scene>, settings: &Settings, frame: u32) -> FrameImage {
     let plan = plan(scene, settings, Some(&[frame])).unwrap_or_else(|error| panic!("{error}"));
-    let prepared = prepare(scene, settings, frame, None).unwrap_or_else(|error| panic!("{error}"));
+    let prepared =
+        prepare(&Source::new(scene.clone()), settings, frame, None).unwrap_or_else(|error| panic!("{error}"));
     let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     let mut film = Frame::new(plan.tiling);
     let Stop::Spp(spp) = settings.stop else { panic!("tests render a fixed number of samples") };

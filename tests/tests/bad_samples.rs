@@ -3,10 +3,11 @@
 use femc_film::{BadKind, Frame};
 use femc_math::Rgb;
 use femc_math::color::LUMINANCE_WEIGHTS;
-use femc_pipeline::{Settings, Stop, plan, prepare, render_tile};
+use femc_pipeline::{Settings, Source, Stop, plan, prepare, render_tile};
 use femc_prepared::Prepared;
 use femc_scattering::Bsdf;
 use femc_tests::scene;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// A furnace with a ball in it; what hits the ball is to go wrong.
@@ -20,7 +21,8 @@ fn render(plant: impl FnOnce(&mut Prepared)) -> Frame {
     let scene = scene(FURNACE);
     let settings = Settings { stop: Stop::Spp(64), seed: 3, ..Settings::default() };
     let plan = plan(&scene, &settings, Some(&[1])).unwrap_or_else(|error| panic!("{error}"));
-    let mut prepared = prepare(&scene, &settings, 1, None).unwrap_or_else(|error| panic!("{error}"));
+    let mut prepared =
+        prepare(&Source::new(scene.clone()), &settings, 1, None).unwrap_or_else(|error| panic!("{error}"));
     plant(&mut prepared);
     let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     let mut film = Frame::new(plan.tiling);
@@ -34,7 +36,9 @@ fn render(plant: impl FnOnce(&mut Prepared)) -> Frame {
 /// Gives the material `flaw` the reflectance `rd`.
 fn flaw(prepared: &mut Prepared, rd: Rgb) {
     let flaw = prepared.scene.materials.iter().position(|m| m.name == "flaw").expect("the material is there");
-    let Bsdf::Diffuse(bsdf) = &mut prepared.materials[flaw].bsdf else { panic!("the flaw is not diffuse") };
+    let Bsdf::Diffuse(bsdf) = &mut Arc::make_mut(&mut prepared.materials)[flaw].bsdf else {
+        panic!("the flaw is not diffuse")
+    };
     bsdf.rd = rd;
 }
 

@@ -34,7 +34,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
     let plan = femc_pipeline::plan(&scene, &settings, Some(&[1]))?;
 
     let (begun, before) = (Instant::now(), processor());
-    let prepared = femc_pipeline::prepare(&scene, &settings, 1, None)?;
+    let prepared = femc_pipeline::prepare(&femc_pipeline::Source::new(scene.clone()), &settings, 1, None)?;
     let mut frame = Frame::new(Tiling::new(side, side, plan.tiling.edge)?);
     for rect in plan.tiling.rects() {
         let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));

@@ -3,15 +3,19 @@
 //! Who needs a frame first makes it ready, and others wait for it; so a frame is prepared once, however many threads
 //! and workers share the cache. A failure is not kept.
 //!
+//! Everything is known by its content, so that the variants of a sweep share what is equal between them: they read the
+//! scene once; with equal worlds they differ in the camera alone ([`femc_pipeline::prepare`]); and else unchanged
+//! surfaces are taken over from any other frame of any variant.
+//!
 //! Scenes and frames are bounded by their number (2 and 3): what a frame takes follows from its scene, and frames of a
 //! scene share what does not change. The pieces that scenes are made of are bounded by their bytes, see [`Pieces`].
 
+use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use femc_model::{Digest, Failure, JobSpec};
-use femc_pipeline::{Prepared, Settings};
+use femc_pipeline::{Moment, Prepared, Settings, Source};
 use femc_proto::Client;
-use femc_scene::Scene;
 
 use crate::Pieces;
 use crate::fetch::Fetch;
@@ -20,10 +24,24 @@ use crate::gather::gather;
 /// A scene with the job's overrides applied.
 #[derive(Debug)]
 pub(crate) struct Read {
-    pub(crate) scene: Arc<Scene>,
+    source: Source,
     pub(crate) settings: Settings,
     /// Content hash of the scene.
     pub(crate) digest: String,
+    /// What frames are made from, as far as it was asked for.
+    moments: Mutex<BTreeMap<u32, Moment>>,
+}
+
+impl Read {
+    fn moment(&self, frame: u32) -> Result<Moment, Failure> {
+        if let Some(moment) = lock(&self.moments).get(&frame) {
+            return Ok(*moment);
+        }
+        let moment = femc_pipeline::moment(&self.source, &self.settings, frame);
+        let moment = moment.map_err(|error| Failure::Scene { message: error.to_string() })?;
+        lock(&self.moments).insert(frame, moment);
+        Ok(moment)
+    }
 }
 
 /// Scenes and prepared frames; clones share them.
@@ -32,8 +50,11 @@ pub struct Cache(Arc<Shelves>);
 
 #[derive(Debug)]
 struct Shelves {
+    /// Scenes as their files have them.
+    sources: Shelf<Digest, Source>,
+    /// Scenes with a job's overrides.
     scenes: Shelf<Digest, Arc<Read>>,
-    frames: Shelf<(Digest, u32), Arc<Prepared>>,
+    frames: Shelf<Moment, Arc<Prepared>>,
     pieces: Pieces,
 }
 
@@ -61,11 +82,18 @@ impl Cache {
     }
 
     fn holding(frames: usize, pieces: Pieces) -> Self {
-        Self(Arc::new(Shelves { scenes: Shelf::new(Self::SCENES), frames: Shelf::new(frames.max(1)), pieces }))
+        let [sources, frames] = [Self::SCENES, frames.max(1)];
+        Self(Arc::new(Shelves {
+            sources: Shelf::new(sources),
+            scenes: Shelf::new(Self::SCENES),
+            frames: Shelf::new(frames),
+            pieces,
+        }))
     }
 
     /// Lets go of everything; what is in use stays until it is not.
     pub(crate) fn clear(&self) {
+        self.0.sources.clear();
         self.0.scenes.clear();
         self.0.frames.clear();
     }
@@ -73,7 +101,7 @@ impl Cache {
     /// The job's scene, read.
     pub(crate) fn scene(&self, spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Arc<Read>, Failure> {
         let slot = self.0.scenes.slot(scene_key(spec));
-        slot.get_or(|| read(spec, client, fetch, &self.0.pieces).map(Arc::new))
+        slot.get_or(|| self.read(spec, client, fetch).map(Arc::new))
     }
 
     /// The frame, ready to render.
@@ -85,22 +113,44 @@ impl Cache {
         fetch: &Fetch,
     ) -> Result<(Arc<Read>, Arc<Prepared>), Failure> {
         let read = self.scene(spec, client, fetch)?;
-        let key = scene_key(spec);
-        let slot = self.0.frames.slot((key, frame));
-        let previous = self.0.frames.latest(|(scene, _)| *scene == key);
+        let moment = read.moment(frame)?;
+        let slot = self.0.frames.slot(moment);
+        let same_world = || self.0.frames.latest(|other| other.world == moment.world);
+        let same_surfaces = || self.0.frames.latest(|other| other.fixed == moment.fixed);
         let prepared = slot.get_or(|| {
-            let prepared = femc_pipeline::prepare(&read.scene, &read.settings, frame, previous.as_deref());
+            let previous = same_world().or_else(same_surfaces);
+            let prepared = femc_pipeline::prepare(&read.source, &read.settings, frame, previous.as_deref());
             prepared.map(Arc::new).map_err(|error| Failure::Scene { message: error.to_string() })
         })?;
         Ok((read, prepared))
+    }
+
+    fn read(&self, spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Read, Failure> {
+        let unfit = |error: &dyn std::fmt::Display| Failure::Settings { message: error.to_string() };
+        let settings: Settings = serde_json::from_str(&spec.settings).map_err(|error| unfit(&error))?;
+        settings.check().map_err(|error| unfit(&error))?;
+        let source = self.source(spec, client, fetch)?;
+        let source = source.variant(&settings.overrides).map_err(|error| unfit(&error))?;
+        Ok(Read { digest: source.scene().digest().to_string(), source, settings, moments: Mutex::default() })
+    }
+
+    /// The scene as its files have it.
+    fn source(&self, spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Source, Failure> {
+        let slot = self.0.sources.slot(files_key(spec));
+        slot.get_or(|| {
+            let bundle = gather(&spec.bundle, client, fetch, &self.0.pieces)?;
+            let loaded = femc_import::load(&bundle, &spec.entry);
+            let scene = loaded.map_err(|error| Failure::Scene { message: error.to_string() })?.scene;
+            Ok(Source::new(Arc::new(scene)))
+        })
     }
 }
 
 #[cfg(test)]
 impl Cache {
-    /// A frame that is not made yet.
+    /// A scene that is not made yet.
     pub(crate) fn hold_something(&self) {
-        self.0.frames.slot((Digest::of(b"scene"), 1));
+        self.0.scenes.slot(Digest::of(b"scene"));
     }
 
     pub(crate) fn is_empty(&self) -> bool {
@@ -108,23 +158,16 @@ impl Cache {
     }
 }
 
-fn scene_key(spec: &JobSpec) -> Digest {
+fn files_key(spec: &JobSpec) -> Digest {
     let mut bytes = spec.bundle.as_bytes().to_vec();
-    bytes.extend((spec.entry.len() as u64).to_le_bytes());
     bytes.extend(spec.entry.as_bytes());
-    bytes.extend(spec.settings.as_bytes());
     Digest::of(&bytes)
 }
 
-fn read(spec: &JobSpec, client: &Client, fetch: &Fetch, pieces: &Pieces) -> Result<Read, Failure> {
-    let settings: Settings =
-        serde_json::from_str(&spec.settings).map_err(|error| Failure::Settings { message: error.to_string() })?;
-    settings.check().map_err(|error| Failure::Settings { message: error.to_string() })?;
-    let bundle = gather(&spec.bundle, client, fetch, pieces)?;
-    let loaded = femc_import::load(&bundle, &spec.entry);
-    let mut scene = loaded.map_err(|error| Failure::Scene { message: error.to_string() })?.scene;
-    settings.apply(&mut scene).map_err(|error| Failure::Settings { message: error.to_string() })?;
-    Ok(Read { digest: scene.digest().to_string(), scene: Arc::new(scene), settings })
+fn scene_key(spec: &JobSpec) -> Digest {
+    let mut bytes = files_key(spec).as_bytes().to_vec();
+    bytes.extend(spec.settings.as_bytes());
+    Digest::of(&bytes)
 }
 
 /// The latest few values by key.

@@ -76,7 +76,7 @@ async fn a_worker_that_prepares_a_large_scene_is_free_within_a_second() {
         let bundle = large(triangles);
         let begun = Instant::now();
         let scene = Arc::new(femc_import::load(&bundle, "haze.mgf").unwrap().scene);
-        femc_pipeline::prepare(&scene, &settings, 1, None).unwrap();
+        femc_pipeline::prepare(&femc_pipeline::Source::new(scene.clone()), &settings, 1, None).unwrap();
         if begun.elapsed() > Duration::from_secs(2) {
             break (bundle.encode().unwrap(), begun.elapsed());
         }

@@ -115,6 +115,7 @@ pub enum Command {
     Coordinator(command::coordinator::CoordinatorArgs),
     Worker(command::worker::WorkerArgs),
     Submit(command::submit::SubmitArgs),
+    Sweep(command::sweep::SweepArgs),
     Jobs(command::jobs::JobsArgs),
     Status(command::status::StatusArgs),
     Watch(command::watch::WatchArgs),

@@ -87,6 +87,11 @@ impl Farm {
         self.client.list().await.map_err(told)
     }
 
+    /// All jobs, of a coordinator that may be away for a while.
+    pub async fn patient_jobs(&self) -> Result<Vec<JobStatus>, Failure> {
+        patiently(|| self.client.list()).await.map_err(told)
+    }
+
     /// One job.
     pub async fn status(&self, job: JobId) -> Result<JobStatus, Failure> {
         self.client.status(job).await.map_err(told)

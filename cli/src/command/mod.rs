@@ -23,6 +23,7 @@ pub mod report;
 pub mod stats;
 pub mod status;
 pub mod submit;
+pub mod sweep;
 pub mod watch;
 pub mod worker;
 pub mod workers;
@@ -42,6 +43,7 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Coordinator(args) => coordinator::run(args, say),
         Command::Worker(args) => worker::run(args, say),
         Command::Submit(args) => submit::run(args, say),
+        Command::Sweep(args) => sweep::run(&args, say),
         Command::Jobs(args) => jobs::run(&args, say),
         Command::Status(args) => status::run(&args, say),
         Command::Watch(args) => watch::run(&args, say),

@@ -2,9 +2,10 @@
 
 use crate::args::{FormatArgs, SettingsArgs};
 use crate::clock::Clock;
-use crate::exit::{Exit, Failure, failed};
+use crate::command::sweep;
+use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Say, human, json};
-use crate::request::Asked;
+use crate::request::{Asked, JobFile, is_job};
 use clap::Args;
 use femc_pipeline::{LeftOut, Prepared, Stop};
 use serde::Serialize;
@@ -16,7 +17,8 @@ use std::time::Duration;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc plan scenes/roundabout.mgf --frames 1..24 --spp 64\n  \
-    femc plan scene.mgf --json | jq .tasks\n\n\
+    femc plan scene.mgf --json | jq .tasks\n  \
+    femc plan fog.toml    # of a job with a [sweep]: what its variants share\n\n\
     The cost is measured by a short trial on this machine; with --no-trial nothing is rendered.")]
 pub struct PlanArgs {
     /// Scene file, or JOB.toml
@@ -29,6 +31,15 @@ pub struct PlanArgs {
     format: FormatArgs,
     #[command(flatten)]
     settings: SettingsArgs,
+}
+
+/// Whether something is rendered to learn what it costs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Trial {
+    /// A little.
+    Run,
+    /// Nothing.
+    Skip,
 }
 
 /// A trial renders for about this long.
@@ -64,15 +75,21 @@ struct Pass {
 
 /// Estimated from a trial on this machine.
 #[derive(Serialize)]
-struct Cost {
-    prepare_seconds: f64,
-    samples_per_second: f64,
+pub struct Cost {
+    /// A frame made ready, s.
+    pub prepare_seconds: f64,
+    /// Rate of camera samples.
+    pub samples_per_second: f64,
     seconds_least: f64,
     seconds_most: f64,
 }
 
 /// Plan, and estimate.
 pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
+    let run = if args.no_trial { Trial::Skip } else { Trial::Run };
+    if is_job(&args.scene) && JobFile::load(&args.scene).map_err(usage)?.sweep.is_some() {
+        return sweep::plan(&args.scene, &args.settings, run, args.format.json, say);
+    }
     let asked = Asked::open(&args.scene, args.settings, say)?;
     let (plan, frames) = (&asked.plan, asked.plan.frames.len() as u64);
     let rounds = plan.rounds.len();
@@ -89,7 +106,10 @@ pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
     passes.retain(|pass| pass.tasks > 0);
     let (samples_least, samples_most) =
         (plan.samples_per_frame(least) * frames, plan.samples_per_frame(rounds) * frames);
-    let cost = if args.no_trial { None } else { Some(trial(&asked, samples_least, samples_most)?) };
+    let cost = match run {
+        Trial::Skip => None,
+        Trial::Run => Some(trial(&asked, samples_least, samples_most)?),
+    };
     let report = Report {
         scene: args.scene.display().to_string(),
         camera: plan.camera.clone(),
@@ -116,16 +136,16 @@ pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
 }
 
 /// Render a few blocks all over the first frame and count what a sample costs.
-fn trial(asked: &Asked, samples_least: u64, samples_most: u64) -> Result<Cost, Failure> {
+pub fn trial(asked: &Asked, samples_least: u64, samples_most: u64) -> Result<Cost, Failure> {
     let (clock, plan) = (Clock, &asked.plan);
     let frame = plan.frames.first().copied().unwrap_or(1);
     let begun = clock.now();
-    let prepared = femc_pipeline::prepare(&asked.scene, &asked.settings, frame, None).map_err(failed)?;
+    let prepared = femc_pipeline::prepare(&asked.source, &asked.settings, frame, None).map_err(failed)?;
     let prepare_seconds = clock.since(begun).as_secs_f64();
     let begun = clock.now();
     let mut samples = 0;
     for round in 0.. {
-        samples += sweep(asked, &prepared, round);
+        samples += blocks(asked, &prepared, round);
         if clock.since(begun) >= TRIAL {
             break;
         }
@@ -143,7 +163,7 @@ fn trial(asked: &Asked, samples_least: u64, samples_most: u64) -> Result<Cost, F
 }
 
 /// One sample a pixel in 16 blocks spread over the film; how many samples that were.
-fn sweep(asked: &Asked, prepared: &Prepared, round: u32) -> u64 {
+fn blocks(asked: &Asked, prepared: &Prepared, round: u32) -> u64 {
     let [width, height] = asked.film();
     let (across, down) = (width.div_ceil(BLOCK).min(4), height.div_ceil(BLOCK).min(4));
     let mut samples = 0;

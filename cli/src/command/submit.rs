@@ -74,7 +74,7 @@ pub fn run(args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
 }
 
 /// A key that no other submission has, also of the same job: every `femc submit` is a job of its own.
-fn own_key() -> Digest {
+pub fn own_key() -> Digest {
     let number = || RandomState::new().hash_one(std::process::id()).to_le_bytes();
     Digest::of(&[number(), number()].concat())
 }

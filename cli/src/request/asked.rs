@@ -5,7 +5,7 @@ use crate::args::{Filter, Method, SettingsArgs};
 use crate::exit::{Failure, failed, usage};
 use crate::output::Say;
 use femc_import::{Bundle, Disk, ImportError, Loaded};
-use femc_pipeline::{Plan, PlanError, PrepareError, Settings, Stop};
+use femc_pipeline::{Plan, PlanError, PrepareError, Settings, SettingsError, Source, Stop};
 use femc_scene::Scene;
 use femc_worker::Parcel;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,7 @@ pub struct Asked {
     /// The scene file.
     pub path: PathBuf,
     /// The scene, overrides applied.
-    pub scene: Arc<Scene>,
+    pub source: Source,
     /// Files that the scene is made of, relative to its folder.
     pub files: Vec<String>,
     /// The settings as meant.
@@ -44,44 +44,85 @@ pub enum FramesChosen {
     All,
 }
 
-impl Asked {
-    /// Read the scene or job file `path`, apply `typed`, plan. Warnings of the import go to stderr.
-    pub fn open(path: &Path, typed: SettingsArgs, say: Say) -> Result<Self, Failure> {
-        let (path, typed, priority, tags) = if path.extension().is_some_and(|extension| extension == "toml") {
-            let job = JobFile::load(path).map_err(usage)?;
-            (job.scene, typed.over(job.settings), job.priority, job.tags)
-        } else {
-            (path.to_owned(), typed, None, Vec::new())
-        };
-        let loaded = load(&path)?;
+/// A scene as its file has it, for one request or for the many of a sweep.
+pub struct Base {
+    /// The scene file.
+    pub path: PathBuf,
+    files: Vec<String>,
+    source: Source,
+}
+
+/// Where a setting stands, by its long name or `set.SELECTOR`; `None`: on the command line.
+pub type At<'a> = &'a dyn Fn(&str) -> Option<String>;
+
+impl Base {
+    /// Import the scene at `path`. Warnings of the import go to stderr.
+    pub fn open(path: &Path, say: Say) -> Result<Self, Failure> {
+        let loaded = load(path)?;
         for warning in &loaded.warnings {
-            say.note(format!("warning: {}", beside(&path, warning)));
+            say.note(format!("warning: {}", beside(path, warning)));
         }
-        let mut scene = loaded.scene;
-        known_varies(&path, &scene)?;
-        let settings = settings(&typed);
-        settings.apply(&mut scene).map_err(|e| usage(format!("--set: {e}")))?;
-        if settings.statistics {
-            say.note("--stats: this version does not collect path statistics yet");
-        }
+        known_varies(path, &loaded.scene)?;
+        Ok(Self { path: path.to_owned(), files: loaded.files, source: Source::new(Arc::new(loaded.scene)) })
+    }
+
+    /// Check settings against the scene, and plan.
+    pub fn ask(&self, typed: &SettingsArgs, at: At<'_>) -> Result<Asked, Failure> {
+        let settings = settings(typed);
+        let named = |key: &str| at(key).unwrap_or_else(|| format!("--{}", key.split('.').next().unwrap_or(key)));
+        let source = self.source.variant(&settings.overrides);
+        let source = source.map_err(|e| usage(format!("{}: {e}", named(&format!("set.{}", e.selector())))))?;
+        let scene = source.scene();
         let frames = typed
             .frames
             .map(|frames| frames.resolve(scene.frame_count()))
             .transpose()
-            .map_err(|e| usage(format!("--frames: {e}")))?;
-        let plan = femc_pipeline::plan(&scene, &settings, frames.as_deref()).map_err(|e| refused(&path, &e))?;
-        Ok(Self {
-            path,
-            scene: Arc::new(scene),
-            files: loaded.files,
+            .map_err(|e| usage(format!("{}: {e}", named("frames"))))?;
+        let plan = femc_pipeline::plan(scene, &settings, frames.as_deref());
+        let plan = plan.map_err(|e| refused(&self.path, &e, &named))?;
+        Ok(Asked {
+            path: self.path.clone(),
+            source,
+            files: self.files.clone(),
             settings,
             plan,
             frames_chosen: if frames.is_some() { FramesChosen::Typed } else { FramesChosen::All },
             workers: typed.workers.unwrap_or(1),
             threads: typed.threads,
-            priority,
-            tags,
+            priority: None,
+            tags: Vec::new(),
         })
+    }
+}
+
+impl Asked {
+    /// Read the scene or job file `path`, apply `typed`, plan. Warnings of the import go to stderr.
+    pub fn open(path: &Path, typed: SettingsArgs, say: Say) -> Result<Self, Failure> {
+        let asked = if is_job(path) {
+            let mut job = JobFile::load(path).map_err(usage)?;
+            if let Some(sweep) = &job.sweep {
+                let path = path.display();
+                return Err(usage(format!(
+                    "{}: this job has variants; `femc sweep {path}` renders them, `femc plan {path}` shows them",
+                    job.shown(sweep.place())
+                )));
+            }
+            job.replaced(&typed);
+            let base = Base::open(&job.scene, say)?;
+            let asked = base.ask(&typed.over(job.settings.clone()), &|key| job.at(key))?;
+            Self { priority: job.priority, tags: job.tags, ..asked }
+        } else {
+            Base::open(path, say)?.ask(&typed, &|_| None)?
+        };
+        if asked.settings.statistics {
+            say.note("--stats: this version does not collect path statistics yet");
+        }
+        Ok(asked)
+    }
+
+    /// The scene, overrides applied.
+    pub fn scene(&self) -> &Arc<Scene> {
+        self.source.scene()
     }
 
     /// Name of the scene file within its folder.
@@ -148,15 +189,23 @@ fn folder(path: &Path) -> &Path {
 }
 
 /// Settings that do not fit the scene are wrong usage; a scene that cannot be looked at is the scene's fault.
-fn refused(path: &Path, e: &PlanError) -> Failure {
+fn refused(path: &Path, e: &PlanError, named: &dyn Fn(&str) -> String) -> Failure {
     let message = format!("{}: {e}", path.display());
     match e {
-        PlanError::Camera(PrepareError::UnknownCamera { .. }) => usage(format!("--camera: {message}")),
+        PlanError::Camera(PrepareError::UnknownCamera { .. }) => usage(format!("{}: {message}", named("camera"))),
         PlanError::Camera(_) => failed(message),
-        PlanError::Settings(_) | PlanError::Film(_) | PlanError::FrameOutside { .. } | PlanError::NoFrames { .. } => {
-            usage(message)
-        }
+        PlanError::Settings(SettingsError::Domain { setting, .. }) => usage(format!("{}: {e}", named(setting))),
+        PlanError::Settings(SettingsError::MethodUnavailable) => usage(format!("{}: {e}", named("method"))),
+        PlanError::Film(_) => usage(format!("{}: {message}", named("size"))),
+        PlanError::Settings(SettingsError::Selector(_))
+        | PlanError::FrameOutside { .. }
+        | PlanError::NoFrames { .. } => usage(message),
     }
+}
+
+/// Whether a path on the command line is a job file.
+pub fn is_job(path: &Path) -> bool {
+    path.extension().is_some_and(|extension| extension == "toml")
 }
 
 /// The settings typed, with the contract's defaults.

@@ -61,6 +61,17 @@ impl Frames {
     }
 }
 
+impl fmt::Display for Frames {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { first, last, step } = *self;
+        match step {
+            _ if first == last => write!(f, "{first}"),
+            1 => write!(f, "{first}..{last}"),
+            step => write!(f, "{first}..{last}+{step}"),
+        }
+    }
+}
+
 impl FromStr for Frames {
     type Err = FramesError;
 

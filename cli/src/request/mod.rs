@@ -11,11 +11,11 @@ mod size;
 mod task;
 mod volume;
 
-pub use asked::{Asked, FramesChosen, beside, load};
+pub use asked::{Asked, Base, FramesChosen, beside, is_job, load};
 pub use duration::Budget;
 pub use frames::Frames;
 pub use hours::Hours;
-pub use job_file::JobFile;
+pub use job_file::{JobFile, Measures, typed_keys};
 pub use overrides::Override;
 pub use size::Size;
 pub use task::{JobTasks, Tasks};

@@ -20,6 +20,7 @@ pub mod picture;
 pub mod piece;
 pub mod rect;
 pub mod sample;
+pub mod sheet;
 pub mod tile;
 pub mod tone;
 
@@ -35,5 +36,6 @@ pub use picture::{Picture, contact_sheet};
 pub use piece::Piece;
 pub use rect::{Rect, Tiling};
 pub use sample::{BadKind, BadSample, BadSamples, Sample};
+pub use sheet::{SheetCell, SheetRow, labelled_sheet};
 pub use tile::{SampleRange, Tile};
 pub use tone::ToneCurve;

@@ -8,7 +8,8 @@ mod plan;
 mod render;
 mod settings;
 
-pub use femc_prepared::{PrepareError, Prepared};
+pub use femc_prepared::{PrepareError, Prepared, Source};
+pub use femc_scene::Moment;
 pub use plan::{LeftOut, Plan, PlanError, plan};
-pub use render::{RenderError, RenderedTile, prepare, render_tile};
+pub use render::{RenderError, RenderedTile, moment, prepare, render_tile};
 pub use settings::{Method, RoundVerdict, Settings, SettingsError, Stop};

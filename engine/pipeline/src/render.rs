@@ -3,23 +3,30 @@
 use crate::settings::Settings;
 use femc_film::{FilmError, Rect, Sample, Tile};
 use femc_montecarlo::{Counters, PathSettings, Tracer};
-use femc_prepared::{FrameSpec, PrepareError, Prepared};
-use femc_scene::Scene;
+use femc_prepared::{FrameSpec, PrepareError, Prepared, Source};
+use femc_scene::Moment;
 use rayon::prelude::*;
 use std::ops::Range;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-/// Makes frame `frame` (from 1) of `scene`, which has the overrides applied, ready to render.
-/// `previous`: an earlier frame of the same scene; what did not change is shared with it.
+/// Makes frame `frame` (from 1) of `source`, which has the overrides applied, ready to render.
+/// `previous`: any other frame; what the two have in common is shared.
 pub fn prepare(
-    scene: &Arc<Scene>,
+    source: &Source,
     settings: &Settings,
     frame: u32,
     previous: Option<&Prepared>,
 ) -> Result<Prepared, PrepareError> {
-    let spec = FrameSpec { camera: settings.camera.clone(), size: settings.size, frame };
-    femc_prepared::prepare(scene, &spec, previous)
+    femc_prepared::prepare(source, &spec(settings, frame), previous)
+}
+
+/// What [`prepare`] would make the frame from.
+pub fn moment(source: &Source, settings: &Settings, frame: u32) -> Result<Moment, PrepareError> {
+    femc_prepared::moment(source, &spec(settings, frame))
+}
+
+fn spec(settings: &Settings, frame: u32) -> FrameSpec {
+    FrameSpec { camera: settings.camera.clone(), size: settings.size, frame }
 }
 
 /// A tile and the work it took.

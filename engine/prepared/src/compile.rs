@@ -204,7 +204,7 @@ impl<'a> Compiler<'a> {
         if let Some(done) = self.cache.get(&(group, mirrored)) {
             return done.clone();
         }
-        let key = self.key(builder);
+        let key = self.key(group, builder);
         if let Some(old) = self.previous.get(&(group, mirrored))
             && old.key == key
         {
@@ -217,10 +217,14 @@ impl<'a> Compiler<'a> {
         compiled
     }
 
-    /// Hash of what decides the compiled form besides the description itself: visibility, culling, emission.
-    fn key(&self, builder: &Builder) -> u64 {
+    /// Hash of what decides the compiled form besides the description itself: visibility, culling, emission, and for the
+    /// world the origin.
+    fn key(&self, group: GroupId, builder: &Builder) -> u64 {
         let mut key = 0u64;
         let mut add = |word: u64| key = combine(&[key, word]);
+        if group == GroupId(0) {
+            self.origin.to_array().iter().for_each(|coordinate| add(coordinate.to_bits()));
+        }
         let word = |visible: bool, material: u32| {
             let class = self.classes[material as usize];
             u64::from(visible) | u64::from(class.cull == Cull::Back) << 1 | u64::from(class.emits) << 2

@@ -5,6 +5,7 @@ use crate::compile::{Cache, Compiled, Compiler, NONE, Placed, mirror, surface_cl
 use crate::lights::{Entry, Lights, PhotometryTables};
 use crate::material::{Crossing, KernelMaterial};
 use crate::media::{Inside, KernelMedium, Media, Profile};
+use crate::source::Source;
 use crate::texture::Texture;
 use femc_emission::Light;
 use femc_geometry::{InstanceInput, Pose, Ray, World, offset_origin};
@@ -12,6 +13,7 @@ use femc_math::Rgb;
 use femc_math::elementary::double;
 use femc_math::glam::{Affine3A, DAffine3, DVec3, Vec3A};
 use femc_scattering::Phase;
+use femc_scene::moment::{Moment, Viewpoint};
 use femc_scene::{Camera, Density, Motion, MotionPath, RegionBounds, Scalars, Scene};
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -71,22 +73,24 @@ pub struct PlacedGroup {
 pub struct Prepared {
     /// The description that it was made from.
     pub scene: Arc<Scene>,
+    /// What it was made from: frames of equal worlds share all but the camera.
+    pub moment: Moment,
     /// Frame of the clip, from 1.
     pub frame: u32,
     /// All surfaces.
-    pub world: World,
+    pub world: Arc<World>,
     /// By instance index of `world`.
-    pub instances: Vec<PlacedGroup>,
+    pub instances: Arc<Vec<PlacedGroup>>,
     /// By material index of the description.
-    pub materials: Vec<KernelMaterial>,
+    pub materials: Arc<Vec<KernelMaterial>>,
     /// By image index of the description.
     pub textures: Arc<Vec<Texture>>,
     /// Intensity distributions of luminaires.
     pub photometry: Arc<PhotometryTables>,
     /// Light sources.
-    pub lights: Lights,
+    pub lights: Arc<Lights>,
     /// Participating media.
-    pub media: Media,
+    pub media: Arc<Media>,
     /// The camera.
     pub camera: KernelCamera,
     /// World position of the prepared frame's origin, m.
@@ -100,13 +104,85 @@ pub struct Prepared {
     cache: Cache,
 }
 
-/// Prepares a frame. `previous`: an earlier frame of the SAME scene, whose unchanged parts are shared.
-pub fn prepare(scene: &Arc<Scene>, spec: &FrameSpec, previous: Option<&Prepared>) -> Result<Prepared, PrepareError> {
+/// Where a frame is seen from.
+struct Sight<'a> {
+    camera: &'a Camera,
+    film: [u32; 2],
+    shutter: [f64; 2],
+    origin: DVec3,
+}
+
+impl<'a> Sight<'a> {
+    fn of(source: &Source, now: &'a Scalars, spec: &FrameSpec) -> Result<Self, PrepareError> {
+        let scene = source.scene();
+        let camera = find_camera(&now.cameras, spec.camera.as_deref())?;
+        Ok(Self {
+            camera,
+            film: spec.size.unwrap_or(camera.film),
+            shutter: scene.shutter(camera, spec.frame),
+            origin: rebase_origin(source, spec.camera.as_deref())?,
+        })
+    }
+
+    fn moment(&self, source: &Source, now: &Scalars, frame: u32) -> Moment {
+        let Self { camera, film, shutter, origin } = *self;
+        source.scene().moment(source.fixed(), now, &Viewpoint { camera, film, frame, shutter, origin })
+    }
+}
+
+/// What a frame would be made from.
+pub fn moment(source: &Source, spec: &FrameSpec) -> Result<Moment, PrepareError> {
+    let scene = source.scene();
     let now = scene.scalars_at(scene.frame_time(spec.frame))?;
-    let previous = previous.filter(|p| Arc::ptr_eq(&p.scene, scene));
-    let camera = find_camera(&now.cameras, spec.camera.as_deref())?;
-    let shutter = scene.shutter(camera, spec.frame);
-    let origin = rebase_origin(scene, spec.camera.as_deref())?;
+    Ok(Sight::of(source, &now, spec)?.moment(source, &now, spec.frame))
+}
+
+/// Prepares a frame. `previous`: any other; what the two have in common is shared: all but the camera if their worlds are
+/// equal, and unchanged surfaces if one scene is a variant of the other.
+pub fn prepare(source: &Source, spec: &FrameSpec, previous: Option<&Prepared>) -> Result<Prepared, PrepareError> {
+    let scene = source.scene();
+    let now = scene.scalars_at(scene.frame_time(spec.frame))?;
+    let sight = Sight::of(source, &now, spec)?;
+    let moment = sight.moment(source, &now, spec.frame);
+    let camera = kernel_camera(&now.paths, spec, &sight)?;
+    let mut prepared = match previous.filter(|p| p.moment.fixed == moment.fixed) {
+        Some(previous) if previous.moment.world == moment.world => Prepared {
+            scene: scene.clone(),
+            moment,
+            frame: spec.frame,
+            world: previous.world.clone(),
+            instances: previous.instances.clone(),
+            materials: previous.materials.clone(),
+            textures: previous.textures.clone(),
+            photometry: previous.photometry.clone(),
+            lights: previous.lights.clone(),
+            media: previous.media.clone(),
+            camera,
+            origin: previous.origin,
+            least_distance: previous.least_distance,
+            camera_inside: Inside::default(),
+            has_null_crossings: previous.has_null_crossings,
+            cache: previous.cache.clone(),
+        },
+        previous => build(scene, &now, &sight, moment, camera, spec.frame, previous)?,
+    };
+    if prepared.materials.iter().any(|m| m.inside.is_some()) {
+        prepared.camera_inside = prepared.media_around(prepared.camera.eye());
+    }
+    Ok(prepared)
+}
+
+/// Builds a world. `previous`: of a variant of the same scene, if of any.
+fn build(
+    scene: &Arc<Scene>,
+    now: &Scalars,
+    sight: &Sight<'_>,
+    moment: Moment,
+    camera: KernelCamera,
+    frame: u32,
+    previous: Option<&Prepared>,
+) -> Result<Prepared, PrepareError> {
+    let Sight { shutter, origin, .. } = *sight;
     let (textures, photometry) = match previous {
         Some(previous) => (previous.textures.clone(), previous.photometry.clone()),
         None => (Arc::new(scene.images.iter().map(Texture::new).collect()), Arc::new(PhotometryTables::new(scene)?)),
@@ -116,7 +192,7 @@ pub fn prepare(scene: &Arc<Scene>, spec: &FrameSpec, previous: Option<&Prepared>
     let empty = Cache::new();
     let at_open = |motion: &Motion| motion.at(&now.paths, shutter[0]);
     let known = previous.map_or(&empty, |p| &p.cache);
-    let mut compiler = Compiler::new(scene, &now, &photometry, &classes, origin, known, &at_open);
+    let mut compiler = Compiler::new(scene, now, &photometry, &classes, origin, known, &at_open);
     compiler.run();
     let (placed, cache) = (compiler.placed, compiler.cache);
 
@@ -124,7 +200,7 @@ pub fn prepare(scene: &Arc<Scene>, spec: &FrameSpec, previous: Option<&Prepared>
     let black = femc_scene::Material::default();
     let materials: Vec<_> = now.materials.iter().chain([&black]).map(KernelMaterial::new).collect();
     let mut assembly = Assembly {
-        now: &now,
+        now,
         photometry: &photometry,
         origin,
         shutter,
@@ -136,35 +212,31 @@ pub fn prepare(scene: &Arc<Scene>, spec: &FrameSpec, previous: Option<&Prepared>
     for group in &placed {
         assembly.place(group);
     }
-    let media = media(scene, &now, origin);
-    let camera = kernel_camera(&now.paths, camera, spec, origin, shutter)?;
+    let media = media(scene, now, origin);
     let has_null_crossings =
         materials.iter().any(|m| m.crossing.iter().any(|c| matches!(c, Crossing::Null { .. })) && m.inside.is_some());
     let Assembly { inputs, instances, lights, entries, .. } = assembly;
     let world = World::build(inputs);
     let extent = world.bounds().size().max_element();
     let lights = Lights::new(lights, entries, &world, media.haze());
-    let mut prepared = Prepared {
+    Ok(Prepared {
         scene: scene.clone(),
-        frame: spec.frame,
-        world,
+        moment,
+        frame,
         least_distance: if extent.is_finite() { (extent * 1e-6).max(1e-9) } else { 1e-6 },
-        instances,
-        materials,
+        world: Arc::new(world),
+        instances: Arc::new(instances),
+        materials: Arc::new(materials),
         textures,
         photometry,
-        lights,
-        media,
+        lights: Arc::new(lights),
+        media: Arc::new(media),
         camera,
         origin,
         camera_inside: Inside::default(),
         has_null_crossings,
         cache,
-    };
-    if prepared.materials.iter().any(|m| m.inside.is_some()) {
-        prepared.camera_inside = prepared.media_around(prepared.camera.eye());
-    }
-    Ok(prepared)
+    })
 }
 
 impl Prepared {
@@ -205,9 +277,10 @@ pub fn find_camera<'a>(cameras: &'a [Camera], name: Option<&str>) -> Result<&'a 
 }
 
 /// A whole number of metres near the camera at the start of the clip: the same for every frame.
-fn rebase_origin(scene: &Scene, camera: Option<&str>) -> Result<DVec3, PrepareError> {
+fn rebase_origin(source: &Source, camera: Option<&str>) -> Result<DVec3, PrepareError> {
+    let scene = source.scene();
     let camera = find_camera(&scene.cameras, camera)?.at(&scene.paths, scene.frame_time(1));
-    Ok(camera.origin.round())
+    Ok((camera.origin / source.grid()).round() * source.grid())
 }
 
 struct Assembly<'a> {
@@ -340,14 +413,8 @@ fn phase(phase: &femc_scene::Phase) -> Phase {
     }
 }
 
-fn kernel_camera(
-    paths: &[MotionPath],
-    camera: &Camera,
-    spec: &FrameSpec,
-    origin: DVec3,
-    shutter: [f64; 2],
-) -> Result<KernelCamera, PrepareError> {
-    let film = spec.size.unwrap_or(camera.film);
+fn kernel_camera(paths: &[MotionPath], spec: &FrameSpec, sight: &Sight<'_>) -> Result<KernelCamera, PrepareError> {
+    let Sight { camera, film, shutter, origin } = *sight;
     let steps = if camera.is_animated(paths) && shutter[1] > shutter[0] { 5 } else { 1 };
     let poses = (0..steps).map(|k| {
         let time = shutter[0] + (shutter[1] - shutter[0]) * f64::from(k) / f64::from((steps - 1).max(1));

@@ -2,7 +2,7 @@
 //! and the camera.
 //!
 //! Coordinates are rebased: a whole number of metres near the camera is subtracted in f64 before anything becomes f32, the
-//! same for all frames of a clip. What did not change since an earlier frame is shared with it.
+//! same for all frames of a clip. What did not change since an earlier frame, or is equal in a variant of the scene, is shared.
 #![deny(missing_docs)]
 
 pub mod camera;
@@ -13,9 +13,11 @@ pub mod media;
 pub mod texture;
 
 mod frame;
+mod source;
 mod surface;
 
-pub use frame::{FrameSpec, PrepareError, Prepared, find_camera, prepare};
+pub use frame::{FrameSpec, PrepareError, Prepared, find_camera, moment, prepare};
 pub use lights::Lights;
 pub use material::{Crossing, KernelMaterial, Orientation};
+pub use source::Source;
 pub use surface::SurfacePoint;

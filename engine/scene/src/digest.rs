@@ -62,17 +62,29 @@ impl Scene {
 }
 
 /// Writes the canonical form into a hash.
-struct Canonical {
+pub(crate) struct Canonical {
     out: BufWriter<blake3::Hasher>,
 }
 
 impl Canonical {
-    fn value(&mut self, value: &impl Serialize) {
+    /// An empty one of the form `what`: two forms never give the same digest.
+    pub(crate) fn of(what: &str) -> Self {
+        let mut canonical = Self { out: BufWriter::with_capacity(1 << 16, blake3::Hasher::new()) };
+        canonical.value(&(what, VERSION));
+        canonical
+    }
+
+    pub(crate) fn digest(self) -> SceneDigest {
+        let hasher = self.out.into_inner().expect("a hasher takes every byte");
+        SceneDigest(*hasher.finalize().as_bytes())
+    }
+
+    pub(crate) fn value(&mut self, value: &impl Serialize) {
         postcard::to_io(value, Write::by_ref(&mut self.out)).expect("plain data serialises, a hasher takes every byte");
     }
 
     /// A table: its length, then what `strip` leaves of each entry.
-    fn table<'a, T: 'a, S: Serialize>(&mut self, entries: &'a [T], strip: impl Fn(&'a T) -> S) {
+    pub(crate) fn table<'a, T: 'a, S: Serialize>(&mut self, entries: &'a [T], strip: impl Fn(&'a T) -> S) {
         self.value(&entries.len());
         for entry in entries {
             self.value(&strip(entry));
@@ -103,14 +115,8 @@ impl Canonical {
         groups.iter().for_each(|group| self.group(group));
         self.table(media, |medium| Medium { location: NOWHERE, ..medium.clone() });
         self.table(regions, |region| MediumRegion { location: NOWHERE, ..*region });
-        self.table(photometry, |photometry| {
-            let Photometry { path: _, kind, vertical, horizontal, candela, opening, location: _ } = photometry;
-            (kind, vertical, horizontal, candela, opening)
-        });
-        self.table(images, |image| {
-            let Image { path: _, width, height, pixels } = image;
-            (width, height, pixels)
-        });
+        self.photometry(photometry);
+        self.images(images);
         self.table(cameras, |camera| Camera { location: NOWHERE, ..camera.clone() });
         self.value(clip);
         self.table(paths, |path| {
@@ -123,15 +129,34 @@ impl Canonical {
         });
     }
 
-    fn group(&mut self, group: &Group) {
-        let Group { vertices, triangles, faces, quadrics, luminaires, instances } = group;
+    pub(crate) fn photometry(&mut self, photometry: &[Photometry]) {
+        self.table(photometry, |photometry| {
+            let Photometry { path: _, kind, vertical, horizontal, candela, opening, location: _ } = photometry;
+            (kind, vertical, horizontal, candela, opening)
+        });
+    }
+
+    pub(crate) fn images(&mut self, images: &[Image]) {
+        self.table(images, |image| {
+            let Image { path: _, width, height, pixels } = image;
+            (width, height, pixels)
+        });
+    }
+
+    pub(crate) fn surfaces(&mut self, group: &Group) {
+        let Group { vertices, triangles, faces, quadrics, luminaires: _, instances: _ } = group;
         self.value(vertices);
         self.value(triangles);
         self.table(faces, |face| Face { location: NOWHERE, ..*face });
         self.table(quadrics, |quadric| Quadric { location: NOWHERE, ..*quadric });
+    }
+
+    fn group(&mut self, group: &Group) {
+        let Group { vertices: _, triangles: _, faces: _, quadrics: _, luminaires, instances } = group;
+        self.surfaces(group);
         self.table(luminaires, |luminaire| Luminaire { location: NOWHERE, ..*luminaire });
         self.value(instances);
     }
 }
 
-const NOWHERE: Location = Location { file: 0, line: 0, column: 0 };
+pub(crate) const NOWHERE: Location = Location { file: 0, line: 0, column: 0 };

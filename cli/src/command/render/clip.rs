@@ -79,7 +79,7 @@ fn exposure(files: &[String]) -> Result<ToneCurve, Failure> {
 
 /// Frames a second: a clip of every third frame plays at a third of the rate, in real time.
 fn rate(asked: &Asked, report: &Report) -> f64 {
-    let fps = asked.scene.clip.map_or(DEFAULT_RATE, |clip| clip.fps);
+    let fps = asked.scene().clip.map_or(DEFAULT_RATE, |clip| clip.fps);
     let step = match report.frames.as_slice() {
         [first, second, ..] => f64::from(second.frame - first.frame),
         _ => 1.0,

@@ -3,7 +3,7 @@
 mod clip;
 mod drive;
 mod report;
-mod state;
+pub mod state;
 mod target;
 mod there;
 

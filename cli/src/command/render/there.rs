@@ -16,7 +16,7 @@ impl Wanted {
     /// Of what was asked for.
     pub fn new(asked: &Asked) -> Result<Self, Failure> {
         let settings = serde_json::to_value(&asked.settings).map_err(failed)?;
-        Ok(Self { settings, scene: asked.scene.digest().to_string() })
+        Ok(Self { settings, scene: asked.scene().digest().to_string() })
     }
 
     /// The frame in `path`, if it is there, whole, and of this version, scene and settings.

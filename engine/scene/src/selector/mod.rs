@@ -57,6 +57,15 @@ pub enum SelectorError {
     },
 }
 
+impl SelectorError {
+    /// The selector at fault.
+    pub fn selector(&self) -> &str {
+        match self {
+            Self::Unknown { selector, .. } | Self::Refused { selector, .. } | Self::Timeless { selector } => selector,
+        }
+    }
+}
+
 /// What the value of a scalar must obey.
 #[derive(Clone, Copy, Debug, PartialEq, thiserror::Error)]
 pub enum Constraint {

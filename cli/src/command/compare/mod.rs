@@ -1,4 +1,6 @@
-//! `femc compare A.exr B.exr`: how far an image is from a reference.
+//! `femc compare A.exr B.exr`: how far an image is from a reference; of folders, frame by frame.
+
+mod clips;
 
 use crate::args::FormatArgs;
 use crate::exit::{Exit, Failure, failed, usage};
@@ -13,15 +15,16 @@ use std::path::{Path, PathBuf};
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc compare cornell.exr reference.exr\n  \
-    femc compare a.exr b.exr --json | jq .relmse\n\n\
+    femc compare a.exr b.exr --json | jq .relmse\n  \
+    femc compare fog/sigma_s=0.01 fog/sigma_s=0.02    # two variants of a sweep, frame by frame\n\n\
     mse: mean (A-B)^2; relmse: mean (A-B)^2/(B^2+0.01); psnr: in dB against B's largest value; ssim: structural \
     similarity of the displayed luminance (1: equal); flip: mean HDR-FLIP (0: equal); mean_ratio: mean A / mean B. \
     Pixels that are not finite in A or B are counted and left out.")]
 pub struct CompareArgs {
-    /// The image
+    /// The image, or a folder of frames
     #[arg(value_name = "A.exr")]
     image: PathBuf,
-    /// The reference
+    /// The reference, or a folder of frames
     #[arg(value_name = "B.exr")]
     reference: PathBuf,
     #[command(flatten)]
@@ -48,6 +51,9 @@ struct Report {
 
 /// Compare.
 pub fn run(args: &CompareArgs, say: Say) -> Result<Exit, Failure> {
+    if args.image.is_dir() && args.reference.is_dir() {
+        return clips::run(&args.image, &args.reference, args.format.json, say);
+    }
     let (image, reference) = (read(&args.image)?, read(&args.reference)?);
     let names = format!("{} and {}", args.image.display(), args.reference.display());
     let comparison =

@@ -1,14 +1,32 @@
-//! JOB.toml: a scene and its settings by their long names, in a file.
+//! JOB.toml: a scene and its settings by their long names, in a file; with `[sweep]`, its variants.
+
+mod axis;
+mod measures;
+mod place;
+mod range;
+mod stem;
+mod sweep;
+#[cfg(test)]
+mod sweep_tests;
+
+pub use measures::Measures;
+pub use place::{JobFileError, Place};
+pub use sweep::Sweep;
 
 use super::{Budget, Frames, Override, Size};
 use crate::args::{Filter, Method, SettingsArgs};
+use place::Fault;
 use serde::Deserialize;
-use std::collections::BTreeMap;
+use serde::de::IgnoredAny;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use toml::de::{DeTable, DeValue};
 
 /// A parsed job file.
 #[derive(Debug)]
 pub struct JobFile {
+    /// The file itself.
+    pub path: PathBuf,
     /// The scene, relative paths already taken from the job file's folder.
     pub scene: PathBuf,
     /// The settings, as if typed.
@@ -17,31 +35,11 @@ pub struct JobFile {
     pub priority: Option<u8>,
     /// Workers that may take it carry all of these.
     pub tags: Vec<String>,
-}
-
-/// Why a job file is refused.
-#[derive(Debug, thiserror::Error)]
-pub enum JobFileError {
-    /// Not readable.
-    #[error("{}: {cause}", path.display())]
-    Read {
-        /// The job file.
-        path: PathBuf,
-        /// What the system says.
-        cause: std::io::Error,
-    },
-    /// Not TOML, or not a job.
-    #[error("{}:{line}:{column}: {what}", path.display())]
-    Form {
-        /// The job file.
-        path: PathBuf,
-        /// From 1.
-        line: usize,
-        /// From 1.
-        column: usize,
-        /// What is wrong there.
-        what: String,
-    },
+    /// The variants, if it has any.
+    pub sweep: Option<Sweep>,
+    /// What is measured in the frames of a sweep.
+    pub measures: Measures,
+    places: BTreeMap<String, Place>,
 }
 
 /// The file's own form. `_` and `-` are both accepted in `max-depth`.
@@ -69,7 +67,13 @@ struct Written {
     tags: Vec<String>,
     #[serde(default)]
     set: BTreeMap<String, f64>,
-    sweep: Option<toml::Spanned<toml::Table>>,
+    /// These are read by hand: each value has its place.
+    #[serde(rename = "sweep")]
+    _sweep: Option<IgnoredAny>,
+    #[serde(rename = "regions")]
+    _regions: Option<IgnoredAny>,
+    #[serde(rename = "contrasts")]
+    _contrasts: Option<IgnoredAny>,
 }
 
 impl JobFile {
@@ -82,19 +86,23 @@ impl JobFile {
 
     /// The job in `text`, which stands in the file `path`.
     pub fn parse(path: &Path, text: &str) -> Result<Self, JobFileError> {
-        let fault = |offset: usize, what: String| {
-            let (line, column) = position(text, offset);
-            JobFileError::Form { path: path.to_owned(), line, column, what }
-        };
-        let job: Written =
-            toml::from_str(text).map_err(|e| fault(e.span().map_or(0, |s| s.start), one_line(e.message())))?;
-        if let Some(sweep) = &job.sweep {
-            let what = "sweeps are not there yet: take [sweep] out, and queue a job for each value with --set";
-            return Err(fault(sweep.span().start, what.to_owned()));
-        }
-        check(&job).map_err(|(key, what)| fault(offset_of(text, key), what))?;
+        Self::read(path, text).map_err(|fault| fault.within(path, text))
+    }
+
+    fn read(path: &Path, text: &str) -> Result<Self, Fault> {
+        let wrong = |e: toml::de::Error| Fault::new(e.span().map_or(0, |s| s.start), one_line(e.message()));
+        let job: Written = toml::from_str(text).map_err(wrong)?;
+        check(&job).map_err(|(key, what)| Fault::new(offset_of(text, key), what))?;
+        let table = DeTable::parse(text).map_err(wrong)?;
+        let table = table.get_ref();
+        let sweep = table.get("sweep").map(|table| Sweep::read(table, text)).transpose()?;
+        let measures = Measures::read(table.get("regions"), table.get("contrasts"), text)?;
         let folder = path.parent().unwrap_or(Path::new(""));
         Ok(Self {
+            path: path.to_owned(),
+            sweep,
+            measures,
+            places: places(table, text),
             scene: folder.join(&job.scene),
             settings: SettingsArgs {
                 camera: job.camera,
@@ -116,6 +124,56 @@ impl JobFile {
             tags: job.tags,
         })
     }
+
+    /// Where a setting stands, `frames`, or an override, `set.medium.fog.sigma_s`: `job.toml:3:10`.
+    pub fn at(&self, key: &str) -> Option<String> {
+        self.places.get(key).map(|place| self.shown(*place))
+    }
+
+    /// A place in this file, for a message.
+    pub fn shown(&self, place: Place) -> String {
+        format!("{}:{}:{}", self.path.display(), place.line, place.column)
+    }
+
+    /// From now on these settings are not those of the file.
+    pub fn replaced(&mut self, typed: &SettingsArgs) {
+        let keys = typed_keys(typed);
+        self.places.retain(|key, _| !keys.contains(key.strip_prefix("set.").unwrap_or(key)));
+    }
+}
+
+/// Long names of the settings that were typed, and selectors of typed overrides. A stopping rule stands for all three.
+pub fn typed_keys(typed: &SettingsArgs) -> BTreeSet<&str> {
+    let SettingsArgs { camera, size, frames, spp, error, time, method, max_depth, filter, seed, set, .. } = typed;
+    let stop = spp.is_some() || error.is_some() || time.is_some();
+    let given = [
+        ("camera", camera.is_some()),
+        ("size", size.is_some()),
+        ("frames", frames.is_some()),
+        ("spp", stop),
+        ("error", stop),
+        ("time", stop),
+        ("method", method.is_some()),
+        ("max-depth", max_depth.is_some()),
+        ("filter", filter.is_some()),
+        ("seed", seed.is_some()),
+    ];
+    let settings = given.into_iter().filter(|(_, given)| *given).map(|(key, _)| key);
+    settings.chain(set.iter().map(|change| change.selector.as_str())).collect()
+}
+
+fn places(table: &DeTable<'_>, text: &str) -> BTreeMap<String, Place> {
+    let mut places = BTreeMap::new();
+    for (key, value) in table {
+        places.insert(key.get_ref().replace('_', "-"), Place::of(text, key.span().start));
+        if let ("set", DeValue::Table(set)) = (key.get_ref().as_ref(), value.get_ref()) {
+            let place = |(key, _): (&toml::Spanned<std::borrow::Cow<'_, str>>, _)| {
+                (format!("set.{}", key.get_ref()), Place::of(text, key.span().start))
+            };
+            places.extend(set.iter().map(place));
+        }
+    }
+    places
 }
 
 /// What the command line refuses of a flag is refused of a key: the key at fault and what is wrong.
@@ -158,13 +216,6 @@ fn offset_of(text: &str, key: &str) -> usize {
         offset += line.len();
     }
     0
-}
-
-/// Line and column, both from 1, of a byte offset.
-fn position(text: &str, offset: usize) -> (usize, usize) {
-    let before = text.get(..offset).unwrap_or(text);
-    let line_start = before.rfind('\n').map_or(0, |i| i + 1);
-    (before.matches('\n').count() + 1, before[line_start..].chars().count() + 1)
 }
 
 fn one_line(message: &str) -> String {
@@ -234,12 +285,6 @@ mod tests {
             let error = parse(&format!("scene = \"a.mgf\"\n{line}\n")).expect_err(line);
             assert!(error.starts_with("jobs/night.toml:2:") && error.contains(fault), "{line}: {error}");
         }
-    }
-
-    #[test]
-    fn a_sweep_is_refused_and_not_ignored() {
-        let error = parse("scene = \"a.mgf\"\n[sweep]\n\"medium.fog.sigma_s\" = [0.1]\n").expect_err("a fault");
-        assert!(error.starts_with("jobs/night.toml:2:1: sweeps are not there yet"), "{error}");
     }
 
     #[test]

@@ -1,0 +1,82 @@
+//! The contact sheet of a sweep: all variants under one exposure, so that brighter is brighter.
+
+use super::folder::Folder;
+use super::work::{Planned, Work};
+use crate::exit::{Failure, failed};
+use crate::output::Say;
+use femc_film::{Image, SheetCell, SheetRow, ToneCurve, exr, labelled_sheet};
+use std::path::PathBuf;
+
+/// Width of a picture, pixels.
+const THUMBNAIL: u32 = 240;
+/// Most pictures of a row.
+const COLUMNS: usize = 10;
+/// Most rows: what a person looks at, and a sheet that viewers open.
+const ROWS: usize = 200;
+/// Pictures that set the exposure.
+const EXPOSED: usize = 32;
+
+/// A picture to be: its file and what is written below it.
+struct Shown {
+    file: PathBuf,
+    caption: String,
+}
+
+/// Write `contact.png`, if there is anything to show.
+pub fn write(work: &Work, folder: &Folder, say: Say) -> Result<Option<String>, Failure> {
+    let rows = rows(work, folder);
+    let all: Vec<&Shown> = rows.iter().take(ROWS).flat_map(|(_, row)| row).collect();
+    if all.is_empty() {
+        return Ok(None);
+    }
+    let small = |shown: &Shown| Ok(exr::read(&shown.file).map_err(failed)?.image.shrunk_to(THUMBNAIL));
+    let exposed = all.iter().step_by(all.len().div_ceil(EXPOSED)).map(|shown| small(shown));
+    let curve = ToneCurve::auto(&exposed.collect::<Result<Vec<Image>, Failure>>()?);
+    let cell = |shown: &Shown| Ok(SheetCell { picture: curve.picture(&small(shown)?), caption: shown.caption.clone() });
+    let row = |(title, row): &(String, Vec<Shown>)| {
+        Ok(SheetRow { title: title.clone(), cells: row.iter().map(cell).collect::<Result<_, Failure>>()? })
+    };
+    let sheet: Vec<SheetRow> = rows.iter().take(ROWS).map(row).collect::<Result<_, Failure>>()?;
+    let path = folder.join("contact.png");
+    let png = labelled_sheet(&sheet).to_png().map_err(failed)?;
+    femc_film::file::write_atomic(&path, &png).map_err(failed)?;
+    if rows.len() > ROWS {
+        say.note(format!("{}: the first {ROWS} of {} rows", path.display(), rows.len()));
+    }
+    Ok(Some(path.display().to_string()))
+}
+
+/// Of clips a row for each variant; of single frames a row for all values of the last axis.
+fn rows(work: &Work, folder: &Folder) -> Vec<(String, Vec<Shown>)> {
+    let there = |variant: &Planned| -> Vec<(u32, PathBuf)> {
+        let ready = variant.frames.iter().filter(|p| folder.has(&variant.file(p.frame), &p.key));
+        ready.map(|planning| (planning.frame, folder.join(&variant.file(planning.frame)))).collect()
+    };
+    if work.variants.iter().any(|variant| variant.frames.len() > 1) {
+        let row = |variant: &Planned| (work.title(variant), spread(there(variant)));
+        return work.variants.iter().map(row).filter(|(_, row)| !row.is_empty()).collect();
+    }
+    let mut rows: Vec<(String, Vec<Shown>)> = Vec::new();
+    for variant in &work.variants {
+        let title = work.title(variant);
+        let (title, caption) = title.rsplit_once(", ").unwrap_or(("", &title));
+        for (_, file) in there(variant) {
+            let shown = Shown { file, caption: caption.to_owned() };
+            match rows.last_mut().filter(|(last, row)| last == title && row.len() < COLUMNS) {
+                Some((_, row)) => row.push(shown),
+                None => rows.push((title.to_owned(), vec![shown])),
+            }
+        }
+    }
+    rows
+}
+
+/// Frames spread evenly over a clip, the first and the last among them.
+fn spread(frames: Vec<(u32, PathBuf)>) -> Vec<Shown> {
+    let (count, last) = (frames.len().min(COLUMNS), frames.len().saturating_sub(1));
+    let mut places = (0..count).map(|at| at * last / (count - 1).max(1)).peekable();
+    let chosen = |(at, (frame, file)): (usize, (u32, PathBuf))| {
+        places.next_if_eq(&at).map(|_| Shown { file, caption: format!("frame {frame}") })
+    };
+    frames.into_iter().enumerate().filter_map(chosen).collect()
+}

@@ -1,0 +1,129 @@
+//! What the frames of a sweep show, in numbers: `frames` has a row for each frame, `variants` one for each variant.
+
+use super::folder::{Folder, Shot};
+use super::table::{Cells, Table};
+use super::work::{Planned, Work};
+use crate::exit::{Failure, failed};
+use femc_film::{Image, exr};
+use std::collections::BTreeMap;
+
+/// A frame in numbers.
+pub struct Measured<'a> {
+    variant: &'a Planned,
+    frame: u32,
+    shot: Shot,
+    /// Mean of the film, cd/m2.
+    luminance: f64,
+    /// Means of the regions, cd/m2.
+    regions: Vec<f64>,
+    contrasts: Vec<Option<f64>>,
+}
+
+/// Measure all frames that are there, in the order of the sweep.
+pub fn measure<'a>(work: &'a Work, folder: &Folder) -> Result<Vec<Measured<'a>>, Failure> {
+    let mut seen: BTreeMap<String, (f64, Vec<f64>)> = BTreeMap::new();
+    let mut measured = Vec::new();
+    for variant in &work.variants {
+        for planning in &variant.frames {
+            let name = variant.file(planning.frame);
+            let Some(shot) = folder.shot(&name).filter(|shot| shot.key == planning.key) else { continue };
+            if !seen.contains_key(&shot.key) {
+                let image = exr::read(&folder.join(&name)).map_err(failed)?.image;
+                let regions = work.measures.regions.iter().map(|region| mean(&image, region.bounds)).collect();
+                seen.insert(shot.key.clone(), (mean(&image, [0, 0, image.width, image.height]), regions));
+            }
+            let (luminance, regions) = seen[&shot.key].clone();
+            let contrasts = contrasts(work, &regions);
+            measured.push(Measured {
+                variant,
+                frame: planning.frame,
+                shot: shot.clone(),
+                luminance,
+                regions,
+                contrasts,
+            });
+        }
+    }
+    Ok(measured)
+}
+
+/// Mean luminance of the pixels of a rectangle that are finite, cd/m2.
+fn mean(image: &Image, [x0, y0, x1, y1]: [u32; 4]) -> f64 {
+    let (x1, y1) = (x1.min(image.width), y1.min(image.height));
+    let pixels = (y0..y1).flat_map(|y| (x0..x1).map(move |x| y as usize * image.width as usize + x as usize));
+    let finite = pixels.map(|at| f64::from(image.luminance(at))).filter(|y| y.is_finite());
+    let (sum, count) = finite.fold((0.0, 0u64), |(sum, count), y| (sum + y, count + 1));
+    sum / count.max(1) as f64
+}
+
+/// Weber's contrasts; none against black.
+fn contrasts(work: &Work, regions: &[f64]) -> Vec<Option<f64>> {
+    let of =
+        |name: &str| work.measures.regions.iter().zip(regions).find(|(region, _)| region.name == name).map(|(_, l)| *l);
+    let contrast = |target: &str, background: &str| {
+        let (target, background) = (of(target)?, of(background).filter(|background| *background > 0.0)?);
+        Some((target - background) / background)
+    };
+    work.measures.contrasts.iter().map(|pair| contrast(&pair.target, &pair.background)).collect()
+}
+
+/// A row for each frame.
+pub fn frames(work: &Work, measured: &[Measured<'_>]) -> Table {
+    let rows: Vec<Vec<&Measured<'_>>> = measured.iter().map(|one| vec![one]).collect();
+    let mut table = start(work, &measured.iter().map(|one| one.variant).collect::<Vec<_>>());
+    table.add("frame", Cells::Count(measured.iter().map(|one| i64::from(one.frame)).collect()));
+    table.add("file", Cells::Text(measured.iter().map(|one| one.variant.file(one.frame)).collect()));
+    let same_as = |one: &Measured<'_>| one.shot.same_as.clone().unwrap_or_default();
+    table.add("same_as", Cells::Text(measured.iter().map(same_as).collect()));
+    numbers(work, &rows, &mut table);
+    table
+}
+
+/// A row for each variant: means of its frames, the worst error, the sum of the seconds.
+pub fn variants(work: &Work, measured: &[Measured<'_>]) -> Table {
+    let of = |variant: &Planned| measured.iter().filter(|one| std::ptr::eq(one.variant, variant)).collect();
+    let rows: Vec<Vec<&Measured<'_>>> = work.variants.iter().map(of).collect();
+    let mut table = start(work, &work.variants.iter().collect::<Vec<_>>());
+    table.add("frames", Cells::Count(rows.iter().map(|row| row.len() as i64).collect()));
+    let linked = |row: &Vec<&Measured<'_>>| row.iter().filter(|one| one.shot.same_as.is_some()).count() as i64;
+    table.add("frames_linked", Cells::Count(rows.iter().map(linked).collect()));
+    numbers(work, &rows, &mut table);
+    table
+}
+
+/// The variant and its values.
+fn start(work: &Work, rows: &[&Planned]) -> Table {
+    let mut table = Table::default();
+    table.add("variant", Cells::Text(rows.iter().map(|variant| variant.name.clone()).collect()));
+    for (at, axis) in work.axes.iter().enumerate() {
+        let values = || rows.iter().map(|variant| &variant.values[at]);
+        let cells = if work.variants.iter().all(|variant| variant.values[at].number.is_some()) {
+            Cells::Number(values().map(|value| value.number).collect())
+        } else {
+            Cells::Text(values().map(|value| value.text.clone()).collect())
+        };
+        table.add(axis, cells);
+    }
+    table
+}
+
+fn numbers(work: &Work, rows: &[Vec<&Measured<'_>>], table: &mut Table) {
+    let mut add = |name: String, value: &dyn Fn(&Measured<'_>) -> Option<f64>, join: fn(&[f64]) -> f64| {
+        let cell = |row: &Vec<&Measured<'_>>| {
+            let values: Vec<f64> = row.iter().filter_map(|one| value(one)).collect();
+            (!values.is_empty()).then(|| join(&values))
+        };
+        table.add(name, Cells::Number(rows.iter().map(cell).collect()));
+    };
+    let mean: fn(&[f64]) -> f64 = |values| values.iter().sum::<f64>() / values.len() as f64;
+    add("mean_luminance".into(), &|one| Some(one.luminance), mean);
+    for (at, region) in work.measures.regions.iter().enumerate() {
+        add(format!("luminance.{}", region.name), &|one| Some(one.regions[at]), mean);
+    }
+    for (at, contrast) in work.measures.contrasts.iter().enumerate() {
+        add(format!("contrast.{}", contrast.name), &|one| one.contrasts[at], mean);
+    }
+    add("relative_error".into(), &|one| one.shot.relative_error, |values| values.iter().copied().fold(0.0, f64::max));
+    add("spp".into(), &|one| Some(f64::from(one.shot.spp)), mean);
+    add("seconds".into(), &|one| Some(one.shot.seconds), |values| values.iter().sum());
+}

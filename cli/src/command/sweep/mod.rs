@@ -1,0 +1,197 @@
+//! `femc sweep JOB.toml`: the variants of a job, on a farm or in this process.
+
+mod contact;
+mod drive;
+mod folder;
+mod measure;
+mod plan;
+mod report;
+mod share;
+mod table;
+mod work;
+
+pub use plan::plan;
+
+use super::client::{self, Farm};
+use super::embedded::{self, Embedded};
+use super::interrupt::Interrupt;
+use super::render::state::{Identity, Old, State};
+use super::submit::own_key;
+use crate::args::{FormatArgs, ServerArgs, SettingsArgs};
+use crate::clock::Clock;
+use crate::exit::{Exit, Failure, failed, usage};
+use crate::output::Say;
+use clap::Args;
+use drive::Queued;
+use folder::Folder;
+use report::{JobReport, Report};
+use share::Shares;
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+use work::{Planned, Work};
+
+/// Render the variants of a job: a grid or a zip of selectors, cameras, frames and settings
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc sweep fog.toml                     # queue all variants on the farm; prints their jobs\n  \
+    femc sweep fog.toml -o fog              # the same, wait, and collect the frames\n  \
+    femc sweep fog.toml -o fog --local      # without a farm: render in this process\n  \
+    femc plan fog.toml                      # what is shared, and what that saves\n\n\
+    [sweep] of the job file names the axes; mode = \"zip\" pairs their values:\n  \
+    [sweep]\n  \
+    \"medium.fog.sigma_s\" = [0.01, 0.02, 0.05]\n  \
+    \"material.lamp.ed\" = { from = 1e4, to = 1e5, steps = 4, scale = \"log\" }\n  \
+    camera = [\"driver\", \"overview\"]\n  \
+    [regions]                               # pixels x0, y0, x1, y1; the last two not included\n  \
+    sign = [120, 40, 136, 56]\n  \
+    road = [100, 60, 156, 70]\n  \
+    [contrasts]                             # Weber's: (sign - road) / road\n  \
+    seen = [\"sign\", \"road\"]\n\n\
+    DIR gets a folder for each variant, variants.csv and frames.csv (and the same as Parquet), contact.png, and \
+    sweep.json, by which the same command goes on after a stop: frames that are there stay, frames that are equal \
+    are rendered once and linked, and of a sweep with more values only what is new runs. At most 4096 variants.")]
+pub struct SweepArgs {
+    /// Job file with a [sweep]
+    #[arg(value_name = "JOB.toml")]
+    job: PathBuf,
+    /// Folder for the variants: wait for the jobs, and collect their frames there
+    #[arg(long, short, value_name = "DIR")]
+    out: Option<PathBuf>,
+    /// Queue, and do not wait: the same command without it collects
+    #[arg(long, requires = "out", conflicts_with = "local")]
+    detach: bool,
+    /// Render in this process, with --workers and --threads, instead of on a farm
+    #[arg(long, requires = "out")]
+    local: bool,
+    #[command(flatten)]
+    format: FormatArgs,
+    #[command(flatten)]
+    server: ServerArgs,
+    #[command(flatten)]
+    settings: SettingsArgs,
+}
+
+/// Sweep.
+pub fn run(args: &SweepArgs, say: Say) -> Result<Exit, Failure> {
+    let begun = Clock.now();
+    let work = Work::open(&args.job, &args.settings, say)?;
+    let Some(out) = &args.out else { return queue_only(&work, args, say) };
+    if out.is_file() {
+        return Err(usage(format!("-o {} is a file; give a folder", out.display())));
+    }
+    let state = lock(&work, out)?;
+    let mut folder = Folder::open(out)?;
+    let shares = Shares::count(&work, Some(&folder));
+    shares.note(say);
+    folder.name(&work);
+    let missing = drive::missing(&work, &mut folder)?;
+    let mut report = Report::new(&work, out, shares);
+    let mut troubles = Vec::new();
+    if missing.is_empty() {
+        folder.save()?;
+    } else if args.local {
+        troubles = local(&work, missing, &mut folder, &state, &mut report, say)?;
+    } else {
+        troubles = client::block_on(&args.server, async |farm| {
+            let mut queued = drive::queue(&work, missing.clone(), &mut folder, farm).await?;
+            drive::wake(&queued, farm).await?;
+            report.jobs = jobs(&queued);
+            report.note_jobs(say);
+            if args.detach {
+                return Ok(Vec::new());
+            }
+            let mut interrupt = Interrupt::listen()?;
+            drive::collect(&mut queued, &mut folder, farm, &mut interrupt, say).await
+        })?;
+    }
+    if args.detach {
+        return report.queued(args.format.json, say);
+    }
+    // Equal frames of other variants: what they wait for is there now.
+    let left = drive::missing(&work, &mut folder)?;
+    let measured = measure::measure(&work, &folder)?;
+    measure::frames(&work, &measured).write(out, "frames")?;
+    measure::variants(&work, &measured).write(out, "variants")?;
+    report.contact_sheet = contact::write(&work, &folder, say)?;
+    report.seconds = Clock.since(begun).as_secs_f64();
+    if left.is_empty() {
+        folder.settle();
+        folder.save()?;
+        state.remove().map_err(|e| failed(format!("{}: {e}", out.display())))?;
+        report.print(args.format.json, say)?;
+        return Ok(Exit::Done);
+    }
+    folder.save()?;
+    let frames: usize = left.iter().map(|(_, frames)| frames.len()).sum();
+    troubles.push(format!("{frames} frames are missing in {}; the same command tries them again", out.display()));
+    Err(failed(troubles.join("\n")))
+}
+
+/// Nobody else writes into the folder meanwhile; an embedded farm's log of another scene goes.
+fn lock(work: &Work, out: &Path) -> Result<State, Failure> {
+    let identity = Identity {
+        version: env!("CARGO_PKG_VERSION").to_owned(),
+        bundle: work.scene.digest().to_string(),
+        settings: serde_json::Value::Null,
+    };
+    Ok(State::open(&out.join(".femc"), &identity, Old::Keep)?.0)
+}
+
+/// Render in this process.
+fn local(
+    work: &Work,
+    missing: Vec<(&Planned, Vec<u32>)>,
+    folder: &mut Folder,
+    state: &State,
+    report: &mut Report,
+    say: Say,
+) -> Result<Vec<String>, Failure> {
+    client::runtime()?.block_on(async {
+        let mut interrupt = Interrupt::listen()?;
+        let plan = embedded::Plan {
+            log: state.log(),
+            artifacts: state.artifacts(),
+            workers: work.first.workers,
+            threads: work.first.threads,
+        };
+        let (mut embedded, farm) = Embedded::start(plan).await?;
+        let outcome = async {
+            let mut queued = drive::queue(work, missing, folder, &farm).await?;
+            drive::cancel_others(&queued, &farm).await?;
+            drive::wake(&queued, &farm).await?;
+            report.jobs = jobs(&queued);
+            drive::collect(&mut queued, folder, &farm, &mut interrupt, say).await
+        };
+        let outcome = tokio::select! {
+            outcome = outcome => outcome,
+            broken = embedded.broken() => return Err(broken),
+        };
+        drop(farm);
+        embedded.stop().await;
+        outcome
+    })
+}
+
+/// Queue whole variants, for others to fetch; variants whose frames are all the same are one job.
+fn queue_only(work: &Work, args: &SweepArgs, say: Say) -> Result<Exit, Failure> {
+    let mut report = Report::new(work, Path::new(""), Shares::count(work, None));
+    report.jobs = client::block_on(&args.server, async |farm: &Farm| {
+        let (mut known, mut jobs) = (BTreeMap::new(), Vec::new());
+        for variant in &work.variants {
+            let keys: Vec<&str> = variant.frames.iter().map(|planning| planning.key.as_str()).collect();
+            let job = match known.get(&keys) {
+                Some(job) => *job,
+                None => farm.submit(&work.scene, own_key(), variant.spec.clone()).await?.0.0,
+            };
+            known.insert(keys, job);
+            jobs.push(JobReport { variant: variant.name.clone(), job });
+        }
+        Ok(jobs)
+    })?;
+    report.note_jobs(say);
+    report.queued(args.format.json, say)
+}
+
+fn jobs(queued: &[Queued<'_>]) -> Vec<JobReport> {
+    queued.iter().map(|queued| JobReport { variant: queued.variant.name.clone(), job: queued.job.0 }).collect()
+}

@@ -1,0 +1,98 @@
+//! What a sweep says at its end.
+
+use super::share::Shares;
+use super::work::Work;
+use crate::exit::{Exit, Failure};
+use crate::output::{Say, human, json};
+use serde::Serialize;
+use std::collections::BTreeSet;
+use std::path::Path;
+
+/// The summary: `--json` prints it whole.
+#[derive(Debug, Serialize)]
+pub struct Report {
+    /// The folder; empty without `-o`.
+    pub out: String,
+    /// Names of the variants, which are their folders'.
+    pub variants: Vec<String>,
+    /// What was shared, as it was counted before the start.
+    #[serde(flatten)]
+    pub shares: Counts,
+    /// Jobs that were queued or found again.
+    pub jobs: Vec<JobReport>,
+    /// The sheet.
+    pub contact_sheet: Option<String>,
+    /// Wall-clock time of this run, s.
+    pub seconds: f64,
+}
+
+/// Frames, by how they came.
+#[derive(Debug, Serialize)]
+pub struct Counts {
+    /// All.
+    pub frames: usize,
+    /// Rendered by this run.
+    pub rendered: usize,
+    /// The same as others.
+    pub linked: usize,
+    /// Finished before.
+    pub kept: usize,
+    /// Worlds that were prepared.
+    pub worlds: usize,
+}
+
+/// A job of the sweep.
+#[derive(Debug, Serialize)]
+pub struct JobReport {
+    /// Whose frames it renders.
+    pub variant: String,
+    /// Its number.
+    pub job: u64,
+}
+
+impl Report {
+    /// Before anything has run.
+    pub fn new(work: &Work, out: &Path, shares: Shares) -> Self {
+        let Shares { frames, there: kept, linked, render: rendered, worlds, .. } = shares;
+        Self {
+            out: out.display().to_string(),
+            variants: work.variants.iter().map(|variant| variant.name.clone()).collect(),
+            shares: Counts { frames, rendered, linked, kept, worlds },
+            jobs: Vec::new(),
+            contact_sheet: None,
+            seconds: 0.0,
+        }
+    }
+
+    /// Say on stderr which job is which variant.
+    pub fn note_jobs(&self, say: Say) {
+        self.jobs.iter().for_each(|job| say.note(format!("job {}: {}", job.job, job.variant)));
+    }
+
+    /// Queued and not waited for: the jobs' numbers on stdout, each alone on its line.
+    pub fn queued(&self, as_json: bool, say: Say) -> Result<Exit, Failure> {
+        if as_json {
+            json::print(say, self)?;
+        } else {
+            let mut seen = BTreeSet::new();
+            self.jobs.iter().filter(|job| seen.insert(job.job)).for_each(|job| say.result(job.job));
+        }
+        Ok(Exit::Done)
+    }
+
+    /// All is there.
+    pub fn print(&self, as_json: bool, say: Say) -> Result<(), Failure> {
+        if as_json {
+            return json::print(say, self);
+        }
+        let Counts { frames, rendered, linked, kept, .. } = self.shares;
+        let variants = human::count(self.variants.len() as u64, "variant");
+        say.result(format!(
+            "{}: {variants}, {frames} frames ({rendered} rendered, {linked} linked, {kept} finished before), {}",
+            self.out,
+            human::seconds(self.seconds)
+        ));
+        self.contact_sheet.iter().for_each(|sheet| say.result(sheet));
+        Ok(())
+    }
+}

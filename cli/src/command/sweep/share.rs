@@ -1,0 +1,84 @@
+//! What the variants of a sweep share, counted before anything runs.
+
+use super::folder::Folder;
+use super::work::Work;
+use crate::output::{Say, human};
+use femc_pipeline::Stop;
+use serde::Serialize;
+use std::collections::BTreeSet;
+
+/// What is shared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize)]
+pub struct Shares {
+    /// Variants.
+    pub variants: usize,
+    /// Frames of all variants.
+    pub frames: usize,
+    /// Of these, finished before.
+    pub there: usize,
+    /// Of these, the same as another frame of the sweep: linked, not rendered.
+    pub linked: usize,
+    /// Of these, to be rendered.
+    pub render: usize,
+    /// Different worlds among those to be rendered: what is prepared besides cameras.
+    pub worlds: usize,
+    /// Camera samples that are not taken, where their number is known in advance.
+    pub samples_saved: u64,
+}
+
+impl Shares {
+    /// Count. `folder`: what is there.
+    pub fn count(work: &Work, folder: Option<&Folder>) -> Self {
+        let mut shares = Self { variants: work.variants.len(), ..Self::default() };
+        let (mut keys, mut worlds) = (BTreeSet::new(), BTreeSet::new());
+        for variant in &work.variants {
+            let [width, height] = variant.spec.grid.film;
+            let samples = match variant.stop {
+                Stop::Spp(spp) => u64::from(width) * u64::from(height) * u64::from(spp),
+                Stop::Error(_) | Stop::Time(_) => 0,
+            };
+            for planning in &variant.frames {
+                shares.frames += 1;
+                if folder.is_some_and(|folder| folder.has(&variant.file(planning.frame), &planning.key)) {
+                    shares.there += 1;
+                } else if folder.is_some_and(|folder| folder.knows(&planning.key)) || !keys.insert(&planning.key) {
+                    shares.linked += 1;
+                    shares.samples_saved += samples;
+                } else {
+                    shares.render += 1;
+                    worlds.insert(planning.world);
+                }
+            }
+        }
+        shares.worlds = worlds.len();
+        shares
+    }
+
+    /// For people, line by line.
+    pub fn lines(&self) -> Vec<String> {
+        let Self { variants, frames, there, linked, render, worlds, samples_saved } = *self;
+        let count = |n: usize, what: &str| human::count(n as u64, what);
+        let mut lines = vec![format!(
+            "{}, {}: {render} to render, {linked} the same as others and linked, {there} finished before",
+            count(variants, "variant"),
+            count(frames, "frame")
+        )];
+        if render > 0 {
+            let prepared = match worlds {
+                _ if worlds == render => "every frame has a world of its own".to_owned(),
+                1 => format!("{} have one world and differ in the camera alone", count(render, "frame")),
+                _ => format!("{} have {worlds} worlds; the others differ in the camera alone", count(render, "frame")),
+            };
+            lines.push(format!("the scene is read once for {}; {prepared}", count(variants, "variant")));
+        }
+        if samples_saved > 0 {
+            lines.push(format!("linking saves {} samples", human::quantity(samples_saved as f64)));
+        }
+        lines
+    }
+
+    /// Say so on stderr.
+    pub fn note(&self, say: Say) {
+        self.lines().iter().for_each(|line| say.note(line));
+    }
+}

@@ -1,0 +1,174 @@
+//! A sweep checked against its scene: its variants, and for each frame what it is made from.
+
+use crate::args::SettingsArgs;
+use crate::command::client;
+use crate::exit::{Failure, failed, usage};
+use crate::output::Say;
+use crate::request::{Asked, Base, JobFile, Measures, typed_keys};
+use femc_model::{Digest, JobSpec};
+use femc_pipeline::{Settings, Stop};
+use femc_scene::SceneDigest;
+use femc_worker::Parcel;
+use std::path::Path;
+
+/// Most frames of all variants together.
+const MAX_FRAMES: usize = 1 << 20;
+
+/// All that a sweep asks for.
+pub struct Work {
+    /// Names of the axes: selectors and settings.
+    pub axes: Vec<String>,
+    /// The same, as short as they stay different.
+    pub labels: Vec<String>,
+    /// In the order of the sweep.
+    pub variants: Vec<Planned>,
+    /// What is measured besides the film.
+    pub measures: Measures,
+    /// The scene's files.
+    pub scene: Parcel,
+    /// The first variant whole, to try its cost on.
+    pub first: Asked,
+}
+
+/// A variant as it will be rendered.
+pub struct Planned {
+    /// Its folder.
+    pub name: String,
+    /// A value for each axis.
+    pub values: Vec<Value>,
+    /// The job of all its frames.
+    pub spec: JobSpec,
+    /// When a frame is done.
+    pub stop: Stop,
+    /// Its frames, ascending.
+    pub frames: Vec<Planning>,
+}
+
+/// A value of an axis.
+#[derive(Clone, Debug)]
+pub struct Value {
+    /// For people.
+    pub text: String,
+    /// Where it is a number.
+    pub number: Option<f64>,
+}
+
+/// A frame and what it is made from.
+pub struct Planning {
+    /// Its number.
+    pub frame: u32,
+    /// Frames with equal keys have the same pixels: hash of the program's version, all that the camera sees, and the
+    /// settings of sampling.
+    pub key: String,
+    /// Frames with equal worlds are prepared once, but for the camera.
+    pub world: SceneDigest,
+}
+
+impl Work {
+    /// Read the job file `path`, apply `typed`, check every variant. Costs no rendering.
+    pub fn open(path: &Path, typed: &SettingsArgs, say: Say) -> Result<Self, Failure> {
+        let mut job = JobFile::load(path).map_err(usage)?;
+        let sweep = job.sweep.take().ok_or_else(|| {
+            let path = path.display();
+            usage(format!("{path}: the job has no [sweep]; `femc submit {path}` queues it"))
+        })?;
+        let keys = typed_keys(typed);
+        if let Some(axis) = sweep.axes.iter().find(|axis| keys.contains(axis.name.as_str())) {
+            return Err(usage(format!(
+                "{}: `{}` is an axis of the sweep, and given on the command line too; leave one of them out",
+                job.shown(axis.place),
+                axis.name
+            )));
+        }
+        job.replaced(typed);
+        let base = Base::open(&job.scene, say)?;
+        let settings = typed.clone().over(job.settings.clone());
+        let mut work: Option<Self> = None;
+        let mut frames = 0;
+        for variant in sweep.variants() {
+            let of_axis = |key: &str| {
+                let mut choices = sweep.axes.iter().zip(&variant.choices);
+                choices.find(|(axis, _)| key.strip_prefix("set.").unwrap_or(key) == axis.name)
+            };
+            let at = |key: &str| of_axis(key).map(|(_, choice)| job.shown(choice.place)).or_else(|| job.at(key));
+            let mut asked = base.ask(&variant.apply(&settings), &at)?;
+            (asked.priority, asked.tags) = (job.priority, job.tags.clone());
+            check_regions(&job, &asked)?;
+            frames += asked.plan.frames.len();
+            if frames > MAX_FRAMES {
+                let place = job.shown(sweep.place());
+                return Err(usage(format!("{place}: the variants have more than {MAX_FRAMES} frames together")));
+            }
+            let values =
+                variant.choices.iter().map(|c| Value { text: c.text.clone(), number: c.change.as_number() }).collect();
+            let scene = match &work {
+                Some(work) => work.scene.clone(),
+                None => asked.parcel()?,
+            };
+            let planned = Planned::new(variant.name.clone(), values, &asked, &scene)?;
+            match &mut work {
+                Some(work) => work.variants.push(planned),
+                None => {
+                    work = Some(Self {
+                        axes: sweep.axes.iter().map(|axis| axis.name.clone()).collect(),
+                        labels: sweep.labels(),
+                        variants: vec![planned],
+                        measures: job.measures.clone(),
+                        scene,
+                        first: asked,
+                    });
+                }
+            }
+        }
+        work.ok_or_else(|| failed("the sweep has no variants"))
+    }
+
+    /// `sigma_s = 0.01, ed = 10000`.
+    pub fn title(&self, variant: &Planned) -> String {
+        let pairs = self.labels.iter().zip(&variant.values).map(|(label, value)| format!("{label} = {}", value.text));
+        pairs.collect::<Vec<_>>().join(", ")
+    }
+}
+
+impl Planned {
+    fn new(name: String, values: Vec<Value>, asked: &Asked, scene: &Parcel) -> Result<Self, Failure> {
+        let frame = |&frame: &u32| {
+            let moment = femc_pipeline::moment(&asked.source, &asked.settings, frame);
+            let moment = moment.map_err(|e| failed(format!("{}: {e}", asked.path.display())))?;
+            Ok(Planning { frame, key: key(&moment.view, &asked.settings)?, world: moment.world })
+        };
+        Ok(Self {
+            name,
+            values,
+            spec: client::job_spec(asked, scene, asked.plan.frames.clone())?,
+            stop: asked.settings.stop,
+            frames: asked.plan.frames.iter().map(frame).collect::<Result<_, Failure>>()?,
+        })
+    }
+
+    /// Path of a frame within the sweep's folder.
+    pub fn file(&self, frame: u32) -> String {
+        format!("{}/{}", self.name, crate::command::render::frame_name(&self.spec.name, frame))
+    }
+}
+
+/// The digest of all that decides a frame's pixels.
+fn key(view: &SceneDigest, settings: &Settings) -> Result<String, Failure> {
+    // The view holds what these three have done.
+    let sampling = Settings { camera: None, size: None, overrides: Vec::new(), ..settings.clone() };
+    let text = serde_json::to_string(&(env!("CARGO_PKG_VERSION"), view.to_string(), sampling)).map_err(failed)?;
+    Ok(Digest::of(text.as_bytes()).to_string())
+}
+
+fn check_regions(job: &JobFile, asked: &Asked) -> Result<(), Failure> {
+    let [width, height] = asked.film();
+    let outside = |bounds: [u32; 4]| bounds[2] > width || bounds[3] > height;
+    match job.measures.regions.iter().find(|region| outside(region.bounds)) {
+        None => Ok(()),
+        Some(region) => Err(usage(format!(
+            "{}: region `{}` reaches beyond a film of {width}x{height} pixels",
+            job.shown(region.place),
+            region.name
+        ))),
+    }
+}

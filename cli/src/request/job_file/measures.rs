@@ -1,0 +1,88 @@
+//! `[regions]` and `[contrasts]`: what is measured in every frame of a sweep.
+
+use super::place::{Fault, Place};
+use serde::Deserialize as _;
+use std::collections::BTreeMap;
+use toml::Spanned;
+use toml::de::{DeValue, ValueDeserializer};
+
+/// A rectangle of the film.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Region {
+    /// Its name.
+    pub name: String,
+    /// Left, top, right and lower border, pixels from the upper left corner; the last two are not part of it.
+    pub bounds: [u32; 4],
+    /// Where it stands in the job file.
+    pub place: Place,
+}
+
+/// Weber's contrast of one region against another: (L - Lb) / Lb.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Contrast {
+    /// Its name.
+    pub name: String,
+    /// The region that is to be seen.
+    pub target: String,
+    /// The region that it is seen against.
+    pub background: String,
+}
+
+/// What is measured besides the whole film.
+#[derive(Clone, Debug, Default)]
+pub struct Measures {
+    /// In the order of the file.
+    pub regions: Vec<Region>,
+    /// In the order of the file.
+    pub contrasts: Vec<Contrast>,
+}
+
+type Entry<'a> = (String, usize, &'a Spanned<DeValue<'a>>);
+
+impl Measures {
+    /// Read both tables.
+    pub(super) fn read(
+        regions: Option<&Spanned<DeValue<'_>>>,
+        contrasts: Option<&Spanned<DeValue<'_>>>,
+        text: &str,
+    ) -> Result<Self, Fault> {
+        let mut measures = Self::default();
+        for (name, _, value) in entries(regions, "[regions] has lines like sign = [10, 20, 30, 40]")? {
+            measures.regions.push(region(name, value, text)?);
+        }
+        let known: BTreeMap<&str, ()> = measures.regions.iter().map(|region| (region.name.as_str(), ())).collect();
+        for (name, _, value) in entries(contrasts, "[contrasts] has lines like seen = [\"sign\", \"road\"]")? {
+            let at = value.span().start;
+            let pair = <[String; 2]>::deserialize(ValueDeserializer::from(value.clone()));
+            let [target, background] = pair.map_err(|_| {
+                Fault::new(at, format!("`{name}`: a contrast is [\"REGION\", \"BACKGROUND\"], two names of [regions]"))
+            })?;
+            if let Some(lost) = [&target, &background].into_iter().find(|name| !known.contains_key(name.as_str())) {
+                return Err(Fault::new(at, format!("`{name}`: no region is called `{lost}`; [regions] names them")));
+            }
+            measures.contrasts.push(Contrast { name, target, background });
+        }
+        Ok(measures)
+    }
+}
+
+/// The lines of a table in the order of the file.
+fn entries<'a>(table: Option<&'a Spanned<DeValue<'a>>>, form: &str) -> Result<Vec<Entry<'a>>, Fault> {
+    let Some(table) = table else { return Ok(Vec::new()) };
+    let DeValue::Table(entries) = table.get_ref() else { return Err(Fault::new(table.span().start, form)) };
+    let mut entries: Vec<Entry<'a>> =
+        entries.iter().map(|(key, value)| (key.get_ref().to_string(), key.span().start, value)).collect();
+    entries.sort_by_key(|(_, offset, _)| *offset);
+    Ok(entries)
+}
+
+fn region(name: String, value: &Spanned<DeValue<'_>>, text: &str) -> Result<Region, Fault> {
+    let at = value.span().start;
+    let form = || Fault::new(at, format!("`{name}`: a region is [x0, y0, x1, y1] in pixels, x1 and y1 not part of it"));
+    let bounds = <[u32; 4]>::deserialize(ValueDeserializer::from(value.clone())).map_err(|_| form())?;
+    let [x0, y0, x1, y1] = bounds;
+    if x0 >= x1 || y0 >= y1 {
+        return Err(Fault::new(at, format!("`{name}`: the region holds no pixel; x0 < x1 and y0 < y1")));
+    }
+    Ok(Region { name, bounds, place: Place::of(text, at) })
+}

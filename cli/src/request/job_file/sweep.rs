@@ -1,0 +1,168 @@
+//! `[sweep]`: what is varied, and how the axes are joined.
+
+use super::axis::{Axis, Choice};
+use super::place::{Fault, Place};
+use super::stem::stems;
+use crate::args::SettingsArgs;
+use std::collections::BTreeSet;
+use toml::Spanned;
+use toml::de::{DeTable, DeValue};
+
+/// Most variants of a sweep: each is a job and a folder.
+pub const MAX_VARIANTS: usize = 4096;
+
+/// The axes of a sweep, in the order of the file, and how they are joined.
+#[derive(Debug)]
+pub struct Sweep {
+    /// At least one.
+    pub axes: Vec<Axis>,
+    /// How.
+    pub mode: Mode,
+    place: Place,
+}
+
+/// How axes are joined.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Mode {
+    /// All combinations; the last axis goes through its values fastest.
+    #[default]
+    Grid,
+    /// The first values of all axes together, then the second ones.
+    Zip,
+}
+
+/// One choice of each axis.
+#[derive(Clone, Debug)]
+pub struct Variant<'a> {
+    /// A folder's name: short, unique in the sweep, and the same when the sweep gets more values.
+    pub name: String,
+    /// In the order of the axes.
+    pub choices: Vec<&'a Choice>,
+}
+
+impl Sweep {
+    /// Read `[sweep]`, which stands in `text`.
+    pub fn read(table: &Spanned<DeValue<'_>>, text: &str) -> Result<Self, Fault> {
+        let begin = table.span().start;
+        let DeValue::Table(entries) = table.get_ref() else {
+            return Err(Fault::new(begin, "sweep is a table: [sweep], then a line for each axis"));
+        };
+        let mode = mode(entries)?;
+        let mut keys: Vec<_> = entries.iter().filter(|(key, _)| key.get_ref() != "mode").collect();
+        keys.sort_by_key(|(key, _)| key.span().start);
+        let axes = keys.into_iter().map(|(key, value)| Axis::read(key, value, text)).collect::<Result<Vec<_>, _>>()?;
+        if axes.is_empty() {
+            return Err(Fault::new(
+                begin,
+                "the sweep has no axis; write one like \"medium.fog.sigma_s\" = [0.01, 0.02]",
+            ));
+        }
+        let sweep = Self { axes, mode, place: Place::of(text, begin) };
+        sweep.check(begin)?;
+        Ok(sweep)
+    }
+
+    /// Where it begins.
+    pub fn place(&self) -> Place {
+        self.place
+    }
+
+    fn check(&self, begin: usize) -> Result<(), Fault> {
+        let mut stops = self.axes.iter().filter(|axis| ["spp", "error", "time"].contains(&axis.name.as_str()));
+        if let (Some(first), Some(second)) = (stops.next(), stops.next()) {
+            return Err(Fault::new(second.offset, format!("{} and {} exclude each other", first.name, second.name)));
+        }
+        match self.mode {
+            Mode::Grid => self.check_grid(begin),
+            Mode::Zip => self.check_zip(),
+        }
+    }
+
+    fn check_grid(&self, begin: usize) -> Result<(), Fault> {
+        for axis in &self.axes {
+            let mut seen = BTreeSet::new();
+            if let Some(twice) = axis.choices.iter().find(|choice| !seen.insert(choice.text.as_str())) {
+                return Err(Fault::new(twice.offset, format!("`{}` has the value {} twice", axis.name, twice.text)));
+            }
+        }
+        let count = self.axes.iter().try_fold(1usize, |count, axis| count.checked_mul(axis.choices.len()));
+        match count {
+            Some(count) if count <= MAX_VARIANTS => Ok(()),
+            count => {
+                let count = count.map_or("far more".to_owned(), |count| count.to_string());
+                Err(Fault::new(begin, format!("the grid has {count} variants; a sweep has at most {MAX_VARIANTS}")))
+            }
+        }
+    }
+
+    fn check_zip(&self) -> Result<(), Fault> {
+        let first = &self.axes[0];
+        if let Some(other) = self.axes.iter().find(|axis| axis.choices.len() != first.choices.len()) {
+            let [a, b] = [first, other].map(|axis| axis.choices.len());
+            let what = format!(
+                "mode = \"zip\" pairs values: `{}` has {a} of them, and `{}` has {b}; give both the same number",
+                first.name, other.name
+            );
+            return Err(Fault::new(other.offset, what));
+        }
+        let mut seen = BTreeSet::new();
+        for (at, choice) in first.choices.iter().enumerate() {
+            if !seen.insert(self.axes.iter().map(|axis| axis.choices[at].text.as_str()).collect::<Vec<_>>()) {
+                return Err(Fault::new(choice.offset, "the same values stand together twice"));
+            }
+        }
+        Ok(())
+    }
+
+    /// All variants: of a grid the last axis goes fastest.
+    pub fn variants(&self) -> Vec<Variant<'_>> {
+        let labels = self.labels();
+        let rows: Vec<Vec<&Choice>> = match self.mode {
+            Mode::Grid => self.axes.iter().fold(vec![Vec::new()], |rows, axis| {
+                let with = |row: Vec<_>| axis.choices.iter().map(move |choice| [row.as_slice(), &[choice]].concat());
+                rows.into_iter().flat_map(with).collect()
+            }),
+            Mode::Zip => {
+                let row = |at: usize| self.axes.iter().map(|axis| &axis.choices[at]).collect();
+                (0..self.axes[0].choices.len()).map(row).collect()
+            }
+        };
+        let texts = rows.iter().map(|row| labels.iter().zip(row).map(|(l, c)| format!("{l}={}", c.text)).collect());
+        let names = stems(&texts.collect::<Vec<Vec<String>>>());
+        rows.into_iter().zip(names).map(|(choices, name)| Variant { name, choices }).collect()
+    }
+
+    /// The axes' names as short as they stay different: `sigma_s` for `medium.fog.sigma_s`.
+    pub fn labels(&self) -> Vec<String> {
+        let tail = |name: &str, parts: usize| {
+            let all: Vec<&str> = name.split('.').collect();
+            all[all.len().saturating_sub(parts)..].join(".")
+        };
+        let label = |name: &str| {
+            let alone = |parts: &usize| {
+                let same = |axis: &&Axis| tail(&axis.name, *parts) == tail(name, *parts);
+                self.axes.iter().filter(same).count() == 1
+            };
+            (1..=name.split('.').count()).find(alone).map_or(name.to_owned(), |parts| tail(name, parts))
+        };
+        self.axes.iter().map(|axis| label(&axis.name)).collect()
+    }
+}
+
+impl Variant<'_> {
+    /// These settings with the variant's choices.
+    pub fn apply(&self, settings: &SettingsArgs) -> SettingsArgs {
+        let mut settings = settings.clone();
+        self.choices.iter().for_each(|choice| choice.change.apply(&mut settings));
+        settings
+    }
+}
+
+fn mode(entries: &DeTable<'_>) -> Result<Mode, Fault> {
+    let Some(value) = entries.get("mode") else { return Ok(Mode::default()) };
+    match value.get_ref() {
+        DeValue::String(text) if text == "grid" => Ok(Mode::Grid),
+        DeValue::String(text) if text == "zip" => Ok(Mode::Zip),
+        _ => Err(Fault::new(value.span().start, "mode is \"grid\" (all combinations) or \"zip\" (value by value)")),
+    }
+}

@@ -1,0 +1,155 @@
+//! Contact sheets with words: rows of pictures, each row under a title and each picture over a caption.
+//!
+//! The letters are those of Noto Sans Mono, 16 pixels high; what a font of Latin letters does not have shows as `?`.
+
+use crate::Picture;
+use noto_sans_mono_bitmap::{FontWeight, RasterHeight, RasterizedChar, get_raster};
+
+/// A row of pictures.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SheetRow {
+    /// Above the row; empty: no line is left for it.
+    pub title: String,
+    /// From left to right.
+    pub cells: Vec<SheetCell>,
+}
+
+/// A picture and what it shows.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct SheetCell {
+    /// The picture.
+    pub picture: Picture,
+    /// Below it; cut where the picture's cell ends.
+    pub caption: String,
+}
+
+/// Pixels between and around everything.
+const GAP: u32 = 6;
+/// Height of a line of text, pixels.
+const LINE: u32 = 18;
+/// Least width of a cell, pixels: captions of a dozen letters.
+const NARROWEST: u32 = 96;
+const WEIGHT: FontWeight = FontWeight::Regular;
+const HEIGHT: RasterHeight = RasterHeight::Size16;
+const PAPER: [u8; 3] = [24, 24, 24];
+const TITLE: [u8; 3] = [255, 255, 255];
+const CAPTION: [u8; 3] = [176, 176, 176];
+
+/// Lays out `rows`, every picture in a cell of the largest one's size. No rows give a sheet of paper of one gap.
+pub fn labelled_sheet(rows: &[SheetRow]) -> Picture {
+    let cells = || rows.iter().flat_map(|row| &row.cells);
+    let cell_width = cells().map(|cell| cell.picture.width).max().unwrap_or(0).max(NARROWEST);
+    let columns = rows.iter().map(|row| row.cells.len() as u32).max().unwrap_or(0);
+    let letter = letter('m').width() as u32;
+    let titles = rows.iter().map(|row| row.title.chars().count() as u32 * letter).max().unwrap_or(0);
+    let (heights, width) = (rows.iter().map(height), (columns * (cell_width + GAP)).max(titles + GAP) + GAP);
+    let height = GAP + heights.sum::<u32>();
+    let mut sheet = Picture { width, height, pixels: vec![PAPER; width as usize * height as usize] };
+    let mut top = GAP;
+    for row in rows {
+        let mut y = top;
+        if !row.title.is_empty() {
+            sheet.write(&row.title, [GAP, y], width - GAP, TITLE);
+            y += LINE;
+        }
+        let below = y + picture_height(row);
+        for (x, cell) in (GAP..).step_by((cell_width + GAP) as usize).zip(&row.cells) {
+            sheet.put(&cell.picture, [x, y]);
+            sheet.write(&cell.caption, [x, below], x + cell_width, CAPTION);
+        }
+        top += self::height(row);
+    }
+    sheet
+}
+
+fn picture_height(row: &SheetRow) -> u32 {
+    row.cells.iter().map(|cell| cell.picture.height).max().unwrap_or(0)
+}
+
+/// Of a row with the gap below it.
+fn height(row: &SheetRow) -> u32 {
+    let title = if row.title.is_empty() { 0 } else { LINE };
+    let captions = if row.cells.iter().all(|cell| cell.caption.is_empty()) { 0 } else { LINE };
+    title + picture_height(row) + captions + GAP
+}
+
+fn letter(c: char) -> RasterizedChar {
+    let unknown = || get_raster('?', WEIGHT, HEIGHT);
+    get_raster(c, WEIGHT, HEIGHT).or_else(unknown).expect("the font has a question mark")
+}
+
+impl Picture {
+    fn put(&mut self, picture: &Self, [left, top]: [u32; 2]) {
+        for (y, row) in (0..picture.height).zip(picture.pixels.chunks(picture.width.max(1) as usize)) {
+            let start = (top + y) as usize * self.width as usize + left as usize;
+            self.pixels[start..start + row.len()].copy_from_slice(row);
+        }
+    }
+
+    /// Writes a line of text, as many of its letters as end before `right`.
+    fn write(&mut self, text: &str, [left, top]: [u32; 2], right: u32, ink: [u8; 3]) {
+        let mut x = left;
+        for c in text.chars() {
+            let letter = letter(c);
+            if x + letter.width() as u32 > right.min(self.width) {
+                break;
+            }
+            for (row, line) in letter.rows().enumerate() {
+                let start = (top as usize + row) * self.width as usize + x as usize;
+                let pixels = self.pixels.get_mut(start..start + line.len()).into_iter().flatten();
+                pixels.zip(line.iter()).for_each(|(pixel, cover)| *pixel = mixed(*pixel, ink, *cover));
+            }
+            x += letter.width() as u32;
+        }
+    }
+}
+
+/// `ink` over `paper`; `cover`: 255 hides the paper.
+fn mixed(paper: [u8; 3], ink: [u8; 3], cover: u8) -> [u8; 3] {
+    let cover = u16::from(cover);
+    std::array::from_fn(|i| ((u16::from(paper[i]) * (255 - cover) + u16::from(ink[i]) * cover) / 255) as u8)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn cell(width: u32, height: u32, value: u8, caption: &str) -> SheetCell {
+        let picture = Picture { width, height, pixels: vec![[value, 0, 0]; (width * height) as usize] };
+        SheetCell { picture, caption: caption.into() }
+    }
+
+    fn inked(sheet: &Picture, rows: std::ops::Range<u32>) -> usize {
+        let width = sheet.width as usize;
+        sheet.pixels[rows.start as usize * width..rows.end as usize * width].iter().filter(|p| p[0] > 100).count()
+    }
+
+    #[test]
+    fn a_sheet_holds_every_picture_whole_and_every_line_of_text() {
+        let rows = [
+            SheetRow { title: "sigma_s = 0.01".into(), cells: vec![cell(100, 10, 60, "frame 1"), cell(90, 8, 61, "")] },
+            SheetRow { title: String::new(), cells: vec![cell(100, 10, 62, "")] },
+        ];
+        let sheet = labelled_sheet(&rows);
+        assert_eq!((sheet.width, sheet.height), (2 * 106 + GAP, GAP + (LINE + 10 + LINE + GAP) + (10 + GAP)));
+        for (value, area) in [(60, 1000), (61, 720), (62, 1000)] {
+            assert_eq!(sheet.pixels.iter().filter(|pixel| **pixel == [value, 0, 0]).count(), area, "picture {value}");
+        }
+        assert!(inked(&sheet, GAP..GAP + LINE) > 50, "the title is written");
+        assert!(inked(&sheet, GAP + LINE + 10..GAP + LINE + 10 + LINE) > 20, "the caption is written");
+    }
+
+    #[test]
+    fn a_caption_stays_in_its_cell_and_strange_letters_are_questions() {
+        let long = "\u{4e2d}".repeat(40);
+        let sheet = labelled_sheet(&[SheetRow {
+            title: String::new(),
+            cells: vec![cell(100, 4, 0, &long), cell(100, 4, 0, "")],
+        }]);
+        let right_of_cell = |at: usize| at % sheet.width as usize >= (GAP + 100) as usize;
+        let strays = sheet.pixels.iter().enumerate().filter(|(at, pixel)| right_of_cell(*at) && pixel[0] > 100);
+        assert_eq!(strays.count(), 0);
+        assert!(inked(&sheet, GAP + 4..GAP + 4 + LINE) > 20);
+        assert_eq!(labelled_sheet(&[]).pixels.len(), (GAP * 2 * GAP) as usize);
+    }
+}

@@ -1,0 +1,108 @@
+//! What one frame of a scene is made from, as digests: frames of variants that have equal ones can share the work.
+//!
+//! Three layers, each a hash of the one before: what no selector reaches ([`Fixed`]: surfaces, images, photometry), the
+//! world at the frame's time without the camera, and the world as one camera sees it. Time itself does not count, only what
+//! is made of it: a scalar that varies counts with its value, a path with its pose. While the shutter is open a path
+//! counts whole. The digests never miss a difference; they may see one that no pixel shows (a material that nothing
+//! has), and then work is done twice.
+
+use crate::description::{Camera, Luminaire, Material, Medium, MediumRegion, MotionPath, MotionStep, PathId, Scene};
+use crate::digest::{Canonical, NOWHERE, SceneDigest};
+use crate::selector::Scalars;
+use femc_math::glam::DVec3;
+use std::collections::BTreeSet;
+
+/// What overrides do not reach; equal for all variants of a scene.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Fixed(SceneDigest);
+
+/// What a frame is made from.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Moment {
+    /// What overrides do not reach.
+    pub fixed: Fixed,
+    /// All but the camera.
+    pub world: SceneDigest,
+    /// All: frames with equal ones have the same pixels under the same settings.
+    pub view: SceneDigest,
+}
+
+/// Which camera sees what, and when.
+#[derive(Clone, Copy, Debug)]
+pub struct Viewpoint<'a> {
+    /// The camera at the frame's time.
+    pub camera: &'a Camera,
+    /// Pixels of the film.
+    pub film: [u32; 2],
+    /// Frame of the clip, from 1: it keys the samples.
+    pub frame: u32,
+    /// Opening and closing of the shutter, s.
+    pub shutter: [f64; 2],
+    /// World position of the coordinates' origin, m.
+    pub origin: DVec3,
+}
+
+impl Scene {
+    /// Digest of what no selector reaches. It reads the whole geometry: compute it once for all variants.
+    pub fn fixed(&self) -> Fixed {
+        let mut canonical = Canonical::of("fixed");
+        canonical.value(&self.groups.len());
+        for group in &self.groups {
+            canonical.surfaces(group);
+            canonical.value(&group.instances);
+            canonical.table(&group.luminaires, |luminaire| Luminaire {
+                location: NOWHERE,
+                multiplier: 1.0,
+                ..*luminaire
+            });
+        }
+        canonical.table(&self.regions, |region| MediumRegion { location: NOWHERE, ..*region });
+        canonical.photometry(&self.photometry);
+        canonical.images(&self.images);
+        Fixed(canonical.digest())
+    }
+
+    /// What a frame is made from.
+    /// - `fixed`: this scene's, or that of the scene that it is a variant of;
+    /// - `now`: [`Scene::scalars_at`] the frame's time.
+    pub fn moment(&self, fixed: Fixed, now: &Scalars, viewpoint: &Viewpoint<'_>) -> Moment {
+        let Viewpoint { camera, film, frame, shutter, origin } = *viewpoint;
+        let mut canonical = Canonical::of("world");
+        canonical.value(&fixed.0);
+        canonical.value(&origin);
+        canonical.table(&now.materials, |material| Material { location: NOWHERE, ..material.clone() });
+        canonical.table(&now.objects, |object| object);
+        canonical.table(&now.media, |medium| Medium { location: NOWHERE, ..medium.clone() });
+        canonical.value(&now.luminaires.len());
+        now.luminaires.iter().for_each(|group| canonical.table(group, |luminaire| luminaire.multiplier));
+        for path in self.paths_of_surfaces() {
+            canonical.path(now.paths.get(path.index()), shutter);
+        }
+        let world = canonical.digest();
+        let mut canonical = Canonical::of("view");
+        canonical.value(&(world, film, frame));
+        canonical.value(&Camera { name: String::new(), location: NOWHERE, film, ..camera.clone() });
+        canonical.path(camera.along.and_then(|path| now.paths.get(path.index())), shutter);
+        Moment { fixed, world, view: canonical.digest() }
+    }
+
+    fn paths_of_surfaces(&self) -> BTreeSet<PathId> {
+        let steps = self.groups.iter().flat_map(|group| &group.instances).flat_map(|instance| &instance.motion.steps);
+        let along = |step: &MotionStep| match step {
+            MotionStep::Along(path) => Some(*path),
+            MotionStep::Static(_) => None,
+        };
+        steps.filter_map(along).collect()
+    }
+}
+
+impl Canonical {
+    /// A path as one frame sees it; one that is not there is none.
+    fn path(&mut self, path: Option<&MotionPath>, [open, close]: [f64; 2]) {
+        match path {
+            Some(path) if close > open => self.value(&(open, close, path.interpolation, &path.keys)),
+            Some(path) => self.value(&path.at(open)),
+            None => self.value(&()),
+        }
+    }
+}

@@ -1,0 +1,71 @@
+//! Frames of variants share what is equal between them, and have the pixels of frames prepared alone.
+
+use femc_film::{Frame, FrameImage, pixel_digest};
+use femc_pipeline::{Prepared, Settings, Source, Stop, plan, prepare, render_tile};
+use femc_tests::scene;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+
+const ROOM: &str = "camera main =\n origin 0.2 0 0\n target 1 0 0\n fov 60\n film 16 16\n\
+    medium fog =\n sigma_s .2\nmedium_everywhere\n\
+    m wall =\n sides 2\n rd .5\nm lamp =\n sides 2\n ed 30\n\
+    v a =\n p -1 -1 -1\nv b =\n p 1 -1 -1\nv c =\n p 1 1 -1\nv d =\n p -1 1 -1\nm wall\nprism a b c d -2\n\
+    v s =\n p .6 .1 .1\nm lamp\nsph s .1\n";
+
+fn source() -> Source {
+    Source::new(scene(&ROOM.replace("medium_everywhere", "mbox fog -1 -1 -1 1 1 1")))
+}
+
+fn settings(overrides: &[(&str, f64)]) -> Settings {
+    let overrides = overrides.iter().map(|(selector, value)| ((*selector).to_owned(), *value)).collect();
+    Settings { stop: Stop::Spp(4), overrides, ..Settings::default() }
+}
+
+fn variant(base: &Source, settings: &Settings, previous: Option<&Prepared>) -> Prepared {
+    let source = base.variant(&settings.overrides).unwrap_or_else(|error| panic!("{error}"));
+    prepare(&source, settings, 1, previous).unwrap_or_else(|error| panic!("{error}"))
+}
+
+fn render(prepared: &Prepared, settings: &Settings) -> FrameImage {
+    let plan = plan(&prepared.scene, settings, Some(&[1])).unwrap_or_else(|error| panic!("{error}"));
+    let mut film = Frame::new(plan.tiling);
+    for rect in plan.tiling.rects() {
+        let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+        let done = render_tile(prepared, settings, rect, 0..4, &cancel, &progress);
+        film.insert(done.unwrap_or_else(|error| panic!("{error}")).tile).unwrap_or_else(|error| panic!("{error}"));
+    }
+    film.resolve()
+}
+
+#[test]
+fn cameras_share_a_world_and_fogs_share_surfaces_and_neither_shows() {
+    let base = source();
+    let first = variant(&base, &settings(&[]), None);
+    for (change, same_world, same_surfaces) in [
+        (("camera.main.fov", 50.0), true, true),
+        (("camera.main.origin.x", 0.4), true, true),
+        (("camera.main.origin.x", 0.6), false, false),
+        (("medium.fog.sigma_s", 0.4), false, true),
+        (("material.lamp.ed", 60.0), false, true),
+        (("material.lamp.ed", 0.0), false, false),
+    ] {
+        let settings = settings(&[change]);
+        let (alone, shared) = (variant(&base, &settings, None), variant(&base, &settings, Some(&first)));
+        assert_eq!(Arc::ptr_eq(&shared.world, &first.world), same_world, "{change:?}");
+        assert_eq!(shared.moment.world == first.moment.world, same_world, "{change:?}");
+        let surfaces = |prepared: &Prepared| prepared.instances[0].compiled.clone();
+        assert_eq!(Arc::ptr_eq(&surfaces(&shared), &surfaces(&first)), same_surfaces, "{change:?}");
+        assert_ne!(shared.moment.view, first.moment.view, "{change:?}");
+        let [alone, shared] = [&alone, &shared].map(|prepared| pixel_digest(&render(prepared, &settings).color));
+        assert_eq!(alone, shared, "{change:?}");
+    }
+}
+
+#[test]
+fn nothing_is_shared_between_different_scenes() {
+    let (base, other) =
+        (source(), Source::new(scene(&ROOM.replace("medium_everywhere", "").replace("sph s .1", "sph s .2"))));
+    let (first, settings) = (variant(&base, &settings(&[]), None), settings(&[]));
+    let [alone, after] = [None, Some(&first)].map(|previous| render(&variant(&other, &settings, previous), &settings));
+    assert_eq!(pixel_digest(&alone.color), pixel_digest(&after.color));
+}

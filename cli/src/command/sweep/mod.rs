@@ -51,7 +51,7 @@ use work::{Planned, Work};
     sweep.json, by which the same command goes on after a stop: frames that are there stay, frames that are equal \
     are rendered once and linked, and of a sweep with more values only what is new runs. At most 4096 variants.")]
 pub struct SweepArgs {
-    /// Job file with a [sweep]
+    /// Job file with a `[sweep]`
     #[arg(value_name = "JOB.toml")]
     job: PathBuf,
     /// Folder for the variants: wait for the jobs, and collect their frames there

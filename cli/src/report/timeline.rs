@@ -50,10 +50,13 @@ pub fn draw(attempts: &[Row]) -> Result<String, Failure> {
     for row in attempts {
         let joins = row.task.is_some_and(|task| task.stage.kind != StageKind::Render);
         let lane = lanes.entry((row.worker.clone(), row.instance, joins)).or_default();
-        // Two pixels at least.
-        lane.entry(Bar::of(row)).or_default().push((row.began, row.ended.max(row.began + 4.0 * gap)));
+        lane.entry(Bar::of(row)).or_default().push((row.began, row.ended));
     }
-    lanes.values_mut().flat_map(BTreeMap::values_mut).for_each(|spans| join(spans, gap));
+    for spans in lanes.values_mut().flat_map(BTreeMap::values_mut) {
+        join(spans, gap);
+        // Two pixels at least.
+        spans.iter_mut().for_each(|(began, ended)| *ended = ended.max(*began + 4.0 * gap));
+    }
     let names: Vec<String> = lanes
         .keys()
         .rev()
@@ -63,15 +66,13 @@ pub fn draw(attempts: &[Row]) -> Result<String, Failure> {
     figure(60 + 24 * names.len() as u32, |area| chart(area, &names, &bars, end))
 }
 
-/// Makes one of those that lie closer together than `gap`.
+/// Makes one of those that begin within `gap` of each other.
 fn join(spans: &mut Spans, gap: f64) {
     spans.sort_by(|a, b| a.0.total_cmp(&b.0));
     let mut joined = Spans::new();
     for &(began, ended) in spans.iter() {
         match joined.last_mut() {
-            Some(last) if began - last.1 < gap && (began - last.0 < gap || ended - began < gap) => {
-                last.1 = last.1.max(ended);
-            }
+            Some(last) if began - last.0 < gap => last.1 = last.1.max(ended),
             _ => joined.push((began, ended)),
         }
     }

@@ -72,7 +72,7 @@ struct Machine {
     done: BTreeSet<TaskKey>,
     /// By which lease each was done last.
     made: BTreeMap<TaskKey, Epoch>,
-    /// Results of which it was noted what they took.
+    /// Results of which it was noted what they took, until they count.
     noted: BTreeSet<(TaskKey, Epoch)>,
     /// What is rendered.
     rendered: BTreeSet<Unit>,
@@ -144,7 +144,7 @@ impl Machine {
                         assert!(self.rendered.insert(*unit), "{unit:?} of {task} counts twice");
                     }
                     self.made.insert(task, epoch);
-                    assert!(self.noted.contains(&(task, epoch)), "what {task} took is not noted");
+                    assert!(self.noted.remove(&(task, epoch)), "what {task} took is not noted");
                 }
                 Command::Note(note) if note.ending == Ending::Done => {
                     assert!(self.noted.insert((note.task, note.epoch)), "{} is noted twice", note.task);

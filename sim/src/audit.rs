@@ -232,7 +232,8 @@ pub(crate) fn log<'a>(
     for &(task, epoch) in accepted.intersection(reported) {
         let counts_later = || counted.range((task, epoch)..=(task, Epoch(u64::MAX))).next().is_some();
         let is_robbed = robbed.contains(&(task.job, task.stage.frame));
-        if !counted.contains(&(task, epoch)) && !(is_robbed && counts_later()) {
+        let counts = counted.contains(&(task, epoch)) || is_robbed && counts_later();
+        if !counts {
             wrong.push(Violation::Forgotten { task, epoch });
         }
     }

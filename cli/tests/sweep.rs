@@ -35,6 +35,7 @@ fn a_grid_becomes_folders_tables_and_a_sheet_and_equals_separate_renders() {
             "contact.png",
             "frames.csv",
             "frames.parquet",
+            "jobs",
             "sigma_s=0.05,ed=100",
             "sigma_s=0.05,ed=300",
             "sigma_s=0.2,ed=100",
@@ -83,6 +84,37 @@ fn a_sweep_that_grows_runs_only_what_is_new_and_a_second_run_nothing() {
     );
     std::fs::remove_file(place.path("out/sigma_s=0.05,ed=100,seed=2/fog.0001.exr")).expect("a frame");
     assert_eq!(counts(&sweep(&place, "-o out --local")), [1, 0, 15], "what was removed is rendered again");
+}
+
+#[test]
+fn what_a_sweep_took_is_kept_in_its_folder_and_asks_no_farm() {
+    let place = place(JOB);
+    sweep(&place, "-o out --local");
+    let stats = |what: &str| place.run(&format!("stats out {what}")).exits(0);
+    let samples = |rows: &Value| -> Vec<u64> {
+        rows.as_array().expect("rows").iter().map(|row| row["samples"].as_u64().expect("a count")).collect()
+    };
+    assert_eq!(samples(&stats("--by variant --json").json()), [2 * 2 * 16 * 16; 4]);
+    place.write("j.toml", &JOB.replace("[0.05, 0.2]", "[0.05, 0.1, 0.2]"));
+    sweep(&place, "-o out --local");
+    assert_eq!(samples(&stats("--by variant --json").json()), [2 * 2 * 16 * 16; 6]);
+    let frames = stats("--by frame --json").json();
+    assert_eq!(samples(&frames), [2 * 16 * 16; 12], "jobs of two farms with equal numbers are not one");
+    let run = |variant: &str, time: &str| {
+        let of_variant = |row: &&Value| row["variant"].as_str().is_some_and(|name| name.starts_with(variant));
+        let times = frames.as_array().expect("rows").iter().filter(of_variant).map(|row| row[time].as_f64());
+        times.map(|time| time.expect("seconds")).collect::<Vec<f64>>()
+    };
+    let last = run("sigma_s=0.2", "ended_seconds").into_iter().fold(0.0, f64::max);
+    assert!(run("sigma_s=0.1", "began_seconds").iter().all(|began| *began >= last - 1e-3), "one run after the other");
+    let table = stats("--by variant").stdout();
+    assert!(table.contains("sigma_s=0.1,ed=300"), "{table}");
+    place.run("report out").exits(0);
+    let page = place.read("out/report.html");
+    assert_eq!(page.matches("<svg").count(), 5, "timeline, durations, errors, samples, variants");
+    assert!(page.contains("sigma_s=0.1,ed=300"));
+    let ran = place.run("stats nowhere").exits(2);
+    assert!(ran.stderr().contains("nowhere"), "{}", ran.stderr());
 }
 
 #[test]

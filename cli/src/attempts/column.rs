@@ -38,6 +38,8 @@ pub enum Reader {
     Anybody,
     /// Programs.
     Programs,
+    /// Programs; people where rows differ in it.
+    WhoCompares,
 }
 
 /// One column.
@@ -55,6 +57,12 @@ pub struct Column {
     pub of: fn(&Row) -> Cell,
 }
 
+impl From<Option<String>> for Cell {
+    fn from(value: Option<String>) -> Self {
+        value.map_or(Self::Gap, Self::Text)
+    }
+}
+
 impl From<Option<u64>> for Cell {
     fn from(value: Option<u64>) -> Self {
         value.map_or(Self::Gap, Self::Count)
@@ -68,7 +76,11 @@ const fn column(name: &'static str, title: &'static str, kind: Kind, reader: Rea
 /// Those of such rows.
 pub fn columns(by: By) -> Vec<Column> {
     use Kind::{Bytes, Count, Seconds, Share, Text};
-    use Reader::{Anybody, Programs};
+    use Reader::{Anybody, Programs, WhoCompares};
+    let source = [
+        column("job", "job", Count, WhoCompares, |row| Cell::Count(row.job)),
+        column("variant", "variant", Text, WhoCompares, |row| row.variant.clone().into()),
+    ];
     let task =
         column("task", "task", Text, Anybody, |row| row.task.map_or(Cell::Gap, |task| Cell::Text(task.to_string())));
     let frame =
@@ -90,17 +102,16 @@ pub fn columns(by: By) -> Vec<Column> {
     let tasks = column("tasks", "tasks", Count, Anybody, |row| Cell::Count(row.tasks));
     let attempts = column("attempts", "attempts", Count, Anybody, |row| Cell::Count(row.attempts));
     let failed = column("failed", "failed", Count, Anybody, |row| Cell::Count(row.failed));
+    let workers = column("workers", "workers", Count, Anybody, |row| Cell::Count(row.workers));
     let mut all = match by {
         By::Attempt => {
             let attempt = column("attempt", "attempt", Count, Anybody, |row| Cell::Count(row.attempt));
             let epoch = column("epoch", "epoch", Count, Programs, |row| Cell::Count(row.epoch));
-            [&[task, frame(Programs)][..], &stage, &[attempt, epoch], &worker, &[ending]].concat()
+            [&source[..], &[task, frame(Programs)], &stage, &[attempt, epoch], &worker, &[ending]].concat()
         }
-        By::Task => [&[task, frame(Programs)][..], &stage, &worker, &[ending, attempts, failed]].concat(),
-        By::Frame => {
-            let workers = column("workers", "workers", Count, Anybody, |row| Cell::Count(row.workers));
-            vec![frame(Anybody), tasks, attempts, failed, workers]
-        }
+        By::Task => [&source[..], &[task, frame(Programs)], &stage, &worker, &[ending, attempts, failed]].concat(),
+        By::Frame => [&source[..], &[frame(Anybody), tasks, attempts, failed, workers]].concat(),
+        By::Variant => [&source[..], &[tasks, attempts, failed, workers]].concat(),
         By::Worker => [&worker[..], &[tasks, attempts, failed]].concat(),
     };
     all.extend([
@@ -117,7 +128,7 @@ pub fn columns(by: By) -> Vec<Column> {
         column("fetched_bytes", "fetched", Bytes, Anybody, |row| Cell::Count(row.fetched)),
         column("sent_bytes", "sent", Bytes, Anybody, |row| Cell::Count(row.sent)),
     ]);
-    if by != By::Worker {
+    if !matches!(by, By::Worker | By::Variant) {
         all.push(column("relative_error", "error", Share, Anybody, |row| {
             row.relative_error.map_or(Cell::Gap, Cell::Real)
         }));

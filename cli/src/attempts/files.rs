@@ -68,9 +68,17 @@ fn quoted(field: &str) -> Cow<'_, str> {
 
 /// What people read of it: the columns' titles, and each row's cells in words.
 pub fn shown(columns: &[Column], rows: &[Row]) -> (Vec<&'static str>, Vec<Vec<String>>) {
-    let shown: Vec<&Column> = columns.iter().filter(|column| column.reader == Reader::Anybody).collect();
+    let shown: Vec<&Column> = columns.iter().filter(|column| is_shown(column, rows)).collect();
     let cells = |row: &Row| shown.iter().map(|column| cell(column.kind, &(column.of)(row))).collect();
     (shown.iter().map(|column| column.title).collect(), rows.iter().map(cells).collect())
+}
+
+fn is_shown(column: &Column, rows: &[Row]) -> bool {
+    match column.reader {
+        Reader::Anybody => true,
+        Reader::Programs => false,
+        Reader::WhoCompares => rows.windows(2).any(|pair| (column.of)(&pair[0]) != (column.of)(&pair[1])),
+    }
 }
 
 /// A table.

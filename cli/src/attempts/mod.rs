@@ -1,11 +1,13 @@
-//! What a job's attempts took: as rows, one an attempt or one of many, as columns of these, and as files for other programs.
+//! What jobs' attempts took: as rows, one an attempt or one of many, as columns of these, and as files for other programs.
 
 mod column;
 mod files;
 mod parquet;
 mod row;
+mod told;
 
 pub use column::columns;
 pub use files::{Json, csv, human, shown};
 pub use parquet::write as write_parquet;
 pub use row::{By, Row, rows};
+pub use told::{FailureLog, Told};

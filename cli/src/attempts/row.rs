@@ -1,8 +1,8 @@
 //! Attempts, and what they add up to.
 
+use super::told::Told;
 use clap::ValueEnum;
-use femc_model::{AttemptRecord, Attempts, Ending, Grains, StageKind, TaskKey, Tick};
-use femc_proto::JobShape;
+use femc_model::{AttemptRecord, Ending, Grains, StageKind, TaskKey, Tick};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What a row is of.
@@ -12,15 +12,23 @@ pub enum By {
     Task,
     /// A frame.
     Frame,
+    /// A variant of a sweep; of other jobs, a job.
+    Variant,
     /// A worker's process.
     Worker,
     /// One attempt at a task.
     Attempt,
 }
 
-/// What one attempt took, or several together. Seconds, bytes; times are since the job's first attempt began.
+/// What one attempt took, or several together. Seconds, bytes; times are since the first attempt of all began.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Row {
+    /// Which of the jobs that were told of: two farms' may have the same number.
+    pub source: usize,
+    /// Number of the job, of the first of the attempts.
+    pub job: u64,
+    /// The variant that the job renders, of a sweep.
+    pub variant: Option<String>,
     /// The task, of the first of the attempts.
     pub task: Option<TaskKey>,
     /// Number of the tile in the grid, where the task renders one.
@@ -75,15 +83,17 @@ pub struct Row {
 
 impl Row {
     /// Of one attempt.
-    /// - `zero`: when the job's first attempt began.
-    fn of(record: &AttemptRecord, shape: &JobShape, attempt: u64, zero: f64) -> Self {
+    /// - `zero`: when the first attempt of all began.
+    fn of(record: &AttemptRecord, source: usize, told: &Told, attempt: u64, zero: f64) -> Self {
         let usage = record.usage.unwrap_or_default();
         let began = began(record);
         let ended = if record.usage.is_some() { began + usage.wall } else { seconds(record.ended) };
         let TaskKey { stage, index, .. } = record.task;
-        let tile =
-            (stage.kind == StageKind::Render).then(|| Grains::of(&shape.spec, stage.round, shape.cut).tile(index));
+        let tile = (stage.kind == StageKind::Render).then(|| Grains::of(&told.spec, stage.round, told.cut).tile(index));
         Self {
+            source,
+            job: told.job.0,
+            variant: told.variant.clone(),
             task: Some(record.task),
             tile,
             attempt,
@@ -151,25 +161,47 @@ fn began(record: &AttemptRecord) -> f64 {
     (seconds(record.granted) + wait).min(seconds(record.ended) - wall)
 }
 
-/// One row for each task, frame, worker or attempt, in their order.
-pub fn rows(attempts: &Attempts, shape: &JobShape, by: By) -> Vec<Row> {
-    let zero = attempts.iter().map(began).fold(f64::INFINITY, f64::min);
-    let (mut last, mut number) = (None, 0);
-    let all = attempts.iter().map(|record| {
-        number = if last == Some(record.task) { number + 1 } else { 1 };
-        last = Some(record.task);
-        Row::of(record, shape, number, zero)
+/// One row for each task, frame, variant, worker or attempt, in their order.
+pub fn rows(told: &[Told], by: By) -> Vec<Row> {
+    let zeros = zeros(told);
+    let all = told.iter().enumerate().flat_map(|(source, told)| {
+        let zero = zeros.get(&told.run).copied().unwrap_or_default();
+        let (mut last, mut number) = (None, 0);
+        told.attempts.iter().map(move |record| {
+            number = if last == Some(record.task) { number + 1 } else { 1 };
+            last = Some(record.task);
+            Row::of(record, source, told, number, zero)
+        })
     });
     match by {
         By::Attempt => all.collect(),
-        By::Task => grouped(all, |row| row.task),
-        By::Frame => grouped(all, |row| row.task.map(|task| task.stage.frame)),
+        By::Task => grouped(all, |row| (row.source, row.task)),
+        By::Frame => grouped(all, |row| (row.source, row.task.map(|task| task.stage.frame))),
+        By::Variant => grouped(all, |row| (row.variant.is_none().then_some(row.source), row.variant.clone())),
         By::Worker => {
             let mut workers = grouped(all, |row| (row.worker.clone(), row.instance));
             workers.iter_mut().for_each(|worker| worker.tasks = worker.done);
             workers
         }
     }
+}
+
+/// What is the beginning, by each run's clock: runs come one after the other, without what was between them.
+fn zeros(told: &[Told]) -> BTreeMap<u64, f64> {
+    let mut runs: BTreeMap<u64, (f64, f64)> = BTreeMap::new();
+    for told in told {
+        for record in &told.attempts {
+            let (first, last) = runs.entry(told.run).or_insert((f64::INFINITY, 0.0));
+            (*first, *last) = (first.min(began(record)), last.max(seconds(record.ended)));
+        }
+    }
+    let mut before = 0.0;
+    let zero = |(run, (first, last)): (u64, (f64, f64))| {
+        let zero = first - before;
+        before += last - first;
+        (run, zero)
+    };
+    runs.into_iter().map(zero).collect()
 }
 
 fn grouped<K: Ord>(all: impl Iterator<Item = Row>, key: impl Fn(&Row) -> K) -> Vec<Row> {

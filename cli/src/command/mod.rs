@@ -22,6 +22,7 @@ pub mod render;
 pub mod report;
 pub mod stats;
 pub mod status;
+mod subject;
 pub mod submit;
 pub mod sweep;
 pub mod watch;

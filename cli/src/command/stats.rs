@@ -1,15 +1,14 @@
-//! `femc stats JOB`: what a job's tasks took.
+//! `femc stats JOB`: what jobs' tasks took.
 
-use super::client;
+use super::subject::{self, Logs, Subject};
 use crate::args::{FormatArgs, ServerArgs};
 use crate::attempts::{By, Json, columns, csv, human, rows, write_parquet};
 use crate::exit::{Exit, Failure};
 use crate::output::{Say, json};
 use clap::Args;
-use femc_model::JobId;
 use std::path::PathBuf;
 
-/// Print what a job's tasks took: time, processor, memory, samples, rays, bytes
+/// Print what jobs' tasks took: time, processor, memory, samples, rays, bytes
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc stats 7                              # a line a frame\n  \
@@ -17,16 +16,18 @@ use std::path::PathBuf;
     femc stats 7 --by attempt --csv > 7.csv   # every attempt at every task, failed and abandoned ones too\n  \
     femc stats 7 --by task --parquet 7.parquet && python3 -c \\\n    \
     \"import pandas; print(pandas.read_parquet('7.parquet').groupby('worker').cpu_seconds.sum())\"\n  \
+    femc stats fog --by variant               # of the sweep in the folder fog, without a farm\n  \
+    femc stats 7 8 9 --by variant             # of several jobs\n  \
     femc stats 7 --json | jq '[.[].cpu_seconds] | add'\n\n\
     An attempt is a lease under which work was begun; it ended done, failed, cancelled (given back, or its job had ended), \
     revoked (it ran out, or another worker was the first) or lost (its worker was gone, and nobody knows what it used). \
     CPU is the time of the worker's process while it had the task, shared among what it did at the same time; memory is \
-    the most that the process had meanwhile. Seconds of `began` and `ended` count from the job's first attempt, by the \
+    the most that the process had meanwhile. Seconds of `began` and `ended` count from the first attempt, by the \
     coordinator's clock.")]
 pub struct StatsArgs {
-    /// The job's number
-    #[arg(value_name = "JOB")]
-    job: u64,
+    /// Numbers of jobs, or the folders of sweeps that have ended
+    #[arg(value_name = "JOB|DIR", required = true)]
+    subjects: Vec<Subject>,
     /// What a line is of
     #[arg(long, value_enum, default_value_t = By::Frame, value_name = "WHAT")]
     by: By,
@@ -44,8 +45,8 @@ pub struct StatsArgs {
 
 /// Print.
 pub fn run(args: &StatsArgs, say: Say) -> Result<Exit, Failure> {
-    let (shape, attempts) = client::block_on(&args.server, async |farm| farm.attempts(JobId(args.job)).await)?;
-    let (columns, rows) = (columns(args.by), rows(&attempts, &shape, args.by));
+    let told = subject::told(&args.subjects, Logs::None, &args.server)?;
+    let (columns, rows) = (columns(args.by), rows(&told, args.by));
     if let Some(path) = &args.parquet {
         write_parquet(path, &columns, &rows)?;
         say.note(format!("{}: {} rows", path.display(), rows.len()));
@@ -54,7 +55,7 @@ pub fn run(args: &StatsArgs, say: Say) -> Result<Exit, Failure> {
     } else if args.csv {
         say.result(csv(&columns, &rows));
     } else if rows.is_empty() {
-        say.note("no attempt at a task of this job has ended yet");
+        say.note("no attempt at a task has ended yet");
     } else {
         say.result(human(&columns, &rows));
     }

@@ -8,10 +8,10 @@ use std::collections::BTreeMap;
 
 /// Of attempts; nothing where no error was measured.
 pub fn draw(attempts: &[Row]) -> Result<Vec<String>, Failure> {
-    let mut frames: BTreeMap<u32, Vec<(f64, f64)>> = BTreeMap::new();
+    let mut frames: BTreeMap<(usize, u32), Vec<(f64, f64)>> = BTreeMap::new();
     for row in attempts {
         if let (Some(task), Some(error)) = (row.task, row.relative_error.filter(|error| *error > 0.0)) {
-            frames.entry(task.stage.frame).or_default().push((row.ended, error));
+            frames.entry((row.source, task.stage.frame)).or_default().push((row.ended, error));
         }
     }
     let Some(least) = frames.values().flatten().map(|point| point.1).reduce(f64::min) else { return Ok(Vec::new()) };

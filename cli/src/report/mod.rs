@@ -1,4 +1,4 @@
-//! A job's report: one HTML file with its figures inside, which asks nobody for anything.
+//! A report about jobs: one HTML file with its figures inside, which asks nobody for anything.
 
 mod cost;
 mod durations;
@@ -7,34 +7,31 @@ mod figure;
 mod heat;
 mod page;
 mod timeline;
+mod variants;
 
-use crate::attempts::{By, Row, rows};
+use crate::attempts::{By, Row, Told, rows};
 use crate::exit::Failure;
-use femc_model::{AttemptRecord, Attempts, Ending, JobStatus, LogRecord};
-use femc_proto::JobShape;
+use femc_model::Ending;
 use page::Page;
+use std::collections::BTreeSet;
 
 /// All that a report tells.
 pub struct Report {
-    /// The job now.
-    pub status: JobStatus,
-    /// What it is made of.
-    pub shape: JobShape,
-    /// What its attempts took.
-    pub attempts: Attempts,
-    /// Failures, with what was written down.
-    pub failures: Vec<(LogRecord, String)>,
+    /// What it is about; else the jobs say it.
+    pub title: Option<String>,
+    /// Of each job.
+    pub told: Vec<Told>,
 }
 
 impl Report {
     /// The file.
     pub fn html(&self) -> Result<String, Failure> {
-        let of = |by| rows(&self.attempts, &self.shape, by);
+        let of = |by| rows(&self.told, by);
         let (attempts, tasks, frames, workers) = (of(By::Attempt), of(By::Task), of(By::Frame), of(By::Worker));
-        let mut page = Page::new(&format!("Job {}: {}", self.status.job, self.status.name));
+        let mut page = Page::new(&self.title());
         page.facts(&self.facts(&workers, &attempts));
         if attempts.is_empty() {
-            page.text("No attempt at a task of this job has ended yet.");
+            page.text("No attempt at a task has ended yet.");
             return Ok(page.end());
         }
         page.section(
@@ -49,30 +46,49 @@ impl Report {
         page.section("Error against time", "Relative error of a frame as each of its merges measured it.");
         page.figures(&errors::draw(&attempts)?, "No merge has measured an error yet.");
         page.section("Samples", "Samples a pixel of each tile, of results that count.");
-        page.figures(&heat::draw(&tasks, &self.shape)?, "No tile is done yet.");
-        page.section("Cost", "Processor seconds of a frame, attempts that came to nothing included.");
-        page.figure(&cost::draw(&frames)?);
+        page.figures(&heat::draw(&tasks, &self.told)?, "No tile is done yet.");
+        page.section("Cost", "Processor seconds, attempts that came to nothing included.");
+        if self.told.len() > 1 {
+            let variants = of(By::Variant);
+            page.figure(&variants::draw(&variants)?);
+            page.table(By::Variant, &variants);
+        } else {
+            page.figure(&cost::draw(&frames)?);
+        }
         page.table(By::Frame, &frames);
         page.section("Failures", "Attempts that failed, with what their workers wrote down.");
-        page.failures(&self.failures);
+        page.failures(&self.told);
         Ok(page.end())
+    }
+
+    fn title(&self) -> String {
+        match (&self.title, &self.told[..]) {
+            (Some(title), _) => title.clone(),
+            (None, [told]) => format!("Job {}: {}", told.job, told.spec.name),
+            (None, several) => {
+                let numbers: Vec<String> = several.iter().map(|told| told.job.to_string()).collect();
+                format!("Jobs {}", numbers.join(", "))
+            }
+        }
     }
 
     fn facts(&self, workers: &[Row], attempts: &[Row]) -> Vec<(&'static str, String)> {
         use crate::output::human::{bytes, count, quantity, seconds};
         let sum = |of: fn(&Row) -> f64| workers.iter().map(of).sum::<f64>();
         let wasted: f64 = attempts.iter().filter(|row| row.ending != Some(Ending::Done)).map(|row| row.cpu).sum();
-        let unknown = self.attempts.iter().filter(|record: &&AttemptRecord| record.usage.is_none()).count();
+        let unknown = self.told.iter().flat_map(|told| &told.attempts).filter(|record| record.usage.is_none()).count();
         let span = attempts.iter().map(|row| row.ended).fold(0.0, f64::max);
-        let [width, height] = self.shape.spec.grid.film;
+        let films: BTreeSet<[u32; 2]> = self.told.iter().map(|told| told.spec.grid.film).collect();
+        let films: Vec<String> = films.iter().map(|[width, height]| format!("{width} x {height}")).collect();
+        let frames: usize = self.told.iter().map(|told| told.spec.frames.len()).sum();
         let attempts_told = match unknown {
             0 => attempts.len().to_string(),
             _ => format!("{}; what {unknown} of them took is not known", attempts.len()),
         };
         vec![
-            ("State", format!("{:?}", self.status.state).to_lowercase()),
-            ("Frames", format!("{} of {} finished", self.status.frames_done, self.status.frames_total)),
-            ("Film", format!("{width} x {height}")),
+            ("Jobs", self.told.len().to_string()),
+            ("Frames", frames.to_string()),
+            ("Film", films.join(", ")),
             ("First attempt to last", seconds(span)),
             (
                 "Processor",

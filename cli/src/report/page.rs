@@ -1,7 +1,6 @@
 //! The HTML around the figures.
 
-use crate::attempts::{By, Row, columns, shown};
-use femc_model::LogRecord;
+use crate::attempts::{By, FailureLog, Row, Told, columns, shown};
 use plotters::style::RGBColor;
 use std::fmt::Write;
 
@@ -95,16 +94,18 @@ impl Page {
     }
 
     /// Failures and their logs.
-    pub fn failures(&mut self, failures: &[(LogRecord, String)]) {
-        if failures.is_empty() {
+    pub fn failures(&mut self, told: &[Told]) {
+        if told.iter().all(|told| told.failures.is_empty()) {
             self.text("None.");
         }
-        for (record, text) in failures {
-            let (task, worker) = (record.task, escaped(&record.worker));
-            self.put(format_args!(
-                "<details><summary>{task} on {worker}</summary><pre>{}</pre></details>\n",
-                escaped(text)
-            ));
+        for told in told {
+            let (job, variant) = (told.job, escaped(told.variant.as_deref().unwrap_or_default()));
+            for FailureLog { task, worker, text } in &told.failures {
+                let (worker, text) = (escaped(worker), escaped(text));
+                self.put(format_args!(
+                    "<details><summary>{job} {variant} {task} on {worker}</summary><pre>{text}</pre></details>\n"
+                ));
+            }
         }
     }
 

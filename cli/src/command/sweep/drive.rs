@@ -2,9 +2,11 @@
 
 use super::folder::{Folder, Order, Shot};
 use super::work::{Planned, Work};
+use crate::attempts::Told;
 use crate::clock::Clock;
 use crate::command::client::Farm;
 use crate::command::interrupt::Interrupt;
+use crate::command::subject::{self, Logs};
 use crate::command::submit::own_key;
 use crate::exit::{Failure, interrupted};
 use crate::output::{Progress, Say, Snapshot, job as show};
@@ -110,6 +112,18 @@ pub async fn cancel_others(queued: &[Queued<'_>], farm: &Farm) -> Result<(), Fai
     Ok(())
 }
 
+/// Keep what the attempts of each job took, for `femc stats` and `femc report`.
+async fn keep_told(queued: &[Queued<'_>], folder: &Folder, farm: &Farm) -> Result<(), Failure> {
+    let run = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    for queued in queued {
+        let Some(order) = folder.order(&queued.variant.name) else { continue };
+        let told = subject::of_job(farm, queued.job, Logs::Failures).await?;
+        let told = Told { run, variant: Some(queued.variant.name.clone()), ..told };
+        told.write(&folder.join(&subject::kept_file(&order.ticket)))?;
+    }
+    Ok(())
+}
+
 /// Write frames as they finish until all jobs have ended; what went wrong with them.
 pub async fn collect(
     queued: &mut [Queued<'_>],
@@ -134,6 +148,7 @@ pub async fn collect(
         if ours.iter().all(|status| status.state.has_ended()) {
             progress.finish();
             folder.save()?;
+            keep_told(queued, folder, farm).await?;
             return Ok(troubles(queued, &all));
         }
         tokio::select! {

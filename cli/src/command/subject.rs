@@ -1,0 +1,116 @@
+//! What `femc stats` and `femc report` are about: jobs of a farm, or the folder of a sweep, which has kept what its farm told.
+
+use super::client::{self, Farm};
+use crate::args::ServerArgs;
+use crate::attempts::{FailureLog, Told};
+use crate::exit::{Failure, usage};
+use femc_model::{Attempt, JobId, LogText, Tick};
+use std::convert::Infallible;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+/// Most failures of a job whose logs are fetched.
+const FAILURES: usize = 50;
+/// The folder within a sweep's in which files lie, one for each of its jobs.
+const KEPT: &str = "jobs";
+
+/// One that is asked about.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Subject {
+    /// A job of the farm.
+    Job(JobId),
+    /// A sweep's folder.
+    Sweep(PathBuf),
+}
+
+impl FromStr for Subject {
+    type Err = Infallible;
+
+    fn from_str(text: &str) -> Result<Self, Infallible> {
+        Ok(text.parse().map_or_else(|_| Self::Sweep(text.into()), |job| Self::Job(JobId(job))))
+    }
+}
+
+/// Whose failures' logs are wanted, too.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Logs {
+    /// Nobody's.
+    None,
+    /// Those of the first failures of each job.
+    Failures,
+}
+
+/// All that is known of them; no farm is asked about a folder.
+pub fn told(subjects: &[Subject], logs: Logs, server: &ServerArgs) -> Result<Vec<Told>, Failure> {
+    let mut told = Vec::new();
+    let mut jobs = Vec::new();
+    for subject in subjects {
+        match subject {
+            Subject::Job(job) => jobs.push(*job),
+            Subject::Sweep(folder) => told.extend(kept(folder)?),
+        }
+    }
+    if jobs.is_empty() {
+        return Ok(told);
+    }
+    client::block_on(server, async |farm| {
+        for job in jobs {
+            told.push(of_job(farm, job, logs).await?);
+        }
+        Ok(told)
+    })
+}
+
+fn kept(folder: &Path) -> Result<Vec<Told>, Failure> {
+    let jobs = folder.join(KEPT);
+    if !jobs.is_dir() {
+        let folder = folder.display();
+        return Err(usage(format!("{folder}: neither a job's number nor the folder of a sweep whose jobs have ended")));
+    }
+    Told::read_all(&jobs)
+}
+
+/// Where a sweep keeps what was told of the job of a ticket.
+pub fn kept_file(ticket: &str) -> String {
+    let digest = femc_model::Digest::of(ticket.as_bytes()).to_string();
+    format!("{KEPT}/{}.json", &digest[..16])
+}
+
+/// What the farm tells.
+pub async fn of_job(farm: &Farm, job: JobId, logs: Logs) -> Result<Told, Failure> {
+    let (shape, attempts) = farm.attempts(job).await?;
+    let failures = match logs {
+        Logs::None => Vec::new(),
+        Logs::Failures => failures(farm, job).await?,
+    };
+    let attempts = attempts.iter().cloned().collect();
+    Ok(Told { job, run: 0, variant: None, spec: *shape.spec, cut: shape.cut, attempts, failures })
+}
+
+async fn failures(farm: &Farm, job: JobId) -> Result<Vec<FailureLog>, Failure> {
+    let logs = farm.logs(job, Tick(0)).await?.into_iter();
+    let mut failures = Vec::new();
+    for record in logs.filter(|record| record.log.attempt == Attempt::Failed).take(FAILURES) {
+        let text = match &record.log.text {
+            LogText::Inline(text) => text.clone(),
+            LogText::Stored(artefact) => match farm.get(artefact).await {
+                Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
+                Err(failure) => format!("the log cannot be read: {failure}\n"),
+            },
+        };
+        failures.push(FailureLog { task: record.task, worker: record.worker, text });
+    }
+    Ok(failures)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_is_a_job_and_anything_else_a_folder() {
+        assert_eq!("7".parse(), Ok(Subject::Job(JobId(7))));
+        assert_eq!("./7".parse(), Ok(Subject::Sweep("./7".into())));
+        assert_eq!("fog".parse(), Ok(Subject::Sweep("fog".into())));
+    }
+}

@@ -147,7 +147,7 @@ pub fn wait(wait: &Wait) -> String {
             format!("all {workers} workers that may take it take no more tasks; `femc workers` tells more")
         }
         Wait::WorkersResting => {
-            "the workers that may take it rest after a failure of disk, store or network".to_owned()
+            "the workers that may take it rest after a failure of memory, disk, store or network".to_owned()
         }
         Wait::WorkersShunned { workers, seconds } => format!(
             "tasks kept failing on {}: the next try there in {seconds} s",

@@ -1,0 +1,168 @@
+//! The manual's commands do what it says: each page of `docs/` is a script.
+//!
+//! Blocks marked `sh` run in the order of the page, in a folder with a copy of `scenes/`; those marked `toml file=NAME` are
+//! written there, those marked `python` run where pandas and polars are. Any command that fails, fails the page.
+#![cfg(unix)]
+
+use std::fmt::Write as _;
+use std::net::TcpListener;
+use std::os::unix::process::CommandExt as _;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// What the script begins with: processes that it leaves behind end with it.
+const BEGIN: &str = "set -euo pipefail\n\
+    export FEMC_SERVER=http://127.0.0.1:7878\n\
+    trap 'kill -9 $(jobs -p) 2>/dev/null || true' EXIT\n\
+    until_it_listens() {\n\
+    \x20   for _ in $(seq 600); do (exec 3<>/dev/tcp/127.0.0.1/$1) 2>/dev/null && return; sleep 0.05; done\n\
+    \x20   echo \"nobody listens at $1\" >&2; return 1\n\
+    }\n";
+
+fn root() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// A block between fences, and what the first fence says of it.
+struct Block {
+    is: String,
+    text: String,
+}
+
+fn blocks(page: &str) -> Vec<Block> {
+    let mut blocks = Vec::new();
+    let mut open: Option<Block> = None;
+    for line in page.lines() {
+        match (line.strip_prefix("```"), open.take()) {
+            (Some(_), Some(block)) => blocks.push(block),
+            (Some(is), None) => open = Some(Block { is: is.to_owned(), text: String::new() }),
+            (None, Some(mut block)) => {
+                block.text.push_str(line);
+                block.text.push('\n');
+                open = Some(block);
+            }
+            (None, None) => {}
+        }
+    }
+    assert!(open.is_none(), "a block without an end");
+    blocks
+}
+
+fn free_port() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+    listener.local_addr().expect("an address").port().to_string()
+}
+
+fn python() -> Option<String> {
+    let python = std::env::var("FEMC_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
+    let ran = Command::new(&python).args(["-c", "import pandas, polars"]).output();
+    ran.is_ok_and(|ran| ran.status.success()).then_some(python)
+}
+
+/// The page as a script.
+fn script(page: &str) -> String {
+    let mut script = BEGIN.to_owned();
+    for Block { is, text } in blocks(page) {
+        let mut words = is.split_whitespace();
+        match (words.next(), words.next().and_then(|word| word.strip_prefix("file="))) {
+            (Some("sh"), None) => {
+                for line in text.lines() {
+                    // Whoever types has seen that it listens.
+                    let listens = line.starts_with("femc coordinator") && line.ends_with('&');
+                    let _ = writeln!(script, "{line}{}", if listens { "\nuntil_it_listens 7878" } else { "" });
+                }
+            }
+            (Some("toml"), Some(file)) => {
+                let _ = write!(script, "cat >{file} <<'END OF FILE'\n{text}END OF FILE\n");
+            }
+            (Some("python"), None) => match python() {
+                Some(python) => {
+                    let _ = write!(script, "{python} - <<'END OF FILE'\n{text}END OF FILE\n");
+                }
+                None => println!("skipped: a block that needs pandas and polars"),
+            },
+            _ => panic!("what is a block marked `{is}`?"),
+        }
+    }
+    script.replace("7878", &free_port()).replace("7879", &free_port())
+}
+
+fn copy(from: &Path, to: &Path) {
+    std::fs::create_dir_all(to).expect("a folder");
+    for entry in std::fs::read_dir(from).expect("a folder") {
+        let entry = entry.expect("an entry");
+        let (path, to) = (entry.path(), to.join(entry.file_name()));
+        if path.is_dir() { copy(&path, &to) } else { std::fs::copy(&path, &to).map(drop).expect("a file") }
+    }
+}
+
+/// Run a page of `docs/`, with these variables set.
+fn runs(page: &str, variables: &[(&str, String)]) {
+    let text = std::fs::read_to_string(root().join("docs").join(page)).expect("a page");
+    let folder = tempfile::tempdir().expect("a folder");
+    copy(&root().join("scenes"), &folder.path().join("scenes"));
+    let femc = Path::new(env!("CARGO_BIN_EXE_femc")).parent().expect("a folder");
+    let path = format!("{}:{}", femc.display(), std::env::var("PATH").unwrap_or_default());
+    let ran = Command::new("timeout")
+        .args(["300", "bash", "-c", &script(&text)])
+        .current_dir(folder.path())
+        .env("PATH", path)
+        .envs(variables.iter().map(|(name, value)| (name, value)))
+        .process_group(0)
+        .output()
+        .expect("timeout");
+    let told = format!("{}\n{}", String::from_utf8_lossy(&ran.stdout), String::from_utf8_lossy(&ran.stderr));
+    assert!(ran.status.success(), "docs/{page}: {}\n{told}", ran.status);
+    assert!(!told.contains("panicked"), "docs/{page}\n{told}");
+}
+
+/// A test for each page, and one that says if a page has none.
+macro_rules! pages {
+    ($($test:ident: $page:literal,)*) => {
+        const PAGES: &[&str] = &[$($page),*];
+        $(#[test]
+        fn $test() {
+            runs($page, &[]);
+        })*
+    };
+}
+
+pages! {
+    first_farm: "first-farm.md",
+    two_machines: "two-machines.md",
+    tls: "tls.md",
+    sweeps: "sweeps.md",
+    statistics: "statistics.md",
+    troubleshooting: "troubleshooting.md",
+    formats: "formats.md",
+}
+
+/// Artefacts are in a bucket under `tests/s3`, else in a folder.
+#[test]
+fn postgres_and_s3() {
+    let Ok(database) = std::env::var("FEMC_TEST_POSTGRES") else {
+        println!("skipped: no FEMC_TEST_POSTGRES; run `tests/postgres cargo test -p femc --test manual`");
+        return;
+    };
+    let bucket = match std::env::var("FEMC_TEST_S3") {
+        Ok(bucket) => format!("{bucket}/manual"),
+        Err(_) => {
+            println!("no FEMC_TEST_S3: artefacts go into a folder; `tests/s3 tests/postgres cargo test ...` has both");
+            "artifacts".to_owned()
+        }
+    };
+    runs("postgres-s3.md", &[("DATABASE", database), ("BUCKET", bucket)]);
+}
+
+/// Pages with commands that are not meant to run here, each checked by something else, which they name.
+const OTHERS: [&str; 2] = ["README.md", "postgres-s3.md"];
+
+#[test]
+fn every_page_is_run() {
+    for entry in std::fs::read_dir(root().join("docs")).expect("docs") {
+        let name = entry.expect("an entry").file_name().to_string_lossy().into_owned();
+        if name.ends_with(".md") {
+            assert!(PAGES.contains(&&*name) || OTHERS.contains(&&*name), "docs/{name}: no test runs its commands");
+        }
+    }
+}

@@ -14,6 +14,8 @@ use std::time::Duration;
 
 /// How long is waited for a coordinator that has gone away to come back.
 const PATIENCE: Duration = Duration::from_secs(60);
+/// How long, where there are several, one of them may take to lead: a leader that froze is waited for `--silence`.
+const TAKE_OVER: Duration = Duration::from_secs(10);
 /// How often a scene is uploaded again that the store has lost meanwhile.
 const UPLOADS: usize = 2;
 /// Between two tries.
@@ -43,9 +45,17 @@ pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
 }
 
 impl Farm {
-    /// Connect.
+    /// Connect. Where there are several addresses, another coordinator may be about to take over.
     pub async fn connect(dial: &Dial, url: &str) -> Result<Self, Failure> {
-        Ok(Self { client: Client::connect_by(dial, url).await.map_err(told)? })
+        let begun = Clock.now();
+        loop {
+            match Client::connect_by(dial, url).await {
+                Err(CallError::Unreachable { .. }) if url.contains(',') && Clock.since(begun) < TAKE_OVER => {
+                    tokio::time::sleep(RETRY).await;
+                }
+                client => return Ok(Self { client: client.map_err(told)? }),
+            }
+        }
     }
 
     /// Put those artefacts of a scene into the farm's store that are not there; bytes that were sent.

@@ -18,6 +18,8 @@ COORDINATOR = "coordinator.femc.internal"
 PIECE = 1 << 20
 # A coordinator that goes away is waited for, seconds.
 PATIENCE = 60.0
+# Replies have 8 MiB at most.
+LIMITS = [("grpc.max_receive_message_length", 8 << 20)]
 
 
 def stubs():
@@ -74,12 +76,14 @@ class Farm:
 
     def __init__(self, url, certificate=None, key=None, authority=None):
         scheme, _, address = url.partition("://")
+        if "," in address:
+            raise ValueError(f"{url}: this example takes one address")
         if scheme == "http":
-            self.channel = grpc.insecure_channel(address)
+            self.channel = grpc.insecure_channel(address, LIMITS)
         elif scheme == "https" and certificate:
             credentials = grpc.ssl_channel_credentials(authority, key, certificate)
-            options = [("grpc.ssl_target_name_override", COORDINATOR)]
-            self.channel = grpc.secure_channel(address, credentials, options)
+            named = [("grpc.ssl_target_name_override", COORDINATOR)]
+            self.channel = grpc.secure_channel(address, credentials, LIMITS + named)
         elif scheme == "https":
             raise ValueError(f"{url} is encrypted, which takes an identity")
         else:

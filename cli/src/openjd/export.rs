@@ -60,11 +60,12 @@ pub fn export(job: &JobFile, frames: FramesOf<'_>, out: &Path) -> Result<Exporte
     let mut args = vec!["render".to_owned(), "{{Param.Scene}}".to_owned(), "-o".to_owned(), place.join("/")];
     args.extend(columns.iter().map(Column::flag));
     args.extend(constants(job));
+    let file = job.path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
     let (tags, mut left_out) = tags(job);
     left_out.extend(lost(job));
     let document = Document {
         name: job.path.file_stem().map(|name| escape_format_string(&name.to_string_lossy())).unwrap_or_default(),
-        description: format!("{} by femc {}", job.path.display(), env!("CARGO_PKG_VERSION")),
+        description: format!("{file} by femc {}", env!("CARGO_PKG_VERSION")),
         parameters: vec![
             Parameter::scene(relative(out.parent().unwrap_or(Path::new("")), &job.scene)),
             Parameter::out(stem),

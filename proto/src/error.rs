@@ -102,3 +102,43 @@ impl From<ConvertError> for Status {
         Self::invalid_argument(error.to_string())
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::convert::tests::refusals;
+    use prost_types::FileDescriptorSet;
+
+    /// `NOT_FOUND`
+    fn documented(code: Code) -> String {
+        let mut out = String::new();
+        for c in format!("{code:?}").chars() {
+            if c.is_ascii_uppercase() && !out.is_empty() {
+                out.push('_');
+            }
+            out.push(c.to_ascii_uppercase());
+        }
+        out
+    }
+
+    #[test]
+    fn a_refusal_s_code_is_the_one_of_its_comment() {
+        let all = FileDescriptorSet::decode(wire::DESCRIPTORS).unwrap();
+        let file = &all.file[0];
+        let at = file.message_type.iter().position(|message| message.name() == "Refusal").unwrap();
+        let comment = |number: u32| {
+            let field = file.message_type[at].field.iter().position(|field| field.number() == number as i32).unwrap();
+            let path = [4, at as i32, 2, field as i32];
+            let places = file.source_code_info.iter().flat_map(|info| &info.location);
+            places.filter(|place| place.path == path).map(|place| place.leading_comments()).collect::<String>()
+        };
+        for refusal in refusals() {
+            let bytes = wire::Refusal::from(refusal.clone()).encode_to_vec();
+            let (number, _) = prost::encoding::decode_key(&mut &bytes[..]).unwrap();
+            let (comment, code) = (comment(number), documented(code(&refusal)));
+            let is_documented = comment.contains(&format!("Status {code}."));
+            // No call is answered by it.
+            assert!(is_documented != (refusal == Refusal::StaleEpoch), "{refusal}: {code}, not {comment}");
+        }
+    }
+}

@@ -66,6 +66,11 @@ impl Base {
         Ok(Self { path: path.to_owned(), files: loaded.files, source: Source::new(Arc::new(loaded.scene)) })
     }
 
+    /// Files of the scene besides the scene file.
+    pub fn others(&self) -> usize {
+        self.files.len().saturating_sub(1)
+    }
+
     /// Check settings against the scene, and plan.
     pub fn ask(&self, typed: &SettingsArgs, at: At<'_>) -> Result<Asked, Failure> {
         let settings = settings(typed);

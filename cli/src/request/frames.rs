@@ -3,7 +3,8 @@ use serde::de::{Deserializer, Error as _};
 use std::fmt;
 use std::str::FromStr;
 
-/// A choice of frames as typed: `K`, `A..B` (inclusive) or `A..B+STEP`. Frames count from 1.
+/// A choice of frames as typed: `K`, `A..B` (inclusive) or `A..B+STEP`; or as Open Job Description writes it, `A-B` or
+/// `A-B:STEP`. Frames count from 1.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Frames {
     first: u32,
@@ -51,6 +52,14 @@ impl fmt::Display for Available {
 }
 
 impl Frames {
+    /// These frames, ascending and not empty, if they have the same distance all along.
+    pub fn of(frames: &[u32]) -> Option<Self> {
+        let (&first, &last) = (frames.first()?, frames.last()?);
+        let step = frames.get(1).map_or(1, |second| second - first);
+        let is_even = frames.windows(2).all(|pair| pair[1] - pair[0] == step);
+        is_even.then_some(Self { first, last, step })
+    }
+
     /// The frames named, ascending, given that the clip has frames 1..=`available`.
     pub fn resolve(self, available: u32) -> Result<Vec<u32>, FramesError> {
         let last = self.first + (self.last - self.first) / self.step * self.step;
@@ -78,12 +87,13 @@ impl FromStr for Frames {
     fn from_str(text: &str) -> Result<Self, FramesError> {
         let wrong = || FramesError::Form(text.to_owned());
         let number = |text: &str| text.trim().parse::<u32>().map_err(|_| wrong());
-        let (first, last, step) = match text.split_once("..") {
+        let ends = text.split_once("..").map(|ends| (ends, '+')).or_else(|| Some((text.split_once('-')?, ':')));
+        let (first, last, step) = match ends {
             None => {
                 let frame = number(text)?;
                 (frame, frame, 1)
             }
-            Some((first, rest)) => match rest.split_once('+') {
+            Some(((first, rest), before_step)) => match rest.split_once(before_step) {
                 None => (number(first)?, number(rest)?, 1),
                 Some((last, step)) => (number(first)?, number(last)?, number(step)?),
             },
@@ -130,6 +140,13 @@ mod tests {
     }
 
     #[test]
+    fn frames_may_be_written_as_open_job_description_writes_them() {
+        assert_eq!(resolved("2-4", 10), Ok(vec![2, 3, 4]));
+        assert_eq!(resolved("1-10:4", 10), Ok(vec![1, 5, 9]));
+        assert_eq!("1-10:4".parse::<Frames>().map(|frames| frames.to_string()), Ok("1..10+4".to_owned()));
+    }
+
+    #[test]
     fn a_step_that_never_reaches_the_last_frame_does_not_ask_for_it() {
         assert_eq!(resolved("1..12+4", 9), Ok(vec![1, 5, 9]));
     }
@@ -143,7 +160,7 @@ mod tests {
 
     #[test]
     fn what_is_no_choice_of_frames_is_refused() {
-        for text in ["", "a", "1..", "..3", "1..3+0", "1..3+", "1-3", "-1", "1.5", "99999999999"] {
+        for text in ["", "a", "1..", "..3", "1..3+0", "1..3+", "1-3+2", "1-", "-1", "1.5", "99999999999"] {
             assert_eq!(text.parse::<Frames>(), Err(FramesError::Form(text.to_owned())), "{text}");
         }
     }

@@ -8,7 +8,7 @@ mod session;
 mod status;
 mod task;
 #[cfg(test)]
-mod tests;
+pub(crate) mod tests;
 mod usage;
 
 use bytes::Bytes;

@@ -63,7 +63,7 @@ fn failures() -> Vec<Failure> {
     ]
 }
 
-fn refusals() -> Vec<Refusal> {
+pub(crate) fn refusals() -> Vec<Refusal> {
     vec![
         Refusal::NoSuchJob { job: JobId(1) },
         Refusal::Ended { job: JobId(1) },

@@ -157,4 +157,6 @@ where
 }
 
 #[cfg(test)]
+mod documented;
+#[cfg(test)]
 mod tests;

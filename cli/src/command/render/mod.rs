@@ -34,26 +34,26 @@ use there::Wanted;
 pub struct RenderArgs {
     /// Scene file, or JOB.toml
     #[arg(value_name = "SCENE")]
-    scene: PathBuf,
+    pub scene: PathBuf,
     /// A name ending in .exr: one frame; else a folder for `<scene>.0001.exr` ... [default: by the scene's name]
     #[arg(long, short, value_name = "OUT")]
-    out: Option<PathBuf>,
+    pub out: Option<PathBuf>,
     /// Make a clip of the frames: by ffmpeg if it is on the PATH, else an animated PNG
     #[arg(long, value_name = "FILE")]
-    video: Option<PathBuf>,
+    pub video: Option<PathBuf>,
     /// Write a PNG beside every EXR
     #[arg(long)]
-    preview: bool,
+    pub preview: bool,
     /// Put all frames on one PNG
     #[arg(long, value_name = "FILE.png")]
-    contact_sheet: Option<PathBuf>,
+    pub contact_sheet: Option<PathBuf>,
     /// Begin anew, whatever is there
     #[arg(long)]
-    fresh: bool,
+    pub fresh: bool,
     #[command(flatten)]
-    format: FormatArgs,
+    pub format: FormatArgs,
     #[command(flatten)]
-    settings: SettingsArgs,
+    pub settings: SettingsArgs,
 }
 
 /// Render.

@@ -1,6 +1,7 @@
 //! JOB.toml: a scene and its settings by their long names, in a file; with `[sweep]`, its variants.
 
 mod axis;
+mod change;
 mod measures;
 mod place;
 mod range;
@@ -9,9 +10,11 @@ mod sweep;
 #[cfg(test)]
 mod sweep_tests;
 
+pub use axis::Axis;
+pub use change::Change;
 pub use measures::Measures;
 pub use place::{JobFileError, Place};
-pub use sweep::Sweep;
+pub use sweep::{Mode, Sweep};
 
 use super::{Budget, Frames, Override, Size};
 use crate::args::{Filter, Method, SettingsArgs};

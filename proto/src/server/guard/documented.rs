@@ -1,0 +1,46 @@
+//! Every call's comment in the .proto says who may call it; the guard says the same.
+
+use femc_trust::Role;
+use prost::Message as _;
+use prost_types::FileDescriptorSet;
+
+use super::Right;
+use crate::wire;
+
+/// Path of each call, and who may call it by the comment: the words after "Who may:".
+fn documented() -> Vec<(String, String)> {
+    let all = FileDescriptorSet::decode(wire::DESCRIPTORS).expect("a descriptor");
+    let mut found = Vec::new();
+    for file in &all.file {
+        for place in file.source_code_info.iter().flat_map(|info| &info.location) {
+            // The n-th call (field 2) of the m-th service (field 6).
+            let [6, m, 2, n] = place.path[..] else { continue };
+            let service = &file.service[m as usize];
+            let path = format!("/{}.{}/{}", file.package(), service.name(), service.method[n as usize].name());
+            let comment = place.leading_comments().split_whitespace().collect::<Vec<_>>().join(" ");
+            let who = comment.split("Who may: ").nth(1).and_then(|rest| rest.split(['.', ';']).next());
+            found.push((path, who.unwrap_or_default().to_owned()));
+        }
+    }
+    found
+}
+
+#[test]
+fn who_may_call_by_the_documentation_may_call() {
+    let documented = documented();
+    assert!(documented.len() > 15, "{documented:?}");
+    for (path, who) in documented {
+        let right = match who.as_str() {
+            "workers" => Right::Worker,
+            "workers, viewers" => Right::WorkerOrUser(Role::Viewer),
+            "workers, submitters" => Right::WorkerOrUser(Role::Submitter),
+            "viewers" => Right::User(Role::Viewer),
+            // Whose job it is decides the call itself.
+            "submitters" | "the job's owner, if a submitter" => Right::User(Role::Submitter),
+            "operators" => Right::User(Role::Operator),
+            "admins" => Right::User(Role::Admin),
+            other => panic!("{path}: who are {other:?}?"),
+        };
+        assert_eq!(Right::of(&path), right, "{path}");
+    }
+}

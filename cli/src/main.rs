@@ -9,6 +9,7 @@ mod clock;
 mod command;
 mod exit;
 mod log;
+#[cfg(feature = "openjd")]
 mod openjd;
 mod output;
 mod report;

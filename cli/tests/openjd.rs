@@ -1,6 +1,8 @@
 //! Open Job Description by the real binary; templates are checked and run by the reference implementation, where
 //! `tests/python` has put it.
 
+#![cfg(feature = "openjd")]
+
 mod common;
 use common::{Place, Running, names, pixels};
 use std::path::PathBuf;

@@ -116,6 +116,7 @@ pub enum Command {
     Worker(command::worker::WorkerArgs),
     Submit(command::submit::SubmitArgs),
     Sweep(command::sweep::SweepArgs),
+    #[cfg(feature = "openjd")]
     Openjd(command::openjd::OpenjdArgs),
     Jobs(command::jobs::JobsArgs),
     Status(command::status::StatusArgs),

@@ -15,6 +15,7 @@ mod interrupt;
 pub mod jobs;
 pub mod logs;
 mod lookout;
+#[cfg(feature = "openjd")]
 pub mod openjd;
 mod outbox;
 pub mod plan;
@@ -46,6 +47,7 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Worker(args) => worker::run(args, say),
         Command::Submit(args) => submit::run(args, say),
         Command::Sweep(args) => sweep::run(&args, say),
+        #[cfg(feature = "openjd")]
         Command::Openjd(args) => openjd::run(&args, say),
         Command::Jobs(args) => jobs::run(&args, say),
         Command::Status(args) => status::run(&args, say),

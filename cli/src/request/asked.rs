@@ -67,6 +67,7 @@ impl Base {
     }
 
     /// Files of the scene besides the scene file.
+    #[cfg(feature = "openjd")]
     pub fn others(&self) -> usize {
         self.files.len().saturating_sub(1)
     }

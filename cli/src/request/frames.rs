@@ -53,6 +53,7 @@ impl fmt::Display for Available {
 
 impl Frames {
     /// These frames, ascending and not empty, if they have the same distance all along.
+    #[cfg(feature = "openjd")]
     pub fn of(frames: &[u32]) -> Option<Self> {
         let (&first, &last) = (frames.first()?, frames.last()?);
         let step = frames.get(1).map_or(1, |second| second - first);

@@ -3,6 +3,7 @@
 use crate::args::{Filter, Method, SettingsArgs};
 use crate::request::{Budget, Frames, Override, Size};
 use serde::Deserialize;
+#[cfg(feature = "openjd")]
 use std::collections::BTreeMap;
 use toml::Spanned;
 use toml::de::{DeValue, ValueDeserializer};
@@ -87,6 +88,48 @@ impl Change {
         }
     }
 
+    /// The value, where it is a number.
+    pub fn as_number(&self) -> Option<f64> {
+        match self {
+            Self::Scalar(Override { value, .. }) | Self::Error(value) => Some(*value),
+            Self::Spp(n) | Self::MaxDepth(n) => Some(f64::from(*n)),
+            Self::Time(time) => Some(time.seconds),
+            Self::Seed(n) => Some(*n as f64),
+            Self::Camera(_) | Self::Size(_) | Self::Frames(_) | Self::Method(_) | Self::Filter(_) => None,
+        }
+    }
+
+    /// Make the change. A stopping rule takes the place of any other.
+    pub(super) fn apply(&self, settings: &mut SettingsArgs) {
+        let stop = |settings: &mut SettingsArgs| (settings.spp, settings.error, settings.time) = (None, None, None);
+        match self {
+            Self::Scalar(change) => settings.set.push(change.clone()),
+            Self::Camera(name) => settings.camera = Some(name.clone()),
+            Self::Size(size) => settings.size = Some(*size),
+            Self::Frames(frames) => settings.frames = Some(*frames),
+            Self::Spp(n) => {
+                stop(settings);
+                settings.spp = Some(*n);
+            }
+            Self::Error(e) => {
+                stop(settings);
+                settings.error = Some(*e);
+            }
+            Self::Time(time) => {
+                stop(settings);
+                settings.time = Some(*time);
+            }
+            Self::Method(method) => settings.method = Some(*method),
+            Self::MaxDepth(n) => settings.max_depth = Some(*n),
+            Self::Filter(filter) => settings.filter = Some(*filter),
+            Self::Seed(n) => settings.seed = Some(*n),
+        }
+    }
+}
+
+/// What writing settings down takes.
+#[cfg(feature = "openjd")]
+impl Change {
     /// The changes that make these settings out of none, each setting and each selector once; without `workers`, `threads`
     /// and `stats`, which change no pixel.
     pub fn all(settings: &SettingsArgs) -> Vec<Self> {
@@ -123,44 +166,6 @@ impl Change {
             Self::MaxDepth(_) => "max-depth",
             Self::Filter(_) => "filter",
             Self::Seed(_) => "seed",
-        }
-    }
-
-    /// The value, where it is a number.
-    pub fn as_number(&self) -> Option<f64> {
-        match self {
-            Self::Scalar(Override { value, .. }) | Self::Error(value) => Some(*value),
-            Self::Spp(n) | Self::MaxDepth(n) => Some(f64::from(*n)),
-            Self::Time(time) => Some(time.seconds),
-            Self::Seed(n) => Some(*n as f64),
-            Self::Camera(_) | Self::Size(_) | Self::Frames(_) | Self::Method(_) | Self::Filter(_) => None,
-        }
-    }
-
-    /// Make the change. A stopping rule takes the place of any other.
-    pub(super) fn apply(&self, settings: &mut SettingsArgs) {
-        let stop = |settings: &mut SettingsArgs| (settings.spp, settings.error, settings.time) = (None, None, None);
-        match self {
-            Self::Scalar(change) => settings.set.push(change.clone()),
-            Self::Camera(name) => settings.camera = Some(name.clone()),
-            Self::Size(size) => settings.size = Some(*size),
-            Self::Frames(frames) => settings.frames = Some(*frames),
-            Self::Spp(n) => {
-                stop(settings);
-                settings.spp = Some(*n);
-            }
-            Self::Error(e) => {
-                stop(settings);
-                settings.error = Some(*e);
-            }
-            Self::Time(time) => {
-                stop(settings);
-                settings.time = Some(*time);
-            }
-            Self::Method(method) => settings.method = Some(*method),
-            Self::MaxDepth(n) => settings.max_depth = Some(*n),
-            Self::Filter(filter) => settings.filter = Some(*filter),
-            Self::Seed(n) => settings.seed = Some(*n),
         }
     }
 }

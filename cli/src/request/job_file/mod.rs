@@ -10,11 +10,11 @@ mod sweep;
 #[cfg(test)]
 mod sweep_tests;
 
-pub use axis::Axis;
-pub use change::Change;
 pub use measures::Measures;
 pub use place::{JobFileError, Place};
-pub use sweep::{Mode, Sweep};
+pub use sweep::Sweep;
+#[cfg(feature = "openjd")]
+pub use {axis::Axis, change::Change, sweep::Mode};
 
 use super::{Budget, Frames, Override, Size};
 use crate::args::{Filter, Method, SettingsArgs};

@@ -15,7 +15,7 @@ pub use asked::{Asked, Base, FramesChosen, beside, is_job, load};
 pub use duration::Budget;
 pub use frames::Frames;
 pub use hours::Hours;
-pub use job_file::{JobFile, Measures, typed_keys};
+pub use job_file::{JobFile, Measures, Place, typed_keys};
 pub use overrides::Override;
 pub use size::Size;
 pub use task::{JobTasks, Tasks};

@@ -30,6 +30,8 @@ pub struct Config {
     pub at_stop: AtStop,
     /// Tells this worker from all others, and from an earlier one that had its name.
     pub instance: u64,
+    /// Build of the engine, as the coordinator is told; a simulation has several.
+    pub engine: String,
     /// How to reach the coordinator.
     pub dial: Dial,
     /// Who does the tasks.
@@ -123,6 +125,7 @@ impl Config {
             patience: None,
             at_stop: AtStop::GiveBack,
             instance: RandomState::new().hash_one(std::process::id()),
+            engine: crate::engine().into(),
             dial: Dial::tcp(),
             hands: Hands::Threads,
             outbox: None,

@@ -48,7 +48,7 @@ impl Worker {
         let registration = Registration {
             name: config.name.clone(),
             instance: config.instance,
-            engine: crate::engine().into(),
+            engine: config.engine.clone(),
             threads: pool.current_num_threads() as u32,
             slots: 1,
             tags: config.tags.clone(),

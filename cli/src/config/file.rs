@@ -61,16 +61,16 @@ impl File {
     }
 
     /// Read and check it: each key is a flag's, each value one that the flag takes.
-    pub fn read(path: PathBuf, command: &Command) -> Result<Self, Failure> {
-        let text = std::fs::read_to_string(&path).map_err(|e| failed(format!("--config {}: {e}", path.display())))?;
-        Self::parse(path.clone(), &text, command).map_err(|(offset, what)| {
+    pub fn read(path: &Path, command: &Command) -> Result<Self, Failure> {
+        let text = std::fs::read_to_string(path).map_err(|e| failed(format!("--config {}: {e}", path.display())))?;
+        Self::parse(path.to_owned(), &text, command).map_err(|(offset, what)| {
             let Place { line, column } = Place::of(&text, offset);
             usage(format!("{}:{line}:{column}: {what}", path.display()))
         })
     }
 
     /// The settings in `text`.
-    pub fn parse(path: PathBuf, text: &str, command: &Command) -> Result<Self, Fault> {
+    fn parse(path: PathBuf, text: &str, command: &Command) -> Result<Self, Fault> {
         let wrong = |e: toml::de::Error| (e.span().map_or(0, |span| span.start), e.message().replace('\n', " "));
         let table = DeTable::parse(text).map_err(wrong)?;
         let mut file = Self { path, shared: BTreeMap::new(), services: BTreeMap::new() };

@@ -37,7 +37,7 @@ pub enum Refused {
 /// Read `args`, the first of which is the program's name.
 pub fn parse(args: Vec<OsString>) -> Result<Parsed, Refused> {
     let command = with_environment(Cli::command());
-    let file = File::find(&args).map(|path| File::read(path, &command)).transpose().map_err(Refused::File)?;
+    let file = File::find(&args).map(|path| File::read(&path, &command)).transpose().map_err(Refused::File)?;
     let mut command = file.iter().fold(command, |command, file| file.apply(command));
     let is_asked = args.iter().skip(1).take_while(|arg| *arg != "--").any(|arg| arg == "--print-config");
     if is_asked {

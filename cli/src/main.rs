@@ -7,6 +7,7 @@ mod args;
 mod attempts;
 mod clock;
 mod command;
+mod config;
 mod exit;
 mod log;
 #[cfg(feature = "openjd")]
@@ -15,13 +16,24 @@ mod output;
 mod report;
 mod request;
 
-use clap::Parser;
+use config::{Parsed, Refused};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
-    let cli = args::Cli::parse();
+    let cli = match config::parse(std::env::args_os().collect()) {
+        Ok(Parsed::Command(cli)) => *cli,
+        Ok(Parsed::Shown(settings)) => {
+            print!("{settings}");
+            return exit::Exit::Done.into();
+        }
+        Err(Refused::Usage(error)) => error.exit(),
+        Err(Refused::File(failure)) => {
+            eprintln!("femc: error: {failure}");
+            return failure.exit.into();
+        }
+    };
     let say = output::Say::new(&cli.common);
-    log::start(&cli);
+    let _logging = log::start(&cli);
     match command::run(cli, say) {
         Ok(exit) => exit.into(),
         Err(failure) => {

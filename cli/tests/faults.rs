@@ -159,7 +159,11 @@ fn effects(place: &Place) -> (Vec<String>, bool) {
             | Fact::Merged { task, epoch, .. } => {
                 effects.push(format!("{}.{}", task.to_string().replace('/', "-"), epoch.0));
             }
-            Fact::Opened { .. } | Fact::Submitted { .. } | Fact::Grouped { .. } | Fact::Logged { .. } => {}
+            Fact::Opened { .. }
+            | Fact::Submitted { .. }
+            | Fact::Grouped { .. }
+            | Fact::Built { .. }
+            | Fact::Logged { .. } => {}
             other => panic!("something failed, was lost or began anew: {other:?}"),
         }
     }

@@ -155,7 +155,7 @@ fn postgres_and_s3() {
 }
 
 /// Pages that are run by other tests (`postgres_and_s3`, `openjd`), or have no commands.
-const OTHERS: [&str; 4] = ["README.md", "openjd.md", "postgres-s3.md", "wire.md"];
+const OTHERS: [&str; 5] = ["README.md", "openjd.md", "operations.md", "postgres-s3.md", "wire.md"];
 
 #[test]
 fn every_page_is_run() {

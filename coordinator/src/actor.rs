@@ -5,16 +5,18 @@ use std::time::Duration;
 
 use femc_fault::{Point, pass, pass_async};
 use femc_model::{Failure, FromWorker, JobId, JobStatus, Refusal, Spent, Tick, ToWorker, WorkerId};
-use femc_proto::{AttemptPage, Call, JobShape, References, Reply, Session};
-use femc_queue::{Batch, Queue};
+use femc_proto::{AttemptPage, Backup, Call, JobShape, References, Reply, Session};
+use femc_queue::{Batch, Queue, QueueError};
 use femc_schedule::{Command, Event, Fact, RequestId, Scheduler};
 use femc_store::Store;
-use tokio::sync::{mpsc, watch};
+use tokio::sync::{mpsc, oneshot, watch};
+use tokio::time::Instant;
 
 use crate::attempts::{self, Ended};
 use crate::clock::Clock;
 use crate::config::{Config, CoordinatorError};
 use crate::janitor::Janitor;
+use crate::metrics::{Metrics, Now};
 use crate::obey::Watched;
 use crate::session::{self, Worker};
 
@@ -48,6 +50,7 @@ enum Question {
     Workers(Reply<Vec<femc_model::WorkerStatus>>),
     Drained(Result<Vec<WorkerId>, Refusal>, Reply<Vec<WorkerId>>),
     References(Reply<References>),
+    Backup(Reply<Backup>),
 }
 
 /// The shell around the scheduler.
@@ -77,6 +80,9 @@ pub(crate) struct Actor<Q> {
     snapshot: usize,
     words: mpsc::Sender<(WorkerId, Word)>,
     heard: mpsc::Receiver<(WorkerId, Word)>,
+    metrics: Metrics,
+    /// Who wants to know how much there is of everything.
+    watchers: mpsc::Receiver<oneshot::Sender<Now>>,
 }
 
 impl<Q: Queue> Actor<Q> {
@@ -87,7 +93,14 @@ impl<Q: Queue> Actor<Q> {
     /// Whoever looks so late has heard nobody in the meantime.
     const STANDSTILL: Duration = Duration::from_millis(500);
 
-    pub(crate) fn new(scheduler: Scheduler, queue: Q, store: Store, records: usize, config: &Config) -> Self {
+    pub(crate) fn new(
+        scheduler: Scheduler,
+        queue: Q,
+        store: Store,
+        records: usize,
+        watchers: mpsc::Receiver<oneshot::Sender<Now>>,
+        config: &Config,
+    ) -> Self {
         let (words, heard) = mpsc::channel(4 * Self::BATCH);
         Self {
             clock: Clock::from(scheduler.ledger().now(), config.time.clone()),
@@ -109,6 +122,8 @@ impl<Q: Queue> Actor<Q> {
             snapshot: config.snapshot,
             words,
             heard,
+            metrics: config.metrics.clone(),
+            watchers,
         }
     }
 
@@ -135,6 +150,11 @@ impl<Q: Queue> Actor<Q> {
                 }
                 Some((worker, word)) = self.heard.recv() => self.word(worker, word, &mut commands),
                 Some(call) = calls.recv() => self.call(call, &mut commands),
+                Some(watcher) = self.watchers.recv() => {
+                    let figures = self.scheduler.figures(self.clock.now());
+                    // Who has gone away does not hear it.
+                    let _ = watcher.send(Now { figures, records: self.records });
+                }
             }
             for _ in 0..Self::BATCH {
                 if let Ok((worker, word)) = self.heard.try_recv() {
@@ -157,6 +177,7 @@ impl<Q: Queue> Actor<Q> {
     fn hear(&mut self, event: Event, commands: &mut Vec<Command>) {
         let now = self.clock.now();
         for command in self.scheduler.on(event, now) {
+            self.metrics.heed(&command);
             match command {
                 Command::Record(fact) => {
                     self.attempts.heed(&fact);
@@ -174,8 +195,13 @@ impl<Q: Queue> Actor<Q> {
         }
         let event = match word {
             Word::Said(mut said) => {
-                if let FromWorker::Heartbeat { number, .. } = *said {
-                    self.heartbeats.push((worker, number));
+                match &*said {
+                    FromWorker::Heartbeat { number, .. } => self.heartbeats.push((worker, *number)),
+                    FromWorker::Failed { failure, .. } => self.metrics.failed(failure),
+                    FromWorker::Register(_)
+                    | FromWorker::Completed { .. }
+                    | FromWorker::Draining
+                    | FromWorker::Available => {}
                 }
                 if let Some(event) = log_of(worker, &mut said) {
                     self.hear(event, commands);
@@ -187,7 +213,7 @@ impl<Q: Queue> Actor<Q> {
             }
             Word::Over => {
                 self.workers.remove(&worker);
-                tracing::info!(%worker, "worker left");
+                tracing::info!(worker = worker.0, "worker left");
                 Some(Event::Left { worker })
             }
         };
@@ -226,6 +252,7 @@ impl<Q: Queue> Actor<Q> {
             Call::Attempts { job, from, reply } => self.questions.push(Question::Attempts(job, from, reply)),
             Call::Workers { reply } => self.questions.push(Question::Workers(reply)),
             Call::References { reply } => self.questions.push(Question::References(reply)),
+            Call::Backup { reply } => self.questions.push(Question::Backup(reply)),
         }
     }
 
@@ -244,7 +271,14 @@ impl<Q: Queue> Actor<Q> {
         pass(Point::CoordinatorBeforeJoin);
         let worker = WorkerId(self.number());
         let Session { registration, words, out } = session;
-        tracing::info!(%worker, name = registration.name, threads = registration.threads, "worker joined");
+        tracing::info!(
+            worker = worker.0,
+            name = registration.name,
+            threads = registration.threads,
+            engine = registration.engine,
+            "worker joined"
+        );
+        self.metrics.joined();
         self.workers.insert(worker, Worker::new(out));
         tokio::spawn(session::listen(worker, words, self.store.clone(), self.words.clone()));
         self.welcome(worker);
@@ -259,7 +293,9 @@ impl<Q: Queue> Actor<Q> {
             let records = self.facts.drain(..).map(|(now, fact)| fact.encode(now)).collect::<Result<Vec<_>, _>>()?;
             pass_async(Point::CoordinatorBeforeAppend).await;
             let (notes, forgotten) = self.attempts.take()?;
+            let begun = Instant::now();
             self.queue.append(Batch { records: &records, notes: &notes, forgotten: &forgotten }).await?;
+            self.metrics.appended(records.iter().map(Vec::len).sum(), begun.elapsed());
             pass_async(Point::CoordinatorAfterAppend).await;
             self.records += records.len();
         }
@@ -296,14 +332,20 @@ impl<Q: Queue> Actor<Q> {
                 }
                 Question::Drained(answer, reply) => drop(reply.send(answer)),
                 Question::Workers(reply) => drop(reply.send(Ok(self.scheduler.workers(now)))),
-                Question::References(reply) => {
-                    let ledger = self.scheduler.ledger();
-                    let (artefacts, scenes) = (ledger.references(), ledger.scenes());
-                    drop(reply.send(Ok(References { artefacts, scenes })));
+                Question::References(reply) => drop(reply.send(Ok(self.references()))),
+                Question::Backup(reply) => {
+                    let copied = self.queue.copy().await;
+                    let backup = copied.map(|log| Backup { log, references: self.references() });
+                    drop(reply.send(backup.map_err(|error| no_copy(&error))));
                 }
             }
         }
         Ok(())
+    }
+
+    fn references(&self) -> References {
+        let ledger = self.scheduler.ledger();
+        References { artefacts: ledger.references(), scenes: ledger.scenes() }
     }
 
     /// What is done now and then: watchers, artefacts that nobody needs, snapshots.
@@ -316,11 +358,21 @@ impl<Q: Queue> Actor<Q> {
             self.commit(std::mem::take(commands)).await?;
             let state = self.scheduler.ledger().encode()?;
             pass_async(Point::CoordinatorBeforeSnapshot).await;
+            let begun = Instant::now();
             self.queue.snapshot(&state).await?;
+            self.metrics.snapshot(begun.elapsed());
             pass_async(Point::CoordinatorAfterSnapshot).await;
             self.records = 0;
         }
         Ok(())
+    }
+}
+
+/// A log that is not copied is as it was.
+fn no_copy(error: &QueueError) -> Refusal {
+    match error {
+        QueueError::NoCopy { .. } => Refusal::Invalid { field: "backup".into(), message: error.to_string() },
+        error => Refusal::Unavailable { message: format!("the log cannot be copied: {error}") },
     }
 }
 
@@ -354,8 +406,10 @@ fn event_of(worker: WorkerId, said: FromWorker) -> Option<Event> {
         FromWorker::Completed { task, epoch, result, .. } => Event::Completed { worker, task, epoch, result },
         FromWorker::Failed { task, epoch, failure, .. } => {
             match failure {
-                Failure::Cancelled => tracing::debug!(%worker, %task, "task given back"),
-                _ => tracing::warn!(%worker, %task, %failure, "task failed"),
+                Failure::Cancelled => {
+                    tracing::debug!(job = task.job.0, %task, worker = worker.0, "task given back");
+                }
+                _ => tracing::warn!(job = task.job.0, %task, worker = worker.0, %failure, "task failed"),
             }
             Event::Failed { worker, task, epoch, failure }
         }

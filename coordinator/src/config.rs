@@ -10,6 +10,7 @@ use femc_schedule::SnapshotError;
 use femc_store::StoreError;
 
 use crate::clock::Time;
+use crate::metrics::Metrics;
 
 /// Where the log lives.
 #[derive(Debug, Clone, PartialEq, Eq)]
@@ -66,6 +67,8 @@ pub struct Config {
     pub snapshot: usize,
     /// The clock.
     pub time: Time,
+    /// Where it counts what it does.
+    pub metrics: Metrics,
 }
 
 impl Default for Config {
@@ -79,6 +82,7 @@ impl Default for Config {
             scheduler: femc_schedule::Config::default(),
             snapshot: 20_000,
             time: Time::default(),
+            metrics: Metrics::default(),
         }
     }
 }

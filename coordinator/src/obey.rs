@@ -31,7 +31,7 @@ impl<Q: Queue> Actor<Q> {
                 }
                 Command::Accept { worker, task, epoch } => self.tell(worker, ToWorker::Accepted { task, epoch }),
                 Command::Refuse { worker, task, epoch, refusal } => {
-                    tracing::info!(%worker, %task, %refusal, "report refused");
+                    tracing::info!(job = task.job.0, %task, worker = worker.0, %refusal, "report refused");
                     self.tell(worker, ToWorker::Refused { task, epoch, refusal });
                 }
                 Command::Dismiss { worker } => drop(self.workers.remove(&worker)),
@@ -74,6 +74,9 @@ impl<Q: Queue> Actor<Q> {
                 let job = |answer| match answer {
                     Answer::Submitted(job) | Answer::Controlled(job) => job,
                 };
+                if let Ok(Answer::Submitted(job)) = &answer {
+                    tracing::info!(job = job.0, "job submitted");
+                }
                 pass(Point::CoordinatorBeforeAnswer);
                 drop(reply.send(answer.map(job)));
             }

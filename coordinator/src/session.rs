@@ -32,7 +32,7 @@ pub(crate) async fn listen(worker: WorkerId, mut words: Words, store: Store, act
         let word = match word {
             Some(Ok(word)) => word,
             Some(Err(error)) => {
-                tracing::warn!(%worker, %error, "worker makes no sense");
+                tracing::warn!(worker = worker.0, %error, "worker makes no sense");
                 break;
             }
             None => break,

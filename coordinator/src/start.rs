@@ -55,6 +55,7 @@ impl Coordinator {
             Log::Memory => Self::with(config, store, Memory::default()).await,
             Log::Sqlite(path) => {
                 let queue = Sqlite::open(&path).await?;
+                config.metrics.log_is(path);
                 Self::with(config, store, queue).await
             }
             Log::Postgres { database, silence } => lead::start(config, store, database, silence).await,
@@ -111,11 +112,13 @@ impl Coordinator {
         let (scheduler, records) = recover(config.scheduler.clone(), &mut queue).await?;
         let (calls, inbox) = mpsc::channel(Self::CALLS);
         let (stop, stopped) = watch::channel(());
-        let actor = Actor::new(scheduler, queue, store.clone(), records, &config);
+        let (asked, figures) = mpsc::channel(1);
+        config.metrics.leads(asked);
+        let actor = Actor::new(scheduler, queue, store.clone(), records, figures, &config);
         let actor = tokio::spawn(actor.run(inbox, stopped));
         let (serving, mut until) = watch::channel(());
         let server = serve(
-            Server::new(calls, store).behind(config.entrance),
+            Server::new(calls, store).behind(config.entrance).counted(config.metrics.traffic()),
             Box::pin(async move {
                 // Ends when the sender is dropped: on a stop, or because the actor is gone.
                 let _ = until.changed().await;

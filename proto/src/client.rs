@@ -5,10 +5,11 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::{
-    Attempts, Control, Digest, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord,
-    Registration, Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
+    Artefact, Attempts, Control, Digest, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus,
+    LogRecord, Registration, Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use hyper_util::rt::TokioIo;
+use tokio::io::{AsyncWrite, AsyncWriteExt as _};
 use tokio::sync::mpsc;
 use tokio_stream::StreamExt as _;
 use tokio_stream::wrappers::ReceiverStream;
@@ -17,13 +18,14 @@ use tonic::transport::{Channel, Endpoint, Uri};
 
 use crate::addresses::Addresses;
 use crate::convert::{ConvertError, digest, digest_bytes, each, need};
-use crate::error::{CallError, from_status};
+use crate::error::{BackupError, CallError, from_status};
 use crate::many::{Many, together};
 use crate::net::Dial;
 use crate::server::JobShape;
 use crate::{MESSAGE, PIECE, tls, wire};
 use wire::artifacts_client::ArtifactsClient;
 use wire::attempts_reply::Part;
+use wire::backup_reply::Part as BackupPart;
 use wire::jobs_client::JobsClient;
 use wire::workers_client::WorkersClient;
 
@@ -197,6 +199,22 @@ impl Client {
         let request = wire::DrainWorkersRequest::from((worker, drain));
         let reply = self.jobs().drain_workers(request).await.map_err(|status| self.error(&status))?;
         Ok(reply.into_inner().workers.into_iter().map(WorkerId).collect())
+    }
+
+    /// A copy of the coordinator's log, written to `log`; what the log refers to and the store has.
+    pub async fn backup(&self, mut log: impl AsyncWrite + Unpin) -> Result<Vec<Artefact>, BackupError> {
+        let reply = self.jobs().backup(wire::BackupRequest {}).await.map_err(|status| self.error(&status))?;
+        let (mut stream, mut artefacts) = (reply.into_inner(), Vec::new());
+        while let Some(part) = stream.message().await.map_err(|status| self.error(&status))? {
+            match need("backup.part", part.part).map_err(CallError::from)? {
+                BackupPart::Artefacts(some) => {
+                    artefacts.extend(each::<_, Artefact>(some.artefacts).map_err(CallError::from)?);
+                }
+                BackupPart::Log(piece) => log.write_all(&piece).await?,
+            }
+        }
+        log.flush().await?;
+        Ok(artefacts)
     }
 
     /// Those of `digests` that the coordinator's store does not have.

@@ -38,14 +38,25 @@ pub enum CallError {
     /// The answer makes no sense.
     #[error("the coordinator's answer makes no sense: {0}")]
     Answer(#[from] ConvertError),
-    /// The server failed in another way.
-    #[error("the coordinator failed: {code}: {message}")]
+    /// The server failed in another way, or did not understand.
+    #[error("the coordinator says {code}: {message}")]
     Status {
         /// gRPC's code.
         code: String,
         /// What it said.
         message: String,
     },
+}
+
+/// A backup that did not come to its end.
+#[derive(Debug, thiserror::Error)]
+pub enum BackupError {
+    /// The coordinator.
+    #[error(transparent)]
+    Call(#[from] CallError),
+    /// What it said cannot be kept.
+    #[error("the copy cannot be written: {0}")]
+    Write(#[from] std::io::Error),
 }
 
 /// A server that could not begin or go on.

@@ -18,18 +18,22 @@ mod wire;
 
 pub use client::{Client, Incoming, Outgoing, Watch};
 pub use convert::ConvertError;
-pub use error::{CallError, ServeError};
+pub use error::{BackupError, CallError, ServeError};
 pub use net::{Dial, Dialing, Io, Link};
 pub use server::{
-    AttemptPage, Call, CollectMode, Collected, Entrance, JobShape, LEAST_GRACE, References, Reply, Server, Session,
-    Volume, Words,
+    AttemptPage, Backup, Call, CollectMode, Collected, Entrance, JobShape, LEAST_GRACE, References, Reply, Server,
+    Session, Traffic, Volume, Words,
 };
 pub use tonic::transport::server::{Connected, TcpIncoming};
 
-/// Version of the protocol: a worker says it when it registers, and is refused if it is another. From 2 on a job's scene is a
-/// manifest, which a worker of version 1 would take for damaged; from 3 on a task's key does not tell the tile, and groups of tiles
-/// are gathered.
-pub const PROTOCOL: u32 = 3;
+/// Version of the protocol: a worker says it when it registers. From 2 on a job's scene is a manifest, which a worker of version 1
+/// would take for damaged; from 3 on a task's key does not tell the tile, and groups of tiles are gathered; from 4 on a worker
+/// tells the build of its engine, where it told its version before.
+pub const PROTOCOL: u32 = 4;
+
+/// Oldest version of workers that a coordinator takes: one before its own, so that a farm is upgraded while it works, the
+/// coordinator first. It sends them nothing that they do not know.
+pub const OLDEST: u32 = PROTOCOL - 1;
 
 /// Bytes of an artefact that travel in one message.
 pub const PIECE: usize = 1 << 20;

@@ -1,11 +1,13 @@
 //! What the coordinator uses: every call comes to it as a [`Call`] with a place for the answer.
 
 mod artifacts;
+mod backup;
 mod collect;
 mod guard;
 mod inputs;
 mod jobs;
 mod promised;
+mod traffic;
 mod uploads;
 mod workers;
 
@@ -25,6 +27,8 @@ use tokio::sync::{mpsc, oneshot, watch};
 use tokio_stream::Stream;
 use tonic::Streaming;
 use tonic::transport::server::{Connected, Router};
+use tonic_health::ServingStatus;
+use tonic_health::server::HealthReporter;
 use tower::layer::util::Stack;
 
 use crate::convert::ConvertError;
@@ -32,9 +36,11 @@ use crate::error::ServeError;
 use crate::many::Many as _;
 use crate::net::Io;
 use crate::{MESSAGE, PIECE, tls, wire};
+pub use backup::Backup;
 pub use collect::{CollectMode, Collected, LEAST_GRACE, References, Volume};
 use guard::{Caller, Guard};
 use promised::Promised;
+pub use traffic::Traffic;
 use uploads::Uploads;
 use wire::artifacts_server::ArtifactsServer;
 use wire::jobs_server::JobsServer;
@@ -159,6 +165,11 @@ pub enum Call {
         /// When all before it is durable.
         reply: Reply<References>,
     },
+    /// A copy of the log, and what it refers to.
+    Backup {
+        /// When all before it is durable.
+        reply: Reply<Backup>,
+    },
     /// A worker has come.
     Session(Box<Session>),
 }
@@ -218,7 +229,15 @@ pub struct Server {
     collecting: Arc<tokio::sync::Mutex<()>>,
     /// Who it is and whom it lets in; `None`: connections are not encrypted, and everybody may do everything.
     entrance: Option<Entrance>,
+    traffic: Traffic,
 }
+
+/// What stands before the services, the first at the end.
+type Layers = Stack<Guard, Stack<Traffic, tower::layer::util::Identity>>;
+
+/// The services whose health is told; also told is that of `""`, the server as a whole.
+const SERVICES: [&str; 3] =
+    [wire::jobs_server::SERVICE_NAME, wire::workers_server::SERVICE_NAME, wire::artifacts_server::SERVICE_NAME];
 
 /// The door of an encrypted server.
 #[derive(Debug, Clone)]
@@ -242,6 +261,7 @@ impl Server {
             promised: Promised::default(),
             collecting: Arc::default(),
             entrance: None,
+            traffic: Traffic::default(),
         }
     }
 
@@ -250,13 +270,25 @@ impl Server {
         Self { entrance, ..self }
     }
 
+    /// Counted by `traffic`, over several servers if it is the same one.
+    pub fn counted(self, traffic: Traffic) -> Self {
+        Self { traffic, ..self }
+    }
+
     /// Serves the connections that come in until `stop` comes, then until the open calls have ended.
     pub async fn serve<C: Io + Connected>(
         self,
         incoming: impl Stream<Item = io::Result<C>>,
         stop: impl Future<Output = ()>,
     ) -> Result<(), ServeError> {
-        Ok(self.router().await?.serve_with_incoming_shutdown(incoming, stop).await?)
+        let (router, health) = self.router().await?;
+        let stop = async move {
+            stop.await;
+            for service in SERVICES.into_iter().chain([""]) {
+                health.set_service_status(service, ServingStatus::NotServing).await;
+            }
+        };
+        Ok(router.serve_with_incoming_shutdown(incoming, stop).await?)
     }
 
     /// Serves for ever: who drops this ends the connections himself.
@@ -264,14 +296,14 @@ impl Server {
         self,
         incoming: impl Stream<Item = io::Result<C>>,
     ) -> Result<(), ServeError> {
-        Ok(self.router().await?.serve_with_incoming(incoming).await?)
+        Ok(self.router().await?.0.serve_with_incoming(incoming).await?)
     }
 
-    async fn router(self) -> Result<Router<Stack<Guard, tower::layer::util::Identity>>, ServeError> {
+    async fn router(self) -> Result<(Router<Layers>, HealthReporter), ServeError> {
         let (reporter, health) = tonic_health::server::health_reporter();
-        reporter.set_serving::<JobsServer<Self>>().await;
-        reporter.set_serving::<WorkersServer<Self>>().await;
-        reporter.set_serving::<ArtifactsServer<Self>>().await;
+        for service in SERVICES {
+            reporter.set_service_status(service, ServingStatus::Serving).await;
+        }
         let reflection = tonic_reflection::server::Builder::configure()
             .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
             .build_v1()?;
@@ -281,7 +313,8 @@ impl Server {
             builder = builder.tls_config(tls::server(identity))?;
             guard = Guard::Checks(revoked.clone());
         }
-        Ok(builder
+        let router = builder
+            .layer(self.traffic.clone())
             .layer(guard)
             .http2_keepalive_interval(Some(Duration::from_secs(10)))
             .http2_keepalive_timeout(Some(Duration::from_secs(10)))
@@ -292,7 +325,8 @@ impl Server {
             .add_service(reflection)
             .add_service(JobsServer::new(self.clone()).max_decoding_message_size(MESSAGE))
             .add_service(WorkersServer::new(self.clone()).max_decoding_message_size(MESSAGE))
-            .add_service(ArtifactsServer::new(self).max_decoding_message_size(2 * PIECE)))
+            .add_service(ArtifactsServer::new(self).max_decoding_message_size(2 * PIECE));
+        Ok((router, reporter))
     }
 
     /// Passes a call on and waits for its answer.

@@ -65,15 +65,18 @@ pub(crate) struct Stage {
     pub(crate) pixels: Vec<String>,
 }
 
+/// A world does not last for as long as a farm waits for workers of a build that is gone.
+const ORPHANED: u64 = 5_000;
+
 /// Tiles are not cut, and workers hold many of them.
 fn whole() -> Config {
-    Config { ahead: 100_000, ..Config::default() }
+    Config { ahead: 100_000, orphaned: ORPHANED, ..Config::default() }
 }
 
 /// Tiles are in grains of a sample a pixel.
 pub(crate) fn cut() -> Config {
     let grain = NonZeroU64::new(u64::from(TILE * TILE)).unwrap_or(NonZeroU64::MIN);
-    Config { grain, task: 2_000, least_task: 500, ..Config::default() }
+    Config { grain, task: 2_000, least_task: 500, orphaned: ORPHANED, ..Config::default() }
 }
 
 /// The rounds of the jobs: one, and several; the later ones are long enough to be cut.

@@ -13,6 +13,7 @@
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
+use femc_metrics::{Counter, Page};
 use femc_model::{Digest, Failure, JobSpec};
 use femc_pipeline::{Moment, Prepared, Settings, Source};
 use femc_proto::Client;
@@ -98,10 +99,28 @@ impl Cache {
         self.0.frames.clear();
     }
 
+    /// Puts on the page what was found here and what was not.
+    pub(crate) fn put(&self, page: &mut Page) {
+        let Shelves { sources, scenes, frames, pieces } = &*self.0;
+        let looks = [
+            ("files", &sources.hits, &sources.misses),
+            ("scenes", &scenes.hits, &scenes.misses),
+            ("frames", &frames.hits, &frames.misses),
+        ];
+        let help = "Looks for something that is made ready once, by what it was: scene files, scenes, frames.";
+        let family = page.counter("femc_worker_cache_lookups_total", help);
+        looks.into_iter().fold(family, |family, (cache, hits, misses)| {
+            let family = family.with(&[("cache", cache), ("outcome", "hit")], hits.get() as f64);
+            family.with(&[("cache", cache), ("outcome", "miss")], misses.get() as f64)
+        });
+        page.gauge("femc_worker_pieces_bytes", "Bytes of pieces of scenes that are kept.").counts(pieces.bytes());
+        let help = "Bytes of pieces of scenes that were not kept and had to be fetched.";
+        page.counter("femc_worker_pieces_fetched_bytes_total", help).counts(pieces.fetched());
+    }
+
     /// The job's scene, read.
     pub(crate) fn scene(&self, spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Arc<Read>, Failure> {
-        let slot = self.0.scenes.slot(scene_key(spec));
-        slot.get_or(|| self.read(spec, client, fetch).map(Arc::new))
+        self.0.scenes.get_or(scene_key(spec), || self.read(spec, client, fetch).map(Arc::new))
     }
 
     /// The frame, ready to render.
@@ -114,10 +133,9 @@ impl Cache {
     ) -> Result<(Arc<Read>, Arc<Prepared>), Failure> {
         let read = self.scene(spec, client, fetch)?;
         let moment = read.moment(frame)?;
-        let slot = self.0.frames.slot(moment);
         let same_world = || self.0.frames.latest(|other| other.world == moment.world);
         let same_surfaces = || self.0.frames.latest(|other| other.fixed == moment.fixed);
-        let prepared = slot.get_or(|| {
+        let prepared = self.0.frames.get_or(moment, || {
             let previous = same_world().or_else(same_surfaces);
             let prepared = femc_pipeline::prepare(&read.source, &read.settings, frame, previous.as_deref());
             prepared.map(Arc::new).map_err(|error| Failure::Scene { message: error.to_string() })
@@ -136,8 +154,7 @@ impl Cache {
 
     /// The scene as its files have it.
     fn source(&self, spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Source, Failure> {
-        let slot = self.0.sources.slot(files_key(spec));
-        slot.get_or(|| {
+        self.0.sources.get_or(files_key(spec), || {
             let bundle = gather(&spec.bundle, client, fetch, &self.0.pieces)?;
             let loaded = femc_import::load(&bundle, &spec.entry);
             let scene = loaded.map_err(|error| Failure::Scene { message: error.to_string() })?.scene;
@@ -176,6 +193,8 @@ struct Shelf<K, V> {
     most: usize,
     /// The one used last at the end.
     slots: Mutex<Vec<(K, Arc<Slot<V>>)>>,
+    hits: Counter,
+    misses: Counter,
 }
 
 /// A place for a value that one thread makes while others wait.
@@ -184,7 +203,18 @@ struct Slot<V>(Mutex<Option<V>>);
 
 impl<K: PartialEq, V: Clone> Shelf<K, V> {
     fn new(most: usize) -> Self {
-        Self { most, slots: Mutex::default() }
+        Self { most, slots: Mutex::default(), hits: Counter::default(), misses: Counter::default() }
+    }
+
+    /// The value, made if it is not there.
+    fn get_or(&self, key: K, make: impl FnOnce() -> Result<V, Failure>) -> Result<V, Failure> {
+        let mut looks = &self.hits;
+        let value = self.slot(key).get_or(|| {
+            looks = &self.misses;
+            make()
+        });
+        looks.add(1);
+        value
     }
 
     fn slot(&self, key: K) -> Arc<Slot<V>> {

@@ -9,7 +9,7 @@ use std::time::Duration;
 use femc_model::Assignment;
 use femc_proto::{CallError, Dial};
 
-use crate::{Cache, MemoryLimit, Shift};
+use crate::{Cache, MemoryLimit, Metrics, Shift};
 
 /// A worker's configuration.
 #[derive(Debug, Clone)]
@@ -30,6 +30,8 @@ pub struct Config {
     pub at_stop: AtStop,
     /// Tells this worker from all others, and from an earlier one that had its name.
     pub instance: u64,
+    /// Build of the engine, as the coordinator is told; a simulation has several.
+    pub engine: String,
     /// How to reach the coordinator.
     pub dial: Dial,
     /// Who does the tasks.
@@ -44,6 +46,8 @@ pub struct Config {
     pub shift: Shift,
     /// It stops after so long without a task; `None`: never.
     pub idle_limit: Option<Duration>,
+    /// Where it counts what it does.
+    pub metrics: Metrics,
 }
 
 /// Where a worker keeps results that are not acknowledged.
@@ -102,8 +106,11 @@ impl fmt::Debug for Pace {
 pub enum AtStop {
     /// It gives back all that it holds, at once.
     GiveBack,
-    /// It finishes the tasks that run and gives back those that wait.
-    Finish,
+    /// It finishes the tasks that run and gives back those that wait, at once, and those that have not ended in time.
+    Finish {
+        /// In time for what stops it: the system's own patience ends, too.
+        within: Duration,
+    },
 }
 
 impl Config {
@@ -118,6 +125,7 @@ impl Config {
             patience: None,
             at_stop: AtStop::GiveBack,
             instance: RandomState::new().hash_one(std::process::id()),
+            engine: crate::engine().into(),
             dial: Dial::tcp(),
             hands: Hands::Threads,
             outbox: None,
@@ -125,6 +133,7 @@ impl Config {
             nice: None,
             shift: Shift::default(),
             idle_limit: None,
+            metrics: Metrics::default(),
         }
     }
 }

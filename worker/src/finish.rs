@@ -47,7 +47,7 @@ impl Finish {
 
     fn header(&self, task: &Task, outcome: &Outcome, seconds: f64) -> String {
         let (key, epoch) = task.key();
-        let mut header = format!("task {key}, epoch {}\nworker {}, engine {}\n", epoch.0, self.worker, crate::ENGINE);
+        let mut header = format!("task {key}, epoch {}\nworker {}, engine {}\n", epoch.0, self.worker, crate::engine());
         let samples = task.samples.load(std::sync::atomic::Ordering::Relaxed);
         // Writing into a string does not fail.
         let _ = match outcome {

@@ -17,6 +17,7 @@ mod gather;
 mod log;
 mod memory;
 mod meter;
+mod metrics;
 mod nice;
 mod outbox;
 mod parcel;
@@ -34,10 +35,13 @@ pub use config::{AtStop, Config, Hands, IfTaken, OutboxConfig, Pace, WorkerError
 pub use duty::{Duty, Shift};
 pub use log::{TASK_LOG_LEVEL, TaskLogs};
 pub use memory::MemoryLimit;
+pub use metrics::Metrics;
 pub use parcel::{Parcel, ParcelError};
 pub use pieces::Pieces;
 pub use sums::decode as decode_sums;
 pub use worker::Worker;
 
 /// The build of the engine that this worker renders with.
-const ENGINE: &str = env!("CARGO_PKG_VERSION");
+fn engine() -> &'static str {
+    femc_fault::pretended(femc_fault::Pretense::Engine).unwrap_or(femc_pipeline::BUILD)
+}

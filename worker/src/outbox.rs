@@ -5,10 +5,10 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCDONE` |
-//! | 4 | format version, 2 |
+//! | 4 | format version, 3 |
 //! | 32 | BLAKE3 of all that follows |
 //! | 8 | length of the head |
-//! | | the head, in postcard: assignment, job, result, lengths of the artefacts |
+//! | | the head, in postcard: build of the engine, assignment, job, result, lengths of the artefacts |
 //! | | the artefacts |
 //!
 //! A file is written under another name, synced and renamed, so that it is there whole or not at all. What does not fit the
@@ -31,7 +31,7 @@ use crate::execute::Product;
 use crate::table::Task;
 
 const MAGIC: &[u8; 8] = b"FEMCDONE";
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 /// Bytes before the head.
 const FRONT: usize = 8 + 4 + 32 + 8;
 /// Folders that are tried when one is taken.
@@ -47,6 +47,7 @@ pub(crate) struct Restored {
 
 #[derive(Serialize, Deserialize)]
 struct Head {
+    engine: String,
     assignment: Assignment,
     spec: JobSpec,
     result: TaskResult,
@@ -168,7 +169,7 @@ fn read_all(folder: &Path) -> io::Result<(Files, Vec<Restored>)> {
                         restored.push(result);
                     }
                     None => {
-                        tracing::warn!(file = %path.display(), "a kept result is damaged; its task is done again");
+                        tracing::warn!(file = %path.display(), "a kept result is damaged, or another build's; its task is done again");
                         fs::remove_file(&path)?;
                     }
                 }
@@ -182,6 +183,7 @@ fn read_all(folder: &Path) -> io::Result<(Files, Vec<Restored>)> {
 /// The front and the head; the artefacts follow.
 fn encode(task: &Task, product: &Product) -> Result<Vec<u8>, postcard::Error> {
     let head = Head {
+        engine: crate::engine().into(),
         assignment: task.assignment.clone(),
         spec: (*task.spec).clone(),
         result: product.result.clone(),
@@ -198,7 +200,7 @@ fn encode(task: &Task, product: &Product) -> Result<Vec<u8>, postcard::Error> {
     Ok(file)
 }
 
-/// What [`encode`] wrote; `None` for anything else.
+/// What [`encode`] of this build wrote; `None` for anything else.
 fn decode(file: &Bytes) -> Option<Restored> {
     let front = file.get(..FRONT)?;
     let is_ours = front[..8] == *MAGIC && front[8..12] == VERSION.to_le_bytes();
@@ -207,7 +209,10 @@ fn decode(file: &Bytes) -> Option<Restored> {
     }
     let length = usize::try_from(u64::from_le_bytes(front[44..].try_into().ok()?)).ok()?;
     let end = FRONT.checked_add(length)?;
-    let Head { assignment, spec, result, lengths } = postcard::from_bytes(file.get(FRONT..end)?).ok()?;
+    let Head { engine, assignment, spec, result, lengths } = postcard::from_bytes(file.get(FRONT..end)?).ok()?;
+    if engine != crate::engine() {
+        return None;
+    }
     let (mut at, mut artefacts) = (end, Vec::new());
     for length in lengths {
         let end = at.checked_add(usize::try_from(length).ok()?)?;

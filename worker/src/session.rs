@@ -17,8 +17,8 @@ use tokio::task::JoinSet;
 use tokio::time::{Instant, Interval, MissedTickBehavior};
 
 use crate::claims::Claims;
-use crate::config::AtStop;
-use crate::duty::{Duty, Shift};
+use crate::config::{AtStop, Config};
+use crate::duty::Duty;
 use crate::meter::Meter;
 use crate::outbox::Outbox;
 use crate::table::{Table, Task};
@@ -44,8 +44,7 @@ pub(crate) struct Session<'a> {
     outbox: &'a Outbox,
     ahead: &'a mpsc::Sender<Ahead>,
     finished: &'a mut UnboundedReceiver<(TaskKey, Epoch)>,
-    at_stop: AtStop,
-    shift: &'a Shift,
+    config: &'a Config,
     /// As the coordinator knows it.
     duty: Duty,
     /// More than the coordinator counts on.
@@ -70,8 +69,7 @@ impl<'a> Session<'a> {
         outbox: &'a Outbox,
         ahead: &'a mpsc::Sender<Ahead>,
         finished: &'a mut UnboundedReceiver<(TaskKey, Epoch)>,
-        at_stop: AtStop,
-        shift: &'a Shift,
+        config: &'a Config,
         meter: &'a Meter,
     ) -> Self {
         Self {
@@ -80,8 +78,7 @@ impl<'a> Session<'a> {
             outbox,
             ahead,
             finished,
-            at_stop,
-            shift,
+            config,
             duty: Duty::On,
             jobs: Latest::new(4 * JobSpec::TOLD),
             claims: Claims::new(Instant::now()),
@@ -110,20 +107,24 @@ impl<'a> Session<'a> {
             () = tokio::time::sleep(Claims::INTRODUCTION) => return Err(silent()),
         };
         let mut heartbeat: Option<Interval> = None;
-        let mut draining = false;
+        // Once it was asked to stop: until when it may finish what it is at.
+        let mut until: Option<Instant> = None;
         let end = loop {
+            let draining = until.is_some();
             if draining && self.table.is_empty() {
                 break Ok(End::Stopped);
             }
             tokio::select! {
                 biased;
                 () = &mut stop, if !draining => {
-                    if self.at_stop == AtStop::GiveBack {
-                        break Ok(End::Stopped);
-                    }
-                    draining = true;
+                    let AtStop::Finish { within } = self.config.at_stop else { break Ok(End::Stopped) };
+                    until = Some(later(within));
                     out.send(FromWorker::Draining).await;
                     give_back(self.table.clear_line(), &out).await;
+                }
+                () = at(until) => {
+                    tracing::warn!("what it is at takes too long: it gives that back");
+                    break Ok(End::Stopped);
                 }
                 () = next(&mut heartbeat) => {
                     if !draining {
@@ -140,7 +141,9 @@ impl<'a> Session<'a> {
                 }
                 message = incoming.next() => match message {
                     Ok(Some(ToWorker::Welcome { worker, heartbeat: pause, lease })) => {
-                        tracing::info!(%worker, url = self.client.url(), "joined");
+                        tracing::Span::current().record("worker", worker.0);
+                        tracing::info!(url = self.client.url(), "joined");
+                        self.config.metrics.connected();
                         self.claims.welcomed(lease);
                         let every = Duration::from_millis(pause.max(10));
                         let pulse = heartbeat.insert(tokio::time::interval(every));
@@ -159,7 +162,7 @@ impl<'a> Session<'a> {
             }
         };
         // Once asked to stop it does not look for the coordinator again.
-        let end = if draining { Ok(End::Stopped) } else { end };
+        let end = if until.is_some() { Ok(End::Stopped) } else { end };
         if matches!(end, Ok(End::Stopped)) {
             Self::farewell(self.table.clear(), out, incoming).await;
         }
@@ -168,7 +171,7 @@ impl<'a> Session<'a> {
 
     /// Tells the coordinator when the worker's hours begin and end; at their end what waits is given back.
     async fn heed_hours(&mut self, out: &Outgoing) {
-        let duty = self.shift.now();
+        let duty = self.config.shift.now();
         if duty == self.duty {
             return;
         }
@@ -227,16 +230,17 @@ impl<'a> Session<'a> {
             }
             ToWorker::Revoke { task, epoch, reason } => {
                 tracing::debug!(%task, ?reason, "lease taken back");
-                let usage = self.forget((task, epoch)).and_then(|task| task.usage());
-                self.spent.extend(usage.map(|usage| Spent { task, epoch, usage }));
+                let Some(held) = self.forget((task, epoch)) else { return };
+                self.config.metrics.revoked(&held);
+                self.spent.extend(held.usage().map(|usage| Spent { task, epoch, usage }));
             }
             ToWorker::Accepted { task, epoch } => {
                 pass_async(Point::WorkerBeforeForget).await;
-                drop(self.forget((task, epoch)));
+                self.forget((task, epoch)).iter().for_each(|task| self.config.metrics.accepted(task));
             }
             ToWorker::Refused { task, epoch, refusal } => {
                 tracing::info!(%task, %refusal, "report refused");
-                drop(self.forget((task, epoch)));
+                self.forget((task, epoch)).iter().for_each(|task| self.config.metrics.refused(task));
             }
             ToWorker::Welcome { .. } | ToWorker::Goodbye => {}
         }
@@ -304,6 +308,20 @@ impl<'a> Session<'a> {
 async fn next(heartbeat: &mut Option<Interval>) {
     match heartbeat {
         Some(heartbeat) => drop(heartbeat.tick().await),
+        None => std::future::pending().await,
+    }
+}
+
+/// So much later, however long that is.
+fn later(than_now: Duration) -> Instant {
+    const YEAR: Duration = Duration::from_secs(31_536_000);
+    Instant::now() + than_now.min(YEAR)
+}
+
+/// The end of what is left to finish; never before there is one.
+async fn at(until: Option<Instant>) {
+    match until {
+        Some(until) => tokio::time::sleep_until(until).await,
         None => std::future::pending().await,
     }
 }

@@ -9,6 +9,7 @@ use femc_proto::{CallError, Client};
 use rayon::ThreadPoolBuilder;
 use tokio::runtime::Handle;
 use tokio::sync::mpsc;
+use tracing::Instrument as _;
 
 use crate::clock::Stopwatch;
 use crate::config::{Config, Hands, WorkerError};
@@ -47,7 +48,7 @@ impl Worker {
         let registration = Registration {
             name: config.name.clone(),
             instance: config.instance,
-            engine: crate::ENGINE.into(),
+            engine: config.engine.clone(),
             threads: pool.current_num_threads() as u32,
             slots: 1,
             tags: config.tags.clone(),
@@ -61,6 +62,7 @@ impl Worker {
             nice,
         };
         let table = Arc::new(Table::default());
+        config.metrics.watch(&table, &config.cache);
         let (told, mut finished) = mpsc::unbounded_channel();
         let (outbox, mut restored) = match config.outbox.clone() {
             None => (Outbox::default(), Vec::new()),
@@ -96,12 +98,15 @@ impl Worker {
                 pause = Self::FIRST_PAUSE;
                 let kept = restored.drain(..).map(|restored| Task::restored(restored, client.clone(), &meter));
                 kept.for_each(|task| table.keep(Arc::new(task)));
-                let session =
-                    Session::new(client, &table, &outbox, &ahead, &mut finished, config.at_stop, &config.shift, &meter);
+                let session = Session::new(client, &table, &outbox, &ahead, &mut finished, &config, &meter);
                 let held = table.held().iter().map(|task| task.lease()).collect();
                 session.run(Registration { held, ..registration.clone() }, stop.as_mut()).await
             };
-            let is_gone = match session.await {
+            // The coordinator's number for it, once it has one.
+            let span = tracing::info_span!("session", worker = tracing::field::Empty, machine = config.name);
+            let ended = session.instrument(span).await;
+            config.metrics.disconnected();
+            let is_gone = match ended {
                 Ok(End::Stopped) => break Ok(()),
                 Ok(End::Lost) => {
                     away = Stopwatch::start();

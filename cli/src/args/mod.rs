@@ -1,8 +1,10 @@
 //! The arguments as typed. Every command has a file under `command/`; what they share is here.
 
+mod metrics;
 mod settings;
 mod values;
 
+pub use metrics::MetricsArgs;
 pub use settings::SettingsArgs;
 pub use values::{Filter, Method};
 
@@ -51,6 +53,25 @@ pub struct CommonArgs {
     /// Colors: on a terminal, always, or never (NO_COLOR is heeded)
     #[arg(long, global = true, value_enum, default_value_t = ColorChoice::Auto, value_name = "WHEN")]
     pub color: ColorChoice,
+    /// The log on stderr: text for people, or a JSON object a line
+    #[arg(long, global = true, value_enum, default_value_t = LogFormat::Text, value_name = "FORMAT", env = "FEMC_LOG_FORMAT")]
+    pub log_format: LogFormat,
+    /// File of settings [default: femc.toml here, in ~/.config/femc or in /etc/femc, the first that is there]
+    #[arg(long, global = true, value_name = "FILE", env = "FEMC_CONFIG")]
+    pub config: Option<PathBuf>,
+    /// Print the command's settings as they hold (flag, then environment, then file, then default), each with where it comes
+    /// from, and do nothing
+    #[arg(long, global = true)]
+    pub print_config: bool,
+}
+
+/// The form of the log.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum LogFormat {
+    /// For people.
+    Text,
+    /// For machines.
+    Json,
 }
 
 /// When to use colors.
@@ -128,6 +149,7 @@ pub enum Command {
     Workers(command::workers::WorkersArgs),
     Drain(command::drain::DrainArgs),
     Gc(command::gc::GcArgs),
+    Backup(command::backup::BackupArgs),
     Ca(command::ca::CaArgs),
     /// Hold a job: running tasks end, no new ones begin
     #[command(after_help = "Examples:\n  femc pause 7")]
@@ -154,6 +176,16 @@ pub enum Command {
 }
 
 impl Command {
+    /// What it is to those who collect spans.
+    #[cfg(feature = "otel")]
+    pub fn service(&self) -> &'static str {
+        match self {
+            Self::Coordinator(_) => "coordinator",
+            Self::Worker(_) => "worker",
+            _ => "client",
+        }
+    }
+
     /// Whether the command runs until it is stopped, and so tells what it does as it goes.
     pub fn is_service(&self) -> bool {
         matches!(self, Self::Coordinator(_) | Self::Worker(_))

@@ -8,7 +8,7 @@ use femc_model::{
     Artefact, Attempts, Control, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord,
     Refusal, Tick, WorkerId, WorkerName, WorkerStatus,
 };
-use femc_proto::{CallError, Client, CollectMode, Collected, Dial, JobShape};
+use femc_proto::{BackupError, CallError, Client, CollectMode, Collected, Dial, JobShape};
 use femc_worker::Parcel;
 use std::time::Duration;
 
@@ -145,6 +145,14 @@ impl Farm {
     /// The workers that are there.
     pub async fn workers(&self) -> Result<Vec<WorkerStatus>, Failure> {
         self.client.workers().await.map_err(told)
+    }
+
+    /// A copy of the log; the artefacts that it refers to and the store has.
+    pub async fn backup(&self, log: &mut tokio::fs::File) -> Result<Vec<Artefact>, Failure> {
+        self.client.backup(log).await.map_err(|error| match error {
+            BackupError::Call(error) => told(error),
+            error @ BackupError::Write(_) => failed(error),
+        })
     }
 
     /// Remove garbage from the store, or say what that would be.

@@ -2,16 +2,21 @@
 
 use super::client::runtime;
 use super::interrupt::Interrupt;
+use super::metrics;
+use crate::args::MetricsArgs;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::Say;
 use crate::request::Budget;
 use clap::Args;
 use femc_coordinator::{
-    Artifacts, Config, Coordinator, CoordinatorError, Entrance, Exposure, Log, Postgres, QueueError, Standing,
+    Artifacts, Config, Coordinator, CoordinatorError, Entrance, Exposure, Handle, Log, Metrics, Postgres, QueueError,
+    Standing,
 };
+use femc_metrics::Report;
 use femc_trust::{Holder, Revoked};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
+use std::pin::Pin;
 use std::time::Duration;
 
 /// Run the farm's server, until it is stopped
@@ -73,6 +78,8 @@ pub struct CoordinatorArgs {
     /// Listen, not encrypted, on an address that other machines can reach
     #[arg(long)]
     insecure: bool,
+    #[command(flatten)]
+    metrics: MetricsArgs,
 }
 
 fn store(text: &str) -> Result<Log, String> {
@@ -166,10 +173,12 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         snapshot: args.compact as usize,
         ..Config::default()
     };
+    let counted = config.metrics.clone();
     runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
         let mut coordinator = Coordinator::start(config).await.map_err(|e| told(&e))?;
         let (mut news, url) = (coordinator.standing(), coordinator.url());
+        metrics::show(args.metrics.metrics, reporter(counted, &coordinator), say).await?;
         loop {
             tell(say, &news.borrow_and_update(), &url);
             tokio::select! {
@@ -182,6 +191,18 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         say.note("stopped; start it again with the same --store and --artifacts to go on");
         Ok(Exit::Done)
     })
+}
+
+/// Says how the coordinator is.
+fn reporter(
+    counted: Metrics,
+    coordinator: &Handle,
+) -> impl Fn() -> Pin<Box<dyn Future<Output = Report> + Send>> + Clone + Send + Sync + 'static {
+    let standing = coordinator.standing();
+    move || {
+        let (counted, standing) = (counted.clone(), standing.borrow().clone());
+        Box::pin(async move { counted.report(&standing).await })
+    }
 }
 
 fn entrance(identity: Option<&Path>, revoked: Option<PathBuf>) -> Result<Option<Entrance>, Failure> {

@@ -1,5 +1,6 @@
 //! The commands, one a file.
 
+pub mod backup;
 pub mod ca;
 pub mod check;
 mod client;
@@ -17,6 +18,7 @@ pub mod logs;
 mod lookout;
 #[cfg(feature = "openjd")]
 pub mod openjd;
+mod metrics;
 mod outbox;
 pub mod plan;
 mod preview;
@@ -59,6 +61,7 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Logs(args) => logs::run(&args, say),
         Command::Drain(args) => drain::run(&args, say),
         Command::Gc(args) => gc::run(&args, say),
+        Command::Backup(args) => backup::run(&args, say),
         Command::Ca(args) => ca::run(args, say),
         Command::Pause(args) => control::run(&args, Control::Pause, say),
         Command::Resume(args) => control::run(&args, Control::Resume, say),

@@ -2,8 +2,8 @@
 
 use super::client::{Farm, runtime};
 use super::interrupt::Interrupt;
-use super::outbox;
-use crate::args::IdentityArgs;
+use super::{metrics, outbox};
+use crate::args::{IdentityArgs, MetricsArgs};
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::Say;
@@ -24,7 +24,7 @@ use std::time::Duration;
     femc worker --join http://farm:7878 --hours 'Mon-Fri 20:00-06:00,Sat-Sun 00:00-24:00'\n  \
     femc worker --join http://farm:7878 --idle-exit 10m                  # on a rented machine\n  \
     femc worker --join http://farm:7878 --cache /var/cache/femc --cache-size 50GiB\n\n\
-    Ctrl-C or SIGTERM lets the worker finish what it is at and gives back the rest; a second one ends it at once. A worker that loses its coordinator looks for it until it is back.")]
+    Ctrl-C or SIGTERM lets the worker finish what it is at, for --grace at most, and gives back the rest; a second one ends it at once. A worker that loses its coordinator looks for it until it is back.")]
 pub struct WorkerArgs {
     /// The farm's coordinator; of several, with commas between, the one that answers
     #[arg(long, value_name = "URL,..", env = "FEMC_SERVER")]
@@ -69,6 +69,11 @@ pub struct WorkerArgs {
     /// Most bytes of such pieces; what was used longest ago goes first [default: 256MiB, with --cache 10GiB]
     #[arg(long, value_name = "SIZE")]
     cache_size: Option<Volume>,
+    /// Once it is told to stop: how long it goes on with what it is at before it gives that back
+    #[arg(long, value_name = "DURATION", default_value = "60s")]
+    grace: Budget,
+    #[command(flatten)]
+    metrics: MetricsArgs,
     /// How long to look for the coordinator at the start
     #[arg(long, value_name = "DURATION", default_value = "30s")]
     patience: Budget,
@@ -116,10 +121,12 @@ pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
             shift: args.hours.map_or_else(Shift::default, shift),
             idle_limit: args.idle_exit.map(|limit| Duration::from_secs_f64(limit.seconds.min(1e9))),
             cache: Cache::with(pieces),
-            at_stop: AtStop::Finish,
+            at_stop: AtStop::Finish { within: Duration::from_secs_f64(args.grace.seconds.min(1e9)) },
             dial,
             ..Config::new(args.join)
         };
+        let counted = config.metrics.clone();
+        metrics::show(args.metrics.metrics, move || std::future::ready(counted.report()), say).await?;
         let stop = async move {
             interrupt.wait().await;
             say.note("stopping after the task that runs; once more to stop at once");

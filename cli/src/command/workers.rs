@@ -32,6 +32,7 @@ struct WorkerJson {
     completed: u64,
     failed: u64,
     intake: &'static str,
+    engine: String,
 }
 
 impl From<&WorkerStatus> for WorkerJson {
@@ -46,6 +47,7 @@ impl From<&WorkerStatus> for WorkerJson {
             completed: worker.completed,
             failed: worker.failed,
             intake: intake(worker.intake),
+            engine: worker.engine.clone(),
         }
     }
 }

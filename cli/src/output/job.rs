@@ -157,6 +157,10 @@ pub fn wait(wait: &Wait) -> String {
             "{} failed last on the workers with room, and another worker is to try next",
             human::count(u64::from(*tasks), "task")
         ),
+        Wait::OtherBuild { frames } => format!(
+            "{} begun by workers of another build of the engine, of which none is there; they begin anew in a minute",
+            human::count(u64::from(*frames), "frame")
+        ),
         Wait::Regrouping { milliseconds } => {
             format!("the coordinator hears the workers out after its start; tasks go out in {milliseconds} ms")
         }

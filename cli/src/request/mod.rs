@@ -16,8 +16,8 @@ pub use duration::Budget;
 pub use frames::Frames;
 pub use hours::Hours;
 #[cfg(feature = "openjd")]
-pub use job_file::{Axis, Change, Mode, Place};
-pub use job_file::{JobFile, Measures, typed_keys};
+pub use job_file::{Axis, Change, Mode};
+pub use job_file::{JobFile, Measures, Place, typed_keys};
 pub use overrides::Override;
 pub use size::Size;
 pub use task::{JobTasks, Tasks};

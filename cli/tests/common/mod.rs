@@ -1,6 +1,7 @@
 //! The real binary on small scenes in a temporary folder.
 #![allow(dead_code)] // every test file uses its own part of this
 
+pub mod http;
 pub mod outage;
 pub mod proxy;
 

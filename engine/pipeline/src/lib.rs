@@ -12,4 +12,7 @@ pub use femc_prepared::{PrepareError, Prepared, Source};
 pub use femc_scene::Moment;
 pub use plan::{LeftOut, Plan, PlanError, plan};
 pub use render::{RenderError, RenderedTile, moment, prepare, render_tile};
+/// Names the build of the engine: of two programs that say the same, the same job gives the same bits.
+pub const BUILD: &str = env!("FEMC_ENGINE");
+
 pub use settings::{Method, RoundVerdict, Settings, SettingsError, Stop};

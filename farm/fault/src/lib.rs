@@ -4,10 +4,13 @@
 //! FILE exists. Who sees the token kills or stops the process, cuts its links, or removes the token to let it go on. It is
 //! one passage that waits; the process's other threads and tasks go on.
 //!
+//! `FEMC_PRETEND=protocol=3,engine=another` makes a worker say that it is of another version: see [`pretended`].
+//!
 //! Builds without debug assertions have none of this.
 #![deny(missing_docs)]
 
 mod point;
+mod pretense;
 
 use std::fs::{self, File};
 use std::io::{self, Write as _};
@@ -18,6 +21,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::Duration;
 
 pub use point::Point;
+pub use pretense::{Pretense, pretended};
 
 /// The variable that names the fault.
 pub const VARIABLE: &str = "FEMC_FAULT";

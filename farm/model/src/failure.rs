@@ -72,6 +72,24 @@ pub enum Verdict {
 }
 
 impl Failure {
+    /// All that [`Failure::cause`] says.
+    pub const CAUSES: [&str; 8] =
+        ["scene", "settings", "panicked", "stalled", "lost_inputs", "store", "resources", "cancelled"];
+
+    /// In one word, for those who count.
+    pub const fn cause(&self) -> &'static str {
+        match self {
+            Self::Scene { .. } => "scene",
+            Self::Settings { .. } => "settings",
+            Self::Panicked { .. } => "panicked",
+            Self::Stalled { .. } => "stalled",
+            Self::LostInputs { .. } => "lost_inputs",
+            Self::Store { .. } => "store",
+            Self::Resources { .. } => "resources",
+            Self::Cancelled => "cancelled",
+        }
+    }
+
     /// What follows; exhaustive, so that a new failure must choose.
     pub fn verdict(&self) -> Verdict {
         match self {

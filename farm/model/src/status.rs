@@ -120,6 +120,11 @@ pub enum Wait {
         /// How many tasks.
         tasks: u32,
     },
+    /// Frames that were begun by workers of another build of the engine than all that are there: they begin anew in a while.
+    OtherBuild {
+        /// How many frames.
+        frames: u32,
+    },
     /// The coordinator has just begun, or slept: first it hears which workers still have tasks.
     Regrouping {
         /// Milliseconds until tasks are given out.
@@ -210,4 +215,6 @@ pub struct WorkerStatus {
     pub failed: u64,
     /// Whether it gets more tasks.
     pub intake: Intake,
+    /// Its build of the engine; empty: an earlier coordinator does not tell.
+    pub engine: String,
 }

@@ -18,6 +18,20 @@ pub enum StageKind {
     Gather,
 }
 
+impl StageKind {
+    /// All, in the order in which a frame needs them.
+    pub const ALL: [Self; 3] = [Self::Render, Self::Gather, Self::Merge];
+
+    /// In one word.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Render => "render",
+            Self::Merge => "merge",
+            Self::Gather => "gather",
+        }
+    }
+}
+
 /// An array of tasks that may run side by side: one round of one frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Stage {
@@ -44,12 +58,7 @@ pub struct TaskKey {
 impl fmt::Display for TaskKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Stage { frame, round, kind } = self.stage;
-        let kind = match kind {
-            StageKind::Render => "render",
-            StageKind::Merge => "merge",
-            StageKind::Gather => "gather",
-        };
-        write!(f, "{}/{frame}.{round}/{kind}/{}", self.job, self.index)
+        write!(f, "{}/{frame}.{round}/{}/{}", self.job, kind.name(), self.index)
     }
 }
 

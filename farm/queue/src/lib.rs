@@ -10,6 +10,7 @@ mod backend;
 #[cfg(feature = "testing")]
 pub mod testing;
 
+use std::fs::File;
 use std::future::Future;
 
 pub use backend::memory::Memory;
@@ -108,6 +109,12 @@ pub trait Queue: Send + 'static {
         Ok(())
     }
 
+    /// A copy of all that it holds now: an SQLite file that [`Sqlite::open`] opens, at its beginning and without a name, gone
+    /// when it is dropped. The log is as it was, also where this fails.
+    fn copy(&mut self) -> impl Future<Output = Result<File, QueueError>> + Send {
+        async { Err(QueueError::NoCopy { instead: "it is kept elsewhere" }) }
+    }
+
     /// The writer's end: what lay beside the log's own place is brought there. A log whose writer was killed is as whole.
     fn close(self) -> impl Future<Output = Result<(), QueueError>> + Send
     where
@@ -138,6 +145,7 @@ impl QueueError {
             | Self::InUse { .. }
             | Self::Damaged { .. }
             | Self::DamagedSnapshot
+            | Self::NoCopy { .. }
             | Self::Database { .. }
             | Self::Medium(_)
             | Self::Sqlite(_) => Remedy::None,
@@ -175,6 +183,12 @@ pub enum QueueError {
     /// The snapshot is damaged.
     #[error("the log's snapshot is damaged")]
     DamagedSnapshot,
+    /// Not this one.
+    #[error("this log is not copied by the coordinator: {instead}")]
+    NoCopy {
+        /// What to do instead.
+        instead: &'static str,
+    },
     /// The medium said no.
     #[error("log: {0}")]
     Medium(#[from] std::io::Error),

@@ -4,6 +4,7 @@
 use femc_model::{JobId, StageKind, TaskKey, Tick, WorkerId};
 
 use crate::Command;
+use crate::builds::is_foreign;
 use crate::deal::{is_avoided, is_shunned};
 use crate::ledger::Job;
 use crate::scheduler::Scheduler;
@@ -102,7 +103,10 @@ impl Scheduler {
     /// The first ready task that renders something of one frame of the job, or of any, and that the worker may take.
     fn ready_render(&self, id: WorkerId, job: JobId, known: &Job, frame: Option<u32>) -> Option<TaskKey> {
         let desk = self.desks.get(&job)?;
-        let may_take = |task: &TaskKey| !is_avoided(task, known, desk, id, &self.floor);
+        let may_take = |task: &TaskKey| {
+            !is_avoided(task, known, desk, id, &self.floor)
+                && !is_foreign(&self.ledger, &self.floor, job, task.stage.frame, id)
+        };
         match frame {
             Some(frame) => desk.open.get(frame)?.renders(job, frame).find(may_take),
             None => desk.open.ready().flat_map(|(frame, open)| open.renders(job, frame)).find(may_take),

@@ -4,12 +4,13 @@ use std::ops::Range;
 
 use femc_model::{Assignment, Epoch, JobId, More, StageKind, TaskKey, Tick, Wait, Work, WorkerId};
 
-use crate::Command;
+use crate::builds::is_foreign;
 use crate::desk::Desk;
 use crate::floor::{Floor, LeaseKey, Worker};
 use crate::ledger::Job;
 use crate::open::OpenFrame;
 use crate::scheduler::Scheduler;
+use crate::{Command, Ledger};
 
 /// What the search for a task of a job came to.
 enum Pick {
@@ -55,7 +56,7 @@ impl Scheduler {
                 continue;
             }
             loop {
-                match first_ready(job_id, job, desk, id, &self.floor) {
+                match first_ready(job_id, job, desk, id, &self.ledger, &self.floor) {
                     Pick::Task(task) => return Pick::Task(task),
                     Pick::NotForThisWorker => best = Pick::NotForThisWorker,
                     Pick::NothingReady => {}
@@ -158,6 +159,7 @@ impl Scheduler {
             waits.extend(self.why_no_worker(id, job, desk, now));
             waits.extend(self.why_shunned(job, desk, now));
             waits.extend(self.why_avoided(job, desk));
+            waits.extend(self.why_foreign(id, job, desk));
         }
         waits
     }
@@ -242,9 +244,13 @@ pub(crate) fn is_shunned(job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor
             .any(|(&id, other)| id != worker && other.is_open() && other.has_tags(&job.spec.tags) && !shuns(id))
 }
 
-fn first_ready(id: JobId, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor) -> Pick {
+fn first_ready(id: JobId, job: &Job, desk: &Desk, worker: WorkerId, ledger: &Ledger, floor: &Floor) -> Pick {
     let mut best = Pick::NothingReady;
     for (frame, open) in desk.open.ready() {
+        if is_foreign(ledger, floor, id, frame, worker) {
+            best = Pick::NotForThisWorker;
+            continue;
+        }
         for task in open.tasks(id, frame) {
             if !is_avoided(&task, job, desk, worker, floor) {
                 return Pick::Task(task);

@@ -115,4 +115,14 @@ pub enum Fact {
         /// The job.
         job: JobId,
     },
+    /// The first result of a frame is about to count: it and all others come from one build of the engine. Until the frame is
+    /// finished, or begins anew.
+    Built {
+        /// The job.
+        job: JobId,
+        /// Frame number.
+        frame: u32,
+        /// Which build.
+        engine: String,
+    },
 }

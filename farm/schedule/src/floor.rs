@@ -302,6 +302,13 @@ impl Floor {
         self.leases.range(key(0, 0)..=key(u32::MAX, u64::MAX)).map(|((task, _), lease)| lease.run(task))
     }
 
+    /// The leases of a frame.
+    pub(crate) fn of_frame(&self, job: JobId, frame: u32) -> impl Iterator<Item = (&LeaseKey, &Lease)> + '_ {
+        let first = TaskKey { job, stage: Stage { frame, round: 0, kind: StageKind::Render }, index: 0 };
+        let is_of_frame = move |task: &TaskKey| task.job == job && task.stage.frame == frame;
+        self.leases.range((first, Epoch(0))..).take_while(move |((task, _), _)| is_of_frame(task))
+    }
+
     /// The leases of a job.
     pub(crate) fn of_job(&self, job: JobId) -> impl Iterator<Item = (&LeaseKey, &Lease)> + '_ {
         let first = TaskKey { job, stage: Stage { frame: 0, round: 0, kind: StageKind::Render }, index: 0 };

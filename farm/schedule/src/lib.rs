@@ -11,6 +11,7 @@
 
 mod affinity;
 mod attempts;
+mod builds;
 mod config;
 mod control;
 mod deal;
@@ -18,6 +19,7 @@ mod desk;
 mod distrust;
 mod event;
 mod fact;
+mod figures;
 mod floor;
 mod intake;
 mod ledger;
@@ -37,6 +39,7 @@ pub use attempts::{decode_attempts, encode_attempts};
 pub use config::Config;
 pub use event::{Answer, Command, Event, RequestId};
 pub use fact::Fact;
+pub use figures::{Figures, WorkerStanding};
 pub use ledger::{Ledger, SnapshotError};
 pub use ranges::RangeSet;
 pub use scheduler::Scheduler;

@@ -57,6 +57,7 @@ impl Scheduler {
             worker.completed += 1;
             worker.mishaps = 0;
         }
+        self.note_build(task.job, task.stage.frame, worker, now, out);
         self.record(fact, now, out);
         if !is_alone {
             self.revoke_others(&task, RevokeReason::Done, out);
@@ -192,7 +193,7 @@ impl Scheduler {
     }
 
     /// Takes back the leases of a frame that begins anew: they are of another round.
-    fn revoke_frame(&mut self, job: JobId, frame: u32, out: &mut Vec<Command>) {
+    pub(crate) fn revoke_frame(&mut self, job: JobId, frame: u32, out: &mut Vec<Command>) {
         let leases = self.floor.of_job(job).map(|(key, _)| *key);
         let leases: Vec<LeaseKey> = leases.filter(|(task, _)| task.stage.frame == frame).collect();
         for key in leases {

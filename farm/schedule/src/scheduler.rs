@@ -9,6 +9,7 @@ use femc_model::{
 };
 
 use crate::attempts::Counted;
+use crate::builds::{Orphans, is_foreign};
 use crate::desk::Desk;
 use crate::floor::{Floor, Lease, LeaseKey, Worker};
 use crate::ledger::Job;
@@ -34,6 +35,7 @@ pub struct Scheduler {
     pub(crate) told: Option<(LeaseKey, Usage)>,
     /// Of the event that is being taken.
     pub(crate) now: Tick,
+    pub(crate) orphans: Orphans,
     /// The jobs that have ended are not looked at before.
     pub(crate) looks_from: Tick,
     /// Nothing is dealt and no lease runs out before: after a restart the workers come back one by one, with what they still
@@ -58,6 +60,7 @@ impl Scheduler {
             logs: Shelf::default(),
             told: None,
             now,
+            orphans: Orphans::default(),
             looks_from: Tick(0),
             deals_from: Tick(0),
             ledger,
@@ -150,7 +153,8 @@ impl Scheduler {
         }
         for held in held {
             let HeldLease { task, epoch, .. } = held;
-            if let Some(run) = self.adoptable(&held) {
+            let is_foreign = is_foreign(&self.ledger, &self.floor, task.job, task.stage.frame, worker);
+            if let Some(run) = self.adoptable(&held).filter(|_| !is_foreign) {
                 self.hand_out((task, epoch), &run, worker, now);
                 out.push(Command::Changed(task.job));
             } else {
@@ -165,7 +169,9 @@ impl Scheduler {
     fn take_over(&mut self, held: &HeldLease, worker: WorkerId, now: Tick) -> bool {
         let key = (held.task, held.epoch);
         let is_of_job = self.spec(held.task.job).is_some_and(|spec| spec.key() == held.job);
-        is_of_job && self.floor.hand_over(&key, worker, &self.config, now)
+        is_of_job
+            && !is_foreign(&self.ledger, &self.floor, held.task.job, held.task.stage.frame, worker)
+            && self.floor.hand_over(&key, worker, &self.config, now)
     }
 
     /// The keys of a task that a worker brings along, if it is wanted and nobody else has any of it.
@@ -232,6 +238,7 @@ impl Scheduler {
                 }
             }
         }
+        self.free_orphans(now, out);
         self.forget_ended(now, out);
     }
 

@@ -5,6 +5,7 @@
 use femc_model::{StageKind, TaskKey, Tick, WorkerId};
 
 use crate::Command;
+use crate::builds::is_foreign;
 use crate::deal::{is_avoided, is_shunned};
 use crate::floor::{Lease, LeaseKey};
 use crate::scheduler::Scheduler;
@@ -67,5 +68,6 @@ impl Scheduler {
             && worker.is_some_and(|worker| worker.has_tags(&job.spec.tags))
             && !is_shunned(job, desk, id, &self.floor, now)
             && !is_avoided(task, job, desk, id, &self.floor)
+            && !is_foreign(&self.ledger, &self.floor, task.job, task.stage.frame, id)
     }
 }

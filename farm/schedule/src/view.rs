@@ -87,6 +87,7 @@ impl Scheduler {
             completed: known.completed,
             failed: known.failed,
             intake: known.intake,
+            engine: known.registration.engine.clone(),
         };
         self.floor.workers.iter().map(status).collect()
     }
@@ -104,6 +105,11 @@ impl Scheduler {
     /// Messages refused since the start because their lease was over.
     pub fn stale_messages(&self) -> u64 {
         self.stale_messages
+    }
+
+    /// Where a job stands.
+    pub(crate) fn state_of(&self, id: JobId, job: &Job) -> JobState {
+        self.state(job, job.began.is_some() || self.floor.of_job(id).next().is_some())
     }
 
     fn state(&self, job: &Job, has_begun: bool) -> JobState {

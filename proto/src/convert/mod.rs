@@ -50,7 +50,12 @@ pub enum ConvertError {
         field: &'static str,
     },
     /// Another version of the protocol.
-    #[error("protocol {found}, this program speaks {}", crate::PROTOCOL)]
+    #[error(
+        "the worker speaks protocol {found}, the coordinator {} and {}; {}",
+        crate::OLDEST,
+        crate::PROTOCOL,
+        if *found > crate::PROTOCOL { "upgrade the coordinator first, then its workers" } else { "upgrade this worker" }
+    )]
     Protocol {
         /// As sent.
         found: u32,

@@ -6,7 +6,7 @@ use femc_model::{
 
 use super::task::{from_lease, from_range, to_lease, to_range};
 use super::{ConvertError, digest, digest_bytes, each, maybe, need};
-use crate::{PROTOCOL, wire};
+use crate::{OLDEST, PROTOCOL, wire};
 
 impl From<FromWorker> for wire::FromWorker {
     fn from(message: FromWorker) -> Self {
@@ -138,7 +138,9 @@ impl From<Registration> for wire::Registration {
     fn from(registration: Registration) -> Self {
         let Registration { name, instance, engine, threads, slots, tags, held } = registration;
         let held = held.into_iter().map(Into::into).collect();
-        Self { protocol: PROTOCOL, name, instance, engine, threads, slots, tags, held }
+        let protocol = femc_fault::pretended(femc_fault::Pretense::Protocol);
+        let protocol = protocol.and_then(|text| text.parse().ok()).unwrap_or(PROTOCOL);
+        Self { protocol, name, instance, engine, threads, slots, tags, held }
     }
 }
 
@@ -147,11 +149,14 @@ impl TryFrom<wire::Registration> for Registration {
 
     fn try_from(wire: wire::Registration) -> Result<Self, ConvertError> {
         let wire::Registration { protocol, name, instance, engine, threads, slots, tags, held } = wire;
-        if protocol != PROTOCOL {
+        if !(OLDEST..=PROTOCOL).contains(&protocol) {
             return Err(ConvertError::Protocol { found: protocol });
         }
         if slots == 0 || slots > 1024 {
             return Err(ConvertError::Range { field: "registration.slots" });
+        }
+        if engine.len() > 256 {
+            return Err(ConvertError::Range { field: "registration.engine" });
         }
         Ok(Self { name, instance, engine, threads, slots, tags, held: each(held)? })
     }

@@ -132,6 +132,7 @@ impl From<Wait> for wire::Wait {
                 Wait::WorkersResting => Reason::WorkersResting(empty),
                 Wait::WorkersShunned { workers, seconds } => Reason::WorkersShunned(wire::Shunned { workers, seconds }),
                 Wait::WorkersAvoided { tasks } => Reason::WorkersAvoided(tasks),
+                Wait::OtherBuild { frames } => Reason::OtherBuild(frames),
                 Wait::Regrouping { milliseconds } => Reason::Regrouping(milliseconds),
                 Wait::BehindJob(job) => Reason::BehindJob(job.0),
                 Wait::MergeWaitsForTiles { frame, tiles } => Reason::MergeWaitsForTiles(Tasks { frame, tasks: tiles }),
@@ -156,6 +157,7 @@ impl TryFrom<wire::Wait> for Wait {
             Reason::WorkersDraining(workers) => Self::WorkersDraining { workers },
             Reason::WorkersResting(_) => Self::WorkersResting,
             Reason::WorkersShunned(wire::Shunned { workers, seconds }) => Self::WorkersShunned { workers, seconds },
+            Reason::OtherBuild(frames) => Self::OtherBuild { frames },
             Reason::Regrouping(milliseconds) => Self::Regrouping { milliseconds },
             Reason::BehindJob(job) => Self::BehindJob(JobId(job)),
             Reason::WorkersAvoided(tasks) => Self::WorkersAvoided { tasks },
@@ -168,7 +170,7 @@ impl TryFrom<wire::Wait> for Wait {
 
 impl From<WorkerStatus> for wire::WorkerStatus {
     fn from(status: WorkerStatus) -> Self {
-        let WorkerStatus { worker, name, threads, tags, tasks, silent, completed, failed, intake } = status;
+        let WorkerStatus { worker, name, threads, tags, tasks, silent, completed, failed, intake, engine } = status;
         let tasks = tasks.into_iter().map(Into::into).collect();
         let intake = match intake {
             Intake::Open => wire::Intake::Open,
@@ -176,7 +178,7 @@ impl From<WorkerStatus> for wire::WorkerStatus {
             Intake::Drained => wire::Intake::Drained,
         };
         let intake = intake.into();
-        Self { worker: worker.0, name, threads, tags, tasks, silent, completed, failed, intake }
+        Self { worker: worker.0, name, threads, tags, tasks, silent, completed, failed, intake, engine }
     }
 }
 
@@ -184,7 +186,7 @@ impl TryFrom<wire::WorkerStatus> for WorkerStatus {
     type Error = ConvertError;
 
     fn try_from(wire: wire::WorkerStatus) -> Result<Self, ConvertError> {
-        let wire::WorkerStatus { worker, name, threads, tags, tasks, silent, completed, failed, intake } = wire;
+        let wire::WorkerStatus { worker, name, threads, tags, tasks, silent, completed, failed, intake, engine } = wire;
         let unknown = ConvertError::Unknown { field: "worker.intake", value: intake };
         let intake = match wire::Intake::try_from(intake).map_err(|_| unknown.clone())? {
             wire::Intake::Unspecified => return Err(unknown),
@@ -193,7 +195,7 @@ impl TryFrom<wire::WorkerStatus> for WorkerStatus {
             wire::Intake::Drained => Intake::Drained,
         };
         let (worker, tasks) = (WorkerId(worker), each(tasks)?);
-        Ok(Self { worker, name, threads, tags, tasks, silent, completed, failed, intake })
+        Ok(Self { worker, name, threads, tags, tasks, silent, completed, failed, intake, engine })
     }
 }
 

@@ -7,6 +7,7 @@ use prost::Message;
 
 use super::ConvertError;
 use crate::wire;
+use crate::{OLDEST, PROTOCOL};
 
 /// Over the wire as bytes, and back.
 fn crosses<M, W>(value: M)
@@ -237,6 +238,7 @@ fn statuses_cross_the_wire() {
         Wait::WorkersShunned { workers: 2, seconds: 60 },
         Wait::WorkersAvoided { tasks: 3 },
         Wait::Regrouping { milliseconds: 300 },
+        Wait::OtherBuild { frames: 2 },
         Wait::BehindJob(JobId(2)),
         Wait::MergeWaitsForTiles { frame: 1, tiles: 2 },
         Wait::MergeWaitsForGroups { frame: 1, groups: 3 },
@@ -271,8 +273,18 @@ fn statuses_cross_the_wire() {
     let tasks = vec![task(StageKind::Render)];
     let (name, tags) = ("w".to_owned(), vec!["lab".to_owned()]);
     let intake = Intake::Open;
-    let worker =
-        WorkerStatus { worker: WorkerId(1), name, threads: 2, tags, tasks, silent: 3, completed: 4, failed: 5, intake };
+    let worker = WorkerStatus {
+        worker: WorkerId(1),
+        name,
+        threads: 2,
+        tags,
+        tasks,
+        silent: 3,
+        completed: 4,
+        failed: 5,
+        intake,
+        engine: "0.1".into(),
+    };
     for intake in [Intake::Open, Intake::Off, Intake::Drained] {
         crosses::<WorkerStatus, wire::WorkerStatus>(WorkerStatus { intake, ..worker.clone() });
     }
@@ -308,8 +320,17 @@ fn nonsense_is_refused_by_name() {
     assert_eq!(TaskKey::try_from(kind), Err(ConvertError::Unknown { field: "stage.kind", value: 9 }));
     let kind = wire::TaskKey { kind: 0, ..task(StageKind::Render).into() };
     assert!(TaskKey::try_from(kind).is_err(), "unspecified is no kind");
-    let old = wire::Registration { protocol: 99, slots: 1, ..wire::Registration::default() };
-    assert_eq!(Registration::try_from(old), Err(ConvertError::Protocol { found: 99 }));
+    for (found, what_to_do) in [(OLDEST - 1, "upgrade this worker"), (PROTOCOL + 1, "upgrade the coordinator first")] {
+        let other = wire::Registration { protocol: found, slots: 1, ..wire::Registration::default() };
+        let refused = Registration::try_from(other);
+        assert_eq!(refused, Err(ConvertError::Protocol { found }));
+        let said = ConvertError::Protocol { found }.to_string();
+        assert!(said.contains(what_to_do) && said.contains(&format!("{OLDEST} and {PROTOCOL}")), "{said}");
+    }
+    for known in OLDEST..=PROTOCOL {
+        let worker = wire::Registration { protocol: known, slots: 1, ..wire::Registration::default() };
+        assert!(Registration::try_from(worker).is_ok(), "{known}");
+    }
     let nan = wire::completed::Result::Tile(wire::TileResult {
         tile: Some(artefact().into()),
         seconds: f64::NAN,

@@ -75,8 +75,11 @@ impl wire::artifacts_server::Artifacts for Server {
                 let _ = send.send(Err(error)).await;
             }
         });
-        let replies = ReceiverStream::new(receive)
-            .map(|piece| piece.map(|piece| wire::GetReply { piece }).map_err(|error| refuse(&error)));
+        let sent = self.traffic.sent.clone();
+        let replies = ReceiverStream::new(receive).map(move |piece| {
+            sent.add(piece.as_ref().map_or(0, |piece| piece.len() as u64));
+            piece.map(|piece| wire::GetReply { piece }).map_err(|error| refuse(&error))
+        });
         Ok(Response::new(Box::pin(replies)))
     }
 }
@@ -94,6 +97,7 @@ async fn put(server: Server, mut parts: Streaming<wire::PutRequest>) -> Result<A
             return Err(Status::invalid_argument("only one digest"));
         };
         pass_async(Point::CoordinatorMidUpload).await;
+        server.traffic.received.add(piece.len() as u64);
         upload.write(&piece).await.map_err(|no| to_status(&no))?;
     }
     // Again: it may have taken long, and bytes that are there already keep their age.

@@ -8,7 +8,7 @@ use std::collections::BTreeSet;
 use std::time::{Duration, SystemTime};
 
 use femc_model::{Artefact, Digest, Refusal};
-use femc_store::{Stored, Sweep};
+use femc_store::{Store, Stored, Sweep};
 use tokio::task::JoinSet;
 
 use super::artifacts::refusal;
@@ -81,7 +81,8 @@ pub(super) async fn collect(server: &Server, mode: CollectMode, grace: Duration)
         return Err(busy(format!("too much has been uploaded lately to tell garbage; try again in {minutes} min")));
     }
     let listing = server.store.listing().await.map_err(|error| refusal(&error))?;
-    let references = references(server).await?;
+    let references = server.question(|reply| Call::References { reply }).await?;
+    let references = named(&server.store, references).await?;
     let now = SystemTime::now();
     let (mut collected, mut old) = (Collected::default(), Vec::new());
     for Stored { artefact, kept } in listing {
@@ -122,10 +123,12 @@ pub(super) async fn collect(server: &Server, mode: CollectMode, grace: Duration)
 }
 
 /// All that jobs name, also through their scenes.
-async fn references(server: &Server) -> Result<BTreeSet<Digest>, Refusal> {
-    let References { mut artefacts, scenes } = server.question(|reply| Call::References { reply }).await?;
+pub(super) async fn named(
+    store: &Store,
+    References { mut artefacts, scenes }: References,
+) -> Result<BTreeSet<Digest>, Refusal> {
     for scene in scenes {
-        match inputs::pieces(&server.store, &scene).await {
+        match inputs::pieces(store, &scene).await {
             Ok(pieces) => artefacts.extend(pieces),
             // Of a scene that is lost or no scene nothing is known, and nothing can be rendered.
             Err(Refusal::MissingArtefacts { .. } | Refusal::Invalid { .. }) => {

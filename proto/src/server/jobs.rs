@@ -10,7 +10,7 @@ use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
-use super::{Call, Caller, JobShape, Server, inputs};
+use super::{Call, Caller, JobShape, Server, backup, inputs};
 use crate::convert::need;
 use crate::error::to_status;
 use crate::wire;
@@ -90,6 +90,15 @@ impl wire::jobs_server::Jobs for Server {
         let shape = self.ask(|reply| Call::Shape { job, reply }).await?;
         let (send, receive) = mpsc::channel(1);
         tokio::spawn(pages(self.clone(), job, shape, send));
+        Ok(Response::new(Box::pin(ReceiverStream::new(receive))))
+    }
+
+    type BackupStream = Pin<Box<dyn Stream<Item = Result<wire::BackupReply, Status>> + Send>>;
+
+    async fn backup(&self, _: Request<wire::BackupRequest>) -> Answer<Self::BackupStream> {
+        let backup = self.ask(|reply| Call::Backup { reply }).await?;
+        let (send, receive) = mpsc::channel(1);
+        tokio::spawn(backup::send(self.store.clone(), backup, send));
         Ok(Response::new(Box::pin(ReceiverStream::new(receive))))
     }
 

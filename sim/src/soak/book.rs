@@ -110,6 +110,7 @@ fn job_of(fact: &Fact) -> Option<JobId> {
         | Fact::Restarted { job, .. }
         | Fact::Doomed { job, .. }
         | Fact::Controlled { job, .. }
+        | Fact::Built { job, .. }
         | Fact::Forgotten { job } => Some(*job),
         Fact::Rendered { task, .. }
         | Fact::Gathered { task, .. }

@@ -13,6 +13,7 @@ use bytes::Bytes;
 use femc_fault::{Point, pass};
 use femc_model::{Failure, TaskResult, Work};
 use rayon::ThreadPool;
+use tracing::Span;
 
 use crate::Cache;
 use crate::fetch::Fetch;
@@ -38,7 +39,8 @@ impl Tools {
 
     /// Does `work` for `task` on the pool.
     pub(crate) fn install<T: Send>(&self, task: &Task, work: impl FnOnce() -> T + Send) -> T {
-        self.pool.install(|| task.log.hear(work))
+        let span = Span::current();
+        self.pool.install(|| span.in_scope(|| task.log.hear(work)))
     }
 }
 
@@ -53,6 +55,8 @@ pub(crate) struct Product {
 pub(crate) fn execute(task: &Arc<Task>, tools: &Tools) -> Result<Product, Failure> {
     task.begin();
     let tools = &tools.of(task);
+    let (key, epoch) = task.key();
+    let _span = tracing::info_span!("task", job = key.job.0, task = %key, epoch = epoch.0).entered();
     pass(Point::WorkerBeforeTask);
     task.log.hear(|| {
         let outcome = attempt(task, tools);

@@ -1,5 +1,6 @@
 //! A log in memory: for tests, and for jobs that need not outlive the process.
 
+use std::fs::File;
 use std::sync::{Arc, Mutex, PoisonError};
 
 use crate::{Batch, Contents, Note, Page, Queue, QueueError};
@@ -44,6 +45,10 @@ impl Queue for Memory {
         let fresh = Contents { snapshot: Some(state.to_vec()), ..Contents::default() };
         self.with(|kept| kept.contents = fresh);
         Ok(())
+    }
+
+    async fn copy(&mut self) -> Result<File, QueueError> {
+        Err(QueueError::NoCopy { instead: "it is in memory; start the coordinator with --store sqlite:PATH" })
     }
 
     async fn notes(&mut self, subject: u64, from: u64) -> Result<Page, QueueError> {

@@ -3,7 +3,9 @@
 //! SQLite restores whole transactions after a crash by itself. The checksum of each record finds what SQLite cannot:
 //! pages that the disk has lost or changed. The file is locked, so that a second coordinator finds out at once.
 
-use std::path::Path;
+use std::fs::{self, File};
+use std::io;
+use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
 
 use sqlx::sqlite::{
@@ -18,6 +20,7 @@ use crate::{Batch, Contents, Page, Queue, QueueError};
 #[derive(Debug)]
 pub struct Sqlite {
     connection: SqliteConnection,
+    path: PathBuf,
     /// Number of the next record; they have no gaps.
     next: i64,
 }
@@ -85,7 +88,7 @@ impl Sqlite {
             return Err(QueueError::Foreign { path: path.display().to_string(), application, version });
         }
         sqlx::raw_sql(LATER_TABLES).execute(&mut connection).await?;
-        Ok(Self { connection, next: 1 })
+        Ok(Self { connection, path: path.to_owned(), next: 1 })
     }
 }
 
@@ -179,6 +182,23 @@ impl Queue for Sqlite {
         .fetch_all(&mut self.connection)
         .await?;
         Ok(page(rows.iter().map(row).collect::<Result<_, _>>()?))
+    }
+
+    /// Beside the log, where there is room for one. Meanwhile nothing is appended.
+    async fn copy(&mut self) -> Result<File, QueueError> {
+        let mut name = self.path.clone().into_os_string();
+        name.push(".copy");
+        let path = PathBuf::from(name);
+        // What a coordinator that was killed has left.
+        match fs::remove_file(&path) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.into()),
+            Ok(()) | Err(_) => {}
+        }
+        let copied = sqlx::query("VACUUM INTO ?").bind(path.display().to_string()).execute(&mut self.connection).await;
+        let file = copied.map_err(QueueError::from).and_then(|_| Ok(File::open(&path)?));
+        // Gone before it was made, where it could not be.
+        let _ = fs::remove_file(&path);
+        file
     }
 
     /// One file holds it all from then on; until then the newest records may lie in the file beside it, `-wal`.

@@ -15,6 +15,8 @@ pub(crate) struct Annex {
     logs: BTreeMap<JobId, VecDeque<LogRecord>>,
     /// Jobs whose tiles are cut, and how finely. Since version 3.
     cuts: BTreeMap<JobId, NonZeroU64>,
+    /// Frames in work of which some result counts, and the build of the engine that made it. Since version 4.
+    builds: BTreeMap<JobId, BTreeMap<u32, String>>,
 }
 
 impl Annex {
@@ -32,8 +34,35 @@ impl Annex {
                 let ((drained, logs), rest) = postcard::take_from_bytes(bytes)?;
                 Ok((Self { drained, logs, ..Self::default() }, rest))
             }
+            3 => {
+                let ((drained, logs, cuts), rest) = postcard::take_from_bytes(bytes)?;
+                Ok((Self { drained, logs, cuts, ..Self::default() }, rest))
+            }
             _ => postcard::take_from_bytes(bytes),
         }
+    }
+
+    pub(super) fn built(&mut self, job: JobId, frame: u32, engine: &str) {
+        self.builds.entry(job).or_default().insert(frame, engine.to_owned());
+    }
+
+    /// The frame is finished, or begins anew.
+    pub(super) fn unbuilt(&mut self, job: JobId, frame: u32) {
+        let Some(frames) = self.builds.get_mut(&job) else { return };
+        frames.remove(&frame);
+        if frames.is_empty() {
+            self.builds.remove(&job);
+        }
+    }
+
+    /// The build that a frame's results come from, if there are any.
+    pub(crate) fn build_of(&self, job: JobId, frame: u32) -> Option<&str> {
+        self.builds.get(&job)?.get(&frame).map(String::as_str)
+    }
+
+    /// The frames of a job that have a build.
+    pub(crate) fn builds_of(&self, job: JobId) -> impl Iterator<Item = (u32, &str)> + '_ {
+        self.builds.get(&job).into_iter().flatten().map(|(&frame, build)| (frame, build.as_str()))
     }
 
     pub(super) fn cut(&mut self, job: JobId, samples: NonZeroU64) {
@@ -59,6 +88,7 @@ impl Annex {
     pub(super) fn forget(&mut self, job: JobId) {
         self.logs.remove(&job);
         self.cuts.remove(&job);
+        self.builds.remove(&job);
     }
 
     pub(crate) fn logs(&self, job: JobId) -> impl Iterator<Item = &LogRecord> + '_ {

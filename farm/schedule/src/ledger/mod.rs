@@ -79,6 +79,12 @@ impl Ledger {
                 let is_known = self.jobs.contains_key(&record.task.job);
                 return if is_known { self.annex.log(record) } else { Vec::new() };
             }
+            Fact::Built { job, frame, engine } => {
+                if self.jobs.get(job).is_some_and(|known| known.is_open(*frame)) {
+                    self.annex.built(*job, *frame, engine);
+                }
+                return Vec::new();
+            }
             Fact::Forgotten { job } => {
                 self.jobs.remove(job);
                 self.keys.retain(|_, other| other != job);
@@ -90,7 +96,11 @@ impl Ledger {
                 (task.job, job.map(|job| job.rendered(task, *epoch, *leased, result)))
             }
             Fact::Merged { task, epoch, result } => {
-                (task.job, self.jobs.get_mut(&task.job).map(|job| job.merged(task, *epoch, result, now)))
+                let released = self.jobs.get_mut(&task.job).map(|job| job.merged(task, *epoch, result, now));
+                if self.jobs.get(&task.job).is_some_and(|job| job.finished.contains_key(&task.stage.frame)) {
+                    self.annex.unbuilt(task.job, task.stage.frame);
+                }
+                (task.job, released)
             }
             Fact::Failed { task, failure } => {
                 (task.job, self.jobs.get_mut(&task.job).map(|job| job.failed(task, failure, now)))
@@ -100,7 +110,10 @@ impl Ledger {
                 (task.job, self.jobs.get_mut(&task.job).map(|job| job.gathered(task, *epoch, result)))
             }
             Fact::Lost { task } => (task.job, self.jobs.get_mut(&task.job).map(|job| job.lost(task))),
-            Fact::Restarted { job, frame } => (*job, self.jobs.get_mut(job).map(|j| j.restarted(*frame))),
+            Fact::Restarted { job, frame } => {
+                self.annex.unbuilt(*job, *frame);
+                (*job, self.jobs.get_mut(job).map(|j| j.restarted(*frame)))
+            }
             Fact::Doomed { job, failure } => (*job, self.jobs.get_mut(job).map(|j| j.doomed(failure))),
             Fact::Controlled { job, control } => (*job, self.jobs.get_mut(job).map(|j| j.controlled(*control))),
         };

@@ -19,7 +19,7 @@ use femc_model::Refusal;
 const HOLDERS: [&str; 6] = ["coordinator", "worker", "viewer", "submitter", "operator", "admin"];
 
 /// Who may call what.
-const TABLE: [(&str, &[&str]); 17] = [
+const TABLE: [(&str, &[&str]); 18] = [
     ("Jobs/Submit", &["submitter", "operator", "admin"]),
     ("Jobs/List", &["viewer", "submitter", "operator", "admin"]),
     ("Jobs/Status", &["viewer", "submitter", "operator", "admin"]),
@@ -31,6 +31,7 @@ const TABLE: [(&str, &[&str]); 17] = [
     ("Jobs/Attempts", &["viewer", "submitter", "operator", "admin"]),
     ("Jobs/ListWorkers", &["viewer", "submitter", "operator", "admin"]),
     ("Jobs/DrainWorkers", &["operator", "admin"]),
+    ("Jobs/Backup", &["admin"]),
     ("Workers/Session", &["worker"]),
     ("Artifacts/Missing", &["worker", "viewer", "submitter", "operator", "admin"]),
     ("Artifacts/Offer", &["worker", "submitter", "operator", "admin"]),

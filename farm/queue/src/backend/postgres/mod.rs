@@ -13,6 +13,7 @@ mod lead;
 mod pulse;
 mod schema;
 
+use std::fs::File;
 use std::time::Duration;
 
 use sqlx::Row as _;
@@ -175,6 +176,12 @@ impl Queue for Postgres {
         let rows = Self::leading(&self.database, &mut self.pulse, read).await?;
         let rows: Result<Vec<Row>, sqlx::Error> = rows.iter().map(row).collect();
         Ok(page(rows.map_err(|error| self.database.told(&error))?))
+    }
+
+    async fn copy(&mut self) -> Result<File, QueueError> {
+        Err(QueueError::NoCopy {
+            instead: "it is in PostgreSQL; `pg_dump --schema=femc` copies it as it is at one moment",
+        })
     }
 
     fn check(&mut self) -> Result<(), QueueError> {

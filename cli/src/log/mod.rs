@@ -1,14 +1,24 @@
 //! The log on stderr. `FEMC_LOG` (`LEVEL` or `TARGET=LEVEL,...`) overrules the flags.
 
-use crate::args::{Cli, ColorChoice};
+#[cfg(feature = "otel")]
+mod otel;
+
+use crate::args::{Cli, ColorChoice, LogFormat};
 use femc_worker::{TASK_LOG_LEVEL, TaskLogs};
 use std::io::{self, IsTerminal};
 use tracing_subscriber::filter::{LevelFilter, Targets};
 use tracing_subscriber::layer::{Layer, SubscriberExt};
 use tracing_subscriber::util::SubscriberInitExt;
 
-/// Start logging as the flags say.
-pub fn start(cli: &Cli) {
+/// Keeps what ends with the program.
+#[derive(Debug)]
+pub struct Logging {
+    #[cfg(feature = "otel")]
+    _spans: Option<otel::Spans>,
+}
+
+/// Start logging as the flags say, until what is returned is dropped.
+pub fn start(cli: &Cli) -> Logging {
     let own = |level| {
         ["femc", "femc_coordinator", "femc_worker", "femc_schedule"]
             .map(|target| (target, LevelFilter::from_level(level)))
@@ -33,12 +43,37 @@ pub fn start(cli: &Cli) {
         ColorChoice::Never => false,
         ColorChoice::Auto => io::stderr().is_terminal() && std::env::var_os("NO_COLOR").is_none(),
     };
-    let lines = tracing_subscriber::fmt::layer().with_writer(io::stderr).with_ansi(colored).with_target(false);
+    let lines = tracing_subscriber::fmt::layer().with_writer(io::stderr);
+    let lines = match cli.common.log_format {
+        LogFormat::Text => lines.with_ansi(colored).with_target(false).boxed(),
+        LogFormat::Json => lines.json().flatten_event(true).with_span_list(false).boxed(),
+    };
     // What a worker's tasks write down goes to their logs, whatever is said on stderr.
     let level = LevelFilter::from_level(TASK_LOG_LEVEL);
     let tasks = TaskLogs.with_filter(Targets::new().with_default(LevelFilter::WARN).with_target("femc", level));
-    tracing_subscriber::registry().with(lines.with_filter(filter)).with(tasks).init();
+    let log = tracing_subscriber::registry().with(lines.with_filter(filter)).with(tasks);
+    #[cfg(not(feature = "otel"))]
+    let logging = {
+        log.init();
+        Logging {}
+    };
+    #[cfg(feature = "otel")]
+    let logging = {
+        let (spans, layer, fault) = match otel::start(cli) {
+            Ok(Some((spans, layer))) => (Some(spans), Some(layer), None),
+            Ok(None) => (None, None, None),
+            Err(fault) => (None, None, Some(fault)),
+        };
+        // Spans of the farm, whatever is said on stderr; not those of the network's layers, which the exporter makes itself.
+        let own = Targets::new().with_targets(own(tracing::Level::INFO));
+        log.with(layer.map(|layer| layer.with_filter(own))).init();
+        if let Some(fault) = fault {
+            tracing::error!("no spans are sent: {fault}");
+        }
+        Logging { _spans: spans }
+    };
     if let Some((text, error)) = refused {
         tracing::error!("FEMC_LOG={text} is not a log filter ({error}); write LEVEL or TARGET=LEVEL,...");
     }
+    logging
 }

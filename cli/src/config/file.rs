@@ -1,0 +1,219 @@
+//! `femc.toml`: settings by the long names of their flags.
+//!
+//! ```toml
+//! server = "http://farm:7878"     # what many commands share stands at the top
+//! [coordinator]
+//! listen = "0.0.0.0:7878"
+//! share = ["ann=3", "bob=1"]
+//! [worker]
+//! join = "http://farm:7878"
+//! ```
+
+use super::{SERVICES, is_setting};
+use crate::exit::{Failure, failed, usage};
+use crate::request::Place;
+use clap::error::{ContextKind, ContextValue, ErrorKind};
+use clap::{Arg, ArgAction, Command};
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::path::{Path, PathBuf};
+use toml::de::{DeTable, DeValue};
+
+/// Flags that many commands share, and that may stand at the top.
+const SHARED: [&str; 6] = ["server", "identity", "color", "quiet", "verbose", "log-format"];
+/// Where it is looked for, after the folder that the command runs in and the user's own settings.
+const SYSTEM: &str = "/etc/femc/femc.toml";
+
+/// A setting in a file.
+#[derive(Debug)]
+pub struct Setting {
+    /// One, or several where the flag may be given again.
+    values: Vec<String>,
+    place: Place,
+}
+
+/// A file of settings.
+#[derive(Debug)]
+pub struct File {
+    path: PathBuf,
+    shared: BTreeMap<String, Setting>,
+    services: BTreeMap<&'static str, BTreeMap<String, Setting>>,
+}
+
+/// Something wrong at a byte of the text.
+type Fault = (usize, String);
+
+impl File {
+    /// The file that is meant: `--config`, `FEMC_CONFIG`, or the first of those that are looked for.
+    pub fn find(args: &[OsString]) -> Option<PathBuf> {
+        let typed: Vec<&OsString> = args.iter().skip(1).take_while(|arg| *arg != "--").collect();
+        let after = typed.iter().position(|arg| *arg == "--config").and_then(|at| typed.get(at + 1).copied());
+        let joined = || typed.iter().find_map(|arg| arg.to_str()?.strip_prefix("--config="));
+        let named = after.map(PathBuf::from).or_else(|| joined().map(PathBuf::from));
+        let asked = named.or_else(|| std::env::var_os("FEMC_CONFIG").filter(|name| !name.is_empty()).map(Into::into));
+        if asked.is_some() {
+            return asked;
+        }
+        let own = std::env::var_os("XDG_CONFIG_HOME").map(PathBuf::from);
+        let own = own.or_else(|| Some(PathBuf::from(std::env::var_os("HOME")?).join(".config")));
+        let places = [Some("femc.toml".into()), own.map(|own| own.join("femc/femc.toml")), Some(SYSTEM.into())];
+        places.into_iter().flatten().find(|path| path.is_file())
+    }
+
+    /// Read and check it: each key is a flag's, each value one that the flag takes.
+    pub fn read(path: &Path, command: &Command) -> Result<Self, Failure> {
+        let text = std::fs::read_to_string(path).map_err(|e| failed(format!("--config {}: {e}", path.display())))?;
+        Self::parse(path.to_owned(), &text, command).map_err(|(offset, what)| {
+            let Place { line, column } = Place::of(&text, offset);
+            usage(format!("{}:{line}:{column}: {what}", path.display()))
+        })
+    }
+
+    /// The settings in `text`.
+    fn parse(path: PathBuf, text: &str, command: &Command) -> Result<Self, Fault> {
+        let wrong = |e: toml::de::Error| (e.span().map_or(0, |span| span.start), e.message().replace('\n', " "));
+        let table = DeTable::parse(text).map_err(wrong)?;
+        let mut file = Self { path, shared: BTreeMap::new(), services: BTreeMap::new() };
+        for (key, value) in table.get_ref() {
+            let (name, start) = (key.get_ref().as_ref(), key.span().start);
+            match (SERVICES.into_iter().find(|service| *service == name), value.get_ref()) {
+                (Some(service), DeValue::Table(settings)) => {
+                    let settings = read_table(settings, text, command, service)?;
+                    file.services.insert(service, settings);
+                }
+                (Some(service), _) => return Err((start, format!("{service} is a table: write [{service}]"))),
+                (None, DeValue::Table(_)) => {
+                    return Err((start, format!("there is no table [{name}]; there are [{}]", SERVICES.join("], ["))));
+                }
+                (None, value_here) => {
+                    if !SHARED.contains(&name) {
+                        let known = SHARED.join(", ");
+                        return Err((start, format!("unknown key {name}; outside of tables there are {known}")));
+                    }
+                    let setting = Setting { values: texts(value_here, start)?, place: Place::of(text, start) };
+                    // `gc` has them all, and takes nothing else.
+                    check(command, "gc", name, &setting.values).map_err(|what| (value.span().start, what))?;
+                    file.shared.insert(name.to_owned(), setting);
+                }
+            }
+        }
+        Ok(file)
+    }
+
+    /// The command line with this file's settings as its defaults.
+    pub fn apply(&self, command: Command) -> Command {
+        let command = command.mut_args(|arg| self.default(arg, None));
+        command.mut_subcommands(|it| {
+            let name = it.get_name().to_owned();
+            it.mut_args(|arg| self.default(arg, Some(&name)))
+        })
+    }
+
+    fn default(&self, arg: Arg, command: Option<&str>) -> Arg {
+        match self.setting(&arg, command) {
+            Some(setting) => arg.required(false).default_values(setting.values.clone()),
+            None => arg,
+        }
+    }
+
+    fn setting(&self, arg: &Arg, command: Option<&str>) -> Option<&Setting> {
+        let long = arg.get_long().filter(|_| is_setting(arg))?;
+        let own = command.and_then(|command| self.services.get(command)?.get(long));
+        own.or_else(|| self.shared.get(long))
+    }
+
+    /// Where the file sets an argument of a command: `femc.toml:3:1`.
+    pub fn place(&self, arg: &Arg, command: Option<&str>) -> Option<String> {
+        let Place { line, column } = self.setting(arg, command)?.place;
+        Some(format!("{}:{line}:{column}", self.path.display()))
+    }
+
+    /// The file itself.
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+fn read_table(
+    table: &DeTable<'_>,
+    text: &str,
+    command: &Command,
+    service: &'static str,
+) -> Result<BTreeMap<String, Setting>, Fault> {
+    let mut settings = BTreeMap::new();
+    let flags: Vec<&str> = command
+        .find_subcommand(service)
+        .into_iter()
+        .flat_map(Command::get_arguments)
+        .filter(|arg| is_setting(arg))
+        .filter_map(Arg::get_long)
+        .collect();
+    for (key, value) in table {
+        let (name, start) = (key.get_ref().as_ref(), key.span().start);
+        if !flags.contains(&name) && !SHARED.contains(&name) {
+            return Err((start, format!("unknown key {name}; [{service}] has {}", flags.join(", "))));
+        }
+        let setting = Setting { values: texts(value.get_ref(), value.span().start)?, place: Place::of(text, start) };
+        check(command, service, name, &setting.values).map_err(|what| (value.span().start, what))?;
+        settings.insert(name.to_owned(), setting);
+    }
+    Ok(settings)
+}
+
+/// A value as it would be typed.
+fn texts(value: &DeValue<'_>, at: usize) -> Result<Vec<String>, Fault> {
+    Ok(vec![match value {
+        DeValue::String(text) => text.to_string(),
+        DeValue::Integer(number) => number.to_string(),
+        DeValue::Float(number) => number.to_string(),
+        DeValue::Boolean(flag) => flag.to_string(),
+        DeValue::Array(all) => {
+            let each = all.iter().map(|one| texts(one.get_ref(), one.span().start));
+            return Ok(each.collect::<Result<Vec<_>, _>>()?.concat());
+        }
+        DeValue::Datetime(_) | DeValue::Table(_) => {
+            return Err((at, "give a text, a number, true, false or a list".into()));
+        }
+    }])
+}
+
+/// Whether the command takes these values for the flag; what it says if not.
+fn check(command: &Command, name: &str, long: &str, values: &[String]) -> Result<(), String> {
+    let mut command = command.clone();
+    command.build();
+    let args = command.find_subcommand(name).into_iter().flat_map(Command::get_arguments);
+    let Some(arg) = args.into_iter().find(|arg| arg.get_long() == Some(long)) else { return Ok(()) };
+    let takes_many = matches!(arg.get_action(), ArgAction::Append);
+    if values.len() != 1 && !takes_many {
+        return Err(format!("{long} takes one value"));
+    }
+    let typed: Vec<String> = match arg.get_action() {
+        ArgAction::SetTrue => match values {
+            [value] if value == "true" || value == "false" => Vec::new(),
+            _ => return Err(format!("{long} is true or false")),
+        },
+        ArgAction::Count => match values {
+            [value] if value.parse::<u8>().is_ok() => Vec::new(),
+            _ => return Err(format!("{long} is a small number")),
+        },
+        _ => values.iter().map(|value| format!("--{long}={value}")).collect(),
+    };
+    let typed = ["femc".to_owned(), name.to_owned()].into_iter().chain(typed);
+    match command.try_get_matches_from(typed) {
+        Err(error) if is_of_value(&error, long) => {
+            let said = error.to_string();
+            let first = said.lines().next().unwrap_or_default();
+            Err(first.trim_start_matches("error: ").to_owned())
+        }
+        Ok(_) | Err(_) => Ok(()),
+    }
+}
+
+/// Whether clap found fault with what the flag was given: and not with what else is there or not.
+fn is_of_value(error: &clap::Error, long: &str) -> bool {
+    let is_kind = matches!(error.kind(), ErrorKind::InvalidValue | ErrorKind::ValueValidation);
+    let flag = format!("--{long} ");
+    let is_flag =
+        |value: &ContextValue| matches!(value, ContextValue::String(arg) if format!("{arg} ").starts_with(&flag));
+    is_kind && error.get(ContextKind::InvalidArg).is_some_and(is_flag)
+}

@@ -1,0 +1,69 @@
+//! `--print-config`: what holds, and where it comes from. What is printed can be kept as a `femc.toml`.
+
+use super::file::File;
+use super::{SERVICES, is_setting, values};
+use clap::parser::ValueSource;
+use clap::{Arg, ArgAction, ArgMatches, Command};
+use std::fmt::Write as _;
+
+/// The settings of the command that was typed; without one, those of the services.
+pub fn settings(command: &Command, matches: &ArgMatches, file: Option<&File>) -> Result<String, clap::Error> {
+    let mut text = match file {
+        Some(file) => format!("# from {}\n", file.path().display()),
+        None => "# there is no femc.toml\n".to_owned(),
+    };
+    match matches.subcommand() {
+        Some((name, matches)) => table(&mut text, command, name, matches, file),
+        None => {
+            for service in SERVICES {
+                let matches = command.clone().try_get_matches_from(["femc", service])?;
+                let own = matches.subcommand_matches(service).unwrap_or(&matches);
+                table(&mut text, command, service, own, file);
+            }
+        }
+    }
+    Ok(text)
+}
+
+fn table(text: &mut String, command: &Command, name: &str, matches: &ArgMatches, file: Option<&File>) {
+    let own = command.find_subcommand(name).into_iter().flat_map(Command::get_arguments);
+    let args: Vec<&Arg> = own.chain(command.get_arguments()).filter(|arg| is_setting(arg)).collect();
+    let lines = args.iter().map(|arg| line(arg, name, matches, file));
+    // Writing into a string does not fail.
+    let _ = writeln!(text, "\n[{name}]");
+    lines.for_each(|line| text.extend([line, "\n".to_owned()]));
+}
+
+/// `lease = "30s"  # FEMC_LEASE`
+fn line(arg: &Arg, command: &str, matches: &ArgMatches, file: Option<&File>) -> String {
+    let long = arg.get_long().unwrap_or_default();
+    let Some(values) = values(matches, arg) else { return format!("# {long} is not set") };
+    let source = match matches.value_source(arg.get_id().as_str()) {
+        Some(ValueSource::CommandLine) => "flag".to_owned(),
+        Some(ValueSource::EnvVariable) => arg.get_env().unwrap_or_default().to_string_lossy().into_owned(),
+        _ => file.and_then(|file| file.place(arg, Some(command))).unwrap_or_else(|| "default".to_owned()),
+    };
+    let values: Vec<String> = values.iter().map(|value| toml_of(&hidden(value))).collect();
+    let value = match (arg.get_action(), &values[..]) {
+        (ArgAction::Append, values) => format!("[{}]", values.join(", ")),
+        (_, [value]) => value.clone(),
+        (_, values) => format!("[{}]", values.join(", ")),
+    };
+    format!("{long} = {value}  # {source}")
+}
+
+fn toml_of(value: &str) -> String {
+    let is_bare = matches!(value, "true" | "false") || value.parse::<i64>().is_ok_and(|n| n.to_string() == value);
+    if is_bare { value.to_owned() } else { toml::Value::String(value.to_owned()).to_string() }
+}
+
+/// An address without its password.
+fn hidden(value: &str) -> String {
+    let parts = || {
+        let (scheme, rest) = value.split_once("://")?;
+        let (who, host) = rest.split_once('@')?;
+        let (user, _) = who.split_once(':')?;
+        Some(format!("{scheme}://{user}:***@{host}"))
+    };
+    parts().unwrap_or_else(|| value.to_owned())
+}

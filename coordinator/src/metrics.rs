@@ -1,0 +1,272 @@
+//! What a coordinator counts over its life, whoever leads meanwhile, and the page that shows it.
+//!
+//! What there is at the moment (jobs, tasks, workers) is asked of the actor when somebody wants to know; what happens is
+//! counted when it does. Labels have few values: no job, owner or worker is one.
+
+use std::path::PathBuf;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use femc_metrics::{Counter, Health, Histogram, Page, Report, Tally, process};
+use femc_model::{Ending, Failure, JobState, RevokeReason, StageKind};
+use femc_proto::{PROTOCOL, Traffic};
+use femc_schedule::{Command, Fact, Figures, WorkerStanding};
+use tokio::sync::{mpsc, oneshot};
+
+use crate::lead::Standing;
+
+/// Counts what a coordinator does; clones are the same one.
+#[derive(Debug, Clone, Default)]
+pub struct Metrics(Arc<Inner>);
+
+/// Where an actor is asked for figures.
+pub(crate) type Ask = mpsc::Sender<oneshot::Sender<Now>>;
+
+/// How much there is.
+#[derive(Debug)]
+pub(crate) struct Now {
+    pub(crate) figures: Figures,
+    /// Records of the log since its snapshot.
+    pub(crate) records: usize,
+}
+
+#[derive(Debug)]
+struct Inner {
+    /// The actor, while this coordinator leads.
+    actor: Mutex<Option<Ask>>,
+    /// The log, where it is a file.
+    file: Mutex<Option<PathBuf>>,
+    terms: Counter,
+    sessions: Counter,
+    done: Tally<&'static str>,
+    attempts: Tally<&'static str>,
+    failures: Tally<&'static str>,
+    granted: Tally<&'static str>,
+    revoked: Tally<&'static str>,
+    appends: Histogram,
+    appended: Counter,
+    snapshots: Histogram,
+    traffic: Traffic,
+}
+
+impl Default for Inner {
+    fn default() -> Self {
+        let latencies = || Histogram::new(Histogram::LATENCIES);
+        Self {
+            actor: Mutex::default(),
+            file: Mutex::default(),
+            terms: Counter::default(),
+            sessions: Counter::default(),
+            done: Tally::of(StageKind::ALL.map(StageKind::name)),
+            attempts: Tally::of(Ending::ALL.map(Ending::name)),
+            failures: Tally::of(Failure::CAUSES),
+            granted: Tally::of(["first", "second"]),
+            revoked: Tally::of([RevokeReason::JobEnded, RevokeReason::Expired, RevokeReason::Done].map(revocation)),
+            appends: latencies(),
+            appended: Counter::default(),
+            snapshots: latencies(),
+            traffic: Traffic::default(),
+        }
+    }
+}
+
+impl Metrics {
+    /// How long an actor may take to answer: one that is well does so between two writes to the disk.
+    const PATIENCE: Duration = Duration::from_secs(5);
+
+    pub(crate) fn traffic(&self) -> Traffic {
+        self.0.traffic.clone()
+    }
+
+    pub(crate) fn log_is(&self, file: PathBuf) {
+        *self.0.file.lock().unwrap_or_else(PoisonError::into_inner) = Some(file);
+    }
+
+    /// This coordinator leads from now on, and this is whom to ask.
+    pub(crate) fn leads(&self, actor: Ask) {
+        self.0.terms.add(1);
+        *self.0.actor.lock().unwrap_or_else(PoisonError::into_inner) = Some(actor);
+    }
+
+    pub(crate) fn joined(&self) {
+        self.0.sessions.add(1);
+    }
+
+    /// A batch of so many bytes is durable.
+    pub(crate) fn appended(&self, bytes: usize, took: Duration) {
+        self.0.appends.note(took);
+        self.0.appended.add(bytes as u64);
+    }
+
+    pub(crate) fn snapshot(&self, took: Duration) {
+        self.0.snapshots.note(took);
+    }
+
+    /// A worker says that it has failed.
+    pub(crate) fn failed(&self, failure: &Failure) {
+        self.0.failures.add(failure.cause(), 1);
+    }
+
+    /// What follows from an event.
+    pub(crate) fn heed(&self, command: &Command) {
+        match command {
+            Command::Record(Fact::Rendered { task, .. } | Fact::Gathered { task, .. } | Fact::Merged { task, .. }) => {
+                self.0.done.add(task.stage.kind.name(), 1);
+            }
+            Command::Record(Fact::Failed { failure: failure @ Failure::Stalled { .. }, .. }) => self.failed(failure),
+            Command::Note(attempt) => self.0.attempts.add(attempt.ending.name(), 1),
+            Command::Assign { assignment, .. } => {
+                let lease = if assignment.copy_of.is_some() { "second" } else { "first" };
+                self.0.granted.add(lease, 1);
+            }
+            Command::Revoke { reason, .. } => self.0.revoked.add(revocation(*reason), 1),
+            Command::Record(_)
+            | Command::Accept { .. }
+            | Command::Refuse { .. }
+            | Command::Dismiss { .. }
+            | Command::Answer { .. }
+            | Command::Changed(_)
+            | Command::Discard(_) => {}
+        }
+    }
+
+    /// What the actor says; `None`: this coordinator does not lead, or its actor does not answer.
+    async fn now(&self) -> Option<Now> {
+        let actor = self.0.actor.lock().unwrap_or_else(PoisonError::into_inner).clone()?;
+        let (reply, answer) = oneshot::channel();
+        let ask = async {
+            actor.send(reply).await.ok()?;
+            answer.await.ok()
+        };
+        tokio::time::timeout(Self::PATIENCE, ask).await.ok()?
+    }
+
+    /// How the coordinator is, and its page.
+    pub async fn report(&self, standing: &Standing) -> Report {
+        let now = match standing {
+            Standing::Leads => self.now().await,
+            Standing::StandsBy { .. } | Standing::Seeks { .. } => None,
+        };
+        let health = match (standing, &now) {
+            (Standing::Leads, Some(_)) => Health::Ready,
+            (Standing::Leads, None) => Health::Broken { message: "it does not answer itself".into() },
+            (Standing::StandsBy { leader: Some(leader) }, _) => {
+                Health::Waits { message: format!("standing by; {leader} leads") }
+            }
+            (Standing::StandsBy { leader: None }, _) => Health::Waits { message: "standing by".into() },
+            (Standing::Seeks { message }, _) => Health::Waits { message: message.clone() },
+        };
+        let mut page = Page::default();
+        let version = env!("CARGO_PKG_VERSION");
+        let labels = [("version", version), ("protocol", &*PROTOCOL.to_string()), ("role", "coordinator")];
+        page.gauge("femc_build_info", "Which program this is; always 1.").with(&labels, 1.0);
+        let leads = *standing == Standing::Leads;
+        page.gauge("femc_leader", "Whether this coordinator leads: 1, or stands by: 0.").is(u8::from(leads));
+        page.counter("femc_leadership_terms_total", "How often it has begun to lead.").counts(self.0.terms.get());
+        if let Some(now) = &now {
+            put_now(&mut page, now);
+        }
+        self.put_counts(&mut page);
+        self.put_log(&mut page);
+        put_traffic(&mut page, &self.0.traffic);
+        process(&mut page);
+        Report { health, page: page.finish() }
+    }
+
+    fn put_counts(&self, page: &mut Page) {
+        let Inner { sessions, done, attempts, failures, granted, revoked, .. } = &*self.0;
+        page.counter("femc_tasks_done_total", "Results that count, by what the task did.").each("stage", done.get());
+        let help = "Attempts at tasks that have ended, by how: done, failed, cancelled, revoked, lost.";
+        page.counter("femc_attempts_total", help).each("ending", attempts.get());
+        let help = "Tasks that were not done, by cause; store and resources are the surroundings', cancelled is given back: these use up no attempt.";
+        page.counter("femc_task_failures_total", help).each("cause", failures.get());
+        let help = "Leases granted; second: of a late task, to another worker.";
+        page.counter("femc_leases_granted_total", help).each("lease", granted.get());
+        let help = "Leases taken back; expired: the worker was silent, the task stood still, or its frame began anew.";
+        page.counter("femc_leases_revoked_total", help).each("reason", revoked.get());
+        page.counter("femc_sessions_total", "Sessions that workers have begun.").counts(sessions.get());
+    }
+
+    fn put_log(&self, page: &mut Page) {
+        let Inner { appends, appended, snapshots, file, .. } = &*self.0;
+        let help = "How long it took to make a batch of the log durable, in seconds.";
+        page.histogram("femc_log_append_seconds", help).with(&[], appends);
+        page.counter("femc_log_appended_bytes_total", "Bytes of records of the log.").counts(appended.get());
+        let help = "How long it took to put a snapshot in the place of the log, in seconds.";
+        page.histogram("femc_log_snapshot_seconds", help).with(&[], snapshots);
+        let file = file.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        if let Some(file) = file {
+            let size = |end: &str| {
+                let mut name = file.clone().into_os_string();
+                name.push(end);
+                std::fs::metadata(name).map_or(0, |file| file.len())
+            };
+            let help = "Size of the log's file and of the one that SQLite writes ahead, in bytes.";
+            page.gauge("femc_log_file_bytes", help).counts(size("") + size("-wal"));
+        }
+    }
+}
+
+fn put_now(page: &mut Page, Now { figures, records }: &Now) {
+    let Figures { jobs, ready, leased, quarantined, samples_left, workers, threads, stale_messages } = figures;
+    let jobs = jobs.iter().map(|&(state, count)| (job_state(state), count));
+    page.gauge("femc_jobs", "Jobs, by where they stand.").each("state", jobs);
+    let by_stage = |counts: &[(StageKind, u64)]| -> Vec<(&str, u64)> {
+        counts.iter().map(|&(kind, count)| (kind.name(), count)).collect()
+    };
+    let help = "The backlog: tasks that a worker could begin now; of a tile that is cut each part, of which a lease may cover several.";
+    page.gauge("femc_tasks_ready", help).each("stage", by_stage(ready));
+    page.gauge("femc_tasks_leased", "Leases that workers hold.").each("stage", by_stage(leased));
+    page.gauge("femc_tasks_quarantined", "Tasks that used up their attempts: `femc retry`.").counts(*quarantined);
+    let help = "Pixel samples that the frames of running jobs may still take: an upper bound.";
+    page.gauge("femc_samples_left", help).counts(*samples_left);
+    let workers = workers.iter().map(|&(standing, count)| (worker_standing(standing), count));
+    page.gauge("femc_workers", "Workers that are there, by whether they get tasks.").each("state", workers);
+    page.gauge("femc_threads", "Threads of these workers that render.").counts(*threads);
+    let help = "Messages of workers that were refused because their lease was over.";
+    page.counter("femc_stale_messages_total", help).counts(*stale_messages);
+    let help = "Records of the log since its snapshot: what a restart reads.";
+    page.gauge("femc_log_records", help).counts(*records as u64);
+}
+
+fn put_traffic(page: &mut Page, Traffic { calls, latencies, received, sent }: &Traffic) {
+    let help = "Calls, by method and the status with which the answer began.";
+    let family = page.counter("femc_rpc_calls_total", help);
+    calls.get().iter().fold(family, |family, ((method, code), count)| {
+        family.with(&[("method", method), ("code", code)], *count as f64)
+    });
+    let help = "Until the answer to a call began, in seconds.";
+    let family = page.histogram("femc_rpc_seconds", help);
+    latencies.iter().fold(family, |family, (method, histogram)| family.with(&[("method", method)], histogram));
+    page.counter("femc_store_received_bytes_total", "Bytes of artefacts that came in.").counts(received.get());
+    page.counter("femc_store_sent_bytes_total", "Bytes of artefacts that went out.").counts(sent.get());
+}
+
+fn revocation(reason: RevokeReason) -> &'static str {
+    match reason {
+        RevokeReason::JobEnded => "job_ended",
+        RevokeReason::Expired => "expired",
+        RevokeReason::Done => "done",
+    }
+}
+
+fn job_state(state: JobState) -> &'static str {
+    match state {
+        JobState::Queued => "queued",
+        JobState::Running => "running",
+        JobState::Paused => "paused",
+        JobState::Done => "done",
+        JobState::Failed => "failed",
+        JobState::Cancelled => "cancelled",
+    }
+}
+
+fn worker_standing(standing: WorkerStanding) -> &'static str {
+    match standing {
+        WorkerStanding::Busy => "busy",
+        WorkerStanding::Idle => "idle",
+        WorkerStanding::Unfit => "resting",
+        WorkerStanding::Off => "off",
+        WorkerStanding::Drained => "drained",
+    }
+}

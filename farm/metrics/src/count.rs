@@ -1,0 +1,134 @@
+//! Numbers that only grow. Clones share them; counting takes no lock that is held for long, and never waits.
+
+use std::collections::BTreeMap;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+/// A number that only grows.
+#[derive(Debug, Clone, Default)]
+pub struct Counter(Arc<AtomicU64>);
+
+impl Counter {
+    /// So many more.
+    pub fn add(&self, more: u64) {
+        self.0.fetch_add(more, Ordering::Relaxed);
+    }
+
+    /// Until now.
+    pub fn get(&self) -> u64 {
+        self.0.load(Ordering::Relaxed)
+    }
+}
+
+/// Time that only grows, to the nanosecond.
+#[derive(Debug, Clone, Default)]
+pub struct Seconds(Counter);
+
+impl Seconds {
+    /// So much more; what is no time (negative, not finite) is none.
+    pub fn add(&self, seconds: f64) {
+        // The cast saturates, and makes 0 of what is no number.
+        self.0.add((seconds * 1e9) as u64);
+    }
+
+    /// Until now.
+    pub fn get(&self) -> f64 {
+        self.0.get() as f64 / 1e9
+    }
+}
+
+/// Counters by what they count.
+#[derive(Debug, Clone)]
+pub struct Tally<K>(Arc<Mutex<BTreeMap<K, u64>>>);
+
+impl<K: Ord + Clone> Tally<K> {
+    /// With these keys at 0: a series that appears with its first event hides that event from whoever asks for its rate.
+    pub fn of(keys: impl IntoIterator<Item = K>) -> Self {
+        Self(Arc::new(Mutex::new(keys.into_iter().map(|key| (key, 0)).collect())))
+    }
+
+    /// So many more.
+    pub fn add(&self, key: K, more: u64) {
+        *self.0.lock().unwrap_or_else(PoisonError::into_inner).entry(key).or_default() += more;
+    }
+
+    /// Until now, in the order of the keys.
+    pub fn get(&self) -> Vec<(K, u64)> {
+        let counts = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        counts.iter().map(|(key, count)| (key.clone(), *count)).collect()
+    }
+}
+
+/// How often something took how long.
+#[derive(Debug, Clone)]
+pub struct Histogram(Arc<Buckets>);
+
+#[derive(Debug)]
+struct Buckets {
+    /// Upper bounds in seconds, ascending.
+    bounds: &'static [f64],
+    /// One a bound, and one for what is above them all.
+    counts: Vec<AtomicU64>,
+    sum: Seconds,
+}
+
+impl Histogram {
+    /// From a tenth of a millisecond to ten seconds: what a disk or a call takes.
+    pub const LATENCIES: &'static [f64] =
+        &[0.0001, 0.000_25, 0.0005, 0.001, 0.0025, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 10.0];
+
+    /// With these upper bounds, in seconds, ascending.
+    pub fn new(bounds: &'static [f64]) -> Self {
+        let counts = (0..=bounds.len()).map(|_| AtomicU64::new(0)).collect();
+        Self(Arc::new(Buckets { bounds, counts, sum: Seconds::default() }))
+    }
+
+    /// Something took so long.
+    pub fn note(&self, took: Duration) {
+        let seconds = took.as_secs_f64();
+        let place = self.0.bounds.partition_point(|bound| *bound < seconds);
+        self.0.counts[place].fetch_add(1, Ordering::Relaxed);
+        self.0.sum.add(seconds);
+    }
+
+    /// Upper bounds, the last one infinite, with the number of what took at most so long.
+    pub(crate) fn cumulated(&self) -> impl Iterator<Item = (f64, u64)> + '_ {
+        let bounds = self.0.bounds.iter().copied().chain([f64::INFINITY]);
+        bounds.zip(&self.0.counts).scan(0, |sum, (bound, count)| {
+            *sum += count.load(Ordering::Relaxed);
+            Some((bound, *sum))
+        })
+    }
+
+    pub(crate) fn sum(&self) -> f64 {
+        self.0.sum.get()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_duration_counts_in_the_first_bucket_that_holds_it_and_in_all_above() {
+        let histogram = Histogram::new(&[0.5, 1.0]);
+        [250, 500, 750, 3_000].into_iter().for_each(|milliseconds| histogram.note(Duration::from_millis(milliseconds)));
+        assert_eq!(histogram.cumulated().collect::<Vec<_>>(), [(0.5, 2), (1.0, 3), (f64::INFINITY, 4)]);
+        assert_eq!(histogram.sum(), 4.5);
+    }
+
+    #[test]
+    fn what_is_no_time_adds_none() {
+        let seconds = Seconds::default();
+        [f64::NAN, -1.0, 0.25].into_iter().for_each(|time| seconds.add(time));
+        assert_eq!(seconds.get(), 0.25);
+    }
+
+    #[test]
+    fn keys_are_there_before_their_first_event() {
+        let tally = Tally::of(["lost", "done"]);
+        tally.add("done", 2);
+        assert_eq!(tally.clone().get(), [("done", 2), ("lost", 0)]);
+    }
+}

@@ -1,0 +1,77 @@
+//! The process itself, under the names that Prometheus' own libraries give: dashboards know them. What the system does not
+//! tell is left out.
+
+use std::sync::LazyLock;
+use std::time::SystemTime;
+
+use crate::page::Page;
+
+/// Puts memory, processor time, open files and the start of this process on the page.
+pub fn process(page: &mut Page) {
+    if let Some(seconds) = cpu_seconds() {
+        page.counter("process_cpu_seconds_total", "User and system processor time, in seconds.").is(seconds);
+    }
+    let status = std::fs::read_to_string("/proc/self/status").unwrap_or_default();
+    if let Some(bytes) = kilobytes(&status, "VmRSS:") {
+        page.gauge("process_resident_memory_bytes", "Resident memory, in bytes.").counts(bytes);
+    }
+    if let Some(bytes) = kilobytes(&status, "VmSize:") {
+        page.gauge("process_virtual_memory_bytes", "Virtual memory, in bytes.").counts(bytes);
+    }
+    if let Ok(files) = std::fs::read_dir("/proc/self/fd") {
+        page.gauge("process_open_fds", "Open file descriptors.").counts(files.count() as u64);
+    }
+    if let Some(most) = most_files() {
+        page.gauge("process_max_fds", "Most open file descriptors.").counts(most);
+    }
+    let since_1970 = start().duration_since(SystemTime::UNIX_EPOCH).unwrap_or_default();
+    let help = "Start of the process, in seconds since 1970.";
+    page.gauge("process_start_time_seconds", help).is(since_1970.as_secs_f64());
+}
+
+fn kilobytes(status: &str, field: &str) -> Option<u64> {
+    let line = status.lines().find_map(|line| line.strip_prefix(field))?;
+    Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? << 10)
+}
+
+fn most_files() -> Option<u64> {
+    let limits = std::fs::read_to_string("/proc/self/limits").ok()?;
+    limits.lines().find_map(|line| line.strip_prefix("Max open files"))?.split_whitespace().next()?.parse().ok()
+}
+
+#[cfg(unix)]
+fn cpu_seconds() -> Option<f64> {
+    let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
+    Some(time.tv_sec as f64 + time.tv_nsec as f64 / 1e9)
+}
+
+#[cfg(not(unix))]
+fn cpu_seconds() -> Option<f64> {
+    None
+}
+
+/// When this was asked first, which is when the server began: next to the start of the process, on every system.
+pub(crate) fn start() -> SystemTime {
+    static START: LazyLock<SystemTime> = LazyLock::new(SystemTime::now);
+    *START
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::testing::Samples;
+
+    #[test]
+    fn this_process_has_a_size_and_an_age_where_the_system_says() {
+        let mut page = Page::default();
+        process(&mut page);
+        let samples = Samples::read(&page.finish()).expect("a page");
+        if cfg!(target_os = "linux") {
+            let value = |name| samples.value(name, &[]).expect(name);
+            assert!(value("process_resident_memory_bytes") > 1e5 && value("process_cpu_seconds_total") > 0.0);
+            assert!(value("process_open_fds") >= 3.0 && value("process_max_fds") >= value("process_open_fds"));
+            let now = SystemTime::now().duration_since(SystemTime::UNIX_EPOCH).expect("after 1970").as_secs_f64();
+            assert!((0.0..3600.0).contains(&(now - value("process_start_time_seconds"))), "it is young");
+        }
+    }
+}

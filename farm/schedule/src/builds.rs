@@ -1,0 +1,98 @@
+//! One build of the engine within one frame: builds may differ in a bit, and a frame of two builds would be neither's.
+//!
+//! A frame is its first lease's build's, and from its first result on for good: a fact says so. Workers of other builds do
+//! other frames meanwhile. When no worker of a frame's build has been there for a while, because all were upgraded, the frame
+//! begins anew with those that are there: what was done of it is lost, and nothing waits for ever.
+
+use std::collections::BTreeMap;
+
+use femc_model::{Intake, JobId, Tick, Wait, WorkerId};
+
+use crate::desk::Desk;
+use crate::floor::{Floor, Worker};
+use crate::ledger::{Job, Ledger};
+use crate::scheduler::Scheduler;
+use crate::{Command, Fact};
+
+/// Frames whose build has no worker.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Orphans {
+    since: BTreeMap<(JobId, u32), Tick>,
+    /// When it was looked last.
+    looked: Tick,
+}
+
+/// The build whose frame this is; `None`: whoever comes first.
+fn build_of<'a>(ledger: &'a Ledger, floor: &'a Floor, job: JobId, frame: u32) -> Option<&'a str> {
+    ledger.annex.build_of(job, frame).or_else(|| {
+        let holder = floor.of_frame(job, frame).next()?.1.worker;
+        floor.workers.get(&holder).map(|worker| &*worker.registration.engine)
+    })
+}
+
+/// Whether the frame is another build's than the worker's.
+pub(crate) fn is_foreign(ledger: &Ledger, floor: &Floor, job: JobId, frame: u32, worker: WorkerId) -> bool {
+    let Some(worker) = floor.workers.get(&worker) else { return false };
+    build_of(ledger, floor, job, frame).is_some_and(|build| build != worker.registration.engine)
+}
+
+impl Scheduler {
+    /// Milliseconds between two looks.
+    const LOOK_AT_BUILDS: u64 = 1_000;
+
+    /// A result of the frame counts: the frame is its worker's build's.
+    pub(crate) fn note_build(&mut self, job: JobId, frame: u32, worker: WorkerId, now: Tick, out: &mut Vec<Command>) {
+        if self.ledger.annex.build_of(job, frame).is_none()
+            && let Some(worker) = self.floor.workers.get(&worker)
+        {
+            let engine = worker.registration.engine.clone();
+            self.record(Fact::Built { job, frame, engine }, now, out);
+        }
+    }
+
+    /// Lets frames begin anew whose build has had no worker for too long, where others are there.
+    pub(crate) fn free_orphans(&mut self, now: Tick, out: &mut Vec<Command>) {
+        if now < self.orphans.looked.after(Self::LOOK_AT_BUILDS) {
+            return;
+        }
+        let before = std::mem::take(&mut self.orphans.since);
+        let (mut since, mut orphans) = (BTreeMap::new(), Vec::new());
+        for id in self.order.jobs() {
+            let Some(job) = self.ledger.jobs.get(&id) else { continue };
+            let able: Vec<&Worker> =
+                self.floor.workers.values().filter(|worker| worker.has_tags(&job.spec.tags)).collect();
+            let has =
+                |build: &str| able.iter().any(|it| it.intake != Intake::Drained && it.registration.engine == build);
+            for (frame, _) in self.ledger.annex.builds_of(id).filter(|(_, build)| !has(build)) {
+                let begun = before.get(&(id, frame)).copied().unwrap_or(now);
+                since.insert((id, frame), begun);
+                if now.since(begun) >= self.config.orphaned && able.iter().any(|worker| worker.is_open()) {
+                    orphans.push((id, frame));
+                }
+            }
+        }
+        self.orphans = Orphans { since, looked: now };
+        for (job, frame) in orphans {
+            self.revoke_frame(job, frame, out);
+            self.record(Fact::Restarted { job, frame }, now, out);
+            self.rebuild(job);
+            out.push(Command::Changed(job));
+        }
+    }
+
+    /// Frames with something ready that nobody who is there may take.
+    pub(crate) fn why_foreign(&self, id: JobId, job: &Job, desk: &Desk) -> Option<Wait> {
+        let able: Vec<WorkerId> =
+            self.floor.workers.iter().filter(|(_, worker)| may_take(worker, job)).map(|(&id, _)| id).collect();
+        let is_foreign = |frame: u32| {
+            let mut able = able.iter();
+            able.all(|&worker| is_foreign(&self.ledger, &self.floor, id, frame, worker))
+        };
+        let frames = desk.open.ready().filter(|(frame, _)| is_foreign(*frame)).count() as u32;
+        (frames > 0 && !able.is_empty()).then_some(Wait::OtherBuild { frames })
+    }
+}
+
+fn may_take(worker: &Worker, job: &Job) -> bool {
+    worker.is_open() && worker.has_tags(&job.spec.tags)
+}

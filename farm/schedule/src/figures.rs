@@ -1,0 +1,118 @@
+//! How much there is of everything, for those who watch the farm as a whole.
+
+use femc_model::{Intake, JobId, JobState, StageKind, Tick};
+
+use crate::ledger::Job;
+use crate::scheduler::Scheduler;
+
+/// The farm in numbers.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Figures {
+    /// Jobs, by where they stand.
+    pub jobs: Vec<(JobState, u64)>,
+    /// Tasks that could be leased now, by what they do: of tiles that are cut each part, of which a lease may cover several.
+    pub ready: Vec<(StageKind, u64)>,
+    /// Leases, by what they are for.
+    pub leased: Vec<(StageKind, u64)>,
+    /// Tasks that used up their attempts.
+    pub quarantined: u64,
+    /// Pixel samples that the unfinished frames of jobs that run may still take.
+    pub samples_left: u64,
+    /// Workers that are there, by whether they get tasks.
+    pub workers: Vec<(WorkerStanding, u64)>,
+    /// Threads of these workers that render.
+    pub threads: u64,
+    /// Messages refused because their lease was over, since the start.
+    pub stale_messages: u64,
+}
+
+/// Whether a worker gets tasks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum WorkerStanding {
+    /// It holds a task.
+    Busy,
+    /// It would take one.
+    Idle,
+    /// It rests after a failure of its surroundings, or has not been heard of for a while.
+    Unfit,
+    /// It wants none: it is leaving, or off duty.
+    Off,
+    /// An operator has drained it.
+    Drained,
+}
+
+impl WorkerStanding {
+    const ALL: [Self; 5] = [Self::Busy, Self::Idle, Self::Unfit, Self::Off, Self::Drained];
+}
+
+const STATES: [JobState; 6] =
+    [JobState::Queued, JobState::Running, JobState::Paused, JobState::Done, JobState::Failed, JobState::Cancelled];
+const KINDS: [StageKind; 3] = StageKind::ALL;
+
+impl Scheduler {
+    /// The farm in numbers. Walks all jobs, leases and workers.
+    pub fn figures(&self, now: Tick) -> Figures {
+        let mut left = 0;
+        let mut ready = [0; KINDS.len()];
+        for id in self.order.jobs() {
+            let Some(job) = self.ledger.jobs.get(&id) else { continue };
+            left += self.samples_left(id, job);
+            let counts = self.ready(id, job);
+            ready.iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
+        }
+        let states: Vec<JobState> = self.ledger.jobs.iter().map(|(&id, job)| self.state_of(id, job)).collect();
+        let leases: Vec<StageKind> = self.floor.leases.keys().map(|(task, _)| task.stage.kind).collect();
+        let workers: Vec<WorkerStanding> =
+            self.floor.workers.values().map(|worker| self.standing(worker, now)).collect();
+        Figures {
+            jobs: count(&STATES, &states),
+            ready: KINDS.into_iter().zip(ready).collect(),
+            leased: count(&KINDS, &leases),
+            quarantined: self.ledger.jobs.values().map(quarantined).sum(),
+            samples_left: left,
+            workers: count(&WorkerStanding::ALL, &workers),
+            threads: self.floor.workers.values().map(|worker| u64::from(worker.registration.threads)).sum(),
+            stale_messages: self.stale_messages,
+        }
+    }
+
+    /// Tasks of a job that could be leased now, by kind; what nobody has begun counts with its first round.
+    fn ready(&self, id: JobId, job: &Job) -> [u64; KINDS.len()] {
+        let Some(desk) = self.desks.get(&id) else { return [0; KINDS.len()] };
+        let unopened = job.spec.frames.get(desk.cursor..).unwrap_or_default().iter();
+        let unopened = unopened.filter(|frame| job.is_open(**frame) && desk.open.get(**frame).is_none()).count() as u64;
+        let mut ready = [unopened * u64::from(job.grains(0).all().end), 0, 0];
+        for (_, open) in desk.open.ready() {
+            let counts = [open.grains.count(), open.gathers.count(), u32::from(open.merge)];
+            ready.iter_mut().zip(counts).for_each(|(sum, count)| *sum += u64::from(count));
+        }
+        ready
+    }
+
+    fn samples_left(&self, id: JobId, job: &Job) -> u64 {
+        let open = job.spec.frames.len() - job.finished.len() - job.blocked.len();
+        let frame = job.spec.grid.pixels() * u64::from(job.spec.rounds.last().copied().unwrap_or(0));
+        let finished: u64 = job.finished.values().map(|f| u64::from(f.record.spp) * job.spec.grid.pixels()).sum();
+        let under_way = self.samples(id).saturating_sub(finished);
+        (open as u64 * frame).saturating_sub(under_way)
+    }
+
+    fn standing(&self, worker: &crate::floor::Worker, now: Tick) -> WorkerStanding {
+        match worker.intake {
+            Intake::Drained => WorkerStanding::Drained,
+            Intake::Off => WorkerStanding::Off,
+            Intake::Open if !worker.is_fit(&self.config, now) => WorkerStanding::Unfit,
+            Intake::Open if worker.held.is_empty() => WorkerStanding::Idle,
+            Intake::Open => WorkerStanding::Busy,
+        }
+    }
+}
+
+fn quarantined(job: &Job) -> u64 {
+    job.frames.values().map(|frame| frame.quarantined().count() as u64).sum()
+}
+
+/// How many of `things` are of each kind, also of those of which there is none.
+fn count<K: Copy + PartialEq>(kinds: &[K], things: &[K]) -> Vec<(K, u64)> {
+    kinds.iter().map(|kind| (*kind, things.iter().filter(|thing| *thing == kind).count() as u64)).collect()
+}

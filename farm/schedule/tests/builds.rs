@@ -1,0 +1,112 @@
+//! One build of the engine within one frame.
+
+mod common;
+
+use common::{Farm, config, job, registration, result};
+use femc_model::*;
+use femc_schedule::*;
+
+use Decision::Done;
+use StageKind::{Merge, Render};
+
+fn join(farm: &mut Farm, worker: u64, engine: &str) -> Vec<Command> {
+    farm.join_as(worker, Registration { instance: worker, engine: engine.into(), ..registration() })
+}
+
+fn farm() -> Farm {
+    Farm::with(Config { prefetch: 0, ..config() })
+}
+
+#[test]
+fn a_worker_of_another_build_does_another_frame() {
+    let mut farm = farm();
+    farm.submit(job(&[1, 2], 2, &[4]));
+    join(&mut farm, 1, "old");
+    join(&mut farm, 2, "new");
+    assert_eq!((farm.tasks_of(1), farm.tasks_of(2)), (vec![(1, 0, Render, 0)], vec![(2, 0, Render, 0)]));
+    farm.work(1, Done);
+    farm.work(2, Done);
+    assert_eq!((farm.tasks_of(1), farm.tasks_of(2)), (vec![(1, 0, Render, 1)], vec![(2, 0, Render, 1)]));
+    farm.work(2, Done);
+    farm.work(2, Done);
+    assert_eq!(farm.tasks_of(2), [], "frame 1 is the other's, also its merge");
+    farm.work(1, Done);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Merge, 0)]);
+    farm.work(1, Done);
+    assert_eq!(farm.state(JobId(1)), JobState::Done);
+}
+
+#[test]
+fn a_frame_is_nobodys_again_when_its_first_lease_came_to_nothing_and_its_builds_for_good_after_a_result() {
+    let mut farm = farm();
+    let id = farm.submit(job(&[1], 2, &[4]));
+    join(&mut farm, 1, "old");
+    farm.leave(1);
+    join(&mut farm, 2, "new");
+    assert_eq!(farm.tasks_of(2), [(1, 0, Render, 0)]);
+    farm.work(2, Done);
+    farm.leave(2);
+    farm.restart();
+    join(&mut farm, 3, "old");
+    assert_eq!(farm.tasks_of(3), [], "over a restart, too");
+    assert_eq!(farm.status(id).waits, [Wait::OtherBuild { frames: 1 }]);
+    join(&mut farm, 4, "new");
+    assert_eq!(farm.tasks_of(4), [(1, 0, Render, 1)]);
+}
+
+#[test]
+fn a_frame_whose_build_is_gone_begins_anew_after_a_while_and_not_before_others_are_there() {
+    let mut farm = farm();
+    let id = farm.submit(job(&[1], 2, &[4]));
+    join(&mut farm, 1, "old");
+    farm.wait(1_000);
+    farm.work(1, Done);
+    farm.leave(1);
+    for _ in 0..200 {
+        farm.wait(1_000);
+    }
+    assert!(farm.status(id).samples_done > 0, "nobody could do it anew");
+    join(&mut farm, 2, "new");
+    farm.wait(1_000);
+    assert_eq!((farm.status(id).samples_done, farm.tasks_of(2)), (0, vec![(1, 0, Render, 0)]));
+    farm.work(2, Done);
+    farm.work(2, Done);
+    farm.work(2, Done);
+    assert_eq!(farm.state(id), JobState::Done);
+    assert_eq!(&farm.replay(), farm.scheduler.ledger());
+}
+
+#[test]
+fn a_frame_whose_build_is_there_waits_for_it() {
+    let mut farm = farm();
+    let id = farm.submit(job(&[1], 3, &[4]));
+    join(&mut farm, 1, "old");
+    farm.wait(1_000);
+    farm.work(1, Done);
+    join(&mut farm, 2, "new");
+    for step in 1..100 {
+        farm.heartbeat(1, Phase::Working, step);
+        farm.heartbeat(2, Phase::Waiting, 0);
+        farm.wait(1_000);
+    }
+    assert_eq!((farm.tasks_of(1).len(), farm.tasks_of(2).len()), (1, 0), "not even as a second one");
+    assert!(farm.status(id).samples_done > 0);
+}
+
+#[test]
+fn a_lease_is_not_taken_over_by_another_build() {
+    let mut farm = farm();
+    let id = farm.submit(job(&[1], 2, &[4]));
+    join(&mut farm, 1, "old");
+    farm.work(1, Done);
+    let held = farm.first_of(1);
+    farm.restart();
+    let key = farm.scheduler.spec(id).expect("the job is there").key();
+    let lease = HeldLease { task: held.task, epoch: held.epoch, samples: common::samples(&held), job: key };
+    let upgraded = Registration { instance: 1, engine: "new".into(), held: vec![lease], ..registration() };
+    let commands = farm.join_as(1, upgraded);
+    let is_revoked = |command: &Command| matches!(command, Command::Revoke { .. });
+    assert!(commands.iter().any(is_revoked), "{commands:?}");
+    let late = farm.complete_with(1, &held, result(&held, Done));
+    assert!(late.iter().any(|command| matches!(command, Command::Refuse { .. })));
+}

@@ -1,0 +1,65 @@
+//! A copy of the log on its way, and the names of the artefacts that it refers to.
+
+use std::fs::File;
+
+use bytes::BytesMut;
+use femc_model::Artefact;
+use femc_store::Store;
+use tokio::io::AsyncReadExt as _;
+use tokio::sync::mpsc;
+use tonic::Status;
+
+use super::artifacts::refuse;
+use super::collect::{References, named};
+use crate::error::to_status;
+use crate::{PIECE, wire};
+use wire::backup_reply::Part;
+
+/// The log at one moment.
+#[derive(Debug)]
+pub struct Backup {
+    /// A copy of it, at its beginning.
+    pub log: File,
+    /// What its jobs refer to.
+    pub references: References,
+}
+
+type Sender = mpsc::Sender<Result<wire::BackupReply, Status>>;
+
+/// Artefacts that one message names.
+const NAMES: usize = 10_000;
+
+/// Sends the artefacts that the store has, then the log, as fast as the listener reads.
+pub(super) async fn send(store: Store, backup: Backup, out: Sender) {
+    if let Err(status) = try_send(&store, backup, &out).await {
+        // Who does not listen any more need not hear it.
+        let _ = out.send(Err(status)).await;
+    }
+}
+
+async fn try_send(store: &Store, Backup { log, references }: Backup, out: &Sender) -> Result<(), Status> {
+    let digests: Vec<_> = named(store, references).await.map_err(|no| to_status(&no))?.into_iter().collect();
+    for some in digests.chunks(NAMES) {
+        let mut artefacts = Vec::new();
+        for &digest in some {
+            // What is gone was merged in the meantime, or is made again by whoever misses it.
+            let size = store.size(&digest).await.map_err(|error| refuse(&error))?;
+            artefacts.extend(size.map(|bytes| wire::Artefact::from(Artefact { digest, bytes })));
+        }
+        pass_on(Part::Artefacts(wire::Artefacts { artefacts }), out).await?;
+    }
+    let mut log = tokio::fs::File::from_std(log);
+    loop {
+        let mut piece = BytesMut::with_capacity(PIECE);
+        let broken = |error: std::io::Error| Status::unavailable(format!("the copy of the log: {error}"));
+        if log.read_buf(&mut piece).await.map_err(broken)? == 0 {
+            return Ok(());
+        }
+        pass_on(Part::Log(piece.freeze()), out).await?;
+    }
+}
+
+async fn pass_on(part: Part, out: &Sender) -> Result<(), Status> {
+    let reply = wire::BackupReply { part: Some(part) };
+    out.send(Ok(reply)).await.map_err(|_| Status::cancelled("nobody listens"))
+}

@@ -1,0 +1,158 @@
+//! What calls there were, how long they took to answer, and how much went through the store.
+
+use std::collections::BTreeMap;
+use std::future::Future;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::task::{Context, Poll};
+use std::time::Instant;
+
+use femc_metrics::{Counter, Histogram, Tally};
+use http::{Request, Response};
+use prost::Message as _;
+use tonic::Code;
+use tower::{Layer, Service};
+
+use crate::wire;
+
+/// Counts the traffic of a server; clones share it.
+#[derive(Debug, Clone)]
+pub struct Traffic {
+    /// Calls, by their path and the status with which their answer began.
+    pub calls: Tally<(String, &'static str)>,
+    /// Until the answer began, by the path of the call.
+    pub latencies: Arc<BTreeMap<String, Histogram>>,
+    /// Bytes of artefacts that came in.
+    pub received: Counter,
+    /// Bytes of artefacts that went out.
+    pub sent: Counter,
+}
+
+/// The path of what is none of this program's calls: anybody can make up as many as he likes.
+const OTHER: &str = "other";
+
+impl Default for Traffic {
+    fn default() -> Self {
+        let paths: Vec<String> = paths().into_iter().chain([OTHER.to_owned()]).collect();
+        let histogram = |path: &String| (path.clone(), Histogram::new(Histogram::LATENCIES));
+        Self {
+            calls: Tally::of(paths.iter().map(|path| (path.clone(), name(Code::Ok)))),
+            latencies: Arc::new(paths.iter().map(histogram).collect()),
+            received: Counter::default(),
+            sent: Counter::default(),
+        }
+    }
+}
+
+impl Traffic {
+    fn note<B>(&self, path: &str, response: &Response<B>, begun: Instant) {
+        let path = self.latencies.get_key_value(path).map_or(OTHER, |(path, _)| path);
+        let code = response.headers().get("grpc-status").map_or(Code::Ok, |code| Code::from_bytes(code.as_bytes()));
+        self.calls.add((path.to_owned(), name(code)), 1);
+        if let Some(latencies) = self.latencies.get(path) {
+            latencies.note(begun.elapsed());
+        }
+    }
+}
+
+/// The calls of the protocol, such as `/femc.v1.Jobs/List`.
+fn paths() -> Vec<String> {
+    let set = prost_types::FileDescriptorSet::decode(wire::DESCRIPTORS).unwrap_or_default();
+    let mut paths = Vec::new();
+    for file in &set.file {
+        for service in &file.service {
+            let path = |call: &prost_types::MethodDescriptorProto| {
+                format!("/{}.{}/{}", file.package(), service.name(), call.name())
+            };
+            paths.extend(service.method.iter().map(path));
+        }
+    }
+    paths
+}
+
+/// As gRPC writes it.
+fn name(code: Code) -> &'static str {
+    match code {
+        Code::Ok => "OK",
+        Code::Cancelled => "CANCELLED",
+        Code::Unknown => "UNKNOWN",
+        Code::InvalidArgument => "INVALID_ARGUMENT",
+        Code::DeadlineExceeded => "DEADLINE_EXCEEDED",
+        Code::NotFound => "NOT_FOUND",
+        Code::AlreadyExists => "ALREADY_EXISTS",
+        Code::PermissionDenied => "PERMISSION_DENIED",
+        Code::ResourceExhausted => "RESOURCE_EXHAUSTED",
+        Code::FailedPrecondition => "FAILED_PRECONDITION",
+        Code::Aborted => "ABORTED",
+        Code::OutOfRange => "OUT_OF_RANGE",
+        Code::Unimplemented => "UNIMPLEMENTED",
+        Code::Internal => "INTERNAL",
+        Code::Unavailable => "UNAVAILABLE",
+        Code::DataLoss => "DATA_LOSS",
+        Code::Unauthenticated => "UNAUTHENTICATED",
+    }
+}
+
+impl<S> Layer<S> for Traffic {
+    type Service = Counted<S>;
+
+    fn layer(&self, inner: S) -> Counted<S> {
+        Counted { traffic: self.clone(), inner }
+    }
+}
+
+/// A service whose calls are counted.
+#[derive(Debug, Clone)]
+pub struct Counted<S> {
+    traffic: Traffic,
+    inner: S,
+}
+
+impl<S, A, B> Service<Request<A>> for Counted<S>
+where
+    S: Service<Request<A>, Response = Response<B>>,
+    S::Future: Send + 'static,
+{
+    type Response = S::Response;
+    type Error = S::Error;
+    type Future = Pin<Box<dyn Future<Output = Result<S::Response, S::Error>> + Send>>;
+
+    fn poll_ready(&mut self, context: &mut Context<'_>) -> Poll<Result<(), S::Error>> {
+        self.inner.poll_ready(context)
+    }
+
+    fn call(&mut self, request: Request<A>) -> Self::Future {
+        let (traffic, path, begun) = (self.traffic.clone(), request.uri().path().to_owned(), Instant::now());
+        let answer = self.inner.call(request);
+        Box::pin(async move {
+            let response = answer.await?;
+            traffic.note(&path, &response, begun);
+            Ok(response)
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_call_of_the_protocol_has_a_name_and_made_up_ones_share_one() {
+        let traffic = Traffic::default();
+        let answer = |code: &str| {
+            let response = Response::builder().header("grpc-status", code).body(());
+            response.expect("a response")
+        };
+        traffic.note("/femc.v1.Jobs/List", &Response::new(()), Instant::now());
+        traffic.note("/femc.v1.Jobs/List", &answer("7"), Instant::now());
+        traffic.note("/femc.v1.Jobs/Lisp", &answer("12"), Instant::now());
+        traffic.note("/what/ever", &answer("12"), Instant::now());
+        let calls: BTreeMap<(String, &str), u64> = traffic.calls.get().into_iter().collect();
+        let count = |path: &str, code| calls.get(&(path.to_owned(), code)).copied();
+        assert_eq!(count("/femc.v1.Jobs/List", "OK"), Some(1));
+        assert_eq!(count("/femc.v1.Jobs/List", "PERMISSION_DENIED"), Some(1));
+        assert_eq!(count("other", "UNIMPLEMENTED"), Some(2));
+        assert_eq!(count("/femc.v1.Artifacts/Put", "OK"), Some(0), "there before the first");
+        assert!(!calls.keys().any(|(path, _)| path.contains("Lisp")));
+    }
+}

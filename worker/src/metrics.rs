@@ -1,0 +1,171 @@
+//! What a worker counts over its life, and the page that shows it.
+
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, OnceLock};
+
+use femc_metrics::{Counter, Health, Page, Report, Seconds, Tally, process};
+use femc_model::{Failure, StageKind};
+use femc_proto::PROTOCOL;
+
+use crate::Cache;
+use crate::table::{Table, Task};
+
+/// Counts what a worker does; clones are the same one.
+#[derive(Debug, Clone, Default)]
+pub struct Metrics(Arc<Inner>);
+
+#[derive(Debug)]
+struct Inner {
+    /// Set when the worker runs.
+    parts: OnceLock<(Arc<Table>, Cache)>,
+    is_connected: AtomicBool,
+    sessions: Counter,
+    done: Tally<&'static str>,
+    failures: Tally<&'static str>,
+    refused: Counter,
+    revoked: Counter,
+    used: Used,
+}
+
+/// What tasks took.
+#[derive(Debug, Default)]
+struct Used {
+    wall: Seconds,
+    waited: Seconds,
+    prepared: Seconds,
+    cpu: Seconds,
+    samples: Counter,
+    rays: Counter,
+    fetched: Counter,
+    sent: Counter,
+}
+
+impl Default for Inner {
+    fn default() -> Self {
+        Self {
+            parts: OnceLock::new(),
+            is_connected: AtomicBool::new(false),
+            done: Tally::of(StageKind::ALL.map(StageKind::name)),
+            failures: Tally::of(Failure::CAUSES),
+            sessions: Counter::default(),
+            refused: Counter::default(),
+            revoked: Counter::default(),
+            used: Used::default(),
+        }
+    }
+}
+
+impl Metrics {
+    pub(crate) fn watch(&self, table: &Arc<Table>, cache: &Cache) {
+        // A second worker with the same counters is looked at no closer.
+        let _ = self.0.parts.set((table.clone(), cache.clone()));
+    }
+
+    pub(crate) fn connected(&self) {
+        self.0.sessions.add(1);
+        self.0.is_connected.store(true, Ordering::Relaxed);
+    }
+
+    pub(crate) fn disconnected(&self) {
+        self.0.is_connected.store(false, Ordering::Relaxed);
+    }
+
+    /// The coordinator has taken notice of what came of a task.
+    pub(crate) fn accepted(&self, task: &Task) {
+        match task.outcome() {
+            Some(Ok(_)) => self.0.done.add(task.assignment.task.stage.kind.name(), 1),
+            Some(Err(failure)) => self.0.failures.add(failure.cause(), 1),
+            None => {}
+        }
+        self.used(task);
+    }
+
+    pub(crate) fn refused(&self, task: &Task) {
+        self.0.refused.add(1);
+        self.used(task);
+    }
+
+    pub(crate) fn revoked(&self, task: &Task) {
+        self.0.revoked.add(1);
+        self.used(task);
+    }
+
+    fn used(&self, task: &Task) {
+        let Some(usage) = task.usage() else { return };
+        self.0.used.wall.add(usage.wall);
+        self.0.used.waited.add(usage.wait);
+        self.0.used.prepared.add(usage.preparation);
+        self.0.used.cpu.add(usage.cpu);
+        self.0.used.samples.add(usage.samples);
+        self.0.used.rays.add(usage.rays);
+        self.0.used.fetched.add(usage.fetched);
+        self.0.used.sent.add(usage.sent);
+    }
+
+    /// How the worker is, and its page.
+    pub fn report(&self) -> Report {
+        let is_connected = self.0.is_connected.load(Ordering::Relaxed);
+        let health = match is_connected {
+            true => Health::Ready,
+            false => Health::Waits { message: "it looks for its coordinator".into() },
+        };
+        let mut page = Page::default();
+        let labels = [
+            ("version", env!("CARGO_PKG_VERSION")),
+            ("protocol", &*PROTOCOL.to_string()),
+            ("role", "worker"),
+            ("engine", crate::engine()),
+        ];
+        page.gauge("femc_build_info", "Which program this is; always 1.").with(&labels, 1.0);
+        let help = "Whether the worker has a session with a coordinator.";
+        page.gauge("femc_worker_connected", help).is(u8::from(is_connected));
+        self.put_tasks(&mut page);
+        self.put_usage(&mut page);
+        if let Some((table, cache)) = self.0.parts.get() {
+            put_held(&mut page, table);
+            cache.put(&mut page);
+        }
+        process(&mut page);
+        Report { health, page: page.finish() }
+    }
+
+    fn put_tasks(&self, page: &mut Page) {
+        let Inner { sessions, done, failures, refused, revoked, .. } = &*self.0;
+        page.counter("femc_worker_sessions_total", "Sessions with coordinators.").counts(sessions.get());
+        let help = "Results that the coordinator has made durable, by what the task did.";
+        page.counter("femc_worker_tasks_done_total", help).each("stage", done.get());
+        page.counter("femc_worker_failures_total", "Tasks that were not done, by cause.").each("cause", failures.get());
+        let help = "Results that came after their lease was over, and change nothing.";
+        page.counter("femc_worker_refused_total", help).counts(refused.get());
+        page.counter("femc_worker_revoked_total", "Tasks that were taken back.").counts(revoked.get());
+    }
+
+    fn put_usage(&self, page: &mut Page) {
+        let Used { wall, waited, prepared, cpu, samples, rays, fetched, sent } = &self.0.used;
+        let help = "From the beginning of tasks to their results, in seconds.";
+        page.counter("femc_worker_task_seconds_total", help).is(wall.get());
+        let help = "From the arrival of tasks to their beginning, in seconds.";
+        page.counter("femc_worker_wait_seconds_total", help).is(waited.get());
+        let help = "Of the seconds of tasks, those until their inputs were ready.";
+        page.counter("femc_worker_preparation_seconds_total", help).is(prepared.get());
+        let help = "Processor time that went into tasks, in seconds.";
+        page.counter("femc_worker_cpu_seconds_total", help).is(cpu.get());
+        page.counter("femc_worker_samples_total", "Pixel samples taken.").counts(samples.get());
+        page.counter("femc_worker_rays_total", "Rays traced.").counts(rays.get());
+        let help = "Bytes of artefacts that tasks fetched.";
+        page.counter("femc_worker_fetched_bytes_total", help).counts(fetched.get());
+        let help = "Bytes of artefacts that results sent.";
+        page.counter("femc_worker_sent_bytes_total", help).counts(sent.get());
+    }
+}
+
+fn put_held(page: &mut Page, table: &Table) {
+    let held = table.held();
+    let results: Vec<u64> = held.iter().filter_map(|task| task.result_bytes()).collect();
+    let waiting = held.iter().filter(|task| !task.is_begun()).count();
+    page.gauge("femc_worker_tasks_held", "Tasks that the worker holds.").counts(held.len() as u64);
+    page.gauge("femc_worker_tasks_waiting", "Of these, those that wait for their turn.").counts(waiting as u64);
+    let help = "Results in the outbox: the coordinator has not acknowledged them.";
+    page.gauge("femc_worker_outbox_results", help).counts(results.len() as u64);
+    page.gauge("femc_worker_outbox_bytes", "Bytes of these results.").counts(results.iter().sum());
+}

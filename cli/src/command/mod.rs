@@ -10,6 +10,7 @@ pub mod coordinator;
 pub mod drain;
 mod embedded;
 pub mod fetch;
+mod files;
 pub mod gc;
 mod interrupt;
 pub mod jobs;

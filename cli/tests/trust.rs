@@ -60,6 +60,10 @@ fn who_has_no_identity_or_lost_it_is_told_so() {
     assert!(told.contains("FEMC_IDENTITY"), "{told}");
     let plain = url.replace("https://", "http://");
     place.run(&format!("jobs --server {plain} --identity ann.pem")).exits(4);
+    place.run("ca init --dir other").exits(0);
+    place.run("ca issue user eve --role admin --dir other").exits(0);
+    place.run(&format!("jobs --server {url} --identity eve.pem")).exits(4);
+    farm.wait_until("it is noted", || place.read("audit.jsonl").contains("no accepted certificate"));
     let mut worker = place.start(&format!("worker --join {url} --threads 1 --identity w1.pem"));
     let workers = || place.run(&format!("workers --json --server {url} --identity ann.pem")).exits(0).json();
     let names = || -> Vec<String> {

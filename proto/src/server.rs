@@ -38,7 +38,7 @@ use crate::many::Many as _;
 use crate::net::Io;
 use crate::{PIECE, tls, wire};
 pub use collect::{CollectMode, Collected, LEAST_GRACE, References, Volume};
-use door::{Admitted, Door};
+use door::{Admitted, Door, Unheard};
 use guard::{Caller, Guard};
 use places::Places;
 use promised::Promised;
@@ -297,7 +297,9 @@ impl Server {
         &self,
         incoming: I,
     ) -> impl Stream<Item = io::Result<Admitted<C>>> + use<C, I> {
-        let door = Door::new(self.limits, self.audit.clone());
+        let is_encrypted = self.entrance.as_ref().is_some_and(|entrance| entrance.identity.is_some());
+        let unheard = if is_encrypted { Unheard::Noted } else { Unheard::Ignored };
+        let door = Door::new(self.limits, self.audit.clone(), unheard);
         incoming.filter_map(move |io| io.map(|io| door.admit(io)).transpose())
     }
 

@@ -43,7 +43,17 @@ impl Peer {
 pub(super) struct Door {
     limits: Limits,
     audit: Option<Audit>,
+    unheard: Unheard,
     inside: Arc<Mutex<Inside>>,
+}
+
+/// What becomes of connections that end without a call that was allowed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Unheard {
+    /// They are noted: where certificates are asked for, a wrong one ends in the handshake, before there is a call to refuse.
+    Noted,
+    /// They are nobody's business.
+    Ignored,
 }
 
 #[derive(Debug, Default)]
@@ -72,8 +82,8 @@ impl Door {
     /// Between two warnings.
     const WARNS: Duration = Duration::from_secs(10);
 
-    pub(super) fn new(limits: Limits, audit: Option<Audit>) -> Self {
-        Self { limits, audit, inside: Arc::default() }
+    pub(super) fn new(limits: Limits, audit: Option<Audit>, unheard: Unheard) -> Self {
+        Self { limits, audit, unheard, inside: Arc::default() }
     }
 
     fn lock(&self) -> MutexGuard<'_, Inside> {
@@ -100,7 +110,8 @@ impl Door {
         inside.of.insert(place, of_place + 1);
         let peer = Peer { address, number, is_introduced: Arc::default() };
         let deadline = Some(Box::pin(tokio::time::sleep(self.limits.introduction)));
-        Some(Admitted { io, peer, deadline, _seat: Seat { inside: self.inside.clone(), place } })
+        let audit = self.audit.clone().filter(|_| self.unheard == Unheard::Noted);
+        Some(Admitted { io, peer, deadline, audit, _seat: Seat { inside: self.inside.clone(), place } })
     }
 
     fn turn_away(&self, inside: &mut Inside, address: Option<SocketAddr>) {
@@ -109,15 +120,19 @@ impl Door {
             tracing::warn!(?address, all = inside.all, "too many connections; some are turned away");
         }
         if let Some(audit) = &self.audit {
-            audit.refused(Deed {
-                who: "unknown".into(),
-                from: address.map(|address| address.ip().to_string()),
-                call: "connect".into(),
-                outcome: "ResourceExhausted".into(),
-                why: Some("too many connections".into()),
-                ..Deed::default()
-            });
+            audit.refused(connecting(address, "ResourceExhausted", "too many connections"));
         }
+    }
+}
+
+fn connecting(address: Option<SocketAddr>, outcome: &str, why: &str) -> Deed {
+    Deed {
+        who: "unknown".into(),
+        from: address.map(|address| address.ip().to_string()),
+        call: "connect".into(),
+        outcome: outcome.into(),
+        why: Some(why.into()),
+        ..Deed::default()
     }
 }
 
@@ -148,7 +163,18 @@ pub(super) struct Admitted<C> {
     peer: Peer,
     /// `None` after its introduction.
     deadline: Option<Pin<Box<Sleep>>>,
+    /// Where it is noted, if it ends without an introduction.
+    audit: Option<Audit>,
     _seat: Seat,
+}
+
+impl<C> Drop for Admitted<C> {
+    fn drop(&mut self) {
+        if let Some(audit) = self.audit.take().filter(|_| !self.peer.is_introduced.load(Ordering::Relaxed)) {
+            let why = "no accepted certificate, or no call that was allowed";
+            audit.refused(connecting(self.peer.address, "Closed", why));
+        }
+    }
 }
 
 impl<C> Connected for Admitted<C> {
@@ -242,7 +268,7 @@ mod tests {
 
     #[tokio::test(start_paused = true)]
     async fn who_says_nothing_is_let_go_of_and_who_is_introduced_may_stay() {
-        let door = Door::new(Limits::default(), None);
+        let door = Door::new(Limits::default(), None, Unheard::Ignored);
         let mut silent = door.admit(far("10.0.0.1:1")).unwrap();
         let mut guest = door.admit(far("10.0.0.1:2")).unwrap();
         guest.connect_info().introduce();
@@ -255,7 +281,7 @@ mod tests {
     #[tokio::test]
     async fn so_many_from_one_place_and_so_many_in_all_and_a_seat_is_free_again() {
         let limits = Limits { connections: 5, connections_of_one: 2, ..Limits::default() };
-        let door = Door::new(limits, None);
+        let door = Door::new(limits, None, Unheard::Ignored);
         let mut inside: Vec<_> =
             ["[2001:db8::1]:1", "[2001:db8::2]:2"].map(|from| door.admit(far(from)).unwrap()).into();
         assert!(door.admit(far("[2001:db8::3]:1")).is_none(), "one network");

@@ -4,10 +4,11 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use femc_proto::{Entrance, ServeError};
+use femc_proto::{Entrance, Limits, ServeError};
 use femc_queue::{Database, QueueError};
 use femc_schedule::SnapshotError;
 use femc_store::StoreError;
+use femc_trust::Audit;
 
 use crate::clock::Time;
 use crate::metrics::Metrics;
@@ -55,8 +56,12 @@ pub struct Config {
     pub listen: SocketAddr,
     /// Who may connect, where nothing is encrypted.
     pub exposure: Exposure,
-    /// Its identity and whom it lets in; `None`: connections are not encrypted.
+    /// Its identity and whom it lets in; `None`: connections are not encrypted, and everybody is.
     pub entrance: Option<Entrance>,
+    /// What peers may have.
+    pub limits: Limits,
+    /// Where changes and refusals are noted.
+    pub audit: Option<Audit>,
     /// Where the log lives.
     pub log: Log,
     /// Where artefacts live.
@@ -77,6 +82,8 @@ impl Default for Config {
             listen: SocketAddr::from(([127, 0, 0, 1], 0)),
             exposure: Exposure::Loopback,
             entrance: None,
+            limits: Limits::default(),
+            audit: None,
             log: Log::Memory,
             artifacts: Artifacts::Memory,
             scheduler: femc_schedule::Config::default(),
@@ -90,8 +97,13 @@ impl Default for Config {
 impl Config {
     /// Where it is reached, if it listens at `address`.
     pub(crate) fn url(&self, address: SocketAddr) -> String {
-        let scheme = if self.entrance.is_some() { "https" } else { "http" };
+        let scheme = if self.is_encrypted() { "https" } else { "http" };
         format!("{scheme}://{address}")
+    }
+
+    /// Whether others can read what is said.
+    pub(crate) fn is_encrypted(&self) -> bool {
+        self.entrance.as_ref().is_some_and(|entrance| entrance.identity.is_some())
     }
 }
 

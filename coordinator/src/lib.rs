@@ -19,7 +19,7 @@ mod start;
 
 pub use clock::Time;
 pub use config::{Artifacts, Config, CoordinatorError, Exposure, Log};
-pub use femc_proto::Entrance;
+pub use femc_proto::{Entrance, Limits};
 pub use femc_queue::{Database, Postgres, QueueError};
 pub use lead::Standing;
 pub use metrics::Metrics;

@@ -34,7 +34,7 @@ impl Coordinator {
     /// Starts on the current tokio runtime; it listens when this returns, but for a coordinator of several, which waits for
     /// its turn: [`Handle::standing`] tells.
     pub async fn start(config: Config) -> Result<Handle, CoordinatorError> {
-        if config.entrance.is_none() && config.exposure == Exposure::Loopback && !config.listen.ip().is_loopback() {
+        if !config.is_encrypted() && config.exposure == Exposure::Loopback && !config.listen.ip().is_loopback() {
             return Err(CoordinatorError::Exposed { address: config.listen });
         }
         let store = match &config.artifacts {
@@ -118,7 +118,11 @@ impl Coordinator {
         let actor = tokio::spawn(actor.run(inbox, stopped));
         let (serving, mut until) = watch::channel(());
         let server = serve(
-            Server::new(calls, store).behind(config.entrance).counted(config.metrics.traffic()),
+            Server::new(calls, store)
+                .behind(config.entrance)
+                .counted(config.metrics.traffic())
+                .within(config.limits)
+                .noting(config.audit),
             Box::pin(async move {
                 // Ends when the sender is dropped: on a stop, or because the actor is gone.
                 let _ = until.changed().await;

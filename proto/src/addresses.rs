@@ -4,6 +4,7 @@
 //! asked last. So a client finds the leader again by itself, at the cost of refused connections to those that stand by.
 
 use std::io;
+use std::net::IpAddr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
@@ -58,6 +59,15 @@ impl Addresses {
     /// Whether connections are encrypted.
     pub(crate) fn are_encrypted(&self) -> bool {
         self.all[0].scheme_str() == Some("https")
+    }
+
+    /// The first that is not on this machine, by what it is called.
+    pub(crate) fn beyond_this_machine(&self) -> Option<&str> {
+        let is_here = |uri: &Uri| {
+            let host = uri.host().unwrap_or_default().trim_start_matches('[').trim_end_matches(']');
+            host == "localhost" || host.parse().is_ok_and(|ip: IpAddr| ip.is_loopback())
+        };
+        self.all.iter().position(|uri| !is_here(uri)).map(|at| &*self.urls[at])
     }
 
     /// The one in use.
@@ -125,6 +135,21 @@ mod tests {
             "http://one,https://two",
         ] {
             assert!(matches!(Addresses::parse(wrong), Err(CallError::Address { .. })), "{wrong}");
+        }
+    }
+
+    #[test]
+    fn what_is_not_this_machine_is_known_by_its_address() {
+        let beyond = |list: &str| Addresses::parse(list).unwrap().beyond_this_machine().map(str::to_owned);
+        assert_eq!(beyond("http://127.0.0.1:7878,http://[::1]:7878,http://localhost:1,http://127.9.9.9"), None);
+        for far in [
+            "http://10.0.0.1:7878",
+            "http://farm",
+            "http://localhost.farm.lan",
+            "http://[fe80::1]",
+            "http://127.0.0.1.nip.io",
+        ] {
+            assert_eq!(beyond(&format!("http://localhost,{far}")), Some(far.to_owned()));
         }
     }
 

@@ -14,9 +14,11 @@ use tokio::sync::mpsc;
 use tokio_stream::StreamExt as _;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::Streaming;
-use tonic::transport::{Channel, Endpoint, Uri};
+use tonic::service::interceptor::InterceptedService;
+use tonic::transport::{Endpoint, Uri};
 
 use crate::addresses::Addresses;
+use crate::bearer::{Bearer, Bearing};
 use crate::convert::{ConvertError, digest, digest_bytes, each, need};
 use crate::error::{BackupError, CallError, from_status};
 use crate::many::{Many, together};
@@ -34,7 +36,7 @@ use wire::workers_client::WorkersClient;
 #[derive(Debug, Clone)]
 pub struct Client {
     addresses: Arc<Addresses>,
-    channel: Channel,
+    channel: Bearing,
 }
 
 impl Client {
@@ -80,9 +82,18 @@ impl Client {
             .initial_stream_window_size(4 << 20)
             .initial_connection_window_size(16 << 20);
         if addresses.are_encrypted() {
-            let identity = dial.identity.as_deref().ok_or_else(|| CallError::NoIdentity { url: url() })?;
-            endpoint = endpoint.tls_config(tls::client(identity)).map_err(|error| address(chain(&error)))?;
+            let tls = match (&dial.identity, &dial.pass) {
+                (Some(identity), _) => tls::client(identity),
+                (None, Some(pass)) => {
+                    tls::known_by(pass.authority().ok_or_else(|| CallError::NoAuthority { url: url() })?)
+                }
+                (None, None) => return Err(CallError::NoIdentity { url: url() }),
+            };
+            endpoint = endpoint.tls_config(tls).map_err(|error| address(chain(&error)))?;
+        } else if let Some(far) = dial.pass.as_ref().and_then(|_| addresses.beyond_this_machine()) {
+            return Err(CallError::OpenToken { url: far.into() });
         }
+        let bearer = Bearer::of(dial.pass.as_deref());
         let channel = if is_alone && dial.way.is_none() {
             endpoint.connect_timeout(Duration::from_secs(5)).connect().await
         } else {
@@ -94,7 +105,7 @@ impl Client {
             endpoint.connect_with_connector(connector).await
         };
         let channel = channel.map_err(|error| CallError::Unreachable { url: url(), message: chain(&error) })?;
-        Ok(Self { addresses, channel })
+        Ok(Self { addresses, channel: InterceptedService::new(channel, bearer) })
     }
 
     /// The coordinator's address.
@@ -102,11 +113,11 @@ impl Client {
         self.addresses.used()
     }
 
-    fn jobs(&self) -> JobsClient<Channel> {
+    fn jobs(&self) -> JobsClient<Bearing> {
         JobsClient::new(self.channel.clone()).max_decoding_message_size(MESSAGE)
     }
 
-    pub(crate) fn artifacts(&self) -> ArtifactsClient<Channel> {
+    pub(crate) fn artifacts(&self) -> ArtifactsClient<Bearing> {
         ArtifactsClient::new(self.channel.clone()).max_decoding_message_size(2 * PIECE)
     }
 

@@ -19,8 +19,20 @@ pub enum CallError {
         message: String,
     },
     /// The address asks for an identity, and none was given.
-    #[error("{url} is encrypted, which takes an identity")]
+    #[error("{url} is encrypted, which takes an identity or a token")]
     NoIdentity {
+        /// As given.
+        url: String,
+    },
+    /// A token would cross a network where others can read it.
+    #[error("{url} is neither encrypted nor on this machine: the token is not sent there")]
+    OpenToken {
+        /// As given.
+        url: String,
+    },
+    /// The address is encrypted, and by the token alone the coordinator cannot be known.
+    #[error("{url} is encrypted, and the token's file has no certificate of the farm's authority")]
+    NoAuthority {
         /// As given.
         url: String,
     },
@@ -81,6 +93,7 @@ fn code(refusal: &Refusal) -> Code {
         Refusal::TooLarge { .. } => Code::ResourceExhausted,
         Refusal::Unavailable { .. } => Code::Unavailable,
         Refusal::Forbidden { .. } => Code::PermissionDenied,
+        Refusal::Unauthenticated { .. } => Code::Unauthenticated,
     }
 }
 

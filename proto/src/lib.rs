@@ -6,12 +6,16 @@
 #![deny(missing_docs)]
 
 mod addresses;
+mod bearer;
 mod client;
 mod convert;
 mod error;
+mod limits;
 mod many;
 mod net;
 mod server;
+#[cfg(feature = "testing")]
+pub mod testing;
 mod tls;
 mod transfer;
 mod wire;
@@ -19,6 +23,7 @@ mod wire;
 pub use client::{Client, Incoming, Outgoing, Watch};
 pub use convert::ConvertError;
 pub use error::{BackupError, CallError, ServeError};
+pub use limits::Limits;
 pub use net::{Dial, Dialing, Io, Link};
 pub use server::{
     AttemptPage, Backup, Call, CollectMode, Collected, Entrance, JobShape, LEAST_GRACE, References, Reply, Server,

@@ -7,7 +7,7 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::task::{Context, Poll};
 
-use femc_trust::Identity;
+use femc_trust::{Identity, Pass};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tonic::transport::server::Connected;
 
@@ -68,6 +68,7 @@ type Way = dyn Fn(String, u16) -> Dialing + Send + Sync;
 pub struct Dial {
     pub(crate) way: Option<Arc<Way>>,
     pub(crate) identity: Option<Arc<Identity>>,
+    pub(crate) pass: Option<Arc<Pass>>,
 }
 
 impl Dial {
@@ -78,18 +79,23 @@ impl Dial {
 
     /// By `dial`, which gets host and port.
     pub fn by(dial: impl Fn(String, u16) -> Dialing + Send + Sync + 'static) -> Self {
-        Self { way: Some(Arc::new(dial)), identity: None }
+        Self { way: Some(Arc::new(dial)), ..Self::default() }
     }
 
     /// With this identity, which addresses that begin with `https://` ask for.
     pub fn with(self, identity: Identity) -> Self {
         Self { identity: Some(Arc::new(identity)), ..self }
     }
+
+    /// With this token, which is sent where nobody else can read it: encrypted, or within this machine.
+    pub fn bearing(self, pass: Pass) -> Self {
+        Self { pass: Some(Arc::new(pass)), ..self }
+    }
 }
 
 impl fmt::Debug for Dial {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let way = if self.way.is_none() { "tcp" } else { "another way" };
-        f.debug_struct("Dial").field("way", &way).field("identity", &self.identity).finish()
+        f.debug_struct("Dial").field("way", &way).field("identity", &self.identity).field("pass", &self.pass).finish()
     }
 }

@@ -3,11 +3,16 @@
 mod artifacts;
 mod backup;
 mod collect;
+mod door;
 mod guard;
 mod inputs;
 mod jobs;
+mod places;
 mod promised;
+mod punctual;
+mod rate;
 mod traffic;
+mod trail;
 mod uploads;
 mod workers;
 
@@ -15,16 +20,15 @@ use std::collections::VecDeque;
 use std::future::Future;
 use std::io;
 use std::sync::Arc;
-use std::time::Duration;
 
 use femc_model::{
     AttemptRecord, Control, Cut, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord,
     Refusal, Registration, Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use femc_store::Store;
-use femc_trust::{Identity, Revoked};
+use femc_trust::{Audit, Identity, Revoked, Tokens};
 use tokio::sync::{mpsc, oneshot, watch};
-use tokio_stream::Stream;
+use tokio_stream::{Stream, StreamExt as _};
 use tonic::Streaming;
 use tonic::transport::server::{Connected, Router};
 use tonic_health::ServingStatus;
@@ -33,12 +37,15 @@ use tower::layer::util::Stack;
 
 use crate::convert::ConvertError;
 use crate::error::ServeError;
+use crate::limits::Limits;
 use crate::many::Many as _;
 use crate::net::Io;
-use crate::{MESSAGE, PIECE, tls, wire};
+use crate::{PIECE, tls, wire};
 pub use backup::Backup;
 pub use collect::{CollectMode, Collected, LEAST_GRACE, References, Volume};
+use door::{Admitted, Door, Unheard};
 use guard::{Caller, Guard};
+use places::Places;
 use promised::Promised;
 pub use traffic::Traffic;
 use uploads::Uploads;
@@ -224,12 +231,15 @@ pub struct Server {
     /// Where artefacts live.
     store: Store,
     uploads: Uploads,
+    places: Places,
     promised: Promised,
     /// Held while garbage is collected.
     collecting: Arc<tokio::sync::Mutex<()>>,
     /// Who it is and whom it lets in; `None`: connections are not encrypted, and everybody may do everything.
     entrance: Option<Entrance>,
     traffic: Traffic,
+    limits: Limits,
+    audit: Option<Audit>,
 }
 
 /// What stands before the services, the first at the end.
@@ -239,33 +249,37 @@ type Layers = Stack<Guard, Stack<Traffic, tower::layer::util::Identity>>;
 const SERVICES: [&str; 3] =
     [wire::jobs_server::SERVICE_NAME, wire::workers_server::SERVICE_NAME, wire::artifacts_server::SERVICE_NAME];
 
-/// The door of an encrypted server.
+/// The door of a server that lets in only those it knows.
 #[derive(Debug, Clone)]
 pub struct Entrance {
-    /// A coordinator's. Whoever shows an identity of the same authority is let in, and may do what its role may.
-    pub identity: Identity,
+    /// A coordinator's: connections are encrypted, and whoever shows an identity of the same authority is let in, and may do
+    /// what its role may. `None`: connections are not encrypted, and only tokens count.
+    pub identity: Option<Identity>,
     /// Identities that count no more.
     pub revoked: Option<Revoked>,
+    /// Who may come with a token instead of an identity.
+    pub tokens: Option<Tokens>,
 }
 
 impl Server {
-    /// Most streams that one connection may have open.
-    const STREAMS: u32 = 256;
-
     /// Passes calls on to `calls`; artefacts live in `store`.
     pub fn new(calls: mpsc::Sender<Call>, store: Store) -> Self {
+        let limits = Limits::default();
         Self {
             calls,
             store,
             uploads: Uploads::default(),
+            places: Places::new(&limits),
             promised: Promised::default(),
             collecting: Arc::default(),
             entrance: None,
             traffic: Traffic::default(),
+            limits,
+            audit: None,
         }
     }
 
-    /// Encrypted, if there is an entrance.
+    /// Lets in only those who belong, if there is an entrance.
     pub fn behind(self, entrance: Option<Entrance>) -> Self {
         Self { entrance, ..self }
     }
@@ -275,12 +289,23 @@ impl Server {
         Self { traffic, ..self }
     }
 
+    /// Lets its peers have so much.
+    pub fn within(self, limits: Limits) -> Self {
+        Self { limits, places: Places::new(&limits), ..self }
+    }
+
+    /// Notes changes and refusals there.
+    pub fn noting(self, audit: Option<Audit>) -> Self {
+        Self { audit, ..self }
+    }
+
     /// Serves the connections that come in until `stop` comes, then until the open calls have ended.
     pub async fn serve<C: Io + Connected>(
         self,
         incoming: impl Stream<Item = io::Result<C>>,
         stop: impl Future<Output = ()>,
     ) -> Result<(), ServeError> {
+        let incoming = self.admitted(incoming);
         let (router, health) = self.router().await?;
         let stop = async move {
             stop.await;
@@ -296,7 +321,18 @@ impl Server {
         self,
         incoming: impl Stream<Item = io::Result<C>>,
     ) -> Result<(), ServeError> {
+        let incoming = self.admitted(incoming);
         Ok(self.router().await?.0.serve_with_incoming(incoming).await?)
+    }
+
+    fn admitted<C: Io + Connected, I: Stream<Item = io::Result<C>>>(
+        &self,
+        incoming: I,
+    ) -> impl Stream<Item = io::Result<Admitted<C>>> + use<C, I> {
+        let is_encrypted = self.entrance.as_ref().is_some_and(|entrance| entrance.identity.is_some());
+        let unheard = if is_encrypted { Unheard::Noted } else { Unheard::Ignored };
+        let door = Door::new(self.limits, self.audit.clone(), unheard);
+        incoming.filter_map(move |io| io.map(|io| door.admit(io)).transpose())
     }
 
     async fn router(self) -> Result<(Router<Layers>, HealthReporter), ServeError> {
@@ -308,23 +344,25 @@ impl Server {
             .register_encoded_file_descriptor_set(wire::DESCRIPTORS)
             .build_v1()?;
         let mut builder = tonic::transport::Server::builder();
-        let mut guard = Guard::Open;
-        if let Some(Entrance { identity, revoked }) = &self.entrance {
-            builder = builder.tls_config(tls::server(identity))?;
-            guard = Guard::Checks(revoked.clone());
+        if let Some(Entrance { identity: Some(identity), tokens, .. }) = &self.entrance {
+            let clients = if tokens.is_some() { tls::Clients::MayShowTokens } else { tls::Clients::ShowIdentities };
+            builder = builder.tls_config(tls::server(identity, clients))?;
         }
+        let limits = self.limits;
         let router = builder
             .layer(self.traffic.clone())
-            .layer(guard)
-            .http2_keepalive_interval(Some(Duration::from_secs(10)))
-            .http2_keepalive_timeout(Some(Duration::from_secs(10)))
-            .max_concurrent_streams(Self::STREAMS)
-            .initial_stream_window_size(4 << 20)
-            .initial_connection_window_size(16 << 20)
+            .layer(Guard::new(self.entrance.as_ref(), limits, self.audit.clone()))
+            .http2_keepalive_interval(Some(limits.silence))
+            .http2_keepalive_timeout(Some(limits.answer))
+            .http2_max_header_list_size(limits.headers)
+            .http2_max_pending_accept_reset_streams(Some(limits.resets))
+            .max_concurrent_streams(limits.streams)
+            .initial_stream_window_size(limits.stream_window)
+            .initial_connection_window_size(limits.connection_window)
             .add_service(health)
             .add_service(reflection)
-            .add_service(JobsServer::new(self.clone()).max_decoding_message_size(MESSAGE))
-            .add_service(WorkersServer::new(self.clone()).max_decoding_message_size(MESSAGE))
+            .add_service(JobsServer::new(self.clone()).max_decoding_message_size(limits.message))
+            .add_service(WorkersServer::new(self.clone()).max_decoding_message_size(limits.message))
             .add_service(ArtifactsServer::new(self).max_decoding_message_size(2 * PIECE));
         Ok((router, reporter))
     }

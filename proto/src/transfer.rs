@@ -44,6 +44,8 @@ impl Patience {
             CallError::Refused(_)
             | CallError::Address { .. }
             | CallError::NoIdentity { .. }
+            | CallError::OpenToken { .. }
+            | CallError::NoAuthority { .. }
             | CallError::Answer(_)
             | CallError::Status { .. } => false,
         };

@@ -1,5 +1,7 @@
 //! Helpers of the tests that need the whole engine: scenes from text, images, statistics.
 
+pub mod fuzz;
+
 use femc_film::{Frame, FrameImage};
 use femc_import::{Bundle, load};
 use femc_pipeline::{Settings, Source, Stop, plan, prepare, render_tile};

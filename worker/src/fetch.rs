@@ -24,6 +24,8 @@ pub(crate) fn failure(error: &CallError) -> Failure {
         CallError::Refused(_)
         | CallError::Address { .. }
         | CallError::NoIdentity { .. }
+        | CallError::OpenToken { .. }
+        | CallError::NoAuthority { .. }
         | CallError::Unreachable { .. }
         | CallError::Answer(_)
         | CallError::Status { .. } => Failure::Store { message },

@@ -26,6 +26,8 @@ mod session;
 mod simulated;
 mod sums;
 mod table;
+#[cfg(feature = "testing")]
+pub mod testing;
 mod threads;
 mod upload;
 mod worker;

@@ -201,7 +201,7 @@ fn encode(task: &Task, product: &Product) -> Result<Vec<u8>, postcard::Error> {
 }
 
 /// What [`encode`] of this build wrote; `None` for anything else.
-fn decode(file: &Bytes) -> Option<Restored> {
+pub(crate) fn decode(file: &Bytes) -> Option<Restored> {
     let front = file.get(..FRONT)?;
     let is_ours = front[..8] == *MAGIC && front[8..12] == VERSION.to_le_bytes();
     if !is_ours || Digest::of(&file[44..]).as_bytes()[..] != front[12..44] {

@@ -185,6 +185,24 @@ mod tests {
         }
     }
 
+    /// Small pieces that would be gigabytes: no more is unpacked than the manifest says, and that has a limit of its own.
+    #[test]
+    fn a_bomb_is_not_unpacked() {
+        let bomb = Bytes::from(zstd::bulk::compress(&vec![0; 1 << 28], LEVEL).unwrap());
+        let manifest = |unpacked| Manifest {
+            pieces: vec![Piece { artefact: Artefact::of(&bomb), unpacked }],
+            files: BTreeMap::from([("a".to_owned(), Extent { piece: 0, offset: 0, bytes: unpacked })]),
+        };
+        for unpacked in [0, 1, 1 << 20, (1 << 28) - 1] {
+            assert!(unpack(&manifest(unpacked), std::slice::from_ref(&bomb)).is_err(), "{unpacked}");
+        }
+        assert!(matches!(manifest(Manifest::MOST_UNPACKED + 1).encode(), Err(ManifestError::TooLarge { .. })));
+        let shared = Extent { piece: 0, offset: 0, bytes: 1 << 28 };
+        let files = (0..100).map(|n| (n.to_string(), shared)).collect();
+        let many = Manifest { files, ..manifest(1 << 28) };
+        assert!(matches!(many.encode(), Err(ManifestError::TooLarge { .. })), "one piece as many files");
+    }
+
     #[test]
     fn a_piece_that_is_not_what_the_manifest_says_is_refused_by_name() {
         let parcel = Parcel::pack(&scene()).unwrap();

@@ -28,6 +28,8 @@ pub(crate) async fn upload(client: &Client, task: &Task, product: &Product) -> R
             CallError::Refused(_)
             | CallError::Address { .. }
             | CallError::NoIdentity { .. }
+            | CallError::OpenToken { .. }
+            | CallError::NoAuthority { .. }
             | CallError::Answer(_)
             | CallError::Status { .. } => NotSent::Failed(fetch::failure(&error)),
         })?;

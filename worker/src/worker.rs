@@ -113,9 +113,11 @@ impl Worker {
                     CallError::Unreachable { url: config.join.clone(), message: "it ended the session".into() }
                 }
                 Err(
-                    error @ (CallError::Refused(Refusal::Forbidden { .. })
+                    error @ (CallError::Refused(Refusal::Forbidden { .. } | Refusal::Unauthenticated { .. })
                     | CallError::Address { .. }
                     | CallError::NoIdentity { .. }
+                    | CallError::OpenToken { .. }
+                    | CallError::NoAuthority { .. }
                     | CallError::Answer(_)
                     | CallError::Status { .. }),
                 ) => break Err(error.into()),

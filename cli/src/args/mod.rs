@@ -13,7 +13,7 @@ use crate::exit::{Failure, failed};
 use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
 use clap_complete::Shell;
 use femc_proto::Dial;
-use femc_trust::Identity;
+use femc_trust::{Identity, Pass};
 use std::path::{Path, PathBuf};
 
 /// The whole command line.
@@ -109,15 +109,22 @@ pub struct IdentityArgs {
     /// File that says who you are, for addresses that begin with https://; `femc ca issue` makes one
     #[arg(long, env = "FEMC_IDENTITY", value_name = "FILE")]
     pub identity: Option<PathBuf>,
+    /// File with a token that says who you are, instead; `femc ca token` makes one. It is sent to https:// addresses and to
+    /// this machine, nowhere else
+    #[arg(long, env = "FEMC_TOKEN_FILE", value_name = "FILE", conflicts_with = "identity")]
+    pub token_file: Option<PathBuf>,
 }
 
 impl IdentityArgs {
     /// How to reach a coordinator with it.
     pub fn dial(&self) -> Result<Dial, Failure> {
-        Ok(match &self.identity {
+        let dial = match &self.identity {
             None => Dial::tcp(),
             Some(path) => Dial::tcp().with(identity(path)?),
-        })
+        };
+        let Some(path) = &self.token_file else { return Ok(dial) };
+        let pass = Pass::read(path).map_err(|error| failed(format!("--token-file: {error}")))?;
+        Ok(dial.bearing(pass))
     }
 }
 

@@ -21,7 +21,11 @@ use std::path::{Path, PathBuf};
     femc coordinator --listen 0.0.0.0:7878 --identity farm.pem --revoked femc-ca/revoked\n  \
     femc worker --join https://farm.lan:7878 --identity node-7.pem\n  \
     FEMC_SERVER=https://farm.lan:7878 FEMC_IDENTITY=ann.pem femc jobs\n  \
-    femc ca revoke node-7    # from the next message on, node-7 is let in no more")]
+    femc ca revoke node-7    # from the next message on, node-7 is let in no more\n\n\
+    Who cannot have an identity gets a token: whoever has its file is taken for its owner, until its date or until it is revoked:\n  \
+    femc ca token user build --role submitter --days 30 -o build.token\n  \
+    femc coordinator --listen 0.0.0.0:7878 --identity farm.pem --revoked femc-ca/revoked --token-file femc-ca/tokens\n  \
+    FEMC_SERVER=https://farm.lan:7878 FEMC_TOKEN_FILE=build.token femc jobs")]
 pub struct CaArgs {
     #[command(subcommand)]
     action: Action,
@@ -44,6 +48,16 @@ enum Action {
         femc ca issue worker node-7\n  \
         femc ca issue user ann --role submitter --days 90")]
     Issue(IssueArgs),
+    /// Make a token, for who cannot have an identity
+    ///
+    /// Make a token, for who cannot have an identity. The file with it is all that its owner needs; the authority keeps the
+    /// token's digest and not the token, in the file `tokens` of its folder, which coordinators read (--token-file): a line
+    /// with name, role, digest and end. Whoever copies a token can use it until then, or until its line is removed, which
+    /// `femc ca revoke` does.
+    #[command(after_help = "Examples:\n  \
+        femc ca token user build --role submitter --days 30 -o build.token\n  \
+        femc ca token worker node-7")]
+    Token(TokenArgs),
     /// List what was issued
     #[command(
         after_help = "Examples:\n  femc ca list\n  femc ca list --json | jq '.[] | select(.revoked | not) | .name'"
@@ -94,6 +108,32 @@ struct IssueArgs {
     folder: FolderArgs,
 }
 
+#[derive(Debug, Args)]
+struct TokenArgs {
+    /// Whom it is for
+    kind: Bearer,
+    /// Its name: letters, digits, and . _ -
+    name: String,
+    /// What a user may do, as with `femc ca issue`
+    #[arg(long, value_name = "ROLE", required_if_eq("kind", "user"))]
+    role: Option<Role>,
+    /// How long it holds
+    #[arg(long, value_name = "DAYS", default_value_t = 90, value_parser = clap::value_parser!(u32).range(1..=3650))]
+    days: u32,
+    /// Where to write it [default: NAME.token]
+    #[arg(short, long, value_name = "FILE")]
+    output: Option<PathBuf>,
+    #[command(flatten)]
+    folder: FolderArgs,
+}
+
+/// Who may have a token.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Bearer {
+    Worker,
+    User,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 enum Kind {
     Coordinator,
@@ -112,14 +152,16 @@ pub fn run(args: CaArgs, say: Say) -> Result<Exit, Failure> {
             ));
         }
         Action::Issue(args) => issue(args, say)?,
+        Action::Token(args) => token(args, say)?,
         Action::List { folder, format } => list(&folder.folder, format, say)?,
         Action::Revoke { name, folder } => {
             let authority = open(&folder.folder)?;
             let count = authority.revoke(&name).map_err(|error| told(&error))?;
             let list = authority.revoked();
             say.note(format!(
-                "{count} of {name} revoked; coordinators read {} (--revoked), copy it to those elsewhere",
-                list.display()
+                "{count} of {name} revoked; coordinators read {} (--revoked) and {} (--token-file), copy them to those elsewhere",
+                list.display(),
+                authority.tokens().display()
             ));
         }
     }
@@ -140,17 +182,8 @@ fn issue(args: IssueArgs, say: Say) -> Result<(), Failure> {
     if kind != Kind::Coordinator && !host.is_empty() {
         return Err(usage("--host: only a coordinator is reached by a name"));
     }
-    let holder = match (kind, role) {
-        (Kind::Coordinator, None) => Holder::Coordinator { name: name.clone() },
-        (Kind::Worker, None) => Holder::Worker { name: name.clone() },
-        (Kind::User, Some(role)) => Holder::User { name: name.clone(), role },
-        (Kind::User, None) => return Err(usage("--role: a user has one")),
-        (Kind::Coordinator | Kind::Worker, Some(_)) => return Err(usage("--role: only users have one")),
-    };
-    let path = output.unwrap_or_else(|| PathBuf::from(format!("{name}.pem")));
-    if path.exists() {
-        return Err(failed(format!("{} is there already, and is left as it is; give another -o", path.display())));
-    }
+    let path = free(output, format!("{name}.pem"))?;
+    let holder = holder(kind, name, role)?;
     let issue = Issue { holder, hosts: host, days };
     let identity = open(&folder.folder)?.issue(&issue).map_err(|error| told(&error))?;
     identity.write(&path).map_err(|error| told(&error))?;
@@ -158,14 +191,48 @@ fn issue(args: IssueArgs, say: Say) -> Result<(), Failure> {
     Ok(())
 }
 
+fn token(args: TokenArgs, say: Say) -> Result<(), Failure> {
+    let TokenArgs { kind, name, role, days, output, folder } = args;
+    let path = free(output, format!("{name}.token"))?;
+    let kind = match kind {
+        Bearer::Worker => Kind::Worker,
+        Bearer::User => Kind::User,
+    };
+    let pass = open(&folder.folder)?.token(holder(kind, name, role)?, days).map_err(|error| told(&error))?;
+    pass.write(&path).map_err(|error| told(&error))?;
+    say.result(path.display());
+    Ok(())
+}
+
+fn holder(kind: Kind, name: String, role: Option<Role>) -> Result<Holder, Failure> {
+    match (kind, role) {
+        (Kind::Coordinator, None) => Ok(Holder::Coordinator { name }),
+        (Kind::Worker, None) => Ok(Holder::Worker { name }),
+        (Kind::User, Some(role)) => Ok(Holder::User { name, role }),
+        (Kind::User, None) => Err(usage("--role: a user has one")),
+        (Kind::Coordinator | Kind::Worker, Some(_)) => Err(usage("--role: only users have one")),
+    }
+}
+
+/// Where to write, if nothing is there.
+fn free(output: Option<PathBuf>, or: String) -> Result<PathBuf, Failure> {
+    let path = output.unwrap_or_else(|| or.into());
+    if path.exists() {
+        return Err(failed(format!("{} is there already, and is left as it is; give another -o", path.display())));
+    }
+    Ok(path)
+}
+
 #[derive(Serialize)]
 struct Line {
+    kind: &'static str,
     name: String,
     holder: String,
+    /// Digest of the certificate or token.
     fingerprint: String,
-    /// Seconds since 1970.
-    until: i64,
-    days_left: i64,
+    /// Seconds since 1970; none: it holds for ever.
+    until: Option<i64>,
+    days_left: Option<i64>,
     revoked: bool,
 }
 
@@ -175,16 +242,30 @@ fn list(folder: &Path, format: FormatArgs, say: Say) -> Result<(), Failure> {
     let line = |issued: Issued| {
         let (revoked, days_left) = (issued.is_revoked(&revoked), issued.days_left());
         let Issued { holder, name, fingerprint, until } = issued;
-        Line { name, holder, fingerprint, until, days_left, revoked }
+        let (until, days_left) = (Some(until), Some(days_left));
+        Line { kind: "certificate", name, holder, fingerprint, until, days_left, revoked }
     };
-    let lines: Vec<Line> = authority.issued().map_err(|error| told(&error))?.into_iter().map(line).collect();
+    let issued = authority.issued().map_err(|error| told(&error))?.into_iter().map(line);
+    let tokens = authority.token_lines().map_err(|error| told(&error))?.into_iter().map(|line| Line {
+        kind: "token",
+        name: line.holder.name().into(),
+        holder: line.holder.uri(),
+        fingerprint: line.digest.to_string(),
+        until: line.until_seconds(),
+        days_left: line.days_left(),
+        revoked: false,
+    });
+    let lines: Vec<Line> = issued.chain(tokens).collect();
     if format.json {
         return json::print(say, &lines);
     }
     if lines.is_empty() {
         say.note("nothing was issued yet; `femc ca issue` does");
     } else {
-        say.result(human::table(&["holder", "state", "fingerprint"], &lines.iter().map(row).collect::<Vec<_>>()));
+        say.result(human::table(
+            &["kind", "holder", "state", "fingerprint"],
+            &lines.iter().map(row).collect::<Vec<_>>(),
+        ));
     }
     Ok(())
 }
@@ -192,10 +273,16 @@ fn list(folder: &Path, format: FormatArgs, say: Say) -> Result<(), Failure> {
 fn row(line: &Line) -> Vec<String> {
     let state = match (line.revoked, line.days_left) {
         (true, _) => "revoked".to_owned(),
-        (false, ..0) => "expired".to_owned(),
-        (false, days) => format!("holds {days} days"),
+        (false, None) => "holds".to_owned(),
+        (false, Some(..0)) => "expired".to_owned(),
+        (false, Some(days)) => format!("holds {days} days"),
     };
-    vec![line.holder.trim_start_matches("femc://").to_owned(), state, line.fingerprint.chars().take(16).collect()]
+    vec![
+        line.kind.to_owned(),
+        line.holder.trim_start_matches("femc://").to_owned(),
+        state,
+        line.fingerprint.chars().take(16).collect(),
+    ]
 }
 
 /// What an authority said, as this program's failure.
@@ -204,6 +291,7 @@ pub fn told(error: &TrustError) -> Failure {
         TrustError::Name { .. } => usage(error),
         TrustError::Unknown { .. } => usage(format!("{error}; `femc ca list` lists all")),
         TrustError::File { .. }
+        | TrustError::Random { .. }
         | TrustError::Exists { .. }
         | TrustError::Malformed { .. }
         | TrustError::Readable { .. }

@@ -180,7 +180,11 @@ async fn patiently<T>(call: impl AsyncFn() -> Result<T, CallError>) -> Result<T,
 pub fn told(error: CallError) -> Failure {
     match error {
         CallError::Address { .. } => usage(format!("--server: {error}; write it like http://127.0.0.1:7878")),
-        CallError::NoIdentity { .. } => usage(format!("{error}; give it with --identity or FEMC_IDENTITY")),
+        CallError::NoIdentity { .. } => {
+            usage(format!("{error}; give it with --identity or FEMC_IDENTITY, --token-file or FEMC_TOKEN_FILE"))
+        }
+        CallError::OpenToken { .. } => usage(format!("{error}; give an address that begins with https://")),
+        CallError::NoAuthority { .. } => usage(format!("{error}; `femc ca token` makes one that has it")),
         CallError::Unreachable { .. } => unreachable(format!(
             "{error}; start one with `femc coordinator`, or give its address with --server or FEMC_SERVER"
         )),
@@ -195,6 +199,9 @@ pub fn told(error: CallError) -> Failure {
             | Refusal::TooLarge { .. }
             | Refusal::MissingArtefacts { .. }
             | Refusal::Resume { .. } => failed(refusal),
+            Refusal::Unauthenticated { .. } => failed(format!(
+                "{refusal}; give --identity or --token-file with one that this farm has made and not revoked (`femc ca list`)"
+            )),
             Refusal::Forbidden { .. } => {
                 failed(format!("{refusal}; ask whoever keeps the farm's authority (`femc ca`)"))
             }

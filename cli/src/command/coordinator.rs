@@ -13,7 +13,7 @@ use femc_coordinator::{
     Standing,
 };
 use femc_metrics::Report;
-use femc_trust::{Holder, Revoked};
+use femc_trust::{Audit, Holder, Identity, Revoked, Tokens};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::pin::Pin;
@@ -75,6 +75,13 @@ pub struct CoordinatorArgs {
     /// List of identities that are let in no more, the file `revoked` in the authority's folder; read again when it changes
     #[arg(long, value_name = "FILE", requires = "identity")]
     revoked: Option<PathBuf>,
+    /// List of those who may come with a token, the file `tokens` in the authority's folder (`femc ca token`); read again when
+    /// it changes: whose line is removed is let in no more. Without --identity everybody needs a token, on this machine
+    #[arg(long, value_name = "FILE")]
+    token_file: Option<PathBuf>,
+    /// Where changes and refusals are noted, a line of JSON each [default: audit.jsonl beside the log's file]
+    #[arg(long, value_name = "FILE")]
+    audit: Option<PathBuf>,
     /// Listen, not encrypted, on an address that other machines can reach
     #[arg(long)]
     insecure: bool,
@@ -150,7 +157,15 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         Log::Postgres { database, .. } => Log::Postgres { database, silence: args.silence },
         log => log,
     };
-    let entrance = entrance(args.identity.as_deref(), args.revoked)?;
+    let entrance = entrance(args.identity.as_deref(), args.revoked, args.token_file.as_deref())?;
+    if args.token_file.is_some() && args.identity.is_none() && !args.listen.ip().is_loopback() {
+        return Err(usage(format!(
+            "--token-file: {} can be reached from other machines, and tokens would cross the network for all to read; give \
+             --identity (`femc ca --help`)",
+            args.listen
+        )));
+    }
+    let audit = audit(args.audit, &log)?;
     let exposure = if args.insecure { Exposure::Anybody } else { Exposure::Loopback };
     if args.insecure && !args.listen.ip().is_loopback() {
         say.warning(format!(
@@ -162,6 +177,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         listen: args.listen,
         exposure,
         entrance,
+        audit,
         log,
         artifacts: args.artifacts,
         scheduler: femc_schedule::Config {
@@ -174,6 +190,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         ..Config::default()
     };
     let counted = config.metrics.clone();
+    super::files::raise_limit();
     runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
         let mut coordinator = Coordinator::start(config).await.map_err(|e| told(&e))?;
@@ -205,15 +222,40 @@ fn reporter(
     }
 }
 
-fn entrance(identity: Option<&Path>, revoked: Option<PathBuf>) -> Result<Option<Entrance>, Failure> {
-    let Some(path) = identity else { return Ok(None) };
+fn entrance(
+    identity: Option<&Path>,
+    revoked: Option<PathBuf>,
+    tokens: Option<&Path>,
+) -> Result<Option<Entrance>, Failure> {
+    let identity = identity.map(own).transpose()?;
+    let revoked = revoked.map(Revoked::open).transpose().map_err(|error| failed(format!("--revoked: {error}")))?;
+    let tokens = tokens.map(Tokens::open).transpose().map_err(|error| {
+        failed(format!(
+            "--token-file: {error}; `femc ca token` makes tokens, and the file `tokens` beside the authority"
+        ))
+    })?;
+    let is_open = identity.is_none() && tokens.is_none();
+    Ok((!is_open).then_some(Entrance { identity, revoked, tokens }))
+}
+
+/// The identity in a file, if it is a coordinator's.
+fn own(path: &Path) -> Result<Identity, Failure> {
     let identity = crate::args::identity(path)?;
     if !matches!(identity.holder(), Holder::Coordinator { .. }) {
         let what = "is no coordinator's; make one with `femc ca issue coordinator NAME`";
         return Err(failed(format!("--identity {}: the identity of {} {what}", path.display(), identity.holder())));
     }
-    let revoked = revoked.map(Revoked::open).transpose().map_err(|error| failed(format!("--revoked: {error}")))?;
-    Ok(Some(Entrance { identity, revoked }))
+    Ok(identity)
+}
+
+/// The record: where it was asked for, or beside a log that is a file.
+fn audit(asked: Option<PathBuf>, log: &Log) -> Result<Option<Audit>, Failure> {
+    let beside = match log {
+        Log::Sqlite(path) => Some(path.with_file_name("audit.jsonl")),
+        Log::Memory | Log::Postgres { .. } => None,
+    };
+    let audit = asked.or(beside).map(|path| Audit::open(&path)).transpose();
+    audit.map_err(|error| failed(format!("--audit: {error}; give a file that can be written")))
 }
 
 fn tell(say: Say, standing: &Standing, url: &str) {

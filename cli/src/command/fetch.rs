@@ -7,7 +7,7 @@ use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure, failed};
 use crate::output::{Say, human, job as show, json};
 use clap::Args;
-use femc_model::{Digest, FrameRecord, JobId, JobStatus};
+use femc_model::{Digest, FrameRecord, JobId, JobSpec, JobStatus};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -47,6 +47,9 @@ struct Report {
 pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
     let (status, files, partial) = client::block_on(&args.server, async |farm| {
         let status = farm.status(JobId(args.job)).await?;
+        if !JobSpec::names_files(&status.name) {
+            return Err(failed(format!("job {} is called {:?}, and files cannot be called so", args.job, status.name)));
+        }
         let mut files = Vec::new();
         for frame in farm.frames(JobId(args.job)).await? {
             files.push(file(farm, &status, &frame, &args.out).await?);

@@ -11,14 +11,15 @@ pub mod coordinator;
 pub mod drain;
 mod embedded;
 pub mod fetch;
+mod files;
 pub mod gc;
 mod interrupt;
 pub mod jobs;
 pub mod logs;
 mod lookout;
+mod metrics;
 #[cfg(feature = "openjd")]
 pub mod openjd;
-mod metrics;
 mod outbox;
 pub mod plan;
 mod preview;

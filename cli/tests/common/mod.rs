@@ -124,6 +124,7 @@ impl Place {
     pub fn command(&self, line: &str) -> Command {
         let mut command = Command::new(env!("CARGO_BIN_EXE_femc"));
         command.args(line.split_whitespace()).current_dir(self.folder.path());
+        command.env_remove("FEMC_IDENTITY").env_remove("FEMC_TOKEN_FILE");
         command.env_remove("FEMC_SERVER").env_remove("FEMC_LOG").env_remove("FEMC_FAULT").stdin(Stdio::null());
         // Out of sight: a name that begins with a dot.
         command.env("XDG_STATE_HOME", self.folder.path().join(".state"));

@@ -13,7 +13,7 @@
 //! | rest | zstd frame of the pixels in the order of the tiles, in byte planes |
 
 use crate::codec::{begin, finish, open, put_account, to_planes};
-use crate::tile::{ALBEDO_FRACTION, PixelSums};
+use crate::tile::{ALBEDO_FRACTION, MAX_TILE_PIXELS, PixelSums};
 use crate::{BadSamples, FilmError, Frame, FrameImage, Image, Rect, SampleRange, Tiling};
 use std::ops::Range;
 
@@ -153,11 +153,15 @@ impl Piece {
         let mut reader = open(MAGIC, VERSION, bytes)?;
         let [width, height, edge, start, end] = reader.words()?;
         let (tiling, tiles) = (Tiling::new(width, height, edge)?, start as usize..end as usize);
-        if tiles.is_empty() || tiles.end > tiling.count() {
+        // A group is some tiles or one large one; a header that claims more is about to fill the memory.
+        if tiles.is_empty() || tiles.end > tiling.count() || tiles.len() as u64 > MAX_TILE_PIXELS {
             return Err(FilmError::Corrupt("impossible tiles"));
         }
         let (ranges, bad) = (reader.ranges()?, reader.bad(Rect { x: 0, y: 0, width, height })?);
         let count: u64 = tiles.clone().filter_map(|index| tiling.rect(index)).map(|rect| rect.area()).sum();
+        if count > MAX_TILE_PIXELS {
+            return Err(FilmError::Corrupt("more pixels than a group of tiles has"));
+        }
         let pixels = reader.planes(count as usize, Pixel::from_bytes)?;
         let [samples] = ranges[..] else { return Err(FilmError::Corrupt("a gap in its samples")) };
         if pixels.iter().any(|pixel| pixel.samples > samples.len()) {

@@ -194,7 +194,10 @@ mod tests {
 
     #[test]
     fn bad_names_are_refused_on_both_sides() {
-        for name in ["/abs", "../up", "a/../b", "a\\b", "nul\0", "", "./x", "a//b", "dir/", &"x".repeat(1025)] {
+        let long = ["x".repeat(1025), "x".repeat(4096), "x/".repeat(2048) + "x", "../".repeat(1365)];
+        let odd =
+            ["/abs", "../up", "a/../b", "..", ".", "a\\b", "nul\0", "", "./x", "a//b", "dir/", "c:x", "c:/x", "a/.."];
+        for name in odd.into_iter().chain(long.iter().map(String::as_str)) {
             let bundle = Bundle(BTreeMap::from([(name.to_owned(), vec![])]));
             assert!(matches!(bundle.encode(), Err(BundleError::Name { .. })), "{name:?}");
             let mut payload = 1u64.to_le_bytes().to_vec();
@@ -203,6 +206,37 @@ mod tests {
             payload.extend(0u64.to_le_bytes());
             assert!(matches!(Bundle::decode(&wrap(&payload), 10_000), Err(BundleError::Name { .. })), "{name:?}");
         }
+    }
+
+    /// In memory and by their exact names: what a case-insensitive disk would mix up is two files here.
+    #[test]
+    fn a_name_twice_is_refused_and_names_that_differ_in_case_are_two_files() {
+        let file = |name: &str| {
+            let mut bytes = (name.len() as u32).to_le_bytes().to_vec();
+            bytes.extend(name.as_bytes());
+            bytes.extend(0u64.to_le_bytes());
+            bytes
+        };
+        let decode = |names: [&str; 2]| {
+            let payload = [&2u64.to_le_bytes()[..], &names.map(file).concat()].concat();
+            Bundle::decode(&wrap(&payload), 1000)
+        };
+        assert_eq!(decode(["a", "a"]), Err(BundleError::Damaged));
+        assert_eq!(decode(["b", "a"]), Err(BundleError::Damaged));
+        let both = decode(["A", "a"]).unwrap();
+        assert_eq!(both.0.len(), 2);
+    }
+
+    /// 100 bytes that would be a gigabyte: no more is unpacked than the header says, and that is within the limit.
+    #[test]
+    fn a_bomb_is_not_unpacked() {
+        let bomb = zstd::bulk::compress(&vec![0; 1 << 28], LEVEL).unwrap();
+        for size in [0u64, 100, 1 << 20] {
+            let bytes = [&MAGIC[..], &VERSION.to_le_bytes(), &size.to_le_bytes(), &bomb].concat();
+            assert_eq!(Bundle::decode(&bytes, 1 << 20), Err(BundleError::Damaged), "{size}");
+        }
+        let honest = [&MAGIC[..], &VERSION.to_le_bytes(), &(1u64 << 28).to_le_bytes(), &bomb].concat();
+        assert!(matches!(Bundle::decode(&honest, 1 << 20), Err(BundleError::TooLarge { .. })));
     }
 
     #[test]

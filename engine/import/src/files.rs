@@ -125,4 +125,23 @@ mod tests {
         assert_eq!(disk.size("in.mgf").unwrap(), 5);
         assert!(disk.read("").is_err());
     }
+
+    #[cfg(unix)]
+    #[test]
+    fn a_folder_that_is_a_link_a_loop_and_a_pipe_are_refused_and_a_hard_link_is_a_file() {
+        let (outside, root) = (tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap());
+        std::fs::write(outside.path().join("secret"), "x").unwrap();
+        let at = |name: &str| root.path().join(name);
+        std::os::unix::fs::symlink(outside.path(), at("folder")).unwrap();
+        std::os::unix::fs::symlink("loop", at("loop")).unwrap();
+        std::os::unix::fs::symlink("/dev/zero", at("zero")).unwrap();
+        std::fs::hard_link(outside.path().join("secret"), at("hard")).unwrap();
+        let _socket = std::os::unix::net::UnixListener::bind(at("socket")).unwrap();
+        let disk = Disk::new(root.path());
+        for path in ["folder/secret", "folder", "loop", "zero", "socket", "hard/x"] {
+            assert!(disk.read(path).is_err() && disk.size(path).is_err(), "{path}");
+        }
+        // Nothing tells it from any other file; whoever packs it could have read it anyway.
+        assert_eq!(disk.read("hard").unwrap(), b"x");
+    }
 }

@@ -39,6 +39,8 @@ impl JobSpec {
     pub const MAX_ROUNDS: usize = 64;
     /// Most pixels along a side of the film.
     pub const MAX_SIDE: u32 = 1 << 16;
+    /// Most tags.
+    pub const MAX_TAGS: usize = 64;
     /// Most bytes of settings.
     pub const MAX_SETTINGS: usize = 1 << 20;
     /// A coordinator tells a worker a job again when it has told it so many others in the session.
@@ -77,10 +79,32 @@ impl JobSpec {
         if let Some((field, _)) = names.into_iter().chain(tags).find(|(_, text)| text.len() > Self::MAX_NAME) {
             return Err(SpecError::TooLong { field });
         }
+        if self.tags.len() > Self::MAX_TAGS {
+            return Err(SpecError::TooLong { field: "tags" });
+        }
+        if !Self::names_files(&self.name) {
+            return Err(SpecError::Name);
+        }
+        let shown = [&self.entry, &self.owner].into_iter().chain(&self.tags);
+        if shown.into_iter().any(|text| text.contains(char::is_control)) {
+            return Err(SpecError::Control);
+        }
         if self.settings.len() > Self::MAX_SETTINGS {
             return Err(SpecError::TooLong { field: "settings" });
         }
         Ok(())
+    }
+
+    /// Whether files may be called so that lie in a folder of somebody else's choice: one part of a path, and no part that
+    /// leads anywhere.
+    pub fn names_files(name: &str) -> bool {
+        let is_odd = |c: char| matches!(c, '/' | '\\' | ':') || c.is_control();
+        !name.contains(is_odd) && !matches!(name, "" | "." | "..")
+    }
+
+    /// Tiles of all its frames and rounds.
+    pub fn tiles(&self) -> u64 {
+        u64::from(self.grid.tiles()) * self.frames.len() as u64 * self.rounds.len() as u64
     }
 
     /// Samples a pixel that round `round` adds, as a range of sample indices; empty beyond the last round.
@@ -147,6 +171,12 @@ pub enum SpecError {
         /// As given.
         priority: u8,
     },
+    /// Whoever fetches the job's frames names files by it.
+    #[error("the name of a job is the name of its files: it is not empty, and has no /, \\, : or control characters")]
+    Name,
+    /// What is shown on terminals must not steer them.
+    #[error("control characters in a path, an owner or a tag")]
+    Control,
     /// A text beyond its limit.
     #[error("{field} is too long")]
     TooLong {
@@ -235,6 +265,13 @@ mod tests {
         assert_eq!(JobSpec { priority: 101, ..spec() }.check(), Err(SpecError::Priority { priority: 101 }));
         let entry = "x".repeat(2000);
         assert_eq!(JobSpec { entry, ..spec() }.check(), Err(SpecError::TooLong { field: "entry" }));
+        for name in ["", "..", "../up", "/etc/x", "a/b", "a\\b", "c:x", "a\0b", "a\u{1b}[2Jb"] {
+            assert_eq!(JobSpec { name: name.into(), ..spec() }.check(), Err(SpecError::Name), "{name:?}");
+        }
+        let owner = "me\u{1b}[2J".to_owned();
+        assert_eq!(JobSpec { owner, ..spec() }.check(), Err(SpecError::Control));
+        let tags = vec!["a".to_owned(); 65];
+        assert_eq!(JobSpec { tags, ..spec() }.check(), Err(SpecError::TooLong { field: "tags" }));
     }
 
     #[test]

@@ -253,10 +253,11 @@ mod tests {
 
     #[test]
     fn paths_that_lead_elsewhere_are_refused_on_both_sides() {
-        let long = "x".repeat(Manifest::MOST_PATH + 1);
-        for path in
-            ["/abs", "..", "../up", "a/../b", "a\\b", "nul\0", "", ".", "./x", "a//b", "dir/", "c:/x", "a\nb", &long]
-        {
+        let (long, longer) = ("x".repeat(Manifest::MOST_PATH + 1), "x/".repeat(2047) + "xx");
+        for path in [
+            "/abs", "..", "../up", "a/../b", "a\\b", "nul\0", "", ".", "./x", "a//b", "dir/", "c:/x", "a\nb", &long,
+            &longer,
+        ] {
             assert_eq!(Manifest::decode(&raw(&[path])), Err(ManifestError::Path { path: path.into() }));
             let files = BTreeMap::from([(path.to_owned(), Extent { piece: 0, offset: 0, bytes: 0 })]);
             let manifest = Manifest { files, ..sample() };

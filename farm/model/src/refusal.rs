@@ -87,6 +87,12 @@ pub enum Refusal {
         /// Why.
         message: String,
     },
+    /// Who asks has not shown who it is.
+    #[error("you are not known here: {message}")]
+    Unauthenticated {
+        /// What was wrong with what it showed.
+        message: String,
+    },
 }
 
 impl Refusal {

@@ -51,6 +51,25 @@ pub struct Config {
     pub keep_ended: Option<u64>,
     /// Weights of owners in the fair share of time; who is not named has 1.
     pub weights: BTreeMap<String, u32>,
+    /// What one owner may have waiting.
+    pub quota: Quota,
+}
+
+/// What the jobs of one owner that have not ended may add up to; a job beyond is refused.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Quota {
+    /// Jobs: 10 000.
+    pub jobs: u64,
+    /// Their frames, which have memory each once they are begun: 2^22.
+    pub frames: u64,
+    /// Their tiles in all frames and rounds: 2^32.
+    pub tiles: u64,
+}
+
+impl Default for Quota {
+    fn default() -> Self {
+        Self { jobs: 10_000, frames: 1 << 22, tiles: 1 << 32 }
+    }
 }
 
 impl Config {
@@ -111,6 +130,7 @@ impl Default for Config {
             group: 256,
             keep_ended: None,
             weights: BTreeMap::new(),
+            quota: Quota::default(),
         }
     }
 }

@@ -5,7 +5,7 @@ use femc_model::{Control, Cut, Grains, JobId, JobSpec, Refusal, RevokeReason, Ti
 use crate::floor::LeaseKey;
 use crate::ledger::Hold;
 use crate::scheduler::Scheduler;
-use crate::{Answer, Command, Fact};
+use crate::{Answer, Command, Fact, Quota};
 
 impl Scheduler {
     pub(crate) fn submit(
@@ -16,9 +16,13 @@ impl Scheduler {
         out: &mut Vec<Command>,
     ) -> Result<Answer, Refusal> {
         spec.check().map_err(|error| Refusal::Invalid { field: "job".into(), message: error.to_string() })?;
+        if key.as_ref().is_some_and(|key| key.len() > JobSpec::MAX_NAME) {
+            return Err(Refusal::TooLarge { what: "bytes of a key".into(), limit: JobSpec::MAX_NAME as u64 });
+        }
         if let Some(job) = key.as_deref().and_then(|key| self.ledger.job_of_key(key)) {
             return Ok(Answer::Submitted(job));
         }
+        self.within_quota(&spec)?;
         let job = self.ledger.next_job();
         let (samples, group) = (self.config.grain, self.config.group_of(&spec.grid));
         let is_cut =
@@ -33,6 +37,22 @@ impl Scheduler {
         self.rebuild(job);
         out.push(Command::Changed(job));
         Ok(Answer::Submitted(job))
+    }
+
+    /// Refuses what one owner would have too much of.
+    fn within_quota(&self, spec: &JobSpec) -> Result<(), Refusal> {
+        let Quota { jobs, frames, tiles } = self.config.quota;
+        let sizes = |spec: &JobSpec| [1, spec.frames.len() as u64, spec.tiles()];
+        let own = self.ledger.jobs.values().filter(|job| job.spec.owner == spec.owner && !job.has_ended());
+        let sums = own.fold(sizes(spec), |[a, b, c], job| {
+            let [jobs, frames, tiles] = sizes(&job.spec);
+            [a + jobs, b + frames, c.saturating_add(tiles)]
+        });
+        let limits = [("jobs", jobs), ("frames", frames), ("tiles", tiles)];
+        let beyond = limits.into_iter().zip(sums).find(|((_, limit), sum)| sum > limit);
+        beyond.map_or(Ok(()), |((what, limit), _)| {
+            Err(Refusal::TooLarge { what: format!("{what} of {} that have not ended", spec.owner), limit })
+        })
     }
 
     pub(crate) fn control(

@@ -36,7 +36,7 @@ mod speculate;
 mod view;
 
 pub use attempts::{decode_attempts, encode_attempts};
-pub use config::Config;
+pub use config::{Config, Quota};
 pub use event::{Answer, Command, Event, RequestId};
 pub use fact::Fact;
 pub use figures::{Figures, WorkerStanding};

@@ -12,9 +12,10 @@ use serde::{Deserialize, Serialize};
 use time::{Duration, OffsetDateTime};
 
 use crate::identity::{create, private};
-use crate::{Fingerprint, Holder, Identity, Revoked, TrustError};
+use crate::until;
+use crate::{Fingerprint, Holder, Identity, Pass, Revoked, Token, TokenLine, TrustError};
 
-/// A folder: `authority.pem` (its certificate), `authority.key`, `issued.jsonl`, `revoked`.
+/// A folder: `authority.pem` (its certificate), `authority.key`, `issued.jsonl`, `revoked`, `tokens`.
 #[derive(Debug)]
 pub struct Authority {
     folder: PathBuf,
@@ -100,7 +101,7 @@ impl Authority {
     /// A new identity, noted in the folder before it is returned.
     pub fn issue(&self, issue: &Issue) -> Result<Identity, TrustError> {
         issue.holder.check()?;
-        let until = OffsetDateTime::now_utc() + Duration::days(i64::from(issue.days));
+        let until = until::after_days(issue.days);
         let key = KeyPair::generate()?;
         let certificate = of_holder(issue, until)?.signed_by(&key, &self.issuer)?;
         let issued = Issued {
@@ -126,17 +127,57 @@ impl Authority {
         text.lines().map(parse).collect()
     }
 
-    /// From now on nothing counts that was issued to `name`; returns how many certificates that are.
+    /// A new token for so many days, its line noted in the folder before it is returned. A coordinator cannot have one.
+    pub fn token(&self, holder: Holder, days: u32) -> Result<Pass, TrustError> {
+        holder.check()?;
+        if let Holder::Coordinator { .. } = holder {
+            return Err(TrustError::Holder { message: format!("{holder}: only users and workers have tokens") });
+        }
+        let token = Token::random()?;
+        let line = TokenLine { holder, digest: token.digest(), until: Some(until::after_days(days)) };
+        self.append("tokens", &line.to_string())?;
+        Ok(Pass::new(token, self.certificate.clone()))
+    }
+
+    /// The lines of all tokens that were not revoked, oldest first.
+    pub fn token_lines(&self) -> Result<Vec<TokenLine>, TrustError> {
+        let path = self.tokens();
+        match std::fs::read_to_string(&path) {
+            Ok(text) => crate::tokens::parse(&path, &text),
+            Err(error) if error.kind() == std::io::ErrorKind::NotFound => Ok(Vec::new()),
+            Err(error) => Err(TrustError::File { path, error }),
+        }
+    }
+
+    /// From now on nothing counts that was issued to `name`; returns how many certificates and tokens that are.
     pub fn revoke(&self, name: &str) -> Result<usize, TrustError> {
         let issued = self.issued()?;
         let of_name: Vec<&Issued> = issued.iter().filter(|issued| issued.name == name).collect();
-        if of_name.is_empty() {
+        let (tokens, others): (Vec<TokenLine>, Vec<TokenLine>) =
+            self.token_lines()?.into_iter().partition(|line| line.holder.name() == name);
+        if of_name.is_empty() && tokens.is_empty() {
             return Err(TrustError::Unknown { name: name.into() });
         }
         for issued in &of_name {
             self.append("revoked", &format!("{} {}", issued.fingerprint, issued.holder))?;
         }
-        Ok(of_name.len())
+        if !tokens.is_empty() {
+            self.keep_tokens(&others)?;
+        }
+        Ok(of_name.len() + tokens.len())
+    }
+
+    /// Puts a new list in the place of the old one, at once: a coordinator reads one or the other.
+    fn keep_tokens(&self, lines: &[TokenLine]) -> Result<(), TrustError> {
+        let (path, new) = (self.tokens(), self.folder.join("tokens.new"));
+        let text: String = lines.iter().map(|line| format!("{line}\n")).collect();
+        std::fs::write(&new, text).map_err(TrustError::file(&new))?;
+        std::fs::rename(&new, &path).map_err(TrustError::file(path))
+    }
+
+    /// The list of tokens for coordinators: [`crate::Tokens`].
+    pub fn tokens(&self) -> PathBuf {
+        self.folder.join("tokens")
     }
 
     /// The list for coordinators: [`crate::Revoked`].

@@ -25,8 +25,8 @@ pub enum TrustError {
         /// What is wrong with it.
         message: String,
     },
-    /// Other users of this machine can read a private key.
-    #[error("{} holds a private key and other users can read it (mode {mode:o}); chmod 600 it", path.display())]
+    /// Other users of this machine can read a private key or a token.
+    #[error("{} is secret and other users can read it (mode {mode:o}); chmod 600 it", path.display())]
     Readable {
         /// Which.
         path: PathBuf,
@@ -49,6 +49,12 @@ pub enum TrustError {
     #[error("the certificate does not say whose it is: {message}")]
     Holder {
         /// What it says.
+        message: String,
+    },
+    /// The system has no randomness to give.
+    #[error("no randomness: {message}")]
+    Random {
+        /// What it said.
         message: String,
     },
     /// Certificates cannot be made.

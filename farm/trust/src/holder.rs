@@ -88,8 +88,8 @@ impl Holder {
         if is_name { Ok(()) } else { Err(TrustError::Name { name: name.to_owned() }) }
     }
 
-    /// What the certificate says.
-    pub(crate) fn uri(&self) -> String {
+    /// What a certificate says of it.
+    pub fn uri(&self) -> String {
         let scheme = Self::SCHEME;
         match self {
             Self::Coordinator { name } => format!("{scheme}coordinator/{name}"),

@@ -58,7 +58,7 @@ impl Identity {
     }
 
     /// From a file's text: the first certificate is its own, the second the authority's.
-    pub(crate) fn parse(text: &str) -> Result<Self, String> {
+    pub fn parse(text: &str) -> Result<Self, String> {
         let begin = "-----BEGIN ";
         let sections: Vec<String> =
             text.match_indices(begin).map(|(at, _)| section(&text[at..])).collect::<Result<_, _>>()?;

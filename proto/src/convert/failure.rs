@@ -65,6 +65,7 @@ impl From<Refusal> for wire::Refusal {
                 Refusal::Unavailable { message } => Reason::Unavailable(message),
                 Refusal::Forbidden { who, takes } => Reason::Forbidden(Forbidden { who, takes }),
                 Refusal::NoSuchWorker { worker } => Reason::NoSuchWorker(worker),
+                Refusal::Unauthenticated { message } => Reason::Unauthenticated(message),
             }),
         }
     }
@@ -90,6 +91,7 @@ impl TryFrom<wire::Refusal> for Refusal {
             Reason::Unavailable(message) => Self::Unavailable { message },
             Reason::Forbidden(Forbidden { who, takes }) => Self::Forbidden { who, takes },
             Reason::NoSuchWorker(worker) => Self::NoSuchWorker { worker },
+            Reason::Unauthenticated(message) => Self::Unauthenticated { message },
         })
     }
 }

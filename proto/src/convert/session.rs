@@ -1,7 +1,8 @@
 //! The words of a worker's session.
 
 use femc_model::{
-    FromWorker, HeldLease, JobId, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, ToWorker, WorkerId,
+    FromWorker, HeldLease, JobId, JobSpec, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, ToWorker,
+    WorkerId,
 };
 
 use super::task::{from_lease, from_range, to_lease, to_range};
@@ -155,8 +156,11 @@ impl TryFrom<wire::Registration> for Registration {
         if slots == 0 || slots > 1024 {
             return Err(ConvertError::Range { field: "registration.slots" });
         }
-        if engine.len() > 256 {
-            return Err(ConvertError::Range { field: "registration.engine" });
+        let texts = [&name, &engine].into_iter().chain(&tags);
+        if tags.len() > JobSpec::MAX_TAGS
+            || texts.into_iter().any(|text| text.len() > JobSpec::MAX_NAME || text.contains(char::is_control))
+        {
+            return Err(ConvertError::Range { field: "registration.name, engine or tags" });
         }
         Ok(Self { name, instance, engine, threads, slots, tags, held: each(held)? })
     }

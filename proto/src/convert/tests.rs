@@ -78,6 +78,7 @@ pub(crate) fn refusals() -> Vec<Refusal> {
         Refusal::Unavailable { message: "m".into() },
         Refusal::NoSuchWorker { worker: "w".into() },
         Refusal::Forbidden { who: "viewer ann".into(), takes: "an admin".into() },
+        Refusal::Unauthenticated { message: "the token has expired".into() },
     ]
 }
 

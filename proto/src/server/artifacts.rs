@@ -1,6 +1,7 @@
 //! The service `Artifacts`: straight to the store, past the scheduler.
 
 use std::pin::Pin;
+use std::sync::Arc;
 use std::time::Duration;
 
 use bytes::Bytes;
@@ -12,6 +13,9 @@ use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt as _};
 use tonic::{Request, Response, Status, Streaming};
 
+use super::guard::Who;
+use super::places::Place;
+use super::trail::Trail;
 use super::{Server, collect};
 use crate::convert::{self, digest, digest_bytes, need};
 use crate::error::to_status;
@@ -47,15 +51,19 @@ impl wire::artifacts_server::Artifacts for Server {
     }
 
     async fn put(&self, request: Request<Streaming<wire::PutRequest>>) -> Result<Response<wire::PutReply>, Status> {
+        let who = request.extensions().get::<Who>().cloned().unwrap_or_default();
+        let place = self.places.take(who).await;
         // In a task of its own: what has come of an upload is taken in to the last byte also when its sender is gone.
-        let put = tokio::spawn(put(self.clone(), request.into_inner()));
+        let put = tokio::spawn(put(self.clone(), place, request.into_inner()));
         let artefact = put.await.map_err(|error| Status::internal(error.to_string()))??;
         Ok(Response::new(wire::PutReply { artefact: Some(artefact.into()) }))
     }
 
     async fn collect(&self, request: Request<wire::CollectRequest>) -> Result<Response<wire::CollectReply>, Status> {
+        let trail = Trail::of(&request);
         let request = request.into_inner();
         let mode = convert::collect_mode(request.mode)?;
+        trail.what(&format!("{mode:?}"));
         let collected = collect::collect(self, mode, Duration::from_millis(request.grace)).await;
         Ok(Response::new(collected.map_err(|no| to_status(&no))?.into()))
     }
@@ -63,20 +71,25 @@ impl wire::artifacts_server::Artifacts for Server {
     type GetStream = Pin<Box<dyn Stream<Item = Result<wire::GetReply, Status>> + Send>>;
 
     async fn get(&self, request: Request<wire::GetRequest>) -> Result<Response<Self::GetStream>, Status> {
+        let who = request.extensions().get::<Who>().cloned().unwrap_or_default();
         let wire::GetRequest { digest: name, offset } = request.into_inner();
         let name = digest("digest", &name)?;
         if !self.store.has(&name).await.map_err(|error| refuse(&error))? {
             return Err(to_status(&Refusal::NoSuchArtefact { digest: name }));
         }
-        let store = self.store.clone();
-        let (send, receive) = mpsc::channel::<Result<Bytes, StoreError>>(4);
+        let place = Arc::new(self.places.take(who).await);
+        let (store, reading) = (self.store.clone(), place.clone());
+        let (send, receive) = mpsc::channel::<Result<Bytes, StoreError>>(1);
         tokio::spawn(async move {
+            let _held = reading;
             if let Err(error) = store.read(&name, offset, PIECE, &send).await {
                 let _ = send.send(Err(error)).await;
             }
         });
         let sent = self.traffic.sent.clone();
         let replies = ReceiverStream::new(receive).map(move |piece| {
+            // Until the last byte is read, or nobody reads any more.
+            let _held = &place;
             sent.add(piece.as_ref().map_or(0, |piece| piece.len() as u64));
             piece.map(|piece| wire::GetReply { piece }).map_err(|error| refuse(&error))
         });
@@ -84,7 +97,7 @@ impl wire::artifacts_server::Artifacts for Server {
     }
 }
 
-async fn put(server: Server, mut parts: Streaming<wire::PutRequest>) -> Result<Artefact, Status> {
+async fn put(server: Server, _place: Place, mut parts: Streaming<wire::PutRequest>) -> Result<Artefact, Status> {
     let first = need("digest", parts.message().await?)?;
     let Part::Digest(announced) = need("digest", first.part)? else {
         return Err(Status::invalid_argument("the digest comes first"));

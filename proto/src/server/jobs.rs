@@ -2,19 +2,24 @@
 
 use std::pin::Pin;
 use std::sync::Arc;
+use std::time::Duration;
 
-use femc_model::{JobId, JobSpec, JobStatus, Tick};
+use femc_model::{Control, Drain, JobId, JobSpec, JobStatus, Tick, WorkerName};
 use femc_trust::{Holder, Role};
 use tokio::sync::{mpsc, watch};
 use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
+use super::trail::Trail;
 use super::{Call, Caller, JobShape, Server, backup, inputs};
 use crate::convert::need;
 use crate::error::to_status;
 use crate::wire;
 use wire::attempts_reply::Part;
+
+/// Between two looks at whether somebody who watches still counts.
+const LOOKS: Duration = Duration::from_secs(1);
 
 type Answer<T> = Result<Response<T>, Status>;
 
@@ -22,15 +27,18 @@ type Answer<T> = Result<Response<T>, Status>;
 impl wire::jobs_server::Jobs for Server {
     async fn submit(&self, request: Request<wire::SubmitRequest>) -> Answer<wire::SubmitReply> {
         let caller = request.extensions().get::<Arc<Caller>>().cloned();
+        let trail = Trail::of(&request);
         let wire::SubmitRequest { job, key } = request.into_inner();
         let mut spec: Box<JobSpec> = Box::new(need("job", job)?.try_into()?);
+        trail.what(&format!("{} frames of {}", spec.frames.len(), spec.name));
         if let Some(caller) = caller {
             // Nobody spends another's share.
             spec.owner = caller.holder.name().to_owned();
         }
         inputs::check(&self.store, &self.promised, &spec.bundle).await.map_err(|no| to_status(&no))?;
-        let JobId(job) = self.ask(|reply| Call::Submit { key, spec, reply }).await?;
-        Ok(Response::new(wire::SubmitReply { job }))
+        let job = self.ask(|reply| Call::Submit { key, spec, reply }).await?;
+        trail.job(job);
+        Ok(Response::new(wire::SubmitReply { job: job.0 }))
     }
 
     async fn list(&self, _: Request<wire::ListRequest>) -> Answer<wire::ListReply> {
@@ -46,17 +54,21 @@ impl wire::jobs_server::Jobs for Server {
     type WatchStream = Pin<Box<dyn Stream<Item = Result<wire::JobStatus, Status>> + Send>>;
 
     async fn watch(&self, request: Request<wire::WatchRequest>) -> Answer<Self::WatchStream> {
+        let caller = request.extensions().get::<Arc<Caller>>().cloned();
         let job = JobId(request.into_inner().job);
         let statuses = self.ask(|reply| Call::Watch { job, reply }).await?;
         let (send, receive) = mpsc::channel(1);
-        tokio::spawn(forward(statuses, send));
+        tokio::spawn(forward(caller, statuses, send));
         Ok(Response::new(Box::pin(ReceiverStream::new(receive))))
     }
 
     async fn control(&self, request: Request<wire::ControlRequest>) -> Answer<wire::ControlReply> {
         let caller = request.extensions().get::<Arc<Caller>>().cloned();
+        let trail = Trail::of(&request);
         let wire::ControlRequest { job, control } = request.into_inner();
-        let (job, control) = (JobId(job), need("control", control)?.try_into()?);
+        let (job, control): (JobId, Control) = (JobId(job), need("control", control)?.try_into()?);
+        trail.job(job);
+        trail.what(&format!("{control:?}"));
         if let Some(caller) = caller {
             self.may_steer(&caller, job).await?;
         }
@@ -108,7 +120,9 @@ impl wire::jobs_server::Jobs for Server {
     }
 
     async fn drain_workers(&self, request: Request<wire::DrainWorkersRequest>) -> Answer<wire::DrainWorkersReply> {
-        let (worker, drain) = request.into_inner().try_into()?;
+        let trail = Trail::of(&request);
+        let (worker, drain): (WorkerName, Drain) = request.into_inner().try_into()?;
+        trail.what(&format!("{drain:?} {worker}"));
         let workers = self.ask(|reply| Call::Drain { worker, drain, reply }).await?;
         Ok(Response::new(wire::DrainWorkersReply { workers: workers.into_iter().map(|worker| worker.0).collect() }))
     }
@@ -125,6 +139,15 @@ impl Server {
             }
         }
     }
+}
+
+/// Waits until the caller counts no more.
+async fn revoked(caller: Option<&Caller>) -> Status {
+    let Some(caller) = caller else { return std::future::pending().await };
+    while caller.still_counts() {
+        tokio::time::sleep(LOOKS).await;
+    }
+    caller.revoked()
 }
 
 /// Sends what a job is made of and its attempts, page by page, as fast as the listener reads.
@@ -148,8 +171,13 @@ async fn pages(server: Server, job: JobId, shape: JobShape, send: mpsc::Sender<R
     }
 }
 
-/// Sends the newest status whenever there is one; a slow listener misses the ones between, never the last.
-async fn forward(mut statuses: watch::Receiver<JobStatus>, send: mpsc::Sender<Result<wire::JobStatus, Status>>) {
+/// Sends the newest status whenever there is one; a slow listener misses the ones between, never the last. Who counts no more
+/// sees no more.
+async fn forward(
+    caller: Option<Arc<Caller>>,
+    mut statuses: watch::Receiver<JobStatus>,
+    send: mpsc::Sender<Result<wire::JobStatus, Status>>,
+) {
     loop {
         let status = statuses.borrow_and_update().clone();
         let has_ended = status.state.has_ended();
@@ -160,6 +188,10 @@ async fn forward(mut statuses: watch::Receiver<JobStatus>, send: mpsc::Sender<Re
             biased;
             changed = statuses.changed() => if changed.is_err() { return },
             () = send.closed() => return,
+            revoked = revoked(caller.as_deref()) => return drop(send.send(Err(revoked)).await),
+        }
+        if let Some(caller) = caller.as_ref().filter(|caller| !caller.still_counts()) {
+            return drop(send.send(Err(caller.revoked())).await);
         }
     }
 }

@@ -10,6 +10,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt as _};
 use tonic::{Request, Response, Status, Streaming};
 
+use super::trail::Trail;
 use super::{Call, Caller, Server, Session, Words};
 use crate::many::together;
 use crate::wire;
@@ -29,6 +30,7 @@ impl wire::workers_server::Workers for Server {
         request: Request<Streaming<wire::FromWorker>>,
     ) -> Result<Response<Self::SessionStream>, Status> {
         let caller = request.extensions().get::<Arc<Caller>>().cloned();
+        let trail = Trail::of(&request);
         let mut words = request.into_inner();
         let first = tokio::time::timeout(INTRODUCTION, words.message()).await;
         let first = first.map_err(|_| Status::deadline_exceeded("the worker did not register"))??;
@@ -36,6 +38,7 @@ impl wire::workers_server::Workers for Server {
         let FromWorker::Register(registration) = FromWorker::try_from(first)? else {
             return Err(Status::invalid_argument("the first message must register the worker"));
         };
+        trail.what(&format!("worker {}", registration.name));
         let (out, receive) = mpsc::channel(WAITING);
         let session = Session { registration, words: Words::new(words, caller), out };
         self.calls

@@ -1,19 +1,20 @@
-//! Every role against every call, over real encrypted connections.
+//! Every role against every call, over real encrypted connections, by certificate and by token.
 
 use std::collections::BTreeSet;
 use std::net::SocketAddr;
 
 use bytes::{Buf as _, BufMut as _};
 use femc_store::Store;
-use femc_trust::{Authority, Holder, Identity, Issue, Revoked, Role};
+use femc_trust::{Authority, Holder, Identity, Issue, Pass, Revoked, Role, Tokens};
 use prost::Message as _;
 use tokio::net::TcpListener;
 use tokio::sync::mpsc;
 use tonic::codec::{Codec, DecodeBuf, Decoder, EncodeBuf, Encoder};
+use tonic::transport::ClientTlsConfig;
 use tonic::transport::server::TcpIncoming;
 use tonic::{Code, Request, Status};
 
-use crate::{CallError, Client, Dial, Entrance, Server, tls, wire};
+use crate::{CallError, Client, Dial, Entrance, Limits, Server, tls, wire};
 use femc_model::Refusal;
 
 const HOLDERS: [&str; 6] = ["coordinator", "worker", "viewer", "submitter", "operator", "admin"];
@@ -49,14 +50,21 @@ struct Farm {
 
 impl Farm {
     async fn start() -> Self {
+        Self::within(Limits::default()).await
+    }
+
+    async fn within(limits: Limits) -> Self {
         let folder = tempfile::tempdir().unwrap();
         let authority = Authority::init(folder.path(), "farm").unwrap();
         let identity = issue(&authority, "coordinator", 1);
         let revoked = Some(Revoked::open(authority.revoked()).unwrap());
+        std::fs::write(authority.tokens(), "").unwrap();
+        let tokens = Some(Tokens::open(authority.tokens()).unwrap());
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let address = listener.local_addr().unwrap();
         let (calls, _) = mpsc::channel(1);
-        let server = Server::new(calls, Store::memory()).behind(Some(Entrance { identity, revoked }));
+        let entrance = Entrance { identity: Some(identity), revoked, tokens };
+        let server = Server::new(calls, Store::memory()).behind(Some(entrance)).within(limits);
         tokio::spawn(server.serve(TcpIncoming::from(listener), std::future::pending()));
         Self { folder, authority, address }
     }
@@ -68,16 +76,35 @@ impl Farm {
     async fn client(&self, identity: Identity) -> Result<Client, CallError> {
         Client::connect_by(&Dial::tcp().with(identity), &self.url()).await
     }
+
+    async fn bearing(&self, pass: Pass) -> Result<Client, CallError> {
+        Client::connect_by(&Dial::tcp().bearing(pass), &self.url()).await
+    }
+
+    /// What lists jobs with this header, which may be no token at all.
+    async fn listing(&self, authorization: &str) -> Status {
+        let authority = issue(&self.authority, "viewer", 1);
+        let tls = tls::known_by(authority.authority());
+        outcome(&self.url(), tls, Some(authorization), "Jobs/List").await
+    }
 }
 
-fn issue(authority: &Authority, kind: &str, days: u32) -> Identity {
+/// Past the guard there is nobody.
+fn is_in<T>(heard: &Result<T, CallError>) -> bool {
+    matches!(heard, Err(CallError::Refused(Refusal::Unavailable { .. })))
+}
+
+fn holder(kind: &str) -> Holder {
     let name = format!("a-{kind}");
-    let holder = match kind {
+    match kind {
         "coordinator" => Holder::Coordinator { name },
         "worker" => Holder::Worker { name },
         role => Holder::User { name, role: role.parse().unwrap() },
-    };
-    authority.issue(&Issue { holder, hosts: vec![], days }).unwrap()
+    }
+}
+
+fn issue(authority: &Authority, kind: &str, days: u32) -> Identity {
+    authority.issue(&Issue { holder: holder(kind), hosts: vec![], days }).unwrap()
 }
 
 /// Bytes as they are.
@@ -121,14 +148,17 @@ impl Decoder for Raw {
 }
 
 /// What an empty message gets.
-async fn outcome(farm: &Farm, identity: &Identity, call: &str) -> Code {
-    let endpoint =
-        tonic::transport::Endpoint::from_shared(farm.url()).unwrap().tls_config(tls::client(identity)).unwrap();
+async fn outcome(url: &str, tls: ClientTlsConfig, authorization: Option<&str>, call: &str) -> Status {
+    let endpoint = tonic::transport::Endpoint::from_shared(url.to_owned()).unwrap().tls_config(tls).unwrap();
     let mut grpc = tonic::client::Grpc::new(endpoint.connect().await.unwrap());
     grpc.ready().await.unwrap();
     let path = format!("/femc.v1.{call}").parse().unwrap();
-    let answer = grpc.streaming(Request::new(tokio_stream::once(Vec::new())), path, Raw).await;
-    answer.map_or_else(|status| status.code(), |_| Code::Ok)
+    let mut request = Request::new(tokio_stream::once(Vec::new()));
+    if let Some(text) = authorization {
+        request.metadata_mut().insert("authorization", text.parse().unwrap());
+    }
+    let answer = grpc.streaming(request, path, Raw).await;
+    answer.map_or_else(|status| status, |_| Status::ok(""))
 }
 
 #[tokio::test]
@@ -140,16 +170,135 @@ async fn every_role_may_call_what_the_table_says_and_nothing_else() {
         .collect();
     assert_eq!(calls, TABLE.iter().map(|(call, _)| (*call).to_owned()).collect(), "each call stands in the table");
     let farm = Farm::start().await;
-    for holder in HOLDERS {
-        let identity = issue(&farm.authority, holder, 1);
-        for (call, may) in TABLE {
-            let code = outcome(&farm, &identity, call).await;
-            assert_ne!(code, Code::Unauthenticated, "{holder} {call}");
-            assert_eq!(code != Code::PermissionDenied, may.contains(&holder), "{holder} {call}: {code:?}");
+    for name in HOLDERS {
+        let identity = issue(&farm.authority, name, 1);
+        let by_certificate = Some((tls::client(&identity), None));
+        let by_token =
+            farm.authority.token(holder(name), 1).ok().map(|pass| {
+                (tls::known_by(pass.authority().unwrap()), Some(format!("Bearer {}", pass.token().secret())))
+            });
+        assert_eq!(by_token.is_none(), name == "coordinator", "a coordinator has no token");
+        for (tls, token) in by_certificate.into_iter().chain(by_token) {
+            let code = async |call| outcome(&farm.url(), tls.clone(), token.as_deref(), call).await.code();
+            for (call, may) in TABLE {
+                let code = code(call).await;
+                assert_ne!(code, Code::Unauthenticated, "{name} {call}");
+                assert_eq!(code != Code::PermissionDenied, may.contains(&name), "{name} {call}: {code:?}");
+            }
+            let unknown = code("Jobs/Own").await;
+            assert_eq!(unknown == Code::PermissionDenied, name != "admin", "{name}: what is not named takes an admin");
         }
-        let unknown = outcome(&farm, &identity, "Jobs/Own").await;
-        assert_eq!(unknown == Code::PermissionDenied, holder != "admin", "{holder}: what is not named takes an admin");
     }
+}
+
+#[tokio::test]
+async fn who_shows_nothing_may_call_nothing() {
+    let farm = Farm::start().await;
+    let authority = issue(&farm.authority, "admin", 1);
+    for call in TABLE.map(|(call, _)| call).into_iter().chain(["Jobs/Own"]) {
+        let status = outcome(&farm.url(), tls::known_by(authority.authority()), None, call).await;
+        assert_eq!(status.code(), Code::Unauthenticated, "{call}");
+        assert!(status.message().contains("neither a certificate nor a token"), "{status:?}");
+    }
+}
+
+#[tokio::test]
+async fn a_token_that_is_wrong_cut_expired_or_removed_is_refused_with_the_reason() {
+    let farm = Farm::start().await;
+    let pass = farm.authority.token(holder("admin"), 1).unwrap();
+    let secret = pass.token().secret();
+    let works = farm.bearing(pass.clone()).await.unwrap();
+    assert!(is_in(&works.list().await) && is_in(&works.list().await), "as often as its owner likes");
+
+    let line = std::fs::read_to_string(farm.authority.tokens()).unwrap();
+    let digest = line.split_whitespace().nth(2).unwrap();
+    assert!(!line.contains(&secret[5..]), "the farm does not keep the token");
+    let unknown = femc_trust::Token::random().unwrap().secret();
+    for (what, header, why) in [
+        ("nothing", String::new(), "cut short"),
+        ("no token", "Bearer".into(), "cut short"),
+        ("another scheme", format!("Basic {secret}"), "cut short"),
+        ("cut by one", format!("Bearer {}", &secret[..secret.len() - 1]), "cut short"),
+        ("one more", format!("Bearer {secret}0"), "cut short"),
+        ("its digest", format!("Bearer femc_{digest}"), "does not know"),
+        ("self-made", format!("Bearer {unknown}"), "does not know"),
+        ("long", format!("Bearer {}", "x".repeat(4000)), "cut short"),
+    ] {
+        let status = farm.listing(&header).await;
+        assert_eq!(status.code(), Code::Unauthenticated, "{what}");
+        assert!(status.message().contains(why) && !status.message().contains(&secret), "{what}: {status:?}");
+    }
+
+    let until = |end: &str| {
+        let kept = line.split_whitespace().take(3).chain([end]).collect::<Vec<_>>().join(" ");
+        std::fs::write(farm.authority.tokens(), format!("{kept}\n")).unwrap();
+    };
+    until("2001-01-01");
+    let refused = works.list().await;
+    assert!(
+        matches!(&refused, Err(CallError::Refused(Refusal::Unauthenticated { message })) if message.contains("expired"))
+    );
+    until("2999-01-01");
+    assert!(is_in(&works.list().await));
+    assert_eq!(farm.authority.revoke("a-admin").unwrap(), 1);
+    let refused = works.list().await;
+    assert!(matches!(refused, Err(CallError::Refused(Refusal::Unauthenticated { .. }))), "{refused:?}");
+    let again = farm.bearing(pass).await.unwrap().list().await;
+    assert!(matches!(again, Err(CallError::Refused(Refusal::Unauthenticated { .. }))), "replayed: {again:?}");
+}
+
+#[tokio::test]
+async fn an_open_session_ends_when_its_token_is_removed() {
+    let farm = Farm::start().await;
+    let pass = farm.authority.token(holder("worker"), 1).unwrap();
+    let tokens = Tokens::open(farm.authority.tokens()).unwrap();
+    let (holder, digest) = tokens.holder(&pass.token().secret()).unwrap();
+    let lists = super::Lists { revoked: None, tokens: Some(tokens) };
+    let caller = super::Caller { holder, credential: super::Credential::Token(digest), lists };
+    assert!(caller.still_counts());
+    farm.authority.revoke("a-worker").unwrap();
+    assert!(!caller.still_counts());
+    farm.authority.token(super::tests::holder("worker"), 1).unwrap();
+    assert!(!caller.still_counts(), "another token of the same name is another token");
+}
+
+#[tokio::test]
+async fn who_calls_without_end_is_slowed_down_then_refused_and_others_are_not() {
+    let limits = Limits { rate: 10, burst: 5, ..Limits::default() };
+    let farm = Farm::within(limits).await;
+    let [ann, bob] = ["admin", "viewer"].map(|kind| farm.authority.token(holder(kind), 1).unwrap());
+    let (ann, bob) = (farm.bearing(ann).await.unwrap(), farm.bearing(bob).await.unwrap());
+    let begun = std::time::Instant::now();
+    let calls: Vec<_> = (0..60)
+        .map(|_| {
+            let ann = ann.clone();
+            tokio::spawn(async move { ann.list().await })
+        })
+        .collect();
+    let mut outcomes = Vec::new();
+    for call in calls {
+        outcomes.push(call.await.unwrap());
+    }
+    let refused = |heard: &Result<_, CallError>| matches!(heard, Err(CallError::Refused(Refusal::TooLarge { what, limit: 10 })) if what.contains("admin a-admin"));
+    let passed = outcomes.iter().filter(|heard| is_in(heard)).count();
+    assert_eq!(passed + outcomes.iter().filter(|heard| refused(heard)).count(), 60, "{outcomes:?}");
+    // Five at once, ten after waiting, and what a slow machine's time brings.
+    let most = 15 + 10 * (1 + begun.elapsed().as_secs() as usize);
+    assert!((15..=most).contains(&passed), "{passed} passed");
+    assert!(is_in(&bob.list().await), "another caller is another matter");
+}
+
+#[tokio::test]
+async fn a_token_is_not_sent_where_others_can_read_it() {
+    let farm = Farm::start().await;
+    let pass = farm.authority.token(holder("admin"), 1).unwrap();
+    for url in ["http://10.0.0.1:7878", "http://farm.lan:7878,http://127.0.0.1:7878"] {
+        let heard = Client::connect_by(&Dial::tcp().bearing(pass.clone()), url).await;
+        assert!(matches!(heard, Err(CallError::OpenToken { .. })), "{heard:?}");
+    }
+    let bare = Pass::parse(&pass.token().secret()).unwrap();
+    let heard = farm.bearing(bare).await;
+    assert!(matches!(heard, Err(CallError::NoAuthority { .. })), "{heard:?}");
 }
 
 #[tokio::test]
@@ -157,7 +306,7 @@ async fn who_does_not_belong_is_not_let_in() {
     let farm = Farm::start().await;
     let admin = issue(&farm.authority, "admin", 1);
     let works = farm.client(admin.clone()).await.unwrap();
-    assert!(matches!(works.list().await, Err(CallError::Refused(Refusal::Unavailable { .. }))), "past the guard");
+    assert!(is_in(&works.list().await), "past the guard");
 
     let other = Authority::init(&farm.folder.path().join("other"), "farm").unwrap();
     let expired = issue(&farm.authority, "admin", 0);
@@ -190,7 +339,8 @@ async fn a_worker_s_certificate_does_not_make_a_coordinator() {
     let url = format!("https://{}", listener.local_addr().unwrap());
     let (calls, _) = mpsc::channel(1);
     let identity = issue(&farm.authority, "worker", 1);
-    let server = Server::new(calls, Store::memory()).behind(Some(Entrance { identity, revoked: None }));
+    let entrance = Entrance { identity: Some(identity), revoked: None, tokens: None };
+    let server = Server::new(calls, Store::memory()).behind(Some(entrance));
     tokio::spawn(server.serve(TcpIncoming::from(listener), std::future::pending()));
     let admin = Dial::tcp().with(issue(&farm.authority, "admin", 1));
     let heard = Client::connect_by(&admin, &url).await;

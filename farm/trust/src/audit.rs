@@ -1,0 +1,301 @@
+//! The record of what was done to a farm, and of what was refused: who, from where, what, with which outcome.
+//!
+//! A line of JSON each, in a file that only grows. A line is handed to the system before the caller hears the answer, so it
+//! outlives the process; the disk has it within a fifth of a second. The same refusal again and again is one line a second with
+//! a count, so that who knocks all the time does not push out what others did. The file is put aside at 64 MiB, and the latest
+//! seven of these are kept. There are no secrets in it: certificates and tokens stand there by their digests.
+
+use std::collections::BTreeMap;
+use std::fs::{File, OpenOptions};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread::JoinHandle;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use serde::Serialize;
+use time::OffsetDateTime;
+
+use crate::TrustError;
+
+/// What somebody did, or tried to do.
+#[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
+pub struct Deed {
+    /// Role and name; `anybody` where nobody is asked.
+    pub who: String,
+    /// The digest of the certificate or token that says so.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub by: Option<String>,
+    /// The address.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub from: Option<String>,
+    /// The call, like `Jobs/Submit`.
+    pub call: String,
+    /// The job.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub job: Option<u64>,
+    /// What the call asked for.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub what: Option<String>,
+    /// `ok`, or the code of the refusal.
+    pub outcome: String,
+    /// Why it was refused.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub why: Option<String>,
+}
+
+#[derive(Serialize)]
+struct Line<'a> {
+    /// UTC.
+    time: String,
+    #[serde(flatten)]
+    deed: &'a Deed,
+    /// How often since the line before that says the same.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    times: Option<u64>,
+}
+
+/// A record; clones write the same one, which is closed with the last of them.
+#[derive(Debug, Clone)]
+pub struct Audit(Arc<Shared>);
+
+#[derive(Debug)]
+struct Shared {
+    book: Arc<Mutex<Book>>,
+    /// Dropped at the end, for which the writer to the disk waits.
+    open: Option<Sender<()>>,
+    keeper: Option<JoinHandle<()>>,
+}
+
+impl Audit {
+    /// Bytes at which a file is put aside.
+    pub const MOST: u64 = 64 << 20;
+    /// Files that were put aside and are kept.
+    const ASIDE: usize = 7;
+    /// Between two writings to the disk.
+    const SYNC: Duration = Duration::from_millis(200);
+
+    /// Goes on with the record in `path`, or begins one.
+    pub fn open(path: &Path) -> Result<Self, TrustError> {
+        Self::with(path, Self::MOST)
+    }
+
+    fn with(path: &Path, most: u64) -> Result<Self, TrustError> {
+        let book = Arc::new(Mutex::new(Book::open(path, most).map_err(TrustError::file(path))?));
+        let (open, closed) = channel();
+        let keeper = std::thread::Builder::new().name("audit".into()).spawn({
+            let book = book.clone();
+            move || keep(&book, &closed)
+        });
+        let keeper = Some(keeper.map_err(TrustError::file(path))?);
+        Ok(Self(Arc::new(Shared { book, open: Some(open), keeper })))
+    }
+
+    /// Notes what was done, or not done for another reason than a refusal.
+    pub fn note(&self, deed: &Deed) {
+        lock(&self.0.book).write(deed, None);
+    }
+
+    /// Notes a refusal: the first at once, and how often it came again once a second.
+    pub fn refused(&self, deed: Deed) {
+        let mut book = lock(&self.0.book);
+        if let Some(times) = book.again.get_mut(&deed) {
+            *times += 1;
+        } else if book.again.len() < Book::DIFFERENT {
+            book.write(&deed, None);
+            book.again.insert(deed, 0);
+        } else {
+            book.others += 1;
+        }
+    }
+}
+
+impl Drop for Shared {
+    fn drop(&mut self) {
+        self.open = None;
+        if let Some(keeper) = self.keeper.take() {
+            // It has only this to do; a panic of it was told.
+            let _ = keeper.join();
+        }
+    }
+}
+
+fn lock(book: &Mutex<Book>) -> MutexGuard<'_, Book> {
+    // A panic within the few lines under this lock leaves a line half written at worst.
+    book.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// Brings to the disk what was written, until the record is closed.
+fn keep(book: &Mutex<Book>, closed: &Receiver<()>) {
+    let mut turns = 0;
+    loop {
+        let is_over = closed.recv_timeout(Audit::SYNC) != Err(RecvTimeoutError::Timeout);
+        turns += 1;
+        let file = {
+            let mut book = lock(book);
+            if is_over || turns % 5 == 0 {
+                book.tell_again();
+            }
+            std::mem::take(&mut book.is_dirty).then(|| book.file.try_clone())
+        };
+        // Not under the lock: who writes does not wait for the disk.
+        if let Some(Err(error)) = file.map(|file| file.and_then(|file| file.sync_data())) {
+            tracing::error!(%error, "the audit record does not reach the disk");
+        }
+        if is_over {
+            return;
+        }
+    }
+}
+
+#[derive(Debug)]
+struct Book {
+    path: PathBuf,
+    file: File,
+    bytes: u64,
+    most: u64,
+    is_dirty: bool,
+    /// Refusals of this second, and how often they came after the first time.
+    again: BTreeMap<Deed, u64>,
+    /// Refusals beyond so many different ones.
+    others: u64,
+}
+
+impl Book {
+    /// Most different refusals that are told apart within a second.
+    const DIFFERENT: usize = 256;
+
+    fn open(path: &Path, most: u64) -> std::io::Result<Self> {
+        let file = append_to(path)?;
+        let bytes = file.metadata()?.len();
+        Ok(Self { path: path.into(), file, bytes, most, is_dirty: false, again: BTreeMap::new(), others: 0 })
+    }
+
+    fn write(&mut self, deed: &Deed, times: Option<u64>) {
+        if let Err(error) = self.try_write(deed, times) {
+            // What was done is done: it must not be lost without a word.
+            tracing::error!(%error, ?deed, "the audit record cannot be written");
+        }
+    }
+
+    fn try_write(&mut self, deed: &Deed, times: Option<u64>) -> std::io::Result<()> {
+        let mut line = serde_json::to_vec(&Line { time: now(), deed, times })?;
+        line.push(b'\n');
+        if self.bytes > 0 && self.bytes + line.len() as u64 > self.most {
+            self.put_aside()?;
+        }
+        self.file.write_all(&line)?;
+        self.bytes += line.len() as u64;
+        self.is_dirty = true;
+        Ok(())
+    }
+
+    /// `audit.jsonl` becomes `audit.jsonl.1`, that becomes `.2`, and the last goes.
+    fn put_aside(&mut self) -> std::io::Result<()> {
+        self.file.sync_data()?;
+        let aside = |number: usize| {
+            let mut name = self.path.clone().into_os_string();
+            name.push(format!(".{number}"));
+            PathBuf::from(name)
+        };
+        for number in (1..Audit::ASIDE).rev() {
+            match std::fs::rename(aside(number), aside(number + 1)) {
+                Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(error),
+                Ok(()) | Err(_) => {}
+            }
+        }
+        std::fs::rename(&self.path, aside(1))?;
+        self.file = append_to(&self.path)?;
+        self.bytes = 0;
+        Ok(())
+    }
+
+    /// Writes how often this second's refusals came again.
+    fn tell_again(&mut self) {
+        for (deed, times) in std::mem::take(&mut self.again) {
+            if times > 0 {
+                self.write(&deed, Some(times));
+            }
+        }
+        let others = std::mem::take(&mut self.others);
+        if others > 0 {
+            let deed = Deed { who: "others".into(), outcome: "refused".into(), ..Deed::default() };
+            self.write(&deed, Some(others));
+        }
+    }
+}
+
+fn append_to(path: &Path) -> std::io::Result<File> {
+    let mut options = OpenOptions::new();
+    options.create(true).append(true);
+    #[cfg(unix)]
+    std::os::unix::fs::OpenOptionsExt::mode(&mut options, 0o600);
+    options.open(path)
+}
+
+/// UTC, with milliseconds.
+fn now() -> String {
+    let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let moment = OffsetDateTime::from(UNIX_EPOCH + since);
+    let seconds = crate::until::text(moment);
+    format!("{}.{:03}Z", seconds.trim_end_matches('Z'), since.subsec_millis())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn deed(job: u64, outcome: &str) -> Deed {
+        Deed { who: "viewer eve".into(), job: Some(job), outcome: outcome.into(), ..Deed::default() }
+    }
+
+    fn lines(path: &Path) -> Vec<serde_json::Value> {
+        let text = std::fs::read_to_string(path).unwrap();
+        text.lines().map(|line| serde_json::from_str(line).unwrap()).collect()
+    }
+
+    #[test]
+    fn every_deed_is_a_line_at_once_and_a_repeated_refusal_is_counted() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("audit.jsonl");
+        let audit = Audit::open(&path).unwrap();
+        for job in 0..3 {
+            audit.note(&deed(job, "ok"));
+        }
+        assert_eq!(lines(&path).len(), 3);
+        for _ in 0..1000 {
+            audit.refused(deed(7, "PermissionDenied"));
+        }
+        audit.refused(Deed { what: Some("a\"b\n\u{7}".into()), ..deed(8, "PermissionDenied") });
+        drop(audit.clone());
+        drop(audit);
+        let record = lines(&path);
+        assert!(record.iter().all(|line| line["time"].as_str().is_some_and(|time| time.ends_with('Z'))));
+        let of = |job: u64| record.iter().filter(move |line| line["job"] == job);
+        let times: u64 = of(7).map(|line| line["times"].as_u64().unwrap_or(1)).sum();
+        assert_eq!(times, 1000);
+        assert!(of(7).count() < 10);
+        assert_eq!(of(8).next().unwrap()["what"], "a\"b\n\u{7}");
+        drop(Audit::open(&path).unwrap());
+        assert_eq!(lines(&path), record, "what is there stays");
+    }
+
+    #[test]
+    fn a_full_file_is_put_aside_and_the_oldest_goes() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("audit.jsonl");
+        let audit = Audit::with(&path, 1000).unwrap();
+        for job in 0..500 {
+            audit.note(&deed(job, "ok"));
+        }
+        drop(audit);
+        let files = std::fs::read_dir(folder.path()).unwrap().count();
+        assert_eq!(files, 1 + Audit::ASIDE);
+        let bytes = |name: &str| std::fs::metadata(folder.path().join(name)).unwrap().len();
+        assert!(bytes("audit.jsonl") <= 1000 && bytes("audit.jsonl.1") <= 1000);
+        assert_eq!(lines(&path).last().unwrap()["job"], 499);
+        let first = lines(&path)[0]["job"].as_u64().unwrap();
+        assert_eq!(lines(&folder.path().join("audit.jsonl.1")).last().unwrap()["job"], first - 1);
+    }
+}

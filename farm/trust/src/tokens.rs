@@ -1,0 +1,190 @@
+//! Who may come with a token.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use time::OffsetDateTime;
+
+use crate::reread::{Reread, lines};
+use crate::until;
+use crate::{Holder, Token, TokenDigest, TrustError};
+
+/// A file of tokens' digests, one a line: `NAME ROLE DIGEST`, and after it, if it is to end, when: `2027-02-19`, or
+/// `2027-02-19T10:00:00Z`. The role is a user's, or `worker`. It is read again when it has changed: who is not in it any more is
+/// let in no more.
+#[derive(Debug, Clone)]
+pub struct Tokens(Reread<Vec<TokenLine>>);
+
+/// Why a token does not count.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+pub enum BadToken {
+    /// Nothing that looks like one.
+    #[error("this is no token of femc: it is cut short, or something else")]
+    Malformed,
+    /// Not in the file, or not any more.
+    #[error("this farm does not know the token, or not any more")]
+    Unknown,
+    /// Its date is over.
+    #[error("the token has expired")]
+    Expired,
+}
+
+impl Tokens {
+    /// Reads the file; it must be there, and all of it must make sense. Of what is written to it later, lines that do not are left
+    /// out: nobody stays because of somebody else's slip of the pen.
+    pub fn open(path: impl Into<PathBuf>) -> Result<Self, TrustError> {
+        let path = path.into();
+        parse(&path, &std::fs::read_to_string(&path).map_err(TrustError::file(&path))?)?;
+        Reread::open(path, sensible).map(Self)
+    }
+
+    /// Whose the token is.
+    pub fn holder(&self, token: &str) -> Result<(Holder, TokenDigest), BadToken> {
+        let digest = Token::parse(token).ok_or(BadToken::Malformed)?.digest();
+        self.holder_of(&digest).map(|holder| (holder, digest))
+    }
+
+    /// Whose the token of this digest is, now.
+    pub fn holder_of(&self, digest: &TokenDigest) -> Result<Holder, BadToken> {
+        self.0.look(|lines| {
+            // All are compared: how long it takes says nothing of which it is.
+            let found = lines.iter().fold(None, |found, line| if line.digest == *digest { Some(line) } else { found });
+            let line = found.ok_or(BadToken::Unknown)?;
+            if line.has_expired() { Err(BadToken::Expired) } else { Ok(line.holder.clone()) }
+        })
+    }
+}
+
+/// A line of the file.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct TokenLine {
+    /// For whom.
+    pub holder: Holder,
+    /// By which the token is known.
+    pub digest: TokenDigest,
+    /// From when on it counts no more.
+    pub(crate) until: Option<OffsetDateTime>,
+}
+
+impl TokenLine {
+    /// Whether its time is over.
+    pub fn has_expired(&self) -> bool {
+        self.until.is_some_and(|until| OffsetDateTime::now_utc() >= until)
+    }
+
+    /// The same in seconds since 1970.
+    pub fn until_seconds(&self) -> Option<i64> {
+        self.until.map(OffsetDateTime::unix_timestamp)
+    }
+
+    /// Days that it still counts; negative: it counted until then.
+    pub fn days_left(&self) -> Option<i64> {
+        let left = |until: i64| (until - OffsetDateTime::now_utc().unix_timestamp()).div_euclid(86_400);
+        self.until_seconds().map(left)
+    }
+
+    /// From a line without what surrounds it.
+    pub fn parse(line: &str) -> Option<Self> {
+        let mut words = line.split_whitespace();
+        let (name, role, digest) = (words.next()?.to_owned(), words.next()?, words.next()?);
+        let holder = match role {
+            "worker" => Holder::Worker { name },
+            role => Holder::User { name, role: role.parse().ok()? },
+        };
+        holder.check().ok()?;
+        let until = words.next().map(|word| until::parse(word).ok_or(())).transpose().ok()?;
+        if words.next().is_some() {
+            return None;
+        }
+        Some(Self { holder, digest: TokenDigest::parse(digest)?, until })
+    }
+}
+
+impl fmt::Display for TokenLine {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let role = match &self.holder {
+            Holder::User { role, .. } => role.name(),
+            Holder::Worker { .. } => "worker",
+            Holder::Coordinator { .. } => "coordinator",
+        };
+        write!(f, "{} {role} {}", self.holder.name(), self.digest)?;
+        self.until.map_or(Ok(()), |moment| write!(f, " {}", until::text(moment)))
+    }
+}
+
+/// All lines of a file.
+pub(crate) fn parse(path: &Path, text: &str) -> Result<Vec<TokenLine>, TrustError> {
+    each(path, text).collect()
+}
+
+/// Those of its lines that make sense.
+fn sensible(path: &Path, text: &str) -> Result<Vec<TokenLine>, TrustError> {
+    let warn = |error: &TrustError| tracing::warn!(%error, "the line is left out");
+    Ok(each(path, text).filter_map(|line| line.inspect_err(warn).ok()).collect())
+}
+
+fn each(path: &Path, text: &str) -> impl Iterator<Item = Result<TokenLine, TrustError>> {
+    lines(text).map(move |(at, line)| {
+        let message = || format!("line {at}: no `NAME ROLE DIGEST`, or `NAME ROLE DIGEST UNTIL`");
+        TokenLine::parse(line).ok_or_else(|| TrustError::Malformed { path: path.into(), message: message() })
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Role;
+
+    fn line(holder: Holder, until: Option<OffsetDateTime>) -> (Token, TokenLine) {
+        let token = Token::random().unwrap();
+        let line = TokenLine { holder, digest: token.digest(), until };
+        (token, line)
+    }
+
+    fn ann() -> Holder {
+        Holder::User { name: "ann".into(), role: Role::Operator }
+    }
+
+    #[test]
+    fn a_line_comes_back_and_what_is_none_is_refused() {
+        let moment = until::parse("2027-02-19T10:00:00Z");
+        for line in [line(ann(), None).1, line(Holder::Worker { name: "w1".into() }, moment).1] {
+            assert_eq!(TokenLine::parse(&line.to_string()), Some(line));
+        }
+        let digest = line(ann(), None).1.digest.to_string();
+        for wrong in [
+            "ann operator".to_owned(),
+            format!("ann king {digest}"),
+            format!("farm coordinator {digest}"),
+            format!("../ann viewer {digest}"),
+            format!("ann viewer {}", &digest[1..]),
+            format!("ann viewer {digest} soon"),
+            format!("ann viewer {digest} 2027-02-19 more"),
+        ] {
+            assert_eq!(TokenLine::parse(&wrong), None, "{wrong}");
+        }
+    }
+
+    #[test]
+    fn a_token_counts_as_long_as_its_line_is_there_and_its_date_is_not_over() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("tokens");
+        assert!(matches!(Tokens::open(&path), Err(TrustError::File { .. })));
+        let (token, open) = line(ann(), None);
+        let (old, expired) = line(ann(), until::parse("2020-01-01"));
+        std::fs::write(&path, format!("# the farm's\n\n{open}\n{expired}\n")).unwrap();
+        let tokens = Tokens::open(&path).unwrap();
+        assert_eq!(tokens.holder(&token.secret()), Ok((ann(), token.digest())));
+        assert_eq!(tokens.holder(&old.secret()), Err(BadToken::Expired));
+        assert_eq!(tokens.holder(&Token::random().unwrap().secret()), Err(BadToken::Unknown));
+        assert_eq!(tokens.holder(&token.secret()[..40]), Err(BadToken::Malformed));
+        assert_eq!(tokens.holder(&token.digest().to_string()), Err(BadToken::Malformed), "the digest is no token");
+        std::fs::write(&path, format!("{expired}\n")).unwrap();
+        assert_eq!(tokens.holder_of(&token.digest()), Err(BadToken::Unknown));
+        std::fs::write(&path, format!("slip of the pen\n{open}\n")).unwrap();
+        assert!(matches!(Tokens::open(&path), Err(TrustError::Malformed { .. })));
+        assert!(tokens.holder(&token.secret()).is_ok());
+        std::fs::remove_file(&path).unwrap();
+        assert_eq!(tokens.holder(&token.secret()), Err(BadToken::Unknown), "nobody is in a file that is gone");
+    }
+}

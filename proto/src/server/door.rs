@@ -1,0 +1,297 @@
+//! Lets connections in: so many in all, so many from one place, and for long only those that say what they want.
+//!
+//! A connection that brings no allowed call within the time of [`Limits::introduction`] is closed, whatever it does instead:
+//! nothing, half a handshake, or HTTP/2 frames that ask for nothing. Later on the keepalive of HTTP/2 finds those that are gone.
+
+use std::any::Any;
+use std::collections::BTreeMap;
+use std::io;
+use std::net::{IpAddr, SocketAddr};
+use std::pin::Pin;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use femc_trust::{Audit, Deed};
+use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
+use tokio::time::{Instant, Sleep};
+use tonic::transport::server::{Connected, TcpConnectInfo};
+
+use crate::limits::Limits;
+use crate::net::Io;
+
+/// Who is at the other end, as far as a connection tells.
+#[derive(Debug, Clone)]
+pub(super) struct Peer {
+    /// Unless the connection is no TCP connection.
+    pub(super) address: Option<SocketAddr>,
+    /// Of the connection, from 1.
+    pub(super) number: u64,
+    is_introduced: Arc<AtomicBool>,
+}
+
+impl Peer {
+    /// It has made a call that it may make: its connection may last.
+    pub(super) fn introduce(&self) {
+        self.is_introduced.store(true, Ordering::Relaxed);
+    }
+}
+
+/// Counts connections; clones share the count.
+#[derive(Debug, Clone)]
+pub(super) struct Door {
+    limits: Limits,
+    audit: Option<Audit>,
+    unheard: Unheard,
+    inside: Arc<Mutex<Inside>>,
+}
+
+/// What becomes of connections that end without a call that was allowed.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Unheard {
+    /// They are noted: where certificates are asked for, a wrong one ends in the handshake, before there is a call to refuse.
+    Noted,
+    /// They are nobody's business.
+    Ignored,
+}
+
+#[derive(Debug, Default)]
+struct Inside {
+    all: usize,
+    of: BTreeMap<Place, usize>,
+    /// Connections so far.
+    numbers: u64,
+    warned: Option<Instant>,
+}
+
+/// Where a connection comes from: one address, or the part of an IPv6 address that is a network's.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Place(Option<IpAddr>);
+
+impl Place {
+    fn of(address: Option<SocketAddr>) -> Self {
+        Self(address.map(|address| match address.ip().to_canonical() {
+            IpAddr::V6(ip) => IpAddr::V6((u128::from(ip) >> 64 << 64).into()),
+            v4 => v4,
+        }))
+    }
+}
+
+impl Door {
+    /// Between two warnings.
+    const WARNS: Duration = Duration::from_secs(10);
+
+    pub(super) fn new(limits: Limits, audit: Option<Audit>, unheard: Unheard) -> Self {
+        Self { limits, audit, unheard, inside: Arc::default() }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Inside> {
+        // A panic within the few lines under this lock leaves nothing half done.
+        self.inside.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The connection, if there is room; else it is closed.
+    pub(super) fn admit<C: Io + Connected>(&self, io: C) -> Option<Admitted<C>> {
+        let info = io.connect_info();
+        let address = (&info as &dyn Any).downcast_ref::<TcpConnectInfo>().and_then(TcpConnectInfo::remote_addr);
+        let place = Place::of(address);
+        let mut inside = self.lock();
+        let of_place = inside.of.get(&place).copied().unwrap_or(0);
+        // Connections without an address are a simulation's, or this process's own.
+        let is_full_for_one = address.is_some() && of_place >= self.limits.connections_of_one;
+        if is_full_for_one || inside.all >= self.limits.connections {
+            self.turn_away(&mut inside, address);
+            return None;
+        }
+        inside.all += 1;
+        inside.numbers += 1;
+        let number = inside.numbers;
+        inside.of.insert(place, of_place + 1);
+        let peer = Peer { address, number, is_introduced: Arc::default() };
+        let deadline = Some(Box::pin(tokio::time::sleep(self.limits.introduction)));
+        let audit = self.audit.clone().filter(|_| self.unheard == Unheard::Noted);
+        Some(Admitted { io, peer, deadline, audit, _seat: Seat { inside: self.inside.clone(), place } })
+    }
+
+    fn turn_away(&self, inside: &mut Inside, address: Option<SocketAddr>) {
+        if inside.warned.is_none_or(|warned| warned.elapsed() >= Self::WARNS) {
+            inside.warned = Some(Instant::now());
+            tracing::warn!(?address, all = inside.all, "too many connections; some are turned away");
+        }
+        if let Some(audit) = &self.audit {
+            audit.refused(connecting(address, "ResourceExhausted", "too many connections"));
+        }
+    }
+}
+
+fn connecting(address: Option<SocketAddr>, outcome: &str, why: &str) -> Deed {
+    Deed {
+        who: "unknown".into(),
+        from: address.map(|address| address.ip().to_string()),
+        call: "connect".into(),
+        outcome: outcome.into(),
+        why: Some(why.into()),
+        ..Deed::default()
+    }
+}
+
+/// One of the connections that are counted.
+#[derive(Debug)]
+struct Seat {
+    inside: Arc<Mutex<Inside>>,
+    place: Place,
+}
+
+impl Drop for Seat {
+    fn drop(&mut self) {
+        let mut inside = self.inside.lock().unwrap_or_else(PoisonError::into_inner);
+        inside.all -= 1;
+        if let Some(count) = inside.of.get_mut(&self.place) {
+            *count -= 1;
+            if *count == 0 {
+                inside.of.remove(&self.place);
+            }
+        }
+    }
+}
+
+/// A connection that was let in.
+#[derive(Debug)]
+pub(super) struct Admitted<C> {
+    io: C,
+    peer: Peer,
+    /// `None` after its introduction.
+    deadline: Option<Pin<Box<Sleep>>>,
+    /// Where it is noted, if it ends without an introduction.
+    audit: Option<Audit>,
+    _seat: Seat,
+}
+
+impl<C> Drop for Admitted<C> {
+    fn drop(&mut self) {
+        if let Some(audit) = self.audit.take().filter(|_| !self.peer.is_introduced.load(Ordering::Relaxed)) {
+            let why = "no accepted certificate, or no call that was allowed";
+            audit.refused(connecting(self.peer.address, "Closed", why));
+        }
+    }
+}
+
+impl<C> Connected for Admitted<C> {
+    type ConnectInfo = Peer;
+
+    fn connect_info(&self) -> Peer {
+        self.peer.clone()
+    }
+}
+
+impl<C: AsyncRead + Unpin> AsyncRead for Admitted<C> {
+    fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+        if self.deadline.is_some() && self.peer.is_introduced.load(Ordering::Relaxed) {
+            self.deadline = None;
+        }
+        if self.deadline.as_mut().is_some_and(|deadline| deadline.as_mut().poll(cx).is_ready()) {
+            return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
+        }
+        Pin::new(&mut self.io).poll_read(cx, buffer)
+    }
+}
+
+impl<C: AsyncWrite + Unpin> AsyncWrite for Admitted<C> {
+    fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.io).poll_write(cx, bytes)
+    }
+
+    fn poll_write_vectored(
+        mut self: Pin<&mut Self>,
+        cx: &mut Context<'_>,
+        bytes: &[io::IoSlice<'_>],
+    ) -> Poll<io::Result<usize>> {
+        Pin::new(&mut self.io).poll_write_vectored(cx, bytes)
+    }
+
+    fn is_write_vectored(&self) -> bool {
+        self.io.is_write_vectored()
+    }
+
+    fn poll_flush(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.io).poll_flush(cx)
+    }
+
+    fn poll_shutdown(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<io::Result<()>> {
+        Pin::new(&mut self.io).poll_shutdown(cx)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use tokio::io::AsyncReadExt as _;
+
+    #[derive(Debug)]
+    struct Far(tokio::io::DuplexStream, SocketAddr);
+
+    impl AsyncRead for Far {
+        fn poll_read(mut self: Pin<&mut Self>, cx: &mut Context<'_>, buffer: &mut ReadBuf<'_>) -> Poll<io::Result<()>> {
+            Pin::new(&mut self.0).poll_read(cx, buffer)
+        }
+    }
+
+    impl AsyncWrite for Far {
+        fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
+            Pin::new(&mut self.0).poll_write(cx, bytes)
+        }
+
+        fn poll_flush(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+            Poll::Ready(Ok(()))
+        }
+
+        fn poll_shutdown(self: Pin<&mut Self>, _: &mut Context<'_>) -> Poll<io::Result<()>> {
+            Poll::Ready(Ok(()))
+        }
+    }
+
+    impl Connected for Far {
+        type ConnectInfo = TcpConnectInfo;
+
+        fn connect_info(&self) -> TcpConnectInfo {
+            TcpConnectInfo { local_addr: None, remote_addr: Some(self.1) }
+        }
+    }
+
+    fn far(address: &str) -> Far {
+        // Its other end stays silent for ever.
+        let (near, other) = tokio::io::duplex(64);
+        std::mem::forget(other);
+        Far(near, address.parse().unwrap())
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn who_says_nothing_is_let_go_of_and_who_is_introduced_may_stay() {
+        let door = Door::new(Limits::default(), None, Unheard::Ignored);
+        let mut silent = door.admit(far("10.0.0.1:1")).unwrap();
+        let mut guest = door.admit(far("10.0.0.1:2")).unwrap();
+        guest.connect_info().introduce();
+        let error = silent.read_u8().await.unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::TimedOut);
+        let stays = tokio::time::timeout(Duration::from_secs(3600), guest.read_u8()).await;
+        assert!(stays.is_err());
+    }
+
+    #[tokio::test]
+    async fn so_many_from_one_place_and_so_many_in_all_and_a_seat_is_free_again() {
+        let limits = Limits { connections: 5, connections_of_one: 2, ..Limits::default() };
+        let door = Door::new(limits, None, Unheard::Ignored);
+        let mut inside: Vec<_> =
+            ["[2001:db8::1]:1", "[2001:db8::2]:2"].map(|from| door.admit(far(from)).unwrap()).into();
+        assert!(door.admit(far("[2001:db8::3]:1")).is_none(), "one network");
+        inside.extend(["[2001:db8:0:1::1]:1", "10.0.0.1:1", "10.0.0.1:2"].map(|from| door.admit(far(from)).unwrap()));
+        assert!(door.admit(far("10.0.0.2:1")).is_none(), "in all");
+        inside.remove(0);
+        assert!(door.admit(far("[::ffff:10.0.0.1]:3")).is_none(), "the same address in another form");
+        inside.push(door.admit(far("10.0.0.2:1")).unwrap());
+        inside.clear();
+        let left = door.lock();
+        assert_eq!((left.all, left.of.len()), (0, 0));
+    }
+}

@@ -1,0 +1,79 @@
+//! Requests that come in time.
+
+use std::pin::Pin;
+use std::task::{Context, Poll};
+use std::time::Duration;
+
+use bytes::Bytes;
+use http_body::{Body as _, Frame, SizeHint};
+use tokio::time::{Instant, Sleep};
+use tonic::Status;
+use tonic::body::Body;
+
+/// How a request must come.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) enum Pace {
+    /// All of it within the time.
+    Whole,
+    /// Something of it within each such time.
+    Steady,
+    /// As it likes: a session has its own times.
+    Free,
+}
+
+impl Pace {
+    /// Of a call by its path.
+    pub(super) fn of(path: &str) -> Self {
+        match path {
+            "/femc.v1.Workers/Session" => Self::Free,
+            "/femc.v1.Artifacts/Put" | "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo" => Self::Steady,
+            _ => Self::Whole,
+        }
+    }
+
+    /// The same body, which fails if it is late.
+    pub(super) fn hold(self, body: Body, patience: Duration) -> Body {
+        match self {
+            Self::Free => body,
+            Self::Whole | Self::Steady if body.is_end_stream() => body,
+            Self::Whole | Self::Steady => {
+                let due = Box::pin(tokio::time::sleep(patience));
+                Body::new(Punctual { body, pace: self, patience, due })
+            }
+        }
+    }
+}
+
+struct Punctual {
+    body: Body,
+    pace: Pace,
+    patience: Duration,
+    due: Pin<Box<Sleep>>,
+}
+
+impl http_body::Body for Punctual {
+    type Data = Bytes;
+    type Error = Status;
+
+    fn poll_frame(mut self: Pin<&mut Self>, cx: &mut Context<'_>) -> Poll<Option<Result<Frame<Bytes>, Status>>> {
+        if let Poll::Ready(frame) = Pin::new(&mut self.body).poll_frame(cx) {
+            if self.pace == Pace::Steady {
+                let next = Instant::now() + self.patience;
+                self.due.as_mut().reset(next);
+            }
+            return Poll::Ready(frame);
+        }
+        self.due.as_mut().poll(cx).map(|()| {
+            let seconds = self.patience.as_secs();
+            Some(Err(Status::deadline_exceeded(format!("the request did not come within {seconds} s"))))
+        })
+    }
+
+    fn is_end_stream(&self) -> bool {
+        self.body.is_end_stream()
+    }
+
+    fn size_hint(&self) -> SizeHint {
+        self.body.size_hint()
+    }
+}

@@ -1,0 +1,77 @@
+//! How often one caller may call: a bucket of calls for each, that fills steadily.
+
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Duration;
+
+use tokio::time::Instant;
+
+use crate::limits::Limits;
+
+/// Buckets by caller; clones share them.
+#[derive(Debug, Clone)]
+pub(super) struct Rates {
+    /// Between two calls, on average.
+    every: Duration,
+    /// So much earlier than that a caller may come.
+    ahead: Duration,
+    /// When the next call of each would be due at the average rate; who is not here may begin anew.
+    due: Arc<Mutex<BTreeMap<String, Instant>>>,
+}
+
+impl Rates {
+    /// A call that comes too early waits so long at most.
+    const WAITS: Duration = Duration::from_secs(1);
+    /// Callers that are remembered before those are forgotten that have been quiet.
+    const CALLERS: usize = 4096;
+
+    pub(super) fn new(limits: &Limits) -> Self {
+        let every = Duration::from_secs(1) / limits.rate.max(1);
+        Self { every, ahead: every * limits.burst, due: Arc::default() }
+    }
+
+    /// How long a call waits that comes now; `None`: too many came before.
+    pub(super) fn turn(&self, caller: &str, now: Instant) -> Option<Duration> {
+        let mut all = self.due.lock().unwrap_or_else(PoisonError::into_inner);
+        if all.len() >= Self::CALLERS && !all.contains_key(caller) {
+            all.retain(|_, due| *due > now);
+        }
+        let due = all.get(caller).copied().unwrap_or(now).max(now);
+        let next = due + self.every;
+        let wait = next.saturating_duration_since(now + self.ahead);
+        if wait > Self::WAITS {
+            return None;
+        }
+        all.insert(caller.to_owned(), next);
+        Some(wait)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test]
+    async fn a_burst_passes_what_follows_waits_and_a_flood_is_refused() {
+        let rates = Rates::new(&Limits { rate: 10, burst: 5, ..Limits::default() });
+        let now = Instant::now();
+        let turns: Vec<_> = (0..20).map(|_| rates.turn("ann", now)).collect();
+        assert_eq!(turns[..5], [Some(Duration::ZERO); 5]);
+        let waits = (1..=10).map(|n| Some(Duration::from_millis(100 * n)));
+        assert!(turns[5..15].iter().copied().eq(waits), "{turns:?}");
+        assert_eq!(turns[15..], [None; 5]);
+        assert_eq!(rates.turn("bob", now), Some(Duration::ZERO), "one caller's flood is not another's");
+        assert_eq!(rates.turn("ann", now + Duration::from_secs(10)), Some(Duration::ZERO));
+    }
+
+    #[tokio::test]
+    async fn callers_without_number_are_not_remembered() {
+        let rates = Rates::new(&Limits::default());
+        let mut now = Instant::now();
+        for n in 0..3 * Rates::CALLERS {
+            rates.turn(&n.to_string(), now);
+            now += Duration::from_millis(1);
+        }
+        assert!(rates.due.lock().unwrap().len() <= Rates::CALLERS);
+    }
+}

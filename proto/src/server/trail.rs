@@ -1,0 +1,87 @@
+//! What a call leaves in the audit record.
+
+use std::sync::{Arc, Mutex, PoisonError};
+
+use femc_model::JobId;
+use femc_trust::{Audit, Deed};
+use http::Response;
+use tonic::{Code, Request, Status};
+
+use super::guard::Caller;
+
+/// Filled in on the way through a call; empty where there is no record.
+#[derive(Debug, Clone, Default)]
+pub(super) struct Trail(Option<Arc<Mutex<Deed>>>);
+
+impl Trail {
+    /// Most characters of a text from outside.
+    const LONGEST: usize = 200;
+
+    /// Of the call `path` from `from`.
+    pub(super) fn new(path: &str, from: Option<String>) -> Self {
+        let call = cut(path.trim_start_matches('/').trim_start_matches("femc.v1."));
+        Self(Some(Arc::new(Mutex::new(Deed { who: "unknown".into(), from, call, ..Deed::default() }))))
+    }
+
+    /// That of the call that this request makes.
+    pub(super) fn of<T>(request: &Request<T>) -> Self {
+        request.extensions().get().cloned().unwrap_or_default()
+    }
+
+    fn with(&self, change: impl FnOnce(&mut Deed)) {
+        if let Some(deed) = &self.0 {
+            // A panic within the few lines under this lock leaves nothing half done.
+            change(&mut deed.lock().unwrap_or_else(PoisonError::into_inner));
+        }
+    }
+
+    /// Who calls.
+    pub(super) fn caller(&self, caller: &Caller) {
+        self.with(|deed| (deed.who, deed.by) = (caller.holder.to_string(), Some(caller.credential.to_string())));
+    }
+
+    /// Nobody is asked who he is.
+    pub(super) fn anybody(&self) {
+        self.with(|deed| deed.who = "anybody".into());
+    }
+
+    /// What the call asks for.
+    pub(super) fn what(&self, what: &str) {
+        self.with(|deed| deed.what = Some(cut(what)));
+    }
+
+    /// Which job it is about.
+    pub(super) fn job(&self, JobId(job): JobId) {
+        self.with(|deed| deed.job = Some(job));
+    }
+
+    /// Notes it, if it is a change or was refused.
+    pub(super) fn end<B>(&self, audit: &Audit, response: &Response<B>) {
+        let status = Status::from_header_map(response.headers());
+        let code = status.as_ref().map_or(Code::Ok, Status::code);
+        let is_refused = matches!(code, Code::Unauthenticated | Code::PermissionDenied | Code::ResourceExhausted);
+        let mut ended = Deed::default();
+        self.with(|deed| ended = deed.clone());
+        if !is_refused && !is_change(&ended.call) {
+            return;
+        }
+        ended.outcome = if code == Code::Ok { "ok".into() } else { format!("{code:?}") };
+        ended.why = status.map(|status| cut(status.message())).filter(|why| !why.is_empty());
+        if is_refused {
+            // Whoever tries from port after port tries again and again.
+            ended.from = ended.from.map(|from| from.rsplit_once(':').map_or(from.clone(), |(ip, _)| ip.to_owned()));
+            audit.refused(ended);
+        } else {
+            audit.note(&ended);
+        }
+    }
+}
+
+/// Whether a call changes what the farm does.
+fn is_change(call: &str) -> bool {
+    matches!(call, "Jobs/Submit" | "Jobs/Control" | "Jobs/DrainWorkers" | "Workers/Session" | "Artifacts/Collect")
+}
+
+fn cut(text: &str) -> String {
+    text.chars().take(Trail::LONGEST).collect()
+}

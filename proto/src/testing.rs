@@ -1,0 +1,125 @@
+//! Every message of the wire as a decoder of bytes, for fuzzing: generated types stay in here all the same.
+
+use femc_model::{
+    AttemptRecord, Drain, FrameParts, FrameRecord, FromWorker, JobSpec, JobStatus, LogRecord, Refusal, ToWorker,
+    WorkerName, WorkerStatus,
+};
+use prost::Message;
+
+use crate::convert::{ConvertError, collect_mode, digest, need};
+use crate::many::Many;
+use crate::server::{Collected, JobShape};
+use crate::wire;
+
+/// The descriptions of all messages: a `FileDescriptorSet`.
+pub const DESCRIPTORS: &[u8] = wire::DESCRIPTORS;
+
+/// What receives one kind of message.
+#[derive(Debug, Clone, Copy)]
+pub struct Decoder {
+    /// The message's name in `femc.v1`.
+    pub message: &'static str,
+    /// Whether bytes are such a message, and it makes sense.
+    /// - panics: if what was understood becomes another message when it is sent on.
+    pub decode: fn(&[u8]) -> bool,
+}
+
+/// Understood, sent on, and understood again: the same message.
+fn there_and_back<W, M>(wire: W) -> bool
+where
+    W: Message + Default + From<M>,
+    M: TryFrom<W, Error = ConvertError>,
+{
+    let Ok(model) = M::try_from(wire) else { return false };
+    let sent = W::from(model).encode_to_vec();
+    let received = W::decode(&sent[..]).map(M::try_from);
+    let Ok(Ok(model)) = received else { panic!("what was sent on is not understood") };
+    assert_eq!(W::from(model).encode_to_vec(), sent, "what was sent on is something else");
+    true
+}
+
+fn each<W, M>(all: Vec<W>) -> bool
+where
+    W: Message + Default + From<M>,
+    M: TryFrom<W, Error = ConvertError>,
+{
+    // Also those behind one that makes no sense.
+    let senseless = all.into_iter().map(there_and_back::<W, M>).filter(|is_good| !is_good).count();
+    senseless == 0
+}
+
+fn are_digests(all: &[bytes::Bytes]) -> bool {
+    all.iter().all(|bytes| digest("digest", bytes).is_ok())
+}
+
+/// As a session takes them apart.
+fn words<W, M>(wire: W) -> bool
+where
+    W: Many + Default + From<M>,
+    M: TryFrom<W, Error = ConvertError>,
+{
+    match wire.split() {
+        Ok(many) => each::<W, M>(many),
+        Err(one) => there_and_back::<W, M>(one),
+    }
+}
+
+macro_rules! decoders {
+    ($($message:ident => $understand:expr;)*) => {
+        &[$(Decoder {
+            message: stringify!($message),
+            decode: |bytes| {
+                let understand: fn(wire::$message) -> bool = $understand;
+                wire::$message::decode(bytes).is_ok_and(understand)
+            },
+        }),*]
+    };
+}
+
+/// One for each message that a call takes or gives, and for the refusals in statuses.
+pub const DECODERS: &[Decoder] = decoders! {
+    SubmitRequest => |wire| need("job", wire.job).is_ok_and(there_and_back::<_, JobSpec>);
+    SubmitReply => |_| true;
+    ListRequest => |_| true;
+    ListReply => |wire| each::<_, JobStatus>(wire.jobs);
+    StatusRequest => |_| true;
+    JobStatus => there_and_back::<_, JobStatus>;
+    WatchRequest => |_| true;
+    ControlRequest => |wire| {
+        need("control", wire.control).and_then(femc_model::Control::try_from).is_ok()
+    };
+    ControlReply => |_| true;
+    FramesRequest => |_| true;
+    FramesReply => |wire| each::<_, FrameRecord>(wire.frames);
+    PartsRequest => |_| true;
+    PartsReply => |wire| each::<_, FrameParts>(wire.frames);
+    LogsRequest => |_| true;
+    LogsReply => |wire| each::<_, LogRecord>(wire.logs);
+    AttemptsRequest => |_| true;
+    AttemptsReply => |wire| match wire.part {
+        Some(wire::attempts_reply::Part::Job(job)) => there_and_back::<_, JobShape>(job),
+        Some(wire::attempts_reply::Part::Attempts(page)) => each::<_, AttemptRecord>(page.attempts),
+        None => false,
+    };
+    ListWorkersRequest => |_| true;
+    ListWorkersReply => |wire| each::<_, WorkerStatus>(wire.workers);
+    DrainWorkersRequest => there_and_back::<_, (WorkerName, Drain)>;
+    DrainWorkersReply => |_| true;
+    FromWorker => words::<_, FromWorker>;
+    ToWorker => words::<_, ToWorker>;
+    MissingRequest => |wire| are_digests(&wire.digests);
+    MissingReply => |wire| are_digests(&wire.digests);
+    OfferRequest => |wire| digest("digest", &wire.digest).is_ok();
+    OfferReply => |wire| wire.answer.is_some();
+    PutRequest => |wire| match wire.part {
+        Some(wire::put_request::Part::Digest(bytes)) => digest("digest", &bytes).is_ok(),
+        Some(wire::put_request::Part::Piece(_)) => true,
+        None => false,
+    };
+    PutReply => |wire| need("artefact", wire.artefact).is_ok_and(there_and_back::<_, femc_model::Artefact>);
+    GetRequest => |wire| digest("digest", &wire.digest).is_ok();
+    GetReply => |_| true;
+    CollectRequest => |wire| collect_mode(wire.mode).is_ok();
+    CollectReply => there_and_back::<_, Collected>;
+    Refusal => there_and_back::<_, Refusal>;
+};

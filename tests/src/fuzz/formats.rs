@@ -1,0 +1,189 @@
+//! What lies in the store, in the log and on workers' disks.
+
+use std::collections::BTreeMap;
+
+use bytes::Bytes;
+use femc_film::{Frame, Piece, Rect, Sample, Tile, Tiling};
+use femc_import::Bundle;
+use femc_math::Rgb;
+use femc_model::{
+    Artefact, Assignment, AttemptRecord, Control, Digest, Drain, Ending, Epoch, Grid, JobId, JobSpec, Manifest, Stage,
+    StageKind, TaskKey, TaskResult, Tick, TileResult, Work,
+};
+use femc_schedule::{Fact, Ledger, decode_attempts, encode_attempts};
+use femc_worker::{Parcel, decode_sums, testing};
+
+use super::Target;
+
+/// Bytes that a scene may take here.
+const LIMIT: u64 = 1 << 20;
+
+pub(super) fn targets() -> Vec<Target> {
+    let mut all = scenes();
+    all.extend(film());
+    all.extend(log());
+    all
+}
+
+fn bundle() -> Bundle {
+    let file = |name: &str, size: usize| (name.to_owned(), (0..size).map(|n| ((n * n) >> 3) as u8).collect());
+    Bundle(BTreeMap::from([file("main.mgf", 300), file("lamps/a.ies", 70), file("wall.png", 2000), file("empty", 0)]))
+}
+
+fn scenes() -> Vec<Target> {
+    let parcel = Parcel::pack(&bundle()).expect("a parcel");
+    let encoded = bundle().encode().expect("a bundle");
+    let payload = zstd::bulk::decompress(&encoded[20..], 1 << 20).expect("what was compressed");
+    let front = encoded[..12].to_vec();
+    let dress = move |payload: &[u8]| {
+        let compressed = zstd::bulk::compress(payload, 1).expect("it compresses");
+        [&front[..], &(payload.len() as u64).to_le_bytes(), &compressed].concat()
+    };
+    let accepts = |bytes: &[u8]| {
+        let decoded = Bundle::decode(bytes, LIMIT);
+        // What is accepted stays below its folder, and is one again.
+        decoded.is_ok_and(|bundle| bundle.0.keys().all(|name| stays_below(name)) && bundle.encode().is_ok())
+    };
+    let manifest = Manifest::decode(&parcel.manifest).expect("a manifest");
+    let (of_pieces, of_manifests) = (manifest.clone(), parcel.pieces.clone());
+    vec![
+        Target::of("bundle", vec![encoded], accepts),
+        Target::dressed("bundle, inside", vec![payload], dress, accepts),
+        Target::of("manifest", vec![parcel.manifest.to_vec()], move |bytes| {
+            let Ok(manifest) = Manifest::decode(bytes) else { return false };
+            assert!(manifest.files.keys().all(|name| stays_below(name)));
+            assert_eq!(manifest.encode().as_deref(), Ok(bytes), "one form for one content");
+            testing::is_scene(&manifest, &of_manifests)
+        }),
+        Target::of("piece of a scene", parcel.pieces.iter().map(|piece| piece.to_vec()).collect(), move |bytes| {
+            let mut pieces: Vec<Bytes> = parcel.pieces.clone();
+            pieces[0] = Bytes::copy_from_slice(bytes);
+            testing::is_scene(&of_pieces, &pieces)
+        }),
+        Target::of("kept result", vec![b"FEMCDONE\x02\0\0\0".to_vec()], testing::is_kept_result),
+        Target::dressed("kept result, inside", vec![kept_body()], kept, testing::is_kept_result),
+    ]
+}
+
+/// The front of a kept result, whatever follows.
+fn kept(body: &[u8]) -> Vec<u8> {
+    [b"FEMCDONE\x02\0\0\0", &Digest::of(body).as_bytes()[..], body].concat()
+}
+
+/// What an assignment of a tile of three bytes came to.
+fn kept_body() -> Vec<u8> {
+    let tile = Artefact::of(b"abc");
+    let result = TaskResult::Tile(TileResult { tile, samples: 256, bad_samples: 0, seconds: 0.5 });
+    let work = Work::Render { tile: 3, samples: 0..4 };
+    let assignment = Assignment { task: task(), epoch: Epoch(7), lease: 4500, copy_of: None, work };
+    let head = postcard::to_stdvec(&(assignment, spec(), result, vec![3u64])).expect("a head");
+    [&(head.len() as u64).to_le_bytes()[..], &head, b"abc"].concat()
+}
+
+fn task() -> TaskKey {
+    TaskKey { job: JobId(1), stage: Stage { frame: 2, round: 0, kind: StageKind::Render }, index: 3 }
+}
+
+fn spec() -> JobSpec {
+    JobSpec {
+        name: "fog".into(),
+        bundle: Digest::of(b"scene"),
+        entry: "fog.mgf".into(),
+        settings: "{}".into(),
+        frames: vec![1, 2, 5],
+        grid: Grid { film: [64, 64], tile: 16 },
+        rounds: vec![4, 8],
+        priority: 50,
+        owner: "ann".into(),
+        tags: vec!["big".into()],
+    }
+}
+
+/// # Panics
+/// When the path leads elsewhere.
+fn stays_below(name: &str) -> bool {
+    let is_odd = |part: &str| matches!(part, "" | "." | "..");
+    assert!(!name.split('/').any(is_odd) && !name.contains(['\\', '\0']), "{name:?} leads elsewhere");
+    true
+}
+
+fn film() -> Vec<Target> {
+    let tiling = Tiling::new(12, 8, 8).expect("a tiling");
+    let mut frame = Frame::new(tiling);
+    let mut tiles = Vec::new();
+    for rect in tiling.rects() {
+        let mut tile = Tile::new(rect, 0..4).expect("a tile");
+        let Rect { x, y, .. } = rect;
+        tile.add(x, y, 0, &Sample { color: Rgb::new(1.0, 2.0, 0.5), ..Sample::MISS });
+        tile.add(x + 1, y + 1, 3, &Sample { color: Rgb::new(f32::NAN, 2.0, 0.5), ..Sample::MISS });
+        tiles.push(tile.encode());
+        frame.insert(tile).expect("its place");
+    }
+    let piece = Piece::of(&frame, 0..2).expect("a piece").encode();
+    let mut sums = b"FEMCSUMS\x01\0\0\0\x02\0\0\0".to_vec();
+    for tile in &tiles {
+        sums.extend((tile.len() as u64).to_le_bytes());
+        sums.extend(tile);
+    }
+    let is_tile = |bytes: &[u8]| {
+        let Ok(tile) = Tile::decode(bytes) else { return false };
+        assert!(Tile::decode(&tile.encode()).is_ok_and(|again| again == tile));
+        true
+    };
+    let is_piece = |bytes: &[u8]| Piece::decode(bytes).is_ok();
+    vec![
+        Target::of("tile", tiles.clone(), is_tile),
+        Target::dressed("tile, inside", tiles, sealed, is_tile),
+        Target::of("piece", vec![piece.clone()], is_piece),
+        Target::dressed("piece, inside", vec![piece], sealed, is_piece),
+        Target::of("sums", vec![sums], |bytes| decode_sums(bytes).is_ok()),
+    ]
+}
+
+/// Its checksum made right again.
+fn sealed(bytes: &[u8]) -> Vec<u8> {
+    let mut bytes = bytes.to_vec();
+    if let Some((front, body)) = bytes.split_at_mut_checked(28) {
+        front[12..28].copy_from_slice(&blake3::hash(body).as_bytes()[..16]);
+    }
+    bytes
+}
+
+fn log() -> Vec<Target> {
+    let facts = [
+        Fact::Opened { incarnation: 7 },
+        Fact::Submitted { job: JobId(1), key: Some("key".into()), spec: Box::new(spec()) },
+        Fact::Grouped { job: JobId(1), tiles: 4 },
+        Fact::Controlled { job: JobId(1), control: Control::Priority(70) },
+        Fact::Drained { instance: 5, drain: Drain::Begin },
+        Fact::Forgotten { job: JobId(3) },
+    ];
+    let mut ledger = Ledger::default();
+    facts.iter().for_each(|fact| drop(ledger.apply(fact, Tick(3))));
+    let records: Vec<Vec<u8>> = facts.iter().map(|fact| fact.encode(Tick(3)).expect("a record")).collect();
+    let attempt = AttemptRecord {
+        task: task(),
+        epoch: Epoch(7),
+        worker: "node-7".into(),
+        instance: 5,
+        granted: Tick(3),
+        ended: Tick(90),
+        ending: Ending::Done,
+        samples: 256,
+        relative_error: Some(0.02),
+        usage: None,
+    };
+    let note = encode_attempts(&[attempt.clone(), attempt]).expect("a note");
+    let snapshot = ledger.encode().expect("a snapshot");
+    vec![
+        Target::of("record of the log", records, |bytes| {
+            let Ok((now, fact)) = Fact::decode(bytes) else { return false };
+            assert!(fact.encode(now).is_ok());
+            true
+        }),
+        Target::of("snapshot", vec![snapshot], |bytes| {
+            Ledger::decode(bytes).is_ok_and(|ledger| ledger.encode().is_ok())
+        }),
+        Target::of("note of attempts", vec![note], |bytes| decode_attempts(bytes).is_ok()),
+    ]
+}

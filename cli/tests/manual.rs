@@ -154,8 +154,8 @@ fn postgres_and_s3() {
     runs("postgres-s3.md", &[("DATABASE", database), ("BUCKET", bucket)]);
 }
 
-/// Pages that are run by other tests (`postgres_and_s3`, `openjd`), or have no commands.
-const OTHERS: [&str; 5] = ["README.md", "openjd.md", "operations.md", "postgres-s3.md", "wire.md"];
+/// Pages whose commands other tests run (`postgres_and_s3`, `openjd`, `fuzz`, `backup`), or without commands.
+const OTHERS: [&str; 6] = ["README.md", "openjd.md", "operations.md", "postgres-s3.md", "security.md", "wire.md"];
 
 #[test]
 fn every_page_is_run() {

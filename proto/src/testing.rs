@@ -1,8 +1,8 @@
 //! Every message of the wire as a decoder of bytes, for fuzzing: generated types stay in here all the same.
 
 use femc_model::{
-    AttemptRecord, Drain, FrameParts, FrameRecord, FromWorker, JobSpec, JobStatus, LogRecord, Refusal, ToWorker,
-    WorkerName, WorkerStatus,
+    Artefact, AttemptRecord, Drain, FrameParts, FrameRecord, FromWorker, JobSpec, JobStatus, LogRecord, Refusal,
+    ToWorker, WorkerName, WorkerStatus,
 };
 use prost::Message;
 
@@ -101,6 +101,12 @@ pub const DECODERS: &[Decoder] = decoders! {
         Some(wire::attempts_reply::Part::Attempts(page)) => each::<_, AttemptRecord>(page.attempts),
         None => false,
     };
+    BackupRequest => |_| true;
+    BackupReply => |wire| match wire.part {
+        Some(wire::backup_reply::Part::Artefacts(some)) => each::<_, Artefact>(some.artefacts),
+        Some(wire::backup_reply::Part::Log(_)) => true,
+        None => false,
+    };
     ListWorkersRequest => |_| true;
     ListWorkersReply => |wire| each::<_, WorkerStatus>(wire.workers);
     DrainWorkersRequest => there_and_back::<_, (WorkerName, Drain)>;
@@ -116,7 +122,7 @@ pub const DECODERS: &[Decoder] = decoders! {
         Some(wire::put_request::Part::Piece(_)) => true,
         None => false,
     };
-    PutReply => |wire| need("artefact", wire.artefact).is_ok_and(there_and_back::<_, femc_model::Artefact>);
+    PutReply => |wire| need("artefact", wire.artefact).is_ok_and(there_and_back::<_, Artefact>);
     GetRequest => |wire| digest("digest", &wire.digest).is_ok();
     GetReply => |_| true;
     CollectRequest => |wire| collect_mode(wire.mode).is_ok();

@@ -158,7 +158,7 @@ pub fn wait(wait: &Wait) -> String {
             human::count(u64::from(*tasks), "task")
         ),
         Wait::OtherBuild { frames } => format!(
-            "{} begun by workers of another build of the engine, of which none is there; they begin anew in a minute",
+            "{} begun by another build of the engine than that of the workers with room; a minute after its last worker has left they begin anew",
             human::count(u64::from(*frames), "frame")
         ),
         Wait::Regrouping { milliseconds } => {

@@ -120,7 +120,8 @@ pub enum Wait {
         /// How many tasks.
         tasks: u32,
     },
-    /// Frames that were begun by workers of another build of the engine than all that are there: they begin anew in a while.
+    /// Frames that were begun by workers of another build of the engine than all with room: they wait for one of theirs, or begin
+    /// anew when none has been there for a while.
     OtherBuild {
         /// How many frames.
         frames: u32,

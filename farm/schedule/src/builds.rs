@@ -42,6 +42,10 @@ impl Scheduler {
 
     /// A result of the frame counts: the frame is its worker's build's.
     pub(crate) fn note_build(&mut self, job: JobId, frame: u32, worker: WorkerId, now: Tick, out: &mut Vec<Command>) {
+        debug_assert!(
+            !is_foreign(&self.ledger, &self.floor, job, frame, worker),
+            "a frame of two builds: {job}/{frame}"
+        );
         if self.ledger.annex.build_of(job, frame).is_none()
             && let Some(worker) = self.floor.workers.get(&worker)
         {
@@ -61,8 +65,9 @@ impl Scheduler {
             let Some(job) = self.ledger.jobs.get(&id) else { continue };
             let able: Vec<&Worker> =
                 self.floor.workers.values().filter(|worker| worker.has_tags(&job.spec.tags)).collect();
-            let has =
-                |build: &str| able.iter().any(|it| it.intake != Intake::Drained && it.registration.engine == build);
+            // One that has been silent for so long is gone, whatever its connection says.
+            let is_there = |it: &Worker| it.intake != Intake::Drained && now.since(it.seen) < self.config.orphaned;
+            let has = |build: &str| able.iter().any(|it| is_there(it) && it.registration.engine == build);
             for (frame, _) in self.ledger.annex.builds_of(id).filter(|(_, build)| !has(build)) {
                 let begun = before.get(&(id, frame)).copied().unwrap_or(now);
                 since.insert((id, frame), begun);
@@ -80,10 +85,14 @@ impl Scheduler {
         }
     }
 
-    /// Frames with something ready that nobody who is there may take.
-    pub(crate) fn why_foreign(&self, id: JobId, job: &Job, desk: &Desk) -> Option<Wait> {
+    /// Frames with something ready that nobody with room may take.
+    pub(crate) fn why_foreign(&self, id: JobId, job: &Job, desk: &Desk, now: Tick) -> Option<Wait> {
+        let may_take = |worker: &Worker| {
+            let has_room = worker.held.len() < worker.capacity(&self.config);
+            has_room && worker.is_fit(&self.config, now) && worker.has_tags(&job.spec.tags)
+        };
         let able: Vec<WorkerId> =
-            self.floor.workers.iter().filter(|(_, worker)| may_take(worker, job)).map(|(&id, _)| id).collect();
+            self.floor.workers.iter().filter(|(_, worker)| may_take(worker)).map(|(&id, _)| id).collect();
         let is_foreign = |frame: u32| {
             let mut able = able.iter();
             able.all(|&worker| is_foreign(&self.ledger, &self.floor, id, frame, worker))
@@ -91,8 +100,4 @@ impl Scheduler {
         let frames = desk.open.ready().filter(|(frame, _)| is_foreign(*frame)).count() as u32;
         (frames > 0 && !able.is_empty()).then_some(Wait::OtherBuild { frames })
     }
-}
-
-fn may_take(worker: &Worker, job: &Job) -> bool {
-    worker.is_open() && worker.has_tags(&job.spec.tags)
 }

@@ -159,7 +159,7 @@ impl Scheduler {
             waits.extend(self.why_no_worker(id, job, desk, now));
             waits.extend(self.why_shunned(job, desk, now));
             waits.extend(self.why_avoided(job, desk));
-            waits.extend(self.why_foreign(id, job, desk));
+            waits.extend(self.why_foreign(id, job, desk, now));
         }
         waits
     }
@@ -234,14 +234,22 @@ fn why_no_merge(job: &Job, number: u32, open: &OpenFrame) -> Option<Wait> {
     }
 }
 
+/// Whether another worker may do what this one may: one of its build that wants tasks of the job.
+fn has_peer(job: &Job, worker: WorkerId, floor: &Floor, is_one: impl Fn(WorkerId) -> bool) -> bool {
+    let Some(own) = floor.workers.get(&worker) else { return false };
+    floor.workers.iter().any(|(&id, other)| {
+        id != worker
+            && other.is_open()
+            && other.has_tags(&job.spec.tags)
+            && other.registration.engine == own.registration.engine
+            && is_one(id)
+    })
+}
+
 /// Whether the job's tasks keep failing on this worker, and another that is trusted could take them.
 pub(crate) fn is_shunned(job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor, now: Tick) -> bool {
     let shuns = |id| floor.instance(id).is_some_and(|instance| desk.distrust.shuns(instance, now).is_some());
-    shuns(worker)
-        && floor
-            .workers
-            .iter()
-            .any(|(&id, other)| id != worker && other.is_open() && other.has_tags(&job.spec.tags) && !shuns(id))
+    shuns(worker) && has_peer(job, worker, floor, |other| !shuns(other))
 }
 
 fn first_ready(id: JobId, job: &Job, desk: &Desk, worker: WorkerId, ledger: &Ledger, floor: &Floor) -> Pick {
@@ -263,6 +271,5 @@ fn first_ready(id: JobId, job: &Job, desk: &Desk, worker: WorkerId, ledger: &Led
 
 /// Whether the task failed last on this very worker, and another that could take it is there.
 pub(crate) fn is_avoided(task: &TaskKey, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor) -> bool {
-    desk.avoid.get(task) == Some(&worker)
-        && floor.workers.iter().any(|(&id, other)| id != worker && other.is_open() && other.has_tags(&job.spec.tags))
+    desk.avoid.get(task) == Some(&worker) && has_peer(job, worker, floor, |_| true)
 }

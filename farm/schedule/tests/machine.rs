@@ -33,6 +33,8 @@ enum Step {
     Wait(u64),
     Control(usize, u8),
     Restart,
+    /// Workers that start from now on are of the other build.
+    Upgrade,
 }
 
 fn step() -> impl Strategy<Value = Step> {
@@ -52,6 +54,7 @@ fn step() -> impl Strategy<Value = Step> {
         3 => prop_oneof![Just(400u64), Just(2_000), Just(6_000)].prop_map(Step::Wait),
         1 => (any::<usize>(), 0..5u8).prop_map(|(which, kind)| Step::Control(which, kind)),
         1 => Just(Step::Restart),
+        1 => Just(Step::Upgrade),
     ]
 }
 
@@ -61,6 +64,8 @@ struct Machine {
     farm: Farm,
     workers: BTreeSet<u64>,
     next_worker: u64,
+    /// Of the engine of each worker.
+    builds: BTreeMap<u64, &'static str>,
     jobs: Vec<JobId>,
     /// Leases that are over, as a slow worker remembers them.
     over: Vec<(WorkerId, Assignment)>,
@@ -101,6 +106,7 @@ impl Machine {
             farm: Farm::with(Config { grain, group, task: 100, least_task: 20, ..common::config() }),
             workers: BTreeSet::new(),
             next_worker: 1,
+            builds: BTreeMap::new(),
             jobs: vec![],
             over: vec![],
             live: BTreeSet::new(),
@@ -230,8 +236,10 @@ impl Machine {
                 }
                 self.see(commands);
             }
+            Step::Upgrade => self.farm.engine = if self.farm.engine == "e" { "f" } else { "e" },
             Step::Join => {
                 self.workers.insert(self.next_worker);
+                self.builds.insert(self.next_worker, self.farm.engine);
                 let commands = self.farm.join(self.next_worker);
                 self.next_worker += 1;
                 self.see(commands);
@@ -246,10 +254,7 @@ impl Machine {
                 leases.retain(|held| !self.live.contains(&(held.task, held.epoch)));
                 leases.sort_by_key(|held| held.epoch);
                 leases.dedup();
-                let worker = self.next_worker;
-                self.next_worker += 1;
-                self.workers.insert(worker);
-                let commands = self.farm.rejoin(worker, &leases);
+                let (worker, commands) = self.comes_back(before, &leases);
                 for held in leases {
                     let is_back = |c: &Command| matches!(c, Command::Revoke { task, epoch, .. } if (*task, *epoch) == (held.task, held.epoch));
                     if !commands.iter().any(is_back) {
@@ -263,10 +268,7 @@ impl Machine {
                 let Some((before, held)) = self.held(which) else { return };
                 self.farm.held.retain(|(holder, other)| (*holder, other.epoch) != (before, held.epoch));
                 self.end_lease(before, &held);
-                let worker = self.next_worker;
-                self.next_worker += 1;
-                self.workers.insert(worker);
-                let commands = self.farm.rejoin(worker, std::slice::from_ref(&held));
+                let (_, commands) = self.comes_back(before, std::slice::from_ref(&held));
                 let is_back = |c: &Command| matches!(c, Command::Revoke { epoch, .. } if *epoch == held.epoch);
                 assert!(!commands.iter().any(is_back), "its own lease is taken from it: {commands:?}");
                 self.see(commands);
@@ -359,6 +361,19 @@ impl Machine {
                 self.live.clear();
             }
         }
+    }
+
+    /// A new session of a worker, which is of the same build.
+    fn comes_back(&mut self, before: WorkerId, leases: &[Assignment]) -> (u64, Vec<Command>) {
+        let (worker, today) = (self.next_worker, self.farm.engine);
+        self.next_worker += 1;
+        self.workers.insert(worker);
+        let build = self.builds[&before.0];
+        self.builds.insert(worker, build);
+        self.farm.engine = build;
+        let commands = self.farm.rejoin(worker, leases);
+        self.farm.engine = today;
+        (worker, commands)
     }
 
     fn check(&mut self) {

@@ -34,6 +34,8 @@ pub struct Farm {
     pub held: Vec<(WorkerId, Assignment)>,
     /// Leases that the last commands have taken back.
     pub ended: Vec<(WorkerId, Assignment)>,
+    /// Build of the engine of those that join.
+    pub engine: &'static str,
     requests: u64,
 }
 
@@ -44,7 +46,15 @@ impl Farm {
 
     pub fn with(config: Config) -> Self {
         let (scheduler, opened) = Scheduler::new(config, Ledger::default());
-        Self { scheduler, now: Tick(0), log: vec![(Tick(0), opened)], held: vec![], ended: vec![], requests: 0 }
+        Self {
+            scheduler,
+            now: Tick(0),
+            log: vec![(Tick(0), opened)],
+            held: vec![],
+            ended: vec![],
+            engine: "e",
+            requests: 0,
+        }
     }
 
     /// The ledger that the log gives.
@@ -105,7 +115,7 @@ impl Farm {
     }
 
     pub fn join(&mut self, worker: u64) -> Vec<Command> {
-        self.join_as(worker, Registration { instance: worker, ..registration() })
+        self.join_as(worker, Registration { instance: worker, engine: self.engine.into(), ..registration() })
     }
 
     pub fn join_as(&mut self, worker: u64, registration: Registration) -> Vec<Command> {
@@ -125,7 +135,7 @@ impl Farm {
             })
             .collect();
         self.held.extend(leases.iter().map(|held| (WorkerId(worker), held.clone())));
-        self.join_as(worker, Registration { instance: worker, held, ..registration() })
+        self.join_as(worker, Registration { instance: worker, held, engine: self.engine.into(), ..registration() })
     }
 
     pub fn leave(&mut self, worker: u64) -> Vec<Command> {

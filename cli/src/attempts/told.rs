@@ -55,7 +55,7 @@ impl Told {
                 all.push(serde_json::from_slice::<Self>(&text).map_err(|e| at(&path, &e))?);
             }
         }
-        all.sort_by(|a, b| (a.run, a.job).cmp(&(b.run, b.job)));
+        all.sort_by_key(|told| (told.run, told.job));
         Ok(all)
     }
 }

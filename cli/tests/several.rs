@@ -127,7 +127,7 @@ impl Farm {
                     *effects.entry(task).or_insert(0) += 1;
                 }
                 Fact::Opened { .. } => terms += 1,
-                Fact::Logged { .. } => {}
+                Fact::Logged { .. } | Fact::Built { .. } => {}
                 other => others.push(other),
             }
         }

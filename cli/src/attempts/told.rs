@@ -11,7 +11,7 @@ use std::path::Path;
 pub struct Told {
     /// Its number.
     pub job: JobId,
-    /// Which run of a sweep asked, in Unix seconds; 0 where nothing is kept. Coordinators count their time each for itself.
+    /// Which run of a sweep asked, in Unix milliseconds; 0 where nothing is kept. Coordinators count their time each for itself.
     pub run: u64,
     /// The variant that it renders, of a sweep.
     pub variant: Option<String>,

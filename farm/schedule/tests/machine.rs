@@ -254,7 +254,7 @@ impl Machine {
                 leases.retain(|held| !self.live.contains(&(held.task, held.epoch)));
                 leases.sort_by_key(|held| held.epoch);
                 leases.dedup();
-                let (worker, commands) = self.comes_back(before, &leases);
+                let commands = self.comes_back(before, &leases);
                 for held in leases {
                     let is_back = |c: &Command| matches!(c, Command::Revoke { task, epoch, .. } if (*task, *epoch) == (held.task, held.epoch));
                     if !commands.iter().any(is_back) {
@@ -268,7 +268,7 @@ impl Machine {
                 let Some((before, held)) = self.held(which) else { return };
                 self.farm.held.retain(|(holder, other)| (*holder, other.epoch) != (before, held.epoch));
                 self.end_lease(before, &held);
-                let (_, commands) = self.comes_back(before, std::slice::from_ref(&held));
+                let commands = self.comes_back(before, std::slice::from_ref(&held));
                 let is_back = |c: &Command| matches!(c, Command::Revoke { epoch, .. } if *epoch == held.epoch);
                 assert!(!commands.iter().any(is_back), "its own lease is taken from it: {commands:?}");
                 self.see(commands);
@@ -364,7 +364,7 @@ impl Machine {
     }
 
     /// A new session of a worker, which is of the same build.
-    fn comes_back(&mut self, before: WorkerId, leases: &[Assignment]) -> (u64, Vec<Command>) {
+    fn comes_back(&mut self, before: WorkerId, leases: &[Assignment]) -> Vec<Command> {
         let (worker, today) = (self.next_worker, self.farm.engine);
         self.next_worker += 1;
         self.workers.insert(worker);
@@ -373,7 +373,7 @@ impl Machine {
         self.farm.engine = build;
         let commands = self.farm.rejoin(worker, leases);
         self.farm.engine = today;
-        (worker, commands)
+        commands
     }
 
     fn check(&mut self) {

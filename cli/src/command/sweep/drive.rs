@@ -114,7 +114,8 @@ pub async fn cancel_others(queued: &[Queued<'_>], farm: &Farm) -> Result<(), Fai
 
 /// Keep what the attempts of each job took, for `femc stats` and `femc report`.
 async fn keep_told(queued: &[Queued<'_>], folder: &Folder, farm: &Farm) -> Result<(), Failure> {
-    let run = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_secs());
+    let run =
+        std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64);
     for queued in queued {
         let Some(order) = folder.order(&queued.variant.name) else { continue };
         let told = subject::of_job(farm, queued.job, Logs::Failures).await?;

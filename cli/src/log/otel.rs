@@ -38,8 +38,11 @@ pub enum NoSpans {
     Thread(#[from] std::io::Error),
 }
 
+/// What collects spans.
+type Layer<S> = OpenTelemetryLayer<S, Tracer>;
+
 /// What sends spans, and the layer that collects them; `None`: no collector is named.
-pub fn start<S>(cli: &Cli) -> Result<Option<(Spans, OpenTelemetryLayer<S, Tracer>)>, NoSpans>
+pub fn start<S>(cli: &Cli) -> Result<Option<(Spans, Layer<S>)>, NoSpans>
 where
     S: Subscriber + for<'a> LookupSpan<'a>,
 {

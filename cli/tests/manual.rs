@@ -67,9 +67,15 @@ fn script(page: &str) -> String {
         match (words.next(), words.next().and_then(|word| word.strip_prefix("file="))) {
             (Some("sh"), None) => {
                 for line in text.lines() {
-                    // Whoever types has seen that it listens.
+                    // Whoever types has seen that it listens, and that it is gone.
                     let listens = line.starts_with("femc coordinator") && line.ends_with('&');
-                    let _ = writeln!(script, "{line}{}", if listens { "\nuntil_it_listens 7878" } else { "" });
+                    let dies = line.strip_prefix("kill -9 ");
+                    let seen = match dies {
+                        Some(job) => format!("\nwait {job} || true"),
+                        None if listens => "\nuntil_it_listens 7878".to_owned(),
+                        None => String::new(),
+                    };
+                    let _ = writeln!(script, "{line}{seen}");
                 }
             }
             (Some("toml"), Some(file)) => {

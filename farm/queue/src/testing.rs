@@ -3,7 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
-use sqlx::postgres::{PgConnectOptions, PgConnection};
+use sqlx::postgres::{PgConnectOptions, PgConnection, PgSslMode};
 use sqlx::{AssertSqlSafe, ConnectOptions as _};
 use tokio::sync::Notify;
 
@@ -29,6 +29,7 @@ impl Scratch {
             return None;
         };
         let server: PgConnectOptions = url.parse().expect("FEMC_TEST_POSTGRES is an address");
+        let server = server.ssl_mode(PgSslMode::Disable);
         let name = format!("femc_{}_{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
         let scratch = Self { server, name };
         scratch.on_server(&format!("CREATE DATABASE {}", scratch.name)).await;
@@ -38,6 +39,18 @@ impl Scratch {
     /// Its address, as `--store` wants it.
     pub fn url(&self) -> String {
         self.options().to_url_lossy().to_string()
+    }
+
+    /// Its address by the name in the server's certificate, and the file with the authority that issued that; `None` where
+    /// the server has none, which is printed.
+    pub fn encrypted(&self) -> Option<(String, String)> {
+        let Ok(authority) = std::env::var("FEMC_TEST_POSTGRES_CA") else {
+            println!("skipped: FEMC_TEST_POSTGRES_CA is not set (tests/postgres sets it where openssl is)");
+            return None;
+        };
+        let url = self.options().host("localhost").to_url_lossy().to_string();
+        let (address, _) = url.split_once('?').unwrap_or((&url, ""));
+        Some((format!("{address}?sslmode=verify-full&sslrootcert={authority}"), authority))
     }
 
     fn options(&self) -> PgConnectOptions {

@@ -147,6 +147,18 @@ async fn postgres_conforms() {
     .await;
 }
 
+#[tokio::test]
+async fn postgres_conforms_over_an_encrypted_connection() {
+    let Some(scratch) = Scratch::new().await else { return };
+    let Some((url, _)) = scratch.encrypted() else { return };
+    conforms(async || {
+        let database = url.parse().unwrap();
+        let standby = Standby::open(database, "http://one".into(), Postgres::SILENCE).await.unwrap();
+        standby.lead(|_| ()).await.unwrap()
+    })
+    .await;
+}
+
 /// A dropped connection closes in the background; wait for it as a new process would not need to.
 async fn reopen(path: &Path) -> Sqlite {
     loop {

@@ -1,15 +1,20 @@
 //! Where a database is, and what its errors mean for a coordinator.
 
 use std::fmt;
+use std::io;
 use std::str::FromStr;
 use std::time::Duration;
 
 use sqlx::ConnectOptions as _;
-use sqlx::postgres::{PgConnectOptions, PgConnection};
+use sqlx::postgres::{PgConnectOptions, PgConnection, PgSslMode};
 
 use crate::QueueError;
 
 /// A PostgreSQL database by its address. Is shown without user and password.
+///
+/// The connection is encrypted unless the server is on this machine, or the address says `sslmode=disable`; as everywhere
+/// with PostgreSQL, it takes `sslmode=verify-full` (and `sslrootcert=FILE`, where the authority is nobody's that this machine
+/// trusts) to be sure who answers.
 #[derive(Clone)]
 pub struct Database {
     url: String,
@@ -53,6 +58,25 @@ impl Database {
         QueueError::Away { database: self.to_string(), message: message.to_string() }
     }
 
+    /// Why a connection that failed would fail again.
+    fn hopeless(&self, error: &io::Error) -> Option<String> {
+        use rustls::Error::{AlertReceived, InvalidCertificate, PeerIncompatible};
+        let cause = error.get_ref().and_then(|cause| cause.downcast_ref::<rustls::Error>());
+        match (cause, error.kind()) {
+            (Some(InvalidCertificate(_)), _) => Some(format!(
+                "{error}; it takes `sslrootcert=FILE` with its authority, and the name that its certificate has"
+            )),
+            (Some(AlertReceived(_) | PeerIncompatible(_)), _) => Some(error.to_string()),
+            // Of a socket in a folder it would be the server that is not there.
+            (None, io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied)
+                if self.options.get_socket().is_none() =>
+            {
+                Some(format!("{error}: a file that sslrootcert, sslcert or sslkey names"))
+            }
+            _ => None,
+        }
+    }
+
     /// What an error means: by the classes of PostgreSQL's codes.
     pub(super) fn told(&self, error: &sqlx::Error) -> QueueError {
         let rejected = |message: String| QueueError::Rejected { database: self.to_string(), message };
@@ -64,8 +88,13 @@ impl Database {
                 Some(("08" | "25" | "40" | "53" | "57" | "58", _)) => self.away(said.message()),
                 _ => QueueError::Database { database: self.to_string(), message: said.message().to_owned() },
             },
-            sqlx::Error::Tls(error) => rejected(format!("{error}; this version speaks without encryption")),
-            sqlx::Error::Io(error) => self.away(error),
+            sqlx::Error::Tls(error) => rejected(format!(
+                "no encrypted connection: {error}; `?sslmode=disable` behind the address does without"
+            )),
+            sqlx::Error::Io(error) => match self.hopeless(error) {
+                Some(message) => rejected(message),
+                None => self.away(error),
+            },
             sqlx::Error::Protocol(message) => self.away(message),
             other => QueueError::Database { database: self.to_string(), message: other.to_string() },
         }
@@ -84,6 +113,13 @@ impl FromStr for Database {
             sqlx::Error::Configuration(error) => no_address(error.to_string()),
             other => no_address(other.to_string()),
         })?;
+        let is_here =
+            options.get_socket().is_some() || matches!(options.get_host(), "localhost" | "127.0.0.1" | "::1" | "[::1]");
+        let options = match (options.get_ssl_mode(), is_here) {
+            (PgSslMode::Prefer, true) => options.ssl_mode(PgSslMode::Disable),
+            (PgSslMode::Prefer, false) => options.ssl_mode(PgSslMode::Require),
+            _ => options,
+        };
         let options = options.application_name("femc").disable_statement_logging();
         Ok(Self { url: url.to_owned(), options: Box::new(options) })
     }
@@ -125,6 +161,22 @@ mod tests {
         assert!(!format!("{database:?}").contains("secret"));
         let database: Database = "postgresql://ann@localhost/farm?host=/run/postgresql".parse().unwrap();
         assert_eq!(database.to_string(), "/run/postgresql/farm");
+    }
+
+    #[test]
+    fn what_leaves_this_machine_is_encrypted_unless_the_address_says_no() {
+        for (url, expected) in [
+            ("postgres://ann@localhost/farm", PgSslMode::Disable),
+            ("postgres://ann@[::1]/farm", PgSslMode::Disable),
+            ("postgres://ann@x/farm?host=/run/postgresql", PgSslMode::Disable),
+            ("postgres://ann@localhost/farm?sslmode=verify-ca", PgSslMode::VerifyCa),
+            ("postgres://ann@db.example/farm", PgSslMode::Require),
+            ("postgres://ann@db.example/farm?sslmode=disable", PgSslMode::Disable),
+            ("postgres://ann@db.example/farm?sslmode=verify-full", PgSslMode::VerifyFull),
+        ] {
+            let mode = url.parse::<Database>().unwrap().options.get_ssl_mode();
+            assert_eq!(format!("{mode:?}"), format!("{expected:?}"), "{url}");
+        }
     }
 
     #[test]

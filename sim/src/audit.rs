@@ -85,6 +85,28 @@ pub enum Violation {
         /// Of the lease that held.
         later: Epoch,
     },
+    /// A result counts in a frame of another build of the engine.
+    #[error("{task} counts under epoch {}, of the build {build:?} in a frame of the build {frame:?}", .epoch.0)]
+    Foreign {
+        /// Which.
+        task: TaskKey,
+        /// Of its lease.
+        epoch: Epoch,
+        /// Of its worker; empty: nobody's.
+        build: String,
+        /// Of its frame; empty: none yet.
+        frame: String,
+    },
+    /// A frame that was of one build is of another, and has not begun anew.
+    #[error("frame {frame} of job {job} was of the build {:?} and is of {:?}", .builds[0], .builds[1])]
+    Rebuilt {
+        /// The job.
+        job: JobId,
+        /// Frame number.
+        frame: u32,
+        /// Before, and now.
+        builds: [String; 2],
+    },
     /// A result counts, and what it took was noted more often or less.
     #[error("{task} under epoch {} counts, and what it took was noted {times} times", .epoch.0)]
     Noted {

@@ -41,22 +41,28 @@ pub(crate) struct Leases {
     counted: BTreeMap<Unit, (TaskKey, Epoch)>,
     /// Tiles of a group.
     groups: BTreeMap<JobId, u32>,
+    /// The build of the engine that works under a lease.
+    engines: BTreeMap<(TaskKey, Epoch), String>,
+    /// The build whose a frame is.
+    built: BTreeMap<(JobId, u32), String>,
     sessions: SessionNumber,
 }
 
 impl Leases {
-    /// A session begins, and these leases come with it.
-    pub(crate) fn joined(&mut self, held: impl Iterator<Item = (TaskKey, Epoch)>) -> SessionNumber {
+    /// A session of a worker of this build begins, and these leases come with it.
+    pub(crate) fn joined(&mut self, engine: &str, held: impl Iterator<Item = (TaskKey, Epoch)>) -> SessionNumber {
         self.sessions += 1;
         for lease in held {
+            self.engines.insert(lease, engine.to_owned());
             self.brought.entry(lease).or_default().insert(self.sessions);
         }
         self.sessions
     }
 
-    /// A coordinator gives a lease out; what is wrong with that.
-    pub(crate) fn assigned(&mut self, lease: &Assignment) -> Option<Violation> {
+    /// A coordinator gives a lease out to a worker of this build; what is wrong with that.
+    pub(crate) fn assigned(&mut self, engine: &str, lease: &Assignment) -> Option<Violation> {
         let (key, units) = ((lease.task, lease.epoch), units(lease));
+        self.engines.insert(key, engine.to_owned());
         for unit in &units {
             let this = (lease.epoch, lease.copy_of);
             let latest = self.latest.entry(*unit).or_insert(this);
@@ -86,11 +92,13 @@ impl Leases {
         self.brought.retain(|(task, _), _| task.job > job);
         self.counted.retain(|unit, _| unit.job > job);
         self.groups.retain(|&other, _| other > job);
+        self.engines.retain(|(task, _), _| task.job > job);
+        self.built.retain(|&(other, _), _| other > job);
     }
 
     /// What is wrong with a record that is being written now. A result may count only under a lease that holds: the latest of
     /// all that it covers, the one that this is a copy of, or one that a worker has brought along and that may have been
-    /// adopted.
+    /// adopted; and only one of the build whose the frame is.
     pub(crate) fn judge(&mut self, fact: &Fact) -> Option<Violation> {
         let key = match fact {
             Fact::Rendered { task, epoch, .. }
@@ -107,13 +115,28 @@ impl Leases {
             }
             Fact::Restarted { job, frame } => {
                 self.counted.retain(|unit, _| (unit.job, unit.stage.frame) != (*job, *frame));
+                self.built.remove(&(*job, *frame));
                 return None;
+            }
+            Fact::Built { job, frame, engine } => {
+                let before = self.built.insert((*job, *frame), engine.clone());
+                return before.map(|before| Violation::Rebuilt {
+                    job: *job,
+                    frame: *frame,
+                    builds: [before, engine.clone()],
+                });
             }
             _ => return None,
         };
         let Some(units) = self.given.get(&key) else {
             return Some(Violation::Unleased { task: key.0, epoch: key.1 });
         };
+        let (task, epoch) = key;
+        let [build, frame] = [self.engines.get(&key), self.built.get(&(task.job, task.stage.frame))];
+        if build != frame {
+            let [build, frame] = [build, frame].map(|build| build.cloned().unwrap_or_default());
+            return Some(Violation::Foreign { task, epoch, build, frame });
+        }
         if self.brought.get(&key).is_some_and(|sessions| !sessions.is_empty()) {
             return None;
         }

@@ -33,10 +33,10 @@ pub(crate) async fn serve(shared: Shared, store: Store) -> turmoil::Result {
 async fn relay(session: Session, shared: Shared) {
     let Session { registration, mut words, out } = session;
     let leader = url(&format!("c{}", shared.lock().leader));
-    let name = registration.name.clone();
+    let (name, engine) = (registration.name.clone(), registration.engine.clone());
     shared.note(|| format!("{name} joins {leader} with {:?}", registration.held));
     let held = registration.held.iter().map(|held| (held.task, held.epoch));
-    let number = shared.lock().leases.joined(held);
+    let number = shared.lock().leases.joined(&engine, held);
     let session = async {
         let client = Client::connect_by(&dial(&shared, SWITCH), &leader).await?;
         client.session(registration).await
@@ -61,7 +61,7 @@ async fn relay(session: Session, shared: Shared) {
                     if lease.copy_of.is_some() {
                         state.fired("given out twice");
                     }
-                    let wrong = state.leases.assigned(lease);
+                    let wrong = state.leases.assigned(&engine, lease);
                     state.wrong.extend(wrong);
                 }
                 ToWorker::Revoke { task, epoch, .. } => shared.lock().leases.revoked(number, *task, *epoch),

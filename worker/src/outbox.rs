@@ -5,10 +5,10 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCDONE` |
-//! | 4 | format version, 3 |
+//! | 4 | format version, 4 |
 //! | 32 | BLAKE3 of all that follows |
 //! | 8 | length of the head |
-//! | | the head, in postcard: build of the engine, assignment, job, result, lengths of the artefacts |
+//! | | the head, in postcard: build of the engine, assignment, job, result, what it took, log, lengths of the artefacts |
 //! | | the artefacts |
 //!
 //! A file is written under another name, synced and renamed, so that it is there whole or not at all. What does not fit the
@@ -23,7 +23,7 @@ use std::sync::{Arc, Mutex, PoisonError, mpsc};
 use std::thread::JoinHandle;
 
 use bytes::Bytes;
-use femc_model::{Assignment, Digest, Epoch, JobSpec, TaskKey, TaskResult};
+use femc_model::{Assignment, Digest, Epoch, JobSpec, TaskKey, TaskResult, Usage};
 use serde::{Deserialize, Serialize};
 
 use crate::config::{IfTaken, OutboxConfig, WorkerError};
@@ -31,7 +31,7 @@ use crate::execute::Product;
 use crate::table::Task;
 
 const MAGIC: &[u8; 8] = b"FEMCDONE";
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 /// Bytes before the head.
 const FRONT: usize = 8 + 4 + 32 + 8;
 /// Folders that are tried when one is taken.
@@ -43,6 +43,10 @@ pub(crate) struct Restored {
     pub(crate) assignment: Assignment,
     pub(crate) spec: JobSpec,
     pub(crate) product: Product,
+    /// What it took, without sending the result.
+    pub(crate) usage: Option<Usage>,
+    /// Seconds that it took, and the log's text.
+    pub(crate) log: Option<(f64, String)>,
 }
 
 #[derive(Serialize, Deserialize)]
@@ -51,6 +55,8 @@ struct Head {
     assignment: Assignment,
     spec: JobSpec,
     result: TaskResult,
+    usage: Option<Usage>,
+    log: Option<(f64, String)>,
     lengths: Vec<u64>,
 }
 
@@ -187,6 +193,8 @@ fn encode(task: &Task, product: &Product) -> Result<Vec<u8>, postcard::Error> {
         assignment: task.assignment.clone(),
         spec: (*task.spec).clone(),
         result: product.result.clone(),
+        usage: task.usage(),
+        log: task.written_log().cloned(),
         lengths: product.artefacts.iter().map(|bytes| bytes.len() as u64).collect(),
     };
     let head = postcard::to_stdvec(&head)?;
@@ -209,7 +217,8 @@ pub(crate) fn decode(file: &Bytes) -> Option<Restored> {
     }
     let length = usize::try_from(u64::from_le_bytes(front[44..].try_into().ok()?)).ok()?;
     let end = FRONT.checked_add(length)?;
-    let Head { engine, assignment, spec, result, lengths } = postcard::from_bytes(file.get(FRONT..end)?).ok()?;
+    let Head { engine, assignment, spec, result, usage, log, lengths } =
+        postcard::from_bytes(file.get(FRONT..end)?).ok()?;
     if engine != crate::engine() {
         return None;
     }
@@ -220,7 +229,7 @@ pub(crate) fn decode(file: &Bytes) -> Option<Restored> {
         artefacts.push(file.slice(at..end));
         at = end;
     }
-    (at == file.len()).then_some(Restored { assignment, spec, product: Product { result, artefacts } })
+    (at == file.len()).then_some(Restored { assignment, spec, product: Product { result, artefacts }, usage, log })
 }
 
 /// Does the writing.
@@ -325,6 +334,8 @@ mod tests {
         let client = Client::connect_by(&dial, "http://nobody:1").await.unwrap();
         let task = Task::new(assignment, Arc::new(spec()), client, &Meter::none());
         let result = TileResult { tile: Artefact::of(bytes), samples: 4, bad_samples: 0, seconds: 0.5 };
+        task.begin();
+        task.write_log(0.5, "done".into());
         task.settle(Ok(Product { result: TaskResult::Tile(result), artefacts: vec![Bytes::from_static(bytes)] }));
         Arc::new(task)
     }
@@ -350,6 +361,10 @@ mod tests {
         let (outbox, restored) = Outbox::open(&config(place.path())).unwrap();
         assert_eq!(indices(&restored), [(2, &b"second"[..])]);
         assert_eq!((&restored[0].spec, &restored[0].assignment), (&*second.spec, &second.assignment));
+        assert_eq!(
+            (restored[0].usage.map(|usage| usage.wall), &restored[0].log),
+            (Some(0.5), &Some((0.5, "done".into())))
+        );
         outbox.forget(second.key());
         outbox.close();
         assert!(Outbox::open(&config(place.path())).unwrap().1.is_empty());

@@ -66,6 +66,8 @@ pub(crate) struct Task {
     waited: OnceLock<f64>,
     /// Seconds that it took, and the log's text.
     written: OnceLock<(f64, String)>,
+    /// What it took in an earlier life of the worker, if it was done there.
+    earlier: Option<Usage>,
 }
 
 /// What came of a task.
@@ -76,13 +78,31 @@ impl Task {
         let (cancel, samples, phase) = (AtomicBool::new(false), AtomicU64::new(0), AtomicU8::new(0));
         let (outcome, log, written) = (OnceLock::new(), TaskLog::default(), OnceLock::new());
         let (account, arrived, waited) = (meter.open(), Stopwatch::start(), OnceLock::new());
-        Self { assignment, spec, client, cancel, samples, phase, outcome, log, written, account, arrived, waited }
+        let earlier = None;
+        Self {
+            assignment,
+            spec,
+            client,
+            cancel,
+            samples,
+            phase,
+            outcome,
+            log,
+            written,
+            account,
+            arrived,
+            waited,
+            earlier,
+        }
     }
 
     /// A task that an earlier life of this worker has done.
     pub(crate) fn restored(restored: Restored, client: Client, meter: &Meter) -> Self {
-        let Restored { assignment, spec, product } = restored;
-        let task = Self::new(assignment, Arc::new(spec), client, meter);
+        let Restored { assignment, spec, product, usage, log } = restored;
+        let task = Self { earlier: usage, ..Self::new(assignment, Arc::new(spec), client, meter) };
+        if let Some((seconds, text)) = log {
+            task.write_log(seconds, text);
+        }
         task.settle(Ok(product));
         task
     }
@@ -118,8 +138,12 @@ impl Task {
         self.waited.get().is_some()
     }
 
-    /// What it has taken until now; `None` if it has not begun, or was done in an earlier life.
+    /// What it has taken until now; `None` if it has not begun.
     pub(crate) fn usage(&self) -> Option<Usage> {
+        if let Some(earlier) = self.earlier {
+            let sent = earlier.sent + self.account.sent.load(Ordering::Relaxed);
+            return Some(Usage { cpu: earlier.cpu + self.account.cpu(), sent, ..earlier });
+        }
         let wait = *self.waited.get()?;
         let until_now = || self.log.seconds().unwrap_or(0.0);
         Some(Usage {
@@ -145,7 +169,7 @@ impl Task {
         let _ = self.written.set((seconds, text));
     }
 
-    /// Seconds that it took, and the log's text; a task of an earlier life has none.
+    /// Seconds that it took, and the log's text.
     pub(crate) fn written_log(&self) -> Option<&(f64, String)> {
         self.written.get()
     }

@@ -131,7 +131,7 @@ async fn show(args: &LogsArgs, farm: &Farm, records: &[LogRecord], say: Say) -> 
             all.push(LogJson::new(record, text));
         } else {
             say.result(heading(record, say));
-            say.result(text);
+            say.result(human::shown(&text));
         }
     }
     if args.format.json && !args.follow {

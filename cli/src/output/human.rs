@@ -8,7 +8,8 @@ pub fn seconds(s: f64) -> String {
         return "?".to_owned();
     }
     if s < 10.0 {
-        return format!("{s:.2} s");
+        // An empty sum of floating point is -0.
+        return format!("{:.2} s", s.abs());
     }
     if s < 100.0 {
         return format!("{s:.1} s");
@@ -69,6 +70,19 @@ pub fn count(n: u64, noun: &str) -> String {
     if n == 1 { format!("1 {noun}") } else { format!("{n} {noun}s") }
 }
 
+/// What another wrote, for a terminal: control characters are shown instead of obeyed.
+pub fn shown(text: &str) -> String {
+    let obeyed = |c: char| c.is_control() && !matches!(c, '\n' | '\t');
+    text.chars().fold(String::with_capacity(text.len()), |mut shown, c| {
+        if obeyed(c) {
+            shown.extend(c.escape_default());
+        } else {
+            shown.push(c);
+        }
+        shown
+    })
+}
+
 /// Columns lined up, two blanks between, the header first; no blanks at line ends.
 pub fn table(header: &[&str], rows: &[Vec<String>]) -> String {
     let header: Vec<String> = header.iter().map(|&cell| cell.to_owned()).collect();
@@ -97,8 +111,14 @@ mod tests {
 
     #[test]
     fn durations_grow_coarser_as_they_grow_longer() {
+        assert_eq!(seconds(-0.0), "0.00 s");
         let shown: Vec<_> = [0.421, 12.34, 200.0, 7500.0, f64::NAN].into_iter().map(seconds).collect();
         assert_eq!(shown, ["0.42 s", "12.3 s", "3 min 20 s", "2 h 5 min", "?"]);
+    }
+
+    #[test]
+    fn what_others_wrote_does_not_steer_a_terminal() {
+        assert_eq!(shown("a\tb\nc\u{1b}[2J\u{9b}1m\r\u{7}ü"), "a\tb\nc\\u{1b}[2J\\u{9b}1m\\r\\u{7}ü");
     }
 
     #[test]

@@ -101,6 +101,31 @@ fn a_clip_gives_a_contact_sheet_and_a_video() {
 }
 
 #[test]
+fn what_a_run_took_is_a_page_or_a_table_by_the_name_s_ending() {
+    let place = Place::new();
+    let run = |frame: u32, file: &str| {
+        place.run(&format!("render fog.mgf -o {frame}.exr --spp 2 --frames {frame} --report {file}")).exits(0);
+        std::fs::read(place.path(file)).expect(file)
+    };
+    let page = String::from_utf8(run(1, "run.html")).expect("text");
+    assert!(page.contains("<svg") && page.contains("Durations of tasks") && !page.contains("src=\"http"), "a page");
+    let csv = String::from_utf8(run(2, "run.csv")).expect("text");
+    let mut lines = csv.lines();
+    let place_of =
+        lines.next().and_then(|names| names.split(',').position(|name| name == "samples")).expect("a column");
+    let samples: u64 =
+        lines.map(|line| line.split(',').nth(place_of).map_or(0, |n| n.parse().expect("a number"))).sum();
+    let json: serde_json::Value = serde_json::from_slice(&run(3, "run.json")).expect("JSON");
+    let of_json: u64 = json.as_array().expect("rows").iter().filter_map(|row| row["samples"].as_u64()).sum();
+    assert!(samples > 0 && samples == of_json, "{samples}, {of_json}");
+    assert!(run(4, "run.parquet").starts_with(b"PAR1"));
+    let again = place.run("render fog.mgf -o 4.exr --spp 2 --frames 4 --report run.parquet").exits(0);
+    assert!(again.stderr().contains("nothing was rendered"), "{}", again.stderr());
+    let odd = place.run("render fog.mgf -o 4.exr --spp 2 --frames 4 --report run.xlsx").exits(2);
+    assert!(odd.stderr().contains(".parquet"), "{}", odd.stderr());
+}
+
+#[test]
 fn the_header_says_where_the_image_comes_from() {
     let place = Place::new();
     place.run("render fog.mgf -o a.exr --spp 2 --frames 1").exits(0);

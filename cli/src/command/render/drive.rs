@@ -3,10 +3,12 @@
 use super::report::FrameReport;
 use super::state::State;
 use super::target::Target;
+use crate::attempts::Told;
 use crate::clock::Clock;
 use crate::command::client::{self, Farm};
 use crate::command::embedded::{self, Embedded};
 use crate::command::interrupt::Interrupt;
+use crate::command::subject::{self, Logs};
 use crate::exit::{Failure, failed, interrupted};
 use crate::output::{Progress, Say, job as show};
 use crate::request::Asked;
@@ -32,10 +34,20 @@ pub struct Order<'a> {
     pub missing: Vec<u32>,
     /// The scene's files.
     pub scene: Parcel,
+    /// Whether it is asked at the end what the tasks took.
+    pub wants_told: bool,
+}
+
+/// What a run has made.
+pub struct Made {
+    /// Its frames.
+    pub frames: Vec<FrameReport>,
+    /// What their tasks took, those of runs before this one that it went on from too, if asked for.
+    pub told: Option<Told>,
 }
 
 /// Render the missing frames.
-pub fn run(order: &Order<'_>, state: &State, say: Say) -> Result<Vec<FrameReport>, Failure> {
+pub fn run(order: &Order<'_>, state: &State, say: Say) -> Result<Made, Failure> {
     client::runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
         let plan = embedded::Plan {
@@ -61,7 +73,7 @@ async fn frames(
     state: &State,
     interrupt: &mut Interrupt,
     say: Say,
-) -> Result<Vec<FrameReport>, Failure> {
+) -> Result<Made, Failure> {
     let job = job(order, farm, state).await?;
     let (mut written, mut seen) = (BTreeMap::new(), 0);
     let mut progress = Progress::new(say, Clock);
@@ -89,7 +101,8 @@ async fn frames(
                 ));
                 return Err(failed(lines.join("\n")));
             }
-            return Ok(written.into_values().collect());
+            let told = if order.wants_told { Some(subject::of_job(farm, job, Logs::Failures).await?) } else { None };
+            return Ok(Made { frames: written.into_values().collect(), told });
         }
         tokio::select! {
             () = tokio::time::sleep(look) => look = (look * 3 / 2).min(LAST_LOOK),

@@ -3,6 +3,7 @@
 mod clip;
 mod drive;
 mod report;
+mod spent;
 pub mod state;
 mod target;
 mod there;
@@ -15,8 +16,9 @@ use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Say, human, json};
 use crate::request::Asked;
 use clap::Args;
-use drive::Order;
+use drive::{Made, Order};
 use report::{FrameReport, Report};
+use spent::Spent;
 use state::{Found, Identity, Old, State};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -28,7 +30,8 @@ use there::Wanted;
 #[command(after_help = "Examples:\n  \
     femc render scenes/cornell-fog.mgf -o cornell.exr --spp 256\n  \
     femc render scenes/roundabout.mgf -o drive --frames 1..24 --size 320x180 --video drive.mp4\n  \
-    femc render scene.mgf -o out --error 0.02 --set medium.fog.sigma_s=0.05 --json\n\n\
+    femc render scene.mgf -o out --error 0.02 --set medium.fog.sigma_s=0.05 --json\n  \
+    femc render scenes/cornell-fog.mgf -o cornell.exr --report cornell.html    # where the time went\n\n\
     A second run with the same OUT and settings renders what is missing: frames that are finished stay, and a frame \
     that was interrupted keeps its samples. Frames whose scene or settings differ are rendered anew.")]
 pub struct RenderArgs {
@@ -47,6 +50,9 @@ pub struct RenderArgs {
     /// Put all frames on one PNG
     #[arg(long, value_name = "FILE.png")]
     pub contact_sheet: Option<PathBuf>,
+    /// Write what the tasks took, too: a page if FILE ends in .html (`femc report`), a row an attempt if in .csv, .json or .parquet
+    #[arg(long, value_name = "FILE")]
+    pub report: Option<PathBuf>,
     /// Begin anew, whatever is there
     #[arg(long)]
     pub fresh: bool,
@@ -63,6 +69,7 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
         return Err(usage(format!("--contact-sheet {}: a sheet is a PNG; give FILE.png", sheet.display())));
     }
     let extras = clip::Extras::new(&args);
+    let spent = args.report.as_deref().map(Spent::to).transpose()?;
     let asked = Asked::open(&args.scene, args.settings, say)?;
     let target = Target::of(args.out.as_deref(), &asked.name(), asked.plan.frames.len())?;
     let frames = target.frames(&asked, say)?;
@@ -82,11 +89,24 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     };
     if missing.is_empty() {
         say.note(format!("{}: finished before, with this scene and these settings", target.display()));
+        if spent.is_some() {
+            say.warning("--report: nothing was rendered, so there is nothing to tell; --fresh renders anew");
+        }
     } else {
         let old = if args.fresh { Old::Discard } else { Old::Keep };
-        let order = Order { asked: &asked, target: &target, frames: &frames, missing, scene: asked.parcel()? };
-        let rendered = render(&order, old, say)?;
-        done.extend(rendered.into_iter().map(|frame| (frame.frame, frame)));
+        let order = Order {
+            asked: &asked,
+            target: &target,
+            frames: &frames,
+            missing,
+            scene: asked.parcel()?,
+            wants_told: spent.is_some(),
+        };
+        let Made { frames, told } = render(&order, old, say)?;
+        if let (Some(spent), Some(told)) = (spent, told) {
+            report.report = Some(spent.write(told)?);
+        }
+        done.extend(frames.into_iter().map(|frame| (frame.frame, frame)));
     }
     report.sum(done.into_values().collect());
     report.bad = there::bad_samples(&report.frames);
@@ -102,8 +122,8 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
 }
 
 /// Render what is missing, from the state beside the output if there is one of this scene and these settings.
-fn render(order: &Order<'_>, old: Old, say: Say) -> Result<Vec<FrameReport>, Failure> {
-    let Order { asked, target, frames, missing, scene } = order;
+fn render(order: &Order<'_>, old: Old, say: Say) -> Result<Made, Failure> {
+    let Order { asked, target, frames, missing, scene, .. } = order;
     let identity = Identity {
         version: env!("CARGO_PKG_VERSION").to_owned(),
         bundle: scene.digest().to_string(),
@@ -119,7 +139,7 @@ fn render(order: &Order<'_>, old: Old, say: Say) -> Result<Vec<FrameReport>, Fai
             say.note(format!("{out}: what is there has another scene or other settings; rendering anew"));
         }
     }
-    let rendered = drive::run(order, &state, say)?;
+    let made = drive::run(order, &state, say)?;
     state.remove().map_err(|e| failed(format!("{}: {e}", target.state().display())))?;
-    Ok(rendered)
+    Ok(made)
 }

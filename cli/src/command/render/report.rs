@@ -37,6 +37,8 @@ pub struct Report {
     pub video: Option<String>,
     /// The sheet.
     pub contact_sheet: Option<String>,
+    /// What the tasks took.
+    pub report: Option<String>,
 }
 
 /// A frame.
@@ -149,7 +151,7 @@ impl Report {
             line += &format!(" ({} finished before)", human::count(kept as u64, "frame"));
         }
         say.result(line);
-        for made in [&self.video, &self.contact_sheet].into_iter().flatten() {
+        for made in [&self.video, &self.contact_sheet, &self.report].into_iter().flatten() {
             say.result(made);
         }
     }

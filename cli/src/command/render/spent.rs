@@ -1,0 +1,52 @@
+//! What a run's tasks took, as a file.
+
+use crate::attempts::{By, Json, Told, columns, csv, rows, write_parquet};
+use crate::exit::{Failure, failed, usage};
+use crate::report;
+use std::path::{Path, PathBuf};
+
+/// A file to write it to.
+#[derive(Debug)]
+pub struct Spent {
+    path: PathBuf,
+    form: Form,
+}
+
+#[derive(Debug, Clone, Copy)]
+enum Form {
+    Page,
+    Csv,
+    Json,
+    Parquet,
+}
+
+impl Spent {
+    /// The form by the name's ending.
+    pub fn to(path: &Path) -> Result<Self, Failure> {
+        let form = match path.extension().and_then(|extension| extension.to_str()) {
+            Some("html") => Form::Page,
+            Some("csv") => Form::Csv,
+            Some("json") => Form::Json,
+            Some("parquet") => Form::Parquet,
+            _ => return Err(usage(format!("--report {}: give FILE.html, .csv, .json or .parquet", path.display()))),
+        };
+        Ok(Self { path: path.to_owned(), form })
+    }
+
+    /// Write it; the file's name.
+    pub fn write(&self, told: Told) -> Result<String, Failure> {
+        let told = vec![told];
+        let (columns, rows) = (columns(By::Attempt), rows(&told, By::Attempt));
+        let bytes = match self.form {
+            Form::Page => report::Report { title: None, told }.html()?.into_bytes(),
+            Form::Csv => (csv(&columns, &rows) + "\n").into_bytes(),
+            Form::Json => serde_json::to_vec_pretty(&Json(&columns, &rows)).map_err(failed)?,
+            Form::Parquet => {
+                write_parquet(&self.path, &columns, &rows)?;
+                return Ok(self.path.display().to_string());
+            }
+        };
+        femc_film::file::write_atomic(&self.path, &bytes).map_err(failed)?;
+        Ok(self.path.display().to_string())
+    }
+}

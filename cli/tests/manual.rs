@@ -1,7 +1,8 @@
 //! The manual's commands do what it says: each page of `docs/` is a script.
 //!
 //! Blocks marked `sh` run in the order of the page, in a folder with a copy of `scenes/`; those marked `toml file=NAME` are
-//! written there, those marked `python` run where pandas and polars are. Any command that fails, fails the page.
+//! written there, those marked `python` run where pandas and polars are. Those marked `text` are what a program says, or, with
+//! `by=FILE`, what that test runs. Any command that fails, fails the page.
 #![cfg(unix)]
 
 use std::fmt::Write as _;
@@ -69,7 +70,7 @@ fn script(page: &str) -> String {
                 for line in text.lines() {
                     // Whoever types has seen that it listens, and that it is gone.
                     let listens = line.starts_with("femc coordinator") && line.ends_with('&');
-                    let dies = line.strip_prefix("kill -9 ");
+                    let dies = line.strip_prefix("kill -9 ").and_then(|who| who.split_whitespace().next());
                     let seen = match dies {
                         Some(job) => format!("\nwait {job} || true"),
                         None if listens => "\nuntil_it_listens 7878".to_owned(),
@@ -81,6 +82,11 @@ fn script(page: &str) -> String {
             (Some("toml"), Some(file)) => {
                 let _ = write!(script, "cat >{file} <<'END OF FILE'\n{text}END OF FILE\n");
             }
+            (Some("text"), None) => {
+                if let Some(test) = is.split_whitespace().nth(1).and_then(|word| word.strip_prefix("by=")) {
+                    assert!(root().join(test).exists(), "`{is}`: there is no such test");
+                }
+            }
             (Some("python"), None) => match python() {
                 Some(python) => {
                     let _ = write!(script, "{python} - <<'END OF FILE'\n{text}END OF FILE\n");
@@ -90,7 +96,7 @@ fn script(page: &str) -> String {
             _ => panic!("what is a block marked `{is}`?"),
         }
     }
-    script.replace("7878", &free_port()).replace("7879", &free_port())
+    ["7878", "7879", "9464", "9465"].iter().fold(script, |script, port| script.replace(port, &free_port()))
 }
 
 fn copy(from: &Path, to: &Path) {
@@ -137,6 +143,8 @@ pages! {
     first_farm: "first-farm.md",
     two_machines: "two-machines.md",
     tls: "tls.md",
+    operations: "operations.md",
+    security: "security.md",
     sweeps: "sweeps.md",
     statistics: "statistics.md",
     troubleshooting: "troubleshooting.md",
@@ -160,8 +168,8 @@ fn postgres_and_s3() {
     runs("postgres-s3.md", &[("DATABASE", database), ("BUCKET", bucket)]);
 }
 
-/// Pages whose commands other tests run (`postgres_and_s3`, `openjd`, `fuzz`, `backup`), or without commands.
-const OTHERS: [&str; 6] = ["README.md", "openjd.md", "operations.md", "postgres-s3.md", "security.md", "wire.md"];
+/// Pages whose commands other tests run (`postgres_and_s3`, `openjd`), or without commands.
+const OTHERS: [&str; 4] = ["README.md", "openjd.md", "postgres-s3.md", "wire.md"];
 
 #[test]
 fn every_page_is_run() {

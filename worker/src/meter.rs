@@ -3,7 +3,7 @@
 //!
 //! So the process's clock is read whenever a task begins or ends, or begins or ends to wait for the network, and what has passed
 //! since the last reading is shared evenly among the tasks that compute; where none does, among those that move bytes; where
-//! there is none of those either, among those that wait for their turn, whose frames are prepared ahead. The sum over all tasks
+//! there is none of those either, among those that wait for their turn, whose frames are prepared ahead, or for a thread. The sum over all tasks
 //! is what the process used while it had any. Costs exactness for each of two tasks that run side by side; workers of one
 //! process share one meter, and with it the coordinator's time where that is in the process, too.
 
@@ -17,7 +17,7 @@ use crate::memory;
 /// What a task does at the moment; of those that do the most, each gets its share.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) enum Doing {
-    /// It waits for its turn.
+    /// It waits for its turn, or for a thread.
     Waits,
     /// Its inputs come in, or its result goes out.
     Moves,

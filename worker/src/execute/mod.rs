@@ -18,6 +18,7 @@ use tracing::Span;
 use crate::Cache;
 use crate::fetch::Fetch;
 use crate::memory::Memory;
+use crate::meter::Doing;
 use crate::nice::Nice;
 use crate::table::Task;
 
@@ -37,10 +38,14 @@ impl Tools {
         Self { fetch: self.fetch.of(task), ..self.clone() }
     }
 
-    /// Does `work` for `task` on the pool.
+    /// Does `work` for `task` on the pool. Until a thread of the pool is free for it, the task takes no processor time.
     pub(crate) fn install<T: Send>(&self, task: &Task, work: impl FnOnce() -> T + Send) -> T {
         let span = Span::current();
-        self.pool.install(|| span.in_scope(|| task.log.hear(work)))
+        task.account.doing(Doing::Waits);
+        self.pool.install(|| {
+            task.account.doing(Doing::Computes);
+            span.in_scope(|| task.log.hear(work))
+        })
     }
 }
 

@@ -1,6 +1,7 @@
 //! Frames of variants share what is equal between them, and have the pixels of frames prepared alone.
 
 use femc_film::{Frame, FrameImage, pixel_digest};
+use femc_math::glam::DVec3;
 use femc_pipeline::{Prepared, Settings, Source, Stop, plan, prepare, render_tile};
 use femc_tests::scene;
 use std::sync::Arc;
@@ -44,7 +45,9 @@ fn cameras_share_a_world_and_fogs_share_surfaces_and_neither_shows() {
     for (change, same_world, same_surfaces) in [
         (("camera.main.fov", 50.0), true, true),
         (("camera.main.origin.x", 0.4), true, true),
-        (("camera.main.origin.x", 0.6), false, false),
+        (("camera.main.origin.x", -100.0), true, true),
+        // Too far from the middle for its origin.
+        (("camera.main.origin.x", -200.0), false, false),
         (("medium.fog.sigma_s", 0.4), false, true),
         (("material.lamp.ed", 60.0), false, true),
         (("material.lamp.ed", 0.0), false, false),
@@ -68,4 +71,31 @@ fn nothing_is_shared_between_different_scenes() {
     let (first, settings) = (variant(&base, &settings(&[]), None), settings(&[]));
     let [alone, after] = [None, Some(&first)].map(|previous| render(&variant(&other, &settings, previous), &settings));
     assert_eq!(pixel_digest(&alone.color), pixel_digest(&after.color));
+}
+
+#[test]
+fn cameras_have_the_scene_s_middle_in_common_as_far_as_numbers_are_fine_enough() {
+    let at = |place: [f64; 3]| {
+        let corner = |x: f64, y: f64| format!("p {} {} {}", place[0] + x, place[1] + y, place[2]);
+        Source::new(scene(&format!(
+            "camera main =\n origin 0 0 5\n target 1 0 0\n fov 60\n film 16 16\nm wall =\n sides 2\n rd .5\n\
+             v a =\n {}\nv b =\n {}\nv c =\n {}\nm wall\nf a b c\n\
+             v d =\n p 0 0 0\nv e =\n p 1 0 0\nv g =\n p 0 1 0\no far\nxf -t {} {} {}\nf d e g\nxf\no\n",
+            corner(0.0, 0.0),
+            corner(4.0, 0.0),
+            corner(0.0, 6.0),
+            place[0] + 99.0,
+            place[1],
+            place[2]
+        )))
+    };
+    for place in [[0.0; 3], [4e6, -3e6, 100.0]] {
+        let (source, here) = (at(place), DVec3::from(place));
+        let middle = source.origin(here);
+        assert_eq!(middle, here + DVec3::new(50.0, 3.0, 0.0));
+        assert_eq!(source.origin(here + DVec3::new(170.0, -90.0, 40.0)), middle);
+        let far = here + DVec3::new(1000.3, 0.0, 0.0);
+        assert!((source.origin(far) - far).abs().max_element() <= 16.0, "{}", source.origin(far));
+        assert_eq!(source.origin(far), source.origin(far + DVec3::new(0.1, 0.1, 0.1)));
+    }
 }

@@ -276,11 +276,11 @@ pub fn find_camera<'a>(cameras: &'a [Camera], name: Option<&str>) -> Result<&'a 
     }
 }
 
-/// A whole number of metres near the camera at the start of the clip: the same for every frame.
+/// By where the camera is at the start of the clip: the same for every frame.
 fn rebase_origin(source: &Source, camera: Option<&str>) -> Result<DVec3, PrepareError> {
     let scene = source.scene();
     let camera = find_camera(&scene.cameras, camera)?.at(&scene.paths, scene.frame_time(1));
-    Ok((camera.origin / source.grid()).round() * source.grid())
+    Ok(source.origin(camera.origin))
 }
 
 struct Assembly<'a> {

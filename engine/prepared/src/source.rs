@@ -1,4 +1,4 @@
-use femc_math::glam::DVec3;
+use femc_math::glam::{BVec3, DVec3};
 use femc_scene::{Fixed, Group, Scene, SelectorError};
 use std::sync::Arc;
 
@@ -8,17 +8,20 @@ use std::sync::Arc;
 pub struct Source {
     scene: Arc<Scene>,
     fixed: Fixed,
-    grid: f64,
+    middle: Option<DVec3>,
 }
 
-/// The coarsest grid of origins, m: what is near a camera there is known to 1 um.
-const COARSEST: f64 = 32.0;
+/// Cameras no farther than this from the scene's middle along any axis have their frames' origin there, m: what is that far
+/// from an origin is known to 4 um.
+const NEAR: f64 = 128.0;
+/// Grid of the origins of other cameras, m: what is near one is known to 1 um.
+const GRID: f64 = 32.0;
 
 impl Source {
     /// A scene; reads all of it once, for its digest.
     pub fn new(scene: Arc<Scene>) -> Self {
-        let (fixed, grid) = (scene.fixed(), grid(&scene));
-        Self { scene, fixed, grid }
+        let (fixed, middle) = (scene.fixed(), middle(&scene));
+        Self { scene, fixed, middle }
     }
 
     /// The same with scalars set, in order. Selectors reach nothing of what the digest is of.
@@ -40,25 +43,40 @@ impl Source {
         self.fixed
     }
 
-    /// Prepared frames have their origin at multiples of this, m. Cameras that are nearer to each other than the scene is
-    /// large mostly have the same one, so that their frames share the world.
-    pub fn grid(&self) -> f64 {
-        self.grid
+    /// Where frames have their origin that a camera at `place` sees, m: in the scene's middle if that is near, so that the
+    /// frames of all cameras there share the world.
+    pub fn origin(&self, place: DVec3) -> DVec3 {
+        let near = self.middle.filter(|middle| (place - middle).abs().max_element() <= NEAR);
+        near.unwrap_or_else(|| (place / GRID).round() * GRID)
     }
 }
 
-/// The largest power of two that is no more than a quarter of the largest group's extent; 1 m to [`COARSEST`]. With it
-/// nothing is rounded more than 1e-8 of that extent.
-fn grid(scene: &Scene) -> f64 {
-    let extent = |group: &Group| {
-        let corners = group.vertices.iter().map(|vertex| vertex.position);
-        let (min, max) = corners.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(min, max), p| (min.min(p), max.max(p)));
-        (max - min).max_element().max(0.0)
-    };
-    let largest = scene.groups.iter().map(extent).fold(0.0, f64::max);
-    let mut grid = 1.0;
-    while grid < COARSEST && grid * 8.0 <= largest {
-        grid *= 2.0;
+/// The middle of all that does not move, in whole metres; `None` where nothing is bounded by vertices.
+fn middle(scene: &Scene) -> Option<DVec3> {
+    let mut boxes = vec![None; scene.groups.len()];
+    let (min, max) = bounds(scene, 0, &mut boxes);
+    (min.cmple(max).all() && min.is_finite() && max.is_finite()).then(|| ((min + max) / 2.0).round())
+}
+
+type Bounds = (DVec3, DVec3);
+
+/// Of a group's vertices and of the groups that are placed in it and do not move; `boxes`: those that are known.
+fn bounds(scene: &Scene, group: usize, boxes: &mut [Option<Bounds>]) -> Bounds {
+    if let Some(known) = boxes[group] {
+        return known;
     }
-    grid
+    let grown = |(min, max): Bounds, p: DVec3| (min.min(p), max.max(p));
+    let nothing = (DVec3::INFINITY, DVec3::NEG_INFINITY);
+    let Group { vertices, instances, .. } = &scene.groups[group];
+    let mut all = vertices.iter().map(|vertex| vertex.position).fold(nothing, grown);
+    for instance in instances {
+        let Some(pose) = instance.motion.as_static() else { continue };
+        let (min, max) = bounds(scene, instance.group.index(), boxes);
+        if min.cmple(max).all() {
+            let corner = |n: u32| DVec3::select(BVec3::from_array([0, 1, 2].map(|axis| n >> axis & 1 == 1)), max, min);
+            all = (0..8).map(|n| pose.transform_point3(corner(n))).fold(all, grown);
+        }
+    }
+    boxes[group] = Some(all);
+    all
 }

@@ -69,7 +69,10 @@ impl Shares {
                 1 => format!("{} have one world and differ in the camera alone", count(render, "frame")),
                 _ => format!("{} have {worlds} worlds; the others differ in the camera alone", count(render, "frame")),
             };
-            lines.push(format!("the scene is read once for {}; {prepared}", count(variants, "variant")));
+            let variants = count(variants, "variant");
+            lines.push(format!(
+                "the scene is read once for {variants}, what does not move built once for a camera; {prepared}"
+            ));
         }
         if samples_saved > 0 {
             lines.push(format!("linking saves {} samples", human::quantity(samples_saved as f64)));

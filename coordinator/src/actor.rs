@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 use femc_fault::{Point, pass, pass_async};
-use femc_model::{Failure, FromWorker, JobId, JobStatus, Refusal, Spent, Tick, ToWorker, WorkerId};
+use femc_model::{Digest, Failure, FromWorker, JobId, JobStatus, Refusal, Spent, Tick, ToWorker, WorkerId};
 use femc_proto::{AttemptPage, Backup, Call, JobShape, References, Reply, Session};
 use femc_queue::{Batch, Queue, QueueError};
 use femc_schedule::{Command, Event, Fact, RequestId, Scheduler};
@@ -25,6 +25,8 @@ use crate::session::{self, Worker};
 pub(crate) enum Word {
     /// The worker says something.
     Said(Box<FromWorker>),
+    /// It has completed a task, and this artefact of the result is not in the store, as the store says.
+    Hollow(Box<FromWorker>, Digest, String),
     /// Its session is over.
     Over,
 }
@@ -189,6 +191,16 @@ impl<Q: Queue> Actor<Q> {
         }
     }
 
+    /// The log and the usage that a report brings along.
+    fn besides(&mut self, worker: WorkerId, said: &mut FromWorker, commands: &mut Vec<Command>) {
+        if let Some(event) = log_of(worker, said) {
+            self.hear(event, commands);
+        }
+        for spent in spent_of(said) {
+            self.hear(Event::Spent { worker, spent }, commands);
+        }
+    }
+
     fn word(&mut self, worker: WorkerId, word: Word, commands: &mut Vec<Command>) {
         if !self.workers.contains_key(&worker) {
             return;
@@ -203,13 +215,13 @@ impl<Q: Queue> Actor<Q> {
                     | FromWorker::Draining
                     | FromWorker::Available => {}
                 }
-                if let Some(event) = log_of(worker, &mut said) {
-                    self.hear(event, commands);
-                }
-                for spent in spent_of(&mut said) {
-                    self.hear(Event::Spent { worker, spent }, commands);
-                }
+                self.besides(worker, &mut said, commands);
                 event_of(worker, *said)
+            }
+            Word::Hollow(mut said, artefact, message) => {
+                self.besides(worker, &mut said, commands);
+                self.metrics.failed(&Failure::Store { message: message.clone() });
+                hollow(worker, &said, artefact, message)
             }
             Word::Over => {
                 self.workers.remove(&worker);
@@ -397,6 +409,14 @@ fn spent_of(said: &mut FromWorker) -> Vec<Spent> {
         }
         FromWorker::Register(_) | FromWorker::Draining | FromWorker::Available => Vec::new(),
     }
+}
+
+/// A completion that lacks an artefact.
+fn hollow(worker: WorkerId, said: &FromWorker, artefact: Digest, message: String) -> Option<Event> {
+    let FromWorker::Completed { task, epoch, .. } = said else { return None };
+    let (task, epoch) = (*task, *epoch);
+    tracing::warn!(job = task.job.0, %task, worker = worker.0, message, "a result is not whole: it does not count");
+    Some(Event::Hollow { worker, task, epoch, artefact, message })
 }
 
 /// What a worker says, as the scheduler hears it.

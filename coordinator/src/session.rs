@@ -1,6 +1,8 @@
 //! A worker's session: its reader, which also sees that what is reported is really in the store.
 
-use femc_model::{Failure, FromWorker, JobId, JobSpec, Latest, LogText, ToWorker, WorkerId};
+use femc_model::{
+    Artefact, Digest, Failure, FromWorker, JobId, JobSpec, Latest, LogText, TaskResult, ToWorker, WorkerId,
+};
 use femc_proto::Words;
 use femc_store::Store;
 use tokio::sync::mpsc;
@@ -37,7 +39,7 @@ pub(crate) async fn listen(worker: WorkerId, mut words: Words, store: Store, act
             }
             None => break,
         };
-        if actor.send((worker, Word::Said(Box::new(checked(word, &store).await)))).await.is_err() {
+        if actor.send((worker, checked(word, &store).await)).await.is_err() {
             return;
         }
     }
@@ -45,9 +47,9 @@ pub(crate) async fn listen(worker: WorkerId, mut words: Words, store: Store, act
     let _ = actor.send((worker, Word::Over)).await;
 }
 
-/// A completion without its artefacts is a failure of the store. Artefacts that a worker calls lost are read, which
-/// removes those that are damaged, so that they can be put again.
-async fn checked(mut word: FromWorker, store: &Store) -> FromWorker {
+/// A completion without its artefacts is hollow. Artefacts that a worker calls lost are read, which removes those that are
+/// damaged, so that they can be put again.
+async fn checked(mut word: FromWorker, store: &Store) -> Word {
     check_log(&mut word, store).await;
     if let FromWorker::Failed { failure: Failure::LostInputs { digests, .. }, .. } = &word {
         for digest in digests {
@@ -56,17 +58,28 @@ async fn checked(mut word: FromWorker, store: &Store) -> FromWorker {
             }
         }
     }
-    let FromWorker::Completed { task, epoch, result, log, usage } = word else { return word };
-    for artefact in result.artefacts() {
-        let message = match store.size_seen(&artefact.digest).await {
-            Ok(Some(bytes)) if bytes == artefact.bytes => continue,
-            Ok(Some(bytes)) => format!("artefact {} has {bytes} bytes, not {}", artefact.digest, artefact.bytes),
-            Ok(None) => format!("artefact {} did not arrive", artefact.digest),
+    let lacks = match &word {
+        FromWorker::Completed { result, .. } => lacking(result, store).await,
+        _ => None,
+    };
+    match lacks {
+        Some((artefact, message)) => Word::Hollow(Box::new(word), artefact, message),
+        None => Word::Said(Box::new(word)),
+    }
+}
+
+/// The first artefact of a result that is not in the store as it should be, and what the store says.
+async fn lacking(result: &TaskResult, store: &Store) -> Option<(Digest, String)> {
+    for Artefact { digest, bytes } in result.artefacts() {
+        let message = match store.size_seen(&digest).await {
+            Ok(Some(found)) if found == bytes => continue,
+            Ok(Some(found)) => format!("artefact {digest} has {found} bytes, not {bytes}"),
+            Ok(None) => format!("artefact {digest} did not arrive"),
             Err(error) => error.to_string(),
         };
-        return FromWorker::Failed { task, epoch, failure: Failure::Store { message }, log, usage };
+        return Some((digest, message));
     }
-    FromWorker::Completed { task, epoch, result, log, usage }
+    None
 }
 
 /// A log that did not arrive says so; it is no reason to do the task again.

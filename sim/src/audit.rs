@@ -171,7 +171,7 @@ impl Violation {
 /// All that is wrong.
 pub(crate) fn audit(stage: &Stage, state: &State) -> Vec<Violation> {
     let mut wrong = state.wrong.clone();
-    match log(&state.disk.history, [&state.accepted, &state.reported], &state.leases, &state.robbed) {
+    match log(&state.disk.history, [&state.accepted, &state.reported], &state.leases) {
         Ok(found) => wrong.extend(found),
         Err(error) => wrong.push(error.into()),
     }
@@ -213,13 +213,11 @@ pub(crate) fn account(spec: &JobSpec, status: &JobStatus) -> Vec<Violation> {
     wrong
 }
 
-/// What the log says that it must not say. A result of a frame of `robbed` may have lost its artefact on its way: then it was
-/// answered as a failure, and the task counts under a later lease.
+/// What the log says that it must not say.
 pub(crate) fn log<'a>(
     history: impl IntoIterator<Item = &'a Vec<u8>>,
     [accepted, reported]: [&Reports; 2],
     leases: &Leases,
-    robbed: &BTreeSet<(JobId, u32)>,
 ) -> Result<Vec<Violation>, SnapshotError> {
     let mut wrong = Vec::new();
     let mut done: BTreeMap<Unit, (TaskKey, Epoch)> = BTreeMap::new();
@@ -252,10 +250,7 @@ pub(crate) fn log<'a>(
         }
     }
     for &(task, epoch) in accepted.intersection(reported) {
-        let counts_later = || counted.range((task, epoch)..=(task, Epoch(u64::MAX))).next().is_some();
-        let is_robbed = robbed.contains(&(task.job, task.stage.frame));
-        let counts = counted.contains(&(task, epoch)) || is_robbed && counts_later();
-        if !counts {
+        if !counted.contains(&(task, epoch)) {
             wrong.push(Violation::Forgotten { task, epoch });
         }
     }

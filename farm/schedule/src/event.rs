@@ -97,6 +97,19 @@ pub enum Event {
         /// What came out.
         result: TaskResult,
     },
+    /// A worker has done a task, and an artefact of its result is not in the store.
+    Hollow {
+        /// The session.
+        worker: WorkerId,
+        /// The task.
+        task: TaskKey,
+        /// Of the lease.
+        epoch: Epoch,
+        /// Which is not there.
+        artefact: Digest,
+        /// What the store says.
+        message: String,
+    },
     /// A worker has not done a task.
     Failed {
         /// The session.

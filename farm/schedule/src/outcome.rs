@@ -40,8 +40,9 @@ impl Scheduler {
                 Fact::Gathered { task, epoch, result }
             }
             (StageKind::Render | StageKind::Merge | StageKind::Gather, _) => {
-                let failure = Failure::Panicked { message: "the result does not fit the task".into() };
-                return self.failed(worker, task, epoch, failure, now, out);
+                let message = "the result does not fit the task".to_owned();
+                let refusal = Refusal::Invalid { field: "result".into(), message: message.clone() };
+                return self.refused(worker, task, epoch, Failure::Panicked { message }, refusal, now, out);
             }
         };
         let is_alone = self.floor.copies.is_empty();
@@ -83,6 +84,34 @@ impl Scheduler {
         out: &mut Vec<Command>,
     ) {
         self.note_seen(worker, now);
+        self.not_done(worker, task, epoch, failure, Command::Accept { worker, task, epoch }, now, out);
+    }
+
+    /// A result that cannot count: a failure, and its worker hears that it does not.
+    pub(crate) fn refused(
+        &mut self,
+        worker: WorkerId,
+        task: TaskKey,
+        epoch: Epoch,
+        failure: Failure,
+        refusal: Refusal,
+        now: Tick,
+        out: &mut Vec<Command>,
+    ) {
+        self.note_seen(worker, now);
+        self.not_done(worker, task, epoch, failure, Command::Refuse { worker, task, epoch, refusal }, now, out);
+    }
+
+    fn not_done(
+        &mut self,
+        worker: WorkerId,
+        task: TaskKey,
+        epoch: Epoch,
+        failure: Failure,
+        answer: Command,
+        now: Tick,
+        out: &mut Vec<Command>,
+    ) {
         if self.floor.lease_of(worker, &task, epoch).is_none() {
             return self.without_lease(worker, task, epoch, out);
         }
@@ -98,7 +127,7 @@ impl Scheduler {
             Verdict::Rebuild(digests) => self.rebuild_inputs(worker, task, &digests, failure, now, out),
         }
         self.put_back(&task);
-        out.push(Command::Accept { worker, task, epoch });
+        out.push(answer);
         out.push(Command::Changed(task.job));
     }
 

@@ -132,6 +132,10 @@ impl Scheduler {
             Event::Heartbeat { worker, tasks } => self.heartbeat(worker, &tasks, now, out),
             Event::Logged { worker, task, epoch, log } => self.logged(worker, task, epoch, log, now, out),
             Event::Completed { worker, task, epoch, result } => self.completed(worker, task, epoch, result, now, out),
+            Event::Hollow { worker, task, epoch, artefact, message } => {
+                let (failure, refusal) = (Failure::Store { message }, Refusal::NoSuchArtefact { digest: artefact });
+                self.refused(worker, task, epoch, failure, refusal, now, out);
+            }
             Event::Failed { worker, task, epoch, failure } => self.failed(worker, task, epoch, failure, now, out),
             Event::Spent { worker, spent } => self.spent(worker, spent, now, out),
             Event::Elapsed => self.elapsed(now, out),

@@ -195,6 +195,25 @@ fn a_failed_task_goes_to_another_worker_if_there_is_one() {
 }
 
 #[test]
+fn a_result_without_its_artefact_is_refused_and_the_task_done_again() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    let (worker, task, epoch) = (WorkerId(1), held.task, held.epoch);
+    let artefact = Digest::of(b"gone");
+    let said = farm.on(Event::Hollow { worker, task, epoch, artefact, message: "it did not arrive".into() });
+    let answers: Vec<_> =
+        said.iter().filter(|said| matches!(said, Command::Accept { .. } | Command::Refuse { .. })).collect();
+    let refusal = Refusal::NoSuchArtefact { digest: artefact };
+    assert_eq!(answers, [&Command::Refuse { worker, task, epoch, refusal }]);
+    farm.drop_lease(task, epoch);
+    farm.wait(10_000);
+    assert_eq!(farm.first_of(1).task, task);
+    assert_eq!(farm.status(id).quarantined, []);
+}
+
+#[test]
 fn a_full_disk_uses_up_no_attempt_and_gives_the_worker_a_rest() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 1, &[4]));

@@ -84,8 +84,7 @@ fn close(state: &mut State, last: JobId) -> Vec<Violation> {
         }
     }
     let [accepted, reported] = [&mut state.accepted, &mut state.reported].map(|reports| take(reports, last));
-    let mut wrong =
-        log(&records, [&accepted, &reported], &state.leases, &state.robbed).unwrap_or_else(|error| vec![error.into()]);
+    let mut wrong = log(&records, [&accepted, &reported], &state.leases).unwrap_or_else(|error| vec![error.into()]);
     let (notes, left) =
         std::mem::take(&mut state.disk.notes).into_iter().partition(|note: &Note| note.subject <= last.0);
     state.disk.notes = left;

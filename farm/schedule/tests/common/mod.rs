@@ -95,7 +95,7 @@ impl Farm {
         commands
     }
 
-    fn drop_lease(&mut self, task: TaskKey, epoch: Epoch) {
+    pub fn drop_lease(&mut self, task: TaskKey, epoch: Epoch) {
         self.held.retain(|(_, held)| (held.task, held.epoch) != (task, epoch));
     }
 

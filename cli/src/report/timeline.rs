@@ -108,8 +108,9 @@ fn chart(area: &Area<'_>, names: &[String], bars: &[BTreeMap<Bar, Spans>], end: 
         };
         for (bar, spans) in kinds {
             chart.draw_series(spans.iter().map(|span| shape(span, bar.color().filled())))?;
-            // Where bars touch, their ends show.
-            chart.draw_series(spans.iter().map(|span| shape(span, WHITE.mix(0.6).into())))?;
+            // Where wide bars touch, their ends show; of narrow ones nothing else would.
+            let wide = spans.iter().filter(|(began, ended)| ended - began > 8.0 * end / f64::from(WIDTH));
+            chart.draw_series(wide.map(|span| shape(span, WHITE.mix(0.6).into())))?;
         }
     }
     Ok(())

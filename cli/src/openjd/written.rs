@@ -62,12 +62,13 @@ impl Written {
     }
 
     fn of(args: RenderArgs) -> Self {
-        let RenderArgs { scene, out, video, preview, contact_sheet, fresh, format, settings } = args;
+        let RenderArgs { scene, out, video, preview, contact_sheet, report, fresh, format, settings } = args;
         let flags = [
             ("--out", out.is_some()),
             ("--video", video.is_some()),
             ("--preview", preview),
             ("--contact-sheet", contact_sheet.is_some()),
+            ("--report", report.is_some()),
             ("--fresh", fresh),
             ("--json", format.json),
         ];

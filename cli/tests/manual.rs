@@ -1,8 +1,8 @@
 //! The manual's commands do what it says: each page of `docs/` is a script.
 //!
-//! Blocks marked `sh` run in the order of the page, in a folder with a copy of `scenes/`; those marked `toml file=NAME` are
-//! written there, those marked `python` run where pandas and polars are. Those marked `text` are what a program says, or, with
-//! `by=FILE`, what that test runs. Any command that fails, fails the page.
+//! Blocks marked `sh` run in the order of the page, in a folder with a copy of `scenes/` and `deploy/`; those marked
+//! `toml file=NAME` are written there, those marked `python` run where pandas and polars are. Those marked `text` are what a
+//! program says, or, with `by=FILE`, what that test runs. Any command that fails, fails the page.
 #![cfg(unix)]
 
 use std::fmt::Write as _;
@@ -112,7 +112,9 @@ fn copy(from: &Path, to: &Path) {
 fn runs(page: &str, variables: &[(&str, String)]) {
     let text = std::fs::read_to_string(root().join("docs").join(page)).expect("a page");
     let folder = tempfile::tempdir().expect("a folder");
-    copy(&root().join("scenes"), &folder.path().join("scenes"));
+    for name in ["scenes", "deploy"] {
+        copy(&root().join(name), &folder.path().join(name));
+    }
     let femc = Path::new(env!("CARGO_BIN_EXE_femc")).parent().expect("a folder");
     let path = format!("{}:{}", femc.display(), std::env::var("PATH").unwrap_or_default());
     let ran = Command::new("timeout")
@@ -140,6 +142,7 @@ macro_rules! pages {
 }
 
 pages! {
+    clusters: "clusters.md",
     first_farm: "first-farm.md",
     two_machines: "two-machines.md",
     tls: "tls.md",

@@ -70,9 +70,7 @@ impl Shares {
                 _ => format!("{} have {worlds} worlds; the others differ in the camera alone", count(render, "frame")),
             };
             let variants = count(variants, "variant");
-            lines.push(format!(
-                "the scene is read once for {variants}, what does not move built once for a camera; {prepared}"
-            ));
+            lines.push(format!("the scene is read once for {variants}, what does not move is built once; {prepared}"));
         }
         if samples_saved > 0 {
             lines.push(format!("linking saves {} samples", human::quantity(samples_saved as f64)));

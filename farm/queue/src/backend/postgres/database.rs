@@ -67,9 +67,9 @@ impl Database {
                 "{error}; it takes `sslrootcert=FILE` with its authority, and the name that its certificate has"
             )),
             (Some(AlertReceived(_) | PeerIncompatible(_)), _) => Some(error.to_string()),
-            // Of a socket in a folder it would be the server that is not there.
+            // A connection to a port does not fail so; that to a socket in a folder does while the server is away.
             (None, io::ErrorKind::NotFound | io::ErrorKind::PermissionDenied)
-                if self.options.get_socket().is_none() =>
+                if self.options.get_socket().is_none() && self.url.contains("ssl") =>
             {
                 Some(format!("{error}: a file that sslrootcert, sslcert or sslkey names"))
             }

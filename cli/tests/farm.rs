@@ -226,7 +226,7 @@ fn six_ways_to_one_frame() {
 
     // Another seed would be another frame; the same job again would be answered from the store: a fresh farm.
     drop((farm, workers));
-    for name in ["farm.db", "farm.db-wal", "farm.db-shm"] {
+    for name in ["farm.db", "farm.db-wal", "farm.db-mark"] {
         let _ = std::fs::remove_file(place.path(name));
     }
     std::fs::remove_dir_all(place.path("artifacts")).expect("the artefacts");

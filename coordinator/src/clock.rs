@@ -37,15 +37,29 @@ pub(crate) struct Clock {
     base: Tick,
     time: Time,
     started: Duration,
+    /// Where it stands.
+    stopped: Option<Duration>,
 }
 
 impl Clock {
     pub(crate) fn from(base: Tick, time: Time) -> Self {
-        Self { base, started: (time.0)(), time }
+        Self { base, started: (time.0)(), time, stopped: None }
     }
 
     pub(crate) fn now(&self) -> Tick {
-        let passed = (self.time.0)().saturating_sub(self.started);
+        let passed = self.stopped.unwrap_or_else(|| (self.time.0)()).saturating_sub(self.started);
         self.base.after(u64::try_from(passed.as_millis()).unwrap_or(u64::MAX))
+    }
+
+    /// Lets it stand still.
+    pub(crate) fn stop(&mut self) {
+        self.stopped.get_or_insert_with(|| (self.time.0)());
+    }
+
+    /// Lets it go on from where it stands.
+    pub(crate) fn go_on(&mut self) {
+        if let Some(stopped) = self.stopped.take() {
+            self.started += (self.time.0)().saturating_sub(stopped);
+        }
     }
 }

@@ -74,6 +74,15 @@ pub struct AttemptPage {
 /// Where an answer goes.
 pub type Reply<T> = oneshot::Sender<Result<T, Refusal>>;
 
+/// What there is.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Listing {
+    /// In order of submission.
+    pub jobs: Vec<JobStatus>,
+    /// What somebody should look after, for people.
+    pub warnings: Vec<String>,
+}
+
 /// A request, to be answered in its own time.
 #[derive(Debug)]
 pub enum Call {
@@ -88,8 +97,8 @@ pub enum Call {
     },
     /// Every job.
     List {
-        /// In order of submission.
-        reply: Reply<Vec<JobStatus>>,
+        /// As they are now.
+        reply: Reply<Listing>,
     },
     /// One job.
     Status {

@@ -8,7 +8,7 @@ use femc_model::{
     Artefact, Attempts, Control, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord,
     Refusal, Tick, WorkerId, WorkerName, WorkerStatus,
 };
-use femc_proto::{BackupError, CallError, Client, CollectMode, Collected, Dial, JobShape};
+use femc_proto::{BackupError, CallError, Client, CollectMode, Collected, Dial, JobShape, Listing};
 use femc_worker::Parcel;
 use std::time::Duration;
 
@@ -95,6 +95,11 @@ impl Farm {
     /// All jobs.
     pub async fn jobs(&self) -> Result<Vec<JobStatus>, Failure> {
         self.client.list().await.map_err(told)
+    }
+
+    /// All jobs, and what somebody should look after.
+    pub async fn listing(&self) -> Result<Listing, Failure> {
+        self.client.listing().await.map_err(told)
     }
 
     /// All jobs, of a coordinator that may be away for a while.
@@ -197,6 +202,7 @@ pub fn told(error: CallError) -> Failure {
             | Refusal::NoSuchArtefact { .. }
             | Refusal::DigestMismatch { .. }
             | Refusal::TooLarge { .. }
+            | Refusal::NoRoom { .. }
             | Refusal::MissingArtefacts { .. }
             | Refusal::Resume { .. } => failed(refusal),
             Refusal::Unauthenticated { .. } => failed(format!(

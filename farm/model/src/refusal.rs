@@ -87,6 +87,14 @@ pub enum Refusal {
         /// Why.
         message: String,
     },
+    /// A disk of the farm is full, or nearly.
+    #[error("the farm takes no new jobs: it has {} MiB left for {place}; make room there (`femc gc`), and submit again", free >> 20)]
+    NoRoom {
+        /// What lies there, and where.
+        place: String,
+        /// Bytes that are free.
+        free: u64,
+    },
     /// Who asks has not shown who it is.
     #[error("you are not known here: {message}")]
     Unauthenticated {

@@ -5,7 +5,7 @@ use femc_model::{Failure, JobId, Refusal};
 use super::{ConvertError, digest, digest_bytes, need};
 use crate::wire;
 use wire::failure::{Cause, Lost, Text};
-use wire::refusal::{Field, Forbidden, Lacking, Limit, Reason};
+use wire::refusal::{Field, Forbidden, Lacking, Limit, Reason, Room};
 
 impl From<Failure> for wire::Failure {
     fn from(failure: Failure) -> Self {
@@ -63,6 +63,7 @@ impl From<Refusal> for wire::Refusal {
                 }
                 Refusal::Resume { offset } => Reason::Resume(offset),
                 Refusal::Unavailable { message } => Reason::Unavailable(message),
+                Refusal::NoRoom { place, free } => Reason::NoRoom(Room { place, free }),
                 Refusal::Forbidden { who, takes } => Reason::Forbidden(Forbidden { who, takes }),
                 Refusal::NoSuchWorker { worker } => Reason::NoSuchWorker(worker),
                 Refusal::Unauthenticated { message } => Reason::Unauthenticated(message),
@@ -89,6 +90,7 @@ impl TryFrom<wire::Refusal> for Refusal {
             }
             Reason::Resume(offset) => Self::Resume { offset },
             Reason::Unavailable(message) => Self::Unavailable { message },
+            Reason::NoRoom(Room { place, free }) => Self::NoRoom { place, free },
             Reason::Forbidden(Forbidden { who, takes }) => Self::Forbidden { who, takes },
             Reason::NoSuchWorker(worker) => Self::NoSuchWorker { worker },
             Reason::Unauthenticated(message) => Self::Unauthenticated { message },

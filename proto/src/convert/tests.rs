@@ -76,6 +76,7 @@ pub(crate) fn refusals() -> Vec<Refusal> {
         Refusal::MissingArtefacts { digests: vec![digest(); Refusal::MOST_NAMED], count: 70 },
         Refusal::Resume { offset: 5 },
         Refusal::Unavailable { message: "m".into() },
+        Refusal::NoRoom { place: "the log".into(), free: 7 },
         Refusal::NoSuchWorker { worker: "w".into() },
         Refusal::Forbidden { who: "viewer ann".into(), takes: "an admin".into() },
         Refusal::Unauthenticated { message: "the token has expired".into() },

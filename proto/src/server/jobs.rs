@@ -12,7 +12,7 @@ use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
 use super::trail::Trail;
-use super::{Call, Caller, JobShape, Server, backup, inputs};
+use super::{Call, Caller, JobShape, Listing, Server, backup, inputs};
 use crate::convert::need;
 use crate::error::to_status;
 use crate::wire;
@@ -42,8 +42,8 @@ impl wire::jobs_server::Jobs for Server {
     }
 
     async fn list(&self, _: Request<wire::ListRequest>) -> Answer<wire::ListReply> {
-        let jobs = self.ask(|reply| Call::List { reply }).await?;
-        Ok(Response::new(wire::ListReply { jobs: jobs.into_iter().map(Into::into).collect() }))
+        let Listing { jobs, warnings } = self.ask(|reply| Call::List { reply }).await?;
+        Ok(Response::new(wire::ListReply { jobs: jobs.into_iter().map(Into::into).collect(), warnings }))
     }
 
     async fn status(&self, request: Request<wire::StatusRequest>) -> Answer<wire::JobStatus> {

@@ -208,7 +208,7 @@ impl Metrics {
 }
 
 fn put_now(page: &mut Page, Now { figures, records }: &Now) {
-    let Figures { jobs, ready, leased, quarantined, samples_left, workers, threads, stale_messages } = figures;
+    let Figures { jobs, ready, leased, quarantined, samples_left, workers, threads, used, stale_messages } = figures;
     let jobs = jobs.iter().map(|&(state, count)| (job_state(state), count));
     page.gauge("femc_jobs", "Jobs, by where they stand.").each("state", jobs);
     let by_stage = |counts: &[(StageKind, u64)]| -> Vec<(&str, u64)> {
@@ -223,6 +223,8 @@ fn put_now(page: &mut Page, Now { figures, records }: &Now) {
     let workers = workers.iter().map(|&(standing, count)| (worker_standing(standing), count));
     page.gauge("femc_workers", "Workers that are there, by whether they get tasks.").each("state", workers);
     page.gauge("femc_threads", "Threads of these workers that render.").counts(*threads);
+    let help = "Seconds of workers that owners have been charged for, each moment of a worker once.";
+    page.counter("femc_worker_seconds_used_total", help).with(&[], *used as f64 / 1000.0);
     let help = "Messages of workers that were refused because their lease was over.";
     page.counter("femc_stale_messages_total", help).counts(*stale_messages);
     let help = "Records of the log since its snapshot: what a restart reads.";

@@ -107,7 +107,7 @@ impl Scheduler {
             desk.take(task, run);
         }
         let size = self.size(task, run);
-        self.charge(task, size);
+        self.claim(task.job, size.milliseconds);
         self.floor.lease(key, run, worker, size, &self.config, now);
     }
 

@@ -12,6 +12,7 @@
 mod affinity;
 mod attempts;
 mod builds;
+mod charge;
 mod config;
 mod control;
 mod deal;
@@ -38,7 +39,7 @@ mod view;
 pub use attempts::{decode_attempts, encode_attempts};
 pub use config::{Config, Quota};
 pub use event::{Answer, Command, Event, RequestId};
-pub use fact::Fact;
+pub use fact::{Fact, Used};
 pub use figures::{Figures, WorkerStanding};
 pub use ledger::{Ledger, SnapshotError};
 pub use ranges::RangeSet;

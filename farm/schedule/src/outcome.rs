@@ -46,12 +46,12 @@ impl Scheduler {
             }
         };
         let is_alone = self.floor.copies.is_empty();
-        if let Some(lease) = self.floor.release(&(task, epoch)) {
+        if let Some(lease) = self.release(&(task, epoch)) {
             self.note(&(task, epoch), &lease, Ending::Done, counted, out);
         }
         // A worker's clock, at most what went by here: a lease may have waited for its turn.
         let spent = ((seconds.max(0.0) * 1000.0) as u64).min(now.since(granted));
-        if let Some(typical) = self.settle(&task, size, spent) {
+        if let Some(typical) = self.learn(&task, size, spent) {
             self.floor.pace(worker, typical, &self.config);
         }
         if let Some(worker) = self.floor.workers.get_mut(&worker) {
@@ -115,7 +115,7 @@ impl Scheduler {
         if self.floor.lease_of(worker, &task, epoch).is_none() {
             return self.without_lease(worker, task, epoch, out);
         }
-        if let Some(lease) = self.floor.release(&(task, epoch)) {
+        if let Some(lease) = self.release(&(task, epoch)) {
             let ending = if failure == Failure::Cancelled { Ending::Cancelled } else { Ending::Failed };
             self.note(&(task, epoch), &lease, ending, Counted::default(), out);
         }

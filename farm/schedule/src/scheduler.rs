@@ -38,6 +38,8 @@ pub struct Scheduler {
     pub(crate) orphans: Orphans,
     /// The jobs that have ended are not looked at before.
     pub(crate) looks_from: Tick,
+    /// What owners have used is not made durable before.
+    pub(crate) shares_from: Tick,
     /// Nothing is dealt and no lease runs out before: after a restart the workers come back one by one, with what they still
     /// work on.
     pub(crate) deals_from: Tick,
@@ -54,7 +56,7 @@ impl Scheduler {
             config,
             floor: Floor::default(),
             desks: BTreeMap::new(),
-            order: Order::default(),
+            order: Order::new(ledger.annex.used()),
             leases: 0,
             stale_messages: 0,
             logs: Shelf::default(),
@@ -62,9 +64,13 @@ impl Scheduler {
             now,
             orphans: Orphans::default(),
             looks_from: Tick(0),
+            shares_from: now.after(Self::NOTE_SHARES),
             deals_from: Tick(0),
             ledger,
         };
+        for (&id, job) in scheduler.ledger.jobs.iter().filter(|(_, job)| job.is_runnable()) {
+            scheduler.order.put(id, job.spec.priority, &job.spec.owner);
+        }
         let jobs: Vec<JobId> = scheduler.ledger.jobs.keys().copied().collect();
         jobs.into_iter().for_each(|job| scheduler.rebuild(job));
         if scheduler.order.jobs().next().is_some() {
@@ -110,6 +116,9 @@ impl Scheduler {
         }
         if is_time {
             self.speculate(now, &mut out);
+        }
+        if self.order.is_leveled() || (is_time && now >= self.shares_from) {
+            self.note_shares(now, &mut out);
         }
         out
     }
@@ -175,7 +184,7 @@ impl Scheduler {
         let is_of_job = self.spec(held.task.job).is_some_and(|spec| spec.key() == held.job);
         is_of_job
             && !is_foreign(&self.ledger, &self.floor, held.task.job, held.task.stage.frame, worker)
-            && self.floor.hand_over(&key, worker, &self.config, now)
+            && self.hand_over(&key, worker, now)
     }
 
     /// The keys of a task that a worker brings along, if it is wanted and nobody else has any of it.
@@ -196,11 +205,15 @@ impl Scheduler {
     }
 
     fn leave(&mut self, worker: WorkerId, out: &mut Vec<Command>) {
-        let held = self.floor.workers.get(&worker).into_iter().flat_map(|known| &known.held);
+        let held = self.floor.held(worker).into_iter();
         let leases: Vec<(LeaseKey, Lease)> =
-            held.filter_map(|key| Some((*key, self.floor.leases.get(key)?.clone()))).collect();
+            held.filter_map(|key| Some((key, self.floor.leases.get(&key)?.clone()))).collect();
         leases.iter().for_each(|(key, lease)| self.note(key, lease, Ending::Lost, Counted::default(), out));
-        for (task, _) in self.floor.leave(worker) {
+        for (key, _) in &leases {
+            self.release(key);
+        }
+        self.floor.leave(worker);
+        for ((task, _), _) in leases {
             self.put_back(&task);
             out.push(Command::Changed(task.job));
         }
@@ -257,7 +270,7 @@ impl Scheduler {
 
     /// Ends a lease and tells its worker.
     pub(crate) fn revoke(&mut self, key: &LeaseKey, reason: RevokeReason, out: &mut Vec<Command>) {
-        if let Some(lease) = self.floor.release(key) {
+        if let Some(lease) = self.release(key) {
             let ending = match reason {
                 RevokeReason::JobEnded => Ending::Cancelled,
                 RevokeReason::Expired | RevokeReason::Done => Ending::Revoked,

@@ -102,7 +102,7 @@ fn take(reports: &mut Reports, last: JobId) -> Reports {
 
 fn job_of(fact: &Fact) -> Option<JobId> {
     match fact {
-        Fact::Opened { .. } | Fact::Drained { .. } => None,
+        Fact::Opened { .. } | Fact::Drained { .. } | Fact::Used { .. } => None,
         Fact::Submitted { job, .. }
         | Fact::Cut { job, .. }
         | Fact::Grouped { job, .. }

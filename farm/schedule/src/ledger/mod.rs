@@ -26,7 +26,7 @@ pub struct Ledger {
     last_job: u64,
     keys: BTreeMap<String, JobId>,
     pub(crate) jobs: BTreeMap<JobId, Job>,
-    /// What version 2 has added: it follows the rest in a snapshot, and an older snapshot ends without it.
+    /// It follows the rest in a snapshot.
     #[serde(skip)]
     pub(crate) annex: Annex,
 }
@@ -83,6 +83,11 @@ impl Ledger {
                 if self.jobs.get(job).is_some_and(|known| known.is_open(*frame)) {
                     self.annex.built(*job, *frame, engine);
                 }
+                return Vec::new();
+            }
+            Fact::Used { owners } => {
+                let jobs = &self.jobs;
+                self.annex.note_used(owners, |owner| jobs.values().any(|job| job.spec.owner == owner));
                 return Vec::new();
             }
             Fact::Forgotten { job } => {

@@ -114,6 +114,7 @@ impl Metrics {
                 self.0.done.add(task.stage.kind.name(), 1);
             }
             Command::Record(Fact::Failed { failure: failure @ Failure::Stalled { .. }, .. }) => self.failed(failure),
+            Command::Record(Fact::Died { .. }) => self.0.failures.add("killed", 1),
             Command::Note(attempt) => self.0.attempts.add(attempt.ending.name(), 1),
             Command::Assign { assignment, .. } => {
                 let lease = if assignment.copy_of.is_some() { "second" } else { "first" };
@@ -178,7 +179,7 @@ impl Metrics {
         page.counter("femc_tasks_done_total", "Results that count, by what the task did.").each("stage", done.get());
         let help = "Attempts at tasks that have ended, by how: done, failed, cancelled, revoked, lost.";
         page.counter("femc_attempts_total", help).each("ending", attempts.get());
-        let help = "Tasks that were not done, by cause; store and resources are the surroundings', cancelled is given back: these use up no attempt.";
+        let help = "Tasks that were not done, by cause; store and resources are the surroundings', cancelled is given back: these use up no attempt; killed: a worker died while it computed it.";
         page.counter("femc_task_failures_total", help).each("cause", failures.get());
         let help = "Leases granted; second: of a late task, to another worker.";
         page.counter("femc_leases_granted_total", help).each("lease", granted.get());

@@ -144,6 +144,7 @@ impl<'a> Session<'a> {
                         tracing::Span::current().record("worker", worker.0);
                         tracing::info!(url = self.client.url(), "joined");
                         self.config.metrics.connected();
+                        self.config.journal.told();
                         self.claims.welcomed(lease);
                         let every = Duration::from_millis(pause.max(10));
                         let pulse = heartbeat.insert(tokio::time::interval(every));
@@ -214,7 +215,8 @@ impl<'a> Session<'a> {
                     let (task, epoch) = task;
                     return out.send(FromWorker::Failed { task, epoch, failure, log: None, usage: None }).await;
                 }
-                let ahead = matches!(assignment.work, Work::Render { .. }).then(|| {
+                let is_ahead = matches!(assignment.work, Work::Render { .. }) && !self.config.journal.is_careful();
+                let ahead = is_ahead.then(|| {
                     let (spec, frame) = (spec.clone(), assignment.task.stage.frame);
                     Ahead { spec, frame, client: self.client.clone(), task }
                 });

@@ -7,6 +7,8 @@ use femc_model::{
 };
 use serde::{Deserialize, Serialize};
 
+use crate::Casualty;
+
 /// What an owner has used, and where that puts him.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Used {
@@ -134,6 +136,20 @@ pub enum Fact {
         frame: u32,
         /// Which build.
         engine: String,
+    },
+    /// A worker died while it computed a task.
+    Died {
+        /// Which.
+        task: TaskKey,
+        /// End of the lease's run of grains, which begins with the task's key; of a task of another kind, the next key.
+        end: u32,
+        /// Who, and how one knows.
+        casualty: Casualty,
+    },
+    /// A process of which deaths were presumed has come back.
+    Lives {
+        /// Which.
+        instance: u64,
     },
     /// What owners have used, of those of whom it has changed.
     Used {

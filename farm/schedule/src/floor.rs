@@ -315,9 +315,13 @@ impl Floor {
     /// Of a lease that ran out although its worker is there: that worker, and for how many seconds nothing moved.
     pub(crate) fn stalled(&self, key: &LeaseKey, config: &Config, now: Tick) -> Option<(WorkerId, u64)> {
         let lease = self.leases.get(key)?;
-        let worker = self.workers.get(&lease.worker)?;
-        let is_there = now.since(worker.seen) < config.lease;
-        (is_there && lease.phase != Phase::Waiting).then(|| (lease.worker, now.since(lease.moved) / 1000))
+        (!self.is_silent(lease.worker, config, now) && lease.phase != Phase::Waiting)
+            .then(|| (lease.worker, now.since(lease.moved) / 1000))
+    }
+
+    /// Whether a worker has said nothing for a lease's time.
+    pub(crate) fn is_silent(&self, worker: WorkerId, config: &Config, now: Tick) -> bool {
+        self.workers.get(&worker).is_none_or(|known| now.since(known.seen) >= config.lease)
     }
 
     /// The leases whose time is up, earliest first.

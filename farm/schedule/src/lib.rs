@@ -16,6 +16,7 @@ mod charge;
 mod config;
 mod control;
 mod deal;
+mod deaths;
 mod desk;
 mod distrust;
 mod event;
@@ -38,6 +39,7 @@ mod view;
 
 pub use attempts::{decode_attempts, encode_attempts};
 pub use config::{Config, Quota};
+pub use deaths::{Casualty, Evidence};
 pub use event::{Answer, Command, Event, RequestId};
 pub use fact::{Fact, Used};
 pub use figures::{Figures, WorkerStanding};

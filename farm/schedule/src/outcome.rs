@@ -23,6 +23,7 @@ impl Scheduler {
         out: &mut Vec<Command>,
     ) {
         self.note_seen(worker, now);
+        self.note_life(worker, now, out);
         let Some(lease) = self.floor.lease_of(worker, &task, epoch) else {
             return self.without_lease(worker, task, epoch, out);
         };

@@ -190,7 +190,7 @@ fn quarantined(id: JobId, job: &Job) -> Vec<Quarantined> {
         for (kind, index, trouble) in frame.quarantined() {
             let stage = Stage { frame: number, round: frame.round, kind };
             let task = TaskKey { job: id, stage, index };
-            all.push(Quarantined { task, attempts: trouble.attempts, failure: trouble.failure.clone() });
+            all.push(Quarantined { task, attempts: trouble.tries(), failure: trouble.failure.clone() });
         }
     }
     all

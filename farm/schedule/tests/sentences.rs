@@ -414,12 +414,14 @@ fn what_a_returning_worker_brings_is_taken_back_if_another_has_it_or_the_job_is_
     assert!(commands.iter().any(|c| matches!(c, Command::Revoke { task, .. } if *task == held.task)), "{commands:?}");
     assert!(refused(&farm.complete(3, &held, Done)), "the other worker's lease counts");
 
-    let mut farm = Farm::new();
-    assert_eq!(farm.submit(job(&[1], 3, &[8])), id);
-    let (task, epoch) = (held.task, held.epoch);
-    let other = HeldLease { task, epoch, samples: 0..4, job: job(&[1], 2, &[8]).key() };
-    let commands = farm.join_as(1, Registration { held: vec![other], ..registration() });
-    assert!(commands.iter().any(|c| matches!(c, Command::Revoke { .. })), "another farm's job of the same number");
+    // Another farm's job of the same number; nothing but its key tells it from this one.
+    for (job_is, is_taken_back) in [(job(&[1], 3, &[8]), false), (job(&[1], 2, &[8]), true)] {
+        let mut farm = Farm::new();
+        assert_eq!(farm.submit(job(&[1], 3, &[8])), id);
+        let brought = HeldLease { job: job_is.key(), ..HeldLease { samples: 0..8, ..farm.lease(&held) } };
+        let commands = farm.join_as(1, Registration { held: vec![brought], ..registration() });
+        assert_eq!(commands.iter().any(|c| matches!(c, Command::Revoke { .. })), is_taken_back, "{commands:?}");
+    }
 }
 
 #[test]

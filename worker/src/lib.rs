@@ -45,7 +45,7 @@ pub use pieces::Pieces;
 pub use sums::decode as decode_sums;
 pub use worker::Worker;
 
-/// The build of the engine that this worker renders with.
-fn engine() -> &'static str {
+/// The build of the engine that this program's workers render with.
+pub fn engine() -> &'static str {
     femc_fault::pretended(femc_fault::Pretense::Engine).unwrap_or(femc_pipeline::BUILD)
 }

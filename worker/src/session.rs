@@ -11,7 +11,7 @@ use femc_model::{
     Epoch, Failure, FromWorker, JobId, JobSpec, Latest, Phase, Registration, Spent, TaskKey, TaskLog, TaskResult,
     ToWorker, Usage, Work,
 };
-use femc_proto::{CallError, Client, Incoming, Outgoing};
+use femc_proto::{CallError, Client, Incoming, Outgoing, Why};
 use tokio::sync::mpsc::UnboundedReceiver;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, Interval, MissedTickBehavior};
@@ -99,6 +99,7 @@ impl<'a> Session<'a> {
         let silent = || CallError::Unreachable {
             url: self.client.url().into(),
             message: format!("it said nothing for {} s", Claims::INTRODUCTION.as_secs()),
+            why: Why::Away,
         };
         let (out, mut incoming) = tokio::select! {
             biased;

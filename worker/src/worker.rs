@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::{Refusal, Registration};
-use femc_proto::{CallError, Client};
+use femc_proto::{CallError, Client, Why};
 use rayon::ThreadPoolBuilder;
 use tokio::runtime::Handle;
 use tokio::sync::mpsc;
@@ -114,7 +114,11 @@ impl Worker {
                 Ok(End::Stopped) => break Ok(()),
                 Ok(End::Lost) => {
                     away = Stopwatch::start();
-                    CallError::Unreachable { url: config.join.clone(), message: "it ended the session".into() }
+                    CallError::Unreachable {
+                        url: config.join.clone(),
+                        message: "it ended the session".into(),
+                        why: Why::Away,
+                    }
                 }
                 Err(
                     error @ (CallError::Refused(Refusal::Forbidden { .. } | Refusal::Unauthenticated { .. })

@@ -3,7 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-use femc_model::{Epoch, Intake, JobId, Phase, Registration, Stage, StageKind, TaskKey, TaskProgress, Tick, WorkerId};
+use femc_model::{
+    Epoch, Failure, Intake, JobId, Phase, Registration, Stage, StageKind, TaskKey, TaskProgress, Tick, WorkerId,
+};
 
 use crate::Config;
 use crate::affinity::AtHand;
@@ -31,6 +33,8 @@ pub(crate) struct Worker {
     pub(crate) rests_until: Tick,
     /// Failures of its surroundings in a row.
     pub(crate) mishaps: u32,
+    /// The last of them.
+    pub(crate) trouble: Option<Failure>,
     pub(crate) completed: u64,
     pub(crate) failed: u64,
     /// Tasks that it may hold beyond `prefetch`, because they are short.
@@ -54,7 +58,12 @@ impl Worker {
 
     /// Whether it is there, well, and wants work.
     pub(crate) fn is_fit(&self, config: &Config, now: Tick) -> bool {
-        self.is_open() && now >= self.rests_until && now.since(self.seen) < config.lease
+        self.is_open() && now >= self.rests_until && !self.is_silent(config, now)
+    }
+
+    /// Whether it has not been heard of for as long as a lease lasts.
+    pub(crate) fn is_silent(&self, config: &Config, now: Tick) -> bool {
+        now.since(self.seen) >= config.lease
     }
 }
 
@@ -133,6 +142,7 @@ impl Floor {
             moved: now,
             rests_until: Tick(0),
             mishaps: 0,
+            trouble: None,
             completed: 0,
             failed: 0,
             depth: 0,

@@ -58,6 +58,7 @@ impl Scheduler {
         if let Some(worker) = self.floor.workers.get_mut(&worker) {
             worker.completed += 1;
             worker.mishaps = 0;
+            worker.trouble = None;
         }
         self.note_build(task.job, task.stage.frame, worker, now, out);
         self.record(fact, now, out);
@@ -122,7 +123,7 @@ impl Scheduler {
         }
         match failure.verdict() {
             Verdict::Cancelled => {}
-            Verdict::Infrastructure => self.rest(worker, now),
+            Verdict::Infrastructure => self.rest(worker, failure, now),
             Verdict::Retry => self.count_failure(worker, task, failure, now, out),
             Verdict::Fatal => self.doom(task.job, failure, now, out),
             Verdict::Rebuild(digests) => self.rebuild_inputs(worker, task, &digests, failure, now, out),
@@ -155,11 +156,12 @@ impl Scheduler {
         }
     }
 
-    fn rest(&mut self, worker: WorkerId, now: Tick) {
+    fn rest(&mut self, worker: WorkerId, trouble: Failure, now: Tick) {
         let Some(worker) = self.floor.workers.get_mut(&worker) else { return };
         let rest = self.config.rest.saturating_mul(1 << worker.mishaps.min(20)).min(self.config.longest_rest);
         worker.rests_until = now.after(rest);
         worker.mishaps += 1;
+        worker.trouble = Some(trouble);
     }
 
     /// A failure counts as an attempt unless another worker does the same.

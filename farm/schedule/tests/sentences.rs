@@ -225,7 +225,9 @@ fn a_full_disk_uses_up_no_attempt_and_gives_the_worker_a_rest() {
         let held = farm.first_of(1);
         farm.fail(1, &held, Failure::Store { message: "disk full".into() });
         assert_eq!(farm.tasks_of(1), []);
-        assert_eq!(farm.status(id).waits, [Wait::WorkersResting]);
+        let failure = Failure::Store { message: "disk full".into() };
+        let trouble = Wait::WorkersInTrouble { workers: 1, seconds: pause / 1000, failure };
+        assert_eq!(farm.status(id).waits, [Wait::WorkersResting, trouble]);
         farm.now = farm.now.after(pause - 1);
         farm.heartbeat(1, Phase::Waiting, 0);
         assert_eq!(farm.tasks_of(1), []);
@@ -233,6 +235,21 @@ fn a_full_disk_uses_up_no_attempt_and_gives_the_worker_a_rest() {
         assert_eq!(farm.tasks_of(1).len(), 1);
     }
     assert_eq!(farm.status(id).quarantined, []);
+}
+
+#[test]
+fn a_worker_that_is_silent_is_told_as_such_and_not_as_one_that_rests() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 6, &[4]));
+    farm.join(1);
+    farm.wait(5_000);
+    assert_eq!(farm.status(id).waits, [Wait::WorkersSilent { workers: 1, seconds: 5 }]);
+    // Another that works changes nothing about the first.
+    farm.join(2);
+    let silent = Wait::WorkersSilent { workers: 1, seconds: 5 };
+    assert_eq!(farm.status(id).waits, [Wait::WorkersBusy { workers: 1 }, silent]);
+    farm.heartbeat(1, Phase::Waiting, 0);
+    assert!(!farm.status(id).waits.iter().any(|wait| matches!(wait, Wait::WorkersSilent { .. })));
 }
 
 #[test]

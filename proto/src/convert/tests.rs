@@ -241,6 +241,8 @@ fn statuses_cross_the_wire() {
         Wait::WorkersBusy { workers: 3 },
         Wait::WorkersDraining { workers: 1 },
         Wait::WorkersResting,
+        Wait::WorkersSilent { workers: 2, seconds: 9 },
+        Wait::WorkersInTrouble { workers: 1, seconds: 4, failure: Failure::Store { message: "full".into() } },
         Wait::WorkersShunned { workers: 2, seconds: 60 },
         Wait::WorkersAvoided { tasks: 3 },
         Wait::Regrouping { milliseconds: 300 },

@@ -114,6 +114,7 @@ async fn worker(client: &Client) -> (Outgoing, Incoming) {
         slots: 1,
         tags: vec![],
         held: vec![],
+        died: None,
     };
     client.session(registration).await.unwrap()
 }

@@ -54,6 +54,12 @@ pub enum Failure {
     /// The worker gave the task back: it was told to, or is leaving.
     #[error("cancelled")]
     Cancelled,
+    /// The result, or an input, is larger than the artefact store takes: it would be so everywhere.
+    #[error("an artefact of more than {limit} bytes, which is the most that the farm's store takes")]
+    TooLarge {
+        /// Bytes.
+        limit: u64,
+    },
 }
 
 /// What a failure means for the task.
@@ -73,8 +79,8 @@ pub enum Verdict {
 
 impl Failure {
     /// All that [`Failure::cause`] says.
-    pub const CAUSES: [&str; 8] =
-        ["scene", "settings", "panicked", "stalled", "lost_inputs", "store", "resources", "cancelled"];
+    pub const CAUSES: [&str; 9] =
+        ["scene", "settings", "panicked", "stalled", "lost_inputs", "store", "resources", "cancelled", "too_large"];
 
     /// In one word, for those who count.
     pub const fn cause(&self) -> &'static str {
@@ -87,13 +93,14 @@ impl Failure {
             Self::Store { .. } => "store",
             Self::Resources { .. } => "resources",
             Self::Cancelled => "cancelled",
+            Self::TooLarge { .. } => "too_large",
         }
     }
 
     /// What follows; exhaustive, so that a new failure must choose.
     pub fn verdict(&self) -> Verdict {
         match self {
-            Self::Scene { .. } | Self::Settings { .. } => Verdict::Fatal,
+            Self::Scene { .. } | Self::Settings { .. } | Self::TooLarge { .. } => Verdict::Fatal,
             Self::Panicked { .. } | Self::Stalled { .. } => Verdict::Retry,
             Self::LostInputs { digests, .. } => Verdict::Rebuild(digests.clone()),
             Self::Store { .. } | Self::Resources { .. } => Verdict::Infrastructure,

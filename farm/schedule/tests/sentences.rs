@@ -225,7 +225,8 @@ fn a_full_disk_uses_up_no_attempt_and_gives_the_worker_a_rest() {
         let held = farm.first_of(1);
         farm.fail(1, &held, Failure::Store { message: "disk full".into() });
         assert_eq!(farm.tasks_of(1), []);
-        assert_eq!(farm.status(id).waits, [Wait::WorkersResting]);
+        let mishap = Wait::Mishaps { tasks: 1, message: "store: disk full".into() };
+        assert_eq!(farm.status(id).waits, [mishap, Wait::WorkersResting]);
         farm.now = farm.now.after(pause - 1);
         farm.heartbeat(1, Phase::Waiting, 0);
         assert_eq!(farm.tasks_of(1), []);

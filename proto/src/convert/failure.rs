@@ -22,6 +22,7 @@ impl From<Failure> for wire::Failure {
                 Failure::Store { message } => Cause::Store(text(message)),
                 Failure::Resources { message } => Cause::Resources(text(message)),
                 Failure::Cancelled => Cause::Cancelled(wire::Empty {}),
+                Failure::TooLarge { limit } => Cause::TooLarge(limit),
             }),
         }
     }
@@ -43,6 +44,7 @@ impl TryFrom<wire::Failure> for Failure {
             Cause::Store(Text { message }) => Self::Store { message },
             Cause::Resources(Text { message }) => Self::Resources { message },
             Cause::Cancelled(_) => Self::Cancelled,
+            Cause::TooLarge(limit) => Self::TooLarge { limit },
         })
     }
 }
@@ -61,6 +63,7 @@ impl From<Refusal> for wire::Refusal {
                 Refusal::MissingArtefacts { digests, count } => {
                     Reason::MissingArtefacts(Lacking { digests: digests.iter().map(digest_bytes).collect(), count })
                 }
+                Refusal::ArtefactTooLarge { limit } => Reason::ArtefactTooLarge(limit),
                 Refusal::Resume { offset } => Reason::Resume(offset),
                 Refusal::Unavailable { message } => Reason::Unavailable(message),
                 Refusal::Forbidden { who, takes } => Reason::Forbidden(Forbidden { who, takes }),
@@ -87,6 +90,7 @@ impl TryFrom<wire::Refusal> for Refusal {
                 let digests = digests.iter().map(|bytes| digest("refusal.missing", bytes)).collect::<Result<_, _>>()?;
                 Self::MissingArtefacts { digests, count }
             }
+            Reason::ArtefactTooLarge(limit) => Self::ArtefactTooLarge { limit },
             Reason::Resume(offset) => Self::Resume { offset },
             Reason::Unavailable(message) => Self::Unavailable { message },
             Reason::Forbidden(Forbidden { who, takes }) => Self::Forbidden { who, takes },

@@ -68,6 +68,7 @@ pub(crate) struct Outbox(Option<Arc<Desk>>);
 
 #[derive(Debug)]
 struct Desk {
+    folder: PathBuf,
     line: Mutex<Line>,
     /// There is something in the line, or it is closed.
     called: Condvar,
@@ -141,7 +142,9 @@ impl Outbox {
             tracing::info!(results = restored.len(), folder = %folder.display(), "results of before are brought along");
         }
         let line = Line { there: files.keys().copied().collect(), ..Line::default() };
-        let desk = Arc::new(Desk { line: Mutex::new(line), called: Condvar::new(), clerk: Mutex::default() });
+        let place = folder.clone();
+        let desk =
+            Arc::new(Desk { folder: place, line: Mutex::new(line), called: Condvar::new(), clerk: Mutex::default() });
         let mut clerk = Clerk { used: files.values().sum(), files, folder, limit: config.limit, _lock: lock };
         let orders = desk.clone();
         let thread = std::thread::Builder::new()
@@ -161,6 +164,11 @@ impl Outbox {
             .map_err(|error| WorkerError::Threads(error.to_string()))?;
         *desk.clerk.lock().unwrap_or_else(PoisonError::into_inner) = Some(thread);
         Ok((Self(Some(desk)), restored))
+    }
+
+    /// Its folder, which no other worker uses.
+    pub(crate) fn folder(&self) -> Option<&Path> {
+        self.0.as_ref().map(|desk| &*desk.folder)
     }
 
     /// Writes a finished task's result, unless the coordinator answers before its turn comes.
@@ -403,7 +411,7 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use std::sync::Arc;
 
     use femc_model::{Artefact, Grid, JobId, Stage, StageKind, TileResult, Work};
@@ -428,7 +436,7 @@ mod tests {
     }
 
     /// A finished task, with a client that is never asked anything.
-    async fn task(index: u32, bytes: &'static [u8]) -> Arc<Task> {
+    pub(crate) async fn task(index: u32, bytes: &'static [u8]) -> Arc<Task> {
         let stage = Stage { frame: 1, round: 0, kind: StageKind::Render };
         let task = TaskKey { job: JobId(3), stage, index };
         let work = Work::Render { tile: index, samples: 0..4 };

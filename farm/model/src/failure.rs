@@ -54,6 +54,14 @@ pub enum Failure {
     /// The worker gave the task back: it was told to, or is leaving.
     #[error("cancelled")]
     Cancelled,
+    /// Workers died while they computed it.
+    #[error("workers died {deaths} times while they computed it; the last was {worker}")]
+    Killed {
+        /// How often.
+        deaths: u32,
+        /// Name of the last one.
+        worker: String,
+    },
     /// The result, or an input, is larger than the artefact store takes: it would be so everywhere.
     #[error("an artefact of more than {limit} bytes, which is the most that the farm's store takes")]
     TooLarge {
@@ -79,8 +87,18 @@ pub enum Verdict {
 
 impl Failure {
     /// All that [`Failure::cause`] says.
-    pub const CAUSES: [&str; 9] =
-        ["scene", "settings", "panicked", "stalled", "lost_inputs", "store", "resources", "cancelled", "too_large"];
+    pub const CAUSES: [&str; 10] = [
+        "scene",
+        "settings",
+        "panicked",
+        "stalled",
+        "lost_inputs",
+        "store",
+        "resources",
+        "cancelled",
+        "killed",
+        "too_large",
+    ];
 
     /// In one word, for those who count.
     pub const fn cause(&self) -> &'static str {
@@ -93,6 +111,7 @@ impl Failure {
             Self::Store { .. } => "store",
             Self::Resources { .. } => "resources",
             Self::Cancelled => "cancelled",
+            Self::Killed { .. } => "killed",
             Self::TooLarge { .. } => "too_large",
         }
     }
@@ -101,7 +120,7 @@ impl Failure {
     pub fn verdict(&self) -> Verdict {
         match self {
             Self::Scene { .. } | Self::Settings { .. } | Self::TooLarge { .. } => Verdict::Fatal,
-            Self::Panicked { .. } | Self::Stalled { .. } => Verdict::Retry,
+            Self::Panicked { .. } | Self::Stalled { .. } | Self::Killed { .. } => Verdict::Retry,
             Self::LostInputs { digests, .. } => Verdict::Rebuild(digests.clone()),
             Self::Store { .. } | Self::Resources { .. } => Verdict::Infrastructure,
             Self::Cancelled => Verdict::Cancelled,

@@ -102,7 +102,7 @@ fn take(reports: &mut Reports, last: JobId) -> Reports {
 
 fn job_of(fact: &Fact) -> Option<JobId> {
     match fact {
-        Fact::Opened { .. } | Fact::Drained { .. } => None,
+        Fact::Opened { .. } | Fact::Drained { .. } | Fact::Used { .. } | Fact::Lives { .. } => None,
         Fact::Submitted { job, .. }
         | Fact::Cut { job, .. }
         | Fact::Grouped { job, .. }
@@ -115,6 +115,7 @@ fn job_of(fact: &Fact) -> Option<JobId> {
         | Fact::Gathered { task, .. }
         | Fact::Merged { task, .. }
         | Fact::Failed { task, .. }
+        | Fact::Died { task, .. }
         | Fact::Lost { task } => Some(task.job),
         Fact::Logged(record) => Some(record.task.job),
     }

@@ -79,6 +79,7 @@ impl Hand {
             slots: 1,
             tags: vec![],
             held: vec![],
+            died: None,
         };
         let (out, incoming) = client.session(registration).await.unwrap();
         Self { client, out, incoming, waiting: VecDeque::new() }

@@ -53,6 +53,7 @@ enum Question {
     Attempts(JobId, u64, Reply<AttemptPage>),
     Workers(Reply<Vec<femc_model::WorkerStatus>>),
     Drained(Result<Vec<WorkerId>, Refusal>, Reply<Vec<WorkerId>>),
+    Told(Reply<()>),
     References(Reply<References>),
     Backup(Reply<Backup>),
 }
@@ -280,6 +281,10 @@ impl<Q: Queue> Actor<Q> {
                 let answer = if workers.is_empty() { Err(nobody()) } else { Ok(workers) };
                 self.questions.push(Question::Drained(answer, reply));
             }
+            Call::Lost { digest, reply } => {
+                self.hear(Event::Lost { digest }, commands);
+                self.questions.push(Question::Told(reply));
+            }
             Call::Logs { job, since, reply } => self.questions.push(Question::Logs(job, since, reply)),
             Call::Shape { job, reply } => self.questions.push(Question::Shape(job, reply)),
             Call::Attempts { job, from, reply } => self.questions.push(Question::Attempts(job, from, reply)),
@@ -373,6 +378,7 @@ impl<Q: Queue> Actor<Q> {
                     drop(reply.send(page));
                 }
                 Question::Drained(answer, reply) => drop(reply.send(answer)),
+                Question::Told(reply) => drop(reply.send(Ok(()))),
                 Question::Workers(reply) => drop(reply.send(Ok(self.scheduler.workers(now)))),
                 Question::References(reply) => drop(reply.send(Ok(self.references()))),
                 Question::Backup(reply) => {

@@ -22,8 +22,8 @@ use std::io;
 use std::sync::Arc;
 
 use femc_model::{
-    AttemptRecord, Control, Cut, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord,
-    Refusal, Registration, Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
+    AttemptRecord, Control, Cut, Digest, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus,
+    LogRecord, Refusal, Registration, Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use femc_store::Store;
 use femc_trust::{Audit, Identity, Revoked, Tokens};
@@ -185,6 +185,13 @@ pub enum Call {
     Backup {
         /// When all before it is durable.
         reply: Reply<Backup>,
+    },
+    /// An artefact that somebody wanted is not in the store, or was damaged and is removed.
+    Lost {
+        /// Which.
+        digest: Digest,
+        /// When what follows is durable.
+        reply: Reply<()>,
     },
     /// A worker has come.
     Session(Box<Session>),

@@ -117,14 +117,14 @@ impl Farm {
 
     /// An artefact's bytes.
     pub async fn get(&self, artefact: &Artefact) -> Result<Vec<u8>, Failure> {
-        Ok(self.client.get(&artefact.digest, artefact.bytes).await.map_err(told)?.to_vec())
+        Ok(self.client.get_exactly(artefact).await.map_err(told)?.to_vec())
     }
 
-    /// The same of one that may be gone.
+    /// The same of one that may be gone, or damaged, which is as good as gone.
     pub async fn get_if_there(&self, artefact: &Artefact) -> Result<Option<Vec<u8>>, Failure> {
-        match self.client.get(&artefact.digest, artefact.bytes).await {
+        match self.client.get_exactly(artefact).await {
             Ok(bytes) => Ok(Some(bytes.to_vec())),
-            Err(CallError::Refused(Refusal::NoSuchArtefact { .. })) => Ok(None),
+            Err(CallError::Refused(Refusal::NoSuchArtefact { .. } | Refusal::DigestMismatch { .. })) => Ok(None),
             Err(error) => Err(told(error)),
         }
     }
@@ -307,6 +307,7 @@ pub fn told(error: CallError) -> Failure {
             | Refusal::DigestMismatch { .. }
             | Refusal::TooLarge { .. }
             | Refusal::NoRoom { .. }
+            | Refusal::ArtefactTooLarge { .. }
             | Refusal::MissingArtefacts { .. }
             | Refusal::Resume { .. } => failed(refusal),
             Refusal::Unauthenticated { .. } => failed(format!(

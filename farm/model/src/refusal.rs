@@ -56,6 +56,12 @@ pub enum Refusal {
         /// The most there may be.
         limit: u64,
     },
+    /// More than the store takes of one artefact, whoever sends it and whenever.
+    #[error("an artefact of more than {limit} bytes: the store takes no more")]
+    ArtefactTooLarge {
+        /// Bytes.
+        limit: u64,
+    },
     /// The job needs artefacts that are not in the store.
     #[error(
         "the store lacks {count} of the artefacts that the job needs, as {}; upload them and submit again",

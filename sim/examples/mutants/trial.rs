@@ -278,7 +278,9 @@ impl<'a> Trial<'a> {
         for test in self.built.tests.get(package).into_iter().flatten() {
             let mut command = Command::new(test);
             command.arg("--quiet").current_dir(self.tree.join(folder));
-            if !passes(&mut command, number, most.saturating_sub(begun.elapsed()))? {
+            // On a machine with other load a test may fail for want of time: what fails twice, fails.
+            let mut passes = || passes(&mut command, number, most.saturating_sub(begun.elapsed()));
+            if !passes()? && !passes()? {
                 let name = test.file_name().unwrap_or_default().to_string_lossy();
                 return Ok(Some(name.rsplit_once('-').map_or(&*name, |(name, _)| name).to_owned()));
             }

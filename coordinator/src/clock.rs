@@ -1,13 +1,13 @@
 //! The coordinator's one clock.
 
 use std::fmt;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use femc_model::Tick;
 use tokio::time::Instant;
 
-/// Where the coordinator's time comes from: a source that never goes back. A simulation has its own.
+/// Where the coordinator's time comes from. A simulation has its own, which may go back, as a machine's may that was moved.
 #[derive(Clone)]
 pub struct Time(Arc<dyn Fn() -> Duration + Send + Sync>);
 
@@ -31,21 +31,54 @@ impl fmt::Debug for Time {
     }
 }
 
-/// Gives the scheduler its time: it goes on from where the log ended.
-#[derive(Debug, Clone)]
+/// Gives the scheduler its time: it goes on from where the log ended, and never goes back. Where its source does, it goes on
+/// from there: what went by before has gone by.
+#[derive(Debug)]
 pub(crate) struct Clock {
     base: Tick,
     time: Time,
-    started: Duration,
+    shown: Mutex<Shown>,
+}
+
+/// What the source showed last, and all that has gone by.
+#[derive(Debug)]
+struct Shown {
+    last: Duration,
+    passed: Duration,
 }
 
 impl Clock {
     pub(crate) fn from(base: Tick, time: Time) -> Self {
-        Self { base, started: (time.0)(), time }
+        let shown = Shown { last: (time.0)(), passed: Duration::ZERO };
+        Self { base, shown: Mutex::new(shown), time }
     }
 
     pub(crate) fn now(&self) -> Tick {
-        let passed = (self.time.0)().saturating_sub(self.started);
-        self.base.after(u64::try_from(passed.as_millis()).unwrap_or(u64::MAX))
+        let time = (self.time.0)();
+        // A panic within the few lines under this lock leaves nothing half done.
+        let mut shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
+        let passed = time.saturating_sub(shown.last);
+        shown.passed += passed;
+        shown.last = time;
+        self.base.after(u64::try_from(shown.passed.as_millis()).unwrap_or(u64::MAX))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicU64, Ordering};
+
+    use super::*;
+
+    #[test]
+    fn a_source_that_goes_back_does_not_turn_time_back_nor_hold_it() {
+        let source = Arc::new(AtomicU64::new(10_000));
+        let shows = source.clone();
+        let clock = Clock::from(Tick(5), Time::by(move || Duration::from_millis(shows.load(Ordering::Relaxed))));
+        let after = |milliseconds| {
+            source.store(milliseconds, Ordering::Relaxed);
+            clock.now().0
+        };
+        assert_eq!([11_000, 4_000, 4_500, 4_400, 14_400].map(after), [1_005, 1_005, 1_505, 1_505, 11_505]);
     }
 }

@@ -7,6 +7,8 @@ use std::time::Duration;
 use femc_queue::{Batch, Contents, Note, Page, Queue, QueueError};
 use femc_schedule::{Fact, Ledger, SnapshotError};
 
+use crate::audit::settled;
+use crate::promises::Told;
 use crate::shared::{Shared, State, Trap};
 
 /// Longest that the disk takes before and after a write.
@@ -29,6 +31,8 @@ pub(crate) struct Disk {
     /// What is kept beside the log, oldest first.
     pub(crate) notes: Vec<Note>,
     tail: Tail,
+    /// How many there were before.
+    pub(crate) logs: u32,
     /// Of the coordinator that may write.
     epoch: i64,
     /// So many writes find no room.
@@ -56,6 +60,22 @@ impl Disk {
             ledger.apply(&fact, now);
         }
         Ok(ledger)
+    }
+}
+
+impl State {
+    /// The log is gone: what was wrong with it is said, and a log begins that knows of nothing. Who may write does not change.
+    pub(crate) fn lose_log(&mut self) {
+        let wrong = settled(self);
+        self.wrong.extend(wrong);
+        let Disk { epoch, logs, snapshots, longest, .. } = std::mem::take(&mut self.disk);
+        self.disk = Disk { epoch, logs: logs + 1, snapshots, longest, ..Disk::default() };
+        self.leases.anew();
+        self.chronicle.anew();
+        self.told = Told::default();
+        self.accepted.clear();
+        self.reported.clear();
+        self.robbed.clear();
     }
 }
 
@@ -161,9 +181,11 @@ impl Queue for Log {
             if written == Written::Whole || !records.is_empty() {
                 state.disk.keep(&batch);
             }
-            for (_, fact) in records.iter().filter_map(|record| Fact::decode(record).ok()) {
-                let wrong = state.leases.judge(&fact);
-                state.wrong.extend(wrong);
+            let now = turmoil::sim_elapsed().unwrap_or_default();
+            for (tick, fact) in records.iter().filter_map(|record| Fact::decode(record).ok()) {
+                let leased = state.leases.judge(&fact);
+                let said = state.chronicle.take(tick, &fact, now, &state.told.controls);
+                state.wrong.extend(leased.into_iter().chain(said));
             }
             state.disk.contents.records.extend_from_slice(&records);
             state.disk.longest = state.disk.longest.max(state.disk.contents.records.len());

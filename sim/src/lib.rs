@@ -10,21 +10,25 @@
 #![deny(missing_docs)]
 
 mod audit;
+mod cast;
+mod chronicle;
 mod disk;
 mod faults;
 mod hosts;
 mod leases;
 mod network;
-mod person;
+mod people;
+mod promises;
 mod shared;
 mod shelf;
 mod soak;
 mod stage;
 mod switch;
+mod tasks;
 mod weather;
 mod world;
 
 pub use audit::Violation;
-pub use faults::{Fault, Planned};
+pub use faults::{Fault, Harm, Planned};
 pub use soak::{Gauge, Soak, Soaked};
 pub use world::{Outcome, Tells, run};

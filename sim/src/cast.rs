@@ -12,6 +12,7 @@ use rand::rngs::SmallRng;
 use rand::{RngExt as _, SeedableRng as _};
 
 use crate::audit::Violation;
+use crate::faults::Hardship;
 use crate::people::{Curse, Errand, Manner, Person, Whim, answer, drain_a_while, open_all, some};
 use crate::shared::Shared;
 use crate::shelf::Shelf;
@@ -73,7 +74,11 @@ impl Cast {
             seed,
             people,
             drains: rng.random_range(0..3) == 0,
-            senders: if rng.random_range(0..8) == 0 { rng.random_range(2..4) } else { 0 },
+            senders: if rng.random_range(0..8) == 0 && Hardship::Senders.is_there() {
+                rng.random_range(2..4)
+            } else {
+                0
+            },
             collects: seed % 16 == 5,
         })
     }
@@ -126,7 +131,7 @@ fn errand(rng: &mut SmallRng, most: usize) -> anyhow::Result<Errand> {
     let curse = match rng.random_range(0..24) {
         0..4 => Curse::NowAndThen,
         4 => Curse::Always,
-        5 => Curse::Deadly,
+        5 if Hardship::Deadly.is_there() => Curse::Deadly,
         _ => Curse::Nothing,
     };
     let spec = JobSpec {

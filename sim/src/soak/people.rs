@@ -9,6 +9,7 @@ use rand::{RngExt as _, SeedableRng as _};
 
 use super::Soak;
 use super::book::Book;
+use crate::faults::Hardship;
 use crate::people::{Curse, Errand, Manner, Person, Whim, answer, drain_a_while, open_all, some};
 use crate::shared::Shared;
 use crate::stage;
@@ -50,7 +51,7 @@ fn errand(rng: &mut SmallRng, owner: &str, number: u64) -> anyhow::Result<Errand
     let curse = match rng.random_range(0..32) {
         0..4 => Curse::NowAndThen,
         4 => Curse::Always,
-        5 => Curse::Deadly,
+        5 if Hardship::Deadly.is_there() => Curse::Deadly,
         _ => Curse::Nothing,
     };
     let spec = JobSpec {

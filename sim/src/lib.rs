@@ -1,7 +1,8 @@
 //! The farm in a simulated world: the real coordinator and worker code over a simulated network and clock, with faults.
 //!
-//! One number, the seed, decides everything: latencies, which faults come and when, how long tasks take. After each run
-//! the log and the frames are held against what must be true of them ([`Violation`]). A seed that fails fails again.
+//! One number, the seed, decides everything: latencies, who comes and what they want, which faults come and when, how long tasks
+//! take and what becomes of them. As it runs, what is written, told, given out and removed is held against what must be true of it
+//! at that moment, and in the end the log and the frames are ([`Violation`]). A seed that fails fails again.
 //!
 //! That the audit would see it is shown by planted bugs, one at a time: `sim/plants/run` gives the seed that finds each.
 //!

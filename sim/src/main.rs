@@ -11,7 +11,7 @@ use clap::Parser;
 use femc_sim::{Outcome, Planned, Tells, run};
 use serde::{Deserialize, Serialize};
 
-/// Runs the farm in simulated worlds with faults and checks that no result is lost or counted twice
+/// Runs the farm in simulated worlds with people and faults and checks all that it promises
 #[derive(Debug, Parser)]
 #[command(
     name = "femc-sim",

@@ -163,6 +163,7 @@ fn effects(place: &Place) -> (Vec<String>, bool) {
             | Fact::Submitted { .. }
             | Fact::Grouped { .. }
             | Fact::Built { .. }
+            | Fact::Used { .. }
             | Fact::Logged { .. } => {}
             other => panic!("something failed, was lost or began anew: {other:?}"),
         }

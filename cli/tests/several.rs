@@ -127,7 +127,7 @@ impl Farm {
                     *effects.entry(task).or_insert(0) += 1;
                 }
                 Fact::Opened { .. } => terms += 1,
-                Fact::Logged { .. } | Fact::Built { .. } => {}
+                Fact::Logged { .. } | Fact::Built { .. } | Fact::Used { .. } => {}
                 other => others.push(other),
             }
         }

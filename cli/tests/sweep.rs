@@ -87,6 +87,27 @@ fn a_sweep_that_grows_runs_only_what_is_new_and_a_second_run_nothing() {
 }
 
 #[test]
+fn frames_of_another_build_of_the_engine_are_not_taken_for_this_one_s() {
+    let place = place(JOB);
+    assert_eq!(counts(&sweep(&place, "-o out --local")), [8, 0, 0]);
+    let mut other = place.command("sweep j.toml --json -o out --local");
+    let again = other.env("FEMC_PRETEND", "engine=another").output().expect("femc starts");
+    let told = String::from_utf8_lossy(&again.stderr);
+    assert!(told.contains("another build of the engine") && told.contains("this is another"), "{told}");
+    let report = serde_json::from_slice(&again.stdout).unwrap_or_else(|error| panic!("{error}: {told}"));
+    assert_eq!(counts(&report), [8, 0, 0]);
+    let renders = |engine: Option<&str>| {
+        let mut command = place.command("render fog.mgf -o alone --frames 1..2 --spp 2 --size 16x16 --json");
+        engine.map(|engine| command.env("FEMC_PRETEND", format!("engine={engine}")));
+        let report: Value = serde_json::from_slice(&command.output().expect("femc starts").stdout).expect("JSON");
+        report["rendered"].clone()
+    };
+    let [first, second, other] = [None, None, Some("another")].map(renders);
+    assert_eq!((&first, &other), (&Value::from(2), &Value::from(2)), "another build renders its own");
+    assert_eq!(second, 0);
+}
+
+#[test]
 fn what_a_sweep_took_is_kept_in_its_folder_and_asks_no_farm() {
     let place = place(JOB);
     sweep(&place, "-o out --local");

@@ -260,6 +260,7 @@ async fn join(client: &Client, instance: u64) -> Result<(Outgoing, Incoming)> {
         slots: 1,
         tags: vec![],
         held: vec![],
+        died: None,
     };
     Ok(client.session(registration).await?)
 }

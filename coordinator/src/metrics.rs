@@ -114,6 +114,7 @@ impl Metrics {
                 self.0.done.add(task.stage.kind.name(), 1);
             }
             Command::Record(Fact::Failed { failure: failure @ Failure::Stalled { .. }, .. }) => self.failed(failure),
+            Command::Record(Fact::Died { .. }) => self.0.failures.add("killed", 1),
             Command::Note(attempt) => self.0.attempts.add(attempt.ending.name(), 1),
             Command::Assign { assignment, .. } => {
                 let lease = if assignment.copy_of.is_some() { "second" } else { "first" };
@@ -178,7 +179,7 @@ impl Metrics {
         page.counter("femc_tasks_done_total", "Results that count, by what the task did.").each("stage", done.get());
         let help = "Attempts at tasks that have ended, by how: done, failed, cancelled, revoked, lost.";
         page.counter("femc_attempts_total", help).each("ending", attempts.get());
-        let help = "Tasks that were not done, by cause; store and resources are the surroundings', cancelled is given back: these use up no attempt.";
+        let help = "Tasks that were not done, by cause; store and resources are the surroundings', cancelled is given back: these use up no attempt; killed: a worker died while it computed it.";
         page.counter("femc_task_failures_total", help).each("cause", failures.get());
         let help = "Leases granted; second: of a late task, to another worker.";
         page.counter("femc_leases_granted_total", help).each("lease", granted.get());
@@ -208,7 +209,7 @@ impl Metrics {
 }
 
 fn put_now(page: &mut Page, Now { figures, records }: &Now) {
-    let Figures { jobs, ready, leased, quarantined, samples_left, workers, threads, stale_messages } = figures;
+    let Figures { jobs, ready, leased, quarantined, samples_left, workers, threads, used, stale_messages } = figures;
     let jobs = jobs.iter().map(|&(state, count)| (job_state(state), count));
     page.gauge("femc_jobs", "Jobs, by where they stand.").each("state", jobs);
     let by_stage = |counts: &[(StageKind, u64)]| -> Vec<(&str, u64)> {
@@ -223,6 +224,8 @@ fn put_now(page: &mut Page, Now { figures, records }: &Now) {
     let workers = workers.iter().map(|&(standing, count)| (worker_standing(standing), count));
     page.gauge("femc_workers", "Workers that are there, by whether they get tasks.").each("state", workers);
     page.gauge("femc_threads", "Threads of these workers that render.").counts(*threads);
+    let help = "Seconds of workers that owners have been charged for, each moment of a worker once.";
+    page.counter("femc_worker_seconds_used_total", help).with(&[], *used as f64 / 1000.0);
     let help = "Messages of workers that were refused because their lease was over.";
     page.counter("femc_stale_messages_total", help).counts(*stale_messages);
     let help = "Records of the log since its snapshot: what a restart reads.";

@@ -1,12 +1,47 @@
-//! Names the build of the engine: what decides a pixel's bits is its sources, what they depend on, and the compiler.
+//! Names the build of the engine: what decides a pixel's bits is its sources, what they depend on, the compiler, and what it was
+//! asked for. Two builds have one name if they are the same in all this, or if a test has shown that they are equal.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
 use std::{env, fs, io};
 
+/// Instruction sets of x86-64 and x86-64-v3: `tests/builds` shows that they have the same bits. With any other, the set is part of
+/// the name.
+const EQUAL: [&str; 2] = [
+    "fxsr,sse,sse2",
+    "avx,avx2,bmi1,bmi2,cmpxchg16b,f16c,fma,fxsr,lzcnt,movbe,popcnt,sse,sse2,sse3,sse4.1,sse4.2,ssse3,xsave",
+];
+
+/// Flags of the compiler that change no value: those of lints, linking and debugging, and those that choose the instruction set,
+/// which has its own place in the name.
+const HARMLESS: [&str; 21] = [
+    "-A",
+    "-D",
+    "-F",
+    "-L",
+    "-W",
+    "-l",
+    "--cap-lints",
+    "--check-cfg",
+    "--remap-path-prefix",
+    "-Ccodegen-units=",
+    "-Cdebuginfo=",
+    "-Cforce-frame-pointers",
+    "-Cincremental=",
+    "-Cinstrument-coverage",
+    "-Clink",
+    "-Cprefer-dynamic",
+    "-Crelocation-model=",
+    "-Csplit-debuginfo=",
+    "-Cstrip=",
+    "-Ctarget-cpu=",
+    "-Ctarget-feature=",
+];
+
 fn main() -> io::Result<()> {
     let engine = Path::new("..");
-    let mut files = vec![PathBuf::from("../../Cargo.lock")];
+    // The manifest has the features of what the engine depends on.
+    let mut files = ["build.rs", "../../Cargo.lock", "../../Cargo.toml"].map(PathBuf::from).to_vec();
     for part in fs::read_dir(engine)? {
         let part = part?.path();
         files.push(part.join("Cargo.toml"));
@@ -16,14 +51,55 @@ fn main() -> io::Result<()> {
     let mut hash = Hash::new();
     println!("cargo:rerun-if-changed={}", engine.display());
     println!("cargo:rerun-if-changed=../../Cargo.lock");
+    println!("cargo:rerun-if-changed=../../Cargo.toml");
     for file in files.iter().filter(|file| file.is_file()) {
         hash.take(file.to_string_lossy().replace('\\', "/").as_bytes());
         hash.take(&fs::read(file)?);
     }
     let compiler = Command::new(env::var_os("RUSTC").unwrap_or_else(|| "rustc".into())).arg("--version").output()?;
     hash.take(&compiler.stdout);
+    for name in ["TARGET", "PROFILE", "OPT_LEVEL"] {
+        hash.take(variable(name).as_bytes());
+    }
+    let instructions = variable("CARGO_CFG_TARGET_FEATURE");
+    if !EQUAL.contains(&&*instructions) {
+        hash.take(instructions.as_bytes());
+    }
+    telling(&variable("CARGO_ENCODED_RUSTFLAGS")).iter().for_each(|flag| hash.take(flag.as_bytes()));
     println!("cargo:rustc-env=FEMC_ENGINE={}-{:016x}", env!("CARGO_PKG_VERSION"), hash.0);
     Ok(())
+}
+
+fn variable(name: &str) -> String {
+    env::var(name).unwrap_or_default()
+}
+
+/// The flags that may change a value, each with its argument.
+fn telling(flags: &str) -> Vec<String> {
+    let (mut words, mut telling) = (flags.split('\x1f'), Vec::new());
+    while let Some(word) = words.next() {
+        let argument = match word {
+            "-C"
+            | "-D"
+            | "-W"
+            | "-A"
+            | "-F"
+            | "-L"
+            | "-l"
+            | "-Z"
+            | "--cfg"
+            | "--check-cfg"
+            | "--codegen"
+            | "--cap-lints"
+            | "--remap-path-prefix" => words.next().unwrap_or_default(),
+            _ => "",
+        };
+        let flag = format!("{word}{argument}").replace("--codegen", "-C");
+        if !flag.is_empty() && !HARMLESS.iter().any(|harmless| flag.starts_with(harmless)) {
+            telling.push(flag);
+        }
+    }
+    telling
 }
 
 fn sources(folder: &Path, files: &mut Vec<PathBuf>) -> io::Result<()> {

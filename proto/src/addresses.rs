@@ -34,7 +34,7 @@ impl Addresses {
         let mut all = Vec::new();
         for url in &urls {
             let uri: Uri = url.parse().map_err(|error| no_address(format!("`{url}`: {error}")))?;
-            if urls.len() > 1 && (!matches!(uri.scheme_str(), Some("http" | "https")) || uri.host().is_none()) {
+            if !matches!(uri.scheme_str(), Some("http" | "https")) || uri.host().is_none() {
                 return Err(no_address(format!("`{url}` does not begin with http:// or https://")));
             }
             all.push(uri);
@@ -54,6 +54,16 @@ impl Addresses {
     /// For what must have one address to begin with.
     pub(crate) fn first(&self) -> Uri {
         self.all[0].clone()
+    }
+
+    /// Host and port of the first.
+    pub(crate) fn first_place(&self) -> (String, u16) {
+        self.place(&self.all[0])
+    }
+
+    fn place(&self, uri: &Uri) -> (String, u16) {
+        let host = uri.host().unwrap_or_default().trim_start_matches('[').trim_end_matches(']').to_owned();
+        (host, uri.port_u16().unwrap_or(if self.are_encrypted() { 443 } else { 80 }))
     }
 
     /// Whether connections are encrypted.
@@ -86,10 +96,7 @@ impl Addresses {
         let begin = self.used.load(Ordering::Relaxed) + 1;
         for at in (begin..begin + self.count()).map(|at| at % self.count()) {
             let uri = &self.all[at];
-            let (host, port) = (
-                uri.host().unwrap_or_default().to_owned(),
-                uri.port_u16().unwrap_or(if self.are_encrypted() { 443 } else { 80 }),
-            );
+            let (host, port) = self.place(uri);
             let link = async {
                 match &dial.way {
                     Some(dial) => dial(host, port).await,
@@ -111,7 +118,6 @@ impl Addresses {
 }
 
 async fn tcp(host: String, port: u16) -> io::Result<Link> {
-    let host = host.trim_start_matches('[').trim_end_matches(']').to_owned();
     let stream = TcpStream::connect((host, port)).await?;
     stream.set_nodelay(true)?;
     Ok(Link::new(stream))
@@ -127,6 +133,8 @@ mod tests {
         assert_eq!(addresses.list(), "http://one:7878,http://two:7879");
         assert_eq!(addresses.count(), 2);
         for wrong in [
+            "127.0.0.1:7878",
+            "farm",
             "http://one,",
             ",",
             "http://one,two:7878",

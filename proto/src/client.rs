@@ -20,7 +20,7 @@ use tonic::transport::{Endpoint, Uri};
 use crate::addresses::Addresses;
 use crate::bearer::{Bearer, Bearing};
 use crate::convert::{ConvertError, digest, digest_bytes, each, need};
-use crate::error::{BackupError, CallError, from_status};
+use crate::error::{BackupError, CallError, Why, from_status};
 use crate::many::{Many, together};
 use crate::net::Dial;
 use crate::server::JobShape;
@@ -59,7 +59,11 @@ impl Client {
         loop {
             let client = Self::open(dial, addresses.clone()).await?;
             left -= 1;
-            let silent = || CallError::Unreachable { url: client.url().into(), message: "it does not answer".into() };
+            let silent = || CallError::Unreachable {
+                url: client.url().into(),
+                message: "it does not answer".into(),
+                why: Why::Away,
+            };
             match tokio::time::timeout(Self::PATIENCE, client.missing(&[])).await {
                 Ok(Ok(_)) => return Ok(client),
                 Ok(Err(error)) if left == 0 => return Err(error),
@@ -104,7 +108,11 @@ impl Client {
             });
             endpoint.connect_with_connector(connector).await
         };
-        let channel = channel.map_err(|error| CallError::Unreachable { url: url(), message: chain(&error) })?;
+        let channel = channel.map_err(|error| CallError::Unreachable {
+            url: url(),
+            message: chain(&error),
+            why: tls::why(&error),
+        })?;
         Ok(Self { addresses, channel: InterceptedService::new(channel, bearer) })
     }
 

@@ -5,7 +5,7 @@ use prost::Message as _;
 use tonic::{Code, Status};
 
 use crate::convert::ConvertError;
-use crate::wire;
+use crate::{tls, wire};
 
 /// A call that brought no answer.
 #[derive(Debug, thiserror::Error)]
@@ -43,6 +43,8 @@ pub enum CallError {
         url: String,
         /// What the transport said.
         message: String,
+        /// What that means.
+        why: Why,
     },
     /// The coordinator said no.
     #[error(transparent)]
@@ -58,6 +60,18 @@ pub enum CallError {
         /// What it said.
         message: String,
     },
+}
+
+/// Why a coordinator cannot be reached, as far as the transport tells.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Why {
+    /// Nobody is there, the connection broke, or who is there speaks otherwise: [`look`](crate::look) tells.
+    #[default]
+    Away,
+    /// It shows a certificate that the authority of the identity, or of the token, has not issued.
+    TheirCertificate,
+    /// It does not take the certificate that it was shown.
+    OurCertificate,
 }
 
 /// A backup that did not come to its end.
@@ -109,13 +123,14 @@ pub(crate) fn from_status(url: &str, status: &Status) -> CallError {
         return refusal.try_into().map_or_else(CallError::Answer, CallError::Refused);
     }
     let message = status.message().to_owned();
+    let why = std::error::Error::source(status).map_or(Why::Away, tls::why);
     match status.code() {
         Code::Unavailable | Code::Cancelled | Code::DeadlineExceeded => {
-            CallError::Unreachable { url: url.into(), message }
+            CallError::Unreachable { url: url.into(), message, why }
         }
         // A connection that breaks within an answer has no code of its own.
         Code::Unknown | Code::Internal if std::error::Error::source(status).is_some() => {
-            CallError::Unreachable { url: url.into(), message }
+            CallError::Unreachable { url: url.into(), message, why }
         }
         code => CallError::Status { code: format!("{code:?}"), message },
     }

@@ -11,6 +11,7 @@ mod client;
 mod convert;
 mod error;
 mod limits;
+mod look;
 mod many;
 mod net;
 mod server;
@@ -22,8 +23,9 @@ mod wire;
 
 pub use client::{Client, Incoming, Outgoing, Watch};
 pub use convert::ConvertError;
-pub use error::{BackupError, CallError, ServeError};
+pub use error::{BackupError, CallError, ServeError, Why};
 pub use limits::Limits;
+pub use look::{Found, look};
 pub use net::{Dial, Dialing, Io, Link};
 pub use server::{
     AttemptPage, Backup, Call, CollectMode, Collected, Entrance, JobShape, LEAST_GRACE, References, Reply, Server,

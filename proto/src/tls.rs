@@ -1,7 +1,42 @@
 //! Encryption: a coordinator shows a certificate of the farm's authority, and so does its client, or a token.
 
+use std::error::Error;
+
 use femc_trust::{COORDINATOR_HOST, Identity};
+use rustls::AlertDescription as Alert;
 use tonic::transport::{Certificate, ClientTlsConfig, ServerTlsConfig};
+
+use crate::error::Why;
+
+/// What a broken connection says about certificates.
+pub(crate) fn why(error: &(dyn Error + 'static)) -> Why {
+    let causes = std::iter::successors(Some(error), |&error| error.source());
+    causes.filter_map(of_tls).map(of_certificates).find(|why| *why != Why::Away).unwrap_or_default()
+}
+
+/// An error of TLS, as it is or within one of input and output.
+fn of_tls<'a>(error: &'a (dyn Error + 'static)) -> Option<&'a rustls::Error> {
+    let within = || error.downcast_ref::<std::io::Error>()?.get_ref()?.downcast_ref();
+    error.downcast_ref().or_else(within)
+}
+
+fn of_certificates(error: &rustls::Error) -> Why {
+    match error {
+        rustls::Error::InvalidCertificate(_) => Why::TheirCertificate,
+        rustls::Error::AlertReceived(
+            Alert::UnknownCA
+            | Alert::BadCertificate
+            | Alert::UnsupportedCertificate
+            | Alert::CertificateRevoked
+            | Alert::CertificateExpired
+            | Alert::CertificateUnknown
+            | Alert::CertificateRequired
+            | Alert::AccessDenied
+            | Alert::DecryptError,
+        ) => Why::OurCertificate,
+        _ => Why::Away,
+    }
+}
 
 /// What clients of a server show.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

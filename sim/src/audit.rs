@@ -268,6 +268,26 @@ pub enum Violation {
         /// Which.
         task: TaskKey,
     },
+    /// An owner is charged less than before, or not for the time that workers held something of his.
+    #[error("{owner} is charged {held} ms after {before} ms; workers held something of his for {seen} ms")]
+    Charged {
+        /// The owner.
+        owner: String,
+        /// Milliseconds charged before.
+        before: u64,
+        /// Milliseconds charged now.
+        held: u64,
+        /// Milliseconds as seen on the way to the workers.
+        seen: u64,
+    },
+    /// A worker's process is said to have died over a task, and it lives.
+    #[error("process {instance} is said to have died over {task}, and it lives")]
+    Alive {
+        /// The worker's process.
+        instance: u64,
+        /// The task.
+        task: TaskKey,
+    },
     /// A job failed, and nothing explains it.
     #[error("the job failed, and nothing says why: {status}")]
     Unexplained {
@@ -283,7 +303,7 @@ pub enum Violation {
         epoch: Epoch,
     },
     /// A frame's seconds are not those of its results.
-    #[error("frame {frame} took {told} s, as somebody was told; its results took {logged} s")]
+    #[error("frame {frame} took {told} ms, as somebody was told; its results took {logged} ms")]
     Busy {
         /// Frame number.
         frame: u32,

@@ -97,6 +97,11 @@ impl Chronicle {
         self.records
     }
 
+    /// Of the coordinator that began last.
+    pub(crate) fn incarnation(&self) -> u32 {
+        self.incarnation
+    }
+
     /// A log begins that knows of nothing.
     pub(crate) fn anew(&mut self) {
         let before = std::mem::take(self);
@@ -185,6 +190,13 @@ impl Chronicle {
             Fact::Failed { task, .. } => {
                 if let Some(record) = self.jobs.get_mut(&task.job) {
                     *record.failures.entry(tried(*task)).or_default() += 1;
+                }
+            }
+            Fact::Died { task, end, .. } => {
+                if let Some(record) = self.jobs.get_mut(&task.job) {
+                    for index in task.index..*end {
+                        *record.failures.entry(tried(TaskKey { index, ..*task })).or_default() += 1;
+                    }
                 }
             }
             Fact::Forgotten { job } => wrong.extend(self.forget(*job, tick)),

@@ -5,9 +5,9 @@ use std::io;
 use std::time::Duration;
 
 use femc_queue::{Batch, Contents, Note, Page, Queue, QueueError};
-use femc_schedule::{Fact, Ledger, SnapshotError};
+use femc_schedule::{Evidence, Fact, Ledger, SnapshotError};
 
-use crate::audit::settled;
+use crate::audit::{Violation, settled};
 use crate::promises::Told;
 use crate::shared::{Shared, State, Trap};
 
@@ -31,6 +31,8 @@ pub(crate) struct Disk {
     /// What is kept beside the log, oldest first.
     pub(crate) notes: Vec<Note>,
     tail: Tail,
+    /// The greatest number that a writer had, which is kept beside the log.
+    reserved: u32,
     /// How many there were before.
     pub(crate) logs: u32,
     /// Of the coordinator that may write.
@@ -68,10 +70,11 @@ impl State {
     pub(crate) fn lose_log(&mut self) {
         let wrong = settled(self);
         self.wrong.extend(wrong);
-        let Disk { epoch, logs, snapshots, longest, .. } = std::mem::take(&mut self.disk);
-        self.disk = Disk { epoch, logs: logs + 1, snapshots, longest, ..Disk::default() };
+        let Disk { reserved, epoch, logs, snapshots, longest, .. } = std::mem::take(&mut self.disk);
+        self.disk = Disk { reserved, epoch, logs: logs + 1, snapshots, longest, ..Disk::default() };
         self.leases.anew();
         self.chronicle.anew();
+        self.shares.anew();
         self.told = Told::default();
         self.accepted.clear();
         self.reported.clear();
@@ -186,6 +189,18 @@ impl Queue for Log {
                 let leased = state.leases.judge(&fact);
                 let said = state.chronicle.take(tick, &fact, now, &state.told.controls);
                 state.wrong.extend(leased.into_iter().chain(said));
+                match &fact {
+                    Fact::Used { owners } => {
+                        let charged = state.shares.judge(owners, now);
+                        state.wrong.extend(charged);
+                    }
+                    Fact::Died { task, casualty, .. } if casualty.evidence == Evidence::Journal => {
+                        let instance = casualty.instance;
+                        let lives = state.lives.values().any(|&other| other == instance);
+                        state.wrong.extend(lives.then_some(Violation::Alive { instance, task: *task }));
+                    }
+                    _ => {}
+                }
             }
             state.disk.contents.records.extend_from_slice(&records);
             state.disk.longest = state.disk.longest.max(state.disk.contents.records.len());
@@ -196,6 +211,13 @@ impl Queue for Log {
             written
         })
         .await
+    }
+
+    /// It is kept beside the log, and outlives that.
+    async fn reserve(&mut self, least: u32) -> Result<u32, QueueError> {
+        let disk = &mut self.shared.lock().disk;
+        disk.reserved = least.max(disk.reserved + 1);
+        Ok(disk.reserved)
     }
 
     async fn notes(&mut self, subject: u64, _from: u64) -> Result<Page, QueueError> {

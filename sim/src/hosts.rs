@@ -9,7 +9,7 @@ use femc_coordinator::{Config, Coordinator, CoordinatorError, Time};
 use femc_model::{Assignment, TaskKey};
 use femc_queue::QueueError;
 use femc_store::Store;
-use femc_worker::{Fate, Hands, Pace, Worker};
+use femc_worker::{Fate, Hands, Journal, Pace, Worker};
 use turmoil::Sim;
 
 use crate::audit::Violation;
@@ -52,8 +52,8 @@ pub(crate) fn settle(
         sim.host(SWITCH, move || switch::serve(shared.clone(), store.clone()));
     }
     for host in 0..WORKERS {
-        let (shared, scheduler) = (shared.clone(), scheduler.clone());
-        sim.host(worker_name(host), move || worker(seed, host, shared.clone(), scheduler.grain));
+        let (shared, scheduler, journal) = (shared.clone(), scheduler.clone(), Journal::in_memory());
+        sim.host(worker_name(host), move || worker(seed, host, shared.clone(), scheduler.grain, journal.clone()));
     }
     sim
 }
@@ -117,11 +117,13 @@ fn is_full(error: &CoordinatorError) -> bool {
 }
 
 /// `grain`: pixel samples of a grain, as the farm has them.
-async fn worker(seed: u64, host: usize, shared: Shared, grain: NonZeroU64) -> turmoil::Result {
+async fn worker(seed: u64, host: usize, shared: Shared, grain: NonZeroU64, journal: Journal) -> turmoil::Result {
     let boot = {
         let mut state = shared.lock();
         state.boots += 1;
-        state.boots
+        let boot = state.boots;
+        state.lives.insert(host, boot);
+        boot
     };
     let fates = shared.clone();
     let config = femc_worker::Config {
@@ -129,6 +131,7 @@ async fn worker(seed: u64, host: usize, shared: Shared, grain: NonZeroU64) -> tu
         threads: 1,
         cache: CACHE.clone(),
         instance: boot,
+        journal,
         engine: build(seed, boot).into(),
         dial: dial(&shared, &worker_name(host)),
         hands: Hands::Simulated(Pace::fated(move |assignment| {

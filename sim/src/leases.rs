@@ -33,8 +33,9 @@ pub(crate) struct Leases {
     epochs: BTreeMap<Epoch, TaskKey>,
     /// Leases that are copies, and of which.
     copies: BTreeMap<(TaskKey, Epoch), Epoch>,
-    /// Attempts whose failure was reported, a lease and its copy being one, and those that the log counts.
-    failures: BTreeMap<TaskKey, (BTreeSet<Epoch>, usize)>,
+    /// Attempts whose failure was reported, a lease and its copy being one, and those that the log counts. What one coordinator
+    /// has counted the next one may hear of, and count, again: it dies before it says so, and the worker still has its lease.
+    failures: BTreeMap<TaskKey, (BTreeSet<(Epoch, u32)>, usize)>,
 }
 
 impl Leases {
@@ -74,10 +75,10 @@ impl Leases {
         self.failures.clear();
     }
 
-    /// A worker says that it has not done a task.
-    pub(crate) fn failed(&mut self, task: TaskKey, epoch: Epoch) {
+    /// A worker tells the coordinator of this incarnation that it has not done a task.
+    pub(crate) fn failed(&mut self, task: TaskKey, epoch: Epoch, incarnation: u32) {
         let attempt = self.copies.get(&(task, epoch)).copied().unwrap_or(epoch);
-        self.failures.entry(task).or_default().0.insert(attempt);
+        self.failures.entry(task).or_default().0.insert((attempt, incarnation));
     }
 
     /// What a lease covers that was given out.

@@ -21,6 +21,7 @@ mod network;
 mod people;
 mod promises;
 mod shared;
+mod shares;
 mod shelf;
 mod soak;
 mod stage;

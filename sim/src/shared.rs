@@ -15,6 +15,7 @@ use crate::faults::COORDINATORS;
 use crate::leases::Leases;
 use crate::network::Reach;
 use crate::promises::Told;
+use crate::shares::Shares;
 
 /// A crash of the writing coordinator at a chosen write.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -85,6 +86,10 @@ pub(crate) struct State {
     pub(crate) left: usize,
     /// Messages that changed nothing, of jobs that ended.
     pub(crate) stale: u64,
+    /// What owners are charged.
+    pub(crate) shares: Shares,
+    /// The process of each worker that was started last.
+    pub(crate) lives: BTreeMap<usize, u64>,
     /// Workers that a task has just killed.
     pub(crate) struck: Vec<usize>,
     pub(crate) trace: blake3::Hasher,
@@ -124,6 +129,8 @@ impl Shared {
             deeds: BTreeMap::new(),
             left: 0,
             stale: 0,
+            shares: Shares::default(),
+            lives: BTreeMap::new(),
             struck: Vec::new(),
             trace: blake3::Hasher::new(),
             story: tells.then(Vec::new),

@@ -10,8 +10,9 @@ use femc_store::Store;
 use tokio::sync::mpsc;
 
 use crate::audit::Violation;
+use crate::leases::SessionNumber;
 use crate::network::{SWITCH, dial, listen, url};
-use crate::shared::Shared;
+use crate::shared::{Shared, State};
 
 /// Bits of an epoch that count the leases of one incarnation.
 const LEASE_BITS: u32 = 40;
@@ -45,7 +46,7 @@ async fn relay(session: Session, shared: Shared) {
     let (name, engine, instance) = (registration.name.clone(), registration.engine.clone(), registration.instance);
     shared.note(|| format!("{name} joins {leader} with {:?}", registration.held));
     let held = registration.held.iter().map(|held| (held.task, held.epoch));
-    let mut running: BTreeSet<(TaskKey, Epoch)> = held.clone().collect();
+    let mut running: BTreeSet<(Epoch, TaskKey)> = held.clone().map(|(task, epoch)| (epoch, task)).collect();
     let number = shared.lock().leases.joined(&engine, held);
     let session = async {
         let client = Client::connect_by(&dial(&shared, SWITCH), &leader).await?;
@@ -60,7 +61,8 @@ async fn relay(session: Session, shared: Shared) {
                 FromWorker::Completed { task, epoch, .. } => drop(shared.lock().reported.insert((*task, *epoch))),
                 FromWorker::Failed { task, epoch, .. } => {
                     let mut state = shared.lock();
-                    state.leases.failed(*task, *epoch);
+                    let incarnation = state.chronicle.incarnation();
+                    state.leases.failed(*task, *epoch, incarnation);
                     // It has the result no longer: what is acknowledged is that.
                     state.reported.remove(&(*task, *epoch));
                 }
@@ -82,24 +84,25 @@ async fn relay(session: Session, shared: Shared) {
                     let incarnation = (lease.epoch.0 >> LEASE_BITS) as u32;
                     let drained = state.chronicle.may_work(instance, incarnation, now());
                     state.wrong.extend(leased.into_iter().chain(drained));
-                    running.insert((lease.task, lease.epoch));
+                    running.insert((lease.epoch, lease.task));
                 }
                 ToWorker::Revoke { task, epoch, .. } => {
-                    running.remove(&(*task, *epoch));
+                    running.remove(&(*epoch, *task));
                     shared.lock().leases.revoked(number, *task, *epoch);
                 }
                 ToWorker::Accepted { task, epoch } => {
-                    running.remove(&(*task, *epoch));
+                    running.remove(&(*epoch, *task));
                     shared.lock().accepted.insert((*task, *epoch));
                 }
                 ToWorker::Refused { task, epoch, refusal } => {
                     // Each lease that ends is told, and what comes after that is a repetition.
-                    if running.remove(&(*task, *epoch)) && *refusal == Refusal::StaleEpoch {
+                    if running.remove(&(*epoch, *task)) && *refusal == Refusal::StaleEpoch {
                         shared.lock().wrong.push(Violation::Silent { task: *task, epoch: *epoch });
                     }
                 }
                 _ => {}
             }
+            shared.lock().turns(number, &running);
             if out.send(message).await.is_err() {
                 break;
             }
@@ -110,7 +113,17 @@ async fn relay(session: Session, shared: Shared) {
         () = downwards => {}
         () = upwards => {}
     }
+    shared.lock().turns(number, &BTreeSet::new());
     shared.note(|| format!("{name} is cut off"));
+}
+
+impl State {
+    /// What a worker holds has changed.
+    fn turns(&mut self, session: SessionNumber, running: &BTreeSet<(Epoch, TaskKey)>) {
+        let spec = running.first().and_then(|(_, task)| self.chronicle.spec(task.job));
+        let owner = spec.map(|spec| spec.owner.clone());
+        self.shares.turns(session, owner, now());
+    }
 }
 
 async fn pass(word: FromWorker, up: &Outgoing, shared: &Shared) {

@@ -95,7 +95,7 @@ pub(crate) fn needed(spec: &JobSpec, merge: TaskKey) -> impl Iterator<Item = Uni
 /// The job that a record is about.
 pub(crate) fn job_of(fact: &Fact) -> Option<JobId> {
     match fact {
-        Fact::Opened { .. } | Fact::Drained { .. } => None,
+        Fact::Opened { .. } | Fact::Drained { .. } | Fact::Used { .. } | Fact::Lives { .. } => None,
         Fact::Submitted { job, .. }
         | Fact::Cut { job, .. }
         | Fact::Grouped { job, .. }
@@ -108,6 +108,7 @@ pub(crate) fn job_of(fact: &Fact) -> Option<JobId> {
         | Fact::Gathered { task, .. }
         | Fact::Merged { task, .. }
         | Fact::Failed { task, .. }
+        | Fact::Died { task, .. }
         | Fact::Lost { task } => Some(task.job),
         Fact::Logged(record) => Some(record.task.job),
     }

@@ -41,6 +41,7 @@ impl Weather {
         {
             let mut state = shared.lock();
             (state.twice, state.late) = (plan.twice, plan.late);
+            state.shares.is_calm = plan.faults.is_empty() && now.is_zero();
         }
         plan.faults.iter().for_each(|&(at, fault)| self.plan(now + at, Act::Begin(fault)));
         self.plan(now + STORM, Act::Peace);
@@ -62,7 +63,9 @@ impl Weather {
         let struck = std::mem::take(&mut shared.lock().struck);
         for host in struck {
             if die(sim, shared, worker_name(host), now) {
-                shared.lock().fired("worker killed by a task");
+                let mut state = shared.lock();
+                state.fired("worker killed by a task");
+                state.shares.is_calm = false;
                 self.plan(now + Duration::from_millis(700), Act::Rise(host));
             }
         }

@@ -9,7 +9,7 @@ use std::time::Duration;
 use femc_model::Assignment;
 use femc_proto::{CallError, Dial};
 
-use crate::{Cache, MemoryLimit, Metrics, Shift};
+use crate::{Cache, Journal, MemoryLimit, Metrics, Shift};
 
 /// A worker's configuration.
 #[derive(Debug, Clone)]
@@ -38,6 +38,8 @@ pub struct Config {
     pub hands: Hands,
     /// Where results are kept until the coordinator has acknowledged them; `None`: in memory.
     pub outbox: Option<OutboxConfig>,
+    /// Where it writes down what it computes.
+    pub journal: Journal,
     /// The most memory that it may use before it gives tasks back.
     pub memory: Option<MemoryLimit>,
     /// Niceness of the threads that compute, 0 to 19; `None`: as it is.
@@ -145,6 +147,7 @@ impl Config {
             dial: Dial::tcp(),
             hands: Hands::Threads,
             outbox: None,
+            journal: Journal::default(),
             memory: None,
             nice: None,
             shift: Shift::default(),

@@ -14,6 +14,7 @@ mod execute;
 mod fetch;
 mod finish;
 mod gather;
+mod journal;
 mod log;
 mod memory;
 mod meter;
@@ -35,6 +36,7 @@ mod worker;
 pub use cache::Cache;
 pub use config::{AtStop, Config, Fate, Hands, IfTaken, OutboxConfig, Pace, WorkerError};
 pub use duty::{Duty, Shift};
+pub use journal::Journal;
 pub use log::{TASK_LOG_LEVEL, TaskLogs};
 pub use memory::MemoryLimit;
 pub use metrics::Metrics;
@@ -43,7 +45,7 @@ pub use pieces::Pieces;
 pub use sums::decode as decode_sums;
 pub use worker::Worker;
 
-/// The build of the engine that this worker renders with.
-fn engine() -> &'static str {
+/// The build of the engine that this program's workers render with.
+pub fn engine() -> &'static str {
     femc_fault::pretended(femc_fault::Pretense::Engine).unwrap_or(femc_pipeline::BUILD)
 }

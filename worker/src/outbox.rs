@@ -66,6 +66,7 @@ pub(crate) struct Outbox(Option<Arc<Desk>>);
 
 #[derive(Debug)]
 struct Desk {
+    folder: PathBuf,
     orders: mpsc::Sender<Order>,
     clerk: Mutex<Option<JoinHandle<()>>>,
 }
@@ -89,6 +90,7 @@ impl Outbox {
             tracing::info!(results = restored.len(), folder = %folder.display(), "results of before are brought along");
         }
         let (orders, line) = mpsc::channel();
+        let place = folder.clone();
         let mut clerk = Clerk { used: files.values().sum(), files, folder, limit: config.limit, _lock: lock };
         let clerk = std::thread::Builder::new()
             .name("outbox".into())
@@ -102,7 +104,12 @@ impl Outbox {
                 }
             })
             .map_err(|error| WorkerError::Threads(error.to_string()))?;
-        Ok((Self(Some(Arc::new(Desk { orders, clerk: Mutex::new(Some(clerk)) }))), restored))
+        Ok((Self(Some(Arc::new(Desk { folder: place, orders, clerk: Mutex::new(Some(clerk)) }))), restored))
+    }
+
+    /// Its folder, which no other worker uses.
+    pub(crate) fn folder(&self) -> Option<&Path> {
+        self.0.as_ref().map(|desk| &*desk.folder)
     }
 
     /// Writes a finished task's result, unless the coordinator answers before its turn comes.
@@ -295,7 +302,7 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use std::sync::Arc;
 
     use femc_model::{Artefact, Grid, JobId, Stage, StageKind, TileResult, Work};
@@ -320,7 +327,7 @@ mod tests {
     }
 
     /// A finished task, with a client that is never asked anything.
-    async fn task(index: u32, bytes: &'static [u8]) -> Arc<Task> {
+    pub(crate) async fn task(index: u32, bytes: &'static [u8]) -> Arc<Task> {
         let stage = Stage { frame: 1, round: 0, kind: StageKind::Render };
         let task = TaskKey { job: JobId(3), stage, index };
         let work = Work::Render { tile: index, samples: 0..4 };

@@ -11,7 +11,7 @@ use femc_model::{
     Epoch, Failure, FromWorker, JobId, JobSpec, Latest, Phase, Registration, Spent, TaskKey, TaskLog, TaskResult,
     ToWorker, Usage, Work,
 };
-use femc_proto::{CallError, Client, Incoming, Outgoing};
+use femc_proto::{CallError, Client, Incoming, Outgoing, Why};
 use tokio::sync::mpsc::UnboundedReceiver;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, Interval, MissedTickBehavior};
@@ -99,6 +99,7 @@ impl<'a> Session<'a> {
         let silent = || CallError::Unreachable {
             url: self.client.url().into(),
             message: format!("it said nothing for {} s", Claims::INTRODUCTION.as_secs()),
+            why: Why::Away,
         };
         let (out, mut incoming) = tokio::select! {
             biased;
@@ -144,6 +145,7 @@ impl<'a> Session<'a> {
                         tracing::Span::current().record("worker", worker.0);
                         tracing::info!(url = self.client.url(), "joined");
                         self.config.metrics.connected();
+                        self.config.journal.told();
                         self.claims.welcomed(lease);
                         let every = Duration::from_millis(pause.max(10));
                         let pulse = heartbeat.insert(tokio::time::interval(every));
@@ -214,7 +216,8 @@ impl<'a> Session<'a> {
                     let (task, epoch) = task;
                     return out.send(FromWorker::Failed { task, epoch, failure, log: None, usage: None }).await;
                 }
-                let ahead = matches!(assignment.work, Work::Render { .. }).then(|| {
+                let is_ahead = matches!(assignment.work, Work::Render { .. }) && !self.config.journal.is_careful();
+                let ahead = is_ahead.then(|| {
                     let (spec, frame) = (spec.clone(), assignment.task.stage.frame);
                     Ahead { spec, frame, client: self.client.clone(), task }
                 });

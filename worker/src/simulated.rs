@@ -22,7 +22,9 @@ pub(crate) fn start(pace: &Pace, tools: &Tools, table: &Arc<Table>, finish: &Fin
         let (pace, tools, table, finish) = (pace.clone(), tools.clone(), table.clone(), finish.clone());
         tokio::spawn(async move {
             while let Some(task) = table.taken(lane).await {
+                tools.journal.begin(&task);
                 let outcome = work(&task, &pace, &tools).await;
+                tools.journal.end(&task);
                 finish.done(&task, outcome);
             }
         });

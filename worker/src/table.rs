@@ -5,7 +5,7 @@ use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use femc_model::{
-    Assignment, Epoch, Failure, HeldLease, JobSpec, Phase, StageKind, TaskKey, TaskProgress, Usage, Work,
+    Assignment, Digest, Epoch, Failure, HeldLease, JobSpec, Phase, StageKind, TaskKey, TaskProgress, Usage, Work,
 };
 use femc_proto::Client;
 use tokio::sync::Notify;
@@ -109,12 +109,17 @@ impl Task {
 
     /// The lease, as a later session brings it along.
     pub(crate) fn lease(&self) -> HeldLease {
+        self.lease_of(self.spec.key())
+    }
+
+    /// The same, of a job whose key is known.
+    pub(crate) fn lease_of(&self, job: Digest) -> HeldLease {
         let (task, epoch) = self.key();
         let samples = match &self.assignment.work {
             Work::Render { samples, .. } => samples.clone(),
             Work::Gather { .. } | Work::Merge { .. } => 0..0,
         };
-        HeldLease { task, epoch, samples, job: self.spec.key() }
+        HeldLease { task, epoch, samples, job }
     }
 
     /// Its turn has come; again changes nothing.

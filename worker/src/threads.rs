@@ -101,6 +101,7 @@ impl Runner {
             match self.hand.outcomes.recv_timeout(Self::LOOK) {
                 Ok(outcome) => return Some(outcome),
                 Err(mpsc::RecvTimeoutError::Disconnected) => {
+                    self.tools.journal.end(task);
                     self.replace_hand();
                     return died();
                 }
@@ -145,7 +146,10 @@ impl Hand {
         let thread = spawn(format!("{name} hand"), move || {
             tools.nice.apply();
             for task in line {
-                if done.send(execute(&task, &tools)).is_err() {
+                tools.journal.begin(&task);
+                let outcome = execute(&task, &tools);
+                tools.journal.end(&task);
+                if done.send(outcome).is_err() {
                     break;
                 }
             }

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::{Refusal, Registration};
-use femc_proto::{CallError, Client};
+use femc_proto::{CallError, Client, Why};
 use rayon::ThreadPoolBuilder;
 use tokio::runtime::Handle;
 use tokio::sync::mpsc;
@@ -53,6 +53,7 @@ impl Worker {
             slots: 1,
             tags: config.tags.clone(),
             held: Vec::new(),
+            died: None,
         };
         let tools = Tools {
             pool: Arc::new(pool),
@@ -60,6 +61,7 @@ impl Worker {
             fetch: Fetch::blocking(Handle::current()),
             memory: Memory::new(config.memory.clone()),
             nice,
+            journal: config.journal.clone(),
         };
         let table = Arc::new(Table::default());
         config.metrics.watch(&table, &config.cache);
@@ -70,6 +72,7 @@ impl Worker {
                 .await
                 .map_err(|error| WorkerError::Threads(error.to_string()))??,
         };
+        config.journal.open(outbox.folder(), config.instance);
         let meter = match config.hands {
             Hands::Threads => Meter::of_process(),
             Hands::Simulated(_) => Meter::none(),
@@ -82,7 +85,7 @@ impl Worker {
         let mut stop = std::pin::pin!(async {
             tokio::select! {
                 biased;
-                () = stop => {}
+                () = stop => config.journal.close(),
                 () = duty::idle(&table, config.idle_limit) => {}
             }
         });
@@ -100,7 +103,8 @@ impl Worker {
                 kept.for_each(|task| table.keep(Arc::new(task)));
                 let session = Session::new(client, &table, &outbox, &ahead, &mut finished, &config, &meter);
                 let held = table.held().iter().map(|task| task.lease()).collect();
-                session.run(Registration { held, ..registration.clone() }, stop.as_mut()).await
+                let died = config.journal.death();
+                session.run(Registration { held, died, ..registration.clone() }, stop.as_mut()).await
             };
             // The coordinator's number for it, once it has one.
             let span = tracing::info_span!("session", worker = tracing::field::Empty, machine = config.name);
@@ -110,7 +114,11 @@ impl Worker {
                 Ok(End::Stopped) => break Ok(()),
                 Ok(End::Lost) => {
                     away = Stopwatch::start();
-                    CallError::Unreachable { url: config.join.clone(), message: "it ended the session".into() }
+                    CallError::Unreachable {
+                        url: config.join.clone(),
+                        message: "it ended the session".into(),
+                        why: Why::Away,
+                    }
                 }
                 Err(
                     error @ (CallError::Refused(Refusal::Forbidden { .. } | Refusal::Unauthenticated { .. })
@@ -133,6 +141,7 @@ impl Worker {
                 () = &mut stop => break Ok(()),
             }
         };
+        config.journal.close();
         table.close();
         // What it does at the end it does within milliseconds, or the disk is broken.
         let _ = tokio::task::spawn_blocking(move || outbox.close()).await;

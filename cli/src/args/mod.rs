@@ -24,7 +24,7 @@ use std::path::{Path, PathBuf};
     about = "A physically based render farm: foggy scenes to frames, exactly",
     after_help = "Examples:\n  \
         femc render scenes/cornell-fog.mgf -o cornell.exr --spp 64\n  \
-        femc render scenes/roundabout.mgf --frames 1..24 --size 320x180 -o drive --video drive.mp4\n  \
+        femc render scenes/roundabout.mgf --frames 1..24 --size 160x90 --spp 8 -o drive --video drive.mp4\n  \
         femc coordinator & femc worker --join http://127.0.0.1:7878 & femc submit scene.mgf\n\n\
         Exit codes: 0 done, 1 the work failed or a check found a fault, 2 wrong usage, \
         3 interrupted (the same command goes on), 4 the server could not be reached.",

@@ -8,12 +8,12 @@ use femc_model::{
     Artefact, Attempts, Control, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord,
     Refusal, Tick, WorkerId, WorkerName, WorkerStatus,
 };
-use femc_proto::{BackupError, CallError, Client, CollectMode, Collected, Dial, JobShape};
+use femc_proto::{BackupError, CallError, Client, CollectMode, Collected, Dial, Found, JobShape, Why};
 use femc_worker::Parcel;
 use std::time::Duration;
 
 /// How long is waited for a coordinator that has gone away to come back.
-const PATIENCE: Duration = Duration::from_secs(60);
+pub const PATIENCE: Duration = Duration::from_secs(60);
 /// How long, where there are several, one of them may take to lead: a leader that froze is waited for `--silence`.
 const TAKE_OVER: Duration = Duration::from_secs(10);
 /// How often a scene is uploaded again that the store has lost meanwhile.
@@ -27,10 +27,32 @@ pub struct Farm {
     client: Client,
 }
 
+/// How client commands say where the coordinator is.
+pub const SERVER: &str = "--server or FEMC_SERVER";
+
+/// No coordinator was met.
+#[derive(Debug)]
+pub struct Unmet {
+    /// Why, where, and what to do.
+    pub failure: Failure,
+    /// Whether one may still come.
+    pub may_come: MayCome,
+}
+
+/// Whether waiting helps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum MayCome {
+    /// Nobody is there: a coordinator may be about to start.
+    Yes,
+    /// Somebody is, and it will not do.
+    No,
+}
+
 /// Run `work` with the coordinator at `--server`.
 pub fn block_on<T>(server: &ServerArgs, work: impl AsyncFnOnce(&Farm) -> Result<T, Failure>) -> Result<T, Failure> {
     runtime()?.block_on(async {
-        let farm = Farm::connect(&server.identity.dial()?, &server.server).await?;
+        let dial = server.identity.dial()?;
+        let farm = Farm::connect(&dial, &server.server, SERVER).await.map_err(|unmet| unmet.failure)?;
         work(&farm).await
     })
 }
@@ -45,17 +67,32 @@ pub fn runtime() -> Result<tokio::runtime::Runtime, Failure> {
 }
 
 impl Farm {
-    /// Connect. Where there are several addresses, another coordinator may be about to take over.
-    pub async fn connect(dial: &Dial, url: &str) -> Result<Self, Failure> {
+    /// Connect, and hear that it is a coordinator that answers. Where there are several addresses, another one may be about to
+    /// take over.
+    /// - `option`: where the address comes from.
+    pub async fn connect(dial: &Dial, url: &str, option: &str) -> Result<Self, Unmet> {
         let begun = Clock.now();
         loop {
-            match Client::connect_by(dial, url).await {
+            match Self::introduced(dial, url).await {
                 Err(CallError::Unreachable { .. }) if url.contains(',') && Clock.since(begun) < TAKE_OVER => {
                     tokio::time::sleep(RETRY).await;
                 }
-                client => return Ok(Self { client: client.map_err(told)? }),
+                Ok(client) => return Ok(Self { client }),
+                Err(error) => return Err(unmet(error, option).await),
             }
         }
+    }
+
+    /// A connection by itself says little: it is there before the first word from the other end.
+    async fn introduced(dial: &Dial, url: &str) -> Result<Client, CallError> {
+        let client = Client::connect_by(dial, url).await?;
+        client.missing(&[]).await?;
+        Ok(client)
+    }
+
+    /// The coordinator's address.
+    pub fn url(&self) -> &str {
+        self.client.url()
     }
 
     /// Put those artefacts of a scene into the farm's store that are not there; bytes that were sent.
@@ -109,7 +146,12 @@ impl Farm {
 
     /// One job, of a coordinator that may be away for a while.
     pub async fn patient_status(&self, job: JobId) -> Result<JobStatus, Failure> {
-        patiently(|| self.client.status(job)).await.map_err(told)
+        self.status_unless_away(job, |_| {}).await
+    }
+
+    /// The same; `away` hears again and again for how long the coordinator has been away.
+    pub async fn status_unless_away(&self, job: JobId, away: impl FnMut(Duration)) -> Result<JobStatus, Failure> {
+        patiently_telling(|| self.client.status(job), away).await.map_err(told)
     }
 
     /// The finished frames of a job, ascending.
@@ -163,12 +205,21 @@ impl Farm {
 
 /// Call again while the coordinator is away.
 async fn patiently<T>(call: impl AsyncFn() -> Result<T, CallError>) -> Result<T, CallError> {
+    patiently_telling(call, |_| {}).await
+}
+
+/// The same; `away` hears for how long it has been away.
+async fn patiently_telling<T>(
+    call: impl AsyncFn() -> Result<T, CallError>,
+    mut away: impl FnMut(Duration),
+) -> Result<T, CallError> {
     let begun = Clock.now();
     loop {
         match call().await {
             Err(CallError::Unreachable { .. } | CallError::Refused(Refusal::Unavailable { .. }))
                 if Clock.since(begun) < PATIENCE =>
             {
+                away(Clock.since(begun));
                 tokio::time::sleep(RETRY).await;
             }
             answer => return answer,
@@ -176,18 +227,71 @@ async fn patiently<T>(call: impl AsyncFn() -> Result<T, CallError>) -> Result<T,
     }
 }
 
+/// A failed first call: looks who is there instead.
+async fn unmet(error: CallError, option: &str) -> Unmet {
+    let CallError::Unreachable { ref url, why: Why::Away, .. } = error else {
+        let may_come = match &error {
+            CallError::Refused(Refusal::Unavailable { .. }) => MayCome::Yes,
+            _ => MayCome::No,
+        };
+        return Unmet { failure: told(error), may_come };
+    };
+    let nobody = format!("start one with `femc coordinator`, or give its address with {option}");
+    if url.contains(',') {
+        return Unmet { failure: unreachable(format!("{error}; {nobody}")), may_come: MayCome::Yes };
+    }
+    let is_https = url.starts_with("https:");
+    let (message, may_come) = match femc_proto::look(url).await {
+        Found::Nobody { message } => {
+            (format!("no coordinator takes connections at {url} ({message}); {nobody}"), MayCome::Yes)
+        }
+        Found::Encrypted if !is_https => (
+            format!(
+                "{url} is encrypted; write https:// instead of http:// in {option}, and say who you are with --identity or --token-file"
+            ),
+            MayCome::No,
+        ),
+        Found::Open if is_https => (
+            format!(
+                "{url} is not encrypted: whoever is there has no identity (`femc coordinator --identity`); \
+                 write http:// instead of https:// in {option} if that is right for you"
+            ),
+            MayCome::No,
+        ),
+        Found::Other => (
+            format!(
+                "what answers at {url} is no coordinator: it speaks otherwise; give the coordinator's address with {option}"
+            ),
+            MayCome::No,
+        ),
+        Found::Open | Found::Encrypted => {
+            (format!("{error}; somebody is there: try again, or give another address with {option}"), MayCome::Yes)
+        }
+    };
+    Unmet { failure: unreachable(message), may_come }
+}
+
 /// A failed call as this program's failure.
 pub fn told(error: CallError) -> Failure {
     match error {
-        CallError::Address { .. } => usage(format!("--server: {error}; write it like http://127.0.0.1:7878")),
+        CallError::Address { .. } => usage(format!("{error}; write it like http://127.0.0.1:7878")),
         CallError::NoIdentity { .. } => {
             usage(format!("{error}; give it with --identity or FEMC_IDENTITY, --token-file or FEMC_TOKEN_FILE"))
         }
         CallError::OpenToken { .. } => usage(format!("{error}; give an address that begins with https://")),
         CallError::NoAuthority { .. } => usage(format!("{error}; `femc ca token` makes one that has it")),
-        CallError::Unreachable { .. } => unreachable(format!(
-            "{error}; start one with `femc coordinator`, or give its address with --server or FEMC_SERVER"
+        CallError::Unreachable { why: Why::TheirCertificate, .. } => unreachable(format!(
+            "{error}; the coordinator there belongs to another farm than the identity or token that was given: \
+             give one that its farm has issued, or this farm's address"
         )),
+        CallError::Unreachable { why: Why::OurCertificate, .. } => unreachable(format!(
+            "{error}; it does not take this identity: another farm's authority has issued it, or its time is over; \
+             give one that this farm has issued (`femc ca issue`)"
+        )),
+        // Whom it met is not asked a second time.
+        CallError::Unreachable { why: Why::Away, .. } => {
+            unreachable(format!("{error}; it answered before: try again when it is back"))
+        }
         CallError::Refused(refusal) => match refusal {
             Refusal::NoSuchJob { .. } => usage(format!("{refusal}; `femc jobs` lists all")),
             Refusal::NoSuchWorker { .. } => usage(format!("{refusal}; `femc workers` lists all")),

@@ -2,7 +2,7 @@
 //! that the system chooses. What that costs is a copy of every result through a socket; what it buys is that there is no
 //! second way to render.
 
-use super::client::Farm;
+use super::client::{self, Farm};
 use crate::exit::{Failure, failed};
 use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log};
 use femc_proto::Dial;
@@ -58,7 +58,8 @@ impl Embedded {
                 let _ = stopped.changed().await;
             }));
         }
-        let client = Farm::connect(&Dial::tcp(), &coordinator.url()).await?;
+        let client =
+            Farm::connect(&Dial::tcp(), &coordinator.url(), client::SERVER).await.map_err(|unmet| unmet.failure)?;
         Ok((Self { coordinator, workers, stop }, client))
     }
 

@@ -73,6 +73,7 @@ impl Partial {
         let image = self.image()?;
         let provenance = Provenance {
             version: env!("CARGO_PKG_VERSION").into(),
+            engine: String::new(),
             settings: String::new(),
             scene: String::new(),
             frame: self.frame,

@@ -16,7 +16,7 @@ use std::path::PathBuf;
 /// Of the scene only what the farm does not have is sent: after an edit the changed files, not the textures.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
-    femc submit scenes/roundabout.mgf --frames 1..120 --error 0.05\n  \
+    femc submit scenes/roundabout.mgf --frames 1..120 --size 192x108 --spp 24\n  \
     femc submit job.toml --priority 80\n  \
     job=$(femc submit scene.mgf | tail -1); femc watch $job && femc fetch $job -o out\n\n\
     A farm's workers have their own threads: --workers and --threads change nothing here.")]
@@ -44,6 +44,7 @@ pub struct SubmitArgs {
 #[derive(Serialize)]
 struct Report {
     job: u64,
+    owner: String,
     scene_bytes: u64,
     sent_bytes: u64,
 }
@@ -53,17 +54,25 @@ pub fn run(args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
     let asked = Asked::open(&args.scene, args.settings, say)?;
     let scene = asked.parcel()?;
     let count = human::count(asked.plan.frames.len() as u64, "frame");
-    let (job, sent) = client::block_on(&args.server, async |farm| {
+    let wanted = args.owner.clone();
+    let (job, sent, owner) = client::block_on(&args.server, async |farm| {
         let mut spec = client::job_spec(&asked, &scene, asked.plan.frames.clone())?;
         spec.priority = args.priority.unwrap_or(spec.priority);
         spec.owner = args.owner.unwrap_or(spec.owner);
         if !args.tags.is_empty() {
             spec.tags = args.tags;
         }
-        farm.submit(&scene, own_key(), spec).await
+        let (job, sent) = farm.submit(&scene, own_key(), spec).await?;
+        Ok((job, sent, farm.patient_status(job).await?.owner))
     })?;
+    if let Some(wanted) = wanted.filter(|wanted| *wanted != owner) {
+        say.warning(format!(
+            "--owner {wanted} is not heeded: this farm knows who submits, and job {job} belongs to {owner}; leave --owner away, \
+             or submit it with {wanted}'s identity"
+        ));
+    }
     if args.format.json {
-        json::print(say, &Report { job: job.0, scene_bytes: scene.size(), sent_bytes: sent })?;
+        json::print(say, &Report { job: job.0, owner, scene_bytes: scene.size(), sent_bytes: sent })?;
     } else {
         let [size, sent] = [scene.size(), sent].map(|bytes| human::quantity(bytes as f64));
         let path = asked.path.display();

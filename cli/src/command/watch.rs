@@ -7,9 +7,11 @@ use crate::args::ServerArgs;
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, interrupted};
 use crate::output::blocks::Room;
+use crate::output::job::JobJson;
 use crate::output::{Progress, Say, Stage, human, job as show};
 use clap::{Args, ValueEnum};
 use femc_model::{JobId, JobStatus};
+use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -38,6 +40,10 @@ pub struct WatchArgs {
     /// Keep this file up to date with the frame in work, as far as it is done; at the end it is the last frame
     #[arg(long, value_name = "FILE.png", value_parser = png)]
     preview_to: Option<PathBuf>,
+    /// Print JSON on stdout, for machines: an object a line whenever the job's status changes, or the coordinator goes away or
+    /// comes back
+    #[arg(long)]
+    json: bool,
     #[command(flatten)]
     server: ServerArgs,
 }
@@ -79,12 +85,41 @@ const EVERY: Duration = Duration::from_millis(250);
 pub fn run(args: &WatchArgs, say: Say) -> Result<Exit, Failure> {
     let last = client::block_on(&args.server, async |farm| {
         let mut interrupt = Interrupt::listen()?;
+        let mut events = Events { say: args.json.then_some(say), last: None };
         let mut progress = Progress::new(say, Clock);
         let views = Views { drawn: args.preview.draws(progress.stage(), say), file: args.preview_to.clone() };
         let is_seen = views.drawn || views.file.is_some();
         let mut lookout = is_seen.then(|| Lookout::new(farm.clone(), JobId(args.job), views));
         loop {
-            let status = farm.patient_status(JobId(args.job)).await?;
+            let mut away = None;
+            let status = farm.status_unless_away(JobId(args.job), |gone| {
+                if away.is_none() {
+                    events.away(farm.url());
+                }
+                away = Some(gone);
+                progress.away(&format!(
+                    "the coordinator at {} has been away for {}; the watch goes on when it is back, and waits {}",
+                    farm.url(),
+                    human::seconds(gone.as_secs_f64()),
+                    human::seconds(client::PATIENCE.as_secs_f64())
+                ));
+            });
+            let status = tokio::select! {
+                status = status => Some(status?),
+                () = interrupt.wait() => None,
+            };
+            let Some(status) = status else {
+                progress.finish();
+                return Err(left(args.job));
+            };
+            if let Some(gone) = away {
+                progress.back(&format!(
+                    "the coordinator is back after {}; the watch goes on",
+                    human::seconds(gone.as_secs_f64())
+                ));
+                events.back(gone);
+            }
+            events.status(&status);
             if status.state.has_ended() {
                 drop(lookout.take());
                 if let Some(file) = &args.preview_to {
@@ -102,14 +137,59 @@ pub fn run(args: &WatchArgs, say: Say) -> Result<Exit, Failure> {
                 () = tokio::time::sleep(EVERY) => {}
                 () = interrupt.wait() => {
                     progress.finish();
-                    return Err(interrupted(format!(
-                        "no longer watching job {0}, which goes on; `femc watch {0}` looks again", args.job
-                    )));
+                    return Err(left(args.job));
                 }
             }
         }
     })?;
-    ended(say, &last)
+    ended(args, say, &last)
+}
+
+fn left(job: u64) -> Failure {
+    interrupted(format!("no longer watching job {job}, which goes on; `femc watch {job}` looks again"))
+}
+
+/// What `--json` prints: an object a line, when there is something new.
+struct Events {
+    /// `None`: it is not wanted.
+    say: Option<Say>,
+    last: Option<JobStatus>,
+}
+
+#[derive(Serialize)]
+#[serde(tag = "event", rename_all = "kebab-case")]
+enum Event<'a> {
+    /// How the job stands.
+    Status { job: &'a JobJson },
+    /// The coordinator does not answer.
+    Away { server: &'a str },
+    /// It answers again, after so many seconds.
+    Back { seconds: f64 },
+}
+
+impl Events {
+    fn tell(&self, event: &Event<'_>) {
+        if let (Some(say), Ok(line)) = (self.say, serde_json::to_string(event)) {
+            say.result(line);
+        }
+    }
+
+    fn status(&mut self, status: &JobStatus) {
+        // Time alone is nothing new.
+        let now = Some(JobStatus { seconds: 0.0, ..status.clone() });
+        if self.last != now {
+            self.tell(&Event::Status { job: &JobJson::from(status) });
+            self.last = now;
+        }
+    }
+
+    fn away(&self, server: &str) {
+        self.tell(&Event::Away { server });
+    }
+
+    fn back(&self, gone: Duration) {
+        self.tell(&Event::Back { seconds: gone.as_secs_f64() });
+    }
 }
 
 /// The last finished frame takes the place of what there was of it; without one, what there was stays.
@@ -122,14 +202,19 @@ async fn last_frame(farm: &Farm, job: JobId, file: &Path) -> Result<(), Failure>
 }
 
 /// Say how a job has ended.
-fn ended(say: Say, job: &JobStatus) -> Result<Exit, Failure> {
+fn ended(args: &WatchArgs, say: Say, job: &JobStatus) -> Result<Exit, Failure> {
     for line in show::trouble(job) {
         say.warning(line);
     }
     match show::exit(job.state) {
         Some(Exit::Done) => {
             let frames = human::count(job.frames_total.into(), "frame");
-            say.result(format!("job {} is done: {frames} in {}", job.job, human::seconds(job.seconds)));
+            let line = format!("job {} is done: {frames} in {}", job.job, human::seconds(job.seconds));
+            if args.json {
+                say.note(line)
+            } else {
+                say.result(line)
+            }
             Ok(Exit::Done)
         }
         _ => Err(failed(format!(

@@ -1,6 +1,6 @@
 //! `femc worker --join URL`: a farm machine.
 
-use super::client::{Farm, runtime};
+use super::client::{Farm, MayCome, Unmet, runtime};
 use super::interrupt::Interrupt;
 use super::{metrics, outbox};
 use crate::args::{IdentityArgs, MetricsArgs};
@@ -160,13 +160,11 @@ fn pieces(folder: Option<&Path>, size: Option<Volume>) -> Result<Pieces, Failure
 async fn coordinator(dial: &Dial, url: &str, patience: Budget) -> Result<(), Failure> {
     let begun = Clock.now();
     loop {
-        match Farm::connect(dial, url).await {
-            Err(failure)
-                if failure.exit == Exit::Unreachable && Clock.since(begun).as_secs_f64() < patience.seconds =>
-            {
+        match Farm::connect(dial, url, "--join").await {
+            Err(Unmet { may_come: MayCome::Yes, .. }) if Clock.since(begun).as_secs_f64() < patience.seconds => {
                 tokio::time::sleep(RETRY).await;
             }
-            found => return found.map(drop),
+            met => return met.map(drop).map_err(|unmet| unmet.failure),
         }
     }
 }

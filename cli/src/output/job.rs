@@ -132,6 +132,10 @@ pub fn exit(state: JobState) -> Option<Exit> {
     }
 }
 
+fn plural(count: u32) -> &'static str {
+    if count == 1 { "has" } else { "have" }
+}
+
 /// Why tasks wait.
 pub fn wait(wait: &Wait) -> String {
     match wait {
@@ -148,6 +152,18 @@ pub fn wait(wait: &Wait) -> String {
         }
         Wait::WorkersResting => {
             "the workers that may take it rest after a failure of memory, disk, store or network".to_owned()
+        }
+        Wait::WorkersSilent { workers, seconds } => {
+            let (workers, verb) = (human::count(u64::from(*workers), "worker"), plural(*workers));
+            format!(
+                "{workers} {verb} not been heard of for {seconds} s: stopped, cut off or overloaded; `femc workers` tells which"
+            )
+        }
+        Wait::WorkersInTrouble { workers: 1, seconds, failure } => {
+            format!("1 worker rests for {seconds} s more, after this: {failure}")
+        }
+        Wait::WorkersInTrouble { workers, seconds, failure } => {
+            format!("{workers} workers rest, the first for {seconds} s more, after this: {failure}")
         }
         Wait::WorkersShunned { workers, seconds } => format!(
             "tasks kept failing on {}: the next try there in {seconds} s",

@@ -41,7 +41,7 @@ pub struct Progress {
 enum Form {
     Silent,
     Bar(ProgressBar),
-    Lines { say: Say, last: Moment },
+    Lines { say: Say, last: Moment, away: Option<Moment> },
 }
 
 /// Where progress is shown.
@@ -66,7 +66,7 @@ impl Progress {
             bar.set_style(style.unwrap_or_else(|_| ProgressStyle::default_bar()).progress_chars("=> "));
             Form::Bar(bar)
         } else {
-            Form::Lines { say, last: clock.now() }
+            Form::Lines { say, last: clock.now(), away: None }
         };
         Self { form, clock, started: clock.now(), at_start: None }
     }
@@ -82,12 +82,34 @@ impl Progress {
                 bar.set_message(text());
                 bar.set_position((now.fraction * STEPS as f64) as u64);
             }
-            Form::Lines { say, last } => {
+            Form::Lines { say, last, .. } => {
                 if self.clock.since(*last) >= PLAIN_EVERY {
                     *last = self.clock.now();
                     say.note(format!("{:3.0} %  {}", now.fraction * 100.0, text()));
                 }
             }
+        }
+    }
+
+    /// Show instead that nothing is heard for now.
+    pub fn away(&mut self, text: &str) {
+        match &mut self.form {
+            Form::Silent => {}
+            Form::Bar(bar) => bar.set_message(text.to_owned()),
+            Form::Lines { say, away, .. } => {
+                if away.is_none_or(|told| self.clock.since(told) >= PLAIN_EVERY) {
+                    *away = Some(self.clock.now());
+                    say.note(text);
+                }
+            }
+        }
+    }
+
+    /// Something is heard again.
+    pub fn back(&mut self, text: &str) {
+        if let Form::Lines { say, away, .. } = &mut self.form {
+            *away = None;
+            say.note(text);
         }
     }
 

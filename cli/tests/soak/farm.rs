@@ -168,7 +168,7 @@ impl Farm {
     /// The coordinator stands still for an instant, and its file is copied as a crash would leave it.
     fn copy_of_log(&self) -> Option<Contents> {
         let copied = self.coordinators[0].stopped(|| {
-            ["farm.db", "farm.db-wal"].map(|name| {
+            ["farm.db", "farm.db-wal", "farm.db-mark"].map(|name| {
                 let copy = self.place.path(&name.replace("farm", "copy"));
                 // A log that has just been begun or closed has no such file.
                 let _ = std::fs::remove_file(&copy);

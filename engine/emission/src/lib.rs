@@ -4,6 +4,7 @@
 //! reference point may lie on a surface or in a medium: no normal is asked for. The crate knows nothing of scenes.
 //! Visibility is the caller's business.
 #![deny(missing_docs)]
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests compute what they expect apart from the engine"))]
 
 pub mod emission;
 pub mod equiangular;

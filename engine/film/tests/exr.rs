@@ -21,6 +21,7 @@ fn frame(width: u32, height: u32) -> FrameImage {
 fn provenance() -> Provenance {
     Provenance {
         version: "0.1.0".into(),
+        engine: "0.1.0-7".into(),
         settings: r#"{"spp":16}"#.into(),
         scene: "00ff".into(),
         frame: 7,
@@ -52,6 +53,7 @@ fn colors_and_attributes_survive_the_file() {
         ("femc:settings", r#"{"spp":16}"#),
         ("femc:spp", "16.5"),
         ("femc:version", "0.1.0"),
+        ("femc:engine", "0.1.0-7"),
     ];
     for (name, value) in expected {
         assert_eq!(back.attributes[name], value);

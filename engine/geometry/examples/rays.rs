@@ -6,6 +6,7 @@
 
 use femc_geometry::{Blas, Cull, InstanceInput, Pose, Ray, TriangleInput, World, offset_origin};
 use femc_math::{
+    cross,
     elementary::{sin_cos, tan},
     glam::{Affine3A, Vec3A},
 };
@@ -112,8 +113,8 @@ pub fn rays(mesh: &Mesh, world: &World, n: usize) -> [Vec<Ray>; 2] {
     let c = &mesh.camera;
     let origin = Vec3A::new(c[0], c[1], c[2]);
     let forward = (Vec3A::new(c[3], c[4], c[5]) - origin).normalize();
-    let right = forward.cross(Vec3A::new(c[6], c[7], c[8])).normalize();
-    let up = right.cross(forward);
+    let right = cross(forward, Vec3A::new(c[6], c[7], c[8])).normalize();
+    let up = cross(right, forward);
     let reach = tan(c[9].to_radians() / 2.0);
     let primary: Vec<Ray> = (0..n * n)
         .map(|i| {

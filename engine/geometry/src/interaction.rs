@@ -1,5 +1,5 @@
 use femc_math::{
-    gamma,
+    cross, gamma,
     glam::{Affine3A, Vec3A},
 };
 
@@ -28,7 +28,7 @@ pub fn triangle_interaction(vertices: &[Vec3A; 3], u: f32, v: f32) -> Interactio
     let position = a * w + b * u + c * v;
     let magnitude = (a * w).abs() + (b * u).abs() + (c * v).abs();
     let extent = (a - position).abs().max((b - position).abs()).max((c - position).abs());
-    let normal = (b - a).cross(c - a).normalize_or_zero();
+    let normal = cross(b - a, c - a).normalize_or_zero();
     Interaction { position, error: magnitude * gamma(7) + extent * gamma(6), normal, uv: [u, v] }
 }
 
@@ -45,8 +45,9 @@ impl Interaction {
         let back = (absolute(to_local, position.abs()) + to_local.translation.abs()) * gamma(6);
         let there = (absolute(to_parent, self.position.abs()) + to_parent.translation.abs()) * gamma(4);
         let m = to_parent.matrix3;
-        let cofactor =
-            |n: Vec3A| m.y_axis.cross(m.z_axis) * n.x + m.z_axis.cross(m.x_axis) * n.y + m.x_axis.cross(m.y_axis) * n.z;
+        let cofactor = |n: Vec3A| {
+            cross(m.y_axis, m.z_axis) * n.x + cross(m.z_axis, m.x_axis) * n.y + cross(m.x_axis, m.y_axis) * n.z
+        };
         Self {
             position,
             error: absolute(to_parent, self.error + back) * (1.0 + gamma(4)) + there,

@@ -3,7 +3,7 @@
 use crate::Aabb;
 use femc_math::{
     elementary::{acos, sin},
-    glam::{Affine3A, Mat3A, Quat, Vec3, Vec3A},
+    glam::{Affine3, Affine3A, Mat3, Mat3A, Quat, Vec3, Vec3A},
 };
 
 /// Where an instance is: local frame to world frame.
@@ -14,6 +14,12 @@ pub enum Pose {
     /// Poses at equally spaced times from 0 to 1 of the shutter. Between two, positions and scales go linearly and rotations by the
     /// shortest arc; a shear is lost. One pose is the same as a fixed one.
     Moving(Vec<Affine3A>),
+}
+
+/// Whether left and right are exchanged. By scalars, as the parts of a pose: glam's wide types fuse products where the compiler may use
+/// FMA.
+fn mirrors(pose: &Affine3A) -> bool {
+    Mat3::from(pose.matrix3).determinant() < 0.0
 }
 
 /// A map and its inverse.
@@ -34,7 +40,7 @@ impl Placement {
                 matrix3: Mat3A::from_cols(m.x_axis.as_vec3a(), m.y_axis.as_vec3a(), m.z_axis.as_vec3a()),
                 translation: inverse.translation.as_vec3a(),
             },
-            mirrored: to_world.matrix3.determinant() < 0.0,
+            mirrored: mirrors(&to_world),
         }
     }
 }
@@ -62,7 +68,7 @@ impl Motion {
         let mut keys: Vec<Parts> = poses
             .iter()
             .map(|pose| {
-                let (scale, rotation, translation) = pose.to_scale_rotation_translation();
+                let (scale, rotation, translation) = Affine3::from(*pose).to_scale_rotation_translation();
                 Parts { translation: translation.into(), rotation: rotation.normalize(), scale }
             })
             .collect();
@@ -76,7 +82,7 @@ impl Motion {
             let angle = acos(cosine.min(1.0));
             arcs.push(if angle > 1e-3 { (angle, 1.0 / sin(angle)) } else { (angle, 0.0) });
         }
-        let mirrored = poses.first().is_some_and(|p| p.matrix3.determinant() < 0.0);
+        let mirrored = poses.first().is_some_and(mirrors);
         Self { keys, arcs, mirrored }
     }
 

@@ -2,10 +2,11 @@
 //!
 //! PNG and JPEG hold sRGB (\[iec61966\]) and are made linear through a table; EXR is linear already. Normal maps are not
 //! colours: their values go from [0, 1] to [-1, 1] as they stand. Sizes are checked in the file's header, before any pixel
-//! is decoded. Alpha is not used.
+//! is decoded. Alpha is not used. What a file decodes to is the same on every machine: JPEG by integers alone, and EXR files
+//! whose compression is decoded by whatever the processor has (DWA) are refused.
 
 use crate::Fault;
-use exr::{meta::MetaData, prelude as exr_prelude};
+use exr::{compression::Compression, meta::MetaData, prelude as exr_prelude};
 use exr_prelude::{ReadChannels, ReadLayers};
 use femc_math::elementary::double as elementary;
 use femc_scene::Image;
@@ -139,6 +140,9 @@ fn open_exr(bytes: &[u8], bad: &dyn Fn(String) -> Fault, check: &Check<'_>) -> R
     let meta = MetaData::read_from_buffered(Cursor::new(bytes), false).map_err(|error| bad(error.to_string()))?;
     for header in &meta.headers {
         check(header.layer_size.width(), header.layer_size.height())?;
+        if matches!(header.compression, Compression::DWAA(_) | Compression::DWAB(_)) {
+            return Err(bad("it is compressed with DWA, which other processors decode to other values".into()));
+        }
     }
     let read = exr_prelude::read()
         .no_deep_data()
@@ -176,9 +180,16 @@ mod tests {
     }
 
     fn exr_bytes(pixel: (f32, f32, f32)) -> Vec<u8> {
+        exr_with(Compression::Uncompressed, pixel)
+    }
+
+    fn exr_with(compression: Compression, pixel: (f32, f32, f32)) -> Vec<u8> {
         use exr_prelude::WritableImage;
         let mut bytes = Cursor::new(Vec::new());
-        let image = exr_prelude::Image::from_channels((3, 2), exr_prelude::SpecificChannels::rgb(|_| pixel));
+        let encoding = exr_prelude::Encoding { compression, ..exr_prelude::Encoding::UNCOMPRESSED };
+        let channels = exr_prelude::SpecificChannels::rgb(|_| pixel);
+        let layer = exr_prelude::Layer::new((3, 2), exr_prelude::LayerAttributes::default(), encoding, channels);
+        let image = exr_prelude::Image::from_layer(layer);
         image.write().non_parallel().to_buffered(&mut bytes).unwrap();
         bytes.into_inner()
     }
@@ -224,6 +235,16 @@ mod tests {
         let decoded = decode("t.exr", &exr_bytes((0.25, 1.5, 3.0)), Role::Color, 0).unwrap();
         assert_eq!((decoded.image.width, decoded.image.height), (3, 2));
         assert!(decoded.image.pixels.iter().all(|p| *p == [0.25, 1.5, 3.0]));
+    }
+
+    #[test]
+    fn an_exr_that_the_processor_decodes_in_its_own_way_is_refused() {
+        for compression in [Compression::DWAA(None), Compression::DWAB(None)] {
+            let fault = decode("t.exr", &exr_with(compression, (0.25, 1.5, 3.0)), Role::Color, 0).unwrap_err();
+            assert!(fault.to_string().contains("DWA"), "{fault}");
+        }
+        let piz = decode("t.exr", &exr_with(Compression::PIZ, (0.25, 1.5, 3.0)), Role::Color, 0).unwrap();
+        assert_eq!(piz.image.pixels, [[0.25, 1.5, 3.0]; 6]);
     }
 
     #[test]

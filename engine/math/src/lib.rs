@@ -19,6 +19,13 @@ pub use glam;
 pub use sampler::SampleStream;
 pub use transform::Transform;
 
+/// The cross product, each of its products rounded. glam's own fuses one where the compiler may use FMA, and has other bits there.
+#[inline]
+pub fn cross(a: glam::Vec3A, b: glam::Vec3A) -> glam::Vec3A {
+    use glam::Vec3Swizzles;
+    (a.zxy() * b - b.zxy() * a).zxy()
+}
+
 /// Relative error bound of `n` chained f32 operations, `n eps / (1 - n eps)` with `eps = 2^-24` (\[higham2002\]).
 #[inline]
 pub const fn gamma(n: u32) -> f32 {

@@ -12,7 +12,8 @@ pub use femc_prepared::{PrepareError, Prepared, Source};
 pub use femc_scene::Moment;
 pub use plan::{LeftOut, Plan, PlanError, plan};
 pub use render::{RenderError, RenderedTile, moment, prepare, render_tile};
-/// Names the build of the engine: of two programs that say the same, the same job gives the same bits.
+/// Names the build of the engine: of two programs that say the same, the same job gives the same bits (`build.rs` says what is in
+/// the name, `tests/builds` compares).
 pub const BUILD: &str = env!("FEMC_ENGINE");
 
 pub use settings::{Method, RoundVerdict, Settings, SettingsError, Stop};

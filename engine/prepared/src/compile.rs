@@ -4,6 +4,7 @@
 use crate::lights::PhotometryTables;
 use femc_emission::light::{Face, Light};
 use femc_geometry::{Blas, Cull, Facing as KernelFacing, Quadric as KernelShape, ShapeInput, TriangleInput};
+use femc_math::elementary::double::cbrt;
 use femc_math::glam::{DAffine3, DMat3, DVec3, Vec2, Vec3, Vec3A};
 use femc_math::hash::combine;
 use femc_math::transform::transform_normal;
@@ -424,7 +425,7 @@ fn face_shape(face: &Face) -> KernelShape {
         // Parallelograms are split into triangles before.
         Face::Parallelogram { origin, edge_u, edge_v } => KernelShape::Ring {
             center: origin,
-            normal: edge_u.cross(edge_v).normalize_or(Vec3A::Z),
+            normal: femc_math::cross(edge_u, edge_v).normalize_or(Vec3A::Z),
             inner: 0.0,
             outer: 0.0,
         },
@@ -433,7 +434,7 @@ fn face_shape(face: &Face) -> KernelShape {
 
 /// A shape under a similarity.
 pub fn transform_shape(shape: &Shape, t: &DAffine3) -> Shape {
-    let scale = t.matrix3.determinant().abs().cbrt();
+    let scale = cbrt(t.matrix3.determinant().abs());
     let point = |p: DVec3| t.transform_point3(p);
     let axis = |v: DVec3| t.transform_vector3(v).normalize_or(DVec3::Z);
     match *shape {

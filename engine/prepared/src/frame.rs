@@ -327,7 +327,7 @@ impl Assembly<'_> {
         if first != DAffine3::IDENTITY {
             let bounds = placed.compiled.blas.bounds();
             let local = bounds.min.abs().max(bounds.max.abs()).max_element();
-            let scale = first.matrix3.determinant().abs().cbrt() as f32;
+            let scale = double::cbrt(first.matrix3.determinant().abs()) as f32;
             let shift = first.translation.abs().max_element() as f32;
             let slack = femc_math::gamma(8) * (local * scale + shift);
             self.entries[first_light as usize..].iter_mut().for_each(|e| e.slack = slack);

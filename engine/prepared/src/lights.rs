@@ -11,7 +11,8 @@ use femc_emission::{
 };
 use femc_geometry::World;
 use femc_math::Rgb;
-use femc_math::glam::{Affine3A, DAffine3, DVec3, Vec2, Vec3A};
+use femc_math::elementary::double::cbrt;
+use femc_math::glam::{Affine3, Affine3A, DAffine3, DVec3, Vec2, Vec3A};
 use femc_scene::{Facing, Luminaire, Material, Opening, Photometry, PhotometryType, Scene, Shape};
 use std::sync::Arc;
 
@@ -154,7 +155,7 @@ impl Lights {
         if entry.carrier == NONE {
             return source.pdf(reference, at.0, at.1, dir);
         }
-        let back = world.pose_at(entry.carrier, time).inverse();
+        let back = inverse(&world.pose_at(entry.carrier, time));
         source.pdf(
             back.transform_point3a(reference),
             back.transform_point3a(at.0),
@@ -180,7 +181,7 @@ impl Lights {
         let mut radiance = if entry.carrier == NONE {
             source.radiance(dir, normal)
         } else {
-            let back = world.pose_at(entry.carrier, time).inverse();
+            let back = inverse(&world.pose_at(entry.carrier, time));
             source.radiance(
                 back.transform_vector3a(dir).normalize_or_zero(),
                 back.transform_vector3a(normal).normalize_or_zero(),
@@ -211,9 +212,15 @@ impl Entry {
     }
 }
 
+/// The way back, by scalars: glam's wide types fuse products where the compiler may use FMA.
+#[inline]
+fn inverse(pose: &Affine3A) -> Affine3A {
+    Affine3::from(*pose).inverse().into()
+}
+
 /// Draws a point on a light that a moving instance carries. Poses are similarities: densities per steradian stay, lengths scale.
 fn carried(light: &Light, pose: &Affine3A, reference: Vec3A, u: [f32; 2]) -> Option<LightSample> {
-    let back = pose.inverse();
+    let back = inverse(pose);
     let mut sample = light.sample(back.transform_point3a(reference), u)?;
     let scale = pose.matrix3.x_axis.length();
     sample.dir = pose.transform_vector3a(sample.dir).normalize_or_zero();
@@ -282,7 +289,7 @@ impl PhotometryTables {
     /// The light of a luminaire; `to_frame` maps the luminaire's own frame to the one that the light is kept in.
     pub fn light(&self, luminaire: &Luminaire, to_frame: &DAffine3) -> Light {
         let (table, opening) = &self.tables[luminaire.photometry.index()];
-        let scale = to_frame.matrix3.determinant().abs().cbrt();
+        let scale = cbrt(to_frame.matrix3.determinant().abs());
         let axis = |v: DVec3| v.normalize_or_zero().as_vec3a();
         let m = to_frame.matrix3;
         let axes = [axis(m.x_axis), axis(m.y_axis), axis(m.z_axis)];

@@ -113,6 +113,6 @@ pub fn mapped_normal(normal: Vec3A, tangent: Vec3A, map: &Texture, uv: Vec2) -> 
     if tangent == Vec3A::ZERO {
         return normal;
     }
-    let bitangent = normal.cross(tangent);
+    let bitangent = femc_math::cross(normal, tangent);
     (tangent * texel.x + bitangent * texel.y + normal * texel.z.max(1e-3)).normalize_or(normal)
 }

@@ -6,6 +6,7 @@
 //! Local frame of surfaces: z is the shading normal on the surface's FRONT side. `wo` (toward the viewer) and `wi` (toward
 //! the light) are unit and point AWAY from the surface; either may have a negative z.
 #![deny(missing_docs)]
+#![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests compute what they expect apart from the engine"))]
 
 pub mod bsdf;
 pub mod fresnel;

@@ -4,6 +4,8 @@
 //! FILE exists. Who sees the token kills or stops the process, cuts its links, or removes the token to let it go on. It is
 //! one passage that waits; the process's other threads and tasks go on.
 //!
+//! `FEMC_DEADLY=TASK` makes a worker die whenever it begins this task.
+//!
 //! `FEMC_PRETEND=protocol=3,engine=another` makes a worker say that it is of another version: see [`pretended`].
 //!
 //! Builds without debug assertions have none of this.
@@ -12,6 +14,7 @@
 mod point;
 mod pretense;
 
+use std::fmt;
 use std::fs::{self, File};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
@@ -44,6 +47,15 @@ pub async fn pass_async(point: Point) {
         while token.exists() {
             tokio::time::sleep(LOOK).await;
         }
+    }
+}
+
+/// A task begins: if it is the one that was named to kill its worker, the process is gone at once.
+pub fn dies_of(task: &impl fmt::Display) {
+    /// Read at the first task.
+    static ASKED: LazyLock<Option<String>> = LazyLock::new(|| std::env::var("FEMC_DEADLY").ok());
+    if cfg!(debug_assertions) && ASKED.as_ref().is_some_and(|deadly| *deadly == task.to_string()) {
+        std::process::abort();
     }
 }
 

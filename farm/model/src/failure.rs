@@ -54,6 +54,14 @@ pub enum Failure {
     /// The worker gave the task back: it was told to, or is leaving.
     #[error("cancelled")]
     Cancelled,
+    /// Workers died while they computed it.
+    #[error("workers died {deaths} times while they computed it; the last was {worker}")]
+    Killed {
+        /// How often.
+        deaths: u32,
+        /// Name of the last one.
+        worker: String,
+    },
 }
 
 /// What a failure means for the task.
@@ -73,8 +81,8 @@ pub enum Verdict {
 
 impl Failure {
     /// All that [`Failure::cause`] says.
-    pub const CAUSES: [&str; 8] =
-        ["scene", "settings", "panicked", "stalled", "lost_inputs", "store", "resources", "cancelled"];
+    pub const CAUSES: [&str; 9] =
+        ["scene", "settings", "panicked", "stalled", "lost_inputs", "store", "resources", "cancelled", "killed"];
 
     /// In one word, for those who count.
     pub const fn cause(&self) -> &'static str {
@@ -87,6 +95,7 @@ impl Failure {
             Self::Store { .. } => "store",
             Self::Resources { .. } => "resources",
             Self::Cancelled => "cancelled",
+            Self::Killed { .. } => "killed",
         }
     }
 
@@ -94,7 +103,7 @@ impl Failure {
     pub fn verdict(&self) -> Verdict {
         match self {
             Self::Scene { .. } | Self::Settings { .. } => Verdict::Fatal,
-            Self::Panicked { .. } | Self::Stalled { .. } => Verdict::Retry,
+            Self::Panicked { .. } | Self::Stalled { .. } | Self::Killed { .. } => Verdict::Retry,
             Self::LostInputs { digests, .. } => Verdict::Rebuild(digests.clone()),
             Self::Store { .. } | Self::Resources { .. } => Verdict::Infrastructure,
             Self::Cancelled => Verdict::Cancelled,

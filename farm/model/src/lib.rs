@@ -31,7 +31,9 @@ pub use log::{Attempt, LogRecord, LogText, TaskLog};
 pub use manifest::{Extent, Manifest, ManifestError, Piece};
 pub use refusal::Refusal;
 pub use result::{Artefact, Decision, FrameParts, FrameRecord, GatherResult, MergeResult, TaskResult, TileResult};
-pub use session::{FromWorker, HeldLease, LeaseLeft, Phase, Registration, RevokeReason, Spent, TaskProgress, ToWorker};
+pub use session::{
+    Death, FromWorker, HeldLease, LeaseLeft, Phase, Registration, RevokeReason, Spent, TaskProgress, ToWorker,
+};
 pub use status::{Drain, FrameProgress, Intake, JobStatus, Quarantined, Wait, WorkerName, WorkerStatus};
 pub use task::{Assignment, MergeInputs, More, Parts, Stage, StageKind, TaskKey, Work};
 pub use usage::{AttemptRecord, Attempts, Ending, Usage};

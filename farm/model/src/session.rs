@@ -25,6 +25,22 @@ pub struct Registration {
     pub tags: Vec<String>,
     /// Leases of an earlier session that it still works on, or whose results it still has.
     pub held: Vec<HeldLease>,
+    /// How an earlier process of this worker ended, if it died; told once.
+    pub died: Option<Death>,
+}
+
+/// A worker's process died while it computed.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Death {
+    /// [`Registration::instance`] of that process.
+    pub instance: u64,
+    /// What it computed, by the worker's own journal.
+    pub computing: Vec<HeldLease>,
+}
+
+impl Death {
+    /// Most tasks that a process computes at a time.
+    pub const MOST: usize = 64;
 }
 
 /// A lease that a worker brings along from an earlier session.

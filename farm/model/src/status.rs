@@ -108,6 +108,22 @@ pub enum Wait {
     },
     /// Every worker that may take it rests after a failure of its surroundings.
     WorkersResting,
+    /// Workers that may take it have not been heard of for as long as a lease lasts: stopped, cut off or overloaded.
+    WorkersSilent {
+        /// How many there are.
+        workers: u32,
+        /// How long the one has been silent that has been so the longest.
+        seconds: u64,
+    },
+    /// Workers that may take it rest, each after a failure of its surroundings.
+    WorkersInTrouble {
+        /// How many there are.
+        workers: u32,
+        /// Until the first of them gets a task again.
+        seconds: u64,
+        /// What happened to that one.
+        failure: Failure,
+    },
     /// Tasks of the job kept failing on some workers: they get none of it for a while.
     WorkersShunned {
         /// How many workers.

@@ -12,6 +12,7 @@ pub mod testing;
 
 use std::fs::File;
 use std::future::Future;
+use std::io;
 
 pub use backend::memory::Memory;
 pub use backend::postgres::{Database, Leader, Postgres, Standby};
@@ -24,8 +25,29 @@ pub struct Contents {
     pub snapshot: Option<Vec<u8>>,
     /// The records since then, oldest first.
     pub records: Vec<Vec<u8>>,
-    /// Records at the end that were damaged and are dropped; they were never acknowledged, or the disk has lost them.
+    /// Records at the end of a write that was cut: never acknowledged, and dropped. A database has none.
     pub torn: u64,
+    /// What was acknowledged and is not here, where that was accepted.
+    pub lost: Option<Lost>,
+}
+
+/// What a log lacks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct Lost {
+    /// The last record that is there; 0: none.
+    pub kept: i64,
+    /// The last that is known to have been there; `None`: nobody knows.
+    pub known: Option<i64>,
+}
+
+/// What to do with a log that lacks what was acknowledged.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
+pub enum Loss {
+    /// It is not opened.
+    #[default]
+    Refused,
+    /// It goes on with what there is, for good; [`Contents::lost`] tells.
+    Accepted,
 }
 
 /// What becomes durable at once.
@@ -91,14 +113,22 @@ impl Page {
 
 /// An append-only log of one writer, and notes beside it.
 pub trait Queue: Send + 'static {
-    /// What there is. Drops a torn tail, so that appending goes on after the last sound record.
+    /// What there is, before anything else is asked of it: all that was acknowledged, whole batches, nothing else. Where
+    /// that is not there, or cannot be known to be, it fails, unless the loss is accepted.
     fn load(&mut self) -> impl Future<Output = Result<Contents, QueueError>> + Send;
 
-    /// Appends a batch; it is on the disk when this returns. Whole or not at all.
+    /// Appends a batch; it is on the disk when this returns. Whole or not at all. Where there is no room
+    /// ([`Remedy::Room`]) nothing is appended, and the same may be tried again.
     fn append(&mut self, batch: Batch<'_>) -> impl Future<Output = Result<(), QueueError>> + Send;
 
     /// Puts `state` in place of everything before it.
     fn snapshot(&mut self, state: &[u8]) -> impl Future<Output = Result<(), QueueError>> + Send;
+
+    /// A number for the writer that begins now, `least` or more: no writer before has had it, whatever else of the log is
+    /// lost. Durable when this returns.
+    fn reserve(&mut self, least: u32) -> impl Future<Output = Result<u32, QueueError>> + Send {
+        async move { Ok(least) }
+    }
 
     /// A subject's notes from `from` on, which is 0 or the `next` of the page before.
     fn notes(&mut self, subject: u64, from: u64) -> impl Future<Output = Result<Page, QueueError>> + Send;
@@ -129,6 +159,8 @@ pub trait Queue: Send + 'static {
 pub enum Remedy {
     /// Open the log again, later: what it holds is whole.
     Reopen,
+    /// Try the same again when there is room: the log is as it was.
+    Room,
     /// A person must look.
     None,
 }
@@ -138,6 +170,8 @@ impl QueueError {
     pub fn remedy(&self) -> Remedy {
         match self {
             Self::Away { .. } | Self::Deposed { .. } => Remedy::Reopen,
+            Self::Full { .. } => Remedy::Room,
+            Self::Medium(error) if no_room(error) => Remedy::Room,
             Self::Address { .. }
             | Self::Rejected { .. }
             | Self::Foreign { .. }
@@ -145,12 +179,19 @@ impl QueueError {
             | Self::InUse { .. }
             | Self::Damaged { .. }
             | Self::DamagedSnapshot
+            | Self::Lost { .. }
+            | Self::Unsure { .. }
             | Self::NoCopy { .. }
             | Self::Database { .. }
             | Self::Medium(_)
             | Self::Sqlite(_) => Remedy::None,
         }
     }
+}
+
+/// Whether a disk, or somebody's share of it, is full.
+fn no_room(error: &io::Error) -> bool {
+    matches!(error.kind(), io::ErrorKind::StorageFull | io::ErrorKind::QuotaExceeded)
 }
 
 /// What a log may answer instead.
@@ -172,8 +213,8 @@ pub enum QueueError {
         /// The file.
         path: String,
     },
-    /// A record before the end is damaged or gone: what follows it means nothing.
-    #[error("record {sequence} of the log is damaged, and {after} sound ones follow it")]
+    /// A record is damaged or gone: what follows it means nothing.
+    #[error("record {sequence} of the log is damaged or gone, and {after} sound ones follow it")]
     Damaged {
         /// Number of the record.
         sequence: i64,
@@ -183,6 +224,32 @@ pub enum QueueError {
     /// The snapshot is damaged.
     #[error("the log's snapshot is damaged")]
     DamagedSnapshot,
+    /// Records that were durable are gone from the end.
+    #[error("{path} ends with record {kept}, but record {known} was durable: {} are gone", known - kept)]
+    Lost {
+        /// The file.
+        path: String,
+        /// The last record that is there.
+        kept: i64,
+        /// The last that is known to have been there.
+        known: i64,
+    },
+    /// Records may be gone.
+    #[error("whether all that was durable is in {path} cannot be told: {why}")]
+    Unsure {
+        /// The file.
+        path: String,
+        /// Why not.
+        why: String,
+    },
+    /// There is no room; nothing was written.
+    #[error("no room for the log in {place}: {message}")]
+    Full {
+        /// The file or the database.
+        place: String,
+        /// What the system said.
+        message: String,
+    },
     /// Not this one.
     #[error("this log is not copied by the coordinator: {instead}")]
     NoCopy {
@@ -191,7 +258,7 @@ pub enum QueueError {
     },
     /// The medium said no.
     #[error("log: {0}")]
-    Medium(#[from] std::io::Error),
+    Medium(#[from] io::Error),
     /// The address of the database makes no sense.
     #[error("this is no address of a PostgreSQL database: {message}")]
     Address {

@@ -1,19 +1,24 @@
 //! What every log must do, and what the file must survive.
 
+mod common;
+
 use std::path::Path;
 
+use common::{Chance, Model, Work, all_notes};
 use femc_queue::testing::Scratch;
-use femc_queue::{Batch, Contents, Memory, Note, Page, Postgres, Queue, QueueError, Sqlite, Standby};
+use femc_queue::{Batch, Contents, Loss, Lost, Memory, Note, Postgres, Queue, QueueError, Sqlite, Standby};
 use sqlx::{ConnectOptions as _, Connection as _};
 
 fn records(from: u8, to: u8) -> Vec<Vec<u8>> {
     (from..to).map(|byte| vec![byte; byte as usize]).collect()
 }
 
-/// `open` gives a new handle to the same log after the one before is gone.
+/// `open` gives a new handle to the same log after the one before is gone. All is asked in a coordinator's order: a log is
+/// loaded once, right after it was opened, and whatever follows goes on from there.
 async fn conforms<Q: Queue>(open: impl AsyncFn() -> Q) {
     let mut queue = open().await;
     assert_eq!(queue.load().await.unwrap(), Contents::default(), "a new log is empty");
+    let first = queue.reserve(1).await.unwrap();
     queue.append(Batch::of(&records(0, 3))).await.unwrap();
     queue.append(Batch::of(&[])).await.unwrap();
     queue.append(Batch::of(&records(3, 5))).await.unwrap();
@@ -22,37 +27,102 @@ async fn conforms<Q: Queue>(open: impl AsyncFn() -> Q) {
     let mut queue = open().await;
     let expected = Contents { records: records(0, 5), ..Contents::default() };
     assert_eq!(queue.load().await.unwrap(), expected, "records come back in order after a restart");
+    assert!(queue.reserve(first + 1).await.unwrap() > first);
     queue.append(Batch::of(&records(5, 6))).await.unwrap();
     queue.snapshot(b"state").await.unwrap();
-    let after = Contents { snapshot: Some(b"state".to_vec()), ..Contents::default() };
-    assert_eq!(queue.load().await.unwrap(), after, "a snapshot replaces what is before it");
     queue.append(Batch::of(&records(6, 8))).await.unwrap();
+    queue.append(Batch::of(&records(8, 9))).await.unwrap();
     drop(queue);
 
     let mut queue = open().await;
-    let expected = Contents { records: records(6, 8), ..after };
-    assert_eq!(queue.load().await.unwrap(), expected);
+    let expected = Contents { snapshot: Some(b"state".to_vec()), records: records(6, 9), ..Contents::default() };
+    assert_eq!(queue.load().await.unwrap(), expected, "a snapshot replaces what is before it and nothing that follows");
     queue.snapshot(b"newer").await.unwrap();
     queue.snapshot(b"newest").await.unwrap();
     drop(queue);
+
+    let mut queue = open().await;
     let expected = Contents { snapshot: Some(b"newest".to_vec()), ..Contents::default() };
-    assert_eq!(open().await.load().await.unwrap(), expected, "the last snapshot counts");
+    assert_eq!(queue.load().await.unwrap(), expected, "the last snapshot counts");
+    queue.append(Batch::of(&records(9, 10))).await.unwrap();
+    drop(queue);
+    let expected = Contents { records: records(9, 10), ..expected };
+    assert_eq!(open().await.load().await.unwrap(), expected, "a snapshot without records before it is gone on from");
+}
+
+/// As [`conforms`], by chance: whatever is done, the log that is opened next holds just that.
+async fn walks<Q: Queue>(open: impl AsyncFn() -> Q, seed: u64) {
+    let (mut chance, mut model) = (Chance(seed), Model::default());
+    let mut queue = open().await;
+    queue.load().await.unwrap();
+    for turn in 0..60 {
+        match chance.below(10) {
+            0..6 => {
+                let work = Work::by(&mut chance);
+                queue.append(work.batch()).await.unwrap();
+                model.append(&work);
+            }
+            6..8 => {
+                let state = chance.bytes(3000);
+                queue.snapshot(&state).await.unwrap();
+                model.snapshot(state);
+            }
+            8 => {
+                let subject = chance.below(4);
+                assert_eq!(all_notes(&mut queue, subject).await, model.notes(subject), "seed {seed}, turn {turn}");
+            }
+            _ => {
+                drop(queue);
+                queue = open().await;
+                model.check(&queue.load().await.unwrap(), &format!("seed {seed}, turn {turn}"));
+            }
+        }
+    }
+    for subject in 0..4 {
+        assert_eq!(all_notes(&mut queue, subject).await, model.notes(subject), "seed {seed}");
+    }
+    queue.close().await.unwrap();
+    let mut queue = open().await;
+    model.check(&queue.load().await.unwrap(), &format!("seed {seed}, closed"));
+}
+
+#[tokio::test]
+async fn memory_holds_what_was_done_to_it() {
+    for seed in 0..20 {
+        let log = Memory::default();
+        walks(async || log.clone(), seed).await;
+    }
+}
+
+#[tokio::test]
+async fn sqlite_holds_what_was_done_to_it() {
+    for seed in 0..20 {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("log.sqlite");
+        walks(async || reopen(&path).await, seed).await;
+    }
+}
+
+#[tokio::test]
+async fn postgres_holds_what_was_done_to_it() {
+    for seed in 0..2 {
+        let Some(scratch) = Scratch::new().await else { return };
+        walks(async || lead(&scratch.url()).await, seed).await;
+    }
+}
+
+async fn lead(url: &str) -> Postgres {
+    let standby = Standby::open(url.parse().unwrap(), "http://one".into(), Postgres::SILENCE).await;
+    standby.unwrap().lead(|_| ()).await.unwrap()
 }
 
 fn note(subject: u64, byte: u8) -> Note {
     Note { subject, bytes: vec![byte; 3] }
 }
 
-/// All pages of a subject, put together.
+/// The first bytes of all notes of a subject.
 async fn notes<Q: Queue>(queue: &mut Q, subject: u64) -> Vec<u8> {
-    let (mut all, mut from) = (Vec::new(), Some(0));
-    while let Some(at) = from {
-        let Page { notes, next } = queue.notes(subject, at).await.unwrap();
-        assert!(notes.len() == Page::NOTES || next.is_none() && notes.len() < Page::NOTES, "{}", notes.len());
-        all.extend(notes.into_iter().map(|note| note[0]));
-        from = next;
-    }
-    all
+    all_notes(queue, subject).await.into_iter().map(|note| note[0]).collect()
 }
 
 /// `open` as for [`conforms`].
@@ -79,7 +149,10 @@ async fn keeps_notes<Q: Queue>(open: impl AsyncFn() -> Q) {
     );
     let again = Batch { notes: &[note(2, 9)], forgotten: &[2], ..Batch::default() };
     queue.append(again).await.unwrap();
+    drop(queue);
+    let mut queue = open().await;
     assert_eq!(queue.load().await.unwrap().records, Vec::<Vec<u8>>::new(), "notes are no records");
+    assert_eq!(notes(&mut queue, 2).await, [9]);
 }
 
 #[tokio::test]
@@ -98,15 +171,11 @@ async fn sqlite_keeps_notes() {
 #[tokio::test]
 async fn postgres_keeps_notes() {
     let Some(scratch) = Scratch::new().await else { return };
-    keeps_notes(async || {
-        let standby = Standby::open(scratch.url().parse().unwrap(), "http://one".into(), Postgres::SILENCE).await;
-        standby.unwrap().lead(|_| ()).await.unwrap()
-    })
-    .await;
+    keeps_notes(async || lead(&scratch.url()).await).await;
 }
 
 #[tokio::test]
-async fn a_tail_that_is_cut_takes_its_notes_along_and_a_damaged_note_is_left_out() {
+async fn a_tail_that_is_given_up_takes_its_notes_along_and_a_damaged_note_is_left_out() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.sqlite");
     let mut queue = Sqlite::open(&path).await.unwrap();
@@ -118,7 +187,8 @@ async fn a_tail_that_is_cut_takes_its_notes_along_and_a_damaged_note_is_left_out
     drop(queue);
     tamper(&path, "UPDATE log SET record = x'00' WHERE sequence >= 4; UPDATE notes SET note = x'07' WHERE number = 2")
         .await;
-    let mut queue = reopen(&path).await;
+    assert!(reopen(&path).await.load().await.is_err());
+    let mut queue = reopen_with(&path, Loss::Accepted).await;
     queue.load().await.unwrap();
     assert_eq!(notes(&mut queue, 1).await, [1, 3]);
 }
@@ -139,30 +209,24 @@ async fn sqlite_conforms() {
 #[tokio::test]
 async fn postgres_conforms() {
     let Some(scratch) = Scratch::new().await else { return };
-    conforms(async || {
-        let database = scratch.url().parse().unwrap();
-        let standby = Standby::open(database, "http://one".into(), Postgres::SILENCE).await.unwrap();
-        standby.lead(|_| ()).await.unwrap()
-    })
-    .await;
+    conforms(async || lead(&scratch.url()).await).await;
 }
 
 #[tokio::test]
 async fn postgres_conforms_over_an_encrypted_connection() {
     let Some(scratch) = Scratch::new().await else { return };
     let Some((url, _)) = scratch.encrypted() else { return };
-    conforms(async || {
-        let database = url.parse().unwrap();
-        let standby = Standby::open(database, "http://one".into(), Postgres::SILENCE).await.unwrap();
-        standby.lead(|_| ()).await.unwrap()
-    })
-    .await;
+    conforms(async || lead(&url).await).await;
 }
 
 /// A dropped connection closes in the background; wait for it as a new process would not need to.
 async fn reopen(path: &Path) -> Sqlite {
+    reopen_with(path, Loss::Refused).await
+}
+
+async fn reopen_with(path: &Path, loss: Loss) -> Sqlite {
     loop {
-        match Sqlite::open(path).await {
+        match Sqlite::open_with(path, loss).await {
             Err(QueueError::InUse { .. }) => tokio::task::yield_now().await,
             other => return other.unwrap(),
         }
@@ -188,28 +252,41 @@ async fn with_five(path: &Path) {
 }
 
 #[tokio::test]
-async fn a_torn_tail_is_dropped_and_counted_and_the_log_goes_on() {
+async fn a_damaged_tail_was_acknowledged_too_and_goes_only_where_its_loss_is_accepted() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("log.sqlite");
     with_five(&path).await;
     tamper(&path, "UPDATE log SET record = x'00' WHERE sequence >= 4").await;
-    let mut queue = reopen(&path).await;
+    for _ in 0..2 {
+        let error = reopen(&path).await.load().await.unwrap_err();
+        assert!(matches!(error, QueueError::Damaged { sequence: 4, after: 0 }), "{error}");
+    }
+    let mut queue = reopen_with(&path, Loss::Accepted).await;
     let contents = queue.load().await.unwrap();
-    assert_eq!((contents.records, contents.torn), (records(1, 4), 2));
+    assert_eq!((contents.records, contents.lost), (records(1, 4), Some(Lost { kept: 3, known: Some(5) })));
     queue.append(Batch::of(&records(7, 8))).await.unwrap();
-    let contents = queue.load().await.unwrap();
-    assert_eq!((contents.records.len(), contents.torn), (4, 0));
+    drop(queue);
+    let contents = reopen(&path).await.load().await.unwrap();
+    assert_eq!((contents.records.len(), contents.lost), (4, None), "what was accepted is over");
 }
 
 #[tokio::test]
 async fn damage_before_the_end_is_not_passed_over() {
     let folder = tempfile::tempdir().unwrap();
-    for sql in ["UPDATE log SET record = x'00' WHERE sequence = 2", "DELETE FROM log WHERE sequence = 2"] {
-        let path = folder.path().join(format!("{}.sqlite", sql.len()));
+    for (number, (sql, sound)) in [
+        ("UPDATE log SET record = x'00' WHERE sequence = 2", 3),
+        ("DELETE FROM log WHERE sequence = 2", 3),
+        ("UPDATE log SET record = x'00' WHERE sequence IN (2, 4)", 2),
+        ("DELETE FROM log WHERE sequence < 3", 3),
+    ]
+    .into_iter()
+    .enumerate()
+    {
+        let path = folder.path().join(format!("{number}.sqlite"));
         with_five(&path).await;
         tamper(&path, sql).await;
         let error = reopen(&path).await.load().await.unwrap_err();
-        assert!(matches!(error, QueueError::Damaged { sequence: 2, .. }), "{error}");
+        assert!(matches!(error, QueueError::Damaged { after, .. } if after == sound), "{sql}: {error}");
     }
 }
 
@@ -233,22 +310,4 @@ async fn a_second_coordinator_cannot_open_the_log() {
     let _first = Sqlite::open(&path).await.unwrap();
     let error = Sqlite::open(&path).await.unwrap_err();
     assert!(matches!(error, QueueError::InUse { .. }), "{error}");
-}
-
-#[tokio::test]
-async fn a_copy_of_the_files_taken_at_any_moment_holds_whole_batches_and_all_that_was_acknowledged() {
-    let folder = tempfile::tempdir().unwrap();
-    let path = folder.path().join("log.sqlite");
-    let mut queue = Sqlite::open(&path).await.unwrap();
-    queue.load().await.unwrap();
-    for batch in 0..10u8 {
-        queue.append(Batch::of(&[vec![batch; 100], vec![batch; 5000]])).await.unwrap();
-        // What a kill would leave: the files as they are now, without closing anything.
-        let copy = folder.path().join(format!("copy{batch}.sqlite"));
-        std::fs::copy(&path, &copy).unwrap();
-        std::fs::copy(folder.path().join("log.sqlite-wal"), folder.path().join(format!("copy{batch}.sqlite-wal")))
-            .unwrap();
-        let contents = Sqlite::open(&copy).await.unwrap().load().await.unwrap();
-        assert_eq!(contents.records.len(), 2 * (batch as usize + 1));
-    }
 }

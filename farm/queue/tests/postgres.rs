@@ -4,7 +4,7 @@ use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 use femc_queue::testing::Scratch;
-use femc_queue::{Batch, Contents, Database, Leader, Postgres, Queue, QueueError, Remedy, Standby};
+use femc_queue::{Batch, Contents, Database, Leader, Loss, Lost, Postgres, Queue, QueueError, Remedy, Standby};
 use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 
 /// Shorter than in life: nothing here waits for more than these.
@@ -40,16 +40,60 @@ async fn with_five(scratch: &Scratch) {
 const NEXT_EPOCH: &str = "UPDATE femc.leader SET epoch = epoch + 1";
 
 #[tokio::test]
-async fn a_torn_tail_is_dropped_and_counted_and_the_log_goes_on() {
+async fn a_damaged_tail_was_acknowledged_too_and_goes_only_where_its_loss_is_accepted() {
     let Some(scratch) = Scratch::new().await else { return };
     with_five(&scratch).await;
     scratch.tamper("UPDATE femc.log SET record = '\\x00' WHERE sequence >= 4").await;
     let mut queue = standby(&scratch, "http://one").await.lead(|_| ()).await.unwrap();
+    let error = queue.load().await.unwrap_err();
+    assert!(matches!(error, QueueError::Damaged { sequence: 4, after: 0 }), "{error}");
+    assert_eq!(scratch.number("SELECT count(*) FROM femc.log").await, 5, "it is left as it is");
+    drop(queue);
+    let mut queue = standby(&scratch, "http://one").await.with(Loss::Accepted).lead(|_| ()).await.unwrap();
     let contents = queue.load().await.unwrap();
-    assert_eq!((contents.records, contents.torn), (records(1, 4), 2));
+    assert_eq!((contents.records, contents.lost), (records(1, 4), Some(Lost { kept: 3, known: Some(5) })));
     queue.append(Batch::of(&records(7, 8))).await.unwrap();
-    let contents = queue.load().await.unwrap();
-    assert_eq!((contents.records.len(), contents.torn), (4, 0));
+    drop(queue);
+    let contents = leader_s_log(&scratch).await;
+    assert_eq!((contents.records.len(), contents.lost), (4, None));
+}
+
+async fn leader_s_log(scratch: &Scratch) -> Contents {
+    standby(scratch, "http://one").await.lead(|_| ()).await.unwrap().load().await.unwrap()
+}
+
+#[tokio::test]
+async fn a_write_whose_connection_is_ended_within_is_there_whole_or_not_at_all_and_nothing_before_it_is_lost() {
+    let Some(scratch) = Scratch::new().await else { return };
+    let mut queue = trusting_leader(&scratch).await;
+    queue.append(Batch::of(&records(1, 4))).await.unwrap();
+    scratch
+        .tamper(
+            "CREATE FUNCTION femc.dawdle() RETURNS trigger LANGUAGE plpgsql AS
+             $$ BEGIN PERFORM pg_sleep(30); RETURN NEW; END $$;
+             CREATE TRIGGER dawdle BEFORE INSERT ON femc.log FOR EACH ROW EXECUTE FUNCTION femc.dawdle()",
+        )
+        .await;
+    let write = tokio::spawn(async move { queue.append(Batch::of(&records(4, 9))).await });
+    let end = "SELECT count(pg_terminate_backend(pid)) FROM pg_stat_activity
+        WHERE wait_event = 'PgSleep' AND datname = current_database()";
+    while scratch.number(end).await == 0 {}
+    let error = write.await.unwrap().unwrap_err();
+    assert_eq!(error.remedy(), Remedy::Reopen, "{error}");
+    assert_eq!(leader_s_log(&scratch).await.records, records(1, 4));
+}
+
+#[tokio::test]
+async fn an_incarnation_is_above_those_before_it_and_above_those_of_a_log_that_was_lost_with_its_tail() {
+    let Some(scratch) = Scratch::new().await else { return };
+    let mut queue = trusting_leader(&scratch).await;
+    let first = queue.reserve(1).await.unwrap();
+    assert_eq!((queue.reserve(1).await.unwrap(), queue.reserve(first + 7).await.unwrap()), (first + 1, first + 7));
+    // A dump of two minutes before the first, restored.
+    scratch.tamper(&format!("UPDATE femc.leader SET incarnation = {}", first - 2)).await;
+    assert!(queue.reserve(1).await.unwrap() >= first);
+    scratch.tamper(NEXT_EPOCH).await;
+    assert!(matches!(queue.reserve(1).await.unwrap_err(), QueueError::Deposed { .. }));
 }
 
 #[tokio::test]
@@ -166,11 +210,11 @@ async fn a_deposed_leader_s_snapshot_replaces_nothing() {
 }
 
 #[tokio::test]
-async fn a_deposed_leader_does_not_cut_a_torn_tail() {
+async fn a_deposed_leader_does_not_cut_a_damaged_tail() {
     let Some(scratch) = Scratch::new().await else { return };
     with_five(&scratch).await;
     scratch.tamper("UPDATE femc.log SET record = '\\x00' WHERE sequence >= 4").await;
-    let mut queue = standby(&scratch, "http://one").await.lead(|_| ()).await.unwrap();
+    let mut queue = standby(&scratch, "http://one").await.with(Loss::Accepted).lead(|_| ()).await.unwrap();
     scratch.tamper(NEXT_EPOCH).await;
     let error = queue.load().await.unwrap_err();
     assert!(matches!(error, QueueError::Deposed { .. }), "{error}");

@@ -48,6 +48,7 @@ fn main() {
             slots: 1,
             tags: vec![],
             held: vec![],
+            died: None,
         };
         see(farm.on(Event::Joined { worker: WorkerId(worker), registration }, Tick(0)), &mut line);
     }

@@ -42,6 +42,9 @@ pub struct Config {
     pub late: u64,
     /// Pixel samples of a tile below which it is not cut; of jobs that are submitted from now on.
     pub grain: NonZeroU64,
+    /// A worker that was gone in mid-task and has not come back for so long is taken for dead: longer than one that lives takes
+    /// to notice and to try again.
+    pub presumed: u64,
     /// A frame begins anew when no worker of its build of the engine has been there for so long, and others are.
     pub orphaned: u64,
     /// Most tiles that are gathered at a time before the merge, in frames of more than so many; of large tiles fewer. 0: the
@@ -126,6 +129,7 @@ impl Default for Config {
             least_task: 1_500,
             late: 2_000,
             grain: Self::GRAIN,
+            presumed: 15_000,
             orphaned: 60_000,
             group: 256,
             keep_ended: None,

@@ -82,8 +82,10 @@ impl Scheduler {
         };
         if changes {
             self.record(Fact::Controlled { job: id, control }, now, out);
-            if control == Control::Cancel {
-                self.revoke_all(id, out);
+            match control {
+                Control::Cancel => self.revoke_all(id, out),
+                Control::Retry => self.forgive(id),
+                Control::Pause | Control::Resume | Control::Priority(_) => {}
             }
             self.rebuild(id);
             out.push(Command::Changed(id));

@@ -107,7 +107,7 @@ impl Scheduler {
             desk.take(task, run);
         }
         let size = self.size(task, run);
-        self.charge(task, size);
+        self.claim(task.job, size.milliseconds);
         self.floor.lease(key, run, worker, size, &self.config, now);
     }
 
@@ -157,6 +157,8 @@ impl Scheduler {
         let is_ready = desk.open.ready().next().is_some();
         if is_ready || desk.cursor < job.spec.frames.len() {
             waits.extend(self.why_no_worker(id, job, desk, now));
+            waits.extend(self.why_silent(job, now));
+            waits.extend(self.why_in_trouble(job, now));
             waits.extend(self.why_shunned(job, desk, now));
             waits.extend(self.why_avoided(job, desk));
             waits.extend(self.why_foreign(id, job, desk, now));
@@ -185,7 +187,8 @@ impl Scheduler {
         let trusted: Vec<&&Worker> = fit.iter().copied().filter(is_trusted).collect();
         let fit = if trusted.is_empty() { fit } else { trusted };
         if fit.is_empty() {
-            return Some(Wait::WorkersResting);
+            let rests = able.iter().any(|worker| !worker.is_silent(&self.config, now));
+            return rests.then_some(Wait::WorkersResting);
         }
         if fit.iter().all(|worker| worker.held.len() >= worker.capacity(&self.config)) {
             let mut before = self.order.service().take_while(|&job| job != id);
@@ -208,6 +211,28 @@ impl Scheduler {
         };
         let tasks = desk.avoid.iter().filter(is_kept).count() as u32;
         (tasks > 0).then_some(Wait::WorkersAvoided { tasks })
+    }
+
+    /// Workers that could take it, and are not heard of.
+    fn why_silent(&self, job: &Job, now: Tick) -> Option<Wait> {
+        let silent: Vec<u64> =
+            self.able(job).filter(|w| w.is_silent(&self.config, now)).map(|w| now.since(w.seen)).collect();
+        let seconds = silent.iter().max()? / 1000;
+        Some(Wait::WorkersSilent { workers: silent.len() as u32, seconds })
+    }
+
+    /// Workers that could take it, and rest after a failure of their surroundings; the failure of the one that tries again first.
+    fn why_in_trouble(&self, job: &Job, now: Tick) -> Option<Wait> {
+        let rests = |worker: &&Worker| now < worker.rests_until && !worker.is_silent(&self.config, now);
+        let next = self.able(job).filter(rests).min_by_key(|worker| worker.rests_until)?;
+        let seconds = next.rests_until.since(now).div_ceil(1000);
+        let workers = self.able(job).filter(rests).count() as u32;
+        next.trouble.clone().map(|failure| Wait::WorkersInTrouble { workers, seconds, failure })
+    }
+
+    /// Workers that want tasks and have what the job asks for.
+    fn able(&self, job: &Job) -> impl Iterator<Item = &Worker> {
+        self.floor.workers.values().filter(|worker| worker.is_open() && worker.has_tags(&job.spec.tags))
     }
 
     /// Workers that the job does without for now.

@@ -7,6 +7,18 @@ use femc_model::{
 };
 use serde::{Deserialize, Serialize};
 
+use crate::Casualty;
+
+/// What an owner has used, and where that puts him.
+#[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Used {
+    /// Milliseconds of workers that his leases have held.
+    pub held: u64,
+    /// Place in the order of service: who stands lowest goes first. Grows with the time used, the slower the greater the owner's
+    /// weight is at the time, and to that of the others when he comes back after an absence.
+    pub stands: u64,
+}
+
 /// A change of the [`Ledger`](crate::Ledger). New variants go to the end: the log holds their numbers.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Fact {
@@ -124,5 +136,24 @@ pub enum Fact {
         frame: u32,
         /// Which build.
         engine: String,
+    },
+    /// A worker died while it computed a task.
+    Died {
+        /// Which.
+        task: TaskKey,
+        /// End of the lease's run of grains, which begins with the task's key; of a task of another kind, the next key.
+        end: u32,
+        /// Who, and how one knows.
+        casualty: Casualty,
+    },
+    /// A process of which deaths were presumed has come back.
+    Lives {
+        /// Which.
+        instance: u64,
+    },
+    /// What owners have used, of those of whom it has changed.
+    Used {
+        /// By owner.
+        owners: Vec<(String, Used)>,
     },
 }

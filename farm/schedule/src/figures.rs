@@ -22,6 +22,8 @@ pub struct Figures {
     pub workers: Vec<(WorkerStanding, u64)>,
     /// Threads of these workers that render.
     pub threads: u64,
+    /// Milliseconds of workers that owners were ever charged for.
+    pub used: u64,
     /// Messages refused because their lease was over, since the start.
     pub stale_messages: u64,
 }
@@ -72,6 +74,7 @@ impl Scheduler {
             samples_left: left,
             workers: count(&WorkerStanding::ALL, &workers),
             threads: self.floor.workers.values().map(|worker| u64::from(worker.registration.threads)).sum(),
+            used: self.used().map(|(_, used)| used.held).sum(),
             stale_messages: self.stale_messages,
         }
     }

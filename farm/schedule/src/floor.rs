@@ -3,7 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-use femc_model::{Epoch, Intake, JobId, Phase, Registration, Stage, StageKind, TaskKey, TaskProgress, Tick, WorkerId};
+use femc_model::{
+    Epoch, Failure, Intake, JobId, Phase, Registration, Stage, StageKind, TaskKey, TaskProgress, Tick, WorkerId,
+};
 
 use crate::Config;
 use crate::affinity::AtHand;
@@ -15,7 +17,10 @@ pub(crate) type LeaseKey = (TaskKey, Epoch);
 #[derive(Debug, Clone)]
 pub(crate) struct Worker {
     pub(crate) registration: Registration,
-    pub(crate) held: BTreeSet<LeaseKey>,
+    /// Oldest first: that is the one that it works on.
+    pub(crate) held: BTreeSet<(Epoch, TaskKey)>,
+    /// Until then its time is charged, while it holds something.
+    charged: Tick,
     /// What it wants: `Open` or `Off`.
     pub(crate) wish: Intake,
     /// What it gets.
@@ -28,6 +33,8 @@ pub(crate) struct Worker {
     pub(crate) rests_until: Tick,
     /// Failures of its surroundings in a row.
     pub(crate) mishaps: u32,
+    /// The last of them.
+    pub(crate) trouble: Option<Failure>,
     pub(crate) completed: u64,
     pub(crate) failed: u64,
     /// Tasks that it may hold beyond `prefetch`, because they are short.
@@ -51,7 +58,12 @@ impl Worker {
 
     /// Whether it is there, well, and wants work.
     pub(crate) fn is_fit(&self, config: &Config, now: Tick) -> bool {
-        self.is_open() && now >= self.rests_until && now.since(self.seen) < config.lease
+        self.is_open() && now >= self.rests_until && !self.is_silent(config, now)
+    }
+
+    /// Whether it has not been heard of for as long as a lease lasts.
+    pub(crate) fn is_silent(&self, config: &Config, now: Tick) -> bool {
+        now.since(self.seen) >= config.lease
     }
 }
 
@@ -71,6 +83,8 @@ pub(crate) struct Lease {
     /// Of a render task, the end of its run of grains; it begins with the task's key.
     end: u32,
     pub(crate) size: Size,
+    /// Milliseconds that it is expected to take yet: its owner's claim.
+    pub(crate) claim: u64,
     pub(crate) granted: Tick,
     pub(crate) deadline: Tick,
     /// Last progress.
@@ -121,12 +135,14 @@ impl Floor {
         let fresh = Worker {
             registration,
             held: BTreeSet::new(),
+            charged: now,
             wish: Intake::Open,
             intake: Intake::Open,
             seen: now,
             moved: now,
             rests_until: Tick(0),
             mishaps: 0,
+            trouble: None,
             completed: 0,
             failed: 0,
             depth: 0,
@@ -141,16 +157,29 @@ impl Floor {
         self.workers.get(&worker).map(|worker| worker.registration.instance)
     }
 
-    /// Removes a worker; returns what it held.
-    pub(crate) fn leave(&mut self, worker: WorkerId) -> Vec<LeaseKey> {
-        let held: Vec<LeaseKey> =
-            self.workers.get(&worker).map(|worker| worker.held.iter().copied().collect()).unwrap_or_default();
-        for key in &held {
-            self.release(key);
-        }
+    /// What a worker holds, oldest first.
+    pub(crate) fn held(&self, worker: WorkerId) -> Vec<LeaseKey> {
+        let held = self.workers.get(&worker).into_iter().flat_map(|known| &known.held);
+        held.map(|&(epoch, task)| (task, epoch)).collect()
+    }
+
+    /// Removes a worker that holds nothing any more.
+    pub(crate) fn leave(&mut self, worker: WorkerId) {
+        debug_assert!(self.workers.get(&worker).is_none_or(|known| known.held.is_empty()));
         self.workers.remove(&worker);
         self.spare.remove(&(0, worker));
-        held
+    }
+
+    /// The time for which a worker has held something and that is not charged yet: it belongs to its oldest lease. Returns the
+    /// job, the milliseconds, and how many of them were expected.
+    pub(crate) fn bill(&mut self, worker: WorkerId, now: Tick) -> Option<(JobId, u64, u64)> {
+        let holder = self.workers.get_mut(&worker)?;
+        let &(epoch, task) = holder.held.first()?;
+        let taken = now.since(std::mem::replace(&mut holder.charged, now));
+        let lease = self.leases.get_mut(&(task, epoch))?;
+        let expected = taken.min(lease.claim);
+        lease.claim -= expected;
+        Some((task.job, taken, expected))
     }
 
     /// - `run`: the task's grains.
@@ -168,6 +197,7 @@ impl Floor {
             worker,
             end: run.end,
             size,
+            claim: size.milliseconds,
             granted: now,
             deadline,
             moved: now,
@@ -175,11 +205,19 @@ impl Floor {
             began: None,
             done: 0,
         };
+        self.put(key, lease, config, now);
+    }
+
+    fn put(&mut self, key: LeaseKey, lease: Lease, config: &Config, now: Tick) {
+        let worker = lease.worker;
+        self.deadlines.insert((lease.deadline, key.1, key.0));
         self.leases.insert(key, lease);
-        self.deadlines.insert((deadline, key.1, key.0));
         if let Some(holder) = self.workers.get_mut(&worker) {
             self.spare.remove(&(holder.held.len(), worker));
-            holder.held.insert(key);
+            if holder.held.is_empty() {
+                holder.charged = now;
+            }
+            holder.held.insert((key.1, key.0));
             holder.at_hand.note(&key.0);
             if holder.held.len() < holder.capacity(config) {
                 self.spare.insert((holder.held.len(), worker));
@@ -199,24 +237,26 @@ impl Floor {
         }
     }
 
-    /// Ends a lease.
+    /// Takes a lease out; what its worker has used is charged before.
     pub(crate) fn release(&mut self, key: &LeaseKey) -> Option<Lease> {
         let lease = self.leases.remove(key)?;
         self.copies.remove(key);
         self.deadlines.remove(&(lease.deadline, key.1, key.0));
         if let Some(holder) = self.workers.get_mut(&lease.worker) {
             self.spare.remove(&(holder.held.len(), lease.worker));
-            holder.held.remove(key);
+            holder.held.remove(&(key.1, key.0));
             self.spare.insert((holder.held.len(), lease.worker));
         }
         Some(lease)
     }
 
-    /// Puts a lease into the hands of another session of its worker; `false`: there is no such lease.
+    /// Puts a lease into the hands of another session of its worker, as it was granted; `false`: there is no such lease.
     pub(crate) fn hand_over(&mut self, key: &LeaseKey, worker: WorkerId, config: &Config, now: Tick) -> bool {
         let is_copy = self.copies.contains(key);
         let Some(lease) = self.release(key) else { return false };
-        self.lease(*key, &lease.run(&key.0), worker, lease.size, config, now);
+        let (deadline, phase) = (now.after(config.lease), Phase::Waiting);
+        let lease = Lease { worker, deadline, moved: now, phase, began: None, done: 0, ..lease };
+        self.put(*key, lease, config, now);
         if is_copy {
             self.copies.insert(*key);
         }
@@ -282,11 +322,14 @@ impl Floor {
     /// whose heartbeats were lost on the way ran out, too, and is nobody's fault.
     pub(crate) fn stalled(&self, key: &LeaseKey, config: &Config, now: Tick) -> Option<(WorkerId, u64)> {
         let lease = self.leases.get(key)?;
-        let worker = self.workers.get(&lease.worker)?;
-        let is_there = now.since(worker.seen) < config.lease;
         let still = now.since(lease.moved);
         let has_stalled = lease.phase != Phase::Waiting && still >= stall(lease.phase, config);
-        (is_there && has_stalled).then_some((lease.worker, still / 1000))
+        (!self.is_silent(lease.worker, config, now) && has_stalled).then_some((lease.worker, still / 1000))
+    }
+
+    /// Whether a worker has said nothing for a lease's time.
+    pub(crate) fn is_silent(&self, worker: WorkerId, config: &Config, now: Tick) -> bool {
+        self.workers.get(&worker).is_none_or(|known| now.since(known.seen) >= config.lease)
     }
 
     /// The leases whose time is up, earliest first.

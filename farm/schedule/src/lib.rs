@@ -12,9 +12,11 @@
 mod affinity;
 mod attempts;
 mod builds;
+mod charge;
 mod config;
 mod control;
 mod deal;
+mod deaths;
 mod desk;
 mod distrust;
 mod event;
@@ -37,8 +39,9 @@ mod view;
 
 pub use attempts::{decode_attempts, encode_attempts};
 pub use config::{Config, Quota};
+pub use deaths::{Casualty, Evidence};
 pub use event::{Answer, Command, Event, RequestId};
-pub use fact::Fact;
+pub use fact::{Fact, Used};
 pub use figures::{Figures, WorkerStanding};
 pub use ledger::{Ledger, SnapshotError};
 pub use ranges::RangeSet;

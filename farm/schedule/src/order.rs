@@ -6,34 +6,76 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use femc_model::JobId;
 
-/// Time used, in milliseconds for a weight of [`Order::UNIT`].
-type Used = u64;
+use crate::Used;
 
-/// Jobs whose tasks may be leased, and what their owners have used. Forgotten at a restart: then all owners are even.
+/// What is known of an owner.
+#[derive(Debug, Clone, Copy, Default)]
+struct Account {
+    used: Used,
+    /// Milliseconds that his running leases are expected to take yet.
+    claimed: u64,
+    /// As it was said last.
+    weight: u32,
+}
+
+impl Account {
+    /// Weights are whole numbers; time is kept this much finer.
+    const UNIT: u64 = 1000;
+
+    /// Where the owner stands, with what he has claimed.
+    fn stands(&self) -> u64 {
+        self.used.stands.saturating_add(self.weighed(self.claimed))
+    }
+
+    fn weighed(&self, milliseconds: u64) -> u64 {
+        milliseconds.saturating_mul(Self::UNIT) / u64::from(self.weight.max(1))
+    }
+
+    fn unclaim(&mut self, milliseconds: u64) {
+        self.claimed = self.claimed.saturating_sub(milliseconds);
+    }
+}
+
+/// Jobs whose tasks may be leased, and what their owners have used.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct Order {
     classes: BTreeMap<Reverse<u8>, BTreeMap<String, BTreeSet<JobId>>>,
     places: BTreeMap<JobId, (u8, String)>,
-    used: BTreeMap<String, Used>,
+    accounts: BTreeMap<String, Account>,
+    /// Somebody has been put level with the others, and that is not durable yet.
+    is_leveled: bool,
 }
 
 impl Order {
-    /// Weights are whole numbers; time is kept this much finer.
-    const UNIT: u64 = 1000;
+    /// Nobody has anything to do, and this was used before.
+    pub(crate) fn new(used: &BTreeMap<String, Used>) -> Self {
+        let account = |used: &Used| Account { used: *used, ..Account::default() };
+        let accounts = used.iter().map(|(owner, used)| (owner.clone(), account(used))).collect();
+        Self { accounts, ..Self::default() }
+    }
 
-    /// Puts a job at its place. An owner who had nothing to do starts level with the one who has used least: absence saves
-    /// nothing up, and nobody is shut out for having come first.
+    /// Puts a job at its place. An owner who had nothing to do starts level with the one who has used least, or, where nobody
+    /// else has anything to do, with all that there ever were: absence saves nothing up, and nobody is shut out for having come
+    /// first.
     pub(crate) fn insert(&mut self, job: JobId, priority: u8, owner: &str) {
         if self.places.get(&job).is_some_and(|(p, o)| *p == priority && o == owner) {
             return;
         }
-        let is_new = !self.places.values().any(|(_, known)| known == owner);
-        self.remove(job);
-        if is_new {
-            let least = self.places.values().map(|(_, known)| self.used(known)).min().unwrap_or(0);
-            let used = self.used.entry(owner.to_owned()).or_default();
-            *used = (*used).max(least);
+        if !self.places.values().any(|(_, known)| known == owner) {
+            let used = |owner: &str| self.accounts.get(owner).map_or(0, |known| known.used.stands);
+            let present = self.places.values().map(|(_, known)| used(known)).min();
+            let level = present.or_else(|| self.accounts.values().map(|known| known.used.stands).max());
+            if let Some(level) = level.filter(|level| used(owner) < *level) {
+                self.change(owner, |account| account.used.stands = level);
+                self.is_leveled = true;
+            }
         }
+        self.put(job, priority, owner);
+    }
+
+    /// Puts a job at its place, as after a restart, before which it was there.
+    pub(crate) fn put(&mut self, job: JobId, priority: u8, owner: &str) {
+        self.remove(job);
         self.classes.entry(Reverse(priority)).or_default().entry(owner.to_owned()).or_default().insert(job);
         self.places.insert(job, (priority, owner.to_owned()));
     }
@@ -63,26 +105,57 @@ impl Order {
     pub(crate) fn service(&self) -> impl Iterator<Item = JobId> + '_ {
         self.classes.values().flat_map(|class| {
             let mut owners: Vec<_> = class.iter().collect();
-            owners.sort_by_key(|&(owner, _)| self.used(owner));
+            if owners.len() > 1 {
+                owners.sort_by_cached_key(|&(owner, _)| self.stands(owner));
+            }
             owners.into_iter().flat_map(|(_, jobs)| jobs.iter().copied())
         })
     }
 
-    /// Time that an owner has used, for his weight.
-    fn used(&self, owner: &str) -> Used {
-        self.used.get(owner).copied().unwrap_or(0)
+    fn stands(&self, owner: &str) -> u64 {
+        self.accounts.get(owner).map_or(0, Account::stands)
     }
 
-    /// An owner of `weight` is given `milliseconds` of a worker.
-    pub(crate) fn charge(&mut self, owner: &str, milliseconds: u64, weight: u32) {
-        let used = self.used.entry(owner.to_owned()).or_default();
-        *used = used.saturating_add(milliseconds.saturating_mul(Self::UNIT) / u64::from(weight.max(1)));
+    fn change(&mut self, owner: &str, change: impl FnOnce(&mut Account)) {
+        if let Some(account) = self.accounts.get_mut(owner) {
+            return change(account);
+        }
+        let mut account = Account::default();
+        change(&mut account);
+        self.accounts.insert(owner.to_owned(), account);
     }
 
-    /// Takes back a charge made too high.
-    pub(crate) fn refund(&mut self, owner: &str, milliseconds: u64, weight: u32) {
-        let used = self.used.entry(owner.to_owned()).or_default();
-        *used = used.saturating_sub(milliseconds.saturating_mul(Self::UNIT) / u64::from(weight.max(1)));
+    /// An owner of `weight` gets a lease that is expected to take so many milliseconds.
+    pub(crate) fn claim(&mut self, owner: &str, milliseconds: u64, weight: u32) {
+        self.change(owner, |account| {
+            account.weight = weight;
+            account.claimed = account.claimed.saturating_add(milliseconds);
+        });
+    }
+
+    /// A lease is over of which so many milliseconds were still expected.
+    pub(crate) fn unclaim(&mut self, owner: &str, milliseconds: u64) {
+        self.change(owner, |account| account.unclaim(milliseconds));
+    }
+
+    /// An owner of `weight` has used so many milliseconds of a worker, of which some were claimed.
+    pub(crate) fn charge(&mut self, owner: &str, milliseconds: u64, claimed: u64, weight: u32) {
+        self.change(owner, |account| {
+            account.unclaim(claimed);
+            account.weight = weight;
+            account.used.held = account.used.held.saturating_add(milliseconds);
+            account.used.stands = account.used.stands.saturating_add(account.weighed(milliseconds));
+        });
+    }
+
+    /// What owners have used, in the order of their names.
+    pub(crate) fn used(&self) -> impl Iterator<Item = (&str, Used)> {
+        self.accounts.iter().map(|(owner, account)| (owner.as_str(), account.used))
+    }
+
+    /// Whether somebody has been put level with the others since this was asked last.
+    pub(crate) fn is_leveled(&mut self) -> bool {
+        std::mem::take(&mut self.is_leveled)
     }
 }
 
@@ -101,14 +174,18 @@ mod tests {
             order.insert(JobId(job), priority, owner);
         }
         assert_eq!(served(&order), [4, 1, 2, 3]);
-        order.charge("ann", 1000, 1);
+        order.claim("ann", 1000, 1);
         assert_eq!(served(&order), [4, 3, 1, 2]);
-        order.charge("bob", 3000, 4);
+        order.claim("bob", 3000, 4);
         assert_eq!(served(&order), [4, 3, 1, 2], "a weight of four makes 3 s count as 0.75 s");
-        order.refund("ann", 900, 1);
+        order.charge("ann", 100, 100, 1);
+        assert_eq!(served(&order), [4, 3, 1, 2], "what is charged of a claim counts once");
+        order.unclaim("ann", 900);
         assert_eq!(served(&order), [4, 1, 2, 3]);
         order.insert(JobId(3), 90, "bob");
         assert_eq!(served(&order), [3, 4, 1, 2]);
+        let used: Vec<_> = order.used().map(|(owner, used)| (owner, used.held)).collect();
+        assert_eq!(used, [("ann", 100), ("bob", 0)]);
         [1, 2, 3, 4].into_iter().for_each(|job| order.remove(JobId(job)));
         assert!(served(&order).is_empty() && order.classes.is_empty());
     }
@@ -117,10 +194,21 @@ mod tests {
     fn absence_saves_nothing_up() {
         let mut order = Order::default();
         order.insert(JobId(1), 50, "ann");
-        order.charge("ann", 3_600_000, 1);
+        order.charge("ann", 3_600_000, 0, 1);
         order.insert(JobId(2), 50, "bob");
-        assert_eq!(order.used("bob"), order.used("ann"), "bob is level, not an hour ahead");
-        order.charge("bob", 10, 1);
+        assert_eq!(order.stands("bob"), order.stands("ann"), "bob is level, not an hour ahead");
+        order.charge("bob", 10, 0, 1);
         assert_eq!(served(&order), [1, 2]);
+    }
+
+    #[test]
+    fn who_comes_to_a_farm_that_stands_idle_is_level_with_those_who_worked_it() {
+        let mut order = Order::default();
+        order.insert(JobId(1), 50, "ann");
+        order.charge("ann", 3_600_000, 0, 1);
+        order.remove(JobId(1));
+        order.insert(JobId(2), 50, "bob");
+        order.insert(JobId(3), 50, "ann");
+        assert_eq!(order.stands("bob"), order.stands("ann"), "bob would go first for an hour");
     }
 }

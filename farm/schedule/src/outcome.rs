@@ -23,6 +23,7 @@ impl Scheduler {
         out: &mut Vec<Command>,
     ) {
         self.note_seen(worker, now);
+        self.note_life(worker, now, out);
         let Some(lease) = self.floor.lease_of(worker, &task, epoch) else {
             return self.without_lease(worker, task, epoch, out);
         };
@@ -46,17 +47,18 @@ impl Scheduler {
             }
         };
         let is_alone = self.floor.copies.is_empty();
-        if let Some(lease) = self.floor.release(&(task, epoch)) {
+        if let Some(lease) = self.release(&(task, epoch)) {
             self.note(&(task, epoch), &lease, Ending::Done, counted, out);
         }
         // A worker's clock, at most what went by here: a lease may have waited for its turn.
         let spent = ((seconds.max(0.0) * 1000.0) as u64).min(now.since(granted));
-        if let Some(typical) = self.settle(&task, size, spent) {
+        if let Some(typical) = self.learn(&task, size, spent) {
             self.floor.pace(worker, typical, &self.config);
         }
         if let Some(worker) = self.floor.workers.get_mut(&worker) {
             worker.completed += 1;
             worker.mishaps = 0;
+            worker.trouble = None;
         }
         self.note_build(task.job, task.stage.frame, worker, now, out);
         self.record(fact, now, out);
@@ -115,13 +117,13 @@ impl Scheduler {
         if self.floor.lease_of(worker, &task, epoch).is_none() {
             return self.without_lease(worker, task, epoch, out);
         }
-        if let Some(lease) = self.floor.release(&(task, epoch)) {
+        if let Some(lease) = self.release(&(task, epoch)) {
             let ending = if failure == Failure::Cancelled { Ending::Cancelled } else { Ending::Failed };
             self.note(&(task, epoch), &lease, ending, Counted::default(), out);
         }
         match failure.verdict() {
             Verdict::Cancelled => {}
-            Verdict::Infrastructure => self.rest(worker, now),
+            Verdict::Infrastructure => self.rest(worker, failure, now),
             Verdict::Retry => self.count_failure(worker, task, failure, now, out),
             Verdict::Fatal => self.doom(task.job, failure, now, out),
             Verdict::Rebuild(digests) => self.rebuild_inputs(worker, task, &digests, failure, now, out),
@@ -154,11 +156,12 @@ impl Scheduler {
         }
     }
 
-    fn rest(&mut self, worker: WorkerId, now: Tick) {
+    fn rest(&mut self, worker: WorkerId, trouble: Failure, now: Tick) {
         let Some(worker) = self.floor.workers.get_mut(&worker) else { return };
         let rest = self.config.rest.saturating_mul(1 << worker.mishaps.min(20)).min(self.config.longest_rest);
         worker.rests_until = now.after(rest);
         worker.mishaps += 1;
+        worker.trouble = Some(trouble);
     }
 
     /// A failure counts as an attempt unless another worker does the same.

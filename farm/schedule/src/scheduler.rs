@@ -1,15 +1,16 @@
 //! The state machine: takes events apart, and gives ready tasks to workers with room.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use femc_model::{
     Cut, Digest, Ending, Epoch, Failure, HeldLease, Intake, JobId, JobSpec, Refusal, Registration, RevokeReason,
-    StageKind, TaskKey, TaskProgress, Tick, Usage, WorkerId,
+    TaskKey, TaskProgress, Tick, Usage, WorkerId,
 };
 
 use crate::attempts::Counted;
 use crate::builds::{Orphans, is_foreign};
+use crate::deaths::Deaths;
 use crate::desk::Desk;
 use crate::floor::{Floor, Lease, LeaseKey, Worker};
 use crate::ledger::Job;
@@ -36,8 +37,11 @@ pub struct Scheduler {
     /// Of the event that is being taken.
     pub(crate) now: Tick,
     pub(crate) orphans: Orphans,
+    pub(crate) deaths: Deaths,
     /// The jobs that have ended are not looked at before.
     pub(crate) looks_from: Tick,
+    /// What owners have used is not made durable before.
+    pub(crate) shares_from: Tick,
     /// Nothing is dealt and no lease runs out before: after a restart the workers come back one by one, with what they still
     /// work on.
     pub(crate) deals_from: Tick,
@@ -54,17 +58,22 @@ impl Scheduler {
             config,
             floor: Floor::default(),
             desks: BTreeMap::new(),
-            order: Order::default(),
+            order: Order::new(ledger.annex.used()),
             leases: 0,
             stale_messages: 0,
             logs: Shelf::default(),
             told: None,
             now,
             orphans: Orphans::default(),
+            deaths: Deaths::of(&ledger),
             looks_from: Tick(0),
+            shares_from: now.after(Self::NOTE_SHARES),
             deals_from: Tick(0),
             ledger,
         };
+        for (&id, job) in scheduler.ledger.jobs.iter().filter(|(_, job)| job.is_runnable()) {
+            scheduler.order.put(id, job.spec.priority, &job.spec.owner);
+        }
         let jobs: Vec<JobId> = scheduler.ledger.jobs.keys().copied().collect();
         jobs.into_iter().for_each(|job| scheduler.rebuild(job));
         if scheduler.order.jobs().next().is_some() {
@@ -105,11 +114,15 @@ impl Scheduler {
         let is_time = event == Event::Elapsed;
         let makes_room = !matches!(event, Event::Spent { .. });
         self.take(event, now, &mut out);
+        self.count_deaths(now, &mut out);
         if makes_room {
             self.deal(now, &mut out);
         }
         if is_time {
             self.speculate(now, &mut out);
+        }
+        if self.order.is_leveled() || (is_time && now >= self.shares_from) {
+            self.note_shares(now, &mut out);
         }
         out
     }
@@ -125,7 +138,10 @@ impl Scheduler {
                 out.push(Command::Answer { request, answer });
             }
             Event::Joined { worker, registration } => self.join(worker, registration, now, out),
-            Event::Left { worker } => self.leave(worker, out),
+            Event::Left { worker } => {
+                self.suspect(worker, |_| true, now);
+                self.leave(worker, out);
+            }
             Event::Draining { worker } => self.wish(worker, Intake::Off),
             Event::Available { worker } => self.wish(worker, Intake::Open),
             Event::Drained { worker, drain } => self.drained(worker, drain, now, out),
@@ -145,16 +161,23 @@ impl Scheduler {
 
     fn join(&mut self, worker: WorkerId, mut registration: Registration, now: Tick, out: &mut Vec<Command>) {
         let held = std::mem::take(&mut registration.held);
+        let died = registration.died.take();
+        let instances = [Some(registration.instance), died.as_ref().map(|death| death.instance)];
         let same =
-            |(&id, known): (&WorkerId, &Worker)| (known.registration.instance == registration.instance).then_some(id);
-        let before = self.floor.workers.iter().find_map(same);
+            |(&id, known): (&WorkerId, &Worker)| instances.contains(&Some(known.registration.instance)).then_some(id);
+        let before: Vec<WorkerId> = self.floor.workers.iter().filter_map(same).collect();
         self.floor.join(worker, registration, now);
         self.note_intake(worker);
+        self.note_life(worker, now, out);
         let held: Vec<HeldLease> = held.into_iter().filter(|held| !self.take_over(held, worker, now)).collect();
-        if let Some(before) = before {
+        for before in before {
             self.leave(before, out);
             out.push(Command::Dismiss { worker: before });
         }
+        if let Some(death) = died {
+            self.mourn(worker, &death, now, out);
+        }
+        self.keep_away(worker);
         for held in held {
             let HeldLease { task, epoch, .. } = held;
             let is_foreign = is_foreign(&self.ledger, &self.floor, task.job, task.stage.frame, worker);
@@ -175,38 +198,38 @@ impl Scheduler {
         let is_of_job = self.spec(held.task.job).is_some_and(|spec| spec.key() == held.job);
         is_of_job
             && !is_foreign(&self.ledger, &self.floor, held.task.job, held.task.stage.frame, worker)
-            && self.floor.hand_over(&key, worker, &self.config, now)
+            && self.hand_over(&key, worker, now)
     }
 
     /// The keys of a task that a worker brings along, if it is wanted and nobody else has any of it.
     fn adoptable(&mut self, held: &HeldLease) -> Option<Range<u32>> {
-        let HeldLease { task, samples, job: key, .. } = held;
+        let (task, run) = (&held.task, self.run_of(held)?);
         let job = self.ledger.jobs.get(&task.job)?;
-        if job.has_ended() || !job.is_open(task.stage.frame) || job.spec.key() != *key {
+        if job.has_ended() || !job.is_open(task.stage.frame) {
             return None;
         }
-        let run = match task.stage.kind {
-            StageKind::Render => job.grains(task.stage.round).run(task.index, samples)?,
-            StageKind::Gather => task.index..task.index.checked_add(1)?,
-            StageKind::Merge => 0..1,
-        };
         let desk = self.desks.entry(task.job).or_default();
         desk.refresh(task.job, job, task.stage.frame, &self.floor);
         desk.is_ready(task, &run).then_some(run)
     }
 
     fn leave(&mut self, worker: WorkerId, out: &mut Vec<Command>) {
-        let held = self.floor.workers.get(&worker).into_iter().flat_map(|known| &known.held);
+        let held = self.floor.held(worker).into_iter();
         let leases: Vec<(LeaseKey, Lease)> =
-            held.filter_map(|key| Some((*key, self.floor.leases.get(key)?.clone()))).collect();
+            held.filter_map(|key| Some((key, self.floor.leases.get(&key)?.clone()))).collect();
         leases.iter().for_each(|(key, lease)| self.note(key, lease, Ending::Lost, Counted::default(), out));
-        for (task, _) in self.floor.leave(worker) {
+        for (key, _) in &leases {
+            self.release(key);
+        }
+        self.floor.leave(worker);
+        for ((task, _), _) in leases {
             self.put_back(&task);
             out.push(Command::Changed(task.job));
         }
     }
 
     fn heartbeat(&mut self, worker: WorkerId, tasks: &[TaskProgress], now: Tick, out: &mut Vec<Command>) {
+        self.note_life(worker, now, out);
         for (task, epoch) in self.floor.renew(worker, tasks, &self.config, now) {
             self.note_stale(task.job);
             out.push(Command::Revoke { worker, task, epoch, reason: RevokeReason::Expired });
@@ -224,7 +247,13 @@ impl Scheduler {
         if now < self.deals_from {
             return;
         }
-        for key in self.floor.expired(now) {
+        let expired = self.floor.expired(now);
+        let holders = expired.iter().filter_map(|key| Some(self.floor.leases.get(key)?.worker));
+        let silent: BTreeSet<WorkerId> = holders.filter(|&it| self.floor.is_silent(it, &self.config, now)).collect();
+        for worker in silent {
+            self.suspect(worker, |key| expired.contains(key), now);
+        }
+        for key in expired {
             let (task, stalled) = (key.0, self.floor.stalled(&key, &self.config, now));
             self.revoke(&key, RevokeReason::Expired, out);
             if let Some((worker, seconds)) = stalled {
@@ -257,7 +286,7 @@ impl Scheduler {
 
     /// Ends a lease and tells its worker.
     pub(crate) fn revoke(&mut self, key: &LeaseKey, reason: RevokeReason, out: &mut Vec<Command>) {
-        if let Some(lease) = self.floor.release(key) {
+        if let Some(lease) = self.release(key) {
             let ending = match reason {
                 RevokeReason::JobEnded => Ending::Cancelled,
                 RevokeReason::Expired | RevokeReason::Done => Ending::Revoked,

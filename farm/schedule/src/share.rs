@@ -55,20 +55,11 @@ impl Scheduler {
         Size { samples, milliseconds: expected.unwrap_or(Pace::FIRST) }
     }
 
-    /// Charges a job's owner for a task that begins.
-    pub(crate) fn charge(&mut self, task: &TaskKey, size: Size) {
-        let Some(job) = self.ledger.jobs.get(&task.job) else { return };
-        self.order.charge(&job.spec.owner, size.milliseconds, self.config.weight(&job.spec.owner));
-    }
-
-    /// Corrects the charge of a task that has taken `milliseconds`, and learns from it. Returns how long the job's tasks take
-    /// on the average, if its tiles are not cut further; `None` while no tile is done.
-    pub(crate) fn settle(&mut self, task: &TaskKey, size: Size, milliseconds: u64) -> Option<u64> {
+    /// Learns from a task that has taken `milliseconds`. Returns how long the job's tasks take on the average, if its tiles are
+    /// not cut further; `None` while no tile is done.
+    pub(crate) fn learn(&mut self, task: &TaskKey, size: Size, milliseconds: u64) -> Option<u64> {
         let job = self.ledger.jobs.get(&task.job)?;
         let pace = &mut self.desks.get_mut(&task.job)?.pace;
-        let (owner, weight) = (&job.spec.owner, self.config.weight(&job.spec.owner));
-        self.order.charge(owner, milliseconds.saturating_sub(size.milliseconds), weight);
-        self.order.refund(owner, size.milliseconds.saturating_sub(milliseconds), weight);
         match task.stage.kind {
             StageKind::Render => pace.note_render(size.samples, milliseconds),
             StageKind::Gather => pace.note_gather(milliseconds),

@@ -82,7 +82,7 @@ impl Scheduler {
             name: known.registration.name.clone(),
             threads: known.registration.threads,
             tags: known.registration.tags.clone(),
-            tasks: known.held.iter().map(|(task, _)| *task).collect(),
+            tasks: sorted(known.held.iter().map(|(_, task)| *task)),
             silent: now.since(known.seen),
             completed: known.completed,
             failed: known.failed,
@@ -94,12 +94,11 @@ impl Scheduler {
 
     /// The leases of one worker, and how long they hold.
     pub fn leases(&self, worker: WorkerId, now: Tick) -> Vec<LeaseLeft> {
-        let held = self.floor.workers.get(&worker).into_iter().flat_map(|worker| &worker.held);
-        let lease = |key: &LeaseKey| {
-            let lease = self.floor.leases.get(key)?;
+        let lease = |key: LeaseKey| {
+            let lease = self.floor.leases.get(&key)?;
             Some(LeaseLeft { task: key.0, epoch: key.1, left: lease.deadline.since(now) })
         };
-        held.filter_map(lease).collect()
+        self.floor.held(worker).into_iter().filter_map(lease).collect()
     }
 
     /// Messages refused since the start because their lease was over.
@@ -179,13 +178,19 @@ impl Scheduler {
     }
 }
 
+fn sorted(tasks: impl Iterator<Item = TaskKey>) -> Vec<TaskKey> {
+    let mut tasks: Vec<TaskKey> = tasks.collect();
+    tasks.sort_unstable();
+    tasks
+}
+
 fn quarantined(id: JobId, job: &Job) -> Vec<Quarantined> {
     let mut all = Vec::new();
     for (&number, frame) in &job.frames {
         for (kind, index, trouble) in frame.quarantined() {
             let stage = Stage { frame: number, round: frame.round, kind };
             let task = TaskKey { job: id, stage, index };
-            all.push(Quarantined { task, attempts: trouble.attempts, failure: trouble.failure.clone() });
+            all.push(Quarantined { task, attempts: trouble.tries(), failure: trouble.failure.clone() });
         }
     }
     all

@@ -17,7 +17,13 @@ enum Step {
         frames: u32,
         tiles: u32,
         rounds: usize,
+        /// Whose, and with which key.
+        owner: usize,
+        key: Option<u8>,
+        priority: u8,
     },
+    /// A worker dies while it computes a task; its next process says so.
+    Die(usize),
     Join,
     /// A worker comes back with the leases that an earlier session left over.
     Return(usize),
@@ -40,7 +46,9 @@ enum Step {
 fn step() -> impl Strategy<Value = Step> {
     let decision = prop_oneof![Just(Decision::Continue), Just(Decision::Done)];
     prop_oneof![
-        1 => (1..4u32, 1..7u32, 1..4usize).prop_map(|(frames, tiles, rounds)| Step::Submit { frames, tiles, rounds }),
+        1 => (1..4u32, 1..7u32, 1..4usize, 0..3usize, prop::option::of(0..3u8), prop_oneof![Just(50u8), 0..=100u8])
+            .prop_map(|(frames, tiles, rounds, owner, key, priority)| Step::Submit { frames, tiles, rounds, owner, key, priority }),
+        1 => any::<usize>().prop_map(Step::Die),
         2 => Just(Step::Join),
         2 => any::<usize>().prop_map(Step::Return),
         1 => any::<usize>().prop_map(Step::StartAgain),
@@ -48,15 +56,17 @@ fn step() -> impl Strategy<Value = Step> {
         1 => any::<usize>().prop_map(Step::Leave),
         12 => (any::<usize>(), decision, prop_oneof![Just(0u64), Just(30), Just(2_000)])
             .prop_map(|(which, decision, milliseconds)| Step::Complete(which, decision, milliseconds)),
-        3 => (any::<usize>(), 0..6u8).prop_map(|(which, kind)| Step::Fail(which, kind)),
+        3 => (any::<usize>(), 0..24u8).prop_map(|(which, kind)| Step::Fail(which, kind)),
         2 => any::<usize>().prop_map(Step::Late),
         3 => (any::<usize>(), 0..1000u64).prop_map(|(which, samples)| Step::Heartbeat(which, samples)),
-        3 => prop_oneof![Just(400u64), Just(2_000), Just(6_000)].prop_map(Step::Wait),
-        1 => (any::<usize>(), 0..5u8).prop_map(|(which, kind)| Step::Control(which, kind)),
+        3 => prop_oneof![4 => Just(400u64), 4 => Just(2_000), 4 => Just(6_000), 1 => Just(90_000), 1 => Just(1 << 32)].prop_map(Step::Wait),
+        2 => (any::<usize>(), 0..5u8).prop_map(|(which, kind)| Step::Control(which, kind)),
         1 => Just(Step::Restart),
         1 => Just(Step::Upgrade),
     ]
 }
+
+const OWNERS: [&str; 3] = ["ann", "bob", "eve"];
 
 /// The farm, and what must hold of it.
 struct Machine {
@@ -67,6 +77,11 @@ struct Machine {
     /// Of the engine of each worker.
     builds: BTreeMap<u64, &'static str>,
     jobs: Vec<JobId>,
+    keys: BTreeMap<u8, JobId>,
+    /// Jobs that a person has ended.
+    cancelled: BTreeSet<JobId>,
+    /// How often tasks that are put aside were tried.
+    tries: BTreeMap<TaskKey, u32>,
     /// Leases that are over, as a slow worker remembers them.
     over: Vec<(WorkerId, Assignment)>,
     /// Of a task one, or two when the second is a copy of the first.
@@ -99,15 +114,30 @@ fn units(held: &Assignment) -> Vec<Unit> {
 impl Machine {
     /// - `grain`: pixel samples; a tile has 64 pixels.
     /// - `group`: tiles of a group; 0: frames are merged whole.
-    fn new(grain: u64, group: u32) -> Self {
+    /// - `prefetch`: tasks that a worker holds beyond the one that it does.
+    fn new(grain: u64, group: u32, prefetch: u32, keep_ended: Option<u64>) -> Self {
         let grain = NonZeroU64::new(grain).unwrap();
+        let config = Config {
+            grain,
+            group,
+            prefetch,
+            keep_ended,
+            task: 100,
+            least_task: 20,
+            weights: [(OWNERS[0].to_owned(), 3)].into(),
+            quota: Quota { jobs: 4, ..Quota::default() },
+            ..common::config()
+        };
         Self {
             group,
-            farm: Farm::with(Config { grain, group, task: 100, least_task: 20, ..common::config() }),
+            farm: Farm::with(config),
             workers: BTreeSet::new(),
             next_worker: 1,
             builds: BTreeMap::new(),
             jobs: vec![],
+            keys: BTreeMap::new(),
+            cancelled: BTreeSet::new(),
+            tries: BTreeMap::new(),
             over: vec![],
             live: BTreeSet::new(),
             runs: BTreeMap::new(),
@@ -162,6 +192,27 @@ impl Machine {
                     if task.stage.kind == StageKind::Gather {
                         self.lose_group(&task);
                     }
+                }
+                Command::Record(Fact::Forgotten { job }) => {
+                    self.jobs.retain(|known| *known != job);
+                    self.keys.retain(|_, known| *known != job);
+                    self.over.retain(|(_, held)| held.task.job != job);
+                    assert!(self.live.iter().all(|(task, _)| task.job != job), "{job} is forgotten and leased");
+                }
+                Command::Record(Fact::Controlled { job, control }) => match control {
+                    Control::Cancel => drop(self.cancelled.insert(job)),
+                    Control::Retry => {
+                        self.cancelled.remove(&job);
+                        self.tries.retain(|task, _| task.job != job);
+                    }
+                    Control::Pause | Control::Resume | Control::Priority(_) => {}
+                },
+                Command::Discard(digests) => {
+                    let gone = self.farm.scheduler.unreferenced(digests);
+                    let needs =
+                        |(_, held): &&(WorkerId, Assignment)| held.work.inputs().any(|it| gone.contains(&it.digest));
+                    let needy = self.farm.held.iter().find(needs);
+                    assert_eq!(needy, None, "what it reads may go");
                 }
                 Command::Record(Fact::Restarted { job, frame }) => {
                     self.done.retain(|task| (task.job, task.stage.frame) != (job, frame));
@@ -227,13 +278,38 @@ impl Machine {
 
     fn take(&mut self, step: Step) {
         match step {
-            Step::Submit { frames, tiles, rounds } => {
+            Step::Submit { frames, tiles, rounds, owner, key, priority } => {
                 let frames: Vec<u32> = (1..=frames).collect();
-                let spec = Box::new(job(&frames, tiles, &[3, 8, 16][..rounds]));
-                let commands = self.farm.on(Event::Submitted { request: RequestId(0), key: None, spec });
-                if let Some(Answer::Submitted(job)) = common::answer(&commands) {
-                    self.jobs.push(job);
+                let owner = OWNERS[owner].to_owned();
+                let spec = Box::new(JobSpec { owner, priority, ..job(&frames, tiles, &[3, 8, 16][..rounds]) });
+                let name = key.map(|key| key.to_string());
+                let commands = self.farm.on(Event::Submitted { request: RequestId(0), key: name, spec });
+                let known = key.and_then(|key| self.keys.get(&key).copied());
+                match common::answer(&commands) {
+                    Some(Answer::Submitted(job)) if known.is_none() => {
+                        assert!(!self.jobs.contains(&job), "{job} is new");
+                        self.jobs.push(job);
+                        self.keys.extend(key.map(|key| (key, job)));
+                    }
+                    answer => assert_eq!(answer, known.map(Answer::Submitted), "the same key is the same job"),
                 }
+                self.see(commands);
+            }
+            Step::Die(which) => {
+                let Some((before, held)) = self.held(which) else { return };
+                let own: Vec<_> = self.farm.held.iter().filter(|(holder, _)| *holder == before).cloned().collect();
+                for (worker, held) in own {
+                    self.live.remove(&(held.task, held.epoch));
+                    self.end_lease(worker, &held);
+                }
+                self.workers.remove(&before.0);
+                let (worker, today) = (self.next_worker, self.farm.engine);
+                self.next_worker += 1;
+                self.workers.insert(worker);
+                self.farm.engine = self.builds[&before.0];
+                self.builds.insert(worker, self.farm.engine);
+                let commands = self.farm.reborn(worker, before.0, &[held]);
+                self.farm.engine = today;
                 self.see(commands);
             }
             Step::Upgrade => self.farm.engine = if self.farm.engine == "e" { "f" } else { "e" },
@@ -309,7 +385,8 @@ impl Machine {
                     0 | 1 => panic(),
                     2 => Failure::Store { message: "away".into() },
                     3 => Failure::Cancelled,
-                    4 => Failure::LostInputs { digests: vec![missing], message: "gone".into() },
+                    4 => Failure::Scene { message: "no camera".into() },
+                    5..=8 => Failure::LostInputs { digests: vec![missing], message: "gone".into() },
                     _ => Failure::Resources { message: "memory".into() },
                 };
                 let commands = self.farm.fail(worker.0, &held, failure);
@@ -327,7 +404,11 @@ impl Machine {
                     result: result(&task, Decision::Done),
                 };
                 let commands = self.farm.on(event);
-                assert!(!commands.iter().any(|c| matches!(c, Command::Record(_))), "a stale report changes something");
+                // That its worker lives is news, and that time has gone by.
+                let is_besides =
+                    |fact: &Fact| matches!(fact, Fact::Lives { .. } | Fact::Died { .. } | Fact::Used { .. });
+                let changes = |c: &Command| matches!(c, Command::Record(fact) if !is_besides(fact));
+                assert!(!commands.iter().any(changes), "a stale report changes something");
                 self.see(commands);
             }
             Step::Heartbeat(which, samples) => {
@@ -356,7 +437,14 @@ impl Machine {
             }
             Step::Restart => {
                 self.over.append(&mut self.farm.held.clone());
+                let before = self.farm.charged.clone();
+                let workers = self.next_worker;
                 self.farm.restart();
+                for (owner, charged) in before {
+                    let kept = self.farm.charged.get(&owner).copied().unwrap_or(0);
+                    let most = workers * Scheduler::NOTE_SHARES;
+                    assert!(kept <= charged && charged - kept <= most, "{owner}: {kept} ms of {charged} are kept");
+                }
                 self.workers.clear();
                 self.live.clear();
             }
@@ -388,15 +476,81 @@ impl Machine {
             let says_why = is_under_way || status.state.has_ended() || !status.waits.is_empty();
             assert!(says_why, "nothing of job {job} is under way, and it does not say why: {status:?}");
         }
+        self.explains_every_end();
+        self.charges_what_was_held();
+        self.counts_what_was_done();
         let known: BTreeSet<_> = self.farm.held.iter().map(|(_, h)| (h.task, h.epoch)).collect();
         assert_eq!(known, self.live);
         assert!(self.live.iter().all(|(task, _)| !self.done.contains(task)), "what is done is no longer leased");
     }
 
+    /// A job has failed if, and only if, something of it was put aside or the whole cannot succeed; who was put aside stays so until
+    /// a person says otherwise; nothing of what has ended is leased.
+    fn explains_every_end(&mut self) {
+        for &job in &self.jobs {
+            let status = self.farm.status(job);
+            assert_eq!(status.state == JobState::Cancelled, self.cancelled.contains(&job), "{status:?}");
+            let has_reason = status.failure.is_some() || !status.quarantined.is_empty();
+            assert!(status.state != JobState::Failed || has_reason, "{status:?}");
+            assert!(status.state.has_ended() || status.failure.is_none(), "{status:?}");
+            let blocked: BTreeSet<u32> = status.quarantined.iter().map(|one| one.task.stage.frame).collect();
+            assert!(status.frames_failed as usize <= blocked.len(), "{status:?}");
+            let is_leased = self.live.iter().any(|(task, _)| task.job == job);
+            assert!(!(status.state.has_ended() && is_leased), "job {job} has ended and is leased: {status:?}");
+            let mut now: BTreeMap<TaskKey, u32> = BTreeMap::new();
+            for one in &status.quarantined {
+                let is_enough = if matches!(one.failure, Failure::Killed { .. }) { 5 } else { 3 };
+                assert!(one.attempts >= is_enough, "{one:?}");
+                now.insert(one.task, one.attempts);
+            }
+            let before = self.tries.iter().filter(|(task, _)| task.job == job);
+            for (task, tries) in before.filter(|(task, _)| !now.contains_key(*task) || now[*task] < self.tries[*task]) {
+                panic!("{task} was tried {tries} times: {now:?}");
+            }
+            self.tries.extend(now);
+        }
+    }
+
+    /// Every moment of a worker is its oldest lease's owner's; what is under way becomes so in time.
+    fn charges_what_was_held(&self) {
+        let used: BTreeMap<&str, u64> = self.farm.scheduler.used().map(|(owner, used)| (owner, used.held)).collect();
+        let served = self.farm.served();
+        for owner in OWNERS {
+            let charged = used.get(owner).copied().unwrap_or(0);
+            let held = self.farm.charged.get(owner).copied().unwrap_or(0);
+            let under_way = if served.contains(owner) { self.workers.len() as u64 * Scheduler::NOTE_SHARES } else { 0 };
+            assert!(charged <= held && held - charged <= under_way, "{owner} held {held} ms and is charged {charged}");
+        }
+    }
+
+    /// Where nothing is under way, a job's samples are those that are there, and its frames' seconds those of all results.
+    fn counts_what_was_done(&self) {
+        for &job in &self.jobs {
+            if self.live.iter().any(|(task, _)| task.job == job) {
+                continue;
+            }
+            let units = self.rendered.iter().filter(|unit| unit.0 == job).count() as u64;
+            assert_eq!(self.farm.status(job).samples_done, 64 * units, "samples of job {job}");
+            for record in self.farm.scheduler.frames(job).unwrap() {
+                let of_it = |task: &TaskKey| (task.job, task.stage.frame) == (job, record.frame);
+                let seconds = self.farm.log.iter().map(|(_, fact)| match fact {
+                    Fact::Rendered { task, result, .. } if of_it(task) => result.seconds,
+                    Fact::Gathered { task, result, .. } if of_it(task) => result.seconds,
+                    Fact::Merged { task, result, .. } if of_it(task) => result.seconds,
+                    _ => 0.0,
+                });
+                let sum: f64 = seconds.sum();
+                assert!((record.busy_seconds - sum).abs() < 1e-6, "{record:?}: {sum} s");
+            }
+        }
+    }
+
     /// One good worker and no more faults: every job ends, and a job that is done has every frame.
     fn finish(&mut self) {
-        for index in 0..self.jobs.len() {
-            self.take(Step::Control(index, 1));
+        let jobs: Vec<JobId> = self.jobs.clone();
+        for job in jobs {
+            let commands = self.farm.control(job, Control::Resume);
+            self.see(commands);
         }
         self.take(Step::Join);
         for _ in 0..10_000 {
@@ -416,9 +570,10 @@ impl Machine {
             assert!(status.state.has_ended(), "job {job} does not end: {status:?}");
             let frames = self.farm.scheduler.frames(job).unwrap().len() as u32;
             assert_eq!(status.state == JobState::Done, frames == status.frames_total);
+            let has_reason = !status.quarantined.is_empty() || status.failure.is_some();
             assert_eq!(
                 status.state == JobState::Failed,
-                !status.quarantined.is_empty() && frames < status.frames_total && status.state != JobState::Cancelled
+                has_reason && frames < status.frames_total && status.state != JobState::Cancelled
             );
         }
     }
@@ -430,9 +585,11 @@ proptest! {
     fn no_task_is_lost_and_none_is_done_twice_and_every_job_ends(
         grain in prop_oneof![Just(1u64), Just(128), Just(1 << 15)],
         group in 0..4u32,
+        prefetch in 0..2u32,
+        keep_ended in prop_oneof![Just(None), Just(Some(20_000u64))],
         steps in prop::collection::vec(step(), 1..120),
     ) {
-        let mut machine = Machine::new(grain, group);
+        let mut machine = Machine::new(grain, group, prefetch, keep_ended);
         for step in steps {
             machine.take(step);
             machine.check();

@@ -4,7 +4,7 @@ use femc_model::{Failure, JobId, Refusal};
 
 use super::{ConvertError, digest, digest_bytes, need};
 use crate::wire;
-use wire::failure::{Cause, Lost, Text};
+use wire::failure::{Cause, Killed, Lost, Text};
 use wire::refusal::{Field, Forbidden, Lacking, Limit, Reason};
 
 impl From<Failure> for wire::Failure {
@@ -22,6 +22,7 @@ impl From<Failure> for wire::Failure {
                 Failure::Store { message } => Cause::Store(text(message)),
                 Failure::Resources { message } => Cause::Resources(text(message)),
                 Failure::Cancelled => Cause::Cancelled(wire::Empty {}),
+                Failure::Killed { deaths, worker } => Cause::Killed(Killed { deaths, worker }),
             }),
         }
     }
@@ -43,6 +44,7 @@ impl TryFrom<wire::Failure> for Failure {
             Cause::Store(Text { message }) => Self::Store { message },
             Cause::Resources(Text { message }) => Self::Resources { message },
             Cause::Cancelled(_) => Self::Cancelled,
+            Cause::Killed(Killed { deaths, worker }) => Self::Killed { deaths, worker },
         })
     }
 }

@@ -1,7 +1,7 @@
 //! The words of a worker's session.
 
 use femc_model::{
-    FromWorker, HeldLease, JobId, JobSpec, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, ToWorker,
+    Death, FromWorker, HeldLease, JobId, JobSpec, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, ToWorker,
     WorkerId,
 };
 
@@ -137,11 +137,11 @@ fn reason(value: i32) -> Result<RevokeReason, ConvertError> {
 
 impl From<Registration> for wire::Registration {
     fn from(registration: Registration) -> Self {
-        let Registration { name, instance, engine, threads, slots, tags, held } = registration;
+        let Registration { name, instance, engine, threads, slots, tags, held, died } = registration;
         let held = held.into_iter().map(Into::into).collect();
         let protocol = femc_fault::pretended(femc_fault::Pretense::Protocol);
         let protocol = protocol.and_then(|text| text.parse().ok()).unwrap_or(PROTOCOL);
-        Self { protocol, name, instance, engine, threads, slots, tags, held }
+        Self { protocol, name, instance, engine, threads, slots, tags, held, died: died.map(Into::into) }
     }
 }
 
@@ -149,7 +149,7 @@ impl TryFrom<wire::Registration> for Registration {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Registration) -> Result<Self, ConvertError> {
-        let wire::Registration { protocol, name, instance, engine, threads, slots, tags, held } = wire;
+        let wire::Registration { protocol, name, instance, engine, threads, slots, tags, held, died } = wire;
         if !(OLDEST..=PROTOCOL).contains(&protocol) {
             return Err(ConvertError::Protocol { found: protocol });
         }
@@ -162,7 +162,24 @@ impl TryFrom<wire::Registration> for Registration {
         {
             return Err(ConvertError::Range { field: "registration.name, engine or tags" });
         }
-        Ok(Self { name, instance, engine, threads, slots, tags, held: each(held)? })
+        Ok(Self { name, instance, engine, threads, slots, tags, held: each(held)?, died: maybe(died)? })
+    }
+}
+
+impl From<Death> for wire::Death {
+    fn from(Death { instance, computing }: Death) -> Self {
+        Self { instance, computing: computing.into_iter().map(Into::into).collect() }
+    }
+}
+
+impl TryFrom<wire::Death> for Death {
+    type Error = ConvertError;
+
+    fn try_from(wire::Death { instance, computing }: wire::Death) -> Result<Self, ConvertError> {
+        if computing.len() > Self::MOST {
+            return Err(ConvertError::Range { field: "died.computing" });
+        }
+        Ok(Self { instance, computing: each(computing)? })
     }
 }
 

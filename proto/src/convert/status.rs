@@ -130,6 +130,10 @@ impl From<Wait> for wire::Wait {
                 Wait::WorkersBusy { workers } => Reason::WorkersBusy(workers),
                 Wait::WorkersDraining { workers } => Reason::WorkersDraining(workers),
                 Wait::WorkersResting => Reason::WorkersResting(empty),
+                Wait::WorkersSilent { workers, seconds } => Reason::WorkersSilent(wire::Silent { workers, seconds }),
+                Wait::WorkersInTrouble { workers, seconds, failure } => {
+                    Reason::WorkersInTrouble(wire::Trouble { workers, seconds, failure: Some(failure.into()) })
+                }
                 Wait::WorkersShunned { workers, seconds } => Reason::WorkersShunned(wire::Shunned { workers, seconds }),
                 Wait::WorkersAvoided { tasks } => Reason::WorkersAvoided(tasks),
                 Wait::OtherBuild { frames } => Reason::OtherBuild(frames),
@@ -156,6 +160,11 @@ impl TryFrom<wire::Wait> for Wait {
             Reason::WorkersBusy(workers) => Self::WorkersBusy { workers },
             Reason::WorkersDraining(workers) => Self::WorkersDraining { workers },
             Reason::WorkersResting(_) => Self::WorkersResting,
+            Reason::WorkersSilent(wire::Silent { workers, seconds }) => Self::WorkersSilent { workers, seconds },
+            Reason::WorkersInTrouble(wire::Trouble { workers, seconds, failure }) => {
+                let failure = need("wait.workers_in_trouble.failure", failure)?.try_into()?;
+                Self::WorkersInTrouble { workers, seconds, failure }
+            }
             Reason::WorkersShunned(wire::Shunned { workers, seconds }) => Self::WorkersShunned { workers, seconds },
             Reason::OtherBuild(frames) => Self::OtherBuild { frames },
             Reason::Regrouping(milliseconds) => Self::Regrouping { milliseconds },

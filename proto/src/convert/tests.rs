@@ -60,6 +60,7 @@ fn failures() -> Vec<Failure> {
         Failure::LostInputs { digests: vec![digest(); 2], message: message() },
         Failure::Store { message: message() },
         Failure::Resources { message: message() },
+        Failure::Killed { deaths: 5, worker: "w".into() },
         Failure::Cancelled,
     ]
 }
@@ -112,7 +113,10 @@ fn the_words_of_a_session_cross_the_wire() {
                 job: Digest::of(b"job"),
             })
             .to_vec(),
+        died: None,
     };
+    let died = Death { instance: 1 << 60, computing: registration.held.clone() };
+    let reborn = Registration { died: Some(died), ..registration.clone() };
     let (render, merge, epoch) = (task(StageKind::Render), task(StageKind::Merge), Epoch::new(3, 9));
     let phases = [Phase::Waiting, Phase::Preparing, Phase::Working, Phase::Uploading];
     let progress = phases.map(|phase| TaskProgress { task: render, epoch, phase, samples: 12 });
@@ -135,6 +139,7 @@ fn the_words_of_a_session_cross_the_wire() {
         ..done.clone()
     };
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Register(registration));
+    crosses::<FromWorker, wire::FromWorker>(FromWorker::Register(reborn));
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Heartbeat {
         number: 3,
         tasks: progress.to_vec(),
@@ -236,6 +241,8 @@ fn statuses_cross_the_wire() {
         Wait::WorkersBusy { workers: 3 },
         Wait::WorkersDraining { workers: 1 },
         Wait::WorkersResting,
+        Wait::WorkersSilent { workers: 2, seconds: 9 },
+        Wait::WorkersInTrouble { workers: 1, seconds: 4, failure: Failure::Store { message: "full".into() } },
         Wait::WorkersShunned { workers: 2, seconds: 60 },
         Wait::WorkersAvoided { tasks: 3 },
         Wait::Regrouping { milliseconds: 300 },

@@ -129,12 +129,12 @@ impl Right {
         }
     }
 
+    /// What whoever is refused would have to be: a worker is never refused what workers may, and no user is told to be one.
     fn takes(self) -> String {
         match self {
             Self::Anybody => "an identity of this farm".into(),
             Self::Worker => "a worker".into(),
-            Self::User(role) => format!("a user of role {role}"),
-            Self::WorkerOrUser(role) => format!("a worker, or a user of role {role}"),
+            Self::User(role) | Self::WorkerOrUser(role) => format!("a user of role {role}"),
         }
     }
 }

@@ -71,6 +71,7 @@ pub(crate) fn merge(task: &Task, tools: &Tools) -> Result<Product, Failure> {
         Decision::Done => {
             let provenance = Provenance {
                 version: env!("CARGO_PKG_VERSION").into(),
+                engine: crate::engine().into(),
                 settings: task.spec.settings.clone(),
                 scene: read.digest.clone(),
                 frame: task.assignment.task.stage.frame,

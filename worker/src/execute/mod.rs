@@ -10,17 +10,17 @@ use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 
 use bytes::Bytes;
-use femc_fault::{Point, pass};
+use femc_fault::{Point, dies_of, pass};
 use femc_model::{Failure, TaskResult, Work};
 use rayon::ThreadPool;
 use tracing::Span;
 
-use crate::Cache;
 use crate::fetch::Fetch;
 use crate::memory::Memory;
 use crate::meter::Doing;
 use crate::nice::Nice;
 use crate::table::Task;
+use crate::{Cache, Journal};
 
 /// What a task needs beside itself.
 #[derive(Debug, Clone)]
@@ -30,6 +30,7 @@ pub(crate) struct Tools {
     pub(crate) fetch: Fetch,
     pub(crate) memory: Memory,
     pub(crate) nice: Nice,
+    pub(crate) journal: Journal,
 }
 
 impl Tools {
@@ -63,6 +64,7 @@ pub(crate) fn execute(task: &Arc<Task>, tools: &Tools) -> Result<Product, Failur
     let (key, epoch) = task.key();
     let _span = tracing::info_span!("task", job = key.job.0, task = %key, epoch = epoch.0).entered();
     pass(Point::WorkerBeforeTask);
+    dies_of(&key);
     task.log.hear(|| {
         let outcome = attempt(task, tools);
         match &outcome {

@@ -28,8 +28,8 @@ use there::Wanted;
 /// Render a scene on this machine; a run that was stopped goes on where it was
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
-    femc render scenes/cornell-fog.mgf -o cornell.exr --spp 256\n  \
-    femc render scenes/roundabout.mgf -o drive --frames 1..24 --size 320x180 --video drive.mp4\n  \
+    femc render scenes/cornell-fog.mgf -o cornell.exr --spp 64\n  \
+    femc render scenes/roundabout.mgf -o drive --frames 1..24 --size 160x90 --spp 8 --video drive.mp4\n  \
     femc render scene.mgf -o out --error 0.02 --set medium.fog.sigma_s=0.05 --json\n  \
     femc render scenes/cornell-fog.mgf -o cornell.exr --report cornell.html    # where the time went\n\n\
     A second run with the same OUT and settings renders what is missing: frames that are finished stay, and a frame \
@@ -125,7 +125,7 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
 fn render(order: &Order<'_>, old: Old, say: Say) -> Result<Made, Failure> {
     let Order { asked, target, frames, missing, scene, .. } = order;
     let identity = Identity {
-        version: env!("CARGO_PKG_VERSION").to_owned(),
+        engine: femc_worker::engine().to_owned(),
         bundle: scene.digest().to_string(),
         settings: serde_json::to_value(&asked.settings).map_err(failed)?,
     };
@@ -136,7 +136,7 @@ fn render(order: &Order<'_>, old: Old, say: Say) -> Result<Made, Failure> {
         Found::Same => say.note(format!("{out}: going on, {} of {all} finished", frames.len() - missing.len())),
         Found::Nothing if others == 0 => {}
         Found::Nothing | Found::Other => {
-            say.note(format!("{out}: what is there has another scene or other settings; rendering anew"));
+            say.note(format!("{out}: what is there has another scene or other settings, or is another build's of the engine; rendering anew"));
         }
     }
     let made = drive::run(order, &state, say)?;

@@ -9,8 +9,8 @@ use std::path::{Path, PathBuf};
 /// Two runs with equal identities render the same bytes, so that one may go on from the other's state.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Identity {
-    /// Version of the program.
-    pub version: String,
+    /// Build of the engine.
+    pub engine: String,
     /// Content hash of the scene's files.
     pub bundle: String,
     /// Render settings.

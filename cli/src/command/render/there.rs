@@ -19,12 +19,12 @@ impl Wanted {
         Ok(Self { settings, scene: asked.scene().digest().to_string() })
     }
 
-    /// The frame in `path`, if it is there, whole, and of this version, scene and settings.
+    /// The frame in `path`, if it is there, whole, and of this build of the engine, scene and settings.
     pub fn there(&self, frame: u32, path: &Path) -> Option<FrameReport> {
         let attributes = femc_film::exr::read_attributes(path).ok()?;
         let says = |name: &str| attributes.get(&format!("femc:{name}")).map(String::as_str);
         let settings: serde_json::Value = serde_json::from_str(says("settings")?).ok()?;
-        let same = says("version") == Some(env!("CARGO_PKG_VERSION"))
+        let same = says("engine") == Some(femc_worker::engine())
             && says("scene") == Some(&self.scene)
             && says("frame")?.parse() == Ok(frame)
             && settings == self.settings;

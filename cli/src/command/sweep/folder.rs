@@ -29,8 +29,8 @@ pub struct Folder {
 
 #[derive(Default, Serialize, Deserialize)]
 struct Manifest {
-    /// The program's.
-    version: String,
+    /// The program's build of the engine.
+    engine: String,
     /// Those of the latest run, in order.
     variants: Vec<Named>,
     /// Frames by their paths in this folder.
@@ -116,6 +116,12 @@ impl Folder {
         self.manifest.files.get(name)
     }
 
+    /// The build of the engine that the folder's frames are of, if it is not this program's.
+    pub fn other_engine(&self) -> Option<&str> {
+        let engine = &*self.manifest.engine;
+        (!self.manifest.files.is_empty() && engine != femc_worker::engine()).then_some(engine)
+    }
+
     /// Whether the file `name` is there and has this key.
     pub fn has(&self, name: &str, key: &str) -> bool {
         self.shot(name).is_some_and(|shot| shot.key == key)
@@ -165,7 +171,7 @@ impl Folder {
         };
         let named = |variant: &Planned| Named { name: variant.name.clone(), values: values(variant) };
         self.manifest.variants = work.variants.iter().map(named).collect();
-        self.manifest.version = env!("CARGO_PKG_VERSION").to_owned();
+        self.manifest.engine = femc_worker::engine().to_owned();
     }
 
     /// The job that a variant was ordered with.

@@ -81,6 +81,12 @@ pub fn run(args: &SweepArgs, say: Say) -> Result<Exit, Failure> {
     }
     let state = lock(&work, out)?;
     let mut folder = Folder::open(out)?;
+    if let Some(other) = folder.other_engine() {
+        let (path, own) = (out.display(), femc_worker::engine());
+        say.note(format!(
+            "{path}: its frames are of another build of the engine ({other}, this is {own}); rendering anew"
+        ));
+    }
     let shares = Shares::count(&work, Some(&folder));
     shares.note(say);
     folder.name(&work);
@@ -130,7 +136,7 @@ pub fn run(args: &SweepArgs, say: Say) -> Result<Exit, Failure> {
 /// Nobody else writes into the folder meanwhile; an embedded farm's log of another scene goes.
 fn lock(work: &Work, out: &Path) -> Result<State, Failure> {
     let identity = Identity {
-        version: env!("CARGO_PKG_VERSION").to_owned(),
+        engine: femc_worker::engine().to_owned(),
         bundle: work.scene.digest().to_string(),
         settings: serde_json::Value::Null,
     };

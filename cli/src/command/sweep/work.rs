@@ -57,7 +57,7 @@ pub struct Value {
 pub struct Planning {
     /// Its number.
     pub frame: u32,
-    /// Frames with equal keys have the same pixels: hash of the program's version, all that the camera sees, and the
+    /// Frames with equal keys have the same pixels: hash of the build of this program's engine, all that the camera sees, and the
     /// settings of sampling.
     pub key: String,
     /// Frames with equal worlds are prepared once, but for the camera.
@@ -156,7 +156,7 @@ impl Planned {
 fn key(view: &SceneDigest, settings: &Settings) -> Result<String, Failure> {
     // The view holds what these three have done.
     let sampling = Settings { camera: None, size: None, overrides: Vec::new(), ..settings.clone() };
-    let text = serde_json::to_string(&(env!("CARGO_PKG_VERSION"), view.to_string(), sampling)).map_err(failed)?;
+    let text = serde_json::to_string(&(femc_worker::engine(), view.to_string(), sampling)).map_err(failed)?;
     Ok(Digest::of(text.as_bytes()).to_string())
 }
 

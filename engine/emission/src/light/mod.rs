@@ -17,7 +17,7 @@ use crate::{Emission, Profile, Sides};
 pub use cone::Cone;
 use femc_math::elementary::double;
 use femc_math::glam::{DVec3, Vec3A};
-use femc_math::{Rgb, gamma};
+use femc_math::{Rgb, cross, gamma};
 pub use parallelogram::Parallelogram;
 pub use photometric_point::PhotometricPoint;
 pub use photometric_solid::{Face, PhotometricSolid, Solid};
@@ -98,13 +98,13 @@ impl EmissionCone {
             }
         }
         let half = 0.5 * (a + b + between);
-        let across = self.axis.cross(other.axis);
+        let across = cross(self.axis, other.axis);
         if half >= PI || across.length_squared() == 0.0 {
             return Self { exponent, two_sided, ..Self::ALL };
         }
         // The first axis turned toward the second by what it lacks.
         let (sin, cos) = double::sin_cos(half - a);
-        let sideways = across.normalize().cross(self.axis);
+        let sideways = cross(across.normalize(), self.axis);
         let axis = (self.axis * cos as f32 + sideways * sin as f32).normalize();
         Self { axis, cos_normals: double::cos(half) as f32 - 1e-6, exponent, two_sided }
     }

@@ -373,7 +373,7 @@ impl PhotometricSolid {
                     let (u, v) = (edges[(axis + 1) % 3], edges[(axis + 2) % 3]);
                     let outward = if far { edges[axis] } else { -edges[axis] };
                     let origin = if far { corner + edges[axis] } else { corner };
-                    let right = u.cross(v).dot(outward) > 0.0;
+                    let right = femc_math::cross(u, v).dot(outward) > 0.0;
                     let (edge_u, edge_v) = if right { (u, v) } else { (v, u) };
                     Face::Parallelogram { origin, edge_u, edge_v }
                 };

@@ -20,6 +20,8 @@ use std::path::Path;
 pub struct Provenance {
     /// Version of the renderer.
     pub version: String,
+    /// Build of the engine.
+    pub engine: String,
     /// Render settings, JSON.
     pub settings: String,
     /// Digest of the scene.
@@ -37,9 +39,10 @@ pub struct Provenance {
 }
 
 impl Provenance {
-    fn attributes(&self) -> [(String, String); 8] {
+    fn attributes(&self) -> [(String, String); 9] {
         [
             ("version", self.version.clone()),
+            ("engine", self.engine.clone()),
             ("settings", self.settings.clone()),
             ("scene", self.scene.clone()),
             ("frame", self.frame.to_string()),

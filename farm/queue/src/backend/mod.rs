@@ -1,5 +1,6 @@
 //! Where a log may live.
 
+mod mark;
 pub(crate) mod memory;
 pub(crate) mod postgres;
 mod rows;

@@ -11,7 +11,12 @@ pub(super) struct Row {
 
 impl Row {
     fn is_sound(&self) -> bool {
-        self.sum == checksum(self.sequence, &self.bytes)
+        self.is_blank() || self.sum == checksum(self.sequence, &self.bytes)
+    }
+
+    /// Whether it stands for a batch without records.
+    fn is_blank(&self) -> bool {
+        self.bytes.is_empty() && self.sum == blank(self.sequence)
     }
 }
 
@@ -38,12 +43,26 @@ pub(super) fn checksum(sequence: i64, bytes: &[u8]) -> Vec<u8> {
     hash.finalize().as_bytes()[..16].to_vec()
 }
 
-/// What the rows say, and the number of the last sound one. Damage at the end is a torn tail; damage before sound records
-/// is an error.
-pub(super) fn contents(
-    snapshot: Option<Row>,
-    rows: impl IntoIterator<Item = Row>,
-) -> Result<(Contents, i64), QueueError> {
+/// Of a row without a record, which has a number so that its loss shows.
+pub(super) fn blank(sequence: i64) -> Vec<u8> {
+    let mut hash = blake3::Hasher::new();
+    hash.update(b"no record").update(&sequence.to_le_bytes());
+    hash.finalize().as_bytes()[..16].to_vec()
+}
+
+/// What rows say.
+pub(super) struct Told {
+    /// Up to the first that is damaged or gone.
+    pub(super) contents: Contents,
+    /// The number of the last sound one.
+    pub(super) last: i64,
+    /// Which is damaged or gone.
+    pub(super) damage: Option<QueueError>,
+}
+
+/// What the rows say up to the first that is damaged or gone. A database keeps a transaction whole or not at all: damage is
+/// never the trace of a write that was cut.
+pub(super) fn told(snapshot: Option<Row>, rows: impl IntoIterator<Item = Row>) -> Result<Told, QueueError> {
     let mut contents = Contents::default();
     let mut last = 0;
     if let Some(snapshot) = snapshot {
@@ -53,21 +72,19 @@ pub(super) fn contents(
         last = snapshot.sequence;
         contents.snapshot = Some(snapshot.bytes);
     }
-    let mut broken = None;
-    for row in rows {
-        match broken {
-            None if row.is_sound() && row.sequence == last + 1 => {
-                last = row.sequence;
+    let mut rows = rows.into_iter();
+    for row in rows.by_ref() {
+        let is_sound = row.is_sound();
+        if is_sound && row.sequence == last + 1 {
+            last = row.sequence;
+            if !row.is_blank() {
                 contents.records.push(row.bytes);
             }
-            None if row.is_sound() => return Err(QueueError::Damaged { sequence: last + 1, after: 1 }),
-            None => {
-                broken = Some(row.sequence);
-                contents.torn = 1;
-            }
-            Some(sequence) if row.is_sound() => return Err(QueueError::Damaged { sequence, after: 1 }),
-            Some(_) => contents.torn += 1,
+            continue;
         }
+        let after = rows.filter(Row::is_sound).count() as u64 + u64::from(is_sound);
+        let damage = Some(QueueError::Damaged { sequence: last + 1, after });
+        return Ok(Told { contents, last, damage });
     }
-    Ok((contents, last))
+    Ok(Told { contents, last, damage: None })
 }

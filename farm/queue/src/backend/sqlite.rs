@@ -1,28 +1,72 @@
 //! A log in one SQLite file: WAL mode, every commit synced, one transaction a batch.
 //!
-//! SQLite restores whole transactions after a crash by itself. The checksum of each record finds what SQLite cannot:
-//! pages that the disk has lost or changed. The file is locked, so that a second coordinator finds out at once.
+//! SQLite restores whole transactions after a crash by itself. The checksum of each record finds pages that the disk has
+//! changed, and the mark beside the log ([`super::mark`]) those that SQLite leaves out because they are damaged: then the
+//! log is not opened. A log that was closed carries in its own header what the mark says, and can be moved without it. The
+//! file is locked, so that a second coordinator finds out at once.
 
 use std::fs::{self, File};
-use std::io;
+use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::LazyLock;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use sqlx::sqlite::{
     SqliteConnectOptions, SqliteConnection, SqliteJournalMode, SqliteLockingMode, SqliteRow, SqliteSynchronous,
 };
 use sqlx::{ConnectOptions as _, Connection as _, Row as _};
 
-use super::rows::{Row, checksum, contents, note_checksum, page};
-use crate::{Batch, Contents, Page, Queue, QueueError};
+use super::mark::{Found, Identity, Known, Mark};
+use super::rows::{Row, Told, blank, checksum, note_checksum, page, told};
+use crate::{Batch, Contents, Loss, Lost, Page, Queue, QueueError, no_room};
 
 /// A log in a file.
 #[derive(Debug)]
 pub struct Sqlite {
     connection: SqliteConnection,
     path: PathBuf,
+    loss: Loss,
+    /// As it was read; `None`: damaged.
+    header: Option<Header>,
+    /// From when it is loaded on.
+    mark: Option<Mark>,
+    /// Whether it may be a copy, or has lost its mark: somebody may have had incarnations of which it does not know.
+    is_moved: bool,
     /// Number of the next record; they have no gaps.
     next: i64,
+}
+
+/// What the file says of itself.
+#[derive(Debug, Clone, Copy)]
+struct Header {
+    identity: Identity,
+    /// The number of the last record, if it was closed or is a copy: then it needs no mark.
+    sealed: Option<i64>,
+}
+
+impl Header {
+    fn sum(&self) -> Vec<u8> {
+        let mut hash = blake3::Hasher::new();
+        hash.update(&self.identity).update(&self.sealed.map_or([0xff; 8], i64::to_le_bytes));
+        hash.finalize().as_bytes()[..16].to_vec()
+    }
+
+    fn read(row: &SqliteRow) -> Option<Self> {
+        let identity: Vec<u8> = row.try_get(0).ok()?;
+        let header = Self { identity: identity.try_into().ok()?, sealed: row.try_get(1).ok()? };
+        let sum: Vec<u8> = row.try_get(2).ok()?;
+        (sum == header.sum()).then_some(header)
+    }
+}
+
+/// What must be in the file.
+struct Floor {
+    /// The records up to this one.
+    sequence: i64,
+    /// The highest incarnation that is known to have been reserved.
+    incarnation: u32,
+    /// What is not there, or cannot be known to be.
+    lack: Option<QueueError>,
 }
 
 const TABLES: &str = "
@@ -30,14 +74,20 @@ const TABLES: &str = "
     CREATE TABLE snapshot (sequence INTEGER PRIMARY KEY, checksum BLOB NOT NULL, state BLOB NOT NULL) STRICT;
 ";
 
-/// What later versions have added. A version that does not know them works beside them.
+/// What later versions have added.
 ///
-/// A note's `sequence` is that of the first record of its batch, or of the last before: a tail that is cut takes along the notes
-/// of batches of which nothing is left.
+/// A note's `sequence` is that of the first record of its batch: a tail that is cut takes along the notes of batches of which
+/// nothing is left. A header has one row.
 const LATER_TABLES: &str = "
     CREATE TABLE IF NOT EXISTS notes (subject INTEGER NOT NULL, number INTEGER NOT NULL, sequence INTEGER NOT NULL,
         checksum BLOB NOT NULL, note BLOB NOT NULL, PRIMARY KEY (subject, number)) STRICT, WITHOUT ROWID;
+    CREATE TABLE header (identity BLOB NOT NULL, sealed INTEGER, checksum BLOB NOT NULL) STRICT;
+    PRAGMA application_id = 0x66656d63;
+    PRAGMA user_version = 2;
 ";
+
+const LAST: &str =
+    "SELECT max(ifnull((SELECT max(sequence) FROM log), 0), ifnull((SELECT max(sequence) FROM snapshot), 0))";
 
 /// The first number of a subject is 1.
 const NOTE: &str = "
@@ -56,54 +106,81 @@ impl Sqlite {
     /// `PRAGMA application_id`: the letters of femc.
     pub const APPLICATION: i64 = 0x6665_6d63;
     /// `PRAGMA user_version`: of the tables, not of the records.
-    pub const VERSION: i64 = 1;
+    pub const VERSION: i64 = 2;
 
-    /// Opens the log at `path`, or makes it.
+    /// Opens the log at `path`, or makes it; one that has lost what was acknowledged is refused.
     pub async fn open(path: &Path) -> Result<Self, QueueError> {
-        let options = SqliteConnectOptions::new()
-            .filename(path)
+        Self::open_with(path, Loss::Refused).await
+    }
+
+    /// The same, also where something that was acknowledged is lost.
+    pub async fn open_with(path: &Path, loss: Loss) -> Result<Self, QueueError> {
+        let options = options(path)
             .create_if_missing(true)
             .locking_mode(SqliteLockingMode::Exclusive)
             .journal_mode(SqliteJournalMode::Wal)
-            .synchronous(SqliteSynchronous::Full)
-            .busy_timeout(std::time::Duration::from_millis(200))
-            .disable_statement_logging();
+            .synchronous(SqliteSynchronous::Full);
         let in_use =
             |error| if is_busy(&error) { QueueError::InUse { path: path.display().to_string() } } else { error.into() };
         let mut connection = options.connect().await.map_err(in_use)?;
         // Takes the lock now, not at the first write.
         sqlx::raw_sql("BEGIN EXCLUSIVE; COMMIT;").execute(&mut connection).await.map_err(in_use)?;
-        let number = async |connection: &mut SqliteConnection, sql: &'static str| -> Result<i64, QueueError> {
-            Ok(sqlx::query(sql).fetch_one(connection).await?.try_get(0)?)
-        };
         let application = number(&mut connection, "PRAGMA application_id").await?;
         let version = number(&mut connection, "PRAGMA user_version").await?;
         let tables = number(&mut connection, "SELECT count(*) FROM sqlite_schema").await?;
-        if (application, version, tables) == (0, 0, 0) {
-            let mut begin = connection.begin().await?;
-            sqlx::raw_sql(TABLES).execute(&mut *begin).await?;
-            sqlx::raw_sql("PRAGMA application_id = 0x66656d63; PRAGMA user_version = 1;").execute(&mut *begin).await?;
-            begin.commit().await?;
-        } else if (application, version) != (Self::APPLICATION, Self::VERSION) {
-            return Err(QueueError::Foreign { path: path.display().to_string(), application, version });
+        match (application, version, tables) {
+            (0, 0, 0) => made(&mut connection, TABLES).await.map_err(|error| no_room_or(error, path))?,
+            // Nobody has marked it before.
+            (Self::APPLICATION, 1, _) => made(&mut connection, "").await.map_err(|error| no_room_or(error, path))?,
+            (Self::APPLICATION, Self::VERSION, _) => {}
+            _ => return Err(QueueError::Foreign { path: path.display().to_string(), application, version }),
         }
-        sqlx::raw_sql(LATER_TABLES).execute(&mut connection).await?;
-        Ok(Self { connection, path: path.to_owned(), next: 1 })
+        let headers = sqlx::query("SELECT identity, sealed, checksum FROM header").fetch_all(&mut connection).await?;
+        let header = if let [header] = &headers[..] { Header::read(header) } else { None };
+        Ok(Self { connection, path: path.to_owned(), loss, header, mark: None, is_moved: false, next: 1 })
     }
-}
 
-fn is_busy(error: &sqlx::Error) -> bool {
-    // SQLITE_BUSY and SQLITE_LOCKED, with their extended codes.
-    let code = error.as_database_error().and_then(|error| error.code()?.parse::<i64>().ok());
-    code.is_some_and(|code| matches!(code & 0xff, 5 | 6))
-}
+    /// A file beside the log's.
+    fn beside(&self, end: &str) -> PathBuf {
+        let mut name = self.path.clone().into_os_string();
+        name.push(end);
+        PathBuf::from(name)
+    }
 
-fn row(row: &SqliteRow) -> Result<Row, sqlx::Error> {
-    Ok(Row { sequence: row.try_get(0)?, sum: row.try_get(1)?, bytes: row.try_get(2)? })
-}
+    /// What must be there. Changes nothing but `is_moved`.
+    fn floor(&mut self) -> Result<Floor, QueueError> {
+        let (path, mark) = (self.path.display().to_string(), self.beside("-mark"));
+        let found = Mark::look(&mark)?;
+        let incarnation = match found {
+            Found::Mark(known) => known.incarnation,
+            Found::Nothing | Found::Damaged => 0,
+        };
+        let at = |sequence| Floor { sequence, incarnation, lack: None };
+        let lacks = |lack| Floor { lack: Some(lack), ..at(0) };
+        let unsure = |why: String| lacks(QueueError::Unsure { path: path.clone(), why });
+        let mark = mark.display();
+        let Some(Header { identity, sealed }) = self.header else {
+            return Ok(unsure("its header is damaged".into()));
+        };
+        Ok(match (found, sealed) {
+            (Found::Mark(known), _) if known.identity == identity => at(known.sequence.max(sealed.unwrap_or(0))),
+            // The file that the mark is about is gone, and this one was made just now.
+            (Found::Mark(Known { sequence: known @ 1.., .. }), Some(0)) => {
+                lacks(QueueError::Lost { path: path.clone(), kept: 0, known })
+            }
+            // It was put in the place of that one: a copy for instance.
+            (Found::Mark(_) | Found::Nothing, Some(sealed)) => {
+                self.is_moved = sealed > 0;
+                at(sealed)
+            }
+            (Found::Mark(_), None) => unsure(format!("{mark} is of another log")),
+            (Found::Nothing, None) => unsure(format!("{mark}, which says how much that is, is missing")),
+            (Found::Damaged, _) => unsure(format!("{mark}, which says how much that is, is damaged")),
+        })
+    }
 
-impl Queue for Sqlite {
-    async fn load(&mut self) -> Result<Contents, QueueError> {
+    /// What there is, as far as it is sound, and what else there must be. Changes nothing in the file.
+    async fn read(&mut self) -> Result<(Told, Floor), QueueError> {
         let newest = "SELECT sequence, checksum, state FROM snapshot ORDER BY sequence DESC LIMIT 1";
         let snapshot = sqlx::query(newest).fetch_optional(&mut self.connection).await?;
         let snapshot = snapshot.as_ref().map(row).transpose()?;
@@ -112,64 +189,267 @@ impl Queue for Sqlite {
             .fetch_all(&mut self.connection)
             .await?;
         let rows: Vec<Row> = rows.iter().map(row).collect::<Result<_, _>>()?;
-        let (contents, last) = contents(snapshot, rows)?;
-        if contents.torn > 0 {
-            let mut cut = self.connection.begin().await?;
-            sqlx::query("DELETE FROM log WHERE sequence > ?").bind(last).execute(&mut *cut).await?;
-            sqlx::query("DELETE FROM notes WHERE sequence > ?").bind(last).execute(&mut *cut).await?;
-            cut.commit().await?;
+        let mut told = told(snapshot, rows)?;
+        let mut floor = self.floor()?;
+        if floor.lack.is_none() && told.last < floor.sequence {
+            let path = self.path.display().to_string();
+            floor.lack = Some(QueueError::Lost { path, kept: told.last, known: floor.sequence });
         }
+        floor.lack = told.damage.take().or(floor.lack);
+        Ok((told, floor))
+    }
+
+    /// Puts aside what SQLite has written ahead and does not read: closing the log takes it away.
+    fn keep_evidence(&self) {
+        let (ahead, aside) = (self.beside("-wal"), self.beside("-wal-lost"));
+        if fs::metadata(&ahead).is_ok_and(|file| file.len() > 0) {
+            match fs::copy(&ahead, &aside) {
+                Ok(_) => tracing::warn!(path = %aside.display(), "a copy of what was written ahead is kept"),
+                Err(error) => tracing::warn!(path = %aside.display(), %error, "what was written ahead is not kept"),
+            }
+        }
+    }
+
+    /// From now on the mark says how much there is.
+    async fn begin(&mut self, last: i64, incarnation: u32) -> Result<(), QueueError> {
+        let identity = match self.header {
+            Some(Header { identity, .. }) => identity,
+            None => fresh(&mut self.connection).await?,
+        };
+        let path = self.beside("-mark");
+        let known = Known { identity, sequence: last, incarnation };
+        if self.mark.as_ref().is_none_or(|mark| *mark.known() != known) {
+            self.mark = Some(Mark::put(&path, known)?);
+        }
+        let header = Header { identity, sealed: None };
+        if self.header.is_none_or(|header| header.sealed.is_some()) {
+            self.seal(header).await?;
+            // The file itself knows: where it is copied without what lies beside it, that shows.
+            let checkpoint = sqlx::raw_sql("PRAGMA wal_checkpoint(TRUNCATE)").execute(&mut self.connection).await;
+            checkpoint.map_err(|error| no_room_or(error, &self.path))?;
+        }
+        Ok(())
+    }
+
+    async fn seal(&mut self, header: Header) -> Result<(), QueueError> {
+        self.transaction().await?;
+        let sealed = put_header(&mut self.connection, header).await;
+        self.end(sealed).await?;
+        self.header = Some(header);
+        Ok(())
+    }
+
+    async fn transaction(&mut self) -> Result<(), QueueError> {
+        let begun = sqlx::query("BEGIN IMMEDIATE").execute(&mut self.connection).await;
+        begun.map(drop).map_err(|error| no_room_or(error, &self.path))
+    }
+
+    /// So many numbers more are durable.
+    fn went_on(&mut self, numbers: usize) {
+        self.next += numbers as i64;
+        if let Some(mark) = &mut self.mark {
+            mark.note(self.next - 1);
+        }
+    }
+
+    /// Makes a transaction durable, or as if it had never been.
+    async fn end(&mut self, done: Result<(), sqlx::Error>) -> Result<(), QueueError> {
+        let ended = match done {
+            Ok(()) => sqlx::query("COMMIT").execute(&mut self.connection).await.map(drop),
+            Err(error) => Err(error),
+        };
+        if let Err(error) = ended {
+            // Where SQLite has done so by itself, there is none any more.
+            let _ = sqlx::query("ROLLBACK").execute(&mut self.connection).await;
+            return Err(no_room_or(error, &self.path));
+        }
+        Ok(())
+    }
+}
+
+fn options(path: &Path) -> SqliteConnectOptions {
+    SqliteConnectOptions::new().filename(path).busy_timeout(Duration::from_millis(200)).disable_statement_logging()
+}
+
+async fn number(connection: &mut SqliteConnection, sql: &'static str) -> Result<i64, sqlx::Error> {
+    sqlx::query(sql).fetch_one(connection).await?.try_get(0)
+}
+
+/// A name that no other log has.
+async fn fresh(connection: &mut SqliteConnection) -> Result<Identity, sqlx::Error> {
+    let random: Vec<u8> = sqlx::query("SELECT randomblob(16)").fetch_one(connection).await?.try_get(0)?;
+    random.try_into().map_err(|_| sqlx::Error::Protocol("randomblob(16) has other than 16 bytes".into()))
+}
+
+/// Makes `tables` and what is missing beside them; sealed, because nobody has marked it yet.
+async fn made(connection: &mut SqliteConnection, tables: &'static str) -> Result<(), sqlx::Error> {
+    let mut making = connection.begin().await?;
+    sqlx::raw_sql(tables).execute(&mut *making).await?;
+    sqlx::raw_sql(LATER_TABLES).execute(&mut *making).await?;
+    let sealed = Some(number(&mut making, LAST).await?);
+    let identity = fresh(&mut making).await?;
+    put_header(&mut making, Header { identity, sealed }).await?;
+    making.commit().await
+}
+
+async fn put_header(connection: &mut SqliteConnection, header: Header) -> Result<(), sqlx::Error> {
+    sqlx::query("DELETE FROM header").execute(&mut *connection).await?;
+    let put = sqlx::query("INSERT INTO header (identity, sealed, checksum) VALUES (?, ?, ?)");
+    let put = put.bind(header.identity.to_vec()).bind(header.sealed).bind(header.sum());
+    put.execute(connection).await.map(drop)
+}
+
+/// The code of SQLite behind an error, with what extends it.
+fn code(error: &sqlx::Error) -> Option<i64> {
+    error.as_database_error()?.code()?.parse().ok()
+}
+
+fn is_busy(error: &sqlx::Error) -> bool {
+    // SQLITE_BUSY and SQLITE_LOCKED, with their extended codes.
+    code(error).is_some_and(|code| matches!(code & 0xff, 5 | 6))
+}
+
+/// What an error of a write to the log at `path` means.
+fn no_room_or(error: sqlx::Error, path: &Path) -> QueueError {
+    // SQLITE_FULL; SQLITE_IOERR, which a quota is to SQLite.
+    let is_full = match code(&error).map(|code| code & 0xff) {
+        Some(13) => true,
+        Some(10) => refuses_bytes(path),
+        _ => false,
+    };
+    if !is_full {
+        return error.into();
+    }
+    let message = error.as_database_error().map_or_else(|| error.to_string(), |error| error.message().to_owned());
+    QueueError::Full { place: path.display().to_string(), message }
+}
+
+/// Whether there is no room beside the log.
+fn refuses_bytes(path: &Path) -> bool {
+    let mut name = path.to_owned().into_os_string();
+    name.push("-room");
+    let written = File::create(&name).and_then(|mut file| file.write_all(&[0; 1 << 16]));
+    // It is of no use to anybody.
+    let _ = fs::remove_file(&name);
+    written.is_err_and(|error| no_room(&error))
+}
+
+fn row(row: &SqliteRow) -> Result<Row, sqlx::Error> {
+    Ok(Row { sequence: row.try_get(0)?, sum: row.try_get(1)?, bytes: row.try_get(2)? })
+}
+
+/// Cuts off what is behind record `last`.
+async fn cut(connection: &mut SqliteConnection, last: i64) -> Result<(), sqlx::Error> {
+    sqlx::query("DELETE FROM log WHERE sequence > ?").bind(last).execute(&mut *connection).await?;
+    sqlx::query("DELETE FROM notes WHERE sequence > ?").bind(last).execute(connection).await.map(drop)
+}
+
+/// - `next`: number of the first record, or of the row that stands for none.
+async fn put(connection: &mut SqliteConnection, batch: Batch<'_>, next: i64) -> Result<(), sqlx::Error> {
+    let Batch { records, notes, forgotten } = batch;
+    let (mut sequence, mut rest) = (next, records);
+    if records.is_empty() {
+        let nothing = sqlx::query(INSERTS[INSERTS.len() - 1].1.as_str()).bind(next).bind(blank(next));
+        nothing.bind(&[][..]).execute(&mut *connection).await?;
+    }
+    while !rest.is_empty() {
+        // Each statement is a message to SQLite's thread and back: many rows in one, in a few lengths that stay prepared.
+        let (rows, sql) = INSERTS.iter().find(|(rows, _)| *rows <= rest.len()).unwrap_or(&INSERTS[INSERTS.len() - 1]);
+        let (some, later) = rest.split_at(*rows);
+        let mut insert = sqlx::query(sql.as_str());
+        for (sequence, record) in (sequence..).zip(some) {
+            insert = insert.bind(sequence).bind(checksum(sequence, record)).bind(record.as_slice());
+        }
+        insert.execute(&mut *connection).await?;
+        sequence += some.len() as i64;
+        rest = later;
+    }
+    for &subject in forgotten {
+        sqlx::query("DELETE FROM notes WHERE subject = ?")
+            .bind(subject.cast_signed())
+            .execute(&mut *connection)
+            .await?;
+    }
+    for note in notes {
+        sqlx::query(NOTE)
+            .bind(note.subject.cast_signed())
+            .bind(next)
+            .bind(note_checksum(&note.bytes))
+            .bind(note.bytes.as_slice())
+            .execute(&mut *connection)
+            .await?;
+    }
+    Ok(())
+}
+
+/// - `number`: of the snapshot; it takes the place of what has a lower one.
+async fn replace(connection: &mut SqliteConnection, number: i64, state: &[u8]) -> Result<(), sqlx::Error> {
+    sqlx::query("INSERT OR REPLACE INTO snapshot (sequence, checksum, state) VALUES (?, ?, ?)")
+        .bind(number)
+        .bind(checksum(number, state))
+        .bind(state)
+        .execute(&mut *connection)
+        .await?;
+    sqlx::query("DELETE FROM snapshot WHERE sequence < ?").bind(number).execute(&mut *connection).await?;
+    sqlx::query("DELETE FROM log WHERE sequence <= ?").bind(number).execute(connection).await.map(drop)
+}
+
+/// Minutes since the year 2020: whoever begins later has more, for as long as an incarnation has 24 bits.
+fn minutes() -> u32 {
+    let since_1970 = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    u32::try_from(since_1970.as_secs().saturating_sub(1_577_836_800) / 60).unwrap_or(0).min((1 << 24) - (1 << 16))
+}
+
+impl Queue for Sqlite {
+    async fn load(&mut self) -> Result<Contents, QueueError> {
+        let (Told { mut contents, last, .. }, floor) = self.read().await?;
+        if let Some(lack) = floor.lack {
+            self.keep_evidence();
+            if self.loss == Loss::Refused {
+                return Err(lack);
+            }
+            let known = match lack {
+                QueueError::Damaged { sequence, .. } => Some(floor.sequence.max(sequence)),
+                QueueError::Lost { known, .. } => Some(known),
+                _ => None,
+            };
+            contents.lost = Some(Lost { kept: last, known });
+            self.is_moved = true;
+            self.transaction().await?;
+            let cut = cut(&mut self.connection, last).await;
+            self.end(cut).await?;
+        }
+        self.begin(last, floor.incarnation).await?;
         self.next = last + 1;
         Ok(contents)
     }
 
-    async fn append(&mut self, Batch { records, notes, forgotten }: Batch<'_>) -> Result<(), QueueError> {
-        let mut batch = self.connection.begin().await?;
-        let (mut sequence, mut rest) = (self.next, records);
-        while !rest.is_empty() {
-            // Each statement is a message to SQLite's thread and back: many rows in one, in a few lengths that stay prepared.
-            let (rows, sql) =
-                INSERTS.iter().find(|(rows, _)| *rows <= rest.len()).unwrap_or(&INSERTS[INSERTS.len() - 1]);
-            let (some, later) = rest.split_at(*rows);
-            let mut insert = sqlx::query(sql.as_str());
-            for (sequence, record) in (sequence..).zip(some) {
-                insert = insert.bind(sequence).bind(checksum(sequence, record)).bind(record.as_slice());
-            }
-            insert.execute(&mut *batch).await?;
-            sequence += some.len() as i64;
-            rest = later;
+    async fn append(&mut self, batch: Batch<'_>) -> Result<(), QueueError> {
+        if batch.is_empty() {
+            return Ok(());
         }
-        for &subject in forgotten {
-            sqlx::query("DELETE FROM notes WHERE subject = ?").bind(subject.cast_signed()).execute(&mut *batch).await?;
-        }
-        let at = if records.is_empty() { self.next - 1 } else { self.next };
-        for note in notes {
-            sqlx::query(NOTE)
-                .bind(note.subject.cast_signed())
-                .bind(at)
-                .bind(note_checksum(&note.bytes))
-                .bind(note.bytes.as_slice())
-                .execute(&mut *batch)
-                .await?;
-        }
-        batch.commit().await?;
-        self.next += records.len() as i64;
+        self.transaction().await?;
+        let put = put(&mut self.connection, batch, self.next).await;
+        self.end(put).await?;
+        self.went_on(batch.records.len().max(1));
         Ok(())
     }
 
+    /// It has a number like a record, so that its loss shows.
     async fn snapshot(&mut self, state: &[u8]) -> Result<(), QueueError> {
-        let last = self.next - 1;
-        let mut batch = self.connection.begin().await?;
-        sqlx::query("INSERT OR REPLACE INTO snapshot (sequence, checksum, state) VALUES (?, ?, ?)")
-            .bind(last)
-            .bind(checksum(last, state))
-            .bind(state)
-            .execute(&mut *batch)
-            .await?;
-        sqlx::query("DELETE FROM snapshot WHERE sequence < ?").bind(last).execute(&mut *batch).await?;
-        sqlx::query("DELETE FROM log WHERE sequence <= ?").bind(last).execute(&mut *batch).await?;
-        batch.commit().await?;
+        self.transaction().await?;
+        let replaced = replace(&mut self.connection, self.next, state).await;
+        self.end(replaced).await?;
+        self.went_on(1);
         Ok(())
+    }
+
+    async fn reserve(&mut self, least: u32) -> Result<u32, QueueError> {
+        let Some(mark) = &mut self.mark else { return Ok(least) };
+        let least = if std::mem::take(&mut self.is_moved) { least.max(minutes()) } else { least };
+        let incarnation = least.max(mark.known().incarnation.saturating_add(1));
+        mark.reserve(incarnation)?;
+        Ok(incarnation)
     }
 
     async fn notes(&mut self, subject: u64, from: u64) -> Result<Page, QueueError> {
@@ -184,25 +464,47 @@ impl Queue for Sqlite {
         Ok(page(rows.iter().map(row).collect::<Result<_, _>>()?))
     }
 
-    /// Beside the log, where there is room for one. Meanwhile nothing is appended.
+    /// Beside the log, where there is room for one. Meanwhile nothing is appended. It is a log of its own: no mark of this
+    /// one is about it.
     async fn copy(&mut self) -> Result<File, QueueError> {
-        let mut name = self.path.clone().into_os_string();
-        name.push(".copy");
-        let path = PathBuf::from(name);
+        let path = self.beside(".copy");
         // What a coordinator that was killed has left.
         match fs::remove_file(&path) {
             Err(error) if error.kind() != io::ErrorKind::NotFound => return Err(error.into()),
             Ok(()) | Err(_) => {}
         }
         let copied = sqlx::query("VACUUM INTO ?").bind(path.display().to_string()).execute(&mut self.connection).await;
-        let file = copied.map_err(QueueError::from).and_then(|_| Ok(File::open(&path)?));
+        let named = match copied {
+            Ok(_) => rename(&path, self.next - 1).await,
+            Err(error) => Err(error),
+        };
+        let file = named.map_err(|error| no_room_or(error, &self.path)).and_then(|()| Ok(File::open(&path)?));
         // Gone before it was made, where it could not be.
         let _ = fs::remove_file(&path);
         file
     }
 
     /// One file holds it all from then on; until then the newest records may lie in the file beside it, `-wal`.
-    async fn close(self) -> Result<(), QueueError> {
+    async fn close(mut self) -> Result<(), QueueError> {
+        if let (Some(mark), Some(header)) = (&mut self.mark, self.header) {
+            let sealed = Some(mark.known().sequence);
+            if let Err(error) = mark.sync() {
+                tracing::warn!(%error, "the log's mark does not reach the disk");
+            }
+            match self.seal(Header { sealed, ..header }).await {
+                // Then the mark goes on to say it.
+                Ok(()) | Err(QueueError::Full { .. }) => {}
+                Err(error) => return Err(error),
+            }
+        }
         Ok(self.connection.close().await?)
     }
+}
+
+/// Makes a copy a log of its own, with all that it holds.
+async fn rename(path: &Path, last: i64) -> Result<(), sqlx::Error> {
+    let mut copy = options(path).journal_mode(SqliteJournalMode::Delete).connect().await?;
+    let identity = fresh(&mut copy).await?;
+    put_header(&mut copy, Header { identity, sealed: Some(last) }).await?;
+    copy.close().await
 }

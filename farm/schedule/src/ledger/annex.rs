@@ -1,4 +1,4 @@
-//! What later versions of the ledger have added.
+//! What is known beside the jobs: workers, logs, builds, shares.
 
 use std::collections::{BTreeMap, VecDeque};
 use std::num::NonZeroU64;
@@ -6,17 +6,21 @@ use std::num::NonZeroU64;
 use femc_model::{Attempt, Cut, Digest, Drain, JobId, LogRecord, LogText};
 use serde::{Deserialize, Serialize};
 
-/// The ledger's later fields. New ones go to the end.
+use crate::Used;
+
+/// The ledger's other half.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Annex {
     /// Workers that an operator has drained, by their process, the latest at the end.
     drained: Vec<u64>,
     /// Stored logs of attempts, oldest first.
     logs: BTreeMap<JobId, VecDeque<LogRecord>>,
-    /// Jobs whose tiles are cut, and how finely. Since version 3.
+    /// Jobs whose tiles are cut, and how finely.
     cuts: BTreeMap<JobId, NonZeroU64>,
-    /// Frames in work of which some result counts, and the build of the engine that made it. Since version 4.
+    /// Frames in work of which some result counts, and the build of the engine that made it.
     builds: BTreeMap<JobId, BTreeMap<u32, String>>,
+    /// What owners have used.
+    used: BTreeMap<String, Used>,
 }
 
 impl Annex {
@@ -26,20 +30,26 @@ impl Annex {
     /// Most logs of a job.
     const LOGS: usize = 512;
 
-    /// What a snapshot of this version holds behind its first section, and what follows.
-    pub(super) fn take(version: u8, bytes: &[u8]) -> postcard::Result<(Self, &[u8])> {
-        match version {
-            1 => Ok((Self::default(), bytes)),
-            2 => {
-                let ((drained, logs), rest) = postcard::take_from_bytes(bytes)?;
-                Ok((Self { drained, logs, ..Self::default() }, rest))
-            }
-            3 => {
-                let ((drained, logs, cuts), rest) = postcard::take_from_bytes(bytes)?;
-                Ok((Self { drained, logs, cuts, ..Self::default() }, rest))
-            }
-            _ => postcard::take_from_bytes(bytes),
+    /// Most owners without a job of whom it is remembered what they have used.
+    const ABSENT: usize = 4096;
+
+    /// What owners have used; those who have used the least are forgotten where too many have no job any more.
+    pub(super) fn note_used(&mut self, owners: &[(String, Used)], has_job: impl Fn(&str) -> bool) {
+        self.used.extend(owners.iter().cloned());
+        if self.used.len() <= Self::ABSENT {
+            return;
         }
+        let absent = self.used.iter().filter(|(owner, _)| !has_job(owner));
+        let mut absent: Vec<(Used, String)> = absent.map(|(owner, used)| (*used, owner.clone())).collect();
+        absent.sort_unstable_by_key(|(used, _)| std::cmp::Reverse(used.stands));
+        for (_, owner) in absent.split_off(absent.len().min(Self::ABSENT)) {
+            self.used.remove(&owner);
+        }
+    }
+
+    /// What owners have used, as far as it is durable.
+    pub(crate) fn used(&self) -> &BTreeMap<String, Used> {
+        &self.used
     }
 
     pub(super) fn built(&mut self, job: JobId, frame: u32, engine: &str) {
@@ -127,11 +137,8 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_snapshot_of_before_the_annex_is_read() {
+    fn a_snapshot_has_the_annex_and_one_that_is_cut_anywhere_is_refused() {
         let mut ledger = Ledger::default();
-        ledger.apply(&Fact::Opened { incarnation: 7 }, femc_model::Tick(3));
-        let old = postcard::to_extend(&ledger, vec![1]).unwrap();
-        assert_eq!(Ledger::decode(&old), Ok(ledger.clone()));
         ledger.apply(&Fact::Drained { instance: 5, drain: Drain::Begin }, femc_model::Tick(4));
         let new = ledger.encode().unwrap();
         assert_eq!(Ledger::decode(&new), Ok(ledger.clone()));
@@ -141,5 +148,18 @@ mod tests {
         }
         ledger.apply(&Fact::Drained { instance: 5, drain: Drain::Undo }, femc_model::Tick(5));
         assert!(!ledger.annex.is_drained(5));
+    }
+
+    #[test]
+    fn of_owners_without_jobs_those_who_have_used_the_most_are_remembered() {
+        let mut annex = Annex::default();
+        let owner = |number: usize| (number.to_string(), Used { held: 1, stands: number as u64 });
+        for number in 0..Annex::ABSENT + 20 {
+            annex.note_used(&[owner(number)], |owner| owner.len() == 1);
+        }
+        assert_eq!(annex.used().len(), 10 + Annex::ABSENT);
+        assert!(
+            !annex.used().contains_key("10") && !annex.used().contains_key("19") && annex.used().contains_key("20")
+        );
     }
 }

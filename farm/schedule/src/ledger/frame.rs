@@ -1,6 +1,6 @@
 //! A frame in work.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use femc_model::{Artefact, Digest, Epoch, Failure, Grains, MergeResult, StageKind, Tick, TileResult};
@@ -8,7 +8,7 @@ use serde::{Deserialize, Serialize};
 
 use super::group::Groups;
 use super::layout::Layout;
-use crate::RangeSet;
+use crate::{Casualty, Evidence, RangeSet};
 
 /// Attempts after which a task is put aside. A constant of the ledger, so that a log means the same to every program.
 pub(crate) const ATTEMPTS: u32 = 3;
@@ -20,16 +20,45 @@ pub(crate) struct Tile {
     pub(crate) result: TileResult,
 }
 
-/// Failed attempts of a task that is not done.
+/// Deaths of workers after which a task is put aside.
+const DEATHS: usize = 5;
+
+/// Failed attempts of a task that is not done, and workers that died of it.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Trouble {
     pub(crate) attempts: u32,
+    /// The latest at the end; of each lease one.
+    pub(crate) deaths: Vec<Casualty>,
     pub(crate) failure: Failure,
 }
 
 impl Trouble {
+    fn new(failure: Failure) -> Self {
+        Self { attempts: 0, deaths: Vec::new(), failure }
+    }
+
     pub(crate) fn is_quarantined(&self) -> bool {
-        self.attempts >= ATTEMPTS
+        self.attempts >= ATTEMPTS || self.is_deadly()
+    }
+
+    /// Deaths that are only presumed may be one machine's own: they count beside those of another.
+    fn is_deadly(&self) -> bool {
+        let known = self.deaths.iter().filter(|death| death.evidence == Evidence::Journal).count();
+        let workers: BTreeSet<&str> = self.deaths.iter().map(|death| death.worker.as_str()).collect();
+        known >= DEATHS || (self.deaths.len() >= DEATHS && workers.len() > 1)
+    }
+
+    /// How often it was tried, with whatever came of it.
+    pub(crate) fn tries(&self) -> u32 {
+        self.attempts + self.deaths.len() as u32
+    }
+
+    fn died(&mut self, casualty: &Casualty) {
+        match self.deaths.iter_mut().find(|known| known.epoch == casualty.epoch) {
+            Some(known) => known.evidence = known.evidence.max(casualty.evidence),
+            None => self.deaths.push(casualty.clone()),
+        }
+        self.failure = Failure::Killed { deaths: self.deaths.len() as u32, worker: casualty.worker.clone() };
     }
 }
 
@@ -163,6 +192,40 @@ impl Frame {
         let trouble = std::mem::take(&mut self.trouble);
         *self = Self { busy_seconds: self.busy_seconds, trouble, ..Self::new(self.began) };
         released
+    }
+
+    /// Another attempt at a task has failed.
+    pub(super) fn failed(&mut self, kind: StageKind, index: u32, failure: &Failure) {
+        let trouble = self.trouble.entry((kind, index)).or_insert_with(|| Trouble::new(failure.clone()));
+        trouble.attempts += 1;
+        trouble.failure = failure.clone();
+    }
+
+    /// A worker died of these tasks, or of one of them.
+    pub(super) fn died(&mut self, kind: StageKind, keys: impl Iterator<Item = u32>, casualty: &Casualty) {
+        for key in keys {
+            let failure = Failure::Killed { deaths: 0, worker: String::new() };
+            self.trouble.entry((kind, key)).or_insert_with(|| Trouble::new(failure)).died(casualty);
+        }
+    }
+
+    /// A process lives: what is not put aside yet has not killed it.
+    pub(super) fn lives(&mut self, instance: u64) {
+        for trouble in self.trouble.values_mut().filter(|trouble| !trouble.is_quarantined()) {
+            trouble.deaths.retain(|death| (death.instance, death.evidence) != (instance, Evidence::Presumed));
+        }
+        self.trouble.retain(|_, trouble| trouble.tries() > 0);
+    }
+
+    /// Those of a stage's keys that are neither done nor out of attempts.
+    pub(crate) fn open_keys(&self, layout: &Layout, kind: StageKind, keys: Range<u32>) -> Vec<u32> {
+        let grains = self.open_grains(layout);
+        let is_open = |key: &u32| match kind {
+            StageKind::Render => grains.covers(&(*key..*key + 1)),
+            StageKind::Gather => !self.groups.done.contains_key(key) && !self.is_quarantined(kind, *key),
+            StageKind::Merge => !self.is_quarantined(kind, *key),
+        };
+        keys.filter(is_open).collect()
     }
 
     /// Grains of the round that are neither done nor out of attempts.

@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZeroU32;
+use std::ops::Range;
 
 use femc_model::{
     Control, Cut, Decision, Digest, Epoch, Failure, FrameRecord, GatherResult, Grains, JobSpec, MergeResult, StageKind,
@@ -9,8 +10,9 @@ use femc_model::{
 };
 use serde::{Deserialize, Serialize};
 
-use super::frame::{Frame, Trouble};
+use super::frame::Frame;
 use super::layout::Layout;
+use crate::Casualty;
 
 /// What a person has done to a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -180,13 +182,35 @@ impl Job {
     pub(super) fn failed(&mut self, task: &TaskKey, failure: &Failure, now: Tick) -> Vec<Digest> {
         let number = task.stage.frame;
         if self.is_open(number) && self.round(number) == task.stage.round {
-            let trouble = self.frame(number, now).trouble.entry((task.stage.kind, task.index));
-            let trouble = trouble.or_insert(Trouble { attempts: 0, failure: failure.clone() });
-            trouble.attempts += 1;
-            trouble.failure = failure.clone();
+            self.frame(number, now).failed(task.stage.kind, task.index, failure);
             self.note_block(number);
         }
         Vec::new()
+    }
+
+    /// Whether some of a stage's keys from the task's on are still to be done.
+    pub(crate) fn wants(&self, task: &TaskKey, keys: &Range<u32>) -> bool {
+        let (number, round) = (task.stage.frame, task.stage.round);
+        let has_open = |frame: &Frame| !frame.open_keys(&self.layout(round), task.stage.kind, keys.clone()).is_empty();
+        !self.has_ended()
+            && self.is_open(number)
+            && self.round(number) == round
+            && self.frames.get(&number).is_none_or(has_open)
+    }
+
+    pub(super) fn died(&mut self, task: &TaskKey, end: u32, casualty: &Casualty, now: Tick) -> Vec<Digest> {
+        let (number, layout) = (task.stage.frame, self.layout(task.stage.round));
+        if self.is_open(number) && self.round(number) == task.stage.round {
+            let frame = self.frame(number, now);
+            let keys = frame.open_keys(&layout, task.stage.kind, task.index..end);
+            frame.died(task.stage.kind, keys.into_iter(), casualty);
+            self.note_block(number);
+        }
+        Vec::new()
+    }
+
+    pub(super) fn lives(&mut self, instance: u64) {
+        self.frames.values_mut().for_each(|frame| frame.lives(instance));
     }
 
     pub(super) fn lost(&mut self, task: &TaskKey) -> Vec<Digest> {

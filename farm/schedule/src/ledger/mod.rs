@@ -12,7 +12,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use femc_model::{Digest, JobId, Tick};
 use serde::{Deserialize, Serialize};
 
-use crate::Fact;
+use crate::{Evidence, Fact};
 pub(crate) use annex::Annex;
 pub(crate) use job::{Hold, Job};
 pub(crate) use layout::Layout;
@@ -26,7 +26,7 @@ pub struct Ledger {
     last_job: u64,
     keys: BTreeMap<String, JobId>,
     pub(crate) jobs: BTreeMap<JobId, Job>,
-    /// What version 2 has added: it follows the rest in a snapshot, and an older snapshot ends without it.
+    /// It follows the rest in a snapshot.
     #[serde(skip)]
     pub(crate) annex: Annex,
 }
@@ -85,6 +85,18 @@ impl Ledger {
                 }
                 return Vec::new();
             }
+            Fact::Used { owners } => {
+                let jobs = &self.jobs;
+                self.annex.note_used(owners, |owner| jobs.values().any(|job| job.spec.owner == owner));
+                return Vec::new();
+            }
+            Fact::Lives { instance } => {
+                self.jobs.values_mut().for_each(|job| job.lives(*instance));
+                return Vec::new();
+            }
+            Fact::Died { task, end, casualty } => {
+                (task.job, self.jobs.get_mut(&task.job).map(|job| job.died(task, *end, casualty, now)))
+            }
             Fact::Forgotten { job } => {
                 self.jobs.remove(job);
                 self.keys.retain(|_, other| other != job);
@@ -121,6 +133,13 @@ impl Ledger {
             job.note_end(now);
         }
         released.unwrap_or_default()
+    }
+
+    /// The processes of which some presumed death counts.
+    pub(crate) fn presumed_dead(&self) -> BTreeSet<u64> {
+        let troubles = self.jobs.values().flat_map(|job| job.frames.values()).flat_map(|frame| frame.trouble.values());
+        let presumed = troubles.flat_map(|trouble| &trouble.deaths).filter(|it| it.evidence == Evidence::Presumed);
+        presumed.map(|casualty| casualty.instance).collect()
     }
 
     /// Those of `digests` that nothing names, each once. Walks all that is named: for many digests at a time.

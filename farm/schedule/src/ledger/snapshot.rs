@@ -1,13 +1,7 @@
 //! The ledger and its facts as bytes.
 //!
-//! A snapshot is a version and one section after the other, each in postcard; later versions have added sections at the
-//! end:
-//!
-//! | since | section |
-//! | --- | --- |
-//! | 1 | jobs and their frames |
-//! | 2 | the annex, to which version 3 has added how tiles are cut, and version 4 the builds of frames |
-//! | 3 | groups of tiles, of the jobs that have any |
+//! A snapshot is a version and one section after the other, each in postcard: jobs and their frames, the annex, and groups of
+//! tiles, of the jobs that have any.
 
 use std::collections::BTreeMap;
 use std::num::NonZeroU32;
@@ -16,7 +10,7 @@ use femc_model::{JobId, Tick};
 use serde::{Deserialize, Serialize};
 
 use super::group::Groups;
-use super::{Annex, Job, Ledger};
+use super::{Job, Ledger};
 use crate::Fact;
 
 /// A snapshot that cannot be read.
@@ -40,8 +34,8 @@ pub enum SnapshotError {
 type JobGroups<G> = (NonZeroU32, BTreeMap<u32, G>);
 
 impl Ledger {
-    /// First byte of snapshots and of facts; those of every version before are read, too.
-    pub const VERSION: u8 = 4;
+    /// First byte of snapshots and of facts; those of other versions are refused.
+    pub const VERSION: u8 = 5;
 
     /// Version and content, for a snapshot.
     pub fn encode(&self) -> Result<Vec<u8>, SnapshotError> {
@@ -50,15 +44,12 @@ impl Ledger {
         Ok(postcard::to_extend(&groups.collect::<BTreeMap<JobId, _>>(), bytes)?)
     }
 
-    /// What [`Self::encode`] wrote, now or in an earlier version.
+    /// What [`Self::encode`] wrote.
     pub fn decode(bytes: &[u8]) -> Result<Self, SnapshotError> {
-        let (version, content) = content(bytes)?;
-        let (mut ledger, rest) = postcard::take_from_bytes::<Self>(content)?;
-        let (annex, rest) = Annex::take(version, rest)?;
+        let (mut ledger, rest) = postcard::take_from_bytes::<Self>(content(bytes)?)?;
+        let (annex, rest) = postcard::take_from_bytes(rest)?;
         ledger.annex = annex;
-        if version >= 3 {
-            ledger.put_groups(postcard::from_bytes(rest)?);
-        }
+        ledger.put_groups(postcard::from_bytes(rest)?);
         for (&id, job) in &mut ledger.jobs {
             job.cut(ledger.annex.cut_of(id));
         }
@@ -97,35 +88,14 @@ fn encode(value: &impl Serialize) -> Result<Vec<u8>, SnapshotError> {
 }
 
 fn decode<T: for<'a> Deserialize<'a>>(bytes: &[u8]) -> Result<T, SnapshotError> {
-    Ok(postcard::from_bytes(content(bytes)?.1)?)
+    Ok(postcard::from_bytes(content(bytes)?)?)
 }
 
-/// The version, and what follows it.
-fn content(bytes: &[u8]) -> Result<(u8, &[u8]), SnapshotError> {
+/// What follows the version.
+fn content(bytes: &[u8]) -> Result<&[u8], SnapshotError> {
     match bytes.split_first() {
-        Some((&version @ 1..=Ledger::VERSION, content)) => Ok((version, content)),
+        Some((&Ledger::VERSION, content)) => Ok(content),
         Some((&found, _)) => Err(SnapshotError::Version { found }),
         None => Err(SnapshotError::Empty),
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use femc_model::Drain;
-
-    use super::*;
-
-    #[test]
-    fn a_snapshot_of_before_the_groups_is_read() {
-        let mut ledger = Ledger::default();
-        ledger.apply(&Fact::Opened { incarnation: 7 }, Tick(3));
-        ledger.apply(&Fact::Drained { instance: 5, drain: Drain::Begin }, Tick(4));
-        let mut old = postcard::to_extend(&ledger.annex, postcard::to_extend(&ledger, vec![2]).unwrap()).unwrap();
-        // The annex of version 2 ends before the cuts and the builds, of which there are none.
-        assert_eq!(old.split_off(old.len() - 2), [0, 0]);
-        assert_eq!(Ledger::decode(&old), Ok(ledger.clone()));
-        let new = ledger.encode().unwrap();
-        assert_eq!((Ledger::decode(&new), new[0]), (Ok(ledger), 4));
-        assert!(Ledger::decode(&new[..new.len() - 1]).is_err());
     }
 }

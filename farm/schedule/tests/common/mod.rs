@@ -1,6 +1,8 @@
 //! A farm to play with: a scheduler, its log, and workers that do as they are told.
 #![allow(dead_code, reason = "each test file uses its part")]
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use femc_model::*;
 use femc_schedule::*;
 
@@ -37,6 +39,11 @@ pub struct Farm {
     /// Build of the engine of those that join.
     pub engine: &'static str,
     requests: u64,
+    /// What sessions hold, by what was said alone: oldest first, with the owner.
+    hands: BTreeMap<WorkerId, BTreeMap<(Epoch, TaskKey), String>>,
+    /// Milliseconds of workers that belong to owners, since the last start.
+    pub charged: BTreeMap<String, u64>,
+    heard: Tick,
 }
 
 impl Farm {
@@ -54,6 +61,9 @@ impl Farm {
             ended: vec![],
             engine: "e",
             requests: 0,
+            hands: BTreeMap::new(),
+            charged: BTreeMap::new(),
+            heard: Tick(0),
         }
     }
 
@@ -71,15 +81,70 @@ impl Farm {
     pub fn restart(&mut self) {
         let ledger = self.replay();
         assert_eq!(&ledger, self.scheduler.ledger());
+        assert_eq!(Ledger::decode(&ledger.encode().unwrap()), Ok(ledger.clone()), "a snapshot is the ledger");
         let config = self.scheduler.config().clone();
         let (scheduler, opened) = Scheduler::new(config, ledger);
         self.log.push((scheduler.ledger().now(), opened));
         self.scheduler = scheduler;
         self.held.clear();
+        self.hands.clear();
+        self.charged = self.scheduler.used().map(|(owner, used)| (owner.to_owned(), used.held)).collect();
+    }
+
+    /// The owners whose leases workers work on.
+    pub fn served(&self) -> BTreeSet<&str> {
+        self.hands.values().filter_map(|held| held.first_key_value()).map(|(_, owner)| owner.as_str()).collect()
+    }
+
+    /// Charges the time since the last event, of each worker to the owner of its oldest lease.
+    fn charge(&mut self) {
+        let passed = self.now.since(std::mem::replace(&mut self.heard, self.now));
+        for owner in self.hands.values().filter_map(|held| held.values().next()) {
+            *self.charged.entry(owner.clone()).or_default() += passed;
+        }
+    }
+
+    /// Takes notice of who holds what after an event.
+    fn learn(&mut self, event: &Event, commands: &[Command]) {
+        match event {
+            Event::Left { worker } => drop(self.hands.remove(worker)),
+            Event::Completed { worker, task, epoch, .. }
+            | Event::Failed { worker, task, epoch, .. }
+            | Event::Hollow { worker, task, epoch, .. } => {
+                self.hands.entry(*worker).or_default().remove(&(*epoch, *task));
+            }
+            Event::Joined { worker, registration } => {
+                for held in &registration.held {
+                    let is_refused = |command: &Command| matches!(command, Command::Revoke { worker: to, task, epoch, .. } if (to, *task, *epoch) == (worker, held.task, held.epoch));
+                    if !commands.iter().any(is_refused) {
+                        let key = (held.epoch, held.task);
+                        self.hands.values_mut().for_each(|hand| drop(hand.remove(&key)));
+                        let owner = self.scheduler.spec(held.task.job).expect("the job is there").owner.clone();
+                        self.hands.entry(*worker).or_default().insert((held.epoch, held.task), owner);
+                    }
+                }
+            }
+            _ => {}
+        }
+        for command in commands {
+            match command {
+                Command::Dismiss { worker } => drop(self.hands.remove(worker)),
+                Command::Revoke { worker, task, epoch, .. } => {
+                    self.hands.entry(*worker).or_default().remove(&(*epoch, *task));
+                }
+                Command::Assign { worker, assignment: Assignment { task, epoch, .. } } => {
+                    let owner = self.scheduler.spec(task.job).expect("the job is there").owner.clone();
+                    self.hands.entry(*worker).or_default().insert((*epoch, *task), owner);
+                }
+                _ => {}
+            }
+        }
     }
 
     pub fn on(&mut self, event: Event) -> Vec<Command> {
-        let commands = self.scheduler.on(event, self.now);
+        self.charge();
+        let commands = self.scheduler.on(event.clone(), self.now);
+        self.learn(&event, &commands);
         self.ended.clear();
         for command in &commands {
             match command {
@@ -124,18 +189,23 @@ impl Farm {
 
     /// A worker comes back in a new session with leases of an earlier one.
     pub fn rejoin(&mut self, worker: u64, leases: &[Assignment]) -> Vec<Command> {
-        let key = |job: JobId| self.scheduler.spec(job).expect("the job is there").key();
-        let held: Vec<HeldLease> = leases
-            .iter()
-            .map(|held| HeldLease {
-                task: held.task,
-                epoch: held.epoch,
-                samples: samples(held),
-                job: key(held.task.job),
-            })
-            .collect();
+        let held: Vec<HeldLease> = leases.iter().map(|held| self.lease(held)).collect();
         self.held.extend(leases.iter().map(|held| (WorkerId(worker), held.clone())));
         self.join_as(worker, Registration { instance: worker, held, engine: self.engine.into(), ..registration() })
+    }
+
+    /// A lease as a worker speaks of it.
+    pub fn lease(&self, held: &Assignment) -> HeldLease {
+        let job = self.scheduler.spec(held.task.job).expect("the job is there").key();
+        HeldLease { task: held.task, epoch: held.epoch, samples: samples(held), job }
+    }
+
+    /// A worker comes whose earlier process has died while it computed these.
+    pub fn reborn(&mut self, worker: u64, before: u64, computing: &[Assignment]) -> Vec<Command> {
+        let computing = computing.iter().map(|held| self.lease(held)).collect();
+        self.held.retain(|(holder, _)| holder.0 != before);
+        let died = Some(Death { instance: before, computing });
+        self.join_as(worker, Registration { instance: worker, died, engine: self.engine.into(), ..registration() })
     }
 
     pub fn leave(&mut self, worker: u64) -> Vec<Command> {
@@ -197,7 +267,16 @@ impl Farm {
 }
 
 pub fn registration() -> Registration {
-    Registration { name: "w".into(), instance: 0, engine: "e".into(), threads: 2, slots: 1, tags: vec![], held: vec![] }
+    Registration {
+        name: "w".into(),
+        instance: 0,
+        engine: "e".into(),
+        threads: 2,
+        slots: 1,
+        tags: vec![],
+        held: vec![],
+        died: None,
+    }
 }
 
 pub fn answer(commands: &[Command]) -> Option<Answer> {

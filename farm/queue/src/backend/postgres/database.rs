@@ -84,6 +84,8 @@ impl Database {
             sqlx::Error::Database(said) => match said.code().as_deref().map(|code| code.split_at(2)) {
                 // Authorization; no such database; no right to do this.
                 Some(("28", _) | ("3D", _) | ("42", "501")) => rejected(said.message().to_owned()),
+                // A full disk: the server goes on without it.
+                Some(("53", "100")) => QueueError::Full { place: self.to_string(), message: said.message().to_owned() },
                 // Connection, a transaction that gave way, a read-only server, resources, shut down, the system.
                 Some(("08" | "25" | "40" | "53" | "57" | "58", _)) => self.away(said.message()),
                 _ => QueueError::Database { database: self.to_string(), message: said.message().to_owned() },

@@ -9,7 +9,7 @@ use tokio::time::Instant;
 use super::database::{Commit, Database};
 use super::pulse::Pulse;
 use super::{Postgres, schema};
-use crate::QueueError;
+use crate::{Loss, QueueError};
 
 /// Held by who leads, on the connection that writes: the letters of femc.
 const LOCK: i64 = 0x6665_6d63;
@@ -47,6 +47,7 @@ pub struct Standby {
     connection: PgConnection,
     url: String,
     silence: Duration,
+    loss: Loss,
 }
 
 impl Standby {
@@ -58,7 +59,12 @@ impl Standby {
     pub async fn open(database: Database, url: String, silence: Duration) -> Result<Self, QueueError> {
         let mut connection = database.connect(Commit::Durable).await?;
         schema::prepare(&database, &mut connection).await?;
-        Ok(Self { database, connection, url, silence })
+        Ok(Self { database, connection, url, silence, loss: Loss::Refused })
+    }
+
+    /// What to do with a log that lacks what was acknowledged; without this it is refused.
+    pub fn with(self, loss: Loss) -> Self {
+        Self { loss, ..self }
     }
 
     /// Waits until this coordinator leads. `hear` is told who leads, at first and whenever that changes.
@@ -67,9 +73,9 @@ impl Standby {
         loop {
             let asked = Instant::now();
             if let Some(epoch) = self.take().await? {
-                let Self { database, connection, silence, .. } = self;
+                let Self { database, connection, silence, loss, .. } = self;
                 let pulse = Pulse::start(database.clone(), epoch, asked, silence);
-                return Ok(Postgres { database, connection, pulse, epoch, next: 1 });
+                return Ok(Postgres { database, connection, pulse, epoch, loss, next: 1 });
             }
             if let Some(leader) = self.look().await?
                 && known.as_ref() != Some(&leader)

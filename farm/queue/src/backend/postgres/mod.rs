@@ -19,8 +19,8 @@ use std::time::Duration;
 use sqlx::Row as _;
 use sqlx::postgres::{PgConnection, PgRow};
 
-use super::rows::{Row, checksum, contents, note_checksum, page};
-use crate::{Batch, Contents, Page, Queue, QueueError};
+use super::rows::{Row, Told, checksum, note_checksum, page, told};
+use crate::{Batch, Contents, Loss, Lost, Page, Queue, QueueError};
 pub use database::Database;
 pub use lead::{Leader, Standby};
 use pulse::Pulse;
@@ -32,6 +32,7 @@ pub struct Postgres {
     connection: PgConnection,
     pulse: Pulse,
     epoch: i64,
+    loss: Loss,
     /// Number of the next record; they have no gaps.
     next: i64,
 }
@@ -84,10 +85,18 @@ const SNAPSHOT: &str = mine!(
      INSERT INTO femc.snapshot (sequence, checksum, state) SELECT $2, $3, $4 FROM mine
      ON CONFLICT (sequence) DO UPDATE SET checksum = excluded.checksum, state = excluded.state"
 );
+/// Answers with the number of the last record that it cuts off.
 const CUT: &str = mine!(
-    ", noted AS (DELETE FROM femc.notes WHERE sequence > $2 AND EXISTS (SELECT FROM mine))
-     DELETE FROM femc.log WHERE sequence > $2 AND EXISTS (SELECT FROM mine)"
+    ", noted AS (DELETE FROM femc.notes WHERE sequence > $2 AND EXISTS (SELECT FROM mine)),
+       cut AS (DELETE FROM femc.log WHERE sequence > $2 AND EXISTS (SELECT FROM mine) RETURNING sequence)
+     SELECT (SELECT max(sequence) FROM cut) FROM mine"
 );
+/// Minutes since the year 2020, for as long as an incarnation has 24 bits: so whoever leads a restored dump, or a standby that
+/// has lost the tail, is told from those who led what was lost.
+const RESERVE: &str = "
+    UPDATE femc.leader SET incarnation = greatest(incarnation + 1, $2,
+        least(floor(extract(epoch FROM clock_timestamp() - timestamptz '2020-01-01 00:00Z') / 60), 16711680)::bigint)
+    WHERE epoch = $1 RETURNING incarnation";
 
 fn row(row: &PgRow) -> Result<Row, sqlx::Error> {
     Ok(Row { sequence: row.try_get(0)?, sum: row.try_get(1)?, bytes: row.try_get(2)? })
@@ -110,18 +119,25 @@ pub(crate) async fn look(connection: &mut PgConnection) -> Result<Contents, Queu
     use sqlx::Connection as _;
     let mut moment = connection.begin_with("BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY").await?;
     let (snapshot, rows) = read(&mut moment).await?;
-    Ok(contents(snapshot, rows)?.0)
+    let Told { contents, damage, .. } = told(snapshot, rows)?;
+    damage.map_or(Ok(contents), Err)
 }
 
 impl Queue for Postgres {
     async fn load(&mut self) -> Result<Contents, QueueError> {
         let read = read(&mut self.connection);
         let (snapshot, rows) = Self::leading(&self.database, &mut self.pulse, read).await?;
-        let (contents, last) = contents(snapshot, rows)?;
-        if contents.torn > 0 {
-            let cut = sqlx::query(CUT).bind(self.epoch).bind(last).execute(&mut self.connection);
-            if Self::leading(&self.database, &mut self.pulse, cut).await?.rows_affected() != contents.torn {
-                return Err(QueueError::Deposed { epoch: self.epoch });
+        let Told { mut contents, last, damage } = told(snapshot, rows)?;
+        match (damage, self.loss) {
+            (None, _) => {}
+            (Some(damage), Loss::Refused) => return Err(damage),
+            (Some(_), Loss::Accepted) => {
+                let cut = sqlx::query(CUT).bind(self.epoch).bind(last).fetch_optional(&mut self.connection);
+                let Some(row) = Self::leading(&self.database, &mut self.pulse, cut).await? else {
+                    return Err(QueueError::Deposed { epoch: self.epoch });
+                };
+                let known = row.try_get(0).map_err(|error| self.database.told(&error))?;
+                contents.lost = Some(Lost { kept: last, known });
             }
         }
         self.next = last + 1;
@@ -163,6 +179,16 @@ impl Queue for Postgres {
             return Err(QueueError::Deposed { epoch: self.epoch });
         }
         Ok(())
+    }
+
+    async fn reserve(&mut self, least: u32) -> Result<u32, QueueError> {
+        let reserve = sqlx::query(RESERVE).bind(self.epoch).bind(i64::from(least));
+        let reserve = reserve.fetch_optional(&mut self.connection);
+        let Some(row) = Self::leading(&self.database, &mut self.pulse, reserve).await? else {
+            return Err(QueueError::Deposed { epoch: self.epoch });
+        };
+        let incarnation: i64 = row.try_get(0).map_err(|error| self.database.told(&error))?;
+        Ok(u32::try_from(incarnation).unwrap_or(u32::MAX))
     }
 
     async fn notes(&mut self, subject: u64, from: u64) -> Result<Page, QueueError> {

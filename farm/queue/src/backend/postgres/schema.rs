@@ -7,7 +7,7 @@ use super::database::Database;
 use crate::QueueError;
 
 /// Of the tables.
-pub(super) const VERSION: i32 = 1;
+pub(super) const VERSION: i32 = 2;
 
 /// Held while the tables are made; the letters of fems.
 const MAKING: i64 = 0x6665_6d73;
@@ -23,7 +23,7 @@ const TABLES: &str = "
     INSERT INTO femc.leader VALUES (0, '', 0, '-infinity');
 ";
 
-/// What later versions have added. A version that does not know them works beside them.
+/// What later versions have added: `leader` has the highest incarnation that was reserved.
 ///
 /// A note's `sequence` is that of the first record of its batch, or of the last before: a tail that is cut takes along the notes
 /// of batches of which nothing is left.
@@ -31,6 +31,8 @@ const LATER_TABLES: &str = "
     CREATE TABLE IF NOT EXISTS femc.notes (number bigint GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
         subject bigint NOT NULL, sequence bigint NOT NULL, checksum bytea NOT NULL, note bytea NOT NULL);
     CREATE INDEX IF NOT EXISTS notes_by_subject ON femc.notes (subject, number);
+    ALTER TABLE femc.leader ADD COLUMN IF NOT EXISTS incarnation bigint NOT NULL DEFAULT 0;
+    UPDATE femc.header SET version = 2;
 ";
 
 /// Makes the tables where there are none; refuses those of others, and leaves them as they are.
@@ -57,18 +59,16 @@ async fn made_or_found(connection: &mut PgConnection) -> Result<Option<String>, 
         }
         sqlx::raw_sql(TABLES).execute(&mut *making).await?;
     }
-    let version = if has_tables && !has_header {
+    // By way of JSON: a header of somebody else's may have other columns.
+    let ask = "SELECT to_jsonb(header) ->> 'version' FROM femc.header LIMIT 1";
+    let mut version: Option<String> = if has_tables && !has_header {
         None
     } else {
-        // By way of JSON: a header of somebody else's may have other columns.
-        let version = "SELECT to_jsonb(header) ->> 'version' FROM femc.header LIMIT 1";
-        sqlx::query(version).fetch_optional(&mut *making).await?.map(|row| row.try_get(0)).transpose()?.flatten()
+        sqlx::query(ask).fetch_optional(&mut *making).await?.map(|row| row.try_get(0)).transpose()?.flatten()
     };
-    if version.as_deref() == Some(VERSION.to_string().as_str()) {
-        let there = sqlx::query("SELECT to_regclass('femc.notes') IS NOT NULL").fetch_one(&mut *making).await?;
-        if !there.try_get(0)? {
-            sqlx::raw_sql(LATER_TABLES).execute(&mut *making).await?;
-        }
+    if version.as_deref() == Some("1") {
+        sqlx::raw_sql(LATER_TABLES).execute(&mut *making).await?;
+        version = Some(VERSION.to_string());
     }
     making.commit().await?;
     Ok(version)

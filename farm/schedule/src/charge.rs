@@ -1,0 +1,68 @@
+//! What owners are charged: the time of workers, of which each moment belongs to the owner of the oldest lease that the worker
+//! holds, however that lease ends. So an hour of a worker is charged as an hour, with one lease or with seventy in its hands, and
+//! where a worker holds one at a time, an owner is charged for just the time that his leases were held.
+//!
+//! A lease that runs is a claim of its owner: what it is expected to take counts in the order of service from its first moment
+//! on, less what has been charged of it, and not any more when it ends.
+//!
+//! What has been charged becomes durable every few seconds, whatever became of the leases: a coordinator that is killed forgets
+//! no more than that of each worker's time, and its log does not grow with the tasks.
+
+use femc_model::{JobId, Tick, WorkerId};
+
+use crate::floor::{Lease, LeaseKey};
+use crate::scheduler::Scheduler;
+use crate::{Command, Fact, Used};
+
+impl Scheduler {
+    /// Milliseconds between two facts about what owners have used.
+    pub const NOTE_SHARES: u64 = 5_000;
+
+    /// A task of the job begins that is expected to take so many milliseconds.
+    pub(crate) fn claim(&mut self, job: JobId, milliseconds: u64) {
+        let Some(job) = self.ledger.jobs.get(&job) else { return };
+        self.order.claim(&job.spec.owner, milliseconds, self.config.weight(&job.spec.owner));
+    }
+
+    /// Charges a worker's time until now.
+    fn bill(&mut self, worker: WorkerId) {
+        let Some((job, milliseconds, expected)) = self.floor.bill(worker, self.now) else { return };
+        let Some(job) = self.ledger.jobs.get(&job) else { return };
+        self.order.charge(&job.spec.owner, milliseconds, expected, self.config.weight(&job.spec.owner));
+    }
+
+    /// Ends a lease, however it ends.
+    pub(crate) fn release(&mut self, key: &LeaseKey) -> Option<Lease> {
+        self.bill(self.floor.leases.get(key)?.worker);
+        let lease = self.floor.release(key)?;
+        if let Some(job) = self.ledger.jobs.get(&key.0.job) {
+            self.order.unclaim(&job.spec.owner, lease.claim);
+        }
+        Some(lease)
+    }
+
+    /// Another session of its worker goes on with a lease; `false`: there is no such lease.
+    pub(crate) fn hand_over(&mut self, key: &LeaseKey, to: WorkerId, now: Tick) -> bool {
+        let Some(from) = self.floor.leases.get(key).map(|lease| lease.worker) else { return false };
+        [from, to].into_iter().for_each(|worker| self.bill(worker));
+        self.floor.hand_over(key, to, &self.config, now)
+    }
+
+    /// Charges what is under way and makes durable what has changed.
+    pub(crate) fn note_shares(&mut self, now: Tick, out: &mut Vec<Command>) {
+        self.shares_from = now.after(Self::NOTE_SHARES);
+        let workers: Vec<WorkerId> = self.floor.workers.keys().copied().collect();
+        workers.into_iter().for_each(|worker| self.bill(worker));
+        let known = self.ledger.annex.used();
+        let news = self.order.used().filter(|(owner, used)| known.get(*owner).copied().unwrap_or_default() != *used);
+        let owners: Vec<(String, Used)> = news.map(|(owner, used)| (owner.to_owned(), used)).collect();
+        if !owners.is_empty() {
+            self.record(Fact::Used { owners }, now, out);
+        }
+    }
+
+    /// What each owner has used until the last event, without what is under way and not charged yet; by owner.
+    pub fn used(&self) -> impl Iterator<Item = (&str, Used)> {
+        self.order.used()
+    }
+}

@@ -1,0 +1,176 @@
+//! Workers that die while they compute, and what that says of the task.
+//!
+//! A death is **known** if the worker comes back and its own journal names the task. It is **presumed** if a session broke, or its
+//! leases ran out in silence, while the task was being computed, and the process has not come back within
+//! [`Config::presumed`](crate::Config::presumed); should it come back later, its link was lost, and the death is taken back. What
+//! was being computed is what was heard to be; if nothing was, the oldest lease. A worker that is drained, or leaves, dies of
+//! nothing.
+//!
+//! Five deaths put a task aside, unless all are of one worker and some only presumed: then it may be the machine. Who kills
+//! workers by hand does no harm, but to a task that he hits five times before it is done. A death counts against every part of what
+//! the lease covered, and these are leased one by one from then on; not while another lease covers any of it, which may yet be
+//! done. What a worker merely made ready ahead is not named.
+
+use std::collections::BTreeSet;
+use std::ops::Range;
+
+use femc_model::{Death, Epoch, HeldLease, JobId, Phase, StageKind, TaskKey, Tick, WorkerId};
+use serde::{Deserialize, Serialize};
+
+use crate::floor::LeaseKey;
+use crate::ledger::Ledger;
+use crate::scheduler::Scheduler;
+use crate::{Command, Fact};
+
+/// How one knows of a death.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum Evidence {
+    /// The worker has not come back.
+    Presumed,
+    /// By the worker's own journal.
+    Journal,
+}
+
+/// A worker's death, of what it computed under one lease.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Casualty {
+    /// Of the lease.
+    pub epoch: Epoch,
+    /// The worker's name.
+    pub worker: String,
+    /// Its process.
+    pub instance: u64,
+    /// How one knows.
+    pub evidence: Evidence,
+}
+
+#[derive(Debug, Clone)]
+struct Pending {
+    task: TaskKey,
+    run: Range<u32>,
+    casualty: Casualty,
+    /// It does not count before.
+    from: Tick,
+}
+
+/// Deaths that do not count yet.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Deaths {
+    pending: Vec<Pending>,
+    /// Processes of which a presumed death counts.
+    presumed: BTreeSet<u64>,
+}
+
+impl Deaths {
+    pub(crate) fn of(ledger: &Ledger) -> Self {
+        Self { pending: Vec::new(), presumed: ledger.presumed_dead() }
+    }
+}
+
+impl Scheduler {
+    /// What a worker is computing, as far as one can tell.
+    fn computed(&self, worker: WorkerId) -> Vec<LeaseKey> {
+        let held = self.floor.held(worker);
+        let phase = |key: &LeaseKey| self.floor.leases.get(key).map_or(Phase::Waiting, |lease| lease.phase);
+        if held.iter().all(|key| phase(key) == Phase::Waiting) {
+            return held.into_iter().take(1).collect();
+        }
+        held.into_iter().filter(|key| matches!(phase(key), Phase::Preparing | Phase::Working)).collect()
+    }
+
+    /// A worker may be dead: what it computes under these leases may have killed it.
+    pub(crate) fn suspect(&mut self, worker: WorkerId, over: impl Fn(&LeaseKey) -> bool, now: Tick) {
+        let computed = self.computed(worker);
+        let Some(known) = self.floor.workers.get(&worker).filter(|known| known.is_open()) else { return };
+        for key in computed.into_iter().filter(over) {
+            let Some(lease) = self.floor.leases.get(&key) else { continue };
+            let (worker, instance) = (known.registration.name.clone(), known.registration.instance);
+            let casualty = Casualty { epoch: key.1, worker, instance, evidence: Evidence::Presumed };
+            let from = now.after(self.config.presumed);
+            self.deaths.pending.push(Pending { task: key.0, run: lease.run(&key.0), casualty, from });
+        }
+    }
+
+    /// A process is heard: it is not dead.
+    pub(crate) fn lives(&mut self, instance: u64, now: Tick, out: &mut Vec<Command>) {
+        let is_of_it = |casualty: &Casualty| (casualty.instance, casualty.evidence) == (instance, Evidence::Presumed);
+        self.deaths.pending.retain(|pending| !is_of_it(&pending.casualty));
+        if self.deaths.presumed.remove(&instance) {
+            self.record(Fact::Lives { instance }, now, out);
+        }
+    }
+
+    /// The same of a session's process.
+    pub(crate) fn note_life(&mut self, worker: WorkerId, now: Tick, out: &mut Vec<Command>) {
+        if self.deaths.pending.is_empty() && self.deaths.presumed.is_empty() {
+            return;
+        }
+        if let Some(instance) = self.floor.instance(worker) {
+            self.lives(instance, now, out);
+        }
+    }
+
+    /// A worker comes back and says how it ended: what its journal names has killed it, and nothing else has.
+    pub(crate) fn mourn(&mut self, worker: WorkerId, death: &Death, now: Tick, out: &mut Vec<Command>) {
+        self.lives(death.instance, now, out);
+        if self.ledger.annex.is_drained(death.instance) {
+            return;
+        }
+        let Some(name) = self.floor.workers.get(&worker).map(|known| known.registration.name.clone()) else { return };
+        for held in &death.computing {
+            let Some(run) = self.run_of(held) else { continue };
+            let (worker, instance, evidence) = (name.clone(), death.instance, Evidence::Journal);
+            let casualty = Casualty { epoch: held.epoch, worker, instance, evidence };
+            self.deaths.pending.push(Pending { task: held.task, run, casualty, from: now });
+        }
+    }
+
+    /// A worker comes of whose name one has died: another is to do what that one did.
+    pub(crate) fn keep_away(&mut self, worker: WorkerId) {
+        let Some(known) = self.floor.workers.get(&worker) else { return };
+        for Pending { task, run, casualty, .. } in &self.deaths.pending {
+            if casualty.worker == known.registration.name
+                && !self.floor.workers.values().any(|other| other.registration.instance == casualty.instance)
+                && let Some(desk) = self.desks.get_mut(&task.job)
+            {
+                desk.avoid.extend(run.clone().map(|index| (TaskKey { index, ..*task }, worker)));
+            }
+        }
+    }
+
+    /// The keys of a lease that a worker speaks of, if it is of this farm.
+    pub(crate) fn run_of(&self, HeldLease { task, samples, job: key, .. }: &HeldLease) -> Option<Range<u32>> {
+        let job = self.ledger.jobs.get(&task.job).filter(|job| job.spec.key() == *key)?;
+        match task.stage.kind {
+            StageKind::Render => job.grains(task.stage.round).run(task.index, samples),
+            StageKind::Gather => Some(task.index..task.index.checked_add(1)?),
+            StageKind::Merge => Some(0..1),
+        }
+    }
+
+    /// Counts the deaths whose time has come.
+    pub(crate) fn count_deaths(&mut self, now: Tick, out: &mut Vec<Command>) {
+        for pending in std::mem::take(&mut self.deaths.pending) {
+            let Pending { task, run, casualty, from } = &pending;
+            let overlaps = |other: Range<u32>| other.start < run.end && run.start < other.end;
+            if now < *from || self.floor.of_stage(task.job, task.stage).any(overlaps) {
+                self.deaths.pending.push(pending);
+                continue;
+            }
+            if !self.ledger.jobs.get(&task.job).is_some_and(|job| job.wants(task, run)) {
+                continue;
+            }
+            if casualty.evidence == Evidence::Presumed {
+                self.deaths.presumed.insert(casualty.instance);
+            }
+            self.record(Fact::Died { task: *task, end: run.end, casualty: casualty.clone() }, now, out);
+            self.put_back(task);
+            out.push(Command::Changed(task.job));
+        }
+    }
+
+    /// A person gives the job's tasks another chance: what is not counted yet is forgotten.
+    pub(crate) fn forgive(&mut self, job: JobId) {
+        self.deaths.pending.retain(|pending| pending.task.job != job);
+    }
+}

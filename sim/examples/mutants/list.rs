@@ -1,0 +1,119 @@
+//! Which mutants there are, and which were drawn.
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::path::Path;
+use std::process::Command;
+use std::{fs, io};
+
+use anyhow::{Context as _, ensure};
+use rand::SeedableRng as _;
+use rand::rngs::SmallRng;
+use rand::seq::SliceRandom as _;
+use serde::Deserialize;
+
+/// The sources that are mutated.
+const FILES: [&str; 9] = [
+    "farm/schedule/src/**/*.rs",
+    "farm/queue/src/**/*.rs",
+    "farm/store/src/**/*.rs",
+    "coordinator/src/session.rs",
+    "coordinator/src/janitor.rs",
+    "coordinator/src/actor.rs",
+    "worker/src/outbox.rs",
+    "worker/src/claims.rs",
+    "worker/src/session.rs",
+];
+
+/// A place in a file: line and column from 1 on.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+pub struct Place {
+    pub line: usize,
+    pub column: usize,
+}
+
+/// From a place up to another.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Deserialize)]
+pub struct Extent {
+    pub start: Place,
+    pub end: Place,
+}
+
+#[derive(Debug, Clone, Deserialize)]
+struct Function {
+    function_name: String,
+}
+
+/// As `cargo mutants --list --json` has it.
+#[derive(Debug, Deserialize)]
+struct Listed {
+    name: String,
+    package: String,
+    file: String,
+    function: Option<Function>,
+    genre: String,
+    span: Extent,
+    replacement: String,
+}
+
+/// A small change of the sources.
+#[derive(Debug, Clone)]
+pub struct Mutant {
+    /// Says it without line numbers, which move: file, function, change, and the how manieth of its like.
+    pub key: String,
+    pub package: String,
+    pub file: String,
+    pub genre: String,
+    pub extent: Extent,
+    pub replacement: String,
+}
+
+/// All mutants of the sources at `root`.
+pub fn all(root: &Path) -> anyhow::Result<Vec<Mutant>> {
+    let mut command = Command::new("cargo");
+    command.args(["mutants", "--list", "--json"]).current_dir(root);
+    for file in FILES {
+        command.args(["--file", file]);
+    }
+    let output = command.output()?;
+    ensure!(output.status.success(), "cargo mutants --list: {}", String::from_utf8_lossy(&output.stderr));
+    let mut listed: Vec<Listed> = serde_json::from_slice(&output.stdout).context("the list of cargo mutants")?;
+    listed.sort_by(|a, b| (&a.file, a.span, &a.replacement).cmp(&(&b.file, b.span, &b.replacement)));
+    let mut times: BTreeMap<String, u32> = BTreeMap::new();
+    Ok(listed.into_iter().map(|listed| mutant(listed, &mut times)).collect())
+}
+
+fn mutant(listed: Listed, times: &mut BTreeMap<String, u32>) -> Mutant {
+    let Listed { name, package, file, function, genre, span, replacement } = listed;
+    let change = name.splitn(4, ':').nth(3).unwrap_or(&name).trim().to_owned();
+    let function = function.map_or_else(String::new, |function| function.function_name);
+    let like = format!("{file}\t{function}\t{change}");
+    let time = times.entry(like.clone()).or_default();
+    *time += 1;
+    Mutant { key: format!("{like}\t{time}"), package, file, genre, extent: span, replacement }
+}
+
+/// So many of them.
+pub fn draw(mut all: Vec<Mutant>, seed: u64, count: usize) -> Vec<Mutant> {
+    all.shuffle(&mut SmallRng::seed_from_u64(seed));
+    all.truncate(count);
+    all.sort_by(|a, b| a.key.cmp(&b.key));
+    all
+}
+
+/// Keeps a list.
+pub fn write(path: &Path, seed: u64, mutants: &[Mutant]) -> io::Result<()> {
+    let mut text =
+        format!("# {} mutants, drawn with seed {seed}: file, function, change, number among its like\n", mutants.len());
+    for mutant in mutants {
+        // Writing into a string does not fail.
+        let _ = writeln!(text, "{}", mutant.key);
+    }
+    fs::write(path, text)
+}
+
+/// The keys of a list.
+pub fn read(path: &Path) -> anyhow::Result<Vec<String>> {
+    let text = fs::read_to_string(path).with_context(|| format!("{}; `mutants draw` makes it", path.display()))?;
+    Ok(text.lines().filter(|line| !line.starts_with('#')).map(str::to_owned).collect())
+}

@@ -1,0 +1,346 @@
+//! Trying mutants one after the other.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs::{self, OpenOptions};
+use std::io::Write as _;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+use std::sync::Mutex;
+use std::time::{Duration, Instant};
+
+use anyhow::{Context as _, bail, ensure};
+use clap::Args;
+use serde::Deserialize;
+
+use crate::list::{self, Mutant};
+use crate::weave::{self, Woven};
+
+/// What is to be tried.
+#[derive(Debug, Args)]
+pub struct Asked {
+    /// Try the sources of this commit instead of those of the checkout
+    #[arg(long, value_name = "COMMIT")]
+    at: Option<String>,
+    /// The verdicts, a line each; what has one is not tried again [default: mutants/verdicts under the target directory]
+    #[arg(long, value_name = "FILE")]
+    verdicts: Option<PathBuf>,
+    /// Try those again that survived
+    #[arg(long)]
+    again: bool,
+    /// Mutants that are tried side by side
+    #[arg(long, default_value_t = 2)]
+    jobs: usize,
+    /// Worlds that each must live through
+    #[arg(long, default_value_t = 20)]
+    seeds: u64,
+}
+
+/// The crates whose sources are mutated, and where they lie.
+const CRATES: [(&str, &str); 5] = [
+    ("femc-schedule", "farm/schedule"),
+    ("femc-queue", "farm/queue"),
+    ("femc-store", "farm/store"),
+    ("femc-coordinator", "coordinator"),
+    ("femc-worker", "worker"),
+];
+
+/// Tests and worlds take longer for some mutants; who takes so many times as long, and this, hangs.
+const PATIENCE: (u32, Duration) = (4, Duration::from_secs(20));
+
+/// Tries those of the list that have no verdict.
+pub fn run(root: &Path, list: &Path, asked: &Asked) -> anyhow::Result<()> {
+    let home = crate::target(root).join("mutants");
+    let tree = check_out(root, &home, asked.at.as_deref())?;
+    let keys = list::read(list)?;
+    let mut all: BTreeMap<String, Mutant> =
+        list::all(&tree)?.into_iter().map(|mutant| (mutant.key.clone(), mutant)).collect();
+    let mutants: Vec<(usize, Mutant)> = (1..).zip(&keys).filter_map(|(n, key)| Some((n, all.remove(key)?))).collect();
+    let gone = keys.len() - mutants.len();
+    let built = build(&tree, &home, &mutants)?;
+    let path = asked.verdicts.clone().unwrap_or_else(|| home.join("verdicts"));
+    let mut verdicts = read(&path)?;
+    if asked.again {
+        verdicts.retain(|_, verdict| verdict != "survived");
+    }
+    for (number, mutant) in &mutants {
+        if !built.within.contains(number) {
+            verdicts.insert(mutant.key.clone(), "does not compile".into());
+        }
+    }
+    save(&path, &verdicts)?;
+    let trial = Trial::new(&tree, built, asked.seeds)?;
+    let mut left: Vec<&(usize, Mutant)> = mutants.iter().filter(|(_, m)| !verdicts.contains_key(&m.key)).collect();
+    left.reverse();
+    println!("{} mutants, {} to try", mutants.len(), left.len());
+    let (left, file) = (Mutex::new(left), Mutex::new(OpenOptions::new().append(true).create(true).open(&path)?));
+    std::thread::scope(|scope| {
+        let workers: Vec<_> = (0..asked.jobs.max(1)).map(|_| scope.spawn(|| trial.work(&left, &file))).collect();
+        workers.into_iter().try_for_each(|worker| worker.join().unwrap_or_else(|_| bail!("a thread panicked")))
+    })?;
+    tell(&read(&path)?, &keys, gone);
+    Ok(())
+}
+
+/// The sources in a worktree that is always at the same place, so that what was built there is of use the next time.
+fn check_out(root: &Path, home: &Path, at: Option<&str>) -> anyhow::Result<PathBuf> {
+    let git = |arguments: &[&str]| -> anyhow::Result<String> {
+        let ran = Command::new("git").arg("-C").arg(root).args(arguments).output()?;
+        ensure!(ran.status.success(), "git {arguments:?}: {}", String::from_utf8_lossy(&ran.stderr));
+        Ok(String::from_utf8(ran.stdout)?.trim().to_owned())
+    };
+    let commit = match at {
+        Some(commit) => commit.to_owned(),
+        None => Some(git(&["stash", "create"])?).filter(|made| !made.is_empty()).unwrap_or_else(|| "HEAD".into()),
+    };
+    let tree = home.join("tree");
+    fs::create_dir_all(home)?;
+    if tree.exists() {
+        let mut checkout = Command::new("git");
+        checkout.arg("-C").arg(&tree).args(["checkout", "--quiet", "--force", "--detach", &commit]);
+        ensure!(checkout.status()?.success(), "{} is no worktree", tree.display());
+    } else {
+        git(&["worktree", "add", "--quiet", "--force", "--detach", &tree.display().to_string(), &commit])?;
+    }
+    Ok(tree)
+}
+
+/// What was built.
+#[derive(Debug, Default)]
+struct Built {
+    /// By crate.
+    tests: BTreeMap<String, Vec<PathBuf>>,
+    simulation: PathBuf,
+    /// Numbers of the mutants that are in it.
+    within: BTreeSet<usize>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Message {
+    reason: String,
+    message: Option<Diagnostic>,
+    executable: Option<PathBuf>,
+    package_id: Option<String>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Diagnostic {
+    level: String,
+    rendered: Option<String>,
+    spans: Vec<Spot>,
+}
+
+#[derive(Debug, Deserialize)]
+struct Spot {
+    file_name: String,
+    byte_start: usize,
+    is_primary: bool,
+}
+
+/// Weaves and builds until it compiles: mutants that do not are taken out.
+fn build(tree: &Path, home: &Path, mutants: &[(usize, Mutant)]) -> anyhow::Result<Built> {
+    let sources = sources(tree, mutants)?;
+    let mut out = BTreeSet::new();
+    loop {
+        let mut woven: BTreeMap<&str, Woven> = BTreeMap::new();
+        for (file, source) in &sources {
+            let of_file: Vec<(usize, &Mutant)> = mutants
+                .iter()
+                .filter(|(number, mutant)| mutant.file == *file && !out.contains(number))
+                .map(|(number, mutant)| (*number, mutant))
+                .collect();
+            let mut text = weave::weave(source, &of_file).with_context(|| file.clone())?;
+            if CRATES.iter().any(|(_, folder)| *file == format!("{folder}/src/lib.rs")) {
+                text.text.push_str(weave::SWITCH);
+            }
+            fs::write(tree.join(file), &text.text)?;
+            woven.insert(file, text);
+        }
+        let mut tests = vec!["test", "--no-run", "--locked"];
+        CRATES.iter().for_each(|(name, _)| tests.extend(["-p", name]));
+        let (mut messages, is_built) = cargo(tree, home, &tests)?;
+        let mut is_whole = is_built;
+        if is_built {
+            let (more, is_built) = cargo(tree, home, &["build", "--release", "--locked", "-p", "femc-sim"])?;
+            messages.extend(more);
+            is_whole = is_built;
+        }
+        if is_whole {
+            let within = woven.values().flat_map(|woven| woven.within.iter().copied()).collect();
+            return found(messages, within);
+        }
+        let before = out.len();
+        for error in messages.iter().filter_map(|m| m.message.as_ref()).filter(|error| error.level == "error") {
+            let spots = error.spans.iter().filter(|spot| spot.is_primary);
+            let guilty = spots.filter_map(|spot| woven.get(spot.file_name.as_str())?.origin(spot.byte_start));
+            let guilty: Vec<usize> = guilty.collect();
+            if guilty.is_empty() && !error.spans.is_empty() {
+                eprintln!("{}", error.rendered.as_deref().unwrap_or_default());
+            }
+            out.extend(guilty);
+        }
+        ensure!(out.len() > before, "the woven sources do not compile, and no mutant is guilty");
+        println!("{} mutants do not compile so far", out.len());
+    }
+}
+
+fn sources(tree: &Path, mutants: &[(usize, Mutant)]) -> anyhow::Result<BTreeMap<String, String>> {
+    let mut files: BTreeSet<String> = mutants.iter().map(|(_, mutant)| mutant.file.clone()).collect();
+    files.extend(CRATES.iter().map(|(_, folder)| format!("{folder}/src/lib.rs")));
+    files.into_iter().map(|file| Ok((file.clone(), fs::read_to_string(tree.join(&file))?))).collect()
+}
+
+fn cargo(tree: &Path, home: &Path, arguments: &[&str]) -> anyhow::Result<(Vec<Message>, bool)> {
+    let mut command = Command::new("cargo");
+    command.args(arguments).args(["--message-format", "json", "--quiet"]).current_dir(tree);
+    // Hundreds of switches make parentheses that nobody needs.
+    let output = command.env("CARGO_TARGET_DIR", home.join("build")).stderr(Stdio::inherit()).output()?;
+    let lines = output.stdout.split(|&byte| byte == b'\n').filter(|line| line.starts_with(b"{"));
+    let messages = lines.map(serde_json::from_slice).collect::<Result<_, _>>()?;
+    Ok((messages, output.status.success()))
+}
+
+fn found(messages: Vec<Message>, within: BTreeSet<usize>) -> anyhow::Result<Built> {
+    let mut built = Built { within, ..Built::default() };
+    for message in messages.into_iter().filter(|message| message.reason == "compiler-artifact") {
+        let (Some(executable), Some(package)) = (message.executable, message.package_id) else { continue };
+        let tested = CRATES.iter().find(|(_, folder)| package.contains(&format!("/{folder}#")));
+        match tested {
+            Some((name, _)) => built.tests.entry((*name).to_owned()).or_default().push(executable),
+            None if executable.ends_with("femc-sim") => built.simulation = executable,
+            None => {}
+        }
+    }
+    ensure!(built.simulation.exists() && built.tests.len() == CRATES.len(), "not all was built: {built:?}");
+    Ok(built)
+}
+
+/// How mutants are tried.
+struct Trial<'a> {
+    tree: &'a Path,
+    built: Built,
+    seeds: u64,
+    /// Of the tests of a crate, and of the worlds.
+    usual: BTreeMap<String, Duration>,
+}
+
+/// The name under which the worlds' time is kept.
+const WORLDS: &str = "simulation";
+
+impl<'a> Trial<'a> {
+    /// Finds out how long it takes when nothing is wrong.
+    fn new(tree: &'a Path, built: Built, seeds: u64) -> anyhow::Result<Self> {
+        let mut trial = Self { tree, built, seeds, usual: BTreeMap::new() };
+        let most = Duration::from_secs(1800);
+        for (name, _) in CRATES {
+            let begun = Instant::now();
+            if let Some(killer) = trial.tests(name, 0, most)? {
+                bail!("{killer} fails without any mutant");
+            }
+            trial.usual.insert(name.to_owned(), begun.elapsed());
+            println!("{name}: {:.1} s", begun.elapsed().as_secs_f64());
+        }
+        let begun = Instant::now();
+        ensure!(trial.worlds(0, most)?, "a world goes wrong without any mutant");
+        trial.usual.insert(WORLDS.to_owned(), begun.elapsed());
+        println!("{seeds} worlds: {:.1} s", begun.elapsed().as_secs_f64());
+        Ok(trial)
+    }
+
+    fn work(&self, left: &Mutex<Vec<&(usize, Mutant)>>, file: &Mutex<fs::File>) -> anyhow::Result<()> {
+        loop {
+            let Some((number, mutant)) = left.lock().ok().and_then(|mut left| left.pop()) else { return Ok(()) };
+            let verdict = self.verdict(*number, mutant)?;
+            let line = format!("{verdict}\t{}\n", mutant.key);
+            print!("{line}");
+            if let Ok(mut file) = file.lock() {
+                file.write_all(line.as_bytes())?;
+            }
+        }
+    }
+
+    fn verdict(&self, number: usize, mutant: &Mutant) -> anyhow::Result<String> {
+        if let Some(killer) = self.tests(&mutant.package, number, self.most(&mutant.package))? {
+            return Ok(format!("killed by {killer}"));
+        }
+        let lives = self.worlds(number, self.most(WORLDS))?;
+        Ok(if lives { "survived".into() } else { "killed by the simulation".into() })
+    }
+
+    fn most(&self, name: &str) -> Duration {
+        let (times, more) = PATIENCE;
+        self.usual.get(name).copied().unwrap_or_default() * times + more
+    }
+
+    /// The test that sees the mutant.
+    fn tests(&self, package: &str, number: usize, most: Duration) -> anyhow::Result<Option<String>> {
+        let Some((_, folder)) = CRATES.iter().find(|(name, _)| *name == package) else { return Ok(None) };
+        let begun = Instant::now();
+        for test in self.built.tests.get(package).into_iter().flatten() {
+            let mut command = Command::new(test);
+            command.arg("--quiet").current_dir(self.tree.join(folder));
+            if !passes(&mut command, number, most.saturating_sub(begun.elapsed()))? {
+                let name = test.file_name().unwrap_or_default().to_string_lossy();
+                return Ok(Some(name.rsplit_once('-').map_or(&*name, |(name, _)| name).to_owned()));
+            }
+        }
+        Ok(None)
+    }
+
+    fn worlds(&self, number: usize, most: Duration) -> anyhow::Result<bool> {
+        let mut command = Command::new(&self.built.simulation);
+        command.args(["--processes", "1", "--twice-each", "0", "--seeds", &self.seeds.to_string()]);
+        passes(&mut command, number, most)
+    }
+}
+
+/// Whether it ends well, and in time.
+fn passes(command: &mut Command, number: usize, most: Duration) -> anyhow::Result<bool> {
+    command.env("FEMC_MUTANT", number.to_string()).env("PROPTEST_MAX_SHRINK_ITERS", "0");
+    let mut child = command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null()).spawn()?;
+    let begun = Instant::now();
+    loop {
+        if let Some(status) = child.try_wait()? {
+            return Ok(status.success());
+        }
+        if begun.elapsed() > most {
+            // One that has ended in this moment is as good.
+            let _ = child.kill();
+            child.wait()?;
+            return Ok(false);
+        }
+        std::thread::sleep(Duration::from_millis(20));
+    }
+}
+
+type Verdicts = BTreeMap<String, String>;
+
+fn read(path: &Path) -> anyhow::Result<Verdicts> {
+    let text = if path.exists() { fs::read_to_string(path)? } else { String::new() };
+    let pair = |line: &str| line.split_once('\t').map(|(verdict, key)| (key.to_owned(), verdict.to_owned()));
+    Ok(text.lines().filter_map(pair).collect())
+}
+
+fn save(path: &Path, verdicts: &Verdicts) -> anyhow::Result<()> {
+    let lines: String = verdicts.iter().map(|(key, verdict)| format!("{verdict}\t{key}\n")).collect();
+    fs::write(path, lines).with_context(|| path.display().to_string())
+}
+
+fn tell(verdicts: &Verdicts, keys: &[String], gone: usize) {
+    let mut sum: BTreeMap<&str, usize> = BTreeMap::new();
+    for key in keys {
+        let verdict = verdicts.get(key).map_or("not tried", String::as_str);
+        let kind = if verdict.starts_with("killed by the sim") {
+            "killed by the simulation"
+        } else if verdict.starts_with("killed") {
+            "killed by tests"
+        } else {
+            verdict
+        };
+        *sum.entry(kind).or_default() += 1;
+        if verdict == "survived" {
+            println!("SURVIVED {key}");
+        }
+    }
+    println!("{} mutants, {gone} of them not in these sources any more", keys.len());
+    sum.iter().for_each(|(verdict, times)| println!("  {times:6} {verdict}"));
+}

@@ -1,0 +1,268 @@
+//! All mutants in one text, each behind its switch.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use proc_macro2::Span;
+use syn::spanned::Spanned as _;
+use syn::visit::{self, Visit};
+
+use crate::list::{Extent, Mutant, Place};
+
+/// What every woven crate gets: whether the environment throws the switch of this number.
+pub const SWITCH: &str = "\npub(crate) mod mutant_switch {
+    pub(crate) fn on(number: usize) -> bool {
+        static THROWN: std::sync::LazyLock<usize> = std::sync::LazyLock::new(|| {
+            std::env::var(\"FEMC_MUTANT\").ok().and_then(|number| number.parse().ok()).unwrap_or(0)
+        });
+        *THROWN == number
+    }
+}\n";
+
+/// A woven text, and which of its bytes come from which mutant.
+#[derive(Debug, Default)]
+pub struct Woven {
+    pub text: String,
+    pub origins: Vec<(Range<usize>, usize)>,
+    /// Numbers of the mutants that are in it.
+    pub within: Vec<usize>,
+}
+
+/// Something that takes the place of a part of the source.
+#[derive(Debug, Clone)]
+struct Edit {
+    number: usize,
+    at: Range<usize>,
+    pieces: Vec<Piece>,
+}
+
+#[derive(Debug, Clone)]
+enum Piece {
+    New(String),
+    /// A part of the source, with the other edits in it.
+    Old(Range<usize>),
+}
+
+/// Puts the mutants of a file into its source; those are left out whose place is not found.
+/// - `mutants`: with their numbers, from 1 on.
+pub fn weave(source: &str, mutants: &[(usize, &Mutant)]) -> syn::Result<Woven> {
+    let file = syn::parse_file(source)?;
+    let mut found = Found::default();
+    found.visit_file(&file);
+    let edits: Vec<Edit> = mutants.iter().filter_map(|(number, mutant)| found.edit(source, *number, mutant)).collect();
+    let mut woven = Woven { within: edits.iter().map(|edit| edit.number).collect(), ..Woven::default() };
+    woven.render(source, 0..source.len(), &edits.iter().collect::<Vec<_>>());
+    Ok(woven)
+}
+
+impl Woven {
+    fn render(&mut self, source: &str, at: Range<usize>, edits: &[&Edit]) {
+        let mut from = at.start;
+        // Outermost first; of two at the same place one is within the other.
+        let mut inside: Vec<&Edit> =
+            edits.iter().filter(|edit| at.start <= edit.at.start && edit.at.end <= at.end).copied().collect();
+        inside.sort_by_key(|edit| (edit.at.start, std::cmp::Reverse(edit.at.end), edit.number));
+        for edit in &inside {
+            if edit.at.start < from {
+                continue;
+            }
+            self.text.push_str(&source[from..edit.at.start]);
+            let begin = self.text.len();
+            let others: Vec<&Edit> = inside.iter().filter(|other| other.number != edit.number).copied().collect();
+            for piece in &edit.pieces {
+                match piece {
+                    Piece::New(text) => self.text.push_str(text),
+                    Piece::Old(part) => self.render(source, part.clone(), &others),
+                }
+            }
+            self.origins.push((begin..self.text.len(), edit.number));
+            // An insertion takes the place of nothing, and others may follow at the same place.
+            from = edit.at.end;
+        }
+        self.text.push_str(&source[from..at.end]);
+    }
+
+    /// The mutant that a byte comes from, the innermost.
+    pub fn origin(&self, byte: usize) -> Option<usize> {
+        let around = self.origins.iter().filter(|(range, _)| range.contains(&byte));
+        around.min_by_key(|(range, _)| range.len()).map(|&(_, number)| number)
+    }
+}
+
+/// What of a file may be mutated, by its place.
+#[derive(Debug, Default)]
+struct Found {
+    /// Bodies of functions, but of those whose result is of a type that only the body knows.
+    bodies: Vec<Range<usize>>,
+    /// By the place of the operator: left, right, all.
+    binary: BTreeMap<usize, [Range<usize>; 3]>,
+    /// By the place of the operator: operand, all.
+    unary: BTreeMap<usize, [Range<usize>; 2]>,
+    /// By the place of the arm: pattern, guard.
+    arms: BTreeMap<usize, (Range<usize>, Option<Range<usize>>)>,
+    guards: Vec<Range<usize>>,
+    /// By the place of the field: field and what follows up to the next, all.
+    fields: BTreeMap<usize, [Range<usize>; 2]>,
+}
+
+fn bytes(span: Span) -> Range<usize> {
+    span.byte_range()
+}
+
+impl<'ast> Visit<'ast> for Found {
+    fn visit_item_fn(&mut self, item: &'ast syn::ItemFn) {
+        self.body(&item.sig, &item.block);
+        visit::visit_item_fn(self, item);
+    }
+
+    fn visit_impl_item_fn(&mut self, item: &'ast syn::ImplItemFn) {
+        self.body(&item.sig, &item.block);
+        visit::visit_impl_item_fn(self, item);
+    }
+
+    fn visit_trait_item_fn(&mut self, item: &'ast syn::TraitItemFn) {
+        item.default.iter().for_each(|block| self.body(&item.sig, block));
+        visit::visit_trait_item_fn(self, item);
+    }
+
+    fn visit_expr_binary(&mut self, expr: &'ast syn::ExprBinary) {
+        // A condition with `let` in it cannot be put into parentheses.
+        if !has_let(&expr.left) && !has_let(&expr.right) {
+            let parts = [expr.left.span(), expr.right.span(), expr.span()].map(bytes);
+            self.binary.insert(bytes(expr.op.span()).start, parts);
+        }
+        visit::visit_expr_binary(self, expr);
+    }
+
+    fn visit_expr_unary(&mut self, expr: &'ast syn::ExprUnary) {
+        self.unary.insert(bytes(expr.op.span()).start, [expr.expr.span(), expr.span()].map(bytes));
+        visit::visit_expr_unary(self, expr);
+    }
+
+    fn visit_arm(&mut self, arm: &'ast syn::Arm) {
+        let guard = arm.guard.as_ref().map(|(_, guard)| guard);
+        if guard.is_none_or(|guard| !has_let(guard)) {
+            let guard = guard.map(|guard| bytes(guard.span()));
+            self.guards.extend(guard.clone());
+            self.arms.insert(bytes(arm.span()).start, (bytes(arm.pat.span()), guard));
+        }
+        visit::visit_arm(self, arm);
+    }
+
+    fn visit_expr_struct(&mut self, expr: &'ast syn::ExprStruct) {
+        if expr.rest.is_some() {
+            for pair in expr.fields.pairs() {
+                let field = bytes(pair.value().span());
+                let end = pair.punct().map_or(field.end, |comma| bytes(comma.span()).end);
+                self.fields.insert(field.start, [field.start..end, bytes(expr.span())]);
+            }
+        }
+        visit::visit_expr_struct(self, expr);
+    }
+}
+
+fn has_let(expr: &syn::Expr) -> bool {
+    match expr {
+        syn::Expr::Let(_) => true,
+        syn::Expr::Binary(binary) => has_let(&binary.left) || has_let(&binary.right),
+        _ => false,
+    }
+}
+
+impl Found {
+    fn body(&mut self, signature: &syn::Signature, block: &syn::Block) {
+        if !matches!(&signature.output, syn::ReturnType::Type(_, of) if matches!(**of, syn::Type::ImplTrait(_))) {
+            self.bodies.push(bytes(block.span()));
+        }
+    }
+
+    fn edit(&self, source: &str, number: usize, mutant: &Mutant) -> Option<Edit> {
+        let Extent { start, end } = mutant.extent;
+        let (start, end) = (byte(source, start)?, byte(source, end)?);
+        let on = format!("crate::mutant_switch::on({number})");
+        let new = |text: String| Piece::New(text);
+        let replacement = &mutant.replacement;
+        let (at, pieces) = match mutant.genre.as_str() {
+            "FnValue" => {
+                // The extent is the body's, with its braces or without.
+                let body = self.bodies.iter().filter(|body| body.start <= start && end <= body.end);
+                let body = body.min_by_key(|body| body.len()).filter(|body| is_all(source, body, start..end))?;
+                let first = body.start + 1;
+                (first..first, vec![new(format!(" if {on} {{ return {replacement}; }} "))])
+            }
+            "BinaryOperator" => {
+                let [left, right, all] = self.binary.get(&start)?.clone();
+                let pieces = vec![
+                    new(format!("(if {on} {{ ")),
+                    Piece::Old(left),
+                    new(format!(" {replacement} ")),
+                    Piece::Old(right),
+                    new(" } else { ".into()),
+                    Piece::Old(all.clone()),
+                    new(" })".into()),
+                ];
+                (all, pieces)
+            }
+            "UnaryOperator" => {
+                let [operand, all] = self.unary.get(&start)?.clone();
+                let pieces = vec![
+                    new(format!("(if {on} {{ {replacement}")),
+                    Piece::Old(operand),
+                    new(" } else { ".into()),
+                    Piece::Old(all.clone()),
+                    new(" })".into()),
+                ];
+                (all, pieces)
+            }
+            "MatchArm" => {
+                let (pattern, guard) = self.arms.get(&start)?.clone();
+                match guard {
+                    Some(guard) => {
+                        let pieces = vec![new(format!("!{on} && (")), Piece::Old(guard.clone()), new(")".into())];
+                        (guard, pieces)
+                    }
+                    None => (pattern.end..pattern.end, vec![new(format!(" if !{on}"))]),
+                }
+            }
+            "MatchArmGuard" => {
+                let guard = self.guards.iter().find(|guard| **guard == (start..end))?.clone();
+                let pieces = vec![
+                    new(format!("(if {on} {{ {replacement} }} else {{ ")),
+                    Piece::Old(guard.clone()),
+                    new(" })".into()),
+                ];
+                (guard, pieces)
+            }
+            "StructField" => {
+                let [field, all] = self.fields.get(&start)?.clone();
+                let pieces = vec![
+                    new(format!("(if {on} {{ ")),
+                    Piece::Old(all.start..field.start),
+                    Piece::Old(field.end..all.end),
+                    new(" } else { ".into()),
+                    Piece::Old(all.clone()),
+                    new(" })".into()),
+                ];
+                (all, pieces)
+            }
+            _ => return None,
+        };
+        Some(Edit { number, at, pieces })
+    }
+}
+
+/// Whether this part of a body is all that is between its braces.
+fn is_all(source: &str, body: &Range<usize>, part: Range<usize>) -> bool {
+    let rest = [source.get(body.start + 1..part.start), source.get(part.end..body.end - 1)];
+    rest.iter().all(|rest| rest.is_none_or(|rest| rest.trim().is_empty() || rest.trim_start().starts_with("//")))
+}
+
+/// Place in bytes; columns count characters from 1 on.
+fn byte(source: &str, place: Place) -> Option<usize> {
+    let start = match place.line {
+        1 => 0,
+        line => source.match_indices('\n').nth(line - 2)?.0 + 1,
+    };
+    let offset: usize = source[start..].chars().take(place.column - 1).map(char::len_utf8).sum();
+    Some(start + offset)
+}

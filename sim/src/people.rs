@@ -185,6 +185,18 @@ impl Person<'_> {
         }
     }
 
+    /// The job is under way, and its key is its key.
+    async fn asks_twice(&self, asked: Asked, errand: &Errand) {
+        let now = self.shared.asks();
+        if self.shared.is_over(asked) {
+            return;
+        }
+        if let Ok(again) = self.submission(&errand.key, &errand.spec, &errand.stage.bundle).await {
+            self.shared.lock().did("submitted again what was under way");
+            self.shared.hears_job(now, &errand.key, again);
+        }
+    }
+
     async fn submission(&self, key: &str, spec: &JobSpec, bundle: &Bytes) -> Result<JobId, Refusal> {
         answer(self.shared, self.shared.asks(), &async |client: Client| {
             client.put(bundle.clone()).await?;
@@ -204,7 +216,7 @@ impl Person<'_> {
         // Of what fails now and then, something may fail three times.
         let mut tries = if curse.is_final() { 1 } else { 20 };
         let status = loop {
-            let Some(status) = self.waits(asked, job).await else { return Ok(Vec::new()) };
+            let Some(status) = self.waits(asked, job, errand).await else { return Ok(Vec::new()) };
             if status.state != JobState::Failed {
                 break status;
             }
@@ -255,7 +267,7 @@ impl Person<'_> {
     }
 
     /// Until the job has ended; `None` if it has been forgotten, or its log is lost.
-    async fn waits(&mut self, asked: Asked, job: JobId) -> Option<JobStatus> {
+    async fn waits(&mut self, asked: Asked, job: JobId, errand: &Errand) -> Option<JobStatus> {
         loop {
             let now = self.shared.asks();
             let told = answer(self.shared, asked, &async |client: Client| client.status(job).await).await;
@@ -270,6 +282,9 @@ impl Person<'_> {
                     return None;
                 }
                 Ok(_) | Err(_) => tokio::time::sleep(self.manner.look).await,
+            }
+            if self.rng.random_range(0..6) == 0 {
+                self.asks_twice(asked, errand).await;
             }
             if self.rng.random_range(0..8) == 0 {
                 let now = self.shared.asks();

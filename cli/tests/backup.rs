@@ -74,3 +74,32 @@ fn a_log_in_memory_has_no_copy_and_the_farm_goes_on() {
     place.write("file", "");
     place.run(&format!("backup file/copy --server {url}")).exits(1);
 }
+
+#[test]
+fn a_log_that_lost_what_was_acknowledged_is_not_gone_on_with_unless_that_is_said() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    for frame in 1..=8 {
+        submit(&place, &url, &format!("--spp 1 --frames {frame}"));
+    }
+    assert!(farm.kill(), "it was there");
+    let mut ahead = std::fs::read(place.path("farm.db-wal")).expect("what was written ahead");
+    let middle = ahead.len() / 2;
+    ahead[middle] ^= 4;
+    std::fs::write(place.path("farm.db-wal"), ahead).expect("one bit is another");
+
+    let line = "coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts artifacts";
+    for _ in 0..2 {
+        let ran = place.run(line).exits(1);
+        assert!(ran.stderr().contains("are gone") && ran.stderr().contains("--accept-loss"), "{}", ran.stderr());
+    }
+    let mut farm = place.start(&format!("{line} --accept-loss"));
+    let url = farm.address();
+    let jobs = place.run(&format!("jobs --json --server {url}")).exits(0).json();
+    assert!((1..8).contains(&jobs.as_array().expect("a list").len()), "{jobs}");
+    submit(&place, &url, "--spp 1 --frames 1");
+    assert!(place.read("audit.jsonl").contains("accept-loss"));
+    assert!(farm.kill());
+    let mut farm = place.start(line);
+    farm.address();
+}

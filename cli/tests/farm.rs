@@ -226,7 +226,7 @@ fn six_ways_to_one_frame() {
 
     // Another seed would be another frame; the same job again would be answered from the store: a fresh farm.
     drop((farm, workers));
-    for name in ["farm.db", "farm.db-wal", "farm.db-shm"] {
+    for name in ["farm.db", "farm.db-wal", "farm.db-mark"] {
         let _ = std::fs::remove_file(place.path(name));
     }
     std::fs::remove_dir_all(place.path("artifacts")).expect("the artefacts");
@@ -258,4 +258,44 @@ fn six_ways_to_one_frame() {
         println!("{}  {name}", common::digest(pixels));
         assert!(*pixels == ways[0].1, "{name}");
     }
+}
+
+/// Where the store keeps the image of a frame.
+fn image(place: &Place, fetched: &str) -> std::path::PathBuf {
+    let bytes = std::fs::read(place.path(fetched)).expect("it was fetched");
+    place.path("artifacts").join(femc_store::place(&femc_model::Digest::of(&bytes)).to_string())
+}
+
+#[test]
+fn a_damaged_image_is_named_and_its_frame_is_rendered_again_by_fetch_and_by_retry() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    let _worker = worker(&place, &url);
+    let job = submit(&place, &url, SETTINGS);
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    let intact = place.run(&format!("retry {job} --server {url}")).exits(2);
+    assert!(intact.stderr().contains("has ended"), "{}", intact.stderr());
+    let all = names(&place.path("out"));
+    let (cut, flipped) = (format!("out/{}", all[1]), format!("out/{}", all[2]));
+    let (at, whole) = (image(&place, &cut), std::fs::read(image(&place, &cut)).expect("an image"));
+    std::fs::write(at, &whole[..whole.len() / 3]).expect("it is cut");
+    std::fs::remove_dir_all(place.path("out")).expect("fetched before");
+    let ran = place.run(&format!("fetch {job} -o out --server {url}")).exits(1);
+    let said = format!("frame 2 of job {job} ({})", all[1]);
+    assert!(ran.stderr().contains(&said) && ran.stderr().contains("rendered again"), "{}", ran.stderr());
+    assert_eq!(names(&place.path("out")).len(), all.len() - 1, "all others are there");
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+
+    let (at, mut bytes) = (image(&place, &flipped), std::fs::read(place.path(&flipped)).expect("an image"));
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(at, bytes).expect("it is changed");
+    let ran = place.run(&format!("retry {job} --server {url}")).exits(0);
+    assert!(ran.stderr().contains("frame 3"), "{}", ran.stderr());
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    std::fs::remove_dir_all(place.path("out")).expect("fetched before");
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    same_as_one_process(&place);
 }

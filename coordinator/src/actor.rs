@@ -5,8 +5,8 @@ use std::time::Duration;
 
 use femc_fault::{Point, pass, pass_async};
 use femc_model::{Digest, Failure, FromWorker, JobId, JobStatus, Refusal, Spent, Tick, ToWorker, WorkerId};
-use femc_proto::{AttemptPage, Backup, Call, JobShape, References, Reply, Session};
-use femc_queue::{Batch, Queue, QueueError};
+use femc_proto::{AttemptPage, Backup, Call, JobShape, Listing, References, Reply, Session};
+use femc_queue::{Batch, Queue, QueueError, Remedy};
 use femc_schedule::{Command, Event, Fact, RequestId, Scheduler};
 use femc_store::Store;
 use tokio::sync::{mpsc, oneshot, watch};
@@ -15,10 +15,12 @@ use tokio::time::Instant;
 use crate::attempts::{self, Ended};
 use crate::clock::Clock;
 use crate::config::{Config, CoordinatorError};
+use crate::disks::Disks;
 use crate::janitor::Janitor;
 use crate::metrics::{Metrics, Now};
 use crate::obey::Watched;
 use crate::session::{self, Worker};
+use crate::wait::{Doors, Pending};
 
 /// What a session's reader passes on.
 #[derive(Debug)]
@@ -41,7 +43,7 @@ pub(crate) enum Asker {
 /// A question that changes nothing; answered when all before it is durable.
 #[derive(Debug)]
 enum Question {
-    List(Reply<Vec<JobStatus>>),
+    List(Reply<Listing>),
     Status(JobId, Reply<JobStatus>),
     Watch(JobId, Reply<watch::Receiver<JobStatus>>),
     Parts(JobId, Reply<Vec<femc_model::FrameParts>>),
@@ -51,6 +53,7 @@ enum Question {
     Attempts(JobId, u64, Reply<AttemptPage>),
     Workers(Reply<Vec<femc_model::WorkerStatus>>),
     Drained(Result<Vec<WorkerId>, Refusal>, Reply<Vec<WorkerId>>),
+    Told(Reply<()>),
     References(Reply<References>),
     Backup(Reply<Backup>),
 }
@@ -58,7 +61,7 @@ enum Question {
 /// The shell around the scheduler.
 pub(crate) struct Actor<Q> {
     pub(crate) scheduler: Scheduler,
-    queue: Q,
+    pub(crate) queue: Q,
     pub(crate) store: Store,
     pub(crate) clock: Clock,
     pub(crate) workers: BTreeMap<WorkerId, Worker>,
@@ -80,11 +83,18 @@ pub(crate) struct Actor<Q> {
     records: usize,
     /// Records after which the next snapshot is due.
     snapshot: usize,
+    /// No snapshot is made before: there was no room for one.
+    snapshots_from: Instant,
     words: mpsc::Sender<(WorkerId, Word)>,
-    heard: mpsc::Receiver<(WorkerId, Word)>,
-    metrics: Metrics,
+    pub(crate) heard: mpsc::Receiver<(WorkerId, Word)>,
+    /// What was said while there was no room for the log.
+    pub(crate) put_off: VecDeque<(WorkerId, Word)>,
+    pub(crate) metrics: Metrics,
     /// Who wants to know how much there is of everything.
-    watchers: mpsc::Receiver<oneshot::Sender<Now>>,
+    pub(crate) watchers: mpsc::Receiver<oneshot::Sender<Now>>,
+    pub(crate) disks: Disks,
+    /// When these were looked at.
+    pub(crate) looked: Instant,
 }
 
 impl<Q: Queue> Actor<Q> {
@@ -94,6 +104,8 @@ impl<Q: Queue> Actor<Q> {
     const TIMER: Duration = Duration::from_millis(100);
     /// Whoever looks so late has heard nobody in the meantime.
     const STANDSTILL: Duration = Duration::from_millis(500);
+    /// Until a snapshot for which there was no room is tried again.
+    const SNAPSHOT_AGAIN: Duration = Duration::from_secs(10);
 
     pub(crate) fn new(
         scheduler: Scheduler,
@@ -104,6 +116,10 @@ impl<Q: Queue> Actor<Q> {
         config: &Config,
     ) -> Self {
         let (words, heard) = mpsc::channel(4 * Self::BATCH);
+        let disks = Disks::of(config);
+        config.metrics.lies_on(disks.clone());
+        // Of a term before this one.
+        config.metrics.waits(None);
         Self {
             clock: Clock::from(scheduler.ledger().now(), config.time.clone()),
             scheduler,
@@ -122,46 +138,44 @@ impl<Q: Queue> Actor<Q> {
             numbers: 0,
             records,
             snapshot: config.snapshot,
+            snapshots_from: Instant::now(),
             words,
             heard,
+            put_off: VecDeque::new(),
             metrics: config.metrics.clone(),
             watchers,
+            disks,
+            looked: Instant::now(),
         }
     }
 
     /// Works until `stop`'s sender is dropped, or the log fails.
-    pub(crate) async fn run(
-        mut self,
-        mut calls: mpsc::Receiver<Call>,
-        mut stop: watch::Receiver<()>,
-    ) -> Result<(), CoordinatorError> {
+    pub(crate) async fn run(mut self, mut doors: Doors) -> Result<(), CoordinatorError> {
         let mut timer = tokio::time::interval(Self::TIMER);
         timer.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
         loop {
             let mut commands = Vec::new();
             tokio::select! {
                 biased;
-                _ = stop.changed() => break,
+                _ = doors.stop.changed() => break,
                 due = timer.tick() => {
                     if due.elapsed() > Self::STANDSTILL {
                         tracing::warn!(seconds = due.elapsed().as_secs_f64(), "stood still; workers are heard first");
                         self.hear(Event::Awoke, &mut commands);
                     }
                     self.hear(Event::Elapsed, &mut commands);
-                    self.look_after(&mut commands).await?;
+                    self.look_after(&mut commands, &mut doors).await?;
                 }
                 Some((worker, word)) = self.heard.recv() => self.word(worker, word, &mut commands),
-                Some(call) = calls.recv() => self.call(call, &mut commands),
-                Some(watcher) = self.watchers.recv() => {
-                    let figures = self.scheduler.figures(self.clock.now());
-                    // Who has gone away does not hear it.
-                    let _ = watcher.send(Now { figures, records: self.records });
-                }
+                Some(call) = doors.calls.recv() => self.call(call, &mut commands),
+                Some(watcher) = self.watchers.recv() => self.show(watcher),
             }
             for _ in 0..Self::BATCH {
-                if let Ok((worker, word)) = self.heard.try_recv() {
+                if let Some((worker, word)) = self.put_off.pop_front() {
                     self.word(worker, word, &mut commands);
-                } else if let Ok(call) = calls.try_recv() {
+                } else if let Ok((worker, word)) = self.heard.try_recv() {
+                    self.word(worker, word, &mut commands);
+                } else if let Ok(call) = doors.calls.try_recv() {
                     self.call(call, &mut commands);
                 } else if let Some(event) = self.echoes.pop_front() {
                     self.hear(event, &mut commands);
@@ -169,10 +183,17 @@ impl<Q: Queue> Actor<Q> {
                     break;
                 }
             }
-            self.commit(commands).await?;
+            self.commit(commands, &mut doors).await?;
         }
         self.say_goodbye();
         Ok(self.queue.close().await?)
+    }
+
+    /// Tells how much there is of everything.
+    pub(crate) fn show(&mut self, watcher: oneshot::Sender<Now>) {
+        let figures = self.scheduler.figures(self.clock.now());
+        // Who has gone away does not hear it.
+        let _ = watcher.send(Now { figures, records: self.records });
     }
 
     /// Asks the scheduler what follows from `event`.
@@ -236,6 +257,7 @@ impl<Q: Queue> Actor<Q> {
 
     fn call(&mut self, call: Call, commands: &mut Vec<Command>) {
         match call {
+            Call::Submit { reply, .. } if let Some(no) = self.disks.refusal() => drop(reply.send(Err(no))),
             Call::Submit { key, spec, reply } => {
                 let request = self.ask(Asker::Submit(reply));
                 self.hear(Event::Submitted { request, key, spec }, commands);
@@ -258,6 +280,10 @@ impl<Q: Queue> Actor<Q> {
                 let nobody = || Refusal::NoSuchWorker { worker: worker.to_string() };
                 let answer = if workers.is_empty() { Err(nobody()) } else { Ok(workers) };
                 self.questions.push(Question::Drained(answer, reply));
+            }
+            Call::Lost { digest, reply } => {
+                self.hear(Event::Lost { digest }, commands);
+                self.questions.push(Question::Told(reply));
             }
             Call::Logs { job, since, reply } => self.questions.push(Question::Logs(job, since, reply)),
             Call::Shape { job, reply } => self.questions.push(Question::Shape(job, reply)),
@@ -298,7 +324,7 @@ impl<Q: Queue> Actor<Q> {
     }
 
     /// Makes the facts durable, then obeys, then answers questions. Whoever may lead no longer says nothing.
-    async fn commit(&mut self, commands: Vec<Command>) -> Result<(), CoordinatorError> {
+    async fn commit(&mut self, commands: Vec<Command>, doors: &mut Doors) -> Result<(), CoordinatorError> {
         if self.facts.is_empty() && self.attempts.is_empty() {
             self.queue.check()?;
         } else {
@@ -306,7 +332,8 @@ impl<Q: Queue> Actor<Q> {
             pass_async(Point::CoordinatorBeforeAppend).await;
             let (notes, forgotten) = self.attempts.take()?;
             let begun = Instant::now();
-            self.queue.append(Batch { records: &records, notes: &notes, forgotten: &forgotten }).await?;
+            let batch = Batch { records: &records, notes: &notes, forgotten: &forgotten };
+            self.keep(Pending { batch, commands: &commands }, doors).await?;
             self.metrics.appended(records.iter().map(Vec::len).sum(), begun.elapsed());
             pass_async(Point::CoordinatorAfterAppend).await;
             self.records += records.len();
@@ -331,7 +358,10 @@ impl<Q: Queue> Actor<Q> {
         // Whoever asked and went away does not hear the answer.
         for question in std::mem::take(&mut self.questions) {
             match question {
-                Question::List(reply) => drop(reply.send(Ok(self.scheduler.jobs(now)))),
+                Question::List(reply) => {
+                    let (jobs, warnings) = (self.scheduler.jobs(now), self.disks.warnings());
+                    drop(reply.send(Ok(Listing { jobs, warnings })));
+                }
                 Question::Status(job, reply) => drop(reply.send(self.scheduler.status(job, now))),
                 Question::Watch(job, reply) => drop(reply.send(self.watch(job))),
                 Question::Parts(job, reply) => drop(reply.send(self.scheduler.parts(job))),
@@ -339,10 +369,16 @@ impl<Q: Queue> Actor<Q> {
                 Question::Logs(job, since, reply) => drop(reply.send(self.scheduler.logs(job, since))),
                 Question::Shape(job, reply) => drop(reply.send(self.shape(job))),
                 Question::Attempts(job, from, reply) => {
-                    let page = self.queue.notes(job.0, from).await?;
-                    drop(reply.send(Ok(attempts::page(page))));
+                    let page = match self.queue.notes(job.0, from).await {
+                        Ok(page) => Ok(attempts::page(page)),
+                        Err(error) if error.remedy() == Remedy::Reopen => return Err(error.into()),
+                        // They are beside the log: it does not need them.
+                        Err(error) => Err(Refusal::Unavailable { message: format!("what attempts took: {error}") }),
+                    };
+                    drop(reply.send(page));
                 }
                 Question::Drained(answer, reply) => drop(reply.send(answer)),
+                Question::Told(reply) => drop(reply.send(Ok(()))),
                 Question::Workers(reply) => drop(reply.send(Ok(self.scheduler.workers(now)))),
                 Question::References(reply) => drop(reply.send(Ok(self.references()))),
                 Question::Backup(reply) => {
@@ -355,23 +391,31 @@ impl<Q: Queue> Actor<Q> {
         Ok(())
     }
 
-    fn references(&self) -> References {
+    pub(crate) fn references(&self) -> References {
         let ledger = self.scheduler.ledger();
         References { artefacts: ledger.references(), scenes: ledger.scenes() }
     }
 
     /// What is done now and then: watchers, artefacts that nobody needs, snapshots.
-    async fn look_after(&mut self, commands: &mut Vec<Command>) -> Result<(), CoordinatorError> {
+    async fn look_after(&mut self, commands: &mut Vec<Command>, doors: &mut Doors) -> Result<(), CoordinatorError> {
         self.queue.check()?;
         self.refresh_watched();
         self.sweep();
-        if self.records >= self.snapshot {
+        self.disks.look_later(&mut self.looked);
+        if self.records >= self.snapshot && Instant::now() >= self.snapshots_from {
             // The snapshot holds what these commands' facts say already.
-            self.commit(std::mem::take(commands)).await?;
+            self.commit(std::mem::take(commands), doors).await?;
             let state = self.scheduler.ledger().encode()?;
             pass_async(Point::CoordinatorBeforeSnapshot).await;
             let begun = Instant::now();
-            self.queue.snapshot(&state).await?;
+            match self.queue.snapshot(&state).await {
+                Err(error) if error.remedy() == Remedy::Room => {
+                    tracing::warn!(%error, "no snapshot: the log goes on growing until there is room for one");
+                    self.snapshots_from = Instant::now() + Self::SNAPSHOT_AGAIN;
+                    return Ok(());
+                }
+                made => made?,
+            }
             self.metrics.snapshot(begun.elapsed());
             pass_async(Point::CoordinatorAfterSnapshot).await;
             self.records = 0;

@@ -45,22 +45,40 @@ pub(crate) struct Clock {
 struct Shown {
     last: Duration,
     passed: Duration,
+    is_stopped: bool,
 }
 
 impl Clock {
     pub(crate) fn from(base: Tick, time: Time) -> Self {
-        let shown = Shown { last: (time.0)(), passed: Duration::ZERO };
+        let shown = Shown { last: (time.0)(), passed: Duration::ZERO, is_stopped: false };
         Self { base, shown: Mutex::new(shown), time }
     }
 
     pub(crate) fn now(&self) -> Tick {
+        let passed = self.look(|_| {});
+        self.base.after(u64::try_from(passed.as_millis()).unwrap_or(u64::MAX))
+    }
+
+    /// Lets it stand still.
+    pub(crate) fn stop(&self) {
+        self.look(|shown| shown.is_stopped = true);
+    }
+
+    /// Lets it go on from where it stands.
+    pub(crate) fn go_on(&self) {
+        self.look(|shown| shown.is_stopped = false);
+    }
+
+    /// All that has gone by; then something changes.
+    fn look(&self, change: impl FnOnce(&mut Shown)) -> Duration {
         let time = (self.time.0)();
         // A panic within the few lines under this lock leaves nothing half done.
         let mut shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
-        let passed = time.saturating_sub(shown.last);
+        let passed = if shown.is_stopped { Duration::ZERO } else { time.saturating_sub(shown.last) };
         shown.passed += passed;
         shown.last = time;
-        self.base.after(u64::try_from(shown.passed.as_millis()).unwrap_or(u64::MAX))
+        change(&mut shown);
+        shown.passed
     }
 }
 
@@ -80,5 +98,9 @@ mod tests {
             clock.now().0
         };
         assert_eq!([11_000, 4_000, 4_500, 4_400, 14_400].map(after), [1_005, 1_005, 1_505, 1_505, 11_505]);
+        clock.stop();
+        assert_eq!([20_000, 21_000].map(after), [11_505, 11_505]);
+        clock.go_on();
+        assert_eq!(after(21_500), 12_005);
     }
 }

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use femc_proto::{Entrance, Limits, ServeError};
-use femc_queue::{Database, QueueError};
+use femc_queue::{Database, Loss, QueueError};
 use femc_schedule::SnapshotError;
 use femc_store::StoreError;
 use femc_trust::Audit;
@@ -70,6 +70,10 @@ pub struct Config {
     pub scheduler: femc_schedule::Config,
     /// Records of the log after which a snapshot takes their place.
     pub snapshot: usize,
+    /// Bytes that shall stay free on the disks of the log and of the artefacts: with less, no new jobs are taken. 0: none.
+    pub keep_free: u64,
+    /// What to do with a log that lacks what was acknowledged.
+    pub loss: Loss,
     /// The clock.
     pub time: Time,
     /// Where it counts what it does.
@@ -88,6 +92,8 @@ impl Default for Config {
             artifacts: Artifacts::Memory,
             scheduler: femc_schedule::Config::default(),
             snapshot: 20_000,
+            keep_free: 0,
+            loss: Loss::Refused,
             time: Time::default(),
             metrics: Metrics::default(),
         }

@@ -85,7 +85,8 @@ impl Candidate {
     const LONGEST_PAUSE: Duration = Duration::from_secs(3);
 
     async fn stand_by(&self) -> Result<Standby, QueueError> {
-        Standby::open(self.database.clone(), self.config.url(self.config.listen), self.silence).await
+        let standby = Standby::open(self.database.clone(), self.config.url(self.config.listen), self.silence).await?;
+        Ok(standby.with(self.config.loss))
     }
 
     /// Until it is told to stop, or something is broken that waiting does not mend.

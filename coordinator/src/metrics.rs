@@ -13,6 +13,7 @@ use femc_proto::{PROTOCOL, Traffic};
 use femc_schedule::{Command, Fact, Figures, WorkerStanding};
 use tokio::sync::{mpsc, oneshot};
 
+use crate::disks::Disks;
 use crate::lead::Standing;
 
 /// Counts what a coordinator does; clones are the same one.
@@ -36,6 +37,9 @@ struct Inner {
     actor: Mutex<Option<Ask>>,
     /// The log, where it is a file.
     file: Mutex<Option<PathBuf>>,
+    disks: Mutex<Option<Disks>>,
+    /// Why nothing can be made durable at the moment.
+    waits: Mutex<Option<String>>,
     terms: Counter,
     sessions: Counter,
     done: Tally<&'static str>,
@@ -55,6 +59,8 @@ impl Default for Inner {
         Self {
             actor: Mutex::default(),
             file: Mutex::default(),
+            disks: Mutex::default(),
+            waits: Mutex::default(),
             terms: Counter::default(),
             sessions: Counter::default(),
             done: Tally::of(StageKind::ALL.map(StageKind::name)),
@@ -86,6 +92,15 @@ impl Metrics {
     pub(crate) fn leads(&self, actor: Ask) {
         self.0.terms.add(1);
         *self.0.actor.lock().unwrap_or_else(PoisonError::into_inner) = Some(actor);
+    }
+
+    pub(crate) fn lies_on(&self, disks: Disks) {
+        *self.0.disks.lock().unwrap_or_else(PoisonError::into_inner) = Some(disks);
+    }
+
+    /// Nothing can be made durable, and why; or it can again.
+    pub(crate) fn waits(&self, why: Option<String>) {
+        *self.0.waits.lock().unwrap_or_else(PoisonError::into_inner) = why;
     }
 
     pub(crate) fn joined(&self) {
@@ -148,8 +163,15 @@ impl Metrics {
             Standing::Leads => self.now().await,
             Standing::StandsBy { .. } | Standing::Seeks { .. } => None,
         };
+        let waits = self.0.waits.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let disks = self.0.disks.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let short = disks.as_ref().and_then(Disks::refusal);
         let health = match (standing, &now) {
-            (Standing::Leads, Some(_)) => Health::Ready,
+            (Standing::Leads, Some(_)) => match (&waits, short) {
+                (Some(message), _) => Health::Waits { message: message.clone() },
+                (None, Some(no)) => Health::Strained { message: no.to_string() },
+                (None, None) => Health::Ready,
+            },
             (Standing::Leads, None) => Health::Broken { message: "it does not answer itself".into() },
             (Standing::StandsBy { leader: Some(leader) }, _) => {
                 Health::Waits { message: format!("standing by; {leader} leads") }
@@ -169,6 +191,11 @@ impl Metrics {
         }
         self.put_counts(&mut page);
         self.put_log(&mut page);
+        let help = "Whether the log waits for room on its disk: 1, and nothing goes on.";
+        page.gauge("femc_log_waits_for_room", help).is(u8::from(waits.is_some()));
+        let help = "Bytes that are free on the disks of the log and of the artefacts, where these are folders.";
+        let free = disks.iter().flat_map(Disks::free);
+        page.gauge("femc_disk_free_bytes", help).each("holds", free);
         put_traffic(&mut page, &self.0.traffic);
         process(&mut page);
         Report { health, page: page.finish() }

@@ -4,7 +4,7 @@ use femc_model::{
     Artefact, Digest, Failure, FromWorker, JobId, JobSpec, Latest, LogText, TaskResult, ToWorker, WorkerId,
 };
 use femc_proto::Words;
-use femc_store::Store;
+use femc_store::{Soundness, Store};
 use tokio::sync::mpsc;
 
 use crate::actor::Word;
@@ -68,13 +68,16 @@ async fn checked(mut word: FromWorker, store: &Store) -> Word {
     }
 }
 
-/// The first artefact of a result that is not in the store as it should be, and what the store says.
+/// The first artefact of a result that is not in the store as it should be, and what the store says. One that is damaged is
+/// removed: it is wanted again when somebody offers it.
 async fn lacking(result: &TaskResult, store: &Store) -> Option<(Digest, String)> {
-    for Artefact { digest, bytes } in result.artefacts() {
-        let message = match store.size_seen(&digest).await {
-            Ok(Some(found)) if found == bytes => continue,
-            Ok(Some(found)) => format!("artefact {digest} has {found} bytes, not {bytes}"),
-            Ok(None) => format!("artefact {digest} did not arrive"),
+    for artefact in result.artefacts() {
+        let Artefact { digest, bytes } = artefact;
+        let message = match store.known(&artefact).await {
+            Ok(Soundness::Sound(found)) if found == bytes => continue,
+            Ok(Soundness::Sound(found)) => format!("artefact {digest} has {found} bytes, not {bytes}"),
+            Ok(Soundness::Damaged) => format!("the store has damaged artefact {digest}"),
+            Ok(Soundness::Missing) => format!("artefact {digest} did not arrive, or the store has lost it"),
             Err(error) => error.to_string(),
         };
         return Some((digest, message));
@@ -88,7 +91,7 @@ async fn check_log(word: &mut FromWorker, store: &Store) {
         return;
     };
     if let LogText::Stored(artefact) = log.text
-        && !matches!(store.size_seen(&artefact.digest).await, Ok(Some(bytes)) if bytes == artefact.bytes)
+        && !matches!(store.known(&artefact).await, Ok(Soundness::Sound(bytes)) if bytes == artefact.bytes)
     {
         log.text = LogText::Inline("the log did not arrive".into());
     }

@@ -8,9 +8,10 @@ use std::time::Duration;
 
 use femc_model::Tick;
 use femc_proto::{Connected, Io, ServeError, Server, TcpIncoming};
-use femc_queue::{Batch, Memory, Queue, Sqlite};
+use femc_queue::{Batch, Lost, Memory, Queue, Sqlite};
 use femc_schedule::{Fact, Ledger, Scheduler};
 use femc_store::Store;
+use femc_trust::Deed;
 use tokio::net::TcpListener;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
@@ -19,6 +20,7 @@ use tokio_stream::Stream;
 use crate::actor::Actor;
 use crate::config::{Artifacts, Config, CoordinatorError, Exposure, Log};
 use crate::lead::{self, Standing};
+use crate::wait::Doors;
 
 /// Ends when the server is to stop.
 type Until = Pin<Box<dyn Future<Output = ()> + Send>>;
@@ -54,7 +56,7 @@ impl Coordinator {
         match config.log.clone() {
             Log::Memory => Self::with(config, store, Memory::default()).await,
             Log::Sqlite(path) => {
-                let queue = Sqlite::open(&path).await?;
+                let queue = Sqlite::open_with(&path, config.loss).await?;
                 config.metrics.log_is(path);
                 Self::with(config, store, queue).await
             }
@@ -109,13 +111,13 @@ impl Coordinator {
         S: Future<Output = Result<(), ServeError>> + Send + 'static,
     {
         let (address, url) = (config.listen, config.url(config.listen));
-        let (scheduler, records) = recover(config.scheduler.clone(), &mut queue).await?;
+        let (scheduler, records) = recover(&config, &mut queue).await?;
         let (calls, inbox) = mpsc::channel(Self::CALLS);
         let (stop, stopped) = watch::channel(());
         let (asked, figures) = mpsc::channel(1);
         config.metrics.leads(asked);
         let actor = Actor::new(scheduler, queue, store.clone(), records, figures, &config);
-        let actor = tokio::spawn(actor.run(inbox, stopped));
+        let actor = tokio::spawn(actor.run(Doors { calls: inbox, stop: stopped }));
         let (serving, mut until) = watch::channel(());
         let server = serve(
             Server::new(calls, store)
@@ -156,13 +158,13 @@ impl Coordinator {
 }
 
 /// The scheduler as the log has it, and the number of records since the snapshot.
-async fn recover(
-    config: femc_schedule::Config,
-    queue: &mut impl Queue,
-) -> Result<(Scheduler, usize), CoordinatorError> {
+async fn recover(config: &Config, queue: &mut impl Queue) -> Result<(Scheduler, usize), CoordinatorError> {
     let contents = queue.load().await?;
     if contents.torn > 0 {
         tracing::warn!(records = contents.torn, "the log's tail was torn; what it said was never acknowledged");
+    }
+    if let Some(lost) = contents.lost {
+        own_up(config, lost);
     }
     let mut ledger = contents.snapshot.as_deref().map(Ledger::decode).transpose()?.unwrap_or_default();
     for record in &contents.records {
@@ -170,9 +172,29 @@ async fn recover(
         ledger.apply(&fact, now);
     }
     let now: Tick = ledger.now();
-    let (scheduler, opened) = Scheduler::new(config, ledger);
+    let incarnation = queue.reserve(ledger.incarnation() + 1).await?;
+    ledger.outlive(incarnation - 1);
+    let (scheduler, opened) = Scheduler::new(config.scheduler.clone(), ledger);
     queue.append(Batch::of(&[opened.encode(now)?])).await?;
     Ok((scheduler, contents.records.len() + 1))
+}
+
+/// Says what was acknowledged and is given up.
+fn own_up(config: &Config, Lost { kept, known }: Lost) {
+    let what = match known {
+        Some(known) => format!("the log's records {} to {known} at least are lost", kept + 1),
+        None => format!("the log ends with record {kept}, and nobody knows what followed"),
+    };
+    tracing::warn!(kept, known, "{what}; it goes on without");
+    if let Some(audit) = &config.audit {
+        audit.note(&Deed {
+            who: "who started the coordinator".into(),
+            call: "accept-loss".into(),
+            what: Some(what),
+            outcome: "ok".into(),
+            ..Deed::default()
+        });
+    }
 }
 
 /// A running coordinator.

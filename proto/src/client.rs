@@ -23,7 +23,7 @@ use crate::convert::{ConvertError, digest, digest_bytes, each, need};
 use crate::error::{BackupError, CallError, Why, from_status};
 use crate::many::{Many, together};
 use crate::net::Dial;
-use crate::server::JobShape;
+use crate::server::{JobShape, Listing};
 use crate::{MESSAGE, PIECE, tls, wire};
 use wire::artifacts_client::ArtifactsClient;
 use wire::attempts_reply::Part;
@@ -142,8 +142,14 @@ impl Client {
 
     /// Every job.
     pub async fn list(&self) -> Result<Vec<JobStatus>, CallError> {
+        Ok(self.listing().await?.jobs)
+    }
+
+    /// Every job, and what somebody should look after.
+    pub async fn listing(&self) -> Result<Listing, CallError> {
         let reply = self.jobs().list(wire::ListRequest {}).await.map_err(|status| self.error(&status))?;
-        Ok(each(reply.into_inner().jobs)?)
+        let wire::ListReply { jobs, warnings } = reply.into_inner();
+        Ok(Listing { jobs: each(jobs)?, warnings })
     }
 
     /// One job.

@@ -104,7 +104,7 @@ fn code(refusal: &Refusal) -> Code {
         Refusal::Resume { .. } => Code::OutOfRange,
         Refusal::Invalid { .. } => Code::InvalidArgument,
         Refusal::DigestMismatch { .. } => Code::DataLoss,
-        Refusal::TooLarge { .. } => Code::ResourceExhausted,
+        Refusal::TooLarge { .. } | Refusal::ArtefactTooLarge { .. } | Refusal::NoRoom { .. } => Code::ResourceExhausted,
         Refusal::Unavailable { .. } => Code::Unavailable,
         Refusal::Forbidden { .. } => Code::PermissionDenied,
         Refusal::Unauthenticated { .. } => Code::Unauthenticated,

@@ -28,8 +28,8 @@ pub use limits::Limits;
 pub use look::{Found, look};
 pub use net::{Dial, Dialing, Io, Link};
 pub use server::{
-    AttemptPage, Backup, Call, CollectMode, Collected, Entrance, JobShape, LEAST_GRACE, References, Reply, Server,
-    Session, Traffic, Volume, Words,
+    AttemptPage, Backup, Call, CollectMode, Collected, Entrance, JobShape, LEAST_GRACE, Listing, References, Reply,
+    Server, Session, Traffic, Volume, Words,
 };
 pub use tonic::transport::server::{Connected, TcpIncoming};
 

@@ -22,8 +22,8 @@ use std::io;
 use std::sync::Arc;
 
 use femc_model::{
-    AttemptRecord, Control, Cut, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus, LogRecord,
-    Refusal, Registration, Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
+    AttemptRecord, Control, Cut, Digest, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus,
+    LogRecord, Refusal, Registration, Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use femc_store::Store;
 use femc_trust::{Audit, Identity, Revoked, Tokens};
@@ -74,6 +74,15 @@ pub struct AttemptPage {
 /// Where an answer goes.
 pub type Reply<T> = oneshot::Sender<Result<T, Refusal>>;
 
+/// What there is.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Listing {
+    /// In order of submission.
+    pub jobs: Vec<JobStatus>,
+    /// What somebody should look after, for people.
+    pub warnings: Vec<String>,
+}
+
 /// A request, to be answered in its own time.
 #[derive(Debug)]
 pub enum Call {
@@ -88,8 +97,8 @@ pub enum Call {
     },
     /// Every job.
     List {
-        /// In order of submission.
-        reply: Reply<Vec<JobStatus>>,
+        /// As they are now.
+        reply: Reply<Listing>,
     },
     /// One job.
     Status {
@@ -176,6 +185,13 @@ pub enum Call {
     Backup {
         /// When all before it is durable.
         reply: Reply<Backup>,
+    },
+    /// An artefact that somebody wanted is not in the store, or was damaged and is removed.
+    Lost {
+        /// Which.
+        digest: Digest,
+        /// When what follows is durable.
+        reply: Reply<()>,
     },
     /// A worker has come.
     Session(Box<Session>),

@@ -15,10 +15,21 @@ use crate::{PIECE, wire};
 use wire::offer_reply::Answer;
 use wire::put_request::Part;
 
+/// Which way a transfer goes.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Direction {
+    /// To the store.
+    Up,
+    /// From it.
+    Down,
+}
+
 /// How long a transfer tries again without getting on.
 struct Patience {
+    direction: Direction,
     reached: u64,
-    since: Instant,
+    /// The first failure since it got on.
+    failing: Option<Instant>,
     pause: Duration,
 }
 
@@ -27,13 +38,13 @@ impl Patience {
     const FIRST_PAUSE: Duration = Duration::from_millis(50);
     const LONGEST_PAUSE: Duration = Duration::from_secs(2);
 
-    fn new() -> Self {
-        Self { reached: 0, since: Instant::now(), pause: Self::FIRST_PAUSE }
+    fn new(direction: Direction) -> Self {
+        Self { direction, reached: 0, failing: None, pause: Self::FIRST_PAUSE }
     }
 
     fn reached(&mut self, offset: u64) {
         if offset > self.reached {
-            *self = Self { reached: offset, ..Self::new() };
+            *self = Self { reached: offset, ..Self::new(self.direction) };
         }
     }
 
@@ -41,6 +52,8 @@ impl Patience {
     async fn after(&mut self, error: CallError) -> Result<(), CallError> {
         let makes_sense = match &error {
             CallError::Unreachable { .. } | CallError::Refused(Refusal::Resume { .. }) => true,
+            // What lay there was another sender's, and not what it was said to be; it is forgotten.
+            CallError::Refused(Refusal::DigestMismatch { .. }) => self.direction == Direction::Up && self.reached > 0,
             CallError::Refused(_)
             | CallError::Address { .. }
             | CallError::NoIdentity { .. }
@@ -49,7 +62,8 @@ impl Patience {
             | CallError::Answer(_)
             | CallError::Status { .. } => false,
         };
-        if !makes_sense || self.since.elapsed() + self.pause > Self::LONGEST {
+        let since = *self.failing.get_or_insert_with(Instant::now);
+        if !makes_sense || since.elapsed() + self.pause > Self::LONGEST {
             return Err(error);
         }
         tracing::debug!(%error, reached = self.reached, "a transfer was cut; it goes on");
@@ -63,7 +77,7 @@ impl Client {
     /// Puts an artefact into the coordinator's store, unless it is there.
     pub async fn put(&self, bytes: Bytes) -> Result<Artefact, CallError> {
         let artefact = Artefact::of(&bytes);
-        let mut patience = Patience::new();
+        let mut patience = Patience::new(Direction::Up);
         loop {
             match self.send(&artefact, &bytes, &mut patience).await {
                 Ok(()) => return Ok(artefact),
@@ -111,8 +125,23 @@ impl Client {
 
     /// An artefact's bytes, checked; refused beyond `limit` bytes.
     pub async fn get(&self, name: &Digest, limit: u64) -> Result<Bytes, CallError> {
-        let (mut bytes, mut patience) = (BytesMut::new(), Patience::new());
-        while let Err(error) = self.receive(name, limit, &mut bytes).await {
+        self.whole(name, None, limit).await
+    }
+
+    /// The same of one whose size is known: with another one it is damaged.
+    pub async fn get_exactly(&self, artefact: &Artefact) -> Result<Bytes, CallError> {
+        let Artefact { digest, bytes } = artefact;
+        match self.whole(digest, Some(*bytes), *bytes).await {
+            Err(CallError::Refused(Refusal::ArtefactTooLarge { .. })) => {
+                Err(Refusal::DigestMismatch { digest: *digest }.into())
+            }
+            other => other,
+        }
+    }
+
+    async fn whole(&self, name: &Digest, size: Option<u64>, limit: u64) -> Result<Bytes, CallError> {
+        let (mut bytes, mut patience) = (BytesMut::new(), Patience::new(Direction::Down));
+        while let Err(error) = self.receive(name, size, limit, &mut bytes).await {
             patience.reached(bytes.len() as u64);
             patience.after(error).await?;
         }
@@ -123,13 +152,19 @@ impl Client {
     }
 
     /// Takes in what is not here yet.
-    async fn receive(&self, name: &Digest, limit: u64, bytes: &mut BytesMut) -> Result<(), CallError> {
-        let request = wire::GetRequest { digest: digest_bytes(name), offset: bytes.len() as u64 };
+    async fn receive(
+        &self,
+        name: &Digest,
+        size: Option<u64>,
+        limit: u64,
+        bytes: &mut BytesMut,
+    ) -> Result<(), CallError> {
+        let request = wire::GetRequest { digest: digest_bytes(name), offset: bytes.len() as u64, bytes: size };
         let reply = self.artifacts().get(request).await.map_err(|status| self.error(&status))?;
         let mut stream = reply.into_inner();
         while let Some(reply) = stream.message().await.map_err(|status| self.error(&status))? {
             if bytes.len() as u64 + reply.piece.len() as u64 > limit {
-                return Err(Refusal::TooLarge { what: "artefact".into(), limit }.into());
+                return Err(Refusal::ArtefactTooLarge { limit }.into());
             }
             bytes.extend_from_slice(&reply.piece);
         }
@@ -143,5 +178,38 @@ impl Client {
         let request = wire::CollectRequest { mode: wire::CollectMode::from(mode).into(), grace };
         let reply = self.artifacts().collect(request).await.map_err(|status| self.error(&status))?;
         Ok(reply.into_inner().try_into()?)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[tokio::test(start_paused = true)]
+    async fn a_long_transfer_that_is_cut_goes_on_and_what_gets_nowhere_ends() {
+        let cut = || CallError::Unreachable { url: "http://farm".into(), message: "cut".into() };
+        let mut patience = Patience::new(Direction::Up);
+        for reached in 1..=3 {
+            patience.reached(reached);
+            // It was well under way for a minute before it was cut.
+            tokio::time::sleep(Duration::from_secs(60)).await;
+            patience.after(cut()).await.unwrap();
+        }
+        let begun = Instant::now();
+        while patience.after(cut()).await.is_ok() {}
+        assert!(begun.elapsed() <= Patience::LONGEST);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn what_another_left_that_was_not_what_it_said_does_not_spoil_an_upload() {
+        let digest = Digest::of(b"what it said");
+        let mismatch = || CallError::Refused(Refusal::DigestMismatch { digest });
+        let mut patience = Patience::new(Direction::Up);
+        patience.after(mismatch()).await.expect_err("all bytes were its own");
+        patience.reached(100);
+        patience.after(mismatch()).await.expect("the other's bytes are forgotten");
+        let mut patience = Patience::new(Direction::Down);
+        patience.reached(100);
+        patience.after(mismatch()).await.expect_err("it is damaged, however often one asks");
     }
 }

@@ -410,8 +410,8 @@ pub(crate) async fn answer<T>(
         });
         match answer.await {
             Ok(Ok(answer)) => return Ok(answer),
-            Ok(Err(CallError::Refused(Refusal::Unavailable { message }))) => {
-                shared.note(|| format!("person: {message}"));
+            Ok(Err(CallError::Refused(no @ (Refusal::Unavailable { .. } | Refusal::NoRoom { .. })))) => {
+                shared.note(|| format!("person: {no}"));
             }
             Ok(Err(CallError::Refused(refusal))) => return Err(refusal),
             Ok(Err(error)) => shared.note(|| format!("person: {error}")),

@@ -21,6 +21,7 @@ pub(crate) fn failure(error: &CallError) -> Failure {
         CallError::Refused(Refusal::NoSuchArtefact { digest } | Refusal::DigestMismatch { digest }) => {
             Failure::LostInputs { digests: vec![*digest], message }
         }
+        CallError::Refused(Refusal::ArtefactTooLarge { limit }) => Failure::TooLarge { limit: *limit },
         CallError::Refused(_)
         | CallError::Address { .. }
         | CallError::NoIdentity { .. }
@@ -122,7 +123,7 @@ fn collected(inputs: &BTreeMap<Digest, Result<Bytes, Failure>>, digest: &Digest)
 async fn side_by_side(client: &Client, artefacts: &[Artefact]) -> Vec<Result<Bytes, Failure>> {
     let download = |artefact: Artefact| {
         let client = client.clone();
-        tokio::spawn(async move { client.get(&artefact.digest, artefact.bytes).await })
+        tokio::spawn(async move { client.get_exactly(&artefact).await })
     };
     let downloads: Vec<_> = artefacts.iter().copied().map(download).collect();
     let mut all = Vec::with_capacity(downloads.len());
@@ -133,4 +134,24 @@ async fn side_by_side(client: &Client, artefacts: &[Artefact]) -> Vec<Result<Byt
         });
     }
     all
+}
+
+#[cfg(test)]
+mod tests {
+    use femc_model::Verdict;
+
+    use super::*;
+
+    #[test]
+    fn what_is_too_large_for_the_store_is_so_everywhere_and_what_is_too_much_now_is_not() {
+        let of = |refusal: Refusal| failure(&CallError::Refused(refusal));
+        let large = of(Refusal::ArtefactTooLarge { limit: 1 << 30 });
+        assert_eq!((large.verdict(), large.cause()), (Verdict::Fatal, "too_large"));
+        let often = of(Refusal::TooLarge { what: "calls a second of worker a".into(), limit: 10 });
+        assert_eq!(often.verdict(), Verdict::Infrastructure);
+        let digest = Digest::of(b"tile");
+        for damaged in [Refusal::NoSuchArtefact { digest }, Refusal::DigestMismatch { digest }] {
+            assert_eq!(of(damaged).verdict(), Verdict::Rebuild(vec![digest]));
+        }
+    }
 }

@@ -15,11 +15,11 @@
 //! checksum all the same (a disk may lie) is reported and removed: the task is done again. A folder serves one worker at a
 //! time. A result that the folder has no room for is kept in memory alone.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::fs::{self, File, TryLockError};
 use std::io::{self, Write as _};
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError, mpsc};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 
 use bytes::Bytes;
@@ -28,12 +28,14 @@ use serde::{Deserialize, Serialize};
 
 use crate::config::{IfTaken, OutboxConfig, WorkerError};
 use crate::execute::Product;
-use crate::table::Task;
+use crate::table::{Table, Task};
 
 const MAGIC: &[u8; 8] = b"FEMCDONE";
 const VERSION: u32 = 4;
 /// Bytes before the head.
 const FRONT: usize = 8 + 4 + 32 + 8;
+/// Most results that wait to be written.
+const LONGEST: usize = 256;
 /// Folders that are tried when one is taken.
 const FOLDERS: u32 = 1000;
 
@@ -67,14 +69,64 @@ pub(crate) struct Outbox(Option<Arc<Desk>>);
 #[derive(Debug)]
 struct Desk {
     folder: PathBuf,
-    orders: mpsc::Sender<Order>,
+    line: Mutex<Line>,
+    /// There is something in the line, or it is closed.
+    called: Condvar,
     clerk: Mutex<Option<JoinHandle<()>>>,
 }
 
+/// A lease: what a result belongs to.
+type Key = (TaskKey, Epoch);
+
+/// What the clerk has yet to do. Bounded: who is answered leaves the line.
+#[derive(Debug, Default)]
+struct Line {
+    /// Results that wait to be written, oldest first.
+    keeps: VecDeque<Arc<Task>>,
+    /// Those that are on disk, or are being written.
+    there: BTreeSet<Key>,
+    /// Those of them that were answered.
+    forgets: VecDeque<Key>,
+    closed: bool,
+}
+
+/// What the clerk does next.
 enum Order {
     Keep(Arc<Task>),
-    Forget((TaskKey, Epoch)),
-    Close,
+    Forget(Key),
+}
+
+impl Line {
+    /// Answers first: they make room.
+    fn next(&mut self) -> Option<Order> {
+        if let Some(key) = self.forgets.pop_front() {
+            return Some(Order::Forget(key));
+        }
+        let task = self.keeps.pop_front()?;
+        self.there.insert(task.key());
+        Some(Order::Keep(task))
+    }
+}
+
+impl Desk {
+    fn line(&self) -> MutexGuard<'_, Line> {
+        // A panic within the few lines under this lock leaves nothing half done.
+        self.line.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// The next order; waits for one. `None`: the line is closed, and all is done.
+    fn next(&self) -> Option<Order> {
+        let mut line = self.line();
+        loop {
+            if let Some(order) = line.next() {
+                return Some(order);
+            }
+            if line.closed {
+                return None;
+            }
+            line = self.called.wait(line).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
 }
 
 impl Outbox {
@@ -89,22 +141,29 @@ impl Outbox {
         if !restored.is_empty() {
             tracing::info!(results = restored.len(), folder = %folder.display(), "results of before are brought along");
         }
-        let (orders, line) = mpsc::channel();
+        let line = Line { there: files.keys().copied().collect(), ..Line::default() };
         let place = folder.clone();
+        let desk =
+            Arc::new(Desk { folder: place, line: Mutex::new(line), called: Condvar::new(), clerk: Mutex::default() });
         let mut clerk = Clerk { used: files.values().sum(), files, folder, limit: config.limit, _lock: lock };
-        let clerk = std::thread::Builder::new()
+        let orders = desk.clone();
+        let thread = std::thread::Builder::new()
             .name("outbox".into())
             .spawn(move || {
-                for order in line {
+                while let Some(order) = orders.next() {
                     match order {
-                        Order::Keep(task) => clerk.keep(&task),
+                        Order::Keep(task) => {
+                            if !clerk.keep(&task) {
+                                orders.line().there.remove(&task.key());
+                            }
+                        }
                         Order::Forget(key) => clerk.forget(&key),
-                        Order::Close => break,
                     }
                 }
             })
             .map_err(|error| WorkerError::Threads(error.to_string()))?;
-        Ok((Self(Some(Arc::new(Desk { folder: place, orders, clerk: Mutex::new(Some(clerk)) }))), restored))
+        *desk.clerk.lock().unwrap_or_else(PoisonError::into_inner) = Some(thread);
+        Ok((Self(Some(desk)), restored))
     }
 
     /// Its folder, which no other worker uses.
@@ -114,30 +173,43 @@ impl Outbox {
 
     /// Writes a finished task's result, unless the coordinator answers before its turn comes.
     pub(crate) fn keep(&self, task: &Arc<Task>) {
-        if matches!(task.outcome(), Some(Ok(_))) {
-            self.order(Order::Keep(task.clone()));
+        let Some(desk) = &self.0 else { return };
+        let mut line = desk.line();
+        // Under the lock: whoever answers it after this look finds it in the line.
+        if !matches!(task.outcome(), Some(Ok(_))) || task.is_cancelled() || line.closed {
+            return;
         }
+        if line.keeps.len() >= LONGEST {
+            tracing::warn!(task = %task.assignment.task, "the outbox cannot write so fast: a result is in memory alone");
+            return;
+        }
+        line.keeps.push_back(task.clone());
+        desk.called.notify_one();
     }
 
-    /// The coordinator has answered.
-    pub(crate) fn forget(&self, key: (TaskKey, Epoch)) {
-        self.order(Order::Forget(key));
+    /// The coordinator has answered, or the lease is over: the worker drops the task, and what is kept of it goes. In this order,
+    /// so that nobody keeps it afterwards.
+    pub(crate) fn answered(&self, table: &Table, key: &Key) -> Option<Arc<Task>> {
+        let task = table.drop_task(key);
+        if let Some(desk) = &self.0 {
+            let mut line = desk.line();
+            line.keeps.retain(|task| task.key() != *key);
+            if line.there.remove(key) {
+                line.forgets.push_back(*key);
+                desk.called.notify_one();
+            }
+        }
+        task
     }
 
     /// Waits until all that was asked for is done.
     pub(crate) fn close(&self) {
-        self.order(Order::Close);
         let Some(desk) = &self.0 else { return };
+        desk.line().closed = true;
+        desk.called.notify_one();
         let clerk = desk.clerk.lock().unwrap_or_else(PoisonError::into_inner).take();
         if clerk.is_some_and(|clerk| clerk.join().is_err()) {
             tracing::warn!("the outbox's thread panicked");
-        }
-    }
-
-    fn order(&self, order: Order) {
-        if let Some(desk) = &self.0 {
-            // After the end nothing is kept.
-            let _ = desk.orders.send(order);
         }
     }
 }
@@ -163,7 +235,7 @@ fn claim(config: &OutboxConfig) -> Result<(PathBuf, File), WorkerError> {
     Err(WorkerError::Outbox { folder: config.folder.clone(), message: "too many workers use it".into() })
 }
 
-type Files = BTreeMap<(TaskKey, Epoch), u64>;
+type Files = BTreeMap<Key, u64>;
 
 /// All whole results, and the bytes of their files; removes everything else that is an outbox's.
 fn read_all(folder: &Path) -> io::Result<(Files, Vec<Restored>)> {
@@ -174,7 +246,13 @@ fn read_all(folder: &Path) -> io::Result<(Files, Vec<Restored>)> {
         match path.extension().and_then(|extension| extension.to_str()) {
             Some("new") => fs::remove_file(&path)?,
             Some("done") => {
-                let bytes = fs::read(&path)?;
+                let bytes = match fs::read(&path) {
+                    Ok(bytes) => bytes,
+                    Err(error) => {
+                        tracing::warn!(file = %path.display(), %error, "a kept result cannot be read; its task is done again");
+                        continue;
+                    }
+                };
                 let length = bytes.len() as u64;
                 match decode(&bytes.into()) {
                     Some(result) => {
@@ -249,50 +327,81 @@ struct Clerk {
 }
 
 impl Clerk {
-    fn keep(&mut self, task: &Task) {
-        let (key, Some(Ok(product))) = (task.key(), task.outcome()) else { return };
-        // Answered already.
-        if task.is_cancelled() || self.files.contains_key(&key) {
-            return;
+    /// Whether it is kept.
+    fn keep(&mut self, task: &Task) -> bool {
+        let (key, Some(Ok(product))) = (task.key(), task.outcome()) else { return false };
+        if self.files.contains_key(&key) {
+            return true;
         }
-        let bytes: u64 = product.artefacts.iter().map(|bytes| bytes.len() as u64).sum();
-        if self.used + bytes > self.limit {
-            tracing::warn!(task = %key.0, limit = self.limit, "the outbox is full: a result is in memory alone");
-            return;
+        // Answered already.
+        if task.is_cancelled() {
+            return false;
         }
         match self.write(task, product) {
             Ok(bytes) => {
                 self.used += bytes;
                 self.files.insert(key, bytes);
+                true
             }
             Err(error) => {
                 tracing::warn!(task = %key.0, folder = %self.folder.display(), %error, "a result is in memory alone");
+                false
             }
         }
     }
 
-    fn write(&self, task: &Task, product: &Product) -> io::Result<u64> {
+    /// A file's bytes. What of it is on the disk after a failure is removed, or else counts.
+    fn write(&mut self, task: &Task, product: &Product) -> io::Result<u64> {
+        let room = self.limit.saturating_sub(self.used);
+        let full =
+            || io::Error::new(io::ErrorKind::StorageFull, format!("the outbox has {} bytes at most", self.limit));
+        // Before all is copied.
+        if product.artefacts.iter().map(|bytes| bytes.len() as u64).sum::<u64>() > room {
+            return Err(full());
+        }
         let bytes = encode(task, product).map_err(io::Error::other)?;
+        if bytes.len() as u64 > room {
+            return Err(full());
+        }
         let path = self.path(&task.key());
         let new = path.with_extension("new");
-        let mut file = File::create(&new)?;
-        file.write_all(&bytes)?;
-        file.sync_all()?;
-        fs::rename(&new, &path)?;
-        sync_folder(&self.folder)?;
+        let written =
+            write(&new, &bytes).and_then(|()| fs::rename(&new, &path)).and_then(|()| sync_folder(&self.folder));
+        if let Err(error) = written {
+            self.used += [new, path].iter().map(|path| left_of(path)).sum::<u64>();
+            return Err(error);
+        }
         Ok(bytes.len() as u64)
     }
 
-    fn forget(&mut self, key: &(TaskKey, Epoch)) {
+    fn forget(&mut self, key: &Key) {
         let Some(bytes) = self.files.remove(key) else { return };
-        self.used -= bytes;
-        if let Err(error) = fs::remove_file(self.path(key)) {
-            tracing::warn!(task = %key.0, %error, "an acknowledged result stays in the outbox");
+        match fs::remove_file(self.path(key)) {
+            Err(error) if error.kind() != io::ErrorKind::NotFound => {
+                tracing::warn!(task = %key.0, %error, "an acknowledged result stays in the outbox");
+            }
+            // What stays takes room as before.
+            Ok(()) | Err(_) => self.used -= bytes,
         }
     }
 
     fn path(&self, (task, epoch): &(TaskKey, Epoch)) -> PathBuf {
         self.folder.join(format!("{}.{}.done", task.to_string().replace('/', "-"), epoch.0))
+    }
+}
+
+fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
+    let mut file = File::create(path)?;
+    file.write_all(bytes)?;
+    file.sync_all()
+}
+
+/// Removes a file that is of no use; the bytes that stay all the same.
+fn left_of(path: &Path) -> u64 {
+    match fs::symlink_metadata(path) {
+        Ok(data) if data.is_file() => fs::remove_file(path).map_or(data.len(), |()| 0),
+        // There is none, or something that is not the outbox's.
+        Ok(_) | Err(_) => 0,
     }
 }
 
@@ -363,7 +472,7 @@ pub(crate) mod tests {
         let (first, second) = (task(1, b"first").await, task(2, b"second").await);
         outbox.keep(&first);
         outbox.keep(&second);
-        outbox.forget(first.key());
+        outbox.answered(&Table::default(), &first.key());
         outbox.close();
         let (outbox, restored) = Outbox::open(&config(place.path())).unwrap();
         assert_eq!(indices(&restored), [(2, &b"second"[..])]);
@@ -372,7 +481,7 @@ pub(crate) mod tests {
             (restored[0].usage.map(|usage| usage.wall), &restored[0].log),
             (Some(0.5), &Some((0.5, "done".into())))
         );
-        outbox.forget(second.key());
+        outbox.answered(&Table::default(), &second.key());
         outbox.close();
         assert!(Outbox::open(&config(place.path())).unwrap().1.is_empty());
     }
@@ -418,5 +527,101 @@ pub(crate) mod tests {
         second.close();
         let (_, restored) = Outbox::open(&small).unwrap();
         assert_eq!(indices(&restored), [(1, &LARGE[..])]);
+    }
+
+    fn files(folder: &Path) -> Vec<String> {
+        let names = fs::read_dir(folder.join("box")).unwrap().map(|entry| entry.unwrap().file_name());
+        let mut names: Vec<String> = names.map(|name| name.into_string().unwrap()).collect();
+        names.sort();
+        names
+    }
+
+    #[tokio::test]
+    async fn what_cannot_be_written_to_its_end_leaves_nothing_behind() {
+        let place = tempfile::tempdir().unwrap();
+        let (outbox, _) = Outbox::open(&config(place.path())).unwrap();
+        // Nothing can be put at the first result's place, as on a disk that is full when the file is to be renamed.
+        let taken = "3-1.0-render-1.9.done";
+        fs::create_dir(place.path().join("box").join(taken)).unwrap();
+        outbox.keep(&task(1, b"first").await);
+        outbox.keep(&task(2, b"second").await);
+        outbox.close();
+        assert_eq!(files(place.path()), [taken, "3-1.0-render-2.9.done", "lock"]);
+        let (_, restored) = Outbox::open(&config(place.path())).unwrap();
+        assert_eq!(indices(&restored), [(2, &b"second"[..])], "what cannot be read stops nobody");
+    }
+
+    #[tokio::test]
+    async fn the_limit_counts_whole_files_and_what_cannot_be_removed() {
+        let place = tempfile::tempdir().unwrap();
+        let first = task(1, b"first").await;
+        let Some(Ok(product)) = first.outcome() else { panic!("it is done") };
+        let size = encode(&first, product).unwrap().len() as u64;
+        let config = OutboxConfig { limit: 2 * size, ..config(place.path()) };
+        let (outbox, _) = Outbox::open(&config).unwrap();
+        for index in 1..=3 {
+            outbox.keep(&task(index, b"first").await);
+        }
+        outbox.close();
+        assert_eq!(files(place.path()).len(), 2 + 1, "two results and the lock");
+        let stuck = place.path().join("box/stuck.new");
+        fs::write(&stuck, [0; 100]).unwrap();
+        assert_eq!((left_of(&stuck), stuck.exists(), left_of(&stuck)), (0, false, 0));
+    }
+
+    #[tokio::test]
+    async fn who_is_answered_leaves_the_line_and_the_line_ends() {
+        let place = tempfile::tempdir().unwrap();
+        let (outbox, _) = Outbox::open(&config(place.path())).unwrap();
+        let desk = outbox.0.clone().unwrap();
+        let tasks = [task(1, b"first").await, task(2, b"second").await];
+        // The disk takes its time: the clerk has the first, and waits.
+        let mut line = Line::default();
+        tasks.iter().for_each(|task| line.keeps.push_back(task.clone()));
+        assert!(matches!(line.next(), Some(Order::Keep(task)) if task.key() == tasks[0].key()));
+        *desk.line() = line;
+        for task in &tasks {
+            outbox.answered(&Table::default(), &task.key());
+        }
+        {
+            let line = desk.line();
+            assert!(line.keeps.is_empty(), "what was answered is not written any more");
+            assert!(line.there.is_empty() && line.forgets.len() <= 1, "what may be on the disk goes: {line:?}");
+        }
+        let many = task(3, b"third").await;
+        desk.line().keeps = std::iter::repeat_n(many.clone(), LONGEST).collect();
+        outbox.keep(&many);
+        assert!(desk.line().keeps.len() <= LONGEST);
+        outbox.answered(&Table::default(), &many.key());
+        outbox.close();
+    }
+
+    #[tokio::test]
+    async fn an_answer_that_comes_while_a_result_is_handed_over_leaves_no_file() {
+        let place = tempfile::tempdir().unwrap();
+        let (outbox, _) = Outbox::open(&config(place.path())).unwrap();
+        let (table, first) = (Arc::new(Table::default()), task(1, b"first").await);
+        table.keep(first.clone());
+        let desk = outbox.0.clone().unwrap();
+        let answering = {
+            // The answer comes as far as the outbox's line, and no further.
+            let _line = desk.line();
+            let answering = std::thread::spawn({
+                let (outbox, table, key) = (outbox.clone(), table.clone(), first.key());
+                move || outbox.answered(&table, &key).is_some()
+            });
+            for _ in 0..1000 {
+                if first.is_cancelled() {
+                    break;
+                }
+                std::thread::sleep(std::time::Duration::from_millis(10));
+            }
+            assert!(first.is_cancelled(), "who looks now, and keeps it, keeps it for ever");
+            answering
+        };
+        assert!(answering.join().unwrap());
+        outbox.keep(&first);
+        outbox.close();
+        assert_eq!(files(place.path()), ["lock"]);
     }
 }

@@ -253,8 +253,7 @@ impl<'a> Session<'a> {
     fn forget(&mut self, key: (TaskKey, Epoch)) -> Option<Arc<Task>> {
         self.claims.forget(&key);
         self.sending.remove(&key);
-        self.outbox.forget(key);
-        self.table.drop_task(&key)
+        self.outbox.answered(self.table, &key)
     }
 
     /// Sends a result's artefacts, while the next task runs. Not of a lease that may be over: it waits until the coordinator

@@ -168,7 +168,8 @@ pub enum Command {
     #[command(after_help = "Examples:\n  femc cancel 7")]
     Cancel(command::control::JobArgs),
     /// Try again what failed of a job, or what a cancel left undone
-    #[command(after_help = "Examples:\n  femc retry 7")]
+    #[command(after_help = "Examples:\n  femc retry 7\n\n\
+        Of a job that is done, the images are read: frames whose image is damaged or gone are rendered again.")]
     Retry(command::control::JobArgs),
     /// Change a job's priority
     Priority(command::control::PriorityArgs),

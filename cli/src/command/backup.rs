@@ -67,7 +67,7 @@ async fn log(farm: &Farm, folder: &Path) -> Result<Vec<Artefact>, Failure> {
     let mut file = tokio::fs::File::create(&new).await.map_err(fault)?;
     let artefacts = farm.backup(&mut file).await?;
     file.sync_all().await.map_err(fault)?;
-    for beside in ["farm.db-wal", "farm.db-shm"] {
+    for beside in ["farm.db-wal", "farm.db-shm", "farm.db-mark"] {
         // Of a coordinator that ran on an earlier copy: it is not of this one.
         match std::fs::remove_file(folder.join(beside)) {
             Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(fault(error)),

@@ -8,7 +8,7 @@ use femc_model::{
     Artefact, Attempts, Control, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord,
     Refusal, Tick, WorkerId, WorkerName, WorkerStatus,
 };
-use femc_proto::{BackupError, CallError, Client, CollectMode, Collected, Dial, Found, JobShape, Why};
+use femc_proto::{BackupError, CallError, Client, CollectMode, Collected, Dial, Found, JobShape, Listing, Why};
 use femc_worker::Parcel;
 use std::time::Duration;
 
@@ -117,14 +117,14 @@ impl Farm {
 
     /// An artefact's bytes.
     pub async fn get(&self, artefact: &Artefact) -> Result<Vec<u8>, Failure> {
-        Ok(self.client.get(&artefact.digest, artefact.bytes).await.map_err(told)?.to_vec())
+        Ok(self.client.get_exactly(artefact).await.map_err(told)?.to_vec())
     }
 
-    /// The same of one that may be gone.
+    /// The same of one that may be gone, or damaged, which is as good as gone.
     pub async fn get_if_there(&self, artefact: &Artefact) -> Result<Option<Vec<u8>>, Failure> {
-        match self.client.get(&artefact.digest, artefact.bytes).await {
+        match self.client.get_exactly(artefact).await {
             Ok(bytes) => Ok(Some(bytes.to_vec())),
-            Err(CallError::Refused(Refusal::NoSuchArtefact { .. })) => Ok(None),
+            Err(CallError::Refused(Refusal::NoSuchArtefact { .. } | Refusal::DigestMismatch { .. })) => Ok(None),
             Err(error) => Err(told(error)),
         }
     }
@@ -132,6 +132,11 @@ impl Farm {
     /// All jobs.
     pub async fn jobs(&self) -> Result<Vec<JobStatus>, Failure> {
         self.client.list().await.map_err(told)
+    }
+
+    /// All jobs, and what somebody should look after.
+    pub async fn listing(&self) -> Result<Listing, Failure> {
+        self.client.listing().await.map_err(told)
     }
 
     /// All jobs, of a coordinator that may be away for a while.
@@ -301,6 +306,8 @@ pub fn told(error: CallError) -> Failure {
             | Refusal::NoSuchArtefact { .. }
             | Refusal::DigestMismatch { .. }
             | Refusal::TooLarge { .. }
+            | Refusal::NoRoom { .. }
+            | Refusal::ArtefactTooLarge { .. }
             | Refusal::MissingArtefacts { .. }
             | Refusal::Resume { .. } => failed(refusal),
             Refusal::Unauthenticated { .. } => failed(format!(

@@ -3,9 +3,9 @@
 use super::client;
 use crate::args::ServerArgs;
 use crate::exit::{Exit, Failure};
-use crate::output::Say;
+use crate::output::{Say, job as show};
 use clap::Args;
-use femc_model::{Control, JobId};
+use femc_model::{Control, JobId, Wait};
 
 /// A job and its farm.
 #[derive(Debug, Args)]
@@ -30,7 +30,14 @@ pub struct PriorityArgs {
 
 /// Do `control` to the job.
 pub fn run(args: &JobArgs, control: Control, say: Say) -> Result<Exit, Failure> {
-    client::block_on(&args.server, async |farm| farm.control(JobId(args.job), control).await)?;
+    let again = client::block_on(&args.server, async |farm| {
+        farm.control(JobId(args.job), control).await?;
+        if control != Control::Retry {
+            return Ok(Vec::new());
+        }
+        let waits = farm.status(JobId(args.job)).await?.waits.into_iter();
+        Ok(waits.filter(|wait| matches!(wait, Wait::ImageLost { .. })).collect())
+    })?;
     let done = match control {
         Control::Pause => "is paused; `femc resume` ends that".to_owned(),
         Control::Resume => "goes on".to_owned(),
@@ -39,6 +46,7 @@ pub fn run(args: &JobArgs, control: Control, say: Say) -> Result<Exit, Failure> 
         Control::Priority(priority) => format!("has priority {priority}"),
     };
     say.note(format!("job {} {done}", args.job));
+    again.iter().for_each(|wait| say.note(show::wait(wait)));
     Ok(Exit::Done)
 }
 

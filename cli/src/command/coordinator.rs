@@ -6,11 +6,11 @@ use super::metrics;
 use crate::args::MetricsArgs;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::Say;
-use crate::request::Budget;
+use crate::request::{Budget, Volume};
 use clap::Args;
 use femc_coordinator::{
-    Artifacts, Config, Coordinator, CoordinatorError, Entrance, Exposure, Handle, Log, Metrics, Postgres, QueueError,
-    Standing,
+    Artifacts, Config, Coordinator, CoordinatorError, Entrance, Exposure, Handle, Log, Loss, Metrics, Postgres,
+    QueueError, Standing,
 };
 use femc_metrics::Report;
 use femc_trust::{Audit, Holder, Identity, Revoked, Tokens};
@@ -64,6 +64,14 @@ pub struct CoordinatorArgs {
     /// coordinators share one
     #[arg(long, value_name = "DIR|URL", default_value = "femc-farm/artifacts", value_parser = artifacts)]
     artifacts: Artifacts,
+    /// On the disks of the log and of the artifacts so much stays free, like 256MiB: with less, no new jobs are taken, while those
+    /// that are there go on; with less than four times as much it is told
+    #[arg(long, value_name = "SIZE", default_value = "256MiB")]
+    keep_free: Volume,
+    /// Go on with a log that has lost what was acknowledged, with what is left of it; such a log is not opened otherwise. A copy
+    /// (`femc backup`) may have more: look there first
+    #[arg(long)]
+    accept_loss: bool,
     /// Weight of an owner's jobs in the fair share of the workers' time, among jobs of one priority; may be given again
     /// (without it everybody has 1)
     #[arg(long, value_name = "OWNER=WEIGHT", value_parser = share)]
@@ -187,6 +195,8 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
             ..femc_schedule::Config::with_lease(args.lease.as_millis() as u64)
         },
         snapshot: args.compact as usize,
+        keep_free: args.keep_free.0,
+        loss: if args.accept_loss { Loss::Accepted } else { Loss::Refused },
         ..Config::default()
     };
     let counted = config.metrics.clone();
@@ -281,6 +291,18 @@ fn told(error: &CoordinatorError) -> Failure {
         }
         CoordinatorError::Queue(QueueError::ForeignTables { .. }) => {
             failed(format!("--store: {error}; it is left as it is: give another database"))
+        }
+        CoordinatorError::Queue(QueueError::Lost { .. } | QueueError::Unsure { .. } | QueueError::Damaged { .. }) => {
+            failed(format!(
+                "--store: {error}; nothing was changed: restore a copy (`femc backup --help`), or go on with what is there: \
+                 --accept-loss"
+            ))
+        }
+        CoordinatorError::Queue(QueueError::DamagedSnapshot) => {
+            failed(format!("--store: {error}; nothing was changed: restore a copy (`femc backup --help`)"))
+        }
+        CoordinatorError::Queue(QueueError::Full { .. }) => {
+            failed(format!("--store: {error}; what was acknowledged is there: make room, and start it again"))
         }
         CoordinatorError::Queue(_) | CoordinatorError::Ledger(_) => failed(format!("--store: {error}")),
         CoordinatorError::Store(_) => failed(format!("--artifacts: {error}")),

@@ -17,7 +17,8 @@ use std::path::{Path, PathBuf};
     femc fetch 7 -o drive\n  \
     femc fetch 7 -o drive --partial    # also what there is of the frames in work\n  \
     femc watch 7; femc fetch 7 -o drive --json | jq -r '.files[]'\n\n\
-    Files that are there already are not fetched again. The exit code is 1 while frames are missing.")]
+    Files that are there already are not fetched again. A frame whose image the farm's store has damaged or lost is named, and\n  \
+    rendered again. The exit code is 1 while frames are missing.")]
 pub struct FetchArgs {
     /// The job's number, as `submit` printed it
     #[arg(value_name = "JOB")]
@@ -41,19 +42,34 @@ struct Report {
     frames: u32,
     files: Vec<String>,
     partial: Vec<String>,
+    /// Frames whose image was damaged or gone.
+    lost: Vec<u32>,
 }
 
 /// Fetch.
 pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
-    let (status, files, partial) = client::block_on(&args.server, async |farm| {
+    let (status, files, partial, lost) = client::block_on(&args.server, async |farm| {
         let status = farm.status(JobId(args.job)).await?;
         if !JobSpec::names_files(&status.name) {
             return Err(failed(format!("job {} is called {:?}, and files cannot be called so", args.job, status.name)));
         }
-        let mut files = Vec::new();
+        let (mut files, mut lost) = (Vec::new(), Vec::new());
         for frame in farm.frames(JobId(args.job)).await? {
-            files.push(file(farm, &status, &frame, &args.out).await?);
+            match file(farm, &status, &frame, &args.out).await? {
+                Some(path) => files.push(path),
+                None => {
+                    say.warning(format!(
+                        "frame {} of job {} ({}): its image was damaged in the farm's store, or is gone; it is rendered again",
+                        frame.frame,
+                        args.job,
+                        frame_name(&status.name, frame.frame)
+                    ));
+                    lost.push(frame.frame);
+                }
+            }
         }
+        // As it is now: what is lost is rendered again.
+        let status = if lost.is_empty() { status } else { farm.status(JobId(args.job)).await? };
         let mut partial = Vec::new();
         for parts in if args.partial { farm.parts(JobId(args.job)).await? } else { Vec::new() } {
             let path = args.out.join(format!("{}.{:04}.partial.exr", status.name, parts.frame));
@@ -63,13 +79,13 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
                 partial.push(path);
             }
         }
-        Ok((status, files, partial))
+        Ok((status, files, partial, lost))
     })?;
     if args.format.json {
         let names = |paths: &[PathBuf]| paths.iter().map(|path| path.display().to_string()).collect();
         let (files, partial) = (names(&files), names(&partial));
         let state = show::state(status.state);
-        json::print(say, &Report { job: args.job, state, frames: status.frames_total, files, partial })?;
+        json::print(say, &Report { job: args.job, state, frames: status.frames_total, files, partial, lost })?;
     } else {
         let frames = human::count(files.len() as u64, "frame");
         say.result(format!("{frames} in {}", args.out.display()));
@@ -87,13 +103,13 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
     Ok(Exit::Done)
 }
 
-/// Write one frame, unless the file has its bytes already.
-async fn file(farm: &Farm, job: &JobStatus, frame: &FrameRecord, folder: &Path) -> Result<PathBuf, Failure> {
+/// Write one frame, unless the file has its bytes already; `None`: the farm does not have it as it should be.
+async fn file(farm: &Farm, job: &JobStatus, frame: &FrameRecord, folder: &Path) -> Result<Option<PathBuf>, Failure> {
     let path = folder.join(frame_name(&job.name, frame.frame));
     let there = std::fs::read(&path).is_ok_and(|bytes| Digest::of(&bytes) == frame.image.digest);
     if !there {
-        let bytes = farm.get(&frame.image).await?;
+        let Some(bytes) = farm.get_if_there(&frame.image).await? else { return Ok(None) };
         femc_film::file::write_atomic(&path, &bytes).map_err(failed)?;
     }
-    Ok(path)
+    Ok(Some(path))
 }

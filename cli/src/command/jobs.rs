@@ -6,6 +6,7 @@ use crate::exit::{Exit, Failure};
 use crate::output::job::{JobJson, table};
 use crate::output::{Say, json};
 use clap::Args;
+use femc_proto::Listing;
 
 /// List the farm's jobs
 #[derive(Debug, Args)]
@@ -21,7 +22,10 @@ pub struct JobsArgs {
 
 /// List.
 pub fn run(args: &JobsArgs, say: Say) -> Result<Exit, Failure> {
-    let jobs = client::block_on(&args.server, async |farm| farm.jobs().await)?;
+    let Listing { jobs, warnings } = client::block_on(&args.server, async |farm| farm.listing().await)?;
+    for warning in warnings {
+        say.warning(warning);
+    }
     if args.format.json {
         json::print(say, &jobs.iter().map(JobJson::from).collect::<Vec<_>>())?;
     } else if jobs.is_empty() {

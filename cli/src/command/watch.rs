@@ -196,7 +196,11 @@ impl Events {
 async fn last_frame(farm: &Farm, job: JobId, file: &Path) -> Result<(), Failure> {
     let preview = farm.frames(job).await?.last().and_then(|frame| frame.preview);
     match preview {
-        Some(preview) => femc_film::file::write_atomic(file, &farm.get(&preview).await?).map_err(failed),
+        Some(preview) => match farm.get_if_there(&preview).await? {
+            Some(bytes) => femc_film::file::write_atomic(file, &bytes).map_err(failed),
+            // Its frame is rendered again.
+            None => Ok(()),
+        },
         None => Ok(()),
     }
 }

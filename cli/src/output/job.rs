@@ -188,6 +188,14 @@ pub fn wait(wait: &Wait) -> String {
             let groups = human::count(u64::from(*groups), "group");
             format!("the merge of frame {frame} waits for {groups} of tiles to be gathered")
         }
+        Wait::Mishaps { tasks, message } => {
+            format!("{} could not be done until now: {message}", human::count(u64::from(*tasks), "task"))
+        }
+        Wait::ImageLost { frame } => {
+            format!(
+                "the finished image of frame {frame} was damaged in the store, or is gone: the frame is rendered again"
+            )
+        }
         Wait::Quarantined { frame, tasks } => {
             format!("frame {frame} cannot go on: {} out of attempts", human::count(u64::from(*tasks), "task"))
         }

@@ -6,6 +6,7 @@
 #![deny(missing_docs)]
 
 mod count;
+mod disk;
 mod page;
 mod process;
 mod serve;
@@ -13,6 +14,7 @@ mod serve;
 pub mod testing;
 
 pub use count::{Counter, Histogram, Seconds, Tally};
+pub use disk::free;
 pub use page::{Family, Histograms, Page};
 pub use process::process;
 pub use serve::{Health, Report, serve};

@@ -22,6 +22,11 @@ use crate::process;
 pub enum Health {
     /// It does what it is for.
     Ready,
+    /// It does what it is for, but not for all.
+    Strained {
+        /// What it does not do, and why.
+        message: String,
+    },
     /// It is well, and waits for something.
     Waits {
         /// For what.
@@ -112,11 +117,14 @@ where
         }
         "/healthz" => match report().await.health {
             Health::Ready => text(StatusCode::OK, "ok\n".into()),
-            Health::Waits { message } => text(StatusCode::OK, format!("ok: {message}\n")),
+            Health::Strained { message } | Health::Waits { message } => {
+                text(StatusCode::OK, format!("ok: {message}\n"))
+            }
             Health::Broken { message } => text(StatusCode::SERVICE_UNAVAILABLE, format!("broken: {message}\n")),
         },
         "/readyz" => match report().await.health {
             Health::Ready => text(StatusCode::OK, "ready\n".into()),
+            Health::Strained { message } => text(StatusCode::OK, format!("ready: {message}\n")),
             Health::Waits { message } | Health::Broken { message } => {
                 text(StatusCode::SERVICE_UNAVAILABLE, format!("not ready: {message}\n"))
             }
@@ -144,7 +152,9 @@ mod tests {
         };
         let waits = Health::Waits { message: "standing by".into() };
         let broken = Health::Broken { message: "the log".into() };
-        for (health, healthz, readyz) in [(Health::Ready, 200, 200), (waits, 200, 503), (broken, 503, 503)] {
+        let strained = Health::Strained { message: "no new jobs".into() };
+        let all = [(Health::Ready, 200, 200), (strained, 200, 200), (waits, 200, 503), (broken, 503, 503)];
+        for (health, healthz, readyz) in all {
             assert_eq!(status("/healthz", health.clone()).await, healthz);
             assert_eq!(status("/readyz", health.clone()).await, readyz);
             assert_eq!(status("/metrics", health).await, 200, "metrics are most wanted when something is broken");

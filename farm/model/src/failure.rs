@@ -62,6 +62,12 @@ pub enum Failure {
         /// Name of the last one.
         worker: String,
     },
+    /// The result, or an input, is larger than the artefact store takes: it would be so everywhere.
+    #[error("an artefact of more than {limit} bytes, which is the most that the farm's store takes")]
+    TooLarge {
+        /// Bytes.
+        limit: u64,
+    },
 }
 
 /// What a failure means for the task.
@@ -81,8 +87,18 @@ pub enum Verdict {
 
 impl Failure {
     /// All that [`Failure::cause`] says.
-    pub const CAUSES: [&str; 9] =
-        ["scene", "settings", "panicked", "stalled", "lost_inputs", "store", "resources", "cancelled", "killed"];
+    pub const CAUSES: [&str; 10] = [
+        "scene",
+        "settings",
+        "panicked",
+        "stalled",
+        "lost_inputs",
+        "store",
+        "resources",
+        "cancelled",
+        "killed",
+        "too_large",
+    ];
 
     /// In one word, for those who count.
     pub const fn cause(&self) -> &'static str {
@@ -96,13 +112,14 @@ impl Failure {
             Self::Resources { .. } => "resources",
             Self::Cancelled => "cancelled",
             Self::Killed { .. } => "killed",
+            Self::TooLarge { .. } => "too_large",
         }
     }
 
     /// What follows; exhaustive, so that a new failure must choose.
     pub fn verdict(&self) -> Verdict {
         match self {
-            Self::Scene { .. } | Self::Settings { .. } => Verdict::Fatal,
+            Self::Scene { .. } | Self::Settings { .. } | Self::TooLarge { .. } => Verdict::Fatal,
             Self::Panicked { .. } | Self::Stalled { .. } | Self::Killed { .. } => Verdict::Retry,
             Self::LostInputs { digests, .. } => Verdict::Rebuild(digests.clone()),
             Self::Store { .. } | Self::Resources { .. } => Verdict::Infrastructure,

@@ -56,6 +56,12 @@ pub enum Refusal {
         /// The most there may be.
         limit: u64,
     },
+    /// More than the store takes of one artefact, whoever sends it and whenever.
+    #[error("an artefact of more than {limit} bytes: the store takes no more")]
+    ArtefactTooLarge {
+        /// Bytes.
+        limit: u64,
+    },
     /// The job needs artefacts that are not in the store.
     #[error(
         "the store lacks {count} of the artefacts that the job needs, as {}; upload them and submit again",
@@ -86,6 +92,14 @@ pub enum Refusal {
     Unavailable {
         /// Why.
         message: String,
+    },
+    /// A disk of the farm is full, or nearly.
+    #[error("the farm takes no new jobs: it has {} MiB left for {place}; make room there (`femc gc`), and submit again", free >> 20)]
+    NoRoom {
+        /// What lies there, and where.
+        place: String,
+        /// Bytes that are free.
+        free: u64,
     },
     /// Who asks has not shown who it is.
     #[error("you are not known here: {message}")]

@@ -163,6 +163,18 @@ pub enum Wait {
         /// Groups not gathered.
         groups: u32,
     },
+    /// Tasks that are not done were tried, and what is around them failed: the store, the network, a worker's memory.
+    Mishaps {
+        /// How many tasks.
+        tasks: u32,
+        /// What went wrong with one of them last.
+        message: String,
+    },
+    /// The finished image of a frame, or its preview, was damaged in the store or is gone: the frame is rendered again.
+    ImageLost {
+        /// Frame number.
+        frame: u32,
+    },
     /// A task used up its attempts, and its frame cannot go on.
     Quarantined {
         /// Frame number.

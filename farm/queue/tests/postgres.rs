@@ -416,15 +416,24 @@ async fn refused_by_nobody(url: &str) {
 async fn an_encrypted_log_takes_what_a_farm_writes() {
     let Some(scratch) = Scratch::new().await else { return };
     let Some((url, _)) = scratch.encrypted() else { return };
-    let mut queue =
-        Standby::open(url.parse().unwrap(), "http://one".into(), PATIENCE).await.unwrap().lead(|_| ()).await.unwrap();
-    queue.load().await.unwrap();
+    let open = async || {
+        let standby = Standby::open(url.parse().unwrap(), "http://one".into(), Postgres::SILENCE).await.unwrap();
+        let mut queue = standby.lead(|_| ()).await.unwrap();
+        let contents = queue.load().await.unwrap();
+        (queue, contents)
+    };
+    let (mut queue, _) = open().await;
     let sizes = (0..600_usize).map(|turn| if turn % 50 == 0 { 1 << (10 + turn / 50 % 11) } else { turn });
     let all: Vec<Vec<u8>> = sizes.map(|size| vec![size as u8; size]).collect();
     for records in all.chunks(3) {
         queue.append(Batch::of(records)).await.unwrap();
     }
-    assert_eq!(queue.load().await.unwrap().records, all);
+    drop(queue);
+    let (mut queue, contents) = open().await;
+    assert_eq!(contents.records, all);
     queue.snapshot(&vec![7; 3 << 20]).await.unwrap();
-    assert_eq!(queue.load().await.unwrap().snapshot.map(|state| state.len()), Some(3 << 20));
+    queue.append(Batch::of(&all[..1])).await.unwrap();
+    drop(queue);
+    let (_, contents) = open().await;
+    assert_eq!((contents.snapshot.map(|state| state.len()), contents.records), (Some(3 << 20), all[..1].to_vec()));
 }

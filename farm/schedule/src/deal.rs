@@ -147,6 +147,11 @@ impl Scheduler {
         if job.has_ended() {
             return waits;
         }
+        let again = job.frames.iter().filter(|(_, frame)| frame.is_again());
+        waits.extend(again.map(|(&frame, _)| Wait::ImageLost { frame }));
+        let is_leased = |task: &TaskKey| self.floor.of_task(task).next().is_some();
+        let is_open = |task: &TaskKey| is_leased(task) || desk.is_ready(task, &(task.index..task.index + 1));
+        waits.extend(desk.mishaps.tell(is_open));
         if !job.is_runnable() {
             waits.push(Wait::Paused);
             return waits;

@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
 
-use femc_model::{JobId, Stage, StageKind, TaskKey, Tick, WorkerId};
+use femc_model::{JobId, Stage, StageKind, TaskKey, Tick, Wait, WorkerId};
 
 use crate::distrust::Distrust;
 use crate::floor::Floor;
@@ -19,6 +19,8 @@ pub(crate) struct Desk {
     pub(crate) open: OpenFrames,
     /// Worker on which a task failed last.
     pub(crate) avoid: BTreeMap<TaskKey, WorkerId>,
+    /// What kept its tasks from being done.
+    pub(crate) mishaps: Mishaps,
     /// Workers on which its tasks keep failing.
     pub(crate) distrust: Distrust,
     pub(crate) stale_messages: u64,
@@ -103,6 +105,32 @@ impl Desk {
             StageKind::Gather => frame.gathers.remove(run.clone()),
             StageKind::Merge => frame.merge = false,
         });
+    }
+}
+
+/// Tasks whose last attempt ended with a failure of their surroundings. For people: nothing follows from it.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Mishaps(BTreeMap<TaskKey, String>);
+
+impl Mishaps {
+    /// Most tasks that are remembered.
+    const MOST: usize = 1024;
+
+    pub(crate) fn note(&mut self, task: TaskKey, message: String) {
+        if self.0.len() < Self::MOST || self.0.contains_key(&task) {
+            self.0.insert(task, message);
+        }
+    }
+
+    pub(crate) fn forget(&mut self, task: &TaskKey) {
+        self.0.remove(task);
+    }
+
+    /// Those of which this holds, and what befell one of them.
+    pub(crate) fn tell(&self, is_open: impl Fn(&TaskKey) -> bool) -> Option<Wait> {
+        let mut open = self.0.iter().filter(|(task, _)| is_open(task));
+        let (_, message) = open.next()?;
+        Some(Wait::Mishaps { tasks: 1 + open.count() as u32, message: message.clone() })
     }
 }
 

@@ -121,6 +121,11 @@ pub enum Event {
         /// Why.
         failure: Failure,
     },
+    /// An artefact that somebody wanted is not in the store, or was damaged and is removed.
+    Lost {
+        /// Which.
+        digest: Digest,
+    },
     /// Time went by.
     Elapsed,
     /// The coordinator stood still for a while: what renews leases, or brings them along, has yet to be heard.

@@ -69,7 +69,7 @@ pub enum Fact {
         /// The task that had made it.
         task: TaskKey,
     },
-    /// The sums of a frame are gone: the frame begins anew.
+    /// The sums of a frame are gone, or the image of a finished one: the frame begins anew.
     Restarted {
         /// The job.
         job: JobId,

@@ -68,6 +68,7 @@ impl Scheduler {
         let instance = self.floor.instance(worker);
         if let (Some(desk), Some(job)) = (self.desks.get_mut(&task.job), self.ledger.jobs.get(&task.job)) {
             desk.avoid.remove(&task);
+            desk.mishaps.forget(&task);
             instance.into_iter().for_each(|instance| desk.distrust.succeeded(instance));
             desk.completed(&task, job, &self.floor);
         }
@@ -123,7 +124,12 @@ impl Scheduler {
         }
         match failure.verdict() {
             Verdict::Cancelled => {}
-            Verdict::Infrastructure => self.rest(worker, failure, now),
+            Verdict::Infrastructure => {
+                if let Some(desk) = self.desks.get_mut(&task.job) {
+                    desk.mishaps.note(task, failure.to_string());
+                }
+                self.rest(worker, failure, now);
+            }
             Verdict::Retry => self.count_failure(worker, task, failure, now, out),
             Verdict::Fatal => self.doom(task.job, failure, now, out),
             Verdict::Rebuild(digests) => self.rebuild_inputs(worker, task, &digests, failure, now, out),
@@ -221,6 +227,18 @@ impl Scheduler {
                 }
                 self.record(repair, now, out);
             }
+        }
+    }
+
+    /// The finished frames whose image or preview this is begin anew, whatever has become of their job: what was said of them is
+    /// not true any more. Inputs of tasks are their tasks' business.
+    pub(crate) fn lost(&mut self, digest: &Digest, now: Tick, out: &mut Vec<Command>) {
+        let frames =
+            self.ledger.jobs.iter().flat_map(|(&id, job)| job.pictured_by(digest).map(move |frame| (id, frame)));
+        for (job, frame) in frames.collect::<Vec<_>>() {
+            self.record(Fact::Restarted { job, frame }, now, out);
+            self.rebuild(job);
+            out.push(Command::Changed(job));
         }
     }
 

@@ -153,6 +153,7 @@ impl Scheduler {
                 self.refused(worker, task, epoch, failure, refusal, now, out);
             }
             Event::Failed { worker, task, epoch, failure } => self.failed(worker, task, epoch, failure, now, out),
+            Event::Lost { digest } => self.lost(&digest, now, out),
             Event::Spent { worker, spent } => self.spent(worker, spent, now, out),
             Event::Elapsed => self.elapsed(now, out),
             Event::Awoke => self.awoke(now),

@@ -39,6 +39,8 @@ enum Step {
     Wait(u64),
     Control(usize, u8),
     Restart,
+    /// The image of a finished frame is gone from the store.
+    LoseImage(usize),
     /// Workers that start from now on are of the other build.
     Upgrade,
 }
@@ -62,6 +64,7 @@ fn step() -> impl Strategy<Value = Step> {
         3 => prop_oneof![4 => Just(400u64), 4 => Just(2_000), 4 => Just(6_000), 1 => Just(90_000), 1 => Just(1 << 32)].prop_map(Step::Wait),
         2 => (any::<usize>(), 0..5u8).prop_map(|(which, kind)| Step::Control(which, kind)),
         1 => Just(Step::Restart),
+        1 => any::<usize>().prop_map(Step::LoseImage),
         1 => Just(Step::Upgrade),
     ]
 }
@@ -434,6 +437,21 @@ impl Machine {
                 };
                 let commands = self.farm.control(job, control);
                 self.see(commands);
+            }
+            Step::LoseImage(which) => {
+                let frames = |&job: &JobId| self.farm.scheduler.frames(job).unwrap_or_default().into_iter();
+                let images: Vec<Digest> = self.jobs.iter().flat_map(frames).map(|frame| frame.image.digest).collect();
+                if images.is_empty() {
+                    return;
+                }
+                let digest = images[which % images.len()];
+                let commands = self.farm.on(Event::Lost { digest });
+                self.see(commands);
+                let is_told = |&job: &JobId| {
+                    let frames = self.farm.scheduler.frames(job).unwrap();
+                    frames.iter().any(|frame| frame.image.digest == digest)
+                };
+                assert!(!self.jobs.iter().any(is_told), "a lost image is told as finished");
             }
             Step::Restart => {
                 self.over.append(&mut self.farm.held.clone());

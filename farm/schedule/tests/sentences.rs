@@ -225,9 +225,10 @@ fn a_full_disk_uses_up_no_attempt_and_gives_the_worker_a_rest() {
         let held = farm.first_of(1);
         farm.fail(1, &held, Failure::Store { message: "disk full".into() });
         assert_eq!(farm.tasks_of(1), []);
+        let mishap = Wait::Mishaps { tasks: 1, message: "store: disk full".into() };
         let failure = Failure::Store { message: "disk full".into() };
         let trouble = Wait::WorkersInTrouble { workers: 1, seconds: pause / 1000, failure };
-        assert_eq!(farm.status(id).waits, [Wait::WorkersResting, trouble]);
+        assert_eq!(farm.status(id).waits, [mishap, Wait::WorkersResting, trouble]);
         farm.now = farm.now.after(pause - 1);
         farm.heartbeat(1, Phase::Waiting, 0);
         assert_eq!(farm.tasks_of(1), []);

@@ -19,6 +19,12 @@ pub enum StoreError {
         /// As computed.
         found: Digest,
     },
+    /// What was there was damaged and removed, and so was what was put in its place.
+    #[error("what the store keeps as {digest} is damaged, again and again")]
+    Unsound {
+        /// Which.
+        digest: Digest,
+    },
     /// Beyond the store's limit.
     #[error("an artefact of more than {limit} bytes")]
     TooLarge {

@@ -2,11 +2,13 @@
 //!
 //! Over `object_store`, so that a folder, memory and an S3-compatible server behave alike. An artefact is written
 //! whole or not at all, never changed, and checked whenever it is read: one that is damaged is removed and reported as
-//! missing, so that whoever needs it has it made again.
+//! missing, so that whoever needs it has it made again. It is also read before anybody is told that it need not be put
+//! (`mend`).
 #![deny(missing_docs)]
 
 mod backend;
 mod error;
+mod mend;
 mod seen;
 mod upload;
 
@@ -20,11 +22,13 @@ use object_store::local::LocalFileSystem;
 use object_store::memory::InMemory;
 use object_store::path::Path;
 use object_store::{ObjectStore, ObjectStoreExt as _, PutMode, PutOptions};
+use tokio::sync::{RwLock, Semaphore};
 use tokio_stream::StreamExt as _;
 
 use crate::seen::Seen;
 
 pub use error::StoreError;
+pub use mend::Soundness;
 pub use object_store;
 pub use upload::Upload;
 
@@ -38,6 +42,10 @@ pub struct Store {
     folder: Option<Arc<FilePath>>,
     limit: u64,
     seen: Arc<Mutex<Seen>>,
+    /// Held for reading while something becomes readable, for writing while something damaged is removed.
+    gate: Arc<RwLock<()>>,
+    /// Who reads only to see whether bytes are sound waits for one of these: each has a block in memory.
+    readers: Arc<Semaphore>,
 }
 
 impl Store {
@@ -47,6 +55,12 @@ impl Store {
     const AT_ONCE: usize = 32;
     /// Bytes that are asked of the medium at once.
     const READ: u64 = 4 << 20;
+    /// Artefacts that are read at once to see whether they are sound.
+    const READERS: usize = 8;
+    /// Bytes that are hashed without a break.
+    const BITE: usize = 256 << 10;
+    /// How often an artefact is put in the place of a damaged one.
+    const TRIES: usize = 3;
 
     /// In a folder of this machine, which is made if it is not there; every artefact is synced to the disk.
     pub fn folder(path: &FilePath) -> Result<Self, StoreError> {
@@ -75,11 +89,18 @@ impl Store {
     }
 
     fn on(name: &str, objects: Arc<dyn ObjectStore>) -> Self {
-        Self { name: name.into(), objects, folder: None, limit: Self::LIMIT, seen: Arc::default() }
+        let readers = Arc::new(Semaphore::new(Self::READERS));
+        let (seen, gate) = (Arc::default(), Arc::default());
+        Self { name: name.into(), objects, folder: None, limit: Self::LIMIT, seen, gate, readers }
     }
 
     pub(crate) fn medium(&self, error: object_store::Error) -> StoreError {
         StoreError::Medium { store: self.name.to_string(), error }
+    }
+
+    /// What it lies on, past all checks: for tests, which do harm there.
+    pub fn medium_itself(&self) -> &Arc<dyn ObjectStore> {
+        &self.objects
     }
 
     /// Its name for people: a folder, an address, or `memory`.
@@ -117,43 +138,12 @@ impl Store {
         }
     }
 
-    /// As [`Store::size`], but from memory for what came in lately: somebody else may have removed it since.
-    pub async fn size_seen(&self, digest: &Digest) -> Result<Option<u64>, StoreError> {
-        if let Some(bytes) = self.seen().size(digest) {
-            return Ok(Some(bytes));
-        }
-        let size = self.size(digest).await?;
-        if let Some(bytes) = size {
-            self.seen().note(Artefact { digest: *digest, bytes });
-        }
-        Ok(size)
-    }
-
     pub(crate) fn seen(&self) -> MutexGuard<'_, Seen> {
         // Nothing panics under this lock.
         self.seen.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Those of `digests` that are not there, in their order; asks for several at once.
-    pub async fn missing(&self, digests: &[Digest]) -> Result<Vec<Digest>, StoreError> {
-        let mut missing = Vec::new();
-        for some in digests.chunks(Self::AT_ONCE) {
-            let ask = |digest: Digest| {
-                let store = self.clone();
-                tokio::spawn(async move { store.has(&digest).await })
-            };
-            let asked: Vec<_> = some.iter().copied().map(ask).collect();
-            for (digest, asked) in some.iter().zip(asked) {
-                // One that panicked knows nothing.
-                if !asked.await.unwrap_or(Ok(false))? {
-                    missing.push(*digest);
-                }
-            }
-        }
-        Ok(missing)
-    }
-
-    /// Keeps `bytes`; what is there already is left alone.
+    /// Keeps `bytes`; what is there already is left alone, if it is whole.
     pub async fn put(&self, bytes: Bytes) -> Result<Artefact, StoreError> {
         Ok(self.keep(bytes).await?.0)
     }
@@ -163,14 +153,25 @@ impl Store {
             return Err(StoreError::TooLarge { limit: self.limit });
         }
         let artefact = Artefact::of(&bytes);
-        let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
-        let novelty = match self.objects.put_opts(&place(&artefact.digest), bytes.into(), options).await {
-            Ok(_) => Novelty::New,
-            Err(object_store::Error::AlreadyExists { .. }) => Novelty::Older,
-            Err(error) => return Err(self.medium(error)),
-        };
-        self.seen().note(artefact);
-        Ok((artefact, novelty))
+        for _ in 0..Self::TRIES {
+            let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
+            let put = {
+                let _open = self.gate.read().await;
+                self.objects.put_opts(&place(&artefact.digest), bytes.clone().into(), options).await
+            };
+            match put {
+                Ok(_) => {
+                    self.seen().note(artefact);
+                    return Ok((artefact, Novelty::New));
+                }
+                Err(object_store::Error::AlreadyExists { .. }) => {}
+                Err(error) => return Err(self.medium(error)),
+            }
+            if let Soundness::Sound(_) = self.verify(&artefact.digest).await? {
+                return Ok((artefact, Novelty::Older));
+            }
+        }
+        Err(StoreError::Unsound { digest: artefact.digest })
     }
 
     /// Begins to keep an artefact that comes in pieces.
@@ -186,14 +187,15 @@ impl Store {
         };
         let bytes = result.bytes().await.map_err(|error| self.medium(error))?;
         if Digest::of(&bytes) != *digest {
-            self.remove(digest).await?;
+            self.verify(digest).await?;
             return Err(StoreError::Missing { digest: *digest });
         }
         Ok(bytes)
     }
 
-    /// Its bytes from `offset` on in pieces of at most `piece` bytes, sent to `out` until that is closed. Not checked
-    /// here: the reader has the digest and must.
+    /// Its bytes from `offset` on in pieces of at most `piece` bytes, sent to `out` until that is closed. All of it is read
+    /// and checked, also what is not sent: one that is damaged is removed, and reported as a mismatch when most of it has
+    /// been sent.
     pub async fn read(
         &self,
         digest: &Digest,
@@ -201,21 +203,23 @@ impl Store {
         piece: usize,
         out: &tokio::sync::mpsc::Sender<Result<Bytes, StoreError>>,
     ) -> Result<(), StoreError> {
-        let size = self.size(digest).await?.ok_or(StoreError::Missing { digest: *digest })?;
-        let mut at = offset;
-        while at < size {
-            let end = size.min(at + Self::READ);
-            let mut block = match self.objects.get_range(&place(digest), at..end).await {
-                Err(object_store::Error::NotFound { .. }) => return Err(StoreError::Missing { digest: *digest }),
-                other => other.map_err(|error| self.medium(error))?,
-            };
+        let (mut reading, mut at) = (self.begin(digest).await?, 0);
+        while let Some(mut block) = self.next(digest, &mut reading).await? {
             while !block.is_empty() {
-                let bytes = block.split_to(block.len().min(piece.max(1)));
-                if out.send(Ok(bytes)).await.is_err() {
+                let mut bytes = block.split_to(block.len().min(piece.max(1)));
+                reading.take(&bytes);
+                let skipped = usize::try_from(offset.saturating_sub(at)).unwrap_or(usize::MAX).min(bytes.len());
+                at += bytes.len() as u64;
+                let bytes = bytes.split_off(skipped);
+                if !bytes.is_empty() && out.send(Ok(bytes)).await.is_err() {
                     return Ok(());
                 }
             }
-            at = end;
+        }
+        let found = reading.digest();
+        if found != *digest {
+            self.verify(digest).await?;
+            return Err(StoreError::Mismatch { announced: *digest, found });
         }
         Ok(())
     }
@@ -223,7 +227,10 @@ impl Store {
     /// Removes it; one that is not there is no error.
     pub async fn remove(&self, digest: &Digest) -> Result<(), StoreError> {
         self.seen().forget(digest);
-        match self.objects.delete(&place(digest)).await {
+        let deleted = self.objects.delete(&place(digest)).await;
+        // Again: who found it there meanwhile has noted it.
+        self.seen().forget(digest);
+        match deleted {
             Ok(()) | Err(object_store::Error::NotFound { .. }) => Ok(()),
             Err(error) => Err(self.medium(error)),
         }

@@ -1,4 +1,4 @@
-//! What came in lately: known to be there without asking the medium.
+//! What came in or was read lately: known to be there, and whole, without asking the medium.
 
 use std::collections::{BTreeMap, VecDeque};
 

@@ -83,6 +83,7 @@ impl Upload {
             self.flush().await?;
         }
         if let Some(mut parts) = self.parts.take() {
+            let _open = self.store.gate.read().await;
             parts.complete().await.map_err(|error| self.store.medium(error))?;
         }
         let artefact = Artefact { digest: found, bytes: self.size };

@@ -4,7 +4,8 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use femc_model::{Artefact, Digest};
-use femc_store::{Novelty, Store, StoreError, Sweep};
+use femc_store::object_store::ObjectStoreExt as _;
+use femc_store::{Novelty, Soundness, Store, StoreError, Sweep, place};
 
 async fn conforms(store: &Store) {
     let bytes = Bytes::from_static(b"a tile");
@@ -79,6 +80,107 @@ async fn conforms(store: &Store) {
     assert_eq!(store.get(&Digest::of(&same)).await.unwrap(), same);
 }
 
+/// What a medium may make of `whole`: nothing at all of it, less, other bytes, more.
+fn harms(whole: &[u8]) -> Vec<(String, Vec<u8>)> {
+    let size = whole.len();
+    let mut cuts: Vec<usize> = [0, 1, size / 2, size - 1].into_iter().filter(|&cut| cut < size).collect();
+    cuts.dedup();
+    let mut all: Vec<_> = cuts.iter().map(|&cut| (format!("cut at {cut}"), whole[..cut].to_vec())).collect();
+    for at in [0, size / 2, size - 1] {
+        let mut flipped = whole.to_vec();
+        flipped[at] ^= 0x10;
+        all.push((format!("flipped at {at}"), flipped));
+    }
+    // As after a crash: the size is right, and the end never reached the disk.
+    let mut torn = whole.to_vec();
+    torn[size / 2..].fill(0);
+    all.push(("torn".into(), torn));
+    all.push(("longer".into(), [whole, b"rubbish"].concat()));
+    all
+}
+
+/// How the bytes come that take the place of damaged ones.
+#[derive(Debug, Clone, Copy)]
+enum Way {
+    Put,
+    /// In one part and a bit, or at once.
+    Upload,
+}
+
+/// Whatever the medium makes of an artefact, nobody is told for long that it is there, and it can be put again.
+async fn heals(store: &Store) {
+    // The large one comes in several parts, and is read in several blocks.
+    let large: Vec<u8> = (0..9_000_003u32).map(|i| (i * 7 + i / 251) as u8).collect();
+    for whole in [b"a tile of some bytes".to_vec(), large] {
+        let whole = Bytes::from(whole);
+        let Artefact { digest, bytes } = Artefact::of(&whole);
+        let all = harms(&whole);
+        // Of the large one, one of each kind.
+        let step = if whole.len() < 1000 { 1 } else { 2 };
+        for (harm, damaged) in all.into_iter().step_by(step) {
+            for way in [Way::Put, Way::Upload] {
+                let plant = || async {
+                    store.put(whole.clone()).await.unwrap();
+                    store.medium_itself().put(&place(&digest), damaged.clone().into()).await.unwrap();
+                };
+                let is_gone = || async { !store.has(&digest).await.unwrap() };
+                plant().await;
+                assert_eq!(store.verify(&digest).await.unwrap(), Soundness::Damaged, "{harm}");
+                assert!(is_gone().await, "{harm}: what is damaged is removed");
+                assert_eq!(store.verify(&digest).await.unwrap(), Soundness::Missing, "{harm}");
+
+                plant().await;
+                assert!(matches!(store.get(&digest).await, Err(StoreError::Missing { .. })), "{harm}");
+                assert!(is_gone().await, "{harm}: nor by reading");
+
+                plant().await;
+                for offset in [0, bytes / 2] {
+                    let (send, mut receive) = tokio::sync::mpsc::channel(64);
+                    let reading = tokio::spawn({
+                        let store = store.clone();
+                        async move { store.read(&digest, offset, 1 << 20, &send).await }
+                    });
+                    while receive.recv().await.is_some() {}
+                    let outcome = reading.await.unwrap();
+                    let is_told = matches!(outcome, Err(StoreError::Mismatch { .. } | StoreError::Missing { .. }));
+                    assert!(is_told, "{harm}, read from {offset}: {outcome:?}");
+                    assert!(is_gone().await, "{harm}, read from {offset}");
+                }
+
+                // Put over the damaged one, as by somebody who has not asked before.
+                plant().await;
+                match way {
+                    Way::Put => drop(store.put(whole.clone()).await.unwrap()),
+                    Way::Upload => {
+                        let mut upload = store.upload(digest);
+                        upload.write(&whole).await.unwrap();
+                        upload.finish().await.unwrap();
+                    }
+                }
+                assert_eq!(store.get(&digest).await.unwrap(), whole, "{harm}, {way:?}");
+
+                plant().await;
+                if damaged.len() as u64 != bytes {
+                    assert_eq!(store.missing(&[digest]).await.unwrap(), [digest], "{harm}");
+                    assert!(is_gone().await, "{harm}");
+                }
+                // One whose memory is of before the harm, and one that has none.
+                store.put(whole.clone()).await.unwrap();
+                assert_eq!(store.known(&Artefact { digest, bytes }).await.unwrap(), Soundness::Sound(bytes));
+                let fresh = Store::over("the same", store.medium_itself().clone());
+                store.medium_itself().put(&place(&digest), damaged.clone().into()).await.unwrap();
+                assert_eq!(fresh.missing(&[digest]).await.unwrap(), [digest], "{harm}");
+                store.remove(&digest).await.unwrap();
+                assert_eq!(store.known(&Artefact { digest, bytes }).await.unwrap(), Soundness::Missing, "{harm}");
+            }
+        }
+        // A sound one of which somebody believes another size is none of the store's faults.
+        store.put(whole.clone()).await.unwrap();
+        assert_eq!(store.known(&Artefact { digest, bytes: bytes + 1 }).await.unwrap(), Soundness::Sound(bytes));
+        assert_eq!(store.get(&digest).await.unwrap(), whole, "and it stays");
+    }
+}
+
 /// A place of its own on the S3 server that `tests/s3` starts.
 fn s3(name: &str) -> Option<Store> {
     let Ok(bucket) = std::env::var("FEMC_TEST_S3") else {
@@ -93,6 +195,7 @@ async fn an_s3_server_conforms() {
     let Some(store) = s3("conforms") else { return };
     store.probe().await.unwrap();
     conforms(&store).await;
+    heals(&store).await;
 }
 
 #[tokio::test]
@@ -118,6 +221,17 @@ async fn a_store_that_is_away_is_named_with_the_cause_and_nothing_is_called_miss
 #[tokio::test]
 async fn memory_conforms() {
     conforms(&Store::memory()).await;
+}
+
+#[tokio::test]
+async fn what_memory_damages_is_found_and_can_be_put_again() {
+    heals(&Store::memory()).await;
+}
+
+#[tokio::test]
+async fn what_a_disk_damages_is_found_and_can_be_put_again() {
+    let folder = tempfile::tempdir().unwrap();
+    heals(&Store::folder(folder.path()).unwrap()).await;
 }
 
 #[tokio::test]

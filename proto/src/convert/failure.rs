@@ -5,7 +5,7 @@ use femc_model::{Failure, JobId, Refusal};
 use super::{ConvertError, digest, digest_bytes, need};
 use crate::wire;
 use wire::failure::{Cause, Killed, Lost, Text};
-use wire::refusal::{Field, Forbidden, Lacking, Limit, Reason};
+use wire::refusal::{Field, Forbidden, Lacking, Limit, Reason, Room};
 
 impl From<Failure> for wire::Failure {
     fn from(failure: Failure) -> Self {
@@ -23,6 +23,7 @@ impl From<Failure> for wire::Failure {
                 Failure::Resources { message } => Cause::Resources(text(message)),
                 Failure::Cancelled => Cause::Cancelled(wire::Empty {}),
                 Failure::Killed { deaths, worker } => Cause::Killed(Killed { deaths, worker }),
+                Failure::TooLarge { limit } => Cause::TooLarge(limit),
             }),
         }
     }
@@ -45,6 +46,7 @@ impl TryFrom<wire::Failure> for Failure {
             Cause::Resources(Text { message }) => Self::Resources { message },
             Cause::Cancelled(_) => Self::Cancelled,
             Cause::Killed(Killed { deaths, worker }) => Self::Killed { deaths, worker },
+            Cause::TooLarge(limit) => Self::TooLarge { limit },
         })
     }
 }
@@ -63,8 +65,10 @@ impl From<Refusal> for wire::Refusal {
                 Refusal::MissingArtefacts { digests, count } => {
                     Reason::MissingArtefacts(Lacking { digests: digests.iter().map(digest_bytes).collect(), count })
                 }
+                Refusal::ArtefactTooLarge { limit } => Reason::ArtefactTooLarge(limit),
                 Refusal::Resume { offset } => Reason::Resume(offset),
                 Refusal::Unavailable { message } => Reason::Unavailable(message),
+                Refusal::NoRoom { place, free } => Reason::NoRoom(Room { place, free }),
                 Refusal::Forbidden { who, takes } => Reason::Forbidden(Forbidden { who, takes }),
                 Refusal::NoSuchWorker { worker } => Reason::NoSuchWorker(worker),
                 Refusal::Unauthenticated { message } => Reason::Unauthenticated(message),
@@ -89,8 +93,10 @@ impl TryFrom<wire::Refusal> for Refusal {
                 let digests = digests.iter().map(|bytes| digest("refusal.missing", bytes)).collect::<Result<_, _>>()?;
                 Self::MissingArtefacts { digests, count }
             }
+            Reason::ArtefactTooLarge(limit) => Self::ArtefactTooLarge { limit },
             Reason::Resume(offset) => Self::Resume { offset },
             Reason::Unavailable(message) => Self::Unavailable { message },
+            Reason::NoRoom(Room { place, free }) => Self::NoRoom { place, free },
             Reason::Forbidden(Forbidden { who, takes }) => Self::Forbidden { who, takes },
             Reason::NoSuchWorker(worker) => Self::NoSuchWorker { worker },
             Reason::Unauthenticated(message) => Self::Unauthenticated { message },

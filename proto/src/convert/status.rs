@@ -143,6 +143,8 @@ impl From<Wait> for wire::Wait {
                 Wait::MergeWaitsForGroups { frame, groups } => {
                     Reason::MergeWaitsForGroups(Tasks { frame, tasks: groups })
                 }
+                Wait::Mishaps { tasks, message } => Reason::Mishaps(wire::Mishaps { tasks, message }),
+                Wait::ImageLost { frame } => Reason::ImageLost(frame),
                 Wait::Quarantined { frame, tasks } => Reason::Quarantined(Tasks { frame, tasks }),
             }),
         }
@@ -172,6 +174,8 @@ impl TryFrom<wire::Wait> for Wait {
             Reason::WorkersAvoided(tasks) => Self::WorkersAvoided { tasks },
             Reason::MergeWaitsForTiles(Tasks { frame, tasks }) => Self::MergeWaitsForTiles { frame, tiles: tasks },
             Reason::MergeWaitsForGroups(Tasks { frame, tasks }) => Self::MergeWaitsForGroups { frame, groups: tasks },
+            Reason::Mishaps(wire::Mishaps { tasks, message }) => Self::Mishaps { tasks, message },
+            Reason::ImageLost(frame) => Self::ImageLost { frame },
             Reason::Quarantined(Tasks { frame, tasks }) => Self::Quarantined { frame, tasks },
         })
     }

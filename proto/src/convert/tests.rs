@@ -62,6 +62,7 @@ fn failures() -> Vec<Failure> {
         Failure::Resources { message: message() },
         Failure::Killed { deaths: 5, worker: "w".into() },
         Failure::Cancelled,
+        Failure::TooLarge { limit: 1 << 30 },
     ]
 }
 
@@ -75,8 +76,10 @@ pub(crate) fn refusals() -> Vec<Refusal> {
         Refusal::DigestMismatch { digest: digest() },
         Refusal::TooLarge { what: "w".into(), limit: 9 },
         Refusal::MissingArtefacts { digests: vec![digest(); Refusal::MOST_NAMED], count: 70 },
+        Refusal::ArtefactTooLarge { limit: 9 },
         Refusal::Resume { offset: 5 },
         Refusal::Unavailable { message: "m".into() },
+        Refusal::NoRoom { place: "the log".into(), free: 7 },
         Refusal::NoSuchWorker { worker: "w".into() },
         Refusal::Forbidden { who: "viewer ann".into(), takes: "an admin".into() },
         Refusal::Unauthenticated { message: "the token has expired".into() },
@@ -250,6 +253,8 @@ fn statuses_cross_the_wire() {
         Wait::BehindJob(JobId(2)),
         Wait::MergeWaitsForTiles { frame: 1, tiles: 2 },
         Wait::MergeWaitsForGroups { frame: 1, groups: 3 },
+        Wait::Mishaps { tasks: 2, message: "the disk is full".into() },
+        Wait::ImageLost { frame: 7 },
         Wait::Quarantined { frame: 1, tasks: 2 },
     ];
     for state in [Queued, Running, Paused, Done, Failed, Cancelled] {

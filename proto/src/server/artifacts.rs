@@ -6,8 +6,8 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use femc_fault::{Point, pass_async};
-use femc_model::{Artefact, Refusal};
-use femc_store::{Novelty, StoreError};
+use femc_model::{Artefact, Digest, Refusal};
+use femc_store::{Novelty, Soundness, StoreError};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt as _};
@@ -16,7 +16,8 @@ use tonic::{Request, Response, Status, Streaming};
 use super::guard::Who;
 use super::places::Place;
 use super::trail::Trail;
-use super::{Server, collect};
+use super::uploads::Turn;
+use super::{Call, Server, collect};
 use crate::convert::{self, digest, digest_bytes, need};
 use crate::error::to_status;
 use crate::{PIECE, wire};
@@ -41,11 +42,12 @@ impl wire::artifacts_server::Artifacts for Server {
 
     async fn offer(&self, request: Request<wire::OfferRequest>) -> Result<Response<wire::OfferReply>, Status> {
         use wire::offer_reply::Answer;
+        let who = request.extensions().get::<Who>().cloned().unwrap_or_default();
         let name = digest("digest", &request.into_inner().digest)?;
         self.promised.note(&[name]).await;
         // Before the store is asked: an upload that is being finished is waited for.
-        let from = self.uploads.size(&name).await;
-        let is_there = self.store.has(&name).await.map_err(|error| refuse(&error))?;
+        let from = self.uploads.offered(&name).await;
+        let is_there = self.is_sound(&name, who).await.map_err(|error| refuse(&error))?;
         let answer = if is_there { Answer::There(wire::Empty {}) } else { Answer::From(from) };
         Ok(Response::new(wire::OfferReply { answer: Some(answer) }))
     }
@@ -72,17 +74,23 @@ impl wire::artifacts_server::Artifacts for Server {
 
     async fn get(&self, request: Request<wire::GetRequest>) -> Result<Response<Self::GetStream>, Status> {
         let who = request.extensions().get::<Who>().cloned().unwrap_or_default();
-        let wire::GetRequest { digest: name, offset } = request.into_inner();
+        let wire::GetRequest { digest: name, offset, bytes } = request.into_inner();
         let name = digest("digest", &name)?;
-        if !self.store.has(&name).await.map_err(|error| refuse(&error))? {
+        let found = self.store.size(&name).await.map_err(|error| refuse(&error))?;
+        let is_other = found.is_some_and(|found| bytes.is_some_and(|bytes| bytes != found));
+        if found.is_none() || (is_other && !self.is_sound(&name, who.clone()).await.map_err(|error| refuse(&error))?) {
+            self.lost(&name).await;
             return Err(to_status(&Refusal::NoSuchArtefact { digest: name }));
         }
         let place = Arc::new(self.places.take(who).await);
-        let (store, reading) = (self.store.clone(), place.clone());
+        let (server, reading) = (self.clone(), place.clone());
         let (send, receive) = mpsc::channel::<Result<Bytes, StoreError>>(1);
         tokio::spawn(async move {
             let _held = reading;
-            if let Err(error) = store.read(&name, offset, PIECE, &send).await {
+            if let Err(error) = server.store.read(&name, offset, PIECE, &send).await {
+                if let StoreError::Mismatch { .. } | StoreError::Missing { .. } = error {
+                    server.lost(&name).await;
+                }
                 let _ = send.send(Err(error)).await;
             }
         });
@@ -97,6 +105,27 @@ impl wire::artifacts_server::Artifacts for Server {
     }
 }
 
+impl Server {
+    /// Whether an artefact is there, whole. What is there is read, which takes a place.
+    async fn is_sound(&self, name: &Digest, who: Who) -> Result<bool, StoreError> {
+        if !self.store.has(name).await? {
+            return Ok(false);
+        }
+        let _place = self.places.take(who).await;
+        Ok(matches!(self.store.verify(name).await?, Soundness::Sound(_)))
+    }
+
+    /// Says that an artefact that somebody wanted is not there as it should be: it may be a job's. Returns when what follows is
+    /// durable.
+    pub(super) async fn lost(&self, name: &Digest) {
+        let digest = *name;
+        if let Err(refusal) = self.question(|reply| Call::Lost { digest, reply }).await {
+            // Whoever asks for it next finds the same.
+            tracing::warn!(%digest, %refusal, "an artefact is lost, and its job does not know");
+        }
+    }
+}
+
 async fn put(server: Server, _place: Place, mut parts: Streaming<wire::PutRequest>) -> Result<Artefact, Status> {
     let first = need("digest", parts.message().await?)?;
     let Part::Digest(announced) = need("digest", first.part)? else {
@@ -104,14 +133,21 @@ async fn put(server: Server, _place: Place, mut parts: Streaming<wire::PutReques
     };
     let announced = digest("digest", &announced)?;
     server.promised.note(&[announced]).await;
-    let upload = server.uploads.take(&server.store, announced, first.offset).await.map_err(|no| to_status(&no))?;
+    let mut upload = match server.uploads.take(&server.store, announced, first.offset).await {
+        Ok(Turn::Sends(upload)) => upload,
+        // Its sender need not go on.
+        Ok(Turn::There(artefact)) => return Ok(artefact),
+        Err(no) => return Err(to_status(&no)),
+    };
     while let Some(part) = parts.message().await? {
         let Part::Piece(piece) = need("piece", part.part)? else {
             return Err(Status::invalid_argument("only one digest"));
         };
         pass_async(Point::CoordinatorMidUpload).await;
         server.traffic.received.add(piece.len() as u64);
-        upload.write(&piece).await.map_err(|no| to_status(&no))?;
+        if let Some(artefact) = upload.write(&piece).await.map_err(|no| to_status(&no))? {
+            return Ok(artefact);
+        }
     }
     // Again: it may have taken long, and bytes that are there already keep their age.
     server.promised.note(&[announced]).await;
@@ -131,7 +167,9 @@ pub(super) fn refusal(error: &StoreError) -> Refusal {
     match error {
         StoreError::Missing { digest } => Refusal::NoSuchArtefact { digest: *digest },
         StoreError::Mismatch { announced, .. } => Refusal::DigestMismatch { digest: *announced },
-        StoreError::TooLarge { limit } => Refusal::TooLarge { what: "artefact".into(), limit: *limit },
-        StoreError::Medium { .. } | StoreError::Url { .. } => Refusal::Unavailable { message: error.to_string() },
+        StoreError::TooLarge { limit } => Refusal::ArtefactTooLarge { limit: *limit },
+        StoreError::Medium { .. } | StoreError::Url { .. } | StoreError::Unsound { .. } => {
+            Refusal::Unavailable { message: error.to_string() }
+        }
     }
 }

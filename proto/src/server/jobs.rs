@@ -4,15 +4,17 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
-use femc_model::{Control, Drain, JobId, JobSpec, JobStatus, Tick, WorkerName};
+use femc_model::{Control, Drain, JobId, JobSpec, JobState, JobStatus, Tick, WorkerName};
+use femc_store::Soundness;
 use femc_trust::{Holder, Role};
 use tokio::sync::{mpsc, watch};
 use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
+use super::artifacts::refuse;
 use super::trail::Trail;
-use super::{Call, Caller, JobShape, Server, backup, inputs};
+use super::{Call, Caller, JobShape, Listing, Server, backup, inputs};
 use crate::convert::need;
 use crate::error::to_status;
 use crate::wire;
@@ -42,8 +44,8 @@ impl wire::jobs_server::Jobs for Server {
     }
 
     async fn list(&self, _: Request<wire::ListRequest>) -> Answer<wire::ListReply> {
-        let jobs = self.ask(|reply| Call::List { reply }).await?;
-        Ok(Response::new(wire::ListReply { jobs: jobs.into_iter().map(Into::into).collect() }))
+        let Listing { jobs, warnings } = self.ask(|reply| Call::List { reply }).await?;
+        Ok(Response::new(wire::ListReply { jobs: jobs.into_iter().map(Into::into).collect(), warnings }))
     }
 
     async fn status(&self, request: Request<wire::StatusRequest>) -> Answer<wire::JobStatus> {
@@ -71,6 +73,9 @@ impl wire::jobs_server::Jobs for Server {
         trail.what(&format!("{control:?}"));
         if let Some(caller) = caller {
             self.may_steer(&caller, job).await?;
+        }
+        if control == Control::Retry {
+            self.look_at_images(job).await?;
         }
         self.ask(|reply| Call::Control { job, control, reply }).await?;
         Ok(Response::new(wire::ControlReply {}))
@@ -129,6 +134,22 @@ impl wire::jobs_server::Jobs for Server {
 }
 
 impl Server {
+    /// Reads the images of a job that is done: those that are damaged or gone are its business again.
+    async fn look_at_images(&self, job: JobId) -> Result<(), Status> {
+        if self.ask(|reply| Call::Status { job, reply }).await?.state != JobState::Done {
+            return Ok(());
+        }
+        for frame in self.ask(|reply| Call::Frames { job, reply }).await? {
+            for image in [Some(frame.image), frame.preview].into_iter().flatten() {
+                let found = self.store.verify(&image.digest).await.map_err(|error| refuse(&error))?;
+                if !matches!(found, Soundness::Sound(_)) {
+                    self.lost(&image.digest).await;
+                }
+            }
+        }
+        Ok(())
+    }
+
     /// A submitter steers jobs of its own, others need an operator.
     async fn may_steer(&self, caller: &Caller, job: JobId) -> Result<(), Status> {
         match &caller.holder {

@@ -1,38 +1,64 @@
 //! Uploads under way, and those that were cut: these are kept for a while, so that they can go on where they were.
 //!
-//! By digest, whoever sends: what comes in is checked against the digest at the end. A sender who comes with the right
-//! offset takes over, also from another one who seems to be still at it: that may be the same one's dead connection.
+//! By digest, whoever sends: what comes in is checked against the digest at the end. An upload belongs to one sender at a
+//! time, as a value, so that no two can mix their bytes; one that is cut lies here until somebody takes it, with the right
+//! offset. Who comes with the same artefact meanwhile waits for the first to finish, and sends nothing then. The first may be
+//! slow, or stand still: after a while who waits gets an upload of its own, as long as there are few of the same artefact.
+//! Whichever is whole first is kept, and the others hear at their next piece that it is there.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use femc_model::{Artefact, Digest, Refusal};
-use femc_store::{Novelty, Store, Upload};
+use femc_store::{Novelty, Soundness, Store, Upload};
+use tokio::sync::watch;
 use tokio::time::Instant;
 
 use super::artifacts::refusal;
 
 /// Uploads under way by digest; clones share them.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Uploads(Arc<Mutex<State>>);
+pub(super) struct Uploads(Arc<Inner>);
+
+#[derive(Debug, Default)]
+struct Inner {
+    state: Mutex<State>,
+    /// Counts the uploads that have ended, or were cut.
+    ended: watch::Sender<u64>,
+}
 
 #[derive(Debug, Default)]
 struct State {
     entries: BTreeMap<Digest, Entry>,
-    senders: u64,
+    /// Uploads that were cut so far: their order.
+    cuts: u64,
 }
 
-/// An upload; `None` when it is over.
-type Shared = Arc<tokio::sync::Mutex<Option<Upload>>>;
+#[derive(Debug, Default)]
+struct Entry {
+    /// How many send it now.
+    senders: usize,
+    /// One of them has finished: it is in the store.
+    kept: Option<Artefact>,
+    /// What was cut, and waits for somebody who goes on with it.
+    parked: Option<Parked>,
+}
 
 #[derive(Debug)]
-struct Entry {
-    upload: Shared,
-    /// Who sends, or sent last.
-    sender: u64,
-    /// Since when nobody sends; `None`: somebody does.
-    idle: Option<Instant>,
+struct Parked {
+    upload: Upload,
+    since: Instant,
+    number: u64,
+}
+
+/// What becomes of somebody who wants to send.
+#[derive(Debug)]
+pub(super) enum Turn {
+    /// It need not: the artefact is there.
+    There(Artefact),
+    /// It sends.
+    Sends(Sending),
 }
 
 impl Uploads {
@@ -40,126 +66,197 @@ impl Uploads {
     const KEPT: usize = 8;
     /// How long they are kept.
     const KEEP: Duration = Duration::from_secs(600);
+    /// How long somebody waits for another who sends the same.
+    const WAIT: Duration = Duration::from_secs(5);
+    /// Most uploads of one artefact at a time: its bytes may be on the medium so many times. Who comes then waits for as long as it
+    /// takes.
+    const SIDE_BY_SIDE: usize = 3;
 
     fn lock(&self) -> MutexGuard<'_, State> {
         // A panic within the few lines under this lock leaves nothing half done.
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        self.0.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Bytes that are here of an artefact that is not whole.
-    pub(super) async fn size(&self, digest: &Digest) -> u64 {
-        let upload = self.lock().entries.get(digest).map(|entry| entry.upload.clone());
-        match upload {
-            Some(upload) => upload.lock().await.as_ref().map_or(0, Upload::size),
-            None => 0,
-        }
+    /// Waits until fewer than `most` send the artefact.
+    async fn room(&self, digest: &Digest, most: usize) {
+        let is_crowded = || self.lock().entries.get(digest).is_some_and(|entry| entry.senders >= most);
+        let mut ended = self.0.ended.subscribe();
+        // The counter is as old as this.
+        while is_crowded() && ended.changed().await.is_ok() {}
+    }
+
+    /// The first byte that is wanted of an artefact; waits a while for whoever sends it now. Ask the store afterwards whether it
+    /// is there.
+    pub(super) async fn offered(&self, digest: &Digest) -> u64 {
+        // After that it is as many as it takes: who sends then waits again.
+        let _ = tokio::time::timeout(Self::WAIT, self.room(digest, 1)).await;
+        let state = self.lock();
+        let parked = state.entries.get(digest).and_then(|entry| entry.parked.as_ref());
+        parked.map_or(0, |cut| cut.upload.size())
     }
 
     /// Begins an upload, or goes on with one that has `offset` bytes. From 0 on it begins anew.
-    pub(super) async fn take(&self, store: &Store, digest: Digest, offset: u64) -> Result<Sending, Refusal> {
+    pub(super) async fn take(&self, store: &Store, digest: Digest, offset: u64) -> Result<Turn, Refusal> {
         self.tidy(Instant::now());
-        let size = self.size(&digest).await;
-        if offset != 0 && offset != size {
-            return Err(Refusal::Resume { offset: size });
+        let mut most = 1;
+        let mut patience = std::pin::pin!(tokio::time::sleep(Self::WAIT));
+        loop {
+            if let Some(outcome) = self.admit(store, digest, offset, most) {
+                return outcome.map(Turn::Sends);
+            }
+            tokio::select! {
+                biased;
+                () = self.room(&digest, most) => {}
+                () = &mut patience, if most == 1 => most = Self::SIDE_BY_SIDE,
+            }
+            if let Soundness::Sound(bytes) = store.verify(&digest).await.map_err(|error| refusal(&error))? {
+                return Ok(Turn::There(Artefact { digest, bytes }));
+            }
         }
+    }
+
+    /// `None`: there are `most` who send it already.
+    fn admit(&self, store: &Store, digest: Digest, offset: u64, most: usize) -> Option<Result<Sending, Refusal>> {
         let mut state = self.lock();
-        state.senders += 1;
-        let sender = state.senders;
-        let new = || Arc::new(tokio::sync::Mutex::new(Some(store.upload(digest))));
-        let entry = state.entries.entry(digest).or_insert_with(|| Entry { upload: new(), sender, idle: None });
-        if offset == 0 && size != 0 {
-            abandon(std::mem::replace(&mut entry.upload, new()));
+        let entry = state.entries.entry(digest).or_default();
+        if entry.senders >= most {
+            return None;
         }
-        (entry.sender, entry.idle) = (sender, None);
-        Ok(Sending { uploads: self.clone(), digest, sender, upload: entry.upload.clone() })
+        let size = entry.parked.as_ref().map_or(0, |cut| cut.upload.size());
+        if offset != 0 && offset != size {
+            state.tidy(&digest);
+            return Some(Err(Refusal::Resume { offset: size }));
+        }
+        let upload = match entry.parked.take() {
+            Some(cut) if offset == size => cut.upload,
+            before => {
+                before.into_iter().for_each(|cut| abandon(cut.upload));
+                store.upload(digest)
+            }
+        };
+        entry.senders += 1;
+        // What was kept is not there any more.
+        entry.kept = None;
+        Some(Ok(Sending { uploads: self.clone(), digest, upload: Some(upload) }))
     }
 
     /// Forgets what was cut too long ago, and the oldest beyond the number that is kept.
     fn tidy(&self, now: Instant) {
         let mut state = self.lock();
-        let idle = state.entries.iter().filter_map(|(digest, entry)| Some((entry.idle?, entry.sender, *digest)));
-        let mut idle: Vec<(Instant, u64, Digest)> = idle.collect();
-        idle.sort_unstable();
-        let beyond = idle.len().saturating_sub(Self::KEPT);
-        for (place, (since, _, digest)) in idle.into_iter().enumerate() {
+        let parked = state.entries.iter().filter_map(|(digest, entry)| Some((entry.parked.as_ref()?, *digest)));
+        let mut parked: Vec<(Instant, u64, Digest)> =
+            parked.map(|(cut, digest)| (cut.since, cut.number, digest)).collect();
+        parked.sort_unstable();
+        let beyond = parked.len().saturating_sub(Self::KEPT);
+        for (place, (since, _, digest)) in parked.into_iter().enumerate() {
             if (place < beyond || now.saturating_duration_since(since) >= Self::KEEP)
-                && let Some(entry) = state.entries.remove(&digest)
+                && let Some(cut) = state.entries.get_mut(&digest).and_then(|entry| entry.parked.take())
             {
-                abandon(entry.upload);
+                abandon(cut.upload);
+                state.tidy(&digest);
             }
         }
     }
 }
 
-fn abandon(upload: Shared) {
-    tokio::spawn(async move {
-        if let Some(upload) = upload.lock().await.take() {
-            upload.abandon().await;
+impl State {
+    /// Forgets an entry of which nothing is left.
+    fn tidy(&mut self, digest: &Digest) {
+        if self.entries.get(digest).is_some_and(|entry| entry.senders == 0 && entry.parked.is_none()) {
+            self.entries.remove(digest);
         }
-    });
+    }
+
+    /// Keeps what was cut: of two the one that is further. The other, for which there is no use.
+    fn park(&mut self, digest: Digest, upload: Upload) -> Option<Upload> {
+        self.cuts += 1;
+        let cut = Parked { upload, since: Instant::now(), number: self.cuts };
+        let entry = self.entries.entry(digest).or_default();
+        let (better, other) = match entry.parked.take() {
+            Some(before) if before.upload.size() > cut.upload.size() => (before, Some(cut)),
+            before => (cut, before),
+        };
+        entry.parked = Some(better);
+        other.map(|other| other.upload)
+    }
 }
 
-/// A sender's hold of an upload. Dropped before the end, it leaves what has come for the next one.
+/// Takes back what lies on the medium, unless everything is ending.
+fn abandon(upload: Upload) {
+    if let Ok(runtime) = tokio::runtime::Handle::try_current() {
+        runtime.spawn(upload.abandon());
+    }
+}
+
+/// A sender's upload. Dropped before the end, it leaves what has come for the next one.
+#[derive(Debug)]
 pub(super) struct Sending {
     uploads: Uploads,
     digest: Digest,
-    sender: u64,
-    upload: Shared,
+    /// `None`: it is of no use any more, or in the midst of something that may break off.
+    upload: Option<Upload>,
 }
 
 impl Sending {
-    fn is_mine(&self) -> bool {
-        self.uploads.lock().entries.get(&self.digest).is_some_and(|entry| entry.sender == self.sender)
+    /// What another has kept meanwhile.
+    fn kept(&self) -> Option<Artefact> {
+        self.uploads.lock().entries.get(&self.digest)?.kept
     }
 
-    fn forget(&self) {
-        let mut state = self.uploads.lock();
-        if state.entries.get(&self.digest).is_some_and(|entry| entry.sender == self.sender) {
-            state.entries.remove(&self.digest);
+    /// Takes the next piece; `Some`: the artefact is there, by somebody else. After a refusal what has come is forgotten.
+    pub(super) async fn write(&mut self, piece: &[u8]) -> Result<Option<Artefact>, Refusal> {
+        if let Some(kept) = self.kept() {
+            return Ok(Some(kept));
         }
-    }
-
-    fn taken_over() -> Refusal {
-        Refusal::Unavailable { message: "another connection goes on with this upload".into() }
-    }
-
-    /// Takes the next piece. An upload that cannot go on is forgotten.
-    pub(super) async fn write(&self, piece: &[u8]) -> Result<(), Refusal> {
-        let mut slot = self.upload.lock().await;
-        if !self.is_mine() {
-            return Err(Self::taken_over());
-        }
-        let upload = slot.as_mut().ok_or_else(Self::taken_over)?;
-        if let Err(error) = upload.write(piece).await {
-            self.forget();
-            if let Some(upload) = slot.take() {
+        // Should this be dropped in the midst of it, nobody knows what of the piece was taken.
+        let Some(mut upload) = self.upload.take() else { return Err(Self::over()) };
+        match upload.write(piece).await {
+            Ok(()) => self.upload = Some(upload),
+            Err(error) => {
                 upload.abandon().await;
+                return Err(refusal(&error));
             }
-            return Err(refusal(&error));
         }
-        Ok(())
+        Ok(None)
     }
 
     /// Keeps the artefact, if it is the one that was announced.
-    pub(super) async fn finish(self) -> Result<(Artefact, Novelty), Refusal> {
-        let mut slot = self.upload.lock().await;
-        if !self.is_mine() {
-            return Err(Self::taken_over());
+    pub(super) async fn finish(mut self) -> Result<(Artefact, Novelty), Refusal> {
+        if let Some(kept) = self.kept() {
+            return Ok((kept, Novelty::Older));
         }
-        let finished = slot.take().ok_or_else(Self::taken_over)?.finish().await;
-        self.forget();
-        finished.map_err(|error| refusal(&error))
+        let upload = self.upload.take().ok_or_else(Self::over)?;
+        let (artefact, novelty) = upload.finish().await.map_err(|error| refusal(&error))?;
+        if let Some(entry) = self.uploads.lock().entries.get_mut(&self.digest) {
+            entry.kept = Some(artefact);
+        }
+        Ok((artefact, novelty))
+    }
+
+    fn over() -> Refusal {
+        Refusal::Unavailable { message: "the upload is over".into() }
     }
 }
 
 impl Drop for Sending {
     fn drop(&mut self) {
         let mut state = self.uploads.lock();
-        if let Some(entry) = state.entries.get_mut(&self.digest)
-            && entry.sender == self.sender
-        {
-            entry.idle = Some(Instant::now());
-        }
+        let Some(entry) = state.entries.get_mut(&self.digest) else { return };
+        entry.senders -= 1;
+        let (upload, kept) = (self.upload.take(), entry.kept);
+        let useless = match upload {
+            Some(upload) if kept.is_none() && upload.size() > 0 => state.park(self.digest, upload),
+            other => other,
+        };
+        // Those who go on hear of it from the store: what is parked was cut before it was kept.
+        let parked = match state.entries.get_mut(&self.digest) {
+            Some(entry) if kept.is_some() => entry.parked.take().map(|cut| cut.upload),
+            _ => None,
+        };
+        state.tidy(&self.digest);
+        drop(state);
+        useless.into_iter().chain(parked).for_each(abandon);
+        self.uploads.0.ended.send_modify(|ended| *ended += 1);
     }
 }
 
@@ -167,50 +264,149 @@ impl Drop for Sending {
 mod tests {
     use super::*;
 
-    fn is_resume(outcome: &Result<Sending, Refusal>, at: u64) -> bool {
+    fn is_resume(outcome: &Result<Turn, Refusal>, at: u64) -> bool {
         matches!(outcome, Err(Refusal::Resume { offset }) if *offset == at)
+    }
+
+    async fn sends(uploads: &Uploads, store: &Store, digest: Digest, offset: u64) -> Sending {
+        match uploads.take(store, digest, offset).await.unwrap() {
+            Turn::Sends(sending) => sending,
+            Turn::There(_) => panic!("it is there already"),
+        }
     }
 
     #[tokio::test]
     async fn a_cut_upload_goes_on_at_its_byte_and_nowhere_else() {
         let (uploads, store, digest) = (Uploads::default(), Store::memory(), Digest::of(b"abcdef"));
-        let first = uploads.take(&store, digest, 0).await.unwrap();
+        let mut first = sends(&uploads, &store, digest, 0).await;
         first.write(b"abc").await.unwrap();
         drop(first);
-        assert_eq!(uploads.size(&digest).await, 3);
+        assert_eq!(uploads.offered(&digest).await, 3);
         for elsewhere in [1, 4, u64::MAX] {
             assert!(is_resume(&uploads.take(&store, digest, elsewhere).await, 3));
         }
-        let second = uploads.take(&store, digest, 3).await.unwrap();
+        let mut second = sends(&uploads, &store, digest, 3).await;
         second.write(b"def").await.unwrap();
         assert_eq!(second.finish().await.unwrap(), (Artefact { digest, bytes: 6 }, Novelty::New));
-        assert_eq!((uploads.size(&digest).await, uploads.lock().entries.len()), (0, 0));
+        assert_eq!((uploads.offered(&digest).await, uploads.lock().entries.len()), (0, 0));
         assert_eq!(store.get(&digest).await.unwrap(), "abcdef");
     }
 
-    #[tokio::test]
-    async fn who_was_taken_over_writes_nothing_more() {
+    #[tokio::test(start_paused = true)]
+    async fn who_sends_the_same_waits_for_the_first_and_sends_nothing() {
         let (uploads, store, digest) = (Uploads::default(), Store::memory(), Digest::of(b"abcdef"));
-        let first = uploads.take(&store, digest, 0).await.unwrap();
+        let mut first = sends(&uploads, &store, digest, 0).await;
         first.write(b"abc").await.unwrap();
-        let second = uploads.take(&store, digest, 3).await.unwrap();
-        assert!(matches!(first.write(b"xyz").await, Err(Refusal::Unavailable { .. })));
+        let others: Vec<_> = (0..5)
+            .map(|_| {
+                let (uploads, store) = (uploads.clone(), store.clone());
+                tokio::spawn(async move { uploads.take(&store, digest, 0).await })
+            })
+            .collect();
+        let asked = tokio::spawn({
+            let uploads = uploads.clone();
+            async move { uploads.offered(&digest).await }
+        });
+        tokio::task::yield_now().await;
+        assert!(others.iter().all(|other| !other.is_finished()) && !asked.is_finished());
+        first.write(b"def").await.unwrap();
+        first.finish().await.unwrap();
+        for other in others {
+            let told = other.await.unwrap().unwrap();
+            assert!(matches!(told, Turn::There(Artefact { bytes: 6, .. })), "{told:?}");
+        }
+        assert_eq!((asked.await.unwrap(), uploads.lock().entries.len()), (0, 0));
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn when_the_first_dies_one_of_those_who_wait_goes_on_and_the_others_wait_for_it() {
+        let (uploads, store, digest) = (Uploads::default(), Store::memory(), Digest::of(b"abcdef"));
+        let mut first = sends(&uploads, &store, digest, 0).await;
+        first.write(b"ab").await.unwrap();
+        let others: Vec<_> = (0..8)
+            .map(|number| {
+                let (uploads, store) = (uploads.clone(), store.clone());
+                tokio::spawn(async move {
+                    let Turn::Sends(mut sending) = uploads.take(&store, digest, 0).await.unwrap() else { return false };
+                    let senders = uploads.lock().entries[&digest].senders;
+                    assert_eq!(senders, 1, "nobody else sends");
+                    // The first three of these die, too.
+                    sending.write(if number < 3 { b"abc" } else { b"abcdef" }).await.unwrap();
+                    tokio::task::yield_now().await;
+                    if number >= 3 {
+                        sending.finish().await.unwrap();
+                    }
+                    true
+                })
+            })
+            .collect();
+        tokio::task::yield_now().await;
         drop(first);
-        second.write(b"def").await.unwrap();
-        second.finish().await.unwrap();
+        let mut sent = 0;
+        for other in others {
+            sent += usize::from(other.await.unwrap());
+        }
+        assert!((1..=4).contains(&sent), "{sent} of them sent");
         assert_eq!(store.get(&digest).await.unwrap(), "abcdef");
+        assert!(uploads.lock().entries.is_empty());
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn who_stands_still_holds_nobody_up_and_few_send_side_by_side() {
+        let (uploads, store, digest) = (Uploads::default(), Store::memory(), Digest::of(b"abcdef"));
+        let begun = Instant::now();
+        let mut slow = Vec::new();
+        for expected in [Duration::ZERO, Uploads::WAIT, 2 * Uploads::WAIT] {
+            let mut sending = sends(&uploads, &store, digest, 0).await;
+            // No two share a byte.
+            sending.write(b"abc").await.unwrap();
+            slow.push(sending);
+            assert_eq!(begun.elapsed().as_secs(), expected.as_secs());
+        }
+        let fourth = tokio::spawn({
+            let (uploads, store) = (uploads.clone(), store.clone());
+            async move { uploads.take(&store, digest, 0).await }
+        });
+        tokio::time::sleep(100 * Uploads::WAIT).await;
+        assert!(!fourth.is_finished(), "the medium does not fill up with copies");
+        let [first, second, mut third] = <[Sending; 3]>::try_from(slow).unwrap();
+        third.write(b"def").await.unwrap();
+        assert_eq!(third.finish().await.unwrap().0.bytes, 6);
+        assert!(matches!(fourth.await.unwrap(), Ok(Turn::There(_))));
+        let mut first = first;
+        assert_eq!(first.write(b"d").await, Ok(Some(Artefact { digest, bytes: 6 })), "it need not go on");
+        assert_eq!(second.finish().await.unwrap(), (Artefact { digest, bytes: 6 }, Novelty::Older));
+        drop(first);
+        assert!(uploads.lock().entries.is_empty(), "and leaves nothing");
+        assert_eq!(store.get(&digest).await.unwrap(), "abcdef");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn what_was_kept_and_damaged_meanwhile_is_sent_again() {
+        use femc_store::object_store::ObjectStoreExt as _;
+        let (uploads, store, digest) = (Uploads::default(), Store::memory(), Digest::of(b"abcdef"));
+        let slow = sends(&uploads, &store, digest, 0).await;
+        let mut quick = sends(&uploads, &store, digest, 0).await;
+        quick.write(b"abcdef").await.unwrap();
+        quick.finish().await.unwrap();
+        store.medium_itself().put(&femc_store::place(&digest), "abc".into()).await.unwrap();
+        let mut third = sends(&uploads, &store, digest, 0).await;
+        assert_eq!(third.write(b"abcdef").await, Ok(None), "it is wanted");
+        third.finish().await.unwrap();
+        assert_eq!(store.get(&digest).await.unwrap(), "abcdef");
+        drop(slow);
     }
 
     #[tokio::test]
     async fn other_bytes_than_announced_are_forgotten_and_the_right_ones_can_come() {
         let (uploads, store, digest) = (Uploads::default(), Store::memory(), Digest::of(b"abcdef"));
-        let liar = uploads.take(&store, digest, 0).await.unwrap();
+        let mut liar = sends(&uploads, &store, digest, 0).await;
         liar.write(b"xyz").await.unwrap();
         drop(liar);
-        let honest = uploads.take(&store, digest, 3).await.unwrap();
+        let mut honest = sends(&uploads, &store, digest, 3).await;
         honest.write(b"def").await.unwrap();
         assert_eq!(honest.finish().await, Err(Refusal::DigestMismatch { digest }));
-        assert_eq!(uploads.size(&digest).await, 0, "the next one begins anew");
+        assert_eq!(uploads.offered(&digest).await, 0, "the next one begins anew");
     }
 
     #[tokio::test]
@@ -218,11 +414,11 @@ mod tests {
         let (uploads, store) = (Uploads::default(), Store::memory());
         let digests: Vec<Digest> = (0..20u8).map(|i| Digest::of(&[i])).collect();
         for digest in &digests {
-            uploads.take(&store, *digest, 0).await.unwrap().write(b"part").await.unwrap();
+            sends(&uploads, &store, *digest, 0).await.write(b"part").await.unwrap();
         }
         uploads.tidy(Instant::now());
         assert_eq!(uploads.lock().entries.len(), Uploads::KEPT);
-        assert_eq!((uploads.size(&digests[11]).await, uploads.size(&digests[12]).await), (0, 4), "the oldest go");
+        assert_eq!((uploads.offered(&digests[11]).await, uploads.offered(&digests[12]).await), (0, 4), "the oldest go");
         uploads.tidy(Instant::now() + Uploads::KEEP);
         assert_eq!(uploads.lock().entries.len(), 0);
     }

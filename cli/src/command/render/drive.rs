@@ -75,7 +75,7 @@ async fn frames(
     say: Say,
 ) -> Result<Made, Failure> {
     let job = job(order, farm, state).await?;
-    let (mut written, mut seen) = (BTreeMap::new(), 0);
+    let (mut written, mut seen, mut lost) = (BTreeMap::new(), 0, false);
     let mut progress = Progress::new(say, Clock);
     let mut look = FIRST_LOOK;
     loop {
@@ -83,15 +83,23 @@ async fn frames(
         if status.frames_done > seen {
             let records = farm.frames(job).await?;
             seen = records.len() as u32;
+            lost = false;
             // The job of a run before this one also has frames whose files are there.
             for record in records.iter().filter(|record| order.missing.contains(&record.frame)) {
                 if let Entry::Vacant(place) = written.entry(record.frame) {
-                    place.insert(write(order, farm, record).await?);
+                    match write(order, farm, record).await? {
+                        Some(report) => drop(place.insert(report)),
+                        None => lost = true,
+                    }
                 }
             }
         }
         progress.show(&show::snapshot(&status, Some(order.asked.settings.stop)));
-        if status.state.has_ended() {
+        if lost {
+            // It is rendered again, and counts when it is.
+            seen = 0;
+        }
+        if status.state.has_ended() && !lost {
             progress.finish();
             if status.state != JobState::Done {
                 let mut lines = show::trouble(&status);
@@ -143,19 +151,19 @@ impl Order<'_> {
     }
 }
 
-/// Write a finished frame.
-async fn write(order: &Order<'_>, farm: &Farm, record: &FrameRecord) -> Result<FrameReport, Failure> {
+/// Write a finished frame; `None`: its image is damaged or gone.
+async fn write(order: &Order<'_>, farm: &Farm, record: &FrameRecord) -> Result<Option<FrameReport>, Failure> {
     let path = order.target.path(record.frame);
-    let bytes = farm.get(&record.image).await?;
+    let Some(bytes) = farm.get_if_there(&record.image).await? else { return Ok(None) };
     pass_async(Point::RenderBeforeFile).await;
     femc_film::file::write_atomic(&path, &bytes).map_err(failed)?;
     pass_async(Point::RenderAfterFile).await;
-    Ok(FrameReport {
+    Ok(Some(FrameReport {
         frame: record.frame,
         file: path.display().to_string(),
         spp: record.spp,
         relative_error: record.relative_error,
         seconds: record.busy_seconds,
         bad_samples: record.bad_samples,
-    })
+    }))
 }

@@ -138,15 +138,19 @@ pub async fn collect(
     loop {
         let all: BTreeMap<JobId, JobStatus> =
             farm.patient_jobs().await?.into_iter().map(|status| (status.job, status)).collect();
+        let mut is_whole = true;
         for queued in queued.iter_mut() {
             if let Some(status) = all.get(&queued.job).filter(|status| status.frames_done > queued.seen) {
                 queued.seen = status.frames_done;
-                queued.take(folder, farm).await?;
+                if queued.take(folder, farm).await? == Took::NotAll {
+                    // What is lost is rendered again, and counts when it is.
+                    (queued.seen, is_whole) = (0, false);
+                }
             }
         }
         let ours: Vec<&JobStatus> = queued.iter().filter_map(|queued| all.get(&queued.job)).collect();
         progress.show(&together(&ours, queued));
-        if ours.iter().all(|status| status.state.has_ended()) {
+        if is_whole && ours.iter().all(|status| status.state.has_ended()) {
             progress.finish();
             folder.save()?;
             keep_told(queued, folder, farm).await?;
@@ -167,18 +171,30 @@ pub async fn collect(
     }
 }
 
+/// Which of the finished frames were there.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Took {
+    All,
+    /// An image was damaged or gone.
+    NotAll,
+}
+
 impl Queued<'_> {
     /// Write the frames that are finished.
-    async fn take(&mut self, folder: &mut Folder, farm: &Farm) -> Result<(), Failure> {
+    async fn take(&mut self, folder: &mut Folder, farm: &Farm) -> Result<Took, Failure> {
+        let mut took = Took::All;
         for record in farm.frames(self.job).await? {
             let planning = self.variant.frames.iter().find(|planning| planning.frame == record.frame);
             if let Some(planning) = planning.filter(|_| self.open.contains(&record.frame)) {
-                let bytes = farm.get(&record.image).await?;
+                let Some(bytes) = farm.get_if_there(&record.image).await? else {
+                    took = Took::NotAll;
+                    continue;
+                };
                 folder.write(&self.variant.file(record.frame), &bytes, shot(&planning.key, &record))?;
                 self.open.remove(&record.frame);
             }
         }
-        Ok(())
+        Ok(took)
     }
 }
 

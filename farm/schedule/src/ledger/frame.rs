@@ -3,7 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-use femc_model::{Artefact, Digest, Epoch, Failure, Grains, MergeResult, StageKind, Tick, TileResult};
+use femc_model::{Artefact, Digest, Epoch, Failure, FrameRecord, Grains, MergeResult, StageKind, Tick, TileResult};
 use serde::{Deserialize, Serialize};
 
 use super::group::Groups;
@@ -108,6 +108,23 @@ impl Frame {
             relative_error: None,
             groups: Groups::default(),
         }
+    }
+
+    /// A finished frame whose image is gone. Its trouble says so, which no attempt is charged for.
+    pub(super) fn again(record: &FrameRecord) -> Self {
+        let digests: Vec<Digest> =
+            [Some(record.image), record.preview].iter().flatten().map(|image| image.digest).collect();
+        let failure = Failure::LostInputs { digests, message: "the finished image".into() };
+        let trouble = BTreeMap::from([((StageKind::Merge, 0), Trouble::new(failure))]);
+        // Nobody has begun it again.
+        Self { trouble, busy_seconds: record.busy_seconds, ..Self::new(Tick(u64::MAX)) }
+    }
+
+    /// Whether it was finished before, and its image is gone.
+    pub(crate) fn is_again(&self) -> bool {
+        self.trouble
+            .get(&(StageKind::Merge, 0))
+            .is_some_and(|trouble| trouble.attempts == 0 && matches!(trouble.failure, Failure::LostInputs { .. }))
     }
 
     /// Takes in what was rendered from key `first` on; grains that are there already change nothing.

@@ -223,7 +223,24 @@ impl Job {
         }
     }
 
+    /// The finished frames whose image or preview this is.
+    pub(crate) fn pictured_by(&self, digest: &Digest) -> impl Iterator<Item = u32> + use<'_> {
+        let digest = *digest;
+        let is_it = move |record: &FrameRecord| {
+            record.image.digest == digest || record.preview.is_some_and(|preview| preview.digest == digest)
+        };
+        self.finished.iter().filter(move |(_, finished)| is_it(&finished.record)).map(|(&frame, _)| frame)
+    }
+
+    /// What is known of the frame is forgotten, but for the time that it has taken. The job may have been done.
     pub(super) fn restarted(&mut self, frame: u32) -> Vec<Digest> {
+        if let Some(Finished { record, .. }) = self.finished.remove(&frame) {
+            self.frames.insert(frame, Frame::again(&record));
+            if !self.has_ended() {
+                self.ended = None;
+            }
+            return [Some(record.image), record.preview].into_iter().flatten().map(|image| image.digest).collect();
+        }
         self.blocked.remove(&frame);
         self.frames.get_mut(&frame).map(Frame::restarted).unwrap_or_default()
     }

@@ -42,6 +42,16 @@ impl Ledger {
         self.keys.get(key).copied()
     }
 
+    /// The highest incarnation that a fact tells of.
+    pub fn incarnation(&self) -> u32 {
+        self.incarnation
+    }
+
+    /// Incarnations up to this one have been, also where the facts that told of them are lost: the next one is another.
+    pub fn outlive(&mut self, incarnation: u32) {
+        self.incarnation = self.incarnation.max(incarnation);
+    }
+
     /// The time of the last fact.
     pub fn now(&self) -> Tick {
         self.now

@@ -143,8 +143,9 @@ impl Farm {
 
     pub fn on(&mut self, event: Event) -> Vec<Command> {
         self.charge();
-        let commands = self.scheduler.on(event.clone(), self.now);
-        self.learn(&event, &commands);
+        let told = event.clone();
+        let commands = self.scheduler.on(event, self.now);
+        self.learn(&told, &commands);
         self.ended.clear();
         for command in &commands {
             match command {

@@ -1,0 +1,142 @@
+//! While there is no room for the log: what is known and not durable is kept, and told to nobody.
+//!
+//! The coordinator's clock stands still, as it does while it is down, so that no lease runs out and no task seems to stall.
+//! Workers are told that their leases hold, for as long as they did when the clock stopped; they go on computing. What else
+//! they say is put off, so much of it; then they wait. Whoever wants something is told to come again. So what is kept does
+//! not grow, and when there is room everything goes on where it was.
+
+use femc_model::{FromWorker, Refusal, ToWorker, WorkerId};
+use femc_proto::{Call, References, Reply};
+use femc_queue::{Batch, Queue, QueueError, Remedy};
+use femc_schedule::Command;
+use tokio::sync::{mpsc, watch};
+use tokio::time::Duration;
+
+use crate::actor::{Actor, Word};
+use crate::config::CoordinatorError;
+
+/// Where calls come in, and the end.
+#[derive(Debug)]
+pub(crate) struct Doors {
+    pub(crate) calls: mpsc::Receiver<Call>,
+    pub(crate) stop: watch::Receiver<()>,
+}
+
+/// What is not durable yet.
+pub(crate) struct Pending<'a> {
+    pub(crate) batch: Batch<'a>,
+    /// What follows from it.
+    pub(crate) commands: &'a [Command],
+}
+
+impl<Q: Queue> Actor<Q> {
+    /// Between two attempts.
+    const AGAIN: Duration = Duration::from_millis(500);
+    /// Most words that are put off.
+    const PUT_OFF: usize = 4096;
+
+    /// Appends, as soon as there is room.
+    pub(crate) async fn keep(&mut self, pending: Pending<'_>, doors: &mut Doors) -> Result<(), CoordinatorError> {
+        let mut waits = false;
+        loop {
+            match self.queue.append(pending.batch).await {
+                Err(error) if error.remedy() == Remedy::Room => {
+                    if !waits {
+                        tracing::error!(%error, "waits for room; nothing is lost, and nothing new is taken");
+                        self.clock.stop();
+                        self.metrics.waits(Some(error.to_string()));
+                    }
+                    waits = true;
+                    self.pause(error, &pending, doors).await?;
+                }
+                appended => {
+                    if waits {
+                        tracing::info!("there is room again: goes on");
+                        self.clock.go_on();
+                        self.metrics.waits(None);
+                    }
+                    return Ok(appended?);
+                }
+            }
+        }
+    }
+
+    /// Keeps everybody calm for a moment.
+    async fn pause(
+        &mut self,
+        error: QueueError,
+        pending: &Pending<'_>,
+        doors: &mut Doors,
+    ) -> Result<(), CoordinatorError> {
+        let mut pause = std::pin::pin!(tokio::time::sleep(Self::AGAIN));
+        loop {
+            self.queue.check()?;
+            self.disks.look_later(&mut self.looked);
+            tokio::select! {
+                biased;
+                _ = doors.stop.changed() => return Err(error.into()),
+                () = &mut pause => return Ok(()),
+                Some((worker, word)) = self.heard.recv(), if self.put_off.len() < Self::PUT_OFF => {
+                    self.put_off(worker, word);
+                }
+                Some(call) = doors.calls.recv() => self.turn_away(call, &error, pending),
+                Some(watcher) = self.watchers.recv() => self.show(watcher),
+            }
+        }
+    }
+
+    /// A heartbeat is answered, everything else is heard later.
+    fn put_off(&mut self, worker: WorkerId, word: Word) {
+        if let Word::Said(said) = &word
+            && let FromWorker::Heartbeat { number, spent, .. } = &**said
+        {
+            let leases = self.scheduler.leases(worker, self.clock.now());
+            self.tell(worker, ToWorker::Renewed { heartbeat: *number, leases });
+            if spent.is_empty() {
+                return;
+            }
+        }
+        self.put_off.push_back((worker, word));
+    }
+
+    /// Whoever asked and went away does not hear it.
+    fn turn_away(&self, call: Call, error: &QueueError, pending: &Pending<'_>) {
+        let no =
+            || Refusal::Unavailable { message: format!("{error}; nothing is lost, and it goes on when there is room") };
+        match call {
+            Call::Submit { reply, .. } => {
+                let place = self.disks.refusal().unwrap_or(Refusal::NoRoom { place: "the log".into(), free: 0 });
+                drop(reply.send(Err(place)));
+            }
+            // Garbage is what makes room. What is not durable yet may have released something that the log still names.
+            Call::References { reply } if pending.batch.forgotten.is_empty() => {
+                let References { mut artefacts, scenes } = self.references();
+                let released = pending.commands.iter().flat_map(|command| match command {
+                    Command::Discard(digests) => digests.as_slice(),
+                    _ => &[],
+                });
+                artefacts.extend(released);
+                drop(reply.send(Ok(References { artefacts, scenes })));
+            }
+            // It comes again, with what it has done.
+            Call::Session(session) => drop(session),
+            Call::Control { reply, .. } => refuse(reply, no()),
+            Call::List { reply } => refuse(reply, no()),
+            Call::Status { reply, .. } => refuse(reply, no()),
+            Call::Watch { reply, .. } => refuse(reply, no()),
+            Call::Parts { reply, .. } => refuse(reply, no()),
+            Call::Frames { reply, .. } => refuse(reply, no()),
+            Call::Drain { reply, .. } => refuse(reply, no()),
+            Call::Logs { reply, .. } => refuse(reply, no()),
+            Call::Shape { reply, .. } => refuse(reply, no()),
+            Call::Attempts { reply, .. } => refuse(reply, no()),
+            Call::Workers { reply } => refuse(reply, no()),
+            Call::References { reply } => refuse(reply, no()),
+            Call::Backup { reply } => refuse(reply, no()),
+        }
+    }
+}
+
+fn refuse<T>(reply: Reply<T>, no: Refusal) {
+    drop(reply.send(Err(no)));
+}

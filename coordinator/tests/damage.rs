@@ -1,0 +1,277 @@
+//! What the store damages, and what several send at once.
+
+mod common;
+
+use std::collections::VecDeque;
+use std::path::{Path, PathBuf};
+
+use bytes::Bytes;
+use common::{Cut, Proxy};
+use femc_coordinator::{Artifacts, Config, Coordinator, Handle};
+use femc_model::*;
+use femc_proto::{CallError, Client, Incoming, Outgoing};
+
+const MB: u64 = 1_000_000;
+
+async fn farm() -> (tempfile::TempDir, Handle, Client) {
+    let folder = tempfile::tempdir().unwrap();
+    let config = Config { artifacts: Artifacts::Folder(folder.path().join("artifacts")), ..Config::default() };
+    let farm = Coordinator::start(config).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    (folder, farm, client)
+}
+
+/// Bytes in which no piece is like another.
+fn noise(size: u64) -> Bytes {
+    let mut state = size;
+    let word = |_| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 32).to_le_bytes()
+    };
+    (0..size / 8).flat_map(word).collect()
+}
+
+/// Where an artefact lies.
+fn file(folder: &Path, digest: &Digest) -> PathBuf {
+    let name = digest.to_string();
+    folder.join("artifacts").join(&name[..2]).join(&name[2..])
+}
+
+/// What a disk makes of a file: less, nothing, other bytes, more.
+fn harms(whole: &[u8]) -> Vec<Vec<u8>> {
+    let mut flipped = whole.to_vec();
+    flipped[whole.len() / 2] ^= 1;
+    vec![whole[..whole.len() - 1].to_vec(), vec![], flipped, [whole, b"rubbish"].concat()]
+}
+
+fn spec(bundle: Digest) -> JobSpec {
+    JobSpec {
+        name: "fog".into(),
+        bundle,
+        entry: "fog.mgf".into(),
+        settings: "{}".into(),
+        frames: vec![1, 2],
+        grid: Grid { film: [8, 8], tile: 8 },
+        rounds: vec![16],
+        priority: 50,
+        owner: "me".into(),
+        tags: vec![],
+    }
+}
+
+/// A worker that does what the test says.
+struct Hand {
+    client: Client,
+    out: Outgoing,
+    incoming: Incoming,
+    /// Assigned while it listened for something else.
+    waiting: VecDeque<Assignment>,
+}
+
+impl Hand {
+    async fn join(url: &str) -> Self {
+        let client = Client::connect(url).await.unwrap();
+        let registration = Registration {
+            name: "hand".into(),
+            instance: 1,
+            engine: "e".into(),
+            threads: 1,
+            slots: 1,
+            tags: vec![],
+            held: vec![],
+            died: None,
+        };
+        let (out, incoming) = client.session(registration).await.unwrap();
+        Self { client, out, incoming, waiting: VecDeque::new() }
+    }
+
+    async fn assigned(&mut self) -> Assignment {
+        if let Some(assignment) = self.waiting.pop_front() {
+            return assignment;
+        }
+        loop {
+            if let ToWorker::Assign(assignment) = self.incoming.next().await.unwrap().expect("the session goes on") {
+                return assignment;
+            }
+        }
+    }
+
+    /// Whether the report counts.
+    async fn report(&mut self, held: &Assignment, result: TaskResult) -> bool {
+        let (task, epoch) = (held.task, held.epoch);
+        self.out.send(FromWorker::Completed { task, epoch, result, log: None, usage: None }).await;
+        loop {
+            match self.incoming.next().await.unwrap().expect("the session goes on") {
+                ToWorker::Accepted { epoch: of, .. } if of == epoch => return true,
+                ToWorker::Refused { epoch: of, .. } if of == epoch => return false,
+                ToWorker::Assign(assignment) => self.waiting.push_back(assignment),
+                _ => {}
+            }
+        }
+    }
+
+    /// Does tasks until the job has no more; the images are `image 1`, `image 2`.
+    async fn work(&mut self, id: JobId) {
+        while self.client.status(id).await.unwrap().state != JobState::Done {
+            let held = self.assigned().await;
+            let result = self.result(&held).await;
+            assert!(self.report(&held, result).await);
+        }
+    }
+
+    async fn result(&self, held: &Assignment) -> TaskResult {
+        let bytes = format!("{:?} {}", held.task.stage.kind, held.task.stage.frame);
+        let artefact = self.client.put(Bytes::from(bytes)).await.unwrap();
+        match &held.work {
+            Work::Render { samples, .. } => TaskResult::Tile(TileResult {
+                tile: artefact,
+                samples: u64::from(samples.end - samples.start) * 64,
+                bad_samples: 0,
+                seconds: 0.1,
+            }),
+            Work::Merge { .. } | Work::Gather { .. } => TaskResult::Merge(MergeResult {
+                decision: Decision::Done,
+                sums: None,
+                image: Some(artefact),
+                preview: None,
+                relative_error: None,
+                bad_samples: 0,
+                seconds: 0.1,
+            }),
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_truncated_artefact_is_wanted_again_by_whoever_offers_it() {
+    let (folder, farm, client) = farm().await;
+    for whole in [Bytes::from_static(b"a tile of some bytes"), noise(9 * MB)] {
+        let artefact = client.put(whole.clone()).await.unwrap();
+        for damaged in harms(&whole) {
+            std::fs::write(file(folder.path(), &artefact.digest), &damaged).unwrap();
+            assert_eq!(client.put(whole.clone()).await.unwrap(), artefact);
+            assert_eq!(client.get_exactly(&artefact).await.unwrap(), whole, "of {} bytes", damaged.len());
+
+            std::fs::write(file(folder.path(), &artefact.digest), &damaged).unwrap();
+            let heard = client.get_exactly(&artefact).await;
+            let is_refused = matches!(
+                heard,
+                Err(CallError::Refused(Refusal::NoSuchArtefact { .. } | Refusal::DigestMismatch { .. }))
+            );
+            assert!(is_refused, "of {} bytes: {heard:?}", damaged.len());
+            assert_eq!(client.missing(&[artefact.digest]).await.unwrap(), [artefact.digest], "it is removed");
+            client.put(whole.clone()).await.unwrap();
+        }
+    }
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_truncated_result_does_not_block_its_job() {
+    let (folder, farm, client) = farm().await;
+    let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
+    let id = client.submit(None, spec(bundle.digest)).await.unwrap();
+    // Before any coordinator has seen it: as one that was put in an earlier life, and cut since.
+    let tile = Digest::of(b"Render 1");
+    std::fs::create_dir_all(file(folder.path(), &tile).parent().unwrap()).unwrap();
+    std::fs::write(file(folder.path(), &tile), b"Ren").unwrap();
+    let mut hand = Hand::join(&farm.url()).await;
+    hand.work(id).await;
+    assert_eq!(client.frames(id).await.unwrap().len(), 2);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_scene_that_the_store_has_cut_is_sent_again_before_its_job_is_taken() {
+    let (folder, farm, client) = farm().await;
+    let pieces: Vec<Bytes> = (0..3).map(|i| Bytes::from(format!("piece {i} of a scene"))).collect();
+    let named = pieces.iter().map(|bytes| Piece { artefact: Artefact::of(bytes), unpacked: 9 }).collect();
+    let manifest = Bytes::from(Manifest { pieces: named, ..Manifest::default() }.encode().unwrap());
+    let scene: Vec<Bytes> = pieces.iter().chain([&manifest]).cloned().collect();
+    client.put_all(&scene).await.unwrap();
+    for part in &scene {
+        std::fs::write(file(folder.path(), &Digest::of(part)), &part[..part.len() - 3]).unwrap();
+        let refused = client.submit(None, spec(Digest::of(&manifest))).await;
+        assert!(matches!(refused, Err(CallError::Refused(Refusal::MissingArtefacts { count: 1, .. }))), "{refused:?}");
+        assert_eq!(client.put_all(&scene).await.unwrap(), part.len() as u64, "just what is damaged");
+        client.submit(None, spec(Digest::of(&manifest))).await.unwrap();
+    }
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_damaged_image_is_found_by_who_fetches_it_and_its_frame_is_rendered_again() {
+    let (folder, farm, client) = farm().await;
+    let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
+    let id = client.submit(None, spec(bundle.digest)).await.unwrap();
+    let mut hand = Hand::join(&farm.url()).await;
+    hand.work(id).await;
+    let before = client.frames(id).await.unwrap();
+    let image = before[1].image;
+    let whole = client.get_exactly(&image).await.unwrap();
+    for damaged in harms(&whole).into_iter().map(Some).chain([None]) {
+        let at = file(folder.path(), &image.digest);
+        match damaged {
+            Some(damaged) => std::fs::write(at, damaged).unwrap(),
+            None => std::fs::remove_file(at).unwrap(),
+        }
+        assert!(client.get_exactly(&image).await.is_err());
+        let status = client.status(id).await.unwrap();
+        assert_eq!((status.state, status.frames_done), (JobState::Running, 1), "told before the answer comes");
+        assert!(status.waits.contains(&Wait::ImageLost { frame: 2 }), "{:?}", status.waits);
+        assert_eq!(client.frames(id).await.unwrap(), before[..1]);
+        hand.work(id).await;
+        assert_eq!(client.frames(id).await.unwrap()[1].image, image);
+        assert_eq!(client.get_exactly(&image).await.unwrap(), whole);
+    }
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_retry_of_a_job_that_is_done_looks_at_its_images() {
+    let (folder, farm, client) = farm().await;
+    let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
+    let id = client.submit(None, spec(bundle.digest)).await.unwrap();
+    let mut hand = Hand::join(&farm.url()).await;
+    hand.work(id).await;
+    let all_is_well = client.control(id, Control::Retry).await;
+    assert!(matches!(all_is_well, Err(CallError::Refused(Refusal::Ended { .. }))), "{all_is_well:?}");
+    let image = client.frames(id).await.unwrap()[0].image;
+    std::fs::write(file(folder.path(), &image.digest), b"half").unwrap();
+    client.control(id, Control::Retry).await.unwrap();
+    let status = client.status(id).await.unwrap();
+    assert_eq!((status.state, status.frames_done), (JobState::Running, 1));
+    hand.work(id).await;
+    assert_eq!(client.get_exactly(&image).await.unwrap().len() as u64, image.bytes);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn all_who_send_the_same_at_once_succeed_and_some_may_die() {
+    let (_folder, farm, client) = farm().await;
+    let bytes = noise(24 * MB);
+    let artefact = Artefact::of(&bytes);
+    let mut senders = Vec::new();
+    for number in 0..6u64 {
+        // Every second one loses its connection on the way, and one is gone for good.
+        let cuts = if number % 2 == 0 { vec![Cut::Up((3 + 2 * number) * MB)] } else { vec![] };
+        let proxy = Proxy::start(farm.address(), &cuts).await;
+        let sender = Client::connect(&proxy.url).await.unwrap();
+        let bytes = bytes.clone();
+        let sending = tokio::spawn(async move {
+            let put = sender.put(bytes).await;
+            (put, proxy.seen.up())
+        });
+        senders.push(sending);
+    }
+    senders.remove(0).abort();
+    let mut sent = 0;
+    for sender in senders {
+        let (put, up) = sender.await.unwrap();
+        assert_eq!(put.unwrap(), artefact);
+        sent += up;
+    }
+    println!("{sent} bytes were sent for {}", bytes.len());
+    assert_eq!(client.get_exactly(&artefact).await.unwrap(), bytes);
+    farm.stop().await.unwrap();
+}

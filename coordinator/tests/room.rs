@@ -1,0 +1,261 @@
+//! A disk that is full ends nothing: the coordinator waits with all that it knows, tells nobody, and goes on.
+
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::time::Duration;
+
+use bytes::Bytes;
+use femc_coordinator::{Artifacts, Config, Coordinator, CoordinatorError, Handle, Log, Metrics, QueueError, Standing};
+use femc_metrics::Health;
+use femc_model::*;
+use femc_proto::{CallError, Client, Incoming, Outgoing};
+use femc_queue::{Batch, Contents, Memory, Page, Queue};
+use femc_schedule::{Fact, Ledger};
+use femc_store::Store;
+
+/// A log in memory on a medium that may be full.
+#[derive(Debug, Clone, Default)]
+struct Narrow {
+    log: Memory,
+    is_full: Arc<AtomicBool>,
+    /// Whether it is too narrow for a snapshot at any time.
+    has_no_snapshots: bool,
+    refused: Arc<AtomicUsize>,
+}
+
+impl Narrow {
+    fn fill(&self, is_full: bool) {
+        self.is_full.store(is_full, Ordering::SeqCst);
+    }
+
+    fn admits(&self) -> Result<(), QueueError> {
+        if self.is_full.load(Ordering::SeqCst) { self.refuse() } else { Ok(()) }
+    }
+
+    fn refuse(&self) -> Result<(), QueueError> {
+        self.refused.fetch_add(1, Ordering::SeqCst);
+        Err(QueueError::Full { place: "the test".into(), message: "disk full".into() })
+    }
+
+    /// Until so many more writes were refused.
+    async fn refuses(&self, more: usize) {
+        let from = self.refused.load(Ordering::SeqCst);
+        while self.refused.load(Ordering::SeqCst) < from + more {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    }
+
+    /// What a coordinator that began now would know.
+    async fn ledger(&self) -> Ledger {
+        let Contents { snapshot, records, .. } = self.log.clone().load().await.unwrap();
+        let mut ledger = snapshot.map(|state| Ledger::decode(&state).unwrap()).unwrap_or_default();
+        for record in records {
+            let (now, fact) = Fact::decode(&record).unwrap();
+            ledger.apply(&fact, now);
+        }
+        ledger
+    }
+}
+
+impl Queue for Narrow {
+    async fn load(&mut self) -> Result<Contents, QueueError> {
+        self.log.load().await
+    }
+
+    async fn append(&mut self, batch: Batch<'_>) -> Result<(), QueueError> {
+        self.admits()?;
+        self.log.append(batch).await
+    }
+
+    async fn snapshot(&mut self, state: &[u8]) -> Result<(), QueueError> {
+        if self.has_no_snapshots {
+            return self.refuse();
+        }
+        self.admits()?;
+        self.log.snapshot(state).await
+    }
+
+    async fn notes(&mut self, subject: u64, from: u64) -> Result<Page, QueueError> {
+        self.log.notes(subject, from).await
+    }
+}
+
+const RESULT: &[u8] = b"a tile that nobody looks at";
+
+fn spec() -> JobSpec {
+    JobSpec {
+        name: "fog".into(),
+        bundle: Digest::of(b"bundle"),
+        entry: "fog.mgf".into(),
+        settings: "{}".into(),
+        frames: vec![1],
+        grid: Grid { film: [64, 64], tile: 8 },
+        rounds: vec![16],
+        priority: 50,
+        owner: "me".into(),
+        tags: vec![],
+    }
+}
+
+async fn farm(log: &Narrow, config: Config) -> (Handle, Client) {
+    let farm = Coordinator::with(config, Store::memory(), log.clone()).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    client.put(Bytes::from_static(b"bundle")).await.unwrap();
+    client.put(Bytes::from_static(RESULT)).await.unwrap();
+    (farm, client)
+}
+
+async fn worker(client: &Client) -> (Outgoing, Incoming) {
+    let registration = Registration {
+        name: "one".into(),
+        instance: 7,
+        engine: "test".into(),
+        threads: 1,
+        slots: 1,
+        tags: vec![],
+        held: vec![],
+        died: None,
+    };
+    client.session(registration).await.unwrap()
+}
+
+fn done(lease: &Assignment) -> FromWorker {
+    let tile = TileResult { tile: Artefact::of(RESULT), samples: 1024, bad_samples: 0, seconds: 0.0 };
+    let (task, epoch) = (lease.task, lease.epoch);
+    FromWorker::Completed { task, epoch, result: TaskResult::Tile(tile), log: None, usage: None }
+}
+
+async fn next<T>(incoming: &mut Incoming, wanted: impl Fn(ToWorker) -> Option<T>) -> T {
+    loop {
+        if let Some(found) = wanted(incoming.next().await.unwrap().expect("the session goes on")) {
+            return found;
+        }
+    }
+}
+
+fn refusal<T: std::fmt::Debug>(answer: Result<T, CallError>) -> Refusal {
+    match answer {
+        Err(CallError::Refused(refusal)) => refusal,
+        other => panic!("not refused: {other:?}"),
+    }
+}
+
+#[tokio::test]
+async fn a_full_log_ends_nothing_tells_nothing_and_goes_on_when_there_is_room() {
+    let (log, metrics) = (Narrow::default(), Metrics::default());
+    let (farm, client) = farm(&log, Config { metrics: metrics.clone(), ..Config::default() }).await;
+    let job = client.submit(None, spec()).await.unwrap();
+    let (out, mut incoming) = worker(&client).await;
+    let assigned = |message| if let ToWorker::Assign(lease) = message { Some(lease) } else { None };
+    let lease = next(&mut incoming, assigned).await;
+
+    log.fill(true);
+    out.send(done(&lease)).await;
+    log.refuses(1).await;
+    // What somebody wants now, and a worker that is alive.
+    assert!(matches!(refusal(client.submit(None, spec()).await), Refusal::NoRoom { .. }));
+    let Refusal::Unavailable { message } = refusal(client.listing().await) else { panic!("another refusal") };
+    assert!(message.contains("no room for the log in the test"), "{message}");
+    assert!(matches!(refusal(client.control(job, Control::Pause).await), Refusal::Unavailable { .. }));
+    let report = metrics.report(&Standing::Leads).await;
+    assert!(matches!(report.health, Health::Waits { message } if message.contains("no room")));
+    assert!(report.page.contains("femc_log_waits_for_room 1"));
+    for number in 1..=3 {
+        out.send(FromWorker::Heartbeat { number, tasks: vec![], spent: vec![] }).await;
+        let answered = |message| match message {
+            ToWorker::Renewed { heartbeat, .. } => Some(heartbeat),
+            ToWorker::Accepted { .. } => panic!("told before it was durable"),
+            _ => None,
+        };
+        assert_eq!(next(&mut incoming, answered).await, number, "its session goes on");
+    }
+    log.refuses(2).await;
+    assert_eq!(log.ledger().await.references().len(), 1, "the scene alone");
+
+    log.fill(false);
+    let accepted = |message| if let ToWorker::Accepted { task, .. } = message { Some(task) } else { None };
+    assert_eq!(next(&mut incoming, accepted).await, lease.task);
+    assert_eq!(log.ledger().await.references().len(), 2, "and the tile, once");
+    assert_eq!(client.listing().await.unwrap().jobs[0].job, job);
+    client.submit(None, spec()).await.unwrap();
+    assert_eq!(metrics.report(&Standing::Leads).await.health, Health::Ready);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test]
+async fn what_workers_say_while_the_log_is_full_is_heard_when_there_is_room() {
+    let log = Narrow::default();
+    let (farm, client) = farm(&log, Config::default()).await;
+    client.submit(None, spec()).await.unwrap();
+    let (out, mut incoming) = worker(&client).await;
+    let assigned = |message| if let ToWorker::Assign(lease) = message { Some(lease) } else { None };
+    let (first, second) = (next(&mut incoming, assigned).await, next(&mut incoming, assigned).await);
+    log.fill(true);
+    out.send(done(&first)).await;
+    log.refuses(1).await;
+    out.send(done(&second)).await;
+    log.refuses(2).await;
+    log.fill(false);
+    let accepted = |message| if let ToWorker::Accepted { task, .. } = message { Some(task) } else { None };
+    let both = [next(&mut incoming, accepted).await, next(&mut incoming, accepted).await];
+    assert_eq!(both, [first.task, second.task]);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test]
+async fn a_snapshot_without_room_is_left_and_a_coordinator_that_is_stopped_meanwhile_says_why_it_ends() {
+    let log = Narrow { has_no_snapshots: true, ..Narrow::default() };
+    let (farm, client) = farm(&log, Config { snapshot: 1, ..Config::default() }).await;
+    while log.refused.load(Ordering::SeqCst) == 0 {
+        tokio::time::sleep(Duration::from_millis(5)).await;
+    }
+    client.submit(None, spec()).await.unwrap();
+    assert_eq!(log.ledger().await.references().len(), 1, "records are still taken");
+    log.fill(true);
+    let paused = tokio::spawn({
+        let client = client.clone();
+        async move { client.control(JobId(1), Control::Pause).await }
+    });
+    log.refuses(1).await;
+    let ended = farm.stop().await.unwrap_err();
+    assert!(matches!(ended, CoordinatorError::Queue(QueueError::Full { .. })), "{ended}");
+    assert!(paused.await.unwrap().is_err(), "it was never told");
+}
+
+#[tokio::test]
+async fn with_little_room_it_is_told_with_less_no_new_job_is_taken_and_the_others_go_on() {
+    let folder = tempfile::tempdir().unwrap();
+    let free = femc_metrics::free(folder.path()).unwrap();
+    let config = |keep_free| Config {
+        log: Log::Sqlite(folder.path().join("log.sqlite")),
+        artifacts: Artifacts::Folder(folder.path().join("artifacts")),
+        keep_free,
+        ..Config::default()
+    };
+    for (keep_free, warnings, is_taken) in [(0, 0, true), (free / 2, 2, true), (2 * free, 2, false)] {
+        let config = config(keep_free);
+        let metrics = config.metrics.clone();
+        let farm = Coordinator::start(config).await.unwrap();
+        let client = Client::connect(&farm.url()).await.unwrap();
+        client.put(Bytes::from_static(b"bundle")).await.unwrap();
+        let before = client.listing().await.unwrap();
+        assert_eq!(before.warnings.len(), warnings, "{:?}", before.warnings);
+        let report = metrics.report(&Standing::Leads).await;
+        assert!(report.page.contains("femc_disk_free_bytes{holds=\"log\"}"), "{}", report.page);
+        assert!(report.page.contains("femc_disk_free_bytes{holds=\"artifacts\"}"));
+        match client.submit(None, spec()).await {
+            Ok(job) => {
+                assert!(is_taken);
+                assert_eq!(report.health, Health::Ready);
+                client.control(job, Control::Pause).await.unwrap();
+            }
+            Err(CallError::Refused(no @ Refusal::NoRoom { .. })) => {
+                assert!(!is_taken && no.to_string().contains("femc gc"), "{no}");
+                assert!(matches!(report.health, Health::Strained { .. }));
+                client.control(before.jobs[0].job, Control::Cancel).await.unwrap();
+            }
+            other => panic!("{other:?}"),
+        }
+        farm.stop().await.unwrap();
+    }
+}

@@ -183,11 +183,13 @@ impl Client {
 
 #[cfg(test)]
 mod tests {
+    use crate::Why;
+
     use super::*;
 
     #[tokio::test(start_paused = true)]
     async fn a_long_transfer_that_is_cut_goes_on_and_what_gets_nowhere_ends() {
-        let cut = || CallError::Unreachable { url: "http://farm".into(), message: "cut".into() };
+        let cut = || CallError::Unreachable { url: "http://farm".into(), message: "cut".into(), why: Why::Away };
         let mut patience = Patience::new(Direction::Up);
         for reached in 1..=3 {
             patience.reached(reached);

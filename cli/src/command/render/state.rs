@@ -127,7 +127,7 @@ mod tests {
     use super::*;
 
     fn identity(seed: u64) -> Identity {
-        Identity { version: "1".into(), bundle: "b".into(), settings: serde_json::json!({ "seed": seed }) }
+        Identity { engine: "1".into(), bundle: "b".into(), settings: serde_json::json!({ "seed": seed }) }
     }
 
     #[test]

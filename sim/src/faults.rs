@@ -24,7 +24,7 @@ pub(crate) enum Hardship {
 
 impl Hardship {
     /// Those that the farm does not survive.
-    const SPARED: &[Self] = &[Self::Resized, Self::Senders, Self::LogLost, Self::FullLog];
+    const SPARED: &[Self] = &[];
 
     /// Whether worlds have it.
     pub(crate) fn is_there(self) -> bool {

@@ -86,8 +86,8 @@ async fn coordinator(host: usize, shared: Shared, store: Store, scheduler: femc_
         shared.note(|| format!("c{host} leads"));
         let failed = async {
             match Coordinator::on(listen(&shared, &coordinator_name(host)).await, config, store.clone(), log).await {
-                Ok(mut handle) => handle.failed().await,
-                Err(error) => error,
+                Ok(mut handle) => (handle.failed().await, true),
+                Err(error) => (error, false),
             }
         };
         // One that leads no more finds out at its next write; one that has nothing to write, after a while.
@@ -99,10 +99,10 @@ async fn coordinator(host: usize, shared: Shared, store: Store, scheduler: femc_
         };
         tokio::select! {
             biased;
-            error = failed => {
+            (error, has_led) = failed => {
                 shared.note(|| format!("c{host} fails: {error}"));
-                // It waits until there is room.
-                if is_full(&error) && Hardship::FullLog.is_there() {
+                // One that leads waits until there is room.
+                if has_led && is_full(&error) && Hardship::FullLog.is_there() {
                     shared.lock().wrong.push(Violation::Ended { message: error.to_string() });
                 }
             }

@@ -35,6 +35,8 @@ pub(crate) struct Disk {
     reserved: u32,
     /// How many there were before.
     pub(crate) logs: u32,
+    /// The host that took the lead last from another one, and when.
+    moved: (usize, Duration),
     /// Of the coordinator that may write.
     epoch: i64,
     /// So many writes find no room.
@@ -47,6 +49,14 @@ pub(crate) struct Disk {
 impl Disk {
     pub(crate) fn tail(&self) -> Tail {
         self.tail
+    }
+
+    /// Whether somebody who led may still answer questions as if nothing had happened.
+    pub(crate) fn has_ghosts(&self) -> bool {
+        /// Longer than one that leads no more goes on.
+        const HAUNTS: Duration = Duration::from_secs(12);
+        let now = turmoil::sim_elapsed().unwrap_or_default();
+        self.moved.1 > Duration::ZERO && now.saturating_sub(self.moved.1) < HAUNTS
     }
 
     fn keep(&mut self, Batch { notes, forgotten, .. }: &Batch<'_>) {
@@ -70,8 +80,8 @@ impl State {
     pub(crate) fn lose_log(&mut self) {
         let wrong = settled(self);
         self.wrong.extend(wrong);
-        let Disk { reserved, epoch, logs, snapshots, longest, .. } = std::mem::take(&mut self.disk);
-        self.disk = Disk { reserved, epoch, logs: logs + 1, snapshots, longest, ..Disk::default() };
+        let Disk { reserved, moved, epoch, logs, snapshots, longest, .. } = std::mem::take(&mut self.disk);
+        self.disk = Disk { reserved, moved, epoch, logs: logs + 1, snapshots, longest, ..Disk::default() };
         self.leases.anew();
         self.chronicle.anew();
         self.shares.anew();
@@ -95,6 +105,9 @@ impl Log {
     pub(crate) fn lead(shared: &Shared, host: usize) -> Self {
         let mut state = shared.lock();
         state.disk.epoch += 1;
+        if state.disk.moved.0 != host {
+            state.disk.moved = (host, turmoil::sim_elapsed().unwrap_or_default());
+        }
         Self { shared: shared.clone(), host, epoch: state.disk.epoch }
     }
 

@@ -1,13 +1,13 @@
 //! The coordinator's one clock.
 
 use std::fmt;
-use std::sync::Arc;
+use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use femc_model::Tick;
 use tokio::time::Instant;
 
-/// Where the coordinator's time comes from: a source that never goes back. A simulation has its own.
+/// Where the coordinator's time comes from. A simulation has its own, which may go back, as a machine's may that was moved.
 #[derive(Clone)]
 pub struct Time(Arc<dyn Fn() -> Duration + Send + Sync>);
 
@@ -31,35 +31,76 @@ impl fmt::Debug for Time {
     }
 }
 
-/// Gives the scheduler its time: it goes on from where the log ended.
-#[derive(Debug, Clone)]
+/// Gives the scheduler its time: it goes on from where the log ended, and never goes back. Where its source does, it goes on
+/// from there: what went by before has gone by.
+#[derive(Debug)]
 pub(crate) struct Clock {
     base: Tick,
     time: Time,
-    started: Duration,
-    /// Where it stands.
-    stopped: Option<Duration>,
+    shown: Mutex<Shown>,
+}
+
+/// What the source showed last, and all that has gone by.
+#[derive(Debug)]
+struct Shown {
+    last: Duration,
+    passed: Duration,
+    is_stopped: bool,
 }
 
 impl Clock {
     pub(crate) fn from(base: Tick, time: Time) -> Self {
-        Self { base, started: (time.0)(), time, stopped: None }
+        let shown = Shown { last: (time.0)(), passed: Duration::ZERO, is_stopped: false };
+        Self { base, shown: Mutex::new(shown), time }
     }
 
     pub(crate) fn now(&self) -> Tick {
-        let passed = self.stopped.unwrap_or_else(|| (self.time.0)()).saturating_sub(self.started);
+        let passed = self.look(|_| {});
         self.base.after(u64::try_from(passed.as_millis()).unwrap_or(u64::MAX))
     }
 
     /// Lets it stand still.
-    pub(crate) fn stop(&mut self) {
-        self.stopped.get_or_insert_with(|| (self.time.0)());
+    pub(crate) fn stop(&self) {
+        self.look(|shown| shown.is_stopped = true);
     }
 
     /// Lets it go on from where it stands.
-    pub(crate) fn go_on(&mut self) {
-        if let Some(stopped) = self.stopped.take() {
-            self.started += (self.time.0)().saturating_sub(stopped);
-        }
+    pub(crate) fn go_on(&self) {
+        self.look(|shown| shown.is_stopped = false);
+    }
+
+    /// All that has gone by; then something changes.
+    fn look(&self, change: impl FnOnce(&mut Shown)) -> Duration {
+        let time = (self.time.0)();
+        // A panic within the few lines under this lock leaves nothing half done.
+        let mut shown = self.shown.lock().unwrap_or_else(PoisonError::into_inner);
+        let passed = if shown.is_stopped { Duration::ZERO } else { time.saturating_sub(shown.last) };
+        shown.passed += passed;
+        shown.last = time;
+        change(&mut shown);
+        shown.passed
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::atomic::{AtomicU64, Ordering};
+
+    use super::*;
+
+    #[test]
+    fn a_source_that_goes_back_does_not_turn_time_back_nor_hold_it() {
+        let source = Arc::new(AtomicU64::new(10_000));
+        let shows = source.clone();
+        let clock = Clock::from(Tick(5), Time::by(move || Duration::from_millis(shows.load(Ordering::Relaxed))));
+        let after = |milliseconds| {
+            source.store(milliseconds, Ordering::Relaxed);
+            clock.now().0
+        };
+        assert_eq!([11_000, 4_000, 4_500, 4_400, 14_400].map(after), [1_005, 1_005, 1_505, 1_505, 11_505]);
+        clock.stop();
+        assert_eq!([20_000, 21_000].map(after), [11_505, 11_505]);
+        clock.go_on();
+        assert_eq!(after(21_500), 12_005);
     }
 }

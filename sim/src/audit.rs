@@ -2,21 +2,24 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Ending, Epoch, JobId, JobSpec, JobState, JobStatus, Stage as TaskStage, StageKind, TaskKey};
+use femc_model::{Control, Digest, Ending, Epoch, JobId, JobSpec, JobStatus, StageKind, TaskKey};
 use femc_queue::Note;
 use femc_schedule::{Fact, SnapshotError, decode_attempts};
 
 use crate::disk::Tail;
-use crate::leases::{Leases, Unit};
+use crate::leases::Leases;
 use crate::shared::{Reports, State};
-use crate::stage::Stage;
+use crate::tasks::{Counted, Unit, counted, needed};
 
 /// Something that must never be.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum Violation {
-    /// The job did not come to its end in time.
-    #[error("the job has not ended")]
-    Unfinished,
+    /// Somebody's jobs did not come to their end in time.
+    #[error("{jobs} people still wait for their jobs")]
+    Unfinished {
+        /// How many people.
+        jobs: usize,
+    },
     /// A job did not end within its time.
     #[error("after {seconds} s it has not ended: {state}")]
     Stuck {
@@ -153,6 +156,188 @@ pub enum Violation {
         /// In the second half.
         after: u64,
     },
+    /// A coordinator began under a number under which another one had begun.
+    #[error("incarnation {incarnation} begins again")]
+    Incarnation {
+        /// The number.
+        incarnation: u32,
+    },
+    /// Two leases have one epoch.
+    #[error("epoch {} is that of {} and of {}", .epoch.0, .tasks[0], .tasks[1])]
+    EpochAgain {
+        /// The epoch.
+        epoch: Epoch,
+        /// Of the first lease and of the second.
+        tasks: [TaskKey; 2],
+    },
+    /// A job has the number of an earlier one.
+    #[error("job {job} is submitted, and there was one of this number")]
+    Renumbered {
+        /// The number.
+        job: JobId,
+    },
+    /// A key stands for two jobs.
+    #[error("the key {key} is that of job {}, and of job {}", .jobs[0], .jobs[1])]
+    KeyMoved {
+        /// The key.
+        key: String,
+        /// Before, and now.
+        jobs: [JobId; 2],
+    },
+    /// The log says that a person steered a job, and nobody did.
+    #[error("nobody asked for {control:?} of job {job}")]
+    Unasked {
+        /// The job.
+        job: JobId,
+        /// What was done to it.
+        control: Control,
+    },
+    /// What a person did to a job was acknowledged, and the log does not have it.
+    #[error("{control:?} of job {job} was acknowledged and is not in the log")]
+    Unwritten {
+        /// The job.
+        job: JobId,
+        /// What was done to it.
+        control: Control,
+    },
+    /// What a person wanted was refused because the job had ended, which it had not.
+    #[error("{control:?} of job {job} was refused because it had ended, and it had not")]
+    Refused {
+        /// The job.
+        job: JobId,
+        /// What was wanted.
+        control: Control,
+    },
+    /// A result counts of a job that had ended.
+    #[error("{task} counts under epoch {}, and its job had ended", .epoch.0)]
+    AfterEnd {
+        /// Which.
+        task: TaskKey,
+        /// Of its result.
+        epoch: Epoch,
+    },
+    /// A job was forgotten before its time.
+    #[error("job {job} was forgotten before its time")]
+    ForgottenEarly {
+        /// Which.
+        job: JobId,
+    },
+    /// A job is gone, and nobody has forgotten it.
+    #[error("job {job} is gone")]
+    Gone {
+        /// Which.
+        job: JobId,
+    },
+    /// A worker that an operator had drained got a task.
+    #[error("the worker of process {instance} is drained and gets a task")]
+    Drained {
+        /// The worker's process.
+        instance: u64,
+    },
+    /// An answer is not what the log said then.
+    #[error("somebody was told of job {job}: {what}; the log never said so")]
+    Told {
+        /// The job.
+        job: JobId,
+        /// As told.
+        what: String,
+    },
+    /// A task is said to have failed more often than it has, or was put aside too soon.
+    #[error("{task} is put aside after {told} attempts, as somebody was told; by the log it failed {logged} times")]
+    Attempts {
+        /// Which.
+        task: TaskKey,
+        /// As told.
+        told: u32,
+        /// As the log has it.
+        logged: u32,
+    },
+    /// The log counts more failures of a task than were reported, a lease and its copy being one attempt.
+    #[error("the log counts {counted} failed attempts of {task}, and {reported} were reported")]
+    Failures {
+        /// Which.
+        task: TaskKey,
+        /// By the log.
+        counted: usize,
+        /// By workers.
+        reported: usize,
+    },
+    /// A task is said to have made no progress, and every task here does.
+    #[error("{task} is said to have made no progress")]
+    Stalled {
+        /// Which.
+        task: TaskKey,
+    },
+    /// An owner is charged less than before, or not for the time that workers held something of his.
+    #[error("{owner} is charged {held} ms after {before} ms; workers held something of his for {seen} ms")]
+    Charged {
+        /// The owner.
+        owner: String,
+        /// Milliseconds charged before.
+        before: u64,
+        /// Milliseconds charged now.
+        held: u64,
+        /// Milliseconds as seen on the way to the workers.
+        seen: u64,
+    },
+    /// A worker's process is said to have died over a task, and it lives.
+    #[error("process {instance} is said to have died over {task}, and it lives")]
+    Alive {
+        /// The worker's process.
+        instance: u64,
+        /// The task.
+        task: TaskKey,
+    },
+    /// A job failed, and nothing explains it.
+    #[error("the job failed, and nothing says why: {status}")]
+    Unexplained {
+        /// What the farm says of it.
+        status: String,
+    },
+    /// A report was refused because its lease was over, and its worker had not been told.
+    #[error("the lease of {task} under epoch {} ended, and its worker was not told", .epoch.0)]
+    Silent {
+        /// Which.
+        task: TaskKey,
+        /// Of the lease.
+        epoch: Epoch,
+    },
+    /// A frame's seconds are not those of its results.
+    #[error("frame {frame} took {told} ms, as somebody was told; its results took {logged} ms")]
+    Busy {
+        /// Frame number.
+        frame: u32,
+        /// As told, in milliseconds.
+        told: u64,
+        /// By the log, in milliseconds.
+        logged: u64,
+    },
+    /// Something was removed from the store that the log names.
+    #[error("{digest} was removed, and the log names it")]
+    Removed {
+        /// Which.
+        digest: Digest,
+    },
+    /// Something is in the store that nobody needs, or is not there and somebody does.
+    #[error("after a collection of garbage {left} artefacts are left that nothing names, and {missing} are missing")]
+    Garbage {
+        /// Too much.
+        left: u64,
+        /// Too little.
+        missing: u64,
+    },
+    /// A person's upload failed though nothing was wrong with the farm.
+    #[error("an upload was refused, and nothing was wrong with the farm: {message}")]
+    Upload {
+        /// What the person was told.
+        message: String,
+    },
+    /// A coordinator came to its end because its log's disk was full.
+    #[error("a full disk ended a coordinator: {message}")]
+    Ended {
+        /// What it said.
+        message: String,
+    },
     /// The log cannot be read.
     #[error("the log cannot be read: {0}")]
     Log(#[from] SnapshotError),
@@ -169,32 +354,21 @@ impl Violation {
 }
 
 /// All that is wrong.
-pub(crate) fn audit(stage: &Stage, state: &State) -> Vec<Violation> {
+pub(crate) fn audit(state: &State) -> Vec<Violation> {
     let mut wrong = state.wrong.clone();
-    match log(&state.disk.history, [&state.accepted, &state.reported], &state.leases) {
-        Ok(found) => wrong.extend(found),
-        Err(error) => wrong.push(error.into()),
+    wrong.extend(settled(state));
+    if state.left > 0 {
+        wrong.push(Violation::Unfinished { jobs: state.left });
     }
-    match noted(&state.disk.history, &state.disk.notes, state.disk.tail()) {
-        Ok(found) => wrong.extend(found),
-        Err(error) => wrong.push(error.into()),
-    }
-    let Some((status, pixels)) = &state.end else {
-        wrong.push(Violation::Unfinished);
-        return wrong;
-    };
-    if status.state != JobState::Done {
-        wrong.push(Violation::Failed { state: format!("{:?} ({:?})", status.state, status.failure) });
-        return wrong;
-    }
-    for (frame, expected) in stage.pixels.iter().enumerate() {
-        let found = pixels.get(frame).cloned().unwrap_or_default();
-        if found != *expected {
-            wrong.push(Violation::Pixels { frame, found, expected: expected.clone() });
-        }
-    }
-    wrong.extend(account(&stage.spec, status));
     wrong
+}
+
+/// What is wrong with the log that there is now.
+pub(crate) fn settled(state: &State) -> Vec<Violation> {
+    let disk = &state.disk;
+    let logged = log(&disk.history, [&state.accepted, &state.reported], &state.leases);
+    let noted = noted(&disk.history, &disk.notes, disk.tail());
+    [logged, noted].into_iter().flat_map(|found| found.unwrap_or_else(|error| vec![error.into()])).collect()
 }
 
 /// Whether the status of a job that is done agrees with what was asked for.
@@ -221,22 +395,21 @@ pub(crate) fn log<'a>(
 ) -> Result<Vec<Violation>, SnapshotError> {
     let mut wrong = Vec::new();
     let mut done: BTreeMap<Unit, (TaskKey, Epoch)> = BTreeMap::new();
-    let mut counted: BTreeSet<(TaskKey, Epoch)> = BTreeSet::new();
+    let mut counts: BTreeSet<(TaskKey, Epoch)> = BTreeSet::new();
     let mut specs: BTreeMap<JobId, Box<JobSpec>> = BTreeMap::new();
     let mut groups: BTreeMap<JobId, u32> = BTreeMap::new();
     for record in history {
-        match Fact::decode(record)?.1 {
-            Fact::Rendered { task, epoch, .. }
-            | Fact::Gathered { task, epoch, .. }
-            | Fact::Merged { task, epoch, .. } => {
-                counted.insert((task, epoch));
-                if task.stage.kind == StageKind::Merge {
-                    wrong.extend(specs.get(&task.job).and_then(|spec| missing(spec, task, &done)));
-                }
-                let units = leases.units(task, epoch).iter();
-                let before = units.filter_map(|unit| done.insert(*unit, (task, epoch))).next();
-                wrong.extend(before.map(|(_, before)| Violation::Twice { task, epochs: [before, epoch] }));
+        let fact = Fact::decode(record)?.1;
+        if let Some(Counted { task, epoch, .. }) = counted(&fact) {
+            counts.insert((task, epoch));
+            if task.stage.kind == StageKind::Merge {
+                wrong.extend(specs.get(&task.job).and_then(|spec| missing(spec, task, &done)));
             }
+            let units = leases.units(task, epoch).iter();
+            let before = units.filter_map(|unit| done.insert(*unit, (task, epoch))).next();
+            wrong.extend(before.map(|(_, before)| Violation::Twice { task, epochs: [before, epoch] }));
+        }
+        match fact {
             Fact::Submitted { job, spec, .. } => drop(specs.insert(job, spec)),
             Fact::Grouped { job, tiles } => drop(groups.insert(job, tiles)),
             Fact::Lost { task } => {
@@ -250,7 +423,7 @@ pub(crate) fn log<'a>(
         }
     }
     for &(task, epoch) in accepted.intersection(reported) {
-        if !counted.contains(&(task, epoch)) {
+        if !counts.contains(&(task, epoch)) {
             wrong.push(Violation::Forgotten { task, epoch });
         }
     }
@@ -265,43 +438,43 @@ pub(crate) fn noted<'a>(
     tail: Tail,
 ) -> Result<Vec<Violation>, SnapshotError> {
     // One that was lost may come again under its lease, and count again.
-    let (mut counted, mut forgotten) = (BTreeMap::<_, u64>::new(), BTreeSet::new());
+    let (mut counts, mut forgotten) = (BTreeMap::<_, (u64, u64)>::new(), BTreeSet::new());
     for record in history {
-        match Fact::decode(record)?.1 {
-            Fact::Rendered { task, epoch, .. }
-            | Fact::Gathered { task, epoch, .. }
-            | Fact::Merged { task, epoch, .. } => *counted.entry((task, epoch)).or_default() += 1,
-            Fact::Forgotten { job } => drop(forgotten.insert(job)),
-            _ => {}
+        let fact = Fact::decode(record)?.1;
+        if let Some(result) = counted(&fact) {
+            let (times, samples) = counts.entry((result.task, result.epoch)).or_default();
+            *times += 1;
+            *samples += result.samples;
+        }
+        if let Fact::Forgotten { job } = fact {
+            forgotten.insert(job);
         }
     }
-    counted.retain(|(task, _), _| !forgotten.contains(&task.job));
-    let mut times: BTreeMap<(TaskKey, Epoch), u64> = BTreeMap::new();
+    counts.retain(|(task, _), _| !forgotten.contains(&task.job));
+    let mut times: BTreeMap<(TaskKey, Epoch), (u64, u64)> = BTreeMap::new();
     for note in notes {
         for attempt in decode_attempts(&note.bytes)?.into_iter().filter(|attempt| attempt.ending == Ending::Done) {
-            *times.entry((attempt.task, attempt.epoch)).or_default() += 1;
+            let (times, samples) = times.entry((attempt.task, attempt.epoch)).or_default();
+            *times += 1;
+            *samples += attempt.samples;
         }
     }
     let mut wrong = Vec::new();
-    for (&(task, epoch), &counts) in &counted {
-        let times = times.get(&(task, epoch)).copied().unwrap_or(0);
+    for (&(task, epoch), &(counts, expected)) in &counts {
+        let (times, samples) = times.get(&(task, epoch)).copied().unwrap_or_default();
         if times < counts || times > counts && tail == Tail::Whole {
             wrong.push(Violation::Noted { task, epoch, times });
+        } else if times == counts && samples != expected {
+            wrong.push(Violation::Account { what: "samples of an attempt", found: samples, expected });
         }
     }
-    let for_nothing = times.keys().filter(|key| tail == Tail::Whole && !counted.contains_key(key));
+    let for_nothing = times.keys().filter(|key| tail == Tail::Whole && !counts.contains_key(key));
     wrong.extend(for_nothing.map(|&(task, epoch)| Violation::NotedForNothing { task, epoch }));
     Ok(wrong)
 }
 
 /// A sample that is not there when its round is merged.
 fn missing(spec: &JobSpec, merge: TaskKey, done: &BTreeMap<Unit, (TaskKey, Epoch)>) -> Option<Violation> {
-    let stage_of_tiles = TaskStage { kind: StageKind::Render, ..merge.stage };
-    let samples = spec.samples(merge.stage.round);
-    let mut all = (0..spec.grid.tiles()).flat_map(|tile| samples.clone().map(move |sample| (tile, sample)));
-    let is_missing = |&(tile, sample): &(u32, u32)| {
-        !done.contains_key(&Unit { job: merge.job, stage: stage_of_tiles, tile, sample })
-    };
-    let (tile, sample) = all.find(is_missing)?;
+    let Unit { tile, sample, .. } = needed(spec, merge).find(|unit| !done.contains_key(unit))?;
     Some(Violation::Missing { task: merge, tile, sample })
 }

@@ -5,8 +5,10 @@ use std::io;
 use std::time::Duration;
 
 use femc_queue::{Batch, Contents, Note, Page, Queue, QueueError};
-use femc_schedule::{Fact, Ledger, SnapshotError};
+use femc_schedule::{Evidence, Fact, Ledger, SnapshotError};
 
+use crate::audit::{Violation, settled};
+use crate::promises::Told;
 use crate::shared::{Shared, State, Trap};
 
 /// Longest that the disk takes before and after a write.
@@ -29,6 +31,12 @@ pub(crate) struct Disk {
     /// What is kept beside the log, oldest first.
     pub(crate) notes: Vec<Note>,
     tail: Tail,
+    /// The greatest number that a writer had, which is kept beside the log.
+    reserved: u32,
+    /// How many there were before.
+    pub(crate) logs: u32,
+    /// The host that took the lead last from another one, and when.
+    moved: (usize, Duration),
     /// Of the coordinator that may write.
     epoch: i64,
     /// So many writes find no room.
@@ -41,6 +49,14 @@ pub(crate) struct Disk {
 impl Disk {
     pub(crate) fn tail(&self) -> Tail {
         self.tail
+    }
+
+    /// Whether somebody who led may still answer questions as if nothing had happened.
+    pub(crate) fn has_ghosts(&self) -> bool {
+        /// Longer than one that leads no more goes on.
+        const HAUNTS: Duration = Duration::from_secs(12);
+        let now = turmoil::sim_elapsed().unwrap_or_default();
+        self.moved.1 > Duration::ZERO && now.saturating_sub(self.moved.1) < HAUNTS
     }
 
     fn keep(&mut self, Batch { notes, forgotten, .. }: &Batch<'_>) {
@@ -59,6 +75,23 @@ impl Disk {
     }
 }
 
+impl State {
+    /// The log is gone: what was wrong with it is said, and a log begins that knows of nothing. Who may write does not change.
+    pub(crate) fn lose_log(&mut self) {
+        let wrong = settled(self);
+        self.wrong.extend(wrong);
+        let Disk { reserved, moved, epoch, logs, snapshots, longest, .. } = std::mem::take(&mut self.disk);
+        self.disk = Disk { reserved, moved, epoch, logs: logs + 1, snapshots, longest, ..Disk::default() };
+        self.leases.anew();
+        self.chronicle.anew();
+        self.shares.anew();
+        self.told = Told::default();
+        self.accepted.clear();
+        self.reported.clear();
+        self.robbed.clear();
+    }
+}
+
 /// The log, in the hands of one coordinator.
 #[derive(Debug)]
 pub(crate) struct Log {
@@ -72,6 +105,9 @@ impl Log {
     pub(crate) fn lead(shared: &Shared, host: usize) -> Self {
         let mut state = shared.lock();
         state.disk.epoch += 1;
+        if state.disk.moved.0 != host {
+            state.disk.moved = (host, turmoil::sim_elapsed().unwrap_or_default());
+        }
         Self { shared: shared.clone(), host, epoch: state.disk.epoch }
     }
 
@@ -161,9 +197,23 @@ impl Queue for Log {
             if written == Written::Whole || !records.is_empty() {
                 state.disk.keep(&batch);
             }
-            for (_, fact) in records.iter().filter_map(|record| Fact::decode(record).ok()) {
-                let wrong = state.leases.judge(&fact);
-                state.wrong.extend(wrong);
+            let now = turmoil::sim_elapsed().unwrap_or_default();
+            for (tick, fact) in records.iter().filter_map(|record| Fact::decode(record).ok()) {
+                let leased = state.leases.judge(&fact);
+                let said = state.chronicle.take(tick, &fact, now, &state.told.controls);
+                state.wrong.extend(leased.into_iter().chain(said));
+                match &fact {
+                    Fact::Used { owners } => {
+                        let charged = state.shares.judge(owners, now);
+                        state.wrong.extend(charged);
+                    }
+                    Fact::Died { task, casualty, .. } if casualty.evidence == Evidence::Journal => {
+                        let instance = casualty.instance;
+                        let lives = state.lives.values().any(|&other| other == instance);
+                        state.wrong.extend(lives.then_some(Violation::Alive { instance, task: *task }));
+                    }
+                    _ => {}
+                }
             }
             state.disk.contents.records.extend_from_slice(&records);
             state.disk.longest = state.disk.longest.max(state.disk.contents.records.len());
@@ -174,6 +224,13 @@ impl Queue for Log {
             written
         })
         .await
+    }
+
+    /// It is kept beside the log, and outlives that.
+    async fn reserve(&mut self, least: u32) -> Result<u32, QueueError> {
+        let disk = &mut self.shared.lock().disk;
+        disk.reserved = least.max(disk.reserved + 1);
+        Ok(disk.reserved)
     }
 
     async fn notes(&mut self, subject: u64, _from: u64) -> Result<Page, QueueError> {

@@ -5,6 +5,33 @@ use std::time::Duration;
 use rand::rngs::SmallRng;
 use rand::{RngExt as _, SeedableRng as _};
 
+pub use crate::shelf::Harm;
+
+/// Something that a farm may not survive yet: then worlds go without it.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Hardship {
+    /// Artefacts that are shorter or longer than they should be, at rest or after a torn upload.
+    Resized,
+    /// Several who send one thing at once.
+    Senders,
+    /// Tasks that kill their workers.
+    Deadly,
+    /// A log that is lost, so that another one begins.
+    LogLost,
+    /// A full disk that may end no coordinator.
+    FullLog,
+}
+
+impl Hardship {
+    /// Those that the farm does not survive.
+    const SPARED: &[Self] = &[];
+
+    /// Whether worlds have it.
+    pub(crate) fn is_there(self) -> bool {
+        !Self::SPARED.contains(&self)
+    }
+}
+
 /// Workers of a world.
 pub(crate) const WORKERS: usize = 3;
 /// Coordinators of a world; one leads.
@@ -41,12 +68,22 @@ pub enum Fault {
     LogFull(u32),
     /// Nothing new finds room in the store.
     StoreFull(Duration),
-    /// Something that a frame in work needs is gone from the store.
-    ArtefactLost,
-    /// Bits of it flip.
-    ArtefactDamaged,
-    /// The coordinators' clocks jump ahead.
-    ClockJumps(Duration),
+    /// The store does not answer but with errors.
+    StoreAway(Duration),
+    /// The store takes up to so long for everything.
+    StoreSlow(Duration, Duration),
+    /// Something that is put into the store after so many others is torn at so many thousandths, and what is there of it stays.
+    UploadTorn(u32, u64),
+    /// Something happens to an artefact that a frame in work needs.
+    ArtefactHarmed(Harm),
+    /// The same to a scene of a job.
+    SceneHarmed(Harm),
+    /// The clock of a coordinator's machine jumps by so many milliseconds, ahead or back.
+    ClockJumps(usize, i64),
+    /// It goes faster or slower from now on, by so many thousandths.
+    ClockDrifts(usize, i64),
+    /// The log is gone, and the next coordinator begins one that knows of nothing.
+    LogLost,
 }
 
 /// A world's faults.
@@ -61,8 +98,19 @@ pub struct Planned {
 }
 
 impl Planned {
-    /// The plan of a seed: up to eight faults within the first quarter of a minute.
+    /// The plan of a seed: up to eight faults within the first quarter of a minute, and in some worlds the log is lost.
     pub fn of(seed: u64) -> Self {
+        let mut plan = Self::storm(seed);
+        if seed % 11 == 4 && Hardship::LogLost.is_there() {
+            let at = Duration::from_millis(2_000 + seed * 7_919 % 9_000);
+            plan.faults.push((at, Fault::LogLost));
+            plan.faults.sort_by_key(|&(at, _)| at);
+        }
+        plan
+    }
+
+    /// The same for a world that goes on: its log is never lost.
+    pub(crate) fn storm(seed: u64) -> Self {
         let mut rng = SmallRng::seed_from_u64(seed ^ 0x5eed_f417);
         let count = rng.random_range(0..=8);
         let mut faults: Vec<(Duration, Fault)> =
@@ -77,7 +125,9 @@ fn fault(rng: &mut SmallRng) -> Fault {
     let pause = Duration::from_millis(rng.random_range(50..12_000));
     let worker = rng.random_range(0..WORKERS);
     let few = rng.random_range(1..12);
-    match rng.random_range(0..17) {
+    let thousandths = rng.random_range(0..1000);
+    let resized = |harm| if Hardship::Resized.is_there() { harm } else { Harm::Lost };
+    match rng.random_range(0..25) {
         0 => Fault::WorkerDies(worker, pause),
         1 => Fault::CoordinatorDies(pause),
         2 => Fault::DiesBeforeWrite(few),
@@ -92,8 +142,19 @@ fn fault(rng: &mut SmallRng) -> Fault {
         11 => Fault::LogFull(few.min(4)),
         12 => Fault::StoreFull(pause),
         13 => Fault::TornWrite(few),
-        14 => Fault::ArtefactLost,
-        15 => Fault::ArtefactDamaged,
-        _ => Fault::ClockJumps(pause),
+        14 => Fault::ArtefactHarmed(Harm::Lost),
+        15 => Fault::ArtefactHarmed(Harm::Flipped),
+        16 => Fault::ArtefactHarmed(resized(Harm::Short(thousandths))),
+        17 => Fault::ArtefactHarmed(resized(Harm::Long)),
+        18 => Fault::ArtefactHarmed(Harm::Zeroed(thousandths)),
+        19 if Hardship::Resized.is_there() => Fault::UploadTorn(8 * few, thousandths),
+        20 => Fault::StoreAway(pause / 2),
+        21 => Fault::StoreSlow(pause / 16, pause),
+        22 => Fault::SceneHarmed(if few % 2 == 0 { Harm::Lost } else { resized(Harm::Short(thousandths)) }),
+        23 => Fault::ClockDrifts(worker % COORDINATORS, thousandths as i64 / 10 - 50),
+        _ => {
+            let jump = pause.as_millis() as i64;
+            Fault::ClockJumps(worker % COORDINATORS, if few % 2 == 0 { jump } else { -jump })
+        }
     }
 }

@@ -1,22 +1,27 @@
 //! Who lives in a world: coordinators of which one leads, the switch, and workers.
 
+use std::io;
 use std::num::NonZeroU64;
 use std::sync::Arc;
 use std::time::Duration;
 
-use femc_coordinator::{Config, Coordinator, Time};
-use femc_model::{Assignment, Work};
+use femc_coordinator::{Config, Coordinator, CoordinatorError, Time};
+use femc_model::{Assignment, TaskKey};
+use femc_queue::QueueError;
 use femc_store::Store;
-use femc_worker::{Hands, Pace, Worker};
+use femc_worker::{Fate, Hands, Journal, Pace, Worker};
 use turmoil::Sim;
 
+use crate::audit::Violation;
 use crate::disk::Log;
-use crate::faults::{COORDINATORS, WORKERS};
+use crate::faults::{COORDINATORS, Hardship, WORKERS};
 use crate::network::{SWITCH, dial, listen, url};
+use crate::people::Curse;
 use crate::shared::Shared;
 use crate::shelf::Shelf;
 use crate::stage::{self, CACHE};
 use crate::switch;
+use crate::tasks::{renders, samples};
 
 /// Longest that a message takes when nothing is wrong.
 pub(crate) const LATENCY: Duration = Duration::from_millis(15);
@@ -47,8 +52,8 @@ pub(crate) fn settle(
         sim.host(SWITCH, move || switch::serve(shared.clone(), store.clone()));
     }
     for host in 0..WORKERS {
-        let (shared, scheduler) = (shared.clone(), scheduler.clone());
-        sim.host(worker_name(host), move || worker(seed, host, shared.clone(), scheduler.grain));
+        let (shared, scheduler, journal) = (shared.clone(), scheduler.clone(), Journal::in_memory());
+        sim.host(worker_name(host), move || worker(seed, host, shared.clone(), scheduler.grain, journal.clone()));
     }
     sim
 }
@@ -76,17 +81,13 @@ async fn coordinator(host: usize, shared: Shared, store: Store, scheduler: femc_
         let log = Log::lead(&shared, host);
         let started = tokio::time::Instant::now();
         let clock = shared.clone();
-        let config = Config {
-            scheduler: scheduler.clone(),
-            snapshot: 25,
-            time: Time::by(move || started.elapsed() + clock.lock().ahead),
-            ..Config::default()
-        };
+        let time = move || clock.lock().clocks[host].shows(started.elapsed());
+        let config = Config { scheduler: scheduler.clone(), snapshot: 25, time: Time::by(time), ..Config::default() };
         shared.note(|| format!("c{host} leads"));
         let failed = async {
             match Coordinator::on(listen(&shared, &coordinator_name(host)).await, config, store.clone(), log).await {
-                Ok(mut handle) => handle.failed().await,
-                Err(error) => error,
+                Ok(mut handle) => (handle.failed().await, true),
+                Err(error) => (error, false),
             }
         };
         // One that leads no more finds out at its next write; one that has nothing to write, after a while.
@@ -98,28 +99,44 @@ async fn coordinator(host: usize, shared: Shared, store: Store, scheduler: femc_
         };
         tokio::select! {
             biased;
-            error = failed => shared.note(|| format!("c{host} fails: {error}")),
+            (error, has_led) = failed => {
+                shared.note(|| format!("c{host} fails: {error}"));
+                // One that leads waits until there is room.
+                if has_led && is_full(&error) && Hardship::FullLog.is_there() {
+                    shared.lock().wrong.push(Violation::Ended { message: error.to_string() });
+                }
+            }
             () = dethroned => shared.note(|| format!("c{host} leads no more")),
         }
         tokio::time::sleep(Duration::from_millis(200)).await;
     }
 }
 
+fn is_full(error: &CoordinatorError) -> bool {
+    matches!(error, CoordinatorError::Queue(QueueError::Medium(error)) if error.kind() == io::ErrorKind::StorageFull)
+}
+
 /// `grain`: pixel samples of a grain, as the farm has them.
-async fn worker(seed: u64, host: usize, shared: Shared, grain: NonZeroU64) -> turmoil::Result {
+async fn worker(seed: u64, host: usize, shared: Shared, grain: NonZeroU64, journal: Journal) -> turmoil::Result {
     let boot = {
         let mut state = shared.lock();
         state.boots += 1;
-        state.boots
+        let boot = state.boots;
+        state.lives.insert(host, boot);
+        boot
     };
+    let fates = shared.clone();
     let config = femc_worker::Config {
         name: worker_name(host),
         threads: 1,
         cache: CACHE.clone(),
         instance: boot,
+        journal,
         engine: build(seed, boot).into(),
         dial: dial(&shared, &worker_name(host)),
-        hands: Hands::Simulated(Pace::by(move |assignment| pace(seed, grain, assignment))),
+        hands: Hands::Simulated(Pace::fated(move |assignment| {
+            (pace(seed, grain, assignment), fate(seed, host, &fates, assignment))
+        })),
         ..femc_worker::Config::new(url(SWITCH))
     };
     Ok(Worker::run(config, std::future::pending()).await?)
@@ -133,13 +150,40 @@ fn build(seed: u64, boot: u64) -> &'static str {
 /// From a fifth of a second to three seconds; where tiles are cut into grains of a sample a pixel, from a twentieth to a half a
 /// sample.
 fn pace(seed: u64, grain: NonZeroU64, assignment: &Assignment) -> Duration {
-    let name = format!("{seed} {} {}", assignment.task, assignment.epoch.0);
-    let hash = blake3::hash(name.as_bytes());
-    let draw = u64::from(u16::from_le_bytes([hash.as_bytes()[0], hash.as_bytes()[1]]));
+    let draw = draw(&format!("{seed} {} {}", assignment.task, assignment.epoch.0));
     let between = |least: u64, most: u64| Duration::from_millis(least + draw * (most - least) / 65_536);
-    match &assignment.work {
-        Work::Render { samples, .. } if grain == stage::cut().grain => between(50, 500) * samples.len() as u32,
-        Work::Render { .. } => between(200, 3_000),
-        Work::Gather { .. } | Work::Merge { .. } => between(200, 1_000),
+    match renders(assignment) {
+        true if grain == stage::cut().grain => between(50, 500) * samples(assignment),
+        true => between(200, 3_000),
+        false => between(200, 1_000),
     }
+}
+
+/// What becomes of a task, as the curse of its job has it.
+fn fate(seed: u64, host: usize, shared: &Shared, assignment: &Assignment) -> Fate {
+    /// Of a hundred tasks of a job in which some fail.
+    const OFTEN: u64 = 12;
+    let TaskKey { job, stage, .. } = assignment.task;
+    let (curse, first) = match shared.lock().chronicle.spec(job) {
+        Some(spec) => (Curse::of(spec), spec.frames.first().copied()),
+        None => return Fate::Done,
+    };
+    let is_the_one = first == Some(stage.frame) && assignment.task.index == 0 && renders(assignment);
+    let is_unlucky = || draw(&format!("{seed} fate {} {}", assignment.task, assignment.epoch.0)) * 100 / 65_536 < OFTEN;
+    match curse {
+        Curse::Nothing => Fate::Done,
+        Curse::NowAndThen if is_unlucky() => Fate::Panics,
+        Curse::Always if is_the_one => Fate::Panics,
+        Curse::Deadly if is_the_one => {
+            let shared = shared.clone();
+            Fate::Kills(Arc::new(move || shared.lock().struck.push(host)))
+        }
+        Curse::NowAndThen | Curse::Always | Curse::Deadly => Fate::Done,
+    }
+}
+
+/// A number below 65536.
+fn draw(name: &str) -> u64 {
+    let hash = blake3::hash(name.as_bytes());
+    u64::from(u16::from_le_bytes([hash.as_bytes()[0], hash.as_bytes()[1]]))
 }

@@ -2,31 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Assignment, Epoch, JobId, Stage, StageKind, TaskKey, Work};
+use femc_model::{Assignment, Epoch, Failure, JobId, TaskKey};
 use femc_schedule::Fact;
 
 use crate::audit::Violation;
+use crate::tasks::{Unit, counted, units};
 
 /// Number of a session that the switch has relayed.
 pub(crate) type SessionNumber = u64;
-
-/// The least that can be given out: a sample of a tile, the gathering of a group, or a merge.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-pub(crate) struct Unit {
-    pub(crate) job: JobId,
-    pub(crate) stage: Stage,
-    pub(crate) tile: u32,
-    pub(crate) sample: u32,
-}
-
-impl Unit {
-    /// Whether it is a sample that is rendered for `gather`, of groups of `tiles` tiles.
-    pub(crate) fn is_gathered_by(&self, gather: &TaskKey, tiles: u32) -> bool {
-        let stage = Stage { kind: StageKind::Render, ..gather.stage };
-        gather.stage.kind == StageKind::Gather
-            && (self.job, self.stage, self.tile / tiles) == (gather.job, stage, gather.index)
-    }
-}
 
 /// Leases that were seen to be given out, brought along, and ended.
 #[derive(Debug, Default)]
@@ -46,6 +29,13 @@ pub(crate) struct Leases {
     /// The build whose a frame is.
     built: BTreeMap<(JobId, u32), String>,
     sessions: SessionNumber,
+    /// Whose each epoch is.
+    epochs: BTreeMap<Epoch, TaskKey>,
+    /// Leases that are copies, and of which.
+    copies: BTreeMap<(TaskKey, Epoch), Epoch>,
+    /// Attempts whose failure was reported, a lease and its copy being one, and those that the log counts. What one coordinator
+    /// has counted the next one may hear of, and count, again: it dies before it says so, and the worker still has its lease.
+    failures: BTreeMap<TaskKey, (BTreeSet<(Epoch, u32)>, usize)>,
 }
 
 impl Leases {
@@ -70,7 +60,25 @@ impl Leases {
         }
         let wrong = self.superseded(&units);
         self.given.insert(key, units);
-        wrong
+        self.copies.extend(lease.copy_of.map(|original| (key, original)));
+        match self.epochs.insert(lease.epoch, lease.task) {
+            Some(before) => Some(Violation::EpochAgain { epoch: lease.epoch, tasks: [before, lease.task] }),
+            None => wrong,
+        }
+    }
+
+    /// A log begins that knows of nothing: what counted before does not.
+    pub(crate) fn anew(&mut self) {
+        self.counted.clear();
+        self.groups.clear();
+        self.built.clear();
+        self.failures.clear();
+    }
+
+    /// A worker tells the coordinator of this incarnation that it has not done a task.
+    pub(crate) fn failed(&mut self, task: TaskKey, epoch: Epoch, incarnation: u32) {
+        let attempt = self.copies.get(&(task, epoch)).copied().unwrap_or(epoch);
+        self.failures.entry(task).or_default().0.insert((attempt, incarnation));
     }
 
     /// What a lease covers that was given out.
@@ -94,16 +102,24 @@ impl Leases {
         self.groups.retain(|&other, _| other > job);
         self.engines.retain(|(task, _), _| task.job > job);
         self.built.retain(|&(other, _), _| other > job);
+        self.epochs.retain(|_, task| task.job > job);
+        self.copies.retain(|(task, _), _| task.job > job);
+        self.failures.retain(|task, _| task.job > job);
     }
 
     /// What is wrong with a record that is being written now. A result may count only under a lease that holds: the latest of
     /// all that it covers, the one that this is a copy of, or one that a worker has brought along and that may have been
     /// adopted; and only one of the build whose the frame is.
     pub(crate) fn judge(&mut self, fact: &Fact) -> Option<Violation> {
-        let key = match fact {
-            Fact::Rendered { task, epoch, .. }
-            | Fact::Gathered { task, epoch, .. }
-            | Fact::Merged { task, epoch, .. } => (*task, *epoch),
+        match fact {
+            // Nothing stands still here for so long.
+            Fact::Failed { task, failure: Failure::Stalled { .. } } => return Some(Violation::Stalled { task: *task }),
+            Fact::Failed { task, .. } => {
+                let (reported, counted) = self.failures.entry(*task).or_default();
+                *counted += 1;
+                let [counted, reported] = [*counted, reported.len()];
+                return (counted > reported).then_some(Violation::Failures { task: *task, counted, reported });
+            }
             Fact::Grouped { job, tiles } => {
                 self.groups.insert(*job, *tiles);
                 return None;
@@ -126,8 +142,10 @@ impl Leases {
                     builds: [before, engine.clone()],
                 });
             }
-            _ => return None,
-        };
+            _ => {}
+        }
+        let result = counted(fact)?;
+        let key = (result.task, result.epoch);
         let Some(units) = self.given.get(&key) else {
             return Some(Violation::Unleased { task: key.0, epoch: key.1 });
         };
@@ -150,15 +168,5 @@ impl Leases {
             let (&(task, epoch), &(later, copy_of)) = (self.counted.get(unit)?, self.latest.get(unit)?);
             (later > epoch && copy_of != Some(epoch)).then_some(Violation::Superseded { task, epoch, later })
         })
-    }
-}
-
-fn units(lease: &Assignment) -> Vec<Unit> {
-    let TaskKey { job, stage, .. } = lease.task;
-    match &lease.work {
-        Work::Render { tile, samples } => {
-            samples.clone().map(|sample| Unit { job, stage, tile: *tile, sample }).collect()
-        }
-        Work::Gather { .. } | Work::Merge { .. } => vec![Unit { job, stage, tile: lease.task.index, sample: 0 }],
     }
 }

@@ -1,7 +1,8 @@
 //! The farm in a simulated world: the real coordinator and worker code over a simulated network and clock, with faults.
 //!
-//! One number, the seed, decides everything: latencies, which faults come and when, how long tasks take. After each run
-//! the log and the frames are held against what must be true of them ([`Violation`]). A seed that fails fails again.
+//! One number, the seed, decides everything: latencies, who comes and what they want, which faults come and when, how long tasks
+//! take and what becomes of them. As it runs, what is written, told, given out and removed is held against what must be true of it
+//! at that moment, and in the end the log and the frames are ([`Violation`]). A seed that fails fails again.
 //!
 //! That the audit would see it is shown by planted bugs, one at a time: `sim/plants/run` gives the seed that finds each.
 //!
@@ -10,21 +11,26 @@
 #![deny(missing_docs)]
 
 mod audit;
+mod cast;
+mod chronicle;
 mod disk;
 mod faults;
 mod hosts;
 mod leases;
 mod network;
-mod person;
+mod people;
+mod promises;
 mod shared;
+mod shares;
 mod shelf;
 mod soak;
 mod stage;
 mod switch;
+mod tasks;
 mod weather;
 mod world;
 
 pub use audit::Violation;
-pub use faults::{Fault, Planned};
+pub use faults::{Fault, Harm, Planned};
 pub use soak::{Gauge, Soak, Soaked};
 pub use world::{Outcome, Tells, run};

@@ -11,7 +11,7 @@ use clap::Parser;
 use femc_sim::{Outcome, Planned, Tells, run};
 use serde::{Deserialize, Serialize};
 
-/// Runs the farm in simulated worlds with faults and checks that no result is lost or counted twice
+/// Runs the farm in simulated worlds with people and faults and checks all that it promises
 #[derive(Debug, Parser)]
 #[command(
     name = "femc-sim",
@@ -53,6 +53,7 @@ struct Sum {
     simulated_seconds: f64,
     stale_messages: u64,
     fired: BTreeMap<String, u64>,
+    deeds: BTreeMap<String, u64>,
 }
 
 impl Sum {
@@ -63,6 +64,9 @@ impl Sum {
         self.stale_messages += other.stale_messages;
         for (fault, times) in other.fired {
             *self.fired.entry(fault).or_default() += times;
+        }
+        for (deed, times) in other.deeds {
+            *self.deeds.entry(deed).or_default() += times;
         }
     }
 }
@@ -89,7 +93,7 @@ fn main() -> anyhow::Result<ExitCode> {
             begun.elapsed().as_secs_f64(),
             sum.stale_messages
         );
-        sum.fired.iter().for_each(|(fault, times)| println!("  {times:6} {fault}"));
+        sum.fired.iter().chain(&sum.deeds).for_each(|(what, times)| println!("  {times:6} {what}"));
     }
     Ok(if sum.wrong.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
@@ -116,6 +120,7 @@ fn here(args: &Args) -> anyhow::Result<Sum> {
             simulated_seconds: outcome.seconds,
             stale_messages: outcome.stale,
             fired,
+            deeds: outcome.deeds.into_iter().map(|(deed, times)| (deed.to_owned(), times)).collect(),
         });
     }
     Ok(sum)

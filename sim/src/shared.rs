@@ -4,14 +4,18 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use femc_model::{Epoch, JobId, JobStatus, TaskKey};
+use femc_model::{Digest, Epoch, JobId, TaskKey};
 use rand::rngs::SmallRng;
 use rand::{RngExt as _, SeedableRng as _};
 
 use crate::audit::Violation;
+use crate::chronicle::Chronicle;
 use crate::disk::Disk;
+use crate::faults::COORDINATORS;
 use crate::leases::Leases;
 use crate::network::Reach;
+use crate::promises::Told;
+use crate::shares::Shares;
 
 /// A crash of the writing coordinator at a chosen write.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,6 +26,25 @@ pub(crate) enum Trap {
     Within,
     /// After that, before anybody hears of it.
     After,
+}
+
+/// A machine's clock.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Wall {
+    /// Milliseconds that it is ahead, or behind.
+    pub(crate) ahead: i64,
+    /// Thousandths that it is too fast, or too slow.
+    pub(crate) drift: i64,
+}
+
+impl Wall {
+    /// What it shows when so much time has gone by.
+    pub(crate) fn shows(self, passed: Duration) -> Duration {
+        // It does not begin at 0, so that it can go back.
+        const FIRST: i64 = 3_600_000;
+        let passed = passed.as_millis() as i64;
+        Duration::from_millis((FIRST + passed + passed * self.drift / 1000 + self.ahead).max(0) as u64)
+    }
 }
 
 /// Results, each with its lease.
@@ -38,8 +61,8 @@ pub(crate) struct State {
     pub(crate) trap: Option<(u32, Trap)>,
     /// The coordinator in which the trap sprang.
     pub(crate) sprung: Option<usize>,
-    /// How far the coordinators' clocks are ahead.
-    pub(crate) ahead: Duration,
+    /// The coordinators' clocks.
+    pub(crate) clocks: [Wall; COORDINATORS],
     /// Of a hundred messages of workers, how many come twice, and how many come late.
     pub(crate) twice: u32,
     pub(crate) late: u32,
@@ -53,14 +76,30 @@ pub(crate) struct State {
     pub(crate) accepted: Reports,
     /// How often each kind of fault has really come about.
     pub(crate) fired: BTreeMap<&'static str, u32>,
-    /// What the person came home with: the job's end, and the frames' pixels.
-    pub(crate) end: Option<(JobStatus, Vec<String>)>,
+    /// What the log says.
+    pub(crate) chronicle: Chronicle,
+    /// What people were told.
+    pub(crate) told: Told,
+    /// What people did, and how jobs ended.
+    pub(crate) deeds: BTreeMap<&'static str, u64>,
+    /// People who wait for their jobs.
+    pub(crate) left: usize,
+    /// Messages that changed nothing, of jobs that ended.
+    pub(crate) stale: u64,
+    /// What owners are charged.
+    pub(crate) shares: Shares,
+    /// The process of each worker that was started last.
+    pub(crate) lives: BTreeMap<usize, u64>,
+    /// Workers that a task has just killed.
+    pub(crate) struck: Vec<usize>,
     pub(crate) trace: blake3::Hasher,
     pub(crate) story: Option<Vec<String>>,
     pub(crate) boots: u64,
     /// Ends of connections that the simulated network keeps, also of attempts that were refused or given up.
     pub(crate) ends: usize,
     pub(crate) reach: Reach,
+    /// What something happened to in the store.
+    pub(crate) harmed: BTreeSet<Digest>,
     /// Frames of which an artefact was lost.
     pub(crate) robbed: BTreeSet<(JobId, u32)>,
 }
@@ -77,7 +116,7 @@ impl Shared {
             leader: 0,
             trap: None,
             sprung: None,
-            ahead: Duration::ZERO,
+            clocks: [Wall::default(); COORDINATORS],
             twice: 0,
             late: 0,
             leases: Leases::default(),
@@ -85,12 +124,20 @@ impl Shared {
             reported: BTreeSet::new(),
             accepted: BTreeSet::new(),
             fired: BTreeMap::new(),
-            end: None,
+            chronicle: Chronicle::default(),
+            told: Told::default(),
+            deeds: BTreeMap::new(),
+            left: 0,
+            stale: 0,
+            shares: Shares::default(),
+            lives: BTreeMap::new(),
+            struck: Vec::new(),
             trace: blake3::Hasher::new(),
             story: tells.then(Vec::new),
             boots: 0,
             ends: 0,
             reach: Reach::default(),
+            harmed: BTreeSet::new(),
             robbed: BTreeSet::new(),
         })))
     }
@@ -118,6 +165,11 @@ impl State {
         if let Some(story) = &mut self.story {
             story.push(line);
         }
+    }
+
+    /// Somebody did this.
+    pub(crate) fn did(&mut self, what: &'static str) {
+        *self.deeds.entry(what).or_default() += 1;
     }
 
     pub(crate) fn fired(&mut self, fault: &'static str) {

@@ -1,10 +1,9 @@
 //! The store's medium.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
 use std::future;
 use std::io;
-use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime};
 
@@ -20,37 +19,125 @@ use femc_store::place;
 use futures_util::stream::BoxStream;
 use futures_util::{FutureExt as _, StreamExt as _, TryStreamExt as _};
 
-/// Artefacts in memory that outlive every host, on a medium that may be full. They age by the simulated clock.
-#[derive(Debug, Clone, Default)]
+use crate::audit::Violation;
+use crate::shared::Shared;
+
+/// Artefacts in memory that outlive every host, on a medium with troubles. They age by the simulated clock.
+#[derive(Debug, Clone)]
 pub(crate) struct Shelf {
     objects: Arc<InMemory>,
-    full: Arc<AtomicBool>,
+    shared: Shared,
+    troubles: Arc<Mutex<Troubles>>,
     /// When each was put.
     born: Arc<Mutex<BTreeMap<Path, Duration>>>,
 }
 
+/// What is wrong with the medium now.
+#[derive(Debug, Clone, Copy, Default)]
+pub(crate) struct Troubles {
+    /// Nothing new finds room.
+    pub(crate) full: bool,
+    /// It does not answer but with an error.
+    pub(crate) away: bool,
+    /// It takes up to so long.
+    pub(crate) slow: Duration,
+    /// After so many others, something that is put is torn at so many thousandths of its bytes: what is there of it stays.
+    pub(crate) tears: Option<(u32, u64)>,
+}
+
+/// What becomes of an artefact at rest.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Harm {
+    /// It is gone.
+    Lost,
+    /// Bits of it flip.
+    Flipped,
+    /// So many thousandths of it are left.
+    Short(u64),
+    /// Something follows it.
+    Long,
+    /// From so many thousandths on it is zeros.
+    Zeroed(u64),
+}
+
+impl Harm {
+    /// In words.
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::Lost => "artefact lost",
+            Self::Flipped => "artefact damaged",
+            Self::Short(_) => "artefact cut short",
+            Self::Long => "artefact grown",
+            Self::Zeroed(_) => "artefact zeroed",
+        }
+    }
+
+    fn done_to(self, mut bytes: Vec<u8>) -> Vec<u8> {
+        match self {
+            Self::Lost => {}
+            Self::Flipped => bytes.iter_mut().step_by(2).for_each(|byte| *byte ^= 0x55),
+            Self::Short(left) => bytes.truncate(part(bytes.len(), left)),
+            Self::Long => bytes.extend([0; 100]),
+            Self::Zeroed(from) => {
+                let from = part(bytes.len(), from);
+                bytes[from..].fill(0);
+            }
+        }
+        bytes
+    }
+}
+
+/// So many thousandths of a length, never all of it.
+fn part(length: usize, thousandths: u64) -> usize {
+    (length * thousandths as usize / 1000).min(length.saturating_sub(1))
+}
+
 impl Shelf {
-    /// From now on nothing new finds room, or does again.
-    pub(crate) fn fill(&self, full: bool) {
-        self.full.store(full, Ordering::Relaxed);
+    pub(crate) fn new(shared: &Shared) -> Self {
+        Self { objects: Arc::default(), shared: shared.clone(), troubles: Arc::default(), born: Arc::default() }
     }
 
-    /// An artefact is gone; `false` if it was not there.
-    pub(crate) fn lose(&self, artefact: &Digest) -> bool {
-        let at = place(artefact);
-        let was_there = self.births().remove(&at).is_some();
-        was_there && self.objects.delete(&at).now_or_never().is_some_and(|gone| gone.is_ok())
+    /// The medium's troubles change.
+    pub(crate) fn trouble(&self, change: impl FnOnce(&mut Troubles)) {
+        change(&mut self.troubles.lock().unwrap_or_else(PoisonError::into_inner));
     }
 
-    /// Half of an artefact's bytes are wrong; `false` if it was not there.
-    pub(crate) fn damage(&self, artefact: &Digest) -> bool {
+    fn troubles(&self) -> Troubles {
+        *self.troubles.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Whether it has no troubles.
+    pub(crate) fn is_well(&self) -> bool {
+        let Troubles { full, away, tears, .. } = self.troubles();
+        !full && !away && tears.is_none()
+    }
+
+    /// Something happens to an artefact; `false` if it was not there.
+    pub(crate) fn harm(&self, artefact: &Digest, harm: Harm) -> bool {
         let at = place(artefact);
-        let harm = async {
-            let mut bytes = self.objects.get(&at).await?.bytes().await?.to_vec();
-            bytes.iter_mut().step_by(2).for_each(|byte| *byte ^= 0x55);
-            self.objects.put(&at, bytes.into()).await
+        if harm == Harm::Lost {
+            let was_there = self.births().remove(&at).is_some();
+            return was_there && self.objects.delete(&at).now_or_never().is_some_and(|gone| gone.is_ok());
+        }
+        let harmed = async {
+            let bytes = self.objects.get(&at).await?.bytes().await?.to_vec();
+            self.objects.put(&at, harm.done_to(bytes).into()).await
         };
-        harm.now_or_never().is_some_and(|harmed| harmed.is_ok())
+        harmed.now_or_never().is_some_and(|harmed| harmed.is_ok())
+    }
+
+    /// An artefact as it lies there, if it is there and whole.
+    pub(crate) fn whole(&self, artefact: &Digest) -> bool {
+        let at = place(artefact);
+        let read = async { self.objects.get(&at).await?.bytes().await };
+        read.now_or_never().and_then(Result::ok).is_some_and(|bytes| Digest::of(&bytes) == *artefact)
+    }
+
+    /// All that is there.
+    pub(crate) fn all(&self) -> BTreeSet<Digest> {
+        let name = |meta: ObjectMeta| meta.location.parts().map(|part| part.as_ref().to_owned()).collect::<String>();
+        let listed = self.objects.list(None).try_collect::<Vec<_>>().now_or_never().and_then(Result::ok);
+        listed.unwrap_or_default().into_iter().filter_map(|meta| name(meta).parse().ok()).collect()
     }
 
     /// How many objects there are, and their bytes.
@@ -68,13 +155,49 @@ impl Shelf {
         self.births().insert(location.clone(), now());
     }
 
-    fn room(&self) -> Result<()> {
-        if self.full.load(Ordering::Relaxed) {
-            let source = Box::new(io::Error::from(io::ErrorKind::StorageFull));
-            return Err(Error::Generic { store: "shelf", source });
+    /// Waits for as long as the medium takes; whether it is there.
+    async fn reach(&self) -> Result<()> {
+        let Troubles { away, slow, .. } = self.troubles();
+        if !slow.is_zero() {
+            tokio::time::sleep(self.shared.pause(slow)).await;
         }
-        Ok(())
+        if away { Err(trouble(io::ErrorKind::NotConnected)) } else { Ok(()) }
     }
+
+    fn room(&self) -> Result<()> {
+        if self.troubles().full { Err(trouble(io::ErrorKind::StorageFull)) } else { Ok(()) }
+    }
+
+    /// What is left of something that is being put, if this is what is torn.
+    fn torn(&self, payload: &PutPayload) -> Option<Vec<u8>> {
+        let mut troubles = self.troubles.lock().unwrap_or_else(PoisonError::into_inner);
+        let (others, thousandths) = troubles.tears.as_mut()?;
+        if *others > 0 {
+            *others -= 1;
+            return None;
+        }
+        let thousandths = *thousandths;
+        troubles.tears = None;
+        let bytes: Vec<u8> = payload.iter().flat_map(|bytes| bytes.to_vec()).collect();
+        Some(Harm::Short(thousandths).done_to(bytes))
+    }
+
+    /// Something is removed that may not be: nobody does that to what is whole and what the log names.
+    fn judge(&self, at: &Path) {
+        let name: String = at.parts().map(|part| part.as_ref().to_owned()).collect();
+        let Ok(digest) = name.parse::<Digest>() else { return };
+        if !self.whole(&digest) {
+            return;
+        }
+        let mut state = self.shared.lock();
+        if state.disk.ledger().is_ok_and(|ledger| ledger.references().contains(&digest)) {
+            state.wrong.push(Violation::Removed { digest });
+        }
+    }
+}
+
+fn trouble(kind: io::ErrorKind) -> Error {
+    Error::Generic { store: "shelf", source: Box::new(io::Error::from(kind)) }
 }
 
 fn now() -> Duration {
@@ -90,25 +213,38 @@ impl fmt::Display for Shelf {
 #[async_trait]
 impl ObjectStore for Shelf {
     async fn put_opts(&self, location: &Path, payload: PutPayload, opts: PutOptions) -> Result<PutResult> {
+        self.reach().await?;
         self.room()?;
+        if let Some(bytes) = self.torn(&payload) {
+            // Not even this, where something is there.
+            let torn = self.objects.put_opts(location, bytes.into(), opts).await;
+            if torn.is_ok() {
+                self.note_birth(location);
+                self.shared.lock().fired("torn upload");
+            }
+            return Err(trouble(io::ErrorKind::BrokenPipe));
+        }
         let put = self.objects.put_opts(location, payload, opts).await?;
         self.note_birth(location);
         Ok(put)
     }
 
     async fn put_multipart_opts(&self, at: &Path, opts: PutMultipartOptions) -> Result<Box<dyn MultipartUpload>> {
+        self.reach().await?;
         self.room()?;
         self.note_birth(at);
         self.objects.put_multipart_opts(at, opts).await
     }
 
     async fn get_opts(&self, location: &Path, options: GetOptions) -> Result<GetResult> {
+        self.reach().await?;
         self.objects.get_opts(location, options).await
     }
 
     fn delete_stream(&self, locations: BoxStream<'static, Result<Path>>) -> BoxStream<'static, Result<Path>> {
         let shelf = self.clone();
         let forget = move |at: &Path| {
+            shelf.judge(at);
             shelf.births().remove(at);
         };
         self.objects.delete_stream(locations.inspect_ok(forget).boxed())

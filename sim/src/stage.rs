@@ -59,8 +59,6 @@ pub(crate) static CACHE: LazyLock<Cache> = LazyLock::new(|| Cache::new(16));
 #[derive(Debug, Clone)]
 pub(crate) struct Stage {
     pub(crate) spec: JobSpec,
-    /// How its farm cuts tasks.
-    pub(crate) schedule: Config,
     pub(crate) bundle: Bytes,
     pub(crate) pixels: Vec<String>,
 }
@@ -82,36 +80,35 @@ pub(crate) fn cut() -> Config {
 /// The rounds of the jobs: one, and several; the later ones are long enough to be cut.
 const ROUNDS: [&[u32]; 4] = [&[2], &[1, 2, 4], &[12], &[3, 5, 12]];
 
-/// One of each kind.
-static STAGES: LazyLock<Result<[Stage; 4], String>> = LazyLock::new(|| {
-    let make = || {
-        anyhow::Ok([
-            stage(ROUNDS[0], &whole(), 0)?,
-            stage(ROUNDS[1], &whole(), 0)?,
-            stage(ROUNDS[2], &cut(), 0)?,
-            stage(ROUNDS[3], &cut(), 0)?,
-        ])
-    };
-    make().map_err(|error| format!("{error:#}"))
+/// Two of each kind: those of other samples have other pixels.
+static STAGES: LazyLock<Result<Vec<Stage>, String>> = LazyLock::new(|| {
+    let kinds = (0..2).flat_map(|seed| ROUNDS.map(|rounds| stage(rounds, seed)));
+    kinds.collect::<anyhow::Result<_>>().map_err(|error| format!("{error:#}"))
 });
 
 /// The job of this number.
 pub(crate) fn pick(number: u64) -> anyhow::Result<&'static Stage> {
     let stages = STAGES.as_ref().map_err(|error| anyhow::anyhow!("{error}"))?;
-    stages.get((number % 4) as usize).context("a stage")
+    stages.get((number % stages.len() as u64) as usize).context("a stage")
+}
+
+/// How the farm of this number cuts tasks.
+pub(crate) fn schedule(number: u64) -> Config {
+    let cuts = if number % 4 < 2 { whole() } else { cut() };
+    Config { group: group(number), ..cuts }
 }
 
 /// Tiles that are gathered before the merge, of four: all at once, or a merge as a tree, of even or uneven groups.
-pub(crate) fn group(number: u64) -> u32 {
+fn group(number: u64) -> u32 {
     [0, 1, 2, 3][(number / 4 % 4) as usize]
 }
 
 /// A job that shares no artefact but its scene with any of another number.
 pub(crate) fn fresh(number: u64) -> anyhow::Result<Stage> {
-    stage(ROUNDS[(number % 4) as usize], &cut(), number)
+    stage(ROUNDS[(number % 4) as usize], number)
 }
 
-fn stage(rounds: &[u32], schedule: &Config, seed: u64) -> anyhow::Result<Stage> {
+fn stage(rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
     // An error that is never reached: every round runs.
     let stop = if let [spp] = rounds { Stop::Spp(*spp) } else { Stop::Error(1e-9) };
     let settings = Settings { stop, max_depth: 3, seed, ..Settings::default() };
@@ -143,7 +140,7 @@ fn stage(rounds: &[u32], schedule: &Config, seed: u64) -> anyhow::Result<Stage> 
         owner: "me".into(),
         tags: vec![],
     };
-    Ok(Stage { spec, schedule: schedule.clone(), bundle: bytes.into(), pixels })
+    Ok(Stage { spec, bundle: bytes.into(), pixels })
 }
 
 /// Digest of a finished frame's pixels.

@@ -1,15 +1,21 @@
 //! The way between workers and the coordinator that leads: it passes everything on, sees everything, and lets some messages
 //! of workers come twice or late.
 
+use std::collections::BTreeSet;
 use std::time::Duration;
 
-use femc_model::{FromWorker, ToWorker};
+use femc_model::{Epoch, FromWorker, Refusal, TaskKey, ToWorker};
 use femc_proto::{Call, Client, Outgoing, Server, Session};
 use femc_store::Store;
 use tokio::sync::mpsc;
 
+use crate::audit::Violation;
+use crate::leases::SessionNumber;
 use crate::network::{SWITCH, dial, listen, url};
-use crate::shared::Shared;
+use crate::shared::{Shared, State};
+
+/// Bits of an epoch that count the leases of one incarnation.
+const LEASE_BITS: u32 = 40;
 
 /// Latest that a message comes.
 const LATE: Duration = Duration::from_secs(8);
@@ -30,12 +36,17 @@ pub(crate) async fn serve(shared: Shared, store: Store) -> turmoil::Result {
     Ok(())
 }
 
+fn now() -> Duration {
+    turmoil::sim_elapsed().unwrap_or_default()
+}
+
 async fn relay(session: Session, shared: Shared) {
     let Session { registration, mut words, out } = session;
     let leader = url(&format!("c{}", shared.lock().leader));
-    let (name, engine) = (registration.name.clone(), registration.engine.clone());
+    let (name, engine, instance) = (registration.name.clone(), registration.engine.clone(), registration.instance);
     shared.note(|| format!("{name} joins {leader} with {:?}", registration.held));
     let held = registration.held.iter().map(|held| (held.task, held.epoch));
+    let mut running: BTreeSet<(Epoch, TaskKey)> = held.clone().map(|(task, epoch)| (epoch, task)).collect();
     let number = shared.lock().leases.joined(&engine, held);
     let session = async {
         let client = Client::connect_by(&dial(&shared, SWITCH), &leader).await?;
@@ -46,8 +57,16 @@ async fn relay(session: Session, shared: Shared) {
     let upwards = async {
         while let Some(Ok(word)) = words.next().await {
             shared.note(|| format!("{name} > {word:?}"));
-            if let FromWorker::Completed { task, epoch, .. } = &word {
-                shared.lock().reported.insert((*task, *epoch));
+            match &word {
+                FromWorker::Completed { task, epoch, .. } => drop(shared.lock().reported.insert((*task, *epoch))),
+                FromWorker::Failed { task, epoch, .. } => {
+                    let mut state = shared.lock();
+                    let incarnation = state.chronicle.incarnation();
+                    state.leases.failed(*task, *epoch, incarnation);
+                    // It has the result no longer: what is acknowledged is that.
+                    state.reported.remove(&(*task, *epoch));
+                }
+                _ => {}
             }
             pass(word, &up, &shared).await;
         }
@@ -61,13 +80,29 @@ async fn relay(session: Session, shared: Shared) {
                     if lease.copy_of.is_some() {
                         state.fired("given out twice");
                     }
-                    let wrong = state.leases.assigned(&engine, lease);
-                    state.wrong.extend(wrong);
+                    let leased = state.leases.assigned(&engine, lease);
+                    let incarnation = (lease.epoch.0 >> LEASE_BITS) as u32;
+                    let drained = state.chronicle.may_work(instance, incarnation, now());
+                    state.wrong.extend(leased.into_iter().chain(drained));
+                    running.insert((lease.epoch, lease.task));
                 }
-                ToWorker::Revoke { task, epoch, .. } => shared.lock().leases.revoked(number, *task, *epoch),
-                ToWorker::Accepted { task, epoch } => drop(shared.lock().accepted.insert((*task, *epoch))),
+                ToWorker::Revoke { task, epoch, .. } => {
+                    running.remove(&(*epoch, *task));
+                    shared.lock().leases.revoked(number, *task, *epoch);
+                }
+                ToWorker::Accepted { task, epoch } => {
+                    running.remove(&(*epoch, *task));
+                    shared.lock().accepted.insert((*task, *epoch));
+                }
+                ToWorker::Refused { task, epoch, refusal } => {
+                    // Each lease that ends is told, and what comes after that is a repetition.
+                    if running.remove(&(*epoch, *task)) && *refusal == Refusal::StaleEpoch {
+                        shared.lock().wrong.push(Violation::Silent { task: *task, epoch: *epoch });
+                    }
+                }
                 _ => {}
             }
+            shared.lock().turns(number, &running);
             if out.send(message).await.is_err() {
                 break;
             }
@@ -78,7 +113,17 @@ async fn relay(session: Session, shared: Shared) {
         () = downwards => {}
         () = upwards => {}
     }
+    shared.lock().turns(number, &BTreeSet::new());
     shared.note(|| format!("{name} is cut off"));
+}
+
+impl State {
+    /// What a worker holds has changed.
+    fn turns(&mut self, session: SessionNumber, running: &BTreeSet<(Epoch, TaskKey)>) {
+        let spec = running.first().and_then(|(_, task)| self.chronicle.spec(task.job));
+        let owner = spec.map(|spec| spec.owner.clone());
+        self.shares.turns(session, owner, now());
+    }
 }
 
 async fn pass(word: FromWorker, up: &Outgoing, shared: &Shared) {

@@ -11,7 +11,7 @@ use crate::faults::{COORDINATORS, Fault, Planned, WORKERS};
 use crate::hosts::{LATENCY, coordinator_name, worker_name};
 use crate::network::SWITCH;
 use crate::shared::{Shared, Trap};
-use crate::shelf::Shelf;
+use crate::shelf::{Harm, Shelf, Troubles};
 
 /// How long a plan's faults come, and whatever they broke stays broken.
 const STORM: Duration = Duration::from_secs(32);
@@ -23,6 +23,8 @@ enum Act {
     End(Fault),
     /// A dead coordinator is started again.
     Start(usize),
+    /// A dead worker is.
+    Rise(usize),
     Peace,
 }
 
@@ -39,6 +41,7 @@ impl Weather {
         {
             let mut state = shared.lock();
             (state.twice, state.late) = (plan.twice, plan.late);
+            state.shares.is_calm = plan.faults.is_empty() && now.is_zero();
         }
         plan.faults.iter().for_each(|&(at, fault)| self.plan(now + at, Act::Begin(fault)));
         self.plan(now + STORM, Act::Peace);
@@ -57,6 +60,15 @@ impl Weather {
             die(sim, shared, coordinator_name(host), now);
             self.plan(now + Duration::from_secs(1), Act::Start(host));
         }
+        let struck = std::mem::take(&mut shared.lock().struck);
+        for host in struck {
+            if die(sim, shared, worker_name(host), now) {
+                let mut state = shared.lock();
+                state.fired("worker killed by a task");
+                state.shares.is_calm = false;
+                self.plan(now + Duration::from_millis(700), Act::Rise(host));
+            }
+        }
         while let Some(entry) = self.agenda.first_entry().filter(|entry| entry.key().0 <= now) {
             let act = entry.remove();
             shared.lock().note(now, &format!("{act:?}"));
@@ -68,6 +80,7 @@ impl Weather {
                 }
                 Act::End(fault) => end_fault(sim, fault, shared, shelf),
                 Act::Start(host) => start(sim, coordinator_name(host)),
+                Act::Rise(host) => start(sim, worker_name(host)),
                 Act::Peace => make_peace(sim, shared, shelf),
             }
         }
@@ -99,12 +112,9 @@ fn begin_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf, 
             shared.lock().trap = Some((writes, Trap::Within));
             None
         }
-        Fault::ArtefactLost => {
-            rob(shared, |artefact| shelf.lose(artefact)).then(|| fired("artefact lost"));
-            None
-        }
-        Fault::ArtefactDamaged => {
-            rob(shared, |artefact| shelf.damage(artefact)).then(|| fired("artefact damaged"));
+        Fault::ArtefactHarmed(harm) => {
+            let robbed = pick(shared).is_some_and(|artefact| harms(shared, shelf, &artefact, harm));
+            robbed.then(|| fired(harm.name()));
             None
         }
         Fault::LeadChanges => {
@@ -144,19 +154,51 @@ fn begin_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf, 
             fired("slow network");
             Some(pause)
         }
+        Fault::SceneHarmed(harm) => {
+            let scene = shared.lock().disk.ledger().ok().and_then(|ledger| ledger.scenes().first().copied());
+            scene.is_some_and(|scene| harms(shared, shelf, &scene, harm)).then(|| fired("scene lost"));
+            None
+        }
         Fault::LogFull(writes) => {
             shared.lock().disk.full = writes;
             None
         }
         Fault::StoreFull(pause) => {
-            shelf.fill(true);
+            shelf.trouble(|troubles| troubles.full = true);
             fired("store full");
             Some(pause)
         }
-        Fault::ClockJumps(jump) => {
-            shared.lock().ahead += jump;
-            fired("clock jumped");
+        Fault::StoreAway(pause) => {
+            shelf.trouble(|troubles| troubles.away = true);
+            fired("store away");
+            Some(pause)
+        }
+        Fault::StoreSlow(most, pause) => {
+            shelf.trouble(|troubles| troubles.slow = most);
+            fired("store slow");
+            Some(pause)
+        }
+        Fault::UploadTorn(others, thousandths) => {
+            shelf.trouble(|troubles| troubles.tears = Some((others, thousandths)));
             None
+        }
+        Fault::ClockJumps(host, jump) => {
+            shared.lock().clocks[host].ahead += jump;
+            fired(if jump > 0 { "clock jumped ahead" } else { "clock jumped back" });
+            None
+        }
+        Fault::ClockDrifts(host, drift) => {
+            shared.lock().clocks[host].drift = drift;
+            fired("clock drifts");
+            None
+        }
+        Fault::LogLost => {
+            for host in 0..COORDINATORS {
+                die(sim, shared, coordinator_name(host), now);
+            }
+            shared.lock().lose_log();
+            fired("log lost");
+            Some(Duration::from_secs(1))
         }
     }
 }
@@ -164,7 +206,9 @@ fn begin_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf, 
 fn end_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf) {
     match fault {
         Fault::WorkerDies(host, _) => start(sim, worker_name(host)),
-        Fault::CoordinatorDies(_) => (0..COORDINATORS).for_each(|host| start(sim, coordinator_name(host))),
+        Fault::CoordinatorDies(_) | Fault::LogLost => {
+            (0..COORDINATORS).for_each(|host| start(sim, coordinator_name(host)))
+        }
         Fault::WorkerCut(host, _) | Fault::WorkerMute(host, _) => mend(sim, shared, &worker_name(host)),
         Fault::CoordinatorCut(_) => (0..COORDINATORS).for_each(|host| mend(sim, shared, &coordinator_name(host))),
         Fault::WorkerFreezes(host, _) => sim.release(worker_name(host), SWITCH),
@@ -172,15 +216,19 @@ fn end_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf) {
             (0..COORDINATORS).for_each(|host| sim.release(coordinator_name(host), SWITCH));
         }
         Fault::Slow(..) => sim.set_max_message_latency(LATENCY),
-        Fault::StoreFull(_) => shelf.fill(false),
+        Fault::StoreFull(_) => shelf.trouble(|troubles| troubles.full = false),
+        Fault::StoreAway(_) => shelf.trouble(|troubles| troubles.away = false),
+        Fault::StoreSlow(..) => shelf.trouble(|troubles| troubles.slow = Duration::ZERO),
         Fault::LogFull(_) => shared.lock().disk.full = 0,
         Fault::DiesBeforeWrite(_)
         | Fault::TornWrite(_)
         | Fault::DiesAfterWrite(_)
         | Fault::LeadChanges
-        | Fault::ArtefactLost
-        | Fault::ArtefactDamaged
-        | Fault::ClockJumps(_) => {}
+        | Fault::UploadTorn(..)
+        | Fault::ArtefactHarmed(_)
+        | Fault::SceneHarmed(_)
+        | Fault::ClockJumps(..)
+        | Fault::ClockDrifts(..) => {}
     }
 }
 
@@ -193,26 +241,30 @@ fn make_peace(sim: &mut Sim<'_>, shared: &Shared, shelf: &Shelf) {
         start(sim, host);
     }
     sim.set_max_message_latency(LATENCY);
-    shelf.fill(false);
+    shelf.trouble(|troubles| *troubles = Troubles::default());
     let mut state = shared.lock();
+    state.clocks.iter_mut().for_each(|clock| clock.drift = 0);
     (state.trap, state.disk.full, state.twice, state.late) = (None, 0, 0, 0);
 }
 
-/// Does something to an artefact of a frame in work; `false` if there is none. To a frame once only: what misses an input counts
-/// as failed, and after three times a job fails as it should.
-fn rob(shared: &Shared, harm: impl FnOnce(&Digest) -> bool) -> bool {
+/// An artefact of a frame in work, if there is one. Of a frame once only: what misses an input counts as failed, and after three
+/// times a job fails as it should.
+fn pick(shared: &Shared) -> Option<Digest> {
     let mut state = shared.lock();
-    let needed: Vec<(JobId, u32, Digest)> = match state.disk.ledger() {
-        Ok(ledger) => ledger.inputs().collect(),
-        Err(_) => return false,
-    };
+    let needed: Vec<(JobId, u32, Digest)> = state.disk.ledger().ok()?.inputs().collect();
     let needed: Vec<_> = needed.into_iter().filter(|(job, frame, _)| !state.robbed.contains(&(*job, *frame))).collect();
     if needed.is_empty() {
-        return false;
+        return None;
     }
     let (job, frame, artefact) = needed[state.rng.random_range(0..needed.len())];
     state.robbed.insert((job, frame));
-    harm(&artefact)
+    Some(artefact)
+}
+
+/// Does something to an artefact; `false` if it was not there.
+fn harms(shared: &Shared, shelf: &Shelf, artefact: &Digest, harm: Harm) -> bool {
+    shared.lock().harmed.insert(*artefact);
+    shelf.harm(artefact, harm)
 }
 
 /// Nothing goes between a host and the switch.

@@ -4,18 +4,17 @@ use std::collections::BTreeMap;
 use std::time::Duration;
 
 use crate::audit::{Violation, audit};
+use crate::cast::Cast;
 use crate::faults::Planned;
 use crate::hosts;
-use crate::person::person;
 use crate::shared::Shared;
 use crate::shelf::Shelf;
-use crate::stage;
 use crate::weather::Weather;
 
 /// Step of the simulated time.
 const TICK: Duration = Duration::from_millis(5);
-/// When the job must be done.
-const END: Duration = Duration::from_secs(240);
+/// When all jobs must have ended.
+const END: Duration = Duration::from_secs(360);
 
 /// What came of a world.
 #[derive(Debug, Clone)]
@@ -30,18 +29,21 @@ pub struct Outcome {
     pub trace: String,
     /// All that was said, one line each, if it was asked for.
     pub story: Vec<String>,
+    /// What people did, and how jobs ended.
+    pub deeds: BTreeMap<&'static str, u64>,
     /// Results that came after their lease, or twice, and changed nothing.
     pub stale: u64,
 }
 
 /// Lives through the world of this seed and plan. `tells`: keep the story.
 pub fn run(seed: u64, plan: &Planned, tells: Tells) -> anyhow::Result<Outcome> {
-    let stage = stage::pick(seed)?;
+    let cast = Cast::of(seed)?;
     line_up()?;
-    let (shared, shelf) = (Shared::new(seed, tells == Tells::Story), Shelf::default());
-    let scheduler = femc_schedule::Config { group: stage::group(seed), ..stage.schedule.clone() };
+    let shared = Shared::new(seed, tells == Tells::Story);
+    let (shelf, scheduler) = (Shelf::new(&shared), cast.config());
+    shared.lock().chronicle.keep_ended = scheduler.keep_ended;
     let mut sim = hosts::settle(seed, [TICK, END], &shared, &shelf, &scheduler);
-    sim.client("person", person(shared.clone(), stage));
+    sim.client("people", cast.live(shared.clone(), shelf.clone()));
     let mut weather = Weather::default();
     weather.storm(Duration::ZERO, plan, &shared);
     let broken = loop {
@@ -52,15 +54,16 @@ pub fn run(seed: u64, plan: &Planned, tells: Tells) -> anyhow::Result<Outcome> {
         }
     };
     let state = shared.lock();
-    let mut violations = audit(stage, &state);
-    violations.extend(broken.filter(|_| state.end.is_some()).map(Violation::World));
+    let mut violations = audit(&state);
+    violations.extend(broken.filter(|_| state.left == 0).map(Violation::World));
     Ok(Outcome {
         violations,
         fired: state.fired.clone(),
         seconds: sim.elapsed().as_secs_f64(),
         trace: state.trace.finalize().to_hex().to_string(),
         story: state.story.clone().unwrap_or_default(),
-        stale: state.end.as_ref().map_or(0, |(status, _)| status.stale_messages),
+        stale: state.stale,
+        deeds: state.deeds.clone(),
     })
 }
 

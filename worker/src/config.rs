@@ -82,17 +82,33 @@ pub enum Hands {
     Simulated(Pace),
 }
 
-/// How long a task takes in a simulation.
+/// How long a task takes in a simulation, and what becomes of it.
 #[derive(Clone)]
-pub struct Pace(Arc<dyn Fn(&Assignment) -> Duration + Send + Sync>);
+pub struct Pace(Arc<dyn Fn(&Assignment) -> (Duration, Fate) + Send + Sync>);
+
+/// What becomes of a task in a simulation.
+#[derive(Clone)]
+pub enum Fate {
+    /// It is done.
+    Done,
+    /// Its code panics at the end.
+    Panics,
+    /// At the end it calls this, which is to end the worker's process, and does nothing more.
+    Kills(Arc<dyn Fn() + Send + Sync>),
+}
 
 impl Pace {
-    /// As `pace` says.
+    /// As `pace` says; every task is done.
     pub fn by(pace: impl Fn(&Assignment) -> Duration + Send + Sync + 'static) -> Self {
-        Self(Arc::new(pace))
+        Self::fated(move |assignment| (pace(assignment), Fate::Done))
     }
 
-    pub(crate) fn of(&self, assignment: &Assignment) -> Duration {
+    /// As `fate` says.
+    pub fn fated(fate: impl Fn(&Assignment) -> (Duration, Fate) + Send + Sync + 'static) -> Self {
+        Self(Arc::new(fate))
+    }
+
+    pub(crate) fn of(&self, assignment: &Assignment) -> (Duration, Fate) {
         (self.0)(assignment)
     }
 }

@@ -34,7 +34,7 @@ mod upload;
 mod worker;
 
 pub use cache::Cache;
-pub use config::{AtStop, Config, Hands, IfTaken, OutboxConfig, Pace, WorkerError};
+pub use config::{AtStop, Config, Fate, Hands, IfTaken, OutboxConfig, Pace, WorkerError};
 pub use duty::{Duty, Shift};
 pub use journal::Journal;
 pub use log::{TASK_LOG_LEVEL, TaskLogs};

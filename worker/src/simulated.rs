@@ -1,11 +1,12 @@
 //! Hands for simulations: the tasks are really done, on the runtime itself, and take the time that the simulation says.
 
+use std::future::pending;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, mpsc};
 
 use femc_model::{Failure, Phase, TaskResult, Work};
 
-use crate::config::Pace;
+use crate::config::{Fate, Pace};
 use crate::execute::{Product, Tools, execute};
 use crate::fetch::Fetch;
 use crate::finish::Finish;
@@ -37,12 +38,20 @@ async fn work(task: &Arc<Task>, pace: &Pace, tools: &Tools) -> Result<Product, F
     let inputs: Vec<_> = task.assignment.work.inputs().collect();
     let fetch = Fetch::collect(task, &inputs).await;
     task.enter(Phase::Working);
-    let (whole, samples) = (pace.of(&task.assignment), samples(task));
+    let ((whole, fate), samples) = (pace.of(&task.assignment), samples(task));
     for step in 1..=STEPS {
         tokio::time::sleep(whole / STEPS).await;
         task.samples.store(samples * u64::from(step) / u64::from(STEPS), Ordering::Relaxed);
         if task.is_cancelled() {
             return Err(Failure::Cancelled);
+        }
+    }
+    match fate {
+        Fate::Done => {}
+        Fate::Panics => return Err(Failure::Panicked { message: "as fate has it".into() }),
+        Fate::Kills(kill) => {
+            kill();
+            pending::<()>().await;
         }
     }
     // They are counted again as they are really taken, in no time at all.

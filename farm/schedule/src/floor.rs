@@ -308,12 +308,8 @@ impl Floor {
         for progress in tasks {
             let key = (progress.task, progress.epoch);
             let Some(lease) = self.leases.get_mut(&key).filter(|lease| lease.worker == worker) else { continue };
-            let (moved, stall) = match lease.phase {
-                Phase::Waiting => (holder.moved.max(lease.moved), config.preparation_stall),
-                Phase::Preparing => (lease.moved, config.preparation_stall),
-                Phase::Working | Phase::Uploading => (lease.moved, config.stall),
-            };
-            if now.since(moved) < stall {
+            let moved = if lease.phase == Phase::Waiting { holder.moved.max(lease.moved) } else { lease.moved };
+            if now.since(moved) < stall(lease.phase, config) {
                 self.deadlines.remove(&(lease.deadline, key.1, key.0));
                 lease.deadline = now.after(config.lease);
                 self.deadlines.insert((lease.deadline, key.1, key.0));
@@ -322,11 +318,13 @@ impl Floor {
         over
     }
 
-    /// Of a lease that ran out although its worker is there: that worker, and for how many seconds nothing moved.
+    /// Of a lease that ran out because nothing moved, although its worker is there: that worker, and for how many seconds. One
+    /// whose heartbeats were lost on the way ran out, too, and is nobody's fault.
     pub(crate) fn stalled(&self, key: &LeaseKey, config: &Config, now: Tick) -> Option<(WorkerId, u64)> {
         let lease = self.leases.get(key)?;
-        (!self.is_silent(lease.worker, config, now) && lease.phase != Phase::Waiting)
-            .then(|| (lease.worker, now.since(lease.moved) / 1000))
+        let still = now.since(lease.moved);
+        let has_stalled = lease.phase != Phase::Waiting && still >= stall(lease.phase, config);
+        (!self.is_silent(lease.worker, config, now) && has_stalled).then_some((lease.worker, still / 1000))
     }
 
     /// Whether a worker has said nothing for a lease's time.
@@ -357,5 +355,13 @@ impl Floor {
     pub(crate) fn of_job(&self, job: JobId) -> impl Iterator<Item = (&LeaseKey, &Lease)> + '_ {
         let first = TaskKey { job, stage: Stage { frame: 0, round: 0, kind: StageKind::Render }, index: 0 };
         self.leases.range((first, Epoch(0))..).take_while(move |((task, _), _)| task.job == job)
+    }
+}
+
+/// Without progress for so many milliseconds a lease is not renewed.
+fn stall(phase: Phase, config: &Config) -> u64 {
+    match phase {
+        Phase::Waiting | Phase::Preparing => config.preparation_stall,
+        Phase::Working | Phase::Uploading => config.stall,
     }
 }

@@ -99,3 +99,16 @@ fn what_a_stranger_says_of_a_job_that_is_not_there_is_not_kept() {
     assert_eq!(tell(&mut farm, 1, &strange, 1.0), []);
     assert_eq!(tell(&mut farm, 9, &strange, 1.0), []);
 }
+
+#[test]
+fn a_lease_whose_heartbeats_were_lost_on_the_way_has_not_stalled() {
+    let (mut farm, id, held) = at_work();
+    farm.wait(farm.scheduler.config().lease - 1);
+    // The link is back: first comes what is said of another lease, which is long over.
+    farm.on(Event::Failed { worker: WorkerId(1), task: held.task, epoch: Epoch(1), failure: panic() });
+    let commands = farm.wait(1);
+    assert!(commands.iter().any(|command| matches!(command, Command::Revoke { .. })), "it ran out: {commands:?}");
+    let is_failure = |command: &Command| matches!(command, Command::Record(Fact::Failed { .. }));
+    assert!(!commands.iter().any(is_failure), "nothing failed: {commands:?}");
+    assert_eq!(farm.status(id).quarantined, []);
+}

@@ -10,6 +10,7 @@ use femc_schedule::Fact;
 
 use crate::audit::{Violation, log, noted};
 use crate::shared::{Reports, Shared, State};
+use crate::tasks::job_of;
 
 /// Longer than any message can be on its way.
 const SETTLED: Duration = Duration::from_secs(120);
@@ -20,7 +21,6 @@ struct Pages {
     ended: BTreeMap<JobId, Duration>,
     /// All jobs up to this one are audited.
     audited: u64,
-    deeds: BTreeMap<&'static str, u64>,
 }
 
 /// Clones share it.
@@ -30,15 +30,6 @@ pub(super) struct Book(Arc<Mutex<Pages>>);
 impl Book {
     fn lock(&self) -> MutexGuard<'_, Pages> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    /// Somebody did this.
-    pub(super) fn did(&self, what: &'static str) {
-        *self.lock().deeds.entry(what).or_default() += 1;
-    }
-
-    pub(super) fn deeds(&self) -> BTreeMap<&'static str, u64> {
-        self.lock().deeds.clone()
     }
 
     /// A job has ended, and nobody will do anything to it any more.
@@ -90,6 +81,8 @@ fn close(state: &mut State, last: JobId) -> Vec<Violation> {
     state.disk.notes = left;
     wrong.extend(noted(&records, &notes, state.disk.tail()).unwrap_or_else(|error| vec![error.into()]));
     state.leases.forget_until(last);
+    state.chronicle.forget_until(last);
+    state.told.forget_until(last);
     wrong
 }
 
@@ -98,25 +91,4 @@ fn take(reports: &mut Reports, last: JobId) -> Reports {
     let (taken, left) = std::mem::take(reports).into_iter().partition(|(task, _)| task.job <= last);
     *reports = left;
     taken
-}
-
-fn job_of(fact: &Fact) -> Option<JobId> {
-    match fact {
-        Fact::Opened { .. } | Fact::Drained { .. } | Fact::Used { .. } | Fact::Lives { .. } => None,
-        Fact::Submitted { job, .. }
-        | Fact::Cut { job, .. }
-        | Fact::Grouped { job, .. }
-        | Fact::Restarted { job, .. }
-        | Fact::Doomed { job, .. }
-        | Fact::Controlled { job, .. }
-        | Fact::Built { job, .. }
-        | Fact::Forgotten { job } => Some(*job),
-        Fact::Rendered { task, .. }
-        | Fact::Gathered { task, .. }
-        | Fact::Merged { task, .. }
-        | Fact::Failed { task, .. }
-        | Fact::Died { task, .. }
-        | Fact::Lost { task } => Some(task.job),
-        Fact::Logged(record) => Some(record.task.job),
-    }
 }

@@ -75,14 +75,15 @@ impl Soak {
     pub fn run(&self, mut see: impl FnMut(&Gauge)) -> anyhow::Result<Soaked> {
         line_up()?;
         let begun = Instant::now();
-        let (shared, shelf, book) =
-            (Shared::new(self.seed, self.tells == Tells::Story), Shelf::default(), Book::default());
+        let shared = Shared::new(self.seed, self.tells == Tells::Story);
+        let (shelf, book) = (Shelf::new(&shared), Book::default());
         let config = Config { keep_ended: Some(KEEP.as_millis() as u64), group: GROUP, ..stage::cut() };
+        shared.lock().chronicle.keep_ended = config.keep_ended;
         let mut sim = hosts::settle(self.seed, [TICK, self.time + LAST], &shared, &shelf, &config);
         for number in 0..people::PERSONS {
             sim.client(people::name(number), people::person(*self, number, shared.clone(), book.clone()));
         }
-        sim.client("operator", people::operator(*self, shared.clone(), book.clone()));
+        sim.client("operator", people::operator(*self, shared.clone()));
         let (mut weather, mut storms, mut gauges) = (Weather::default(), 0, Vec::new());
         let broken = loop {
             match sim.step() {
@@ -93,7 +94,7 @@ impl Soak {
             let now = sim.elapsed();
             weather.pass(&mut sim, &shared, &shelf);
             if now >= CYCLE * storms && now < self.time {
-                weather.storm(now, &Planned::of(self.storm(storms)), &shared);
+                weather.storm(now, &Planned::storm(self.storm(storms)), &shared);
                 book.settle(&shared, now);
                 storms += 1;
             }
@@ -113,7 +114,7 @@ impl Soak {
         Ok(Soaked {
             violations: violations.map(|violation| violation.to_string()).collect(),
             gauges,
-            deeds: book.deeds(),
+            deeds: state.deeds.clone(),
             fired: state.fired.clone(),
             longest_log: state.disk.longest,
             seconds: sim.elapsed().as_secs_f64(),

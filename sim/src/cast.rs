@@ -1,0 +1,207 @@
+//! Who comes to a world: decided by the seed before it begins.
+
+use std::collections::BTreeMap;
+use std::time::Duration;
+
+use bytes::Bytes;
+use femc_model::{JobSpec, Refusal};
+use femc_proto::{CallError, Client, CollectMode};
+use femc_schedule::Config;
+use futures_util::future::join_all;
+use rand::rngs::SmallRng;
+use rand::{RngExt as _, SeedableRng as _};
+
+use crate::audit::Violation;
+use crate::faults::Hardship;
+use crate::people::{Curse, Errand, Manner, Person, Whim, answer, drain_a_while, open_all, some};
+use crate::shared::Shared;
+use crate::shelf::Shelf;
+use crate::stage;
+
+/// People of a world.
+const MANNER: Manner = Manner { look: Duration::from_millis(400), patience: Duration::from_secs(200) };
+/// Frames of all jobs of a world, about.
+const FRAMES: usize = 5;
+/// What is younger is no garbage.
+const GRACE: Duration = Duration::from_secs(60);
+/// Bytes of something large: it goes in several pieces.
+const LARGE: usize = 5 << 19;
+/// A drained worker is drained for so long at most.
+const DRAINED: Duration = Duration::from_secs(15);
+
+/// The people of a world, and what the farm knows about them.
+#[derive(Debug)]
+pub(crate) struct Cast {
+    seed: u64,
+    /// What each of them wants, one after the other.
+    people: Vec<Vec<Errand>>,
+    /// Somebody drains workers.
+    drains: bool,
+    /// So many send the same large artefact at once, and some of them die over it.
+    senders: u64,
+    /// At the end somebody removes garbage.
+    collects: bool,
+}
+
+impl Cast {
+    /// That of a seed.
+    pub(crate) fn of(seed: u64) -> anyhow::Result<Self> {
+        let mut rng = SmallRng::seed_from_u64(seed ^ 0x0ca5_7000);
+        let count = rng.random_range(1..=4);
+        let is_shared = rng.random_range(0..3) == 0;
+        let (mut left, mut people) = (FRAMES, vec![Vec::new(); count]);
+        for place in 0..2 * count {
+            let number = place % count;
+            let is_first = place < count;
+            if left == 0 || (!is_first && rng.random_range(0..2) == 0) {
+                continue;
+            }
+            let name = format!("person{number}");
+            // Those of one key want the same.
+            let is_both = is_first && is_shared && number < 2 && count > 1;
+            let mut own = if is_both { SmallRng::seed_from_u64(seed) } else { SmallRng::seed_from_u64(rng.random()) };
+            let mut errand = errand(&mut own, left.min(2))?;
+            errand.key = if is_both { "both".into() } else { format!("{name} {place}") };
+            errand.spec.owner = if is_both { "both".into() } else { name };
+            if is_both {
+                errand.whim = Whim::Nothing;
+            }
+            left -= errand.spec.frames.len().min(left);
+            people[number].push(errand);
+        }
+        people.retain(|errands| !errands.is_empty());
+        Ok(Self {
+            seed,
+            people,
+            drains: rng.random_range(0..3) == 0,
+            senders: if rng.random_range(0..8) == 0 && Hardship::Senders.is_there() {
+                rng.random_range(2..4)
+            } else {
+                0
+            },
+            collects: seed % 16 == 5,
+        })
+    }
+
+    /// The farm's settings: owners have weights, and in some worlds jobs are forgotten.
+    pub(crate) fn config(&self) -> Config {
+        let mut rng = SmallRng::seed_from_u64(self.seed ^ 0x0c0f_1600);
+        let owners = (0..self.people.len()).map(|number| format!("person{number}"));
+        let weights: BTreeMap<String, u32> = owners.map(|owner| (owner, rng.random_range(1..4))).collect();
+        let keep_ended = (rng.random_range(0..4) == 0).then(|| rng.random_range(1_500..12_000));
+        Config { weights, keep_ended, ..stage::schedule(self.seed) }
+    }
+
+    /// They come, and go when all their jobs have ended.
+    pub(crate) async fn live(self, shared: Shared, shelf: Shelf) -> turmoil::Result {
+        let mut rng = SmallRng::seed_from_u64(self.seed ^ 0x11fe_0000);
+        let seeds: Vec<u64> = self.people.iter().map(|_| rng.random()).collect();
+        let people = self.people.iter().zip(seeds).map(|(errands, seed)| live(errands, seed, &shared));
+        let large = large(self.seed);
+        let senders = (0..self.senders).map(|number| send(&shared, &shelf, &large, self.seed ^ number));
+        let drains = async {
+            if self.drains {
+                tokio::time::sleep(Duration::from_millis(rng.random_range(0..12_000))).await;
+                drain_a_while(&shared, &mut rng, DRAINED).await;
+                // One that was away may come back as drained.
+                for _ in 0..8 {
+                    tokio::time::sleep(Duration::from_secs(5)).await;
+                    open_all(&shared).await;
+                }
+            }
+        };
+        let lives = async { futures_util::future::join(join_all(people), join_all(senders)).await.0 };
+        tokio::pin!(drains, lives);
+        // Nobody waits for whoever drains workers.
+        let lived = tokio::select! {
+            biased;
+            lived = &mut lives => lived,
+            () = &mut drains => lives.await,
+        };
+        lived.into_iter().collect::<anyhow::Result<Vec<()>>>()?;
+        if self.collects {
+            collect(&shared, &shelf).await;
+        }
+        Ok(())
+    }
+}
+
+fn errand(rng: &mut SmallRng, most: usize) -> anyhow::Result<Errand> {
+    let stage = stage::pick(rng.random_range(0..8))?;
+    let curse = match rng.random_range(0..24) {
+        0..4 => Curse::NowAndThen,
+        4 => Curse::Always,
+        5 if Hardship::Deadly.is_there() => Curse::Deadly,
+        _ => Curse::Nothing,
+    };
+    let spec = JobSpec {
+        name: curse.name().into(),
+        frames: some(&stage.spec.frames, most, rng),
+        priority: if rng.random_range(0..2) == 0 { 50 } else { rng.random_range(0..=100) },
+        ..stage.spec.clone()
+    };
+    let whim = Whim::pick(rng);
+    let pauses = [0..9_000, 1_000..12_000].map(|range| Duration::from_millis(rng.random_range(range)));
+    Ok(Errand { key: String::new(), spec, stage: stage.clone(), whim, pauses })
+}
+
+async fn live(errands: &[Errand], seed: u64, shared: &Shared) -> anyhow::Result<()> {
+    let mut rng = SmallRng::seed_from_u64(seed);
+    shared.lock().left += 1;
+    for errand in errands {
+        Person { shared, rng: &mut rng, manner: MANNER }.runs(errand).await?;
+    }
+    shared.lock().left -= 1;
+    Ok(())
+}
+
+/// Bytes that no other artefact has.
+fn large(seed: u64) -> Bytes {
+    let block: [u8; 32] = *blake3::hash(&seed.to_le_bytes()).as_bytes();
+    block.iter().copied().cycle().take(LARGE).collect()
+}
+
+/// Sends something large that others send, too: the first may die over it, and then comes again. Nobody is refused because of
+/// another.
+async fn send(shared: &Shared, shelf: &Shelf, bytes: &Bytes, seed: u64) {
+    let mut rng = SmallRng::seed_from_u64(seed);
+    let put = async |client: Client| {
+        let is_well = shelf.is_well();
+        let put = client.put(bytes.clone()).await;
+        if let Err(CallError::Refused(Refusal::Unavailable { message })) = &put
+            && is_well
+            && shelf.is_well()
+        {
+            shared.lock().wrong.push(Violation::Upload { message: message.clone() });
+        }
+        put
+    };
+    if rng.random_range(0..2) == 0 {
+        let patience = Duration::from_millis(rng.random_range(20..200));
+        if tokio::time::timeout(patience, answer(shared, shared.asks(), &put)).await.is_err() {
+            shared.lock().did("died over an upload");
+        }
+    }
+    if answer(shared, shared.asks(), &put).await.is_ok() {
+        shared.lock().did("sent something large");
+    }
+}
+
+/// Removes garbage when all is over and old: then what is there is what the log names.
+async fn collect(shared: &Shared, shelf: &Shelf) {
+    tokio::time::sleep(GRACE + Duration::from_secs(5)).await;
+    let collect = async |client: Client| client.collect(CollectMode::Remove, GRACE).await;
+    let asked = shared.asks();
+    if answer(shared, asked, &collect).await.is_err() {
+        return;
+    }
+    let mut state = shared.lock();
+    state.did("garbage collected");
+    let Ok(ledger) = state.disk.ledger() else { return };
+    let (there, named) = (shelf.all(), ledger.references());
+    let missing = named.difference(&there).filter(|digest| !state.harmed.contains(digest)).count();
+    let left = there.difference(&named).count();
+    if left > 0 || missing > 0 {
+        state.wrong.push(Violation::Garbage { left: left as u64, missing: missing as u64 });
+    }
+}

@@ -1,0 +1,449 @@
+//! Who comes to the farm: people with jobs, who change their minds, ask twice, and do not wait for answers; and what they may
+//! expect.
+
+use std::time::Duration;
+
+use bytes::Bytes;
+use femc_model::{
+    Control, Drain, FrameRecord, Intake, JobId, JobSpec, JobState, JobStatus, Refusal, WorkerId, WorkerName,
+};
+use femc_proto::{CallError, Client};
+use rand::RngExt as _;
+use rand::rngs::SmallRng;
+
+use crate::audit::{Violation, account};
+use crate::faults::WORKERS;
+use crate::hosts::{coordinator_name, worker_name};
+use crate::network::{dial, url};
+use crate::promises::Asked;
+use crate::shared::Shared;
+use crate::stage::{self, Stage};
+
+/// Between two tries.
+const AGAIN: Duration = Duration::from_millis(300);
+
+/// What is wrong with the tasks of a job; its name says it, which decides no pixel.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Curse {
+    Nothing,
+    /// Now and then one panics.
+    NowAndThen,
+    /// One of them panics each time.
+    Always,
+    /// One of them kills its worker each time.
+    Deadly,
+}
+
+impl Curse {
+    const ALL: [Self; 4] = [Self::Nothing, Self::NowAndThen, Self::Always, Self::Deadly];
+
+    pub(crate) const fn name(self) -> &'static str {
+        match self {
+            Self::Nothing => "haze",
+            Self::NowAndThen => "haze-now-and-then",
+            Self::Always => "haze-always",
+            Self::Deadly => "haze-deadly",
+        }
+    }
+
+    /// That of a job.
+    pub(crate) fn of(spec: &JobSpec) -> Self {
+        Self::ALL.into_iter().find(|curse| curse.name() == spec.name).unwrap_or(Self::Nothing)
+    }
+
+    /// Whether a job may come to nothing because of it, however often somebody tries.
+    pub(crate) fn is_final(self) -> bool {
+        matches!(self, Self::Always | Self::Deadly)
+    }
+}
+
+/// What comes to a person's mind while a job runs.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Whim {
+    Nothing,
+    PauseAWhile,
+    Cancel,
+    CancelAndRetry,
+    Priority(u8),
+}
+
+impl Whim {
+    /// Half of the time nothing.
+    pub(crate) fn pick(rng: &mut SmallRng) -> Self {
+        match rng.random_range(0..10) {
+            0 => Self::PauseAWhile,
+            1 => Self::Cancel,
+            2 => Self::CancelAndRetry,
+            3 | 4 => Self::Priority(rng.random_range(0..=100)),
+            _ => Self::Nothing,
+        }
+    }
+}
+
+/// How a job may end.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Expected {
+    Done,
+    Cancelled,
+    /// Nobody heard whether the cancellation or the end came first.
+    Either,
+}
+
+/// A job that somebody wants done.
+#[derive(Debug, Clone)]
+pub(crate) struct Errand {
+    pub(crate) key: String,
+    pub(crate) spec: JobSpec,
+    pub(crate) stage: Stage,
+    pub(crate) whim: Whim,
+    /// What is done to it is done after so long, and undone after so long again.
+    pub(crate) pauses: [Duration; 2],
+}
+
+/// How people are.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Manner {
+    /// Between two questions whether a job has ended.
+    pub(crate) look: Duration,
+    /// A job that takes longer has come to nothing.
+    pub(crate) patience: Duration,
+}
+
+/// Somebody with a job.
+pub(crate) struct Person<'a> {
+    pub(crate) shared: &'a Shared,
+    pub(crate) rng: &'a mut SmallRng,
+    pub(crate) manner: Manner,
+}
+
+impl Person<'_> {
+    /// Submits a job, stays with it to its end, and brings its frames home; the job's number at the end.
+    pub(crate) async fn runs(&mut self, errand: &Errand) -> anyhow::Result<JobId> {
+        loop {
+            let (asked, job) = self.submits(errand).await;
+            let followed = tokio::time::timeout(self.manner.patience, self.follows(asked, job, errand)).await;
+            // Where the log is lost, so is the job.
+            if self.shared.is_over(asked) {
+                self.shared.lock().did("submitted anew");
+                continue;
+            }
+            let wrong = match followed {
+                Ok(wrong) => wrong?,
+                Err(_) => vec![self.stuck(asked, job).await],
+            };
+            self.shared.lock().wrong.extend(wrong.into_iter().map(|violation| violation.of(job)));
+            if self.rng.random_range(0..4) == 0 {
+                self.comes_again(asked, errand).await;
+            }
+            return Ok(job);
+        }
+    }
+
+    /// Until there is a job; sometimes without waiting for the first answer, sometimes twice.
+    async fn submits(&mut self, errand: &Errand) -> (Asked, JobId) {
+        let (key, mut spec) = (&errand.key, errand.spec.clone());
+        if self.rng.random_range(0..3) == 0 {
+            let patience = Duration::from_millis(self.rng.random_range(1..80));
+            let first = self.submission(key, &spec, &errand.stage.bundle);
+            if tokio::time::timeout(patience, first).await.is_err() {
+                self.shared.lock().did("did not wait for an answer");
+            }
+        }
+        loop {
+            let asked = self.shared.asks();
+            let Ok(job) = self.submission(key, &spec, &errand.stage.bundle).await else {
+                tokio::time::sleep(AGAIN).await;
+                continue;
+            };
+            self.shared.hears_job(asked, key, job);
+            if self.rng.random_range(0..3) > 0 || self.shared.is_over(asked) {
+                return (asked, job);
+            }
+            // The same key is the same job, whatever else is asked for; or nothing at all.
+            if self.rng.random_range(0..2) == 0 {
+                spec.priority = 100 - spec.priority;
+            }
+            let asked_again = self.shared.asks();
+            if let Ok(again) = self.submission(key, &spec, &errand.stage.bundle).await {
+                self.shared.lock().did("submitted twice");
+                self.shared.hears_job(asked_again, key, again);
+            }
+            return (asked, job);
+        }
+    }
+
+    /// The job has ended, and its key is still its key.
+    async fn comes_again(&self, asked: Asked, errand: &Errand) {
+        // Where jobs are forgotten, it might be another one, which nobody would wait for.
+        if self.shared.lock().chronicle.keep_ended.is_some() || self.shared.is_over(asked) {
+            return;
+        }
+        let now = self.shared.asks();
+        if let Ok(again) = self.submission(&errand.key, &errand.spec, &errand.stage.bundle).await {
+            self.shared.lock().did("came again with a job that had ended");
+            self.shared.hears_job(now, &errand.key, again);
+        }
+    }
+
+    /// The job is under way, and its key is its key.
+    async fn asks_twice(&self, asked: Asked, errand: &Errand) {
+        let now = self.shared.asks();
+        if self.shared.is_over(asked) {
+            return;
+        }
+        if let Ok(again) = self.submission(&errand.key, &errand.spec, &errand.stage.bundle).await {
+            self.shared.lock().did("submitted again what was under way");
+            self.shared.hears_job(now, &errand.key, again);
+        }
+    }
+
+    async fn submission(&self, key: &str, spec: &JobSpec, bundle: &Bytes) -> Result<JobId, Refusal> {
+        answer(self.shared, self.shared.asks(), &async |client: Client| {
+            client.put(bundle.clone()).await?;
+            client.submit(Some(key.to_owned()), spec.clone()).await
+        })
+        .await
+    }
+
+    /// Stays with a job to its end, and says what was wrong with it.
+    async fn follows(&mut self, asked: Asked, job: JobId, errand: &Errand) -> anyhow::Result<Vec<Violation>> {
+        let [first, second] = errand.pauses;
+        if errand.whim != Whim::Nothing {
+            tokio::time::sleep(first).await;
+        }
+        let mut expected = self.indulges(asked, job, errand.whim, second).await;
+        let curse = Curse::of(&errand.spec);
+        // Of what fails now and then, something may fail three times.
+        let mut tries = if curse.is_final() { 1 } else { 20 };
+        let status = loop {
+            let Some(status) = self.waits(asked, job, errand).await else { return Ok(Vec::new()) };
+            if status.state != JobState::Failed {
+                break status;
+            }
+            if tries == 0 {
+                if curse.is_final() {
+                    self.shared.lock().did("failed");
+                    return Ok(Vec::new());
+                }
+                break status;
+            }
+            tries -= 1;
+            // It may have failed because its scene was lost.
+            let put = async |client: Client| client.put(errand.stage.bundle.clone()).await;
+            let _ = answer(self.shared, asked, &put).await;
+            if self.steer(asked, job, Control::Retry).await.is_ok() {
+                self.shared.lock().did("retried what failed");
+                if expected == Expected::Cancelled {
+                    expected = Expected::Either;
+                }
+            }
+        };
+        let Some(files) = self.fetches(asked, job).await else { return Ok(Vec::new()) };
+        let mut wrong = ended(&errand.spec, &status, expected);
+        {
+            let mut state = self.shared.lock();
+            state.did(if status.state == JobState::Done { "done" } else { "cancelled" });
+            state.stale += status.stale_messages;
+        }
+        if files.len() as u64 != u64::from(status.frames_done) {
+            let (found, expected) = (files.len() as u64, status.frames_done.into());
+            wrong.push(Violation::Account { what: "frames fetched", found, expected });
+        }
+        for (record, file) in files {
+            let found = stage::pixels(file)?;
+            let frame = errand.stage.spec.frames.iter().position(|&frame| frame == record.frame).unwrap_or_default();
+            if found != errand.stage.pixels[frame] {
+                let expected = errand.stage.pixels[frame].clone();
+                wrong.push(Violation::Pixels { frame, found, expected });
+            }
+            let busy = self.shared.lock().chronicle.busy(job, record.frame);
+            let [told, logged] = [record.busy_seconds, busy.unwrap_or(record.busy_seconds)];
+            if (told - logged).abs() > 1e-6 {
+                let [told, logged] = [told, logged].map(|seconds| (seconds * 1000.0) as u64);
+                wrong.push(Violation::Busy { frame: record.frame, told, logged });
+            }
+        }
+        Ok(wrong)
+    }
+
+    /// Until the job has ended; `None` if it has been forgotten, or its log is lost.
+    async fn waits(&mut self, asked: Asked, job: JobId, errand: &Errand) -> Option<JobStatus> {
+        loop {
+            let now = self.shared.asks();
+            let told = answer(self.shared, asked, &async |client: Client| client.status(job).await).await;
+            if self.shared.is_over(asked) {
+                return None;
+            }
+            self.shared.hears_status(now, job, &told);
+            match told {
+                Ok(status) if status.state.has_ended() => return Some(status),
+                Err(Refusal::NoSuchJob { .. }) => {
+                    self.shared.lock().did("forgotten before anybody looked");
+                    return None;
+                }
+                Ok(_) | Err(_) => tokio::time::sleep(self.manner.look).await,
+            }
+            if self.rng.random_range(0..6) == 0 {
+                self.asks_twice(asked, errand).await;
+            }
+            if self.rng.random_range(0..8) == 0 {
+                let now = self.shared.asks();
+                let all = answer(self.shared, asked, &async |client: Client| client.list().await).await;
+                all.iter().for_each(|all| self.shared.hears_list(now, all));
+            }
+        }
+    }
+
+    /// The files of its finished frames; `None` if the job has been forgotten, or its log is lost.
+    async fn fetches(&self, asked: Asked, job: JobId) -> Option<Vec<(FrameRecord, Bytes)>> {
+        loop {
+            match answer(self.shared, asked, &async |client: Client| frames(&client, job).await).await {
+                Ok(files) => return Some(files),
+                Err(_) if self.shared.is_over(asked) || self.shared.lock().chronicle.has_forgotten(job) => return None,
+                Err(refusal) => self.shared.note(|| format!("person: {refusal}")),
+            }
+            tokio::time::sleep(AGAIN).await;
+        }
+    }
+
+    async fn steer(&self, asked: Asked, job: JobId, control: Control) -> Result<(), Refusal> {
+        let now = self.shared.asks();
+        if self.shared.is_over(asked) {
+            return Err(over());
+        }
+        self.shared.steers(job, control);
+        let answered = answer(self.shared, asked, &async |client: Client| client.control(job, control).await).await;
+        self.shared.hears_steered(now, job, control, &answered);
+        answered
+    }
+
+    /// Does what comes to the person's mind; how the job may end then. What a person has asked for in vain may still be on its
+    /// way: the next word waits for so long that it comes last.
+    async fn indulges(&self, asked: Asked, job: JobId, whim: Whim, pause: Duration) -> Expected {
+        let did = |what| self.shared.lock().did(what);
+        let steer = async |control| self.steer(asked, job, control).await;
+        match whim {
+            Whim::Nothing => Expected::Done,
+            Whim::PauseAWhile => {
+                if steer(Control::Pause).await.is_ok() {
+                    did("paused");
+                }
+                tokio::time::sleep(pause).await;
+                // One that has ended meanwhile need not go on.
+                let _ = steer(Control::Resume).await;
+                Expected::Done
+            }
+            Whim::Cancel => match steer(Control::Cancel).await {
+                Ok(()) => Expected::Cancelled,
+                Err(_) => Expected::Either,
+            },
+            Whim::CancelAndRetry => {
+                // What has ended cannot be cancelled, and what is done cannot be tried again: both are well.
+                let _ = steer(Control::Cancel).await;
+                tokio::time::sleep(pause).await;
+                if steer(Control::Retry).await.is_ok() {
+                    did("retried");
+                }
+                Expected::Done
+            }
+            Whim::Priority(priority) => {
+                if steer(Control::Priority(priority)).await.is_ok() {
+                    did("priority changed");
+                }
+                Expected::Done
+            }
+        }
+    }
+
+    /// What there is to say of a job that does not end.
+    async fn stuck(&self, asked: Asked, job: JobId) -> Violation {
+        let state = match answer(self.shared, asked, &async |client: Client| client.status(job).await).await {
+            Ok(status) => format!("{:?}, waiting: {:?}", status.state, status.waits),
+            Err(refusal) => refusal.to_string(),
+        };
+        Violation::Stuck { seconds: self.manner.patience.as_secs(), state }
+    }
+}
+
+fn ended(spec: &JobSpec, status: &JobStatus, expected: Expected) -> Vec<Violation> {
+    match (status.state, expected) {
+        (JobState::Done, Expected::Done | Expected::Either) => account(spec, status),
+        (JobState::Cancelled, Expected::Cancelled | Expected::Either) => Vec::new(),
+        _ => {
+            let JobStatus { state, failure, quarantined, .. } = status;
+            vec![Violation::Failed { state: format!("{state:?} ({failure:?}, {quarantined:?})") }]
+        }
+    }
+}
+
+/// The files of a job's finished frames.
+async fn frames(client: &Client, job: JobId) -> Result<Vec<(FrameRecord, Bytes)>, CallError> {
+    let mut files = Vec::new();
+    for frame in client.frames(job).await? {
+        let file = client.get(&frame.image.digest, frame.image.bytes).await?;
+        files.push((frame, file));
+    }
+    Ok(files)
+}
+
+/// At least one of them, in their order, and at most so many.
+pub(crate) fn some(frames: &[u32], most: usize, rng: &mut SmallRng) -> Vec<u32> {
+    let chosen: Vec<u32> = frames.iter().copied().filter(|_| rng.random_range(0..2) == 0).take(most).collect();
+    if chosen.is_empty() { frames.iter().copied().take(most).collect() } else { chosen }
+}
+
+fn over() -> Refusal {
+    Refusal::Unavailable { message: "the log is gone".into() }
+}
+
+/// Asks the coordinator that leads until it answers, be it with a refusal; or until another log has begun than was asked for.
+pub(crate) async fn answer<T>(
+    shared: &Shared,
+    asked: Asked,
+    ask: &impl AsyncFn(Client) -> Result<T, CallError>,
+) -> Result<T, Refusal> {
+    while !shared.is_over(asked) {
+        let leader = url(&coordinator_name(shared.lock().leader));
+        let answer = tokio::time::timeout(Duration::from_secs(5), async {
+            let client = Client::connect_by(&dial(shared, "person"), &leader).await?;
+            ask(client).await
+        });
+        match answer.await {
+            Ok(Ok(answer)) => return Ok(answer),
+            Ok(Err(CallError::Refused(no @ (Refusal::Unavailable { .. } | Refusal::NoRoom { .. })))) => {
+                shared.note(|| format!("person: {no}"));
+            }
+            Ok(Err(CallError::Refused(refusal))) => return Err(refusal),
+            Ok(Err(error)) => shared.note(|| format!("person: {error}")),
+            Err(_) => shared.note(|| "person: no answer".into()),
+        }
+        tokio::time::sleep(AGAIN).await;
+    }
+    Err(over())
+}
+
+/// Drains a worker for a while.
+pub(crate) async fn drain_a_while(shared: &Shared, rng: &mut SmallRng, most: Duration) {
+    let worker = WorkerName::Name(worker_name(rng.random_range(0..WORKERS)));
+    let drain = async |client: Client| client.drain(worker.clone(), Drain::Begin).await;
+    if answer(shared, shared.asks(), &drain).await.is_ok() {
+        shared.lock().did("drained");
+    }
+    tokio::time::sleep(Duration::from_millis(rng.random_range(0..most.as_millis() as u64))).await;
+    open_all(shared).await;
+}
+
+/// Every worker that is there may work.
+pub(crate) async fn open_all(shared: &Shared) {
+    let undo = async |client: Client| -> Result<Vec<WorkerId>, CallError> {
+        let mut opened = Vec::new();
+        for worker in client.workers().await? {
+            if worker.intake == Intake::Drained {
+                opened.extend(client.drain(WorkerName::Number(worker.worker), Drain::Undo).await?);
+            }
+        }
+        Ok(opened)
+    };
+    // One that has left in between is not there.
+    let _ = answer(shared, shared.asks(), &undo).await;
+}

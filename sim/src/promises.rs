@@ -1,0 +1,113 @@
+//! What people asked for and were told, each held against the log of that time.
+
+use std::collections::BTreeMap;
+
+use femc_model::{Control, JobId, JobState, JobStatus, Refusal};
+
+use crate::audit::Violation;
+use crate::chronicle::Place;
+use crate::shared::Shared;
+
+/// What people asked for, and what they were told of this log.
+#[derive(Debug, Default)]
+pub(crate) struct Told {
+    /// What people asked for, whether they heard an answer or not.
+    pub(crate) controls: Vec<(JobId, Control)>,
+    /// Jobs by the key that somebody submitted them with.
+    keys: BTreeMap<String, JobId>,
+}
+
+impl Told {
+    pub(crate) fn forget_until(&mut self, last: JobId) {
+        self.controls.retain(|(job, _)| *job > last);
+        self.keys.retain(|_, job| *job > last);
+    }
+}
+
+/// When a question was asked: of which log, and how long that was then.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(crate) struct Asked {
+    log: u32,
+    place: Place,
+}
+
+impl Shared {
+    pub(crate) fn asks(&self) -> Asked {
+        let state = self.lock();
+        Asked { log: state.disk.logs, place: state.chronicle.place() }
+    }
+
+    /// Whether another log has begun since.
+    pub(crate) fn is_over(&self, asked: Asked) -> bool {
+        self.lock().disk.logs != asked.log
+    }
+
+    fn heard(&self, asked: Asked, wrong: impl FnOnce(&mut crate::shared::State) -> Option<Violation>) {
+        let mut state = self.lock();
+        if state.disk.logs == asked.log && !state.disk.has_ghosts() {
+            let wrong = wrong(&mut state);
+            state.wrong.extend(wrong);
+        }
+    }
+
+    /// Somebody's job was taken.
+    pub(crate) fn hears_job(&self, asked: Asked, key: &str, job: JobId) {
+        self.heard(asked, |state| {
+            let before = state.told.keys.insert(key.to_owned(), job).filter(|&before| before != job);
+            let has_forgotten = before.is_some_and(|before| state.chronicle.has_forgotten(before));
+            let moved = |before| Violation::KeyMoved { key: key.to_owned(), jobs: [before, job] };
+            let is_known = state.chronicle.job_of_key(key) == Some(job) || state.chronicle.has_forgotten(job);
+            let gone = (!is_known).then_some(Violation::Gone { job });
+            before.filter(|_| !has_forgotten).map(moved).or(gone)
+        });
+    }
+
+    /// Somebody is about to steer a job.
+    pub(crate) fn steers(&self, job: JobId, control: Control) {
+        let mut state = self.lock();
+        if !state.told.controls.contains(&(job, control)) {
+            state.told.controls.push((job, control));
+        }
+    }
+
+    /// And was answered.
+    pub(crate) fn hears_steered(&self, asked: Asked, job: JobId, control: Control, answer: &Result<(), Refusal>) {
+        self.heard(asked, |state| match answer {
+            Ok(()) => state.chronicle.holds(job, control, asked.place),
+            Err(Refusal::Ended { .. }) => state.chronicle.may_refuse(job, control, asked.place),
+            Err(Refusal::NoSuchJob { .. }) => state.gone(job),
+            Err(_) => None,
+        });
+    }
+
+    /// Somebody was told how a job stands.
+    pub(crate) fn hears_status(&self, asked: Asked, job: JobId, answer: &Result<JobStatus, Refusal>) {
+        self.heard(asked, |state| match answer {
+            Ok(status) => {
+                let unexplained = status.state == JobState::Failed && !state.chronicle.explains(status);
+                let why =
+                    || Violation::Unexplained { status: format!("{:?} {:?}", status.failure, status.quarantined) };
+                state.chronicle.agrees(status, asked.place).or_else(|| unexplained.then(why))
+            }
+            Err(Refusal::NoSuchJob { .. }) => state.gone(job),
+            Err(_) => None,
+        });
+    }
+
+    /// Somebody was told of all jobs.
+    pub(crate) fn hears_list(&self, asked: Asked, answer: &[JobStatus]) {
+        self.heard(asked, |state| {
+            let told: Vec<JobId> = answer.iter().map(|status| status.job).collect();
+            let is_missing = |job: &JobId| !told.contains(job);
+            let missing = state.told.keys.values().copied().filter(is_missing).find_map(|job| state.gone(job));
+            missing.or_else(|| answer.iter().find_map(|status| state.chronicle.agrees(status, asked.place)))
+        });
+    }
+}
+
+impl crate::shared::State {
+    /// A job that somebody was told of is not there: it was forgotten, or that is wrong.
+    fn gone(&self, job: JobId) -> Option<Violation> {
+        (!self.chronicle.has_forgotten(job)).then_some(Violation::Gone { job })
+    }
+}

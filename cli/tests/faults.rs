@@ -164,6 +164,7 @@ fn effects(place: &Place) -> (Vec<String>, bool) {
             | Fact::Grouped { .. }
             | Fact::Built { .. }
             | Fact::Used { .. }
+            | Fact::Died { .. }
             | Fact::Logged { .. } => {}
             other => panic!("something failed, was lost or began anew: {other:?}"),
         }

@@ -68,6 +68,7 @@ fn a_coordinator_whose_log_s_disk_is_full_says_so_and_goes_on_when_there_is_room
     assert!(ran.stderr().contains("takes no new jobs"), "{}", ran.stderr());
     assert!(farm.is_running());
     disk.empty();
+    farm.wait_until("room", || get(port, "/readyz").is_some_and(|(code, _)| code == 200));
     farm.wait_until("the job's end", || status(&place, &url, &job)["state"] == "done");
     place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
     place.run("render fog.mgf -o alone --spp 64 --frames 1..6").exits(0);

@@ -96,7 +96,8 @@ async fn relay(session: Session, shared: Shared) {
                 }
                 ToWorker::Refused { task, epoch, refusal } => {
                     // Each lease that ends is told, and what comes after that is a repetition.
-                    if running.remove(&(*epoch, *task)) && *refusal == Refusal::StaleEpoch {
+                    let ran = running.remove(&(*epoch, *task));
+                    if ran && *refusal == Refusal::StaleEpoch {
                         shared.lock().wrong.push(Violation::Silent { task: *task, epoch: *epoch });
                     }
                 }

@@ -207,7 +207,7 @@ fn end_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf) {
     match fault {
         Fault::WorkerDies(host, _) => start(sim, worker_name(host)),
         Fault::CoordinatorDies(_) | Fault::LogLost => {
-            (0..COORDINATORS).for_each(|host| start(sim, coordinator_name(host)))
+            (0..COORDINATORS).for_each(|host| start(sim, coordinator_name(host)));
         }
         Fault::WorkerCut(host, _) | Fault::WorkerMute(host, _) => mend(sim, shared, &worker_name(host)),
         Fault::CoordinatorCut(_) => (0..COORDINATORS).for_each(|host| mend(sim, shared, &coordinator_name(host))),

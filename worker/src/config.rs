@@ -84,7 +84,9 @@ pub enum Hands {
 
 /// How long a task takes in a simulation, and what becomes of it.
 #[derive(Clone)]
-pub struct Pace(Arc<dyn Fn(&Assignment) -> (Duration, Fate) + Send + Sync>);
+pub struct Pace(Arc<Fates>);
+
+type Fates = dyn Fn(&Assignment) -> (Duration, Fate) + Send + Sync;
 
 /// What becomes of a task in a simulation.
 #[derive(Clone)]

@@ -215,9 +215,9 @@ fn ended(args: &WatchArgs, say: Say, job: &JobStatus) -> Result<Exit, Failure> {
             let frames = human::count(job.frames_total.into(), "frame");
             let line = format!("job {} is done: {frames} in {}", job.job, human::seconds(job.seconds));
             if args.json {
-                say.note(line)
+                say.note(line);
             } else {
-                say.result(line)
+                say.result(line);
             }
             Ok(Exit::Done)
         }

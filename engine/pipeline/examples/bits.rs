@@ -12,9 +12,11 @@ use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
+type Shot = (&'static str, &'static str, [u32; 2], u32, &'static [u32]);
+
 /// Scene, camera, film, samples a pixel, frames: every kind of surface, medium, light, texture, photometry and motion is in one of
 /// them, seen by pinholes and lenses, at rest and in motion.
-const SHOTS: [(&str, &str, [u32; 2], u32, &[u32]); 10] = [
+const SHOTS: [Shot; 10] = [
     ("zoo.mgf", "main", [96, 64], 32, &[1, 7]),
     ("zoo.mgf", "close", [64, 48], 16, &[4]),
     ("zoo.mgf", "moving", [64, 48], 16, &[1, 12]),

@@ -266,7 +266,7 @@ async fn a_short_or_missing_file_takes_nothing_that_was_acknowledged_without_a_w
             for length in steps.map(Some).chain([None]) {
                 let mut damaged = files.clone();
                 *damaged.all()[file] = length.map(|length| whole[..length].to_vec());
-                if *end == "" && length == Some(0) && files.mark.is_none() {
+                if end.is_empty() && length == Some(0) && files.mark.is_none() {
                     continue;
                 }
                 judge(&damaged, model, &format!("{length:?} bytes of log{end}")).await;

@@ -521,9 +521,8 @@ impl Machine {
                 assert!(one.attempts >= is_enough, "{one:?}");
                 now.insert(one.task, one.attempts);
             }
-            let before = self.tries.iter().filter(|(task, _)| task.job == job);
-            for (task, tries) in before.filter(|(task, _)| !now.contains_key(*task) || now[*task] < self.tries[*task]) {
-                panic!("{task} was tried {tries} times: {now:?}");
+            for (task, tries) in self.tries.iter().filter(|(task, _)| task.job == job) {
+                assert!(now.get(task) >= Some(tries), "{task} was tried {tries} times: {now:?}");
             }
             self.tries.extend(now);
         }

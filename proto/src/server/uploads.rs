@@ -58,7 +58,7 @@ pub(super) enum Turn {
     /// It need not: the artefact is there.
     There(Artefact),
     /// It sends.
-    Sends(Sending),
+    Sends(Box<Sending>),
 }
 
 impl Uploads {
@@ -102,7 +102,7 @@ impl Uploads {
         let mut patience = std::pin::pin!(tokio::time::sleep(Self::WAIT));
         loop {
             if let Some(outcome) = self.admit(store, digest, offset, most) {
-                return outcome.map(Turn::Sends);
+                return outcome.map(|sending| Turn::Sends(Box::new(sending)));
             }
             tokio::select! {
                 biased;
@@ -270,7 +270,7 @@ mod tests {
 
     async fn sends(uploads: &Uploads, store: &Store, digest: Digest, offset: u64) -> Sending {
         match uploads.take(store, digest, offset).await.unwrap() {
-            Turn::Sends(sending) => sending,
+            Turn::Sends(sending) => *sending,
             Turn::There(_) => panic!("it is there already"),
         }
     }

@@ -75,15 +75,15 @@ async fn frames(
     say: Say,
 ) -> Result<Made, Failure> {
     let job = job(order, farm, state).await?;
-    let (mut written, mut seen, mut lost) = (BTreeMap::new(), 0, false);
+    let (mut written, mut seen) = (BTreeMap::new(), 0);
     let mut progress = Progress::new(say, Clock);
     let mut look = FIRST_LOOK;
     loop {
         let status = farm.status(job).await?;
+        let mut lost = false;
         if status.frames_done > seen {
             let records = farm.frames(job).await?;
             seen = records.len() as u32;
-            lost = false;
             // The job of a run before this one also has frames whose files are there.
             for record in records.iter().filter(|record| order.missing.contains(&record.frame)) {
                 if let Entry::Vacant(place) = written.entry(record.frame) {

@@ -35,8 +35,9 @@ pub fn run(args: &JobArgs, control: Control, say: Say) -> Result<Exit, Failure> 
         if control != Control::Retry {
             return Ok(Vec::new());
         }
-        let waits = farm.status(JobId(args.job)).await?.waits.into_iter();
-        Ok(waits.filter(|wait| matches!(wait, Wait::ImageLost { .. })).collect())
+        // It is done, whether or not the farm still says what for.
+        let waits = farm.status(JobId(args.job)).await.map(|status| status.waits).unwrap_or_default();
+        Ok(waits.into_iter().filter(|wait| matches!(wait, Wait::ImageLost { .. })).collect())
     })?;
     let done = match control {
         Control::Pause => "is paused; `femc resume` ends that".to_owned(),

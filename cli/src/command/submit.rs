@@ -44,7 +44,8 @@ pub struct SubmitArgs {
 #[derive(Serialize)]
 struct Report {
     job: u64,
-    owner: String,
+    /// `None`: the farm went away before it said.
+    owner: Option<String>,
     scene_bytes: u64,
     sent_bytes: u64,
 }
@@ -63,9 +64,12 @@ pub fn run(args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
             spec.tags = args.tags;
         }
         let (job, sent) = farm.submit(&scene, own_key(), spec).await?;
-        Ok((job, sent, farm.patient_status(job).await?.owner))
+        // Whatever comes now, the job is there, and its number is said: else it would be submitted twice.
+        Ok((job, sent, farm.status(job).await.ok().map(|status| status.owner)))
     })?;
-    if let Some(wanted) = wanted.filter(|wanted| *wanted != owner) {
+    if let (Some(wanted), Some(owner)) = (wanted, &owner)
+        && wanted != *owner
+    {
         say.warning(format!(
             "--owner {wanted} is not heeded: this farm knows who submits, and job {job} belongs to {owner}; leave --owner away, \
              or submit it with {wanted}'s identity"

@@ -5,6 +5,8 @@ mod common;
 use common::{Place, Running, coordinator, submit};
 use std::io::{Read as _, Write as _};
 use std::net::TcpListener;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
 
 /// A farm of its own authority, and a user of it.
 fn encrypted(place: &Place) -> (Running, String) {
@@ -59,6 +61,32 @@ fn who_cannot_be_talked_to_is_not_told_as_a_coordinator_that_was_not_started() {
     assert!(told.contains("http:// or https://") && told.contains("http://127.0.0.1:7878"), "{told}");
     let told = place.run("worker --join http://127.0.0.1:1 --patience 0.1").exits(4).stderr();
     assert!(told.contains("start one") && told.contains("--join") && !told.contains("--server"), "{told}");
+}
+
+#[test]
+fn who_takes_connections_and_says_nothing_is_told_and_a_worker_waits_for_it() {
+    let place = Place::new();
+    // As the near end of a tunnel does whose far end is not up yet; after some connections it is gone.
+    let tunnel = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let port = tunnel.local_addr().expect("its address").port();
+    let url = format!("http://127.0.0.1:{port}");
+    let taken = Arc::new(AtomicUsize::new(0));
+    let last = Arc::new(AtomicUsize::new(usize::MAX));
+    let (counted, limit) = (taken.clone(), last.clone());
+    let ends = std::thread::spawn(move || {
+        while counted.load(Ordering::SeqCst) < limit.load(Ordering::SeqCst) {
+            drop(tunnel.accept());
+            counted.fetch_add(1, Ordering::SeqCst);
+        }
+    });
+    let told = place.run(&format!("worker --join {url} --threads 1 --patience 0.1")).exits(4).stderr();
+    assert!(told.contains("says nothing") && told.contains("--join") && told.contains(&url), "{told}");
+    last.store(taken.load(Ordering::SeqCst) + 10, Ordering::SeqCst);
+    let mut worker = place.start(&format!("worker --join {url} --threads 1 --patience 60s --outbox memory"));
+    worker.wait_until("it goes on trying", || ends.is_finished());
+    let (_farm, url) = coordinator(&place, port);
+    let workers = || place.run(&format!("workers --json --server {url}")).exits(0).json();
+    worker.wait_until("it is there", || workers().as_array().is_some_and(|workers| !workers.is_empty()));
 }
 
 #[test]

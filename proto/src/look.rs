@@ -19,7 +19,9 @@ pub enum Found {
     Open,
     /// Somebody who speaks TLS, as a coordinator with an identity does.
     Encrypted,
-    /// Somebody who speaks otherwise, or not at all.
+    /// Somebody who takes connections and says nothing: it is stopped, or passes on what nobody takes at its other end.
+    Silent,
+    /// Somebody who speaks otherwise.
     Other,
 }
 
@@ -52,6 +54,7 @@ pub async fn look(url: &str) -> Found {
         [0x15 | 0x16, 3, ..] => Found::Encrypted,
         // A frame of settings.
         [_, _, _, 4, ..] => Found::Open,
+        [] => Found::Silent,
         _ => Found::Other,
     }
 }
@@ -79,12 +82,13 @@ mod tests {
             (&b"\0\0\x06\x04\0\0\0\0\0"[..], Found::Open),
             (b"\x15\x03\x03\0\x02\x02\x32", Found::Encrypted),
             (b"HTTP/1.1 400 Bad Request\r\n\r\n", Found::Other),
-            (b"", Found::Other),
+            (b"", Found::Silent),
         ] {
             assert_eq!(look(&says(bytes).await).await, found);
         }
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let url = format!("http://{}", listener.local_addr().unwrap());
+        assert_eq!(look(&url).await, Found::Silent, "the system takes connections for who is stopped");
         drop(listener);
         assert!(matches!(look(&url).await, Found::Nobody { .. }));
     }

@@ -42,7 +42,7 @@ pub struct Unmet {
 /// Whether waiting helps.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum MayCome {
-    /// Nobody is there: a coordinator may be about to start.
+    /// Nobody is there, or nobody who says anything yet: a coordinator may be about to start.
     Yes,
     /// Somebody is, and it will not do.
     No,
@@ -262,6 +262,13 @@ async fn unmet(error: CallError, option: &str) -> Unmet {
                  write http:// instead of https:// in {option} if that is right for you"
             ),
             MayCome::No,
+        ),
+        Found::Silent => (
+            format!(
+                "{url} takes connections and says nothing: the coordinator there is stopped, overloaded or not up yet, or a tunnel \
+                 or proxy leads nowhere; try again when it is up, or give another address with {option}"
+            ),
+            MayCome::Yes,
         ),
         Found::Other => (
             format!(

@@ -3,6 +3,8 @@
 mod common;
 
 use std::collections::VecDeque;
+use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 
 use bytes::Bytes;
@@ -10,6 +12,8 @@ use common::{Cut, Proxy};
 use femc_coordinator::{Artifacts, Config, Coordinator, Handle};
 use femc_model::*;
 use femc_proto::{CallError, Client, Incoming, Outgoing};
+use tokio::io::AsyncReadExt as _;
+use tokio::net::{TcpListener, TcpStream};
 
 const MB: u64 = 1_000_000;
 
@@ -64,6 +68,8 @@ struct Hand {
     client: Client,
     out: Outgoing,
     incoming: Incoming,
+    /// What it says the image of every frame is, if not what it makes.
+    image: Option<Artefact>,
     /// Assigned while it listened for something else.
     waiting: VecDeque<Assignment>,
 }
@@ -82,7 +88,7 @@ impl Hand {
             died: None,
         };
         let (out, incoming) = client.session(registration).await.unwrap();
-        Self { client, out, incoming, waiting: VecDeque::new() }
+        Self { client, out, incoming, image: None, waiting: VecDeque::new() }
     }
 
     async fn assigned(&mut self) -> Assignment {
@@ -132,7 +138,7 @@ impl Hand {
             Work::Merge { .. } | Work::Gather { .. } => TaskResult::Merge(MergeResult {
                 decision: Decision::Done,
                 sums: None,
-                image: Some(artefact),
+                image: Some(self.image.unwrap_or(artefact)),
                 preview: None,
                 relative_error: None,
                 bad_samples: 0,
@@ -224,6 +230,62 @@ async fn a_damaged_image_is_found_by_who_fetches_it_and_its_frame_is_rendered_ag
         assert_eq!(client.frames(id).await.unwrap()[1].image, image);
         assert_eq!(client.get_exactly(&image).await.unwrap(), whole);
     }
+    farm.stop().await.unwrap();
+}
+
+/// A connection to `server` that holds back what comes from it after so many bytes, says so, and goes on when it is told.
+async fn held_at(
+    bytes: usize,
+    server: SocketAddr,
+) -> (String, tokio::sync::oneshot::Receiver<()>, tokio::sync::oneshot::Sender<()>) {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let url = format!("http://{}", listener.local_addr().unwrap());
+    let ((say, said), (go_on, told)) = (tokio::sync::oneshot::channel(), tokio::sync::oneshot::channel());
+    tokio::spawn(async move {
+        let (mut from_client, mut to_client) = listener.accept().await.unwrap().0.into_split();
+        let (mut from_server, mut to_server) = TcpStream::connect(server).await.unwrap().into_split();
+        tokio::spawn(async move { tokio::io::copy(&mut from_client, &mut to_server).await });
+        tokio::io::copy(&mut (&mut from_server).take(bytes as u64), &mut to_client).await.unwrap();
+        say.send(()).unwrap();
+        told.await.unwrap();
+        let _ = tokio::io::copy(&mut from_server, &mut to_client).await;
+    });
+    (url, said, go_on)
+}
+
+/// Changes a byte of a file, or changes it back.
+fn flip(file: &Path) {
+    let mut file = std::fs::OpenOptions::new().read(true).write(true).open(file).unwrap();
+    let mut byte = [0];
+    file.read_exact(&mut byte).unwrap();
+    file.seek(SeekFrom::Start(0)).unwrap();
+    file.write_all(&[byte[0] ^ 1]).unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn an_image_that_was_read_wrongly_and_is_sound_does_not_begin_its_frame_anew() {
+    let (folder, farm, client) = farm().await;
+    let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
+    let whole = noise(40 * MB);
+    let image = client.put(whole.clone()).await.unwrap();
+    let id = client.submit(None, spec(bundle.digest)).await.unwrap();
+    let mut hand = Hand::join(&farm.url()).await;
+    hand.image = Some(image);
+    hand.work(id).await;
+    let file = file(folder.path(), &image.digest);
+    flip(&file);
+    // More than fits between the two ends is still to be read when the byte is as it was.
+    let (url, held, go_on) = held_at(1 << 20, farm.address()).await;
+    let slow = Client::connect(&url).await.unwrap();
+    let fetch = tokio::spawn(async move { slow.get_exactly(&image).await });
+    held.await.unwrap();
+    flip(&file);
+    go_on.send(()).unwrap();
+    let heard = fetch.await.unwrap();
+    assert!(matches!(heard, Err(CallError::Refused(Refusal::DigestMismatch { .. }))), "{heard:?}");
+    let status = client.status(id).await.unwrap();
+    assert_eq!((status.state, status.frames_done), (JobState::Done, 2), "the store has it");
+    assert_eq!(client.get_exactly(&image).await.unwrap(), whole);
     farm.stop().await.unwrap();
 }
 

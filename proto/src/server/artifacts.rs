@@ -29,12 +29,15 @@ const DIGESTS: usize = 1 << 16;
 #[tonic::async_trait]
 impl wire::artifacts_server::Artifacts for Server {
     async fn missing(&self, request: Request<wire::MissingRequest>) -> Result<Response<wire::MissingReply>, Status> {
+        let who = request.extensions().get::<Who>().cloned().unwrap_or_default();
         let asked = request.into_inner().digests;
         if asked.len() > DIGESTS {
             return Err(to_status(&Refusal::TooLarge { what: "digests".into(), limit: DIGESTS as u64 }));
         }
         let digests = asked.iter().map(|bytes| digest("digest", bytes)).collect::<Result<Vec<_>, _>>()?;
         self.promised.note(&digests).await;
+        // What is there may be read; to ask for nothing is how clients greet.
+        let _place = if digests.is_empty() { None } else { Some(self.places.take(who).await) };
         let missing = self.store.missing(&digests).await.map_err(|error| refuse(&error))?;
         let digests = missing.iter().map(digest_bytes).collect();
         Ok(Response::new(wire::MissingReply { digests }))
@@ -88,7 +91,9 @@ impl wire::artifacts_server::Artifacts for Server {
         tokio::spawn(async move {
             let _held = reading;
             if let Err(error) = server.store.read(&name, offset, PIECE, &send).await {
-                if let StoreError::Mismatch { .. } | StoreError::Missing { .. } = error {
+                let is_bad = matches!(error, StoreError::Mismatch { .. } | StoreError::Missing { .. });
+                // What lies there may be sound: the harm was done on the way, or somebody has put it there anew.
+                if is_bad && matches!(server.store.has(&name).await, Ok(false)) {
                     server.lost(&name).await;
                 }
                 let _ = send.send(Err(error)).await;

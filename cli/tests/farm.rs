@@ -267,6 +267,22 @@ fn image(place: &Place, fetched: &str) -> std::path::PathBuf {
 }
 
 #[test]
+fn a_damaged_image_of_a_cancelled_job_is_not_said_to_be_rendered_again_by_itself() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    let mut worker = worker(&place, &url);
+    let job = submit(&place, &url, "--size 64x64 --spp 64 --frames 1..8");
+    worker.wait_until("a frame", || frames_done(&place, &url, &job) > 0);
+    place.run(&format!("cancel {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o part --server {url}")).exits(1);
+    let first = names(&place.path("part")).remove(0);
+    std::fs::write(image(&place, &format!("part/{first}")), b"half").expect("it is cut");
+    std::fs::remove_dir_all(place.path("part")).expect("fetched before");
+    let ran = place.run(&format!("fetch {job} -o part --server {url}")).exits(1);
+    assert!(ran.stderr().contains(&format!("rendered again after `femc retry {job}`")), "{}", ran.stderr());
+}
+
+#[test]
 fn a_damaged_image_is_named_and_its_frame_is_rendered_again_by_fetch_and_by_retry() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);

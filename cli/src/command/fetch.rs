@@ -7,7 +7,7 @@ use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure, failed};
 use crate::output::{Say, human, job as show, json};
 use clap::Args;
-use femc_model::{Digest, FrameRecord, JobId, JobSpec, JobStatus};
+use femc_model::{Digest, FrameRecord, JobId, JobSpec, JobState, JobStatus};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -17,8 +17,8 @@ use std::path::{Path, PathBuf};
     femc fetch 7 -o drive\n  \
     femc fetch 7 -o drive --partial    # also what there is of the frames in work\n  \
     femc watch 7; femc fetch 7 -o drive --json | jq -r '.files[]'\n\n\
-    Files that are there already are not fetched again. A frame whose image the farm's store has damaged or lost is named, and\n  \
-    rendered again. The exit code is 1 while frames are missing.")]
+    Files that are there already are not fetched again. A frame whose image the farm's store has damaged or lost is named; it is\n  \
+    rendered again, in a job that has failed or was cancelled after `femc retry`. The exit code is 1 while frames are missing.")]
 pub struct FetchArgs {
     /// The job's number, as `submit` printed it
     #[arg(value_name = "JOB")]
@@ -57,19 +57,19 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
         for frame in farm.frames(JobId(args.job)).await? {
             match file(farm, &status, &frame, &args.out).await? {
                 Some(path) => files.push(path),
-                None => {
-                    say.warning(format!(
-                        "frame {} of job {} ({}): its image was damaged in the farm's store, or is gone; it is rendered again",
-                        frame.frame,
-                        args.job,
-                        frame_name(&status.name, frame.frame)
-                    ));
-                    lost.push(frame.frame);
-                }
+                None => lost.push(frame.frame),
             }
         }
-        // As it is now: what is lost is rendered again.
+        // As it is now: a job that was done goes on.
         let status = if lost.is_empty() { status } else { farm.status(JobId(args.job)).await? };
+        for &frame in &lost {
+            let name = frame_name(&status.name, frame);
+            say.warning(format!(
+                "frame {frame} of job {} ({name}): its image was damaged in the farm's store, or is gone; {}",
+                args.job,
+                what_follows(&status)
+            ));
+        }
         let mut partial = Vec::new();
         for parts in if args.partial { farm.parts(JobId(args.job)).await? } else { Vec::new() } {
             let path = args.out.join(format!("{}.{:04}.partial.exr", status.name, parts.frame));
@@ -101,6 +101,18 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
         )));
     }
     Ok(Exit::Done)
+}
+
+/// What becomes of a frame whose image is lost.
+fn what_follows(status: &JobStatus) -> String {
+    let job = status.job;
+    match status.state {
+        JobState::Queued | JobState::Running => "it is rendered again".to_owned(),
+        JobState::Paused => format!("it is rendered again after `femc resume {job}`"),
+        JobState::Failed | JobState::Cancelled => format!("it is rendered again after `femc retry {job}`"),
+        // Somebody has put the image there again meanwhile, or the harm was done on the way.
+        JobState::Done => "the store has it now: fetch again".to_owned(),
+    }
 }
 
 /// Write one frame, unless the file has its bytes already; `None`: the farm does not have it as it should be.

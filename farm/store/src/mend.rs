@@ -49,10 +49,15 @@ impl Store {
         Ok(Some(block))
     }
 
-    /// Reads it: whether its bytes are its own.
+    /// Reads it when fewer than so many are read: whether its bytes are its own.
     async fn look(&self, digest: &Digest) -> Result<Soundness, StoreError> {
         // It is never closed.
         let _reader = self.readers.acquire().await.ok();
+        self.look_now(digest).await
+    }
+
+    /// The same of who has the permit to.
+    async fn look_now(&self, digest: &Digest) -> Result<Soundness, StoreError> {
         let mut reading = match self.begin(digest).await {
             Err(StoreError::Missing { .. }) => return Ok(Soundness::Missing),
             other => other?,
@@ -127,8 +132,10 @@ impl Store {
             Soundness::Sound(bytes) => self.seen().note(Artefact { digest: *digest, bytes }),
             Soundness::Missing => self.seen().forget(digest),
             Soundness::Damaged => {
+                // In this order: who holds the gate waits for no other reading, while every put waits for it.
+                let _reader = self.readers.acquire().await.ok();
                 let _alone = self.gate.write().await;
-                let again = self.look(digest).await?;
+                let again = self.look_now(digest).await?;
                 if again == Soundness::Damaged {
                     self.remove(digest).await?;
                 }

@@ -62,6 +62,10 @@ impl Patience {
             | CallError::Answer(_)
             | CallError::Status { .. } => false,
         };
+        if let CallError::Refused(Refusal::Resume { offset }) = &error {
+            // Another has got on with it.
+            self.reached(*offset);
+        }
         let since = *self.failing.get_or_insert_with(Instant::now);
         if !makes_sense || since.elapsed() + self.pause > Self::LONGEST {
             return Err(error);
@@ -200,6 +204,18 @@ mod tests {
         let begun = Instant::now();
         while patience.after(cut()).await.is_ok() {}
         assert!(begun.elapsed() <= Patience::LONGEST);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn an_upload_that_another_gets_on_with_is_not_given_up() {
+        let resume = |offset| CallError::Refused(Refusal::Resume { offset });
+        let mut patience = Patience::new(Direction::Up);
+        for offset in 1..=3 {
+            patience.after(resume(offset)).await.unwrap();
+            // It waited for the other, who was cut again.
+            tokio::time::sleep(Patience::LONGEST).await;
+        }
+        patience.after(resume(3)).await.expect_err("nobody gets on");
     }
 
     #[tokio::test(start_paused = true)]

@@ -52,6 +52,15 @@ struct Parked {
     number: u64,
 }
 
+/// What somebody who begins at 0 knows.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Start {
+    /// Of what was parked when it was told where to begin.
+    Fresh,
+    /// Not of what was parked while it waited.
+    Waited,
+}
+
 /// What becomes of somebody who wants to send.
 #[derive(Debug)]
 pub(super) enum Turn {
@@ -95,13 +104,14 @@ impl Uploads {
         parked.map_or(0, |cut| cut.upload.size())
     }
 
-    /// Begins an upload, or goes on with one that has `offset` bytes. From 0 on it begins anew.
+    /// Begins an upload, or goes on with one that has `offset` bytes. From 0 on it begins anew, unless what it waited for was cut
+    /// and can be gone on with: that is not thrown away for somebody who did not know of it, and may be gone.
     pub(super) async fn take(&self, store: &Store, digest: Digest, offset: u64) -> Result<Turn, Refusal> {
         self.tidy(Instant::now());
-        let mut most = 1;
+        let (mut most, mut start) = (1, Start::Fresh);
         let mut patience = std::pin::pin!(tokio::time::sleep(Self::WAIT));
         loop {
-            if let Some(outcome) = self.admit(store, digest, offset, most) {
+            if let Some(outcome) = self.admit(store, digest, offset, most, start) {
                 return outcome.map(|sending| Turn::Sends(Box::new(sending)));
             }
             tokio::select! {
@@ -109,6 +119,7 @@ impl Uploads {
                 () = self.room(&digest, most) => {}
                 () = &mut patience, if most == 1 => most = Self::SIDE_BY_SIDE,
             }
+            start = Start::Waited;
             if let Soundness::Sound(bytes) = store.verify(&digest).await.map_err(|error| refusal(&error))? {
                 return Ok(Turn::There(Artefact { digest, bytes }));
             }
@@ -116,14 +127,22 @@ impl Uploads {
     }
 
     /// `None`: there are `most` who send it already.
-    fn admit(&self, store: &Store, digest: Digest, offset: u64, most: usize) -> Option<Result<Sending, Refusal>> {
+    fn admit(
+        &self,
+        store: &Store,
+        digest: Digest,
+        offset: u64,
+        most: usize,
+        start: Start,
+    ) -> Option<Result<Sending, Refusal>> {
         let mut state = self.lock();
         let entry = state.entries.entry(digest).or_default();
         if entry.senders >= most {
             return None;
         }
         let size = entry.parked.as_ref().map_or(0, |cut| cut.upload.size());
-        if offset != 0 && offset != size {
+        let begins_anew = offset == 0 && start == Start::Fresh;
+        if offset != size && !begins_anew {
             state.tidy(&digest);
             return Some(Err(Refusal::Resume { offset: size }));
         }
@@ -327,16 +346,25 @@ mod tests {
             .map(|number| {
                 let (uploads, store) = (uploads.clone(), store.clone());
                 tokio::spawn(async move {
-                    let Turn::Sends(mut sending) = uploads.take(&store, digest, 0).await.unwrap() else { return false };
+                    let mut offset = 0;
+                    let mut sending = loop {
+                        match uploads.take(&store, digest, offset as u64).await {
+                            Ok(Turn::Sends(sending)) => break sending,
+                            Ok(Turn::There(_)) => return 0,
+                            Err(Refusal::Resume { offset: at }) => offset = at as usize,
+                            Err(no) => panic!("{no}"),
+                        }
+                    };
                     let senders = uploads.lock().entries[&digest].senders;
                     assert_eq!(senders, 1, "nobody else sends");
                     // The first three of these die, too.
-                    sending.write(if number < 3 { b"abc" } else { b"abcdef" }).await.unwrap();
+                    let piece = if number < 3 { &b"abcdef"[offset..=offset] } else { &b"abcdef"[offset..] };
+                    sending.write(piece).await.unwrap();
                     tokio::task::yield_now().await;
                     if number >= 3 {
                         sending.finish().await.unwrap();
                     }
-                    true
+                    piece.len()
                 })
             })
             .collect();
@@ -344,11 +372,30 @@ mod tests {
         drop(first);
         let mut sent = 0;
         for other in others {
-            sent += usize::from(other.await.unwrap());
+            sent += other.await.unwrap();
         }
-        assert!((1..=4).contains(&sent), "{sent} of them sent");
+        assert_eq!(sent, 4, "what the first has sent, and those after it, nobody sends again");
         assert_eq!(store.get(&digest).await.unwrap(), "abcdef");
         assert!(uploads.lock().entries.is_empty());
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn who_waited_does_not_throw_away_what_the_one_before_it_has_sent() {
+        let (uploads, store, digest) = (Uploads::default(), Store::memory(), Digest::of(b"abcdef"));
+        let mut first = sends(&uploads, &store, digest, 0).await;
+        first.write(b"abcde").await.unwrap();
+        // Its sender may be gone when its turn comes.
+        let waits = tokio::spawn({
+            let (uploads, store) = (uploads.clone(), store.clone());
+            async move { uploads.take(&store, digest, 0).await }
+        });
+        tokio::task::yield_now().await;
+        drop(first);
+        assert!(is_resume(&waits.await.unwrap(), 5));
+        assert_eq!(uploads.offered(&digest).await, 5, "the first goes on where it was");
+        let mut anew = sends(&uploads, &store, digest, 0).await;
+        anew.write(b"abcdef").await.unwrap();
+        anew.finish().await.expect("who waited for nobody may begin anew");
     }
 
     #[tokio::test(start_paused = true)]

@@ -5,13 +5,14 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCWORK` |
-//! | 4 | format version, 1 |
+//! | 4 | format version, 2 |
 //! | 32 | BLAKE3 of the entries |
 //! | 8 | length of the entries |
-//! | | the process's number, and the leases of the tasks under way, in postcard |
+//! | | which start of the machine it is, the process's number, and the leases of the tasks under way, in postcard |
 //!
 //! It is not synced: what a process has written outlives its death by whatever signal, and by lack of memory. A machine that
-//! loses its power may leave an older page or a torn one; a torn one says nothing. An orderly end, and being asked to end, empties
+//! loses its power may leave the page whole, an older one or a torn one; none of them says anything, since no task has to do with
+//! it: the machine has started again since, where the system tells that (Linux). An orderly end, and being asked to end, empties
 //! it: what a worker is made to leave has not killed it.
 
 use std::fs::{File, OpenOptions};
@@ -24,7 +25,7 @@ use femc_model::{Death, Digest, HeldLease, JobSpec};
 use crate::table::Task;
 
 const MAGIC: &[u8; 8] = b"FEMCWORK";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 /// Bytes before the entries.
 const FRONT: usize = 8 + 4 + 32 + 8;
 
@@ -35,7 +36,8 @@ pub struct Journal(Arc<Mutex<Book>>);
 #[derive(Debug, Default)]
 struct Book {
     page: Page,
-    /// The process that writes.
+    /// The start of the machine, and the process that writes.
+    boot: String,
     instance: u64,
     computing: Vec<HeldLease>,
     /// What an earlier process left, until it is told.
@@ -73,6 +75,10 @@ impl Journal {
     /// A worker's process begins: reads what an earlier one has left.
     /// - `folder`: of the outbox, which is this worker's alone.
     pub(crate) fn open(&self, folder: Option<&Path>, instance: u64) {
+        self.open_after(boot(), folder, instance);
+    }
+
+    fn open_after(&self, boot: String, folder: Option<&Path>, instance: u64) {
         let mut book = self.lock();
         if let (Page::None, Some(folder)) = (&book.page, folder) {
             let path = folder.join(Self::FILE);
@@ -81,10 +87,14 @@ impl Journal {
                 Err(error) => tracing::warn!(file = %path.display(), %error, "what it computes is not written down"),
             }
         }
-        book.before = book.page.read().and_then(|bytes| decode(&bytes)).filter(|death| !death.computing.is_empty());
+        let left = book.page.read().and_then(|bytes| decode(&bytes));
+        // What was under way when the machine itself went down has not ended it: the coordinator presumes what it may.
+        let left = left.filter(|(of, _)| *of == boot).map(|(_, death)| death);
+        book.before = left.filter(|death| !death.computing.is_empty());
         if let Some(death) = &book.before {
             tracing::warn!(tasks = death.computing.len(), "an earlier process of this worker died while it computed");
         }
+        book.boot = boot;
         (book.instance, book.is_closed, book.is_careful) = (instance, false, book.before.is_some());
         book.computing.clear();
     }
@@ -143,7 +153,7 @@ impl Journal {
 
 impl Book {
     fn write(&mut self) {
-        let written = encode(self.instance, &self.computing).map_err(io::Error::other);
+        let written = encode(&self.boot, self.instance, &self.computing).map_err(io::Error::other);
         if let Err(error) = written.and_then(|bytes| self.page.write(&bytes)) {
             tracing::warn!(%error, "what it computes is not written down");
             // An older page would name the wrong tasks.
@@ -194,8 +204,14 @@ impl Page {
     }
 }
 
-fn encode(instance: u64, computing: &[HeldLease]) -> Result<Vec<u8>, postcard::Error> {
-    let entries = postcard::to_stdvec(&(instance, computing))?;
+/// Which start of this machine it is; nothing where the system does not tell.
+fn boot() -> String {
+    let told = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
+    told.trim().to_owned()
+}
+
+fn encode(boot: &str, instance: u64, computing: &[HeldLease]) -> Result<Vec<u8>, postcard::Error> {
+    let entries = postcard::to_stdvec(&(boot, instance, computing))?;
     let mut page = MAGIC.to_vec();
     page.extend(VERSION.to_le_bytes());
     page.extend(Digest::of(&entries).as_bytes());
@@ -204,8 +220,8 @@ fn encode(instance: u64, computing: &[HeldLease]) -> Result<Vec<u8>, postcard::E
     Ok(page)
 }
 
-/// What [`encode`] wrote, whatever follows it; `None` for anything else.
-pub(crate) fn decode(page: &[u8]) -> Option<Death> {
+/// What [`encode`] wrote, whatever follows it, and in which start of the machine; `None` for anything else.
+fn decode(page: &[u8]) -> Option<(String, Death)> {
     let front = page.get(..FRONT)?;
     if front[..8] != *MAGIC || front[8..12] != VERSION.to_le_bytes() {
         return None;
@@ -215,8 +231,8 @@ pub(crate) fn decode(page: &[u8]) -> Option<Death> {
     if Digest::of(entries).as_bytes()[..] != front[12..44] {
         return None;
     }
-    let (instance, computing) = postcard::from_bytes(entries).ok()?;
-    Some(Death { instance, computing })
+    let (boot, instance, computing) = postcard::from_bytes(entries).ok()?;
+    Some((boot, Death { instance, computing }))
 }
 
 #[cfg(test)]
@@ -256,10 +272,26 @@ mod tests {
     }
 
     #[tokio::test]
+    async fn what_was_computed_when_the_machine_lost_its_power_has_not_killed_it() {
+        let place = tempfile::tempdir().unwrap();
+        let open = |boot: &str, instance| {
+            let journal = Journal::default();
+            journal.open_after(boot.into(), Some(place.path()), instance);
+            journal
+        };
+        let first = task(1, b"first").await;
+        open("monday", 7).begin(&first);
+        let journal = open("tuesday", 8);
+        assert_eq!((named(&journal), journal.is_careful()), (None, false));
+        journal.begin(&first);
+        assert_eq!(named(&open("tuesday", 9)), Some((8, vec![1])), "a process that dies alone is another matter");
+    }
+
+    #[tokio::test]
     async fn a_page_that_is_torn_or_changed_names_nothing_and_one_in_memory_outlives_its_worker() {
         let first = task(1, b"first").await;
-        let page = encode(7, &[first.lease()]).unwrap();
-        assert_eq!(decode(&page).map(|death| death.instance), Some(7));
+        let page = encode("boot", 7, &[first.lease()]).unwrap();
+        assert_eq!(decode(&page).map(|(boot, death)| (boot, death.instance)), Some(("boot".into(), 7)));
         assert!((0..page.len()).all(|end| decode(&page[..end]).is_none()));
         for place in 0..page.len() {
             let mut changed = page.clone();

@@ -552,7 +552,7 @@ pub(crate) mod tests {
     }
 
     #[tokio::test]
-    async fn the_limit_counts_whole_files_and_what_cannot_be_removed() {
+    async fn the_limit_counts_whole_files() {
         let place = tempfile::tempdir().unwrap();
         let first = task(1, b"first").await;
         let Some(Ok(product)) = first.outcome() else { panic!("it is done") };
@@ -564,9 +564,30 @@ pub(crate) mod tests {
         }
         outbox.close();
         assert_eq!(files(place.path()).len(), 2 + 1, "two results and the lock");
-        let stuck = place.path().join("box/stuck.new");
-        fs::write(&stuck, [0; 100]).unwrap();
-        assert_eq!((left_of(&stuck), stuck.exists(), left_of(&stuck)), (0, false, 0));
+    }
+
+    #[tokio::test]
+    async fn what_cannot_be_removed_takes_room_as_before_and_what_can_does_not() {
+        let place = tempfile::tempdir().unwrap();
+        let lock = File::create(place.path().join("lock")).unwrap();
+        let folder = place.path().to_owned();
+        let mut clerk = Clerk { folder, limit: 1 << 20, used: 0, files: Files::new(), _lock: lock };
+        let tasks = [task(1, b"first").await, task(2, b"second").await];
+        assert!(tasks.iter().all(|task| clerk.keep(task)));
+        let sizes = tasks.each_ref().map(|task| fs::metadata(clerk.path(&task.key())).unwrap().len());
+        assert_eq!(clerk.used, sizes.iter().sum::<u64>());
+        // Nobody can remove a folder as a file.
+        let stuck = clerk.path(&tasks[0].key());
+        fs::remove_file(&stuck).unwrap();
+        fs::create_dir(&stuck).unwrap();
+        clerk.forget(&tasks[0].key());
+        assert_eq!(clerk.used, sizes.iter().sum::<u64>());
+        clerk.forget(&tasks[1].key());
+        assert_eq!(clerk.used, sizes[0]);
+        // And what a failed writing has left, if it goes.
+        let left = place.path().join("left.new");
+        fs::write(&left, [0; 100]).unwrap();
+        assert_eq!((left_of(&left), left.exists(), left_of(&left)), (0, false, 0));
     }
 
     #[tokio::test]

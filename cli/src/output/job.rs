@@ -132,7 +132,7 @@ pub fn exit(state: JobState) -> Option<Exit> {
     }
 }
 
-fn plural(count: u32) -> &'static str {
+fn has(count: u32) -> &'static str {
     if count == 1 { "has" } else { "have" }
 }
 
@@ -154,7 +154,7 @@ pub fn wait(wait: &Wait) -> String {
             "the workers that may take it rest after a failure of memory, disk, store or network".to_owned()
         }
         Wait::WorkersSilent { workers, seconds } => {
-            let (workers, verb) = (human::count(u64::from(*workers), "worker"), plural(*workers));
+            let (workers, verb) = (human::count(u64::from(*workers), "worker"), has(*workers));
             format!(
                 "{workers} {verb} not been heard of for {seconds} s: stopped, cut off or overloaded; `femc workers` tells which"
             )

@@ -60,7 +60,9 @@ fn a_coordinator_whose_log_s_disk_is_full_says_so_and_goes_on_when_there_is_room
         get(port, "/readyz").is_some_and(|(code, body)| code == 503 && body.contains("room"))
     });
     assert_eq!(metrics(port).value("femc_log_waits_for_room", &[]), Some(1.0));
-    assert!(metrics(port).value("femc_disk_free_bytes", &[("holds", "log")]).is_some_and(|free| free < 1e6));
+    farm.wait_until("a look at the disk", || {
+        metrics(port).value("femc_disk_free_bytes", &[("holds", "log")]).is_some_and(|free| free < 1e6)
+    });
     assert!(get(port, "/healthz").is_some_and(|(code, _)| code == 200), "no restart helps");
     let ran = place.run(&format!("jobs --server {url}"));
     assert!(ran.stderr().contains("no room for the log"), "{}", ran.stderr());

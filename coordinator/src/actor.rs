@@ -65,6 +65,8 @@ pub(crate) struct Actor<Q> {
     pub(crate) store: Store,
     pub(crate) clock: Clock,
     pub(crate) workers: BTreeMap<WorkerId, Worker>,
+    /// Whose sessions have begun and are not welcomed yet.
+    joined: Vec<WorkerId>,
     pub(crate) askers: BTreeMap<RequestId, Asker>,
     pub(crate) watched: BTreeMap<JobId, Watched>,
     pub(crate) changed: BTreeSet<JobId>,
@@ -126,6 +128,7 @@ impl<Q: Queue> Actor<Q> {
             queue,
             store,
             workers: BTreeMap::new(),
+            joined: Vec::new(),
             askers: BTreeMap::new(),
             watched: BTreeMap::new(),
             changed: BTreeSet::new(),
@@ -166,6 +169,8 @@ impl<Q: Queue> Actor<Q> {
                     self.hear(Event::Elapsed, &mut commands);
                     self.look_after(&mut commands, &mut doors).await?;
                 }
+                // What was put off was said first.
+                () = std::future::ready(()), if !self.put_off.is_empty() => {}
                 Some((worker, word)) = self.heard.recv() => self.word(worker, word, &mut commands),
                 Some(call) = doors.calls.recv() => self.call(call, &mut commands),
                 Some(watcher) = self.watchers.recv() => self.show(watcher),
@@ -257,7 +262,12 @@ impl<Q: Queue> Actor<Q> {
 
     fn call(&mut self, call: Call, commands: &mut Vec<Command>) {
         match call {
-            Call::Submit { reply, .. } if let Some(no) = self.disks.refusal() => drop(reply.send(Err(no))),
+            Call::Submit { key, reply, .. }
+                if !self.is_known(key.as_deref())
+                    && let Some(no) = self.disks.refusal() =>
+            {
+                drop(reply.send(Err(no)));
+            }
             Call::Submit { key, spec, reply } => {
                 let request = self.ask(Asker::Submit(reply));
                 self.hear(Event::Submitted { request, key, spec }, commands);
@@ -319,8 +329,13 @@ impl<Q: Queue> Actor<Q> {
         self.metrics.joined();
         self.workers.insert(worker, Worker::new(out));
         tokio::spawn(session::listen(worker, words, self.store.clone(), self.words.clone()));
-        self.welcome(worker);
+        self.joined.push(worker);
         self.hear(Event::Joined { worker, registration }, commands);
+    }
+
+    /// Whether a job was submitted with this key.
+    pub(crate) fn is_known(&self, key: Option<&str>) -> bool {
+        key.is_some_and(|key| self.scheduler.ledger().job_of_key(key).is_some())
     }
 
     /// Makes the facts durable, then obeys, then answers questions. Whoever may lead no longer says nothing.
@@ -337,6 +352,10 @@ impl<Q: Queue> Actor<Q> {
             self.metrics.appended(records.iter().map(Vec::len).sum(), begun.elapsed());
             pass_async(Point::CoordinatorAfterAppend).await;
             self.records += records.len();
+        }
+        // What they said of the deaths of others is durable.
+        for worker in std::mem::take(&mut self.joined) {
+            self.welcome(worker);
         }
         self.obey(commands);
         self.renew();

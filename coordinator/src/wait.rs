@@ -104,6 +104,7 @@ impl<Q: Queue> Actor<Q> {
         let no =
             || Refusal::Unavailable { message: format!("{error}; nothing is lost, and it goes on when there is room") };
         match call {
+            Call::Submit { key, reply, .. } if self.is_known(key.as_deref()) => refuse(reply, no()),
             Call::Submit { reply, .. } => {
                 let place = self.disks.refusal().unwrap_or(Refusal::NoRoom { place: "the log".into(), free: 0 });
                 drop(reply.send(Err(place)));

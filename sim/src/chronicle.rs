@@ -97,11 +97,6 @@ impl Chronicle {
         self.records
     }
 
-    /// Of the coordinator that began last.
-    pub(crate) fn incarnation(&self) -> u32 {
-        self.incarnation
-    }
-
     /// A log begins that knows of nothing.
     pub(crate) fn anew(&mut self) {
         let before = std::mem::take(self);

@@ -33,9 +33,8 @@ pub(crate) struct Leases {
     epochs: BTreeMap<Epoch, TaskKey>,
     /// Leases that are copies, and of which.
     copies: BTreeMap<(TaskKey, Epoch), Epoch>,
-    /// Attempts whose failure was reported, a lease and its copy being one, and those that the log counts. What one coordinator
-    /// has counted the next one may hear of, and count, again: it dies before it says so, and the worker still has its lease.
-    failures: BTreeMap<TaskKey, (BTreeSet<(Epoch, u32)>, usize)>,
+    /// Attempts whose failure was reported, a lease and its copy being one, and those that the log counts.
+    failures: BTreeMap<TaskKey, (BTreeSet<Epoch>, usize)>,
 }
 
 impl Leases {
@@ -75,10 +74,10 @@ impl Leases {
         self.failures.clear();
     }
 
-    /// A worker tells the coordinator of this incarnation that it has not done a task.
-    pub(crate) fn failed(&mut self, task: TaskKey, epoch: Epoch, incarnation: u32) {
+    /// A worker tells a coordinator that it has not done a task.
+    pub(crate) fn failed(&mut self, task: TaskKey, epoch: Epoch) {
         let attempt = self.copies.get(&(task, epoch)).copied().unwrap_or(epoch);
-        self.failures.entry(task).or_default().0.insert((attempt, incarnation));
+        self.failures.entry(task).or_default().0.insert(attempt);
     }
 
     /// What a lease covers that was given out.
@@ -113,7 +112,9 @@ impl Leases {
     pub(crate) fn judge(&mut self, fact: &Fact) -> Option<Violation> {
         match fact {
             // Nothing stands still here for so long.
-            Fact::Failed { task, failure: Failure::Stalled { .. } } => return Some(Violation::Stalled { task: *task }),
+            Fact::Failed { task, failure: Failure::Stalled { .. }, .. } => {
+                return Some(Violation::Stalled { task: *task });
+            }
             Fact::Failed { task, .. } => {
                 let (reported, counted) = self.failures.entry(*task).or_default();
                 *counted += 1;

@@ -61,8 +61,7 @@ async fn relay(session: Session, shared: Shared) {
                 FromWorker::Completed { task, epoch, .. } => drop(shared.lock().reported.insert((*task, *epoch))),
                 FromWorker::Failed { task, epoch, .. } => {
                     let mut state = shared.lock();
-                    let incarnation = state.chronicle.incarnation();
-                    state.leases.failed(*task, *epoch, incarnation);
+                    state.leases.failed(*task, *epoch);
                     // It has the result no longer: what is acknowledged is that.
                     state.reported.remove(&(*task, *epoch));
                 }

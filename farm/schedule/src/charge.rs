@@ -58,6 +58,8 @@ impl Scheduler {
         let owners: Vec<(String, Used)> = news.map(|(owner, used)| (owner.to_owned(), used)).collect();
         if !owners.is_empty() {
             self.record(Fact::Used { owners }, now, out);
+            let known = self.ledger.annex.used();
+            self.order.forget(|owner| known.contains_key(owner));
         }
     }
 

@@ -82,6 +82,14 @@ impl Scheduler {
     pub(crate) fn suspect(&mut self, worker: WorkerId, over: impl Fn(&LeaseKey) -> bool, now: Tick) {
         let computed = self.computed(worker);
         let Some(known) = self.floor.workers.get(&worker).filter(|known| known.is_open()) else { return };
+        // A process dies once: what it has been given since it was heard last is not what it computed.
+        let is_of_it = |casualty: &Casualty| {
+            (casualty.instance, casualty.evidence) == (known.registration.instance, Evidence::Presumed)
+        };
+        let is_named = self.deaths.pending.iter().any(|pending| is_of_it(&pending.casualty));
+        if is_named || self.deaths.presumed.contains(&known.registration.instance) {
+            return;
+        }
         for key in computed.into_iter().filter(over) {
             let Some(lease) = self.floor.leases.get(&key) else { continue };
             let (worker, instance) = (known.registration.name.clone(), known.registration.instance);
@@ -150,10 +158,12 @@ impl Scheduler {
 
     /// Counts the deaths whose time has come.
     pub(crate) fn count_deaths(&mut self, now: Tick, out: &mut Vec<Command>) {
+        if self.deaths.pending.is_empty() {
+            return;
+        }
         for pending in std::mem::take(&mut self.deaths.pending) {
             let Pending { task, run, casualty, from } = &pending;
-            let overlaps = |other: Range<u32>| other.start < run.end && run.start < other.end;
-            if now < *from || self.floor.of_stage(task.job, task.stage).any(overlaps) {
+            if now < *from || self.floor.covers(task.job, task.stage, run) {
                 self.deaths.pending.push(pending);
                 continue;
             }

@@ -60,6 +60,8 @@ pub enum Fact {
     Failed {
         /// Which.
         task: TaskKey,
+        /// Leases of it that were granted before are over: what comes of them counts no more.
+        until: Epoch,
         /// Why.
         failure: Failure,
     },

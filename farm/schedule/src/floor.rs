@@ -344,6 +344,13 @@ impl Floor {
         self.leases.range(key(0, 0)..=key(u32::MAX, u64::MAX)).map(|((task, _), lease)| lease.run(task))
     }
 
+    /// Whether some of a stage's keys are leased: leases of a stage cover different keys, or a copy just the same.
+    pub(crate) fn covers(&self, job: JobId, stage: Stage, keys: &Range<u32>) -> bool {
+        let key = |index| (TaskKey { job, stage, index }, Epoch(0));
+        let last = self.leases.range(key(0)..key(keys.end)).next_back();
+        last.is_some_and(|((task, _), lease)| lease.run(task).end > keys.start)
+    }
+
     /// The leases of a frame.
     pub(crate) fn of_frame(&self, job: JobId, frame: u32) -> impl Iterator<Item = (&LeaseKey, &Lease)> + '_ {
         let first = TaskKey { job, stage: Stage { frame, round: 0, kind: StageKind::Render }, index: 0 };

@@ -153,6 +153,13 @@ impl Order {
         self.accounts.iter().map(|(owner, account)| (owner.as_str(), account.used))
     }
 
+    /// Keeps nothing of owners without jobs and leases, but of these.
+    pub(crate) fn forget(&mut self, is_kept: impl Fn(&str) -> bool) {
+        let present: BTreeSet<&str> = self.places.values().map(|(_, owner)| owner.as_str()).collect();
+        self.accounts
+            .retain(|owner, account| account.claimed > 0 || present.contains(owner.as_str()) || is_kept(owner));
+    }
+
     /// Whether somebody has been put level with the others since this was asked last.
     pub(crate) fn is_leveled(&mut self) -> bool {
         std::mem::take(&mut self.is_leveled)

@@ -189,7 +189,8 @@ impl Scheduler {
             }
         }
         if self.floor.of_task(&task).next().is_none() {
-            self.record(Fact::Failed { task, failure }, now, out);
+            let until = Epoch::new(self.ledger.incarnation, self.leases);
+            self.record(Fact::Failed { task, until, failure }, now, out);
         }
     }
 

@@ -14,6 +14,7 @@ use crate::deaths::Deaths;
 use crate::desk::Desk;
 use crate::floor::{Floor, Lease, LeaseKey, Worker};
 use crate::ledger::Job;
+use crate::ledger::frame::Frame;
 use crate::logs::Shelf;
 use crate::order::Order;
 use crate::{Command, Config, Event, Fact, Ledger};
@@ -206,7 +207,8 @@ impl Scheduler {
     fn adoptable(&mut self, held: &HeldLease) -> Option<Range<u32>> {
         let (task, run) = (&held.task, self.run_of(held)?);
         let job = self.ledger.jobs.get(&task.job)?;
-        if job.has_ended() || !job.is_open(task.stage.frame) {
+        let is_over = |frame: &Frame| frame.is_over(task.stage.kind, task.index, held.epoch);
+        if job.has_ended() || !job.is_open(task.stage.frame) || job.frames.get(&task.stage.frame).is_some_and(is_over) {
             return None;
         }
         let desk = self.desks.entry(task.job).or_default();

@@ -460,6 +460,29 @@ fn a_worker_that_starts_again_takes_its_lease_from_the_session_that_nobody_has_h
 }
 
 #[test]
+fn a_failure_that_counts_is_not_counted_again_by_a_worker_that_brings_its_lease_along() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[8]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    farm.fail(1, &held, panic());
+    // The coordinator dies before it says so.
+    farm.restart();
+    let commands = farm.rejoin(2, std::slice::from_ref(&held));
+    let is_over = |c: &Command| matches!(c, Command::Revoke { epoch, .. } if *epoch == held.epoch);
+    assert!(commands.iter().any(is_over), "{commands:?}");
+    assert!(refused(&farm.fail(2, &held, panic())));
+    // One that was granted later is adopted.
+    let later = farm.first_of(2);
+    assert!(later.epoch > held.epoch);
+    farm.restart();
+    let commands = farm.rejoin(3, std::slice::from_ref(&later));
+    assert!(!commands.iter().any(|c| matches!(c, Command::Revoke { .. })), "{commands:?}");
+    assert!(recorded(&farm.complete(3, &later, Done)));
+    assert_eq!(farm.status(id).stale_messages, 0, "of this life");
+}
+
+#[test]
 fn a_drained_worker_finishes_what_it_has_and_gets_nothing_until_the_operator_undoes_it() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1, 2], 2, &[8]));

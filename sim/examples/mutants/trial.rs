@@ -47,6 +47,9 @@ const CRATES: [(&str, &str); 5] = [
 /// Tests and worlds take longer for some mutants; who takes so many times as long, and this, hangs.
 const PATIENCE: (u32, Duration) = (4, Duration::from_secs(20));
 
+/// The verdict on a mutant that is none.
+const BROKEN: &str = "does not compile";
+
 /// Tries those of the list that have no verdict.
 pub fn run(root: &Path, list: &Path, asked: &Asked) -> anyhow::Result<()> {
     let home = crate::target(root).join("mutants");
@@ -56,15 +59,16 @@ pub fn run(root: &Path, list: &Path, asked: &Asked) -> anyhow::Result<()> {
         list::all(&tree)?.into_iter().map(|mutant| (mutant.key.clone(), mutant)).collect();
     let mutants: Vec<(usize, Mutant)> = (1..).zip(&keys).filter_map(|(n, key)| Some((n, all.remove(key)?))).collect();
     let gone = keys.len() - mutants.len();
-    let built = build(&tree, &home, &mutants)?;
     let path = asked.verdicts.clone().unwrap_or_else(|| home.join("verdicts"));
     let mut verdicts = read(&path)?;
+    let out = mutants.iter().filter(|(_, m)| verdicts.get(&m.key).is_some_and(|verdict| verdict == BROKEN));
+    let built = build(&tree, &home, &mutants, out.map(|(number, _)| *number).collect())?;
     if asked.again {
         verdicts.retain(|_, verdict| verdict != "survived");
     }
     for (number, mutant) in &mutants {
         if !built.within.contains(number) {
-            verdicts.insert(mutant.key.clone(), "does not compile".into());
+            verdicts.insert(mutant.key.clone(), BROKEN.into());
         }
     }
     save(&path, &verdicts)?;
@@ -137,9 +141,9 @@ struct Spot {
 }
 
 /// Weaves and builds until it compiles: mutants that do not are taken out.
-fn build(tree: &Path, home: &Path, mutants: &[(usize, Mutant)]) -> anyhow::Result<Built> {
+/// - `out`: of which that is known.
+fn build(tree: &Path, home: &Path, mutants: &[(usize, Mutant)], mut out: BTreeSet<usize>) -> anyhow::Result<Built> {
     let sources = sources(tree, mutants)?;
-    let mut out = BTreeSet::new();
     loop {
         let mut woven: BTreeMap<&str, Woven> = BTreeMap::new();
         for (file, source) in &sources {

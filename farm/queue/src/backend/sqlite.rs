@@ -69,25 +69,17 @@ struct Floor {
     lack: Option<QueueError>,
 }
 
+/// A note's `sequence` is that of the first record of its batch, or of the last before: a tail that is cut takes along the notes
+/// of batches of which nothing is left.
 const TABLES: &str = "
     CREATE TABLE log (sequence INTEGER PRIMARY KEY, checksum BLOB NOT NULL, record BLOB NOT NULL) STRICT;
     CREATE TABLE snapshot (sequence INTEGER PRIMARY KEY, checksum BLOB NOT NULL, state BLOB NOT NULL) STRICT;
-";
-
-/// What later versions have added.
-///
-/// A note's `sequence` is that of the first record of its batch: a tail that is cut takes along the notes of batches of which
-/// nothing is left. A header has one row.
-const LATER_TABLES: &str = "
-    CREATE TABLE IF NOT EXISTS notes (subject INTEGER NOT NULL, number INTEGER NOT NULL, sequence INTEGER NOT NULL,
+    CREATE TABLE notes (subject INTEGER NOT NULL, number INTEGER NOT NULL, sequence INTEGER NOT NULL,
         checksum BLOB NOT NULL, note BLOB NOT NULL, PRIMARY KEY (subject, number)) STRICT, WITHOUT ROWID;
     CREATE TABLE header (identity BLOB NOT NULL, sealed INTEGER, checksum BLOB NOT NULL) STRICT;
     PRAGMA application_id = 0x66656d63;
     PRAGMA user_version = 2;
 ";
-
-const LAST: &str =
-    "SELECT max(ifnull((SELECT max(sequence) FROM log), 0), ifnull((SELECT max(sequence) FROM snapshot), 0))";
 
 /// The first number of a subject is 1.
 const NOTE: &str = "
@@ -129,9 +121,7 @@ impl Sqlite {
         let version = number(&mut connection, "PRAGMA user_version").await?;
         let tables = number(&mut connection, "SELECT count(*) FROM sqlite_schema").await?;
         match (application, version, tables) {
-            (0, 0, 0) => made(&mut connection, TABLES).await.map_err(|error| no_room_or(error, path))?,
-            // Nobody has marked it before.
-            (Self::APPLICATION, 1, _) => made(&mut connection, "").await.map_err(|error| no_room_or(error, path))?,
+            (0, 0, 0) => made(&mut connection).await.map_err(|error| no_room_or(error, path))?,
             (Self::APPLICATION, Self::VERSION, _) => {}
             _ => return Err(QueueError::Foreign { path: path.display().to_string(), application, version }),
         }
@@ -169,13 +159,13 @@ impl Sqlite {
                 lacks(QueueError::Lost { path: path.clone(), kept: 0, known })
             }
             // It was put in the place of that one: a copy for instance.
-            (Found::Mark(_) | Found::Nothing, Some(sealed)) => {
+            (Found::Mark(_) | Found::Nothing | Found::Damaged, Some(sealed)) => {
                 self.is_moved = sealed > 0;
                 at(sealed)
             }
             (Found::Mark(_), None) => unsure(format!("{mark} is of another log")),
             (Found::Nothing, None) => unsure(format!("{mark}, which says how much that is, is missing")),
-            (Found::Damaged, _) => unsure(format!("{mark}, which says how much that is, is damaged")),
+            (Found::Damaged, None) => unsure(format!("{mark}, which says how much that is, is damaged")),
         })
     }
 
@@ -281,14 +271,12 @@ async fn fresh(connection: &mut SqliteConnection) -> Result<Identity, sqlx::Erro
     random.try_into().map_err(|_| sqlx::Error::Protocol("randomblob(16) has other than 16 bytes".into()))
 }
 
-/// Makes `tables` and what is missing beside them; sealed, because nobody has marked it yet.
-async fn made(connection: &mut SqliteConnection, tables: &'static str) -> Result<(), sqlx::Error> {
+/// Makes the tables; sealed, because nobody has marked it yet.
+async fn made(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     let mut making = connection.begin().await?;
-    sqlx::raw_sql(tables).execute(&mut *making).await?;
-    sqlx::raw_sql(LATER_TABLES).execute(&mut *making).await?;
-    let sealed = Some(number(&mut making, LAST).await?);
+    sqlx::raw_sql(TABLES).execute(&mut *making).await?;
     let identity = fresh(&mut making).await?;
-    put_header(&mut making, Header { identity, sealed }).await?;
+    put_header(&mut making, Header { identity, sealed: Some(0) }).await?;
     making.commit().await
 }
 

@@ -1,6 +1,6 @@
 //! What is known beside the jobs: workers, logs, builds, shares.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::num::NonZeroU64;
 
 use femc_model::{Attempt, Cut, Digest, Drain, JobId, LogRecord, LogText};
@@ -34,12 +34,14 @@ impl Annex {
     const ABSENT: usize = 4096;
 
     /// What owners have used; those who have used the least are forgotten where too many have no job any more.
-    pub(super) fn note_used(&mut self, owners: &[(String, Used)], has_job: impl Fn(&str) -> bool) {
+    /// - `present`: who has jobs.
+    pub(super) fn note_used<'a>(&mut self, owners: &[(String, Used)], present: impl Fn() -> BTreeSet<&'a str>) {
         self.used.extend(owners.iter().cloned());
         if self.used.len() <= Self::ABSENT {
             return;
         }
-        let absent = self.used.iter().filter(|(owner, _)| !has_job(owner));
+        let present = present();
+        let absent = self.used.iter().filter(|(owner, _)| !present.contains(owner.as_str()));
         let mut absent: Vec<(Used, String)> = absent.map(|(owner, used)| (*used, owner.clone())).collect();
         absent.sort_unstable_by_key(|(used, _)| std::cmp::Reverse(used.stands));
         for (_, owner) in absent.split_off(absent.len().min(Self::ABSENT)) {
@@ -154,8 +156,9 @@ mod tests {
     fn of_owners_without_jobs_those_who_have_used_the_most_are_remembered() {
         let mut annex = Annex::default();
         let owner = |number: usize| (number.to_string(), Used { held: 1, stands: number as u64 });
+        let names: Vec<String> = (0..10).map(|number: usize| number.to_string()).collect();
         for number in 0..Annex::ABSENT + 20 {
-            annex.note_used(&[owner(number)], |owner| owner.len() == 1);
+            annex.note_used(&[owner(number)], || names.iter().map(String::as_str).collect());
         }
         assert_eq!(annex.used().len(), 10 + Annex::ABSENT);
         assert!(

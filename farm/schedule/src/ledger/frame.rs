@@ -30,11 +30,13 @@ pub(crate) struct Trouble {
     /// The latest at the end; of each lease one.
     pub(crate) deaths: Vec<Casualty>,
     pub(crate) failure: Failure,
+    /// Leases up to this one are over, of whatever they are told later.
+    until: Epoch,
 }
 
 impl Trouble {
     fn new(failure: Failure) -> Self {
-        Self { attempts: 0, deaths: Vec::new(), failure }
+        Self { attempts: 0, deaths: Vec::new(), failure, until: Epoch(0) }
     }
 
     pub(crate) fn is_quarantined(&self) -> bool {
@@ -57,6 +59,13 @@ impl Trouble {
         match self.deaths.iter_mut().find(|known| known.epoch == casualty.epoch) {
             Some(known) => known.evidence = known.evidence.max(casualty.evidence),
             None => self.deaths.push(casualty.clone()),
+        }
+        // Of one worker alone they put nothing aside, however many: a few tell as much.
+        let oldest = || self.deaths.iter().position(|death| death.evidence == Evidence::Presumed);
+        if self.deaths.len() > 2 * DEATHS
+            && let Some(oldest) = oldest()
+        {
+            self.deaths.remove(oldest);
         }
         self.failure = Failure::Killed { deaths: self.deaths.len() as u32, worker: casualty.worker.clone() };
     }
@@ -212,10 +221,16 @@ impl Frame {
     }
 
     /// Another attempt at a task has failed.
-    pub(super) fn failed(&mut self, kind: StageKind, index: u32, failure: &Failure) {
+    pub(super) fn failed(&mut self, kind: StageKind, index: u32, until: Epoch, failure: &Failure) {
         let trouble = self.trouble.entry((kind, index)).or_insert_with(|| Trouble::new(failure.clone()));
         trouble.attempts += 1;
+        trouble.until = trouble.until.max(until);
         trouble.failure = failure.clone();
+    }
+
+    /// Whether this lease of a task was over when the task's last failure was counted: what its worker has to say was heard.
+    pub(crate) fn is_over(&self, kind: StageKind, index: u32, epoch: Epoch) -> bool {
+        self.trouble.get(&(kind, index)).is_some_and(|trouble| epoch <= trouble.until)
     }
 
     /// A worker died of these tasks, or of one of them.
@@ -228,10 +243,14 @@ impl Frame {
 
     /// A process lives: what is not put aside yet has not killed it.
     pub(super) fn lives(&mut self, instance: u64) {
-        for trouble in self.trouble.values_mut().filter(|trouble| !trouble.is_quarantined()) {
+        self.trouble.retain(|_, trouble| {
+            if trouble.is_quarantined() {
+                return true;
+            }
+            let before = trouble.deaths.len();
             trouble.deaths.retain(|death| (death.instance, death.evidence) != (instance, Evidence::Presumed));
-        }
-        self.trouble.retain(|_, trouble| trouble.tries() > 0);
+            trouble.deaths.len() == before || trouble.tries() > 0
+        });
     }
 
     /// Those of a stage's keys that are neither done nor out of attempts.

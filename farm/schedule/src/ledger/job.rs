@@ -179,10 +179,10 @@ impl Job {
         released
     }
 
-    pub(super) fn failed(&mut self, task: &TaskKey, failure: &Failure, now: Tick) -> Vec<Digest> {
+    pub(super) fn failed(&mut self, task: &TaskKey, until: Epoch, failure: &Failure, now: Tick) -> Vec<Digest> {
         let number = task.stage.frame;
         if self.is_open(number) && self.round(number) == task.stage.round {
-            self.frame(number, now).failed(task.stage.kind, task.index, failure);
+            self.frame(number, now).failed(task.stage.kind, task.index, until, failure);
             self.note_block(number);
         }
         Vec::new()

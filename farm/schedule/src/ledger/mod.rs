@@ -97,7 +97,7 @@ impl Ledger {
             }
             Fact::Used { owners } => {
                 let jobs = &self.jobs;
-                self.annex.note_used(owners, |owner| jobs.values().any(|job| job.spec.owner == owner));
+                self.annex.note_used(owners, || jobs.values().map(|job| job.spec.owner.as_str()).collect());
                 return Vec::new();
             }
             Fact::Lives { instance } => {
@@ -124,8 +124,8 @@ impl Ledger {
                 }
                 (task.job, released)
             }
-            Fact::Failed { task, failure } => {
-                (task.job, self.jobs.get_mut(&task.job).map(|job| job.failed(task, failure, now)))
+            Fact::Failed { task, until, failure } => {
+                (task.job, self.jobs.get_mut(&task.job).map(|job| job.failed(task, *until, failure, now)))
             }
             Fact::Grouped { job, tiles } => (*job, self.jobs.get_mut(job).map(|job| job.grouped(*tiles))),
             Fact::Gathered { task, epoch, result } => {

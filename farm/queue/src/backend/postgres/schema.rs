@@ -12,27 +12,22 @@ pub(super) const VERSION: i32 = 2;
 /// Held while the tables are made; the letters of fems.
 const MAKING: i64 = 0x6665_6d73;
 
-/// `leader` has one row. Its key is what writes keep from changing; its other columns may change under them.
-const TABLES: &str = "
-    CREATE TABLE femc.header (version integer NOT NULL);
-    CREATE TABLE femc.leader (epoch bigint PRIMARY KEY, url text NOT NULL, backend integer NOT NULL,
-        seen timestamptz NOT NULL) WITH (fillfactor = 50);
-    CREATE TABLE femc.log (sequence bigint PRIMARY KEY, checksum bytea NOT NULL, record bytea NOT NULL);
-    CREATE TABLE femc.snapshot (sequence bigint PRIMARY KEY, checksum bytea NOT NULL, state bytea NOT NULL);
-    INSERT INTO femc.header VALUES (1);
-    INSERT INTO femc.leader VALUES (0, '', 0, '-infinity');
-";
-
-/// What later versions have added: `leader` has the highest incarnation that was reserved.
+/// `leader` has one row, with the highest incarnation that was reserved. Its key is what writes keep from changing; its other
+/// columns may change under them.
 ///
 /// A note's `sequence` is that of the first record of its batch, or of the last before: a tail that is cut takes along the notes
 /// of batches of which nothing is left.
-const LATER_TABLES: &str = "
-    CREATE TABLE IF NOT EXISTS femc.notes (number bigint GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
+const TABLES: &str = "
+    CREATE TABLE femc.header (version integer NOT NULL);
+    CREATE TABLE femc.leader (epoch bigint PRIMARY KEY, url text NOT NULL, backend integer NOT NULL,
+        seen timestamptz NOT NULL, incarnation bigint NOT NULL DEFAULT 0) WITH (fillfactor = 50);
+    CREATE TABLE femc.log (sequence bigint PRIMARY KEY, checksum bytea NOT NULL, record bytea NOT NULL);
+    CREATE TABLE femc.snapshot (sequence bigint PRIMARY KEY, checksum bytea NOT NULL, state bytea NOT NULL);
+    CREATE TABLE femc.notes (number bigint GENERATED ALWAYS AS IDENTITY PRIMARY KEY,
         subject bigint NOT NULL, sequence bigint NOT NULL, checksum bytea NOT NULL, note bytea NOT NULL);
-    CREATE INDEX IF NOT EXISTS notes_by_subject ON femc.notes (subject, number);
-    ALTER TABLE femc.leader ADD COLUMN IF NOT EXISTS incarnation bigint NOT NULL DEFAULT 0;
-    UPDATE femc.header SET version = 2;
+    CREATE INDEX notes_by_subject ON femc.notes (subject, number);
+    INSERT INTO femc.header VALUES (2);
+    INSERT INTO femc.leader VALUES (0, '', 0, '-infinity');
 ";
 
 /// Makes the tables where there are none; refuses those of others, and leaves them as they are.
@@ -61,15 +56,11 @@ async fn made_or_found(connection: &mut PgConnection) -> Result<Option<String>, 
     }
     // By way of JSON: a header of somebody else's may have other columns.
     let ask = "SELECT to_jsonb(header) ->> 'version' FROM femc.header LIMIT 1";
-    let mut version: Option<String> = if has_tables && !has_header {
+    let version: Option<String> = if has_tables && !has_header {
         None
     } else {
         sqlx::query(ask).fetch_optional(&mut *making).await?.map(|row| row.try_get(0)).transpose()?.flatten()
     };
-    if version.as_deref() == Some("1") {
-        sqlx::raw_sql(LATER_TABLES).execute(&mut *making).await?;
-        version = Some(VERSION.to_string());
-    }
     making.commit().await?;
     Ok(version)
 }

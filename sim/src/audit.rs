@@ -252,6 +252,24 @@ pub enum Violation {
         /// As the log has it.
         logged: u32,
     },
+    /// A task that was put aside was given out.
+    #[error("{task} is leased under epoch {}, and was put aside before", .epoch.0)]
+    Aside {
+        /// Which.
+        task: TaskKey,
+        /// Of the lease.
+        epoch: Epoch,
+    },
+    /// The attempts of a task that is put aside have become fewer, and nobody has tried it again.
+    #[error("{task} was put aside after {before} attempts, and now after {told}")]
+    Fewer {
+        /// Which.
+        task: TaskKey,
+        /// As told before.
+        before: u32,
+        /// As told now.
+        told: u32,
+    },
     /// The log counts more failures of a task than were reported, a lease and its copy being one attempt.
     #[error("the log counts {counted} failed attempts of {task}, and {reported} were reported")]
     Failures {

@@ -96,7 +96,7 @@ impl Cast {
     pub(crate) async fn live(self, shared: Shared, shelf: Shelf) -> turmoil::Result {
         let mut rng = SmallRng::seed_from_u64(self.seed ^ 0x11fe_0000);
         let seeds: Vec<u64> = self.people.iter().map(|_| rng.random()).collect();
-        let people = self.people.iter().zip(seeds).map(|(errands, seed)| live(errands, seed, &shared));
+        let people = self.people.iter().zip(seeds).map(|(errands, seed)| live(errands, seed, &shared, &shelf));
         let large = large(self.seed);
         let senders = (0..self.senders).map(|number| send(&shared, &shelf, &large, self.seed ^ number));
         let drains = async {
@@ -145,11 +145,11 @@ fn errand(rng: &mut SmallRng, most: usize) -> anyhow::Result<Errand> {
     Ok(Errand { key: String::new(), spec, stage: stage.clone(), whim, pauses })
 }
 
-async fn live(errands: &[Errand], seed: u64, shared: &Shared) -> anyhow::Result<()> {
+async fn live(errands: &[Errand], seed: u64, shared: &Shared, shelf: &Shelf) -> anyhow::Result<()> {
     let mut rng = SmallRng::seed_from_u64(seed);
     shared.lock().left += 1;
     for errand in errands {
-        Person { shared, rng: &mut rng, manner: MANNER }.runs(errand).await?;
+        Person { shared, shelf, rng: &mut rng, manner: MANNER }.runs(errand).await?;
     }
     shared.lock().left -= 1;
     Ok(())

@@ -3,8 +3,10 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use femc_model::{Control, Drain, Failure, JobId, JobSpec, JobState, JobStatus, TaskKey, Tick};
-use femc_schedule::Fact;
+use femc_model::{
+    Control, Drain, Epoch, Failure, JobId, JobSpec, JobState, JobStatus, Quarantined, StageKind, TaskKey, Tick,
+};
+use femc_schedule::{Casualty, Evidence, Fact};
 
 use crate::audit::Violation;
 use crate::tasks::{counted, tried};
@@ -29,6 +31,48 @@ struct Standing {
     priority: u8,
 }
 
+/// What went wrong with a task.
+#[derive(Debug, Default)]
+struct Trouble {
+    failures: u32,
+    /// Deaths of workers, by lease.
+    deaths: BTreeMap<Epoch, Casualty>,
+    /// A failure put it aside, and of what was leased after this one nothing is its.
+    until: Option<Epoch>,
+}
+
+impl Trouble {
+    /// The rule by which a task is put aside: three failures, or five deaths that are known of one worker or are of several.
+    fn is_aside(&self) -> bool {
+        let known = self.deaths.values().filter(|death| death.evidence == Evidence::Journal).count();
+        let workers: BTreeSet<&str> = self.deaths.values().map(|death| death.worker.as_str()).collect();
+        self.failures >= ATTEMPTS || known >= DEATHS || (self.deaths.len() >= DEATHS && workers.len() > 1)
+    }
+
+    fn tries(&self) -> u32 {
+        self.failures + self.deaths.len() as u32
+    }
+
+    fn failed(&mut self, until: Epoch) {
+        self.failures += 1;
+        if self.failures >= ATTEMPTS {
+            self.until.get_or_insert(until);
+        }
+    }
+
+    fn died(&mut self, casualty: &Casualty) {
+        let known = self.deaths.entry(casualty.epoch).or_insert_with(|| casualty.clone());
+        known.evidence = known.evidence.max(casualty.evidence);
+    }
+
+    /// A process lives, and so has not died of it; what is put aside stays so.
+    fn lives(&mut self, instance: u64) {
+        if !self.is_aside() {
+            self.deaths.retain(|_, death| (death.instance, death.evidence) != (instance, Evidence::Presumed));
+        }
+    }
+}
+
 /// A job.
 #[derive(Debug)]
 struct Record {
@@ -36,14 +80,14 @@ struct Record {
     /// Where it stood, from which place on.
     standings: Vec<(Place, Standing)>,
     controls: Vec<(Place, Control)>,
-    /// Failures since the last retry.
-    failures: BTreeMap<TaskKey, u32>,
+    /// What went wrong with tasks since the last retry.
+    troubles: BTreeMap<TaskKey, Trouble>,
     /// Seconds of the results of each frame that is not finished.
     busy: BTreeMap<u32, f64>,
     /// The same of those that are.
     finished: BTreeMap<u32, f64>,
     doom: Option<Failure>,
-    /// When it ended last, by the coordinator's clock; frames that only a retry can move are not seen here.
+    /// When it ended last, by the coordinator's clock.
     ended: Option<Tick>,
 }
 
@@ -58,6 +102,25 @@ impl Record {
     fn has_ended(&self) -> bool {
         let Standing { finished, hold, doomed, .. } = self.now();
         hold == Hold::Cancelled || doomed || finished as usize == self.spec.frames.len()
+    }
+
+    /// Whether only a retry can move it: of each frame that is not finished a task is put aside.
+    fn is_blocked(&self) -> bool {
+        let aside = self.troubles.iter().filter(|(_, trouble)| trouble.is_aside());
+        let blocked: BTreeSet<u32> = aside.map(|(task, _)| task.stage.frame).collect();
+        self.spec.frames.iter().all(|frame| self.finished.contains_key(frame) || blocked.contains(frame))
+    }
+
+    /// Notes when it ended, if it has.
+    fn note_end(&mut self, tick: Tick) {
+        match self.has_ended() || self.is_blocked() {
+            true => drop(self.ended.get_or_insert(tick)),
+            false => self.ended = None,
+        }
+    }
+
+    fn trouble(&mut self, task: TaskKey) -> &mut Trouble {
+        self.troubles.entry(tried(task)).or_default()
     }
 
     fn stands(&mut self, place: Place, standing: Standing) {
@@ -154,7 +217,7 @@ impl Chronicle {
                     spec: spec.clone(),
                     standings: Vec::new(),
                     controls: Vec::new(),
-                    failures: BTreeMap::new(),
+                    troubles: BTreeMap::new(),
                     busy: BTreeMap::new(),
                     finished: BTreeMap::new(),
                     doom: None,
@@ -179,19 +242,34 @@ impl Chronicle {
                 if let Some(record) = self.jobs.get_mut(job) {
                     record.doom = Some(failure.clone());
                     record.stands(place, Standing { doomed: true, ..record.now() });
-                    record.ended.get_or_insert(tick);
+                    record.note_end(tick);
                 }
             }
-            Fact::Failed { task, .. } => {
+            Fact::Failed { task, until, .. } => {
                 if let Some(record) = self.jobs.get_mut(&task.job) {
-                    *record.failures.entry(tried(*task)).or_default() += 1;
+                    record.trouble(*task).failed(*until);
+                    record.note_end(tick);
                 }
             }
-            Fact::Died { task, end, .. } => {
+            Fact::Died { task, end, casualty } => {
                 if let Some(record) = self.jobs.get_mut(&task.job) {
-                    for index in task.index..*end {
-                        *record.failures.entry(tried(TaskKey { index, ..*task })).or_default() += 1;
-                    }
+                    (task.index..*end).for_each(|index| record.trouble(TaskKey { index, ..*task }).died(casualty));
+                    record.note_end(tick);
+                }
+            }
+            Fact::Lives { instance } => {
+                let troubles = self.jobs.values_mut().flat_map(|record| record.troubles.values_mut());
+                troubles.for_each(|trouble| trouble.lives(*instance));
+            }
+            // Also one that was finished, and whose image was lost: what it took was taken.
+            Fact::Restarted { job, frame } => {
+                if let Some(record) = self.jobs.get_mut(job)
+                    && let Some(busy) = record.finished.remove(frame)
+                {
+                    record.busy.insert(*frame, busy);
+                    let finished = record.finished.len() as u32;
+                    record.stands(place, Standing { finished, ..record.now() });
+                    record.note_end(tick);
                 }
             }
             Fact::Forgotten { job } => wrong.extend(self.forget(*job, tick)),
@@ -202,15 +280,18 @@ impl Chronicle {
             match self.jobs.get_mut(&job).filter(|record| !record.has_ended()) {
                 None => wrong.push(Violation::AfterEnd { task: result.task, epoch: result.epoch }),
                 Some(record) => {
+                    // What is done and lost later is tried anew.
+                    if result.task.stage.kind == StageKind::Render {
+                        record.troubles.remove(&tried(result.task));
+                    }
                     *record.busy.entry(frame).or_default() += result.seconds;
                     if result.finishes {
                         let busy = record.busy.remove(&frame).unwrap_or(0.0);
                         record.finished.insert(frame, busy);
+                        record.troubles.retain(|task, _| task.stage.frame != frame);
                         let finished = record.finished.len() as u32;
                         record.stands(place, Standing { finished, ..record.now() });
-                        if record.has_ended() {
-                            record.ended = Some(tick);
-                        }
+                        record.note_end(tick);
                     }
                 }
             }
@@ -223,13 +304,7 @@ impl Chronicle {
         self.forgotten.insert(job);
         self.keys.retain(|_, other| *other != job);
         let record = self.jobs.remove(&job)?;
-        // One whose frames are blocked has ended, too.
-        let is_blocked = record.failures.values().any(|&failures| failures >= ATTEMPTS);
-        let is_due = match (record.ended, self.keep_ended) {
-            (_, None) => false,
-            (Some(ended), Some(keep)) => tick.since(ended) >= keep,
-            (None, Some(_)) => is_blocked,
-        };
+        let is_due = record.ended.zip(self.keep_ended).is_some_and(|(ended, keep)| tick.since(ended) >= keep);
         (!is_due).then_some(Violation::ForgottenEarly { job })
     }
 
@@ -270,14 +345,23 @@ impl Chronicle {
             let JobStatus { state, frames_done, frames_failed, priority, .. } = status;
             return told(format!("{state:?}, {frames_done} frames done, {frames_failed} failed, priority {priority}"));
         }
-        let is_retried = record.controls.iter().any(|(at, control)| *at > place && *control == Control::Retry);
-        let counts = |task: &TaskKey| record.failures.get(&tried(*task)).copied().unwrap_or(0);
-        let invented = status.quarantined.iter().find(|it| it.attempts > counts(&it.task) || it.attempts < ATTEMPTS);
-        invented.filter(|_| !is_retried).map(|it| Violation::Attempts {
-            task: it.task,
-            told: it.attempts,
-            logged: counts(&it.task),
-        })
+        let trouble = |task: &TaskKey| record.troubles.get(&tried(*task));
+        let tries = |task: &TaskKey| trouble(task).map_or(0, Trouble::tries);
+        let is_invented =
+            |it: &&Quarantined| it.attempts > tries(&it.task) || !trouble(&it.task).is_some_and(Trouble::is_aside);
+        let invented = status.quarantined.iter().find(is_invented).filter(|_| !record.is_retried_since(place));
+        invented.map(|it| Violation::Attempts { task: it.task, told: it.attempts, logged: tries(&it.task) })
+    }
+
+    /// Whether somebody gave the job's tasks another chance since `place`.
+    pub(crate) fn is_retried_since(&self, job: JobId, place: Place) -> bool {
+        self.jobs.get(&job).is_some_and(|record| record.is_retried_since(place))
+    }
+
+    /// What is wrong with a lease that is given out: nothing is leased that failures have put aside.
+    pub(crate) fn may_lease(&self, task: TaskKey, epoch: Epoch) -> Option<Violation> {
+        let until = self.jobs.get(&task.job)?.troubles.get(&tried(task))?.until?;
+        (epoch > until).then_some(Violation::Aside { task, epoch })
     }
 
     /// Why a job has failed, if that is explained: its doom, or tasks that have failed as often as they may.
@@ -312,8 +396,7 @@ impl Chronicle {
             Control::Retry => standing.finished == frames,
             _ => standing.hold == Hold::Cancelled || standing.doomed || standing.finished == frames,
         };
-        // One whose frames are blocked has ended, too.
-        let is_blocked = control != Control::Retry && record.failures.values().any(|&failures| failures >= ATTEMPTS);
+        let is_blocked = control != Control::Retry && record.is_blocked();
         let is_right = is_blocked || record.since(place).any(has_ended);
         (!is_right).then_some(Violation::Refused { job, control })
     }
@@ -326,8 +409,14 @@ impl Chronicle {
 
 /// Failures after which a task is put aside.
 const ATTEMPTS: u32 = 3;
+/// Deaths of workers after which it is.
+const DEATHS: usize = 5;
 
 impl Record {
+    fn is_retried_since(&self, place: Place) -> bool {
+        self.controls.iter().any(|(at, control)| *at > place && *control == Control::Retry)
+    }
+
     fn steered(&mut self, place: Place, control: Control, tick: Tick) {
         self.controls.push((place, control));
         let before = self.now();
@@ -340,10 +429,9 @@ impl Record {
         };
         self.stands(place, after);
         if control == Control::Retry {
-            self.failures.clear();
-            (self.doom, self.ended) = (None, None);
-        } else if self.has_ended() {
-            self.ended.get_or_insert(tick);
+            self.troubles.clear();
+            self.doom = None;
         }
+        self.note_end(tick);
     }
 }

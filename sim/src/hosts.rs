@@ -9,7 +9,8 @@ use femc_coordinator::{Config, Coordinator, CoordinatorError, Time};
 use femc_model::{Assignment, TaskKey};
 use femc_queue::QueueError;
 use femc_store::Store;
-use femc_worker::{Fate, Hands, Journal, Pace, Worker};
+use femc_worker::{Drawer, Fate, Hands, Journal, OutboxPlace, Pace, Worker};
+use rand::RngExt as _;
 use turmoil::Sim;
 
 use crate::audit::Violation;
@@ -52,10 +53,44 @@ pub(crate) fn settle(
         sim.host(SWITCH, move || switch::serve(shared.clone(), store.clone()));
     }
     for host in 0..WORKERS {
-        let (shared, scheduler, journal) = (shared.clone(), scheduler.clone(), Journal::in_memory());
-        sim.host(worker_name(host), move || worker(seed, host, shared.clone(), scheduler.grain, journal.clone()));
+        let (shared, scheduler, disk) = (shared.clone(), scheduler.clone(), WorkerDisk::default());
+        sim.host(worker_name(host), move || worker(seed, host, shared.clone(), scheduler.grain, disk.clone()));
     }
     sim
+}
+
+/// What outlives a worker's process.
+#[derive(Debug, Clone)]
+struct WorkerDisk {
+    journal: Journal,
+    /// Results that nobody has acknowledged.
+    drawer: Drawer,
+}
+
+impl Default for WorkerDisk {
+    fn default() -> Self {
+        Self { journal: Journal::in_memory(), drawer: Drawer::default() }
+    }
+}
+
+impl WorkerDisk {
+    /// A machine that starts again may have lost or torn what it kept.
+    fn boots(&self, shared: &Shared) {
+        let mut state = shared.lock();
+        self.drawer.harm(|result| {
+            let what = match state.rng.random_range(0..8) {
+                0 => "kept result lost",
+                1 => "kept result torn",
+                _ => "kept result brought along",
+            };
+            state.fired(what);
+            if what == "kept result torn" {
+                let length = state.rng.random_range(0..result.len());
+                result.truncate(length);
+            }
+            what != "kept result lost"
+        });
+    }
 }
 
 /// Ends of connections that the network keeps. To be asked from within.
@@ -117,7 +152,8 @@ fn is_full(error: &CoordinatorError) -> bool {
 }
 
 /// `grain`: pixel samples of a grain, as the farm has them.
-async fn worker(seed: u64, host: usize, shared: Shared, grain: NonZeroU64, journal: Journal) -> turmoil::Result {
+async fn worker(seed: u64, host: usize, shared: Shared, grain: NonZeroU64, disk: WorkerDisk) -> turmoil::Result {
+    disk.boots(&shared);
     let boot = {
         let mut state = shared.lock();
         state.boots += 1;
@@ -131,7 +167,8 @@ async fn worker(seed: u64, host: usize, shared: Shared, grain: NonZeroU64, journ
         threads: 1,
         cache: CACHE.clone(),
         instance: boot,
-        journal,
+        journal: disk.journal,
+        outbox: Some(OutboxPlace::Drawer(disk.drawer)),
         engine: build(seed, boot).into(),
         dial: dial(&shared, &worker_name(host)),
         hands: Hands::Simulated(Pace::fated(move |assignment| {

@@ -5,7 +5,7 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use femc_model::{
-    Control, Drain, FrameRecord, Intake, JobId, JobSpec, JobState, JobStatus, Refusal, WorkerId, WorkerName,
+    Control, Digest, Drain, FrameRecord, Intake, JobId, JobSpec, JobState, JobStatus, Refusal, WorkerId, WorkerName,
 };
 use femc_proto::{CallError, Client};
 use rand::RngExt as _;
@@ -17,6 +17,7 @@ use crate::hosts::{coordinator_name, worker_name};
 use crate::network::{dial, url};
 use crate::promises::Asked;
 use crate::shared::Shared;
+use crate::shelf::{Harm, Shelf};
 use crate::stage::{self, Stage};
 
 /// Between two tries.
@@ -112,6 +113,7 @@ pub(crate) struct Manner {
 /// Somebody with a job.
 pub(crate) struct Person<'a> {
     pub(crate) shared: &'a Shared,
+    pub(crate) shelf: &'a Shelf,
     pub(crate) rng: &'a mut SmallRng,
     pub(crate) manner: Manner,
 }
@@ -215,17 +217,26 @@ impl Person<'_> {
         let curse = Curse::of(&errand.spec);
         // Of what fails now and then, something may fail three times.
         let mut tries = if curse.is_final() { 1 } else { 20 };
-        let status = loop {
+        let mut harms = self.rng.random_range(0..4) == 0;
+        let (status, files) = loop {
             let Some(status) = self.waits(asked, job, errand).await else { return Ok(Vec::new()) };
-            if status.state != JobState::Failed {
-                break status;
-            }
-            if tries == 0 {
-                if curse.is_final() {
+            if status.state != JobState::Failed || tries == 0 {
+                if status.state == JobState::Failed && curse.is_final() {
                     self.shared.lock().did("failed");
                     return Ok(Vec::new());
                 }
-                break status;
+                if std::mem::take(&mut harms) && status.state == JobState::Done {
+                    self.harms_an_image(asked, job).await;
+                }
+                match self.fetches(asked, job, status.state).await {
+                    Fetched::Files(files) if files.len() >= status.frames_done as usize => break (status, files),
+                    // What is damaged is rendered again.
+                    Fetched::Files(_) | Fetched::Refused => {
+                        tokio::time::sleep(AGAIN).await;
+                        continue;
+                    }
+                    Fetched::Gone => return Ok(Vec::new()),
+                }
             }
             tries -= 1;
             // It may have failed because its scene was lost.
@@ -238,7 +249,6 @@ impl Person<'_> {
                 }
             }
         };
-        let Some(files) = self.fetches(asked, job).await else { return Ok(Vec::new()) };
         let mut wrong = ended(&errand.spec, &status, expected);
         {
             let mut state = self.shared.lock();
@@ -250,6 +260,7 @@ impl Person<'_> {
             wrong.push(Violation::Account { what: "frames fetched", found, expected });
         }
         for (record, file) in files {
+            let Some(file) = file else { continue };
             let found = stage::pixels(file)?;
             let frame = errand.stage.spec.frames.iter().position(|&frame| frame == record.frame).unwrap_or_default();
             if found != errand.stage.pixels[frame] {
@@ -294,15 +305,40 @@ impl Person<'_> {
         }
     }
 
-    /// The files of its finished frames; `None` if the job has been forgotten, or its log is lost.
-    async fn fetches(&self, asked: Asked, job: JobId) -> Option<Vec<(FrameRecord, Bytes)>> {
-        loop {
-            match answer(self.shared, asked, &async |client: Client| frames(&client, job).await).await {
-                Ok(files) => return Some(files),
-                Err(_) if self.shared.is_over(asked) || self.shared.lock().chronicle.has_forgotten(job) => return None,
-                Err(refusal) => self.shared.note(|| format!("person: {refusal}")),
+    /// Something happens to the image of a finished frame.
+    async fn harms_an_image(&mut self, asked: Asked, job: JobId) {
+        let frames = answer(self.shared, asked, &async |client: Client| client.frames(job).await).await;
+        let Ok(Some(frame)) = frames.map(|frames| frames.into_iter().next()) else { return };
+        let (harm, thousandths) = (self.rng.random_range(0..4), self.rng.random_range(0..1000));
+        let harm = [Harm::Lost, Harm::Flipped, Harm::Short(thousandths), Harm::Zeroed(thousandths)][harm];
+        self.shared.lock().harmed.insert(frame.image.digest);
+        if self.shelf.harm(&frame.image.digest, harm) {
+            self.shared.lock().did("found a finished image damaged");
+        }
+    }
+
+    /// The files of its finished frames. Of a job that was cancelled nothing is rendered again: what was damaged is not among
+    /// them.
+    async fn fetches(&self, asked: Asked, job: JobId, state: JobState) -> Fetched {
+        let is_gone = |digest: &Digest| state == JobState::Cancelled && self.shared.lock().harmed.contains(digest);
+        let fetch = async |client: Client| {
+            let mut files = Vec::new();
+            for frame in client.frames(job).await? {
+                match client.get(&frame.image.digest, frame.image.bytes).await {
+                    Ok(file) => files.push((frame, Some(file))),
+                    Err(CallError::Refused(_)) if is_gone(&frame.image.digest) => files.push((frame, None)),
+                    Err(error) => return Err(error),
+                }
             }
-            tokio::time::sleep(AGAIN).await;
+            Ok(files)
+        };
+        match answer(self.shared, asked, &fetch).await {
+            Ok(files) => Fetched::Files(files),
+            Err(_) if self.shared.is_over(asked) || self.shared.lock().chronicle.has_forgotten(job) => Fetched::Gone,
+            Err(refusal) => {
+                self.shared.note(|| format!("person: {refusal}"));
+                Fetched::Refused
+            }
         }
     }
 
@@ -376,14 +412,14 @@ fn ended(spec: &JobSpec, status: &JobStatus, expected: Expected) -> Vec<Violatio
     }
 }
 
-/// The files of a job's finished frames.
-async fn frames(client: &Client, job: JobId) -> Result<Vec<(FrameRecord, Bytes)>, CallError> {
-    let mut files = Vec::new();
-    for frame in client.frames(job).await? {
-        let file = client.get(&frame.image.digest, frame.image.bytes).await?;
-        files.push((frame, file));
-    }
-    Ok(files)
+/// What came of sending for a job's files.
+enum Fetched {
+    /// Of each finished frame, where it is there.
+    Files(Vec<(FrameRecord, Option<Bytes>)>),
+    /// One is not there, or damaged.
+    Refused,
+    /// The job has been forgotten, or its log is lost.
+    Gone,
 }
 
 /// At least one of them, in their order, and at most so many.

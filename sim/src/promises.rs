@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use femc_model::{Control, JobId, JobState, JobStatus, Refusal};
+use femc_model::{Control, JobId, JobState, JobStatus, Refusal, TaskKey};
 
 use crate::audit::Violation;
 use crate::chronicle::Place;
@@ -13,14 +13,17 @@ use crate::shared::Shared;
 pub(crate) struct Told {
     /// What people asked for, whether they heard an answer or not.
     pub(crate) controls: Vec<(JobId, Control)>,
-    /// Jobs by the key that somebody submitted them with.
-    keys: BTreeMap<String, JobId>,
+    /// Jobs by the key that somebody submitted them with, and how long the log was when he was first told.
+    keys: BTreeMap<String, (JobId, Place)>,
+    /// Tasks that are put aside: after how many attempts, and how long the log was when somebody asked and when he heard it.
+    aside: BTreeMap<TaskKey, (u32, [Place; 2])>,
 }
 
 impl Told {
     pub(crate) fn forget_until(&mut self, last: JobId) {
         self.controls.retain(|(job, _)| *job > last);
-        self.keys.retain(|_, job| *job > last);
+        self.keys.retain(|_, (job, _)| *job > last);
+        self.aside.retain(|task, _| task.job > last);
     }
 }
 
@@ -45,15 +48,20 @@ impl Shared {
     fn heard(&self, asked: Asked, wrong: impl FnOnce(&mut crate::shared::State) -> Option<Violation>) {
         let mut state = self.lock();
         if state.disk.logs == asked.log && !state.disk.has_ghosts() {
-            let wrong = wrong(&mut state);
-            state.wrong.extend(wrong);
+            if let Some(wrong) = wrong(&mut state) {
+                let now = turmoil::sim_elapsed().unwrap_or_default();
+                state.note(now, &format!("WRONG: {wrong}"));
+                state.wrong.push(wrong);
+            }
         }
     }
 
     /// Somebody's job was taken.
     pub(crate) fn hears_job(&self, asked: Asked, key: &str, job: JobId) {
         self.heard(asked, |state| {
-            let before = state.told.keys.insert(key.to_owned(), job).filter(|&before| before != job);
+            let heard = (job, state.chronicle.place());
+            let known = state.told.keys.entry(key.to_owned()).or_insert(heard);
+            let before = (known.0 != job).then(|| std::mem::replace(known, heard).0);
             let has_forgotten = before.is_some_and(|before| state.chronicle.has_forgotten(before));
             let moved = |before| Violation::KeyMoved { key: key.to_owned(), jobs: [before, job] };
             let is_known = state.chronicle.job_of_key(key) == Some(job) || state.chronicle.has_forgotten(job);
@@ -87,7 +95,8 @@ impl Shared {
                 let unexplained = status.state == JobState::Failed && !state.chronicle.explains(status);
                 let why =
                     || Violation::Unexplained { status: format!("{:?} {:?}", status.failure, status.quarantined) };
-                state.chronicle.agrees(status, asked.place).or_else(|| unexplained.then(why))
+                let disagrees = state.chronicle.agrees(status, asked.place).or_else(|| unexplained.then(why));
+                disagrees.or_else(|| state.fewer(status, asked.place))
             }
             Err(Refusal::NoSuchJob { .. }) => state.gone(job),
             Err(_) => None,
@@ -98,14 +107,34 @@ impl Shared {
     pub(crate) fn hears_list(&self, asked: Asked, answer: &[JobStatus]) {
         self.heard(asked, |state| {
             let told: Vec<JobId> = answer.iter().map(|status| status.job).collect();
-            let is_missing = |job: &JobId| !told.contains(job);
-            let missing = state.told.keys.values().copied().filter(is_missing).find_map(|job| state.gone(job));
+            let is_missing = |(job, since): &(JobId, Place)| *since <= asked.place && !told.contains(job);
+            let missing = state.told.keys.values().copied().filter(is_missing).find_map(|(job, _)| state.gone(job));
             missing.or_else(|| answer.iter().find_map(|status| state.chronicle.agrees(status, asked.place)))
         });
     }
 }
 
 impl crate::shared::State {
+    /// Attempts that became fewer since somebody was told of them.
+    fn fewer(&mut self, status: &JobStatus, asked: Place) -> Option<Violation> {
+        let heard = self.chronicle.place();
+        let mut wrong = None;
+        for it in &status.quarantined {
+            let told = self.told.aside.get(&it.task);
+            if let Some(&(before, [since, by])) = told
+                && by <= asked
+                && it.attempts < before
+                && !self.chronicle.is_retried_since(status.job, since)
+            {
+                wrong = Some(Violation::Fewer { task: it.task, before, told: it.attempts });
+            }
+            if told.is_none_or(|&(_, [since, _])| since <= asked) {
+                self.told.aside.insert(it.task, (it.attempts, [asked, heard]));
+            }
+        }
+        wrong
+    }
+
     /// A job that somebody was told of is not there: it was forgotten, or that is wrong.
     fn gone(&self, job: JobId) -> Option<Violation> {
         (!self.chronicle.has_forgotten(job)).then_some(Violation::Gone { job })

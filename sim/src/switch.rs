@@ -82,7 +82,8 @@ async fn relay(session: Session, shared: Shared) {
                     let leased = state.leases.assigned(&engine, lease);
                     let incarnation = (lease.epoch.0 >> LEASE_BITS) as u32;
                     let drained = state.chronicle.may_work(instance, incarnation, now());
-                    state.wrong.extend(leased.into_iter().chain(drained));
+                    let aside = state.chronicle.may_lease(lease.task, lease.epoch);
+                    state.wrong.extend(leased.into_iter().chain(drained).chain(aside));
                     running.insert((lease.epoch, lease.task));
                 }
                 ToWorker::Revoke { task, epoch, .. } => {

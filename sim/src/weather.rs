@@ -41,7 +41,7 @@ impl Weather {
         {
             let mut state = shared.lock();
             (state.twice, state.late) = (plan.twice, plan.late);
-            state.shares.is_calm = plan.faults.is_empty() && now.is_zero();
+            state.shares.expect(plan.faults.iter().map(|&(_, fault)| fault));
         }
         plan.faults.iter().for_each(|&(at, fault)| self.plan(now + at, Act::Begin(fault)));
         self.plan(now + STORM, Act::Peace);
@@ -65,7 +65,7 @@ impl Weather {
             if die(sim, shared, worker_name(host), now) {
                 let mut state = shared.lock();
                 state.fired("worker killed by a task");
-                state.shares.is_calm = false;
+                state.shares.strikes();
                 self.plan(now + Duration::from_millis(700), Act::Rise(host));
             }
         }

@@ -9,7 +9,7 @@ use std::time::Duration;
 use femc_model::Assignment;
 use femc_proto::{CallError, Dial};
 
-use crate::{Cache, Journal, MemoryLimit, Metrics, Shift};
+use crate::{Cache, Drawer, Journal, MemoryLimit, Metrics, Shift};
 
 /// A worker's configuration.
 #[derive(Debug, Clone)]
@@ -37,7 +37,7 @@ pub struct Config {
     /// Who does the tasks.
     pub hands: Hands,
     /// Where results are kept until the coordinator has acknowledged them; `None`: in memory.
-    pub outbox: Option<OutboxConfig>,
+    pub outbox: Option<OutboxPlace>,
     /// Where it writes down what it computes.
     pub journal: Journal,
     /// The most memory that it may use before it gives tasks back.
@@ -53,6 +53,15 @@ pub struct Config {
 }
 
 /// Where a worker keeps results that are not acknowledged.
+#[derive(Debug, Clone)]
+pub enum OutboxPlace {
+    /// On disk.
+    Folder(OutboxConfig),
+    /// In memory, for simulations.
+    Drawer(Drawer),
+}
+
+/// A folder in which a worker keeps results.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct OutboxConfig {
     /// A folder of its own; it is made.

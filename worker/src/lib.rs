@@ -34,12 +34,13 @@ mod upload;
 mod worker;
 
 pub use cache::Cache;
-pub use config::{AtStop, Config, Fate, Hands, IfTaken, OutboxConfig, Pace, WorkerError};
+pub use config::{AtStop, Config, Fate, Hands, IfTaken, OutboxConfig, OutboxPlace, Pace, WorkerError};
 pub use duty::{Duty, Shift};
 pub use journal::Journal;
 pub use log::{TASK_LOG_LEVEL, TaskLogs};
 pub use memory::MemoryLimit;
 pub use metrics::Metrics;
+pub use outbox::Drawer;
 pub use parcel::{Parcel, ParcelError};
 pub use pieces::Pieces;
 pub use sums::decode as decode_sums;

@@ -26,7 +26,7 @@ use bytes::Bytes;
 use femc_model::{Assignment, Digest, Epoch, JobSpec, TaskKey, TaskResult, Usage};
 use serde::{Deserialize, Serialize};
 
-use crate::config::{IfTaken, OutboxConfig, WorkerError};
+use crate::config::{IfTaken, OutboxConfig, OutboxPlace, WorkerError};
 use crate::execute::Product;
 use crate::table::{Table, Task};
 
@@ -64,10 +64,51 @@ struct Head {
 
 /// Keeps results; clones share it. The default keeps nothing.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Outbox(Option<Arc<Desk>>);
+pub(crate) enum Outbox {
+    #[default]
+    Nothing,
+    Folder(Arc<Desk>),
+    /// And the build of the engine whose results they are.
+    Drawer(Drawer, Arc<str>),
+}
+
+/// An outbox in memory, for simulations; clones are the same one. What it keeps outlives its worker, and is there at once.
+#[derive(Debug, Clone, Default)]
+pub struct Drawer(Arc<Mutex<BTreeMap<Key, Vec<u8>>>>);
+
+impl Drawer {
+    fn lock(&self) -> MutexGuard<'_, BTreeMap<Key, Vec<u8>>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    /// Something happens to what is kept: `change` is shown the bytes of each result, and says whether they stay.
+    pub fn harm(&self, mut change: impl FnMut(&mut Vec<u8>) -> bool) {
+        self.lock().retain(|_, bytes| change(bytes));
+    }
+
+    fn read_all(&self, engine: &str) -> Vec<Restored> {
+        let mut restored = Vec::new();
+        self.lock().retain(|_, bytes| {
+            let result = decode(&Bytes::copy_from_slice(bytes), engine);
+            let is_whole = result.is_some();
+            restored.extend(result);
+            is_whole
+        });
+        restored
+    }
+
+    fn keep(&self, task: &Task, engine: &str) {
+        let mut kept = self.lock();
+        if let Some(Ok(product)) = task.outcome().filter(|_| !task.is_cancelled())
+            && let Ok(bytes) = encode(task, product, engine)
+        {
+            kept.insert(task.key(), bytes);
+        }
+    }
+}
 
 #[derive(Debug)]
-struct Desk {
+pub(crate) struct Desk {
     folder: PathBuf,
     line: Mutex<Line>,
     /// There is something in the line, or it is closed.
@@ -130,14 +171,28 @@ impl Desk {
 }
 
 impl Outbox {
-    /// Opens the folder and reads what an earlier worker left there.
-    pub(crate) fn open(config: &OutboxConfig) -> Result<(Self, Vec<Restored>), WorkerError> {
+    /// Opens it and reads what an earlier worker left there.
+    /// - `engine`: its build; another's results are dropped.
+    pub(crate) async fn open(place: OutboxPlace, engine: &str) -> Result<(Self, Vec<Restored>), WorkerError> {
+        let engine: Arc<str> = engine.into();
+        match place {
+            OutboxPlace::Folder(config) => tokio::task::spawn_blocking(move || Self::open_folder(&config, engine))
+                .await
+                .map_err(|error| WorkerError::Threads(error.to_string()))?,
+            OutboxPlace::Drawer(drawer) => {
+                let restored = drawer.read_all(&engine);
+                Ok((Self::Drawer(drawer, engine), restored))
+            }
+        }
+    }
+
+    fn open_folder(config: &OutboxConfig, engine: Arc<str>) -> Result<(Self, Vec<Restored>), WorkerError> {
         let fault = |folder: &Path, error: io::Error| WorkerError::Outbox {
             folder: folder.to_owned(),
             message: error.to_string(),
         };
         let (folder, lock) = claim(config)?;
-        let (files, restored) = read_all(&folder).map_err(|error| fault(&folder, error))?;
+        let (files, restored) = read_all(&folder, &engine).map_err(|error| fault(&folder, error))?;
         if !restored.is_empty() {
             tracing::info!(results = restored.len(), folder = %folder.display(), "results of before are brought along");
         }
@@ -145,7 +200,7 @@ impl Outbox {
         let place = folder.clone();
         let desk =
             Arc::new(Desk { folder: place, line: Mutex::new(line), called: Condvar::new(), clerk: Mutex::default() });
-        let mut clerk = Clerk { used: files.values().sum(), files, folder, limit: config.limit, _lock: lock };
+        let mut clerk = Clerk { used: files.values().sum(), files, folder, engine, limit: config.limit, _lock: lock };
         let orders = desk.clone();
         let thread = std::thread::Builder::new()
             .name("outbox".into())
@@ -163,17 +218,24 @@ impl Outbox {
             })
             .map_err(|error| WorkerError::Threads(error.to_string()))?;
         *desk.clerk.lock().unwrap_or_else(PoisonError::into_inner) = Some(thread);
-        Ok((Self(Some(desk)), restored))
+        Ok((Self::Folder(desk), restored))
     }
 
     /// Its folder, which no other worker uses.
     pub(crate) fn folder(&self) -> Option<&Path> {
-        self.0.as_ref().map(|desk| &*desk.folder)
+        match self {
+            Self::Folder(desk) => Some(&desk.folder),
+            Self::Nothing | Self::Drawer(..) => None,
+        }
     }
 
     /// Writes a finished task's result, unless the coordinator answers before its turn comes.
     pub(crate) fn keep(&self, task: &Arc<Task>) {
-        let Some(desk) = &self.0 else { return };
+        let desk = match self {
+            Self::Folder(desk) => desk,
+            Self::Drawer(drawer, engine) => return drawer.keep(task, engine),
+            Self::Nothing => return,
+        };
         let mut line = desk.line();
         // Under the lock: whoever answers it after this look finds it in the line.
         if !matches!(task.outcome(), Some(Ok(_))) || task.is_cancelled() || line.closed {
@@ -191,20 +253,24 @@ impl Outbox {
     /// so that nobody keeps it afterwards.
     pub(crate) fn answered(&self, table: &Table, key: &Key) -> Option<Arc<Task>> {
         let task = table.drop_task(key);
-        if let Some(desk) = &self.0 {
-            let mut line = desk.line();
-            line.keeps.retain(|task| task.key() != *key);
-            if line.there.remove(key) {
-                line.forgets.push_back(*key);
-                desk.called.notify_one();
+        match self {
+            Self::Folder(desk) => {
+                let mut line = desk.line();
+                line.keeps.retain(|task| task.key() != *key);
+                if line.there.remove(key) {
+                    line.forgets.push_back(*key);
+                    desk.called.notify_one();
+                }
             }
+            Self::Drawer(drawer, _) => drop(drawer.lock().remove(key)),
+            Self::Nothing => {}
         }
         task
     }
 
     /// Waits until all that was asked for is done.
     pub(crate) fn close(&self) {
-        let Some(desk) = &self.0 else { return };
+        let Self::Folder(desk) = self else { return };
         desk.line().closed = true;
         desk.called.notify_one();
         let clerk = desk.clerk.lock().unwrap_or_else(PoisonError::into_inner).take();
@@ -238,7 +304,7 @@ fn claim(config: &OutboxConfig) -> Result<(PathBuf, File), WorkerError> {
 type Files = BTreeMap<Key, u64>;
 
 /// All whole results, and the bytes of their files; removes everything else that is an outbox's.
-fn read_all(folder: &Path) -> io::Result<(Files, Vec<Restored>)> {
+fn read_all(folder: &Path, engine: &str) -> io::Result<(Files, Vec<Restored>)> {
     let (mut files, mut restored) = (Files::new(), Vec::new());
     let mut paths: Vec<PathBuf> = fs::read_dir(folder)?.map(|entry| Ok(entry?.path())).collect::<io::Result<_>>()?;
     paths.sort();
@@ -254,7 +320,7 @@ fn read_all(folder: &Path) -> io::Result<(Files, Vec<Restored>)> {
                     }
                 };
                 let length = bytes.len() as u64;
-                match decode(&bytes.into()) {
+                match decode(&bytes.into(), engine) {
                     Some(result) => {
                         files.insert((result.assignment.task, result.assignment.epoch), length);
                         restored.push(result);
@@ -272,9 +338,9 @@ fn read_all(folder: &Path) -> io::Result<(Files, Vec<Restored>)> {
 }
 
 /// The front and the head; the artefacts follow.
-fn encode(task: &Task, product: &Product) -> Result<Vec<u8>, postcard::Error> {
+fn encode(task: &Task, product: &Product, engine: &str) -> Result<Vec<u8>, postcard::Error> {
     let head = Head {
-        engine: crate::engine().into(),
+        engine: engine.into(),
         assignment: task.assignment.clone(),
         spec: (*task.spec).clone(),
         result: product.result.clone(),
@@ -293,8 +359,8 @@ fn encode(task: &Task, product: &Product) -> Result<Vec<u8>, postcard::Error> {
     Ok(file)
 }
 
-/// What [`encode`] of this build wrote; `None` for anything else.
-pub(crate) fn decode(file: &Bytes) -> Option<Restored> {
+/// What [`encode`] wrote for the same build of the engine; `None` for anything else.
+pub(crate) fn decode(file: &Bytes, engine: &str) -> Option<Restored> {
     let front = file.get(..FRONT)?;
     let is_ours = front[..8] == *MAGIC && front[8..12] == VERSION.to_le_bytes();
     if !is_ours || Digest::of(&file[44..]).as_bytes()[..] != front[12..44] {
@@ -302,9 +368,9 @@ pub(crate) fn decode(file: &Bytes) -> Option<Restored> {
     }
     let length = usize::try_from(u64::from_le_bytes(front[44..].try_into().ok()?)).ok()?;
     let end = FRONT.checked_add(length)?;
-    let Head { engine, assignment, spec, result, usage, log, lengths } =
+    let Head { engine: of, assignment, spec, result, usage, log, lengths } =
         postcard::from_bytes(file.get(FRONT..end)?).ok()?;
-    if engine != crate::engine() {
+    if of != engine {
         return None;
     }
     let (mut at, mut artefacts) = (end, Vec::new());
@@ -320,6 +386,7 @@ pub(crate) fn decode(file: &Bytes) -> Option<Restored> {
 /// Does the writing.
 struct Clerk {
     folder: PathBuf,
+    engine: Arc<str>,
     limit: u64,
     used: u64,
     files: Files,
@@ -359,7 +426,7 @@ impl Clerk {
         if product.artefacts.iter().map(|bytes| bytes.len() as u64).sum::<u64>() > room {
             return Err(full());
         }
-        let bytes = encode(task, product).map_err(io::Error::other)?;
+        let bytes = encode(task, product, &self.engine).map_err(io::Error::other)?;
         if bytes.len() as u64 > room {
             return Err(full());
         }
@@ -456,6 +523,10 @@ pub(crate) mod tests {
         Arc::new(task)
     }
 
+    fn open(config: &OutboxConfig) -> Result<(Outbox, Vec<Restored>), WorkerError> {
+        Outbox::open_folder(config, crate::engine().into())
+    }
+
     fn config(folder: &Path) -> OutboxConfig {
         OutboxConfig { folder: folder.join("box"), limit: 10_000, if_taken: IfTaken::Fail }
     }
@@ -467,14 +538,14 @@ pub(crate) mod tests {
     #[tokio::test]
     async fn what_is_not_acknowledged_is_there_after_a_new_start_and_what_is_is_not() {
         let place = tempfile::tempdir().unwrap();
-        let (outbox, restored) = Outbox::open(&config(place.path())).unwrap();
+        let (outbox, restored) = open(&config(place.path())).unwrap();
         assert!(restored.is_empty());
         let (first, second) = (task(1, b"first").await, task(2, b"second").await);
         outbox.keep(&first);
         outbox.keep(&second);
         outbox.answered(&Table::default(), &first.key());
         outbox.close();
-        let (outbox, restored) = Outbox::open(&config(place.path())).unwrap();
+        let (outbox, restored) = open(&config(place.path())).unwrap();
         assert_eq!(indices(&restored), [(2, &b"second"[..])]);
         assert_eq!((&restored[0].spec, &restored[0].assignment), (&*second.spec, &second.assignment));
         assert_eq!(
@@ -483,13 +554,13 @@ pub(crate) mod tests {
         );
         outbox.answered(&Table::default(), &second.key());
         outbox.close();
-        assert!(Outbox::open(&config(place.path())).unwrap().1.is_empty());
+        assert!(open(&config(place.path())).unwrap().1.is_empty());
     }
 
     #[tokio::test]
     async fn a_torn_or_changed_file_is_left_out_and_removed_and_the_others_are_read() {
         let place = tempfile::tempdir().unwrap();
-        let (outbox, _) = Outbox::open(&config(place.path())).unwrap();
+        let (outbox, _) = open(&config(place.path())).unwrap();
         for index in 1..=3 {
             outbox.keep(&task(index, b"tile").await);
         }
@@ -498,14 +569,14 @@ pub(crate) mod tests {
         let file = |index: u32| folder.join(format!("3-1.0-render-{index}.9.done"));
         let whole = fs::read(file(1)).unwrap();
         for end in 0..whole.len() {
-            assert!(decode(&whole[..end].to_vec().into()).is_none(), "cut at {end}");
+            assert!(decode(&whole[..end].to_vec().into(), crate::engine()).is_none(), "cut at {end}");
         }
         let mut changed = whole.clone();
         changed[whole.len() - 1] ^= 1;
         fs::write(file(1), changed).unwrap();
         fs::write(file(3), &whole[..whole.len() / 2]).unwrap();
         fs::write(folder.join("half.new"), b"half").unwrap();
-        let (_, restored) = Outbox::open(&config(place.path())).unwrap();
+        let (_, restored) = open(&config(place.path())).unwrap();
         assert_eq!(indices(&restored), [(2, &b"tile"[..])]);
         assert!(!file(1).exists() && !file(3).exists() && file(2).exists() && !folder.join("half.new").exists());
     }
@@ -514,18 +585,18 @@ pub(crate) mod tests {
     async fn a_folder_serves_one_worker_and_holds_no_more_than_its_limit() {
         let place = tempfile::tempdir().unwrap();
         let small = OutboxConfig { limit: 1000, ..config(place.path()) };
-        let (outbox, _) = Outbox::open(&small).unwrap();
-        let taken = Outbox::open(&small).unwrap_err();
+        let (outbox, _) = open(&small).unwrap();
+        let taken = open(&small).unwrap_err();
         assert!(taken.to_string().contains("another worker"), "{taken}");
         let next = OutboxConfig { if_taken: IfTaken::NextFree, ..small.clone() };
-        let (second, _) = Outbox::open(&next).unwrap();
+        let (second, _) = open(&next).unwrap();
         assert!(place.path().join("box-2").is_dir());
         static LARGE: [u8; 600] = [7; 600];
         outbox.keep(&task(1, &LARGE).await);
         outbox.keep(&task(2, &LARGE).await);
         outbox.close();
         second.close();
-        let (_, restored) = Outbox::open(&small).unwrap();
+        let (_, restored) = open(&small).unwrap();
         assert_eq!(indices(&restored), [(1, &LARGE[..])]);
     }
 
@@ -539,7 +610,7 @@ pub(crate) mod tests {
     #[tokio::test]
     async fn what_cannot_be_written_to_its_end_leaves_nothing_behind() {
         let place = tempfile::tempdir().unwrap();
-        let (outbox, _) = Outbox::open(&config(place.path())).unwrap();
+        let (outbox, _) = open(&config(place.path())).unwrap();
         // Nothing can be put at the first result's place, as on a disk that is full when the file is to be renamed.
         let taken = "3-1.0-render-1.9.done";
         fs::create_dir(place.path().join("box").join(taken)).unwrap();
@@ -547,7 +618,7 @@ pub(crate) mod tests {
         outbox.keep(&task(2, b"second").await);
         outbox.close();
         assert_eq!(files(place.path()), [taken, "3-1.0-render-2.9.done", "lock"]);
-        let (_, restored) = Outbox::open(&config(place.path())).unwrap();
+        let (_, restored) = open(&config(place.path())).unwrap();
         assert_eq!(indices(&restored), [(2, &b"second"[..])], "what cannot be read stops nobody");
     }
 
@@ -556,9 +627,9 @@ pub(crate) mod tests {
         let place = tempfile::tempdir().unwrap();
         let first = task(1, b"first").await;
         let Some(Ok(product)) = first.outcome() else { panic!("it is done") };
-        let size = encode(&first, product).unwrap().len() as u64;
+        let size = encode(&first, product, crate::engine()).unwrap().len() as u64;
         let config = OutboxConfig { limit: 2 * size, ..config(place.path()) };
-        let (outbox, _) = Outbox::open(&config).unwrap();
+        let (outbox, _) = open(&config).unwrap();
         for index in 1..=3 {
             outbox.keep(&task(index, b"first").await);
         }
@@ -571,7 +642,8 @@ pub(crate) mod tests {
         let place = tempfile::tempdir().unwrap();
         let lock = File::create(place.path().join("lock")).unwrap();
         let folder = place.path().to_owned();
-        let mut clerk = Clerk { folder, limit: 1 << 20, used: 0, files: Files::new(), _lock: lock };
+        let mut clerk =
+            Clerk { folder, engine: crate::engine().into(), limit: 1 << 20, used: 0, files: Files::new(), _lock: lock };
         let tasks = [task(1, b"first").await, task(2, b"second").await];
         assert!(tasks.iter().all(|task| clerk.keep(task)));
         let sizes = tasks.each_ref().map(|task| fs::metadata(clerk.path(&task.key())).unwrap().len());
@@ -593,8 +665,8 @@ pub(crate) mod tests {
     #[tokio::test]
     async fn who_is_answered_leaves_the_line_and_the_line_ends() {
         let place = tempfile::tempdir().unwrap();
-        let (outbox, _) = Outbox::open(&config(place.path())).unwrap();
-        let desk = outbox.0.clone().unwrap();
+        let (outbox, _) = open(&config(place.path())).unwrap();
+        let Outbox::Folder(desk) = outbox.clone() else { panic!("a folder") };
         let tasks = [task(1, b"first").await, task(2, b"second").await];
         // The disk takes its time: the clerk has the first, and waits.
         let mut line = Line::default();
@@ -620,10 +692,10 @@ pub(crate) mod tests {
     #[tokio::test]
     async fn an_answer_that_comes_while_a_result_is_handed_over_leaves_no_file() {
         let place = tempfile::tempdir().unwrap();
-        let (outbox, _) = Outbox::open(&config(place.path())).unwrap();
+        let (outbox, _) = open(&config(place.path())).unwrap();
         let (table, first) = (Arc::new(Table::default()), task(1, b"first").await);
         table.keep(first.clone());
-        let desk = outbox.0.clone().unwrap();
+        let Outbox::Folder(desk) = outbox.clone() else { panic!("a folder") };
         let answering = {
             // The answer comes as far as the outbox's line, and no further.
             let _line = desk.line();

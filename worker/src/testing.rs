@@ -7,7 +7,7 @@ use crate::{outbox, parcel};
 
 /// Whether bytes are a result as the outbox keeps them.
 pub fn is_kept_result(bytes: &[u8]) -> bool {
-    outbox::decode(&Bytes::copy_from_slice(bytes)).is_some()
+    outbox::decode(&Bytes::copy_from_slice(bytes), crate::engine()).is_some()
 }
 
 /// Whether these pieces are those of the manifest, and hold its files.

@@ -68,9 +68,7 @@ impl Worker {
         let (told, mut finished) = mpsc::unbounded_channel();
         let (outbox, mut restored) = match config.outbox.clone() {
             None => (Outbox::default(), Vec::new()),
-            Some(outbox) => tokio::task::spawn_blocking(move || Outbox::open(&outbox))
-                .await
-                .map_err(|error| WorkerError::Threads(error.to_string()))??,
+            Some(place) => Outbox::open(place, &config.engine).await?,
         };
         config.journal.open(outbox.folder(), config.instance);
         let meter = match config.hands {

@@ -1,6 +1,6 @@
 //! Where a worker keeps results that are not acknowledged.
 
-use femc_worker::{IfTaken, OutboxConfig};
+use femc_worker::{IfTaken, OutboxConfig, OutboxPlace};
 use std::path::PathBuf;
 
 /// Most bytes of results on disk.
@@ -26,13 +26,13 @@ pub fn parse(text: &str) -> Result<Outbox, String> {
 
 /// The outbox as asked for, or one for this coordinator and name under the user's state folder; `None` where there is no
 /// such folder.
-pub fn config(asked: Option<Outbox>, join: &str, name: &str) -> Option<OutboxConfig> {
+pub fn config(asked: Option<Outbox>, join: &str, name: &str) -> Option<OutboxPlace> {
     let (folder, if_taken) = match asked {
         Some(Outbox::Memory) => return None,
         Some(Outbox::Folder(folder)) => (folder, IfTaken::Fail),
         None => (state()?.join("femc").join("outbox").join(plain(join, name)), IfTaken::NextFree),
     };
-    Some(OutboxConfig { folder, limit: LIMIT, if_taken })
+    Some(OutboxPlace::Folder(OutboxConfig { folder, limit: LIMIT, if_taken }))
 }
 
 /// A file name for a coordinator and a worker.
@@ -65,6 +65,6 @@ mod tests {
         assert_eq!(parse("memory"), Ok(Outbox::Memory));
         assert_eq!(parse("a/b"), Ok(Outbox::Folder("a/b".into())));
         assert!(parse("").is_err());
-        assert_eq!(config(Some(Outbox::Memory), "http://farm:1", "w"), None);
+        assert!(config(Some(Outbox::Memory), "http://farm:1", "w").is_none());
     }
 }

@@ -81,7 +81,10 @@ impl Soak {
         shared.lock().chronicle.keep_ended = config.keep_ended;
         let mut sim = hosts::settle(self.seed, [TICK, self.time + LAST], &shared, &shelf, &config);
         for number in 0..people::PERSONS {
-            sim.client(people::name(number), people::person(*self, number, shared.clone(), book.clone()));
+            sim.client(
+                people::name(number),
+                people::person(*self, number, shared.clone(), shelf.clone(), book.clone()),
+            );
         }
         sim.client("operator", people::operator(*self, shared.clone()));
         let (mut weather, mut storms, mut gauges) = (Weather::default(), 0, Vec::new());

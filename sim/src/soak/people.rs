@@ -12,6 +12,7 @@ use super::book::Book;
 use crate::faults::Hardship;
 use crate::people::{Curse, Errand, Manner, Person, Whim, answer, drain_a_while, open_all, some};
 use crate::shared::Shared;
+use crate::shelf::Shelf;
 use crate::stage;
 
 /// People with jobs.
@@ -32,14 +33,14 @@ fn now() -> Duration {
 }
 
 /// One job after the other, until the time is over.
-pub(super) async fn person(soak: Soak, number: u64, shared: Shared, book: Book) -> turmoil::Result {
+pub(super) async fn person(soak: Soak, number: u64, shared: Shared, shelf: Shelf, book: Book) -> turmoil::Result {
     let name = name(number);
     let mut rng = SmallRng::seed_from_u64(soak.draw(&name));
     let mut jobs = 0;
     while now() < soak.time {
         jobs += 1;
         let errand = errand(&mut rng, &name, jobs)?;
-        let job: JobId = Person { shared: &shared, rng: &mut rng, manner: MANNER }.runs(&errand).await?;
+        let job: JobId = Person { shared: &shared, shelf: &shelf, rng: &mut rng, manner: MANNER }.runs(&errand).await?;
         book.ended(job, now());
         shared.lock().ends = crate::hosts::ends();
     }

@@ -47,12 +47,13 @@ impl Shared {
 
     fn heard(&self, asked: Asked, wrong: impl FnOnce(&mut crate::shared::State) -> Option<Violation>) {
         let mut state = self.lock();
-        if state.disk.logs == asked.log && !state.disk.has_ghosts() {
-            if let Some(wrong) = wrong(&mut state) {
-                let now = turmoil::sim_elapsed().unwrap_or_default();
-                state.note(now, &format!("WRONG: {wrong}"));
-                state.wrong.push(wrong);
-            }
+        if state.disk.logs == asked.log
+            && !state.disk.has_ghosts()
+            && let Some(wrong) = wrong(&mut state)
+        {
+            let now = turmoil::sim_elapsed().unwrap_or_default();
+            state.note(now, &format!("WRONG: {wrong}"));
+            state.wrong.push(wrong);
         }
     }
 

@@ -67,7 +67,7 @@ impl Shares {
                 | Fault::UploadTorn(..) => {}
                 Fault::Slow(most, _) => self.way = self.way.max(Self::WAY + most),
                 Fault::CoordinatorDies(pause) | Fault::CoordinatorCut(pause) | Fault::CoordinatorFreezes(pause) => {
-                    self.breaks(pause)
+                    self.breaks(pause);
                 }
                 Fault::DiesBeforeWrite(_)
                 | Fault::DiesAfterWrite(_)

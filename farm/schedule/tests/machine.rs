@@ -71,6 +71,9 @@ fn step() -> impl Strategy<Value = Step> {
 
 const OWNERS: [&str; 3] = ["ann", "bob", "eve"];
 
+/// Jobs of one tile need a worker that has it.
+const TAG: &str = "near";
+
 /// The farm, and what must hold of it.
 struct Machine {
     group: u32,
@@ -83,6 +86,8 @@ struct Machine {
     keys: BTreeMap<u8, JobId>,
     /// Jobs that a person has ended.
     cancelled: BTreeSet<JobId>,
+    /// Jobs that a person has stopped.
+    paused: BTreeSet<JobId>,
     /// How often tasks that are put aside were tried.
     tries: BTreeMap<TaskKey, u32>,
     /// Leases that are over, as a slow worker remembers them.
@@ -140,6 +145,7 @@ impl Machine {
             jobs: vec![],
             keys: BTreeMap::new(),
             cancelled: BTreeSet::new(),
+            paused: BTreeSet::new(),
             tries: BTreeMap::new(),
             over: vec![],
             live: BTreeSet::new(),
@@ -156,8 +162,10 @@ impl Machine {
     fn see(&mut self, commands: Vec<Command>) {
         for command in commands {
             match command {
-                Command::Assign { assignment, .. } => {
+                Command::Assign { worker, assignment } => {
                     let Assignment { task, epoch, .. } = assignment;
+                    assert!(!self.paused.contains(&task.job), "{task} is leased, and its job stands still");
+                    assert!(self.is_fit_for(worker, task.job), "{task} is leased to a worker without its tags");
                     assert!(epoch > self.last_epoch, "epochs grow");
                     self.last_epoch = epoch;
                     assert!(!self.done.contains(&task), "{task} is done and leased again");
@@ -204,11 +212,14 @@ impl Machine {
                 }
                 Command::Record(Fact::Controlled { job, control }) => match control {
                     Control::Cancel => drop(self.cancelled.insert(job)),
+                    Control::Pause => drop(self.paused.insert(job)),
+                    Control::Resume => drop(self.paused.remove(&job)),
                     Control::Retry => {
                         self.cancelled.remove(&job);
+                        self.paused.remove(&job);
                         self.tries.retain(|task, _| task.job != job);
                     }
-                    Control::Pause | Control::Resume | Control::Priority(_) => {}
+                    Control::Priority(_) => {}
                 },
                 Command::Discard(digests) => {
                     let gone = self.farm.scheduler.unreferenced(digests);
@@ -224,6 +235,13 @@ impl Machine {
                 _ => {}
             }
         }
+    }
+
+    /// Whether a worker has all that a job asks for.
+    fn is_fit_for(&self, worker: WorkerId, job: JobId) -> bool {
+        let (spec, workers) = (self.farm.scheduler.spec(job).unwrap(), self.farm.scheduler.workers(self.farm.now));
+        let tags = workers.into_iter().find(|known| known.worker == worker).map(|known| known.tags).unwrap_or_default();
+        spec.tags.iter().all(|tag| tags.contains(tag))
     }
 
     /// What was rendered for a gathered group is to be rendered again.
@@ -284,7 +302,8 @@ impl Machine {
             Step::Submit { frames, tiles, rounds, owner, key, priority } => {
                 let frames: Vec<u32> = (1..=frames).collect();
                 let owner = OWNERS[owner].to_owned();
-                let spec = Box::new(JobSpec { owner, priority, ..job(&frames, tiles, &[3, 8, 16][..rounds]) });
+                let tags = if tiles == 1 { vec![TAG.to_owned()] } else { vec![] };
+                let spec = Box::new(JobSpec { owner, priority, tags, ..job(&frames, tiles, &[3, 8, 16][..rounds]) });
                 let name = key.map(|key| key.to_string());
                 let commands = self.farm.on(Event::Submitted { request: RequestId(0), key: name, spec });
                 let known = key.and_then(|key| self.keys.get(&key).copied());
@@ -317,9 +336,11 @@ impl Machine {
             }
             Step::Upgrade => self.farm.engine = if self.farm.engine == "e" { "f" } else { "e" },
             Step::Join => {
+                self.counts_what_is_ready();
                 self.workers.insert(self.next_worker);
                 self.builds.insert(self.next_worker, self.farm.engine);
-                let commands = self.farm.join(self.next_worker);
+                let tags = if self.next_worker.is_multiple_of(2) { vec![TAG.to_owned()] } else { vec![] };
+                let commands = self.farm.join_with(self.next_worker, tags);
                 self.next_worker += 1;
                 self.see(commands);
             }
@@ -497,6 +518,7 @@ impl Machine {
         self.explains_every_end();
         self.charges_what_was_held();
         self.counts_what_was_done();
+        self.figures_add_up();
         let known: BTreeSet<_> = self.farm.held.iter().map(|(_, h)| (h.task, h.epoch)).collect();
         assert_eq!(known, self.live);
         assert!(self.live.iter().all(|(task, _)| !self.done.contains(task)), "what is done is no longer leased");
@@ -559,6 +581,87 @@ impl Machine {
                 let sum: f64 = seconds.sum();
                 assert!((record.busy_seconds - sum).abs() < 1e-6, "{record:?}: {sum} s");
             }
+        }
+    }
+
+    /// The farm in numbers is the sum of what it says of each job and worker, and of what was seen.
+    fn figures_add_up(&self) {
+        let (scheduler, now) = (&self.farm.scheduler, self.farm.now);
+        let (figures, jobs, workers) = (scheduler.figures(now), scheduler.jobs(now), scheduler.workers(now));
+        for (state, count) in figures.jobs {
+            assert_eq!(count, jobs.iter().filter(|job| job.state == state).count() as u64, "{state:?} jobs");
+        }
+        for (kind, count) in figures.leased {
+            let leased = self.live.iter().filter(|(task, _)| task.stage.kind == kind).count();
+            assert_eq!(count, leased as u64, "leases of {kind:?}");
+        }
+        assert_eq!(figures.quarantined, jobs.iter().map(|job| job.quarantined.len() as u64).sum());
+        assert_eq!(figures.threads, workers.iter().map(|worker| u64::from(worker.threads)).sum());
+        assert_eq!(figures.used, scheduler.used().map(|(_, used)| used.held).sum());
+        assert_eq!(figures.stale_messages, scheduler.stale_messages());
+        let stale: u64 = jobs.iter().map(|job| job.stale_messages).sum();
+        assert!(stale == figures.stale_messages || scheduler.config().keep_ended.is_some(), "{stale} stale messages");
+
+        let standing = |sought| figures.workers.iter().find(|(standing, _)| *standing == sought).unwrap().1;
+        let count = |is: &dyn Fn(&WorkerStatus) -> bool| workers.iter().filter(|worker| is(worker)).count() as u64;
+        assert_eq!(figures.workers.iter().map(|(_, count)| count).sum::<u64>(), workers.len() as u64);
+        assert_eq!(standing(WorkerStanding::Drained), count(&|worker| worker.intake == Intake::Drained));
+        assert_eq!(standing(WorkerStanding::Off), count(&|worker| worker.intake == Intake::Off));
+        let is_open = |worker: &WorkerStatus| worker.intake == Intake::Open;
+        let [idle, busy] = [standing(WorkerStanding::Idle), standing(WorkerStanding::Busy)];
+        assert!(idle <= count(&|worker| is_open(worker) && worker.tasks.is_empty()), "{idle} idle: {workers:?}");
+        assert!(busy <= count(&|worker| is_open(worker) && !worker.tasks.is_empty()), "{busy} busy: {workers:?}");
+
+        let is_whole = |job: &JobStatus| job.quarantined.is_empty() && self.live.iter().all(|(task, _)| task.job != job.job);
+        if jobs.iter().all(is_whole) {
+            let left = |job: &JobStatus| {
+                let frames = scheduler.frames(job.job).unwrap();
+                let spec = scheduler.spec(job.job).unwrap();
+                let is_open = |frame: &u32| !frames.iter().any(|record| record.frame == *frame);
+                let open = spec.frames.iter().filter(|frame| is_open(frame)).count() as u64;
+                let units = self.rendered.iter().filter(|(of, stage, ..)| *of == job.job && is_open(&stage.frame));
+                open * spec.grid.pixels() * u64::from(*spec.rounds.last().unwrap()) - 64 * units.count() as u64
+            };
+            let run = jobs.iter().filter(|job| matches!(job.state, JobState::Queued | JobState::Running));
+            assert_eq!(figures.samples_left, run.map(left).sum::<u64>(), "{jobs:?}");
+        }
+    }
+
+    /// What is said to be ready is what new workers get: of each build one after the other, until they get nothing.
+    fn counts_what_is_ready(&self) {
+        let ready = self.farm.scheduler.figures(self.farm.now).ready;
+        let (mut scheduler, mut given) = (self.farm.scheduler.clone(), BTreeMap::<StageKind, u64>::new());
+        let (mut number, mut idle) = (0, 0);
+        while idle < 2 {
+            number += 1;
+            let engine = ["e", "f"][number as usize % 2];
+            let worker = WorkerId(1_000_000 + number);
+            let registration = Registration {
+                name: format!("new {number}"),
+                instance: worker.0,
+                engine: engine.into(),
+                tags: vec![TAG.to_owned()],
+                ..common::registration()
+            };
+            let commands = scheduler.on(Event::Joined { worker, registration }, self.farm.now);
+            idle = if scheduler.leases(worker, self.farm.now).is_empty() { idle + 1 } else { 0 };
+            for command in commands {
+                if let Command::Assign { assignment: held, .. } = command
+                    && held.copy_of.is_none()
+                {
+                    *given.entry(held.task.stage.kind).or_default() += 1;
+                }
+            }
+        }
+        let is_cut = self.farm.scheduler.config().grain.get() < 1 << 15;
+        for (kind, ready) in ready {
+            let given = given.get(&kind).copied().unwrap_or(0);
+            let is_right = if kind == StageKind::Render && is_cut {
+                given <= ready && (given > 0) == (ready > 0)
+            } else {
+                given == ready
+            };
+            assert!(is_right, "{ready} tasks of {kind:?} are ready, and {given} are given out");
         }
     }
 

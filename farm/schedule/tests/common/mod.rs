@@ -181,7 +181,11 @@ impl Farm {
     }
 
     pub fn join(&mut self, worker: u64) -> Vec<Command> {
-        self.join_as(worker, Registration { instance: worker, engine: self.engine.into(), ..registration() })
+        self.join_with(worker, vec![])
+    }
+
+    pub fn join_with(&mut self, worker: u64, tags: Vec<String>) -> Vec<Command> {
+        self.join_as(worker, Registration { instance: worker, engine: self.engine.into(), tags, ..registration() })
     }
 
     pub fn join_as(&mut self, worker: u64, registration: Registration) -> Vec<Command> {

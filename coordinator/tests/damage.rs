@@ -105,11 +105,16 @@ impl Hand {
     /// Whether the report counts.
     async fn report(&mut self, held: &Assignment, result: TaskResult) -> bool {
         let (task, epoch) = (held.task, held.epoch);
-        self.out.send(FromWorker::Completed { task, epoch, result, log: None, usage: None }).await;
+        self.says(epoch, FromWorker::Completed { task, epoch, result, log: None, usage: None }).await
+    }
+
+    /// Whether what it says of a lease is accepted.
+    async fn says(&mut self, epoch: Epoch, word: FromWorker) -> bool {
+        self.out.send(word).await;
         loop {
             match self.incoming.next().await.unwrap().expect("the session goes on") {
                 ToWorker::Accepted { epoch: of, .. } if of == epoch => return true,
-                ToWorker::Refused { epoch: of, .. } if of == epoch => return false,
+                ToWorker::Refused { epoch: of, .. } | ToWorker::Revoke { epoch: of, .. } if of == epoch => return false,
                 ToWorker::Assign(assignment) => self.waiting.push_back(assignment),
                 _ => {}
             }
@@ -146,6 +151,44 @@ impl Hand {
             }),
         }
     }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_report_is_answered_and_its_log_is_kept() {
+    let (_folder, farm, client) = farm().await;
+    let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
+    let id = client.submit(None, JobSpec { frames: vec![1, 2, 3], ..spec(bundle.digest) }).await.unwrap();
+    let stored = client.put(Bytes::from_static(b"a long log")).await.unwrap();
+    let mut told = Vec::new();
+    for case in 0..3 {
+        // A worker whose surroundings have failed rests: each is another one.
+        let mut hand = Hand::join(&farm.url()).await;
+        let held = hand.assigned().await;
+        let (task, epoch) = (held.task, held.epoch);
+        let (result, nobody_has) = (hand.result(&held).await, Artefact::of(b"it was never sent"));
+        let tile = TileResult { tile: nobody_has, samples: 16 * 64, bad_samples: 0, seconds: 0.1 };
+        let failure = Failure::Panicked { message: "oops".into() };
+        let log = |attempt, text| Some(TaskLog { attempt, seconds: 0.25, text });
+        let [inline, stored] = [LogText::Inline(format!("log {case}")), LogText::Stored(stored)];
+        let (word, counts) = match case {
+            0 => {
+                let log = log(Attempt::Done, inline);
+                (FromWorker::Completed { task, epoch, result, log, usage: None }, true)
+            }
+            1 => {
+                let (result, log) = (TaskResult::Tile(tile), log(Attempt::Done, inline));
+                (FromWorker::Completed { task, epoch, result, log, usage: None }, false)
+            }
+            _ => (FromWorker::Failed { task, epoch, failure, log: log(Attempt::Failed, stored), usage: None }, true),
+        };
+        let (FromWorker::Completed { log, .. } | FromWorker::Failed { log, .. }) = &word else { unreachable!() };
+        told.push((epoch, log.clone().unwrap()));
+        assert_eq!(hand.says(epoch, word).await, counts, "report {case}");
+    }
+    let mut kept = client.logs(id, Tick(0)).await.unwrap();
+    kept.sort_by_key(|record| record.epoch);
+    assert_eq!(kept.into_iter().map(|record| (record.epoch, record.log)).collect::<Vec<_>>(), told);
+    farm.stop().await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -94,7 +94,11 @@ fn check_out(root: &Path, home: &Path, at: Option<&str>) -> anyhow::Result<PathB
     };
     let commit = match at {
         Some(commit) => commit.to_owned(),
-        None => Some(git(&["stash", "create"])?).filter(|made| !made.is_empty()).unwrap_or_else(|| "HEAD".into()),
+        // The checkout's, not the worktree's own.
+        None => match git(&["stash", "create"])? {
+            unchanged if unchanged.is_empty() => git(&["rev-parse", "HEAD"])?,
+            changed => changed,
+        },
     };
     let tree = home.join("tree");
     fs::create_dir_all(home)?;

@@ -114,7 +114,10 @@ impl Hand {
         loop {
             match self.incoming.next().await.unwrap().expect("the session goes on") {
                 ToWorker::Accepted { epoch: of, .. } if of == epoch => return true,
-                ToWorker::Refused { epoch: of, .. } | ToWorker::Revoke { epoch: of, .. } if of == epoch => return false,
+                ToWorker::Revoke { epoch: of, reason: RevokeReason::Expired, .. } if of == epoch => panic!("no answer"),
+                ToWorker::Refused { epoch: of, .. } | ToWorker::Revoke { epoch: of, .. } if of == epoch => {
+                    return false;
+                }
                 ToWorker::Assign(assignment) => self.waiting.push_back(assignment),
                 _ => {}
             }

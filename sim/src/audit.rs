@@ -350,6 +350,12 @@ pub enum Violation {
         /// What the person was told.
         message: String,
     },
+    /// A snapshot was made of a log that was short.
+    #[error("a snapshot was made of {records} records")]
+    Snapshot {
+        /// Beside the snapshot before.
+        records: usize,
+    },
     /// A coordinator came to its end because its log's disk was full.
     #[error("a full disk ended a coordinator: {message}")]
     Ended {

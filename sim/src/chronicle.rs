@@ -290,7 +290,10 @@ impl Chronicle {
                         record.finished.insert(frame, busy);
                         record.troubles.retain(|task, _| task.stage.frame != frame);
                         let finished = record.finished.len() as u32;
-                        record.stands(place, Standing { finished, ..record.now() });
+                        // What was paused and is done all the same is not held any longer.
+                        let is_done = record.finished.len() == record.spec.frames.len();
+                        let hold = if is_done { Hold::Free } else { record.now().hold };
+                        record.stands(place, Standing { finished, hold, ..record.now() });
                         record.note_end(tick);
                     }
                 }

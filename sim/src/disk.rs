@@ -92,6 +92,9 @@ impl State {
     }
 }
 
+/// Records of the log after which a coordinator makes a snapshot.
+pub(crate) const SNAPSHOT: usize = 25;
+
 /// The log, in the hands of one coordinator.
 #[derive(Debug)]
 pub(crate) struct Log {
@@ -242,6 +245,10 @@ impl Queue for Log {
     async fn snapshot(&mut self, state: &[u8]) -> Result<(), QueueError> {
         let fresh = Contents { snapshot: Some(state.to_vec()), ..Contents::default() };
         self.write(|state| {
+            let records = state.disk.contents.records.len();
+            if records < SNAPSHOT {
+                state.wrong.push(Violation::Snapshot { records });
+            }
             state.disk.contents = fresh;
             state.disk.snapshots += 1;
             Written::Whole

@@ -14,7 +14,7 @@ use rand::RngExt as _;
 use turmoil::Sim;
 
 use crate::audit::Violation;
-use crate::disk::Log;
+use crate::disk::{Log, SNAPSHOT};
 use crate::faults::{COORDINATORS, Hardship, WORKERS};
 use crate::network::{SWITCH, dial, listen, url};
 use crate::people::Curse;
@@ -117,7 +117,8 @@ async fn coordinator(host: usize, shared: Shared, store: Store, scheduler: femc_
         let started = tokio::time::Instant::now();
         let clock = shared.clone();
         let time = move || clock.lock().clocks[host].shows(started.elapsed());
-        let config = Config { scheduler: scheduler.clone(), snapshot: 25, time: Time::by(time), ..Config::default() };
+        let config =
+            Config { scheduler: scheduler.clone(), snapshot: SNAPSHOT, time: Time::by(time), ..Config::default() };
         shared.note(|| format!("c{host} leads"));
         let failed = async {
             match Coordinator::on(listen(&shared, &coordinator_name(host)).await, config, store.clone(), log).await {

@@ -153,6 +153,10 @@ async fn keeps_notes<Q: Queue>(open: impl AsyncFn() -> Q) {
     let mut queue = open().await;
     assert_eq!(queue.load().await.unwrap().records, Vec::<Vec<u8>>::new(), "notes are no records");
     assert_eq!(notes(&mut queue, 2).await, [9]);
+
+    let long: Vec<Note> = (0..40).map(|byte| Note { bytes: vec![byte; 30_000], ..note(4, 0) }).collect();
+    queue.append(Batch { notes: &long, ..Batch::default() }).await.unwrap();
+    assert_eq!(notes(&mut queue, 4).await, (0..40).collect::<Vec<u8>>(), "in pages of some hundred kilobytes");
 }
 
 #[tokio::test]

@@ -65,9 +65,9 @@ impl Scheduler {
         }
     }
 
-    /// A ready task that the worker can begin at once, where `first`, whose turn it is, needs a frame made ready; `None`: there
-    /// is none, or it is time for `first`.
-    fn at_hand(&self, id: WorkerId, first: &TaskKey, now: Tick) -> Option<TaskKey> {
+    /// A ready task of a frame that the worker has ready, or else of a scene that it has read, where `first`, whose turn it is,
+    /// has neither; `None`: there is none, or it is time for `first`.
+    fn at_hand(&mut self, id: WorkerId, first: &TaskKey, now: Tick) -> Option<TaskKey> {
         let at_hand = &self.floor.workers.get(&id)?.at_hand;
         if first.stage.kind != StageKind::Render
             || at_hand.has(first)
@@ -76,21 +76,28 @@ impl Scheduler {
             return None;
         }
         let priority = self.ledger.jobs.get(&first.job)?.spec.priority;
-        let own = |job: JobId| {
-            let known = self.ledger.jobs.get(&job).filter(|known| known.spec.priority == priority)?;
-            self.may_work(id, job, known, now).then_some((job, known))
-        };
-        let same_frame = || {
-            at_hand.frames.iter().rev().find_map(|&(job, frame)| {
-                let (job, known) = own(job)?;
-                self.ready_render(id, job, known, Some(frame))
-            })
-        };
-        let same_scene = || {
-            let jobs = at_hand.frames.iter().rev().filter(|_| !at_hand.has_job(first.job));
-            jobs.filter_map(|&(job, _)| own(job)).find_map(|(job, known)| self.ready_render(id, job, known, None))
-        };
-        same_frame().or_else(same_scene)
+        let is_scene_at_hand = at_hand.has_job(first.job);
+        let mut own: Vec<(JobId, u32)> = at_hand.frames.iter().rev().copied().collect();
+        own.retain(|&(job, _)| {
+            let known = self.ledger.jobs.get(&job).filter(|known| known.spec.priority == priority);
+            known.is_some_and(|known| self.may_work(id, job, known, now))
+        });
+        let same_frame = own.iter().find_map(|&(job, frame)| self.ready_render(id, job, Some(frame)));
+        if same_frame.is_some() || is_scene_at_hand {
+            return same_frame;
+        }
+        own.into_iter().find_map(|(job, _)| self.same_scene(id, job))
+    }
+
+    /// A ready task of a job of which the worker has the scene; opens a frame for it, if there may be one more.
+    fn same_scene(&mut self, id: WorkerId, job: JobId) -> Option<TaskKey> {
+        loop {
+            let task = self.ready_render(id, job, None);
+            let (known, desk) = (self.ledger.jobs.get(&job)?, self.desks.get_mut(&job)?);
+            if task.is_some() || !desk.may_open(&self.floor) || !desk.open_next(known) {
+                return task;
+            }
+        }
     }
 
     fn may_work(&self, id: WorkerId, job: JobId, known: &Job, now: Tick) -> bool {
@@ -101,8 +108,8 @@ impl Scheduler {
     }
 
     /// The first ready task that renders something of one frame of the job, or of any, and that the worker may take.
-    fn ready_render(&self, id: WorkerId, job: JobId, known: &Job, frame: Option<u32>) -> Option<TaskKey> {
-        let desk = self.desks.get(&job)?;
+    fn ready_render(&self, id: WorkerId, job: JobId, frame: Option<u32>) -> Option<TaskKey> {
+        let (known, desk) = (self.ledger.jobs.get(&job)?, self.desks.get(&job)?);
         let may_take = |task: &TaskKey| {
             !is_avoided(task, known, desk, id, &self.floor)
                 && !is_foreign(&self.ledger, &self.floor, job, task.stage.frame, id)

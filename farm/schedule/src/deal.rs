@@ -61,8 +61,7 @@ impl Scheduler {
                     Pick::NotForThisWorker => best = Pick::NotForThisWorker,
                     Pick::NothingReady => {}
                 }
-                // Each worker may be ahead by a frame, no more.
-                if desk.open.len() > self.floor.workers.len() || !desk.open_next(job) {
+                if !desk.may_open(&self.floor) || !desk.open_next(job) {
                     break;
                 }
             }

@@ -76,6 +76,11 @@ impl Desk {
         }
     }
 
+    /// Whether there may be another open frame: each worker may be ahead by one, no more.
+    pub(crate) fn may_open(&self, floor: &Floor) -> bool {
+        self.open.len() <= floor.workers.len()
+    }
+
     /// Opens the next frame that nobody has begun; `false` where there is none.
     pub(crate) fn open_next(&mut self, job: &Job) -> bool {
         while let Some(&frame) = job.spec.frames.get(self.cursor) {

@@ -51,6 +51,51 @@ fn a_worker_stays_for_half_a_minute_with_the_frames_that_it_has_ready_and_owners
 }
 
 #[test]
+fn a_worker_whose_frame_is_done_goes_on_with_a_scene_that_it_has_read() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..Config::default() });
+    for owner in ["ann", "bob", "cyd"] {
+        farm.submit(JobSpec { owner: owner.into(), ..job(&(1..=200).collect::<Vec<_>>(), 1, &[4]) });
+    }
+    farm.join(1);
+    let mut scenes = Vec::new();
+    while scenes.len() < 120 {
+        let held = farm.first_of(1);
+        if held.task.stage.kind == StageKind::Render {
+            scenes.push((held.task.job.0, 0));
+        }
+        farm.wait(500);
+        farm.complete(1, &held, Done);
+    }
+    // In turn it would be 120.
+    assert!(preparations(&scenes) <= 40, "{} of {scenes:?}", preparations(&scenes));
+}
+
+#[test]
+fn a_scene_whose_job_stands_still_or_that_has_failed_here_is_not_at_hand() {
+    for is_paused in [true, false] {
+        let mut farm = farm();
+        let first = farm.submit(JobSpec { owner: "ann".into(), ..job(&[1], 12, &[4]) });
+        farm.join(1);
+        farm.join(2);
+        assert_eq!(step(&mut farm), (1, 1));
+        farm.submit(JobSpec { owner: "bob".into(), ..job(&[1], 9, &[4]) });
+        match is_paused {
+            true => {
+                farm.control(first, Control::Pause);
+                assert_eq!(step(&mut farm), (1, 1), "what it has it may end");
+            }
+            false => (0..3).for_each(|_| {
+                let held = farm.first_of(1);
+                if held.task.job == first {
+                    farm.fail(1, &held, common::panic());
+                }
+            }),
+        }
+        assert_eq!((0..4).map(|_| step(&mut farm).0).collect::<Vec<_>>(), [2; 4], "paused: {is_paused}");
+    }
+}
+
+#[test]
 fn two_frames_that_are_both_ready_are_served_in_turn() {
     let mut farm = farm();
     for owner in ["ann", "bob"] {

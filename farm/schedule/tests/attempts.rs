@@ -83,6 +83,22 @@ fn every_end_of_a_lease_under_which_work_was_begun_is_an_attempt() {
 }
 
 #[test]
+fn what_is_told_after_the_end_of_a_lease_ends_then_and_began_as_long_before_as_it_took() {
+    for (wall, wait) in [(1.0, 0.0), (2.5, 0.25), (0.125, 7.0), (1e9, 1.0)] {
+        let (mut farm, id, held) = at_work();
+        farm.wait(3_000);
+        farm.control(id, Control::Cancel);
+        farm.wait(20_000);
+        let usage = Usage { wall, wait, ..Usage::default() };
+        let spent = Spent { task: held.task, epoch: held.epoch, usage };
+        let commands = farm.on(Event::Spent { worker: WorkerId(1), spent });
+        let [Command::Note(note)] = &commands[..] else { panic!("{commands:?}") };
+        let took = ((wall + wait) * 1000.0) as u64;
+        assert_eq!((note.granted, note.ended), (Tick(farm.now.0.saturating_sub(took)), farm.now), "{wall} + {wait} s");
+    }
+}
+
+#[test]
 fn a_task_that_only_waited_was_no_attempt() {
     let mut farm = Farm::new();
     farm.submit(job(&[1], 2, &[4]));

@@ -95,6 +95,60 @@ fn nobody_gets_a_copy_while_there_is_other_work_or_before_one_knows_how_long_it_
 }
 
 #[test]
+fn a_task_is_late_after_two_seconds_and_more_than_twice_what_it_was_expected_to_take() {
+    for (expected, not_yet, late) in [(5_000, 10_000, 10_500), (100, 2_000, 2_500)] {
+        let mut farm = Farm::with(Config { prefetch: 0, ..common::config() });
+        farm.submit(job(&[1], 2, &[4]));
+        farm.join(1);
+        let held = farm.first_of(1);
+        wait(&mut farm, expected);
+        farm.complete_with(1, &held, result_in(&held, Done, expected as f64 / 1000.0));
+        farm.join(2);
+        let granted = farm.now;
+        wait(&mut farm, not_yet);
+        assert_eq!(farm.tasks_of(2), [], "{expected} ms were expected, {} went by", farm.now.since(granted));
+        wait(&mut farm, late - not_yet);
+        assert_eq!(farm.tasks_of(2).len(), 1, "{expected} ms were expected, {} went by", farm.now.since(granted));
+    }
+}
+
+#[test]
+fn a_group_that_takes_too_long_to_gather_is_gathered_twice() {
+    let mut farm = Farm::with(Config { group: 2, ..common::config() });
+    farm.submit(job(&[1], 4, &[4]));
+    farm.join(1);
+    let is_gathered = |held: &Assignment| held.task.stage.kind == StageKind::Gather;
+    let mut gathered = 0;
+    while gathered == 0 || !is_gathered(&farm.first_of(1)) {
+        let held = farm.first_of(1);
+        gathered += usize::from(is_gathered(&held));
+        wait(&mut farm, 500);
+        farm.complete(1, &held, Done);
+    }
+    farm.join(2);
+    let late = farm.first_of(1);
+    wait(&mut farm, 5_000);
+    assert_eq!(farm.first_of(2).copy_of, Some(late.epoch), "{:?}", farm.held);
+}
+
+#[test]
+fn nobody_gets_a_copy_while_workers_come_back_to_a_coordinator_that_has_begun_anew() {
+    let mut farm = Farm::with(Config { regroup: 60_000, ..common::config() });
+    farm.submit(job(&[1], 2, &[4]));
+    farm.join(1);
+    let held = farm.held.iter().map(|(_, held)| held.clone()).collect::<Vec<_>>();
+    farm.restart();
+    farm.rejoin(2, &held);
+    wait(&mut farm, 1_000);
+    farm.complete(2, &held[0], Done);
+    farm.join(3);
+    wait(&mut farm, 10_000);
+    assert_eq!(farm.tasks_of(3), [], "others may still come back");
+    wait(&mut farm, 60_000);
+    assert!(!farm.tasks_of(3).is_empty());
+}
+
+#[test]
 fn a_failure_of_one_of_two_is_no_attempt_and_the_other_goes_on() {
     for the_copy_fails in [false, true] {
         let (mut farm, id, late) = at_the_tail();

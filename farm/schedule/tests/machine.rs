@@ -398,7 +398,15 @@ impl Machine {
                 let seconds = milliseconds as f64 / 1000.0;
                 let commands = self.farm.complete_with(worker.0, &held, common::result_in(&held, decision, seconds));
                 assert!(!commands.iter().any(|c| matches!(c, Command::Refuse { .. })), "a live lease is refused");
+                let has_counted = Self::counts(&commands, &held);
                 self.see(commands);
+                if has_counted {
+                    let again = self.farm.complete_with(worker.0, &held, common::result_in(&held, decision, seconds));
+                    let is_heard = |c: &Command| matches!(c, Command::Accept { epoch, .. } if *epoch == held.epoch);
+                    assert!(again.iter().any(is_heard), "what counts is refused the second time: {again:?}");
+                    assert!(!Self::counts(&again, &held), "it counts twice");
+                    self.see(again);
+                }
             }
             Step::Fail(which, kind) => {
                 let Some((worker, held)) = self.held(which) else { return };
@@ -490,6 +498,17 @@ impl Machine {
         }
     }
 
+    /// Whether a lease's result is written down.
+    fn counts(commands: &[Command], held: &Assignment) -> bool {
+        let is_result = |command: &Command| match command {
+            Command::Record(
+                Fact::Rendered { epoch, .. } | Fact::Gathered { epoch, .. } | Fact::Merged { epoch, .. },
+            ) => *epoch == held.epoch,
+            _ => false,
+        };
+        commands.iter().any(is_result)
+    }
+
     /// A new session of a worker, which is of the same build.
     fn comes_back(&mut self, before: WorkerId, leases: &[Assignment]) -> Vec<Command> {
         let (worker, today) = (self.next_worker, self.farm.engine);
@@ -504,6 +523,9 @@ impl Machine {
     }
 
     fn check(&mut self) {
+        // What was paused and is done is not held any longer.
+        let is_done = |job: &JobId| self.farm.scheduler.spec(*job).is_none() || self.farm.state(*job) == JobState::Done;
+        self.paused = self.paused.iter().copied().filter(|job| !is_done(job)).collect();
         // Copies are given out as time goes by.
         self.take(Step::Wait(0));
         assert_eq!(&self.farm.replay(), self.farm.scheduler.ledger(), "a replay gives the same state");
@@ -580,6 +602,8 @@ impl Machine {
                 });
                 let sum: f64 = seconds.sum();
                 assert!((record.busy_seconds - sum).abs() < 1e-6, "{record:?}: {sum} s");
+                let passed = self.farm.now.0 as f64 / 1000.0;
+                assert!((0.0..=passed).contains(&record.seconds), "{record:?} after {passed} s");
             }
         }
     }
@@ -612,7 +636,8 @@ impl Machine {
         assert!(idle <= count(&|worker| is_open(worker) && worker.tasks.is_empty()), "{idle} idle: {workers:?}");
         assert!(busy <= count(&|worker| is_open(worker) && !worker.tasks.is_empty()), "{busy} busy: {workers:?}");
 
-        let is_whole = |job: &JobStatus| job.quarantined.is_empty() && self.live.iter().all(|(task, _)| task.job != job.job);
+        let is_whole =
+            |job: &JobStatus| job.quarantined.is_empty() && self.live.iter().all(|(task, _)| task.job != job.job);
         if jobs.iter().all(is_whole) {
             let left = |job: &JobStatus| {
                 let frames = scheduler.frames(job.job).unwrap();

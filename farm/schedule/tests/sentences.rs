@@ -550,6 +550,53 @@ fn logs_of_failures_are_kept_with_the_job_and_those_of_tiles_for_a_while() {
 }
 
 #[test]
+fn the_latest_logs_of_tiles_are_kept_many_short_ones_or_as_many_long_ones_as_four_mebibytes_hold() {
+    for (length, name, kept) in [(100, "w".repeat(60), 2_048), (64 << 10, "w".into(), 60)] {
+        let mut farm = Farm::new();
+        let id = farm.submit(job(&[1], 1, &[8]));
+        farm.join_as(1, Registration { name, ..registration() });
+        let held = farm.first_of(1);
+        for number in 0..3_000 {
+            let text = LogText::Inline("x".repeat(length));
+            let log = TaskLog { attempt: Attempt::Done, seconds: f64::from(number), text };
+            farm.on(Event::Logged { worker: WorkerId(1), task: held.task, epoch: held.epoch, log });
+        }
+        let logs = farm.scheduler.logs(id, Tick(0)).unwrap();
+        assert!((kept..kept + 5).contains(&logs.len()), "{} of {length} bytes", logs.len());
+        let latest = (0..logs.len()).map(|place| (3_000 - logs.len() + place) as f64);
+        assert!(logs.iter().map(|record| record.log.seconds).eq(latest));
+    }
+}
+
+#[test]
+fn several_heartbeats_fit_into_a_lease_of_any_length() {
+    for lease in [100, 4_500, 60_000, 3_600_000] {
+        let Config { lease: found, heartbeat, .. } = Config::with_lease(lease);
+        assert!(found == lease && (1..=lease / 5).contains(&heartbeat), "{lease}: {found}, {heartbeat}");
+    }
+}
+
+#[test]
+fn a_worker_that_is_to_prove_itself_and_loses_its_task_to_no_fault_of_its_own_gets_another() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..common::config() });
+    farm.submit(job(&[1], 12, &[8]));
+    farm.join(1);
+    // It is trusted, and has enough to do.
+    farm.join(2);
+    for _ in 0..3 {
+        let held = farm.first_of(1);
+        farm.fail(1, &held, panic());
+    }
+    assert_eq!(farm.tasks_of(1), [], "three tasks have failed here");
+    farm.wait(farm.scheduler.config().shun);
+    (1..=2).for_each(|worker| drop(farm.heartbeat(worker, Phase::Working, 1)));
+    assert_eq!(farm.tasks_of(1).len(), 1, "to prove itself");
+    let held = farm.first_of(1);
+    farm.fail(1, &held, Failure::Cancelled);
+    assert_eq!(farm.tasks_of(1).len(), 1, "still to prove itself");
+}
+
+#[test]
 fn a_job_goes_only_to_workers_with_its_tags() {
     let mut farm = Farm::new();
     let id = farm.submit(JobSpec { tags: vec!["lab".into()], ..job(&[1], 1, &[4]) });

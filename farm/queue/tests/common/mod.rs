@@ -95,7 +95,11 @@ pub async fn all_notes<Q: Queue>(queue: &mut Q, subject: u64) -> Vec<Vec<u8>> {
     let (mut all, mut from) = (Vec::new(), Some(0));
     while let Some(at) = from {
         let Page { notes, next } = queue.notes(subject, at).await.unwrap();
-        assert!(notes.len() == Page::NOTES || next.is_none() && notes.len() < Page::NOTES, "{}", notes.len());
+        let bytes: usize = notes.iter().map(Vec::len).sum();
+        let is_full = notes.len() == Page::NOTES || bytes >= Page::BYTES;
+        assert!(notes.len() <= Page::NOTES && (is_full || next.is_none()), "{} notes, {bytes} bytes", notes.len());
+        let before = bytes - notes.last().map_or(0, Vec::len);
+        assert!(before < Page::BYTES, "{before} bytes before the last");
         all.extend(notes);
         from = next;
     }

@@ -277,6 +277,10 @@ impl Job {
         if self.has_ended() {
             self.ended.get_or_insert(now);
         }
+        // What was paused and came to its end all the same is not held when something of it is lost later.
+        if self.finished.len() == self.spec.frames.len() {
+            self.hold = Hold::Free;
+        }
     }
 
     pub(super) fn each_artefact(&self, mut see: impl FnMut(Digest)) {

@@ -80,6 +80,8 @@ struct Machine {
     farm: Farm,
     workers: BTreeSet<u64>,
     next_worker: u64,
+    /// Workers that have told of a failure.
+    complained: BTreeSet<u64>,
     /// Of the engine of each worker.
     builds: BTreeMap<u64, &'static str>,
     jobs: Vec<JobId>,
@@ -141,6 +143,7 @@ impl Machine {
             farm: Farm::with(config),
             workers: BTreeSet::new(),
             next_worker: 1,
+            complained: BTreeSet::new(),
             builds: BTreeMap::new(),
             jobs: vec![],
             keys: BTreeMap::new(),
@@ -414,13 +417,14 @@ impl Machine {
                 self.live.remove(&(held.task, held.epoch));
                 let missing = held.work.inputs().next().map_or(Digest::of(b"nobody knows"), |first| first.digest);
                 let failure = match kind {
-                    0 | 1 => panic(),
-                    2 => Failure::Store { message: "away".into() },
-                    3 => Failure::Cancelled,
-                    4 => Failure::Scene { message: "no camera".into() },
-                    5..=8 => Failure::LostInputs { digests: vec![missing], message: "gone".into() },
+                    0..=9 => panic(),
+                    10 => Failure::Store { message: "away".into() },
+                    11 => Failure::Cancelled,
+                    12 => Failure::Scene { message: "no camera".into() },
+                    13..=16 => Failure::LostInputs { digests: vec![missing], message: "gone".into() },
                     _ => Failure::Resources { message: "memory".into() },
                 };
+                self.complained.insert(worker.0);
                 let commands = self.farm.fail(worker.0, &held, failure);
                 self.see(commands);
             }
@@ -632,6 +636,11 @@ impl Machine {
         assert_eq!(standing(WorkerStanding::Drained), count(&|worker| worker.intake == Intake::Drained));
         assert_eq!(standing(WorkerStanding::Off), count(&|worker| worker.intake == Intake::Off));
         let is_open = |worker: &WorkerStatus| worker.intake == Intake::Open;
+        // Well is who has been heard and has not failed.
+        let (unfit, lease) = (standing(WorkerStanding::Unfit), scheduler.config().lease);
+        let may_rest =
+            count(&|worker| is_open(worker) && (self.complained.contains(&worker.worker.0) || worker.silent >= lease));
+        assert!(unfit <= may_rest, "{unfit} unfit: {workers:?}");
         let [idle, busy] = [standing(WorkerStanding::Idle), standing(WorkerStanding::Busy)];
         assert!(idle <= count(&|worker| is_open(worker) && worker.tasks.is_empty()), "{idle} idle: {workers:?}");
         assert!(busy <= count(&|worker| is_open(worker) && !worker.tasks.is_empty()), "{busy} busy: {workers:?}");
@@ -690,6 +699,34 @@ impl Machine {
         }
     }
 
+    /// A result that is written down again, at once or at the end, changes nothing.
+    fn counts_each_result_once(&self) {
+        let is_result =
+            |fact: &Fact| matches!(fact, Fact::Rendered { .. } | Fact::Gathered { .. } | Fact::Merged { .. });
+        let mut ledger = Ledger::default();
+        for (now, fact) in &self.farm.log {
+            ledger.apply(fact, *now);
+            if is_result(fact) {
+                let once = ledger.clone();
+                ledger.apply(fact, *now);
+                assert_eq!(ledger, once, "{fact:?} counts twice");
+            }
+        }
+        let now = ledger.now();
+        let is_over = |(_, fact): &&(Tick, Fact)| match fact {
+            // Of one that was lost, the same may be made again under no other lease.
+            Fact::Rendered { task, .. } | Fact::Gathered { task, .. } | Fact::Merged { task, .. } => {
+                self.done.contains(task)
+            }
+            _ => false,
+        };
+        for (_, fact) in self.farm.log.iter().filter(is_over) {
+            let once = ledger.clone();
+            ledger.apply(fact, now);
+            assert_eq!(ledger, once, "{fact:?} counts again at the end");
+        }
+    }
+
     /// One good worker and no more faults: every job ends, and a job that is done has every frame.
     fn finish(&mut self) {
         let jobs: Vec<JobId> = self.jobs.clone();
@@ -741,5 +778,6 @@ proptest! {
         }
         machine.finish();
         machine.check();
+        machine.counts_each_result_once();
     }
 }

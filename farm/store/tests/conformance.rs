@@ -15,6 +15,7 @@ async fn conforms(store: &Store) {
     assert_eq!(store.put(bytes.clone()).await.unwrap(), Artefact { digest, bytes: 6 });
     assert_eq!(store.put(bytes.clone()).await.unwrap().digest, digest, "a second time changes nothing");
     assert_eq!(store.get(&digest).await.unwrap(), bytes);
+    assert!(store.has(&digest).await.unwrap());
     assert_eq!(store.size(&digest).await.unwrap(), Some(6));
     assert_eq!(store.list().await.unwrap(), [Artefact { digest, bytes: 6 }]);
 
@@ -30,9 +31,11 @@ async fn conforms(store: &Store) {
     let large: Vec<u8> = (0..20_000_003u32).map(|i| (i * 7 + i / 251) as u8).collect();
     let digest = Digest::of(&large);
     let mut upload = store.upload(digest);
-    for piece in large.chunks(3_000_000) {
+    for (before, piece) in large.chunks(3_000_000).enumerate() {
+        assert_eq!(upload.size(), before as u64 * 3_000_000);
         upload.write(piece).await.unwrap();
     }
+    assert_eq!(upload.size(), large.len() as u64);
     assert!(!store.has(&digest).await.unwrap(), "not there before it is whole");
     let whole = Artefact { digest, bytes: large.len() as u64 };
     assert_eq!(upload.finish().await.unwrap(), (whole, Novelty::Older));

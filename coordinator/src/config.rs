@@ -14,7 +14,7 @@ use crate::clock::Time;
 use crate::metrics::Metrics;
 
 /// Where the log lives.
-#[derive(Debug, Clone, PartialEq, Eq)]
+#[derive(Debug, Clone)]
 pub enum Log {
     /// In memory: nothing outlives the process.
     Memory,

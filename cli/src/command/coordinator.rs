@@ -316,8 +316,8 @@ mod tests {
 
     #[test]
     fn a_store_is_a_file_a_database_or_memory_and_what_is_not_there_yet_says_so() {
-        assert_eq!(store("sqlite:a/b.db"), Ok(Log::Sqlite("a/b.db".into())));
-        assert_eq!(store("memory"), Ok(Log::Memory));
+        assert!(matches!(store("sqlite:a/b.db"), Ok(Log::Sqlite(path)) if path == Path::new("a/b.db")));
+        assert!(matches!(store("memory"), Ok(Log::Memory)));
         assert!(matches!(store("postgres://ann:secret@host/farm"), Ok(Log::Postgres { .. })));
         for wrong in ["postgres:farm", "postgres://ann:secret@host:port/farm"] {
             let error = store(wrong).expect_err("no address");

@@ -35,8 +35,15 @@ fn refused(commands: &[Command]) -> bool {
 
 #[test]
 fn a_task_of_unknown_pace_is_small_and_the_next_ones_take_the_time_that_a_task_should() {
+    // Also where there is one frame alone, as long as it has enough for everybody.
+    for frames in [&[1, 2, 3][..], &[1]] {
+        next_ones_take_their_time(frames);
+    }
+}
+
+fn next_ones_take_their_time(frames: &[u32]) {
     let mut farm = farm();
-    let id = farm.submit(job(&[1, 2, 3], 4, &[64]));
+    let id = farm.submit(job(frames, 4, &[64]));
     farm.join(1);
     assert_eq!([0, 1].map(|place| samples(&farm.held[place].1)), [0..1, 1..2], "one grain each");
     work(&mut farm, 1, 400);

@@ -34,6 +34,8 @@ enum Step {
     /// After so many milliseconds of work.
     Complete(usize, Decision, u64),
     Fail(usize, u8),
+    /// A task panics on whoever has it, again and again.
+    Doom(usize),
     Late(usize),
     Heartbeat(usize, u64),
     Wait(u64),
@@ -59,6 +61,7 @@ fn step() -> impl Strategy<Value = Step> {
         12 => (any::<usize>(), decision, prop_oneof![Just(0u64), Just(30), Just(2_000)])
             .prop_map(|(which, decision, milliseconds)| Step::Complete(which, decision, milliseconds)),
         3 => (any::<usize>(), 0..24u8).prop_map(|(which, kind)| Step::Fail(which, kind)),
+        1 => any::<usize>().prop_map(Step::Doom),
         2 => any::<usize>().prop_map(Step::Late),
         3 => (any::<usize>(), 0..1000u64).prop_map(|(which, samples)| Step::Heartbeat(which, samples)),
         3 => prop_oneof![4 => Just(400u64), 4 => Just(2_000), 4 => Just(6_000), 1 => Just(90_000), 1 => Just(1 << 32)].prop_map(Step::Wait),
@@ -428,6 +431,14 @@ impl Machine {
                 let commands = self.farm.fail(worker.0, &held, failure);
                 self.see(commands);
             }
+            Step::Doom(which) => {
+                let Some((_, doomed)) = self.held(which) else { return };
+                for _ in 0..3 {
+                    let place = self.farm.held.iter().position(|(_, held)| held.task == doomed.task);
+                    let Some(place) = place else { return };
+                    self.take(Step::Fail(place, 0));
+                }
+            }
             Step::Late(which) => {
                 if self.over.is_empty() {
                     return;
@@ -487,6 +498,7 @@ impl Machine {
                 assert!(!self.jobs.iter().any(is_told), "a lost image is told as finished");
             }
             Step::Restart => {
+                self.counts_each_result_once();
                 self.over.append(&mut self.farm.held.clone());
                 let before = self.farm.charged.clone();
                 let workers = self.next_worker;

@@ -1,4 +1,4 @@
-//! Trying mutants one after the other.
+//! Trying mutants, several at a time.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, OpenOptions};
@@ -81,7 +81,8 @@ pub fn run(root: &Path, list: &Path, asked: &Asked) -> anyhow::Result<()> {
         let workers: Vec<_> = (0..asked.jobs.max(1)).map(|_| scope.spawn(|| trial.work(&left, &file))).collect();
         workers.into_iter().try_for_each(|worker| worker.join().unwrap_or_else(|_| bail!("a thread panicked")))
     })?;
-    tell(&read(&path)?, &keys, gone);
+    let explained = root.join("sim/mutants/explained");
+    tell(&read(&path)?, &read_explained(&explained)?, &keys, gone);
     Ok(())
 }
 
@@ -348,7 +349,13 @@ fn save(path: &Path, verdicts: &Verdicts) -> anyhow::Result<()> {
     fs::write(path, lines).with_context(|| path.display().to_string())
 }
 
-fn tell(verdicts: &Verdicts, keys: &[String], gone: usize) {
+/// Mutants that may survive: after the key of each comes why, on lines that are indented.
+fn read_explained(path: &Path) -> anyhow::Result<BTreeSet<String>> {
+    let text = fs::read_to_string(path).with_context(|| path.display().to_string())?;
+    Ok(text.lines().filter(|line| !line.starts_with([' ', '#']) && !line.is_empty()).map(str::to_owned).collect())
+}
+
+fn tell(verdicts: &Verdicts, explained: &BTreeSet<String>, keys: &[String], gone: usize) {
     let mut sum: BTreeMap<&str, usize> = BTreeMap::new();
     for key in keys {
         let verdict = verdicts.get(key).map_or("not tried", String::as_str);
@@ -356,11 +363,13 @@ fn tell(verdicts: &Verdicts, keys: &[String], gone: usize) {
             "killed by the simulation"
         } else if verdict.starts_with("killed") {
             "killed by tests"
+        } else if verdict == "survived" && explained.contains(key) {
+            "survived, which is explained"
         } else {
             verdict
         };
         *sum.entry(kind).or_default() += 1;
-        if verdict == "survived" {
+        if kind == "survived" {
             println!("SURVIVED {key}");
         }
     }

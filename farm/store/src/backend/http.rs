@@ -120,11 +120,31 @@ impl Body for Patient {
         self.silence.as_mut().poll(cx).map(|()| Some(Err(HttpError::new(HttpErrorKind::Timeout, late()))))
     }
 
-    fn is_end_stream(&self) -> bool {
-        self.body.is_end_stream()
-    }
-
     fn size_hint(&self) -> SizeHint {
         self.body.size_hint()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use tokio::net::TcpListener;
+
+    use super::*;
+
+    #[tokio::test]
+    async fn nothing_goes_without_encryption_to_a_server_of_which_nobody_has_said_that_it_may() {
+        let server = TcpListener::bind("127.0.0.1:0").await.unwrap();
+        let url = format!("http://{}/", server.local_addr().unwrap());
+        for is_allowed in [false, true] {
+            // A machine without root certificates refuses even earlier.
+            let Ok(client) = Https.connect(&ClientOptions::new().with_allow_http(is_allowed)) else { continue };
+            let request = hyper::Request::get(&url).body(HttpRequestBody::empty()).unwrap();
+            let reached = tokio::select! {
+                biased;
+                answer = client.execute(request) => { answer.unwrap_err(); false }
+                link = server.accept() => link.is_ok(),
+            };
+            assert_eq!(reached, is_allowed);
+        }
     }
 }

@@ -144,14 +144,6 @@ impl fmt::Debug for Database {
     }
 }
 
-impl PartialEq for Database {
-    fn eq(&self, other: &Self) -> bool {
-        self.url == other.url
-    }
-}
-
-impl Eq for Database {}
-
 #[cfg(test)]
 mod tests {
     use super::*;

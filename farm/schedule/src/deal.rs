@@ -298,7 +298,9 @@ fn first_ready(id: JobId, job: &Job, desk: &Desk, worker: WorkerId, ledger: &Led
     best
 }
 
-/// Whether the task failed last on this very worker, and another that could take it is there.
+/// Whether the task failed last on this very worker, and another that could take it is there: not one on which the job's tasks
+/// keep failing, or each would wait for the other.
 pub(crate) fn is_avoided(task: &TaskKey, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor) -> bool {
-    desk.avoid.get(task) == Some(&worker) && has_peer(job, worker, floor, |_| true)
+    let is_trusted = |id| floor.instance(id).is_some_and(|instance| !desk.distrust.is_in_doubt(instance));
+    desk.avoid.get(task) == Some(&worker) && has_peer(job, worker, floor, is_trusted)
 }

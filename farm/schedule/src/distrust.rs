@@ -62,6 +62,11 @@ impl Distrust {
         }
     }
 
+    /// Whether it was shunned and has not proved itself since.
+    pub(crate) fn is_in_doubt(&self, worker: Instance) -> bool {
+        self.records.get(&worker).is_some_and(|record| record.until.is_some())
+    }
+
     /// For how many more milliseconds the worker is shunned; 0 while its one task of proof is under way; `None`: it is not.
     pub(crate) fn shuns(&self, worker: Instance, now: Tick) -> Option<u64> {
         let record = self.records.get(&worker)?;

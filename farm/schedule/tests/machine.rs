@@ -579,7 +579,8 @@ impl Machine {
             for one in &status.quarantined {
                 let is_enough = if matches!(one.failure, Failure::Killed { .. }) { 5 } else { 3 };
                 assert!(one.attempts >= is_enough, "{one:?}");
-                now.insert(one.task, one.attempts);
+                // A frame that begins anew takes what is put aside along to its first round.
+                now.insert(TaskKey { stage: Stage { round: 0, ..one.task.stage }, ..one.task }, one.attempts);
             }
             for (task, tries) in self.tries.iter().filter(|(task, _)| task.job == job) {
                 assert!(now.get(task) >= Some(tries), "{task} was tried {tries} times: {now:?}");

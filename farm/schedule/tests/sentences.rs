@@ -577,6 +577,25 @@ fn several_heartbeats_fit_into_a_lease_of_any_length() {
 }
 
 #[test]
+fn a_task_that_failed_on_the_one_worker_does_not_wait_for_another_that_is_not_trusted() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..common::config() });
+    let id = farm.submit(job(&[1], 4, &[8]));
+    (1..=2).for_each(|worker| drop(farm.join(worker)));
+    for _ in 0..3 {
+        let held = farm.first_of(2);
+        farm.fail(2, &held, panic());
+    }
+    assert_eq!(farm.tasks_of(2), [], "three tasks have failed here");
+    farm.work(1, Done);
+    let held = farm.first_of(1);
+    farm.fail(1, &held, panic());
+    for _ in 0..4 {
+        farm.work(1, Done);
+    }
+    assert_eq!(farm.state(id), JobState::Done, "{:?}", farm.status(id).waits);
+}
+
+#[test]
 fn a_worker_that_is_to_prove_itself_and_loses_its_task_to_no_fault_of_its_own_gets_another() {
     let mut farm = Farm::with(Config { prefetch: 0, ..common::config() });
     farm.submit(job(&[1], 12, &[8]));

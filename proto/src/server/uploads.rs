@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use femc_model::{Artefact, Digest, Refusal};
 use femc_store::{Novelty, Soundness, Store, Upload};
-use tokio::sync::watch;
+use tokio::sync::Notify;
 use tokio::time::Instant;
 
 use super::artifacts::refusal;
@@ -24,8 +24,8 @@ pub(super) struct Uploads(Arc<Inner>);
 #[derive(Debug, Default)]
 struct Inner {
     state: Mutex<State>,
-    /// Counts the uploads that have ended, or were cut.
-    ended: watch::Sender<u64>,
+    /// An upload has ended, or was cut. Who waits is woken in the order in which all came.
+    ended: Notify,
 }
 
 #[derive(Debug, Default)]
@@ -89,9 +89,14 @@ impl Uploads {
     /// Waits until fewer than `most` send the artefact.
     async fn room(&self, digest: &Digest, most: usize) {
         let is_crowded = || self.lock().entries.get(digest).is_some_and(|entry| entry.senders >= most);
-        let mut ended = self.0.ended.subscribe();
-        // The counter is as old as this.
-        while is_crowded() && ended.changed().await.is_ok() {}
+        loop {
+            // It hears of what ends after this.
+            let ended = self.0.ended.notified();
+            if !is_crowded() {
+                return;
+            }
+            ended.await;
+        }
     }
 
     /// The first byte that is wanted of an artefact; waits a while for whoever sends it now. Ask the store afterwards whether it
@@ -275,7 +280,7 @@ impl Drop for Sending {
         state.tidy(&self.digest);
         drop(state);
         useless.into_iter().chain(parked).for_each(abandon);
-        self.uploads.0.ended.send_modify(|ended| *ended += 1);
+        self.uploads.0.ended.notify_waiters();
     }
 }
 

@@ -5,6 +5,7 @@
 //! program says, or, with `by=FILE`, what that test runs. Any command that fails, fails the page.
 #![cfg(unix)]
 
+use femc_require::Need;
 use std::fmt::Write as _;
 use std::net::TcpListener;
 use std::os::unix::process::CommandExt as _;
@@ -57,7 +58,8 @@ fn free_port() -> String {
 fn python() -> Option<String> {
     let python = std::env::var("FEMC_TEST_PYTHON").unwrap_or_else(|_| "python3".to_owned());
     let ran = Command::new(&python).args(["-c", "import pandas, polars"]).output();
-    ran.is_ok_and(|ran| ran.status.success()).then_some(python)
+    let python = ran.is_ok_and(|ran| ran.status.success()).then_some(python);
+    Need::Python.or_skip(python, "a block that needs pandas and polars (tests/python installs them)")
 }
 
 /// The page as a script.
@@ -87,12 +89,11 @@ fn script(page: &str) -> String {
                     assert!(root().join(test).exists(), "`{is}`: there is no such test");
                 }
             }
-            (Some("python"), None) => match python() {
-                Some(python) => {
+            (Some("python"), None) => {
+                if let Some(python) = python() {
                     let _ = write!(script, "{python} - <<'END OF FILE'\n{text}END OF FILE\n");
                 }
-                None => println!("skipped: a block that needs pandas and polars"),
-            },
+            }
             _ => panic!("what is a block marked `{is}`?"),
         }
     }
@@ -157,17 +158,9 @@ pages! {
 /// Artefacts are in a bucket under `tests/s3`, else in a folder.
 #[test]
 fn postgres_and_s3() {
-    let Ok(database) = std::env::var("FEMC_TEST_POSTGRES") else {
-        println!("skipped: no FEMC_TEST_POSTGRES; run `tests/postgres cargo test -p femc --test manual`");
-        return;
-    };
-    let bucket = match std::env::var("FEMC_TEST_S3") {
-        Ok(bucket) => format!("{bucket}/manual"),
-        Err(_) => {
-            println!("no FEMC_TEST_S3: artefacts go into a folder; `tests/s3 tests/postgres cargo test ...` has both");
-            "artifacts".to_owned()
-        }
-    };
+    let Some(database) = Need::Postgres.variable("FEMC_TEST_POSTGRES") else { return };
+    let bucket = Need::S3.variable("FEMC_TEST_S3");
+    let bucket = bucket.map_or("artifacts".to_owned(), |bucket| format!("{bucket}/manual"));
     runs("postgres-s3.md", &[("DATABASE", database), ("BUCKET", bucket)]);
 }
 

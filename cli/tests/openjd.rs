@@ -5,6 +5,7 @@
 
 mod common;
 use common::{Place, Running, names, pixels};
+use femc_require::Need;
 use std::path::PathBuf;
 use std::process::Command;
 
@@ -56,11 +57,7 @@ fn what_cannot_be_read_or_used_has_its_exit_code() {
 
 /// The programs of the reference implementation.
 fn programs() -> Option<PathBuf> {
-    let folder = std::env::var_os("FEMC_TEST_PYTHON_BIN").map(PathBuf::from);
-    if folder.is_none() {
-        println!("skipped: FEMC_TEST_PYTHON_BIN is not set (tests/python runs them)");
-    }
-    folder
+    Need::Python.variable("FEMC_TEST_PYTHON_BIN").map(PathBuf::from)
 }
 
 /// `openjd` with the words of `line`; it finds this build's `femc`.

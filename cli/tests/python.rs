@@ -2,16 +2,13 @@
 
 mod common;
 use common::{Place, Ran, Running, coordinator, names, pixels};
+use femc_require::Need;
 use std::path::{Path, PathBuf};
 use std::process::Command;
 
 /// The folder of the interpreter with the packages that the example needs.
 fn programs() -> Option<PathBuf> {
-    let folder = std::env::var_os("FEMC_TEST_PYTHON_BIN").map(PathBuf::from);
-    if folder.is_none() {
-        println!("skipped: FEMC_TEST_PYTHON_BIN is not set (tests/python runs them)");
-    }
-    folder
+    Need::Python.variable("FEMC_TEST_PYTHON_BIN").map(PathBuf::from)
 }
 
 /// `render.py` with the words of `line`, in `place`; what it says is shown.

@@ -3,13 +3,11 @@
 mod common;
 use common::outage::Outage;
 use common::{Place, Running, coordinator_with, names};
+use femc_require::Need;
 
 /// A bucket's address for this test alone, on the server that `tests/s3` starts.
 fn bucket(name: &str) -> Option<String> {
-    let Ok(bucket) = std::env::var("FEMC_TEST_S3") else {
-        println!("skipped: FEMC_TEST_S3 is not set (tests/s3 runs them)");
-        return None;
-    };
+    let bucket = Need::S3.variable("FEMC_TEST_S3")?;
     Some(format!("{bucket}/{name}/{}", std::process::id()))
 }
 
@@ -36,7 +34,7 @@ fn a_farm_over_a_bucket_gives_the_bytes_of_one_process() {
 
 #[test]
 fn a_store_that_goes_away_for_a_while_costs_no_task_and_no_pixel() {
-    let (Some(bucket), Ok(server)) = (bucket("outage"), std::env::var("AWS_ENDPOINT_URL")) else { return };
+    let (Some(bucket), Some(server)) = (bucket("outage"), Need::S3.variable("AWS_ENDPOINT_URL")) else { return };
     let (place, outage) = (Place::new(), Outage::of(&server));
     let line = format!("coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts {bucket}");
     let mut command = place.command(&line);

@@ -6,7 +6,6 @@ use femc_film::{Frame, FrameImage};
 use femc_import::{Bundle, load};
 use femc_pipeline::{Settings, Source, Stop, plan, prepare, render_tile};
 use femc_scene::Scene;
-use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
@@ -42,14 +41,4 @@ pub fn render(scene: &Arc<Scene>, settings: &Settings, frame: u32) -> FrameImage
         film.insert(tile).unwrap_or_else(|error| panic!("{error}"));
     }
     film.resolve()
-}
-
-/// A folder of the material that is shared with the specifications, where it is present.
-pub fn shared(folder: &str) -> Option<PathBuf> {
-    let path = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("../../shared").join(folder);
-    if path.is_dir() {
-        return Some(path);
-    }
-    println!("skipped: {} is not here", path.display());
-    None
 }

@@ -1,12 +1,13 @@
 //! The reference scenes against their images by an independent renderer, with both images' noise counted.
 //!
-//! Needs the shared reference folder; skipped with a printed line where it is absent. The full check takes minutes:
+//! Needs `../shared/refs`; skipped with a printed line where it is absent, unless `FEMC_REQUIRE` names `refs`. The full check takes minutes:
 //! `cargo test --release -p femc-tests --test references -- --ignored --nocapture`.
 
 use femc_film::exr::read;
 use femc_film::{FrameImage, Image};
 use femc_pipeline::{Settings, Stop};
-use femc_tests::{render, shared};
+use femc_require::shared;
+use femc_tests::render;
 use std::sync::Arc;
 
 const BLOCK: usize = 16;

@@ -1,17 +1,9 @@
-//! Scenes that are not part of the project: skipped, with a line that says so, where they are not there.
+//! Scenes that are not part of the project, in `../shared`: skipped where that is absent.
 
 use femc_import::{Bundle, Disk, Loaded, load, load_path};
+use femc_require::shared;
 use femc_scene::Opening;
 use std::path::{Path, PathBuf};
-
-fn shared(folder: &str) -> Option<PathBuf> {
-    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared").join(folder);
-    if path.is_dir() {
-        return Some(path);
-    }
-    println!("skipped: {} is not there", path.display());
-    None
-}
 
 fn scenes(folder: &Path) -> Vec<PathBuf> {
     let mut found = Vec::new();

@@ -3,6 +3,7 @@
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU32, Ordering};
 
+use femc_require::Need;
 use sqlx::postgres::{PgConnectOptions, PgConnection, PgSslMode};
 use sqlx::{AssertSqlSafe, ConnectOptions as _};
 use tokio::sync::Notify;
@@ -18,16 +19,13 @@ pub struct Scratch {
 }
 
 impl Scratch {
-    /// A new database; `None` without a server, which is printed.
+    /// A new database; `None` without a server (see [`Need::or_skip`]).
     ///
     /// # Panics
     /// If there should be a server and is none, or not a willing one.
     pub async fn new() -> Option<Self> {
         static COUNT: AtomicU32 = AtomicU32::new(0);
-        let Ok(url) = std::env::var("FEMC_TEST_POSTGRES") else {
-            println!("skipped: FEMC_TEST_POSTGRES is not set (tests/postgres runs them)");
-            return None;
-        };
+        let url = Need::Postgres.variable("FEMC_TEST_POSTGRES")?;
         let server: PgConnectOptions = url.parse().expect("FEMC_TEST_POSTGRES is an address");
         let server = server.ssl_mode(PgSslMode::Disable);
         let name = format!("femc_{}_{}", std::process::id(), COUNT.fetch_add(1, Ordering::Relaxed));
@@ -42,12 +40,9 @@ impl Scratch {
     }
 
     /// Its address by the name in the server's certificate, and the file with the authority that issued that; `None` where
-    /// the server has none, which is printed.
+    /// the server has none (see [`Need::or_skip`]).
     pub fn encrypted(&self) -> Option<(String, String)> {
-        let Ok(authority) = std::env::var("FEMC_TEST_POSTGRES_CA") else {
-            println!("skipped: FEMC_TEST_POSTGRES_CA is not set (tests/postgres sets it where openssl is)");
-            return None;
-        };
+        let authority = Need::Postgres.variable("FEMC_TEST_POSTGRES_CA")?;
         let url = self.options().host("localhost").to_url_lossy().to_string();
         let (address, _) = url.split_once('?').unwrap_or((&url, ""));
         Some((format!("{address}?sslmode=verify-full&sslrootcert={authority}"), authority))

@@ -4,6 +4,7 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use femc_model::{Artefact, Digest};
+use femc_require::Need;
 use femc_store::object_store::ObjectStoreExt as _;
 use femc_store::{Novelty, Soundness, Store, StoreError, Sweep, place};
 
@@ -186,10 +187,7 @@ async fn heals(store: &Store) {
 
 /// A place of its own on the S3 server that `tests/s3` starts.
 fn s3(name: &str) -> Option<Store> {
-    let Ok(bucket) = std::env::var("FEMC_TEST_S3") else {
-        println!("skipped: FEMC_TEST_S3 is not set (tests/s3 runs them)");
-        return None;
-    };
+    let bucket = Need::S3.variable("FEMC_TEST_S3")?;
     Some(Store::s3(&format!("{bucket}/{name}/{}", std::process::id())).unwrap())
 }
 

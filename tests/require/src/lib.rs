@@ -1,0 +1,109 @@
+//! For tests: what a test needs of the machine, and whether it may be skipped without it.
+//!
+//! A test that lacks a need is skipped with a printed line. `FEMC_REQUIRE` lists the needs that must be met, separated by
+//! commas (`postgres`, `s3`, `python`, `refs`): a test that lacks one of those fails instead. A word that is no need fails every
+//! test that asks for any.
+#![deny(missing_docs)]
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+use std::str::FromStr;
+
+/// The variable that lists the needs that must be met.
+pub const VARIABLE: &str = "FEMC_REQUIRE";
+
+/// Something that not every machine has.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Need {
+    /// A PostgreSQL server that speaks TLS; `tests/postgres` starts one.
+    Postgres,
+    /// An S3 server; `tests/s3` starts one.
+    S3,
+    /// Python with the packages of the example client and of the manual; `tests/python` installs them.
+    Python,
+    /// The reference scenes and images in `../shared`.
+    Refs,
+}
+
+/// A word of [`VARIABLE`] that names no need.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{VARIABLE} names `{0}`, which is none of postgres, s3, python, refs")]
+pub struct UnknownNeed(String);
+
+impl Need {
+    const ALL: [Self; 4] = [Self::Postgres, Self::S3, Self::Python, Self::Refs];
+
+    fn word(self) -> &'static str {
+        match self {
+            Self::Postgres => "postgres",
+            Self::S3 => "s3",
+            Self::Python => "python",
+            Self::Refs => "refs",
+        }
+    }
+
+    /// What was found of this need; `None` is printed as a skip.
+    /// - `absent`: why there is none, for people.
+    ///
+    /// # Panics
+    /// If there is none and [`VARIABLE`] names the need, or if that names something unknown.
+    pub fn or_skip<T>(self, found: Option<T>, absent: &str) -> Option<T> {
+        let list = std::env::var_os(VARIABLE).unwrap_or_default();
+        let required = parse(&list.to_string_lossy()).unwrap_or_else(|unknown| panic!("{unknown}"));
+        if found.is_none() {
+            assert!(!required.contains(&self), "{VARIABLE} asks for {self}: {absent}");
+            println!("skipped: {absent}");
+        }
+        found
+    }
+
+    /// The value of a variable that the script `tests/<need>` sets; see [`Need::or_skip`].
+    pub fn variable(self, name: &str) -> Option<String> {
+        self.or_skip(std::env::var(name).ok(), &format!("{name} is not set (tests/{self} sets it)"))
+    }
+}
+
+impl fmt::Display for Need {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.word())
+    }
+}
+
+impl FromStr for Need {
+    type Err = UnknownNeed;
+
+    fn from_str(word: &str) -> Result<Self, UnknownNeed> {
+        Self::ALL.into_iter().find(|need| need.word() == word).ok_or_else(|| UnknownNeed(word.to_owned()))
+    }
+}
+
+/// The needs of a list with commas; an empty list has none.
+fn parse(list: &str) -> Result<Vec<Need>, UnknownNeed> {
+    list.split(',').map(str::trim).filter(|word| !word.is_empty()).map(str::parse).collect()
+}
+
+/// A folder of `../shared`, beside the checkout; see [`Need::or_skip`].
+pub fn shared(folder: &str) -> Option<PathBuf> {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../shared").join(folder);
+    let absent = format!("{} is not there", path.display());
+    Need::Refs.or_skip(path.is_dir().then_some(path), &absent)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{Need, parse};
+
+    #[test]
+    fn a_list_is_its_words() {
+        assert_eq!(parse("s3,postgres, refs"), Ok(vec![Need::S3, Need::Postgres, Need::Refs]));
+        assert_eq!(parse("postgres,s3,python,refs"), Ok(Need::ALL.to_vec()));
+        assert_eq!(parse(""), Ok(vec![]));
+    }
+
+    #[test]
+    fn an_unknown_word_is_named() {
+        let told = parse("s3,postgresql").unwrap_err().to_string();
+        assert!(told.contains("`postgresql`") && told.contains("FEMC_REQUIRE"), "{told}");
+        assert!(parse("S3").is_err());
+    }
+}

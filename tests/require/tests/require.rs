@@ -1,0 +1,57 @@
+//! Tests with and without what they need, as processes of their own: a process reads its variables once.
+
+use femc_require::Need;
+use std::process::Command;
+
+/// Set in the process that plays the test under test.
+const THING: &str = "FEMC_REQUIRE_TEST_THING";
+
+/// A test that needs S3, which is there if [`THING`] is set; run by [`run`] alone.
+#[test]
+#[ignore = "a test that the others run in a process of its own"]
+fn needy() {
+    if Need::S3.variable(THING).is_some() {
+        println!("it runs");
+    }
+}
+
+/// Whether `needy` passes, and what it says.
+fn run(required: &str, thing: Option<&str>) -> (bool, String) {
+    let mut command = Command::new(std::env::current_exe().expect("this program"));
+    command.args(["--exact", "needy", "--ignored", "--nocapture"]);
+    command.env(femc_require::VARIABLE, required).env_remove(THING).envs(thing.map(|value| (THING, value)));
+    let ran = command.output().expect("a process");
+    let told = [ran.stdout, ran.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+    (ran.status.success(), told.concat())
+}
+
+#[test]
+fn a_test_without_its_need_is_skipped_with_a_line() {
+    for required in ["", "postgres,python,refs"] {
+        let (passes, told) = run(required, None);
+        assert!(passes && told.contains(&format!("skipped: {THING} is not set (tests/s3 sets it)")), "{told}");
+    }
+}
+
+#[test]
+fn a_test_without_a_required_need_fails_and_says_what_is_missing_and_who_asked() {
+    let (passes, told) = run("refs,s3", None);
+    assert!(!passes && told.contains(&format!("FEMC_REQUIRE asks for s3: {THING} is not set")), "{told}");
+    assert!(!told.contains("skipped"), "{told}");
+}
+
+#[test]
+fn a_test_with_its_need_runs() {
+    for required in ["", "s3"] {
+        let (passes, told) = run(required, Some("here"));
+        assert!(passes && told.contains("it runs") && !told.contains("skipped"), "{told}");
+    }
+}
+
+#[test]
+fn an_unknown_word_fails_also_the_test_that_has_its_need() {
+    for thing in [None, Some("here")] {
+        let (passes, told) = run("s3,postgress", thing);
+        assert!(!passes && told.contains("names `postgress`, which is none of postgres, s3, python, refs"), "{told}");
+    }
+}

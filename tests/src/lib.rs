@@ -1,6 +1,9 @@
 //! Helpers of the tests that need the whole engine: scenes from text, images, statistics.
 
+pub mod brute;
 pub mod fuzz;
+pub mod reference;
+pub mod rng;
 
 use femc_film::{Frame, FrameImage};
 use femc_import::{Bundle, load};

@@ -1,68 +1,17 @@
 //! The reference scenes against their images by an independent renderer, with both images' noise counted.
 //!
-//! Needs `../shared/refs`; skipped with a printed line where it is absent, unless `FEMC_REQUIRE` names `refs`. The full check takes minutes:
-//! `cargo test --release -p femc-tests --test references -- --ignored --nocapture`.
+//! Needs `../shared/refs`; skipped with a printed line where it is absent, unless `FEMC_REQUIRE` names `refs`. Tests of some
+//! seconds a core run always, of half a minute with optimization alone, of minutes when asked for:
+//! `cargo test --release -p femc-tests --test references -- --include-ignored --nocapture`.
 
-use femc_film::exr::read;
-use femc_film::{FrameImage, Image};
 use femc_pipeline::{Settings, Stop};
 use femc_require::shared;
+use femc_tests::reference::{Comparison, Reference};
 use femc_tests::render;
 use std::sync::Arc;
 
+/// Pixels of a block's side.
 const BLOCK: usize = 16;
-
-struct Comparison {
-    mean_ratio: f64,
-    relmse: f64,
-    reference_noise: f64,
-    worst_z: f64,
-    worst_block: (usize, usize),
-}
-
-/// Compares with the mean of two independent halves, whose difference tells the reference's own noise.
-fn compare(image: &FrameImage, halves: [&Image; 2]) -> Comparison {
-    let (width, height) = (image.color.width as usize, image.color.height as usize);
-    let (mut sum, mut expected, mut error, mut noise) = (0.0, 0.0, 0.0, 0.0);
-    let mut blocks = vec![[0.0f64; 9]; width.div_ceil(BLOCK) * height.div_ceil(BLOCK)];
-    for y in 0..height {
-        for x in 0..width {
-            let at = y * width + x;
-            let block = &mut blocks[(y / BLOCK) * width.div_ceil(BLOCK) + x / BLOCK];
-            for c in 0..3 {
-                let value = f64::from(image.color.pixels[at][c]);
-                let (a, b) = (f64::from(halves[0].pixels[at][c]), f64::from(halves[1].pixels[at][c]));
-                let (mean, variance) = (0.5 * (a + b), 0.25 * (a - b) * (a - b));
-                sum += value;
-                expected += mean;
-                error += (value - mean) * (value - mean) / (mean * mean + 0.01);
-                noise += variance / (mean * mean + 0.01);
-                block[3 * c] += value - mean;
-                block[3 * c + 1] += f64::from(image.variance[at][c]);
-                block[3 * c + 2] += variance;
-            }
-        }
-    }
-    let n = (3 * width * height) as f64;
-    let mut worst = (0.0, 0);
-    for (index, block) in blocks.iter().enumerate() {
-        for c in 0..3 {
-            let deviation = (block[3 * c + 1] + block[3 * c + 2]).sqrt();
-            let z = if deviation > 0.0 { block[3 * c].abs() / deviation } else { 0.0 };
-            if z > worst.0 {
-                worst = (z, index);
-            }
-        }
-    }
-    let columns = width.div_ceil(BLOCK);
-    Comparison {
-        mean_ratio: sum / expected,
-        relmse: error / n,
-        reference_noise: noise / n,
-        worst_z: worst.0,
-        worst_block: (worst.1 % columns * BLOCK, worst.1 / columns * BLOCK),
-    }
-}
 
 /// Renders `name` at `spp`: mean within `tolerance`, error (less the reference's own noise) at most `limit`, no block's
 /// mean off by more than 4.5 standard errors.
@@ -82,13 +31,11 @@ fn blocks_agree(c: &Comparison) {
 fn measure(name: &str, spp: u32) -> Option<Comparison> {
     let folder = shared("refs")?;
     let loaded = femc_import::load_path(&folder.join(format!("{name}.mgf"))).unwrap_or_else(|e| panic!("{e}"));
-    let halves =
-        ["A", "B"].map(|half| read(&folder.join(format!("{name}_{half}.exr"))).unwrap_or_else(|e| panic!("{e}")).image);
     let start = std::time::Instant::now();
     let settings = Settings { stop: Stop::Spp(spp), ..Settings::default() };
     let image = render(&Arc::new(loaded.scene), &settings, 1);
     let seconds = start.elapsed().as_secs_f64();
-    let c = compare(&image, [&halves[0], &halves[1]]);
+    let c = Reference::read(&folder, name).compare(&image, BLOCK);
     let net = c.relmse - c.reference_noise;
     println!(
         "{name}: {spp} spp, {seconds:.2} s, mean_ratio {:.5}, relmse {:.4e} (reference's own {:.2e}, net {net:.4e}), K {:.3e}, worst z {:.2} at {:?}",
@@ -113,25 +60,25 @@ fn cornell_fog_at_a_few_samples_has_the_reference_s_mean_and_blocks() {
 }
 
 #[test]
-#[ignore = "minutes"]
+#[cfg_attr(debug_assertions, ignore = "half a minute, with optimization")]
 fn cornell_is_within_its_bounds() {
     check("cornell", 256, 0.005, 7.1e-4);
 }
 
 #[test]
-#[ignore = "minutes"]
+#[cfg_attr(debug_assertions, ignore = "half a minute, with optimization")]
 fn cornell_fog_is_within_its_bounds() {
     check("cornell-fog", 64, 0.005, 1.83e-2);
 }
 
 #[test]
-#[ignore = "minutes"]
+#[cfg_attr(debug_assertions, ignore = "half a minute, with optimization")]
 fn cornell_glossy_is_within_its_bounds() {
     check("cornell-glossy", 256, 0.005, 1.97e-3);
 }
 
 #[test]
-#[ignore = "minutes"]
+#[cfg_attr(debug_assertions, ignore = "half a minute, with optimization")]
 fn sphere_is_within_its_bounds() {
     check("sphere", 256, 0.005, 1.40e-2);
 }
@@ -139,12 +86,20 @@ fn sphere_is_within_its_bounds() {
 /// The blocks are judged at 512 samples: lamps of a hundredth of a pixel are met by so few camera rays at 64 that a block may
 /// hold none, and then its samples do not know their own variance.
 #[test]
-#[ignore = "minutes"]
+#[cfg_attr(debug_assertions, ignore = "half a minute, with optimization")]
 fn roundabout_is_within_its_bounds() {
-    if let (Some(few), Some(many)) = (measure("roundabout", 64), measure("roundabout", 512)) {
-        let net = few.relmse - few.reference_noise;
+    if let Some(c) = measure("roundabout", 64) {
+        let net = c.relmse - c.reference_noise;
         assert!(net <= 0.661, "relmse less the reference's own noise {net}");
-        assert!((few.mean_ratio - 1.0).abs() <= 0.01 && (many.mean_ratio - 1.0).abs() <= 0.01);
-        blocks_agree(&many);
+        assert!((c.mean_ratio - 1.0).abs() <= 0.01, "mean ratio {}", c.mean_ratio);
+    }
+}
+
+#[test]
+#[ignore = "minutes"]
+fn roundabout_at_many_samples_has_the_reference_s_mean_and_blocks() {
+    if let Some(c) = measure("roundabout", 512) {
+        assert!((c.mean_ratio - 1.0).abs() <= 0.01, "mean ratio {}", c.mean_ratio);
+        blocks_agree(&c);
     }
 }

@@ -5,7 +5,6 @@
 
 mod formats;
 mod mutate;
-mod rng;
 mod schema;
 mod trust;
 mod wire;
@@ -13,7 +12,7 @@ mod wire;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::time::{Duration, Instant};
 
-pub use rng::Rng;
+use crate::rng::Rng;
 
 type Make = Box<dyn Fn(&mut Rng) -> Vec<u8>>;
 type Decode = Box<dyn Fn(&[u8]) -> bool>;

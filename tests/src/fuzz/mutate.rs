@@ -1,6 +1,6 @@
 //! Bytes made worse.
 
-use super::Rng;
+use crate::rng::Rng;
 
 /// Bytes beyond which nothing grows.
 const MOST: usize = 1 << 16;

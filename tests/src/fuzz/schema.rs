@@ -7,7 +7,7 @@ use prost::encoding::{WireType, encode_key, encode_varint};
 use prost_types::field_descriptor_proto::{Label, Type};
 use prost_types::{DescriptorProto, FieldDescriptorProto, FileDescriptorSet};
 
-use super::Rng;
+use crate::rng::Rng;
 
 /// All messages of a package by their full names.
 pub(super) struct Schema {

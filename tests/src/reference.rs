@@ -1,0 +1,171 @@
+//! Reference images of two independent halves, and how an image is held against one.
+
+use femc_film::exr::read;
+use femc_film::{FrameImage, Image};
+use femc_math::color::LUMINANCE_WEIGHTS;
+use femc_scene::Scene;
+use femc_stats::testing::{sidak, z_test};
+use std::path::{Path, PathBuf};
+
+/// What keeps black pixels from counting for everything: relmse is the mean of (x - r)^2 / (r^2 + 0.01).
+const DARK: f64 = 0.01;
+
+/// Rooms with references by brute force.
+pub const ROOMS: [&str; 3] = ["box", "glossy", "fog"];
+
+/// The folder of [`ROOMS`].
+pub fn rooms() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("references")
+}
+
+/// BLAKE3 digest of a scene's files, one after the other.
+/// - `folder`: of the scene.
+///
+/// # Panics
+/// If they cannot be read.
+pub fn digest(folder: &Path, scene: &Scene) -> blake3::Hash {
+    let text = |file: &String| std::fs::read(folder.join(file)).unwrap_or_else(|error| panic!("{file}: {error}"));
+    blake3::hash(&scene.files.iter().flat_map(text).collect::<Vec<u8>>())
+}
+
+/// Two independent images of the same scene, whose difference tells their noise.
+pub struct Reference {
+    halves: [Image; 2],
+}
+
+/// What one number of an image and of its reference differ by, and the variance of that.
+#[derive(Clone, Copy, Default)]
+struct Difference {
+    difference: f64,
+    variance: f64,
+}
+
+/// An image beside a reference.
+#[derive(Debug)]
+pub struct Comparison {
+    /// Sum of all channels over the reference's.
+    pub mean_ratio: f64,
+    /// Of the image, the reference's own noise included.
+    pub relmse: f64,
+    /// Of the reference alone.
+    pub reference_noise: f64,
+    /// The largest distance of a block's mean from the reference's, of any channel, in standard errors of both.
+    pub worst_z: f64,
+    /// Top left pixel of that block.
+    pub worst_block: (usize, usize),
+    /// Distance of the mean luminance from the reference's, in standard errors of both.
+    pub luminance_z: f64,
+    /// Block means and mean luminance: numbers that were compared.
+    tests: usize,
+}
+
+impl Reference {
+    /// Of independent images of one size.
+    pub fn new(halves: [Image; 2]) -> Self {
+        Self { halves }
+    }
+
+    /// `<name>_A.exr` and `<name>_B.exr` of a folder.
+    ///
+    /// # Panics
+    /// If they cannot be read.
+    pub fn read(folder: &Path, name: &str) -> Self {
+        let half =
+            |half| read(&folder.join(format!("{name}_{half}.exr"))).unwrap_or_else(|error| panic!("{error}")).image;
+        Self::new(["A", "B"].map(half))
+    }
+
+    /// Mean of the halves and its variance.
+    fn estimate(&self, value: impl Fn(&Image) -> f64) -> (f64, f64) {
+        let [a, b] = [0, 1].map(|half| value(&self.halves[half]));
+        (0.5 * (a + b), 0.25 * (a - b) * (a - b))
+    }
+
+    /// Relmse of the mean of the halves.
+    pub fn noise(&self) -> f64 {
+        self.mean_of_channels(|mean, variance, _, _| variance / (mean * mean + DARK))
+    }
+
+    /// Mean of all numbers of the mean of the halves.
+    pub fn mean(&self) -> f64 {
+        self.mean_of_channels(|mean, _, _, _| mean)
+    }
+
+    /// Mean of a function of the reference's mean and variance at a pixel and a channel.
+    fn mean_of_channels(&self, value: impl Fn(f64, f64, usize, usize) -> f64) -> f64 {
+        let pixels = self.halves[0].pixels.len();
+        let all = (0..3 * pixels).map(|index| {
+            let (at, c) = (index / 3, index % 3);
+            let (mean, variance) = self.estimate(|half| f64::from(half.pixels[at][c]));
+            value(mean, variance, at, c)
+        });
+        all.sum::<f64>() / (3 * pixels) as f64
+    }
+
+    /// Compares whole images, and their means over blocks of `block` x `block` pixels.
+    pub fn compare(&self, image: &FrameImage, block: usize) -> Comparison {
+        let value = |at: usize, c: usize| f64::from(image.color.pixels[at][c]);
+        let blocks = self.blocks(image, block);
+        let zs = blocks.iter().enumerate().flat_map(|(index, channels)| channels.map(|sum| (sum.z(), index)));
+        let (worst_z, worst) = zs.max_by(|a, b| a.0.total_cmp(&b.0)).unwrap_or_default();
+        let columns = (image.color.width as usize).div_ceil(block);
+        Comparison {
+            mean_ratio: self.mean_of_channels(|_, _, at, c| value(at, c)) / self.mean(),
+            relmse: self.mean_of_channels(|mean, _, at, c| (value(at, c) - mean).powi(2) / (mean * mean + DARK)),
+            reference_noise: self.noise(),
+            worst_z,
+            worst_block: (worst % columns * block, worst / columns * block),
+            luminance_z: self.luminance(image).z(),
+            tests: 3 * blocks.len() + 1,
+        }
+    }
+
+    /// Sums over each block's pixels, channel by channel.
+    fn blocks(&self, image: &FrameImage, block: usize) -> Vec<[Difference; 3]> {
+        let (width, height) = (image.color.width as usize, image.color.height as usize);
+        let columns = width.div_ceil(block);
+        let mut blocks = vec![[Difference::default(); 3]; columns * height.div_ceil(block)];
+        for at in 0..width * height {
+            let sums = &mut blocks[at / width / block * columns + at % width / block];
+            for (c, sum) in sums.iter_mut().enumerate() {
+                let expected = self.estimate(|half| f64::from(half.pixels[at][c]));
+                sum.add((f64::from(image.color.pixels[at][c]), f64::from(image.variance[at][c])), expected);
+            }
+        }
+        blocks
+    }
+
+    /// The sum of all pixels' luminances; the image's variance is an upper bound, of channels that vary as one.
+    fn luminance(&self, image: &FrameImage) -> Difference {
+        let mut sum = Difference::default();
+        for at in 0..image.color.pixels.len() {
+            let deviations = image.variance[at].iter().zip(LUMINANCE_WEIGHTS.to_array());
+            let deviation: f64 = deviations.map(|(variance, weight)| f64::from(variance.sqrt() * weight)).sum();
+            let found = (f64::from(image.color.luminance(at)), deviation * deviation);
+            sum.add(found, self.estimate(|half| f64::from(half.luminance(at))));
+        }
+        sum
+    }
+}
+
+impl Difference {
+    /// Of a value and an independent expected one, each with its variance.
+    fn add(&mut self, found: (f64, f64), expected: (f64, f64)) {
+        self.difference += found.0 - expected.0;
+        self.variance += found.1 + expected.1;
+    }
+
+    /// In standard errors; 0 of nothing, NaN of what is not a number.
+    fn z(&self) -> f64 {
+        if self.difference == 0.0 { 0.0 } else { self.difference.abs() / self.variance.sqrt() }
+    }
+}
+
+impl Comparison {
+    /// Whether all block means and the mean luminance are the reference's, by a two-sided z test of each; `level` is the chance of
+    /// a false alarm among all of them.
+    pub fn agrees(&self, level: f64) -> bool {
+        let p = [self.worst_z, self.luminance_z].map(|z| z_test(z, 1.0, 0.0));
+        p.iter().all(|p| *p >= sidak(level, self.tests))
+    }
+}

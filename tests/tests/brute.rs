@@ -1,0 +1,70 @@
+//! Small rooms against images by another path tracer ([`femc_tests::brute`]), which lie in `tests/references`.
+//!
+//! Made again, in some minutes, by `cargo run --release -p femc-tests --example references`.
+
+use femc_pipeline::{Settings, Stop};
+use femc_scene::Scene;
+use femc_tests::reference::{Comparison, ROOMS, Reference, digest, rooms};
+use femc_tests::render;
+use std::sync::Arc;
+
+/// Chance of a false alarm in one comparison.
+const LEVEL: f64 = 1e-4;
+/// Pixels of a block's side.
+const BLOCK: usize = 8;
+/// Of the emitted light, lm/m2, in all rooms.
+const EMITTANCE: f64 = 60.0;
+
+fn room(name: &str) -> Scene {
+    femc_import::load_path(&rooms().join(format!("{name}.mgf"))).unwrap_or_else(|e| panic!("{e}")).scene
+}
+
+/// The renderer's image of a room, with `changes` to its scalars, beside the reference.
+fn compared(name: &str, changes: &[(&str, f64)]) -> Comparison {
+    let mut scene = room(name);
+    for (selector, value) in changes {
+        scene.set(selector, *value).unwrap_or_else(|e| panic!("{e}"));
+    }
+    let settings = Settings { stop: Stop::Spp(512), seed: 7, ..Settings::default() };
+    let comparison = Reference::read(&rooms(), name).compare(&render(&Arc::new(scene), &settings, 1), BLOCK);
+    println!("{name} {changes:?}: {comparison:?}");
+    comparison
+}
+
+/// The room as it is agrees; with one percent more light, or two percent less reflectance, it does not.
+fn check(name: &str) {
+    assert!(compared(name, &[]).agrees(LEVEL), "{name} is not what brute force says");
+    for change in [("material.panel.ed", 1.01 * EMITTANCE), ("material.white.rd", 0.98)] {
+        assert!(!compared(name, &[change]).agrees(LEVEL), "{name}: nobody sees {change:?}");
+    }
+}
+
+#[test]
+fn a_room_is_what_brute_force_says_and_a_percent_more_is_not() {
+    check("box");
+}
+
+#[test]
+fn a_room_with_rough_mirrors_is_what_brute_force_says_and_a_percent_more_is_not() {
+    check("glossy");
+}
+
+#[test]
+fn a_room_in_fog_is_what_brute_force_says_and_a_percent_more_is_not() {
+    check("fog");
+}
+
+#[test]
+fn references_have_the_noise_that_their_notes_tell() {
+    for name in ROOMS {
+        let notes = std::fs::read_to_string(rooms().join(format!("{name}.json"))).expect("notes");
+        let notes: serde_json::Value = serde_json::from_str(&notes).expect("JSON");
+        let reference = Reference::read(&rooms(), name);
+        for (key, value) in [("mean", reference.mean()), ("noise_relmse", reference.noise())] {
+            let told = notes[key].as_f64().expect("a number");
+            assert!((value - told).abs() <= 1e-5 * told, "{name}: {key} is {value}, not {told}");
+        }
+        let scene = digest(&rooms(), &room(name)).to_string();
+        assert_eq!(notes["scene_blake3"], scene, "{name}: the scene is no more what the reference is of");
+    }
+}

@@ -17,7 +17,7 @@ use femc_schedule::Fact;
 
 /// Two frames of four tiles; a tile takes some tenths of a second.
 const SETTINGS: &str = "--spp 64 --size 32x32 --frames 1..2";
-/// The coordinator's frames are merged from a group of three tiles and one of one; `femc render` merges four tiles at once.
+/// Submitted frames are made of a group of three tiles and one of one; those of `femc render` of four tiles at once.
 const TASKS: usize = 2 * (4 + 2 + 1);
 /// Points that are tried side by side: most of their time goes by with waiting.
 const LANES: usize = 4;
@@ -120,8 +120,7 @@ fn coordinator(place: &Place, port: &str, fault: Option<&str>) -> (Running, Stri
     // Few changes are enough for a snapshot where one is waited for.
     let compact = if fault.is_some_and(|fault| fault.contains("snapshot")) { 4 } else { 20_000 };
     let line = format!(
-        "coordinator --listen 127.0.0.1:{port} --store sqlite:farm.db --artifacts artifacts --lease 2s --compact {compact} \
-         --gather 3"
+        "coordinator --listen 127.0.0.1:{port} --store sqlite:farm.db --artifacts artifacts --lease 2s --compact {compact}"
     );
     let mut process = started(place, &line, fault);
     let url = process.address();
@@ -154,14 +153,11 @@ fn effects(place: &Place) -> (Vec<String>, bool) {
     let mut effects = Vec::new();
     for record in &contents.records {
         match Fact::decode(record).expect("a fact").1 {
-            Fact::Rendered { task, epoch, .. }
-            | Fact::Gathered { task, epoch, .. }
-            | Fact::Merged { task, epoch, .. } => {
+            Fact::Done { task, epoch, .. } => {
                 effects.push(format!("{}.{}", task.to_string().replace('/', "-"), epoch.0));
             }
             Fact::Opened { .. }
             | Fact::Submitted { .. }
-            | Fact::Grouped { .. }
             | Fact::Built { .. }
             | Fact::Used { .. }
             | Fact::Died { .. }
@@ -176,7 +172,8 @@ impl Farm {
     /// With a job on its way.
     fn new(place: Place, fault: Option<&str>) -> Self {
         let (coordinator, url) = coordinator(&place, "0", fault);
-        let submission = place.start(&format!("submit fog.mgf {SETTINGS} --server {url}"));
+        let mut submission = place.command(&format!("submit fog.mgf {SETTINGS} --server {url}"));
+        let submission = Running::of(submission.env("FEMC_PRETEND", "fan=3"));
         Self { place, coordinator, url, submission, job: String::new() }
     }
 

@@ -1,7 +1,9 @@
 //! `femc plan`, `femc check`, `femc compare`.
 
 mod common;
-use common::Place;
+use common::{Place, coordinator, submit};
+use femc_model::{Graph, JobId};
+use femc_proto::Client;
 
 #[test]
 fn a_plan_counts_its_tasks_and_gives_reasons_for_what_is_left_out() {
@@ -9,12 +11,34 @@ fn a_plan_counts_its_tasks_and_gives_reasons_for_what_is_left_out() {
     let plan = place.run("plan fog.mgf --spp 16 --frames 1..3 --no-trial --json").exits(0).json();
     let tiles = plan["tiles"].as_u64().expect("a number");
     assert_eq!(plan["tasks"], 3 * (tiles + 1));
+    assert!(plan["graph"]["stages"].as_array().is_some_and(|stages| stages.len() == 2), "{plan}");
     assert_eq!(plan["samples_most"], 3 * 16 * 32 * 32);
     assert_eq!(plan["frames"], serde_json::json!([1, 2, 3]));
     assert!(plan["cost"].is_null());
     let left_out = plan["left_out"].as_array().expect("a list");
     assert!(!left_out.is_empty());
     assert!(left_out.iter().all(|left| left["reason"].as_str().is_some_and(|reason| !reason.is_empty())));
+}
+
+#[test]
+fn the_plan_is_the_graph_that_is_submitted() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    for (settings, stages) in [("--spp 16", 2), ("--error 0.1", 2), ("--time 1m --size 640x512", 3)] {
+        let plan = place.run(&format!("plan fog.mgf {settings} --no-trial --json")).exits(0).json();
+        let planned: Graph = serde_json::from_value(plan["graph"].clone()).expect("a graph");
+        assert_eq!((planned.check(), planned.stages.len()), (Ok(()), stages), "{settings}");
+        let job = JobId(submit(&place, &url, settings).parse().expect("a number"));
+        let submitted = runtime.block_on(async {
+            let client = Client::connect(&url).await.expect("the farm");
+            client.attempts(job).await.expect("the job").0.spec
+        });
+        assert_eq!(submitted.graph, planned, "{settings}");
+        let shown = place.run(&format!("plan fog.mgf {settings} --no-trial")).exits(0).stdout();
+        let numbers = |line: &str| line.split_whitespace().next().is_some_and(|word| word.parse::<u16>().is_ok());
+        assert!(shown.lines().filter(|line| numbers(line)).count() >= stages, "{shown}");
+    }
 }
 
 #[test]

@@ -12,15 +12,16 @@ fn every_attempt_has_a_log_and_failures_are_marked_and_outlive_the_coordinator()
     let followed = place.run(&format!("logs {job} --follow --json --server {url}")).exits(0).stdout();
     let lines: Vec<serde_json::Value> =
         followed.lines().map(|line| serde_json::from_str(line).expect("a document a line")).collect();
-    assert_eq!(lines.len(), 10, "two frames of four tiles and a merge: {followed}");
+    assert_eq!(lines.len(), 10, "two frames of four tiles and an image: {followed}");
     let all = place.run(&format!("logs {job} --json --server {url}")).exits(0).json();
     assert_eq!(all.as_array().map(Vec::len), Some(10));
     let one = place.run(&format!("logs {job} 2.0/render/3 --server {url}")).exits(0).stdout();
-    for said in ["2.0/render/3 on lab: done", "engine", "512 samples", "MiB at most", "rendered", "shadow_rays="] {
+    let words = ["2.0/render/3 on lab: done", "engine", "512 pixel samples", "MiB at most", "rendered", "shadow_rays="];
+    for said in words {
         assert!(one.contains(said), "{said}: {one}");
     }
-    let merge = place.run(&format!("logs {job}/1.0/merge/0 --server {url}")).exits(0).stdout();
-    assert!(merge.contains("the frame is put together") && !merge.contains("render/"), "{merge}");
+    let image = place.run(&format!("logs {job}/1.0/image/0 --server {url}")).exits(0).stdout();
+    assert!(image.contains("the frame is put together") && !image.contains("render/"), "{image}");
 
     // A scene that nobody can read.
     place.write("fog.mgf", &common::FOG.replace("origin 0 -3.4 1", "origin 0 -3.4"));
@@ -40,7 +41,7 @@ fn every_attempt_has_a_log_and_failures_are_marked_and_outlive_the_coordinator()
     let port = url.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
     let (_farm, url) = coordinator(&place, port);
     let kept = place.run(&format!("logs {job} --json --server {url}")).exits(0).json();
-    assert_eq!(kept.as_array().map(Vec::len), Some(2), "the merges: {kept}");
+    assert_eq!(kept.as_array().map(Vec::len), Some(2), "the images: {kept}");
     assert!(place.run(&format!("logs {other} 1 --failed --server {url}")).exits(0).stdout().contains("FAILED"));
 }
 

@@ -37,7 +37,7 @@ fn the_numbers_are_those_of_the_job() {
     let value = |name: &str, labels: &[(&str, &str)]| farm_now.value(name, labels).expect(name);
     assert_eq!(value("femc_jobs", &[("state", "done")]), 1.0);
     assert_eq!(value("femc_tasks_done_total", &[("stage", "render")]), 8.0);
-    assert_eq!(value("femc_tasks_done_total", &[("stage", "merge")]), 2.0);
+    assert_eq!(value("femc_tasks_done_total", &[("stage", "image")]), 2.0);
     assert_eq!((attempts, value("femc_attempts_total", &[("ending", "done")])), (10.0, 10.0));
     assert_eq!(farm_now.sum("femc_tasks_ready", &[]) + farm_now.sum("femc_tasks_leased", &[]), 0.0);
     assert_eq!(value("femc_samples_left", &[]), 0.0);

@@ -126,7 +126,7 @@ fn what_goes_wrong_is_said_with_its_kind() {
     let told = render(&programs, &place, &format!("broken.mgf --server {url}")).exits(1).stderr();
     assert!(told.contains("job 1 is not done") && told.contains("scene: broken.mgf:2"), "{told}");
     let told = render(&programs, &place, &format!("fog.mgf --spp 0 --server {url}")).exits(1).stderr();
-    assert!(told.contains("invalid") && told.contains("rounds"), "{told}");
+    assert!(told.contains("invalid") && told.contains("steps of stage 0"), "{told}");
     let told = render(&programs, &place, "fog.mgf --server http://127.0.0.1:9").exits(4).stderr();
     assert!(told.contains("http://127.0.0.1:9 cannot be reached"), "{told}");
     let told = render(&programs, &place, &format!("nothing.mgf --server {url}")).exits(2).stderr();

@@ -7,7 +7,7 @@ use std::net::TcpListener;
 use std::time::Instant;
 
 use common::{Place, Running, names};
-use femc_model::{Stage, StageKind, TaskKey};
+use femc_model::{Stage, TaskKey};
 use femc_queue::testing::Scratch;
 use femc_queue::{Postgres, Queue as _, Standby};
 use femc_schedule::Fact;
@@ -123,7 +123,7 @@ impl Farm {
         for record in &records {
             match Fact::decode(record).expect("a fact").1 {
                 Fact::Submitted { job, spec: submitted, .. } => spec = Some((job, submitted)),
-                Fact::Rendered { task, .. } | Fact::Gathered { task, .. } | Fact::Merged { task, .. } => {
+                Fact::Done { task, .. } => {
                     *effects.entry(task).or_insert(0) += 1;
                 }
                 Fact::Opened { .. } => terms += 1,
@@ -134,10 +134,10 @@ impl Farm {
         let (job, spec) = spec.expect("a job");
         let mut tasks = Vec::new();
         for &frame in &spec.frames {
-            for round in 0..spec.rounds.len() as u32 {
-                for (kind, count) in [(StageKind::Render, spec.grid.tiles()), (StageKind::Merge, 1)] {
-                    let stage = Stage { frame, round, kind };
-                    tasks.extend((0..count).map(|index| TaskKey { job, stage, index }));
+            for (number, template) in spec.graph.iter() {
+                for round in 0..spec.graph.rounds(number) {
+                    let stage = Stage { frame, round, number, kind: template.kind };
+                    tasks.extend((0..template.tasks()).map(|index| TaskKey { job, stage, index }));
                 }
             }
         }

@@ -3,6 +3,7 @@
 
 mod common;
 use common::{Place, Running, coordinator, names, pixels, share, submit, workers};
+use femc_proto::{OLDEST, PROTOCOL};
 use std::process::Command;
 
 const JOB: &str = "--spp 64 --frames 1..3";
@@ -39,7 +40,7 @@ fn makers(place: &Place, url: &str, job: &str) -> Vec<(u64, String)> {
 }
 
 #[test]
-fn a_worker_of_the_protocol_before_works_beside_one_of_today() {
+fn a_worker_of_the_oldest_protocol_works_beside_one_of_today() {
     let place = Place::new();
     let (mut farm, url) = coordinator(&place, 0);
     let _old = match std::env::var_os("FEMC_OLD") {
@@ -48,7 +49,7 @@ fn a_worker_of_the_protocol_before_works_beside_one_of_today() {
             let mut command = Command::new(program);
             Running::of(command.args(line.split_whitespace()).current_dir(place.path(".")))
         }
-        None => worker(&place, &url, "old", "protocol=3,engine=0.1.0"),
+        None => worker(&place, &url, "old", &format!("protocol={OLDEST},engine=old")),
     };
     let _new = worker(&place, &url, "new", "");
     farm.wait_until("both", || workers(&place, &url).as_array().is_some_and(|all| all.len() == 2));
@@ -64,9 +65,9 @@ fn a_worker_of_the_protocol_before_works_beside_one_of_today() {
 fn a_worker_of_a_protocol_too_old_or_too_new_is_refused_and_told_what_to_do() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);
-    for (pretends, said) in [("protocol=2", "upgrade this worker"), ("protocol=5", "upgrade the coordinator first")] {
-        let ran = worker(&place, &url, "other", pretends).end().exits(1);
-        assert!(ran.stderr().contains(said) && ran.stderr().contains("3 and 4"), "{pretends}: {}", ran.stderr());
+    for (protocol, said) in [(OLDEST - 1, "upgrade this worker"), (PROTOCOL + 1, "upgrade the coordinator first")] {
+        let told = worker(&place, &url, "other", &format!("protocol={protocol}")).end().exits(1).stderr();
+        assert!(told.contains(said) && told.contains(&format!("{OLDEST} to {PROTOCOL}")), "{protocol}: {told}");
     }
     assert_eq!(workers(&place, &url).as_array().map(Vec::len), Some(0));
 }

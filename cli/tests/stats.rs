@@ -68,7 +68,7 @@ fn what_was_told_outlives_the_coordinator_and_failures_are_attempts_too() {
     let _large = place.start(&format!("worker --join {url} --threads 1 --name large"));
     place.run(&format!("watch {job} --quiet --server {url}")).exits(0);
     let before = stats(&url);
-    assert_eq!(sum_of(&before, "done"), 5, "four tiles and a merge: {before}");
+    assert_eq!(sum_of(&before, "done"), 5, "four tiles and an image: {before}");
     let page = |url: &str| {
         place.run(&format!("report {job} -o report.html --server {url}")).exits(0);
         place.read("report.html")

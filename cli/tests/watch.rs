@@ -2,7 +2,7 @@
 #![cfg(unix)]
 
 mod common;
-use common::{Place, Running, submit};
+use common::{Place, Running};
 use femc_film::{ToneCurve, exr};
 
 /// The picture of an EXR file, as previews are.
@@ -11,13 +11,14 @@ fn picture(place: &Place, name: &str) -> Vec<u8> {
     ToneCurve::auto([&image]).picture(&image).to_png().expect("a PNG")
 }
 
-/// A farm that gathers two tiles at a time, and a worker that stands still in the middle of a frame.
+/// A farm, and a worker that stands still in the middle of a frame whose tiles are reduced in twos.
 fn half_done(place: &Place) -> (Running, Running, String, String) {
-    let line = "coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts artifacts --lease 1m --gather 2";
+    let line = "coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts artifacts --lease 1m";
     let mut farm = place.start(line);
     let url = farm.address();
     let mut worker = place.start(&format!("worker --join {url} --threads 1"));
-    let job = submit(place, &url, "--spp 200 --size 64x64 --frames 1");
+    let mut submit = place.command(&format!("submit fog.mgf --spp 200 --size 64x64 --frames 1 --server {url}"));
+    let job = Running::of(submit.env("FEMC_PRETEND", "fan=2")).end().exits(0).stdout().trim().to_owned();
     let tiles = || common::status(place, &url, &job)["active"][0]["tiles_done"].as_u64().unwrap_or(0);
     farm.wait_until("three tiles", || tiles() >= 3);
     worker.signal("STOP");

@@ -39,7 +39,7 @@ fn a_worker_killed_between_a_result_and_its_acknowledgement_brings_the_result_al
     second.wait_until("an empty outbox", || kept(&place, "box").is_empty());
     let third = place.start(&format!("worker --join {url} --threads 1 --tags lab --name third"));
     place.run(&format!("watch {job} --server {url}")).exits(0);
-    assert!(completed("third") >= 1, "at least the merge was left to do");
+    assert!(completed("third") >= 1, "at least the image was left to do");
     drop(third);
     place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
     place.run(&format!("render fog.mgf -o alone {TILE}")).exits(0);
@@ -123,7 +123,7 @@ fn a_worker_above_its_limit_of_memory_gives_tasks_back_and_says_why() {
     let large = place.start(&format!("worker --join {url} --threads 1 --memory 4G"));
     place.run(&format!("watch {job} --server {url}")).exits(0);
     let all = workers(&place, &url);
-    assert_eq!((&all[0]["completed"], &all[1]["completed"]), (&0.into(), &5.into()), "four tiles and the merge: {all}");
+    assert_eq!((&all[0]["completed"], &all[1]["completed"]), (&0.into(), &5.into()), "four tiles and the image: {all}");
     small.signal("TERM");
     small.end().exits(0);
     drop(large);

@@ -61,7 +61,7 @@ fn job(frames: u32, tiles: u32) -> JobSpec {
         settings: "{}".into(),
         frames: (1..=frames).collect(),
         grid: Grid { film: [tiles * 8, 8], tile: 8 },
-        rounds: vec![16],
+        graph: testing::frames(Sizes::even(tiles, 64), &[16], if tiles > 256 { 256 } else { 0 }),
         priority: 50,
         owner: "me".into(),
         tags: vec![],
@@ -169,19 +169,21 @@ async fn half_done(mut queue: impl femc_queue::Queue, frames: u32, tiles: u32) -
     let (mut ledger, mut since) = (Ledger::default(), 0);
     let mut facts = vec![
         Fact::Opened { incarnation: 1 },
-        Fact::Submitted { job: JobId(1), key: None, spec: Box::new(job(1000, 1000)) },
+        Fact::Submitted { job: JobId(1), key: None, spec: Box::new(job(1000, 1000)), cut: Cut::Whole },
     ];
     for frame in 1..=frames {
-        let key = |kind, index| TaskKey { job: JobId(1), stage: Stage { frame, round: 0, kind }, index };
-        let epoch = Epoch::new(1, 1);
+        let mut put = |kind, number, index, artefact| {
+            let task = TaskKey { job: JobId(1), stage: Stage { frame, round: 0, number, kind }, index };
+            let (epoch, result) = (Epoch::new(1, 1), Box::new(result(kind, artefact)));
+            facts.push(Fact::Done { task, end: index + 1, epoch, leased: Tick(1), result });
+        };
         for index in 0..tiles {
             let digest = Digest::of(&[frame.to_le_bytes(), index.to_le_bytes()].concat());
-            let tile = Artefact { digest, bytes: 2000 };
-            let result = TileResult { tile, samples: 1024, bad_samples: 0, seconds: 0.5 };
-            facts.push(Fact::Rendered { task: key(StageKind::Render, index), epoch, leased: Tick(1), result });
+            put(StageKind::Render, 0, index, Artefact { digest, bytes: 2000 });
         }
         if tiles == 1000 {
-            facts.push(Fact::Merged { task: key(StageKind::Merge, 0), epoch, result: Box::new(merged()) });
+            (0..4).for_each(|group| put(StageKind::Reduce, 1, group, Artefact::of(RESULT)));
+            put(StageKind::Image, 2, 0, Artefact::of(RESULT));
         }
         let mut records = Vec::new();
         for fact in facts.drain(..) {
@@ -199,15 +201,13 @@ async fn half_done(mut queue: impl femc_queue::Queue, frames: u32, tiles: u32) -
     Ok(())
 }
 
-fn merged() -> MergeResult {
-    MergeResult {
-        decision: Decision::Done,
-        sums: None,
-        image: Some(Artefact::of(RESULT)),
-        preview: None,
-        relative_error: None,
-        bad_samples: 0,
-        seconds: 0.0,
+/// What a task of a kind makes.
+fn result(kind: StageKind, artefact: Artefact) -> TaskResult {
+    let of = |role| TaskResult { outputs: vec![Output { role, artefact }], ..TaskResult::default() };
+    match kind {
+        StageKind::Render => TaskResult { units: 1024, ..of(Role::Tile) },
+        StageKind::Reduce => of(Role::Pixels),
+        StageKind::Image => TaskResult { decision: Some(Decision::Done), ..of(Role::Image) },
     }
 }
 
@@ -266,12 +266,7 @@ async fn join(client: &Client, instance: u64) -> Result<(Outgoing, Incoming)> {
 }
 
 fn done(lease: &Assignment) -> FromWorker {
-    let tile = || TileResult { tile: Artefact::of(RESULT), samples: 1024, bad_samples: 0, seconds: 0.0 };
-    let result = match lease.work {
-        Work::Render { .. } => TaskResult::Tile(tile()),
-        Work::Gather { .. } => TaskResult::Gather(gathered()),
-        Work::Merge { .. } => TaskResult::Merge(merged()),
-    };
+    let result = result(lease.task.stage.kind, Artefact::of(RESULT));
     let usage = Usage {
         wait: 0.012_345,
         wall: 0.123_456,
@@ -284,11 +279,6 @@ fn done(lease: &Assignment) -> FromWorker {
         sent: RESULT.len() as u64,
     };
     FromWorker::Completed { task: lease.task, epoch: lease.epoch, result, log: None, usage: Some(usage) }
-}
-
-fn gathered() -> GatherResult {
-    let artefact = Artefact::of(RESULT);
-    GatherResult { sums: Some(artefact), pixels: artefact, seconds: 0.0 }
 }
 
 /// Sessions that have their tasks done at once, or hold them.
@@ -315,12 +305,12 @@ async fn session(client: &Client, instance: u64, holds: bool) -> Result<()> {
         tokio::select! {
             _ = beat.tick() => {
                 number += 1;
-                held.iter_mut().for_each(|task| task.samples += 1);
+                held.iter_mut().for_each(|task| task.units += 1);
                 out.send(FromWorker::Heartbeat { number, tasks: held.clone(), spent: vec![] }).await;
             }
             message = incoming.next() => match message? {
                 Some(ToWorker::Assign(Assignment { task, epoch, .. })) if holds => {
-                    held.push(TaskProgress { task, epoch, phase: Phase::Working, samples: 0 });
+                    held.push(TaskProgress { task, epoch, phase: Phase::Working, units: 0 });
                 }
                 Some(ToWorker::Assign(lease)) => out.send(done(&lease)).await,
                 Some(_) => {}

@@ -125,7 +125,7 @@ impl Metrics {
     /// What follows from an event.
     pub(crate) fn heed(&self, command: &Command) {
         match command {
-            Command::Record(Fact::Rendered { task, .. } | Fact::Gathered { task, .. } | Fact::Merged { task, .. }) => {
+            Command::Record(Fact::Done { task, .. }) => {
                 self.0.done.add(task.stage.kind.name(), 1);
             }
             Command::Record(Fact::Failed { failure: failure @ Failure::Stalled { .. }, .. }) => self.failed(failure),

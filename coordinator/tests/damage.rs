@@ -56,7 +56,7 @@ fn spec(bundle: Digest) -> JobSpec {
         settings: "{}".into(),
         frames: vec![1, 2],
         grid: Grid { film: [8, 8], tile: 8 },
-        rounds: vec![16],
+        graph: testing::frames(Grid { film: [8, 8], tile: 8 }.sizes(), &[16], 0),
         priority: 50,
         owner: "me".into(),
         tags: vec![],
@@ -136,22 +136,16 @@ impl Hand {
     async fn result(&self, held: &Assignment) -> TaskResult {
         let bytes = format!("{:?} {}", held.task.stage.kind, held.task.stage.frame);
         let artefact = self.client.put(Bytes::from(bytes)).await.unwrap();
-        match &held.work {
-            Work::Render { samples, .. } => TaskResult::Tile(TileResult {
-                tile: artefact,
-                samples: u64::from(samples.end - samples.start) * 64,
-                bad_samples: 0,
-                seconds: 0.1,
-            }),
-            Work::Merge { .. } | Work::Gather { .. } => TaskResult::Merge(MergeResult {
-                decision: Decision::Done,
-                sums: None,
-                image: Some(self.image.unwrap_or(artefact)),
-                preview: None,
-                relative_error: None,
-                bad_samples: 0,
-                seconds: 0.1,
-            }),
+        let of = |role, artefact| TaskResult {
+            outputs: vec![Output { role, artefact }],
+            seconds: 0.1,
+            ..TaskResult::default()
+        };
+        match held.task.stage.kind {
+            StageKind::Render => TaskResult { units: held.work.steps.len() as u64 * 64, ..of(Role::Tile, artefact) },
+            StageKind::Reduce | StageKind::Image => {
+                TaskResult { decision: Some(Decision::Done), ..of(Role::Image, self.image.unwrap_or(artefact)) }
+            }
         }
     }
 }
@@ -169,7 +163,8 @@ async fn every_report_is_answered_and_its_log_is_kept() {
         let held = hand.assigned().await;
         let (task, epoch) = (held.task, held.epoch);
         let (result, nobody_has) = (hand.result(&held).await, Artefact::of(b"it was never sent"));
-        let tile = TileResult { tile: nobody_has, samples: 16 * 64, bad_samples: 0, seconds: 0.1 };
+        let outputs = vec![Output { role: Role::Tile, artefact: nobody_has }];
+        let tile = TaskResult { outputs, units: 16 * 64, ..TaskResult::default() };
         let failure = Failure::Panicked { message: "oops".into() };
         let log = |attempt, text| Some(TaskLog { attempt, seconds: 0.25, text });
         let [inline, stored] = [LogText::Inline(format!("log {case}")), LogText::Stored(stored)];
@@ -179,7 +174,7 @@ async fn every_report_is_answered_and_its_log_is_kept() {
                 (FromWorker::Completed { task, epoch, result, log, usage: None }, true)
             }
             1 => {
-                let (result, log) = (TaskResult::Tile(tile), log(Attempt::Done, inline));
+                let (result, log) = (tile, log(Attempt::Done, inline));
                 (FromWorker::Completed { task, epoch, result, log, usage: None }, false)
             }
             _ => (FromWorker::Failed { task, epoch, failure, log: log(Attempt::Failed, stored), usage: None }, true),
@@ -259,7 +254,7 @@ async fn a_damaged_image_is_found_by_who_fetches_it_and_its_frame_is_rendered_ag
     let mut hand = Hand::join(&farm.url()).await;
     hand.work(id).await;
     let before = client.frames(id).await.unwrap();
-    let image = before[1].image;
+    let image = before[1].image().unwrap();
     let whole = client.get_exactly(&image).await.unwrap();
     for damaged in harms(&whole).into_iter().map(Some).chain([None]) {
         let at = file(folder.path(), &image.digest);
@@ -273,7 +268,7 @@ async fn a_damaged_image_is_found_by_who_fetches_it_and_its_frame_is_rendered_ag
         assert!(status.waits.contains(&Wait::ImageLost { frame: 2 }), "{:?}", status.waits);
         assert_eq!(client.frames(id).await.unwrap(), before[..1]);
         hand.work(id).await;
-        assert_eq!(client.frames(id).await.unwrap()[1].image, image);
+        assert_eq!(client.frames(id).await.unwrap()[1].image(), Some(image));
         assert_eq!(client.get_exactly(&image).await.unwrap(), whole);
     }
     farm.stop().await.unwrap();
@@ -344,7 +339,7 @@ async fn a_retry_of_a_job_that_is_done_looks_at_its_images() {
     hand.work(id).await;
     let all_is_well = client.control(id, Control::Retry).await;
     assert!(matches!(all_is_well, Err(CallError::Refused(Refusal::Ended { .. }))), "{all_is_well:?}");
-    let image = client.frames(id).await.unwrap()[0].image;
+    let image = client.frames(id).await.unwrap()[0].image().unwrap();
     std::fs::write(file(folder.path(), &image.digest), b"half").unwrap();
     client.control(id, Control::Retry).await.unwrap();
     let status = client.status(id).await.unwrap();

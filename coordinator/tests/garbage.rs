@@ -72,7 +72,7 @@ fn job(scene: &[Bytes]) -> JobSpec {
         settings: "{}".into(),
         frames: vec![1],
         grid: Grid { film: [64, 64], tile: 16 },
-        rounds: vec![16],
+        graph: testing::frames(Grid { film: [64, 64], tile: 16 }.sizes(), &[16], 0),
         priority: 50,
         owner: "me".into(),
         tags: vec![],

@@ -90,7 +90,7 @@ fn spec() -> JobSpec {
         settings: "{}".into(),
         frames: vec![1],
         grid: Grid { film: [64, 64], tile: 8 },
-        rounds: vec![16],
+        graph: testing::frames(Grid { film: [64, 64], tile: 8 }.sizes(), &[16], 0),
         priority: 50,
         owner: "me".into(),
         tags: vec![],
@@ -120,9 +120,10 @@ async fn worker(client: &Client) -> (Outgoing, Incoming) {
 }
 
 fn done(lease: &Assignment) -> FromWorker {
-    let tile = TileResult { tile: Artefact::of(RESULT), samples: 1024, bad_samples: 0, seconds: 0.0 };
+    let outputs = vec![Output { role: Role::Tile, artefact: Artefact::of(RESULT) }];
     let (task, epoch) = (lease.task, lease.epoch);
-    FromWorker::Completed { task, epoch, result: TaskResult::Tile(tile), log: None, usage: None }
+    let result = TaskResult { outputs, units: 1024, ..TaskResult::default() };
+    FromWorker::Completed { task, epoch, result, log: None, usage: None }
 }
 
 async fn next<T>(incoming: &mut Incoming, wanted: impl Fn(ToWorker) -> Option<T>) -> T {

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log, Standing};
-use femc_model::{Digest, Grid, JobId, JobSpec};
+use femc_model::{Digest, Grid, JobId, JobSpec, testing};
 use femc_proto::{CallError, Client};
 use femc_queue::testing::Scratch;
 use tokio::net::{TcpListener, TcpStream};
@@ -80,7 +80,7 @@ async fn submit(client: &Client) -> JobId {
         settings: "{}".into(),
         frames: vec![1, 2],
         grid: Grid { film: [64, 64], tile: 16 },
-        rounds: vec![16],
+        graph: testing::frames(Grid { film: [64, 64], tile: 16 }.sizes(), &[16], 0),
         priority: 50,
         owner: "me".into(),
         tags: vec![],

@@ -5,6 +5,7 @@ python3 render.py ../../scenes/cornell.mgf --size 64x64 --spp 16 -o out
 """
 
 import argparse
+import itertools
 import json
 import os
 import pathlib
@@ -49,8 +50,32 @@ def connect(args):
     return Farm(args.server, *identity(args.identity)) if args.identity else Farm(args.server)
 
 
+def graph(width, height, edge, spp):
+    """The stages of a frame: tiles, groups of them where there are many, the image; `JobSpec.graph` says how."""
+    tiles = [min(edge, width - x) * min(edge, height - y) for y in range(0, height, edge) for x in range(0, width, edge)]
+    sizes = [wire.Sizes(tasks=len(list(run)), units=pixels) for pixels, run in itertools.groupby(tiles)]
+    fan = min(256, 262144 // edge**2)
+
+    def stage(kind, makes, tasks=1, **others):
+        others = {"sizes": [wire.Sizes(tasks=tasks, units=1)], **others}
+        return wire.Template(kind=kind, scope=wire.SCOPE_FRAME, makes=makes, **others)
+
+    def read(number, role, **reach):
+        return [wire.Need(stage=number, role=role, round=wire.ROUND_SAME, **reach)]
+
+    stages = [stage(wire.STAGE_KIND_RENDER, [wire.ROLE_TILE], sizes=sizes, steps=[spp])]
+    united = read(0, wire.ROLE_TILE, all=wire.Empty())
+    if len(tiles) > fan:
+        needs = read(0, wire.ROLE_TILE, fan=fan)
+        stages.append(stage(wire.STAGE_KIND_REDUCE, [wire.ROLE_PIXELS], -(-len(tiles) // fan), needs=needs))
+        united = read(1, wire.ROLE_PIXELS, all=wire.Empty())
+    makes = [wire.ROLE_IMAGE, wire.ROLE_PREVIEW]
+    stages.append(stage(wire.STAGE_KIND_IMAGE, makes, needs=united, closes=wire.Loop(first=0, rounds=1)))
+    return wire.Graph(stages=stages)
+
+
 def job(args, bundle):
-    """What is asked for. Film, tiles and rounds follow from the settings: `JobSpec` says how."""
+    """What is asked for. Film, tiles and stages follow from the settings: `JobSpec` says how."""
     width, height = (int(side) for side in args.size.split("x"))
     first, _, last = args.frames.partition("..")
     overrides = [(name, float(value)) for name, _, value in (text.partition("=") for text in args.overrides)]
@@ -69,6 +94,7 @@ def job(args, bundle):
     def tiles(edge):
         return -(-width // edge) * -(-height // edge)
 
+    edge = next((edge for edge in (128, 64, 32) if tiles(edge) >= 8), 16)
     return wire.JobSpec(
         name=args.scene.stem,
         bundle=bundle,
@@ -77,8 +103,8 @@ def job(args, bundle):
         frames=range(int(first), int(last or first) + 1),
         film_width=width,
         film_height=height,
-        tile=next((edge for edge in (128, 64, 32) if tiles(edge) >= 8), 16),
-        rounds=[args.spp],
+        tile=edge,
+        graph=graph(width, height, edge, args.spp),
         priority=50,
         owner=os.environ.get("USER", "nobody"),
     )
@@ -124,7 +150,8 @@ def run(args):
     args.out.mkdir(parents=True, exist_ok=True)
     for frame in farm.frames(number):
         path = args.out / f"{status.name}.{frame.frame:04}.exr"
-        path.write_bytes(farm.get(frame.image))
+        image = next(output.artefact for output in frame.outputs if output.role == wire.ROLE_IMAGE)
+        path.write_bytes(farm.get(image))
         print(f"{path}: mean luminance {luminance(path):.6g} cd/m2, {frame.spp} samples a pixel")
     if status.state != wire.JOB_STATE_DONE:
         print("\n".join([f"job {number} is not done", *trouble(status)]), file=sys.stderr)

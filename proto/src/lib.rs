@@ -33,14 +33,12 @@ pub use server::{
 };
 pub use tonic::transport::server::{Connected, TcpIncoming};
 
-/// Version of the protocol: a worker says it when it registers. From 2 on a job's scene is a manifest, which a worker of version 1
-/// would take for damaged; from 3 on a task's key does not tell the tile, and groups of tiles are gathered; from 4 on a worker
-/// tells the build of its engine, where it told its version before.
-pub const PROTOCOL: u32 = 4;
+/// Version of the protocol: a worker says it when it registers. From 5 on a job is a graph of stages.
+pub const PROTOCOL: u32 = 5;
 
 /// Oldest version of workers that a coordinator takes: one before its own, so that a farm is upgraded while it works, the
-/// coordinator first. It sends them nothing that they do not know.
-pub const OLDEST: u32 = PROTOCOL - 1;
+/// coordinator first. It sends them nothing that they do not know; those before 5, which know no graphs, it refuses.
+pub const OLDEST: u32 = if PROTOCOL > 5 { PROTOCOL - 1 } else { 5 };
 
 /// Bytes of an artefact that travel in one message.
 pub const PIECE: usize = 1 << 20;

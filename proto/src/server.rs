@@ -58,7 +58,7 @@ use wire::workers_server::WorkersServer;
 pub struct JobShape {
     /// As submitted.
     pub spec: Box<JobSpec>,
-    /// How its tiles are cut.
+    /// How its tasks are cut.
     pub cut: Cut,
 }
 

@@ -2,14 +2,14 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Control, Digest, Ending, Epoch, JobId, JobSpec, JobStatus, StageKind, TaskKey};
+use femc_model::{Control, Digest, Ending, Epoch, JobId, JobSpec, JobStatus, TaskKey};
 use femc_queue::Note;
 use femc_schedule::{Fact, SnapshotError, decode_attempts};
 
 use crate::disk::Tail;
 use crate::leases::Leases;
 use crate::shared::{Reports, State};
-use crate::tasks::{Counted, Unit, counted, needed};
+use crate::tasks::{Tally, Unit, counted};
 
 /// Something that must never be.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -53,14 +53,14 @@ pub enum Violation {
         epochs: [Epoch; 2],
     },
     /// The log counts a merge to which samples of its round were missing.
-    #[error("{task} counts, and sample {sample} of tile {tile} does not")]
+    #[error("{task} counts, and step {step} of task {item}, which it reads, does not")]
     Missing {
-        /// The merge.
+        /// The one that reads it.
         task: TaskKey,
-        /// Number in the grid.
-        tile: u32,
-        /// Of each pixel.
-        sample: u32,
+        /// The task that was to do it, by its number.
+        item: u32,
+        /// Of that task.
+        step: u32,
     },
     /// A result was acknowledged, and the log does not have it.
     #[error("{task} under epoch {} was acknowledged and is not in the log", .epoch.0)]
@@ -403,10 +403,9 @@ pub(crate) fn account(spec: &JobSpec, status: &JobStatus) -> Vec<Violation> {
             wrong.push(Violation::Account { what, found, expected });
         }
     };
-    let spp = spec.rounds.last().copied().unwrap_or(0);
     let frames = spec.frames.len() as u64;
     check("frames", u64::from(status.frames_done), frames);
-    check("samples", status.samples_done, frames * spec.grid.pixels() * u64::from(spp));
+    check("samples", status.samples_done, frames * spec.samples_of_frame());
     check("bad samples", status.bad_samples, 0);
     wrong
 }
@@ -418,33 +417,20 @@ pub(crate) fn log<'a>(
     leases: &Leases,
 ) -> Result<Vec<Violation>, SnapshotError> {
     let mut wrong = Vec::new();
-    let mut done: BTreeMap<Unit, (TaskKey, Epoch)> = BTreeMap::new();
+    let mut tally = Tally::default();
     let mut counts: BTreeSet<(TaskKey, Epoch)> = BTreeSet::new();
-    let mut specs: BTreeMap<JobId, Box<JobSpec>> = BTreeMap::new();
-    let mut groups: BTreeMap<JobId, u32> = BTreeMap::new();
     for record in history {
         let fact = Fact::decode(record)?.1;
-        if let Some(Counted { task, epoch, .. }) = counted(&fact) {
+        if let Some(result) = counted(&fact) {
+            let (task, epoch) = (result.task, result.epoch);
             counts.insert((task, epoch));
-            if task.stage.kind == StageKind::Merge {
-                wrong.extend(specs.get(&task.job).and_then(|spec| missing(spec, task, &done)));
-            }
-            let units = leases.units(task, epoch).iter();
-            let before = units.filter_map(|unit| done.insert(*unit, (task, epoch))).next();
+            let units = leases.units(task, epoch);
+            let missing = tally.missing(units);
+            wrong.extend(missing.map(|Unit { item, step, .. }| Violation::Missing { task, item, step }));
+            let before = tally.count(&result, units);
             wrong.extend(before.map(|(_, before)| Violation::Twice { task, epochs: [before, epoch] }));
         }
-        match fact {
-            Fact::Submitted { job, spec, .. } => drop(specs.insert(job, spec)),
-            Fact::Grouped { job, tiles } => drop(groups.insert(job, tiles)),
-            Fact::Lost { task } => {
-                let tiles = groups.get(&task.job).copied().unwrap_or(1);
-                done.retain(|unit, (by, _)| *by != task && !unit.is_gathered_by(&task, tiles));
-            }
-            Fact::Restarted { job, frame } => {
-                done.retain(|unit, _| (unit.job, unit.stage.frame) != (job, frame));
-            }
-            _ => {}
-        }
+        tally.note(&fact);
     }
     for &(task, epoch) in accepted.intersection(reported) {
         if !counts.contains(&(task, epoch)) {
@@ -468,7 +454,7 @@ pub(crate) fn noted<'a>(
         if let Some(result) = counted(&fact) {
             let (times, samples) = counts.entry((result.task, result.epoch)).or_default();
             *times += 1;
-            *samples += result.samples;
+            *samples += result.result.units;
         }
         if let Fact::Forgotten { job } = fact {
             forgotten.insert(job);
@@ -495,10 +481,4 @@ pub(crate) fn noted<'a>(
     let for_nothing = times.keys().filter(|key| tail == Tail::Whole && !counts.contains_key(key));
     wrong.extend(for_nothing.map(|&(task, epoch)| Violation::NotedForNothing { task, epoch }));
     Ok(wrong)
-}
-
-/// A sample that is not there when its round is merged.
-fn missing(spec: &JobSpec, merge: TaskKey, done: &BTreeMap<Unit, (TaskKey, Epoch)>) -> Option<Violation> {
-    let Unit { tile, sample, .. } = needed(spec, merge).find(|unit| !done.contains_key(unit))?;
-    Some(Violation::Missing { task: merge, tile, sample })
 }

@@ -127,7 +127,7 @@ impl Cast {
 }
 
 fn errand(rng: &mut SmallRng, most: usize) -> anyhow::Result<Errand> {
-    let stage = stage::pick(rng.random_range(0..8))?;
+    let stage = stage::pick(rng.random_range(0..stage::Stage::COUNT))?;
     let curse = match rng.random_range(0..24) {
         0..4 => Curse::NowAndThen,
         4 => Curse::Always,

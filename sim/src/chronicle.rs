@@ -3,9 +3,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use femc_model::{
-    Control, Drain, Epoch, Failure, JobId, JobSpec, JobState, JobStatus, Quarantined, StageKind, TaskKey, Tick,
-};
+use femc_model::{Control, Drain, Epoch, Failure, JobId, JobSpec, JobState, JobStatus, Quarantined, TaskKey, Tick};
 use femc_schedule::{Casualty, Evidence, Fact};
 
 use crate::audit::Violation;
@@ -204,7 +202,7 @@ impl Chronicle {
                     wrong.push(Violation::Incarnation { incarnation: *incarnation });
                 }
             }
-            Fact::Submitted { job, key, spec } => {
+            Fact::Submitted { job, key, spec, .. } => {
                 if job.0 <= self.last {
                     wrong.push(Violation::Renumbered { job: *job });
                 }
@@ -281,11 +279,11 @@ impl Chronicle {
                 None => wrong.push(Violation::AfterEnd { task: result.task, epoch: result.epoch }),
                 Some(record) => {
                     // What is done and lost later is tried anew.
-                    if result.task.stage.kind == StageKind::Render {
+                    if result.task.stage.kind.is_cut() {
                         record.troubles.remove(&tried(result.task));
                     }
-                    *record.busy.entry(frame).or_default() += result.seconds;
-                    if result.finishes {
+                    *record.busy.entry(frame).or_default() += result.result.seconds;
+                    if result.finishes() {
                         let busy = record.busy.remove(&frame).unwrap_or(0.0);
                         record.finished.insert(frame, busy);
                         record.troubles.retain(|task, _| task.stage.frame != frame);

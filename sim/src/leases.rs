@@ -2,11 +2,11 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Assignment, Epoch, Failure, JobId, TaskKey};
+use femc_model::{Assignment, Epoch, Failure, JobId, JobSpec, TaskKey};
 use femc_schedule::Fact;
 
 use crate::audit::Violation;
-use crate::tasks::{Unit, counted, units};
+use crate::tasks::{Unit, behind, counted, units};
 
 /// Number of a session that the switch has relayed.
 pub(crate) type SessionNumber = u64;
@@ -22,8 +22,8 @@ pub(crate) struct Leases {
     brought: BTreeMap<(TaskKey, Epoch), BTreeSet<SessionNumber>>,
     /// What the log counts, under leases that nobody has brought along.
     counted: BTreeMap<Unit, (TaskKey, Epoch)>,
-    /// Tiles of a group.
-    groups: BTreeMap<JobId, u32>,
+    /// The jobs that the log knows.
+    specs: BTreeMap<JobId, Box<JobSpec>>,
     /// The build of the engine that works under a lease.
     engines: BTreeMap<(TaskKey, Epoch), String>,
     /// The build whose a frame is.
@@ -69,7 +69,7 @@ impl Leases {
     /// A log begins that knows of nothing: what counted before does not.
     pub(crate) fn anew(&mut self) {
         self.counted.clear();
-        self.groups.clear();
+        self.specs.clear();
         self.built.clear();
         self.failures.clear();
     }
@@ -98,7 +98,7 @@ impl Leases {
         self.latest.retain(|unit, _| unit.job > job);
         self.brought.retain(|(task, _), _| task.job > job);
         self.counted.retain(|unit, _| unit.job > job);
-        self.groups.retain(|&other, _| other > job);
+        self.specs.retain(|&other, _| other > job);
         self.engines.retain(|(task, _), _| task.job > job);
         self.built.retain(|&(other, _), _| other > job);
         self.epochs.retain(|_, task| task.job > job);
@@ -121,13 +121,22 @@ impl Leases {
                 let [counted, reported] = [*counted, reported.len()];
                 return (counted > reported).then_some(Violation::Failures { task: *task, counted, reported });
             }
-            Fact::Grouped { job, tiles } => {
-                self.groups.insert(*job, *tiles);
+            Fact::Submitted { job, spec, .. } => {
+                self.specs.insert(*job, spec.clone());
                 return None;
             }
             Fact::Lost { task } => {
-                let tiles = self.groups.get(&task.job).copied().unwrap_or(1);
-                self.counted.retain(|unit, (by, _)| by != task && !unit.is_gathered_by(task, tiles));
+                let spec = self.specs.get(&task.job);
+                let mut given = self.given.range((*task, Epoch(0))..);
+                let units = given.next().filter(|((of, _), _)| of == task).map(|(_, units)| units);
+                let item = units.and_then(|units| units.first()).map(|unit| unit.item);
+                let behind = spec.zip(item).map(|(spec, item)| behind(spec, &task.stage, item)).unwrap_or_default();
+                self.counted.retain(|unit, (by, _)| {
+                    by != task
+                        && (unit.job != task.job
+                            || !behind.contains(&(unit.stage, unit.item))
+                            || by.stage == task.stage)
+                });
                 return None;
             }
             Fact::Restarted { job, frame } => {

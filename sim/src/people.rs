@@ -308,11 +308,11 @@ impl Person<'_> {
     /// Something happens to the image of a finished frame.
     async fn harms_an_image(&mut self, asked: Asked, job: JobId) {
         let frames = answer(self.shared, asked, &async |client: Client| client.frames(job).await).await;
-        let Ok(Some(frame)) = frames.map(|frames| frames.into_iter().next()) else { return };
+        let Ok(Some(image)) = frames.map(|frames| frames.iter().find_map(FrameRecord::image)) else { return };
         let (harm, thousandths) = (self.rng.random_range(0..4), self.rng.random_range(0..1000));
         let harm = [Harm::Lost, Harm::Flipped, Harm::Short(thousandths), Harm::Zeroed(thousandths)][harm];
-        self.shared.lock().harmed.insert(frame.image.digest);
-        if self.shelf.harm(&frame.image.digest, harm) {
+        self.shared.lock().harmed.insert(image.digest);
+        if self.shelf.harm(&image.digest, harm) {
             self.shared.lock().did("found a finished image damaged");
         }
     }
@@ -324,9 +324,10 @@ impl Person<'_> {
         let fetch = async |client: Client| {
             let mut files = Vec::new();
             for frame in client.frames(job).await? {
-                match client.get(&frame.image.digest, frame.image.bytes).await {
+                let Some(image) = frame.image() else { continue };
+                match client.get(&image.digest, image.bytes).await {
                     Ok(file) => files.push((frame, Some(file))),
-                    Err(CallError::Refused(_)) if is_gone(&frame.image.digest) => files.push((frame, None)),
+                    Err(CallError::Refused(_)) if is_gone(&image.digest) => files.push((frame, None)),
                     Err(error) => return Err(error),
                 }
             }

@@ -9,7 +9,7 @@ use anyhow::Context as _;
 use bytes::Bytes;
 use femc_film::{Frame, Image, Tiling, exr, pixel_digest};
 use femc_import::Bundle;
-use femc_model::{Digest, Grid, JobSpec};
+use femc_model::{Digest, Grid, JobSpec, testing};
 use femc_pipeline::{Settings, Stop};
 use femc_schedule::Config;
 use femc_worker::Cache;
@@ -63,6 +63,18 @@ pub(crate) struct Stage {
     pub(crate) pixels: Vec<String>,
 }
 
+impl Stage {
+    /// How many there are.
+    pub(crate) const COUNT: u64 = (2 * ROUNDS.len() * FANS.len()) as u64;
+
+    /// The same job with groups of so many tiles.
+    fn grouped(&self, fan: u32) -> Self {
+        let graph = testing::frames(self.spec.grid.sizes(), self.spec.rounds(), fan);
+        let spec = JobSpec { graph, ..self.spec.clone() };
+        Self { spec, bundle: self.bundle.clone(), pixels: self.pixels.clone() }
+    }
+}
+
 /// A world does not last for as long as a farm waits for workers of a build that is gone.
 const ORPHANED: u64 = 5_000;
 
@@ -80,10 +92,14 @@ pub(crate) fn cut() -> Config {
 /// The rounds of the jobs: one, and several; the later ones are long enough to be cut.
 const ROUNDS: [&[u32]; 4] = [&[2], &[1, 2, 4], &[12], &[3, 5, 12]];
 
-/// Two of each kind: those of other samples have other pixels.
+/// Tiles of a group, of four: none, or a tree of even or uneven groups.
+const FANS: [u32; 4] = [0, 1, 2, 3];
+
+/// Two of each kind, in each way of grouping: those of other samples have other pixels.
 static STAGES: LazyLock<Result<Vec<Stage>, String>> = LazyLock::new(|| {
     let kinds = (0..2).flat_map(|seed| ROUNDS.map(|rounds| stage(rounds, seed)));
-    kinds.collect::<anyhow::Result<_>>().map_err(|error| format!("{error:#}"))
+    let kinds: Vec<Stage> = kinds.collect::<anyhow::Result<_>>().map_err(|error| format!("{error:#}"))?;
+    Ok(FANS.iter().flat_map(|&fan| kinds.iter().map(move |stage| stage.grouped(fan))).collect())
 });
 
 /// The job of this number.
@@ -94,18 +110,12 @@ pub(crate) fn pick(number: u64) -> anyhow::Result<&'static Stage> {
 
 /// How the farm of this number cuts tasks.
 pub(crate) fn schedule(number: u64) -> Config {
-    let cuts = if number % 4 < 2 { whole() } else { cut() };
-    Config { group: group(number), ..cuts }
-}
-
-/// Tiles that are gathered before the merge, of four: all at once, or a merge as a tree, of even or uneven groups.
-fn group(number: u64) -> u32 {
-    [0, 1, 2, 3][(number / 4 % 4) as usize]
+    if number % 4 < 2 { whole() } else { cut() }
 }
 
 /// A job that shares no artefact but its scene with any of another number.
 pub(crate) fn fresh(number: u64) -> anyhow::Result<Stage> {
-    stage(ROUNDS[(number % 4) as usize], number)
+    Ok(stage(ROUNDS[(number % 4) as usize], number)?.grouped(FANS[(number / 4 % 4) as usize]))
 }
 
 fn stage(rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
@@ -135,7 +145,7 @@ fn stage(rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
         settings: serde_json::to_string(&settings)?,
         frames: FRAMES.to_vec(),
         grid: Grid { film: FILM, tile: TILE },
-        rounds: rounds.to_vec(),
+        graph: testing::frames(Grid { film: FILM, tile: TILE }.sizes(), rounds, 0),
         priority: 50,
         owner: "me".into(),
         tags: vec![],

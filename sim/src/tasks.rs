@@ -1,95 +1,190 @@
-//! What depends on how a frame is cut into tasks and how they add up: all else knows tasks by their keys alone.
+//! What depends on how a job is cut into tasks and who reads whom: all else knows tasks by their keys alone. It follows from the
+//! job's graph and from nothing of the farm's.
 
-use femc_model::{Assignment, Decision, Epoch, JobId, JobSpec, Stage, StageKind, TaskKey, Work};
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+
+use femc_model::{Assignment, Decision, Epoch, JobId, JobSpec, Need, Reach, Role, Round, Stage, TaskKey, TaskResult};
 use femc_schedule::Fact;
 
-/// The least that can be given out: a sample of a tile, the gathering of a group, or a merge.
+/// The least that can be given out: a step of a task.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Unit {
     pub(crate) job: JobId,
     pub(crate) stage: Stage,
-    pub(crate) tile: u32,
-    pub(crate) sample: u32,
-}
-
-impl Unit {
-    /// Whether it is a sample that is rendered for `gather`, of groups of `tiles` tiles.
-    pub(crate) fn is_gathered_by(&self, gather: &TaskKey, tiles: u32) -> bool {
-        let stage = Stage { kind: StageKind::Render, ..gather.stage };
-        gather.stage.kind == StageKind::Gather
-            && (self.job, self.stage, self.tile / tiles) == (gather.job, stage, gather.index)
-    }
+    /// Number of the task before it is cut.
+    pub(crate) item: u32,
+    pub(crate) step: u32,
 }
 
 /// All that a lease covers.
 pub(crate) fn units(lease: &Assignment) -> Vec<Unit> {
     let TaskKey { job, stage, .. } = lease.task;
-    match &lease.work {
-        Work::Render { tile, samples } => {
-            samples.clone().map(|sample| Unit { job, stage, tile: *tile, sample }).collect()
-        }
-        Work::Gather { .. } | Work::Merge { .. } => vec![Unit { job, stage, tile: lease.task.index, sample: 0 }],
-    }
+    lease.work.steps.clone().map(|step| Unit { job, stage, item: lease.work.item, step }).collect()
 }
 
-/// Samples of each pixel that a lease takes; 0 where it takes none.
+/// Steps of a task that is cut; 0 of others.
 pub(crate) fn samples(lease: &Assignment) -> u32 {
-    match &lease.work {
-        Work::Render { samples, .. } => samples.len() as u32,
-        Work::Gather { .. } | Work::Merge { .. } => 0,
-    }
+    if renders(lease) { lease.work.steps.len() as u32 } else { 0 }
 }
 
 /// Whether a lease renders something, rather than join what is rendered.
 pub(crate) fn renders(lease: &Assignment) -> bool {
-    matches!(lease.work, Work::Render { .. })
+    lease.task.stage.kind.is_cut()
 }
 
 /// The task under the name by which its failures are counted: of what joins, they add up over the rounds of its frame.
 pub(crate) fn tried(task: TaskKey) -> TaskKey {
-    let round = if task.stage.kind == StageKind::Render { task.stage.round } else { 0 };
+    let round = if task.stage.kind.is_cut() { task.stage.round } else { 0 };
     TaskKey { stage: Stage { round, ..task.stage }, ..task }
 }
 
 /// A result that the log counts.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Counted {
+pub(crate) struct Counted<'a> {
     pub(crate) task: TaskKey,
     pub(crate) epoch: Epoch,
-    /// That it took.
-    pub(crate) seconds: f64,
-    /// Pixel samples.
-    pub(crate) samples: u64,
+    pub(crate) result: &'a TaskResult,
+}
+
+impl Counted<'_> {
     /// Whether its frame is finished with it.
-    pub(crate) finishes: bool,
+    pub(crate) fn finishes(&self) -> bool {
+        self.result.decision == Some(Decision::Done) && self.result.output(Role::Image).is_some()
+    }
 }
 
 /// The result that a record counts, if it is of that kind.
-pub(crate) fn counted(fact: &Fact) -> Option<Counted> {
-    Some(match fact {
-        Fact::Rendered { task, epoch, result, .. } => {
-            Counted { task: *task, epoch: *epoch, seconds: result.seconds, samples: result.samples, finishes: false }
-        }
-        Fact::Gathered { task, epoch, result } => {
-            Counted { task: *task, epoch: *epoch, seconds: result.seconds, samples: 0, finishes: false }
-        }
-        Fact::Merged { task, epoch, result } => Counted {
-            task: *task,
-            epoch: *epoch,
-            seconds: result.seconds,
-            samples: 0,
-            finishes: result.decision == Decision::Done && result.image.is_some(),
-        },
-        _ => return None,
-    })
+pub(crate) fn counted(fact: &Fact) -> Option<Counted<'_>> {
+    match fact {
+        Fact::Done { task, epoch, result, .. } => Some(Counted { task: *task, epoch: *epoch, result }),
+        _ => None,
+    }
 }
 
-/// All that must count before a merge does.
-pub(crate) fn needed(spec: &JobSpec, merge: TaskKey) -> impl Iterator<Item = Unit> {
-    let stage = Stage { kind: StageKind::Render, ..merge.stage };
-    let (samples, job) = (spec.samples(merge.stage.round), merge.job);
-    let tiles = 0..spec.grid.tiles();
-    tiles.flat_map(move |tile| samples.clone().map(move |sample| Unit { job, stage, tile, sample }))
+/// The tasks of a round of a stage that a task reads, by stage and number.
+fn read_by(spec: &JobSpec, stage: &Stage, item: u32) -> Vec<(Need, Stage, u32)> {
+    let mut all = Vec::new();
+    let Some(template) = spec.graph.stage(stage.number) else { return all };
+    for need in &template.needs {
+        let Some(made) = spec.graph.stage(need.stage) else { continue };
+        let items = match need.reach {
+            Reach::All => 0..made.tasks(),
+            Reach::Same => item..item + 1,
+            Reach::Fan(n) => item * n..((item + 1) * n).min(made.tasks()),
+        };
+        let round = match need.round {
+            Round::Before if stage.round == 0 => continue,
+            Round::Before => stage.round - 1,
+            Round::Same | Round::Every => stage.round,
+        };
+        let from = Stage { round, number: need.stage, kind: made.kind, ..*stage };
+        all.extend(items.map(|item| (*need, from, item)));
+    }
+    all
+}
+
+/// The steps that a round takes of each task of a stage.
+fn steps(spec: &JobSpec, stage: &Stage) -> Range<u32> {
+    spec.graph.stage(stage.number).map_or(0..0, |template| template.steps_of(stage.round))
+}
+
+/// What the log counts, by the graphs of its jobs.
+#[derive(Debug, Default)]
+pub(crate) struct Tally {
+    specs: BTreeMap<JobId, Box<JobSpec>>,
+    done: BTreeMap<Unit, (TaskKey, Epoch)>,
+    /// Of each frame the round that its loop is in, and whether the loop is over.
+    rounds: BTreeMap<(JobId, u32), (u32, bool)>,
+}
+
+impl Tally {
+    /// Takes a result in; returns which was there already.
+    pub(crate) fn count(&mut self, counted: &Counted<'_>, units: &[Unit]) -> Option<(TaskKey, Epoch)> {
+        let key = (counted.task, counted.epoch);
+        let round = self.rounds.entry((key.0.job, key.0.stage.frame)).or_default();
+        match &counted.result.decision {
+            Some(Decision::Done) if key.0.stage.round == round.0 => round.1 = true,
+            Some(Decision::Continue | Decision::Steps(_)) if key.0.stage.round == round.0 => round.0 += 1,
+            _ => {}
+        }
+        units.iter().filter_map(|unit| self.done.insert(*unit, key)).next()
+    }
+
+    /// A step that is not there when the result of a task that reads it counts.
+    pub(crate) fn missing(&self, units: &[Unit]) -> Option<Unit> {
+        let first = units.first()?;
+        let spec = self.specs.get(&first.job)?;
+        let read = read_by(spec, &first.stage, first.item).into_iter();
+        let mut needed = read.flat_map(|(_, stage, item)| {
+            steps(spec, &stage).map(move |step| Unit { job: first.job, stage, item, step })
+        });
+        needed.find(|unit| !self.done.contains_key(unit))
+    }
+
+    /// Takes notice of everything else that is written down.
+    pub(crate) fn note(&mut self, fact: &Fact) {
+        match fact {
+            Fact::Submitted { job, spec, .. } => drop(self.specs.insert(*job, spec.clone())),
+            Fact::Lost { task } => {
+                let lost: Vec<Unit> =
+                    self.done.iter().filter(|(_, (by, _))| by == task).map(|(unit, _)| *unit).collect();
+                self.undo(&lost);
+            }
+            Fact::Restarted { job, frame } => {
+                self.done.retain(|unit, _| (unit.job, unit.stage.frame) != (*job, *frame));
+                self.rounds.remove(&(*job, *frame));
+            }
+            _ => {}
+        }
+    }
+
+    /// These steps of a task are to be done again, and what it reads, where that was kept by nobody.
+    fn undo(&mut self, units: &[Unit]) {
+        let Some(first) = units.first().copied() else { return };
+        let Some(spec) = self.specs.get(&first.job) else { return };
+        let read = read_by(spec, &first.stage, first.item).into_iter();
+        let gone = read.filter(|(need, stage, item)| !self.is_kept(spec, first.job, need, stage, *item));
+        let gone: Vec<(Stage, u32)> = gone.map(|(_, stage, item)| (stage, item)).collect();
+        self.done.retain(|unit, _| !units.contains(unit));
+        for (stage, item) in gone {
+            let of_task = |unit: &Unit| (unit.job, unit.stage, unit.item) == (first.job, stage, item);
+            let whole: Vec<Unit> = self.done.keys().filter(|unit| of_task(unit)).copied().collect();
+            self.undo(&whole);
+        }
+    }
+
+    /// Whether an output is there although a task has read it: another has yet to, or the round after is not over.
+    fn is_kept(&self, spec: &JobSpec, job: JobId, need: &Need, made: &Stage, item: u32) -> bool {
+        let (round, is_over) = self.rounds.get(&(job, made.frame)).copied().unwrap_or_default();
+        if need.round == Round::Before && !is_over && round <= made.round + 1 {
+            return true;
+        }
+        let readers = spec.graph.readers(made.number).filter(|(_, other)| other.role == need.role);
+        let mut tasks = readers.flat_map(|(number, other)| {
+            let round = made.round + u32::from(other.round == Round::Before);
+            let template = spec.graph.stage(number);
+            let stage = template.map(|template| Stage { round, number, kind: template.kind, ..*made });
+            let items = 0..template.map_or(0, |template| template.tasks());
+            items.filter_map(move |reader| Some((stage?, reader)))
+        });
+        tasks.any(|(stage, reader)| {
+            let reads = read_by(spec, &stage, reader).iter().any(|(_, from, number)| (from, *number) == (made, item));
+            let mut steps = steps(spec, &stage).map(|step| Unit { job, stage, item: reader, step });
+            reads && stage.round <= round && steps.any(|unit| !self.done.contains_key(&unit))
+        })
+    }
+}
+
+/// What a lost result may take along: the tasks that it read, and what these read.
+pub(crate) fn behind(spec: &JobSpec, stage: &Stage, item: u32) -> BTreeSet<(Stage, u32)> {
+    let (mut all, mut left) = (BTreeSet::new(), vec![(*stage, item)]);
+    while let Some((stage, item)) = left.pop() {
+        if all.insert((stage, item)) {
+            left.extend(read_by(spec, &stage, item).into_iter().map(|(_, stage, item)| (stage, item)));
+        }
+    }
+    all
 }
 
 /// The job that a record is about.
@@ -97,19 +192,14 @@ pub(crate) fn job_of(fact: &Fact) -> Option<JobId> {
     match fact {
         Fact::Opened { .. } | Fact::Drained { .. } | Fact::Used { .. } | Fact::Lives { .. } => None,
         Fact::Submitted { job, .. }
-        | Fact::Cut { job, .. }
-        | Fact::Grouped { job, .. }
         | Fact::Restarted { job, .. }
         | Fact::Doomed { job, .. }
         | Fact::Controlled { job, .. }
         | Fact::Built { job, .. }
         | Fact::Forgotten { job } => Some(*job),
-        Fact::Rendered { task, .. }
-        | Fact::Gathered { task, .. }
-        | Fact::Merged { task, .. }
-        | Fact::Failed { task, .. }
-        | Fact::Died { task, .. }
-        | Fact::Lost { task } => Some(task.job),
+        Fact::Done { task, .. } | Fact::Failed { task, .. } | Fact::Died { task, .. } | Fact::Lost { task } => {
+            Some(task.job)
+        }
         Fact::Logged(record) => Some(record.task.job),
     }
 }

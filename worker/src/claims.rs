@@ -94,7 +94,7 @@ mod tests {
     use super::*;
 
     fn key(index: u32) -> (TaskKey, Epoch) {
-        let stage = Stage { frame: 1, round: 0, kind: StageKind::Render };
+        let stage = Stage { frame: 1, round: 0, number: 0, kind: StageKind::Render };
         (TaskKey { job: JobId(1), stage, index }, Epoch(9))
     }
 

@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::sync::Arc;
 
 use femc_fault::{Point, pass};
-use femc_model::{Epoch, LogText, StageKind, TaskKey};
+use femc_model::{Epoch, LogPlace, LogText, TaskKey};
 use tokio::sync::mpsc::UnboundedSender;
 
 use crate::outbox::Outbox;
@@ -35,12 +35,12 @@ impl Finish {
         let _ = self.told.send(task.key());
     }
 
-    /// A tile that went well has a short log, which travels with the report; the others' go to the store.
+    /// A log that travels with the report is short; the others go to the store.
     fn close_log(&self, task: &Task, outcome: &Outcome) {
         let Some(seconds) = task.log.seconds() else { return };
-        let limit = match (task.assignment.task.stage.kind, outcome) {
-            (StageKind::Render | StageKind::Gather, Ok(_)) => LogText::INLINE,
-            (StageKind::Merge, _) | (StageKind::Render | StageKind::Gather, Err(_)) => LogText::STORED,
+        let limit = match task.log_place(Some(outcome)) {
+            LogPlace::Report => LogText::INLINE,
+            LogPlace::Store => LogText::STORED,
         };
         task.write_log(seconds, task.log.text(&self.header(task, outcome, seconds), limit));
     }
@@ -48,15 +48,13 @@ impl Finish {
     fn header(&self, task: &Task, outcome: &Outcome, seconds: f64) -> String {
         let (key, epoch) = task.key();
         let mut header = format!("task {key}, epoch {}\nworker {}, engine {}\n", epoch.0, self.worker, crate::engine());
-        let samples = task.samples.load(std::sync::atomic::Ordering::Relaxed);
         // Writing into a string does not fail.
         let _ = match outcome {
             Ok(_) => write!(header, "done in {seconds:.3} s"),
             Err(failure) => write!(header, "failed after {seconds:.3} s: {failure}"),
         };
-        if key.stage.kind == StageKind::Render {
-            let _ = write!(header, "; {samples} samples");
-        }
+        let units = task.units.load(std::sync::atomic::Ordering::Relaxed);
+        let _ = write!(header, "; {units} {}", task.row().unit);
         if let Some(peak) = task.account.peak() {
             let _ = write!(header, "; {} MiB at most in this process meanwhile", peak.div_ceil(1 << 20));
         }

@@ -5,7 +5,7 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCWORK` |
-//! | 4 | format version, 2 |
+//! | 4 | format version, 3 |
 //! | 32 | BLAKE3 of the entries |
 //! | 8 | length of the entries |
 //! | | which start of the machine it is, the process's number, and the leases of the tasks under way, in postcard |
@@ -25,7 +25,7 @@ use femc_model::{Death, Digest, HeldLease, JobSpec};
 use crate::table::Task;
 
 const MAGIC: &[u8; 8] = b"FEMCWORK";
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 /// Bytes before the entries.
 const FRONT: usize = 8 + 4 + 32 + 8;
 

@@ -1,6 +1,6 @@
-//! A farm machine: joins a coordinator, renders tiles, merges frames.
+//! A farm machine: joins a coordinator, renders tiles, puts frames together.
 //!
-//! Talking is asynchronous; work is not. Two lanes take tasks, one renders and one merges, and both compute on the
+//! Talking is asynchronous; work is not. Two lanes take tasks, one renders and one joins what is there, and both compute on the
 //! worker's own rayon pool; a thread prepares the frames of tasks that were fetched ahead. Results go up while the next
 //! task runs. When the session breaks, what runs goes on, and what is done is kept: the next session brings both along.
 #![deny(missing_docs)]
@@ -23,6 +23,7 @@ mod nice;
 mod outbox;
 mod parcel;
 mod pieces;
+mod plan;
 mod session;
 mod simulated;
 mod sums;
@@ -43,6 +44,7 @@ pub use metrics::Metrics;
 pub use outbox::Drawer;
 pub use parcel::{Parcel, ParcelError};
 pub use pieces::Pieces;
+pub use plan::graph;
 pub use sums::decode as decode_sums;
 pub use worker::Worker;
 

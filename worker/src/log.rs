@@ -173,7 +173,7 @@ mod tests {
         tracing::subscriber::with_default(tracing_subscriber::registry().with(TaskLogs), || {
             tracing::info!("nobody's");
             one.hear(|| {
-                tracing::info!(tiles = 3, "merged");
+                tracing::info!(tiles = 3, "united");
                 other.hear(|| tracing::warn!("the other's"));
                 tracing::error!("two\nlines");
             });
@@ -182,7 +182,7 @@ mod tests {
         let text = one.text("header\n", 1000);
         let mut lines = text.lines();
         assert_eq!(lines.next(), Some("header"));
-        assert!(lines.next().is_some_and(|line| line.contains("INFO") && line.ends_with("merged tiles=3")), "{text}");
+        assert!(lines.next().is_some_and(|line| line.contains("INFO") && line.ends_with("united tiles=3")), "{text}");
         assert!(lines.next().is_some_and(|line| line.contains("ERROR") && line.ends_with("two")), "{text}");
         assert_eq!((lines.next().map(str::trim), lines.next()), (Some("lines"), None), "{text}");
         assert!(other.text("", 1000).contains("the other's") && one.seconds().is_some() && other.seconds().is_none());

@@ -9,7 +9,7 @@ use std::fmt;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 
-use femc_model::{Failure, StageKind};
+use femc_model::{Failure, Near, StageKind};
 
 use crate::Cache;
 
@@ -64,7 +64,7 @@ pub(crate) struct Memory(Option<Arc<Watch>>);
 struct Watch {
     limit: MemoryLimit,
     /// Most that a task of each kind has added.
-    largest: [AtomicU64; 3],
+    largest: [AtomicU64; StageKind::ALL.len()],
 }
 
 /// A task under way.
@@ -81,7 +81,7 @@ impl Memory {
     /// Makes room for a task; its end is to be told to what is returned.
     pub(crate) fn begin(&self, kind: StageKind, cache: &Cache) -> Result<Measured, Failure> {
         let Some(watch) = &self.0 else { return Ok(Measured { watch: None, before: 0 }) };
-        let kind = slot(kind);
+        let kind = kind.place();
         let estimate = watch.largest[kind].load(Ordering::Relaxed);
         let fits = |resident: u64| resident.saturating_add(estimate) <= watch.limit.bytes;
         if !fits(watch.resident()) {
@@ -106,8 +106,9 @@ impl Memory {
     /// Whether something that is not asked for yet may be prepared.
     pub(crate) fn has_room_ahead(&self) -> bool {
         let fits = |watch: &Arc<Watch>| {
-            let estimate = watch.largest[slot(StageKind::Render)].load(Ordering::Relaxed);
-            watch.resident().saturating_add(estimate) <= watch.limit.bytes
+            let kinds = StageKind::ALL.into_iter().filter(|kind| kind.row().near == Near::Frame);
+            let estimate = kinds.map(|kind| watch.largest[kind.place()].load(Ordering::Relaxed)).max();
+            watch.resident().saturating_add(estimate.unwrap_or(0)) <= watch.limit.bytes
         };
         self.0.as_ref().is_none_or(fits)
     }
@@ -126,14 +127,6 @@ impl Measured {
             let added = watch.resident().saturating_sub(self.before);
             watch.largest[kind].fetch_max(added, Ordering::Relaxed);
         }
-    }
-}
-
-fn slot(kind: StageKind) -> usize {
-    match kind {
-        StageKind::Render => 0,
-        StageKind::Merge => 1,
-        StageKind::Gather => 2,
     }
 }
 
@@ -163,11 +156,11 @@ mod tests {
             "{refused:?}"
         );
         assert!(!memory.has_room_ahead());
-        assert!(memory.begin(StageKind::Merge, &cache).is_ok(), "merges have added nothing so far");
+        assert!(memory.begin(StageKind::Image, &cache).is_ok(), "images have added nothing so far");
         set(65);
         assert!(memory.begin(StageKind::Render, &cache).is_ok() && memory.has_room_ahead());
         set(101);
-        assert!(memory.begin(StageKind::Merge, &cache).is_err(), "above the limit nothing begins");
+        assert!(memory.begin(StageKind::Image, &cache).is_err(), "above the limit nothing begins");
     }
 
     #[test]

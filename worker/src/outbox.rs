@@ -5,7 +5,7 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCDONE` |
-//! | 4 | format version, 4 |
+//! | 4 | format version, 5 |
 //! | 32 | BLAKE3 of all that follows |
 //! | 8 | length of the head |
 //! | | the head, in postcard: build of the engine, assignment, job, result, what it took, log, lengths of the artefacts |
@@ -31,7 +31,7 @@ use crate::execute::Product;
 use crate::table::{Table, Task};
 
 const MAGIC: &[u8; 8] = b"FEMCDONE";
-const VERSION: u32 = 4;
+const VERSION: u32 = 5;
 /// Bytes before the head.
 const FRONT: usize = 8 + 4 + 32 + 8;
 /// Most results that wait to be written.
@@ -481,7 +481,7 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
 pub(crate) mod tests {
     use std::sync::Arc;
 
-    use femc_model::{Artefact, Grid, JobId, Stage, StageKind, TileResult, Work};
+    use femc_model::{Artefact, Graph, Grid, JobId, More, Output, Role, Stage, StageKind, Work};
     use femc_proto::Client;
 
     use super::*;
@@ -495,7 +495,7 @@ pub(crate) mod tests {
             settings: "{}".into(),
             frames: vec![1],
             grid: Grid { film: [16, 16], tile: 16 },
-            rounds: vec![4],
+            graph: Graph::default(),
             priority: 50,
             owner: "me".into(),
             tags: vec![],
@@ -504,9 +504,10 @@ pub(crate) mod tests {
 
     /// A finished task, with a client that is never asked anything.
     pub(crate) async fn task(index: u32, bytes: &'static [u8]) -> Arc<Task> {
-        let stage = Stage { frame: 1, round: 0, kind: StageKind::Render };
+        let stage = Stage { frame: 1, round: 0, number: 0, kind: StageKind::Render };
         let task = TaskKey { job: JobId(3), stage, index };
-        let work = Work::Render { tile: index, samples: 0..4 };
+        let (inputs, more) = (Vec::new(), More::Last);
+        let work = Work { item: index, steps: 0..4, inputs, more, elapsed: 0, busy_seconds: 0.0 };
         let assignment = Assignment { task, epoch: Epoch(9), lease: 5000, copy_of: None, work };
         let dial = femc_proto::Dial::by(|_, _| {
             let (near, far) = tokio::io::duplex(1 << 16);
@@ -516,10 +517,11 @@ pub(crate) mod tests {
         });
         let client = Client::connect_by(&dial, "http://nobody:1").await.unwrap();
         let task = Task::new(assignment, Arc::new(spec()), client, &Meter::none());
-        let result = TileResult { tile: Artefact::of(bytes), samples: 4, bad_samples: 0, seconds: 0.5 };
+        let output = Output { role: Role::Tile, artefact: Artefact::of(bytes) };
+        let result = TaskResult { outputs: vec![output], units: 4, seconds: 0.5, ..TaskResult::default() };
         task.begin();
         task.write_log(0.5, "done".into());
-        task.settle(Ok(Product { result: TaskResult::Tile(result), artefacts: vec![Bytes::from_static(bytes)] }));
+        task.settle(Ok(Product { result, artefacts: vec![Bytes::from_static(bytes)] }));
         Arc::new(task)
     }
 

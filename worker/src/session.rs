@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use femc_fault::{Point, pass_async};
 use femc_model::{
-    Epoch, Failure, FromWorker, JobId, JobSpec, Latest, Phase, Registration, Spent, TaskKey, TaskLog, TaskResult,
-    ToWorker, Usage, Work,
+    Epoch, Failure, FromWorker, JobId, JobSpec, Latest, Near, Phase, Registration, Spent, TaskKey, TaskLog, TaskResult,
+    ToWorker, Usage,
 };
 use femc_proto::{CallError, Client, Incoming, Outgoing, Why};
 use tokio::sync::mpsc::UnboundedReceiver;
@@ -216,7 +216,8 @@ impl<'a> Session<'a> {
                     let (task, epoch) = task;
                     return out.send(FromWorker::Failed { task, epoch, failure, log: None, usage: None }).await;
                 }
-                let is_ahead = matches!(assignment.work, Work::Render { .. }) && !self.config.journal.is_careful();
+                let wants_frame = assignment.task.stage.kind.row().near == Near::Frame;
+                let is_ahead = wants_frame && !self.config.journal.is_careful();
                 let ahead = is_ahead.then(|| {
                     let (spec, frame) = (spec.clone(), assignment.task.stage.frame);
                     Ahead { spec, frame, client: self.client.clone(), task }

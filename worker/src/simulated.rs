@@ -4,13 +4,13 @@ use std::future::pending;
 use std::sync::atomic::Ordering;
 use std::sync::{Arc, mpsc};
 
-use femc_model::{Failure, Phase, TaskResult, Work};
+use femc_model::{Failure, Lane, Phase};
 
 use crate::config::{Fate, Pace};
 use crate::execute::{Product, Tools, execute};
 use crate::fetch::Fetch;
 use crate::finish::Finish;
-use crate::table::{Lane, Table, Task};
+use crate::table::{Table, Task};
 use crate::threads::Ahead;
 
 /// Steps in which a task shows its progress.
@@ -35,13 +35,13 @@ pub(crate) fn start(pace: &Pace, tools: &Tools, table: &Arc<Table>, finish: &Fin
 async fn work(task: &Arc<Task>, pace: &Pace, tools: &Tools) -> Result<Product, Failure> {
     task.begin();
     task.enter(Phase::Preparing);
-    let inputs: Vec<_> = task.assignment.work.inputs().collect();
+    let inputs: Vec<_> = task.assignment.work.artefacts().collect();
     let fetch = Fetch::collect(task, &inputs).await;
     task.enter(Phase::Working);
-    let ((whole, fate), samples) = (pace.of(&task.assignment), samples(task));
+    let ((whole, fate), units) = (pace.of(&task.assignment), units(task));
     for step in 1..=STEPS {
         tokio::time::sleep(whole / STEPS).await;
-        task.samples.store(samples * u64::from(step) / u64::from(STEPS), Ordering::Relaxed);
+        task.units.store(units * u64::from(step) / u64::from(STEPS), Ordering::Relaxed);
         if task.is_cancelled() {
             return Err(Failure::Cancelled);
         }
@@ -55,22 +55,15 @@ async fn work(task: &Arc<Task>, pace: &Pace, tools: &Tools) -> Result<Product, F
         }
     }
     // They are counted again as they are really taken, in no time at all.
-    task.samples.store(0, Ordering::Relaxed);
+    task.units.store(0, Ordering::Relaxed);
     let mut product = execute(task, &Tools { fetch, ..tools.clone() })?;
-    match &mut product.result {
-        TaskResult::Tile(tile) => tile.seconds = whole.as_secs_f64(),
-        TaskResult::Gather(gather) => gather.seconds = whole.as_secs_f64(),
-        TaskResult::Merge(merge) => merge.seconds = whole.as_secs_f64(),
-    }
+    product.result.seconds = whole.as_secs_f64();
     Ok(product)
 }
 
-/// Pixel samples of the task; one for each step of others.
-fn samples(task: &Task) -> u64 {
-    match &task.assignment.work {
-        Work::Render { tile, samples } => {
-            task.spec.grid.rect(*tile).map_or(0, |rect| rect.pixels()) * samples.len() as u64
-        }
-        Work::Gather { .. } | Work::Merge { .. } => u64::from(STEPS),
-    }
+/// Units of work of the task; one for each step of the simulation, where it is not cut.
+fn units(task: &Task) -> u64 {
+    let (stage, work) = (task.assignment.task.stage, &task.assignment.work);
+    let size = task.spec.graph.stage(stage.number).map_or(0, |stage| stage.sizes.of(work.item));
+    if stage.kind.is_cut() { size * work.steps.len() as u64 } else { u64::from(STEPS) }
 }

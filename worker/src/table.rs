@@ -5,7 +5,8 @@ use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use femc_model::{
-    Assignment, Digest, Epoch, Failure, HeldLease, JobSpec, Phase, StageKind, TaskKey, TaskProgress, Usage, Work,
+    Assignment, Digest, Epoch, Failure, HeldLease, JobSpec, KindRow, Lane, LogPlace, Phase, TaskKey, TaskProgress,
+    Usage,
 };
 use femc_proto::Client;
 use tokio::sync::Notify;
@@ -17,33 +18,6 @@ use crate::log::TaskLog;
 use crate::meter::{Account, Meter};
 use crate::outbox::Restored;
 
-/// Tasks of one lane are done one after the other, those of different lanes side by side.
-#[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum Lane {
-    /// Rendering.
-    Render,
-    /// Joining what is rendered.
-    Join,
-}
-
-impl Lane {
-    pub(crate) const ALL: [Self; 2] = [Self::Render, Self::Join];
-
-    pub(crate) fn of(kind: StageKind) -> Self {
-        match kind {
-            StageKind::Render => Self::Render,
-            StageKind::Gather | StageKind::Merge => Self::Join,
-        }
-    }
-
-    pub(crate) fn name(self) -> &'static str {
-        match self {
-            Self::Render => "render",
-            Self::Join => "merge",
-        }
-    }
-}
-
 /// A task under a lease.
 #[derive(Debug)]
 pub(crate) struct Task {
@@ -52,8 +26,8 @@ pub(crate) struct Task {
     pub(crate) client: Client,
     /// Set when the lease is over.
     pub(crate) cancel: AtomicBool,
-    /// Pixel samples taken; of a task that joins, inputs that are in.
-    pub(crate) samples: AtomicU64,
+    /// Units of work done, such as pixel samples; of a task that joins, inputs that are in.
+    pub(crate) units: AtomicU64,
     phase: AtomicU8,
     /// What came of it, kept until the coordinator has answered: a session may end in between.
     outcome: OnceLock<Outcome>,
@@ -75,7 +49,7 @@ pub(crate) type Outcome = Result<Product, Failure>;
 
 impl Task {
     pub(crate) fn new(assignment: Assignment, spec: Arc<JobSpec>, client: Client, meter: &Meter) -> Self {
-        let (cancel, samples, phase) = (AtomicBool::new(false), AtomicU64::new(0), AtomicU8::new(0));
+        let (cancel, units, phase) = (AtomicBool::new(false), AtomicU64::new(0), AtomicU8::new(0));
         let (outcome, log, written) = (OnceLock::new(), TaskLog::default(), OnceLock::new());
         let (account, arrived, waited) = (meter.open(), Stopwatch::start(), OnceLock::new());
         let earlier = None;
@@ -84,7 +58,7 @@ impl Task {
             spec,
             client,
             cancel,
-            samples,
+            units,
             phase,
             outcome,
             log,
@@ -115,11 +89,20 @@ impl Task {
     /// The same, of a job whose key is known.
     pub(crate) fn lease_of(&self, job: Digest) -> HeldLease {
         let (task, epoch) = self.key();
-        let samples = match &self.assignment.work {
-            Work::Render { samples, .. } => samples.clone(),
-            Work::Gather { .. } | Work::Merge { .. } => 0..0,
-        };
-        HeldLease { task, epoch, samples, job }
+        HeldLease { task, epoch, steps: self.assignment.work.steps.clone(), job }
+    }
+
+    /// What the farm knows of its kind.
+    pub(crate) fn row(&self) -> KindRow {
+        self.assignment.task.stage.kind.row()
+    }
+
+    /// Where its log goes, if the attempt ends so.
+    pub(crate) fn log_place(&self, outcome: Option<&Outcome>) -> LogPlace {
+        match outcome {
+            Some(Ok(_)) => self.row().log,
+            Some(Err(_)) | None => LogPlace::Store,
+        }
     }
 
     /// Its turn has come; again changes nothing.
@@ -132,10 +115,7 @@ impl Task {
 
     /// Pixel samples taken.
     fn rendered(&self) -> u64 {
-        match &self.assignment.work {
-            Work::Render { .. } => self.samples.load(Ordering::Relaxed),
-            Work::Gather { .. } | Work::Merge { .. } => 0,
-        }
+        if self.row().is_cut { self.units.load(Ordering::Relaxed) } else { 0 }
     }
 
     /// Whether its turn has come.
@@ -209,7 +189,7 @@ impl Task {
             _ => Phase::Uploading,
         };
         let (task, epoch) = self.key();
-        TaskProgress { task, epoch, phase, samples: self.samples.load(Ordering::Relaxed) }
+        TaskProgress { task, epoch, phase, units: self.units.load(Ordering::Relaxed) }
     }
 }
 
@@ -226,7 +206,7 @@ struct State {
 impl State {
     /// Takes the oldest waiting task of this lane out of the line.
     fn first(&mut self, lane: Lane) -> Option<Arc<Task>> {
-        let place = self.line.iter().position(|task| Lane::of(task.assignment.task.stage.kind) == lane)?;
+        let place = self.line.iter().position(|task| task.row().lane == lane)?;
         Some(self.line.remove(place))
     }
 }

@@ -1,4 +1,4 @@
-//! The threads that work: one lane renders, one gathers and merges, one thread prepares ahead; all compute on one pool.
+//! The threads that work: one lane computes, one joins, one thread prepares ahead; all compute on one pool.
 //!
 //! A lane is two threads: one that does a task, the hand, and one that waits for it. Rendering notices a cancellation within
 //! milliseconds; reading a large scene or building its trees does not. Then the lane leaves the hand behind, to end
@@ -10,14 +10,14 @@ use std::thread::JoinHandle;
 use std::time::Duration;
 
 use femc_fault::{Point, pass};
-use femc_model::{Epoch, Failure, JobSpec, TaskKey};
+use femc_model::{Epoch, Failure, JobSpec, Lane, TaskKey};
 use femc_proto::Client;
 
 use crate::clock::Stopwatch;
 use crate::config::WorkerError;
 use crate::execute::{Tools, execute};
 use crate::finish::Finish;
-use crate::table::{Lane, Outcome, Table, Task};
+use crate::table::{Outcome, Table, Task};
 
 /// A frame that will be needed soon.
 pub(crate) struct Ahead {

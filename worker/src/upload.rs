@@ -3,7 +3,7 @@
 use std::sync::atomic::Ordering;
 
 use bytes::Bytes;
-use femc_model::{Attempt, Failure, LogText, StageKind, TaskLog};
+use femc_model::{Attempt, Failure, LogPlace, LogText, TaskLog};
 use femc_proto::{CallError, Client};
 
 use crate::execute::Product;
@@ -42,17 +42,15 @@ pub(crate) async fn upload(client: &Client, task: &Task, product: &Product) -> R
 /// The log of a task that is done, as it is reported: a long one goes to the store, where it can.
 pub(crate) async fn upload_log(client: &Client, task: &Task) -> Option<TaskLog> {
     let (seconds, text) = task.written_log()?;
-    let is_done = matches!(task.outcome(), Some(Ok(_)));
-    let is_stored = !is_done || task.assignment.task.stage.kind == StageKind::Merge;
-    let text = if is_stored {
-        match client.put(Bytes::copy_from_slice(text.as_bytes())).await {
+    let text = match task.log_place(task.outcome()) {
+        LogPlace::Store => match client.put(Bytes::copy_from_slice(text.as_bytes())).await {
             Ok(artefact) => LogText::Stored(artefact),
             Err(error) => {
                 LogText::Inline(cut(&format!("the log was not kept: {error}\n{text}"), LogText::INLINE).into())
             }
-        }
-    } else {
-        LogText::Inline(text.clone())
+        },
+        LogPlace::Report => LogText::Inline(text.clone()),
     };
-    Some(TaskLog { attempt: if is_done { Attempt::Done } else { Attempt::Failed }, seconds: *seconds, text })
+    let attempt = if matches!(task.outcome(), Some(Ok(_))) { Attempt::Done } else { Attempt::Failed };
+    Some(TaskLog { attempt, seconds: *seconds, text })
 }

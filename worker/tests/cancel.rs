@@ -90,7 +90,6 @@ async fn a_worker_that_prepares_a_large_scene_is_free_within_a_second() {
         name: "large".into(),
         bundle: Digest::of(&bundle),
         settings: serde_json::to_string(&settings).unwrap(),
-        rounds: settings.rounds(),
         priority: 60,
         ..common::job(1).0
     };

@@ -5,7 +5,7 @@ mod common;
 use std::future::pending;
 use std::time::Duration;
 
-use common::{Net, job, simulated};
+use common::{Net, job, job_of, simulated};
 use femc_coordinator::{Config, Coordinator};
 use femc_model::*;
 use femc_proto::Client;
@@ -20,10 +20,10 @@ async fn at_the_end_of_its_hours_a_worker_finishes_its_task_and_begins_none_unti
     let config = Config { time: common::time(), ..Config::default() };
     let farm = Coordinator::on(connections, config, Store::memory(), Memory::default()).await.unwrap();
     let client = Client::connect_by(&net.open(), "http://farm:7878").await.unwrap();
-    let (spec, bundle) = job(4);
-    client.put(bundle.into()).await.unwrap();
     // Eight tiles of a second each; off duty from the third second to the tenth.
-    let id = client.submit(None, JobSpec { grid: Grid { film: [32, 16], tile: 8 }, ..spec }).await.unwrap();
+    let (spec, bundle) = job_of(4, 8);
+    client.put(bundle.into()).await.unwrap();
+    let id = client.submit(None, spec).await.unwrap();
     let begun = Instant::now();
     let shift = Shift::by(move || if (3..10).contains(&begun.elapsed().as_secs()) { Duty::Off } else { Duty::On });
     let config = femc_worker::Config { shift, ..simulated("w", net.open(), Duration::from_millis(1000)) };

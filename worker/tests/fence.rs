@@ -43,11 +43,11 @@ async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_tol
 
     // The coordinator answers for half a second, then no more.
     let mut first = session(&mut calls).await;
-    let stage = Stage { frame: 1, round: 0, kind: StageKind::Render };
+    let stage = Stage { frame: 1, round: 0, number: 0, kind: StageKind::Render };
     let task = TaskKey { job: JobId(7), stage, index: 0 };
     let epoch = Epoch::new(3, 1);
-    let assignment =
-        Assignment { task, epoch, lease: LEASE, copy_of: None, work: Work::Render { tile: 0, samples: 0..4 } };
+    let work = Work { item: 0, steps: 0..4, inputs: vec![], more: More::Last, elapsed: 0, busy_seconds: 0.0 };
+    let assignment = Assignment { task, epoch, lease: LEASE, copy_of: None, work };
     let welcome = ToWorker::Welcome { worker: WorkerId(1), heartbeat: HEARTBEAT, lease: LEASE };
     first.out.send(welcome.clone()).await.unwrap();
     first.out.send(ToWorker::Job { job: JobId(7), spec: Box::new(spec.clone()) }).await.unwrap();
@@ -72,7 +72,7 @@ async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_tol
 
     // It comes back with the lease. The task gets done, and is not reported: nobody has said that the lease holds.
     let mut second = session(&mut calls).await;
-    assert_eq!(second.registration.held, [HeldLease { task, epoch, samples: 0..4, job: spec.key() }]);
+    assert_eq!(second.registration.held, [HeldLease { task, epoch, steps: 0..4, job: spec.key() }]);
     second.out.send(welcome).await.unwrap();
     let mut last = 0;
     while begun.elapsed() < Duration::from_millis(5000) {
@@ -130,7 +130,7 @@ async fn a_partitioned_worker_costs_nothing_and_joins_again_when_the_network_is_
     let completed = |name: &'static str, workers: &[WorkerStatus]| {
         workers.iter().filter(|worker| worker.name == name).map(|worker| worker.completed).sum::<u64>()
     };
-    assert_eq!(completed("other", &client.workers().await.unwrap()), 3, "two tiles and the merge");
+    assert_eq!(completed("other", &client.workers().await.unwrap()), 3, "two tiles and the image");
 
     // The cut-off worker has done both tiles meanwhile; nobody asks for them.
     way.send(Way::Open).unwrap();

@@ -1,5 +1,7 @@
 //! How a worker comes by a scene.
 
+mod common;
+
 use std::collections::BTreeMap;
 use std::future::pending;
 
@@ -41,14 +43,15 @@ fn scene() -> Parcel {
 
 fn spec(scene: &Parcel, spp: u32) -> JobSpec {
     let settings = Settings { stop: Stop::Spp(spp), max_depth: 2, ..Settings::default() };
+    let grid = Grid { film: [16, 16], tile: 16 };
     JobSpec {
         name: "main".into(),
         bundle: scene.digest(),
         entry: "main.mgf".into(),
         settings: serde_json::to_string(&settings).unwrap(),
         frames: vec![1],
-        grid: Grid { film: [16, 16], tile: 16 },
-        rounds: settings.rounds(),
+        grid,
+        graph: common::graph(grid, &settings),
         priority: 50,
         owner: "me".into(),
         tags: vec![],

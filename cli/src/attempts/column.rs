@@ -1,7 +1,6 @@
 //! The columns of rows: one list for people's tables and every file.
 
 use super::row::{By, Row};
-use femc_model::StageKind;
 
 /// A value in a column; `Gap`: there is none.
 #[derive(Clone, Debug, PartialEq)]
@@ -87,9 +86,7 @@ pub fn columns(by: By) -> Vec<Column> {
         |reader| column("frame", "frame", Count, reader, |row| row.task.map(|task| u64::from(task.stage.frame)).into());
     let stage = [
         column("round", "round", Count, Programs, |row| row.task.map(|task| u64::from(task.stage.round)).into()),
-        column("stage", "stage", Text, Programs, |row| {
-            row.task.map_or(Cell::Gap, |task| Cell::Text(kind(task.stage.kind)))
-        }),
+        column("stage", "stage", Text, Programs, |row| row.task.map(|task| task.stage.kind.name().to_owned()).into()),
         column("tile", "tile", Count, Programs, |row| row.tile.map(u64::from).into()),
     ];
     let worker = [
@@ -134,13 +131,4 @@ pub fn columns(by: By) -> Vec<Column> {
         }));
     }
     all
-}
-
-fn kind(kind: StageKind) -> String {
-    match kind {
-        StageKind::Render => "render",
-        StageKind::Gather => "gather",
-        StageKind::Merge => "merge",
-    }
-    .to_owned()
 }

@@ -2,7 +2,7 @@
 
 use super::told::Told;
 use clap::ValueEnum;
-use femc_model::{AttemptRecord, Ending, Grains, StageKind, TaskKey, Tick};
+use femc_model::{AttemptRecord, Ending, Grains, TaskKey, Tick};
 use std::collections::{BTreeMap, BTreeSet};
 
 /// What a row is of.
@@ -31,7 +31,7 @@ pub struct Row {
     pub variant: Option<String>,
     /// The task, of the first of the attempts.
     pub task: Option<TaskKey>,
-    /// Number of the tile in the grid, where the task renders one.
+    /// Number of the tile in the grid, of tasks of the main stage.
     pub tile: Option<u32>,
     /// Which attempt at its task, from 1; of several the last.
     pub attempt: u64,
@@ -77,7 +77,7 @@ pub struct Row {
     pub fetched: u64,
     /// Bytes brought home.
     pub sent: u64,
-    /// Relative error that the last merge measured.
+    /// Relative error that was measured last.
     pub relative_error: Option<f64>,
 }
 
@@ -89,7 +89,8 @@ impl Row {
         let began = began(record);
         let ended = if record.usage.is_some() { began + usage.wall } else { seconds(record.ended) };
         let TaskKey { stage, index, .. } = record.task;
-        let tile = (stage.kind == StageKind::Render).then(|| Grains::of(&told.spec, stage.round, told.cut).tile(index));
+        let main = told.spec.graph.main().filter(|(number, _)| *number == stage.number);
+        let tile = main.map(|(_, template)| Grains::of(template, stage.round, None, told.cut).task(index));
         Self {
             source,
             job: told.job.0,

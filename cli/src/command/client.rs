@@ -6,7 +6,7 @@ use crate::exit::{Failure, failed, unreachable, usage};
 use crate::request::Asked;
 use femc_model::{
     Artefact, Attempts, Control, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord,
-    Refusal, Tick, WorkerId, WorkerName, WorkerStatus,
+    Refusal, Stage, Tick, WorkerId, WorkerName, WorkerStatus,
 };
 use femc_proto::{BackupError, CallError, Client, CollectMode, Collected, Dial, Found, JobShape, Listing, Why};
 use femc_worker::Parcel;
@@ -159,14 +159,26 @@ impl Farm {
         patiently_telling(|| self.client.status(job), away).await.map_err(told)
     }
 
-    /// The finished frames of a job, ascending.
+    /// The finished frames of a job, ascending, without what is finished of the job as a whole.
     pub async fn frames(&self, job: JobId) -> Result<Vec<FrameRecord>, Failure> {
-        self.client.frames(job).await.map_err(told)
+        let mut frames = self.client.frames(job).await.map_err(told)?;
+        frames.retain(|record| record.frame != Stage::OF_JOB);
+        Ok(frames)
+    }
+
+    /// The image of a finished frame, or `None`, where it is damaged or gone.
+    pub async fn image(&self, frame: &FrameRecord) -> Result<Option<Vec<u8>>, Failure> {
+        match frame.image() {
+            Some(image) => self.get_if_there(&image).await,
+            None => Ok(None),
+        }
     }
 
     /// What there is of a job's frames in work, ascending.
     pub async fn parts(&self, job: JobId) -> Result<Vec<FrameParts>, Failure> {
-        self.client.parts(job).await.map_err(told)
+        let mut frames = self.client.parts(job).await.map_err(told)?;
+        frames.retain(|parts| parts.frame != Stage::OF_JOB);
+        Ok(frames)
     }
 
     /// Steer a job.
@@ -337,7 +349,7 @@ pub fn job_spec(asked: &Asked, scene: &Parcel, frames: Vec<u32>) -> Result<JobSp
         settings: serde_json::to_string(&asked.settings).map_err(failed)?,
         frames,
         grid: Grid { film: asked.film(), tile: asked.plan.tiling.edge },
-        rounds: asked.plan.rounds.clone(),
+        graph: femc_worker::graph(&asked.plan.stages),
         priority: asked.priority.unwrap_or(DEFAULT_PRIORITY),
         owner: user(),
         tags: asked.tags.clone(),

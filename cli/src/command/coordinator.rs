@@ -51,10 +51,6 @@ pub struct CoordinatorArgs {
     /// Changes after which the log is written anew, shorter: with fewer a restart is quicker, with more the log is written less
     #[arg(long, value_name = "N", default_value = "20000", value_parser = clap::value_parser!(u32).range(1..))]
     compact: u32,
-    /// Workers gather at most so many tiles at a time, fewer of large ones, while a frame is still being rendered, and its
-    /// merge reads what is gathered; smaller frames are merged at once, with 0 all are. Holds for jobs submitted from now on
-    #[arg(long, value_name = "TILES", default_value_t = femc_schedule::Config::default().group)]
-    gather: u32,
     /// Jobs that ended so long ago are forgotten, 1m or more, like 30d: then nobody can fetch them, and `femc gc` frees what they
     /// alone had in the store (without it they are kept for ever)
     #[arg(long, value_name = "DURATION", value_parser = keep_ended)]
@@ -191,7 +187,6 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         scheduler: femc_schedule::Config {
             keep_ended: args.keep_ended.map(|keep| u64::try_from(keep.as_millis()).unwrap_or(u64::MAX)),
             weights: args.share.into_iter().collect(),
-            group: args.gather,
             ..femc_schedule::Config::with_lease(args.lease.as_millis() as u64)
         },
         snapshot: args.compact as usize,

@@ -118,9 +118,10 @@ fn what_follows(status: &JobStatus) -> String {
 /// Write one frame, unless the file has its bytes already; `None`: the farm does not have it as it should be.
 async fn file(farm: &Farm, job: &JobStatus, frame: &FrameRecord, folder: &Path) -> Result<Option<PathBuf>, Failure> {
     let path = folder.join(frame_name(&job.name, frame.frame));
-    let there = std::fs::read(&path).is_ok_and(|bytes| Digest::of(&bytes) == frame.image.digest);
+    let there =
+        std::fs::read(&path).is_ok_and(|bytes| Some(Digest::of(&bytes)) == frame.image().map(|image| image.digest));
     if !there {
-        let Some(bytes) = farm.get_if_there(&frame.image).await? else { return Ok(None) };
+        let Some(bytes) = farm.image(frame).await? else { return Ok(None) };
         femc_film::file::write_atomic(&path, &bytes).map_err(failed)?;
     }
     Ok(Some(path))

@@ -21,13 +21,13 @@ use std::time::Duration;
     femc logs 7 --failed             # failures only\n  \
     femc logs 7 --follow             # go on until the job ends\n  \
     femc logs 7 --json | jq -r '.[] | select(.attempt == \"failed\") | .text'\n\n\
-    Logs of failures and of merges are kept with the job, 512 at most; those of tiles that went well are short, and the \
+    Logs of failures and of image tasks are kept with the job, 512 at most; those of tiles that went well are short, and the \
     latest of all jobs are kept in the coordinator's memory.")]
 pub struct LogsArgs {
     /// The job's number, or a task with its job, like 7/12.0/render/3
     #[arg(value_name = "JOB")]
     job: JobTasks,
-    /// A frame, or a task: 12, 12.0/render/3, 12.0/merge
+    /// A frame, or a task: 12, 12.0/render/3, 12.0/image
     #[arg(value_name = "TASK")]
     task: Option<Tasks>,
     /// Only attempts that failed

@@ -7,13 +7,14 @@ use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Say, human, json};
 use crate::request::{Asked, JobFile, is_job};
 use clap::Args;
+use femc_model::{Graph, Need, Reach, Round, Scope, Template};
 use femc_pipeline::{LeftOut, Prepared, Stop};
 use serde::Serialize;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::Duration;
 
-/// Show what would run: passes, tasks, estimated cost, and for what is left out the reason
+/// Show what would run: stages, tasks, estimated cost, and for what is left out the reason
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc plan scenes/roundabout.mgf --frames 1..24 --spp 64\n  \
@@ -58,19 +59,14 @@ struct Report {
     tile: u32,
     tiles: usize,
     rounds: Vec<u32>,
-    passes: Vec<Pass>,
+    /// As it is submitted.
+    graph: Graph,
+    /// In all frames, if every round runs.
     tasks: u64,
     samples_least: u64,
     samples_most: u64,
     cost: Option<Cost>,
     left_out: Vec<LeftOut>,
-}
-
-#[derive(Serialize)]
-struct Pass {
-    pass: String,
-    tasks_per_frame: u64,
-    tasks: u64,
 }
 
 /// Estimated from a trial on this machine.
@@ -97,13 +93,7 @@ pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
         Stop::Spp(_) => rounds,
         Stop::Error(_) | Stop::Time(_) => 1,
     };
-    let pass = |pass: &str, tasks_per_frame: u64| Pass {
-        pass: pass.to_owned(),
-        tasks_per_frame,
-        tasks: tasks_per_frame * frames,
-    };
-    let mut passes = vec![pass("render", plan.render_tasks_per_frame()), pass("merge", rounds as u64)];
-    passes.retain(|pass| pass.tasks > 0);
+    let graph = femc_worker::graph(&plan.stages);
     let (samples_least, samples_most) =
         (plan.samples_per_frame(least) * frames, plan.samples_per_frame(rounds) * frames);
     let cost = match run {
@@ -120,8 +110,8 @@ pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
         tile: plan.tiling.edge,
         tiles: plan.tiling.count(),
         rounds: plan.rounds.clone(),
-        tasks: passes.iter().map(|pass| pass.tasks).sum(),
-        passes,
+        tasks: graph.tasks(Scope::Frame) * frames + graph.tasks(Scope::Job),
+        graph,
         samples_least,
         samples_most,
         cost,
@@ -183,12 +173,7 @@ fn blocks(asked: &Asked, prepared: &Prepared, round: u32) -> u64 {
 fn print(say: Say, report: &Report) {
     let Report { camera, film: [width, height], frames, tile, tiles, .. } = report;
     say.result(format!("{}: camera {camera}, {width}x{height} pixels, {}", report.scene, spelled(frames)));
-    let rows: Vec<Vec<String>> = report
-        .passes
-        .iter()
-        .map(|pass| vec![pass.pass.clone(), pass.tasks_per_frame.to_string(), pass.tasks.to_string()])
-        .collect();
-    say.result(format!("\n{}", human::table(&["pass", "tasks a frame", "tasks"], &rows)));
+    say.result(format!("\n{}", table(&report.graph)));
     let spp = match (report.stop, report.rounds.as_slice()) {
         (Stop::Spp(n), _) => format!("{n} samples a pixel"),
         (stop, [first, .., last]) => {
@@ -202,6 +187,8 @@ fn print(say: Say, report: &Report) {
         (_, rounds) => format!("{rounds:?} samples a pixel"),
     };
     say.result(format!("\n{} of {tile} pixels; {spp}", human::count(*tiles as u64, "tile")));
+    let every = if report.rounds.len() > 1 { " if every round runs" } else { "" };
+    say.result(format!("{}{every}", human::count(report.tasks, "task")));
     if let Some(cost) = &report.cost {
         let range = match report.stop {
             Stop::Error(_) => format!(
@@ -221,6 +208,47 @@ fn print(say: Say, report: &Report) {
             say.result(format!("  {}: {}", left.what, left.reason));
         }
     }
+}
+
+/// A line for each stage.
+fn table(graph: &Graph) -> String {
+    let row = |(stage, template): (u16, &Template)| {
+        let per = match template.scope {
+            Scope::Job => "job",
+            Scope::Frame => "frame",
+        };
+        vec![
+            stage.to_string(),
+            template.kind.name().to_owned(),
+            per.to_owned(),
+            template.tasks().to_string(),
+            graph.rounds(stage).to_string(),
+            joined(template.needs.iter().map(read)),
+            joined(template.makes.iter().map(|role| role.name().to_owned())),
+        ]
+    };
+    let rows: Vec<Vec<String>> = graph.iter().map(row).collect();
+    human::table(&["stage", "kind", "per", "tasks", "rounds", "reads", "makes"], &rows)
+}
+
+fn joined(all: impl Iterator<Item = String>) -> String {
+    all.collect::<Vec<_>>().join(", ")
+}
+
+/// `tile of 0 (64 each)`.
+fn read(need: &Need) -> String {
+    let reach = match need.reach {
+        Reach::All => "all".to_owned(),
+        Reach::Same => "its own".to_owned(),
+        Reach::Fan(tasks) => format!("{tasks} each"),
+    };
+    let round = match need.round {
+        Round::Same => "",
+        Round::Before => " of the round before",
+        Round::Every => " of every round",
+    };
+    let gaps = if need.gaps { " that can be had" } else { "" };
+    format!("{} of {} ({reach}{round}{gaps})", need.role.name(), need.stage)
 }
 
 /// `frame 3`, `120 frames (1..120)`.

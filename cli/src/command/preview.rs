@@ -3,7 +3,7 @@
 use super::client::Farm;
 use crate::exit::{Failure, failed};
 use femc_film::{BadSamples, Frame, FrameImage, Piece, Provenance, Tile, Tiling, exr};
-use femc_model::{Digest, FrameParts};
+use femc_model::{Digest, FrameParts, Output, Role};
 use std::collections::BTreeSet;
 use std::path::Path;
 
@@ -27,22 +27,22 @@ impl Partial {
 
     /// Whether these parts are of the same frame and add to what is here: another round begins with other sums.
     pub fn may_take(&self, parts: &FrameParts) -> bool {
-        self.frame == parts.frame && parts.sums.iter().all(|sums| self.seen.contains(&sums.digest))
+        let mut sums = parts.outputs.iter().filter(|output| output.role == Role::Sums);
+        self.frame == parts.frame && sums.all(|sums| self.seen.contains(&sums.artefact.digest))
     }
 
     /// Take in what is new; false if the frame went on meanwhile, and its parts are gone.
     pub async fn take(&mut self, farm: &Farm, parts: &FrameParts) -> Result<bool, Failure> {
-        for artefact in parts.sums.iter().chain(&parts.tiles).chain(&parts.groups) {
+        for Output { role, artefact } in &parts.outputs {
             if self.seen.contains(&artefact.digest) {
                 continue;
             }
             let Some(bytes) = farm.get_if_there(artefact).await? else { return Ok(false) };
-            if parts.groups.contains(artefact) {
-                self.pieces.push(Piece::decode(&bytes).map_err(failed)?);
-            } else if parts.tiles.contains(artefact) {
-                self.insert(vec![Tile::decode(&bytes).map_err(failed)?])?;
-            } else {
-                self.insert(femc_worker::decode_sums(&bytes).map_err(failed)?)?;
+            match role {
+                Role::Tile => self.insert(vec![Tile::decode(&bytes).map_err(failed)?])?,
+                Role::Sums => self.insert(femc_worker::decode_sums(&bytes).map_err(failed)?)?,
+                Role::Pixels => self.pieces.push(Piece::decode(&bytes).map_err(failed)?),
+                Role::Image | Role::Preview => {}
             }
             self.seen.insert(artefact.digest);
         }

@@ -10,7 +10,7 @@ use crate::output::blocks::Room;
 use crate::output::job::JobJson;
 use crate::output::{Progress, Say, Stage, human, job as show};
 use clap::{Args, ValueEnum};
-use femc_model::{JobId, JobStatus};
+use femc_model::{FrameRecord, JobId, JobStatus};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -194,7 +194,7 @@ impl Events {
 
 /// The last finished frame takes the place of what there was of it; without one, what there was stays.
 async fn last_frame(farm: &Farm, job: JobId, file: &Path) -> Result<(), Failure> {
-    let preview = farm.frames(job).await?.last().and_then(|frame| frame.preview);
+    let preview = farm.frames(job).await?.last().and_then(FrameRecord::preview);
     match preview {
         Some(preview) => match farm.get_if_there(&preview).await? {
             Some(bytes) => femc_film::file::write_atomic(file, &bytes).map_err(failed),

@@ -2,7 +2,7 @@
 
 use super::{Say, Snapshot, human};
 use crate::exit::Exit;
-use femc_model::{FrameProgress, JobState, JobStatus, StageKind, Wait};
+use femc_model::{FrameProgress, JobState, JobStatus, Stage, Wait};
 use femc_pipeline::Stop;
 use serde::Serialize;
 
@@ -91,7 +91,7 @@ impl From<&FrameProgress> for ActiveJson {
     fn from(frame: &FrameProgress) -> Self {
         Self {
             frame: frame.frame,
-            stage: stage(frame.stage),
+            stage: frame.stage.name(),
             round: frame.round + 1,
             rounds: frame.rounds,
             tiles_done: frame.tiles_done,
@@ -115,12 +115,9 @@ pub fn state(state: JobState) -> &'static str {
     }
 }
 
-fn stage(stage: StageKind) -> &'static str {
-    match stage {
-        StageKind::Render => "render",
-        StageKind::Merge => "merge",
-        StageKind::Gather => "gather",
-    }
+/// The frame of this number, or the whole job.
+fn unit(frame: u32) -> String {
+    if frame == Stage::OF_JOB { "the whole job".to_owned() } else { format!("frame {frame}") }
 }
 
 /// The exit code of a job that has ended; `None` while it goes on.
@@ -181,12 +178,9 @@ pub fn wait(wait: &Wait) -> String {
             format!("the coordinator hears the workers out after its start; tasks go out in {milliseconds} ms")
         }
         Wait::BehindJob(job) => format!("job {job} goes first"),
-        Wait::MergeWaitsForTiles { frame, tiles } => {
-            format!("the merge of frame {frame} waits for {}", human::count(u64::from(*tiles), "tile"))
-        }
-        Wait::MergeWaitsForGroups { frame, groups } => {
-            let groups = human::count(u64::from(*groups), "group");
-            format!("the merge of frame {frame} waits for {groups} of tiles to be gathered")
+        Wait::StageWaits { frame, stage, needs, tasks } => {
+            let tasks = human::count(u64::from(*tasks), &format!("{} task", needs.name()));
+            format!("the {} stage of {} waits for {tasks}", stage.name(), unit(*frame))
         }
         Wait::Mishaps { tasks, message } => {
             format!("{} could not be done until now: {message}", human::count(u64::from(*tasks), "task"))
@@ -197,7 +191,7 @@ pub fn wait(wait: &Wait) -> String {
             )
         }
         Wait::Quarantined { frame, tasks } => {
-            format!("frame {frame} cannot go on: {} out of attempts", human::count(u64::from(*tasks), "task"))
+            format!("{} cannot go on: {} out of attempts", unit(*frame), human::count(u64::from(*tasks), "task"))
         }
     }
 }
@@ -282,9 +276,9 @@ pub fn describe(say: Say, job: &JobStatus) -> String {
     }
     for frame in &job.active {
         lines.push(format!(
-            "frame {}: {}, round {} of {}, {} of {} tiles done, {} running",
-            frame.frame,
-            stage(frame.stage),
+            "{}: {}, round {} of {}, {} of {} tiles done, {} running",
+            unit(frame.frame),
+            frame.stage.name(),
             frame.round + 1,
             frame.rounds,
             frame.tiles_done,
@@ -300,7 +294,7 @@ pub fn describe(say: Say, job: &JobStatus) -> String {
 pub fn trouble(job: &JobStatus) -> Vec<String> {
     let whole = job.failure.iter().map(|failure| format!("failed: {failure}"));
     let tasks = job.quarantined.iter().map(|q| {
-        format!("frame {} failed {}: {}", q.task.stage.frame, human::count(q.attempts.into(), "time"), q.failure)
+        format!("{} failed {}: {}", unit(q.task.stage.frame), human::count(q.attempts.into(), "time"), q.failure)
     });
     whole.chain(tasks).collect()
 }

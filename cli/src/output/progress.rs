@@ -24,7 +24,7 @@ pub struct Snapshot {
     pub samples: u64,
     /// The part of the work that is done, 0..=1, as well as it is known.
     pub fraction: f64,
-    /// Relative error of the frame merged last.
+    /// Relative error of the frame measured last.
     pub relative_error: Option<f64>,
 }
 

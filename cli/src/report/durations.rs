@@ -1,17 +1,17 @@
-//! How long render tasks take.
+//! How long tasks take that compute.
 
 use super::figure::{BLUE, FONT, beyond, figure};
 use crate::attempts::Row;
 use crate::exit::Failure;
-use femc_model::{Ending, StageKind};
+use femc_model::{Ending, Lane};
 use plotters::prelude::*;
 
 const BINS: usize = 40;
 
-/// Of attempts; nothing where no render task is done.
+/// Of attempts; nothing where no such task is done.
 pub fn draw(attempts: &[Row]) -> Result<Vec<String>, Failure> {
     let is_wanted = |row: &&Row| {
-        row.ending == Some(Ending::Done) && row.task.is_some_and(|task| task.stage.kind == StageKind::Render)
+        row.ending == Some(Ending::Done) && row.task.is_some_and(|task| task.stage.kind.row().lane == Lane::Compute)
     };
     let walls: Vec<f64> = attempts.iter().filter(is_wanted).map(|row| row.wall).collect();
     if walls.is_empty() {

@@ -41,10 +41,10 @@ impl Report {
         page.figure(&timeline::draw(&attempts)?);
         page.legend(&timeline::LEGEND);
         page.table(By::Worker, &workers);
-        page.section("Durations of tasks", "From the beginning of a render task to its result.");
-        page.figures(&durations::draw(&attempts)?, "No render task is done yet.");
-        page.section("Error against time", "Relative error of a frame as each of its merges measured it.");
-        page.figures(&errors::draw(&attempts)?, "No merge has measured an error yet.");
+        page.section("Durations of tasks", "From the beginning to the result, of tasks that compute.");
+        page.figures(&durations::draw(&attempts)?, "No such task is done yet.");
+        page.section("Error against time", "Relative error of a frame at the end of each round.");
+        page.figures(&errors::draw(&attempts)?, "No error has been measured yet.");
         page.section("Samples", "Samples a pixel of each tile, of results that count.");
         page.figures(&heat::draw(&tasks, &self.told)?, "No tile is done yet.");
         page.section("Cost", "Processor seconds, attempts that came to nothing included.");

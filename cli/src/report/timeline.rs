@@ -3,14 +3,14 @@
 use super::figure::{Area, BLUE, Drawn, FONT, ORANGE, WIDTH, beyond, figure};
 use crate::attempts::Row;
 use crate::exit::Failure;
-use femc_model::{Ending, StageKind};
+use femc_model::{Ending, Lane};
 use plotters::prelude::*;
 use std::collections::BTreeMap;
 
 /// What a bar is of.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 enum Bar {
-    Rendered,
+    Computed,
     Joined,
     Failed,
     Dropped,
@@ -21,21 +21,25 @@ const CRIMSON: RGBColor = RGBColor(200, 40, 50);
 
 /// The colors, in words.
 pub const LEGEND: [(&str, RGBColor); 4] =
-    [("rendered", BLUE), ("gathered or merged", ORANGE), ("failed", CRIMSON), ("cancelled, revoked or lost", GRAY)];
+    [("computed", BLUE), ("joined", ORANGE), ("failed", CRIMSON), ("cancelled, revoked or lost", GRAY)];
 
 impl Bar {
     fn of(row: &Row) -> Self {
-        match (row.ending, row.task.map(|task| task.stage.kind)) {
-            (Some(Ending::Failed), _) => Self::Failed,
-            (Some(Ending::Done), Some(StageKind::Render)) => Self::Rendered,
-            (Some(Ending::Done), _) => Self::Joined,
-            (Some(Ending::Cancelled | Ending::Revoked | Ending::Lost) | None, _) => Self::Dropped,
+        match row.ending {
+            Some(Ending::Failed) => Self::Failed,
+            Some(Ending::Done) if joins(row) => Self::Joined,
+            Some(Ending::Done) => Self::Computed,
+            Some(Ending::Cancelled | Ending::Revoked | Ending::Lost) | None => Self::Dropped,
         }
     }
 
     fn color(self) -> RGBColor {
         LEGEND[self as usize].1
     }
+}
+
+fn joins(row: &Row) -> bool {
+    row.task.is_some_and(|task| task.stage.kind.row().lane == Lane::Join)
 }
 
 /// From when to when.
@@ -48,8 +52,7 @@ pub fn draw(attempts: &[Row]) -> Result<String, Failure> {
     let gap = end / f64::from(2 * WIDTH);
     let mut lanes: BTreeMap<(String, u64, bool), BTreeMap<Bar, Spans>> = BTreeMap::new();
     for row in attempts {
-        let joins = row.task.is_some_and(|task| task.stage.kind != StageKind::Render);
-        let lane = lanes.entry((row.worker.clone(), row.instance, joins)).or_default();
+        let lane = lanes.entry((row.worker.clone(), row.instance, joins(row))).or_default();
         lane.entry(Bar::of(row)).or_default().push((row.began, row.ended));
     }
     for spans in lanes.values_mut().flat_map(BTreeMap::values_mut) {
@@ -60,7 +63,7 @@ pub fn draw(attempts: &[Row]) -> Result<String, Failure> {
     let names: Vec<String> = lanes
         .keys()
         .rev()
-        .map(|(name, _, joins)| if *joins { format!("{name}, merge") } else { name.clone() })
+        .map(|(name, _, joins)| if *joins { format!("{name}, joining") } else { name.clone() })
         .collect();
     let bars: Vec<_> = lanes.into_values().rev().collect();
     figure(60 + 24 * names.len() as u32, |area| chart(area, &names, &bars, end))

@@ -4,6 +4,7 @@ use super::{JobFile, Size};
 use crate::args::{Filter, Method, SettingsArgs};
 use crate::exit::{Failure, failed, usage};
 use crate::output::Say;
+use femc_fault::{Pretense, pretended};
 use femc_import::{Bundle, Disk, ImportError, Loaded};
 use femc_pipeline::{Plan, PlanError, PrepareError, Settings, SettingsError, Source, Stop};
 use femc_scene::Scene;
@@ -85,7 +86,10 @@ impl Base {
             .transpose()
             .map_err(|e| usage(format!("{}: {e}", named("frames"))))?;
         let plan = femc_pipeline::plan(scene, &settings, frames.as_deref());
-        let plan = plan.map_err(|e| refused(&self.path, &e, &named))?;
+        let mut plan = plan.map_err(|e| refused(&self.path, &e, &named))?;
+        if let Some(fan) = pretended(Pretense::Fan).and_then(|fan| fan.parse().ok()) {
+            plan.stages = femc_pipeline::stages(&plan.tiling, &plan.rounds, fan);
+        }
         Ok(Asked {
             path: self.path.clone(),
             source,

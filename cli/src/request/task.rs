@@ -21,7 +21,7 @@ pub struct JobTasks {
 
 /// Why a text names no tasks.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` names no task; write a frame, like 12, or a task, like 12.0/render/3 or 12.0/merge")]
+#[error("`{0}` names no task; write a frame, like 12, or a task, like 12.0/render/3 or 12.0/image")]
 pub struct TasksError(String);
 
 impl Tasks {
@@ -50,13 +50,7 @@ impl FromStr for Tasks {
             Some((frame, round)) => (number(frame)?, Some(number(round)?)),
             None => (number(stage)?, None),
         };
-        let kind = match parts.next() {
-            None => None,
-            Some("render") => Some(StageKind::Render),
-            Some("merge") => Some(StageKind::Merge),
-            Some("gather") => Some(StageKind::Gather),
-            Some(_) => return Err(wrong()),
-        };
+        let kind = parts.next().map(|name| StageKind::named(name).ok_or_else(wrong)).transpose()?;
         let index = parts.next().map(number).transpose()?;
         if parts.next().is_some() {
             return Err(wrong());
@@ -84,7 +78,7 @@ mod tests {
 
     #[test]
     fn a_task_is_named_as_it_is_printed_or_by_a_part_of_that() {
-        let stage = Stage { frame: 3, round: 1, kind: StageKind::Render };
+        let stage = Stage { frame: 3, round: 1, number: 0, kind: StageKind::Render };
         let task = TaskKey { job: JobId(7), stage, index: 12 };
         let printed: JobTasks = task.to_string().parse().expect("as printed");
         assert!(printed.job == 7 && printed.tasks.hold(&task));
@@ -96,7 +90,7 @@ mod tests {
             ("3/render/12", true),
             ("4", false),
             ("3.0", false),
-            ("3.1/merge", false),
+            ("3.1/image", false),
             ("3.1/render/1", false),
         ] {
             assert_eq!(text.parse::<Tasks>().map(|tasks| tasks.hold(&task)), Ok(holds), "{text}");

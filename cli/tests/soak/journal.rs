@@ -68,7 +68,7 @@ impl Journal {
         }
         for record in records.iter().skip(self.noted) {
             match Fact::decode(record).expect("a fact").1 {
-                Fact::Rendered { task, epoch, .. } | Fact::Merged { task, epoch, .. } => self.count(task, epoch),
+                Fact::Done { task, epoch, .. } => self.count(task, epoch),
                 Fact::Lost { task } => drop(self.counted.remove(&task)),
                 Fact::Restarted { job, frame } => {
                     self.counted.retain(|task, _| (task.job, task.stage.frame) != (job, frame));

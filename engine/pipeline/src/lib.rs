@@ -1,12 +1,13 @@
 //! The facade of the engine: settings, what would run, frames made ready, tiles rendered.
 //!
 //! A frame is cut into tiles and its samples into rounds; a task renders one tile's samples of one round. Which samples a
-//! task holds is a function of the settings alone, so the merged frame does not depend on who renders what, or when.
+//! task holds is a function of the settings alone, so the frame does not depend on who renders what, or when.
 #![deny(missing_docs)]
 
 mod plan;
 mod render;
 mod settings;
+mod stage;
 
 pub use femc_prepared::{PrepareError, Prepared, Source};
 pub use femc_scene::Moment;
@@ -17,3 +18,4 @@ pub use render::{RenderError, RenderedTile, moment, prepare, render_tile};
 pub const BUILD: &str = env!("FEMC_ENGINE");
 
 pub use settings::{Method, RoundVerdict, Settings, SettingsError, Stop};
+pub use stage::{Loop, Need, Reach, Role, Round, Scope, Stage, StageKind, fan, stages};

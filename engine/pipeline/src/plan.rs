@@ -1,6 +1,7 @@
 //! What would run, and what is left out and why.
 
 use crate::settings::{Method, Settings, SettingsError, Stop};
+use crate::stage::{Stage, fan, stages};
 use femc_film::{FilmError, Tiling};
 use femc_scene::Scene;
 use serde::{Deserialize, Serialize};
@@ -18,8 +19,8 @@ pub struct Plan {
     pub frames: Vec<u32>,
     /// The method chosen.
     pub method: Method,
-    /// Passes that run, in order.
-    pub passes: Vec<String>,
+    /// What runs: each stage is named by its place.
+    pub stages: Vec<Stage>,
     /// What is left out.
     pub left_out: Vec<LeftOut>,
 }
@@ -62,11 +63,6 @@ pub enum PlanError {
 }
 
 impl Plan {
-    /// Render tasks of one frame if every round runs.
-    pub fn render_tasks_per_frame(&self) -> u64 {
-        self.tiling.count() as u64 * self.rounds.len() as u64
-    }
-
     /// Camera samples of one frame after `rounds` rounds.
     pub fn samples_per_frame(&self, rounds: usize) -> u64 {
         let spp = self.rounds.get(rounds.saturating_sub(1)).copied().unwrap_or(0);
@@ -94,21 +90,14 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
     }
     let rounds = settings.rounds();
     let tiling = Tiling::new(film[0], film[1], tile_edge(settings.stop, film))?;
+    let stages = stages(&tiling, &rounds, fan(&tiling));
     let mut left_out = vec![LeftOut {
         what: "finite-element first pass".into(),
         reason: "this version renders by path tracing alone".into(),
     }];
     let spared = scene.spared(camera).into_iter();
     left_out.extend(spared.map(|s| LeftOut { what: s.feature.to_string(), reason: s.reason }));
-    Ok(Plan {
-        camera: camera.name.clone(),
-        tiling,
-        rounds,
-        frames,
-        method: Method::Pt,
-        passes: vec!["prepare".into(), "render (path tracing)".into(), "merge".into()],
-        left_out,
-    })
+    Ok(Plan { camera: camera.name.clone(), tiling, rounds, frames, method: Method::Pt, stages, left_out })
 }
 
 /// Edge of a tile: tasks of about a quarter of a million samples, at least a few tasks a frame.

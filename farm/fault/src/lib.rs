@@ -6,7 +6,8 @@
 //!
 //! `FEMC_DEADLY=TASK` makes a worker die whenever it begins this task.
 //!
-//! `FEMC_PRETEND=protocol=3,engine=another` makes a worker say that it is of another version: see [`pretended`].
+//! `FEMC_PRETEND=protocol=3,engine=another` makes a worker say that it is of another version, `FEMC_PRETEND=fan=3` a client that
+//! a frame's tiles are reduced in threes: see [`pretended`].
 //!
 //! Builds without debug assertions have none of this.
 #![deny(missing_docs)]

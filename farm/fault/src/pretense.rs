@@ -2,13 +2,15 @@
 
 use std::sync::LazyLock;
 
-/// What a worker may be made to say of itself.
+/// What a process may be made to say.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Pretense {
     /// The version of its protocol.
     Protocol,
     /// The build of its engine.
     Engine,
+    /// Tiles of a group, of a client: small frames have groups, too.
+    Fan,
 }
 
 impl Pretense {
@@ -16,6 +18,7 @@ impl Pretense {
         match self {
             Self::Protocol => "protocol",
             Self::Engine => "engine",
+            Self::Fan => "fan",
         }
     }
 }

@@ -1,186 +1,254 @@
-//! How a render stage is numbered: the samples of each of its tiles are cut into equal shares, the grains, so that one lease
-//! may cover as many of them as fit its time.
+//! How the tasks of a stage are numbered: the steps of each task are cut into equal shares, the grains, so that one lease may
+//! cover as many of them as fit its time.
 
 use std::num::NonZeroU64;
 use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Grid, JobSpec};
+use crate::{Sizes, Template};
 
-/// How finely the tiles of a job are cut; fixed for its life.
+/// How finely the tasks of a job are cut; fixed for its life.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Cut {
-    /// Not at all: a task is all samples of a tile's round.
+    /// Not at all: a lease covers all steps of a task.
     #[default]
     Whole,
-    /// Into grains of so many pixel samples, or up to twice as many.
+    /// Into grains of so many units of work, or up to twice as many.
     Grains(NonZeroU64),
 }
 
-/// The keys of one render stage: grain `g` of tile `t` is the key `t * per_tile + g`. A task is a run of grains of one tile;
-/// its key is that of the first.
-#[derive(Debug, Clone, PartialEq, Eq)]
-pub struct Grains {
-    grid: Grid,
-    samples: Range<u32>,
-    per_tile: u32,
+/// Steps of each task that differ from task to task: how many it has taken when the round begins, and when it ends.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Uneven {
+    /// By task; no task more than at the round's end.
+    pub from: Vec<u32>,
+    /// By task.
+    pub to: Vec<u32>,
 }
 
-impl Grains {
-    /// Most grains of a tile.
+impl Uneven {
+    fn of(&self, task: u32) -> Range<u32> {
+        let at = |steps: &[u32]| steps.get(task as usize).copied().unwrap_or(0);
+        at(&self.from)..at(&self.to)
+    }
+
+    fn most(&self) -> u32 {
+        self.from.iter().zip(&self.to).map(|(from, to)| to.saturating_sub(*from)).max().unwrap_or(0)
+    }
+}
+
+/// Steps of a round's tasks.
+#[derive(Debug, Clone, PartialEq, Eq)]
+enum Steps<'a> {
+    /// The same of each.
+    Even(Range<u32>),
+    Uneven(&'a Uneven),
+}
+
+/// The keys of one stage in one round: grain `g` of task `t` is the key `t * stride + g`. A lease covers a run of grains of one
+/// task; its key is that of the first. A task without steps has no grains.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub struct Grains<'a> {
+    sizes: &'a Sizes,
+    steps: Steps<'a>,
+    stride: u32,
+}
+
+impl<'a> Grains<'a> {
+    /// Most grains of a task.
     pub const MOST: u32 = 64;
 
-    /// Of a round of the job's frames; of a round beyond the last: one grain a tile, without samples.
-    pub fn of(spec: &JobSpec, round: u32, cut: Cut) -> Self {
-        let samples = spec.samples(round);
-        let mut grains = Self { grid: spec.grid, samples, per_tile: 1 };
-        if let Cut::Grains(size) = cut {
-            let most = grains.samples.len().clamp(1, Self::MOST as usize) as u64;
-            grains.per_tile = (grains.of_a_tile() / size).clamp(1, most) as u32;
+    /// Of a round of a stage.
+    /// - `uneven`: where the tasks differ in their steps.
+    pub fn of(template: &'a Template, round: u32, uneven: Option<&'a Uneven>, cut: Cut) -> Self {
+        let steps = uneven.map_or_else(|| Steps::Even(template.steps_of(round)), Steps::Uneven);
+        let most = match &steps {
+            Steps::Even(steps) => steps.len() as u32,
+            Steps::Uneven(uneven) => uneven.most(),
+        };
+        let mut stride = 1;
+        if let Cut::Grains(size) = cut
+            && template.kind.is_cut()
+        {
+            let units = template.sizes.greatest() * u64::from(most);
+            stride = (units / size).clamp(1, u64::from(most.clamp(1, Self::MOST))) as u32;
         }
-        grains
+        Self { sizes: &template.sizes, steps, stride }
     }
 
-    /// Pixel samples of a tile that is not at the film's far edges.
-    pub fn of_a_tile(&self) -> u64 {
-        let [width, height] = self.grid.film.map(|side| u64::from(side.min(self.grid.tile)));
-        width * height * self.samples.len() as u64
+    /// Units of work of the largest task, as if it took the most steps.
+    pub fn of_largest(&self) -> u64 {
+        let most = match &self.steps {
+            Steps::Even(steps) => steps.len() as u64,
+            Steps::Uneven(uneven) => uneven.most().into(),
+        };
+        self.sizes.greatest() * most
     }
 
-    /// Tiles of the film.
-    pub fn tiles(&self) -> u32 {
-        self.grid.tiles()
+    /// Tasks of the stage.
+    pub fn tasks(&self) -> u32 {
+        self.sizes.tasks()
     }
 
-    /// Grains of a tile.
-    pub fn per_tile(&self) -> u32 {
-        self.per_tile
+    /// Most grains of a task.
+    pub fn stride(&self) -> u32 {
+        self.stride
     }
 
-    /// All keys.
+    /// Whether every task has the same number of grains.
+    pub fn is_even(&self) -> bool {
+        matches!(self.steps, Steps::Even(_))
+    }
+
+    /// From the first key to beyond the last one; of uneven stages some of them are no keys.
     pub fn all(&self) -> Range<u32> {
-        0..self.tiles() * self.per_tile
+        0..self.tasks() * self.stride
     }
 
-    /// The tile that a key belongs to.
-    pub fn tile(&self, key: u32) -> u32 {
-        key / self.per_tile
+    /// The task that a key belongs to.
+    pub fn task(&self, key: u32) -> u32 {
+        key / self.stride
     }
 
-    /// The keys of a tile.
-    pub fn of_tile(&self, tile: u32) -> Range<u32> {
-        tile * self.per_tile..(tile + 1) * self.per_tile
+    /// The keys of a task.
+    pub fn of_task(&self, task: u32) -> Range<u32> {
+        let first = task * self.stride;
+        let count = match &self.steps {
+            Steps::Even(_) => self.stride,
+            Steps::Uneven(uneven) => self.stride.min(uneven.of(task).len() as u32),
+        };
+        first..first + count
     }
 
-    /// Sample indices, the same for each pixel, of a run of one tile's grains.
-    pub fn samples(&self, run: &Range<u32>) -> Range<u32> {
-        let first = self.of_tile(self.tile(run.start)).start;
-        self.bound(run.start - first)..self.bound(run.end - first)
+    /// From the first key of the first of these tasks to beyond the last one's.
+    pub fn of_tasks(&self, tasks: &Range<u32>) -> Range<u32> {
+        tasks.start * self.stride..tasks.end * self.stride
     }
 
-    /// Pixel samples of a run of one tile's grains; a tile at the film's edge may have fewer pixels.
-    pub fn pixel_samples(&self, run: &Range<u32>) -> u64 {
-        let pixels = self.grid.rect(self.tile(run.start)).map_or(0, |rect| rect.pixels());
-        pixels * self.samples(run).len() as u64
+    /// All steps that the round takes of a task.
+    pub fn steps_of(&self, task: u32) -> Range<u32> {
+        match &self.steps {
+            Steps::Even(steps) => steps.clone(),
+            Steps::Uneven(uneven) => uneven.of(task),
+        }
     }
 
-    /// The run from `first` that holds just these samples; `None`: there is no such run.
-    pub fn run(&self, first: u32, samples: &Range<u32>) -> Option<Range<u32>> {
+    /// The steps of a run of one task's grains.
+    pub fn steps(&self, run: &Range<u32>) -> Range<u32> {
+        let task = self.task(run.start);
+        let keys = self.of_task(task);
+        let (first, count, steps) = (keys.start, keys.len() as u64, self.steps_of(task));
+        let bound = |grain: u32| steps.start + (steps.len() as u64 * u64::from(grain) / count.max(1)) as u32;
+        bound(run.start - first)..bound(run.end - first)
+    }
+
+    /// Units of work of a run of one task's grains.
+    pub fn units(&self, run: &Range<u32>) -> u64 {
+        self.sizes.of(self.task(run.start)) * self.steps(run).len() as u64
+    }
+
+    /// The run from `first` that holds just these steps; `None`: there is no such run.
+    pub fn run(&self, first: u32, steps: &Range<u32>) -> Option<Range<u32>> {
         if first >= self.all().end {
             return None;
         }
-        let keys = first..self.of_tile(self.tile(first)).end;
-        keys.map(|last| first..last + 1).find(|run| self.samples(run) == *samples)
+        let keys = first..self.of_task(self.task(first)).end;
+        keys.map(|last| first..last + 1).find(|run| self.steps(run) == *steps)
     }
+}
 
-    /// The run from `first` of which a result has so many pixel samples; of tiles that are not cut, the tile.
-    pub fn run_of(&self, first: u32, pixel_samples: u64) -> Option<Range<u32>> {
-        if self.per_tile == 1 {
-            return Some(first..first.saturating_add(1));
+impl Template {
+    /// The steps that a round takes of each task, where they do not differ; empty beyond the last round. Of a stage that is not
+    /// cut, one.
+    pub fn steps_of(&self, round: u32) -> Range<u32> {
+        if !self.kind.is_cut() {
+            return 0..1;
         }
-        let pixels = self.grid.rect(self.tile(first))?.pixels();
-        let spp = u32::try_from(pixel_samples / pixels).ok()?;
-        let start = self.samples(&(first..first)).start;
-        self.run(first, &(start..start.checked_add(spp)?)).filter(|run| self.pixel_samples(run) == pixel_samples)
-    }
-
-    /// Where the samples of grain number `grain` of a tile begin.
-    fn bound(&self, grain: u32) -> u32 {
-        let spp = u64::from(self.samples.end - self.samples.start);
-        self.samples.start + (spp * u64::from(grain) / u64::from(self.per_tile)) as u32
+        let round = round as usize;
+        let start = round.checked_sub(1).and_then(|before| self.steps.get(before)).copied().unwrap_or(0);
+        start..self.steps.get(round).copied().unwrap_or(start)
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use crate::Digest;
+    use crate::{Role, Scope, StageKind};
 
     use super::*;
 
-    fn spec(film: [u32; 2], rounds: &[u32]) -> JobSpec {
-        JobSpec {
-            name: "fog".into(),
-            bundle: Digest::of(b"scene"),
-            entry: "fog.mgf".into(),
-            settings: "{}".into(),
-            frames: vec![1],
-            grid: Grid { film, tile: 8 },
-            rounds: rounds.to_vec(),
-            priority: 50,
-            owner: "me".into(),
-            tags: vec![],
+    /// Two tasks of 64 units a step, and one of 32.
+    fn template(steps: &[u32]) -> Template {
+        let sizes = [(2, 64), (1, 32)].into_iter().collect();
+        Template::new(StageKind::Render, Scope::Frame, sizes, &[Role::Tile]).steps(steps)
+    }
+
+    fn cut(size: u64) -> Cut {
+        NonZeroU64::new(size).map_or(Cut::Whole, Cut::Grains)
+    }
+
+    fn holds_each_step_once(grains: &Grains<'_>) {
+        assert!((1..=Grains::MOST).contains(&grains.stride()));
+        for task in 0..grains.tasks() {
+            let mut next = grains.steps_of(task);
+            for key in grains.of_task(task) {
+                let steps = grains.steps(&(key..key + 1));
+                assert!(steps.start == next.start && !steps.is_empty(), "{steps:?} after {next:?}");
+                assert_eq!(grains.task(key), task);
+                next.start = steps.end;
+            }
+            assert!(next.is_empty(), "{next:?} is in no grain");
         }
     }
 
-    fn grains(rounds: &[u32], round: u32, size: u64) -> Grains {
-        Grains::of(&spec([20, 8], rounds), round, NonZeroU64::new(size).map_or(Cut::Whole, Cut::Grains))
-    }
-
     #[test]
-    fn the_grains_of_a_tile_hold_each_sample_of_the_round_once_and_none_is_empty() {
-        for (rounds, size) in [(&[7, 100, 101][..], 64), (&[7, 100, 101], 200), (&[1000, 65_000], 1), (&[3], 1 << 40)] {
-            for round in 0..rounds.len() as u32 {
-                let grains = grains(rounds, round, size);
-                assert!((1..=Grains::MOST).contains(&grains.per_tile()));
-                for tile in 0..grains.tiles() {
-                    let mut next = spec([20, 8], rounds).samples(round);
-                    for key in grains.of_tile(tile) {
-                        let samples = grains.samples(&(key..key + 1));
-                        assert!(samples.start == next.start && !samples.is_empty(), "{samples:?} after {next:?}");
-                        assert_eq!(grains.tile(key), tile);
-                        next.start = samples.end;
-                    }
-                    assert!(next.is_empty(), "{next:?} is in no grain");
-                }
+    fn the_grains_of_a_task_hold_each_step_of_the_round_once_and_none_is_empty() {
+        for (steps, size) in [(&[7, 100, 101][..], 64), (&[7, 100, 101], 200), (&[1000, 65_000], 1), (&[3], 1 << 40)] {
+            let template = template(steps);
+            for round in 0..steps.len() as u32 {
+                holds_each_step_once(&Grains::of(&template, round, None, cut(size)));
             }
         }
     }
 
     #[test]
-    fn a_run_is_found_by_its_samples_and_nothing_else_is_one() {
-        let grains = grains(&[10, 50], 1, 320);
-        assert_eq!((grains.per_tile(), grains.all()), (8, 0..24));
-        for tile in 0..3 {
-            let pixels = if tile == 2 { 32 } else { 64 };
-            for first in grains.of_tile(tile) {
-                for end in first + 1..=grains.of_tile(tile).end {
-                    let (run, samples) = (first..end, grains.samples(&(first..end)));
-                    assert_eq!(grains.run(first, &samples), Some(run.clone()));
-                    assert_eq!(grains.pixel_samples(&run), pixels * u64::from(5 * (end - first)));
-                    assert_eq!(grains.run_of(first, grains.pixel_samples(&run)), Some(run.clone()));
-                    assert_eq!(grains.run_of(first, grains.pixel_samples(&run) + 1), None);
-                    assert_eq!(grains.run(first, &(samples.start..samples.end + 1)), None);
-                    assert_eq!(grains.run(first, &(samples.start + 1..samples.end)), None);
-                }
-            }
+    fn uneven_tasks_have_their_own_steps_and_one_without_any_has_no_keys() {
+        let (template, uneven) = (template(&[4, 100]), Uneven { from: vec![4, 4, 4], to: vec![100, 4, 7] });
+        for size in [0, 64, 1 << 40] {
+            let grains = Grains::of(&template, 1, Some(&uneven), cut(size));
+            holds_each_step_once(&grains);
+            assert!(grains.of_task(1).is_empty() && grains.of_task(2).len() == 3.min(grains.stride() as usize));
+            assert_eq!(grains.units(&grains.of_task(2)), 3 * 32);
         }
-        assert_eq!(grains.run(24, &(10..15)), None, "beyond the last tile");
     }
 
     #[test]
-    fn tiles_that_are_not_cut_are_whole_whatever_their_result_says() {
-        let grains = Grains::of(&spec([20, 8], &[4]), 0, Cut::Whole);
-        assert_eq!((grains.all(), grains.run_of(2, 77), grains.samples(&(1..2))), (0..3, Some(2..3), 0..4));
+    fn a_run_is_found_by_its_steps_and_nothing_else_is_one() {
+        let template = template(&[10, 50]);
+        let grains = Grains::of(&template, 1, None, cut(320));
+        assert_eq!((grains.stride(), grains.all()), (8, 0..24));
+        for task in 0..3 {
+            let size = if task == 2 { 32 } else { 64 };
+            for first in grains.of_task(task) {
+                for end in first + 1..=grains.of_task(task).end {
+                    let (run, steps) = (first..end, grains.steps(&(first..end)));
+                    assert_eq!(grains.run(first, &steps), Some(run.clone()));
+                    assert_eq!(grains.units(&run), size * u64::from(5 * (end - first)));
+                    assert_eq!(grains.run(first, &(steps.start..steps.end + 1)), None);
+                    assert_eq!(grains.run(first, &(steps.start + 1..steps.end)), None);
+                }
+            }
+        }
+        assert_eq!(grains.run(24, &(10..15)), None, "beyond the last task");
+    }
+
+    #[test]
+    fn tasks_that_are_not_cut_are_whole() {
+        let rendered = template(&[4]);
+        let whole = Grains::of(&rendered, 0, None, Cut::Whole);
+        assert_eq!((whole.all(), whole.steps(&(1..2)), whole.units(&(2..3))), (0..3, 0..4, 4 * 32));
+        let image = Template::new(StageKind::Image, Scope::Frame, Sizes::even(1, 1), &[Role::Image]);
+        let grains = Grains::of(&image, 3, None, cut(1));
+        assert_eq!((grains.all(), grains.steps(&(0..1)), grains.units(&(0..1))), (0..1, 0..1, 1));
     }
 }

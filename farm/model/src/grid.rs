@@ -2,6 +2,8 @@
 
 use serde::{Deserialize, Serialize};
 
+use crate::Sizes;
+
 /// A film cut into square tiles; the last column and row may be narrower.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Grid {
@@ -40,6 +42,12 @@ impl Grid {
     /// Number of pixels of the film.
     pub const fn pixels(&self) -> u64 {
         self.film[0] as u64 * self.film[1] as u64
+    }
+
+    /// The tiles, each of as many units as it has pixels.
+    pub fn sizes(&self) -> Sizes {
+        let rects = (0..self.tiles()).filter_map(|tile| self.rect(tile));
+        rects.map(|rect| (1, rect.pixels())).collect()
     }
 
     /// The tile number `index`, or `None` beyond the last.

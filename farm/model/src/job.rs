@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Digest, Grid};
+use crate::{Digest, Graph, GraphError, Grid, Scope, Stage};
 
 /// A job as it was submitted; it never changes, but for its priority.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
@@ -19,9 +19,8 @@ pub struct JobSpec {
     pub frames: Vec<u32>,
     /// Film and tiles.
     pub grid: Grid,
-    /// Samples a pixel at the end of each round, strictly ascending: round r of a frame renders the samples
-    /// `rounds[r - 1]..rounds[r]`, and its merge decides whether another round follows.
-    pub rounds: Vec<u32>,
+    /// Its stages.
+    pub graph: Graph,
     /// 0..=100; greater goes first.
     pub priority: u8,
     /// Who submitted it.
@@ -32,11 +31,9 @@ pub struct JobSpec {
 
 impl JobSpec {
     /// Most tiles of a frame.
-    pub const MAX_TILES: u32 = 1 << 16;
+    pub const MAX_TILES: u32 = Graph::MAX_TASKS;
     /// Most frames of a job.
     pub const MAX_FRAMES: usize = 1 << 20;
-    /// Most rounds of a frame.
-    pub const MAX_ROUNDS: usize = 64;
     /// Most pixels along a side of the film.
     pub const MAX_SIDE: u32 = 1 << 16;
     /// Most tags.
@@ -60,17 +57,12 @@ impl JobSpec {
         }
         if self.frames.is_empty()
             || self.frames.len() > Self::MAX_FRAMES
+            || self.frames[0] == Stage::OF_JOB
             || self.frames.windows(2).any(|pair| pair[0] >= pair[1])
         {
             return Err(SpecError::Frames { frames: self.frames.len() });
         }
-        if self.rounds.is_empty()
-            || self.rounds.len() > Self::MAX_ROUNDS
-            || self.rounds[0] == 0
-            || self.rounds.windows(2).any(|pair| pair[0] >= pair[1])
-        {
-            return Err(SpecError::Rounds);
-        }
+        self.graph.check()?;
         if self.priority > 100 {
             return Err(SpecError::Priority { priority: self.priority });
         }
@@ -102,16 +94,25 @@ impl JobSpec {
         !name.contains(is_odd) && !matches!(name, "" | "." | "..")
     }
 
-    /// Tiles of all its frames and rounds.
-    pub fn tiles(&self) -> u64 {
-        u64::from(self.grid.tiles()) * self.frames.len() as u64 * self.rounds.len() as u64
+    /// Tasks of all its frames and rounds, and of the job as a whole.
+    pub fn tasks(&self) -> u64 {
+        self.graph.tasks(Scope::Frame).saturating_mul(self.frames.len() as u64) + self.graph.tasks(Scope::Job)
     }
 
-    /// Samples a pixel that round `round` adds, as a range of sample indices; empty beyond the last round.
+    /// Samples a pixel at the end of each round, as planned.
+    pub fn rounds(&self) -> &[u32] {
+        self.graph.main().map_or(&[], |(_, template)| &template.steps)
+    }
+
+    /// Samples a pixel that round `round` adds, as planned, as a range of sample indices; empty beyond the last round.
     pub fn samples(&self, round: u32) -> std::ops::Range<u32> {
-        let round = round as usize;
-        let start = round.checked_sub(1).and_then(|before| self.rounds.get(before)).copied().unwrap_or(0);
-        start..self.rounds.get(round).copied().unwrap_or(start)
+        self.graph.main().map_or(0..0, |(_, template)| template.steps_of(round))
+    }
+
+    /// Pixel samples of a frame, if every round runs as planned.
+    pub fn samples_of_frame(&self) -> u64 {
+        let main = self.graph.main();
+        main.map_or(0, |(_, it)| it.sizes.sum().saturating_mul(it.steps.last().copied().unwrap_or(0).into()))
     }
 
     /// Digest of all that decides the job's pixels: two jobs with one key have the same frames to the bit.
@@ -126,7 +127,7 @@ impl JobSpec {
         put(self.settings.as_bytes());
         put(&numbers(&self.frames));
         put(&numbers(&[self.grid.film[0], self.grid.film[1], self.grid.tile]));
-        put(&numbers(&self.rounds));
+        put(&self.graph.encode());
         Digest::of(&bytes)
     }
 }
@@ -156,15 +157,15 @@ pub enum SpecError {
         /// The most there may be.
         limit: u32,
     },
-    /// None, too many, or not ascending.
-    #[error("{frames} frames: at least 1, at most {}, ascending", JobSpec::MAX_FRAMES)]
+    /// None, too many, or not ascending from 1.
+    #[error("{frames} frames: at least 1, at most {}, ascending from number 1", JobSpec::MAX_FRAMES)]
     Frames {
         /// How many there are.
         frames: usize,
     },
-    /// None, too many, or not ascending from 1.
-    #[error("sample rounds must ascend from 1, at most {} of them", JobSpec::MAX_ROUNDS)]
-    Rounds,
+    /// Stages that cannot be run.
+    #[error(transparent)]
+    Graph(#[from] GraphError),
     /// Beyond 100.
     #[error("priority {priority}, at most 100")]
     Priority {
@@ -229,7 +230,17 @@ pub enum Control {
 
 #[cfg(test)]
 mod tests {
+    use crate::{Role, Sizes, StageKind, Template};
+
     use super::*;
+
+    fn graph(rounds: &[u32]) -> Graph {
+        let render = Template::new(StageKind::Render, Scope::Frame, Sizes::even(16, 256), &[Role::Tile]).steps(rounds);
+        let image = Template::new(StageKind::Image, Scope::Frame, Sizes::even(1, 1), &[Role::Image])
+            .reads(0, Role::Tile, crate::Reach::All)
+            .closes(0, rounds.len() as u32);
+        Graph { stages: vec![render, image] }
+    }
 
     fn spec() -> JobSpec {
         JobSpec {
@@ -239,7 +250,7 @@ mod tests {
             settings: "{}".into(),
             frames: vec![1, 2, 5],
             grid: Grid { film: [64, 64], tile: 16 },
-            rounds: vec![4, 8, 16],
+            graph: graph(&[4, 8, 16]),
             priority: 50,
             owner: "me".into(),
             tags: vec![],
@@ -261,7 +272,8 @@ mod tests {
         assert!(matches!(JobSpec { grid, ..spec() }.check(), Err(SpecError::Tiles { .. })));
         assert!(matches!(JobSpec { frames: vec![], ..spec() }.check(), Err(SpecError::Frames { frames: 0 })));
         assert!(matches!(JobSpec { frames: vec![2, 2], ..spec() }.check(), Err(SpecError::Frames { frames: 2 })));
-        assert_eq!(JobSpec { rounds: vec![0, 4], ..spec() }.check(), Err(SpecError::Rounds));
+        assert!(matches!(JobSpec { graph: graph(&[0, 4]), ..spec() }.check(), Err(SpecError::Graph(_))));
+        assert_eq!(JobSpec { frames: vec![0, 4], ..spec() }.check(), Err(SpecError::Frames { frames: 2 }));
         assert_eq!(JobSpec { priority: 101, ..spec() }.check(), Err(SpecError::Priority { priority: 101 }));
         let entry = "x".repeat(2000);
         assert_eq!(JobSpec { entry, ..spec() }.check(), Err(SpecError::TooLong { field: "entry" }));
@@ -280,5 +292,6 @@ mod tests {
         assert_eq!(spec().key(), other.key());
         assert_ne!(spec().key(), JobSpec { frames: vec![1, 2], ..spec() }.key());
         assert_ne!(spec().key(), JobSpec { settings: "{ }".into(), ..spec() }.key());
+        assert_ne!(spec().key(), JobSpec { graph: graph(&[4, 8]), ..spec() }.key());
     }
 }

@@ -7,9 +7,11 @@
 mod digest;
 mod failure;
 mod grains;
+mod graph;
 mod grid;
 mod id;
 mod job;
+mod kind;
 mod latest;
 mod log;
 mod manifest;
@@ -18,22 +20,25 @@ mod result;
 mod session;
 mod status;
 mod task;
+pub mod testing;
 mod usage;
 
 pub use digest::{Digest, ParseDigestError};
 pub use failure::{Failure, Verdict};
-pub use grains::{Cut, Grains};
+pub use grains::{Cut, Grains, Uneven};
+pub use graph::{Graph, GraphError, Loop, Need, Reach, Round, Scope, Sizes, Template};
 pub use grid::{Grid, TileRect};
 pub use id::{Epoch, JobId, Tick, WorkerId};
 pub use job::{Control, JobSpec, JobState, SpecError};
+pub use kind::{KindRow, Lane, LogPlace, Near, Role, RoleRow, StageKind};
 pub use latest::Latest;
 pub use log::{Attempt, LogRecord, LogText, TaskLog};
 pub use manifest::{Extent, Manifest, ManifestError, Piece};
 pub use refusal::Refusal;
-pub use result::{Artefact, Decision, FrameParts, FrameRecord, GatherResult, MergeResult, TaskResult, TileResult};
+pub use result::{Artefact, Decision, FrameParts, FrameRecord, TaskResult};
 pub use session::{
     Death, FromWorker, HeldLease, LeaseLeft, Phase, Registration, RevokeReason, Spent, TaskProgress, ToWorker,
 };
 pub use status::{Drain, FrameProgress, Intake, JobStatus, Quarantined, Wait, WorkerName, WorkerStatus};
-pub use task::{Assignment, MergeInputs, More, Parts, Stage, StageKind, TaskKey, Work};
+pub use task::{Assignment, Input, More, Output, Stage, TaskKey, Work};
 pub use usage::{AttemptRecord, Attempts, Ending, Usage};

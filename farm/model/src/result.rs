@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Digest, Grid};
+use crate::{Digest, Grid, Output, Role};
 
 /// Bytes in the artefact store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -20,95 +20,51 @@ impl Artefact {
     }
 }
 
-/// A rendered tile, or some of its samples.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct TileResult {
-    /// The encoded tile.
-    pub tile: Artefact,
-    /// Pixel samples that were taken.
-    pub samples: u64,
-    /// Samples refused because they were NaN, infinite or negative.
-    pub bad_samples: u64,
-    /// Seconds that the worker spent on it.
-    pub seconds: f64,
-}
-
-/// Whether a frame is good enough.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+/// What the task that closes a loop decides; nothing but its inputs and the job's settings go into it.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Decision {
-    /// Another round.
+    /// Another round, as planned.
     Continue,
-    /// The frame is finished.
+    /// Another round, at the end of which each task of the loop's stage that is cut has taken so many steps in all.
+    Steps(Vec<u32>),
+    /// The loop is over.
     Done,
 }
 
-/// A merged round of a frame.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub struct MergeResult {
-    /// Whether the frame is finished.
-    pub decision: Decision,
-    /// The encoded sums, for the next round's merge; those of a frame in groups are the groups'.
-    pub sums: Option<Artefact>,
-    /// The finished image as EXR; `None` while the decision is `Continue`.
-    pub image: Option<Artefact>,
-    /// The same, tone-mapped, as PNG.
-    pub preview: Option<Artefact>,
-    /// Relative error reached, as the settings' stop rule measures it.
-    pub relative_error: Option<f64>,
-    /// Samples refused in the whole frame so far.
+/// Result of a task.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct TaskResult {
+    /// What it has made, each role once.
+    pub outputs: Vec<Output>,
+    /// Units of work done, of a task that is cut: pixel samples taken.
+    pub units: u64,
+    /// Samples refused because they were NaN, infinite or negative.
     pub bad_samples: u64,
-    /// Seconds that the worker spent on the merge.
-    pub seconds: f64,
-}
-
-/// A gathered group of tiles.
-#[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct GatherResult {
-    /// Its encoded sums, for the next round; `None` after the last.
-    pub sums: Option<Artefact>,
-    /// Its resolved pixels, for the merge and for previews.
-    pub pixels: Artefact,
+    /// Relative error that it has measured, if it measures.
+    pub relative_error: Option<f64>,
+    /// Of a task that closes a loop.
+    pub decision: Option<Decision>,
     /// Seconds that the worker spent on it.
     pub seconds: f64,
-}
-
-impl GatherResult {
-    /// Every artefact that it names.
-    pub fn artefacts(&self) -> impl Iterator<Item = Artefact> + use<> {
-        self.sums.into_iter().chain([self.pixels])
-    }
-}
-
-/// Result of a task, by its kind.
-#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub enum TaskResult {
-    /// Of a render task.
-    Tile(TileResult),
-    /// Of a merge task.
-    Merge(MergeResult),
-    /// Of a gather task.
-    Gather(GatherResult),
 }
 
 impl TaskResult {
+    /// Most outputs.
+    pub const MAX_OUTPUTS: usize = 16;
+
     /// Every artefact that it names.
-    pub fn artefacts(&self) -> impl Iterator<Item = Artefact> {
-        let all = match self {
-            Self::Tile(tile) => [Some(tile.tile), None, None],
-            Self::Merge(merge) => [merge.sums, merge.image, merge.preview],
-            Self::Gather(group) => [group.sums, Some(group.pixels), None],
-        };
-        all.into_iter().flatten()
+    pub fn artefacts(&self) -> impl Iterator<Item = Artefact> + '_ {
+        self.outputs.iter().map(|output| output.artefact)
     }
 
-    /// Seconds that the worker spent on it.
-    pub fn seconds(&self) -> f64 {
-        match self {
-            Self::Tile(tile) => tile.seconds,
-            Self::Merge(merge) => merge.seconds,
-            Self::Gather(group) => group.seconds,
-        }
+    /// Its output of this role.
+    pub fn output(&self, role: Role) -> Option<Artefact> {
+        find(&self.outputs, role)
     }
+}
+
+fn find(outputs: &[Output], role: Role) -> Option<Artefact> {
+    outputs.iter().find(|output| output.role == role).map(|output| output.artefact)
 }
 
 /// What there is of a frame in work: enough for a preview.
@@ -118,24 +74,18 @@ pub struct FrameParts {
     pub frame: u32,
     /// Film and tiles.
     pub grid: Grid,
-    /// What the rounds before add up to, where it is not in `groups`: of the whole frame, or of groups of tiles.
-    pub sums: Vec<Artefact>,
-    /// The tiles of this round that are done and not in `groups`, some in parts, in order of key.
-    pub tiles: Vec<Artefact>,
-    /// Resolved pixels of the groups that are gathered in this round.
-    pub groups: Vec<Artefact>,
+    /// What is there and not united with others, each sample once: in order of round, stage and task.
+    pub outputs: Vec<Output>,
 }
 
-/// A finished frame.
+/// A finished frame, or what is finished of the job as a whole.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct FrameRecord {
-    /// Frame number.
+    /// Frame number; [`Stage::OF_JOB`](crate::Stage::OF_JOB) of the job's own.
     pub frame: u32,
-    /// The image as EXR.
-    pub image: Artefact,
-    /// The image tone-mapped, as PNG.
-    pub preview: Option<Artefact>,
-    /// Samples a pixel.
+    /// Its results.
+    pub outputs: Vec<Output>,
+    /// Samples a pixel, on the average.
     pub spp: u32,
     /// Relative error reached.
     pub relative_error: Option<f64>,
@@ -143,6 +93,23 @@ pub struct FrameRecord {
     pub bad_samples: u64,
     /// Seconds that workers spent on it, summed.
     pub busy_seconds: f64,
-    /// Seconds from the first lease to the last merge.
+    /// Seconds from the first lease to the last result.
     pub seconds: f64,
+}
+
+impl FrameRecord {
+    /// Its result of this role.
+    pub fn output(&self, role: Role) -> Option<Artefact> {
+        find(&self.outputs, role)
+    }
+
+    /// The image as EXR.
+    pub fn image(&self) -> Option<Artefact> {
+        self.output(Role::Image)
+    }
+
+    /// The image tone-mapped, as PNG.
+    pub fn preview(&self) -> Option<Artefact> {
+        self.output(Role::Preview)
+    }
 }

@@ -50,8 +50,8 @@ pub struct HeldLease {
     pub task: TaskKey,
     /// Of the lease.
     pub epoch: Epoch,
-    /// The samples that it covers, of each pixel of its tile; empty where it renders nothing.
-    pub samples: Range<u32>,
+    /// The steps that it covers: [`Work::steps`](crate::Work::steps).
+    pub steps: Range<u32>,
     /// [`JobSpec::key`] of the job, so that the task of another farm's job of the same number is not taken for this one.
     pub job: Digest,
 }
@@ -78,8 +78,8 @@ pub struct TaskProgress {
     pub epoch: Epoch,
     /// What is being done.
     pub phase: Phase,
-    /// Pixel samples taken; of a task that joins, inputs that are in. Only grows.
-    pub samples: u64,
+    /// Units of work done, such as pixel samples; of a task that joins, inputs that are in. Only grows.
+    pub units: u64,
 }
 
 /// A lease that holds, and for how long.

@@ -64,9 +64,9 @@ pub struct FrameProgress {
     pub rounds: u32,
     /// What it is at.
     pub stage: StageKind,
-    /// Tiles of which all samples of this round are done.
+    /// Tiles, or other tasks of its main stage, of which all steps of this round are done.
     pub tiles_done: u32,
-    /// Tiles of the round.
+    /// How many there are in the round.
     pub tiles_total: u32,
     /// Tasks of it that are leased.
     pub running: u32,
@@ -149,19 +149,16 @@ pub enum Wait {
     },
     /// Jobs with more priority, or older, have tasks ready.
     BehindJob(JobId),
-    /// The merge waits for tiles.
-    MergeWaitsForTiles {
-        /// Frame number.
+    /// Nothing of a frame can be given out: its next stage waits for tasks that workers are doing.
+    StageWaits {
+        /// Frame number; [`Stage::OF_JOB`](crate::Stage::OF_JOB): of the job's own stages.
         frame: u32,
-        /// Tiles not done.
-        tiles: u32,
-    },
-    /// All tiles are done, and the merge waits for groups of them that workers are gathering.
-    MergeWaitsForGroups {
-        /// Frame number.
-        frame: u32,
-        /// Groups not gathered.
-        groups: u32,
+        /// What waits.
+        stage: StageKind,
+        /// For what.
+        needs: StageKind,
+        /// How many of these tasks are not done.
+        tasks: u32,
     },
     /// Tasks that are not done were tried, and what is around them failed: the store, the network, a worker's memory.
     Mishaps {

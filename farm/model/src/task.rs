@@ -5,42 +5,25 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Artefact, Epoch, JobId};
+use crate::{Artefact, Epoch, JobId, Role, StageKind};
 
-/// What the tasks of a stage do.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
-pub enum StageKind {
-    /// Render one tile for one range of samples.
-    Render,
-    /// Union all tiles of a frame's round, measure, decide, write the image.
-    Merge,
-    /// Union the tiles of one group: what the merge of a large frame reads instead of its tiles.
-    Gather,
-}
-
-impl StageKind {
-    /// All, in the order in which a frame needs them.
-    pub const ALL: [Self; 3] = [Self::Render, Self::Gather, Self::Merge];
-
-    /// In one word.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::Render => "render",
-            Self::Merge => "merge",
-            Self::Gather => "gather",
-        }
-    }
-}
-
-/// An array of tasks that may run side by side: one round of one frame.
+/// An array of tasks that may run side by side: one round of a template of the job's [`Graph`](crate::Graph), of one frame or of
+/// the job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Stage {
-    /// Frame number.
+    /// Frame number; of a stage of the job [`Stage::OF_JOB`].
     pub frame: u32,
-    /// Sample round of the frame, from 0.
+    /// Round of its loop, from 0.
     pub round: u32,
-    /// What its tasks do.
+    /// Number of the template.
+    pub number: u16,
+    /// What its tasks do: the template's kind.
     pub kind: StageKind,
+}
+
+impl Stage {
+    /// The frame number of what is done once for the whole job: no frame has it.
+    pub const OF_JOB: u32 = 0;
 }
 
 /// A task's identity; there is no other.
@@ -50,14 +33,13 @@ pub struct TaskKey {
     pub job: JobId,
     /// The stage of the job.
     pub stage: Stage,
-    /// Number within the stage: of a render stage, the first of the task's [`Grains`](crate::Grains); of a gather stage, the
-    /// group's.
+    /// Number within the stage: the first of the lease's [`Grains`](crate::Grains).
     pub index: u32,
 }
 
 impl fmt::Display for TaskKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Stage { frame, round, kind } = self.stage;
+        let Stage { frame, round, kind, .. } = self.stage;
         write!(f, "{}/{frame}.{round}/{}/{}", self.job, kind.name(), self.index)
     }
 }
@@ -77,78 +59,62 @@ pub struct Assignment {
     pub work: Work,
 }
 
-/// The content of a task.
+/// The content of a task; what it is a part of, the job's graph and settings say.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
-pub enum Work {
-    /// Render these samples of each pixel of a tile.
-    Render {
-        /// Number of the tile in the grid.
-        tile: u32,
-        /// Sample indices.
-        samples: Range<u32>,
-    },
-    /// Union all that there is of the frame, measure, decide.
-    Merge {
-        /// What there is of it.
-        inputs: MergeInputs,
-        /// Samples a pixel that the sums hold after this merge.
-        spp: u32,
-        /// Milliseconds since the frame's first lease: for a time budget.
-        elapsed: u64,
-        /// Seconds that workers spent on the frame's tiles until now.
-        busy_seconds: f64,
-        /// Whether another round may follow.
-        more: More,
-    },
-    /// Union the tiles of a group, and what was gathered of them before.
-    Gather {
-        /// Their numbers in the grid.
-        span: Range<u32>,
-        /// What there is of them.
-        parts: Parts,
-        /// Whether another round may follow: only then are the sums kept.
-        more: More,
-    },
+pub struct Work {
+    /// Number of the task in its stage, before tasks are cut.
+    pub item: u32,
+    /// The steps of it that the lease covers: of a render task, sample indices of each pixel.
+    pub steps: Range<u32>,
+    /// What it reads, in order of need, frame and task.
+    pub inputs: Vec<Input>,
+    /// Whether another round may follow this one.
+    pub more: More,
+    /// Milliseconds since the first lease of the frame, or of the job's own stages: for a time budget; 0 where tasks are cut.
+    pub elapsed: u64,
+    /// Seconds that workers spent on it until now.
+    pub busy_seconds: f64,
 }
 
-/// The tiles of a task that unites some.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Parts {
-    /// Sums of the rounds before, if any.
-    pub previous: Option<Artefact>,
-    /// The tiles of this round in the order of their index.
-    pub tiles: Vec<Artefact>,
+/// An output that a task reads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Input {
+    /// Which of the stage's needs it is for.
+    pub need: u16,
+    /// The frame that it is of, or [`Stage::OF_JOB`].
+    pub frame: u32,
+    /// The task that has made it, by its number before tasks are cut; one that was cut has several.
+    pub item: u32,
+    /// What it is.
+    pub output: Output,
 }
 
-/// What a merge is made of.
-#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
-pub enum MergeInputs {
-    /// All tiles of the frame.
-    Tiles(Parts),
-    /// The resolved pixels of every group of tiles, in the order of their index.
-    Groups(Vec<Artefact>),
+/// What a task has made.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Output {
+    /// What it is.
+    pub role: Role,
+    /// Where it is.
+    pub artefact: Artefact,
 }
 
 impl Work {
     /// Every artefact that is read for it, beside the scene.
-    pub fn inputs(&self) -> impl Iterator<Item = Artefact> + '_ {
-        let (parts, groups) = match self {
-            Self::Render { .. } => (None, &[][..]),
-            Self::Gather { parts, .. } | Self::Merge { inputs: MergeInputs::Tiles(parts), .. } => {
-                (Some(parts), &[][..])
-            }
-            Self::Merge { inputs: MergeInputs::Groups(groups), .. } => (None, &groups[..]),
-        };
-        let parts = parts.into_iter().flat_map(|parts| parts.previous.iter().chain(&parts.tiles));
-        parts.chain(groups).copied()
+    pub fn artefacts(&self) -> impl Iterator<Item = Artefact> + '_ {
+        self.inputs.iter().map(|input| input.output.artefact)
+    }
+
+    /// What is read of one role, in order.
+    pub fn of_role(&self, role: Role) -> impl Iterator<Item = &Input> {
+        self.inputs.iter().filter(move |input| input.output.role == role)
     }
 }
 
 /// Whether the plan has a round after this one.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum More {
-    /// The merge may ask for another round.
+    /// Another round may follow.
     Rounds,
-    /// This is the last: the frame is finished with what there is.
+    /// This is the last: the loop ends with what there is.
     Last,
 }

@@ -126,7 +126,7 @@ mod tests {
     use super::*;
 
     fn record(ending: Ending, granted: u64, usage: Option<f64>) -> AttemptRecord {
-        let stage = Stage { frame: 1, round: 0, kind: StageKind::Render };
+        let stage = Stage { frame: 1, round: 0, number: 0, kind: StageKind::Render };
         AttemptRecord {
             task: TaskKey { job: JobId(1), stage, index: 3 },
             epoch: Epoch(9),

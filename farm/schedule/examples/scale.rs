@@ -20,7 +20,7 @@ fn main() {
         settings: "{}".into(),
         frames: (1..=frames).collect(),
         grid: Grid { film: [tiles * 8, 8], tile: 8 },
-        rounds: vec![16],
+        graph: testing::frames(Sizes::even(tiles, 64), &[16], 256),
         priority: 50,
         owner: "me".into(),
         tags: vec![],
@@ -56,20 +56,17 @@ fn main() {
     let (begun, mut done) = (Instant::now(), 0u64);
     while let Some((worker, Assignment { task, epoch, work, .. })) = line.pop_front() {
         let name = Artefact { digest: Digest::from_bytes([task.index as u8; 32]), bytes: 1 };
-        let result = match work {
-            Work::Render { .. } => {
-                TaskResult::Tile(TileResult { tile: name, samples: 1024, bad_samples: 0, seconds: 0.0 })
+        let output = |role| Output { role, artefact: name };
+        let result = match task.stage.kind {
+            StageKind::Render => {
+                let units = work.steps.len() as u64 * 64;
+                TaskResult { outputs: vec![output(Role::Tile)], units, ..TaskResult::default() }
             }
-            Work::Gather { .. } => TaskResult::Gather(GatherResult { sums: Some(name), pixels: name, seconds: 0.0 }),
-            Work::Merge { .. } => TaskResult::Merge(MergeResult {
-                decision: Decision::Done,
-                sums: None,
-                image: Some(name),
-                preview: None,
-                relative_error: None,
-                bad_samples: 0,
-                seconds: 0.0,
-            }),
+            StageKind::Reduce => TaskResult { outputs: vec![output(Role::Pixels)], ..TaskResult::default() },
+            StageKind::Image => {
+                let decision = Some(Decision::Done);
+                TaskResult { outputs: vec![output(Role::Image)], decision, ..TaskResult::default() }
+            }
         };
         see(farm.on(Event::Completed { worker, task, epoch, result }, Tick(1)), &mut line);
         done += 1;

@@ -1,7 +1,7 @@
 //! Scene affinity: to read a scene and to make a frame ready takes a worker time, so it goes on with what it has at hand rather
 //! than with what is first in the order of service or of frames: for a while, and never before a job of more priority.
 
-use femc_model::{JobId, StageKind, TaskKey, Tick, WorkerId};
+use femc_model::{JobId, Near, TaskKey, Tick, WorkerId};
 
 use crate::Command;
 use crate::builds::is_foreign;
@@ -37,7 +37,7 @@ impl AtHand {
 
     /// The worker is given a task.
     pub(crate) fn note(&mut self, task: &TaskKey) {
-        if task.stage.kind != StageKind::Render {
+        if task.stage.kind.row().near != Near::Frame {
             return;
         }
         let frame = (task.job, task.stage.frame);
@@ -69,7 +69,7 @@ impl Scheduler {
     /// has neither; `None`: there is none, or it is time for `first`.
     fn at_hand(&mut self, id: WorkerId, first: &TaskKey, now: Tick) -> Option<TaskKey> {
         let at_hand = &self.floor.workers.get(&id)?.at_hand;
-        if first.stage.kind != StageKind::Render
+        if first.stage.kind.row().near != Near::Frame
             || at_hand.has(first)
             || at_hand.out_of_turn >= Self::OUT_OF_TURN * self.config.task
         {
@@ -82,7 +82,7 @@ impl Scheduler {
             let known = self.ledger.jobs.get(&job).filter(|known| known.spec.priority == priority);
             known.is_some_and(|known| self.may_work(id, job, known, now))
         });
-        let same_frame = own.iter().find_map(|&(job, frame)| self.ready_render(id, job, Some(frame)));
+        let same_frame = own.iter().find_map(|&(job, frame)| self.ready_near(id, job, Some(frame)));
         if same_frame.is_some() || is_scene_at_hand {
             return same_frame;
         }
@@ -92,7 +92,7 @@ impl Scheduler {
     /// A ready task of a job of which the worker has the scene; opens a frame for it, if there may be one more.
     fn same_scene(&mut self, id: WorkerId, job: JobId) -> Option<TaskKey> {
         loop {
-            let task = self.ready_render(id, job, None);
+            let task = self.ready_near(id, job, None);
             let (known, desk) = (self.ledger.jobs.get(&job)?, self.desks.get_mut(&job)?);
             if task.is_some() || !desk.may_open(&self.floor) || !desk.open_next(known) {
                 return task;
@@ -107,16 +107,16 @@ impl Scheduler {
             && desk.is_some_and(|desk| !is_shunned(known, desk, id, &self.floor, now))
     }
 
-    /// The first ready task that renders something of one frame of the job, or of any, and that the worker may take.
-    fn ready_render(&self, id: WorkerId, job: JobId, frame: Option<u32>) -> Option<TaskKey> {
+    /// The first ready task that wants its frame prepared, of one frame of the job, or of any, and that the worker may take.
+    fn ready_near(&self, id: WorkerId, job: JobId, frame: Option<u32>) -> Option<TaskKey> {
         let (known, desk) = (self.ledger.jobs.get(&job)?, self.desks.get(&job)?);
         let may_take = |task: &TaskKey| {
             !is_avoided(task, known, desk, id, &self.floor)
                 && !is_foreign(&self.ledger, &self.floor, job, task.stage.frame, id)
         };
         match frame {
-            Some(frame) => desk.open.get(frame)?.renders(job, frame).find(may_take),
-            None => desk.open.ready().flat_map(|(frame, open)| open.renders(job, frame)).find(may_take),
+            Some(frame) => desk.open.get(frame)?.near(job).find(may_take),
+            None => desk.open.ready().flat_map(|(_, open)| open.near(job)).find(may_take),
         }
     }
 }

@@ -32,11 +32,7 @@ pub(crate) struct Counted {
 
 impl Counted {
     pub(crate) fn of(result: &TaskResult) -> Self {
-        match result {
-            TaskResult::Tile(tile) => Self { samples: tile.samples, relative_error: None },
-            TaskResult::Merge(merge) => Self { samples: 0, relative_error: merge.relative_error },
-            TaskResult::Gather(_) => Self::default(),
-        }
+        Self { samples: result.units, relative_error: result.relative_error }
     }
 }
 

@@ -79,7 +79,7 @@ impl Scheduler {
         self.orphans = Orphans { since, looked: now };
         for (job, frame) in orphans {
             self.revoke_frame(job, frame, out);
-            self.record(Fact::Restarted { job, frame }, now, out);
+            self.restart(job, frame, now, out);
             self.rebuild(job);
             out.push(Command::Changed(job));
         }

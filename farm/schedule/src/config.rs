@@ -3,8 +3,6 @@
 use std::collections::BTreeMap;
 use std::num::NonZeroU64;
 
-use femc_model::Grid;
-
 /// Times in milliseconds.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Config {
@@ -34,22 +32,19 @@ pub struct Config {
     /// Where tasks take less than this, a worker holds more of them, up to so many milliseconds of work and at most
     /// [`Config::DEEPEST`] tasks: then none waits for the next one's way.
     pub ahead: u64,
-    /// A task is meant to take so long, where a tile can be cut.
+    /// A lease is meant to take so long, where a task can be cut.
     pub task: u64,
     /// And so long at least, where there is too little for everybody.
     pub least_task: u64,
     /// A task that takes longer than this, and twice as long as expected, may be given to a second worker that is idle.
     pub late: u64,
-    /// Pixel samples of a tile below which it is not cut; of jobs that are submitted from now on.
+    /// Units of work of a task below which it is not cut; of jobs that are submitted from now on.
     pub grain: NonZeroU64,
     /// A worker that was gone in mid-task and has not come back for so long is taken for dead: longer than one that lives takes
     /// to notice and to try again.
     pub presumed: u64,
     /// A frame begins anew when no worker of its build of the engine has been there for so long, and others are.
     pub orphaned: u64,
-    /// Most tiles that are gathered at a time before the merge, in frames of more than so many; of large tiles fewer. 0: the
-    /// merge reads all tiles.
-    pub group: u32,
     /// A job that ended so long ago is forgotten; `None`: never.
     pub keep_ended: Option<u64>,
     /// Weights of owners in the fair share of time; who is not named has 1.
@@ -65,13 +60,13 @@ pub struct Quota {
     pub jobs: u64,
     /// Their frames, which have memory each once they are begun: 2^22.
     pub frames: u64,
-    /// Their tiles in all frames and rounds: 2^32.
-    pub tiles: u64,
+    /// Their tasks in all frames and rounds: 2^32.
+    pub tasks: u64,
 }
 
 impl Default for Quota {
     fn default() -> Self {
-        Self { jobs: 10_000, frames: 1 << 22, tiles: 1 << 32 }
+        Self { jobs: 10_000, frames: 1 << 22, tasks: 1 << 32 }
     }
 }
 
@@ -93,16 +88,6 @@ impl Config {
     /// Leases of so many milliseconds and heartbeats to match.
     pub fn with_lease(lease: u64) -> Self {
         Self { lease, heartbeat: lease / Self::HEARTBEATS, ..Self::default() }
-    }
-
-    /// Most pixels of a group: a worker unites their sums, 144 bytes each, in about a second.
-    const GATHERED: u64 = 1 << 18;
-
-    /// Tiles of a group in a frame of this grid; `None`: its merge reads all tiles.
-    pub(crate) fn group_of(&self, grid: &Grid) -> Option<u32> {
-        let tile = u64::from(grid.tile) * u64::from(grid.tile);
-        let group = u64::from(self.group).min((Self::GATHERED / tile.max(1)).max(1)) as u32;
-        (group > 0 && grid.tiles() > group).then_some(group)
     }
 
     /// An owner's weight.
@@ -131,25 +116,9 @@ impl Default for Config {
             grain: Self::GRAIN,
             presumed: 15_000,
             orphaned: 60_000,
-            group: 256,
             keep_ended: None,
             weights: BTreeMap::new(),
             quota: Quota::default(),
         }
-    }
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_group_has_a_number_of_tiles_and_of_pixels_that_it_does_not_exceed() {
-        let group = |film, tile| Config::default().group_of(&Grid { film, tile });
-        assert_eq!(group([3840, 2160], 16), Some(256));
-        assert_eq!(group([3840, 2160], 64), Some(64), "64 x 64 x 64 pixels");
-        assert_eq!(group([3840, 2160], 1024), Some(1));
-        assert_eq!((group([512, 512], 64), group([256, 256], 16)), (None, None), "one group is none");
-        assert_eq!(Config { group: 0, ..Config::default() }.group_of(&Grid { film: [3840, 2160], tile: 16 }), None);
     }
 }

@@ -1,6 +1,6 @@
 //! What people ask for: submit and steer.
 
-use femc_model::{Control, Cut, Grains, JobId, JobSpec, Refusal, RevokeReason, Tick};
+use femc_model::{Control, Cut, JobId, JobSpec, Refusal, RevokeReason, Stage, Tick};
 
 use crate::floor::LeaseKey;
 use crate::ledger::Hold;
@@ -24,16 +24,7 @@ impl Scheduler {
         }
         self.within_quota(&spec)?;
         let job = self.ledger.next_job();
-        let (samples, group) = (self.config.grain, self.config.group_of(&spec.grid));
-        let is_cut =
-            (0..spec.rounds.len() as u32).any(|round| Grains::of(&spec, round, Cut::Grains(samples)).per_tile() > 1);
-        self.record(Fact::Submitted { job, key, spec }, now, out);
-        if is_cut {
-            self.record(Fact::Cut { job, samples }, now, out);
-        }
-        if let Some(tiles) = group {
-            self.record(Fact::Grouped { job, tiles }, now, out);
-        }
+        self.record(Fact::Submitted { job, key, spec, cut: Cut::Grains(self.config.grain) }, now, out);
         self.rebuild(job);
         out.push(Command::Changed(job));
         Ok(Answer::Submitted(job))
@@ -41,14 +32,14 @@ impl Scheduler {
 
     /// Refuses what one owner would have too much of.
     fn within_quota(&self, spec: &JobSpec) -> Result<(), Refusal> {
-        let Quota { jobs, frames, tiles } = self.config.quota;
-        let sizes = |spec: &JobSpec| [1, spec.frames.len() as u64, spec.tiles()];
+        let Quota { jobs, frames, tasks } = self.config.quota;
+        let sizes = |spec: &JobSpec| [1, spec.frames.len() as u64, spec.tasks()];
         let own = self.ledger.jobs.values().filter(|job| job.spec.owner == spec.owner && !job.has_ended());
         let sums = own.fold(sizes(spec), |[a, b, c], job| {
             let [jobs, frames, tiles] = sizes(&job.spec);
             [a + jobs, b + frames, c.saturating_add(tiles)]
         });
-        let limits = [("jobs", jobs), ("frames", frames), ("tiles", tiles)];
+        let limits = [("jobs", jobs), ("frames", frames), ("tasks", tasks)];
         let beyond = limits.into_iter().zip(sums).find(|((_, limit), sum)| sum > limit);
         beyond.map_or(Ok(()), |((what, limit), _)| {
             Err(Refusal::TooLarge { what: format!("{what} of {} that have not ended", spec.owner), limit })
@@ -63,9 +54,8 @@ impl Scheduler {
         out: &mut Vec<Command>,
     ) -> Result<Answer, Refusal> {
         let job = self.job(id)?;
-        let is_done = job.finished.len() == job.spec.frames.len();
-        let has_trouble =
-            !job.blocked.is_empty() || job.frames.values().any(|frame| frame.quarantined().next().is_some());
+        let is_done = job.is_done();
+        let has_trouble = !job.blocked.is_empty() || job.units.values().any(|unit| unit.quarantined().next().is_some());
         let changes = match control {
             Control::Pause | Control::Resume | Control::Cancel if job.has_ended() => {
                 return Err(Refusal::Ended { job: id });
@@ -80,7 +70,11 @@ impl Scheduler {
             }
             Control::Priority(priority) => job.spec.priority != priority,
         };
+        let has_gaps = job.frames_blocked() > 0 && job.spec.graph.has_gaps();
         if changes {
+            if control == Control::Retry && has_gaps {
+                self.revoke_frame(id, Stage::OF_JOB, out);
+            }
             self.record(Fact::Controlled { job: id, control }, now, out);
             match control {
                 Control::Cancel => self.revoke_all(id, out),

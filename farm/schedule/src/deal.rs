@@ -2,13 +2,12 @@
 
 use std::ops::Range;
 
-use femc_model::{Assignment, Epoch, JobId, More, StageKind, TaskKey, Tick, Wait, Work, WorkerId};
+use femc_model::{Assignment, Epoch, JobId, More, TaskKey, Tick, Wait, Work, WorkerId};
 
 use crate::builds::is_foreign;
 use crate::desk::Desk;
 use crate::floor::{Floor, LeaseKey, Worker};
-use crate::ledger::Job;
-use crate::open::OpenFrame;
+use crate::ledger::{Job, Place};
 use crate::scheduler::Scheduler;
 use crate::{Command, Ledger};
 
@@ -42,8 +41,8 @@ impl Scheduler {
         }
     }
 
-    /// The first ready task that the worker may take: jobs in their order of service, frames in order, a frame's merge
-    /// and groups before the tiles of later frames.
+    /// The first ready task that the worker may take: jobs in their order of service, frames in order, later stages before
+    /// earlier ones.
     fn pick(&mut self, id: WorkerId, now: Tick) -> Pick {
         let mut best = Pick::NothingReady;
         let Some(worker) = self.floor.workers.get(&id) else { return best };
@@ -112,27 +111,18 @@ impl Scheduler {
 
     fn work(&self, task: &TaskKey, run: &Range<u32>, now: Tick) -> Option<Work> {
         let job = self.ledger.jobs.get(&task.job)?;
-        let layout = job.layout(task.stage.round);
-        let is_last = task.stage.round as usize + 1 >= job.spec.rounds.len();
-        let more = if is_last { More::Last } else { More::Rounds };
-        Some(match task.stage.kind {
-            StageKind::Render => {
-                Work::Render { tile: layout.grains.tile(task.index), samples: layout.grains.samples(run) }
-            }
-            StageKind::Gather => {
-                let frame = job.frames.get(&task.stage.frame)?;
-                Work::Gather { span: layout.span(task.index), parts: frame.parts_of(&layout, task.index), more }
-            }
-            StageKind::Merge => {
-                let frame = job.frames.get(&task.stage.frame)?;
-                Work::Merge {
-                    inputs: frame.merge_inputs(&layout),
-                    spp: job.spec.samples(task.stage.round).end,
-                    elapsed: now.since(frame.began),
-                    busy_seconds: frame.busy_seconds,
-                    more,
-                }
-            }
+        let (unit, shape) = (job.unit(task.stage.frame), job.shape(task.stage.frame));
+        let place: Place = (task.stage.round, task.stage.number);
+        let grains = unit.grains(&shape, place)?;
+        let (item, is_cut) = (grains.task(task.index), task.stage.kind.is_cut());
+        let may_go_on = job.spec.graph.is_looped(task.stage.number) && shape.may_go_on(task.stage.round);
+        Some(Work {
+            item,
+            steps: grains.steps(run),
+            inputs: unit.inputs(&shape, place, item),
+            more: if may_go_on { More::Rounds } else { More::Last },
+            elapsed: if is_cut { 0 } else { now.since(unit.began) },
+            busy_seconds: if is_cut { 0.0 } else { unit.busy_seconds },
         })
     }
 
@@ -140,13 +130,13 @@ impl Scheduler {
     pub(crate) fn waits(&self, id: JobId, job: &Job, desk: &Desk, now: Tick) -> Vec<Wait> {
         let mut waits = Vec::new();
         for &frame in &job.blocked {
-            let tasks = job.frames.get(&frame).map_or(0, |frame| frame.quarantined().count() as u32);
+            let tasks = job.units.get(&frame).map_or(0, |unit| unit.quarantined().count() as u32);
             waits.push(Wait::Quarantined { frame, tasks });
         }
         if job.has_ended() {
             return waits;
         }
-        let again = job.frames.iter().filter(|(_, frame)| frame.is_again());
+        let again = job.units.iter().filter(|(_, unit)| unit.is_again);
         waits.extend(again.map(|(&frame, _)| Wait::ImageLost { frame }));
         let is_leased = |task: &TaskKey| self.floor.of_task(task).next().is_some();
         let is_open = |task: &TaskKey| is_leased(task) || desk.is_ready(task, &(task.index..task.index + 1));
@@ -156,7 +146,7 @@ impl Scheduler {
             return waits;
         }
         for (frame, open) in desk.open.iter() {
-            waits.extend(why_no_merge(job, frame, open));
+            waits.extend(open.stages().next().is_none().then(|| why_idle(job, frame)).flatten());
         }
         let is_ready = desk.open.ready().next().is_some();
         if is_ready || desk.cursor < job.spec.frames.len() {
@@ -251,16 +241,20 @@ impl Scheduler {
     }
 }
 
-/// What the frame's merge waits for, where it cannot be leased now.
-fn why_no_merge(job: &Job, number: u32, open: &OpenFrame) -> Option<Wait> {
-    let (frame, layout) = (job.frames.get(&number), job.layout(open.round));
-    let tiles = layout.tiles() - frame.map_or(0, |frame| frame.tiles_done(&layout));
-    let groups = layout.groups() - frame.map_or(0, |frame| frame.groups.done.len() as u32);
-    if tiles > 0 {
-        open.grains.is_empty().then_some(Wait::MergeWaitsForTiles { frame: number, tiles })
-    } else {
-        (groups > 0 && open.gathers.is_empty()).then_some(Wait::MergeWaitsForGroups { frame: number, groups })
+/// What a frame's next stage waits for, where nothing of the frame can be leased now.
+fn why_idle(job: &Job, frame: u32) -> Option<Wait> {
+    let (unit, shape) = (job.unit(frame), job.shape(frame));
+    let place = unit.places(&shape).find(|&place| !unit.is_complete(&shape, place))?;
+    let needs = shape.template(place.1)?;
+    let of_frames =
+        needs.needs.iter().find_map(|need| job.spec.graph.stage(need.stage).filter(|made| made.scope != needs.scope));
+    if let Some(made) = of_frames {
+        let frames = (job.spec.frames.len() - job.frames_done()) as u32;
+        return Some(Wait::StageWaits { frame, stage: needs.kind, needs: made.kind, tasks: frames });
     }
+    let waits = shape.graph.readers(place.1).find_map(|(reader, _)| shape.template(reader))?;
+    let tasks = needs.tasks() - unit.tasks_done(place);
+    Some(Wait::StageWaits { frame, stage: waits.kind, needs: needs.kind, tasks })
 }
 
 /// Whether another worker may do what this one may: one of its build that wants tasks of the job.
@@ -288,7 +282,7 @@ fn first_ready(id: JobId, job: &Job, desk: &Desk, worker: WorkerId, ledger: &Led
             best = Pick::NotForThisWorker;
             continue;
         }
-        for task in open.tasks(id, frame) {
+        for task in open.tasks(id) {
             if !is_avoided(&task, job, desk, worker, floor) {
                 return Pick::Task(task);
             }

@@ -14,7 +14,7 @@
 use std::collections::BTreeSet;
 use std::ops::Range;
 
-use femc_model::{Death, Epoch, HeldLease, JobId, Phase, StageKind, TaskKey, Tick, WorkerId};
+use femc_model::{Death, Epoch, HeldLease, JobId, Phase, TaskKey, Tick, WorkerId};
 use serde::{Deserialize, Serialize};
 
 use crate::floor::LeaseKey;
@@ -147,13 +147,12 @@ impl Scheduler {
     }
 
     /// The keys of a lease that a worker speaks of, if it is of this farm.
-    pub(crate) fn run_of(&self, HeldLease { task, samples, job: key, .. }: &HeldLease) -> Option<Range<u32>> {
+    pub(crate) fn run_of(&self, HeldLease { task, steps, job: key, .. }: &HeldLease) -> Option<Range<u32>> {
         let job = self.ledger.jobs.get(&task.job).filter(|job| job.spec.key() == *key)?;
-        match task.stage.kind {
-            StageKind::Render => job.grains(task.stage.round).run(task.index, samples),
-            StageKind::Gather => Some(task.index..task.index.checked_add(1)?),
-            StageKind::Merge => Some(0..1),
-        }
+        let (unit, shape) = (job.unit(task.stage.frame), job.shape(task.stage.frame));
+        let is_of_kind = shape.template(task.stage.number).is_some_and(|template| template.kind == task.stage.kind);
+        let grains = unit.grains(&shape, (task.stage.round, task.stage.number)).filter(|_| is_of_kind)?;
+        grains.run(task.index, steps)
     }
 
     /// Counts the deaths whose time has come.

@@ -3,12 +3,13 @@
 use std::collections::{BTreeMap, VecDeque};
 use std::ops::Range;
 
-use femc_model::{JobId, Stage, StageKind, TaskKey, Tick, Wait, WorkerId};
+use femc_model::{JobId, Stage, TaskKey, Tick, Wait, WorkerId};
 
+use crate::RangeSet;
 use crate::distrust::Distrust;
 use crate::floor::Floor;
-use crate::ledger::Job;
-use crate::open::{OpenFrame, OpenFrames};
+use crate::ledger::{Job, Place};
+use crate::open::{OpenUnit, OpenUnits};
 use crate::pace::Pace;
 
 /// A job on the table.
@@ -16,7 +17,7 @@ use crate::pace::Pace;
 pub(crate) struct Desk {
     /// Position in the job's frames: those before it are open, finished or blocked.
     pub(crate) cursor: usize,
-    pub(crate) open: OpenFrames,
+    pub(crate) open: OpenUnits,
     /// Worker on which a task failed last.
     pub(crate) avoid: BTreeMap<TaskKey, WorkerId>,
     /// What kept its tasks from being done.
@@ -34,9 +35,10 @@ impl Desk {
     /// Forgets what is ready and opens again every frame in work, before the ones that nobody has begun.
     pub(crate) fn rebuild(&mut self, id: JobId, job: &Job, floor: &Floor) {
         let opened = std::mem::take(&mut self.open);
-        let opened: Vec<u32> = opened.iter().map(|(frame, _)| frame).chain(job.frames.keys().copied()).collect();
+        let opened: Vec<u32> = opened.iter().map(|(frame, _)| frame).chain(job.units.keys().copied()).collect();
         self.cursor = 0;
-        for frame in opened {
+        let own = job.has_own().then_some(Stage::OF_JOB);
+        for frame in own.into_iter().chain(opened) {
             self.refresh(id, job, frame, floor);
         }
     }
@@ -47,32 +49,38 @@ impl Desk {
             self.open.remove(frame);
             return;
         }
-        let layout = job.layout(job.round(frame));
-        let mut open = OpenFrame::fresh(&layout);
-        if let Some(frame) = job.frames.get(&frame) {
-            open.round = frame.round;
-            open.grains = frame.open_grains(&layout);
-            open.gathers = frame.open_gathers(&layout);
-            open.merge = frame.merge_is_open(&layout);
-        }
-        let leased = |kind| floor.of_stage(id, Stage { frame, round: open.round, kind });
-        leased(StageKind::Render).for_each(|run| open.grains.remove(run));
-        leased(StageKind::Gather).for_each(|run| open.gathers.remove(run));
-        open.merge &= leased(StageKind::Merge).next().is_none();
+        let (unit, shape) = (job.unit(frame), job.shape(frame));
+        let mut open = OpenUnit::new(frame, unit.open(&shape), &shape);
+        floor.of_frame(id, frame).for_each(|((task, _), lease)| open.remove(&task.stage, lease.run(task)));
         self.open.put(frame, open);
     }
 
-    /// Takes notice of a completion: only the last of a group or of a round makes anything ready.
-    pub(crate) fn completed(&mut self, task: &TaskKey, job: &Job, floor: &Floor) {
-        let (frame, layout) = (task.stage.frame, job.layout(task.stage.round));
-        let work = job.frames.get(&frame).filter(|work| work.round == task.stage.round && !work.is_complete(&layout));
-        let Some(work) = work.filter(|_| job.is_open(frame)) else {
-            return self.refresh(task.job, job, frame, floor);
+    /// Takes notice of a completion: what reads this task may be ready now.
+    /// - `round`: the round that the frame was in before.
+    pub(crate) fn completed(&mut self, task: &TaskKey, round: u32, job: &Job, floor: &Floor) {
+        let frame = task.stage.frame;
+        let unit = job.units.get(&frame).filter(|unit| unit.round == round && job.is_open(frame));
+        let Some(unit) = unit.filter(|_| !job.spec.graph.closes(task.stage.number)) else {
+            self.refresh(task.job, job, frame, floor);
+            if job.has_own() && frame != Stage::OF_JOB && !job.is_open(frame) {
+                let fed = job.unit(Stage::OF_JOB).fed_by_frame(&job.shape(Stage::OF_JOB), frame);
+                self.feed(task.job, Stage::OF_JOB, fed, job, floor);
+            }
+            return;
         };
-        if let (StageKind::Render, Some(group)) = (task.stage.kind, layout.group_of(task.index))
-            && work.gather_is_open(&layout, group)
-        {
-            self.open.change(frame, |open| open.gathers.insert(group));
+        self.feed(task.job, frame, unit.fed_by(&job.shape(frame), &task.stage, task.index), job, floor);
+    }
+
+    /// More of a frame can run; what is held is not ready.
+    fn feed(&mut self, id: JobId, frame: u32, fed: Vec<(Place, RangeSet)>, job: &Job, floor: &Floor) {
+        let shape = job.shape(frame);
+        for (place, mut keys) in fed {
+            let Some(kind) = shape.template(place.1).map(|template| template.kind) else { continue };
+            let stage = Stage { frame, round: place.0, number: place.1, kind };
+            floor.of_stage(id, stage).for_each(|run| keys.remove(run));
+            if !keys.is_empty() {
+                self.open.change(frame, |open| open.add(frame, place, &keys, &shape));
+            }
         }
     }
 
@@ -86,7 +94,8 @@ impl Desk {
         while let Some(&frame) = job.spec.frames.get(self.cursor) {
             self.cursor += 1;
             if job.is_open(frame) && self.open.get(frame).is_none() {
-                self.open.put(frame, OpenFrame::fresh(&job.layout(0)));
+                let (unit, shape) = (job.unit(frame), job.shape(frame));
+                self.open.put(frame, OpenUnit::new(frame, unit.open(&shape), &shape));
                 return true;
             }
         }
@@ -95,21 +104,13 @@ impl Desk {
 
     /// Whether the task is on the table, with all of its grains.
     pub(crate) fn is_ready(&self, task: &TaskKey, run: &Range<u32>) -> bool {
-        let open = self.open.get(task.stage.frame).filter(|open| open.round == task.stage.round);
-        open.is_some_and(|open| match task.stage.kind {
-            StageKind::Render => open.grains.covers(run),
-            StageKind::Gather => open.gathers.covers(run),
-            StageKind::Merge => open.merge && task.index == 0,
-        })
+        let open = self.open.get(task.stage.frame).and_then(|open| open.of(&task.stage));
+        open.is_some_and(|keys| keys.covers(run))
     }
 
     /// Takes a task off the table, because it is leased.
     pub(crate) fn take(&mut self, task: &TaskKey, run: &Range<u32>) {
-        self.open.change(task.stage.frame, |frame| match task.stage.kind {
-            StageKind::Render => frame.grains.remove(run.clone()),
-            StageKind::Gather => frame.gathers.remove(run.clone()),
-            StageKind::Merge => frame.merge = false,
-        });
+        self.open.change(task.stage.frame, |frame| frame.remove(&task.stage, run.clone()));
     }
 }
 

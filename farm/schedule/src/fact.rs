@@ -1,10 +1,6 @@
 //! What has happened for good: the entries of the log.
 
-use std::num::NonZeroU64;
-
-use femc_model::{
-    Control, Drain, Epoch, Failure, GatherResult, JobId, JobSpec, LogRecord, MergeResult, TaskKey, Tick, TileResult,
-};
+use femc_model::{Control, Cut, Drain, Epoch, Failure, JobId, JobSpec, LogRecord, TaskKey, TaskResult, Tick};
 use serde::{Deserialize, Serialize};
 
 use crate::Casualty;
@@ -19,7 +15,7 @@ pub struct Used {
     pub stands: u64,
 }
 
-/// A change of the [`Ledger`](crate::Ledger). New variants go to the end: the log holds their numbers.
+/// A change of the [`Ledger`](crate::Ledger).
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub enum Fact {
     /// A coordinator has begun; leases of the ones before are void.
@@ -35,26 +31,21 @@ pub enum Fact {
         key: Option<String>,
         /// As submitted.
         spec: Box<JobSpec>,
+        /// How finely its tasks are cut.
+        cut: Cut,
     },
-    /// A tile was rendered, or some grains of it.
-    Rendered {
-        /// Which; the result's samples say how many grains, from the task's own key on.
+    /// A task was done, or some of its grains; what its result decides follows from it.
+    Done {
+        /// Which; its index is the first of the lease's grains.
         task: TaskKey,
+        /// End of the lease's grains.
+        end: u32,
         /// Of the lease that did it.
         epoch: Epoch,
         /// When that lease was granted.
         leased: Tick,
         /// What came out.
-        result: TileResult,
-    },
-    /// A round of a frame was merged; it is over, or the frame is finished.
-    Merged {
-        /// Which.
-        task: TaskKey,
-        /// Of the lease that did it.
-        epoch: Epoch,
-        /// What came out.
-        result: Box<MergeResult>,
+        result: Box<TaskResult>,
     },
     /// A task used up one attempt.
     Failed {
@@ -65,17 +56,16 @@ pub enum Fact {
         /// Why.
         failure: Failure,
     },
-    /// The artefact of a rendered tile is gone, or one of a gathered group: the tile, or the group's tiles of this round, are
-    /// to be rendered again.
+    /// Outputs of a task that others need are gone: it is to be done again, and what it reads, where that is gone, too.
     Lost {
         /// The task that had made it.
         task: TaskKey,
     },
-    /// The sums of a frame are gone, or the image of a finished one: the frame begins anew.
+    /// A result of a finished frame is gone, or its build of the engine: the frame begins anew.
     Restarted {
         /// The job.
         job: JobId,
-        /// Frame number.
+        /// Frame number; [`Stage::OF_JOB`](femc_model::Stage::OF_JOB): the job's own stages.
         frame: u32,
     },
     /// The job cannot succeed.
@@ -101,29 +91,6 @@ pub enum Fact {
     },
     /// A worker wrote something down during an attempt.
     Logged(Box<LogRecord>),
-    /// The tiles of a job are cut; follows its submission. Without this they are not.
-    Cut {
-        /// The job.
-        job: JobId,
-        /// Pixel samples of a grain: see [`Grains`](femc_model::Grains).
-        samples: NonZeroU64,
-    },
-    /// The frames of a job are merged as a tree; follows its submission. Without this they are not.
-    Grouped {
-        /// The job.
-        job: JobId,
-        /// Tiles of a group.
-        tiles: u32,
-    },
-    /// A group of tiles was gathered.
-    Gathered {
-        /// Which.
-        task: TaskKey,
-        /// Of the lease that did it.
-        epoch: Epoch,
-        /// What came out.
-        result: GatherResult,
-    },
     /// A job that had ended was forgotten, with its key and its logs.
     Forgotten {
         /// The job.
@@ -143,7 +110,7 @@ pub enum Fact {
     Died {
         /// Which.
         task: TaskKey,
-        /// End of the lease's run of grains, which begins with the task's key; of a task of another kind, the next key.
+        /// End of the lease's grains, which begin with the task's key.
         end: u32,
         /// Who, and how one knows.
         casualty: Casualty,

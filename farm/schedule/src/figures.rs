@@ -49,7 +49,7 @@ impl WorkerStanding {
 
 const STATES: [JobState; 6] =
     [JobState::Queued, JobState::Running, JobState::Paused, JobState::Done, JobState::Failed, JobState::Cancelled];
-const KINDS: [StageKind; 3] = StageKind::ALL;
+const KINDS: [StageKind; StageKind::ALL.len()] = StageKind::ALL;
 
 impl Scheduler {
     /// The farm in numbers. Walks all jobs, leases and workers.
@@ -84,20 +84,22 @@ impl Scheduler {
         let Some(desk) = self.desks.get(&id) else { return [0; KINDS.len()] };
         let unopened = job.spec.frames.get(desk.cursor..).unwrap_or_default().iter();
         let unopened = unopened.filter(|frame| job.is_open(**frame) && desk.open.get(**frame).is_none()).count() as u64;
-        let mut ready = [unopened * u64::from(job.grains(0).all().end), 0, 0];
-        for (_, open) in desk.open.ready() {
-            let counts = [open.grains.count(), open.gathers.count(), u32::from(open.merge)];
-            ready.iter_mut().zip(counts).for_each(|(sum, count)| *sum += u64::from(count));
+        let mut ready = [0; KINDS.len()];
+        let first = job.spec.frames.first().map(|&frame| (job.fresh(frame), job.shape(frame)));
+        for ((_, number), keys) in first.iter().flat_map(|(unit, shape)| unit.open(shape)) {
+            let kind = job.spec.graph.stage(number).map_or(KINDS[0], |template| template.kind);
+            ready[kind.place()] += unopened * u64::from(keys.count());
+        }
+        for (stage, keys) in desk.open.ready().flat_map(|(_, open)| open.stages()) {
+            ready[stage.kind.place()] += u64::from(keys.count());
         }
         ready
     }
 
     fn samples_left(&self, id: JobId, job: &Job) -> u64 {
-        let open = job.spec.frames.len() - job.finished.len() - job.blocked.len();
-        let frame = job.spec.grid.pixels() * u64::from(job.spec.rounds.last().copied().unwrap_or(0));
-        let finished: u64 = job.finished.values().map(|f| u64::from(f.record.spp) * job.spec.grid.pixels()).sum();
-        let under_way = self.samples(id).saturating_sub(finished);
-        (open as u64 * frame).saturating_sub(under_way)
+        let open = job.spec.frames.len() - job.frames_done() - job.frames_blocked();
+        let under_way = self.units(id).saturating_sub(job.finished_units());
+        (open as u64 * job.spec.samples_of_frame()).saturating_sub(under_way)
     }
 
     fn standing(&self, worker: &crate::floor::Worker, now: Tick) -> WorkerStanding {
@@ -112,7 +114,7 @@ impl Scheduler {
 }
 
 fn quarantined(job: &Job) -> u64 {
-    job.frames.values().map(|frame| frame.quarantined().count() as u64).sum()
+    job.units.values().map(|unit| unit.quarantined().count() as u64).sum()
 }
 
 /// How many of `things` are of each kind, also of those of which there is none.

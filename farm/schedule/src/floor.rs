@@ -70,8 +70,8 @@ impl Worker {
 /// How much a task is.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Size {
-    /// Pixel samples; 0 where it renders nothing.
-    pub(crate) samples: u64,
+    /// Units of work.
+    pub(crate) units: u64,
     /// Milliseconds that it is expected to take.
     pub(crate) milliseconds: u64,
 }
@@ -80,7 +80,7 @@ pub(crate) struct Size {
 #[derive(Debug, Clone)]
 pub(crate) struct Lease {
     pub(crate) worker: WorkerId,
-    /// Of a render task, the end of its run of grains; it begins with the task's key.
+    /// The end of its run of grains; it begins with the task's key.
     end: u32,
     pub(crate) size: Size,
     /// Milliseconds that it is expected to take yet: its owner's claim.
@@ -92,28 +92,25 @@ pub(crate) struct Lease {
     pub(crate) phase: Phase,
     /// When its worker began to compute, at the earliest.
     began: Option<Tick>,
-    /// Pixel samples, or inputs joined.
+    /// Units of work, or inputs joined.
     done: u64,
 }
 
 impl Lease {
-    /// The grains of a render task, or the one key of another.
+    /// The grains that it covers.
     pub(crate) fn run(&self, task: &TaskKey) -> Range<u32> {
         task.index..self.end
     }
 
-    /// Pixel samples so far, as heard.
-    pub(crate) fn samples(&self, task: &TaskKey) -> u64 {
-        match task.stage.kind {
-            StageKind::Render => self.done,
-            StageKind::Gather | StageKind::Merge => 0,
-        }
+    /// Units of work of a task that is cut, so far, as heard.
+    pub(crate) fn units(&self, task: &TaskKey) -> u64 {
+        if task.stage.kind.is_cut() { self.done } else { 0 }
     }
 
-    /// Milliseconds and pixel samples of its computation so far, as heard; `None` before there are any.
+    /// Milliseconds and units of its computation so far, as heard; `None` before there are any.
     pub(crate) fn progress(&self, task: &TaskKey) -> Option<(u64, u64)> {
-        let (began, samples) = (self.began?, self.samples(task));
-        (samples > 0).then(|| (self.moved.since(began), samples))
+        let (began, units) = (self.began?, self.units(task));
+        (units > 0).then(|| (self.moved.since(began), units))
     }
 }
 
@@ -299,8 +296,8 @@ impl Floor {
             if progress.phase == Phase::Working {
                 lease.began.get_or_insert(before.max(lease.granted));
             }
-            if (progress.phase, progress.samples) > (lease.phase, lease.done) {
-                (lease.phase, lease.done) = (progress.phase, progress.samples.max(lease.done));
+            if (progress.phase, progress.units) > (lease.phase, lease.done) {
+                (lease.phase, lease.done) = (progress.phase, progress.units.max(lease.done));
                 lease.moved = now;
                 holder.moved = now;
             }
@@ -353,16 +350,20 @@ impl Floor {
 
     /// The leases of a frame.
     pub(crate) fn of_frame(&self, job: JobId, frame: u32) -> impl Iterator<Item = (&LeaseKey, &Lease)> + '_ {
-        let first = TaskKey { job, stage: Stage { frame, round: 0, kind: StageKind::Render }, index: 0 };
+        let first = first_of(job, frame);
         let is_of_frame = move |task: &TaskKey| task.job == job && task.stage.frame == frame;
         self.leases.range((first, Epoch(0))..).take_while(move |((task, _), _)| is_of_frame(task))
     }
 
     /// The leases of a job.
     pub(crate) fn of_job(&self, job: JobId) -> impl Iterator<Item = (&LeaseKey, &Lease)> + '_ {
-        let first = TaskKey { job, stage: Stage { frame: 0, round: 0, kind: StageKind::Render }, index: 0 };
-        self.leases.range((first, Epoch(0))..).take_while(move |((task, _), _)| task.job == job)
+        self.leases.range((first_of(job, 0), Epoch(0))..).take_while(move |((task, _), _)| task.job == job)
     }
+}
+
+/// Before all tasks of a frame and behind those of the one before.
+fn first_of(job: JobId, frame: u32) -> TaskKey {
+    TaskKey { job, stage: Stage { frame, round: 0, number: 0, kind: StageKind::ALL[0] }, index: 0 }
 }
 
 /// Without progress for so many milliseconds a lease is not renewed.

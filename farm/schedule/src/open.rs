@@ -1,60 +1,82 @@
 //! The frames of a job whose tasks may be leased, and which of them have any to lease now.
 
+use std::cmp::Reverse;
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{JobId, Stage, StageKind, TaskKey};
+use femc_model::{JobId, Near, Stage, TaskKey};
 
 use crate::RangeSet;
-use crate::ledger::Layout;
+use crate::ledger::{Place, Shape};
 
-/// A frame whose tasks may be leased.
+/// A frame whose tasks may be leased, or the job's own stages: the grains that can run and that nobody holds, of each stage that
+/// has any. What comes last in the graph is first.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
-pub(crate) struct OpenFrame {
-    pub(crate) round: u32,
-    /// Grains of its tiles that nobody holds.
-    pub(crate) grains: RangeSet,
-    /// Groups of tiles that can be gathered and that nobody holds.
-    pub(crate) gathers: RangeSet,
-    /// Whether the merge can run and nobody holds it.
-    pub(crate) merge: bool,
+pub(crate) struct OpenUnit {
+    stages: BTreeMap<(Reverse<u16>, u32), (Stage, RangeSet)>,
 }
 
-impl OpenFrame {
-    /// A frame that nobody has begun.
-    pub(crate) fn fresh(layout: &Layout) -> Self {
-        Self { grains: RangeSet::full(layout.grains.all()), ..Self::default() }
+impl OpenUnit {
+    pub(crate) fn new(frame: u32, open: Vec<(Place, RangeSet)>, shape: &Shape<'_>) -> Self {
+        let mut all = Self::default();
+        open.into_iter().for_each(|(place, keys)| all.add(frame, place, &keys, shape));
+        all
     }
 
-    /// Its ready tasks: the merge, then groups, then tiles.
-    pub(crate) fn tasks(&self, job: JobId, frame: u32) -> impl Iterator<Item = TaskKey> {
-        let stage = move |kind| Stage { frame, round: self.round, kind };
-        let merge = self.merge.then(|| TaskKey { job, stage: stage(StageKind::Merge), index: 0 });
-        let gathers = self.gathers.iter().map(move |index| TaskKey { job, stage: stage(StageKind::Gather), index });
-        merge.into_iter().chain(gathers).chain(self.renders(job, frame))
+    /// More of it can run.
+    pub(crate) fn add(&mut self, frame: u32, (round, number): Place, keys: &RangeSet, shape: &Shape<'_>) {
+        let Some(template) = shape.template(number) else { return };
+        let stage = Stage { frame, round, number, kind: template.kind };
+        let (_, known) = self.stages.entry((Reverse(number), round)).or_insert_with(|| (stage, RangeSet::default()));
+        keys.ranges().for_each(|run| known.add(run));
     }
 
-    /// Those that render.
-    pub(crate) fn renders(&self, job: JobId, frame: u32) -> impl Iterator<Item = TaskKey> {
-        let stage = Stage { frame, round: self.round, kind: StageKind::Render };
-        self.grains.iter().map(move |index| TaskKey { job, stage, index })
+    /// These are held now, or not wanted.
+    pub(crate) fn remove(&mut self, stage: &Stage, run: std::ops::Range<u32>) {
+        let place = (Reverse(stage.number), stage.round);
+        let Some((_, keys)) = self.stages.get_mut(&place) else { return };
+        keys.remove(run);
+        if keys.is_empty() {
+            self.stages.remove(&place);
+        }
+    }
+
+    /// What can be leased of a stage.
+    pub(crate) fn of(&self, stage: &Stage) -> Option<&RangeSet> {
+        self.stages.get(&(Reverse(stage.number), stage.round)).map(|(_, keys)| keys)
+    }
+
+    /// The stages of which something can be leased.
+    pub(crate) fn stages(&self) -> impl Iterator<Item = (&Stage, &RangeSet)> {
+        self.stages.values().map(|(stage, keys)| (stage, keys))
+    }
+
+    /// Its ready tasks: of later stages first.
+    pub(crate) fn tasks(&self, job: JobId) -> impl Iterator<Item = TaskKey> {
+        self.stages().flat_map(move |(&stage, keys)| keys.iter().map(move |index| TaskKey { job, stage, index }))
+    }
+
+    /// Those that want to be where their frame is prepared.
+    pub(crate) fn near(&self, job: JobId) -> impl Iterator<Item = TaskKey> {
+        let near = self.stages().filter(|(stage, _)| stage.kind.row().near == Near::Frame);
+        near.flat_map(move |(&stage, keys)| keys.iter().map(move |index| TaskKey { job, stage, index }))
     }
 
     /// Whether something of it can be leased.
     fn has_some(&self) -> bool {
-        self.merge || !self.gathers.is_empty() || !self.grains.is_empty()
+        !self.stages.is_empty()
     }
 }
 
 /// Open frames by their number. A farm of a thousand workers has as many open whose tasks are all out: who looks for a task
 /// does not walk these.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct OpenFrames {
-    all: BTreeMap<u32, OpenFrame>,
+pub(crate) struct OpenUnits {
+    all: BTreeMap<u32, OpenUnit>,
     ready: BTreeSet<u32>,
 }
 
-impl OpenFrames {
-    pub(crate) fn get(&self, frame: u32) -> Option<&OpenFrame> {
+impl OpenUnits {
+    pub(crate) fn get(&self, frame: u32) -> Option<&OpenUnit> {
         self.all.get(&frame)
     }
 
@@ -63,17 +85,17 @@ impl OpenFrames {
     }
 
     /// All of them, in the order of their numbers.
-    pub(crate) fn iter(&self) -> impl Iterator<Item = (u32, &OpenFrame)> {
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (u32, &OpenUnit)> {
         self.all.iter().map(|(&frame, open)| (frame, open))
     }
 
     /// Those of which something can be leased, in the order of their numbers.
-    pub(crate) fn ready(&self) -> impl Iterator<Item = (u32, &OpenFrame)> {
+    pub(crate) fn ready(&self) -> impl Iterator<Item = (u32, &OpenUnit)> {
         self.ready.iter().filter_map(|&frame| Some((frame, self.all.get(&frame)?)))
     }
 
     /// Opens a frame, or puts it right.
-    pub(crate) fn put(&mut self, frame: u32, open: OpenFrame) {
+    pub(crate) fn put(&mut self, frame: u32, open: OpenUnit) {
         self.note(frame, open.has_some());
         self.all.insert(frame, open);
     }
@@ -84,7 +106,7 @@ impl OpenFrames {
     }
 
     /// Changes a frame, if it is open.
-    pub(crate) fn change(&mut self, frame: u32, change: impl FnOnce(&mut OpenFrame)) {
+    pub(crate) fn change(&mut self, frame: u32, change: impl FnOnce(&mut OpenUnit)) {
         let Some(open) = self.all.get_mut(&frame) else { return };
         let had_some = open.has_some();
         change(open);

@@ -1,14 +1,13 @@
 //! What workers report: a result or a failure, counted once and only under a lease that holds.
 
 use femc_model::{
-    Decision, Digest, Ending, Epoch, Failure, GatherResult, JobId, MergeResult, Refusal, RevokeReason, Stage,
-    StageKind, TaskKey, TaskResult, Tick, Verdict, WorkerId,
+    Decision, Digest, Ending, Epoch, Failure, JobId, Refusal, RevokeReason, Role, Round, Stage, TaskKey, TaskResult,
+    Template, Tick, Verdict, WorkerId,
 };
 
 use crate::attempts::Counted;
 use crate::floor::LeaseKey;
-use crate::ledger::Job;
-use crate::ledger::frame::Frame;
+use crate::ledger::{Job, Shape};
 use crate::scheduler::Scheduler;
 use crate::{Command, Fact};
 
@@ -27,25 +26,16 @@ impl Scheduler {
         let Some(lease) = self.floor.lease_of(worker, &task, epoch) else {
             return self.without_lease(worker, task, epoch, out);
         };
-        let (granted, size) = (lease.granted, lease.size);
-        let (seconds, counted) = (result.seconds(), Counted::of(&result));
-        let sound = self.ledger.jobs.get(&task.job).map_or(Sound::default(), |job| Sound::of(job, task.stage.round));
-        let fact = match (task.stage.kind, result) {
-            (StageKind::Render, TaskResult::Tile(result)) if result.samples == size.samples => {
-                Fact::Rendered { task, epoch, leased: granted, result }
-            }
-            (StageKind::Merge, TaskResult::Merge(result)) if sound.merge(&result) => {
-                Fact::Merged { task, epoch, result: Box::new(result) }
-            }
-            (StageKind::Gather, TaskResult::Gather(result)) if sound.gather(&result) => {
-                Fact::Gathered { task, epoch, result }
-            }
-            (StageKind::Render | StageKind::Merge | StageKind::Gather, _) => {
-                let message = "the result does not fit the task".to_owned();
-                let refusal = Refusal::Invalid { field: "result".into(), message: message.clone() };
-                return self.refused(worker, task, epoch, Failure::Panicked { message }, refusal, now, out);
-            }
-        };
+        let (granted, size, end) = (lease.granted, lease.size, lease.run(&task).end);
+        let (seconds, counted) = (result.seconds, Counted::of(&result));
+        let job = self.ledger.jobs.get(&task.job);
+        if !job.is_some_and(|job| is_sound(job, &task.stage, size.units, &result)) {
+            let message = "the result does not fit the task".to_owned();
+            let refusal = Refusal::Invalid { field: "result".into(), message: message.clone() };
+            return self.refused(worker, task, epoch, Failure::Panicked { message }, refusal, now, out);
+        }
+        let round = job.map_or(0, |job| job.unit(task.stage.frame).round);
+        let fact = Fact::Done { task, end, epoch, leased: granted, result: Box::new(result) };
         let is_alone = self.floor.copies.is_empty();
         if let Some(lease) = self.release(&(task, epoch)) {
             self.note(&(task, epoch), &lease, Ending::Done, counted, out);
@@ -70,7 +60,7 @@ impl Scheduler {
             desk.avoid.remove(&task);
             desk.mishaps.forget(&task);
             instance.into_iter().for_each(|instance| desk.distrust.succeeded(instance));
-            desk.completed(&task, job, &self.floor);
+            desk.completed(&task, round, job, &self.floor);
         }
         self.reorder(task.job);
         out.push(Command::Accept { worker, task, epoch });
@@ -218,29 +208,37 @@ impl Scheduler {
         self.revoke_others(&task, RevokeReason::Expired, out);
         let Some(job) = self.ledger.jobs.get(&task.job) else { return };
         let frame = task.stage.frame;
-        let repairs = job.frames.get(&frame).map(|work| repairs(&task, work, digests)).unwrap_or_default();
+        let repairs = repairs(&task, job, digests);
         self.count_failure(worker, task, failure, now, out);
         let is_open = self.ledger.jobs.get(&task.job).is_some_and(|job| job.is_open(frame));
         if is_open {
-            for repair in repairs {
-                if let Fact::Restarted { .. } = repair {
-                    self.revoke_frame(task.job, frame, out);
-                }
-                self.record(repair, now, out);
+            let others = repairs.iter().any(|repair| matches!(repair, Fact::Restarted { .. }));
+            repairs.into_iter().for_each(|repair| self.record(repair, now, out));
+            if others {
+                self.rebuild(task.job);
             }
         }
     }
 
-    /// The finished frames whose image or preview this is begin anew, whatever has become of their job: what was said of them is
-    /// not true any more. Inputs of tasks are their tasks' business.
+    /// The finished frames of which this is a result begin anew, whatever has become of their job: what was said of them is not
+    /// true any more. Inputs of tasks are their tasks' business.
     pub(crate) fn lost(&mut self, digest: &Digest, now: Tick, out: &mut Vec<Command>) {
-        let frames =
-            self.ledger.jobs.iter().flat_map(|(&id, job)| job.pictured_by(digest).map(move |frame| (id, frame)));
+        let frames = self.ledger.jobs.iter().flat_map(|(&id, job)| job.made_by(digest).map(move |frame| (id, frame)));
         for (job, frame) in frames.collect::<Vec<_>>() {
-            self.record(Fact::Restarted { job, frame }, now, out);
+            self.restart(job, frame, now, out);
             self.rebuild(job);
             out.push(Command::Changed(job));
         }
+    }
+
+    /// A frame begins anew, and so do the job's own stages, if they may have been done without it.
+    pub(crate) fn restart(&mut self, job: JobId, frame: u32, now: Tick, out: &mut Vec<Command>) {
+        let is_gap = |known: &Job| known.blocked.contains(&frame) && known.spec.graph.has_gaps();
+        let has_gap = self.ledger.jobs.get(&job).is_some_and(is_gap);
+        if has_gap {
+            self.revoke_frame(job, Stage::OF_JOB, out);
+        }
+        self.record(Fact::Restarted { job, frame }, now, out);
     }
 
     /// Takes back the leases of a frame that begins anew: they are of another round.
@@ -257,41 +255,63 @@ impl Scheduler {
 }
 
 /// What is to be done again so that the lost inputs of a task are there.
-fn repairs(task: &TaskKey, work: &Frame, lost: &[Digest]) -> Vec<Fact> {
-    let (job, frame) = (task.job, task.stage.frame);
-    if work.sums.is_some_and(|sums| lost.contains(&sums.digest)) || work.groups.has_lost_sums(lost) {
-        return vec![Fact::Restarted { job, frame }];
+fn repairs(task: &TaskKey, job: &Job, lost: &[Digest]) -> Vec<Fact> {
+    let (id, frame, shape) = (task.job, task.stage.frame, job.shape(task.stage.frame));
+    let again = |(round, number), index| {
+        let stage = Stage { frame, round, number, kind: shape.template(number)?.kind };
+        Some(Fact::Lost { task: TaskKey { job: id, stage, index } })
+    };
+    let own = job.units.get(&frame).map(|unit| unit.makers(lost)).unwrap_or_default();
+    let own = own.into_iter().filter_map(|(place, first)| again(place, first));
+    if frame != Stage::OF_JOB {
+        return own.collect();
     }
-    let again = |kind, index| Fact::Lost { task: TaskKey { job, stage: Stage { kind, ..task.stage }, index } };
-    let tiles = work.tiles.iter().filter(|(_, tile)| lost.contains(&tile.result.tile.digest));
-    let tiles = tiles.map(|(&index, _)| again(StageKind::Render, index));
-    tiles.chain(work.groups.lost(lost).map(|group| again(StageKind::Gather, group))).collect()
+    let others = lost.iter().flat_map(|digest| job.made_by(digest)).map(|frame| Fact::Restarted { job: id, frame });
+    own.chain(others).collect()
 }
 
-/// Which results say what they must.
-#[derive(Debug, Clone, Copy, Default)]
-struct Sound {
-    /// Another round may follow this one.
-    may_go_on: bool,
-    /// The merge reads groups, which have the sums.
-    is_grouped: bool,
+/// Whether a result says what its task must: all its outputs and no other, its units, and a decision where it closes a loop.
+fn is_sound(job: &Job, stage: &Stage, units: u64, result: &TaskResult) -> bool {
+    let shape = job.shape(stage.frame);
+    let Some(template) = shape.template(stage.number) else { return false };
+    let roles: Vec<Role> = result.outputs.iter().map(|output| output.role).collect();
+    let is_known = |(place, role): (usize, &Role)| template.makes.contains(role) && !roles[..place].contains(role);
+    let goes_on = match (&result.decision, template.closes) {
+        (None, None) => shape.graph.is_looped(stage.number) && shape.may_go_on(stage.round),
+        (Some(Decision::Done), Some(_)) => false,
+        (Some(Decision::Continue), Some(_)) if shape.may_go_on(stage.round) => true,
+        (Some(Decision::Steps(steps)), Some(_)) if shape.may_go_on(stage.round) && are_steps(&shape, steps) => true,
+        _ => return false,
+    };
+    let fits = |role: &Role| match wanted(&shape, stage.number, template, *role, goes_on) {
+        Some(true) => roles.contains(role),
+        Some(false) => !roles.contains(role),
+        None => true,
+    };
+    result.outputs.len() <= TaskResult::MAX_OUTPUTS
+        && roles.iter().enumerate().all(is_known)
+        && template.makes.iter().all(fits)
+        && result.units == if template.kind.is_cut() { units } else { 0 }
 }
 
-impl Sound {
-    fn of(job: &Job, round: u32) -> Self {
-        Self { may_go_on: (round as usize + 1) < job.spec.rounds.len(), is_grouped: job.layout(round).groups() > 0 }
+/// Whether an output must be there, or must not; `None`: as the worker likes.
+/// - `goes_on`: whether another round follows, or may follow where that is not decided yet.
+fn wanted(shape: &Shape<'_>, number: u16, template: &Template, role: Role, goes_on: bool) -> Option<bool> {
+    let mut readers = shape.graph.readers(number).filter(|(_, need)| need.role == role).peekable();
+    let is_read = readers.peek().is_some();
+    if is_read && readers.all(|(_, need)| need.round == Round::Before) {
+        return goes_on.then_some(true);
     }
+    if role.row().is_optional && !goes_on {
+        return None;
+    }
+    // What is read behind the loop, or by people, comes from the task that ends it.
+    Some(!(template.closes.is_some() && goes_on))
+}
 
-    /// An image at the end, sums on the way, an end after the last round.
-    fn merge(self, result: &MergeResult) -> bool {
-        match result.decision {
-            Decision::Done => result.image.is_some(),
-            Decision::Continue => self.may_go_on && (self.is_grouped || result.sums.is_some()),
-        }
-    }
-
-    /// Sums, unless this round is the last.
-    fn gather(self, result: &GatherResult) -> bool {
-        result.sums.is_some() || !self.may_go_on
-    }
+/// Whether these may be the steps at the end of a round: of each task some, at most as many as planned for the last round.
+fn are_steps(shape: &Shape<'_>, steps: &[u32]) -> bool {
+    let main = shape.graph.of(shape.scope).find(|(_, template)| template.kind.is_cut()).map(|(_, template)| template);
+    let most = main.and_then(|template| template.steps.last().copied()).unwrap_or(0);
+    main.is_some_and(|template| steps.len() == template.tasks() as usize) && steps.iter().all(|&it| it <= most)
 }

@@ -3,8 +3,10 @@
 use std::collections::BTreeMap;
 use std::ops::Range;
 
+use serde::{Deserialize, Serialize};
+
 /// A set of numbers as disjoint ranges that do not touch.
-#[derive(Debug, Clone, Default, PartialEq, Eq)]
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
 pub struct RangeSet {
     /// End by start.
     ranges: BTreeMap<u32, u32>,
@@ -59,6 +61,26 @@ impl RangeSet {
         }
     }
 
+    /// Adds all numbers of `range`.
+    pub fn add(&mut self, range: Range<u32>) {
+        if range.is_empty() {
+            return;
+        }
+        let before = self.ranges.range(..range.start).next_back().filter(|&(_, &end)| end >= range.start);
+        let start = before.map_or(range.start, |(&start, _)| start);
+        let last = self.ranges.range(..=range.end).next_back().map_or(range.end, |(_, &end)| end.max(range.end));
+        let inside: Vec<u32> = self.ranges.range(start..=range.end).map(|(&start, _)| start).collect();
+        for start in inside {
+            self.ranges.remove(&start);
+        }
+        self.ranges.insert(start, last);
+    }
+
+    /// Whether some of the numbers of `range` are in it.
+    pub fn touches(&self, range: &Range<u32>) -> bool {
+        !range.is_empty() && self.ranges.range(..range.end).next_back().is_some_and(|(_, &end)| end > range.start)
+    }
+
     /// Takes all numbers of `range` out; those that are not in it change nothing.
     pub fn remove(&mut self, range: Range<u32>) {
         if range.is_empty() {
@@ -101,18 +123,26 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_range_set_is_a_set(steps in prop::collection::vec((any::<bool>(), 0u32..24, 0u32..6), 0..200)) {
+        fn a_range_set_is_a_set(steps in prop::collection::vec((0u32..3, 0u32..24, 0u32..6), 0..200)) {
             let (mut ranges, mut set) = (RangeSet::full(4..12), (4..12).collect::<BTreeSet<u32>>());
-            for (insert, value, length) in steps {
+            for (step, value, length) in steps {
                 let range = value..value + length;
                 prop_assert_eq!(ranges.covers(&range), range.clone().all(|value| set.contains(&value)));
                 prop_assert_eq!(ranges.run(value).count(), (value..).take_while(|value| set.contains(value)).count());
-                if insert {
-                    ranges.insert(value);
-                    set.insert(value);
-                } else {
-                    ranges.remove(range.clone());
-                    set.retain(|value| !range.contains(value));
+                prop_assert_eq!(ranges.touches(&range), range.clone().any(|value| set.contains(&value)));
+                match step {
+                    0 => {
+                        ranges.insert(value);
+                        set.insert(value);
+                    }
+                    1 => {
+                        ranges.add(range.clone());
+                        set.extend(range);
+                    }
+                    _ => {
+                        ranges.remove(range.clone());
+                        set.retain(|value| !range.contains(value));
+                    }
                 }
                 prop_assert_eq!(ranges.iter().collect::<Vec<_>>(), set.iter().copied().collect::<Vec<_>>());
                 prop_assert_eq!(ranges.count() as usize, set.len());

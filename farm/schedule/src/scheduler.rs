@@ -13,8 +13,7 @@ use crate::builds::{Orphans, is_foreign};
 use crate::deaths::Deaths;
 use crate::desk::Desk;
 use crate::floor::{Floor, Lease, LeaseKey, Worker};
-use crate::ledger::Job;
-use crate::ledger::frame::Frame;
+use crate::ledger::{Job, Unit};
 use crate::logs::Shelf;
 use crate::order::Order;
 use crate::{Command, Config, Event, Fact, Ledger};
@@ -98,9 +97,9 @@ impl Scheduler {
         self.ledger.jobs.get(&job).map(|job| &*job.spec)
     }
 
-    /// How a job's tiles are cut.
+    /// How a job's tasks are cut.
     pub fn cut(&self, job: JobId) -> Cut {
-        self.ledger.annex.cut_of(job)
+        self.ledger.jobs.get(&job).map_or(Cut::Whole, Job::cut)
     }
 
     /// Those of `digests` that nothing names any more, each once; for many at a time.
@@ -207,8 +206,8 @@ impl Scheduler {
     fn adoptable(&mut self, held: &HeldLease) -> Option<Range<u32>> {
         let (task, run) = (&held.task, self.run_of(held)?);
         let job = self.ledger.jobs.get(&task.job)?;
-        let is_over = |frame: &Frame| frame.is_over(task.stage.kind, task.index, held.epoch);
-        if job.has_ended() || !job.is_open(task.stage.frame) || job.frames.get(&task.stage.frame).is_some_and(is_over) {
+        let is_over = |unit: &Unit| unit.is_over_for(&task.stage, task.index, held.epoch);
+        if job.has_ended() || !job.is_open(task.stage.frame) || job.units.get(&task.stage.frame).is_some_and(is_over) {
             return None;
         }
         let desk = self.desks.entry(task.job).or_default();
@@ -268,7 +267,7 @@ impl Scheduler {
         let running: Vec<JobId> = self.order.jobs().collect();
         for id in running {
             if self.desks.get(&id).is_some_and(|desk| desk.rate.is_due(now)) {
-                let samples = self.samples(id);
+                let samples = self.units(id);
                 if let Some(desk) = self.desks.get_mut(&id) {
                     desk.rate.note(now, samples);
                 }

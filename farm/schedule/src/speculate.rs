@@ -2,7 +2,7 @@
 //! first counts; the other is revoked at once, and its result changes nothing. Costs work that is thrown away, by workers that
 //! would stand still; a task is given out twice at most.
 
-use femc_model::{StageKind, TaskKey, Tick, WorkerId};
+use femc_model::{TaskKey, Tick, WorkerId};
 
 use crate::Command;
 use crate::builds::is_foreign;
@@ -49,11 +49,7 @@ impl Scheduler {
     /// Thousandths of the expected time that a lease has taken until now; `None`: it is not late, or nobody knows.
     fn lateness(&self, task: &TaskKey, lease: &Lease, now: Tick) -> Option<u64> {
         let pace = &self.desks.get(&task.job)?.pace;
-        let expected = match task.stage.kind {
-            StageKind::Render => pace.render(lease.size.samples),
-            StageKind::Gather => pace.gather(),
-            StageKind::Merge => pace.merge(),
-        }?;
+        let expected = pace.expected(task.stage.number, lease.size.units)?;
         let taken = now.since(lease.granted);
         let is_late = taken > Self::LATE * expected && taken > self.config.late;
         is_late.then(|| taken.saturating_mul(1_000) / expected.max(1))
@@ -64,7 +60,9 @@ impl Scheduler {
             return false;
         };
         let (holder, worker) = (self.floor.leases.get(&(*task, *epoch)), self.floor.workers.get(&id));
+        // What it reads may have been lost since it was leased.
         holder.is_some_and(|lease| lease.worker != id)
+            && job.is_fed(task)
             && worker.is_some_and(|worker| worker.has_tags(&job.spec.tags))
             && !is_shunned(job, desk, id, &self.floor, now)
             && !is_avoided(task, job, desk, id, &self.floor)

@@ -1,13 +1,14 @@
 //! What may be asked: a job at a glance, all jobs, the frames of one, the workers.
 
+use std::collections::BTreeMap;
+
 use femc_model::{
     FrameParts, FrameProgress, FrameRecord, JobId, JobState, JobStatus, LeaseLeft, Quarantined, Refusal, Stage,
     StageKind, TaskKey, Tick, WorkerId, WorkerStatus,
 };
 
 use crate::floor::LeaseKey;
-use crate::ledger::frame::Frame;
-use crate::ledger::{Hold, Job};
+use crate::ledger::{Hold, Job, Unit};
 use crate::scheduler::Scheduler;
 
 impl Scheduler {
@@ -25,7 +26,7 @@ impl Scheduler {
         workers.dedup();
         let spec = &job.spec;
         let bad_finished: u64 = job.finished.values().map(|finished| finished.record.bad_samples).sum();
-        let bad_active: u64 = job.frames.values().map(|f| f.merged_bad_samples + f.fresh_bad_samples).sum();
+        let bad_active: u64 = job.units.values().map(|unit| unit.bad_samples).sum();
         let first_lease = self.floor.of_job(id).map(|(_, lease)| lease.granted).min();
         let began = job.began.into_iter().chain(first_lease).min();
         Ok(JobStatus {
@@ -36,14 +37,12 @@ impl Scheduler {
             state: self.state(job, began.is_some()),
             failure: job.doom.clone(),
             frames_total: spec.frames.len() as u32,
-            frames_done: job.finished.len() as u32,
-            frames_failed: job.blocked.len() as u32,
+            frames_done: job.frames_done() as u32,
+            frames_failed: job.frames_blocked() as u32,
             active: self.active(id, job),
             workers: workers.len() as u32,
-            samples_done: self.samples(id),
-            samples_planned: spec.frames.len() as u64
-                * spec.grid.pixels()
-                * u64::from(spec.rounds.last().copied().unwrap_or(0)),
+            samples_done: self.units(id),
+            samples_planned: spec.samples_of_frame().saturating_mul(spec.frames.len() as u64),
             samples_per_second: desk.rate.per_second(),
             bad_samples: bad_finished + bad_active,
             relative_error: job.relative_error,
@@ -55,7 +54,7 @@ impl Scheduler {
         })
     }
 
-    /// The finished frames of a job, ascending.
+    /// The finished frames of a job, ascending; what is finished of the job as a whole comes first.
     pub fn frames(&self, id: JobId) -> Result<Vec<FrameRecord>, Refusal> {
         Ok(self.job(id)?.finished.values().map(|finished| finished.record.clone()).collect())
     }
@@ -63,16 +62,11 @@ impl Scheduler {
     /// What there is of a job's frames in work, ascending.
     pub fn parts(&self, id: JobId) -> Result<Vec<FrameParts>, Refusal> {
         let job = self.job(id)?;
-        let parts = |(&number, frame): (&u32, &Frame)| FrameParts {
-            frame: number,
-            grid: job.spec.grid,
-            sums: frame.sums.into_iter().chain(frame.groups.sums_before()).collect(),
-            tiles: frame.parts_there(0..u32::MAX).collect(),
-            groups: frame.groups.pixels(),
+        let parts = |(&frame, unit): (&u32, &Unit)| {
+            let outputs = unit.shown(&job.shape(frame));
+            FrameParts { frame, grid: job.spec.grid, outputs }
         };
-        let has_some =
-            |parts: &FrameParts| !(parts.sums.is_empty() && parts.tiles.is_empty() && parts.groups.is_empty());
-        Ok(job.frames.iter().map(parts).filter(has_some).collect())
+        Ok(job.units.iter().map(parts).filter(|parts| !parts.outputs.is_empty()).collect())
     }
 
     /// The workers, in order of joining.
@@ -112,7 +106,7 @@ impl Scheduler {
     }
 
     fn state(&self, job: &Job, has_begun: bool) -> JobState {
-        if job.finished.len() == job.spec.frames.len() {
+        if job.is_done() {
             JobState::Done
         } else if job.hold == Hold::Cancelled {
             JobState::Cancelled
@@ -127,54 +121,58 @@ impl Scheduler {
         }
     }
 
-    /// Pixel samples in results and running tasks.
-    pub(crate) fn samples(&self, id: JobId) -> u64 {
+    /// Units of work in results and running tasks: pixel samples.
+    pub(crate) fn units(&self, id: JobId) -> u64 {
         let Some(job) = self.ledger.jobs.get(&id) else { return 0 };
-        let finished: u64 = job.finished.values().map(|f| u64::from(f.record.spp) * job.spec.grid.pixels()).sum();
-        let active: u64 = job.frames.values().map(|frame| frame.samples).sum();
-        let running: u64 = self.under_way(id).map(|(_, samples)| samples).sum();
-        finished + active + running
+        let active: u64 = job.units.values().map(|unit| unit.units).sum();
+        let running: u64 = self.under_way(id).map(|(_, units)| units).sum();
+        job.finished_units() + active + running
     }
 
-    /// The tasks of a job that are leased, and the pixel samples of each so far; of two leases of a task the one that is further counts.
+    /// The tasks of a job that are leased, and the units of each so far; of two leases of a task the one that is further counts.
     fn under_way(&self, id: JobId) -> impl Iterator<Item = (&TaskKey, u64)> + '_ {
         let mut leases = self.floor.of_job(id).peekable();
         std::iter::from_fn(move || {
             let ((task, _), lease) = leases.next()?;
-            let mut samples = lease.samples(task);
+            let mut units = lease.units(task);
             while let Some((_, other)) = leases.next_if(|((next, _), _)| next == task) {
-                samples = samples.max(other.samples(task));
+                units = units.max(other.units(task));
             }
-            Some((task, samples))
+            Some((task, units))
         })
     }
 
     fn active(&self, id: JobId, job: &Job) -> Vec<FrameProgress> {
-        let mut active: std::collections::BTreeMap<u32, FrameProgress> = std::collections::BTreeMap::new();
-        let blank = |number: u32| {
-            let (frame, layout) = (job.frames.get(&number), job.layout(job.round(number)));
-            FrameProgress {
-                frame: number,
-                round: job.round(number),
-                rounds: job.spec.rounds.len() as u32,
-                stage: frame.map_or(StageKind::Render, |frame| frame.stage(&layout)),
-                tiles_done: frame.map_or(0, |frame| frame.tiles_done(&layout)),
-                tiles_total: layout.tiles(),
-                running: 0,
-                samples_done: frame.map_or(0, |frame| frame.samples),
-                relative_error: frame.and_then(|frame| frame.relative_error),
-            }
-        };
-        for &number in job.frames.keys() {
-            active.insert(number, blank(number));
-        }
-        for (task, samples) in self.under_way(id) {
-            let number = task.stage.frame;
-            let frame = active.entry(number).or_insert_with(|| blank(number));
+        let mut active: BTreeMap<u32, FrameProgress> =
+            job.units.keys().map(|&frame| (frame, progress(job, frame))).collect();
+        for (task, units) in self.under_way(id) {
+            let frame = active.entry(task.stage.frame).or_insert_with(|| progress(job, task.stage.frame));
             frame.running += 1;
-            frame.samples_done += samples;
+            frame.samples_done += units;
         }
         active.into_values().collect()
+    }
+}
+
+/// How far a frame is, without its running tasks: its main stage is the one that is cut, or else the first.
+fn progress(job: &Job, frame: u32) -> FrameProgress {
+    let (unit, shape) = (job.unit(frame), job.shape(frame));
+    let stages = || shape.graph.of(shape.scope);
+    let main = stages().find(|(_, template)| template.kind.is_cut()).or_else(|| stages().next());
+    let (number, tiles_total) = main.map_or((0, 0), |(number, template)| (number, template.tasks()));
+    let round = if shape.graph.is_looped(number) { unit.round } else { 0 };
+    let at = unit.places(&shape).find(|&place| !unit.is_complete(&shape, place));
+    let at = at.and_then(|(_, number)| shape.template(number)).or(main.map(|(_, template)| template));
+    FrameProgress {
+        frame,
+        round: unit.round,
+        rounds: shape.graph.rounds(number),
+        stage: at.map_or(StageKind::ALL[0], |template| template.kind),
+        tiles_done: unit.tasks_done((round, number)),
+        tiles_total,
+        running: 0,
+        samples_done: unit.units,
+        relative_error: unit.relative_error,
     }
 }
 
@@ -186,9 +184,11 @@ fn sorted(tasks: impl Iterator<Item = TaskKey>) -> Vec<TaskKey> {
 
 fn quarantined(id: JobId, job: &Job) -> Vec<Quarantined> {
     let mut all = Vec::new();
-    for (&number, frame) in &job.frames {
-        for (kind, index, trouble) in frame.quarantined() {
-            let stage = Stage { frame: number, round: frame.round, kind };
+    for (&frame, unit) in &job.units {
+        for ((number, round, index), trouble) in unit.quarantined() {
+            let Some(template) = job.shape(frame).template(number) else { continue };
+            let round = if template.kind.is_cut() { round } else { unit.round };
+            let stage = Stage { frame, round, number, kind: template.kind };
             let task = TaskKey { job: id, stage, index };
             all.push(Quarantined { task, attempts: trouble.tries(), failure: trouble.failure.clone() });
         }

@@ -7,7 +7,7 @@ use femc_model::*;
 use femc_schedule::*;
 
 use Decision::Done;
-use StageKind::{Merge, Render};
+use StageKind::{Image, Render};
 
 fn join(farm: &mut Farm, worker: u64, engine: &str) -> Vec<Command> {
     farm.join_as(worker, Registration { instance: worker, engine: engine.into(), ..registration() })
@@ -31,7 +31,7 @@ fn a_worker_of_another_build_does_another_frame() {
     farm.work(2, Done);
     assert_eq!(farm.tasks_of(2), [], "frame 1 is the other's, also its merge");
     farm.work(1, Done);
-    assert_eq!(farm.tasks_of(1), [(1, 0, Merge, 0)]);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Image, 0)]);
     farm.work(1, Done);
     assert_eq!(farm.state(JobId(1)), JobState::Done);
 }
@@ -102,7 +102,7 @@ fn a_lease_is_not_taken_over_by_another_build() {
     let held = farm.first_of(1);
     farm.restart();
     let key = farm.scheduler.spec(id).expect("the job is there").key();
-    let lease = HeldLease { task: held.task, epoch: held.epoch, samples: common::samples(&held), job: key };
+    let lease = HeldLease { task: held.task, epoch: held.epoch, steps: held.work.steps.clone(), job: key };
     let upgraded = Registration { instance: 1, engine: "new".into(), held: vec![lease], ..registration() };
     let commands = farm.join_as(1, upgraded);
     let is_revoked = |command: &Command| matches!(command, Command::Revoke { .. });

@@ -114,10 +114,10 @@ fn a_task_is_late_after_two_seconds_and_more_than_twice_what_it_was_expected_to_
 
 #[test]
 fn a_group_that_takes_too_long_to_gather_is_gathered_twice() {
-    let mut farm = Farm::with(Config { group: 2, ..common::config() });
-    farm.submit(job(&[1], 4, &[4]));
+    let mut farm = Farm::new();
+    farm.submit(common::grouped(&[1], 4, &[4], 2));
     farm.join(1);
-    let is_gathered = |held: &Assignment| held.task.stage.kind == StageKind::Gather;
+    let is_gathered = |held: &Assignment| held.task.stage.kind == StageKind::Reduce;
     let mut gathered = 0;
     while gathered == 0 || !is_gathered(&farm.first_of(1)) {
         let held = farm.first_of(1);
@@ -211,8 +211,8 @@ fn a_merge_that_misses_a_tile_ends_its_copy_too() {
     wait(&mut farm, 3_000);
     let copy = farm.first_of(2);
     assert_eq!(copy.copy_of, Some(merge.epoch));
-    let Work::Merge { inputs: MergeInputs::Tiles(Parts { tiles, .. }), .. } = &merge.work else { panic!("{merge:?}") };
-    let lost = Failure::LostInputs { digests: vec![tiles[0].digest], message: "gone".into() };
+    let first = merge.work.artefacts().next().unwrap();
+    let lost = Failure::LostInputs { digests: vec![first.digest], message: "gone".into() };
     farm.fail(1, &merge, lost);
     assert!(farm.held.iter().all(|(_, held)| held.epoch != copy.epoch), "it would miss the same");
     assert!(!counts(&farm.complete(2, &copy, Done)));

@@ -163,15 +163,17 @@ fn a_death_counts_against_every_part_of_its_lease_and_then_each_part_stands_alon
     farm.now = farm.now.after(10);
     farm.work(1, Done);
     let held = farm.first_of(1);
-    let Work::Render { samples, .. } = &held.work else { panic!("{held:?}") };
-    assert_eq!(*samples, 1..8, "all that is left");
+    assert_eq!(held.work.steps, 1..8, "all that is left");
     farm.reborn(2, 1, std::slice::from_ref(&held));
     // The third sample is the deadly one.
     let mut deaths = 1;
     while farm.state(id) == JobState::Running && deaths < 9 {
         let worker = farm.held[0].0.0;
         let held = farm.first_of(worker);
-        let Work::Render { samples, .. } = &held.work else { break };
+        if held.task.stage.kind != StageKind::Render {
+            break;
+        }
+        let samples = &held.work.steps;
         assert_eq!(samples.len(), 1);
         if samples.start == 3 {
             deaths += 1;

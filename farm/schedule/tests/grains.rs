@@ -4,7 +4,7 @@ mod common;
 
 use std::num::NonZeroU64;
 
-use common::{Farm, config, job, panic, result_in, samples};
+use common::{Farm, config, job, panic, result_in};
 use femc_model::*;
 use femc_schedule::*;
 
@@ -18,7 +18,7 @@ fn farm() -> Farm {
 /// The worker does its oldest task in so many milliseconds a sample of each pixel.
 fn work(farm: &mut Farm, worker: u64, each: u64) -> std::ops::Range<u32> {
     let held = farm.first_of(worker);
-    let covered = samples(&held);
+    let covered = held.work.steps.clone();
     let milliseconds = each * covered.len() as u64;
     for _ in 0..milliseconds / 1000 {
         farm.now = farm.now.after(1000);
@@ -93,7 +93,7 @@ fn at_the_end_of_a_job_tasks_are_smaller_so_that_all_workers_end_together() {
     while farm.held[0].1.task.stage.kind == StageKind::Render {
         let worker = farm.held[0].0.0;
         left -= work(&mut farm, worker, 200).len();
-        let sizes = farm.held.iter().map(|(_, held)| samples(held).len());
+        let sizes = farm.held.iter().map(|(_, held)| held.work.steps.len());
         let most = sizes.clone().max().unwrap_or(0);
         least = least.min(sizes.filter(|&size| size > 1).min().unwrap_or(least));
         assert!(most <= 8.max(left.div_ceil(4)), "one of four holds {most} of {left}");
@@ -109,7 +109,7 @@ fn a_lease_that_ends_gives_back_all_of_its_grains_and_a_late_result_changes_noth
     work(&mut farm, 1, 10);
     work(&mut farm, 1, 10);
     let late = farm.held.clone();
-    assert!(late.iter().any(|(_, held)| samples(held).len() > 1));
+    assert!(late.iter().any(|(_, held)| held.work.steps.len() > 1));
     farm.leave(1);
     farm.join(2);
     for (_, held) in &late {
@@ -121,10 +121,7 @@ fn a_lease_that_ends_gives_back_all_of_its_grains_and_a_late_result_changes_noth
     }
     let all: Vec<u32> = covered.into_iter().flatten().collect();
     assert_eq!(all, (0..64).collect::<Vec<_>>());
-    let Work::Merge { inputs: MergeInputs::Tiles(Parts { tiles, .. }), .. } = &farm.held[0].1.work else {
-        panic!("the merge follows")
-    };
-    assert!(tiles.len() > 2, "a tile in parts");
+    assert!(farm.held[0].1.work.inputs.len() > 2, "a tile in parts");
     farm.work(2, Done);
     assert_eq!((farm.state(id), farm.status(id).samples_done), (JobState::Done, 64 * 64));
 }
@@ -139,14 +136,12 @@ fn a_part_that_is_lost_is_rendered_again_and_no_other() {
         parts.push(work(&mut farm, 1, 100));
     }
     let merge = farm.first_of(1);
-    let Work::Merge { inputs: MergeInputs::Tiles(Parts { tiles, .. }), .. } = &merge.work else {
-        panic!("the merge follows")
-    };
+    let tiles: Vec<Artefact> = merge.work.artefacts().collect();
     assert_eq!(tiles.len(), parts.len());
     let failure = Failure::LostInputs { digests: vec![tiles[1].digest], message: "gone".into() };
     farm.fail(1, &merge, failure);
     assert_eq!(farm.status(id).active[0].tiles_done, 0);
-    let again: Vec<u32> = farm.held.iter().flat_map(|(_, held)| samples(held)).collect();
+    let again: Vec<u32> = farm.held.iter().flat_map(|(_, held)| held.work.steps.clone()).collect();
     assert_eq!(again, parts[1].clone().collect::<Vec<_>>());
     while farm.state(id) != JobState::Done {
         farm.work(1, Done);
@@ -162,7 +157,7 @@ fn a_grain_that_fails_is_tried_alone_and_put_aside_alone() {
     while farm.state(id) == JobState::Running {
         let held = farm.first_of(worker);
         // The sample 17 cannot be rendered.
-        if samples(&held).contains(&17) {
+        if held.work.steps.contains(&17) {
             failures += 1;
             farm.fail(worker, &held, panic());
             // A worker on which it fails again and again would get no more of the job.
@@ -190,7 +185,7 @@ fn a_lease_that_comes_back_is_adopted_with_just_its_samples_if_nobody_has_any_of
     farm.restart();
     farm.rejoin(2, &held);
     assert!(held.iter().all(|held| farm.held.iter().filter(|(_, other)| other.epoch == held.epoch).count() == 1));
-    let leased: Vec<u32> = farm.held.iter().flat_map(|(_, held)| samples(held)).collect();
+    let leased: Vec<u32> = farm.held.iter().flat_map(|(_, held)| held.work.steps.clone()).collect();
     assert!(leased.iter().all(|sample| leased.iter().filter(|other| *other == sample).count() == 1), "{leased:?}");
     assert!(held.iter().all(|held| !refused(&farm.complete(2, held, Done))));
 
@@ -204,17 +199,6 @@ fn a_lease_that_comes_back_is_adopted_with_just_its_samples_if_nobody_has_any_of
 }
 
 #[test]
-fn a_job_of_a_log_that_says_nothing_of_cuts_is_not_cut() {
-    let mut ledger = Ledger::default();
-    let spec = Box::new(job(&[1], 1, &[1 << 20]));
-    ledger.apply(&Fact::Submitted { job: JobId(1), key: None, spec }, Tick(0));
-    let mut farm = farm();
-    (farm.scheduler, _) = Scheduler::new(farm.scheduler.config().clone(), ledger);
-    farm.join(1);
-    assert_eq!(samples(&farm.first_of(1)), 0..1 << 20);
-}
-
-#[test]
 fn a_snapshot_knows_the_cut_and_what_is_whole() {
     let mut farm = farm();
     let id = farm.submit(job(&[1], 3, &[64]));
@@ -224,4 +208,8 @@ fn a_snapshot_knows_the_cut_and_what_is_whole() {
     }
     let ledger = farm.scheduler.ledger();
     assert_eq!(&Ledger::decode(&ledger.encode().unwrap()).unwrap(), ledger);
+}
+
+fn samples(held: &Assignment) -> std::ops::Range<u32> {
+    held.work.steps.clone()
 }

@@ -7,7 +7,7 @@ use femc_model::*;
 use femc_schedule::*;
 
 use Decision::{Continue, Done};
-use StageKind::{Merge, Render};
+use StageKind::{Image, Render};
 
 /// A farm with a worker, and a job of two frames that is done.
 fn done() -> (Farm, JobId) {
@@ -22,7 +22,7 @@ fn done() -> (Farm, JobId) {
 
 fn image(farm: &Farm, id: JobId, frame: u32) -> Digest {
     let frames = farm.scheduler.frames(id).unwrap();
-    frames.iter().find(|record| record.frame == frame).expect("it is finished").image.digest
+    frames.iter().find(|record| record.frame == frame).expect("it is finished").image().expect("an image").digest
 }
 
 fn restarted(commands: &[Command]) -> Vec<(JobId, u32)> {
@@ -59,8 +59,8 @@ fn a_finished_frame_whose_image_is_lost_is_rendered_again_and_its_job_runs_and_s
     }
     let after = farm.scheduler.frames(id).unwrap();
     assert_eq!(
-        after.iter().map(|record| record.image).collect::<Vec<_>>(),
-        before.iter().map(|r| r.image).collect::<Vec<_>>()
+        after.iter().map(|record| record.image()).collect::<Vec<_>>(),
+        before.iter().map(|r| r.image()).collect::<Vec<_>>()
     );
     assert_eq!(farm.status(id).waits, []);
     assert_eq!(after[1].busy_seconds, 2.0 * before[1].busy_seconds, "what it took before was taken");
@@ -74,8 +74,8 @@ fn what_is_no_image_of_a_finished_frame_changes_nothing_when_it_is_lost() {
     let open = farm.submit(job(&[1], 2, &[4]));
     let held = farm.first_of(1);
     farm.complete(1, &held, Done);
-    let TaskResult::Tile(tile) = result(&held, Done) else { panic!("a tile") };
-    for digest in [Digest::of(b"nobody's"), Digest::of(b"bundle"), tile.tile.digest] {
+    let tile = result(&held, Done).output(Role::Tile).unwrap();
+    for digest in [Digest::of(b"nobody's"), Digest::of(b"bundle"), tile.digest] {
         assert_eq!(
             restarted(&farm.on(Event::Lost { digest })),
             [],
@@ -94,7 +94,7 @@ fn a_lost_image_of_a_cancelled_job_is_not_told_as_finished_and_a_retry_renders_i
         farm.work(1, Done);
     }
     farm.control(id, Control::Cancel);
-    let lost = farm.scheduler.frames(id).unwrap()[0].image.digest;
+    let lost = farm.scheduler.frames(id).unwrap()[0].image().unwrap().digest;
     farm.on(Event::Lost { digest: lost });
     assert_eq!((farm.state(id), farm.status(id).frames_done), (JobState::Cancelled, 0));
     assert_eq!(farm.tasks_of(1), [], "it stays as it was");
@@ -141,8 +141,8 @@ fn a_time_budget_begins_again_with_the_frame() {
     farm.join(2);
     farm.wait(300);
     farm.work(2, Continue);
-    let Work::Merge { elapsed, .. } = farm.first_of(2).work else { panic!("a merge") };
-    assert_eq!(elapsed, 300, "from its first lease");
+    let merge = farm.first_of(2);
+    assert_eq!((merge.task.stage.kind, merge.work.elapsed), (Image, 300), "from its first lease");
 }
 
 #[test]
@@ -151,7 +151,7 @@ fn a_result_that_is_too_large_for_the_store_ends_the_job_and_says_so() {
     let id = farm.submit(job(&[1], 1, &[4]));
     farm.join(1);
     farm.work(1, Done);
-    assert_eq!(farm.tasks_of(1), [(1, 0, Merge, 0)]);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Image, 0)]);
     let failure = Failure::TooLarge { limit: 1 << 30 };
     farm.fail(1, &farm.first_of(1), failure.clone());
     let status = farm.status(id);

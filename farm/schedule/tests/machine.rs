@@ -6,7 +6,7 @@ mod common;
 use std::collections::{BTreeMap, BTreeSet};
 use std::num::NonZeroU64;
 
-use common::{Farm, job, panic, result};
+use common::{Farm, panic, result};
 use femc_model::*;
 use femc_schedule::*;
 use proptest::prelude::*;
@@ -17,6 +17,7 @@ enum Step {
         frames: u32,
         tiles: u32,
         rounds: usize,
+        form: Form,
         /// Whose, and with which key.
         owner: usize,
         key: Option<u8>,
@@ -32,7 +33,7 @@ enum Step {
     Drain(usize, Drain),
     Leave(usize),
     /// After so many milliseconds of work.
-    Complete(usize, Decision, u64),
+    Complete(usize, Goes, u64),
     Fail(usize, u8),
     /// A task panics on whoever has it, again and again.
     Doom(usize),
@@ -47,11 +48,78 @@ enum Step {
     Upgrade,
 }
 
+/// What the graph of a job is.
+#[derive(Debug, Clone, Copy)]
+enum Form {
+    /// Tiles, groups of so many of them (0: none), an image.
+    Frames(u32),
+    /// Two stages that read the tiles, and an image that reads both.
+    Diamond,
+    /// Tiles, an image behind the loop that reads all rounds.
+    Behind,
+    /// Frames, and for the job a tree over their tiles and one result; with gaps or without.
+    Whole { gaps: bool },
+}
+
+impl Form {
+    fn graph(self, tiles: u32, rounds: &[u32], frames: u32) -> Graph {
+        use {Role::*, Scope::*, StageKind as Kind};
+        let (one, most) = (Sizes::even(1, 1), rounds.len() as u32);
+        let render = Template::new(Kind::Render, Frame, Sizes::even(tiles, 64), &[Tile]).steps(rounds);
+        let image = |scope, makes: &[Role]| Template::new(Kind::Image, scope, one.clone(), makes);
+        let need = |stage, role, reach, round, gaps| Need { stage, role, reach, round, gaps };
+        match self {
+            Self::Frames(fan) => common::rounded(tiles, rounds, fan),
+            Self::Diamond => {
+                let pairs = Sizes::even(tiles.div_ceil(2), 1);
+                let left = Template::new(Kind::Reduce, Frame, pairs, &[Pixels]).reads(0, Tile, Reach::Fan(2));
+                let right = Template::new(Kind::Reduce, Frame, Sizes::even(tiles, 1), &[Sums])
+                    .reads(0, Tile, Reach::Same)
+                    .needs(need(2, Sums, Reach::All, Round::Before, false));
+                let end = image(Frame, &[Image]).reads(1, Pixels, Reach::All).reads(2, Sums, Reach::All);
+                Graph { stages: vec![render, left, right, end.closes(0, most)] }
+            }
+            Self::Behind => {
+                let decide = image(Frame, &[]).reads(0, Tile, Reach::All).closes(0, most);
+                let end = image(Frame, &[Image]).needs(need(0, Tile, Reach::All, Round::Every, false));
+                Graph { stages: vec![render, decide, end] }
+            }
+            Self::Whole { gaps } => {
+                let end = image(Frame, &[Image]).reads(0, Tile, Reach::All).closes(0, most);
+                let all = tiles * frames;
+                let pairs = Template::new(Kind::Reduce, Job, Sizes::even(all.div_ceil(2), 1), &[Sums]).needs(need(
+                    0,
+                    Tile,
+                    Reach::Fan(2),
+                    Round::Every,
+                    gaps,
+                ));
+                let whole = image(Job, &[Preview]).reads(2, Sums, Reach::All);
+                let whole = whole.needs(need(1, Image, Reach::All, Round::Same, gaps));
+                Graph { stages: vec![render, end, pairs, whole] }
+            }
+        }
+    }
+}
+
+/// What a task decides that may decide.
+#[derive(Debug, Clone, Copy)]
+enum Goes {
+    On,
+    /// On, with steps of each task that differ.
+    Unevenly(u32),
+    Over,
+}
+
 fn step() -> impl Strategy<Value = Step> {
-    let decision = prop_oneof![Just(Decision::Continue), Just(Decision::Done)];
+    let decision = prop_oneof![2 => Just(Goes::On), 1 => (0..8u32).prop_map(Goes::Unevenly), 2 => Just(Goes::Over)];
+    let form = prop_oneof![
+        4 => (0..4u32).prop_map(Form::Frames), 2 => Just(Form::Diamond), 2 => Just(Form::Behind),
+        3 => any::<bool>().prop_map(|gaps| Form::Whole { gaps })
+    ];
     prop_oneof![
-        1 => (1..4u32, 1..7u32, 1..4usize, 0..3usize, prop::option::of(0..3u8), prop_oneof![Just(50u8), 0..=100u8])
-            .prop_map(|(frames, tiles, rounds, owner, key, priority)| Step::Submit { frames, tiles, rounds, owner, key, priority }),
+        1 => (1..4u32, 1..7u32, 1..4usize, form, 0..3usize, prop::option::of(0..3u8), prop_oneof![Just(50u8), 0..=100u8])
+            .prop_map(|(frames, tiles, rounds, form, owner, key, priority)| Step::Submit { frames, tiles, rounds, form, owner, key, priority }),
         1 => any::<usize>().prop_map(Step::Die),
         2 => Just(Step::Join),
         2 => any::<usize>().prop_map(Step::Return),
@@ -79,8 +147,9 @@ const TAG: &str = "near";
 
 /// The farm, and what must hold of it.
 struct Machine {
-    group: u32,
     farm: Farm,
+    /// The log so far, to ask what is there before a fact.
+    shadow: Ledger,
     workers: BTreeSet<u64>,
     next_worker: u64,
     /// Workers that have told of a failure.
@@ -99,40 +168,39 @@ struct Machine {
     over: Vec<(WorkerId, Assignment)>,
     /// Of a task one, or two when the second is a copy of the first.
     live: BTreeSet<(TaskKey, Epoch)>,
-    /// What the leases of render tasks cover, of all that were ever seen.
+    /// What leases cover, of all that were ever seen.
     runs: BTreeMap<Epoch, Vec<Unit>>,
+    /// What they read, by frame, task and role: frames that are made again may be cut elsewhere.
+    read: BTreeMap<Epoch, BTreeSet<(u32, u32, Role)>>,
     last_epoch: Epoch,
     done: BTreeSet<TaskKey>,
     /// By which lease each was done last.
     made: BTreeMap<TaskKey, Epoch>,
     /// Results of which it was noted what they took, until they count.
     noted: BTreeSet<(TaskKey, Epoch)>,
-    /// What is rendered.
-    rendered: BTreeSet<Unit>,
+    /// The results that count, and by which lease.
+    results: BTreeMap<Unit, (Epoch, TaskResult)>,
+    /// What was decided after which round of which frame.
+    choices: BTreeMap<(JobId, u32, u32), Goes>,
+    /// Steps of tasks at the end of rounds that somebody has decided: by job, frame and round.
+    decided: BTreeMap<(JobId, u32, u32), Vec<u32>>,
 }
 
-/// A sample of a tile: stage, tile, sample.
+/// A step of a task: stage, number of the task, step.
 type Unit = (JobId, Stage, u32, u32);
 
 /// What a lease covers.
 fn units(held: &Assignment) -> Vec<Unit> {
-    match &held.work {
-        Work::Render { tile, samples } => {
-            samples.clone().map(|sample| (held.task.job, held.task.stage, *tile, sample)).collect()
-        }
-        Work::Gather { .. } | Work::Merge { .. } => vec![],
-    }
+    held.work.steps.clone().map(|step| (held.task.job, held.task.stage, held.work.item, step)).collect()
 }
 
 impl Machine {
     /// - `grain`: pixel samples; a tile has 64 pixels.
-    /// - `group`: tiles of a group; 0: frames are merged whole.
     /// - `prefetch`: tasks that a worker holds beyond the one that it does.
-    fn new(grain: u64, group: u32, prefetch: u32, keep_ended: Option<u64>) -> Self {
+    fn new(grain: u64, prefetch: u32, keep_ended: Option<u64>) -> Self {
         let grain = NonZeroU64::new(grain).unwrap();
         let config = Config {
             grain,
-            group,
             prefetch,
             keep_ended,
             task: 100,
@@ -141,9 +209,10 @@ impl Machine {
             quota: Quota { jobs: 4, ..Quota::default() },
             ..common::config()
         };
+        let farm = Farm::with(config);
         Self {
-            group,
-            farm: Farm::with(config),
+            shadow: farm.replay(),
+            farm,
             workers: BTreeSet::new(),
             next_worker: 1,
             complained: BTreeSet::new(),
@@ -156,17 +225,23 @@ impl Machine {
             over: vec![],
             live: BTreeSet::new(),
             runs: BTreeMap::new(),
+            read: BTreeMap::new(),
             last_epoch: Epoch(0),
             done: BTreeSet::new(),
             made: BTreeMap::new(),
             noted: BTreeSet::new(),
-            rendered: BTreeSet::new(),
+            results: BTreeMap::new(),
+            choices: BTreeMap::new(),
+            decided: BTreeMap::new(),
         }
     }
 
     /// Checks every command against what is known, and learns from it.
     fn see(&mut self, commands: Vec<Command>) {
         for command in commands {
+            if let Command::Record(fact) = &command {
+                self.learn(fact);
+            }
             match command {
                 Command::Assign { worker, assignment } => {
                     let Assignment { task, epoch, .. } = assignment;
@@ -175,9 +250,7 @@ impl Machine {
                     assert!(epoch > self.last_epoch, "epochs grow");
                     self.last_epoch = epoch;
                     assert!(!self.done.contains(&task), "{task} is done and leased again");
-                    if let Work::Merge { spp, .. } = assignment.work {
-                        self.all_is_rendered(&task, spp);
-                    }
+                    self.all_is_there(&assignment);
                     self.begins(&assignment);
                 }
                 Command::Revoke { worker, task, epoch, .. } => {
@@ -186,29 +259,8 @@ impl Machine {
                     }
                     self.live.remove(&(task, epoch));
                 }
-                Command::Record(
-                    Fact::Rendered { task, epoch, .. }
-                    | Fact::Gathered { task, epoch, .. }
-                    | Fact::Merged { task, epoch, .. },
-                ) => {
-                    assert!(self.live.remove(&(task, epoch)), "a result without a lease counts");
-                    assert!(self.done.insert(task), "{task} is done twice");
-                    for unit in &self.runs[&epoch] {
-                        assert!(self.rendered.insert(*unit), "{unit:?} of {task} counts twice");
-                    }
-                    self.made.insert(task, epoch);
-                    assert!(self.noted.remove(&(task, epoch)), "what {task} took is not noted");
-                }
                 Command::Note(note) if note.ending == Ending::Done => {
                     assert!(self.noted.insert((note.task, note.epoch)), "{} is noted twice", note.task);
-                }
-                Command::Record(Fact::Lost { task }) => {
-                    assert!(self.done.remove(&task));
-                    let lost = &self.runs[&self.made[&task]];
-                    assert!(lost.iter().all(|unit| self.rendered.remove(unit)));
-                    if task.stage.kind == StageKind::Gather {
-                        self.lose_group(&task);
-                    }
                 }
                 Command::Record(Fact::Forgotten { job }) => {
                     self.jobs.retain(|known| *known != job);
@@ -230,17 +282,145 @@ impl Machine {
                 Command::Discard(digests) => {
                     let gone = self.farm.scheduler.unreferenced(digests);
                     let needs =
-                        |(_, held): &&(WorkerId, Assignment)| held.work.inputs().any(|it| gone.contains(&it.digest));
+                        |(_, held): &&(WorkerId, Assignment)| held.work.artefacts().any(|it| gone.contains(&it.digest));
                     let needy = self.farm.held.iter().find(needs);
                     assert_eq!(needy, None, "what it reads may go");
-                }
-                Command::Record(Fact::Restarted { job, frame }) => {
-                    self.done.retain(|task| (task.job, task.stage.frame) != (job, frame));
-                    self.rendered.retain(|(of, stage, ..)| (*of, stage.frame) != (job, frame));
                 }
                 _ => {}
             }
         }
+    }
+
+    /// What a fact does to what is done.
+    fn learn(&mut self, fact: &Fact) {
+        match fact {
+            Fact::Done { task, epoch, result, .. } => {
+                assert!(self.live.remove(&(*task, *epoch)), "a result without a lease counts");
+                assert!(self.done.insert(*task), "{task} is done twice");
+                for unit in self.runs[epoch].clone() {
+                    let before = self.results.insert(unit, (*epoch, (**result).clone()));
+                    assert!(before.is_none(), "{unit:?} of {task} counts twice");
+                }
+                self.made.insert(*task, *epoch);
+                assert!(self.noted.remove(&(*task, *epoch)), "what {task} took is not noted");
+                if let Some(Decision::Steps(steps)) = &result.decision {
+                    let round = (task.job, task.stage.frame, task.stage.round + 1);
+                    self.decided.entry(round).or_insert_with(|| steps.clone());
+                }
+            }
+            Fact::Lost { task } => {
+                assert!(self.done.contains(task));
+                let there = self.shadow.references();
+                let units = self.runs[&self.made[task]].clone();
+                self.undo(units, &there);
+            }
+            Fact::Restarted { job, frame } => {
+                self.done.retain(|task| (task.job, task.stage.frame) != (*job, *frame));
+                self.results.retain(|(of, stage, ..), _| (*of, stage.frame) != (*job, *frame));
+                self.decided.retain(|(of, at, _), _| (*of, *at) != (*job, *frame));
+            }
+            _ => {}
+        }
+        let (Fact::Restarted { job, .. } | Fact::Controlled { job, control: Control::Retry }) = fact else {
+            drop(self.shadow.apply(fact, self.farm.now));
+            return;
+        };
+        // What was made of the job as a whole may have been made without a frame that is tried again.
+        let before = self.shadow.references();
+        self.shadow.apply(fact, self.farm.now);
+        let after = self.shadow.references();
+        let own = |stage: &Stage| stage.frame == Stage::OF_JOB;
+        let is_gone = |it: &Artefact| before.contains(&it.digest) && !after.contains(&it.digest);
+        let mut made = self.results.iter().filter(|(unit, _)| unit.0 == *job && own(&unit.1));
+        if made.any(|(_, (_, result))| result.artefacts().any(|it| is_gone(&it))) {
+            self.done.retain(|task| task.job != *job || !own(&task.stage));
+            self.results.retain(|(of, stage, ..), _| of != job || !own(stage));
+        }
+    }
+
+    /// These steps are to be done again; and what they read, where that is not there any more.
+    fn undo(&mut self, units: Vec<Unit>, there: &BTreeSet<Digest>) {
+        for unit in units {
+            let Some((epoch, _)) = self.results.remove(&unit) else { continue };
+            let made = &self.made;
+            self.done.retain(|task| made.get(task) != Some(&epoch));
+            let others: Vec<Unit> = self.runs[&epoch].clone();
+            others.iter().for_each(|other| drop(self.results.remove(other)));
+            let read = self.read_by(&unit);
+            let is_gone = |(need, unit): &(Need, Unit)| {
+                let result = self.results.get(unit);
+                result.is_some_and(|(_, it)| it.output(need.role).is_some_and(|it| !there.contains(&it.digest)))
+            };
+            let gone: Vec<(Need, Unit)> = read.into_iter().filter(is_gone).collect();
+            for (_, unit) in gone {
+                // A task of which some is gone is done again as a whole.
+                let whole: Vec<Unit> =
+                    self.results.keys().filter(|it| (it.0, it.1, it.2) == (unit.0, unit.1, unit.2)).copied().collect();
+                self.undo(whole, there);
+            }
+        }
+    }
+
+    /// The steps that a round takes of a task.
+    fn steps(&self, job: JobId, stage: &Stage, item: u32) -> std::ops::Range<u32> {
+        let template = self.farm.scheduler.spec(job).unwrap().graph.stage(stage.number).unwrap().clone();
+        let to = |round: u32| {
+            let steps = self.decided.get(&(job, stage.frame, round)).filter(|_| template.kind.is_cut());
+            steps.map(|steps| steps[item as usize])
+        };
+        let mut range = template.steps_of(0);
+        for round in 1..=stage.round {
+            let planned = template.steps_of(round);
+            range = match to(round) {
+                Some(end) => range.end..end.max(range.end),
+                None if template.kind.is_cut() => range.end..planned.end.max(range.end),
+                None => planned,
+            };
+        }
+        range
+    }
+
+    /// The last round of a frame's loop that was begun.
+    fn last_round(&self, job: JobId, frame: u32) -> u32 {
+        let of_frame = self.results.keys().filter(|unit| (unit.0, unit.1.frame) == (job, frame));
+        of_frame.map(|unit| unit.1.round).max().unwrap_or(0)
+    }
+
+    /// What a task reads, by its graph alone: of frames that there are.
+    fn read_by(&self, (job, stage, item, _): &Unit) -> Vec<(Need, Unit)> {
+        let graph = &self.farm.scheduler.spec(*job).unwrap().graph;
+        let frames = &self.farm.scheduler.spec(*job).unwrap().frames;
+        let template = graph.stage(stage.number).unwrap();
+        let mut all = Vec::new();
+        for need in &template.needs {
+            let made = graph.stage(need.stage).unwrap();
+            let of_frames = made.scope != template.scope;
+            let sources: Vec<u32> = if of_frames { frames.clone() } else { vec![stage.frame] };
+            let counted: Vec<(u32, u32)> =
+                sources.iter().flat_map(|&frame| (0..made.tasks()).map(move |task| (frame, task))).collect();
+            let chosen: Vec<(u32, u32)> = match need.reach {
+                Reach::All => counted,
+                Reach::Same => vec![counted[*item as usize]],
+                Reach::Fan(n) => counted.into_iter().skip((item * n) as usize).take(n as usize).collect(),
+            };
+            for (frame, task) in chosen {
+                let last = self.last_round(*job, frame);
+                let rounds = match need.round {
+                    Round::Before => stage.round.saturating_sub(1)..stage.round,
+                    Round::Every => 0..last + 1,
+                    Round::Same if of_frames || (graph.is_looped(need.stage) && !graph.is_looped(stage.number)) => {
+                        last..last + 1
+                    }
+                    Round::Same => stage.round..stage.round + 1,
+                };
+                for round in rounds {
+                    let from = Stage { frame, round, number: need.stage, kind: made.kind };
+                    let steps = self.steps(*job, &from, task);
+                    all.extend(steps.map(|step| (*need, (*job, from, task, step))));
+                }
+            }
+        }
+        all
     }
 
     /// Whether a worker has all that a job asks for.
@@ -250,44 +430,45 @@ impl Machine {
         spec.tags.iter().all(|tag| tags.contains(tag))
     }
 
-    /// What was rendered for a gathered group is to be rendered again.
-    fn lose_group(&mut self, gather: &TaskKey) {
-        let stage = Stage { kind: StageKind::Render, ..gather.stage };
-        let group = self.group;
-        let is_of_it = |&(job, of, tile, _): &Unit| (job, of, tile / group) == (gather.job, stage, gather.index);
-        self.rendered.retain(|unit| !is_of_it(unit));
-        let (runs, made) = (&self.runs, &self.made);
-        self.done.retain(|task| !made.get(task).is_some_and(|epoch| runs[epoch].iter().any(is_of_it)));
-    }
-
     /// A lease begins, by being granted or adopted: nobody else has any of it, and none of it is done.
     fn begins(&mut self, held: &Assignment) {
         let units = units(held);
         let original = held.copy_of.filter(|original| self.live.contains(&(held.task, *original)));
         assert!(original.is_none_or(|original| self.runs[&original] == units), "{} is no copy", held.task);
         let others = self.live.iter().filter(|(_, epoch)| Some(*epoch) != original);
-        for taken in others.clone().flat_map(|(_, epoch)| &self.runs[epoch]).chain(&self.rendered) {
+        for taken in others.clone().flat_map(|(_, epoch)| &self.runs[epoch]).chain(self.results.keys()) {
             assert!(!units.contains(taken), "{taken:?} of {} is leased or done", held.task);
         }
         assert!(others.clone().all(|(task, _)| *task != held.task), "{} is leased twice", held.task);
         self.live.insert((held.task, held.epoch));
         self.runs.insert(held.epoch, units);
+        let read = held.work.inputs.iter().map(|it| (it.frame, it.item, it.output.role));
+        self.read.insert(held.epoch, read.collect());
     }
 
-    /// Before a merge each sample of each tile of its round is there.
-    fn all_is_rendered(&self, merge: &TaskKey, spp: u32) {
-        let stage = Stage { kind: StageKind::Render, ..merge.stage };
-        let spec = self.farm.scheduler.spec(merge.job).unwrap();
-        let samples = spec.samples(stage.round);
-        assert_eq!(samples.end, spp);
-        for tile in 0..spec.grid.tiles() {
-            let is_there = |sample: &u32| self.rendered.contains(&(merge.job, stage, tile, *sample));
-            assert_eq!(
-                samples.clone().find(|sample| !is_there(sample)),
-                None,
-                "a sample of tile {tile} before {merge}"
-            );
+    /// Before a task begins, all that it reads is done, and it is given just that: of frames that cannot be finished nothing, where
+    /// gaps are allowed.
+    fn all_is_there(&self, held: &Assignment) {
+        let Some(unit) = units(held).first().copied() else { panic!("a task of nothing: {held:?}") };
+        let expected = self.expected(&held.task, &unit);
+        let given: BTreeSet<Digest> = held.work.artefacts().map(|it| it.digest).collect();
+        assert_eq!(given, expected, "the inputs of {}", held.task);
+        assert_eq!(held.work.artefacts().count(), given.len(), "{} reads one input twice", held.task);
+    }
+
+    /// What a task reads now.
+    fn expected(&self, task: &TaskKey, unit: &Unit) -> BTreeSet<Digest> {
+        let finished = |frame: u32| self.farm.scheduler.frames(unit.0).unwrap().iter().any(|it| it.frame == frame);
+        let mut expected = BTreeSet::new();
+        for (need, unit) in self.read_by(unit) {
+            if unit.1.frame != task.stage.frame && !finished(unit.1.frame) {
+                assert!(need.gaps, "{} is given before frame {} is finished", task, unit.1.frame);
+                continue;
+            }
+            let Some((_, result)) = self.results.get(&unit) else { panic!("{unit:?} before {}", task) };
+            expected.extend(result.output(need.role).map(|it| it.digest));
         }
+        expected
     }
 
     fn end_lease(&mut self, worker: WorkerId, held: &Assignment) {
@@ -305,11 +486,12 @@ impl Machine {
 
     fn take(&mut self, step: Step) {
         match step {
-            Step::Submit { frames, tiles, rounds, owner, key, priority } => {
+            Step::Submit { frames, tiles, rounds, form, owner, key, priority } => {
+                let graph = form.graph(tiles, &[3, 8, 16][..rounds], frames);
                 let frames: Vec<u32> = (1..=frames).collect();
                 let owner = OWNERS[owner].to_owned();
                 let tags = if tiles == 1 { vec![TAG.to_owned()] } else { vec![] };
-                let spec = Box::new(JobSpec { owner, priority, tags, ..job(&frames, tiles, &[3, 8, 16][..rounds]) });
+                let spec = Box::new(JobSpec { owner, priority, tags, ..common::of(&frames, tiles, graph) });
                 let name = key.map(|key| key.to_string());
                 let commands = self.farm.on(Event::Submitted { request: RequestId(0), key: name, spec });
                 let known = key.and_then(|key| self.keys.get(&key).copied());
@@ -397,17 +579,21 @@ impl Machine {
                 let commands = self.farm.leave(worker);
                 self.see(commands);
             }
-            Step::Complete(which, decision, milliseconds) => {
+            Step::Complete(which, goes, milliseconds) => {
                 self.take(Step::Wait(milliseconds));
                 let Some((worker, held)) = self.held(which) else { return };
+                // Who decides again has the same inputs.
+                let round = (held.task.job, held.task.stage.frame, held.task.stage.round);
+                let closes = self.template(&held.task).closes.is_some();
+                let goes = if closes { *self.choices.entry(round).or_insert(goes) } else { goes };
+                let result = self.result(&held, goes, milliseconds);
                 self.end_lease(worker, &held);
-                let seconds = milliseconds as f64 / 1000.0;
-                let commands = self.farm.complete_with(worker.0, &held, common::result_in(&held, decision, seconds));
+                let commands = self.farm.complete_with(worker.0, &held, result.clone());
                 assert!(!commands.iter().any(|c| matches!(c, Command::Refuse { .. })), "a live lease is refused");
                 let has_counted = Self::counts(&commands, &held);
                 self.see(commands);
                 if has_counted {
-                    let again = self.farm.complete_with(worker.0, &held, common::result_in(&held, decision, seconds));
+                    let again = self.farm.complete_with(worker.0, &held, result);
                     let is_heard = |c: &Command| matches!(c, Command::Accept { epoch, .. } if *epoch == held.epoch);
                     assert!(again.iter().any(is_heard), "what counts is refused the second time: {again:?}");
                     assert!(!Self::counts(&again, &held), "it counts twice");
@@ -418,7 +604,7 @@ impl Machine {
                 let Some((worker, held)) = self.held(which) else { return };
                 self.end_lease(worker, &held);
                 self.live.remove(&(held.task, held.epoch));
-                let missing = held.work.inputs().next().map_or(Digest::of(b"nobody knows"), |first| first.digest);
+                let missing = held.work.artefacts().next().map_or(Digest::of(b"nobody knows"), |first| first.digest);
                 let failure = match kind {
                     0..=9 => panic(),
                     10 => Failure::Store { message: "away".into() },
@@ -484,7 +670,13 @@ impl Machine {
             }
             Step::LoseImage(which) => {
                 let frames = |&job: &JobId| self.farm.scheduler.frames(job).unwrap_or_default().into_iter();
-                let images: Vec<Digest> = self.jobs.iter().flat_map(frames).map(|frame| frame.image.digest).collect();
+                let images: Vec<Digest> = self
+                    .jobs
+                    .iter()
+                    .flat_map(frames)
+                    .flat_map(|frame| frame.outputs)
+                    .map(|it| it.artefact.digest)
+                    .collect();
                 if images.is_empty() {
                     return;
                 }
@@ -493,7 +685,7 @@ impl Machine {
                 self.see(commands);
                 let is_told = |&job: &JobId| {
                     let frames = self.farm.scheduler.frames(job).unwrap();
-                    frames.iter().any(|frame| frame.image.digest == digest)
+                    frames.iter().flat_map(|frame| &frame.outputs).any(|it| it.artefact.digest == digest)
                 };
                 assert!(!self.jobs.iter().any(is_told), "a lost image is told as finished");
             }
@@ -514,12 +706,49 @@ impl Machine {
         }
     }
 
+    fn template(&self, task: &TaskKey) -> &Template {
+        self.farm.scheduler.spec(task.job).and_then(|spec| spec.graph.stage(task.stage.number)).expect("it has a stage")
+    }
+
+    /// What an honest worker makes of a task: all that the graph says, and a decision where it closes a loop.
+    fn result(&self, held: &Assignment, goes: Goes, milliseconds: u64) -> TaskResult {
+        let stage = held.task.stage;
+        let graph = &self.farm.scheduler.spec(held.task.job).unwrap().graph;
+        let template = graph.stage(stage.number).unwrap();
+        let decision = template.closes.map(|_| match (held.work.more, goes) {
+            (More::Last, _) | (_, Goes::Over) => Decision::Done,
+            (More::Rounds, Goes::On) => Decision::Continue,
+            (More::Rounds, Goes::Unevenly(seed)) => {
+                let (_, main) = graph.main().unwrap();
+                let steps =
+                    |task: u32| (stage.round * 3 + task.wrapping_mul(7) + seed) % (main.steps.last().unwrap() + 1);
+                Decision::Steps((0..main.tasks()).map(steps).collect())
+            }
+        });
+        let goes_on = decision.as_ref().map_or(held.work.more == More::Rounds, |it| *it != Decision::Done);
+        let is_made = |role: &&Role| {
+            let mut readers = graph.readers(stage.number).filter(|(_, need)| need.role == **role).peekable();
+            let is_carried = readers.peek().is_some() && readers.all(|(_, need)| need.round == Round::Before);
+            if is_carried { goes_on } else { decision.is_none() || !goes_on }
+        };
+        let output = |role: &Role| {
+            let artefact = Artefact::of(format!("{} {} {:?}", role.name(), held.task, held.work.steps).as_bytes());
+            Output { role: *role, artefact }
+        };
+        TaskResult {
+            outputs: template.makes.iter().filter(is_made).map(output).collect(),
+            units: if template.kind.is_cut() { 64 * held.work.steps.len() as u64 } else { 0 },
+            bad_samples: 1,
+            relative_error: Some(0.1),
+            decision,
+            seconds: milliseconds as f64 / 1000.0,
+        }
+    }
+
     /// Whether a lease's result is written down.
     fn counts(commands: &[Command], held: &Assignment) -> bool {
         let is_result = |command: &Command| match command {
-            Command::Record(
-                Fact::Rendered { epoch, .. } | Fact::Gathered { epoch, .. } | Fact::Merged { epoch, .. },
-            ) => *epoch == held.epoch,
+            Command::Record(Fact::Done { epoch, .. }) => *epoch == held.epoch,
             _ => false,
         };
         commands.iter().any(is_result)
@@ -607,14 +836,12 @@ impl Machine {
             if self.live.iter().any(|(task, _)| task.job == job) {
                 continue;
             }
-            let units = self.rendered.iter().filter(|unit| unit.0 == job).count() as u64;
+            let units = self.results.keys().filter(|unit| unit.0 == job && unit.1.kind.is_cut()).count() as u64;
             assert_eq!(self.farm.status(job).samples_done, 64 * units, "samples of job {job}");
             for record in self.farm.scheduler.frames(job).unwrap() {
                 let of_it = |task: &TaskKey| (task.job, task.stage.frame) == (job, record.frame);
                 let seconds = self.farm.log.iter().map(|(_, fact)| match fact {
-                    Fact::Rendered { task, result, .. } if of_it(task) => result.seconds,
-                    Fact::Gathered { task, result, .. } if of_it(task) => result.seconds,
-                    Fact::Merged { task, result, .. } if of_it(task) => result.seconds,
+                    Fact::Done { task, result, .. } if of_it(task) => result.seconds,
                     _ => 0.0,
                 });
                 let sum: f64 = seconds.sum();
@@ -666,8 +893,12 @@ impl Machine {
                 let spec = scheduler.spec(job.job).unwrap();
                 let is_open = |frame: &u32| !frames.iter().any(|record| record.frame == *frame);
                 let open = spec.frames.iter().filter(|frame| is_open(frame)).count() as u64;
-                let units = self.rendered.iter().filter(|(of, stage, ..)| *of == job.job && is_open(&stage.frame));
-                open * spec.grid.pixels() * u64::from(*spec.rounds.last().unwrap()) - 64 * units.count() as u64
+                let is_cut = |stage: &Stage| stage.kind.is_cut();
+                let units = self
+                    .results
+                    .keys()
+                    .filter(|(of, stage, ..)| *of == job.job && is_cut(stage) && is_open(&stage.frame));
+                open * spec.samples_of_frame() - 64 * units.count() as u64
             };
             let run = jobs.iter().filter(|job| matches!(job.state, JobState::Queued | JobState::Running));
             assert_eq!(figures.samples_left, run.map(left).sum::<u64>(), "{jobs:?}");
@@ -703,19 +934,15 @@ impl Machine {
         let is_cut = self.farm.scheduler.config().grain.get() < 1 << 15;
         for (kind, ready) in ready {
             let given = given.get(&kind).copied().unwrap_or(0);
-            let is_right = if kind == StageKind::Render && is_cut {
-                given <= ready && (given > 0) == (ready > 0)
-            } else {
-                given == ready
-            };
+            let is_right =
+                if kind.is_cut() && is_cut { given <= ready && (given > 0) == (ready > 0) } else { given == ready };
             assert!(is_right, "{ready} tasks of {kind:?} are ready, and {given} are given out");
         }
     }
 
     /// A result that is written down again, at once or at the end, changes nothing.
     fn counts_each_result_once(&self) {
-        let is_result =
-            |fact: &Fact| matches!(fact, Fact::Rendered { .. } | Fact::Gathered { .. } | Fact::Merged { .. });
+        let is_result = |fact: &Fact| matches!(fact, Fact::Done { .. });
         let mut ledger = Ledger::default();
         for (now, fact) in &self.farm.log {
             ledger.apply(fact, *now);
@@ -728,15 +955,23 @@ impl Machine {
         let now = ledger.now();
         let is_over = |(_, fact): &&(Tick, Fact)| match fact {
             // Of one that was lost, the same may be made again under no other lease.
-            Fact::Rendered { task, .. } | Fact::Gathered { task, .. } | Fact::Merged { task, .. } => {
-                self.done.contains(task)
-            }
+            Fact::Done { task, .. } => self.done.contains(task),
             _ => false,
         };
         for (_, fact) in self.farm.log.iter().filter(is_over) {
             let once = ledger.clone();
             ledger.apply(fact, now);
             assert_eq!(ledger, once, "{fact:?} counts again at the end");
+        }
+    }
+
+    /// What was made of a job that is done as a whole was made of all its frames.
+    fn is_made_of_all(&self, job: JobId, state: JobState) {
+        let own = self.results.iter().filter(|(unit, _)| unit.0 == job && unit.1.frame == Stage::OF_JOB);
+        for (unit, (epoch, _)) in own.filter(|_| state == JobState::Done) {
+            let task = TaskKey { job, stage: unit.1, index: unit.2 };
+            let all = self.read_by(unit).into_iter().map(|(need, it)| (it.1.frame, it.2, need.role));
+            assert_eq!(self.read[epoch], all.collect(), "{task} is made of other frames");
         }
     }
 
@@ -753,7 +988,7 @@ impl Machine {
                 break;
             }
             match self.held(0) {
-                Some(_) => self.take(Step::Complete(0, Decision::Continue, 30)),
+                Some(_) => self.take(Step::Complete(0, Goes::On, 30)),
                 None => self.take(Step::Wait(70_000)),
             }
             if self.farm.held.is_empty() {
@@ -763,12 +998,14 @@ impl Machine {
         for &job in &self.jobs {
             let status = self.farm.status(job);
             assert!(status.state.has_ended(), "job {job} does not end: {status:?}");
+            self.is_made_of_all(job, status.state);
+            let own = u32::from(self.farm.scheduler.spec(job).unwrap().graph.has_job());
             let frames = self.farm.scheduler.frames(job).unwrap().len() as u32;
-            assert_eq!(status.state == JobState::Done, frames == status.frames_total);
+            assert_eq!(status.state == JobState::Done, frames == status.frames_total + own);
             let has_reason = !status.quarantined.is_empty() || status.failure.is_some();
             assert_eq!(
                 status.state == JobState::Failed,
-                has_reason && frames < status.frames_total && status.state != JobState::Cancelled
+                has_reason && frames < status.frames_total + own && status.state != JobState::Cancelled
             );
         }
     }
@@ -779,12 +1016,11 @@ proptest! {
     #[test]
     fn no_task_is_lost_and_none_is_done_twice_and_every_job_ends(
         grain in prop_oneof![Just(1u64), Just(128), Just(1 << 15)],
-        group in 0..4u32,
         prefetch in 0..2u32,
         keep_ended in prop_oneof![Just(None), Just(Some(20_000u64))],
         steps in prop::collection::vec(step(), 1..120),
     ) {
-        let mut machine = Machine::new(grain, group, prefetch, keep_ended);
+        let mut machine = Machine::new(grain, prefetch, keep_ended);
         for step in steps {
             machine.take(step);
             machine.check();

@@ -30,13 +30,13 @@ fn refused(outcome: &Result<JobId, Refusal>, limit: u64) -> bool {
 }
 
 #[test]
-fn an_owner_has_so_many_jobs_frames_and_tiles_and_an_ended_job_counts_no_more() {
-    let quota = Quota { jobs: 3, frames: 10, tiles: 40 };
+fn an_owner_has_so_many_jobs_frames_and_tasks_and_an_ended_job_counts_no_more() {
+    let quota = Quota { jobs: 3, frames: 10, tasks: 48 };
     let mut farm = Farm::with(Config { quota, ..config() });
     let first = submit(&mut farm, of("ann", &[1, 2], 5)).unwrap();
     submit(&mut farm, of("ann", &[1], 5)).unwrap();
     assert!(refused(&submit(&mut farm, of("ann", &[1, 2, 3, 4, 5, 6, 7, 8], 1)), 10), "frames");
-    assert!(refused(&submit(&mut farm, of("ann", &[1, 2, 3, 4, 5], 6)), 40), "tiles");
+    assert!(refused(&submit(&mut farm, of("ann", &[1, 2, 3, 4, 5], 6)), 48), "tasks");
     submit(&mut farm, of("ann", &[1], 5)).unwrap();
     assert!(refused(&submit(&mut farm, of("ann", &[1], 1)), 3), "jobs");
     submit(&mut farm, of("bob", &[1], 1)).unwrap();

@@ -7,7 +7,7 @@ use femc_model::*;
 use femc_schedule::*;
 
 use Decision::{Continue, Done};
-use StageKind::{Merge, Render};
+use StageKind::{Image, Render};
 
 fn refused(commands: &[Command]) -> bool {
     commands.iter().any(|command| matches!(command, Command::Refuse { .. }))
@@ -76,7 +76,7 @@ fn a_long_merge_keeps_its_lease_by_the_inputs_that_are_in_and_these_are_no_sampl
         farm.wait(4_000);
         farm.heartbeat(1, Phase::Working, inputs);
     }
-    assert_eq!(farm.tasks_of(1), [(1, 0, Merge, 0)]);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Image, 0)]);
     assert_eq!((farm.status(id).samples_done, farm.status(id).active[0].samples_done), (4 * 64, 4 * 64));
 }
 
@@ -110,10 +110,9 @@ fn a_frame_is_merged_after_its_last_tile_and_the_next_frame_overlaps() {
     farm.work(1, Done);
     assert_eq!(farm.tasks_of(1), [(1, 0, Render, 1), (2, 0, Render, 0)]);
     farm.work(1, Done);
-    assert_eq!(farm.tasks_of(1), [(2, 0, Render, 0), (1, 0, Merge, 0)]);
+    assert_eq!(farm.tasks_of(1), [(2, 0, Render, 0), (1, 0, Image, 0)]);
     let merge = farm.held[1].1.clone();
-    let Work::Merge { inputs, spp: 4, more: More::Last, .. } = &merge.work else { panic!("{merge:?}") };
-    assert!(matches!(inputs, MergeInputs::Tiles(Parts { previous: None, tiles }) if tiles.len() == 2), "{inputs:?}");
+    assert_eq!((merge.work.more, merge.work.of_role(Role::Tile).count(), merge.work.inputs.len()), (More::Last, 2, 2));
     farm.complete(1, &merge, Done);
     assert_eq!(farm.status(id).frames_done, 1);
     while farm.state(id) == JobState::Running {
@@ -130,18 +129,17 @@ fn a_merge_that_says_continue_opens_the_next_round_before_later_frames() {
     let id = farm.submit(job(&[1, 2, 3], 1, &[4, 8, 16]));
     farm.join_as(1, Registration { slots: 1, ..registration() });
     farm.work(1, Done);
-    assert_eq!(farm.tasks_of(1), [(2, 0, Render, 0), (1, 0, Merge, 0)]);
+    assert_eq!(farm.tasks_of(1), [(2, 0, Render, 0), (1, 0, Image, 0)]);
     let merge = farm.held[1].1.clone();
     let commands = farm.complete(1, &merge, Continue);
     assert!(commands.iter().any(|c| matches!(c, Command::Discard(digests) if digests.len() == 1)), "the merged tile");
     assert_eq!(farm.tasks_of(1), [(2, 0, Render, 0), (1, 1, Render, 0)]);
-    let Work::Render { samples, .. } = farm.held[1].1.work.clone() else { panic!() };
-    assert_eq!(samples, 4..8);
+    assert_eq!(farm.held[1].1.work.steps, 4..8);
     let tile = farm.held[1].1.clone();
     farm.complete(1, &tile, Done);
     let merge = farm.held[1].1.clone();
-    assert!(matches!(&merge.work, Work::Merge { spp: 8, more: More::Rounds, .. }));
-    assert_eq!(merge.work.inputs().count(), 2, "the sums of the round before and the tile");
+    assert_eq!(merge.work.more, More::Rounds);
+    assert_eq!(merge.work.inputs.len(), 2, "the sums of the round before and the tile");
     farm.complete(1, &merge, Done);
     assert_eq!(farm.scheduler.frames(id).unwrap()[0].spp, 8);
 }
@@ -274,7 +272,7 @@ fn a_merge_that_misses_tiles_has_just_those_rendered_again() {
     farm.join(1);
     (0..3).for_each(|_| drop(farm.work(1, Done)));
     let merge = farm.first_of(1);
-    let tiles: Vec<Artefact> = merge.work.inputs().collect();
+    let tiles: Vec<Artefact> = merge.work.artefacts().collect();
     farm.fail(1, &merge, lost(&[tiles[1], tiles[2]]));
     assert_eq!(farm.tasks_of(1), [(1, 0, Render, 1), (1, 0, Render, 2)]);
     (0..3).for_each(|_| drop(farm.work(1, Done)));
@@ -289,12 +287,9 @@ fn a_store_that_loses_every_tile_ends_the_job() {
     let mut steps = 0;
     while farm.state(id) == JobState::Running {
         let held = farm.first_of(1);
-        match &held.work {
-            Work::Render { .. } => farm.complete(1, &held, Continue),
-            Work::Merge { .. } | Work::Gather { .. } => {
-                let tile = held.work.inputs().next().unwrap();
-                farm.fail(1, &held, lost(&[tile]))
-            }
+        match held.work.artefacts().next() {
+            None => farm.complete(1, &held, Continue),
+            Some(tile) => farm.fail(1, &held, lost(&[tile])),
         };
         steps += 1;
         assert!(steps < 20);
@@ -436,7 +431,7 @@ fn what_a_returning_worker_brings_is_taken_back_if_another_has_it_or_the_job_is_
     for (job_is, is_taken_back) in [(job(&[1], 3, &[8]), false), (job(&[1], 2, &[8]), true)] {
         let mut farm = Farm::new();
         assert_eq!(farm.submit(job(&[1], 3, &[8])), id);
-        let brought = HeldLease { job: job_is.key(), ..HeldLease { samples: 0..8, ..farm.lease(&held) } };
+        let brought = HeldLease { job: job_is.key(), ..HeldLease { steps: 0..8, ..farm.lease(&held) } };
         let commands = farm.join_as(1, Registration { held: vec![brought], ..registration() });
         assert_eq!(commands.iter().any(|c| matches!(c, Command::Revoke { .. })), is_taken_back, "{commands:?}");
     }
@@ -687,18 +682,9 @@ fn a_result_of_the_wrong_kind_is_a_failure_of_the_task() {
     farm.submit(job(&[1], 1, &[4]));
     farm.join(1);
     let held = farm.first_of(1);
-    let merge = Assignment {
-        work: Work::Merge {
-            inputs: MergeInputs::Groups(vec![]),
-            spp: 4,
-            elapsed: 0,
-            busy_seconds: 0.0,
-            more: More::Last,
-        },
-        ..held.clone()
-    };
-    let event =
-        Event::Completed { worker: WorkerId(1), task: held.task, epoch: held.epoch, result: result(&merge, Done) };
+    let merge = TaskKey { stage: Stage { kind: Image, ..held.task.stage }, ..held.task };
+    let result = result(&Assignment { task: merge, ..held.clone() }, Done);
+    let event = Event::Completed { worker: WorkerId(1), task: held.task, epoch: held.epoch, result };
     let commands = farm.on(event);
     assert!(commands.iter().any(|command| matches!(command, Command::Record(Fact::Failed { .. }))));
 }
@@ -721,12 +707,12 @@ fn samples_are_counted_in_results_and_in_running_tasks() {
 #[test]
 fn a_job_of_a_million_tasks_is_one_fact_and_no_rows() {
     let mut farm = Farm::new();
-    let frames: Vec<u32> = (0..1_000).collect();
+    let frames: Vec<u32> = (1..=1_000).collect();
     farm.submit(job(&frames, 1_000, &[4]));
     let bytes = farm.scheduler.ledger().encode().unwrap();
     assert!(bytes.len() < 3_000, "{} bytes: the frame numbers and no task", bytes.len());
     farm.join(1);
-    assert_eq!(farm.tasks_of(1), [(0, 0, Render, 0), (0, 0, Render, 1)]);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 0), (1, 0, Render, 1)]);
 }
 
 #[test]
@@ -752,9 +738,8 @@ fn a_worker_with_short_tasks_holds_more_of_them() {
         for _ in 0..count {
             farm.wait(milliseconds);
             let held = farm.first_of(1);
-            let TaskResult::Tile(tile) = result(&held, Done) else { panic!("a merge") };
             let seconds = milliseconds as f64 / 1000.0;
-            farm.complete_with(1, &held, TaskResult::Tile(TileResult { seconds, ..tile }));
+            farm.complete_with(1, &held, TaskResult { seconds, ..result(&held, Done) });
         }
         farm.tasks_of(1).len()
     };

@@ -2,15 +2,15 @@
 
 use femc_model::{Control, FrameRecord, Grid, JobSpec, JobState};
 
-use super::{ConvertError, digest, digest_bytes, maybe, need};
+use super::{ConvertError, digest, digest_bytes, each, need};
 use crate::wire;
 
 impl From<JobSpec> for wire::JobSpec {
     fn from(spec: JobSpec) -> Self {
-        let JobSpec { name, bundle, entry, settings, frames, grid, rounds, priority, owner, tags } = spec;
+        let JobSpec { name, bundle, entry, settings, frames, grid, graph, priority, owner, tags } = spec;
         let Grid { film: [film_width, film_height], tile } = grid;
-        let (bundle, priority) = (digest_bytes(&bundle), priority.into());
-        Self { name, bundle, entry, settings, frames, film_width, film_height, tile, rounds, priority, owner, tags }
+        let (bundle, graph, priority) = (digest_bytes(&bundle), Some(graph.into()), priority.into());
+        Self { name, bundle, entry, settings, frames, film_width, film_height, tile, graph, priority, owner, tags }
     }
 }
 
@@ -25,7 +25,7 @@ impl TryFrom<wire::JobSpec> for JobSpec {
             settings: wire.settings,
             frames: wire.frames,
             grid: Grid { film: [wire.film_width, wire.film_height], tile: wire.tile },
-            rounds: wire.rounds,
+            graph: need("job.graph", wire.graph)?.try_into()?,
             priority: priority(wire.priority)?,
             owner: wire.owner,
             tags: wire.tags,
@@ -92,9 +92,9 @@ pub(super) fn state(value: i32) -> Result<JobState, ConvertError> {
 
 impl From<FrameRecord> for wire::FrameRecord {
     fn from(record: FrameRecord) -> Self {
-        let FrameRecord { frame, image, preview, spp, relative_error, bad_samples, busy_seconds, seconds } = record;
-        let (image, preview) = (Some(image.into()), preview.map(Into::into));
-        Self { frame, image, preview, spp, relative_error, bad_samples, busy_seconds, seconds }
+        let FrameRecord { frame, outputs, spp, relative_error, bad_samples, busy_seconds, seconds } = record;
+        let outputs = outputs.into_iter().map(Into::into).collect();
+        Self { frame, outputs, spp, relative_error, bad_samples, busy_seconds, seconds }
     }
 }
 
@@ -102,8 +102,8 @@ impl TryFrom<wire::FrameRecord> for FrameRecord {
     type Error = ConvertError;
 
     fn try_from(wire: wire::FrameRecord) -> Result<Self, ConvertError> {
-        let wire::FrameRecord { frame, image, preview, spp, relative_error, bad_samples, busy_seconds, seconds } = wire;
-        let (image, preview) = (need("frame.image", image)?.try_into()?, maybe(preview)?);
-        Ok(Self { frame, image, preview, spp, relative_error, bad_samples, busy_seconds, seconds })
+        let wire::FrameRecord { frame, outputs, spp, relative_error, bad_samples, busy_seconds, seconds } = wire;
+        let outputs = each(outputs)?;
+        Ok(Self { frame, outputs, spp, relative_error, bad_samples, busy_seconds, seconds })
     }
 }

@@ -2,6 +2,7 @@
 
 mod collect;
 mod failure;
+mod graph;
 mod job;
 mod log;
 mod session;
@@ -51,7 +52,7 @@ pub enum ConvertError {
     },
     /// Another version of the protocol.
     #[error(
-        "the worker speaks protocol {found}, the coordinator {} and {}; {}",
+        "the worker speaks protocol {found}, the coordinator takes {} to {}; {}",
         crate::OLDEST,
         crate::PROTOCOL,
         if *found > crate::PROTOCOL { "upgrade the coordinator first, then its workers" } else { "upgrade this worker" }

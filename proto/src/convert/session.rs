@@ -185,9 +185,8 @@ impl TryFrom<wire::Death> for Death {
 
 impl From<HeldLease> for wire::HeldLease {
     fn from(held: HeldLease) -> Self {
-        let HeldLease { task, epoch, samples, job } = held;
-        let samples = (!samples.is_empty()).then(|| to_range(&samples));
-        Self { lease: to_lease(task, epoch), job: digest_bytes(&job), samples }
+        let HeldLease { task, epoch, steps, job } = held;
+        Self { lease: to_lease(task, epoch), job: digest_bytes(&job), steps: to_range(&steps) }
     }
 }
 
@@ -196,8 +195,8 @@ impl TryFrom<wire::HeldLease> for HeldLease {
 
     fn try_from(wire: wire::HeldLease) -> Result<Self, ConvertError> {
         let (task, epoch) = from_lease(wire.lease)?;
-        let samples = wire.samples.map(from_range).unwrap_or_default();
-        Ok(Self { task, epoch, samples, job: digest("held.job", &wire.job)? })
+        let steps = from_range("held.steps", wire.steps)?;
+        Ok(Self { task, epoch, steps, job: digest("held.job", &wire.job)? })
     }
 }
 
@@ -219,14 +218,14 @@ impl TryFrom<wire::LeaseLeft> for LeaseLeft {
 
 impl From<TaskProgress> for wire::TaskProgress {
     fn from(progress: TaskProgress) -> Self {
-        let TaskProgress { task, epoch, phase, samples } = progress;
+        let TaskProgress { task, epoch, phase, units } = progress;
         let phase = match phase {
             Phase::Waiting => wire::Phase::Waiting,
             Phase::Preparing => wire::Phase::Preparing,
             Phase::Working => wire::Phase::Working,
             Phase::Uploading => wire::Phase::Uploading,
         };
-        Self { lease: to_lease(task, epoch), phase: phase.into(), samples }
+        Self { lease: to_lease(task, epoch), phase: phase.into(), units }
     }
 }
 
@@ -243,6 +242,6 @@ impl TryFrom<wire::TaskProgress> for TaskProgress {
             wire::Phase::Working => Phase::Working,
             wire::Phase::Uploading => Phase::Uploading,
         };
-        Ok(Self { task, epoch, phase, samples: wire.samples })
+        Ok(Self { task, epoch, phase, units: wire.units })
     }
 }

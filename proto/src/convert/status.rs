@@ -4,7 +4,8 @@ use femc_model::{
     Drain, FrameProgress, Intake, JobId, JobStatus, Quarantined, Wait, WorkerId, WorkerName, WorkerStatus,
 };
 
-use super::{ConvertError, each, job, maybe, need, task};
+use super::graph::{kind, of_kind};
+use super::{ConvertError, each, job, maybe, need};
 use crate::wire;
 use wire::wait::{Reason, Tags, Tasks};
 
@@ -72,7 +73,7 @@ impl From<FrameProgress> for wire::FrameProgress {
             frame: progress.frame,
             round: progress.round,
             rounds: progress.rounds,
-            stage: wire::StageKind::from(progress.stage).into(),
+            stage: of_kind(progress.stage),
             tiles_done: progress.tiles_done,
             tiles_total: progress.tiles_total,
             running: progress.running,
@@ -90,7 +91,7 @@ impl TryFrom<wire::FrameProgress> for FrameProgress {
             frame: wire.frame,
             round: wire.round,
             rounds: wire.rounds,
-            stage: task::stage_kind(wire.stage)?,
+            stage: kind(wire.stage)?,
             tiles_done: wire.tiles_done,
             tiles_total: wire.tiles_total,
             running: wire.running,
@@ -139,9 +140,9 @@ impl From<Wait> for wire::Wait {
                 Wait::OtherBuild { frames } => Reason::OtherBuild(frames),
                 Wait::Regrouping { milliseconds } => Reason::Regrouping(milliseconds),
                 Wait::BehindJob(job) => Reason::BehindJob(job.0),
-                Wait::MergeWaitsForTiles { frame, tiles } => Reason::MergeWaitsForTiles(Tasks { frame, tasks: tiles }),
-                Wait::MergeWaitsForGroups { frame, groups } => {
-                    Reason::MergeWaitsForGroups(Tasks { frame, tasks: groups })
+                Wait::StageWaits { frame, stage, needs, tasks } => {
+                    let [stage, needs] = [stage, needs].map(of_kind);
+                    Reason::StageWaits(wire::StageWaits { frame, stage, needs, tasks })
                 }
                 Wait::Mishaps { tasks, message } => Reason::Mishaps(wire::Mishaps { tasks, message }),
                 Wait::ImageLost { frame } => Reason::ImageLost(frame),
@@ -172,8 +173,9 @@ impl TryFrom<wire::Wait> for Wait {
             Reason::Regrouping(milliseconds) => Self::Regrouping { milliseconds },
             Reason::BehindJob(job) => Self::BehindJob(JobId(job)),
             Reason::WorkersAvoided(tasks) => Self::WorkersAvoided { tasks },
-            Reason::MergeWaitsForTiles(Tasks { frame, tasks }) => Self::MergeWaitsForTiles { frame, tiles: tasks },
-            Reason::MergeWaitsForGroups(Tasks { frame, tasks }) => Self::MergeWaitsForGroups { frame, groups: tasks },
+            Reason::StageWaits(wire::StageWaits { frame, stage, needs, tasks }) => {
+                Self::StageWaits { frame, stage: kind(stage)?, needs: kind(needs)?, tasks }
+            }
             Reason::Mishaps(wire::Mishaps { tasks, message }) => Self::Mishaps { tasks, message },
             Reason::ImageLost(frame) => Self::ImageLost { frame },
             Reason::Quarantined(Tasks { frame, tasks }) => Self::Quarantined { frame, tasks },

@@ -28,7 +28,23 @@ fn artefact() -> Artefact {
 }
 
 fn task(kind: StageKind) -> TaskKey {
-    TaskKey { job: JobId(7), stage: Stage { frame: u32::MAX, round: 3, kind }, index: 5 }
+    TaskKey { job: JobId(7), stage: Stage { frame: u32::MAX, round: 3, number: u16::MAX, kind }, index: 5 }
+}
+
+fn outputs() -> Vec<Output> {
+    Role::ALL.map(|role| Output { role, artefact: artefact() }).to_vec()
+}
+
+fn graph() -> Graph {
+    let need = |reach, round| Need { stage: u16::MAX, role: Role::Sums, reach, round, gaps: true };
+    let sizes = [(3, 256), (1, u64::MAX)].into_iter().collect();
+    let render = Template::new(StageKind::Render, Scope::Frame, sizes, &[Role::Tile]).steps(&[16, 32]);
+    let reduce = Template::new(StageKind::Reduce, Scope::Job, Sizes::even(1, 1), &Role::ALL)
+        .needs(need(Reach::Fan(256), Round::Before))
+        .needs(need(Reach::Same, Round::Every))
+        .reads(0, Role::Tile, Reach::All);
+    let image = Template::new(StageKind::Image, Scope::Frame, Sizes::default(), &[]).closes(u16::MAX, 64);
+    Graph { stages: vec![render, reduce, image] }
 }
 
 fn spec() -> JobSpec {
@@ -39,7 +55,7 @@ fn spec() -> JobSpec {
         settings: "{}".into(),
         frames: vec![0, 7, u32::MAX],
         grid: Grid { film: [640, 360], tile: 16 },
-        rounds: vec![16, 32],
+        graph: graph(),
         priority: 100,
         owner: "me".into(),
         tags: vec!["lab".into(), "ä".into()],
@@ -108,11 +124,11 @@ fn the_words_of_a_session_cross_the_wire() {
         threads: 64,
         slots: 1,
         tags: vec!["lab".into()],
-        held: [(StageKind::Merge, 0..0), (StageKind::Render, 4..9)]
-            .map(|(kind, samples)| HeldLease {
+        held: [(StageKind::Image, 0..0), (StageKind::Render, 4..9)]
+            .map(|(kind, steps)| HeldLease {
                 task: task(kind),
                 epoch: Epoch::new(1, 4),
-                samples,
+                steps,
                 job: Digest::of(b"job"),
             })
             .to_vec(),
@@ -120,33 +136,15 @@ fn the_words_of_a_session_cross_the_wire() {
     };
     let died = Death { instance: 1 << 60, computing: registration.held.clone() };
     let reborn = Registration { died: Some(died), ..registration.clone() };
-    let (render, merge, epoch) = (task(StageKind::Render), task(StageKind::Merge), Epoch::new(3, 9));
+    let (render, image, epoch) = (task(StageKind::Render), task(StageKind::Image), Epoch::new(3, 9));
     let phases = [Phase::Waiting, Phase::Preparing, Phase::Working, Phase::Uploading];
-    let progress = phases.map(|phase| TaskProgress { task: render, epoch, phase, samples: 12 });
-    let tile = TileResult { tile: artefact(), samples: 1 << 40, bad_samples: 2, seconds: 0.25 };
-    let done = MergeResult {
-        decision: Decision::Done,
-        sums: None,
-        image: Some(artefact()),
-        preview: Some(artefact()),
-        relative_error: Some(0.01),
-        bad_samples: 2,
-        seconds: 1.5,
-    };
-    let on = MergeResult {
-        decision: Decision::Continue,
-        sums: Some(artefact()),
-        image: None,
-        preview: None,
-        relative_error: None,
-        ..done.clone()
-    };
+    let progress = phases.map(|phase| TaskProgress { task: render, epoch, phase, units: 12 });
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Register(registration));
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Register(reborn));
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Heartbeat {
         number: 3,
         tasks: progress.to_vec(),
-        spent: vec![Spent { task: merge, epoch, usage: usage() }],
+        spent: vec![Spent { task: image, epoch, usage: usage() }],
     });
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Draining);
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Available);
@@ -157,7 +155,9 @@ fn the_words_of_a_session_cross_the_wire() {
     assert_eq!(TaskLog::try_from(long), Err(ConvertError::Range { field: "log.inline" }));
     let large = wire::TaskLog::from(log(LogText::Stored(artefact())));
     assert_eq!(TaskLog::try_from(large), Err(ConvertError::Range { field: "log.stored" }));
-    for result in [TaskResult::Tile(tile), TaskResult::Merge(done), TaskResult::Merge(on)] {
+    for decision in [None, Some(Decision::Continue), Some(Decision::Steps(vec![16, 0])), Some(Decision::Done)] {
+        let (outputs, relative_error) = (outputs(), decision.as_ref().map(|_| 0.01));
+        let result = TaskResult { outputs, units: 1 << 40, bad_samples: 2, relative_error, decision, seconds: 0.25 };
         crosses::<FromWorker, wire::FromWorker>(FromWorker::Completed {
             task: render,
             epoch,
@@ -168,7 +168,7 @@ fn the_words_of_a_session_cross_the_wire() {
     }
     for failure in failures() {
         crosses::<FromWorker, wire::FromWorker>(FromWorker::Failed {
-            task: merge,
+            task: image,
             epoch,
             failure,
             log: None,
@@ -178,7 +178,7 @@ fn the_words_of_a_session_cross_the_wire() {
     for ending in Ending::ALL {
         let usage = (ending == Ending::Done).then(usage);
         crosses::<AttemptRecord, wire::AttemptRecord>(AttemptRecord {
-            task: merge,
+            task: image,
             epoch,
             worker: "w".into(),
             instance: u64::MAX,
@@ -193,21 +193,12 @@ fn the_words_of_a_session_cross_the_wire() {
     let endless = wire::Usage::from(Usage { cpu: f64::NAN, ..usage() });
     assert_eq!(Usage::try_from(endless), Err(ConvertError::Range { field: "seconds" }));
 
-    let parts = [None, Some(artefact())].map(|previous| Parts { previous, tiles: vec![artefact(); 3] });
-    let [first, later] = parts.clone().map(MergeInputs::Tiles);
-    let works = [first, later, MergeInputs::Groups(vec![artefact(); 2])].map(|inputs| Work::Merge {
-        inputs,
-        spp: 32,
-        elapsed: 1234,
-        busy_seconds: 0.5,
-        more: More::Rounds,
-    });
-    let gathers = parts.map(|parts| Work::Gather { span: 3..6, parts, more: More::Last });
-    for work in works.into_iter().chain(gathers).chain([Work::Render { tile: 5, samples: 16..32 }]) {
-        for copy_of in [None, Some(Epoch::new(2, 8))] {
-            let assignment = Assignment { task: merge, epoch, lease: 5000, copy_of, work: work.clone() };
-            crosses::<ToWorker, wire::ToWorker>(ToWorker::Assign(assignment));
-        }
+    let output = Output { role: Role::Pixels, artefact: artefact() };
+    let inputs = vec![Input { need: u16::MAX, frame: Stage::OF_JOB, item: 9, output }; 2];
+    for (more, copy_of) in [(More::Rounds, None), (More::Last, Some(Epoch::new(2, 8)))] {
+        let work = Work { item: 5, steps: 16..32, inputs: inputs.clone(), more, elapsed: 1234, busy_seconds: 0.5 };
+        let assignment = Assignment { task: image, epoch, lease: 5000, copy_of, work };
+        crosses::<ToWorker, wire::ToWorker>(ToWorker::Assign(assignment));
     }
     crosses::<ToWorker, wire::ToWorker>(ToWorker::Welcome { worker: WorkerId(4), heartbeat: 500, lease: 5000 });
     let leases = vec![LeaseLeft { task: render, epoch, left: 4321 }];
@@ -230,7 +221,7 @@ fn statuses_cross_the_wire() {
         frame: 3,
         round: 1,
         rounds: 4,
-        stage: StageKind::Merge,
+        stage: StageKind::Image,
         tiles_done: 5,
         tiles_total: 6,
         running: 1,
@@ -251,8 +242,7 @@ fn statuses_cross_the_wire() {
         Wait::Regrouping { milliseconds: 300 },
         Wait::OtherBuild { frames: 2 },
         Wait::BehindJob(JobId(2)),
-        Wait::MergeWaitsForTiles { frame: 1, tiles: 2 },
-        Wait::MergeWaitsForGroups { frame: 1, groups: 3 },
+        Wait::StageWaits { frame: 1, stage: StageKind::Image, needs: StageKind::Reduce, tasks: 2 },
         Wait::Mishaps { tasks: 2, message: "the disk is full".into() },
         Wait::ImageLost { frame: 7 },
         Wait::Quarantined { frame: 1, tasks: 2 },
@@ -308,8 +298,7 @@ fn statuses_cross_the_wire() {
     }
     let record = FrameRecord {
         frame: 1,
-        image: artefact(),
-        preview: None,
+        outputs: outputs(),
         spp: 16,
         relative_error: None,
         bad_samples: 0,
@@ -329,8 +318,9 @@ fn nonsense_is_refused_by_name() {
     assert_eq!(JobSpec::try_from(high), Err(ConvertError::Range { field: "priority" }));
     let empty = wire::FromWorker { message: None };
     assert_eq!(FromWorker::try_from(empty), Err(ConvertError::Missing { field: "message" }));
-    let kind = wire::TaskKey { kind: 9, ..task(StageKind::Render).into() };
-    assert_eq!(TaskKey::try_from(kind), Err(ConvertError::Unknown { field: "stage.kind", value: 9 }));
+    let kinds = StageKind::ALL.len() as i32;
+    let kind = wire::TaskKey { kind: kinds + 1, ..task(StageKind::Render).into() };
+    assert_eq!(TaskKey::try_from(kind), Err(ConvertError::Unknown { field: "stage.kind", value: kinds + 1 }));
     let kind = wire::TaskKey { kind: 0, ..task(StageKind::Render).into() };
     assert!(TaskKey::try_from(kind).is_err(), "unspecified is no kind");
     for (found, what_to_do) in [(OLDEST - 1, "upgrade this worker"), (PROTOCOL + 1, "upgrade the coordinator first")] {
@@ -338,18 +328,50 @@ fn nonsense_is_refused_by_name() {
         let refused = Registration::try_from(other);
         assert_eq!(refused, Err(ConvertError::Protocol { found }));
         let said = ConvertError::Protocol { found }.to_string();
-        assert!(said.contains(what_to_do) && said.contains(&format!("{OLDEST} and {PROTOCOL}")), "{said}");
+        assert!(said.contains(what_to_do) && said.contains(&format!("takes {OLDEST} to {PROTOCOL}")), "{said}");
     }
     for known in OLDEST..=PROTOCOL {
         let worker = wire::Registration { protocol: known, slots: 1, ..wire::Registration::default() };
         assert!(Registration::try_from(worker).is_ok(), "{known}");
     }
-    let nan = wire::completed::Result::Tile(wire::TileResult {
-        tile: Some(artefact().into()),
-        seconds: f64::NAN,
-        ..wire::TileResult::default()
-    });
-    assert_eq!(TaskResult::try_from(nan), Err(ConvertError::Range { field: "seconds" }));
+    let result = wire::TaskResult::from(TaskResult { outputs: outputs(), ..TaskResult::default() });
+    let range = |field| ConvertError::Range { field };
+    let nan = wire::TaskResult { seconds: f64::NAN, ..result.clone() };
+    assert_eq!(TaskResult::try_from(nan), Err(range("seconds")));
+    let many =
+        wire::TaskResult { outputs: vec![result.outputs[0].clone(); TaskResult::MAX_OUTPUTS + 1], ..result.clone() };
+    assert_eq!(TaskResult::try_from(many), Err(range("result.outputs")));
+    let steps = wire::Steps { steps: vec![1; Graph::MAX_TASKS as usize + 1] };
+    let long = wire::TaskResult { decision: Some(wire::task_result::Decision::Steps(steps)), ..result };
+    assert_eq!(TaskResult::try_from(long), Err(range("result.steps")));
+    let stage = wire::TaskKey { stage: 1 << 16, ..task(StageKind::Render).into() };
+    assert_eq!(TaskKey::try_from(stage), Err(range("stage")));
+    let steps = Some(wire::Range { start: 2, end: 1 });
+    assert_eq!(Work::try_from(wire::Work { steps, ..wire::Work::default() }), Err(range("work.steps")));
+}
+
+#[test]
+fn kinds_and_roles_are_numbered_on_the_wire_as_in_the_farm_s_tables() {
+    let named = |prefix: &str, name: &str| format!("{prefix}_{}", name.to_uppercase());
+    for kind in StageKind::ALL {
+        let wire = wire::StageKind::try_from(wire::TaskKey::from(task(kind)).kind).unwrap();
+        assert_eq!(wire.as_str_name(), named("STAGE_KIND", kind.name()));
+    }
+    for output in outputs() {
+        let wire = wire::Role::try_from(wire::Output::from(output).role).unwrap();
+        assert_eq!(wire.as_str_name(), named("ROLE", output.role.name()));
+    }
+    assert!(wire::StageKind::try_from(StageKind::ALL.len() as i32 + 1).is_err());
+    assert!(wire::Role::try_from(Role::ALL.len() as i32 + 1).is_err());
+}
+
+#[test]
+fn the_largest_assignment_fits_a_message() {
+    let output = Output { role: Role::Preview, artefact: artefact() };
+    let input = |item| Input { need: Graph::MAX_NEEDS as u16, frame: u32::MAX, item, output };
+    let inputs = (0..Graph::MAX_TASKS).map(input).collect();
+    let work = Work { item: 0, steps: 0..1, inputs, more: More::Last, elapsed: u64::MAX, busy_seconds: 1.0 };
+    assert!(wire::Work::from(work).encoded_len() < crate::MESSAGE * 3 / 4);
 }
 
 fn usage() -> Usage {

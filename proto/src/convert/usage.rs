@@ -12,7 +12,7 @@ impl From<JobShape> for wire::JobShape {
     fn from(JobShape { spec, cut }: JobShape) -> Self {
         let grain = match cut {
             Cut::Whole => None,
-            Cut::Grains(samples) => Some(samples.get()),
+            Cut::Grains(units) => Some(units.get()),
         };
         Self { job: Some((*spec).into()), grain }
     }
@@ -24,7 +24,7 @@ impl TryFrom<wire::JobShape> for JobShape {
     fn try_from(wire: wire::JobShape) -> Result<Self, ConvertError> {
         let cut = match wire.grain.map(NonZeroU64::new) {
             None => Cut::Whole,
-            Some(samples) => Cut::Grains(need("shape.grain", samples)?),
+            Some(units) => Cut::Grains(need("shape.grain", units)?),
         };
         Ok(Self { spec: Box::new(need("shape.job", wire.job)?.try_into()?), cut })
     }

@@ -42,7 +42,7 @@ async fn try_send(store: &Store, Backup { log, references }: Backup, out: &Sende
     for some in digests.chunks(NAMES) {
         let mut artefacts = Vec::new();
         for &digest in some {
-            // What is gone was merged in the meantime, or is made again by whoever misses it.
+            // What is gone was united with others in the meantime, or is made again by whoever misses it.
             let size = store.size(&digest).await.map_err(|error| refuse(&error))?;
             artefacts.extend(size.map(|bytes| wire::Artefact::from(Artefact { digest, bytes })));
         }

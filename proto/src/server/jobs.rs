@@ -140,10 +140,10 @@ impl Server {
             return Ok(());
         }
         for frame in self.ask(|reply| Call::Frames { job, reply }).await? {
-            for image in [Some(frame.image), frame.preview].into_iter().flatten() {
-                let found = self.store.verify(&image.digest).await.map_err(|error| refuse(&error))?;
+            for digest in frame.outputs.iter().map(|output| output.artefact.digest) {
+                let found = self.store.verify(&digest).await.map_err(|error| refuse(&error))?;
                 if !matches!(found, Soundness::Sound(_)) {
-                    self.lost(&image.digest).await;
+                    self.lost(&digest).await;
                 }
             }
         }

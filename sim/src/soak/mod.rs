@@ -32,8 +32,6 @@ const CYCLE: Duration = Duration::from_secs(60);
 const KEEP: Duration = Duration::from_secs(600);
 /// When people stop to come, their last jobs must end within that.
 const LAST: Duration = Duration::from_secs(3600);
-/// Tiles that are gathered before the merge, of four.
-const GROUP: u32 = 2;
 /// Times that the farm is measured.
 const GAUGES: u32 = 24;
 
@@ -77,7 +75,7 @@ impl Soak {
         let begun = Instant::now();
         let shared = Shared::new(self.seed, self.tells == Tells::Story);
         let (shelf, book) = (Shelf::new(&shared), Book::default());
-        let config = Config { keep_ended: Some(KEEP.as_millis() as u64), group: GROUP, ..stage::cut() };
+        let config = Config { keep_ended: Some(KEEP.as_millis() as u64), ..stage::cut() };
         shared.lock().chronicle.keep_ended = config.keep_ended;
         let mut sim = hosts::settle(self.seed, [TICK, self.time + LAST], &shared, &shelf, &config);
         for number in 0..people::PERSONS {

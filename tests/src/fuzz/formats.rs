@@ -7,8 +7,8 @@ use femc_film::{Frame, Piece, Rect, Sample, Tile, Tiling};
 use femc_import::Bundle;
 use femc_math::Rgb;
 use femc_model::{
-    Artefact, Assignment, AttemptRecord, Control, Digest, Drain, Ending, Epoch, Grid, JobId, JobSpec, Manifest, Stage,
-    StageKind, TaskKey, TaskResult, Tick, TileResult, Work,
+    Artefact, Assignment, AttemptRecord, Control, Cut, Digest, Drain, Ending, Epoch, Grid, JobId, JobSpec, Manifest,
+    More, Output, Role, Stage, StageKind, TaskKey, TaskResult, Tick, Work, testing::frames,
 };
 use femc_schedule::{Fact, Ledger, decode_attempts, encode_attempts};
 use femc_worker::{Parcel, decode_sums, testing};
@@ -60,28 +60,29 @@ fn scenes() -> Vec<Target> {
             pieces[0] = Bytes::copy_from_slice(bytes);
             testing::is_scene(&of_pieces, &pieces)
         }),
-        Target::of("kept result", vec![b"FEMCDONE\x02\0\0\0".to_vec()], testing::is_kept_result),
+        Target::of("kept result", vec![b"FEMCDONE\x05\0\0\0".to_vec()], testing::is_kept_result),
         Target::dressed("kept result, inside", vec![kept_body()], kept, testing::is_kept_result),
     ]
 }
 
 /// The front of a kept result, whatever follows.
 fn kept(body: &[u8]) -> Vec<u8> {
-    [b"FEMCDONE\x02\0\0\0", &Digest::of(body).as_bytes()[..], body].concat()
+    [b"FEMCDONE\x05\0\0\0", &Digest::of(body).as_bytes()[..], body].concat()
 }
 
 /// What an assignment of a tile of three bytes came to.
 fn kept_body() -> Vec<u8> {
     let tile = Artefact::of(b"abc");
-    let result = TaskResult::Tile(TileResult { tile, samples: 256, bad_samples: 0, seconds: 0.5 });
-    let work = Work::Render { tile: 3, samples: 0..4 };
+    let outputs = vec![Output { role: Role::Tile, artefact: tile }];
+    let result = TaskResult { outputs, units: 256, seconds: 0.5, ..TaskResult::default() };
+    let work = Work { item: 3, steps: 0..4, inputs: vec![], more: More::Last, elapsed: 0, busy_seconds: 0.0 };
     let assignment = Assignment { task: task(), epoch: Epoch(7), lease: 4500, copy_of: None, work };
     let head = postcard::to_stdvec(&(assignment, spec(), result, vec![3u64])).expect("a head");
     [&(head.len() as u64).to_le_bytes()[..], &head, b"abc"].concat()
 }
 
 fn task() -> TaskKey {
-    TaskKey { job: JobId(1), stage: Stage { frame: 2, round: 0, kind: StageKind::Render }, index: 3 }
+    TaskKey { job: JobId(1), stage: Stage { frame: 2, round: 0, number: 0, kind: StageKind::Render }, index: 3 }
 }
 
 fn spec() -> JobSpec {
@@ -92,7 +93,7 @@ fn spec() -> JobSpec {
         settings: "{}".into(),
         frames: vec![1, 2, 5],
         grid: Grid { film: [64, 64], tile: 16 },
-        rounds: vec![4, 8],
+        graph: frames(Grid { film: [64, 64], tile: 16 }.sizes(), &[4, 8], 4),
         priority: 50,
         owner: "ann".into(),
         tags: vec!["big".into()],
@@ -152,8 +153,7 @@ fn sealed(bytes: &[u8]) -> Vec<u8> {
 fn log() -> Vec<Target> {
     let facts = [
         Fact::Opened { incarnation: 7 },
-        Fact::Submitted { job: JobId(1), key: Some("key".into()), spec: Box::new(spec()) },
-        Fact::Grouped { job: JobId(1), tiles: 4 },
+        Fact::Submitted { job: JobId(1), key: Some("key".into()), spec: Box::new(spec()), cut: Cut::Whole },
         Fact::Controlled { job: JobId(1), control: Control::Priority(70) },
         Fact::Drained { instance: 5, drain: Drain::Begin },
         Fact::Forgotten { job: JobId(3) },

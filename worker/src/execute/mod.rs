@@ -1,17 +1,18 @@
 //! Doing tasks: one file a kind.
 
-mod gather;
-mod merge;
+mod image;
+mod reduce;
 mod render;
 mod union;
 
 use std::any::Any;
+use std::fmt::Display;
 use std::panic::AssertUnwindSafe;
 use std::sync::Arc;
 
 use bytes::Bytes;
 use femc_fault::{Point, dies_of, pass};
-use femc_model::{Failure, TaskResult, Work};
+use femc_model::{Artefact, Failure, Output, Role, Stage, StageKind, TaskResult, Template};
 use rayon::ThreadPool;
 use tracing::Span;
 
@@ -51,10 +52,21 @@ impl Tools {
 }
 
 /// A result and the artefacts that it names.
-#[derive(Debug)]
+#[derive(Debug, Default)]
 pub(crate) struct Product {
     pub(crate) result: TaskResult,
     pub(crate) artefacts: Vec<Bytes>,
+}
+
+impl Product {
+    /// Makes an output, if the stage is to have one of this role.
+    fn put<T: Into<Bytes>>(&mut self, stage: &Template, role: Role, make: impl FnOnce() -> T) {
+        if stage.makes.contains(&role) {
+            let bytes = make().into();
+            self.result.outputs.push(Output { role, artefact: Artefact::of(&bytes) });
+            self.artefacts.push(bytes);
+        }
+    }
 }
 
 /// Does the task. A panic is a failure like others.
@@ -76,19 +88,83 @@ pub(crate) fn execute(task: &Arc<Task>, tools: &Tools) -> Result<Product, Failur
 }
 
 fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
-    let work = || match &task.assignment.work {
-        Work::Render { tile, samples } => render::render(task, *tile, samples.clone(), tools),
-        Work::Gather { span, parts, more } => gather::gather(task, span.clone(), parts, *more, tools),
-        Work::Merge { .. } => merge::merge(task, tools),
+    let stage = stage(task)?;
+    let work = || match stage.kind {
+        StageKind::Render => render::render(task, stage, tools),
+        StageKind::Reduce => reduce::reduce(task, stage, tools),
+        StageKind::Image => image::image(task, stage, tools),
     };
-    let measured = tools.memory.begin(task.assignment.task.stage.kind, &tools.cache)?;
+    let measured = tools.memory.begin(stage.kind, &tools.cache)?;
     let outcome = std::panic::catch_unwind(AssertUnwindSafe(work))
         .unwrap_or_else(|panic| Err(Failure::Panicked { message: message(&*panic) }));
     measured.end();
     outcome
 }
 
+/// The stage that the task is of.
+fn stage(task: &Task) -> Result<&Template, Failure> {
+    let (graph, Stage { number, kind, round, .. }) = (&task.spec.graph, task.assignment.task.stage);
+    let stage = graph.stage(number).filter(|stage| stage.kind == kind && round < graph.rounds(number));
+    let stage = stage.filter(|stage| task.assignment.work.item < stage.tasks());
+    stage.ok_or_else(|| unfit(format!("the job's graph has no task {}", task.key().0)))
+}
+
+/// The job's settings, its film and its graph do not go together.
+fn unfit(message: impl Display) -> Failure {
+    Failure::Settings { message: message.to_string() }
+}
+
 fn message(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<&str>().map(ToString::to_string);
     text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "without a message".into())
+}
+
+#[cfg(test)]
+mod tests {
+    use femc_model::{Grid, JobSpec, Reach, Scope, Sizes};
+    use tokio::runtime::Handle;
+
+    use super::*;
+
+    fn tools() -> Tools {
+        Tools {
+            pool: Arc::new(rayon::ThreadPoolBuilder::new().num_threads(1).build().unwrap()),
+            cache: Cache::default(),
+            fetch: Fetch::blocking(Handle::current()),
+            memory: Memory::default(),
+            nice: Nice::tried(None).unwrap(),
+            journal: Journal::default(),
+        }
+    }
+
+    /// What becomes of a reduce task of four tiles that are read so, changed.
+    async fn reduced(reach: Reach, change: impl FnOnce(&mut Task)) -> Result<Product, Failure> {
+        let mut task = Arc::into_inner(crate::outbox::tests::task(0, b"").await).unwrap();
+        let grid = Grid { film: [64, 16], tile: 16 };
+        let render = Template::new(StageKind::Render, Scope::Frame, grid.sizes(), &[Role::Tile]).steps(&[4]);
+        let reduce = Template::new(StageKind::Reduce, Scope::Frame, Sizes::even(2, 1), &[Role::Pixels]);
+        let graph = femc_model::Graph { stages: vec![render, reduce.reads(0, Role::Tile, reach)] };
+        task.spec = Arc::new(JobSpec { grid, graph, ..(*task.spec).clone() });
+        (task.assignment.task.stage.number, task.assignment.task.stage.kind) = (1, StageKind::Reduce);
+        change(&mut task);
+        let tools = tools();
+        tokio::task::spawn_blocking(move || attempt(&task, &tools)).await.unwrap()
+    }
+
+    #[tokio::test]
+    async fn a_task_that_its_job_s_graph_does_not_have_or_that_unites_nothing_fails_the_job() {
+        let unfit = [
+            reduced(Reach::Fan(2), |task| task.assignment.task.stage.number = 2).await,
+            reduced(Reach::Fan(2), |task| task.assignment.task.stage.kind = StageKind::Image).await,
+            reduced(Reach::Fan(2), |task| task.assignment.task.stage.round = 1).await,
+            reduced(Reach::Fan(2), |task| task.assignment.work.item = 2).await,
+            reduced(Reach::Fan(4), |task| task.assignment.work.item = 1).await,
+            reduced(Reach::Same, |_| ()).await,
+        ];
+        for outcome in unfit {
+            assert!(matches!(outcome, Err(Failure::Settings { .. })), "{outcome:?}");
+        }
+        let empty = reduced(Reach::Fan(2), |_| ()).await.unwrap_err().to_string();
+        assert!(empty.contains("tile 0 holds the samples []"), "{empty}");
+    }
 }

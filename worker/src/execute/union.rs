@@ -7,10 +7,10 @@ use std::sync::atomic::Ordering;
 use bytes::Bytes;
 use femc_fault::{Point, pass};
 use femc_film::{FilmError, Frame, SampleRange, Tile, Tiling};
-use femc_model::{Artefact, Digest, Failure, Parts};
+use femc_model::{Artefact, Digest, Failure, Reach, Role, Template};
 use rayon::prelude::*;
 
-use super::Tools;
+use super::{Tools, unfit};
 use crate::sums;
 use crate::table::Task;
 
@@ -21,7 +21,17 @@ const BATCH: usize = 16;
 pub(super) fn tiling(task: &Task) -> Result<Tiling, Failure> {
     let grid = task.spec.grid;
     let tiling = Tiling::new(grid.film[0], grid.film[1], grid.tile);
-    tiling.map_err(|error| Failure::Settings { message: error.to_string() })
+    tiling.map_err(unfit)
+}
+
+/// The tiles that the task unites, by what its stage reads of them.
+pub(super) fn tiles(task: &Task, stage: &Template) -> Result<Range<u32>, Failure> {
+    let (item, tiles) = (task.assignment.work.item, task.spec.grid.tiles());
+    match stage.needs.iter().find(|need| need.role == Role::Tile).map(|need| need.reach) {
+        Some(Reach::All) => Ok(0..tiles),
+        Some(Reach::Fan(fan)) => Ok(item.saturating_mul(fan).min(tiles)..(item + 1).saturating_mul(fan).min(tiles)),
+        Some(Reach::Same) | None => Err(unfit("the job's graph has a stage that unites no tiles")),
+    }
 }
 
 /// The samples that a tile holds when the task's round is whole.
@@ -29,18 +39,23 @@ pub(super) fn expected(task: &Task) -> SampleRange {
     (0..task.spec.samples(task.assignment.task.stage.round).end).into()
 }
 
+/// What the task reads of one role, in order.
+pub(super) fn artefacts(task: &Task, role: Role) -> Vec<Artefact> {
+    task.assignment.work.of_role(role).map(|input| input.output.artefact).collect()
+}
+
 /// The sums of the rounds before and the tiles of this one, of the tiles `span`. Whole: each of them holds just the samples
 /// of these rounds, in whatever parts they came. Names every input that is lost, so that all are made again at once.
-pub(super) fn union(task: &Task, span: Range<u32>, parts: &Parts, tools: &Tools) -> Result<Frame, Failure> {
+pub(super) fn union(task: &Task, span: Range<u32>, tools: &Tools) -> Result<Frame, Failure> {
     let mut frame = Frame::new(tiling(task)?);
     let mut lost = Lost::default();
     // What each tile of this round is made of.
     let mut made_of: BTreeMap<Option<usize>, Vec<Digest>> = BTreeMap::new();
-    for (previous, bytes) in lost.fetch(task, parts.previous.as_slice(), tools)? {
+    for (previous, bytes) in lost.fetch(task, &artefacts(task, Role::Sums), tools)? {
         let insert = |tiles: Vec<Tile>| tiles.into_iter().try_for_each(|tile| frame.insert(tile).map(drop));
         lost.check(previous, tools.install(task, || sums::decode(&bytes)).and_then(insert));
     }
-    for batch in parts.tiles.chunks(BATCH) {
+    for batch in artefacts(task, Role::Tile).chunks(BATCH) {
         if task.is_cancelled() {
             return Err(Failure::Cancelled);
         }
@@ -95,7 +110,7 @@ impl Lost {
                 Err(failure) => return Err(failure),
             }
         }
-        task.samples.fetch_add(here.len() as u64, Ordering::Relaxed);
+        task.units.fetch_add(here.len() as u64, Ordering::Relaxed);
         Ok(here)
     }
 

@@ -6,6 +6,7 @@ use std::io;
 use std::sync::Arc;
 use std::time::Duration;
 
+use femc_film::Tiling;
 use femc_import::Bundle;
 use femc_model::*;
 use femc_pipeline::{Settings, Stop};
@@ -47,8 +48,20 @@ m bright
 sph e 0.2
 ";
 
+/// The stages of frames of these tiles.
+pub fn graph(grid: Grid, settings: &Settings) -> Graph {
+    let tiling = Tiling::new(grid.film[0], grid.film[1], grid.tile).unwrap();
+    femc_worker::graph(&femc_pipeline::stages(&tiling, &settings.rounds(), femc_pipeline::fan(&tiling)))
+}
+
 /// A job of one frame of two tiles, and its bundle.
 pub fn job(spp: u32) -> (JobSpec, Vec<u8>) {
+    job_of(spp, 16)
+}
+
+/// The same, in tiles of another edge.
+pub fn job_of(spp: u32, tile: u32) -> (JobSpec, Vec<u8>) {
+    let grid = Grid { film: [32, 16], tile };
     let settings = Settings { stop: Stop::Spp(spp), max_depth: 4, ..Settings::default() };
     let bundle = Bundle(BTreeMap::from([("haze.mgf".into(), SCENE.as_bytes().to_vec())])).encode().unwrap();
     let spec = JobSpec {
@@ -57,8 +70,8 @@ pub fn job(spp: u32) -> (JobSpec, Vec<u8>) {
         entry: "haze.mgf".into(),
         settings: serde_json::to_string(&settings).unwrap(),
         frames: vec![1],
-        grid: Grid { film: [32, 16], tile: 16 },
-        rounds: settings.rounds(),
+        grid,
+        graph: graph(grid, &settings),
         priority: 50,
         owner: "me".into(),
         tags: vec![],
@@ -125,10 +138,11 @@ async fn relay(mut from: ReadHalf<DuplexStream>, mut to: WriteHalf<DuplexStream>
 
 /// A worker whose render tasks take `render` of the simulated time.
 pub fn simulated(name: &str, dial: Dial, render: Duration) -> Config {
-    let pace = Pace::by(move |assignment| match assignment.task.stage.kind {
-        StageKind::Render => render,
-        StageKind::Gather | StageKind::Merge => Duration::from_millis(80),
-    });
+    let pace = Pace::by(
+        move |assignment| {
+            if assignment.task.stage.kind.is_cut() { render } else { Duration::from_millis(80) }
+        },
+    );
     let instance = u64::from_le_bytes(Digest::of(name.as_bytes()).as_bytes()[..8].try_into().unwrap());
     Config {
         name: name.into(),

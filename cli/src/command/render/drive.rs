@@ -154,7 +154,7 @@ impl Order<'_> {
 /// Write a finished frame; `None`: its image is damaged or gone.
 async fn write(order: &Order<'_>, farm: &Farm, record: &FrameRecord) -> Result<Option<FrameReport>, Failure> {
     let path = order.target.path(record.frame);
-    let Some(bytes) = farm.get_if_there(&record.image).await? else { return Ok(None) };
+    let Some(bytes) = farm.image(record).await? else { return Ok(None) };
     pass_async(Point::RenderBeforeFile).await;
     femc_film::file::write_atomic(&path, &bytes).map_err(failed)?;
     pass_async(Point::RenderAfterFile).await;

@@ -186,7 +186,7 @@ impl Queued<'_> {
         for record in farm.frames(self.job).await? {
             let planning = self.variant.frames.iter().find(|planning| planning.frame == record.frame);
             if let Some(planning) = planning.filter(|_| self.open.contains(&record.frame)) {
-                let Some(bytes) = farm.get_if_there(&record.image).await? else {
+                let Some(bytes) = farm.image(&record).await? else {
                     took = Took::NotAll;
                     continue;
                 };

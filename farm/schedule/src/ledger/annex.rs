@@ -1,9 +1,8 @@
 //! What is known beside the jobs: workers, logs, builds, shares.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
-use std::num::NonZeroU64;
 
-use femc_model::{Attempt, Cut, Digest, Drain, JobId, LogRecord, LogText};
+use femc_model::{Attempt, Digest, Drain, JobId, LogRecord, LogText};
 use serde::{Deserialize, Serialize};
 
 use crate::Used;
@@ -15,8 +14,6 @@ pub(crate) struct Annex {
     drained: Vec<u64>,
     /// Stored logs of attempts, oldest first.
     logs: BTreeMap<JobId, VecDeque<LogRecord>>,
-    /// Jobs whose tiles are cut, and how finely.
-    cuts: BTreeMap<JobId, NonZeroU64>,
     /// Frames in work of which some result counts, and the build of the engine that made it.
     builds: BTreeMap<JobId, BTreeMap<u32, String>>,
     /// What owners have used.
@@ -77,14 +74,6 @@ impl Annex {
         self.builds.get(&job).into_iter().flatten().map(|(&frame, build)| (frame, build.as_str()))
     }
 
-    pub(super) fn cut(&mut self, job: JobId, samples: NonZeroU64) {
-        self.cuts.insert(job, samples);
-    }
-
-    pub(crate) fn cut_of(&self, job: JobId) -> Cut {
-        self.cuts.get(&job).map_or(Cut::Whole, |&samples| Cut::Grains(samples))
-    }
-
     /// Keeps a log; returns what is named no longer. Logs of failures are kept for longer than others.
     pub(super) fn log(&mut self, record: &LogRecord) -> Vec<Digest> {
         let logs = self.logs.entry(record.task.job).or_default();
@@ -99,7 +88,6 @@ impl Annex {
     /// Keeps nothing of a job any longer.
     pub(super) fn forget(&mut self, job: JobId) {
         self.logs.remove(&job);
-        self.cuts.remove(&job);
         self.builds.remove(&job);
     }
 

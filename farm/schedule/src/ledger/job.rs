@@ -1,18 +1,17 @@
 //! A job in the ledger.
 
+use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
-use std::num::NonZeroU32;
 use std::ops::Range;
 
 use femc_model::{
-    Control, Cut, Decision, Digest, Epoch, Failure, FrameRecord, GatherResult, Grains, JobSpec, MergeResult, StageKind,
-    TaskKey, Tick, TileResult,
+    Control, Cut, Digest, Epoch, Failure, FrameRecord, JobSpec, Output, Scope, Stage, TaskKey, TaskResult, Tick,
 };
 use serde::{Deserialize, Serialize};
 
-use super::frame::Frame;
-use super::layout::Layout;
-use crate::Casualty;
+use super::shape::Shape;
+use super::unit::Unit;
+use crate::{Casualty, RangeSet};
 
 /// What a person has done to a job.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -25,13 +24,33 @@ pub(crate) enum Hold {
     Cancelled,
 }
 
-/// A finished frame and the lease that finished it.
+/// An output of a finished frame that stages of the job read.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Made {
+    /// Number of the stage that made it.
+    pub(super) stage: u16,
+    pub(super) item: u32,
+    pub(super) output: Output,
+}
+
+/// A finished frame, or the finished stages of the job, and the lease that finished it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Finished {
-    /// Of the last merge: a repeated completion gets the same answer.
-    pub epoch: Epoch,
+    /// Of the last task: a repeated completion gets the same answer.
+    last: (Stage, u32, Epoch),
     /// What `femc fetch` needs.
-    pub record: FrameRecord,
+    pub(crate) record: FrameRecord,
+    /// Units of work in it.
+    units: u64,
+    /// What stages of the job read: kept as long as the job.
+    pub(super) made: Vec<Made>,
+}
+
+impl Finished {
+    fn artefacts(&self) -> impl Iterator<Item = Digest> + '_ {
+        let outputs = self.record.outputs.iter().chain(self.made.iter().map(|made| &made.output));
+        outputs.map(|output| output.artefact.digest)
+    }
 }
 
 /// A job: as asked for, and what has come of it.
@@ -43,67 +62,100 @@ pub(crate) struct Job {
     /// First lease of a task that was completed.
     pub(crate) began: Option<Tick>,
     pub(crate) ended: Option<Tick>,
-    /// Frames with some result or failure, not finished; the others cost nothing.
-    pub(crate) frames: BTreeMap<u32, Frame>,
+    /// Frames with some result or failure, not finished, and the job's own stages under [`Stage::OF_JOB`]; the others cost nothing.
+    pub(crate) units: BTreeMap<u32, Unit>,
     pub(crate) finished: BTreeMap<u32, Finished>,
     /// Frames that only a retry can move.
     pub(crate) blocked: BTreeSet<u32>,
     pub(crate) relative_error: Option<f64>,
     submitted: Tick,
-    /// Durable in the annex.
-    #[serde(skip)]
     cut: Cut,
-    /// Tiles of a group, where frames are merged as a tree. In a snapshot it follows the ledger's first versions.
-    #[serde(skip)]
-    pub(super) group: Option<NonZeroU32>,
+}
+
+/// The part of the graph that a frame number has; borrows all of the job but its units.
+macro_rules! shape {
+    ($job:expr, $frame:expr) => {
+        Shape {
+            graph: &$job.spec.graph,
+            scope: Shape::scope_of($frame),
+            cut: $job.cut,
+            frames: &$job.spec.frames,
+            finished: &$job.finished,
+            blocked: &$job.blocked,
+        }
+    };
 }
 
 impl Job {
-    pub(super) fn new(spec: Box<JobSpec>, now: Tick) -> Self {
+    pub(super) fn new(spec: Box<JobSpec>, cut: Cut, now: Tick) -> Self {
         Self {
             spec,
             hold: Hold::Free,
             doom: None,
             began: None,
             ended: None,
-            frames: BTreeMap::new(),
+            units: BTreeMap::new(),
             finished: BTreeMap::new(),
             blocked: BTreeSet::new(),
             relative_error: None,
             submitted: now,
-            cut: Cut::Whole,
-            group: None,
+            cut,
         }
     }
 
-    /// Says how its tiles are cut: once, before anything of it is done, or as a snapshot is read.
-    pub(super) fn cut(&mut self, cut: Cut) {
-        self.cut = cut;
-        for frame in self.frames.values_mut() {
-            frame.recount(&Grains::of(&self.spec, frame.round, cut));
+    /// How its tasks are cut.
+    pub(crate) fn cut(&self) -> Cut {
+        self.cut
+    }
+
+    /// The part of the graph that this frame has, or the job as a whole.
+    pub(crate) fn shape(&self, frame: u32) -> Shape<'_> {
+        shape!(self, frame)
+    }
+
+    /// The frame, as if it had begun.
+    pub(crate) fn unit(&self, frame: u32) -> Cow<'_, Unit> {
+        match self.units.get(&frame) {
+            Some(unit) => Cow::Borrowed(unit),
+            None => Cow::Owned(self.fresh(frame)),
         }
     }
 
-    /// The keys of a round's render stage.
-    pub(crate) fn grains(&self, round: u32) -> Grains {
-        Grains::of(&self.spec, round, self.cut)
+    /// A frame that nobody has begun.
+    pub(crate) fn fresh(&self, frame: u32) -> Unit {
+        Unit::new(&self.shape(frame), Tick(u64::MAX))
     }
 
-    /// How the work on a round of its frames is cut.
-    pub(crate) fn layout(&self, round: u32) -> Layout {
-        Layout::new(self.grains(round), self.group)
+    /// Units of work in finished frames.
+    pub(crate) fn finished_units(&self) -> u64 {
+        self.finished.values().map(|finished| finished.units).sum()
     }
 
-    pub(super) fn grouped(&mut self, tiles: u32) -> Vec<Digest> {
-        self.group = NonZeroU32::new(tiles);
-        Vec::new()
+    /// Whether something of it is done once for the whole job.
+    pub(crate) fn has_own(&self) -> bool {
+        self.spec.graph.has_job()
     }
 
-    /// Whether every frame is finished or blocked, or the job as a whole is over.
+    /// How many frames are finished.
+    pub(crate) fn frames_done(&self) -> usize {
+        self.finished.len() - usize::from(self.finished.contains_key(&Stage::OF_JOB))
+    }
+
+    /// How many frames only a retry can move.
+    pub(crate) fn frames_blocked(&self) -> usize {
+        self.blocked.len() - usize::from(self.blocked.contains(&Stage::OF_JOB))
+    }
+
+    /// Whether all that was asked for is there.
+    pub(crate) fn is_done(&self) -> bool {
+        self.finished.len() == self.spec.frames.len() + usize::from(self.has_own())
+    }
+
+    /// Whether every frame is finished or blocked, and the job's own stages, or the job as a whole is over.
     pub(crate) fn has_ended(&self) -> bool {
         self.hold == Hold::Cancelled
             || self.doom.is_some()
-            || self.finished.len() + self.blocked.len() == self.spec.frames.len()
+            || self.finished.len() + self.blocked.len() == self.spec.frames.len() + usize::from(self.has_own())
     }
 
     /// Whether its tasks may be leased.
@@ -115,134 +167,140 @@ impl Job {
     pub(crate) fn is_open(&self, frame: u32) -> bool {
         !self.finished.contains_key(&frame)
             && !self.blocked.contains(&frame)
-            && self.spec.frames.binary_search(&frame).is_ok()
+            && if frame == Stage::OF_JOB { self.has_own() } else { self.spec.frames.binary_search(&frame).is_ok() }
     }
 
-    /// The round that the frame is in.
-    pub(crate) fn round(&self, frame: u32) -> u32 {
-        self.frames.get(&frame).map_or(0, |frame| frame.round)
+    /// Whether the stage is one of the job's, in a round that has begun, of a frame that is open.
+    fn is_current(&self, stage: &Stage) -> bool {
+        let shape = self.shape(stage.frame);
+        self.is_open(stage.frame)
+            && shape.template(stage.number).is_some_and(|template| template.kind == stage.kind)
+            && stage.round <= self.units.get(&stage.frame).map_or(0, |unit| unit.round)
     }
 
-    fn frame(&mut self, number: u32, began: Tick) -> &mut Frame {
+    fn begin(&mut self, frame: u32, began: Tick) -> &mut Unit {
         self.began.get_or_insert(began);
-        self.frames.entry(number).or_insert_with(|| Frame::new(began))
+        let shape = shape!(self, frame);
+        self.units.entry(frame).or_insert_with(|| Unit::new(&shape, began))
     }
 
-    pub(super) fn rendered(&mut self, task: &TaskKey, epoch: Epoch, leased: Tick, result: &TileResult) -> Vec<Digest> {
-        let number = task.stage.frame;
-        if self.is_open(number) && self.round(number) == task.stage.round {
-            let layout = self.layout(task.stage.round);
-            self.frame(number, leased).rendered(&layout, task.index, epoch, leased, result);
-            self.note_block(number);
-        }
-        Vec::new()
-    }
-
-    pub(super) fn gathered(&mut self, task: &TaskKey, epoch: Epoch, result: &GatherResult) -> Vec<Digest> {
-        let (number, layout) = (task.stage.frame, self.layout(task.stage.round));
-        if !self.is_open(number) || self.round(number) != task.stage.round {
+    pub(super) fn done(
+        &mut self,
+        task: &TaskKey,
+        end: u32,
+        (epoch, leased): (Epoch, Tick),
+        result: &TaskResult,
+        now: Tick,
+    ) -> Vec<Digest> {
+        let frame = task.stage.frame;
+        if !self.is_current(&task.stage) {
             return Vec::new();
         }
-        let Some(frame) = self.frames.get_mut(&number) else { return Vec::new() };
-        let released = frame.gathered(task.index, epoch, &layout, *result);
-        self.note_block(number);
-        released
-    }
-
-    pub(super) fn merged(&mut self, task: &TaskKey, epoch: Epoch, result: &MergeResult, now: Tick) -> Vec<Digest> {
-        let number = task.stage.frame;
-        let spp = self.spec.samples(task.stage.round).end;
-        if !self.is_open(number) || self.round(number) != task.stage.round {
-            return Vec::new();
+        self.begin(frame, leased);
+        let shape = shape!(self, frame);
+        let Some(unit) = self.units.get_mut(&frame) else { return Vec::new() };
+        let released = unit.done(&shape, &task.stage, &(task.index..end), (epoch, leased), result);
+        if frame != Stage::OF_JOB {
+            self.relative_error = result.relative_error.or(self.relative_error);
         }
-        self.relative_error = result.relative_error.or(self.relative_error);
-        let Some(frame) = self.frames.get_mut(&number) else { return Vec::new() };
-        let mut released: Vec<Digest> = frame.artefacts().collect();
-        match (result.decision, result.image) {
-            (Decision::Done, Some(image)) => {
-                let record = FrameRecord {
-                    frame: number,
-                    image,
-                    preview: result.preview,
-                    spp,
-                    relative_error: result.relative_error,
-                    bad_samples: result.bad_samples,
-                    busy_seconds: frame.busy_seconds + result.seconds,
-                    seconds: now.since(frame.began) as f64 / 1000.0,
-                };
-                released.extend(result.sums.map(|sums| sums.digest));
-                self.finished.insert(number, Finished { epoch, record });
-                self.frames.remove(&number);
-            }
-            (Decision::Continue | Decision::Done, _) => frame.next_round(epoch, result),
+        if unit.is_finished(&shape) {
+            let last = (task.stage, task.index, epoch);
+            let finished = finished(&shape, unit, frame, last, now);
+            self.finished.insert(frame, finished);
+            self.units.remove(&frame);
         }
+        self.note_block(frame);
         released
     }
 
     pub(super) fn failed(&mut self, task: &TaskKey, until: Epoch, failure: &Failure, now: Tick) -> Vec<Digest> {
-        let number = task.stage.frame;
-        if self.is_open(number) && self.round(number) == task.stage.round {
-            self.frame(number, now).failed(task.stage.kind, task.index, until, failure);
-            self.note_block(number);
+        if self.is_current(&task.stage) {
+            self.begin(task.stage.frame, now).failed(&task.stage, task.index, until, failure);
+            self.note_block(task.stage.frame);
         }
         Vec::new()
     }
 
+    /// The keys of a run that are neither done nor put aside.
+    pub(crate) fn open_keys(&self, stage: &Stage, keys: &Range<u32>) -> RangeSet {
+        if !self.is_current(stage) {
+            return RangeSet::default();
+        }
+        let shape = self.shape(stage.frame);
+        let mut open = self.unit(stage.frame).open_keys(&shape, (stage.round, stage.number));
+        open.remove(0..keys.start);
+        open.remove(keys.end..u32::MAX);
+        open
+    }
+
+    /// Whether all that a task reads is there.
+    pub(crate) fn is_fed(&self, task: &TaskKey) -> bool {
+        let (unit, shape) = (self.unit(task.stage.frame), self.shape(task.stage.frame));
+        let place = (task.stage.round, task.stage.number);
+        let grains = unit.grains(&shape, place);
+        grains.is_some_and(|grains| unit.is_fed(&shape, place, grains.task(task.index)))
+    }
+
     /// Whether some of a stage's keys from the task's on are still to be done.
     pub(crate) fn wants(&self, task: &TaskKey, keys: &Range<u32>) -> bool {
-        let (number, round) = (task.stage.frame, task.stage.round);
-        let has_open = |frame: &Frame| !frame.open_keys(&self.layout(round), task.stage.kind, keys.clone()).is_empty();
-        !self.has_ended()
-            && self.is_open(number)
-            && self.round(number) == round
-            && self.frames.get(&number).is_none_or(has_open)
+        !self.has_ended() && !self.open_keys(&task.stage, keys).is_empty()
     }
 
     pub(super) fn died(&mut self, task: &TaskKey, end: u32, casualty: &Casualty, now: Tick) -> Vec<Digest> {
-        let (number, layout) = (task.stage.frame, self.layout(task.stage.round));
-        if self.is_open(number) && self.round(number) == task.stage.round {
-            let frame = self.frame(number, now);
-            let keys = frame.open_keys(&layout, task.stage.kind, task.index..end);
-            frame.died(task.stage.kind, keys.into_iter(), casualty);
-            self.note_block(number);
+        let keys: Vec<u32> = self.open_keys(&task.stage, &(task.index..end)).iter().collect();
+        if self.is_current(&task.stage) {
+            self.begin(task.stage.frame, now).died(&task.stage, keys.into_iter(), casualty);
+            self.note_block(task.stage.frame);
         }
         Vec::new()
     }
 
     pub(super) fn lives(&mut self, instance: u64) {
-        self.frames.values_mut().for_each(|frame| frame.lives(instance));
+        self.units.values_mut().for_each(|unit| unit.lives(instance));
     }
 
     pub(super) fn lost(&mut self, task: &TaskKey) -> Vec<Digest> {
-        let grains = self.grains(task.stage.round);
-        let Some(frame) = self.frames.get_mut(&task.stage.frame) else { return Vec::new() };
-        match task.stage.kind {
-            StageKind::Render => frame.lost_part(&grains, task.index),
-            StageKind::Gather => frame.lost_group(task.index),
-            StageKind::Merge => Vec::new(),
+        let shape = shape!(self, task.stage.frame);
+        if let Some(unit) = self.units.get_mut(&task.stage.frame) {
+            unit.lost(&shape, (task.stage.round, task.stage.number), task.index);
         }
+        Vec::new()
     }
 
-    /// The finished frames whose image or preview this is.
-    pub(crate) fn pictured_by(&self, digest: &Digest) -> impl Iterator<Item = u32> + use<'_> {
+    /// The finished frames of which this is a result, or something that the job's own stages read.
+    pub(crate) fn made_by(&self, digest: &Digest) -> impl Iterator<Item = u32> + use<'_> {
         let digest = *digest;
-        let is_it = move |record: &FrameRecord| {
-            record.image.digest == digest || record.preview.is_some_and(|preview| preview.digest == digest)
-        };
-        self.finished.iter().filter(move |(_, finished)| is_it(&finished.record)).map(|(&frame, _)| frame)
+        let has = move |finished: &Finished| finished.artefacts().any(|artefact| artefact == digest);
+        self.finished.iter().filter(move |(_, finished)| has(finished)).map(|(&frame, _)| frame)
     }
 
     /// What is known of the frame is forgotten, but for the time that it has taken. The job may have been done.
     pub(super) fn restarted(&mut self, frame: u32) -> Vec<Digest> {
-        if let Some(Finished { record, .. }) = self.finished.remove(&frame) {
-            self.frames.insert(frame, Frame::again(&record));
+        let was_blocked = self.blocked.remove(&frame);
+        self.blocked.remove(&Stage::OF_JOB);
+        let mut released = if was_blocked && frame != Stage::OF_JOB { self.fill_gaps() } else { Vec::new() };
+        if let Some(finished) = self.finished.remove(&frame) {
+            let again = Unit::again(&shape!(self, frame), &finished.record);
+            self.units.insert(frame, again);
             if !self.has_ended() {
                 self.ended = None;
             }
-            return [Some(record.image), record.preview].into_iter().flatten().map(|image| image.digest).collect();
+            // It makes the same again; and the job's own tasks may be reading it.
+            return released;
         }
-        self.blocked.remove(&frame);
-        self.frames.get_mut(&frame).map(Frame::restarted).unwrap_or_default()
+        let shape = shape!(self, frame);
+        released.extend(self.units.get_mut(&frame).map(|unit| unit.restarted(&shape)).unwrap_or_default());
+        released
+    }
+
+    /// A frame that had ended without a result is tried again: what the job's own stages may have made without it is not all.
+    fn fill_gaps(&mut self) -> Vec<Digest> {
+        if !self.spec.graph.has_gaps() {
+            return Vec::new();
+        }
+        let released = self.restarted(Stage::OF_JOB);
+        self.units.entry(Stage::OF_JOB).and_modify(|own| own.is_again = false);
+        released
     }
 
     pub(super) fn doomed(&mut self, failure: &Failure) -> Vec<Digest> {
@@ -259,17 +317,29 @@ impl Job {
                 self.hold = Hold::Free;
                 self.doom = None;
                 self.ended = None;
+                let has_gaps = self.frames_blocked() > 0;
                 self.blocked.clear();
-                self.frames.values_mut().for_each(|frame| frame.trouble.clear());
+                self.units.values_mut().for_each(Unit::forgive);
+                if has_gaps {
+                    return self.fill_gaps();
+                }
             }
             Control::Priority(priority) => self.spec.priority = priority,
         }
         Vec::new()
     }
 
-    fn note_block(&mut self, number: u32) {
-        if self.frames.get(&number).is_some_and(|frame| frame.is_blocked(&self.layout(frame.round))) {
-            self.blocked.insert(number);
+    /// Notes that nothing of the frame can move, and, where all frames have ended, the same of the job's own stages.
+    fn note_block(&mut self, frame: u32) {
+        let unit = self.units.get(&frame).filter(|_| frame != Stage::OF_JOB);
+        if unit.is_some_and(|unit| unit.is_blocked(&self.shape(frame))) {
+            self.blocked.insert(frame);
+        }
+        if self.is_open(Stage::OF_JOB) && self.frames_done() + self.frames_blocked() == self.spec.frames.len() {
+            let own = self.unit(Stage::OF_JOB);
+            if own.open(&self.shape(Stage::OF_JOB)).is_empty() {
+                self.blocked.insert(Stage::OF_JOB);
+            }
         }
     }
 
@@ -278,36 +348,51 @@ impl Job {
             self.ended.get_or_insert(now);
         }
         // What was paused and came to its end all the same is not held when something of it is lost later.
-        if self.finished.len() == self.spec.frames.len() {
+        if self.is_done() {
             self.hold = Hold::Free;
         }
     }
 
     pub(super) fn each_artefact(&self, mut see: impl FnMut(Digest)) {
         see(self.spec.bundle);
-        self.frames.values().flat_map(Frame::artefacts).for_each(&mut see);
-        for Finished { record, .. } in self.finished.values() {
-            see(record.image.digest);
-            record.preview.iter().for_each(|preview| see(preview.digest));
-        }
+        self.units.values().flat_map(Unit::artefacts).for_each(&mut see);
+        self.finished.values().flat_map(Finished::artefacts).for_each(see);
     }
 
     /// Whether this completion is the one that the ledger holds.
     pub(crate) fn holds(&self, task: &TaskKey, epoch: Epoch) -> bool {
-        let number = task.stage.frame;
-        if let Some(finished) = self.finished.get(&number) {
-            return task.stage.kind == StageKind::Merge && finished.epoch == epoch;
+        if let Some(finished) = self.finished.get(&task.stage.frame) {
+            return finished.last == (task.stage, task.index, epoch);
         }
-        let Some(frame) = self.frames.get(&number) else { return false };
-        match task.stage.kind {
-            StageKind::Render => {
-                frame.round == task.stage.round && frame.tiles.get(&task.index).is_some_and(|tile| tile.epoch == epoch)
-            }
-            StageKind::Gather => {
-                frame.round == task.stage.round
-                    && frame.groups.done.get(&task.index).is_some_and(|group| group.epoch == epoch)
-            }
-            StageKind::Merge => frame.merged == Some(epoch),
-        }
+        self.units.get(&task.stage.frame).is_some_and(|unit| unit.holds(&task.stage, task.index, epoch))
+    }
+}
+
+/// The record of a frame all of whose stages are done.
+fn finished(shape: &Shape<'_>, unit: &Unit, frame: u32, last: (Stage, u32, Epoch), now: Tick) -> Finished {
+    let is_read = |stage: u16, output: &Output| {
+        shape.graph.readers(stage).any(|(reader, need)| shape.template(reader).is_none() && need.role == output.role)
+    };
+    let results = unit.outputs().filter(|(.., output)| output.role.row().is_result);
+    let made = unit.outputs().filter(|((_, stage), _, output)| frame != Stage::OF_JOB && is_read(*stage, output));
+    let made = made.filter_map(|(place, first, output)| {
+        let item = unit.grains(shape, place)?.task(first);
+        Some(Made { stage: place.1, item, output })
+    });
+    let steps = shape.graph.of(Scope::Frame).find(|(_, template)| template.kind.is_cut());
+    let pixels = steps.map_or(0, |(_, template)| template.sizes.sum()).max(1);
+    Finished {
+        last,
+        units: unit.units,
+        made: made.collect(),
+        record: FrameRecord {
+            frame,
+            outputs: results.map(|(.., output)| output).collect(),
+            spp: (unit.units / pixels) as u32,
+            relative_error: unit.relative_error,
+            bad_samples: unit.bad_samples,
+            busy_seconds: unit.busy_seconds,
+            seconds: now.since(unit.began) as f64 / 1000.0,
+        },
     }
 }

@@ -1,22 +1,23 @@
 //! The durable half of the scheduler: what is asked for, what is done, what has failed.
 
 mod annex;
-pub(crate) mod frame;
-mod group;
 mod job;
-mod layout;
+pub(crate) mod shape;
 mod snapshot;
+mod trouble;
+pub(crate) mod unit;
 
 use std::collections::{BTreeMap, BTreeSet};
 
 use femc_model::{Digest, JobId, Tick};
 use serde::{Deserialize, Serialize};
 
-use crate::{Evidence, Fact};
+use crate::Fact;
 pub(crate) use annex::Annex;
 pub(crate) use job::{Hold, Job};
-pub(crate) use layout::Layout;
+pub(crate) use shape::{Place, Shape};
 pub use snapshot::SnapshotError;
+pub(crate) use unit::Unit;
 
 /// All jobs. Changes by [`Ledger::apply`] alone: same facts, same ledger.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
@@ -26,8 +27,6 @@ pub struct Ledger {
     last_job: u64,
     keys: BTreeMap<String, JobId>,
     pub(crate) jobs: BTreeMap<JobId, Job>,
-    /// It follows the rest in a snapshot.
-    #[serde(skip)]
     pub(crate) annex: Annex,
 }
 
@@ -66,23 +65,16 @@ impl Ledger {
                 self.incarnation = self.incarnation.max(*incarnation);
                 return Vec::new();
             }
-            Fact::Submitted { job, key, spec } => {
+            Fact::Submitted { job, key, spec, cut } => {
                 self.last_job = self.last_job.max(job.0);
                 if let Some(key) = key {
                     self.keys.insert(key.clone(), *job);
                 }
-                self.jobs.insert(*job, Job::new(spec.clone(), now));
+                self.jobs.insert(*job, Job::new(spec.clone(), *cut, now));
                 return Vec::new();
             }
             Fact::Drained { instance, drain } => {
                 self.annex.drain(*instance, *drain);
-                return Vec::new();
-            }
-            Fact::Cut { job, samples } => {
-                if let Some(known) = self.jobs.get_mut(job) {
-                    self.annex.cut(*job, *samples);
-                    known.cut(self.annex.cut_of(*job));
-                }
                 return Vec::new();
             }
             Fact::Logged(record) => {
@@ -113,12 +105,9 @@ impl Ledger {
                 self.annex.forget(*job);
                 return Vec::new();
             }
-            Fact::Rendered { task, epoch, leased, result } => {
+            Fact::Done { task, end, epoch, leased, result } => {
                 let job = self.jobs.get_mut(&task.job);
-                (task.job, job.map(|job| job.rendered(task, *epoch, *leased, result)))
-            }
-            Fact::Merged { task, epoch, result } => {
-                let released = self.jobs.get_mut(&task.job).map(|job| job.merged(task, *epoch, result, now));
+                let released = job.map(|job| job.done(task, *end, (*epoch, *leased), result, now));
                 if self.jobs.get(&task.job).is_some_and(|job| job.finished.contains_key(&task.stage.frame)) {
                     self.annex.unbuilt(task.job, task.stage.frame);
                 }
@@ -126,10 +115,6 @@ impl Ledger {
             }
             Fact::Failed { task, until, failure } => {
                 (task.job, self.jobs.get_mut(&task.job).map(|job| job.failed(task, *until, failure, now)))
-            }
-            Fact::Grouped { job, tiles } => (*job, self.jobs.get_mut(job).map(|job| job.grouped(*tiles))),
-            Fact::Gathered { task, epoch, result } => {
-                (task.job, self.jobs.get_mut(&task.job).map(|job| job.gathered(task, *epoch, result)))
             }
             Fact::Lost { task } => (task.job, self.jobs.get_mut(&task.job).map(|job| job.lost(task))),
             Fact::Restarted { job, frame } => {
@@ -147,9 +132,7 @@ impl Ledger {
 
     /// The processes of which some presumed death counts.
     pub(crate) fn presumed_dead(&self) -> BTreeSet<u64> {
-        let troubles = self.jobs.values().flat_map(|job| job.frames.values()).flat_map(|frame| frame.trouble.values());
-        let presumed = troubles.flat_map(|trouble| &trouble.deaths).filter(|it| it.evidence == Evidence::Presumed);
-        presumed.map(|casualty| casualty.instance).collect()
+        self.jobs.values().flat_map(|job| job.units.values()).flat_map(Unit::presumed_dead).collect()
     }
 
     /// Those of `digests` that nothing names, each once. Walks all that is named: for many digests at a time.
@@ -181,9 +164,9 @@ impl Ledger {
 
     /// What the frames in work need that is made already, with job and frame.
     pub fn inputs(&self) -> impl Iterator<Item = (JobId, u32, Digest)> {
-        let frames =
-            self.jobs.iter().flat_map(|(&id, job)| job.frames.iter().map(move |(&number, frame)| (id, number, frame)));
-        frames.flat_map(|(id, number, frame)| frame.artefacts().map(move |digest| (id, number, digest)))
+        let units =
+            self.jobs.iter().flat_map(|(&id, job)| job.units.iter().map(move |(&number, unit)| (id, number, unit)));
+        units.flat_map(|(id, number, unit)| unit.artefacts().map(move |digest| (id, number, digest)))
     }
 
     /// The scenes of all jobs: what each of them names belongs to the job, too.

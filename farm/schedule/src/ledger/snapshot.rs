@@ -1,23 +1,20 @@
-//! The ledger and its facts as bytes.
-//!
-//! A snapshot is a version and one section after the other, each in postcard: jobs and their frames, the annex, and groups of
-//! tiles, of the jobs that have any.
+//! The ledger and its facts as bytes: a version, and the rest in postcard.
 
-use std::collections::BTreeMap;
-use std::num::NonZeroU32;
-
-use femc_model::{JobId, Tick};
+use femc_model::Tick;
 use serde::{Deserialize, Serialize};
 
-use super::group::Groups;
-use super::{Job, Ledger};
+use super::Ledger;
 use crate::Fact;
 
 /// A snapshot that cannot be read.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum SnapshotError {
     /// Written by another version.
-    #[error("snapshot of version {found}, this program reads {}", Ledger::VERSION)]
+    #[error(
+        "the farm's log is of version {found}, and this program reads version {} only: finish its jobs with the program that \
+         wrote it, or begin with a new log",
+        Ledger::VERSION
+    )]
     Version {
         /// What its first byte says.
         found: u8,
@@ -30,45 +27,19 @@ pub enum SnapshotError {
     Empty,
 }
 
-/// The groups of a job: tiles of each, and what there is of them in its frames in work.
-type JobGroups<G> = (NonZeroU32, BTreeMap<u32, G>);
-
 impl Ledger {
     /// First byte of snapshots and of facts; those of other versions are refused.
-    pub const VERSION: u8 = 5;
+    pub const VERSION: u8 = 6;
 
     /// Version and content, for a snapshot.
     pub fn encode(&self) -> Result<Vec<u8>, SnapshotError> {
-        let groups = self.jobs.iter().filter_map(|(&job, work)| Some((job, groups(work)?)));
-        let bytes = postcard::to_extend(&self.annex, encode(self)?)?;
-        Ok(postcard::to_extend(&groups.collect::<BTreeMap<JobId, _>>(), bytes)?)
+        encode(self)
     }
 
     /// What [`Self::encode`] wrote.
     pub fn decode(bytes: &[u8]) -> Result<Self, SnapshotError> {
-        let (mut ledger, rest) = postcard::take_from_bytes::<Self>(content(bytes)?)?;
-        let (annex, rest) = postcard::take_from_bytes(rest)?;
-        ledger.annex = annex;
-        ledger.put_groups(postcard::from_bytes(rest)?);
-        for (&id, job) in &mut ledger.jobs {
-            job.cut(ledger.annex.cut_of(id));
-        }
-        Ok(ledger)
+        decode(bytes)
     }
-
-    fn put_groups(&mut self, groups: BTreeMap<JobId, JobGroups<Groups>>) {
-        for (job, (tiles, frames)) in groups {
-            let Some(job) = self.jobs.get_mut(&job) else { continue };
-            job.group = Some(tiles);
-            for (number, groups) in frames {
-                job.frames.entry(number).and_modify(|frame| frame.groups = groups);
-            }
-        }
-    }
-}
-
-fn groups(job: &Job) -> Option<JobGroups<&Groups>> {
-    Some((job.group?, job.frames.iter().map(|(&number, frame)| (number, &frame.groups)).collect()))
 }
 
 impl Fact {

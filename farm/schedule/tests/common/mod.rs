@@ -6,8 +6,28 @@ use std::collections::{BTreeMap, BTreeSet};
 use femc_model::*;
 use femc_schedule::*;
 
-/// A job of square films of `tiles` tiles in a row.
+/// A job of square films of `tiles` tiles in a row, whose images are made of tiles.
 pub fn job(frames: &[u32], tiles: u32, rounds: &[u32]) -> JobSpec {
+    of(frames, tiles, rounded(tiles, rounds, 0))
+}
+
+/// The same, whose images are made of groups of `fan` tiles.
+pub fn grouped(frames: &[u32], tiles: u32, rounds: &[u32], fan: u32) -> JobSpec {
+    of(frames, tiles, rounded(tiles, rounds, fan))
+}
+
+/// Number of the stage of this kind in such jobs.
+pub fn number(spec: &JobSpec, kind: StageKind) -> u16 {
+    spec.graph.iter().find(|(_, template)| template.kind == kind).expect("it has such a stage").0
+}
+
+/// Tiles of 64 pixels.
+pub fn rounded(tiles: u32, rounds: &[u32], fan: u32) -> Graph {
+    testing::frames(Sizes::even(tiles, 64), rounds, fan)
+}
+
+/// A job of a graph of its own.
+pub fn of(frames: &[u32], tiles: u32, graph: Graph) -> JobSpec {
     JobSpec {
         name: "fog".into(),
         bundle: Digest::of(b"bundle"),
@@ -15,16 +35,16 @@ pub fn job(frames: &[u32], tiles: u32, rounds: &[u32]) -> JobSpec {
         settings: "{}".into(),
         frames: frames.to_vec(),
         grid: Grid { film: [tiles * 8, 8], tile: 8 },
-        rounds: rounds.to_vec(),
+        graph,
         priority: 50,
         owner: "me".into(),
         tags: vec![],
     }
 }
 
-/// Workers hold one task beyond the one that they run; frames are merged whole.
+/// Workers hold one task beyond the one that they run.
 pub fn config() -> Config {
-    Config { lease: 5_000, prefetch: 1, ahead: 0, regroup: 0, group: 0, ..Config::default() }
+    Config { lease: 5_000, prefetch: 1, ahead: 0, regroup: 0, ..Config::default() }
 }
 
 /// Scheduler, time, and everything that was made durable.
@@ -202,7 +222,7 @@ impl Farm {
     /// A lease as a worker speaks of it.
     pub fn lease(&self, held: &Assignment) -> HeldLease {
         let job = self.scheduler.spec(held.task.job).expect("the job is there").key();
-        HeldLease { task: held.task, epoch: held.epoch, samples: samples(held), job }
+        HeldLease { task: held.task, epoch: held.epoch, steps: held.work.steps.clone(), job }
     }
 
     /// A worker comes whose earlier process has died while it computed these.
@@ -253,7 +273,8 @@ impl Farm {
 
     pub fn heartbeat(&mut self, worker: u64, phase: Phase, samples: u64) -> Vec<Command> {
         let own = self.held.iter().filter(|(holder, _)| holder.0 == worker);
-        let tasks = own.map(|(_, held)| TaskProgress { task: held.task, epoch: held.epoch, phase, samples }).collect();
+        let tasks =
+            own.map(|(_, held)| TaskProgress { task: held.task, epoch: held.epoch, phase, units: samples }).collect();
         self.on(Event::Heartbeat { worker: WorkerId(worker), tasks })
     }
 
@@ -296,42 +317,38 @@ pub fn result(held: &Assignment, decision: Decision) -> TaskResult {
     result_in(held, decision, 0.5)
 }
 
-/// The same after so many seconds of work.
+/// The same after so many seconds of work; what joins takes less.
 pub fn result_in(held: &Assignment, decision: Decision, seconds: f64) -> TaskResult {
-    let name = |what: &str| Artefact::of(format!("{what} {} {:?}", held.task, samples(held)).as_bytes());
-    match &held.work {
-        Work::Render { samples, .. } => TaskResult::Tile(TileResult {
-            tile: name("tile"),
-            samples: u64::from(samples.end - samples.start) * 64,
-            bad_samples: 1,
-            seconds,
-        }),
-        Work::Gather { more, .. } => TaskResult::Gather(GatherResult {
-            sums: (*more == More::Rounds).then(|| name("sums")),
-            pixels: name("pixels"),
-            seconds: 0.125,
-        }),
-        Work::Merge { more, inputs, .. } => {
-            let keeps_sums = matches!(inputs, MergeInputs::Tiles(_));
-            let decision = if *more == More::Last { Decision::Done } else { decision };
-            TaskResult::Merge(MergeResult {
-                decision,
-                sums: (decision == Decision::Continue && keeps_sums).then(|| name("sums")),
-                image: (decision == Decision::Done).then(|| name("image")),
-                preview: None,
-                relative_error: Some(0.1),
-                bad_samples: 0,
-                seconds: seconds / 2.0,
-            })
+    let Work { steps, more, .. } = &held.work;
+    let decision = if *more == More::Last { Decision::Done } else { decision };
+    let output = |role: Role| {
+        let artefact = Artefact::of(format!("{} {} {steps:?}", role.name(), held.task).as_bytes());
+        Output { role, artefact }
+    };
+    let all = |roles: &[Role]| roles.iter().copied().map(output).collect::<Vec<_>>();
+    let goes_on = decision != Decision::Done;
+    match held.task.stage.kind {
+        StageKind::Render => {
+            let units = steps.len() as u64 * 64;
+            TaskResult { outputs: all(&[Role::Tile]), units, bad_samples: 1, seconds, ..TaskResult::default() }
         }
-    }
-}
-
-/// The samples that a lease covers.
-pub fn samples(held: &Assignment) -> std::ops::Range<u32> {
-    match &held.work {
-        Work::Render { samples, .. } => samples.clone(),
-        Work::Gather { .. } | Work::Merge { .. } => 0..0,
+        StageKind::Reduce if *more == More::Rounds => {
+            TaskResult { outputs: all(&[Role::Pixels, Role::Sums]), seconds: seconds / 4.0, ..TaskResult::default() }
+        }
+        StageKind::Reduce => {
+            TaskResult { outputs: all(&[Role::Pixels]), seconds: seconds / 4.0, ..TaskResult::default() }
+        }
+        StageKind::Image => {
+            // The sums of an image that reads pixels are where the pixels come from.
+            let reads_tiles = held.work.of_role(Role::Tile).next().is_some();
+            let outputs = match (goes_on, reads_tiles) {
+                (true, true) => all(&[Role::Sums]),
+                (true, false) => vec![],
+                (false, _) => all(&[Role::Image]),
+            };
+            let (relative_error, decision) = (Some(0.1), Some(decision));
+            TaskResult { outputs, relative_error, decision, seconds: seconds / 2.0, ..TaskResult::default() }
+        }
     }
 }
 

@@ -1,0 +1,206 @@
+//! The stages of a job: what a plan is to whoever runs it.
+//!
+//! A frame's tiles are rendered in rounds, and its image is made when a round is done. The image of a large frame is made of
+//! groups of tiles, which are united beside the rendering: it reads less, at the price of two outputs a group.
+
+use femc_film::Tiling;
+use serde::{Deserialize, Serialize};
+use std::num::NonZeroU32;
+
+/// An array of tasks of one kind. Stages are named by their place in the plan, and need those before them only, or, of the round
+/// before, any of their loop.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Stage {
+    /// What its tasks do.
+    pub kind: StageKind,
+    /// What has it once.
+    pub scope: Scope,
+    /// Its tasks in order, as runs of equal ones: how many, and the units of work of a step of each. Of [`StageKind::Render`] a
+    /// unit is a pixel.
+    pub sizes: Vec<(u32, u64)>,
+    /// Steps that each task has taken at the end of each round, ascending: of [`StageKind::Render`] samples a pixel. Empty of
+    /// other kinds.
+    pub steps: Vec<u32>,
+    /// What its tasks read.
+    pub needs: Vec<Need>,
+    /// The roles of its outputs.
+    pub makes: Vec<Role>,
+    /// The loop that it closes.
+    pub closes: Option<Loop>,
+}
+
+/// What the tasks of a stage do.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum StageKind {
+    /// Renders samples of a tile.
+    Render,
+    /// Unites the tiles of a group.
+    Reduce,
+    /// Measures a frame, decides whether another round follows, writes the image.
+    Image,
+}
+
+/// What has a stage once.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Scope {
+    /// The job.
+    Job,
+    /// Every frame.
+    Frame,
+}
+
+/// What an output is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Role {
+    /// Sums of a tile's samples.
+    Tile,
+    /// Sums of several tiles.
+    Sums,
+    /// Resolved pixels of several tiles.
+    Pixels,
+    /// A finished image.
+    Image,
+    /// The same, tone-mapped.
+    Preview,
+}
+
+/// Outputs of one role of a stage, which the tasks of another read.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Need {
+    /// The stage that makes them.
+    pub stage: u16,
+    /// Which of its outputs.
+    pub role: Role,
+    /// Of which of its tasks.
+    pub reach: Reach,
+    /// Of which round.
+    pub round: Round,
+}
+
+/// Which tasks of a stage a task reads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Reach {
+    /// All.
+    All,
+    /// The one of the same number.
+    Same,
+    /// Task `i` reads those from `i * n` to `(i + 1) * n`.
+    Fan(NonZeroU32),
+}
+
+/// Which round of a stage a task reads.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Round {
+    /// Its own.
+    Same,
+    /// The one before; in the first round there is none.
+    Before,
+}
+
+/// Stages that run in rounds.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Loop {
+    /// The first stage of the loop; the last one is the stage that closes it.
+    pub first: u16,
+    /// Most rounds.
+    pub rounds: u32,
+}
+
+impl Stage {
+    fn of_frame(kind: StageKind, sizes: Vec<(u32, u64)>, makes: &[Role]) -> Self {
+        let makes = makes.to_vec();
+        Self { kind, scope: Scope::Frame, sizes, steps: Vec::new(), needs: Vec::new(), makes, closes: None }
+    }
+
+    fn reads(mut self, stage: u16, role: Role, reach: Reach) -> Self {
+        self.needs.push(Need { stage, role, reach, round: Round::Same });
+        self
+    }
+}
+
+/// Most tiles of a group: 256.
+const GROUP_TILES: u64 = 256;
+/// Most pixels of a group: their sums, 144 bytes each, are united in about a second.
+const GROUP_PIXELS: u64 = 1 << 18;
+
+/// Most tiles of a group, of such tiles.
+pub fn fan(tiling: &Tiling) -> NonZeroU32 {
+    let tile = u64::from(tiling.edge) * u64::from(tiling.edge);
+    let tiles = (GROUP_PIXELS / tile.max(1)).min(GROUP_TILES) as u32;
+    NonZeroU32::new(tiles).unwrap_or(NonZeroU32::MIN)
+}
+
+/// The stages of a job of frames: tiles, groups of `fan` of them where there are more, the image.
+/// - `rounds`: samples a pixel at the end of each round, ascending.
+pub fn stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32) -> Vec<Stage> {
+    let groups = (tiling.count() as u32).div_ceil(fan.get());
+    let render = Stage::of_frame(StageKind::Render, areas(tiling), &[Role::Tile]);
+    let mut all = vec![Stage { steps: rounds.to_vec(), ..render }];
+    let mut finished = (0, Role::Tile);
+    if groups > 1 {
+        let reduce = Stage::of_frame(StageKind::Reduce, vec![(groups, 1)], &[Role::Pixels]);
+        all.push(reduce.reads(0, Role::Tile, Reach::Fan(fan)));
+        finished = (1, Role::Pixels);
+    }
+    let image = Stage::of_frame(StageKind::Image, vec![(1, 1)], &[Role::Image, Role::Preview]);
+    let closes = Some(Loop { first: 0, rounds: rounds.len() as u32 });
+    all.push(Stage { closes, ..image.reads(finished.0, finished.1, Reach::All) });
+    if rounds.len() > 1 {
+        // What unites the tiles goes on with its sums of the round before.
+        all[1].needs.push(Need { stage: 1, role: Role::Sums, reach: Reach::Same, round: Round::Before });
+        all[1].makes.push(Role::Sums);
+    }
+    all
+}
+
+/// The tiles as runs of as many pixels.
+fn areas(tiling: &Tiling) -> Vec<(u32, u64)> {
+    let areas: Vec<u64> = tiling.rects().map(|rect| rect.area()).collect();
+    areas.chunk_by(|a, b| a == b).map(|run| (run.len() as u32, run[0])).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tiling(film: [u32; 2], edge: u32) -> Tiling {
+        Tiling { width: film[0], height: film[1], edge }
+    }
+
+    fn kinds(film: [u32; 2], edge: u32) -> Vec<StageKind> {
+        let tiling = tiling(film, edge);
+        stages(&tiling, &[4], fan(&tiling)).iter().map(|stage| stage.kind).collect()
+    }
+
+    #[test]
+    fn a_group_has_a_number_of_tiles_and_of_pixels_that_it_does_not_exceed() {
+        let fan = |edge| fan(&tiling([3840, 2160], edge)).get();
+        assert_eq!((fan(16), fan(64), fan(1024)), (256, 64, 1), "64 x 64 x 64 pixels");
+    }
+
+    #[test]
+    fn the_tiles_of_large_frames_are_reduced_and_one_group_is_none() {
+        use StageKind::{Image, Reduce, Render};
+        assert_eq!(kinds([512, 512], 64), [Render, Image]);
+        assert_eq!(kinds([256, 256], 16), [Render, Image]);
+        assert_eq!(kinds([272, 256], 16), [Render, Reduce, Image]);
+        let tiling = tiling([100, 50], 32);
+        let all = stages(&tiling, &[4], NonZeroU32::new(3).unwrap());
+        assert_eq!(all[0].sizes, [(3, 1024), (1, 128), (3, 576), (1, 72)]);
+        assert_eq!(all[1].sizes, [(3, 1)], "8 tiles in threes");
+    }
+
+    #[test]
+    fn sums_are_kept_where_another_round_may_read_them() {
+        let tiling = tiling([64, 64], 16);
+        for fan in [3, 16].map(|fan| NonZeroU32::new(fan).unwrap()) {
+            let touches_sums = |stage: &Stage| {
+                stage.makes.contains(&Role::Sums) || stage.needs.iter().any(|need| need.role == Role::Sums)
+            };
+            let of = |rounds: &[u32]| -> Vec<bool> { stages(&tiling, rounds, fan).iter().map(touches_sums).collect() };
+            assert!(!of(&[8]).contains(&true));
+            assert_eq!(of(&[4, 8]).iter().position(|touches| *touches), Some(1));
+            assert_eq!(of(&[4, 8]).iter().filter(|touches| **touches).count(), 1);
+        }
+    }
+}

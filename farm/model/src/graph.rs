@@ -1,0 +1,474 @@
+//! What a job is made of: templates of stages, which every frame, or the job as a whole, has once.
+//!
+//! A stage is an array of tasks of one kind; its needs say which outputs of which stages a task reads. A stage may close a
+//! **loop**: its one task decides, by its result, whether the stages of the loop run for another round.
+
+use serde::{Deserialize, Serialize};
+
+use crate::{Role, StageKind};
+
+/// The stages of a job. A stage is named by its number here, and needs those before it only, or, of the round before, any of
+/// its loop.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Graph {
+    /// In an order in which they can run.
+    pub stages: Vec<Template>,
+}
+
+/// A stage of every unit of its scope.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Template {
+    /// What its tasks do.
+    pub kind: StageKind,
+    /// What has it once.
+    pub scope: Scope,
+    /// Its tasks, and what a step of each is.
+    pub sizes: Sizes,
+    /// Steps that each task has taken at the end of each round, strictly ascending. Of stages whose kind is not cut: empty, a
+    /// task is one step in each round.
+    pub steps: Vec<u32>,
+    /// What its tasks read.
+    pub needs: Vec<Need>,
+    /// The roles of its outputs, each once.
+    pub makes: Vec<Role>,
+    /// The loop that it closes.
+    pub closes: Option<Loop>,
+}
+
+/// Stages that run in rounds.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Loop {
+    /// The first stage of the loop; the last one is the stage that closes it.
+    pub first: u16,
+    /// Most rounds.
+    pub rounds: u32,
+}
+
+/// What has a stage once.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub enum Scope {
+    /// The job.
+    Job,
+    /// Every frame.
+    Frame,
+}
+
+/// Outputs of one role of a stage, which the tasks of another read.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Need {
+    /// The stage that makes them.
+    pub stage: u16,
+    /// Which of its outputs.
+    pub role: Role,
+    /// Of which of its tasks.
+    pub reach: Reach,
+    /// Of which round.
+    pub round: Round,
+    /// Whether frames that cannot be finished may be missing; of a stage of the job that reads a stage of frames.
+    pub gaps: bool,
+}
+
+/// Which tasks of a stage a task reads. Where a stage of the job reads a stage of frames, its tasks are counted through over all
+/// frames in their order.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Reach {
+    /// All.
+    All,
+    /// The one of the same number.
+    Same,
+    /// Task `i` reads those from `i * n` to `(i + 1) * n`.
+    Fan(u32),
+}
+
+/// Which round of a stage a task reads.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Round {
+    /// Its own, in a loop; the last, of a stage whose loop is over.
+    Same,
+    /// The one before, in a loop; in the first round there is none.
+    Before,
+    /// All rounds, of a stage whose loop is over.
+    Every,
+}
+
+/// The tasks of a stage in order, and the units of work of a step of each: equal neighbors in one entry.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Sizes(Vec<(u32, u64)>);
+
+impl Sizes {
+    /// So many tasks, each of so many units a step.
+    pub fn even(tasks: u32, units: u64) -> Self {
+        std::iter::repeat_n(units, tasks.min(1) as usize).map(|units| (tasks, units)).collect()
+    }
+
+    /// How many tasks there are.
+    pub fn tasks(&self) -> u32 {
+        self.0.iter().fold(0, |sum, (tasks, _)| sum.saturating_add(*tasks))
+    }
+
+    /// Units of a step of a task; 0 beyond the last.
+    pub fn of(&self, task: u32) -> u64 {
+        let mut left = task;
+        for &(tasks, units) in &self.0 {
+            if left < tasks {
+                return units;
+            }
+            left -= tasks;
+        }
+        0
+    }
+
+    /// Units of a step of all tasks.
+    pub fn sum(&self) -> u64 {
+        self.0.iter().fold(0, |sum, (tasks, units)| sum.saturating_add(u64::from(*tasks).saturating_mul(*units)))
+    }
+
+    /// The greatest units of a step of a task.
+    pub fn greatest(&self) -> u64 {
+        self.0.iter().map(|(_, units)| *units).max().unwrap_or(0)
+    }
+
+    /// How many tasks, and the units of a step of each; neighbors differ where [`Sizes::from_iter`] made them.
+    pub fn runs(&self) -> &[(u32, u64)] {
+        &self.0
+    }
+}
+
+impl FromIterator<(u32, u64)> for Sizes {
+    fn from_iter<I: IntoIterator<Item = (u32, u64)>>(runs: I) -> Self {
+        let mut all: Vec<(u32, u64)> = Vec::new();
+        for (tasks, units) in runs {
+            match all.last_mut() {
+                Some((before, same)) if *same == units => *before = before.saturating_add(tasks),
+                _ => all.push((tasks, units)),
+            }
+        }
+        Self(all)
+    }
+}
+
+impl Template {
+    /// A stage without inputs.
+    pub fn new(kind: StageKind, scope: Scope, sizes: Sizes, makes: &[Role]) -> Self {
+        let (steps, needs, makes, closes) = (Vec::new(), Vec::new(), makes.to_vec(), None);
+        Self { kind, scope, sizes, steps, needs, makes, closes }
+    }
+
+    /// The same, each task of which has taken so many steps at the end of each round.
+    pub fn steps(self, steps: &[u32]) -> Self {
+        Self { steps: steps.to_vec(), ..self }
+    }
+
+    /// The same with one more need, of its own round.
+    pub fn reads(self, stage: u16, role: Role, reach: Reach) -> Self {
+        self.needs(Need { stage, role, reach, round: Round::Same, gaps: false })
+    }
+
+    /// The same with one more need.
+    pub fn needs(mut self, need: Need) -> Self {
+        self.needs.push(need);
+        self
+    }
+
+    /// The same, which closes a loop.
+    pub fn closes(self, first: u16, rounds: u32) -> Self {
+        Self { closes: Some(Loop { first, rounds }), ..self }
+    }
+
+    /// How many tasks it has in a round.
+    pub fn tasks(&self) -> u32 {
+        self.sizes.tasks()
+    }
+}
+
+impl Graph {
+    /// Most stages.
+    pub const MAX_STAGES: usize = 64;
+    /// Most tasks of a stage.
+    pub const MAX_TASKS: u32 = 1 << 16;
+    /// Most rounds of a loop.
+    pub const MAX_ROUNDS: u32 = 64;
+    /// Most needs of a stage.
+    pub const MAX_NEEDS: usize = 16;
+    /// Most entries of a stage's sizes.
+    pub const MAX_RUNS: usize = 1 << 17;
+
+    /// The stage of this number.
+    pub fn stage(&self, stage: u16) -> Option<&Template> {
+        self.stages.get(usize::from(stage))
+    }
+
+    /// The stages with their numbers.
+    pub fn iter(&self) -> impl DoubleEndedIterator<Item = (u16, &Template)> {
+        self.stages.iter().enumerate().map(|(stage, template)| (stage as u16, template))
+    }
+
+    /// The stages of a scope, with their numbers.
+    pub fn of(&self, scope: Scope) -> impl DoubleEndedIterator<Item = (u16, &Template)> {
+        self.iter().filter(move |(_, template)| template.scope == scope)
+    }
+
+    /// Whether something of it is done once for the whole job.
+    pub fn has_job(&self) -> bool {
+        self.of(Scope::Job).next().is_some()
+    }
+
+    /// Whether stages of the job may do without frames that cannot be finished.
+    pub fn has_gaps(&self) -> bool {
+        self.of(Scope::Job).any(|(_, template)| template.needs.iter().any(|need| need.gaps))
+    }
+
+    /// The loop of a scope, and the stage that closes it.
+    pub fn loop_of(&self, scope: Scope) -> Option<(u16, Loop)> {
+        self.of(scope).find_map(|(stage, template)| Some((stage, template.closes?)))
+    }
+
+    /// Whether a stage is in its scope's loop.
+    pub fn is_looped(&self, stage: u16) -> bool {
+        let scope = self.stage(stage).map(|template| template.scope);
+        let around = scope.and_then(|scope| self.loop_of(scope));
+        around.is_some_and(|(last, Loop { first, .. })| (first..=last).contains(&stage))
+    }
+
+    /// Whether a stage closes a loop.
+    pub fn closes(&self, stage: u16) -> bool {
+        self.stage(stage).is_some_and(|template| template.closes.is_some())
+    }
+
+    /// Most rounds in which a stage runs.
+    pub fn rounds(&self, stage: u16) -> u32 {
+        let scope = self.stage(stage).map(|template| template.scope);
+        let around = scope.and_then(|scope| self.loop_of(scope)).filter(|_| self.is_looped(stage));
+        around.map_or(1, |(_, Loop { rounds, .. })| rounds)
+    }
+
+    /// Who reads a stage's outputs: the number of each stage that does, and its need.
+    pub fn readers(&self, stage: u16) -> impl Iterator<Item = (u16, &Need)> {
+        let needs = self.iter().flat_map(|(reader, template)| template.needs.iter().map(move |need| (reader, need)));
+        needs.filter(move |(_, need)| need.stage == stage)
+    }
+
+    /// The first stage whose tasks are cut: what people count a frame's progress in.
+    pub fn main(&self) -> Option<(u16, &Template)> {
+        self.of(Scope::Frame).find(|(_, template)| template.kind.is_cut())
+    }
+
+    /// Tasks of one frame, or of the job, if every round runs.
+    pub fn tasks(&self, scope: Scope) -> u64 {
+        self.of(scope).map(|(stage, template)| u64::from(template.tasks()) * u64::from(self.rounds(stage))).sum()
+    }
+
+    /// Its bytes: the same graph gives the same.
+    pub fn encode(&self) -> Vec<u8> {
+        // Numbers and lists, written to memory: that does not fail.
+        postcard::to_stdvec(self).unwrap_or_default()
+    }
+
+    /// Refuses what no scheduler should see.
+    pub fn check(&self) -> Result<(), GraphError> {
+        if self.stages.len() > Self::MAX_STAGES {
+            return Err(GraphError::TooMany { what: "stages", limit: Self::MAX_STAGES as u64 });
+        }
+        if self.of(Scope::Frame).next().is_none() {
+            return Err(GraphError::Empty);
+        }
+        for (stage, template) in self.iter() {
+            self.check_stage(stage, template)?;
+        }
+        for scope in [Scope::Job, Scope::Frame] {
+            if self.of(scope).filter(|(_, template)| template.closes.is_some()).count() > 1 {
+                return Err(GraphError::Loop { stage: 0, why: "a scope has one loop at most" });
+            }
+        }
+        Ok(())
+    }
+
+    fn check_stage(&self, stage: u16, template: &Template) -> Result<(), GraphError> {
+        let Template { kind, sizes, steps, needs, makes, .. } = template;
+        let limits = [
+            ("tasks of a stage", u64::from(sizes.tasks()), u64::from(Self::MAX_TASKS)),
+            ("needs of a stage", needs.len() as u64, Self::MAX_NEEDS as u64),
+            ("sizes of a stage", sizes.runs().len() as u64, Self::MAX_RUNS as u64),
+            ("rounds", steps.len() as u64, u64::from(Self::MAX_ROUNDS)),
+        ];
+        if let Some(&(what, _, limit)) = limits.iter().find(|(_, found, limit)| found > limit) {
+            return Err(GraphError::TooMany { what, limit });
+        }
+        if sizes.tasks() == 0 || sizes.runs().iter().any(|&(tasks, units)| tasks == 0 || units > u64::from(u32::MAX)) {
+            return Err(GraphError::Tasks { stage });
+        }
+        let ascends = steps.first().is_some_and(|&first| first > 0) && steps.windows(2).all(|pair| pair[0] < pair[1]);
+        if kind.is_cut() == steps.is_empty() || (kind.is_cut() && !ascends) {
+            return Err(GraphError::Steps { stage });
+        }
+        if (1..makes.len()).any(|place| makes[..place].contains(&makes[place])) {
+            return Err(GraphError::Makes { stage });
+        }
+        self.check_loop(stage, template)?;
+        if kind.is_cut() && steps.len() != self.rounds(stage) as usize {
+            return Err(GraphError::Steps { stage });
+        }
+        needs.iter().try_for_each(|need| self.check_need(stage, template, need))
+    }
+
+    fn check_loop(&self, stage: u16, template: &Template) -> Result<(), GraphError> {
+        let Some(Loop { first, rounds }) = template.closes else { return Ok(()) };
+        let fault = |why| Err(GraphError::Loop { stage, why });
+        if rounds == 0 || rounds > Self::MAX_ROUNDS {
+            return fault("a loop has from 1 to 64 rounds");
+        }
+        if first > stage || template.tasks() != 1 || template.kind.is_cut() {
+            return fault("a loop is closed by a stage of one task that is not cut, behind the others");
+        }
+        if self.iter().any(|(other, inner)| (first..=stage).contains(&other) && inner.scope != template.scope) {
+            return fault("the stages of a loop are of one scope");
+        }
+        Ok(())
+    }
+
+    fn check_need(&self, stage: u16, template: &Template, need: &Need) -> Result<(), GraphError> {
+        let fault = |why| Err(GraphError::Need { stage, why });
+        let Some(made) = self.stage(need.stage) else { return fault("it needs a stage that there is not") };
+        let same_loop = template.scope == made.scope && self.is_looped(stage) && self.is_looped(need.stage);
+        let is_before = need.round == Round::Before;
+        if !made.makes.contains(&need.role) {
+            return fault("it needs an output that nobody makes");
+        }
+        if (need.stage >= stage && !is_before) || (is_before && !same_loop) {
+            return fault("it needs a stage that comes later");
+        }
+        if (template.scope, made.scope) == (Scope::Frame, Scope::Job) {
+            return fault("a frame cannot wait for the whole job");
+        }
+        if need.round == Round::Every && same_loop {
+            return fault("it needs rounds that are yet to come");
+        }
+        // A stage in a loop is read there by the loop, and behind it by others.
+        if need.round == Round::Same
+            && self.is_looped(stage)
+            && template.scope == made.scope
+            && !self.is_looped(need.stage)
+        {
+            // What came before the loop is there in every round.
+            return Ok(());
+        }
+        let tasks = if template.scope == made.scope { Some(made.tasks()) } else { None };
+        match (need.reach, tasks) {
+            (Reach::Fan(0), _) => fault("a fan of none"),
+            (Reach::Same, Some(tasks)) if tasks != template.tasks() => fault("one to one of different numbers"),
+            (Reach::Fan(n), Some(tasks)) if tasks.div_ceil(n) != template.tasks() => fault("a fan that does not fit"),
+            (Reach::Same, None) => fault("one to one over frames"),
+            _ => Ok(()),
+        }
+    }
+}
+
+/// Why a graph cannot be run.
+#[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
+pub enum GraphError {
+    /// Beyond a limit.
+    #[error("{what}: at most {limit}")]
+    TooMany {
+        /// Of what.
+        what: &'static str,
+        /// The most there may be.
+        limit: u64,
+    },
+    /// No stage of frames.
+    #[error("the job has no stages for its frames")]
+    Empty,
+    /// None, or some without a size.
+    #[error("stage {stage} has no tasks")]
+    Tasks {
+        /// Which.
+        stage: u16,
+    },
+    /// None where tasks are cut, or not ascending, or not one for each round.
+    #[error("the steps of stage {stage} must ascend from 1, one number for each round")]
+    Steps {
+        /// Which.
+        stage: u16,
+    },
+    /// A role twice.
+    #[error("stage {stage} makes two outputs of one role")]
+    Makes {
+        /// Which.
+        stage: u16,
+    },
+    /// A loop that cannot be.
+    #[error("stage {stage}: {why}")]
+    Loop {
+        /// Which.
+        stage: u16,
+        /// Why.
+        why: &'static str,
+    },
+    /// A need that cannot be met.
+    #[error("stage {stage}: {why}")]
+    Need {
+        /// Which.
+        stage: u16,
+        /// Why.
+        why: &'static str,
+    },
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn frames() -> Graph {
+        let render = Template::new(StageKind::Render, Scope::Frame, Sizes::even(10, 64), &[Role::Tile]).steps(&[4, 8]);
+        let reduce = Template::new(StageKind::Reduce, Scope::Frame, Sizes::even(3, 1), &[Role::Pixels, Role::Sums])
+            .reads(0, Role::Tile, Reach::Fan(4))
+            .needs(Need { stage: 1, role: Role::Sums, reach: Reach::Same, round: Round::Before, gaps: false });
+        let image = Template::new(StageKind::Image, Scope::Frame, Sizes::even(1, 1), &[Role::Image, Role::Preview])
+            .reads(1, Role::Pixels, Reach::All)
+            .closes(0, 2);
+        Graph { stages: vec![render, reduce, image] }
+    }
+
+    fn with(change: impl FnOnce(&mut Vec<Template>)) -> Result<(), GraphError> {
+        let mut graph = frames();
+        change(&mut graph.stages);
+        graph.check()
+    }
+
+    #[test]
+    fn a_graph_of_frames_is_sound_and_says_what_it_is() {
+        let graph = frames();
+        assert_eq!(graph.check(), Ok(()));
+        assert_eq!((graph.tasks(Scope::Frame), graph.tasks(Scope::Job), graph.has_job()), (28, 0, false));
+        assert_eq!(graph.readers(1).map(|(reader, _)| reader).collect::<Vec<_>>(), [1, 2]);
+        assert!((0..3).all(|stage| graph.is_looped(stage) && graph.rounds(stage) == 2));
+    }
+
+    #[test]
+    fn impossible_graphs_are_refused() {
+        let need = |why| Err(GraphError::Need { stage: 1, why });
+        assert_eq!(Graph::default().check(), Err(GraphError::Empty));
+        assert_eq!(with(|all| all[0].sizes = Sizes::default()), Err(GraphError::Tasks { stage: 0 }));
+        assert_eq!(with(|all| all[0].steps = vec![4, 4]), Err(GraphError::Steps { stage: 0 }));
+        assert_eq!(with(|all| all[0].steps = vec![4]), Err(GraphError::Steps { stage: 0 }));
+        assert_eq!(with(|all| all[1].steps = vec![4, 8]), Err(GraphError::Steps { stage: 1 }));
+        assert_eq!(with(|all| all[1].needs[0].stage = 9), need("it needs a stage that there is not"));
+        assert_eq!(with(|all| all[1].needs[0].role = Role::Image), need("it needs an output that nobody makes"));
+        assert_eq!(with(|all| all[1].needs[1].round = Round::Same), need("it needs a stage that comes later"));
+        assert_eq!(with(|all| all[1].needs[0].reach = Reach::Fan(0)), need("a fan of none"));
+        assert_eq!(with(|all| all[1].needs[0].reach = Reach::Fan(2)), need("a fan that does not fit"));
+        assert_eq!(with(|all| all[1].needs[0].reach = Reach::Same), need("one to one of different numbers"));
+        assert_eq!(with(|all| all[1].makes.push(Role::Sums)), Err(GraphError::Makes { stage: 1 }));
+        assert!(matches!(with(|all| all[2].sizes = Sizes::even(2, 1)), Err(GraphError::Loop { stage: 2, .. })));
+        assert!(with(|all| all[2].closes = Some(Loop { first: 0, rounds: 65 })).is_err());
+        assert!(matches!(with(|all| all[0].sizes = Sizes::even(1 << 17, 1)), Err(GraphError::TooMany { .. })));
+    }
+
+    #[test]
+    fn sizes_join_equal_neighbors_and_find_each_task() {
+        let sizes: Sizes = [(3, 64), (1, 32), (3, 64), (1, 32), (1, 32)].into_iter().collect();
+        assert_eq!(sizes.runs().len(), 4);
+        assert_eq!((0..10).map(|task| sizes.of(task)).collect::<Vec<_>>(), [64, 64, 64, 32, 64, 64, 64, 32, 32, 0]);
+        assert_eq!((sizes.tasks(), sizes.sum(), sizes.greatest()), (9, 6 * 64 + 3 * 32, 64));
+        assert_eq!(Sizes::even(0, 4).tasks(), 0);
+    }
+}

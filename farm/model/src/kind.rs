@@ -1,0 +1,182 @@
+//! The tables of stage kinds and of output roles: all that the farm knows of a kind beside its code.
+
+use serde::{Deserialize, Serialize};
+
+/// What the tasks of a stage do. Its properties are a row of [`StageKind::row`]; what a worker does for it is a file of
+/// `worker/src/execute`.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub enum StageKind {
+    /// Renders samples of a tile.
+    Render,
+    /// Unites outputs of one role.
+    Reduce,
+    /// Measures a frame, decides whether another round follows, writes the image.
+    Image,
+}
+
+/// Tasks of one lane are done one after the other, those of different lanes side by side.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Lane {
+    /// Takes all threads of the worker.
+    Compute,
+    /// Joins what is there.
+    Join,
+}
+
+impl Lane {
+    /// All.
+    pub const ALL: [Self; 2] = [Self::Compute, Self::Join];
+
+    /// In one word.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Compute => "compute",
+            Self::Join => "join",
+        }
+    }
+}
+
+/// What a task wants to have near.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum Near {
+    /// The prepared frame: a worker goes on with a frame that it has prepared.
+    Frame,
+    /// Nothing but its inputs.
+    Inputs,
+}
+
+/// Where the log of an attempt goes that went well; those of failures are stored.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
+pub enum LogPlace {
+    /// It travels in the report and is kept in memory.
+    Report,
+    /// Into the store.
+    Store,
+}
+
+/// A row of the kinds' table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct KindRow {
+    /// In one word.
+    pub name: &'static str,
+    /// What its steps are counted in, for people.
+    pub unit: &'static str,
+    /// With what it competes on its worker.
+    pub lane: Lane,
+    /// Whether a lease may cover some of a task's steps.
+    pub is_cut: bool,
+    /// What it wants near.
+    pub near: Near,
+    /// Where its log goes.
+    pub log: LogPlace,
+}
+
+impl StageKind {
+    /// All, in the order of the table.
+    pub const ALL: [Self; 3] = [Self::Render, Self::Reduce, Self::Image];
+
+    /// Its row of the table.
+    pub fn row(self) -> KindRow {
+        use Lane::{Compute, Join};
+        use LogPlace::{Report, Store};
+        let row = |name, unit, lane, is_cut, near, log| KindRow { name, unit, lane, is_cut, near, log };
+        match self {
+            Self::Render => row("render", "pixel samples", Compute, true, Near::Frame, Report),
+            Self::Reduce => row("reduce", "inputs", Join, false, Near::Inputs, Report),
+            Self::Image => row("image", "inputs", Join, false, Near::Inputs, Store),
+        }
+    }
+
+    /// In one word.
+    pub fn name(self) -> &'static str {
+        self.row().name
+    }
+
+    /// The kind of this name.
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|kind| kind.name() == name)
+    }
+
+    /// Whether a lease may cover some of a task's steps.
+    pub fn is_cut(self) -> bool {
+        self.row().is_cut
+    }
+
+    /// Its place in [`StageKind::ALL`].
+    pub const fn place(self) -> usize {
+        self as usize
+    }
+}
+
+/// What an output is. Its properties are a row of [`Role::row`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub enum Role {
+    /// Encoded sums of a tile's samples.
+    Tile,
+    /// Encoded sums of several tiles.
+    Sums,
+    /// Resolved pixels of several tiles.
+    Pixels,
+    /// A finished image as EXR.
+    Image,
+    /// The same, tone-mapped, as PNG.
+    Preview,
+}
+
+/// A row of the roles' table.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub struct RoleRow {
+    /// In one word.
+    pub name: &'static str,
+    /// Whether it is a result of the job: kept with it, and made again when it is lost.
+    pub is_result: bool,
+    /// Whether a task may do without it.
+    pub is_optional: bool,
+}
+
+impl Role {
+    /// All, in the order of the table.
+    pub const ALL: [Self; 5] = [Self::Tile, Self::Sums, Self::Pixels, Self::Image, Self::Preview];
+
+    /// Its row of the table.
+    pub fn row(self) -> RoleRow {
+        let row = |name, is_result, is_optional| RoleRow { name, is_result, is_optional };
+        match self {
+            Self::Tile => row("tile", false, false),
+            Self::Sums => row("sums", false, false),
+            Self::Pixels => row("pixels", false, false),
+            Self::Image => row("image", true, false),
+            Self::Preview => row("preview", true, true),
+        }
+    }
+
+    /// In one word.
+    pub fn name(self) -> &'static str {
+        self.row().name
+    }
+
+    /// Its place in [`Role::ALL`].
+    pub const fn place(self) -> usize {
+        self as usize
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    #[test]
+    fn the_tables_are_whole_and_no_name_is_there_twice() {
+        for (place, kind) in StageKind::ALL.into_iter().enumerate() {
+            assert_eq!(kind.place(), place);
+        }
+        for (place, role) in Role::ALL.into_iter().enumerate() {
+            assert_eq!(role.place(), place);
+        }
+        let kinds: BTreeSet<&str> = StageKind::ALL.iter().map(|kind| kind.name()).collect();
+        let roles: BTreeSet<&str> = Role::ALL.iter().map(|role| role.name()).collect();
+        assert_eq!((kinds.len(), roles.len()), (StageKind::ALL.len(), Role::ALL.len()));
+    }
+}

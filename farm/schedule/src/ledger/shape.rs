@@ -1,0 +1,149 @@
+//! What the stages of a frame, or of the job as a whole, look like: who reads whom.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
+
+use femc_model::{Cut, Grains, Graph, Input, Loop, Need, Reach, Round, Scope, Stage, Template, Uneven};
+
+use super::job::Finished;
+
+/// A stage in one round: the round, and the stage's number.
+pub(crate) type Place = (u32, u16);
+
+/// The part of a job's graph that a frame has, or the job as a whole, and what that part can see beyond itself.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Shape<'a> {
+    pub(crate) graph: &'a Graph,
+    pub(crate) scope: Scope,
+    pub(super) cut: Cut,
+    pub(super) frames: &'a [u32],
+    pub(super) finished: &'a BTreeMap<u32, Finished>,
+    pub(super) blocked: &'a BTreeSet<u32>,
+}
+
+impl<'a> Shape<'a> {
+    /// The scope of a frame number.
+    pub(crate) fn scope_of(frame: u32) -> Scope {
+        if frame == Stage::OF_JOB { Scope::Job } else { Scope::Frame }
+    }
+
+    pub(crate) fn template(&self, number: u16) -> Option<&'a Template> {
+        self.graph.stage(number).filter(|template| template.scope == self.scope)
+    }
+
+    /// How the tasks of a stage are numbered, where each takes the steps planned or these.
+    pub(super) fn grains(&self, (round, number): Place, uneven: Option<&'a Uneven>) -> Option<Grains<'a>> {
+        let template = self.template(number)?;
+        Some(Grains::of(template, round, uneven.filter(|_| template.kind.is_cut()), self.cut))
+    }
+
+    /// The loop of the scope, and the stage that closes it.
+    pub(super) fn around(&self) -> Option<(u16, Loop)> {
+        self.graph.loop_of(self.scope)
+    }
+
+    pub(super) fn is_looped(&self, number: u16) -> bool {
+        self.around().is_some_and(|(last, Loop { first, .. })| (first..=last).contains(&number))
+    }
+
+    pub(super) fn is_cut(&self, number: u16) -> bool {
+        self.template(number).is_some_and(|template| template.kind.is_cut())
+    }
+
+    /// Whether another round may follow this one.
+    pub(crate) fn may_go_on(&self, round: u32) -> bool {
+        self.around().is_some_and(|(_, Loop { rounds, .. })| round + 1 < rounds)
+    }
+
+    /// The rounds of another stage of the scope that a stage reads in one of its own.
+    /// - `current`: the round that the loop is in, or the last one where it is over.
+    pub(super) fn rounds_read(&self, (round, number): Place, need: &Need, current: u32) -> Range<u32> {
+        let one = |round: u32| round..round + 1;
+        match need.round {
+            Round::Before => round.saturating_sub(1)..round,
+            Round::Every => 0..current + 1,
+            Round::Same if !self.is_looped(need.stage) => one(0),
+            Round::Same if self.is_looped(number) => one(round),
+            Round::Same => one(current),
+        }
+    }
+
+    /// The tasks of another stage of the scope that a task reads.
+    pub(super) fn items_read(&self, item: u32, need: &Need) -> Range<u32> {
+        let tasks = self.graph.stage(need.stage).map_or(0, Template::tasks);
+        reach(need.reach, item, tasks)
+    }
+
+    /// The places in a stage's row of frames that a task of the job reads of a stage of frames, counted through.
+    pub(super) fn counted(&self, item: u32, need: &Need) -> (u32, Range<u64>) {
+        let tasks = self.graph.stage(need.stage).map_or(1, Template::tasks).max(1);
+        let all = u64::from(tasks) * self.frames.len() as u64;
+        let range = match need.reach {
+            Reach::All => 0..all,
+            Reach::Same => u64::from(item)..u64::from(item) + 1,
+            Reach::Fan(n) => u64::from(item) * u64::from(n)..(u64::from(item) + 1) * u64::from(n),
+        };
+        (tasks, range.start.min(all)..range.end.min(all))
+    }
+
+    /// The tasks of the job that read a frame by this need; `None`: it is not of frames.
+    pub(super) fn reads_frame(&self, reader: u16, need: &Need, frame: u32) -> Option<Range<u32>> {
+        let (made, tasks) = (self.graph.stage(need.stage)?, self.template(reader)?.tasks());
+        let place = self.frames.binary_search(&frame).ok().filter(|_| made.scope != self.scope)? as u64;
+        let (first, count) = (place * u64::from(made.tasks()), u64::from(made.tasks()));
+        let (start, end) = match need.reach {
+            Reach::All => (0, u64::from(tasks)),
+            Reach::Same => (first, first + count),
+            Reach::Fan(n) => (first / u64::from(n.max(1)), (first + count).div_ceil(u64::from(n.max(1)))),
+        };
+        Some(start.min(tasks.into()) as u32..end.min(tasks.into()) as u32)
+    }
+
+    /// What a task of the job reads of frames, of those that are finished, in their order.
+    pub(super) fn inputs_of_frames(&self, number: u16, item: u32, need: &Need) -> Vec<Input> {
+        let (tasks, range) = self.counted(item, need);
+        let places = (range.start / u64::from(tasks)) as usize..range.end.div_ceil(u64::from(tasks)) as usize;
+        let mut inputs = Vec::new();
+        for place in places {
+            let Some(&frame) = self.frames.get(place) else { break };
+            let made = self.finished.get(&frame).into_iter().flat_map(|finished| &finished.made);
+            let of_need = made.filter(|made| (made.stage, made.output.role) == (need.stage, need.role));
+            let is_read = |item: u32| range.contains(&(place as u64 * u64::from(tasks) + u64::from(item)));
+            let of_need = of_need.filter(|made| is_read(made.item));
+            inputs.extend(of_need.map(|made| Input { need: number, frame, item: made.item, output: made.output }));
+        }
+        inputs
+    }
+
+    /// Whether what a task of the job reads of frames is there, as far as it ever will be.
+    pub(super) fn are_frames_there(&self, item: u32, need: &Need) -> bool {
+        let is_there = |frame: &u32| self.finished.contains_key(frame) || (need.gaps && self.blocked.contains(frame));
+        let (tasks, range) = self.counted(item, need);
+        if range == (0..u64::from(tasks) * self.frames.len() as u64) {
+            let own = usize::from(self.finished.contains_key(&Stage::OF_JOB));
+            let gaps = if need.gaps { self.blocked.iter().filter(|frame| **frame != Stage::OF_JOB).count() } else { 0 };
+            return self.finished.len() - own + gaps == self.frames.len();
+        }
+        let places = (range.start / u64::from(tasks)) as usize..range.end.div_ceil(u64::from(tasks)) as usize;
+        self.frames.get(places).is_some_and(|frames| frames.iter().all(is_there))
+    }
+}
+
+/// The tasks, of so many, that a task reads.
+fn reach(reach: Reach, item: u32, tasks: u32) -> Range<u32> {
+    match reach {
+        Reach::All => 0..tasks,
+        Reach::Same => item.min(tasks)..item.saturating_add(1).min(tasks),
+        Reach::Fan(n) => item.saturating_mul(n).min(tasks)..item.saturating_add(1).saturating_mul(n).min(tasks),
+    }
+}
+
+/// The tasks, of so many, that read a task.
+pub(super) fn read_by(reach: Reach, item: u32, readers: u32) -> Range<u32> {
+    let one = |item: u32| item.min(readers)..item.saturating_add(1).min(readers);
+    match reach {
+        Reach::All => 0..readers,
+        Reach::Same => one(item),
+        Reach::Fan(n) => one(item / n.max(1)),
+    }
+}

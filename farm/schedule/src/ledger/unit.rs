@@ -1,0 +1,633 @@
+//! A frame in work, or the job's own stages: what is done of each stage, and what went wrong.
+
+use std::collections::BTreeMap;
+use std::ops::Range;
+
+use femc_model::{
+    Decision, Digest, Epoch, Failure, FrameRecord, Grains, Input, Output, Reach, Role, Round, Stage, TaskResult, Tick,
+    Uneven,
+};
+use serde::{Deserialize, Serialize};
+
+use super::shape::{Place, Shape, read_by};
+use super::trouble::Trouble;
+use crate::{Casualty, RangeSet};
+
+/// A run of grains that is done, and the lease that did it.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Row {
+    end: u32,
+    epoch: Epoch,
+    /// Those that are needed yet.
+    outputs: Vec<Output>,
+}
+
+/// What is done of a stage in one round.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Array {
+    /// Runs of grains of whose outputs some are needed yet, by their first key.
+    rows: BTreeMap<u32, Row>,
+    /// Grains that are done and of whose outputs none is needed any more.
+    spent: RangeSet,
+    /// Bad samples of the runs that have any, by their first key.
+    bad: BTreeMap<u32, u64>,
+    /// Tasks of which all is done.
+    whole: u32,
+}
+
+impl Array {
+    /// Before anything of it is done: a task without steps has nothing to do.
+    fn fresh(grains: &Grains<'_>) -> Self {
+        let is_idle = |task: &u32| grains.of_task(*task).is_empty();
+        let whole = if grains.is_even() { 0 } else { (0..grains.tasks()).filter(is_idle).count() as u32 };
+        Self { whole, ..Self::default() }
+    }
+
+    fn is_complete(&self, grains: &Grains<'_>) -> bool {
+        self.whole == grains.tasks()
+    }
+
+    fn is_whole(&self, grains: &Grains<'_>, task: u32) -> bool {
+        let keys = grains.of_task(task);
+        if keys.len() == 1 && grains.stride() == 1 {
+            return self.rows.contains_key(&keys.start) || self.spent.contains(keys.start);
+        }
+        let done: usize = self.rows.range(keys.clone()).map(|(first, row)| (row.end - first) as usize).sum();
+        done == keys.len() || self.spent.covers(&keys)
+    }
+
+    /// Whether some of these grains are done.
+    fn holds_any(&self, run: &Range<u32>) -> bool {
+        let before = self.rows.range(..run.end).next_back();
+        before.is_some_and(|(_, row)| row.end > run.start) || self.spent.touches(run)
+    }
+}
+
+/// A frame of which something is done or has failed; or the job's own stages.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub(crate) struct Unit {
+    /// Round of its loop.
+    pub(crate) round: u32,
+    /// Whether its loop is over, or it has none.
+    is_over: bool,
+    /// First lease of a task that was completed.
+    pub(crate) began: Tick,
+    arrays: BTreeMap<Place, Array>,
+    /// Steps of the rounds in which tasks differ.
+    uneven: BTreeMap<u32, Uneven>,
+    /// By stage, round and key. What joins fails in all rounds under one name: so a frame whose inputs are lost again and again
+    /// ends.
+    trouble: BTreeMap<(u16, u32, u32), Trouble>,
+    /// Of the task that decided what followed the round before.
+    decided: Option<Epoch>,
+    /// Units of work done, in all rounds.
+    pub(crate) units: u64,
+    pub(crate) bad_samples: u64,
+    pub(crate) busy_seconds: f64,
+    pub(crate) relative_error: Option<f64>,
+    /// It was finished before, and something of it is gone.
+    pub(crate) is_again: bool,
+}
+
+impl Unit {
+    pub(super) fn new(shape: &Shape<'_>, began: Tick) -> Self {
+        Self {
+            round: 0,
+            is_over: shape.around().is_none(),
+            began,
+            arrays: BTreeMap::new(),
+            uneven: BTreeMap::new(),
+            trouble: BTreeMap::new(),
+            decided: None,
+            units: 0,
+            bad_samples: 0,
+            busy_seconds: 0.0,
+            relative_error: None,
+            is_again: false,
+        }
+    }
+
+    /// A finished one of which something is gone; nobody has begun it again.
+    pub(super) fn again(shape: &Shape<'_>, record: &FrameRecord) -> Self {
+        Self { busy_seconds: record.busy_seconds, is_again: true, ..Self::new(shape, Tick(u64::MAX)) }
+    }
+
+    /// It begins anew; what went wrong is remembered.
+    pub(super) fn restarted(&mut self, shape: &Shape<'_>) -> Vec<Digest> {
+        let released = self.artefacts().collect();
+        let trouble = std::mem::take(&mut self.trouble);
+        *self = Self { busy_seconds: self.busy_seconds, trouble, ..Self::new(shape, self.began) };
+        released
+    }
+
+    /// The stages that there are now, each in its rounds.
+    pub(crate) fn places(&self, shape: &Shape<'_>) -> impl DoubleEndedIterator<Item = Place> {
+        let (around, rounds, is_over) = (shape.around(), 0..self.round + 1, self.is_over);
+        shape.graph.of(shape.scope).flat_map(move |(number, _)| {
+            let rounds = match around {
+                Some((last, it)) if (it.first..=last).contains(&number) => rounds.clone(),
+                Some((last, _)) if number > last && !is_over => 0..0,
+                _ => 0..1,
+            };
+            rounds.map(move |round| (round, number))
+        })
+    }
+
+    fn is_place(&self, shape: &Shape<'_>, place: Place) -> bool {
+        let is_of_loop = shape.is_looped(place.1);
+        let is_behind = shape.around().is_some_and(|(last, _)| place.1 > last);
+        shape.template(place.1).is_some()
+            && if is_of_loop { place.0 <= self.round } else { place.0 == 0 && (self.is_over || !is_behind) }
+    }
+
+    pub(crate) fn grains<'a>(&'a self, shape: &Shape<'a>, place: Place) -> Option<Grains<'a>> {
+        grains(&self.uneven, shape, place)
+    }
+
+    /// Whether every task of a stage is done.
+    pub(crate) fn is_complete(&self, shape: &Shape<'_>, place: Place) -> bool {
+        let Some(grains) = self.grains(shape, place) else { return false };
+        self.arrays.get(&place).is_some_and(|array| array.is_complete(&grains))
+    }
+
+    /// Whether all is done.
+    pub(super) fn is_finished(&self, shape: &Shape<'_>) -> bool {
+        self.is_over && self.places(shape).all(|place| self.is_complete(shape, place))
+    }
+
+    /// Tasks of a stage that are done.
+    pub(crate) fn tasks_done(&self, place: Place) -> u32 {
+        self.arrays.get(&place).map_or(0, |array| array.whole)
+    }
+
+    /// Whether all of these tasks of a stage are done.
+    fn are_done(&self, shape: &Shape<'_>, place: Place, items: Range<u32>) -> bool {
+        let (Some(array), Some(grains)) = (self.arrays.get(&place), self.grains(shape, place)) else {
+            return items.is_empty();
+        };
+        // They come in their order, more or less: the last one tells soonest.
+        array.is_complete(&grains) || items.rev().all(|item| array.is_whole(&grains, item))
+    }
+
+    /// Whether all that a task reads is there.
+    pub(crate) fn is_fed(&self, shape: &Shape<'_>, place: Place, item: u32) -> bool {
+        let Some(template) = shape.template(place.1) else { return false };
+        template.needs.iter().all(|need| match shape.template(need.stage) {
+            None => shape.are_frames_there(item, need),
+            Some(_) => {
+                let mut rounds = shape.rounds_read(place, need, self.round);
+                rounds.all(|round| self.are_done(shape, (round, need.stage), shape.items_read(item, need)))
+            }
+        })
+    }
+
+    /// What a task reads, in order of need, frame and task.
+    pub(crate) fn inputs(&self, shape: &Shape<'_>, place: Place, item: u32) -> Vec<Input> {
+        let mut inputs = Vec::new();
+        let Some(template) = shape.template(place.1) else { return inputs };
+        for (number, need) in template.needs.iter().enumerate() {
+            let number = number as u16;
+            if shape.template(need.stage).is_none() {
+                inputs.extend(shape.inputs_of_frames(number, item, need));
+                continue;
+            }
+            for round in shape.rounds_read(place, need, self.round) {
+                let from = (round, need.stage);
+                let (Some(array), Some(grains)) = (self.arrays.get(&from), self.grains(shape, from)) else { continue };
+                let keys = grains.of_tasks(&shape.items_read(item, need));
+                for (&first, row) in array.rows.range(keys) {
+                    let of_role = row.outputs.iter().filter(|output| output.role == need.role);
+                    let (item, frame) = (grains.task(first), Stage::OF_JOB);
+                    inputs.extend(of_role.map(|&output| Input { need: number, frame, item, output }));
+                }
+            }
+        }
+        inputs
+    }
+
+    /// Takes in what was done of a run of grains; what is done already changes nothing. Returns what is needed no longer.
+    pub(super) fn done(
+        &mut self,
+        shape: &Shape<'_>,
+        stage: &Stage,
+        run: &Range<u32>,
+        (epoch, leased): (Epoch, Tick),
+        result: &TaskResult,
+    ) -> Vec<Digest> {
+        let place = (stage.round, stage.number);
+        if !self.is_place(shape, place) {
+            return Vec::new();
+        }
+        let Some(grains) = grains(&self.uneven, shape, place) else { return Vec::new() };
+        let item = grains.task(run.start);
+        let array = self.arrays.entry(place).or_insert_with(|| Array::fresh(&grains));
+        if run.is_empty() || run.end > grains.of_task(item).end || array.holds_any(run) {
+            return Vec::new();
+        }
+        array.rows.insert(run.start, Row { end: run.end, epoch, outputs: result.outputs.clone() });
+        array.whole += u32::from(array.is_whole(&grains, item));
+        if result.bad_samples > 0 {
+            array.bad.insert(run.start, result.bad_samples);
+        }
+        self.began = self.began.min(leased);
+        self.busy_seconds += result.seconds;
+        self.relative_error = result.relative_error.or(self.relative_error);
+        self.units += result.units;
+        self.bad_samples += result.bad_samples;
+        if stage.kind.is_cut() {
+            self.trouble.retain(|(number, round, key), _| (*round, *number) != place || !run.contains(key));
+        }
+        let mut released = Vec::new();
+        if !self.close(shape, place, epoch, result.decision.as_ref(), &mut released) {
+            self.sweep(shape, place, item..item + 1, &mut released);
+            self.sweep_inputs(shape, place, item, &mut released);
+        }
+        released
+    }
+
+    /// The loop goes on or is over, if this task closes the round that it is in. Returns whether it does.
+    fn close(
+        &mut self,
+        shape: &Shape<'_>,
+        (round, number): Place,
+        epoch: Epoch,
+        decision: Option<&Decision>,
+        released: &mut Vec<Digest>,
+    ) -> bool {
+        let closes = shape.around().is_some_and(|(last, _)| last == number);
+        if !closes || round != self.round || self.is_over {
+            return false;
+        }
+        self.decided = Some(epoch);
+        match decision {
+            Some(Decision::Continue) if shape.may_go_on(round) => self.next_round(shape, None),
+            Some(Decision::Steps(to)) if shape.may_go_on(round) => self.next_round(shape, Some(to)),
+            _ => self.is_over = true,
+        }
+        let places: Vec<Place> = self.arrays.keys().copied().collect();
+        for place in places {
+            let tasks = shape.template(place.1).map_or(0, |template| template.tasks());
+            self.sweep(shape, place, 0..tasks, released);
+        }
+        true
+    }
+
+    /// Another round begins.
+    /// - `to`: steps that each task has taken at its end; `None`: as planned.
+    fn next_round(&mut self, shape: &Shape<'_>, to: Option<&[u32]>) {
+        self.round += 1;
+        let main = shape.graph.of(shape.scope).find(|(number, it)| it.kind.is_cut() && shape.is_looped(*number));
+        let Some((number, template)) = main else { return };
+        if to.is_none() && !self.uneven.contains_key(&(self.round - 1)) {
+            return;
+        }
+        let planned = vec![template.steps_of(self.round).end; template.tasks() as usize];
+        let uneven = self.next_steps(shape, to.unwrap_or(&planned));
+        self.uneven.insert(self.round, uneven);
+        // Where nothing is left to do of it, nobody would begin it.
+        let place = (self.round, number);
+        if let Some(grains) = grains(&self.uneven, shape, place) {
+            self.arrays.insert(place, Array::fresh(&grains));
+        }
+    }
+
+    /// The steps of the round that begins: none takes back what was done.
+    fn next_steps(&self, shape: &Shape<'_>, to: &[u32]) -> Uneven {
+        let main = shape.graph.of(shape.scope).find(|(number, it)| it.kind.is_cut() && shape.is_looped(*number));
+        let tasks = main.map_or(0, |(_, template)| template.tasks());
+        let before = |task: u32| {
+            let planned = || main.map_or(0, |(_, template)| template.steps_of(self.round - 1).end);
+            self.uneven
+                .get(&(self.round - 1))
+                .and_then(|uneven| uneven.to.get(task as usize))
+                .copied()
+                .unwrap_or_else(planned)
+        };
+        let from: Vec<u32> = (0..tasks).map(before).collect();
+        let to = from.iter().enumerate().map(|(task, &from)| to.get(task).copied().unwrap_or(from).max(from)).collect();
+        Uneven { from, to }
+    }
+
+    /// Whether an output of a task is needed by one that is not done, or for good.
+    fn is_needed(&self, shape: &Shape<'_>, place: Place, item: u32, role: Role) -> bool {
+        role.row().is_result
+            || shape.graph.readers(place.1).filter(|(_, need)| need.role == role).any(|(reader, need)| {
+                let Some(template) = shape.template(reader) else { return true };
+                let readers = read_by(need.reach, item, template.tasks());
+                let is_open = |round: u32| !self.are_done(shape, (round, reader), readers.clone());
+                match need.round {
+                    Round::Before => {
+                        let goes_on = !self.is_over && self.round <= place.0 + 1;
+                        goes_on || (place.0 < self.round && is_open(place.0 + 1))
+                    }
+                    Round::Every => is_open(0),
+                    Round::Same if !shape.is_looped(place.1) && shape.is_looped(reader) => {
+                        !self.is_over || (0..self.round + 1).any(is_open)
+                    }
+                    Round::Same if shape.is_looped(place.1) && !shape.is_looped(reader) => {
+                        place.0 == self.round && is_open(0)
+                    }
+                    Round::Same => is_open(place.0),
+                }
+            })
+    }
+
+    /// Lets go of the outputs of these tasks that are needed no longer. A stage reads itself in other rounds only.
+    fn sweep(&mut self, shape: &Shape<'_>, place: Place, items: Range<u32>, released: &mut Vec<Digest>) {
+        let Some((keys, stride)) = self.grains(shape, place).map(|it| (it.of_tasks(&items), it.stride())) else {
+            return;
+        };
+        let Some(mut array) = self.arrays.remove(&place) else { return };
+        let mut spent = Vec::new();
+        for (&first, row) in array.rows.range_mut(keys) {
+            row.outputs.retain(|output| {
+                let is_needed = self.is_needed(shape, place, first / stride, output.role);
+                if !is_needed {
+                    released.push(output.artefact.digest);
+                }
+                is_needed
+            });
+            if row.outputs.is_empty() {
+                spent.push(first..row.end);
+            }
+        }
+        for run in spent {
+            array.rows.remove(&run.start);
+            array.spent.add(run);
+        }
+        self.arrays.insert(place, array);
+    }
+
+    /// The same of what a task has read.
+    fn sweep_inputs(&mut self, shape: &Shape<'_>, place: Place, item: u32, released: &mut Vec<Digest>) {
+        let needs = shape.template(place.1).map_or(&[][..], |template| &template.needs);
+        for need in needs.iter().filter(|need| shape.template(need.stage).is_some()) {
+            if need.reach == Reach::All && !self.is_complete(shape, place) {
+                continue;
+            }
+            for round in shape.rounds_read(place, need, self.round) {
+                self.sweep(shape, (round, need.stage), shape.items_read(item, need), released);
+            }
+        }
+    }
+
+    /// The runs of grains of which one of these artefacts is an output that is needed.
+    pub(crate) fn makers(&self, lost: &[Digest]) -> Vec<(Place, u32)> {
+        let is_hurt = |row: &Row| row.outputs.iter().any(|output| lost.contains(&output.artefact.digest));
+        let rows = self
+            .arrays
+            .iter()
+            .flat_map(|(&place, array)| array.rows.iter().map(move |(&first, row)| (place, first, row)));
+        rows.filter(|(.., row)| is_hurt(row)).map(|(place, first, _)| (place, first)).collect()
+    }
+
+    /// Outputs of the run from this key on are gone: it is to be done again, and what it needs for that. Others that it made stay in
+    /// the store, where some task may be reading them: it makes the same again.
+    pub(super) fn lost(&mut self, shape: &Shape<'_>, place: Place, first: u32) {
+        if let Some(end) = self.arrays.get(&place).and_then(|array| array.rows.get(&first)).map(|row| row.end) {
+            self.undo(shape, place, first..end);
+        }
+    }
+
+    fn undo(&mut self, shape: &Shape<'_>, place: Place, run: Range<u32>) {
+        let Some(template) = shape.template(place.1) else { return };
+        let (Some(grains), Some(array)) = (grains(&self.uneven, shape, place), self.arrays.get_mut(&place)) else {
+            return;
+        };
+        let item = grains.task(run.start);
+        let was_whole = array.is_whole(&grains, item);
+        let units = |run: &Range<u32>| if template.kind.is_cut() { grains.units(run) } else { 0 };
+        let (mut forgotten, mut bad) = (0, 0);
+        let rows: Vec<u32> = array.rows.range(run.clone()).map(|(&first, _)| first).collect();
+        for first in rows {
+            let Some(row) = array.rows.remove(&first) else { continue };
+            forgotten += units(&(first..row.end));
+        }
+        let spent: Vec<u32> = run.clone().filter(|&key| array.spent.contains(key)).collect();
+        for key in spent {
+            array.spent.remove(key..key + 1);
+            forgotten += units(&(key..key + 1));
+        }
+        let refused: Vec<u32> = array.bad.range(run).map(|(&first, _)| first).collect();
+        refused.into_iter().filter_map(|first| array.bad.remove(&first)).for_each(|count| bad += count);
+        array.whole -= u32::from(was_whole && !array.is_whole(&grains, item));
+        self.units -= forgotten;
+        self.bad_samples -= bad;
+        for need in template.needs.iter().filter(|need| shape.template(need.stage).is_some()) {
+            for round in shape.rounds_read(place, need, self.round) {
+                for item in shape.items_read(item, need) {
+                    self.undo_spent(shape, (round, need.stage), item, need.role);
+                }
+            }
+        }
+    }
+
+    /// A task that is done is to be done again, if its output of this role is not there any more.
+    fn undo_spent(&mut self, shape: &Shape<'_>, place: Place, item: u32, role: Role) {
+        let Some(keys) = self.grains(shape, place).map(|grains| grains.of_task(item)) else { return };
+        let Some(array) = self.arrays.get(&place) else { return };
+        let lacks = |row: &Row| row.outputs.iter().all(|output| output.role != role);
+        if array.spent.touches(&keys) || array.rows.range(keys.clone()).any(|(_, row)| lacks(row)) {
+            self.undo(shape, place, keys);
+        }
+    }
+
+    /// Those of a stage's keys that are neither done nor put aside.
+    pub(crate) fn open_keys(&self, shape: &Shape<'_>, place: Place) -> RangeSet {
+        let Some(grains) = self.grains(shape, place).filter(|_| self.is_place(shape, place)) else {
+            return RangeSet::default();
+        };
+        let mut open = RangeSet::default();
+        if grains.is_even() {
+            open.add(grains.all());
+        } else {
+            (0..grains.tasks()).for_each(|task| open.add(grains.of_task(task)));
+        }
+        if let Some(array) = self.arrays.get(&place) {
+            array.rows.iter().for_each(|(&first, row)| open.remove(first..row.end));
+            array.spent.ranges().for_each(|run| open.remove(run));
+        }
+        for (number, round, key) in self.quarantined().map(|(name, _)| name) {
+            if number == place.1 && (round == place.0 || !shape.is_cut(number)) {
+                open.remove(key..key + 1);
+            }
+        }
+        open
+    }
+
+    /// The tasks that can run, by stage: neither done nor put aside, and all that they read is there.
+    pub(crate) fn open(&self, shape: &Shape<'_>) -> Vec<(Place, RangeSet)> {
+        let mut all = Vec::new();
+        for place in self.places(shape).filter(|&place| !self.is_complete(shape, place)) {
+            let (Some(template), Some(grains)) = (shape.template(place.1), self.grains(shape, place)) else { continue };
+            let mut keys = self.open_keys(shape, place);
+            if template.needs.iter().all(|need| need.reach == Reach::All) {
+                if !keys.is_empty() && !self.is_fed(shape, place, 0) {
+                    continue;
+                }
+            } else {
+                let items: Vec<u32> =
+                    keys.ranges().flat_map(|run| grains.task(run.start)..grains.task(run.end - 1) + 1).collect();
+                let hungry = items.into_iter().filter(|&item| !self.is_fed(shape, place, item));
+                hungry.for_each(|item| keys.remove(grains.of_tasks(&(item..item + 1))));
+            }
+            if !keys.is_empty() {
+                all.push((place, keys));
+            }
+        }
+        all
+    }
+
+    /// The keys of the tasks that can run now that this one is done, by stage.
+    pub(crate) fn fed_by(&self, shape: &Shape<'_>, stage: &Stage, key: u32) -> Vec<(Place, RangeSet)> {
+        let mut all = Vec::new();
+        let from = (stage.round, stage.number);
+        let Some(grains) = self.grains(shape, from) else { return all };
+        let item = grains.task(key);
+        if !self.are_done(shape, from, item..item + 1) {
+            return all;
+        }
+        for (reader, need) in shape.graph.readers(stage.number) {
+            let Some(template) = shape.template(reader) else { continue };
+            if need.reach == Reach::All && !self.is_complete(shape, from) {
+                continue;
+            }
+            for place in self.places(shape).filter(|place| place.1 == reader) {
+                if !shape.rounds_read(place, need, self.round).contains(&stage.round) {
+                    continue;
+                }
+                let keys = self.fed_among(shape, place, read_by(need.reach, item, template.tasks()));
+                if !keys.is_empty() {
+                    all.push((place, keys));
+                }
+            }
+        }
+        all
+    }
+
+    /// The keys of the job's own tasks that can run now that this frame has ended, by stage.
+    pub(crate) fn fed_by_frame(&self, shape: &Shape<'_>, frame: u32) -> Vec<(Place, RangeSet)> {
+        let mut all = Vec::new();
+        for place in self.places(shape) {
+            let needs = shape.template(place.1).map_or(&[][..], |template| &template.needs);
+            let fed = needs.iter().filter_map(|need| shape.reads_frame(place.1, need, frame));
+            for fed in fed.collect::<Vec<_>>() {
+                let keys = self.fed_among(shape, place, fed);
+                if !keys.is_empty() {
+                    all.push((place, keys));
+                }
+            }
+        }
+        all
+    }
+
+    /// Those of some tasks of a stage that can run, as keys.
+    fn fed_among(&self, shape: &Shape<'_>, place: Place, items: Range<u32>) -> RangeSet {
+        let Some(grains) = self.grains(shape, place) else { return RangeSet::default() };
+        let mut keys = self.open_keys(shape, place);
+        keys.remove(0..grains.of_tasks(&items).start);
+        keys.remove(grains.of_tasks(&items).end..grains.all().end);
+        let hungry = items.filter(|&item| !self.is_fed(shape, place, item));
+        hungry.for_each(|item| keys.remove(grains.of_tasks(&(item..item + 1))));
+        keys
+    }
+
+    /// Another attempt at a task has failed.
+    pub(super) fn failed(&mut self, stage: &Stage, key: u32, until: Epoch, failure: &Failure) {
+        let trouble = self.trouble.entry(name(stage, key)).or_insert_with(|| Trouble::new(failure.clone()));
+        trouble.failed(until, failure);
+    }
+
+    /// Whether this lease of a task was over when the task's last failure was counted.
+    pub(crate) fn is_over_for(&self, stage: &Stage, key: u32, epoch: Epoch) -> bool {
+        self.trouble.get(&name(stage, key)).is_some_and(|trouble| trouble.is_over(epoch))
+    }
+
+    /// A worker died of these tasks, or of one of them.
+    pub(super) fn died(&mut self, stage: &Stage, keys: impl Iterator<Item = u32>, casualty: &Casualty) {
+        for key in keys {
+            let failure = Failure::Killed { deaths: 0, worker: String::new() };
+            self.trouble.entry(name(stage, key)).or_insert_with(|| Trouble::new(failure)).died(casualty);
+        }
+    }
+
+    pub(super) fn lives(&mut self, instance: u64) {
+        self.trouble.retain(|_, trouble| trouble.lives(instance));
+    }
+
+    pub(super) fn presumed_dead(&self) -> impl Iterator<Item = u64> + '_ {
+        self.trouble.values().flat_map(Trouble::presumed_dead)
+    }
+
+    pub(super) fn forgive(&mut self) {
+        self.trouble.clear();
+    }
+
+    /// The first key of a run that has failed before.
+    pub(crate) fn first_trouble(&self, stage: &Stage, run: &Range<u32>) -> Option<u32> {
+        let keys = name(stage, run.start)..name(stage, run.end);
+        self.trouble.range(keys).next().map(|(&(.., key), _)| key)
+    }
+
+    /// Tasks that are put aside, by stage, round and key.
+    pub(crate) fn quarantined(&self) -> impl Iterator<Item = ((u16, u32, u32), &Trouble)> + '_ {
+        self.trouble.iter().filter(|(_, trouble)| trouble.is_quarantined()).map(|(&name, trouble)| (name, trouble))
+    }
+
+    /// Whether nothing of it can run without a retry.
+    pub(super) fn is_blocked(&self, shape: &Shape<'_>) -> bool {
+        self.quarantined().next().is_some() && self.open(shape).is_empty()
+    }
+
+    /// Everything in the store that it needs.
+    pub(crate) fn artefacts(&self) -> impl Iterator<Item = Digest> + '_ {
+        self.outputs().map(|(.., output)| output.artefact.digest)
+    }
+
+    /// What there is of it, with the stage's place and the first key.
+    pub(super) fn outputs(&self) -> impl Iterator<Item = (Place, u32, Output)> + '_ {
+        let rows = self
+            .arrays
+            .iter()
+            .flat_map(|(&place, array)| array.rows.iter().map(move |(&first, row)| (place, first, row)));
+        rows.flat_map(|(place, first, row)| row.outputs.iter().map(move |&output| (place, first, output)))
+    }
+
+    /// What shows how far it is: results and what may become one, each sample once. What was united with others is spent; what the
+    /// rounds before add up to is left out where this round has it, too.
+    pub(crate) fn shown(&self, shape: &Shape<'_>) -> Vec<Output> {
+        let is_carried = |(round, number): Place, role: Role| {
+            shape.graph.readers(number).any(|(_, need)| (need.role, need.round) == (role, Round::Before))
+                && round < self.round
+        };
+        let has_successor = |(round, number): Place, first: u32| {
+            self.arrays.get(&(round + 1, number)).is_some_and(|array| array.rows.contains_key(&first))
+        };
+        let is_shown = |&(place, first, output): &(Place, u32, Output)| {
+            let is_of_now = place.0 == self.round && !is_before_only(shape, place.1, output.role);
+            is_of_now || (is_carried(place, output.role) && place.0 + 1 == self.round && !has_successor(place, first))
+        };
+        self.outputs().filter(is_shown).map(|(.., output)| output).collect()
+    }
+
+    /// Whether this completion is the one that is held.
+    pub(super) fn holds(&self, stage: &Stage, key: u32, epoch: Epoch) -> bool {
+        let row = self.arrays.get(&(stage.round, stage.number)).and_then(|array| array.rows.get(&key));
+        row.is_some_and(|row| row.epoch == epoch) || (!stage.kind.is_cut() && self.decided == Some(epoch))
+    }
+}
+
+fn grains<'a>(uneven: &'a BTreeMap<u32, Uneven>, shape: &Shape<'a>, place: Place) -> Option<Grains<'a>> {
+    shape.grains(place, uneven.get(&place.0).filter(|_| shape.is_looped(place.1)))
+}
+
+/// Whether an output is read by the next round alone.
+fn is_before_only(shape: &Shape<'_>, number: u16, role: Role) -> bool {
+    let mut readers = shape.graph.readers(number).filter(|(_, need)| need.role == role).peekable();
+    readers.peek().is_some() && readers.all(|(_, need)| need.round == Round::Before)
+}
+
+/// Under what the failures of a task are counted.
+fn name(stage: &Stage, key: u32) -> (u16, u32, u32) {
+    (stage.number, if stage.kind.is_cut() { stage.round } else { 0 }, key)
+}

@@ -1,0 +1,223 @@
+//! Graphs of stages, a sentence each.
+
+mod common;
+
+use common::{Farm, config, of, panic};
+use femc_model::*;
+use femc_schedule::*;
+
+use Decision::{Continue, Done};
+use StageKind::{Image, Reduce, Render};
+
+fn need(stage: u16, role: Role, reach: Reach, round: Round) -> Need {
+    Need { stage, role, reach, round, gaps: false }
+}
+
+fn render(tiles: u32, rounds: &[u32]) -> Template {
+    Template::new(Render, Scope::Frame, Sizes::even(tiles, 64), &[Role::Tile]).steps(rounds)
+}
+
+fn image(scope: Scope, makes: &[Role]) -> Template {
+    Template::new(Image, scope, Sizes::even(1, 1), makes)
+}
+
+/// Frames of two tiles, sums of pairs of tiles over all frames, and one result of the job.
+fn whole(frames: &[u32], gaps: bool) -> JobSpec {
+    let pairs = Template::new(Reduce, Scope::Job, Sizes::even(frames.len() as u32, 1), &[Role::Sums]);
+    let graph = Graph {
+        stages: vec![
+            render(2, &[4]),
+            image(Scope::Frame, &[Role::Image]).reads(0, Role::Tile, Reach::All).closes(0, 1),
+            pairs.needs(Need { gaps, ..need(0, Role::Tile, Reach::Fan(2), Round::Every) }),
+            image(Scope::Job, &[Role::Preview]).reads(2, Role::Sums, Reach::All),
+        ],
+    };
+    of(frames, 2, graph)
+}
+
+/// What a task makes of such a graph.
+fn result(held: &Assignment, roles: &[Role]) -> TaskResult {
+    let output =
+        |&role: &Role| Output { role, artefact: Artefact::of(format!("{} {}", role.name(), held.task).as_bytes()) };
+    let decides = held.task.stage.kind == Image && held.task.stage.frame != Stage::OF_JOB;
+    TaskResult {
+        outputs: roles.iter().map(output).collect(),
+        units: if held.task.stage.kind == Render { 64 * held.work.steps.len() as u64 } else { 0 },
+        decision: decides.then_some(Done),
+        ..TaskResult::default()
+    }
+}
+
+/// Does the worker's oldest task, of whatever kind.
+fn work(farm: &mut Farm, worker: u64) -> TaskKey {
+    let held = farm.first_of(worker);
+    let roles: &[Role] = match (held.task.stage.kind, held.task.stage.frame) {
+        (Render, _) => &[Role::Tile],
+        (Reduce, _) => &[Role::Sums],
+        (Image, Stage::OF_JOB) => &[],
+        (Image, _) => &[Role::Image],
+    };
+    farm.complete_with(worker, &held, result(&held, roles));
+    held.task
+}
+
+#[test]
+fn what_is_made_of_the_whole_job_is_made_as_its_frames_are_finished_and_the_job_ends_with_it() {
+    let mut farm = Farm::new();
+    let id = farm.submit(whole(&[3, 5, 9], false));
+    farm.join(1);
+    let mut done = Vec::new();
+    while farm.state(id) != JobState::Done {
+        done.push(work(&mut farm, 1));
+    }
+    let own: Vec<(StageKind, u32)> =
+        done.iter().filter(|task| task.stage.frame == Stage::OF_JOB).map(|it| (it.stage.kind, it.index)).collect();
+    assert_eq!(own, [(Reduce, 0), (Reduce, 1), (Reduce, 2), (Image, 0)]);
+    let first = done.iter().position(|task| task.stage.kind == Reduce).unwrap();
+    assert!(done[first..].iter().any(|task| task.stage.kind == Render), "frames go on meanwhile");
+    let status = farm.status(id);
+    assert_eq!((status.frames_done, status.frames_total, status.samples_done), (3, 3, 3 * 2 * 4 * 64));
+    let records: Vec<u32> = farm.scheduler.frames(id).unwrap().iter().map(|record| record.frame).collect();
+    assert_eq!(records, [Stage::OF_JOB, 3, 5, 9]);
+}
+
+#[test]
+fn a_frame_that_cannot_be_finished_is_missing_where_gaps_are_allowed_and_a_retry_fills_them() {
+    for gaps in [true, false] {
+        let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+        let id = farm.submit(whole(&[1, 2], gaps));
+        let mut worker = 1;
+        farm.join(worker);
+        while farm.state(id) == JobState::Running || farm.state(id) == JobState::Queued {
+            let held = farm.first_of(worker);
+            if held.task.stage == (Stage { frame: 1, round: 0, number: 0, kind: Render }) && held.task.index == 0 {
+                farm.fail(worker, &held, panic());
+                farm.leave(worker);
+                worker += 1;
+                farm.join(worker);
+            } else {
+                work(&mut farm, worker);
+            }
+        }
+        assert_eq!(farm.state(id), JobState::Failed);
+        let of_job = |farm: &Farm| farm.scheduler.frames(id).unwrap().iter().any(|it| it.frame == Stage::OF_JOB);
+        assert_eq!(of_job(&farm), gaps, "gaps allowed: {gaps}");
+        assert_eq!(farm.status(id).waits.len(), 1 + usize::from(!gaps), "{:?}", farm.status(id).waits);
+        farm.control(id, Control::Retry);
+        assert!(!of_job(&farm), "it was made without a frame");
+        while farm.state(id) != JobState::Done {
+            work(&mut farm, worker);
+        }
+        assert!(of_job(&farm));
+    }
+}
+
+#[test]
+fn a_stage_behind_the_loop_reads_all_its_rounds() {
+    let mut farm = Farm::new();
+    let graph = Graph {
+        stages: vec![
+            render(2, &[4, 8, 16]),
+            image(Scope::Frame, &[]).reads(0, Role::Tile, Reach::All).closes(0, 3),
+            image(Scope::Frame, &[Role::Image]).needs(need(0, Role::Tile, Reach::All, Round::Every)),
+        ],
+    };
+    let id = farm.submit(of(&[1], 2, graph));
+    farm.join(1);
+    loop {
+        let held = farm.first_of(1);
+        let made = match held.task.stage.number {
+            0 => result(&held, &[Role::Tile]),
+            1 => TaskResult {
+                decision: Some(if held.task.stage.round == 0 { Continue } else { Done }),
+                ..result(&held, &[])
+            },
+            _ => break,
+        };
+        farm.complete_with(1, &held, made);
+    }
+    let held = farm.first_of(1);
+    assert_eq!(held.work.inputs.iter().map(|input| input.item).collect::<Vec<_>>(), [0, 1, 0, 1]);
+    farm.complete_with(1, &held, TaskResult { decision: None, ..result(&held, &[Role::Image]) });
+    assert_eq!((farm.state(id), farm.scheduler.frames(id).unwrap()[0].spp), (JobState::Done, 8));
+}
+
+#[test]
+fn tiles_take_the_steps_that_were_decided_and_one_that_needs_none_is_left_alone() {
+    let mut farm = Farm::new();
+    let id = farm.submit(common::job(&[1], 3, &[4, 8, 16]));
+    farm.join(1);
+    let mut rendered = Vec::new();
+    while farm.state(id) != JobState::Done {
+        let held = farm.first_of(1);
+        if held.task.stage.kind == Render {
+            rendered.push((held.task.stage.round, held.work.item, held.work.steps.clone()));
+        }
+        let decision = match held.task.stage.round {
+            0 => Decision::Steps(vec![4, 6, 9]),
+            _ => Continue,
+        };
+        farm.complete(1, &held, decision);
+    }
+    let expected = [
+        (0, 0, 0..4),
+        (0, 1, 0..4),
+        (0, 2, 0..4),
+        (1, 1, 4..6),
+        (1, 2, 4..9),
+        (2, 0, 4..16),
+        (2, 1, 6..16),
+        (2, 2, 9..16),
+    ];
+    assert_eq!(rendered, expected);
+    assert_eq!(farm.status(id).samples_done, 3 * 16 * 64);
+}
+
+#[test]
+fn a_decision_beyond_the_plan_is_a_failure_of_the_task() {
+    for steps in [vec![4, 6], vec![4, 6, 17], vec![4, 6, 9, 9]] {
+        let mut farm = Farm::new();
+        farm.submit(common::job(&[1], 3, &[4, 8, 16]));
+        farm.join(1);
+        while farm.first_of(1).task.stage.kind == Render {
+            farm.work(1, Done);
+        }
+        let held = farm.first_of(1);
+        let commands = farm.complete(1, &held, Decision::Steps(steps));
+        assert!(commands.iter().any(|c| matches!(c, Command::Record(Fact::Failed { .. }))), "{commands:?}");
+    }
+}
+
+#[test]
+fn an_output_goes_when_all_that_read_it_are_done() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+    let graph = Graph {
+        stages: vec![
+            render(2, &[4]),
+            Template::new(Reduce, Scope::Frame, Sizes::even(1, 1), &[Role::Pixels]).reads(0, Role::Tile, Reach::Fan(2)),
+            Template::new(Reduce, Scope::Frame, Sizes::even(2, 1), &[Role::Sums]).reads(0, Role::Tile, Reach::Same),
+            image(Scope::Frame, &[Role::Image])
+                .reads(1, Role::Pixels, Reach::All)
+                .reads(2, Role::Sums, Reach::All)
+                .closes(0, 1),
+        ],
+    };
+    farm.submit(of(&[1], 2, graph));
+    farm.join(1);
+    let mut released = Vec::new();
+    for _ in 0..6 {
+        let held = farm.first_of(1);
+        let roles: &[Role] = match held.task.stage.number {
+            0 => &[Role::Tile],
+            1 => &[Role::Pixels],
+            2 => &[Role::Sums],
+            _ => &[Role::Image],
+        };
+        let commands = farm.complete_with(1, &held, result(&held, roles));
+        let all =
+            commands.into_iter().filter_map(|c| if let Command::Discard(all) = c { Some(all.len()) } else { None });
+        released.push((held.task.stage.number, held.task.index, all.sum::<usize>()));
+    }
+    // The second reduction is ready with each tile, the first with both.
+    assert_eq!(released, [(0, 0, 0), (2, 0, 0), (0, 1, 0), (2, 1, 0), (1, 0, 2), (3, 0, 3)]);
+}

@@ -1,0 +1,159 @@
+//! What a job is made of.
+
+use femc_model::{Graph, Loop, Need, Output, Reach, Role, Round, Scope, Sizes, StageKind, Template};
+
+use super::{ConvertError, each, maybe, need};
+use crate::wire;
+
+/// The number of a row of the farm's tables: its place, from 1.
+fn number(place: usize) -> i32 {
+    place as i32 + 1
+}
+
+/// The row of this number.
+fn numbered<T: Copy>(table: &[T], field: &'static str, value: i32) -> Result<T, ConvertError> {
+    let place = usize::try_from(value).ok().and_then(|number| number.checked_sub(1));
+    place.and_then(|place| table.get(place)).copied().ok_or(ConvertError::Unknown { field, value })
+}
+
+pub(super) fn of_kind(kind: StageKind) -> i32 {
+    number(kind.place())
+}
+
+pub(super) fn kind(value: i32) -> Result<StageKind, ConvertError> {
+    numbered(&StageKind::ALL, "stage.kind", value)
+}
+
+fn of_role(role: Role) -> i32 {
+    number(role.place())
+}
+
+fn role(value: i32) -> Result<Role, ConvertError> {
+    numbered(&Role::ALL, "output.role", value)
+}
+
+/// The number of a stage of a graph.
+pub(super) fn stage(value: u32) -> Result<u16, ConvertError> {
+    value.try_into().map_err(|_| ConvertError::Range { field: "stage" })
+}
+
+impl From<Output> for wire::Output {
+    fn from(Output { role, artefact }: Output) -> Self {
+        Self { role: of_role(role), artefact: Some(artefact.into()) }
+    }
+}
+
+impl TryFrom<wire::Output> for Output {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::Output) -> Result<Self, ConvertError> {
+        Ok(Self { role: role(wire.role)?, artefact: need("output.artefact", wire.artefact)?.try_into()? })
+    }
+}
+
+impl From<Graph> for wire::Graph {
+    fn from(graph: Graph) -> Self {
+        Self { stages: graph.stages.into_iter().map(Into::into).collect() }
+    }
+}
+
+impl TryFrom<wire::Graph> for Graph {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::Graph) -> Result<Self, ConvertError> {
+        Ok(Self { stages: each(wire.stages)? })
+    }
+}
+
+impl From<Template> for wire::Template {
+    fn from(template: Template) -> Self {
+        let Template { kind, scope, sizes, steps, needs, makes, closes } = template;
+        let scope = match scope {
+            Scope::Job => wire::Scope::Job,
+            Scope::Frame => wire::Scope::Frame,
+        };
+        Self {
+            kind: of_kind(kind),
+            scope: scope.into(),
+            sizes: sizes.runs().iter().map(|&(tasks, units)| wire::Sizes { tasks, units }).collect(),
+            steps,
+            needs: needs.into_iter().map(Into::into).collect(),
+            makes: makes.into_iter().map(of_role).collect(),
+            closes: closes.map(|Loop { first, rounds }| wire::Loop { first: first.into(), rounds }),
+        }
+    }
+}
+
+impl TryFrom<wire::Template> for Template {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::Template) -> Result<Self, ConvertError> {
+        let wire::Template { kind: of, scope, sizes, steps, needs, makes, closes } = wire;
+        Ok(Self {
+            kind: kind(of)?,
+            scope: match wire::Scope::try_from(scope) {
+                Ok(wire::Scope::Job) => Scope::Job,
+                Ok(wire::Scope::Frame) => Scope::Frame,
+                Ok(wire::Scope::Unspecified) | Err(_) => {
+                    return Err(ConvertError::Unknown { field: "stage.scope", value: scope });
+                }
+            },
+            sizes: sizes.into_iter().map(|wire::Sizes { tasks, units }| (tasks, units)).collect::<Sizes>(),
+            steps,
+            needs: each(needs)?,
+            makes: makes.into_iter().map(role).collect::<Result<_, _>>()?,
+            closes: maybe(closes)?,
+        })
+    }
+}
+
+impl TryFrom<wire::Loop> for Loop {
+    type Error = ConvertError;
+
+    fn try_from(wire::Loop { first, rounds }: wire::Loop) -> Result<Self, ConvertError> {
+        Ok(Self { first: stage(first)?, rounds })
+    }
+}
+
+impl From<Need> for wire::Need {
+    fn from(Need { stage, role, reach, round, gaps }: Need) -> Self {
+        use wire::need::Reach as Wire;
+        let reach = match reach {
+            Reach::All => Wire::All(wire::Empty {}),
+            Reach::Same => Wire::Same(wire::Empty {}),
+            Reach::Fan(tasks) => Wire::Fan(tasks),
+        };
+        let round = match round {
+            Round::Same => wire::Round::Same,
+            Round::Before => wire::Round::Before,
+            Round::Every => wire::Round::Every,
+        };
+        Self { stage: stage.into(), role: of_role(role), reach: Some(reach), round: round.into(), gaps }
+    }
+}
+
+impl TryFrom<wire::Need> for Need {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::Need) -> Result<Self, ConvertError> {
+        use wire::need::Reach as Wire;
+        Ok(Self {
+            stage: stage(wire.stage)?,
+            role: role(wire.role)?,
+            reach: match need("need.reach", wire.reach)? {
+                Wire::All(_) => Reach::All,
+                Wire::Same(_) => Reach::Same,
+                Wire::Fan(tasks) => Reach::Fan(tasks),
+            },
+            round: match wire::Round::try_from(wire.round) {
+                Ok(wire::Round::Same) => Round::Same,
+                Ok(wire::Round::Before) => Round::Before,
+                Ok(wire::Round::Every) => Round::Every,
+                Ok(wire::Round::Unspecified) | Err(_) => {
+                    return Err(ConvertError::Unknown { field: "need.round", value: wire.round });
+                }
+            },
+            gaps: wire.gaps,
+        })
+    }
+}

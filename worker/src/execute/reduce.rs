@@ -1,0 +1,26 @@
+//! Outputs of one role, united: the tiles of a group, as sums for the next round and as resolved pixels for the image.
+
+use femc_film::Piece;
+use femc_model::{Failure, More, Phase, Role, Template};
+
+use super::union::{tiles, union};
+use super::{Product, Tools, unfit};
+use crate::clock::Stopwatch;
+use crate::sums;
+use crate::table::Task;
+
+pub(crate) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
+    task.enter(Phase::Working);
+    let watch = Stopwatch::start();
+    let span = tiles(task, stage)?;
+    let frame = union(task, span.clone(), tools)?;
+    let piece = tools.install(task, || Piece::of(&frame, span.start as usize..span.end as usize)).map_err(unfit)?;
+    let mut product = Product::default();
+    product.put(stage, Role::Pixels, || tools.install(task, || piece.encode()));
+    if task.assignment.work.more == More::Rounds {
+        product.put(stage, Role::Sums, || tools.install(task, || sums::encode(&frame)));
+    }
+    tracing::debug!(tiles = span.len(), bad = piece.bad().total(), seconds = watch.seconds(), "united");
+    product.result.seconds = watch.seconds();
+    Ok(product)
+}

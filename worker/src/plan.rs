@@ -1,0 +1,82 @@
+//! The engine's plan as the farm's graph.
+
+use femc_model::{Graph, Loop, Need, Reach, Role, Round, Scope, StageKind, Template};
+use femc_pipeline as engine;
+
+/// The stages of a plan, as a job has them.
+pub fn graph(stages: &[engine::Stage]) -> Graph {
+    Graph { stages: stages.iter().map(template).collect() }
+}
+
+fn template(stage: &engine::Stage) -> Template {
+    let engine::Stage { kind, scope, sizes, steps, needs, makes, closes } = stage;
+    Template {
+        kind: match kind {
+            engine::StageKind::Render => StageKind::Render,
+            engine::StageKind::Reduce => StageKind::Reduce,
+            engine::StageKind::Image => StageKind::Image,
+        },
+        scope: match scope {
+            engine::Scope::Job => Scope::Job,
+            engine::Scope::Frame => Scope::Frame,
+        },
+        sizes: sizes.iter().copied().collect(),
+        steps: steps.clone(),
+        needs: needs.iter().map(need).collect(),
+        makes: makes.iter().map(role).collect(),
+        closes: closes.map(|engine::Loop { first, rounds }| Loop { first, rounds }),
+    }
+}
+
+fn need(need: &engine::Need) -> Need {
+    let &engine::Need { stage, role: of, reach, round } = need;
+    Need {
+        stage,
+        role: role(&of),
+        reach: match reach {
+            engine::Reach::All => Reach::All,
+            engine::Reach::Same => Reach::Same,
+            engine::Reach::Fan(tasks) => Reach::Fan(tasks.get()),
+        },
+        round: match round {
+            engine::Round::Same => Round::Same,
+            engine::Round::Before => Round::Before,
+        },
+        gaps: false,
+    }
+}
+
+fn role(role: &engine::Role) -> Role {
+    match role {
+        engine::Role::Tile => Role::Tile,
+        engine::Role::Sums => Role::Sums,
+        engine::Role::Pixels => Role::Pixels,
+        engine::Role::Image => Role::Image,
+        engine::Role::Preview => Role::Preview,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::num::NonZeroU32;
+
+    use femc_film::Tiling;
+    use femc_model::Grid;
+
+    use super::*;
+
+    #[test]
+    fn what_the_engine_plans_is_a_graph_that_can_be_run() {
+        for film in [[1, 1], [16, 12], [100, 50], [640, 512]] {
+            for rounds in [&[4][..], &[4, 8, 16]] {
+                for fan in [1, 3, 4, 1000].map(|fan| NonZeroU32::new(fan).unwrap()) {
+                    let tiling = Tiling::new(film[0], film[1], 16).unwrap();
+                    let graph = graph(&engine::stages(&tiling, rounds, fan));
+                    assert_eq!(graph.check(), Ok(()), "{film:?} {rounds:?} {fan}");
+                    let (_, main) = graph.main().unwrap();
+                    assert_eq!((&main.sizes, &main.steps[..]), (&Grid { film, tile: 16 }.sizes(), rounds));
+                }
+            }
+        }
+    }
+}

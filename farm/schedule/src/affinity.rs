@@ -94,7 +94,7 @@ impl Scheduler {
         loop {
             let task = self.ready_near(id, job, None);
             let (known, desk) = (self.ledger.jobs.get(&job)?, self.desks.get_mut(&job)?);
-            if task.is_some() || !desk.may_open(&self.floor) || !desk.open_next(known) {
+            if task.is_some() || !desk.may_open(id, &self.floor) || !desk.open_next(known) {
                 return task;
             }
         }

@@ -68,7 +68,9 @@ impl Scheduler {
             // One that has been silent for so long is gone, whatever its connection says.
             let is_there = |it: &Worker| it.intake != Intake::Drained && now.since(it.seen) < self.config.orphaned;
             let has = |build: &str| able.iter().any(|it| is_there(it) && it.registration.engine == build);
-            for (frame, _) in self.ledger.annex.builds_of(id).filter(|(_, build)| !has(build)) {
+            // A blocked frame would gain nothing: a retry opens it, and then its time begins.
+            let orphaned = self.ledger.annex.builds_of(id).filter(|&(frame, build)| job.is_open(frame) && !has(build));
+            for (frame, _) in orphaned {
                 let begun = before.get(&(id, frame)).copied().unwrap_or(now);
                 since.insert((id, frame), begun);
                 if now.since(begun) >= self.config.orphaned && able.iter().any(|worker| worker.is_open()) {
@@ -79,7 +81,7 @@ impl Scheduler {
         self.orphans = Orphans { since, looked: now };
         for (job, frame) in orphans {
             self.revoke_frame(job, frame, out);
-            self.restart(job, frame, now, out);
+            self.record(Fact::Restarted { job, frame }, now, out);
             self.rebuild(job);
             out.push(Command::Changed(job));
         }

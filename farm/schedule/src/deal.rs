@@ -60,7 +60,7 @@ impl Scheduler {
                     Pick::NotForThisWorker => best = Pick::NotForThisWorker,
                     Pick::NothingReady => {}
                 }
-                if !desk.may_open(&self.floor) || !desk.open_next(job) {
+                if !desk.may_open(id, &self.floor) || !desk.open_next(job) {
                     break;
                 }
             }

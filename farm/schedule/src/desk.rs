@@ -43,10 +43,14 @@ impl Desk {
         }
     }
 
-    /// Derives again what of one frame is ready.
+    /// Derives again what of one frame is ready; what the job's own stages can do with a frame that has ended is ready, too.
     pub(crate) fn refresh(&mut self, id: JobId, job: &Job, frame: u32, floor: &Floor) {
         if !job.is_open(frame) {
             self.open.remove(frame);
+            if job.has_own() && frame != Stage::OF_JOB {
+                let fed = job.unit(Stage::OF_JOB).fed_by_frame(&job.shape(Stage::OF_JOB), frame);
+                self.feed(id, Stage::OF_JOB, fed, job, floor);
+            }
             return;
         }
         let (unit, shape) = (job.unit(frame), job.shape(frame));
@@ -62,10 +66,6 @@ impl Desk {
         let unit = job.units.get(&frame).filter(|unit| unit.round == round && job.is_open(frame));
         let Some(unit) = unit.filter(|_| !job.spec.graph.closes(task.stage.number)) else {
             self.refresh(task.job, job, frame, floor);
-            if job.has_own() && frame != Stage::OF_JOB && !job.is_open(frame) {
-                let fed = job.unit(Stage::OF_JOB).fed_by_frame(&job.shape(Stage::OF_JOB), frame);
-                self.feed(task.job, Stage::OF_JOB, fed, job, floor);
-            }
             return;
         };
         self.feed(task.job, frame, unit.fed_by(&job.shape(frame), &task.stage, task.index), job, floor);
@@ -84,9 +84,11 @@ impl Desk {
         }
     }
 
-    /// Whether there may be another open frame: each worker may be ahead by one, no more.
-    pub(crate) fn may_open(&self, floor: &Floor) -> bool {
-        self.open.len() <= floor.workers.len()
+    /// Whether there may be another open frame: each worker may be ahead by one, no more. Frames that wait for workers of another
+    /// build keep none idle: who holds nothing may pass as many.
+    pub(crate) fn may_open(&self, worker: WorkerId, floor: &Floor) -> bool {
+        let is_idle = floor.workers.get(&worker).is_some_and(|worker| worker.held.is_empty());
+        self.open.frames() <= floor.workers.len() * if is_idle { 2 } else { 1 }
     }
 
     /// Opens the next frame that nobody has begun; `false` where there is none.

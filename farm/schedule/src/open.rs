@@ -80,8 +80,9 @@ impl OpenUnits {
         self.all.get(&frame)
     }
 
-    pub(crate) fn len(&self) -> usize {
-        self.all.len()
+    /// How many frames, without the job's own stages.
+    pub(crate) fn frames(&self) -> usize {
+        self.all.len() - usize::from(self.all.contains_key(&Stage::OF_JOB))
     }
 
     /// All of them, in the order of their numbers.

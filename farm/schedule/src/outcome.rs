@@ -225,20 +225,10 @@ impl Scheduler {
     pub(crate) fn lost(&mut self, digest: &Digest, now: Tick, out: &mut Vec<Command>) {
         let frames = self.ledger.jobs.iter().flat_map(|(&id, job)| job.made_by(digest).map(move |frame| (id, frame)));
         for (job, frame) in frames.collect::<Vec<_>>() {
-            self.restart(job, frame, now, out);
+            self.record(Fact::Restarted { job, frame }, now, out);
             self.rebuild(job);
             out.push(Command::Changed(job));
         }
-    }
-
-    /// A frame begins anew, and so do the job's own stages, if they may have been done without it.
-    pub(crate) fn restart(&mut self, job: JobId, frame: u32, now: Tick, out: &mut Vec<Command>) {
-        let is_gap = |known: &Job| known.blocked.contains(&frame) && known.spec.graph.has_gaps();
-        let has_gap = self.ledger.jobs.get(&job).is_some_and(is_gap);
-        if has_gap {
-            self.revoke_frame(job, Stage::OF_JOB, out);
-        }
-        self.record(Fact::Restarted { job, frame }, now, out);
     }
 
     /// Takes back the leases of a frame that begins anew: they are of another round.

@@ -37,6 +37,26 @@ fn a_worker_of_another_build_does_another_frame() {
 }
 
 #[test]
+fn frames_that_wait_for_another_build_keep_no_worker_idle() {
+    let mut farm = farm();
+    farm.submit(job(&[1, 2, 3, 4, 5, 6], 1, &[4]));
+    for worker in 1..=3 {
+        join(&mut farm, worker, "old");
+    }
+    for worker in 1..=3 {
+        farm.work(worker, Done);
+    }
+    for worker in 1..=3 {
+        farm.leave(worker);
+    }
+    for worker in 4..=6 {
+        join(&mut farm, worker, "new");
+    }
+    let frames = (4..=6).map(|worker| farm.tasks_of(worker)[0].0);
+    assert_eq!(frames.collect::<Vec<_>>(), [4, 5, 6]);
+}
+
+#[test]
 fn a_frame_is_nobodys_again_when_its_first_lease_came_to_nothing_and_its_builds_for_good_after_a_result() {
     let mut farm = farm();
     let id = farm.submit(job(&[1], 2, &[4]));
@@ -109,4 +129,26 @@ fn a_lease_is_not_taken_over_by_another_build() {
     assert!(commands.iter().any(is_revoked), "{commands:?}");
     let late = farm.complete_with(1, &held, result(&held, Done));
     assert!(late.iter().any(|command| matches!(command, Command::Refuse { .. })));
+}
+
+#[test]
+fn a_frame_that_is_put_aside_does_not_begin_anew_with_another_build() {
+    let mut farm = farm();
+    let id = farm.submit(job(&[1, 2], 1, &[4]));
+    join(&mut farm, 1, "old");
+    farm.work(1, Done);
+    while farm.tasks_of(1)[0].0 == 1 {
+        let held = farm.first_of(1);
+        farm.fail(1, &held, common::panic());
+    }
+    farm.leave(1);
+    join(&mut farm, 2, "new");
+    assert_eq!(farm.tasks_of(2), [(2, 0, Render, 0)]);
+    for _ in 0..2 * config().orphaned / 1_000 {
+        farm.wait(1_000);
+        farm.heartbeat(2, Phase::Working, 0);
+    }
+    farm.work(2, Done);
+    farm.work(2, Done);
+    assert_eq!((farm.tasks_of(2), farm.state(id)), (vec![], JobState::Failed));
 }

@@ -62,6 +62,24 @@ fn work(farm: &mut Farm, worker: u64) -> TaskKey {
 }
 
 #[test]
+fn stages_of_the_job_take_no_frames_place() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+    farm.submit(whole(&[1, 2, 3], false));
+    for worker in 1..=2 {
+        farm.join(worker);
+    }
+    while farm.tasks_of(2) != [(3, 0, Render, 0)] {
+        work(&mut farm, 2);
+    }
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 0)]);
+    farm.restart();
+    farm.join(3);
+    farm.join(4);
+    farm.join(5);
+    assert!((3..=5).all(|worker| !farm.tasks_of(worker).is_empty()));
+}
+
+#[test]
 fn what_is_made_of_the_whole_job_is_made_as_its_frames_are_finished_and_the_job_ends_with_it() {
     let mut farm = Farm::new();
     let id = farm.submit(whole(&[3, 5, 9], false));
@@ -220,4 +238,19 @@ fn an_output_goes_when_all_that_read_it_are_done() {
     }
     // The second reduction is ready with each tile, the first with both.
     assert_eq!(released, [(0, 0, 0), (2, 0, 0), (0, 1, 0), (2, 1, 0), (1, 0, 2), (3, 0, 3)]);
+}
+
+#[test]
+fn a_job_with_gaps_goes_on_when_its_last_frame_fails() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+    let id = farm.submit(whole(&[1], true));
+    farm.join(1);
+    while farm.first_of(1).task.stage.kind == Render {
+        let held = farm.first_of(1);
+        farm.fail(1, &held, panic());
+    }
+    assert_eq!(farm.tasks_of(1), [(Stage::OF_JOB, 0, Reduce, 0)]);
+    work(&mut farm, 1);
+    work(&mut farm, 1);
+    assert_eq!(farm.state(id), JobState::Failed);
 }

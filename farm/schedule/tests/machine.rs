@@ -1012,7 +1012,9 @@ impl Machine {
 }
 
 proptest! {
-    #![proptest_config(ProptestConfig { cases: 256, failure_persistence: None, ..ProptestConfig::default() })]
+    #![proptest_config(ProptestConfig {
+        cases: 256, failure_persistence: None, max_shrink_time: 60_000, ..ProptestConfig::default()
+    })]
     #[test]
     fn no_task_is_lost_and_none_is_done_twice_and_every_job_ends(
         grain in prop_oneof![Just(1u64), Just(128), Just(1 << 15)],

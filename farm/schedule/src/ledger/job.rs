@@ -276,9 +276,7 @@ impl Job {
 
     /// What is known of the frame is forgotten, but for the time that it has taken. The job may have been done.
     pub(super) fn restarted(&mut self, frame: u32) -> Vec<Digest> {
-        let was_blocked = self.blocked.remove(&frame);
         self.blocked.remove(&Stage::OF_JOB);
-        let mut released = if was_blocked && frame != Stage::OF_JOB { self.fill_gaps() } else { Vec::new() };
         if let Some(finished) = self.finished.remove(&frame) {
             let again = Unit::again(&shape!(self, frame), &finished.record);
             self.units.insert(frame, again);
@@ -286,10 +284,11 @@ impl Job {
                 self.ended = None;
             }
             // It makes the same again; and the job's own tasks may be reading it.
-            return released;
+            return Vec::new();
         }
         let shape = shape!(self, frame);
-        released.extend(self.units.get_mut(&frame).map(|unit| unit.restarted(&shape)).unwrap_or_default());
+        let released = self.units.get_mut(&frame).map(|unit| unit.restarted(&shape)).unwrap_or_default();
+        self.note_block(frame);
         released
     }
 

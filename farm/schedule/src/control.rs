@@ -3,7 +3,7 @@
 use femc_model::{Control, Cut, JobId, JobSpec, Refusal, RevokeReason, Stage, Tick};
 
 use crate::floor::LeaseKey;
-use crate::ledger::Hold;
+use crate::ledger::{Hold, Job};
 use crate::scheduler::Scheduler;
 use crate::{Answer, Command, Fact, Quota};
 
@@ -85,6 +85,13 @@ impl Scheduler {
             out.push(Command::Changed(id));
         }
         Ok(Answer::Controlled(id))
+    }
+
+    /// Takes back the leases of a job if it has ended: one of its own stages may read a frame that is lost since.
+    pub(crate) fn revoke_ended(&mut self, id: JobId, out: &mut Vec<Command>) {
+        if self.ledger.jobs.get(&id).is_some_and(Job::has_ended) {
+            self.revoke_all(id, out);
+        }
     }
 
     /// Takes back every lease of a job that has ended.

@@ -173,6 +173,7 @@ impl Scheduler {
                 self.deaths.presumed.insert(casualty.instance);
             }
             self.record(Fact::Died { task: *task, end: run.end, casualty: casualty.clone() }, now, out);
+            self.revoke_ended(task.job, out);
             self.put_back(task);
             out.push(Command::Changed(task.job));
         }

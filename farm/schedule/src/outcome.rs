@@ -181,6 +181,7 @@ impl Scheduler {
         if self.floor.of_task(&task).next().is_none() {
             let until = Epoch::new(self.ledger.incarnation, self.leases);
             self.record(Fact::Failed { task, until, failure }, now, out);
+            self.revoke_ended(task.job, out);
         }
     }
 

@@ -254,3 +254,21 @@ fn a_job_with_gaps_goes_on_when_its_last_frame_fails() {
     work(&mut farm, 1);
     assert_eq!(farm.state(id), JobState::Failed);
 }
+
+#[test]
+fn a_job_that_fails_takes_back_what_reads_a_frame_that_is_lost_since() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+    let id = farm.submit(whole(&[1], false));
+    farm.join(1);
+    while farm.first_of(1).task.stage.kind != Reduce {
+        work(&mut farm, 1);
+    }
+    let image = farm.scheduler.frames(id).unwrap()[0].outputs[0].artefact.digest;
+    farm.on(Event::Lost { digest: image });
+    farm.join(2);
+    farm.join(3);
+    while let Some((worker, held)) = farm.held.iter().find(|(worker, _)| worker.0 != 1).cloned() {
+        farm.fail(worker.0, &held, panic());
+    }
+    assert_eq!((farm.state(id), farm.tasks_of(1)), (JobState::Failed, vec![]));
+}

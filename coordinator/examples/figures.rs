@@ -62,6 +62,7 @@ fn job(frames: u32, tiles: u32) -> JobSpec {
         frames: (1..=frames).collect(),
         grid: Grid { film: [tiles * 8, 8], tile: 8 },
         graph: testing::frames(Sizes::even(tiles, 64), &[16], if tiles > 256 { 256 } else { 0 }),
+        contents: vec![],
         priority: 50,
         owner: "me".into(),
         tags: vec![],
@@ -208,6 +209,7 @@ fn result(kind: StageKind, artefact: Artefact) -> TaskResult {
         StageKind::Render => TaskResult { units: 1024, ..of(Role::Tile) },
         StageKind::Reduce => of(Role::Pixels),
         StageKind::Image => TaskResult { decision: Some(Decision::Done), ..of(Role::Image) },
+        StageKind::Drill => of(Role::Numbers),
     }
 }
 

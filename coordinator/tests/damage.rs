@@ -57,6 +57,7 @@ fn spec(bundle: Digest) -> JobSpec {
         frames: vec![1, 2],
         grid: Grid { film: [8, 8], tile: 8 },
         graph: testing::frames(Grid { film: [8, 8], tile: 8 }.sizes(), &[16], 0),
+        contents: vec![],
         priority: 50,
         owner: "me".into(),
         tags: vec![],
@@ -143,7 +144,7 @@ impl Hand {
         };
         match held.task.stage.kind {
             StageKind::Render => TaskResult { units: held.work.steps.len() as u64 * 64, ..of(Role::Tile, artefact) },
-            StageKind::Reduce | StageKind::Image => {
+            StageKind::Reduce | StageKind::Image | StageKind::Drill => {
                 TaskResult { decision: Some(Decision::Done), ..of(Role::Image, self.image.unwrap_or(artefact)) }
             }
         }

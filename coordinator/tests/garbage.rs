@@ -73,6 +73,7 @@ fn job(scene: &[Bytes]) -> JobSpec {
         frames: vec![1],
         grid: Grid { film: [64, 64], tile: 16 },
         graph: testing::frames(Grid { film: [64, 64], tile: 16 }.sizes(), &[16], 0),
+        contents: vec![],
         priority: 50,
         owner: "me".into(),
         tags: vec![],

@@ -91,6 +91,7 @@ fn spec() -> JobSpec {
         frames: vec![1],
         grid: Grid { film: [64, 64], tile: 8 },
         graph: testing::frames(Grid { film: [64, 64], tile: 8 }.sizes(), &[16], 0),
+        contents: vec![],
         priority: 50,
         owner: "me".into(),
         tags: vec![],

@@ -81,6 +81,7 @@ async fn submit(client: &Client) -> JobId {
         frames: vec![1, 2],
         grid: Grid { film: [64, 64], tile: 16 },
         graph: testing::frames(Grid { film: [64, 64], tile: 16 }.sizes(), &[16], 0),
+        contents: vec![],
         priority: 50,
         owner: "me".into(),
         tags: vec![],

@@ -15,6 +15,7 @@ fn spec() -> JobSpec {
         frames: vec![1, 2],
         grid: Grid { film: [64, 64], tile: 16 },
         graph: testing::frames(Grid { film: [64, 64], tile: 16 }.sizes(), &[16], 0),
+        contents: vec![],
         priority: 50,
         owner: "me".into(),
         tags: vec![],

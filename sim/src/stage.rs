@@ -146,6 +146,7 @@ fn stage(rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
         frames: FRAMES.to_vec(),
         grid: Grid { film: FILM, tile: TILE },
         graph: testing::frames(Grid { film: FILM, tile: TILE }.sizes(), rounds, 0),
+        contents: vec![],
         priority: 50,
         owner: "me".into(),
         tags: vec![],

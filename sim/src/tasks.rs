@@ -192,6 +192,7 @@ pub(crate) fn job_of(fact: &Fact) -> Option<JobId> {
     match fact {
         Fact::Opened { .. } | Fact::Drained { .. } | Fact::Used { .. } | Fact::Lives { .. } => None,
         Fact::Submitted { job, .. }
+        | Fact::Shared { job, .. }
         | Fact::Restarted { job, .. }
         | Fact::Doomed { job, .. }
         | Fact::Controlled { job, .. }

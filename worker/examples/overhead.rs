@@ -67,6 +67,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         frames: vec![1],
         grid: Grid { film: [side, side], tile: plan.tiling.edge },
         graph: femc_worker::graph(&plan.stages),
+        contents: vec![],
         priority: 50,
         owner: "bench".into(),
         tags: vec![],

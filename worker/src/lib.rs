@@ -37,6 +37,7 @@ mod worker;
 pub use cache::Cache;
 pub use config::{AtStop, Config, Fate, Hands, IfTaken, OutboxConfig, OutboxPlace, Pace, WorkerError};
 pub use duty::{Duty, Shift};
+pub use execute::drill_key;
 pub use journal::Journal;
 pub use log::{TASK_LOG_LEVEL, TaskLogs};
 pub use memory::MemoryLimit;

@@ -496,6 +496,7 @@ pub(crate) mod tests {
             frames: vec![1],
             grid: Grid { film: [16, 16], tile: 16 },
             graph: Graph::default(),
+            contents: vec![],
             priority: 50,
             owner: "me".into(),
             tags: vec![],

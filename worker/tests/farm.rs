@@ -66,6 +66,7 @@ fn job(scene: &str, settings: &Settings) -> (JobSpec, Vec<u8>) {
         frames: vec![1, 2, 3],
         grid,
         graph: common::graph(grid, settings),
+        contents: vec![],
         priority: 50,
         owner: "me".into(),
         tags: vec![],

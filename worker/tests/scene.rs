@@ -52,6 +52,7 @@ fn spec(scene: &Parcel, spp: u32) -> JobSpec {
         frames: vec![1],
         grid,
         graph: common::graph(grid, &settings),
+        contents: vec![],
         priority: 50,
         owner: "me".into(),
         tags: vec![],

@@ -350,6 +350,7 @@ pub fn job_spec(asked: &Asked, scene: &Parcel, frames: Vec<u32>) -> Result<JobSp
         frames,
         grid: Grid { film: asked.film(), tile: asked.plan.tiling.edge },
         graph: femc_worker::graph(&asked.plan.stages),
+        contents: vec![],
         priority: asked.priority.unwrap_or(DEFAULT_PRIORITY),
         owner: user(),
         tags: asked.tags.clone(),

@@ -216,6 +216,7 @@ fn table(graph: &Graph) -> String {
         let per = match template.scope {
             Scope::Job => "job",
             Scope::Frame => "frame",
+            Scope::Content => "content",
         };
         vec![
             stage.to_string(),

@@ -34,7 +34,8 @@ impl Partial {
     /// Take in what is new; false if the frame went on meanwhile, and its parts are gone.
     pub async fn take(&mut self, farm: &Farm, parts: &FrameParts) -> Result<bool, Failure> {
         for Output { role, artefact } in &parts.outputs {
-            if self.seen.contains(&artefact.digest) {
+            let shows_pixels = matches!(role, Role::Tile | Role::Sums | Role::Pixels);
+            if !shows_pixels || self.seen.contains(&artefact.digest) {
                 continue;
             }
             let Some(bytes) = farm.get_if_there(artefact).await? else { return Ok(false) };
@@ -42,7 +43,7 @@ impl Partial {
                 Role::Tile => self.insert(vec![Tile::decode(&bytes).map_err(failed)?])?,
                 Role::Sums => self.insert(femc_worker::decode_sums(&bytes).map_err(failed)?)?,
                 Role::Pixels => self.pieces.push(Piece::decode(&bytes).map_err(failed)?),
-                Role::Image | Role::Preview => {}
+                _ => {}
             }
             self.seen.insert(artefact.digest);
         }

@@ -182,6 +182,11 @@ pub fn wait(wait: &Wait) -> String {
             let tasks = human::count(u64::from(*tasks), &format!("{} task", needs.name()));
             format!("the {} stage of {} waits for {tasks}", stage.name(), unit(*frame))
         }
+        Wait::SharedStage { shared, stage, done, tasks, jobs } => {
+            let jobs = human::count(u64::from(*jobs), "job");
+            let stage = stage.name();
+            format!("frames wait for {shared}, which is done once for {jobs}: {done} of {tasks} {stage} tasks are done")
+        }
         Wait::Mishaps { tasks, message } => {
             format!("{} could not be done until now: {message}", human::count(u64::from(*tasks), "task"))
         }

@@ -51,6 +51,23 @@ pub enum Scope {
     Job,
     /// Every frame.
     Frame,
+    /// What has one content, such as a world: done once for all frames, and all jobs, that name the same key.
+    Content,
+}
+
+impl Scope {
+    /// All.
+    pub const ALL: [Self; 3] = [Self::Job, Self::Frame, Self::Content];
+
+    /// Whether a stage of this scope may read one of that.
+    pub const fn may_read(self, other: Self) -> bool {
+        matches!(
+            (self, other),
+            (Self::Job, Self::Job | Self::Frame)
+                | (Self::Frame, Self::Frame | Self::Content)
+                | (Self::Content, Self::Content)
+        )
+    }
 }
 
 /// Outputs of one role of a stage, which the tasks of another read.
@@ -213,6 +230,18 @@ impl Graph {
         self.of(Scope::Job).next().is_some()
     }
 
+    /// Whether something of it is done once for all that have one content.
+    pub fn has_content(&self) -> bool {
+        self.of(Scope::Content).next().is_some()
+    }
+
+    /// Whether a stage of frames reads what is done for a content.
+    pub fn reads_content(&self, stage: u16) -> bool {
+        let needs = self.stage(stage).filter(|template| template.scope == Scope::Frame).map(|template| &template.needs);
+        let is_content = |need: &Need| self.stage(need.stage).is_some_and(|made| made.scope == Scope::Content);
+        needs.is_some_and(|needs| needs.iter().any(is_content))
+    }
+
     /// Whether stages of the job may do without frames that cannot be finished.
     pub fn has_gaps(&self) -> bool {
         self.of(Scope::Job).any(|(_, template)| template.needs.iter().any(|need| need.gaps))
@@ -275,7 +304,7 @@ impl Graph {
         for (stage, template) in self.iter() {
             self.check_stage(stage, template)?;
         }
-        for scope in [Scope::Job, Scope::Frame] {
+        for scope in Scope::ALL {
             if self.of(scope).filter(|(_, template)| template.closes.is_some()).count() > 1 {
                 return Err(GraphError::Loop { stage: 0, why: "a scope has one loop at most" });
             }
@@ -337,8 +366,8 @@ impl Graph {
         if (need.stage >= stage && !is_before) || (is_before && !same_loop) {
             return fault("it needs a stage that comes later");
         }
-        if (template.scope, made.scope) == (Scope::Frame, Scope::Job) {
-            return fault("a frame cannot wait for the whole job");
+        if !template.scope.may_read(made.scope) {
+            return fault("it needs what is done for more, or for other, than itself");
         }
         if need.round == Round::Every && same_loop {
             return fault("it needs rounds that are yet to come");
@@ -352,7 +381,8 @@ impl Graph {
             // What came before the loop is there in every round.
             return Ok(());
         }
-        let tasks = if template.scope == made.scope { Some(made.tasks()) } else { None };
+        let of_frames = (template.scope, made.scope) == (Scope::Job, Scope::Frame);
+        let tasks = if of_frames { None } else { Some(made.tasks()) };
         match (need.reach, tasks) {
             (Reach::Fan(0), _) => fault("a fan of none"),
             (Reach::Same, Some(tasks)) if tasks != template.tasks() => fault("one to one of different numbers"),

@@ -8,9 +8,24 @@ use serde::{Deserialize, Serialize};
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct JobId(pub u64);
 
+impl JobId {
+    /// Numbers from here on are not jobs of people: each is what is done for one content by one build of the engine, for all jobs.
+    const SHARED: u64 = 1 << 62;
+
+    /// The number `number` (from 1) of what jobs share.
+    pub const fn shared(number: u64) -> Self {
+        Self(Self::SHARED | number)
+    }
+
+    /// Whether it is what jobs share, and none of them.
+    pub const fn is_shared(self) -> bool {
+        self.0 >= Self::SHARED
+    }
+}
+
 impl fmt::Display for JobId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        self.0.fmt(f)
+        if self.is_shared() { write!(f, "shared-{}", self.0 - Self::SHARED) } else { self.0.fmt(f) }
     }
 }
 

@@ -21,6 +21,9 @@ pub struct JobSpec {
     pub grid: Grid,
     /// Its stages.
     pub graph: Graph,
+    /// The keys of its frames' contents: up to this place in [`JobSpec::frames`] (exclusive) they have this one. Empty where no
+    /// stage is of a content. A key is a digest of all that the results of these stages depend on; workers compute it again.
+    pub contents: Vec<(u32, Digest)>,
     /// 0..=100; greater goes first.
     pub priority: u8,
     /// Who submitted it.
@@ -63,6 +66,12 @@ impl JobSpec {
             return Err(SpecError::Frames { frames: self.frames.len() });
         }
         self.graph.check()?;
+        let named = self.contents.last().map_or(0, |(end, _)| *end as usize);
+        let wanted = if self.graph.has_content() { self.frames.len() } else { 0 };
+        let ascends = self.contents.windows(2).all(|pair| pair[0].0 < pair[1].0);
+        if named != wanted || !ascends || self.contents.first().is_some_and(|(end, _)| *end == 0) {
+            return Err(SpecError::Contents { named, wanted });
+        }
         if self.priority > 100 {
             return Err(SpecError::Priority { priority: self.priority });
         }
@@ -92,6 +101,12 @@ impl JobSpec {
     pub fn names_files(name: &str) -> bool {
         let is_odd = |c: char| matches!(c, '/' | '\\' | ':') || c.is_control();
         !name.contains(is_odd) && !matches!(name, "" | "." | "..")
+    }
+
+    /// The key of the content that the frame at this place of [`JobSpec::frames`] has.
+    pub fn content(&self, place: usize) -> Option<Digest> {
+        let run = self.contents.partition_point(|(end, _)| *end as usize <= place);
+        self.contents.get(run).map(|(_, key)| *key)
     }
 
     /// Tasks of all its frames and rounds, and of the job as a whole.
@@ -128,6 +143,10 @@ impl JobSpec {
         put(&numbers(&self.frames));
         put(&numbers(&[self.grid.film[0], self.grid.film[1], self.grid.tile]));
         put(&self.graph.encode());
+        for (end, key) in &self.contents {
+            put(&numbers(&[*end]));
+            put(key.as_bytes());
+        }
         Digest::of(&bytes)
     }
 }
@@ -162,6 +181,14 @@ pub enum SpecError {
     Frames {
         /// How many there are.
         frames: usize,
+    },
+    /// Keys of contents for too few frames, or too many, or out of order.
+    #[error("the contents of {named} frames are named in order, {wanted} should be")]
+    Contents {
+        /// How many have one.
+        named: usize,
+        /// How many need one.
+        wanted: usize,
     },
     /// Stages that cannot be run.
     #[error(transparent)]
@@ -251,6 +278,7 @@ mod tests {
             frames: vec![1, 2, 5],
             grid: Grid { film: [64, 64], tile: 16 },
             graph: graph(&[4, 8, 16]),
+            contents: vec![],
             priority: 50,
             owner: "me".into(),
             tags: vec![],

@@ -12,6 +12,8 @@ pub enum StageKind {
     Reduce,
     /// Measures a frame, decides whether another round follows, writes the image.
     Image,
+    /// Exact arithmetic on numbers, for exercises of the farm.
+    Drill,
 }
 
 /// Tasks of one lane are done one after the other, those of different lanes side by side.
@@ -73,7 +75,7 @@ pub struct KindRow {
 
 impl StageKind {
     /// All, in the order of the table.
-    pub const ALL: [Self; 3] = [Self::Render, Self::Reduce, Self::Image];
+    pub const ALL: [Self; 4] = [Self::Render, Self::Reduce, Self::Image, Self::Drill];
 
     /// Its row of the table.
     pub fn row(self) -> KindRow {
@@ -84,6 +86,7 @@ impl StageKind {
             Self::Render => row("render", "pixel samples", Compute, true, Near::Frame, Report),
             Self::Reduce => row("reduce", "inputs", Join, false, Near::Inputs, Report),
             Self::Image => row("image", "inputs", Join, false, Near::Inputs, Store),
+            Self::Drill => row("drill", "inputs", Compute, false, Near::Inputs, Report),
         }
     }
 
@@ -121,6 +124,10 @@ pub enum Role {
     Image,
     /// The same, tone-mapped, as PNG.
     Preview,
+    /// Numbers of a drill.
+    Numbers,
+    /// What came of a drill.
+    Answer,
 }
 
 /// A row of the roles' table.
@@ -136,7 +143,8 @@ pub struct RoleRow {
 
 impl Role {
     /// All, in the order of the table.
-    pub const ALL: [Self; 5] = [Self::Tile, Self::Sums, Self::Pixels, Self::Image, Self::Preview];
+    pub const ALL: [Self; 7] =
+        [Self::Tile, Self::Sums, Self::Pixels, Self::Image, Self::Preview, Self::Numbers, Self::Answer];
 
     /// Its row of the table.
     pub fn row(self) -> RoleRow {
@@ -147,6 +155,8 @@ impl Role {
             Self::Pixels => row("pixels", false, false),
             Self::Image => row("image", true, false),
             Self::Preview => row("preview", true, true),
+            Self::Numbers => row("numbers", false, false),
+            Self::Answer => row("answer", true, false),
         }
     }
 

@@ -160,6 +160,19 @@ pub enum Wait {
         /// How many of these tasks are not done.
         tasks: u32,
     },
+    /// Frames wait for what is done once for all frames, and all jobs, that have one content.
+    SharedStage {
+        /// What is being done for it, in its own number.
+        shared: JobId,
+        /// Which of its stages.
+        stage: StageKind,
+        /// Tasks of this stage that are done.
+        done: u32,
+        /// All of them.
+        tasks: u32,
+        /// How many jobs wait for it.
+        jobs: u32,
+    },
     /// Tasks that are not done were tried, and what is around them failed: the store, the network, a worker's memory.
     Mishaps {
         /// How many tasks.

@@ -21,6 +21,7 @@ fn main() {
         frames: (1..=frames).collect(),
         grid: Grid { film: [tiles * 8, 8], tile: 8 },
         graph: testing::frames(Sizes::even(tiles, 64), &[16], 256),
+        contents: vec![],
         priority: 50,
         owner: "me".into(),
         tags: vec![],
@@ -62,7 +63,9 @@ fn main() {
                 let units = work.steps.len() as u64 * 64;
                 TaskResult { outputs: vec![output(Role::Tile)], units, ..TaskResult::default() }
             }
-            StageKind::Reduce => TaskResult { outputs: vec![output(Role::Pixels)], ..TaskResult::default() },
+            StageKind::Reduce | StageKind::Drill => {
+                TaskResult { outputs: vec![output(Role::Pixels)], ..TaskResult::default() }
+            }
             StageKind::Image => {
                 let decision = Some(Decision::Done);
                 TaskResult { outputs: vec![output(Role::Image)], decision, ..TaskResult::default() }

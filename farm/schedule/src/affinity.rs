@@ -8,6 +8,7 @@ use crate::builds::is_foreign;
 use crate::deal::{is_avoided, is_shunned};
 use crate::ledger::Job;
 use crate::scheduler::Scheduler;
+use crate::shared::Content;
 
 /// What a worker has ready, as far as one can tell from what it was given.
 #[derive(Debug, Clone, Default)]
@@ -110,8 +111,10 @@ impl Scheduler {
     /// The first ready task that wants its frame prepared, of one frame of the job, or of any, and that the worker may take.
     fn ready_near(&self, id: WorkerId, job: JobId, frame: Option<u32>) -> Option<TaskKey> {
         let (known, desk) = (self.ledger.jobs.get(&job)?, self.desks.get(&job)?);
+        let engine = &*self.floor.workers.get(&id)?.registration.engine;
         let may_take = |task: &TaskKey| {
             !is_avoided(task, known, desk, id, &self.floor)
+                && matches!(self.content(known, &task.stage, engine), Content::There)
                 && !is_foreign(&self.ledger, &self.floor, job, task.stage.frame, id)
         };
         match frame {

@@ -24,6 +24,9 @@ pub(crate) struct Orphans {
 
 /// The build whose frame this is; `None`: whoever comes first.
 fn build_of<'a>(ledger: &'a Ledger, floor: &'a Floor, job: JobId, frame: u32) -> Option<&'a str> {
+    if let Some(shared) = ledger.jobs.get(&job).and_then(|known| known.shared.as_ref()) {
+        return Some(&shared.engine);
+    }
     ledger.annex.build_of(job, frame).or_else(|| {
         let holder = floor.of_frame(job, frame).next()?.1.worker;
         floor.workers.get(&holder).map(|worker| &*worker.registration.engine)
@@ -46,7 +49,8 @@ impl Scheduler {
             !is_foreign(&self.ledger, &self.floor, job, frame, worker),
             "a frame of two builds: {job}/{frame}"
         );
-        if self.ledger.annex.build_of(job, frame).is_none()
+        if !job.is_shared()
+            && self.ledger.annex.build_of(job, frame).is_none()
             && let Some(worker) = self.floor.workers.get(&worker)
         {
             let engine = worker.registration.engine.clone();

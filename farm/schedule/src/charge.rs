@@ -20,7 +20,8 @@ impl Scheduler {
 
     /// A task of the job begins that is expected to take so many milliseconds.
     pub(crate) fn claim(&mut self, job: JobId, milliseconds: u64) {
-        let Some(job) = self.ledger.jobs.get(&job) else { return };
+        // What jobs share is charged to all of them, as it is used.
+        let Some(job) = self.ledger.jobs.get(&job).filter(|known| known.shared.is_none()) else { return };
         self.order.claim(&job.spec.owner, milliseconds, self.config.weight(&job.spec.owner));
     }
 
@@ -28,6 +29,12 @@ impl Scheduler {
     fn bill(&mut self, worker: WorkerId) {
         let Some((job, milliseconds, expected)) = self.floor.bill(worker, self.now) else { return };
         let Some(job) = self.ledger.jobs.get(&job) else { return };
+        if job.shared.is_some() {
+            for (owner, part) in self.split(job, milliseconds) {
+                self.order.charge(&owner, part, 0, self.config.weight(&owner));
+            }
+            return;
+        }
         self.order.charge(&job.spec.owner, milliseconds, expected, self.config.weight(&job.spec.owner));
     }
 
@@ -35,7 +42,7 @@ impl Scheduler {
     pub(crate) fn release(&mut self, key: &LeaseKey) -> Option<Lease> {
         self.bill(self.floor.leases.get(key)?.worker);
         let lease = self.floor.release(key)?;
-        if let Some(job) = self.ledger.jobs.get(&key.0.job) {
+        if let Some(job) = self.ledger.jobs.get(&key.0.job).filter(|known| known.shared.is_none()) {
             self.order.unclaim(&job.spec.owner, lease.claim);
         }
         Some(lease)

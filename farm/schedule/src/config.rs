@@ -45,6 +45,8 @@ pub struct Config {
     pub presumed: u64,
     /// A frame begins anew when no worker of its build of the engine has been there for so long, and others are.
     pub orphaned: u64,
+    /// Bytes of what is done for contents that no job needs any more, and that is kept for jobs to come.
+    pub shared_bytes: u64,
     /// A job that ended so long ago is forgotten; `None`: never.
     pub keep_ended: Option<u64>,
     /// Weights of owners in the fair share of time; who is not named has 1.
@@ -116,6 +118,7 @@ impl Default for Config {
             grain: Self::GRAIN,
             presumed: 15_000,
             orphaned: 60_000,
+            shared_bytes: 16 << 30,
             keep_ended: None,
             weights: BTreeMap::new(),
             quota: Quota::default(),

@@ -26,6 +26,7 @@ impl Scheduler {
         let job = self.ledger.next_job();
         self.record(Fact::Submitted { job, key, spec, cut: Cut::Grains(self.config.grain) }, now, out);
         self.rebuild(job);
+        self.retry_shared(job, now, out);
         out.push(Command::Changed(job));
         Ok(Answer::Submitted(job))
     }
@@ -34,7 +35,8 @@ impl Scheduler {
     fn within_quota(&self, spec: &JobSpec) -> Result<(), Refusal> {
         let Quota { jobs, frames, tasks } = self.config.quota;
         let sizes = |spec: &JobSpec| [1, spec.frames.len() as u64, spec.tasks()];
-        let own = self.ledger.jobs.values().filter(|job| job.spec.owner == spec.owner && !job.has_ended());
+        let own = self.ledger.of_people().map(|(_, job)| job);
+        let own = own.filter(|job| job.spec.owner == spec.owner && !job.has_ended());
         let sums = own.fold(sizes(spec), |[a, b, c], job| {
             let [jobs, frames, tiles] = sizes(&job.spec);
             [a + jobs, b + frames, c.saturating_add(tiles)]
@@ -54,6 +56,9 @@ impl Scheduler {
         out: &mut Vec<Command>,
     ) -> Result<Answer, Refusal> {
         let job = self.job(id)?;
+        if id.is_shared() {
+            return Err(Refusal::NoSuchJob { job: id });
+        }
         let is_done = job.is_done();
         let has_trouble = !job.blocked.is_empty() || job.units.values().any(|unit| unit.quarantined().next().is_some());
         let changes = match control {
@@ -78,10 +83,14 @@ impl Scheduler {
             self.record(Fact::Controlled { job: id, control }, now, out);
             match control {
                 Control::Cancel => self.revoke_all(id, out),
-                Control::Retry => self.forgive(id),
+                Control::Retry => {
+                    self.forgive(id);
+                    self.retry_shared(id, now, out);
+                }
                 Control::Pause | Control::Resume | Control::Priority(_) => {}
             }
             self.rebuild(id);
+            self.withdraw(out);
             out.push(Command::Changed(id));
         }
         Ok(Answer::Controlled(id))

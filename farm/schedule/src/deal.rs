@@ -2,18 +2,21 @@
 
 use std::ops::Range;
 
-use femc_model::{Assignment, Epoch, JobId, More, TaskKey, Tick, Wait, Work, WorkerId};
+use femc_model::{Assignment, Digest, Epoch, JobId, More, Scope, TaskKey, Tick, Wait, Work, WorkerId};
 
+use crate::Command;
 use crate::builds::is_foreign;
 use crate::desk::Desk;
 use crate::floor::{Floor, LeaseKey, Worker};
 use crate::ledger::{Job, Place};
 use crate::scheduler::Scheduler;
-use crate::{Command, Ledger};
+use crate::shared::Content;
 
 /// What the search for a task of a job came to.
 enum Pick {
     Task(TaskKey),
+    /// What a frame shares with others is to be begun: the job, the frame, the key of its content.
+    Begin(JobId, u32, Digest),
     /// Ready tasks, but none for this worker.
     NotForThisWorker,
     NothingReady,
@@ -35,6 +38,10 @@ impl Scheduler {
             }
             match self.pick(id, now) {
                 Pick::Task(task) => self.serve(id, task, now, out),
+                Pick::Begin(job, frame, key) => {
+                    self.begin_shared(job, frame, key, id, now, out);
+                    next = (held, id);
+                }
                 Pick::NotForThisWorker => {}
                 Pick::NothingReady => return,
             }
@@ -46,26 +53,76 @@ impl Scheduler {
     fn pick(&mut self, id: WorkerId, now: Tick) -> Pick {
         let mut best = Pick::NothingReady;
         let Some(worker) = self.floor.workers.get(&id) else { return best };
-        for job_id in self.order.service() {
-            let (Some(job), Some(desk)) = (self.ledger.jobs.get(&job_id), self.desks.get_mut(&job_id)) else {
-                continue;
-            };
+        let jobs: Vec<JobId> = self.order.service().collect();
+        for job_id in jobs {
+            let (Some(job), Some(desk)) = (self.ledger.jobs.get(&job_id), self.desks.get(&job_id)) else { continue };
             if !worker.has_tags(&job.spec.tags) || is_shunned(job, desk, id, &self.floor, now) {
                 best = Pick::NotForThisWorker;
                 continue;
             }
             loop {
-                match first_ready(job_id, job, desk, id, &self.ledger, &self.floor) {
-                    Pick::Task(task) => return Pick::Task(task),
+                match self.first_ready(job_id, id, now) {
                     Pick::NotForThisWorker => best = Pick::NotForThisWorker,
                     Pick::NothingReady => {}
+                    found => return found,
                 }
+                let (Some(job), Some(desk)) = (self.ledger.jobs.get(&job_id), self.desks.get_mut(&job_id)) else {
+                    break;
+                };
                 if !desk.may_open(id, &self.floor) || !desk.open_next(job) {
                     break;
                 }
             }
         }
         best
+    }
+
+    /// The first ready task of a job that the worker may take, or of what the job shares with others.
+    fn first_ready(&self, id: JobId, worker: WorkerId, now: Tick) -> Pick {
+        let mut best = Pick::NothingReady;
+        let (Some(job), Some(desk)) = (self.ledger.jobs.get(&id), self.desks.get(&id)) else { return best };
+        let Some(engine) = self.floor.workers.get(&worker).map(|worker| &*worker.registration.engine) else {
+            return best;
+        };
+        for (frame, open) in desk.open.ready() {
+            if is_foreign(&self.ledger, &self.floor, id, frame, worker) {
+                best = Pick::NotForThisWorker;
+                continue;
+            }
+            for (stage, keys) in open.stages() {
+                match self.content(job, stage, engine) {
+                    Content::There => {}
+                    Content::Missing(key) => return Pick::Begin(id, frame, key),
+                    Content::Underway(shared) => {
+                        if let Some(task) = self.ready_shared(shared, worker, now) {
+                            return Pick::Task(task);
+                        }
+                        best = Pick::NotForThisWorker;
+                        continue;
+                    }
+                    Content::Elsewhere => {
+                        best = Pick::NotForThisWorker;
+                        continue;
+                    }
+                }
+                let mut tasks = keys.iter().map(|index| TaskKey { job: id, stage: *stage, index });
+                if let Some(task) = tasks.find(|task| !is_avoided(task, job, desk, worker, &self.floor)) {
+                    return Pick::Task(task);
+                }
+                best = Pick::NotForThisWorker;
+            }
+        }
+        best
+    }
+
+    /// The first ready task of what jobs share that the worker may take.
+    fn ready_shared(&self, id: JobId, worker: WorkerId, now: Tick) -> Option<TaskKey> {
+        let (job, desk) = (self.ledger.jobs.get(&id)?, self.desks.get(&id)?);
+        if job.has_ended() || is_shunned(job, desk, worker, &self.floor, now) {
+            return None;
+        }
+        let mut tasks = desk.open.ready().flat_map(|(_, open)| open.tasks(id));
+        tasks.find(|task| !is_avoided(task, job, desk, worker, &self.floor))
     }
 
     /// Leases a task to a worker.
@@ -79,7 +136,7 @@ impl Scheduler {
         now: Tick,
         out: &mut Vec<Command>,
     ) {
-        let Some(work) = self.work(&task, run, now) else {
+        let Some(work) = self.work(&task, run, worker, now) else {
             debug_assert!(false, "a task that is not there was picked: {task}");
             return;
         };
@@ -109,17 +166,20 @@ impl Scheduler {
         self.floor.lease(key, run, worker, size, &self.config, now);
     }
 
-    fn work(&self, task: &TaskKey, run: &Range<u32>, now: Tick) -> Option<Work> {
+    fn work(&self, task: &TaskKey, run: &Range<u32>, worker: WorkerId, now: Tick) -> Option<Work> {
         let job = self.ledger.jobs.get(&task.job)?;
         let (unit, shape) = (job.unit(task.stage.frame), job.shape(task.stage.frame));
         let place: Place = (task.stage.round, task.stage.number);
         let grains = unit.grains(&shape, place)?;
+        let engine = &*self.floor.workers.get(&worker)?.registration.engine;
+        let key = job.content(task.stage.frame);
+        let shared = key.and_then(|key| self.ledger.shared_of(&key, engine)).map(|(_, shared)| shared);
         let (item, is_cut) = (grains.task(task.index), task.stage.kind.is_cut());
         let may_go_on = job.spec.graph.is_looped(task.stage.number) && shape.may_go_on(task.stage.round);
         Some(Work {
             item,
             steps: grains.steps(run),
-            inputs: unit.inputs(&shape, place, item),
+            inputs: unit.inputs(&shape, place, item, shared),
             more: if may_go_on { More::Rounds } else { More::Last },
             elapsed: if is_cut { 0 } else { now.since(unit.began) },
             busy_seconds: if is_cut { 0.0 } else { unit.busy_seconds },
@@ -149,13 +209,14 @@ impl Scheduler {
             waits.extend(open.stages().next().is_none().then(|| why_idle(job, frame)).flatten());
         }
         let is_ready = desk.open.ready().next().is_some();
-        if is_ready || desk.cursor < job.spec.frames.len() {
+        if is_ready || desk.cursor < job.frames().len() {
             waits.extend(self.why_no_worker(id, job, desk, now));
             waits.extend(self.why_silent(job, now));
             waits.extend(self.why_in_trouble(job, now));
             waits.extend(self.why_shunned(job, desk, now));
             waits.extend(self.why_avoided(job, desk));
             waits.extend(self.why_foreign(id, job, desk, now));
+            waits.extend(self.why_shared(job));
         }
         waits
     }
@@ -246,10 +307,11 @@ fn why_idle(job: &Job, frame: u32) -> Option<Wait> {
     let (unit, shape) = (job.unit(frame), job.shape(frame));
     let place = unit.places(&shape).find(|&place| !unit.is_complete(&shape, place))?;
     let needs = shape.template(place.1)?;
-    let of_frames =
-        needs.needs.iter().find_map(|need| job.spec.graph.stage(need.stage).filter(|made| made.scope != needs.scope));
+    let of_frames = needs.needs.iter().find_map(|need| {
+        job.spec.graph.stage(need.stage).filter(|made| needs.scope == Scope::Job && made.scope != needs.scope)
+    });
     if let Some(made) = of_frames {
-        let frames = (job.spec.frames.len() - job.frames_done()) as u32;
+        let frames = (job.frames().len() - job.frames_done()) as u32;
         return Some(Wait::StageWaits { frame, stage: needs.kind, needs: made.kind, tasks: frames });
     }
     let waits = shape.graph.readers(place.1).find_map(|(reader, _)| shape.template(reader))?;
@@ -273,23 +335,6 @@ fn has_peer(job: &Job, worker: WorkerId, floor: &Floor, is_one: impl Fn(WorkerId
 pub(crate) fn is_shunned(job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor, now: Tick) -> bool {
     let shuns = |id| floor.instance(id).is_some_and(|instance| desk.distrust.shuns(instance, now).is_some());
     shuns(worker) && has_peer(job, worker, floor, |other| !shuns(other))
-}
-
-fn first_ready(id: JobId, job: &Job, desk: &Desk, worker: WorkerId, ledger: &Ledger, floor: &Floor) -> Pick {
-    let mut best = Pick::NothingReady;
-    for (frame, open) in desk.open.ready() {
-        if is_foreign(ledger, floor, id, frame, worker) {
-            best = Pick::NotForThisWorker;
-            continue;
-        }
-        for task in open.tasks(id) {
-            if !is_avoided(&task, job, desk, worker, floor) {
-                return Pick::Task(task);
-            }
-            best = Pick::NotForThisWorker;
-        }
-    }
-    best
 }
 
 /// Whether the task failed last on this very worker, and another that could take it is there: not one on which the job's tasks

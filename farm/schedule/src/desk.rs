@@ -93,7 +93,7 @@ impl Desk {
 
     /// Opens the next frame that nobody has begun; `false` where there is none.
     pub(crate) fn open_next(&mut self, job: &Job) -> bool {
-        while let Some(&frame) = job.spec.frames.get(self.cursor) {
+        while let Some(&frame) = job.frames().get(self.cursor) {
             self.cursor += 1;
             if job.is_open(frame) && self.open.get(frame).is_none() {
                 let (unit, shape) = (job.unit(frame), job.shape(frame));

@@ -1,6 +1,6 @@
 //! What has happened for good: the entries of the log.
 
-use femc_model::{Control, Cut, Drain, Epoch, Failure, JobId, JobSpec, LogRecord, TaskKey, TaskResult, Tick};
+use femc_model::{Control, Cut, Digest, Drain, Epoch, Failure, JobId, JobSpec, LogRecord, TaskKey, TaskResult, Tick};
 use serde::{Deserialize, Serialize};
 
 use crate::Casualty;
@@ -30,6 +30,19 @@ pub enum Fact {
         /// A second submission with this key is the same job.
         key: Option<String>,
         /// As submitted.
+        spec: Box<JobSpec>,
+        /// How finely its tasks are cut.
+        cut: Cut,
+    },
+    /// The stages of a content are begun, for all jobs that need them, by one build of the engine.
+    Shared {
+        /// Its number: [`JobId::shared`].
+        job: JobId,
+        /// Of the content.
+        key: Digest,
+        /// The build.
+        engine: String,
+        /// What to do: the job that needed it first, of one frame.
         spec: Box<JobSpec>,
         /// How finely its tasks are cut.
         cut: Cut,

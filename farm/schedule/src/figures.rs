@@ -56,13 +56,14 @@ impl Scheduler {
     pub fn figures(&self, now: Tick) -> Figures {
         let mut left = 0;
         let mut ready = [0; KINDS.len()];
-        for id in self.order.jobs() {
+        let shared = self.ledger.all_shared().filter(|(_, shared)| self.is_wanted(shared)).map(|(id, _)| id);
+        for id in self.order.jobs().chain(shared) {
             let Some(job) = self.ledger.jobs.get(&id) else { continue };
-            left += self.samples_left(id, job);
+            left += if id.is_shared() { 0 } else { self.samples_left(id, job) };
             let counts = self.ready(id, job);
             ready.iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
         }
-        let states: Vec<JobState> = self.ledger.jobs.iter().map(|(&id, job)| self.state_of(id, job)).collect();
+        let states: Vec<JobState> = self.ledger.of_people().map(|(id, job)| self.state_of(id, job)).collect();
         let leases: Vec<StageKind> = self.floor.leases.keys().map(|(task, _)| task.stage.kind).collect();
         let workers: Vec<WorkerStanding> =
             self.floor.workers.values().map(|worker| self.standing(worker, now)).collect();
@@ -82,22 +83,29 @@ impl Scheduler {
     /// Tasks of a job that could be leased now, by kind; what nobody has begun counts with its first round.
     fn ready(&self, id: JobId, job: &Job) -> [u64; KINDS.len()] {
         let Some(desk) = self.desks.get(&id) else { return [0; KINDS.len()] };
-        let unopened = job.spec.frames.get(desk.cursor..).unwrap_or_default().iter();
-        let unopened = unopened.filter(|frame| job.is_open(**frame) && desk.open.get(**frame).is_none()).count() as u64;
         let mut ready = [0; KINDS.len()];
-        let first = job.spec.frames.first().map(|&frame| (job.fresh(frame), job.shape(frame)));
+        let is_there = |frame: u32, number: u16| {
+            let key = job.content(frame).filter(|_| job.spec.graph.reads_content(number));
+            key.is_none_or(|key| self.ledger.shared_by(&key).any(|(_, _, shared)| shared.is_done()))
+        };
+        let unopened = job.frames().get(desk.cursor..).unwrap_or_default().iter().copied();
+        let unopened: Vec<u32> =
+            unopened.filter(|&frame| job.is_open(frame) && desk.open.get(frame).is_none()).collect();
+        let first = unopened.first().map(|&frame| (job.fresh(frame), job.shape(frame)));
         for ((_, number), keys) in first.iter().flat_map(|(unit, shape)| unit.open(shape)) {
             let kind = job.spec.graph.stage(number).map_or(KINDS[0], |template| template.kind);
-            ready[kind.place()] += unopened * u64::from(keys.count());
+            let frames = unopened.iter().filter(|&&frame| is_there(frame, number)).count() as u64;
+            ready[kind.place()] += frames * u64::from(keys.count());
         }
-        for (stage, keys) in desk.open.ready().flat_map(|(_, open)| open.stages()) {
+        let open = desk.open.ready().flat_map(|(_, open)| open.stages());
+        for (stage, keys) in open.filter(|(stage, _)| is_there(stage.frame, stage.number)) {
             ready[stage.kind.place()] += u64::from(keys.count());
         }
         ready
     }
 
     fn samples_left(&self, id: JobId, job: &Job) -> u64 {
-        let open = job.spec.frames.len() - job.frames_done() - job.frames_blocked();
+        let open = job.frames().len() - job.frames_done() - job.frames_blocked();
         let under_way = self.units(id).saturating_sub(job.finished_units());
         (open as u64 * job.spec.samples_of_frame()).saturating_sub(under_way)
     }

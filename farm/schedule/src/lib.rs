@@ -34,6 +34,7 @@ mod ranges;
 mod retention;
 mod scheduler;
 mod share;
+mod shared;
 mod speculate;
 mod view;
 

@@ -188,6 +188,7 @@ impl Scheduler {
     fn doom(&mut self, job: JobId, failure: Failure, now: Tick, out: &mut Vec<Command>) {
         self.record(Fact::Doomed { job, failure }, now, out);
         self.revoke_all(job, out);
+        self.withdraw(out);
     }
 
     /// Inputs are gone: what made them is to run again. Counts as an attempt of the task that missed it, so that a
@@ -209,14 +210,18 @@ impl Scheduler {
         self.revoke_others(&task, RevokeReason::Expired, out);
         let Some(job) = self.ledger.jobs.get(&task.job) else { return };
         let frame = task.stage.frame;
-        let repairs = repairs(&task, job, digests);
+        let mut repairs = repairs(&task, job, digests);
+        let key = job.content(frame);
+        let shared = key.iter().flat_map(|key| self.ledger.shared_by(key));
+        let lost = shared.filter(|(_, _, shared)| digests.iter().any(|digest| shared.made_by(digest).next().is_some()));
+        repairs.extend(lost.map(|(_, job, _)| Fact::Restarted { job, frame: Stage::OF_JOB }));
         self.count_failure(worker, task, failure, now, out);
         let is_open = self.ledger.jobs.get(&task.job).is_some_and(|job| job.is_open(frame));
         if is_open {
-            let others = repairs.iter().any(|repair| matches!(repair, Fact::Restarted { .. }));
-            repairs.into_iter().for_each(|repair| self.record(repair, now, out));
-            if others {
-                self.rebuild(task.job);
+            for repair in repairs {
+                let others = if let Fact::Restarted { job, .. } = &repair { Some(*job) } else { None };
+                self.record(repair, now, out);
+                others.into_iter().for_each(|job| self.rebuild(job));
             }
         }
     }

@@ -19,7 +19,7 @@ impl Scheduler {
         }
         self.looks_from = now.after(Self::LOOK);
         let is_due = |job: &Job| job.has_ended() && job.ended.is_some_and(|ended| now.since(ended) >= keep);
-        let due: Vec<JobId> = self.ledger.jobs.iter().filter(|(_, job)| is_due(job)).map(|(&id, _)| id).collect();
+        let due: Vec<JobId> = self.ledger.of_people().filter(|(_, job)| is_due(job)).map(|(id, _)| id).collect();
         for job in due {
             self.revoke_all(job, out);
             self.record(Fact::Forgotten { job }, now, out);

@@ -71,7 +71,7 @@ impl Scheduler {
             deals_from: Tick(0),
             ledger,
         };
-        for (&id, job) in scheduler.ledger.jobs.iter().filter(|(_, job)| job.is_runnable()) {
+        for (id, job) in scheduler.ledger.of_people().filter(|(_, job)| job.is_runnable()) {
             scheduler.order.put(id, job.spec.priority, &job.spec.owner);
         }
         let jobs: Vec<JobId> = scheduler.ledger.jobs.keys().copied().collect();
@@ -275,11 +275,22 @@ impl Scheduler {
         }
         self.free_orphans(now, out);
         self.forget_ended(now, out);
+        self.withdraw(out);
+        self.forget_shared(now, out);
     }
 
     /// Makes a fact true; it becomes durable before what follows is told to anybody.
     pub(crate) fn record(&mut self, fact: Fact, now: Tick, out: &mut Vec<Command>) {
         let released = self.ledger.apply(&fact, now);
+        let job = match &fact {
+            Fact::Failed { task, .. } | Fact::Died { task, .. } | Fact::Done { task, .. } => Some(task.job),
+            Fact::Doomed { job, .. } => Some(*job),
+            _ => None,
+        };
+        if job.filter(|job| job.is_shared()).is_some_and(|job| self.ledger.jobs.get(&job).is_some_and(Job::is_stuck)) {
+            // Frames that wait for it are blocked.
+            self.rebuild_all();
+        }
         out.push(Command::Record(fact));
         if !released.is_empty() {
             out.push(Command::Discard(released));
@@ -319,7 +330,7 @@ impl Scheduler {
     /// Puts the job into the order of service, or out of it.
     pub(crate) fn reorder(&mut self, id: JobId) {
         let Some(job) = self.ledger.jobs.get(&id) else { return };
-        if job.is_runnable() {
+        if job.is_runnable() && job.shared.is_none() {
             self.order.insert(id, job.spec.priority, &job.spec.owner);
         } else {
             self.order.remove(id);

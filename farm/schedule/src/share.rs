@@ -89,7 +89,7 @@ fn ready_run(task: &TaskKey, job: &Job, desk: &Desk, grains: &Grains<'_>) -> Ran
 
 /// Ready grains of the task's stage in all frames of the job, counted up to about `enough`.
 fn ready(job: &Job, desk: &Desk, task: &TaskKey, grains: &Grains<'_>, enough: u64) -> u64 {
-    let unopened = job.spec.frames.len() - desk.cursor.min(job.spec.frames.len());
+    let unopened = job.frames().len() - desk.cursor.min(job.frames().len());
     let mut ready = unopened as u64 * u64::from(grains.all().end);
     for (_, open) in desk.open.ready() {
         if ready >= enough {

@@ -9,6 +9,7 @@ use crate::builds::is_foreign;
 use crate::deal::{is_avoided, is_shunned};
 use crate::floor::{Lease, LeaseKey};
 use crate::scheduler::Scheduler;
+use crate::shared::Content;
 
 impl Scheduler {
     /// A task is late after so many times what it was expected to take.
@@ -35,7 +36,8 @@ impl Scheduler {
     /// Leases that take too long and of which there is no copy: by their jobs' order of service, the latest first.
     fn late(&self, now: Tick) -> Vec<LeaseKey> {
         let mut all = Vec::new();
-        for job in self.order.service() {
+        let shared = self.ledger.all_shared().filter(|(_, shared)| self.is_wanted(shared)).map(|(id, _)| id);
+        for job in self.order.service().chain(shared) {
             let mut late: Vec<(u64, LeaseKey)> = (self.floor.of_job(job))
                 .filter(|((task, _), _)| self.floor.of_task(task).nth(1).is_none())
                 .filter_map(|(key, lease)| Some((self.lateness(&key.0, lease, now)?, *key)))
@@ -63,7 +65,9 @@ impl Scheduler {
         // What it reads may have been lost since it was leased.
         holder.is_some_and(|lease| lease.worker != id)
             && job.is_fed(task)
-            && worker.is_some_and(|worker| worker.has_tags(&job.spec.tags))
+            && worker
+                .is_some_and(|it| matches!(self.content(job, &task.stage, &it.registration.engine), Content::There))
+            && worker.is_some_and(|worker| self.fits(worker, job))
             && !is_shunned(job, desk, id, &self.floor, now)
             && !is_avoided(task, job, desk, id, &self.floor)
             && !is_foreign(&self.ledger, &self.floor, task.job, task.stage.frame, id)

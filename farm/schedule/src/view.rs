@@ -1,9 +1,9 @@
 //! What may be asked: a job at a glance, all jobs, the frames of one, the workers.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 use femc_model::{
-    FrameParts, FrameProgress, FrameRecord, JobId, JobState, JobStatus, LeaseLeft, Quarantined, Refusal, Stage,
+    Digest, FrameParts, FrameProgress, FrameRecord, JobId, JobState, JobStatus, LeaseLeft, Quarantined, Refusal, Stage,
     StageKind, TaskKey, Tick, WorkerId, WorkerStatus,
 };
 
@@ -14,7 +14,7 @@ use crate::scheduler::Scheduler;
 impl Scheduler {
     /// Every job, in order of submission.
     pub fn jobs(&self, now: Tick) -> Vec<JobStatus> {
-        self.ledger.jobs.keys().filter_map(|&job| self.status(job, now).ok()).collect()
+        self.ledger.of_people().filter_map(|(job, _)| self.status(job, now).ok()).collect()
     }
 
     /// One job.
@@ -35,7 +35,10 @@ impl Scheduler {
             owner: spec.owner.clone(),
             priority: spec.priority,
             state: self.state(job, began.is_some()),
-            failure: job.doom.clone(),
+            failure: job
+                .doom
+                .clone()
+                .or_else(|| self.stuck(job).filter(|_| job.has_ended()).find_map(|(_, shared)| shared.doom.clone())),
             frames_total: spec.frames.len() as u32,
             frames_done: job.frames_done() as u32,
             frames_failed: job.frames_blocked() as u32,
@@ -47,11 +50,21 @@ impl Scheduler {
             bad_samples: bad_finished + bad_active,
             relative_error: job.relative_error,
             seconds: began.map_or(0, |began| job.ended.unwrap_or(now).since(began)) as f64 / 1000.0,
-            quarantined: quarantined(id, job),
+            quarantined: quarantined(id, job)
+                .into_iter()
+                .chain(self.stuck(job).flat_map(|(id, it)| quarantined(id, it)))
+                .collect(),
             stale_messages: desk.stale_messages,
             copies: desk.copies,
             waits: self.waits(id, job, desk, now),
         })
+    }
+
+    /// What a job shares with others, needs, and cannot have without a retry.
+    fn stuck(&self, job: &Job) -> impl Iterator<Item = (JobId, &Job)> {
+        let keys = job.blocked.iter().filter_map(|&frame| job.content(frame)).collect::<BTreeSet<Digest>>();
+        let shared = self.ledger.all_shared().filter(|(_, shared)| shared.is_stuck());
+        shared.filter(move |(_, shared)| shared.shared.as_ref().is_some_and(|it| keys.contains(&it.key)))
     }
 
     /// The finished frames of a job, ascending; what is finished of the job as a whole comes first.

@@ -53,7 +53,7 @@ fn work(farm: &mut Farm, worker: u64) -> TaskKey {
     let held = farm.first_of(worker);
     let roles: &[Role] = match (held.task.stage.kind, held.task.stage.frame) {
         (Render, _) => &[Role::Tile],
-        (Reduce, _) => &[Role::Sums],
+        (Reduce | StageKind::Drill, _) => &[Role::Sums],
         (Image, Stage::OF_JOB) => &[],
         (Image, _) => &[Role::Image],
     };

@@ -59,6 +59,8 @@ enum Form {
     Behind,
     /// Frames, and for the job a tree over their tiles and one result; with gaps or without.
     Whole { gaps: bool },
+    /// Frames that read what is solved in rounds, once for all frames and jobs of one content.
+    Shared,
 }
 
 impl Form {
@@ -83,6 +85,15 @@ impl Form {
                 let decide = image(Frame, &[]).reads(0, Tile, Reach::All).closes(0, most);
                 let end = image(Frame, &[Image]).needs(need(0, Tile, Reach::All, Round::Every, false));
                 Graph { stages: vec![render, decide, end] }
+            }
+            Self::Shared => {
+                let blocks = Template::new(Kind::Reduce, Content, Sizes::even(2, 1), &[Sums]);
+                let blocks = blocks.needs(need(0, Sums, Reach::All, Round::Before, false));
+                let decide = image(Content, &[]).reads(0, Sums, Reach::All).closes(0, most);
+                let field = Template::new(Kind::Reduce, Content, one.clone(), &[Pixels]).reads(0, Sums, Reach::All);
+                let render = render.reads(2, Pixels, Reach::All);
+                let end = image(Frame, &[Image]).reads(3, Tile, Reach::All).closes(3, most);
+                Graph { stages: vec![blocks, decide, field, render, end] }
             }
             Self::Whole { gaps } => {
                 let end = image(Frame, &[Image]).reads(0, Tile, Reach::All).closes(0, most);
@@ -115,7 +126,7 @@ fn step() -> impl Strategy<Value = Step> {
     let decision = prop_oneof![2 => Just(Goes::On), 1 => (0..8u32).prop_map(Goes::Unevenly), 2 => Just(Goes::Over)];
     let form = prop_oneof![
         4 => (0..4u32).prop_map(Form::Frames), 2 => Just(Form::Diamond), 2 => Just(Form::Behind),
-        3 => any::<bool>().prop_map(|gaps| Form::Whole { gaps })
+        3 => any::<bool>().prop_map(|gaps| Form::Whole { gaps }), 5 => Just(Form::Shared)
     ];
     prop_oneof![
         1 => (1..4u32, 1..7u32, 1..4usize, form, 0..3usize, prop::option::of(0..3u8), prop_oneof![Just(50u8), 0..=100u8])
@@ -182,6 +193,10 @@ struct Machine {
     results: BTreeMap<Unit, (Epoch, TaskResult)>,
     /// What was decided after which round of which frame.
     choices: BTreeMap<(JobId, u32, u32), Goes>,
+    /// Whether jobs have ever shared anything.
+    has_shared: bool,
+    /// What jobs share, by content and build.
+    shared: BTreeMap<(Digest, String), JobId>,
     /// Steps of tasks at the end of rounds that somebody has decided: by job, frame and round.
     decided: BTreeMap<(JobId, u32, u32), Vec<u32>>,
 }
@@ -232,6 +247,8 @@ impl Machine {
             noted: BTreeSet::new(),
             results: BTreeMap::new(),
             choices: BTreeMap::new(),
+            has_shared: false,
+            shared: BTreeMap::new(),
             decided: BTreeMap::new(),
         }
     }
@@ -245,12 +262,11 @@ impl Machine {
             match command {
                 Command::Assign { worker, assignment } => {
                     let Assignment { task, epoch, .. } = assignment;
-                    assert!(!self.paused.contains(&task.job), "{task} is leased, and its job stands still");
-                    assert!(self.is_fit_for(worker, task.job), "{task} is leased to a worker without its tags");
+                    self.may_lease(worker, &task);
                     assert!(epoch > self.last_epoch, "epochs grow");
                     self.last_epoch = epoch;
                     assert!(!self.done.contains(&task), "{task} is done and leased again");
-                    self.all_is_there(&assignment);
+                    self.all_is_there(&assignment, self.builds[&worker.0]);
                     self.begins(&assignment);
                 }
                 Command::Revoke { worker, task, epoch, .. } => {
@@ -264,6 +280,9 @@ impl Machine {
                 }
                 Command::Record(Fact::Forgotten { job }) => {
                     self.jobs.retain(|known| *known != job);
+                    self.shared.retain(|_, known| *known != job);
+                    self.done.retain(|task| !job.is_shared() || task.job != job);
+                    self.results.retain(|unit, _| !job.is_shared() || unit.0 != job);
                     self.keys.retain(|_, known| *known != job);
                     self.over.retain(|(_, held)| held.task.job != job);
                     assert!(self.live.iter().all(|(task, _)| task.job != job), "{job} is forgotten and leased");
@@ -294,6 +313,11 @@ impl Machine {
     /// What a fact does to what is done.
     fn learn(&mut self, fact: &Fact) {
         match fact {
+            Fact::Shared { job, key, engine, .. } => {
+                self.has_shared = true;
+                let before = self.shared.insert((*key, engine.clone()), *job);
+                assert_eq!(before, None, "one content is begun twice by one build");
+            }
             Fact::Done { task, epoch, result, .. } => {
                 assert!(self.live.remove(&(*task, *epoch)), "a result without a lease counts");
                 assert!(self.done.insert(*task), "{task} is done twice");
@@ -346,7 +370,7 @@ impl Machine {
             self.done.retain(|task| made.get(task) != Some(&epoch));
             let others: Vec<Unit> = self.runs[&epoch].clone();
             others.iter().for_each(|other| drop(self.results.remove(other)));
-            let read = self.read_by(&unit);
+            let read = self.read_by(&unit, "");
             let is_gone = |(need, unit): &(Need, Unit)| {
                 let result = self.results.get(unit);
                 result.is_some_and(|(_, it)| it.output(need.role).is_some_and(|it| !there.contains(&it.digest)))
@@ -386,16 +410,24 @@ impl Machine {
         of_frame.map(|unit| unit.1.round).max().unwrap_or(0)
     }
 
-    /// What a task reads, by its graph alone: of frames that there are.
-    fn read_by(&self, (job, stage, item, _): &Unit) -> Vec<(Need, Unit)> {
+    /// What a task reads, by its graph alone: of frames that there are, and of what this build has done for its content.
+    fn read_by(&self, (job, stage, item, _): &Unit, engine: &str) -> Vec<(Need, Unit)> {
         let graph = &self.farm.scheduler.spec(*job).unwrap().graph;
         let frames = &self.farm.scheduler.spec(*job).unwrap().frames;
         let template = graph.stage(stage.number).unwrap();
         let mut all = Vec::new();
         for need in &template.needs {
             let made = graph.stage(need.stage).unwrap();
-            let of_frames = made.scope != template.scope;
-            let sources: Vec<u32> = if of_frames { frames.clone() } else { vec![stage.frame] };
+            let of_frames = made.scope == Scope::Frame && template.scope == Scope::Job;
+            let is_shared = made.scope == Scope::Content && template.scope == Scope::Frame;
+            let content = || {
+                let spec = self.farm.scheduler.spec(*job).unwrap();
+                spec.content(frames.binary_search(&stage.frame).unwrap()).unwrap()
+            };
+            let owner = if is_shared { self.shared.get(&(content(), engine.to_owned())).copied() } else { Some(*job) };
+            let Some(owner) = owner else { continue };
+            let own = if is_shared { Stage::OF_JOB } else { stage.frame };
+            let sources: Vec<u32> = if of_frames { frames.clone() } else { vec![own] };
             let counted: Vec<(u32, u32)> =
                 sources.iter().flat_map(|&frame| (0..made.tasks()).map(move |task| (frame, task))).collect();
             let chosen: Vec<(u32, u32)> = match need.reach {
@@ -404,23 +436,59 @@ impl Machine {
                 Reach::Fan(n) => counted.into_iter().skip((item * n) as usize).take(n as usize).collect(),
             };
             for (frame, task) in chosen {
-                let last = self.last_round(*job, frame);
+                let last = self.last_round(owner, frame);
                 let rounds = match need.round {
                     Round::Before => stage.round.saturating_sub(1)..stage.round,
                     Round::Every => 0..last + 1,
-                    Round::Same if of_frames || (graph.is_looped(need.stage) && !graph.is_looped(stage.number)) => {
+                    Round::Same if is_shared && !graph.is_looped(need.stage) => 0..1,
+                    Round::Same
+                        if of_frames
+                            || is_shared
+                            || (graph.is_looped(need.stage) && !graph.is_looped(stage.number)) =>
+                    {
                         last..last + 1
                     }
                     Round::Same => stage.round..stage.round + 1,
                 };
                 for round in rounds {
                     let from = Stage { frame, round, number: need.stage, kind: made.kind };
-                    let steps = self.steps(*job, &from, task);
-                    all.extend(steps.map(|step| (*need, (*job, from, task, step))));
+                    let steps = self.steps(owner, &from, task);
+                    all.extend(steps.map(|step| (*need, (owner, from, task, step))));
                 }
             }
         }
         all
+    }
+
+    /// A job that stands still is leased to nobody, and none to a worker without its tags; of what jobs share one must run and fit,
+    /// and nothing is done for a content twice by one build.
+    fn may_lease(&self, worker: WorkerId, task: &TaskKey) {
+        if !task.job.is_shared() {
+            assert!(!self.paused.contains(&task.job), "{task} is leased, and its job stands still");
+            assert!(self.is_fit_for(worker, task.job), "{task} is leased to a worker without its tags");
+            return;
+        }
+        let shared = self.shared.iter().find(|(_, id)| **id == task.job);
+        let ((key, engine), _) = shared.expect("it was begun");
+        assert_eq!(engine, self.builds[&worker.0], "{task} is another build's");
+        let waits = |job: &JobId| {
+            let state = self.farm.state(*job);
+            matches!(state, JobState::Queued | JobState::Running)
+                && self.needs(*job, key)
+                && self.is_fit_for(worker, *job)
+        };
+        assert!(self.jobs.iter().any(waits), "{task} is leased, and no job waits for it");
+    }
+
+    /// Whether a frame of the job that is not finished has this content.
+    fn needs(&self, job: JobId, key: &Digest) -> bool {
+        let spec = self.farm.scheduler.spec(job).unwrap();
+        let finished = self.farm.scheduler.frames(job).unwrap();
+        let is_open = |frame: u32| !finished.iter().any(|record| record.frame == frame);
+        spec.frames
+            .iter()
+            .enumerate()
+            .any(|(place, &frame)| spec.content(place).as_ref() == Some(key) && is_open(frame))
     }
 
     /// Whether a worker has all that a job asks for.
@@ -448,20 +516,20 @@ impl Machine {
 
     /// Before a task begins, all that it reads is done, and it is given just that: of frames that cannot be finished nothing, where
     /// gaps are allowed.
-    fn all_is_there(&self, held: &Assignment) {
+    fn all_is_there(&self, held: &Assignment, engine: &str) {
         let Some(unit) = units(held).first().copied() else { panic!("a task of nothing: {held:?}") };
-        let expected = self.expected(&held.task, &unit);
+        let expected = self.expected(&held.task, &unit, engine);
         let given: BTreeSet<Digest> = held.work.artefacts().map(|it| it.digest).collect();
         assert_eq!(given, expected, "the inputs of {}", held.task);
         assert_eq!(held.work.artefacts().count(), given.len(), "{} reads one input twice", held.task);
     }
 
     /// What a task reads now.
-    fn expected(&self, task: &TaskKey, unit: &Unit) -> BTreeSet<Digest> {
+    fn expected(&self, task: &TaskKey, unit: &Unit, engine: &str) -> BTreeSet<Digest> {
         let finished = |frame: u32| self.farm.scheduler.frames(unit.0).unwrap().iter().any(|it| it.frame == frame);
         let mut expected = BTreeSet::new();
-        for (need, unit) in self.read_by(unit) {
-            if unit.1.frame != task.stage.frame && !finished(unit.1.frame) {
+        for (need, unit) in self.read_by(unit, engine) {
+            if unit.0 == task.job && unit.1.frame != task.stage.frame && !finished(unit.1.frame) {
                 assert!(need.gaps, "{} is given before frame {} is finished", task, unit.1.frame);
                 continue;
             }
@@ -488,10 +556,12 @@ impl Machine {
         match step {
             Step::Submit { frames, tiles, rounds, form, owner, key, priority } => {
                 let graph = form.graph(tiles, &[3, 8, 16][..rounds], frames);
+                let worlds = [1, frames].map(|end| (end, Digest::of(&[end.min(2) as u8, rounds as u8])));
+                let contents = if graph.has_content() { &worlds[usize::from(frames == 1)..] } else { &[] }.to_vec();
                 let frames: Vec<u32> = (1..=frames).collect();
                 let owner = OWNERS[owner].to_owned();
                 let tags = if tiles == 1 { vec![TAG.to_owned()] } else { vec![] };
-                let spec = Box::new(JobSpec { owner, priority, tags, ..common::of(&frames, tiles, graph) });
+                let spec = Box::new(JobSpec { owner, priority, tags, contents, ..common::of(&frames, tiles, graph) });
                 let name = key.map(|key| key.to_string());
                 let commands = self.farm.on(Event::Submitted { request: RequestId(0), key: name, spec });
                 let known = key.and_then(|key| self.keys.get(&key).copied());
@@ -638,8 +708,9 @@ impl Machine {
                 };
                 let commands = self.farm.on(event);
                 // That its worker lives is news, and that time has gone by.
-                let is_besides =
-                    |fact: &Fact| matches!(fact, Fact::Lives { .. } | Fact::Died { .. } | Fact::Used { .. });
+                let is_besides = |fact: &Fact| {
+                    matches!(fact, Fact::Lives { .. } | Fact::Died { .. } | Fact::Used { .. } | Fact::Shared { .. })
+                };
                 let changes = |c: &Command| matches!(c, Command::Record(fact) if !is_besides(fact));
                 assert!(!commands.iter().any(changes), "a stale report changes something");
                 self.see(commands);
@@ -695,11 +766,9 @@ impl Machine {
                 let before = self.farm.charged.clone();
                 let workers = self.next_worker;
                 self.farm.restart();
-                for (owner, charged) in before {
-                    let kept = self.farm.charged.get(&owner).copied().unwrap_or(0);
-                    let most = workers * Scheduler::NOTE_SHARES;
-                    assert!(kept <= charged && charged - kept <= most, "{owner}: {kept} ms of {charged} are kept");
-                }
+                let [kept, charged] = [&self.farm.charged, &before].map(|charged| charged.values().sum::<u64>());
+                let most = workers * Scheduler::NOTE_SHARES;
+                assert!(kept <= charged && charged - kept <= most, "{kept} ms of {charged} are kept");
                 self.workers.clear();
                 self.live.clear();
             }
@@ -719,7 +788,8 @@ impl Machine {
             (More::Last, _) | (_, Goes::Over) => Decision::Done,
             (More::Rounds, Goes::On) => Decision::Continue,
             (More::Rounds, Goes::Unevenly(seed)) => {
-                let (_, main) = graph.main().unwrap();
+                let main = graph.main().filter(|_| template.scope == Scope::Frame).map(|(_, main)| main);
+                let Some(main) = main else { return Decision::Continue };
                 let steps =
                     |task: u32| (stage.round * 3 + task.wrapping_mul(7) + seed) % (main.steps.last().unwrap() + 1);
                 Decision::Steps((0..main.tasks()).map(steps).collect())
@@ -801,7 +871,8 @@ impl Machine {
             assert!(status.state != JobState::Failed || has_reason, "{status:?}");
             assert!(status.state.has_ended() || status.failure.is_none(), "{status:?}");
             let blocked: BTreeSet<u32> = status.quarantined.iter().map(|one| one.task.stage.frame).collect();
-            assert!(status.frames_failed as usize <= blocked.len(), "{status:?}");
+            let shares = self.farm.scheduler.spec(job).unwrap().graph.has_content();
+            assert!(shares || status.frames_failed as usize <= blocked.len(), "{status:?}");
             let is_leased = self.live.iter().any(|(task, _)| task.job == job);
             assert!(!(status.state.has_ended() && is_leased), "job {job} has ended and is leased: {status:?}");
             let mut now: BTreeMap<TaskKey, u32> = BTreeMap::new();
@@ -826,8 +897,13 @@ impl Machine {
             let charged = used.get(owner).copied().unwrap_or(0);
             let held = self.farm.charged.get(owner).copied().unwrap_or(0);
             let under_way = if served.contains(owner) { self.workers.len() as u64 * Scheduler::NOTE_SHARES } else { 0 };
-            assert!(charged <= held && held - charged <= under_way, "{owner} held {held} ms and is charged {charged}");
+            let shared = self.farm.charged.get(Farm::SHARED).copied().unwrap_or(0);
+            let is_right = charged <= held + shared && held.saturating_sub(charged) <= under_way;
+            assert!(is_right, "{owner} held {held} ms, shared {shared}, and is charged {charged}");
         }
+        let (charged, held) = (used.values().sum::<u64>(), self.farm.charged.values().sum::<u64>());
+        let under_way = self.workers.len() as u64 * Scheduler::NOTE_SHARES;
+        assert!(charged <= held && held - charged <= under_way, "{held} ms were held, and {charged} are charged");
     }
 
     /// Where nothing is under way, a job's samples are those that are there, and its frames' seconds those of all results.
@@ -863,12 +939,14 @@ impl Machine {
             let leased = self.live.iter().filter(|(task, _)| task.stage.kind == kind).count();
             assert_eq!(count, leased as u64, "leases of {kind:?}");
         }
-        assert_eq!(figures.quarantined, jobs.iter().map(|job| job.quarantined.len() as u64).sum());
+        let aside = jobs.iter().flat_map(|job| &job.quarantined).filter(|one| !one.task.job.is_shared()).count() as u64;
+        assert!(figures.quarantined == aside || (figures.quarantined > aside && self.has_shared), "{jobs:?}");
         assert_eq!(figures.threads, workers.iter().map(|worker| u64::from(worker.threads)).sum());
         assert_eq!(figures.used, scheduler.used().map(|(_, used)| used.held).sum());
         assert_eq!(figures.stale_messages, scheduler.stale_messages());
         let stale: u64 = jobs.iter().map(|job| job.stale_messages).sum();
-        assert!(stale == figures.stale_messages || scheduler.config().keep_ended.is_some(), "{stale} stale messages");
+        let is_all = scheduler.config().keep_ended.is_none() && !self.has_shared;
+        assert!(stale == figures.stale_messages || !is_all, "{stale} stale messages");
 
         let standing = |sought| figures.workers.iter().find(|(standing, _)| *standing == sought).unwrap().1;
         let count = |is: &dyn Fn(&WorkerStatus) -> bool| workers.iter().filter(|worker| is(worker)).count() as u64;
@@ -885,8 +963,11 @@ impl Machine {
         assert!(idle <= count(&|worker| is_open(worker) && worker.tasks.is_empty()), "{idle} idle: {workers:?}");
         assert!(busy <= count(&|worker| is_open(worker) && !worker.tasks.is_empty()), "{busy} busy: {workers:?}");
 
-        let is_whole =
-            |job: &JobStatus| job.quarantined.is_empty() && self.live.iter().all(|(task, _)| task.job != job.job);
+        let is_whole = |job: &JobStatus| {
+            job.frames_failed == 0
+                && job.quarantined.is_empty()
+                && self.live.iter().all(|(task, _)| task.job != job.job)
+        };
         if jobs.iter().all(is_whole) {
             let left = |job: &JobStatus| {
                 let frames = scheduler.frames(job.job).unwrap();
@@ -907,6 +988,11 @@ impl Machine {
 
     /// What is said to be ready is what new workers get: of each build one after the other, until they get nothing.
     fn counts_what_is_ready(&self) {
+        // What is begun for a content is ready from then on.
+        let has_content = |job: &JobId| self.farm.scheduler.spec(*job).is_some_and(|spec| spec.graph.has_content());
+        if self.jobs.iter().any(has_content) {
+            return;
+        }
         let ready = self.farm.scheduler.figures(self.farm.now).ready;
         let (mut scheduler, mut given) = (self.farm.scheduler.clone(), BTreeMap::<StageKind, u64>::new());
         let (mut number, mut idle) = (0, 0);
@@ -970,7 +1056,7 @@ impl Machine {
         let own = self.results.iter().filter(|(unit, _)| unit.0 == job && unit.1.frame == Stage::OF_JOB);
         for (unit, (epoch, _)) in own.filter(|_| state == JobState::Done) {
             let task = TaskKey { job, stage: unit.1, index: unit.2 };
-            let all = self.read_by(unit).into_iter().map(|(need, it)| (it.1.frame, it.2, need.role));
+            let all = self.read_by(unit, "").into_iter().map(|(need, it)| (it.1.frame, it.2, need.role));
             assert_eq!(self.read[epoch], all.collect(), "{task} is made of other frames");
         }
     }

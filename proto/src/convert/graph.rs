@@ -71,6 +71,7 @@ impl From<Template> for wire::Template {
         let scope = match scope {
             Scope::Job => wire::Scope::Job,
             Scope::Frame => wire::Scope::Frame,
+            Scope::Content => wire::Scope::Content,
         };
         Self {
             kind: of_kind(kind),
@@ -94,6 +95,7 @@ impl TryFrom<wire::Template> for Template {
             scope: match wire::Scope::try_from(scope) {
                 Ok(wire::Scope::Job) => Scope::Job,
                 Ok(wire::Scope::Frame) => Scope::Frame,
+                Ok(wire::Scope::Content) => Scope::Content,
                 Ok(wire::Scope::Unspecified) | Err(_) => {
                     return Err(ConvertError::Unknown { field: "stage.scope", value: scope });
                 }

@@ -7,10 +7,25 @@ use crate::wire;
 
 impl From<JobSpec> for wire::JobSpec {
     fn from(spec: JobSpec) -> Self {
-        let JobSpec { name, bundle, entry, settings, frames, grid, graph, priority, owner, tags } = spec;
+        let JobSpec { name, bundle, entry, settings, frames, grid, graph, contents, priority, owner, tags } = spec;
         let Grid { film: [film_width, film_height], tile } = grid;
         let (bundle, graph, priority) = (digest_bytes(&bundle), Some(graph.into()), priority.into());
-        Self { name, bundle, entry, settings, frames, film_width, film_height, tile, graph, priority, owner, tags }
+        let contents = contents.iter().map(|(end, key)| wire::Content { end: *end, key: digest_bytes(key) }).collect();
+        Self {
+            name,
+            bundle,
+            entry,
+            settings,
+            frames,
+            film_width,
+            film_height,
+            tile,
+            graph,
+            priority,
+            owner,
+            tags,
+            contents,
+        }
     }
 }
 
@@ -26,6 +41,10 @@ impl TryFrom<wire::JobSpec> for JobSpec {
             frames: wire.frames,
             grid: Grid { film: [wire.film_width, wire.film_height], tile: wire.tile },
             graph: need("job.graph", wire.graph)?.try_into()?,
+            contents: {
+                let content = |it: wire::Content| Ok((it.end, digest("job.contents", &it.key)?));
+                wire.contents.into_iter().map(content).collect::<Result<_, ConvertError>>()?
+            },
             priority: priority(wire.priority)?,
             owner: wire.owner,
             tags: wire.tags,

@@ -144,6 +144,10 @@ impl From<Wait> for wire::Wait {
                     let [stage, needs] = [stage, needs].map(of_kind);
                     Reason::StageWaits(wire::StageWaits { frame, stage, needs, tasks })
                 }
+                Wait::SharedStage { shared, stage, done, tasks, jobs } => {
+                    let (shared, stage) = (shared.0, of_kind(stage));
+                    Reason::SharedStage(wire::SharedStage { shared, stage, done, tasks, jobs })
+                }
                 Wait::Mishaps { tasks, message } => Reason::Mishaps(wire::Mishaps { tasks, message }),
                 Wait::ImageLost { frame } => Reason::ImageLost(frame),
                 Wait::Quarantined { frame, tasks } => Reason::Quarantined(Tasks { frame, tasks }),
@@ -175,6 +179,9 @@ impl TryFrom<wire::Wait> for Wait {
             Reason::WorkersAvoided(tasks) => Self::WorkersAvoided { tasks },
             Reason::StageWaits(wire::StageWaits { frame, stage, needs, tasks }) => {
                 Self::StageWaits { frame, stage: kind(stage)?, needs: kind(needs)?, tasks }
+            }
+            Reason::SharedStage(wire::SharedStage { shared, stage, done, tasks, jobs }) => {
+                Self::SharedStage { shared: JobId(shared), stage: kind(stage)?, done, tasks, jobs }
             }
             Reason::Mishaps(wire::Mishaps { tasks, message }) => Self::Mishaps { tasks, message },
             Reason::ImageLost(frame) => Self::ImageLost { frame },

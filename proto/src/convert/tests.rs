@@ -56,6 +56,7 @@ fn spec() -> JobSpec {
         frames: vec![0, 7, u32::MAX],
         grid: Grid { film: [640, 360], tile: 16 },
         graph: graph(),
+        contents: vec![],
         priority: 100,
         owner: "me".into(),
         tags: vec!["lab".into(), "ä".into()],

@@ -94,6 +94,7 @@ fn spec() -> JobSpec {
         frames: vec![1, 2, 5],
         grid: Grid { film: [64, 64], tile: 16 },
         graph: frames(Grid { film: [64, 64], tile: 16 }.sizes(), &[4, 8], 4),
+        contents: vec![],
         priority: 50,
         owner: "ann".into(),
         tags: vec!["big".into()],

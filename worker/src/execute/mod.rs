@@ -1,9 +1,12 @@
 //! Doing tasks: one file a kind.
 
+mod drill;
 mod image;
 mod reduce;
 mod render;
 mod union;
+
+pub use drill::drill_key;
 
 use std::any::Any;
 use std::fmt::Display;
@@ -93,6 +96,7 @@ fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
         StageKind::Render => render::render(task, stage, tools),
         StageKind::Reduce => reduce::reduce(task, stage, tools),
         StageKind::Image => image::image(task, stage, tools),
+        StageKind::Drill => drill::drill(task, stage, tools),
     };
     let measured = tools.memory.begin(stage.kind, &tools.cache)?;
     let outcome = std::panic::catch_unwind(AssertUnwindSafe(work))

@@ -72,6 +72,7 @@ pub fn job_of(spp: u32, tile: u32) -> (JobSpec, Vec<u8>) {
         frames: vec![1],
         grid,
         graph: graph(grid, &settings),
+        contents: vec![],
         priority: 50,
         owner: "me".into(),
         tags: vec![],

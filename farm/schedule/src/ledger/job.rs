@@ -5,7 +5,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use femc_model::{
-    Control, Cut, Digest, Epoch, Failure, FrameRecord, JobSpec, Output, Scope, Stage, TaskKey, TaskResult, Tick,
+    Control, Cut, Digest, Epoch, Failure, FrameRecord, JobSpec, Need, Output, Scope, Stage, TaskKey, TaskResult, Tick,
 };
 use serde::{Deserialize, Serialize};
 
@@ -53,7 +53,14 @@ impl Finished {
     }
 }
 
-/// A job: as asked for, and what has come of it.
+/// What jobs share: the stages of one content, done by one build of the engine.
+#[derive(Debug, Clone, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub(crate) struct Shared {
+    pub(crate) key: Digest,
+    pub(crate) engine: String,
+}
+
+/// A job: as asked for, and what has come of it. Or what jobs share: then its only unit is its own, and it has no frames.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Job {
     pub(crate) spec: Box<JobSpec>,
@@ -70,6 +77,9 @@ pub(crate) struct Job {
     pub(crate) relative_error: Option<f64>,
     submitted: Tick,
     cut: Cut,
+    pub(crate) shared: Option<Shared>,
+    /// Frames that are neither finished nor blocked, by the key of their content.
+    left: BTreeMap<Digest, u32>,
 }
 
 /// The part of the graph that a frame number has; borrows all of the job but its units.
@@ -77,9 +87,9 @@ macro_rules! shape {
     ($job:expr, $frame:expr) => {
         Shape {
             graph: &$job.spec.graph,
-            scope: Shape::scope_of($frame),
+            scope: if $job.shared.is_some() { Scope::Content } else { Shape::scope_of($frame) },
             cut: $job.cut,
-            frames: &$job.spec.frames,
+            frames: if $job.shared.is_some() { &[] } else { &$job.spec.frames },
             finished: &$job.finished,
             blocked: &$job.blocked,
         }
@@ -87,7 +97,12 @@ macro_rules! shape {
 }
 
 impl Job {
-    pub(super) fn new(spec: Box<JobSpec>, cut: Cut, now: Tick) -> Self {
+    pub(super) fn new(spec: Box<JobSpec>, shared: Option<Shared>, cut: Cut, now: Tick) -> Self {
+        let mut left = BTreeMap::new();
+        let mut first = 0;
+        for (end, key) in spec.contents.iter().filter(|_| shared.is_none()) {
+            *left.entry(*key).or_default() += end - std::mem::replace(&mut first, *end);
+        }
         Self {
             spec,
             hold: Hold::Free,
@@ -100,7 +115,40 @@ impl Job {
             relative_error: None,
             submitted: now,
             cut,
+            shared,
+            left,
         }
+    }
+
+    /// Its frames, ascending.
+    pub(crate) fn frames(&self) -> &[u32] {
+        if self.shared.is_some() { &[] } else { &self.spec.frames }
+    }
+
+    /// The key of a frame's content.
+    pub(crate) fn content(&self, frame: u32) -> Option<Digest> {
+        self.spec.content(self.frames().binary_search(&frame).ok()?)
+    }
+
+    /// Whether frames with this content are to be finished.
+    pub(crate) fn needs(&self, key: &Digest) -> bool {
+        self.left.get(key).is_some_and(|&left| left > 0)
+    }
+
+    /// Whether some of its frames with this content are blocked.
+    pub(crate) fn is_starved_of(&self, key: &Digest) -> bool {
+        self.blocked.iter().any(|&frame| self.content(frame).as_ref() == Some(key))
+    }
+
+    /// The contents that frames to be finished have.
+    pub(crate) fn contents(&self) -> impl Iterator<Item = Digest> + '_ {
+        self.left.iter().filter(|(_, left)| **left > 0).map(|(key, _)| *key)
+    }
+
+    /// A frame is to be finished, or is not any more.
+    fn note_left(&mut self, frame: u32, is_left: bool) {
+        let Some(left) = self.content(frame).and_then(|key| self.left.get_mut(&key)) else { return };
+        *left = if is_left { *left + 1 } else { left.saturating_sub(1) };
     }
 
     /// How its tasks are cut.
@@ -126,6 +174,24 @@ impl Job {
         Unit::new(&self.shape(frame), Tick(u64::MAX))
     }
 
+    /// Whether it is done for all jobs, and will be by nobody without a retry.
+    pub(crate) fn is_stuck(&self) -> bool {
+        self.shared.is_some() && self.has_ended() && !self.is_done()
+    }
+
+    /// Bytes of what is finished of it.
+    pub(crate) fn bytes(&self) -> u64 {
+        let made = self.finished.values().flat_map(|finished| &finished.made);
+        made.map(|made| made.output.artefact.bytes).sum()
+    }
+
+    /// What was made of it for frames, by one of their needs.
+    pub(crate) fn made(&self, need: &Need) -> impl Iterator<Item = (u32, Output)> + use<'_> {
+        let (stage, role) = (need.stage, need.role);
+        let made = self.finished.values().flat_map(|finished| &finished.made);
+        made.filter(move |made| (made.stage, made.output.role) == (stage, role)).map(|made| (made.item, made.output))
+    }
+
     /// Units of work in finished frames.
     pub(crate) fn finished_units(&self) -> u64 {
         self.finished.values().map(|finished| finished.units).sum()
@@ -133,7 +199,7 @@ impl Job {
 
     /// Whether something of it is done once for the whole job.
     pub(crate) fn has_own(&self) -> bool {
-        self.spec.graph.has_job()
+        self.shared.is_some() || self.spec.graph.has_job()
     }
 
     /// How many frames are finished.
@@ -148,14 +214,24 @@ impl Job {
 
     /// Whether all that was asked for is there.
     pub(crate) fn is_done(&self) -> bool {
-        self.finished.len() == self.spec.frames.len() + usize::from(self.has_own())
+        self.finished.len() == self.frames().len() + usize::from(self.has_own())
     }
 
     /// Whether every frame is finished or blocked, and the job's own stages, or the job as a whole is over.
     pub(crate) fn has_ended(&self) -> bool {
         self.hold == Hold::Cancelled
             || self.doom.is_some()
-            || self.finished.len() + self.blocked.len() == self.spec.frames.len() + usize::from(self.has_own())
+            || self.finished.len() + self.blocked.len() == self.frames().len() + usize::from(self.has_own())
+    }
+
+    /// Whether nothing more will be made of it without a person.
+    pub(crate) fn is_over(&self) -> bool {
+        self.hold == Hold::Cancelled || self.doom.is_some()
+    }
+
+    /// When it was asked for.
+    pub(crate) fn submitted(&self) -> Tick {
+        self.submitted
     }
 
     /// Whether its tasks may be leased.
@@ -167,7 +243,7 @@ impl Job {
     pub(crate) fn is_open(&self, frame: u32) -> bool {
         !self.finished.contains_key(&frame)
             && !self.blocked.contains(&frame)
-            && if frame == Stage::OF_JOB { self.has_own() } else { self.spec.frames.binary_search(&frame).is_ok() }
+            && if frame == Stage::OF_JOB { self.has_own() } else { self.frames().binary_search(&frame).is_ok() }
     }
 
     /// Whether the stage is one of the job's, in a round that has begun, of a frame that is open.
@@ -208,6 +284,7 @@ impl Job {
             let finished = finished(&shape, unit, frame, last, now);
             self.finished.insert(frame, finished);
             self.units.remove(&frame);
+            self.note_left(frame, false);
         }
         self.note_block(frame);
         released
@@ -280,6 +357,7 @@ impl Job {
         if let Some(finished) = self.finished.remove(&frame) {
             let again = Unit::again(&shape!(self, frame), &finished.record);
             self.units.insert(frame, again);
+            self.note_left(frame, true);
             if !self.has_ended() {
                 self.ended = None;
             }
@@ -317,7 +395,10 @@ impl Job {
                 self.doom = None;
                 self.ended = None;
                 let has_gaps = self.frames_blocked() > 0;
-                self.blocked.clear();
+                let blocked: Vec<u32> = self.blocked.iter().copied().collect();
+                for frame in blocked {
+                    self.unblock(frame);
+                }
                 self.units.values_mut().for_each(Unit::forgive);
                 if has_gaps {
                     return self.fill_gaps();
@@ -328,13 +409,63 @@ impl Job {
         Vec::new()
     }
 
+    /// Only a retry can move the frame.
+    fn block(&mut self, frame: u32) {
+        if self.blocked.insert(frame) {
+            self.note_left(frame, false);
+        }
+    }
+
+    /// The frame may move again; returns whether it could not.
+    fn unblock(&mut self, frame: u32) -> bool {
+        let was_blocked = self.blocked.remove(&frame);
+        if was_blocked {
+            self.note_left(frame, true);
+        }
+        was_blocked
+    }
+
+    /// What its frames of this content share cannot be done: those of which this holds are blocked.
+    pub(super) fn starve(&mut self, key: &Digest, is_of_it: impl Fn(u32) -> bool, now: Tick) {
+        if !self.needs(key) {
+            return;
+        }
+        let is_open =
+            |frame: &u32| self.is_open(*frame) && self.content(*frame).as_ref() == Some(key) && is_of_it(*frame);
+        let frames: Vec<u32> = self.frames().iter().copied().filter(is_open).collect();
+        for frame in frames {
+            self.block(frame);
+            self.note_block(frame);
+        }
+        self.note_end(now);
+    }
+
+    /// What its frames of this content share is tried again: what waits for nothing else may move.
+    pub(super) fn feed(&mut self, key: &Digest) {
+        let is_starved = |frame: &u32| {
+            let unit = self.units.get(frame);
+            self.content(*frame).as_ref() == Some(key) && unit.is_none_or(|unit| unit.quarantined().next().is_none())
+        };
+        let frames: Vec<u32> = self.blocked.iter().copied().filter(is_starved).collect();
+        if frames.is_empty() {
+            return;
+        }
+        for frame in frames {
+            self.unblock(frame);
+        }
+        self.blocked.remove(&Stage::OF_JOB);
+        if !self.has_ended() {
+            self.ended = None;
+        }
+    }
+
     /// Notes that nothing of the frame can move, and, where all frames have ended, the same of the job's own stages.
     fn note_block(&mut self, frame: u32) {
         let unit = self.units.get(&frame).filter(|_| frame != Stage::OF_JOB);
         if unit.is_some_and(|unit| unit.is_blocked(&self.shape(frame))) {
-            self.blocked.insert(frame);
+            self.block(frame);
         }
-        if self.is_open(Stage::OF_JOB) && self.frames_done() + self.frames_blocked() == self.spec.frames.len() {
+        if self.is_open(Stage::OF_JOB) && self.frames_done() + self.frames_blocked() == self.frames().len() {
             let own = self.unit(Stage::OF_JOB);
             if own.open(&self.shape(Stage::OF_JOB)).is_empty() {
                 self.blocked.insert(Stage::OF_JOB);
@@ -373,7 +504,7 @@ fn finished(shape: &Shape<'_>, unit: &Unit, frame: u32, last: (Stage, u32, Epoch
         shape.graph.readers(stage).any(|(reader, need)| shape.template(reader).is_none() && need.role == output.role)
     };
     let results = unit.outputs().filter(|(.., output)| output.role.row().is_result);
-    let made = unit.outputs().filter(|((_, stage), _, output)| frame != Stage::OF_JOB && is_read(*stage, output));
+    let made = unit.outputs().filter(|((_, stage), _, output)| is_read(*stage, output));
     let made = made.filter_map(|(place, first, output)| {
         let item = unit.grains(shape, place)?.task(first);
         Some(Made { stage: place.1, item, output })

@@ -9,12 +9,12 @@ pub(crate) mod unit;
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Digest, JobId, Tick};
+use femc_model::{Control, Digest, JobId, Tick};
 use serde::{Deserialize, Serialize};
 
 use crate::Fact;
 pub(crate) use annex::Annex;
-pub(crate) use job::{Hold, Job};
+pub(crate) use job::{Hold, Job, Shared};
 pub(crate) use shape::{Place, Shape};
 pub use snapshot::SnapshotError;
 pub(crate) use unit::Unit;
@@ -25,8 +25,12 @@ pub struct Ledger {
     pub(crate) incarnation: u32,
     pub(crate) now: Tick,
     last_job: u64,
+    last_shared: u64,
     keys: BTreeMap<String, JobId>,
+    /// Of people, and behind them what they share.
     pub(crate) jobs: BTreeMap<JobId, Job>,
+    /// What jobs share, by content and build.
+    shared: BTreeMap<Shared, JobId>,
     pub(crate) annex: Annex,
 }
 
@@ -70,7 +74,14 @@ impl Ledger {
                 if let Some(key) = key {
                     self.keys.insert(key.clone(), *job);
                 }
-                self.jobs.insert(*job, Job::new(spec.clone(), *cut, now));
+                self.jobs.insert(*job, Job::new(spec.clone(), None, *cut, now));
+                return Vec::new();
+            }
+            Fact::Shared { job, key, engine, spec, cut } => {
+                self.last_shared = self.last_shared.max(job.0 - JobId::shared(0).0);
+                let shared = Shared { key: *key, engine: engine.clone() };
+                self.shared.insert(shared.clone(), *job);
+                self.jobs.insert(*job, Job::new(spec.clone(), Some(shared), *cut, now));
                 return Vec::new();
             }
             Fact::Drained { instance, drain } => {
@@ -102,6 +113,7 @@ impl Ledger {
             Fact::Forgotten { job } => {
                 self.jobs.remove(job);
                 self.keys.retain(|_, other| other != job);
+                self.shared.retain(|_, other| other != job);
                 self.annex.forget(*job);
                 return Vec::new();
             }
@@ -127,7 +139,54 @@ impl Ledger {
         if let Some(job) = self.jobs.get_mut(&job) {
             job.note_end(now);
         }
+        if job.is_shared() {
+            let is_retry = matches!(fact, Fact::Controlled { control: Control::Retry, .. });
+            self.spread(job, is_retry, now);
+        }
         released.unwrap_or_default()
+    }
+
+    /// What jobs share cannot be done: their frames that need it are blocked; or it is tried again, and they are not.
+    fn spread(&mut self, id: JobId, is_retry: bool, now: Tick) {
+        let Some(job) = self.jobs.get(&id) else { return };
+        let Some(Shared { key, engine }) = job.shared.clone() else { return };
+        let (is_stuck, annex) = (job.is_stuck(), &self.annex);
+        for (&other, job) in self.jobs.range_mut(..JobId::shared(0)).filter(|_| is_stuck || is_retry) {
+            if is_stuck {
+                let is_of_build = |frame| annex.build_of(other, frame).is_none_or(|build| build == engine);
+                job.starve(&key, is_of_build, now);
+            } else {
+                job.feed(&key);
+            }
+        }
+    }
+
+    /// The number that what jobs share gets next.
+    pub(crate) fn next_shared(&self) -> JobId {
+        JobId::shared(self.last_shared + 1)
+    }
+
+    /// What was begun for a content, by each build of the engine.
+    pub(crate) fn shared_by<'a>(&'a self, key: &Digest) -> impl Iterator<Item = (&'a str, JobId, &'a Job)> + use<'a> {
+        let (first, key) = (Shared { key: *key, engine: String::new() }, *key);
+        let all = self.shared.range(first..).take_while(move |(shared, _)| shared.key == key);
+        all.filter_map(|(shared, id)| Some((&*shared.engine, *id, self.jobs.get(id)?)))
+    }
+
+    /// What was begun for a content by a build of the engine.
+    pub(crate) fn shared_of<'a>(&'a self, key: &Digest, engine: &str) -> Option<(JobId, &'a Job)> {
+        let (_, id, job) = self.shared_by(key).find(|(build, ..)| *build == engine)?;
+        Some((id, job))
+    }
+
+    /// All that jobs share.
+    pub(crate) fn all_shared(&self) -> impl Iterator<Item = (JobId, &Job)> {
+        self.jobs.range(JobId::shared(0)..).map(|(&id, job)| (id, job))
+    }
+
+    /// The jobs of people.
+    pub(crate) fn of_people(&self) -> impl Iterator<Item = (JobId, &Job)> {
+        self.jobs.range(..JobId::shared(0)).map(|(&id, job)| (id, job))
     }
 
     /// The processes of which some presumed death counts.

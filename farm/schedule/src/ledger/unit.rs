@@ -4,11 +4,12 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use femc_model::{
-    Decision, Digest, Epoch, Failure, FrameRecord, Grains, Input, Output, Reach, Role, Round, Stage, TaskResult, Tick,
-    Uneven,
+    Decision, Digest, Epoch, Failure, FrameRecord, Grains, Input, Output, Reach, Role, Round, Scope, Stage, TaskResult,
+    Tick, Uneven,
 };
 use serde::{Deserialize, Serialize};
 
+use super::job::Job;
 use super::shape::{Place, Shape, read_by};
 use super::trouble::Trouble;
 use crate::{Casualty, RangeSet};
@@ -173,6 +174,8 @@ impl Unit {
     pub(crate) fn is_fed(&self, shape: &Shape<'_>, place: Place, item: u32) -> bool {
         let Some(template) = shape.template(place.1) else { return false };
         template.needs.iter().all(|need| match shape.template(need.stage) {
+            // What frames share is there or not for each worker: see `shared.rs`.
+            None if shape.scope != Scope::Job => true,
             None => shape.are_frames_there(item, need),
             Some(_) => {
                 let mut rounds = shape.rounds_read(place, need, self.round);
@@ -182,13 +185,20 @@ impl Unit {
     }
 
     /// What a task reads, in order of need, frame and task.
-    pub(crate) fn inputs(&self, shape: &Shape<'_>, place: Place, item: u32) -> Vec<Input> {
+    /// - `shared`: what is done for the frame's content.
+    pub(crate) fn inputs(&self, shape: &Shape<'_>, place: Place, item: u32, shared: Option<&Job>) -> Vec<Input> {
         let mut inputs = Vec::new();
         let Some(template) = shape.template(place.1) else { return inputs };
         for (number, need) in template.needs.iter().enumerate() {
             let number = number as u16;
             if shape.template(need.stage).is_none() {
-                inputs.extend(shape.inputs_of_frames(number, item, need));
+                let items = shape.items_read(item, need);
+                let made = shared.into_iter().flat_map(|shared| shared.made(need));
+                let made = made.filter(|(item, _)| items.contains(item));
+                inputs.extend(made.map(|(item, output)| Input { need: number, frame: Stage::OF_JOB, item, output }));
+                if shape.scope == Scope::Job {
+                    inputs.extend(shape.inputs_of_frames(number, item, need));
+                }
                 continue;
             }
             for round in shape.rounds_read(place, need, self.round) {

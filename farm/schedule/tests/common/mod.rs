@@ -36,6 +36,7 @@ pub fn of(frames: &[u32], tiles: u32, graph: Graph) -> JobSpec {
         frames: frames.to_vec(),
         grid: Grid { film: [tiles * 8, 8], tile: 8 },
         graph,
+        contents: vec![],
         priority: 50,
         owner: "me".into(),
         tags: vec![],
@@ -124,6 +125,14 @@ impl Farm {
         }
     }
 
+    /// Whose name stands for what jobs share.
+    pub const SHARED: &str = "";
+
+    fn owner(&self, job: JobId) -> String {
+        let owner = &self.scheduler.spec(job).expect("the job is there").owner;
+        if job.is_shared() { Self::SHARED.to_owned() } else { owner.clone() }
+    }
+
     /// Takes notice of who holds what after an event.
     fn learn(&mut self, event: &Event, commands: &[Command]) {
         match event {
@@ -139,7 +148,7 @@ impl Farm {
                     if !commands.iter().any(is_refused) {
                         let key = (held.epoch, held.task);
                         self.hands.values_mut().for_each(|hand| drop(hand.remove(&key)));
-                        let owner = self.scheduler.spec(held.task.job).expect("the job is there").owner.clone();
+                        let owner = self.owner(held.task.job);
                         self.hands.entry(*worker).or_default().insert((held.epoch, held.task), owner);
                     }
                 }
@@ -153,7 +162,7 @@ impl Farm {
                     self.hands.entry(*worker).or_default().remove(&(*epoch, *task));
                 }
                 Command::Assign { worker, assignment: Assignment { task, epoch, .. } } => {
-                    let owner = self.scheduler.spec(task.job).expect("the job is there").owner.clone();
+                    let owner = self.owner(task.job);
                     self.hands.entry(*worker).or_default().insert((*epoch, *task), owner);
                 }
                 _ => {}
@@ -335,7 +344,7 @@ pub fn result_in(held: &Assignment, decision: Decision, seconds: f64) -> TaskRes
         StageKind::Reduce if *more == More::Rounds => {
             TaskResult { outputs: all(&[Role::Pixels, Role::Sums]), seconds: seconds / 4.0, ..TaskResult::default() }
         }
-        StageKind::Reduce => {
+        StageKind::Reduce | StageKind::Drill => {
             TaskResult { outputs: all(&[Role::Pixels]), seconds: seconds / 4.0, ..TaskResult::default() }
         }
         StageKind::Image => {

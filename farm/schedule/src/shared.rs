@@ -1,0 +1,210 @@
+//! What is done once for all frames, and all jobs, that have one content: the stages of a scope of contents.
+//!
+//! An **instance** is a content and a build of the engine: it is begun when a worker of that build would do a frame that needs it,
+//! and a frame takes inputs of its own build alone. It has its tasks, leases and attempts like a job, under a number of its own,
+//! and its place in the order of service is that of the first job that waits for it. Its time is charged to all owners whose jobs
+//! wait for it. When nobody waits any more its leases are taken back; when it is done it is kept, for jobs to come, as long as all
+//! that is kept so is within a number of bytes.
+
+use femc_model::{Digest, JobId, JobSpec, RevokeReason, Stage, Tick, Wait, WorkerId};
+
+use crate::floor::{LeaseKey, Worker};
+use crate::ledger::Job;
+use crate::scheduler::Scheduler;
+use crate::{Command, Fact};
+
+/// What a worker finds of what a frame's content is.
+pub(crate) enum Content {
+    /// It is there, or the stage needs nothing of it.
+    There,
+    /// This instance is not done.
+    Underway(JobId),
+    /// Another build has begun it, and is there.
+    Elsewhere,
+    /// Nobody has begun it.
+    Missing(Digest),
+}
+
+impl Scheduler {
+    /// What a worker of this build finds for a stage of a frame.
+    pub(crate) fn content(&self, job: &Job, stage: &Stage, engine: &str) -> Content {
+        if !job.spec.graph.reads_content(stage.number) {
+            return Content::There;
+        }
+        let Some(key) = job.content(stage.frame) else { return Content::There };
+        if let Some((id, shared)) = self.ledger.shared_of(&key, engine) {
+            return if shared.is_done() { Content::There } else { Content::Underway(id) };
+        }
+        let is_there = |build: &str| self.floor.workers.values().any(|worker| worker.registration.engine == build);
+        let mut others = self.ledger.shared_by(&key).filter(|(_, _, shared)| !shared.has_ended());
+        if others.any(|(build, ..)| is_there(build)) { Content::Elsewhere } else { Content::Missing(key) }
+    }
+
+    /// The jobs that run and wait for a content, in order of submission.
+    pub(crate) fn waiting(&self, key: &Digest) -> impl Iterator<Item = &Job> {
+        let key = *key;
+        let jobs = self.order.jobs().filter_map(|id| self.ledger.jobs.get(&id));
+        jobs.filter(move |job| job.needs(&key))
+    }
+
+    /// Whether a worker has what the job asks for; of what jobs share, what one of those asks for that wait for it.
+    pub(crate) fn fits(&self, worker: &Worker, job: &Job) -> bool {
+        match &job.shared {
+            None => worker.has_tags(&job.spec.tags),
+            Some(shared) => self.waiting(&shared.key).any(|job| worker.has_tags(&job.spec.tags)),
+        }
+    }
+
+    /// Begins what a frame of a job shares with others.
+    pub(crate) fn begin_shared(
+        &mut self,
+        job: JobId,
+        frame: u32,
+        key: Digest,
+        worker: WorkerId,
+        now: Tick,
+        out: &mut Vec<Command>,
+    ) {
+        let (Some(known), Some(worker)) = (self.ledger.jobs.get(&job), self.floor.workers.get(&worker)) else { return };
+        let (id, cut, engine) = (self.ledger.next_shared(), known.cut(), worker.registration.engine.clone());
+        let (frames, contents) = (vec![frame], vec![(1, key)]);
+        let spec = Box::new(JobSpec { frames, contents, ..(*known.spec).clone() });
+        self.record(Fact::Shared { job: id, key, engine, spec, cut }, now, out);
+        self.rebuild(id);
+    }
+
+    /// Owners whose jobs wait for what is shared, with their part of so many milliseconds of it, by their weights; what is left over
+    /// is the first one's by name.
+    pub(crate) fn split(&self, shared: &Job, milliseconds: u64) -> Vec<(String, u64)> {
+        let key = shared.shared.as_ref().map(|shared| shared.key);
+        let waiting = key.iter().flat_map(|key| self.waiting(key)).map(|job| job.spec.owner.clone());
+        let mut owners: Vec<String> = waiting.collect();
+        if owners.is_empty() {
+            owners.push(shared.spec.owner.clone());
+        }
+        owners.sort_unstable();
+        owners.dedup();
+        let weight = |owner: &String| u128::from(self.config.weight(owner).max(1));
+        let sum: u128 = owners.iter().map(weight).sum();
+        let part = |owner: &String| (u128::from(milliseconds) * weight(owner) / sum) as u64;
+        let parts: Vec<u64> = owners.iter().map(part).collect();
+        let rest = milliseconds - parts.iter().sum::<u64>();
+        let with_rest = |(place, part): (usize, u64)| if place == 0 { part + rest } else { part };
+        owners.into_iter().zip(parts.into_iter().enumerate().map(with_rest)).collect()
+    }
+
+    /// Whether what is shared is to be done for a job that runs.
+    pub(crate) fn is_wanted(&self, shared: &Job) -> bool {
+        let key = shared.shared.as_ref().map(|shared| shared.key);
+        key.is_some_and(|key| !shared.has_ended() && self.waiting(&key).next().is_some())
+    }
+
+    /// A job does not wait any more, for whatever reason: what nobody else waits for stops.
+    pub(crate) fn withdraw(&mut self, out: &mut Vec<Command>) {
+        let idle = self.ledger.all_shared().filter(|(_, shared)| !self.is_wanted(shared));
+        let idle: Vec<JobId> = idle.map(|(id, _)| id).collect();
+        for id in idle {
+            let keys: Vec<LeaseKey> = self.floor.of_job(id).map(|(key, _)| *key).collect();
+            for key in keys {
+                self.revoke(&key, RevokeReason::JobEnded, out);
+                self.put_back(&key.0);
+            }
+        }
+    }
+
+    /// A person tries a job again, or asks for another: so is what it shares and could not be done.
+    pub(crate) fn retry_shared(&mut self, job: JobId, now: Tick, out: &mut Vec<Command>) {
+        let contents: Vec<Digest> = match self.ledger.jobs.get(&job) {
+            Some(job) => job.spec.contents.iter().map(|(_, key)| *key).collect(),
+            None => return,
+        };
+        let shared = contents.iter().flat_map(|key| self.ledger.shared_by(key));
+        let stuck: Vec<JobId> = shared.filter(|(_, _, shared)| shared.is_stuck()).map(|(_, id, _)| id).collect();
+        for id in stuck {
+            self.forgive(id);
+            self.record(Fact::Controlled { job: id, control: femc_model::Control::Retry }, now, out);
+            self.rebuild(id);
+        }
+        self.rebuild_all();
+    }
+
+    /// What jobs share has changed for all of them.
+    pub(crate) fn rebuild_all(&mut self) {
+        let jobs: Vec<JobId> =
+            self.ledger.of_people().filter(|(_, job)| job.spec.graph.has_content()).map(|(id, _)| id).collect();
+        jobs.into_iter().for_each(|job| self.rebuild(job));
+    }
+
+    /// Forgets what nobody needs: of a build that is gone what is not done, and the oldest of what is done, until the rest is within
+    /// its bytes. A job needs what its frames are to be made of, whether it runs or not.
+    pub(crate) fn forget_shared(&mut self, now: Tick, out: &mut Vec<Command>) {
+        let is_needed = |shared: &Job| {
+            let key = shared.shared.as_ref().map(|shared| shared.key);
+            let needs = |job: &Job| key.is_some_and(|key| job.needs(&key) && !job.is_over());
+            self.ledger.of_people().any(|(_, job)| needs(job))
+        };
+        let is_gone = |shared: &Job| {
+            let build = shared.shared.as_ref().map(|shared| &*shared.engine);
+            let is_there = |seen: Tick| now.since(seen) < self.config.orphaned;
+            !self.floor.workers.values().any(|it| Some(&*it.registration.engine) == build && is_there(it.seen))
+        };
+        let mut forgotten: Vec<JobId> = Vec::new();
+        let (mut kept, mut bytes) = (Vec::new(), 0u64);
+        for (id, shared) in self.ledger.all_shared() {
+            let is_idle = self.floor.of_job(id).next().is_none();
+            if shared.is_done() {
+                bytes = bytes.saturating_add(shared.bytes());
+                if !is_needed(shared) {
+                    kept.push((shared.ended, id, shared.bytes()));
+                }
+            } else if shared.is_stuck() {
+                // What it has kept from being done says so as long as it is known.
+                let key = shared.shared.as_ref().map(|shared| shared.key);
+                let has_starved = |job: &Job| key.is_some_and(|key| job.is_starved_of(&key));
+                if !self.ledger.of_people().any(|(_, job)| has_starved(job)) {
+                    forgotten.push(id);
+                }
+            } else if is_idle
+                && is_gone(shared)
+                && now.since(shared.began.unwrap_or(shared.submitted())) >= self.config.orphaned
+            {
+                forgotten.push(id);
+            }
+        }
+        kept.sort_unstable();
+        for (_, id, size) in kept {
+            if bytes <= self.config.shared_bytes {
+                break;
+            }
+            bytes -= size;
+            forgotten.push(id);
+        }
+        for job in forgotten {
+            self.revoke_all(job, out);
+            self.record(Fact::Forgotten { job }, now, out);
+            self.desks.remove(&job);
+        }
+    }
+
+    /// What frames of a job wait for that is done for all: of each instance the stage that it is at.
+    pub(crate) fn why_shared(&self, job: &Job) -> Vec<Wait> {
+        let mut waits = Vec::new();
+        for key in job.contents() {
+            for (_, id, shared) in self.ledger.shared_by(&key).filter(|(_, _, shared)| !shared.has_ended()) {
+                let (unit, shape) = (shared.unit(Stage::OF_JOB), shared.shape(Stage::OF_JOB));
+                let place = unit.places(&shape).find(|&place| !unit.is_complete(&shape, place));
+                let Some((place, template)) = place.and_then(|place| Some((place, shape.template(place.1)?))) else {
+                    continue;
+                };
+                waits.push(Wait::SharedStage {
+                    shared: id,
+                    stage: template.kind,
+                    done: unit.tasks_done(place),
+                    tasks: template.tasks(),
+                    jobs: self.waiting(&key).count() as u32,
+                });
+            }
+        }
+        waits
+    }
+}

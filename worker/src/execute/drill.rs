@@ -1,0 +1,129 @@
+//! Exact arithmetic on numbers: an exercise of the farm whose answer anybody can check, in stages that iterate and that jobs share.
+//!
+//! A block is as many numbers as the settings say, modulo 2^64. A task without inputs makes its block of the seed and its number;
+//! one with inputs adds up all that it reads, each block times an odd number of its own, and mixes in its own number. Additions
+//! wrap around, so any order gives the same bits.
+
+use std::sync::atomic::Ordering;
+use std::time::Duration;
+
+use femc_film::FilmError;
+use femc_model::{Decision, Digest, Failure, JobSpec, More, Phase, Scope, Template};
+use serde::Deserialize;
+
+use super::union::Lost;
+use super::{Product, Tools, unfit};
+use crate::clock::Stopwatch;
+use crate::table::Task;
+
+/// The settings of a job of drills.
+#[derive(Debug, Clone, Copy, Deserialize)]
+struct Settings {
+    drill: Drill,
+}
+
+#[derive(Debug, Clone, Copy, Deserialize)]
+struct Drill {
+    /// Where the numbers come from.
+    seed: u64,
+    /// Numbers of a block.
+    numbers: u32,
+    /// How long a task is to take at least.
+    #[serde(default)]
+    milliseconds: u64,
+}
+
+impl Drill {
+    /// Most numbers of a block.
+    const MOST: u32 = 1 << 20;
+    /// The longest that a task may be made to take.
+    const LONGEST: u64 = 60_000;
+
+    fn of(spec: &JobSpec) -> Result<Self, Failure> {
+        let Settings { drill } = serde_json::from_str(&spec.settings).map_err(unfit)?;
+        if drill.numbers == 0 || drill.numbers > Self::MOST || drill.milliseconds > Self::LONGEST {
+            return Err(unfit(format!(
+                "a drill has from 1 to {} numbers and takes {} ms at most",
+                Self::MOST,
+                Self::LONGEST
+            )));
+        }
+        Ok(drill)
+    }
+
+    /// The key of what is shared: of all that the numbers depend on.
+    fn key(&self, spec: &JobSpec) -> Digest {
+        let stages = spec.graph.of(Scope::Content).map(|(_, template)| template.clone()).collect();
+        let mut bytes = femc_model::Graph { stages }.encode();
+        bytes.extend([self.seed, u64::from(self.numbers)].into_iter().flat_map(u64::to_le_bytes));
+        Digest::of(&bytes)
+    }
+}
+
+/// The key of what jobs of drills with these settings and stages share; `None`: they are no drills.
+pub fn drill_key(spec: &JobSpec) -> Option<Digest> {
+    Drill::of(spec).ok().map(|drill| drill.key(spec))
+}
+
+pub(super) fn drill(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
+    let (spec, work) = (&task.spec, &task.assignment.work);
+    let drill = Drill::of(spec)?;
+    if stage.scope == Scope::Content && spec.content(0) != Some(drill.key(spec)) {
+        return Err(unfit("the job's content is not what its key says"));
+    }
+    task.enter(Phase::Preparing);
+    let watch = Stopwatch::start();
+    let mut lost = Lost::default();
+    let inputs: Vec<_> = work.artefacts().collect();
+    let here = lost.fetch(task, &inputs, tools)?;
+    task.enter(Phase::Working);
+    let mut sums = vec![0u64; drill.numbers as usize];
+    for ((artefact, bytes), input) in here.iter().zip(&work.inputs) {
+        lost.check(*artefact, add(&mut sums, bytes, odd(input.item)));
+    }
+    lost.verdict()?;
+    if here.is_empty() {
+        (0..).zip(&mut sums).for_each(|(place, sum)| *sum = mixed(drill.seed ^ mixed(place)));
+    }
+    let own = mixed(u64::from(work.item) << 32 | u64::from(task.assignment.task.stage.frame));
+    sums.iter_mut().for_each(|sum| *sum = mixed(sum.wrapping_add(own)));
+    while watch.elapsed() < Duration::from_millis(drill.milliseconds) {
+        if task.cancel.load(Ordering::Relaxed) {
+            return Err(Failure::Cancelled);
+        }
+        std::thread::sleep(Duration::from_millis(5));
+    }
+    let bytes: Vec<u8> = sums.iter().flat_map(|sum| sum.to_le_bytes()).collect();
+    let mut product = Product::default();
+    for &role in &stage.makes {
+        product.put(stage, role, || bytes.clone());
+    }
+    let decision = if work.more == More::Rounds { Decision::Continue } else { Decision::Done };
+    product.result.decision = stage.closes.map(|_| decision);
+    product.result.seconds = watch.seconds();
+    Ok(product)
+}
+
+fn add(sums: &mut [u64], bytes: &[u8], times: u64) -> Result<(), FilmError> {
+    let (numbers, rest) = bytes.as_chunks::<8>();
+    if numbers.len() != sums.len() || !rest.is_empty() {
+        return Err(FilmError::Corrupt("numbers of another drill"));
+    }
+    for (sum, number) in sums.iter_mut().zip(numbers) {
+        *sum = sum.wrapping_add(u64::from_le_bytes(*number).wrapping_mul(times));
+    }
+    Ok(())
+}
+
+/// By what the numbers of a block are multiplied.
+fn odd(item: u32) -> u64 {
+    2 * u64::from(item) + 1
+}
+
+/// A bijection whose values look random (SplitMix64).
+fn mixed(value: u64) -> u64 {
+    let value = value.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let value = (value ^ (value >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let value = (value ^ (value >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    value ^ (value >> 31)
+}

@@ -187,6 +187,10 @@ pub fn wait(wait: &Wait) -> String {
             let stage = stage.name();
             format!("frames wait for {shared}, which is done once for {jobs}: {done} of {tasks} {stage} tasks are done")
         }
+        Wait::SharedQuarantined { shared, frames, tasks } => {
+            let (frames, tasks) = (human::count(u64::from(*frames), "frame"), human::count(u64::from(*tasks), "task"));
+            format!("{frames} cannot go on: {shared}, which they need, has {tasks} out of attempts")
+        }
         Wait::Mishaps { tasks, message } => {
             format!("{} could not be done until now: {message}", human::count(u64::from(*tasks), "task"))
         }

@@ -185,6 +185,15 @@ pub enum Wait {
         /// Frame number.
         frame: u32,
     },
+    /// Frames need what is done once for all that have one content, and tasks of that used up their attempts.
+    SharedQuarantined {
+        /// What cannot be done, in its own number.
+        shared: JobId,
+        /// How many frames of the job.
+        frames: u32,
+        /// How many of its tasks.
+        tasks: u32,
+    },
     /// A task used up its attempts, and its frame cannot go on.
     Quarantined {
         /// Frame number.

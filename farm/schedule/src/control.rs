@@ -96,11 +96,12 @@ impl Scheduler {
         Ok(Answer::Controlled(id))
     }
 
-    /// Takes back the leases of a job if it has ended: one of its own stages may read a frame that is lost since.
+    /// Takes back the leases of a job that has just failed, and of the jobs that fail with what they share: stages of a job may
+    /// read frames that are lost since.
     pub(crate) fn revoke_ended(&mut self, id: JobId, out: &mut Vec<Command>) {
-        if self.ledger.jobs.get(&id).is_some_and(Job::has_ended) {
-            self.revoke_all(id, out);
-        }
+        let shared = self.ledger.of_people().map(|(job, _)| job).filter(|_| id.is_shared());
+        let ended = shared.chain([id]).filter(|id| self.ledger.jobs.get(id).is_some_and(Job::has_ended));
+        ended.collect::<Vec<_>>().into_iter().for_each(|id| self.revoke_all(id, out));
     }
 
     /// Takes back every lease of a job that has ended.

@@ -2,7 +2,7 @@
 
 use std::ops::Range;
 
-use femc_model::{Assignment, Digest, Epoch, JobId, More, Scope, TaskKey, Tick, Wait, Work, WorkerId};
+use femc_model::{Assignment, Digest, Epoch, JobId, More, Scope, Stage, TaskKey, Tick, Wait, Work, WorkerId};
 
 use crate::Command;
 use crate::builds::is_foreign;
@@ -191,8 +191,11 @@ impl Scheduler {
         let mut waits = Vec::new();
         for &frame in &job.blocked {
             let tasks = job.units.get(&frame).map_or(0, |unit| unit.quarantined().count() as u32);
-            waits.push(Wait::Quarantined { frame, tasks });
+            if tasks > 0 || frame == Stage::OF_JOB {
+                waits.push(Wait::Quarantined { frame, tasks });
+            }
         }
+        waits.extend(self.why_stuck(job));
         if job.has_ended() {
             return waits;
         }

@@ -61,7 +61,7 @@ impl Scheduler {
     }
 
     /// What a job shares with others, needs, and cannot have without a retry.
-    fn stuck(&self, job: &Job) -> impl Iterator<Item = (JobId, &Job)> {
+    pub(crate) fn stuck(&self, job: &Job) -> impl Iterator<Item = (JobId, &Job)> {
         let keys = job.blocked.iter().filter_map(|&frame| job.content(frame)).collect::<BTreeSet<Digest>>();
         let shared = self.ledger.all_shared().filter(|(_, shared)| shared.is_stuck());
         shared.filter(move |(_, shared)| shared.shared.as_ref().is_some_and(|it| keys.contains(&it.key)))

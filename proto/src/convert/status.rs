@@ -148,6 +148,9 @@ impl From<Wait> for wire::Wait {
                     let (shared, stage) = (shared.0, of_kind(stage));
                     Reason::SharedStage(wire::SharedStage { shared, stage, done, tasks, jobs })
                 }
+                Wait::SharedQuarantined { shared, frames, tasks } => {
+                    Reason::SharedQuarantined(wire::SharedQuarantined { shared: shared.0, frames, tasks })
+                }
                 Wait::Mishaps { tasks, message } => Reason::Mishaps(wire::Mishaps { tasks, message }),
                 Wait::ImageLost { frame } => Reason::ImageLost(frame),
                 Wait::Quarantined { frame, tasks } => Reason::Quarantined(Tasks { frame, tasks }),
@@ -182,6 +185,9 @@ impl TryFrom<wire::Wait> for Wait {
             }
             Reason::SharedStage(wire::SharedStage { shared, stage, done, tasks, jobs }) => {
                 Self::SharedStage { shared: JobId(shared), stage: kind(stage)?, done, tasks, jobs }
+            }
+            Reason::SharedQuarantined(wire::SharedQuarantined { shared, frames, tasks }) => {
+                Self::SharedQuarantined { shared: JobId(shared), frames, tasks }
             }
             Reason::Mishaps(wire::Mishaps { tasks, message }) => Self::Mishaps { tasks, message },
             Reason::ImageLost(frame) => Self::ImageLost { frame },

@@ -1,0 +1,175 @@
+//! What is done once for all frames and jobs of one content, a sentence each.
+
+mod common;
+
+use common::{Farm, config, of, panic, registration};
+use femc_model::*;
+use femc_schedule::*;
+
+use StageKind::{Drill, Image};
+
+/// Two blocks and the field that reads them, for all of one content; an image a frame.
+fn job(owner: &str, frames: &[u32], content: u8) -> Box<JobSpec> {
+    let drill = |tasks, makes| Template::new(Drill, Scope::Content, Sizes::even(tasks, 1), &[makes]);
+    let image = Template::new(Image, Scope::Frame, Sizes::even(1, 1), &[Role::Image]);
+    let stages = vec![
+        drill(2, Role::Numbers),
+        drill(1, Role::Answer).reads(0, Role::Numbers, Reach::All),
+        image.reads(1, Role::Answer, Reach::All).closes(2, 1),
+    ];
+    let contents = vec![(frames.len() as u32, Digest::of(&[content]))];
+    Box::new(JobSpec { owner: owner.into(), contents, ..of(frames, 1, Graph { stages }) })
+}
+
+/// Does the worker's oldest task after so many milliseconds.
+fn work(farm: &mut Farm, worker: u64, milliseconds: u64) -> TaskKey {
+    let held = farm.first_of(worker);
+    let (roles, decision): (&[Role], _) = match held.task.stage.number {
+        0 => (&[Role::Numbers], None),
+        1 => (&[Role::Answer], None),
+        _ => (&[Role::Image], Some(Decision::Done)),
+    };
+    let output =
+        |&role: &Role| Output { role, artefact: Artefact::of(format!("{} {}", role.name(), held.task).as_bytes()) };
+    farm.wait(milliseconds);
+    let seconds = milliseconds as f64 / 1000.0;
+    let outputs = roles.iter().map(output).collect();
+    farm.complete_with(worker, &held, TaskResult { outputs, decision, seconds, ..TaskResult::default() });
+    held.task
+}
+
+fn farm(config: Config) -> Farm {
+    Farm::with(Config { prefetch: 0, lease: 1 << 40, late: 1 << 40, ..config })
+}
+
+fn submit(farm: &mut Farm, spec: Box<JobSpec>) -> JobId {
+    farm.submit(*spec)
+}
+
+fn held(farm: &Farm, worker: u64) -> Option<TaskKey> {
+    farm.held.iter().find(|(holder, _)| holder.0 == worker).map(|(_, held)| held.task)
+}
+
+fn used(farm: &Farm) -> Vec<(String, u64)> {
+    farm.scheduler.used().map(|(owner, used)| (owner.to_owned(), used.held)).collect()
+}
+
+#[test]
+fn it_is_done_once_for_two_jobs_and_again_for_another_content() {
+    let mut farm = farm(config());
+    let jobs = [("ann", 1), ("bob", 1), ("eve", 2)].map(|(owner, key)| submit(&mut farm, job(owner, &[1, 2], key)));
+    farm.join(1);
+    let mut done = Vec::new();
+    while held(&farm, 1).is_some() {
+        done.push(work(&mut farm, 1, 10));
+    }
+    assert!(jobs.iter().all(|&job| farm.state(job) == JobState::Done));
+    let shared: Vec<JobId> = done.iter().map(|task| task.job).filter(|job| job.is_shared()).collect();
+    assert_eq!((shared.len(), shared.iter().collect::<std::collections::BTreeSet<_>>().len()), (6, 2));
+}
+
+#[test]
+fn the_last_of_those_who_wait_stops_it_and_its_results_are_there_for_who_comes_later() {
+    let mut farm = farm(config());
+    let (ann, bob) = (submit(&mut farm, job("ann", &[1], 1)), submit(&mut farm, job("bob", &[1], 1)));
+    farm.join(1);
+    assert!(held(&farm, 1).is_some_and(|task| task.job.is_shared()));
+    work(&mut farm, 1, 10);
+    farm.control(ann, Control::Cancel);
+    assert!(held(&farm, 1).is_some(), "bob waits for it");
+    farm.control(bob, Control::Pause);
+    assert_eq!(held(&farm, 1), None);
+    let eve = submit(&mut farm, job("eve", &[1], 1));
+    let second = work(&mut farm, 1, 10);
+    assert_eq!((second.stage.number, second.index), (0, 1), "the first block is there");
+    work(&mut farm, 1, 10);
+    work(&mut farm, 1, 10);
+    assert_eq!(farm.state(eve), JobState::Done);
+}
+
+#[test]
+fn its_time_is_split_over_the_owners_who_wait_by_weight_and_the_rest_is_the_first_ones() {
+    let mut farm = farm(Config { weights: [("bob".to_owned(), 3)].into(), ..config() });
+    for (owner, frames) in [("ann", &[1][..]), ("bob", &[1]), ("bob", &[1, 2]), ("eve", &[1])] {
+        submit(&mut farm, job(owner, frames, 1));
+    }
+    farm.join(1);
+    work(&mut farm, 1, 13);
+    // Weights 1, 3, 1 of 13 ms: 2, 7, 2, and 2 ms are left over.
+    assert_eq!(used(&farm), [("ann".to_owned(), 4), ("bob".to_owned(), 7), ("eve".to_owned(), 2)]);
+}
+
+#[test]
+fn what_cannot_be_done_blocks_all_that_need_it_and_a_retry_of_one_opens_it_for_all() {
+    let mut farm = farm(config());
+    let jobs = [("ann", &[1][..]), ("bob", &[1, 2])].map(|(owner, frames)| submit(&mut farm, job(owner, frames, 1)));
+    farm.join(1);
+    let shared = held(&farm, 1).unwrap().job;
+    while let Some(task) = held(&farm, 1) {
+        assert_eq!(task.job, shared);
+        let held = farm.first_of(1);
+        farm.fail(1, &held, panic());
+    }
+    for (job, frames) in jobs.into_iter().zip([1, 2]) {
+        let status = farm.status(job);
+        assert_eq!((status.state, status.frames_failed), (JobState::Failed, frames));
+        assert_eq!(status.waits, [Wait::SharedQuarantined { shared, frames, tasks: 2 }]);
+        assert!(status.quarantined.iter().all(|one| one.task.job == shared));
+    }
+    farm.control(jobs[0], Control::Retry);
+    while held(&farm, 1).is_some() {
+        work(&mut farm, 1, 10);
+    }
+    assert!(jobs.iter().all(|&job| farm.state(job) == JobState::Done));
+}
+
+#[test]
+fn each_build_does_its_own_and_a_frame_takes_none_but_that_of_its_build() {
+    let mut farm = farm(config());
+    let id = submit(&mut farm, job("ann", &[1, 2], 1));
+    let join = |farm: &mut Farm, worker: u64, engine: &str| {
+        farm.join_as(worker, Registration { instance: worker, engine: engine.into(), ..registration() })
+    };
+    join(&mut farm, 1, "old");
+    let old = held(&farm, 1).unwrap().job;
+    for _ in 0..3 {
+        work(&mut farm, 1, 10);
+    }
+    assert_eq!(held(&farm, 1).map(|task| (task.job, task.stage.frame)), Some((id, 1)));
+    join(&mut farm, 2, "new");
+    let new = held(&farm, 2).unwrap().job;
+    assert!(new.is_shared() && new != old);
+    for _ in 0..3 {
+        work(&mut farm, 2, 10);
+    }
+    let inputs: Vec<Digest> = [1, 2].map(|worker| farm.first_of(worker).work.inputs[0].output.artefact.digest).to_vec();
+    assert_ne!(inputs[0], inputs[1]);
+}
+
+#[test]
+fn what_nobody_needs_any_more_goes_when_it_takes_too_many_bytes_and_not_before() {
+    for (shared_bytes, is_kept) in [(1 << 20, true), (0, false)] {
+        let mut farm = farm(Config { shared_bytes, ..config() });
+        submit(&mut farm, job("ann", &[1], 1));
+        farm.join(1);
+        for _ in 0..4 {
+            work(&mut farm, 1, 10);
+        }
+        farm.wait(10_000);
+        let later = submit(&mut farm, job("bob", &[1], 1));
+        assert_eq!(held(&farm, 1).map(|task| task.job) == Some(later), is_kept);
+    }
+}
+
+#[test]
+fn workers_that_fit_one_of_those_who_wait_do_it() {
+    let mut farm = farm(config());
+    let tagged = |owner: &str, tag: &str| Box::new(JobSpec { tags: vec![tag.into()], ..*job(owner, &[1], 1) });
+    submit(&mut farm, tagged("ann", "large"));
+    farm.join(1);
+    assert_eq!(held(&farm, 1), None);
+    submit(&mut farm, tagged("bob", "small"));
+    farm.join_with(2, vec!["small".into()]);
+    assert!(held(&farm, 2).is_some_and(|task| task.job.is_shared()));
+    assert_eq!(held(&farm, 1), None);
+}

@@ -55,6 +55,10 @@ pub struct CoordinatorArgs {
     /// alone had in the store (without it they are kept for ever)
     #[arg(long, value_name = "DURATION", value_parser = keep_ended)]
     keep_ended: Option<Duration>,
+    /// What frames and jobs share is kept for jobs to come, the latest of it, within so much of the store; what a job waits for is
+    /// kept in any case
+    #[arg(long, value_name = "SIZE", default_value = "16GiB")]
+    keep_shared: Volume,
     /// Where scenes, tiles and images are kept: a folder, s3://BUCKET/PREFIX (keys, region and endpoint are read from
     /// AWS_ACCESS_KEY_ID, AWS_SECRET_ACCESS_KEY, AWS_REGION, AWS_ENDPOINT_URL, AWS_ALLOW_HTTP), or memory (lost at the end); several
     /// coordinators share one
@@ -186,6 +190,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         artifacts: args.artifacts,
         scheduler: femc_schedule::Config {
             keep_ended: args.keep_ended.map(|keep| u64::try_from(keep.as_millis()).unwrap_or(u64::MAX)),
+            shared_bytes: args.keep_shared.0,
             weights: args.share.into_iter().collect(),
             ..femc_schedule::Config::with_lease(args.lease.as_millis() as u64)
         },

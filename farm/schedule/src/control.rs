@@ -3,7 +3,7 @@
 use femc_model::{Control, Cut, JobId, JobSpec, Refusal, RevokeReason, Stage, Tick};
 
 use crate::floor::LeaseKey;
-use crate::ledger::{Hold, Job};
+use crate::ledger::Hold;
 use crate::scheduler::Scheduler;
 use crate::{Answer, Command, Fact, Quota};
 
@@ -96,12 +96,13 @@ impl Scheduler {
         Ok(Answer::Controlled(id))
     }
 
-    /// Takes back the leases of a job that has just failed, and of the jobs that fail with what they share: stages of a job may
+    /// Takes back the leases of a job that has just ended, and of the jobs that fail with what they share: stages of a job may
     /// read frames that are lost since.
     pub(crate) fn revoke_ended(&mut self, id: JobId, out: &mut Vec<Command>) {
-        let shared = self.ledger.of_people().map(|(job, _)| job).filter(|_| id.is_shared());
-        let ended = shared.chain([id]).filter(|id| self.ledger.jobs.get(id).is_some_and(Job::has_ended));
-        ended.collect::<Vec<_>>().into_iter().for_each(|id| self.revoke_all(id, out));
+        let Some(job) = self.ledger.jobs.get(&id).filter(|job| job.has_ended()) else { return };
+        let failed = self.ledger.of_people().filter(|(_, other)| job.is_stuck() && other.has_ended());
+        let ended: Vec<JobId> = failed.map(|(id, _)| id).chain([id]).collect();
+        ended.into_iter().for_each(|id| self.revoke_all(id, out));
     }
 
     /// Takes back every lease of a job that has ended.

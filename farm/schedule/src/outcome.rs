@@ -55,6 +55,7 @@ impl Scheduler {
         if !is_alone {
             self.revoke_others(&task, RevokeReason::Done, out);
         }
+        self.revoke_ended(task.job, out);
         let instance = self.floor.instance(worker);
         if let (Some(desk), Some(job)) = (self.desks.get_mut(&task.job), self.ledger.jobs.get(&task.job)) {
             desk.avoid.remove(&task);

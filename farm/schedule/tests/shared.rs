@@ -24,10 +24,10 @@ fn job(owner: &str, frames: &[u32], content: u8) -> Box<JobSpec> {
 /// Does the worker's oldest task after so many milliseconds.
 fn work(farm: &mut Farm, worker: u64, milliseconds: u64) -> TaskKey {
     let held = farm.first_of(worker);
-    let (roles, decision): (&[Role], _) = match held.task.stage.number {
-        0 => (&[Role::Numbers], None),
-        1 => (&[Role::Answer], None),
-        _ => (&[Role::Image], Some(Decision::Done)),
+    let (roles, decision): (&[Role], _) = match (held.task.stage.kind, held.task.stage.number) {
+        (Image, _) => (&[Role::Image], Some(Decision::Done)),
+        (_, 1) => (&[Role::Answer], None),
+        _ => (&[Role::Numbers], None),
     };
     let output =
         |&role: &Role| Output { role, artefact: Artefact::of(format!("{} {}", role.name(), held.task).as_bytes()) };
@@ -144,6 +144,37 @@ fn each_build_does_its_own_and_a_frame_takes_none_but_that_of_its_build() {
     }
     let inputs: Vec<Digest> = [1, 2].map(|worker| farm.first_of(worker).work.inputs[0].output.artefact.digest).to_vec();
     assert_ne!(inputs[0], inputs[1]);
+}
+
+#[test]
+fn a_frame_that_begins_anew_is_blocked_where_another_build_could_not_do_what_it_needs() {
+    let mut farm = farm(config());
+    let mut spec = job("ann", &[1, 2], 1);
+    let pair =
+        Template::new(Drill, Scope::Frame, Sizes::even(2, 1), &[Role::Numbers]).reads(1, Role::Answer, Reach::All);
+    let image = Template::new(Image, Scope::Frame, Sizes::even(1, 1), &[Role::Image]);
+    spec.graph.stages.splice(2.., [pair, image.reads(2, Role::Numbers, Reach::All).closes(3, 1)]);
+    let id = submit(&mut farm, spec);
+    let join = |farm: &mut Farm, worker: u64, engine: &str| {
+        farm.join_as(worker, Registration { instance: worker, engine: engine.into(), ..registration() })
+    };
+    join(&mut farm, 1, "old");
+    for _ in 0..4 {
+        work(&mut farm, 1, 10);
+    }
+    join(&mut farm, 2, "new");
+    while held(&farm, 2).is_some() {
+        let held = farm.first_of(2);
+        assert!(held.task.job.is_shared());
+        farm.fail(2, &held, panic());
+    }
+    assert_eq!(farm.status(id).frames_failed, 1, "frame 1 is of the old build, which has done it");
+    farm.leave(1);
+    for _ in 0..2 * config().orphaned / 1_000 {
+        farm.wait(1_000);
+        farm.heartbeat(2, Phase::Working, 0);
+    }
+    assert_eq!(farm.state(id), JobState::Failed);
 }
 
 #[test]

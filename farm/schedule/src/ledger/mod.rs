@@ -131,7 +131,15 @@ impl Ledger {
             Fact::Lost { task } => (task.job, self.jobs.get_mut(&task.job).map(|job| job.lost(task))),
             Fact::Restarted { job, frame } => {
                 self.annex.unbuilt(*job, *frame);
-                (*job, self.jobs.get_mut(job).map(|j| j.restarted(*frame)))
+                let released = self.jobs.get_mut(job).map(|job| job.restarted(*frame));
+                // Any build may do it now, and one of them cannot.
+                let key = self.jobs.get(job).and_then(|job| job.content(*frame));
+                if let Some(key) = key.filter(|key| self.shared_by(key).any(|(.., shared)| shared.is_stuck()))
+                    && let Some(job) = self.jobs.get_mut(job)
+                {
+                    job.starve(&key, |other| other == *frame, now);
+                }
+                (*job, released)
             }
             Fact::Doomed { job, failure } => (*job, self.jobs.get_mut(job).map(|j| j.doomed(failure))),
             Fact::Controlled { job, control } => (*job, self.jobs.get_mut(job).map(|j| j.controlled(*control))),

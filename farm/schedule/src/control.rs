@@ -3,7 +3,7 @@
 use femc_model::{Control, Cut, JobId, JobSpec, Refusal, RevokeReason, Stage, Tick};
 
 use crate::floor::LeaseKey;
-use crate::ledger::Hold;
+use crate::ledger::{Hold, Job};
 use crate::scheduler::Scheduler;
 use crate::{Answer, Command, Fact, Quota};
 
@@ -96,13 +96,17 @@ impl Scheduler {
         Ok(Answer::Controlled(id))
     }
 
-    /// Takes back the leases of a job that has just ended, and of the jobs that fail with what they share: stages of a job may
-    /// read frames that are lost since.
+    /// Takes back what cannot count any more: the leases of a job if it has ended, whose own stages may read frames that are lost
+    /// since, and those of all frames that cannot go on with what they share.
     pub(crate) fn revoke_ended(&mut self, id: JobId, out: &mut Vec<Command>) {
         let Some(job) = self.ledger.jobs.get(&id).filter(|job| job.has_ended()) else { return };
-        let failed = self.ledger.of_people().filter(|(_, other)| job.is_stuck() && other.has_ended());
-        let ended: Vec<JobId> = failed.map(|(id, _)| id).chain([id]).collect();
-        ended.into_iter().for_each(|id| self.revoke_all(id, out));
+        let failed = self.ledger.of_people().filter(|_| job.is_stuck()).chain([(id, job)]);
+        let is_over = |job: &Job, frame: u32| job.has_ended() || job.blocked.contains(&frame);
+        let leases = failed.flat_map(|(id, job)| {
+            let all = self.floor.of_job(id).map(|(key, _)| *key);
+            all.filter(|(task, _)| is_over(job, task.stage.frame)).collect::<Vec<LeaseKey>>()
+        });
+        leases.collect::<Vec<_>>().into_iter().for_each(|key| self.revoke(&key, RevokeReason::JobEnded, out));
     }
 
     /// Takes back every lease of a job that has ended.

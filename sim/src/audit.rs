@@ -34,9 +34,9 @@ pub enum Violation {
         /// As what.
         state: String,
     },
-    /// A frame's pixels are not those of one process.
-    #[error("frame {frame} has the pixels {found}, not {expected}")]
-    Pixels {
+    /// A frame's result is not that of one process: its pixels, or its answer.
+    #[error("frame {frame} came out as {found}, not as {expected}")]
+    Result {
         /// Position among the job's frames.
         frame: usize,
         /// Digest.
@@ -169,6 +169,26 @@ pub enum Violation {
         epoch: Epoch,
         /// Of the first lease and of the second.
         tasks: [TaskKey; 2],
+    },
+    /// What jobs share was begun again, and was there.
+    #[error("{} is begun, and {} is the same", .jobs[1], .jobs[0])]
+    BegunAgain {
+        /// The one that was there, and the new one.
+        jobs: [JobId; 2],
+    },
+    /// A task was given out that reads what is done for its content, and that was not done by its build.
+    #[error("{task} is leased under epoch {}, and what its frame shares is not there", .epoch.0)]
+    Unserved {
+        /// Which.
+        task: TaskKey,
+        /// Of the lease.
+        epoch: Epoch,
+    },
+    /// A worker does what jobs share and none of them waits for.
+    #[error("a worker holds {task}, and nobody waits for it")]
+    Unwanted {
+        /// Which.
+        task: TaskKey,
     },
     /// A job has the number of an earlier one.
     #[error("job {job} is submitted, and there was one of this number")]
@@ -420,17 +440,17 @@ pub(crate) fn log<'a>(
     let mut tally = Tally::default();
     let mut counts: BTreeSet<(TaskKey, Epoch)> = BTreeSet::new();
     for record in history {
-        let fact = Fact::decode(record)?.1;
+        let (now, fact) = Fact::decode(record)?;
         if let Some(result) = counted(&fact) {
             let (task, epoch) = (result.task, result.epoch);
             counts.insert((task, epoch));
             let units = leases.units(task, epoch);
-            let missing = tally.missing(units);
+            let missing = tally.missing(units, result.leased);
             wrong.extend(missing.map(|Unit { item, step, .. }| Violation::Missing { task, item, step }));
             let before = tally.count(&result, units);
             wrong.extend(before.map(|(_, before)| Violation::Twice { task, epochs: [before, epoch] }));
         }
-        tally.note(&fact);
+        tally.note(&fact, now);
     }
     for &(task, epoch) in accepted.intersection(reported) {
         if !counts.contains(&(task, epoch)) {

@@ -16,7 +16,7 @@ use crate::faults::Hardship;
 use crate::people::{Curse, Errand, Manner, Person, Whim, answer, drain_a_while, open_all, some};
 use crate::shared::Shared;
 use crate::shelf::Shelf;
-use crate::stage;
+use crate::{drill, stage};
 
 /// People of a world.
 const MANNER: Manner = Manner { look: Duration::from_millis(400), patience: Duration::from_secs(200) };
@@ -47,7 +47,8 @@ impl Cast {
     /// That of a seed.
     pub(crate) fn of(seed: u64) -> anyhow::Result<Self> {
         let mut rng = SmallRng::seed_from_u64(seed ^ 0x0ca5_7000);
-        let count = rng.random_range(1..=4);
+        let mut drills = Drills::of(seed);
+        let count = if drills.are_there { rng.random_range(1..=4).max(2) } else { rng.random_range(1..=4) };
         let is_shared = rng.random_range(0..3) == 0;
         let (mut left, mut people) = (FRAMES, vec![Vec::new(); count]);
         for place in 0..2 * count {
@@ -60,7 +61,8 @@ impl Cast {
             // Those of one key want the same.
             let is_both = is_first && is_shared && number < 2 && count > 1;
             let mut own = if is_both { SmallRng::seed_from_u64(seed) } else { SmallRng::seed_from_u64(rng.random()) };
-            let mut errand = errand(&mut own, left.min(2))?;
+            let content = if is_both { drills.common() } else { drills.draw() };
+            let mut errand = errand(&mut own, left.min(2), content)?;
             errand.key = if is_both { "both".into() } else { format!("{name} {place}") };
             errand.spec.owner = if is_both { "both".into() } else { name };
             if is_both {
@@ -89,7 +91,10 @@ impl Cast {
         let owners = (0..self.people.len()).map(|number| format!("person{number}"));
         let weights: BTreeMap<String, u32> = owners.map(|owner| (owner, rng.random_range(1..4))).collect();
         let keep_ended = (rng.random_range(0..4) == 0).then(|| rng.random_range(1_500..12_000));
-        Config { weights, keep_ended, ..stage::schedule(self.seed) }
+        // What is shared and nobody needs any more is forgotten at once, or but for the last, or never.
+        let schedule = stage::schedule(self.seed);
+        let shared_bytes = [0, drill::BYTES, schedule.shared_bytes][(self.seed / 4 % 3) as usize];
+        Config { weights, keep_ended, shared_bytes, ..schedule }
     }
 
     /// They come, and go when all their jobs have ended.
@@ -126,23 +131,53 @@ impl Cast {
     }
 }
 
-fn errand(rng: &mut SmallRng, most: usize) -> anyhow::Result<Errand> {
-    let stage = stage::pick(rng.random_range(0..stage::Stage::COUNT))?;
+/// Which jobs of a world are drills.
+struct Drills {
+    seed: u64,
+    rng: SmallRng,
+    are_there: bool,
+}
+
+impl Drills {
+    /// Every third world has some.
+    fn of(seed: u64) -> Self {
+        let mut rng = SmallRng::seed_from_u64(seed ^ 0x0d51_1100);
+        let are_there = rng.random_range(0..3) == 0;
+        Self { seed, rng, are_there }
+    }
+
+    /// The content that most of them share.
+    fn common(&self) -> Option<u64> {
+        self.are_there.then_some(self.seed)
+    }
+
+    /// The content of the next job, if that is a drill.
+    fn draw(&mut self) -> Option<u64> {
+        let own = self.rng.random();
+        let content = if self.rng.random_range(0..3) > 0 { self.seed } else { own };
+        (self.are_there && self.rng.random_range(0..4) > 0).then_some(content)
+    }
+}
+
+/// - `content`: of a drill.
+fn errand(rng: &mut SmallRng, most: usize, content: Option<u64>) -> anyhow::Result<Errand> {
+    let rendered = stage::pick(rng.random_range(0..stage::Stage::COUNT))?;
+    let stage = content.map_or_else(|| rendered.clone(), drill::stage);
     let curse = match rng.random_range(0..24) {
         0..4 => Curse::NowAndThen,
         4 => Curse::Always,
         5 if Hardship::Deadly.is_there() => Curse::Deadly,
         _ => Curse::Nothing,
     };
+    let frames = some(&stage.spec.frames, most, rng);
     let spec = JobSpec {
         name: curse.name().into(),
-        frames: some(&stage.spec.frames, most, rng),
         priority: if rng.random_range(0..2) == 0 { 50 } else { rng.random_range(0..=100) },
-        ..stage.spec.clone()
+        ..stage.of_frames(frames)
     };
     let whim = Whim::pick(rng);
     let pauses = [0..9_000, 1_000..12_000].map(|range| Duration::from_millis(rng.random_range(range)));
-    Ok(Errand { key: String::new(), spec, stage: stage.clone(), whim, pauses })
+    Ok(Errand { key: String::new(), spec, stage, whim, pauses })
 }
 
 async fn live(errands: &[Errand], seed: u64, shared: &Shared, shelf: &Shelf) -> anyhow::Result<()> {

@@ -3,11 +3,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use femc_model::{Control, Drain, Epoch, Failure, JobId, JobSpec, JobState, JobStatus, Quarantined, TaskKey, Tick};
+use femc_model::{
+    Control, Drain, Epoch, Failure, JobId, JobSpec, JobState, JobStatus, Quarantined, Stage, TaskKey, Tick,
+};
 use femc_schedule::{Casualty, Evidence, Fact};
 
 use crate::audit::Violation;
-use crate::tasks::{counted, tried};
+use crate::contents::Contents;
+use crate::tasks::{counted, job_of, tried};
 
 /// A number of records: those of the log so far.
 pub(crate) type Place = u64;
@@ -71,10 +74,12 @@ impl Trouble {
     }
 }
 
-/// A job.
+/// A job, or what jobs share.
 #[derive(Debug)]
-struct Record {
-    spec: Box<JobSpec>,
+pub(crate) struct Record {
+    pub(crate) spec: Box<JobSpec>,
+    /// Its frames; of what is shared the one that stands for it.
+    pub(crate) frames: Vec<u32>,
     /// Where it stood, from which place on.
     standings: Vec<(Place, Standing)>,
     controls: Vec<(Place, Control)>,
@@ -90,6 +95,21 @@ struct Record {
 }
 
 impl Record {
+    fn new(spec: Box<JobSpec>, frames: Vec<u32>, place: Place) -> Self {
+        let first = Standing { finished: 0, hold: Hold::Free, doomed: false, priority: spec.priority };
+        Self {
+            spec,
+            frames,
+            standings: vec![(place, first)],
+            controls: Vec::new(),
+            troubles: BTreeMap::new(),
+            busy: BTreeMap::new(),
+            finished: BTreeMap::new(),
+            doom: None,
+            ended: None,
+        }
+    }
+
     fn now(&self) -> Standing {
         self.standings.last().map_or(
             Standing { finished: 0, hold: Hold::Free, doomed: false, priority: self.spec.priority },
@@ -97,24 +117,31 @@ impl Record {
         )
     }
 
-    fn has_ended(&self) -> bool {
-        let Standing { finished, hold, doomed, .. } = self.now();
-        hold == Hold::Cancelled || doomed || finished as usize == self.spec.frames.len()
+    pub(crate) fn has_ended(&self) -> bool {
+        self.is_over() || self.now().finished as usize == self.frames.len()
     }
 
-    /// Whether only a retry can move it: of each frame that is not finished a task is put aside.
-    fn is_blocked(&self) -> bool {
-        let aside = self.troubles.iter().filter(|(_, trouble)| trouble.is_aside());
-        let blocked: BTreeSet<u32> = aside.map(|(task, _)| task.stage.frame).collect();
-        self.spec.frames.iter().all(|frame| self.finished.contains_key(frame) || blocked.contains(frame))
+    /// Whether nothing more will come of it, unless somebody tries it again.
+    pub(crate) fn is_over(&self) -> bool {
+        let Standing { hold, doomed, .. } = self.now();
+        hold == Hold::Cancelled || doomed
     }
 
-    /// Notes when it ended, if it has.
-    fn note_end(&mut self, tick: Tick) {
-        match self.has_ended() || self.is_blocked() {
-            true => drop(self.ended.get_or_insert(tick)),
-            false => self.ended = None,
-        }
+    /// Whether nobody holds it.
+    pub(crate) fn may_run(&self) -> bool {
+        let Standing { hold, doomed, .. } = self.now();
+        hold == Hold::Free && !doomed
+    }
+
+    /// Whether a frame is not finished, and none of its tasks is put aside.
+    pub(crate) fn is_left(&self, frame: u32) -> bool {
+        let mut aside = self.troubles.iter().filter(|(_, trouble)| trouble.is_aside());
+        !self.finished.contains_key(&frame) && !aside.any(|(task, _)| task.stage.frame == frame)
+    }
+
+    /// Whether a task of it is put aside.
+    pub(crate) fn is_in_trouble(&self) -> bool {
+        self.troubles.values().any(Trouble::is_aside)
     }
 
     fn trouble(&mut self, task: TaskKey) -> &mut Trouble {
@@ -138,7 +165,8 @@ impl Record {
 #[derive(Debug, Default)]
 pub(crate) struct Chronicle {
     records: Place,
-    jobs: BTreeMap<JobId, Record>,
+    pub(crate) jobs: BTreeMap<JobId, Record>,
+    pub(crate) contents: Contents,
     last: u64,
     keys: BTreeMap<String, JobId>,
     forgotten: BTreeSet<JobId>,
@@ -161,8 +189,13 @@ impl Chronicle {
     /// A log begins that knows of nothing.
     pub(crate) fn anew(&mut self) {
         let before = std::mem::take(self);
-        let Self { incarnations, keep_ended, records, .. } = before;
-        *self = Self { incarnations, keep_ended, records, ..Self::default() };
+        let Self { incarnations, keep_ended, records, contents, .. } = before;
+        *self = Self { incarnations, keep_ended, records, contents: contents.anew(), ..Self::default() };
+    }
+
+    /// The number of the coordinator that began last.
+    pub(crate) fn incarnation(&self) -> u32 {
+        self.incarnation
     }
 
     pub(crate) fn spec(&self, job: JobId) -> Option<&JobSpec> {
@@ -194,7 +227,8 @@ impl Chronicle {
         asked: &[(JobId, Control)],
     ) -> Vec<Violation> {
         self.records += 1;
-        let (place, mut wrong) = (self.records, Vec::new());
+        let place = self.records;
+        let mut wrong: Vec<Violation> = self.judge_shared(fact).into_iter().collect();
         match fact {
             Fact::Opened { incarnation } => {
                 self.incarnation = *incarnation;
@@ -211,48 +245,38 @@ impl Chronicle {
                     let before = self.keys.insert(key.clone(), *job);
                     wrong.extend(before.map(|before| Violation::KeyMoved { key: key.clone(), jobs: [before, *job] }));
                 }
-                let mut record = Record {
-                    spec: spec.clone(),
-                    standings: Vec::new(),
-                    controls: Vec::new(),
-                    troubles: BTreeMap::new(),
-                    busy: BTreeMap::new(),
-                    finished: BTreeMap::new(),
-                    doom: None,
-                    ended: None,
-                };
-                record.standings.push((place, record.now()));
-                self.jobs.insert(*job, record);
+                let frames = spec.frames.clone();
+                self.jobs.insert(*job, Record::new(spec.clone(), frames, place));
+            }
+            Fact::Shared { job, spec, .. } => {
+                self.jobs.insert(*job, Record::new(spec.clone(), vec![Stage::OF_JOB], place));
             }
             Fact::Drained { instance, drain } => match drain {
                 Drain::Begin => drop(self.drained.insert(*instance, (self.incarnation, now))),
                 Drain::Undo => drop(self.drained.remove(instance)),
             },
             Fact::Controlled { job, control } => {
-                if !asked.contains(&(*job, *control)) {
+                if !job.is_shared() && !asked.contains(&(*job, *control)) {
                     wrong.push(Violation::Unasked { job: *job, control: *control });
                 }
                 if let Some(record) = self.jobs.get_mut(job) {
-                    record.steered(place, *control, tick);
+                    record.steered(place, *control);
                 }
             }
             Fact::Doomed { job, failure } => {
                 if let Some(record) = self.jobs.get_mut(job) {
                     record.doom = Some(failure.clone());
                     record.stands(place, Standing { doomed: true, ..record.now() });
-                    record.note_end(tick);
                 }
             }
             Fact::Failed { task, until, .. } => {
                 if let Some(record) = self.jobs.get_mut(&task.job) {
                     record.trouble(*task).failed(*until);
-                    record.note_end(tick);
                 }
             }
             Fact::Died { task, end, casualty } => {
                 if let Some(record) = self.jobs.get_mut(&task.job) {
                     (task.index..*end).for_each(|index| record.trouble(TaskKey { index, ..*task }).died(casualty));
-                    record.note_end(tick);
                 }
             }
             Fact::Lives { instance } => {
@@ -267,7 +291,6 @@ impl Chronicle {
                     record.busy.insert(*frame, busy);
                     let finished = record.finished.len() as u32;
                     record.stands(place, Standing { finished, ..record.now() });
-                    record.note_end(tick);
                 }
             }
             Fact::Forgotten { job } => wrong.extend(self.forget(*job, tick)),
@@ -283,28 +306,41 @@ impl Chronicle {
                         record.troubles.remove(&tried(result.task));
                     }
                     *record.busy.entry(frame).or_default() += result.result.seconds;
-                    if result.finishes() {
+                    if result.finishes(&record.spec) {
                         let busy = record.busy.remove(&frame).unwrap_or(0.0);
                         record.finished.insert(frame, busy);
                         record.troubles.retain(|task, _| task.stage.frame != frame);
                         let finished = record.finished.len() as u32;
                         // What was paused and is done all the same is not held any longer.
-                        let is_done = record.finished.len() == record.spec.frames.len();
+                        let is_done = record.finished.len() == record.frames.len();
                         let hold = if is_done { Hold::Free } else { record.now().hold };
                         record.stands(place, Standing { finished, hold, ..record.now() });
-                        record.note_end(tick);
                     }
                 }
             }
         }
+        self.note_shared(fact, now);
+        self.note_ends(fact, tick);
         wrong
+    }
+
+    /// Notes when jobs ended, if they have: the one that a record is about, and those that may wait for what it is about.
+    fn note_ends(&mut self, fact: &Fact, tick: Tick) {
+        let Some(job) = job_of(fact) else { return };
+        let of = |other: &&JobId| **other == job || job.is_shared();
+        let ended = |job: &JobId| self.jobs.get(job).is_some_and(|it| it.has_ended() || self.is_blocked(it));
+        let ends: Vec<(JobId, bool)> = self.jobs.keys().filter(of).map(|job| (*job, ended(job))).collect();
+        for (job, has_ended) in ends {
+            let Some(record) = self.jobs.get_mut(&job) else { continue };
+            record.ended = if has_ended { record.ended.or(Some(tick)) } else { None };
+        }
     }
 
     /// A job is forgotten: it must have ended long enough ago.
     fn forget(&mut self, job: JobId, tick: Tick) -> Option<Violation> {
         self.forgotten.insert(job);
         self.keys.retain(|_, other| *other != job);
-        let record = self.jobs.remove(&job)?;
+        let record = self.jobs.remove(&job).filter(|_| !job.is_shared())?;
         let is_due = record.ended.zip(self.keep_ended).is_some_and(|(ended, keep)| tick.since(ended) >= keep);
         (!is_due).then_some(Violation::ForgottenEarly { job })
     }
@@ -346,11 +382,13 @@ impl Chronicle {
             let JobStatus { state, frames_done, frames_failed, priority, .. } = status;
             return told(format!("{state:?}, {frames_done} frames done, {frames_failed} failed, priority {priority}"));
         }
-        let trouble = |task: &TaskKey| record.troubles.get(&tried(*task));
+        let trouble = |task: &TaskKey| self.jobs.get(&task.job)?.troubles.get(&tried(*task));
         let tries = |task: &TaskKey| trouble(task).map_or(0, Trouble::tries);
-        let is_invented =
-            |it: &&Quarantined| it.attempts > tries(&it.task) || !trouble(&it.task).is_some_and(Trouble::is_aside);
-        let invented = status.quarantined.iter().find(is_invented).filter(|_| !record.is_retried_since(place));
+        let is_invented = |it: &&Quarantined| {
+            let is_known = it.attempts <= tries(&it.task) && trouble(&it.task).is_some_and(Trouble::is_aside);
+            !is_known && !self.has_forgotten(it.task.job) && !self.is_retried_since(it.task.job, place)
+        };
+        let invented = status.quarantined.iter().find(is_invented);
         invented.map(|it| Violation::Attempts { task: it.task, told: it.attempts, logged: tries(&it.task) })
     }
 
@@ -397,7 +435,7 @@ impl Chronicle {
             Control::Retry => standing.finished == frames,
             _ => standing.hold == Hold::Cancelled || standing.doomed || standing.finished == frames,
         };
-        let is_blocked = control != Control::Retry && record.is_blocked();
+        let is_blocked = control != Control::Retry && self.is_blocked(record);
         let is_right = is_blocked || record.since(place).any(has_ended);
         (!is_right).then_some(Violation::Refused { job, control })
     }
@@ -418,7 +456,7 @@ impl Record {
         self.controls.iter().any(|(at, control)| *at > place && *control == Control::Retry)
     }
 
-    fn steered(&mut self, place: Place, control: Control, tick: Tick) {
+    fn steered(&mut self, place: Place, control: Control) {
         self.controls.push((place, control));
         let before = self.now();
         let after = match control {
@@ -433,6 +471,5 @@ impl Record {
             self.troubles.clear();
             self.doom = None;
         }
-        self.note_end(tick);
     }
 }

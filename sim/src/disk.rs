@@ -205,6 +205,7 @@ impl Queue for Log {
                 let leased = state.leases.judge(&fact);
                 let said = state.chronicle.take(tick, &fact, now, &state.told.controls);
                 state.wrong.extend(leased.into_iter().chain(said));
+                state.shares.divide(&state.chronicle.payers_of_shared(), now);
                 match &fact {
                     Fact::Used { owners } => {
                         let charged = state.shares.judge(owners, now);

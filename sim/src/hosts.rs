@@ -6,7 +6,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_coordinator::{Config, Coordinator, CoordinatorError, Time};
-use femc_model::{Assignment, TaskKey};
+use femc_model::{Assignment, StageKind, TaskKey};
 use femc_queue::QueueError;
 use femc_store::Store;
 use femc_worker::{Drawer, Fate, Hands, Journal, OutboxPlace, Pace, Worker};
@@ -206,7 +206,9 @@ fn fate(seed: u64, host: usize, shared: &Shared, assignment: &Assignment) -> Fat
         Some(spec) => (Curse::of(spec), spec.frames.first().copied()),
         None => return Fate::Done,
     };
-    let is_the_one = first == Some(stage.frame) && assignment.task.index == 0 && renders(assignment);
+    let is_the_one = first == Some(stage.frame)
+        && assignment.task.index == 0
+        && (renders(assignment) || stage.kind == StageKind::Drill);
     let is_unlucky = || draw(&format!("{seed} fate {} {}", assignment.task, assignment.epoch.0)) * 100 / 65_536 < OFTEN;
     match curse {
         Curse::Nothing => Fate::Done,

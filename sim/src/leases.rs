@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Assignment, Epoch, Failure, JobId, JobSpec, TaskKey};
+use femc_model::{Assignment, Epoch, Failure, JobId, JobSpec, Stage, TaskKey};
 use femc_schedule::Fact;
 
 use crate::audit::Violation;
@@ -125,6 +125,11 @@ impl Leases {
                 self.specs.insert(*job, spec.clone());
                 return None;
             }
+            Fact::Shared { job, engine, spec, .. } => {
+                self.specs.insert(*job, spec.clone());
+                self.built.insert((*job, Stage::OF_JOB), engine.clone());
+                return None;
+            }
             Fact::Lost { task } => {
                 let spec = self.specs.get(&task.job);
                 let mut given = self.given.range((*task, Epoch(0))..);
@@ -141,7 +146,9 @@ impl Leases {
             }
             Fact::Restarted { job, frame } => {
                 self.counted.retain(|unit, _| (unit.job, unit.stage.frame) != (*job, *frame));
-                self.built.remove(&(*job, *frame));
+                if !job.is_shared() {
+                    self.built.remove(&(*job, *frame));
+                }
                 return None;
             }
             Fact::Built { job, frame, engine } => {

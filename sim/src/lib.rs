@@ -13,7 +13,9 @@
 mod audit;
 mod cast;
 mod chronicle;
+mod contents;
 mod disk;
+mod drill;
 mod faults;
 mod hosts;
 mod leases;

@@ -5,7 +5,8 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use femc_model::{
-    Control, Digest, Drain, FrameRecord, Intake, JobId, JobSpec, JobState, JobStatus, Refusal, WorkerId, WorkerName,
+    Control, Digest, Drain, FrameRecord, Intake, JobId, JobSpec, JobState, JobStatus, Refusal, Role, WorkerId,
+    WorkerName,
 };
 use femc_proto::{CallError, Client};
 use rand::RngExt as _;
@@ -18,7 +19,7 @@ use crate::network::{dial, url};
 use crate::promises::Asked;
 use crate::shared::Shared;
 use crate::shelf::{Harm, Shelf};
-use crate::stage::{self, Stage};
+use crate::stage::Stage;
 
 /// Between two tries.
 const AGAIN: Duration = Duration::from_millis(300);
@@ -226,9 +227,9 @@ impl Person<'_> {
                     return Ok(Vec::new());
                 }
                 if std::mem::take(&mut harms) && status.state == JobState::Done {
-                    self.harms_an_image(asked, job).await;
+                    self.harms_a_result(asked, job, errand.stage.result).await;
                 }
-                match self.fetches(asked, job, status.state).await {
+                match self.fetches(asked, job, errand.stage.result, status.state).await {
                     Fetched::Files(files) if files.len() >= status.frames_done as usize => break (status, files),
                     // What is damaged is rendered again.
                     Fetched::Files(_) | Fetched::Refused => {
@@ -261,11 +262,11 @@ impl Person<'_> {
         }
         for (record, file) in files {
             let Some(file) = file else { continue };
-            let found = stage::pixels(file)?;
+            let found = errand.stage.digest(file)?;
             let frame = errand.stage.spec.frames.iter().position(|&frame| frame == record.frame).unwrap_or_default();
-            if found != errand.stage.pixels[frame] {
-                let expected = errand.stage.pixels[frame].clone();
-                wrong.push(Violation::Pixels { frame, found, expected });
+            if found != errand.stage.digests[frame] {
+                let expected = errand.stage.digests[frame].clone();
+                wrong.push(Violation::Result { frame, found, expected });
             }
             let busy = self.shared.lock().chronicle.busy(job, record.frame);
             let [told, logged] = [record.busy_seconds, busy.unwrap_or(record.busy_seconds)];
@@ -305,29 +306,29 @@ impl Person<'_> {
         }
     }
 
-    /// Something happens to the image of a finished frame.
-    async fn harms_an_image(&mut self, asked: Asked, job: JobId) {
+    /// Something happens to the result of a finished frame.
+    async fn harms_a_result(&mut self, asked: Asked, job: JobId, role: Role) {
         let frames = answer(self.shared, asked, &async |client: Client| client.frames(job).await).await;
-        let Ok(Some(image)) = frames.map(|frames| frames.iter().find_map(FrameRecord::image)) else { return };
+        let Ok(Some(result)) = frames.map(|frames| frames.iter().find_map(|frame| frame.output(role))) else { return };
         let (harm, thousandths) = (self.rng.random_range(0..4), self.rng.random_range(0..1000));
         let harm = [Harm::Lost, Harm::Flipped, Harm::Short(thousandths), Harm::Zeroed(thousandths)][harm];
-        self.shared.lock().harmed.insert(image.digest);
-        if self.shelf.harm(&image.digest, harm) {
-            self.shared.lock().did("found a finished image damaged");
+        self.shared.lock().harmed.insert(result.digest);
+        if self.shelf.harm(&result.digest, harm) {
+            self.shared.lock().did("found a finished result damaged");
         }
     }
 
     /// The files of its finished frames. Of a job that was cancelled nothing is rendered again: what was damaged is not among
     /// them.
-    async fn fetches(&self, asked: Asked, job: JobId, state: JobState) -> Fetched {
+    async fn fetches(&self, asked: Asked, job: JobId, role: Role, state: JobState) -> Fetched {
         let is_gone = |digest: &Digest| state == JobState::Cancelled && self.shared.lock().harmed.contains(digest);
         let fetch = async |client: Client| {
             let mut files = Vec::new();
             for frame in client.frames(job).await? {
-                let Some(image) = frame.image() else { continue };
-                match client.get(&image.digest, image.bytes).await {
+                let Some(result) = frame.output(role) else { continue };
+                match client.get(&result.digest, result.bytes).await {
                     Ok(file) => files.push((frame, Some(file))),
-                    Err(CallError::Refused(_)) if is_gone(&image.digest) => files.push((frame, None)),
+                    Err(CallError::Refused(_)) if is_gone(&result.digest) => files.push((frame, None)),
                     Err(error) => return Err(error),
                 }
             }

@@ -125,7 +125,7 @@ impl crate::shared::State {
             if let Some(&(before, [since, by])) = told
                 && by <= asked
                 && it.attempts < before
-                && !self.chronicle.is_retried_since(status.job, since)
+                && !self.chronicle.is_retried_since(it.task.job, since)
             {
                 wrong = Some(Violation::Fewer { task: it.task, before, told: it.attempts });
             }

@@ -9,7 +9,7 @@ use anyhow::Context as _;
 use bytes::Bytes;
 use femc_film::{Frame, Image, Tiling, exr, pixel_digest};
 use femc_import::Bundle;
-use femc_model::{Digest, Grid, JobSpec, testing};
+use femc_model::{Digest, Grid, JobSpec, Role, testing};
 use femc_pipeline::{Settings, Stop};
 use femc_schedule::Config;
 use femc_worker::Cache;
@@ -48,19 +48,22 @@ m bright
 sph e 0.2
 ";
 
-const FRAMES: [u32; 3] = [1, 2, 3];
+pub(crate) const FRAMES: [u32; 3] = [1, 2, 3];
 const FILM: [u32; 2] = [16, 12];
 const TILE: u32 = 8;
 
 /// Scenes and frames ready to render, for all workers of all worlds: to make them again would teach nothing.
 pub(crate) static CACHE: LazyLock<Cache> = LazyLock::new(|| Cache::new(16));
 
-/// A job, its bundle, and the digests of its frames' pixels.
+/// A job, its bundle, and what its frames must be.
 #[derive(Debug, Clone)]
 pub(crate) struct Stage {
     pub(crate) spec: JobSpec,
     pub(crate) bundle: Bytes,
-    pub(crate) pixels: Vec<String>,
+    /// The role of a frame's result: an image, or the answer of a drill.
+    pub(crate) result: Role,
+    /// Of each frame the digest of its pixels, or of its answer.
+    pub(crate) digests: Vec<String>,
 }
 
 impl Stage {
@@ -71,7 +74,22 @@ impl Stage {
     fn grouped(&self, fan: u32) -> Self {
         let graph = testing::frames(self.spec.grid.sizes(), self.spec.rounds(), fan);
         let spec = JobSpec { graph, ..self.spec.clone() };
-        Self { spec, bundle: self.bundle.clone(), pixels: self.pixels.clone() }
+        Self { spec, ..self.clone() }
+    }
+
+    /// The job with these frames alone.
+    pub(crate) fn of_frames(&self, frames: Vec<u32>) -> JobSpec {
+        let contents = self.spec.contents.iter().map(|(_, key)| (frames.len() as u32, *key)).collect();
+        JobSpec { frames, contents, ..self.spec.clone() }
+    }
+
+    /// The digest of a finished frame's result.
+    pub(crate) fn digest(&self, file: Bytes) -> anyhow::Result<String> {
+        if self.result != Role::Image {
+            return Ok(Digest::of(&file).to_string());
+        }
+        let image: Image = exr::decode(std::io::Cursor::new(file))?.image;
+        Ok(pixel_digest(&image).to_string())
     }
 }
 
@@ -125,7 +143,7 @@ fn stage(rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
     let bundle = Bundle(BTreeMap::from([("haze.mgf".into(), SCENE.as_bytes().to_vec())]));
     let source = femc_pipeline::Source::new(Arc::new(femc_import::load(&bundle, "haze.mgf")?.scene));
     let spp = *rounds.last().context("a round")?;
-    let mut pixels = Vec::new();
+    let mut digests = Vec::new();
     for number in FRAMES {
         let prepared = femc_pipeline::prepare(&source, &settings, number, None)?;
         let tiling = Tiling::new(FILM[0], FILM[1], TILE)?;
@@ -135,7 +153,7 @@ fn stage(rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
             let tile = femc_pipeline::render_tile(&prepared, &settings, rect, 0..spp, &cancel, &samples)?.tile;
             frame.insert(tile)?;
         }
-        pixels.push(pixel_digest(&frame.resolve().color).to_string());
+        digests.push(pixel_digest(&frame.resolve().color).to_string());
     }
     let bytes = bundle.encode()?;
     let spec = JobSpec {
@@ -151,11 +169,5 @@ fn stage(rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
         owner: "me".into(),
         tags: vec![],
     };
-    Ok(Stage { spec, bundle: bytes.into(), pixels })
-}
-
-/// Digest of a finished frame's pixels.
-pub(crate) fn pixels(file: Bytes) -> anyhow::Result<String> {
-    let image: Image = exr::decode(std::io::Cursor::new(file))?.image;
-    Ok(pixel_digest(&image).to_string())
+    Ok(Stage { spec, bundle: bytes.into(), result: Role::Image, digests })
 }

@@ -13,6 +13,7 @@ use crate::audit::Violation;
 use crate::leases::SessionNumber;
 use crate::network::{SWITCH, dial, listen, url};
 use crate::shared::{Shared, State};
+use crate::shares::Whose;
 
 /// Bits of an epoch that count the leases of one incarnation.
 const LEASE_BITS: u32 = 40;
@@ -83,7 +84,8 @@ async fn relay(session: Session, shared: Shared) {
                     let incarnation = (lease.epoch.0 >> LEASE_BITS) as u32;
                     let drained = state.chronicle.may_work(instance, incarnation, now());
                     let aside = state.chronicle.may_lease(lease.task, lease.epoch);
-                    state.wrong.extend(leased.into_iter().chain(drained).chain(aside));
+                    let unserved = state.chronicle.may_read(&engine, lease, incarnation, now());
+                    state.wrong.extend(leased.into_iter().chain(drained).chain(aside).chain(unserved));
                     running.insert((lease.epoch, lease.task));
                 }
                 ToWorker::Revoke { task, epoch, .. } => {
@@ -121,9 +123,10 @@ async fn relay(session: Session, shared: Shared) {
 impl State {
     /// What a worker holds has changed.
     fn turns(&mut self, session: SessionNumber, running: &BTreeSet<(Epoch, TaskKey)>) {
-        let spec = running.first().and_then(|(_, task)| self.chronicle.spec(task.job));
-        let owner = spec.map(|spec| spec.owner.clone());
-        self.shares.turns(session, owner, now());
+        let first = running.first().map(|(_, task)| task.job);
+        let whose = first.and_then(|job| Some(Whose::of(job, self.chronicle.payers(job)?)));
+        self.shares.turns(session, whose, now());
+        self.wrong.extend(self.chronicle.unwanted(running.iter().map(|(_, task)| task), now()));
     }
 }
 

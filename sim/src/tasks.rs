@@ -4,7 +4,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
-use femc_model::{Assignment, Decision, Epoch, JobId, JobSpec, Need, Reach, Role, Round, Stage, TaskKey, TaskResult};
+use femc_model::{
+    Assignment, Decision, Digest, Epoch, JobId, JobSpec, Need, Reach, Round, Scope, Stage, TaskKey, TaskResult, Tick,
+};
 use femc_schedule::Fact;
 
 /// The least that can be given out: a step of a task.
@@ -45,29 +47,44 @@ pub(crate) struct Counted<'a> {
     pub(crate) task: TaskKey,
     pub(crate) epoch: Epoch,
     pub(crate) result: &'a TaskResult,
+    /// When its lease was granted.
+    pub(crate) leased: Tick,
 }
 
 impl Counted<'_> {
-    /// Whether its frame is finished with it.
-    pub(crate) fn finishes(&self) -> bool {
-        self.result.decision == Some(Decision::Done) && self.result.output(Role::Image).is_some()
+    /// Whether its frame is finished with it, or what jobs share.
+    pub(crate) fn finishes(&self, spec: &JobSpec) -> bool {
+        let Stage { number, .. } = self.task.stage;
+        let is_over = !matches!(self.result.decision, Some(Decision::Continue | Decision::Steps(_)));
+        let is_result = self.result.outputs.iter().any(|output| output.role.row().is_result);
+        is_over && if self.task.job.is_shared() { is_served(spec, number) } else { is_result }
     }
 }
 
 /// The result that a record counts, if it is of that kind.
 pub(crate) fn counted(fact: &Fact) -> Option<Counted<'_>> {
     match fact {
-        Fact::Done { task, epoch, result, .. } => Some(Counted { task: *task, epoch: *epoch, result }),
+        Fact::Done { task, epoch, result, leased, .. } => {
+            Some(Counted { task: *task, epoch: *epoch, result, leased: *leased })
+        }
         _ => None,
     }
 }
 
-/// The tasks of a round of a stage that a task reads, by stage and number.
+/// Whether frames read this stage of a content, which has one task.
+pub(crate) fn is_served(spec: &JobSpec, number: u16) -> bool {
+    let scope = |number| spec.graph.stage(number).map(|template| template.scope);
+    scope(number) == Some(Scope::Content)
+        && spec.graph.readers(number).any(|(reader, _)| scope(reader) == Some(Scope::Frame))
+}
+
+/// The tasks of a round of a stage that a task reads, by stage and number. Those of a content are not among what a frame's reads.
 fn read_by(spec: &JobSpec, stage: &Stage, item: u32) -> Vec<(Need, Stage, u32)> {
     let mut all = Vec::new();
     let Some(template) = spec.graph.stage(stage.number) else { return all };
     for need in &template.needs {
-        let Some(made) = spec.graph.stage(need.stage) else { continue };
+        let made = spec.graph.stage(need.stage).filter(|made| made.scope == template.scope);
+        let Some(made) = made else { continue };
         let items = match need.reach {
             Reach::All => 0..made.tasks(),
             Reach::Same => item..item + 1,
@@ -76,6 +93,8 @@ fn read_by(spec: &JobSpec, stage: &Stage, item: u32) -> Vec<(Need, Stage, u32)> 
         let round = match need.round {
             Round::Before if stage.round == 0 => continue,
             Round::Before => stage.round - 1,
+            // Behind its loop the last round; there is no other graph here than drills, which make all of theirs.
+            Round::Same if !spec.graph.is_looped(stage.number) => spec.graph.rounds(need.stage) - 1,
             Round::Same | Round::Every => stage.round,
         };
         let from = Stage { round, number: need.stage, kind: made.kind, ..*stage };
@@ -94,14 +113,30 @@ fn steps(spec: &JobSpec, stage: &Stage) -> Range<u32> {
 pub(crate) struct Tally {
     specs: BTreeMap<JobId, Box<JobSpec>>,
     done: BTreeMap<Unit, (TaskKey, Epoch)>,
+    /// Steps that were done and are to be done again, and since when: who began before may have read them.
+    lost: BTreeMap<Unit, Tick>,
     /// Of each frame the round that its loop is in, and whether the loop is over.
     rounds: BTreeMap<(JobId, u32), (u32, bool)>,
+    /// The build whose a frame is, or was last.
+    built: BTreeMap<(JobId, u32), String>,
+    /// What jobs share.
+    instances: BTreeMap<JobId, Instance>,
+    /// Stages of contents that were done by some build, whatever has become of them since.
+    served: BTreeSet<(Instance, u16)>,
 }
+
+/// What jobs share: a content, and the build of the engine that makes it.
+pub(crate) type Instance = (Digest, String);
 
 impl Tally {
     /// Takes a result in; returns which was there already.
     pub(crate) fn count(&mut self, counted: &Counted<'_>, units: &[Unit]) -> Option<(TaskKey, Epoch)> {
         let key = (counted.task, counted.epoch);
+        if let (Some(instance), Some(spec)) = (self.instances.get(&key.0.job), self.specs.get(&key.0.job))
+            && is_served(spec, key.0.stage.number)
+        {
+            self.served.insert((instance.clone(), key.0.stage.number));
+        }
         let round = self.rounds.entry((key.0.job, key.0.stage.frame)).or_default();
         match &counted.result.decision {
             Some(Decision::Done) if key.0.stage.round == round.0 => round.1 = true,
@@ -111,25 +146,45 @@ impl Tally {
         units.iter().filter_map(|unit| self.done.insert(*unit, key)).next()
     }
 
-    /// A step that is not there when the result of a task that reads it counts.
-    pub(crate) fn missing(&self, units: &[Unit]) -> Option<Unit> {
+    /// A step that is not there when the result of a task that reads it counts, and was not when that was leased.
+    pub(crate) fn missing(&self, units: &[Unit], leased: Tick) -> Option<Unit> {
         let first = units.first()?;
         let spec = self.specs.get(&first.job)?;
         let read = read_by(spec, &first.stage, first.item).into_iter();
         let mut needed = read.flat_map(|(_, stage, item)| {
             steps(spec, &stage).map(move |step| Unit { job: first.job, stage, item, step })
         });
-        needed.find(|unit| !self.done.contains_key(unit))
+        let was_there = |unit: &Unit| self.lost.get(unit).is_some_and(|&since| leased <= since);
+        needed.find(|unit| !self.done.contains_key(unit) && !was_there(unit)).or_else(|| self.unserved(spec, first))
+    }
+
+    /// A stage of its content that a task of a frame reads and that the frame's build has never done.
+    fn unserved(&self, spec: &JobSpec, unit: &Unit) -> Option<Unit> {
+        let Stage { number, frame, .. } = unit.stage;
+        let template = spec.graph.stage(number).filter(|template| template.scope == Scope::Frame)?;
+        let built = self.built.get(&(unit.job, frame)).cloned().unwrap_or_default();
+        let instance = (content(spec, frame)?, built);
+        let is_lacking =
+            |need: &&Need| is_served(spec, need.stage) && !self.served.contains(&(instance.clone(), need.stage));
+        let need = template.needs.iter().find(is_lacking)?;
+        let kind = spec.graph.stage(need.stage)?.kind;
+        let stage = Stage { frame: Stage::OF_JOB, round: 0, number: need.stage, kind };
+        Some(Unit { stage, item: 0, step: 0, ..*unit })
     }
 
     /// Takes notice of everything else that is written down.
-    pub(crate) fn note(&mut self, fact: &Fact) {
+    pub(crate) fn note(&mut self, fact: &Fact, now: Tick) {
         match fact {
             Fact::Submitted { job, spec, .. } => drop(self.specs.insert(*job, spec.clone())),
+            Fact::Shared { job, key, engine, spec, .. } => {
+                self.specs.insert(*job, spec.clone());
+                self.instances.insert(*job, (*key, engine.clone()));
+            }
+            Fact::Built { job, frame, engine } => drop(self.built.insert((*job, *frame), engine.clone())),
             Fact::Lost { task } => {
                 let lost: Vec<Unit> =
                     self.done.iter().filter(|(_, (by, _))| by == task).map(|(unit, _)| *unit).collect();
-                self.undo(&lost);
+                self.undo(&lost, now);
             }
             Fact::Restarted { job, frame } => {
                 self.done.retain(|unit, _| (unit.job, unit.stage.frame) != (*job, *frame));
@@ -140,17 +195,18 @@ impl Tally {
     }
 
     /// These steps of a task are to be done again, and what it reads, where that was kept by nobody.
-    fn undo(&mut self, units: &[Unit]) {
+    fn undo(&mut self, units: &[Unit], now: Tick) {
         let Some(first) = units.first().copied() else { return };
         let Some(spec) = self.specs.get(&first.job) else { return };
         let read = read_by(spec, &first.stage, first.item).into_iter();
         let gone = read.filter(|(need, stage, item)| !self.is_kept(spec, first.job, need, stage, *item));
         let gone: Vec<(Stage, u32)> = gone.map(|(_, stage, item)| (stage, item)).collect();
         self.done.retain(|unit, _| !units.contains(unit));
+        self.lost.extend(units.iter().map(|unit| (*unit, now)));
         for (stage, item) in gone {
             let of_task = |unit: &Unit| (unit.job, unit.stage, unit.item) == (first.job, stage, item);
             let whole: Vec<Unit> = self.done.keys().filter(|unit| of_task(unit)).copied().collect();
-            self.undo(&whole);
+            self.undo(&whole, now);
         }
     }
 
@@ -162,8 +218,11 @@ impl Tally {
         }
         let readers = spec.graph.readers(made.number).filter(|(_, other)| other.role == need.role);
         let mut tasks = readers.flat_map(|(number, other)| {
-            let round = made.round + u32::from(other.round == Round::Before);
             let template = spec.graph.stage(number);
+            // What reads the loop's last round from behind it has one round itself.
+            let is_behind = spec.graph.is_looped(made.number) && !spec.graph.is_looped(number);
+            let template = template.filter(|_| !is_behind || made.round == round);
+            let round = if is_behind { 0 } else { made.round + u32::from(other.round == Round::Before) };
             let stage = template.map(|template| Stage { round, number, kind: template.kind, ..*made });
             let items = 0..template.map_or(0, |template| template.tasks());
             items.filter_map(move |reader| Some((stage?, reader)))
@@ -174,6 +233,11 @@ impl Tally {
             reads && stage.round <= round && steps.any(|unit| !self.done.contains_key(&unit))
         })
     }
+}
+
+/// The content of a frame.
+pub(crate) fn content(spec: &JobSpec, frame: u32) -> Option<Digest> {
+    spec.content(spec.frames.iter().position(|&other| other == frame)?)
 }
 
 /// What a lost result may take along: the tasks that it read, and what these read.

@@ -41,7 +41,9 @@ impl Weather {
         {
             let mut state = shared.lock();
             (state.twice, state.late) = (plan.twice, plan.late);
-            state.shares.expect(plan.faults.iter().map(|&(_, fault)| fault));
+            let faults = || plan.faults.iter().map(|&(_, fault)| fault);
+            state.shares.expect(faults());
+            state.chronicle.contents.patience.expect(faults());
         }
         plan.faults.iter().for_each(|&(at, fault)| self.plan(now + at, Act::Begin(fault)));
         self.plan(now + STORM, Act::Peace);
@@ -247,11 +249,12 @@ fn make_peace(sim: &mut Sim<'_>, shared: &Shared, shelf: &Shelf) {
     (state.trap, state.disk.full, state.twice, state.late) = (None, 0, 0, 0);
 }
 
-/// An artefact of a frame in work, if there is one. Of a frame once only: what misses an input counts as failed, and after three
+/// An artefact of a frame in work, or of what frames share, if there is one. Of a frame once only: what misses an input counts as failed, and after three
 /// times a job fails as it should.
 fn pick(shared: &Shared) -> Option<Digest> {
     let mut state = shared.lock();
-    let needed: Vec<(JobId, u32, Digest)> = state.disk.ledger().ok()?.inputs().collect();
+    let shared = state.chronicle.shared_inputs();
+    let needed: Vec<(JobId, u32, Digest)> = state.disk.ledger().ok()?.inputs().chain(shared).collect();
     let needed: Vec<_> = needed.into_iter().filter(|(job, frame, _)| !state.robbed.contains(&(*job, *frame))).collect();
     if needed.is_empty() {
         return None;

@@ -42,6 +42,7 @@ pub fn run(seed: u64, plan: &Planned, tells: Tells) -> anyhow::Result<Outcome> {
     let shared = Shared::new(seed, tells == Tells::Story);
     let (shelf, scheduler) = (Shelf::new(&shared), cast.config());
     shared.lock().chronicle.keep_ended = scheduler.keep_ended;
+    shared.lock().shares.weights = scheduler.weights.clone();
     let mut sim = hosts::settle(seed, [TICK, END], &shared, &shelf, &scheduler);
     sim.client("people", cast.live(shared.clone(), shelf.clone()));
     let mut weather = Weather::default();

@@ -1,0 +1,102 @@
+//! Jobs of drills: stages that iterate and that jobs share, and the answers of their frames by the definition of the arithmetic,
+//! without a farm.
+
+use bytes::Bytes;
+use femc_model::{Digest, Graph, Grid, JobSpec, Need, Reach, Role, Round, Scope, Sizes, StageKind, Template};
+
+use crate::stage::{FRAMES, Stage};
+
+/// Numbers of a block.
+const NUMBERS: usize = 16;
+/// What stands for a scene, which nothing reads.
+const BUNDLE: &[u8] = b"no scene";
+/// Bytes of what is kept of shared stages.
+pub(crate) const BYTES: u64 = 8 * NUMBERS as u64;
+
+/// A world of numbers: blocks that iterate, each round from all blocks of the round before.
+#[derive(Debug, Clone, Copy)]
+struct Content {
+    seed: u64,
+    blocks: u32,
+    rounds: u32,
+}
+
+impl Content {
+    fn of(number: u64) -> Self {
+        Self { seed: number, blocks: 4 + (number % 5) as u32, rounds: 2 + (number / 5 % 2) as u32 }
+    }
+
+    /// Blocks, the end of their round, a field of the last round's; a frame's answer of the field.
+    fn graph(&self) -> Graph {
+        let drill = |scope, tasks, makes: &[Role]| Template::new(StageKind::Drill, scope, Sizes::even(tasks, 1), makes);
+        let before = Need { stage: 0, role: Role::Numbers, reach: Reach::All, round: Round::Before, gaps: false };
+        Graph {
+            stages: vec![
+                drill(Scope::Content, self.blocks, &[Role::Numbers]).needs(before),
+                drill(Scope::Content, 1, &[]).reads(0, Role::Numbers, Reach::All).closes(0, self.rounds),
+                drill(Scope::Content, 1, &[Role::Numbers]).reads(0, Role::Numbers, Reach::All),
+                drill(Scope::Frame, 1, &[Role::Answer]).reads(2, Role::Numbers, Reach::All),
+            ],
+        }
+    }
+
+    /// The field: what all frames read.
+    fn field(&self) -> Vec<u64> {
+        let first = |place: u64| mixed(self.seed ^ mixed(place));
+        let own = |block: u32| mixed(u64::from(block) << 32);
+        let fresh =
+            |block: u32| (0..NUMBERS as u64).map(|place| mixed(first(place).wrapping_add(own(block)))).collect();
+        let mut blocks: Vec<Vec<u64>> = (0..self.blocks).map(fresh).collect();
+        for _ in 1..self.rounds {
+            blocks = (0..self.blocks).map(|block| joined(&blocks, own(block))).collect();
+        }
+        joined(&blocks, own(0))
+    }
+}
+
+/// Sums of blocks, the one of number `n` taken `2 n + 1` times, with a number of the task's own.
+fn joined(blocks: &[Vec<u64>], own: u64) -> Vec<u64> {
+    let times = |(block, numbers): (usize, &Vec<u64>), place: usize| numbers[place].wrapping_mul(2 * block as u64 + 1);
+    let sum = |place| blocks.iter().enumerate().fold(0u64, |sum, block| sum.wrapping_add(times(block, place)));
+    (0..NUMBERS).map(|place| mixed(sum(place).wrapping_add(own))).collect()
+}
+
+/// SplitMix64.
+fn mixed(value: u64) -> u64 {
+    let value = value.wrapping_add(0x9e37_79b9_7f4a_7c15);
+    let value = (value ^ (value >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+    let value = (value ^ (value >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+    value ^ (value >> 31)
+}
+
+/// The job whose content has this number: two of one number share their stages.
+pub(crate) fn stage(number: u64) -> Stage {
+    let content = Content::of(number);
+    let field = [content.field()];
+    let answer = |frame: &u32| {
+        let numbers = joined(&field, mixed(u64::from(*frame)));
+        let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+        Digest::of(&bytes).to_string()
+    };
+    let mut spec = JobSpec {
+        name: "drill".into(),
+        bundle: Digest::of(BUNDLE),
+        entry: "drill".into(),
+        settings: format!(r#"{{"drill":{{"seed":{number},"numbers":{NUMBERS}}}}}"#),
+        frames: FRAMES.to_vec(),
+        grid: Grid { film: [1, 1], tile: 1 },
+        graph: content.graph(),
+        contents: Vec::new(),
+        priority: 50,
+        owner: "me".into(),
+        tags: Vec::new(),
+    };
+    let key = femc_worker::drill_key(&spec);
+    spec.contents = key.into_iter().map(|key| (FRAMES.len() as u32, key)).collect();
+    Stage {
+        spec,
+        bundle: Bytes::from_static(BUNDLE),
+        result: Role::Answer,
+        digests: FRAMES.iter().map(answer).collect(),
+    }
+}

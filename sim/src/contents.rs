@@ -96,6 +96,17 @@ impl Contents {
     }
 }
 
+/// What a record says of an instance, for the account of what came about.
+pub(crate) fn deed(fact: &Fact) -> Option<&'static str> {
+    match fact {
+        Fact::Shared { .. } => Some("shared stages begun"),
+        Fact::Restarted { job, .. } if job.is_shared() => Some("shared stages begun anew"),
+        Fact::Controlled { job, .. } if job.is_shared() => Some("shared stages tried again"),
+        Fact::Forgotten { job } if job.is_shared() => Some("shared stages forgotten"),
+        _ => None,
+    }
+}
+
 /// Whether a job's frames share something.
 fn shares(spec: &JobSpec) -> bool {
     spec.graph.of(Scope::Content).next().is_some()
@@ -144,10 +155,9 @@ impl Chronicle {
         live.filter_map(|&job| Some((job, self.payers(job)?))).collect()
     }
 
-    /// What frames read of the instances that are done, for which some job waits.
+    /// What frames read of the instances that are done, or jobs to come.
     pub(crate) fn shared_inputs(&self) -> Vec<(JobId, u32, Digest)> {
-        let is_needed = |job| self.contents.key_of(job).is_some_and(|(key, _)| self.needing(*key).next().is_some());
-        let made = self.contents.made.iter().filter(|(job, _)| is_needed(**job));
+        let made = self.contents.made.iter();
         made.flat_map(|(&job, made)| made.iter().map(move |&digest| (job, Stage::OF_JOB, digest))).collect()
     }
 

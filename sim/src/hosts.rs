@@ -201,6 +201,8 @@ fn pace(seed: u64, grain: NonZeroU64, assignment: &Assignment) -> Duration {
 fn fate(seed: u64, host: usize, shared: &Shared, assignment: &Assignment) -> Fate {
     /// Of a hundred tasks of a job in which some fail.
     const OFTEN: u64 = 12;
+    /// The same of the first of what jobs share: so that it is put aside now and then.
+    const OFTEN_SHARED: u64 = 60;
     let TaskKey { job, stage, .. } = assignment.task;
     let (curse, first) = match shared.lock().chronicle.spec(job) {
         Some(spec) => (Curse::of(spec), spec.frames.first().copied()),
@@ -209,7 +211,9 @@ fn fate(seed: u64, host: usize, shared: &Shared, assignment: &Assignment) -> Fat
     let is_the_one = first == Some(stage.frame)
         && assignment.task.index == 0
         && (renders(assignment) || stage.kind == StageKind::Drill);
-    let is_unlucky = || draw(&format!("{seed} fate {} {}", assignment.task, assignment.epoch.0)) * 100 / 65_536 < OFTEN;
+    let is_first = job.is_shared() && (stage.round, stage.number, assignment.task.index) == (0, 0, 0);
+    let often = if is_first { OFTEN_SHARED } else { OFTEN };
+    let is_unlucky = || draw(&format!("{seed} fate {} {}", assignment.task, assignment.epoch.0)) * 100 / 65_536 < often;
     match curse {
         Curse::Nothing => Fate::Done,
         Curse::NowAndThen if is_unlucky() => Fate::Panics,

@@ -14,10 +14,11 @@ fn some_worlds_lose_nothing_count_nothing_twice_and_come_again() {
     assert!(outcome.seconds < 60.0, "it is quick: {} s", outcome.seconds);
 
     let mut fired: BTreeMap<&str, u32> = BTreeMap::new();
-    let mut wrong = Vec::new();
+    let (mut wrong, mut shared) = (Vec::new(), 0);
     for seed in 0..24 {
         let outcome = run(seed, &Planned::of(seed), Tells::Outcome).unwrap();
         outcome.fired.iter().for_each(|(fault, times)| *fired.entry(fault).or_default() += times);
+        shared += outcome.deeds.get("shared stages begun").copied().unwrap_or(0);
         wrong.extend(outcome.violations.into_iter().map(|violation| (seed, violation)));
         if seed % 8 == 0 {
             let again = run(seed, &Planned::of(seed), Tells::Outcome).unwrap();
@@ -25,6 +26,7 @@ fn some_worlds_lose_nothing_count_nothing_twice_and_come_again() {
         }
     }
     assert!(wrong.is_empty(), "{wrong:#?}");
+    assert!(shared > 5, "jobs share stages in some worlds: {shared}");
 
     let soak = Soak { seed: 1, time: Duration::from_secs(150), tells: Tells::Outcome };
     let [first, again] = [(); 2].map(|()| soak.run(|_| {}).unwrap());

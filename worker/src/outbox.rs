@@ -481,7 +481,7 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
 pub(crate) mod tests {
     use std::sync::Arc;
 
-    use femc_model::{Artefact, Graph, Grid, JobId, More, Output, Role, Stage, StageKind, Work};
+    use femc_model::{Artefact, Graph, Grid, JobId, More, Output, Role, Stage, StageKind, Taken, Work};
     use femc_proto::Client;
 
     use super::*;
@@ -507,8 +507,8 @@ pub(crate) mod tests {
     pub(crate) async fn task(index: u32, bytes: &'static [u8]) -> Arc<Task> {
         let stage = Stage { frame: 1, round: 0, number: 0, kind: StageKind::Render };
         let task = TaskKey { job: JobId(3), stage, index };
-        let (inputs, more) = (Vec::new(), More::Last);
-        let work = Work { item: index, steps: 0..4, inputs, more, elapsed: 0, busy_seconds: 0.0 };
+        let (inputs, taken, more) = (Vec::new(), Taken::default(), More::Last);
+        let work = Work { item: index, steps: 0..4, inputs, taken, more, elapsed: 0, busy_seconds: 0.0 };
         let assignment = Assignment { task, epoch: Epoch(9), lease: 5000, copy_of: None, work };
         let dial = femc_proto::Dial::by(|_, _| {
             let (near, far) = tokio::io::duplex(1 << 16);

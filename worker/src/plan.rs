@@ -14,6 +14,7 @@ fn template(stage: &engine::Stage) -> Template {
         kind: match kind {
             engine::StageKind::Render => StageKind::Render,
             engine::StageKind::Reduce => StageKind::Reduce,
+            engine::StageKind::Decide => StageKind::Decide,
             engine::StageKind::Image => StageKind::Image,
         },
         scope: match scope {
@@ -51,6 +52,7 @@ fn role(role: &engine::Role) -> Role {
         engine::Role::Tile => Role::Tile,
         engine::Role::Sums => Role::Sums,
         engine::Role::Pixels => Role::Pixels,
+        engine::Role::Errors => Role::Errors,
         engine::Role::Image => Role::Image,
         engine::Role::Preview => Role::Preview,
     }

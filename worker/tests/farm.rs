@@ -239,14 +239,88 @@ async fn a_frame_goes_on_round_by_round_until_its_error_is_reached() {
     let frames = client.frames(id).await.unwrap();
     assert!(frames.iter().all(|frame| frame.relative_error.unwrap() <= 0.03), "{frames:?}");
     assert!(frames.iter().any(|frame| frame.spp > 16), "more than one round: {frames:?}");
-    let in_rounds = pixels(&client, id).await;
-    // The same samples in one round are the same frame.
-    let spp = frames[0].spp;
-    let once = submit(&client, job(SCENE, &settings(Stop::Spp(spp)))).await;
-    until(&client, once, |_| false).await;
-    assert_eq!(pixels(&client, once).await[0], in_rounds[0]);
     workers.iter().for_each(JoinHandle::abort);
     farm.stop().await.unwrap();
+}
+
+/// A wall that glows over the left half of the picture, which is calm; fog behind it, which is not.
+const HALVES: &str = "
+v k =
+    p -4 -1.2 -3
+v l =
+    p 0 -1.2 -3
+v o =
+    p 0 -1.2 4
+v q =
+    p -4 -1.2 4
+m bright
+f k l o q
+";
+
+/// Colors and samples of the pixels of a frame, by tile.
+fn tiles(bytes: &[u8]) -> Vec<Vec<([f32; 3], u32)>> {
+    use ::exr::prelude::*;
+    let file = read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer().all_attributes();
+    let file = file.from_buffered(std::io::Cursor::new(bytes)).unwrap();
+    let samples = file.layer_data.channel_data.list.iter().find(|channel| channel.name.eq("samples.Y")).unwrap();
+    let FlatSamples::U32(samples) = &samples.sample_data else { panic!("whole numbers") };
+    let image = exr::decode(std::io::Cursor::new(bytes)).unwrap().image;
+    let pixel = |(x, y): (u32, u32)| {
+        let at = (y * 48 + x) as usize;
+        (image.pixels[at], samples[at])
+    };
+    Tiling::new(48, 32, 16).unwrap().rects().map(|rect| rect.pixels().map(pixel).collect()).collect()
+}
+
+/// The job of the two halves in three rounds, in groups of so many tiles.
+fn halves(stop: Stop, fan: u32) -> (JobSpec, Vec<u8>) {
+    let settings = settings(stop);
+    let (spec, bundle) = job(&format!("{SCENE}{HALVES}"), &settings);
+    let rounds = if let Stop::Spp(spp) = stop { vec![spp] } else { vec![16, 32, 64] };
+    let stages = femc_pipeline::stages(&Tiling::new(48, 32, 16).unwrap(), &rounds, NonZeroU32::new(fan).unwrap());
+    (JobSpec { graph: femc_worker::graph(&stages), frames: vec![1, 3], ..spec }, bundle)
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn calm_tiles_get_fewer_samples_and_the_frame_is_the_same_whoever_renders_it_in_whatever_parts() {
+    let stop = Stop::Error(0.02);
+    let mut all = Vec::new();
+    // One worker; three, of which one vanishes when a round is over; grains of few samples, in groups of two tiles.
+    for (workers, fan, grain) in [(1, 256, 1_u64 << 15), (3, 256, 1 << 15), (3, 2, 1 << 9)] {
+        let mut config = Config::default();
+        config.scheduler.grain = grain.try_into().unwrap();
+        let farm = Coordinator::start(config).await.unwrap();
+        let client = Client::connect(&farm.url()).await.unwrap();
+        let id = submit(&client, halves(stop, fan)).await;
+        let workers: Vec<JoinHandle<()>> = (0..workers).map(|_| worker(&farm, 1)).collect();
+        if let [lost, _, ..] = &workers[..] {
+            until(&client, id, |status| status.samples_done > 48 * 32 * 16).await;
+            lost.abort();
+        }
+        let status = until(&client, id, |_| false).await;
+        assert_eq!((status.state, status.frames_done), (JobState::Done, 2), "{status:?}");
+        all.push(contents(&client, id).await);
+        if all.len() == 1 {
+            let frame = &client.frames(id).await.unwrap()[0];
+            let found = tiles(&image(&client, frame).await);
+            let counts: Vec<u32> = found.iter().map(|tile| tile[0].1).collect();
+            assert!(found.iter().zip(&counts).all(|(tile, count)| tile.iter().all(|pixel| pixel.1 == *count)));
+            // The wall alone, and the rest; a tile at the wall's edge is of either kind.
+            assert_eq!((counts[0], counts[3], counts[2], counts[5]), (16, 16, 64, 64), "{counts:?}");
+            assert_eq!(u64::from(frame.spp), counts.iter().map(|&count| u64::from(count)).sum::<u64>() / 6);
+            // Each tile is that of a frame all of whose tiles have as many samples.
+            for spp in [16, 64] {
+                let even = submit(&client, halves(Stop::Spp(spp), fan)).await;
+                until(&client, even, |_| false).await;
+                let even = tiles(&image(&client, &client.frames(even).await.unwrap()[0]).await);
+                let same = (0..6).filter(|&tile| counts[tile] == spp);
+                same.for_each(|tile| assert!(found[tile] == even[tile], "tile {tile} of {spp} samples"));
+            }
+        }
+        workers.iter().for_each(JoinHandle::abort);
+        farm.stop().await.unwrap();
+    }
+    assert_eq!((&all[1], &all[2]), (&all[0], &all[0]));
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

@@ -3,7 +3,7 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCTILE` |
-//! | 4 | format version, 1 |
+//! | 4 | format version, 2 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 4 x 4 | x, y, width, height |
 //! | 4 + 8 n | number of sample ranges; start and end of each |
@@ -15,14 +15,15 @@
 //! fixed by the header, so a wrong length is refused.
 
 use crate::tile::{MAX_TILE_PIXELS, PixelSums};
-use crate::{BadKind, BadSample, BadSamples, FilmError, Rect, SampleRange, Tile};
+use crate::{BadKind, BadSample, BadSamples, FilmError, Rect, SampleRange, Tile, Tiling};
 use femc_stats::ExactSum;
+use std::ops::Range;
 
 const MAGIC: &[u8; 8] = b"FEMCTILE";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
-const PIXEL_BYTES: usize = 7 * 16 + 3 * 8 + 2 * 4;
+const PIXEL_BYTES: usize = 10 * 16 + 3 * 8 + 3 * 4;
 /// A tile is cut into fewer sample ranges than this.
 const MAX_RANGES: u32 = 1 << 16;
 /// Fast, and what remains after the byte planes is noise.
@@ -48,7 +49,7 @@ impl Tile {
         let bad = reader.bad(rect)?;
         let pixels = reader.planes(rect.area() as usize, from_bytes)?;
         let most: u64 = ranges.iter().map(|r| u64::from(r.len())).sum();
-        if pixels.iter().any(|p| p.hits > p.count || u64::from(p.count) > most) {
+        if pixels.iter().any(|p| p.hits > p.samples() || u64::from(p.samples()) > most) {
             return Err(FilmError::Corrupt("more samples than its ranges hold"));
         }
         Ok(Self { rect, ranges, pixels, bad })
@@ -67,6 +68,11 @@ pub(crate) fn begin(magic: &[u8; 8], version: u32) -> Vec<u8> {
 pub(crate) fn put_account(ranges: &[SampleRange], bad: &BadSamples, mut word: impl FnMut(u32)) {
     word(ranges.len() as u32);
     ranges.iter().flat_map(|r| [r.start, r.end]).for_each(&mut word);
+    put_bad(bad, word);
+}
+
+/// Bad samples, as words.
+pub(crate) fn put_bad(bad: &BadSamples, mut word: impl FnMut(u32)) {
     bad.counts.iter().flat_map(|&c| [c as u32, (c >> 32) as u32]).for_each(&mut word);
     let first = bad.first.map_or([0; 5], |b| [1, b.y, b.x, b.sample, b.kind as u32]);
     first.into_iter().for_each(&mut word);
@@ -134,6 +140,24 @@ impl Reader<'_> {
         Ok(words)
     }
 
+    /// How a film is cut, and some of its tiles, at least one.
+    pub(crate) fn tiles(&mut self) -> Result<(Tiling, Range<usize>), FilmError> {
+        let [width, height, edge, start, end] = self.words()?;
+        let (tiling, tiles) = (Tiling::new(width, height, edge)?, start as usize..end as usize);
+        // Of each tile something follows: a header that claims more is about to fill the memory.
+        if tiles.is_empty() || tiles.end > tiling.count() || tiles.len() > self.0.len() {
+            return Err(FilmError::Corrupt("impossible tiles"));
+        }
+        Ok((tiling, tiles))
+    }
+
+    /// A range of samples, which is not empty.
+    pub(crate) fn range(&mut self) -> Result<SampleRange, FilmError> {
+        let [start, end] = self.words()?;
+        let range = SampleRange { start, end };
+        if range.is_empty() { Err(FilmError::EmptyRange(range)) } else { Ok(range) }
+    }
+
     pub(crate) fn ranges(&mut self) -> Result<Vec<SampleRange>, FilmError> {
         let count = self.word()?;
         if !(1..=MAX_RANGES).contains(&count) || self.0.len() < 8 * count as usize {
@@ -175,12 +199,12 @@ fn to_bytes(p: &PixelSums) -> [u8; PIXEL_BYTES] {
         bytes[at..at + field.len()].copy_from_slice(field);
         at += field.len();
     };
-    p.color.iter().for_each(|s| put(&s.units().to_le_bytes()));
+    p.color.as_flattened().iter().for_each(|s| put(&s.units().to_le_bytes()));
     p.square.iter().for_each(|s| put(&s.units().to_le_bytes()));
     put(&p.depth.units().to_le_bytes());
     p.albedo.iter().for_each(|s| put(&s.to_le_bytes()));
     put(&p.hits.to_le_bytes());
-    put(&p.count.to_le_bytes());
+    p.count.iter().for_each(|n| put(&n.to_le_bytes()));
     bytes
 }
 
@@ -189,14 +213,14 @@ fn from_bytes(bytes: &[u8; PIXEL_BYTES]) -> PixelSums {
         std::array::from_fn(|i| bytes[at + i])
     }
     let wide = |i: usize| u128::from_le_bytes(field(bytes, 16 * i));
-    let tail = 7 * 16;
+    let tail = 10 * 16;
     PixelSums {
-        color: [0, 1, 2].map(|i| ExactSum::from_units(wide(i))),
-        square: [3, 4, 5].map(|i| ExactSum::from_units(wide(i))),
-        depth: ExactSum::from_units(wide(6)),
+        color: [[0, 1, 2], [3, 4, 5]].map(|three| three.map(|i| ExactSum::from_units(wide(i)))),
+        square: [6, 7, 8].map(|i| ExactSum::from_units(wide(i))),
+        depth: ExactSum::from_units(wide(9)),
         albedo: [0, 1, 2].map(|i| u64::from_le_bytes(field(bytes, tail + 8 * i))),
         hits: u32::from_le_bytes(field(bytes, tail + 24)),
-        count: u32::from_le_bytes(field(bytes, tail + 28)),
+        count: [28, 32].map(|at| u32::from_le_bytes(field(bytes, tail + at))),
     }
 }
 

@@ -4,6 +4,7 @@
 //! account is from the same samples as the image: where a rare bright path has not been met yet, neither knows of it, and
 //! stopping by it favors images that are too dark there.
 
+use crate::piece::Pixel;
 use crate::{FrameImage, Rect};
 use femc_math::color::LUMINANCE_WEIGHTS;
 
@@ -13,6 +14,60 @@ pub const BLOCK: u32 = 16;
 const Z_95: f64 = 1.959_963_984_540_054;
 /// Blocks darker than this share of the image's mean luminance are measured against it.
 const FLOOR: f64 = 0.01;
+
+/// What the error of a block of pixels is made of, cd/m2 times pixels.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Block {
+    /// The pixels.
+    pub rect: Rect,
+    /// Sum of their luminances.
+    pub sum: f64,
+    /// Standard error of that sum; infinite when a pixel has fewer than two samples.
+    pub deviation: f64,
+}
+
+impl Block {
+    /// Of the pixels of `rect`.
+    pub(crate) fn of(rect: Rect, pixels: impl Iterator<Item = Pixel>) -> Self {
+        let (mut sum, mut variance) = (0.0, 0.0);
+        for Pixel { color, variance: of_color, samples, .. } in pixels {
+            sum += luminance(color.map(f64::from));
+            variance += if samples < 2 { f64::INFINITY } else { luminance_variance(of_color) };
+        }
+        Self { rect, sum, deviation: f64::sqrt(variance) }
+    }
+
+    /// Half width of the 95 % confidence interval of the mean luminance, relative to that mean, or to `floor` where that is
+    /// larger.
+    pub fn relative(&self, floor: f64) -> f64 {
+        let n = self.rect.area() as f64;
+        if self.deviation == 0.0 { 0.0 } else { Z_95 * self.deviation / n / (self.sum / n).max(floor) }
+    }
+}
+
+/// The blocks of a rectangle, row by row from its corner; those at its right and lower border may be cut.
+pub(crate) fn blocks(area: Rect) -> impl Iterator<Item = Rect> {
+    let Rect { x, y, width, height } = area;
+    let across = move |down: u32| {
+        (0..width).step_by(BLOCK as usize).map(move |right| Rect {
+            x: x + right,
+            y: y + down,
+            width: BLOCK.min(width - right),
+            height: BLOCK.min(height - down),
+        })
+    };
+    (0..height).step_by(BLOCK as usize).flat_map(across)
+}
+
+/// Rec.709 luminance, cd/m2.
+pub(crate) fn luminance(color: [f64; 3]) -> f64 {
+    color.iter().zip(LUMINANCE_WEIGHTS.to_array()).map(|(value, weight)| f64::from(weight) * value).sum()
+}
+
+/// Upper bound, met where the channels vary together: the standard deviation of a sum is at most the sum of them.
+fn luminance_variance(variance: [f32; 3]) -> f64 {
+    luminance(variance.map(|value| f64::from(value).sqrt())).powi(2)
+}
 
 /// Error of one block.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -31,52 +86,33 @@ pub struct FrameError {
     pub worst: f64,
     /// Mean relative error of the blocks.
     pub mean: f64,
+    /// Luminance that darker blocks are measured against: 1 % of the frame's mean, cd/m2.
+    pub floor: f64,
     /// The blocks, row by row.
     pub blocks: Vec<BlockError>,
 }
 
-impl FrameImage {
-    /// The error of the frame. A black frame has error 0.
-    pub fn error(&self) -> FrameError {
-        let pixels = self.color.pixels.len() as f64;
-        let floor = FLOOR * (0..self.color.pixels.len()).map(|i| self.luminance_of(i)).sum::<f64>() / pixels;
-        let (width, height) = (self.color.width, self.color.height);
-        let mut blocks = Vec::new();
-        for y in (0..height).step_by(BLOCK as usize) {
-            for x in (0..width).step_by(BLOCK as usize) {
-                let rect = Rect { x, y, width: BLOCK.min(width - x), height: BLOCK.min(height - y) };
-                blocks.push(BlockError { rect, relative: self.block_error(rect, floor) });
-            }
-        }
+impl FrameError {
+    /// Of all blocks of a frame, in any order. A black frame has error 0.
+    pub fn of(mut blocks: Vec<Block>) -> Self {
+        blocks.sort_unstable_by_key(|block| (block.rect.y, block.rect.x));
+        let pixels: u64 = blocks.iter().map(|block| block.rect.area()).sum();
+        let floor = FLOOR * blocks.iter().map(|block| block.sum).sum::<f64>() / pixels.max(1) as f64;
+        let error = |block: &Block| BlockError { rect: block.rect, relative: block.relative(floor) };
+        let blocks: Vec<BlockError> = blocks.iter().map(error).collect();
         let worst = blocks.iter().map(|b| b.relative).fold(0.0, f64::max);
         let mean = blocks.iter().map(|b| b.relative).sum::<f64>() / blocks.len().max(1) as f64;
-        FrameError { worst, mean, blocks }
+        Self { worst, mean, floor, blocks }
     }
+}
 
-    fn block_error(&self, rect: Rect, floor: f64) -> f64 {
-        let (mut sum, mut variance) = (0.0, 0.0);
-        for (x, y) in rect.pixels() {
-            let at = y as usize * self.color.width as usize + x as usize;
-            if self.samples[at] < 2 {
-                return f64::INFINITY;
-            }
-            sum += self.luminance_of(at);
-            variance += self.luminance_variance(at);
-        }
-        let n = rect.area() as f64;
-        if variance == 0.0 { 0.0 } else { Z_95 * variance.sqrt() / n / (sum / n).max(floor) }
-    }
-
-    fn luminance_of(&self, at: usize) -> f64 {
-        let weights = LUMINANCE_WEIGHTS.to_array();
-        (0..3).map(|i| f64::from(weights[i]) * f64::from(self.color.pixels[at][i])).sum()
-    }
-
-    /// Upper bound, met where the channels vary together: the standard deviation of a sum is at most the sum of them.
-    fn luminance_variance(&self, at: usize) -> f64 {
-        let weights = LUMINANCE_WEIGHTS.to_array();
-        let deviation: f64 = (0..3).map(|i| f64::from(weights[i]) * f64::from(self.variance[at][i]).sqrt()).sum();
-        deviation * deviation
+impl FrameImage {
+    /// The error of the frame, in blocks from its upper left corner.
+    pub fn error(&self) -> FrameError {
+        let (width, height) = (self.color.width, self.color.height);
+        let pixels = |rect: Rect| rect.pixels().map(|(x, y)| self.pixel(y as usize * width as usize + x as usize));
+        let block = |rect: Rect| Block::of(rect, pixels(rect));
+        FrameError::of(blocks(Rect { x: 0, y: 0, width, height }).map(block).collect())
     }
 }
 

@@ -40,9 +40,9 @@ pub enum FilmError {
         /// Range that was to be added.
         new: SampleRange,
     },
-    /// Tiles that are to be resolved together hold other samples.
-    #[error("tile {0} does not hold the samples of the tiles before it")]
-    Uneven(Rect),
+    /// A tile that is to be resolved is not whole.
+    #[error("tile {0} has no samples, or a gap in them")]
+    Gap(Rect),
     /// Bytes that are no tile, or a damaged one.
     #[error("tile data: {0}")]
     Corrupt(&'static str),

@@ -10,6 +10,7 @@ pub mod animation;
 pub mod codec;
 pub mod convergence;
 pub mod error;
+pub mod errors;
 pub mod exr;
 pub mod file;
 pub mod filter;
@@ -25,8 +26,9 @@ pub mod tile;
 pub mod tone;
 
 pub use animation::Animation;
-pub use convergence::{BlockError, FrameError};
+pub use convergence::{Block, BlockError, FrameError};
 pub use error::FilmError;
+pub use errors::{Errors, TileBlock, TileErrors};
 pub use exr::Provenance;
 pub use filter::Filter;
 pub use frame::{Frame, Inserted};

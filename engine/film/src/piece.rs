@@ -1,47 +1,49 @@
 //! Resolved pixels, and pieces of a frame that is resolved in several places.
 //!
-//! A [`Piece`] is what an image needs of some tiles: 44 bytes a pixel instead of the 144 of exact sums. Nothing can be added
+//! A [`Piece`] is what an image needs of some tiles: 44 bytes a pixel instead of the 196 of exact sums. Nothing can be added
 //! to it. As bytes:
 //!
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCPIEC` |
-//! | 4 | format version, 1 |
+//! | 4 | format version, 2 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 5 x 4 | film width, film height, tile edge; first tile, one past the last |
-//! | | its samples as one range, and bad samples, as in a tile ([`crate::codec`]) |
+//! | 8 each | of each tile its samples: the first, one past the last |
+//! | | bad samples, as in a tile ([`crate::codec`]) |
 //! | rest | zstd frame of the pixels in the order of the tiles, in byte planes |
 
-use crate::codec::{begin, finish, open, put_account, to_planes};
+use crate::codec::{begin, finish, open, put_bad, to_planes};
 use crate::tile::{ALBEDO_FRACTION, MAX_TILE_PIXELS, PixelSums};
-use crate::{BadSamples, FilmError, Frame, FrameImage, Image, Rect, SampleRange, Tiling};
+use crate::{BadSamples, FilmError, Frame, FrameImage, Image, Rect, SampleRange, Tile, Tiling};
 use std::ops::Range;
 
 const MAGIC: &[u8; 8] = b"FEMCPIEC";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const WORDS: usize = 11;
 const PIXEL_BYTES: usize = 4 * WORDS;
 
 /// What an image says of a pixel; see [`FrameImage`].
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub(crate) struct Pixel {
-    color: [f32; 3],
-    variance: [f32; 3],
+    pub(crate) color: [f32; 3],
+    pub(crate) variance: [f32; 3],
     albedo: [f32; 3],
     depth: f32,
-    samples: u32,
+    pub(crate) samples: u32,
 }
 
 impl PixelSums {
     /// Means and the variance of the mean; zero without samples.
     pub(crate) fn resolve(&self) -> Pixel {
-        let mut pixel = Pixel { samples: self.count, ..Pixel::default() };
-        if self.count == 0 {
+        let (color, samples) = (self.total(), self.samples());
+        let mut pixel = Pixel { samples, ..Pixel::default() };
+        if samples == 0 {
             return pixel;
         }
-        let n = f64::from(self.count);
+        let n = f64::from(samples);
         for i in 0..3 {
-            let mean = self.color[i].value() / n;
+            let mean = color[i].value() / n;
             pixel.color[i] = mean as f32;
             pixel.variance[i] = variance_of_mean(mean, self.square[i].value(), n) as f32;
             let unit = f64::from(1u32 << ALBEDO_FRACTION);
@@ -85,12 +87,13 @@ impl Pixel {
     }
 }
 
-/// Some tiles of a frame, resolved: all hold the same samples.
+/// Some tiles of a frame, resolved; each holds its own number of samples.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Piece {
     tiling: Tiling,
     tiles: Range<usize>,
-    samples: SampleRange,
+    /// Of each tile.
+    samples: Vec<SampleRange>,
     bad: BadSamples,
     /// Tile by tile, row by row.
     pixels: Vec<Pixel>,
@@ -98,20 +101,18 @@ pub struct Piece {
 
 impl Piece {
     /// These tiles of `frame`.
-    /// - errors: the frame has fewer tiles; one has no samples, or a gap in them, or others than the first.
+    /// - errors: the frame has fewer tiles; one has no samples, or a gap in them.
     pub fn of(frame: &Frame, tiles: Range<usize>) -> Result<Self, FilmError> {
-        let samples = SampleRange::joined(frame.ranges(tiles.start));
         let mut piece = Self {
             tiling: frame.tiling(),
-            samples: samples.ok_or(FilmError::Corrupt("tiles without samples, or with a gap in them"))?,
+            samples: Vec::new(),
             tiles: tiles.clone(),
             bad: BadSamples::default(),
             pixels: Vec::new(),
         };
         for index in tiles {
-            let rect = frame.tiling().rect(index).ok_or(FilmError::Corrupt("more tiles than the film has"))?;
-            let tile = frame.tile(index).filter(|tile| SampleRange::joined(tile.ranges()) == samples);
-            let tile = tile.ok_or(FilmError::Uneven(rect))?;
+            let (tile, samples) = whole(frame, index)?;
+            piece.samples.push(samples);
             piece.bad.merge(tile.bad());
             piece.pixels.extend(tile.pixels().iter().map(PixelSums::resolve));
         }
@@ -129,8 +130,8 @@ impl Piece {
     }
 
     /// The samples of each of its tiles.
-    pub fn samples(&self) -> SampleRange {
-        self.samples
+    pub fn samples(&self) -> &[SampleRange] {
+        &self.samples
     }
 
     /// Account of the samples that were left out.
@@ -144,31 +145,37 @@ impl Piece {
         let mut word = |w: u32| out.extend_from_slice(&w.to_le_bytes());
         let Tiling { width, height, edge } = self.tiling;
         [width, height, edge, self.tiles.start as u32, self.tiles.end as u32].into_iter().for_each(&mut word);
-        put_account(&[self.samples], &self.bad, word);
+        self.samples.iter().flat_map(|range| [range.start, range.end]).for_each(&mut word);
+        put_bad(&self.bad, word);
         finish(out, &to_planes(&self.pixels, |pixel| pixel.to_bytes()))
     }
 
     /// The piece from its bytes; damage of any kind is an error.
     pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
         let mut reader = open(MAGIC, VERSION, bytes)?;
-        let [width, height, edge, start, end] = reader.words()?;
-        let (tiling, tiles) = (Tiling::new(width, height, edge)?, start as usize..end as usize);
-        // A group is some tiles or one large one; a header that claims more is about to fill the memory.
-        if tiles.is_empty() || tiles.end > tiling.count() || tiles.len() as u64 > MAX_TILE_PIXELS {
-            return Err(FilmError::Corrupt("impossible tiles"));
-        }
-        let (ranges, bad) = (reader.ranges()?, reader.bad(Rect { x: 0, y: 0, width, height })?);
+        let (tiling, tiles) = reader.tiles()?;
+        let samples = tiles.clone().map(|_| reader.range()).collect::<Result<Vec<_>, _>>()?;
+        let bad = reader.bad(Rect { x: 0, y: 0, width: tiling.width, height: tiling.height })?;
         let count: u64 = tiles.clone().filter_map(|index| tiling.rect(index)).map(|rect| rect.area()).sum();
         if count > MAX_TILE_PIXELS {
             return Err(FilmError::Corrupt("more pixels than a group of tiles has"));
         }
         let pixels = reader.planes(count as usize, Pixel::from_bytes)?;
-        let [samples] = ranges[..] else { return Err(FilmError::Corrupt("a gap in its samples")) };
-        if pixels.iter().any(|pixel| pixel.samples > samples.len()) {
+        let areas = tiles.clone().filter_map(|index| tiling.rect(index)).map(|rect| rect.area() as usize);
+        let most = samples.iter().zip(areas).flat_map(|(range, area)| std::iter::repeat_n(range.len(), area));
+        if pixels.iter().zip(most).any(|(pixel, most)| pixel.samples > most) {
             return Err(FilmError::Corrupt("more samples than its range holds"));
         }
         Ok(Self { tiling, tiles, samples, bad, pixels })
     }
+}
+
+/// Tile `index` of a frame, and its samples as one range.
+/// - errors: the frame has fewer tiles; this one has no samples, or a gap in them.
+pub(crate) fn whole(frame: &Frame, index: usize) -> Result<(&Tile, SampleRange), FilmError> {
+    let rect = frame.tiling().rect(index).ok_or(FilmError::Corrupt("more tiles than the film has"))?;
+    let whole = frame.tile(index).and_then(|tile| Some((tile, SampleRange::joined(tile.ranges())?)));
+    whole.ok_or(FilmError::Gap(rect))
 }
 
 impl FrameImage {
@@ -203,6 +210,11 @@ impl FrameImage {
     pub fn mean_spp(&self) -> f64 {
         let total: u64 = self.samples.iter().map(|&count| u64::from(count)).sum();
         total as f64 / (f64::from(self.color.width) * f64::from(self.color.height))
+    }
+
+    pub(crate) fn pixel(&self, at: usize) -> Pixel {
+        let (color, variance, albedo) = (self.color.pixels[at], self.variance[at], self.albedo[at]);
+        Pixel { color, variance, albedo, depth: self.depth[at], samples: self.samples[at] }
     }
 
     pub(crate) fn set(&mut self, at: usize, pixel: &Pixel) {

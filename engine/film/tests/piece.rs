@@ -1,7 +1,11 @@
 //! Pieces of a frame: the image that they make is the frame's own, and damage of any kind is an error.
 
-use femc_film::{FilmError, Frame, FrameImage, Piece, Rect, Sample, SampleRange, Tile, Tiling};
+use femc_film::{
+    BadSamples, Errors, FilmError, Frame, FrameError, FrameImage, Piece, Rect, Sample, SampleRange, Tile, TileBlock,
+    TileErrors, Tiling, pixel_digest,
+};
 use femc_math::{Rgb, hash};
+use proptest::prelude::*;
 
 /// A frame of 6 tiles, two of them narrow, with misses and a bad sample.
 fn frame() -> Frame {
@@ -31,12 +35,13 @@ fn pieces_of_any_size_make_the_image_of_the_frame_to_the_bit() {
     let frame = frame();
     for size in 1..=6 {
         let mut image = FrameImage::black(20, 16);
-        let mut bad = femc_film::BadSamples::default();
+        let mut bad = BadSamples::default();
         for start in (0..6).step_by(size) {
             let piece = Piece::of(&frame, start..(start + size).min(6)).unwrap();
             let bytes = piece.encode();
             let piece = Piece::decode(&bytes).unwrap();
-            assert_eq!((piece.encode(), Some(piece.samples())), (bytes, SampleRange::joined(frame.ranges(0))));
+            let samples: Vec<SampleRange> = piece.tiles().map(|_| (0..5).into()).collect();
+            assert_eq!((piece.encode(), piece.samples()), (bytes, &samples[..]));
             bad.merge(piece.bad());
             image.put(&piece).unwrap();
         }
@@ -44,21 +49,147 @@ fn pieces_of_any_size_make_the_image_of_the_frame_to_the_bit() {
     }
 }
 
+/// A frame each of whose tiles has its own number of samples, in parts that these cuts make, through all codecs and in groups
+/// of so many tiles: the image, and the errors of the tiles.
+fn joined(counts: &[u32], cuts: &[u32], group: usize, is_late: bool) -> (FrameImage, BadSamples, Vec<TileErrors>) {
+    let tiling = Tiling::new(40, 20, 16).unwrap();
+    let mut frame = Frame::new(tiling);
+    let mut parts = Vec::new();
+    for (rect, &count) in tiling.rects().zip(counts) {
+        let mut bounds: Vec<u32> = cuts.iter().copied().filter(|&cut| cut < count).chain([0, count]).collect();
+        bounds.sort_unstable();
+        bounds.dedup();
+        parts.extend(bounds.windows(2).map(|pair| tile(rect, pair[0]..pair[1])));
+    }
+    if is_late {
+        parts.reverse();
+    }
+    for part in parts {
+        frame.insert(Tile::decode(&part.encode()).unwrap()).unwrap();
+    }
+    let (mut image, mut bad, mut errors) = (FrameImage::black(40, 20), BadSamples::default(), Vec::new());
+    for start in (0..6).step_by(group) {
+        let tiles = start..(start + group).min(6);
+        let piece = Piece::decode(&Piece::of(&frame, tiles.clone()).unwrap().encode()).unwrap();
+        let counted: Vec<u32> = piece.samples().iter().map(|range| range.len()).collect();
+        assert_eq!(counted, counts[tiles.clone()]);
+        image.put(&piece).unwrap();
+        bad.merge(piece.bad());
+        let of = Errors::decode(&Errors::of(&frame, tiles.clone()).unwrap().encode()).unwrap();
+        assert_eq!((of.tiling(), of.tiles()), (tiling, tiles));
+        errors.extend(of.into_tiles());
+    }
+    (image, bad, errors)
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 48, rng_seed: proptest::test_runner::RngSeed::Fixed(5), ..ProptestConfig::default() })]
+
+    #[test]
+    fn tiles_of_different_counts_give_the_same_bits_in_any_parts_order_and_grouping(
+        counts in prop::collection::vec(1u32..40, 6),
+        cuts in prop::collection::vec(1u32..40, 0..6),
+        group in 1usize..7,
+        is_late in any::<bool>(),
+    ) {
+        let whole = joined(&counts, &[], 6, false);
+        let (image, bad, errors) = joined(&counts, &cuts, group, is_late);
+        prop_assert_eq!(&image.color, &whole.0.color);
+        prop_assert_eq!(pixel_digest(&image.color), pixel_digest(&whole.0.color));
+        prop_assert_eq!(format!("{:?}", (&image, bad, &errors)), format!("{:?}", (&whole.0, whole.1, &whole.2)));
+        // Each tile is what it is alone: the others' counts leave no trace in it.
+        for (rect, (index, &count)) in Tiling::new(40, 20, 16).unwrap().rects().zip(counts.iter().enumerate()) {
+            let alone = tile(rect, 0..count);
+            for ((x, y), sums) in rect.pixels().zip(alone.pixels()) {
+                let at = (y * 40 + x) as usize;
+                prop_assert_eq!(image.samples[at], sums.samples());
+            }
+            prop_assert_eq!((errors[index].samples, errors[index].bad), ((0..count).into(), alone.bad().total()));
+        }
+    }
+}
+
 #[test]
-fn tiles_that_hold_other_samples_make_no_piece() {
+fn the_error_of_the_tiles_is_the_error_of_the_image() {
+    let (image, _, errors) = joined(&[4, 7, 32, 2, 16, 9], &[], 4, false);
+    let of_tiles = FrameError::of(errors.iter().flat_map(|tile| &tile.blocks).map(|it| it.block).collect());
+    assert_eq!(of_tiles, image.error());
+    let worst = errors.iter().map(|tile| tile.worst(of_tiles.floor)).fold(0.0, f64::max);
+    assert_eq!(worst, of_tiles.worst);
+    assert!(errors[2].worst(of_tiles.floor) < errors[3].worst(of_tiles.floor), "more samples, less error");
+}
+
+#[test]
+fn a_sample_belongs_to_a_replicate_by_its_index_and_their_contrast_is_of_the_size_of_the_error() {
+    let rect = Rect { x: 0, y: 0, width: 16, height: 16 };
+    let blocks = |samples: std::ops::Range<u32>| {
+        // Blocks in many places: independent draws.
+        (0..64).map(move |place| {
+            let mut frame = Frame::new(Tiling::new(16, 16, 16).unwrap());
+            let mut all = Tile::new(rect, samples.clone()).unwrap();
+            for ((x, y), i) in rect.pixels().flat_map(|pixel| samples.clone().map(move |i| (pixel, i))) {
+                let v = hash::unit_f32(hash::combine(&[u64::from(x), u64::from(y), u64::from(i), place]) as u32);
+                all.add(x, y, i, &Sample { color: Rgb::splat(v), ..Sample::MISS });
+            }
+            frame.insert(all).unwrap();
+            Errors::of(&frame, 0..1).unwrap().into_tiles().remove(0).blocks[0]
+        })
+    };
+    assert!(blocks(0..8).all(|it| it.replicates.is_none()), "the first samples are of one replicate");
+    // Of as many samples and of uneven numbers: independent samples, so that both estimates are of the same error.
+    for (samples, ratio) in [(0..16, 1.0), (0..64, 1.0), (0..20, 1.0 / 4.0 * 20.0 * (1.0 / 12.0 + 1.0 / 8.0))] {
+        let squares = |of: fn(TileBlock) -> f64| blocks(samples.clone()).map(|it| of(it).powi(2)).sum::<f64>();
+        let found = squares(|it| it.contrast().unwrap()) / squares(|it| it.block.deviation);
+        // 64 squares of a normal number: their mean deviates by sqrt(2 / 64), and this is 4 times that.
+        assert!((found / ratio - 1.0).abs() < 4.0 * (2.0f64 / 64.0).sqrt(), "{samples:?}: {found} against {ratio}");
+        for it in blocks(samples.clone()) {
+            let mean = it.replicates.map(|[a, b]| 0.5 * (a + b)).unwrap();
+            assert!((mean / it.block.sum - 1.0).abs() < 0.05, "{it:?}");
+        }
+    }
+}
+
+#[test]
+fn damaged_errors_are_refused() {
+    let bytes = Errors::of(&frame(), 2..3).unwrap().encode();
+    for cut in 0..bytes.len() {
+        assert!(Errors::decode(&bytes[..cut]).is_err(), "cut at {cut}");
+    }
+    for bit in 0..8 * bytes.len() {
+        let mut damaged = bytes.clone();
+        damaged[bit / 8] ^= 1 << (bit % 8);
+        assert!(Errors::decode(&damaged).is_err(), "bit {bit}");
+    }
+    assert!(Piece::decode(&bytes).is_err() && Tile::decode(&bytes).is_err());
+    // Right checksums around wrong numbers.
+    let words = [8u32, 8, 8, 0, 1, 0, 4, 0, 0];
+    let forged = |words: &[u32], numbers: [f64; 4]| {
+        let planes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
+        let payload = zstd::bulk::compress(&planes, 1).unwrap();
+        let body: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).chain(payload).collect();
+        Errors::decode(&[b"FEMCERRS", &1u32.to_le_bytes()[..], &blake3::hash(&body).as_bytes()[..16], &body].concat())
+    };
+    assert!(forged(&words, [1.0, f64::INFINITY, f64::NAN, f64::NAN]).is_ok());
+    assert!(forged(&words, [1.0, 0.5, 1.0, 1.5]).is_ok());
+    for numbers in [[f64::NAN, 0.5, 1.0, 1.0], [-1.0, 0.5, 1.0, 1.0], [1.0, f64::NAN, 1.0, 1.0], [1.0, 0.5, f64::NAN, 1.0]] {
+        assert!(forged(&words, numbers).is_err(), "{numbers:?}");
+    }
+    assert!(forged(&[8, 8, 8, 0, 1, 4, 4, 0, 0], [1.0; 4]).is_err(), "no samples");
+    assert!(forged(&[8, 8, 8, 0, 2, 0, 4, 0, 0], [1.0; 4]).is_err(), "more tiles than the film has");
+    assert!(forged(&[1 << 13, 1 << 13, 8, 0, 1 << 20, 0, 4, 0, 0], [1.0; 4]).is_err(), "more than its bytes tell of");
+}
+
+#[test]
+fn a_tile_that_is_not_whole_makes_no_piece() {
     let tiling = Tiling::new(16, 8, 8).unwrap();
     let mut frame = Frame::new(tiling);
     let rects: Vec<Rect> = tiling.rects().collect();
     frame.insert(tile(rects[0], 0..4)).unwrap();
-    assert!(matches!(Piece::of(&frame, 0..2), Err(FilmError::Uneven(rect)) if rect == rects[1]));
+    assert!(matches!(Piece::of(&frame, 0..2), Err(FilmError::Gap(rect)) if rect == rects[1]));
     frame.insert(tile(rects[1], 0..2)).unwrap();
-    assert!(Piece::of(&frame, 0..2).is_err());
+    assert_eq!(Piece::of(&frame, 0..2).unwrap().samples(), [(0..4).into(), (0..2).into()]);
     frame.insert(tile(rects[1], 2..4)).unwrap();
-    assert_eq!(
-        Piece::of(&frame, 0..2).map(|piece| piece.samples()).ok(),
-        Some((0..4).into()),
-        "in whatever parts they came"
-    );
+    assert_eq!(Piece::of(&frame, 0..2).unwrap().samples(), [(0..4).into(); 2], "in whatever parts they came");
     assert!(Piece::of(&frame, 0..1).is_ok() && Piece::of(&frame, 1..3).is_err());
     let mut frame = Frame::new(tiling);
     frame.insert(tile(rects[0], 0..2)).unwrap();

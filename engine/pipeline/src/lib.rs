@@ -6,6 +6,7 @@
 
 mod plan;
 mod render;
+mod round;
 mod settings;
 mod stage;
 
@@ -17,5 +18,6 @@ pub use render::{RenderError, RenderedTile, moment, prepare, render_tile};
 /// the name, `tests/builds` compares).
 pub const BUILD: &str = env!("FEMC_ENGINE");
 
-pub use settings::{Method, RoundVerdict, Settings, SettingsError, Stop};
+pub use round::{RoundVerdict, Spent, TileState};
+pub use settings::{Method, Settings, SettingsError, Stop};
 pub use stage::{Loop, Need, Reach, Role, Round, Scope, Stage, StageKind, fan, stages};

@@ -68,15 +68,6 @@ pub enum Method {
     Femc,
 }
 
-/// What a frame does after a round of samples.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub enum RoundVerdict {
-    /// Another round.
-    Continue,
-    /// The frame is finished.
-    Done,
-}
-
 /// Why settings are refused.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum SettingsError {
@@ -142,21 +133,5 @@ impl Settings {
                 std::iter::successors(Some(FIRST_ROUND), |n| (*n < LAST_ROUND_SPP).then_some(n * 2)).collect()
             }
         }
-    }
-
-    /// Whether a frame is finished.
-    /// - `worst_error`: largest relative error of a block after the round, 95 %;
-    /// - `spent`: seconds spent on the frame so far; `next`: estimate for the next round;
-    /// - `last`: whether this was the last round planned.
-    ///
-    /// The rule looks at the estimates that it stops, which biases dim, spiky frames slightly downward; rounds that double
-    /// keep that small.
-    pub fn verdict(&self, worst_error: f64, spent: f64, next: f64, last: bool) -> RoundVerdict {
-        let done = match self.stop {
-            Stop::Spp(_) => true,
-            Stop::Error(e) => worst_error <= e,
-            Stop::Time(t) => spent + next > t,
-        };
-        if done || last { RoundVerdict::Done } else { RoundVerdict::Continue }
     }
 }

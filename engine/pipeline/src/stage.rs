@@ -1,7 +1,10 @@
 //! The stages of a job: what a plan is to whoever runs it.
 //!
-//! A frame's tiles are rendered in rounds, and its image is made when a round is done. The image of a large frame is made of
-//! groups of tiles, which are united beside the rendering: it reads less, at the price of two outputs a group.
+//! A frame of one round is rendered, and its image is made of its tiles; that of a large frame is made of groups of tiles, which
+//! are united beside the rendering: it reads less, at the price of two outputs a group.
+//!
+//! A frame of several rounds always has groups, though it be one. A decision closes the loop: it reads the errors of all tiles,
+//! some kilobytes, and says how many samples each tile gets in the next round. The image is made once, behind the loop.
 
 use femc_film::Tiling;
 use serde::{Deserialize, Serialize};
@@ -36,7 +39,9 @@ pub enum StageKind {
     Render,
     /// Unites the tiles of a group.
     Reduce,
-    /// Measures a frame, decides whether another round follows, writes the image.
+    /// Decides by the errors of a frame's tiles whether another round follows, and how many samples each tile gets in it.
+    Decide,
+    /// Measures a frame and writes its image.
     Image,
 }
 
@@ -58,6 +63,8 @@ pub enum Role {
     Sums,
     /// Resolved pixels of several tiles.
     Pixels,
+    /// How far each of several tiles is from converged.
+    Errors,
     /// A finished image.
     Image,
     /// The same, tone-mapped.
@@ -91,7 +98,7 @@ pub enum Reach {
 /// Which round of a stage a task reads.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Round {
-    /// Its own.
+    /// Its own, in a loop; the last, of a stage whose loop is over.
     Same,
     /// The one before; in the first round there is none.
     Before,
@@ -120,7 +127,7 @@ impl Stage {
 
 /// Most tiles of a group: 256.
 const GROUP_TILES: u64 = 256;
-/// Most pixels of a group: their sums, 144 bytes each, are united in about a second.
+/// Most pixels of a group: their sums, 196 bytes each, are united in about a second.
 const GROUP_PIXELS: u64 = 1 << 18;
 
 /// Most tiles of a group, of such tiles.
@@ -130,26 +137,32 @@ pub fn fan(tiling: &Tiling) -> NonZeroU32 {
     NonZeroU32::new(tiles).unwrap_or(NonZeroU32::MIN)
 }
 
-/// The stages of a job of frames: tiles, groups of `fan` of them where there are more, the image.
+/// The stages of a job of frames: tiles, groups of `fan` of them where there are more or several rounds, a decision where there
+/// are several rounds, the image.
 /// - `rounds`: samples a pixel at the end of each round, ascending.
 pub fn stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32) -> Vec<Stage> {
     let groups = (tiling.count() as u32).div_ceil(fan.get());
     let render = Stage::of_frame(StageKind::Render, areas(tiling), &[Role::Tile]);
     let mut all = vec![Stage { steps: rounds.to_vec(), ..render }];
-    let mut finished = (0, Role::Tile);
-    if groups > 1 {
-        let reduce = Stage::of_frame(StageKind::Reduce, vec![(groups, 1)], &[Role::Pixels]);
-        all.push(reduce.reads(0, Role::Tile, Reach::Fan(fan)));
-        finished = (1, Role::Pixels);
-    }
-    let image = Stage::of_frame(StageKind::Image, vec![(1, 1)], &[Role::Image, Role::Preview]);
-    let closes = Some(Loop { first: 0, rounds: rounds.len() as u32 });
-    all.push(Stage { closes, ..image.reads(finished.0, finished.1, Reach::All) });
+    let reduce = |makes: &[Role]| {
+        let reduce = Stage::of_frame(StageKind::Reduce, vec![(groups, 1)], makes);
+        reduce.reads(0, Role::Tile, Reach::Fan(fan))
+    };
+    let mut finished = (1, Role::Pixels);
     if rounds.len() > 1 {
         // What unites the tiles goes on with its sums of the round before.
-        all[1].needs.push(Need { stage: 1, role: Role::Sums, reach: Reach::Same, round: Round::Before });
-        all[1].makes.push(Role::Sums);
+        let mut reduce = reduce(&[Role::Pixels, Role::Errors, Role::Sums]);
+        reduce.needs.push(Need { stage: 1, role: Role::Sums, reach: Reach::Same, round: Round::Before });
+        let decide = Stage::of_frame(StageKind::Decide, vec![(1, 1)], &[]).reads(1, Role::Errors, Reach::All);
+        let closes = Some(Loop { first: 0, rounds: rounds.len() as u32 });
+        all.extend([reduce, Stage { closes, ..decide }]);
+    } else if groups > 1 {
+        all.push(reduce(&[Role::Pixels]));
+    } else {
+        finished = (0, Role::Tile);
     }
+    let image = Stage::of_frame(StageKind::Image, vec![(1, 1)], &[Role::Image, Role::Preview]);
+    all.push(image.reads(finished.0, finished.1, Reach::All));
     all
 }
 
@@ -167,9 +180,9 @@ mod tests {
         Tiling { width: film[0], height: film[1], edge }
     }
 
-    fn kinds(film: [u32; 2], edge: u32) -> Vec<StageKind> {
+    fn kinds(film: [u32; 2], edge: u32, rounds: &[u32]) -> Vec<StageKind> {
         let tiling = tiling(film, edge);
-        stages(&tiling, &[4], fan(&tiling)).iter().map(|stage| stage.kind).collect()
+        stages(&tiling, rounds, fan(&tiling)).iter().map(|stage| stage.kind).collect()
     }
 
     #[test]
@@ -181,9 +194,9 @@ mod tests {
     #[test]
     fn the_tiles_of_large_frames_are_reduced_and_one_group_is_none() {
         use StageKind::{Image, Reduce, Render};
-        assert_eq!(kinds([512, 512], 64), [Render, Image]);
-        assert_eq!(kinds([256, 256], 16), [Render, Image]);
-        assert_eq!(kinds([272, 256], 16), [Render, Reduce, Image]);
+        assert_eq!(kinds([512, 512], 64, &[4]), [Render, Image]);
+        assert_eq!(kinds([256, 256], 16, &[4]), [Render, Image]);
+        assert_eq!(kinds([272, 256], 16, &[4]), [Render, Reduce, Image]);
         let tiling = tiling([100, 50], 32);
         let all = stages(&tiling, &[4], NonZeroU32::new(3).unwrap());
         assert_eq!(all[0].sizes, [(3, 1024), (1, 128), (3, 576), (1, 72)]);
@@ -191,16 +204,22 @@ mod tests {
     }
 
     #[test]
-    fn sums_are_kept_where_another_round_may_read_them() {
+    fn where_another_round_may_follow_errors_decide_sums_are_kept_and_the_image_is_behind_the_loop() {
+        use StageKind::{Decide, Image, Reduce, Render};
+        for film in [[64, 64], [272, 256]] {
+            assert_eq!(kinds(film, 16, &[4, 8]), [Render, Reduce, Decide, Image]);
+        }
         let tiling = tiling([64, 64], 16);
         for fan in [3, 16].map(|fan| NonZeroU32::new(fan).unwrap()) {
-            let touches_sums = |stage: &Stage| {
-                stage.makes.contains(&Role::Sums) || stage.needs.iter().any(|need| need.role == Role::Sums)
+            let makes = |rounds: &[u32], role: Role| -> Vec<bool> {
+                stages(&tiling, rounds, fan).iter().map(|stage| stage.makes.contains(&role)).collect()
             };
-            let of = |rounds: &[u32]| -> Vec<bool> { stages(&tiling, rounds, fan).iter().map(touches_sums).collect() };
-            assert!(!of(&[8]).contains(&true));
-            assert_eq!(of(&[4, 8]).iter().position(|touches| *touches), Some(1));
-            assert_eq!(of(&[4, 8]).iter().filter(|touches| **touches).count(), 1);
+            for role in [Role::Sums, Role::Errors] {
+                assert!(!makes(&[8], role).contains(&true));
+                assert_eq!(makes(&[4, 8], role), [false, true, false, false]);
+            }
+            let closes = |rounds: &[u32]| stages(&tiling, rounds, fan).iter().rposition(|stage| stage.closes.is_some());
+            assert_eq!((closes(&[8]), closes(&[4, 8, 16])), (None, Some(2)));
         }
     }
 }

@@ -38,6 +38,32 @@ impl Uneven {
     }
 }
 
+/// Steps that tasks have taken in all, in their order: one number where all have taken as many.
+#[derive(Debug, Clone, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Taken(Vec<u32>);
+
+impl Taken {
+    /// Of the task at this place among them; `None` where nothing is known of them.
+    pub fn of(&self, place: usize) -> Option<u32> {
+        if let [all] = self.0[..] { Some(all) } else { self.0.get(place).copied() }
+    }
+
+    /// As few numbers as say it.
+    pub fn numbers(&self) -> &[u32] {
+        &self.0
+    }
+}
+
+impl FromIterator<u32> for Taken {
+    fn from_iter<I: IntoIterator<Item = u32>>(steps: I) -> Self {
+        let mut steps: Vec<u32> = steps.into_iter().collect();
+        if steps.windows(2).all(|pair| pair[0] == pair[1]) {
+            steps.truncate(1);
+        }
+        Self(steps)
+    }
+}
+
 /// Steps of a round's tasks.
 #[derive(Debug, Clone, PartialEq, Eq)]
 enum Steps<'a> {
@@ -220,6 +246,15 @@ mod tests {
             assert!(grains.of_task(1).is_empty() && grains.of_task(2).len() == 3.min(grains.stride() as usize));
             assert_eq!(grains.units(&grains.of_task(2)), 3 * 32);
         }
+    }
+
+    #[test]
+    fn steps_that_all_tasks_have_taken_are_one_number() {
+        let taken = |steps: &[u32]| steps.iter().copied().collect::<Taken>();
+        let (even, uneven) = (taken(&[16, 16, 16]), taken(&[16, 32, 16]));
+        assert_eq!((even.numbers(), uneven.numbers()), (&[16][..], &[16, 32, 16][..]));
+        assert_eq!((0..3).map(|place| even.of(place)).collect::<Vec<_>>(), [Some(16); 3]);
+        assert_eq!((uneven.of(1), uneven.of(3), taken(&[]).of(0)), (Some(32), None, None));
     }
 
     #[test]

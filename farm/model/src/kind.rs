@@ -10,10 +10,12 @@ pub enum StageKind {
     Render,
     /// Unites outputs of one role.
     Reduce,
-    /// Measures a frame, decides whether another round follows, writes the image.
+    /// Measures a frame and writes its image.
     Image,
     /// Exact arithmetic on numbers, for exercises of the farm.
     Drill,
+    /// Decides by the errors of a frame's tiles whether another round follows, and how many samples each tile gets in it.
+    Decide,
 }
 
 /// Tasks of one lane are done one after the other, those of different lanes side by side.
@@ -75,7 +77,7 @@ pub struct KindRow {
 
 impl StageKind {
     /// All, in the order of the table.
-    pub const ALL: [Self; 4] = [Self::Render, Self::Reduce, Self::Image, Self::Drill];
+    pub const ALL: [Self; 5] = [Self::Render, Self::Reduce, Self::Image, Self::Drill, Self::Decide];
 
     /// Its row of the table.
     pub fn row(self) -> KindRow {
@@ -87,6 +89,7 @@ impl StageKind {
             Self::Reduce => row("reduce", "inputs", Join, false, Near::Inputs, Report),
             Self::Image => row("image", "inputs", Join, false, Near::Inputs, Store),
             Self::Drill => row("drill", "inputs", Compute, false, Near::Inputs, Report),
+            Self::Decide => row("decide", "inputs", Join, false, Near::Inputs, Report),
         }
     }
 
@@ -128,6 +131,8 @@ pub enum Role {
     Numbers,
     /// What came of a drill.
     Answer,
+    /// How far each of several tiles is from converged.
+    Errors,
 }
 
 /// A row of the roles' table.
@@ -143,8 +148,8 @@ pub struct RoleRow {
 
 impl Role {
     /// All, in the order of the table.
-    pub const ALL: [Self; 7] =
-        [Self::Tile, Self::Sums, Self::Pixels, Self::Image, Self::Preview, Self::Numbers, Self::Answer];
+    pub const ALL: [Self; 8] =
+        [Self::Tile, Self::Sums, Self::Pixels, Self::Image, Self::Preview, Self::Numbers, Self::Answer, Self::Errors];
 
     /// Its row of the table.
     pub fn row(self) -> RoleRow {
@@ -157,6 +162,7 @@ impl Role {
             Self::Preview => row("preview", true, true),
             Self::Numbers => row("numbers", false, false),
             Self::Answer => row("answer", true, false),
+            Self::Errors => row("errors", false, false),
         }
     }
 

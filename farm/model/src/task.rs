@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Artefact, Epoch, JobId, Role, StageKind};
+use crate::{Artefact, Epoch, JobId, Role, StageKind, Taken};
 
 /// An array of tasks that may run side by side: one round of a template of the job's [`Graph`](crate::Graph), of one frame or of
 /// the job.
@@ -68,6 +68,9 @@ pub struct Work {
     pub steps: Range<u32>,
     /// What it reads, in order of need, frame and task.
     pub inputs: Vec<Input>,
+    /// Steps that each task of the stage that is cut has taken in all, of those that its inputs are made of; empty where there
+    /// are none, and of a task that is cut itself.
+    pub taken: Taken,
     /// Whether another round may follow this one.
     pub more: More,
     /// Milliseconds since the first lease of the frame, or of the job's own stages: for a time budget; 0 where tasks are cut.

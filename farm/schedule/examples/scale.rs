@@ -63,7 +63,7 @@ fn main() {
                 let units = work.steps.len() as u64 * 64;
                 TaskResult { outputs: vec![output(Role::Tile)], units, ..TaskResult::default() }
             }
-            StageKind::Reduce | StageKind::Drill => {
+            StageKind::Reduce | StageKind::Drill | StageKind::Decide => {
                 TaskResult { outputs: vec![output(Role::Pixels)], ..TaskResult::default() }
             }
             StageKind::Image => {

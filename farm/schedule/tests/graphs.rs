@@ -53,7 +53,7 @@ fn work(farm: &mut Farm, worker: u64) -> TaskKey {
     let held = farm.first_of(worker);
     let roles: &[Role] = match (held.task.stage.kind, held.task.stage.frame) {
         (Render, _) => &[Role::Tile],
-        (Reduce | StageKind::Drill, _) => &[Role::Sums],
+        (Reduce | StageKind::Drill | StageKind::Decide, _) => &[Role::Sums],
         (Image, Stage::OF_JOB) => &[],
         (Image, _) => &[Role::Image],
     };
@@ -189,6 +189,60 @@ fn tiles_take_the_steps_that_were_decided_and_one_that_needs_none_is_left_alone(
     ];
     assert_eq!(rendered, expected);
     assert_eq!(farm.status(id).samples_done, 3 * 16 * 64);
+}
+
+#[test]
+fn who_reads_tiles_at_first_or_at_second_hand_is_told_how_many_steps_each_of_them_has_taken() {
+    let mut farm = Farm::new();
+    let graph = Graph {
+        stages: vec![
+            render(4, &[4, 8, 16]),
+            Template::new(Reduce, Scope::Frame, Sizes::even(2, 1), &[Role::Pixels, Role::Errors, Role::Sums])
+                .reads(0, Role::Tile, Reach::Fan(2))
+                .needs(need(1, Role::Sums, Reach::Same, Round::Before)),
+            Template::new(StageKind::Decide, Scope::Frame, Sizes::even(1, 1), &[])
+                .reads(1, Role::Errors, Reach::All)
+                .closes(0, 3),
+            image(Scope::Frame, &[Role::Image]).reads(1, Role::Pixels, Reach::All),
+        ],
+    };
+    let id = farm.submit(of(&[1], 4, graph));
+    farm.join(1);
+    let mut told = Vec::new();
+    while farm.state(id) != JobState::Done {
+        let held = farm.first_of(1);
+        let Stage { round, kind, .. } = held.task.stage;
+        if kind != Render {
+            told.push((round, kind, held.work.item, held.work.taken.numbers().to_vec()));
+        }
+        let made = match kind {
+            Render => result(&held, &[Role::Tile]),
+            Reduce if held.work.more == More::Rounds => result(&held, &[Role::Pixels, Role::Errors, Role::Sums]),
+            Reduce => result(&held, &[Role::Pixels, Role::Errors]),
+            StageKind::Decide => {
+                let steps = [Decision::Steps(vec![4, 8, 8, 8]), Decision::Steps(vec![4, 16, 8, 8]), Done];
+                TaskResult { decision: Some(steps[round as usize].clone()), ..result(&held, &[]) }
+            }
+            _ => TaskResult { decision: None, ..result(&held, &[Role::Image]) },
+        };
+        assert!(kind != Render || held.work.taken == Taken::default(), "{held:?}");
+        farm.complete_with(1, &held, made);
+    }
+    told.sort();
+    let decide = StageKind::Decide;
+    let expected = [
+        (0, Reduce, 0, vec![4]),
+        (0, Reduce, 1, vec![4]),
+        (0, Image, 0, vec![4, 16, 8, 8]),
+        (0, decide, 0, vec![4]),
+        (1, Reduce, 0, vec![4, 8]),
+        (1, Reduce, 1, vec![8]),
+        (1, decide, 0, vec![4, 8, 8, 8]),
+        (2, Reduce, 0, vec![4, 16]),
+        (2, Reduce, 1, vec![8]),
+        (2, decide, 0, vec![4, 16, 8, 8]),
+    ];
+    assert_eq!(told, expected);
 }
 
 #[test]

@@ -522,6 +522,28 @@ impl Machine {
         let given: BTreeSet<Digest> = held.work.artefacts().map(|it| it.digest).collect();
         assert_eq!(given, expected, "the inputs of {}", held.task);
         assert_eq!(held.work.artefacts().count(), given.len(), "{} reads one input twice", held.task);
+        self.all_is_told(held);
+    }
+
+    /// A task that reads one that is cut is told how many steps each of these has taken.
+    fn all_is_told(&self, held: &Assignment) {
+        let graph = &self.farm.scheduler.spec(held.task.job).unwrap().graph;
+        let (stage, template) = (held.task.stage, self.template(&held.task));
+        let Some(need) = template.needs.iter().find(|need| need.round != Round::Before) else { return };
+        let made = graph.stage(need.stage).unwrap();
+        if !made.kind.is_cut() || made.scope != template.scope || template.kind.is_cut() {
+            return;
+        }
+        let items = match need.reach {
+            Reach::All => 0..made.tasks(),
+            Reach::Same => held.work.item..held.work.item + 1,
+            Reach::Fan(n) => held.work.item * n..((held.work.item + 1) * n).min(made.tasks()),
+        };
+        let is_behind = graph.is_looped(need.stage) && !graph.is_looped(stage.number);
+        let round = if is_behind { self.last_round(held.task.job, stage.frame) } else { stage.round };
+        let from = Stage { round, number: need.stage, kind: made.kind, ..stage };
+        let taken: Taken = items.map(|item| self.steps(held.task.job, &from, item).end).collect();
+        assert_eq!(held.work.taken, taken, "what {} is told", held.task);
     }
 
     /// What a task reads now.

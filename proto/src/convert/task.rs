@@ -65,9 +65,10 @@ impl TryFrom<wire::Assignment> for Assignment {
 }
 
 impl From<Work> for wire::Work {
-    fn from(Work { item, steps, inputs, more, elapsed, busy_seconds }: Work) -> Self {
+    fn from(Work { item, steps, inputs, taken, more, elapsed, busy_seconds }: Work) -> Self {
         let (steps, inputs) = (to_range(&steps), inputs.into_iter().map(Into::into).collect());
-        Self { item, steps, inputs, more: more == More::Rounds, elapsed, busy_seconds }
+        let taken = taken.numbers().to_vec();
+        Self { item, steps, inputs, more: more == More::Rounds, elapsed, busy_seconds, taken }
     }
 }
 
@@ -75,10 +76,14 @@ impl TryFrom<wire::Work> for Work {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Work) -> Result<Self, ConvertError> {
+        if wire.taken.len() > Graph::MAX_TASKS as usize {
+            return Err(ConvertError::Range { field: "work.taken" });
+        }
         Ok(Self {
             item: wire.item,
             steps: from_range("work.steps", wire.steps)?,
             inputs: each(wire.inputs)?,
+            taken: wire.taken.into_iter().collect(),
             more: if wire.more { More::Rounds } else { More::Last },
             elapsed: wire.elapsed,
             busy_seconds: finite(wire.busy_seconds)?,

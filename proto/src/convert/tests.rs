@@ -197,7 +197,8 @@ fn the_words_of_a_session_cross_the_wire() {
     let output = Output { role: Role::Pixels, artefact: artefact() };
     let inputs = vec![Input { need: u16::MAX, frame: Stage::OF_JOB, item: 9, output }; 2];
     for (more, copy_of) in [(More::Rounds, None), (More::Last, Some(Epoch::new(2, 8)))] {
-        let work = Work { item: 5, steps: 16..32, inputs: inputs.clone(), more, elapsed: 1234, busy_seconds: 0.5 };
+        let (inputs, taken) = (inputs.clone(), [16, 64, 32].into_iter().collect());
+        let work = Work { item: 5, steps: 16..32, inputs, taken, more, elapsed: 1234, busy_seconds: 0.5 };
         let assignment = Assignment { task: image, epoch, lease: 5000, copy_of, work };
         crosses::<ToWorker, wire::ToWorker>(ToWorker::Assign(assignment));
     }
@@ -349,6 +350,8 @@ fn nonsense_is_refused_by_name() {
     assert_eq!(TaskKey::try_from(stage), Err(range("stage")));
     let steps = Some(wire::Range { start: 2, end: 1 });
     assert_eq!(Work::try_from(wire::Work { steps, ..wire::Work::default() }), Err(range("work.steps")));
+    let taken = vec![1; Graph::MAX_TASKS as usize + 1];
+    assert_eq!(Work::try_from(wire::Work { taken, ..wire::Work::default() }), Err(range("work.taken")));
 }
 
 #[test]
@@ -371,7 +374,8 @@ fn the_largest_assignment_fits_a_message() {
     let output = Output { role: Role::Preview, artefact: artefact() };
     let input = |item| Input { need: Graph::MAX_NEEDS as u16, frame: u32::MAX, item, output };
     let inputs = (0..Graph::MAX_TASKS).map(input).collect();
-    let work = Work { item: 0, steps: 0..1, inputs, more: More::Last, elapsed: u64::MAX, busy_seconds: 1.0 };
+    let (taken, more) = ((0..Graph::MAX_TASKS).map(|item| u32::MAX - item).collect(), More::Last);
+    let work = Work { item: 0, steps: 0..1, inputs, taken, more, elapsed: u64::MAX, busy_seconds: 1.0 };
     assert!(wire::Work::from(work).encoded_len() < crate::MESSAGE * 3 / 4);
 }
 

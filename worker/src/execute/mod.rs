@@ -1,5 +1,6 @@
 //! Doing tasks: one file a kind.
 
+mod decide;
 mod drill;
 mod image;
 mod reduce;
@@ -97,6 +98,7 @@ fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
         StageKind::Reduce => reduce::reduce(task, stage, tools),
         StageKind::Image => image::image(task, stage, tools),
         StageKind::Drill => drill::drill(task, stage, tools),
+        StageKind::Decide => decide::decide(task, stage, tools),
     };
     let measured = tools.memory.begin(stage.kind, &tools.cache)?;
     let outcome = std::panic::catch_unwind(AssertUnwindSafe(work))

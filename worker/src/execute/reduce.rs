@@ -1,6 +1,7 @@
-//! Outputs of one role, united: the tiles of a group, as sums for the next round and as resolved pixels for the image.
+//! Outputs of one role, united: the tiles of a group, as sums for the next round, as resolved pixels for the image, and as errors
+//! for the decision.
 
-use femc_film::Piece;
+use femc_film::{Errors, Piece};
 use femc_model::{Failure, More, Phase, Role, Template};
 
 use super::union::{tiles, union};
@@ -14,9 +15,14 @@ pub(crate) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     let watch = Stopwatch::start();
     let span = tiles(task, stage)?;
     let frame = union(task, span.clone(), tools)?;
-    let piece = tools.install(task, || Piece::of(&frame, span.start as usize..span.end as usize)).map_err(unfit)?;
+    let tiles = span.start as usize..span.end as usize;
+    let piece = tools.install(task, || Piece::of(&frame, tiles.clone())).map_err(unfit)?;
     let mut product = Product::default();
     product.put(stage, Role::Pixels, || tools.install(task, || piece.encode()));
+    if stage.makes.contains(&Role::Errors) {
+        let errors = tools.install(task, || Errors::of(&frame, tiles)).map_err(unfit)?;
+        product.put(stage, Role::Errors, || errors.encode());
+    }
     if task.assignment.work.more == More::Rounds {
         product.put(stage, Role::Sums, || tools.install(task, || sums::encode(&frame)));
     }

@@ -16,6 +16,8 @@ use crate::table::Task;
 
 /// Tiles that are downloaded and taken in side by side: bounds what is in memory beside the frame.
 const BATCH: usize = 16;
+/// The same of groups of tiles.
+const GROUPS: usize = 4;
 
 /// How the job's film is cut.
 pub(super) fn tiling(task: &Task) -> Result<Tiling, Failure> {
@@ -34,9 +36,10 @@ pub(super) fn tiles(task: &Task, stage: &Template) -> Result<Range<u32>, Failure
     }
 }
 
-/// The samples that a tile holds when the task's round is whole.
-pub(super) fn expected(task: &Task) -> SampleRange {
-    (0..task.spec.samples(task.assignment.task.stage.round).end).into()
+/// The samples that a tile holds when the round is whole: as many as it was given in all rounds until then.
+/// - `place`: of the tile among those that the task reads, at first or at second hand.
+pub(super) fn expected(task: &Task, place: usize) -> SampleRange {
+    (0..task.assignment.work.taken.of(place).unwrap_or(0)).into()
 }
 
 /// What the task reads of one role, in order.
@@ -70,9 +73,8 @@ pub(super) fn union(task: &Task, span: Range<u32>, tools: &Tools) -> Result<Fram
         }
     }
     lost.verdict()?;
-    let expected = expected(task);
-    for index in span.start as usize..span.end as usize {
-        let found = frame.ranges(index);
+    for (place, index) in (span.start as usize..span.end as usize).enumerate() {
+        let (found, expected) = (frame.ranges(index), expected(task, place));
         if SampleRange::joined(found) != Some(expected) {
             let message = format!("tile {index} holds the samples {found:?}, not {expected:?}");
             let Some(digests) = made_of.remove(&Some(index)) else { return Err(Failure::Panicked { message }) };
@@ -82,6 +84,45 @@ pub(super) fn union(task: &Task, span: Range<u32>, tools: &Tools) -> Result<Fram
     }
     lost.verdict()?;
     Ok(frame)
+}
+
+/// What the task reads of one role, which is made of groups of tiles: every tile of the frame once, each with just the samples that
+/// it was given. Names every input that is lost.
+/// - `account`: how the film of a group is cut, its tiles, the samples of each.
+/// - `take`: takes a group in, in order of its tiles.
+pub(super) fn groups<T: Send>(
+    task: &Task,
+    role: Role,
+    tools: &Tools,
+    decode: fn(&[u8]) -> Result<T, FilmError>,
+    account: impl Fn(&T) -> (Tiling, Range<usize>, Vec<SampleRange>),
+    mut take: impl FnMut(T) -> Result<(), FilmError>,
+) -> Result<(), Failure> {
+    let (tiling, mut lost, mut past, mut covered) = (tiling(task)?, Lost::default(), 0, 0);
+    for batch in artefacts(task, role).chunks(GROUPS) {
+        if task.is_cancelled() {
+            return Err(Failure::Cancelled);
+        }
+        let here = lost.fetch(task, batch, tools)?;
+        let decoded: Vec<Result<T, FilmError>> =
+            tools.install(task, || here.par_iter().map(|(_, bytes)| decode(bytes)).collect());
+        for ((artefact, _), group) in here.iter().zip(decoded) {
+            pass(Point::WorkerMidMerge);
+            let taken = group.and_then(|group| {
+                let (of, tiles, samples) = account(&group);
+                let is_whole = tiles.clone().zip(samples).all(|(tile, samples)| samples == expected(task, tile));
+                if of != tiling || tiles.start < past || !is_whole {
+                    return Err(FilmError::Corrupt("tiles of another frame, round or place"));
+                }
+                (covered, past) = (covered + tiles.len(), tiles.end);
+                take(group)
+            });
+            lost.check(*artefact, taken);
+        }
+    }
+    lost.verdict()?;
+    let wanted = tiling.count();
+    if covered == wanted { Ok(()) } else { Err(unfit(format!("{covered} tiles are there, the frame has {wanted}"))) }
 }
 
 /// Inputs that are missing or damaged.

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use femc_model::{
-    Decision, Digest, Epoch, Failure, FrameRecord, Grains, Input, Output, Reach, Role, Round, Scope, Stage, TaskResult,
-    Tick, Uneven,
+    Decision, Digest, Epoch, Failure, FrameRecord, Grains, Graph, Input, Output, Reach, Role, Round, Scope, Stage, Taken,
+    TaskResult, Tick, Uneven,
 };
 use serde::{Deserialize, Serialize};
 
@@ -213,6 +213,32 @@ impl Unit {
             }
         }
         inputs
+    }
+
+    /// Steps that each task which is cut has taken in all, of those that the inputs of a task are made of.
+    pub(crate) fn taken(&self, shape: &Shape<'_>, place: Place, item: u32) -> Taken {
+        let roots = if shape.is_cut(place.1) { None } else { self.roots(shape, place, item..item + 1, &mut 0) };
+        let Some((grains, items)) = roots.and_then(|(place, items)| Some((self.grains(shape, place)?, items))) else {
+            return Taken::default();
+        };
+        items.map(|item| grains.steps_of(item).end).collect()
+    }
+
+    /// The tasks which are cut that these tasks of a stage are made of, and their stage in its round.
+    /// - `seen`: the stages that were looked at, a bit each.
+    fn roots(&self, shape: &Shape<'_>, place: Place, items: Range<u32>, seen: &mut u64) -> Option<(Place, Range<u32>)> {
+        const { assert!(Graph::MAX_STAGES <= u64::BITS as usize) };
+        let is_new = *seen >> place.1 & 1 == 0;
+        let template = shape.template(place.1).filter(|_| is_new && !items.is_empty())?;
+        *seen |= 1 << place.1;
+        if template.kind.is_cut() {
+            return Some((place, items));
+        }
+        template.needs.iter().filter(|need| need.round != Round::Before).find_map(|need| {
+            let round = shape.rounds_read(place, need, self.round).next_back()?;
+            let [first, last] = [items.start, items.end - 1].map(|item| shape.items_read(item, need));
+            self.roots(shape, (round, need.stage), first.start..last.end, seen)
+        })
     }
 
     /// Takes in what was done of a run of grains; what is done already changes nothing. Returns what is needed no longer.

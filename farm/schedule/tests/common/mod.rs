@@ -344,7 +344,7 @@ pub fn result_in(held: &Assignment, decision: Decision, seconds: f64) -> TaskRes
         StageKind::Reduce if *more == More::Rounds => {
             TaskResult { outputs: all(&[Role::Pixels, Role::Sums]), seconds: seconds / 4.0, ..TaskResult::default() }
         }
-        StageKind::Reduce | StageKind::Drill => {
+        StageKind::Reduce | StageKind::Drill | StageKind::Decide => {
             TaskResult { outputs: all(&[Role::Pixels]), seconds: seconds / 4.0, ..TaskResult::default() }
         }
         StageKind::Image => {

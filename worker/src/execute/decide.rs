@@ -1,0 +1,60 @@
+//! The errors of a frame's tiles, and what follows from them: the samples that each tile gets in the next round.
+//!
+//! What is decided depends on the tiles and the job's settings alone: `femc_pipeline`'s rule says what, and where a person has
+//! asked for a time, which is the one exception.
+
+use femc_film::{Block, Errors, FrameError, TileErrors};
+use femc_model::{Decision, Failure, More, Phase, Role, Template};
+use femc_pipeline::{RoundVerdict, Settings, Spent, TileState};
+
+use super::union::groups;
+use super::{Product, Tools, unfit};
+use crate::clock::Stopwatch;
+use crate::table::Task;
+
+pub(crate) fn decide(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
+    task.enter(Phase::Working);
+    let watch = Stopwatch::start();
+    if stage.closes.is_none() {
+        return Err(unfit("the job's graph has a decision that closes no loop"));
+    }
+    let settings: Settings = serde_json::from_str(&task.spec.settings).map_err(unfit)?;
+    let mut tiles: Vec<TileErrors> = Vec::new();
+    let account = |errors: &Errors| (errors.tiling(), errors.tiles(), errors.samples().collect());
+    groups(task, Role::Errors, tools, Errors::decode, account, |errors| {
+        tiles.extend(errors.into_tiles());
+        Ok(())
+    })?;
+    let blocks = || tiles.iter().flat_map(|tile| &tile.blocks);
+    let error = FrameError::of(blocks().map(|it| it.block).collect());
+    let state = |tile: &TileErrors| TileState { samples: tile.samples.end, error: tile.worst(error.floor) };
+    let states: Vec<TileState> = tiles.iter().map(state).collect();
+    let decision = match settings.verdict(&states, spent(task), planned(task)) {
+        RoundVerdict::Continue => Decision::Continue,
+        RoundVerdict::Steps(steps) => Decision::Steps(steps),
+        RoundVerdict::Done => Decision::Done,
+    };
+    let contrast = blocks().map(|it| Block { deviation: it.contrast().unwrap_or(f64::INFINITY), ..it.block });
+    let by_replicates = FrameError::of(contrast.collect()).mean;
+    let bad = tiles.iter().map(|tile| tile.bad).sum::<u64>();
+    tracing::debug!(worst = error.worst, mean = error.mean, by_replicates, bad, ?decision, "the frame is measured");
+    let mut product = Product::default();
+    product.result.decision = Some(decision);
+    product.result.relative_error = Some(error.worst).filter(|error| error.is_finite());
+    product.result.seconds = watch.seconds();
+    Ok(product)
+}
+
+/// Samples a pixel at the end of the next round, if one may follow.
+fn planned(task: &Task) -> Option<u32> {
+    let next = task.assignment.task.stage.round as usize + 1;
+    task.spec.rounds().get(next).copied().filter(|_| task.assignment.work.more == More::Rounds)
+}
+
+/// For a frame that has a time: its tiles have the samples that were planned.
+fn spent(task: &Task) -> Spent {
+    let round = task.assignment.task.stage.round;
+    let (taken, next) = (task.spec.samples(round).end, task.spec.samples(round + 1).len());
+    let so_far = task.assignment.work.elapsed as f64 / 1000.0;
+    Spent { so_far, next: so_far * next as f64 / f64::from(taken.max(1)) }
+}

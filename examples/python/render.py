@@ -70,7 +70,7 @@ def graph(width, height, edge, spp):
         stages.append(stage(wire.STAGE_KIND_REDUCE, [wire.ROLE_PIXELS], -(-len(tiles) // fan), needs=needs))
         united = read(1, wire.ROLE_PIXELS, all=wire.Empty())
     makes = [wire.ROLE_IMAGE, wire.ROLE_PREVIEW]
-    stages.append(stage(wire.STAGE_KIND_IMAGE, makes, needs=united, closes=wire.Loop(first=0, rounds=1)))
+    stages.append(stage(wire.STAGE_KIND_IMAGE, makes, needs=united))
     return wire.Graph(stages=stages)
 
 

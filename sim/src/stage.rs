@@ -1,7 +1,7 @@
 //! What is rendered: a small scene, its job, and its frames as the engine renders them without a farm.
 
 use std::collections::BTreeMap;
-use std::num::NonZeroU64;
+use std::num::{NonZeroU32, NonZeroU64};
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::sync::{Arc, LazyLock};
 
@@ -9,10 +9,10 @@ use anyhow::Context as _;
 use bytes::Bytes;
 use femc_film::{Frame, Image, Tiling, exr, pixel_digest};
 use femc_import::Bundle;
-use femc_model::{Digest, Grid, JobSpec, Role, testing};
+use femc_model::{Digest, Grid, JobSpec, Role};
 use femc_pipeline::{Settings, Stop};
 use femc_schedule::Config;
-use femc_worker::Cache;
+use femc_worker::{Cache, graph};
 
 /// A lamp over a floor in fog that thickens.
 const SCENE: &str = "
@@ -71,8 +71,10 @@ impl Stage {
     pub(crate) const COUNT: u64 = (2 * ROUNDS.len() * FANS.len()) as u64;
 
     /// The same job with groups of so many tiles.
-    fn grouped(&self, fan: u32) -> Self {
-        let graph = testing::frames(self.spec.grid.sizes(), self.spec.rounds(), fan);
+    fn grouped(&self, fan: NonZeroU32) -> Self {
+        let Grid { film, tile } = self.spec.grid;
+        let tiling = Tiling { width: film[0], height: film[1], edge: tile };
+        let graph = graph(&femc_pipeline::stages(&tiling, self.spec.rounds(), fan));
         let spec = JobSpec { graph, ..self.spec.clone() };
         Self { spec, ..self.clone() }
     }
@@ -110,8 +112,9 @@ pub(crate) fn cut() -> Config {
 /// The rounds of the jobs: one, and several; the later ones are long enough to be cut.
 const ROUNDS: [&[u32]; 4] = [&[2], &[1, 2, 4], &[12], &[3, 5, 12]];
 
-/// Tiles of a group, of four: none, or a tree of even or uneven groups.
-const FANS: [u32; 4] = [0, 1, 2, 3];
+/// Most tiles of a group, of four: one group, or a tree of even or uneven groups.
+const FANS: [NonZeroU32; 4] = [NonZeroU32::MAX, NonZeroU32::MIN, TWO, TWO.saturating_add(1)];
+const TWO: NonZeroU32 = NonZeroU32::MIN.saturating_add(1);
 
 /// Two of each kind, in each way of grouping: those of other samples have other pixels.
 static STAGES: LazyLock<Result<Vec<Stage>, String>> = LazyLock::new(|| {
@@ -163,7 +166,7 @@ fn stage(rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
         settings: serde_json::to_string(&settings)?,
         frames: FRAMES.to_vec(),
         grid: Grid { film: FILM, tile: TILE },
-        graph: testing::frames(Grid { film: FILM, tile: TILE }.sizes(), rounds, 0),
+        graph: graph(&femc_pipeline::stages(&Tiling::new(FILM[0], FILM[1], TILE)?, rounds, FANS[0])),
         contents: vec![],
         priority: 50,
         owner: "me".into(),

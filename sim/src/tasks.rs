@@ -79,7 +79,8 @@ pub(crate) fn is_served(spec: &JobSpec, number: u16) -> bool {
 }
 
 /// The tasks of a round of a stage that a task reads, by stage and number. Those of a content are not among what a frame's reads.
-fn read_by(spec: &JobSpec, stage: &Stage, item: u32) -> Vec<(Need, Stage, u32)> {
+/// - `last`: the round that the frame's loop is in; what is behind the loop reads that one.
+fn read_by(spec: &JobSpec, stage: &Stage, item: u32, last: u32) -> Vec<(Need, Stage, u32)> {
     let mut all = Vec::new();
     let Some(template) = spec.graph.stage(stage.number) else { return all };
     for need in &template.needs {
@@ -93,8 +94,7 @@ fn read_by(spec: &JobSpec, stage: &Stage, item: u32) -> Vec<(Need, Stage, u32)> 
         let round = match need.round {
             Round::Before if stage.round == 0 => continue,
             Round::Before => stage.round - 1,
-            // Behind its loop the last round; there is no other graph here than drills, which make all of theirs.
-            Round::Same if !spec.graph.is_looped(stage.number) => spec.graph.rounds(need.stage) - 1,
+            Round::Same if !spec.graph.is_looped(stage.number) && spec.graph.is_looped(need.stage) => last,
             Round::Same | Round::Every => stage.round,
         };
         let from = Stage { round, number: need.stage, kind: made.kind, ..*stage };
@@ -150,7 +150,7 @@ impl Tally {
     pub(crate) fn missing(&self, units: &[Unit], leased: Tick) -> Option<Unit> {
         let first = units.first()?;
         let spec = self.specs.get(&first.job)?;
-        let read = read_by(spec, &first.stage, first.item).into_iter();
+        let read = read_by(spec, &first.stage, first.item, self.round(first)).into_iter();
         let mut needed = read.flat_map(|(_, stage, item)| {
             steps(spec, &stage).map(move |step| Unit { job: first.job, stage, item, step })
         });
@@ -170,6 +170,11 @@ impl Tally {
         let kind = spec.graph.stage(need.stage)?.kind;
         let stage = Stage { frame: Stage::OF_JOB, round: 0, number: need.stage, kind };
         Some(Unit { stage, item: 0, step: 0, ..*unit })
+    }
+
+    /// The round that the loop of a task's frame is in.
+    fn round(&self, of: &Unit) -> u32 {
+        self.rounds.get(&(of.job, of.stage.frame)).map_or(0, |(round, _)| *round)
     }
 
     /// Takes notice of everything else that is written down.
@@ -198,7 +203,7 @@ impl Tally {
     fn undo(&mut self, units: &[Unit], now: Tick) {
         let Some(first) = units.first().copied() else { return };
         let Some(spec) = self.specs.get(&first.job) else { return };
-        let read = read_by(spec, &first.stage, first.item).into_iter();
+        let read = read_by(spec, &first.stage, first.item, self.round(&first)).into_iter();
         let gone = read.filter(|(need, stage, item)| !self.is_kept(spec, first.job, need, stage, *item));
         let gone: Vec<(Stage, u32)> = gone.map(|(_, stage, item)| (stage, item)).collect();
         self.done.retain(|unit, _| !units.contains(unit));
@@ -228,7 +233,8 @@ impl Tally {
             items.filter_map(move |reader| Some((stage?, reader)))
         });
         tasks.any(|(stage, reader)| {
-            let reads = read_by(spec, &stage, reader).iter().any(|(_, from, number)| (from, *number) == (made, item));
+            let reads =
+                read_by(spec, &stage, reader, round).iter().any(|(_, from, number)| (from, *number) == (made, item));
             let mut steps = steps(spec, &stage).map(|step| Unit { job, stage, item: reader, step });
             reads && stage.round <= round && steps.any(|unit| !self.done.contains_key(&unit))
         })
@@ -243,9 +249,12 @@ pub(crate) fn content(spec: &JobSpec, frame: u32) -> Option<Digest> {
 /// What a lost result may take along: the tasks that it read, and what these read.
 pub(crate) fn behind(spec: &JobSpec, stage: &Stage, item: u32) -> BTreeSet<(Stage, u32)> {
     let (mut all, mut left) = (BTreeSet::new(), vec![(*stage, item)]);
+    let rounds = (0..spec.graph.stages.len() as u16).map(|number| spec.graph.rounds(number)).max().unwrap_or(1);
     while let Some((stage, item)) = left.pop() {
         if all.insert((stage, item)) {
-            left.extend(read_by(spec, &stage, item).into_iter().map(|(_, stage, item)| (stage, item)));
+            // Whichever round was the last one.
+            let read = (0..rounds).flat_map(|last| read_by(spec, &stage, item, last));
+            left.extend(read.map(|(_, stage, item)| (stage, item)));
         }
     }
     all

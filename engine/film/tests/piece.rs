@@ -171,7 +171,9 @@ fn damaged_errors_are_refused() {
     };
     assert!(forged(&words, [1.0, f64::INFINITY, f64::NAN, f64::NAN]).is_ok());
     assert!(forged(&words, [1.0, 0.5, 1.0, 1.5]).is_ok());
-    for numbers in [[f64::NAN, 0.5, 1.0, 1.0], [-1.0, 0.5, 1.0, 1.0], [1.0, f64::NAN, 1.0, 1.0], [1.0, 0.5, f64::NAN, 1.0]] {
+    for numbers in
+        [[f64::NAN, 0.5, 1.0, 1.0], [-1.0, 0.5, 1.0, 1.0], [1.0, f64::NAN, 1.0, 1.0], [1.0, 0.5, f64::NAN, 1.0]]
+    {
         assert!(forged(&words, numbers).is_err(), "{numbers:?}");
     }
     assert!(forged(&[8, 8, 8, 0, 1, 4, 4, 0, 0], [1.0; 4]).is_err(), "no samples");

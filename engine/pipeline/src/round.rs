@@ -88,7 +88,11 @@ mod tests {
     #[test]
     fn the_clock_counts_only_where_a_time_was_asked_for_and_then_for_the_whole_frame() {
         assert_eq!(verdict(Stop::Time(7.0), &[0.0, 9.0], Some(64)), RoundVerdict::Continue);
-        assert_eq!(verdict(Stop::Time(5.0), &[0.0, 9.0], Some(64)), RoundVerdict::Done, "the next round takes too long");
+        assert_eq!(
+            verdict(Stop::Time(5.0), &[0.0, 9.0], Some(64)),
+            RoundVerdict::Done,
+            "the next round takes too long"
+        );
         let late = Settings { stop: Stop::Error(0.05), ..Settings::default() };
         let tiles = [TileState { samples: 16, error: 0.1 }];
         let spent = Spent { so_far: 1e9, next: 1e9 };

@@ -85,14 +85,12 @@ impl<'a> Grains<'a> {
     /// Most grains of a task.
     pub const MOST: u32 = 64;
 
-    /// Of a round of a stage.
+    /// Of a round of a stage. To which task a key belongs follows from the plan alone: a task that takes more steps than planned
+    /// has larger grains, not more of them.
     /// - `uneven`: where the tasks differ in their steps.
     pub fn of(template: &'a Template, round: u32, uneven: Option<&'a Uneven>, cut: Cut) -> Self {
         let steps = uneven.map_or_else(|| Steps::Even(template.steps_of(round)), Steps::Uneven);
-        let most = match &steps {
-            Steps::Even(steps) => steps.len() as u32,
-            Steps::Uneven(uneven) => uneven.most(),
-        };
+        let most = template.steps_of(round).len() as u32;
         let mut stride = 1;
         if let Cut::Grains(size) = cut
             && template.kind.is_cut()
@@ -245,6 +243,11 @@ mod tests {
             holds_each_step_once(&grains);
             assert!(grains.of_task(1).is_empty() && grains.of_task(2).len() == 3.min(grains.stride() as usize));
             assert_eq!(grains.units(&grains.of_task(2)), 3 * 32);
+            let planned = Grains::of(&template, 1, None, cut(size));
+            assert!(
+                (0..3).all(|task| grains.of_task(task).all(|key| planned.task(key) == task)),
+                "whoever looks at it"
+            );
         }
     }
 

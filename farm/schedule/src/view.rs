@@ -200,7 +200,8 @@ fn quarantined(id: JobId, job: &Job) -> Vec<Quarantined> {
     for (&frame, unit) in &job.units {
         for ((number, round, index), trouble) in unit.quarantined() {
             let Some(template) = job.shape(frame).template(number) else { continue };
-            let round = if template.kind.is_cut() { round } else { unit.round };
+            let is_joined_in_rounds = !template.kind.is_cut() && job.spec.graph.is_looped(number);
+            let round = if is_joined_in_rounds { unit.round } else { round };
             let stage = Stage { frame, round, number, kind: template.kind };
             let task = TaskKey { job: id, stage, index };
             all.push(Quarantined { task, attempts: trouble.tries(), failure: trouble.failure.clone() });

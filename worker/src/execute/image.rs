@@ -1,7 +1,7 @@
 //! All that there is of a frame: its error, and its image.
 
 use femc_film::{BadSamples, FilmError, FrameImage, Piece, Provenance, ToneCurve, exr};
-use femc_model::{Failure, Phase, Role, Template};
+use femc_model::{Decision, Failure, More, Phase, Role, Template};
 
 use super::union::{groups, tiles, tiling, union};
 use super::{Product, Tools, unfit};
@@ -11,8 +11,8 @@ use crate::table::Task;
 pub(crate) fn image(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
     task.enter(Phase::Preparing);
     let watch = Stopwatch::start();
-    if stage.closes.is_some() {
-        return Err(unfit("the job's graph has an image that closes a loop; a decision does that"));
+    if task.assignment.work.more == More::Rounds {
+        return Err(unfit("the job's graph has an image that decides on rounds; a decision does that"));
     }
     let read = tools.cache.scene(&task.spec, &task.client, &tools.fetch)?;
     task.enter(Phase::Working);
@@ -45,6 +45,7 @@ pub(crate) fn image(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
     let mut product = Product::default();
     product.put(stage, Role::Image, || file);
     product.put(stage, Role::Preview, || preview);
+    product.result.decision = stage.closes.map(|_| Decision::Done);
     product.result.relative_error = Some(error.worst).filter(|error| error.is_finite());
     product.result.seconds = watch.seconds();
     Ok(product)

@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use femc_model::{
-    Decision, Digest, Epoch, Failure, FrameRecord, Grains, Graph, Input, Output, Reach, Role, Round, Scope, Stage, Taken,
-    TaskResult, Tick, Uneven,
+    Decision, Digest, Epoch, Failure, FrameRecord, Grains, Graph, Input, Output, Reach, Role, Round, Scope, Stage,
+    Taken, TaskResult, Tick, Uneven,
 };
 use serde::{Deserialize, Serialize};
 

@@ -25,7 +25,7 @@ fn the_plan_is_the_graph_that_is_submitted() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);
     let runtime = tokio::runtime::Runtime::new().expect("a runtime");
-    for (settings, stages) in [("--spp 16", 2), ("--error 0.1", 2), ("--time 1m --size 640x512", 3)] {
+    for (settings, stages) in [("--spp 16", 2), ("--error 0.1", 4), ("--time 1m --size 640x512", 4)] {
         let plan = place.run(&format!("plan fog.mgf {settings} --no-trial --json")).exits(0).json();
         let planned: Graph = serde_json::from_value(plan["graph"].clone()).expect("a graph");
         assert_eq!((planned.check(), planned.stages.len()), (Ok(()), stages), "{settings}");

@@ -272,6 +272,21 @@ fn tiles(bytes: &[u8]) -> Vec<Vec<([f32; 3], u32)>> {
     Tiling::new(48, 32, 16).unwrap().rects().map(|rect| rect.pixels().map(pixel).collect()).collect()
 }
 
+/// Samples a pixel of each tile of the first frame, by what was noted of the attempts at its tasks.
+async fn counted(client: &Client, job: JobId) -> Vec<u32> {
+    let (shape, attempts) = client.attempts(job).await.unwrap();
+    let (number, template) = shape.spec.graph.main().unwrap();
+    let mut counts = vec![0; 6];
+    for record in attempts.iter().filter(|record| record.ending == Ending::Done) {
+        let TaskKey { stage, index, .. } = record.task;
+        if (stage.frame, stage.number) == (1, number) {
+            let tile = Grains::of(template, stage.round, None, shape.cut).task(index);
+            counts[tile as usize] += (record.samples / 256) as u32;
+        }
+    }
+    counts
+}
+
 /// The job of the two halves in three rounds, in groups of so many tiles.
 fn halves(stop: Stop, fan: u32) -> (JobSpec, Vec<u8>) {
     let settings = settings(stop);
@@ -300,10 +315,11 @@ async fn calm_tiles_get_fewer_samples_and_the_frame_is_the_same_whoever_renders_
         let status = until(&client, id, |_| false).await;
         assert_eq!((status.state, status.frames_done), (JobState::Done, 2), "{status:?}");
         all.push(contents(&client, id).await);
+        let frame = &client.frames(id).await.unwrap()[0];
+        let found = tiles(&image(&client, frame).await);
+        let counts: Vec<u32> = found.iter().map(|tile| tile[0].1).collect();
+        assert_eq!(counted(&client, id).await, counts, "the statistics know each task's tile");
         if all.len() == 1 {
-            let frame = &client.frames(id).await.unwrap()[0];
-            let found = tiles(&image(&client, frame).await);
-            let counts: Vec<u32> = found.iter().map(|tile| tile[0].1).collect();
             assert!(found.iter().zip(&counts).all(|(tile, count)| tile.iter().all(|pixel| pixel.1 == *count)));
             // The wall alone, and the rest; a tile at the wall's edge is of either kind.
             assert_eq!((counts[0], counts[3], counts[2], counts[5]), (16, 16, 64, 64), "{counts:?}");

@@ -57,6 +57,8 @@ enum Form {
     Diamond,
     /// Tiles, an image behind the loop that reads all rounds.
     Behind,
+    /// Tiles, groups of two of them, a decision that reads the groups' errors, an image behind the loop that reads their pixels.
+    Decided,
     /// Frames, and for the job a tree over their tiles and one result; with gaps or without.
     Whole { gaps: bool },
     /// Frames that read what is solved in rounds, once for all frames and jobs of one content.
@@ -85,6 +87,15 @@ impl Form {
                 let decide = image(Frame, &[]).reads(0, Tile, Reach::All).closes(0, most);
                 let end = image(Frame, &[Image]).needs(need(0, Tile, Reach::All, Round::Every, false));
                 Graph { stages: vec![render, decide, end] }
+            }
+            Self::Decided => {
+                let groups =
+                    Template::new(Kind::Reduce, Frame, Sizes::even(tiles.div_ceil(2), 1), &[Pixels, Errors, Sums])
+                        .reads(0, Tile, Reach::Fan(2))
+                        .needs(need(1, Sums, Reach::Same, Round::Before, false));
+                let decide = Template::new(Kind::Decide, Frame, one.clone(), &[]).reads(1, Errors, Reach::All);
+                let end = image(Frame, &[Image]).reads(1, Pixels, Reach::All);
+                Graph { stages: vec![render, groups, decide.closes(0, most), end] }
             }
             Self::Shared => {
                 let blocks = Template::new(Kind::Reduce, Content, Sizes::even(2, 1), &[Sums]);
@@ -125,7 +136,7 @@ enum Goes {
 fn step() -> impl Strategy<Value = Step> {
     let decision = prop_oneof![2 => Just(Goes::On), 1 => (0..8u32).prop_map(Goes::Unevenly), 2 => Just(Goes::Over)];
     let form = prop_oneof![
-        4 => (0..4u32).prop_map(Form::Frames), 2 => Just(Form::Diamond), 2 => Just(Form::Behind),
+        4 => (0..4u32).prop_map(Form::Frames), 2 => Just(Form::Diamond), 2 => Just(Form::Behind), 4 => Just(Form::Decided),
         3 => any::<bool>().prop_map(|gaps| Form::Whole { gaps }), 5 => Just(Form::Shared)
     ];
     prop_oneof![

@@ -5,7 +5,7 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCDONE` |
-//! | 4 | format version, 5 |
+//! | 4 | format version, 6 |
 //! | 32 | BLAKE3 of all that follows |
 //! | 8 | length of the head |
 //! | | the head, in postcard: build of the engine, assignment, job, result, what it took, log, lengths of the artefacts |
@@ -31,7 +31,7 @@ use crate::execute::Product;
 use crate::table::{Table, Task};
 
 const MAGIC: &[u8; 8] = b"FEMCDONE";
-const VERSION: u32 = 5;
+const VERSION: u32 = 6;
 /// Bytes before the head.
 const FRONT: usize = 8 + 4 + 32 + 8;
 /// Most results that wait to be written.

@@ -36,14 +36,14 @@ pub(crate) struct Pixel {
 impl PixelSums {
     /// Means and the variance of the mean; zero without samples.
     pub(crate) fn resolve(&self) -> Pixel {
-        let (color, samples) = (self.total(), self.samples());
+        let samples = self.samples();
         let mut pixel = Pixel { samples, ..Pixel::default() };
         if samples == 0 {
             return pixel;
         }
         let n = f64::from(samples);
-        for i in 0..3 {
-            let mean = color[i].value() / n;
+        for (i, color) in self.total().into_iter().enumerate() {
+            let mean = color.value() / n;
             pixel.color[i] = mean as f32;
             pixel.variance[i] = variance_of_mean(mean, self.square[i].value(), n) as f32;
             let unit = f64::from(1u32 << ALBEDO_FRACTION);

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use bytes::Bytes;
-use femc_film::{Frame, Piece, Rect, Sample, Tile, Tiling};
+use femc_film::{Errors, Frame, Piece, Rect, Sample, Tile, Tiling};
 use femc_import::Bundle;
 use femc_math::Rgb;
 use femc_model::{
@@ -60,14 +60,14 @@ fn scenes() -> Vec<Target> {
             pieces[0] = Bytes::copy_from_slice(bytes);
             testing::is_scene(&of_pieces, &pieces)
         }),
-        Target::of("kept result", vec![b"FEMCDONE\x05\0\0\0".to_vec()], testing::is_kept_result),
+        Target::of("kept result", vec![b"FEMCDONE\x06\0\0\0".to_vec()], testing::is_kept_result),
         Target::dressed("kept result, inside", vec![kept_body()], kept, testing::is_kept_result),
     ]
 }
 
 /// The front of a kept result, whatever follows.
 fn kept(body: &[u8]) -> Vec<u8> {
-    [b"FEMCDONE\x05\0\0\0", &Digest::of(body).as_bytes()[..], body].concat()
+    [b"FEMCDONE\x06\0\0\0", &Digest::of(body).as_bytes()[..], body].concat()
 }
 
 /// What an assignment of a tile of three bytes came to.
@@ -123,6 +123,7 @@ fn film() -> Vec<Target> {
         frame.insert(tile).expect("its place");
     }
     let piece = Piece::of(&frame, 0..2).expect("a piece").encode();
+    let errors = Errors::of(&frame, 0..2).expect("errors").encode();
     let mut sums = b"FEMCSUMS\x01\0\0\0\x02\0\0\0".to_vec();
     for tile in &tiles {
         sums.extend((tile.len() as u64).to_le_bytes());
@@ -134,11 +135,18 @@ fn film() -> Vec<Target> {
         true
     };
     let is_piece = |bytes: &[u8]| Piece::decode(bytes).is_ok();
+    let are_errors = |bytes: &[u8]| {
+        let Ok(errors) = Errors::decode(bytes) else { return false };
+        assert!(Errors::decode(&errors.encode()).is_ok_and(|again| again == errors));
+        true
+    };
     vec![
         Target::of("tile", tiles.clone(), is_tile),
         Target::dressed("tile, inside", tiles, sealed, is_tile),
         Target::of("piece", vec![piece.clone()], is_piece),
         Target::dressed("piece, inside", vec![piece], sealed, is_piece),
+        Target::of("errors", vec![errors.clone()], are_errors),
+        Target::dressed("errors, inside", vec![errors], sealed, are_errors),
         Target::of("sums", vec![sums], |bytes| decode_sums(bytes).is_ok()),
     ]
 }

@@ -14,8 +14,8 @@ fn frames_done(place: &Place, url: &str, job: &str) -> u64 {
 
 const SETTINGS: &str = "--spp 12 --size 64x64";
 
-fn same_as_one_process(place: &Place) {
-    place.run(&format!("render fog.mgf -o alone {SETTINGS}")).exits(0);
+fn same_as_one_process(place: &Place, settings: &str) {
+    place.run(&format!("render fog.mgf -o alone {settings}")).exits(0);
     assert_eq!(names(&place.path("out")), names(&place.path("alone")));
     for name in names(&place.path("alone")) {
         let (farm, alone) = (place.path("out").join(&name), place.path("alone").join(&name));
@@ -34,7 +34,35 @@ fn a_killed_worker_costs_no_pixel() {
     assert!(victim.kill(), "the victim was alive");
     place.run(&format!("watch {job} --server {url}")).exits(0);
     place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
-    same_as_one_process(&place);
+    same_as_one_process(&place, SETTINGS);
+}
+
+#[test]
+fn frames_whose_tiles_have_their_own_numbers_of_samples_are_those_of_one_process() {
+    const SETTINGS: &str = "--error 0.02 --size 64x64 --frames 1..2";
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let (mut victim, _second, _third) = (worker(&place, &url), worker(&place, &url), worker(&place, &url));
+    let job = submit(&place, &url, SETTINGS);
+    let decisions = || {
+        let rows = place.run(&format!("stats {job} --by task --json --server {url}")).exits(0).json();
+        let is_decision = |row: &&serde_json::Value| row["task"].as_str().is_some_and(|task| task.contains("/decide/"));
+        rows.as_array().expect("rows").iter().filter(is_decision).count()
+    };
+    farm.wait_until("a round", || decisions() >= 1);
+    assert!(victim.kill(), "the victim was alive");
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    same_as_one_process(&place, SETTINGS);
+    // Of each tile of the first frame: the samples of all its rounds.
+    let rows = place.run(&format!("stats {job} --by task --json --server {url}")).exits(0).json();
+    let mut samples = std::collections::BTreeMap::new();
+    for row in rows.as_array().expect("rows").iter().filter(|row| row["frame"] == 1 && !row["tile"].is_null()) {
+        *samples.entry(row["tile"].as_u64()).or_insert(0) += row["samples"].as_u64().expect("a number") / 256;
+    }
+    let (least, most) = (samples.values().min(), samples.values().max());
+    assert!(samples.len() == 16 && least >= Some(&16) && least < most, "{samples:?}");
+    assert!(samples.values().all(|count: &u64| count.is_power_of_two()), "rounds double: {samples:?}");
 }
 
 #[test]
@@ -52,7 +80,7 @@ fn a_killed_coordinator_comes_back_with_all_it_had_and_its_worker_joins_again() 
     assert!(frames_done(&place, &url, &job) >= before, "what was finished is finished");
     place.run(&format!("watch {job} --server {url}")).exits(0);
     place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
-    same_as_one_process(&place);
+    same_as_one_process(&place, SETTINGS);
 }
 
 #[test]
@@ -118,7 +146,7 @@ fn a_worker_that_is_told_to_stop_finishes_its_task_and_leaves_the_rest_to_others
     let _other = worker(&place, &url);
     place.run(&format!("watch {job} --server {url}")).exits(0);
     place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
-    same_as_one_process(&place);
+    same_as_one_process(&place, SETTINGS);
 }
 
 #[test]
@@ -313,5 +341,5 @@ fn a_damaged_image_is_named_and_its_frame_is_rendered_again_by_fetch_and_by_retr
     place.run(&format!("watch {job} --server {url}")).exits(0);
     std::fs::remove_dir_all(place.path("out")).expect("fetched before");
     place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
-    same_as_one_process(&place);
+    same_as_one_process(&place, SETTINGS);
 }

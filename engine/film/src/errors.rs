@@ -99,8 +99,11 @@ pub struct Errors {
 
 impl Errors {
     /// Of these tiles of `frame`.
-    /// - errors: the frame has fewer tiles; one has no samples, or a gap in them.
+    /// - errors: there are none; the frame has fewer tiles; one has no samples, or a gap in them.
     pub fn of(frame: &Frame, tiles: Range<usize>) -> Result<Self, FilmError> {
+        if tiles.is_empty() {
+            return Err(FilmError::Corrupt("a group of no tiles"));
+        }
         let measure = |index: usize| {
             let (tile, samples) = whole(frame, index)?;
             let blocks = blocks(tile.rect()).map(|rect| TileBlock::of(tile, rect)).collect();

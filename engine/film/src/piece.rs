@@ -101,8 +101,11 @@ pub struct Piece {
 
 impl Piece {
     /// These tiles of `frame`.
-    /// - errors: the frame has fewer tiles; one has no samples, or a gap in them.
+    /// - errors: there are none; the frame has fewer tiles; one has no samples, or a gap in them.
     pub fn of(frame: &Frame, tiles: Range<usize>) -> Result<Self, FilmError> {
+        if tiles.is_empty() {
+            return Err(FilmError::Corrupt("a group of no tiles"));
+        }
         let mut piece = Self {
             tiling: frame.tiling(),
             samples: Vec::new(),

@@ -196,7 +196,8 @@ fn a_tile_that_is_not_whole_makes_no_piece() {
     let mut frame = Frame::new(tiling);
     frame.insert(tile(rects[0], 0..2)).unwrap();
     frame.insert(tile(rects[0], 3..4)).unwrap();
-    assert!(Piece::of(&frame, 0..1).is_err(), "a gap");
+    assert!(Piece::of(&frame, 0..1).is_err() && Errors::of(&frame, 0..1).is_err(), "a gap");
+    assert!(Piece::of(&frame, 0..0).is_err() && Errors::of(&frame, 0..0).is_err(), "no tiles");
 }
 
 #[test]

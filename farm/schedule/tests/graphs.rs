@@ -192,6 +192,36 @@ fn tiles_take_the_steps_that_were_decided_and_one_that_needs_none_is_left_alone(
 }
 
 #[test]
+fn an_image_behind_the_loop_that_cannot_be_made_is_named_as_it_was_leased() {
+    let mut farm = Farm::new();
+    let graph = Graph {
+        stages: vec![
+            render(2, &[4, 8]),
+            image(Scope::Frame, &[]).reads(0, Role::Tile, Reach::All).closes(0, 2),
+            image(Scope::Frame, &[Role::Image]).reads(0, Role::Tile, Reach::All),
+        ],
+    };
+    let id = farm.submit(of(&[1], 2, graph));
+    farm.join(1);
+    while farm.first_of(1).task.stage.number < 2 {
+        let held = farm.first_of(1);
+        let made = match held.task.stage {
+            Stage { number: 0, .. } => result(&held, &[Role::Tile]),
+            Stage { round: 0, .. } => TaskResult { decision: Some(Continue), ..result(&held, &[]) },
+            _ => result(&held, &[]),
+        };
+        farm.complete_with(1, &held, made);
+    }
+    let image = farm.first_of(1).task;
+    while farm.status(id).quarantined.is_empty() {
+        let held = farm.first_of(1);
+        farm.fail(1, &held, panic());
+    }
+    assert_eq!(farm.status(id).quarantined[0].task, image);
+    assert_eq!(image.stage.round, 0, "it is made once");
+}
+
+#[test]
 fn who_reads_tiles_at_first_or_at_second_hand_is_told_how_many_steps_each_of_them_has_taken() {
     let mut farm = Farm::new();
     let graph = Graph {

@@ -27,8 +27,8 @@ pub(crate) const ALBEDO_FRACTION: u32 = 24;
 pub const REPLICATES: usize = 2;
 
 /// Samples in a row that belong to one replicate: the sampler stratifies every aligned run of a power of two, so that each
-/// replicate covers its pixel evenly. The two are stratified together, and differ by more than independent ones: an error that
-/// is estimated by their difference is not too small.
+/// replicate covers its pixel evenly. The two are stratified together: what one lacks the other has, and an error that is
+/// estimated by their difference is rather too large than too small.
 const REPLICATE_RUN: u32 = 8;
 
 /// The replicate of sample `index`.

@@ -26,6 +26,8 @@ fn template(stage: &engine::Stage) -> Template {
         needs: needs.iter().map(need).collect(),
         makes: makes.iter().map(role).collect(),
         closes: closes.map(|engine::Loop { first, rounds }| Loop { first, rounds }),
+        options: String::new(),
+        tags: Vec::new(),
     }
 }
 

@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Role, StageKind};
+use crate::{JobSpec, Role, StageKind};
 
 /// The stages of a job. A stage is named by its number here, and needs those before it only, or, of the round before, any of
 /// its loop.
@@ -33,6 +33,10 @@ pub struct Template {
     pub makes: Vec<Role>,
     /// The loop that it closes.
     pub closes: Option<Loop>,
+    /// What its tasks are told beyond their inputs and the job's settings, in a form that the kind defines; empty: nothing.
+    pub options: String,
+    /// A worker must have all of these for its tasks, and the job's.
+    pub tags: Vec<String>,
 }
 
 /// Stages that run in rounds.
@@ -168,7 +172,7 @@ impl Template {
     /// A stage without inputs.
     pub fn new(kind: StageKind, scope: Scope, sizes: Sizes, makes: &[Role]) -> Self {
         let (steps, needs, makes, closes) = (Vec::new(), Vec::new(), makes.to_vec(), None);
-        Self { kind, scope, sizes, steps, needs, makes, closes }
+        Self { kind, scope, sizes, steps, needs, makes, closes, options: String::new(), tags: Vec::new() }
     }
 
     /// The same, each task of which has taken so many steps at the end of each round.
@@ -192,6 +196,16 @@ impl Template {
         Self { closes: Some(Loop { first, rounds }), ..self }
     }
 
+    /// The same, whose tasks are told this.
+    pub fn options(self, options: impl Into<String>) -> Self {
+        Self { options: options.into(), ..self }
+    }
+
+    /// The same for workers that have these tags.
+    pub fn tags(self, tags: &[&str]) -> Self {
+        Self { tags: tags.iter().map(|tag| (*tag).to_owned()).collect(), ..self }
+    }
+
     /// How many tasks it has in a round.
     pub fn tasks(&self) -> u32 {
         self.sizes.tasks()
@@ -209,6 +223,8 @@ impl Graph {
     pub const MAX_NEEDS: usize = 16;
     /// Most entries of a stage's sizes.
     pub const MAX_RUNS: usize = 1 << 17;
+    /// Most bytes of a stage's options.
+    pub const MAX_OPTIONS: usize = 1 << 12;
 
     /// The stage of this number.
     pub fn stage(&self, stage: u16) -> Option<&Template> {
@@ -313,12 +329,19 @@ impl Graph {
     }
 
     fn check_stage(&self, stage: u16, template: &Template) -> Result<(), GraphError> {
-        let Template { kind, sizes, steps, needs, makes, .. } = template;
+        let Template { kind, sizes, steps, needs, makes, options, tags, .. } = template;
         let limits = [
             ("tasks of a stage", u64::from(sizes.tasks()), u64::from(Self::MAX_TASKS)),
             ("needs of a stage", needs.len() as u64, Self::MAX_NEEDS as u64),
             ("sizes of a stage", sizes.runs().len() as u64, Self::MAX_RUNS as u64),
             ("rounds", steps.len() as u64, u64::from(Self::MAX_ROUNDS)),
+            ("bytes of a stage's options", options.len() as u64, Self::MAX_OPTIONS as u64),
+            ("tags of a stage", tags.len() as u64, JobSpec::MAX_TAGS as u64),
+            (
+                "bytes of a stage's tag",
+                tags.iter().map(String::len).max().unwrap_or(0) as u64,
+                JobSpec::MAX_NAME as u64,
+            ),
         ];
         if let Some(&(what, _, limit)) = limits.iter().find(|(_, found, limit)| found > limit) {
             return Err(GraphError::TooMany { what, limit });
@@ -332,6 +355,9 @@ impl Graph {
         }
         if (1..makes.len()).any(|place| makes[..place].contains(&makes[place])) {
             return Err(GraphError::Makes { stage });
+        }
+        if tags.iter().chain([options]).any(|text| text.contains(char::is_control)) {
+            return Err(GraphError::Control { stage });
         }
         self.check_loop(stage, template)?;
         if kind.is_cut() && steps.len() != self.rounds(stage) as usize {
@@ -425,6 +451,12 @@ pub enum GraphError {
         /// Which.
         stage: u16,
     },
+    /// What is shown on terminals must not steer them.
+    #[error("control characters in the options or tags of stage {stage}")]
+    Control {
+        /// Which.
+        stage: u16,
+    },
     /// A loop that cannot be.
     #[error("stage {stage}: {why}")]
     Loop {
@@ -488,6 +520,14 @@ mod tests {
         assert_eq!(with(|all| all[1].needs[0].reach = Reach::Fan(2)), need("a fan that does not fit"));
         assert_eq!(with(|all| all[1].needs[0].reach = Reach::Same), need("one to one of different numbers"));
         assert_eq!(with(|all| all[1].makes.push(Role::Sums)), Err(GraphError::Makes { stage: 1 }));
+        let long = |all: &mut Vec<Template>| all[1].options = "x".repeat(Graph::MAX_OPTIONS + 1);
+        assert!(matches!(with(long), Err(GraphError::TooMany { what: "bytes of a stage's options", .. })));
+        let many = |all: &mut Vec<Template>| all[1].tags = vec!["lab".into(); 65];
+        assert!(matches!(with(many), Err(GraphError::TooMany { what: "tags of a stage", limit: 64 })));
+        let long = |all: &mut Vec<Template>| all[1].tags = vec!["x".repeat(JobSpec::MAX_NAME + 1)];
+        assert!(matches!(with(long), Err(GraphError::TooMany { what: "bytes of a stage's tag", .. })));
+        assert_eq!(with(|all| all[1].tags = vec!["a\u{1b}".into()]), Err(GraphError::Control { stage: 1 }));
+        assert_eq!(with(|all| all[1].options = "a\n".into()), Err(GraphError::Control { stage: 1 }));
         assert!(matches!(with(|all| all[2].sizes = Sizes::even(2, 1)), Err(GraphError::Loop { stage: 2, .. })));
         assert!(with(|all| all[2].closes = Some(Loop { first: 0, rounds: 65 })).is_err());
         assert!(matches!(with(|all| all[0].sizes = Sizes::even(1 << 17, 1)), Err(GraphError::TooMany { .. })));

@@ -67,7 +67,7 @@ impl TryFrom<wire::Graph> for Graph {
 
 impl From<Template> for wire::Template {
     fn from(template: Template) -> Self {
-        let Template { kind, scope, sizes, steps, needs, makes, closes } = template;
+        let Template { kind, scope, sizes, steps, needs, makes, closes, options, tags } = template;
         let scope = match scope {
             Scope::Job => wire::Scope::Job,
             Scope::Frame => wire::Scope::Frame,
@@ -81,6 +81,8 @@ impl From<Template> for wire::Template {
             needs: needs.into_iter().map(Into::into).collect(),
             makes: makes.into_iter().map(of_role).collect(),
             closes: closes.map(|Loop { first, rounds }| wire::Loop { first: first.into(), rounds }),
+            options,
+            tags,
         }
     }
 }
@@ -89,7 +91,7 @@ impl TryFrom<wire::Template> for Template {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Template) -> Result<Self, ConvertError> {
-        let wire::Template { kind: of, scope, sizes, steps, needs, makes, closes } = wire;
+        let wire::Template { kind: of, scope, sizes, steps, needs, makes, closes, options, tags } = wire;
         Ok(Self {
             kind: kind(of)?,
             scope: match wire::Scope::try_from(scope) {
@@ -105,6 +107,8 @@ impl TryFrom<wire::Template> for Template {
             needs: each(needs)?,
             makes: makes.into_iter().map(role).collect::<Result<_, _>>()?,
             closes: maybe(closes)?,
+            options,
+            tags,
         })
     }
 }

@@ -42,7 +42,9 @@ fn graph() -> Graph {
     let reduce = Template::new(StageKind::Reduce, Scope::Job, Sizes::even(1, 1), &Role::ALL)
         .needs(need(Reach::Fan(256), Round::Before))
         .needs(need(Reach::Same, Round::Every))
-        .reads(0, Role::Tile, Reach::All);
+        .reads(0, Role::Tile, Reach::All)
+        .options("rate=24")
+        .tags(&["ffmpeg", "lab"]);
     let image = Template::new(StageKind::Image, Scope::Frame, Sizes::default(), &[]).closes(u16::MAX, 64);
     Graph { stages: vec![render, reduce, image] }
 }

@@ -5,7 +5,7 @@ use femc_model::{JobId, Near, TaskKey, Tick, WorkerId};
 
 use crate::Command;
 use crate::builds::is_foreign;
-use crate::deal::{is_avoided, is_shunned};
+use crate::deal::{is_shunned, may_take};
 use crate::ledger::Job;
 use crate::scheduler::Scheduler;
 use crate::shared::Content;
@@ -112,14 +112,14 @@ impl Scheduler {
     fn ready_near(&self, id: WorkerId, job: JobId, frame: Option<u32>) -> Option<TaskKey> {
         let (known, desk) = (self.ledger.jobs.get(&job)?, self.desks.get(&job)?);
         let engine = &*self.floor.workers.get(&id)?.registration.engine;
-        let may_take = |task: &TaskKey| {
-            !is_avoided(task, known, desk, id, &self.floor)
+        let is_for_it = |task: &TaskKey| {
+            may_take(task, known, desk, id, &self.floor)
                 && matches!(self.content(known, &task.stage, engine), Content::There)
                 && !is_foreign(&self.ledger, &self.floor, job, task.stage.frame, id)
         };
         match frame {
-            Some(frame) => desk.open.get(frame)?.near(job).find(may_take),
-            None => desk.open.ready().flat_map(|(_, open)| open.near(job)).find(may_take),
+            Some(frame) => desk.open.get(frame)?.near(job).find(is_for_it),
+            None => desk.open.ready().flat_map(|(_, open)| open.near(job)).find(is_for_it),
         }
     }
 }

@@ -1,5 +1,6 @@
 //! Dealing: ready tasks to workers with room, and the reasons why a task waits, from one set of predicates.
 
+use std::collections::BTreeSet;
 use std::ops::Range;
 
 use femc_model::{Assignment, Digest, Epoch, JobId, More, Scope, Stage, TaskKey, Tick, Wait, Work, WorkerId};
@@ -90,6 +91,10 @@ impl Scheduler {
                 continue;
             }
             for (stage, keys) in open.stages() {
+                if !self.floor.has_tags(worker, job.tags_of(stage.number)) {
+                    best = Pick::NotForThisWorker;
+                    continue;
+                }
                 match self.content(job, stage, engine) {
                     Content::There => {}
                     Content::Missing(key) => return Pick::Begin(id, frame, key),
@@ -122,7 +127,7 @@ impl Scheduler {
             return None;
         }
         let mut tasks = desk.open.ready().flat_map(|(_, open)| open.tasks(id));
-        tasks.find(|task| !is_avoided(task, job, desk, worker, &self.floor))
+        tasks.find(|task| may_take(task, job, desk, worker, &self.floor))
     }
 
     /// Leases a task to a worker.
@@ -214,7 +219,14 @@ impl Scheduler {
         }
         let is_ready = desk.open.ready().next().is_some();
         if is_ready || desk.cursor < job.frames().len() {
-            waits.extend(self.why_no_worker(id, job, desk, now));
+            let none: &[String] = &[];
+            let stages = desk.open.ready().flat_map(|(_, open)| open.stages());
+            let tags: BTreeSet<&[String]> = stages.map(|(stage, _)| job.tags_of(stage.number)).collect();
+            let tags = if tags.is_empty() { BTreeSet::from([none]) } else { tags };
+            let mut missing: Vec<Wait> =
+                tags.into_iter().filter_map(|tags| self.why_no_worker(id, job, tags, desk, now)).collect();
+            missing.dedup();
+            waits.extend(missing);
             waits.extend(self.why_silent(job, now));
             waits.extend(self.why_in_trouble(job, now));
             waits.extend(self.why_shunned(job, desk, now));
@@ -225,16 +237,18 @@ impl Scheduler {
         waits
     }
 
-    fn why_no_worker(&self, id: JobId, job: &Job, desk: &Desk, now: Tick) -> Option<Wait> {
+    /// - `tags`: of the stage, beside the job's.
+    fn why_no_worker(&self, id: JobId, job: &Job, tags: &[String], desk: &Desk, now: Tick) -> Option<Wait> {
         if now < self.deals_from {
             return Some(Wait::Regrouping { milliseconds: self.deals_from.since(now) });
         }
         if self.floor.workers.is_empty() {
             return Some(Wait::NoWorkers);
         }
-        let able: Vec<&Worker> = self.floor.workers.values().filter(|worker| worker.has_tags(&job.spec.tags)).collect();
+        let all: Vec<String> = job.spec.tags.iter().chain(tags).cloned().collect();
+        let able: Vec<&Worker> = self.floor.workers.values().filter(|worker| worker.has_tags(&all)).collect();
         if able.is_empty() {
-            return Some(Wait::NoWorkerWithTags(job.spec.tags.clone()));
+            return Some(Wait::NoWorkerWithTags(all));
         }
         let able_count = able.len();
         let able: Vec<&Worker> = able.into_iter().filter(|worker| worker.is_open()).collect();
@@ -323,13 +337,14 @@ fn why_idle(job: &Job, frame: u32) -> Option<Wait> {
     Some(Wait::StageWaits { frame, stage: waits.kind, needs: needs.kind, tasks })
 }
 
-/// Whether another worker may do what this one may: one of its build that wants tasks of the job.
-fn has_peer(job: &Job, worker: WorkerId, floor: &Floor, is_one: impl Fn(WorkerId) -> bool) -> bool {
+/// Whether another worker may do what this one may: one of its build that wants tasks of the job, and has these tags, too.
+fn has_peer(job: &Job, tags: &[String], worker: WorkerId, floor: &Floor, is_one: impl Fn(WorkerId) -> bool) -> bool {
     let Some(own) = floor.workers.get(&worker) else { return false };
     floor.workers.iter().any(|(&id, other)| {
         id != worker
             && other.is_open()
             && other.has_tags(&job.spec.tags)
+            && other.has_tags(tags)
             && other.registration.engine == own.registration.engine
             && is_one(id)
     })
@@ -338,12 +353,17 @@ fn has_peer(job: &Job, worker: WorkerId, floor: &Floor, is_one: impl Fn(WorkerId
 /// Whether the job's tasks keep failing on this worker, and another that is trusted could take them.
 pub(crate) fn is_shunned(job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor, now: Tick) -> bool {
     let shuns = |id| floor.instance(id).is_some_and(|instance| desk.distrust.shuns(instance, now).is_some());
-    shuns(worker) && has_peer(job, worker, floor, |other| !shuns(other))
+    shuns(worker) && has_peer(job, &[], worker, floor, |other| !shuns(other))
+}
+
+/// Whether the worker has what the task's stage asks for, and is not to be spared the task.
+pub(crate) fn may_take(task: &TaskKey, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor) -> bool {
+    floor.has_tags(worker, job.tags_of(task.stage.number)) && !is_avoided(task, job, desk, worker, floor)
 }
 
 /// Whether the task failed last on this very worker, and another that could take it is there: not one on which the job's tasks
 /// keep failing, or each would wait for the other.
-pub(crate) fn is_avoided(task: &TaskKey, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor) -> bool {
+fn is_avoided(task: &TaskKey, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor) -> bool {
     let is_trusted = |id| floor.instance(id).is_some_and(|instance| !desk.distrust.is_in_doubt(instance));
-    desk.avoid.get(task) == Some(&worker) && has_peer(job, worker, floor, is_trusted)
+    desk.avoid.get(task) == Some(&worker) && has_peer(job, job.tags_of(task.stage.number), worker, floor, is_trusted)
 }

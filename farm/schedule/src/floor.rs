@@ -128,6 +128,11 @@ pub(crate) struct Floor {
 }
 
 impl Floor {
+    /// Whether a worker is there and has these tags.
+    pub(crate) fn has_tags(&self, worker: WorkerId, tags: &[String]) -> bool {
+        self.workers.get(&worker).is_some_and(|worker| worker.has_tags(tags))
+    }
+
     pub(crate) fn join(&mut self, worker: WorkerId, registration: Registration, now: Tick) {
         let fresh = Worker {
             registration,

@@ -6,7 +6,7 @@ use femc_model::{TaskKey, Tick, WorkerId};
 
 use crate::Command;
 use crate::builds::is_foreign;
-use crate::deal::{is_avoided, is_shunned};
+use crate::deal::{is_shunned, may_take};
 use crate::floor::{Lease, LeaseKey};
 use crate::scheduler::Scheduler;
 use crate::shared::Content;
@@ -69,7 +69,7 @@ impl Scheduler {
                 .is_some_and(|it| matches!(self.content(job, &task.stage, &it.registration.engine), Content::There))
             && worker.is_some_and(|worker| self.fits(worker, job))
             && !is_shunned(job, desk, id, &self.floor, now)
-            && !is_avoided(task, job, desk, id, &self.floor)
+            && may_take(task, job, desk, id, &self.floor)
             && !is_foreign(&self.ledger, &self.floor, task.job, task.stage.frame, id)
     }
 }

@@ -356,3 +356,54 @@ fn a_job_that_fails_takes_back_what_reads_a_frame_that_is_lost_since() {
     }
     assert_eq!((farm.state(id), farm.tasks_of(1)), (JobState::Failed, vec![]));
 }
+
+/// A frame of two tiles whose image only workers with the tag `big` may make.
+fn tagged() -> JobSpec {
+    let image = image(Scope::Frame, &[Role::Image]).reads(0, Role::Tile, Reach::All).closes(0, 1);
+    of(&[1], 2, Graph { stages: vec![render(2, &[4]), image.tags(&["big"])] })
+}
+
+#[test]
+fn a_stage_with_tags_waits_for_a_worker_that_has_them_and_says_which_are_missing() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+    let id = farm.submit(JobSpec { tags: vec!["lab".into()], ..tagged() });
+    farm.join_with(1, vec!["lab".into()]);
+    farm.join_with(2, vec!["big".into()]);
+    work(&mut farm, 1);
+    assert!(!farm.status(id).waits.iter().any(|wait| matches!(wait, Wait::NoWorkerWithTags(_))), "a tile is under way");
+    work(&mut farm, 1);
+    assert!(farm.held.is_empty(), "{:?}", farm.held);
+    assert_eq!(farm.status(id).waits, [Wait::NoWorkerWithTags(vec!["lab".into(), "big".into()])]);
+    farm.join_with(3, vec!["big".into(), "lab".into()]);
+    assert_eq!((farm.tasks_of(1).len(), farm.tasks_of(2).len(), farm.tasks_of(3)), (0, 0, vec![(1, 0, Image, 0)]));
+    assert_eq!(farm.status(id).waits, []);
+    work(&mut farm, 3);
+    assert_eq!(farm.state(id), JobState::Done);
+}
+
+#[test]
+fn what_failed_on_the_only_worker_with_its_stage_s_tags_is_tried_there_again_and_nobody_else_gets_a_copy() {
+    let mut farm = Farm::with(Config { prefetch: 0, late: 100, ..config() });
+    let id = farm.submit(JobSpec { frames: vec![1, 2], ..tagged() });
+    farm.join_with(1, vec!["big".into()]);
+    // The image of the first frame tells how long one takes.
+    while farm.tasks_of(1) != [(2, 0, Image, 0)] {
+        let held = farm.first_of(1);
+        let seconds = 0.1;
+        farm.wait(100);
+        let made = if held.task.stage.kind == Render { Role::Tile } else { Role::Image };
+        farm.complete_with(1, &held, TaskResult { seconds, ..result(&held, &[made]) });
+    }
+    farm.join(2);
+    let held = farm.first_of(1);
+    farm.fail(1, &held, panic());
+    assert_eq!(farm.tasks_of(1), [(2, 0, Image, 0)], "no other may take it");
+    for _ in 0..8 {
+        farm.wait(500);
+        farm.heartbeat(1, Phase::Working, 0);
+        farm.heartbeat(2, Phase::Working, 0);
+        assert_eq!(farm.tasks_of(2), []);
+    }
+    work(&mut farm, 1);
+    assert_eq!(farm.state(id), JobState::Done);
+}

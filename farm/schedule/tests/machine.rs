@@ -116,7 +116,7 @@ impl Form {
                     Round::Every,
                     gaps,
                 ));
-                let whole = image(Job, &[Preview]).reads(2, Sums, Reach::All);
+                let whole = image(Job, &[Preview]).reads(2, Sums, Reach::All).tags(&[TAG]);
                 let whole = whole.needs(need(1, Image, Reach::All, Round::Same, gaps));
                 Graph { stages: vec![render, end, pairs, whole] }
             }
@@ -477,6 +477,10 @@ impl Machine {
         if !task.job.is_shared() {
             assert!(!self.paused.contains(&task.job), "{task} is leased, and its job stands still");
             assert!(self.is_fit_for(worker, task.job), "{task} is leased to a worker without its tags");
+            assert!(
+                self.has_tags(worker, &self.template(task).tags),
+                "{task} is leased to a worker without its stage's"
+            );
             return;
         }
         let shared = self.shared.iter().find(|(_, id)| **id == task.job);
@@ -504,9 +508,13 @@ impl Machine {
 
     /// Whether a worker has all that a job asks for.
     fn is_fit_for(&self, worker: WorkerId, job: JobId) -> bool {
-        let (spec, workers) = (self.farm.scheduler.spec(job).unwrap(), self.farm.scheduler.workers(self.farm.now));
+        self.has_tags(worker, &self.farm.scheduler.spec(job).unwrap().tags)
+    }
+
+    fn has_tags(&self, worker: WorkerId, all: &[String]) -> bool {
+        let workers = self.farm.scheduler.workers(self.farm.now);
         let tags = workers.into_iter().find(|known| known.worker == worker).map(|known| known.tags).unwrap_or_default();
-        spec.tags.iter().all(|tag| tags.contains(tag))
+        all.iter().all(|tag| tags.contains(tag))
     }
 
     /// A lease begins, by being granted or adopted: nobody else has any of it, and none of it is done.

@@ -161,6 +161,11 @@ impl Job {
         shape!(self, frame)
     }
 
+    /// What a worker must have for a stage's tasks, beside the job's tags.
+    pub(crate) fn tags_of(&self, number: u16) -> &[String] {
+        self.spec.graph.stage(number).map_or(&[], |template| &template.tags)
+    }
+
     /// The frame, as if it had begun.
     pub(crate) fn unit(&self, frame: u32) -> Cow<'_, Unit> {
         match self.units.get(&frame) {

@@ -209,7 +209,7 @@ fn result(kind: StageKind, artefact: Artefact) -> TaskResult {
         StageKind::Render => TaskResult { units: 1024, ..of(Role::Tile) },
         StageKind::Reduce => of(Role::Pixels),
         StageKind::Image => TaskResult { decision: Some(Decision::Done), ..of(Role::Image) },
-        StageKind::Drill | StageKind::Decide => of(Role::Numbers),
+        _ => of(Role::Numbers),
     }
 }
 

@@ -144,9 +144,7 @@ impl Hand {
         };
         match held.task.stage.kind {
             StageKind::Render => TaskResult { units: held.work.steps.len() as u64 * 64, ..of(Role::Tile, artefact) },
-            StageKind::Reduce | StageKind::Image | StageKind::Drill | StageKind::Decide => {
-                TaskResult { decision: Some(Decision::Done), ..of(Role::Image, self.image.unwrap_or(artefact)) }
-            }
+            _ => TaskResult { decision: Some(Decision::Done), ..of(Role::Image, self.image.unwrap_or(artefact)) },
         }
     }
 }

@@ -212,6 +212,18 @@ impl Client {
         Ok((need("attempts.job", shape)?, attempts))
     }
 
+    /// A job as it was submitted.
+    pub async fn spec(&self, job: JobId) -> Result<JobSpec, CallError> {
+        let request = wire::AttemptsRequest { job: job.0 };
+        let reply = self.jobs().attempts(request).await.map_err(|status| self.error(&status))?;
+        // It comes before the attempts.
+        let part = reply.into_inner().message().await.map_err(|status| self.error(&status))?;
+        let Some(Part::Job(shape)) = part.and_then(|part| part.part) else {
+            return Err(ConvertError::Missing { field: "attempts.job" }.into());
+        };
+        Ok(*JobShape::try_from(shape)?.spec)
+    }
+
     /// The workers that are there.
     pub async fn workers(&self) -> Result<Vec<WorkerStatus>, CallError> {
         let reply =

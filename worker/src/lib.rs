@@ -7,6 +7,7 @@
 
 mod cache;
 mod claims;
+pub mod clip;
 mod clock;
 mod config;
 mod duty;
@@ -37,7 +38,7 @@ mod worker;
 pub use cache::Cache;
 pub use config::{AtStop, Config, Fate, Hands, IfTaken, OutboxConfig, OutboxPlace, Pace, WorkerError};
 pub use duty::{Duty, Shift};
-pub use execute::drill_key;
+pub use execute::{Video, Wish, drill_key};
 pub use journal::Journal;
 pub use log::{TASK_LOG_LEVEL, TaskLogs};
 pub use memory::MemoryLimit;

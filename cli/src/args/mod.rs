@@ -1,9 +1,11 @@
 //! The arguments as typed. Every command has a file under `command/`; what they share is here.
 
+mod extras;
 mod metrics;
 mod settings;
 mod values;
 
+pub use extras::ExtrasArgs;
 pub use metrics::MetricsArgs;
 pub use settings::SettingsArgs;
 pub use values::{Filter, Method};

@@ -166,6 +166,17 @@ impl Farm {
         Ok(frames)
     }
 
+    /// A job as it was submitted.
+    pub async fn spec(&self, job: JobId) -> Result<JobSpec, Failure> {
+        self.client.spec(job).await.map_err(told)
+    }
+
+    /// What is finished of a job as a whole; `None`: nothing is, yet.
+    pub async fn whole(&self, job: JobId) -> Result<Option<FrameRecord>, Failure> {
+        let records = self.client.frames(job).await.map_err(told)?;
+        Ok(records.into_iter().find(|record| record.frame == Stage::OF_JOB))
+    }
+
     /// The image of a finished frame, or `None`, where it is damaged or gone.
     pub async fn image(&self, frame: &FrameRecord) -> Result<Option<Vec<u8>>, Failure> {
         match frame.image() {

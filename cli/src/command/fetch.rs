@@ -2,16 +2,17 @@
 
 use super::client::{self, Farm};
 use super::preview::Partial;
-use super::render::frame_name;
+use super::render::{frame_name, still_name};
 use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure, failed};
 use crate::output::{Say, human, job as show, json};
 use clap::Args;
-use femc_model::{Digest, FrameRecord, JobId, JobSpec, JobState, JobStatus};
+use femc_model::{Artefact, Digest, JobId, JobSpec, JobState, JobStatus, Role};
+use femc_worker::{Video, Wish};
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
-/// Write the finished frames of a job into a folder, under the names that `render` gives them
+/// Write the finished frames of a job into a folder, under the names that `render` gives them, and what the job makes of them all
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc fetch 7 -o drive\n  \
@@ -42,22 +43,37 @@ struct Report {
     frames: u32,
     files: Vec<String>,
     partial: Vec<String>,
+    #[serde(flatten)]
+    shown: Shown,
     /// Frames whose image was damaged or gone.
     lost: Vec<u32>,
 }
 
+/// Files of what is made of all frames.
+#[derive(Clone, Debug, Default, Serialize)]
+struct Shown {
+    /// PNG files beside the frames.
+    previews: Vec<String>,
+    contact_sheet: Option<String>,
+    video: Option<String>,
+    /// How many of these are not there.
+    #[serde(skip)]
+    missing: u64,
+}
+
 /// Fetch.
 pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
-    let (status, files, partial, lost) = client::block_on(&args.server, async |farm| {
+    let (status, files, partial, shown, lost) = client::block_on(&args.server, async |farm| {
         let status = farm.status(JobId(args.job)).await?;
         if !JobSpec::names_files(&status.name) {
             return Err(failed(format!("job {} is called {:?}, and files cannot be called so", args.job, status.name)));
         }
         let (mut files, mut lost) = (Vec::new(), Vec::new());
         for frame in farm.frames(JobId(args.job)).await? {
-            match file(farm, &status, &frame, &args.out).await? {
-                Some(path) => files.push(path),
-                None => lost.push(frame.frame),
+            let path = args.out.join(frame_name(&status.name, frame.frame));
+            match frame.image() {
+                Some(image) if file(farm, &image, &path).await? => files.push(path),
+                _ => lost.push(frame.frame),
             }
         }
         // As it is now: a job that was done goes on.
@@ -79,16 +95,19 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
                 partial.push(path);
             }
         }
-        Ok((status, files, partial, lost))
+        let shown = shown(farm, &status, &args.out, say).await?;
+        Ok((status, files, partial, shown, lost))
     })?;
     if args.format.json {
         let names = |paths: &[PathBuf]| paths.iter().map(|path| path.display().to_string()).collect();
         let (files, partial) = (names(&files), names(&partial));
-        let state = show::state(status.state);
-        json::print(say, &Report { job: args.job, state, frames: status.frames_total, files, partial, lost })?;
+        let (state, frames) = (show::state(status.state), status.frames_total);
+        json::print(say, &Report { job: args.job, state, frames, files, partial, shown: shown.clone(), lost })?;
     } else {
         let frames = human::count(files.len() as u64, "frame");
         say.result(format!("{frames} in {}", args.out.display()));
+        shown.contact_sheet.iter().for_each(|path| say.result(format!("contact sheet: {path}")));
+        shown.video.iter().for_each(|path| say.result(format!("clip: {path}")));
         partial.iter().for_each(|path| say.result(format!("in work: {}", path.display())));
     }
     if files.len() < status.frames_total as usize {
@@ -98,6 +117,13 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
             status.frames_total,
             args.job,
             show::state(status.state)
+        )));
+    }
+    if shown.missing > 0 {
+        let what = human::count(shown.missing, "picture or clip");
+        return Err(failed(format!(
+            "{what} of job {} cannot be had yet; fetch again later, what is here stays",
+            args.job
         )));
     }
     Ok(Exit::Done)
@@ -115,14 +141,51 @@ fn what_follows(status: &JobStatus) -> String {
     }
 }
 
-/// Write one frame, unless the file has its bytes already; `None`: the farm does not have it as it should be.
-async fn file(farm: &Farm, job: &JobStatus, frame: &FrameRecord, folder: &Path) -> Result<Option<PathBuf>, Failure> {
-    let path = folder.join(frame_name(&job.name, frame.frame));
-    let there =
-        std::fs::read(&path).is_ok_and(|bytes| Some(Digest::of(&bytes)) == frame.image().map(|image| image.digest));
-    if !there {
-        let Some(bytes) = farm.image(frame).await? else { return Ok(None) };
-        femc_film::file::write_atomic(&path, &bytes).map_err(failed)?;
+/// Write what is made of all frames, as far as it is there.
+async fn shown(farm: &Farm, job: &JobStatus, folder: &Path, say: Say) -> Result<Shown, Failure> {
+    let spec = farm.spec(job.job).await?;
+    let (wish, mut shown) = (Wish::of(&spec.graph), Shown::default());
+    let stills = spec.frames.iter().filter(|_| wish.stills);
+    let stills = stills.map(|&frame| (Role::Still, still_name(&job.name, frame)));
+    let sheet = wish.sheet.filter(|name| JobSpec::names_files(name)).map(|name| (Role::Sheet, name));
+    let video = wish.video.filter(Video::is_sound).map(|Video { name, .. }| (Role::Clip, name));
+    let wanted: Vec<(Role, String)> = stills.chain(sheet).chain(video).collect();
+    if wanted.is_empty() {
+        return Ok(shown);
     }
-    Ok(Some(path))
+    let made = farm.whole(job.job).await?.map(|record| record.outputs).unwrap_or_default();
+    let of = |role: Role| made.iter().filter(move |output| output.role == role).map(|output| output.artefact);
+    // Stills come in the order of their frames.
+    let mut all_stills = of(Role::Still);
+    for (role, name) in wanted {
+        let path = folder.join(&name);
+        let found = if role == Role::Still { all_stills.next() } else { of(role).next() };
+        let is_there = match &found {
+            Some(artefact) => file(farm, artefact, &path).await?,
+            None => false,
+        };
+        if !is_there {
+            shown.missing += 1;
+            if found.is_some() {
+                say.warning(format!("{name} was damaged in the farm's store, or is gone; {}", what_follows(job)));
+            }
+            continue;
+        }
+        let path = path.display().to_string();
+        match role {
+            Role::Still => shown.previews.push(path),
+            Role::Sheet => shown.contact_sheet = Some(path),
+            _ => shown.video = Some(path),
+        }
+    }
+    Ok(shown)
+}
+
+/// Write one artefact, unless the file has its bytes already; false: the farm does not have it as it should be.
+async fn file(farm: &Farm, artefact: &Artefact, path: &Path) -> Result<bool, Failure> {
+    if !std::fs::read(path).is_ok_and(|bytes| Digest::of(&bytes) == artefact.digest) {
+        let Some(bytes) = farm.get_if_there(artefact).await? else { return Ok(false) };
+        femc_film::file::write_atomic(path, &bytes).map_err(failed)?;
+    }
+    Ok(true)
 }

@@ -1,6 +1,6 @@
 //! `femc plan SCENE`: what would run, without running it.
 
-use crate::args::{FormatArgs, SettingsArgs};
+use crate::args::{ExtrasArgs, FormatArgs, SettingsArgs};
 use crate::clock::Clock;
 use crate::command::sweep;
 use crate::exit::{Exit, Failure, failed, usage};
@@ -28,6 +28,8 @@ pub struct PlanArgs {
     /// Estimate no cost: render no trial
     #[arg(long)]
     no_trial: bool,
+    #[command(flatten)]
+    extras: ExtrasArgs,
     #[command(flatten)]
     format: FormatArgs,
     #[command(flatten)]
@@ -93,7 +95,8 @@ pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
         Stop::Spp(_) => rounds,
         Stop::Error(_) | Stop::Time(_) => 1,
     };
-    let graph = femc_worker::graph(&plan.stages);
+    let mut graph = femc_worker::graph(&plan.stages);
+    args.extras.wish(asked.rate(&plan.frames))?.add_to(&mut graph, frames as u32);
     let (samples_least, samples_most) =
         (plan.samples_per_frame(least) * frames, plan.samples_per_frame(rounds) * frames);
     let cost = match run {
@@ -226,10 +229,11 @@ fn table(graph: &Graph) -> String {
             graph.rounds(stage).to_string(),
             joined(template.needs.iter().map(read)),
             joined(template.makes.iter().map(|role| role.name().to_owned())),
+            template.tags.join(", "),
         ]
     };
     let rows: Vec<Vec<String>> = graph.iter().map(row).collect();
-    human::table(&["stage", "kind", "per", "tasks", "rounds", "reads", "makes"], &rows)
+    human::table(&["stage", "kind", "per", "tasks", "rounds", "reads", "makes", "tags"], &rows)
 }
 
 fn joined(all: impl Iterator<Item = String>) -> String {

@@ -1,7 +1,7 @@
 //! `femc submit SCENE|JOB.toml`: queue a job.
 
 use super::client;
-use crate::args::{FormatArgs, ServerArgs, SettingsArgs};
+use crate::args::{ExtrasArgs, FormatArgs, ServerArgs, SettingsArgs};
 use crate::exit::{Exit, Failure};
 use crate::output::{Say, human, json};
 use crate::request::Asked;
@@ -18,7 +18,9 @@ use std::path::PathBuf;
 #[command(after_help = "Examples:\n  \
     femc submit scenes/roundabout.mgf --frames 1..120 --size 192x108 --spp 24\n  \
     femc submit job.toml --priority 80\n  \
+    femc submit scenes/roundabout.mgf --frames 1..48 --video drive.mp4 --contact-sheet drive.png    # `femc fetch` gets them, too\n  \
     job=$(femc submit scene.mgf | tail -1); femc watch $job && femc fetch $job -o out\n\n\
+    A clip is made by a worker that has ffmpeg (its tag says so), or, as .png or .gif, by any. A frame that fails is a gray card in it.\n\n\
     A farm's workers have their own threads: --workers and --threads change nothing here.")]
 pub struct SubmitArgs {
     /// Scene file, or JOB.toml
@@ -33,6 +35,8 @@ pub struct SubmitArgs {
     /// Who the job belongs to [default: the user's name]
     #[arg(long, value_name = "NAME")]
     owner: Option<String>,
+    #[command(flatten)]
+    extras: ExtrasArgs,
     #[command(flatten)]
     format: FormatArgs,
     #[command(flatten)]
@@ -53,11 +57,13 @@ struct Report {
 /// Submit.
 pub fn run(args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
     let asked = Asked::open(&args.scene, args.settings, say)?;
+    let wish = args.extras.wish(asked.rate(&asked.plan.frames))?;
     let scene = asked.parcel()?;
     let count = human::count(asked.plan.frames.len() as u64, "frame");
     let wanted = args.owner.clone();
     let (job, sent, owner) = client::block_on(&args.server, async |farm| {
         let mut spec = client::job_spec(&asked, &scene, asked.plan.frames.clone())?;
+        wish.add_to(&mut spec.graph, spec.frames.len() as u32);
         spec.priority = args.priority.unwrap_or(spec.priority);
         spec.owner = args.owner.unwrap_or(spec.owner);
         if !args.tags.is_empty() {

@@ -10,6 +10,7 @@ use crate::output::Say;
 use crate::request::{Budget, Hours, Volume, VolumeError};
 use clap::Args;
 use femc_proto::Dial;
+use femc_worker::clip::{self, FFMPEG};
 use femc_worker::{AtStop, Cache, Config, Duty, MemoryLimit, Pieces, Shift, Worker, WorkerError};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
@@ -34,7 +35,7 @@ pub struct WorkerArgs {
     /// Threads that render [default: all cores]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
     threads: Option<u32>,
-    /// What the worker offers: jobs with tags go to workers that have them all
+    /// What the worker offers: jobs with tags go to workers that have them all. `ffmpeg` is added where it is on the PATH
     #[arg(long, value_name = "A,B", value_delimiter = ',')]
     tags: Vec<String>,
     /// Name for people [default: the machine's]
@@ -115,7 +116,7 @@ pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
             outbox: outbox::config(args.outbox, &args.join, &name),
             name,
             threads: args.threads.map_or(0, |threads| threads as usize),
-            tags: args.tags,
+            tags: tags(args.tags),
             memory,
             nice: args.nice,
             shift: args.hours.map_or_else(Shift::default, shift),
@@ -144,6 +145,14 @@ pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
             }
         }
     })
+}
+
+/// What it offers: what was typed, and ffmpeg, if that runs.
+fn tags(mut tags: Vec<String>) -> Vec<String> {
+    if !tags.iter().any(|tag| tag == FFMPEG) && clip::ffmpeg().is_some() {
+        tags.push(FFMPEG.to_owned());
+    }
+    tags
 }
 
 /// Where pieces of scenes are kept.

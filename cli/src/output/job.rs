@@ -285,13 +285,14 @@ pub fn describe(say: Say, job: &JobStatus) -> String {
     }
     for frame in &job.active {
         lines.push(format!(
-            "{}: {}, round {} of {}, {} of {} tiles done, {} running",
+            "{}: {}, round {} of {}, {} of {} {} done, {} running",
             unit(frame.frame),
             frame.stage.name(),
             frame.round + 1,
             frame.rounds,
             frame.tiles_done,
             frame.tiles_total,
+            if frame.frame == Stage::OF_JOB { "tasks" } else { "tiles" },
             frame.running
         ));
     }

@@ -53,6 +53,9 @@ pub struct Base {
     source: Source,
 }
 
+/// Frames a second of a clip of a scene that does not say.
+const DEFAULT_RATE: f64 = 24.0;
+
 /// Where a setting stands, by its long name or `set.SELECTOR`; `None`: on the command line.
 pub type At<'a> = &'a dyn Fn(&str) -> Option<String>;
 
@@ -148,6 +151,16 @@ impl Asked {
     /// Film size, pixels.
     pub fn film(&self) -> [u32; 2] {
         [self.plan.tiling.width, self.plan.tiling.height]
+    }
+
+    /// Frames a second of a clip of these frames: of every third frame it plays at a third of the scene's rate, in real time.
+    pub fn rate(&self, frames: &[u32]) -> f64 {
+        let fps = self.scene().clip.map_or(DEFAULT_RATE, |clip| clip.fps);
+        let step = match frames {
+            [first, second, ..] => f64::from(second - first),
+            _ => 1.0,
+        };
+        (fps / step).clamp(0.01, 100.0)
     }
 
     /// All files of the scene as artefacts.

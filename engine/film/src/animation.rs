@@ -5,6 +5,9 @@ use crate::{FilmError, Picture};
 use std::io::Write;
 use std::path::Path;
 
+/// The encoder, as the file names it.
+const SOFTWARE: &str = concat!("femc ", env!("CARGO_PKG_VERSION"));
+
 /// Kind of an animated image.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AnimationFormat {
@@ -56,6 +59,8 @@ impl<W: Write> Animation<W> {
                 };
                 let mut encoder = gif::Encoder::new(out, w, h, &[]).map_err(failed)?;
                 encoder.set_repeat(gif::Repeat::Infinite).map_err(failed)?;
+                let comment = gif::AnyExtension(gif::Extension::Comment as u8);
+                encoder.write_raw_extension(comment, &[SOFTWARE.as_bytes()]).map_err(failed)?;
                 Encoder::Gif(Box::new(encoder))
             }
         };
@@ -109,6 +114,7 @@ fn apng<W: Write>(
     encoder.set_color(png::ColorType::Rgb);
     encoder.set_depth(png::BitDepth::Eight);
     encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
+    encoder.add_text_chunk("Software".into(), SOFTWARE.into())?;
     encoder.set_animated(frames.max(1), 0)?;
     // Seconds as a fraction of 16-bit numbers.
     let (numerator, denominator) = if rate >= 1.0 { (500, 500.0 * rate) } else { ((500.0 / rate) as u16, 500.0) };
@@ -143,6 +149,7 @@ mod tests {
         let bytes = encode(AnimationFormat::Apng, 24.0);
         assert_eq!(bytes, encode(AnimationFormat::Apng, 24.0));
         let mut reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().unwrap();
+        assert_eq!(reader.info().uncompressed_latin1_text[0].text, SOFTWARE);
         let control = *reader.info().animation_control().unwrap();
         assert_eq!((control.num_frames, control.num_plays), (5, 0));
         for frame in frames() {
@@ -158,6 +165,7 @@ mod tests {
     fn a_gif_holds_every_frame_closely_and_keeps_the_length_of_the_clip() {
         let bytes = encode(AnimationFormat::Gif, 24.0);
         assert_eq!(bytes, encode(AnimationFormat::Gif, 24.0));
+        assert!(bytes.windows(SOFTWARE.len()).any(|window| window == SOFTWARE.as_bytes()), "it names its encoder");
         let mut options = gif::DecodeOptions::new();
         options.set_color_output(gif::ColorOutput::RGBA);
         let mut decoder = options.read_info(&bytes[..]).unwrap();

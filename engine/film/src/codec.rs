@@ -2,7 +2,7 @@
 //!
 //! | bytes | what |
 //! | --- | --- |
-//! | 8 | `FEMCTILE` |
+//! | 8 | `FEMCTILE`; of a thumbnail, whose pixels have the samples of a block, `FEMCTHMB` |
 //! | 4 | format version, 2 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 4 x 4 | x, y, width, height |
@@ -14,12 +14,14 @@
 //! zero and compress to nothing. The checksum is verified before anything is allocated, and the size of the plain sums is
 //! fixed by the header, so a wrong length is refused.
 
+use crate::thumbnail::BLOCK;
 use crate::tile::{MAX_TILE_PIXELS, PixelSums};
 use crate::{BadKind, BadSample, BadSamples, FilmError, Rect, SampleRange, Tile, Tiling};
 use femc_stats::ExactSum;
 use std::ops::Range;
 
 const MAGIC: &[u8; 8] = b"FEMCTILE";
+const THUMBNAIL: &[u8; 8] = b"FEMCTHMB";
 const VERSION: u32 = 2;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
@@ -32,7 +34,26 @@ const LEVEL: i32 = 1;
 impl Tile {
     /// The tile as bytes: the same bytes for the same sums.
     pub fn encode(&self) -> Vec<u8> {
-        let mut out = begin(MAGIC, VERSION);
+        self.encode_as(MAGIC)
+    }
+
+    /// The tile from its bytes; damage of any kind is an error.
+    pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
+        Self::decode_as(MAGIC, 1, bytes)
+    }
+
+    /// A thumbnail as bytes.
+    pub fn encode_thumbnail(&self) -> Vec<u8> {
+        self.encode_as(THUMBNAIL)
+    }
+
+    /// A thumbnail from its bytes; damage of any kind is an error.
+    pub fn decode_thumbnail(bytes: &[u8]) -> Result<Self, FilmError> {
+        Self::decode_as(THUMBNAIL, BLOCK * BLOCK, bytes)
+    }
+
+    fn encode_as(&self, magic: &[u8; 8]) -> Vec<u8> {
+        let mut out = begin(magic, VERSION);
         let mut word = |w: u32| out.extend_from_slice(&w.to_le_bytes());
         let Rect { x, y, width, height } = self.rect;
         [x, y, width, height].into_iter().for_each(&mut word);
@@ -40,15 +61,15 @@ impl Tile {
         finish(out, &to_planes(&self.pixels, to_bytes))
     }
 
-    /// The tile from its bytes; damage of any kind is an error.
-    pub fn decode(bytes: &[u8]) -> Result<Self, FilmError> {
-        let mut reader = open(MAGIC, VERSION, bytes)?;
+    /// - `area`: pixels of the film in a pixel of the tile.
+    fn decode_as(magic: &[u8; 8], area: u32, bytes: &[u8]) -> Result<Self, FilmError> {
+        let mut reader = open(magic, VERSION, bytes)?;
         let [x, y, width, height] = reader.words()?;
         let rect = Rect { x, y, width, height }.check(MAX_TILE_PIXELS)?;
         let ranges = reader.ranges()?;
         let bad = reader.bad(rect)?;
         let pixels = reader.planes(rect.area() as usize, from_bytes)?;
-        let most: u64 = ranges.iter().map(|r| u64::from(r.len())).sum();
+        let most = ranges.iter().map(|r| u64::from(r.len())).sum::<u64>() * u64::from(area);
         if pixels.iter().any(|p| p.hits > p.samples() || u64::from(p.samples()) > most) {
             return Err(FilmError::Corrupt("more samples than its ranges hold"));
         }

@@ -22,6 +22,7 @@ pub mod piece;
 pub mod rect;
 pub mod sample;
 pub mod sheet;
+pub mod thumbnail;
 pub mod tile;
 pub mod tone;
 
@@ -39,5 +40,6 @@ pub use piece::Piece;
 pub use rect::{Rect, Tiling};
 pub use sample::{BadKind, BadSample, BadSamples, Sample};
 pub use sheet::{SheetCell, SheetRow, labelled_sheet};
+pub use thumbnail::Levels;
 pub use tile::{SampleRange, Tile};
 pub use tone::ToneCurve;

@@ -1,5 +1,6 @@
 //! Images as bytes: PNG files and contact sheets.
 
+use crate::rect::MAX_FILM_PIXELS;
 use crate::{FilmError, Image};
 
 /// sRGB picture of 8 bits a channel, row by row from the top left.
@@ -27,6 +28,48 @@ impl Picture {
             .map_err(|e| FilmError::Format { what: "writing PNG", cause: e.to_string() })?;
         Ok(bytes)
     }
+
+    /// The picture of a PNG file as [`Picture::to_png`] writes it; any other file is an error.
+    pub fn from_png(bytes: &[u8]) -> Result<Self, FilmError> {
+        let damaged = |e: png::DecodingError| FilmError::Format { what: "reading PNG", cause: e.to_string() };
+        let mut reader = png::Decoder::new(std::io::Cursor::new(bytes)).read_info().map_err(damaged)?;
+        let (width, height) = reader.info().size();
+        if reader.output_color_type() != (png::ColorType::Rgb, png::BitDepth::Eight) {
+            return Err(FilmError::Corrupt("a PNG of another color type"));
+        }
+        if !(1..=MAX_FILM_PIXELS).contains(&(u64::from(width) * u64::from(height))) {
+            return Err(FilmError::Size { width: width.into(), height: height.into(), limit: MAX_FILM_PIXELS });
+        }
+        let mut out = vec![0; 3 * width as usize * height as usize];
+        reader.next_frame(&mut out).and_then(|_| reader.finish()).map_err(damaged)?;
+        let pixels = out.as_chunks().0.to_vec();
+        Ok(Self { width, height, pixels })
+    }
+
+    /// What is shown in the place of a picture that there is not: gray with a cross.
+    pub fn missing(width: u32, height: u32) -> Self {
+        const CARD: [u8; 3] = [112; 3];
+        const CROSS: [u8; 3] = [48; 3];
+        let (w, h) = (i64::from(width), i64::from(height));
+        // The lines are a 16th of the shorter side wide, measured along the longer one.
+        let broad = (w.min(h) / 16).max(1) * w.max(h);
+        let is_cross = |x: i64, y: i64| {
+            let [falling, rising] = [x, w - 1 - x].map(|x| (2 * x + 1) * h - (2 * y + 1) * w);
+            falling.abs().min(rising.abs()) <= broad
+        };
+        let pixel = move |x, y| if is_cross(x, y) { CROSS } else { CARD };
+        let pixels = (0..h).flat_map(|y| (0..w).map(move |x| (x, y))).map(|(x, y)| pixel(x, y)).collect();
+        Self { width, height, pixels }
+    }
+
+    /// The picture shrunk by the smallest whole factor that makes it at most `width` wide: each pixel is the mean of a block (a
+    /// cut block at the right and lower border).
+    pub fn shrunk_to(&self, width: u32) -> Self {
+        let pixels = self.pixels.iter().map(|pixel| pixel.map(f32::from)).collect();
+        let small = Image { width: self.width, height: self.height, pixels }.shrunk_to(width);
+        let pixels = small.pixels.iter().map(|pixel| pixel.map(|value| (value + 0.5) as u8)).collect();
+        Self { width: small.width, height: small.height, pixels }
+    }
 }
 
 impl Image {
@@ -51,12 +94,16 @@ impl Image {
     }
 }
 
+/// Columns of a contact sheet: as many as rows, or one more.
+pub const NEARLY_SQUARE: u32 = 0;
+/// Width of a frame's picture on a contact sheet, pixels.
+pub const SHEET_WIDTH: u32 = 320;
 /// Pixels between and around the pictures of a contact sheet.
 const GAP: u32 = 4;
 /// The sheet's paper.
 const PAPER: [u8; 3] = [24, 24, 24];
 
-/// Lays `pictures` out in rows of `columns` (0: a nearly square sheet), each in a cell of the largest size, with small gaps.
+/// Lays `pictures` out in rows of `columns` ([`NEARLY_SQUARE`]: as many as there are rows), each in a cell of the largest size, with small gaps.
 /// No pictures give a sheet of paper of one gap.
 pub fn contact_sheet(pictures: &[Picture], columns: u32) -> Picture {
     let count = pictures.len() as u32;
@@ -95,6 +142,40 @@ mod tests {
         let info = reader.next_frame(&mut out).unwrap();
         assert_eq!((info.width, info.height, info.color_type), (7, 3, png::ColorType::Rgb));
         assert_eq!(out[..info.buffer_size()], *picture.pixels.as_flattened());
+    }
+
+    #[test]
+    fn a_picture_comes_back_from_its_png_and_no_other_file_is_one() {
+        let mut picture = plain(7, 3, 9);
+        picture.pixels[8] = [1, 2, 250];
+        let bytes = picture.to_png().unwrap();
+        assert_eq!(Picture::from_png(&bytes).unwrap(), picture);
+        assert!((0..bytes.len()).all(|end| Picture::from_png(&bytes[..end]).is_err()));
+        let mut gray = Vec::new();
+        let mut encoder = png::Encoder::new(&mut gray, 1, 1);
+        encoder.set_color(png::ColorType::Grayscale);
+        encoder.write_header().unwrap().write_image_data(&[7]).unwrap();
+        assert!(matches!(Picture::from_png(&gray), Err(FilmError::Corrupt(_))));
+    }
+
+    #[test]
+    fn a_missing_picture_is_a_card_with_a_cross_from_corner_to_corner() {
+        for (width, height) in [(64, 64), (160, 90), (9, 40), (1, 1)] {
+            let card = Picture::missing(width, height);
+            let at = |x: u32, y: u32| card.pixels[(y * width + x) as usize];
+            let cross = at(0, 0);
+            let corners = [at(width - 1, 0), at(0, height - 1), at(width - 1, height - 1), at(width / 2, height / 2)];
+            assert_eq!(corners, [cross; 4], "{width} x {height}");
+            let crossed = card.pixels.iter().filter(|&&pixel| pixel == cross).count() as f64 / card.pixels.len() as f64;
+            assert!(width < 9 || (0.05..0.5).contains(&crossed), "{width} x {height}: {crossed}");
+        }
+    }
+
+    #[test]
+    fn a_shrunk_picture_has_the_means_of_blocks() {
+        let picture = Picture { width: 4, height: 2, pixels: (0..8).map(|i| [10 * i, 255, 0]).collect() };
+        assert_eq!(picture.shrunk_to(2).pixels, [[25, 255, 0], [45, 255, 0]]);
+        assert_eq!(picture.shrunk_to(4), picture);
     }
 
     #[test]

@@ -124,7 +124,7 @@ impl PixelSums {
         self.count.iter().fold(0, |sum, count| sum.saturating_add(*count))
     }
 
-    fn merge(&mut self, other: &Self) {
+    pub(crate) fn merge(&mut self, other: &Self) {
         self.color.as_flattened_mut().iter_mut().zip(other.color.as_flattened()).for_each(|(a, b)| a.merge(*b));
         for i in 0..3 {
             self.square[i].merge(other.square[i]);

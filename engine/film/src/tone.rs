@@ -12,7 +12,7 @@
 //! Automatic exposure brings the log-average luminance to 0.18, middle gray. Pixels that no light reaches are left out, and
 //! those below 1e-4 of the mean count as that, so that a black sky does not decide the exposure.
 
-use crate::{Image, Picture};
+use crate::{Image, Levels, Picture};
 use femc_math::elementary::{double, pow};
 use femc_math::{Rgb, color};
 
@@ -39,12 +39,24 @@ impl ToneCurve {
             .flat_map(|image| (0..image.pixels.len()).map(|i| f64::from(image.luminance(i))))
             .filter(|y| y.is_finite() && *y > 0.0)
             .collect();
-        let n = luminances.len().max(1) as f64;
-        let mean = luminances.iter().sum::<f64>() / n;
+        Self::exposing(luminances.iter().map(|&y| (y, 1.0)))
+    }
+
+    /// The same of blocks of pixels that are counted by their luminance, so that nobody needs all images at a time. Every block
+    /// counts as one in the middle of its bin: the exposure is within half a bin of that of the blocks (test
+    /// `the_exposure_of_levels_is_within_half_a_bin_of_that_of_their_blocks`).
+    pub fn of_levels(levels: &Levels) -> Self {
+        Self::exposing(levels.lit().map(|(y, count)| (y, count as f64)))
+    }
+
+    /// - `luminances`: positive ones with their weights.
+    fn exposing(luminances: impl Iterator<Item = (f64, f64)> + Clone) -> Self {
+        let n: f64 = luminances.clone().map(|(_, weight)| weight).sum();
+        let mean = luminances.clone().map(|(y, weight)| weight * y).sum::<f64>() / n.max(1.0);
         if mean <= 0.0 {
             return Self { exposure: 1.0 };
         }
-        let log_mean = luminances.iter().map(|&y| double::ln(y.max(DARKEST * mean))).sum::<f64>() / n;
+        let log_mean = luminances.map(|(y, weight)| weight * double::ln(y.max(DARKEST * mean))).sum::<f64>() / n;
         Self { exposure: (MIDDLE_GRAY / double::exp(log_mean)) as f32 }
     }
 

@@ -16,6 +16,8 @@ pub enum StageKind {
     Drill,
     /// Decides by the errors of a frame's tiles whether another round follows, and how many samples each tile gets in it.
     Decide,
+    /// Shows frames under one exposure, and makes a contact sheet or a clip of them.
+    Encode,
 }
 
 /// Tasks of one lane are done one after the other, those of different lanes side by side.
@@ -77,7 +79,7 @@ pub struct KindRow {
 
 impl StageKind {
     /// All, in the order of the table.
-    pub const ALL: [Self; 5] = [Self::Render, Self::Reduce, Self::Image, Self::Drill, Self::Decide];
+    pub const ALL: [Self; 6] = [Self::Render, Self::Reduce, Self::Image, Self::Drill, Self::Decide, Self::Encode];
 
     /// Its row of the table.
     pub fn row(self) -> KindRow {
@@ -90,6 +92,8 @@ impl StageKind {
             Self::Image => row("image", "inputs", Join, false, Near::Inputs, Store),
             Self::Drill => row("drill", "inputs", Compute, false, Near::Inputs, Report),
             Self::Decide => row("decide", "inputs", Join, false, Near::Inputs, Report),
+            // An encoder of videos takes all threads, too.
+            Self::Encode => row("encode", "inputs", Compute, false, Near::Inputs, Report),
         }
     }
 
@@ -133,6 +137,18 @@ pub enum Role {
     Answer,
     /// How far each of several tiles is from converged.
     Errors,
+    /// Encoded sums of a tile's samples in blocks of pixels.
+    Thumbnail,
+    /// Blocks of one or many frames, counted by their luminance.
+    Levels,
+    /// A frame under the clip's exposure as PNG, for its sheet and its clip.
+    Picture,
+    /// The same, for people.
+    Still,
+    /// All frames on one PNG.
+    Sheet,
+    /// All frames as a clip.
+    Clip,
 }
 
 /// A row of the roles' table.
@@ -148,8 +164,22 @@ pub struct RoleRow {
 
 impl Role {
     /// All, in the order of the table.
-    pub const ALL: [Self; 8] =
-        [Self::Tile, Self::Sums, Self::Pixels, Self::Image, Self::Preview, Self::Numbers, Self::Answer, Self::Errors];
+    pub const ALL: [Self; 14] = [
+        Self::Tile,
+        Self::Sums,
+        Self::Pixels,
+        Self::Image,
+        Self::Preview,
+        Self::Numbers,
+        Self::Answer,
+        Self::Errors,
+        Self::Thumbnail,
+        Self::Levels,
+        Self::Picture,
+        Self::Still,
+        Self::Sheet,
+        Self::Clip,
+    ];
 
     /// Its row of the table.
     pub fn row(self) -> RoleRow {
@@ -163,6 +193,12 @@ impl Role {
             Self::Numbers => row("numbers", false, false),
             Self::Answer => row("answer", true, false),
             Self::Errors => row("errors", false, false),
+            Self::Thumbnail => row("thumbnail", false, false),
+            Self::Levels => row("levels", false, false),
+            Self::Picture => row("picture", false, false),
+            Self::Still => row("still", true, false),
+            Self::Sheet => row("sheet", true, false),
+            Self::Clip => row("clip", true, false),
         }
     }
 

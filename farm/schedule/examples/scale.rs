@@ -63,13 +63,11 @@ fn main() {
                 let units = work.steps.len() as u64 * 64;
                 TaskResult { outputs: vec![output(Role::Tile)], units, ..TaskResult::default() }
             }
-            StageKind::Reduce | StageKind::Drill | StageKind::Decide => {
-                TaskResult { outputs: vec![output(Role::Pixels)], ..TaskResult::default() }
-            }
             StageKind::Image => {
                 let decision = Some(Decision::Done);
                 TaskResult { outputs: vec![output(Role::Image)], decision, ..TaskResult::default() }
             }
+            _ => TaskResult { outputs: vec![output(Role::Pixels)], ..TaskResult::default() },
         };
         see(farm.on(Event::Completed { worker, task, epoch, result }, Tick(1)), &mut line);
         done += 1;

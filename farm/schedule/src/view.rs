@@ -167,20 +167,20 @@ impl Scheduler {
     }
 }
 
-/// How far a frame is, without its running tasks: its main stage is the one that is cut, or else the first.
+/// How far a frame is, without its running tasks: its main stage is the one that is cut, or else the one that it is at.
 fn progress(job: &Job, frame: u32) -> FrameProgress {
     let (unit, shape) = (job.unit(frame), job.shape(frame));
     let stages = || shape.graph.of(shape.scope);
-    let main = stages().find(|(_, template)| template.kind.is_cut()).or_else(|| stages().next());
+    let at = unit.places(&shape).find(|&place| !unit.is_complete(&shape, place));
+    let at = at.and_then(|(_, number)| Some((number, shape.template(number)?)));
+    let main = stages().find(|(_, template)| template.kind.is_cut()).or(at).or_else(|| stages().next());
     let (number, tiles_total) = main.map_or((0, 0), |(number, template)| (number, template.tasks()));
     let round = if shape.graph.is_looped(number) { unit.round } else { 0 };
-    let at = unit.places(&shape).find(|&place| !unit.is_complete(&shape, place));
-    let at = at.and_then(|(_, number)| shape.template(number)).or(main.map(|(_, template)| template));
     FrameProgress {
         frame,
         round: unit.round,
         rounds: shape.graph.rounds(number),
-        stage: at.map_or(StageKind::ALL[0], |template| template.kind),
+        stage: at.or(main).map_or(StageKind::ALL[0], |(_, template)| template.kind),
         tiles_done: unit.tasks_done((round, number)),
         tiles_total,
         running: 0,

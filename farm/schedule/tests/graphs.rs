@@ -53,9 +53,9 @@ fn work(farm: &mut Farm, worker: u64) -> TaskKey {
     let held = farm.first_of(worker);
     let roles: &[Role] = match (held.task.stage.kind, held.task.stage.frame) {
         (Render, _) => &[Role::Tile],
-        (Reduce | StageKind::Drill | StageKind::Decide, _) => &[Role::Sums],
         (Image, Stage::OF_JOB) => &[],
         (Image, _) => &[Role::Image],
+        _ => &[Role::Sums],
     };
     farm.complete_with(worker, &held, result(&held, roles));
     held.task

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use bytes::Bytes;
-use femc_film::{Errors, Frame, Piece, Rect, Sample, Tile, Tiling};
+use femc_film::{Errors, Frame, Levels, Piece, Rect, Sample, Tile, Tiling};
 use femc_import::Bundle;
 use femc_math::Rgb;
 use femc_model::{
@@ -129,6 +129,8 @@ fn film() -> Vec<Target> {
         sums.extend((tile.len() as u64).to_le_bytes());
         sums.extend(tile);
     }
+    let thumbnail = frame.tile(0).expect("it is there").thumbnail().encode_thumbnail();
+    let levels = Levels::default().encode();
     let is_tile = |bytes: &[u8]| {
         let Ok(tile) = Tile::decode(bytes) else { return false };
         assert!(Tile::decode(&tile.encode()).is_ok_and(|again| again == tile));
@@ -147,6 +149,8 @@ fn film() -> Vec<Target> {
         Target::dressed("piece, inside", vec![piece], sealed, is_piece),
         Target::of("errors", vec![errors.clone()], are_errors),
         Target::dressed("errors, inside", vec![errors], sealed, are_errors),
+        Target::of("thumbnail", vec![thumbnail], |bytes| Tile::decode_thumbnail(bytes).is_ok()),
+        Target::of("levels", vec![levels], |bytes| Levels::decode(bytes).is_ok()),
         Target::of("sums", vec![sums], |bytes| decode_sums(bytes).is_ok()),
     ]
 }

@@ -2,12 +2,14 @@
 
 mod decide;
 mod drill;
+mod encode;
 mod image;
 mod reduce;
 mod render;
 mod union;
 
 pub use drill::drill_key;
+pub use encode::{Video, Wish};
 
 use std::any::Any;
 use std::fmt::Display;
@@ -99,6 +101,7 @@ fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
         StageKind::Image => image::image(task, stage, tools),
         StageKind::Drill => drill::drill(task, stage, tools),
         StageKind::Decide => decide::decide(task, stage, tools),
+        StageKind::Encode => encode::encode(task, stage, tools),
     };
     let measured = tools.memory.begin(stage.kind, &tools.cache)?;
     let outcome = std::panic::catch_unwind(AssertUnwindSafe(work))

@@ -1,9 +1,10 @@
 //! Outputs of one role, united: the tiles of a group, as sums for the next round, as resolved pixels for the image, and as errors
-//! for the decision.
+//! for the decision; and what a clip's exposure is found by.
 
 use femc_film::{Errors, Piece};
 use femc_model::{Failure, More, Phase, Role, Template};
 
+use super::encode::levels;
 use super::union::{tiles, union};
 use super::{Product, Tools, unfit};
 use crate::clock::Stopwatch;
@@ -11,6 +12,9 @@ use crate::sums;
 use crate::table::Task;
 
 pub(crate) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
+    if stage.makes.contains(&Role::Levels) {
+        return levels(task, stage, tools);
+    }
     task.enter(Phase::Working);
     let watch = Stopwatch::start();
     let span = tiles(task, stage)?;

@@ -31,15 +31,18 @@ pub(crate) fn render(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
             let (rays, shadow_rays, bad) = (rendered.rays, rendered.shadow_rays, rendered.tile.bad().total());
             task.account.rays.store(rays + shadow_rays, Ordering::Relaxed);
             tracing::debug!(?rect, ?samples, rays, shadow_rays, bad, seconds = watch.seconds(), "rendered");
-            (bad, rendered.tile.encode())
+            let thumbnail =
+                stage.makes.contains(&Role::Thumbnail).then(|| rendered.tile.thumbnail().encode_thumbnail());
+            (bad, rendered.tile.encode(), thumbnail)
         })
     });
-    let (bad_samples, bytes) = rendered.map_err(|error| match error {
+    let (bad_samples, bytes, thumbnail) = rendered.map_err(|error| match error {
         RenderError::Cancelled => Failure::Cancelled,
         RenderError::Film(error) => unfit(error),
     })?;
     let mut product = Product::default();
     product.put(stage, Role::Tile, || bytes);
+    product.put(stage, Role::Thumbnail, || thumbnail.unwrap_or_default());
     let result = &mut product.result;
     (result.units, result.bad_samples) = (rect.area() * samples.len() as u64, bad_samples);
     result.seconds = watch.seconds();

@@ -8,11 +8,11 @@ pub mod state;
 mod target;
 mod there;
 
-pub use target::frame_name;
+pub use target::{frame_name, still_name};
 
-use crate::args::{FormatArgs, SettingsArgs};
+use crate::args::{ExtrasArgs, FormatArgs, SettingsArgs};
 use crate::clock::Clock;
-use crate::exit::{Exit, Failure, failed, usage};
+use crate::exit::{Exit, Failure, failed};
 use crate::output::{Say, human, json};
 use crate::request::Asked;
 use clap::Args;
@@ -41,21 +41,14 @@ pub struct RenderArgs {
     /// A name ending in .exr: one frame; else a folder for `<scene>.0001.exr` ... [default: by the scene's name]
     #[arg(long, short, value_name = "OUT")]
     pub out: Option<PathBuf>,
-    /// Make a clip of the frames: by ffmpeg if it is on the PATH, else an animated PNG
-    #[arg(long, value_name = "FILE")]
-    pub video: Option<PathBuf>,
-    /// Write a PNG beside every EXR
-    #[arg(long)]
-    pub preview: bool,
-    /// Put all frames on one PNG
-    #[arg(long, value_name = "FILE.png")]
-    pub contact_sheet: Option<PathBuf>,
     /// Write what the tasks took, too: a page if FILE ends in .html (`femc report`), a row an attempt if in .csv, .json or .parquet
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
     /// Begin anew, whatever is there
     #[arg(long)]
     pub fresh: bool,
+    #[command(flatten)]
+    pub extras: ExtrasArgs,
     #[command(flatten)]
     pub format: FormatArgs,
     #[command(flatten)]
@@ -65,10 +58,7 @@ pub struct RenderArgs {
 /// Render.
 pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     let begun = Clock.now();
-    if let Some(sheet) = args.contact_sheet.as_ref().filter(|sheet| sheet.extension().is_none_or(|e| e != "png")) {
-        return Err(usage(format!("--contact-sheet {}: a sheet is a PNG; give FILE.png", sheet.display())));
-    }
-    let extras = clip::Extras::new(&args);
+    args.extras.check()?;
     let spent = args.report.as_deref().map(Spent::to).transpose()?;
     let asked = Asked::open(&args.scene, args.settings, say)?;
     let target = Target::of(args.out.as_deref(), &asked.name(), asked.plan.frames.len())?;
@@ -111,7 +101,7 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     report.sum(done.into_values().collect());
     report.bad = there::bad_samples(&report.frames);
     report.seconds = Clock.since(begun).as_secs_f64();
-    clip::write(&asked, &mut report, &extras, say)?;
+    clip::write(&asked, &mut report, &args.extras, say)?;
     report.warn(say);
     if args.format.json {
         json::print(say, &report)?;

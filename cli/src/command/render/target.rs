@@ -99,6 +99,11 @@ pub fn frame_name(stem: &str, frame: u32) -> String {
     format!("{stem}.{frame:04}.exr")
 }
 
+/// `<stem>.0007.png`, which lies beside it.
+pub fn still_name(stem: &str, frame: u32) -> String {
+    format!("{stem}.{frame:04}.png")
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

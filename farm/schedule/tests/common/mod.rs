@@ -344,9 +344,6 @@ pub fn result_in(held: &Assignment, decision: Decision, seconds: f64) -> TaskRes
         StageKind::Reduce if *more == More::Rounds => {
             TaskResult { outputs: all(&[Role::Pixels, Role::Sums]), seconds: seconds / 4.0, ..TaskResult::default() }
         }
-        StageKind::Reduce | StageKind::Drill | StageKind::Decide => {
-            TaskResult { outputs: all(&[Role::Pixels]), seconds: seconds / 4.0, ..TaskResult::default() }
-        }
         StageKind::Image => {
             // The sums of an image that reads pixels are where the pixels come from.
             let reads_tiles = held.work.of_role(Role::Tile).next().is_some();
@@ -358,6 +355,7 @@ pub fn result_in(held: &Assignment, decision: Decision, seconds: f64) -> TaskRes
             let (relative_error, decision) = (Some(0.1), Some(decision));
             TaskResult { outputs, relative_error, decision, seconds: seconds / 2.0, ..TaskResult::default() }
         }
+        _ => TaskResult { outputs: all(&[Role::Pixels]), seconds: seconds / 4.0, ..TaskResult::default() },
     }
 }
 

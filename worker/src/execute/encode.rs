@@ -1,0 +1,358 @@
+//! What a job shows beside its images: stills under one exposure, a contact sheet, a clip.
+//!
+//! | stage | of | reads | makes |
+//! | --- | --- | --- | --- |
+//! | render | frame | | beside its tile a thumbnail: the tile's exact sums in blocks of pixels |
+//! | reduce | frame | thumbnails of all rounds | levels: its blocks, counted by their luminance |
+//! | reduce | job | levels of 256 frames, then of 256 of these, and so on | levels |
+//! | encode | job | for each frame its image, and the levels of all | a still |
+//! | encode | job | all stills | a contact sheet |
+//! | encode | job | all stills | a clip |
+//!
+//! A frame that cannot be finished counts in no levels, and is shown as a gray card with a cross. What is asked for stands in the
+//! options of the job's own stages: not in its settings, which its images name, so that these are the same with a clip and without.
+
+use std::fs;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+use bytes::Bytes;
+use femc_film::animation::AnimationFormat;
+use femc_film::picture::{NEARLY_SQUARE, SHEET_WIDTH};
+use femc_film::{FilmError, Frame, Levels, Picture, SampleRange, Tile, ToneCurve, contact_sheet, exr};
+use femc_model::{
+    Artefact, Failure, Graph, JobSpec, Need, Phase, Reach, Role, Round, Scope, Sizes, StageKind, Template,
+};
+use rayon::prelude::*;
+use serde::{Deserialize, Serialize};
+
+use super::union::{Lost, artefacts, tiling};
+use super::{Product, Tools, unfit};
+use crate::clip::{self, ClipError, FFMPEG};
+use crate::clock::Stopwatch;
+use crate::table::Task;
+
+/// Levels that a task adds up.
+const FAN: u32 = 256;
+/// Inputs that are downloaded side by side: bounds what is in memory.
+const BATCH: usize = 16;
+
+/// What a job is to show beside its images.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Wish {
+    /// Each frame under the clip's exposure.
+    pub stills: bool,
+    /// The name of a contact sheet's file.
+    pub sheet: Option<String>,
+    /// A clip.
+    pub video: Option<Video>,
+}
+
+/// A clip.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+pub struct Video {
+    /// The name of its file, whose extension names the format.
+    pub name: String,
+    /// Frames a second, 0.01 to 100.
+    pub rate: f64,
+}
+
+impl Video {
+    /// Whether it takes ffmpeg.
+    pub fn needs_ffmpeg(&self) -> bool {
+        AnimationFormat::of(self.name.as_ref()).is_err()
+    }
+
+    /// Whether it names a file that an encoder can be told to write, and a rate.
+    pub fn is_sound(&self) -> bool {
+        let extension = self.name.rsplit_once('.').map_or("", |(_, extension)| extension);
+        let is_plain = |c: char| c.is_ascii_alphanumeric();
+        JobSpec::names_files(&self.name)
+            && (1..=8).contains(&extension.len())
+            && extension.chars().all(is_plain)
+            && (0.01..=100.0).contains(&self.rate)
+    }
+}
+
+impl Wish {
+    /// Whether nothing is wanted.
+    pub fn is_empty(&self) -> bool {
+        *self == Self::default()
+    }
+
+    /// What a job of this graph was asked to show.
+    pub fn of(graph: &Graph) -> Self {
+        let encode = graph.stages.iter().find(|template| template.kind == StageKind::Encode);
+        encode.and_then(|template| serde_json::from_str(&template.options).ok()).unwrap_or_default()
+    }
+
+    /// Adds the stages that make it to the graph of a job of so many frames. Nothing of the frames' images changes.
+    pub fn add_to(&self, graph: &mut Graph, frames: u32) {
+        let makes =
+            |graph: &Graph, role| graph.of(Scope::Frame).rfind(|(_, it)| it.makes.contains(&role)).map(|(n, _)| n);
+        let (Some(render), Some(image)) = (makes(graph, Role::Tile), makes(graph, Role::Image)) else { return };
+        if self.is_empty() {
+            return;
+        }
+        graph.stages[usize::from(render)].makes.push(Role::Thumbnail);
+        let mut push = |template: Template| {
+            graph.stages.push(template);
+            graph.stages.len() as u16 - 1
+        };
+        let reduce = |scope, tasks| Template::new(StageKind::Reduce, scope, Sizes::even(tasks, 1), &[Role::Levels]);
+        let need = |stage, role, reach, round, gaps| Need { stage, role, reach, round, gaps };
+        let thumbnails = need(render, Role::Thumbnail, Reach::All, Round::Every, false);
+        let mut levels = push(reduce(Scope::Frame, 1).needs(thumbnails));
+        let (mut count, mut gaps) = (frames, true);
+        while gaps || count > 1 {
+            count = count.div_ceil(FAN);
+            let below = need(levels, Role::Levels, Reach::Fan(FAN), Round::Same, gaps);
+            levels = push(reduce(Scope::Job, count).needs(below));
+            gaps = false;
+        }
+        // Plain data: that does not fail.
+        let options = serde_json::to_string(self).unwrap_or_default();
+        let encode = |tasks, role| {
+            Template::new(StageKind::Encode, Scope::Job, Sizes::even(tasks, 1), &[role]).options(options.clone())
+        };
+        let shown = if self.stills { Role::Still } else { Role::Picture };
+        let images = need(image, Role::Image, Reach::Fan(1), Round::Same, true);
+        let stills = push(encode(frames, shown).needs(images).reads(levels, Role::Levels, Reach::All));
+        if self.sheet.is_some() {
+            push(encode(1, Role::Sheet).reads(stills, shown, Reach::All));
+        }
+        if let Some(video) = &self.video {
+            let tags: &[&str] = if video.needs_ffmpeg() { &[FFMPEG] } else { &[] };
+            push(encode(1, Role::Clip).reads(stills, shown, Reach::All).tags(tags));
+        }
+    }
+}
+
+/// The levels of a frame's thumbnails, or the sum of levels.
+pub(super) fn levels(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
+    task.enter(Phase::Working);
+    let watch = Stopwatch::start();
+    let sum = if stage.needs.iter().any(|need| need.role == Role::Thumbnail) {
+        Levels::of(&thumbnails(task, tools)?)
+    } else {
+        let mut sum = Levels::default();
+        each(task, Role::Levels, tools, |bytes| Levels::decode(bytes).map(|levels| sum.merge(&levels)))?;
+        sum
+    };
+    tracing::debug!(blocks = sum.blocks(), seconds = watch.seconds(), "counted");
+    Ok(product(stage, Role::Levels, sum.encode(), &watch))
+}
+
+/// The thumbnails of a frame, put together: of every tile the samples from the first one on without a gap.
+fn thumbnails(task: &Task, tools: &Tools) -> Result<Frame, Failure> {
+    let small = tiling(task)?.of_thumbnails();
+    let small = small.ok_or_else(|| unfit("the job's tiles are no whole number of blocks wide"))?;
+    let mut frame = Frame::new(small);
+    each(task, Role::Thumbnail, tools, |bytes| frame.insert(Tile::decode_thumbnail(bytes)?).map(drop))?;
+    let is_whole = |index| SampleRange::joined(frame.ranges(index)).is_some_and(|samples| samples.start == 0);
+    match (0..small.count()).find(|&index| !is_whole(index)) {
+        None => Ok(frame),
+        Some(index) => {
+            let message = format!("thumbnail {index} holds the samples {:?}", frame.ranges(index));
+            Err(Failure::Panicked { message })
+        }
+    }
+}
+
+/// Takes in all inputs of one role in order, a batch at a time; names those that are lost or do not fit.
+fn each(
+    task: &Task,
+    role: Role,
+    tools: &Tools,
+    mut take: impl FnMut(&[u8]) -> Result<(), FilmError> + Send,
+) -> Result<(), Failure> {
+    let mut lost = Lost::default();
+    for batch in artefacts(task, role).chunks(BATCH) {
+        if task.is_cancelled() {
+            return Err(Failure::Cancelled);
+        }
+        let here = lost.fetch(task, batch, tools)?;
+        tools.install(task, || here.iter().for_each(|(artefact, bytes)| lost.check(*artefact, take(bytes))));
+    }
+    lost.verdict()
+}
+
+pub(super) fn encode(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
+    let watch = Stopwatch::start();
+    task.enter(Phase::Working);
+    match stage.makes.first() {
+        Some(&role @ (Role::Picture | Role::Still)) => Ok(product(stage, role, still(task, tools)?, &watch)),
+        Some(Role::Sheet) => Ok(product(stage, Role::Sheet, sheet(task, tools)?, &watch)),
+        Some(Role::Clip) => Ok(product(stage, Role::Clip, clip(task, stage, tools)?, &watch)),
+        _ => Err(unfit("the job's graph has a stage that encodes nothing")),
+    }
+}
+
+fn product(stage: &Template, role: Role, bytes: Vec<u8>, watch: &Stopwatch) -> Product {
+    let mut product = Product::default();
+    product.put(stage, role, || bytes);
+    product.result.seconds = watch.seconds();
+    product
+}
+
+/// A frame under the exposure of all, as PNG; a card where there is no frame.
+fn still(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
+    let mut curve = ToneCurve::of_levels(&Levels::default());
+    each(task, Role::Levels, tools, |bytes| Levels::decode(bytes).map(|levels| curve = ToneCurve::of_levels(&levels)))?;
+    let [width, height] = task.spec.grid.film;
+    let mut picture = None;
+    each(task, Role::Image, tools, |bytes| {
+        let image = exr::decode(std::io::Cursor::new(bytes))?.image;
+        if [image.width, image.height] != [width, height] {
+            return Err(FilmError::Corrupt("an image of another size"));
+        }
+        picture = Some(curve.picture(&image));
+        Ok(())
+    })?;
+    let picture = picture.unwrap_or_else(|| Picture::missing(width, height));
+    tools.install(task, || picture.to_png()).map_err(|error| broken(&error))
+}
+
+/// What is shown of every frame, in order; how many there are.
+fn pictures<'a>(
+    task: &'a Task,
+    tools: &'a Tools,
+) -> Result<(u32, impl Iterator<Item = Result<Picture, Failure>> + 'a), Failure> {
+    let inputs = [artefacts(task, Role::Picture), artefacts(task, Role::Still)].concat();
+    let (count, frames) = (inputs.len(), task.spec.frames.len());
+    if count != frames {
+        return Err(unfit(format!("{count} pictures of {frames} frames")));
+    }
+    let batches: Vec<Vec<Artefact>> = inputs.chunks(BATCH).map(<[Artefact]>::to_vec).collect();
+    Ok((count as u32, batches.into_iter().flat_map(|batch| decoded(task, &batch, tools))))
+}
+
+/// A batch of pictures, or why it cannot be had.
+fn decoded(task: &Task, batch: &[Artefact], tools: &Tools) -> Vec<Result<Picture, Failure>> {
+    let mut lost = Lost::default();
+    let fetched = lost.fetch(task, batch, tools);
+    let here = match fetched.and_then(|here| lost.verdict().map(|()| here)) {
+        Ok(here) => here,
+        Err(failure) => return vec![Err(failure)],
+    };
+    let picture = |(artefact, bytes): &(Artefact, Bytes)| {
+        let digests = vec![artefact.digest];
+        Picture::from_png(bytes).map_err(|error| Failure::LostInputs { digests, message: error.to_string() })
+    };
+    tools.install(task, || here.par_iter().map(picture).collect())
+}
+
+/// All frames on one PNG.
+fn sheet(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
+    let (_, pictures) = pictures(task, tools)?;
+    let small = pictures.map(|picture| Ok(picture?.shrunk_to(SHEET_WIDTH))).collect::<Result<Vec<_>, Failure>>()?;
+    tools.install(task, || contact_sheet(&small, NEARLY_SQUARE).to_png()).map_err(|error| broken(&error))
+}
+
+/// All frames as a clip.
+fn clip(task: &Task, stage: &Template, tools: &Tools) -> Result<Vec<u8>, Failure> {
+    let wish: Wish = serde_json::from_str(&stage.options).map_err(unfit)?;
+    let video = wish.video.filter(Video::is_sound).ok_or_else(|| unfit("the stage's options name no clip"))?;
+    let (count, pictures) = pictures(task, tools)?;
+    let folder = Folder::new().map_err(|error| Failure::Resources { message: error.to_string() })?;
+    let path = folder.0.join(&video.name);
+    let is_cancelled = || task.is_cancelled();
+    clip::write(&path, task.spec.grid.film, video.rate, count, pictures, &is_cancelled).map_err(
+        |error| match error {
+            ClipError::Picture(failure) => failure,
+            ClipError::Cancelled => Failure::Cancelled,
+            ClipError::Film(_) | ClipError::Ffmpeg(_) => broken(&error),
+        },
+    )?;
+    fs::read(&path).map_err(|error| broken(&format!("the clip is not where it was written: {error}")))
+}
+
+/// A folder for an encoder's file, which goes with this.
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new() -> std::io::Result<Self> {
+        static SERIAL: AtomicU64 = AtomicU64::new(0);
+        let serial = SERIAL.fetch_add(1, Ordering::Relaxed);
+        let path = std::env::temp_dir().join(format!("femc-clip-{}-{serial}", std::process::id()));
+        fs::create_dir(&path).map(|()| Self(path))
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        // What stays of it is the system's to clean.
+        let _ = fs::remove_dir_all(&self.0);
+    }
+}
+
+/// What is not the inputs' fault.
+fn broken(error: &dyn std::fmt::Display) -> Failure {
+    Failure::Panicked { message: error.to_string() }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn wish(stills: bool, sheet: Option<&str>, video: Option<&str>) -> Wish {
+        let video = video.map(|name| Video { name: name.into(), rate: 7.4 });
+        Wish { stills, sheet: sheet.map(Into::into), video }
+    }
+
+    fn of_job(graph: &Graph) -> Vec<(StageKind, u32, Role)> {
+        graph.of(Scope::Job).map(|(_, it)| (it.kind, it.tasks(), it.makes[0])).collect()
+    }
+
+    #[test]
+    fn levels_are_added_up_in_a_tree_and_a_graph_with_a_clip_can_be_run() {
+        use {Role::*, StageKind::*};
+        for rounds in [&[4][..], &[4, 8, 16]] {
+            for (fan, clip) in [(0, "clip.mp4"), (2, "clip.png")] {
+                for frames in [1, 256, 257, 65_536] {
+                    let plain = femc_model::testing::frames(Sizes::even(4, 64), rounds, fan);
+                    let mut graph = plain.clone();
+                    let wish = wish(frames == 1, Some("sheet.png"), Some(clip));
+                    wish.add_to(&mut graph, frames);
+                    assert_eq!((graph.check(), Wish::of(&graph)), (Ok(()), wish));
+                    let tree = match frames {
+                        1 | 256 => vec![(Reduce, 1, Levels)],
+                        257 => vec![(Reduce, 2, Levels), (Reduce, 1, Levels)],
+                        _ => vec![(Reduce, 256, Levels), (Reduce, 1, Levels)],
+                    };
+                    let shown = if frames == 1 { Still } else { Picture };
+                    let shown = [(Encode, frames, shown), (Encode, 1, Sheet), (Encode, 1, Clip)];
+                    assert_eq!(of_job(&graph), [&tree[..], &shown].concat());
+                    let tags: Vec<&[String]> =
+                        graph.stages.iter().map(|it| &it.tags[..]).filter(|it| !it.is_empty()).collect();
+                    assert_eq!(tags.concat(), if clip == "clip.mp4" { vec![FFMPEG] } else { vec![] });
+                }
+            }
+        }
+    }
+
+    #[test]
+    fn a_graph_without_a_wish_stays_as_it_is_and_one_with_stills_makes_no_clip() {
+        let plain = femc_model::testing::frames(Sizes::even(4, 64), &[4], 0);
+        let mut graph = plain.clone();
+        Wish::default().add_to(&mut graph, 3);
+        assert_eq!((&graph, Wish::of(&graph)), (&plain, Wish::default()));
+        wish(true, None, None).add_to(&mut graph, 3);
+        assert_eq!(of_job(&graph)[1..], [(StageKind::Encode, 3, Role::Still)]);
+        assert_eq!(graph.stages[1], plain.stages[1], "what makes images is as it was");
+    }
+
+    #[test]
+    fn a_clip_has_a_name_that_leads_nowhere_and_a_rate() {
+        let is_sound = |name: &str, rate| Video { name: name.into(), rate }.is_sound();
+        assert!(is_sound("drive.mp4", 24.0) && is_sound("a b.GIF", 0.01));
+        for name in
+            ["clip", "clip.", ".", "../clip.mp4", "a/b.mp4", "clip.m:p4", "clip.m p4", "a\u{1b}.mp4", "a.123456789"]
+        {
+            assert!(!is_sound(name, 24.0), "{name}");
+        }
+        for rate in [0.0, -1.0, 101.0, f64::NAN, f64::INFINITY] {
+            assert!(!is_sound("clip.mp4", rate), "{rate}");
+        }
+    }
+}

@@ -26,7 +26,7 @@ use femc_model::{
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::union::{Lost, artefacts, tiling};
+use super::union::{Lost, artefacts, expected, tiling};
 use super::{Product, Tools, unfit};
 use crate::clip::{self, ClipError, FFMPEG};
 use crate::clock::Stopwatch;
@@ -143,13 +143,13 @@ pub(super) fn levels(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     Ok(product(stage, Role::Levels, sum.encode(), &watch))
 }
 
-/// The thumbnails of a frame, put together: of every tile the samples from the first one on without a gap.
+/// The thumbnails of a frame, put together: of every tile just the samples that it was given.
 fn thumbnails(task: &Task, tools: &Tools) -> Result<Frame, Failure> {
     let small = tiling(task)?.of_thumbnails();
     let small = small.ok_or_else(|| unfit("the job's tiles are no whole number of blocks wide"))?;
     let mut frame = Frame::new(small);
     each(task, Role::Thumbnail, tools, |bytes| frame.insert(Tile::decode_thumbnail(bytes)?).map(drop))?;
-    let is_whole = |index| SampleRange::joined(frame.ranges(index)).is_some_and(|samples| samples.start == 0);
+    let is_whole = |index| SampleRange::joined(frame.ranges(index)) == Some(expected(task, index));
     match (0..small.count()).find(|&index| !is_whole(index)) {
         None => Ok(frame),
         Some(index) => {

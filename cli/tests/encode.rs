@@ -100,6 +100,23 @@ fn a_clip_waits_for_a_worker_that_has_ffmpeg_which_gets_every_frame() {
     assert!(told.contains("ffmpeg 7.1-test") && told.contains("-s 8x4"), "{told}");
 }
 
+#[test]
+fn what_ffmpeg_refuses_fails_the_clip_with_its_own_words_and_no_frame() {
+    let place = Place::new();
+    std::fs::create_dir(place.path("bin")).expect("made");
+    place.write("bin/ffmpeg", "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\necho no such muxer >&2\nexit 1\n");
+    std::fs::set_permissions(place.path("bin/ffmpeg"), PermissionsExt::from_mode(0o755)).expect("made executable");
+    let (_coordinator, url) = coordinator(&place, 0);
+    let mut worker = place.command(&format!("worker --join {url} --threads 1"));
+    let _worker = Running::of(worker.env("PATH", place.path("bin")));
+    let job = submit(&place, &url, "--frames 1..2 --size 8x4 --spp 1 --video clip.xyz");
+    place.run(&format!("watch {job} --server {url}")).exits(1);
+    let told = place.run(&format!("status {job} --server {url}")).exits(0).stdout();
+    assert!(told.contains("2 of 2 done") && told.contains("ffmpeg: no such muxer"), "{told}");
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(1);
+    assert_eq!(common::names(&place.path("out")), ["fog.0001.exr", "fog.0002.exr"]);
+}
+
 #[cfg(debug_assertions)]
 #[test]
 fn a_frame_that_fails_is_a_card_in_the_clip_until_a_retry_makes_it() {
@@ -151,6 +168,7 @@ fn a_plan_shows_the_graph_that_a_clip_is_submitted_with_and_odd_names_are_refuse
         ("--video clip", "--video"),
         ("--contact-sheet sheet.jpg", "--contact-sheet"),
         ("--contact-sheet out/sheet.png", "--contact-sheet"),
+        ("--contact-sheet a.png --video a.png", "--contact-sheet"),
     ] {
         let ran = place.run(&format!("plan fog.mgf --no-trial {flags}")).exits(2);
         assert!(ran.stderr().contains(said), "{flags}: {}", ran.stderr());

@@ -35,13 +35,13 @@ impl ExtrasArgs {
         let sheet = self.contact_sheet.as_deref().map(|path| name("--contact-sheet", path)).transpose()?;
         let video = self.video.as_deref().map(|path| name("--video", path)).transpose()?;
         let video = video.map(|name| Video { name, rate });
-        match video.as_ref().filter(|video| !video.is_sound()) {
-            Some(video) => Err(usage(format!(
-                "--video {}: the name's ending is the clip's format; give FILE.png, FILE.gif or FILE.mp4",
-                video.name
-            ))),
-            None => Ok(Wish { stills: self.preview, sheet, video }),
+        if let Some(Video { name, .. }) = video.as_ref().filter(|video| !video.is_sound()) {
+            let formats = "the name's ending is the clip's format; give FILE.png, FILE.gif or FILE.mp4";
+            return Err(usage(format!("--video {name}: {formats}")));
         }
+        let wish = Wish { stills: self.preview, sheet, video };
+        let clash = || usage("--contact-sheet: give FILE.png, another one than the clip's");
+        if wish.is_sound() { Ok(wish) } else { Err(clash()) }
     }
 }
 

@@ -8,7 +8,7 @@ use crate::exit::{Exit, Failure, failed};
 use crate::output::{Say, human, job as show, json};
 use clap::Args;
 use femc_model::{Artefact, Digest, JobId, JobSpec, JobState, JobStatus, Role};
-use femc_worker::{Video, Wish};
+use femc_worker::Wish;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
 
@@ -147,8 +147,8 @@ async fn shown(farm: &Farm, job: &JobStatus, folder: &Path, say: Say) -> Result<
     let (wish, mut shown) = (Wish::of(&spec.graph), Shown::default());
     let stills = spec.frames.iter().filter(|_| wish.stills);
     let stills = stills.map(|&frame| (Role::Still, still_name(&job.name, frame)));
-    let sheet = wish.sheet.filter(|name| JobSpec::names_files(name)).map(|name| (Role::Sheet, name));
-    let video = wish.video.filter(Video::is_sound).map(|Video { name, .. }| (Role::Clip, name));
+    let sheet = wish.sheet.map(|name| (Role::Sheet, name));
+    let video = wish.video.map(|video| (Role::Clip, video.name));
     let wanted: Vec<(Role, String)> = stills.chain(sheet).chain(video).collect();
     if wanted.is_empty() {
         return Ok(shown);

@@ -76,7 +76,11 @@ impl Image {
     /// The image shrunk by the smallest whole factor that makes it at most `width` wide: each pixel is the mean of a block of
     /// linear pixels (a cut block at the right and lower border).
     pub fn shrunk_to(&self, width: u32) -> Self {
-        let factor = self.width.div_ceil(width.max(1)).max(1);
+        self.shrunk_by(self.width.div_ceil(width.max(1)).max(1))
+    }
+
+    /// The image shrunk by a whole factor from 1 on, of which blocks the pixels are the means.
+    pub(crate) fn shrunk_by(&self, factor: u32) -> Self {
         let (columns, rows) = (self.width.div_ceil(factor), self.height.div_ceil(factor));
         let block = |x: u32, y: u32| {
             let (mut sum, mut count) = ([0.0f32; 3], 0.0f32);

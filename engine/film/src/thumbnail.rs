@@ -13,7 +13,7 @@
 
 use crate::codec::{begin, finish, open, to_planes};
 use crate::tile::PixelSums;
-use crate::{FilmError, Frame, Rect, Tile, Tiling};
+use crate::{FilmError, Frame, Image, Rect, Tile, Tiling};
 use femc_math::color::LUMINANCE_WEIGHTS;
 use femc_math::elementary::double;
 
@@ -77,6 +77,14 @@ impl Levels {
             let sum: f64 = weights.iter().zip(sums.total()).map(|(weight, color)| weight * color.value()).sum();
             levels.counts[Self::bin(sum / f64::from(sums.samples()))] += 1;
         }
+        levels
+    }
+
+    /// The levels of a finished image, for those who have nothing else: its pixels are rounded, so a block may count in a bin next
+    /// to that of its thumbnail.
+    pub fn of_image(image: &Image) -> Self {
+        let (small, mut levels) = (image.shrunk_by(BLOCK), Self::default());
+        (0..small.pixels.len()).for_each(|at| levels.counts[Self::bin(small.luminance(at).into())] += 1);
         levels
     }
 

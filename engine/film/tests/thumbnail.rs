@@ -75,6 +75,21 @@ fn levels_do_not_depend_on_the_tiles_and_add_up_in_any_order() {
 }
 
 #[test]
+fn the_levels_of_an_image_are_those_of_its_thumbnails_but_for_rounding() {
+    let mut frame = Frame::new(FILM);
+    for rect in FILM.rects() {
+        frame.insert(render(rect, 0..12)).unwrap();
+    }
+    let image = frame.resolve().color;
+    let [of_image, of_sums] = [Levels::of_image(&image), Levels::of(&thumbnails(16, &[0, 12]))];
+    let lit = |levels: &Levels| levels.lit().map(|(_, count)| count).sum::<u64>();
+    assert_eq!((of_image.blocks(), lit(&of_image)), (of_sums.blocks(), lit(&of_sums)));
+    let [a, b] = [&of_image, &of_sums].map(|levels| femc_math::elementary::ln(ToneCurve::of_levels(levels).exposure));
+    // The means of pixels weigh every pixel alike, the sums every good sample.
+    assert!((a - b).abs() < 0.1, "{a}, {b}");
+}
+
+#[test]
 fn the_exposure_of_levels_is_within_half_a_bin_of_that_of_their_blocks() {
     // A 32nd of an octave, and the rounding of floats.
     let most = std::f32::consts::LN_2 / 32.0 + 1e-5;

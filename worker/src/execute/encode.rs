@@ -66,24 +66,36 @@ impl Video {
     /// Whether it names a file that an encoder can be told to write, and a rate.
     pub fn is_sound(&self) -> bool {
         let extension = self.name.rsplit_once('.').map_or("", |(_, extension)| extension);
-        let is_plain = |c: char| c.is_ascii_alphanumeric();
-        JobSpec::names_files(&self.name)
+        is_file(&self.name)
             && (1..=8).contains(&extension.len())
-            && extension.chars().all(is_plain)
+            && extension.chars().all(|c| c.is_ascii_alphanumeric())
             && (0.01..=100.0).contains(&self.rate)
     }
 }
 
+/// Whether a name is that of a file that may be written to a folder of somebody else's choice: none that is out of sight there.
+fn is_file(name: &str) -> bool {
+    JobSpec::names_files(name) && !name.starts_with('.')
+}
+
 impl Wish {
+    /// Whether a sheet is a PNG, a clip is sound, and they are two files.
+    pub fn is_sound(&self) -> bool {
+        let video = self.video.as_ref();
+        self.sheet.as_ref().is_none_or(|name| is_file(name) && name.ends_with(".png"))
+            && video.is_none_or(|video| video.is_sound() && Some(&video.name) != self.sheet.as_ref())
+    }
+
     /// Whether nothing is wanted.
     pub fn is_empty(&self) -> bool {
         *self == Self::default()
     }
 
-    /// What a job of this graph was asked to show.
+    /// What a job of this graph was asked to show, if that is sound.
     pub fn of(graph: &Graph) -> Self {
         let encode = graph.stages.iter().find(|template| template.kind == StageKind::Encode);
-        encode.and_then(|template| serde_json::from_str(&template.options).ok()).unwrap_or_default()
+        let wish = encode.and_then(|template| serde_json::from_str(&template.options).ok());
+        wish.filter(Self::is_sound).unwrap_or_default()
     }
 
     /// Adds the stages that make it to the graph of a job of so many frames. Nothing of the frames' images changes.
@@ -343,12 +355,32 @@ mod tests {
     }
 
     #[test]
+    fn a_sheet_is_a_png_beside_the_clip() {
+        assert!(wish(false, Some("a.png"), Some("b.png")).is_sound() && Wish::default().is_sound());
+        for (sheet, clip) in [("a.jpg", "b.png"), (".png", "b.png"), ("a/b.png", "b.png"), ("a.png", "a.png")] {
+            assert!(!wish(false, Some(sheet), Some(clip)).is_sound(), "{sheet}, {clip}");
+        }
+        let mut graph = femc_model::testing::frames(Sizes::even(4, 64), &[4], 0);
+        wish(true, Some("../a.png"), None).add_to(&mut graph, 3);
+        assert_eq!(Wish::of(&graph), Wish::default(), "somebody else's graph leads nowhere");
+    }
+
+    #[test]
     fn a_clip_has_a_name_that_leads_nowhere_and_a_rate() {
         let is_sound = |name: &str, rate| Video { name: name.into(), rate }.is_sound();
         assert!(is_sound("drive.mp4", 24.0) && is_sound("a b.GIF", 0.01));
-        for name in
-            ["clip", "clip.", ".", "../clip.mp4", "a/b.mp4", "clip.m:p4", "clip.m p4", "a\u{1b}.mp4", "a.123456789"]
-        {
+        for name in [
+            "clip",
+            "clip.",
+            ".",
+            "../clip.mp4",
+            "a/b.mp4",
+            "clip.m:p4",
+            "clip.m p4",
+            "a\u{1b}.mp4",
+            "a.123456789",
+            ".mp4",
+        ] {
             assert!(!is_sound(name, 24.0), "{name}");
         }
         for rate in [0.0, -1.0, 101.0, f64::NAN, f64::INFINITY] {

@@ -8,12 +8,9 @@ use crate::output::Say;
 use crate::request::Asked;
 use femc_film::animation::AnimationFormat;
 use femc_film::picture::{NEARLY_SQUARE, SHEET_WIDTH};
-use femc_film::{Image, Picture, ToneCurve, contact_sheet, exr, file::write_atomic};
+use femc_film::{Image, Levels, Picture, ToneCurve, contact_sheet, exr, file::write_atomic};
 use femc_worker::clip;
 use std::path::{Path, PathBuf};
-
-/// Frames that set the exposure: enough to know a clip by, few enough to hold.
-const EXPOSED: usize = 8;
 
 /// Make it, and enter it in the report.
 pub fn write(asked: &Asked, report: &mut Report, extras: &ExtrasArgs, say: Say) -> Result<(), Failure> {
@@ -52,11 +49,13 @@ fn image(path: &str) -> Result<Image, Failure> {
     exr::read(Path::new(path)).map(|file| file.image).map_err(failed)
 }
 
-/// One tone curve for all, from frames spread over the clip.
+/// One tone curve for all frames, by the rule of a farm's clips.
 fn exposure(files: &[String]) -> Result<ToneCurve, Failure> {
-    let step = files.len().div_ceil(EXPOSED);
-    let images: Vec<Image> = files.iter().step_by(step).map(|path| image(path)).collect::<Result<_, Failure>>()?;
-    Ok(ToneCurve::auto(&images))
+    let mut levels = Levels::default();
+    for path in files {
+        levels.merge(&Levels::of_image(&image(path)?));
+    }
+    Ok(ToneCurve::of_levels(&levels))
 }
 
 /// The clip's file, in a folder that is there; another one than was asked for where there is no ffmpeg.

@@ -8,7 +8,7 @@ use std::time::Duration;
 use bytes::Bytes;
 use common::{Place, Running, coordinator};
 use femc_model::{
-    Artefact, Control, Graph, Grid, JobId, JobSpec, JobState, Need, Reach, Role, Round, Scope, Sizes, StageKind,
+    Artifact, Control, Graph, Grid, JobId, JobSpec, JobState, Need, Reach, Role, Round, Scope, Sizes, StageKind,
     TaskKey, Template,
 };
 use femc_proto::Client;
@@ -34,7 +34,7 @@ fn graph() -> Graph {
     }
 }
 
-fn job(name: &str, bundle: Artefact, frames: &[u32]) -> JobSpec {
+fn job(name: &str, bundle: Artifact, frames: &[u32]) -> JobSpec {
     let mut spec = JobSpec {
         name: name.into(),
         bundle: bundle.digest,
@@ -135,8 +135,8 @@ fn what_two_jobs_share_is_solved_once_whoever_is_killed_and_one_of_them_cancelle
     for &id in &jobs[1..] {
         place.run(&format!("watch {id} --server {url}")).exits(0);
         for record in runtime.block_on(client.frames(id)).expect("frames") {
-            let artefact = record.output(Role::Answer).expect("an answer");
-            let bytes = runtime.block_on(client.get(&artefact.digest, artefact.bytes)).expect("its bytes");
+            let artifact = record.output(Role::Answer).expect("an answer");
+            let bytes = runtime.block_on(client.get(&artifact.digest, artifact.bytes)).expect("its bytes");
             assert_eq!(bytes, answer(record.frame), "frame {} of job {id}", record.frame);
         }
     }

@@ -257,7 +257,7 @@ fn six_ways_to_one_frame() {
     for name in ["farm.db", "farm.db-wal", "farm.db-mark"] {
         let _ = std::fs::remove_file(place.path(name));
     }
-    std::fs::remove_dir_all(place.path("artifacts")).expect("the artefacts");
+    std::fs::remove_dir_all(place.path("artifacts")).expect("the artifacts");
     let (mut farm, url) = coordinator(&place, 0);
     let mut workers = [worker(&place, &url), worker(&place, &url)];
     let job = queue(&url);

@@ -20,11 +20,11 @@ fn garbage_goes_and_a_finished_job_can_still_be_fetched() {
     File::options().write(true).open(&stray).and_then(|file| file.set_modified(old)).expect("aged");
 
     let report = place.run(&format!("gc --dry-run --json --server {url}")).exits(0).json();
-    assert_eq!((&report["garbage"]["artefacts"], &report["garbage"]["bytes"]), (&1.into(), &9.into()), "{report}");
-    assert!(report["referenced"]["artefacts"].as_u64().is_some_and(|count| count >= 6), "{report}");
+    assert_eq!((&report["garbage"]["artifacts"], &report["garbage"]["bytes"]), (&1.into(), &9.into()), "{report}");
+    assert!(report["referenced"]["artifacts"].as_u64().is_some_and(|count| count >= 6), "{report}");
     assert!(stray.exists(), "nothing goes in a dry run");
     let ran = place.run(&format!("gc --server {url}")).exits(0);
-    assert!(ran.stdout().contains("removed: 1 artefact, 9B"), "{}", ran.stdout());
+    assert!(ran.stdout().contains("removed: 1 artifact, 9B"), "{}", ran.stdout());
     assert!(!stray.exists());
     let ran = place.run(&format!("gc --grace 5s --server {url}")).exits(2);
     assert!(ran.stderr().contains("at least 60 s"), "{}", ran.stderr());

@@ -155,7 +155,7 @@ pages! {
     formats: "formats.md",
 }
 
-/// Artefacts are in a bucket under `tests/s3`, else in a folder.
+/// Artifacts are in a bucket under `tests/s3`, else in a folder.
 #[test]
 fn postgres_and_s3() {
     let Some(database) = Need::Postgres.variable("FEMC_TEST_POSTGRES") else { return };

@@ -1,4 +1,4 @@
-//! A farm whose artefacts lie on an S3 server: run by `tests/s3`.
+//! A farm whose artifacts lie on an S3 server: run by `tests/s3`.
 
 mod common;
 use common::outage::Outage;

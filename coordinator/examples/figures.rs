@@ -173,18 +173,18 @@ async fn half_done(mut queue: impl femc_queue::Queue, frames: u32, tiles: u32) -
         Fact::Submitted { job: JobId(1), key: None, spec: Box::new(job(1000, 1000)), cut: Cut::Whole },
     ];
     for frame in 1..=frames {
-        let mut put = |kind, number, index, artefact| {
+        let mut put = |kind, number, index, artifact| {
             let task = TaskKey { job: JobId(1), stage: Stage { frame, round: 0, number, kind }, index };
-            let (epoch, result) = (Epoch::new(1, 1), Box::new(result(kind, artefact)));
+            let (epoch, result) = (Epoch::new(1, 1), Box::new(result(kind, artifact)));
             facts.push(Fact::Done { task, end: index + 1, epoch, leased: Tick(1), result });
         };
         for index in 0..tiles {
             let digest = Digest::of(&[frame.to_le_bytes(), index.to_le_bytes()].concat());
-            put(StageKind::Render, 0, index, Artefact { digest, bytes: 2000 });
+            put(StageKind::Render, 0, index, Artifact { digest, bytes: 2000 });
         }
         if tiles == 1000 {
-            (0..4).for_each(|group| put(StageKind::Reduce, 1, group, Artefact::of(RESULT)));
-            put(StageKind::Image, 2, 0, Artefact::of(RESULT));
+            (0..4).for_each(|group| put(StageKind::Reduce, 1, group, Artifact::of(RESULT)));
+            put(StageKind::Image, 2, 0, Artifact::of(RESULT));
         }
         let mut records = Vec::new();
         for fact in facts.drain(..) {
@@ -203,8 +203,8 @@ async fn half_done(mut queue: impl femc_queue::Queue, frames: u32, tiles: u32) -
 }
 
 /// What a task of a kind makes.
-fn result(kind: StageKind, artefact: Artefact) -> TaskResult {
-    let of = |role| TaskResult { outputs: vec![Output { role, artefact }], ..TaskResult::default() };
+fn result(kind: StageKind, artifact: Artifact) -> TaskResult {
+    let of = |role| TaskResult { outputs: vec![Output { role, artifact }], ..TaskResult::default() };
     match kind {
         StageKind::Render => TaskResult { units: 1024, ..of(Role::Tile) },
         StageKind::Reduce => of(Role::Pixels),
@@ -268,7 +268,7 @@ async fn join(client: &Client, instance: u64) -> Result<(Outgoing, Incoming)> {
 }
 
 fn done(lease: &Assignment) -> FromWorker {
-    let result = result(lease.task.stage.kind, Artefact::of(RESULT));
+    let result = result(lease.task.stage.kind, Artifact::of(RESULT));
     let usage = Usage {
         wait: 0.012_345,
         wall: 0.123_456,

@@ -16,26 +16,26 @@ use crate::attempts::{self, Ended};
 use crate::clock::Clock;
 use crate::config::{Config, CoordinatorError};
 use crate::disks::Disks;
+use crate::execute::Watched;
 use crate::janitor::Janitor;
 use crate::metrics::{Metrics, Now};
-use crate::obey::Watched;
 use crate::session::{self, Worker};
 use crate::wait::{Doors, Pending};
 
 /// What a session's reader passes on.
 #[derive(Debug)]
-pub(crate) enum Word {
+pub(crate) enum SessionEvent {
     /// The worker says something.
     Said(Box<FromWorker>),
-    /// It has completed a task, and this artefact of the result is not in the store, as the store says.
-    Hollow(Box<FromWorker>, Digest, String),
+    /// It has completed a task, and this artifact of the result is not in the store, as the store says.
+    ArtifactMissing(Box<FromWorker>, Digest, String),
     /// Its session is over.
     Over,
 }
 
 /// Whom an answer of the scheduler goes to.
 #[derive(Debug)]
-pub(crate) enum Asker {
+pub(crate) enum PendingReply {
     Submit(Reply<JobId>),
     Control(Reply<()>),
 }
@@ -67,7 +67,7 @@ pub(crate) struct Actor<Q> {
     pub(crate) workers: BTreeMap<WorkerId, Worker>,
     /// Whose sessions have begun and are not welcomed yet.
     joined: Vec<WorkerId>,
-    pub(crate) askers: BTreeMap<RequestId, Asker>,
+    pub(crate) pending: BTreeMap<RequestId, PendingReply>,
     pub(crate) watched: BTreeMap<JobId, Watched>,
     pub(crate) changed: BTreeSet<JobId>,
     pub(crate) janitor: Janitor,
@@ -87,10 +87,10 @@ pub(crate) struct Actor<Q> {
     snapshot: usize,
     /// No snapshot is made before: there was no room for one.
     snapshots_from: Instant,
-    words: mpsc::Sender<(WorkerId, Word)>,
-    pub(crate) heard: mpsc::Receiver<(WorkerId, Word)>,
+    words: mpsc::Sender<(WorkerId, SessionEvent)>,
+    pub(crate) heard: mpsc::Receiver<(WorkerId, SessionEvent)>,
     /// What was said while there was no room for the log.
-    pub(crate) put_off: VecDeque<(WorkerId, Word)>,
+    pub(crate) put_off: VecDeque<(WorkerId, SessionEvent)>,
     pub(crate) metrics: Metrics,
     /// Who wants to know how much there is of everything.
     pub(crate) watchers: mpsc::Receiver<oneshot::Sender<Now>>,
@@ -129,7 +129,7 @@ impl<Q: Queue> Actor<Q> {
             store,
             workers: BTreeMap::new(),
             joined: Vec::new(),
-            askers: BTreeMap::new(),
+            pending: BTreeMap::new(),
             watched: BTreeMap::new(),
             changed: BTreeSet::new(),
             janitor: Janitor::default(),
@@ -164,7 +164,7 @@ impl<Q: Queue> Actor<Q> {
                 due = timer.tick() => {
                     if due.elapsed() > Self::STANDSTILL {
                         tracing::warn!(seconds = due.elapsed().as_secs_f64(), "stood still; workers are heard first");
-                        self.hear(Event::Awoke, &mut commands);
+                        self.hear(Event::LoopStalled, &mut commands);
                     }
                     self.hear(Event::Elapsed, &mut commands);
                     self.look_after(&mut commands, &mut doors).await?;
@@ -205,10 +205,10 @@ impl<Q: Queue> Actor<Q> {
     fn hear(&mut self, event: Event, commands: &mut Vec<Command>) {
         let now = self.clock.now();
         for command in self.scheduler.on(event, now) {
-            self.metrics.heed(&command);
+            self.metrics.on_command(&command);
             match command {
                 Command::Record(fact) => {
-                    self.attempts.heed(&fact);
+                    self.attempts.on_fact(&fact);
                     self.facts.push((now, fact));
                 }
                 Command::Note(attempt) => self.attempts.put(*attempt),
@@ -227,12 +227,12 @@ impl<Q: Queue> Actor<Q> {
         }
     }
 
-    fn word(&mut self, worker: WorkerId, word: Word, commands: &mut Vec<Command>) {
+    fn word(&mut self, worker: WorkerId, word: SessionEvent, commands: &mut Vec<Command>) {
         if !self.workers.contains_key(&worker) {
             return;
         }
         let event = match word {
-            Word::Said(mut said) => {
+            SessionEvent::Said(mut said) => {
                 match &*said {
                     FromWorker::Heartbeat { number, .. } => self.heartbeats.push((worker, *number)),
                     FromWorker::Failed { failure, .. } => self.metrics.failed(failure),
@@ -244,12 +244,12 @@ impl<Q: Queue> Actor<Q> {
                 self.besides(worker, &mut said, commands);
                 event_of(worker, *said)
             }
-            Word::Hollow(mut said, artefact, message) => {
+            SessionEvent::ArtifactMissing(mut said, artifact, message) => {
                 self.besides(worker, &mut said, commands);
                 self.metrics.failed(&Failure::Store { message: message.clone() });
-                hollow(worker, &said, artefact, message)
+                hollow(worker, &said, artifact, message)
             }
-            Word::Over => {
+            SessionEvent::Over => {
                 self.workers.remove(&worker);
                 tracing::info!(worker = worker.0, "worker left");
                 Some(Event::Left { worker })
@@ -269,11 +269,11 @@ impl<Q: Queue> Actor<Q> {
                 drop(reply.send(Err(no)));
             }
             Call::Submit { key, spec, reply } => {
-                let request = self.ask(Asker::Submit(reply));
+                let request = self.ask(PendingReply::Submit(reply));
                 self.hear(Event::Submitted { request, key, spec }, commands);
             }
             Call::Control { job, control, reply } => {
-                let request = self.ask(Asker::Control(reply));
+                let request = self.ask(PendingReply::Control(reply));
                 self.hear(Event::Controlled { request, job, control }, commands);
             }
             Call::Session(session) => self.join(*session, commands),
@@ -309,9 +309,9 @@ impl<Q: Queue> Actor<Q> {
         self.numbers
     }
 
-    fn ask(&mut self, asker: Asker) -> RequestId {
+    fn ask(&mut self, pending: PendingReply) -> RequestId {
         let request = RequestId(self.number());
-        self.askers.insert(request, asker);
+        self.pending.insert(request, pending);
         request
     }
 
@@ -357,7 +357,7 @@ impl<Q: Queue> Actor<Q> {
         for worker in std::mem::take(&mut self.joined) {
             self.welcome(worker);
         }
-        self.obey(commands);
+        self.execute(commands);
         self.renew();
         self.answer().await
     }
@@ -412,10 +412,10 @@ impl<Q: Queue> Actor<Q> {
 
     pub(crate) fn references(&self) -> References {
         let ledger = self.scheduler.ledger();
-        References { artefacts: ledger.references(), scenes: ledger.scenes() }
+        References { artifacts: ledger.references(), scenes: ledger.scenes() }
     }
 
-    /// What is done now and then: watchers, artefacts that nobody needs, snapshots.
+    /// What is done now and then: watchers, artifacts that nobody needs, snapshots.
     async fn look_after(&mut self, commands: &mut Vec<Command>, doors: &mut Doors) -> Result<(), CoordinatorError> {
         self.queue.check()?;
         self.refresh_watched();
@@ -474,12 +474,12 @@ fn spent_of(said: &mut FromWorker) -> Vec<Spent> {
     }
 }
 
-/// A completion that lacks an artefact.
-fn hollow(worker: WorkerId, said: &FromWorker, artefact: Digest, message: String) -> Option<Event> {
+/// A completion that lacks an artifact.
+fn hollow(worker: WorkerId, said: &FromWorker, artifact: Digest, message: String) -> Option<Event> {
     let FromWorker::Completed { task, epoch, .. } = said else { return None };
     let (task, epoch) = (*task, *epoch);
     tracing::warn!(job = task.job.0, %task, worker = worker.0, message, "a result is not whole: it does not count");
-    Some(Event::Hollow { worker, task, epoch, artefact, message })
+    Some(Event::ArtifactMissing { worker, task, epoch, artifact, message })
 }
 
 /// What a worker says, as the scheduler hears it.

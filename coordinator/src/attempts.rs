@@ -22,7 +22,7 @@ impl Ended {
     }
 
     /// A job that is forgotten has no attempts.
-    pub(crate) fn heed(&mut self, fact: &Fact) {
+    pub(crate) fn on_fact(&mut self, fact: &Fact) {
         if let Fact::Forgotten { job } = fact {
             self.attempts.remove(job);
             self.forgotten.push(job.0);

@@ -29,7 +29,7 @@ pub enum Log {
     },
 }
 
-/// Where artefacts live.
+/// Where artifacts live.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum Artifacts {
     /// In memory: nothing outlives the process.
@@ -64,13 +64,13 @@ pub struct Config {
     pub audit: Option<Audit>,
     /// Where the log lives.
     pub log: Log,
-    /// Where artefacts live.
+    /// Where artifacts live.
     pub artifacts: Artifacts,
     /// The scheduler's times and limits.
     pub scheduler: femc_schedule::Config,
     /// Records of the log after which a snapshot takes their place.
     pub snapshot: usize,
-    /// Bytes that shall stay free on the disks of the log and of the artefacts: with less, no new jobs are taken. 0: none.
+    /// Bytes that shall stay free on the disks of the log and of the artifacts: with less, no new jobs are taken. 0: none.
     pub keep_free: u64,
     /// What to do with a log that lacks what was acknowledged.
     pub loss: Loss,
@@ -136,7 +136,7 @@ pub enum CoordinatorError {
     /// The log's content.
     #[error(transparent)]
     Ledger(#[from] SnapshotError),
-    /// The artefact store.
+    /// The artifact store.
     #[error(transparent)]
     Store(#[from] StoreError),
     /// The server.

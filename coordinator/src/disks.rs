@@ -1,4 +1,4 @@
-//! The disks that the log and the artefacts lie on: below one bound of free bytes it is told, below another no new jobs are
+//! The disks that the log and the artifacts lie on: below one bound of free bytes it is told, below another no new jobs are
 //! taken, so that there is room for the work that has begun.
 
 use std::path::{Path, PathBuf};

@@ -1,4 +1,4 @@
-//! Removing artefacts that no job names any more: merged tiles, sums of earlier rounds.
+//! Removing artifacts that no job names any more: merged tiles, sums of earlier rounds.
 //!
 //! Some time after they were released, and only if nothing names them then: the same bytes may have come in again under
 //! the same digest, and a worker that found them in the store does not send them twice. Should one be removed all the
@@ -14,7 +14,7 @@ use femc_queue::Queue;
 
 use crate::actor::Actor;
 
-/// Artefacts on their way out.
+/// Artifacts on their way out.
 #[derive(Debug, Default)]
 pub(crate) struct Janitor {
     released: VecDeque<(Tick, Vec<Digest>)>,
@@ -54,7 +54,7 @@ impl<Q: Queue> Actor<Q> {
         tokio::spawn(async move {
             for digest in due {
                 if let Err(error) = store.remove(&digest).await {
-                    tracing::warn!(%digest, %error, "an artefact that nobody needs stays");
+                    tracing::warn!(%digest, %error, "an artifact that nobody needs stays");
                 }
             }
         });

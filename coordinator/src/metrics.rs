@@ -123,7 +123,7 @@ impl Metrics {
     }
 
     /// What follows from an event.
-    pub(crate) fn heed(&self, command: &Command) {
+    pub(crate) fn on_command(&self, command: &Command) {
         match command {
             Command::Record(Fact::Done { task, .. }) => {
                 self.0.done.add(task.stage.kind.name(), 1);
@@ -193,7 +193,7 @@ impl Metrics {
         self.put_log(&mut page);
         let help = "Whether the log waits for room on its disk: 1, and nothing goes on.";
         page.gauge("femc_log_waits_for_room", help).is(u8::from(waits.is_some()));
-        let help = "Bytes that are free on the disks of the log and of the artefacts, where these are folders.";
+        let help = "Bytes that are free on the disks of the log and of the artifacts, where these are folders.";
         let free = disks.iter().flat_map(Disks::free);
         page.gauge("femc_disk_free_bytes", help).each("holds", free);
         put_traffic(&mut page, &self.0.traffic);
@@ -268,8 +268,8 @@ fn put_traffic(page: &mut Page, Traffic { calls, latencies, received, sent }: &T
     let help = "Until the answer to a call began, in seconds.";
     let family = page.histogram("femc_rpc_seconds", help);
     latencies.iter().fold(family, |family, (method, histogram)| family.with(&[("method", method)], histogram));
-    page.counter("femc_store_received_bytes_total", "Bytes of artefacts that came in.").counts(received.get());
-    page.counter("femc_store_sent_bytes_total", "Bytes of artefacts that went out.").counts(sent.get());
+    page.counter("femc_store_received_bytes_total", "Bytes of artifacts that came in.").counts(received.get());
+    page.counter("femc_store_sent_bytes_total", "Bytes of artifacts that went out.").counts(sent.get());
 }
 
 fn revocation(reason: RevokeReason) -> &'static str {

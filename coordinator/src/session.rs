@@ -1,13 +1,13 @@
 //! A worker's session: its reader, which also sees that what is reported is really in the store.
 
 use femc_model::{
-    Artefact, Digest, Failure, FromWorker, JobId, JobSpec, Latest, LogText, TaskResult, ToWorker, WorkerId,
+    Artifact, Digest, Failure, FromWorker, JobId, JobSpec, Latest, LogText, TaskResult, ToWorker, WorkerId,
 };
 use femc_proto::Words;
 use femc_store::{Soundness, Store};
 use tokio::sync::mpsc;
 
-use crate::actor::Word;
+use crate::actor::SessionEvent;
 
 /// The actor's end of a session.
 #[derive(Debug)]
@@ -24,7 +24,12 @@ impl Worker {
 }
 
 /// Passes on what the worker says until it says no more.
-pub(crate) async fn listen(worker: WorkerId, mut words: Words, store: Store, actor: mpsc::Sender<(WorkerId, Word)>) {
+pub(crate) async fn listen(
+    worker: WorkerId,
+    mut words: Words,
+    store: Store,
+    actor: mpsc::Sender<(WorkerId, SessionEvent)>,
+) {
     loop {
         let word = tokio::select! {
             biased;
@@ -44,12 +49,12 @@ pub(crate) async fn listen(worker: WorkerId, mut words: Words, store: Store, act
         }
     }
     // The actor is gone: then there is nobody to tell.
-    let _ = actor.send((worker, Word::Over)).await;
+    let _ = actor.send((worker, SessionEvent::Over)).await;
 }
 
-/// A completion without its artefacts is hollow. Artefacts that a worker calls lost are read, which removes those that are
+/// A completion without its artifacts is hollow. Artifacts that a worker calls lost are read, which removes those that are
 /// damaged, so that they can be put again.
-async fn checked(mut word: FromWorker, store: &Store) -> Word {
+async fn checked(mut word: FromWorker, store: &Store) -> SessionEvent {
     check_log(&mut word, store).await;
     if let FromWorker::Failed { failure: Failure::LostInputs { digests, .. }, .. } = &word {
         for digest in digests {
@@ -63,21 +68,21 @@ async fn checked(mut word: FromWorker, store: &Store) -> Word {
         _ => None,
     };
     match lacks {
-        Some((artefact, message)) => Word::Hollow(Box::new(word), artefact, message),
-        None => Word::Said(Box::new(word)),
+        Some((artifact, message)) => SessionEvent::ArtifactMissing(Box::new(word), artifact, message),
+        None => SessionEvent::Said(Box::new(word)),
     }
 }
 
-/// The first artefact of a result that is not in the store as it should be, and what the store says. One that is damaged is
+/// The first artifact of a result that is not in the store as it should be, and what the store says. One that is damaged is
 /// removed: it is wanted again when somebody offers it.
 async fn lacking(result: &TaskResult, store: &Store) -> Option<(Digest, String)> {
-    for artefact in result.artefacts() {
-        let Artefact { digest, bytes } = artefact;
-        let message = match store.known(&artefact).await {
+    for artifact in result.artifacts() {
+        let Artifact { digest, bytes } = artifact;
+        let message = match store.known(&artifact).await {
             Ok(Soundness::Sound(found)) if found == bytes => continue,
-            Ok(Soundness::Sound(found)) => format!("artefact {digest} has {found} bytes, not {bytes}"),
-            Ok(Soundness::Damaged) => format!("the store has damaged artefact {digest}"),
-            Ok(Soundness::Missing) => format!("artefact {digest} did not arrive, or the store has lost it"),
+            Ok(Soundness::Sound(found)) => format!("artifact {digest} has {found} bytes, not {bytes}"),
+            Ok(Soundness::Damaged) => format!("the store has damaged artifact {digest}"),
+            Ok(Soundness::Missing) => format!("artifact {digest} did not arrive, or the store has lost it"),
             Err(error) => error.to_string(),
         };
         return Some((digest, message));
@@ -90,8 +95,8 @@ async fn check_log(word: &mut FromWorker, store: &Store) {
     let (FromWorker::Completed { log: Some(log), .. } | FromWorker::Failed { log: Some(log), .. }) = word else {
         return;
     };
-    if let LogText::Stored(artefact) = log.text
-        && !matches!(store.known(&artefact).await, Ok(Soundness::Sound(bytes)) if bytes == artefact.bytes)
+    if let LogText::Stored(artifact) = log.text
+        && !matches!(store.known(&artifact).await, Ok(Soundness::Sound(bytes)) if bytes == artifact.bytes)
     {
         log.text = LogText::Inline("the log did not arrive".into());
     }

@@ -49,7 +49,7 @@ impl Coordinator {
             async move {
                 if let Err(error) = store.probe().await {
                     // It may come back; until then whoever needs it is told.
-                    tracing::warn!(%error, "the artefact store does not answer");
+                    tracing::warn!(%error, "the artifact store does not answer");
                 }
             }
         });

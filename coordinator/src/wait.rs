@@ -12,7 +12,7 @@ use femc_schedule::Command;
 use tokio::sync::{mpsc, watch};
 use tokio::time::Duration;
 
-use crate::actor::{Actor, Word};
+use crate::actor::{Actor, SessionEvent};
 use crate::config::CoordinatorError;
 
 /// Where calls come in, and the end.
@@ -86,8 +86,8 @@ impl<Q: Queue> Actor<Q> {
     }
 
     /// A heartbeat is answered, everything else is heard later.
-    fn put_off(&mut self, worker: WorkerId, word: Word) {
-        if let Word::Said(said) = &word
+    fn put_off(&mut self, worker: WorkerId, word: SessionEvent) {
+        if let SessionEvent::Said(said) = &word
             && let FromWorker::Heartbeat { number, spent, .. } = &**said
         {
             let leases = self.scheduler.leases(worker, self.clock.now());
@@ -111,13 +111,13 @@ impl<Q: Queue> Actor<Q> {
             }
             // Garbage is what makes room. What is not durable yet may have released something that the log still names.
             Call::References { reply } if pending.batch.forgotten.is_empty() => {
-                let References { mut artefacts, scenes } = self.references();
+                let References { mut artifacts, scenes } = self.references();
                 let released = pending.commands.iter().flat_map(|command| match command {
                     Command::Discard(digests) => digests.as_slice(),
                     _ => &[],
                 });
-                artefacts.extend(released);
-                drop(reply.send(Ok(References { artefacts, scenes })));
+                artifacts.extend(released);
+                drop(reply.send(Ok(References { artifacts, scenes })));
             }
             // It comes again, with what it has done.
             Call::Session(session) => drop(session),

@@ -35,7 +35,7 @@ fn noise(size: u64) -> Bytes {
     (0..size / 8).flat_map(word).collect()
 }
 
-/// Where an artefact lies.
+/// Where an artifact lies.
 fn file(folder: &Path, digest: &Digest) -> PathBuf {
     let name = digest.to_string();
     folder.join("artifacts").join(&name[..2]).join(&name[2..])
@@ -70,7 +70,7 @@ struct Hand {
     out: Outgoing,
     incoming: Incoming,
     /// What it says the image of every frame is, if not what it makes.
-    image: Option<Artefact>,
+    image: Option<Artifact>,
     /// Assigned while it listened for something else.
     waiting: VecDeque<Assignment>,
 }
@@ -136,15 +136,15 @@ impl Hand {
 
     async fn result(&self, held: &Assignment) -> TaskResult {
         let bytes = format!("{:?} {}", held.task.stage.kind, held.task.stage.frame);
-        let artefact = self.client.put(Bytes::from(bytes)).await.unwrap();
-        let of = |role, artefact| TaskResult {
-            outputs: vec![Output { role, artefact }],
+        let artifact = self.client.put(Bytes::from(bytes)).await.unwrap();
+        let of = |role, artifact| TaskResult {
+            outputs: vec![Output { role, artifact }],
             seconds: 0.1,
             ..TaskResult::default()
         };
         match held.task.stage.kind {
-            StageKind::Render => TaskResult { units: held.work.steps.len() as u64 * 64, ..of(Role::Tile, artefact) },
-            _ => TaskResult { decision: Some(Decision::Done), ..of(Role::Image, self.image.unwrap_or(artefact)) },
+            StageKind::Render => TaskResult { units: held.work.steps.len() as u64 * 64, ..of(Role::Tile, artifact) },
+            _ => TaskResult { decision: Some(Decision::Done), ..of(Role::Image, self.image.unwrap_or(artifact)) },
         }
     }
 }
@@ -161,8 +161,8 @@ async fn every_report_is_answered_and_its_log_is_kept() {
         let mut hand = Hand::join(&farm.url()).await;
         let held = hand.assigned().await;
         let (task, epoch) = (held.task, held.epoch);
-        let (result, nobody_has) = (hand.result(&held).await, Artefact::of(b"it was never sent"));
-        let outputs = vec![Output { role: Role::Tile, artefact: nobody_has }];
+        let (result, nobody_has) = (hand.result(&held).await, Artifact::of(b"it was never sent"));
+        let outputs = vec![Output { role: Role::Tile, artifact: nobody_has }];
         let tile = TaskResult { outputs, units: 16 * 64, ..TaskResult::default() };
         let failure = Failure::Panicked { message: "oops".into() };
         let log = |attempt, text| Some(TaskLog { attempt, seconds: 0.25, text });
@@ -189,23 +189,23 @@ async fn every_report_is_answered_and_its_log_is_kept() {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_truncated_artefact_is_wanted_again_by_whoever_offers_it() {
+async fn a_truncated_artifact_is_wanted_again_by_whoever_offers_it() {
     let (folder, farm, client) = farm().await;
     for whole in [Bytes::from_static(b"a tile of some bytes"), noise(9 * MB)] {
-        let artefact = client.put(whole.clone()).await.unwrap();
+        let artifact = client.put(whole.clone()).await.unwrap();
         for damaged in harms(&whole) {
-            std::fs::write(file(folder.path(), &artefact.digest), &damaged).unwrap();
-            assert_eq!(client.put(whole.clone()).await.unwrap(), artefact);
-            assert_eq!(client.get_exactly(&artefact).await.unwrap(), whole, "of {} bytes", damaged.len());
+            std::fs::write(file(folder.path(), &artifact.digest), &damaged).unwrap();
+            assert_eq!(client.put(whole.clone()).await.unwrap(), artifact);
+            assert_eq!(client.get_exactly(&artifact).await.unwrap(), whole, "of {} bytes", damaged.len());
 
-            std::fs::write(file(folder.path(), &artefact.digest), &damaged).unwrap();
-            let heard = client.get_exactly(&artefact).await;
+            std::fs::write(file(folder.path(), &artifact.digest), &damaged).unwrap();
+            let heard = client.get_exactly(&artifact).await;
             let is_refused = matches!(
                 heard,
-                Err(CallError::Refused(Refusal::NoSuchArtefact { .. } | Refusal::DigestMismatch { .. }))
+                Err(CallError::Refused(Refusal::NoSuchArtifact { .. } | Refusal::DigestMismatch { .. }))
             );
             assert!(is_refused, "of {} bytes: {heard:?}", damaged.len());
-            assert_eq!(client.missing(&[artefact.digest]).await.unwrap(), [artefact.digest], "it is removed");
+            assert_eq!(client.missing(&[artifact.digest]).await.unwrap(), [artifact.digest], "it is removed");
             client.put(whole.clone()).await.unwrap();
         }
     }
@@ -231,14 +231,14 @@ async fn a_truncated_result_does_not_block_its_job() {
 async fn a_scene_that_the_store_has_cut_is_sent_again_before_its_job_is_taken() {
     let (folder, farm, client) = farm().await;
     let pieces: Vec<Bytes> = (0..3).map(|i| Bytes::from(format!("piece {i} of a scene"))).collect();
-    let named = pieces.iter().map(|bytes| Piece { artefact: Artefact::of(bytes), unpacked: 9 }).collect();
+    let named = pieces.iter().map(|bytes| Piece { artifact: Artifact::of(bytes), unpacked: 9 }).collect();
     let manifest = Bytes::from(Manifest { pieces: named, ..Manifest::default() }.encode().unwrap());
     let scene: Vec<Bytes> = pieces.iter().chain([&manifest]).cloned().collect();
     client.put_all(&scene).await.unwrap();
     for part in &scene {
         std::fs::write(file(folder.path(), &Digest::of(part)), &part[..part.len() - 3]).unwrap();
         let refused = client.submit(None, spec(Digest::of(&manifest))).await;
-        assert!(matches!(refused, Err(CallError::Refused(Refusal::MissingArtefacts { count: 1, .. }))), "{refused:?}");
+        assert!(matches!(refused, Err(CallError::Refused(Refusal::MissingArtifacts { count: 1, .. }))), "{refused:?}");
         assert_eq!(client.put_all(&scene).await.unwrap(), part.len() as u64, "just what is damaged");
         client.submit(None, spec(Digest::of(&manifest))).await.unwrap();
     }
@@ -352,7 +352,7 @@ async fn a_retry_of_a_job_that_is_done_looks_at_its_images() {
 async fn all_who_send_the_same_at_once_succeed_and_some_may_die() {
     let (_folder, farm, client) = farm().await;
     let bytes = noise(24 * MB);
-    let artefact = Artefact::of(&bytes);
+    let artifact = Artifact::of(&bytes);
     let mut senders = Vec::new();
     for number in 0..6u64 {
         // Every second one loses its connection on the way, and one is gone for good.
@@ -370,10 +370,10 @@ async fn all_who_send_the_same_at_once_succeed_and_some_may_die() {
     let mut sent = 0;
     for sender in senders {
         let (put, up) = sender.await.unwrap();
-        assert_eq!(put.unwrap(), artefact);
+        assert_eq!(put.unwrap(), artifact);
         sent += up;
     }
     println!("{sent} bytes were sent for {}", bytes.len());
-    assert_eq!(client.get_exactly(&artefact).await.unwrap(), bytes);
+    assert_eq!(client.get_exactly(&artifact).await.unwrap(), bytes);
     farm.stop().await.unwrap();
 }

@@ -35,7 +35,7 @@ impl Farm {
     }
 
     /// Bytes that nobody has put through the coordinator.
-    async fn stray(&self, bytes: &[u8]) -> Artefact {
+    async fn stray(&self, bytes: &[u8]) -> Artifact {
         self.store.put(Bytes::copy_from_slice(bytes)).await.unwrap()
     }
 }
@@ -54,14 +54,14 @@ fn age(folder: &Path) {
 /// Pieces, and the manifest that names them, at the end.
 fn scene(name: &str) -> Vec<Bytes> {
     let mut pieces: Vec<Bytes> = (0..5).map(|i| Bytes::from(format!("{name}, piece {i}"))).collect();
-    let named = pieces.iter().map(|bytes| Piece { artefact: Artefact::of(bytes), unpacked: 9 }).collect();
+    let named = pieces.iter().map(|bytes| Piece { artifact: Artifact::of(bytes), unpacked: 9 }).collect();
     let manifest = Manifest { pieces: named, ..Manifest::default() };
     pieces.push(manifest.encode().unwrap().into());
     pieces
 }
 
-fn digests(artefacts: &[Bytes]) -> Vec<Digest> {
-    artefacts.iter().map(|bytes| Digest::of(bytes)).collect()
+fn digests(artifacts: &[Bytes]) -> Vec<Digest> {
+    artifacts.iter().map(|bytes| Digest::of(bytes)).collect()
 }
 
 fn job(scene: &[Bytes]) -> JobSpec {
@@ -90,8 +90,8 @@ async fn what_no_job_refers_to_goes_and_a_dry_run_says_so_before() {
     let stray = [farm.stray(b"of a client that was killed").await, farm.stray(b"of no job").await];
     farm.age();
     let young = farm.stray(b"just now").await;
-    let bytes = stray.iter().map(|artefact| artefact.bytes).sum();
-    let garbage = Volume { artefacts: 2, bytes };
+    let bytes = stray.iter().map(|artifact| artifact.bytes).sum();
+    let garbage = Volume { artifacts: 2, bytes };
     let steps = [
         (CollectMode::DryRun, garbage, 9),
         (CollectMode::Remove, garbage, 7),
@@ -99,11 +99,11 @@ async fn what_no_job_refers_to_goes_and_a_dry_run_says_so_before() {
     ];
     for (mode, garbage, left) in steps {
         let found = farm.client.collect(mode, HOUR).await.unwrap();
-        assert_eq!(found.referenced.artefacts, 6, "also of a job that has ended");
-        assert_eq!(found.young, Volume { artefacts: 1, bytes: young.bytes });
+        assert_eq!(found.referenced.artifacts, 6, "also of a job that has ended");
+        assert_eq!(found.young, Volume { artifacts: 1, bytes: young.bytes });
         assert_eq!(found.garbage, garbage);
-        assert_eq!(found.names.len() as u64, garbage.artefacts);
-        assert!(found.names.iter().all(|artefact| stray.contains(artefact)), "{found:?}");
+        assert_eq!(found.names.len() as u64, garbage.artifacts);
+        assert!(found.names.iter().all(|artifact| stray.contains(artifact)), "{found:?}");
         assert_eq!(farm.store.list().await.unwrap().len(), left);
     }
     assert_eq!(farm.store.missing(&digests(&scene)).await.unwrap(), []);
@@ -123,12 +123,12 @@ async fn what_a_submission_was_told_is_there_stays_until_it_is_submitted() {
     farm.age();
     assert_eq!(farm.client.missing(&digests(&told)).await.unwrap(), []);
     let found = farm.client.collect(CollectMode::Remove, HOUR).await.unwrap();
-    assert_eq!((found.young.artefacts, found.garbage.artefacts), (6, 6));
+    assert_eq!((found.young.artifacts, found.garbage.artifacts), (6, 6));
     farm.client.submit(None, job(&told)).await.unwrap();
     let refused = farm.client.submit(None, job(&untold)).await.unwrap_err();
-    assert!(matches!(refused, CallError::Refused(Refusal::MissingArtefacts { .. })), "{refused}");
+    assert!(matches!(refused, CallError::Refused(Refusal::MissingArtifacts { .. })), "{refused}");
     let found = farm.client.collect(CollectMode::Remove, HOUR).await.unwrap();
-    assert_eq!((found.referenced.artefacts, found.garbage.artefacts), (6, 0));
+    assert_eq!((found.referenced.artifacts, found.garbage.artifacts), (6, 0));
     farm.farm.stop().await.unwrap();
 }
 
@@ -141,7 +141,7 @@ async fn no_job_that_was_taken_loses_a_piece_however_collections_and_submissions
         async move {
             let mut garbage = 0;
             loop {
-                garbage += client.collect(CollectMode::Remove, HOUR).await.unwrap().garbage.artefacts;
+                garbage += client.collect(CollectMode::Remove, HOUR).await.unwrap().garbage.artifacts;
                 if client.list().await.unwrap().len() == 40 {
                     return garbage;
                 }
@@ -159,11 +159,11 @@ async fn no_job_that_was_taken_loses_a_piece_however_collections_and_submissions
         farm.client.submit(None, job(scene)).await.expect("what was told is there");
     }
     let meanwhile = collector.await.unwrap();
-    println!("{meanwhile} artefacts went meanwhile");
+    println!("{meanwhile} artifacts went meanwhile");
     farm.age();
     let found = farm.client.collect(CollectMode::Remove, HOUR).await.unwrap();
-    assert_eq!(found.referenced.artefacts, 40 * 6);
-    assert!(meanwhile > 0 && meanwhile + found.garbage.artefacts >= 40, "{meanwhile}, {found:?}");
+    assert_eq!(found.referenced.artifacts, 40 * 6);
+    assert!(meanwhile > 0 && meanwhile + found.garbage.artifacts >= 40, "{meanwhile}, {found:?}");
     for scene in &scenes {
         assert_eq!(farm.store.missing(&digests(scene)).await.unwrap(), []);
     }

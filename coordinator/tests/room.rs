@@ -121,7 +121,7 @@ async fn worker(client: &Client) -> (Outgoing, Incoming) {
 }
 
 fn done(lease: &Assignment) -> FromWorker {
-    let outputs = vec![Output { role: Role::Tile, artefact: Artefact::of(RESULT) }];
+    let outputs = vec![Output { role: Role::Tile, artifact: Artifact::of(RESULT) }];
     let (task, epoch) = (lease.task, lease.epoch);
     let result = TaskResult { outputs, units: 1024, ..TaskResult::default() };
     FromWorker::Completed { task, epoch, result, log: None, usage: None }

@@ -1,4 +1,4 @@
-//! Large artefacts over connections that break.
+//! Large artifacts over connections that break.
 
 mod common;
 
@@ -9,7 +9,7 @@ use femc_model::*;
 use femc_proto::{CallError, Client};
 
 const MB: u64 = 1_000_000;
-/// Of the artefact in these tests.
+/// Of the artifact in these tests.
 const SIZE: u64 = 48 * MB;
 /// Most bytes that a cut may cost: what was on its way (4 MiB of window) and a part's framing.
 const COST: u64 = 6 * MB;
@@ -37,13 +37,13 @@ async fn an_upload_that_is_cut_goes_on_where_it_was() {
     let proxy = Proxy::start(farm.address(), &cuts).await;
     let client = Client::connect(&proxy.url).await.unwrap();
     let bytes = bytes();
-    let artefact = client.put(bytes.clone()).await.unwrap();
-    assert_eq!(artefact, Artefact { digest: Digest::of(&bytes), bytes: SIZE });
+    let artifact = client.put(bytes.clone()).await.unwrap();
+    assert_eq!(artifact, Artifact { digest: Digest::of(&bytes), bytes: SIZE });
     assert_eq!(proxy.seen.cuts(), 3, "every cut was made");
     println!("{} bytes were sent for {SIZE}", proxy.seen.up());
     assert!(proxy.seen.up() < SIZE + 3 * COST, "{} bytes were sent", proxy.seen.up());
     let direct = Client::connect(&farm.url()).await.unwrap();
-    assert_eq!(direct.get(&artefact.digest, SIZE).await.unwrap(), bytes);
+    assert_eq!(direct.get(&artifact.digest, SIZE).await.unwrap(), bytes);
     farm.stop().await.unwrap();
 }
 
@@ -51,11 +51,11 @@ async fn an_upload_that_is_cut_goes_on_where_it_was() {
 async fn a_download_that_is_cut_goes_on_where_it_was() {
     let (_folder, farm) = farm().await;
     let bytes = bytes();
-    let artefact = Client::connect(&farm.url()).await.unwrap().put(bytes.clone()).await.unwrap();
+    let artifact = Client::connect(&farm.url()).await.unwrap().put(bytes.clone()).await.unwrap();
     let cuts = [Cut::Down(30 * MB), Cut::Down(8 * MB), Cut::Down(7 * MB)];
     let proxy = Proxy::start(farm.address(), &cuts).await;
     let client = Client::connect(&proxy.url).await.unwrap();
-    assert_eq!(client.get(&artefact.digest, SIZE).await.unwrap(), bytes);
+    assert_eq!(client.get(&artifact.digest, SIZE).await.unwrap(), bytes);
     assert_eq!(proxy.seen.cuts(), 3, "every cut was made");
     println!("{} bytes came for {SIZE}", proxy.seen.down());
     assert!(proxy.seen.down() < SIZE + 3 * COST, "{} bytes came", proxy.seen.down());

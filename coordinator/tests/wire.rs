@@ -81,21 +81,21 @@ async fn what_makes_no_sense_is_refused_by_variant() {
 }
 
 #[tokio::test]
-async fn artefacts_go_up_and_come_down_whole_or_not_at_all() {
+async fn artifacts_go_up_and_come_down_whole_or_not_at_all() {
     let store = Store::memory().with_limit(5_000_000);
     let queue = femc_queue::Memory::default();
     let farm = Coordinator::with(Config::default(), store, queue).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
     let bytes: Bytes = (0..4_500_001u32).map(|i| (i ^ (i >> 9)) as u8).collect();
     let digest = Digest::of(&bytes);
-    assert_eq!(refusal(client.get(&digest, u64::MAX).await), Refusal::NoSuchArtefact { digest });
+    assert_eq!(refusal(client.get(&digest, u64::MAX).await), Refusal::NoSuchArtifact { digest });
     assert_eq!(client.missing(&[digest]).await.unwrap(), [digest]);
-    assert_eq!(client.put(bytes.clone()).await.unwrap(), Artefact { digest, bytes: 4_500_001 });
+    assert_eq!(client.put(bytes.clone()).await.unwrap(), Artifact { digest, bytes: 4_500_001 });
     assert_eq!(client.missing(&[digest]).await.unwrap(), []);
     assert_eq!(client.put(bytes.clone()).await.unwrap().digest, digest, "a second time sends nothing");
     assert_eq!(client.get(&digest, 4_500_001).await.unwrap(), bytes);
-    assert!(matches!(refusal(client.get(&digest, 4_500_000).await), Refusal::ArtefactTooLarge { .. }));
-    let most = Refusal::ArtefactTooLarge { limit: 5_000_000 };
+    assert!(matches!(refusal(client.get(&digest, 4_500_000).await), Refusal::ArtifactTooLarge { .. }));
+    let most = Refusal::ArtifactTooLarge { limit: 5_000_000 };
     assert_eq!(refusal(client.put(vec![7; 5_000_001].into()).await), most);
     let empty = client.put(Bytes::new()).await.unwrap();
     assert_eq!(client.get(&empty.digest, 0).await.unwrap(), Bytes::new());
@@ -107,11 +107,11 @@ async fn a_job_whose_scene_is_not_whole_is_refused_with_what_is_missing() {
     let store = Store::memory();
     let farm = Coordinator::with(Config::default(), store.clone(), femc_queue::Memory::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
-    let of = |bytes: &[u8]| Piece { artefact: Artefact::of(bytes), unpacked: 9 };
+    let of = |bytes: &[u8]| Piece { artifact: Artifact::of(bytes), unpacked: 9 };
     let manifest = Manifest { pieces: vec![of(b"one"), of(b"two"), of(b"three")], ..Manifest::default() };
     let bytes = Bytes::from(manifest.encode().unwrap());
     let job = JobSpec { bundle: Digest::of(&bytes), ..spec() };
-    let lacks = |digests: Vec<Digest>| Refusal::MissingArtefacts { count: digests.len() as u64, digests };
+    let lacks = |digests: Vec<Digest>| Refusal::MissingArtifacts { count: digests.len() as u64, digests };
     let [one, two, three] = [b"one".as_slice(), b"two", b"three"].map(Digest::of);
     assert_eq!(refusal(client.submit(None, job.clone()).await), lacks(vec![job.bundle]));
     client.put(bytes).await.unwrap();

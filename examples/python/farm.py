@@ -14,7 +14,7 @@ from grpc_tools import protoc
 PROTO = pathlib.Path(__file__).resolve().parents[2] / "proto"
 # Every coordinator's certificate has this name, whatever address it is reached at.
 COORDINATOR = "coordinator.femc.internal"
-# Bytes of an artefact that travel in one message.
+# Bytes of an artifact that travel in one message.
 PIECE = 1 << 20
 # A coordinator that goes away is waited for, seconds.
 PATIENCE = 60.0
@@ -91,9 +91,9 @@ class Farm:
         self.jobs = calls.JobsStub(self.channel)
         self.artifacts = calls.ArtifactsStub(self.channel)
 
-    def put(self, artefacts):
+    def put(self, artifacts):
         """Puts those of these bytes into the store that are not there, in order; how many bytes that were."""
-        named = {blake3(content).digest(): content for content in artefacts}
+        named = {blake3(content).digest(): content for content in artifacts}
         missing = set(self._call(self.artifacts.Missing, wire.MissingRequest(digests=named)).digests)
         sent = {digest: content for digest, content in named.items() if digest in missing}
         for digest, content in sent.items():
@@ -132,16 +132,16 @@ class Farm:
         """The finished frames, ascending."""
         return self._call(self.jobs.Frames, wire.FramesRequest(job=job)).frames
 
-    def get(self, artefact):
-        """An artefact's bytes, checked against its digest."""
+    def get(self, artifact):
+        """An artifact's bytes, checked against its digest."""
 
         def bytes_of():
-            replies = self.artifacts.Get(wire.GetRequest(digest=artefact.digest))
+            replies = self.artifacts.Get(wire.GetRequest(digest=artifact.digest))
             return b"".join(reply.piece for reply in replies)
 
         content = self._patiently(bytes_of)
-        if blake3(content).digest() != artefact.digest:
-            raise ValueError(f"artefact {artefact.digest.hex()} came damaged")
+        if blake3(content).digest() != artifact.digest:
+            raise ValueError(f"artifact {artifact.digest.hex()} came damaged")
         return content
 
     def _call(self, call, request):

@@ -150,7 +150,7 @@ def run(args):
     args.out.mkdir(parents=True, exist_ok=True)
     for frame in farm.frames(number):
         path = args.out / f"{status.name}.{frame.frame:04}.exr"
-        image = next(output.artefact for output in frame.outputs if output.role == wire.ROLE_IMAGE)
+        image = next(output.artifact for output in frame.outputs if output.role == wire.ROLE_IMAGE)
         path.write_bytes(farm.get(image))
         print(f"{path}: mean luminance {luminance(path):.6g} cd/m2, {frame.spp} samples a pixel")
     if status.state != wire.JOB_STATE_DONE:

@@ -1,4 +1,4 @@
-"""A scene's files as artefacts: pieces, and the manifest that says where each file lies (`JobSpec.bundle`)."""
+"""A scene's files as artifacts: pieces, and the manifest that says where each file lies (`JobSpec.bundle`)."""
 
 import pathlib
 import struct

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::{
-    Artefact, Attempts, Control, Digest, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus,
+    Artifact, Attempts, Control, Digest, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus,
     LogRecord, Registration, Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use hyper_util::rt::TokioIo;
@@ -239,19 +239,19 @@ impl Client {
     }
 
     /// A copy of the coordinator's log, written to `log`; what the log refers to and the store has.
-    pub async fn backup(&self, mut log: impl AsyncWrite + Unpin) -> Result<Vec<Artefact>, BackupError> {
+    pub async fn backup(&self, mut log: impl AsyncWrite + Unpin) -> Result<Vec<Artifact>, BackupError> {
         let reply = self.jobs().backup(wire::BackupRequest {}).await.map_err(|status| self.error(&status))?;
-        let (mut stream, mut artefacts) = (reply.into_inner(), Vec::new());
+        let (mut stream, mut artifacts) = (reply.into_inner(), Vec::new());
         while let Some(part) = stream.message().await.map_err(|status| self.error(&status))? {
             match need("backup.part", part.part).map_err(CallError::from)? {
-                BackupPart::Artefacts(some) => {
-                    artefacts.extend(each::<_, Artefact>(some.artefacts).map_err(CallError::from)?);
+                BackupPart::Artifacts(some) => {
+                    artifacts.extend(each::<_, Artifact>(some.artifacts).map_err(CallError::from)?);
                 }
                 BackupPart::Log(piece) => log.write_all(&piece).await?,
             }
         }
         log.flush().await?;
-        Ok(artefacts)
+        Ok(artifacts)
     }
 
     /// Those of `digests` that the coordinator's store does not have.

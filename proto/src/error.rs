@@ -99,12 +99,12 @@ pub enum ServeError {
 /// Exhaustive: a new refusal must choose its code.
 fn code(refusal: &Refusal) -> Code {
     match refusal {
-        Refusal::NoSuchJob { .. } | Refusal::NoSuchArtefact { .. } | Refusal::NoSuchWorker { .. } => Code::NotFound,
-        Refusal::Ended { .. } | Refusal::StaleEpoch | Refusal::MissingArtefacts { .. } => Code::FailedPrecondition,
+        Refusal::NoSuchJob { .. } | Refusal::NoSuchArtifact { .. } | Refusal::NoSuchWorker { .. } => Code::NotFound,
+        Refusal::Ended { .. } | Refusal::StaleEpoch | Refusal::MissingArtifacts { .. } => Code::FailedPrecondition,
         Refusal::Resume { .. } => Code::OutOfRange,
         Refusal::Invalid { .. } => Code::InvalidArgument,
         Refusal::DigestMismatch { .. } => Code::DataLoss,
-        Refusal::TooLarge { .. } | Refusal::ArtefactTooLarge { .. } | Refusal::NoRoom { .. } => Code::ResourceExhausted,
+        Refusal::TooLarge { .. } | Refusal::ArtifactTooLarge { .. } | Refusal::NoRoom { .. } => Code::ResourceExhausted,
         Refusal::Unavailable { .. } => Code::Unavailable,
         Refusal::Forbidden { .. } => Code::PermissionDenied,
         Refusal::Unauthenticated { .. } => Code::Unauthenticated,

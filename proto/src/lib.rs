@@ -40,7 +40,7 @@ pub const PROTOCOL: u32 = 5;
 /// coordinator first. It sends them nothing that they do not know; those before 5, which know no graphs, it refuses.
 pub const OLDEST: u32 = if PROTOCOL > 5 { PROTOCOL - 1 } else { 5 };
 
-/// Bytes of an artefact that travel in one message.
+/// Bytes of an artifact that travel in one message.
 pub const PIECE: usize = 1 << 20;
 
 /// Most bytes of a message of the services `Jobs` and `Workers`.

@@ -186,7 +186,7 @@ pub enum Call {
         /// When all before it is durable.
         reply: Reply<Backup>,
     },
-    /// An artefact that somebody wanted is not in the store, or was damaged and is removed.
+    /// An artifact that somebody wanted is not in the store, or was damaged and is removed.
     Lost {
         /// Which.
         digest: Digest,
@@ -244,7 +244,7 @@ impl Words {
 pub struct Server {
     /// Where calls go.
     calls: mpsc::Sender<Call>,
-    /// Where artefacts live.
+    /// Where artifacts live.
     store: Store,
     uploads: Uploads,
     places: Places,
@@ -278,7 +278,7 @@ pub struct Entrance {
 }
 
 impl Server {
-    /// Passes calls on to `calls`; artefacts live in `store`.
+    /// Passes calls on to `calls`; artifacts live in `store`.
     pub fn new(calls: mpsc::Sender<Call>, store: Store) -> Self {
         let limits = Limits::default();
         Self {

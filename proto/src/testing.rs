@@ -1,7 +1,7 @@
 //! Every message of the wire as a decoder of bytes, for fuzzing: generated types stay in here all the same.
 
 use femc_model::{
-    Artefact, AttemptRecord, Drain, FrameParts, FrameRecord, FromWorker, JobSpec, JobStatus, LogRecord, Refusal,
+    Artifact, AttemptRecord, Drain, FrameParts, FrameRecord, FromWorker, JobSpec, JobStatus, LogRecord, Refusal,
     ToWorker, WorkerName, WorkerStatus,
 };
 use prost::Message;
@@ -103,7 +103,7 @@ pub const DECODERS: &[Decoder] = decoders! {
     };
     BackupRequest => |_| true;
     BackupReply => |wire| match wire.part {
-        Some(wire::backup_reply::Part::Artefacts(some)) => each::<_, Artefact>(some.artefacts),
+        Some(wire::backup_reply::Part::Artifacts(some)) => each::<_, Artifact>(some.artifacts),
         Some(wire::backup_reply::Part::Log(_)) => true,
         None => false,
     };
@@ -122,7 +122,7 @@ pub const DECODERS: &[Decoder] = decoders! {
         Some(wire::put_request::Part::Piece(_)) => true,
         None => false,
     };
-    PutReply => |wire| need("artefact", wire.artefact).is_ok_and(there_and_back::<_, Artefact>);
+    PutReply => |wire| need("artifact", wire.artifact).is_ok_and(there_and_back::<_, Artifact>);
     GetRequest => |wire| digest("digest", &wire.digest).is_ok();
     GetReply => |_| true;
     CollectRequest => |wire| collect_mode(wire.mode).is_ok();

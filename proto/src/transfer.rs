@@ -1,10 +1,10 @@
-//! Artefacts up and down, and out. A transfer that is cut goes on where it was, by itself, as long as it gets on.
+//! Artifacts up and down, and out. A transfer that is cut goes on where it was, by itself, as long as it gets on.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
 
 use bytes::{Bytes, BytesMut};
-use femc_model::{Artefact, Digest, Refusal};
+use femc_model::{Artifact, Digest, Refusal};
 use tokio::time::Instant;
 
 use crate::client::Client;
@@ -78,13 +78,13 @@ impl Patience {
 }
 
 impl Client {
-    /// Puts an artefact into the coordinator's store, unless it is there.
-    pub async fn put(&self, bytes: Bytes) -> Result<Artefact, CallError> {
-        let artefact = Artefact::of(&bytes);
+    /// Puts an artifact into the coordinator's store, unless it is there.
+    pub async fn put(&self, bytes: Bytes) -> Result<Artifact, CallError> {
+        let artifact = Artifact::of(&bytes);
         let mut patience = Patience::new(Direction::Up);
         loop {
-            match self.send(&artefact, &bytes, &mut patience).await {
-                Ok(()) => return Ok(artefact),
+            match self.send(&artifact, &bytes, &mut patience).await {
+                Ok(()) => return Ok(artifact),
                 Err(error) => patience.after(error).await?,
             }
         }
@@ -104,14 +104,14 @@ impl Client {
         Ok(sent)
     }
 
-    async fn send(&self, artefact: &Artefact, bytes: &Bytes, patience: &mut Patience) -> Result<(), CallError> {
-        let digest = digest_bytes(&artefact.digest);
+    async fn send(&self, artifact: &Artifact, bytes: &Bytes, patience: &mut Patience) -> Result<(), CallError> {
+        let digest = digest_bytes(&artifact.digest);
         let offer = wire::OfferRequest { digest: digest.clone() };
         let reply = self.artifacts().offer(offer).await.map_err(|status| self.error(&status))?;
         let from = match need("offer.answer", reply.into_inner().answer)? {
             Answer::There(_) => return Ok(()),
             // More than there is: the upload's first sender had other bytes. Begin anew.
-            Answer::From(from) if from > artefact.bytes => 0,
+            Answer::From(from) if from > artifact.bytes => 0,
             Answer::From(from) => from,
         };
         patience.reached(from);
@@ -123,20 +123,20 @@ impl Client {
         let pieces = pieces.map(|part| wire::PutRequest { part: Some(part), offset: 0 });
         let parts = tokio_stream::iter(std::iter::once(head).chain(pieces));
         let reply = self.artifacts().put(parts).await.map_err(|status| self.error(&status))?;
-        let kept: Artefact = need("put.artefact", reply.into_inner().artefact)?.try_into()?;
-        if kept == *artefact { Ok(()) } else { Err(Refusal::DigestMismatch { digest: artefact.digest }.into()) }
+        let kept: Artifact = need("put.artifact", reply.into_inner().artifact)?.try_into()?;
+        if kept == *artifact { Ok(()) } else { Err(Refusal::DigestMismatch { digest: artifact.digest }.into()) }
     }
 
-    /// An artefact's bytes, checked; refused beyond `limit` bytes.
+    /// An artifact's bytes, checked; refused beyond `limit` bytes.
     pub async fn get(&self, name: &Digest, limit: u64) -> Result<Bytes, CallError> {
         self.whole(name, None, limit).await
     }
 
     /// The same of one whose size is known: with another one it is damaged.
-    pub async fn get_exactly(&self, artefact: &Artefact) -> Result<Bytes, CallError> {
-        let Artefact { digest, bytes } = artefact;
+    pub async fn get_exactly(&self, artifact: &Artifact) -> Result<Bytes, CallError> {
+        let Artifact { digest, bytes } = artifact;
         match self.whole(digest, Some(*bytes), *bytes).await {
-            Err(CallError::Refused(Refusal::ArtefactTooLarge { .. })) => {
+            Err(CallError::Refused(Refusal::ArtifactTooLarge { .. })) => {
                 Err(Refusal::DigestMismatch { digest: *digest }.into())
             }
             other => other,
@@ -168,7 +168,7 @@ impl Client {
         let mut stream = reply.into_inner();
         while let Some(reply) = stream.message().await.map_err(|status| self.error(&status))? {
             if bytes.len() as u64 + reply.piece.len() as u64 > limit {
-                return Err(Refusal::ArtefactTooLarge { limit }.into());
+                return Err(Refusal::ArtifactTooLarge { limit }.into());
             }
             bytes.extend_from_slice(&reply.piece);
         }

@@ -357,7 +357,7 @@ pub enum Violation {
         digest: Digest,
     },
     /// Something is in the store that nobody needs, or is not there and somebody does.
-    #[error("after a collection of garbage {left} artefacts are left that nothing names, and {missing} are missing")]
+    #[error("after a collection of garbage {left} artifacts are left that nothing names, and {missing} are missing")]
     Garbage {
         /// Too much.
         left: u64,

@@ -37,7 +37,7 @@ pub(crate) struct Cast {
     people: Vec<Vec<Errand>>,
     /// Somebody drains workers.
     drains: bool,
-    /// So many send the same large artefact at once, and some of them die over it.
+    /// So many send the same large artifact at once, and some of them die over it.
     senders: u64,
     /// At the end somebody removes garbage.
     collects: bool,
@@ -190,7 +190,7 @@ async fn live(errands: &[Errand], seed: u64, shared: &Shared, shelf: &Shelf) -> 
     Ok(())
 }
 
-/// Bytes that no other artefact has.
+/// Bytes that no other artifact has.
 fn large(seed: u64) -> Bytes {
     let block: [u8; 32] = *blake3::hash(&seed.to_le_bytes()).as_bytes();
     block.iter().copied().cycle().take(LARGE).collect()

@@ -48,7 +48,7 @@ impl Patience {
         for fault in faults {
             match fault {
                 Fault::WorkerDies(..)
-                | Fault::ArtefactHarmed(_)
+                | Fault::ArtifactHarmed(_)
                 | Fault::SceneHarmed(_)
                 | Fault::StoreFull(_)
                 | Fault::StoreAway(_)
@@ -214,7 +214,7 @@ impl Chronicle {
             && result.finishes(&record.spec)
             && let Some(instance) = contents.key_of(result.task.job).cloned()
         {
-            let made = result.result.outputs.iter().map(|output| output.artefact.digest);
+            let made = result.result.outputs.iter().map(|output| output.artifact.digest);
             contents.made.insert(result.task.job, made.collect());
             contents.there.insert(instance, None);
         }

@@ -10,7 +10,7 @@ pub use crate::shelf::Harm;
 /// Something that a farm may not survive yet: then worlds go without it.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Hardship {
-    /// Artefacts that are shorter or longer than they should be, at rest or after a torn upload.
+    /// Artifacts that are shorter or longer than they should be, at rest or after a torn upload.
     Resized,
     /// Several who send one thing at once.
     Senders,
@@ -74,8 +74,8 @@ pub enum Fault {
     StoreSlow(Duration, Duration),
     /// Something that is put into the store after so many others is torn at so many thousandths, and what is there of it stays.
     UploadTorn(u32, u64),
-    /// Something happens to an artefact that a frame in work needs.
-    ArtefactHarmed(Harm),
+    /// Something happens to an artifact that a frame in work needs.
+    ArtifactHarmed(Harm),
     /// The same to a scene of a job.
     SceneHarmed(Harm),
     /// The clock of a coordinator's machine jumps by so many milliseconds, ahead or back.
@@ -142,11 +142,11 @@ fn fault(rng: &mut SmallRng) -> Fault {
         11 => Fault::LogFull(few.min(4)),
         12 => Fault::StoreFull(pause),
         13 => Fault::TornWrite(few),
-        14 => Fault::ArtefactHarmed(Harm::Lost),
-        15 => Fault::ArtefactHarmed(Harm::Flipped),
-        16 => Fault::ArtefactHarmed(resized(Harm::Short(thousandths))),
-        17 => Fault::ArtefactHarmed(resized(Harm::Long)),
-        18 => Fault::ArtefactHarmed(Harm::Zeroed(thousandths)),
+        14 => Fault::ArtifactHarmed(Harm::Lost),
+        15 => Fault::ArtifactHarmed(Harm::Flipped),
+        16 => Fault::ArtifactHarmed(resized(Harm::Short(thousandths))),
+        17 => Fault::ArtifactHarmed(resized(Harm::Long)),
+        18 => Fault::ArtifactHarmed(Harm::Zeroed(thousandths)),
         19 if Hardship::Resized.is_there() => Fault::UploadTorn(8 * few, thousandths),
         20 => Fault::StoreAway(pause / 2),
         21 => Fault::StoreSlow(pause / 16, pause),

@@ -66,7 +66,7 @@ fn soak(args: &Args) -> anyhow::Result<ExitCode> {
 }
 
 fn print(args: &Args, soaked: &Soaked) {
-    println!(" hours  memory   jobs   kept    log  snapshots  artefacts   store  audited  faults");
+    println!(" hours  memory   jobs   kept    log  snapshots  artifacts   store  audited  faults");
     println!("           MiB  ended           KiB                          KiB  records");
     for Gauge {
         hours,
@@ -75,18 +75,18 @@ fn print(args: &Args, soaked: &Soaked) {
         jobs_kept,
         log_bytes,
         snapshots,
-        artefacts,
-        artefact_bytes,
+        artifacts,
+        artifact_bytes,
         audited_records,
         faults,
         ..
     } in &soaked.gauges
     {
         println!(
-            "{hours:6.2} {:7.1} {jobs_ended:6} {jobs_kept:6} {:6} {snapshots:10} {artefacts:10} {:7} {audited_records:8} {faults:7}",
+            "{hours:6.2} {:7.1} {jobs_ended:6} {jobs_kept:6} {:6} {snapshots:10} {artifacts:10} {:7} {audited_records:8} {faults:7}",
             *resident_bytes as f64 / f64::from(1 << 20),
             log_bytes >> 10,
-            artefact_bytes >> 10,
+            artifact_bytes >> 10,
         );
     }
     soaked.fired.iter().for_each(|(fault, times)| println!("  {times:6} {fault}"));

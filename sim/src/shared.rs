@@ -100,7 +100,7 @@ pub(crate) struct State {
     pub(crate) reach: Reach,
     /// What something happened to in the store.
     pub(crate) harmed: BTreeSet<Digest>,
-    /// Frames of which an artefact was lost.
+    /// Frames of which an artifact was lost.
     pub(crate) robbed: BTreeSet<(JobId, u32)>,
 }
 

@@ -109,7 +109,7 @@ impl Shares {
                 // These are at the workers' end, as is the switch: what the coordinator does about them is seen.
                 Fault::WorkerDies(..) | Fault::WorkerCut(..) | Fault::WorkerMute(..) => self.unseen += Self::LEASE,
                 Fault::WorkerFreezes(_, pause) => self.unseen += Self::LEASE + pause,
-                Fault::ArtefactHarmed(_)
+                Fault::ArtifactHarmed(_)
                 | Fault::SceneHarmed(_)
                 | Fault::StoreFull(_)
                 | Fault::StoreAway(_)

@@ -22,7 +22,7 @@ use futures_util::{FutureExt as _, StreamExt as _, TryStreamExt as _};
 use crate::audit::Violation;
 use crate::shared::Shared;
 
-/// Artefacts in memory that outlive every host, on a medium with troubles. They age by the simulated clock.
+/// Artifacts in memory that outlive every host, on a medium with troubles. They age by the simulated clock.
 #[derive(Debug, Clone)]
 pub(crate) struct Shelf {
     objects: Arc<InMemory>,
@@ -45,7 +45,7 @@ pub(crate) struct Troubles {
     pub(crate) tears: Option<(u32, u64)>,
 }
 
-/// What becomes of an artefact at rest.
+/// What becomes of an artifact at rest.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Harm {
     /// It is gone.
@@ -64,11 +64,11 @@ impl Harm {
     /// In words.
     pub(crate) const fn name(self) -> &'static str {
         match self {
-            Self::Lost => "artefact lost",
-            Self::Flipped => "artefact damaged",
-            Self::Short(_) => "artefact cut short",
-            Self::Long => "artefact grown",
-            Self::Zeroed(_) => "artefact zeroed",
+            Self::Lost => "artifact lost",
+            Self::Flipped => "artifact damaged",
+            Self::Short(_) => "artifact cut short",
+            Self::Long => "artifact grown",
+            Self::Zeroed(_) => "artifact zeroed",
         }
     }
 
@@ -112,9 +112,9 @@ impl Shelf {
         !full && !away && tears.is_none()
     }
 
-    /// Something happens to an artefact; `false` if it was not there.
-    pub(crate) fn harm(&self, artefact: &Digest, harm: Harm) -> bool {
-        let at = place(artefact);
+    /// Something happens to an artifact; `false` if it was not there.
+    pub(crate) fn harm(&self, artifact: &Digest, harm: Harm) -> bool {
+        let at = place(artifact);
         if harm == Harm::Lost {
             let was_there = self.births().remove(&at).is_some();
             return was_there && self.objects.delete(&at).now_or_never().is_some_and(|gone| gone.is_ok());
@@ -126,11 +126,11 @@ impl Shelf {
         harmed.now_or_never().is_some_and(|harmed| harmed.is_ok())
     }
 
-    /// An artefact as it lies there, if it is there and whole.
-    pub(crate) fn whole(&self, artefact: &Digest) -> bool {
-        let at = place(artefact);
+    /// An artifact as it lies there, if it is there and whole.
+    pub(crate) fn whole(&self, artifact: &Digest) -> bool {
+        let at = place(artifact);
         let read = async { self.objects.get(&at).await?.bytes().await };
-        read.now_or_never().and_then(Result::ok).is_some_and(|bytes| Digest::of(&bytes) == *artefact)
+        read.now_or_never().and_then(Result::ok).is_some_and(|bytes| Digest::of(&bytes) == *artifact)
     }
 
     /// All that is there.

@@ -134,7 +134,7 @@ pub(crate) fn schedule(number: u64) -> Config {
     if number % 4 < 2 { whole() } else { cut() }
 }
 
-/// A job that shares no artefact but its scene with any of another number.
+/// A job that shares no artifact but its scene with any of another number.
 pub(crate) fn fresh(number: u64) -> anyhow::Result<Stage> {
     Ok(stage(ROUNDS[(number % 4) as usize], number)?.grouped(FANS[(number / 4 % 4) as usize]))
 }

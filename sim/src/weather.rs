@@ -114,8 +114,8 @@ fn begin_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf, 
             shared.lock().trap = Some((writes, Trap::Within));
             None
         }
-        Fault::ArtefactHarmed(harm) => {
-            let robbed = pick(shared).is_some_and(|artefact| harms(shared, shelf, &artefact, harm));
+        Fault::ArtifactHarmed(harm) => {
+            let robbed = pick(shared).is_some_and(|artifact| harms(shared, shelf, &artifact, harm));
             robbed.then(|| fired(harm.name()));
             None
         }
@@ -227,7 +227,7 @@ fn end_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf) {
         | Fault::DiesAfterWrite(_)
         | Fault::LeadChanges
         | Fault::UploadTorn(..)
-        | Fault::ArtefactHarmed(_)
+        | Fault::ArtifactHarmed(_)
         | Fault::SceneHarmed(_)
         | Fault::ClockJumps(..)
         | Fault::ClockDrifts(..) => {}
@@ -249,7 +249,7 @@ fn make_peace(sim: &mut Sim<'_>, shared: &Shared, shelf: &Shelf) {
     (state.trap, state.disk.full, state.twice, state.late) = (None, 0, 0, 0);
 }
 
-/// An artefact of a frame in work, or of what frames share, if there is one. Of a frame once only: what misses an input counts as failed, and after three
+/// An artifact of a frame in work, or of what frames share, if there is one. Of a frame once only: what misses an input counts as failed, and after three
 /// times a job fails as it should.
 fn pick(shared: &Shared) -> Option<Digest> {
     let mut state = shared.lock();
@@ -259,15 +259,15 @@ fn pick(shared: &Shared) -> Option<Digest> {
     if needed.is_empty() {
         return None;
     }
-    let (job, frame, artefact) = needed[state.rng.random_range(0..needed.len())];
+    let (job, frame, artifact) = needed[state.rng.random_range(0..needed.len())];
     state.robbed.insert((job, frame));
-    Some(artefact)
+    Some(artifact)
 }
 
-/// Does something to an artefact; `false` if it was not there.
-fn harms(shared: &Shared, shelf: &Shelf, artefact: &Digest, harm: Harm) -> bool {
-    shared.lock().harmed.insert(*artefact);
-    shelf.harm(artefact, harm)
+/// Does something to an artifact; `false` if it was not there.
+fn harms(shared: &Shared, shelf: &Shelf, artifact: &Digest, harm: Harm) -> bool {
+    shared.lock().harmed.insert(*artifact);
+    shelf.harm(artifact, harm)
 }
 
 /// Nothing goes between a host and the switch.

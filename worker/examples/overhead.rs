@@ -72,7 +72,7 @@ async fn main() -> Result<(), Box<dyn std::error::Error>> {
         owner: "bench".into(),
         tags: vec![],
     };
-    client.put_all(&scene.artefacts()).await?;
+    client.put_all(&scene.artifacts()).await?;
     let job = client.submit(None, spec).await?;
     let mut watch = client.watch(job).await?;
     let mut last = None;

@@ -1,11 +1,11 @@
-//! Artefacts for threads that compute: blocking downloads, and failed calls as failures of a task.
+//! Artifacts for threads that compute: blocking downloads, and failed calls as failures of a task.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 
 use bytes::Bytes;
-use femc_model::{Artefact, Digest, Failure, Manifest, Refusal};
+use femc_model::{Artifact, Digest, Failure, Manifest, Refusal};
 use femc_proto::{CallError, Client};
 use tokio::runtime::Handle;
 
@@ -18,10 +18,10 @@ const BUNDLE: u64 = 1 << 30;
 pub(crate) fn failure(error: &CallError) -> Failure {
     let message = error.to_string();
     match error {
-        CallError::Refused(Refusal::NoSuchArtefact { digest } | Refusal::DigestMismatch { digest }) => {
+        CallError::Refused(Refusal::NoSuchArtifact { digest } | Refusal::DigestMismatch { digest }) => {
             Failure::LostInputs { digests: vec![*digest], message }
         }
-        CallError::Refused(Refusal::ArtefactTooLarge { limit }) => Failure::TooLarge { limit: *limit },
+        CallError::Refused(Refusal::ArtifactTooLarge { limit }) => Failure::TooLarge { limit: *limit },
         CallError::Refused(_)
         | CallError::Address { .. }
         | CallError::NoIdentity { .. }
@@ -86,27 +86,27 @@ impl Fetch {
         }
     }
 
-    /// All of `artefacts` in their order, side by side; each is there, or lost, or not to be had.
-    pub(crate) fn all(&self, client: &Client, artefacts: &[Artefact]) -> Vec<Result<Bytes, Failure>> {
+    /// All of `artifacts` in their order, side by side; each is there, or lost, or not to be had.
+    pub(crate) fn all(&self, client: &Client, artifacts: &[Artifact]) -> Vec<Result<Bytes, Failure>> {
         match &self.way {
             Way::Blocking(runtime) => {
-                let all = self.wait(runtime, side_by_side(client, artefacts));
+                let all = self.wait(runtime, side_by_side(client, artifacts));
                 all.iter().flatten().for_each(|bytes| self.count(bytes.len()));
                 all
             }
-            Way::Collected(inputs) => artefacts.iter().map(|artefact| collected(inputs, &artefact.digest)).collect(),
+            Way::Collected(inputs) => artifacts.iter().map(|artifact| collected(inputs, &artifact.digest)).collect(),
         }
     }
 
     /// Downloads a task's inputs before it begins, all of them, whatever is kept near.
-    pub(crate) async fn collect(task: &Arc<Task>, artefacts: &[Artefact]) -> Self {
+    pub(crate) async fn collect(task: &Arc<Task>, artifacts: &[Artifact]) -> Self {
         let (client, bundle) = (&task.client, task.spec.bundle);
         let scene = client.get(&bundle, BUNDLE).await.map_err(|error| failure(&error));
         let manifest = scene.as_ref().ok().and_then(|bytes| Manifest::decode(bytes).ok()).unwrap_or_default();
-        let pieces = manifest.pieces.iter().map(|piece| piece.artefact);
-        let artefacts: Vec<Artefact> = artefacts.iter().copied().chain(pieces).collect();
-        let all = side_by_side(client, &artefacts).await;
-        let mut inputs: BTreeMap<_, _> = artefacts.iter().map(|artefact| artefact.digest).zip(all).collect();
+        let pieces = manifest.pieces.iter().map(|piece| piece.artifact);
+        let artifacts: Vec<Artifact> = artifacts.iter().copied().chain(pieces).collect();
+        let all = side_by_side(client, &artifacts).await;
+        let mut inputs: BTreeMap<_, _> = artifacts.iter().map(|artifact| artifact.digest).zip(all).collect();
         inputs.insert(bundle, scene);
         let inputs = Arc::new(inputs);
         let fetch = Self { way: Way::Collected(inputs.clone()), task: Some(task.clone()) };
@@ -120,12 +120,12 @@ fn collected(inputs: &BTreeMap<Digest, Result<Bytes, Failure>>, digest: &Digest)
     inputs.get(digest).cloned().unwrap_or_else(missing)
 }
 
-async fn side_by_side(client: &Client, artefacts: &[Artefact]) -> Vec<Result<Bytes, Failure>> {
-    let download = |artefact: Artefact| {
+async fn side_by_side(client: &Client, artifacts: &[Artifact]) -> Vec<Result<Bytes, Failure>> {
+    let download = |artifact: Artifact| {
         let client = client.clone();
-        tokio::spawn(async move { client.get_exactly(&artefact).await })
+        tokio::spawn(async move { client.get_exactly(&artifact).await })
     };
-    let downloads: Vec<_> = artefacts.iter().copied().map(download).collect();
+    let downloads: Vec<_> = artifacts.iter().copied().map(download).collect();
     let mut all = Vec::with_capacity(downloads.len());
     for download in downloads {
         all.push(match download.await {
@@ -145,12 +145,12 @@ mod tests {
     #[test]
     fn what_is_too_large_for_the_store_is_so_everywhere_and_what_is_too_much_now_is_not() {
         let of = |refusal: Refusal| failure(&CallError::Refused(refusal));
-        let large = of(Refusal::ArtefactTooLarge { limit: 1 << 30 });
+        let large = of(Refusal::ArtifactTooLarge { limit: 1 << 30 });
         assert_eq!((large.verdict(), large.cause()), (Verdict::Fatal, "too_large"));
         let often = of(Refusal::TooLarge { what: "calls a second of worker a".into(), limit: 10 });
         assert_eq!(often.verdict(), Verdict::Infrastructure);
         let digest = Digest::of(b"tile");
-        for damaged in [Refusal::NoSuchArtefact { digest }, Refusal::DigestMismatch { digest }] {
+        for damaged in [Refusal::NoSuchArtifact { digest }, Refusal::DigestMismatch { digest }] {
             assert_eq!(of(damaged).verdict(), Verdict::Rebuild(vec![digest]));
         }
     }

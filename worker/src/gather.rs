@@ -3,7 +3,7 @@
 use bytes::Bytes;
 use femc_fault::{Point, pass};
 use femc_import::Bundle;
-use femc_model::{Artefact, Digest, Failure, Manifest};
+use femc_model::{Artifact, Digest, Failure, Manifest};
 use femc_proto::Client;
 
 use crate::Pieces;
@@ -27,29 +27,29 @@ pub(crate) fn gather(name: &Digest, client: &Client, fetch: &Fetch, pieces: &Pie
         return Bundle::decode(&bytes, Manifest::MOST_UNPACKED).map_err(|error| lost(name, &[], &error));
     }
     let manifest = Manifest::decode(&bytes).map_err(|error| lost(name, &[], &error))?;
-    let artefacts: Vec<Artefact> = manifest.pieces.iter().map(|piece| piece.artefact).collect();
-    let contents = contents(name, &artefacts, client, fetch, pieces)?;
+    let artifacts: Vec<Artifact> = manifest.pieces.iter().map(|piece| piece.artifact).collect();
+    let contents = contents(name, &artifacts, client, fetch, pieces)?;
     parcel::unpack(&manifest, &contents).map_err(|error| lost(name, &[], &error))
 }
 
 fn contents(
     name: &Digest,
-    artefacts: &[Artefact],
+    artifacts: &[Artifact],
     client: &Client,
     fetch: &Fetch,
     pieces: &Pieces,
 ) -> Result<Vec<Bytes>, Failure> {
-    let mut contents: Vec<Option<Bytes>> = artefacts.iter().map(|artefact| pieces.get(&artefact.digest)).collect();
-    let missing: Vec<usize> = (0..artefacts.len()).filter(|&index| contents[index].is_none()).collect();
+    let mut contents: Vec<Option<Bytes>> = artifacts.iter().map(|artifact| pieces.get(&artifact.digest)).collect();
+    let missing: Vec<usize> = (0..artifacts.len()).filter(|&index| contents[index].is_none()).collect();
     for batch in missing.chunks(BATCH) {
         pass(Point::WorkerMidFetch);
-        let wanted: Vec<Artefact> = batch.iter().map(|&index| artefacts[index]).collect();
+        let wanted: Vec<Artifact> = batch.iter().map(|&index| artifacts[index]).collect();
         for (&index, bytes) in batch.iter().zip(fetch.all(client, &wanted)) {
             let bytes = bytes.map_err(|failure| match failure {
                 Failure::LostInputs { digests, message } => lost(name, &digests, &message),
                 other => other,
             })?;
-            pieces.keep(&artefacts[index].digest, &bytes);
+            pieces.keep(&artifacts[index].digest, &bytes);
             contents[index] = Some(bytes);
         }
     }

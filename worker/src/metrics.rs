@@ -152,9 +152,9 @@ impl Metrics {
         page.counter("femc_worker_cpu_seconds_total", help).is(cpu.get());
         page.counter("femc_worker_samples_total", "Pixel samples taken.").counts(samples.get());
         page.counter("femc_worker_rays_total", "Rays traced.").counts(rays.get());
-        let help = "Bytes of artefacts that tasks fetched.";
+        let help = "Bytes of artifacts that tasks fetched.";
         page.counter("femc_worker_fetched_bytes_total", help).counts(fetched.get());
-        let help = "Bytes of artefacts that results sent.";
+        let help = "Bytes of artifacts that results sent.";
         page.counter("femc_worker_sent_bytes_total", help).counts(sent.get());
     }
 }

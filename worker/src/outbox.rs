@@ -8,8 +8,8 @@
 //! | 4 | format version, 6 |
 //! | 32 | BLAKE3 of all that follows |
 //! | 8 | length of the head |
-//! | | the head, in postcard: build of the engine, assignment, job, result, what it took, log, lengths of the artefacts |
-//! | | the artefacts |
+//! | | the head, in postcard: build of the engine, assignment, job, result, what it took, log, lengths of the artifacts |
+//! | | the artifacts |
 //!
 //! A file is written under another name, synced and renamed, so that it is there whole or not at all. What does not fit the
 //! checksum all the same (a disk may lie) is reported and removed: the task is done again. A folder serves one worker at a
@@ -337,7 +337,7 @@ fn read_all(folder: &Path, engine: &str) -> io::Result<(Files, Vec<Restored>)> {
     Ok((files, restored))
 }
 
-/// The front and the head; the artefacts follow.
+/// The front and the head; the artifacts follow.
 fn encode(task: &Task, product: &Product, engine: &str) -> Result<Vec<u8>, postcard::Error> {
     let head = Head {
         engine: engine.into(),
@@ -346,12 +346,12 @@ fn encode(task: &Task, product: &Product, engine: &str) -> Result<Vec<u8>, postc
         result: product.result.clone(),
         usage: task.usage(),
         log: task.written_log().cloned(),
-        lengths: product.artefacts.iter().map(|bytes| bytes.len() as u64).collect(),
+        lengths: product.artifacts.iter().map(|bytes| bytes.len() as u64).collect(),
     };
     let head = postcard::to_stdvec(&head)?;
     let mut body = (head.len() as u64).to_le_bytes().to_vec();
     body.extend(&head);
-    product.artefacts.iter().for_each(|bytes| body.extend_from_slice(bytes));
+    product.artifacts.iter().for_each(|bytes| body.extend_from_slice(bytes));
     let mut file = MAGIC.to_vec();
     file.extend(VERSION.to_le_bytes());
     file.extend(Digest::of(&body).as_bytes());
@@ -373,14 +373,14 @@ pub(crate) fn decode(file: &Bytes, engine: &str) -> Option<Restored> {
     if of != engine {
         return None;
     }
-    let (mut at, mut artefacts) = (end, Vec::new());
+    let (mut at, mut artifacts) = (end, Vec::new());
     for length in lengths {
         let end = at.checked_add(usize::try_from(length).ok()?)?;
         file.get(at..end)?;
-        artefacts.push(file.slice(at..end));
+        artifacts.push(file.slice(at..end));
         at = end;
     }
-    (at == file.len()).then_some(Restored { assignment, spec, product: Product { result, artefacts }, usage, log })
+    (at == file.len()).then_some(Restored { assignment, spec, product: Product { result, artifacts }, usage, log })
 }
 
 /// Does the writing.
@@ -423,7 +423,7 @@ impl Clerk {
         let full =
             || io::Error::new(io::ErrorKind::StorageFull, format!("the outbox has {} bytes at most", self.limit));
         // Before all is copied.
-        if product.artefacts.iter().map(|bytes| bytes.len() as u64).sum::<u64>() > room {
+        if product.artifacts.iter().map(|bytes| bytes.len() as u64).sum::<u64>() > room {
             return Err(full());
         }
         let bytes = encode(task, product, &self.engine).map_err(io::Error::other)?;
@@ -481,7 +481,7 @@ fn sync_folder(folder: &Path) -> io::Result<()> {
 pub(crate) mod tests {
     use std::sync::Arc;
 
-    use femc_model::{Artefact, Graph, Grid, JobId, More, Output, Role, Stage, StageKind, Taken, Work};
+    use femc_model::{Artifact, Graph, Grid, JobId, More, Output, Role, Stage, StageKind, Taken, Work};
     use femc_proto::Client;
 
     use super::*;
@@ -518,11 +518,11 @@ pub(crate) mod tests {
         });
         let client = Client::connect_by(&dial, "http://nobody:1").await.unwrap();
         let task = Task::new(assignment, Arc::new(spec()), client, &Meter::none());
-        let output = Output { role: Role::Tile, artefact: Artefact::of(bytes) };
+        let output = Output { role: Role::Tile, artifact: Artifact::of(bytes) };
         let result = TaskResult { outputs: vec![output], units: 4, seconds: 0.5, ..TaskResult::default() };
         task.begin();
         task.write_log(0.5, "done".into());
-        task.settle(Ok(Product { result, artefacts: vec![Bytes::from_static(bytes)] }));
+        task.settle(Ok(Product { result, artifacts: vec![Bytes::from_static(bytes)] }));
         Arc::new(task)
     }
 
@@ -535,7 +535,7 @@ pub(crate) mod tests {
     }
 
     fn indices(restored: &[Restored]) -> Vec<(u32, &[u8])> {
-        restored.iter().map(|r| (r.assignment.task.index, &r.product.artefacts[0][..])).collect()
+        restored.iter().map(|r| (r.assignment.task.index, &r.product.artifacts[0][..])).collect()
     }
 
     #[tokio::test]

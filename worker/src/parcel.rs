@@ -1,15 +1,15 @@
-//! A scene's files as artefacts, and back.
+//! A scene's files as artifacts, and back.
 //!
 //! Large files are pieces of their own; small ones go into packs, so that a scene of a thousand lamps is no thousand
-//! artefacts. Where a pack ends follows from the files' paths: an edit changes the pack of the edited file and no other.
-//! Pieces are compressed at one level, so that equal files are equal artefacts.
+//! artifacts. Where a pack ends follows from the files' paths: an edit changes the pack of the edited file and no other.
+//! Pieces are compressed at one level, so that equal files are equal artifacts.
 
 use std::collections::BTreeMap;
 use std::io::Read as _;
 
 use bytes::Bytes;
 use femc_import::Bundle;
-use femc_model::{Artefact, Digest, Extent, Manifest, ManifestError, Piece};
+use femc_model::{Artifact, Digest, Extent, Manifest, ManifestError, Piece};
 
 /// From this size on (bytes) a file is a piece of its own.
 const LARGE: usize = 256 << 10;
@@ -53,7 +53,7 @@ impl Parcel {
         let mut seal = |content: &[u8], files: &mut Vec<(&String, u64)>| {
             let piece = Bytes::from(zstd::bulk::compress(content, LEVEL).map_err(ParcelError::Compression)?);
             let (index, mut offset) = (manifest.pieces.len() as u32, 0);
-            manifest.pieces.push(Piece { artefact: Artefact::of(&piece), unpacked: content.len() as u64 });
+            manifest.pieces.push(Piece { artifact: Artifact::of(&piece), unpacked: content.len() as u64 });
             pieces.push(piece);
             for (path, bytes) in files.drain(..) {
                 manifest.files.insert(path.clone(), Extent { piece: index, offset, bytes });
@@ -88,12 +88,12 @@ impl Parcel {
         Digest::of(&self.manifest)
     }
 
-    /// All artefacts, the manifest at the end: it is there only if its pieces are.
-    pub fn artefacts(&self) -> Vec<Bytes> {
+    /// All artifacts, the manifest at the end: it is there only if its pieces are.
+    pub fn artifacts(&self) -> Vec<Bytes> {
         self.pieces.iter().chain([&self.manifest]).cloned().collect()
     }
 
-    /// Bytes of all artefacts.
+    /// Bytes of all artifacts.
     pub fn size(&self) -> u64 {
         self.pieces.iter().chain([&self.manifest]).map(|bytes| bytes.len() as u64).sum()
     }
@@ -102,8 +102,8 @@ impl Parcel {
 /// The files of `manifest`, of `pieces` in its order.
 pub(crate) fn unpack(manifest: &Manifest, pieces: &[Bytes]) -> Result<Bundle, ParcelError> {
     let mut contents = Vec::with_capacity(pieces.len());
-    for (Piece { artefact, unpacked }, bytes) in manifest.pieces.iter().zip(pieces) {
-        contents.push(content(bytes, *unpacked).ok_or(ParcelError::Piece { digest: artefact.digest })?);
+    for (Piece { artifact, unpacked }, bytes) in manifest.pieces.iter().zip(pieces) {
+        contents.push(content(bytes, *unpacked).ok_or(ParcelError::Piece { digest: artifact.digest })?);
     }
     let mut files = BTreeMap::new();
     for (path, extent) in &manifest.files {
@@ -156,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn a_scene_comes_back_and_equal_scenes_are_equal_artefacts() {
+    fn a_scene_comes_back_and_equal_scenes_are_equal_artifacts() {
         let parcel = Parcel::pack(&scene()).unwrap();
         assert_eq!(unpacked(&parcel), scene());
         assert_eq!(Parcel::pack(&scene()).unwrap(), parcel);
@@ -190,7 +190,7 @@ mod tests {
     fn a_bomb_is_not_unpacked() {
         let bomb = Bytes::from(zstd::bulk::compress(&vec![0; 1 << 28], LEVEL).unwrap());
         let manifest = |unpacked| Manifest {
-            pieces: vec![Piece { artefact: Artefact::of(&bomb), unpacked }],
+            pieces: vec![Piece { artifact: Artifact::of(&bomb), unpacked }],
             files: BTreeMap::from([("a".to_owned(), Extent { piece: 0, offset: 0, bytes: unpacked })]),
         };
         for unpacked in [0, 1, 1 << 20, (1 << 28) - 1] {
@@ -214,7 +214,7 @@ mod tests {
         ] {
             let mut pieces = parcel.pieces.clone();
             pieces[at] = bad;
-            let digest = manifest.pieces[at].artefact.digest;
+            let digest = manifest.pieces[at].artifact.digest;
             let error = unpack(&manifest, &pieces).unwrap_err();
             assert!(matches!(error, ParcelError::Piece { digest: named } if named == digest), "{error}");
         }

@@ -257,7 +257,7 @@ impl<'a> Session<'a> {
         self.outbox.answered(self.table, &key)
     }
 
-    /// Sends a result's artefacts, while the next task runs. Not of a lease that may be over: it waits until the coordinator
+    /// Sends a result's artifacts, while the next task runs. Not of a lease that may be over: it waits until the coordinator
     /// says that it holds.
     fn send(&mut self, key: (TaskKey, Epoch)) {
         let Some(task) = self.table.get(&key) else { return };
@@ -279,7 +279,7 @@ impl<'a> Session<'a> {
         });
     }
 
-    /// Reports a result whose artefacts are in the store, if its lease still holds.
+    /// Reports a result whose artifacts are in the store, if its lease still holds.
     async fn report(&mut self, (key, sent, log, usage): Sent, out: &Outgoing) {
         let (task, epoch) = key;
         if !self.claims.holds(&key, Instant::now()) {

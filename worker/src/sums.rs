@@ -1,4 +1,4 @@
-//! The sums of a frame as one artefact: its tiles' encodings, one after the other.
+//! The sums of a frame as one artifact: its tiles' encodings, one after the other.
 //!
 //! | bytes | what |
 //! | --- | --- |

@@ -166,7 +166,7 @@ impl Task {
     /// Bytes of its result, if it has one.
     pub(crate) fn result_bytes(&self) -> Option<u64> {
         let product = self.outcome()?.as_ref().ok()?;
-        Some(product.artefacts.iter().map(|bytes| bytes.len() as u64).sum())
+        Some(product.artifacts.iter().map(|bytes| bytes.len() as u64).sum())
     }
 
     pub(crate) fn key(&self) -> (TaskKey, Epoch) {

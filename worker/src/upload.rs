@@ -1,4 +1,4 @@
-//! Artefacts on their way to the store.
+//! Artifacts on their way to the store.
 
 use std::sync::atomic::Ordering;
 
@@ -20,9 +20,9 @@ pub(crate) enum NotSent {
     Failed(Failure),
 }
 
-/// Puts all of a result's artefacts into the coordinator's store.
+/// Puts all of a result's artifacts into the coordinator's store.
 pub(crate) async fn upload(client: &Client, task: &Task, product: &Product) -> Result<(), NotSent> {
-    for bytes in &product.artefacts {
+    for bytes in &product.artifacts {
         client.put(bytes.clone()).await.map_err(|error| match error {
             CallError::Unreachable { .. } => NotSent::Later,
             CallError::Refused(_)
@@ -34,7 +34,7 @@ pub(crate) async fn upload(client: &Client, task: &Task, product: &Product) -> R
             | CallError::Status { .. } => NotSent::Failed(fetch::failure(&error)),
         })?;
     }
-    let bytes = product.artefacts.iter().map(|bytes| bytes.len() as u64).sum();
+    let bytes = product.artifacts.iter().map(|bytes| bytes.len() as u64).sum();
     task.account.sent.store(bytes, Ordering::Relaxed);
     Ok(())
 }
@@ -44,7 +44,7 @@ pub(crate) async fn upload_log(client: &Client, task: &Task) -> Option<TaskLog> 
     let (seconds, text) = task.written_log()?;
     let text = match task.log_place(task.outcome()) {
         LogPlace::Store => match client.put(Bytes::copy_from_slice(text.as_bytes())).await {
-            Ok(artefact) => LogText::Stored(artefact),
+            Ok(artifact) => LogText::Stored(artifact),
             Err(error) => {
                 LogText::Inline(cut(&format!("the log was not kept: {error}\n{text}"), LogText::INLINE).into())
             }

@@ -107,7 +107,7 @@ fn grouped(settings: &Settings, fan: u32) -> (JobSpec, Vec<u8>) {
 }
 
 async fn image(client: &Client, frame: &FrameRecord) -> Vec<u8> {
-    let Artefact { digest, bytes } = frame.image().expect("an image");
+    let Artifact { digest, bytes } = frame.image().expect("an image");
     client.get(&digest, bytes).await.unwrap().into()
 }
 
@@ -352,9 +352,9 @@ async fn tiles_that_the_store_has_lost_are_rendered_again() {
     until(&client, id, |status| status.active.iter().any(|frame| frame.tiles_done >= 2)).await;
     first.abort();
     until(&client, id, |status| status.workers == 0).await;
-    for artefact in store.list().await.unwrap() {
-        if artefact.digest != keep && !client.frames(id).await.unwrap().iter().any(|f| f.image() == Some(artefact)) {
-            store.remove(&artefact.digest).await.unwrap();
+    for artifact in store.list().await.unwrap() {
+        if artifact.digest != keep && !client.frames(id).await.unwrap().iter().any(|f| f.image() == Some(artifact)) {
+            store.remove(&artifact.digest).await.unwrap();
         }
     }
     let second = worker(&farm, 2);

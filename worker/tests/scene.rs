@@ -82,7 +82,7 @@ async fn a_second_job_of_a_scene_downloads_nothing() {
         let farm = Coordinator::start(Config::default()).await.unwrap();
         let client = Client::connect(&farm.url()).await.unwrap();
         let scene = scene();
-        client.put_all(&scene.artefacts()).await.unwrap();
+        client.put_all(&scene.artifacts()).await.unwrap();
         let first_worker = worker(&farm, &pieces);
         let first = client.submit(None, spec(&scene, 1)).await.unwrap();
         assert_eq!(done(&client, first).await.state, JobState::Done, "{name}");
@@ -110,7 +110,7 @@ async fn a_scene_that_has_lost_a_piece_fails_its_job_by_name_and_can_be_submitte
     let farm = Coordinator::with(Config::default(), store.clone(), femc_queue::Memory::default()).await.unwrap();
     let client = Client::connect(&farm.url()).await.unwrap();
     let scene = scene();
-    client.put_all(&scene.artefacts()).await.unwrap();
+    client.put_all(&scene.artifacts()).await.unwrap();
     let lost = Digest::of(&scene.pieces[0]);
     let job = client.submit(None, spec(&scene, 1)).await.unwrap();
     store.remove(&lost).await.unwrap();
@@ -119,7 +119,7 @@ async fn a_scene_that_has_lost_a_piece_fails_its_job_by_name_and_can_be_submitte
     assert_eq!(status.state, JobState::Failed);
     let Some(Failure::LostInputs { digests, message }) = status.failure else { panic!("{status:?}") };
     assert!(digests.contains(&lost) && message.contains("submit it again"), "{message}");
-    assert_eq!(client.put_all(&scene.artefacts()).await.unwrap(), scene.pieces[0].len() as u64);
+    assert_eq!(client.put_all(&scene.artifacts()).await.unwrap(), scene.pieces[0].len() as u64);
     let job = client.submit(None, spec(&scene, 1)).await.unwrap();
     assert_eq!(done(&client, job).await.state, JobState::Done);
     worker.abort();

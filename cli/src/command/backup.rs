@@ -5,35 +5,35 @@ use crate::args::ServerArgs;
 use crate::exit::{Exit, Failure, failed};
 use crate::output::{Say, human};
 use clap::Args;
-use femc_model::Artefact;
+use femc_model::Artifact;
 use femc_store::Store;
 use std::path::{Path, PathBuf};
 use tokio::task::JoinSet;
 
-/// Copy a running farm: its log of jobs, and the artefacts that the log refers to
+/// Copy a running farm: its log of jobs, and the artifacts that the log refers to
 ///
 /// The log is copied as it is at one moment, while the farm works on; it waits for its coordinator's disk meanwhile, some tenths
-/// of a second for 100 MB. Then the artefacts are fetched that DIR does not have yet: a second backup into the same folder takes
+/// of a second for 100 MB. Then the artifacts are fetched that DIR does not have yet: a second backup into the same folder takes
 /// what is new. What has become superfluous in between is left out; a farm that is started from the copy makes again what it
 /// misses.
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc backup /backup/farm\n  \
-    femc backup /backup/farm --log-only     # and copy the artefacts that artifacts.txt names by other means\n  \
+    femc backup /backup/farm --log-only     # and copy the artifacts that artifacts.txt names by other means\n  \
     cp -r /backup/farm . && femc coordinator --store sqlite:farm/farm.db --artifacts farm/artifacts    # restore\n\n\
     Takes an admin, where the farm has roles. A log in PostgreSQL is copied with `pg_dump --schema=femc`.")]
 pub struct BackupArgs {
     /// Folder that gets farm.db, artifacts.txt and artifacts/; made if it is not there
     #[arg(value_name = "DIR")]
     folder: PathBuf,
-    /// Fetch no artefacts: artifacts.txt names them, as paths in the farm's folder of artefacts
+    /// Fetch no artifacts: artifacts.txt names them, as paths in the farm's folder of artifacts
     #[arg(long)]
     log_only: bool,
     #[command(flatten)]
     server: ServerArgs,
 }
 
-/// Artefacts that are fetched at a time.
+/// Artifacts that are fetched at a time.
 const AT_ONCE: usize = 4;
 
 /// Copy.
@@ -41,19 +41,19 @@ pub fn run(args: &BackupArgs, say: Say) -> Result<Exit, Failure> {
     let fault = |e| failed(format!("{}: {e}; give a folder that can be written", args.folder.display()));
     std::fs::create_dir_all(&args.folder).map_err(fault)?;
     client::block_on(&args.server, async |farm| {
-        let artefacts = log(farm, &args.folder).await?;
-        let list: String = artefacts.iter().map(|artefact| format!("{}\n", path(artefact))).collect();
+        let artifacts = log(farm, &args.folder).await?;
+        let list: String = artifacts.iter().map(|artifact| format!("{}\n", path(artifact))).collect();
         std::fs::write(args.folder.join("artifacts.txt"), list).map_err(fault)?;
-        let bytes: u64 = artefacts.iter().map(|artefact| artefact.bytes).sum();
-        let all = format!("{}, {}B", human::count(artefacts.len() as u64, "artefact"), human::quantity(bytes as f64));
+        let bytes: u64 = artifacts.iter().map(|artifact| artifact.bytes).sum();
+        let all = format!("{}, {}B", human::count(artifacts.len() as u64, "artifact"), human::quantity(bytes as f64));
         if args.log_only {
             say.result(format!("copied the log; artifacts.txt names {all}"));
             return Ok(());
         }
-        let (fetched, gone) = fetch(farm, &args.folder.join("artifacts"), &artefacts).await?;
+        let (fetched, gone) = fetch(farm, &args.folder.join("artifacts"), &artifacts).await?;
         say.result(format!("copied the log, which refers to {all}; {fetched} were new here"));
         if gone > 0 {
-            say.note(format!("{} superfluous in the meantime", human::count(gone, "artefact")));
+            say.note(format!("{} superfluous in the meantime", human::count(gone, "artifact")));
         }
         Ok(())
     })?;
@@ -61,11 +61,11 @@ pub fn run(args: &BackupArgs, say: Say) -> Result<Exit, Failure> {
 }
 
 /// The log, whole or not at all; what it refers to.
-async fn log(farm: &Farm, folder: &Path) -> Result<Vec<Artefact>, Failure> {
+async fn log(farm: &Farm, folder: &Path) -> Result<Vec<Artifact>, Failure> {
     let (new, path) = (folder.join("farm.db.new"), folder.join("farm.db"));
     let fault = |e| failed(format!("{}: {e}; give a folder that can be written", new.display()));
     let mut file = tokio::fs::File::create(&new).await.map_err(fault)?;
-    let artefacts = farm.backup(&mut file).await?;
+    let artifacts = farm.backup(&mut file).await?;
     file.sync_all().await.map_err(fault)?;
     for beside in ["farm.db-wal", "farm.db-shm", "farm.db-mark"] {
         // Of a coordinator that ran on an earlier copy: it is not of this one.
@@ -75,20 +75,20 @@ async fn log(farm: &Farm, folder: &Path) -> Result<Vec<Artefact>, Failure> {
         }
     }
     std::fs::rename(&new, &path).map_err(fault)?;
-    Ok(artefacts)
+    Ok(artifacts)
 }
 
 /// Fetches what is not there; how many came, and how many the farm has no more.
-async fn fetch(farm: &Farm, folder: &Path, artefacts: &[Artefact]) -> Result<(u64, u64), Failure> {
+async fn fetch(farm: &Farm, folder: &Path, artifacts: &[Artifact]) -> Result<(u64, u64), Failure> {
     let store = Store::folder(folder).map_err(failed)?;
     let (mut fetched, mut gone, mut running) = (0, 0, JoinSet::new());
-    let mut left = artefacts.iter();
+    let mut left = artifacts.iter();
     loop {
         while running.len() < AT_ONCE
-            && let Some(&artefact) = left.next()
+            && let Some(&artifact) = left.next()
         {
             let (farm, store) = (farm.clone(), store.clone());
-            running.spawn(async move { one(&farm, &store, &artefact).await });
+            running.spawn(async move { one(&farm, &store, &artifact).await });
         }
         match running.join_next().await {
             None => return Ok((fetched, gone)),
@@ -108,15 +108,15 @@ enum Came {
     Gone,
 }
 
-async fn one(farm: &Farm, store: &Store, artefact: &Artefact) -> Result<Came, Failure> {
-    if store.size(&artefact.digest).await.map_err(failed)? == Some(artefact.bytes) {
+async fn one(farm: &Farm, store: &Store, artifact: &Artifact) -> Result<Came, Failure> {
+    if store.size(&artifact.digest).await.map_err(failed)? == Some(artifact.bytes) {
         return Ok(Came::Before);
     }
-    let Some(bytes) = farm.get_if_there(artefact).await? else { return Ok(Came::Gone) };
+    let Some(bytes) = farm.get_if_there(artifact).await? else { return Ok(Came::Gone) };
     store.put(bytes.into()).await.map_err(failed)?;
     Ok(Came::New)
 }
 
-fn path(artefact: &Artefact) -> String {
-    femc_store::place(&artefact.digest).to_string()
+fn path(artifact: &Artifact) -> String {
+    femc_store::place(&artifact.digest).to_string()
 }

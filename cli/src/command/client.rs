@@ -5,7 +5,7 @@ use crate::clock::Clock;
 use crate::exit::{Failure, failed, unreachable, usage};
 use crate::request::Asked;
 use femc_model::{
-    Artefact, Attempts, Control, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord,
+    Artifact, Attempts, Control, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord,
     Refusal, Stage, Tick, WorkerId, WorkerName, WorkerStatus,
 };
 use femc_proto::{BackupError, CallError, Client, CollectMode, Collected, Dial, Found, JobShape, Listing, Why};
@@ -95,9 +95,9 @@ impl Farm {
         self.client.url()
     }
 
-    /// Put those artefacts of a scene into the farm's store that are not there; bytes that were sent.
+    /// Put those artifacts of a scene into the farm's store that are not there; bytes that were sent.
     async fn put(&self, scene: &Parcel) -> Result<u64, Failure> {
-        self.client.put_all(&scene.artefacts()).await.map_err(told)
+        self.client.put_all(&scene.artifacts()).await.map_err(told)
     }
 
     /// Queue a job of `scene`, which is uploaded as far as it is missing; the bytes that were sent. `key`: a second
@@ -108,23 +108,23 @@ impl Farm {
         for _ in 0..UPLOADS {
             match submit().await {
                 // Removed between upload and submission.
-                Err(CallError::Refused(Refusal::MissingArtefacts { .. })) => sent += self.put(scene).await?,
+                Err(CallError::Refused(Refusal::MissingArtifacts { .. })) => sent += self.put(scene).await?,
                 submitted => return Ok((submitted.map_err(told)?, sent)),
             }
         }
         Ok((submit().await.map_err(told)?, sent))
     }
 
-    /// An artefact's bytes.
-    pub async fn get(&self, artefact: &Artefact) -> Result<Vec<u8>, Failure> {
-        Ok(self.client.get_exactly(artefact).await.map_err(told)?.to_vec())
+    /// An artifact's bytes.
+    pub async fn get(&self, artifact: &Artifact) -> Result<Vec<u8>, Failure> {
+        Ok(self.client.get_exactly(artifact).await.map_err(told)?.to_vec())
     }
 
     /// The same of one that may be gone, or damaged, which is as good as gone.
-    pub async fn get_if_there(&self, artefact: &Artefact) -> Result<Option<Vec<u8>>, Failure> {
-        match self.client.get_exactly(artefact).await {
+    pub async fn get_if_there(&self, artifact: &Artifact) -> Result<Option<Vec<u8>>, Failure> {
+        match self.client.get_exactly(artifact).await {
             Ok(bytes) => Ok(Some(bytes.to_vec())),
-            Err(CallError::Refused(Refusal::NoSuchArtefact { .. } | Refusal::DigestMismatch { .. })) => Ok(None),
+            Err(CallError::Refused(Refusal::NoSuchArtifact { .. } | Refusal::DigestMismatch { .. })) => Ok(None),
             Err(error) => Err(told(error)),
         }
     }
@@ -217,8 +217,8 @@ impl Farm {
         self.client.workers().await.map_err(told)
     }
 
-    /// A copy of the log; the artefacts that it refers to and the store has.
-    pub async fn backup(&self, log: &mut tokio::fs::File) -> Result<Vec<Artefact>, Failure> {
+    /// A copy of the log; the artifacts that it refers to and the store has.
+    pub async fn backup(&self, log: &mut tokio::fs::File) -> Result<Vec<Artifact>, Failure> {
         self.client.backup(log).await.map_err(|error| match error {
             BackupError::Call(error) => told(error),
             error @ BackupError::Write(_) => failed(error),
@@ -333,12 +333,12 @@ pub fn told(error: CallError) -> Failure {
             Refusal::Ended { .. } | Refusal::Invalid { .. } => usage(refusal),
             Refusal::Unavailable { .. } => unreachable(refusal),
             Refusal::StaleEpoch
-            | Refusal::NoSuchArtefact { .. }
+            | Refusal::NoSuchArtifact { .. }
             | Refusal::DigestMismatch { .. }
             | Refusal::TooLarge { .. }
             | Refusal::NoRoom { .. }
-            | Refusal::ArtefactTooLarge { .. }
-            | Refusal::MissingArtefacts { .. }
+            | Refusal::ArtifactTooLarge { .. }
+            | Refusal::MissingArtifacts { .. }
             | Refusal::Resume { .. } => failed(refusal),
             Refusal::Unauthenticated { .. } => failed(format!(
                 "{refusal}; give --identity or --token-file with one that this farm has made and not revoked (`femc ca list`)"

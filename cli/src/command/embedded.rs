@@ -16,7 +16,7 @@ use tokio::task::JoinSet;
 pub struct Plan {
     /// SQLite file of the log.
     pub log: PathBuf,
-    /// Folder of the artefacts.
+    /// Folder of the artifacts.
     pub artifacts: PathBuf,
     /// Workers, >= 1.
     pub workers: u32,

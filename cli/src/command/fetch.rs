@@ -7,7 +7,7 @@ use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure, failed};
 use crate::output::{Say, human, job as show, json};
 use clap::Args;
-use femc_model::{Artefact, Digest, JobId, JobSpec, JobState, JobStatus, Role};
+use femc_model::{Artifact, Digest, JobId, JobSpec, JobState, JobStatus, Role};
 use femc_worker::Wish;
 use serde::Serialize;
 use std::path::{Path, PathBuf};
@@ -154,14 +154,14 @@ async fn shown(farm: &Farm, job: &JobStatus, folder: &Path, say: Say) -> Result<
         return Ok(shown);
     }
     let made = farm.whole(job.job).await?.map(|record| record.outputs).unwrap_or_default();
-    let of = |role: Role| made.iter().filter(move |output| output.role == role).map(|output| output.artefact);
+    let of = |role: Role| made.iter().filter(move |output| output.role == role).map(|output| output.artifact);
     // Stills come in the order of their frames.
     let mut all_stills = of(Role::Still);
     for (role, name) in wanted {
         let path = folder.join(&name);
         let found = if role == Role::Still { all_stills.next() } else { of(role).next() };
         let is_there = match &found {
-            Some(artefact) => file(farm, artefact, &path).await?,
+            Some(artifact) => file(farm, artifact, &path).await?,
             None => false,
         };
         if !is_there {
@@ -181,10 +181,10 @@ async fn shown(farm: &Farm, job: &JobStatus, folder: &Path, say: Say) -> Result<
     Ok(shown)
 }
 
-/// Write one artefact, unless the file has its bytes already; false: the farm does not have it as it should be.
-async fn file(farm: &Farm, artefact: &Artefact, path: &Path) -> Result<bool, Failure> {
-    if !std::fs::read(path).is_ok_and(|bytes| Digest::of(&bytes) == artefact.digest) {
-        let Some(bytes) = farm.get_if_there(artefact).await? else { return Ok(false) };
+/// Write one artifact, unless the file has its bytes already; false: the farm does not have it as it should be.
+async fn file(farm: &Farm, artifact: &Artifact, path: &Path) -> Result<bool, Failure> {
+    if !std::fs::read(path).is_ok_and(|bytes| Digest::of(&bytes) == artifact.digest) {
+        let Some(bytes) = farm.get_if_there(artifact).await? else { return Ok(false) };
         femc_film::file::write_atomic(path, &bytes).map_err(failed)?;
     }
     Ok(true)

@@ -34,13 +34,13 @@ pub struct GcArgs {
 
 #[derive(Serialize)]
 struct VolumeJson {
-    artefacts: u64,
+    artifacts: u64,
     bytes: u64,
 }
 
 impl From<Volume> for VolumeJson {
-    fn from(Volume { artefacts, bytes }: Volume) -> Self {
-        Self { artefacts, bytes }
+    fn from(Volume { artifacts, bytes }: Volume) -> Self {
+        Self { artifacts, bytes }
     }
 }
 
@@ -60,13 +60,13 @@ pub fn run(args: &GcArgs, say: Say) -> Result<Exit, Failure> {
     let collected = client::block_on(&args.server, async |farm| farm.collect(mode, grace).await)?;
     let Collected { referenced, young, garbage, names } = collected;
     if args.format.json {
-        let names = names.iter().map(|artefact| artefact.digest.to_string()).collect();
+        let names = names.iter().map(|artifact| artifact.digest.to_string()).collect();
         let [referenced, young, garbage] = [referenced, young, garbage].map(VolumeJson::from);
         json::print(say, &Report { dry_run: args.dry_run, referenced, young, garbage, names })?;
         return Ok(Exit::Done);
     }
     let told = |volume: Volume| {
-        format!("{}, {}B", human::count(volume.artefacts, "artefact"), human::quantity(volume.bytes as f64))
+        format!("{}, {}B", human::count(volume.artifacts, "artifact"), human::quantity(volume.bytes as f64))
     };
     let what = match mode {
         CollectMode::DryRun => "would be removed",

@@ -120,7 +120,7 @@ async fn show(args: &LogsArgs, farm: &Farm, records: &[LogRecord], say: Say) -> 
     for record in records.iter().filter(wanted) {
         let text = match &record.log.text {
             LogText::Inline(text) => text.clone(),
-            LogText::Stored(artefact) => match farm.get(artefact).await {
+            LogText::Stored(artifact) => match farm.get(artifact).await {
                 Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
                 Err(failure) => format!("the log cannot be read: {failure}\n"),
             },

@@ -28,24 +28,24 @@ impl Partial {
     /// Whether these parts are of the same frame and add to what is here: another round begins with other sums.
     pub fn may_take(&self, parts: &FrameParts) -> bool {
         let mut sums = parts.outputs.iter().filter(|output| output.role == Role::Sums);
-        self.frame == parts.frame && sums.all(|sums| self.seen.contains(&sums.artefact.digest))
+        self.frame == parts.frame && sums.all(|sums| self.seen.contains(&sums.artifact.digest))
     }
 
     /// Take in what is new; false if the frame went on meanwhile, and its parts are gone.
     pub async fn take(&mut self, farm: &Farm, parts: &FrameParts) -> Result<bool, Failure> {
-        for Output { role, artefact } in &parts.outputs {
+        for Output { role, artifact } in &parts.outputs {
             let shows_pixels = matches!(role, Role::Tile | Role::Sums | Role::Pixels);
-            if !shows_pixels || self.seen.contains(&artefact.digest) {
+            if !shows_pixels || self.seen.contains(&artifact.digest) {
                 continue;
             }
-            let Some(bytes) = farm.get_if_there(artefact).await? else { return Ok(false) };
+            let Some(bytes) = farm.get_if_there(artifact).await? else { return Ok(false) };
             match role {
                 Role::Tile => self.insert(vec![Tile::decode(&bytes).map_err(failed)?])?,
                 Role::Sums => self.insert(femc_worker::decode_sums(&bytes).map_err(failed)?)?,
                 Role::Pixels => self.pieces.push(Piece::decode(&bytes).map_err(failed)?),
                 _ => {}
             }
-            self.seen.insert(artefact.digest);
+            self.seen.insert(artifact.digest);
         }
         Ok(true)
     }

@@ -93,7 +93,7 @@ async fn failures(farm: &Farm, job: JobId) -> Result<Vec<FailureLog>, Failure> {
     for record in logs.filter(|record| record.log.attempt == Attempt::Failed).take(FAILURES) {
         let text = match &record.log.text {
             LogText::Inline(text) => text.clone(),
-            LogText::Stored(artefact) => match farm.get(artefact).await {
+            LogText::Stored(artifact) => match farm.get(artifact).await {
                 Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
                 Err(failure) => format!("the log cannot be read: {failure}\n"),
             },

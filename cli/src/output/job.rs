@@ -162,7 +162,7 @@ pub fn wait(wait: &Wait) -> String {
         Wait::WorkersInTrouble { workers, seconds, failure } => {
             format!("{workers} workers rest, the first for {seconds} s more, after this: {failure}")
         }
-        Wait::WorkersShunned { workers, seconds } => format!(
+        Wait::WorkersQuarantined { workers, seconds } => format!(
             "tasks kept failing on {}: the next try there in {seconds} s",
             human::count(u64::from(*workers), "worker")
         ),

@@ -163,7 +163,7 @@ impl Asked {
         (fps / step).clamp(0.01, 100.0)
     }
 
-    /// All files of the scene as artefacts.
+    /// All files of the scene as artifacts.
     pub fn parcel(&self) -> Result<Parcel, Failure> {
         let cannot = |e: &dyn std::fmt::Display| failed(format!("{}: cannot be packed: {e}", self.path.display()));
         let bundle = Bundle::gather(&Disk::new(folder(&self.path)), &self.files).map_err(|e| cannot(&e))?;

@@ -265,7 +265,7 @@ pub async fn uploads(target: &mut Target) -> String {
 
 pub async fn unread_downloads(target: &mut Target) -> String {
     let bytes = Bytes::from(vec![7; 24 << 20]);
-    let artefact = femc_model::Artefact::of(&bytes);
+    let artifact = femc_model::Artifact::of(&bytes);
     let client = femc_proto::Client::connect(&target.url).await.expect("a connection");
     client.put(bytes).await.expect("it is kept");
     let before = target.resident();
@@ -273,7 +273,7 @@ pub async fn unread_downloads(target: &mut Target) -> String {
     let (mut calls, connection) =
         h2::client::Builder::new().initial_window_size(0).handshake::<_, Bytes>(stream).await.expect("HTTP/2");
     tokio::spawn(connection);
-    let wanted = message(&[&[0x0a, 32][..], artefact.digest.as_bytes()].concat());
+    let wanted = message(&[&[0x0a, 32][..], artifact.digest.as_bytes()].concat());
     let mut open = Vec::new();
     for _ in 0..200 {
         let request =

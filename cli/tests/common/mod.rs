@@ -161,7 +161,7 @@ impl Place {
     }
 }
 
-/// A coordinator on a free port with its log in `place` and these artefacts, and its address.
+/// A coordinator on a free port with its log in `place` and these artifacts, and its address.
 pub fn coordinator_with(place: &Place, artifacts: &str) -> (Running, String) {
     let line = format!("coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts {artifacts}");
     let mut coordinator = place.start(&line);

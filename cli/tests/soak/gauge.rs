@@ -30,8 +30,8 @@ pub struct Gauge {
     coordinators: Vec<Process>,
     workers: Vec<Process>,
     log_bytes: u64,
-    artefacts: u64,
-    artefact_bytes: u64,
+    artifacts: u64,
+    artifact_bytes: u64,
 }
 
 /// Measures until it is over.
@@ -49,21 +49,21 @@ pub fn watch(farm: &Farm, begun: Instant, is_over: &AtomicBool) -> Vec<Gauge> {
 
 impl Gauge {
     fn read(farm: &Farm, begun: Instant) -> Self {
-        let (artefacts, artefact_bytes) = volume(&farm.place.path("artifacts"));
+        let (artifacts, artifact_bytes) = volume(&farm.place.path("artifacts"));
         let size = |name| farm.place.path(name).metadata().map_or(0, |data| data.len());
         Self {
             seconds: begun.elapsed().as_secs_f64(),
             coordinators: farm.coordinators.iter().map(Process::of).collect(),
             workers: farm.workers.iter().map(Process::of).collect(),
             log_bytes: size("farm.db") + size("farm.db-wal"),
-            artefacts,
-            artefact_bytes,
+            artifacts,
+            artifact_bytes,
         }
     }
 
     /// All of them, a line each.
     pub fn table(gauges: &[Self], between: &str) -> String {
-        let mut head: Vec<String> = ["seconds", "log KiB", "artefacts", "artefact KiB"].map(str::to_owned).into();
+        let mut head: Vec<String> = ["seconds", "log KiB", "artifacts", "artifact KiB"].map(str::to_owned).into();
         let (coordinators, workers) =
             gauges.first().map_or((0, 0), |gauge| (gauge.coordinators.len(), gauge.workers.len()));
         let names = |letter: char, count: usize| (0..count).map(move |number| format!("{letter}{number}"));
@@ -73,8 +73,8 @@ impl Gauge {
             let mut line = vec![
                 format!("{:.1}", gauge.seconds),
                 kib(gauge.log_bytes),
-                gauge.artefacts.to_string(),
-                kib(gauge.artefact_bytes),
+                gauge.artifacts.to_string(),
+                kib(gauge.artifact_bytes),
             ];
             for process in gauge.coordinators.iter().chain(&gauge.workers) {
                 line.extend([
@@ -147,6 +147,6 @@ pub fn growth(gauges: &[Gauge], time: Duration) -> Vec<String> {
         compare(format!("memory of worker {worker}"), &|gauge| gauge.workers[worker].resident_bytes);
     }
     compare("the log".into(), &|gauge| gauge.log_bytes);
-    compare("the store".into(), &|gauge| gauge.artefact_bytes);
+    compare("the store".into(), &|gauge| gauge.artifact_bytes);
     grown
 }

@@ -32,7 +32,7 @@ points! {
     CoordinatorBeforeSnapshot = "coordinator-before-snapshot",
     /// A snapshot has taken the log's place.
     CoordinatorAfterSnapshot = "coordinator-after-snapshot",
-    /// A piece of an artefact has come and is not written; pieces before it are.
+    /// A piece of an artifact has come and is not written; pieces before it are.
     CoordinatorMidUpload = "coordinator-mid-upload",
     /// A submission is durable and not answered.
     CoordinatorBeforeAnswer = "coordinator-before-answer",
@@ -46,7 +46,7 @@ points! {
     WorkerAfterTask = "worker-after-task",
     /// A result is about to be sent; meanwhile the outbox writes it.
     WorkerBeforeUpload = "worker-before-upload",
-    /// A result's artefacts are in the store; it is not reported.
+    /// A result's artifacts are in the store; it is not reported.
     WorkerAfterUpload = "worker-after-upload",
     /// A result is reported; no answer is heard.
     WorkerAfterReport = "worker-after-report",

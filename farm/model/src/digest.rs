@@ -5,7 +5,7 @@ use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
-/// BLAKE3 digest of an artefact's bytes; two artefacts with one digest are one artefact.
+/// BLAKE3 digest of an artifact's bytes; two artifacts with one digest are one artifact.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct Digest([u8; 32]);
 

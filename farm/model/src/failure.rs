@@ -31,15 +31,15 @@ pub enum Failure {
         /// How long.
         seconds: u64,
     },
-    /// Artefacts that the task needs are not in the store, or do not decode, or do not fit the task.
-    #[error("{} artefacts are lost: {message}", digests.len())]
+    /// Artifacts that the task needs are not in the store, or do not decode, or do not fit the task.
+    #[error("{} artifacts are lost: {message}", digests.len())]
     LostInputs {
         /// All of them.
         digests: Vec<Digest>,
         /// Of one of them, in words.
         message: String,
     },
-    /// The artefact store refused or was away.
+    /// The artifact store refused or was away.
     #[error("store: {message}")]
     Store {
         /// What it said.
@@ -62,8 +62,8 @@ pub enum Failure {
         /// Name of the last one.
         worker: String,
     },
-    /// The result, or an input, is larger than the artefact store takes: it would be so everywhere.
-    #[error("an artefact of more than {limit} bytes, which is the most that the farm's store takes")]
+    /// The result, or an input, is larger than the artifact store takes: it would be so everywhere.
+    #[error("an artifact of more than {limit} bytes, which is the most that the farm's store takes")]
     TooLarge {
         /// Bytes.
         limit: u64,
@@ -75,7 +75,7 @@ pub enum Failure {
 pub enum Verdict {
     /// The task's own failure: counts as an attempt; try again elsewhere.
     Retry,
-    /// Make these artefacts again first.
+    /// Make these artifacts again first.
     Rebuild(Vec<Digest>),
     /// Every attempt would end the same: the job has failed.
     Fatal,

@@ -9,7 +9,7 @@ use crate::{Digest, Graph, GraphError, Grid, Scope, Stage};
 pub struct JobSpec {
     /// Name for people and for file names: the scene file's stem.
     pub name: String,
-    /// The scene in the artefact store: a [`Manifest`](crate::Manifest), which names the artefacts that hold its files.
+    /// The scene in the artifact store: a [`Manifest`](crate::Manifest), which names the artifacts that hold its files.
     pub bundle: Digest,
     /// Path of the scene file within the bundle.
     pub entry: String,

@@ -35,7 +35,7 @@ pub use latest::Latest;
 pub use log::{Attempt, LogRecord, LogText, TaskLog};
 pub use manifest::{Extent, Manifest, ManifestError, Piece};
 pub use refusal::Refusal;
-pub use result::{Artefact, Decision, FrameParts, FrameRecord, TaskResult};
+pub use result::{Artifact, Decision, FrameParts, FrameRecord, TaskResult};
 pub use session::{
     Death, FromWorker, HeldLease, LeaseLeft, Phase, Registration, RevokeReason, Spent, TaskProgress, ToWorker,
 };

@@ -2,7 +2,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Artefact, Epoch, TaskKey, Tick};
+use crate::{Artifact, Epoch, TaskKey, Tick};
 
 /// How an attempt at a task ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
@@ -19,7 +19,7 @@ pub enum LogText {
     /// Here: short, and kept by the coordinator for a while.
     Inline(String),
     /// In the store, for as long as the job is known.
-    Stored(Artefact),
+    Stored(Artifact),
 }
 
 impl LogText {

@@ -1,30 +1,30 @@
-//! A scene's files as pieces in the artefact store: what a job's `bundle` names.
+//! A scene's files as pieces in the artifact store: what a job's `bundle` names.
 //!
 //! A manifest says which pieces there are and where in them every file lies. The farm looks at the pieces alone: whether
-//! they are there, and that they stay. A bundle that is not a manifest (earlier versions made one artefact of a scene) has
+//! they are there, and that they stay. A bundle that is not a manifest (earlier versions made one artifact of a scene) has
 //! no pieces.
 
 use std::collections::BTreeMap;
 
-use crate::{Artefact, Digest};
+use crate::{Artifact, Digest};
 
 const MAGIC: &[u8; 8] = b"femcmnft";
 const VERSION: u32 = 1;
 
-/// A scene's files, and the artefacts that hold them.
+/// A scene's files, and the artifacts that hold them.
 #[derive(Debug, Clone, Default, PartialEq, Eq)]
 pub struct Manifest {
-    /// The artefacts.
+    /// The artifacts.
     pub pieces: Vec<Piece>,
     /// Where each file lies, by its path: relative, `/`-separated, without `.`, `..` and empty parts.
     pub files: BTreeMap<String, Extent>,
 }
 
-/// An artefact that holds a large file or several small ones, compressed.
+/// An artifact that holds a large file or several small ones, compressed.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Piece {
     /// As stored.
-    pub artefact: Artefact,
+    pub artifact: Artifact,
     /// Bytes once unpacked.
     pub unpacked: u64,
 }
@@ -104,9 +104,9 @@ impl Manifest {
         let mut out = Vec::from(MAGIC);
         out.extend(VERSION.to_le_bytes());
         out.extend((self.pieces.len() as u32).to_le_bytes());
-        for Piece { artefact, unpacked } in &self.pieces {
-            out.extend(artefact.digest.as_bytes());
-            out.extend(artefact.bytes.to_le_bytes());
+        for Piece { artifact, unpacked } in &self.pieces {
+            out.extend(artifact.digest.as_bytes());
+            out.extend(artifact.bytes.to_le_bytes());
             out.extend(unpacked.to_le_bytes());
         }
         out.extend((self.files.len() as u32).to_le_bytes());
@@ -135,8 +135,8 @@ impl Manifest {
         let mut manifest = Self::default();
         for _ in 0..u32::from_le_bytes(take(&mut rest)?) {
             let digest = Digest::from_bytes(take(&mut rest)?);
-            let artefact = Artefact { digest, bytes: u64::from_le_bytes(take(&mut rest)?) };
-            manifest.pieces.push(Piece { artefact, unpacked: u64::from_le_bytes(take(&mut rest)?) });
+            let artifact = Artifact { digest, bytes: u64::from_le_bytes(take(&mut rest)?) };
+            manifest.pieces.push(Piece { artifact, unpacked: u64::from_le_bytes(take(&mut rest)?) });
         }
         for _ in 0..u32::from_le_bytes(take(&mut rest)?) {
             let length = u32::from_le_bytes(take(&mut rest)?) as usize;
@@ -202,7 +202,7 @@ mod tests {
     use super::*;
 
     fn piece(name: &[u8], unpacked: u64) -> Piece {
-        Piece { artefact: Artefact::of(name), unpacked }
+        Piece { artifact: Artifact::of(name), unpacked }
     }
 
     fn sample() -> Manifest {

@@ -36,9 +36,9 @@ pub enum Refusal {
     /// The message is about a lease that is over.
     #[error("the lease is over: another epoch holds the task, or it is finished")]
     StaleEpoch,
-    /// No such artefact.
-    #[error("there is no artefact {digest}")]
-    NoSuchArtefact {
+    /// No such artifact.
+    #[error("there is no artifact {digest}")]
+    NoSuchArtifact {
         /// Which.
         digest: Digest,
     },
@@ -56,18 +56,18 @@ pub enum Refusal {
         /// The most there may be.
         limit: u64,
     },
-    /// More than the store takes of one artefact, whoever sends it and whenever.
-    #[error("an artefact of more than {limit} bytes: the store takes no more")]
-    ArtefactTooLarge {
+    /// More than the store takes of one artifact, whoever sends it and whenever.
+    #[error("an artifact of more than {limit} bytes: the store takes no more")]
+    ArtifactTooLarge {
         /// Bytes.
         limit: u64,
     },
-    /// The job needs artefacts that are not in the store.
+    /// The job needs artifacts that are not in the store.
     #[error(
-        "the store lacks {count} of the artefacts that the job needs, as {}; upload them and submit again",
+        "the store lacks {count} of the artifacts that the job needs, as {}; upload them and submit again",
         digests.first().map_or_else(String::new, ToString::to_string)
     )]
-    MissingArtefacts {
+    MissingArtifacts {
         /// Some of them: at most [`Refusal::MOST_NAMED`].
         digests: Vec<Digest>,
         /// How many there are.
@@ -110,6 +110,6 @@ pub enum Refusal {
 }
 
 impl Refusal {
-    /// Most artefacts that a refusal names: it travels in a header.
+    /// Most artifacts that a refusal names: it travels in a header.
     pub const MOST_NAMED: usize = 64;
 }

@@ -4,16 +4,16 @@ use serde::{Deserialize, Serialize};
 
 use crate::{Digest, Grid, Output, Role};
 
-/// Bytes in the artefact store.
+/// Bytes in the artifact store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub struct Artefact {
+pub struct Artifact {
     /// BLAKE3 of the bytes.
     pub digest: Digest,
     /// How many bytes.
     pub bytes: u64,
 }
 
-impl Artefact {
+impl Artifact {
     /// The name of `bytes`.
     pub fn of(bytes: &[u8]) -> Self {
         Self { digest: Digest::of(bytes), bytes: bytes.len() as u64 }
@@ -52,19 +52,19 @@ impl TaskResult {
     /// Most outputs.
     pub const MAX_OUTPUTS: usize = 16;
 
-    /// Every artefact that it names.
-    pub fn artefacts(&self) -> impl Iterator<Item = Artefact> + '_ {
-        self.outputs.iter().map(|output| output.artefact)
+    /// Every artifact that it names.
+    pub fn artifacts(&self) -> impl Iterator<Item = Artifact> + '_ {
+        self.outputs.iter().map(|output| output.artifact)
     }
 
     /// Its output of this role.
-    pub fn output(&self, role: Role) -> Option<Artefact> {
+    pub fn output(&self, role: Role) -> Option<Artifact> {
         find(&self.outputs, role)
     }
 }
 
-fn find(outputs: &[Output], role: Role) -> Option<Artefact> {
-    outputs.iter().find(|output| output.role == role).map(|output| output.artefact)
+fn find(outputs: &[Output], role: Role) -> Option<Artifact> {
+    outputs.iter().find(|output| output.role == role).map(|output| output.artifact)
 }
 
 /// What there is of a frame in work: enough for a preview.
@@ -99,17 +99,17 @@ pub struct FrameRecord {
 
 impl FrameRecord {
     /// Its result of this role.
-    pub fn output(&self, role: Role) -> Option<Artefact> {
+    pub fn output(&self, role: Role) -> Option<Artifact> {
         find(&self.outputs, role)
     }
 
     /// The image as EXR.
-    pub fn image(&self) -> Option<Artefact> {
+    pub fn image(&self) -> Option<Artifact> {
         self.output(Role::Image)
     }
 
     /// The image tone-mapped, as PNG.
-    pub fn preview(&self) -> Option<Artefact> {
+    pub fn preview(&self) -> Option<Artifact> {
         self.output(Role::Preview)
     }
 }

@@ -125,7 +125,7 @@ pub enum Wait {
         failure: Failure,
     },
     /// Tasks of the job kept failing on some workers: they get none of it for a while.
-    WorkersShunned {
+    WorkersQuarantined {
         /// How many workers.
         workers: u32,
         /// Until the first of them gets a task as a probe; 0: it has it.

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{Artefact, Epoch, JobId, Role, StageKind, Taken};
+use crate::{Artifact, Epoch, JobId, Role, StageKind, Taken};
 
 /// An array of tasks that may run side by side: one round of a template of the job's [`Graph`](crate::Graph), of one frame or of
 /// the job.
@@ -98,13 +98,13 @@ pub struct Output {
     /// What it is.
     pub role: Role,
     /// Where it is.
-    pub artefact: Artefact,
+    pub artifact: Artifact,
 }
 
 impl Work {
-    /// Every artefact that is read for it, beside the scene.
-    pub fn artefacts(&self) -> impl Iterator<Item = Artefact> + '_ {
-        self.inputs.iter().map(|input| input.output.artefact)
+    /// Every artifact that is read for it, beside the scene.
+    pub fn artifacts(&self) -> impl Iterator<Item = Artifact> + '_ {
+        self.inputs.iter().map(|input| input.output.artifact)
     }
 
     /// What is read of one role, in order.

@@ -24,9 +24,9 @@ pub struct Usage {
     pub samples: u64,
     /// Rays traced, those to lights too.
     pub rays: u64,
-    /// Bytes of artefacts that were fetched for it.
+    /// Bytes of artifacts that were fetched for it.
     pub fetched: u64,
-    /// Bytes of the artefacts that it brought home.
+    /// Bytes of the artifacts that it brought home.
     pub sent: u64,
 }
 

@@ -56,8 +56,8 @@ fn main() {
     let joined = memory("VmRSS");
     let (begun, mut done) = (Instant::now(), 0u64);
     while let Some((worker, Assignment { task, epoch, work, .. })) = line.pop_front() {
-        let name = Artefact { digest: Digest::from_bytes([task.index as u8; 32]), bytes: 1 };
-        let output = |role| Output { role, artefact: name };
+        let name = Artifact { digest: Digest::from_bytes([task.index as u8; 32]), bytes: 1 };
+        let output = |role| Output { role, artifact: name };
         let result = match task.stage.kind {
             StageKind::Render => {
                 let units = work.steps.len() as u64 * 64;

@@ -5,7 +5,7 @@ use femc_model::{JobId, Near, TaskKey, Tick, WorkerId};
 
 use crate::Command;
 use crate::builds::is_foreign;
-use crate::deal::{is_shunned, may_take};
+use crate::deal::{is_quarantined_for, may_take};
 use crate::ledger::Job;
 use crate::scheduler::Scheduler;
 use crate::shared::Content;
@@ -61,7 +61,7 @@ impl Scheduler {
         let run = self.share(&task);
         let out_of_turn = other.map(|_| self.size(&task, &run).milliseconds);
         self.assign(task, &run, None, id, now, out);
-        if let Some(worker) = self.floor.workers.get_mut(&id) {
+        if let Some(worker) = self.table.workers.get_mut(&id) {
             worker.at_hand.turn(out_of_turn);
         }
     }
@@ -69,7 +69,7 @@ impl Scheduler {
     /// A ready task of a frame that the worker has ready, or else of a scene that it has read, where `first`, whose turn it is,
     /// has neither; `None`: there is none, or it is time for `first`.
     fn at_hand(&mut self, id: WorkerId, first: &TaskKey, now: Tick) -> Option<TaskKey> {
-        let at_hand = &self.floor.workers.get(&id)?.at_hand;
+        let at_hand = &self.table.workers.get(&id)?.at_hand;
         if first.stage.kind.row().near != Near::Frame
             || at_hand.has(first)
             || at_hand.out_of_turn >= Self::OUT_OF_TURN * self.config.task
@@ -94,32 +94,32 @@ impl Scheduler {
     fn same_scene(&mut self, id: WorkerId, job: JobId) -> Option<TaskKey> {
         loop {
             let task = self.ready_near(id, job, None);
-            let (known, desk) = (self.ledger.jobs.get(&job)?, self.desks.get_mut(&job)?);
-            if task.is_some() || !desk.may_open(id, &self.floor) || !desk.open_next(known) {
+            let (known, ready_tasks) = (self.ledger.jobs.get(&job)?, self.ready.get_mut(&job)?);
+            if task.is_some() || !ready_tasks.may_open(id, &self.table) || !ready_tasks.open_next(known) {
                 return task;
             }
         }
     }
 
     fn may_work(&self, id: WorkerId, job: JobId, known: &Job, now: Tick) -> bool {
-        let (worker, desk) = (self.floor.workers.get(&id), self.desks.get(&job));
+        let (worker, ready_tasks) = (self.table.workers.get(&id), self.ready.get(&job));
         known.is_runnable()
             && worker.is_some_and(|worker| worker.has_tags(&known.spec.tags))
-            && desk.is_some_and(|desk| !is_shunned(known, desk, id, &self.floor, now))
+            && ready_tasks.is_some_and(|ready_tasks| !is_quarantined_for(known, ready_tasks, id, &self.table, now))
     }
 
     /// The first ready task that wants its frame prepared, of one frame of the job, or of any, and that the worker may take.
     fn ready_near(&self, id: WorkerId, job: JobId, frame: Option<u32>) -> Option<TaskKey> {
-        let (known, desk) = (self.ledger.jobs.get(&job)?, self.desks.get(&job)?);
-        let engine = &*self.floor.workers.get(&id)?.registration.engine;
+        let (known, ready_tasks) = (self.ledger.jobs.get(&job)?, self.ready.get(&job)?);
+        let engine = &*self.table.workers.get(&id)?.registration.engine;
         let is_for_it = |task: &TaskKey| {
-            may_take(task, known, desk, id, &self.floor)
+            may_take(task, known, ready_tasks, id, &self.table)
                 && matches!(self.content(known, &task.stage, engine), Content::There)
-                && !is_foreign(&self.ledger, &self.floor, job, task.stage.frame, id)
+                && !is_foreign(&self.ledger, &self.table, job, task.stage.frame, id)
         };
         match frame {
-            Some(frame) => desk.open.get(frame)?.near(job).find(is_for_it),
-            None => desk.open.ready().flat_map(|(_, open)| open.near(job)).find(is_for_it),
+            Some(frame) => ready_tasks.open.get(frame)?.near(job).find(is_for_it),
+            None => ready_tasks.open.ready().flat_map(|(_, open)| open.near(job)).find(is_for_it),
         }
     }
 }

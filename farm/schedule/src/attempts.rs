@@ -2,7 +2,7 @@
 
 use femc_model::{AttemptRecord, Ending, Phase, Spent, TaskResult, Tick, WorkerId};
 
-use crate::floor::{Lease, LeaseKey};
+use crate::lease_table::{Lease, LeaseKey};
 use crate::scheduler::Scheduler;
 use crate::{Command, SnapshotError};
 
@@ -45,13 +45,13 @@ impl Scheduler {
         now: Tick,
         out: &mut Vec<Command>,
     ) {
-        if self.floor.lease_of(worker, &task, epoch).is_some() {
+        if self.table.lease_of(worker, &task, epoch).is_some() {
             self.told = Some(((task, epoch), usage));
             return;
         }
         // What counts was noted with its usage: this is a repetition.
         let is_news = self.ledger.jobs.get(&task.job).is_some_and(|job| !job.holds(&task, epoch));
-        let Some(known) = self.floor.workers.get(&worker).filter(|_| is_news) else { return };
+        let Some(known) = self.table.workers.get(&worker).filter(|_| is_news) else { return };
         let milliseconds = ((usage.wall + usage.wait) * 1000.0) as u64;
         out.push(Command::Note(Box::new(AttemptRecord {
             task,
@@ -81,7 +81,7 @@ impl Scheduler {
             Ending::Done | Ending::Failed => true,
             Ending::Lost | Ending::Revoked | Ending::Cancelled => usage.is_some() || lease.phase > Phase::Waiting,
         };
-        let Some(known) = self.floor.workers.get(&lease.worker).filter(|_| is_begun) else { return };
+        let Some(known) = self.table.workers.get(&lease.worker).filter(|_| is_begun) else { return };
         out.push(Command::Note(Box::new(AttemptRecord {
             task: key.0,
             epoch: key.1,

@@ -8,9 +8,9 @@ use std::collections::BTreeMap;
 
 use femc_model::{Intake, JobId, Tick, Wait, WorkerId};
 
-use crate::desk::Desk;
-use crate::floor::{Floor, Worker};
+use crate::lease_table::{LeaseTable, Worker};
 use crate::ledger::{Job, Ledger};
+use crate::ready_tasks::ReadyTasks;
 use crate::scheduler::Scheduler;
 use crate::{Command, Fact};
 
@@ -23,20 +23,20 @@ pub(crate) struct Orphans {
 }
 
 /// The build whose frame this is; `None`: whoever comes first.
-fn build_of<'a>(ledger: &'a Ledger, floor: &'a Floor, job: JobId, frame: u32) -> Option<&'a str> {
+fn build_of<'a>(ledger: &'a Ledger, table: &'a LeaseTable, job: JobId, frame: u32) -> Option<&'a str> {
     if let Some(shared) = ledger.jobs.get(&job).and_then(|known| known.shared.as_ref()) {
         return Some(&shared.engine);
     }
     ledger.annex.build_of(job, frame).or_else(|| {
-        let holder = floor.of_frame(job, frame).next()?.1.worker;
-        floor.workers.get(&holder).map(|worker| &*worker.registration.engine)
+        let holder = table.of_frame(job, frame).next()?.1.worker;
+        table.workers.get(&holder).map(|worker| &*worker.registration.engine)
     })
 }
 
 /// Whether the frame is another build's than the worker's.
-pub(crate) fn is_foreign(ledger: &Ledger, floor: &Floor, job: JobId, frame: u32, worker: WorkerId) -> bool {
-    let Some(worker) = floor.workers.get(&worker) else { return false };
-    build_of(ledger, floor, job, frame).is_some_and(|build| build != worker.registration.engine)
+pub(crate) fn is_foreign(ledger: &Ledger, table: &LeaseTable, job: JobId, frame: u32, worker: WorkerId) -> bool {
+    let Some(worker) = table.workers.get(&worker) else { return false };
+    build_of(ledger, table, job, frame).is_some_and(|build| build != worker.registration.engine)
 }
 
 impl Scheduler {
@@ -46,12 +46,12 @@ impl Scheduler {
     /// A result of the frame counts: the frame is its worker's build's.
     pub(crate) fn note_build(&mut self, job: JobId, frame: u32, worker: WorkerId, now: Tick, out: &mut Vec<Command>) {
         debug_assert!(
-            !is_foreign(&self.ledger, &self.floor, job, frame, worker),
+            !is_foreign(&self.ledger, &self.table, job, frame, worker),
             "a frame of two builds: {job}/{frame}"
         );
         if !job.is_shared()
             && self.ledger.annex.build_of(job, frame).is_none()
-            && let Some(worker) = self.floor.workers.get(&worker)
+            && let Some(worker) = self.table.workers.get(&worker)
         {
             let engine = worker.registration.engine.clone();
             self.record(Fact::Built { job, frame, engine }, now, out);
@@ -68,7 +68,7 @@ impl Scheduler {
         for id in self.order.jobs() {
             let Some(job) = self.ledger.jobs.get(&id) else { continue };
             let able: Vec<&Worker> =
-                self.floor.workers.values().filter(|worker| worker.has_tags(&job.spec.tags)).collect();
+                self.table.workers.values().filter(|worker| worker.has_tags(&job.spec.tags)).collect();
             // One that has been silent for so long is gone, whatever its connection says.
             let is_there = |it: &Worker| it.intake != Intake::Drained && now.since(it.seen) < self.config.orphaned;
             let has = |build: &str| able.iter().any(|it| is_there(it) && it.registration.engine == build);
@@ -92,18 +92,18 @@ impl Scheduler {
     }
 
     /// Frames with something ready that nobody with room may take.
-    pub(crate) fn why_foreign(&self, id: JobId, job: &Job, desk: &Desk, now: Tick) -> Option<Wait> {
+    pub(crate) fn why_foreign(&self, id: JobId, job: &Job, ready_tasks: &ReadyTasks, now: Tick) -> Option<Wait> {
         let may_take = |worker: &Worker| {
             let has_room = worker.held.len() < worker.capacity(&self.config);
             has_room && worker.is_fit(&self.config, now) && worker.has_tags(&job.spec.tags)
         };
         let able: Vec<WorkerId> =
-            self.floor.workers.iter().filter(|(_, worker)| may_take(worker)).map(|(&id, _)| id).collect();
+            self.table.workers.iter().filter(|(_, worker)| may_take(worker)).map(|(&id, _)| id).collect();
         let is_foreign = |frame: u32| {
             let mut able = able.iter();
-            able.all(|&worker| is_foreign(&self.ledger, &self.floor, id, frame, worker))
+            able.all(|&worker| is_foreign(&self.ledger, &self.table, id, frame, worker))
         };
-        let frames = desk.open.ready().filter(|(frame, _)| is_foreign(*frame)).count() as u32;
+        let frames = ready_tasks.open.ready().filter(|(frame, _)| is_foreign(*frame)).count() as u32;
         (frames > 0 && !able.is_empty()).then_some(Wait::OtherBuild { frames })
     }
 }

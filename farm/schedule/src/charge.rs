@@ -10,7 +10,7 @@
 
 use femc_model::{JobId, Tick, WorkerId};
 
-use crate::floor::{Lease, LeaseKey};
+use crate::lease_table::{Lease, LeaseKey};
 use crate::scheduler::Scheduler;
 use crate::{Command, Fact, Used};
 
@@ -27,7 +27,7 @@ impl Scheduler {
 
     /// Charges a worker's time until now.
     fn bill(&mut self, worker: WorkerId) {
-        let Some((job, milliseconds, expected)) = self.floor.bill(worker, self.now) else { return };
+        let Some((job, milliseconds, expected)) = self.table.bill(worker, self.now) else { return };
         let Some(job) = self.ledger.jobs.get(&job) else { return };
         if job.shared.is_some() {
             for (owner, part) in self.split(job, milliseconds) {
@@ -40,8 +40,8 @@ impl Scheduler {
 
     /// Ends a lease, however it ends.
     pub(crate) fn release(&mut self, key: &LeaseKey) -> Option<Lease> {
-        self.bill(self.floor.leases.get(key)?.worker);
-        let lease = self.floor.release(key)?;
+        self.bill(self.table.leases.get(key)?.worker);
+        let lease = self.table.release(key)?;
         if let Some(job) = self.ledger.jobs.get(&key.0.job).filter(|known| known.shared.is_none()) {
             self.order.unclaim(&job.spec.owner, lease.claim);
         }
@@ -50,15 +50,15 @@ impl Scheduler {
 
     /// Another session of its worker goes on with a lease; `false`: there is no such lease.
     pub(crate) fn hand_over(&mut self, key: &LeaseKey, to: WorkerId, now: Tick) -> bool {
-        let Some(from) = self.floor.leases.get(key).map(|lease| lease.worker) else { return false };
+        let Some(from) = self.table.leases.get(key).map(|lease| lease.worker) else { return false };
         [from, to].into_iter().for_each(|worker| self.bill(worker));
-        self.floor.hand_over(key, to, &self.config, now)
+        self.table.hand_over(key, to, &self.config, now)
     }
 
     /// Charges what is under way and makes durable what has changed.
     pub(crate) fn note_shares(&mut self, now: Tick, out: &mut Vec<Command>) {
         self.shares_from = now.after(Self::NOTE_SHARES);
-        let workers: Vec<WorkerId> = self.floor.workers.keys().copied().collect();
+        let workers: Vec<WorkerId> = self.table.workers.keys().copied().collect();
         workers.into_iter().for_each(|worker| self.bill(worker));
         let known = self.ledger.annex.used();
         let news = self.order.used().filter(|(owner, used)| known.get(*owner).copied().unwrap_or_default() != *used);

@@ -23,9 +23,9 @@ pub struct Config {
     pub regroup: u64,
     /// A worker on which three tasks of a job have failed in a row gets no more of that job for so long, then one task as a
     /// probe; it doubles from probe to failed probe.
-    pub shun: u64,
+    pub quarantine: u64,
     /// Longest such time.
-    pub longest_shun: u64,
+    pub longest_quarantine: u64,
     /// Tasks that a worker holds beyond those that it runs: one that it can begin at once, and one whose result is on its
     /// way and counts as held until it is durable.
     pub prefetch: u32,
@@ -108,8 +108,8 @@ impl Default for Config {
             rest: 1_000,
             longest_rest: 60_000,
             regroup: 500,
-            shun: 60_000,
-            longest_shun: 3_600_000,
+            quarantine: 60_000,
+            longest_quarantine: 3_600_000,
             prefetch: 2,
             ahead: 200,
             task: 8_000,

@@ -7,9 +7,9 @@ use femc_model::{Assignment, Digest, Epoch, JobId, More, Scope, Stage, TaskKey, 
 
 use crate::Command;
 use crate::builds::is_foreign;
-use crate::desk::Desk;
-use crate::floor::{Floor, LeaseKey, Worker};
+use crate::lease_table::{LeaseKey, LeaseTable, Worker};
 use crate::ledger::{Job, Place};
+use crate::ready_tasks::ReadyTasks;
 use crate::scheduler::Scheduler;
 use crate::shared::Content;
 
@@ -31,9 +31,9 @@ impl Scheduler {
             return;
         }
         let mut next = (0, WorkerId(0));
-        while let Some(&(held, id)) = self.floor.spare.range(next..).next() {
+        while let Some(&(held, id)) = self.table.spare.range(next..).next() {
             next = (held, WorkerId(id.0 + 1));
-            let Some(worker) = self.floor.workers.get(&id) else { continue };
+            let Some(worker) = self.table.workers.get(&id) else { continue };
             if held >= worker.capacity(&self.config) || !worker.is_fit(&self.config, now) {
                 continue;
             }
@@ -53,11 +53,13 @@ impl Scheduler {
     /// earlier ones.
     fn pick(&mut self, id: WorkerId, now: Tick) -> Pick {
         let mut best = Pick::NothingReady;
-        let Some(worker) = self.floor.workers.get(&id) else { return best };
+        let Some(worker) = self.table.workers.get(&id) else { return best };
         let jobs: Vec<JobId> = self.order.service().collect();
         for job_id in jobs {
-            let (Some(job), Some(desk)) = (self.ledger.jobs.get(&job_id), self.desks.get(&job_id)) else { continue };
-            if !worker.has_tags(&job.spec.tags) || is_shunned(job, desk, id, &self.floor, now) {
+            let (Some(job), Some(ready_tasks)) = (self.ledger.jobs.get(&job_id), self.ready.get(&job_id)) else {
+                continue;
+            };
+            if !worker.has_tags(&job.spec.tags) || is_quarantined_for(job, ready_tasks, id, &self.table, now) {
                 best = Pick::NotForThisWorker;
                 continue;
             }
@@ -67,10 +69,11 @@ impl Scheduler {
                     Pick::NothingReady => {}
                     found => return found,
                 }
-                let (Some(job), Some(desk)) = (self.ledger.jobs.get(&job_id), self.desks.get_mut(&job_id)) else {
+                let (Some(job), Some(ready_tasks)) = (self.ledger.jobs.get(&job_id), self.ready.get_mut(&job_id))
+                else {
                     break;
                 };
-                if !desk.may_open(id, &self.floor) || !desk.open_next(job) {
+                if !ready_tasks.may_open(id, &self.table) || !ready_tasks.open_next(job) {
                     break;
                 }
             }
@@ -81,17 +84,17 @@ impl Scheduler {
     /// The first ready task of a job that the worker may take, or of what the job shares with others.
     fn first_ready(&self, id: JobId, worker: WorkerId, now: Tick) -> Pick {
         let mut best = Pick::NothingReady;
-        let (Some(job), Some(desk)) = (self.ledger.jobs.get(&id), self.desks.get(&id)) else { return best };
-        let Some(engine) = self.floor.workers.get(&worker).map(|worker| &*worker.registration.engine) else {
+        let (Some(job), Some(ready_tasks)) = (self.ledger.jobs.get(&id), self.ready.get(&id)) else { return best };
+        let Some(engine) = self.table.workers.get(&worker).map(|worker| &*worker.registration.engine) else {
             return best;
         };
-        for (frame, open) in desk.open.ready() {
-            if is_foreign(&self.ledger, &self.floor, id, frame, worker) {
+        for (frame, open) in ready_tasks.open.ready() {
+            if is_foreign(&self.ledger, &self.table, id, frame, worker) {
                 best = Pick::NotForThisWorker;
                 continue;
             }
             for (stage, keys) in open.stages() {
-                if !self.floor.has_tags(worker, job.tags_of(stage.number)) {
+                if !self.table.has_tags(worker, job.tags_of(stage.number)) {
                     best = Pick::NotForThisWorker;
                     continue;
                 }
@@ -111,7 +114,7 @@ impl Scheduler {
                     }
                 }
                 let mut tasks = keys.iter().map(|index| TaskKey { job: id, stage: *stage, index });
-                if let Some(task) = tasks.find(|task| !is_avoided(task, job, desk, worker, &self.floor)) {
+                if let Some(task) = tasks.find(|task| !is_avoided(task, job, ready_tasks, worker, &self.table)) {
                     return Pick::Task(task);
                 }
                 best = Pick::NotForThisWorker;
@@ -122,12 +125,12 @@ impl Scheduler {
 
     /// The first ready task of what jobs share that the worker may take.
     fn ready_shared(&self, id: JobId, worker: WorkerId, now: Tick) -> Option<TaskKey> {
-        let (job, desk) = (self.ledger.jobs.get(&id)?, self.desks.get(&id)?);
-        if job.has_ended() || is_shunned(job, desk, worker, &self.floor, now) {
+        let (job, ready_tasks) = (self.ledger.jobs.get(&id)?, self.ready.get(&id)?);
+        if job.has_ended() || is_quarantined_for(job, ready_tasks, worker, &self.table, now) {
             return None;
         }
-        let mut tasks = desk.open.ready().flat_map(|(_, open)| open.tasks(id));
-        tasks.find(|task| may_take(task, job, desk, worker, &self.floor))
+        let mut tasks = ready_tasks.open.ready().flat_map(|(_, open)| open.tasks(id));
+        tasks.find(|task| may_take(task, job, ready_tasks, worker, &self.table))
     }
 
     /// Leases a task to a worker.
@@ -146,15 +149,15 @@ impl Scheduler {
             return;
         };
         let epoch = self.next_epoch();
-        if let Some(instance) = self.floor.instance(worker)
-            && let Some(desk) = self.desks.get_mut(&task.job)
+        if let Some(instance) = self.table.instance(worker)
+            && let Some(ready_tasks) = self.ready.get_mut(&task.job)
         {
-            desk.distrust.granted(instance, task);
+            ready_tasks.quarantine.granted(instance, task);
         }
         self.hand_out((task, epoch), run, worker, now);
         if copy_of.is_some() {
-            self.floor.copies.insert((task, epoch));
-            self.desks.entry(task.job).or_default().copies += 1;
+            self.table.copies.insert((task, epoch));
+            self.ready.entry(task.job).or_default().copies += 1;
         }
         let assignment = Assignment { task, epoch, lease: self.config.lease, copy_of, work };
         out.push(Command::Assign { worker, assignment });
@@ -163,12 +166,12 @@ impl Scheduler {
     /// Takes a task off the table and puts it into a worker's hands.
     pub(crate) fn hand_out(&mut self, key: LeaseKey, run: &Range<u32>, worker: WorkerId, now: Tick) {
         let (task, _) = &key;
-        if let Some(desk) = self.desks.get_mut(&task.job) {
-            desk.take(task, run);
+        if let Some(ready_tasks) = self.ready.get_mut(&task.job) {
+            ready_tasks.take(task, run);
         }
         let size = self.size(task, run);
         self.claim(task.job, size.milliseconds);
-        self.floor.lease(key, run, worker, size, &self.config, now);
+        self.table.lease(key, run, worker, size, &self.config, now);
     }
 
     fn work(&self, task: &TaskKey, run: &Range<u32>, worker: WorkerId, now: Tick) -> Option<Work> {
@@ -176,7 +179,7 @@ impl Scheduler {
         let (unit, shape) = (job.unit(task.stage.frame), job.shape(task.stage.frame));
         let place: Place = (task.stage.round, task.stage.number);
         let grains = unit.grains(&shape, place)?;
-        let engine = &*self.floor.workers.get(&worker)?.registration.engine;
+        let engine = &*self.table.workers.get(&worker)?.registration.engine;
         let key = job.content(task.stage.frame);
         let shared = key.and_then(|key| self.ledger.shared_of(&key, engine)).map(|(_, shared)| shared);
         let (item, is_cut) = (grains.task(task.index), task.stage.kind.is_cut());
@@ -193,7 +196,7 @@ impl Scheduler {
     }
 
     /// Why tasks of this job wait; empty when none does.
-    pub(crate) fn waits(&self, id: JobId, job: &Job, desk: &Desk, now: Tick) -> Vec<Wait> {
+    pub(crate) fn waits(&self, id: JobId, job: &Job, ready_tasks: &ReadyTasks, now: Tick) -> Vec<Wait> {
         let mut waits = Vec::new();
         for &frame in &job.blocked {
             let tasks = job.units.get(&frame).map_or(0, |unit| unit.quarantined().count() as u32);
@@ -207,46 +210,53 @@ impl Scheduler {
         }
         let again = job.units.iter().filter(|(_, unit)| unit.is_again);
         waits.extend(again.map(|(&frame, _)| Wait::ImageLost { frame }));
-        let is_leased = |task: &TaskKey| self.floor.of_task(task).next().is_some();
-        let is_open = |task: &TaskKey| is_leased(task) || desk.is_ready(task, &(task.index..task.index + 1));
-        waits.extend(desk.mishaps.tell(is_open));
+        let is_leased = |task: &TaskKey| self.table.of_task(task).next().is_some();
+        let is_open = |task: &TaskKey| is_leased(task) || ready_tasks.is_ready(task, &(task.index..task.index + 1));
+        waits.extend(ready_tasks.mishaps.tell(is_open));
         if !job.is_runnable() {
             waits.push(Wait::Paused);
             return waits;
         }
-        for (frame, open) in desk.open.iter() {
+        for (frame, open) in ready_tasks.open.iter() {
             waits.extend(open.stages().next().is_none().then(|| why_idle(job, frame)).flatten());
         }
-        let is_ready = desk.open.ready().next().is_some();
-        if is_ready || desk.cursor < job.frames().len() {
+        let is_ready = ready_tasks.open.ready().next().is_some();
+        if is_ready || ready_tasks.cursor < job.frames().len() {
             let none: &[String] = &[];
-            let stages = desk.open.ready().flat_map(|(_, open)| open.stages());
+            let stages = ready_tasks.open.ready().flat_map(|(_, open)| open.stages());
             let tags: BTreeSet<&[String]> = stages.map(|(stage, _)| job.tags_of(stage.number)).collect();
             let tags = if tags.is_empty() { BTreeSet::from([none]) } else { tags };
             let mut missing: Vec<Wait> =
-                tags.into_iter().filter_map(|tags| self.why_no_worker(id, job, tags, desk, now)).collect();
+                tags.into_iter().filter_map(|tags| self.why_no_worker(id, job, tags, ready_tasks, now)).collect();
             missing.dedup();
             waits.extend(missing);
             waits.extend(self.why_silent(job, now));
             waits.extend(self.why_in_trouble(job, now));
-            waits.extend(self.why_shunned(job, desk, now));
-            waits.extend(self.why_avoided(job, desk));
-            waits.extend(self.why_foreign(id, job, desk, now));
+            waits.extend(self.why_quarantined(job, ready_tasks, now));
+            waits.extend(self.why_avoided(job, ready_tasks));
+            waits.extend(self.why_foreign(id, job, ready_tasks, now));
             waits.extend(self.why_shared(job));
         }
         waits
     }
 
     /// - `tags`: of the stage, beside the job's.
-    fn why_no_worker(&self, id: JobId, job: &Job, tags: &[String], desk: &Desk, now: Tick) -> Option<Wait> {
+    fn why_no_worker(
+        &self,
+        id: JobId,
+        job: &Job,
+        tags: &[String],
+        ready_tasks: &ReadyTasks,
+        now: Tick,
+    ) -> Option<Wait> {
         if now < self.deals_from {
             return Some(Wait::Regrouping { milliseconds: self.deals_from.since(now) });
         }
-        if self.floor.workers.is_empty() {
+        if self.table.workers.is_empty() {
             return Some(Wait::NoWorkers);
         }
         let all: Vec<String> = job.spec.tags.iter().chain(tags).cloned().collect();
-        let able: Vec<&Worker> = self.floor.workers.values().filter(|worker| worker.has_tags(&all)).collect();
+        let able: Vec<&Worker> = self.table.workers.values().filter(|worker| worker.has_tags(&all)).collect();
         if able.is_empty() {
             return Some(Wait::NoWorkerWithTags(all));
         }
@@ -256,7 +266,8 @@ impl Scheduler {
             return Some(Wait::WorkersDraining { workers: able_count as u32 });
         }
         let fit: Vec<&&Worker> = able.iter().filter(|worker| worker.is_fit(&self.config, now)).collect();
-        let is_trusted = |worker: &&&Worker| desk.distrust.shuns(worker.registration.instance, now).is_none();
+        let is_trusted =
+            |worker: &&&Worker| ready_tasks.quarantine.quarantines(worker.registration.instance, now).is_none();
         let trusted: Vec<&&Worker> = fit.iter().copied().filter(is_trusted).collect();
         let fit = if trusted.is_empty() { fit } else { trusted };
         if fit.is_empty() {
@@ -265,7 +276,7 @@ impl Scheduler {
         }
         if fit.iter().all(|worker| worker.held.len() >= worker.capacity(&self.config)) {
             let mut before = self.order.service().take_while(|&job| job != id);
-            let holds = |other: &JobId| self.floor.of_job(*other).next().is_some();
+            let holds = |other: &JobId| self.table.of_job(*other).next().is_some();
             return Some(match before.find(holds) {
                 Some(other) => Wait::BehindJob(other),
                 None => Wait::WorkersBusy { workers: fit.len() as u32 },
@@ -277,12 +288,12 @@ impl Scheduler {
 
 impl Scheduler {
     /// Ready tasks that are kept from the worker on which they failed last.
-    fn why_avoided(&self, job: &Job, desk: &Desk) -> Option<Wait> {
+    fn why_avoided(&self, job: &Job, ready_tasks: &ReadyTasks) -> Option<Wait> {
         let is_kept = |(task, worker): &(&TaskKey, &WorkerId)| {
             let first = task.index..task.index + 1;
-            desk.is_ready(task, &first) && is_avoided(task, job, desk, **worker, &self.floor)
+            ready_tasks.is_ready(task, &first) && is_avoided(task, job, ready_tasks, **worker, &self.table)
         };
-        let tasks = desk.avoid.iter().filter(is_kept).count() as u32;
+        let tasks = ready_tasks.avoid.iter().filter(is_kept).count() as u32;
         (tasks > 0).then_some(Wait::WorkersAvoided { tasks })
     }
 
@@ -305,18 +316,19 @@ impl Scheduler {
 
     /// Workers that want tasks and have what the job asks for.
     fn able(&self, job: &Job) -> impl Iterator<Item = &Worker> {
-        self.floor.workers.values().filter(|worker| worker.is_open() && worker.has_tags(&job.spec.tags))
+        self.table.workers.values().filter(|worker| worker.is_open() && worker.has_tags(&job.spec.tags))
     }
 
     /// Workers that the job does without for now.
-    fn why_shunned(&self, job: &Job, desk: &Desk, now: Tick) -> Option<Wait> {
-        let shunned = |(&id, worker): (&WorkerId, &Worker)| {
-            let left = desk.distrust.shuns(worker.registration.instance, now)?;
-            (worker.has_tags(&job.spec.tags) && is_shunned(job, desk, id, &self.floor, now)).then_some(left)
+    fn why_quarantined(&self, job: &Job, ready_tasks: &ReadyTasks, now: Tick) -> Option<Wait> {
+        let quarantined = |(&id, worker): (&WorkerId, &Worker)| {
+            let left = ready_tasks.quarantine.quarantines(worker.registration.instance, now)?;
+            (worker.has_tags(&job.spec.tags) && is_quarantined_for(job, ready_tasks, id, &self.table, now))
+                .then_some(left)
         };
-        let left: Vec<u64> = self.floor.workers.iter().filter_map(shunned).collect();
+        let left: Vec<u64> = self.table.workers.iter().filter_map(quarantined).collect();
         let seconds = left.iter().min()?.div_ceil(1000);
-        Some(Wait::WorkersShunned { workers: left.len() as u32, seconds })
+        Some(Wait::WorkersQuarantined { workers: left.len() as u32, seconds })
     }
 }
 
@@ -338,9 +350,15 @@ fn why_idle(job: &Job, frame: u32) -> Option<Wait> {
 }
 
 /// Whether another worker may do what this one may: one of its build that wants tasks of the job, and has these tags, too.
-fn has_peer(job: &Job, tags: &[String], worker: WorkerId, floor: &Floor, is_one: impl Fn(WorkerId) -> bool) -> bool {
-    let Some(own) = floor.workers.get(&worker) else { return false };
-    floor.workers.iter().any(|(&id, other)| {
+fn has_peer(
+    job: &Job,
+    tags: &[String],
+    worker: WorkerId,
+    table: &LeaseTable,
+    is_one: impl Fn(WorkerId) -> bool,
+) -> bool {
+    let Some(own) = table.workers.get(&worker) else { return false };
+    table.workers.iter().any(|(&id, other)| {
         id != worker
             && other.is_open()
             && other.has_tags(&job.spec.tags)
@@ -351,19 +369,33 @@ fn has_peer(job: &Job, tags: &[String], worker: WorkerId, floor: &Floor, is_one:
 }
 
 /// Whether the job's tasks keep failing on this worker, and another that is trusted could take them.
-pub(crate) fn is_shunned(job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor, now: Tick) -> bool {
-    let shuns = |id| floor.instance(id).is_some_and(|instance| desk.distrust.shuns(instance, now).is_some());
-    shuns(worker) && has_peer(job, &[], worker, floor, |other| !shuns(other))
+pub(crate) fn is_quarantined_for(
+    job: &Job,
+    ready_tasks: &ReadyTasks,
+    worker: WorkerId,
+    table: &LeaseTable,
+    now: Tick,
+) -> bool {
+    let quarantines =
+        |id| table.instance(id).is_some_and(|instance| ready_tasks.quarantine.quarantines(instance, now).is_some());
+    quarantines(worker) && has_peer(job, &[], worker, table, |other| !quarantines(other))
 }
 
 /// Whether the worker has what the task's stage asks for, and is not to be spared the task.
-pub(crate) fn may_take(task: &TaskKey, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor) -> bool {
-    floor.has_tags(worker, job.tags_of(task.stage.number)) && !is_avoided(task, job, desk, worker, floor)
+pub(crate) fn may_take(
+    task: &TaskKey,
+    job: &Job,
+    ready_tasks: &ReadyTasks,
+    worker: WorkerId,
+    table: &LeaseTable,
+) -> bool {
+    table.has_tags(worker, job.tags_of(task.stage.number)) && !is_avoided(task, job, ready_tasks, worker, table)
 }
 
 /// Whether the task failed last on this very worker, and another that could take it is there: not one on which the job's tasks
 /// keep failing, or each would wait for the other.
-fn is_avoided(task: &TaskKey, job: &Job, desk: &Desk, worker: WorkerId, floor: &Floor) -> bool {
-    let is_trusted = |id| floor.instance(id).is_some_and(|instance| !desk.distrust.is_in_doubt(instance));
-    desk.avoid.get(task) == Some(&worker) && has_peer(job, job.tags_of(task.stage.number), worker, floor, is_trusted)
+fn is_avoided(task: &TaskKey, job: &Job, ready_tasks: &ReadyTasks, worker: WorkerId, table: &LeaseTable) -> bool {
+    let is_trusted = |id| table.instance(id).is_some_and(|instance| !ready_tasks.quarantine.is_in_doubt(instance));
+    ready_tasks.avoid.get(task) == Some(&worker)
+        && has_peer(job, job.tags_of(task.stage.number), worker, table, is_trusted)
 }

@@ -17,7 +17,7 @@ use std::ops::Range;
 use femc_model::{Death, Epoch, HeldLease, JobId, Phase, TaskKey, Tick, WorkerId};
 use serde::{Deserialize, Serialize};
 
-use crate::floor::LeaseKey;
+use crate::lease_table::LeaseKey;
 use crate::ledger::Ledger;
 use crate::scheduler::Scheduler;
 use crate::{Command, Fact};
@@ -70,8 +70,8 @@ impl Deaths {
 impl Scheduler {
     /// What a worker is computing, as far as one can tell.
     fn computed(&self, worker: WorkerId) -> Vec<LeaseKey> {
-        let held = self.floor.held(worker);
-        let phase = |key: &LeaseKey| self.floor.leases.get(key).map_or(Phase::Waiting, |lease| lease.phase);
+        let held = self.table.held(worker);
+        let phase = |key: &LeaseKey| self.table.leases.get(key).map_or(Phase::Waiting, |lease| lease.phase);
         if held.iter().all(|key| phase(key) == Phase::Waiting) {
             return held.into_iter().take(1).collect();
         }
@@ -81,7 +81,7 @@ impl Scheduler {
     /// A worker may be dead: what it computes under these leases may have killed it.
     pub(crate) fn suspect(&mut self, worker: WorkerId, over: impl Fn(&LeaseKey) -> bool, now: Tick) {
         let computed = self.computed(worker);
-        let Some(known) = self.floor.workers.get(&worker).filter(|known| known.is_open()) else { return };
+        let Some(known) = self.table.workers.get(&worker).filter(|known| known.is_open()) else { return };
         // A process dies once: what it has been given since it was heard last is not what it computed.
         let is_of_it = |casualty: &Casualty| {
             (casualty.instance, casualty.evidence) == (known.registration.instance, Evidence::Presumed)
@@ -91,7 +91,7 @@ impl Scheduler {
             return;
         }
         for key in computed.into_iter().filter(over) {
-            let Some(lease) = self.floor.leases.get(&key) else { continue };
+            let Some(lease) = self.table.leases.get(&key) else { continue };
             let (worker, instance) = (known.registration.name.clone(), known.registration.instance);
             let casualty = Casualty { epoch: key.1, worker, instance, evidence: Evidence::Presumed };
             let from = now.after(self.config.presumed);
@@ -113,7 +113,7 @@ impl Scheduler {
         if self.deaths.pending.is_empty() && self.deaths.presumed.is_empty() {
             return;
         }
-        if let Some(instance) = self.floor.instance(worker) {
+        if let Some(instance) = self.table.instance(worker) {
             self.lives(instance, now, out);
         }
     }
@@ -124,7 +124,7 @@ impl Scheduler {
         if self.ledger.annex.is_drained(death.instance) {
             return;
         }
-        let Some(name) = self.floor.workers.get(&worker).map(|known| known.registration.name.clone()) else { return };
+        let Some(name) = self.table.workers.get(&worker).map(|known| known.registration.name.clone()) else { return };
         for held in &death.computing {
             let Some(run) = self.run_of(held) else { continue };
             let (worker, instance, evidence) = (name.clone(), death.instance, Evidence::Journal);
@@ -135,13 +135,13 @@ impl Scheduler {
 
     /// A worker comes of whose name one has died: another is to do what that one did.
     pub(crate) fn keep_away(&mut self, worker: WorkerId) {
-        let Some(known) = self.floor.workers.get(&worker) else { return };
+        let Some(known) = self.table.workers.get(&worker) else { return };
         for Pending { task, run, casualty, .. } in &self.deaths.pending {
             if casualty.worker == known.registration.name
-                && !self.floor.workers.values().any(|other| other.registration.instance == casualty.instance)
-                && let Some(desk) = self.desks.get_mut(&task.job)
+                && !self.table.workers.values().any(|other| other.registration.instance == casualty.instance)
+                && let Some(ready_tasks) = self.ready.get_mut(&task.job)
             {
-                desk.avoid.extend(run.clone().map(|index| (TaskKey { index, ..*task }, worker)));
+                ready_tasks.avoid.extend(run.clone().map(|index| (TaskKey { index, ..*task }, worker)));
             }
         }
     }
@@ -162,7 +162,7 @@ impl Scheduler {
         }
         for pending in std::mem::take(&mut self.deaths.pending) {
             let Pending { task, run, casualty, from } = &pending;
-            if now < *from || self.floor.covers(task.job, task.stage, run) {
+            if now < *from || self.table.covers(task.job, task.stage, run) {
                 self.deaths.pending.push(pending);
                 continue;
             }

@@ -86,7 +86,7 @@ pub enum Event {
         /// What it took.
         spent: Spent,
     },
-    /// A worker has done a task; the artefacts are in the store.
+    /// A worker has done a task; the artifacts are in the store.
     Completed {
         /// The session.
         worker: WorkerId,
@@ -97,8 +97,8 @@ pub enum Event {
         /// What came out.
         result: TaskResult,
     },
-    /// A worker has done a task, and an artefact of its result is not in the store.
-    Hollow {
+    /// A worker has done a task, and an artifact of its result is not in the store.
+    ArtifactMissing {
         /// The session.
         worker: WorkerId,
         /// The task.
@@ -106,7 +106,7 @@ pub enum Event {
         /// Of the lease.
         epoch: Epoch,
         /// Which is not there.
-        artefact: Digest,
+        artifact: Digest,
         /// What the store says.
         message: String,
     },
@@ -121,7 +121,7 @@ pub enum Event {
         /// Why.
         failure: Failure,
     },
-    /// An artefact that somebody wanted is not in the store, or was damaged and is removed.
+    /// An artifact that somebody wanted is not in the store, or was damaged and is removed.
     Lost {
         /// Which.
         digest: Digest,
@@ -129,7 +129,7 @@ pub enum Event {
     /// Time went by.
     Elapsed,
     /// The coordinator stood still for a while: what renews leases, or brings them along, has yet to be heard.
-    Awoke,
+    LoopStalled,
 }
 
 /// Something is to be done, in this order.
@@ -191,7 +191,7 @@ pub enum Command {
     },
     /// A job's status has changed.
     Changed(JobId),
-    /// Something refers to these artefacts no longer: those to which nothing else does may go, see
+    /// Something refers to these artifacts no longer: those to which nothing else does may go, see
     /// [`crate::Scheduler::unreferenced`].
     Discard(Vec<Digest>),
 }

@@ -64,9 +64,9 @@ impl Scheduler {
             ready.iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
         }
         let states: Vec<JobState> = self.ledger.of_people().map(|(id, job)| self.state_of(id, job)).collect();
-        let leases: Vec<StageKind> = self.floor.leases.keys().map(|(task, _)| task.stage.kind).collect();
+        let leases: Vec<StageKind> = self.table.leases.keys().map(|(task, _)| task.stage.kind).collect();
         let workers: Vec<WorkerStanding> =
-            self.floor.workers.values().map(|worker| self.standing(worker, now)).collect();
+            self.table.workers.values().map(|worker| self.standing(worker, now)).collect();
         Figures {
             jobs: count(&STATES, &states),
             ready: KINDS.into_iter().zip(ready).collect(),
@@ -74,7 +74,7 @@ impl Scheduler {
             quarantined: self.ledger.jobs.values().map(quarantined).sum(),
             samples_left: left,
             workers: count(&WorkerStanding::ALL, &workers),
-            threads: self.floor.workers.values().map(|worker| u64::from(worker.registration.threads)).sum(),
+            threads: self.table.workers.values().map(|worker| u64::from(worker.registration.threads)).sum(),
             used: self.used().map(|(_, used)| used.held).sum(),
             stale_messages: self.stale_messages,
         }
@@ -82,22 +82,22 @@ impl Scheduler {
 
     /// Tasks of a job that could be leased now, by kind; what nobody has begun counts with its first round.
     fn ready(&self, id: JobId, job: &Job) -> [u64; KINDS.len()] {
-        let Some(desk) = self.desks.get(&id) else { return [0; KINDS.len()] };
+        let Some(ready_tasks) = self.ready.get(&id) else { return [0; KINDS.len()] };
         let mut ready = [0; KINDS.len()];
         let is_there = |frame: u32, number: u16| {
             let key = job.content(frame).filter(|_| job.spec.graph.reads_content(number));
             key.is_none_or(|key| self.ledger.shared_by(&key).any(|(_, _, shared)| shared.is_done()))
         };
-        let unopened = job.frames().get(desk.cursor..).unwrap_or_default().iter().copied();
+        let unopened = job.frames().get(ready_tasks.cursor..).unwrap_or_default().iter().copied();
         let unopened: Vec<u32> =
-            unopened.filter(|&frame| job.is_open(frame) && desk.open.get(frame).is_none()).collect();
+            unopened.filter(|&frame| job.is_open(frame) && ready_tasks.open.get(frame).is_none()).collect();
         let first = unopened.first().map(|&frame| (job.fresh(frame), job.shape(frame)));
         for ((_, number), keys) in first.iter().flat_map(|(unit, shape)| unit.open(shape)) {
             let kind = job.spec.graph.stage(number).map_or(KINDS[0], |template| template.kind);
             let frames = unopened.iter().filter(|&&frame| is_there(frame, number)).count() as u64;
             ready[kind.place()] += frames * u64::from(keys.count());
         }
-        let open = desk.open.ready().flat_map(|(_, open)| open.stages());
+        let open = ready_tasks.open.ready().flat_map(|(_, open)| open.stages());
         for (stage, keys) in open.filter(|(stage, _)| is_there(stage.frame, stage.number)) {
             ready[stage.kind.place()] += u64::from(keys.count());
         }
@@ -110,7 +110,7 @@ impl Scheduler {
         (open as u64 * job.spec.samples_of_frame()).saturating_sub(under_way)
     }
 
-    fn standing(&self, worker: &crate::floor::Worker, now: Tick) -> WorkerStanding {
+    fn standing(&self, worker: &crate::lease_table::Worker, now: Tick) -> WorkerStanding {
         match worker.intake {
             Intake::Drained => WorkerStanding::Drained,
             Intake::Off => WorkerStanding::Off,

@@ -8,7 +8,7 @@ use crate::{Command, Fact};
 impl Scheduler {
     /// A worker wants tasks, or none.
     pub(crate) fn wish(&mut self, worker: WorkerId, wish: Intake) {
-        if let Some(known) = self.floor.workers.get_mut(&worker) {
+        if let Some(known) = self.table.workers.get_mut(&worker) {
             known.wish = wish;
         }
         self.note_intake(worker);
@@ -16,7 +16,7 @@ impl Scheduler {
 
     /// An operator's word; it holds for the worker's process, over sessions and the coordinator's restarts.
     pub(crate) fn drained(&mut self, worker: WorkerId, drain: Drain, now: Tick, out: &mut Vec<Command>) {
-        let Some(instance) = self.floor.instance(worker) else { return };
+        let Some(instance) = self.table.instance(worker) else { return };
         if self.ledger.annex.is_drained(instance) != (drain == Drain::Begin) {
             self.record(Fact::Drained { instance, drain }, now, out);
         }
@@ -25,7 +25,7 @@ impl Scheduler {
 
     /// The operator's word goes first.
     pub(crate) fn note_intake(&mut self, worker: WorkerId) {
-        if let Some(known) = self.floor.workers.get_mut(&worker) {
+        if let Some(known) = self.table.workers.get_mut(&worker) {
             let is_drained = self.ledger.annex.is_drained(known.registration.instance);
             known.intake = if is_drained { Intake::Drained } else { known.wish };
         }
@@ -34,9 +34,9 @@ impl Scheduler {
     /// The sessions that people mean by this, in order of joining.
     pub fn named(&self, name: &WorkerName) -> Vec<WorkerId> {
         match name {
-            WorkerName::Number(worker) => self.floor.workers.keys().filter(|known| *known == worker).copied().collect(),
+            WorkerName::Number(worker) => self.table.workers.keys().filter(|known| *known == worker).copied().collect(),
             WorkerName::Name(name) => {
-                let workers = self.floor.workers.iter();
+                let workers = self.table.workers.iter();
                 workers.filter(|(_, known)| known.registration.name == *name).map(|(&worker, _)| worker).collect()
             }
         }

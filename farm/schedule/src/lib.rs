@@ -2,7 +2,7 @@
 //!
 //! [`Scheduler::on`] takes what happened and the time, and returns what is to be done about it; it reads no clock, sends
 //! nothing and writes nothing. Its state has two halves. The [`Ledger`] is durable: it changes by [`Fact`]s alone, and
-//! the same facts give the same ledger. The floor (workers, leases, ready tasks) is not: after a restart every lease is
+//! the same facts give the same ledger. The tables (workers, leases, ready tasks) are not: after a restart every lease is
 //! void, and what was leased is ready again. A fact comes out as [`Command::Record`] before the commands that tell
 //! anybody about it; the caller makes the facts durable first.
 //!
@@ -17,20 +17,20 @@ mod config;
 mod control;
 mod deal;
 mod deaths;
-mod desk;
-mod distrust;
 mod event;
 mod fact;
 mod figures;
-mod floor;
 mod intake;
+mod lease_table;
 mod ledger;
 mod logs;
 mod open;
 mod order;
 mod outcome;
 mod pace;
+mod quarantine;
 mod ranges;
+mod ready_tasks;
 mod retention;
 mod scheduler;
 mod share;

@@ -49,7 +49,7 @@ impl Scheduler {
         now: Tick,
         out: &mut Vec<Command>,
     ) {
-        let known = self.floor.workers.get(&worker).filter(|_| self.floor.lease_of(worker, &task, epoch).is_some());
+        let known = self.table.workers.get(&worker).filter(|_| self.table.lease_of(worker, &task, epoch).is_some());
         let Some(known) = known else { return };
         let record = LogRecord { task, epoch, worker: known.registration.name.clone(), at: now, log };
         match record.log.text {

@@ -6,7 +6,7 @@ use femc_model::{
 };
 
 use crate::attempts::Counted;
-use crate::floor::LeaseKey;
+use crate::lease_table::LeaseKey;
 use crate::ledger::{Job, Shape};
 use crate::scheduler::Scheduler;
 use crate::{Command, Fact};
@@ -23,7 +23,7 @@ impl Scheduler {
     ) {
         self.note_seen(worker, now);
         self.note_life(worker, now, out);
-        let Some(lease) = self.floor.lease_of(worker, &task, epoch) else {
+        let Some(lease) = self.table.lease_of(worker, &task, epoch) else {
             return self.without_lease(worker, task, epoch, out);
         };
         let (granted, size, end) = (lease.granted, lease.size, lease.run(&task).end);
@@ -36,16 +36,16 @@ impl Scheduler {
         }
         let round = job.map_or(0, |job| job.unit(task.stage.frame).round);
         let fact = Fact::Done { task, end, epoch, leased: granted, result: Box::new(result) };
-        let is_alone = self.floor.copies.is_empty();
+        let is_alone = self.table.copies.is_empty();
         if let Some(lease) = self.release(&(task, epoch)) {
             self.note(&(task, epoch), &lease, Ending::Done, counted, out);
         }
         // A worker's clock, at most what went by here: a lease may have waited for its turn.
         let spent = ((seconds.max(0.0) * 1000.0) as u64).min(now.since(granted));
         if let Some(typical) = self.learn(&task, size, spent) {
-            self.floor.pace(worker, typical, &self.config);
+            self.table.pace(worker, typical, &self.config);
         }
-        if let Some(worker) = self.floor.workers.get_mut(&worker) {
+        if let Some(worker) = self.table.workers.get_mut(&worker) {
             worker.completed += 1;
             worker.mishaps = 0;
             worker.trouble = None;
@@ -56,12 +56,12 @@ impl Scheduler {
             self.revoke_others(&task, RevokeReason::Done, out);
         }
         self.revoke_ended(task.job, out);
-        let instance = self.floor.instance(worker);
-        if let (Some(desk), Some(job)) = (self.desks.get_mut(&task.job), self.ledger.jobs.get(&task.job)) {
-            desk.avoid.remove(&task);
-            desk.mishaps.forget(&task);
-            instance.into_iter().for_each(|instance| desk.distrust.succeeded(instance));
-            desk.completed(&task, round, job, &self.floor);
+        let instance = self.table.instance(worker);
+        if let (Some(ready_tasks), Some(job)) = (self.ready.get_mut(&task.job), self.ledger.jobs.get(&task.job)) {
+            ready_tasks.avoid.remove(&task);
+            ready_tasks.mishaps.forget(&task);
+            instance.into_iter().for_each(|instance| ready_tasks.quarantine.succeeded(instance));
+            ready_tasks.completed(&task, round, job, &self.table);
         }
         self.reorder(task.job);
         out.push(Command::Accept { worker, task, epoch });
@@ -106,7 +106,7 @@ impl Scheduler {
         now: Tick,
         out: &mut Vec<Command>,
     ) {
-        if self.floor.lease_of(worker, &task, epoch).is_none() {
+        if self.table.lease_of(worker, &task, epoch).is_none() {
             return self.without_lease(worker, task, epoch, out);
         }
         if let Some(lease) = self.release(&(task, epoch)) {
@@ -116,8 +116,8 @@ impl Scheduler {
         match failure.verdict() {
             Verdict::Cancelled => {}
             Verdict::Infrastructure => {
-                if let Some(desk) = self.desks.get_mut(&task.job) {
-                    desk.mishaps.note(task, failure.to_string());
+                if let Some(ready_tasks) = self.ready.get_mut(&task.job) {
+                    ready_tasks.mishaps.note(task, failure.to_string());
                 }
                 self.rest(worker, failure, now);
             }
@@ -132,7 +132,7 @@ impl Scheduler {
 
     /// Takes back what else does the same.
     fn revoke_others(&mut self, task: &TaskKey, reason: RevokeReason, out: &mut Vec<Command>) {
-        let others: Vec<LeaseKey> = self.floor.of_task(task).map(|(key, _)| *key).collect();
+        let others: Vec<LeaseKey> = self.table.of_task(task).map(|(key, _)| *key).collect();
         others.iter().for_each(|key| self.revoke(key, reason, out));
     }
 
@@ -148,13 +148,13 @@ impl Scheduler {
     }
 
     fn note_seen(&mut self, worker: WorkerId, now: Tick) {
-        if let Some(worker) = self.floor.workers.get_mut(&worker) {
+        if let Some(worker) = self.table.workers.get_mut(&worker) {
             worker.seen = now;
         }
     }
 
     fn rest(&mut self, worker: WorkerId, trouble: Failure, now: Tick) {
-        let Some(worker) = self.floor.workers.get_mut(&worker) else { return };
+        let Some(worker) = self.table.workers.get_mut(&worker) else { return };
         let rest = self.config.rest.saturating_mul(1 << worker.mishaps.min(20)).min(self.config.longest_rest);
         worker.rests_until = now.after(rest);
         worker.mishaps += 1;
@@ -170,16 +170,16 @@ impl Scheduler {
         now: Tick,
         out: &mut Vec<Command>,
     ) {
-        if let Some(worker) = self.floor.workers.get_mut(&worker) {
+        if let Some(worker) = self.table.workers.get_mut(&worker) {
             worker.failed += 1;
         }
-        if let Some(desk) = self.desks.get_mut(&task.job) {
-            desk.avoid.insert(task, worker);
-            if let Some(instance) = self.floor.instance(worker) {
-                desk.distrust.failed(instance, task, &self.config, now);
+        if let Some(ready_tasks) = self.ready.get_mut(&task.job) {
+            ready_tasks.avoid.insert(task, worker);
+            if let Some(instance) = self.table.instance(worker) {
+                ready_tasks.quarantine.failed(instance, task, &self.config, now);
             }
         }
-        if self.floor.of_task(&task).next().is_none() {
+        if self.table.of_task(&task).next().is_none() {
             let until = Epoch::new(self.ledger.incarnation, self.leases);
             self.record(Fact::Failed { task, until, failure }, now, out);
             self.revoke_ended(task.job, out);
@@ -240,12 +240,12 @@ impl Scheduler {
 
     /// Takes back the leases of a frame that begins anew: they are of another round.
     pub(crate) fn revoke_frame(&mut self, job: JobId, frame: u32, out: &mut Vec<Command>) {
-        let leases = self.floor.of_job(job).map(|(key, _)| *key);
+        let leases = self.table.of_job(job).map(|(key, _)| *key);
         let leases: Vec<LeaseKey> = leases.filter(|(task, _)| task.stage.frame == frame).collect();
         for key in leases {
             self.revoke(&key, RevokeReason::Expired, out);
-            if let Some(desk) = self.desks.get_mut(&job) {
-                desk.distrust.released(&key.0);
+            if let Some(ready_tasks) = self.ready.get_mut(&job) {
+                ready_tasks.quarantine.released(&key.0);
             }
         }
     }

@@ -23,7 +23,7 @@ impl Scheduler {
         for job in due {
             self.revoke_all(job, out);
             self.record(Fact::Forgotten { job }, now, out);
-            self.desks.remove(&job);
+            self.ready.remove(&job);
             self.order.remove(job);
             out.push(Command::Changed(job));
         }

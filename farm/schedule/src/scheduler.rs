@@ -11,11 +11,11 @@ use femc_model::{
 use crate::attempts::Counted;
 use crate::builds::{Orphans, is_foreign};
 use crate::deaths::Deaths;
-use crate::desk::Desk;
-use crate::floor::{Floor, Lease, LeaseKey, Worker};
+use crate::lease_table::{Lease, LeaseKey, LeaseTable, Worker};
 use crate::ledger::{Job, Unit};
 use crate::logs::Shelf;
 use crate::order::Order;
+use crate::ready_tasks::ReadyTasks;
 use crate::{Command, Config, Event, Fact, Ledger};
 
 /// All that the coordinator knows.
@@ -23,9 +23,9 @@ use crate::{Command, Config, Event, Fact, Ledger};
 pub struct Scheduler {
     pub(crate) config: Config,
     pub(crate) ledger: Ledger,
-    pub(crate) floor: Floor,
+    pub(crate) table: LeaseTable,
     /// One for each job, also for those that do not run.
-    pub(crate) desks: BTreeMap<JobId, Desk>,
+    pub(crate) ready: BTreeMap<JobId, ReadyTasks>,
     /// Jobs whose tasks may be leased.
     pub(crate) order: Order,
     /// Leases granted in this incarnation.
@@ -56,8 +56,8 @@ impl Scheduler {
         ledger.apply(&opened, now);
         let mut scheduler = Self {
             config,
-            floor: Floor::default(),
-            desks: BTreeMap::new(),
+            table: LeaseTable::default(),
+            ready: BTreeMap::new(),
             order: Order::new(ledger.annex.used()),
             leases: 0,
             stale_messages: 0,
@@ -148,15 +148,15 @@ impl Scheduler {
             Event::Heartbeat { worker, tasks } => self.heartbeat(worker, &tasks, now, out),
             Event::Logged { worker, task, epoch, log } => self.logged(worker, task, epoch, log, now, out),
             Event::Completed { worker, task, epoch, result } => self.completed(worker, task, epoch, result, now, out),
-            Event::Hollow { worker, task, epoch, artefact, message } => {
-                let (failure, refusal) = (Failure::Store { message }, Refusal::NoSuchArtefact { digest: artefact });
+            Event::ArtifactMissing { worker, task, epoch, artifact, message } => {
+                let (failure, refusal) = (Failure::Store { message }, Refusal::NoSuchArtifact { digest: artifact });
                 self.refused(worker, task, epoch, failure, refusal, now, out);
             }
             Event::Failed { worker, task, epoch, failure } => self.failed(worker, task, epoch, failure, now, out),
             Event::Lost { digest } => self.lost(&digest, now, out),
             Event::Spent { worker, spent } => self.spent(worker, spent, now, out),
             Event::Elapsed => self.elapsed(now, out),
-            Event::Awoke => self.awoke(now),
+            Event::LoopStalled => self.loop_stalled(now),
         }
     }
 
@@ -166,8 +166,8 @@ impl Scheduler {
         let instances = [Some(registration.instance), died.as_ref().map(|death| death.instance)];
         let same =
             |(&id, known): (&WorkerId, &Worker)| instances.contains(&Some(known.registration.instance)).then_some(id);
-        let before: Vec<WorkerId> = self.floor.workers.iter().filter_map(same).collect();
-        self.floor.join(worker, registration, now);
+        let before: Vec<WorkerId> = self.table.workers.iter().filter_map(same).collect();
+        self.table.join(worker, registration, now);
         self.note_intake(worker);
         self.note_life(worker, now, out);
         let held: Vec<HeldLease> = held.into_iter().filter(|held| !self.take_over(held, worker, now)).collect();
@@ -181,7 +181,7 @@ impl Scheduler {
         self.keep_away(worker);
         for held in held {
             let HeldLease { task, epoch, .. } = held;
-            let is_foreign = is_foreign(&self.ledger, &self.floor, task.job, task.stage.frame, worker);
+            let is_foreign = is_foreign(&self.ledger, &self.table, task.job, task.stage.frame, worker);
             if let Some(run) = self.adoptable(&held).filter(|_| !is_foreign) {
                 self.hand_out((task, epoch), &run, worker, now);
                 out.push(Command::Changed(task.job));
@@ -198,7 +198,7 @@ impl Scheduler {
         let key = (held.task, held.epoch);
         let is_of_job = self.spec(held.task.job).is_some_and(|spec| spec.key() == held.job);
         is_of_job
-            && !is_foreign(&self.ledger, &self.floor, held.task.job, held.task.stage.frame, worker)
+            && !is_foreign(&self.ledger, &self.table, held.task.job, held.task.stage.frame, worker)
             && self.hand_over(&key, worker, now)
     }
 
@@ -210,20 +210,20 @@ impl Scheduler {
         if job.has_ended() || !job.is_open(task.stage.frame) || job.units.get(&task.stage.frame).is_some_and(is_over) {
             return None;
         }
-        let desk = self.desks.entry(task.job).or_default();
-        desk.refresh(task.job, job, task.stage.frame, &self.floor);
-        desk.is_ready(task, &run).then_some(run)
+        let ready_tasks = self.ready.entry(task.job).or_default();
+        ready_tasks.refresh(task.job, job, task.stage.frame, &self.table);
+        ready_tasks.is_ready(task, &run).then_some(run)
     }
 
     fn leave(&mut self, worker: WorkerId, out: &mut Vec<Command>) {
-        let held = self.floor.held(worker).into_iter();
+        let held = self.table.held(worker).into_iter();
         let leases: Vec<(LeaseKey, Lease)> =
-            held.filter_map(|key| Some((key, self.floor.leases.get(&key)?.clone()))).collect();
+            held.filter_map(|key| Some((key, self.table.leases.get(&key)?.clone()))).collect();
         leases.iter().for_each(|(key, lease)| self.note(key, lease, Ending::Lost, Counted::default(), out));
         for (key, _) in &leases {
             self.release(key);
         }
-        self.floor.leave(worker);
+        self.table.leave(worker);
         for ((task, _), _) in leases {
             self.put_back(&task);
             out.push(Command::Changed(task.job));
@@ -232,14 +232,14 @@ impl Scheduler {
 
     fn heartbeat(&mut self, worker: WorkerId, tasks: &[TaskProgress], now: Tick, out: &mut Vec<Command>) {
         self.note_life(worker, now, out);
-        for (task, epoch) in self.floor.renew(worker, tasks, &self.config, now) {
+        for (task, epoch) in self.table.renew(worker, tasks, &self.config, now) {
             self.note_stale(task.job);
             out.push(Command::Revoke { worker, task, epoch, reason: RevokeReason::Expired });
         }
     }
 
     /// As after a restart. Not again within a lease's time: whoever stumbles all the time must go on all the same.
-    fn awoke(&mut self, now: Tick) {
+    fn loop_stalled(&mut self, now: Tick) {
         if now >= self.deals_from.after(self.config.lease) {
             self.deals_from = now.after(self.config.regroup);
         }
@@ -249,14 +249,14 @@ impl Scheduler {
         if now < self.deals_from {
             return;
         }
-        let expired = self.floor.expired(now);
-        let holders = expired.iter().filter_map(|key| Some(self.floor.leases.get(key)?.worker));
-        let silent: BTreeSet<WorkerId> = holders.filter(|&it| self.floor.is_silent(it, &self.config, now)).collect();
+        let expired = self.table.expired(now);
+        let holders = expired.iter().filter_map(|key| Some(self.table.leases.get(key)?.worker));
+        let silent: BTreeSet<WorkerId> = holders.filter(|&it| self.table.is_silent(it, &self.config, now)).collect();
         for worker in silent {
             self.suspect(worker, |key| expired.contains(key), now);
         }
         for key in expired {
-            let (task, stalled) = (key.0, self.floor.stalled(&key, &self.config, now));
+            let (task, stalled) = (key.0, self.table.stalled(&key, &self.config, now));
             self.revoke(&key, RevokeReason::Expired, out);
             if let Some((worker, seconds)) = stalled {
                 self.count_failure(worker, task, Failure::Stalled { seconds }, now, out);
@@ -266,10 +266,10 @@ impl Scheduler {
         }
         let running: Vec<JobId> = self.order.jobs().collect();
         for id in running {
-            if self.desks.get(&id).is_some_and(|desk| desk.rate.is_due(now)) {
+            if self.ready.get(&id).is_some_and(|ready_tasks| ready_tasks.rate.is_due(now)) {
                 let samples = self.units(id);
-                if let Some(desk) = self.desks.get_mut(&id) {
-                    desk.rate.note(now, samples);
+                if let Some(ready_tasks) = self.ready.get_mut(&id) {
+                    ready_tasks.rate.note(now, samples);
                 }
             }
         }
@@ -312,18 +312,18 @@ impl Scheduler {
     /// Derives again what of the task's frame is ready: the task itself, if it is still wanted.
     pub(crate) fn put_back(&mut self, task: &TaskKey) {
         let Some(job) = self.ledger.jobs.get(&task.job) else { return };
-        let desk = self.desks.entry(task.job).or_default();
-        if self.floor.of_task(task).next().is_none() {
-            desk.distrust.released(task);
+        let ready_tasks = self.ready.entry(task.job).or_default();
+        if self.table.of_task(task).next().is_none() {
+            ready_tasks.quarantine.released(task);
         }
-        desk.refresh(task.job, job, task.stage.frame, &self.floor);
+        ready_tasks.refresh(task.job, job, task.stage.frame, &self.table);
         self.reorder(task.job);
     }
 
     /// Derives again what of a job is ready.
     pub(crate) fn rebuild(&mut self, id: JobId) {
         let Some(job) = self.ledger.jobs.get(&id) else { return };
-        self.desks.entry(id).or_default().rebuild(id, job, &self.floor);
+        self.ready.entry(id).or_default().rebuild(id, job, &self.table);
         self.reorder(id);
     }
 
@@ -339,8 +339,8 @@ impl Scheduler {
 
     pub(crate) fn note_stale(&mut self, job: JobId) {
         self.stale_messages += 1;
-        if let Some(desk) = self.desks.get_mut(&job) {
-            desk.stale_messages += 1;
+        if let Some(ready_tasks) = self.ready.get_mut(&job) {
+            ready_tasks.stale_messages += 1;
         }
     }
 

@@ -5,37 +5,37 @@ use std::ops::Range;
 
 use femc_model::{Grains, Scope, TaskKey};
 
-use crate::desk::Desk;
-use crate::floor::Size;
+use crate::lease_table::Size;
 use crate::ledger::Job;
 use crate::pace::Pace;
+use crate::ready_tasks::ReadyTasks;
 use crate::scheduler::Scheduler;
 
 impl Scheduler {
     /// The grains of the lease that begins with this ready task.
     pub(crate) fn share(&self, task: &TaskKey) -> Range<u32> {
         let first = task.index..task.index + 1;
-        let (Some(job), Some(desk)) = (self.ledger.jobs.get(&task.job), self.desks.get(&task.job)) else {
+        let (Some(job), Some(ready_tasks)) = (self.ledger.jobs.get(&task.job), self.ready.get(&task.job)) else {
             return first;
         };
         let (unit, shape) = (job.unit(task.stage.frame), job.shape(task.stage.frame));
         let grains = unit.grains(&shape, (task.stage.round, task.stage.number));
         let Some(grains) = grains.filter(|grains| grains.stride() > 1) else { return first };
-        let run = ready_run(task, job, desk, &grains);
+        let run = ready_run(task, job, ready_tasks, &grains);
         let units = grains.units(&first);
-        let expected = desk.pace.expected(task.stage.number, units);
+        let expected = ready_tasks.pace.expected(task.stage.number, units);
         let Some(milliseconds) = expected.or_else(|| self.heard(task, units)) else { return first };
         let fit = |time: u64| (time / milliseconds.max(1)).clamp(1, u64::from(Grains::MOST));
         let (least, most) = (fit(self.config.least_task), fit(self.config.task));
-        let holders = self.floor.workers.len().max(1) as u64 * u64::from(1 + self.config.prefetch);
-        let each = ready(job, desk, task, &grains, holders * most) / holders;
+        let holders = self.table.workers.len().max(1) as u64 * u64::from(1 + self.config.prefetch);
+        let each = ready(job, ready_tasks, task, &grains, holders * most) / holders;
         let count = each.clamp(least.min(most), most) as u32;
         run.start..run.end.min(run.start + count)
     }
 
     /// Milliseconds that so many units of the task's stage would take at the pace of its running tasks, before any is done.
     fn heard(&self, task: &TaskKey, units: u64) -> Option<u64> {
-        let of_stage = self.floor.of_job(task.job).filter(|((other, _), _)| other.stage.number == task.stage.number);
+        let of_stage = self.table.of_job(task.job).filter(|((other, _), _)| other.stage.number == task.stage.number);
         let running = of_stage.filter_map(|((task, _), lease)| lease.progress(task));
         let (spent, done) = running.fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
         (done > 0).then(|| (u128::from(spent) * u128::from(units)).div_ceil(u128::from(done)) as u64)
@@ -43,12 +43,12 @@ impl Scheduler {
 
     /// How much the task is, as far as one can tell.
     pub(crate) fn size(&self, task: &TaskKey, run: &Range<u32>) -> Size {
-        let (job, desk) = (self.ledger.jobs.get(&task.job), self.desks.get(&task.job));
+        let (job, ready_tasks) = (self.ledger.jobs.get(&task.job), self.ready.get(&task.job));
         let units = job.map_or(1, |job| {
             let (unit, shape) = (job.unit(task.stage.frame), job.shape(task.stage.frame));
             unit.grains(&shape, (task.stage.round, task.stage.number)).map_or(1, |grains| grains.units(run))
         });
-        let expected = desk.and_then(|desk| desk.pace.expected(task.stage.number, units));
+        let expected = ready_tasks.and_then(|ready_tasks| ready_tasks.pace.expected(task.stage.number, units));
         Size { units, milliseconds: expected.unwrap_or(Pace::FIRST) }
     }
 
@@ -56,7 +56,7 @@ impl Scheduler {
     /// cut further; `None` while none of its main stage is done.
     pub(crate) fn learn(&mut self, task: &TaskKey, size: Size, milliseconds: u64) -> Option<u64> {
         let job = self.ledger.jobs.get(&task.job)?;
-        let pace = &mut self.desks.get_mut(&task.job)?.pace;
+        let pace = &mut self.ready.get_mut(&task.job)?.pace;
         pace.note(task.stage.number, size.units, milliseconds);
         let (main, template) = job.spec.graph.main()?;
         let unit = job.unit(task.stage.frame);
@@ -76,8 +76,8 @@ impl Scheduler {
 }
 
 /// The ready grains from the task's on, within it. One that has failed stands alone: its attempts are its own.
-fn ready_run(task: &TaskKey, job: &Job, desk: &Desk, grains: &Grains<'_>) -> Range<u32> {
-    let open = desk.open.get(task.stage.frame).and_then(|open| open.of(&task.stage));
+fn ready_run(task: &TaskKey, job: &Job, ready_tasks: &ReadyTasks, grains: &Grains<'_>) -> Range<u32> {
+    let open = ready_tasks.open.get(task.stage.frame).and_then(|open| open.of(&task.stage));
     let ready = open.map_or(task.index, |keys| keys.run(task.index).end);
     let run = task.index..ready.min(grains.of_task(grains.task(task.index)).end).max(task.index + 1);
     let trouble = job.units.get(&task.stage.frame).and_then(|unit| unit.first_trouble(&task.stage, &run));
@@ -88,10 +88,10 @@ fn ready_run(task: &TaskKey, job: &Job, desk: &Desk, grains: &Grains<'_>) -> Ran
 }
 
 /// Ready grains of the task's stage in all frames of the job, counted up to about `enough`.
-fn ready(job: &Job, desk: &Desk, task: &TaskKey, grains: &Grains<'_>, enough: u64) -> u64 {
-    let unopened = job.frames().len() - desk.cursor.min(job.frames().len());
+fn ready(job: &Job, ready_tasks: &ReadyTasks, task: &TaskKey, grains: &Grains<'_>, enough: u64) -> u64 {
+    let unopened = job.frames().len() - ready_tasks.cursor.min(job.frames().len());
     let mut ready = unopened as u64 * u64::from(grains.all().end);
-    for (_, open) in desk.open.ready() {
+    for (_, open) in ready_tasks.open.ready() {
         if ready >= enough {
             break;
         }

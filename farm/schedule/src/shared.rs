@@ -8,7 +8,7 @@
 
 use femc_model::{Digest, JobId, JobSpec, RevokeReason, Stage, Tick, Wait, WorkerId};
 
-use crate::floor::{LeaseKey, Worker};
+use crate::lease_table::{LeaseKey, Worker};
 use crate::ledger::Job;
 use crate::scheduler::Scheduler;
 use crate::{Command, Fact};
@@ -35,7 +35,7 @@ impl Scheduler {
         if let Some((id, shared)) = self.ledger.shared_of(&key, engine) {
             return if shared.is_done() { Content::There } else { Content::Underway(id) };
         }
-        let is_there = |build: &str| self.floor.workers.values().any(|worker| worker.registration.engine == build);
+        let is_there = |build: &str| self.table.workers.values().any(|worker| worker.registration.engine == build);
         let mut others = self.ledger.shared_by(&key).filter(|(_, _, shared)| !shared.has_ended());
         if others.any(|(build, ..)| is_there(build)) { Content::Elsewhere } else { Content::Missing(key) }
     }
@@ -65,7 +65,7 @@ impl Scheduler {
         now: Tick,
         out: &mut Vec<Command>,
     ) {
-        let (Some(known), Some(worker)) = (self.ledger.jobs.get(&job), self.floor.workers.get(&worker)) else { return };
+        let (Some(known), Some(worker)) = (self.ledger.jobs.get(&job), self.table.workers.get(&worker)) else { return };
         let (id, cut, engine) = (self.ledger.next_shared(), known.cut(), worker.registration.engine.clone());
         let (frames, contents) = (vec![frame], vec![(1, key)]);
         let spec = Box::new(JobSpec { frames, contents, ..(*known.spec).clone() });
@@ -104,7 +104,7 @@ impl Scheduler {
         let idle = self.ledger.all_shared().filter(|(_, shared)| !self.is_wanted(shared));
         let idle: Vec<JobId> = idle.map(|(id, _)| id).collect();
         for id in idle {
-            let keys: Vec<LeaseKey> = self.floor.of_job(id).map(|(key, _)| *key).collect();
+            let keys: Vec<LeaseKey> = self.table.of_job(id).map(|(key, _)| *key).collect();
             for key in keys {
                 self.revoke(&key, RevokeReason::JobEnded, out);
                 self.put_back(&key.0);
@@ -146,12 +146,12 @@ impl Scheduler {
         let is_gone = |shared: &Job| {
             let build = shared.shared.as_ref().map(|shared| &*shared.engine);
             let is_there = |seen: Tick| now.since(seen) < self.config.orphaned;
-            !self.floor.workers.values().any(|it| Some(&*it.registration.engine) == build && is_there(it.seen))
+            !self.table.workers.values().any(|it| Some(&*it.registration.engine) == build && is_there(it.seen))
         };
         let mut forgotten: Vec<JobId> = Vec::new();
         let (mut kept, mut bytes) = (Vec::new(), 0u64);
         for (id, shared) in self.ledger.all_shared() {
-            let is_idle = self.floor.of_job(id).next().is_none();
+            let is_idle = self.table.of_job(id).next().is_none();
             if shared.is_done() {
                 bytes = bytes.saturating_add(shared.bytes());
                 if !is_needed(shared) {
@@ -182,7 +182,7 @@ impl Scheduler {
         for job in forgotten {
             self.revoke_all(job, out);
             self.record(Fact::Forgotten { job }, now, out);
-            self.desks.remove(&job);
+            self.ready.remove(&job);
         }
     }
 

@@ -6,8 +6,8 @@ use femc_model::{TaskKey, Tick, WorkerId};
 
 use crate::Command;
 use crate::builds::is_foreign;
-use crate::deal::{is_shunned, may_take};
-use crate::floor::{Lease, LeaseKey};
+use crate::deal::{is_quarantined_for, may_take};
+use crate::lease_table::{Lease, LeaseKey};
 use crate::scheduler::Scheduler;
 use crate::shared::Content;
 
@@ -21,13 +21,13 @@ impl Scheduler {
         if now < self.deals_from {
             return;
         }
-        let is_fit = |id: &WorkerId| self.floor.workers.get(id).is_some_and(|known| known.is_fit(&self.config, now));
-        let idle: Vec<WorkerId> = self.floor.idle().filter(is_fit).collect();
+        let is_fit = |id: &WorkerId| self.table.workers.get(id).is_some_and(|known| known.is_fit(&self.config, now));
+        let idle: Vec<WorkerId> = self.table.idle().filter(is_fit).collect();
         let mut late = if idle.is_empty() { Vec::new() } else { self.late(now) };
         for worker in idle {
             let Some(place) = late.iter().position(|key| self.may_copy(key, worker, now)) else { continue };
             let (task, epoch) = late.remove(place);
-            if let Some(run) = self.floor.leases.get(&(task, epoch)).map(|lease| lease.run(&task)) {
+            if let Some(run) = self.table.leases.get(&(task, epoch)).map(|lease| lease.run(&task)) {
                 self.assign(task, &run, Some(epoch), worker, now, out);
             }
         }
@@ -38,8 +38,8 @@ impl Scheduler {
         let mut all = Vec::new();
         let shared = self.ledger.all_shared().filter(|(_, shared)| self.is_wanted(shared)).map(|(id, _)| id);
         for job in self.order.service().chain(shared) {
-            let mut late: Vec<(u64, LeaseKey)> = (self.floor.of_job(job))
-                .filter(|((task, _), _)| self.floor.of_task(task).nth(1).is_none())
+            let mut late: Vec<(u64, LeaseKey)> = (self.table.of_job(job))
+                .filter(|((task, _), _)| self.table.of_task(task).nth(1).is_none())
                 .filter_map(|(key, lease)| Some((self.lateness(&key.0, lease, now)?, *key)))
                 .collect();
             late.sort_by_key(|&(lateness, key)| (std::cmp::Reverse(lateness), key));
@@ -50,7 +50,7 @@ impl Scheduler {
 
     /// Thousandths of the expected time that a lease has taken until now; `None`: it is not late, or nobody knows.
     fn lateness(&self, task: &TaskKey, lease: &Lease, now: Tick) -> Option<u64> {
-        let pace = &self.desks.get(&task.job)?.pace;
+        let pace = &self.ready.get(&task.job)?.pace;
         let expected = pace.expected(task.stage.number, lease.size.units)?;
         let taken = now.since(lease.granted);
         let is_late = taken > Self::LATE * expected && taken > self.config.late;
@@ -58,18 +58,18 @@ impl Scheduler {
     }
 
     fn may_copy(&self, (task, epoch): &LeaseKey, id: WorkerId, now: Tick) -> bool {
-        let (Some(job), Some(desk)) = (self.ledger.jobs.get(&task.job), self.desks.get(&task.job)) else {
+        let (Some(job), Some(ready_tasks)) = (self.ledger.jobs.get(&task.job), self.ready.get(&task.job)) else {
             return false;
         };
-        let (holder, worker) = (self.floor.leases.get(&(*task, *epoch)), self.floor.workers.get(&id));
+        let (holder, worker) = (self.table.leases.get(&(*task, *epoch)), self.table.workers.get(&id));
         // What it reads may have been lost since it was leased.
         holder.is_some_and(|lease| lease.worker != id)
             && job.is_fed(task)
             && worker
                 .is_some_and(|it| matches!(self.content(job, &task.stage, &it.registration.engine), Content::There))
             && worker.is_some_and(|worker| self.fits(worker, job))
-            && !is_shunned(job, desk, id, &self.floor, now)
-            && may_take(task, job, desk, id, &self.floor)
-            && !is_foreign(&self.ledger, &self.floor, task.job, task.stage.frame, id)
+            && !is_quarantined_for(job, ready_tasks, id, &self.table, now)
+            && may_take(task, job, ready_tasks, id, &self.table)
+            && !is_foreign(&self.ledger, &self.table, task.job, task.stage.frame, id)
     }
 }

@@ -7,7 +7,7 @@ use femc_model::{
     StageKind, TaskKey, Tick, WorkerId, WorkerStatus,
 };
 
-use crate::floor::LeaseKey;
+use crate::lease_table::LeaseKey;
 use crate::ledger::{Hold, Job, Unit};
 use crate::scheduler::Scheduler;
 
@@ -20,14 +20,14 @@ impl Scheduler {
     /// One job.
     pub fn status(&self, id: JobId, now: Tick) -> Result<JobStatus, Refusal> {
         let job = self.job(id)?;
-        let desk = self.desks.get(&id).ok_or(Refusal::NoSuchJob { job: id })?;
-        let mut workers: Vec<_> = self.floor.of_job(id).map(|(_, lease)| lease.worker).collect();
+        let ready_tasks = self.ready.get(&id).ok_or(Refusal::NoSuchJob { job: id })?;
+        let mut workers: Vec<_> = self.table.of_job(id).map(|(_, lease)| lease.worker).collect();
         workers.sort_unstable();
         workers.dedup();
         let spec = &job.spec;
         let bad_finished: u64 = job.finished.values().map(|finished| finished.record.bad_samples).sum();
         let bad_active: u64 = job.units.values().map(|unit| unit.bad_samples).sum();
-        let first_lease = self.floor.of_job(id).map(|(_, lease)| lease.granted).min();
+        let first_lease = self.table.of_job(id).map(|(_, lease)| lease.granted).min();
         let began = job.began.into_iter().chain(first_lease).min();
         Ok(JobStatus {
             job: id,
@@ -46,7 +46,7 @@ impl Scheduler {
             workers: workers.len() as u32,
             samples_done: self.units(id),
             samples_planned: spec.samples_of_frame().saturating_mul(spec.frames.len() as u64),
-            samples_per_second: desk.rate.per_second(),
+            samples_per_second: ready_tasks.rate.per_second(),
             bad_samples: bad_finished + bad_active,
             relative_error: job.relative_error,
             seconds: began.map_or(0, |began| job.ended.unwrap_or(now).since(began)) as f64 / 1000.0,
@@ -54,9 +54,9 @@ impl Scheduler {
                 .into_iter()
                 .chain(self.stuck(job).flat_map(|(id, it)| quarantined(id, it)))
                 .collect(),
-            stale_messages: desk.stale_messages,
-            copies: desk.copies,
-            waits: self.waits(id, job, desk, now),
+            stale_messages: ready_tasks.stale_messages,
+            copies: ready_tasks.copies,
+            waits: self.waits(id, job, ready_tasks, now),
         })
     }
 
@@ -84,7 +84,7 @@ impl Scheduler {
 
     /// The workers, in order of joining.
     pub fn workers(&self, now: Tick) -> Vec<WorkerStatus> {
-        let status = |(&worker, known): (_, &crate::floor::Worker)| WorkerStatus {
+        let status = |(&worker, known): (_, &crate::lease_table::Worker)| WorkerStatus {
             worker,
             name: known.registration.name.clone(),
             threads: known.registration.threads,
@@ -96,16 +96,16 @@ impl Scheduler {
             intake: known.intake,
             engine: known.registration.engine.clone(),
         };
-        self.floor.workers.iter().map(status).collect()
+        self.table.workers.iter().map(status).collect()
     }
 
     /// The leases of one worker, and how long they hold.
     pub fn leases(&self, worker: WorkerId, now: Tick) -> Vec<LeaseLeft> {
         let lease = |key: LeaseKey| {
-            let lease = self.floor.leases.get(&key)?;
+            let lease = self.table.leases.get(&key)?;
             Some(LeaseLeft { task: key.0, epoch: key.1, left: lease.deadline.since(now) })
         };
-        self.floor.held(worker).into_iter().filter_map(lease).collect()
+        self.table.held(worker).into_iter().filter_map(lease).collect()
     }
 
     /// Messages refused since the start because their lease was over.
@@ -115,7 +115,7 @@ impl Scheduler {
 
     /// Where a job stands.
     pub(crate) fn state_of(&self, id: JobId, job: &Job) -> JobState {
-        self.state(job, job.began.is_some() || self.floor.of_job(id).next().is_some())
+        self.state(job, job.began.is_some() || self.table.of_job(id).next().is_some())
     }
 
     fn state(&self, job: &Job, has_begun: bool) -> JobState {
@@ -144,7 +144,7 @@ impl Scheduler {
 
     /// The tasks of a job that are leased, and the units of each so far; of two leases of a task the one that is further counts.
     fn under_way(&self, id: JobId) -> impl Iterator<Item = (&TaskKey, u64)> + '_ {
-        let mut leases = self.floor.of_job(id).peekable();
+        let mut leases = self.table.of_job(id).peekable();
         std::iter::from_fn(move || {
             let ((task, _), lease) = leases.next()?;
             let mut units = lease.units(task);

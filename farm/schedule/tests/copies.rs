@@ -211,7 +211,7 @@ fn a_merge_that_misses_a_tile_ends_its_copy_too() {
     wait(&mut farm, 3_000);
     let copy = farm.first_of(2);
     assert_eq!(copy.copy_of, Some(merge.epoch));
-    let first = merge.work.artefacts().next().unwrap();
+    let first = merge.work.artifacts().next().unwrap();
     let lost = Failure::LostInputs { digests: vec![first.digest], message: "gone".into() };
     farm.fail(1, &merge, lost);
     assert!(farm.held.iter().all(|(_, held)| held.epoch != copy.epoch), "it would miss the same");

@@ -136,7 +136,7 @@ fn a_part_that_is_lost_is_rendered_again_and_no_other() {
         parts.push(work(&mut farm, 1, 100));
     }
     let merge = farm.first_of(1);
-    let tiles: Vec<Artefact> = merge.work.artefacts().collect();
+    let tiles: Vec<Artifact> = merge.work.artifacts().collect();
     assert_eq!(tiles.len(), parts.len());
     let failure = Failure::LostInputs { digests: vec![tiles[1].digest], message: "gone".into() };
     farm.fail(1, &merge, failure);

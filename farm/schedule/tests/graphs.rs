@@ -38,7 +38,7 @@ fn whole(frames: &[u32], gaps: bool) -> JobSpec {
 /// What a task makes of such a graph.
 fn result(held: &Assignment, roles: &[Role]) -> TaskResult {
     let output =
-        |&role: &Role| Output { role, artefact: Artefact::of(format!("{} {}", role.name(), held.task).as_bytes()) };
+        |&role: &Role| Output { role, artifact: Artifact::of(format!("{} {}", role.name(), held.task).as_bytes()) };
     let decides = held.task.stage.kind == Image && held.task.stage.frame != Stage::OF_JOB;
     TaskResult {
         outputs: roles.iter().map(output).collect(),
@@ -347,7 +347,7 @@ fn a_job_that_fails_takes_back_what_reads_a_frame_that_is_lost_since() {
     while farm.first_of(1).task.stage.kind != Reduce {
         work(&mut farm, 1);
     }
-    let image = farm.scheduler.frames(id).unwrap()[0].outputs[0].artefact.digest;
+    let image = farm.scheduler.frames(id).unwrap()[0].outputs[0].artifact.digest;
     farm.on(Event::Lost { digest: image });
     farm.join(2);
     farm.join(3);

@@ -36,11 +36,11 @@ fn until_it_is(farm: &mut Farm, wanted: impl Fn(&TaskKey) -> bool) -> Assignment
     panic!("there is no such task")
 }
 
-fn lost(artefact: Artefact) -> Failure {
-    Failure::LostInputs { digests: vec![artefact.digest], message: "gone".into() }
+fn lost(artifact: Artifact) -> Failure {
+    Failure::LostInputs { digests: vec![artifact.digest], message: "gone".into() }
 }
 
-/// Completes a task; returns how many artefacts that it released nothing names any more.
+/// Completes a task; returns how many artifacts that it released nothing names any more.
 fn released(farm: &mut Farm, held: &Assignment, how: Decision) -> usize {
     let commands = farm.complete(1, held, how);
     let all = commands.into_iter().flat_map(|command| match command {
@@ -60,7 +60,7 @@ fn a_group_is_gathered_as_soon_as_its_tiles_are_there_and_the_merge_reads_groups
     let gather = farm.held[1].1.clone();
     let read: Vec<u32> = gather.work.inputs.iter().map(|input| input.item).collect();
     assert_eq!((gather.work.more, gather.work.item, read), (More::Last, 0, vec![0, 1]));
-    assert_eq!(released(&mut farm, &gather, Done), 2, "the tiles' artefacts are released");
+    assert_eq!(released(&mut farm, &gather, Done), 2, "the tiles' artifacts are released");
     assert_eq!(farm.status(id).active[0].tiles_done, 2, "gathered tiles are done");
     let merge = until(&mut farm, Image);
     assert_eq!(merge.work.of_role(Role::Pixels).count(), 3);
@@ -93,12 +93,12 @@ fn the_next_round_gathers_with_the_sums_of_the_round_before() {
 fn a_lost_tile_is_rendered_again_and_a_lost_group_is_too_but_the_others_are_not() {
     let (mut farm, id) = farm(&[4]);
     let gather = until(&mut farm, Reduce);
-    let first = gather.work.artefacts().next().unwrap();
+    let first = gather.work.artifacts().next().unwrap();
     farm.fail(1, &gather, lost(first));
     let again = until_it_is(&mut farm, |task| task.stage.kind == Render && task.index == 0);
     farm.complete(1, &again, Done);
     let merge = until(&mut farm, Image);
-    let group = merge.work.artefacts().nth(1).unwrap();
+    let group = merge.work.artifacts().nth(1).unwrap();
     farm.fail(1, &merge, lost(group));
     assert_eq!(farm.tasks_of(1), [(1, 0, Render, 2), (1, 0, Render, 3)], "the tiles of group 1");
     assert_eq!(farm.status(id).samples_done, 3 * 64 * 4);
@@ -115,7 +115,7 @@ fn lost_sums_are_made_again_with_their_tiles_alone_and_end_the_frame_when_they_a
     for attempt in 1..=3 {
         let gather =
             until_it_is(&mut farm, |task| task.stage.kind == Reduce && task.index == 0 && task.stage.round == 1);
-        let sums = gather.work.of_role(Role::Sums).next().unwrap().output.artefact;
+        let sums = gather.work.of_role(Role::Sums).next().unwrap().output.artifact;
         let before = farm.status(id).samples_done;
         farm.fail(1, &gather, lost(sums));
         let again = if attempt < 3 { 2 * 64 * 4 } else { 0 };

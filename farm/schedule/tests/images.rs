@@ -183,15 +183,15 @@ fn a_store_that_keeps_failing_is_the_reason_that_a_task_waits() {
     for attempt in 0..10 {
         let held = farm.first_of(1);
         farm.drop_lease(held.task, held.epoch);
-        farm.on(Event::Hollow {
+        farm.on(Event::ArtifactMissing {
             worker: WorkerId(1),
             task: held.task,
             epoch: held.epoch,
-            artefact: Digest::of(b"tile"),
-            message: "the store has damaged artefact 12ab".into(),
+            artifact: Digest::of(b"tile"),
+            message: "the store has damaged artifact 12ab".into(),
         });
         let (_, told) = message(&farm).expect("it says why");
-        assert!(told.contains("damaged artefact 12ab"), "{told}");
+        assert!(told.contains("damaged artifact 12ab"), "{told}");
         for _ in 0..60 {
             farm.wait(2_000);
             farm.heartbeat(1, Phase::Working, attempt);

@@ -312,7 +312,7 @@ impl Machine {
                 Command::Discard(digests) => {
                     let gone = self.farm.scheduler.unreferenced(digests);
                     let needs =
-                        |(_, held): &&(WorkerId, Assignment)| held.work.artefacts().any(|it| gone.contains(&it.digest));
+                        |(_, held): &&(WorkerId, Assignment)| held.work.artifacts().any(|it| gone.contains(&it.digest));
                     let needy = self.farm.held.iter().find(needs);
                     assert_eq!(needy, None, "what it reads may go");
                 }
@@ -365,9 +365,9 @@ impl Machine {
         self.shadow.apply(fact, self.farm.now);
         let after = self.shadow.references();
         let own = |stage: &Stage| stage.frame == Stage::OF_JOB;
-        let is_gone = |it: &Artefact| before.contains(&it.digest) && !after.contains(&it.digest);
+        let is_gone = |it: &Artifact| before.contains(&it.digest) && !after.contains(&it.digest);
         let mut made = self.results.iter().filter(|(unit, _)| unit.0 == *job && own(&unit.1));
-        if made.any(|(_, (_, result))| result.artefacts().any(|it| is_gone(&it))) {
+        if made.any(|(_, (_, result))| result.artifacts().any(|it| is_gone(&it))) {
             self.done.retain(|task| task.job != *job || !own(&task.stage));
             self.results.retain(|(of, stage, ..), _| of != job || !own(stage));
         }
@@ -538,9 +538,9 @@ impl Machine {
     fn all_is_there(&self, held: &Assignment, engine: &str) {
         let Some(unit) = units(held).first().copied() else { panic!("a task of nothing: {held:?}") };
         let expected = self.expected(&held.task, &unit, engine);
-        let given: BTreeSet<Digest> = held.work.artefacts().map(|it| it.digest).collect();
+        let given: BTreeSet<Digest> = held.work.artifacts().map(|it| it.digest).collect();
         assert_eq!(given, expected, "the inputs of {}", held.task);
-        assert_eq!(held.work.artefacts().count(), given.len(), "{} reads one input twice", held.task);
+        assert_eq!(held.work.artifacts().count(), given.len(), "{} reads one input twice", held.task);
         self.all_is_told(held);
     }
 
@@ -715,7 +715,7 @@ impl Machine {
                 let Some((worker, held)) = self.held(which) else { return };
                 self.end_lease(worker, &held);
                 self.live.remove(&(held.task, held.epoch));
-                let missing = held.work.artefacts().next().map_or(Digest::of(b"nobody knows"), |first| first.digest);
+                let missing = held.work.artifacts().next().map_or(Digest::of(b"nobody knows"), |first| first.digest);
                 let failure = match kind {
                     0..=9 => panic(),
                     10 => Failure::Store { message: "away".into() },
@@ -787,7 +787,7 @@ impl Machine {
                     .iter()
                     .flat_map(frames)
                     .flat_map(|frame| frame.outputs)
-                    .map(|it| it.artefact.digest)
+                    .map(|it| it.artifact.digest)
                     .collect();
                 if images.is_empty() {
                     return;
@@ -797,7 +797,7 @@ impl Machine {
                 self.see(commands);
                 let is_told = |&job: &JobId| {
                     let frames = self.farm.scheduler.frames(job).unwrap();
-                    frames.iter().flat_map(|frame| &frame.outputs).any(|it| it.artefact.digest == digest)
+                    frames.iter().flat_map(|frame| &frame.outputs).any(|it| it.artifact.digest == digest)
                 };
                 assert!(!self.jobs.iter().any(is_told), "a lost image is told as finished");
             }
@@ -843,8 +843,8 @@ impl Machine {
             if is_carried { goes_on } else { decision.is_none() || !goes_on }
         };
         let output = |role: &Role| {
-            let artefact = Artefact::of(format!("{} {} {:?}", role.name(), held.task, held.work.steps).as_bytes());
-            Output { role: *role, artefact }
+            let artifact = Artifact::of(format!("{} {} {:?}", role.name(), held.task, held.work.steps).as_bytes());
+            Output { role: *role, artifact }
         };
         TaskResult {
             outputs: template.makes.iter().filter(is_made).map(output).collect(),

@@ -17,8 +17,8 @@ fn accepted(commands: &[Command]) -> bool {
     commands.iter().any(|command| matches!(command, Command::Accept { .. }))
 }
 
-fn lost(artefacts: &[Artefact]) -> Failure {
-    let digests = artefacts.iter().map(|artefact| artefact.digest).collect();
+fn lost(artifacts: &[Artifact]) -> Failure {
+    let digests = artifacts.iter().map(|artifact| artifact.digest).collect();
     Failure::LostInputs { digests, message: "gone".into() }
 }
 
@@ -193,17 +193,17 @@ fn a_failed_task_goes_to_another_worker_if_there_is_one() {
 }
 
 #[test]
-fn a_result_without_its_artefact_is_refused_and_the_task_done_again() {
+fn a_result_without_its_artifact_is_refused_and_the_task_done_again() {
     let mut farm = Farm::new();
     let id = farm.submit(job(&[1], 1, &[4]));
     farm.join(1);
     let held = farm.first_of(1);
     let (worker, task, epoch) = (WorkerId(1), held.task, held.epoch);
-    let artefact = Digest::of(b"gone");
-    let said = farm.on(Event::Hollow { worker, task, epoch, artefact, message: "it did not arrive".into() });
+    let artifact = Digest::of(b"gone");
+    let said = farm.on(Event::ArtifactMissing { worker, task, epoch, artifact, message: "it did not arrive".into() });
     let answers: Vec<_> =
         said.iter().filter(|said| matches!(said, Command::Accept { .. } | Command::Refuse { .. })).collect();
-    let refusal = Refusal::NoSuchArtefact { digest: artefact };
+    let refusal = Refusal::NoSuchArtifact { digest: artifact };
     assert_eq!(answers, [&Command::Refuse { worker, task, epoch, refusal }]);
     farm.drop_lease(task, epoch);
     // As after any failure of the store, the worker rests for a second.
@@ -272,7 +272,7 @@ fn a_merge_that_misses_tiles_has_just_those_rendered_again() {
     farm.join(1);
     (0..3).for_each(|_| drop(farm.work(1, Done)));
     let merge = farm.first_of(1);
-    let tiles: Vec<Artefact> = merge.work.artefacts().collect();
+    let tiles: Vec<Artifact> = merge.work.artifacts().collect();
     farm.fail(1, &merge, lost(&[tiles[1], tiles[2]]));
     assert_eq!(farm.tasks_of(1), [(1, 0, Render, 1), (1, 0, Render, 2)]);
     (0..3).for_each(|_| drop(farm.work(1, Done)));
@@ -287,7 +287,7 @@ fn a_store_that_loses_every_tile_ends_the_job() {
     let mut steps = 0;
     while farm.state(id) == JobState::Running {
         let held = farm.first_of(1);
-        match held.work.artefacts().next() {
+        match held.work.artifacts().next() {
             None => farm.complete(1, &held, Continue),
             Some(tile) => farm.fail(1, &held, lost(&[tile])),
         };
@@ -344,7 +344,7 @@ fn a_worker_on_which_three_tasks_fail_gets_no_more_of_the_job_until_it_has_prove
     let held = farm.first_of(1);
     farm.fail(1, &held, panic());
     assert!(farm.tasks_of(1).is_empty());
-    assert!(farm.status(id).waits.contains(&Wait::WorkersShunned { workers: 1, seconds: 60 }));
+    assert!(farm.status(id).waits.contains(&Wait::WorkersQuarantined { workers: 1, seconds: 60 }));
     farm.work(2, Done);
     assert!(farm.tasks_of(1).is_empty() && farm.tasks_of(2).len() == 2);
 
@@ -358,7 +358,7 @@ fn a_worker_on_which_three_tasks_fail_gets_no_more_of_the_job_until_it_has_prove
     let held = farm.first_of(1);
     farm.fail(1, &held, panic());
     assert!(farm.tasks_of(1).is_empty());
-    assert!(farm.status(id).waits.contains(&Wait::WorkersShunned { workers: 1, seconds: 120 }), "twice as long");
+    assert!(farm.status(id).waits.contains(&Wait::WorkersQuarantined { workers: 1, seconds: 120 }), "twice as long");
 
     // With nobody else there it must do.
     farm.leave(2);
@@ -400,7 +400,7 @@ fn after_a_standstill_of_the_coordinator_workers_are_heard_before_leases_run_out
     farm.join(2);
     let held = farm.first_of(1);
     farm.now = farm.now.after(60_000);
-    farm.on(Event::Awoke);
+    farm.on(Event::LoopStalled);
     let revoked = |commands: Vec<Command>| commands.iter().any(|command| matches!(command, Command::Revoke { .. }));
     assert!(!revoked(farm.wait(100)), "its lease is long over, and stays");
     farm.heartbeat(1, Phase::Working, 9);
@@ -408,7 +408,7 @@ fn after_a_standstill_of_the_coordinator_workers_are_heard_before_leases_run_out
     assert_eq!((farm.first_of(1).epoch, farm.tasks_of(2).len()), (held.epoch, 0));
     // A coordinator that stumbles all the time lets leases run out all the same.
     for _ in 0..100 {
-        farm.on(Event::Awoke);
+        farm.on(Event::LoopStalled);
         farm.heartbeat(2, Phase::Waiting, 0);
         farm.wait(100);
     }
@@ -519,7 +519,7 @@ fn logs_of_failures_are_kept_with_the_job_and_those_of_tiles_for_a_while() {
         epoch: held.epoch,
         log: TaskLog { attempt, seconds: 1.0, text },
     };
-    let stored = |index: usize| LogText::Stored(Artefact::of(&index.to_le_bytes()));
+    let stored = |index: usize| LogText::Stored(Artifact::of(&index.to_le_bytes()));
     farm.on(logged(&first, Attempt::Failed, stored(0)));
     farm.fail(1, &first, Failure::Panicked { message: "oh".into() });
     farm.now = farm.now.after(10);
@@ -531,7 +531,7 @@ fn logs_of_failures_are_kept_with_the_job_and_those_of_tiles_for_a_while() {
     };
     let both = [(0, "w".to_owned(), Attempt::Failed), (1, "w".to_owned(), Attempt::Done)];
     assert_eq!((logs(&farm, 0), logs(&farm, 10)), (both.to_vec(), both[1..].to_vec()));
-    assert_eq!(farm.scheduler.unreferenced(vec![Artefact::of(&0usize.to_le_bytes()).digest]), []);
+    assert_eq!(farm.scheduler.unreferenced(vec![Artifact::of(&0usize.to_le_bytes()).digest]), []);
     // A worker that writes without end: the oldest goes, the failure stays.
     let mut discarded = 0;
     for index in 2..600 {
@@ -602,7 +602,7 @@ fn a_worker_that_is_to_prove_itself_and_loses_its_task_to_no_fault_of_its_own_ge
         farm.fail(1, &held, panic());
     }
     assert_eq!(farm.tasks_of(1), [], "three tasks have failed here");
-    farm.wait(farm.scheduler.config().shun);
+    farm.wait(farm.scheduler.config().quarantine);
     (1..=2).for_each(|worker| drop(farm.heartbeat(worker, Phase::Working, 1)));
     assert_eq!(farm.tasks_of(1).len(), 1, "to prove itself");
     let held = farm.first_of(1);

@@ -30,7 +30,7 @@ fn work(farm: &mut Farm, worker: u64, milliseconds: u64) -> TaskKey {
         _ => (&[Role::Numbers], None),
     };
     let output =
-        |&role: &Role| Output { role, artefact: Artefact::of(format!("{} {}", role.name(), held.task).as_bytes()) };
+        |&role: &Role| Output { role, artifact: Artifact::of(format!("{} {}", role.name(), held.task).as_bytes()) };
     farm.wait(milliseconds);
     let seconds = milliseconds as f64 / 1000.0;
     let outputs = roles.iter().map(output).collect();
@@ -142,7 +142,7 @@ fn each_build_does_its_own_and_a_frame_takes_none_but_that_of_its_build() {
     for _ in 0..3 {
         work(&mut farm, 2, 10);
     }
-    let inputs: Vec<Digest> = [1, 2].map(|worker| farm.first_of(worker).work.inputs[0].output.artefact.digest).to_vec();
+    let inputs: Vec<Digest> = [1, 2].map(|worker| farm.first_of(worker).work.inputs[0].output.artifact.digest).to_vec();
     assert_ne!(inputs[0], inputs[1]);
 }
 

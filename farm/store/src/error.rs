@@ -1,12 +1,12 @@
-//! Why an artefact cannot be had or kept.
+//! Why an artifact cannot be had or kept.
 
 use femc_model::Digest;
 
-/// Why an artefact cannot be had or kept.
+/// Why an artifact cannot be had or kept.
 #[derive(Debug, thiserror::Error)]
 pub enum StoreError {
     /// It is not there, or what was there was damaged.
-    #[error("there is no artefact {digest}")]
+    #[error("there is no artifact {digest}")]
     Missing {
         /// Which.
         digest: Digest,
@@ -26,13 +26,13 @@ pub enum StoreError {
         digest: Digest,
     },
     /// Beyond the store's limit.
-    #[error("an artefact of more than {limit} bytes")]
+    #[error("an artifact of more than {limit} bytes")]
     TooLarge {
         /// Bytes.
         limit: u64,
     },
     /// An address that is none.
-    #[error("{url} is no address of an artefact store: {message}; write it like s3://bucket/prefix")]
+    #[error("{url} is no address of an artifact store: {message}; write it like s3://bucket/prefix")]
     Url {
         /// As given.
         url: String,
@@ -40,7 +40,7 @@ pub enum StoreError {
         message: String,
     },
     /// The medium said no, or is away.
-    #[error("artefact store {store}: {error}")]
+    #[error("artifact store {store}: {error}")]
     Medium {
         /// Its name: a folder, an address, or `memory`.
         store: String,

@@ -1,6 +1,6 @@
-//! Artefacts by content: tiles, sums, images and scene bundles, named by the BLAKE3 digest of their bytes.
+//! Artifacts by content: tiles, sums, images and scene bundles, named by the BLAKE3 digest of their bytes.
 //!
-//! Over `object_store`, so that a folder, memory and an S3-compatible server behave alike. An artefact is written
+//! Over `object_store`, so that a folder, memory and an S3-compatible server behave alike. An artifact is written
 //! whole or not at all, never changed, and checked whenever it is read: one that is damaged is removed and reported as
 //! missing, so that whoever needs it has it made again. It is also read before anybody is told that it need not be put
 //! (`mend`).
@@ -17,7 +17,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime};
 
 use bytes::Bytes;
-use femc_model::{Artefact, Digest};
+use femc_model::{Artifact, Digest};
 use object_store::local::LocalFileSystem;
 use object_store::memory::InMemory;
 use object_store::path::Path;
@@ -32,7 +32,7 @@ pub use mend::Soundness;
 pub use object_store;
 pub use upload::Upload;
 
-/// Where artefacts live; clones share it.
+/// Where artifacts live; clones share it.
 #[derive(Debug, Clone)]
 pub struct Store {
     /// For messages.
@@ -49,20 +49,20 @@ pub struct Store {
 }
 
 impl Store {
-    /// Most bytes of an artefact, unless [`Store::with_limit`] says otherwise.
+    /// Most bytes of an artifact, unless [`Store::with_limit`] says otherwise.
     pub const LIMIT: u64 = 1 << 30;
     /// Questions to the medium at a time.
     const AT_ONCE: usize = 32;
     /// Bytes that are asked of the medium at once.
     const READ: u64 = 4 << 20;
-    /// Artefacts that are read at once to see whether they are sound.
+    /// Artifacts that are read at once to see whether they are sound.
     const READERS: usize = 8;
     /// Bytes that are hashed without a break.
     const BITE: usize = 256 << 10;
-    /// How often an artefact is put in the place of a damaged one.
+    /// How often an artifact is put in the place of a damaged one.
     const TRIES: usize = 3;
 
-    /// In a folder of this machine, which is made if it is not there; every artefact is synced to the disk.
+    /// In a folder of this machine, which is made if it is not there; every artifact is synced to the disk.
     pub fn folder(path: &FilePath) -> Result<Self, StoreError> {
         let name = path.display().to_string();
         let wrong = |error| StoreError::Medium { store: name.clone(), error };
@@ -114,12 +114,12 @@ impl Store {
         first.map(drop).map_err(|error| self.medium(error))
     }
 
-    /// The same store with another limit of bytes an artefact.
+    /// The same store with another limit of bytes an artifact.
     pub fn with_limit(self, limit: u64) -> Self {
         Self { limit, ..self }
     }
 
-    /// Most bytes of an artefact.
+    /// Most bytes of an artifact.
     pub fn limit(&self) -> u64 {
         self.limit
     }
@@ -144,37 +144,37 @@ impl Store {
     }
 
     /// Keeps `bytes`; what is there already is left alone, if it is whole.
-    pub async fn put(&self, bytes: Bytes) -> Result<Artefact, StoreError> {
+    pub async fn put(&self, bytes: Bytes) -> Result<Artifact, StoreError> {
         Ok(self.keep(bytes).await?.0)
     }
 
-    pub(crate) async fn keep(&self, bytes: Bytes) -> Result<(Artefact, Novelty), StoreError> {
+    pub(crate) async fn keep(&self, bytes: Bytes) -> Result<(Artifact, Novelty), StoreError> {
         if bytes.len() as u64 > self.limit {
             return Err(StoreError::TooLarge { limit: self.limit });
         }
-        let artefact = Artefact::of(&bytes);
+        let artifact = Artifact::of(&bytes);
         for _ in 0..Self::TRIES {
             let options = PutOptions { mode: PutMode::Create, ..PutOptions::default() };
             let put = {
                 let _open = self.gate.read().await;
-                self.objects.put_opts(&place(&artefact.digest), bytes.clone().into(), options).await
+                self.objects.put_opts(&place(&artifact.digest), bytes.clone().into(), options).await
             };
             match put {
                 Ok(_) => {
-                    self.seen().note(artefact);
-                    return Ok((artefact, Novelty::New));
+                    self.seen().note(artifact);
+                    return Ok((artifact, Novelty::New));
                 }
                 Err(object_store::Error::AlreadyExists { .. }) => {}
                 Err(error) => return Err(self.medium(error)),
             }
-            if let Soundness::Sound(_) = self.verify(&artefact.digest).await? {
-                return Ok((artefact, Novelty::Older));
+            if let Soundness::Sound(_) = self.verify(&artifact.digest).await? {
+                return Ok((artifact, Novelty::Older));
             }
         }
-        Err(StoreError::Unsound { digest: artefact.digest })
+        Err(StoreError::Unsound { digest: artifact.digest })
     }
 
-    /// Begins to keep an artefact that comes in pieces.
+    /// Begins to keep an artifact that comes in pieces.
     pub fn upload(&self, announced: Digest) -> Upload {
         Upload::new(self.clone(), announced)
     }
@@ -236,9 +236,9 @@ impl Store {
         }
     }
 
-    /// Every artefact that is there, in no order.
-    pub async fn list(&self) -> Result<Vec<Artefact>, StoreError> {
-        Ok(self.listing().await?.into_iter().map(|stored| stored.artefact).collect())
+    /// Every artifact that is there, in no order.
+    pub async fn list(&self) -> Result<Vec<Artifact>, StoreError> {
+        Ok(self.listing().await?.into_iter().map(|stored| stored.artifact).collect())
     }
 
     /// The same with the times at which they were kept, by the medium's clock.
@@ -249,8 +249,8 @@ impl Store {
             let meta = meta.map_err(|error| self.medium(error))?;
             let name: String = meta.location.parts().map(|part| part.as_ref().to_owned()).collect();
             if let Ok(digest) = name.parse() {
-                let artefact = Artefact { digest, bytes: meta.size };
-                all.push(Stored { artefact, kept: meta.last_modified.into() });
+                let artifact = Artifact { digest, bytes: meta.size };
+                all.push(Stored { artifact, kept: meta.last_modified.into() });
             }
         }
         Ok(all)
@@ -272,7 +272,7 @@ impl Store {
     }
 }
 
-/// How old an artefact is that has just been put.
+/// How old an artifact is that has just been put.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Novelty {
     /// As old as this.
@@ -290,16 +290,16 @@ pub enum Sweep {
     Remove,
 }
 
-/// An artefact in the store.
+/// An artifact in the store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Stored {
     /// Which.
-    pub artefact: Artefact,
+    pub artifact: Artifact,
     /// Since when.
     pub kept: SystemTime,
 }
 
-/// Where an artefact lies: two digits for the folder, the rest for the file; no folder grows too large.
+/// Where an artifact lies: two digits for the folder, the rest for the file; no folder grows too large.
 pub fn place(digest: &Digest) -> Path {
     let name = digest.to_string();
     Path::from_iter([&name[..2], &name[2..]])

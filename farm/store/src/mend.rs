@@ -1,16 +1,16 @@
 //! Bytes that are not those of their name any more: found by reading, and removed, so that they can be put again.
 //!
 //! A disk may lose the end of a file, or change a bit of it, long after it has said that the file is safe. Whoever reads an
-//! artefact finds out; whoever only asks whether it is there does not. So what is about to be relied on, because somebody
+//! artifact finds out; whoever only asks whether it is there does not. So what is about to be relied on, because somebody
 //! would else send it or make it, is read first: the reading costs less than the sending.
 
 use bytes::Bytes;
-use femc_model::{Artefact, Digest};
+use femc_model::{Artifact, Digest};
 use object_store::ObjectStoreExt as _;
 
 use crate::{Store, StoreError, place};
 
-/// What reading an artefact came to.
+/// What reading an artifact came to.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Soundness {
     /// It is there, whole, with so many bytes.
@@ -21,7 +21,7 @@ pub enum Soundness {
     Missing,
 }
 
-/// Reads an artefact to its end, and what its bytes' digest is.
+/// Reads an artifact to its end, and what its bytes' digest is.
 pub(crate) struct Reading {
     hash: blake3::Hasher,
     size: u64,
@@ -96,11 +96,11 @@ impl Store {
     }
 
     /// The same from memory alone, if it came in or was read lately with so many bytes: somebody else may have harmed it since.
-    pub async fn known(&self, artefact: &Artefact) -> Result<Soundness, StoreError> {
-        let seen = self.seen().size(&artefact.digest);
+    pub async fn known(&self, artifact: &Artifact) -> Result<Soundness, StoreError> {
+        let seen = self.seen().size(&artifact.digest);
         match seen {
-            Some(bytes) if bytes == artefact.bytes => Ok(Soundness::Sound(bytes)),
-            Some(_) | None => self.verify(&artefact.digest).await,
+            Some(bytes) if bytes == artifact.bytes => Ok(Soundness::Sound(bytes)),
+            Some(_) | None => self.verify(&artifact.digest).await,
         }
     }
 
@@ -129,7 +129,7 @@ impl Store {
     /// bytes might go that somebody has just put there in its place.
     async fn conclude(&self, digest: &Digest, found: Soundness) -> Result<Soundness, StoreError> {
         match found {
-            Soundness::Sound(bytes) => self.seen().note(Artefact { digest: *digest, bytes }),
+            Soundness::Sound(bytes) => self.seen().note(Artifact { digest: *digest, bytes }),
             Soundness::Missing => self.seen().forget(digest),
             Soundness::Damaged => {
                 // In this order: who holds the gate waits for no other reading, while every put waits for it.

@@ -2,9 +2,9 @@
 
 use std::collections::{BTreeMap, VecDeque};
 
-use femc_model::{Artefact, Digest};
+use femc_model::{Artifact, Digest};
 
-/// Sizes of the latest artefacts, oldest first to go.
+/// Sizes of the latest artifacts, oldest first to go.
 #[derive(Debug, Default)]
 pub(crate) struct Seen {
     sizes: BTreeMap<Digest, u64>,
@@ -12,10 +12,10 @@ pub(crate) struct Seen {
 }
 
 impl Seen {
-    /// Most artefacts that are remembered: a few megabytes.
+    /// Most artifacts that are remembered: a few megabytes.
     const MOST: usize = 1 << 16;
 
-    pub(crate) fn note(&mut self, Artefact { digest, bytes }: Artefact) {
+    pub(crate) fn note(&mut self, Artifact { digest, bytes }: Artifact) {
         if self.sizes.insert(digest, bytes).is_none() {
             self.order.push_back(digest);
         }
@@ -43,12 +43,12 @@ mod tests {
     #[test]
     fn the_latest_are_remembered_and_what_is_removed_is_not() {
         let mut seen = Seen::default();
-        let artefact = |number: u32| Artefact::of(&number.to_le_bytes());
+        let artifact = |number: u32| Artifact::of(&number.to_le_bytes());
         let count = Seen::MOST as u32 + 2;
-        (0..count).for_each(|number| seen.note(artefact(number)));
-        assert_eq!((seen.size(&artefact(1).digest), seen.size(&artefact(2).digest)), (None, Some(4)));
-        seen.forget(&artefact(2).digest);
-        assert_eq!(seen.size(&artefact(2).digest), None);
+        (0..count).for_each(|number| seen.note(artifact(number)));
+        assert_eq!((seen.size(&artifact(1).digest), seen.size(&artifact(2).digest)), (None, Some(4)));
+        seen.forget(&artifact(2).digest);
+        assert_eq!(seen.size(&artifact(2).digest), None);
         assert_eq!((seen.sizes.len(), seen.order.len()), (Seen::MOST - 1, Seen::MOST));
     }
 }

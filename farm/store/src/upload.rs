@@ -1,7 +1,7 @@
-//! An artefact that comes in pieces: hashed on the way, kept only if it is what was announced.
+//! An artifact that comes in pieces: hashed on the way, kept only if it is what was announced.
 
 use bytes::BytesMut;
-use femc_model::{Artefact, Digest};
+use femc_model::{Artifact, Digest};
 use object_store::{MultipartUpload, ObjectStoreExt as _};
 
 use crate::{Novelty, Store, StoreError, place};
@@ -9,7 +9,7 @@ use crate::{Novelty, Store, StoreError, place};
 /// Bytes kept in memory before they go to the medium; S3 wants at least 5 MiB a part.
 const PART: usize = 8 << 20;
 
-/// An artefact on its way in. Dropped before [`Upload::finish`], it leaves nothing that can be read.
+/// An artifact on its way in. Dropped before [`Upload::finish`], it leaves nothing that can be read.
 pub struct Upload {
     store: Store,
     announced: Digest,
@@ -69,8 +69,8 @@ impl Upload {
         }
     }
 
-    /// Keeps the artefact, if its bytes are those announced. A large one takes the place of one that is there.
-    pub async fn finish(mut self) -> Result<(Artefact, Novelty), StoreError> {
+    /// Keeps the artifact, if its bytes are those announced. A large one takes the place of one that is there.
+    pub async fn finish(mut self) -> Result<(Artifact, Novelty), StoreError> {
         let found = Digest::from_bytes(*self.hash.finalize().as_bytes());
         if found != self.announced {
             self.abort().await;
@@ -86,9 +86,9 @@ impl Upload {
             let _open = self.store.gate.read().await;
             parts.complete().await.map_err(|error| self.store.medium(error))?;
         }
-        let artefact = Artefact { digest: found, bytes: self.size };
-        self.store.seen().note(artefact);
-        Ok((artefact, Novelty::Older))
+        let artifact = Artifact { digest: found, bytes: self.size };
+        self.store.seen().note(artifact);
+        Ok((artifact, Novelty::Older))
     }
 }
 

@@ -1,9 +1,9 @@
-//! What every artefact store must do.
+//! What every artifact store must do.
 
 use std::time::Duration;
 
 use bytes::Bytes;
-use femc_model::{Artefact, Digest};
+use femc_model::{Artifact, Digest};
 use femc_require::Need;
 use femc_store::object_store::ObjectStoreExt as _;
 use femc_store::{Novelty, Soundness, Store, StoreError, Sweep, place};
@@ -13,12 +13,12 @@ async fn conforms(store: &Store) {
     let digest = Digest::of(&bytes);
     assert!(!store.has(&digest).await.unwrap());
     assert!(matches!(store.get(&digest).await, Err(StoreError::Missing { .. })));
-    assert_eq!(store.put(bytes.clone()).await.unwrap(), Artefact { digest, bytes: 6 });
+    assert_eq!(store.put(bytes.clone()).await.unwrap(), Artifact { digest, bytes: 6 });
     assert_eq!(store.put(bytes.clone()).await.unwrap().digest, digest, "a second time changes nothing");
     assert_eq!(store.get(&digest).await.unwrap(), bytes);
     assert!(store.has(&digest).await.unwrap());
     assert_eq!(store.size(&digest).await.unwrap(), Some(6));
-    assert_eq!(store.list().await.unwrap(), [Artefact { digest, bytes: 6 }]);
+    assert_eq!(store.list().await.unwrap(), [Artifact { digest, bytes: 6 }]);
 
     let listing = store.listing().await.unwrap();
     let age = listing[0].kept.elapsed().unwrap_or_default();
@@ -38,7 +38,7 @@ async fn conforms(store: &Store) {
     }
     assert_eq!(upload.size(), large.len() as u64);
     assert!(!store.has(&digest).await.unwrap(), "not there before it is whole");
-    let whole = Artefact { digest, bytes: large.len() as u64 };
+    let whole = Artifact { digest, bytes: large.len() as u64 };
     assert_eq!(upload.finish().await.unwrap(), (whole, Novelty::Older));
     assert_eq!(store.get(&digest).await.unwrap(), large);
     let (send, mut receive) = tokio::sync::mpsc::channel(64);
@@ -74,7 +74,7 @@ async fn conforms(store: &Store) {
     for novelty in [Novelty::New, Novelty::Older] {
         let mut upload = store.upload(Digest::of(b"small"));
         upload.write(b"small").await.unwrap();
-        assert_eq!(upload.finish().await.unwrap(), (Artefact::of(b"small"), novelty));
+        assert_eq!(upload.finish().await.unwrap(), (Artifact::of(b"small"), novelty));
     }
 
     // Two who put the same at the same time both have it.
@@ -111,13 +111,13 @@ enum Way {
     Upload,
 }
 
-/// Whatever the medium makes of an artefact, nobody is told for long that it is there, and it can be put again.
+/// Whatever the medium makes of an artifact, nobody is told for long that it is there, and it can be put again.
 async fn heals(store: &Store) {
     // The large one comes in several parts, and is read in several blocks.
     let large: Vec<u8> = (0..9_000_003u32).map(|i| (i * 7 + i / 251) as u8).collect();
     for whole in [b"a tile of some bytes".to_vec(), large] {
         let whole = Bytes::from(whole);
-        let Artefact { digest, bytes } = Artefact::of(&whole);
+        let Artifact { digest, bytes } = Artifact::of(&whole);
         let all = harms(&whole);
         // Of the large one, one of each kind.
         let step = if whole.len() < 1000 { 1 } else { 2 };
@@ -170,17 +170,17 @@ async fn heals(store: &Store) {
                 }
                 // One whose memory is of before the harm, and one that has none.
                 store.put(whole.clone()).await.unwrap();
-                assert_eq!(store.known(&Artefact { digest, bytes }).await.unwrap(), Soundness::Sound(bytes));
+                assert_eq!(store.known(&Artifact { digest, bytes }).await.unwrap(), Soundness::Sound(bytes));
                 let fresh = Store::over("the same", store.medium_itself().clone());
                 store.medium_itself().put(&place(&digest), damaged.clone().into()).await.unwrap();
                 assert_eq!(fresh.missing(&[digest]).await.unwrap(), [digest], "{harm}");
                 store.remove(&digest).await.unwrap();
-                assert_eq!(store.known(&Artefact { digest, bytes }).await.unwrap(), Soundness::Missing, "{harm}");
+                assert_eq!(store.known(&Artifact { digest, bytes }).await.unwrap(), Soundness::Missing, "{harm}");
             }
         }
         // A sound one of which somebody believes another size is none of the store's faults.
         store.put(whole.clone()).await.unwrap();
-        assert_eq!(store.known(&Artefact { digest, bytes: bytes + 1 }).await.unwrap(), Soundness::Sound(bytes));
+        assert_eq!(store.known(&Artifact { digest, bytes: bytes + 1 }).await.unwrap(), Soundness::Sound(bytes));
         assert_eq!(store.get(&digest).await.unwrap(), whole, "and it stays");
     }
 }
@@ -202,8 +202,8 @@ async fn an_s3_server_conforms() {
 #[tokio::test]
 async fn two_prefixes_of_a_bucket_are_two_stores() {
     let (Some(one), Some(two)) = (s3("one"), s3("two")) else { return };
-    let artefact = one.put(Bytes::from_static(b"a tile")).await.unwrap();
-    assert_eq!((one.list().await.unwrap(), two.list().await.unwrap()), (vec![artefact], vec![]));
+    let artifact = one.put(Bytes::from_static(b"a tile")).await.unwrap();
+    assert_eq!((one.list().await.unwrap(), two.list().await.unwrap()), (vec![artifact], vec![]));
 }
 
 #[tokio::test]
@@ -238,11 +238,11 @@ async fn what_a_disk_damages_is_found_and_can_be_put_again() {
 #[tokio::test]
 async fn a_folder_conforms() {
     let folder = tempfile::tempdir().unwrap();
-    conforms(&Store::folder(&folder.path().join("new/artefacts")).unwrap()).await;
+    conforms(&Store::folder(&folder.path().join("new/artifacts")).unwrap()).await;
 }
 
 #[tokio::test]
-async fn a_damaged_artefact_is_missing_and_can_be_put_again() {
+async fn a_damaged_artifact_is_missing_and_can_be_put_again() {
     let folder = tempfile::tempdir().unwrap();
     let store = Store::folder(folder.path()).unwrap();
     let bytes = Bytes::from_static(b"a tile");

@@ -23,14 +23,14 @@ pub(crate) fn collect_mode(value: i32) -> Result<CollectMode, ConvertError> {
 }
 
 impl From<Volume> for wire::collect_reply::Volume {
-    fn from(Volume { artefacts, bytes }: Volume) -> Self {
-        Self { artefacts, bytes }
+    fn from(Volume { artifacts, bytes }: Volume) -> Self {
+        Self { artifacts, bytes }
     }
 }
 
 impl From<wire::collect_reply::Volume> for Volume {
-    fn from(wire::collect_reply::Volume { artefacts, bytes }: wire::collect_reply::Volume) -> Self {
-        Self { artefacts, bytes }
+    fn from(wire::collect_reply::Volume { artifacts, bytes }: wire::collect_reply::Volume) -> Self {
+        Self { artifacts, bytes }
     }
 }
 

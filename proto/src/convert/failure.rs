@@ -59,13 +59,13 @@ impl From<Refusal> for wire::Refusal {
                 Refusal::Ended { job } => Reason::Ended(job.0),
                 Refusal::Invalid { field, message } => Reason::Invalid(Field { field, message }),
                 Refusal::StaleEpoch => Reason::StaleEpoch(wire::Empty {}),
-                Refusal::NoSuchArtefact { digest } => Reason::NoSuchArtefact(digest_bytes(&digest)),
+                Refusal::NoSuchArtifact { digest } => Reason::NoSuchArtifact(digest_bytes(&digest)),
                 Refusal::DigestMismatch { digest } => Reason::DigestMismatch(digest_bytes(&digest)),
                 Refusal::TooLarge { what, limit } => Reason::TooLarge(Limit { what, limit }),
-                Refusal::MissingArtefacts { digests, count } => {
-                    Reason::MissingArtefacts(Lacking { digests: digests.iter().map(digest_bytes).collect(), count })
+                Refusal::MissingArtifacts { digests, count } => {
+                    Reason::MissingArtifacts(Lacking { digests: digests.iter().map(digest_bytes).collect(), count })
                 }
-                Refusal::ArtefactTooLarge { limit } => Reason::ArtefactTooLarge(limit),
+                Refusal::ArtifactTooLarge { limit } => Reason::ArtifactTooLarge(limit),
                 Refusal::Resume { offset } => Reason::Resume(offset),
                 Refusal::Unavailable { message } => Reason::Unavailable(message),
                 Refusal::NoRoom { place, free } => Reason::NoRoom(Room { place, free }),
@@ -86,14 +86,14 @@ impl TryFrom<wire::Refusal> for Refusal {
             Reason::Ended(job) => Self::Ended { job: JobId(job) },
             Reason::Invalid(Field { field, message }) => Self::Invalid { field, message },
             Reason::StaleEpoch(_) => Self::StaleEpoch,
-            Reason::NoSuchArtefact(bytes) => Self::NoSuchArtefact { digest: digest("refusal.artefact", &bytes)? },
+            Reason::NoSuchArtifact(bytes) => Self::NoSuchArtifact { digest: digest("refusal.artifact", &bytes)? },
             Reason::DigestMismatch(bytes) => Self::DigestMismatch { digest: digest("refusal.mismatch", &bytes)? },
             Reason::TooLarge(Limit { what, limit }) => Self::TooLarge { what, limit },
-            Reason::MissingArtefacts(Lacking { digests, count }) => {
+            Reason::MissingArtifacts(Lacking { digests, count }) => {
                 let digests = digests.iter().map(|bytes| digest("refusal.missing", bytes)).collect::<Result<_, _>>()?;
-                Self::MissingArtefacts { digests, count }
+                Self::MissingArtifacts { digests, count }
             }
-            Reason::ArtefactTooLarge(limit) => Self::ArtefactTooLarge { limit },
+            Reason::ArtifactTooLarge(limit) => Self::ArtifactTooLarge { limit },
             Reason::Resume(offset) => Self::Resume { offset },
             Reason::Unavailable(message) => Self::Unavailable { message },
             Reason::NoRoom(Room { place, free }) => Self::NoRoom { place, free },

@@ -38,8 +38,8 @@ pub(super) fn stage(value: u32) -> Result<u16, ConvertError> {
 }
 
 impl From<Output> for wire::Output {
-    fn from(Output { role, artefact }: Output) -> Self {
-        Self { role: of_role(role), artefact: Some(artefact.into()) }
+    fn from(Output { role, artifact }: Output) -> Self {
+        Self { role: of_role(role), artifact: Some(artifact.into()) }
     }
 }
 
@@ -47,7 +47,7 @@ impl TryFrom<wire::Output> for Output {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Output) -> Result<Self, ConvertError> {
-        Ok(Self { role: role(wire.role)?, artefact: need("output.artefact", wire.artefact)?.try_into()? })
+        Ok(Self { role: role(wire.role)?, artifact: need("output.artifact", wire.artifact)?.try_into()? })
     }
 }
 

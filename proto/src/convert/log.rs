@@ -12,7 +12,7 @@ impl From<TaskLog> for wire::TaskLog {
         let TaskLog { attempt, seconds, text } = log;
         let text = match text {
             LogText::Inline(text) => Text::Inline(text),
-            LogText::Stored(artefact) => Text::Stored(artefact.into()),
+            LogText::Stored(artifact) => Text::Stored(artifact.into()),
         };
         Self { done: attempt == Attempt::Done, seconds, text: Some(text) }
     }
@@ -29,10 +29,10 @@ impl TryFrom<wire::TaskLog> for TaskLog {
                 return Err(ConvertError::Range { field: "log.inline" });
             }
             Text::Inline(text) => LogText::Inline(text),
-            Text::Stored(artefact) if artefact.bytes > LogText::STORED as u64 => {
+            Text::Stored(artifact) if artifact.bytes > LogText::STORED as u64 => {
                 return Err(ConvertError::Range { field: "log.stored" });
             }
-            Text::Stored(artefact) => LogText::Stored(artefact.try_into()?),
+            Text::Stored(artifact) => LogText::Stored(artifact.try_into()?),
         };
         let attempt = if done { Attempt::Done } else { Attempt::Failed };
         Ok(Self { attempt, seconds: finite(seconds)?, text })

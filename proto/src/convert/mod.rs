@@ -13,7 +13,7 @@ pub(crate) mod tests;
 mod usage;
 
 use bytes::Bytes;
-use femc_model::{Artefact, Digest};
+use femc_model::{Artifact, Digest};
 
 use crate::wire;
 pub(crate) use collect::collect_mode;
@@ -84,16 +84,16 @@ pub(crate) fn maybe<W, M: TryFrom<W, Error = ConvertError>>(value: Option<W>) ->
     value.map(M::try_from).transpose()
 }
 
-impl From<Artefact> for wire::Artefact {
-    fn from(artefact: Artefact) -> Self {
-        Self { digest: digest_bytes(&artefact.digest), bytes: artefact.bytes }
+impl From<Artifact> for wire::Artifact {
+    fn from(artifact: Artifact) -> Self {
+        Self { digest: digest_bytes(&artifact.digest), bytes: artifact.bytes }
     }
 }
 
-impl TryFrom<wire::Artefact> for Artefact {
+impl TryFrom<wire::Artifact> for Artifact {
     type Error = ConvertError;
 
-    fn try_from(wire: wire::Artefact) -> Result<Self, ConvertError> {
-        Ok(Self { digest: digest("artefact.digest", &wire.digest)?, bytes: wire.bytes })
+    fn try_from(wire: wire::Artifact) -> Result<Self, ConvertError> {
+        Ok(Self { digest: digest("artifact.digest", &wire.digest)?, bytes: wire.bytes })
     }
 }

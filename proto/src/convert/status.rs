@@ -135,7 +135,9 @@ impl From<Wait> for wire::Wait {
                 Wait::WorkersInTrouble { workers, seconds, failure } => {
                     Reason::WorkersInTrouble(wire::Trouble { workers, seconds, failure: Some(failure.into()) })
                 }
-                Wait::WorkersShunned { workers, seconds } => Reason::WorkersShunned(wire::Shunned { workers, seconds }),
+                Wait::WorkersQuarantined { workers, seconds } => {
+                    Reason::WorkersQuarantined(wire::QuarantinedWorkers { workers, seconds })
+                }
                 Wait::WorkersAvoided { tasks } => Reason::WorkersAvoided(tasks),
                 Wait::OtherBuild { frames } => Reason::OtherBuild(frames),
                 Wait::Regrouping { milliseconds } => Reason::Regrouping(milliseconds),
@@ -175,7 +177,9 @@ impl TryFrom<wire::Wait> for Wait {
                 let failure = need("wait.workers_in_trouble.failure", failure)?.try_into()?;
                 Self::WorkersInTrouble { workers, seconds, failure }
             }
-            Reason::WorkersShunned(wire::Shunned { workers, seconds }) => Self::WorkersShunned { workers, seconds },
+            Reason::WorkersQuarantined(wire::QuarantinedWorkers { workers, seconds }) => {
+                Self::WorkersQuarantined { workers, seconds }
+            }
             Reason::OtherBuild(frames) => Self::OtherBuild { frames },
             Reason::Regrouping(milliseconds) => Self::Regrouping { milliseconds },
             Reason::BehindJob(job) => Self::BehindJob(JobId(job)),

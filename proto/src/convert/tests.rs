@@ -23,8 +23,8 @@ fn digest() -> Digest {
     Digest::of(b"x")
 }
 
-fn artefact() -> Artefact {
-    Artefact { digest: digest(), bytes: u64::MAX }
+fn artifact() -> Artifact {
+    Artifact { digest: digest(), bytes: u64::MAX }
 }
 
 fn task(kind: StageKind) -> TaskKey {
@@ -32,7 +32,7 @@ fn task(kind: StageKind) -> TaskKey {
 }
 
 fn outputs() -> Vec<Output> {
-    Role::ALL.map(|role| Output { role, artefact: artefact() }).to_vec()
+    Role::ALL.map(|role| Output { role, artifact: artifact() }).to_vec()
 }
 
 fn graph() -> Graph {
@@ -91,11 +91,11 @@ pub(crate) fn refusals() -> Vec<Refusal> {
         Refusal::Ended { job: JobId(1) },
         Refusal::Invalid { field: "f".into(), message: "m".into() },
         Refusal::StaleEpoch,
-        Refusal::NoSuchArtefact { digest: digest() },
+        Refusal::NoSuchArtifact { digest: digest() },
         Refusal::DigestMismatch { digest: digest() },
         Refusal::TooLarge { what: "w".into(), limit: 9 },
-        Refusal::MissingArtefacts { digests: vec![digest(); Refusal::MOST_NAMED], count: 70 },
-        Refusal::ArtefactTooLarge { limit: 9 },
+        Refusal::MissingArtifacts { digests: vec![digest(); Refusal::MOST_NAMED], count: 70 },
+        Refusal::ArtifactTooLarge { limit: 9 },
         Refusal::Resume { offset: 5 },
         Refusal::Unavailable { message: "m".into() },
         Refusal::NoRoom { place: "the log".into(), free: 7 },
@@ -151,12 +151,12 @@ fn the_words_of_a_session_cross_the_wire() {
     });
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Draining);
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Available);
-    let stored = LogText::Stored(Artefact { bytes: LogText::STORED as u64, ..artefact() });
+    let stored = LogText::Stored(Artifact { bytes: LogText::STORED as u64, ..artifact() });
     let record = LogRecord { task: render, epoch, worker: "w".into(), at: Tick(7), log: log(stored) };
     crosses::<LogRecord, wire::LogRecord>(record);
     let long = wire::TaskLog::from(log(LogText::Inline("x".repeat(LogText::INLINE + 1))));
     assert_eq!(TaskLog::try_from(long), Err(ConvertError::Range { field: "log.inline" }));
-    let large = wire::TaskLog::from(log(LogText::Stored(artefact())));
+    let large = wire::TaskLog::from(log(LogText::Stored(artifact())));
     assert_eq!(TaskLog::try_from(large), Err(ConvertError::Range { field: "log.stored" }));
     for decision in [None, Some(Decision::Continue), Some(Decision::Steps(vec![16, 0])), Some(Decision::Done)] {
         let (outputs, relative_error) = (outputs(), decision.as_ref().map(|_| 0.01));
@@ -196,7 +196,7 @@ fn the_words_of_a_session_cross_the_wire() {
     let endless = wire::Usage::from(Usage { cpu: f64::NAN, ..usage() });
     assert_eq!(Usage::try_from(endless), Err(ConvertError::Range { field: "seconds" }));
 
-    let output = Output { role: Role::Pixels, artefact: artefact() };
+    let output = Output { role: Role::Pixels, artifact: artifact() };
     let inputs = vec![Input { need: u16::MAX, frame: Stage::OF_JOB, item: 9, output }; 2];
     for (more, copy_of) in [(More::Rounds, None), (More::Last, Some(Epoch::new(2, 8)))] {
         let (inputs, taken) = (inputs.clone(), [16, 64, 32].into_iter().collect());
@@ -241,7 +241,7 @@ fn statuses_cross_the_wire() {
         Wait::WorkersResting,
         Wait::WorkersSilent { workers: 2, seconds: 9 },
         Wait::WorkersInTrouble { workers: 1, seconds: 4, failure: Failure::Store { message: "full".into() } },
-        Wait::WorkersShunned { workers: 2, seconds: 60 },
+        Wait::WorkersQuarantined { workers: 2, seconds: 60 },
         Wait::WorkersAvoided { tasks: 3 },
         Wait::Regrouping { milliseconds: 300 },
         Wait::OtherBuild { frames: 2 },
@@ -373,7 +373,7 @@ fn kinds_and_roles_are_numbered_on_the_wire_as_in_the_farm_s_tables() {
 
 #[test]
 fn the_largest_assignment_fits_a_message() {
-    let output = Output { role: Role::Preview, artefact: artefact() };
+    let output = Output { role: Role::Preview, artifact: artifact() };
     let input = |item| Input { need: Graph::MAX_NEEDS as u16, frame: u32::MAX, item, output };
     let inputs = (0..Graph::MAX_TASKS).map(input).collect();
     let (taken, more) = ((0..Graph::MAX_TASKS).map(|item| u32::MAX - item).collect(), More::Last);

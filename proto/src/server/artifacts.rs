@@ -6,7 +6,7 @@ use std::time::Duration;
 
 use bytes::Bytes;
 use femc_fault::{Point, pass_async};
-use femc_model::{Artefact, Digest, Refusal};
+use femc_model::{Artifact, Digest, Refusal};
 use femc_store::{Novelty, Soundness, StoreError};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
@@ -60,8 +60,8 @@ impl wire::artifacts_server::Artifacts for Server {
         let place = self.places.take(who).await;
         // In a task of its own: what has come of an upload is taken in to the last byte also when its sender is gone.
         let put = tokio::spawn(put(self.clone(), place, request.into_inner()));
-        let artefact = put.await.map_err(|error| Status::internal(error.to_string()))??;
-        Ok(Response::new(wire::PutReply { artefact: Some(artefact.into()) }))
+        let artifact = put.await.map_err(|error| Status::internal(error.to_string()))??;
+        Ok(Response::new(wire::PutReply { artifact: Some(artifact.into()) }))
     }
 
     async fn collect(&self, request: Request<wire::CollectRequest>) -> Result<Response<wire::CollectReply>, Status> {
@@ -83,7 +83,7 @@ impl wire::artifacts_server::Artifacts for Server {
         let is_other = found.is_some_and(|found| bytes.is_some_and(|bytes| bytes != found));
         if found.is_none() || (is_other && !self.is_sound(&name, who.clone()).await.map_err(|error| refuse(&error))?) {
             self.lost(&name).await;
-            return Err(to_status(&Refusal::NoSuchArtefact { digest: name }));
+            return Err(to_status(&Refusal::NoSuchArtifact { digest: name }));
         }
         let place = Arc::new(self.places.take(who).await);
         let (server, reading) = (self.clone(), place.clone());
@@ -111,7 +111,7 @@ impl wire::artifacts_server::Artifacts for Server {
 }
 
 impl Server {
-    /// Whether an artefact is there, whole. What is there is read, which takes a place.
+    /// Whether an artifact is there, whole. What is there is read, which takes a place.
     async fn is_sound(&self, name: &Digest, who: Who) -> Result<bool, StoreError> {
         if !self.store.has(name).await? {
             return Ok(false);
@@ -120,18 +120,18 @@ impl Server {
         Ok(matches!(self.store.verify(name).await?, Soundness::Sound(_)))
     }
 
-    /// Says that an artefact that somebody wanted is not there as it should be: it may be a job's. Returns when what follows is
+    /// Says that an artifact that somebody wanted is not there as it should be: it may be a job's. Returns when what follows is
     /// durable.
     pub(super) async fn lost(&self, name: &Digest) {
         let digest = *name;
         if let Err(refusal) = self.question(|reply| Call::Lost { digest, reply }).await {
             // Whoever asks for it next finds the same.
-            tracing::warn!(%digest, %refusal, "an artefact is lost, and its job does not know");
+            tracing::warn!(%digest, %refusal, "an artifact is lost, and its job does not know");
         }
     }
 }
 
-async fn put(server: Server, _place: Place, mut parts: Streaming<wire::PutRequest>) -> Result<Artefact, Status> {
+async fn put(server: Server, _place: Place, mut parts: Streaming<wire::PutRequest>) -> Result<Artifact, Status> {
     let first = need("digest", parts.message().await?)?;
     let Part::Digest(announced) = need("digest", first.part)? else {
         return Err(Status::invalid_argument("the digest comes first"));
@@ -141,7 +141,7 @@ async fn put(server: Server, _place: Place, mut parts: Streaming<wire::PutReques
     let mut upload = match server.uploads.take(&server.store, announced, first.offset).await {
         Ok(Turn::Sends(upload)) => upload,
         // Its sender need not go on.
-        Ok(Turn::There(artefact)) => return Ok(artefact),
+        Ok(Turn::There(artifact)) => return Ok(artifact),
         Err(no) => return Err(to_status(&no)),
     };
     while let Some(part) = parts.message().await? {
@@ -150,18 +150,18 @@ async fn put(server: Server, _place: Place, mut parts: Streaming<wire::PutReques
         };
         pass_async(Point::CoordinatorMidUpload).await;
         server.traffic.received.add(piece.len() as u64);
-        if let Some(artefact) = upload.write(&piece).await.map_err(|no| to_status(&no))? {
-            return Ok(artefact);
+        if let Some(artifact) = upload.write(&piece).await.map_err(|no| to_status(&no))? {
+            return Ok(artifact);
         }
     }
     // Again: it may have taken long, and bytes that are there already keep their age.
     server.promised.note(&[announced]).await;
-    let (artefact, novelty) = upload.finish().await.map_err(|no| to_status(&no))?;
+    let (artifact, novelty) = upload.finish().await.map_err(|no| to_status(&no))?;
     if novelty == Novelty::New {
         // Its age keeps it.
         server.promised.forget(&announced);
     }
-    Ok(artefact)
+    Ok(artifact)
 }
 
 pub(super) fn refuse(error: &StoreError) -> Status {
@@ -170,9 +170,9 @@ pub(super) fn refuse(error: &StoreError) -> Status {
 
 pub(super) fn refusal(error: &StoreError) -> Refusal {
     match error {
-        StoreError::Missing { digest } => Refusal::NoSuchArtefact { digest: *digest },
+        StoreError::Missing { digest } => Refusal::NoSuchArtifact { digest: *digest },
         StoreError::Mismatch { announced, .. } => Refusal::DigestMismatch { digest: *announced },
-        StoreError::TooLarge { limit } => Refusal::ArtefactTooLarge { limit: *limit },
+        StoreError::TooLarge { limit } => Refusal::ArtifactTooLarge { limit: *limit },
         StoreError::Medium { .. } | StoreError::Url { .. } | StoreError::Unsound { .. } => {
             Refusal::Unavailable { message: error.to_string() }
         }

@@ -1,9 +1,9 @@
-//! A copy of the log on its way, and the names of the artefacts that it refers to.
+//! A copy of the log on its way, and the names of the artifacts that it refers to.
 
 use std::fs::File;
 
 use bytes::BytesMut;
-use femc_model::Artefact;
+use femc_model::Artifact;
 use femc_store::Store;
 use tokio::io::AsyncReadExt as _;
 use tokio::sync::mpsc;
@@ -26,10 +26,10 @@ pub struct Backup {
 
 type Sender = mpsc::Sender<Result<wire::BackupReply, Status>>;
 
-/// Artefacts that one message names.
+/// Artifacts that one message names.
 const NAMES: usize = 10_000;
 
-/// Sends the artefacts that the store has, then the log, as fast as the listener reads.
+/// Sends the artifacts that the store has, then the log, as fast as the listener reads.
 pub(super) async fn send(store: Store, backup: Backup, out: Sender) {
     if let Err(status) = try_send(&store, backup, &out).await {
         // Who does not listen any more need not hear it.
@@ -40,13 +40,13 @@ pub(super) async fn send(store: Store, backup: Backup, out: Sender) {
 async fn try_send(store: &Store, Backup { log, references }: Backup, out: &Sender) -> Result<(), Status> {
     let digests: Vec<_> = named(store, references).await.map_err(|no| to_status(&no))?.into_iter().collect();
     for some in digests.chunks(NAMES) {
-        let mut artefacts = Vec::new();
+        let mut artifacts = Vec::new();
         for &digest in some {
             // What is gone was united with others in the meantime, or is made again by whoever misses it.
             let size = store.size(&digest).await.map_err(|error| refuse(&error))?;
-            artefacts.extend(size.map(|bytes| wire::Artefact::from(Artefact { digest, bytes })));
+            artifacts.extend(size.map(|bytes| wire::Artifact::from(Artifact { digest, bytes })));
         }
-        pass_on(Part::Artefacts(wire::Artefacts { artefacts }), out).await?;
+        pass_on(Part::Artifacts(wire::ArtifactBatch { artifacts }), out).await?;
     }
     let mut log = tokio::fs::File::from_std(log);
     loop {

@@ -7,7 +7,7 @@
 use std::collections::BTreeSet;
 use std::time::{Duration, SystemTime};
 
-use femc_model::{Artefact, Digest, Refusal};
+use femc_model::{Artifact, Digest, Refusal};
 use femc_store::{Store, Stored, Sweep};
 use tokio::task::JoinSet;
 
@@ -19,7 +19,7 @@ use super::{Call, Server, inputs};
 #[derive(Debug, Clone, Default)]
 pub struct References {
     /// All that they name.
-    pub artefacts: BTreeSet<Digest>,
+    pub artifacts: BTreeSet<Digest>,
     /// Their scenes, whose pieces are theirs, too.
     pub scenes: BTreeSet<Digest>,
 }
@@ -33,19 +33,19 @@ pub enum CollectMode {
     Remove,
 }
 
-/// Artefacts, counted.
+/// Artifacts, counted.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Volume {
     /// How many.
-    pub artefacts: u64,
+    pub artifacts: u64,
     /// Their bytes.
     pub bytes: u64,
 }
 
 impl Volume {
-    fn add(&mut self, artefact: &Artefact) {
-        self.artefacts += 1;
-        self.bytes += artefact.bytes;
+    fn add(&mut self, artifact: &Artifact) {
+        self.artifacts += 1;
+        self.bytes += artifact.bytes;
     }
 }
 
@@ -59,14 +59,14 @@ pub struct Collected {
     /// Removed, or in a dry run: would be. Also files of uploads that nobody finished.
     pub garbage: Volume,
     /// The first of the garbage.
-    pub names: Vec<Artefact>,
+    pub names: Vec<Artifact>,
 }
 
-/// Shortest grace period: a result's artefacts must have reached the log within it.
+/// Shortest grace period: a result's artifacts must have reached the log within it.
 pub const LEAST_GRACE: Duration = Duration::from_secs(60);
-/// Most artefacts that an answer names.
+/// Most artifacts that an answer names.
 const NAMES: usize = 10_000;
-/// Artefacts that are removed at a time; meanwhile uploads wait.
+/// Artifacts that are removed at a time; meanwhile uploads wait.
 const AT_ONCE: usize = 64;
 
 pub(super) async fn collect(server: &Server, mode: CollectMode, grace: Duration) -> Result<Collected, Refusal> {
@@ -85,28 +85,28 @@ pub(super) async fn collect(server: &Server, mode: CollectMode, grace: Duration)
     let references = named(&server.store, references).await?;
     let now = SystemTime::now();
     let (mut collected, mut old) = (Collected::default(), Vec::new());
-    for Stored { artefact, kept } in listing {
+    for Stored { artifact, kept } in listing {
         let is_old = now.duration_since(kept).is_ok_and(|age| age >= grace);
-        if references.contains(&artefact.digest) {
-            collected.referenced.add(&artefact);
+        if references.contains(&artifact.digest) {
+            collected.referenced.add(&artifact);
         } else if is_old {
-            old.push(artefact);
+            old.push(artifact);
         } else {
-            collected.young.add(&artefact);
+            collected.young.add(&artifact);
         }
     }
     for some in old.chunks(AT_ONCE) {
         let _closed = server.promised.close().await;
-        let (young, garbage): (Vec<Artefact>, Vec<Artefact>) =
-            some.iter().partition(|artefact| server.promised.holds(&artefact.digest, grace));
-        young.iter().for_each(|artefact| collected.young.add(artefact));
+        let (young, garbage): (Vec<Artifact>, Vec<Artifact>) =
+            some.iter().partition(|artifact| server.promised.holds(&artifact.digest, grace));
+        young.iter().for_each(|artifact| collected.young.add(artifact));
         if mode == CollectMode::Remove {
             remove(server, &garbage).await?;
         }
-        for artefact in garbage {
-            collected.garbage.add(&artefact);
+        for artifact in garbage {
+            collected.garbage.add(&artifact);
             if collected.names.len() < NAMES {
-                collected.names.push(artefact);
+                collected.names.push(artifact);
             }
         }
     }
@@ -117,7 +117,7 @@ pub(super) async fn collect(server: &Server, mode: CollectMode, grace: Duration)
     // An upload that was cut may go on for a while, however short the grace period.
     let idle = grace.max(Promised::HOLDS);
     let (uploads, bytes) = server.store.sweep_uploads(idle, sweep).await.map_err(|error| refusal(&error))?;
-    collected.garbage.artefacts += uploads;
+    collected.garbage.artifacts += uploads;
     collected.garbage.bytes += bytes;
     Ok(collected)
 }
@@ -125,25 +125,25 @@ pub(super) async fn collect(server: &Server, mode: CollectMode, grace: Duration)
 /// All that jobs name, also through their scenes.
 pub(super) async fn named(
     store: &Store,
-    References { mut artefacts, scenes }: References,
+    References { mut artifacts, scenes }: References,
 ) -> Result<BTreeSet<Digest>, Refusal> {
     for scene in scenes {
         match inputs::pieces(store, &scene).await {
-            Ok(pieces) => artefacts.extend(pieces),
+            Ok(pieces) => artifacts.extend(pieces),
             // Of a scene that is lost or no scene nothing is known, and nothing can be rendered.
-            Err(Refusal::MissingArtefacts { .. } | Refusal::Invalid { .. }) => {
+            Err(Refusal::MissingArtifacts { .. } | Refusal::Invalid { .. }) => {
                 tracing::warn!(%scene, "the scene of a job is lost");
             }
             Err(other) => return Err(other),
         }
     }
-    Ok(artefacts)
+    Ok(artifacts)
 }
 
-async fn remove(server: &Server, garbage: &[Artefact]) -> Result<(), Refusal> {
+async fn remove(server: &Server, garbage: &[Artifact]) -> Result<(), Refusal> {
     let mut removals = JoinSet::new();
-    for artefact in garbage {
-        let (store, digest) = (server.store.clone(), artefact.digest);
+    for artifact in garbage {
+        let (store, digest) = (server.store.clone(), artifact.digest);
         removals.spawn(async move { store.remove(&digest).await });
     }
     while let Some(removed) = removals.join_next().await {

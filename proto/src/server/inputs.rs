@@ -6,9 +6,9 @@ use femc_store::{Store, StoreError};
 use super::artifacts::refusal;
 use super::promised::Promised;
 
-/// The artefacts that hold a scene, besides the one that names it.
+/// The artifacts that hold a scene, besides the one that names it.
 pub(super) async fn pieces(store: &Store, bundle: &Digest) -> Result<Vec<Digest>, Refusal> {
-    let missing = |digest: &Digest| Refusal::MissingArtefacts { digests: vec![*digest], count: 1 };
+    let missing = |digest: &Digest| Refusal::MissingArtifacts { digests: vec![*digest], count: 1 };
     let size = store.size(bundle).await.map_err(|error| refusal(&error))?.ok_or_else(|| missing(bundle))?;
     if size > Manifest::MOST {
         // One of the bundles of earlier versions, which may be that large.
@@ -24,7 +24,7 @@ pub(super) async fn pieces(store: &Store, bundle: &Digest) -> Result<Vec<Digest>
     let invalid =
         |error: &dyn std::fmt::Display| Refusal::Invalid { field: "bundle".into(), message: error.to_string() };
     let manifest = Manifest::decode(&bytes).map_err(|error| invalid(&error))?;
-    Ok(manifest.pieces.iter().map(|piece| piece.artefact.digest).collect())
+    Ok(manifest.pieces.iter().map(|piece| piece.artifact.digest).collect())
 }
 
 /// Refuses a job whose scene is not whole. What is found stays for a while.
@@ -38,5 +38,5 @@ pub(super) async fn check(store: &Store, promised: &Promised, bundle: &Digest) -
     }
     let count = missing.len() as u64;
     missing.truncate(Refusal::MOST_NAMED);
-    Err(Refusal::MissingArtefacts { digests: missing, count })
+    Err(Refusal::MissingArtifacts { digests: missing, count })
 }

@@ -140,7 +140,7 @@ impl Server {
             return Ok(());
         }
         for frame in self.ask(|reply| Call::Frames { job, reply }).await? {
-            for digest in frame.outputs.iter().map(|output| output.artefact.digest) {
+            for digest in frame.outputs.iter().map(|output| output.artifact.digest) {
                 let found = self.store.verify(&digest).await.map_err(|error| refuse(&error))?;
                 if !matches!(found, Soundness::Sound(_)) {
                     self.lost(&digest).await;

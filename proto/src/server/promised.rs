@@ -1,7 +1,7 @@
 //! What somebody was told is there, or is sending: it is not garbage for a while, whoever refers to it, because a
 //! submission or a result that names it may be on its way.
 //!
-//! Noting comes before looking, and garbage is removed while nobody notes: whoever notes an artefact and then finds it in
+//! Noting comes before looking, and garbage is removed while nobody notes: whoever notes an artifact and then finds it in
 //! the store will find it there later.
 
 use std::collections::BTreeMap;
@@ -59,7 +59,7 @@ impl Promised {
         }
     }
 
-    /// What is new needs no promise; so a farm that makes a lot of artefacts has few of them.
+    /// What is new needs no promise; so a farm that makes a lot of artifacts has few of them.
     pub(super) fn forget(&self, digest: &Digest) {
         self.lock().times.remove(digest);
     }

@@ -22,9 +22,9 @@ pub struct Traffic {
     pub calls: Tally<(String, &'static str)>,
     /// Until the answer began, by the path of the call.
     pub latencies: Arc<BTreeMap<String, Histogram>>,
-    /// Bytes of artefacts that came in.
+    /// Bytes of artifacts that came in.
     pub received: Counter,
-    /// Bytes of artefacts that went out.
+    /// Bytes of artifacts that went out.
     pub sent: Counter,
 }
 

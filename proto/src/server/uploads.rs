@@ -2,15 +2,15 @@
 //!
 //! By digest, whoever sends: what comes in is checked against the digest at the end. An upload belongs to one sender at a
 //! time, as a value, so that no two can mix their bytes; one that is cut lies here until somebody takes it, with the right
-//! offset. Who comes with the same artefact meanwhile waits for the first to finish, and sends nothing then. The first may be
-//! slow, or stand still: after a while who waits gets an upload of its own, as long as there are few of the same artefact.
+//! offset. Who comes with the same artifact meanwhile waits for the first to finish, and sends nothing then. The first may be
+//! slow, or stand still: after a while who waits gets an upload of its own, as long as there are few of the same artifact.
 //! Whichever is whole first is kept, and the others hear at their next piece that it is there.
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
-use femc_model::{Artefact, Digest, Refusal};
+use femc_model::{Artifact, Digest, Refusal};
 use femc_store::{Novelty, Soundness, Store, Upload};
 use tokio::sync::Notify;
 use tokio::time::Instant;
@@ -40,7 +40,7 @@ struct Entry {
     /// How many send it now.
     senders: usize,
     /// One of them has finished: it is in the store.
-    kept: Option<Artefact>,
+    kept: Option<Artifact>,
     /// What was cut, and waits for somebody who goes on with it.
     parked: Option<Parked>,
 }
@@ -64,8 +64,8 @@ enum Start {
 /// What becomes of somebody who wants to send.
 #[derive(Debug)]
 pub(super) enum Turn {
-    /// It need not: the artefact is there.
-    There(Artefact),
+    /// It need not: the artifact is there.
+    There(Artifact),
     /// It sends.
     Sends(Box<Sending>),
 }
@@ -77,7 +77,7 @@ impl Uploads {
     const KEEP: Duration = Duration::from_secs(600);
     /// How long somebody waits for another who sends the same.
     const WAIT: Duration = Duration::from_secs(5);
-    /// Most uploads of one artefact at a time: its bytes may be on the medium so many times. Who comes then waits for as long as it
+    /// Most uploads of one artifact at a time: its bytes may be on the medium so many times. Who comes then waits for as long as it
     /// takes.
     const SIDE_BY_SIDE: usize = 3;
 
@@ -86,7 +86,7 @@ impl Uploads {
         self.0.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    /// Waits until fewer than `most` send the artefact.
+    /// Waits until fewer than `most` send the artifact.
     async fn room(&self, digest: &Digest, most: usize) {
         let is_crowded = || self.lock().entries.get(digest).is_some_and(|entry| entry.senders >= most);
         loop {
@@ -99,7 +99,7 @@ impl Uploads {
         }
     }
 
-    /// The first byte that is wanted of an artefact; waits a while for whoever sends it now. Ask the store afterwards whether it
+    /// The first byte that is wanted of an artifact; waits a while for whoever sends it now. Ask the store afterwards whether it
     /// is there.
     pub(super) async fn offered(&self, digest: &Digest) -> u64 {
         // After that it is as many as it takes: who sends then waits again.
@@ -126,7 +126,7 @@ impl Uploads {
             }
             start = Start::Waited;
             if let Soundness::Sound(bytes) = store.verify(&digest).await.map_err(|error| refusal(&error))? {
-                return Ok(Turn::There(Artefact { digest, bytes }));
+                return Ok(Turn::There(Artifact { digest, bytes }));
             }
         }
     }
@@ -223,12 +223,12 @@ pub(super) struct Sending {
 
 impl Sending {
     /// What another has kept meanwhile.
-    fn kept(&self) -> Option<Artefact> {
+    fn kept(&self) -> Option<Artifact> {
         self.uploads.lock().entries.get(&self.digest)?.kept
     }
 
-    /// Takes the next piece; `Some`: the artefact is there, by somebody else. After a refusal what has come is forgotten.
-    pub(super) async fn write(&mut self, piece: &[u8]) -> Result<Option<Artefact>, Refusal> {
+    /// Takes the next piece; `Some`: the artifact is there, by somebody else. After a refusal what has come is forgotten.
+    pub(super) async fn write(&mut self, piece: &[u8]) -> Result<Option<Artifact>, Refusal> {
         if let Some(kept) = self.kept() {
             return Ok(Some(kept));
         }
@@ -244,17 +244,17 @@ impl Sending {
         Ok(None)
     }
 
-    /// Keeps the artefact, if it is the one that was announced.
-    pub(super) async fn finish(mut self) -> Result<(Artefact, Novelty), Refusal> {
+    /// Keeps the artifact, if it is the one that was announced.
+    pub(super) async fn finish(mut self) -> Result<(Artifact, Novelty), Refusal> {
         if let Some(kept) = self.kept() {
             return Ok((kept, Novelty::Older));
         }
         let upload = self.upload.take().ok_or_else(Self::over)?;
-        let (artefact, novelty) = upload.finish().await.map_err(|error| refusal(&error))?;
+        let (artifact, novelty) = upload.finish().await.map_err(|error| refusal(&error))?;
         if let Some(entry) = self.uploads.lock().entries.get_mut(&self.digest) {
-            entry.kept = Some(artefact);
+            entry.kept = Some(artifact);
         }
-        Ok((artefact, novelty))
+        Ok((artifact, novelty))
     }
 
     fn over() -> Refusal {
@@ -311,7 +311,7 @@ mod tests {
         }
         let mut second = sends(&uploads, &store, digest, 3).await;
         second.write(b"def").await.unwrap();
-        assert_eq!(second.finish().await.unwrap(), (Artefact { digest, bytes: 6 }, Novelty::New));
+        assert_eq!(second.finish().await.unwrap(), (Artifact { digest, bytes: 6 }, Novelty::New));
         assert_eq!((uploads.offered(&digest).await, uploads.lock().entries.len()), (0, 0));
         assert_eq!(store.get(&digest).await.unwrap(), "abcdef");
     }
@@ -337,7 +337,7 @@ mod tests {
         first.finish().await.unwrap();
         for other in others {
             let told = other.await.unwrap().unwrap();
-            assert!(matches!(told, Turn::There(Artefact { bytes: 6, .. })), "{told:?}");
+            assert!(matches!(told, Turn::There(Artifact { bytes: 6, .. })), "{told:?}");
         }
         assert_eq!((asked.await.unwrap(), uploads.lock().entries.len()), (0, 0));
     }
@@ -426,8 +426,8 @@ mod tests {
         assert_eq!(third.finish().await.unwrap().0.bytes, 6);
         assert!(matches!(fourth.await.unwrap(), Ok(Turn::There(_))));
         let mut first = first;
-        assert_eq!(first.write(b"d").await, Ok(Some(Artefact { digest, bytes: 6 })), "it need not go on");
-        assert_eq!(second.finish().await.unwrap(), (Artefact { digest, bytes: 6 }, Novelty::Older));
+        assert_eq!(first.write(b"d").await, Ok(Some(Artifact { digest, bytes: 6 })), "it need not go on");
+        assert_eq!(second.finish().await.unwrap(), (Artifact { digest, bytes: 6 }, Novelty::Older));
         drop(first);
         assert!(uploads.lock().entries.is_empty(), "and leaves nothing");
         assert_eq!(store.get(&digest).await.unwrap(), "abcdef");

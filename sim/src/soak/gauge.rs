@@ -34,10 +34,10 @@ pub struct Gauge {
     pub log_bytes: u64,
     /// Snapshots so far.
     pub snapshots: u32,
-    /// Artefacts in the store.
-    pub artefacts: u64,
+    /// Artifacts in the store.
+    pub artifacts: u64,
     /// Their bytes.
-    pub artefact_bytes: u64,
+    pub artifact_bytes: u64,
     /// Records that the audit keeps.
     pub audited_records: u64,
     /// Faults so far.
@@ -57,7 +57,7 @@ impl Gauge {
         let contents = &state.disk.contents;
         let ledger = state.disk.ledger()?;
         let then = ledger.now();
-        let (artefacts, artefact_bytes) = shelf.volume();
+        let (artifacts, artifact_bytes) = shelf.volume();
         Ok(Self {
             hours: now.as_secs_f64() / 3600.0,
             seconds: real.as_secs_f64(),
@@ -67,8 +67,8 @@ impl Gauge {
             jobs_kept: Scheduler::new(Config::default(), ledger).0.jobs(then).len() as u64,
             log_bytes: contents.snapshot.iter().chain(&contents.records).map(|bytes| bytes.len() as u64).sum(),
             snapshots: state.disk.snapshots,
-            artefacts,
-            artefact_bytes,
+            artifacts,
+            artifact_bytes,
             audited_records: state.disk.history.len() as u64,
             faults: state.fired.values().map(|&times| u64::from(times)).sum(),
         })
@@ -83,7 +83,7 @@ const STEADY: [(&str, Reading, u64); 5] = [
     ("resident bytes", |gauge| gauge.resident_bytes, 4 << 20),
     ("jobs in the ledger", |gauge| gauge.jobs_kept, 5),
     ("bytes of the log", |gauge| gauge.log_bytes, 64 << 10),
-    ("bytes in the store", |gauge| gauge.artefact_bytes, 64 << 10),
+    ("bytes in the store", |gauge| gauge.artifact_bytes, 64 << 10),
     ("records of the audit", |gauge| gauge.audited_records, 500),
 ];
 
@@ -123,8 +123,8 @@ mod tests {
             jobs_kept: 50,
             log_bytes: 1 << 16,
             snapshots: 0,
-            artefacts: 0,
-            artefact_bytes: 0,
+            artifacts: 0,
+            artifact_bytes: 0,
             audited_records: 1000,
             faults: 0,
             ends: 0,

@@ -7,7 +7,7 @@ use femc_film::{Errors, Frame, Levels, Piece, Rect, Sample, Tile, Tiling};
 use femc_import::Bundle;
 use femc_math::Rgb;
 use femc_model::{
-    Artefact, Assignment, AttemptRecord, Control, Cut, Digest, Drain, Ending, Epoch, Grid, JobId, JobSpec, Manifest,
+    Artifact, Assignment, AttemptRecord, Control, Cut, Digest, Drain, Ending, Epoch, Grid, JobId, JobSpec, Manifest,
     More, Output, Role, Stage, StageKind, TaskKey, TaskResult, Tick, Work, testing::frames,
 };
 use femc_schedule::{Fact, Ledger, decode_attempts, encode_attempts};
@@ -72,8 +72,8 @@ fn kept(body: &[u8]) -> Vec<u8> {
 
 /// What an assignment of a tile of three bytes came to.
 fn kept_body() -> Vec<u8> {
-    let tile = Artefact::of(b"abc");
-    let outputs = vec![Output { role: Role::Tile, artefact: tile }];
+    let tile = Artifact::of(b"abc");
+    let outputs = vec![Output { role: Role::Tile, artifact: tile }];
     let result = TaskResult { outputs, units: 256, seconds: 0.5, ..TaskResult::default() };
     let (inputs, taken, more) = (vec![], [4, 8].into_iter().collect(), More::Last);
     let work = Work { item: 3, steps: 0..4, inputs, taken, more, elapsed: 0, busy_seconds: 0.0 };

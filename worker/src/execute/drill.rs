@@ -74,12 +74,12 @@ pub(super) fn drill(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
     task.enter(Phase::Preparing);
     let watch = Stopwatch::start();
     let mut lost = Lost::default();
-    let inputs: Vec<_> = work.artefacts().collect();
+    let inputs: Vec<_> = work.artifacts().collect();
     let here = lost.fetch(task, &inputs, tools)?;
     task.enter(Phase::Working);
     let mut sums = vec![0u64; drill.numbers as usize];
-    for ((artefact, bytes), input) in here.iter().zip(&work.inputs) {
-        lost.check(*artefact, add(&mut sums, bytes, odd(input.item)));
+    for ((artifact, bytes), input) in here.iter().zip(&work.inputs) {
+        lost.check(*artifact, add(&mut sums, bytes, odd(input.item)));
     }
     lost.verdict()?;
     if here.is_empty() {

@@ -21,12 +21,12 @@ use femc_film::animation::AnimationFormat;
 use femc_film::picture::{NEARLY_SQUARE, SHEET_WIDTH};
 use femc_film::{FilmError, Frame, Levels, Picture, SampleRange, Tile, ToneCurve, contact_sheet, exr};
 use femc_model::{
-    Artefact, Failure, Graph, JobSpec, Need, Phase, Reach, Role, Round, Scope, Sizes, StageKind, Template,
+    Artifact, Failure, Graph, JobSpec, Need, Phase, Reach, Role, Round, Scope, Sizes, StageKind, Template,
 };
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::union::{Lost, artefacts, expected, tiling};
+use super::union::{Lost, artifacts, expected, tiling};
 use super::{Product, Tools, unfit};
 use crate::clip::{self, ClipError, FFMPEG};
 use crate::clock::Stopwatch;
@@ -179,12 +179,12 @@ fn each(
     mut take: impl FnMut(&[u8]) -> Result<(), FilmError> + Send,
 ) -> Result<(), Failure> {
     let mut lost = Lost::default();
-    for batch in artefacts(task, role).chunks(BATCH) {
+    for batch in artifacts(task, role).chunks(BATCH) {
         if task.is_cancelled() {
             return Err(Failure::Cancelled);
         }
         let here = lost.fetch(task, batch, tools)?;
-        tools.install(task, || here.iter().for_each(|(artefact, bytes)| lost.check(*artefact, take(bytes))));
+        tools.install(task, || here.iter().for_each(|(artifact, bytes)| lost.check(*artifact, take(bytes))));
     }
     lost.verdict()
 }
@@ -230,25 +230,25 @@ fn pictures<'a>(
     task: &'a Task,
     tools: &'a Tools,
 ) -> Result<(u32, impl Iterator<Item = Result<Picture, Failure>> + 'a), Failure> {
-    let inputs = [artefacts(task, Role::Picture), artefacts(task, Role::Still)].concat();
+    let inputs = [artifacts(task, Role::Picture), artifacts(task, Role::Still)].concat();
     let (count, frames) = (inputs.len(), task.spec.frames.len());
     if count != frames {
         return Err(unfit(format!("{count} pictures of {frames} frames")));
     }
-    let batches: Vec<Vec<Artefact>> = inputs.chunks(BATCH).map(<[Artefact]>::to_vec).collect();
+    let batches: Vec<Vec<Artifact>> = inputs.chunks(BATCH).map(<[Artifact]>::to_vec).collect();
     Ok((count as u32, batches.into_iter().flat_map(|batch| decoded(task, &batch, tools))))
 }
 
 /// A batch of pictures, or why it cannot be had.
-fn decoded(task: &Task, batch: &[Artefact], tools: &Tools) -> Vec<Result<Picture, Failure>> {
+fn decoded(task: &Task, batch: &[Artifact], tools: &Tools) -> Vec<Result<Picture, Failure>> {
     let mut lost = Lost::default();
     let fetched = lost.fetch(task, batch, tools);
     let here = match fetched.and_then(|here| lost.verdict().map(|()| here)) {
         Ok(here) => here,
         Err(failure) => return vec![Err(failure)],
     };
-    let picture = |(artefact, bytes): &(Artefact, Bytes)| {
-        let digests = vec![artefact.digest];
+    let picture = |(artifact, bytes): &(Artifact, Bytes)| {
+        let digests = vec![artifact.digest];
         Picture::from_png(bytes).map_err(|error| Failure::LostInputs { digests, message: error.to_string() })
     };
     tools.install(task, || here.par_iter().map(picture).collect())

@@ -24,7 +24,7 @@ pub(crate) fn image(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
         let frame = union(task, tiles(task, stage)?, tools)?;
         (tools.install(task, || frame.resolve()), frame.bad())
     };
-    let (count, bytes) = work.artefacts().fold((0, 0), |(n, sum), input| (n + 1, sum + input.bytes));
+    let (count, bytes) = work.artifacts().fold((0, 0), |(n, sum), input| (n + 1, sum + input.bytes));
     let spp = image.mean_spp();
     tracing::debug!(inputs = count, bytes, spp, seconds = watch.seconds(), "the frame is put together");
     let error = tools.install(task, || image.error());

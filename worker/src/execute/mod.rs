@@ -18,7 +18,7 @@ use std::sync::Arc;
 
 use bytes::Bytes;
 use femc_fault::{Point, dies_of, pass};
-use femc_model::{Artefact, Failure, Output, Role, Stage, StageKind, TaskResult, Template};
+use femc_model::{Artifact, Failure, Output, Role, Stage, StageKind, TaskResult, Template};
 use rayon::ThreadPool;
 use tracing::Span;
 
@@ -57,11 +57,11 @@ impl Tools {
     }
 }
 
-/// A result and the artefacts that it names.
+/// A result and the artifacts that it names.
 #[derive(Debug, Default)]
 pub(crate) struct Product {
     pub(crate) result: TaskResult,
-    pub(crate) artefacts: Vec<Bytes>,
+    pub(crate) artifacts: Vec<Bytes>,
 }
 
 impl Product {
@@ -69,8 +69,8 @@ impl Product {
     fn put<T: Into<Bytes>>(&mut self, stage: &Template, role: Role, make: impl FnOnce() -> T) {
         if stage.makes.contains(&role) {
             let bytes = make().into();
-            self.result.outputs.push(Output { role, artefact: Artefact::of(&bytes) });
-            self.artefacts.push(bytes);
+            self.result.outputs.push(Output { role, artifact: Artifact::of(&bytes) });
+            self.artifacts.push(bytes);
         }
     }
 }

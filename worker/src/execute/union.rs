@@ -7,7 +7,7 @@ use std::sync::atomic::Ordering;
 use bytes::Bytes;
 use femc_fault::{Point, pass};
 use femc_film::{FilmError, Frame, SampleRange, Tile, Tiling};
-use femc_model::{Artefact, Digest, Failure, Reach, Role, Template};
+use femc_model::{Artifact, Digest, Failure, Reach, Role, Template};
 use rayon::prelude::*;
 
 use super::{Tools, unfit};
@@ -43,8 +43,8 @@ pub(super) fn expected(task: &Task, place: usize) -> SampleRange {
 }
 
 /// What the task reads of one role, in order.
-pub(super) fn artefacts(task: &Task, role: Role) -> Vec<Artefact> {
-    task.assignment.work.of_role(role).map(|input| input.output.artefact).collect()
+pub(super) fn artifacts(task: &Task, role: Role) -> Vec<Artifact> {
+    task.assignment.work.of_role(role).map(|input| input.output.artifact).collect()
 }
 
 /// The sums of the rounds before and the tiles of this one, of the tiles `span`. Whole: each of them holds just the samples
@@ -54,22 +54,22 @@ pub(super) fn union(task: &Task, span: Range<u32>, tools: &Tools) -> Result<Fram
     let mut lost = Lost::default();
     // What each tile of this round is made of.
     let mut made_of: BTreeMap<Option<usize>, Vec<Digest>> = BTreeMap::new();
-    for (previous, bytes) in lost.fetch(task, &artefacts(task, Role::Sums), tools)? {
+    for (previous, bytes) in lost.fetch(task, &artifacts(task, Role::Sums), tools)? {
         let insert = |tiles: Vec<Tile>| tiles.into_iter().try_for_each(|tile| frame.insert(tile).map(drop));
         lost.check(previous, tools.install(task, || sums::decode(&bytes)).and_then(insert));
     }
-    for batch in artefacts(task, Role::Tile).chunks(BATCH) {
+    for batch in artifacts(task, Role::Tile).chunks(BATCH) {
         if task.is_cancelled() {
             return Err(Failure::Cancelled);
         }
         let here = lost.fetch(task, batch, tools)?;
         let decoded: Vec<Result<Tile, FilmError>> =
             tools.install(task, || here.par_iter().map(|(_, bytes)| Tile::decode(bytes)).collect());
-        for ((artefact, _), tile) in here.iter().zip(decoded) {
+        for ((artifact, _), tile) in here.iter().zip(decoded) {
             pass(Point::WorkerMidMerge);
             let place = tile.as_ref().ok().and_then(|tile| frame.tiling().index_of(tile.rect()));
-            made_of.entry(place).or_default().push(artefact.digest);
-            lost.check(*artefact, tile.and_then(|tile| frame.insert(tile).map(drop)));
+            made_of.entry(place).or_default().push(artifact.digest);
+            lost.check(*artifact, tile.and_then(|tile| frame.insert(tile).map(drop)));
         }
     }
     lost.verdict()?;
@@ -99,14 +99,14 @@ pub(super) fn groups<T: Send>(
     mut take: impl FnMut(T) -> Result<(), FilmError>,
 ) -> Result<(), Failure> {
     let (tiling, mut lost, mut past, mut covered) = (tiling(task)?, Lost::default(), 0, 0);
-    for batch in artefacts(task, role).chunks(GROUPS) {
+    for batch in artifacts(task, role).chunks(GROUPS) {
         if task.is_cancelled() {
             return Err(Failure::Cancelled);
         }
         let here = lost.fetch(task, batch, tools)?;
         let decoded: Vec<Result<T, FilmError>> =
             tools.install(task, || here.par_iter().map(|(_, bytes)| decode(bytes)).collect());
-        for ((artefact, _), group) in here.iter().zip(decoded) {
+        for ((artifact, _), group) in here.iter().zip(decoded) {
             pass(Point::WorkerMidMerge);
             let taken = group.and_then(|group| {
                 let (of, tiles, samples) = account(&group);
@@ -117,7 +117,7 @@ pub(super) fn groups<T: Send>(
                 (covered, past) = (covered + tiles.len(), tiles.end);
                 take(group)
             });
-            lost.check(*artefact, taken);
+            lost.check(*artifact, taken);
         }
     }
     lost.verdict()?;
@@ -137,13 +137,13 @@ impl Lost {
     pub(super) fn fetch(
         &mut self,
         task: &Task,
-        artefacts: &[Artefact],
+        artifacts: &[Artifact],
         tools: &Tools,
-    ) -> Result<Vec<(Artefact, Bytes)>, Failure> {
-        let mut here = Vec::with_capacity(artefacts.len());
-        for (artefact, bytes) in artefacts.iter().zip(tools.fetch.all(&task.client, artefacts)) {
+    ) -> Result<Vec<(Artifact, Bytes)>, Failure> {
+        let mut here = Vec::with_capacity(artifacts.len());
+        for (artifact, bytes) in artifacts.iter().zip(tools.fetch.all(&task.client, artifacts)) {
             match bytes {
-                Ok(bytes) => here.push((*artefact, bytes)),
+                Ok(bytes) => here.push((*artifact, bytes)),
                 Err(Failure::LostInputs { digests, message }) => {
                     self.digests.extend(digests);
                     self.message = message;
@@ -156,9 +156,9 @@ impl Lost {
     }
 
     /// Takes note of one that does not fit.
-    pub(super) fn check(&mut self, artefact: Artefact, outcome: Result<(), FilmError>) {
+    pub(super) fn check(&mut self, artifact: Artifact, outcome: Result<(), FilmError>) {
         if let Err(error) = outcome {
-            self.digests.push(artefact.digest);
+            self.digests.push(artifact.digest);
             self.message = error.to_string();
         }
     }

@@ -1,4 +1,4 @@
-//! What is kept beside the output until it is finished: the farm's log and artefacts, what they are for, and a lock.
+//! What is kept beside the output until it is finished: the farm's log and artifacts, what they are for, and a lock.
 
 use crate::exit::{Failure, failed};
 use serde::{Deserialize, Serialize};
@@ -83,7 +83,7 @@ impl State {
         self.folder.join("farm.db")
     }
 
-    /// The artefacts of the embedded farm.
+    /// The artifacts of the embedded farm.
     pub fn artifacts(&self) -> PathBuf {
         self.folder.join("artifacts")
     }

@@ -95,7 +95,7 @@ impl Annex {
         self.logs.get(&job).into_iter().flatten()
     }
 
-    pub(super) fn each_artefact(&self, see: impl FnMut(Digest)) {
+    pub(super) fn each_artifact(&self, see: impl FnMut(Digest)) {
         self.logs.values().flatten().filter_map(stored).for_each(see);
     }
 
@@ -115,7 +115,7 @@ impl Annex {
 
 fn stored(record: &LogRecord) -> Option<Digest> {
     match &record.log.text {
-        LogText::Stored(artefact) => Some(artefact.digest),
+        LogText::Stored(artifact) => Some(artifact.digest),
         LogText::Inline(_) => None,
     }
 }

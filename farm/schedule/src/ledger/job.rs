@@ -47,9 +47,9 @@ pub(crate) struct Finished {
 }
 
 impl Finished {
-    fn artefacts(&self) -> impl Iterator<Item = Digest> + '_ {
+    fn artifacts(&self) -> impl Iterator<Item = Digest> + '_ {
         let outputs = self.record.outputs.iter().chain(self.made.iter().map(|made| &made.output));
-        outputs.map(|output| output.artefact.digest)
+        outputs.map(|output| output.artifact.digest)
     }
 }
 
@@ -187,7 +187,7 @@ impl Job {
     /// Bytes of what is finished of it.
     pub(crate) fn bytes(&self) -> u64 {
         let made = self.finished.values().flat_map(|finished| &finished.made);
-        made.map(|made| made.output.artefact.bytes).sum()
+        made.map(|made| made.output.artifact.bytes).sum()
     }
 
     /// What was made of it for frames, by one of their needs.
@@ -352,7 +352,7 @@ impl Job {
     /// The finished frames of which this is a result, or something that the job's own stages read.
     pub(crate) fn made_by(&self, digest: &Digest) -> impl Iterator<Item = u32> + use<'_> {
         let digest = *digest;
-        let has = move |finished: &Finished| finished.artefacts().any(|artefact| artefact == digest);
+        let has = move |finished: &Finished| finished.artifacts().any(|artifact| artifact == digest);
         self.finished.iter().filter(move |(_, finished)| has(finished)).map(|(&frame, _)| frame)
     }
 
@@ -488,10 +488,10 @@ impl Job {
         }
     }
 
-    pub(super) fn each_artefact(&self, mut see: impl FnMut(Digest)) {
+    pub(super) fn each_artifact(&self, mut see: impl FnMut(Digest)) {
         see(self.spec.bundle);
-        self.units.values().flat_map(Unit::artefacts).for_each(&mut see);
-        self.finished.values().flat_map(Finished::artefacts).for_each(see);
+        self.units.values().flat_map(Unit::artifacts).for_each(&mut see);
+        self.finished.values().flat_map(Finished::artifacts).for_each(see);
     }
 
     /// Whether this completion is the one that the ledger holds.

@@ -60,7 +60,7 @@ impl Ledger {
         self.now
     }
 
-    /// Changes the ledger; returns the artefacts that it may name no longer: [`Self::unreferenced`] tells. A fact about what
+    /// Changes the ledger; returns the artifacts that it may name no longer: [`Self::unreferenced`] tells. A fact about what
     /// is not there changes nothing.
     pub fn apply(&mut self, fact: &Fact, now: Tick) -> Vec<Digest> {
         self.now = self.now.max(now);
@@ -208,22 +208,22 @@ impl Ledger {
             return digests;
         }
         let mut left: BTreeSet<Digest> = digests.into_iter().collect();
-        self.each_artefact(|digest| {
+        self.each_artifact(|digest| {
             left.remove(&digest);
         });
         left.into_iter().collect()
     }
 
-    /// Every artefact that is named: what is not, may go.
-    fn each_artefact(&self, mut see: impl FnMut(Digest)) {
-        self.jobs.values().for_each(|job| job.each_artefact(&mut see));
-        self.annex.each_artefact(see);
+    /// Every artifact that is named: what is not, may go.
+    fn each_artifact(&self, mut see: impl FnMut(Digest)) {
+        self.jobs.values().for_each(|job| job.each_artifact(&mut see));
+        self.annex.each_artifact(see);
     }
 
-    /// Every artefact that is named: scenes, frames in work, finished frames, logs.
+    /// Every artifact that is named: scenes, frames in work, finished frames, logs.
     pub fn references(&self) -> BTreeSet<Digest> {
         let mut all = BTreeSet::new();
-        self.each_artefact(|digest| {
+        self.each_artifact(|digest| {
             all.insert(digest);
         });
         all
@@ -233,7 +233,7 @@ impl Ledger {
     pub fn inputs(&self) -> impl Iterator<Item = (JobId, u32, Digest)> {
         let units =
             self.jobs.iter().flat_map(|(&id, job)| job.units.iter().map(move |(&number, unit)| (id, number, unit)));
-        units.flat_map(|(id, number, unit)| unit.artefacts().map(move |digest| (id, number, digest)))
+        units.flat_map(|(id, number, unit)| unit.artifacts().map(move |digest| (id, number, digest)))
     }
 
     /// The scenes of all jobs: what each of them names belongs to the job, too.

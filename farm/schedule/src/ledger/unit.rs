@@ -115,7 +115,7 @@ impl Unit {
 
     /// It begins anew; what went wrong is remembered.
     pub(super) fn restarted(&mut self, shape: &Shape<'_>) -> Vec<Digest> {
-        let released = self.artefacts().collect();
+        let released = self.artifacts().collect();
         let trouble = std::mem::take(&mut self.trouble);
         *self = Self { busy_seconds: self.busy_seconds, trouble, ..Self::new(shape, self.began) };
         released
@@ -379,7 +379,7 @@ impl Unit {
             row.outputs.retain(|output| {
                 let is_needed = self.is_needed(shape, place, first / stride, output.role);
                 if !is_needed {
-                    released.push(output.artefact.digest);
+                    released.push(output.artifact.digest);
                 }
                 is_needed
             });
@@ -407,9 +407,9 @@ impl Unit {
         }
     }
 
-    /// The runs of grains of which one of these artefacts is an output that is needed.
+    /// The runs of grains of which one of these artifacts is an output that is needed.
     pub(crate) fn makers(&self, lost: &[Digest]) -> Vec<(Place, u32)> {
-        let is_hurt = |row: &Row| row.outputs.iter().any(|output| lost.contains(&output.artefact.digest));
+        let is_hurt = |row: &Row| row.outputs.iter().any(|output| lost.contains(&output.artifact.digest));
         let rows = self
             .arrays
             .iter()
@@ -616,8 +616,8 @@ impl Unit {
     }
 
     /// Everything in the store that it needs.
-    pub(crate) fn artefacts(&self) -> impl Iterator<Item = Digest> + '_ {
-        self.outputs().map(|(.., output)| output.artefact.digest)
+    pub(crate) fn artifacts(&self) -> impl Iterator<Item = Digest> + '_ {
+        self.outputs().map(|(.., output)| output.artifact.digest)
     }
 
     /// What there is of it, with the stage's place and the first key.

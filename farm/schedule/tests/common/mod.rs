@@ -139,7 +139,7 @@ impl Farm {
             Event::Left { worker } => drop(self.hands.remove(worker)),
             Event::Completed { worker, task, epoch, .. }
             | Event::Failed { worker, task, epoch, .. }
-            | Event::Hollow { worker, task, epoch, .. } => {
+            | Event::ArtifactMissing { worker, task, epoch, .. } => {
                 self.hands.entry(*worker).or_default().remove(&(*epoch, *task));
             }
             Event::Joined { worker, registration } => {
@@ -331,8 +331,8 @@ pub fn result_in(held: &Assignment, decision: Decision, seconds: f64) -> TaskRes
     let Work { steps, more, .. } = &held.work;
     let decision = if *more == More::Last { Decision::Done } else { decision };
     let output = |role: Role| {
-        let artefact = Artefact::of(format!("{} {} {steps:?}", role.name(), held.task).as_bytes());
-        Output { role, artefact }
+        let artifact = Artifact::of(format!("{} {} {steps:?}", role.name(), held.task).as_bytes());
+        Output { role, artifact }
     };
     let all = |roles: &[Role]| roles.iter().copied().map(output).collect::<Vec<_>>();
     let goes_on = decision != Decision::Done;

@@ -1,4 +1,4 @@
-//! What a folder keeps beside its artefacts: files of uploads that nobody finished, which are not listed.
+//! What a folder keeps beside its artifacts: files of uploads that nobody finished, which are not listed.
 
 use std::path::{Path, PathBuf};
 use std::time::Duration;

@@ -6,15 +6,15 @@ use std::ops::Range;
 use femc_model::{JobId, Stage, TaskKey, Tick, Wait, WorkerId};
 
 use crate::RangeSet;
-use crate::distrust::Distrust;
-use crate::floor::Floor;
+use crate::lease_table::LeaseTable;
 use crate::ledger::{Job, Place};
 use crate::open::{OpenUnit, OpenUnits};
 use crate::pace::Pace;
+use crate::quarantine::WorkerQuarantine;
 
 /// A job on the table.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Desk {
+pub(crate) struct ReadyTasks {
     /// Position in the job's frames: those before it are open, finished or blocked.
     pub(crate) cursor: usize,
     pub(crate) open: OpenUnits,
@@ -23,7 +23,7 @@ pub(crate) struct Desk {
     /// What kept its tasks from being done.
     pub(crate) mishaps: Mishaps,
     /// Workers on which its tasks keep failing.
-    pub(crate) distrust: Distrust,
+    pub(crate) quarantine: WorkerQuarantine,
     pub(crate) stale_messages: u64,
     /// Second leases of late tasks.
     pub(crate) copies: u64,
@@ -31,53 +31,53 @@ pub(crate) struct Desk {
     pub(crate) pace: Pace,
 }
 
-impl Desk {
+impl ReadyTasks {
     /// Forgets what is ready and opens again every frame in work, before the ones that nobody has begun.
-    pub(crate) fn rebuild(&mut self, id: JobId, job: &Job, floor: &Floor) {
+    pub(crate) fn rebuild(&mut self, id: JobId, job: &Job, table: &LeaseTable) {
         let opened = std::mem::take(&mut self.open);
         let opened: Vec<u32> = opened.iter().map(|(frame, _)| frame).chain(job.units.keys().copied()).collect();
         self.cursor = 0;
         let own = job.has_own().then_some(Stage::OF_JOB);
         for frame in own.into_iter().chain(opened) {
-            self.refresh(id, job, frame, floor);
+            self.refresh(id, job, frame, table);
         }
     }
 
     /// Derives again what of one frame is ready; what the job's own stages can do with a frame that has ended is ready, too.
-    pub(crate) fn refresh(&mut self, id: JobId, job: &Job, frame: u32, floor: &Floor) {
+    pub(crate) fn refresh(&mut self, id: JobId, job: &Job, frame: u32, table: &LeaseTable) {
         if !job.is_open(frame) {
             self.open.remove(frame);
             if job.has_own() && frame != Stage::OF_JOB {
                 let fed = job.unit(Stage::OF_JOB).fed_by_frame(&job.shape(Stage::OF_JOB), frame);
-                self.feed(id, Stage::OF_JOB, fed, job, floor);
+                self.feed(id, Stage::OF_JOB, fed, job, table);
             }
             return;
         }
         let (unit, shape) = (job.unit(frame), job.shape(frame));
         let mut open = OpenUnit::new(frame, unit.open(&shape), &shape);
-        floor.of_frame(id, frame).for_each(|((task, _), lease)| open.remove(&task.stage, lease.run(task)));
+        table.of_frame(id, frame).for_each(|((task, _), lease)| open.remove(&task.stage, lease.run(task)));
         self.open.put(frame, open);
     }
 
     /// Takes notice of a completion: what reads this task may be ready now.
     /// - `round`: the round that the frame was in before.
-    pub(crate) fn completed(&mut self, task: &TaskKey, round: u32, job: &Job, floor: &Floor) {
+    pub(crate) fn completed(&mut self, task: &TaskKey, round: u32, job: &Job, table: &LeaseTable) {
         let frame = task.stage.frame;
         let unit = job.units.get(&frame).filter(|unit| unit.round == round && job.is_open(frame));
         let Some(unit) = unit.filter(|_| !job.spec.graph.closes(task.stage.number)) else {
-            self.refresh(task.job, job, frame, floor);
+            self.refresh(task.job, job, frame, table);
             return;
         };
-        self.feed(task.job, frame, unit.fed_by(&job.shape(frame), &task.stage, task.index), job, floor);
+        self.feed(task.job, frame, unit.fed_by(&job.shape(frame), &task.stage, task.index), job, table);
     }
 
     /// More of a frame can run; what is held is not ready.
-    fn feed(&mut self, id: JobId, frame: u32, fed: Vec<(Place, RangeSet)>, job: &Job, floor: &Floor) {
+    fn feed(&mut self, id: JobId, frame: u32, fed: Vec<(Place, RangeSet)>, job: &Job, table: &LeaseTable) {
         let shape = job.shape(frame);
         for (place, mut keys) in fed {
             let Some(kind) = shape.template(place.1).map(|template| template.kind) else { continue };
             let stage = Stage { frame, round: place.0, number: place.1, kind };
-            floor.of_stage(id, stage).for_each(|run| keys.remove(run));
+            table.of_stage(id, stage).for_each(|run| keys.remove(run));
             if !keys.is_empty() {
                 self.open.change(frame, |open| open.add(frame, place, &keys, &shape));
             }
@@ -86,9 +86,9 @@ impl Desk {
 
     /// Whether there may be another open frame: each worker may be ahead by one, no more. Frames that wait for workers of another
     /// build keep none idle: who holds nothing may pass as many.
-    pub(crate) fn may_open(&self, worker: WorkerId, floor: &Floor) -> bool {
-        let is_idle = floor.workers.get(&worker).is_some_and(|worker| worker.held.is_empty());
-        self.open.frames() <= floor.workers.len() * if is_idle { 2 } else { 1 }
+    pub(crate) fn may_open(&self, worker: WorkerId, table: &LeaseTable) -> bool {
+        let is_idle = table.workers.get(&worker).is_some_and(|worker| worker.held.is_empty());
+        self.open.frames() <= table.workers.len() * if is_idle { 2 } else { 1 }
     }
 
     /// Opens the next frame that nobody has begun; `false` where there is none.

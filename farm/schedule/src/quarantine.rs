@@ -13,9 +13,9 @@ pub(crate) type Instance = u64;
 struct Record {
     /// Different tasks that failed there, none done in between.
     tasks: BTreeSet<TaskKey>,
-    /// Shunned until then, once there were too many.
+    /// Quarantined until then, once there were too many.
     until: Option<Tick>,
-    /// How often it was shunned in a row.
+    /// How often it was quarantined in a row.
     times: u32,
     /// The task that is to prove it well again.
     probe: Option<TaskKey>,
@@ -23,12 +23,12 @@ struct Record {
 
 /// What one job has seen of its workers. Forgotten at a restart.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Distrust {
+pub(crate) struct WorkerQuarantine {
     records: BTreeMap<Instance, Record>,
 }
 
-impl Distrust {
-    /// Different tasks that fail on a worker before it is shunned.
+impl WorkerQuarantine {
+    /// Different tasks that fail on a worker before it is quarantined.
     const TASKS: usize = 3;
 
     /// A task failed there by its own fault, as far as one can tell.
@@ -37,7 +37,7 @@ impl Distrust {
         record.tasks.insert(task);
         let has_failed_its_probe = record.probe.take().is_some();
         if has_failed_its_probe || (record.until.is_none() && record.tasks.len() >= Self::TASKS) {
-            let pause = config.shun.saturating_mul(1 << record.times.min(20)).min(config.longest_shun);
+            let pause = config.quarantine.saturating_mul(1 << record.times.min(20)).min(config.longest_quarantine);
             record.until = Some(now.after(pause));
             record.times += 1;
         }
@@ -62,13 +62,13 @@ impl Distrust {
         }
     }
 
-    /// Whether it was shunned and has not proved itself since.
+    /// Whether it was quarantined and has not proved itself since.
     pub(crate) fn is_in_doubt(&self, worker: Instance) -> bool {
         self.records.get(&worker).is_some_and(|record| record.until.is_some())
     }
 
-    /// For how many more milliseconds the worker is shunned; 0 while its one task of proof is under way; `None`: it is not.
-    pub(crate) fn shuns(&self, worker: Instance, now: Tick) -> Option<u64> {
+    /// For how many more milliseconds the worker is quarantined; 0 while its one task of proof is under way; `None`: it is not.
+    pub(crate) fn quarantines(&self, worker: Instance, now: Tick) -> Option<u64> {
         let record = self.records.get(&worker)?;
         let until = record.until?;
         if now < until { Some(until.since(now)) } else { record.probe.map(|_| 0) }

@@ -6,7 +6,7 @@ use femc_queue::Queue;
 use femc_schedule::{Answer, Command, Event, RequestId};
 use tokio::sync::watch;
 
-use crate::actor::{Actor, Asker};
+use crate::actor::{Actor, PendingReply};
 
 /// A job that somebody watches.
 #[derive(Debug)]
@@ -20,7 +20,7 @@ impl<Q: Queue> Actor<Q> {
     const PAUSE: u64 = 50;
 
     /// What the facts stand for is durable: tell everybody.
-    pub(crate) fn obey(&mut self, commands: Vec<Command>) {
+    pub(crate) fn execute(&mut self, commands: Vec<Command>) {
         for command in commands {
             match command {
                 // Kept before.
@@ -69,8 +69,8 @@ impl<Q: Queue> Actor<Q> {
 
     fn reply(&mut self, request: RequestId, answer: Result<Answer, Refusal>) {
         // Whoever asked and went away does not hear the answer.
-        match self.askers.remove(&request) {
-            Some(Asker::Submit(reply)) => {
+        match self.pending.remove(&request) {
+            Some(PendingReply::Submit(reply)) => {
                 let job = |answer| match answer {
                     Answer::Submitted(job) | Answer::Controlled(job) => job,
                 };
@@ -80,7 +80,7 @@ impl<Q: Queue> Actor<Q> {
                 pass(Point::CoordinatorBeforeAnswer);
                 drop(reply.send(answer.map(job)));
             }
-            Some(Asker::Control(reply)) => drop(reply.send(answer.map(|_| ()))),
+            Some(PendingReply::Control(reply)) => drop(reply.send(answer.map(|_| ()))),
             None => {}
         }
     }

@@ -116,7 +116,7 @@ impl Lease {
 
 /// Workers and leases; each lease is also in its worker's `held` and in `deadlines`.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct Floor {
+pub(crate) struct LeaseTable {
     pub(crate) workers: BTreeMap<WorkerId, Worker>,
     pub(crate) leases: BTreeMap<LeaseKey, Lease>,
     /// Leases that were granted as second ones of their tasks. Few: without any, no task needs a look for its other lease.
@@ -127,7 +127,7 @@ pub(crate) struct Floor {
     pub(crate) spare: BTreeSet<(usize, WorkerId)>,
 }
 
-impl Floor {
+impl LeaseTable {
     /// Whether a worker is there and has these tags.
     pub(crate) fn has_tags(&self, worker: WorkerId, tags: &[String]) -> bool {
         self.workers.get(&worker).is_some_and(|worker| worker.has_tags(tags))

@@ -35,7 +35,9 @@ impl Scheduler {
         if let Some((id, shared)) = self.ledger.shared_of(&key, engine) {
             return if shared.is_done() { Content::There } else { Content::Underway(id) };
         }
-        let is_there = |build: &str| self.table.workers.values().any(|worker| worker.registration.engine == build);
+        let may_go_on = |worker: &Worker| worker.is_open() && self.now.since(worker.seen) < self.config.orphaned;
+        let is_there =
+            |build: &str| self.table.workers.values().any(|it| it.registration.engine == build && may_go_on(it));
         let mut others = self.ledger.shared_by(&key).filter(|(_, _, shared)| !shared.has_ended());
         if others.any(|(build, ..)| is_there(build)) { Content::Elsewhere } else { Content::Missing(key) }
     }

@@ -178,6 +178,23 @@ fn a_frame_that_begins_anew_is_blocked_where_another_build_could_not_do_what_it_
 }
 
 #[test]
+fn what_a_drained_build_has_begun_is_begun_again_by_another() {
+    let mut farm = farm(config());
+    submit(&mut farm, job("ann", &[1], 1));
+    let join = |farm: &mut Farm, worker: u64, engine: &str| {
+        farm.join_as(worker, Registration { instance: worker, engine: engine.into(), ..registration() })
+    };
+    join(&mut farm, 1, "old");
+    let old = held(&farm, 1).unwrap().job;
+    work(&mut farm, 1, 10);
+    join(&mut farm, 2, "new");
+    assert_eq!(held(&farm, 2), None, "the old build is at it");
+    farm.on(Event::Drained { worker: WorkerId(1), drain: Drain::Begin });
+    work(&mut farm, 1, 10);
+    assert!(held(&farm, 2).is_some_and(|task| task.job.is_shared() && task.job != old));
+}
+
+#[test]
 fn what_nobody_needs_any_more_goes_when_it_takes_too_many_bytes_and_not_before() {
     for (shared_bytes, is_kept) in [(1 << 20, true), (0, false)] {
         let mut farm = farm(Config { shared_bytes, ..config() });

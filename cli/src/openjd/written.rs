@@ -1,6 +1,6 @@
 //! A task's command line, read as `femc render` reads its own.
 
-use crate::args::{Cli, Command, SettingsArgs};
+use crate::args::{Cli, Command, ExtrasArgs, SettingsArgs};
 use crate::command::render::RenderArgs;
 use crate::request::{Change, Frames};
 use clap::Parser as _;
@@ -62,7 +62,8 @@ impl Written {
     }
 
     fn of(args: RenderArgs) -> Self {
-        let RenderArgs { scene, out, video, preview, contact_sheet, report, fresh, format, settings } = args;
+        let RenderArgs { scene, out, report, fresh, extras, format, settings } = args;
+        let ExtrasArgs { video, preview, contact_sheet } = extras;
         let flags = [
             ("--out", out.is_some()),
             ("--video", video.is_some()),

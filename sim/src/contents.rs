@@ -251,10 +251,16 @@ impl Chronicle {
     }
 
     /// A lease, of these that a worker holds, of what is shared and nobody has waited for, for too long.
-    pub(crate) fn unwanted<'a>(&self, held: impl Iterator<Item = &'a TaskKey>, now: Duration) -> Option<Violation> {
+    /// - `joined`: since when the worker can be told.
+    pub(crate) fn unwanted<'a>(
+        &self,
+        held: impl Iterator<Item = &'a TaskKey>,
+        joined: Duration,
+        now: Duration,
+    ) -> Option<Violation> {
         let is_unwanted = |task: &&TaskKey| {
-            let since = self.contents.unwanted.get(&task.job);
-            since.is_some_and(|since| now.saturating_sub(*since) > self.contents.patience.0)
+            let since = self.contents.unwanted.get(&task.job).map(|&since| since.max(joined));
+            since.is_some_and(|since| now.saturating_sub(since) > self.contents.patience.0)
         };
         held.into_iter().find(is_unwanted).map(|&task| Violation::Unwanted { task })
     }

@@ -55,6 +55,7 @@ async fn relay(session: Session, shared: Shared) {
     };
     // A host that is dead says nothing, for ever.
     let Ok(Ok((up, mut down))) = tokio::time::timeout(GIVE_UP, session).await else { return };
+    let joined = now();
     let upwards = async {
         while let Some(Ok(word)) = words.next().await {
             shared.note(|| format!("{name} > {word:?}"));
@@ -105,7 +106,7 @@ async fn relay(session: Session, shared: Shared) {
                 }
                 _ => {}
             }
-            shared.lock().turns(number, &running);
+            shared.lock().turns(number, &running, joined);
             if out.send(message).await.is_err() {
                 break;
             }
@@ -116,17 +117,18 @@ async fn relay(session: Session, shared: Shared) {
         () = downwards => {}
         () = upwards => {}
     }
-    shared.lock().turns(number, &BTreeSet::new());
+    shared.lock().turns(number, &BTreeSet::new(), joined);
     shared.note(|| format!("{name} is cut off"));
 }
 
 impl State {
     /// What a worker holds has changed.
-    fn turns(&mut self, session: SessionNumber, running: &BTreeSet<(Epoch, TaskKey)>) {
+    /// - `joined`: when its session began.
+    fn turns(&mut self, session: SessionNumber, running: &BTreeSet<(Epoch, TaskKey)>, joined: Duration) {
         let first = running.first().map(|(_, task)| task.job);
         let whose = first.and_then(|job| Some(Whose::of(job, self.chronicle.payers(job)?)));
         self.shares.turns(session, whose, now());
-        self.wrong.extend(self.chronicle.unwanted(running.iter().map(|(_, task)| task), now()));
+        self.wrong.extend(self.chronicle.unwanted(running.iter().map(|(_, task)| task), joined, now()));
     }
 }
 

@@ -4,7 +4,6 @@
 use femc_model::{JobId, Near, TaskKey, Tick, WorkerId};
 
 use crate::Command;
-use crate::builds::is_foreign;
 use crate::deal::{is_quarantined_for, may_take};
 use crate::ledger::Job;
 use crate::scheduler::Scheduler;
@@ -115,7 +114,7 @@ impl Scheduler {
         let is_for_it = |task: &TaskKey| {
             may_take(task, known, ready_tasks, id, &self.table)
                 && matches!(self.content(known, &task.stage, engine), Content::There)
-                && !is_foreign(&self.ledger, &self.table, job, task.stage.frame, id)
+                && !self.is_for_others(job, task.stage.frame, id)
         };
         match frame {
             Some(frame) => ready_tasks.open.get(frame)?.near(job).find(is_for_it),

@@ -2,14 +2,17 @@
 //!
 //! A frame is its first lease's build's, and from its first result on for good: a fact says so. Workers of other builds do
 //! other frames meanwhile. When no worker of a frame's build has been there for a while, because all were upgraded, the frame
-//! begins anew with those that are there: what was done of it is lost, and nothing waits for ever.
+//! begins anew with those that are there: what was done of it is lost, and nothing waits for ever. The same holds where workers
+//! of its build are there but none with the tags of what comes next, while another build has them for all of it: and such a
+//! build is the one that begins it.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Intake, JobId, Tick, Wait, WorkerId};
+use femc_model::{Intake, JobId, Scope, Tick, Wait, WorkerId};
 
 use crate::lease_table::{LeaseTable, Worker};
-use crate::ledger::{Job, Ledger};
+use crate::ledger::{Job, Ledger, Shape};
+use crate::open::OpenUnit;
 use crate::ready_tasks::ReadyTasks;
 use crate::scheduler::Scheduler;
 use crate::{Command, Fact};
@@ -20,6 +23,14 @@ pub(crate) struct Orphans {
     since: BTreeMap<(JobId, u32), Tick>,
     /// When it was looked last.
     looked: Tick,
+}
+
+/// How much of a frame, or of the stages of another scope, the workers of a build can do.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Reach {
+    Nothing,
+    Something,
+    Everything,
 }
 
 /// The build whose frame this is; `None`: whoever comes first.
@@ -42,6 +53,61 @@ pub(crate) fn is_foreign(ledger: &Ledger, table: &LeaseTable, job: JobId, frame:
 impl Scheduler {
     /// Milliseconds between two looks.
     const LOOK_AT_BUILDS: u64 = 1_000;
+
+    /// Whether a frame is not for this worker to go on with or to begin: it is another build's, or nobody's yet, and another
+    /// build can do more of it.
+    pub(crate) fn is_for_others(&self, id: JobId, frame: u32, worker: WorkerId) -> bool {
+        let (Some(job), Some(worker)) = (self.ledger.jobs.get(&id), self.table.workers.get(&worker)) else {
+            return false;
+        };
+        match build_of(&self.ledger, &self.table, id, frame) {
+            Some(build) => build != worker.registration.engine,
+            None => !self.reaches_most(job, Shape::scope_of(frame), &worker.registration.engine),
+        }
+    }
+
+    /// Whether no other build can do more of a scope's stages than this one.
+    pub(crate) fn reaches_most(&self, job: &Job, scope: Scope, build: &str) -> bool {
+        // Whoever has the job's tags can do what asks for no others.
+        job.spec.graph.of(scope).all(|(_, template)| template.tags.is_empty())
+            || self.reach(job, scope, build, &Self::is_there) >= self.most(job, scope)
+    }
+
+    fn most(&self, job: &Job, scope: Scope) -> Reach {
+        let is_open = |known: &Self, worker: &Worker| worker.is_open() && known.is_there(worker);
+        let builds: BTreeSet<&str> = self.table.workers.values().map(|worker| &*worker.registration.engine).collect();
+        builds.into_iter().map(|build| self.reach(job, scope, build, &is_open)).max().unwrap_or(Reach::Nothing)
+    }
+
+    fn reach(&self, job: &Job, scope: Scope, build: &str, is_one: &dyn Fn(&Self, &Worker) -> bool) -> Reach {
+        let able = |tags: &[String]| {
+            let mut workers = self.table.workers.values().filter(|it| it.registration.engine == build);
+            workers.any(|it| it.has_tags(&job.spec.tags) && it.has_tags(tags) && is_one(self, it))
+        };
+        if !able(&[]) {
+            return Reach::Nothing;
+        }
+        let mut stages = job.spec.graph.of(scope);
+        if stages.all(|(_, template)| able(&template.tags)) { Reach::Everything } else { Reach::Something }
+    }
+
+    /// One that has been silent for so long is gone, whatever its connection says.
+    pub(crate) fn is_there(&self, worker: &Worker) -> bool {
+        worker.intake != Intake::Drained && self.now.since(worker.seen) < self.config.orphaned
+    }
+
+    /// Whether workers of this build are there, but none for any stage that comes next in a frame.
+    fn is_beyond(&self, id: JobId, job: &Job, frame: u32, build: &str) -> bool {
+        let open = self.ready.get(&id).and_then(|ready_tasks| ready_tasks.open.get(frame));
+        let mut stages = open.into_iter().flat_map(|open| open.stages()).peekable();
+        let able = |tags: &[String]| {
+            let mut workers = self.table.workers.values().filter(|it| it.registration.engine == build);
+            workers.any(|it| self.is_there(it) && it.has_tags(tags))
+        };
+        stages.peek().is_some()
+            && stages.all(|(stage, _)| !able(job.tags_of(stage.number)))
+            && self.table.of_frame(id, frame).next().is_none()
+    }
 
     /// A result of the frame counts: the frame is its worker's build's.
     pub(crate) fn note_build(&mut self, job: JobId, frame: u32, worker: WorkerId, now: Tick, out: &mut Vec<Command>) {
@@ -67,17 +133,22 @@ impl Scheduler {
         let (mut since, mut orphans) = (BTreeMap::new(), Vec::new());
         for id in self.order.jobs() {
             let Some(job) = self.ledger.jobs.get(&id) else { continue };
-            let able: Vec<&Worker> =
-                self.table.workers.values().filter(|worker| worker.has_tags(&job.spec.tags)).collect();
-            // One that has been silent for so long is gone, whatever its connection says.
-            let is_there = |it: &Worker| it.intake != Intake::Drained && now.since(it.seen) < self.config.orphaned;
-            let has = |build: &str| able.iter().any(|it| is_there(it) && it.registration.engine == build);
             // A blocked frame would gain nothing: a retry opens it, and then its time begins.
-            let orphaned = self.ledger.annex.builds_of(id).filter(|&(frame, build)| job.is_open(frame) && !has(build));
-            for (frame, _) in orphaned {
+            let is_orphan = |&(frame, build): &(u32, &str)| {
+                let scope = Shape::scope_of(frame);
+                job.is_open(frame)
+                    && match self.reach(job, scope, build, &Self::is_there) {
+                        Reach::Nothing => true,
+                        Reach::Something => {
+                            self.most(job, scope) == Reach::Everything && self.is_beyond(id, job, frame, build)
+                        }
+                        Reach::Everything => false,
+                    }
+            };
+            for (frame, _) in self.ledger.annex.builds_of(id).filter(is_orphan) {
                 let begun = before.get(&(id, frame)).copied().unwrap_or(now);
                 since.insert((id, frame), begun);
-                if now.since(begun) >= self.config.orphaned && able.iter().any(|worker| worker.is_open()) {
+                if now.since(begun) >= self.config.orphaned && self.able(job).next().is_some() {
                     orphans.push((id, frame));
                 }
             }
@@ -93,17 +164,20 @@ impl Scheduler {
 
     /// Frames with something ready that nobody with room may take.
     pub(crate) fn why_foreign(&self, id: JobId, job: &Job, ready_tasks: &ReadyTasks, now: Tick) -> Option<Wait> {
-        let may_take = |worker: &Worker| {
-            let has_room = worker.held.len() < worker.capacity(&self.config);
-            has_room && worker.is_fit(&self.config, now) && worker.has_tags(&job.spec.tags)
+        let has_room = |worker: &Worker| {
+            worker.held.len() < worker.capacity(&self.config)
+                && worker.is_fit(&self.config, now)
+                && worker.has_tags(&job.spec.tags)
         };
-        let able: Vec<WorkerId> =
-            self.table.workers.iter().filter(|(_, worker)| may_take(worker)).map(|(&id, _)| id).collect();
-        let is_foreign = |frame: u32| {
-            let mut able = able.iter();
-            able.all(|&worker| is_foreign(&self.ledger, &self.table, id, frame, worker))
+        let able: Vec<(WorkerId, &Worker)> =
+            self.table.workers.iter().filter(|(_, worker)| has_room(worker)).map(|(&id, worker)| (id, worker)).collect();
+        let is_foreign = |&(frame, open): &(u32, &OpenUnit)| {
+            let tags = open.stages().map(|(stage, _)| job.tags_of(stage.number));
+            let able = tags.flat_map(|tags| able.iter().filter(|(_, worker)| worker.has_tags(tags)));
+            let mut able = able.peekable();
+            able.peek().is_some() && able.all(|&(worker, _)| self.is_for_others(id, frame, worker))
         };
-        let frames = ready_tasks.open.ready().filter(|(frame, _)| is_foreign(*frame)).count() as u32;
-        (frames > 0 && !able.is_empty()).then_some(Wait::OtherBuild { frames })
+        let frames = ready_tasks.open.ready().filter(is_foreign).count() as u32;
+        (frames > 0).then_some(Wait::OtherBuild { frames })
     }
 }

@@ -6,7 +6,6 @@ use std::ops::Range;
 use femc_model::{Assignment, Digest, Epoch, JobId, More, Scope, Stage, TaskKey, Tick, Wait, Work, WorkerId};
 
 use crate::Command;
-use crate::builds::is_foreign;
 use crate::lease_table::{LeaseKey, LeaseTable, Worker};
 use crate::ledger::{Job, Place};
 use crate::ready_tasks::ReadyTasks;
@@ -89,7 +88,7 @@ impl Scheduler {
             return best;
         };
         for (frame, open) in ready_tasks.open.ready() {
-            if is_foreign(&self.ledger, &self.table, id, frame, worker) {
+            if self.is_for_others(id, frame, worker) {
                 best = Pick::NotForThisWorker;
                 continue;
             }
@@ -315,7 +314,7 @@ impl Scheduler {
     }
 
     /// Workers that want tasks and have what the job asks for.
-    fn able(&self, job: &Job) -> impl Iterator<Item = &Worker> {
+    pub(crate) fn able(&self, job: &Job) -> impl Iterator<Item = &Worker> {
         self.table.workers.values().filter(|worker| worker.is_open() && worker.has_tags(&job.spec.tags))
     }
 

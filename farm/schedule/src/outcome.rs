@@ -188,7 +188,7 @@ impl Scheduler {
 
     fn doom(&mut self, job: JobId, failure: Failure, now: Tick, out: &mut Vec<Command>) {
         self.record(Fact::Doomed { job, failure }, now, out);
-        self.revoke_all(job, out);
+        self.revoke_ended(job, out);
         self.withdraw(out);
     }
 

@@ -16,6 +16,7 @@ use crate::ledger::{Job, Unit};
 use crate::logs::Shelf;
 use crate::order::Order;
 use crate::ready_tasks::ReadyTasks;
+use crate::shared::Content;
 use crate::{Command, Config, Event, Fact, Ledger};
 
 /// All that the coordinator knows.
@@ -182,7 +183,7 @@ impl Scheduler {
         for held in held {
             let HeldLease { task, epoch, .. } = held;
             let is_foreign = is_foreign(&self.ledger, &self.table, task.job, task.stage.frame, worker);
-            if let Some(run) = self.adoptable(&held).filter(|_| !is_foreign) {
+            if let Some(run) = self.adoptable(&held, worker).filter(|_| !is_foreign) {
                 self.hand_out((task, epoch), &run, worker, now);
                 out.push(Command::Changed(task.job));
             } else {
@@ -202,11 +203,15 @@ impl Scheduler {
             && self.hand_over(&key, worker, now)
     }
 
-    /// The keys of a task that a worker brings along, if it is wanted and nobody else has any of it.
-    fn adoptable(&mut self, held: &HeldLease) -> Option<Range<u32>> {
+    /// The keys of a task that a worker brings along, if it is wanted, all that it reads is there, and nobody else has any of it.
+    fn adoptable(&mut self, held: &HeldLease, worker: WorkerId) -> Option<Range<u32>> {
         let (task, run) = (&held.task, self.run_of(held)?);
         let job = self.ledger.jobs.get(&task.job)?;
         let is_over = |unit: &Unit| unit.is_over_for(&task.stage, task.index, held.epoch);
+        let engine = &self.table.workers.get(&worker)?.registration.engine;
+        if !matches!(self.content(job, &task.stage, engine), Content::There) {
+            return None;
+        }
         if job.has_ended() || !job.is_open(task.stage.frame) || job.units.get(&task.stage.frame).is_some_and(is_over) {
             return None;
         }

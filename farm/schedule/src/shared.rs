@@ -6,7 +6,7 @@
 //! wait for it. When nobody waits any more its leases are taken back; when it is done it is kept, for jobs to come, as long as all
 //! that is kept so is within a number of bytes.
 
-use femc_model::{Digest, JobId, JobSpec, RevokeReason, Stage, Tick, Wait, WorkerId};
+use femc_model::{Digest, JobId, JobSpec, RevokeReason, Scope, Stage, Tick, Wait, WorkerId};
 
 use crate::lease_table::{LeaseKey, Worker};
 use crate::ledger::Job;
@@ -35,11 +35,13 @@ impl Scheduler {
         if let Some((id, shared)) = self.ledger.shared_of(&key, engine) {
             return if shared.is_done() { Content::There } else { Content::Underway(id) };
         }
-        let may_go_on = |worker: &Worker| worker.is_open() && self.now.since(worker.seen) < self.config.orphaned;
+        let may_go_on = |worker: &Worker| worker.is_open() && self.is_there(worker);
         let is_there =
             |build: &str| self.table.workers.values().any(|it| it.registration.engine == build && may_go_on(it));
         let mut others = self.ledger.shared_by(&key).filter(|(_, _, shared)| !shared.has_ended());
-        if others.any(|(build, ..)| is_there(build)) { Content::Elsewhere } else { Content::Missing(key) }
+        let is_elsewhere =
+            others.any(|(build, ..)| is_there(build)) || !self.reaches_most(job, Scope::Content, engine);
+        if is_elsewhere { Content::Elsewhere } else { Content::Missing(key) }
     }
 
     /// The jobs that run and wait for a content, in order of submission.

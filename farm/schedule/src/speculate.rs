@@ -5,7 +5,6 @@
 use femc_model::{TaskKey, Tick, WorkerId};
 
 use crate::Command;
-use crate::builds::is_foreign;
 use crate::deal::{is_quarantined_for, may_take};
 use crate::lease_table::{Lease, LeaseKey};
 use crate::scheduler::Scheduler;
@@ -70,6 +69,6 @@ impl Scheduler {
             && worker.is_some_and(|worker| self.fits(worker, job))
             && !is_quarantined_for(job, ready_tasks, id, &self.table, now)
             && may_take(task, job, ready_tasks, id, &self.table)
-            && !is_foreign(&self.ledger, &self.table, task.job, task.stage.frame, id)
+            && !self.is_for_others(task.job, task.stage.frame, id)
     }
 }

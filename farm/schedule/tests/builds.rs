@@ -152,3 +152,48 @@ fn a_frame_that_is_put_aside_does_not_begin_anew_with_another_build() {
     farm.work(2, Done);
     assert_eq!((farm.tasks_of(2), farm.state(id)), (vec![], JobState::Failed));
 }
+
+/// A frame whose image only workers with the tag `big` may make.
+fn tagged() -> JobSpec {
+    let mut spec = job(&[1], 2, &[4]);
+    spec.graph.stages.last_mut().unwrap().tags = vec!["big".into()];
+    spec
+}
+
+fn join_big(farm: &mut Farm, worker: u64, engine: &str) -> Vec<Command> {
+    let tags = vec!["big".into()];
+    farm.join_as(worker, Registration { instance: worker, engine: engine.into(), tags, ..registration() })
+}
+
+#[test]
+fn a_frame_is_begun_by_a_build_whose_workers_can_do_all_of_it() {
+    let mut farm = farm();
+    join(&mut farm, 1, "old");
+    join_big(&mut farm, 2, "new");
+    let id = farm.submit(tagged());
+    assert_eq!((farm.tasks_of(1), farm.tasks_of(2)), (vec![], vec![(1, 0, Render, 0)]));
+    assert_eq!(farm.status(id).waits, [Wait::OtherBuild { frames: 1 }]);
+    (0..3).for_each(|_| drop(farm.work(2, Done)));
+    assert_eq!(farm.state(id), JobState::Done);
+}
+
+#[test]
+fn a_frame_of_a_build_whose_workers_cannot_end_it_says_so_and_begins_anew_with_one_that_can() {
+    let mut farm = farm();
+    let id = farm.submit(tagged());
+    join(&mut farm, 1, "old");
+    (0..2).for_each(|_| drop(farm.work(1, Done)));
+    assert_eq!(farm.status(id).waits, [Wait::NoWorkerWithTags(vec!["big".into()])]);
+    join_big(&mut farm, 2, "new");
+    assert_eq!(farm.status(id).waits, [Wait::OtherBuild { frames: 1 }]);
+    for _ in 0..config().orphaned / 1_000 + 1 {
+        assert!(farm.held.is_empty() && farm.status(id).samples_done > 0);
+        farm.wait(1_000);
+        farm.heartbeat(1, Phase::Waiting, 0);
+        farm.heartbeat(2, Phase::Waiting, 0);
+    }
+    assert_eq!((farm.tasks_of(1), farm.tasks_of(2)), (vec![], vec![(1, 0, Render, 0)]));
+    (0..3).for_each(|_| drop(farm.work(2, Done)));
+    assert_eq!(farm.state(id), JobState::Done);
+    assert_eq!(&farm.replay(), farm.scheduler.ledger());
+}

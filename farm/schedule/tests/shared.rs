@@ -221,3 +221,22 @@ fn workers_that_fit_one_of_those_who_wait_do_it() {
     assert!(held(&farm, 2).is_some_and(|task| task.job.is_shared()));
     assert_eq!(held(&farm, 1), None);
 }
+
+#[test]
+fn what_cannot_be_done_at_all_takes_back_the_leases_of_those_that_need_it() {
+    let mut farm = farm(config());
+    let id = submit(&mut farm, job("ann", &[1, 2], 1));
+    farm.join(1);
+    for _ in 0..3 {
+        work(&mut farm, 1, 10);
+    }
+    farm.join(2);
+    assert_eq!([1, 2].map(|worker| held(&farm, worker).map(|task| task.stage.frame)), [Some(1), Some(2)]);
+    let first = farm.first_of(1);
+    let digests = vec![first.work.inputs[0].output.artifact.digest];
+    farm.fail(1, &first, Failure::LostInputs { digests, message: "gone".into() });
+    let again = farm.first_of(1);
+    assert!(again.task.job.is_shared());
+    farm.fail(1, &again, Failure::Scene { message: "no camera".into() });
+    assert_eq!((farm.state(id), held(&farm, 1), held(&farm, 2)), (JobState::Failed, None, None));
+}

@@ -145,3 +145,54 @@ fn what_two_jobs_share_is_solved_once_whoever_is_killed_and_one_of_them_cancelle
     second.kill();
     runtime.block_on(is_done_once(&place));
 }
+
+/// Frames of three blocks and an answer; each block takes its time, unless it may look at that of the frame before.
+fn lone(name: &str, bundle: Artifact, is_linked: bool) -> JobSpec {
+    let drill = |tasks, makes: &[Role]| Template::new(StageKind::Drill, Scope::Frame, Sizes::even(tasks, 1), makes);
+    let blocks = drill(3, &[Role::Numbers]);
+    let blocks = if is_linked { blocks.looks_at(0, Role::Numbers, Reach::Same) } else { blocks };
+    let graph = Graph { stages: vec![blocks, drill(1, &[Role::Answer]).reads(0, Role::Numbers, Reach::All)] };
+    let settings = format!(r#"{{"drill":{{"seed":{SEED},"numbers":{NUMBERS},"milliseconds":200}}}}"#);
+    JobSpec { settings, graph, contents: vec![], ..job(name, bundle, &[2, 3, 5, 8, 13]) }
+}
+
+/// By the log: seconds of the tasks that read nothing, by job.
+async fn seconds(place: &Place) -> BTreeMap<JobId, Vec<f64>> {
+    let mut log = femc_queue::Sqlite::open(&place.path("farm.db")).await.expect("a log");
+    let mut all = BTreeMap::<JobId, Vec<f64>>::new();
+    for record in log.load().await.expect("its records").records {
+        if let Fact::Done { task, result, .. } = Fact::decode(&record).expect("a fact").1
+            && task.stage.number == 0
+        {
+            all.entry(task.job).or_default().push(result.seconds);
+        }
+    }
+    all
+}
+
+#[test]
+fn who_may_look_at_the_frame_before_saves_time_and_changes_no_byte() {
+    let place = Place::new();
+    let runtime = tokio::runtime::Runtime::new().expect("a runtime");
+    let (mut coordinator, url) = coordinator(&place, 0);
+    let _worker = worker(&place, &url);
+    let client = runtime.block_on(Client::connect(&url)).expect("a coordinator");
+    let bundle = runtime.block_on(client.put(Bytes::from_static(b"no scene"))).expect("a store");
+    let jobs = [false, true].map(|is_linked| {
+        let spec = lone("ann", bundle, is_linked);
+        runtime.block_on(client.submit(None, spec)).expect("a job")
+    });
+    let answers = jobs.map(|id| {
+        place.run(&format!("watch {id} --server {url}")).exits(0);
+        let frames = runtime.block_on(client.frames(id)).expect("frames");
+        frames.iter().map(|record| (record.frame, record.output(Role::Answer).expect("an answer").digest)).collect()
+    });
+    let [cold, warm]: [BTreeMap<u32, _>; 2] = answers;
+    assert_eq!((cold.len(), &cold), (5, &warm));
+    coordinator.kill();
+    let seconds = runtime.block_on(seconds(&place));
+    let saved = |job: JobId| seconds[&job].iter().filter(|&&seconds| seconds < 0.2).count();
+    assert_eq!(saved(jobs[0]), 0, "{seconds:?}");
+    // A worker fetches ahead: what it got before the frame before was done saves nothing.
+    assert!((6..=12).contains(&saved(jobs[1])), "{seconds:?}");
+}

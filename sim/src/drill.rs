@@ -26,7 +26,8 @@ impl Content {
         Self { seed: number, blocks: 4 + (number % 5) as u32, rounds: 2 + (number / 5 % 2) as u32 }
     }
 
-    /// Blocks, the end of their round, a field of the last round's; a frame's answer of the field.
+    /// Blocks, the end of their round, a field of the last round's; a frame's pair of the field, which may look at that of the frame
+    /// before, and its answer.
     fn graph(&self) -> Graph {
         let drill = |scope, tasks, makes: &[Role]| Template::new(StageKind::Drill, scope, Sizes::even(tasks, 1), makes);
         let before = Need { stage: 0, role: Role::Numbers, reach: Reach::All, round: Round::Before, gaps: false };
@@ -35,7 +36,12 @@ impl Content {
                 drill(Scope::Content, self.blocks, &[Role::Numbers]).needs(before),
                 drill(Scope::Content, 1, &[]).reads(0, Role::Numbers, Reach::All).closes(0, self.rounds),
                 drill(Scope::Content, 1, &[Role::Numbers]).reads(0, Role::Numbers, Reach::All),
-                drill(Scope::Frame, 1, &[Role::Answer]).reads(2, Role::Numbers, Reach::All),
+                drill(Scope::Frame, 2, &[Role::Numbers]).reads(2, Role::Numbers, Reach::All).looks_at(
+                    3,
+                    Role::Numbers,
+                    Reach::Same,
+                ),
+                drill(Scope::Frame, 1, &[Role::Answer]).reads(3, Role::Numbers, Reach::All),
             ],
         }
     }
@@ -74,7 +80,9 @@ pub(crate) fn stage(number: u64) -> Stage {
     let content = Content::of(number);
     let field = [content.field()];
     let answer = |frame: &u32| {
-        let numbers = joined(&field, mixed(u64::from(*frame)));
+        let own = |item: u64| mixed(item << 32 | u64::from(*frame));
+        let pair = [0, 1].map(|item| joined(&field, own(item)));
+        let numbers = joined(&pair, own(0));
         let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
         Digest::of(&bytes).to_string()
     };

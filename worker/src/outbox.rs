@@ -508,7 +508,8 @@ pub(crate) mod tests {
         let stage = Stage { frame: 1, round: 0, number: 0, kind: StageKind::Render };
         let task = TaskKey { job: JobId(3), stage, index };
         let (inputs, taken, more) = (Vec::new(), Taken::default(), More::Last);
-        let work = Work { item: index, steps: 0..4, inputs, taken, more, elapsed: 0, busy_seconds: 0.0 };
+        let work =
+            Work { item: index, steps: 0..4, inputs, hints: Vec::new(), taken, more, elapsed: 0, busy_seconds: 0.0 };
         let assignment = Assignment { task, epoch: Epoch(9), lease: 5000, copy_of: None, work };
         let dial = femc_proto::Dial::by(|_, _| {
             let (near, far) = tokio::io::duplex(1 << 16);

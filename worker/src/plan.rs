@@ -24,6 +24,7 @@ fn template(stage: &engine::Stage) -> Template {
         sizes: sizes.iter().copied().collect(),
         steps: steps.clone(),
         needs: needs.iter().map(need).collect(),
+        hints: Vec::new(),
         makes: makes.iter().map(role).collect(),
         closes: closes.map(|engine::Loop { first, rounds }| Loop { first, rounds }),
         options: String::new(),

@@ -35,7 +35,7 @@ pub(crate) fn start(pace: &Pace, tools: &Tools, table: &Arc<Table>, finish: &Fin
 async fn work(task: &Arc<Task>, pace: &Pace, tools: &Tools) -> Result<Product, Failure> {
     task.begin();
     task.enter(Phase::Preparing);
-    let inputs: Vec<_> = task.assignment.work.artifacts().collect();
+    let inputs: Vec<_> = task.assignment.work.artifacts().chain(task.assignment.work.hinted()).collect();
     let fetch = Fetch::collect(task, &inputs).await;
     task.enter(Phase::Working);
     let ((whole, fate), units) = (pace.of(&task.assignment), units(task));

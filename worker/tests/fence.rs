@@ -47,7 +47,7 @@ async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_tol
     let task = TaskKey { job: JobId(7), stage, index: 0 };
     let epoch = Epoch::new(3, 1);
     let (inputs, taken, more) = (vec![], Taken::default(), More::Last);
-    let work = Work { item: 0, steps: 0..4, inputs, taken, more, elapsed: 0, busy_seconds: 0.0 };
+    let work = Work { item: 0, steps: 0..4, inputs, hints: Vec::new(), taken, more, elapsed: 0, busy_seconds: 0.0 };
     let assignment = Assignment { task, epoch, lease: LEASE, copy_of: None, work };
     let welcome = ToWorker::Welcome { worker: WorkerId(1), heartbeat: HEARTBEAT, lease: LEASE };
     first.out.send(welcome.clone()).await.unwrap();

@@ -7,7 +7,7 @@ use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Say, human, json};
 use crate::request::{Asked, JobFile, is_job};
 use clap::Args;
-use femc_model::{Graph, Need, Reach, Round, Scope, Template};
+use femc_model::{Graph, Hint, Need, Reach, Round, Scope, Template};
 use femc_pipeline::{LeftOut, Prepared, Stop};
 use serde::Serialize;
 use std::path::PathBuf;
@@ -227,7 +227,7 @@ fn table(graph: &Graph) -> String {
             per.to_owned(),
             template.tasks().to_string(),
             graph.rounds(stage).to_string(),
-            joined(template.needs.iter().map(read)),
+            joined(template.needs.iter().map(read).chain(template.hints.iter().map(seen))),
             joined(template.makes.iter().map(|role| role.name().to_owned())),
             template.tags.join(", "),
         ]
@@ -240,13 +240,22 @@ fn joined(all: impl Iterator<Item = String>) -> String {
     all.collect::<Vec<_>>().join(", ")
 }
 
-/// `tile of 0 (64 each)`.
-fn read(need: &Need) -> String {
-    let reach = match need.reach {
+fn far(reach: Reach) -> String {
+    match reach {
         Reach::All => "all".to_owned(),
         Reach::Same => "its own".to_owned(),
         Reach::Fan(tasks) => format!("{tasks} each"),
-    };
+    }
+}
+
+/// `numbers of 0 (all of the frame before if there)`.
+fn seen(hint: &Hint) -> String {
+    format!("{} of {} ({} of the frame before if there)", hint.role.name(), hint.stage, far(hint.reach))
+}
+
+/// `tile of 0 (64 each)`.
+fn read(need: &Need) -> String {
+    let reach = far(need.reach);
     let round = match need.round {
         Round::Same => "",
         Round::Before => " of the round before",

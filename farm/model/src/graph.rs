@@ -29,6 +29,8 @@ pub struct Template {
     pub steps: Vec<u32>,
     /// What its tasks read.
     pub needs: Vec<Need>,
+    /// What its tasks may look at, if it is there: it saves them time and changes none of their bytes.
+    pub hints: Vec<Hint>,
     /// The roles of its outputs, each once.
     pub makes: Vec<Role>,
     /// The loop that it closes.
@@ -87,6 +89,18 @@ pub struct Need {
     pub round: Round,
     /// Whether frames that cannot be finished may be missing; of a stage of the job that reads a stage of frames.
     pub gaps: bool,
+}
+
+/// Outputs of one role of a stage of the frame before, in the order of the job's frames: of its last round, as far as they are
+/// there. Only of a stage of frames. Nothing waits for them, and nothing is done again when they are lost.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Hint {
+    /// The stage that makes them: any of the frame, also the one that looks.
+    pub stage: u16,
+    /// Which of its outputs.
+    pub role: Role,
+    /// Of which of its tasks.
+    pub reach: Reach,
 }
 
 /// Which tasks of a stage a task reads. Where a stage of the job reads a stage of frames, its tasks are counted through over all
@@ -171,8 +185,18 @@ impl FromIterator<(u32, u64)> for Sizes {
 impl Template {
     /// A stage without inputs.
     pub fn new(kind: StageKind, scope: Scope, sizes: Sizes, makes: &[Role]) -> Self {
-        let (steps, needs, makes, closes) = (Vec::new(), Vec::new(), makes.to_vec(), None);
-        Self { kind, scope, sizes, steps, needs, makes, closes, options: String::new(), tags: Vec::new() }
+        Self {
+            kind,
+            scope,
+            sizes,
+            steps: Vec::new(),
+            needs: Vec::new(),
+            hints: Vec::new(),
+            makes: makes.to_vec(),
+            closes: None,
+            options: String::new(),
+            tags: Vec::new(),
+        }
     }
 
     /// The same, each task of which has taken so many steps at the end of each round.
@@ -188,6 +212,12 @@ impl Template {
     /// The same with one more need.
     pub fn needs(mut self, need: Need) -> Self {
         self.needs.push(need);
+        self
+    }
+
+    /// The same with one more hint.
+    pub fn looks_at(mut self, stage: u16, role: Role, reach: Reach) -> Self {
+        self.hints.push(Hint { stage, role, reach });
         self
     }
 
@@ -293,6 +323,12 @@ impl Graph {
         needs.filter(move |(_, need)| need.stage == stage)
     }
 
+    /// Whether the frame behind may look at this output of a stage.
+    pub fn is_hint(&self, stage: u16, role: Role) -> bool {
+        let mut hints = self.stages.iter().flat_map(|template| &template.hints);
+        hints.any(|hint| (hint.stage, hint.role) == (stage, role))
+    }
+
     /// The first stage whose tasks are cut: what people count a frame's progress in.
     pub fn main(&self) -> Option<(u16, &Template)> {
         self.of(Scope::Frame).find(|(_, template)| template.kind.is_cut())
@@ -329,10 +365,11 @@ impl Graph {
     }
 
     fn check_stage(&self, stage: u16, template: &Template) -> Result<(), GraphError> {
-        let Template { kind, sizes, steps, needs, makes, options, tags, .. } = template;
+        let Template { kind, sizes, steps, needs, hints, makes, options, tags, .. } = template;
         let limits = [
             ("tasks of a stage", u64::from(sizes.tasks()), u64::from(Self::MAX_TASKS)),
             ("needs of a stage", needs.len() as u64, Self::MAX_NEEDS as u64),
+            ("hints of a stage", hints.len() as u64, Self::MAX_NEEDS as u64),
             ("sizes of a stage", sizes.runs().len() as u64, Self::MAX_RUNS as u64),
             ("rounds", steps.len() as u64, u64::from(Self::MAX_ROUNDS)),
             ("bytes of a stage's options", options.len() as u64, Self::MAX_OPTIONS as u64),
@@ -363,7 +400,25 @@ impl Graph {
         if kind.is_cut() && steps.len() != self.rounds(stage) as usize {
             return Err(GraphError::Steps { stage });
         }
+        hints.iter().try_for_each(|hint| self.check_hint(stage, template, hint))?;
         needs.iter().try_for_each(|need| self.check_need(stage, template, need))
+    }
+
+    fn check_hint(&self, stage: u16, template: &Template, hint: &Hint) -> Result<(), GraphError> {
+        let fault = |why| Err(GraphError::Hint { stage, why });
+        let Some(made) = self.stage(hint.stage) else { return fault("there is no such stage") };
+        if (template.scope, made.scope) != (Scope::Frame, Scope::Frame) {
+            return fault("a stage of frames looks at one of frames");
+        }
+        if !made.makes.contains(&hint.role) {
+            return fault("nobody makes such an output");
+        }
+        match hint.reach {
+            Reach::Fan(0) => fault("a fan of none"),
+            Reach::Same if made.tasks() != template.tasks() => fault("one to one of different numbers"),
+            Reach::Fan(n) if made.tasks().div_ceil(n) != template.tasks() => fault("a fan that does not fit"),
+            Reach::All | Reach::Same | Reach::Fan(_) => Ok(()),
+        }
     }
 
     fn check_loop(&self, stage: u16, template: &Template) -> Result<(), GraphError> {
@@ -465,6 +520,14 @@ pub enum GraphError {
         /// Why.
         why: &'static str,
     },
+    /// Something that is never there.
+    #[error("stage {stage} cannot look at the frame before: {why}")]
+    Hint {
+        /// Which.
+        stage: u16,
+        /// Why.
+        why: &'static str,
+    },
     /// A need that cannot be met.
     #[error("stage {stage}: {why}")]
     Need {
@@ -520,6 +583,20 @@ mod tests {
         assert_eq!(with(|all| all[1].needs[0].reach = Reach::Fan(2)), need("a fan that does not fit"));
         assert_eq!(with(|all| all[1].needs[0].reach = Reach::Same), need("one to one of different numbers"));
         assert_eq!(with(|all| all[1].makes.push(Role::Sums)), Err(GraphError::Makes { stage: 1 }));
+        let look = |stage, role, reach| with(|all| all[1].hints = vec![Hint { stage, role, reach }]);
+        let hint = |why| Err(GraphError::Hint { stage: 1, why });
+        assert_eq!(look(2, Role::Image, Reach::All), Ok(()), "what comes later is there in the frame before");
+        assert_eq!(look(1, Role::Sums, Reach::Same), Ok(()));
+        assert_eq!(look(3, Role::Image, Reach::All), hint("there is no such stage"));
+        assert_eq!(look(0, Role::Image, Reach::All), hint("nobody makes such an output"));
+        assert_eq!(look(0, Role::Tile, Reach::Same), hint("one to one of different numbers"));
+        assert_eq!(look(0, Role::Tile, Reach::Fan(3)), hint("a fan that does not fit"));
+        assert_eq!(look(0, Role::Tile, Reach::Fan(0)), hint("a fan of none"));
+        let of_job = |all: &mut Vec<Template>| {
+            let own = Template::new(StageKind::Image, Scope::Job, Sizes::even(1, 1), &[]);
+            all.push(own.looks_at(2, Role::Image, Reach::All));
+        };
+        assert!(matches!(with(of_job), Err(GraphError::Hint { stage: 3, .. })));
         let long = |all: &mut Vec<Template>| all[1].options = "x".repeat(Graph::MAX_OPTIONS + 1);
         assert!(matches!(with(long), Err(GraphError::TooMany { what: "bytes of a stage's options", .. })));
         let many = |all: &mut Vec<Template>| all[1].tags = vec!["lab".into(); 65];

@@ -26,7 +26,7 @@ mod usage;
 pub use digest::{Digest, ParseDigestError};
 pub use failure::{Failure, Verdict};
 pub use grains::{Cut, Grains, Taken, Uneven};
-pub use graph::{Graph, GraphError, Loop, Need, Reach, Round, Scope, Sizes, Template};
+pub use graph::{Graph, GraphError, Hint, Loop, Need, Reach, Round, Scope, Sizes, Template};
 pub use grid::{Grid, TileRect};
 pub use id::{Epoch, JobId, Tick, WorkerId};
 pub use job::{Control, JobSpec, JobState, SpecError};

@@ -68,6 +68,8 @@ pub struct Work {
     pub steps: Range<u32>,
     /// What it reads, in order of need, frame and task.
     pub inputs: Vec<Input>,
+    /// What it may look at of the frame before, as far as it is there, by the number of the stage's hint.
+    pub hints: Vec<Input>,
     /// Steps that each task of the stage that is cut has taken in all, of those that its inputs are made of; empty where there
     /// are none, and of a task that is cut itself.
     pub taken: Taken,
@@ -82,7 +84,7 @@ pub struct Work {
 /// An output that a task reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Input {
-    /// Which of the stage's needs it is for.
+    /// Which of the stage's needs it is for, or of its hints.
     pub need: u16,
     /// The frame that it is of, or [`Stage::OF_JOB`].
     pub frame: u32,
@@ -102,9 +104,17 @@ pub struct Output {
 }
 
 impl Work {
+    /// Most that a task is given of the frame before.
+    pub const MAX_HINTS: usize = 4_096;
+
     /// Every artifact that is read for it, beside the scene.
     pub fn artifacts(&self) -> impl Iterator<Item = Artifact> + '_ {
         self.inputs.iter().map(|input| input.output.artifact)
+    }
+
+    /// Every artifact that it may look at.
+    pub fn hinted(&self) -> impl Iterator<Item = Artifact> + '_ {
+        self.hints.iter().map(|hint| hint.output.artifact)
     }
 
     /// What is read of one role, in order.

@@ -1,7 +1,9 @@
 //! Scene affinity: to read a scene and to make a frame ready takes a worker time, so it goes on with what it has at hand rather
 //! than with what is first in the order of service or of frames: for a while, and never before a job of more priority.
 
-use femc_model::{JobId, Near, TaskKey, Tick, WorkerId};
+use std::collections::VecDeque;
+
+use femc_model::{JobId, Near, Reach, TaskKey, Tick, WorkerId};
 
 use crate::Command;
 use crate::deal::{is_quarantined_for, may_take};
@@ -14,6 +16,8 @@ use crate::shared::Content;
 pub(crate) struct AtHand {
     /// The latest at the end.
     frames: Vec<(JobId, u32)>,
+    /// Tasks that it has done and that those of the frame behind may look at: by stage and number, the latest at the end.
+    left: VecDeque<(JobId, u16, u32)>,
     /// Milliseconds of tasks that it was given out of turn, since one in turn.
     out_of_turn: u64,
 }
@@ -21,6 +25,8 @@ pub(crate) struct AtHand {
 impl AtHand {
     /// Frames that count; a worker keeps more, for what it makes ready ahead.
     const FRAMES: usize = 2;
+    /// Tasks that count.
+    const LEFT: usize = 256;
 
     /// It is given a task in turn, or out of turn one that takes so many milliseconds.
     fn turn(&mut self, out_of_turn: Option<u64>) {
@@ -33,6 +39,15 @@ impl AtHand {
 
     fn has_job(&self, job: JobId) -> bool {
         self.frames.iter().any(|&(other, _)| other == job)
+    }
+
+    /// The worker has done a task that others may look at.
+    pub(crate) fn leaves(&mut self, job: JobId, stage: u16, item: u32) {
+        self.left.retain(|other| *other != (job, stage, item));
+        self.left.push_back((job, stage, item));
+        if self.left.len() > Self::LEFT {
+            self.left.pop_front();
+        }
     }
 
     /// The worker is given a task.
@@ -57,6 +72,7 @@ impl Scheduler {
     pub(crate) fn serve(&mut self, id: WorkerId, first: TaskKey, now: Tick, out: &mut Vec<Command>) {
         let other = self.at_hand(id, &first, now);
         let task = other.unwrap_or(first);
+        let task = self.left_by(id, &task).unwrap_or(task);
         let run = self.share(&task);
         let out_of_turn = other.map(|_| self.size(&task, &run).milliseconds);
         self.assign(task, &run, None, id, now, out);
@@ -87,6 +103,21 @@ impl Scheduler {
             return same_frame;
         }
         own.into_iter().find_map(|(job, _)| self.same_scene(id, job))
+    }
+
+    /// A ready task of the same stage that may look at what the worker itself has left of the frame before.
+    fn left_by(&self, id: WorkerId, task: &TaskKey) -> Option<TaskKey> {
+        let (job, ready_tasks) = (self.ledger.jobs.get(&task.job)?, self.ready.get(&task.job)?);
+        let template = job.spec.graph.stage(task.stage.number)?;
+        let hint = template.hints.iter().find(|hint| hint.reach == Reach::Same)?;
+        let keys = ready_tasks.open.get(task.stage.frame)?.of(&task.stage)?;
+        let left = self.table.workers.get(&id)?.at_hand.left.iter().rev();
+        let left = left.filter(|(of, stage, _)| (*of, *stage) == (task.job, hint.stage));
+        let mut tasks = left.filter_map(|&(.., item)| {
+            let index = job.keys_of(&task.stage, item).find(|&key| keys.contains(key))?;
+            Some(TaskKey { index, ..*task })
+        });
+        tasks.find(|task| may_take(task, job, ready_tasks, id, &self.table))
     }
 
     /// A ready task of a job of which the worker has the scene; opens a frame for it, if there may be one more.

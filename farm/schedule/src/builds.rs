@@ -169,8 +169,13 @@ impl Scheduler {
                 && worker.is_fit(&self.config, now)
                 && worker.has_tags(&job.spec.tags)
         };
-        let able: Vec<(WorkerId, &Worker)> =
-            self.table.workers.iter().filter(|(_, worker)| has_room(worker)).map(|(&id, worker)| (id, worker)).collect();
+        let able: Vec<(WorkerId, &Worker)> = self
+            .table
+            .workers
+            .iter()
+            .filter(|(_, worker)| has_room(worker))
+            .map(|(&id, worker)| (id, worker))
+            .collect();
         let is_foreign = |&(frame, open): &(u32, &OpenUnit)| {
             let tags = open.stages().map(|(stage, _)| job.tags_of(stage.number));
             let able = tags.flat_map(|tags| able.iter().filter(|(_, worker)| worker.has_tags(tags)));

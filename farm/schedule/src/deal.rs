@@ -187,6 +187,7 @@ impl Scheduler {
             item,
             steps: grains.steps(run),
             inputs: unit.inputs(&shape, place, item, shared),
+            hints: job.hints(&task.stage, item, engine),
             taken: unit.taken(&shape, place, item),
             more: if may_go_on { More::Rounds } else { More::Last },
             elapsed: if is_cut { 0 } else { now.since(unit.began) },

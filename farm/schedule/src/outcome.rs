@@ -50,6 +50,7 @@ impl Scheduler {
             worker.mishaps = 0;
             worker.trouble = None;
         }
+        self.note_left(worker, &task);
         self.note_build(task.job, task.stage.frame, worker, now, out);
         self.record(fact, now, out);
         if !is_alone {
@@ -150,6 +151,18 @@ impl Scheduler {
     fn note_seen(&mut self, worker: WorkerId, now: Tick) {
         if let Some(worker) = self.table.workers.get_mut(&worker) {
             worker.seen = now;
+        }
+    }
+
+    /// The worker has done what those of the frame behind may look at.
+    fn note_left(&mut self, worker: WorkerId, task: &TaskKey) {
+        let Some(job) = self.ledger.jobs.get(&task.job) else { return };
+        let mut hints = job.spec.graph.stages.iter().flat_map(|template| &template.hints);
+        if hints.any(|hint| hint.stage == task.stage.number)
+            && let Some(item) = job.item(&task.stage, task.index)
+            && let Some(worker) = self.table.workers.get_mut(&worker)
+        {
+            worker.at_hand.leaves(task.job, task.stage.number, item);
         }
     }
 

@@ -39,8 +39,7 @@ impl Scheduler {
         let is_there =
             |build: &str| self.table.workers.values().any(|it| it.registration.engine == build && may_go_on(it));
         let mut others = self.ledger.shared_by(&key).filter(|(_, _, shared)| !shared.has_ended());
-        let is_elsewhere =
-            others.any(|(build, ..)| is_there(build)) || !self.reaches_most(job, Scope::Content, engine);
+        let is_elsewhere = others.any(|(build, ..)| is_there(build)) || !self.reaches_most(job, Scope::Content, engine);
         if is_elsewhere { Content::Elsewhere } else { Content::Missing(key) }
     }
 

@@ -57,7 +57,8 @@ enum Form {
     Diamond,
     /// Tiles, an image behind the loop that reads all rounds.
     Behind,
-    /// Tiles, groups of two of them, a decision that reads the groups' errors, an image behind the loop that reads their pixels.
+    /// Tiles, groups of two of them, a decision that reads the groups' errors, an image behind the loop that reads their pixels. Tiles
+    /// and groups may look at what the groups of the frame before have left.
     Decided,
     /// Frames, and for the job a tree over their tiles and one result; with gaps or without.
     Whole { gaps: bool },
@@ -89,12 +90,18 @@ impl Form {
                 Graph { stages: vec![render, decide, end] }
             }
             Self::Decided => {
-                let groups =
-                    Template::new(Kind::Reduce, Frame, Sizes::even(tiles.div_ceil(2), 1), &[Pixels, Errors, Sums])
-                        .reads(0, Tile, Reach::Fan(2))
-                        .needs(need(1, Sums, Reach::Same, Round::Before, false));
+                let groups = Template::new(
+                    Kind::Reduce,
+                    Frame,
+                    Sizes::even(tiles.div_ceil(2), 1),
+                    &[Pixels, Errors, Sums, Numbers],
+                )
+                .reads(0, Tile, Reach::Fan(2))
+                .looks_at(1, Numbers, Reach::Same)
+                .needs(need(1, Sums, Reach::Same, Round::Before, false));
                 let decide = Template::new(Kind::Decide, Frame, one.clone(), &[]).reads(1, Errors, Reach::All);
                 let end = image(Frame, &[Image]).reads(1, Pixels, Reach::All);
+                let render = render.looks_at(1, Numbers, Reach::All);
                 Graph { stages: vec![render, groups, decide.closes(0, most), end] }
             }
             Self::Shared => {
@@ -278,6 +285,7 @@ impl Machine {
                     self.last_epoch = epoch;
                     assert!(!self.done.contains(&task), "{task} is done and leased again");
                     self.all_is_there(&assignment, self.builds[&worker.0]);
+                    self.hints_are_of_the_frame_before(&assignment);
                     self.begins(&assignment);
                 }
                 Command::Revoke { worker, task, epoch, .. } => {
@@ -1099,6 +1107,21 @@ impl Machine {
             let task = TaskKey { job, stage: unit.1, index: unit.2 };
             let all = self.read_by(unit, "").into_iter().map(|(need, it)| (it.1.frame, it.2, need.role));
             assert_eq!(self.read[epoch], all.collect(), "{task} is made of other frames");
+        }
+    }
+
+    /// What a task may look at counts, and was made of the frame before.
+    fn hints_are_of_the_frame_before(&self, held: &Assignment) {
+        let spec = self.farm.scheduler.spec(held.task.job).unwrap();
+        for hint in &held.work.hints {
+            let of = self.template(&held.task).hints[usize::from(hint.need)];
+            let place = spec.frames.binary_search(&held.task.stage.frame).unwrap();
+            assert_eq!((hint.frame, hint.output.role), (spec.frames[place - 1], of.role));
+            let mut made = self.results.iter().filter(|((job, stage, item, _), _)| {
+                (*job, stage.frame, stage.number, *item) == (held.task.job, hint.frame, of.stage, hint.item)
+            });
+            let is_made = made.any(|(_, (_, result))| result.outputs.contains(&hint.output));
+            assert!(is_made, "{} is to look at what nobody has made: {hint:?}", held.task);
         }
     }
 

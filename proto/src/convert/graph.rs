@@ -1,6 +1,6 @@
 //! What a job is made of.
 
-use femc_model::{Graph, Loop, Need, Output, Reach, Role, Round, Scope, Sizes, StageKind, Template};
+use femc_model::{Graph, Hint, Loop, Need, Output, Reach, Role, Round, Scope, Sizes, StageKind, Template};
 
 use super::{ConvertError, each, maybe, need};
 use crate::wire;
@@ -67,7 +67,7 @@ impl TryFrom<wire::Graph> for Graph {
 
 impl From<Template> for wire::Template {
     fn from(template: Template) -> Self {
-        let Template { kind, scope, sizes, steps, needs, makes, closes, options, tags } = template;
+        let Template { kind, scope, sizes, steps, needs, hints, makes, closes, options, tags } = template;
         let scope = match scope {
             Scope::Job => wire::Scope::Job,
             Scope::Frame => wire::Scope::Frame,
@@ -79,6 +79,7 @@ impl From<Template> for wire::Template {
             sizes: sizes.runs().iter().map(|&(tasks, units)| wire::Sizes { tasks, units }).collect(),
             steps,
             needs: needs.into_iter().map(Into::into).collect(),
+            hints: hints.into_iter().map(Into::into).collect(),
             makes: makes.into_iter().map(of_role).collect(),
             closes: closes.map(|Loop { first, rounds }| wire::Loop { first: first.into(), rounds }),
             options,
@@ -91,7 +92,7 @@ impl TryFrom<wire::Template> for Template {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Template) -> Result<Self, ConvertError> {
-        let wire::Template { kind: of, scope, sizes, steps, needs, makes, closes, options, tags } = wire;
+        let wire::Template { kind: of, scope, sizes, steps, needs, hints, makes, closes, options, tags } = wire;
         Ok(Self {
             kind: kind(of)?,
             scope: match wire::Scope::try_from(scope) {
@@ -105,6 +106,7 @@ impl TryFrom<wire::Template> for Template {
             sizes: sizes.into_iter().map(|wire::Sizes { tasks, units }| (tasks, units)).collect::<Sizes>(),
             steps,
             needs: each(needs)?,
+            hints: each(hints)?,
             makes: makes.into_iter().map(role).collect::<Result<_, _>>()?,
             closes: maybe(closes)?,
             options,
@@ -124,15 +126,15 @@ impl TryFrom<wire::Loop> for Loop {
 impl From<Need> for wire::Need {
     fn from(Need { stage, role, reach, round, gaps }: Need) -> Self {
         use wire::need::Reach as Wire;
-        let reach = match reach {
-            Reach::All => Wire::All(wire::Empty {}),
-            Reach::Same => Wire::Same(wire::Empty {}),
-            Reach::Fan(tasks) => Wire::Fan(tasks),
-        };
         let round = match round {
             Round::Same => wire::Round::Same,
             Round::Before => wire::Round::Before,
             Round::Every => wire::Round::Every,
+        };
+        let reach = match reach {
+            Reach::All => Wire::All(wire::Empty {}),
+            Reach::Same => Wire::Same(wire::Empty {}),
+            Reach::Fan(tasks) => Wire::Fan(tasks),
         };
         Self { stage: stage.into(), role: of_role(role), reach: Some(reach), round: round.into(), gaps }
     }
@@ -161,5 +163,31 @@ impl TryFrom<wire::Need> for Need {
             },
             gaps: wire.gaps,
         })
+    }
+}
+
+impl From<Hint> for wire::Hint {
+    fn from(Hint { stage, role, reach }: Hint) -> Self {
+        use wire::hint::Reach as Wire;
+        let reach = match reach {
+            Reach::All => Wire::All(wire::Empty {}),
+            Reach::Same => Wire::Same(wire::Empty {}),
+            Reach::Fan(tasks) => Wire::Fan(tasks),
+        };
+        Self { stage: stage.into(), role: of_role(role), reach: Some(reach) }
+    }
+}
+
+impl TryFrom<wire::Hint> for Hint {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::Hint) -> Result<Self, ConvertError> {
+        use wire::hint::Reach as Wire;
+        let reach = match need("hint.reach", wire.reach)? {
+            Wire::All(_) => Reach::All,
+            Wire::Same(_) => Reach::Same,
+            Wire::Fan(tasks) => Reach::Fan(tasks),
+        };
+        Ok(Self { stage: stage(wire.stage)?, role: role(wire.role)?, reach })
     }
 }

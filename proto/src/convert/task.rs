@@ -65,10 +65,10 @@ impl TryFrom<wire::Assignment> for Assignment {
 }
 
 impl From<Work> for wire::Work {
-    fn from(Work { item, steps, inputs, taken, more, elapsed, busy_seconds }: Work) -> Self {
-        let (steps, inputs) = (to_range(&steps), inputs.into_iter().map(Into::into).collect());
+    fn from(Work { item, steps, inputs, hints, taken, more, elapsed, busy_seconds }: Work) -> Self {
+        let [inputs, hints] = [inputs, hints].map(|all| all.into_iter().map(Into::into).collect());
         let taken = taken.numbers().to_vec();
-        Self { item, steps, inputs, more: more == More::Rounds, elapsed, busy_seconds, taken }
+        Self { item, steps: to_range(&steps), inputs, hints, more: more == More::Rounds, elapsed, busy_seconds, taken }
     }
 }
 
@@ -83,6 +83,7 @@ impl TryFrom<wire::Work> for Work {
             item: wire.item,
             steps: from_range("work.steps", wire.steps)?,
             inputs: each(wire.inputs)?,
+            hints: each(wire.hints)?,
             taken: wire.taken.into_iter().collect(),
             more: if wire.more { More::Rounds } else { More::Last },
             elapsed: wire.elapsed,

@@ -43,6 +43,9 @@ fn graph() -> Graph {
         .needs(need(Reach::Fan(256), Round::Before))
         .needs(need(Reach::Same, Round::Every))
         .reads(0, Role::Tile, Reach::All)
+        .looks_at(1, Role::Sums, Reach::All)
+        .looks_at(0, Role::Tile, Reach::Fan(2))
+        .looks_at(1, Role::Pixels, Reach::Same)
         .options("rate=24")
         .tags(&["ffmpeg", "lab"]);
     let image = Template::new(StageKind::Image, Scope::Frame, Sizes::default(), &[]).closes(u16::MAX, 64);
@@ -199,8 +202,8 @@ fn the_words_of_a_session_cross_the_wire() {
     let output = Output { role: Role::Pixels, artifact: artifact() };
     let inputs = vec![Input { need: u16::MAX, frame: Stage::OF_JOB, item: 9, output }; 2];
     for (more, copy_of) in [(More::Rounds, None), (More::Last, Some(Epoch::new(2, 8)))] {
-        let (inputs, taken) = (inputs.clone(), [16, 64, 32].into_iter().collect());
-        let work = Work { item: 5, steps: 16..32, inputs, taken, more, elapsed: 1234, busy_seconds: 0.5 };
+        let (hints, inputs, taken) = (inputs[1..].to_vec(), inputs.clone(), [16, 64, 32].into_iter().collect());
+        let work = Work { item: 5, steps: 16..32, inputs, hints, taken, more, elapsed: 1234, busy_seconds: 0.5 };
         let assignment = Assignment { task: image, epoch, lease: 5000, copy_of, work };
         crosses::<ToWorker, wire::ToWorker>(ToWorker::Assign(assignment));
     }
@@ -375,9 +378,9 @@ fn kinds_and_roles_are_numbered_on_the_wire_as_in_the_farm_s_tables() {
 fn the_largest_assignment_fits_a_message() {
     let output = Output { role: Role::Preview, artifact: artifact() };
     let input = |item| Input { need: Graph::MAX_NEEDS as u16, frame: u32::MAX, item, output };
-    let inputs = (0..Graph::MAX_TASKS).map(input).collect();
+    let [inputs, hints] = [Graph::MAX_TASKS, Work::MAX_HINTS as u32].map(|count| (0..count).map(input).collect());
     let (taken, more) = ((0..Graph::MAX_TASKS).map(|item| u32::MAX - item).collect(), More::Last);
-    let work = Work { item: 0, steps: 0..1, inputs, taken, more, elapsed: u64::MAX, busy_seconds: 1.0 };
+    let work = Work { item: 0, steps: 0..1, inputs, hints, taken, more, elapsed: u64::MAX, busy_seconds: 1.0 };
     assert!(wire::Work::from(work).encoded_len() < crate::MESSAGE * 3 / 4);
 }
 

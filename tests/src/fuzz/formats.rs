@@ -76,7 +76,7 @@ fn kept_body() -> Vec<u8> {
     let outputs = vec![Output { role: Role::Tile, artifact: tile }];
     let result = TaskResult { outputs, units: 256, seconds: 0.5, ..TaskResult::default() };
     let (inputs, taken, more) = (vec![], [4, 8].into_iter().collect(), More::Last);
-    let work = Work { item: 3, steps: 0..4, inputs, taken, more, elapsed: 0, busy_seconds: 0.0 };
+    let work = Work { item: 3, steps: 0..4, inputs, hints: Vec::new(), taken, more, elapsed: 0, busy_seconds: 0.0 };
     let assignment = Assignment { task: task(), epoch: Epoch(7), lease: 4500, copy_of: None, work };
     let head = postcard::to_stdvec(&(assignment, spec(), result, vec![3u64])).expect("a head");
     [&(head.len() as u64).to_le_bytes()[..], &head, b"abc"].concat()

@@ -5,10 +5,12 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use femc_model::{
-    Control, Cut, Digest, Epoch, Failure, FrameRecord, JobSpec, Need, Output, Scope, Stage, TaskKey, TaskResult, Tick,
+    Control, Cut, Digest, Epoch, Failure, FrameRecord, Input, JobSpec, Need, Output, Scope, Stage, TaskKey, TaskResult,
+    Tick,
 };
 use serde::{Deserialize, Serialize};
 
+use super::hints::Hints;
 use super::shape::Shape;
 use super::unit::Unit;
 use crate::{Casualty, RangeSet};
@@ -80,6 +82,8 @@ pub(crate) struct Job {
     pub(crate) shared: Option<Shared>,
     /// Frames that are neither finished nor blocked, by the key of their content.
     left: BTreeMap<Digest, u32>,
+    /// What frames may look at of the frame before.
+    hints: Hints,
 }
 
 /// The part of the graph that a frame number has; borrows all of the job but its units.
@@ -117,6 +121,7 @@ impl Job {
             cut,
             shared,
             left,
+            hints: Hints::default(),
         }
     }
 
@@ -270,7 +275,7 @@ impl Job {
         task: &TaskKey,
         end: u32,
         (epoch, leased): (Epoch, Tick),
-        result: &TaskResult,
+        (result, engine): (&TaskResult, Option<&str>),
         now: Tick,
     ) -> Vec<Digest> {
         let frame = task.stage.frame;
@@ -280,7 +285,11 @@ impl Job {
         self.begin(frame, leased);
         let shape = shape!(self, frame);
         let Some(unit) = self.units.get_mut(&frame) else { return Vec::new() };
-        let released = unit.done(&shape, &task.stage, &(task.index..end), (epoch, leased), result);
+        let item = unit.grains(&shape, (task.stage.round, task.stage.number)).map(|grains| grains.task(task.index));
+        let mut released = unit.done(&shape, &task.stage, &(task.index..end), (epoch, leased), result);
+        if let (Some(item), Some(engine)) = (item, engine) {
+            released.extend(self.hints.note(&shape, &task.stage, (item, task.index), engine, result));
+        }
         if frame != Stage::OF_JOB {
             self.relative_error = result.relative_error.or(self.relative_error);
         }
@@ -290,9 +299,41 @@ impl Job {
             self.finished.insert(frame, finished);
             self.units.remove(&frame);
             self.note_left(frame, false);
+            released.extend(self.forget_hints(frame));
         }
         self.note_block(frame);
         released
+    }
+
+    /// The task, before it is cut, that a key is of.
+    pub(crate) fn item(&self, stage: &Stage, key: u32) -> Option<u32> {
+        let (unit, shape) = (self.unit(stage.frame), self.shape(stage.frame));
+        let grains = unit.grains(&shape, (stage.round, stage.number));
+        grains.map(|grains| grains.task(key))
+    }
+
+    /// The keys of a task.
+    pub(crate) fn keys_of(&self, stage: &Stage, item: u32) -> Range<u32> {
+        let (unit, shape) = (self.unit(stage.frame), self.shape(stage.frame));
+        let grains = unit.grains(&shape, (stage.round, stage.number));
+        grains.map_or(0..0, |grains| grains.of_task(item))
+    }
+
+    /// What a task may look at of the frame before, for a worker of this build.
+    pub(crate) fn hints(&self, stage: &Stage, item: u32, engine: &str) -> Vec<Input> {
+        let place = self.frames().binary_search(&stage.frame).ok().and_then(|place| place.checked_sub(1));
+        let before = place.and_then(|place| self.frames().get(place));
+        let hints = |&before| self.hints.of(&self.shape(stage.frame), before, (stage.number, item), engine);
+        before.map(hints).unwrap_or_default()
+    }
+
+    /// A frame is finished: it looks at the one before no more, and nobody at itself if the one behind is finished or there is none.
+    fn forget_hints(&mut self, frame: u32) -> Vec<Digest> {
+        let Ok(place) = self.frames().binary_search(&frame) else { return Vec::new() };
+        let before = place.checked_sub(1).map(|before| self.frames()[before]);
+        let is_last = self.frames().get(place + 1).is_none_or(|behind| self.finished.contains_key(behind));
+        let unseen: Vec<u32> = before.into_iter().chain(is_last.then_some(frame)).collect();
+        unseen.into_iter().flat_map(|frame| self.hints.forget(frame)).collect()
     }
 
     pub(super) fn failed(&mut self, task: &TaskKey, until: Epoch, failure: &Failure, now: Tick) -> Vec<Digest> {
@@ -359,6 +400,7 @@ impl Job {
     /// What is known of the frame is forgotten, but for the time that it has taken. The job may have been done.
     pub(super) fn restarted(&mut self, frame: u32) -> Vec<Digest> {
         self.blocked.remove(&Stage::OF_JOB);
+        let mut released = self.hints.forget(frame);
         if let Some(finished) = self.finished.remove(&frame) {
             let again = Unit::again(&shape!(self, frame), &finished.record);
             self.units.insert(frame, again);
@@ -367,10 +409,10 @@ impl Job {
                 self.ended = None;
             }
             // It makes the same again; and the job's own tasks may be reading it.
-            return Vec::new();
+            return released;
         }
         let shape = shape!(self, frame);
-        let released = self.units.get_mut(&frame).map(|unit| unit.restarted(&shape)).unwrap_or_default();
+        released.extend(self.units.get_mut(&frame).map(|unit| unit.restarted(&shape)).unwrap_or_default());
         self.note_block(frame);
         released
     }
@@ -491,6 +533,7 @@ impl Job {
     pub(super) fn each_artifact(&self, mut see: impl FnMut(Digest)) {
         see(self.spec.bundle);
         self.units.values().flat_map(Unit::artifacts).for_each(&mut see);
+        self.hints.artifacts().for_each(&mut see);
         self.finished.values().flat_map(Finished::artifacts).for_each(see);
     }
 

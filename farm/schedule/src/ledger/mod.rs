@@ -1,6 +1,7 @@
 //! The durable half of the scheduler: what is asked for, what is done, what has failed.
 
 mod annex;
+mod hints;
 mod job;
 pub(crate) mod shape;
 mod snapshot;
@@ -118,8 +119,9 @@ impl Ledger {
                 return Vec::new();
             }
             Fact::Done { task, end, epoch, leased, result } => {
+                let engine = self.annex.build_of(task.job, task.stage.frame);
                 let job = self.jobs.get_mut(&task.job);
-                let released = job.map(|job| job.done(task, *end, (*epoch, *leased), result, now));
+                let released = job.map(|job| job.done(task, *end, (*epoch, *leased), (result, engine), now));
                 if self.jobs.get(&task.job).is_some_and(|job| job.finished.contains_key(&task.stage.frame)) {
                     self.annex.unbuilt(task.job, task.stage.frame);
                 }

@@ -70,8 +70,13 @@ impl<'a> Shape<'a> {
 
     /// The tasks of another stage of the scope that a task reads.
     pub(super) fn items_read(&self, item: u32, need: &Need) -> Range<u32> {
-        let tasks = self.graph.stage(need.stage).map_or(0, Template::tasks);
-        reach(need.reach, item, tasks)
+        self.reached(need.stage, need.reach, item)
+    }
+
+    /// The tasks of a stage that are so far from a task.
+    pub(super) fn reached(&self, stage: u16, far: Reach, item: u32) -> Range<u32> {
+        let tasks = self.graph.stage(stage).map_or(0, Template::tasks);
+        reach(far, item, tasks)
     }
 
     /// The places in a stage's row of frames that a task of the job reads of a stage of frames, counted through.

@@ -323,6 +323,11 @@ impl Graph {
         needs.filter(move |(_, need)| need.stage == stage)
     }
 
+    /// Whether a frame may look at the one before.
+    pub fn has_hints(&self) -> bool {
+        self.stages.iter().any(|template| !template.hints.is_empty())
+    }
+
     /// Whether the frame behind may look at this output of a stage.
     pub fn is_hint(&self, stage: u16, role: Role) -> bool {
         let mut hints = self.stages.iter().flat_map(|template| &template.hints);

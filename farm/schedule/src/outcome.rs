@@ -1,8 +1,8 @@
 //! What workers report: a result or a failure, counted once and only under a lease that holds.
 
 use femc_model::{
-    Decision, Digest, Ending, Epoch, Failure, JobId, Refusal, RevokeReason, Role, Round, Stage, TaskKey, TaskResult,
-    Template, Tick, Verdict, WorkerId,
+    Decision, Digest, Ending, Epoch, Failure, JobId, Output, Refusal, RevokeReason, Role, Round, Stage, TaskKey,
+    TaskResult, Template, Tick, Verdict, WorkerId,
 };
 
 use crate::attempts::Counted;
@@ -284,8 +284,11 @@ fn repairs(task: &TaskKey, job: &Job, lost: &[Digest]) -> Vec<Fact> {
 fn is_sound(job: &Job, stage: &Stage, units: u64, result: &TaskResult) -> bool {
     let shape = job.shape(stage.frame);
     let Some(template) = shape.template(stage.number) else { return false };
-    let roles: Vec<Role> = result.outputs.iter().map(|output| output.role).collect();
-    let is_known = |(place, role): (usize, &Role)| template.makes.contains(role) && !roles[..place].contains(role);
+    let outputs = &result.outputs;
+    let has = |outputs: &[Output], role: Role| outputs.iter().any(|output| output.role == role);
+    let is_known = |(place, output): (usize, &Output)| {
+        template.makes.contains(&output.role) && !has(&outputs[..place], output.role)
+    };
     let goes_on = match (&result.decision, template.closes) {
         (None, None) => shape.graph.is_looped(stage.number) && shape.may_go_on(stage.round),
         (Some(Decision::Done), Some(_)) => false,
@@ -294,12 +297,12 @@ fn is_sound(job: &Job, stage: &Stage, units: u64, result: &TaskResult) -> bool {
         _ => return false,
     };
     let fits = |role: &Role| match wanted(&shape, stage.number, template, *role, goes_on) {
-        Some(true) => roles.contains(role),
-        Some(false) => !roles.contains(role),
+        Some(true) => has(outputs, *role),
+        Some(false) => !has(outputs, *role),
         None => true,
     };
     result.outputs.len() <= TaskResult::MAX_OUTPUTS
-        && roles.iter().enumerate().all(is_known)
+        && outputs.iter().enumerate().all(is_known)
         && template.makes.iter().all(fits)
         && result.units == if template.kind.is_cut() { units } else { 0 }
 }

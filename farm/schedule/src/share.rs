@@ -3,7 +3,7 @@
 
 use std::ops::Range;
 
-use femc_model::{Grains, Scope, TaskKey};
+use femc_model::{Grains, Scope, Stage, TaskKey};
 
 use crate::lease_table::Size;
 use crate::ledger::Job;
@@ -18,9 +18,7 @@ impl Scheduler {
         let (Some(job), Some(ready_tasks)) = (self.ledger.jobs.get(&task.job), self.ready.get(&task.job)) else {
             return first;
         };
-        let (unit, shape) = (job.unit(task.stage.frame), job.shape(task.stage.frame));
-        let grains = unit.grains(&shape, (task.stage.round, task.stage.number));
-        let Some(grains) = grains.filter(|grains| grains.stride() > 1) else { return first };
+        let Some(grains) = job.grains(&task.stage).filter(|grains| grains.stride() > 1) else { return first };
         let run = ready_run(task, job, ready_tasks, &grains);
         let units = grains.units(&first);
         let expected = ready_tasks.pace.expected(task.stage.number, units);
@@ -44,10 +42,7 @@ impl Scheduler {
     /// How much the task is, as far as one can tell.
     pub(crate) fn size(&self, task: &TaskKey, run: &Range<u32>) -> Size {
         let (job, ready_tasks) = (self.ledger.jobs.get(&task.job), self.ready.get(&task.job));
-        let units = job.map_or(1, |job| {
-            let (unit, shape) = (job.unit(task.stage.frame), job.shape(task.stage.frame));
-            unit.grains(&shape, (task.stage.round, task.stage.number)).map_or(1, |grains| grains.units(run))
-        });
+        let units = job.and_then(|job| job.grains(&task.stage)).map_or(1, |grains| grains.units(run));
         let expected = ready_tasks.and_then(|ready_tasks| ready_tasks.pace.expected(task.stage.number, units));
         Size { units, milliseconds: expected.unwrap_or(Pace::FIRST) }
     }
@@ -59,11 +54,7 @@ impl Scheduler {
         let pace = &mut self.ready.get_mut(&task.job)?.pace;
         pace.note(task.stage.number, size.units, milliseconds);
         let (main, template) = job.spec.graph.main()?;
-        let unit = job.unit(task.stage.frame);
-        let largest = |number: u16| {
-            let grains = unit.grains(&job.shape(task.stage.frame), (task.stage.round, number));
-            grains.map_or(1, |grains| grains.of_largest())
-        };
+        let largest = |number: u16| job.grains(&Stage { number, ..task.stage }).map_or(1, |grains| grains.of_largest());
         let one = pace.expected(main, largest(main))?;
         let others = job.spec.graph.of(Scope::Frame).filter(|(number, it)| *number != main && it.tasks() == 1);
         let rest = others.fold((0, 0), |(sum, count), (number, it)| {

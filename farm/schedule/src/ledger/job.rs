@@ -5,8 +5,8 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Range;
 
 use femc_model::{
-    Control, Cut, Digest, Epoch, Failure, FrameRecord, Input, JobSpec, Need, Output, Scope, Stage, TaskKey, TaskResult,
-    Tick,
+    Control, Cut, Digest, Epoch, Failure, FrameRecord, Grains, Input, JobSpec, Need, Output, Scope, Stage, TaskKey,
+    TaskResult, Tick,
 };
 use serde::{Deserialize, Serialize};
 
@@ -88,16 +88,18 @@ pub(crate) struct Job {
 
 /// The part of the graph that a frame number has; borrows all of the job but its units.
 macro_rules! shape {
-    ($job:expr, $frame:expr) => {
+    ($job:expr, $frame:expr) => {{
+        let scope = if $job.shared.is_some() { Scope::Content } else { Shape::scope_of($frame) };
         Shape {
             graph: &$job.spec.graph,
-            scope: if $job.shared.is_some() { Scope::Content } else { Shape::scope_of($frame) },
+            scope,
+            around: $job.spec.graph.loop_of(scope),
             cut: $job.cut,
             frames: if $job.shared.is_some() { &[] } else { &$job.spec.frames },
             finished: &$job.finished,
             blocked: &$job.blocked,
         }
-    };
+    }};
 }
 
 impl Job {
@@ -176,6 +178,15 @@ impl Job {
         match self.units.get(&frame) {
             Some(unit) => Cow::Borrowed(unit),
             None => Cow::Owned(self.fresh(frame)),
+        }
+    }
+
+    /// How the tasks of a stage are numbered.
+    pub(crate) fn grains(&self, stage: &Stage) -> Option<Grains<'_>> {
+        let (shape, place) = (self.shape(stage.frame), (stage.round, stage.number));
+        match self.units.get(&stage.frame) {
+            Some(unit) => unit.grains(&shape, place),
+            None => shape.grains(place, None),
         }
     }
 
@@ -275,7 +286,7 @@ impl Job {
         task: &TaskKey,
         end: u32,
         (epoch, leased): (Epoch, Tick),
-        (result, engine): (&TaskResult, Option<&str>),
+        result: &TaskResult,
         now: Tick,
     ) -> Vec<Digest> {
         let frame = task.stage.frame;
@@ -285,11 +296,7 @@ impl Job {
         self.begin(frame, leased);
         let shape = shape!(self, frame);
         let Some(unit) = self.units.get_mut(&frame) else { return Vec::new() };
-        let item = unit.grains(&shape, (task.stage.round, task.stage.number)).map(|grains| grains.task(task.index));
         let mut released = unit.done(&shape, &task.stage, &(task.index..end), (epoch, leased), result);
-        if let (Some(item), Some(engine)) = (item, engine) {
-            released.extend(self.hints.note(&shape, &task.stage, (item, task.index), engine, result));
-        }
         if frame != Stage::OF_JOB {
             self.relative_error = result.relative_error.or(self.relative_error);
         }
@@ -307,16 +314,21 @@ impl Job {
 
     /// The task, before it is cut, that a key is of.
     pub(crate) fn item(&self, stage: &Stage, key: u32) -> Option<u32> {
-        let (unit, shape) = (self.unit(stage.frame), self.shape(stage.frame));
-        let grains = unit.grains(&shape, (stage.round, stage.number));
-        grains.map(|grains| grains.task(key))
+        self.grains(stage).map(|grains| grains.task(key))
+    }
+
+    /// A task is done whose outputs the frame behind may look at; returns what is named no longer.
+    pub(super) fn note_hints(&mut self, task: &TaskKey, engine: &str, result: &TaskResult) -> Vec<Digest> {
+        let (stage, shape) = (&task.stage, shape!(self, task.stage.frame));
+        let Some(grains) = shape.grains((stage.round, stage.number), None).filter(|_| self.is_current(stage)) else {
+            return Vec::new();
+        };
+        self.hints.note(&shape, stage, (grains.task(task.index), task.index), engine, result)
     }
 
     /// The keys of a task.
     pub(crate) fn keys_of(&self, stage: &Stage, item: u32) -> Range<u32> {
-        let (unit, shape) = (self.unit(stage.frame), self.shape(stage.frame));
-        let grains = unit.grains(&shape, (stage.round, stage.number));
-        grains.map_or(0..0, |grains| grains.of_task(item))
+        self.grains(stage).map_or(0..0, |grains| grains.of_task(item))
     }
 
     /// What a task may look at of the frame before, for a worker of this build.

@@ -119,9 +119,13 @@ impl Ledger {
                 return Vec::new();
             }
             Fact::Done { task, end, epoch, leased, result } => {
-                let engine = self.annex.build_of(task.job, task.stage.frame);
-                let job = self.jobs.get_mut(&task.job);
-                let released = job.map(|job| job.done(task, *end, (*epoch, *leased), (result, engine), now));
+                let build = || self.annex.build_of(task.job, task.stage.frame);
+                let released = self.jobs.get_mut(&task.job).map(|job| {
+                    let engine = if job.spec.graph.has_hints() { build() } else { None };
+                    let mut released = engine.map(|it| job.note_hints(task, it, result)).unwrap_or_default();
+                    released.extend(job.done(task, *end, (*epoch, *leased), result, now));
+                    released
+                });
                 if self.jobs.get(&task.job).is_some_and(|job| job.finished.contains_key(&task.stage.frame)) {
                     self.annex.unbuilt(task.job, task.stage.frame);
                 }

@@ -15,6 +15,8 @@ pub(crate) type Place = (u32, u16);
 pub(crate) struct Shape<'a> {
     pub(crate) graph: &'a Graph,
     pub(crate) scope: Scope,
+    /// The loop of the scope, and the stage that closes it.
+    pub(super) around: Option<(u16, Loop)>,
     pub(super) cut: Cut,
     pub(super) frames: &'a [u32],
     pub(super) finished: &'a BTreeMap<u32, Finished>,
@@ -37,13 +39,8 @@ impl<'a> Shape<'a> {
         Some(Grains::of(template, round, uneven.filter(|_| template.kind.is_cut()), self.cut))
     }
 
-    /// The loop of the scope, and the stage that closes it.
-    pub(super) fn around(&self) -> Option<(u16, Loop)> {
-        self.graph.loop_of(self.scope)
-    }
-
     pub(super) fn is_looped(&self, number: u16) -> bool {
-        self.around().is_some_and(|(last, Loop { first, .. })| (first..=last).contains(&number))
+        self.around.is_some_and(|(last, Loop { first, .. })| (first..=last).contains(&number))
     }
 
     pub(super) fn is_cut(&self, number: u16) -> bool {
@@ -52,7 +49,7 @@ impl<'a> Shape<'a> {
 
     /// Whether another round may follow this one.
     pub(crate) fn may_go_on(&self, round: u32) -> bool {
-        self.around().is_some_and(|(_, Loop { rounds, .. })| round + 1 < rounds)
+        self.around.is_some_and(|(_, Loop { rounds, .. })| round + 1 < rounds)
     }
 
     /// The rounds of another stage of the scope that a stage reads in one of its own.

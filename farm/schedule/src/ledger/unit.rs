@@ -4,8 +4,8 @@ use std::collections::BTreeMap;
 use std::ops::Range;
 
 use femc_model::{
-    Decision, Digest, Epoch, Failure, FrameRecord, Grains, Graph, Input, Output, Reach, Role, Round, Scope, Stage,
-    Taken, TaskResult, Tick, Uneven,
+    Decision, Digest, Epoch, Failure, FrameRecord, Grains, Graph, Input, Loop, Output, Reach, Role, Round, Scope,
+    Stage, Taken, TaskResult, Tick, Uneven,
 };
 use serde::{Deserialize, Serialize};
 
@@ -54,7 +54,7 @@ impl Array {
             return self.rows.contains_key(&keys.start) || self.spent.contains(keys.start);
         }
         let done: usize = self.rows.range(keys.clone()).map(|(first, row)| (row.end - first) as usize).sum();
-        done == keys.len() || self.spent.covers(&keys)
+        done == keys.len() || done + keys.filter(|&key| self.spent.contains(key)).count() == grains.of_task(task).len()
     }
 
     /// Whether some of these grains are done.
@@ -94,7 +94,7 @@ impl Unit {
     pub(super) fn new(shape: &Shape<'_>, began: Tick) -> Self {
         Self {
             round: 0,
-            is_over: shape.around().is_none(),
+            is_over: shape.around.is_none(),
             began,
             arrays: BTreeMap::new(),
             uneven: BTreeMap::new(),
@@ -123,20 +123,14 @@ impl Unit {
 
     /// The stages that there are now, each in its rounds.
     pub(crate) fn places(&self, shape: &Shape<'_>) -> impl DoubleEndedIterator<Item = Place> {
-        let (around, rounds, is_over) = (shape.around(), 0..self.round + 1, self.is_over);
-        shape.graph.of(shape.scope).flat_map(move |(number, _)| {
-            let rounds = match around {
-                Some((last, it)) if (it.first..=last).contains(&number) => rounds.clone(),
-                Some((last, _)) if number > last && !is_over => 0..0,
-                _ => 0..1,
-            };
-            rounds.map(move |round| (round, number))
-        })
+        let (around, last, is_over) = (shape.around, self.round, self.is_over);
+        let stages = shape.graph.of(shape.scope);
+        stages.flat_map(move |(number, _)| rounds_of(number, around, last, is_over).map(move |round| (round, number)))
     }
 
     fn is_place(&self, shape: &Shape<'_>, place: Place) -> bool {
         let is_of_loop = shape.is_looped(place.1);
-        let is_behind = shape.around().is_some_and(|(last, _)| place.1 > last);
+        let is_behind = shape.around.is_some_and(|(last, _)| place.1 > last);
         shape.template(place.1).is_some()
             && if is_of_loop { place.0 <= self.round } else { place.0 == 0 && (self.is_over || !is_behind) }
     }
@@ -256,11 +250,23 @@ impl Unit {
         }
         let Some(grains) = grains(&self.uneven, shape, place) else { return Vec::new() };
         let item = grains.task(run.start);
-        let array = self.arrays.entry(place).or_insert_with(|| Array::fresh(&grains));
-        if run.is_empty() || run.end > grains.of_task(item).end || array.holds_any(run) {
+        let is_done = self.arrays.get(&place).is_some_and(|array| array.holds_any(run));
+        if run.is_empty() || run.end > grains.of_task(item).end || is_done {
             return Vec::new();
         }
-        array.rows.insert(run.start, Row { end: run.end, epoch, outputs: result.outputs.clone() });
+        let mut outputs = result.outputs.clone();
+        let mut released = Vec::new();
+        outputs.retain(|output| {
+            let is_needed = self.is_needed(shape, place, item, output.role);
+            released.extend((!is_needed).then_some(output.artifact.digest));
+            is_needed
+        });
+        let array = self.arrays.entry(place).or_insert_with(|| Array::fresh(&grains));
+        if outputs.is_empty() {
+            array.spent.add(run.clone());
+        } else {
+            array.rows.insert(run.start, Row { end: run.end, epoch, outputs });
+        }
         array.whole += u32::from(array.is_whole(&grains, item));
         if result.bad_samples > 0 {
             array.bad.insert(run.start, result.bad_samples);
@@ -273,9 +279,7 @@ impl Unit {
         if stage.kind.is_cut() {
             self.trouble.retain(|(number, round, key), _| (*round, *number) != place || !run.contains(key));
         }
-        let mut released = Vec::new();
         if !self.close(shape, place, epoch, result.decision.as_ref(), &mut released) {
-            self.sweep(shape, place, item..item + 1, &mut released);
             self.sweep_inputs(shape, place, item, &mut released);
         }
         released
@@ -290,7 +294,7 @@ impl Unit {
         decision: Option<&Decision>,
         released: &mut Vec<Digest>,
     ) -> bool {
-        let closes = shape.around().is_some_and(|(last, _)| last == number);
+        let closes = shape.around.is_some_and(|(last, _)| last == number);
         if !closes || round != self.round || self.is_over {
             return false;
         }
@@ -374,7 +378,7 @@ impl Unit {
             return;
         };
         let Some(mut array) = self.arrays.remove(&place) else { return };
-        let mut spent = Vec::new();
+        let mut spent: Vec<Range<u32>> = Vec::new();
         for (&first, row) in array.rows.range_mut(keys) {
             row.outputs.retain(|output| {
                 let is_needed = self.is_needed(shape, place, first / stride, output.role);
@@ -387,9 +391,9 @@ impl Unit {
                 spent.push(first..row.end);
             }
         }
-        for run in spent {
-            array.rows.remove(&run.start);
-            array.spent.add(run);
+        spent.iter().for_each(|run| drop(array.rows.remove(&run.start)));
+        for runs in spent.chunk_by(|one, next| one.end == next.start) {
+            array.spent.add(runs[0].start..runs[runs.len() - 1].end);
         }
         self.arrays.insert(place, array);
     }
@@ -528,7 +532,8 @@ impl Unit {
             if need.reach == Reach::All && !self.is_complete(shape, from) {
                 continue;
             }
-            for place in self.places(shape).filter(|place| place.1 == reader) {
+            for round in rounds_of(reader, shape.around, self.round, self.is_over) {
+                let place = (round, reader);
                 if !shape.rounds_read(place, need, self.round).contains(&stage.round) {
                     continue;
                 }
@@ -559,12 +564,15 @@ impl Unit {
 
     /// Those of some tasks of a stage that can run, as keys.
     fn fed_among(&self, shape: &Shape<'_>, place: Place, items: Range<u32>) -> RangeSet {
-        let Some(grains) = self.grains(shape, place) else { return RangeSet::default() };
-        let mut keys = self.open_keys(shape, place);
-        keys.remove(0..grains.of_tasks(&items).start);
-        keys.remove(grains.of_tasks(&items).end..grains.all().end);
-        let hungry = items.filter(|&item| !self.is_fed(shape, place, item));
-        hungry.for_each(|item| keys.remove(grains.of_tasks(&(item..item + 1))));
+        // Mostly none of them can.
+        let mut fed = items.filter(|&item| self.is_fed(shape, place, item)).peekable();
+        let Some(grains) = self.grains(shape, place).filter(|_| fed.peek().is_some()) else {
+            return RangeSet::default();
+        };
+        let (mut keys, open) = (RangeSet::default(), self.open_keys(shape, place));
+        for key in fed.flat_map(|item| grains.of_task(item)).filter(|&key| open.contains(key)) {
+            keys.insert(key);
+        }
         keys
     }
 
@@ -650,6 +658,16 @@ impl Unit {
     pub(super) fn holds(&self, stage: &Stage, key: u32, epoch: Epoch) -> bool {
         let row = self.arrays.get(&(stage.round, stage.number)).and_then(|array| array.rows.get(&key));
         row.is_some_and(|row| row.epoch == epoch) || (!stage.kind.is_cut() && self.decided == Some(epoch))
+    }
+}
+
+/// The rounds of a stage that there are now.
+/// - `around`: the loop of its scope; `last`: the round that this is in.
+fn rounds_of(number: u16, around: Option<(u16, Loop)>, last: u32, is_over: bool) -> Range<u32> {
+    match around {
+        Some((end, it)) if (it.first..=end).contains(&number) => 0..last + 1,
+        Some((end, _)) if number > end && !is_over => 0..0,
+        _ => 0..1,
     }
 }
 

@@ -53,7 +53,7 @@ enum Question {
     Attempts(JobId, u64, Reply<AttemptPage>),
     Workers(Reply<Vec<femc_model::WorkerStatus>>),
     Drained(Result<Vec<WorkerId>, Refusal>, Reply<Vec<WorkerId>>),
-    Told(Reply<()>),
+    Done(Reply<()>),
     References(Reply<References>),
     Backup(Reply<Backup>),
 }
@@ -293,7 +293,7 @@ impl<Q: Queue> Actor<Q> {
             }
             Call::Lost { digest, reply } => {
                 self.hear(Event::Lost { digest }, commands);
-                self.questions.push(Question::Told(reply));
+                self.questions.push(Question::Done(reply));
             }
             Call::Logs { job, since, reply } => self.questions.push(Question::Logs(job, since, reply)),
             Call::Shape { job, reply } => self.questions.push(Question::Shape(job, reply)),
@@ -397,7 +397,7 @@ impl<Q: Queue> Actor<Q> {
                     drop(reply.send(page));
                 }
                 Question::Drained(answer, reply) => drop(reply.send(answer)),
-                Question::Told(reply) => drop(reply.send(Ok(()))),
+                Question::Done(reply) => drop(reply.send(Ok(()))),
                 Question::Workers(reply) => drop(reply.send(Ok(self.scheduler.workers(now)))),
                 Question::References(reply) => drop(reply.send(Ok(self.references()))),
                 Question::Backup(reply) => {

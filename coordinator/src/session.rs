@@ -19,7 +19,7 @@ pub(crate) struct Worker {
 
 impl Worker {
     pub(crate) fn new(out: mpsc::Sender<ToWorker>) -> Self {
-        Self { out, jobs: Latest::new(JobSpec::TOLD) }
+        Self { out, jobs: Latest::new(JobSpec::SESSION_SPECS) }
     }
 }
 

@@ -256,19 +256,19 @@ pub enum Violation {
     },
     /// An answer is not what the log said then.
     #[error("somebody was told of job {job}: {what}; the log never said so")]
-    Told {
+    Answer {
         /// The job.
         job: JobId,
         /// As told.
         what: String,
     },
     /// A task is said to have failed more often than it has, or was put aside too soon.
-    #[error("{task} is put aside after {told} attempts, as somebody was told; by the log it failed {logged} times")]
+    #[error("{task} is put aside after {answered} attempts, as somebody was told; by the log it failed {logged} times")]
     Attempts {
         /// Which.
         task: TaskKey,
         /// As told.
-        told: u32,
+        answered: u32,
         /// As the log has it.
         logged: u32,
     },
@@ -281,14 +281,14 @@ pub enum Violation {
         epoch: Epoch,
     },
     /// The attempts of a task that is put aside have become fewer, and nobody has tried it again.
-    #[error("{task} was put aside after {before} attempts, and now after {told}")]
+    #[error("{task} was put aside after {before} attempts, and now after {answered}")]
     Fewer {
         /// Which.
         task: TaskKey,
         /// As told before.
         before: u32,
         /// As told now.
-        told: u32,
+        answered: u32,
     },
     /// The log counts more failures of a task than were reported, a lease and its copy being one attempt.
     #[error("the log counts {counted} failed attempts of {task}, and {reported} were reported")]
@@ -341,12 +341,12 @@ pub enum Violation {
         epoch: Epoch,
     },
     /// A frame's seconds are not those of its results.
-    #[error("frame {frame} took {told} ms, as somebody was told; its results took {logged} ms")]
+    #[error("frame {frame} took {answered} ms, as somebody was told; its results took {logged} ms")]
     Busy {
         /// Frame number.
         frame: u32,
         /// As told, in milliseconds.
-        told: u64,
+        answered: u64,
         /// By the log, in milliseconds.
         logged: u64,
     },

@@ -14,7 +14,7 @@ use crate::disk::Disk;
 use crate::faults::COORDINATORS;
 use crate::leases::Leases;
 use crate::network::Reach;
-use crate::promises::Told;
+use crate::promises::Answers;
 use crate::shares::Shares;
 
 /// A crash of the writing coordinator at a chosen write.
@@ -79,7 +79,7 @@ pub(crate) struct State {
     /// What the log says.
     pub(crate) chronicle: Chronicle,
     /// What people were told.
-    pub(crate) told: Told,
+    pub(crate) answers: Answers,
     /// What people did, and how jobs ended.
     pub(crate) deeds: BTreeMap<&'static str, u64>,
     /// People who wait for their jobs.
@@ -125,7 +125,7 @@ impl Shared {
             accepted: BTreeSet::new(),
             fired: BTreeMap::new(),
             chronicle: Chronicle::default(),
-            told: Told::default(),
+            answers: Answers::default(),
             deeds: BTreeMap::new(),
             left: 0,
             stale: 0,

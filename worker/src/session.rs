@@ -80,7 +80,7 @@ impl<'a> Session<'a> {
             finished,
             config,
             duty: Duty::On,
-            jobs: Latest::new(4 * JobSpec::TOLD),
+            jobs: Latest::new(4 * JobSpec::SESSION_SPECS),
             claims: Claims::new(Instant::now()),
             uploads: JoinSet::new(),
             meter,
@@ -145,7 +145,7 @@ impl<'a> Session<'a> {
                         tracing::Span::current().record("worker", worker.0);
                         tracing::info!(url = self.client.url(), "joined");
                         self.config.metrics.connected();
-                        self.config.journal.told();
+                        self.config.journal.death_reported();
                         self.claims.welcomed(lease);
                         let every = Duration::from_millis(pause.max(10));
                         let pulse = heartbeat.insert(tokio::time::interval(every));

@@ -137,7 +137,7 @@ pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
                 say.note("stopped");
                 Ok(Exit::Done)
             }
-            Err(WorkerError::Call(error)) => Err(super::client::told(error)),
+            Err(WorkerError::Call(error)) => Err(super::client::map_call_error(error)),
             Err(error @ WorkerError::Nice { .. }) => Err(failed(format!("--nice: {error}; leave it away"))),
             Err(error @ WorkerError::Threads(_)) => Err(failed(error)),
             Err(error @ WorkerError::Outbox { .. }) => {

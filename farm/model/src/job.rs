@@ -43,8 +43,8 @@ impl JobSpec {
     pub const MAX_TAGS: usize = 64;
     /// Most bytes of settings.
     pub const MAX_SETTINGS: usize = 1 << 20;
-    /// A coordinator tells a worker a job again when it has told it so many others in the session.
-    pub const TOLD: usize = 1024;
+    /// Specs of jobs that a session keeps: a coordinator sends a spec again once it has sent this many others.
+    pub const SESSION_SPECS: usize = 1024;
     /// Most bytes of a name, an owner, a tag, a path.
     pub const MAX_NAME: usize = 1 << 10;
 

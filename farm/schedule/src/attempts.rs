@@ -46,7 +46,7 @@ impl Scheduler {
         out: &mut Vec<Command>,
     ) {
         if self.table.lease_of(worker, &task, epoch).is_some() {
-            self.told = Some(((task, epoch), usage));
+            self.reported_usage = Some(((task, epoch), usage));
             return;
         }
         // What counts was noted with its usage: this is a repetition.
@@ -76,7 +76,7 @@ impl Scheduler {
         counted: Counted,
         out: &mut Vec<Command>,
     ) {
-        let usage = self.told.take_if(|(told, _)| told == key).map(|(_, usage)| usage);
+        let usage = self.reported_usage.take_if(|(reported, _)| reported == key).map(|(_, usage)| usage);
         let is_begun = match ending {
             Ending::Done | Ending::Failed => true,
             Ending::Lost | Ending::Revoked | Ending::Cancelled => usage.is_some() || lease.phase > Phase::Waiting,

@@ -34,7 +34,7 @@ pub struct Scheduler {
     pub(crate) stale_messages: u64,
     pub(crate) logs: Shelf,
     /// What a lease took whose end is about to be heard.
-    pub(crate) told: Option<(LeaseKey, Usage)>,
+    pub(crate) reported_usage: Option<(LeaseKey, Usage)>,
     /// Of the event that is being taken.
     pub(crate) now: Tick,
     pub(crate) orphans: Orphans,
@@ -63,7 +63,7 @@ impl Scheduler {
             leases: 0,
             stale_messages: 0,
             logs: Shelf::default(),
-            told: None,
+            reported_usage: None,
             now,
             orphans: Orphans::default(),
             deaths: Deaths::of(&ledger),

@@ -191,13 +191,13 @@ impl Scheduler {
 
     /// Frames of a job that cannot go on because what they share with others is stuck.
     pub(crate) fn why_stuck(&self, job: &Job) -> Vec<Wait> {
-        let told = |(id, shared): (JobId, &Job)| {
+        let wait = |(id, shared): (JobId, &Job)| {
             let key = shared.shared.as_ref().map(|shared| shared.key);
             let frames = job.blocked.iter().filter(|&&frame| job.content(frame) == key).count() as u32;
             let tasks = shared.units.values().map(|unit| unit.quarantined().count() as u32).sum();
             (frames > 0).then_some(Wait::SharedQuarantined { shared: id, frames, tasks })
         };
-        self.stuck(job).filter_map(told).collect()
+        self.stuck(job).filter_map(wait).collect()
     }
 
     /// What frames of a job wait for that is done for all: of each instance the stage that it is at.

@@ -549,11 +549,11 @@ impl Machine {
         let given: BTreeSet<Digest> = held.work.artifacts().map(|it| it.digest).collect();
         assert_eq!(given, expected, "the inputs of {}", held.task);
         assert_eq!(held.work.artifacts().count(), given.len(), "{} reads one input twice", held.task);
-        self.all_is_told(held);
+        self.assignment_is_complete(held);
     }
 
     /// A task that reads one that is cut is told how many steps each of these has taken.
-    fn all_is_told(&self, held: &Assignment) {
+    fn assignment_is_complete(&self, held: &Assignment) {
         let graph = &self.farm.scheduler.spec(held.task.job).unwrap().graph;
         let (stage, template) = (held.task.stage, self.template(&held.task));
         let Some(need) = template.needs.iter().find(|need| need.round != Round::Before) else { return };
@@ -803,11 +803,11 @@ impl Machine {
                 let digest = images[which % images.len()];
                 let commands = self.farm.on(Event::Lost { digest });
                 self.see(commands);
-                let is_told = |&job: &JobId| {
+                let is_listed = |&job: &JobId| {
                     let frames = self.farm.scheduler.frames(job).unwrap();
                     frames.iter().flat_map(|frame| &frame.outputs).any(|it| it.artifact.digest == digest)
                 };
-                assert!(!self.jobs.iter().any(is_told), "a lost image is told as finished");
+                assert!(!self.jobs.iter().any(is_listed), "a lost image is told as finished");
             }
             Step::Restart => {
                 self.counts_each_result_once();

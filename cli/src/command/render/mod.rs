@@ -90,11 +90,11 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
             frames: &frames,
             missing,
             scene: asked.parcel()?,
-            wants_told: spent.is_some(),
+            wants_record: spent.is_some(),
         };
-        let Made { frames, told } = render(&order, old, say)?;
-        if let (Some(spent), Some(told)) = (spent, told) {
-            report.report = Some(spent.write(told)?);
+        let Made { frames, record } = render(&order, old, say)?;
+        if let (Some(spent), Some(record)) = (spent, record) {
+            report.report = Some(spent.write(record)?);
         }
         done.extend(frames.into_iter().map(|frame| (frame.frame, frame)));
     }

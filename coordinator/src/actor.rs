@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 use femc_fault::{Point, pass, pass_async};
-use femc_model::{Digest, Failure, FromWorker, JobId, JobStatus, Refusal, Spent, Tick, ToWorker, WorkerId};
+use femc_model::{Digest, Failure, FromWorker, JobId, JobStatus, Refusal, TaskUsage, Tick, ToWorker, WorkerId};
 use femc_proto::{AttemptPage, Backup, Call, JobShape, Listing, References, Reply, Session};
 use femc_queue::{Batch, Queue, QueueError, Remedy};
 use femc_schedule::{Command, Event, Fact, RequestId, Scheduler};
@@ -222,8 +222,8 @@ impl<Q: Queue> Actor<Q> {
         if let Some(event) = log_of(worker, said) {
             self.hear(event, commands);
         }
-        for spent in spent_of(said) {
-            self.hear(Event::Spent { worker, spent }, commands);
+        for usage in usage_of(said) {
+            self.hear(Event::Usage { worker, usage }, commands);
         }
     }
 
@@ -463,12 +463,12 @@ fn log_of(worker: WorkerId, said: &mut FromWorker) -> Option<Event> {
 }
 
 /// What leases took, as a worker says.
-fn spent_of(said: &mut FromWorker) -> Vec<Spent> {
+fn usage_of(said: &mut FromWorker) -> Vec<TaskUsage> {
     match said {
-        FromWorker::Heartbeat { spent, .. } => std::mem::take(spent),
+        FromWorker::Heartbeat { usage, .. } => std::mem::take(usage),
         FromWorker::Completed { task, epoch, usage, .. } | FromWorker::Failed { task, epoch, usage, .. } => {
             let (task, epoch) = (*task, *epoch);
-            usage.map(|usage| Spent { task, epoch, usage }).into_iter().collect()
+            usage.map(|usage| TaskUsage { task, epoch, usage }).into_iter().collect()
         }
         FromWorker::Register(_) | FromWorker::Draining | FromWorker::Available => Vec::new(),
     }

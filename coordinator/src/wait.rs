@@ -88,11 +88,11 @@ impl<Q: Queue> Actor<Q> {
     /// A heartbeat is answered, everything else is heard later.
     fn put_off(&mut self, worker: WorkerId, word: SessionEvent) {
         if let SessionEvent::Said(said) = &word
-            && let FromWorker::Heartbeat { number, spent, .. } = &**said
+            && let FromWorker::Heartbeat { number, usage, .. } = &**said
         {
             let leases = self.scheduler.leases(worker, self.clock.now());
             self.tell(worker, ToWorker::Renewed { heartbeat: *number, leases });
-            if spent.is_empty() {
+            if usage.is_empty() {
                 return;
             }
         }

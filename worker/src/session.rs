@@ -8,8 +8,8 @@ use std::time::Duration;
 
 use femc_fault::{Point, pass_async};
 use femc_model::{
-    Epoch, Failure, FromWorker, JobId, JobSpec, Latest, Near, Phase, Registration, Spent, TaskKey, TaskLog, TaskResult,
-    ToWorker, Usage,
+    Epoch, Failure, FromWorker, JobId, JobSpec, Latest, Near, Phase, Registration, TaskKey, TaskLog, TaskResult,
+    TaskUsage, ToWorker, Usage,
 };
 use femc_proto::{CallError, Client, Incoming, Outgoing, Why};
 use tokio::sync::mpsc::UnboundedReceiver;
@@ -54,7 +54,7 @@ pub(crate) struct Session<'a> {
     uploads: JoinSet<Sent>,
     meter: &'a Meter,
     /// What went into leases that were taken back, until the next heartbeat.
-    spent: Vec<Spent>,
+    usage: Vec<TaskUsage>,
     /// Results that are uploaded or reported, and not answered.
     sending: BTreeSet<(TaskKey, Epoch)>,
 }
@@ -84,7 +84,7 @@ impl<'a> Session<'a> {
             claims: Claims::new(Instant::now()),
             uploads: JoinSet::new(),
             meter,
-            spent: Vec::new(),
+            usage: Vec::new(),
             sending: BTreeSet::new(),
         }
     }
@@ -198,7 +198,7 @@ impl<'a> Session<'a> {
         let claimed = held.iter().filter(|task| self.claims.holds(&task.key(), now));
         let tasks = claimed.map(|task| task.progress()).collect();
         let number = self.claims.beat(now);
-        out.send(FromWorker::Heartbeat { number, tasks, spent: std::mem::take(&mut self.spent) }).await;
+        out.send(FromWorker::Heartbeat { number, tasks, usage: std::mem::take(&mut self.usage) }).await;
     }
 
     async fn hear(&mut self, message: ToWorker, out: &Outgoing) {
@@ -236,7 +236,7 @@ impl<'a> Session<'a> {
                 tracing::debug!(%task, ?reason, "lease taken back");
                 let Some(held) = self.forget((task, epoch)) else { return };
                 self.config.metrics.revoked(&held);
-                self.spent.extend(held.usage().map(|usage| Spent { task, epoch, usage }));
+                self.usage.extend(held.usage().map(|usage| TaskUsage { task, epoch, usage }));
             }
             ToWorker::Accepted { task, epoch } => {
                 pass_async(Point::WorkerBeforeForget).await;

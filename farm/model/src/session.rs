@@ -95,7 +95,7 @@ pub struct LeaseLeft {
 
 /// What went into a lease.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Spent {
+pub struct TaskUsage {
     /// The task.
     pub task: TaskKey,
     /// Of the lease.
@@ -116,7 +116,7 @@ pub enum FromWorker {
         /// The tasks whose leases hold, as far as the worker knows.
         tasks: Vec<TaskProgress>,
         /// What went into leases that were taken back since the heartbeat before.
-        spent: Vec<Spent>,
+        usage: Vec<TaskUsage>,
     },
     /// The result is in the store.
     Completed {

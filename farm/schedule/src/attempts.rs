@@ -1,6 +1,6 @@
 //! What attempts took. It is told to the caller, to be kept beside the log: the ledger does not grow with it.
 
-use femc_model::{AttemptRecord, Ending, Phase, Spent, TaskResult, Tick, WorkerId};
+use femc_model::{AttemptRecord, Ending, Phase, TaskResult, TaskUsage, Tick, WorkerId};
 
 use crate::lease_table::{Lease, LeaseKey};
 use crate::scheduler::Scheduler;
@@ -38,10 +38,10 @@ impl Counted {
 
 impl Scheduler {
     /// A worker says what a lease took: of one that holds, its end follows; of one that is over, this is all that will be heard.
-    pub(crate) fn spent(
+    pub(crate) fn usage(
         &mut self,
         worker: WorkerId,
-        Spent { task, epoch, usage }: Spent,
+        TaskUsage { task, epoch, usage }: TaskUsage,
         now: Tick,
         out: &mut Vec<Command>,
     ) {

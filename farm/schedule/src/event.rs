@@ -2,7 +2,7 @@
 
 use femc_model::{
     Assignment, AttemptRecord, Control, Digest, Drain, Epoch, Failure, JobId, JobSpec, Refusal, Registration,
-    RevokeReason, Spent, TaskKey, TaskLog, TaskProgress, TaskResult, WorkerId,
+    RevokeReason, TaskKey, TaskLog, TaskProgress, TaskResult, TaskUsage, WorkerId,
 };
 
 use crate::Fact;
@@ -80,11 +80,11 @@ pub enum Event {
         log: TaskLog,
     },
     /// What a lease took; comes before the attempt's outcome, or after the lease is over.
-    Spent {
+    Usage {
         /// The session.
         worker: WorkerId,
         /// What it took.
-        spent: Spent,
+        usage: TaskUsage,
     },
     /// A worker has done a task; the artifacts are in the store.
     Completed {

@@ -41,8 +41,8 @@ impl Scheduler {
             self.note(&(task, epoch), &lease, Ending::Done, counted, out);
         }
         // A worker's clock, at most what went by here: a lease may have waited for its turn.
-        let spent = ((seconds.max(0.0) * 1000.0) as u64).min(now.since(granted));
-        if let Some(typical) = self.learn(&task, size, spent) {
+        let taken = ((seconds.max(0.0) * 1000.0) as u64).min(now.since(granted));
+        if let Some(typical) = self.learn(&task, size, taken) {
             self.table.pace(worker, typical, &self.config);
         }
         if let Some(worker) = self.table.workers.get_mut(&worker) {

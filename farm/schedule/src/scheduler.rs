@@ -113,7 +113,7 @@ impl Scheduler {
         let mut out = Vec::new();
         self.now = now;
         let is_time = event == Event::Elapsed;
-        let makes_room = !matches!(event, Event::Spent { .. });
+        let makes_room = !matches!(event, Event::Usage { .. });
         self.take(event, now, &mut out);
         self.count_deaths(now, &mut out);
         if makes_room {
@@ -155,7 +155,7 @@ impl Scheduler {
             }
             Event::Failed { worker, task, epoch, failure } => self.failed(worker, task, epoch, failure, now, out),
             Event::Lost { digest } => self.lost(&digest, now, out),
-            Event::Spent { worker, spent } => self.spent(worker, spent, now, out),
+            Event::Usage { worker, usage } => self.usage(worker, usage, now, out),
             Event::Elapsed => self.elapsed(now, out),
             Event::LoopStalled => self.loop_stalled(now),
         }

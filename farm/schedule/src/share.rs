@@ -37,8 +37,8 @@ impl Scheduler {
     fn heard(&self, task: &TaskKey, units: u64) -> Option<u64> {
         let of_stage = self.table.of_job(task.job).filter(|((other, _), _)| other.stage.number == task.stage.number);
         let running = of_stage.filter_map(|((task, _), lease)| lease.progress(task));
-        let (spent, done) = running.fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
-        (done > 0).then(|| (u128::from(spent) * u128::from(units)).div_ceil(u128::from(done)) as u64)
+        let (elapsed, done) = running.fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
+        (done > 0).then(|| (u128::from(elapsed) * u128::from(units)).div_ceil(u128::from(done)) as u64)
     }
 
     /// How much the task is, as far as one can tell.

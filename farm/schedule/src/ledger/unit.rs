@@ -29,7 +29,7 @@ pub(crate) struct Array {
     /// Runs of grains of whose outputs some are needed yet, by their first key.
     rows: BTreeMap<u32, Row>,
     /// Grains that are done and of whose outputs none is needed any more.
-    spent: RangeSet,
+    released: RangeSet,
     /// Bad samples of the runs that have any, by their first key.
     bad: BTreeMap<u32, u64>,
     /// Tasks of which all is done.
@@ -51,16 +51,16 @@ impl Array {
     fn is_whole(&self, grains: &Grains<'_>, task: u32) -> bool {
         let keys = grains.of_task(task);
         if keys.len() == 1 && grains.stride() == 1 {
-            return self.rows.contains_key(&keys.start) || self.spent.contains(keys.start);
+            return self.rows.contains_key(&keys.start) || self.released.contains(keys.start);
         }
         let done: usize = self.rows.range(keys.clone()).map(|(first, row)| (row.end - first) as usize).sum();
-        done == keys.len() || self.spent.covers(&keys)
+        done == keys.len() || self.released.covers(&keys)
     }
 
     /// Whether some of these grains are done.
     fn holds_any(&self, run: &Range<u32>) -> bool {
         let before = self.rows.range(..run.end).next_back();
-        before.is_some_and(|(_, row)| row.end > run.start) || self.spent.touches(run)
+        before.is_some_and(|(_, row)| row.end > run.start) || self.released.touches(run)
     }
 }
 
@@ -374,7 +374,7 @@ impl Unit {
             return;
         };
         let Some(mut array) = self.arrays.remove(&place) else { return };
-        let mut spent = Vec::new();
+        let mut emptied = Vec::new();
         for (&first, row) in array.rows.range_mut(keys) {
             row.outputs.retain(|output| {
                 let is_needed = self.is_needed(shape, place, first / stride, output.role);
@@ -384,12 +384,12 @@ impl Unit {
                 is_needed
             });
             if row.outputs.is_empty() {
-                spent.push(first..row.end);
+                emptied.push(first..row.end);
             }
         }
-        for run in spent {
+        for run in emptied {
             array.rows.remove(&run.start);
-            array.spent.add(run);
+            array.released.add(run);
         }
         self.arrays.insert(place, array);
     }
@@ -439,9 +439,9 @@ impl Unit {
             let Some(row) = array.rows.remove(&first) else { continue };
             forgotten += units(&(first..row.end));
         }
-        let spent: Vec<u32> = run.clone().filter(|&key| array.spent.contains(key)).collect();
-        for key in spent {
-            array.spent.remove(key..key + 1);
+        let released: Vec<u32> = run.clone().filter(|&key| array.released.contains(key)).collect();
+        for key in released {
+            array.released.remove(key..key + 1);
             forgotten += units(&(key..key + 1));
         }
         let refused: Vec<u32> = array.bad.range(run).map(|(&first, _)| first).collect();
@@ -452,18 +452,18 @@ impl Unit {
         for need in template.needs.iter().filter(|need| shape.template(need.stage).is_some()) {
             for round in shape.rounds_read(place, need, self.round) {
                 for item in shape.items_read(item, need) {
-                    self.undo_spent(shape, (round, need.stage), item, need.role);
+                    self.undo_released(shape, (round, need.stage), item, need.role);
                 }
             }
         }
     }
 
     /// A task that is done is to be done again, if its output of this role is not there any more.
-    fn undo_spent(&mut self, shape: &Shape<'_>, place: Place, item: u32, role: Role) {
+    fn undo_released(&mut self, shape: &Shape<'_>, place: Place, item: u32, role: Role) {
         let Some(keys) = self.grains(shape, place).map(|grains| grains.of_task(item)) else { return };
         let Some(array) = self.arrays.get(&place) else { return };
         let lacks = |row: &Row| row.outputs.iter().all(|output| output.role != role);
-        if array.spent.touches(&keys) || array.rows.range(keys.clone()).any(|(_, row)| lacks(row)) {
+        if array.released.touches(&keys) || array.rows.range(keys.clone()).any(|(_, row)| lacks(row)) {
             self.undo(shape, place, keys);
         }
     }
@@ -481,7 +481,7 @@ impl Unit {
         }
         if let Some(array) = self.arrays.get(&place) {
             array.rows.iter().for_each(|(&first, row)| open.remove(first..row.end));
-            array.spent.ranges().for_each(|run| open.remove(run));
+            array.released.ranges().for_each(|run| open.remove(run));
         }
         for (number, round, key) in self.quarantined().map(|(name, _)| name) {
             if number == place.1 && (round == place.0 || !shape.is_cut(number)) {

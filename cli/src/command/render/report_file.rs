@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 /// A file to write it to.
 #[derive(Debug)]
-pub struct Spent {
+pub struct ReportFile {
     path: PathBuf,
     form: Form,
 }
@@ -20,7 +20,7 @@ enum Form {
     Parquet,
 }
 
-impl Spent {
+impl ReportFile {
     /// The form by the name's ending.
     pub fn to(path: &Path) -> Result<Self, Failure> {
         let form = match path.extension().and_then(|extension| extension.to_str()) {

@@ -38,7 +38,7 @@ fn build_of<'a>(ledger: &'a Ledger, table: &'a LeaseTable, job: JobId, frame: u3
     if let Some(shared) = ledger.jobs.get(&job).and_then(|known| known.shared.as_ref()) {
         return Some(&shared.engine);
     }
-    ledger.annex.build_of(job, frame).or_else(|| {
+    ledger.side.build_of(job, frame).or_else(|| {
         let holder = table.of_frame(job, frame).next()?.1.worker;
         table.workers.get(&holder).map(|worker| &*worker.registration.engine)
     })
@@ -116,7 +116,7 @@ impl Scheduler {
             "a frame of two builds: {job}/{frame}"
         );
         if !job.is_shared()
-            && self.ledger.annex.build_of(job, frame).is_none()
+            && self.ledger.side.build_of(job, frame).is_none()
             && let Some(worker) = self.table.workers.get(&worker)
         {
             let engine = worker.registration.engine.clone();
@@ -145,7 +145,7 @@ impl Scheduler {
                         Reach::Everything => false,
                     }
             };
-            for (frame, _) in self.ledger.annex.builds_of(id).filter(is_orphan) {
+            for (frame, _) in self.ledger.side.builds_of(id).filter(is_orphan) {
                 let begun = before.get(&(id, frame)).copied().unwrap_or(now);
                 since.insert((id, frame), begun);
                 if now.since(begun) >= self.config.orphaned && self.able(job).next().is_some() {

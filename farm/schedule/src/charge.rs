@@ -60,12 +60,12 @@ impl Scheduler {
         self.shares_from = now.after(Self::NOTE_SHARES);
         let workers: Vec<WorkerId> = self.table.workers.keys().copied().collect();
         workers.into_iter().for_each(|worker| self.bill(worker));
-        let known = self.ledger.annex.used();
+        let known = self.ledger.side.used();
         let news = self.order.used().filter(|(owner, used)| known.get(*owner).copied().unwrap_or_default() != *used);
         let owners: Vec<(String, Used)> = news.map(|(owner, used)| (owner.to_owned(), used)).collect();
         if !owners.is_empty() {
             self.record(Fact::Used { owners }, now, out);
-            let known = self.ledger.annex.used();
+            let known = self.ledger.side.used();
             self.order.forget(|owner| known.contains_key(owner));
         }
     }

@@ -121,7 +121,7 @@ impl Scheduler {
     /// A worker comes back and says how it ended: what its journal names has killed it, and nothing else has.
     pub(crate) fn mourn(&mut self, worker: WorkerId, death: &Death, now: Tick, out: &mut Vec<Command>) {
         self.lives(death.instance, now, out);
-        if self.ledger.annex.is_drained(death.instance) {
+        if self.ledger.side.is_drained(death.instance) {
             return;
         }
         let Some(name) = self.table.workers.get(&worker).map(|known| known.registration.name.clone()) else { return };

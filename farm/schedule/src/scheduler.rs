@@ -59,7 +59,7 @@ impl Scheduler {
             config,
             table: LeaseTable::default(),
             ready: BTreeMap::new(),
-            order: Order::new(ledger.annex.used()),
+            order: Order::new(ledger.side.used()),
             leases: 0,
             stale_messages: 0,
             logs: Shelf::default(),

@@ -8,7 +8,7 @@ use femc_queue::{Batch, Contents, Note, Page, Queue, QueueError};
 use femc_schedule::{Evidence, Fact, Ledger, SnapshotError};
 
 use crate::audit::{Violation, settled};
-use crate::contents::deed;
+use crate::contents::fact_name;
 use crate::promises::Answers;
 use crate::shared::{Shared, State, Trap};
 
@@ -206,7 +206,7 @@ impl Queue for Log {
                 let leased = state.leases.judge(&fact);
                 let said = state.chronicle.take(tick, &fact, now, &state.answers.controls);
                 state.wrong.extend(leased.into_iter().chain(said));
-                deed(&fact).into_iter().for_each(|deed| state.did(deed));
+                fact_name(&fact).into_iter().for_each(|name| state.did(name));
                 state.shares.divide(&state.chronicle.payers_of_shared(), now);
                 match &fact {
                     Fact::Used { owners } => {

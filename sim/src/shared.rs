@@ -81,7 +81,7 @@ pub(crate) struct State {
     /// What people were told.
     pub(crate) answers: Answers,
     /// What people did, and how jobs ended.
-    pub(crate) deeds: BTreeMap<&'static str, u64>,
+    pub(crate) counts: BTreeMap<&'static str, u64>,
     /// People who wait for their jobs.
     pub(crate) left: usize,
     /// Messages that changed nothing, of jobs that ended.
@@ -126,7 +126,7 @@ impl Shared {
             fired: BTreeMap::new(),
             chronicle: Chronicle::default(),
             answers: Answers::default(),
-            deeds: BTreeMap::new(),
+            counts: BTreeMap::new(),
             left: 0,
             stale: 0,
             shares: Shares::default(),
@@ -169,7 +169,7 @@ impl State {
 
     /// Somebody did this.
     pub(crate) fn did(&mut self, what: &'static str) {
-        *self.deeds.entry(what).or_default() += 1;
+        *self.counts.entry(what).or_default() += 1;
     }
 
     pub(crate) fn fired(&mut self, fault: &'static str) {

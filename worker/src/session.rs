@@ -16,9 +16,9 @@ use tokio::sync::mpsc::UnboundedReceiver;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, Interval, MissedTickBehavior};
 
+use crate::availability::Availability;
 use crate::claims::Claims;
 use crate::config::{AtStop, Config};
-use crate::duty::Duty;
 use crate::meter::Meter;
 use crate::outbox::Outbox;
 use crate::table::{Table, Task};
@@ -46,7 +46,7 @@ pub(crate) struct Session<'a> {
     finished: &'a mut UnboundedReceiver<(TaskKey, Epoch)>,
     config: &'a Config,
     /// As the coordinator knows it.
-    duty: Duty,
+    availability: Availability,
     /// More than the coordinator counts on.
     jobs: Latest<JobId, Arc<JobSpec>>,
     claims: Claims,
@@ -79,7 +79,7 @@ impl<'a> Session<'a> {
             ahead,
             finished,
             config,
-            duty: Duty::On,
+            availability: Availability::Available,
             jobs: Latest::new(4 * JobSpec::SESSION_SPECS),
             claims: Claims::new(Instant::now()),
             uploads: JoinSet::new(),
@@ -173,17 +173,17 @@ impl<'a> Session<'a> {
 
     /// Tells the coordinator when the worker's hours begin and end; at their end what waits is given back.
     async fn heed_hours(&mut self, out: &Outgoing) {
-        let duty = self.config.shift.now();
-        if duty == self.duty {
+        let availability = self.config.shift.now();
+        if availability == self.availability {
             return;
         }
-        self.duty = duty;
-        match duty {
-            Duty::On => {
+        self.availability = availability;
+        match availability {
+            Availability::Available => {
                 tracing::info!("on duty");
                 out.send(FromWorker::Available).await;
             }
-            Duty::Off => {
+            Availability::Off => {
                 tracing::info!("off duty: it finishes what it is at");
                 out.send(FromWorker::Draining).await;
                 give_back(self.table.clear_line(), out).await;
@@ -210,7 +210,7 @@ impl<'a> Session<'a> {
                     return;
                 };
                 let task = (assignment.task, assignment.epoch);
-                if self.duty == Duty::Off {
+                if self.availability == Availability::Off {
                     // Dealt before the coordinator had heard of it.
                     let failure = Failure::Cancelled;
                     let (task, epoch) = task;

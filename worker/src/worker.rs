@@ -22,7 +22,7 @@ use crate::nice::Nice;
 use crate::outbox::Outbox;
 use crate::session::{End, Session};
 use crate::table::{Table, Task};
-use crate::{duty, simulated, threads};
+use crate::{availability, simulated, threads};
 
 /// A farm machine.
 #[derive(Debug)]
@@ -84,7 +84,7 @@ impl Worker {
             tokio::select! {
                 biased;
                 () = stop => config.journal.close(),
-                () = duty::idle(&table, config.idle_limit) => {}
+                () = availability::idle(&table, config.idle_limit) => {}
             }
         });
         let mut pause = Self::FIRST_PAUSE;

@@ -28,7 +28,7 @@ pub enum Standing {
     },
     /// It looks for its database.
     Seeks {
-        /// Why it has none.
+        /// Error of the last attempt to reach the database.
         message: String,
     },
 }

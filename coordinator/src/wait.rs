@@ -25,7 +25,7 @@ pub(crate) struct Doors {
 /// What is not durable yet.
 pub(crate) struct Pending<'a> {
     pub(crate) batch: Batch<'a>,
-    /// What follows from it.
+    /// Commands that follow from the batch.
     pub(crate) commands: &'a [Command],
 }
 

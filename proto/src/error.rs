@@ -41,9 +41,9 @@ pub enum CallError {
     Unreachable {
         /// The address.
         url: String,
-        /// What the transport said.
+        /// Error of the transport.
         message: String,
-        /// What that means.
+        /// Cause, as far as the error tells it.
         why: Why,
     },
     /// The coordinator said no.
@@ -57,7 +57,7 @@ pub enum CallError {
     Status {
         /// gRPC's code.
         code: String,
-        /// What it said.
+        /// Message of the server.
         message: String,
     },
 }

@@ -76,9 +76,9 @@ pub(crate) struct State {
     pub(crate) accepted: Reports,
     /// How often each kind of fault has really come about.
     pub(crate) fired: BTreeMap<&'static str, u32>,
-    /// What the log says.
+    /// History by the log.
     pub(crate) chronicle: Chronicle,
-    /// What people were told.
+    /// What people asked for and were answered.
     pub(crate) answers: Answers,
     /// What people did, and how jobs ended.
     pub(crate) counts: BTreeMap<&'static str, u64>,

@@ -53,9 +53,9 @@ pub struct Row {
     pub failed: u64,
     /// Workers.
     pub workers: u64,
-    /// When the first began.
+    /// Begin of the first attempt, in seconds since the run began.
     pub began: f64,
-    /// When the last ended.
+    /// End of the last attempt, in seconds since the run began.
     pub ended: f64,
     /// Between arrival and beginning.
     pub wait: f64,

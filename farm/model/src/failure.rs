@@ -16,7 +16,7 @@ pub enum Failure {
     /// The settings cannot be understood.
     #[error("settings: {message}")]
     Settings {
-        /// What the reader said.
+        /// Error of the settings' parser.
         message: String,
     },
     /// The task's code panicked.
@@ -28,7 +28,7 @@ pub enum Failure {
     /// The worker was there, and the task made no progress for too long.
     #[error("no progress for {seconds} s")]
     Stalled {
-        /// How long.
+        /// Seconds without progress.
         seconds: u64,
     },
     /// Artifacts that the task needs are not in the store, or do not decode, or do not fit the task.
@@ -42,7 +42,7 @@ pub enum Failure {
     /// The artifact store refused or was away.
     #[error("store: {message}")]
     Store {
-        /// What it said.
+        /// Error of the store.
         message: String,
     },
     /// The worker's disk or memory is used up.
@@ -57,7 +57,7 @@ pub enum Failure {
     /// Workers died while they computed it.
     #[error("workers died {deaths} times while they computed it; the last was {worker}")]
     Killed {
-        /// How often.
+        /// Workers that died over the task.
         deaths: u32,
         /// Name of the last one.
         worker: String,

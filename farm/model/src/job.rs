@@ -26,7 +26,7 @@ pub struct JobSpec {
     pub contents: Vec<(u32, Digest)>,
     /// 0..=100; greater goes first.
     pub priority: u8,
-    /// Who submitted it.
+    /// Name of the owner who submitted the job.
     pub owner: String,
     /// A worker must have all of these.
     pub tags: Vec<String>,
@@ -179,15 +179,15 @@ pub enum SpecError {
     /// None, too many, or not ascending from 1.
     #[error("{frames} frames: at least 1, at most {}, ascending from number 1", JobSpec::MAX_FRAMES)]
     Frames {
-        /// How many there are.
+        /// Number of frames in the specification.
         frames: usize,
     },
     /// Keys of contents for too few frames, or too many, or out of order.
     #[error("the contents of {named} frames are named in order, {wanted} should be")]
     Contents {
-        /// How many have one.
+        /// Number of frames with a key.
         named: usize,
-        /// How many need one.
+        /// Number of frames that need a key.
         wanted: usize,
     },
     /// Stages that cannot be run.
@@ -208,7 +208,7 @@ pub enum SpecError {
     /// A text beyond its limit.
     #[error("{field} is too long")]
     TooLong {
-        /// Which.
+        /// Name of the field.
         field: &'static str,
     },
 }

@@ -71,9 +71,9 @@ pub struct KindRow {
     pub lane: Lane,
     /// Whether a lease may cover some of a task's steps.
     pub is_cut: bool,
-    /// What it wants near.
+    /// Data for whose sake the scheduler prefers a worker.
     pub near: Near,
-    /// Where its log goes.
+    /// Place where its tasks' logs are kept.
     pub log: LogPlace,
 }
 

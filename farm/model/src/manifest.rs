@@ -70,7 +70,7 @@ pub enum ManifestError {
     /// A file beyond its piece.
     #[error("{path:?} lies beyond its piece")]
     Extent {
-        /// Which file.
+        /// Path of the file.
         path: String,
     },
     /// Beyond a limit.

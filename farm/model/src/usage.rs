@@ -76,7 +76,7 @@ pub struct AttemptRecord {
     pub granted: Tick,
     /// When the coordinator heard of its end.
     pub ended: Tick,
-    /// How it ended.
+    /// How the lease ended.
     pub ending: Ending,
     /// Pixel samples of the result that counts.
     pub samples: u64,

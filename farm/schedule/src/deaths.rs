@@ -34,13 +34,13 @@ pub enum Evidence {
 /// A worker's death, of what it computed under one lease.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Casualty {
-    /// Of the lease.
+    /// Epoch of the lease.
     pub epoch: Epoch,
     /// The worker's name.
     pub worker: String,
     /// Its process.
     pub instance: u64,
-    /// How one knows.
+    /// Evidence of the death: reported by the worker, or presumed.
     pub evidence: Evidence,
 }
 

@@ -8,7 +8,7 @@ pub enum StoreError {
     /// It is not there, or what was there was damaged.
     #[error("there is no artifact {digest}")]
     Missing {
-        /// Which.
+        /// Digest of the artifact.
         digest: Digest,
     },
     /// The bytes are others than announced.
@@ -22,7 +22,7 @@ pub enum StoreError {
     /// What was there was damaged and removed, and so was what was put in its place.
     #[error("what the store keeps as {digest} is damaged, again and again")]
     Unsound {
-        /// Which.
+        /// Digest of the artifact.
         digest: Digest,
     },
     /// Beyond the store's limit.
@@ -44,7 +44,7 @@ pub enum StoreError {
     Medium {
         /// Its name: a folder, an address, or `memory`.
         store: String,
-        /// What it said.
+        /// Error of the medium.
         error: object_store::Error,
     },
 }

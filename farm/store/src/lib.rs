@@ -293,9 +293,9 @@ pub enum Sweep {
 /// An artifact in the store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Stored {
-    /// Which.
+    /// Digest and size.
     pub artifact: Artifact,
-    /// Since when.
+    /// Time of the last write, by the clock of the medium.
     pub kept: SystemTime,
 }
 

@@ -65,7 +65,7 @@ pub enum Holder {
     User {
         /// Owner of the jobs that it submits.
         name: String,
-        /// What it may do.
+        /// Role that limits the calls it may make.
         role: Role,
     },
 }

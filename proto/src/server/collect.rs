@@ -36,7 +36,7 @@ pub enum CollectMode {
 /// Artifacts, counted.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Volume {
-    /// How many.
+    /// Number of artifacts.
     pub artifacts: u64,
     /// Their bytes.
     pub bytes: u64,

@@ -35,7 +35,7 @@ impl Trail {
         }
     }
 
-    /// Who calls.
+    /// Holder and credential of the caller.
     pub(super) fn caller(&self, caller: &Caller) {
         self.with(|event| (event.who, event.by) = (caller.holder.to_string(), Some(caller.credential.to_string())));
     }

@@ -26,7 +26,7 @@ const LAST_LOOK: Duration = Duration::from_millis(200);
 pub struct Order<'a> {
     /// The request.
     pub asked: &'a Asked,
-    /// Where frames go.
+    /// File or folder that the frames are written to.
     pub target: &'a Target,
     /// All frames asked for.
     pub frames: &'a [u32],

@@ -36,7 +36,7 @@ const LOOK: &str = "
 pub struct Leader {
     /// Where it can be reached.
     pub url: String,
-    /// Which leadership it is.
+    /// Number of the leadership; grows with each new leader.
     pub epoch: i64,
 }
 

@@ -75,7 +75,7 @@ pub(crate) struct Actor<Q> {
     facts: Vec<(Tick, Fact)>,
     /// What attempts took, not durable yet.
     attempts: Ended,
-    /// What follows from obeying: sessions that broke.
+    /// Sessions that broke while commands were executed.
     pub(crate) echoes: VecDeque<Event>,
     questions: Vec<Question>,
     /// Heartbeats that are heard and not answered, with their numbers.
@@ -247,7 +247,7 @@ impl<Q: Queue> Actor<Q> {
             SessionEvent::ArtifactMissing(mut said, artifact, message) => {
                 self.besides(worker, &mut said, commands);
                 self.metrics.failed(&Failure::Store { message: message.clone() });
-                hollow(worker, &said, artifact, message)
+                artifact_missing(worker, &said, artifact, message)
             }
             SessionEvent::Over => {
                 self.workers.remove(&worker);
@@ -338,7 +338,7 @@ impl<Q: Queue> Actor<Q> {
         key.is_some_and(|key| self.scheduler.ledger().job_of_key(key).is_some())
     }
 
-    /// Makes the facts durable, then obeys, then answers questions. Whoever may lead no longer says nothing.
+    /// Makes the facts durable, then executes the commands, then answers questions. Whoever may lead no longer says nothing.
     async fn commit(&mut self, commands: Vec<Command>, doors: &mut Doors) -> Result<(), CoordinatorError> {
         if self.facts.is_empty() && self.attempts.is_empty() {
             self.queue.check()?;
@@ -475,7 +475,7 @@ fn usage_of(said: &mut FromWorker) -> Vec<TaskUsage> {
 }
 
 /// A completion that lacks an artifact.
-fn hollow(worker: WorkerId, said: &FromWorker, artifact: Digest, message: String) -> Option<Event> {
+fn artifact_missing(worker: WorkerId, said: &FromWorker, artifact: Digest, message: String) -> Option<Event> {
     let FromWorker::Completed { task, epoch, .. } = said else { return None };
     let (task, epoch) = (*task, *epoch);
     tracing::warn!(job = task.job.0, %task, worker = worker.0, message, "a result is not whole: it does not count");

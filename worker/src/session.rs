@@ -129,7 +129,7 @@ impl<'a> Session<'a> {
                 }
                 () = next(&mut heartbeat) => {
                     if !draining {
-                        self.heed_hours(&out).await;
+                        self.apply_hours(&out).await;
                     }
                     self.beat(&out).await;
                 }
@@ -150,7 +150,7 @@ impl<'a> Session<'a> {
                         let every = Duration::from_millis(pause.max(10));
                         let pulse = heartbeat.insert(tokio::time::interval(every));
                         pulse.set_missed_tick_behavior(MissedTickBehavior::Delay);
-                        self.heed_hours(&out).await;
+                        self.apply_hours(&out).await;
                     }
                     Ok(Some(ToWorker::Goodbye) | None) => break Ok(End::Lost),
                     Ok(Some(message)) => self.hear(message, &out).await,
@@ -172,7 +172,7 @@ impl<'a> Session<'a> {
     }
 
     /// Tells the coordinator when the worker's hours begin and end; at their end what waits is given back.
-    async fn heed_hours(&mut self, out: &Outgoing) {
+    async fn apply_hours(&mut self, out: &Outgoing) {
         let availability = self.config.shift.now();
         if availability == self.availability {
             return;

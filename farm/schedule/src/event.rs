@@ -135,7 +135,7 @@ pub enum Event {
 /// Something is to be done, in this order.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Command {
-    /// Make this durable before any other command of the same call is obeyed.
+    /// Make this durable before any other command of the same call is executed.
     Record(Fact),
     /// Keep this with the job, as durable as the facts; nothing follows from it.
     Note(Box<AttemptRecord>),

@@ -139,7 +139,7 @@ impl Ledger {
                 if let Some(key) = key.filter(|key| self.shared_by(key).any(|(.., shared)| shared.is_stuck()))
                     && let Some(job) = self.jobs.get_mut(job)
                 {
-                    job.starve(&key, |other| other == *frame, now);
+                    job.block_for_shared(&key, |other| other == *frame, now);
                 }
                 (*job, released)
             }
@@ -151,22 +151,22 @@ impl Ledger {
         }
         if job.is_shared() {
             let is_retry = matches!(fact, Fact::Controlled { control: Control::Retry, .. });
-            self.spread(job, is_retry, now);
+            self.spread_shared_state(job, is_retry, now);
         }
         released.unwrap_or_default()
     }
 
     /// What jobs share cannot be done: their frames that need it are blocked; or it is tried again, and they are not.
-    fn spread(&mut self, id: JobId, is_retry: bool, now: Tick) {
+    fn spread_shared_state(&mut self, id: JobId, is_retry: bool, now: Tick) {
         let Some(job) = self.jobs.get(&id) else { return };
         let Some(Shared { key, engine }) = job.shared.clone() else { return };
         let (is_stuck, side) = (job.is_stuck(), &self.side);
         for (&other, job) in self.jobs.range_mut(..JobId::shared(0)).filter(|_| is_stuck || is_retry) {
             if is_stuck {
                 let is_of_build = |frame| side.build_of(other, frame).is_none_or(|build| build == engine);
-                job.starve(&key, is_of_build, now);
+                job.block_for_shared(&key, is_of_build, now);
             } else {
-                job.feed(&key);
+                job.unblock_for_shared(&key);
             }
         }
     }

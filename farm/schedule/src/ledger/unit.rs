@@ -171,7 +171,7 @@ impl Unit {
     }
 
     /// Whether all that a task reads is there.
-    pub(crate) fn is_fed(&self, shape: &Shape<'_>, place: Place, item: u32) -> bool {
+    pub(crate) fn has_inputs(&self, shape: &Shape<'_>, place: Place, item: u32) -> bool {
         let Some(template) = shape.template(place.1) else { return false };
         template.needs.iter().all(|need| match shape.template(need.stage) {
             // What frames share is there or not for each worker: see `shared.rs`.
@@ -217,8 +217,10 @@ impl Unit {
 
     /// Steps that each task which is cut has taken in all, of those that the inputs of a task are made of.
     pub(crate) fn taken(&self, shape: &Shape<'_>, place: Place, item: u32) -> Taken {
-        let roots = if shape.is_cut(place.1) { None } else { self.roots(shape, place, item..item + 1, &mut 0) };
-        let Some((grains, items)) = roots.and_then(|(place, items)| Some((self.grains(shape, place)?, items))) else {
+        let cut_sources =
+            if shape.is_cut(place.1) { None } else { self.cut_sources(shape, place, item..item + 1, &mut 0) };
+        let Some((grains, items)) = cut_sources.and_then(|(place, items)| Some((self.grains(shape, place)?, items)))
+        else {
             return Taken::default();
         };
         items.map(|item| grains.steps_of(item).end).collect()
@@ -226,7 +228,13 @@ impl Unit {
 
     /// The tasks which are cut that these tasks of a stage are made of, and their stage in its round.
     /// - `seen`: the stages that were looked at, a bit each.
-    fn roots(&self, shape: &Shape<'_>, place: Place, items: Range<u32>, seen: &mut u64) -> Option<(Place, Range<u32>)> {
+    fn cut_sources(
+        &self,
+        shape: &Shape<'_>,
+        place: Place,
+        items: Range<u32>,
+        seen: &mut u64,
+    ) -> Option<(Place, Range<u32>)> {
         const { assert!(Graph::MAX_STAGES <= u64::BITS as usize) };
         let is_new = *seen >> place.1 & 1 == 0;
         let template = shape.template(place.1).filter(|_| is_new && !items.is_empty())?;
@@ -237,7 +245,7 @@ impl Unit {
         template.needs.iter().filter(|need| need.round != Round::Before).find_map(|need| {
             let round = shape.rounds_read(place, need, self.round).next_back()?;
             let [first, last] = [items.start, items.end - 1].map(|item| shape.items_read(item, need));
-            self.roots(shape, (round, need.stage), first.start..last.end, seen)
+            self.cut_sources(shape, (round, need.stage), first.start..last.end, seen)
         })
     }
 
@@ -275,8 +283,8 @@ impl Unit {
         }
         let mut released = Vec::new();
         if !self.close(shape, place, epoch, result.decision.as_ref(), &mut released) {
-            self.sweep(shape, place, item..item + 1, &mut released);
-            self.sweep_inputs(shape, place, item, &mut released);
+            self.release_unneeded(shape, place, item..item + 1, &mut released);
+            self.release_inputs(shape, place, item, &mut released);
         }
         released
     }
@@ -303,7 +311,7 @@ impl Unit {
         let places: Vec<Place> = self.arrays.keys().copied().collect();
         for place in places {
             let tasks = shape.template(place.1).map_or(0, |template| template.tasks());
-            self.sweep(shape, place, 0..tasks, released);
+            self.release_unneeded(shape, place, 0..tasks, released);
         }
         true
     }
@@ -369,7 +377,7 @@ impl Unit {
     }
 
     /// Lets go of the outputs of these tasks that are needed no longer. A stage reads itself in other rounds only.
-    fn sweep(&mut self, shape: &Shape<'_>, place: Place, items: Range<u32>, released: &mut Vec<Digest>) {
+    fn release_unneeded(&mut self, shape: &Shape<'_>, place: Place, items: Range<u32>, released: &mut Vec<Digest>) {
         let Some((keys, stride)) = self.grains(shape, place).map(|it| (it.of_tasks(&items), it.stride())) else {
             return;
         };
@@ -395,20 +403,20 @@ impl Unit {
     }
 
     /// The same of what a task has read.
-    fn sweep_inputs(&mut self, shape: &Shape<'_>, place: Place, item: u32, released: &mut Vec<Digest>) {
+    fn release_inputs(&mut self, shape: &Shape<'_>, place: Place, item: u32, released: &mut Vec<Digest>) {
         let needs = shape.template(place.1).map_or(&[][..], |template| &template.needs);
         for need in needs.iter().filter(|need| shape.template(need.stage).is_some()) {
             if need.reach == Reach::All && !self.is_complete(shape, place) {
                 continue;
             }
             for round in shape.rounds_read(place, need, self.round) {
-                self.sweep(shape, (round, need.stage), shape.items_read(item, need), released);
+                self.release_unneeded(shape, (round, need.stage), shape.items_read(item, need), released);
             }
         }
     }
 
     /// The runs of grains of which one of these artifacts is an output that is needed.
-    pub(crate) fn makers(&self, lost: &[Digest]) -> Vec<(Place, u32)> {
+    pub(crate) fn producers(&self, lost: &[Digest]) -> Vec<(Place, u32)> {
         let is_hurt = |row: &Row| row.outputs.iter().any(|output| lost.contains(&output.artifact.digest));
         let rows = self
             .arrays
@@ -498,14 +506,14 @@ impl Unit {
             let (Some(template), Some(grains)) = (shape.template(place.1), self.grains(shape, place)) else { continue };
             let mut keys = self.open_keys(shape, place);
             if template.needs.iter().all(|need| need.reach == Reach::All) {
-                if !keys.is_empty() && !self.is_fed(shape, place, 0) {
+                if !keys.is_empty() && !self.has_inputs(shape, place, 0) {
                     continue;
                 }
             } else {
                 let items: Vec<u32> =
                     keys.ranges().flat_map(|run| grains.task(run.start)..grains.task(run.end - 1) + 1).collect();
-                let hungry = items.into_iter().filter(|&item| !self.is_fed(shape, place, item));
-                hungry.for_each(|item| keys.remove(grains.of_tasks(&(item..item + 1))));
+                let unready = items.into_iter().filter(|&item| !self.has_inputs(shape, place, item));
+                unready.for_each(|item| keys.remove(grains.of_tasks(&(item..item + 1))));
             }
             if !keys.is_empty() {
                 all.push((place, keys));
@@ -515,7 +523,7 @@ impl Unit {
     }
 
     /// The keys of the tasks that can run now that this one is done, by stage.
-    pub(crate) fn fed_by(&self, shape: &Shape<'_>, stage: &Stage, key: u32) -> Vec<(Place, RangeSet)> {
+    pub(crate) fn runnable_after(&self, shape: &Shape<'_>, stage: &Stage, key: u32) -> Vec<(Place, RangeSet)> {
         let mut all = Vec::new();
         let from = (stage.round, stage.number);
         let Some(grains) = self.grains(shape, from) else { return all };
@@ -532,7 +540,7 @@ impl Unit {
                 if !shape.rounds_read(place, need, self.round).contains(&stage.round) {
                     continue;
                 }
-                let keys = self.fed_among(shape, place, read_by(need.reach, item, template.tasks()));
+                let keys = self.runnable_among(shape, place, read_by(need.reach, item, template.tasks()));
                 if !keys.is_empty() {
                     all.push((place, keys));
                 }
@@ -542,13 +550,13 @@ impl Unit {
     }
 
     /// The keys of the job's own tasks that can run now that this frame has ended, by stage.
-    pub(crate) fn fed_by_frame(&self, shape: &Shape<'_>, frame: u32) -> Vec<(Place, RangeSet)> {
+    pub(crate) fn runnable_after_frame(&self, shape: &Shape<'_>, frame: u32) -> Vec<(Place, RangeSet)> {
         let mut all = Vec::new();
         for place in self.places(shape) {
             let needs = shape.template(place.1).map_or(&[][..], |template| &template.needs);
             let fed = needs.iter().filter_map(|need| shape.reads_frame(place.1, need, frame));
             for fed in fed.collect::<Vec<_>>() {
-                let keys = self.fed_among(shape, place, fed);
+                let keys = self.runnable_among(shape, place, fed);
                 if !keys.is_empty() {
                     all.push((place, keys));
                 }
@@ -558,13 +566,13 @@ impl Unit {
     }
 
     /// Those of some tasks of a stage that can run, as keys.
-    fn fed_among(&self, shape: &Shape<'_>, place: Place, items: Range<u32>) -> RangeSet {
+    fn runnable_among(&self, shape: &Shape<'_>, place: Place, items: Range<u32>) -> RangeSet {
         let Some(grains) = self.grains(shape, place) else { return RangeSet::default() };
         let mut keys = self.open_keys(shape, place);
         keys.remove(0..grains.of_tasks(&items).start);
         keys.remove(grains.of_tasks(&items).end..grains.all().end);
-        let hungry = items.filter(|&item| !self.is_fed(shape, place, item));
-        hungry.for_each(|item| keys.remove(grains.of_tasks(&(item..item + 1))));
+        let unready = items.filter(|&item| !self.has_inputs(shape, place, item));
+        unready.for_each(|item| keys.remove(grains.of_tasks(&(item..item + 1))));
         keys
     }
 
@@ -595,7 +603,7 @@ impl Unit {
         self.trouble.values().flat_map(Trouble::presumed_dead)
     }
 
-    pub(super) fn forgive(&mut self) {
+    pub(super) fn clear_trouble(&mut self) {
         self.trouble.clear();
     }
 

@@ -87,7 +87,7 @@ pub(crate) struct Actor<Q> {
     snapshot: usize,
     /// No snapshot is made before: there was no room for one.
     snapshots_from: Instant,
-    words: mpsc::Sender<(WorkerId, SessionEvent)>,
+    session_events: mpsc::Sender<(WorkerId, SessionEvent)>,
     pub(crate) heard: mpsc::Receiver<(WorkerId, SessionEvent)>,
     /// What was said while there was no room for the log.
     pub(crate) put_off: VecDeque<(WorkerId, SessionEvent)>,
@@ -117,7 +117,7 @@ impl<Q: Queue> Actor<Q> {
         watchers: mpsc::Receiver<oneshot::Sender<Now>>,
         config: &Config,
     ) -> Self {
-        let (words, heard) = mpsc::channel(4 * Self::BATCH);
+        let (session_events, heard) = mpsc::channel(4 * Self::BATCH);
         let disks = Disks::of(config);
         config.metrics.lies_on(disks.clone());
         // Of a term before this one.
@@ -142,7 +142,7 @@ impl<Q: Queue> Actor<Q> {
             records,
             snapshot: config.snapshot,
             snapshots_from: Instant::now(),
-            words,
+            session_events,
             heard,
             put_off: VecDeque::new(),
             metrics: config.metrics.clone(),
@@ -171,15 +171,15 @@ impl<Q: Queue> Actor<Q> {
                 }
                 // What was put off was said first.
                 () = std::future::ready(()), if !self.put_off.is_empty() => {}
-                Some((worker, word)) = self.heard.recv() => self.word(worker, word, &mut commands),
+                Some((worker, event)) = self.heard.recv() => self.session_event(worker, event, &mut commands),
                 Some(call) = doors.calls.recv() => self.call(call, &mut commands),
                 Some(watcher) = self.watchers.recv() => self.show(watcher),
             }
             for _ in 0..Self::BATCH {
-                if let Some((worker, word)) = self.put_off.pop_front() {
-                    self.word(worker, word, &mut commands);
-                } else if let Ok((worker, word)) = self.heard.try_recv() {
-                    self.word(worker, word, &mut commands);
+                if let Some((worker, event)) = self.put_off.pop_front() {
+                    self.session_event(worker, event, &mut commands);
+                } else if let Ok((worker, event)) = self.heard.try_recv() {
+                    self.session_event(worker, event, &mut commands);
                 } else if let Ok(call) = doors.calls.try_recv() {
                     self.call(call, &mut commands);
                 } else if let Some(event) = self.echoes.pop_front() {
@@ -227,11 +227,11 @@ impl<Q: Queue> Actor<Q> {
         }
     }
 
-    fn word(&mut self, worker: WorkerId, word: SessionEvent, commands: &mut Vec<Command>) {
+    fn session_event(&mut self, worker: WorkerId, session_event: SessionEvent, commands: &mut Vec<Command>) {
         if !self.workers.contains_key(&worker) {
             return;
         }
-        let event = match word {
+        let event = match session_event {
             SessionEvent::Said(mut said) => {
                 match &*said {
                     FromWorker::Heartbeat { number, .. } => self.heartbeats.push((worker, *number)),
@@ -318,7 +318,7 @@ impl<Q: Queue> Actor<Q> {
     fn join(&mut self, session: Session, commands: &mut Vec<Command>) {
         pass(Point::CoordinatorBeforeJoin);
         let worker = WorkerId(self.number());
-        let Session { registration, words, out } = session;
+        let Session { registration, messages, out } = session;
         tracing::info!(
             worker = worker.0,
             name = registration.name,
@@ -328,7 +328,7 @@ impl<Q: Queue> Actor<Q> {
         );
         self.metrics.joined();
         self.workers.insert(worker, Worker::new(out));
-        tokio::spawn(session::listen(worker, words, self.store.clone(), self.words.clone()));
+        tokio::spawn(session::listen(worker, messages, self.store.clone(), self.session_events.clone()));
         self.joined.push(worker);
         self.hear(Event::Joined { worker, registration }, commands);
     }

@@ -110,8 +110,8 @@ impl Hand {
     }
 
     /// Whether what it says of a lease is accepted.
-    async fn says(&mut self, epoch: Epoch, word: FromWorker) -> bool {
-        self.out.send(word).await;
+    async fn says(&mut self, epoch: Epoch, message: FromWorker) -> bool {
+        self.out.send(message).await;
         loop {
             match self.incoming.next().await.unwrap().expect("the session goes on") {
                 ToWorker::Accepted { epoch: of, .. } if of == epoch => return true,
@@ -167,7 +167,7 @@ async fn every_report_is_answered_and_its_log_is_kept() {
         let failure = Failure::Panicked { message: "oops".into() };
         let log = |attempt, text| Some(TaskLog { attempt, seconds: 0.25, text });
         let [inline, stored] = [LogText::Inline(format!("log {case}")), LogText::Stored(stored)];
-        let (word, counts) = match case {
+        let (message, counts) = match case {
             0 => {
                 let log = log(Attempt::Done, inline);
                 (FromWorker::Completed { task, epoch, result, log, usage: None }, true)
@@ -178,9 +178,9 @@ async fn every_report_is_answered_and_its_log_is_kept() {
             }
             _ => (FromWorker::Failed { task, epoch, failure, log: log(Attempt::Failed, stored), usage: None }, true),
         };
-        let (FromWorker::Completed { log, .. } | FromWorker::Failed { log, .. }) = &word else { unreachable!() };
+        let (FromWorker::Completed { log, .. } | FromWorker::Failed { log, .. }) = &message else { unreachable!() };
         reported.push((epoch, log.clone().unwrap()));
-        assert_eq!(hand.says(epoch, word).await, counts, "report {case}");
+        assert_eq!(hand.says(epoch, message).await, counts, "report {case}");
     }
     let mut kept = client.logs(id, Tick(0)).await.unwrap();
     kept.sort_by_key(|record| record.epoch);

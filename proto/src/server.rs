@@ -197,27 +197,27 @@ pub enum Call {
     Session(Box<Session>),
 }
 
-/// A worker's session. It ends when `out` is dropped, or when `words` does.
+/// A worker's session. It ends when `out` is dropped, or when `messages` does.
 #[derive(Debug)]
 pub struct Session {
     /// Registration of the worker.
     pub registration: Registration,
     /// Messages from the worker.
-    pub words: Words,
+    pub messages: WorkerMessages,
     /// Messages to the worker.
     pub out: mpsc::Sender<ToWorker>,
 }
 
 /// What a worker says after it registered.
 #[derive(Debug)]
-pub struct Words {
+pub struct WorkerMessages {
     stream: Streaming<wire::FromWorker>,
     /// Came together with the one before.
     waiting: VecDeque<wire::FromWorker>,
     caller: Option<Arc<Caller>>,
 }
 
-impl Words {
+impl WorkerMessages {
     pub(crate) fn new(stream: Streaming<wire::FromWorker>, caller: Option<Arc<Caller>>) -> Self {
         Self { stream, waiting: VecDeque::new(), caller }
     }

@@ -1,4 +1,4 @@
-//! The words of a worker's session.
+//! The messages of a worker's session.
 
 use femc_model::{
     Death, FromWorker, HeldLease, JobId, JobSpec, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, ToWorker,

@@ -1,4 +1,4 @@
-//! Every word survives the wire, and nonsense is refused.
+//! Every message survives the wire, and nonsense is refused.
 
 use std::fmt::Debug;
 

@@ -119,7 +119,7 @@ pub enum CoordinatorError {
     /// The address is taken, or none of this machine's.
     #[error("cannot listen on {address}: {error}")]
     Listen {
-        /// As configured.
+        /// Address from the configuration.
         address: SocketAddr,
         /// Error of the operating system.
         error: std::io::Error,
@@ -127,7 +127,7 @@ pub enum CoordinatorError {
     /// The address can be reached from other machines, and that was not asked for.
     #[error("{address} can be reached from other machines, and connections are not encrypted")]
     Exposed {
-        /// As configured.
+        /// Address from the configuration.
         address: SocketAddr,
     },
     /// The log.

@@ -56,7 +56,7 @@ use wire::workers_server::WorkersServer;
 /// What a job is made of.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JobShape {
-    /// As submitted.
+    /// Specification of the job, as submitted.
     pub spec: Box<JobSpec>,
     /// How its tasks are cut.
     pub cut: Cut,

@@ -131,11 +131,11 @@ pub enum Violation {
     /// The job's account does not agree with what was done.
     #[error("the account says {found} {what}, it should be {expected}")]
     Account {
-        /// Of what.
+        /// Name of the quantity.
         what: &'static str,
-        /// As told.
+        /// Value in the account.
         found: u64,
-        /// As it should be.
+        /// Value that it should have.
         expected: u64,
     },
     /// One of many jobs went wrong.
@@ -209,7 +209,7 @@ pub enum Violation {
     Unasked {
         /// The job.
         job: JobId,
-        /// What was done to it.
+        /// Control that the person asked for.
         control: Control,
     },
     /// What a person did to a job was acknowledged, and the log does not have it.
@@ -217,7 +217,7 @@ pub enum Violation {
     Unwritten {
         /// The job.
         job: JobId,
-        /// What was done to it.
+        /// Control that the person asked for.
         control: Control,
     },
     /// What a person wanted was refused because the job had ended, which it had not.
@@ -347,7 +347,7 @@ pub enum Violation {
         frame: u32,
         /// Time that an answer stated, in milliseconds.
         answered: u64,
-        /// By the log, in milliseconds.
+        /// Time by the log, in milliseconds.
         logged: u64,
     },
     /// Something was removed from the store that the log names.
@@ -373,7 +373,7 @@ pub enum Violation {
     /// A snapshot was made of a log that was short.
     #[error("a snapshot was made of {records} records")]
     Snapshot {
-        /// Beside the snapshot before.
+        /// Records of the log since the snapshot before.
         records: usize,
     },
     /// A coordinator came to its end because its log's disk was full.

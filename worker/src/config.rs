@@ -185,7 +185,7 @@ pub enum WorkerError {
     /// The threads cannot have the niceness.
     #[error("niceness {niceness}: {message}")]
     Nice {
-        /// As configured.
+        /// Niceness from the configuration, 0..=19.
         niceness: u8,
         /// Error of the operating system.
         message: String,

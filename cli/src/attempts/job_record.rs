@@ -15,7 +15,7 @@ pub struct JobRecord {
     pub run: u64,
     /// The variant that it renders, of a sweep.
     pub variant: Option<String>,
-    /// As submitted.
+    /// Specification of the job, as submitted.
     pub spec: JobSpec,
     /// How its tiles are cut.
     pub cut: Cut,

@@ -34,9 +34,9 @@ pub enum Failure {
     /// Artifacts that the task needs are not in the store, or do not decode, or do not fit the task.
     #[error("{} artifacts are lost: {message}", digests.len())]
     LostInputs {
-        /// All of them.
+        /// Digests of all lost artifacts.
         digests: Vec<Digest>,
-        /// Of one of them, in words.
+        /// What is wrong with one of them.
         message: String,
     },
     /// The artifact store refused or was away.
@@ -48,7 +48,7 @@ pub enum Failure {
     /// The worker's disk or memory is used up.
     #[error("out of resources: {message}")]
     Resources {
-        /// Of what.
+        /// Resource that is used up, and the error of the system.
         message: String,
     },
     /// The worker gave the task back: it was told to, or is leaving.

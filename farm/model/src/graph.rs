@@ -62,7 +62,7 @@ pub enum Scope {
 }
 
 impl Scope {
-    /// All.
+    /// All scopes.
     pub const ALL: [Self; 3] = [Self::Job, Self::Frame, Self::Content];
 
     /// Whether a stage of this scope may read one of that.
@@ -480,7 +480,7 @@ pub enum GraphError {
     /// Beyond a limit.
     #[error("{what}: at most {limit}")]
     TooMany {
-        /// Of what.
+        /// Quantity that is beyond its limit.
         what: &'static str,
         /// The most there may be.
         limit: u64,

@@ -196,7 +196,7 @@ pub enum SpecError {
     /// Beyond 100.
     #[error("priority {priority}, at most 100")]
     Priority {
-        /// As given.
+        /// Priority from the specification.
         priority: u8,
     },
     /// Whoever fetches the job's frames names files by it.

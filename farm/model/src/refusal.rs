@@ -10,13 +10,13 @@ pub enum Refusal {
     /// No such job.
     #[error("there is no job {job}")]
     NoSuchJob {
-        /// As asked for.
+        /// Number that was asked for.
         job: JobId,
     },
     /// No such worker.
     #[error("there is no worker {worker}")]
     NoSuchWorker {
-        /// As asked for.
+        /// Name that was asked for.
         worker: String,
     },
     /// The job has ended, so that this cannot be done to it.
@@ -45,13 +45,13 @@ pub enum Refusal {
     /// The bytes do not have the digest that was announced.
     #[error("the bytes are not those of {digest}")]
     DigestMismatch {
-        /// As announced.
+        /// Digest that was announced.
         digest: Digest,
     },
     /// Beyond a limit.
     #[error("{what}: at most {limit}")]
     TooLarge {
-        /// Of what.
+        /// Quantity that is beyond its limit.
         what: String,
         /// The most there may be.
         limit: u64,

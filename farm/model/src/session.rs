@@ -184,7 +184,7 @@ pub enum ToWorker {
     Job {
         /// The job.
         job: JobId,
-        /// As submitted.
+        /// Specification of the job, as submitted.
         spec: Box<JobSpec>,
     },
     /// Do this.

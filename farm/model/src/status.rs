@@ -168,7 +168,7 @@ pub enum Wait {
         stage: StageKind,
         /// Tasks of this stage that are done.
         done: u32,
-        /// All of them.
+        /// Tasks of this stage.
         tasks: u32,
         /// How many jobs wait for it.
         jobs: u32,

@@ -49,7 +49,7 @@ impl Ending {
     /// All, the least first.
     pub const ALL: [Self; 5] = [Self::Lost, Self::Revoked, Self::Cancelled, Self::Failed, Self::Done];
 
-    /// In one word.
+    /// Name, one word.
     pub fn name(self) -> &'static str {
         match self {
             Self::Lost => "lost",

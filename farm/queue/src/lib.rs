@@ -250,13 +250,13 @@ pub enum QueueError {
         /// Error of the operating system or the database.
         message: String,
     },
-    /// Not this one.
+    /// A log of this kind is copied by other means.
     #[error("this log is not copied by the coordinator: {instead}")]
     NoCopy {
         /// How to copy this kind of log.
         instead: &'static str,
     },
-    /// The medium said no.
+    /// Reading or writing the log failed.
     #[error("log: {0}")]
     Medium(#[from] io::Error),
     /// The address of the database makes no sense.
@@ -307,7 +307,7 @@ pub enum QueueError {
         /// Error of the server.
         message: String,
     },
-    /// SQLite said no.
+    /// SQLite failed.
     #[error("log: {0}")]
     Sqlite(#[from] sqlx::Error),
 }

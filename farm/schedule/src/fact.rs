@@ -29,7 +29,7 @@ pub enum Fact {
         job: JobId,
         /// A second submission with this key is the same job.
         key: Option<String>,
-        /// As submitted.
+        /// Specification of the job, as submitted.
         spec: Box<JobSpec>,
         /// How finely its tasks are cut.
         cut: Cut,

@@ -14,9 +14,9 @@ pub enum StoreError {
     /// The bytes are others than announced.
     #[error("the bytes are those of {found}, not of {announced}")]
     Mismatch {
-        /// As announced.
+        /// Digest that was announced.
         announced: Digest,
-        /// As computed.
+        /// Digest of the bytes that came.
         found: Digest,
     },
     /// What was there was damaged and removed, and so was what was put in its place.
@@ -34,12 +34,12 @@ pub enum StoreError {
     /// An address that is none.
     #[error("{url} is no address of an artifact store: {message}; write it like s3://bucket/prefix")]
     Url {
-        /// As given.
+        /// Address of the store.
         url: String,
         /// What is wrong with it.
         message: String,
     },
-    /// The medium said no, or is away.
+    /// The medium refused the call, or cannot be reached.
     #[error("artifact store {store}: {error}")]
     Medium {
         /// Its name: a folder, an address, or `memory`.

@@ -281,12 +281,12 @@ pub enum Novelty {
     Older,
 }
 
-/// Whether something goes.
+/// What a sweep does with what nobody needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sweep {
-    /// It is only counted.
+    /// Only counts it.
     Count,
-    /// It goes.
+    /// Removes it.
     Remove,
 }
 

@@ -36,13 +36,13 @@ pub enum TrustError {
     /// A name that would not do in a certificate.
     #[error("`{name}` is no name: 1 to 64 letters, digits, and . _ -")]
     Name {
-        /// As given.
+        /// Name that was given.
         name: String,
     },
     /// Nothing was issued under this name.
     #[error("nothing was issued to `{name}`")]
     Unknown {
-        /// As given.
+        /// Name that was given.
         name: String,
     },
     /// Not by this farm's authority for this farm.

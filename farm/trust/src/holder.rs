@@ -53,12 +53,12 @@ impl FromStr for Role {
 pub enum Holder {
     /// A coordinator.
     Coordinator {
-        /// For people.
+        /// Name, for people to read.
         name: String,
     },
     /// A worker, which takes part in rendering and may nothing else.
     Worker {
-        /// For people.
+        /// Name, for people to read.
         name: String,
     },
     /// A person, or a program of one.

@@ -35,7 +35,7 @@ pub enum ConvertError {
     Unknown {
         /// Name of the field.
         field: &'static str,
-        /// As sent.
+        /// Value that was sent.
         value: i32,
     },
     /// Not 32 bytes.
@@ -58,7 +58,7 @@ pub enum ConvertError {
         if *found > crate::PROTOCOL { "upgrade the coordinator first, then its workers" } else { "upgrade this worker" }
     )]
     Protocol {
-        /// As sent.
+        /// Version of the protocol that the worker speaks.
         found: u32,
     },
 }

@@ -24,12 +24,12 @@ pub struct References {
     pub scenes: BTreeSet<Digest>,
 }
 
-/// Whether garbage goes.
+/// What a collection does with garbage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CollectMode {
-    /// It is only counted.
+    /// Only counts it.
     DryRun,
-    /// It goes.
+    /// Removes it.
     Remove,
 }
 

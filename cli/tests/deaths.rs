@@ -40,9 +40,9 @@ fn a_task_that_always_kills_its_worker_is_put_aside_and_the_other_frames_are_don
     assert_eq!(deaths, 5);
     let killed = worker(&place, &url, Some(("FEMC_DEADLY", deadly.clone())));
     place.run(&format!("watch {job} --server {url}")).exits(1);
-    let told = status(&place, &url, &job);
-    assert_eq!((told["state"].as_str(), told["frames_done"].as_u64()), (Some("failed"), Some(1)), "{told}");
-    assert!(told.to_string().contains("workers died 5 times while they computed it; the last was lab"), "{told}");
+    let answer = status(&place, &url, &job);
+    assert_eq!((answer["state"].as_str(), answer["frames_done"].as_u64()), (Some("failed"), Some(1)), "{answer}");
+    assert!(answer.to_string().contains("workers died 5 times while they computed it; the last was lab"), "{answer}");
     // Where it does no harm it is done after all, and the frames are those of one process.
     drop(killed);
     let _healthy = worker(&place, &url, None);

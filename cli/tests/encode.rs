@@ -59,10 +59,10 @@ fn a_clip_its_stills_and_a_sheet_are_the_same_for_any_number_of_workers_and_the_
     // One exposure: what is brighter in the scene is brighter in its still, pixel by pixel.
     let [dark, bright] = [0, 2].map(|frame| common::film(&place.path("one").join(&images[frame])).rgb);
     let [shown_dark, shown_bright] = [first, last].map(|picture| picture.pixels.concat());
-    let told = dark.iter().zip(&bright).zip(shown_dark.iter().zip(&shown_bright));
+    let pairs = dark.iter().zip(&bright).zip(shown_dark.iter().zip(&shown_bright));
     let gray = |(_, (a, b)): &((&f32, &f32), (&u8, &u8))| **a < 250 && **b < 250 && a.abs_diff(**b) > 3;
     let clear: Vec<bool> =
-        told.filter(gray).map(|((a, b), (shown_a, shown_b))| (a < b) == (shown_a < shown_b)).collect();
+        pairs.filter(gray).map(|((a, b), (shown_a, shown_b))| (a < b) == (shown_a < shown_b)).collect();
     let agree = clear.iter().filter(|agrees| **agrees).count() as f64 / clear.len() as f64;
     assert!(clear.len() > 100 && agree > 0.98, "{agree} of {}", clear.len());
 }
@@ -96,8 +96,8 @@ fn a_clip_waits_for_a_worker_that_has_ffmpeg_which_gets_every_frame() {
     assert_eq!((json["video"].as_str(), json["contact_sheet"].as_str()), (Some("out/clip.mp4"), Some("out/sheet.png")));
     assert_eq!(std::fs::read(place.path("out/clip.mp4")).expect("a clip").len(), 3 * 8 * 4 * 3);
     assert_eq!(json["previews"].as_array().map(Vec::len), Some(0), "nobody asked for stills");
-    let told = place.read("told");
-    assert!(told.contains("ffmpeg 7.1-test") && told.contains("-s 8x4"), "{told}");
+    let log = place.read("told");
+    assert!(log.contains("ffmpeg 7.1-test") && log.contains("-s 8x4"), "{log}");
 }
 
 #[test]
@@ -111,8 +111,8 @@ fn what_ffmpeg_refuses_fails_the_clip_with_its_own_words_and_no_frame() {
     let _worker = Running::of(worker.env("PATH", place.path("bin")));
     let job = submit(&place, &url, "--frames 1..2 --size 8x4 --spp 1 --video clip.xyz");
     place.run(&format!("watch {job} --server {url}")).exits(1);
-    let told = place.run(&format!("status {job} --server {url}")).exits(0).stdout();
-    assert!(told.contains("2 of 2 done") && told.contains("ffmpeg: no such muxer"), "{told}");
+    let output = place.run(&format!("status {job} --server {url}")).exits(0).stdout();
+    assert!(output.contains("2 of 2 done") && output.contains("ffmpeg: no such muxer"), "{output}");
     place.run(&format!("fetch {job} -o out --server {url}")).exits(1);
     assert_eq!(common::names(&place.path("out")), ["fog.0001.exr", "fog.0002.exr"]);
 }
@@ -159,8 +159,8 @@ fn a_frame_that_fails_is_a_card_in_the_clip_until_a_retry_makes_it() {
 fn a_plan_shows_the_graph_that_a_clip_is_submitted_with_and_odd_names_are_refused() {
     let place = Place::new();
     let line = format!("plan fog.mgf {FRAMES} --spp 2 --no-trial --video clip.mp4");
-    let told = place.run(&line).exits(0).stdout();
-    assert!(told.contains("thumbnail") && told.contains("clip") && told.contains("ffmpeg"), "{told}");
+    let output = place.run(&line).exits(0).stdout();
+    assert!(output.contains("thumbnail") && output.contains("clip") && output.contains("ffmpeg"), "{output}");
     let graph = &place.run(&format!("{line} --json")).exits(0).json()["graph"]["stages"];
     assert_eq!(graph.as_array().map(Vec::len), Some(6), "{graph}");
     for (flags, said) in [

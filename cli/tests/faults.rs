@@ -141,7 +141,7 @@ fn worker(place: &Place, name: &str, url: &str, fault: Option<&str>) -> Running 
     if let Some(fault) = fault {
         command.env("FEMC_FAULT", format!("{fault}:{}", place.path("token").display()));
     }
-    place.start_told(name, &mut command)
+    place.start_command(name, &mut command)
 }
 
 /// What the log says was done, each with the lease's epoch, and whether it is all that was; of a farm whose coordinator is gone.

@@ -126,9 +126,9 @@ fn runs(page: &str, variables: &[(&str, String)]) {
         .process_group(0)
         .output()
         .expect("timeout");
-    let told = format!("{}\n{}", String::from_utf8_lossy(&ran.stdout), String::from_utf8_lossy(&ran.stderr));
-    assert!(ran.status.success(), "docs/{page}: {}\n{told}", ran.status);
-    assert!(!told.contains("panicked"), "docs/{page}\n{told}");
+    let output = format!("{}\n{}", String::from_utf8_lossy(&ran.stdout), String::from_utf8_lossy(&ran.stderr));
+    assert!(ran.status.success(), "docs/{page}: {}\n{output}", ran.status);
+    assert!(!output.contains("panicked"), "docs/{page}\n{output}");
 }
 
 /// A test for each page, and one that says if a page has none.

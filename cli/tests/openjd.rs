@@ -47,11 +47,11 @@ fn what_cannot_be_read_or_used_has_its_exit_code() {
     place.run("openjd import nothing.yaml -o job.toml").exits(2);
     place.run("openjd export nothing.toml -o job.yaml").exits(2);
     place.write("bad.yaml", "specificationVersion: jobtemplate-2023-09\nname: Bad\nsteps: []\n");
-    let told = place.run("openjd import bad.yaml -o job.toml").exits(1).stderr();
-    assert!(told.contains("bad.yaml:1:1"), "{told}");
+    let error = place.run("openjd import bad.yaml -o job.toml").exits(1).stderr();
+    assert!(error.contains("bad.yaml:1:1"), "{error}");
     place.write("job.toml", "scene = \"fog.mgf\"\n[sweep]\ncamera = [\"nobody\"]\n");
-    let told = place.run("openjd export job.toml -o job.yaml").exits(2).stderr();
-    assert!(told.contains("nobody") && !place.path("job.yaml").exists(), "{told}");
+    let error = place.run("openjd export job.toml -o job.yaml").exits(2).stderr();
+    assert!(error.contains("nobody") && !place.path("job.yaml").exists(), "{error}");
     place.run("openjd import bad.yaml -o job.toml -p Nonsense").exits(2);
 }
 

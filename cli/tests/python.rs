@@ -51,9 +51,9 @@ fn it_submits_watches_and_fetches_the_pixels_of_one_process() {
             assert!(of_one.contains_key(key), "{key}");
         }
         let line = ran.stdout().lines().find(|line| line.contains(&name)).expect("a line").to_owned();
-        let told: f64 = line.split_whitespace().nth(3).and_then(|word| word.parse().ok()).expect("a number");
+        let printed: f64 = line.split_whitespace().nth(3).and_then(|word| word.parse().ok()).expect("a number");
         let mean = mean_luminance(&alone);
-        assert!((told - mean).abs() <= 1e-4 * mean && mean > 0.0, "{line}, and it is {mean}");
+        assert!((printed - mean).abs() <= 1e-4 * mean && mean > 0.0, "{line}, and it is {mean}");
     }
 }
 
@@ -112,8 +112,8 @@ fn on_an_encrypted_farm_it_shows_who_it_is() {
     }
     let refused = render(&programs, &place, &format!("{settings} --identity eve.pem")).exits(1).stderr();
     assert!(refused.contains("forbidden") && refused.contains("viewer eve"), "{refused}");
-    let told = render(&programs, &place, &settings).exits(2).stderr();
-    assert!(told.contains("takes an identity"), "{told}");
+    let error = render(&programs, &place, &settings).exits(2).stderr();
+    assert!(error.contains("takes an identity"), "{error}");
 }
 
 #[test]
@@ -123,12 +123,12 @@ fn what_goes_wrong_is_said_with_its_kind() {
     let (_farm, url) = coordinator(&place, 0);
     let _worker = place.start(&format!("worker --join {url} --threads 1"));
     place.write("broken.mgf", "m wall =\n\trd bright\n");
-    let told = render(&programs, &place, &format!("broken.mgf --server {url}")).exits(1).stderr();
-    assert!(told.contains("job 1 is not done") && told.contains("scene: broken.mgf:2"), "{told}");
-    let told = render(&programs, &place, &format!("fog.mgf --spp 0 --server {url}")).exits(1).stderr();
-    assert!(told.contains("invalid") && told.contains("steps of stage 0"), "{told}");
-    let told = render(&programs, &place, "fog.mgf --server http://127.0.0.1:9").exits(4).stderr();
-    assert!(told.contains("http://127.0.0.1:9 cannot be reached"), "{told}");
-    let told = render(&programs, &place, &format!("nothing.mgf --server {url}")).exits(2).stderr();
-    assert!(told.contains("nothing.mgf"), "{told}");
+    let error = render(&programs, &place, &format!("broken.mgf --server {url}")).exits(1).stderr();
+    assert!(error.contains("job 1 is not done") && error.contains("scene: broken.mgf:2"), "{error}");
+    let error = render(&programs, &place, &format!("fog.mgf --spp 0 --server {url}")).exits(1).stderr();
+    assert!(error.contains("invalid") && error.contains("steps of stage 0"), "{error}");
+    let error = render(&programs, &place, "fog.mgf --server http://127.0.0.1:9").exits(4).stderr();
+    assert!(error.contains("http://127.0.0.1:9 cannot be reached"), "{error}");
+    let error = render(&programs, &place, &format!("nothing.mgf --server {url}")).exits(2).stderr();
+    assert!(error.contains("nothing.mgf"), "{error}");
 }

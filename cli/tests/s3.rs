@@ -39,7 +39,7 @@ fn a_store_that_goes_away_for_a_while_costs_no_task_and_no_pixel() {
     let line = format!("coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts {bucket}");
     let mut command = place.command(&line);
     command.env("AWS_ENDPOINT_URL", &outage.url);
-    let mut farm = place.start_told("farm", &mut command);
+    let mut farm = place.start_command("farm", &mut command);
     farm.wait_until("its address", || place.read("farm.out").ends_with('\n'));
     let line = place.read("farm.out");
     let url = line.split_whitespace().find(|word| word.starts_with("http://")).expect("the address");
@@ -53,9 +53,9 @@ fn a_store_that_goes_away_for_a_while_costs_no_task_and_no_pixel() {
     };
     worker.wait_until("a finished frame", || frames_done() >= 1);
     outage.begin();
-    let told = || place.read("farm.err");
+    let log = || place.read("farm.err");
     farm.wait_until("a task that met the outage", || {
-        told().lines().any(|line| line.contains("task failed") && line.contains(&bucket))
+        log().lines().any(|line| line.contains("task failed") && line.contains(&bucket))
     });
     assert!(outage.refused() > 0 && frames_done() < 8, "it is not over yet");
     outage.end();
@@ -82,8 +82,8 @@ fn a_store_that_is_away_is_named_and_costs_no_job() {
     let mut farm = Running::of(&mut command);
     let url = farm.address();
     let refused = place.run(&format!("submit fog.mgf --spp 1 --frames 1 --server {url}")).exits(4);
-    let told = refused.stderr();
-    assert!(told.contains("s3://nobody/there") && told.contains("127.0.0.1:9"), "{told}");
+    let error = refused.stderr();
+    assert!(error.contains("s3://nobody/there") && error.contains("127.0.0.1:9"), "{error}");
     let jobs = place.run(&format!("jobs --json --server {url}")).exits(0).json();
     assert_eq!(jobs.as_array().map(Vec::len), Some(0), "the coordinator itself answers");
 }

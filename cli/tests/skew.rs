@@ -66,8 +66,8 @@ fn a_worker_of_a_protocol_too_old_or_too_new_is_refused_and_told_what_to_do() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);
     for (protocol, said) in [(OLDEST - 1, "upgrade this worker"), (PROTOCOL + 1, "upgrade the coordinator first")] {
-        let told = worker(&place, &url, "other", &format!("protocol={protocol}")).end().exits(1).stderr();
-        assert!(told.contains(said) && told.contains(&format!("{OLDEST} to {PROTOCOL}")), "{protocol}: {told}");
+        let error = worker(&place, &url, "other", &format!("protocol={protocol}")).end().exits(1).stderr();
+        assert!(error.contains(said) && error.contains(&format!("{OLDEST} to {PROTOCOL}")), "{protocol}: {error}");
     }
     assert_eq!(workers(&place, &url).as_array().map(Vec::len), Some(0));
 }

@@ -27,8 +27,8 @@ fn the_processor_seconds_of_all_attempts_are_those_that_the_system_says_the_work
     let stats = |what: &str| place.run(&format!("stats {job} {what} --server {url}")).exits(0);
     for by in ["task", "frame", "worker", "attempt"] {
         let rows = stats(&format!("--by {by} --json")).json();
-        let told = sum(&rows, "cpu_seconds");
-        assert!((told - used).abs() <= 0.03 * used, "by {by}: {told} s of {used} s");
+        let recorded = sum(&rows, "cpu_seconds");
+        assert!((recorded - used).abs() <= 0.03 * used, "by {by}: {recorded} s of {used} s");
         assert_eq!(sum(&rows, "samples"), 4.0 * 32.0 * 32.0 * 192.0, "by {by}");
     }
     let attempts = stats("--by attempt --json").json();

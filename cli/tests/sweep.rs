@@ -92,9 +92,9 @@ fn frames_of_another_build_of_the_engine_are_not_taken_for_this_one_s() {
     assert_eq!(counts(&sweep(&place, "-o out --local")), [8, 0, 0]);
     let mut other = place.command("sweep j.toml --json -o out --local");
     let again = other.env("FEMC_PRETEND", "engine=another").output().expect("femc starts");
-    let told = String::from_utf8_lossy(&again.stderr);
-    assert!(told.contains("another build of the engine") && told.contains("this is another"), "{told}");
-    let report = serde_json::from_slice(&again.stdout).unwrap_or_else(|error| panic!("{error}: {told}"));
+    let notes = String::from_utf8_lossy(&again.stderr);
+    assert!(notes.contains("another build of the engine") && notes.contains("this is another"), "{notes}");
+    let report = serde_json::from_slice(&again.stdout).unwrap_or_else(|error| panic!("{error}: {notes}"));
     assert_eq!(counts(&report), [8, 0, 0]);
     let renders = |engine: Option<&str>| {
         let mut command = place.command("render fog.mgf -o alone --frames 1..2 --spp 2 --size 16x16 --json");

@@ -56,8 +56,8 @@ fn an_encrypted_farm_renders_the_pixels_of_one_process_and_each_role_does_its_pa
 fn who_has_no_identity_or_lost_it_is_told_so() {
     let place = Place::new();
     let (mut farm, url) = farm(&place, &["worker w1", "worker w2", "user ann --role admin"]);
-    let told = place.run(&format!("jobs --server {url}")).exits(2).stderr();
-    assert!(told.contains("FEMC_IDENTITY"), "{told}");
+    let error = place.run(&format!("jobs --server {url}")).exits(2).stderr();
+    assert!(error.contains("FEMC_IDENTITY"), "{error}");
     let plain = url.replace("https://", "http://");
     place.run(&format!("jobs --server {plain} --identity ann.pem")).exits(4);
     place.run("ca init --dir other").exits(0);
@@ -74,11 +74,11 @@ fn who_has_no_identity_or_lost_it_is_told_so() {
     worker.wait_until("it is there", || !names().is_empty());
     place.run("ca revoke w1").exits(0);
     let ended = worker.end();
-    let told = ended.exits(1).stderr();
-    assert!(told.contains("worker w1") && told.contains("revoked"), "{told}");
+    let error = ended.exits(1).stderr();
+    assert!(error.contains("worker w1") && error.contains("revoked"), "{error}");
     farm.wait_until("it is gone", || names().is_empty());
-    let told = place.run(&format!("jobs --server {url} --identity w2.pem")).exits(1).stderr();
-    assert!(told.contains("worker w2") && told.contains("viewer"), "{told}");
+    let error = place.run(&format!("jobs --server {url} --identity w2.pem")).exits(1).stderr();
+    assert!(error.contains("worker w2") && error.contains("viewer"), "{error}");
     let list = place.run("ca list --json").exits(0).json();
     let revoked =
         |name: &str| list.as_array().unwrap().iter().find(|line| line["name"] == name).unwrap()["revoked"].clone();
@@ -112,14 +112,14 @@ fn tokens_open_what_identities_open_until_they_are_revoked() {
     assert_eq!(list.as_array().unwrap().iter().filter(|line| line["kind"] == "token").count(), 4);
 
     place.run("ca revoke w1").exits(0);
-    let told = worker.end().exits(1).stderr();
-    assert!(told.contains("does not know the token"), "{told}");
+    let error = worker.end().exits(1).stderr();
+    assert!(error.contains("does not know the token"), "{error}");
     place.run("ca revoke eve").exits(0);
-    let told = bearing("eve", "jobs").exits(1).stderr();
-    assert!(told.contains("does not know the token") && told.contains("--token-file"), "{told}");
+    let error = bearing("eve", "jobs").exits(1).stderr();
+    assert!(error.contains("does not know the token") && error.contains("--token-file"), "{error}");
     bearing("ann", "jobs").exits(0);
-    let told = place.run(&format!("jobs --server {url}")).exits(2).stderr();
-    assert!(told.contains("FEMC_TOKEN_FILE"), "{told}");
+    let error = place.run(&format!("jobs --server {url}")).exits(2).stderr();
+    assert!(error.contains("FEMC_TOKEN_FILE"), "{error}");
 }
 
 #[test]
@@ -157,22 +157,22 @@ fn a_token_goes_no_further_than_this_machine_unless_encrypted() {
     place.run("ca token user ann --role admin").exits(0);
     let (_farm, url) = open(&place);
     place.run(&format!("jobs --server {url} --token-file ann.token")).exits(0);
-    let told = place.run(&format!("jobs --server {url}")).exits(1).stderr();
-    assert!(told.contains("neither a certificate nor a token"), "{told}");
-    let told = place.run("jobs --server http://192.0.2.1:7878 --token-file ann.token").exits(2).stderr();
-    assert!(told.contains("https://") && told.contains("not sent"), "{told}");
+    let error = place.run(&format!("jobs --server {url}")).exits(1).stderr();
+    assert!(error.contains("neither a certificate nor a token"), "{error}");
+    let error = place.run("jobs --server http://192.0.2.1:7878 --token-file ann.token").exits(2).stderr();
+    assert!(error.contains("https://") && error.contains("not sent"), "{error}");
     for listen in ["0.0.0.0:0", "0.0.0.0:0 --insecure"] {
         let line =
             format!("coordinator --listen {listen} --store memory --artifacts memory --token-file femc-ca/tokens");
-        let told = place.run(&line).exits(2).stderr();
-        assert!(told.contains("--identity"), "{told}");
+        let error = place.run(&line).exits(2).stderr();
+        assert!(error.contains("--identity"), "{error}");
     }
     place.run("coordinator --listen 127.0.0.1:0 --store memory --token-file nothing").exits(1);
     place.run("ca token user ann --role admin").exits(1);
     place.run("ca token coordinator farm").exits(2);
     place.write("open.token", &place.read("ann.token"));
-    let told = place.run(&format!("jobs --server {url} --token-file open.token")).exits(1).stderr();
-    assert!(told.contains("chmod 600"), "{told}");
+    let error = place.run(&format!("jobs --server {url} --token-file open.token")).exits(1).stderr();
+    assert!(error.contains("chmod 600"), "{error}");
 }
 
 #[test]
@@ -216,8 +216,8 @@ fn the_record_says_who_did_what_and_what_was_refused_and_no_secret() {
 #[test]
 fn what_is_no_authority_or_no_coordinator_s_identity_is_refused_with_a_way_out() {
     let place = Place::new();
-    let told = place.run("ca issue worker w1").exits(2).stderr();
-    assert!(told.contains("femc ca init"), "{told}");
+    let error = place.run("ca issue worker w1").exits(2).stderr();
+    assert!(error.contains("femc ca init"), "{error}");
     place.run("ca init").exits(0);
     place.run("ca init").exits(1);
     place.run("ca issue worker w1").exits(0);
@@ -227,9 +227,9 @@ fn what_is_no_authority_or_no_coordinator_s_identity_is_refused_with_a_way_out()
     place.run("ca issue user ../ann --role viewer").exits(2);
     place.run("ca issue worker w3 --days 0").exits(2);
     place.run("ca revoke nobody").exits(2);
-    let told = place.run("coordinator --listen 127.0.0.1:0 --store memory --identity w1.pem").exits(1).stderr();
-    assert!(told.contains("worker w1") && told.contains("femc ca issue coordinator"), "{told}");
+    let error = place.run("coordinator --listen 127.0.0.1:0 --store memory --identity w1.pem").exits(1).stderr();
+    assert!(error.contains("worker w1") && error.contains("femc ca issue coordinator"), "{error}");
     place.run("coordinator --listen 127.0.0.1:0 --store memory --identity nothing.pem").exits(1);
-    let told = place.run("coordinator --listen 0.0.0.0:0 --store memory").exits(2).stderr();
-    assert!(told.contains("--identity") && told.contains("--insecure"), "{told}");
+    let error = place.run("coordinator --listen 0.0.0.0:0 --store memory").exits(2).stderr();
+    assert!(error.contains("--identity") && error.contains("--insecure"), "{error}");
 }

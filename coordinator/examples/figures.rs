@@ -93,12 +93,12 @@ async fn throughput(sessions: u32, frames: u32) -> Result<()> {
     let id = client.submit(None, job(frames, 1000)).await?;
     let mut watch = client.watch(id).await?;
     while watch.next().await?.is_some() {}
-    let (spent, used) = (begun.elapsed().as_secs_f64(), processor() - before);
+    let (elapsed, used) = (begun.elapsed().as_secs_f64(), processor() - before);
     let state = client.status(id).await?.state;
     let tasks = f64::from(frames) * 1005.0;
     println!(
         "{sessions} workers, {tasks} no-op tasks, {state:?}: {:.0} tasks/s, {:.1} us of the coordinator's processor a task",
-        tasks / spent,
+        tasks / elapsed,
         used * 1e6 / tasks
     );
     others.kill()?;
@@ -155,10 +155,10 @@ async fn restart() -> Result<()> {
             }
         };
         let status = Client::connect(&farm.url()).await?.status(JobId(1)).await?;
-        let spent = begun.elapsed();
+        let elapsed = begun.elapsed();
         let active: u64 = status.active.iter().map(|frame| u64::from(frame.tiles_done)).sum();
         let done = u64::from(status.frames_done) * 1000 + active;
-        println!("restart, {name} ({done}): {:.0} ms until it answers", spent.as_secs_f64() * 1e3);
+        println!("restart, {name} ({done}): {:.0} ms until it answers", elapsed.as_secs_f64() * 1e3);
         farm.stop().await?;
     }
     Ok(())
@@ -231,7 +231,7 @@ async fn again(signal: &str) -> Result<f64> {
         tokio::select! {
             _ = beat.tick() => {
                 number += 1;
-                out.send(FromWorker::Heartbeat { number, tasks: vec![], spent: vec![] }).await;
+                out.send(FromWorker::Heartbeat { number, tasks: vec![], usage: vec![] }).await;
                 // All other tasks are done by then, and the victim's heartbeats have been heard.
                 if number == 8 {
                     let before = Instant::now();
@@ -308,7 +308,7 @@ async fn session(client: &Client, instance: u64, holds: bool) -> Result<()> {
             _ = beat.tick() => {
                 number += 1;
                 held.iter_mut().for_each(|task| task.units += 1);
-                out.send(FromWorker::Heartbeat { number, tasks: held.clone(), spent: vec![] }).await;
+                out.send(FromWorker::Heartbeat { number, tasks: held.clone(), usage: vec![] }).await;
             }
             message = incoming.next() => match message? {
                 Some(ToWorker::Assign(Assignment { task, epoch, .. })) if holds => {

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 use femc_fault::{Point, pass, pass_async};
-use femc_model::{Digest, Failure, FromWorker, JobId, JobStatus, Refusal, Spent, Tick, ToWorker, WorkerId};
+use femc_model::{Digest, Failure, FromWorker, JobId, JobStatus, Refusal, TaskUsage, Tick, ToWorker, WorkerId};
 use femc_proto::{AttemptPage, Backup, Call, JobShape, Listing, References, Reply, Session};
 use femc_queue::{Batch, Queue, QueueError, Remedy};
 use femc_schedule::{Command, Event, Fact, RequestId, Scheduler};
@@ -53,7 +53,7 @@ enum Question {
     Attempts(JobId, u64, Reply<AttemptPage>),
     Workers(Reply<Vec<femc_model::WorkerStatus>>),
     Drained(Result<Vec<WorkerId>, Refusal>, Reply<Vec<WorkerId>>),
-    Told(Reply<()>),
+    Done(Reply<()>),
     References(Reply<References>),
     Backup(Reply<Backup>),
 }
@@ -75,7 +75,7 @@ pub(crate) struct Actor<Q> {
     facts: Vec<(Tick, Fact)>,
     /// What attempts took, not durable yet.
     attempts: Ended,
-    /// What follows from obeying: sessions that broke.
+    /// Sessions that broke while commands were executed.
     pub(crate) echoes: VecDeque<Event>,
     questions: Vec<Question>,
     /// Heartbeats that are heard and not answered, with their numbers.
@@ -87,7 +87,7 @@ pub(crate) struct Actor<Q> {
     snapshot: usize,
     /// No snapshot is made before: there was no room for one.
     snapshots_from: Instant,
-    words: mpsc::Sender<(WorkerId, SessionEvent)>,
+    session_events: mpsc::Sender<(WorkerId, SessionEvent)>,
     pub(crate) heard: mpsc::Receiver<(WorkerId, SessionEvent)>,
     /// What was said while there was no room for the log.
     pub(crate) put_off: VecDeque<(WorkerId, SessionEvent)>,
@@ -117,7 +117,7 @@ impl<Q: Queue> Actor<Q> {
         watchers: mpsc::Receiver<oneshot::Sender<Now>>,
         config: &Config,
     ) -> Self {
-        let (words, heard) = mpsc::channel(4 * Self::BATCH);
+        let (session_events, heard) = mpsc::channel(4 * Self::BATCH);
         let disks = Disks::of(config);
         config.metrics.lies_on(disks.clone());
         // Of a term before this one.
@@ -142,7 +142,7 @@ impl<Q: Queue> Actor<Q> {
             records,
             snapshot: config.snapshot,
             snapshots_from: Instant::now(),
-            words,
+            session_events,
             heard,
             put_off: VecDeque::new(),
             metrics: config.metrics.clone(),
@@ -171,15 +171,15 @@ impl<Q: Queue> Actor<Q> {
                 }
                 // What was put off was said first.
                 () = std::future::ready(()), if !self.put_off.is_empty() => {}
-                Some((worker, word)) = self.heard.recv() => self.word(worker, word, &mut commands),
+                Some((worker, event)) = self.heard.recv() => self.session_event(worker, event, &mut commands),
                 Some(call) = doors.calls.recv() => self.call(call, &mut commands),
                 Some(watcher) = self.watchers.recv() => self.show(watcher),
             }
             for _ in 0..Self::BATCH {
-                if let Some((worker, word)) = self.put_off.pop_front() {
-                    self.word(worker, word, &mut commands);
-                } else if let Ok((worker, word)) = self.heard.try_recv() {
-                    self.word(worker, word, &mut commands);
+                if let Some((worker, event)) = self.put_off.pop_front() {
+                    self.session_event(worker, event, &mut commands);
+                } else if let Ok((worker, event)) = self.heard.try_recv() {
+                    self.session_event(worker, event, &mut commands);
                 } else if let Ok(call) = doors.calls.try_recv() {
                     self.call(call, &mut commands);
                 } else if let Some(event) = self.echoes.pop_front() {
@@ -222,16 +222,16 @@ impl<Q: Queue> Actor<Q> {
         if let Some(event) = log_of(worker, said) {
             self.hear(event, commands);
         }
-        for spent in spent_of(said) {
-            self.hear(Event::Spent { worker, spent }, commands);
+        for usage in usage_of(said) {
+            self.hear(Event::Usage { worker, usage }, commands);
         }
     }
 
-    fn word(&mut self, worker: WorkerId, word: SessionEvent, commands: &mut Vec<Command>) {
+    fn session_event(&mut self, worker: WorkerId, session_event: SessionEvent, commands: &mut Vec<Command>) {
         if !self.workers.contains_key(&worker) {
             return;
         }
-        let event = match word {
+        let event = match session_event {
             SessionEvent::Said(mut said) => {
                 match &*said {
                     FromWorker::Heartbeat { number, .. } => self.heartbeats.push((worker, *number)),
@@ -247,7 +247,7 @@ impl<Q: Queue> Actor<Q> {
             SessionEvent::ArtifactMissing(mut said, artifact, message) => {
                 self.besides(worker, &mut said, commands);
                 self.metrics.failed(&Failure::Store { message: message.clone() });
-                hollow(worker, &said, artifact, message)
+                artifact_missing(worker, &said, artifact, message)
             }
             SessionEvent::Over => {
                 self.workers.remove(&worker);
@@ -293,7 +293,7 @@ impl<Q: Queue> Actor<Q> {
             }
             Call::Lost { digest, reply } => {
                 self.hear(Event::Lost { digest }, commands);
-                self.questions.push(Question::Told(reply));
+                self.questions.push(Question::Done(reply));
             }
             Call::Logs { job, since, reply } => self.questions.push(Question::Logs(job, since, reply)),
             Call::Shape { job, reply } => self.questions.push(Question::Shape(job, reply)),
@@ -318,7 +318,7 @@ impl<Q: Queue> Actor<Q> {
     fn join(&mut self, session: Session, commands: &mut Vec<Command>) {
         pass(Point::CoordinatorBeforeJoin);
         let worker = WorkerId(self.number());
-        let Session { registration, words, out } = session;
+        let Session { registration, messages, out } = session;
         tracing::info!(
             worker = worker.0,
             name = registration.name,
@@ -328,7 +328,7 @@ impl<Q: Queue> Actor<Q> {
         );
         self.metrics.joined();
         self.workers.insert(worker, Worker::new(out));
-        tokio::spawn(session::listen(worker, words, self.store.clone(), self.words.clone()));
+        tokio::spawn(session::listen(worker, messages, self.store.clone(), self.session_events.clone()));
         self.joined.push(worker);
         self.hear(Event::Joined { worker, registration }, commands);
     }
@@ -338,7 +338,7 @@ impl<Q: Queue> Actor<Q> {
         key.is_some_and(|key| self.scheduler.ledger().job_of_key(key).is_some())
     }
 
-    /// Makes the facts durable, then obeys, then answers questions. Whoever may lead no longer says nothing.
+    /// Makes the facts durable, then executes the commands, then answers questions. Whoever may lead no longer says nothing.
     async fn commit(&mut self, commands: Vec<Command>, doors: &mut Doors) -> Result<(), CoordinatorError> {
         if self.facts.is_empty() && self.attempts.is_empty() {
             self.queue.check()?;
@@ -397,7 +397,7 @@ impl<Q: Queue> Actor<Q> {
                     drop(reply.send(page));
                 }
                 Question::Drained(answer, reply) => drop(reply.send(answer)),
-                Question::Told(reply) => drop(reply.send(Ok(()))),
+                Question::Done(reply) => drop(reply.send(Ok(()))),
                 Question::Workers(reply) => drop(reply.send(Ok(self.scheduler.workers(now)))),
                 Question::References(reply) => drop(reply.send(Ok(self.references()))),
                 Question::Backup(reply) => {
@@ -463,19 +463,19 @@ fn log_of(worker: WorkerId, said: &mut FromWorker) -> Option<Event> {
 }
 
 /// What leases took, as a worker says.
-fn spent_of(said: &mut FromWorker) -> Vec<Spent> {
+fn usage_of(said: &mut FromWorker) -> Vec<TaskUsage> {
     match said {
-        FromWorker::Heartbeat { spent, .. } => std::mem::take(spent),
+        FromWorker::Heartbeat { usage, .. } => std::mem::take(usage),
         FromWorker::Completed { task, epoch, usage, .. } | FromWorker::Failed { task, epoch, usage, .. } => {
             let (task, epoch) = (*task, *epoch);
-            usage.map(|usage| Spent { task, epoch, usage }).into_iter().collect()
+            usage.map(|usage| TaskUsage { task, epoch, usage }).into_iter().collect()
         }
         FromWorker::Register(_) | FromWorker::Draining | FromWorker::Available => Vec::new(),
     }
 }
 
 /// A completion that lacks an artifact.
-fn hollow(worker: WorkerId, said: &FromWorker, artifact: Digest, message: String) -> Option<Event> {
+fn artifact_missing(worker: WorkerId, said: &FromWorker, artifact: Digest, message: String) -> Option<Event> {
     let FromWorker::Completed { task, epoch, .. } = said else { return None };
     let (task, epoch) = (*task, *epoch);
     tracing::warn!(job = task.job.0, %task, worker = worker.0, message, "a result is not whole: it does not count");

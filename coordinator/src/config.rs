@@ -22,7 +22,7 @@ pub enum Log {
     Sqlite(PathBuf),
     /// In a PostgreSQL database, which other coordinators may share: one leads, the others stand by.
     Postgres {
-        /// Where.
+        /// Address of the database.
         database: Database,
         /// A leader that gives no sign of life for so long is taken for dead; the same for all coordinators of a farm.
         silence: Duration,
@@ -58,13 +58,13 @@ pub struct Config {
     pub exposure: Exposure,
     /// Its identity and whom it lets in; `None`: connections are not encrypted, and everybody is.
     pub entrance: Option<Entrance>,
-    /// What peers may have.
+    /// Limits of connections and messages.
     pub limits: Limits,
     /// Where changes and refusals are noted.
     pub audit: Option<Audit>,
-    /// Where the log lives.
+    /// Place of the log.
     pub log: Log,
-    /// Where artifacts live.
+    /// Place of the artifacts.
     pub artifacts: Artifacts,
     /// The scheduler's times and limits.
     pub scheduler: femc_schedule::Config,
@@ -119,15 +119,15 @@ pub enum CoordinatorError {
     /// The address is taken, or none of this machine's.
     #[error("cannot listen on {address}: {error}")]
     Listen {
-        /// As configured.
+        /// Address from the configuration.
         address: SocketAddr,
-        /// What the system said.
+        /// Error of the operating system.
         error: std::io::Error,
     },
     /// The address can be reached from other machines, and that was not asked for.
     #[error("{address} can be reached from other machines, and connections are not encrypted")]
     Exposed {
-        /// As configured.
+        /// Address from the configuration.
         address: SocketAddr,
     },
     /// The log.

@@ -24,9 +24,9 @@ struct Inner {
 
 #[derive(Debug)]
 struct Disk {
-    /// What lies there.
+    /// Data on this disk, as messages name it.
     holds: &'static str,
-    /// Where.
+    /// Path on the disk that is watched.
     path: PathBuf,
     /// `u64::MAX`: nobody knows.
     free: AtomicU64,

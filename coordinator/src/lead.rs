@@ -28,7 +28,7 @@ pub enum Standing {
     },
     /// It looks for its database.
     Seeks {
-        /// Why it has none.
+        /// Error of the last attempt to reach the database.
         message: String,
     },
 }
@@ -159,9 +159,9 @@ impl Candidate {
     }
 
     fn tell(&self, standing: Standing) {
-        self.standing.send_if_modified(|told| {
-            let is_new = *told != standing;
-            *told = standing;
+        self.standing.send_if_modified(|shown| {
+            let is_new = *shown != standing;
+            *shown = standing;
             is_new
         });
     }

@@ -1,9 +1,10 @@
 //! The farm's server: a shell around the scheduler.
 //!
-//! One task owns the scheduler and the log. It takes what has come in since the last time, lets the scheduler say what
-//! follows, makes the facts durable in one go, and only then obeys: nobody hears of what a crash could undo. If there is no
-//! room for the log it waits until there is. If the log cannot be written at all the coordinator stops, because what it knows is
-//! ahead of what is durable; one of several stands by instead, and begins anew from the log when it leads again. Artifacts go past it, straight into the store.
+//! One task owns the scheduler and the log. It takes what has come in since the last time, lets the scheduler say what follows,
+//! makes the facts durable in one go, and only then executes the commands: nobody hears of what a crash could undo. If there is
+//! no room for the log it waits until there is. If the log cannot be written at all the coordinator stops, because what it knows
+//! is ahead of what is durable; one of several stands by instead, and begins anew from the log when it leads again. Artifacts go
+//! past it, straight into the store.
 #![deny(missing_docs)]
 
 mod actor;

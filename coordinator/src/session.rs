@@ -3,7 +3,7 @@
 use femc_model::{
     Artifact, Digest, Failure, FromWorker, JobId, JobSpec, Latest, LogText, TaskResult, ToWorker, WorkerId,
 };
-use femc_proto::Words;
+use femc_proto::WorkerMessages;
 use femc_store::{Soundness, Store};
 use tokio::sync::mpsc;
 
@@ -19,32 +19,32 @@ pub(crate) struct Worker {
 
 impl Worker {
     pub(crate) fn new(out: mpsc::Sender<ToWorker>) -> Self {
-        Self { out, jobs: Latest::new(JobSpec::TOLD) }
+        Self { out, jobs: Latest::new(JobSpec::SESSION_SPECS) }
     }
 }
 
 /// Passes on what the worker says until it says no more.
 pub(crate) async fn listen(
     worker: WorkerId,
-    mut words: Words,
+    mut messages: WorkerMessages,
     store: Store,
     actor: mpsc::Sender<(WorkerId, SessionEvent)>,
 ) {
     loop {
-        let word = tokio::select! {
+        let message = tokio::select! {
             biased;
-            word = words.next() => word,
+            message = messages.next() => message,
             () = actor.closed() => return,
         };
-        let word = match word {
-            Some(Ok(word)) => word,
+        let message = match message {
+            Some(Ok(message)) => message,
             Some(Err(error)) => {
                 tracing::warn!(worker = worker.0, %error, "worker makes no sense");
                 break;
             }
             None => break,
         };
-        if actor.send((worker, checked(word, &store).await)).await.is_err() {
+        if actor.send((worker, checked(message, &store).await)).await.is_err() {
             return;
         }
     }
@@ -54,22 +54,22 @@ pub(crate) async fn listen(
 
 /// A completion without its artifacts is hollow. Artifacts that a worker calls lost are read, which removes those that are
 /// damaged, so that they can be put again.
-async fn checked(mut word: FromWorker, store: &Store) -> SessionEvent {
-    check_log(&mut word, store).await;
-    if let FromWorker::Failed { failure: Failure::LostInputs { digests, .. }, .. } = &word {
+async fn checked(mut message: FromWorker, store: &Store) -> SessionEvent {
+    check_log(&mut message, store).await;
+    if let FromWorker::Failed { failure: Failure::LostInputs { digests, .. }, .. } = &message {
         for digest in digests {
             if let Err(error) = store.get(digest).await {
                 tracing::warn!(%error, "an input is lost");
             }
         }
     }
-    let lacks = match &word {
+    let lacks = match &message {
         FromWorker::Completed { result, .. } => lacking(result, store).await,
         _ => None,
     };
     match lacks {
-        Some((artifact, message)) => SessionEvent::ArtifactMissing(Box::new(word), artifact, message),
-        None => SessionEvent::Said(Box::new(word)),
+        Some((artifact, error)) => SessionEvent::ArtifactMissing(Box::new(message), artifact, error),
+        None => SessionEvent::Said(Box::new(message)),
     }
 }
 
@@ -91,8 +91,8 @@ async fn lacking(result: &TaskResult, store: &Store) -> Option<(Digest, String)>
 }
 
 /// A log that did not arrive says so; it is no reason to do the task again.
-async fn check_log(word: &mut FromWorker, store: &Store) {
-    let (FromWorker::Completed { log: Some(log), .. } | FromWorker::Failed { log: Some(log), .. }) = word else {
+async fn check_log(message: &mut FromWorker, store: &Store) {
+    let (FromWorker::Completed { log: Some(log), .. } | FromWorker::Failed { log: Some(log), .. }) = message else {
         return;
     };
     if let LogText::Stored(artifact) = log.text

@@ -11,7 +11,7 @@ use femc_proto::{Connected, Io, ServeError, Server, TcpIncoming};
 use femc_queue::{Batch, Lost, Memory, Queue, Sqlite};
 use femc_schedule::{Fact, Ledger, Scheduler};
 use femc_store::Store;
-use femc_trust::Deed;
+use femc_trust::AuditEvent;
 use tokio::net::TcpListener;
 use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
@@ -187,12 +187,12 @@ fn own_up(config: &Config, Lost { kept, known }: Lost) {
     };
     tracing::warn!(kept, known, "{what}; it goes on without");
     if let Some(audit) = &config.audit {
-        audit.note(&Deed {
+        audit.note(&AuditEvent {
             who: "who started the coordinator".into(),
             call: "accept-loss".into(),
             what: Some(what),
             outcome: "ok".into(),
-            ..Deed::default()
+            ..AuditEvent::default()
         });
     }
 }

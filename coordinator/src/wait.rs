@@ -25,14 +25,14 @@ pub(crate) struct Doors {
 /// What is not durable yet.
 pub(crate) struct Pending<'a> {
     pub(crate) batch: Batch<'a>,
-    /// What follows from it.
+    /// Commands that follow from the batch.
     pub(crate) commands: &'a [Command],
 }
 
 impl<Q: Queue> Actor<Q> {
     /// Between two attempts.
     const AGAIN: Duration = Duration::from_millis(500);
-    /// Most words that are put off.
+    /// Most session events that are put off.
     const PUT_OFF: usize = 4096;
 
     /// Appends, as soon as there is room.
@@ -76,8 +76,8 @@ impl<Q: Queue> Actor<Q> {
                 biased;
                 _ = doors.stop.changed() => return Err(error.into()),
                 () = &mut pause => return Ok(()),
-                Some((worker, word)) = self.heard.recv(), if self.put_off.len() < Self::PUT_OFF => {
-                    self.put_off(worker, word);
+                Some((worker, event)) = self.heard.recv(), if self.put_off.len() < Self::PUT_OFF => {
+                    self.put_off(worker, event);
                 }
                 Some(call) = doors.calls.recv() => self.turn_away(call, &error, pending),
                 Some(watcher) = self.watchers.recv() => self.show(watcher),
@@ -86,17 +86,17 @@ impl<Q: Queue> Actor<Q> {
     }
 
     /// A heartbeat is answered, everything else is heard later.
-    fn put_off(&mut self, worker: WorkerId, word: SessionEvent) {
-        if let SessionEvent::Said(said) = &word
-            && let FromWorker::Heartbeat { number, spent, .. } = &**said
+    fn put_off(&mut self, worker: WorkerId, event: SessionEvent) {
+        if let SessionEvent::Said(said) = &event
+            && let FromWorker::Heartbeat { number, usage, .. } = &**said
         {
             let leases = self.scheduler.leases(worker, self.clock.now());
             self.tell(worker, ToWorker::Renewed { heartbeat: *number, leases });
-            if spent.is_empty() {
+            if usage.is_empty() {
                 return;
             }
         }
-        self.put_off.push_back((worker, word));
+        self.put_off.push_back((worker, event));
     }
 
     /// Whoever asked and went away does not hear it.

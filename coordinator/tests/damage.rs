@@ -110,8 +110,8 @@ impl Hand {
     }
 
     /// Whether what it says of a lease is accepted.
-    async fn says(&mut self, epoch: Epoch, word: FromWorker) -> bool {
-        self.out.send(word).await;
+    async fn says(&mut self, epoch: Epoch, message: FromWorker) -> bool {
+        self.out.send(message).await;
         loop {
             match self.incoming.next().await.unwrap().expect("the session goes on") {
                 ToWorker::Accepted { epoch: of, .. } if of == epoch => return true,
@@ -155,7 +155,7 @@ async fn every_report_is_answered_and_its_log_is_kept() {
     let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
     let id = client.submit(None, JobSpec { frames: vec![1, 2, 3], ..spec(bundle.digest) }).await.unwrap();
     let stored = client.put(Bytes::from_static(b"a long log")).await.unwrap();
-    let mut told = Vec::new();
+    let mut reported = Vec::new();
     for case in 0..3 {
         // A worker whose surroundings have failed rests: each is another one.
         let mut hand = Hand::join(&farm.url()).await;
@@ -167,7 +167,7 @@ async fn every_report_is_answered_and_its_log_is_kept() {
         let failure = Failure::Panicked { message: "oops".into() };
         let log = |attempt, text| Some(TaskLog { attempt, seconds: 0.25, text });
         let [inline, stored] = [LogText::Inline(format!("log {case}")), LogText::Stored(stored)];
-        let (word, counts) = match case {
+        let (message, counts) = match case {
             0 => {
                 let log = log(Attempt::Done, inline);
                 (FromWorker::Completed { task, epoch, result, log, usage: None }, true)
@@ -178,13 +178,13 @@ async fn every_report_is_answered_and_its_log_is_kept() {
             }
             _ => (FromWorker::Failed { task, epoch, failure, log: log(Attempt::Failed, stored), usage: None }, true),
         };
-        let (FromWorker::Completed { log, .. } | FromWorker::Failed { log, .. }) = &word else { unreachable!() };
-        told.push((epoch, log.clone().unwrap()));
-        assert_eq!(hand.says(epoch, word).await, counts, "report {case}");
+        let (FromWorker::Completed { log, .. } | FromWorker::Failed { log, .. }) = &message else { unreachable!() };
+        reported.push((epoch, log.clone().unwrap()));
+        assert_eq!(hand.says(epoch, message).await, counts, "report {case}");
     }
     let mut kept = client.logs(id, Tick(0)).await.unwrap();
     kept.sort_by_key(|record| record.epoch);
-    assert_eq!(kept.into_iter().map(|record| (record.epoch, record.log)).collect::<Vec<_>>(), told);
+    assert_eq!(kept.into_iter().map(|record| (record.epoch, record.log)).collect::<Vec<_>>(), reported);
     farm.stop().await.unwrap();
 }
 
@@ -280,14 +280,14 @@ async fn held_at(
 ) -> (String, tokio::sync::oneshot::Receiver<()>, tokio::sync::oneshot::Sender<()>) {
     let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
     let url = format!("http://{}", listener.local_addr().unwrap());
-    let ((say, said), (go_on, told)) = (tokio::sync::oneshot::channel(), tokio::sync::oneshot::channel());
+    let ((say, said), (go_on, may_go_on)) = (tokio::sync::oneshot::channel(), tokio::sync::oneshot::channel());
     tokio::spawn(async move {
         let (mut from_client, mut to_client) = listener.accept().await.unwrap().0.into_split();
         let (mut from_server, mut to_server) = TcpStream::connect(server).await.unwrap().into_split();
         tokio::spawn(async move { tokio::io::copy(&mut from_client, &mut to_server).await });
         tokio::io::copy(&mut (&mut from_server).take(bytes as u64), &mut to_client).await.unwrap();
         say.send(()).unwrap();
-        told.await.unwrap();
+        may_go_on.await.unwrap();
         let _ = tokio::io::copy(&mut from_server, &mut to_client).await;
     });
     (url, said, go_on)

@@ -116,16 +116,16 @@ async fn what_no_job_refers_to_goes_and_a_dry_run_says_so_before() {
 #[tokio::test]
 async fn what_a_submission_was_told_is_there_stays_until_it_is_submitted() {
     let farm = Farm::start().await;
-    let (told, untold) = (scene("told"), scene("untold"));
-    for bytes in told.iter().chain(&untold) {
+    let (asked, unasked) = (scene("told"), scene("untold"));
+    for bytes in asked.iter().chain(&unasked) {
         farm.stray(bytes).await;
     }
     farm.age();
-    assert_eq!(farm.client.missing(&digests(&told)).await.unwrap(), []);
+    assert_eq!(farm.client.missing(&digests(&asked)).await.unwrap(), []);
     let found = farm.client.collect(CollectMode::Remove, HOUR).await.unwrap();
     assert_eq!((found.young.artifacts, found.garbage.artifacts), (6, 6));
-    farm.client.submit(None, job(&told)).await.unwrap();
-    let refused = farm.client.submit(None, job(&untold)).await.unwrap_err();
+    farm.client.submit(None, job(&asked)).await.unwrap();
+    let refused = farm.client.submit(None, job(&unasked)).await.unwrap_err();
     assert!(matches!(refused, CallError::Refused(Refusal::MissingArtifacts { .. })), "{refused}");
     let found = farm.client.collect(CollectMode::Remove, HOUR).await.unwrap();
     assert_eq!((found.referenced.artifacts, found.garbage.artifacts), (6, 0));

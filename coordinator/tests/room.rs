@@ -163,7 +163,7 @@ async fn a_full_log_ends_nothing_tells_nothing_and_goes_on_when_there_is_room() 
     assert!(matches!(report.health, Health::Waits { message } if message.contains("no room")));
     assert!(report.page.contains("femc_log_waits_for_room 1"));
     for number in 1..=3 {
-        out.send(FromWorker::Heartbeat { number, tasks: vec![], spent: vec![] }).await;
+        out.send(FromWorker::Heartbeat { number, tasks: vec![], usage: vec![] }).await;
         let answered = |message| match message {
             ToWorker::Renewed { heartbeat, .. } => Some(heartbeat),
             ToWorker::Accepted { .. } => panic!("told before it was durable"),

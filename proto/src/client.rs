@@ -268,8 +268,8 @@ impl Client {
         let outgoing = Outgoing(send);
         outgoing.send(FromWorker::Register(registration)).await;
         let mut client = WorkersClient::new(self.channel.clone()).max_decoding_message_size(MESSAGE);
-        let words = together(ReceiverStream::new(receive).map(wire::FromWorker::from));
-        let reply = client.session(words).await.map_err(|status| self.error(&status))?;
+        let messages = together(ReceiverStream::new(receive).map(wire::FromWorker::from));
+        let reply = client.session(messages).await.map_err(|status| self.error(&status))?;
         Ok((outgoing, Incoming { url: self.url().into(), stream: reply.into_inner(), waiting: VecDeque::new() }))
     }
 }

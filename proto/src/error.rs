@@ -13,7 +13,7 @@ pub enum CallError {
     /// The address makes no sense.
     #[error("{url} is no address of a coordinator: {message}")]
     Address {
-        /// As given.
+        /// Address of the coordinator.
         url: String,
         /// What is wrong with it.
         message: String,
@@ -21,19 +21,19 @@ pub enum CallError {
     /// The address asks for an identity, and none was given.
     #[error("{url} is encrypted, which takes an identity or a token")]
     NoIdentity {
-        /// As given.
+        /// Address of the coordinator.
         url: String,
     },
     /// A token would cross a network where others can read it.
     #[error("{url} is neither encrypted nor on this machine: the token is not sent there")]
     OpenToken {
-        /// As given.
+        /// Address of the coordinator.
         url: String,
     },
     /// The address is encrypted, and by the token alone the coordinator cannot be known.
     #[error("{url} is encrypted, and the token's file has no certificate of the farm's authority")]
     NoAuthority {
-        /// As given.
+        /// Address of the coordinator.
         url: String,
     },
     /// Nobody answers there, or the connection broke.
@@ -41,12 +41,12 @@ pub enum CallError {
     Unreachable {
         /// The address.
         url: String,
-        /// What the transport said.
+        /// Error of the transport.
         message: String,
-        /// What that means.
+        /// Cause, as far as the error tells it.
         why: Why,
     },
-    /// The coordinator said no.
+    /// The coordinator refused the call.
     #[error(transparent)]
     Refused(#[from] Refusal),
     /// The answer makes no sense.
@@ -57,7 +57,7 @@ pub enum CallError {
     Status {
         /// gRPC's code.
         code: String,
-        /// What it said.
+        /// Message of the server.
         message: String,
     },
 }

@@ -29,7 +29,7 @@ pub use look::{Found, look};
 pub use net::{Dial, Dialing, Io, Link};
 pub use server::{
     AttemptPage, Backup, Call, CollectMode, Collected, Entrance, JobShape, LEAST_GRACE, Listing, References, Reply,
-    Server, Session, Traffic, Volume, Words,
+    Server, Session, Traffic, Volume, WorkerMessages,
 };
 pub use tonic::transport::server::{Connected, TcpIncoming};
 

@@ -12,7 +12,7 @@ use crate::addresses::Addresses;
 pub enum Found {
     /// Nobody takes connections there, or there is no such place.
     Nobody {
-        /// What the system said.
+        /// Error of the operating system.
         message: String,
     },
     /// Somebody who speaks HTTP/2 in the open, as a coordinator without an identity does.

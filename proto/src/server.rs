@@ -56,7 +56,7 @@ use wire::workers_server::WorkersServer;
 /// What a job is made of.
 #[derive(Debug, Clone, PartialEq)]
 pub struct JobShape {
-    /// As submitted.
+    /// Specification of the job, as submitted.
     pub spec: Box<JobSpec>,
     /// How its tasks are cut.
     pub cut: Cut,
@@ -97,65 +97,65 @@ pub enum Call {
     },
     /// Every job.
     List {
-        /// As they are now.
+        /// Status of all jobs.
         reply: Reply<Listing>,
     },
     /// One job.
     Status {
-        /// Which.
+        /// The job.
         job: JobId,
-        /// Now.
+        /// Status of the job at this moment.
         reply: Reply<JobStatus>,
     },
     /// One job, as it changes.
     Watch {
-        /// Which.
+        /// The job.
         job: JobId,
         /// Its status now and later; closed after its end.
         reply: Reply<watch::Receiver<JobStatus>>,
     },
     /// Steer a job.
     Control {
-        /// Which.
+        /// The job.
         job: JobId,
-        /// How.
+        /// What is done to the job.
         control: Control,
-        /// When it is durable.
+        /// Sent when the control is durable.
         reply: Reply<()>,
     },
     /// What there is of a job's frames in work.
     Parts {
-        /// Which.
+        /// The job.
         job: JobId,
-        /// Ascending.
+        /// Answer, in ascending order of frames.
         reply: Reply<Vec<FrameParts>>,
     },
     /// The finished frames of a job.
     Frames {
-        /// Which.
+        /// The job.
         job: JobId,
-        /// Ascending.
+        /// Answer, in ascending order of frames.
         reply: Reply<Vec<FrameRecord>>,
     },
     /// What workers wrote down while they did the job's tasks.
     Logs {
-        /// Which.
+        /// The job.
         job: JobId,
         /// Of attempts reported then or later.
         since: Tick,
-        /// Oldest first.
+        /// Records, oldest first.
         reply: Reply<Vec<LogRecord>>,
     },
     /// What a job is made of.
     Shape {
-        /// Which.
+        /// The job.
         job: JobId,
-        /// As it is.
+        /// Specification of the job and its cut into tasks.
         reply: Reply<JobShape>,
     },
     /// What the attempts at a job's tasks took.
     Attempts {
-        /// Which.
+        /// The job.
         job: JobId,
         /// 0, or the `next` of the page before.
         from: u64,
@@ -169,55 +169,55 @@ pub enum Call {
     },
     /// Give workers no more tasks, or tasks again.
     Drain {
-        /// Which.
+        /// Name of the worker.
         worker: WorkerName,
-        /// How.
+        /// Whether the drain begins or ends.
         drain: Drain,
         /// The sessions that it was done to, when it is durable.
         reply: Reply<Vec<WorkerId>>,
     },
     /// What all jobs refer to.
     References {
-        /// When all before it is durable.
+        /// Sent when all earlier calls are durable.
         reply: Reply<References>,
     },
     /// A copy of the log, and what it refers to.
     Backup {
-        /// When all before it is durable.
+        /// Sent when all earlier calls are durable.
         reply: Reply<Backup>,
     },
     /// An artifact that somebody wanted is not in the store, or was damaged and is removed.
     Lost {
-        /// Which.
+        /// Digest of the artifact.
         digest: Digest,
-        /// When what follows is durable.
+        /// Sent when all that follows from the loss is durable.
         reply: Reply<()>,
     },
     /// A worker has come.
     Session(Box<Session>),
 }
 
-/// A worker's session. It ends when `out` is dropped, or when `words` does.
+/// A worker's session. It ends when `out` is dropped, or when `messages` does.
 #[derive(Debug)]
 pub struct Session {
-    /// How it introduced itself.
+    /// Registration of the worker.
     pub registration: Registration,
-    /// What it says.
-    pub words: Words,
-    /// What it hears.
+    /// Messages from the worker.
+    pub messages: WorkerMessages,
+    /// Messages to the worker.
     pub out: mpsc::Sender<ToWorker>,
 }
 
 /// What a worker says after it registered.
 #[derive(Debug)]
-pub struct Words {
+pub struct WorkerMessages {
     stream: Streaming<wire::FromWorker>,
     /// Came together with the one before.
     waiting: VecDeque<wire::FromWorker>,
     caller: Option<Arc<Caller>>,
 }
 
-impl Words {
+impl WorkerMessages {
     pub(crate) fn new(stream: Streaming<wire::FromWorker>, caller: Option<Arc<Caller>>) -> Self {
         Self { stream, waiting: VecDeque::new(), caller }
     }
@@ -242,9 +242,9 @@ impl Words {
 /// The three services, health and reflection on one port.
 #[derive(Debug, Clone)]
 pub struct Server {
-    /// Where calls go.
+    /// Queue of calls to the coordinator.
     calls: mpsc::Sender<Call>,
-    /// Where artifacts live.
+    /// Store of the artifacts.
     store: Store,
     uploads: Uploads,
     places: Places,

@@ -53,7 +53,7 @@ fn are_digests(all: &[bytes::Bytes]) -> bool {
 }
 
 /// As a session takes them apart.
-fn words<W, M>(wire: W) -> bool
+fn messages<W, M>(wire: W) -> bool
 where
     W: Many + Default + From<M>,
     M: TryFrom<W, Error = ConvertError>,
@@ -111,8 +111,8 @@ pub const DECODERS: &[Decoder] = decoders! {
     ListWorkersReply => |wire| each::<_, WorkerStatus>(wire.workers);
     DrainWorkersRequest => there_and_back::<_, (WorkerName, Drain)>;
     DrainWorkersReply => |_| true;
-    FromWorker => words::<_, FromWorker>;
-    ToWorker => words::<_, ToWorker>;
+    FromWorker => messages::<_, FromWorker>;
+    ToWorker => messages::<_, ToWorker>;
     MissingRequest => |wire| are_digests(&wire.digests);
     MissingReply => |wire| are_digests(&wire.digests);
     OfferRequest => |wire| digest("digest", &wire.digest).is_ok();

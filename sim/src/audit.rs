@@ -17,7 +17,7 @@ pub enum Violation {
     /// Somebody's jobs did not come to their end in time.
     #[error("{jobs} people still wait for their jobs")]
     Unfinished {
-        /// How many people.
+        /// Number of people whose jobs have not ended.
         jobs: usize,
     },
     /// A job did not end within its time.
@@ -47,7 +47,7 @@ pub enum Violation {
     /// The log counts a sample of a tile twice, or a merge.
     #[error("{task} counts twice, in part at least: under epoch {} and under {}", .epochs[0].0, .epochs[1].0)]
     Twice {
-        /// Which.
+        /// The task.
         task: TaskKey,
         /// Of its two results.
         epochs: [Epoch; 2],
@@ -65,25 +65,25 @@ pub enum Violation {
     /// A result was acknowledged, and the log does not have it.
     #[error("{task} under epoch {} was acknowledged and is not in the log", .epoch.0)]
     Forgotten {
-        /// Which.
+        /// The task.
         task: TaskKey,
-        /// Of its lease.
+        /// Epoch of its lease.
         epoch: Epoch,
     },
     /// The log counts a result that nobody was asked for.
     #[error("{task} under epoch {} counts and was never leased", .epoch.0)]
     Unleased {
-        /// Which.
+        /// The task.
         task: TaskKey,
-        /// Of its result.
+        /// Epoch of its result.
         epoch: Epoch,
     },
     /// A result counts although its lease was over: the task had been given out anew.
     #[error("{task} counts under epoch {}, and was leased anew under {}", .epoch.0, .later.0)]
     Superseded {
-        /// Which.
+        /// The task.
         task: TaskKey,
-        /// Of its result.
+        /// Epoch of its result.
         epoch: Epoch,
         /// Of the lease that held.
         later: Epoch,
@@ -91,9 +91,9 @@ pub enum Violation {
     /// A result counts in a frame of another build of the engine.
     #[error("{task} counts under epoch {}, of the build {build:?} in a frame of the build {frame:?}", .epoch.0)]
     Foreign {
-        /// Which.
+        /// The task.
         task: TaskKey,
-        /// Of its lease.
+        /// Epoch of its lease.
         epoch: Epoch,
         /// Of its worker; empty: nobody's.
         build: String,
@@ -113,43 +113,43 @@ pub enum Violation {
     /// A result counts, and what it took was noted more often or less.
     #[error("{task} under epoch {} counts, and what it took was noted {times} times", .epoch.0)]
     Noted {
-        /// Which.
+        /// The task.
         task: TaskKey,
-        /// Of its lease.
+        /// Epoch of its lease.
         epoch: Epoch,
-        /// How often.
+        /// Number of notes.
         times: u64,
     },
     /// What an attempt took was noted as that of a result, which does not count.
     #[error("what {task} took under epoch {} was noted as that of a result, and it does not count", .epoch.0)]
     NotedForNothing {
-        /// Which.
+        /// The task.
         task: TaskKey,
-        /// Of its lease.
+        /// Epoch of its lease.
         epoch: Epoch,
     },
     /// The job's account does not agree with what was done.
     #[error("the account says {found} {what}, it should be {expected}")]
     Account {
-        /// Of what.
+        /// Name of the quantity.
         what: &'static str,
-        /// As told.
+        /// Value in the account.
         found: u64,
-        /// As it should be.
+        /// Value that it should have.
         expected: u64,
     },
     /// One of many jobs went wrong.
     #[error("job {job}: {violation}")]
     OfJob {
-        /// Which.
+        /// The job.
         job: JobId,
-        /// How.
+        /// The violation.
         violation: Box<Violation>,
     },
     /// What should stay as it is has grown.
     #[error("{what} grew from {before} to {after} on the average")]
     Growth {
-        /// What.
+        /// Name of the quantity.
         what: &'static str,
         /// In the first half.
         before: u64,
@@ -179,15 +179,15 @@ pub enum Violation {
     /// A task was given out that reads what is done for its content, and that was not done by its build.
     #[error("{task} is leased under epoch {}, and what its frame shares is not there", .epoch.0)]
     Unserved {
-        /// Which.
+        /// The task.
         task: TaskKey,
-        /// Of the lease.
+        /// Epoch of the lease.
         epoch: Epoch,
     },
     /// A worker does what jobs share and none of them waits for.
     #[error("a worker holds {task}, and nobody waits for it")]
     Unwanted {
-        /// Which.
+        /// The task.
         task: TaskKey,
     },
     /// A job has the number of an earlier one.
@@ -209,7 +209,7 @@ pub enum Violation {
     Unasked {
         /// The job.
         job: JobId,
-        /// What was done to it.
+        /// Control that the person asked for.
         control: Control,
     },
     /// What a person did to a job was acknowledged, and the log does not have it.
@@ -217,7 +217,7 @@ pub enum Violation {
     Unwritten {
         /// The job.
         job: JobId,
-        /// What was done to it.
+        /// Control that the person asked for.
         control: Control,
     },
     /// What a person wanted was refused because the job had ended, which it had not.
@@ -225,27 +225,27 @@ pub enum Violation {
     Refused {
         /// The job.
         job: JobId,
-        /// What was wanted.
+        /// Control that was asked for.
         control: Control,
     },
     /// A result counts of a job that had ended.
     #[error("{task} counts under epoch {}, and its job had ended", .epoch.0)]
     AfterEnd {
-        /// Which.
+        /// The task.
         task: TaskKey,
-        /// Of its result.
+        /// Epoch of its result.
         epoch: Epoch,
     },
     /// A job was forgotten before its time.
     #[error("job {job} was forgotten before its time")]
     ForgottenEarly {
-        /// Which.
+        /// The job.
         job: JobId,
     },
     /// A job is gone, and nobody has forgotten it.
     #[error("job {job} is gone")]
     Gone {
-        /// Which.
+        /// The job.
         job: JobId,
     },
     /// A worker that an operator had drained got a task.
@@ -256,54 +256,54 @@ pub enum Violation {
     },
     /// An answer is not what the log said then.
     #[error("somebody was told of job {job}: {what}; the log never said so")]
-    Told {
+    Answer {
         /// The job.
         job: JobId,
-        /// As told.
+        /// What the answer said.
         what: String,
     },
     /// A task is said to have failed more often than it has, or was put aside too soon.
-    #[error("{task} is put aside after {told} attempts, as somebody was told; by the log it failed {logged} times")]
+    #[error("{task} is put aside after {answered} attempts, as somebody was told; by the log it failed {logged} times")]
     Attempts {
-        /// Which.
+        /// The task.
         task: TaskKey,
-        /// As told.
-        told: u32,
-        /// As the log has it.
+        /// Attempts that an answer stated.
+        answered: u32,
+        /// Failed attempts in the log.
         logged: u32,
     },
     /// A task that was put aside was given out.
     #[error("{task} is leased under epoch {}, and was put aside before", .epoch.0)]
     Aside {
-        /// Which.
+        /// The task.
         task: TaskKey,
-        /// Of the lease.
+        /// Epoch of the lease.
         epoch: Epoch,
     },
     /// The attempts of a task that is put aside have become fewer, and nobody has tried it again.
-    #[error("{task} was put aside after {before} attempts, and now after {told}")]
+    #[error("{task} was put aside after {before} attempts, and now after {answered}")]
     Fewer {
-        /// Which.
+        /// The task.
         task: TaskKey,
-        /// As told before.
+        /// Attempts that an earlier answer stated.
         before: u32,
-        /// As told now.
-        told: u32,
+        /// Attempts that the latest answer stated.
+        answered: u32,
     },
     /// The log counts more failures of a task than were reported, a lease and its copy being one attempt.
     #[error("the log counts {counted} failed attempts of {task}, and {reported} were reported")]
     Failures {
-        /// Which.
+        /// The task.
         task: TaskKey,
-        /// By the log.
+        /// Failed attempts in the log.
         counted: usize,
-        /// By workers.
+        /// Failed attempts that workers reported.
         reported: usize,
     },
     /// A task is said to have made no progress, and every task here does.
     #[error("{task} is said to have made no progress")]
     Stalled {
-        /// Which.
+        /// The task.
         task: TaskKey,
     },
     /// An owner is charged less than before, or not for the time that workers held something of his.
@@ -335,33 +335,33 @@ pub enum Violation {
     /// A report was refused because its lease was over, and its worker had not been told.
     #[error("the lease of {task} under epoch {} ended, and its worker was not told", .epoch.0)]
     Silent {
-        /// Which.
+        /// The task.
         task: TaskKey,
-        /// Of the lease.
+        /// Epoch of the lease.
         epoch: Epoch,
     },
     /// A frame's seconds are not those of its results.
-    #[error("frame {frame} took {told} ms, as somebody was told; its results took {logged} ms")]
+    #[error("frame {frame} took {answered} ms, as somebody was told; its results took {logged} ms")]
     Busy {
         /// Frame number.
         frame: u32,
-        /// As told, in milliseconds.
-        told: u64,
-        /// By the log, in milliseconds.
+        /// Time that an answer stated, in milliseconds.
+        answered: u64,
+        /// Time by the log, in milliseconds.
         logged: u64,
     },
     /// Something was removed from the store that the log names.
     #[error("{digest} was removed, and the log names it")]
     Removed {
-        /// Which.
+        /// Digest of the artifact.
         digest: Digest,
     },
     /// Something is in the store that nobody needs, or is not there and somebody does.
     #[error("after a collection of garbage {left} artifacts are left that nothing names, and {missing} are missing")]
     Garbage {
-        /// Too much.
+        /// Artifacts that nothing names.
         left: u64,
-        /// Too little.
+        /// Artifacts that are named and missing.
         missing: u64,
     },
     /// A person's upload failed though nothing was wrong with the farm.
@@ -373,13 +373,13 @@ pub enum Violation {
     /// A snapshot was made of a log that was short.
     #[error("a snapshot was made of {records} records")]
     Snapshot {
-        /// Beside the snapshot before.
+        /// Records of the log since the snapshot before.
         records: usize,
     },
     /// A coordinator came to its end because its log's disk was full.
     #[error("a full disk ended a coordinator: {message}")]
     Ended {
-        /// What it said.
+        /// Error of the coordinator.
         message: String,
     },
     /// The log cannot be read.

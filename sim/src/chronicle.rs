@@ -356,14 +356,14 @@ impl Chronicle {
     /// Whether an answer is what the log said at some moment since `place`.
     pub(crate) fn agrees(&self, status: &JobStatus, place: Place) -> Option<Violation> {
         let job = status.job;
-        let told = |what: String| Some(Violation::Told { job, what });
+        let wrong = |what: String| Some(Violation::Answer { job, what });
         let Some(record) = self.jobs.get(&job) else {
             let is_known = self.has_forgotten(job);
-            return if is_known { None } else { told("there is such a job".into()) };
+            return if is_known { None } else { wrong("there is such a job".into()) };
         };
         let spec = &record.spec;
         if (&status.name, &status.owner, status.frames_total as usize) != (&spec.name, &spec.owner, spec.frames.len()) {
-            return told(format!("it is {} of {}", status.name, status.owner));
+            return wrong(format!("it is {} of {}", status.name, status.owner));
         }
         let frames = status.frames_total;
         let is_so = |standing: Standing| {
@@ -380,7 +380,7 @@ impl Chronicle {
         };
         if !record.since(place).any(is_so) {
             let JobStatus { state, frames_done, frames_failed, priority, .. } = status;
-            return told(format!("{state:?}, {frames_done} frames done, {frames_failed} failed, priority {priority}"));
+            return wrong(format!("{state:?}, {frames_done} frames done, {frames_failed} failed, priority {priority}"));
         }
         let trouble = |task: &TaskKey| self.jobs.get(&task.job)?.troubles.get(&tried(*task));
         let tries = |task: &TaskKey| trouble(task).map_or(0, Trouble::tries);
@@ -389,7 +389,7 @@ impl Chronicle {
             !is_known && !self.has_forgotten(it.task.job) && !self.is_retried_since(it.task.job, place)
         };
         let invented = status.quarantined.iter().find(is_invented);
-        invented.map(|it| Violation::Attempts { task: it.task, told: it.attempts, logged: tries(&it.task) })
+        invented.map(|it| Violation::Attempts { task: it.task, answered: it.attempts, logged: tries(&it.task) })
     }
 
     /// Whether somebody gave the job's tasks another chance since `place`.

@@ -97,7 +97,7 @@ impl Contents {
 }
 
 /// What a record says of an instance, for the account of what came about.
-pub(crate) fn deed(fact: &Fact) -> Option<&'static str> {
+pub(crate) fn fact_name(fact: &Fact) -> Option<&'static str> {
     match fact {
         Fact::Shared { .. } => Some("shared stages begun"),
         Fact::Restarted { job, .. } if job.is_shared() => Some("shared stages begun anew"),

@@ -8,8 +8,8 @@ use femc_queue::{Batch, Contents, Note, Page, Queue, QueueError};
 use femc_schedule::{Evidence, Fact, Ledger, SnapshotError};
 
 use crate::audit::{Violation, settled};
-use crate::contents::deed;
-use crate::promises::Told;
+use crate::contents::fact_name;
+use crate::promises::Answers;
 use crate::shared::{Shared, State, Trap};
 
 /// Longest that the disk takes before and after a write.
@@ -86,7 +86,7 @@ impl State {
         self.leases.anew();
         self.chronicle.anew();
         self.shares.anew();
-        self.told = Told::default();
+        self.answers = Answers::default();
         self.accepted.clear();
         self.reported.clear();
         self.robbed.clear();
@@ -204,9 +204,9 @@ impl Queue for Log {
             let now = turmoil::sim_elapsed().unwrap_or_default();
             for (tick, fact) in records.iter().filter_map(|record| Fact::decode(record).ok()) {
                 let leased = state.leases.judge(&fact);
-                let said = state.chronicle.take(tick, &fact, now, &state.told.controls);
+                let said = state.chronicle.take(tick, &fact, now, &state.answers.controls);
                 state.wrong.extend(leased.into_iter().chain(said));
-                deed(&fact).into_iter().for_each(|deed| state.did(deed));
+                fact_name(&fact).into_iter().for_each(|name| state.did(name));
                 state.shares.divide(&state.chronicle.payers_of_shared(), now);
                 match &fact {
                     Fact::Used { owners } => {

@@ -90,7 +90,7 @@ fn print(args: &Args, soaked: &Soaked) {
         );
     }
     soaked.fired.iter().for_each(|(fault, times)| println!("  {times:6} {fault}"));
-    soaked.deeds.iter().for_each(|(deed, times)| println!("  {times:6} {deed}"));
+    soaked.counts.iter().for_each(|(what, times)| println!("  {times:6} {what}"));
     soaked.violations.iter().for_each(|violation| println!("seed {}: {violation}", args.seed));
     println!(
         "seed {}: {:.0} simulated s, {} violations; at most {} records in the log; world {}",

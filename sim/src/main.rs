@@ -53,7 +53,7 @@ struct Sum {
     simulated_seconds: f64,
     stale_messages: u64,
     fired: BTreeMap<String, u64>,
-    deeds: BTreeMap<String, u64>,
+    counts: BTreeMap<String, u64>,
 }
 
 impl Sum {
@@ -65,8 +65,8 @@ impl Sum {
         for (fault, times) in other.fired {
             *self.fired.entry(fault).or_default() += times;
         }
-        for (deed, times) in other.deeds {
-            *self.deeds.entry(deed).or_default() += times;
+        for (what, times) in other.counts {
+            *self.counts.entry(what).or_default() += times;
         }
     }
 }
@@ -93,7 +93,7 @@ fn main() -> anyhow::Result<ExitCode> {
             begun.elapsed().as_secs_f64(),
             sum.stale_messages
         );
-        sum.fired.iter().chain(&sum.deeds).for_each(|(what, times)| println!("  {times:6} {what}"));
+        sum.fired.iter().chain(&sum.counts).for_each(|(what, times)| println!("  {times:6} {what}"));
     }
     Ok(if sum.wrong.is_empty() { ExitCode::SUCCESS } else { ExitCode::FAILURE })
 }
@@ -120,7 +120,7 @@ fn here(args: &Args) -> anyhow::Result<Sum> {
             simulated_seconds: outcome.seconds,
             stale_messages: outcome.stale,
             fired,
-            deeds: outcome.deeds.into_iter().map(|(deed, times)| (deed.to_owned(), times)).collect(),
+            counts: outcome.counts.into_iter().map(|(what, times)| (what.to_owned(), times)).collect(),
         });
     }
     Ok(sum)

@@ -269,10 +269,10 @@ impl Person<'_> {
                 wrong.push(Violation::Result { frame, found, expected });
             }
             let busy = self.shared.lock().chronicle.busy(job, record.frame);
-            let [told, logged] = [record.busy_seconds, busy.unwrap_or(record.busy_seconds)];
-            if (told - logged).abs() > 1e-6 {
-                let [told, logged] = [told, logged].map(|seconds| (seconds * 1000.0) as u64);
-                wrong.push(Violation::Busy { frame: record.frame, told, logged });
+            let [answered, logged] = [record.busy_seconds, busy.unwrap_or(record.busy_seconds)];
+            if (answered - logged).abs() > 1e-6 {
+                let [answered, logged] = [answered, logged].map(|seconds| (seconds * 1000.0) as u64);
+                wrong.push(Violation::Busy { frame: record.frame, answered, logged });
             }
         }
         Ok(wrong)
@@ -282,12 +282,12 @@ impl Person<'_> {
     async fn waits(&mut self, asked: Asked, job: JobId, errand: &Errand) -> Option<JobStatus> {
         loop {
             let now = self.shared.asks();
-            let told = answer(self.shared, asked, &async |client: Client| client.status(job).await).await;
+            let status = answer(self.shared, asked, &async |client: Client| client.status(job).await).await;
             if self.shared.is_over(asked) {
                 return None;
             }
-            self.shared.hears_status(now, job, &told);
-            match told {
+            self.shared.hears_status(now, job, &status);
+            match status {
                 Ok(status) if status.state.has_ended() => return Some(status),
                 Err(Refusal::NoSuchJob { .. }) => {
                     self.shared.lock().did("forgotten before anybody looked");

@@ -10,7 +10,7 @@ use crate::shared::Shared;
 
 /// What people asked for, and what they were told of this log.
 #[derive(Debug, Default)]
-pub(crate) struct Told {
+pub(crate) struct Answers {
     /// What people asked for, whether they heard an answer or not.
     pub(crate) controls: Vec<(JobId, Control)>,
     /// Jobs by the key that somebody submitted them with, and how long the log was when he was first told.
@@ -19,7 +19,7 @@ pub(crate) struct Told {
     aside: BTreeMap<TaskKey, (u32, [Place; 2])>,
 }
 
-impl Told {
+impl Answers {
     pub(crate) fn forget_until(&mut self, last: JobId) {
         self.controls.retain(|(job, _)| *job > last);
         self.keys.retain(|_, (job, _)| *job > last);
@@ -61,7 +61,7 @@ impl Shared {
     pub(crate) fn hears_job(&self, asked: Asked, key: &str, job: JobId) {
         self.heard(asked, |state| {
             let heard = (job, state.chronicle.place());
-            let known = state.told.keys.entry(key.to_owned()).or_insert(heard);
+            let known = state.answers.keys.entry(key.to_owned()).or_insert(heard);
             let before = (known.0 != job).then(|| std::mem::replace(known, heard).0);
             let has_forgotten = before.is_some_and(|before| state.chronicle.has_forgotten(before));
             let moved = |before| Violation::KeyMoved { key: key.to_owned(), jobs: [before, job] };
@@ -74,8 +74,8 @@ impl Shared {
     /// Somebody is about to steer a job.
     pub(crate) fn steers(&self, job: JobId, control: Control) {
         let mut state = self.lock();
-        if !state.told.controls.contains(&(job, control)) {
-            state.told.controls.push((job, control));
+        if !state.answers.controls.contains(&(job, control)) {
+            state.answers.controls.push((job, control));
         }
     }
 
@@ -107,9 +107,9 @@ impl Shared {
     /// Somebody was told of all jobs.
     pub(crate) fn hears_list(&self, asked: Asked, answer: &[JobStatus]) {
         self.heard(asked, |state| {
-            let told: Vec<JobId> = answer.iter().map(|status| status.job).collect();
-            let is_missing = |(job, since): &(JobId, Place)| *since <= asked.place && !told.contains(job);
-            let missing = state.told.keys.values().copied().filter(is_missing).find_map(|(job, _)| state.gone(job));
+            let listed: Vec<JobId> = answer.iter().map(|status| status.job).collect();
+            let is_missing = |(job, since): &(JobId, Place)| *since <= asked.place && !listed.contains(job);
+            let missing = state.answers.keys.values().copied().filter(is_missing).find_map(|(job, _)| state.gone(job));
             missing.or_else(|| answer.iter().find_map(|status| state.chronicle.agrees(status, asked.place)))
         });
     }
@@ -121,16 +121,16 @@ impl crate::shared::State {
         let heard = self.chronicle.place();
         let mut wrong = None;
         for it in &status.quarantined {
-            let told = self.told.aside.get(&it.task);
-            if let Some(&(before, [since, by])) = told
+            let known = self.answers.aside.get(&it.task);
+            if let Some(&(before, [since, by])) = known
                 && by <= asked
                 && it.attempts < before
                 && !self.chronicle.is_retried_since(it.task.job, since)
             {
-                wrong = Some(Violation::Fewer { task: it.task, before, told: it.attempts });
+                wrong = Some(Violation::Fewer { task: it.task, before, answered: it.attempts });
             }
-            if told.is_none_or(|&(_, [since, _])| since <= asked) {
-                self.told.aside.insert(it.task, (it.attempts, [asked, heard]));
+            if known.is_none_or(|&(_, [since, _])| since <= asked) {
+                self.answers.aside.insert(it.task, (it.attempts, [asked, heard]));
             }
         }
         wrong

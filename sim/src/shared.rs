@@ -14,7 +14,7 @@ use crate::disk::Disk;
 use crate::faults::COORDINATORS;
 use crate::leases::Leases;
 use crate::network::Reach;
-use crate::promises::Told;
+use crate::promises::Answers;
 use crate::shares::Shares;
 
 /// A crash of the writing coordinator at a chosen write.
@@ -76,12 +76,12 @@ pub(crate) struct State {
     pub(crate) accepted: Reports,
     /// How often each kind of fault has really come about.
     pub(crate) fired: BTreeMap<&'static str, u32>,
-    /// What the log says.
+    /// History by the log.
     pub(crate) chronicle: Chronicle,
-    /// What people were told.
-    pub(crate) told: Told,
+    /// What people asked for and were answered.
+    pub(crate) answers: Answers,
     /// What people did, and how jobs ended.
-    pub(crate) deeds: BTreeMap<&'static str, u64>,
+    pub(crate) counts: BTreeMap<&'static str, u64>,
     /// People who wait for their jobs.
     pub(crate) left: usize,
     /// Messages that changed nothing, of jobs that ended.
@@ -125,8 +125,8 @@ impl Shared {
             accepted: BTreeSet::new(),
             fired: BTreeMap::new(),
             chronicle: Chronicle::default(),
-            told: Told::default(),
-            deeds: BTreeMap::new(),
+            answers: Answers::default(),
+            counts: BTreeMap::new(),
             left: 0,
             stale: 0,
             shares: Shares::default(),
@@ -169,7 +169,7 @@ impl State {
 
     /// Somebody did this.
     pub(crate) fn did(&mut self, what: &'static str) {
-        *self.deeds.entry(what).or_default() += 1;
+        *self.counts.entry(what).or_default() += 1;
     }
 
     pub(crate) fn fired(&mut self, fault: &'static str) {

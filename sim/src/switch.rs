@@ -42,7 +42,7 @@ fn now() -> Duration {
 }
 
 async fn relay(session: Session, shared: Shared) {
-    let Session { registration, mut words, out } = session;
+    let Session { registration, mut messages, out } = session;
     let leader = url(&format!("c{}", shared.lock().leader));
     let (name, engine, instance) = (registration.name.clone(), registration.engine.clone(), registration.instance);
     shared.note(|| format!("{name} joins {leader} with {:?}", registration.held));
@@ -57,9 +57,9 @@ async fn relay(session: Session, shared: Shared) {
     let Ok(Ok((up, mut down))) = tokio::time::timeout(GIVE_UP, session).await else { return };
     let joined = now();
     let upwards = async {
-        while let Some(Ok(word)) = words.next().await {
-            shared.note(|| format!("{name} > {word:?}"));
-            match &word {
+        while let Some(Ok(message)) = messages.next().await {
+            shared.note(|| format!("{name} > {message:?}"));
+            match &message {
                 FromWorker::Completed { task, epoch, .. } => drop(shared.lock().reported.insert((*task, *epoch))),
                 FromWorker::Failed { task, epoch, .. } => {
                     let mut state = shared.lock();
@@ -69,7 +69,7 @@ async fn relay(session: Session, shared: Shared) {
                 }
                 _ => {}
             }
-            pass(word, &up, &shared).await;
+            pass(message, &up, &shared).await;
         }
     };
     let downwards = async {

@@ -30,7 +30,7 @@ pub struct Outcome {
     /// All that was said, one line each, if it was asked for.
     pub story: Vec<String>,
     /// What people did, and how jobs ended.
-    pub deeds: BTreeMap<&'static str, u64>,
+    pub counts: BTreeMap<&'static str, u64>,
     /// Results that came after their lease, or twice, and changed nothing.
     pub stale: u64,
 }
@@ -64,7 +64,7 @@ pub fn run(seed: u64, plan: &Planned, tells: Tells) -> anyhow::Result<Outcome> {
         trace: state.trace.finalize().to_hex().to_string(),
         story: state.story.clone().unwrap_or_default(),
         stale: state.stale,
-        deeds: state.deeds.clone(),
+        counts: state.counts.clone(),
     })
 }
 

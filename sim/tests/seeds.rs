@@ -18,7 +18,7 @@ fn some_worlds_lose_nothing_count_nothing_twice_and_come_again() {
     for seed in 0..24 {
         let outcome = run(seed, &Planned::of(seed), Tells::Outcome).unwrap();
         outcome.fired.iter().for_each(|(fault, times)| *fired.entry(fault).or_default() += times);
-        shared += outcome.deeds.get("shared stages begun").copied().unwrap_or(0);
+        shared += outcome.counts.get("shared stages begun").copied().unwrap_or(0);
         wrong.extend(outcome.violations.into_iter().map(|violation| (seed, violation)));
         if seed % 8 == 0 {
             let again = run(seed, &Planned::of(seed), Tells::Outcome).unwrap();
@@ -31,7 +31,7 @@ fn some_worlds_lose_nothing_count_nothing_twice_and_come_again() {
     let soak = Soak { seed: 1, time: Duration::from_secs(150), tells: Tells::Outcome };
     let [first, again] = [(); 2].map(|()| soak.run(|_| {}).unwrap());
     assert_eq!(first.violations, [""; 0]);
-    assert!(first.deeds["done"] > 5 && !first.fired.is_empty(), "{:?}", first.deeds);
+    assert!(first.counts["done"] > 5 && !first.fired.is_empty(), "{:?}", first.counts);
     assert_eq!(first.trace, again.trace, "the soak's seed");
     assert!(fired.len() >= 12, "most kinds of faults came about: {fired:?}");
 }

@@ -61,8 +61,8 @@ fn references_have_the_noise_that_their_notes_tell() {
         let notes: serde_json::Value = serde_json::from_str(&notes).expect("JSON");
         let reference = Reference::read(&rooms(), name);
         for (key, value) in [("mean", reference.mean()), ("noise_relmse", reference.noise())] {
-            let told = notes[key].as_f64().expect("a number");
-            assert!((value - told).abs() <= 1e-5 * told, "{name}: {key} is {value}, not {told}");
+            let noted = notes[key].as_f64().expect("a number");
+            assert!((value - noted).abs() <= 1e-5 * noted, "{name}: {key} is {value}, not {noted}");
         }
         let scene = digest(&rooms(), &room(name)).to_string();
         assert_eq!(notes["scene_blake3"], scene, "{name}: the scene is no more what the reference is of");

@@ -39,8 +39,8 @@ pub enum ClipError<E> {
 /// The version of the ffmpeg on the PATH, as it says itself; `None`: there is none that runs.
 pub fn ffmpeg() -> Option<String> {
     let ran = Command::new("ffmpeg").arg("-version").stdin(Stdio::null()).stderr(Stdio::null()).output().ok()?;
-    let told = String::from_utf8_lossy(&ran.stdout);
-    let version = told.split_whitespace().nth(2).unwrap_or("of unknown version").to_owned();
+    let output = String::from_utf8_lossy(&ran.stdout);
+    let version = output.split_whitespace().nth(2).unwrap_or("of unknown version").to_owned();
     ran.status.success().then_some(version)
 }
 
@@ -114,10 +114,10 @@ fn by_ffmpeg<E>(
     let (pipe, errors) = (encoder.0.stdin.take(), encoder.0.stderr.take());
     // It is heard while it is fed, or each would wait for the other.
     let heard = std::thread::spawn(move || {
-        let mut told = String::new();
+        let mut text = String::new();
         // What cannot be read says nothing.
-        let _ = errors.map(|mut errors| errors.read_to_string(&mut told));
-        told
+        let _ = errors.map(|mut errors| errors.read_to_string(&mut text));
+        text
     });
     let mut fed = Ok(());
     if let Some(mut pipe) = pipe {

@@ -34,7 +34,7 @@ pub struct Config {
     pub engine: String,
     /// How to reach the coordinator.
     pub dial: Dial,
-    /// Who does the tasks.
+    /// Threads that do the tasks, or a simulation of them.
     pub hands: Hands,
     /// Where results are kept until the coordinator has acknowledged them; `None`: in memory.
     pub outbox: Option<OutboxPlace>,
@@ -44,7 +44,7 @@ pub struct Config {
     pub memory: Option<MemoryLimit>,
     /// Niceness of the threads that compute, 0 to 19; `None`: as it is.
     pub nice: Option<u8>,
-    /// When it takes tasks.
+    /// Hours in which the worker takes tasks.
     pub shift: Shift,
     /// It stops after so long without a task; `None`: never.
     pub idle_limit: Option<Duration>,
@@ -177,17 +177,17 @@ pub enum WorkerError {
     /// The folder for results cannot be used.
     #[error("outbox {}: {message}", folder.display())]
     Outbox {
-        /// Which.
+        /// The folder for results.
         folder: PathBuf,
-        /// Why.
+        /// Error of the operating system.
         message: String,
     },
     /// The threads cannot have the niceness.
     #[error("niceness {niceness}: {message}")]
     Nice {
-        /// As configured.
+        /// Niceness from the configuration, 0..=19.
         niceness: u8,
-        /// What the system said.
+        /// Error of the operating system.
         message: String,
     },
     /// The render threads cannot be started.

@@ -37,7 +37,7 @@ pub(crate) fn failure(error: &CallError) -> Failure {
 #[derive(Debug, Clone)]
 pub(crate) struct Fetch {
     way: Way,
-    /// Whose inputs they are.
+    /// Task that reads these inputs.
     task: Option<Arc<Task>>,
 }
 

@@ -14,7 +14,7 @@ use crate::table::{Outcome, Task};
 #[derive(Debug, Clone)]
 pub(crate) struct Finish {
     /// Hears of every task that is done.
-    pub(crate) told: UnboundedSender<(TaskKey, Epoch)>,
+    pub(crate) done: UnboundedSender<(TaskKey, Epoch)>,
     pub(crate) outbox: Outbox,
     /// The worker's name, for logs.
     pub(crate) worker: Arc<str>,
@@ -32,7 +32,7 @@ impl Finish {
             self.outbox.keep(task);
         }
         // Without a listener the worker is ending.
-        let _ = self.told.send(task.key());
+        let _ = self.done.send(task.key());
     }
 
     /// A log that travels with the report is short; the others go to the store.

@@ -110,7 +110,7 @@ impl Journal {
     }
 
     /// The coordinator has heard of it.
-    pub(crate) fn told(&self) {
+    pub(crate) fn death_reported(&self) {
         let mut book = self.lock();
         if book.before.take().is_some() {
             book.write();
@@ -206,8 +206,8 @@ impl Page {
 
 /// Which start of this machine it is; nothing where the system does not tell.
 fn boot() -> String {
-    let told = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
-    told.trim().to_owned()
+    let boot_id = std::fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
+    boot_id.trim().to_owned()
 }
 
 fn encode(boot: &str, instance: u64, computing: &[HeldLease]) -> Result<Vec<u8>, postcard::Error> {
@@ -263,7 +263,7 @@ mod tests {
         assert_eq!(named(&open(8)), Some((7, vec![2])));
         let journal = open(9);
         assert_eq!(journal.death().map(|death| death.computing), Some(vec![second.lease()]));
-        journal.told();
+        journal.death_reported();
         assert_eq!((named(&journal), named(&open(10))), (None, None));
         journal.begin(&first);
         journal.close();

@@ -5,12 +5,12 @@
 //! task runs. When the session breaks, what runs goes on, and what is done is kept: the next session brings both along.
 #![deny(missing_docs)]
 
+mod availability;
 mod cache;
 mod claims;
 pub mod clip;
 mod clock;
 mod config;
-mod duty;
 mod execute;
 mod fetch;
 mod finish;
@@ -35,9 +35,9 @@ mod threads;
 mod upload;
 mod worker;
 
+pub use availability::{Availability, Shift};
 pub use cache::Cache;
 pub use config::{AtStop, Config, Fate, Hands, IfTaken, OutboxConfig, OutboxPlace, Pace, WorkerError};
-pub use duty::{Duty, Shift};
 pub use execute::{Video, Wish, drill_key};
 pub use journal::Journal;
 pub use log::{TASK_LOG_LEVEL, TaskLogs};

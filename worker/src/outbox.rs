@@ -67,7 +67,7 @@ struct Head {
 pub(crate) enum Outbox {
     #[default]
     Nothing,
-    Folder(Arc<Desk>),
+    Folder(Arc<WriteQueue>),
     /// And the build of the engine whose results they are.
     Drawer(Drawer, Arc<str>),
 }
@@ -108,18 +108,18 @@ impl Drawer {
 }
 
 #[derive(Debug)]
-pub(crate) struct Desk {
+pub(crate) struct WriteQueue {
     folder: PathBuf,
     line: Mutex<Line>,
     /// There is something in the line, or it is closed.
     called: Condvar,
-    clerk: Mutex<Option<JoinHandle<()>>>,
+    writer: Mutex<Option<JoinHandle<()>>>,
 }
 
 /// A lease: what a result belongs to.
 type Key = (TaskKey, Epoch);
 
-/// What the clerk has yet to do. Bounded: who is answered leaves the line.
+/// What the writer has yet to do. Bounded: who is answered leaves the line.
 #[derive(Debug, Default)]
 struct Line {
     /// Results that wait to be written, oldest first.
@@ -131,7 +131,7 @@ struct Line {
     closed: bool,
 }
 
-/// What the clerk does next.
+/// What the writer does next.
 enum Order {
     Keep(Arc<Task>),
     Forget(Key),
@@ -149,7 +149,7 @@ impl Line {
     }
 }
 
-impl Desk {
+impl WriteQueue {
     fn line(&self) -> MutexGuard<'_, Line> {
         // A panic within the few lines under this lock leaves nothing half done.
         self.line.lock().unwrap_or_else(PoisonError::into_inner)
@@ -198,45 +198,50 @@ impl Outbox {
         }
         let line = Line { there: files.keys().copied().collect(), ..Line::default() };
         let place = folder.clone();
-        let desk =
-            Arc::new(Desk { folder: place, line: Mutex::new(line), called: Condvar::new(), clerk: Mutex::default() });
-        let mut clerk = Clerk { used: files.values().sum(), files, folder, engine, limit: config.limit, _lock: lock };
-        let orders = desk.clone();
+        let queue = Arc::new(WriteQueue {
+            folder: place,
+            line: Mutex::new(line),
+            called: Condvar::new(),
+            writer: Mutex::default(),
+        });
+        let mut writer =
+            ResultWriter { used: files.values().sum(), files, folder, engine, limit: config.limit, _lock: lock };
+        let orders = queue.clone();
         let thread = std::thread::Builder::new()
             .name("outbox".into())
             .spawn(move || {
                 while let Some(order) = orders.next() {
                     match order {
                         Order::Keep(task) => {
-                            if !clerk.keep(&task) {
+                            if !writer.keep(&task) {
                                 orders.line().there.remove(&task.key());
                             }
                         }
-                        Order::Forget(key) => clerk.forget(&key),
+                        Order::Forget(key) => writer.forget(&key),
                     }
                 }
             })
             .map_err(|error| WorkerError::Threads(error.to_string()))?;
-        *desk.clerk.lock().unwrap_or_else(PoisonError::into_inner) = Some(thread);
-        Ok((Self::Folder(desk), restored))
+        *queue.writer.lock().unwrap_or_else(PoisonError::into_inner) = Some(thread);
+        Ok((Self::Folder(queue), restored))
     }
 
     /// Its folder, which no other worker uses.
     pub(crate) fn folder(&self) -> Option<&Path> {
         match self {
-            Self::Folder(desk) => Some(&desk.folder),
+            Self::Folder(queue) => Some(&queue.folder),
             Self::Nothing | Self::Drawer(..) => None,
         }
     }
 
     /// Writes a finished task's result, unless the coordinator answers before its turn comes.
     pub(crate) fn keep(&self, task: &Arc<Task>) {
-        let desk = match self {
-            Self::Folder(desk) => desk,
+        let queue = match self {
+            Self::Folder(queue) => queue,
             Self::Drawer(drawer, engine) => return drawer.keep(task, engine),
             Self::Nothing => return,
         };
-        let mut line = desk.line();
+        let mut line = queue.line();
         // Under the lock: whoever answers it after this look finds it in the line.
         if !matches!(task.outcome(), Some(Ok(_))) || task.is_cancelled() || line.closed {
             return;
@@ -246,7 +251,7 @@ impl Outbox {
             return;
         }
         line.keeps.push_back(task.clone());
-        desk.called.notify_one();
+        queue.called.notify_one();
     }
 
     /// The coordinator has answered, or the lease is over: the worker drops the task, and what is kept of it goes. In this order,
@@ -254,12 +259,12 @@ impl Outbox {
     pub(crate) fn answered(&self, table: &Table, key: &Key) -> Option<Arc<Task>> {
         let task = table.drop_task(key);
         match self {
-            Self::Folder(desk) => {
-                let mut line = desk.line();
+            Self::Folder(queue) => {
+                let mut line = queue.line();
                 line.keeps.retain(|task| task.key() != *key);
                 if line.there.remove(key) {
                     line.forgets.push_back(*key);
-                    desk.called.notify_one();
+                    queue.called.notify_one();
                 }
             }
             Self::Drawer(drawer, _) => drop(drawer.lock().remove(key)),
@@ -270,11 +275,11 @@ impl Outbox {
 
     /// Waits until all that was asked for is done.
     pub(crate) fn close(&self) {
-        let Self::Folder(desk) = self else { return };
-        desk.line().closed = true;
-        desk.called.notify_one();
-        let clerk = desk.clerk.lock().unwrap_or_else(PoisonError::into_inner).take();
-        if clerk.is_some_and(|clerk| clerk.join().is_err()) {
+        let Self::Folder(queue) = self else { return };
+        queue.line().closed = true;
+        queue.called.notify_one();
+        let writer = queue.writer.lock().unwrap_or_else(PoisonError::into_inner).take();
+        if writer.is_some_and(|writer| writer.join().is_err()) {
             tracing::warn!("the outbox's thread panicked");
         }
     }
@@ -384,7 +389,7 @@ pub(crate) fn decode(file: &Bytes, engine: &str) -> Option<Restored> {
 }
 
 /// Does the writing.
-struct Clerk {
+struct ResultWriter {
     folder: PathBuf,
     engine: Arc<str>,
     limit: u64,
@@ -393,7 +398,7 @@ struct Clerk {
     _lock: File,
 }
 
-impl Clerk {
+impl ResultWriter {
     /// Whether it is kept.
     fn keep(&mut self, task: &Task) -> bool {
         let (key, Some(Ok(product))) = (task.key(), task.outcome()) else { return false };
@@ -646,20 +651,26 @@ pub(crate) mod tests {
         let place = tempfile::tempdir().unwrap();
         let lock = File::create(place.path().join("lock")).unwrap();
         let folder = place.path().to_owned();
-        let mut clerk =
-            Clerk { folder, engine: crate::engine().into(), limit: 1 << 20, used: 0, files: Files::new(), _lock: lock };
+        let mut writer = ResultWriter {
+            folder,
+            engine: crate::engine().into(),
+            limit: 1 << 20,
+            used: 0,
+            files: Files::new(),
+            _lock: lock,
+        };
         let tasks = [task(1, b"first").await, task(2, b"second").await];
-        assert!(tasks.iter().all(|task| clerk.keep(task)));
-        let sizes = tasks.each_ref().map(|task| fs::metadata(clerk.path(&task.key())).unwrap().len());
-        assert_eq!(clerk.used, sizes.iter().sum::<u64>());
+        assert!(tasks.iter().all(|task| writer.keep(task)));
+        let sizes = tasks.each_ref().map(|task| fs::metadata(writer.path(&task.key())).unwrap().len());
+        assert_eq!(writer.used, sizes.iter().sum::<u64>());
         // Nobody can remove a folder as a file.
-        let stuck = clerk.path(&tasks[0].key());
+        let stuck = writer.path(&tasks[0].key());
         fs::remove_file(&stuck).unwrap();
         fs::create_dir(&stuck).unwrap();
-        clerk.forget(&tasks[0].key());
-        assert_eq!(clerk.used, sizes.iter().sum::<u64>());
-        clerk.forget(&tasks[1].key());
-        assert_eq!(clerk.used, sizes[0]);
+        writer.forget(&tasks[0].key());
+        assert_eq!(writer.used, sizes.iter().sum::<u64>());
+        writer.forget(&tasks[1].key());
+        assert_eq!(writer.used, sizes[0]);
         // And what a failed writing has left, if it goes.
         let left = place.path().join("left.new");
         fs::write(&left, [0; 100]).unwrap();
@@ -670,25 +681,25 @@ pub(crate) mod tests {
     async fn who_is_answered_leaves_the_line_and_the_line_ends() {
         let place = tempfile::tempdir().unwrap();
         let (outbox, _) = open(&config(place.path())).unwrap();
-        let Outbox::Folder(desk) = outbox.clone() else { panic!("a folder") };
+        let Outbox::Folder(queue) = outbox.clone() else { panic!("a folder") };
         let tasks = [task(1, b"first").await, task(2, b"second").await];
-        // The disk takes its time: the clerk has the first, and waits.
+        // The disk takes its time: the writer has the first, and waits.
         let mut line = Line::default();
         tasks.iter().for_each(|task| line.keeps.push_back(task.clone()));
         assert!(matches!(line.next(), Some(Order::Keep(task)) if task.key() == tasks[0].key()));
-        *desk.line() = line;
+        *queue.line() = line;
         for task in &tasks {
             outbox.answered(&Table::default(), &task.key());
         }
         {
-            let line = desk.line();
+            let line = queue.line();
             assert!(line.keeps.is_empty(), "what was answered is not written any more");
             assert!(line.there.is_empty() && line.forgets.len() <= 1, "what may be on the disk goes: {line:?}");
         }
         let many = task(3, b"third").await;
-        desk.line().keeps = std::iter::repeat_n(many.clone(), LONGEST).collect();
+        queue.line().keeps = std::iter::repeat_n(many.clone(), LONGEST).collect();
         outbox.keep(&many);
-        assert!(desk.line().keeps.len() <= LONGEST);
+        assert!(queue.line().keeps.len() <= LONGEST);
         outbox.answered(&Table::default(), &many.key());
         outbox.close();
     }
@@ -699,10 +710,10 @@ pub(crate) mod tests {
         let (outbox, _) = open(&config(place.path())).unwrap();
         let (table, first) = (Arc::new(Table::default()), task(1, b"first").await);
         table.keep(first.clone());
-        let Outbox::Folder(desk) = outbox.clone() else { panic!("a folder") };
+        let Outbox::Folder(queue) = outbox.clone() else { panic!("a folder") };
         let answering = {
             // The answer comes as far as the outbox's line, and no further.
-            let _line = desk.line();
+            let _line = queue.line();
             let answering = std::thread::spawn({
                 let (outbox, table, key) = (outbox.clone(), table.clone(), first.key());
                 move || outbox.answered(&table, &key).is_some()

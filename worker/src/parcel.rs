@@ -38,7 +38,7 @@ pub enum ParcelError {
     /// A piece that does not unpack to what the manifest says.
     #[error("piece {digest} of the scene is damaged")]
     Piece {
-        /// Which.
+        /// Digest of the piece.
         digest: Digest,
     },
     /// zstd cannot compress.

@@ -8,17 +8,17 @@ use std::time::Duration;
 
 use femc_fault::{Point, pass_async};
 use femc_model::{
-    Epoch, Failure, FromWorker, JobId, JobSpec, Latest, Near, Phase, Registration, Spent, TaskKey, TaskLog, TaskResult,
-    ToWorker, Usage,
+    Epoch, Failure, FromWorker, JobId, JobSpec, Latest, Near, Phase, Registration, TaskKey, TaskLog, TaskResult,
+    TaskUsage, ToWorker, Usage,
 };
 use femc_proto::{CallError, Client, Incoming, Outgoing, Why};
 use tokio::sync::mpsc::UnboundedReceiver;
 use tokio::task::JoinSet;
 use tokio::time::{Instant, Interval, MissedTickBehavior};
 
+use crate::availability::Availability;
 use crate::claims::Claims;
 use crate::config::{AtStop, Config};
-use crate::duty::Duty;
 use crate::meter::Meter;
 use crate::outbox::Outbox;
 use crate::table::{Table, Task};
@@ -46,7 +46,7 @@ pub(crate) struct Session<'a> {
     finished: &'a mut UnboundedReceiver<(TaskKey, Epoch)>,
     config: &'a Config,
     /// As the coordinator knows it.
-    duty: Duty,
+    availability: Availability,
     /// More than the coordinator counts on.
     jobs: Latest<JobId, Arc<JobSpec>>,
     claims: Claims,
@@ -54,7 +54,7 @@ pub(crate) struct Session<'a> {
     uploads: JoinSet<Sent>,
     meter: &'a Meter,
     /// What went into leases that were taken back, until the next heartbeat.
-    spent: Vec<Spent>,
+    usage: Vec<TaskUsage>,
     /// Results that are uploaded or reported, and not answered.
     sending: BTreeSet<(TaskKey, Epoch)>,
 }
@@ -79,12 +79,12 @@ impl<'a> Session<'a> {
             ahead,
             finished,
             config,
-            duty: Duty::On,
-            jobs: Latest::new(4 * JobSpec::TOLD),
+            availability: Availability::Available,
+            jobs: Latest::new(4 * JobSpec::SESSION_SPECS),
             claims: Claims::new(Instant::now()),
             uploads: JoinSet::new(),
             meter,
-            spent: Vec::new(),
+            usage: Vec::new(),
             sending: BTreeSet::new(),
         }
     }
@@ -129,7 +129,7 @@ impl<'a> Session<'a> {
                 }
                 () = next(&mut heartbeat) => {
                     if !draining {
-                        self.heed_hours(&out).await;
+                        self.apply_hours(&out).await;
                     }
                     self.beat(&out).await;
                 }
@@ -145,12 +145,12 @@ impl<'a> Session<'a> {
                         tracing::Span::current().record("worker", worker.0);
                         tracing::info!(url = self.client.url(), "joined");
                         self.config.metrics.connected();
-                        self.config.journal.told();
+                        self.config.journal.death_reported();
                         self.claims.welcomed(lease);
                         let every = Duration::from_millis(pause.max(10));
                         let pulse = heartbeat.insert(tokio::time::interval(every));
                         pulse.set_missed_tick_behavior(MissedTickBehavior::Delay);
-                        self.heed_hours(&out).await;
+                        self.apply_hours(&out).await;
                     }
                     Ok(Some(ToWorker::Goodbye) | None) => break Ok(End::Lost),
                     Ok(Some(message)) => self.hear(message, &out).await,
@@ -172,18 +172,18 @@ impl<'a> Session<'a> {
     }
 
     /// Tells the coordinator when the worker's hours begin and end; at their end what waits is given back.
-    async fn heed_hours(&mut self, out: &Outgoing) {
-        let duty = self.config.shift.now();
-        if duty == self.duty {
+    async fn apply_hours(&mut self, out: &Outgoing) {
+        let availability = self.config.shift.now();
+        if availability == self.availability {
             return;
         }
-        self.duty = duty;
-        match duty {
-            Duty::On => {
+        self.availability = availability;
+        match availability {
+            Availability::Available => {
                 tracing::info!("on duty");
                 out.send(FromWorker::Available).await;
             }
-            Duty::Off => {
+            Availability::Off => {
                 tracing::info!("off duty: it finishes what it is at");
                 out.send(FromWorker::Draining).await;
                 give_back(self.table.clear_line(), out).await;
@@ -198,7 +198,7 @@ impl<'a> Session<'a> {
         let claimed = held.iter().filter(|task| self.claims.holds(&task.key(), now));
         let tasks = claimed.map(|task| task.progress()).collect();
         let number = self.claims.beat(now);
-        out.send(FromWorker::Heartbeat { number, tasks, spent: std::mem::take(&mut self.spent) }).await;
+        out.send(FromWorker::Heartbeat { number, tasks, usage: std::mem::take(&mut self.usage) }).await;
     }
 
     async fn hear(&mut self, message: ToWorker, out: &Outgoing) {
@@ -210,7 +210,7 @@ impl<'a> Session<'a> {
                     return;
                 };
                 let task = (assignment.task, assignment.epoch);
-                if self.duty == Duty::Off {
+                if self.availability == Availability::Off {
                     // Dealt before the coordinator had heard of it.
                     let failure = Failure::Cancelled;
                     let (task, epoch) = task;
@@ -236,7 +236,7 @@ impl<'a> Session<'a> {
                 tracing::debug!(%task, ?reason, "lease taken back");
                 let Some(held) = self.forget((task, epoch)) else { return };
                 self.config.metrics.revoked(&held);
-                self.spent.extend(held.usage().map(|usage| Spent { task, epoch, usage }));
+                self.usage.extend(held.usage().map(|usage| TaskUsage { task, epoch, usage }));
             }
             ToWorker::Accepted { task, epoch } => {
                 pass_async(Point::WorkerBeforeForget).await;

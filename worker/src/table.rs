@@ -33,7 +33,7 @@ pub(crate) struct Task {
     outcome: OnceLock<Outcome>,
     /// What is written down meanwhile.
     pub(crate) log: TaskLog,
-    /// What it takes.
+    /// Usage so far: processor time, bytes moved, rays.
     pub(crate) account: Account,
     arrived: Stopwatch,
     /// Seconds that it waited for its turn.

@@ -22,7 +22,7 @@ use crate::nice::Nice;
 use crate::outbox::Outbox;
 use crate::session::{End, Session};
 use crate::table::{Table, Task};
-use crate::{duty, simulated, threads};
+use crate::{availability, simulated, threads};
 
 /// A farm machine.
 #[derive(Debug)]
@@ -65,7 +65,7 @@ impl Worker {
         };
         let table = Arc::new(Table::default());
         config.metrics.watch(&table, &config.cache);
-        let (told, mut finished) = mpsc::unbounded_channel();
+        let (done, mut finished) = mpsc::unbounded_channel();
         let (outbox, mut restored) = match config.outbox.clone() {
             None => (Outbox::default(), Vec::new()),
             Some(place) => Outbox::open(place, &config.engine).await?,
@@ -75,7 +75,7 @@ impl Worker {
             Hands::Threads => Meter::of_process(),
             Hands::Simulated(_) => Meter::none(),
         };
-        let finish = Finish { told, outbox: outbox.clone(), worker: Arc::from(config.name.as_str()) };
+        let finish = Finish { done, outbox: outbox.clone(), worker: Arc::from(config.name.as_str()) };
         let ahead = match &config.hands {
             Hands::Threads => threads::start(&config.name, &tools, &table, &finish)?,
             Hands::Simulated(pace) => simulated::start(pace, &tools, &table, &finish),
@@ -84,7 +84,7 @@ impl Worker {
             tokio::select! {
                 biased;
                 () = stop => config.journal.close(),
-                () = duty::idle(&table, config.idle_limit) => {}
+                () = availability::idle(&table, config.idle_limit) => {}
             }
         });
         let mut pause = Self::FIRST_PAUSE;

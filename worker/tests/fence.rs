@@ -54,8 +54,8 @@ async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_tol
     first.out.send(ToWorker::Job { job: JobId(7), spec: Box::new(spec.clone()) }).await.unwrap();
     first.out.send(ToWorker::Assign(assignment.clone())).await.unwrap();
     let (begun, mut answered, mut heartbeats) = (Instant::now(), Instant::now(), 0);
-    while let Some(word) = first.words.next().await {
-        let FromWorker::Heartbeat { number, tasks, .. } = word.unwrap() else { panic!("only heartbeats") };
+    while let Some(message) = first.messages.next().await {
+        let FromWorker::Heartbeat { number, tasks, .. } = message.unwrap() else { panic!("only heartbeats") };
         heartbeats += 1;
         // The first one may have gone out before the task came.
         if number > 1 && answered.elapsed() < Duration::from_millis(LEASE - 2 * HEARTBEAT) {
@@ -77,20 +77,22 @@ async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_tol
     second.out.send(welcome).await.unwrap();
     let mut last = 0;
     while begun.elapsed() < Duration::from_millis(5000) {
-        let word = second.words.next().await.unwrap().unwrap();
-        let FromWorker::Heartbeat { number, tasks, .. } = word else { panic!("reported without a lease: {word:?}") };
+        let message = second.messages.next().await.unwrap().unwrap();
+        let FromWorker::Heartbeat { number, tasks, .. } = message else {
+            panic!("reported without a lease: {message:?}")
+        };
         assert_eq!(tasks, [], "it is not claimed either");
         last = number;
         second.out.send(ToWorker::Renewed { heartbeat: number, leases: vec![] }).await.unwrap();
     }
     second.out.send(ToWorker::Renewed { heartbeat: last, leases: left(&assignment, LEASE) }).await.unwrap();
-    let next = second.words.next().await.unwrap().unwrap();
+    let next = second.messages.next().await.unwrap().unwrap();
     assert!(matches!(next, FromWorker::Heartbeat { .. }), "an answer that was heard before says nothing: {next:?}");
     let FromWorker::Heartbeat { number, .. } = next else { return };
     second.out.send(ToWorker::Renewed { heartbeat: number, leases: left(&assignment, LEASE) }).await.unwrap();
     let reported = async {
         loop {
-            match second.words.next().await.unwrap().unwrap() {
+            match second.messages.next().await.unwrap().unwrap() {
                 FromWorker::Heartbeat { .. } => {}
                 FromWorker::Completed { task, epoch, .. } => return (task, epoch),
                 other => panic!("{other:?}"),

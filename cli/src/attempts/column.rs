@@ -48,7 +48,7 @@ pub struct Column {
     pub name: &'static str,
     /// As people read it.
     pub title: &'static str,
-    /// What it holds.
+    /// Kind of its values.
     pub kind: Kind,
     /// For whom it is.
     pub reader: Reader,

@@ -2,12 +2,12 @@
 
 mod column;
 mod files;
+mod job_record;
 mod parquet;
 mod row;
-mod told;
 
 pub use column::columns;
 pub use files::{Json, csv, human, shown};
+pub use job_record::{FailureLog, JobRecord};
 pub use parquet::write as write_parquet;
 pub use row::{By, Row, rows};
-pub use told::{FailureLog, Told};

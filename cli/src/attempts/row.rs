@@ -1,6 +1,6 @@
 //! Attempts, and what they add up to.
 
-use super::told::Told;
+use super::job_record::JobRecord;
 use clap::ValueEnum;
 use femc_model::{AttemptRecord, Ending, Grains, TaskKey, Tick};
 use std::collections::{BTreeMap, BTreeSet};
@@ -23,7 +23,7 @@ pub enum By {
 /// What one attempt took, or several together. Seconds, bytes; times are since the first attempt of all began.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Row {
-    /// Which of the jobs that were told of: two farms' may have the same number.
+    /// Index of the job's record among those shown: jobs of two farms may have the same number.
     pub source: usize,
     /// Number of the job, of the first of the attempts.
     pub job: u64,
@@ -53,9 +53,9 @@ pub struct Row {
     pub failed: u64,
     /// Workers.
     pub workers: u64,
-    /// When the first began.
+    /// Begin of the first attempt, in seconds since the run began.
     pub began: f64,
-    /// When the last ended.
+    /// End of the last attempt, in seconds since the run began.
     pub ended: f64,
     /// Between arrival and beginning.
     pub wait: f64,
@@ -84,17 +84,17 @@ pub struct Row {
 impl Row {
     /// Of one attempt.
     /// - `zero`: when the first attempt of all began.
-    fn of(record: &AttemptRecord, source: usize, told: &Told, attempt: u64, zero: f64) -> Self {
+    fn of(record: &AttemptRecord, source: usize, job: &JobRecord, attempt: u64, zero: f64) -> Self {
         let usage = record.usage.unwrap_or_default();
         let began = began(record);
         let ended = if record.usage.is_some() { began + usage.wall } else { seconds(record.ended) };
         let TaskKey { stage, index, .. } = record.task;
-        let main = told.spec.graph.main().filter(|(number, _)| *number == stage.number);
-        let tile = main.map(|(_, template)| Grains::of(template, stage.round, None, told.cut).task(index));
+        let main = job.spec.graph.main().filter(|(number, _)| *number == stage.number);
+        let tile = main.map(|(_, template)| Grains::of(template, stage.round, None, job.cut).task(index));
         Self {
             source,
-            job: told.job.0,
-            variant: told.variant.clone(),
+            job: job.job.0,
+            variant: job.variant.clone(),
             task: Some(record.task),
             tile,
             attempt,
@@ -163,15 +163,15 @@ fn began(record: &AttemptRecord) -> f64 {
 }
 
 /// One row for each task, frame, variant, worker or attempt, in their order.
-pub fn rows(told: &[Told], by: By) -> Vec<Row> {
-    let zeros = zeros(told);
-    let all = told.iter().enumerate().flat_map(|(source, told)| {
-        let zero = zeros.get(&told.run).copied().unwrap_or_default();
+pub fn rows(jobs: &[JobRecord], by: By) -> Vec<Row> {
+    let zeros = zeros(jobs);
+    let all = jobs.iter().enumerate().flat_map(|(source, job)| {
+        let zero = zeros.get(&job.run).copied().unwrap_or_default();
         let (mut last, mut number) = (None, 0);
-        told.attempts.iter().map(move |record| {
+        job.attempts.iter().map(move |record| {
             number = if last == Some(record.task) { number + 1 } else { 1 };
             last = Some(record.task);
-            Row::of(record, source, told, number, zero)
+            Row::of(record, source, job, number, zero)
         })
     });
     match by {
@@ -188,11 +188,11 @@ pub fn rows(told: &[Told], by: By) -> Vec<Row> {
 }
 
 /// What is the beginning, by each run's clock: runs come one after the other, without what was between them.
-fn zeros(told: &[Told]) -> BTreeMap<u64, f64> {
+fn zeros(jobs: &[JobRecord]) -> BTreeMap<u64, f64> {
     let mut runs: BTreeMap<u64, (f64, f64)> = BTreeMap::new();
-    for told in told {
-        for record in &told.attempts {
-            let (first, last) = runs.entry(told.run).or_insert((f64::INFINITY, 0.0));
+    for job in jobs {
+        for record in &job.attempts {
+            let (first, last) = runs.entry(job.run).or_insert((f64::INFINITY, 0.0));
             (*first, *last) = (first.min(began(record)), last.max(seconds(record.ended)));
         }
     }

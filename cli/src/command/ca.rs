@@ -145,7 +145,7 @@ enum Kind {
 pub fn run(args: CaArgs, say: Say) -> Result<Exit, Failure> {
     match args.action {
         Action::Init { name, folder } => {
-            Authority::init(&folder.folder, &name).map_err(|error| told(&error))?;
+            Authority::init(&folder.folder, &name).map_err(|error| map_trust_error(&error))?;
             say.note(format!(
                 "{} is the farm's authority now; keep it private, and back it up",
                 folder.folder.display()
@@ -156,7 +156,7 @@ pub fn run(args: CaArgs, say: Say) -> Result<Exit, Failure> {
         Action::List { folder, format } => list(&folder.folder, format, say)?,
         Action::Revoke { name, folder } => {
             let authority = open(&folder.folder)?;
-            let count = authority.revoke(&name).map_err(|error| told(&error))?;
+            let count = authority.revoke(&name).map_err(|error| map_trust_error(&error))?;
             let list = authority.revoked();
             say.note(format!(
                 "{count} of {name} revoked; coordinators read {} (--revoked) and {} (--token-file), copy them to those elsewhere",
@@ -173,7 +173,7 @@ fn open(folder: &Path) -> Result<Authority, Failure> {
         TrustError::File { error: cause, .. } if cause.kind() == std::io::ErrorKind::NotFound => {
             usage(format!("--dir {}: no authority is there; make one with `femc ca init`", folder.display()))
         }
-        _ => told(&error),
+        _ => map_trust_error(&error),
     })
 }
 
@@ -185,8 +185,8 @@ fn issue(args: IssueArgs, say: Say) -> Result<(), Failure> {
     let path = free(output, format!("{name}.pem"))?;
     let holder = holder(kind, name, role)?;
     let issue = Issue { holder, hosts: host, days };
-    let identity = open(&folder.folder)?.issue(&issue).map_err(|error| told(&error))?;
-    identity.write(&path).map_err(|error| told(&error))?;
+    let identity = open(&folder.folder)?.issue(&issue).map_err(|error| map_trust_error(&error))?;
+    identity.write(&path).map_err(|error| map_trust_error(&error))?;
     say.result(path.display());
     Ok(())
 }
@@ -198,8 +198,8 @@ fn token(args: TokenArgs, say: Say) -> Result<(), Failure> {
         Bearer::Worker => Kind::Worker,
         Bearer::User => Kind::User,
     };
-    let pass = open(&folder.folder)?.token(holder(kind, name, role)?, days).map_err(|error| told(&error))?;
-    pass.write(&path).map_err(|error| told(&error))?;
+    let pass = open(&folder.folder)?.token(holder(kind, name, role)?, days).map_err(|error| map_trust_error(&error))?;
+    pass.write(&path).map_err(|error| map_trust_error(&error))?;
     say.result(path.display());
     Ok(())
 }
@@ -238,15 +238,15 @@ struct Line {
 
 fn list(folder: &Path, format: FormatArgs, say: Say) -> Result<(), Failure> {
     let authority = open(folder)?;
-    let revoked = femc_trust::Revoked::open(authority.revoked()).map_err(|error| told(&error))?;
+    let revoked = femc_trust::Revoked::open(authority.revoked()).map_err(|error| map_trust_error(&error))?;
     let line = |issued: Issued| {
         let (revoked, days_left) = (issued.is_revoked(&revoked), issued.days_left());
         let Issued { holder, name, fingerprint, until } = issued;
         let (until, days_left) = (Some(until), Some(days_left));
         Line { kind: "certificate", name, holder, fingerprint, until, days_left, revoked }
     };
-    let issued = authority.issued().map_err(|error| told(&error))?.into_iter().map(line);
-    let tokens = authority.token_lines().map_err(|error| told(&error))?.into_iter().map(|line| Line {
+    let issued = authority.issued().map_err(|error| map_trust_error(&error))?.into_iter().map(line);
+    let tokens = authority.token_lines().map_err(|error| map_trust_error(&error))?.into_iter().map(|line| Line {
         kind: "token",
         name: line.holder.name().into(),
         holder: line.holder.uri(),
@@ -286,7 +286,7 @@ fn row(line: &Line) -> Vec<String> {
 }
 
 /// What an authority said, as this program's failure.
-pub fn told(error: &TrustError) -> Failure {
+pub fn map_trust_error(error: &TrustError) -> Failure {
     match error {
         TrustError::Name { .. } => usage(error),
         TrustError::Unknown { .. } => usage(format!("{error}; `femc ca list` lists all")),

@@ -97,7 +97,7 @@ impl Farm {
 
     /// Put those artifacts of a scene into the farm's store that are not there; bytes that were sent.
     async fn put(&self, scene: &Parcel) -> Result<u64, Failure> {
-        self.client.put_all(&scene.artifacts()).await.map_err(told)
+        self.client.put_all(&scene.artifacts()).await.map_err(map_call_error)
     }
 
     /// Queue a job of `scene`, which is uploaded as far as it is missing; the bytes that were sent. `key`: a second
@@ -109,15 +109,15 @@ impl Farm {
             match submit().await {
                 // Removed between upload and submission.
                 Err(CallError::Refused(Refusal::MissingArtifacts { .. })) => sent += self.put(scene).await?,
-                submitted => return Ok((submitted.map_err(told)?, sent)),
+                submitted => return Ok((submitted.map_err(map_call_error)?, sent)),
             }
         }
-        Ok((submit().await.map_err(told)?, sent))
+        Ok((submit().await.map_err(map_call_error)?, sent))
     }
 
     /// An artifact's bytes.
     pub async fn get(&self, artifact: &Artifact) -> Result<Vec<u8>, Failure> {
-        Ok(self.client.get_exactly(artifact).await.map_err(told)?.to_vec())
+        Ok(self.client.get_exactly(artifact).await.map_err(map_call_error)?.to_vec())
     }
 
     /// The same of one that may be gone, or damaged, which is as good as gone.
@@ -125,28 +125,28 @@ impl Farm {
         match self.client.get_exactly(artifact).await {
             Ok(bytes) => Ok(Some(bytes.to_vec())),
             Err(CallError::Refused(Refusal::NoSuchArtifact { .. } | Refusal::DigestMismatch { .. })) => Ok(None),
-            Err(error) => Err(told(error)),
+            Err(error) => Err(map_call_error(error)),
         }
     }
 
     /// All jobs.
     pub async fn jobs(&self) -> Result<Vec<JobStatus>, Failure> {
-        self.client.list().await.map_err(told)
+        self.client.list().await.map_err(map_call_error)
     }
 
     /// All jobs, and what somebody should look after.
     pub async fn listing(&self) -> Result<Listing, Failure> {
-        self.client.listing().await.map_err(told)
+        self.client.listing().await.map_err(map_call_error)
     }
 
     /// All jobs, of a coordinator that may be away for a while.
     pub async fn patient_jobs(&self) -> Result<Vec<JobStatus>, Failure> {
-        patiently(|| self.client.list()).await.map_err(told)
+        patiently(|| self.client.list()).await.map_err(map_call_error)
     }
 
     /// One job.
     pub async fn status(&self, job: JobId) -> Result<JobStatus, Failure> {
-        self.client.status(job).await.map_err(told)
+        self.client.status(job).await.map_err(map_call_error)
     }
 
     /// One job, of a coordinator that may be away for a while.
@@ -156,24 +156,24 @@ impl Farm {
 
     /// The same; `away` hears again and again for how long the coordinator has been away.
     pub async fn status_unless_away(&self, job: JobId, away: impl FnMut(Duration)) -> Result<JobStatus, Failure> {
-        patiently_telling(|| self.client.status(job), away).await.map_err(told)
+        patiently_telling(|| self.client.status(job), away).await.map_err(map_call_error)
     }
 
     /// The finished frames of a job, ascending, without what is finished of the job as a whole.
     pub async fn frames(&self, job: JobId) -> Result<Vec<FrameRecord>, Failure> {
-        let mut frames = self.client.frames(job).await.map_err(told)?;
+        let mut frames = self.client.frames(job).await.map_err(map_call_error)?;
         frames.retain(|record| record.frame != Stage::OF_JOB);
         Ok(frames)
     }
 
     /// A job as it was submitted.
     pub async fn spec(&self, job: JobId) -> Result<JobSpec, Failure> {
-        self.client.spec(job).await.map_err(told)
+        self.client.spec(job).await.map_err(map_call_error)
     }
 
     /// What is finished of a job as a whole; `None`: nothing is, yet.
     pub async fn whole(&self, job: JobId) -> Result<Option<FrameRecord>, Failure> {
-        let records = self.client.frames(job).await.map_err(told)?;
+        let records = self.client.frames(job).await.map_err(map_call_error)?;
         Ok(records.into_iter().find(|record| record.frame == Stage::OF_JOB))
     }
 
@@ -187,47 +187,47 @@ impl Farm {
 
     /// What there is of a job's frames in work, ascending.
     pub async fn parts(&self, job: JobId) -> Result<Vec<FrameParts>, Failure> {
-        let mut frames = self.client.parts(job).await.map_err(told)?;
+        let mut frames = self.client.parts(job).await.map_err(map_call_error)?;
         frames.retain(|parts| parts.frame != Stage::OF_JOB);
         Ok(frames)
     }
 
     /// Steer a job.
     pub async fn control(&self, job: JobId, control: Control) -> Result<(), Failure> {
-        self.client.control(job, control).await.map_err(told)
+        self.client.control(job, control).await.map_err(map_call_error)
     }
 
     /// What workers wrote down while they did the job's tasks, oldest first, of attempts reported since then.
     pub async fn logs(&self, job: JobId, since: Tick) -> Result<Vec<LogRecord>, Failure> {
-        self.client.logs(job, since).await.map_err(told)
+        self.client.logs(job, since).await.map_err(map_call_error)
     }
 
     /// What a job is made of, and what the attempts at its tasks took.
     pub async fn attempts(&self, job: JobId) -> Result<(JobShape, Attempts), Failure> {
-        self.client.attempts(job).await.map_err(told)
+        self.client.attempts(job).await.map_err(map_call_error)
     }
 
     /// Give workers no more tasks, or tasks again; the sessions that it was done to.
     pub async fn drain(&self, worker: WorkerName, drain: Drain) -> Result<Vec<WorkerId>, Failure> {
-        self.client.drain(worker, drain).await.map_err(told)
+        self.client.drain(worker, drain).await.map_err(map_call_error)
     }
 
     /// The workers that are there.
     pub async fn workers(&self) -> Result<Vec<WorkerStatus>, Failure> {
-        self.client.workers().await.map_err(told)
+        self.client.workers().await.map_err(map_call_error)
     }
 
     /// A copy of the log; the artifacts that it refers to and the store has.
     pub async fn backup(&self, log: &mut tokio::fs::File) -> Result<Vec<Artifact>, Failure> {
         self.client.backup(log).await.map_err(|error| match error {
-            BackupError::Call(error) => told(error),
+            BackupError::Call(error) => map_call_error(error),
             error @ BackupError::Write(_) => failed(error),
         })
     }
 
     /// Remove garbage from the store, or say what that would be.
     pub async fn collect(&self, mode: CollectMode, grace: Duration) -> Result<Collected, Failure> {
-        self.client.collect(mode, grace).await.map_err(told)
+        self.client.collect(mode, grace).await.map_err(map_call_error)
     }
 }
 
@@ -262,7 +262,7 @@ async fn unmet(error: CallError, option: &str) -> Unmet {
             CallError::Refused(Refusal::Unavailable { .. }) => MayCome::Yes,
             _ => MayCome::No,
         };
-        return Unmet { failure: told(error), may_come };
+        return Unmet { failure: map_call_error(error), may_come };
     };
     let nobody = format!("start one with `femc coordinator`, or give its address with {option}");
     if url.contains(',') {
@@ -307,7 +307,7 @@ async fn unmet(error: CallError, option: &str) -> Unmet {
 }
 
 /// A failed call as this program's failure.
-pub fn told(error: CallError) -> Failure {
+pub fn map_call_error(error: CallError) -> Failure {
     match error {
         CallError::Address { .. } => usage(format!("{error}; write it like http://127.0.0.1:7878")),
         CallError::NoIdentity { .. } => {

@@ -203,18 +203,18 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
     super::files::raise_limit();
     runtime()?.block_on(async {
         let mut interrupt = Interrupt::listen()?;
-        let mut coordinator = Coordinator::start(config).await.map_err(|e| told(&e))?;
+        let mut coordinator = Coordinator::start(config).await.map_err(|e| map_coordinator_error(&e))?;
         let (mut news, url) = (coordinator.standing(), coordinator.url());
         metrics::show(args.metrics.metrics, reporter(counted, &coordinator), say).await?;
         loop {
             tell(say, &news.borrow_and_update(), &url);
             tokio::select! {
-                error = coordinator.failed() => return Err(told(&error)),
+                error = coordinator.failed() => return Err(map_coordinator_error(&error)),
                 () = interrupt.wait() => break,
                 Ok(()) = news.changed() => {}
             }
         }
-        coordinator.stop().await.map_err(|e| told(&e))?;
+        coordinator.stop().await.map_err(|e| map_coordinator_error(&e))?;
         say.note("stopped; start it again with the same --store and --artifacts to go on");
         Ok(Exit::Done)
     })
@@ -277,7 +277,7 @@ fn tell(say: Say, standing: &Standing, url: &str) {
     }
 }
 
-fn told(error: &CoordinatorError) -> Failure {
+fn map_coordinator_error(error: &CoordinatorError) -> Failure {
     match error {
         CoordinatorError::Listen { .. } => failed(format!("--listen: {error}; give another address or port")),
         CoordinatorError::Exposed { .. } => {

@@ -65,14 +65,14 @@ pub fn run(args: &GcArgs, say: Say) -> Result<Exit, Failure> {
         json::print(say, &Report { dry_run: args.dry_run, referenced, young, garbage, names })?;
         return Ok(Exit::Done);
     }
-    let told = |volume: Volume| {
+    let volume_text = |volume: Volume| {
         format!("{}, {}B", human::count(volume.artifacts, "artifact"), human::quantity(volume.bytes as f64))
     };
     let what = match mode {
         CollectMode::DryRun => "would be removed",
         CollectMode::Remove => "removed",
     };
-    say.result(format!("{what}: {}", told(garbage)));
-    say.note(format!("kept: {} that jobs refer to; {} too young to tell", told(referenced), told(young)));
+    say.result(format!("{what}: {}", volume_text(garbage)));
+    say.note(format!("kept: {} that jobs refer to; {} too young to tell", volume_text(referenced), volume_text(young)));
     Ok(Exit::Done)
 }

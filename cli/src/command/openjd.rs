@@ -16,7 +16,7 @@ use std::path::{Path, PathBuf};
     openjd run fog.yaml                                  # or submitted to any farm that speaks it\n  \
     femc openjd import fog.yaml -o fog.toml -p Scene=scenes/roundabout.mgf\n  \
     femc sweep fog.toml -o fog\n\n\
-    docs/openjd.md says what maps and what does not; what is left out is told on stderr, line by line.")]
+    docs/openjd.md says what maps and what does not; what is left out is printed on stderr, one line each.")]
 pub struct OpenjdArgs {
     #[command(subcommand)]
     command: OpenjdCommand,

@@ -28,7 +28,7 @@ pub struct ReportArgs {
 
 /// Write.
 pub fn run(args: &ReportArgs, say: Say) -> Result<Exit, Failure> {
-    let told = subject::told(&args.subjects, Logs::Failures, &args.server)?;
+    let records = subject::records(&args.subjects, Logs::Failures, &args.server)?;
     let out = args.out.clone().unwrap_or_else(|| match &args.subjects[..] {
         [Subject::Job(job)] => format!("job-{job}.html").into(),
         [Subject::Sweep(folder)] => folder.join("report.html"),
@@ -38,7 +38,7 @@ pub fn run(args: &ReportArgs, say: Say) -> Result<Exit, Failure> {
         [Subject::Sweep(folder)] => Some(folder.display().to_string()),
         _ => None,
     };
-    femc_film::file::write_atomic(&out, Report { title, told }.html()?.as_bytes()).map_err(failed)?;
+    femc_film::file::write_atomic(&out, Report { title, records }.html()?.as_bytes()).map_err(failed)?;
     say.result(out.display());
     Ok(Exit::Done)
 }

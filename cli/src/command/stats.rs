@@ -45,8 +45,8 @@ pub struct StatsArgs {
 
 /// Print.
 pub fn run(args: &StatsArgs, say: Say) -> Result<Exit, Failure> {
-    let told = subject::told(&args.subjects, Logs::None, &args.server)?;
-    let (columns, rows) = (columns(args.by), rows(&told, args.by));
+    let records = subject::records(&args.subjects, Logs::None, &args.server)?;
+    let (columns, rows) = (columns(args.by), rows(&records, args.by));
     if let Some(path) = &args.parquet {
         write_parquet(path, &columns, &rows)?;
         say.note(format!("{}: {} rows", path.display(), rows.len()));

@@ -1,8 +1,8 @@
-//! What `femc stats` and `femc report` are about: jobs of a farm, or the folder of a sweep, which has kept what its farm told.
+//! What `femc stats` and `femc report` are about: jobs of a farm, or the folder of a sweep, which has kept what its farm recorded.
 
 use super::client::{self, Farm};
 use crate::args::ServerArgs;
-use crate::attempts::{FailureLog, Told};
+use crate::attempts::{FailureLog, JobRecord};
 use crate::exit::{Failure, usage};
 use femc_model::{Attempt, JobId, LogText, Tick};
 use std::convert::Infallible;
@@ -40,51 +40,51 @@ pub enum Logs {
     Failures,
 }
 
-/// All that is known of them; no farm is asked about a folder.
-pub fn told(subjects: &[Subject], logs: Logs, server: &ServerArgs) -> Result<Vec<Told>, Failure> {
-    let mut told = Vec::new();
+/// The records of all subjects; no farm is asked about a folder.
+pub fn records(subjects: &[Subject], logs: Logs, server: &ServerArgs) -> Result<Vec<JobRecord>, Failure> {
+    let mut records = Vec::new();
     let mut jobs = Vec::new();
     for subject in subjects {
         match subject {
             Subject::Job(job) => jobs.push(*job),
-            Subject::Sweep(folder) => told.extend(kept(folder)?),
+            Subject::Sweep(folder) => records.extend(kept(folder)?),
         }
     }
     if jobs.is_empty() {
-        return Ok(told);
+        return Ok(records);
     }
     client::block_on(server, async |farm| {
         for job in jobs {
-            told.push(of_job(farm, job, logs).await?);
+            records.push(of_job(farm, job, logs).await?);
         }
-        Ok(told)
+        Ok(records)
     })
 }
 
-fn kept(folder: &Path) -> Result<Vec<Told>, Failure> {
+fn kept(folder: &Path) -> Result<Vec<JobRecord>, Failure> {
     let jobs = folder.join(KEPT);
     if !jobs.is_dir() {
         let folder = folder.display();
         return Err(usage(format!("{folder}: neither a job's number nor the folder of a sweep whose jobs have ended")));
     }
-    Told::read_all(&jobs)
+    JobRecord::read_all(&jobs)
 }
 
-/// Where a sweep keeps what was told of the job of a ticket.
+/// Where a sweep keeps the record of a ticket's job.
 pub fn kept_file(ticket: &str) -> String {
     let digest = femc_model::Digest::of(ticket.as_bytes()).to_string();
     format!("{KEPT}/{}.json", &digest[..16])
 }
 
-/// What the farm tells.
-pub async fn of_job(farm: &Farm, job: JobId, logs: Logs) -> Result<Told, Failure> {
+/// What the farm has recorded of a job's attempts.
+pub async fn of_job(farm: &Farm, job: JobId, logs: Logs) -> Result<JobRecord, Failure> {
     let (shape, attempts) = farm.attempts(job).await?;
     let failures = match logs {
         Logs::None => Vec::new(),
         Logs::Failures => failures(farm, job).await?,
     };
     let attempts = attempts.iter().cloned().collect();
-    Ok(Told { job, run: 0, variant: None, spec: *shape.spec, cut: shape.cut, attempts, failures })
+    Ok(JobRecord { job, run: 0, variant: None, spec: *shape.spec, cut: shape.cut, attempts, failures })
 }
 
 async fn failures(farm: &Farm, job: JobId) -> Result<Vec<FailureLog>, Failure> {

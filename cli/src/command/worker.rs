@@ -11,7 +11,7 @@ use crate::request::{Budget, Hours, Volume, VolumeError};
 use clap::Args;
 use femc_proto::Dial;
 use femc_worker::clip::{self, FFMPEG};
-use femc_worker::{AtStop, Cache, Config, Duty, MemoryLimit, Pieces, Shift, Worker, WorkerError};
+use femc_worker::{AtStop, Availability, Cache, Config, MemoryLimit, Pieces, Shift, Worker, WorkerError};
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
@@ -96,7 +96,7 @@ fn memory(text: &str) -> Result<Volume, String> {
 
 /// On duty within `hours`.
 fn shift(hours: Hours) -> Shift {
-    Shift::by(move || if hours.hold_now() { Duty::On } else { Duty::Off })
+    Shift::by(move || if hours.hold_now() { Availability::Available } else { Availability::Off })
 }
 
 /// Work.
@@ -137,7 +137,7 @@ pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
                 say.note("stopped");
                 Ok(Exit::Done)
             }
-            Err(WorkerError::Call(error)) => Err(super::client::told(error)),
+            Err(WorkerError::Call(error)) => Err(super::client::map_call_error(error)),
             Err(error @ WorkerError::Nice { .. }) => Err(failed(format!("--nice: {error}; leave it away"))),
             Err(error @ WorkerError::Threads(_)) => Err(failed(error)),
             Err(error @ WorkerError::Outbox { .. }) => {

@@ -190,9 +190,9 @@ fn tags(job: &JobFile) -> (Option<HostAttribute>, Vec<String>) {
         tag.starts_with(may_begin) && tag.chars().all(may_be) && tag.len() <= 100
     };
     let (fit, unfit): (Vec<&String>, Vec<&String>) = job.tags.iter().partition(is_value);
-    let told = |tag: &String| left(job, "tags", &format!("`{tag}` is left out: no value of an attribute of hosts"));
+    let left_out = |tag: &String| left(job, "tags", &format!("`{tag}` is left out: no value of an attribute of hosts"));
     let attribute = HostAttribute { name: TAGS, all_of: fit.into_iter().cloned().collect() };
-    (Some(attribute).filter(|attribute| !attribute.all_of.is_empty()), unfit.into_iter().map(told).collect())
+    (Some(attribute).filter(|attribute| !attribute.all_of.is_empty()), unfit.into_iter().map(left_out).collect())
 }
 
 /// Lines about what a template has no place for.

@@ -36,13 +36,15 @@ pub fn import(template: &Template, out: &Path) -> Result<Imported, TemplateError
     let (scene, rest) = common(template, &tasks)?;
     let flags: BTreeSet<&str> = tasks.iter().flat_map(|task| task.left_out.iter().copied()).collect();
     for flag in flags {
-        left_out
-            .push(template.told(&format!("{RUN}.args"), format!("`{flag}` is left out: a sweep has its own outputs")));
+        left_out.push(
+            template.line_about(&format!("{RUN}.args"), format!("`{flag}` is left out: a sweep has its own outputs")),
+        );
     }
     let (variants, twice) = variants(template, tasks)?;
     if twice > 0 {
-        left_out
-            .push(template.told("steps.0.parameterSpace", format!("{twice} tasks do what others do: once is enough")));
+        left_out.push(
+            template.line_about("steps.0.parameterSpace", format!("{twice} tasks do what others do: once is enough")),
+        );
     }
     let axes = axes(template, &variants);
     let (tags, lost) = tags(template);
@@ -73,7 +75,7 @@ fn simple(template: &Template) -> Result<Vec<String>, TemplateError> {
     let mut left_out = Vec::new();
     let mut leave = |is_there: bool, at: &str, why: &str| {
         if is_there {
-            left_out.push(template.told(at, format!("is left out: {why}")));
+            left_out.push(template.line_about(at, format!("is left out: {why}")));
         }
     };
     let workers = "femc's workers set up nothing before a task";
@@ -262,10 +264,10 @@ fn tags(template: &Template) -> (Vec<String>, Vec<String>) {
     for (n, attribute) in attributes.iter().flatten().enumerate() {
         match (&attribute.any_of, &attribute.all_of) {
             (None, Some(all)) if attribute.name.eq_ignore_ascii_case(TAGS) => tags.extend(all.iter().cloned()),
-            _ => lost.push(template.told(&format!("{at}.attributes.{n}"), &why)),
+            _ => lost.push(template.line_about(&format!("{at}.attributes.{n}"), &why)),
         }
     }
-    lost.extend((0..amounts.iter().flatten().count()).map(|n| template.told(&format!("{at}.amounts.{n}"), &why)));
+    lost.extend((0..amounts.iter().flatten().count()).map(|n| template.line_about(&format!("{at}.amounts.{n}"), &why)));
     (tags, lost)
 }
 

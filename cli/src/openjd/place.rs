@@ -35,13 +35,13 @@ mod tests {
 
     #[test]
     fn a_path_is_told_from_where_its_reader_stands() {
-        for (folder, path, told) in [
+        for (folder, path, shown) in [
             ("/a/b", "/a/b/c.mgf", "c.mgf"),
             ("/a/b", "/a/c/d.mgf", "../c/d.mgf"),
             ("/a/b/c", "/a/b/./x/../d.mgf", "../d.mgf"),
             ("/a", "/b/c.mgf", "/b/c.mgf"),
         ] {
-            assert_eq!(relative(Path::new(folder), Path::new(path)), told);
+            assert_eq!(relative(Path::new(folder), Path::new(path)), shown);
         }
         assert_eq!(absolute(Path::new("/a/b"), Path::new("../c")), Path::new("/a/c"));
     }

@@ -104,14 +104,14 @@ impl Template {
     }
 
     /// A line about a part of it: file, line, column, part, `what`.
-    pub fn told(&self, at: &str, what: impl std::fmt::Display) -> String {
+    pub fn line_about(&self, at: &str, what: impl std::fmt::Display) -> String {
         let at = part(at);
-        told(&self.path, self.spots.find(&at), &at, what)
+        line_about(&self.path, self.spots.find(&at), &at, what)
     }
 
     /// What is wrong with a part of it.
     pub fn fault(&self, at: &str, what: impl std::fmt::Display) -> TemplateError {
-        TemplateError::Faults { faults: vec![self.told(at, what)] }
+        TemplateError::Faults { faults: vec![self.line_about(at, what)] }
     }
 
     /// What the first step runs.
@@ -175,14 +175,14 @@ fn faults(path: &Path, text: &str, spots: &Spots, error: &ModelError) -> Vec<Str
         ModelError::ModelValidation(all) => {
             let line = |fault: &openjd_model::ValidationError| {
                 let what = fault.detail.as_ref().map_or(&fault.message, |detail| &detail.summary);
-                told(path, spots.find(&fault.path), &fault.path, one_line(what))
+                line_about(path, spots.find(&fault.path), &fault.path, one_line(what))
             };
             all.errors.iter().map(line).collect()
         }
         other => {
             // What does not have the template's form is not told with its place; reading it once more tells that.
             let again = serde_saphyr::from_str::<JobTemplate>(text).err();
-            vec![told(path, again.and_then(|error| place(error.location()?)), &[], one_line(&plain(other)))]
+            vec![line_about(path, again.and_then(|error| place(error.location()?)), &[], one_line(&plain(other)))]
         }
     }
 }
@@ -197,7 +197,7 @@ fn plain(error: &ModelError) -> String {
     }
 }
 
-fn told(path: &Path, place: Option<Place>, at: &[PathElement], what: impl std::fmt::Display) -> String {
+fn line_about(path: &Path, place: Option<Place>, at: &[PathElement], what: impl std::fmt::Display) -> String {
     let mut line = path.display().to_string();
     if let Some(Place { line: row, column }) = place {
         line.push_str(&format!(":{row}:{column}"));

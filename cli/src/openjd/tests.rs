@@ -117,9 +117,9 @@ fn what_has_no_place_in_a_job_is_left_out_and_told() {
     let text = text.replace("command: femc\n", "command: femc\n          timeout: 60\n");
     let (job, left_out) = imported(&text).expect("a job");
     assert_eq!(job, "tags = [\"lab\", \"fast\"]; threads = 3; seed = 2");
-    let told = |part: &str| left_out.iter().any(|line| line.starts_with("/t/fog.yaml:") && line.contains(part));
+    let reports = |part: &str| left_out.iter().any(|line| line.starts_with("/t/fog.yaml:") && line.contains(part));
     for part in ["attributes[1]", "amounts[0]", "stepEnvironments", "onRun.timeout", "`--out`", "`--preview`"] {
-        assert!(told(part), "{part}: {left_out:#?}");
+        assert!(reports(part), "{part}: {left_out:#?}");
     }
     assert_eq!(left_out.len(), 6, "{left_out:#?}");
 }
@@ -162,11 +162,11 @@ fn what_is_no_sweep_is_refused_with_its_line_and_column() {
             "4096",
         ),
     ] {
-        let told = imported(&text).map(|_| ()).expect_err(what);
-        println!("{told}");
+        let error = imported(&text).map(|_| ()).expect_err(what);
+        println!("{error}");
         let begin = if place.is_empty() { "/t/fog.yaml".to_owned() } else { format!("/t/fog.yaml:{place}: ") };
-        if !(told.starts_with(&begin) && told.contains(what)) {
-            wrong.push(format!("{begin}{what}, not {told}"));
+        if !(error.starts_with(&begin) && error.contains(what)) {
+            wrong.push(format!("{begin}{what}, not {error}"));
         }
     }
     assert!(wrong.is_empty(), "{}", wrong.join("\n"));
@@ -178,7 +178,7 @@ fn job(text: &str) -> JobFile {
 
 /// The values of every variant with its frames, as a line each; sorted, because axes may come back in another order.
 fn variants(job: &JobFile, all: &[u32]) -> Vec<String> {
-    let told = |settings: &crate::args::SettingsArgs| {
+    let line = |settings: &crate::args::SettingsArgs| {
         let frames = settings.frames.map_or(all.to_vec(), |frames| frames.resolve(u32::MAX).expect("frames"));
         let changes = crate::request::Change::all(settings);
         let values: Vec<String> =
@@ -186,8 +186,8 @@ fn variants(job: &JobFile, all: &[u32]) -> Vec<String> {
         format!("{frames:?} {values:?} {:?} {:?} {}", settings.workers, settings.threads, settings.stats)
     };
     let mut lines: Vec<String> = match &job.sweep {
-        None => vec![told(&job.settings)],
-        Some(sweep) => sweep.variants().iter().map(|variant| told(&variant.apply(&job.settings))).collect(),
+        None => vec![line(&job.settings)],
+        Some(sweep) => sweep.variants().iter().map(|variant| line(&variant.apply(&job.settings))).collect(),
     };
     lines.sort();
     lines
@@ -223,8 +223,8 @@ fn an_exported_job_comes_back_as_the_same_variants() {
                 imported.text
             );
             assert_eq!((&after.scene, &after.tags), (&before.scene, &before.tags), "{text}");
-            let told: Vec<&String> = imported.left_out.iter().filter(|line| !line.contains("`--out`")).collect();
-            assert!(told.is_empty(), "{told:?}");
+            let others: Vec<&String> = imported.left_out.iter().filter(|line| !line.contains("`--out`")).collect();
+            assert!(others.is_empty(), "{others:?}");
         }
     }
 }
@@ -250,6 +250,6 @@ fn a_job_of_more_values_than_a_template_may_have_is_refused() {
     let values = (0..1100).map(|n| format!("{n}.5")).collect::<Vec<_>>().join(", ");
     let frames = FramesOf { all: &[1], chunk: NonZeroUsize::MIN };
     let refused = export(&job(&format!("[sweep]\n\"a.b.c\" = [{values}]")), frames, Path::new("/t/job.yaml"));
-    let told = refused.expect_err("too many").to_string();
-    assert!(told.contains("1024"), "{told}");
+    let error = refused.expect_err("too many").to_string();
+    assert!(error.contains("1024"), "{error}");
 }

@@ -97,7 +97,7 @@ impl Progress {
             Form::Silent => {}
             Form::Bar(bar) => bar.set_message(text.to_owned()),
             Form::Lines { say, away, .. } => {
-                if away.is_none_or(|told| self.clock.since(told) >= PLAIN_EVERY) {
+                if away.is_none_or(|printed| self.clock.since(printed) >= PLAIN_EVERY) {
                     *away = Some(self.clock.now());
                     say.note(text);
                 }

@@ -48,8 +48,8 @@ impl Say {
 
     /// Whether what is on stderr may have 24-bit colors.
     pub fn true_color(self) -> bool {
-        let told = std::env::var("COLORTERM").unwrap_or_default();
-        self.colored_err && matches!(told.as_str(), "truecolor" | "24bit")
+        let color = std::env::var("COLORTERM").unwrap_or_default();
+        self.colored_err && matches!(color.as_str(), "truecolor" | "24bit")
     }
 
     /// Whether only errors and results are wanted.

@@ -1,7 +1,7 @@
 //! Where the samples went: a picture of tiles for each frame.
 
 use super::figure::{Area, Drawn, FONT, WIDTH, figure};
-use crate::attempts::{Row, Told};
+use crate::attempts::{JobRecord, Row};
 use crate::exit::Failure;
 use femc_model::Grid;
 use plotters::prelude::*;
@@ -25,10 +25,10 @@ struct Picture {
 }
 
 /// Of tasks; nothing where no tile is done.
-pub fn draw(tasks: &[Row], told: &[Told]) -> Result<Vec<String>, Failure> {
+pub fn draw(tasks: &[Row], records: &[JobRecord]) -> Result<Vec<String>, Failure> {
     let mut frames: BTreeMap<(usize, u32), Tiles> = BTreeMap::new();
     for row in tasks {
-        let rect = row.tile.and_then(|tile| told.get(row.source)?.spec.grid.rect(tile));
+        let rect = row.tile.and_then(|tile| records.get(row.source)?.spec.grid.rect(tile));
         if let (Some(task), Some(tile), Some(rect)) = (row.task, row.tile, rect) {
             let spp = row.samples as f64 / rect.pixels().max(1) as f64;
             *frames.entry((row.source, task.stage.frame)).or_default().entry(tile).or_default() += spp;
@@ -36,9 +36,9 @@ pub fn draw(tasks: &[Row], told: &[Told]) -> Result<Vec<String>, Failure> {
     }
     let step = frames.len().div_ceil(FRAMES).max(1);
     let picture = |((source, frame), tiles): ((usize, u32), Tiles)| {
-        let told = told.get(source)?;
-        let title = told.variant.as_ref().map_or_else(String::new, |variant| format!("{variant}, "));
-        Some(Picture { title: format!("{title}frame {frame}"), grid: told.spec.grid, tiles })
+        let record = records.get(source)?;
+        let title = record.variant.as_ref().map_or_else(String::new, |variant| format!("{variant}, "));
+        Some(Picture { title: format!("{title}frame {frame}"), grid: record.spec.grid, tiles })
     };
     let shown: Vec<Picture> = frames.into_iter().step_by(step).filter_map(picture).collect();
     let Some(first) = shown.first() else { return Ok(Vec::new()) };

@@ -9,7 +9,7 @@ mod page;
 mod timeline;
 mod variants;
 
-use crate::attempts::{By, Row, Told, rows};
+use crate::attempts::{By, JobRecord, Row, rows};
 use crate::exit::Failure;
 use femc_model::Ending;
 use page::Page;
@@ -20,13 +20,13 @@ pub struct Report {
     /// What it is about; else the jobs say it.
     pub title: Option<String>,
     /// Of each job.
-    pub told: Vec<Told>,
+    pub records: Vec<JobRecord>,
 }
 
 impl Report {
     /// The file.
     pub fn html(&self) -> Result<String, Failure> {
-        let of = |by| rows(&self.told, by);
+        let of = |by| rows(&self.records, by);
         let (attempts, tasks, frames, workers) = (of(By::Attempt), of(By::Task), of(By::Frame), of(By::Worker));
         let mut page = Page::new(&self.title());
         page.facts(&self.facts(&workers, &attempts));
@@ -46,9 +46,9 @@ impl Report {
         page.section("Error against time", "Relative error of a frame at the end of each round.");
         page.figures(&errors::draw(&attempts)?, "No error has been measured yet.");
         page.section("Samples", "Samples a pixel of each tile, of results that count.");
-        page.figures(&heat::draw(&tasks, &self.told)?, "No tile is done yet.");
+        page.figures(&heat::draw(&tasks, &self.records)?, "No tile is done yet.");
         page.section("Cost", "Processor seconds, attempts that came to nothing included.");
-        if self.told.len() > 1 {
+        if self.records.len() > 1 {
             let variants = of(By::Variant);
             page.figure(&variants::draw(&variants)?);
             page.table(By::Variant, &variants);
@@ -57,16 +57,16 @@ impl Report {
         }
         page.table(By::Frame, &frames);
         page.section("Failures", "Attempts that failed, with what their workers wrote down.");
-        page.failures(&self.told);
+        page.failures(&self.records);
         Ok(page.end())
     }
 
     fn title(&self) -> String {
-        match (&self.title, &self.told[..]) {
+        match (&self.title, &self.records[..]) {
             (Some(title), _) => title.clone(),
-            (None, [told]) => format!("Job {}: {}", told.job, told.spec.name),
+            (None, [record]) => format!("Job {}: {}", record.job, record.spec.name),
             (None, several) => {
-                let numbers: Vec<String> = several.iter().map(|told| told.job.to_string()).collect();
+                let numbers: Vec<String> = several.iter().map(|record| record.job.to_string()).collect();
                 format!("Jobs {}", numbers.join(", "))
             }
         }
@@ -76,17 +76,18 @@ impl Report {
         use crate::output::human::{bytes, count, quantity, seconds};
         let sum = |of: fn(&Row) -> f64| workers.iter().map(of).sum::<f64>();
         let wasted: f64 = attempts.iter().filter(|row| row.ending != Some(Ending::Done)).map(|row| row.cpu).sum();
-        let unknown = self.told.iter().flat_map(|told| &told.attempts).filter(|record| record.usage.is_none()).count();
+        let unknown =
+            self.records.iter().flat_map(|record| &record.attempts).filter(|attempt| attempt.usage.is_none()).count();
         let span = attempts.iter().map(|row| row.ended).fold(0.0, f64::max);
-        let films: BTreeSet<[u32; 2]> = self.told.iter().map(|told| told.spec.grid.film).collect();
+        let films: BTreeSet<[u32; 2]> = self.records.iter().map(|record| record.spec.grid.film).collect();
         let films: Vec<String> = films.iter().map(|[width, height]| format!("{width} x {height}")).collect();
-        let frames: usize = self.told.iter().map(|told| told.spec.frames.len()).sum();
-        let attempts_told = match unknown {
+        let frames: usize = self.records.iter().map(|record| record.spec.frames.len()).sum();
+        let attempts_text = match unknown {
             0 => attempts.len().to_string(),
             _ => format!("{}; what {unknown} of them took is not known", attempts.len()),
         };
         vec![
-            ("Jobs", self.told.len().to_string()),
+            ("Jobs", self.records.len().to_string()),
             ("Frames", frames.to_string()),
             ("Film", films.join(", ")),
             ("First attempt to last", seconds(span)),
@@ -99,7 +100,7 @@ impl Report {
                 ),
             ),
             ("Workers", count(workers.len() as u64, "process").replace("processs", "processes")),
-            ("Attempts", attempts_told),
+            ("Attempts", attempts_text),
             ("Samples", quantity(sum(|row| row.samples as f64))),
             ("Rays", quantity(sum(|row| row.rays as f64))),
             (

@@ -1,6 +1,6 @@
 //! The HTML around the figures.
 
-use crate::attempts::{By, FailureLog, Row, Told, columns, shown};
+use crate::attempts::{By, FailureLog, JobRecord, Row, columns, shown};
 use plotters::style::RGBColor;
 use std::fmt::Write;
 
@@ -94,13 +94,13 @@ impl Page {
     }
 
     /// Failures and their logs.
-    pub fn failures(&mut self, told: &[Told]) {
-        if told.iter().all(|told| told.failures.is_empty()) {
+    pub fn failures(&mut self, records: &[JobRecord]) {
+        if records.iter().all(|record| record.failures.is_empty()) {
             self.text("None.");
         }
-        for told in told {
-            let (job, variant) = (told.job, escaped(told.variant.as_deref().unwrap_or_default()));
-            for FailureLog { task, worker, text } in &told.failures {
+        for record in records {
+            let (job, variant) = (record.job, escaped(record.variant.as_deref().unwrap_or_default()));
+            for FailureLog { task, worker, text } in &record.failures {
                 let (worker, text) = (escaped(worker), escaped(text));
                 self.put(format_args!(
                     "<details><summary>{job} {variant} {task} on {worker}</summary><pre>{text}</pre></details>\n"

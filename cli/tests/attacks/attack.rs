@@ -208,30 +208,30 @@ pub async fn calls(target: &mut Target) -> String {
     for _ in 0..4 {
         let mut peer = Peer::connect(target.address()).await;
         peers.push(tokio::spawn(async move {
-            let mut told = BTreeMap::<String, u32>::new();
+            let mut outcomes = BTreeMap::<String, u32>::new();
             for _ in 0..2000 {
                 let mut open = Vec::new();
                 for _ in 0..8 {
-                    let Ok((response, mut send)) = peer.begin("Artifacts/Missing").await else { return told };
+                    let Ok((response, mut send)) = peer.begin("Artifacts/Missing").await else { return outcomes };
                     let _ = send.send_data(message(&[]), true);
                     open.push(response);
                 }
                 for response in open {
-                    *told.entry(outcome(response).await.chars().take(9).collect()).or_default() += 1;
+                    *outcomes.entry(outcome(response).await.chars().take(9).collect()).or_default() += 1;
                 }
             }
-            told
+            outcomes
         }));
     }
     target.serves_others();
-    let mut told = BTreeMap::<String, u32>::new();
+    let mut outcomes = BTreeMap::<String, u32>::new();
     for peer in peers {
         for (what, times) in peer.await.expect("no panic") {
-            *told.entry(what).or_default() += times;
+            *outcomes.entry(what).or_default() += times;
         }
     }
-    assert!(told.keys().all(|what| ["status 0:", "status 8:"].contains(&what.as_str())), "{told:?}");
-    format!("{told:?}")
+    assert!(outcomes.keys().all(|what| ["status 0:", "status 8:"].contains(&what.as_str())), "{outcomes:?}");
+    format!("{outcomes:?}")
 }
 
 /// The digest of a file that nobody has, as a message that announces it.
@@ -314,7 +314,7 @@ pub async fn nonsense(target: &mut Target) -> String {
         "None/None",
     ];
     let mut state = 1u64;
-    let mut told = BTreeMap::<String, u32>::new();
+    let mut outcomes = BTreeMap::<String, u32>::new();
     let mut peer = Peer::connect(target.address()).await;
     for n in 0..40 {
         for call in calls {
@@ -324,11 +324,11 @@ pub async fn nonsense(target: &mut Target) -> String {
             };
             let body: Vec<u8> = (0..n * 8).map(byte).collect();
             let bytes = if n % 2 == 0 { message(&body) } else { body.into() };
-            *told.entry(peer.call(call, bytes).await.chars().take(9).collect()).or_default() += 1;
+            *outcomes.entry(peer.call(call, bytes).await.chars().take(9).collect()).or_default() += 1;
         }
     }
-    assert!(told.len() > 3 && !told.keys().any(|what| what.starts_with("closed")), "{told:?}");
-    format!("{told:?}")
+    assert!(outcomes.len() > 3 && !outcomes.keys().any(|what| what.starts_with("closed")), "{outcomes:?}");
+    format!("{outcomes:?}")
 }
 
 pub async fn guesses(target: &mut Target) -> String {
@@ -341,9 +341,9 @@ pub async fn guesses(target: &mut Target) -> String {
         let _ = std::fs::remove_file(&path);
         std::fs::write(&path, guess).expect("a file");
         std::fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o600)).expect("its mode");
-        let told =
+        let answer =
             target.place.run(&format!("jobs --server {} --token-file guess.token", target.url)).exits(1).stderr();
-        assert!(told.contains("does not know the token"), "{told}");
+        assert!(answer.contains("does not know the token"), "{answer}");
     }
     target.place.run(&format!("jobs --server {} --token-file bob.token", target.url)).exits(0);
     let record = target.place.read("audit.jsonl");

@@ -100,11 +100,11 @@ pub async fn outcome(response: ResponseFuture) -> String {
     let text = |map: &http::HeaderMap, name: &str| {
         map.get(name).map(|value| String::from_utf8_lossy(value.as_bytes()).replace("%20", " "))
     };
-    let told = |map: &http::HeaderMap| {
+    let status_line = |map: &http::HeaderMap| {
         Some(format!("status {}: {}", text(map, "grpc-status")?, text(map, "grpc-message").unwrap_or_default()))
     };
-    if let Some(told) = told(response.headers()) {
-        return told;
+    if let Some(status) = status_line(response.headers()) {
+        return status;
     }
     let status = response.status();
     let mut body = response.into_body();
@@ -112,5 +112,5 @@ pub async fn outcome(response: ResponseFuture) -> String {
         let _ = body.flow_control().release_capacity(piece.len());
     }
     let trailers = body.trailers().await.ok().flatten().unwrap_or_default();
-    told(&trailers).unwrap_or_else(|| format!("HTTP {status}"))
+    status_line(&trailers).unwrap_or_else(|| format!("HTTP {status}"))
 }

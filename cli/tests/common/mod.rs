@@ -139,11 +139,11 @@ impl Place {
 
     /// Start, its output to the files `NAME.out` and `NAME.err`.
     pub fn start_as(&self, name: &str, line: &str) -> Running {
-        self.start_told(name, &mut self.command(line))
+        self.start_command(name, &mut self.command(line))
     }
 
     /// The same of a command.
-    pub fn start_told(&self, name: &str, command: &mut Command) -> Running {
+    pub fn start_command(&self, name: &str, command: &mut Command) -> Running {
         let file = |kind| std::fs::File::create(self.path(&format!("{name}.{kind}"))).expect("a file");
         let line = format!("{command:?}");
         let child = command.stdout(file("out")).stderr(file("err")).spawn().expect("femc starts");

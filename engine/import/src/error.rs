@@ -30,9 +30,9 @@ impl fmt::Display for Position {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 #[error("{at}: {fault}")]
 pub struct ImportError {
-    /// Where.
+    /// File, line and column of the fault.
     pub at: Position,
-    /// What.
+    /// What is wrong there.
     pub fault: Box<Fault>,
 }
 
@@ -100,7 +100,7 @@ pub enum Fault {
     UnportablePath {
         /// As written.
         path: String,
-        /// Why.
+        /// Rule that the path breaks.
         reason: &'static str,
     },
     /// A file that includes itself, perhaps through others.
@@ -268,7 +268,7 @@ pub enum Fault {
     BadFile {
         /// The file.
         path: String,
-        /// Why.
+        /// What is wrong with the file's content.
         reason: String,
         /// What to do.
         advice: &'static str,

@@ -6,9 +6,9 @@ use std::fmt;
 /// Something odd at some place. Displays as `file:line:column: what`.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Warning {
-    /// Where.
+    /// File, line and column of the oddity.
     pub at: Position,
-    /// What.
+    /// What is odd there.
     pub oddity: Oddity,
 }
 
@@ -63,7 +63,7 @@ pub enum Oddity {
     },
     /// A transform around something that is always in world coordinates.
     NotTransformed {
-        /// What.
+        /// Kind of element that ignores the transform.
         what: &'static str,
     },
     /// Photometric data outside the letter of LM-63 that has a clear meaning.

@@ -18,6 +18,6 @@ pub use render::{RenderError, RenderedTile, moment, prepare, render_tile};
 /// the name, `tests/builds` compares).
 pub const BUILD: &str = env!("FEMC_ENGINE");
 
-pub use round::{RoundVerdict, Spent, TileState};
+pub use round::{FrameTime, RoundVerdict, TileState};
 pub use settings::{Method, Settings, SettingsError, Stop};
 pub use stage::{Loop, Need, Reach, Role, Round, Scope, Stage, StageKind, fan, stages};

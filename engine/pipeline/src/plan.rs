@@ -28,9 +28,9 @@ pub struct Plan {
 /// Something that does not run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct LeftOut {
-    /// What.
+    /// Name of the feature that does not run.
     pub what: String,
-    /// Why.
+    /// Reason for which it does not run.
     pub reason: String,
 }
 

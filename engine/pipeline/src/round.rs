@@ -28,7 +28,7 @@ pub struct TileState {
 
 /// Seconds of a frame.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub struct Spent {
+pub struct FrameTime {
     /// Since its first task was begun.
     pub so_far: f64,
     /// That the next round takes, as the rounds until now did.
@@ -38,18 +38,18 @@ pub struct Spent {
 impl Settings {
     /// What follows a round.
     /// - `tiles`: all tiles of the frame, in order;
-    /// - `spent`: for [`Stop::Time`] alone;
+    /// - `time`: for [`Stop::Time`] alone;
     /// - `planned`: samples a pixel at the end of the next round; `None`: this was the last one.
     ///
     /// A tile whose error is as asked for is left alone; should it be too large again later, against a darker frame, the tile goes
     /// on. The rule looks at the estimates that it stops, which biases dim, spiky tiles slightly downward; rounds that double
     /// keep that small.
-    pub fn verdict(&self, tiles: &[TileState], spent: Spent, planned: Option<u32>) -> RoundVerdict {
+    pub fn verdict(&self, tiles: &[TileState], time: FrameTime, planned: Option<u32>) -> RoundVerdict {
         let Some(planned) = planned else { return RoundVerdict::Done };
         let is_enough = |tile: &TileState| match self.stop {
             Stop::Spp(_) => true,
             Stop::Error(e) => tile.error <= e,
-            Stop::Time(t) => spent.so_far + spent.next > t,
+            Stop::Time(t) => time.so_far + time.next > t,
         };
         let enough = tiles.iter().filter(|tile| is_enough(tile)).count();
         if enough == tiles.len() {
@@ -67,12 +67,12 @@ impl Settings {
 mod tests {
     use super::*;
 
-    const SPENT: Spent = Spent { so_far: 4.0, next: 2.0 };
+    const TIME: FrameTime = FrameTime { so_far: 4.0, next: 2.0 };
 
     fn verdict(stop: Stop, errors: &[f64], planned: Option<u32>) -> RoundVerdict {
         let tile = |(place, &error): (usize, &f64)| TileState { samples: [16, 32][place % 2], error };
         let tiles: Vec<TileState> = errors.iter().enumerate().map(tile).collect();
-        Settings { stop, ..Settings::default() }.verdict(&tiles, SPENT, planned)
+        Settings { stop, ..Settings::default() }.verdict(&tiles, TIME, planned)
     }
 
     #[test]
@@ -95,7 +95,7 @@ mod tests {
         );
         let late = Settings { stop: Stop::Error(0.05), ..Settings::default() };
         let tiles = [TileState { samples: 16, error: 0.1 }];
-        let spent = Spent { so_far: 1e9, next: 1e9 };
-        assert_eq!(late.verdict(&tiles, spent, Some(32)), late.verdict(&tiles, SPENT, Some(32)));
+        let time = FrameTime { so_far: 1e9, next: 1e9 };
+        assert_eq!(late.verdict(&tiles, time, Some(32)), late.verdict(&tiles, TIME, Some(32)));
     }
 }

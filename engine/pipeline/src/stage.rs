@@ -14,9 +14,9 @@ use std::num::NonZeroU32;
 /// before, any of their loop.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Stage {
-    /// What its tasks do.
+    /// Kind of its tasks.
     pub kind: StageKind,
-    /// What has it once.
+    /// Unit that has this stage once: a frame, a job, or a shared content.
     pub scope: Scope,
     /// Its tasks in order, as runs of equal ones: how many, and the units of work of a step of each. Of [`StageKind::Render`] a
     /// unit is a pixel.
@@ -24,7 +24,7 @@ pub struct Stage {
     /// Steps that each task has taken at the end of each round, ascending: of [`StageKind::Render`] samples a pixel. Empty of
     /// other kinds.
     pub steps: Vec<u32>,
-    /// What its tasks read.
+    /// Outputs that its tasks read.
     pub needs: Vec<Need>,
     /// The roles of its outputs.
     pub makes: Vec<Role>,
@@ -76,11 +76,11 @@ pub enum Role {
 pub struct Need {
     /// The stage that makes them.
     pub stage: u16,
-    /// Which of its outputs.
+    /// Role of the outputs.
     pub role: Role,
-    /// Of which of its tasks.
+    /// Tasks of that stage whose outputs are read.
     pub reach: Reach,
-    /// Of which round.
+    /// Round of that stage whose outputs are read.
     pub round: Round,
 }
 

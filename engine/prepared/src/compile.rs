@@ -77,7 +77,7 @@ pub struct Compiled {
 /// A compiled group with its place.
 #[derive(Clone, Debug)]
 pub struct Placed {
-    /// What.
+    /// The compiled group.
     pub compiled: Arc<Compiled>,
     /// Motions from the group's frame to the world, innermost first.
     pub motions: Vec<Motion>,

@@ -34,7 +34,7 @@ pub enum Health {
     },
     /// It does not do what it should: start it anew.
     Broken {
-        /// What does not work.
+        /// Part that fails, and its error.
         message: String,
     },
 }
@@ -42,7 +42,7 @@ pub enum Health {
 /// What a process says about itself.
 #[derive(Debug)]
 pub struct Report {
-    /// How it is.
+    /// Health of the process.
     pub health: Health,
     /// Its page of metrics.
     pub page: String,

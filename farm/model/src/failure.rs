@@ -16,7 +16,7 @@ pub enum Failure {
     /// The settings cannot be understood.
     #[error("settings: {message}")]
     Settings {
-        /// What the reader said.
+        /// Error of the settings' parser.
         message: String,
     },
     /// The task's code panicked.
@@ -28,27 +28,27 @@ pub enum Failure {
     /// The worker was there, and the task made no progress for too long.
     #[error("no progress for {seconds} s")]
     Stalled {
-        /// How long.
+        /// Seconds without progress.
         seconds: u64,
     },
     /// Artifacts that the task needs are not in the store, or do not decode, or do not fit the task.
     #[error("{} artifacts are lost: {message}", digests.len())]
     LostInputs {
-        /// All of them.
+        /// Digests of all lost artifacts.
         digests: Vec<Digest>,
-        /// Of one of them, in words.
+        /// What is wrong with one of them.
         message: String,
     },
     /// The artifact store refused or was away.
     #[error("store: {message}")]
     Store {
-        /// What it said.
+        /// Error of the store.
         message: String,
     },
     /// The worker's disk or memory is used up.
     #[error("out of resources: {message}")]
     Resources {
-        /// Of what.
+        /// Resource that is used up, and the error of the system.
         message: String,
     },
     /// The worker gave the task back: it was told to, or is leaving.
@@ -57,7 +57,7 @@ pub enum Failure {
     /// Workers died while they computed it.
     #[error("workers died {deaths} times while they computed it; the last was {worker}")]
     Killed {
-        /// How often.
+        /// Workers that died over the task.
         deaths: u32,
         /// Name of the last one.
         worker: String,

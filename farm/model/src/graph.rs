@@ -18,16 +18,16 @@ pub struct Graph {
 /// A stage of every unit of its scope.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Template {
-    /// What its tasks do.
+    /// Kind of its tasks.
     pub kind: StageKind,
-    /// What has it once.
+    /// Unit that has this stage once: a frame, a job, or a shared content.
     pub scope: Scope,
     /// Its tasks, and what a step of each is.
     pub sizes: Sizes,
     /// Steps that each task has taken at the end of each round, strictly ascending. Of stages whose kind is not cut: empty, a
     /// task is one step in each round.
     pub steps: Vec<u32>,
-    /// What its tasks read.
+    /// Outputs that its tasks read.
     pub needs: Vec<Need>,
     /// What its tasks may look at, if it is there: it saves them time and changes none of their bytes.
     pub hints: Vec<Hint>,
@@ -62,7 +62,7 @@ pub enum Scope {
 }
 
 impl Scope {
-    /// All.
+    /// All scopes.
     pub const ALL: [Self; 3] = [Self::Job, Self::Frame, Self::Content];
 
     /// Whether a stage of this scope may read one of that.
@@ -81,11 +81,11 @@ impl Scope {
 pub struct Need {
     /// The stage that makes them.
     pub stage: u16,
-    /// Which of its outputs.
+    /// Role of the outputs.
     pub role: Role,
-    /// Of which of its tasks.
+    /// Tasks of that stage whose outputs are read.
     pub reach: Reach,
-    /// Of which round.
+    /// Round of that stage whose outputs are read.
     pub round: Round,
     /// Whether frames that cannot be finished may be missing; of a stage of the job that reads a stage of frames.
     pub gaps: bool,
@@ -97,9 +97,9 @@ pub struct Need {
 pub struct Hint {
     /// The stage that makes them: any of the frame, also the one that looks.
     pub stage: u16,
-    /// Which of its outputs.
+    /// Role of the outputs.
     pub role: Role,
-    /// Of which of its tasks.
+    /// Tasks of that stage whose outputs are read.
     pub reach: Reach,
 }
 
@@ -485,7 +485,7 @@ pub enum GraphError {
     /// Beyond a limit.
     #[error("{what}: at most {limit}")]
     TooMany {
-        /// Of what.
+        /// Quantity that is beyond its limit.
         what: &'static str,
         /// The most there may be.
         limit: u64,
@@ -496,49 +496,49 @@ pub enum GraphError {
     /// None, or some without a size.
     #[error("stage {stage} has no tasks")]
     Tasks {
-        /// Which.
+        /// Number of the stage in the graph.
         stage: u16,
     },
     /// None where tasks are cut, or not ascending, or not one for each round.
     #[error("the steps of stage {stage} must ascend from 1, one number for each round")]
     Steps {
-        /// Which.
+        /// Number of the stage in the graph.
         stage: u16,
     },
     /// A role twice.
     #[error("stage {stage} makes two outputs of one role")]
     Makes {
-        /// Which.
+        /// Number of the stage in the graph.
         stage: u16,
     },
     /// What is shown on terminals must not steer them.
     #[error("control characters in the options or tags of stage {stage}")]
     Control {
-        /// Which.
+        /// Number of the stage in the graph.
         stage: u16,
     },
     /// A loop that cannot be.
     #[error("stage {stage}: {why}")]
     Loop {
-        /// Which.
+        /// Number of the stage in the graph.
         stage: u16,
-        /// Why.
+        /// Rule that the stage breaks.
         why: &'static str,
     },
     /// Something that is never there.
     #[error("stage {stage} cannot look at the frame before: {why}")]
     Hint {
-        /// Which.
+        /// Number of the stage in the graph.
         stage: u16,
-        /// Why.
+        /// Rule that the stage breaks.
         why: &'static str,
     },
     /// A need that cannot be met.
     #[error("stage {stage}: {why}")]
     Need {
-        /// Which.
+        /// Number of the stage in the graph.
         stage: u16,
-        /// Why.
+        /// Rule that the stage breaks.
         why: &'static str,
     },
 }

@@ -26,7 +26,7 @@ pub struct JobSpec {
     pub contents: Vec<(u32, Digest)>,
     /// 0..=100; greater goes first.
     pub priority: u8,
-    /// Who submitted it.
+    /// Name of the owner who submitted the job.
     pub owner: String,
     /// A worker must have all of these.
     pub tags: Vec<String>,
@@ -43,8 +43,8 @@ impl JobSpec {
     pub const MAX_TAGS: usize = 64;
     /// Most bytes of settings.
     pub const MAX_SETTINGS: usize = 1 << 20;
-    /// A coordinator tells a worker a job again when it has told it so many others in the session.
-    pub const TOLD: usize = 1024;
+    /// Specs of jobs that a session keeps: a coordinator sends a spec again once it has sent this many others.
+    pub const SESSION_SPECS: usize = 1024;
     /// Most bytes of a name, an owner, a tag, a path.
     pub const MAX_NAME: usize = 1 << 10;
 
@@ -179,15 +179,15 @@ pub enum SpecError {
     /// None, too many, or not ascending from 1.
     #[error("{frames} frames: at least 1, at most {}, ascending from number 1", JobSpec::MAX_FRAMES)]
     Frames {
-        /// How many there are.
+        /// Number of frames in the specification.
         frames: usize,
     },
     /// Keys of contents for too few frames, or too many, or out of order.
     #[error("the contents of {named} frames are named in order, {wanted} should be")]
     Contents {
-        /// How many have one.
+        /// Number of frames with a key.
         named: usize,
-        /// How many need one.
+        /// Number of frames that need a key.
         wanted: usize,
     },
     /// Stages that cannot be run.
@@ -196,7 +196,7 @@ pub enum SpecError {
     /// Beyond 100.
     #[error("priority {priority}, at most 100")]
     Priority {
-        /// As given.
+        /// Priority from the specification.
         priority: u8,
     },
     /// Whoever fetches the job's frames names files by it.
@@ -208,7 +208,7 @@ pub enum SpecError {
     /// A text beyond its limit.
     #[error("{field} is too long")]
     TooLong {
-        /// Which.
+        /// Name of the field.
         field: &'static str,
     },
 }

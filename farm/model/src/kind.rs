@@ -30,10 +30,10 @@ pub enum Lane {
 }
 
 impl Lane {
-    /// All.
+    /// All lanes.
     pub const ALL: [Self; 2] = [Self::Compute, Self::Join];
 
-    /// In one word.
+    /// Name, one word.
     pub fn name(self) -> &'static str {
         match self {
             Self::Compute => "compute",
@@ -63,7 +63,7 @@ pub enum LogPlace {
 /// A row of the kinds' table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct KindRow {
-    /// In one word.
+    /// Name, one word.
     pub name: &'static str,
     /// What its steps are counted in, for people.
     pub unit: &'static str,
@@ -71,9 +71,9 @@ pub struct KindRow {
     pub lane: Lane,
     /// Whether a lease may cover some of a task's steps.
     pub is_cut: bool,
-    /// What it wants near.
+    /// Data for whose sake the scheduler prefers a worker.
     pub near: Near,
-    /// Where its log goes.
+    /// Place where its tasks' logs are kept.
     pub log: LogPlace,
 }
 
@@ -97,7 +97,7 @@ impl StageKind {
         }
     }
 
-    /// In one word.
+    /// Name, one word.
     pub fn name(self) -> &'static str {
         self.row().name
     }
@@ -154,7 +154,7 @@ pub enum Role {
 /// A row of the roles' table.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct RoleRow {
-    /// In one word.
+    /// Name, one word.
     pub name: &'static str,
     /// Whether it is a result of the job: kept with it, and made again when it is lost.
     pub is_result: bool,
@@ -202,7 +202,7 @@ impl Role {
         }
     }
 
-    /// In one word.
+    /// Name, one word.
     pub fn name(self) -> &'static str {
         self.row().name
     }

@@ -37,7 +37,7 @@ pub use manifest::{Extent, Manifest, ManifestError, Piece};
 pub use refusal::Refusal;
 pub use result::{Artifact, Decision, FrameParts, FrameRecord, TaskResult};
 pub use session::{
-    Death, FromWorker, HeldLease, LeaseLeft, Phase, Registration, RevokeReason, Spent, TaskProgress, ToWorker,
+    Death, FromWorker, HeldLease, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, TaskUsage, ToWorker,
 };
 pub use status::{Drain, FrameProgress, Intake, JobStatus, Quarantined, Wait, WorkerName, WorkerStatus};
 pub use task::{Assignment, Input, More, Output, Stage, TaskKey, Work};

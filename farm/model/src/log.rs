@@ -32,11 +32,11 @@ impl LogText {
 /// The log of one attempt, as its worker reports it.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub struct TaskLog {
-    /// How it ended.
+    /// Outcome of the attempt.
     pub attempt: Attempt,
     /// Seconds that it took.
     pub seconds: f64,
-    /// What was written down.
+    /// Text of the log, inline or stored.
     pub text: LogText,
 }
 
@@ -45,7 +45,7 @@ pub struct TaskLog {
 pub struct LogRecord {
     /// The task.
     pub task: TaskKey,
-    /// Of the lease.
+    /// Epoch of the lease.
     pub epoch: Epoch,
     /// Name of the worker.
     pub worker: String,

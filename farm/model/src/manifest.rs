@@ -58,25 +58,25 @@ pub enum ManifestError {
     /// A path that could lead out of the scene, or that some system would read differently.
     #[error("the manifest has the bad path {path:?}")]
     Path {
-        /// As found.
+        /// Path from the manifest.
         path: String,
     },
     /// A path twice, or out of order.
     #[error("the manifest has {path:?} twice or out of order")]
     Order {
-        /// As found.
+        /// Path from the manifest.
         path: String,
     },
     /// A file beyond its piece.
     #[error("{path:?} lies beyond its piece")]
     Extent {
-        /// Which file.
+        /// Path of the file.
         path: String,
     },
     /// Beyond a limit.
     #[error("{what}: at most {limit}")]
     TooLarge {
-        /// Of what.
+        /// Quantity that is beyond its limit.
         what: &'static str,
         /// The most there may be.
         limit: u64,

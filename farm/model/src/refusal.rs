@@ -10,25 +10,25 @@ pub enum Refusal {
     /// No such job.
     #[error("there is no job {job}")]
     NoSuchJob {
-        /// As asked for.
+        /// Number that was asked for.
         job: JobId,
     },
     /// No such worker.
     #[error("there is no worker {worker}")]
     NoSuchWorker {
-        /// As asked for.
+        /// Name that was asked for.
         worker: String,
     },
     /// The job has ended, so that this cannot be done to it.
     #[error("job {job} has ended")]
     Ended {
-        /// Which.
+        /// The job.
         job: JobId,
     },
     /// A field's value makes no sense.
     #[error("{field}: {message}")]
     Invalid {
-        /// Which field.
+        /// Name of the field.
         field: String,
         /// What is wrong with it.
         message: String,
@@ -39,19 +39,19 @@ pub enum Refusal {
     /// No such artifact.
     #[error("there is no artifact {digest}")]
     NoSuchArtifact {
-        /// Which.
+        /// Digest of the artifact.
         digest: Digest,
     },
     /// The bytes do not have the digest that was announced.
     #[error("the bytes are not those of {digest}")]
     DigestMismatch {
-        /// As announced.
+        /// Digest that was announced.
         digest: Digest,
     },
     /// Beyond a limit.
     #[error("{what}: at most {limit}")]
     TooLarge {
-        /// Of what.
+        /// Quantity that is beyond its limit.
         what: String,
         /// The most there may be.
         limit: u64,
@@ -70,7 +70,7 @@ pub enum Refusal {
     MissingArtifacts {
         /// Some of them: at most [`Refusal::MOST_NAMED`].
         digests: Vec<Digest>,
-        /// How many there are.
+        /// Number of missing artifacts.
         count: u64,
     },
     /// The upload is elsewhere than its sender believes.
@@ -82,15 +82,15 @@ pub enum Refusal {
     /// Who asks may not do this.
     #[error("{who} may not do this: it takes {takes}")]
     Forbidden {
-        /// Who asked.
+        /// Holder of the credential that was shown.
         who: String,
-        /// Who may.
+        /// Holders that may, such as `an admin`.
         takes: String,
     },
     /// The coordinator is stopping, or its log or store does not answer: ask again later.
     #[error("not now: {message}")]
     Unavailable {
-        /// Why.
+        /// Reason for which the coordinator cannot answer now.
         message: String,
     },
     /// A disk of the farm is full, or nearly.

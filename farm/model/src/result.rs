@@ -9,7 +9,7 @@ use crate::{Digest, Grid, Output, Role};
 pub struct Artifact {
     /// BLAKE3 of the bytes.
     pub digest: Digest,
-    /// How many bytes.
+    /// Size in bytes.
     pub bytes: u64,
 }
 

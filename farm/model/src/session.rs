@@ -21,7 +21,7 @@ pub struct Registration {
     pub threads: u32,
     /// Tasks that run side by side; one more is fetched ahead.
     pub slots: u32,
-    /// What the worker offers.
+    /// Tags that the worker offers.
     pub tags: Vec<String>,
     /// Leases of an earlier session that it still works on, or whose results it still has.
     pub held: Vec<HeldLease>,
@@ -48,7 +48,7 @@ impl Death {
 pub struct HeldLease {
     /// The task.
     pub task: TaskKey,
-    /// Of the lease.
+    /// Epoch of the lease.
     pub epoch: Epoch,
     /// The steps that it covers: [`Work::steps`](crate::Work::steps).
     pub steps: Range<u32>,
@@ -74,9 +74,9 @@ pub enum Phase {
 pub struct TaskProgress {
     /// The task.
     pub task: TaskKey,
-    /// Of the lease.
+    /// Epoch of the lease.
     pub epoch: Epoch,
-    /// What is being done.
+    /// Phase of the attempt.
     pub phase: Phase,
     /// Units of work done, such as pixel samples; of a task that joins, inputs that are in. Only grows.
     pub units: u64,
@@ -87,7 +87,7 @@ pub struct TaskProgress {
 pub struct LeaseLeft {
     /// The task.
     pub task: TaskKey,
-    /// Of the lease.
+    /// Epoch of the lease.
     pub epoch: Epoch,
     /// Milliseconds until it ends, unless it is renewed.
     pub left: u64,
@@ -95,12 +95,12 @@ pub struct LeaseLeft {
 
 /// What went into a lease.
 #[derive(Debug, Clone, Copy, PartialEq, Serialize, Deserialize)]
-pub struct Spent {
+pub struct TaskUsage {
     /// The task.
     pub task: TaskKey,
-    /// Of the lease.
+    /// Epoch of the lease.
     pub epoch: Epoch,
-    /// What it took.
+    /// Usage of the lease.
     pub usage: Usage,
 }
 
@@ -116,32 +116,32 @@ pub enum FromWorker {
         /// The tasks whose leases hold, as far as the worker knows.
         tasks: Vec<TaskProgress>,
         /// What went into leases that were taken back since the heartbeat before.
-        spent: Vec<Spent>,
+        usage: Vec<TaskUsage>,
     },
     /// The result is in the store.
     Completed {
         /// The task.
         task: TaskKey,
-        /// Of the lease.
+        /// Epoch of the lease.
         epoch: Epoch,
-        /// What came out.
+        /// Result of the task.
         result: TaskResult,
-        /// What was written down.
+        /// Log of the attempt.
         log: Option<TaskLog>,
-        /// What it took.
+        /// Usage of the lease.
         usage: Option<Usage>,
     },
     /// The task is not done.
     Failed {
         /// The task.
         task: TaskKey,
-        /// Of the lease.
+        /// Epoch of the lease.
         epoch: Epoch,
-        /// Why.
+        /// Failure of the attempt.
         failure: Failure,
-        /// What was written down.
+        /// Log of the attempt.
         log: Option<TaskLog>,
-        /// What it took.
+        /// Usage of the lease.
         usage: Option<Usage>,
     },
     /// Give me no more tasks: I am leaving, or off duty.
@@ -184,7 +184,7 @@ pub enum ToWorker {
     Job {
         /// The job.
         job: JobId,
-        /// As submitted.
+        /// Specification of the job, as submitted.
         spec: Box<JobSpec>,
     },
     /// Do this.
@@ -193,25 +193,25 @@ pub enum ToWorker {
     Revoke {
         /// The task.
         task: TaskKey,
-        /// Of the lease.
+        /// Epoch of the lease.
         epoch: Epoch,
-        /// Why.
+        /// Reason for the revocation.
         reason: RevokeReason,
     },
     /// The completion is durable.
     Accepted {
         /// The task.
         task: TaskKey,
-        /// Of the lease.
+        /// Epoch of the lease.
         epoch: Epoch,
     },
     /// The completion or failure changed nothing.
     Refused {
         /// The task.
         task: TaskKey,
-        /// Of the lease.
+        /// Epoch of the lease.
         epoch: Epoch,
-        /// Why.
+        /// Reason for the refusal.
         refusal: Refusal,
     },
     /// The coordinator stops; come again later.

@@ -13,11 +13,11 @@ pub struct JobStatus {
     pub job: JobId,
     /// Its name.
     pub name: String,
-    /// Who submitted it.
+    /// Name of the owner who submitted the job.
     pub owner: String,
     /// 0..=100.
     pub priority: u8,
-    /// Where it stands.
+    /// State of the job.
     pub state: JobState,
     /// Why the job as a whole has failed, if it did.
     pub failure: Option<Failure>,
@@ -49,7 +49,7 @@ pub struct JobStatus {
     pub stale_messages: u64,
     /// Late tasks that were given to a second worker, since the coordinator's start.
     pub copies: u64,
-    /// Why tasks wait.
+    /// Reasons for which tasks of the job wait.
     pub waits: Vec<Wait>,
 }
 
@@ -62,7 +62,7 @@ pub struct FrameProgress {
     pub round: u32,
     /// Rounds planned at most.
     pub rounds: u32,
-    /// What it is at.
+    /// Kind of the stage in work.
     pub stage: StageKind,
     /// Tiles, or other tasks of its main stage, of which all steps of this round are done.
     pub tiles_done: u32,
@@ -98,26 +98,26 @@ pub enum Wait {
     NoWorkerWithTags(Vec<String>),
     /// Every worker that may take it has all that it can hold.
     WorkersBusy {
-        /// How many there are.
+        /// Number of such workers.
         workers: u32,
     },
     /// Every worker that may take it takes no more tasks: it is drained, leaving or off duty.
     WorkersDraining {
-        /// How many there are.
+        /// Number of such workers.
         workers: u32,
     },
     /// Every worker that may take it rests after a failure of its surroundings.
     WorkersResting,
     /// Workers that may take it have not been heard of for as long as a lease lasts: stopped, cut off or overloaded.
     WorkersSilent {
-        /// How many there are.
+        /// Number of such workers.
         workers: u32,
         /// How long the one has been silent that has been so the longest.
         seconds: u64,
     },
     /// Workers that may take it rest, each after a failure of its surroundings.
     WorkersInTrouble {
-        /// How many there are.
+        /// Number of such workers.
         workers: u32,
         /// Until the first of them gets a task again.
         seconds: u64,
@@ -126,20 +126,20 @@ pub enum Wait {
     },
     /// Tasks of the job kept failing on some workers: they get none of it for a while.
     WorkersQuarantined {
-        /// How many workers.
+        /// Number of such workers.
         workers: u32,
         /// Until the first of them gets a task as a probe; 0: it has it.
         seconds: u64,
     },
     /// Tasks that failed last on the workers with room wait for others.
     WorkersAvoided {
-        /// How many tasks.
+        /// Number of such tasks.
         tasks: u32,
     },
     /// Frames that were begun by workers of another build of the engine than all with room: they wait for one of theirs, or begin
     /// anew when none has been there for a while.
     OtherBuild {
-        /// How many frames.
+        /// Number of such frames.
         frames: u32,
     },
     /// The coordinator has just begun, or slept: first it hears which workers still have tasks.
@@ -153,9 +153,9 @@ pub enum Wait {
     StageWaits {
         /// Frame number; [`Stage::OF_JOB`](crate::Stage::OF_JOB): of the job's own stages.
         frame: u32,
-        /// What waits.
+        /// Kind of the stage that waits.
         stage: StageKind,
-        /// For what.
+        /// Kind of the stage that it waits for.
         needs: StageKind,
         /// How many of these tasks are not done.
         tasks: u32,
@@ -164,18 +164,18 @@ pub enum Wait {
     SharedStage {
         /// What is being done for it, in its own number.
         shared: JobId,
-        /// Which of its stages.
+        /// Kind of the shared stage that is in work.
         stage: StageKind,
         /// Tasks of this stage that are done.
         done: u32,
-        /// All of them.
+        /// Tasks of this stage.
         tasks: u32,
         /// How many jobs wait for it.
         jobs: u32,
     },
     /// Tasks that are not done were tried, and what is around them failed: the store, the network, a worker's memory.
     Mishaps {
-        /// How many tasks.
+        /// Number of such tasks.
         tasks: u32,
         /// What went wrong with one of them last.
         message: String,
@@ -251,7 +251,7 @@ pub struct WorkerStatus {
     pub name: String,
     /// Threads that render.
     pub threads: u32,
-    /// What it offers.
+    /// Tags that the worker offers.
     pub tags: Vec<String>,
     /// Tasks it holds, in order of key.
     pub tasks: Vec<TaskKey>,

@@ -55,7 +55,7 @@ pub struct Assignment {
     pub lease: u64,
     /// The lease of another worker that does the same, where this is its copy: the first that is done counts.
     pub copy_of: Option<Epoch>,
-    /// What to do.
+    /// Content of the task: item, steps and inputs.
     pub work: Work,
 }
 
@@ -90,16 +90,16 @@ pub struct Input {
     pub frame: u32,
     /// The task that has made it, by its number before tasks are cut; one that was cut has several.
     pub item: u32,
-    /// What it is.
+    /// Role and artifact of the output.
     pub output: Output,
 }
 
 /// What a task has made.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Output {
-    /// What it is.
+    /// Role of the output.
     pub role: Role,
-    /// Where it is.
+    /// Artifact that holds the output.
     pub artifact: Artifact,
 }
 

@@ -49,7 +49,7 @@ impl Ending {
     /// All, the least first.
     pub const ALL: [Self; 5] = [Self::Lost, Self::Revoked, Self::Cancelled, Self::Failed, Self::Done];
 
-    /// In one word.
+    /// Name, one word.
     pub fn name(self) -> &'static str {
         match self {
             Self::Lost => "lost",
@@ -76,7 +76,7 @@ pub struct AttemptRecord {
     pub granted: Tick,
     /// When the coordinator heard of its end.
     pub ended: Tick,
-    /// How it ended.
+    /// How the lease ended.
     pub ending: Ending,
     /// Pixel samples of the result that counts.
     pub samples: u64,

@@ -77,7 +77,7 @@ impl<'a> Batch<'a> {
 pub struct Note {
     /// What it is about; at most `i64::MAX`.
     pub subject: u64,
-    /// What it says.
+    /// Content of the note.
     pub bytes: Vec<u8>,
 }
 
@@ -239,7 +239,7 @@ pub enum QueueError {
     Unsure {
         /// The file.
         path: String,
-        /// Why not.
+        /// Reason for which durable records may be missing.
         why: String,
     },
     /// There is no room; nothing was written.
@@ -247,16 +247,16 @@ pub enum QueueError {
     Full {
         /// The file or the database.
         place: String,
-        /// What the system said.
+        /// Error of the operating system or the database.
         message: String,
     },
-    /// Not this one.
+    /// A log of this kind is copied by other means.
     #[error("this log is not copied by the coordinator: {instead}")]
     NoCopy {
-        /// What to do instead.
+        /// How to copy this kind of log.
         instead: &'static str,
     },
-    /// The medium said no.
+    /// Reading or writing the log failed.
     #[error("log: {0}")]
     Medium(#[from] io::Error),
     /// The address of the database makes no sense.
@@ -270,7 +270,7 @@ pub enum QueueError {
     Away {
         /// Where, and its name.
         database: String,
-        /// What happened.
+        /// Error of the connection.
         message: String,
     },
     /// The database does not let this user in, or does not let it do what it must.
@@ -278,7 +278,7 @@ pub enum QueueError {
     Rejected {
         /// Where, and its name.
         database: String,
-        /// What the server said.
+        /// Error of the server.
         message: String,
     },
     /// The schema `femc` of the database is not a log of this program, or of another version.
@@ -304,10 +304,10 @@ pub enum QueueError {
     Database {
         /// Where, and its name.
         database: String,
-        /// What the server said.
+        /// Error of the server.
         message: String,
     },
-    /// SQLite said no.
+    /// SQLite failed.
     #[error("log: {0}")]
     Sqlite(#[from] sqlx::Error),
 }

@@ -74,12 +74,12 @@ fn scratch() -> TempDir {
 
 /// Something that is done to a log.
 #[derive(Debug, Clone)]
-enum Deed {
+enum Operation {
     Append(Work),
     Snapshot(Vec<u8>),
 }
 
-impl Deed {
+impl Operation {
     fn by(chance: &mut Chance) -> Self {
         if chance.below(7) == 0 { Self::Snapshot(chance.bytes(20_000)) } else { Self::Append(Work::by(chance)) }
     }
@@ -98,32 +98,32 @@ impl Deed {
     }
 }
 
-/// What a log is after each of these deeds, with its files as a kill would leave them then.
-async fn story(deeds: &[Deed]) -> Vec<(Files, Model)> {
+/// What a log is after each of these operations, with its files as a kill would leave them then.
+async fn story(operations: &[Operation]) -> Vec<(Files, Model)> {
     let folder = scratch();
     let path = folder.path().join("log");
     let (mut queue, mut model) = (Sqlite::open(&path).await.unwrap(), Model::default());
     queue.load().await.unwrap();
-    let mut told = vec![(Files::of(&path), model.clone())];
-    for deed in deeds {
-        deed.upon(&mut queue, &mut model).await;
-        told.push((Files::of(&path), model.clone()));
+    let mut states = vec![(Files::of(&path), model.clone())];
+    for operation in operations {
+        operation.upon(&mut queue, &mut model).await;
+        states.push((Files::of(&path), model.clone()));
     }
     queue.close().await.unwrap();
-    told.push((Files::of(&path), model));
-    told
+    states.push((Files::of(&path), model));
+    states
 }
 
-fn deeds(seed: u64, count: usize) -> Vec<Deed> {
+fn operations(seed: u64, count: usize) -> Vec<Operation> {
     let mut chance = Chance(seed);
-    (0..count).map(|_| Deed::by(&mut chance)).collect()
+    (0..count).map(|_| Operation::by(&mut chance)).collect()
 }
 
 fn is(contents: &Contents, model: &Model) -> bool {
     contents.records == model.records && contents.snapshot == model.snapshot && contents.lost.is_none()
 }
 
-/// The files at moments between two deeds, every `step`-th: each write of SQLite goes on where the one before has ended.
+/// The files at moments between two operations, every `step`-th: each write of SQLite goes on where the one before has ended.
 fn between(before: &Files, after: &Files, step: usize) -> Vec<Files> {
     let (old, new) = (before.ahead.clone().unwrap_or_default(), after.ahead.clone().unwrap_or_default());
     let same = old.iter().zip(&new).take_while(|(old, new)| old == new).count();
@@ -155,10 +155,10 @@ fn between(before: &Files, after: &Files, step: usize) -> Vec<Files> {
     all
 }
 
-async fn survives_kills(deeds: &[Deed], when: &str) {
-    let told = story(deeds).await;
+async fn survives_kills(operations: &[Operation], when: &str) {
+    let states = story(operations).await;
     let mut opened = [0, 0];
-    for (step, pair) in told.windows(2).enumerate().take(deeds.len()) {
+    for (step, pair) in states.windows(2).enumerate().take(operations.len()) {
         let [(before, acknowledged), (after, under_way)] = pair else { unreachable!("windows of two") };
         for files in between(before, after, 1) {
             let contents = files.open().await.unwrap_or_else(|error| panic!("{when}, step {step}: {error}"));
@@ -166,7 +166,7 @@ async fn survives_kills(deeds: &[Deed], when: &str) {
             opened[which.unwrap_or_else(|| panic!("{when}, step {step}: {} records", contents.records.len()))] += 1;
         }
     }
-    for (files, model) in &told {
+    for (files, model) in &states {
         model.check(&files.open().await.unwrap(), when);
     }
     assert!(opened[0] > 0 && opened[1] > 0, "{opened:?}");
@@ -175,7 +175,7 @@ async fn survives_kills(deeds: &[Deed], when: &str) {
 #[tokio::test]
 async fn a_log_that_is_killed_at_any_write_opens_without_help_and_holds_all_that_was_acknowledged() {
     for seed in 0..4 {
-        survives_kills(&deeds(seed, 14), &format!("seed {seed}")).await;
+        survives_kills(&operations(seed, 14), &format!("seed {seed}")).await;
     }
 }
 
@@ -183,18 +183,18 @@ async fn a_log_that_is_killed_at_any_write_opens_without_help_and_holds_all_that
 #[ignore = "minutes"]
 async fn a_log_that_is_killed_at_any_write_opens_without_help_with_many_seeds() {
     for seed in 100..160 {
-        survives_kills(&deeds(seed, 20), &format!("seed {seed}")).await;
+        survives_kills(&operations(seed, 20), &format!("seed {seed}")).await;
     }
 }
 
 /// Large enough that SQLite brings pages into the log on its own and begins to write ahead from the start again.
 #[tokio::test]
 async fn a_log_that_is_killed_while_its_pages_are_brought_in_holds_all_that_was_acknowledged() {
-    let large = |byte: u8| Deed::Append(Work { records: vec![vec![byte; 1 << 20]; 3], ..Work::default() });
-    let deeds = [large(1), large(2), large(3), Deed::Snapshot(vec![4; 100]), large(5), large(6)];
-    let told = story(&deeds).await;
+    let large = |byte: u8| Operation::Append(Work { records: vec![vec![byte; 1 << 20]; 3], ..Work::default() });
+    let operations = [large(1), large(2), large(3), Operation::Snapshot(vec![4; 100]), large(5), large(6)];
+    let states = story(&operations).await;
     let mut is_brought_in = false;
-    for pair in told.windows(2).take(deeds.len()) {
+    for pair in states.windows(2).take(operations.len()) {
         let [(before, acknowledged), (after, under_way)] = pair else { unreachable!("windows of two") };
         is_brought_in |= before.log != after.log;
         for files in between(before, after, 300) {
@@ -239,8 +239,8 @@ async fn survives_flips(files: &Files, model: &Model, every: usize, when: &str) 
 
 #[tokio::test]
 async fn a_flipped_bit_takes_nothing_that_was_acknowledged_without_a_word() {
-    let told = story(&deeds(7, 12)).await;
-    for (files, model) in &told[told.len() - 2..] {
+    let states = story(&operations(7, 12)).await;
+    for (files, model) in &states[states.len() - 2..] {
         survives_flips(files, model, 1500, "seed 7").await;
     }
 }
@@ -249,8 +249,8 @@ async fn a_flipped_bit_takes_nothing_that_was_acknowledged_without_a_word() {
 #[ignore = "minutes"]
 async fn a_flipped_bit_takes_nothing_that_was_acknowledged_without_a_word_with_many_seeds() {
     for seed in 200..212 {
-        let told = story(&deeds(seed, 12)).await;
-        for (files, model) in &told[told.len() - 2..] {
+        let states = story(&operations(seed, 12)).await;
+        for (files, model) in &states[states.len() - 2..] {
             survives_flips(files, model, 200, &format!("seed {seed}")).await;
         }
     }
@@ -258,8 +258,8 @@ async fn a_flipped_bit_takes_nothing_that_was_acknowledged_without_a_word_with_m
 
 #[tokio::test]
 async fn a_short_or_missing_file_takes_nothing_that_was_acknowledged_without_a_word() {
-    let told = story(&deeds(8, 12)).await;
-    for (files, model) in &told[told.len() - 2..] {
+    let states = story(&operations(8, 12)).await;
+    for (files, model) in &states[states.len() - 2..] {
         for (file, end) in ENDS.iter().enumerate() {
             let whole = files.clone().all()[file].clone().unwrap_or_default();
             let steps = (0..whole.len()).step_by(whole.len() / 60 + 1);
@@ -277,9 +277,9 @@ async fn a_short_or_missing_file_takes_nothing_that_was_acknowledged_without_a_w
 
 #[tokio::test]
 async fn an_earlier_file_among_later_ones_takes_nothing_that_was_acknowledged_without_a_word() {
-    let told = story(&deeds(9, 12)).await;
-    let (last, model) = &told[told.len() - 2];
-    for (earlier, _) in &told[..told.len() - 2] {
+    let states = story(&operations(9, 12)).await;
+    let (last, model) = &states[states.len() - 2];
+    for (earlier, _) in &states[..states.len() - 2] {
         for (file, end) in ENDS.iter().enumerate() {
             let mut mixed = last.clone();
             mixed.all()[file].clone_from(earlier.clone().all()[file]);
@@ -339,14 +339,14 @@ async fn open_at(path: &Path, loss: Loss) -> Result<(Sqlite, Contents), QueueErr
 
 #[tokio::test]
 async fn a_log_that_is_gone_while_its_mark_is_there_is_told_of_and_a_closed_one_may_be_moved_alone() {
-    let told = story(&deeds(3, 10)).await;
-    let (closed, model) = told.last().unwrap();
+    let states = story(&operations(3, 10)).await;
+    let (closed, model) = states.last().unwrap();
     let gone = Files { mark: closed.mark.clone(), ..Files::default() };
     assert!(matches!(gone.open().await.unwrap_err(), QueueError::Lost { kept: 0, .. }));
     assert!(gone.open_with(Loss::Accepted).await.unwrap().lost.is_some());
     let alone = Files { log: closed.log.clone(), ..Files::default() };
     model.check(&alone.open().await.unwrap(), "moved");
-    let (killed, _) = &told[told.len() - 2];
+    let (killed, _) = &states[states.len() - 2];
     let alone = Files { log: killed.log.clone(), ..Files::default() };
     assert!(matches!(alone.open().await.unwrap_err(), QueueError::Unsure { .. }), "it was not closed");
 }

@@ -72,8 +72,11 @@ fn main() {
         see(farm.on(Event::Completed { worker, task, epoch, result }, Tick(1)), &mut line);
         done += 1;
     }
-    let spent = begun.elapsed();
-    println!("{workers} workers, {done} tasks: {spent:?}, {:.2} us a task", spent.as_secs_f64() * 1e6 / done as f64);
+    let elapsed = begun.elapsed();
+    println!(
+        "{workers} workers, {done} tasks: {elapsed:?}, {:.2} us a task",
+        elapsed.as_secs_f64() * 1e6 / done as f64
+    );
     let grown = [submitted - empty, joined - submitted, memory("VmRSS") - joined];
     println!("memory: {empty} KiB, and {grown:?} with job, workers and end; {} KiB at most", memory("VmHWM"));
     let begun = Instant::now();

@@ -17,7 +17,7 @@ pub(crate) struct AtHand {
     /// The latest at the end.
     frames: Vec<(JobId, u32)>,
     /// Tasks that it has done and that those of the frame behind may look at: by stage and number, the latest at the end.
-    left: VecDeque<(JobId, u16, u32)>,
+    hint_sources: VecDeque<(JobId, u16, u32)>,
     /// Milliseconds of tasks that it was given out of turn, since one in turn.
     out_of_turn: u64,
 }
@@ -26,10 +26,10 @@ impl AtHand {
     /// Frames that count; a worker keeps more, for what it makes ready ahead.
     const FRAMES: usize = 2;
     /// Tasks that count.
-    const LEFT: usize = 256;
+    const HINT_SOURCES: usize = 256;
 
     /// It is given a task in turn, or out of turn one that takes so many milliseconds.
-    fn turn(&mut self, out_of_turn: Option<u64>) {
+    fn note_turn(&mut self, out_of_turn: Option<u64>) {
         self.out_of_turn = out_of_turn.map_or(0, |milliseconds| self.out_of_turn.saturating_add(milliseconds));
     }
 
@@ -42,11 +42,11 @@ impl AtHand {
     }
 
     /// The worker has done a task that others may look at.
-    pub(crate) fn leaves(&mut self, job: JobId, stage: u16, item: u32) {
-        self.left.retain(|other| *other != (job, stage, item));
-        self.left.push_back((job, stage, item));
-        if self.left.len() > Self::LEFT {
-            self.left.pop_front();
+    pub(crate) fn add_hint_source(&mut self, job: JobId, stage: u16, item: u32) {
+        self.hint_sources.retain(|other| *other != (job, stage, item));
+        self.hint_sources.push_back((job, stage, item));
+        if self.hint_sources.len() > Self::HINT_SOURCES {
+            self.hint_sources.pop_front();
         }
     }
 
@@ -69,21 +69,21 @@ impl Scheduler {
     const OUT_OF_TURN: u64 = 4;
 
     /// Leases a worker the task whose turn it is, or one that it has at hand.
-    pub(crate) fn serve(&mut self, id: WorkerId, first: TaskKey, now: Tick, out: &mut Vec<Command>) {
-        let other = self.at_hand(id, &first, now);
+    pub(crate) fn assign_next(&mut self, id: WorkerId, first: TaskKey, now: Tick, out: &mut Vec<Command>) {
+        let other = self.ready_at_hand(id, &first, now);
         let task = other.unwrap_or(first);
-        let task = self.left_by(id, &task).unwrap_or(task);
+        let task = self.ready_with_own_hint(id, &task).unwrap_or(task);
         let run = self.share(&task);
         let out_of_turn = other.map(|_| self.size(&task, &run).milliseconds);
         self.assign(task, &run, None, id, now, out);
         if let Some(worker) = self.table.workers.get_mut(&id) {
-            worker.at_hand.turn(out_of_turn);
+            worker.at_hand.note_turn(out_of_turn);
         }
     }
 
     /// A ready task of a frame that the worker has ready, or else of a scene that it has read, where `first`, whose turn it is,
     /// has neither; `None`: there is none, or it is time for `first`.
-    fn at_hand(&mut self, id: WorkerId, first: &TaskKey, now: Tick) -> Option<TaskKey> {
+    fn ready_at_hand(&mut self, id: WorkerId, first: &TaskKey, now: Tick) -> Option<TaskKey> {
         let at_hand = &self.table.workers.get(&id)?.at_hand;
         if first.stage.kind.row().near != Near::Frame
             || at_hand.has(first)
@@ -102,18 +102,18 @@ impl Scheduler {
         if same_frame.is_some() || is_scene_at_hand {
             return same_frame;
         }
-        own.into_iter().find_map(|(job, _)| self.same_scene(id, job))
+        own.into_iter().find_map(|(job, _)| self.ready_of_scene(id, job))
     }
 
     /// A ready task of the same stage that may look at what the worker itself has left of the frame before.
-    fn left_by(&self, id: WorkerId, task: &TaskKey) -> Option<TaskKey> {
+    fn ready_with_own_hint(&self, id: WorkerId, task: &TaskKey) -> Option<TaskKey> {
         let (job, ready_tasks) = (self.ledger.jobs.get(&task.job)?, self.ready.get(&task.job)?);
         let template = job.spec.graph.stage(task.stage.number)?;
         let hint = template.hints.iter().find(|hint| hint.reach == Reach::Same)?;
         let keys = ready_tasks.open.get(task.stage.frame)?.of(&task.stage)?;
-        let left = self.table.workers.get(&id)?.at_hand.left.iter().rev();
-        let left = left.filter(|(of, stage, _)| (*of, *stage) == (task.job, hint.stage));
-        let mut tasks = left.filter_map(|&(.., item)| {
+        let hint_sources = self.table.workers.get(&id)?.at_hand.hint_sources.iter().rev();
+        let hint_sources = hint_sources.filter(|(of, stage, _)| (*of, *stage) == (task.job, hint.stage));
+        let mut tasks = hint_sources.filter_map(|&(.., item)| {
             let index = job.keys_of(&task.stage, item).find(|&key| keys.contains(key))?;
             Some(TaskKey { index, ..*task })
         });
@@ -121,7 +121,7 @@ impl Scheduler {
     }
 
     /// A ready task of a job of which the worker has the scene; opens a frame for it, if there may be one more.
-    fn same_scene(&mut self, id: WorkerId, job: JobId) -> Option<TaskKey> {
+    fn ready_of_scene(&mut self, id: WorkerId, job: JobId) -> Option<TaskKey> {
         loop {
             let task = self.ready_near(id, job, None);
             let (known, ready_tasks) = (self.ledger.jobs.get(&job)?, self.ready.get_mut(&job)?);
@@ -145,7 +145,7 @@ impl Scheduler {
         let is_for_it = |task: &TaskKey| {
             may_take(task, known, ready_tasks, id, &self.table)
                 && matches!(self.content(known, &task.stage, engine), Content::There)
-                && !self.is_for_others(job, task.stage.frame, id)
+                && !self.is_reserved_for_others(job, task.stage.frame, id)
         };
         match frame {
             Some(frame) => ready_tasks.open.get(frame)?.near(job).find(is_for_it),

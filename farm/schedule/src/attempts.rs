@@ -1,6 +1,6 @@
 //! What attempts took. It is told to the caller, to be kept beside the log: the ledger does not grow with it.
 
-use femc_model::{AttemptRecord, Ending, Phase, Spent, TaskResult, Tick, WorkerId};
+use femc_model::{AttemptRecord, Ending, Phase, TaskResult, TaskUsage, Tick, WorkerId};
 
 use crate::lease_table::{Lease, LeaseKey};
 use crate::scheduler::Scheduler;
@@ -38,15 +38,15 @@ impl Counted {
 
 impl Scheduler {
     /// A worker says what a lease took: of one that holds, its end follows; of one that is over, this is all that will be heard.
-    pub(crate) fn spent(
+    pub(crate) fn usage(
         &mut self,
         worker: WorkerId,
-        Spent { task, epoch, usage }: Spent,
+        TaskUsage { task, epoch, usage }: TaskUsage,
         now: Tick,
         out: &mut Vec<Command>,
     ) {
         if self.table.lease_of(worker, &task, epoch).is_some() {
-            self.told = Some(((task, epoch), usage));
+            self.reported_usage = Some(((task, epoch), usage));
             return;
         }
         // What counts was noted with its usage: this is a repetition.
@@ -76,7 +76,7 @@ impl Scheduler {
         counted: Counted,
         out: &mut Vec<Command>,
     ) {
-        let usage = self.told.take_if(|(told, _)| told == key).map(|(_, usage)| usage);
+        let usage = self.reported_usage.take_if(|(reported, _)| reported == key).map(|(_, usage)| usage);
         let is_begun = match ending {
             Ending::Done | Ending::Failed => true,
             Ending::Lost | Ending::Revoked | Ending::Cancelled => usage.is_some() || lease.phase > Phase::Waiting,

@@ -27,7 +27,7 @@ pub(crate) struct Orphans {
 
 /// How much of a frame, or of the stages of another scope, the workers of a build can do.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
-enum Reach {
+enum Coverage {
     Nothing,
     Something,
     Everything,
@@ -38,14 +38,14 @@ fn build_of<'a>(ledger: &'a Ledger, table: &'a LeaseTable, job: JobId, frame: u3
     if let Some(shared) = ledger.jobs.get(&job).and_then(|known| known.shared.as_ref()) {
         return Some(&shared.engine);
     }
-    ledger.annex.build_of(job, frame).or_else(|| {
+    ledger.side.build_of(job, frame).or_else(|| {
         let holder = table.of_frame(job, frame).next()?.1.worker;
         table.workers.get(&holder).map(|worker| &*worker.registration.engine)
     })
 }
 
 /// Whether the frame is another build's than the worker's.
-pub(crate) fn is_foreign(ledger: &Ledger, table: &LeaseTable, job: JobId, frame: u32, worker: WorkerId) -> bool {
+pub(crate) fn is_of_other_build(ledger: &Ledger, table: &LeaseTable, job: JobId, frame: u32, worker: WorkerId) -> bool {
     let Some(worker) = table.workers.get(&worker) else { return false };
     build_of(ledger, table, job, frame).is_some_and(|build| build != worker.registration.engine)
 }
@@ -56,67 +56,67 @@ impl Scheduler {
 
     /// Whether a frame is not for this worker to go on with or to begin: it is another build's, or nobody's yet, and another
     /// build can do more of it.
-    pub(crate) fn is_for_others(&self, id: JobId, frame: u32, worker: WorkerId) -> bool {
+    pub(crate) fn is_reserved_for_others(&self, id: JobId, frame: u32, worker: WorkerId) -> bool {
         let (Some(job), Some(worker)) = (self.ledger.jobs.get(&id), self.table.workers.get(&worker)) else {
             return false;
         };
         match build_of(&self.ledger, &self.table, id, frame) {
             Some(build) => build != worker.registration.engine,
-            None => !self.reaches_most(job, Shape::scope_of(frame), &worker.registration.engine),
+            None => !self.has_best_coverage(job, Shape::scope_of(frame), &worker.registration.engine),
         }
     }
 
     /// Whether no other build can do more of a scope's stages than this one.
-    pub(crate) fn reaches_most(&self, job: &Job, scope: Scope, build: &str) -> bool {
+    pub(crate) fn has_best_coverage(&self, job: &Job, scope: Scope, build: &str) -> bool {
         // Whoever has the job's tags can do what asks for no others.
         job.spec.graph.of(scope).all(|(_, template)| template.tags.is_empty())
-            || self.reach(job, scope, build, &Self::is_there) >= self.most(job, scope)
+            || self.coverage(job, scope, build, &Self::is_present) >= self.best_coverage(job, scope)
     }
 
-    fn most(&self, job: &Job, scope: Scope) -> Reach {
-        let is_open = |known: &Self, worker: &Worker| worker.is_open() && known.is_there(worker);
+    fn best_coverage(&self, job: &Job, scope: Scope) -> Coverage {
+        let is_open = |known: &Self, worker: &Worker| worker.is_open() && known.is_present(worker);
         let builds: BTreeSet<&str> = self.table.workers.values().map(|worker| &*worker.registration.engine).collect();
-        builds.into_iter().map(|build| self.reach(job, scope, build, &is_open)).max().unwrap_or(Reach::Nothing)
+        builds.into_iter().map(|build| self.coverage(job, scope, build, &is_open)).max().unwrap_or(Coverage::Nothing)
     }
 
-    fn reach(&self, job: &Job, scope: Scope, build: &str, is_one: &dyn Fn(&Self, &Worker) -> bool) -> Reach {
-        let able = |tags: &[String]| {
+    fn coverage(&self, job: &Job, scope: Scope, build: &str, is_one: &dyn Fn(&Self, &Worker) -> bool) -> Coverage {
+        let capable = |tags: &[String]| {
             let mut workers = self.table.workers.values().filter(|it| it.registration.engine == build);
             workers.any(|it| it.has_tags(&job.spec.tags) && it.has_tags(tags) && is_one(self, it))
         };
-        if !able(&[]) {
-            return Reach::Nothing;
+        if !capable(&[]) {
+            return Coverage::Nothing;
         }
         let mut stages = job.spec.graph.of(scope);
-        if stages.all(|(_, template)| able(&template.tags)) { Reach::Everything } else { Reach::Something }
+        if stages.all(|(_, template)| capable(&template.tags)) { Coverage::Everything } else { Coverage::Something }
     }
 
     /// One that has been silent for so long is gone, whatever its connection says.
-    pub(crate) fn is_there(&self, worker: &Worker) -> bool {
+    pub(crate) fn is_present(&self, worker: &Worker) -> bool {
         worker.intake != Intake::Drained && self.now.since(worker.seen) < self.config.orphaned
     }
 
     /// Whether workers of this build are there, but none for any stage that comes next in a frame.
-    fn is_beyond(&self, id: JobId, job: &Job, frame: u32, build: &str) -> bool {
+    fn cannot_continue(&self, id: JobId, job: &Job, frame: u32, build: &str) -> bool {
         let open = self.ready.get(&id).and_then(|ready_tasks| ready_tasks.open.get(frame));
         let mut stages = open.into_iter().flat_map(|open| open.stages()).peekable();
-        let able = |tags: &[String]| {
+        let capable = |tags: &[String]| {
             let mut workers = self.table.workers.values().filter(|it| it.registration.engine == build);
-            workers.any(|it| self.is_there(it) && it.has_tags(tags))
+            workers.any(|it| self.is_present(it) && it.has_tags(tags))
         };
         stages.peek().is_some()
-            && stages.all(|(stage, _)| !able(job.tags_of(stage.number)))
+            && stages.all(|(stage, _)| !capable(job.tags_of(stage.number)))
             && self.table.of_frame(id, frame).next().is_none()
     }
 
     /// A result of the frame counts: the frame is its worker's build's.
     pub(crate) fn note_build(&mut self, job: JobId, frame: u32, worker: WorkerId, now: Tick, out: &mut Vec<Command>) {
         debug_assert!(
-            !is_foreign(&self.ledger, &self.table, job, frame, worker),
+            !is_of_other_build(&self.ledger, &self.table, job, frame, worker),
             "a frame of two builds: {job}/{frame}"
         );
         if !job.is_shared()
-            && self.ledger.annex.build_of(job, frame).is_none()
+            && self.ledger.side.build_of(job, frame).is_none()
             && let Some(worker) = self.table.workers.get(&worker)
         {
             let engine = worker.registration.engine.clone();
@@ -125,7 +125,7 @@ impl Scheduler {
     }
 
     /// Lets frames begin anew whose build has had no worker for too long, where others are there.
-    pub(crate) fn free_orphans(&mut self, now: Tick, out: &mut Vec<Command>) {
+    pub(crate) fn restart_orphans(&mut self, now: Tick, out: &mut Vec<Command>) {
         if now < self.orphans.looked.after(Self::LOOK_AT_BUILDS) {
             return;
         }
@@ -137,18 +137,19 @@ impl Scheduler {
             let is_orphan = |&(frame, build): &(u32, &str)| {
                 let scope = Shape::scope_of(frame);
                 job.is_open(frame)
-                    && match self.reach(job, scope, build, &Self::is_there) {
-                        Reach::Nothing => true,
-                        Reach::Something => {
-                            self.most(job, scope) == Reach::Everything && self.is_beyond(id, job, frame, build)
+                    && match self.coverage(job, scope, build, &Self::is_present) {
+                        Coverage::Nothing => true,
+                        Coverage::Something => {
+                            self.best_coverage(job, scope) == Coverage::Everything
+                                && self.cannot_continue(id, job, frame, build)
                         }
-                        Reach::Everything => false,
+                        Coverage::Everything => false,
                     }
             };
-            for (frame, _) in self.ledger.annex.builds_of(id).filter(is_orphan) {
+            for (frame, _) in self.ledger.side.builds_of(id).filter(is_orphan) {
                 let begun = before.get(&(id, frame)).copied().unwrap_or(now);
                 since.insert((id, frame), begun);
-                if now.since(begun) >= self.config.orphaned && self.able(job).next().is_some() {
+                if now.since(begun) >= self.config.orphaned && self.capable(job).next().is_some() {
                     orphans.push((id, frame));
                 }
             }
@@ -163,26 +164,26 @@ impl Scheduler {
     }
 
     /// Frames with something ready that nobody with room may take.
-    pub(crate) fn why_foreign(&self, id: JobId, job: &Job, ready_tasks: &ReadyTasks, now: Tick) -> Option<Wait> {
+    pub(crate) fn why_other_build(&self, id: JobId, job: &Job, ready_tasks: &ReadyTasks, now: Tick) -> Option<Wait> {
         let has_room = |worker: &Worker| {
             worker.held.len() < worker.capacity(&self.config)
                 && worker.is_fit(&self.config, now)
                 && worker.has_tags(&job.spec.tags)
         };
-        let able: Vec<(WorkerId, &Worker)> = self
+        let capable: Vec<(WorkerId, &Worker)> = self
             .table
             .workers
             .iter()
             .filter(|(_, worker)| has_room(worker))
             .map(|(&id, worker)| (id, worker))
             .collect();
-        let is_foreign = |&(frame, open): &(u32, &OpenUnit)| {
+        let is_reserved = |&(frame, open): &(u32, &OpenUnit)| {
             let tags = open.stages().map(|(stage, _)| job.tags_of(stage.number));
-            let able = tags.flat_map(|tags| able.iter().filter(|(_, worker)| worker.has_tags(tags)));
-            let mut able = able.peekable();
-            able.peek().is_some() && able.all(|&(worker, _)| self.is_for_others(id, frame, worker))
+            let capable = tags.flat_map(|tags| capable.iter().filter(|(_, worker)| worker.has_tags(tags)));
+            let mut capable = capable.peekable();
+            capable.peek().is_some() && capable.all(|&(worker, _)| self.is_reserved_for_others(id, frame, worker))
         };
-        let frames = ready_tasks.open.ready().filter(is_foreign).count() as u32;
+        let frames = ready_tasks.open.ready().filter(is_reserved).count() as u32;
         (frames > 0).then_some(Wait::OtherBuild { frames })
     }
 }

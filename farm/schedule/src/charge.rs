@@ -26,7 +26,7 @@ impl Scheduler {
     }
 
     /// Charges a worker's time until now.
-    fn bill(&mut self, worker: WorkerId) {
+    fn charge_worker(&mut self, worker: WorkerId) {
         let Some((job, milliseconds, expected)) = self.table.bill(worker, self.now) else { return };
         let Some(job) = self.ledger.jobs.get(&job) else { return };
         if job.shared.is_some() {
@@ -40,7 +40,7 @@ impl Scheduler {
 
     /// Ends a lease, however it ends.
     pub(crate) fn release(&mut self, key: &LeaseKey) -> Option<Lease> {
-        self.bill(self.table.leases.get(key)?.worker);
+        self.charge_worker(self.table.leases.get(key)?.worker);
         let lease = self.table.release(key)?;
         if let Some(job) = self.ledger.jobs.get(&key.0.job).filter(|known| known.shared.is_none()) {
             self.order.unclaim(&job.spec.owner, lease.claim);
@@ -51,7 +51,7 @@ impl Scheduler {
     /// Another session of its worker goes on with a lease; `false`: there is no such lease.
     pub(crate) fn hand_over(&mut self, key: &LeaseKey, to: WorkerId, now: Tick) -> bool {
         let Some(from) = self.table.leases.get(key).map(|lease| lease.worker) else { return false };
-        [from, to].into_iter().for_each(|worker| self.bill(worker));
+        [from, to].into_iter().for_each(|worker| self.charge_worker(worker));
         self.table.hand_over(key, to, &self.config, now)
     }
 
@@ -59,13 +59,13 @@ impl Scheduler {
     pub(crate) fn note_shares(&mut self, now: Tick, out: &mut Vec<Command>) {
         self.shares_from = now.after(Self::NOTE_SHARES);
         let workers: Vec<WorkerId> = self.table.workers.keys().copied().collect();
-        workers.into_iter().for_each(|worker| self.bill(worker));
-        let known = self.ledger.annex.used();
+        workers.into_iter().for_each(|worker| self.charge_worker(worker));
+        let known = self.ledger.side.used();
         let news = self.order.used().filter(|(owner, used)| known.get(*owner).copied().unwrap_or_default() != *used);
         let owners: Vec<(String, Used)> = news.map(|(owner, used)| (owner.to_owned(), used)).collect();
         if !owners.is_empty() {
             self.record(Fact::Used { owners }, now, out);
-            let known = self.ledger.annex.used();
+            let known = self.ledger.side.used();
             self.order.forget(|owner| known.contains_key(owner));
         }
     }

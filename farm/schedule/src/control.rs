@@ -84,13 +84,13 @@ impl Scheduler {
             match control {
                 Control::Cancel => self.revoke_all(id, out),
                 Control::Retry => {
-                    self.forgive(id);
+                    self.forget_deaths(id);
                     self.retry_shared(id, now, out);
                 }
                 Control::Pause | Control::Resume | Control::Priority(_) => {}
             }
             self.rebuild(id);
-            self.withdraw(out);
+            self.revoke_unwanted(out);
             out.push(Command::Changed(id));
         }
         Ok(Answer::Controlled(id))

@@ -37,7 +37,7 @@ impl Scheduler {
                 continue;
             }
             match self.pick(id, now) {
-                Pick::Task(task) => self.serve(id, task, now, out),
+                Pick::Task(task) => self.assign_next(id, task, now, out),
                 Pick::Begin(job, frame, key) => {
                     self.begin_shared(job, frame, key, id, now, out);
                     next = (held, id);
@@ -88,7 +88,7 @@ impl Scheduler {
             return best;
         };
         for (frame, open) in ready_tasks.open.ready() {
-            if self.is_for_others(id, frame, worker) {
+            if self.is_reserved_for_others(id, frame, worker) {
                 best = Pick::NotForThisWorker;
                 continue;
             }
@@ -212,7 +212,7 @@ impl Scheduler {
         waits.extend(again.map(|(&frame, _)| Wait::ImageLost { frame }));
         let is_leased = |task: &TaskKey| self.table.of_task(task).next().is_some();
         let is_open = |task: &TaskKey| is_leased(task) || ready_tasks.is_ready(task, &(task.index..task.index + 1));
-        waits.extend(ready_tasks.mishaps.tell(is_open));
+        waits.extend(ready_tasks.mishaps.why_mishaps(is_open));
         if !job.is_runnable() {
             waits.push(Wait::Paused);
             return waits;
@@ -234,7 +234,7 @@ impl Scheduler {
             waits.extend(self.why_in_trouble(job, now));
             waits.extend(self.why_quarantined(job, ready_tasks, now));
             waits.extend(self.why_avoided(job, ready_tasks));
-            waits.extend(self.why_foreign(id, job, ready_tasks, now));
+            waits.extend(self.why_other_build(id, job, ready_tasks, now));
             waits.extend(self.why_shared(job));
         }
         waits
@@ -256,22 +256,22 @@ impl Scheduler {
             return Some(Wait::NoWorkers);
         }
         let all: Vec<String> = job.spec.tags.iter().chain(tags).cloned().collect();
-        let able: Vec<&Worker> = self.table.workers.values().filter(|worker| worker.has_tags(&all)).collect();
-        if able.is_empty() {
+        let capable: Vec<&Worker> = self.table.workers.values().filter(|worker| worker.has_tags(&all)).collect();
+        if capable.is_empty() {
             return Some(Wait::NoWorkerWithTags(all));
         }
-        let able_count = able.len();
-        let able: Vec<&Worker> = able.into_iter().filter(|worker| worker.is_open()).collect();
-        if able.is_empty() {
-            return Some(Wait::WorkersDraining { workers: able_count as u32 });
+        let capable_count = capable.len();
+        let capable: Vec<&Worker> = capable.into_iter().filter(|worker| worker.is_open()).collect();
+        if capable.is_empty() {
+            return Some(Wait::WorkersDraining { workers: capable_count as u32 });
         }
-        let fit: Vec<&&Worker> = able.iter().filter(|worker| worker.is_fit(&self.config, now)).collect();
+        let fit: Vec<&&Worker> = capable.iter().filter(|worker| worker.is_fit(&self.config, now)).collect();
         let is_trusted =
             |worker: &&&Worker| ready_tasks.quarantine.quarantines(worker.registration.instance, now).is_none();
         let trusted: Vec<&&Worker> = fit.iter().copied().filter(is_trusted).collect();
         let fit = if trusted.is_empty() { fit } else { trusted };
         if fit.is_empty() {
-            let rests = able.iter().any(|worker| !worker.is_silent(&self.config, now));
+            let rests = capable.iter().any(|worker| !worker.is_silent(&self.config, now));
             return rests.then_some(Wait::WorkersResting);
         }
         if fit.iter().all(|worker| worker.held.len() >= worker.capacity(&self.config)) {
@@ -300,7 +300,7 @@ impl Scheduler {
     /// Workers that could take it, and are not heard of.
     fn why_silent(&self, job: &Job, now: Tick) -> Option<Wait> {
         let silent: Vec<u64> =
-            self.able(job).filter(|w| w.is_silent(&self.config, now)).map(|w| now.since(w.seen)).collect();
+            self.capable(job).filter(|w| w.is_silent(&self.config, now)).map(|w| now.since(w.seen)).collect();
         let seconds = silent.iter().max()? / 1000;
         Some(Wait::WorkersSilent { workers: silent.len() as u32, seconds })
     }
@@ -308,14 +308,14 @@ impl Scheduler {
     /// Workers that could take it, and rest after a failure of their surroundings; the failure of the one that tries again first.
     fn why_in_trouble(&self, job: &Job, now: Tick) -> Option<Wait> {
         let rests = |worker: &&Worker| now < worker.rests_until && !worker.is_silent(&self.config, now);
-        let next = self.able(job).filter(rests).min_by_key(|worker| worker.rests_until)?;
+        let next = self.capable(job).filter(rests).min_by_key(|worker| worker.rests_until)?;
         let seconds = next.rests_until.since(now).div_ceil(1000);
-        let workers = self.able(job).filter(rests).count() as u32;
+        let workers = self.capable(job).filter(rests).count() as u32;
         next.trouble.clone().map(|failure| Wait::WorkersInTrouble { workers, seconds, failure })
     }
 
     /// Workers that want tasks and have what the job asks for.
-    pub(crate) fn able(&self, job: &Job) -> impl Iterator<Item = &Worker> {
+    pub(crate) fn capable(&self, job: &Job) -> impl Iterator<Item = &Worker> {
         self.table.workers.values().filter(|worker| worker.is_open() && worker.has_tags(&job.spec.tags))
     }
 

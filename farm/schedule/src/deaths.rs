@@ -34,13 +34,13 @@ pub enum Evidence {
 /// A worker's death, of what it computed under one lease.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Casualty {
-    /// Of the lease.
+    /// Epoch of the lease.
     pub epoch: Epoch,
     /// The worker's name.
     pub worker: String,
     /// Its process.
     pub instance: u64,
-    /// How one knows.
+    /// Evidence of the death: reported by the worker, or presumed.
     pub evidence: Evidence,
 }
 
@@ -79,7 +79,7 @@ impl Scheduler {
     }
 
     /// A worker may be dead: what it computes under these leases may have killed it.
-    pub(crate) fn suspect(&mut self, worker: WorkerId, over: impl Fn(&LeaseKey) -> bool, now: Tick) {
+    pub(crate) fn presume_death(&mut self, worker: WorkerId, is_affected: impl Fn(&LeaseKey) -> bool, now: Tick) {
         let computed = self.computed(worker);
         let Some(known) = self.table.workers.get(&worker).filter(|known| known.is_open()) else { return };
         // A process dies once: what it has been given since it was heard last is not what it computed.
@@ -90,7 +90,7 @@ impl Scheduler {
         if is_named || self.deaths.presumed.contains(&known.registration.instance) {
             return;
         }
-        for key in computed.into_iter().filter(over) {
+        for key in computed.into_iter().filter(is_affected) {
             let Some(lease) = self.table.leases.get(&key) else { continue };
             let (worker, instance) = (known.registration.name.clone(), known.registration.instance);
             let casualty = Casualty { epoch: key.1, worker, instance, evidence: Evidence::Presumed };
@@ -109,7 +109,7 @@ impl Scheduler {
     }
 
     /// The same of a session's process.
-    pub(crate) fn note_life(&mut self, worker: WorkerId, now: Tick, out: &mut Vec<Command>) {
+    pub(crate) fn note_alive(&mut self, worker: WorkerId, now: Tick, out: &mut Vec<Command>) {
         if self.deaths.pending.is_empty() && self.deaths.presumed.is_empty() {
             return;
         }
@@ -119,9 +119,9 @@ impl Scheduler {
     }
 
     /// A worker comes back and says how it ended: what its journal names has killed it, and nothing else has.
-    pub(crate) fn mourn(&mut self, worker: WorkerId, death: &Death, now: Tick, out: &mut Vec<Command>) {
+    pub(crate) fn report_death(&mut self, worker: WorkerId, death: &Death, now: Tick, out: &mut Vec<Command>) {
         self.lives(death.instance, now, out);
-        if self.ledger.annex.is_drained(death.instance) {
+        if self.ledger.side.is_drained(death.instance) {
             return;
         }
         let Some(name) = self.table.workers.get(&worker).map(|known| known.registration.name.clone()) else { return };
@@ -134,7 +134,7 @@ impl Scheduler {
     }
 
     /// A worker comes of whose name one has died: another is to do what that one did.
-    pub(crate) fn keep_away(&mut self, worker: WorkerId) {
+    pub(crate) fn avoid_after_death(&mut self, worker: WorkerId) {
         let Some(known) = self.table.workers.get(&worker) else { return };
         for Pending { task, run, casualty, .. } in &self.deaths.pending {
             if casualty.worker == known.registration.name
@@ -180,7 +180,7 @@ impl Scheduler {
     }
 
     /// A person gives the job's tasks another chance: what is not counted yet is forgotten.
-    pub(crate) fn forgive(&mut self, job: JobId) {
+    pub(crate) fn forget_deaths(&mut self, job: JobId) {
         self.deaths.pending.retain(|pending| pending.task.job != job);
     }
 }

@@ -2,7 +2,7 @@
 
 use femc_model::{
     Assignment, AttemptRecord, Control, Digest, Drain, Epoch, Failure, JobId, JobSpec, Refusal, Registration,
-    RevokeReason, Spent, TaskKey, TaskLog, TaskProgress, TaskResult, WorkerId,
+    RevokeReason, TaskKey, TaskLog, TaskProgress, TaskResult, TaskUsage, WorkerId,
 };
 
 use crate::Fact;
@@ -16,7 +16,7 @@ pub struct RequestId(pub u64);
 pub enum Event {
     /// A job was submitted.
     Submitted {
-        /// Who asks.
+        /// Number of the request, which the answer names.
         request: RequestId,
         /// A second submission with this key is the same job.
         key: Option<String>,
@@ -25,18 +25,18 @@ pub enum Event {
     },
     /// A person steers a job.
     Controlled {
-        /// Who asks.
+        /// Number of the request, which the answer names.
         request: RequestId,
         /// The job.
         job: JobId,
-        /// How.
+        /// What is done to the job.
         control: Control,
     },
     /// A worker's session began. The caller numbers sessions and never uses a number twice.
     Joined {
         /// The session.
         worker: WorkerId,
-        /// How it introduced itself.
+        /// Registration of the worker.
         registration: Registration,
     },
     /// A worker's session ended.
@@ -58,7 +58,7 @@ pub enum Event {
     Drained {
         /// The session.
         worker: WorkerId,
-        /// Which.
+        /// Whether the drain begins or ends.
         drain: Drain,
     },
     /// A worker says how far it is.
@@ -74,17 +74,17 @@ pub enum Event {
         worker: WorkerId,
         /// The task.
         task: TaskKey,
-        /// Of the lease.
+        /// Epoch of the lease.
         epoch: Epoch,
         /// The log; one that is stored is in the store.
         log: TaskLog,
     },
     /// What a lease took; comes before the attempt's outcome, or after the lease is over.
-    Spent {
+    Usage {
         /// The session.
         worker: WorkerId,
-        /// What it took.
-        spent: Spent,
+        /// Lease and its usage.
+        usage: TaskUsage,
     },
     /// A worker has done a task; the artifacts are in the store.
     Completed {
@@ -92,9 +92,9 @@ pub enum Event {
         worker: WorkerId,
         /// The task.
         task: TaskKey,
-        /// Of the lease.
+        /// Epoch of the lease.
         epoch: Epoch,
-        /// What came out.
+        /// Result of the task.
         result: TaskResult,
     },
     /// A worker has done a task, and an artifact of its result is not in the store.
@@ -103,11 +103,11 @@ pub enum Event {
         worker: WorkerId,
         /// The task.
         task: TaskKey,
-        /// Of the lease.
+        /// Epoch of the lease.
         epoch: Epoch,
-        /// Which is not there.
+        /// Digest of the artifact that is missing.
         artifact: Digest,
-        /// What the store says.
+        /// Error of the store.
         message: String,
     },
     /// A worker has not done a task.
@@ -116,14 +116,14 @@ pub enum Event {
         worker: WorkerId,
         /// The task.
         task: TaskKey,
-        /// Of the lease.
+        /// Epoch of the lease.
         epoch: Epoch,
-        /// Why.
+        /// Failure of the attempt.
         failure: Failure,
     },
     /// An artifact that somebody wanted is not in the store, or was damaged and is removed.
     Lost {
-        /// Which.
+        /// Digest of the artifact.
         digest: Digest,
     },
     /// Time went by.
@@ -135,7 +135,7 @@ pub enum Event {
 /// Something is to be done, in this order.
 #[derive(Debug, Clone, PartialEq)]
 pub enum Command {
-    /// Make this durable before any other command of the same call is obeyed.
+    /// Make this durable before any other command of the same call is executed.
     Record(Fact),
     /// Keep this with the job, as durable as the facts; nothing follows from it.
     Note(Box<AttemptRecord>),
@@ -152,9 +152,9 @@ pub enum Command {
         worker: WorkerId,
         /// The task.
         task: TaskKey,
-        /// Of the lease.
+        /// Epoch of the lease.
         epoch: Epoch,
-        /// Why.
+        /// Reason for the revocation.
         reason: RevokeReason,
     },
     /// Tell a worker that its report counts.
@@ -163,7 +163,7 @@ pub enum Command {
         worker: WorkerId,
         /// The task.
         task: TaskKey,
-        /// Of the lease.
+        /// Epoch of the lease.
         epoch: Epoch,
     },
     /// Tell a worker that its report changed nothing.
@@ -172,9 +172,9 @@ pub enum Command {
         worker: WorkerId,
         /// The task.
         task: TaskKey,
-        /// Of the lease.
+        /// Epoch of the lease.
         epoch: Epoch,
-        /// Why.
+        /// Reason for the refusal.
         refusal: Refusal,
     },
     /// End the session of a worker that has begun another.
@@ -184,7 +184,7 @@ pub enum Command {
     },
     /// Answer a request.
     Answer {
-        /// Who asked.
+        /// Number of the request.
         request: RequestId,
         /// The answer.
         answer: Result<Answer, Refusal>,

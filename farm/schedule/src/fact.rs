@@ -29,7 +29,7 @@ pub enum Fact {
         job: JobId,
         /// A second submission with this key is the same job.
         key: Option<String>,
-        /// As submitted.
+        /// Specification of the job, as submitted.
         spec: Box<JobSpec>,
         /// How finely its tasks are cut.
         cut: Cut,
@@ -57,16 +57,16 @@ pub enum Fact {
         epoch: Epoch,
         /// When that lease was granted.
         leased: Tick,
-        /// What came out.
+        /// Result of the task.
         result: Box<TaskResult>,
     },
     /// A task used up one attempt.
     Failed {
-        /// Which.
+        /// The task.
         task: TaskKey,
         /// Leases of it that were granted before are over: what comes of them counts no more.
         until: Epoch,
-        /// Why.
+        /// Failure of the attempt.
         failure: Failure,
     },
     /// Outputs of a task that others need are gone: it is to be done again, and what it reads, where that is gone, too.
@@ -85,21 +85,21 @@ pub enum Fact {
     Doomed {
         /// The job.
         job: JobId,
-        /// Why.
+        /// Failure that ends the job.
         failure: Failure,
     },
     /// A person steered the job.
     Controlled {
         /// The job.
         job: JobId,
-        /// How.
+        /// What is done to the job.
         control: Control,
     },
     /// An operator let a worker have no more tasks, or tasks again.
     Drained {
         /// The worker's process.
         instance: u64,
-        /// Which.
+        /// Whether the drain begins or ends.
         drain: Drain,
     },
     /// A worker wrote something down during an attempt.
@@ -116,12 +116,12 @@ pub enum Fact {
         job: JobId,
         /// Frame number.
         frame: u32,
-        /// Which build.
+        /// Build of the engine.
         engine: String,
     },
     /// A worker died while it computed a task.
     Died {
-        /// Which.
+        /// The task.
         task: TaskKey,
         /// End of the lease's grains, which begin with the task's key.
         end: u32,
@@ -130,7 +130,7 @@ pub enum Fact {
     },
     /// A process of which deaths were presumed has come back.
     Lives {
-        /// Which.
+        /// The worker's process.
         instance: u64,
     },
     /// What owners have used, of those of whom it has changed.

@@ -17,7 +17,7 @@ impl Scheduler {
     /// An operator's word; it holds for the worker's process, over sessions and the coordinator's restarts.
     pub(crate) fn drained(&mut self, worker: WorkerId, drain: Drain, now: Tick, out: &mut Vec<Command>) {
         let Some(instance) = self.table.instance(worker) else { return };
-        if self.ledger.annex.is_drained(instance) != (drain == Drain::Begin) {
+        if self.ledger.side.is_drained(instance) != (drain == Drain::Begin) {
             self.record(Fact::Drained { instance, drain }, now, out);
         }
         self.note_intake(worker);
@@ -26,7 +26,7 @@ impl Scheduler {
     /// The operator's word goes first.
     pub(crate) fn note_intake(&mut self, worker: WorkerId) {
         if let Some(known) = self.table.workers.get_mut(&worker) {
-            let is_drained = self.ledger.annex.is_drained(known.registration.instance);
+            let is_drained = self.ledger.side.is_drained(known.registration.instance);
             known.intake = if is_drained { Intake::Drained } else { known.wish };
         }
     }

@@ -21,9 +21,9 @@ pub(crate) struct Worker {
     pub(crate) held: BTreeSet<(Epoch, TaskKey)>,
     /// Until then its time is charged, while it holds something.
     charged: Tick,
-    /// What it wants: `Open` or `Off`.
+    /// Intake that the worker wants: `Open` or `Off`.
     pub(crate) wish: Intake,
-    /// What it gets.
+    /// Intake that the scheduler grants it.
     pub(crate) intake: Intake,
     /// Last message.
     pub(crate) seen: Tick,

@@ -64,7 +64,7 @@ impl Scheduler {
         const MOST: usize = 2048;
         self.job(job)?;
         let of_tiles = self.logs.records.iter().filter(|record| record.task.job == job);
-        let all = self.ledger.annex.logs(job).chain(of_tiles);
+        let all = self.ledger.side.logs(job).chain(of_tiles);
         let mut all: Vec<LogRecord> = all.filter(|record| record.at >= since).cloned().collect();
         all.sort_by_key(|record| (record.at, record.epoch));
         all.drain(..all.len().saturating_sub(MOST));

@@ -22,9 +22,9 @@ impl Scheduler {
         out: &mut Vec<Command>,
     ) {
         self.note_seen(worker, now);
-        self.note_life(worker, now, out);
+        self.note_alive(worker, now, out);
         let Some(lease) = self.table.lease_of(worker, &task, epoch) else {
-            return self.without_lease(worker, task, epoch, out);
+            return self.answer_stale_report(worker, task, epoch, out);
         };
         let (granted, size, end) = (lease.granted, lease.size, lease.run(&task).end);
         let (seconds, counted) = (result.seconds, Counted::of(&result));
@@ -41,8 +41,8 @@ impl Scheduler {
             self.note(&(task, epoch), &lease, Ending::Done, counted, out);
         }
         // A worker's clock, at most what went by here: a lease may have waited for its turn.
-        let spent = ((seconds.max(0.0) * 1000.0) as u64).min(now.since(granted));
-        if let Some(typical) = self.learn(&task, size, spent) {
+        let taken = ((seconds.max(0.0) * 1000.0) as u64).min(now.since(granted));
+        if let Some(typical) = self.learn(&task, size, taken) {
             self.table.pace(worker, typical, &self.config);
         }
         if let Some(worker) = self.table.workers.get_mut(&worker) {
@@ -50,7 +50,7 @@ impl Scheduler {
             worker.mishaps = 0;
             worker.trouble = None;
         }
-        self.note_left(worker, &task);
+        self.note_hint_source(worker, &task);
         self.note_build(task.job, task.stage.frame, worker, now, out);
         self.record(fact, now, out);
         if !is_alone {
@@ -79,7 +79,7 @@ impl Scheduler {
         out: &mut Vec<Command>,
     ) {
         self.note_seen(worker, now);
-        self.not_done(worker, task, epoch, failure, Command::Accept { worker, task, epoch }, now, out);
+        self.attempt_failed(worker, task, epoch, failure, Command::Accept { worker, task, epoch }, now, out);
     }
 
     /// A result that cannot count: a failure, and its worker hears that it does not.
@@ -94,10 +94,10 @@ impl Scheduler {
         out: &mut Vec<Command>,
     ) {
         self.note_seen(worker, now);
-        self.not_done(worker, task, epoch, failure, Command::Refuse { worker, task, epoch, refusal }, now, out);
+        self.attempt_failed(worker, task, epoch, failure, Command::Refuse { worker, task, epoch, refusal }, now, out);
     }
 
-    fn not_done(
+    fn attempt_failed(
         &mut self,
         worker: WorkerId,
         task: TaskKey,
@@ -108,7 +108,7 @@ impl Scheduler {
         out: &mut Vec<Command>,
     ) {
         if self.table.lease_of(worker, &task, epoch).is_none() {
-            return self.without_lease(worker, task, epoch, out);
+            return self.answer_stale_report(worker, task, epoch, out);
         }
         if let Some(lease) = self.release(&(task, epoch)) {
             let ending = if failure == Failure::Cancelled { Ending::Cancelled } else { Ending::Failed };
@@ -138,7 +138,7 @@ impl Scheduler {
     }
 
     /// A report whose lease is over: the recorded answer if it is a repetition, a refusal otherwise.
-    fn without_lease(&mut self, worker: WorkerId, task: TaskKey, epoch: Epoch, out: &mut Vec<Command>) {
+    fn answer_stale_report(&mut self, worker: WorkerId, task: TaskKey, epoch: Epoch, out: &mut Vec<Command>) {
         let refusal = match self.job(task.job) {
             Ok(job) if job.holds(&task, epoch) => return out.push(Command::Accept { worker, task, epoch }),
             Ok(_) => Refusal::StaleEpoch,
@@ -155,14 +155,14 @@ impl Scheduler {
     }
 
     /// The worker has done what those of the frame behind may look at.
-    fn note_left(&mut self, worker: WorkerId, task: &TaskKey) {
+    fn note_hint_source(&mut self, worker: WorkerId, task: &TaskKey) {
         let Some(job) = self.ledger.jobs.get(&task.job) else { return };
         let mut hints = job.spec.graph.stages.iter().flat_map(|template| &template.hints);
         if hints.any(|hint| hint.stage == task.stage.number)
             && let Some(item) = job.item(&task.stage, task.index)
             && let Some(worker) = self.table.workers.get_mut(&worker)
         {
-            worker.at_hand.leaves(task.job, task.stage.number, item);
+            worker.at_hand.add_hint_source(task.job, task.stage.number, item);
         }
     }
 
@@ -202,7 +202,7 @@ impl Scheduler {
     fn doom(&mut self, job: JobId, failure: Failure, now: Tick, out: &mut Vec<Command>) {
         self.record(Fact::Doomed { job, failure }, now, out);
         self.revoke_ended(job, out);
-        self.withdraw(out);
+        self.revoke_unwanted(out);
     }
 
     /// Inputs are gone: what made them is to run again. Counts as an attempt of the task that missed it, so that a
@@ -271,7 +271,7 @@ fn repairs(task: &TaskKey, job: &Job, lost: &[Digest]) -> Vec<Fact> {
         let stage = Stage { frame, round, number, kind: shape.template(number)?.kind };
         Some(Fact::Lost { task: TaskKey { job: id, stage, index } })
     };
-    let own = job.units.get(&frame).map(|unit| unit.makers(lost)).unwrap_or_default();
+    let own = job.units.get(&frame).map(|unit| unit.producers(lost)).unwrap_or_default();
     let own = own.into_iter().filter_map(|(place, first)| again(place, first));
     if frame != Stage::OF_JOB {
         return own.collect();
@@ -296,7 +296,7 @@ fn is_sound(job: &Job, stage: &Stage, units: u64, result: &TaskResult) -> bool {
         (Some(Decision::Steps(steps)), Some(_)) if shape.may_go_on(stage.round) && are_steps(&shape, steps) => true,
         _ => return false,
     };
-    let fits = |role: &Role| match wanted(&shape, stage.number, template, *role, goes_on) {
+    let fits = |role: &Role| match is_output_required(&shape, stage.number, template, *role, goes_on) {
         Some(true) => has(outputs, *role),
         Some(false) => !has(outputs, *role),
         None => true,
@@ -309,7 +309,7 @@ fn is_sound(job: &Job, stage: &Stage, units: u64, result: &TaskResult) -> bool {
 
 /// Whether an output must be there, or must not; `None`: as the worker likes.
 /// - `goes_on`: whether another round follows, or may follow where that is not decided yet.
-fn wanted(shape: &Shape<'_>, number: u16, template: &Template, role: Role, goes_on: bool) -> Option<bool> {
+fn is_output_required(shape: &Shape<'_>, number: u16, template: &Template, role: Role, goes_on: bool) -> Option<bool> {
     let mut readers = shape.graph.readers(number).filter(|(_, need)| need.role == role).peekable();
     let is_read = readers.peek().is_some();
     if is_read && readers.all(|(_, need)| need.round == Round::Before) {

@@ -37,7 +37,7 @@ impl ReadyTasks {
         let opened = std::mem::take(&mut self.open);
         let opened: Vec<u32> = opened.iter().map(|(frame, _)| frame).chain(job.units.keys().copied()).collect();
         self.cursor = 0;
-        let own = job.has_own().then_some(Stage::OF_JOB);
+        let own = job.has_job_stages().then_some(Stage::OF_JOB);
         for frame in own.into_iter().chain(opened) {
             self.refresh(id, job, frame, table);
         }
@@ -47,9 +47,9 @@ impl ReadyTasks {
     pub(crate) fn refresh(&mut self, id: JobId, job: &Job, frame: u32, table: &LeaseTable) {
         if !job.is_open(frame) {
             self.open.remove(frame);
-            if job.has_own() && frame != Stage::OF_JOB {
-                let fed = job.unit(Stage::OF_JOB).fed_by_frame(&job.shape(Stage::OF_JOB), frame);
-                self.feed(id, Stage::OF_JOB, fed, job, table);
+            if job.has_job_stages() && frame != Stage::OF_JOB {
+                let runnable = job.unit(Stage::OF_JOB).runnable_after_frame(&job.shape(Stage::OF_JOB), frame);
+                self.add_runnable(id, Stage::OF_JOB, runnable, job, table);
             }
             return;
         }
@@ -68,13 +68,13 @@ impl ReadyTasks {
             self.refresh(task.job, job, frame, table);
             return;
         };
-        self.feed(task.job, frame, unit.fed_by(&job.shape(frame), &task.stage, task.index), job, table);
+        self.add_runnable(task.job, frame, unit.runnable_after(&job.shape(frame), &task.stage, task.index), job, table);
     }
 
     /// More of a frame can run; what is held is not ready.
-    fn feed(&mut self, id: JobId, frame: u32, fed: Vec<(Place, RangeSet)>, job: &Job, table: &LeaseTable) {
+    fn add_runnable(&mut self, id: JobId, frame: u32, runnable: Vec<(Place, RangeSet)>, job: &Job, table: &LeaseTable) {
         let shape = job.shape(frame);
-        for (place, mut keys) in fed {
+        for (place, mut keys) in runnable {
             let Some(kind) = shape.template(place.1).map(|template| template.kind) else { continue };
             let stage = Stage { frame, round: place.0, number: place.1, kind };
             table.of_stage(id, stage).for_each(|run| keys.remove(run));
@@ -135,7 +135,7 @@ impl Mishaps {
     }
 
     /// Those of which this holds, and what befell one of them.
-    pub(crate) fn tell(&self, is_open: impl Fn(&TaskKey) -> bool) -> Option<Wait> {
+    pub(crate) fn why_mishaps(&self, is_open: impl Fn(&TaskKey) -> bool) -> Option<Wait> {
         let mut open = self.0.iter().filter(|(task, _)| is_open(task));
         let (_, message) = open.next()?;
         Some(Wait::Mishaps { tasks: 1 + open.count() as u32, message: message.clone() })

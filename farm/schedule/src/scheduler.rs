@@ -9,7 +9,7 @@ use femc_model::{
 };
 
 use crate::attempts::Counted;
-use crate::builds::{Orphans, is_foreign};
+use crate::builds::{Orphans, is_of_other_build};
 use crate::deaths::Deaths;
 use crate::lease_table::{Lease, LeaseKey, LeaseTable, Worker};
 use crate::ledger::{Job, Unit};
@@ -34,7 +34,7 @@ pub struct Scheduler {
     pub(crate) stale_messages: u64,
     pub(crate) logs: Shelf,
     /// What a lease took whose end is about to be heard.
-    pub(crate) told: Option<(LeaseKey, Usage)>,
+    pub(crate) reported_usage: Option<(LeaseKey, Usage)>,
     /// Of the event that is being taken.
     pub(crate) now: Tick,
     pub(crate) orphans: Orphans,
@@ -59,11 +59,11 @@ impl Scheduler {
             config,
             table: LeaseTable::default(),
             ready: BTreeMap::new(),
-            order: Order::new(ledger.annex.used()),
+            order: Order::new(ledger.side.used()),
             leases: 0,
             stale_messages: 0,
             logs: Shelf::default(),
-            told: None,
+            reported_usage: None,
             now,
             orphans: Orphans::default(),
             deaths: Deaths::of(&ledger),
@@ -113,7 +113,7 @@ impl Scheduler {
         let mut out = Vec::new();
         self.now = now;
         let is_time = event == Event::Elapsed;
-        let makes_room = !matches!(event, Event::Spent { .. });
+        let makes_room = !matches!(event, Event::Usage { .. });
         self.take(event, now, &mut out);
         self.count_deaths(now, &mut out);
         if makes_room {
@@ -140,7 +140,7 @@ impl Scheduler {
             }
             Event::Joined { worker, registration } => self.join(worker, registration, now, out),
             Event::Left { worker } => {
-                self.suspect(worker, |_| true, now);
+                self.presume_death(worker, |_| true, now);
                 self.leave(worker, out);
             }
             Event::Draining { worker } => self.wish(worker, Intake::Off),
@@ -155,7 +155,7 @@ impl Scheduler {
             }
             Event::Failed { worker, task, epoch, failure } => self.failed(worker, task, epoch, failure, now, out),
             Event::Lost { digest } => self.lost(&digest, now, out),
-            Event::Spent { worker, spent } => self.spent(worker, spent, now, out),
+            Event::Usage { worker, usage } => self.usage(worker, usage, now, out),
             Event::Elapsed => self.elapsed(now, out),
             Event::LoopStalled => self.loop_stalled(now),
         }
@@ -170,20 +170,20 @@ impl Scheduler {
         let before: Vec<WorkerId> = self.table.workers.iter().filter_map(same).collect();
         self.table.join(worker, registration, now);
         self.note_intake(worker);
-        self.note_life(worker, now, out);
+        self.note_alive(worker, now, out);
         let held: Vec<HeldLease> = held.into_iter().filter(|held| !self.take_over(held, worker, now)).collect();
         for before in before {
             self.leave(before, out);
             out.push(Command::Dismiss { worker: before });
         }
         if let Some(death) = died {
-            self.mourn(worker, &death, now, out);
+            self.report_death(worker, &death, now, out);
         }
-        self.keep_away(worker);
+        self.avoid_after_death(worker);
         for held in held {
             let HeldLease { task, epoch, .. } = held;
-            let is_foreign = is_foreign(&self.ledger, &self.table, task.job, task.stage.frame, worker);
-            if let Some(run) = self.adoptable(&held, worker).filter(|_| !is_foreign) {
+            let is_of_other_build = is_of_other_build(&self.ledger, &self.table, task.job, task.stage.frame, worker);
+            if let Some(run) = self.adoptable(&held, worker).filter(|_| !is_of_other_build) {
                 self.hand_out((task, epoch), &run, worker, now);
                 out.push(Command::Changed(task.job));
             } else {
@@ -199,7 +199,7 @@ impl Scheduler {
         let key = (held.task, held.epoch);
         let is_of_job = self.spec(held.task.job).is_some_and(|spec| spec.key() == held.job);
         is_of_job
-            && !is_foreign(&self.ledger, &self.table, held.task.job, held.task.stage.frame, worker)
+            && !is_of_other_build(&self.ledger, &self.table, held.task.job, held.task.stage.frame, worker)
             && self.hand_over(&key, worker, now)
     }
 
@@ -236,7 +236,7 @@ impl Scheduler {
     }
 
     fn heartbeat(&mut self, worker: WorkerId, tasks: &[TaskProgress], now: Tick, out: &mut Vec<Command>) {
-        self.note_life(worker, now, out);
+        self.note_alive(worker, now, out);
         for (task, epoch) in self.table.renew(worker, tasks, &self.config, now) {
             self.note_stale(task.job);
             out.push(Command::Revoke { worker, task, epoch, reason: RevokeReason::Expired });
@@ -258,7 +258,7 @@ impl Scheduler {
         let holders = expired.iter().filter_map(|key| Some(self.table.leases.get(key)?.worker));
         let silent: BTreeSet<WorkerId> = holders.filter(|&it| self.table.is_silent(it, &self.config, now)).collect();
         for worker in silent {
-            self.suspect(worker, |key| expired.contains(key), now);
+            self.presume_death(worker, |key| expired.contains(key), now);
         }
         for key in expired {
             let (task, stalled) = (key.0, self.table.stalled(&key, &self.config, now));
@@ -278,9 +278,9 @@ impl Scheduler {
                 }
             }
         }
-        self.free_orphans(now, out);
+        self.restart_orphans(now, out);
         self.forget_ended(now, out);
-        self.withdraw(out);
+        self.revoke_unwanted(out);
         self.forget_shared(now, out);
     }
 

@@ -22,7 +22,7 @@ impl Scheduler {
         let run = ready_run(task, job, ready_tasks, &grains);
         let units = grains.units(&first);
         let expected = ready_tasks.pace.expected(task.stage.number, units);
-        let Some(milliseconds) = expected.or_else(|| self.heard(task, units)) else { return first };
+        let Some(milliseconds) = expected.or_else(|| self.estimate_from_progress(task, units)) else { return first };
         let fit = |time: u64| (time / milliseconds.max(1)).clamp(1, u64::from(Grains::MOST));
         let (least, most) = (fit(self.config.least_task), fit(self.config.task));
         let holders = self.table.workers.len().max(1) as u64 * u64::from(1 + self.config.prefetch);
@@ -32,11 +32,11 @@ impl Scheduler {
     }
 
     /// Milliseconds that so many units of the task's stage would take at the pace of its running tasks, before any is done.
-    fn heard(&self, task: &TaskKey, units: u64) -> Option<u64> {
+    fn estimate_from_progress(&self, task: &TaskKey, units: u64) -> Option<u64> {
         let of_stage = self.table.of_job(task.job).filter(|((other, _), _)| other.stage.number == task.stage.number);
         let running = of_stage.filter_map(|((task, _), lease)| lease.progress(task));
-        let (spent, done) = running.fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
-        (done > 0).then(|| (u128::from(spent) * u128::from(units)).div_ceil(u128::from(done)) as u64)
+        let (elapsed, done) = running.fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
+        (done > 0).then(|| (u128::from(elapsed) * u128::from(units)).div_ceil(u128::from(done)) as u64)
     }
 
     /// How much the task is, as far as one can tell.

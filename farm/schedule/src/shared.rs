@@ -35,11 +35,12 @@ impl Scheduler {
         if let Some((id, shared)) = self.ledger.shared_of(&key, engine) {
             return if shared.is_done() { Content::There } else { Content::Underway(id) };
         }
-        let may_go_on = |worker: &Worker| worker.is_open() && self.is_there(worker);
+        let may_go_on = |worker: &Worker| worker.is_open() && self.is_present(worker);
         let is_there =
             |build: &str| self.table.workers.values().any(|it| it.registration.engine == build && may_go_on(it));
         let mut others = self.ledger.shared_by(&key).filter(|(_, _, shared)| !shared.has_ended());
-        let is_elsewhere = others.any(|(build, ..)| is_there(build)) || !self.reaches_most(job, Scope::Content, engine);
+        let is_elsewhere =
+            others.any(|(build, ..)| is_there(build)) || !self.has_best_coverage(job, Scope::Content, engine);
         if is_elsewhere { Content::Elsewhere } else { Content::Missing(key) }
     }
 
@@ -103,7 +104,7 @@ impl Scheduler {
     }
 
     /// A job does not wait any more, for whatever reason: what nobody else waits for stops.
-    pub(crate) fn withdraw(&mut self, out: &mut Vec<Command>) {
+    pub(crate) fn revoke_unwanted(&mut self, out: &mut Vec<Command>) {
         let idle = self.ledger.all_shared().filter(|(_, shared)| !self.is_wanted(shared));
         let idle: Vec<JobId> = idle.map(|(id, _)| id).collect();
         for id in idle {
@@ -122,9 +123,9 @@ impl Scheduler {
             None => return,
         };
         let shared = contents.iter().flat_map(|key| self.ledger.shared_by(key));
-        let stuck: Vec<JobId> = shared.filter(|(_, _, shared)| shared.is_stuck()).map(|(_, id, _)| id).collect();
-        for id in stuck {
-            self.forgive(id);
+        let stuck_shared: Vec<JobId> = shared.filter(|(_, _, shared)| shared.is_stuck()).map(|(_, id, _)| id).collect();
+        for id in stuck_shared {
+            self.forget_deaths(id);
             self.record(Fact::Controlled { job: id, control: femc_model::Control::Retry }, now, out);
             self.rebuild(id);
         }
@@ -163,8 +164,8 @@ impl Scheduler {
             } else if shared.is_stuck() {
                 // What it has kept from being done says so as long as it is known.
                 let key = shared.shared.as_ref().map(|shared| shared.key);
-                let has_starved = |job: &Job| key.is_some_and(|key| job.is_starved_of(&key));
-                if !self.ledger.of_people().any(|(_, job)| has_starved(job)) {
+                let has_blocked = |job: &Job| key.is_some_and(|key| job.has_blocked_frames_of(&key));
+                if !self.ledger.of_people().any(|(_, job)| has_blocked(job)) {
                     forgotten.push(id);
                 }
             } else if is_idle
@@ -191,13 +192,13 @@ impl Scheduler {
 
     /// Frames of a job that cannot go on because what they share with others is stuck.
     pub(crate) fn why_stuck(&self, job: &Job) -> Vec<Wait> {
-        let told = |(id, shared): (JobId, &Job)| {
+        let wait = |(id, shared): (JobId, &Job)| {
             let key = shared.shared.as_ref().map(|shared| shared.key);
             let frames = job.blocked.iter().filter(|&&frame| job.content(frame) == key).count() as u32;
             let tasks = shared.units.values().map(|unit| unit.quarantined().count() as u32).sum();
             (frames > 0).then_some(Wait::SharedQuarantined { shared: id, frames, tasks })
         };
-        self.stuck(job).filter_map(told).collect()
+        self.stuck_shared(job).filter_map(wait).collect()
     }
 
     /// What frames of a job wait for that is done for all: of each instance the stage that it is at.

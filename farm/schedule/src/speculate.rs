@@ -63,12 +63,12 @@ impl Scheduler {
         let (holder, worker) = (self.table.leases.get(&(*task, *epoch)), self.table.workers.get(&id));
         // What it reads may have been lost since it was leased.
         holder.is_some_and(|lease| lease.worker != id)
-            && job.is_fed(task)
+            && job.has_inputs(task)
             && worker
                 .is_some_and(|it| matches!(self.content(job, &task.stage, &it.registration.engine), Content::There))
             && worker.is_some_and(|worker| self.fits(worker, job))
             && !is_quarantined_for(job, ready_tasks, id, &self.table, now)
             && may_take(task, job, ready_tasks, id, &self.table)
-            && !self.is_for_others(task.job, task.stage.frame, id)
+            && !self.is_reserved_for_others(task.job, task.stage.frame, id)
     }
 }

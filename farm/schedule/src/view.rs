@@ -35,10 +35,9 @@ impl Scheduler {
             owner: spec.owner.clone(),
             priority: spec.priority,
             state: self.state(job, began.is_some()),
-            failure: job
-                .doom
-                .clone()
-                .or_else(|| self.stuck(job).filter(|_| job.has_ended()).find_map(|(_, shared)| shared.doom.clone())),
+            failure: job.doom.clone().or_else(|| {
+                self.stuck_shared(job).filter(|_| job.has_ended()).find_map(|(_, shared)| shared.doom.clone())
+            }),
             frames_total: spec.frames.len() as u32,
             frames_done: job.frames_done() as u32,
             frames_failed: job.frames_blocked() as u32,
@@ -52,7 +51,7 @@ impl Scheduler {
             seconds: began.map_or(0, |began| job.ended.unwrap_or(now).since(began)) as f64 / 1000.0,
             quarantined: quarantined(id, job)
                 .into_iter()
-                .chain(self.stuck(job).flat_map(|(id, it)| quarantined(id, it)))
+                .chain(self.stuck_shared(job).flat_map(|(id, it)| quarantined(id, it)))
                 .collect(),
             stale_messages: ready_tasks.stale_messages,
             copies: ready_tasks.copies,
@@ -61,7 +60,7 @@ impl Scheduler {
     }
 
     /// What a job shares with others, needs, and cannot have without a retry.
-    pub(crate) fn stuck(&self, job: &Job) -> impl Iterator<Item = (JobId, &Job)> {
+    pub(crate) fn stuck_shared(&self, job: &Job) -> impl Iterator<Item = (JobId, &Job)> {
         let keys = job.blocked.iter().filter_map(|&frame| job.content(frame)).collect::<BTreeSet<Digest>>();
         let shared = self.ledger.all_shared().filter(|(_, shared)| shared.is_stuck());
         shared.filter(move |(_, shared)| shared.shared.as_ref().is_some_and(|it| keys.contains(&it.key)))

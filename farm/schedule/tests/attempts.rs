@@ -14,8 +14,8 @@ fn usage(cpu: f64) -> Usage {
 
 /// The worker says what the lease took.
 fn tell(farm: &mut Farm, worker: u64, held: &Assignment, cpu: f64) -> Vec<Command> {
-    let spent = Spent { task: held.task, epoch: held.epoch, usage: usage(cpu) };
-    farm.on(Event::Spent { worker: WorkerId(worker), spent })
+    let report = TaskUsage { task: held.task, epoch: held.epoch, usage: usage(cpu) };
+    farm.on(Event::Usage { worker: WorkerId(worker), usage: report })
 }
 
 fn notes(commands: &[Command]) -> Vec<(Epoch, Ending, Option<f64>)> {
@@ -90,8 +90,8 @@ fn what_is_told_after_the_end_of_a_lease_ends_then_and_began_as_long_before_as_i
         farm.control(id, Control::Cancel);
         farm.wait(20_000);
         let usage = Usage { wall, wait, ..Usage::default() };
-        let spent = Spent { task: held.task, epoch: held.epoch, usage };
-        let commands = farm.on(Event::Spent { worker: WorkerId(1), spent });
+        let report = TaskUsage { task: held.task, epoch: held.epoch, usage };
+        let commands = farm.on(Event::Usage { worker: WorkerId(1), usage: report });
         let [Command::Note(note)] = &commands[..] else { panic!("{commands:?}") };
         let took = ((wall + wait) * 1000.0) as u64;
         assert_eq!((note.granted, note.ended), (Tick(farm.now.0.saturating_sub(took)), farm.now), "{wall} + {wait} s");

@@ -238,12 +238,12 @@ fn who_reads_tiles_at_first_or_at_second_hand_is_told_how_many_steps_each_of_the
     };
     let id = farm.submit(of(&[1], 4, graph));
     farm.join(1);
-    let mut told = Vec::new();
+    let mut assigned = Vec::new();
     while farm.state(id) != JobState::Done {
         let held = farm.first_of(1);
         let Stage { round, kind, .. } = held.task.stage;
         if kind != Render {
-            told.push((round, kind, held.work.item, held.work.taken.numbers().to_vec()));
+            assigned.push((round, kind, held.work.item, held.work.taken.numbers().to_vec()));
         }
         let made = match kind {
             Render => result(&held, &[Role::Tile]),
@@ -258,7 +258,7 @@ fn who_reads_tiles_at_first_or_at_second_hand_is_told_how_many_steps_each_of_the
         assert!(kind != Render || held.work.taken == Taken::default(), "{held:?}");
         farm.complete_with(1, &held, made);
     }
-    told.sort();
+    assigned.sort();
     let decide = StageKind::Decide;
     let expected = [
         (0, Reduce, 0, vec![4]),
@@ -272,7 +272,7 @@ fn who_reads_tiles_at_first_or_at_second_hand_is_told_how_many_steps_each_of_the
         (2, Reduce, 1, vec![8]),
         (2, decide, 0, vec![4, 16, 8, 8]),
     ];
-    assert_eq!(told, expected);
+    assert_eq!(assigned, expected);
 }
 
 #[test]

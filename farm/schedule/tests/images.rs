@@ -190,8 +190,8 @@ fn a_store_that_keeps_failing_is_the_reason_that_a_task_waits() {
             artifact: Digest::of(b"tile"),
             message: "the store has damaged artifact 12ab".into(),
         });
-        let (_, told) = message(&farm).expect("it says why");
-        assert!(told.contains("damaged artifact 12ab"), "{told}");
+        let (_, text) = message(&farm).expect("it says why");
+        assert!(text.contains("damaged artifact 12ab"), "{text}");
         for _ in 0..60 {
             farm.wait(2_000);
             farm.heartbeat(1, Phase::Working, attempt);

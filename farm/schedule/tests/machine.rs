@@ -207,6 +207,8 @@ struct Machine {
     made: BTreeMap<TaskKey, Epoch>,
     /// Results of which it was noted what they took, until they count.
     noted: BTreeSet<(TaskKey, Epoch)>,
+    /// What frames have made since they began, by job, frame, stage and task; also what was lost since.
+    ever: BTreeMap<(JobId, u32, u16, u32), BTreeSet<Digest>>,
     /// The results that count, and by which lease.
     results: BTreeMap<Unit, (Epoch, TaskResult)>,
     /// What was decided after which round of which frame.
@@ -263,6 +265,7 @@ impl Machine {
             done: BTreeSet::new(),
             made: BTreeMap::new(),
             noted: BTreeSet::new(),
+            ever: BTreeMap::new(),
             results: BTreeMap::new(),
             choices: BTreeMap::new(),
             has_shared: false,
@@ -341,6 +344,8 @@ impl Machine {
                 assert!(self.live.remove(&(*task, *epoch)), "a result without a lease counts");
                 assert!(self.done.insert(*task), "{task} is done twice");
                 for unit in self.runs[epoch].clone() {
+                    let made = self.ever.entry((unit.0, unit.1.frame, unit.1.number, unit.2)).or_default();
+                    made.extend(result.artifacts().map(|it| it.digest));
                     let before = self.results.insert(unit, (*epoch, (**result).clone()));
                     assert!(before.is_none(), "{unit:?} of {task} counts twice");
                 }
@@ -358,6 +363,7 @@ impl Machine {
                 self.undo(units, &there);
             }
             Fact::Restarted { job, frame } => {
+                self.ever.retain(|(of, at, ..), _| (*of, *at) != (*job, *frame));
                 self.done.retain(|task| (task.job, task.stage.frame) != (*job, *frame));
                 self.results.retain(|(of, stage, ..), _| (*of, stage.frame) != (*job, *frame));
                 self.decided.retain(|(of, at, _), _| (*of, *at) != (*job, *frame));
@@ -549,11 +555,11 @@ impl Machine {
         let given: BTreeSet<Digest> = held.work.artifacts().map(|it| it.digest).collect();
         assert_eq!(given, expected, "the inputs of {}", held.task);
         assert_eq!(held.work.artifacts().count(), given.len(), "{} reads one input twice", held.task);
-        self.all_is_told(held);
+        self.assignment_is_complete(held);
     }
 
     /// A task that reads one that is cut is told how many steps each of these has taken.
-    fn all_is_told(&self, held: &Assignment) {
+    fn assignment_is_complete(&self, held: &Assignment) {
         let graph = &self.farm.scheduler.spec(held.task.job).unwrap().graph;
         let (stage, template) = (held.task.stage, self.template(&held.task));
         let Some(need) = template.needs.iter().find(|need| need.round != Round::Before) else { return };
@@ -803,11 +809,11 @@ impl Machine {
                 let digest = images[which % images.len()];
                 let commands = self.farm.on(Event::Lost { digest });
                 self.see(commands);
-                let is_told = |&job: &JobId| {
+                let is_listed = |&job: &JobId| {
                     let frames = self.farm.scheduler.frames(job).unwrap();
                     frames.iter().flat_map(|frame| &frame.outputs).any(|it| it.artifact.digest == digest)
                 };
-                assert!(!self.jobs.iter().any(is_told), "a lost image is told as finished");
+                assert!(!self.jobs.iter().any(is_listed), "a lost image is told as finished");
             }
             Step::Restart => {
                 self.counts_each_result_once();
@@ -1117,10 +1123,8 @@ impl Machine {
             let of = self.template(&held.task).hints[usize::from(hint.need)];
             let place = spec.frames.binary_search(&held.task.stage.frame).unwrap();
             assert_eq!((hint.frame, hint.output.role), (spec.frames[place - 1], of.role));
-            let mut made = self.results.iter().filter(|((job, stage, item, _), _)| {
-                (*job, stage.frame, stage.number, *item) == (held.task.job, hint.frame, of.stage, hint.item)
-            });
-            let is_made = made.any(|(_, (_, result))| result.outputs.contains(&hint.output));
+            let made = self.ever.get(&(held.task.job, hint.frame, of.stage, hint.item));
+            let is_made = made.is_some_and(|made| made.contains(&hint.output.artifact.digest));
             assert!(is_made, "{} is to look at what nobody has made: {hint:?}", held.task);
         }
     }

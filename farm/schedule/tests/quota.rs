@@ -26,7 +26,7 @@ fn submit(farm: &mut Farm, spec: JobSpec) -> Result<JobId, Refusal> {
 }
 
 fn refused(outcome: &Result<JobId, Refusal>, limit: u64) -> bool {
-    matches!(outcome, Err(Refusal::TooLarge { limit: told, .. }) if *told == limit)
+    matches!(outcome, Err(Refusal::TooLarge { limit: reported, .. }) if *reported == limit)
 }
 
 #[test]

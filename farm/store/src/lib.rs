@@ -281,21 +281,21 @@ pub enum Novelty {
     Older,
 }
 
-/// Whether something goes.
+/// What a sweep does with what nobody needs.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Sweep {
-    /// It is only counted.
+    /// Only counts it.
     Count,
-    /// It goes.
+    /// Removes it.
     Remove,
 }
 
 /// An artifact in the store.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub struct Stored {
-    /// Which.
+    /// Digest and size.
     pub artifact: Artifact,
-    /// Since when.
+    /// Time of the last write, by the clock of the medium.
     pub kept: SystemTime,
 }
 

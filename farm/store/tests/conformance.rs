@@ -146,8 +146,8 @@ async fn heals(store: &Store) {
                     });
                     while receive.recv().await.is_some() {}
                     let outcome = reading.await.unwrap();
-                    let is_told = matches!(outcome, Err(StoreError::Mismatch { .. } | StoreError::Missing { .. }));
-                    assert!(is_told, "{harm}, read from {offset}: {outcome:?}");
+                    let is_reported = matches!(outcome, Err(StoreError::Mismatch { .. } | StoreError::Missing { .. }));
+                    assert!(is_reported, "{harm}, read from {offset}: {outcome:?}");
                     assert!(is_gone().await, "{harm}, read from {offset}");
                 }
 

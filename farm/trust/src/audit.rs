@@ -21,7 +21,7 @@ use crate::TrustError;
 
 /// What somebody did, or tried to do.
 #[derive(Debug, Clone, Default, PartialEq, Eq, PartialOrd, Ord, Serialize)]
-pub struct Deed {
+pub struct AuditEvent {
     /// Role and name; `anybody` where nobody is asked.
     pub who: String,
     /// The digest of the certificate or token that says so.
@@ -50,7 +50,7 @@ struct Line<'a> {
     /// UTC.
     time: String,
     #[serde(flatten)]
-    deed: &'a Deed,
+    event: &'a AuditEvent,
     /// How often since the line before that says the same.
     #[serde(skip_serializing_if = "Option::is_none")]
     times: Option<u64>,
@@ -93,18 +93,18 @@ impl Audit {
     }
 
     /// Notes what was done, or not done for another reason than a refusal.
-    pub fn note(&self, deed: &Deed) {
-        lock(&self.0.book).write(deed, None);
+    pub fn note(&self, event: &AuditEvent) {
+        lock(&self.0.book).write(event, None);
     }
 
     /// Notes a refusal: the first at once, and how often it came again once a second.
-    pub fn refused(&self, deed: Deed) {
+    pub fn refused(&self, event: AuditEvent) {
         let mut book = lock(&self.0.book);
-        if let Some(times) = book.again.get_mut(&deed) {
+        if let Some(times) = book.again.get_mut(&event) {
             *times += 1;
         } else if book.again.len() < Book::DIFFERENT {
-            book.write(&deed, None);
-            book.again.insert(deed, 0);
+            book.write(&event, None);
+            book.again.insert(event, 0);
         } else {
             book.others += 1;
         }
@@ -157,7 +157,7 @@ struct Book {
     most: u64,
     is_dirty: bool,
     /// Refusals of this second, and how often they came after the first time.
-    again: BTreeMap<Deed, u64>,
+    again: BTreeMap<AuditEvent, u64>,
     /// Refusals beyond so many different ones.
     others: u64,
 }
@@ -172,15 +172,15 @@ impl Book {
         Ok(Self { path: path.into(), file, bytes, most, is_dirty: false, again: BTreeMap::new(), others: 0 })
     }
 
-    fn write(&mut self, deed: &Deed, times: Option<u64>) {
-        if let Err(error) = self.try_write(deed, times) {
+    fn write(&mut self, event: &AuditEvent, times: Option<u64>) {
+        if let Err(error) = self.try_write(event, times) {
             // What was done is done: it must not be lost without a word.
-            tracing::error!(%error, ?deed, "the audit record cannot be written");
+            tracing::error!(%error, ?event, "the audit record cannot be written");
         }
     }
 
-    fn try_write(&mut self, deed: &Deed, times: Option<u64>) -> std::io::Result<()> {
-        let mut line = serde_json::to_vec(&Line { time: now(), deed, times })?;
+    fn try_write(&mut self, event: &AuditEvent, times: Option<u64>) -> std::io::Result<()> {
+        let mut line = serde_json::to_vec(&Line { time: now(), event, times })?;
         line.push(b'\n');
         if self.bytes > 0 && self.bytes + line.len() as u64 > self.most {
             self.put_aside()?;
@@ -213,15 +213,15 @@ impl Book {
 
     /// Writes how often this second's refusals came again.
     fn tell_again(&mut self) {
-        for (deed, times) in std::mem::take(&mut self.again) {
+        for (event, times) in std::mem::take(&mut self.again) {
             if times > 0 {
-                self.write(&deed, Some(times));
+                self.write(&event, Some(times));
             }
         }
         let others = std::mem::take(&mut self.others);
         if others > 0 {
-            let deed = Deed { who: "others".into(), outcome: "refused".into(), ..Deed::default() };
-            self.write(&deed, Some(others));
+            let event = AuditEvent { who: "others".into(), outcome: "refused".into(), ..AuditEvent::default() };
+            self.write(&event, Some(others));
         }
     }
 }
@@ -246,8 +246,8 @@ fn now() -> String {
 mod tests {
     use super::*;
 
-    fn deed(job: u64, outcome: &str) -> Deed {
-        Deed { who: "viewer eve".into(), job: Some(job), outcome: outcome.into(), ..Deed::default() }
+    fn event(job: u64, outcome: &str) -> AuditEvent {
+        AuditEvent { who: "viewer eve".into(), job: Some(job), outcome: outcome.into(), ..AuditEvent::default() }
     }
 
     fn lines(path: &Path) -> Vec<serde_json::Value> {
@@ -261,13 +261,13 @@ mod tests {
         let path = folder.path().join("audit.jsonl");
         let audit = Audit::open(&path).unwrap();
         for job in 0..3 {
-            audit.note(&deed(job, "ok"));
+            audit.note(&event(job, "ok"));
         }
         assert_eq!(lines(&path).len(), 3);
         for _ in 0..1000 {
-            audit.refused(deed(7, "PermissionDenied"));
+            audit.refused(event(7, "PermissionDenied"));
         }
-        audit.refused(Deed { what: Some("a\"b\n\u{7}".into()), ..deed(8, "PermissionDenied") });
+        audit.refused(AuditEvent { what: Some("a\"b\n\u{7}".into()), ..event(8, "PermissionDenied") });
         drop(audit.clone());
         drop(audit);
         let record = lines(&path);
@@ -287,7 +287,7 @@ mod tests {
         let path = folder.path().join("audit.jsonl");
         let audit = Audit::with(&path, 1000).unwrap();
         for job in 0..500 {
-            audit.note(&deed(job, "ok"));
+            audit.note(&event(job, "ok"));
         }
         drop(audit);
         let files = std::fs::read_dir(folder.path()).unwrap().count();

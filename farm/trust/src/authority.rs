@@ -29,7 +29,7 @@ pub const COORDINATOR_HOST: &str = "coordinator.femc.internal";
 /// What is asked of an authority.
 #[derive(Debug, Clone)]
 pub struct Issue {
-    /// For whom.
+    /// Holder of the certificate.
     pub holder: Holder,
     /// Names and addresses under which a coordinator is reached by tools that check them; femc's own do not need them.
     /// `localhost` and the loopback addresses are added.

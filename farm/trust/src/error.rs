@@ -6,21 +6,21 @@ pub enum TrustError {
     /// A file or folder.
     #[error("{}: {error}", path.display())]
     File {
-        /// Which.
+        /// Path of the file or folder.
         path: PathBuf,
-        /// What the system said.
+        /// Error of the operating system.
         error: std::io::Error,
     },
     /// There is one already; it is left as it is.
     #[error("{} is there already, and is left as it is", path.display())]
     Exists {
-        /// Which.
+        /// Path of the file or folder.
         path: PathBuf,
     },
     /// The file is no identity or no authority.
     #[error("{}: {message}", path.display())]
     Malformed {
-        /// Which.
+        /// Path of the file or folder.
         path: PathBuf,
         /// What is wrong with it.
         message: String,
@@ -28,7 +28,7 @@ pub enum TrustError {
     /// Other users of this machine can read a private key or a token.
     #[error("{} is secret and other users can read it (mode {mode:o}); chmod 600 it", path.display())]
     Readable {
-        /// Which.
+        /// Path of the file or folder.
         path: PathBuf,
         /// Its permissions.
         mode: u32,
@@ -36,25 +36,25 @@ pub enum TrustError {
     /// A name that would not do in a certificate.
     #[error("`{name}` is no name: 1 to 64 letters, digits, and . _ -")]
     Name {
-        /// As given.
+        /// Name that was given.
         name: String,
     },
     /// Nothing was issued under this name.
     #[error("nothing was issued to `{name}`")]
     Unknown {
-        /// As given.
+        /// Name that was given.
         name: String,
     },
     /// Not by this farm's authority for this farm.
     #[error("the certificate does not say whose it is: {message}")]
     Holder {
-        /// What it says.
+        /// What is wrong with the certificate's names.
         message: String,
     },
     /// The system has no randomness to give.
     #[error("no randomness: {message}")]
     Random {
-        /// What it said.
+        /// Error of the operating system.
         message: String,
     },
     /// Certificates cannot be made.

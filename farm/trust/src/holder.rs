@@ -53,19 +53,19 @@ impl FromStr for Role {
 pub enum Holder {
     /// A coordinator.
     Coordinator {
-        /// For people.
+        /// Name, for people to read.
         name: String,
     },
     /// A worker, which takes part in rendering and may nothing else.
     Worker {
-        /// For people.
+        /// Name, for people to read.
         name: String,
     },
     /// A person, or a program of one.
     User {
         /// Owner of the jobs that it submits.
         name: String,
-        /// What it may do.
+        /// Role that limits the calls it may make.
         role: Role,
     },
 }

@@ -17,7 +17,7 @@ mod token;
 mod tokens;
 mod until;
 
-pub use audit::{Audit, Deed};
+pub use audit::{Audit, AuditEvent};
 pub use authority::{Authority, COORDINATOR_HOST, Issue, Issued};
 pub use error::TrustError;
 pub use holder::{Holder, Role};

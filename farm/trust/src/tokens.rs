@@ -58,9 +58,9 @@ impl Tokens {
 /// A line of the file.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct TokenLine {
-    /// For whom.
+    /// Holder of the token.
     pub holder: Holder,
-    /// By which the token is known.
+    /// Digest by which the token is known.
     pub digest: TokenDigest,
     /// From when on it counts no more.
     pub(crate) until: Option<OffsetDateTime>,

@@ -27,27 +27,27 @@ pub enum ConvertError {
     /// A field that must be there is not.
     #[error("{field} is missing")]
     Missing {
-        /// Which.
+        /// Name of the field.
         field: &'static str,
     },
     /// An enumeration's number that this program does not know.
     #[error("{field} has the unknown value {value}")]
     Unknown {
-        /// Which.
+        /// Name of the field.
         field: &'static str,
-        /// As sent.
+        /// Value that was sent.
         value: i32,
     },
     /// Not 32 bytes.
     #[error("{field} is no digest")]
     Digest {
-        /// Which.
+        /// Name of the field.
         field: &'static str,
     },
     /// Outside of what it may be.
     #[error("{field} is out of range")]
     Range {
-        /// Which.
+        /// Name of the field.
         field: &'static str,
     },
     /// Another version of the protocol.
@@ -58,7 +58,7 @@ pub enum ConvertError {
         if *found > crate::PROTOCOL { "upgrade the coordinator first, then its workers" } else { "upgrade this worker" }
     )]
     Protocol {
-        /// As sent.
+        /// Version of the protocol that the worker speaks.
         found: u32,
     },
 }

@@ -1,4 +1,4 @@
-//! The words of a worker's session.
+//! The messages of a worker's session.
 
 use femc_model::{
     Death, FromWorker, HeldLease, JobId, JobSpec, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, ToWorker,
@@ -14,10 +14,10 @@ impl From<FromWorker> for wire::FromWorker {
         use wire::from_worker::Message;
         let message = match message {
             FromWorker::Register(registration) => Message::Register(registration.into()),
-            FromWorker::Heartbeat { number, tasks, spent } => Message::Heartbeat(wire::Heartbeat {
+            FromWorker::Heartbeat { number, tasks, usage } => Message::Heartbeat(wire::Heartbeat {
                 number,
                 tasks: tasks.into_iter().map(Into::into).collect(),
-                spent: spent.into_iter().map(Into::into).collect(),
+                spent: usage.into_iter().map(Into::into).collect(),
             }),
             FromWorker::Completed { task, epoch, result, log, usage } => {
                 let (lease, result, log) = (to_lease(task, epoch), Some(result.into()), log.map(Into::into));
@@ -43,7 +43,7 @@ impl TryFrom<wire::FromWorker> for FromWorker {
             Message::Many(_) => return Err(ConvertError::Nested),
             Message::Register(registration) => Self::Register(registration.try_into()?),
             Message::Heartbeat(wire::Heartbeat { number, tasks, spent }) => {
-                Self::Heartbeat { number, tasks: each(tasks)?, spent: each(spent)? }
+                Self::Heartbeat { number, tasks: each(tasks)?, usage: each(spent)? }
             }
             Message::Completed(completed) => {
                 let (task, epoch) = from_lease(completed.lease)?;

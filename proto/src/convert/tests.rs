@@ -1,4 +1,4 @@
-//! Every word survives the wire, and nonsense is refused.
+//! Every message survives the wire, and nonsense is refused.
 
 use std::fmt::Debug;
 
@@ -150,7 +150,7 @@ fn the_words_of_a_session_cross_the_wire() {
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Heartbeat {
         number: 3,
         tasks: progress.to_vec(),
-        spent: vec![Spent { task: image, epoch, usage: usage() }],
+        usage: vec![TaskUsage { task: image, epoch, usage: usage() }],
     });
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Draining);
     crosses::<FromWorker, wire::FromWorker>(FromWorker::Available);

@@ -2,7 +2,7 @@
 
 use std::num::NonZeroU64;
 
-use femc_model::{AttemptRecord, Cut, Ending, Spent, Tick, Usage};
+use femc_model::{AttemptRecord, Cut, Ending, TaskUsage, Tick, Usage};
 
 use super::task::{finite, from_lease, to_lease};
 use super::{ConvertError, maybe, need};
@@ -47,13 +47,13 @@ impl TryFrom<wire::Usage> for Usage {
     }
 }
 
-impl From<Spent> for wire::Spent {
-    fn from(Spent { task, epoch, usage }: Spent) -> Self {
+impl From<TaskUsage> for wire::Spent {
+    fn from(TaskUsage { task, epoch, usage }: TaskUsage) -> Self {
         Self { lease: to_lease(task, epoch), usage: Some(usage.into()) }
     }
 }
 
-impl TryFrom<wire::Spent> for Spent {
+impl TryFrom<wire::Spent> for TaskUsage {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Spent) -> Result<Self, ConvertError> {

@@ -24,19 +24,19 @@ pub struct References {
     pub scenes: BTreeSet<Digest>,
 }
 
-/// Whether garbage goes.
+/// What a collection does with garbage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum CollectMode {
-    /// It is only counted.
+    /// Only counts it.
     DryRun,
-    /// It goes.
+    /// Removes it.
     Remove,
 }
 
 /// Artifacts, counted.
 #[derive(Debug, Clone, Copy, Default, PartialEq, Eq)]
 pub struct Volume {
-    /// How many.
+    /// Number of artifacts.
     pub artifacts: u64,
     /// Their bytes.
     pub bytes: u64,

@@ -13,7 +13,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::task::{Context, Poll};
 use std::time::Duration;
 
-use femc_trust::{Audit, Deed};
+use femc_trust::{Audit, AuditEvent};
 use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Instant, Sleep};
 use tonic::transport::server::{Connected, TcpConnectInfo};
@@ -125,14 +125,14 @@ impl Door {
     }
 }
 
-fn connecting(address: Option<SocketAddr>, outcome: &str, why: &str) -> Deed {
-    Deed {
+fn connecting(address: Option<SocketAddr>, outcome: &str, why: &str) -> AuditEvent {
+    AuditEvent {
         who: "unknown".into(),
         from: address.map(|address| address.ip().to_string()),
         call: "connect".into(),
         outcome: outcome.into(),
         why: Some(why.into()),
-        ..Deed::default()
+        ..AuditEvent::default()
     }
 }
 

@@ -3,7 +3,7 @@
 use std::sync::{Arc, Mutex, PoisonError};
 
 use femc_model::JobId;
-use femc_trust::{Audit, Deed};
+use femc_trust::{Audit, AuditEvent};
 use http::Response;
 use tonic::{Code, Request, Status};
 
@@ -11,7 +11,7 @@ use super::guard::Caller;
 
 /// Filled in on the way through a call; empty where there is no record.
 #[derive(Debug, Clone, Default)]
-pub(super) struct Trail(Option<Arc<Mutex<Deed>>>);
+pub(super) struct Trail(Option<Arc<Mutex<AuditEvent>>>);
 
 impl Trail {
     /// Most characters of a text from outside.
@@ -20,7 +20,7 @@ impl Trail {
     /// Of the call `path` from `from`.
     pub(super) fn new(path: &str, from: Option<String>) -> Self {
         let call = cut(path.trim_start_matches('/').trim_start_matches("femc.v1."));
-        Self(Some(Arc::new(Mutex::new(Deed { who: "unknown".into(), from, call, ..Deed::default() }))))
+        Self(Some(Arc::new(Mutex::new(AuditEvent { who: "unknown".into(), from, call, ..AuditEvent::default() }))))
     }
 
     /// That of the call that this request makes.
@@ -28,31 +28,31 @@ impl Trail {
         request.extensions().get().cloned().unwrap_or_default()
     }
 
-    fn with(&self, change: impl FnOnce(&mut Deed)) {
-        if let Some(deed) = &self.0 {
+    fn with(&self, change: impl FnOnce(&mut AuditEvent)) {
+        if let Some(event) = &self.0 {
             // A panic within the few lines under this lock leaves nothing half done.
-            change(&mut deed.lock().unwrap_or_else(PoisonError::into_inner));
+            change(&mut event.lock().unwrap_or_else(PoisonError::into_inner));
         }
     }
 
-    /// Who calls.
+    /// Holder and credential of the caller.
     pub(super) fn caller(&self, caller: &Caller) {
-        self.with(|deed| (deed.who, deed.by) = (caller.holder.to_string(), Some(caller.credential.to_string())));
+        self.with(|event| (event.who, event.by) = (caller.holder.to_string(), Some(caller.credential.to_string())));
     }
 
     /// Nobody is asked who he is.
     pub(super) fn anybody(&self) {
-        self.with(|deed| deed.who = "anybody".into());
+        self.with(|event| event.who = "anybody".into());
     }
 
     /// What the call asks for.
     pub(super) fn what(&self, what: &str) {
-        self.with(|deed| deed.what = Some(cut(what)));
+        self.with(|event| event.what = Some(cut(what)));
     }
 
     /// Which job it is about.
     pub(super) fn job(&self, JobId(job): JobId) {
-        self.with(|deed| deed.job = Some(job));
+        self.with(|event| event.job = Some(job));
     }
 
     /// Notes it, if it is a change or was refused.
@@ -60,8 +60,8 @@ impl Trail {
         let status = Status::from_header_map(response.headers());
         let code = status.as_ref().map_or(Code::Ok, Status::code);
         let is_refused = matches!(code, Code::Unauthenticated | Code::PermissionDenied | Code::ResourceExhausted);
-        let mut ended = Deed::default();
-        self.with(|deed| ended = deed.clone());
+        let mut ended = AuditEvent::default();
+        self.with(|event| ended = event.clone());
         if !is_refused && !is_change(&ended.call) {
             return;
         }

@@ -336,8 +336,8 @@ mod tests {
         first.write(b"def").await.unwrap();
         first.finish().await.unwrap();
         for other in others {
-            let told = other.await.unwrap().unwrap();
-            assert!(matches!(told, Turn::There(Artifact { bytes: 6, .. })), "{told:?}");
+            let turn = other.await.unwrap().unwrap();
+            assert!(matches!(turn, Turn::There(Artifact { bytes: 6, .. })), "{turn:?}");
         }
         assert_eq!((asked.await.unwrap(), uploads.lock().entries.len()), (0, 0));
     }

@@ -11,7 +11,7 @@ use tokio_stream::{Stream, StreamExt as _};
 use tonic::{Request, Response, Status, Streaming};
 
 use super::trail::Trail;
-use super::{Call, Caller, Server, Session, Words};
+use super::{Call, Caller, Server, Session, WorkerMessages};
 use crate::many::together;
 use crate::wire;
 
@@ -31,8 +31,8 @@ impl wire::workers_server::Workers for Server {
     ) -> Result<Response<Self::SessionStream>, Status> {
         let caller = request.extensions().get::<Arc<Caller>>().cloned();
         let trail = Trail::of(&request);
-        let mut words = request.into_inner();
-        let first = tokio::time::timeout(INTRODUCTION, words.message()).await;
+        let mut messages = request.into_inner();
+        let first = tokio::time::timeout(INTRODUCTION, messages.message()).await;
         let first = first.map_err(|_| Status::deadline_exceeded("the worker did not register"))??;
         let first = first.ok_or_else(|| Status::invalid_argument("the worker did not register"))?;
         let FromWorker::Register(registration) = FromWorker::try_from(first)? else {
@@ -40,7 +40,7 @@ impl wire::workers_server::Workers for Server {
         };
         trail.what(&format!("worker {}", registration.name));
         let (out, receive) = mpsc::channel(WAITING);
-        let session = Session { registration, words: Words::new(words, caller), out };
+        let session = Session { registration, messages: WorkerMessages::new(messages, caller), out };
         self.calls
             .send(Call::Session(Box::new(session)))
             .await

@@ -82,7 +82,7 @@ fn close(state: &mut State, last: JobId) -> Vec<Violation> {
     wrong.extend(noted(&records, &notes, state.disk.tail()).unwrap_or_else(|error| vec![error.into()]));
     state.leases.forget_until(last);
     state.chronicle.forget_until(last);
-    state.told.forget_until(last);
+    state.answers.forget_until(last);
     wrong
 }
 

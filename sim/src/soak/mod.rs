@@ -54,7 +54,7 @@ pub struct Soaked {
     /// The farm from time to time.
     pub gauges: Vec<Gauge>,
     /// What people did, and how jobs ended.
-    pub deeds: BTreeMap<&'static str, u64>,
+    pub counts: BTreeMap<&'static str, u64>,
     /// How often each kind of fault came about.
     pub fired: BTreeMap<&'static str, u32>,
     /// Most records of the log beside a snapshot.
@@ -115,7 +115,7 @@ impl Soak {
         Ok(Soaked {
             violations: violations.map(|violation| violation.to_string()).collect(),
             gauges,
-            deeds: state.deeds.clone(),
+            counts: state.counts.clone(),
             fired: state.fired.clone(),
             longest_log: state.disk.longest,
             seconds: sim.elapsed().as_secs_f64(),

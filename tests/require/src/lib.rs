@@ -102,8 +102,8 @@ mod tests {
 
     #[test]
     fn an_unknown_word_is_named() {
-        let told = parse("s3,postgresql").unwrap_err().to_string();
-        assert!(told.contains("`postgresql`") && told.contains("FEMC_REQUIRE"), "{told}");
+        let error = parse("s3,postgresql").unwrap_err().to_string();
+        assert!(error.contains("`postgresql`") && error.contains("FEMC_REQUIRE"), "{error}");
         assert!(parse("S3").is_err());
     }
 }

@@ -21,37 +21,40 @@ fn run(required: &str, thing: Option<&str>) -> (bool, String) {
     command.args(["--exact", "needy", "--ignored", "--nocapture"]);
     command.env(femc_require::VARIABLE, required).env_remove(THING).envs(thing.map(|value| (THING, value)));
     let ran = command.output().expect("a process");
-    let told = [ran.stdout, ran.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
-    (ran.status.success(), told.concat())
+    let output = [ran.stdout, ran.stderr].map(|bytes| String::from_utf8_lossy(&bytes).into_owned());
+    (ran.status.success(), output.concat())
 }
 
 #[test]
 fn a_test_without_its_need_is_skipped_with_a_line() {
     for required in ["", "postgres,python,refs"] {
-        let (passes, told) = run(required, None);
-        assert!(passes && told.contains(&format!("skipped: {THING} is not set (tests/s3 sets it)")), "{told}");
+        let (passes, output) = run(required, None);
+        assert!(passes && output.contains(&format!("skipped: {THING} is not set (tests/s3 sets it)")), "{output}");
     }
 }
 
 #[test]
 fn a_test_without_a_required_need_fails_and_says_what_is_missing_and_who_asked() {
-    let (passes, told) = run("refs,s3", None);
-    assert!(!passes && told.contains(&format!("FEMC_REQUIRE asks for s3: {THING} is not set")), "{told}");
-    assert!(!told.contains("skipped"), "{told}");
+    let (passes, output) = run("refs,s3", None);
+    assert!(!passes && output.contains(&format!("FEMC_REQUIRE asks for s3: {THING} is not set")), "{output}");
+    assert!(!output.contains("skipped"), "{output}");
 }
 
 #[test]
 fn a_test_with_its_need_runs() {
     for required in ["", "s3"] {
-        let (passes, told) = run(required, Some("here"));
-        assert!(passes && told.contains("it runs") && !told.contains("skipped"), "{told}");
+        let (passes, output) = run(required, Some("here"));
+        assert!(passes && output.contains("it runs") && !output.contains("skipped"), "{output}");
     }
 }
 
 #[test]
 fn an_unknown_word_fails_also_the_test_that_has_its_need() {
     for thing in [None, Some("here")] {
-        let (passes, told) = run("s3,postgress", thing);
-        assert!(!passes && told.contains("names `postgress`, which is none of postgres, s3, python, refs"), "{told}");
+        let (passes, output) = run("s3,postgress", thing);
+        assert!(
+            !passes && output.contains("names `postgress`, which is none of postgres, s3, python, refs"),
+            "{output}"
+        );
     }
 }

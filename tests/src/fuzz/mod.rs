@@ -57,7 +57,7 @@ pub fn targets() -> Vec<Target> {
 /// What came of some executions.
 #[derive(Debug, Default)]
 pub struct Tally {
-    /// How many.
+    /// Number of executions.
     pub executions: u64,
     /// How many of them were accepted.
     pub accepted: u64,

@@ -5,7 +5,7 @@
 
 use femc_film::{Block, Errors, FrameError, TileErrors};
 use femc_model::{Decision, Failure, More, Phase, Role, Template};
-use femc_pipeline::{RoundVerdict, Settings, Spent, TileState};
+use femc_pipeline::{FrameTime, RoundVerdict, Settings, TileState};
 
 use super::union::groups;
 use super::{Product, Tools, unfit};
@@ -29,7 +29,7 @@ pub(crate) fn decide(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     let error = FrameError::of(blocks().map(|it| it.block).collect());
     let state = |tile: &TileErrors| TileState { samples: tile.samples.end, error: tile.worst(error.floor) };
     let states: Vec<TileState> = tiles.iter().map(state).collect();
-    let decision = match settings.verdict(&states, spent(task), planned(task)) {
+    let decision = match settings.verdict(&states, frame_time(task), planned(task)) {
         RoundVerdict::Continue => Decision::Continue,
         RoundVerdict::Steps(steps) => Decision::Steps(steps),
         RoundVerdict::Done => Decision::Done,
@@ -52,9 +52,9 @@ fn planned(task: &Task) -> Option<u32> {
 }
 
 /// For a frame that has a time: its tiles have the samples that were planned.
-fn spent(task: &Task) -> Spent {
+fn frame_time(task: &Task) -> FrameTime {
     let round = task.assignment.task.stage.round;
     let (taken, next) = (task.spec.samples(round).end, task.spec.samples(round + 1).len());
     let so_far = task.assignment.work.elapsed as f64 / 1000.0;
-    Spent { so_far, next: so_far * next as f64 / f64::from(taken.max(1)) }
+    FrameTime { so_far, next: so_far * next as f64 / f64::from(taken.max(1)) }
 }

@@ -3,7 +3,7 @@
 use super::report::FrameReport;
 use super::state::State;
 use super::target::Target;
-use crate::attempts::Told;
+use crate::attempts::JobRecord;
 use crate::clock::Clock;
 use crate::command::client::{self, Farm};
 use crate::command::embedded::{self, Embedded};
@@ -26,7 +26,7 @@ const LAST_LOOK: Duration = Duration::from_millis(200);
 pub struct Order<'a> {
     /// The request.
     pub asked: &'a Asked,
-    /// Where frames go.
+    /// File or folder that the frames are written to.
     pub target: &'a Target,
     /// All frames asked for.
     pub frames: &'a [u32],
@@ -35,7 +35,7 @@ pub struct Order<'a> {
     /// The scene's files.
     pub scene: Parcel,
     /// Whether it is asked at the end what the tasks took.
-    pub wants_told: bool,
+    pub wants_record: bool,
 }
 
 /// What a run has made.
@@ -43,7 +43,7 @@ pub struct Made {
     /// Its frames.
     pub frames: Vec<FrameReport>,
     /// What their tasks took, those of runs before this one that it went on from too, if asked for.
-    pub told: Option<Told>,
+    pub record: Option<JobRecord>,
 }
 
 /// Render the missing frames.
@@ -109,8 +109,9 @@ async fn frames(
                 ));
                 return Err(failed(lines.join("\n")));
             }
-            let told = if order.wants_told { Some(subject::of_job(farm, job, Logs::Failures).await?) } else { None };
-            return Ok(Made { frames: written.into_values().collect(), told });
+            let record =
+                if order.wants_record { Some(subject::of_job(farm, job, Logs::Failures).await?) } else { None };
+            return Ok(Made { frames: written.into_values().collect(), record });
         }
         tokio::select! {
             () = tokio::time::sleep(look) => look = (look * 3 / 2).min(LAST_LOOK),

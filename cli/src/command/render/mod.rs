@@ -3,7 +3,7 @@
 mod clip;
 mod drive;
 mod report;
-mod spent;
+mod report_file;
 pub mod state;
 mod target;
 mod there;
@@ -18,7 +18,7 @@ use crate::request::Asked;
 use clap::Args;
 use drive::{Made, Order};
 use report::{FrameReport, Report};
-use spent::Spent;
+use report_file::ReportFile;
 use state::{Found, Identity, Old, State};
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -59,7 +59,7 @@ pub struct RenderArgs {
 pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     let begun = Clock.now();
     args.extras.check()?;
-    let spent = args.report.as_deref().map(Spent::to).transpose()?;
+    let report_file = args.report.as_deref().map(ReportFile::to).transpose()?;
     let asked = Asked::open(&args.scene, args.settings, say)?;
     let target = Target::of(args.out.as_deref(), &asked.name(), asked.plan.frames.len())?;
     let frames = target.frames(&asked, say)?;
@@ -79,7 +79,7 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     };
     if missing.is_empty() {
         say.note(format!("{}: finished before, with this scene and these settings", target.display()));
-        if spent.is_some() {
+        if report_file.is_some() {
             say.warning("--report: nothing was rendered, so there is nothing to tell; --fresh renders anew");
         }
     } else {
@@ -90,11 +90,11 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
             frames: &frames,
             missing,
             scene: asked.parcel()?,
-            wants_told: spent.is_some(),
+            wants_record: report_file.is_some(),
         };
-        let Made { frames, told } = render(&order, old, say)?;
-        if let (Some(spent), Some(told)) = (spent, told) {
-            report.report = Some(spent.write(told)?);
+        let Made { frames, record } = render(&order, old, say)?;
+        if let (Some(report_file), Some(record)) = (report_file, record) {
+            report.report = Some(report_file.write(record)?);
         }
         done.extend(frames.into_iter().map(|frame| (frame.frame, frame)));
     }

@@ -37,7 +37,7 @@ pub struct Report {
     pub video: Option<String>,
     /// The sheet.
     pub contact_sheet: Option<String>,
-    /// What the tasks took.
+    /// File with the usage of the tasks.
     pub report: Option<String>,
 }
 

@@ -2,7 +2,7 @@
 
 use super::folder::{Folder, Order, Shot};
 use super::work::{Planned, Work};
-use crate::attempts::Told;
+use crate::attempts::JobRecord;
 use crate::clock::Clock;
 use crate::command::client::Farm;
 use crate::command::interrupt::Interrupt;
@@ -113,14 +113,14 @@ pub async fn cancel_others(queued: &[Queued<'_>], farm: &Farm) -> Result<(), Fai
 }
 
 /// Keep what the attempts of each job took, for `femc stats` and `femc report`.
-async fn keep_told(queued: &[Queued<'_>], folder: &Folder, farm: &Farm) -> Result<(), Failure> {
+async fn keep_record(queued: &[Queued<'_>], folder: &Folder, farm: &Farm) -> Result<(), Failure> {
     let run =
         std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).map_or(0, |since| since.as_millis() as u64);
     for queued in queued {
         let Some(order) = folder.order(&queued.variant.name) else { continue };
-        let told = subject::of_job(farm, queued.job, Logs::Failures).await?;
-        let told = Told { run, variant: Some(queued.variant.name.clone()), ..told };
-        told.write(&folder.join(&subject::kept_file(&order.ticket)))?;
+        let record = subject::of_job(farm, queued.job, Logs::Failures).await?;
+        let record = JobRecord { run, variant: Some(queued.variant.name.clone()), ..record };
+        record.write(&folder.join(&subject::kept_file(&order.ticket)))?;
     }
     Ok(())
 }
@@ -153,7 +153,7 @@ pub async fn collect(
         if is_whole && ours.iter().all(|status| status.state.has_ended()) {
             progress.finish();
             folder.save()?;
-            keep_told(queued, folder, farm).await?;
+            keep_record(queued, folder, farm).await?;
             return Ok(troubles(queued, &all));
         }
         tokio::select! {

@@ -16,7 +16,7 @@ pub struct Axis {
     pub name: String,
     /// At least one.
     pub choices: Vec<Choice>,
-    /// Where the name stands.
+    /// Line and column of the name.
     pub place: Place,
     /// Byte offset of the same.
     pub offset: usize,
@@ -29,7 +29,7 @@ pub struct Choice {
     pub change: Change,
     /// The value as it is shown and names folders.
     pub text: String,
-    /// Where it stands.
+    /// Line and column of the value.
     pub place: Place,
     /// Byte offset of the same.
     pub offset: usize,

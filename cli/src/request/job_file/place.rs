@@ -36,7 +36,7 @@ pub enum JobFileError {
     Form {
         /// The job file.
         path: PathBuf,
-        /// Where.
+        /// Line and column of the fault.
         place: Place,
         /// What is wrong there.
         what: String,

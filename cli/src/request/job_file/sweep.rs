@@ -16,7 +16,7 @@ pub const MAX_VARIANTS: usize = 4096;
 pub struct Sweep {
     /// At least one.
     pub axes: Vec<Axis>,
-    /// How.
+    /// How the axes are joined.
     pub mode: Mode,
     place: Place,
 }

@@ -63,7 +63,7 @@ fn segments(count: u64) -> impl Iterator<Item = AlongSegment> {
 /// Choices at evenly spaced numbers have the probabilities that the tree tells; those sum to 1, but for the choices that end
 /// among lights of which none reaches the place.
 fn agrees(tree: &LightTree, lights: usize, place: &impl Place) -> f64 {
-    let told: Vec<f64> = (0..lights as u32).map(|light| f64::from(tree.probability(place, light))).collect();
+    let probabilities: Vec<f64> = (0..lights as u32).map(|light| f64::from(tree.probability(place, light))).collect();
     let n = 4000;
     let (mut counts, mut nothing) = (vec![0u32; lights], 0.0);
     for i in 0..n {
@@ -75,11 +75,14 @@ fn agrees(tree: &LightTree, lights: usize, place: &impl Place) -> f64 {
             }
         }
     }
-    let sum: f64 = told.iter().sum();
+    let sum: f64 = probabilities.iter().sum();
     assert!((sum + nothing - 1.0).abs() < 5e-3 && (nothing > 0.0 || (sum - 1.0).abs() < 1e-3), "{sum} {nothing}");
-    for (light, (&count, told)) in counts.iter().zip(&told).enumerate() {
+    for (light, (&count, probability)) in counts.iter().zip(&probabilities).enumerate() {
         // A light owns one interval of the numbers: the count is off by less than one step at each end.
-        assert!((f64::from(count) - told * f64::from(n)).abs() < 1.01, "light {light}: {count} of {n}, {told}");
+        assert!(
+            (f64::from(count) - probability * f64::from(n)).abs() < 1.01,
+            "light {light}: {count} of {n}, {probability}"
+        );
     }
     nothing
 }

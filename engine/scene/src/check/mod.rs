@@ -85,9 +85,9 @@ pub enum FaultKind {
 /// A fault of a scene.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize)]
 pub struct Fault {
-    /// How bad.
+    /// Severity; only an error keeps the scene from being rendered.
     pub severity: Severity,
-    /// What sort.
+    /// Kind of fault.
     pub kind: FaultKind,
     /// Where; line 1 of the scene file for the scene as a whole.
     pub location: Location,

@@ -50,8 +50,8 @@ pub(super) fn blank(sequence: i64) -> Vec<u8> {
     hash.finalize().as_bytes()[..16].to_vec()
 }
 
-/// What rows say.
-pub(super) struct Told {
+/// What the rows of a log hold, as far as they are sound.
+pub(super) struct LogRows {
     /// Up to the first that is damaged or gone.
     pub(super) contents: Contents,
     /// The number of the last sound one.
@@ -62,7 +62,7 @@ pub(super) struct Told {
 
 /// What the rows say up to the first that is damaged or gone. A database keeps a transaction whole or not at all: damage is
 /// never the trace of a write that was cut.
-pub(super) fn told(snapshot: Option<Row>, rows: impl IntoIterator<Item = Row>) -> Result<Told, QueueError> {
+pub(super) fn check_rows(snapshot: Option<Row>, rows: impl IntoIterator<Item = Row>) -> Result<LogRows, QueueError> {
     let mut contents = Contents::default();
     let mut last = 0;
     if let Some(snapshot) = snapshot {
@@ -84,7 +84,7 @@ pub(super) fn told(snapshot: Option<Row>, rows: impl IntoIterator<Item = Row>) -
         }
         let after = rows.filter(Row::is_sound).count() as u64 + u64::from(is_sound);
         let damage = Some(QueueError::Damaged { sequence: last + 1, after });
-        return Ok(Told { contents, last, damage });
+        return Ok(LogRows { contents, last, damage });
     }
-    Ok(Told { contents, last, damage: None })
+    Ok(LogRows { contents, last, damage: None })
 }

@@ -17,7 +17,7 @@ use sqlx::sqlite::{
 use sqlx::{ConnectOptions as _, Connection as _, Row as _};
 
 use super::mark::{Found, Identity, Known, Mark};
-use super::rows::{Row, Told, blank, checksum, note_checksum, page, told};
+use super::rows::{LogRows, Row, blank, check_rows, checksum, note_checksum, page};
 use crate::{Batch, Contents, Loss, Lost, Page, Queue, QueueError, no_room};
 
 /// A log in a file.
@@ -170,7 +170,7 @@ impl Sqlite {
     }
 
     /// What there is, as far as it is sound, and what else there must be. Changes nothing in the file.
-    async fn read(&mut self) -> Result<(Told, Floor), QueueError> {
+    async fn read(&mut self) -> Result<(LogRows, Floor), QueueError> {
         let newest = "SELECT sequence, checksum, state FROM snapshot ORDER BY sequence DESC LIMIT 1";
         let snapshot = sqlx::query(newest).fetch_optional(&mut self.connection).await?;
         let snapshot = snapshot.as_ref().map(row).transpose()?;
@@ -179,14 +179,14 @@ impl Sqlite {
             .fetch_all(&mut self.connection)
             .await?;
         let rows: Vec<Row> = rows.iter().map(row).collect::<Result<_, _>>()?;
-        let mut told = told(snapshot, rows)?;
+        let mut checked = check_rows(snapshot, rows)?;
         let mut floor = self.floor()?;
-        if floor.lack.is_none() && told.last < floor.sequence {
+        if floor.lack.is_none() && checked.last < floor.sequence {
             let path = self.path.display().to_string();
-            floor.lack = Some(QueueError::Lost { path, kept: told.last, known: floor.sequence });
+            floor.lack = Some(QueueError::Lost { path, kept: checked.last, known: floor.sequence });
         }
-        floor.lack = told.damage.take().or(floor.lack);
-        Ok((told, floor))
+        floor.lack = checked.damage.take().or(floor.lack);
+        Ok((checked, floor))
     }
 
     /// Puts aside what SQLite has written ahead and does not read: closing the log takes it away.
@@ -390,7 +390,7 @@ fn minutes() -> u32 {
 
 impl Queue for Sqlite {
     async fn load(&mut self) -> Result<Contents, QueueError> {
-        let (Told { mut contents, last, .. }, floor) = self.read().await?;
+        let (LogRows { mut contents, last, .. }, floor) = self.read().await?;
         if let Some(lack) = floor.lack {
             self.keep_evidence();
             if self.loss == Loss::Refused {

@@ -143,7 +143,7 @@ impl Job {
     }
 
     /// Whether some of its frames with this content are blocked.
-    pub(crate) fn is_starved_of(&self, key: &Digest) -> bool {
+    pub(crate) fn has_blocked_frames_of(&self, key: &Digest) -> bool {
         self.blocked.iter().any(|&frame| self.content(frame).as_ref() == Some(key))
     }
 
@@ -219,7 +219,7 @@ impl Job {
     }
 
     /// Whether something of it is done once for the whole job.
-    pub(crate) fn has_own(&self) -> bool {
+    pub(crate) fn has_job_stages(&self) -> bool {
         self.shared.is_some() || self.spec.graph.has_job()
     }
 
@@ -235,14 +235,14 @@ impl Job {
 
     /// Whether all that was asked for is there.
     pub(crate) fn is_done(&self) -> bool {
-        self.finished.len() == self.frames().len() + usize::from(self.has_own())
+        self.finished.len() == self.frames().len() + usize::from(self.has_job_stages())
     }
 
     /// Whether every frame is finished or blocked, and the job's own stages, or the job as a whole is over.
     pub(crate) fn has_ended(&self) -> bool {
         self.hold == Hold::Cancelled
             || self.doom.is_some()
-            || self.finished.len() + self.blocked.len() == self.frames().len() + usize::from(self.has_own())
+            || self.finished.len() + self.blocked.len() == self.frames().len() + usize::from(self.has_job_stages())
     }
 
     /// Whether nothing more will be made of it without a person.
@@ -264,7 +264,7 @@ impl Job {
     pub(crate) fn is_open(&self, frame: u32) -> bool {
         !self.finished.contains_key(&frame)
             && !self.blocked.contains(&frame)
-            && if frame == Stage::OF_JOB { self.has_own() } else { self.frames().binary_search(&frame).is_ok() }
+            && if frame == Stage::OF_JOB { self.has_job_stages() } else { self.frames().binary_search(&frame).is_ok() }
     }
 
     /// Whether the stage is one of the job's, in a round that has begun, of a frame that is open.
@@ -369,11 +369,11 @@ impl Job {
     }
 
     /// Whether all that a task reads is there.
-    pub(crate) fn is_fed(&self, task: &TaskKey) -> bool {
+    pub(crate) fn has_inputs(&self, task: &TaskKey) -> bool {
         let (unit, shape) = (self.unit(task.stage.frame), self.shape(task.stage.frame));
         let place = (task.stage.round, task.stage.number);
         let grains = unit.grains(&shape, place);
-        grains.is_some_and(|grains| unit.is_fed(&shape, place, grains.task(task.index)))
+        grains.is_some_and(|grains| unit.has_inputs(&shape, place, grains.task(task.index)))
     }
 
     /// Whether some of a stage's keys from the task's on are still to be done.
@@ -458,7 +458,7 @@ impl Job {
                 for frame in blocked {
                     self.unblock(frame);
                 }
-                self.units.values_mut().for_each(Unit::forgive);
+                self.units.values_mut().for_each(Unit::clear_trouble);
                 if has_gaps {
                     return self.fill_gaps();
                 }
@@ -485,7 +485,7 @@ impl Job {
     }
 
     /// What its frames of this content share cannot be done: those of which this holds are blocked.
-    pub(super) fn starve(&mut self, key: &Digest, is_of_it: impl Fn(u32) -> bool, now: Tick) {
+    pub(super) fn block_for_shared(&mut self, key: &Digest, is_of_it: impl Fn(u32) -> bool, now: Tick) {
         if !self.needs(key) {
             return;
         }
@@ -500,7 +500,7 @@ impl Job {
     }
 
     /// What its frames of this content share is tried again: what waits for nothing else may move.
-    pub(super) fn feed(&mut self, key: &Digest) {
+    pub(super) fn unblock_for_shared(&mut self, key: &Digest) {
         let is_starved = |frame: &u32| {
             let unit = self.units.get(frame);
             self.content(*frame).as_ref() == Some(key) && unit.is_none_or(|unit| unit.quarantined().next().is_none())

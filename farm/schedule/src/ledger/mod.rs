@@ -1,9 +1,9 @@
 //! The durable half of the scheduler: what is asked for, what is done, what has failed.
 
-mod annex;
 mod hints;
 mod job;
 pub(crate) mod shape;
+mod side_tables;
 mod snapshot;
 mod trouble;
 pub(crate) mod unit;
@@ -14,9 +14,9 @@ use femc_model::{Control, Digest, JobId, Tick};
 use serde::{Deserialize, Serialize};
 
 use crate::Fact;
-pub(crate) use annex::Annex;
 pub(crate) use job::{Hold, Job, Shared};
 pub(crate) use shape::{Place, Shape};
+pub(crate) use side_tables::SideTables;
 pub use snapshot::SnapshotError;
 pub(crate) use unit::Unit;
 
@@ -32,7 +32,7 @@ pub struct Ledger {
     pub(crate) jobs: BTreeMap<JobId, Job>,
     /// What jobs share, by content and build.
     shared: BTreeMap<Shared, JobId>,
-    pub(crate) annex: Annex,
+    pub(crate) side: SideTables,
 }
 
 impl Ledger {
@@ -86,22 +86,22 @@ impl Ledger {
                 return Vec::new();
             }
             Fact::Drained { instance, drain } => {
-                self.annex.drain(*instance, *drain);
+                self.side.drain(*instance, *drain);
                 return Vec::new();
             }
             Fact::Logged(record) => {
                 let is_known = self.jobs.contains_key(&record.task.job);
-                return if is_known { self.annex.log(record) } else { Vec::new() };
+                return if is_known { self.side.log(record) } else { Vec::new() };
             }
             Fact::Built { job, frame, engine } => {
                 if self.jobs.get(job).is_some_and(|known| known.is_open(*frame)) {
-                    self.annex.built(*job, *frame, engine);
+                    self.side.built(*job, *frame, engine);
                 }
                 return Vec::new();
             }
             Fact::Used { owners } => {
                 let jobs = &self.jobs;
-                self.annex.note_used(owners, || jobs.values().map(|job| job.spec.owner.as_str()).collect());
+                self.side.note_used(owners, || jobs.values().map(|job| job.spec.owner.as_str()).collect());
                 return Vec::new();
             }
             Fact::Lives { instance } => {
@@ -115,11 +115,11 @@ impl Ledger {
                 self.jobs.remove(job);
                 self.keys.retain(|_, other| other != job);
                 self.shared.retain(|_, other| other != job);
-                self.annex.forget(*job);
+                self.side.forget(*job);
                 return Vec::new();
             }
             Fact::Done { task, end, epoch, leased, result } => {
-                let build = || self.annex.build_of(task.job, task.stage.frame);
+                let build = || self.side.build_of(task.job, task.stage.frame);
                 let released = self.jobs.get_mut(&task.job).map(|job| {
                     let engine = if job.spec.graph.has_hints() { build() } else { None };
                     let mut released = engine.map(|it| job.note_hints(task, it, result)).unwrap_or_default();
@@ -127,7 +127,7 @@ impl Ledger {
                     released
                 });
                 if self.jobs.get(&task.job).is_some_and(|job| job.finished.contains_key(&task.stage.frame)) {
-                    self.annex.unbuilt(task.job, task.stage.frame);
+                    self.side.unbuilt(task.job, task.stage.frame);
                 }
                 (task.job, released)
             }
@@ -136,14 +136,14 @@ impl Ledger {
             }
             Fact::Lost { task } => (task.job, self.jobs.get_mut(&task.job).map(|job| job.lost(task))),
             Fact::Restarted { job, frame } => {
-                self.annex.unbuilt(*job, *frame);
+                self.side.unbuilt(*job, *frame);
                 let released = self.jobs.get_mut(job).map(|job| job.restarted(*frame));
                 // Any build may do it now, and one of them cannot.
                 let key = self.jobs.get(job).and_then(|job| job.content(*frame));
                 if let Some(key) = key.filter(|key| self.shared_by(key).any(|(.., shared)| shared.is_stuck()))
                     && let Some(job) = self.jobs.get_mut(job)
                 {
-                    job.starve(&key, |other| other == *frame, now);
+                    job.block_for_shared(&key, |other| other == *frame, now);
                 }
                 (*job, released)
             }
@@ -155,22 +155,22 @@ impl Ledger {
         }
         if job.is_shared() {
             let is_retry = matches!(fact, Fact::Controlled { control: Control::Retry, .. });
-            self.spread(job, is_retry, now);
+            self.spread_shared_state(job, is_retry, now);
         }
         released.unwrap_or_default()
     }
 
     /// What jobs share cannot be done: their frames that need it are blocked; or it is tried again, and they are not.
-    fn spread(&mut self, id: JobId, is_retry: bool, now: Tick) {
+    fn spread_shared_state(&mut self, id: JobId, is_retry: bool, now: Tick) {
         let Some(job) = self.jobs.get(&id) else { return };
         let Some(Shared { key, engine }) = job.shared.clone() else { return };
-        let (is_stuck, annex) = (job.is_stuck(), &self.annex);
+        let (is_stuck, side) = (job.is_stuck(), &self.side);
         for (&other, job) in self.jobs.range_mut(..JobId::shared(0)).filter(|_| is_stuck || is_retry) {
             if is_stuck {
-                let is_of_build = |frame| annex.build_of(other, frame).is_none_or(|build| build == engine);
-                job.starve(&key, is_of_build, now);
+                let is_of_build = |frame| side.build_of(other, frame).is_none_or(|build| build == engine);
+                job.block_for_shared(&key, is_of_build, now);
             } else {
-                job.feed(&key);
+                job.unblock_for_shared(&key);
             }
         }
     }
@@ -223,7 +223,7 @@ impl Ledger {
     /// Every artifact that is named: what is not, may go.
     fn each_artifact(&self, mut see: impl FnMut(Digest)) {
         self.jobs.values().for_each(|job| job.each_artifact(&mut see));
-        self.annex.each_artifact(see);
+        self.side.each_artifact(see);
     }
 
     /// Every artifact that is named: scenes, frames in work, finished frames, logs.

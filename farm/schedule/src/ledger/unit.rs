@@ -29,7 +29,7 @@ pub(crate) struct Array {
     /// Runs of grains of whose outputs some are needed yet, by their first key.
     rows: BTreeMap<u32, Row>,
     /// Grains that are done and of whose outputs none is needed any more.
-    spent: RangeSet,
+    released: RangeSet,
     /// Bad samples of the runs that have any, by their first key.
     bad: BTreeMap<u32, u64>,
     /// Tasks of which all is done.
@@ -51,16 +51,17 @@ impl Array {
     fn is_whole(&self, grains: &Grains<'_>, task: u32) -> bool {
         let keys = grains.of_task(task);
         if keys.len() == 1 && grains.stride() == 1 {
-            return self.rows.contains_key(&keys.start) || self.spent.contains(keys.start);
+            return self.rows.contains_key(&keys.start) || self.released.contains(keys.start);
         }
         let done: usize = self.rows.range(keys.clone()).map(|(first, row)| (row.end - first) as usize).sum();
-        done == keys.len() || done + keys.filter(|&key| self.spent.contains(key)).count() == grains.of_task(task).len()
+        done == keys.len()
+            || done + keys.filter(|&key| self.released.contains(key)).count() == grains.of_task(task).len()
     }
 
     /// Whether some of these grains are done.
     fn holds_any(&self, run: &Range<u32>) -> bool {
         let before = self.rows.range(..run.end).next_back();
-        before.is_some_and(|(_, row)| row.end > run.start) || self.spent.touches(run)
+        before.is_some_and(|(_, row)| row.end > run.start) || self.released.touches(run)
     }
 }
 
@@ -165,7 +166,7 @@ impl Unit {
     }
 
     /// Whether all that a task reads is there.
-    pub(crate) fn is_fed(&self, shape: &Shape<'_>, place: Place, item: u32) -> bool {
+    pub(crate) fn has_inputs(&self, shape: &Shape<'_>, place: Place, item: u32) -> bool {
         let Some(template) = shape.template(place.1) else { return false };
         template.needs.iter().all(|need| match shape.template(need.stage) {
             // What frames share is there or not for each worker: see `shared.rs`.
@@ -211,8 +212,10 @@ impl Unit {
 
     /// Steps that each task which is cut has taken in all, of those that the inputs of a task are made of.
     pub(crate) fn taken(&self, shape: &Shape<'_>, place: Place, item: u32) -> Taken {
-        let roots = if shape.is_cut(place.1) { None } else { self.roots(shape, place, item..item + 1, &mut 0) };
-        let Some((grains, items)) = roots.and_then(|(place, items)| Some((self.grains(shape, place)?, items))) else {
+        let cut_sources =
+            if shape.is_cut(place.1) { None } else { self.cut_sources(shape, place, item..item + 1, &mut 0) };
+        let Some((grains, items)) = cut_sources.and_then(|(place, items)| Some((self.grains(shape, place)?, items)))
+        else {
             return Taken::default();
         };
         items.map(|item| grains.steps_of(item).end).collect()
@@ -220,7 +223,13 @@ impl Unit {
 
     /// The tasks which are cut that these tasks of a stage are made of, and their stage in its round.
     /// - `seen`: the stages that were looked at, a bit each.
-    fn roots(&self, shape: &Shape<'_>, place: Place, items: Range<u32>, seen: &mut u64) -> Option<(Place, Range<u32>)> {
+    fn cut_sources(
+        &self,
+        shape: &Shape<'_>,
+        place: Place,
+        items: Range<u32>,
+        seen: &mut u64,
+    ) -> Option<(Place, Range<u32>)> {
         const { assert!(Graph::MAX_STAGES <= u64::BITS as usize) };
         let is_new = *seen >> place.1 & 1 == 0;
         let template = shape.template(place.1).filter(|_| is_new && !items.is_empty())?;
@@ -231,7 +240,7 @@ impl Unit {
         template.needs.iter().filter(|need| need.round != Round::Before).find_map(|need| {
             let round = shape.rounds_read(place, need, self.round).next_back()?;
             let [first, last] = [items.start, items.end - 1].map(|item| shape.items_read(item, need));
-            self.roots(shape, (round, need.stage), first.start..last.end, seen)
+            self.cut_sources(shape, (round, need.stage), first.start..last.end, seen)
         })
     }
 
@@ -263,7 +272,7 @@ impl Unit {
         });
         let array = self.arrays.entry(place).or_insert_with(|| Array::fresh(&grains));
         if outputs.is_empty() {
-            array.spent.add(run.clone());
+            array.released.add(run.clone());
         } else {
             array.rows.insert(run.start, Row { end: run.end, epoch, outputs });
         }
@@ -280,7 +289,7 @@ impl Unit {
             self.trouble.retain(|(number, round, key), _| (*round, *number) != place || !run.contains(key));
         }
         if !self.close(shape, place, epoch, result.decision.as_ref(), &mut released) {
-            self.sweep_inputs(shape, place, item, &mut released);
+            self.release_inputs(shape, place, item, &mut released);
         }
         released
     }
@@ -307,7 +316,7 @@ impl Unit {
         let places: Vec<Place> = self.arrays.keys().copied().collect();
         for place in places {
             let tasks = shape.template(place.1).map_or(0, |template| template.tasks());
-            self.sweep(shape, place, 0..tasks, released);
+            self.release_unneeded(shape, place, 0..tasks, released);
         }
         true
     }
@@ -373,12 +382,12 @@ impl Unit {
     }
 
     /// Lets go of the outputs of these tasks that are needed no longer. A stage reads itself in other rounds only.
-    fn sweep(&mut self, shape: &Shape<'_>, place: Place, items: Range<u32>, released: &mut Vec<Digest>) {
+    fn release_unneeded(&mut self, shape: &Shape<'_>, place: Place, items: Range<u32>, released: &mut Vec<Digest>) {
         let Some((keys, stride)) = self.grains(shape, place).map(|it| (it.of_tasks(&items), it.stride())) else {
             return;
         };
         let Some(mut array) = self.arrays.remove(&place) else { return };
-        let mut spent: Vec<Range<u32>> = Vec::new();
+        let mut emptied: Vec<Range<u32>> = Vec::new();
         for (&first, row) in array.rows.range_mut(keys) {
             row.outputs.retain(|output| {
                 let is_needed = self.is_needed(shape, place, first / stride, output.role);
@@ -388,31 +397,31 @@ impl Unit {
                 is_needed
             });
             if row.outputs.is_empty() {
-                spent.push(first..row.end);
+                emptied.push(first..row.end);
             }
         }
-        spent.iter().for_each(|run| drop(array.rows.remove(&run.start)));
-        for runs in spent.chunk_by(|one, next| one.end == next.start) {
-            array.spent.add(runs[0].start..runs[runs.len() - 1].end);
+        emptied.iter().for_each(|run| drop(array.rows.remove(&run.start)));
+        for runs in emptied.chunk_by(|one, next| one.end == next.start) {
+            array.released.add(runs[0].start..runs[runs.len() - 1].end);
         }
         self.arrays.insert(place, array);
     }
 
     /// The same of what a task has read.
-    fn sweep_inputs(&mut self, shape: &Shape<'_>, place: Place, item: u32, released: &mut Vec<Digest>) {
+    fn release_inputs(&mut self, shape: &Shape<'_>, place: Place, item: u32, released: &mut Vec<Digest>) {
         let needs = shape.template(place.1).map_or(&[][..], |template| &template.needs);
         for need in needs.iter().filter(|need| shape.template(need.stage).is_some()) {
             if need.reach == Reach::All && !self.is_complete(shape, place) {
                 continue;
             }
             for round in shape.rounds_read(place, need, self.round) {
-                self.sweep(shape, (round, need.stage), shape.items_read(item, need), released);
+                self.release_unneeded(shape, (round, need.stage), shape.items_read(item, need), released);
             }
         }
     }
 
     /// The runs of grains of which one of these artifacts is an output that is needed.
-    pub(crate) fn makers(&self, lost: &[Digest]) -> Vec<(Place, u32)> {
+    pub(crate) fn producers(&self, lost: &[Digest]) -> Vec<(Place, u32)> {
         let is_hurt = |row: &Row| row.outputs.iter().any(|output| lost.contains(&output.artifact.digest));
         let rows = self
             .arrays
@@ -443,9 +452,9 @@ impl Unit {
             let Some(row) = array.rows.remove(&first) else { continue };
             forgotten += units(&(first..row.end));
         }
-        let spent: Vec<u32> = run.clone().filter(|&key| array.spent.contains(key)).collect();
-        for key in spent {
-            array.spent.remove(key..key + 1);
+        let released: Vec<u32> = run.clone().filter(|&key| array.released.contains(key)).collect();
+        for key in released {
+            array.released.remove(key..key + 1);
             forgotten += units(&(key..key + 1));
         }
         let refused: Vec<u32> = array.bad.range(run).map(|(&first, _)| first).collect();
@@ -456,18 +465,18 @@ impl Unit {
         for need in template.needs.iter().filter(|need| shape.template(need.stage).is_some()) {
             for round in shape.rounds_read(place, need, self.round) {
                 for item in shape.items_read(item, need) {
-                    self.undo_spent(shape, (round, need.stage), item, need.role);
+                    self.undo_released(shape, (round, need.stage), item, need.role);
                 }
             }
         }
     }
 
     /// A task that is done is to be done again, if its output of this role is not there any more.
-    fn undo_spent(&mut self, shape: &Shape<'_>, place: Place, item: u32, role: Role) {
+    fn undo_released(&mut self, shape: &Shape<'_>, place: Place, item: u32, role: Role) {
         let Some(keys) = self.grains(shape, place).map(|grains| grains.of_task(item)) else { return };
         let Some(array) = self.arrays.get(&place) else { return };
         let lacks = |row: &Row| row.outputs.iter().all(|output| output.role != role);
-        if array.spent.touches(&keys) || array.rows.range(keys.clone()).any(|(_, row)| lacks(row)) {
+        if array.released.touches(&keys) || array.rows.range(keys.clone()).any(|(_, row)| lacks(row)) {
             self.undo(shape, place, keys);
         }
     }
@@ -485,7 +494,7 @@ impl Unit {
         }
         if let Some(array) = self.arrays.get(&place) {
             array.rows.iter().for_each(|(&first, row)| open.remove(first..row.end));
-            array.spent.ranges().for_each(|run| open.remove(run));
+            array.released.ranges().for_each(|run| open.remove(run));
         }
         for (number, round, key) in self.quarantined().map(|(name, _)| name) {
             if number == place.1 && (round == place.0 || !shape.is_cut(number)) {
@@ -502,14 +511,14 @@ impl Unit {
             let (Some(template), Some(grains)) = (shape.template(place.1), self.grains(shape, place)) else { continue };
             let mut keys = self.open_keys(shape, place);
             if template.needs.iter().all(|need| need.reach == Reach::All) {
-                if !keys.is_empty() && !self.is_fed(shape, place, 0) {
+                if !keys.is_empty() && !self.has_inputs(shape, place, 0) {
                     continue;
                 }
             } else {
                 let items: Vec<u32> =
                     keys.ranges().flat_map(|run| grains.task(run.start)..grains.task(run.end - 1) + 1).collect();
-                let hungry = items.into_iter().filter(|&item| !self.is_fed(shape, place, item));
-                hungry.for_each(|item| keys.remove(grains.of_tasks(&(item..item + 1))));
+                let unready = items.into_iter().filter(|&item| !self.has_inputs(shape, place, item));
+                unready.for_each(|item| keys.remove(grains.of_tasks(&(item..item + 1))));
             }
             if !keys.is_empty() {
                 all.push((place, keys));
@@ -519,7 +528,7 @@ impl Unit {
     }
 
     /// The keys of the tasks that can run now that this one is done, by stage.
-    pub(crate) fn fed_by(&self, shape: &Shape<'_>, stage: &Stage, key: u32) -> Vec<(Place, RangeSet)> {
+    pub(crate) fn runnable_after(&self, shape: &Shape<'_>, stage: &Stage, key: u32) -> Vec<(Place, RangeSet)> {
         let mut all = Vec::new();
         let from = (stage.round, stage.number);
         let Some(grains) = self.grains(shape, from) else { return all };
@@ -537,7 +546,7 @@ impl Unit {
                 if !shape.rounds_read(place, need, self.round).contains(&stage.round) {
                     continue;
                 }
-                let keys = self.fed_among(shape, place, read_by(need.reach, item, template.tasks()));
+                let keys = self.runnable_among(shape, place, read_by(need.reach, item, template.tasks()));
                 if !keys.is_empty() {
                     all.push((place, keys));
                 }
@@ -547,13 +556,13 @@ impl Unit {
     }
 
     /// The keys of the job's own tasks that can run now that this frame has ended, by stage.
-    pub(crate) fn fed_by_frame(&self, shape: &Shape<'_>, frame: u32) -> Vec<(Place, RangeSet)> {
+    pub(crate) fn runnable_after_frame(&self, shape: &Shape<'_>, frame: u32) -> Vec<(Place, RangeSet)> {
         let mut all = Vec::new();
         for place in self.places(shape) {
             let needs = shape.template(place.1).map_or(&[][..], |template| &template.needs);
             let fed = needs.iter().filter_map(|need| shape.reads_frame(place.1, need, frame));
             for fed in fed.collect::<Vec<_>>() {
-                let keys = self.fed_among(shape, place, fed);
+                let keys = self.runnable_among(shape, place, fed);
                 if !keys.is_empty() {
                     all.push((place, keys));
                 }
@@ -563,14 +572,14 @@ impl Unit {
     }
 
     /// Those of some tasks of a stage that can run, as keys.
-    fn fed_among(&self, shape: &Shape<'_>, place: Place, items: Range<u32>) -> RangeSet {
+    fn runnable_among(&self, shape: &Shape<'_>, place: Place, items: Range<u32>) -> RangeSet {
         // Mostly none of them can.
-        let mut fed = items.filter(|&item| self.is_fed(shape, place, item)).peekable();
-        let Some(grains) = self.grains(shape, place).filter(|_| fed.peek().is_some()) else {
+        let mut ready = items.filter(|&item| self.has_inputs(shape, place, item)).peekable();
+        let Some(grains) = self.grains(shape, place).filter(|_| ready.peek().is_some()) else {
             return RangeSet::default();
         };
         let (mut keys, open) = (RangeSet::default(), self.open_keys(shape, place));
-        for key in fed.flat_map(|item| grains.of_task(item)).filter(|&key| open.contains(key)) {
+        for key in ready.flat_map(|item| grains.of_task(item)).filter(|&key| open.contains(key)) {
             keys.insert(key);
         }
         keys
@@ -603,7 +612,7 @@ impl Unit {
         self.trouble.values().flat_map(Trouble::presumed_dead)
     }
 
-    pub(super) fn forgive(&mut self) {
+    pub(super) fn clear_trouble(&mut self) {
         self.trouble.clear();
     }
 

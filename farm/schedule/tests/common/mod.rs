@@ -172,9 +172,9 @@ impl Farm {
 
     pub fn on(&mut self, event: Event) -> Vec<Command> {
         self.charge();
-        let told = event.clone();
+        let heard = event.clone();
         let commands = self.scheduler.on(event, self.now);
-        self.learn(&told, &commands);
+        self.learn(&heard, &commands);
         self.ended.clear();
         for command in &commands {
             match command {

@@ -49,7 +49,7 @@ impl Database {
         asked: impl Future<Output = Result<T, sqlx::Error>>,
     ) -> Result<T, QueueError> {
         match tokio::time::timeout(Self::PATIENCE, asked).await {
-            Ok(answer) => answer.map_err(|error| self.told(&error)),
+            Ok(answer) => answer.map_err(|error| self.map_sql_error(&error)),
             Err(_) => Err(self.away("it does not answer")),
         }
     }
@@ -78,7 +78,7 @@ impl Database {
     }
 
     /// What an error means: by the classes of PostgreSQL's codes.
-    pub(super) fn told(&self, error: &sqlx::Error) -> QueueError {
+    pub(super) fn map_sql_error(&self, error: &sqlx::Error) -> QueueError {
         let rejected = |message: String| QueueError::Rejected { database: self.to_string(), message };
         match error {
             sqlx::Error::Database(said) => match said.code().as_deref().map(|code| code.split_at(2)) {

@@ -36,7 +36,7 @@ const LOOK: &str = "
 pub struct Leader {
     /// Where it can be reached.
     pub url: String,
-    /// Which leadership it is.
+    /// Number of the leadership; grows with each new leader.
     pub epoch: i64,
 }
 
@@ -90,7 +90,7 @@ impl Standby {
     async fn take(&mut self) -> Result<Option<i64>, QueueError> {
         let take = sqlx::query(TAKE).bind(LOCK).bind(&self.url).fetch_optional(&mut self.connection);
         let taken = self.database.answers(take).await?;
-        taken.map(|row| row.try_get(0)).transpose().map_err(|error| self.database.told(&error))
+        taken.map(|row| row.try_get(0)).transpose().map_err(|error| self.database.map_sql_error(&error))
     }
 
     async fn look(&mut self) -> Result<Option<Leader>, QueueError> {
@@ -98,7 +98,7 @@ impl Standby {
         let look = sqlx::query(LOOK).bind(LOCK).bind(seconds).fetch_optional(&mut self.connection);
         let Some(row) = self.database.answers(look).await? else { return Ok(None) };
         let read = || Ok((Leader { url: row.try_get(0)?, epoch: row.try_get(1)? }, row.try_get::<bool, _>(2)?));
-        let (leader, is_ended) = read().map_err(|error| self.database.told(&error))?;
+        let (leader, is_ended) = read().map_err(|error| self.database.map_sql_error(&error))?;
         if is_ended {
             tracing::warn!(url = leader.url, seconds, "the leader is silent; its connection was ended");
         }

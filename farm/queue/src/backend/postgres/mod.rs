@@ -19,7 +19,7 @@ use std::time::Duration;
 use sqlx::Row as _;
 use sqlx::postgres::{PgConnection, PgRow};
 
-use super::rows::{Row, Told, checksum, note_checksum, page, told};
+use super::rows::{LogRows, Row, check_rows, checksum, note_checksum, page};
 use crate::{Batch, Contents, Loss, Lost, Page, Queue, QueueError};
 pub use database::Database;
 pub use lead::{Leader, Standby};
@@ -56,7 +56,7 @@ impl Postgres {
     ) -> Result<T, QueueError> {
         tokio::select! {
             biased;
-            done = work => done.map_err(|error| database.told(&error)),
+            done = work => done.map_err(|error| database.map_sql_error(&error)),
             doubt = pulse.doubt() => Err(doubt),
         }
     }
@@ -119,7 +119,7 @@ pub(crate) async fn look(connection: &mut PgConnection) -> Result<Contents, Queu
     use sqlx::Connection as _;
     let mut moment = connection.begin_with("BEGIN ISOLATION LEVEL REPEATABLE READ READ ONLY").await?;
     let (snapshot, rows) = read(&mut moment).await?;
-    let Told { contents, damage, .. } = told(snapshot, rows)?;
+    let LogRows { contents, damage, .. } = check_rows(snapshot, rows)?;
     damage.map_or(Ok(contents), Err)
 }
 
@@ -127,7 +127,7 @@ impl Queue for Postgres {
     async fn load(&mut self) -> Result<Contents, QueueError> {
         let read = read(&mut self.connection);
         let (snapshot, rows) = Self::leading(&self.database, &mut self.pulse, read).await?;
-        let Told { mut contents, last, damage } = told(snapshot, rows)?;
+        let LogRows { mut contents, last, damage } = check_rows(snapshot, rows)?;
         match (damage, self.loss) {
             (None, _) => {}
             (Some(damage), Loss::Refused) => return Err(damage),
@@ -136,7 +136,7 @@ impl Queue for Postgres {
                 let Some(row) = Self::leading(&self.database, &mut self.pulse, cut).await? else {
                     return Err(QueueError::Deposed { epoch: self.epoch });
                 };
-                let known = row.try_get(0).map_err(|error| self.database.told(&error))?;
+                let known = row.try_get(0).map_err(|error| self.database.map_sql_error(&error))?;
                 contents.lost = Some(Lost { kept: last, known });
             }
         }
@@ -187,7 +187,7 @@ impl Queue for Postgres {
         let Some(row) = Self::leading(&self.database, &mut self.pulse, reserve).await? else {
             return Err(QueueError::Deposed { epoch: self.epoch });
         };
-        let incarnation: i64 = row.try_get(0).map_err(|error| self.database.told(&error))?;
+        let incarnation: i64 = row.try_get(0).map_err(|error| self.database.map_sql_error(&error))?;
         Ok(u32::try_from(incarnation).unwrap_or(u32::MAX))
     }
 
@@ -201,7 +201,7 @@ impl Queue for Postgres {
             .fetch_all(&mut self.connection);
         let rows = Self::leading(&self.database, &mut self.pulse, read).await?;
         let rows: Result<Vec<Row>, sqlx::Error> = rows.iter().map(row).collect();
-        Ok(page(rows.map_err(|error| self.database.told(&error))?))
+        Ok(page(rows.map_err(|error| self.database.map_sql_error(&error))?))
     }
 
     async fn copy(&mut self) -> Result<File, QueueError> {

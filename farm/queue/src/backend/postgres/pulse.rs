@@ -92,7 +92,7 @@ async fn beat(database: Database, epoch: i64, silence: Duration, tell: watch::Se
                 None => database.connect(Commit::Fleeting).await?,
             };
             let beaten = sqlx::query(BEAT).bind(epoch).execute(&mut open).await;
-            let beaten = beaten.map_err(|error| database.told(&error))?.rows_affected();
+            let beaten = beaten.map_err(|error| database.map_sql_error(&error))?.rows_affected();
             Ok::<_, QueueError>((open, beaten))
         };
         match timeout(silence, sign).await {

@@ -32,7 +32,7 @@ const TABLES: &str = "
 
 /// Makes the tables where there are none; refuses those of others, and leaves them as they are.
 pub(super) async fn prepare(database: &Database, connection: &mut PgConnection) -> Result<(), QueueError> {
-    let found = made_or_found(connection).await.map_err(|error| database.told(&error))?;
+    let found = made_or_found(connection).await.map_err(|error| database.map_sql_error(&error))?;
     if found.as_deref() == Some(VERSION.to_string().as_str()) {
         return Ok(());
     }

@@ -11,7 +11,7 @@ use femc_model::*;
 use femc_proto::Client;
 use femc_queue::Memory;
 use femc_store::Store;
-use femc_worker::{Duty, Shift, Worker};
+use femc_worker::{Availability, Shift, Worker};
 use tokio::time::Instant;
 
 #[tokio::test(start_paused = true)]
@@ -25,7 +25,9 @@ async fn at_the_end_of_its_hours_a_worker_finishes_its_task_and_begins_none_unti
     client.put(bundle.into()).await.unwrap();
     let id = client.submit(None, spec).await.unwrap();
     let begun = Instant::now();
-    let shift = Shift::by(move || if (3..10).contains(&begun.elapsed().as_secs()) { Duty::Off } else { Duty::On });
+    let shift = Shift::by(move || {
+        if (3..10).contains(&begun.elapsed().as_secs()) { Availability::Off } else { Availability::Available }
+    });
     let config = femc_worker::Config { shift, ..simulated("w", net.open(), Duration::from_millis(1000)) };
     tokio::spawn(Worker::run(config, pending()));
     let at = async |seconds: u64| {
@@ -60,7 +62,7 @@ async fn a_worker_that_starts_outside_its_hours_does_nothing() {
     let (spec, bundle) = job(4);
     client.put(bundle.into()).await.unwrap();
     let id = client.submit(None, spec).await.unwrap();
-    let shift = Shift::by(|| Duty::Off);
+    let shift = Shift::by(|| Availability::Off);
     let config = femc_worker::Config { shift, ..simulated("w", net.open(), Duration::from_millis(100)) };
     tokio::spawn(Worker::run(config, pending()));
     tokio::time::sleep(Duration::from_secs(20)).await;

@@ -1,4 +1,4 @@
-//! What is known beside the jobs: workers, logs, builds, shares.
+//! What the ledger keeps beside its jobs: drained workers, logs, builds, usage by owner.
 
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
@@ -7,9 +7,9 @@ use serde::{Deserialize, Serialize};
 
 use crate::Used;
 
-/// The ledger's other half.
+/// The ledger's tables beside its jobs.
 #[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
-pub(crate) struct Annex {
+pub(crate) struct SideTables {
     /// Workers that an operator has drained, by their process, the latest at the end.
     drained: Vec<u64>,
     /// Stored logs of attempts, oldest first.
@@ -20,7 +20,7 @@ pub(crate) struct Annex {
     used: BTreeMap<String, Used>,
 }
 
-impl Annex {
+impl SideTables {
     /// Most workers that are remembered as drained: processes end, and nobody says that they will not come back.
     const DRAINED: usize = 4096;
 
@@ -127,30 +127,28 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_snapshot_has_the_annex_and_one_that_is_cut_anywhere_is_refused() {
+    fn a_snapshot_has_the_side_tables_and_one_that_is_cut_anywhere_is_refused() {
         let mut ledger = Ledger::default();
         ledger.apply(&Fact::Drained { instance: 5, drain: Drain::Begin }, femc_model::Tick(4));
         let new = ledger.encode().unwrap();
         assert_eq!(Ledger::decode(&new), Ok(ledger.clone()));
-        assert!(ledger.annex.is_drained(5) && !ledger.annex.is_drained(6));
+        assert!(ledger.side.is_drained(5) && !ledger.side.is_drained(6));
         for end in 0..new.len() {
             assert!(Ledger::decode(&new[..end]).is_err(), "cut at {end}");
         }
         ledger.apply(&Fact::Drained { instance: 5, drain: Drain::Undo }, femc_model::Tick(5));
-        assert!(!ledger.annex.is_drained(5));
+        assert!(!ledger.side.is_drained(5));
     }
 
     #[test]
     fn of_owners_without_jobs_those_who_have_used_the_most_are_remembered() {
-        let mut annex = Annex::default();
+        let mut side = SideTables::default();
         let owner = |number: usize| (number.to_string(), Used { held: 1, stands: number as u64 });
         let names: Vec<String> = (0..10).map(|number: usize| number.to_string()).collect();
-        for number in 0..Annex::ABSENT + 20 {
-            annex.note_used(&[owner(number)], || names.iter().map(String::as_str).collect());
+        for number in 0..SideTables::ABSENT + 20 {
+            side.note_used(&[owner(number)], || names.iter().map(String::as_str).collect());
         }
-        assert_eq!(annex.used().len(), 10 + Annex::ABSENT);
-        assert!(
-            !annex.used().contains_key("10") && !annex.used().contains_key("19") && annex.used().contains_key("20")
-        );
+        assert_eq!(side.used().len(), 10 + SideTables::ABSENT);
+        assert!(!side.used().contains_key("10") && !side.used().contains_key("19") && side.used().contains_key("20"));
     }
 }

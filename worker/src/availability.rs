@@ -10,31 +10,31 @@ use crate::table::Table;
 
 /// Whether a worker takes tasks.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Duty {
+pub enum Availability {
     /// It does.
-    On,
+    Available,
     /// It finishes what it has begun, stays connected, and begins nothing.
     Off,
 }
 
 /// Says at any time whether the worker takes tasks.
 #[derive(Clone)]
-pub struct Shift(Arc<dyn Fn() -> Duty + Send + Sync>);
+pub struct Shift(Arc<dyn Fn() -> Availability + Send + Sync>);
 
 impl Shift {
     /// As `shift` says; it is asked at every heartbeat.
-    pub fn by(shift: impl Fn() -> Duty + Send + Sync + 'static) -> Self {
+    pub fn by(shift: impl Fn() -> Availability + Send + Sync + 'static) -> Self {
         Self(Arc::new(shift))
     }
 
-    pub(crate) fn now(&self) -> Duty {
+    pub(crate) fn now(&self) -> Availability {
         (self.0)()
     }
 }
 
 impl Default for Shift {
     fn default() -> Self {
-        Self::by(|| Duty::On)
+        Self::by(|| Availability::Available)
     }
 }
 

@@ -1,4 +1,4 @@
-//! What a farm told of a job, which a sweep keeps in its folder.
+//! What a farm recorded of a job, which a sweep keeps in its folder.
 
 use crate::exit::{Failure, failed};
 use femc_model::{AttemptRecord, Cut, JobId, JobSpec, TaskKey};
@@ -8,14 +8,14 @@ use std::path::Path;
 
 /// A job and what the attempts at its tasks took.
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Told {
+pub struct JobRecord {
     /// Its number.
     pub job: JobId,
     /// Which run of a sweep asked, in Unix milliseconds; 0 where nothing is kept. Coordinators count their time each for itself.
     pub run: u64,
     /// The variant that it renders, of a sweep.
     pub variant: Option<String>,
-    /// As submitted.
+    /// Specification of the job, as submitted.
     pub spec: JobSpec,
     /// How its tiles are cut.
     pub cut: Cut,
@@ -36,7 +36,7 @@ pub struct FailureLog {
     pub text: String,
 }
 
-impl Told {
+impl JobRecord {
     /// As `path`, whole or not at all.
     pub fn write(&self, path: &Path) -> Result<(), Failure> {
         let text = serde_json::to_vec(self).map_err(failed)?;
@@ -55,7 +55,7 @@ impl Told {
                 all.push(serde_json::from_slice::<Self>(&text).map_err(|e| at(&path, &e))?);
             }
         }
-        all.sort_by_key(|told| (told.run, told.job));
+        all.sort_by_key(|record| (record.run, record.job));
         Ok(all)
     }
 }

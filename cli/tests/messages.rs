@@ -52,15 +52,15 @@ fn who_cannot_be_talked_to_is_not_told_as_a_coordinator_that_was_not_started() {
         (&web, "", "is no coordinator"),
     ] {
         for command in ["jobs --server", "submit fog.mgf --spp 1 --server", "worker --join"] {
-            let told = place.run(&format!("{command} {address} {identity}")).exits(4).stderr();
-            assert!(told.contains(said) && told.contains(address.as_str()), "{command} {address}: {told}");
-            assert!(!told.contains("start one"), "{command} {address}: {told}");
+            let error = place.run(&format!("{command} {address} {identity}")).exits(4).stderr();
+            assert!(error.contains(said) && error.contains(address.as_str()), "{command} {address}: {error}");
+            assert!(!error.contains("start one"), "{command} {address}: {error}");
         }
     }
-    let told = place.run("jobs --server 127.0.0.1:7878").exits(2).stderr();
-    assert!(told.contains("http:// or https://") && told.contains("http://127.0.0.1:7878"), "{told}");
-    let told = place.run("worker --join http://127.0.0.1:1 --patience 0.1").exits(4).stderr();
-    assert!(told.contains("start one") && told.contains("--join") && !told.contains("--server"), "{told}");
+    let error = place.run("jobs --server 127.0.0.1:7878").exits(2).stderr();
+    assert!(error.contains("http:// or https://") && error.contains("http://127.0.0.1:7878"), "{error}");
+    let error = place.run("worker --join http://127.0.0.1:1 --patience 0.1").exits(4).stderr();
+    assert!(error.contains("start one") && error.contains("--join") && !error.contains("--server"), "{error}");
 }
 
 #[test]
@@ -79,8 +79,8 @@ fn who_takes_connections_and_says_nothing_is_told_and_a_worker_waits_for_it() {
             counted.fetch_add(1, Ordering::SeqCst);
         }
     });
-    let told = place.run(&format!("worker --join {url} --threads 1 --patience 0.1")).exits(4).stderr();
-    assert!(told.contains("says nothing") && told.contains("--join") && told.contains(&url), "{told}");
+    let error = place.run(&format!("worker --join {url} --threads 1 --patience 0.1")).exits(4).stderr();
+    assert!(error.contains("says nothing") && error.contains("--join") && error.contains(&url), "{error}");
     last.store(taken.load(Ordering::SeqCst) + 10, Ordering::SeqCst);
     let mut worker = place.start(&format!("worker --join {url} --threads 1 --patience 60s --outbox memory"));
     worker.wait_until("it goes on trying", || ends.is_finished());
@@ -93,8 +93,8 @@ fn who_takes_connections_and_says_nothing_is_told_and_a_worker_waits_for_it() {
 fn a_viewer_is_not_told_to_be_a_worker_and_an_owner_that_does_not_count_is_told() {
     let place = Place::new();
     let (_farm, url) = encrypted(&place);
-    let told = place.run(&format!("submit fog.mgf --spp 1 --server {url} --identity eve.pem")).exits(1).stderr();
-    assert!(told.contains("role submitter") && !told.contains("worker"), "{told}");
+    let error = place.run(&format!("submit fog.mgf --spp 1 --server {url} --identity eve.pem")).exits(1).stderr();
+    assert!(error.contains("role submitter") && !error.contains("worker"), "{error}");
     let ran = place.run(&format!("submit fog.mgf --spp 1 --owner bob --server {url} --identity ann.pem")).exits(0);
     assert!(ran.stderr().contains("--owner bob is not heeded") && ran.stderr().contains("ann"), "{}", ran.stderr());
     let ran = place.run(&format!("submit fog.mgf --spp 1 --owner ann --server {url} --identity ann.pem")).exits(0);

@@ -1,13 +1,13 @@
 //! What a run's tasks took, as a file.
 
-use crate::attempts::{By, Json, Told, columns, csv, rows, write_parquet};
+use crate::attempts::{By, JobRecord, Json, columns, csv, rows, write_parquet};
 use crate::exit::{Failure, failed, usage};
 use crate::report;
 use std::path::{Path, PathBuf};
 
 /// A file to write it to.
 #[derive(Debug)]
-pub struct Spent {
+pub struct ReportFile {
     path: PathBuf,
     form: Form,
 }
@@ -20,7 +20,7 @@ enum Form {
     Parquet,
 }
 
-impl Spent {
+impl ReportFile {
     /// The form by the name's ending.
     pub fn to(path: &Path) -> Result<Self, Failure> {
         let form = match path.extension().and_then(|extension| extension.to_str()) {
@@ -34,11 +34,11 @@ impl Spent {
     }
 
     /// Write it; the file's name.
-    pub fn write(&self, told: Told) -> Result<String, Failure> {
-        let told = vec![told];
-        let (columns, rows) = (columns(By::Attempt), rows(&told, By::Attempt));
+    pub fn write(&self, record: JobRecord) -> Result<String, Failure> {
+        let records = vec![record];
+        let (columns, rows) = (columns(By::Attempt), rows(&records, By::Attempt));
         let bytes = match self.form {
-            Form::Page => report::Report { title: None, told }.html()?.into_bytes(),
+            Form::Page => report::Report { title: None, records }.html()?.into_bytes(),
             Form::Csv => (csv(&columns, &rows) + "\n").into_bytes(),
             Form::Json => serde_json::to_vec_pretty(&Json(&columns, &rows)).map_err(failed)?,
             Form::Parquet => {

@@ -318,9 +318,12 @@ impl Job {
     }
 
     /// A task is done whose outputs the frame behind may look at; returns what is named no longer.
-    pub(super) fn note_hints(&mut self, task: &TaskKey, engine: &str, result: &TaskResult) -> Vec<Digest> {
+    pub(super) fn note_hints(&mut self, task: &TaskKey, end: u32, engine: &str, result: &TaskResult) -> Vec<Digest> {
         let (stage, shape) = (&task.stage, shape!(self, task.stage.frame));
-        let Some(grains) = shape.grains((stage.round, stage.number), None).filter(|_| self.is_current(stage)) else {
+        let place = (stage.round, stage.number);
+        let unit = self.units.get(&stage.frame);
+        let counts = || unit.is_none_or(|unit| unit.may_count(&shape, place, &(task.index..end)));
+        let Some(grains) = shape.grains(place, None).filter(|_| self.is_current(stage) && counts()) else {
             return Vec::new();
         };
         self.hints.note(&shape, stage, (grains.task(task.index), task.index), engine, result)

@@ -122,7 +122,7 @@ impl Ledger {
                 let build = || self.side.build_of(task.job, task.stage.frame);
                 let released = self.jobs.get_mut(&task.job).map(|job| {
                     let engine = if job.spec.graph.has_hints() { build() } else { None };
-                    let mut released = engine.map(|it| job.note_hints(task, it, result)).unwrap_or_default();
+                    let mut released = engine.map(|it| job.note_hints(task, *end, it, result)).unwrap_or_default();
                     released.extend(job.done(task, *end, (*epoch, *leased), result, now));
                     released
                 });

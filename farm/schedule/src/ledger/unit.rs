@@ -244,6 +244,13 @@ impl Unit {
         })
     }
 
+    /// Whether a result of this run of grains counts: it is of one task, in a round that has begun, and nothing of it is done.
+    pub(super) fn may_count(&self, shape: &Shape<'_>, place: Place, run: &Range<u32>) -> bool {
+        let is_done = || self.arrays.get(&place).is_some_and(|array| array.holds_any(run));
+        let is_of_one = |grains: Grains<'_>| !run.is_empty() && run.end <= grains.of_task(grains.task(run.start)).end;
+        self.is_place(shape, place) && self.grains(shape, place).is_some_and(is_of_one) && !is_done()
+    }
+
     /// Takes in what was done of a run of grains; what is done already changes nothing. Returns what is needed no longer.
     pub(super) fn done(
         &mut self,
@@ -254,15 +261,10 @@ impl Unit {
         result: &TaskResult,
     ) -> Vec<Digest> {
         let place = (stage.round, stage.number);
-        if !self.is_place(shape, place) {
+        let Some(grains) = grains(&self.uneven, shape, place).filter(|_| self.may_count(shape, place, run)) else {
             return Vec::new();
-        }
-        let Some(grains) = grains(&self.uneven, shape, place) else { return Vec::new() };
+        };
         let item = grains.task(run.start);
-        let is_done = self.arrays.get(&place).is_some_and(|array| array.holds_any(run));
-        if run.is_empty() || run.end > grains.of_task(item).end || is_done {
-            return Vec::new();
-        }
         let mut outputs = result.outputs.clone();
         let mut released = Vec::new();
         outputs.retain(|output| {

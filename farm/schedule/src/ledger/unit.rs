@@ -33,19 +33,21 @@ pub(crate) struct Array {
     /// Bad samples of the runs that have any, by their first key.
     bad: BTreeMap<u32, u64>,
     /// Tasks of which all is done.
-    whole: u32,
+    whole: RangeSet,
 }
 
 impl Array {
     /// Before anything of it is done: a task without steps has nothing to do.
     fn fresh(grains: &Grains<'_>) -> Self {
         let is_idle = |task: &u32| grains.of_task(*task).is_empty();
-        let whole = if grains.is_even() { 0 } else { (0..grains.tasks()).filter(is_idle).count() as u32 };
+        let mut whole = RangeSet::default();
+        let tasks = if grains.is_even() { 0..0 } else { 0..grains.tasks() };
+        tasks.filter(is_idle).for_each(|task| whole.insert(task));
         Self { whole, ..Self::default() }
     }
 
     fn is_complete(&self, grains: &Grains<'_>) -> bool {
-        self.whole == grains.tasks()
+        self.whole.covers(&(0..grains.tasks()))
     }
 
     fn is_whole(&self, grains: &Grains<'_>, task: u32) -> bool {
@@ -153,16 +155,12 @@ impl Unit {
 
     /// Tasks of a stage that are done.
     pub(crate) fn tasks_done(&self, place: Place) -> u32 {
-        self.arrays.get(&place).map_or(0, |array| array.whole)
+        self.arrays.get(&place).map_or(0, |array| array.whole.count())
     }
 
     /// Whether all of these tasks of a stage are done.
-    fn are_done(&self, shape: &Shape<'_>, place: Place, items: Range<u32>) -> bool {
-        let (Some(array), Some(grains)) = (self.arrays.get(&place), self.grains(shape, place)) else {
-            return items.is_empty();
-        };
-        // They come in their order, more or less: the last one tells soonest.
-        array.is_complete(&grains) || items.rev().all(|item| array.is_whole(&grains, item))
+    fn are_done(&self, place: Place, items: Range<u32>) -> bool {
+        items.is_empty() || self.arrays.get(&place).is_some_and(|array| array.whole.covers(&items))
     }
 
     /// Whether all that a task reads is there.
@@ -174,7 +172,7 @@ impl Unit {
             None => shape.are_frames_there(item, need),
             Some(_) => {
                 let mut rounds = shape.rounds_read(place, need, self.round);
-                rounds.all(|round| self.are_done(shape, (round, need.stage), shape.items_read(item, need)))
+                rounds.all(|round| self.are_done((round, need.stage), shape.items_read(item, need)))
             }
         })
     }
@@ -278,7 +276,9 @@ impl Unit {
         } else {
             array.rows.insert(run.start, Row { end: run.end, epoch, outputs });
         }
-        array.whole += u32::from(array.is_whole(&grains, item));
+        if array.is_whole(&grains, item) {
+            array.whole.insert(item);
+        }
         if result.bad_samples > 0 {
             array.bad.insert(run.start, result.bad_samples);
         }
@@ -365,7 +365,7 @@ impl Unit {
             || shape.graph.readers(place.1).filter(|(_, need)| need.role == role).any(|(reader, need)| {
                 let Some(template) = shape.template(reader) else { return true };
                 let readers = read_by(need.reach, item, template.tasks());
-                let is_open = |round: u32| !self.are_done(shape, (round, reader), readers.clone());
+                let is_open = |round: u32| !self.are_done((round, reader), readers.clone());
                 match need.round {
                     Round::Before => {
                         let goes_on = !self.is_over && self.round <= place.0 + 1;
@@ -461,7 +461,9 @@ impl Unit {
         }
         let refused: Vec<u32> = array.bad.range(run).map(|(&first, _)| first).collect();
         refused.into_iter().filter_map(|first| array.bad.remove(&first)).for_each(|count| bad += count);
-        array.whole -= u32::from(was_whole && !array.is_whole(&grains, item));
+        if was_whole && !array.is_whole(&grains, item) {
+            array.whole.remove(item..item + 1);
+        }
         self.units -= forgotten;
         self.bad_samples -= bad;
         for need in template.needs.iter().filter(|need| shape.template(need.stage).is_some()) {
@@ -535,7 +537,7 @@ impl Unit {
         let from = (stage.round, stage.number);
         let Some(grains) = self.grains(shape, from) else { return all };
         let item = grains.task(key);
-        if !self.are_done(shape, from, item..item + 1) {
+        if !self.are_done(from, item..item + 1) {
             return all;
         }
         for (reader, need) in shape.graph.readers(stage.number) {

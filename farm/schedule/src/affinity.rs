@@ -74,7 +74,7 @@ impl Scheduler {
         let task = other.unwrap_or(first);
         let task = self.ready_with_own_hint(id, &task).unwrap_or(task);
         let run = self.share(&task);
-        let out_of_turn = other.map(|_| self.size(&task, &run).milliseconds);
+        let out_of_turn = other.map(|_| self.size(&task, self.units_of(&task, &run)).milliseconds);
         self.assign(task, &run, None, id, now, out);
         if let Some(worker) = self.table.workers.get_mut(&id) {
             worker.at_hand.note_turn(out_of_turn);

@@ -11,7 +11,10 @@ const VERSION: u8 = 1;
 
 /// Attempts as one note beside the log.
 pub fn encode_attempts(attempts: &[AttemptRecord]) -> Result<Vec<u8>, SnapshotError> {
-    Ok(postcard::to_extend(attempts, vec![VERSION])?)
+    // An attempt mostly fits.
+    let mut bytes = Vec::with_capacity(1 + 160 * attempts.len());
+    bytes.push(VERSION);
+    Ok(postcard::to_extend(attempts, bytes)?)
 }
 
 /// What [`encode_attempts`] wrote.

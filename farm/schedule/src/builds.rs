@@ -6,7 +6,7 @@
 //! of its build are there but none with the tags of what comes next, while another build has them for all of it: and such a
 //! build is the one that begins it.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 use femc_model::{Intake, JobId, Scope, Tick, Wait, WorkerId};
 
@@ -60,6 +60,10 @@ impl Scheduler {
         let (Some(job), Some(worker)) = (self.ledger.jobs.get(&id), self.table.workers.get(&worker)) else {
             return false;
         };
+        if job.shared.is_none() && self.table.builds().len() == 1 && self.ledger.side.build_of(id, frame).is_none() {
+            // Whoever has begun it is of the same build.
+            return false;
+        }
         match build_of(&self.ledger, &self.table, id, frame) {
             Some(build) => build != worker.registration.engine,
             None => !self.has_best_coverage(job, Shape::scope_of(frame), &worker.registration.engine),
@@ -75,8 +79,7 @@ impl Scheduler {
 
     fn best_coverage(&self, job: &Job, scope: Scope) -> Coverage {
         let is_open = |known: &Self, worker: &Worker| worker.is_open() && known.is_present(worker);
-        let builds: BTreeSet<&str> = self.table.workers.values().map(|worker| &*worker.registration.engine).collect();
-        builds.into_iter().map(|build| self.coverage(job, scope, build, &is_open)).max().unwrap_or(Coverage::Nothing)
+        self.table.builds().map(|build| self.coverage(job, scope, build, &is_open)).max().unwrap_or(Coverage::Nothing)
     }
 
     fn coverage(&self, job: &Job, scope: Scope, build: &str, is_one: &dyn Fn(&Self, &Worker) -> bool) -> Coverage {

@@ -10,7 +10,7 @@
 
 use femc_model::{JobId, Tick, WorkerId};
 
-use crate::lease_table::{Lease, LeaseKey};
+use crate::lease_table::{Bill, Lease, LeaseKey};
 use crate::scheduler::Scheduler;
 use crate::{Command, Fact, Used};
 
@@ -27,8 +27,12 @@ impl Scheduler {
 
     /// Charges a worker's time until now.
     fn charge_worker(&mut self, worker: WorkerId) {
-        let Some((job, milliseconds, expected)) = self.table.bill(worker, self.now) else { return };
-        let Some(job) = self.ledger.jobs.get(&job) else { return };
+        let bill = self.table.bill(worker, self.now);
+        bill.into_iter().for_each(|bill| self.charge(bill));
+    }
+
+    fn charge(&mut self, Bill { job, milliseconds, expected }: Bill) {
+        let Some(job) = self.ledger.jobs.get(&job).filter(|_| milliseconds > 0) else { return };
         if job.shared.is_some() {
             for (owner, part) in self.split(job, milliseconds) {
                 self.order.charge(&owner, part, 0, self.config.weight(&owner));
@@ -40,8 +44,8 @@ impl Scheduler {
 
     /// Ends a lease, however it ends.
     pub(crate) fn release(&mut self, key: &LeaseKey) -> Option<Lease> {
-        self.charge_worker(self.table.leases.get(key)?.worker);
-        let lease = self.table.release(key)?;
+        let (lease, bill) = self.table.release(key, self.now)?;
+        bill.into_iter().for_each(|bill| self.charge(bill));
         if let Some(job) = self.ledger.jobs.get(&key.0.job).filter(|known| known.shared.is_none()) {
             self.order.unclaim(&job.spec.owner, lease.claim);
         }

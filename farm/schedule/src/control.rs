@@ -103,7 +103,7 @@ impl Scheduler {
         let failed = self.ledger.of_people().filter(|_| job.is_stuck()).chain([(id, job)]);
         let is_over = |job: &Job, frame: u32| job.has_ended() || job.blocked.contains(&frame);
         let leases = failed.flat_map(|(id, job)| {
-            let all = self.table.of_job(id).map(|(key, _)| *key);
+            let all = self.table.of_job(id).map(|(key, _)| key);
             all.filter(|(task, _)| is_over(job, task.stage.frame)).collect::<Vec<LeaseKey>>()
         });
         leases.collect::<Vec<_>>().into_iter().for_each(|key| self.revoke(&key, RevokeReason::JobEnded, out));
@@ -111,7 +111,7 @@ impl Scheduler {
 
     /// Takes back every lease of a job that has ended.
     pub(crate) fn revoke_all(&mut self, id: JobId, out: &mut Vec<Command>) {
-        let keys: Vec<LeaseKey> = self.table.of_job(id).map(|(key, _)| *key).collect();
+        let keys: Vec<LeaseKey> = self.table.of_job(id).map(|(key, _)| key).collect();
         for key in keys {
             self.revoke(&key, RevokeReason::JobEnded, out);
         }

@@ -17,6 +17,8 @@ enum Pick {
     Task(TaskKey),
     /// What a frame shares with others is to be begun: the job, the frame, the key of its content.
     Begin(JobId, u32, Digest),
+    /// The job's next frame is to be opened first.
+    Open(JobId),
     /// Ready tasks, but none for this worker.
     NotForThisWorker,
     NothingReady,
@@ -42,7 +44,7 @@ impl Scheduler {
                     self.begin_shared(job, frame, key, id, now, out);
                     next = (held, id);
                 }
-                Pick::NotForThisWorker => {}
+                Pick::NotForThisWorker | Pick::Open(_) => {}
                 Pick::NothingReady => return,
             }
         }
@@ -51,10 +53,20 @@ impl Scheduler {
     /// The first ready task that the worker may take: jobs in their order of service, frames in order, later stages before
     /// earlier ones.
     fn pick(&mut self, id: WorkerId, now: Tick) -> Pick {
+        loop {
+            let picked = self.search(id, now);
+            let Pick::Open(job) = picked else { return picked };
+            if let (Some(known), Some(ready_tasks)) = (self.ledger.jobs.get(&job), self.ready.get_mut(&job)) {
+                ready_tasks.open_next(known);
+            }
+        }
+    }
+
+    /// The same among what is open, as long as no job that comes before should open another frame.
+    fn search(&self, id: WorkerId, now: Tick) -> Pick {
         let mut best = Pick::NothingReady;
         let Some(worker) = self.table.workers.get(&id) else { return best };
-        let jobs: Vec<JobId> = self.order.service().collect();
-        for job_id in jobs {
+        for job_id in self.order.service() {
             let (Some(job), Some(ready_tasks)) = (self.ledger.jobs.get(&job_id), self.ready.get(&job_id)) else {
                 continue;
             };
@@ -62,19 +74,13 @@ impl Scheduler {
                 best = Pick::NotForThisWorker;
                 continue;
             }
-            loop {
-                match self.first_ready(job_id, id, now) {
-                    Pick::NotForThisWorker => best = Pick::NotForThisWorker,
-                    Pick::NothingReady => {}
-                    found => return found,
-                }
-                let (Some(job), Some(ready_tasks)) = (self.ledger.jobs.get(&job_id), self.ready.get_mut(&job_id))
-                else {
-                    break;
-                };
-                if !ready_tasks.may_open(id, &self.table) || !ready_tasks.open_next(job) {
-                    break;
-                }
+            match self.first_ready(job_id, id, now) {
+                Pick::NotForThisWorker => best = Pick::NotForThisWorker,
+                Pick::NothingReady => {}
+                found => return found,
+            }
+            if ready_tasks.has_unopened(job) && ready_tasks.may_open(id, &self.table) {
+                return Pick::Open(job_id);
             }
         }
         best
@@ -143,7 +149,7 @@ impl Scheduler {
         now: Tick,
         out: &mut Vec<Command>,
     ) {
-        let Some(work) = self.work(&task, run, worker, now) else {
+        let Some((work, units)) = self.work(&task, run, worker, now) else {
             debug_assert!(false, "a task that is not there was picked: {task}");
             return;
         };
@@ -153,7 +159,7 @@ impl Scheduler {
         {
             ready_tasks.quarantine.granted(instance, task);
         }
-        self.hand_out((task, epoch), run, worker, now);
+        self.hand_out((task, epoch), run, units, worker, now);
         if copy_of.is_some() {
             self.table.copies.insert((task, epoch));
             self.ready.entry(task.job).or_default().copies += 1;
@@ -163,17 +169,19 @@ impl Scheduler {
     }
 
     /// Takes a task off the table and puts it into a worker's hands.
-    pub(crate) fn hand_out(&mut self, key: LeaseKey, run: &Range<u32>, worker: WorkerId, now: Tick) {
+    /// - `units`: units of work of the run.
+    pub(crate) fn hand_out(&mut self, key: LeaseKey, run: &Range<u32>, units: u64, worker: WorkerId, now: Tick) {
         let (task, _) = &key;
         if let Some(ready_tasks) = self.ready.get_mut(&task.job) {
             ready_tasks.take(task, run);
         }
-        let size = self.size(task, run);
+        let size = self.size(task, units);
         self.claim(task.job, size.milliseconds);
         self.table.lease(key, run, worker, size, &self.config, now);
     }
 
-    fn work(&self, task: &TaskKey, run: &Range<u32>, worker: WorkerId, now: Tick) -> Option<Work> {
+    /// What a task is, and its units of work.
+    fn work(&self, task: &TaskKey, run: &Range<u32>, worker: WorkerId, now: Tick) -> Option<(Work, u64)> {
         let job = self.ledger.jobs.get(&task.job)?;
         let (unit, shape) = (job.unit(task.stage.frame), job.shape(task.stage.frame));
         let place: Place = (task.stage.round, task.stage.number);
@@ -183,7 +191,7 @@ impl Scheduler {
         let shared = key.and_then(|key| self.ledger.shared_of(&key, engine)).map(|(_, shared)| shared);
         let (item, is_cut) = (grains.task(task.index), task.stage.kind.is_cut());
         let may_go_on = job.spec.graph.is_looped(task.stage.number) && shape.may_go_on(task.stage.round);
-        Some(Work {
+        let work = Work {
             item,
             steps: grains.steps(run),
             inputs: unit.inputs(&shape, place, item, shared),
@@ -192,7 +200,8 @@ impl Scheduler {
             more: if may_go_on { More::Rounds } else { More::Last },
             elapsed: if is_cut { 0 } else { now.since(unit.began) },
             busy_seconds: if is_cut { 0.0 } else { unit.busy_seconds },
-        })
+        };
+        Some((work, grains.units(run)))
     }
 
     /// Why tasks of this job wait; empty when none does.
@@ -221,7 +230,7 @@ impl Scheduler {
             waits.extend(open.stages().next().is_none().then(|| why_idle(job, frame)).flatten());
         }
         let is_ready = ready_tasks.open.ready().next().is_some();
-        if is_ready || ready_tasks.cursor < job.frames().len() {
+        if is_ready || ready_tasks.has_unopened(job) {
             let none: &[String] = &[];
             let stages = ready_tasks.open.ready().flat_map(|(_, open)| open.stages());
             let tags: BTreeSet<&[String]> = stages.map(|(stage, _)| job.tags_of(stage.number)).collect();

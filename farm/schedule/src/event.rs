@@ -196,6 +196,13 @@ pub enum Command {
     Discard(Vec<Digest>),
 }
 
+impl Command {
+    /// Whether it says something to be kept, in the log or beside it: that comes before all others are executed.
+    pub fn is_for_log(&self) -> bool {
+        matches!(self, Self::Record(_) | Self::Note(_))
+    }
+}
+
 /// What came of a request.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Answer {

@@ -64,7 +64,7 @@ impl Scheduler {
             ready.iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
         }
         let states: Vec<JobState> = self.ledger.of_people().map(|(id, job)| self.state_of(id, job)).collect();
-        let leases: Vec<StageKind> = self.table.leases.keys().map(|(task, _)| task.stage.kind).collect();
+        let leases: Vec<StageKind> = self.table.leases.iter().map(|((task, _), _)| task.stage.kind).collect();
         let workers: Vec<WorkerStanding> =
             self.table.workers.values().map(|worker| self.standing(worker, now)).collect();
         Figures {

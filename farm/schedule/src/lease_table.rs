@@ -1,14 +1,13 @@
 //! Who is there and who holds what: the half of the state that a restart forgets.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::ops::Range;
 
-use femc_model::{
-    Epoch, Failure, Intake, JobId, Phase, Registration, Stage, StageKind, TaskKey, TaskProgress, Tick, WorkerId,
-};
+use femc_model::{Epoch, Failure, Intake, JobId, Phase, Registration, Stage, TaskKey, TaskProgress, Tick, WorkerId};
 
 use crate::Config;
 use crate::affinity::AtHand;
+use crate::leases::Leases;
 
 /// A lease's name: a task may be leased twice, see `speculate.rs`.
 pub(crate) type LeaseKey = (TaskKey, Epoch);
@@ -18,7 +17,7 @@ pub(crate) type LeaseKey = (TaskKey, Epoch);
 pub(crate) struct Worker {
     pub(crate) registration: Registration,
     /// Oldest first: that is the one that it works on.
-    pub(crate) held: BTreeSet<(Epoch, TaskKey)>,
+    pub(crate) held: VecDeque<(Epoch, TaskKey)>,
     /// Until then its time is charged, while it holds something.
     charged: Tick,
     /// Intake that the worker wants: `Open` or `Off`.
@@ -47,6 +46,14 @@ impl Worker {
         (self.registration.slots.max(1) + config.prefetch) as usize + self.depth
     }
 
+    /// Its time until now, of which its oldest lease is this one, of this job.
+    fn bill(&mut self, job: JobId, oldest: &mut Lease, now: Tick) -> Bill {
+        let milliseconds = now.since(std::mem::replace(&mut self.charged, now));
+        let expected = milliseconds.min(oldest.claim);
+        oldest.claim -= expected;
+        Bill { job, milliseconds, expected }
+    }
+
     pub(crate) fn has_tags(&self, tags: &[String]) -> bool {
         tags.iter().all(|tag| self.registration.tags.contains(tag))
     }
@@ -65,6 +72,15 @@ impl Worker {
     pub(crate) fn is_silent(&self, config: &Config, now: Tick) -> bool {
         now.since(self.seen) >= config.lease
     }
+}
+
+/// A worker's time that is to be charged: it belongs to the oldest lease that the worker holds.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Bill {
+    pub(crate) job: JobId,
+    pub(crate) milliseconds: u64,
+    /// How many of them were expected.
+    pub(crate) expected: u64,
 }
 
 /// How much a task is.
@@ -114,15 +130,17 @@ impl Lease {
     }
 }
 
-/// Workers and leases; each lease is also in its worker's `held` and in `deadlines`.
+/// Workers and leases; each lease is also in its worker's `held`.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct LeaseTable {
     pub(crate) workers: BTreeMap<WorkerId, Worker>,
-    pub(crate) leases: BTreeMap<LeaseKey, Lease>,
+    pub(crate) leases: Leases,
     /// Leases that were granted as second ones of their tasks. Few: without any, no task needs a look for its other lease.
     pub(crate) copies: BTreeSet<LeaseKey>,
-    /// By epoch before task: epochs are told apart in one comparison.
-    deadlines: BTreeSet<(Tick, Epoch, TaskKey)>,
+    /// No lease ends before.
+    ends_from: Tick,
+    /// How many workers there are of each build of the engine.
+    builds: BTreeMap<String, usize>,
     /// Workers that can hold more, those with the fewest tasks first.
     pub(crate) spare: BTreeSet<(usize, WorkerId)>,
 }
@@ -134,9 +152,10 @@ impl LeaseTable {
     }
 
     pub(crate) fn join(&mut self, worker: WorkerId, registration: Registration, now: Tick) {
+        *self.builds.entry(registration.engine.clone()).or_default() += 1;
         let fresh = Worker {
             registration,
-            held: BTreeSet::new(),
+            held: VecDeque::new(),
             charged: now,
             wish: Intake::Open,
             intake: Intake::Open,
@@ -150,8 +169,14 @@ impl LeaseTable {
             depth: 0,
             at_hand: AtHand::default(),
         };
-        self.workers.insert(worker, fresh);
+        let before = self.workers.insert(worker, fresh);
+        debug_assert!(before.is_none(), "a session that there is already");
         self.spare.insert((0, worker));
+    }
+
+    /// The builds of the engine of which there are workers.
+    pub(crate) fn builds(&self) -> impl ExactSizeIterator<Item = &str> {
+        self.builds.keys().map(String::as_str)
     }
 
     /// The process behind a session.
@@ -168,20 +193,22 @@ impl LeaseTable {
     /// Removes a worker that holds nothing any more.
     pub(crate) fn leave(&mut self, worker: WorkerId) {
         debug_assert!(self.workers.get(&worker).is_none_or(|known| known.held.is_empty()));
-        self.workers.remove(&worker);
         self.spare.remove(&(0, worker));
+        let Some(known) = self.workers.remove(&worker) else { return };
+        if let Some(count) = self.builds.get_mut(&known.registration.engine) {
+            *count -= 1;
+            if *count == 0 {
+                self.builds.remove(&known.registration.engine);
+            }
+        }
     }
 
-    /// The time for which a worker has held something and that is not charged yet: it belongs to its oldest lease. Returns the
-    /// job, the milliseconds, and how many of them were expected.
-    pub(crate) fn bill(&mut self, worker: WorkerId, now: Tick) -> Option<(JobId, u64, u64)> {
+    /// The time for which a worker has held something and that is not charged yet.
+    pub(crate) fn bill(&mut self, worker: WorkerId, now: Tick) -> Option<Bill> {
         let holder = self.workers.get_mut(&worker)?;
-        let &(epoch, task) = holder.held.first()?;
-        let taken = now.since(std::mem::replace(&mut holder.charged, now));
+        let &(epoch, task) = holder.held.front()?;
         let lease = self.leases.get_mut(&(task, epoch))?;
-        let expected = taken.min(lease.claim);
-        lease.claim -= expected;
-        Some((task.job, taken, expected))
+        Some(holder.bill(task.job, lease, now))
     }
 
     /// - `run`: the task's grains.
@@ -212,14 +239,15 @@ impl LeaseTable {
 
     fn put(&mut self, key: LeaseKey, lease: Lease, config: &Config, now: Tick) {
         let worker = lease.worker;
-        self.deadlines.insert((lease.deadline, key.1, key.0));
+        self.ends_from = self.ends_from.min(lease.deadline);
         self.leases.insert(key, lease);
         if let Some(holder) = self.workers.get_mut(&worker) {
             self.spare.remove(&(holder.held.len(), worker));
             if holder.held.is_empty() {
                 holder.charged = now;
             }
-            holder.held.insert((key.1, key.0));
+            let newer = holder.held.partition_point(|held| *held < (key.1, key.0));
+            holder.held.insert(newer, (key.1, key.0));
             holder.at_hand.note(&key.0);
             if holder.held.len() < holder.capacity(config) {
                 self.spare.insert((holder.held.len(), worker));
@@ -239,23 +267,31 @@ impl LeaseTable {
         }
     }
 
-    /// Takes a lease out; what its worker has used is charged before.
-    pub(crate) fn release(&mut self, key: &LeaseKey) -> Option<Lease> {
-        let lease = self.leases.remove(key)?;
+    /// Takes a lease out; returns also what is to be charged for the time of its worker until now.
+    pub(crate) fn release(&mut self, key: &LeaseKey, now: Tick) -> Option<(Lease, Option<Bill>)> {
+        let mut lease = self.leases.remove(key)?;
         self.copies.remove(key);
-        self.deadlines.remove(&(lease.deadline, key.1, key.0));
-        if let Some(holder) = self.workers.get_mut(&lease.worker) {
+        let Some(holder) = self.workers.get_mut(&lease.worker) else { return Some((lease, None)) };
+        let bill = match holder.held.front() {
+            Some(&(epoch, task)) if (task, epoch) == *key => Some(holder.bill(task.job, &mut lease, now)),
+            Some(&(epoch, task)) => {
+                self.leases.get_mut(&(task, epoch)).map(|oldest| holder.bill(task.job, oldest, now))
+            }
+            None => None,
+        };
+        if let Ok(place) = holder.held.binary_search(&(key.1, key.0)) {
             self.spare.remove(&(holder.held.len(), lease.worker));
-            holder.held.remove(&(key.1, key.0));
+            holder.held.remove(place);
             self.spare.insert((holder.held.len(), lease.worker));
         }
-        Some(lease)
+        Some((lease, bill))
     }
 
-    /// Puts a lease into the hands of another session of its worker, as it was granted; `false`: there is no such lease.
+    /// Puts a lease into the hands of another session of its worker, as it was granted; `false`: there is no such lease. What the
+    /// worker has used is charged before.
     pub(crate) fn hand_over(&mut self, key: &LeaseKey, worker: WorkerId, config: &Config, now: Tick) -> bool {
         let is_copy = self.copies.contains(key);
-        let Some(lease) = self.release(key) else { return false };
+        let Some((lease, _)) = self.release(key, now) else { return false };
         let (deadline, phase) = (now.after(config.lease), Phase::Waiting);
         let lease = Lease { worker, deadline, moved: now, phase, began: None, done: 0, ..lease };
         self.put(*key, lease, config, now);
@@ -271,9 +307,8 @@ impl LeaseTable {
     }
 
     /// The leases of a task: none, one, or a second that does the same.
-    pub(crate) fn of_task(&self, task: &TaskKey) -> impl Iterator<Item = (&LeaseKey, &Lease)> + '_ {
-        let task = *task;
-        self.leases.range((task, Epoch(0))..).take_while(move |((other, _), _)| *other == task)
+    pub(crate) fn of_task(&self, task: &TaskKey) -> impl Iterator<Item = (LeaseKey, &Lease)> + use<'_> {
+        self.leases.of_task(task)
     }
 
     /// Workers that have nothing to do.
@@ -312,9 +347,7 @@ impl LeaseTable {
             let Some(lease) = self.leases.get_mut(&key).filter(|lease| lease.worker == worker) else { continue };
             let moved = if lease.phase == Phase::Waiting { holder.moved.max(lease.moved) } else { lease.moved };
             if now.since(moved) < stall(lease.phase, config) {
-                self.deadlines.remove(&(lease.deadline, key.1, key.0));
                 lease.deadline = now.after(config.lease);
-                self.deadlines.insert((lease.deadline, key.1, key.0));
             }
         }
         over
@@ -335,40 +368,38 @@ impl LeaseTable {
     }
 
     /// The leases whose time is up, earliest first.
-    pub(crate) fn expired(&self, now: Tick) -> Vec<LeaseKey> {
-        let is_up = |(deadline, ..): &&(Tick, Epoch, TaskKey)| *deadline <= now;
-        self.deadlines.iter().take_while(is_up).map(|&(_, epoch, task)| (task, epoch)).collect()
+    pub(crate) fn expired(&mut self, now: Tick) -> Vec<LeaseKey> {
+        if now < self.ends_from {
+            return Vec::new();
+        }
+        // Heartbeats renew all that are held: this is rare.
+        self.ends_from = self.leases.iter().map(|(_, lease)| lease.deadline).min().unwrap_or(Tick(u64::MAX));
+        let ended = self.leases.iter().filter(|(_, lease)| lease.deadline <= now);
+        let mut ended: Vec<_> = ended.map(|((task, epoch), lease)| (lease.deadline, epoch, task)).collect();
+        ended.sort_unstable();
+        ended.into_iter().map(|(_, epoch, task)| (task, epoch)).collect()
     }
 
     /// The keys of a stage that are leased.
     pub(crate) fn of_stage(&self, job: JobId, stage: Stage) -> impl Iterator<Item = Range<u32>> + '_ {
-        let key = |index, epoch| (TaskKey { job, stage, index }, Epoch(epoch));
-        self.leases.range(key(0, 0)..=key(u32::MAX, u64::MAX)).map(|((task, _), lease)| lease.run(task))
+        self.leases.of_stage(job, stage).map(|((task, _), lease)| lease.run(&task))
     }
 
     /// Whether some of a stage's keys are leased: leases of a stage cover different keys, or a copy just the same.
     pub(crate) fn covers(&self, job: JobId, stage: Stage, keys: &Range<u32>) -> bool {
-        let key = |index| (TaskKey { job, stage, index }, Epoch(0));
-        let last = self.leases.range(key(0)..key(keys.end)).next_back();
-        last.is_some_and(|((task, _), lease)| lease.run(task).end > keys.start)
+        let last = self.leases.last_before(job, stage, keys.end);
+        last.is_some_and(|((task, _), lease)| lease.run(&task).end > keys.start)
     }
 
     /// The leases of a frame.
-    pub(crate) fn of_frame(&self, job: JobId, frame: u32) -> impl Iterator<Item = (&LeaseKey, &Lease)> + '_ {
-        let first = first_of(job, frame);
-        let is_of_frame = move |task: &TaskKey| task.job == job && task.stage.frame == frame;
-        self.leases.range((first, Epoch(0))..).take_while(move |((task, _), _)| is_of_frame(task))
+    pub(crate) fn of_frame(&self, job: JobId, frame: u32) -> impl Iterator<Item = (LeaseKey, &Lease)> + '_ {
+        self.leases.of_frames(job, frame..=frame)
     }
 
     /// The leases of a job.
-    pub(crate) fn of_job(&self, job: JobId) -> impl Iterator<Item = (&LeaseKey, &Lease)> + '_ {
-        self.leases.range((first_of(job, 0), Epoch(0))..).take_while(move |((task, _), _)| task.job == job)
+    pub(crate) fn of_job(&self, job: JobId) -> impl Iterator<Item = (LeaseKey, &Lease)> + '_ {
+        self.leases.of_frames(job, 0..=u32::MAX)
     }
-}
-
-/// Before all tasks of a frame and behind those of the one before.
-fn first_of(job: JobId, frame: u32) -> TaskKey {
-    TaskKey { job, stage: Stage { frame, round: 0, number: 0, kind: StageKind::ALL[0] }, index: 0 }
 }
 
 /// Without progress for so many milliseconds a lease is not renewed.

@@ -22,6 +22,7 @@ mod fact;
 mod figures;
 mod intake;
 mod lease_table;
+mod leases;
 mod ledger;
 mod logs;
 mod open;

@@ -104,11 +104,11 @@ impl Order {
     /// The jobs as they are served now.
     pub(crate) fn service(&self) -> impl Iterator<Item = JobId> + '_ {
         self.classes.values().flat_map(|class| {
-            let mut owners: Vec<_> = class.iter().collect();
-            if owners.len() > 1 {
-                owners.sort_by_cached_key(|&(owner, _)| self.stands(owner));
-            }
-            owners.into_iter().flat_map(|(_, jobs)| jobs.iter().copied())
+            // Of one owner alone there is nothing to sort.
+            let only = if class.len() == 1 { class.values().next() } else { None };
+            let mut owners: Vec<_> = class.iter().filter(|_| only.is_none()).collect();
+            owners.sort_by_cached_key(|&(owner, _)| self.stands(owner));
+            only.into_iter().chain(owners.into_iter().map(|(_, jobs)| jobs)).flatten().copied()
         })
     }
 

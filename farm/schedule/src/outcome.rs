@@ -34,7 +34,7 @@ impl Scheduler {
             let refusal = Refusal::Invalid { field: "result".into(), message: message.clone() };
             return self.refused(worker, task, epoch, Failure::Panicked { message }, refusal, now, out);
         }
-        let round = job.map_or(0, |job| job.unit(task.stage.frame).round);
+        let round = job.and_then(|job| job.units.get(&task.stage.frame)).map_or(0, |unit| unit.round);
         let fact = Fact::Done { task, end, epoch, leased: granted, result: Box::new(result) };
         let is_alone = self.table.copies.is_empty();
         if let Some(lease) = self.release(&(task, epoch)) {
@@ -133,7 +133,7 @@ impl Scheduler {
 
     /// Takes back what else does the same.
     fn revoke_others(&mut self, task: &TaskKey, reason: RevokeReason, out: &mut Vec<Command>) {
-        let others: Vec<LeaseKey> = self.table.of_task(task).map(|(key, _)| *key).collect();
+        let others: Vec<LeaseKey> = self.table.of_task(task).map(|(key, _)| key).collect();
         others.iter().for_each(|key| self.revoke(key, reason, out));
     }
 
@@ -253,7 +253,7 @@ impl Scheduler {
 
     /// Takes back the leases of a frame that begins anew: they are of another round.
     pub(crate) fn revoke_frame(&mut self, job: JobId, frame: u32, out: &mut Vec<Command>) {
-        let leases = self.table.of_job(job).map(|(key, _)| *key);
+        let leases = self.table.of_job(job).map(|(key, _)| key);
         let leases: Vec<LeaseKey> = leases.filter(|(task, _)| task.stage.frame == frame).collect();
         for key in leases {
             self.revoke(&key, RevokeReason::Expired, out);

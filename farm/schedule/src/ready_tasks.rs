@@ -55,7 +55,7 @@ impl ReadyTasks {
         }
         let (unit, shape) = (job.unit(frame), job.shape(frame));
         let mut open = OpenUnit::new(frame, unit.open(&shape), &shape);
-        table.of_frame(id, frame).for_each(|((task, _), lease)| open.remove(&task.stage, lease.run(task)));
+        table.of_frame(id, frame).for_each(|((task, _), lease)| open.remove(&task.stage, lease.run(&task)));
         self.open.put(frame, open);
     }
 
@@ -89,6 +89,11 @@ impl ReadyTasks {
     pub(crate) fn may_open(&self, worker: WorkerId, table: &LeaseTable) -> bool {
         let is_idle = table.workers.get(&worker).is_some_and(|worker| worker.held.is_empty());
         self.open.frames() <= table.workers.len() * if is_idle { 2 } else { 1 }
+    }
+
+    /// Whether there are frames that have not been looked at yet; of those none may be left to open.
+    pub(crate) fn has_unopened(&self, job: &Job) -> bool {
+        self.cursor < job.frames().len()
     }
 
     /// Opens the next frame that nobody has begun; `false` where there is none.

@@ -111,21 +111,26 @@ impl Scheduler {
     /// Takes notice of `event` at `now`, which never goes back, and says what is to be done.
     pub fn on(&mut self, event: Event, now: Tick) -> Vec<Command> {
         let mut out = Vec::new();
+        self.hear(event, now, &mut out);
+        out
+    }
+
+    /// The same; what is to be done comes behind what is in `out`.
+    pub fn hear(&mut self, event: Event, now: Tick, out: &mut Vec<Command>) {
         self.now = now;
         let is_time = event == Event::Elapsed;
         let makes_room = !matches!(event, Event::Usage { .. });
-        self.take(event, now, &mut out);
-        self.count_deaths(now, &mut out);
+        self.take(event, now, out);
+        self.count_deaths(now, out);
         if makes_room {
-            self.deal(now, &mut out);
+            self.deal(now, out);
         }
         if is_time {
-            self.speculate(now, &mut out);
+            self.speculate(now, out);
         }
         if self.order.is_leveled() || (is_time && now >= self.shares_from) {
-            self.note_shares(now, &mut out);
+            self.note_shares(now, out);
         }
-        out
     }
 
     fn take(&mut self, event: Event, now: Tick, out: &mut Vec<Command>) {
@@ -184,7 +189,8 @@ impl Scheduler {
             let HeldLease { task, epoch, .. } = held;
             let is_of_other_build = is_of_other_build(&self.ledger, &self.table, task.job, task.stage.frame, worker);
             if let Some(run) = self.adoptable(&held, worker).filter(|_| !is_of_other_build) {
-                self.hand_out((task, epoch), &run, worker, now);
+                let units = self.units_of(&task, &run);
+                self.hand_out((task, epoch), &run, units, worker, now);
                 out.push(Command::Changed(task.job));
             } else {
                 self.note_stale(task.job);

@@ -34,17 +34,22 @@ impl Scheduler {
     /// Milliseconds that so many units of the task's stage would take at the pace of its running tasks, before any is done.
     fn estimate_from_progress(&self, task: &TaskKey, units: u64) -> Option<u64> {
         let of_stage = self.table.of_job(task.job).filter(|((other, _), _)| other.stage.number == task.stage.number);
-        let running = of_stage.filter_map(|((task, _), lease)| lease.progress(task));
+        let running = of_stage.filter_map(|((task, _), lease)| lease.progress(&task));
         let (elapsed, done) = running.fold((0, 0), |sum, one| (sum.0 + one.0, sum.1 + one.1));
         (done > 0).then(|| (u128::from(elapsed) * u128::from(units)).div_ceil(u128::from(done)) as u64)
     }
 
-    /// How much the task is, as far as one can tell.
-    pub(crate) fn size(&self, task: &TaskKey, run: &Range<u32>) -> Size {
-        let (job, ready_tasks) = (self.ledger.jobs.get(&task.job), self.ready.get(&task.job));
-        let units = job.and_then(|job| job.grains(&task.stage)).map_or(1, |grains| grains.units(run));
+    /// How much so many units of the task's stage are, as far as one can tell.
+    pub(crate) fn size(&self, task: &TaskKey, units: u64) -> Size {
+        let ready_tasks = self.ready.get(&task.job);
         let expected = ready_tasks.and_then(|ready_tasks| ready_tasks.pace.expected(task.stage.number, units));
         Size { units, milliseconds: expected.unwrap_or(Pace::FIRST) }
+    }
+
+    /// Units of work of a run of a task's grains.
+    pub(crate) fn units_of(&self, task: &TaskKey, run: &Range<u32>) -> u64 {
+        let job = self.ledger.jobs.get(&task.job);
+        job.and_then(|job| job.grains(&task.stage)).map_or(1, |grains| grains.units(run))
     }
 
     /// Learns from a task that has taken `milliseconds`. Returns how long the tasks of a frame take on the average, if they are not

@@ -108,7 +108,7 @@ impl Scheduler {
         let idle = self.ledger.all_shared().filter(|(_, shared)| !self.is_wanted(shared));
         let idle: Vec<JobId> = idle.map(|(id, _)| id).collect();
         for id in idle {
-            let keys: Vec<LeaseKey> = self.table.of_job(id).map(|(key, _)| *key).collect();
+            let keys: Vec<LeaseKey> = self.table.of_job(id).map(|(key, _)| key).collect();
             for key in keys {
                 self.revoke(&key, RevokeReason::JobEnded, out);
                 self.put_back(&key.0);

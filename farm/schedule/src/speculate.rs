@@ -39,7 +39,7 @@ impl Scheduler {
         for job in self.order.service().chain(shared) {
             let mut late: Vec<(u64, LeaseKey)> = (self.table.of_job(job))
                 .filter(|((task, _), _)| self.table.of_task(task).nth(1).is_none())
-                .filter_map(|(key, lease)| Some((self.lateness(&key.0, lease, now)?, *key)))
+                .filter_map(|(key, lease)| Some((self.lateness(&key.0, lease, now)?, key)))
                 .collect();
             late.sort_by_key(|&(lateness, key)| (std::cmp::Reverse(lateness), key));
             all.extend(late.into_iter().map(|(_, key)| key));

@@ -107,6 +107,11 @@ impl Scheduler {
         self.table.held(worker).into_iter().filter_map(lease).collect()
     }
 
+    /// Whether nothing is done of a job any more, as far as one knows now; nor of one that is not there.
+    pub fn has_ended(&self, job: JobId) -> bool {
+        self.ledger.jobs.get(&job).is_none_or(Job::has_ended)
+    }
+
     /// Messages refused since the start because their lease was over.
     pub fn stale_messages(&self) -> u64 {
         self.stale_messages
@@ -142,13 +147,13 @@ impl Scheduler {
     }
 
     /// The tasks of a job that are leased, and the units of each so far; of two leases of a task the one that is further counts.
-    fn under_way(&self, id: JobId) -> impl Iterator<Item = (&TaskKey, u64)> + '_ {
+    fn under_way(&self, id: JobId) -> impl Iterator<Item = (TaskKey, u64)> + '_ {
         let mut leases = self.table.of_job(id).peekable();
         std::iter::from_fn(move || {
             let ((task, _), lease) = leases.next()?;
-            let mut units = lease.units(task);
-            while let Some((_, other)) = leases.next_if(|((next, _), _)| next == task) {
-                units = units.max(other.units(task));
+            let mut units = lease.units(&task);
+            while let Some((_, other)) = leases.next_if(|((next, _), _)| *next == task) {
+                units = units.max(other.units(&task));
             }
             Some((task, units))
         })

@@ -54,6 +54,10 @@ impl Hints {
         replaced
     }
 
+    pub(super) fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+
     /// Nobody will look at what this frame has made; returns what is named no longer.
     pub(super) fn forget(&mut self, frame: u32) -> Vec<Digest> {
         self.0.remove(&frame).iter().flat_map(OfFrame::artifacts).collect()

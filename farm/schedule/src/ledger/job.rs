@@ -134,6 +134,9 @@ impl Job {
 
     /// The key of a frame's content.
     pub(crate) fn content(&self, frame: u32) -> Option<Digest> {
+        if self.spec.contents.is_empty() {
+            return None;
+        }
         self.spec.content(self.frames().binary_search(&frame).ok()?)
     }
 
@@ -262,16 +265,15 @@ impl Job {
 
     /// Whether the frame is asked for and neither finished nor blocked.
     pub(crate) fn is_open(&self, frame: u32) -> bool {
-        !self.finished.contains_key(&frame)
-            && !self.blocked.contains(&frame)
-            && if frame == Stage::OF_JOB { self.has_job_stages() } else { self.frames().binary_search(&frame).is_ok() }
+        let is_there =
+            if frame == Stage::OF_JOB { self.has_job_stages() } else { self.frames().binary_search(&frame).is_ok() };
+        is_there && !self.finished.contains_key(&frame) && !self.blocked.contains(&frame)
     }
 
     /// Whether the stage is one of the job's, in a round that has begun, of a frame that is open.
     fn is_current(&self, stage: &Stage) -> bool {
-        let shape = self.shape(stage.frame);
         self.is_open(stage.frame)
-            && shape.template(stage.number).is_some_and(|template| template.kind == stage.kind)
+            && self.shape(stage.frame).template(stage.number).is_some_and(|template| template.kind == stage.kind)
             && stage.round <= self.units.get(&stage.frame).map_or(0, |unit| unit.round)
     }
 
@@ -336,6 +338,9 @@ impl Job {
 
     /// What a task may look at of the frame before, for a worker of this build.
     pub(crate) fn hints(&self, stage: &Stage, item: u32, engine: &str) -> Vec<Input> {
+        if self.hints.is_empty() {
+            return Vec::new();
+        }
         let place = self.frames().binary_search(&stage.frame).ok().and_then(|place| place.checked_sub(1));
         let before = place.and_then(|place| self.frames().get(place));
         let hints = |&before| self.hints.of(&self.shape(stage.frame), before, (stage.number, item), engine);
@@ -344,6 +349,9 @@ impl Job {
 
     /// A frame is finished: it looks at the one before no more, and nobody at itself if the one behind is finished or there is none.
     fn forget_hints(&mut self, frame: u32) -> Vec<Digest> {
+        if self.hints.is_empty() {
+            return Vec::new();
+        }
         let Ok(place) = self.frames().binary_search(&frame) else { return Vec::new() };
         let before = place.checked_sub(1).map(|before| self.frames()[before]);
         let is_last = self.frames().get(place + 1).is_none_or(|behind| self.finished.contains_key(behind));

@@ -55,7 +55,10 @@ impl Fact {
 }
 
 fn encode(value: &impl Serialize) -> Result<Vec<u8>, SnapshotError> {
-    Ok(postcard::to_extend(value, vec![Ledger::VERSION])?)
+    // A fact mostly fits.
+    let mut bytes = Vec::with_capacity(128);
+    bytes.push(Ledger::VERSION);
+    Ok(postcard::to_extend(value, bytes)?)
 }
 
 fn decode<T: for<'a> Deserialize<'a>>(bytes: &[u8]) -> Result<T, SnapshotError> {

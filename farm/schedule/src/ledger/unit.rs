@@ -8,6 +8,7 @@ use femc_model::{
     Stage, Taken, TaskResult, Tick, Uneven,
 };
 use serde::{Deserialize, Serialize};
+use smallvec::SmallVec;
 
 use super::job::Job;
 use super::shape::{Place, Shape, read_by};
@@ -19,8 +20,8 @@ use crate::{Casualty, RangeSet};
 pub(crate) struct Row {
     end: u32,
     epoch: Epoch,
-    /// Those that are needed yet.
-    outputs: Vec<Output>,
+    /// Those that are needed yet; mostly there is one.
+    outputs: SmallVec<[Output; 1]>,
 }
 
 /// What is done of a stage in one round.
@@ -263,20 +264,21 @@ impl Unit {
             return Vec::new();
         };
         let item = grains.task(run.start);
-        let mut outputs = result.outputs.clone();
-        let mut released = Vec::new();
-        outputs.retain(|output| {
-            let is_needed = self.is_needed(shape, place, item, output.role);
-            released.extend((!is_needed).then_some(output.artifact.digest));
-            is_needed
-        });
+        let (mut outputs, mut released) = (SmallVec::new(), Vec::new());
+        for &output in &result.outputs {
+            if self.is_needed(shape, place, item, output.role) {
+                outputs.push(output);
+            } else {
+                released.push(output.artifact.digest);
+            }
+        }
         let array = self.arrays.entry(place).or_insert_with(|| Array::fresh(&grains));
         if outputs.is_empty() {
             array.released.add(run.clone());
         } else {
             array.rows.insert(run.start, Row { end: run.end, epoch, outputs });
         }
-        if array.is_whole(&grains, item) {
+        if *run == grains.of_task(item) || array.is_whole(&grains, item) {
             array.whole.insert(item);
         }
         if result.bad_samples > 0 {
@@ -389,22 +391,20 @@ impl Unit {
             return;
         };
         let Some(mut array) = self.arrays.remove(&place) else { return };
-        let mut emptied: Vec<Range<u32>> = Vec::new();
-        for (&first, row) in array.rows.range_mut(keys) {
+        let emptied = array.rows.extract_if(keys, |&first, row| {
             row.outputs.retain(|output| {
                 let is_needed = self.is_needed(shape, place, first / stride, output.role);
-                if !is_needed {
-                    released.push(output.artifact.digest);
-                }
+                released.extend((!is_needed).then_some(output.artifact.digest));
                 is_needed
             });
-            if row.outputs.is_empty() {
-                emptied.push(first..row.end);
+            row.outputs.is_empty()
+        });
+        let mut emptied = emptied.map(|(first, row)| first..row.end).peekable();
+        while let Some(mut run) = emptied.next() {
+            while let Some(next) = emptied.next_if(|next| next.start == run.end) {
+                run.end = next.end;
             }
-        }
-        emptied.iter().for_each(|run| drop(array.rows.remove(&run.start)));
-        for runs in emptied.chunk_by(|one, next| one.end == next.start) {
-            array.released.add(runs[0].start..runs[runs.len() - 1].end);
+            array.released.add(run);
         }
         self.arrays.insert(place, array);
     }

@@ -1,0 +1,80 @@
+//! Leases by their stage, and within it by key and epoch: who looks for one compares few numbers.
+
+use std::collections::BTreeMap;
+use std::ops::RangeInclusive;
+
+use femc_model::{Epoch, JobId, Stage, StageKind, TaskKey};
+
+use crate::lease_table::{Lease, LeaseKey};
+
+type OfStage = BTreeMap<(u32, Epoch), Lease>;
+
+/// Leases in the order of their names; a stage without any is not there.
+#[derive(Debug, Clone, Default)]
+pub(crate) struct Leases(BTreeMap<(JobId, Stage), OfStage>);
+
+impl Leases {
+    fn of(&self, task: &TaskKey) -> Option<&OfStage> {
+        self.0.get(&(task.job, task.stage))
+    }
+
+    pub(crate) fn get(&self, (task, epoch): &LeaseKey) -> Option<&Lease> {
+        self.of(task)?.get(&(task.index, *epoch))
+    }
+
+    pub(crate) fn get_mut(&mut self, (task, epoch): &LeaseKey) -> Option<&mut Lease> {
+        self.0.get_mut(&(task.job, task.stage))?.get_mut(&(task.index, *epoch))
+    }
+
+    pub(crate) fn insert(&mut self, (task, epoch): LeaseKey, lease: Lease) {
+        self.0.entry((task.job, task.stage)).or_default().insert((task.index, epoch), lease);
+    }
+
+    pub(crate) fn remove(&mut self, (task, epoch): &LeaseKey) -> Option<Lease> {
+        let of_stage = self.0.get_mut(&(task.job, task.stage))?;
+        let lease = of_stage.remove(&(task.index, *epoch))?;
+        if of_stage.is_empty() {
+            self.0.remove(&(task.job, task.stage));
+        }
+        Some(lease)
+    }
+
+    /// All of them.
+    pub(crate) fn iter(&self) -> impl Iterator<Item = (LeaseKey, &Lease)> {
+        self.0.iter().flat_map(named)
+    }
+
+    /// Those of a task: none, one, or a second that does the same.
+    pub(crate) fn of_task(&self, task: &TaskKey) -> impl Iterator<Item = (LeaseKey, &Lease)> + use<'_> {
+        let (task, keys) = (*task, (task.index, Epoch(0))..=(task.index, Epoch(u64::MAX)));
+        let leases = self.of(&task).into_iter().flat_map(move |of_stage| of_stage.range(keys.clone()));
+        leases.map(move |(&(_, epoch), lease)| ((task, epoch), lease))
+    }
+
+    /// Those of a stage.
+    pub(crate) fn of_stage(&self, job: JobId, stage: Stage) -> impl Iterator<Item = (LeaseKey, &Lease)> {
+        self.0.get_key_value(&(job, stage)).into_iter().flat_map(named)
+    }
+
+    /// The last of a stage whose key is before this one.
+    pub(crate) fn last_before(&self, job: JobId, stage: Stage, end: u32) -> Option<(LeaseKey, &Lease)> {
+        let (&(index, epoch), lease) = self.0.get(&(job, stage))?.range(..(end, Epoch(0))).next_back()?;
+        Some(((TaskKey { job, stage, index }, epoch), lease))
+    }
+
+    /// Those of frames from one to another of a job.
+    pub(crate) fn of_frames(
+        &self,
+        job: JobId,
+        frames: RangeInclusive<u32>,
+    ) -> impl Iterator<Item = (LeaseKey, &Lease)> + use<'_> {
+        let first = Stage { frame: *frames.start(), round: 0, number: 0, kind: StageKind::ALL[0] };
+        let stages = self.0.range((job, first)..);
+        stages.take_while(move |((of, stage), _)| *of == job && frames.contains(&stage.frame)).flat_map(named)
+    }
+}
+
+/// The leases of a stage with their names.
+fn named<'a>((&(job, stage), of_stage): (&(JobId, Stage), &'a OfStage)) -> impl Iterator<Item = (LeaseKey, &'a Lease)> {
+    of_stage.iter().map(move |(&(index, epoch), lease)| ((TaskKey { job, stage, index }, epoch), lease))
+}

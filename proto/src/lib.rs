@@ -8,6 +8,7 @@
 mod addresses;
 mod bearer;
 mod client;
+mod codec;
 mod convert;
 mod error;
 mod limits;

@@ -12,7 +12,6 @@ mod task;
 pub(crate) mod tests;
 mod usage;
 
-use bytes::Bytes;
 use femc_model::{Artifact, Digest};
 
 use crate::wire;
@@ -67,12 +66,12 @@ pub(crate) fn need<T>(field: &'static str, value: Option<T>) -> Result<T, Conver
     value.ok_or(ConvertError::Missing { field })
 }
 
-pub(crate) fn digest(field: &'static str, bytes: &Bytes) -> Result<Digest, ConvertError> {
-    Digest::try_from(&bytes[..]).map_err(|_| ConvertError::Digest { field })
+pub(crate) fn digest(field: &'static str, bytes: &[u8]) -> Result<Digest, ConvertError> {
+    Digest::try_from(bytes).map_err(|_| ConvertError::Digest { field })
 }
 
-pub(crate) fn digest_bytes(digest: &Digest) -> Bytes {
-    Bytes::copy_from_slice(digest.as_bytes())
+pub(crate) fn digest_bytes(digest: &Digest) -> Vec<u8> {
+    digest.as_bytes().to_vec()
 }
 
 /// Converts every element.

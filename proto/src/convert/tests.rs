@@ -319,7 +319,7 @@ fn statuses_cross_the_wire() {
 #[test]
 fn nonsense_is_refused_by_name() {
     let spec = wire::JobSpec::from(spec());
-    let short = wire::JobSpec { bundle: vec![1u8; 31].into(), ..spec.clone() };
+    let short = wire::JobSpec { bundle: vec![1u8; 31], ..spec.clone() };
     assert_eq!(JobSpec::try_from(short), Err(ConvertError::Digest { field: "job.bundle" }));
     let high = wire::JobSpec { priority: 256, ..spec };
     assert_eq!(JobSpec::try_from(high), Err(ConvertError::Range { field: "priority" }));

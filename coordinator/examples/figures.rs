@@ -24,6 +24,7 @@ async fn main() -> Result<()> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     match args.iter().map(String::as_str).collect::<Vec<_>>()[..] {
         ["worker", url, sessions, kind] => work(url, sessions.parse()?, kind == "holds").await,
+        ["throughput", sessions, frames] => throughput(sessions.parse()?, frames.parse()?).await,
         _ => measure().await,
     }
 }

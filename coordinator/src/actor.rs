@@ -156,8 +156,8 @@ impl<Q: Queue> Actor<Q> {
     pub(crate) async fn run(mut self, mut doors: Doors) -> Result<(), CoordinatorError> {
         let mut timer = tokio::time::interval(Self::TIMER);
         timer.set_missed_tick_behavior(tokio::time::MissedTickBehavior::Delay);
+        let mut commands = Vec::new();
         loop {
-            let mut commands = Vec::new();
             tokio::select! {
                 biased;
                 _ = doors.stop.changed() => break,
@@ -188,7 +188,7 @@ impl<Q: Queue> Actor<Q> {
                     break;
                 }
             }
-            self.commit(commands, &mut doors).await?;
+            self.commit(&mut commands, &mut doors).await?;
         }
         self.say_goodbye();
         Ok(self.queue.close().await?)
@@ -203,16 +203,17 @@ impl<Q: Queue> Actor<Q> {
 
     /// Asks the scheduler what follows from `event`.
     fn hear(&mut self, event: Event, commands: &mut Vec<Command>) {
-        let now = self.clock.now();
-        for command in self.scheduler.on(event, now) {
-            self.metrics.on_command(&command);
+        let (now, first) = (self.clock.now(), commands.len());
+        self.scheduler.hear(event, now, commands);
+        commands[first..].iter().for_each(|command| self.metrics.on_command(command));
+        for command in commands.extract_if(first.., |command| command.is_for_log()) {
             match command {
                 Command::Record(fact) => {
                     self.attempts.on_fact(&fact);
                     self.facts.push((now, fact));
                 }
                 Command::Note(attempt) => self.attempts.put(*attempt),
-                other => commands.push(other),
+                _ => {}
             }
         }
     }
@@ -338,8 +339,9 @@ impl<Q: Queue> Actor<Q> {
         key.is_some_and(|key| self.scheduler.ledger().job_of_key(key).is_some())
     }
 
-    /// Makes the facts durable, then executes the commands, then answers questions. Whoever may lead no longer says nothing.
-    async fn commit(&mut self, commands: Vec<Command>, doors: &mut Doors) -> Result<(), CoordinatorError> {
+    /// Makes the facts durable, then executes the commands and empties them, then answers questions. Whoever may lead no longer says
+    /// nothing.
+    async fn commit(&mut self, commands: &mut Vec<Command>, doors: &mut Doors) -> Result<(), CoordinatorError> {
         if self.facts.is_empty() && self.attempts.is_empty() {
             self.queue.check()?;
         } else {
@@ -348,7 +350,7 @@ impl<Q: Queue> Actor<Q> {
             let (notes, forgotten) = self.attempts.take()?;
             let begun = Instant::now();
             let batch = Batch { records: &records, notes: &notes, forgotten: &forgotten };
-            self.keep(Pending { batch, commands: &commands }, doors).await?;
+            self.keep(Pending { batch, commands }, doors).await?;
             self.metrics.appended(records.iter().map(Vec::len).sum(), begun.elapsed());
             pass_async(Point::CoordinatorAfterAppend).await;
             self.records += records.len();
@@ -423,7 +425,7 @@ impl<Q: Queue> Actor<Q> {
         self.disks.look_later(&mut self.looked);
         if self.records >= self.snapshot && Instant::now() >= self.snapshots_from {
             // The snapshot holds what these commands' facts say already.
-            self.commit(std::mem::take(commands), doors).await?;
+            self.commit(commands, doors).await?;
             let state = self.scheduler.ledger().encode()?;
             pass_async(Point::CoordinatorBeforeSnapshot).await;
             let begun = Instant::now();
@@ -462,16 +464,17 @@ fn log_of(worker: WorkerId, said: &mut FromWorker) -> Option<Event> {
     }
 }
 
-/// What leases took, as a worker says.
-fn usage_of(said: &mut FromWorker) -> Vec<TaskUsage> {
-    match said {
-        FromWorker::Heartbeat { usage, .. } => std::mem::take(usage),
+/// What leases took, as a worker says: of one that it reports, or of those that were taken back.
+fn usage_of(said: &mut FromWorker) -> impl Iterator<Item = TaskUsage> + use<> {
+    let (reported, others) = match said {
+        FromWorker::Heartbeat { usage, .. } => (None, std::mem::take(usage)),
         FromWorker::Completed { task, epoch, usage, .. } | FromWorker::Failed { task, epoch, usage, .. } => {
             let (task, epoch) = (*task, *epoch);
-            usage.map(|usage| TaskUsage { task, epoch, usage }).into_iter().collect()
+            (usage.map(|usage| TaskUsage { task, epoch, usage }), Vec::new())
         }
-        FromWorker::Register(_) | FromWorker::Draining | FromWorker::Available => Vec::new(),
-    }
+        FromWorker::Register(_) | FromWorker::Draining | FromWorker::Available => (None, Vec::new()),
+    };
+    reported.into_iter().chain(others)
 }
 
 /// A completion that lacks an artifact.

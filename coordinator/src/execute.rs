@@ -20,8 +20,8 @@ impl<Q: Queue> Actor<Q> {
     const PAUSE: u64 = 50;
 
     /// What the facts stand for is durable: tell everybody.
-    pub(crate) fn execute(&mut self, commands: Vec<Command>) {
-        for command in commands {
+    pub(crate) fn execute(&mut self, commands: &mut Vec<Command>) {
+        for command in commands.drain(..) {
             match command {
                 // Kept before.
                 Command::Record(_) | Command::Note(_) => {}
@@ -105,10 +105,11 @@ impl<Q: Queue> Actor<Q> {
         self.changed.retain(|&job| {
             let Some(watched) = watched.get_mut(&job) else { return false };
             let is_due = now.since(watched.sent) >= Self::PAUSE;
-            match scheduler.status(job, now) {
-                Ok(status) if is_due || status.state.has_ended() => watched.send(status, now),
-                Ok(_) => return true,
-                Err(_) => {}
+            if !is_due && !scheduler.has_ended(job) {
+                return true;
+            }
+            if let Ok(status) = scheduler.status(job, now) {
+                watched.send(status, now);
             }
             false
         });

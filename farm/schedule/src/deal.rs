@@ -1,7 +1,7 @@
 //! Dealing: ready tasks to workers with room, and the reasons why a task waits, from one set of predicates.
 
 use std::collections::BTreeSet;
-use std::ops::Range;
+use std::ops::{ControlFlow, Range};
 
 use femc_model::{Assignment, Digest, Epoch, JobId, More, Scope, Stage, TaskKey, Tick, Wait, Work, WorkerId};
 
@@ -17,8 +17,6 @@ enum Pick {
     Task(TaskKey),
     /// What a frame shares with others is to be begun: the job, the frame, the key of its content.
     Begin(JobId, u32, Digest),
-    /// The job's next frame is to be opened first.
-    Open(JobId),
     /// Ready tasks, but none for this worker.
     NotForThisWorker,
     NothingReady,
@@ -44,7 +42,7 @@ impl Scheduler {
                     self.begin_shared(job, frame, key, id, now, out);
                     next = (held, id);
                 }
-                Pick::NotForThisWorker | Pick::Open(_) => {}
+                Pick::NotForThisWorker => {}
                 Pick::NothingReady => return,
             }
         }
@@ -54,18 +52,21 @@ impl Scheduler {
     /// earlier ones.
     fn pick(&mut self, id: WorkerId, now: Tick) -> Pick {
         loop {
-            let picked = self.search(id, now);
-            let Pick::Open(job) = picked else { return picked };
-            if let (Some(known), Some(ready_tasks)) = (self.ledger.jobs.get(&job), self.ready.get_mut(&job)) {
-                ready_tasks.open_next(known);
+            match self.pick_open(id, now) {
+                ControlFlow::Break(pick) => return pick,
+                ControlFlow::Continue(job) => {
+                    if let (Some(known), Some(ready_tasks)) = (self.ledger.jobs.get(&job), self.ready.get_mut(&job)) {
+                        ready_tasks.open_next(known);
+                    }
+                }
             }
         }
     }
 
-    /// The same among what is open, as long as no job that comes before should open another frame.
-    fn search(&self, id: WorkerId, now: Tick) -> Pick {
+    /// The same among what is open; or the job of which another frame is to be opened before one can tell.
+    fn pick_open(&self, id: WorkerId, now: Tick) -> ControlFlow<Pick, JobId> {
         let mut best = Pick::NothingReady;
-        let Some(worker) = self.table.workers.get(&id) else { return best };
+        let Some(worker) = self.table.workers.get(&id) else { return ControlFlow::Break(best) };
         for job_id in self.order.service() {
             let (Some(job), Some(ready_tasks)) = (self.ledger.jobs.get(&job_id), self.ready.get(&job_id)) else {
                 continue;
@@ -77,13 +78,13 @@ impl Scheduler {
             match self.first_ready(job_id, id, now) {
                 Pick::NotForThisWorker => best = Pick::NotForThisWorker,
                 Pick::NothingReady => {}
-                found => return found,
+                found => return ControlFlow::Break(found),
             }
             if ready_tasks.has_unopened(job) && ready_tasks.may_open(id, &self.table) {
-                return Pick::Open(job_id);
+                return ControlFlow::Continue(job_id);
             }
         }
-        best
+        ControlFlow::Break(best)
     }
 
     /// The first ready task of a job that the worker may take, or of what the job shares with others.

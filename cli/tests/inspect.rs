@@ -14,6 +14,7 @@ fn a_plan_counts_its_tasks_and_gives_reasons_for_what_is_left_out() {
     assert!(plan["graph"]["stages"].as_array().is_some_and(|stages| stages.len() == 2), "{plan}");
     assert_eq!(plan["samples_most"], 3 * 16 * 32 * 32);
     assert_eq!(plan["frames"], serde_json::json!([1, 2, 3]));
+    assert_eq!(plan["worlds"], 3, "the fog varies: {plan}");
     assert!(plan["cost"].is_null());
     let left_out = plan["left_out"].as_array().expect("a list");
     assert!(!left_out.is_empty());

@@ -8,8 +8,9 @@ use crate::output::{Say, human, json};
 use crate::request::{Asked, JobFile, is_job};
 use clap::Args;
 use femc_model::{Graph, Hint, Need, Reach, Round, Scope, Template};
-use femc_pipeline::{LeftOut, Prepared, Stop};
+use femc_pipeline::{LeftOut, PrepareError, Prepared, Stop};
 use serde::Serialize;
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::Duration;
@@ -65,6 +66,8 @@ struct Report {
     graph: Graph,
     /// In all frames, if every round runs.
     tasks: u64,
+    /// Different worlds that the frames are of, whatever the camera does: what frames with one have in common could be done once.
+    worlds: usize,
     samples_least: u64,
     samples_most: u64,
     cost: Option<Cost>,
@@ -115,6 +118,7 @@ pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
         rounds: plan.rounds.clone(),
         tasks: graph.tasks(Scope::Frame) * frames + graph.tasks(Scope::Job),
         graph,
+        worlds: worlds(&asked)?,
         samples_least,
         samples_most,
         cost,
@@ -126,6 +130,12 @@ pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
         print(say, &report);
     }
     Ok(Exit::Done)
+}
+
+fn worlds(asked: &Asked) -> Result<usize, Failure> {
+    let content = |&frame: &u32| Ok(femc_pipeline::moment(&asked.source, &asked.settings, frame)?.content);
+    let contents: Result<BTreeSet<_>, PrepareError> = asked.plan.frames.iter().map(content).collect();
+    Ok(contents.map_err(failed)?.len())
 }
 
 /// Render a few blocks all over the first frame and count what a sample costs.
@@ -192,6 +202,14 @@ fn print(say: Say, report: &Report) {
     say.result(format!("\n{} of {tile} pixels; {spp}", human::count(*tiles as u64, "tile")));
     let every = if report.rounds.len() > 1 { " if every round runs" } else { "" };
     say.result(format!("{}{every}", human::count(report.tasks, "task")));
+    match report.worlds {
+        _ if frames.len() < 2 => {}
+        1 => say.result("all frames are of one world: nothing changes but the view"),
+        worlds if worlds == frames.len() => say.result("every frame is of a world of its own"),
+        worlds => {
+            say.result(format!("the frames are of {worlds} worlds; among those of one, nothing changes but the view"))
+        }
+    }
     if let Some(cost) = &report.cost {
         let range = match report.stop {
             Stop::Error(_) => format!(

@@ -19,6 +19,7 @@ use femc_math::{
     elementary::double::{atan2, sin},
     glam::{DMat3, DQuat, DVec3},
 };
+use serde::Serialize;
 
 impl Clip {
     /// Number of frames: those k = 1, 2, .. whose time is before the end plus half a frame; at least 1.
@@ -77,6 +78,19 @@ impl MotionPath {
         self.keys.windows(2).all(|pair| pair[0].pose == pair[1].pose)
     }
 
+    /// What it does from one time to another, s: poses at any time in between depend on nothing else.
+    pub fn between(&self, [from, to]: [f64; 2]) -> Passage<'_> {
+        let first = self.keys.partition_point(|key| key.time <= from).saturating_sub(1);
+        let end = (self.keys.partition_point(|key| key.time < to) + 1).min(self.keys.len());
+        if to <= from || first + 1 >= end || (first..end - 1).all(|segment| self.is_still(segment)) {
+            return Passage::Still(self.at(from));
+        }
+        // A spline bends towards the keys around.
+        let around = usize::from(self.interpolation == Interpolation::Spline);
+        let keys = &self.keys[first.saturating_sub(around)..(end + around).min(self.keys.len())];
+        Passage::Moving(self.interpolation, keys)
+    }
+
     /// Whether nothing moves in the segment that begins at key `first`: its ends are equal, in a spline too.
     fn is_still(&self, first: usize) -> bool {
         self.keys[first].pose == self.keys[first + 1].pose
@@ -100,6 +114,15 @@ impl MotionPath {
         let (u2, u3) = (u * u, u * u * u);
         p1 * (2.0 * u3 - 3.0 * u2 + 1.0) + m1 * (u3 - 2.0 * u2 + u) + p2 * (3.0 * u2 - 2.0 * u3) + m2 * (u3 - u2)
     }
+}
+
+/// What a path does for a while.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub enum Passage<'a> {
+    /// It keeps this pose.
+    Still(Transform),
+    /// It moves as a path with these keys alone would.
+    Moving(Interpolation, &'a [Key]),
 }
 
 /// A similarity taken apart: `scale * rotation`, then the translation; a negative scale is a mirrored one.

@@ -1,11 +1,13 @@
 //! What one frame of a scene is made from, as digests: frames of variants that have equal ones can share the work.
 //!
-//! Three layers, each a hash of the one before: what no selector reaches ([`Fixed`]: surfaces, images, photometry), the
-//! world at the frame's time without the camera, and the world as one camera sees it. Time itself does not count, only what
-//! is made of it: a scalar that varies counts with its value, a path with its pose. While the shutter is open a path
-//! counts whole. The digests never miss a difference; they may see one that no pixel shows (a material that nothing
-//! has), and then work is done twice.
+//! Layers, each a hash of the one before: what no selector reaches ([`Fixed`]: surfaces, images, photometry), the content
+//! (the world at the frame's time, wherever it is seen from), the world as it is prepared, around an origin that may follow
+//! the camera, and the view of one camera. Time itself does not count, only what is made of it: a scalar that varies counts
+//! with its value, a path with what it does while the shutter is open ([`Passage`]): where it stands still, with its pose. The
+//! digests never miss a difference; they may see one that no pixel shows (a material that nothing has), and then work is
+//! done twice.
 
+use crate::animation::Passage;
 use crate::description::{Camera, Luminaire, Material, Medium, MediumRegion, MotionPath, MotionStep, PathId, Scene};
 use crate::digest::{Canonical, NOWHERE, SceneDigest};
 use crate::selector::Scalars;
@@ -21,7 +23,10 @@ pub struct Fixed(SceneDigest);
 pub struct Moment {
     /// What overrides do not reach.
     pub fixed: Fixed,
-    /// All but the camera.
+    /// All but the camera and where the prepared frame's coordinates begin: what is done for one may serve all frames, cameras and
+    /// variants that have it.
+    pub content: SceneDigest,
+    /// All but the camera, as it is prepared: frames with equal ones share the prepared world.
     pub world: SceneDigest,
     /// All: frames with equal ones have the same pixels under the same settings.
     pub view: SceneDigest,
@@ -67,23 +72,29 @@ impl Scene {
     /// - `now`: [`Scene::scalars_at`] the frame's time.
     pub fn moment(&self, fixed: Fixed, now: &Scalars, viewpoint: &Viewpoint<'_>) -> Moment {
         let Viewpoint { camera, film, frame, shutter, origin } = *viewpoint;
-        let mut canonical = Canonical::of("world");
+        let paths = self.paths_of_surfaces();
+        let paths = || paths.iter().map(|path| now.paths.get(path.index()));
+        let mut canonical = Canonical::of("content");
         canonical.value(&fixed.0);
-        canonical.value(&origin);
         canonical.table(&now.materials, |material| Material { location: NOWHERE, ..material.clone() });
         canonical.table(&now.objects, |object| object);
         canonical.table(&now.media, |medium| Medium { location: NOWHERE, ..medium.clone() });
         canonical.value(&now.luminaires.len());
         now.luminaires.iter().for_each(|group| canonical.table(group, |luminaire| luminaire.multiplier));
-        for path in self.paths_of_surfaces() {
-            canonical.path(now.paths.get(path.index()), shutter);
-        }
+        paths().for_each(|path| canonical.path(path, shutter));
+        let content = canonical.digest();
+        let mut canonical = Canonical::of("world");
+        // What moves at other times is prepared as what moves, where the shutter is open.
+        canonical.value(&(content, origin, shutter[1] > shutter[0]));
+        paths().for_each(|path| canonical.value(&path.map(MotionPath::is_constant)));
         let world = canonical.digest();
         let mut canonical = Canonical::of("view");
         canonical.value(&(world, film, frame));
         canonical.value(&Camera { name: String::new(), location: NOWHERE, film, ..camera.clone() });
-        canonical.path(camera.along.and_then(|path| now.paths.get(path.index())), shutter);
-        Moment { fixed, world, view: canonical.digest() }
+        let along = camera.along.and_then(|path| now.paths.get(path.index()));
+        canonical.path(along, shutter);
+        canonical.value(&along.map(MotionPath::is_constant));
+        Moment { fixed, content, world, view: canonical.digest() }
     }
 
     fn paths_of_surfaces(&self) -> BTreeSet<PathId> {
@@ -98,10 +109,10 @@ impl Scene {
 
 impl Canonical {
     /// A path as one frame sees it; one that is not there is none.
-    fn path(&mut self, path: Option<&MotionPath>, [open, close]: [f64; 2]) {
-        match path {
-            Some(path) if close > open => self.value(&(open, close, path.interpolation, &path.keys)),
-            Some(path) => self.value(&path.at(open)),
+    fn path(&mut self, path: Option<&MotionPath>, shutter: [f64; 2]) {
+        match path.map(|path| path.between(shutter)) {
+            Some(passage @ Passage::Moving(..)) => self.value(&(shutter, passage)),
+            Some(still) => self.value(&still),
             None => self.value(&()),
         }
     }

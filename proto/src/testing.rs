@@ -48,7 +48,7 @@ where
     senseless == 0
 }
 
-fn are_digests(all: &[bytes::Bytes]) -> bool {
+fn are_digests(all: &[Vec<u8>]) -> bool {
     all.iter().all(|bytes| digest("digest", bytes).is_ok())
 }
 

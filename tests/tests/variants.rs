@@ -65,6 +65,27 @@ fn cameras_share_a_world_and_fogs_share_surfaces_and_neither_shows() {
 }
 
 #[test]
+fn frames_in_which_nothing_moves_while_the_shutter_is_open_share_a_world_and_it_does_not_show() {
+    let text = ROOM.replace("medium_everywhere", "").replace("film 16 16\n", "film 16 16\n shutter 0 .5\n").replace(
+        "v s =\n p .6 .1 .1\nm lamp\nsph s .1\n",
+        "time 0 4 10\npath drive = spline\n key 0\n key 1 -t .2 0 0\n key 3 -t .2 0 0\n key 4 -t .2 .3 0 -ry 20\n\
+         v s =\n p .4 .1 .1\nm lamp\nxf -path drive\nsph s .1\nxf\n",
+    );
+    let (source, settings) = (Source::new(scene(&text)), settings(&[]));
+    let frame = |number: u32, previous: Option<&Prepared>| {
+        prepare(&source, &settings, number, previous).unwrap_or_else(|error| panic!("{error}"))
+    };
+    for (first, second, is_shared) in [(12, 25, true), (25, 12, true), (5, 6, false), (12, 5, false), (25, 31, false)] {
+        let first = frame(first, None);
+        let (alone, after) = (frame(second, None), frame(second, Some(&first)));
+        assert_eq!(Arc::ptr_eq(&after.world, &first.world), is_shared, "frame {second}");
+        assert_eq!(after.moment.content == first.moment.content, is_shared, "frame {second}");
+        let [alone, after] = [&alone, &after].map(|prepared| pixel_digest(&render(prepared, &settings).color));
+        assert_eq!(alone, after, "frame {second}");
+    }
+}
+
+#[test]
 fn nothing_is_shared_between_different_scenes() {
     let (base, other) =
         (source(), Source::new(scene(&ROOM.replace("medium_everywhere", "").replace("sph s .1", "sph s .2"))));

@@ -207,7 +207,7 @@ fn print(say: Say, report: &Report) {
         1 => say.result("all frames are of one world: nothing changes but the view"),
         worlds if worlds == frames.len() => say.result("every frame is of a world of its own"),
         worlds => {
-            say.result(format!("the frames are of {worlds} worlds; among those of one, nothing changes but the view"))
+            say.result(format!("the frames are of {worlds} worlds; among those of one, nothing changes but the view"));
         }
     }
     if let Some(cost) = &report.cost {

@@ -9,7 +9,7 @@ use femc_coordinator::{Config, Coordinator, CoordinatorError, Time};
 use femc_model::{Assignment, StageKind, TaskKey};
 use femc_queue::QueueError;
 use femc_store::Store;
-use femc_worker::{Drawer, Fate, Hands, Journal, OutboxPlace, Pace, Worker};
+use femc_worker::{Fate, Hands, Journal, MemoryOutbox, OutboxPlace, Pace, Worker};
 use rand::RngExt as _;
 use turmoil::Sim;
 
@@ -64,12 +64,12 @@ pub(crate) fn settle(
 struct WorkerDisk {
     journal: Journal,
     /// Results that nobody has acknowledged.
-    drawer: Drawer,
+    memory: MemoryOutbox,
 }
 
 impl Default for WorkerDisk {
     fn default() -> Self {
-        Self { journal: Journal::in_memory(), drawer: Drawer::default() }
+        Self { journal: Journal::in_memory(), memory: MemoryOutbox::default() }
     }
 }
 
@@ -77,7 +77,7 @@ impl WorkerDisk {
     /// A machine that starts again may have lost or torn what it kept.
     fn boots(&self, shared: &Shared) {
         let mut state = shared.lock();
-        self.drawer.harm(|result| {
+        self.memory.harm(|result| {
             let what = match state.rng.random_range(0..8) {
                 0 => "kept result lost",
                 1 => "kept result torn",
@@ -169,7 +169,7 @@ async fn worker(seed: u64, host: usize, shared: Shared, grain: NonZeroU64, disk:
         cache: CACHE.clone(),
         instance: boot,
         journal: disk.journal,
-        outbox: Some(OutboxPlace::Drawer(disk.drawer)),
+        outbox: Some(OutboxPlace::Memory(disk.memory)),
         engine: build(seed, boot).into(),
         dial: dial(&shared, &worker_name(host)),
         hands: Hands::Simulated(Pace::fated(move |assignment| {

@@ -9,7 +9,7 @@ use std::time::Duration;
 use femc_model::Assignment;
 use femc_proto::{CallError, Dial};
 
-use crate::{Cache, Drawer, Journal, MemoryLimit, Metrics, Shift};
+use crate::{Cache, Journal, MemoryLimit, MemoryOutbox, Metrics, Shift};
 
 /// A worker's configuration.
 #[derive(Debug, Clone)]
@@ -58,7 +58,7 @@ pub enum OutboxPlace {
     /// On disk.
     Folder(OutboxConfig),
     /// In memory, for simulations.
-    Drawer(Drawer),
+    Memory(MemoryOutbox),
 }
 
 /// A folder in which a worker keeps results.

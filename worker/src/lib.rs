@@ -43,7 +43,7 @@ pub use journal::Journal;
 pub use log::{TASK_LOG_LEVEL, TaskLogs};
 pub use memory::MemoryLimit;
 pub use metrics::Metrics;
-pub use outbox::Drawer;
+pub use outbox::MemoryOutbox;
 pub use parcel::{Parcel, ParcelError};
 pub use pieces::Pieces;
 pub use plan::graph;

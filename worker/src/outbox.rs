@@ -69,14 +69,14 @@ pub(crate) enum Outbox {
     Nothing,
     Folder(Arc<WriteQueue>),
     /// And the build of the engine whose results they are.
-    Drawer(Drawer, Arc<str>),
+    Memory(MemoryOutbox, Arc<str>),
 }
 
 /// An outbox in memory, for simulations; clones are the same one. What it keeps outlives its worker, and is there at once.
 #[derive(Debug, Clone, Default)]
-pub struct Drawer(Arc<Mutex<BTreeMap<Key, Vec<u8>>>>);
+pub struct MemoryOutbox(Arc<Mutex<BTreeMap<Key, Vec<u8>>>>);
 
-impl Drawer {
+impl MemoryOutbox {
     fn lock(&self) -> MutexGuard<'_, BTreeMap<Key, Vec<u8>>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -179,9 +179,9 @@ impl Outbox {
             OutboxPlace::Folder(config) => tokio::task::spawn_blocking(move || Self::open_folder(&config, engine))
                 .await
                 .map_err(|error| WorkerError::Threads(error.to_string()))?,
-            OutboxPlace::Drawer(drawer) => {
-                let restored = drawer.read_all(&engine);
-                Ok((Self::Drawer(drawer, engine), restored))
+            OutboxPlace::Memory(memory) => {
+                let restored = memory.read_all(&engine);
+                Ok((Self::Memory(memory, engine), restored))
             }
         }
     }
@@ -230,7 +230,7 @@ impl Outbox {
     pub(crate) fn folder(&self) -> Option<&Path> {
         match self {
             Self::Folder(queue) => Some(&queue.folder),
-            Self::Nothing | Self::Drawer(..) => None,
+            Self::Nothing | Self::Memory(..) => None,
         }
     }
 
@@ -238,7 +238,7 @@ impl Outbox {
     pub(crate) fn keep(&self, task: &Arc<Task>) {
         let queue = match self {
             Self::Folder(queue) => queue,
-            Self::Drawer(drawer, engine) => return drawer.keep(task, engine),
+            Self::Memory(memory, engine) => return memory.keep(task, engine),
             Self::Nothing => return,
         };
         let mut line = queue.line();
@@ -267,7 +267,7 @@ impl Outbox {
                     queue.called.notify_one();
                 }
             }
-            Self::Drawer(drawer, _) => drop(drawer.lock().remove(key)),
+            Self::Memory(memory, _) => drop(memory.lock().remove(key)),
             Self::Nothing => {}
         }
         task

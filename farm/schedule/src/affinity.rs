@@ -13,7 +13,7 @@ use crate::shared::Content;
 
 /// What a worker has ready, as far as one can tell from what it was given.
 #[derive(Debug, Clone, Default)]
-pub(crate) struct AtHand {
+pub(crate) struct Locality {
     /// The latest at the end.
     frames: Vec<(JobId, u32)>,
     /// Tasks that it has done and that those of the frame behind may look at: by stage and number, the latest at the end.
@@ -22,7 +22,7 @@ pub(crate) struct AtHand {
     out_of_turn: u64,
 }
 
-impl AtHand {
+impl Locality {
     /// Frames that count; a worker keeps more, for what it makes ready ahead.
     const FRAMES: usize = 2;
     /// Tasks that count.
@@ -70,30 +70,30 @@ impl Scheduler {
 
     /// Leases a worker the task whose turn it is, or one that it has at hand.
     pub(crate) fn assign_next(&mut self, id: WorkerId, first: TaskKey, now: Tick, out: &mut Vec<Command>) {
-        let other = self.ready_at_hand(id, &first, now);
+        let other = self.ready_nearby(id, &first, now);
         let task = other.unwrap_or(first);
         let task = self.ready_with_own_hint(id, &task).unwrap_or(task);
         let run = self.share(&task);
         let out_of_turn = other.map(|_| self.size(&task, self.units_of(&task, &run)).milliseconds);
         self.assign(task, &run, None, id, now, out);
         if let Some(worker) = self.table.workers.get_mut(&id) {
-            worker.at_hand.note_turn(out_of_turn);
+            worker.locality.note_turn(out_of_turn);
         }
     }
 
     /// A ready task of a frame that the worker has ready, or else of a scene that it has read, where `first`, whose turn it is,
     /// has neither; `None`: there is none, or it is time for `first`.
-    fn ready_at_hand(&mut self, id: WorkerId, first: &TaskKey, now: Tick) -> Option<TaskKey> {
-        let at_hand = &self.table.workers.get(&id)?.at_hand;
+    fn ready_nearby(&mut self, id: WorkerId, first: &TaskKey, now: Tick) -> Option<TaskKey> {
+        let locality = &self.table.workers.get(&id)?.locality;
         if first.stage.kind.row().near != Near::Frame
-            || at_hand.has(first)
-            || at_hand.out_of_turn >= Self::OUT_OF_TURN * self.config.task
+            || locality.has(first)
+            || locality.out_of_turn >= Self::OUT_OF_TURN * self.config.task
         {
             return None;
         }
         let priority = self.ledger.jobs.get(&first.job)?.spec.priority;
-        let is_scene_at_hand = at_hand.has_job(first.job);
-        let mut own: Vec<(JobId, u32)> = at_hand.frames.iter().rev().copied().collect();
+        let is_scene_at_hand = locality.has_job(first.job);
+        let mut own: Vec<(JobId, u32)> = locality.frames.iter().rev().copied().collect();
         own.retain(|&(job, _)| {
             let known = self.ledger.jobs.get(&job).filter(|known| known.spec.priority == priority);
             known.is_some_and(|known| self.may_work(id, job, known, now))
@@ -111,7 +111,7 @@ impl Scheduler {
         let template = job.spec.graph.stage(task.stage.number)?;
         let hint = template.hints.iter().find(|hint| hint.reach == Reach::Same)?;
         let keys = ready_tasks.open.get(task.stage.frame)?.of(&task.stage)?;
-        let hint_sources = self.table.workers.get(&id)?.at_hand.hint_sources.iter().rev();
+        let hint_sources = self.table.workers.get(&id)?.locality.hint_sources.iter().rev();
         let hint_sources = hint_sources.filter(|(of, stage, _)| (*of, *stage) == (task.job, hint.stage));
         let mut tasks = hint_sources.filter_map(|&(.., item)| {
             let index = job.keys_of(&task.stage, item).find(|&key| keys.contains(key))?;

@@ -10,9 +10,9 @@ use crate::Casualty;
 pub struct Used {
     /// Milliseconds of workers that his leases have held.
     pub held: u64,
-    /// Place in the order of service: who stands lowest goes first. Grows with the time used, the slower the greater the owner's
-    /// weight is at the time, and to that of the others when he comes back after an absence.
-    pub stands: u64,
+    /// Place in the order of service, as in weighted fair queueing: the lowest goes first. Grows with the time used, the slower
+    /// the greater the owner's weight is at the time, and to that of the others when he comes back after an absence.
+    pub virtual_time: u64,
 }
 
 /// A change of the [`Ledger`](crate::Ledger).

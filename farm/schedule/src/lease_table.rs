@@ -6,7 +6,7 @@ use std::ops::Range;
 use femc_model::{Epoch, Failure, Intake, JobId, Phase, Registration, Stage, TaskKey, TaskProgress, Tick, WorkerId};
 
 use crate::Config;
-use crate::affinity::AtHand;
+use crate::affinity::Locality;
 use crate::leases::Leases;
 
 /// A lease's name: a task may be leased twice, see `speculate.rs`.
@@ -38,7 +38,7 @@ pub(crate) struct Worker {
     pub(crate) failed: u64,
     /// Tasks that it may hold beyond `prefetch`, because they are short.
     depth: usize,
-    pub(crate) at_hand: AtHand,
+    pub(crate) locality: Locality,
 }
 
 impl Worker {
@@ -167,7 +167,7 @@ impl LeaseTable {
             completed: 0,
             failed: 0,
             depth: 0,
-            at_hand: AtHand::default(),
+            locality: Locality::default(),
         };
         let before = self.workers.insert(worker, fresh);
         debug_assert!(before.is_none(), "a session that there is already");
@@ -248,7 +248,7 @@ impl LeaseTable {
             }
             let newer = holder.held.partition_point(|held| *held < (key.1, key.0));
             holder.held.insert(newer, (key.1, key.0));
-            holder.at_hand.note(&key.0);
+            holder.locality.note(&key.0);
             if holder.held.len() < holder.capacity(config) {
                 self.spare.insert((holder.held.len(), worker));
             }

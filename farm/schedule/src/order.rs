@@ -22,9 +22,9 @@ impl Account {
     /// Weights are whole numbers; time is kept this much finer.
     const UNIT: u64 = 1000;
 
-    /// Where the owner stands, with what he has claimed.
-    fn stands(&self) -> u64 {
-        self.used.stands.saturating_add(self.weighed(self.claimed))
+    /// The owner's, with what he has claimed.
+    fn virtual_time(&self) -> u64 {
+        self.used.virtual_time.saturating_add(self.weighed(self.claimed))
     }
 
     fn weighed(&self, milliseconds: u64) -> u64 {
@@ -62,11 +62,11 @@ impl Order {
             return;
         }
         if !self.places.values().any(|(_, known)| known == owner) {
-            let used = |owner: &str| self.accounts.get(owner).map_or(0, |known| known.used.stands);
+            let used = |owner: &str| self.accounts.get(owner).map_or(0, |known| known.used.virtual_time);
             let present = self.places.values().map(|(_, known)| used(known)).min();
-            let level = present.or_else(|| self.accounts.values().map(|known| known.used.stands).max());
+            let level = present.or_else(|| self.accounts.values().map(|known| known.used.virtual_time).max());
             if let Some(level) = level.filter(|level| used(owner) < *level) {
-                self.change(owner, |account| account.used.stands = level);
+                self.change(owner, |account| account.used.virtual_time = level);
                 self.is_leveled = true;
             }
         }
@@ -107,13 +107,13 @@ impl Order {
             // Of one owner alone there is nothing to sort.
             let only = if class.len() == 1 { class.values().next() } else { None };
             let mut owners: Vec<_> = class.iter().filter(|_| only.is_none()).collect();
-            owners.sort_by_cached_key(|&(owner, _)| self.stands(owner));
+            owners.sort_by_cached_key(|&(owner, _)| self.virtual_time(owner));
             only.into_iter().chain(owners.into_iter().map(|(_, jobs)| jobs)).flatten().copied()
         })
     }
 
-    fn stands(&self, owner: &str) -> u64 {
-        self.accounts.get(owner).map_or(0, Account::stands)
+    fn virtual_time(&self, owner: &str) -> u64 {
+        self.accounts.get(owner).map_or(0, Account::virtual_time)
     }
 
     fn change(&mut self, owner: &str, change: impl FnOnce(&mut Account)) {
@@ -144,7 +144,7 @@ impl Order {
             account.unclaim(claimed);
             account.weight = weight;
             account.used.held = account.used.held.saturating_add(milliseconds);
-            account.used.stands = account.used.stands.saturating_add(account.weighed(milliseconds));
+            account.used.virtual_time = account.used.virtual_time.saturating_add(account.weighed(milliseconds));
         });
     }
 
@@ -203,7 +203,7 @@ mod tests {
         order.insert(JobId(1), 50, "ann");
         order.charge("ann", 3_600_000, 0, 1);
         order.insert(JobId(2), 50, "bob");
-        assert_eq!(order.stands("bob"), order.stands("ann"), "bob is level, not an hour ahead");
+        assert_eq!(order.virtual_time("bob"), order.virtual_time("ann"), "bob is level, not an hour ahead");
         order.charge("bob", 10, 0, 1);
         assert_eq!(served(&order), [1, 2]);
     }
@@ -216,6 +216,6 @@ mod tests {
         order.remove(JobId(1));
         order.insert(JobId(2), 50, "bob");
         order.insert(JobId(3), 50, "ann");
-        assert_eq!(order.stands("bob"), order.stands("ann"), "bob would go first for an hour");
+        assert_eq!(order.virtual_time("bob"), order.virtual_time("ann"), "bob would go first for an hour");
     }
 }

@@ -162,7 +162,7 @@ impl Scheduler {
             && let Some(item) = job.item(&task.stage, task.index)
             && let Some(worker) = self.table.workers.get_mut(&worker)
         {
-            worker.at_hand.add_hint_source(task.job, task.stage.number, item);
+            worker.locality.add_hint_source(task.job, task.stage.number, item);
         }
     }
 

@@ -40,7 +40,7 @@ impl SideTables {
         let present = present();
         let absent = self.used.iter().filter(|(owner, _)| !present.contains(owner.as_str()));
         let mut absent: Vec<(Used, String)> = absent.map(|(owner, used)| (*used, owner.clone())).collect();
-        absent.sort_unstable_by_key(|(used, _)| std::cmp::Reverse(used.stands));
+        absent.sort_unstable_by_key(|(used, _)| std::cmp::Reverse(used.virtual_time));
         for (_, owner) in absent.split_off(absent.len().min(Self::ABSENT)) {
             self.used.remove(&owner);
         }
@@ -143,7 +143,7 @@ mod tests {
     #[test]
     fn of_owners_without_jobs_those_who_have_used_the_most_are_remembered() {
         let mut side = SideTables::default();
-        let owner = |number: usize| (number.to_string(), Used { held: 1, stands: number as u64 });
+        let owner = |number: usize| (number.to_string(), Used { held: 1, virtual_time: number as u64 });
         let names: Vec<String> = (0..10).map(|number: usize| number.to_string()).collect();
         for number in 0..SideTables::ABSENT + 20 {
             side.note_used(&[owner(number)], || names.iter().map(String::as_str).collect());

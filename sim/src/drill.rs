@@ -26,15 +26,15 @@ impl Content {
         Self { seed: number, blocks: 4 + (number % 5) as u32, rounds: 2 + (number / 5 % 2) as u32 }
     }
 
-    /// Blocks, the end of their round, a field of the last round's; a frame's pair of the field, which may look at that of the frame
-    /// before, and its answer.
+    /// Blocks, the end of their round, which the next one reads, a field of the last round's; a frame's pair of the field, which may
+    /// look at that of the frame before, and its answer.
     fn graph(&self) -> Graph {
         let drill = |scope, tasks, makes: &[Role]| Template::new(StageKind::Drill, scope, Sizes::even(tasks, 1), makes);
-        let before = Need { stage: 0, role: Role::Numbers, reach: Reach::All, round: Round::Before, gaps: false };
+        let before = |stage| Need { stage, role: Role::Numbers, reach: Reach::All, round: Round::Before, gaps: false };
         Graph {
             stages: vec![
-                drill(Scope::Content, self.blocks, &[Role::Numbers]).needs(before),
-                drill(Scope::Content, 1, &[]).reads(0, Role::Numbers, Reach::All).closes(0, self.rounds),
+                drill(Scope::Content, self.blocks, &[Role::Numbers]).needs(before(0)).needs(before(1)),
+                drill(Scope::Content, 1, &[Role::Numbers]).reads(0, Role::Numbers, Reach::All).closes(0, self.rounds),
                 drill(Scope::Content, 1, &[Role::Numbers]).reads(0, Role::Numbers, Reach::All),
                 drill(Scope::Frame, 2, &[Role::Numbers]).reads(2, Role::Numbers, Reach::All).looks_at(
                     3,
@@ -52,18 +52,21 @@ impl Content {
         let own = |block: u32| mixed(u64::from(block) << 32);
         let fresh =
             |block: u32| (0..NUMBERS as u64).map(|place| mixed(first(place).wrapping_add(own(block)))).collect();
-        let mut blocks: Vec<Vec<u64>> = (0..self.blocks).map(fresh).collect();
+        let mut blocks: Vec<(u32, Vec<u64>)> = (0..self.blocks).map(|block| (block, fresh(block))).collect();
         for _ in 1..self.rounds {
-            blocks = (0..self.blocks).map(|block| joined(&blocks, own(block))).collect();
+            let end = joined(&blocks, own(0));
+            blocks.push((0, end));
+            blocks = (0..self.blocks).map(|block| (block, joined(&blocks, own(block)))).collect();
         }
         joined(&blocks, own(0))
     }
 }
 
 /// Sums of blocks, the one of number `n` taken `2 n + 1` times, with a number of the task's own.
-fn joined(blocks: &[Vec<u64>], own: u64) -> Vec<u64> {
-    let times = |(block, numbers): (usize, &Vec<u64>), place: usize| numbers[place].wrapping_mul(2 * block as u64 + 1);
-    let sum = |place| blocks.iter().enumerate().fold(0u64, |sum, block| sum.wrapping_add(times(block, place)));
+fn joined(blocks: &[(u32, Vec<u64>)], own: u64) -> Vec<u64> {
+    let times =
+        |(block, numbers): &(u32, Vec<u64>), place: usize| numbers[place].wrapping_mul(2 * u64::from(*block) + 1);
+    let sum = |place| blocks.iter().fold(0u64, |sum, block| sum.wrapping_add(times(block, place)));
     (0..NUMBERS).map(|place| mixed(sum(place).wrapping_add(own))).collect()
 }
 
@@ -78,10 +81,10 @@ fn mixed(value: u64) -> u64 {
 /// The job whose content has this number: two of one number share their stages.
 pub(crate) fn stage(number: u64) -> Stage {
     let content = Content::of(number);
-    let field = [content.field()];
+    let field = [(0, content.field())];
     let answer = |frame: &u32| {
         let own = |item: u64| mixed(item << 32 | u64::from(*frame));
-        let pair = [0, 1].map(|item| joined(&field, own(item)));
+        let pair = [0, 1].map(|item| (item, joined(&field, own(item.into()))));
         let numbers = joined(&pair, own(0));
         let bytes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
         Digest::of(&bytes).to_string()

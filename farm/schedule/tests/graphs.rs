@@ -161,6 +161,40 @@ fn a_stage_behind_the_loop_reads_all_its_rounds() {
 }
 
 #[test]
+fn a_round_is_counted_once_also_where_what_closed_it_is_done_again() {
+    let mut farm = Farm::new();
+    let before = |stage, role| need(stage, role, Reach::All, Round::Before);
+    let blocks = Template::new(Reduce, Scope::Frame, Sizes::even(2, 1), &[Role::Sums]);
+    let graph = Graph {
+        stages: vec![
+            blocks.needs(before(0, Role::Sums)).needs(before(1, Role::Numbers)),
+            image(Scope::Frame, &[Role::Numbers]).reads(0, Role::Sums, Reach::All).closes(0, 3),
+            image(Scope::Frame, &[Role::Image]).reads(0, Role::Sums, Reach::All),
+        ],
+    };
+    let id = farm.submit(of(&[1], 2, graph));
+    farm.join(1);
+    let (mut done, mut is_lost) = (Vec::new(), false);
+    while farm.state(id) != JobState::Done {
+        let held = farm.first_of(1);
+        let Stage { round, number, .. } = held.task.stage;
+        let end = held.work.inputs.iter().find(|input| input.output.role == Role::Numbers);
+        if let (1, Some(end), false) = (round, end, is_lost) {
+            is_lost = true;
+            let digests = vec![end.output.artifact.digest];
+            farm.fail(1, &held, Failure::LostInputs { digests, message: "gone".into() });
+            continue;
+        }
+        let decision = (number == 1).then_some(if held.work.more == More::Rounds { Continue } else { Done });
+        let roles: &[Role] = [&[Role::Sums], &[Role::Numbers], &[Role::Image]][usize::from(number)];
+        farm.complete_with(1, &held, TaskResult { decision, ..result(&held, roles) });
+        done.push((round, number, held.task.index));
+    }
+    let rounds = |of: u16| done.iter().filter(|(_, number, _)| *number == of).map(|it| it.0).collect::<Vec<_>>();
+    assert_eq!((rounds(0), rounds(1)), (vec![0, 0, 1, 1, 2, 2], vec![0, 0, 1, 2]), "{done:?}");
+}
+
+#[test]
 fn tiles_take_the_steps_that_were_decided_and_one_that_needs_none_is_left_alone() {
     let mut farm = Farm::new();
     let id = farm.submit(common::job(&[1], 3, &[4, 8, 16]));

@@ -106,8 +106,9 @@ impl Form {
             }
             Self::Shared => {
                 let blocks = Template::new(Kind::Reduce, Content, Sizes::even(2, 1), &[Sums]);
-                let blocks = blocks.needs(need(0, Sums, Reach::All, Round::Before, false));
-                let decide = image(Content, &[]).reads(0, Sums, Reach::All).closes(0, most);
+                let before = |stage, role| need(stage, role, Reach::All, Round::Before, false);
+                let blocks = blocks.needs(before(0, Sums)).needs(before(1, Numbers));
+                let decide = image(Content, &[Numbers]).reads(0, Sums, Reach::All).closes(0, most);
                 let field = Template::new(Kind::Reduce, Content, one.clone(), &[Pixels]).reads(0, Sums, Reach::All);
                 let render = render.reads(2, Pixels, Reach::All);
                 let end = image(Frame, &[Image]).reads(3, Tile, Reach::All).closes(3, most);

@@ -144,7 +144,7 @@ impl Scheduler {
         let engine = &*self.table.workers.get(&id)?.registration.engine;
         let is_for_it = |task: &TaskKey| {
             may_take(task, known, ready_tasks, id, &self.table)
-                && matches!(self.content(known, &task.stage, engine), Content::There)
+                && matches!(self.content(job, known, &task.stage, engine), Content::There)
                 && !self.is_reserved_for_others(job, task.stage.frame, id)
         };
         match frame {

@@ -34,7 +34,7 @@ enum Coverage {
 }
 
 /// The build whose frame this is; `None`: whoever comes first.
-fn build_of<'a>(ledger: &'a Ledger, table: &'a LeaseTable, job: JobId, frame: u32) -> Option<&'a str> {
+pub(crate) fn build_of<'a>(ledger: &'a Ledger, table: &'a LeaseTable, job: JobId, frame: u32) -> Option<&'a str> {
     if let Some(shared) = ledger.jobs.get(&job).and_then(|known| known.shared.as_ref()) {
         return Some(&shared.engine);
     }

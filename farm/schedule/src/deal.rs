@@ -104,7 +104,7 @@ impl Scheduler {
                     best = Pick::NotForThisWorker;
                     continue;
                 }
-                match self.content(job, stage, engine) {
+                match self.content(id, job, stage, engine) {
                     Content::There => {}
                     Content::Missing(key) => return Pick::Begin(id, frame, key),
                     Content::Underway(shared) => {

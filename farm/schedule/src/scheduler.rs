@@ -215,7 +215,7 @@ impl Scheduler {
         let job = self.ledger.jobs.get(&task.job)?;
         let is_over = |unit: &Unit| unit.is_over_for(&task.stage, task.index, held.epoch);
         let engine = &self.table.workers.get(&worker)?.registration.engine;
-        if !matches!(self.content(job, &task.stage, engine), Content::There) {
+        if !matches!(self.content(task.job, job, &task.stage, engine), Content::There) {
             return None;
         }
         if job.has_ended() || !job.is_open(task.stage.frame) || job.units.get(&task.stage.frame).is_some_and(is_over) {

@@ -8,6 +8,7 @@
 
 use femc_model::{Digest, JobId, JobSpec, RevokeReason, Scope, Stage, Tick, Wait, WorkerId};
 
+use crate::builds::build_of;
 use crate::lease_table::{LeaseKey, Worker};
 use crate::ledger::Job;
 use crate::scheduler::Scheduler;
@@ -27,7 +28,7 @@ pub(crate) enum Content {
 
 impl Scheduler {
     /// What a worker of this build finds for a stage of a frame.
-    pub(crate) fn content(&self, job: &Job, stage: &Stage, engine: &str) -> Content {
+    pub(crate) fn content(&self, id: JobId, job: &Job, stage: &Stage, engine: &str) -> Content {
         if !job.spec.graph.reads_content(stage.number) {
             return Content::There;
         }
@@ -39,8 +40,10 @@ impl Scheduler {
         let is_there =
             |build: &str| self.table.workers.values().any(|it| it.registration.engine == build && may_go_on(it));
         let mut others = self.ledger.shared_by(&key).filter(|(_, _, shared)| !shared.has_ended());
-        let is_elsewhere =
-            others.any(|(build, ..)| is_there(build)) || !self.has_best_coverage(job, Scope::Content, engine);
+        // What another build makes is of no use to a frame of this one, and nobody else goes on with that frame.
+        let is_own = build_of(&self.ledger, &self.table, id, stage.frame) == Some(engine);
+        let is_elsewhere = (!is_own && others.any(|(build, ..)| is_there(build)))
+            || !self.has_best_coverage(job, Scope::Content, engine);
         if is_elsewhere { Content::Elsewhere } else { Content::Missing(key) }
     }
 

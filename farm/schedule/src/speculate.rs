@@ -64,8 +64,10 @@ impl Scheduler {
         // What it reads may have been lost since it was leased.
         holder.is_some_and(|lease| lease.worker != id)
             && job.has_inputs(task)
+            // In another round it may have been put aside since.
+            && !job.is_put_aside(task)
             && worker
-                .is_some_and(|it| matches!(self.content(job, &task.stage, &it.registration.engine), Content::There))
+                .is_some_and(|it| matches!(self.content(task.job, job, &task.stage, &it.registration.engine), Content::There))
             && worker.is_some_and(|worker| self.fits(worker, job))
             && !is_quarantined_for(job, ready_tasks, id, &self.table, now)
             && may_take(task, job, ready_tasks, id, &self.table)

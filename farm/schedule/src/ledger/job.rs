@@ -379,6 +379,11 @@ impl Job {
         open
     }
 
+    /// Whether the task has failed too often.
+    pub(crate) fn is_put_aside(&self, task: &TaskKey) -> bool {
+        self.units.get(&task.stage.frame).is_some_and(|unit| unit.is_put_aside(&task.stage, task.index))
+    }
+
     /// Whether all that a task reads is there.
     pub(crate) fn has_inputs(&self, task: &TaskKey) -> bool {
         let (unit, shape) = (self.unit(task.stage.frame), self.shape(task.stage.frame));

@@ -626,6 +626,11 @@ impl Unit {
         self.trouble.range(keys).next().map(|(&(.., key), _)| key)
     }
 
+    /// Whether a task is put aside.
+    pub(crate) fn is_put_aside(&self, stage: &Stage, key: u32) -> bool {
+        self.trouble.get(&name(stage, key)).is_some_and(Trouble::is_quarantined)
+    }
+
     /// Tasks that are put aside, by stage, round and key.
     pub(crate) fn quarantined(&self) -> impl Iterator<Item = ((u16, u32, u32), &Trouble)> + '_ {
         self.trouble.iter().filter(|(_, trouble)| trouble.is_quarantined()).map(|(&name, trouble)| (name, trouble))

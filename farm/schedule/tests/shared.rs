@@ -195,6 +195,51 @@ fn what_a_drained_build_has_begun_is_begun_again_by_another() {
 }
 
 #[test]
+fn a_frame_goes_on_with_its_build_though_another_has_begun_what_it_needs() {
+    let mut farm = farm(Config { shared_bytes: 0, ..config() });
+    let spec = |owner: &str| {
+        let mut spec = job(owner, &[1], 1);
+        let pair =
+            Template::new(Drill, Scope::Frame, Sizes::even(2, 1), &[Role::Numbers]).reads(1, Role::Answer, Reach::All);
+        let image = Template::new(Image, Scope::Frame, Sizes::even(1, 1), &[Role::Image]);
+        spec.graph.stages.splice(2.., [pair, image.reads(2, Role::Numbers, Reach::All).closes(3, 1)]);
+        spec
+    };
+    let join = |farm: &mut Farm, worker: u64, engine: &str| {
+        farm.join_as(worker, Registration { instance: worker, engine: engine.into(), ..registration() })
+    };
+    let ann = submit(&mut farm, spec("ann"));
+    join(&mut farm, 1, "old");
+    for _ in 0..4 {
+        work(&mut farm, 1, 10);
+    }
+    while held(&farm, 1).is_some() {
+        let held = farm.first_of(1);
+        farm.fail(1, &held, panic());
+    }
+    assert_eq!(farm.state(ann), JobState::Failed, "half of the frame is done");
+    // What nobody needs any more goes.
+    for _ in 0..3 {
+        farm.wait(1_000);
+        farm.heartbeat(1, Phase::Working, 0);
+    }
+    farm.on(Event::Drained { worker: WorkerId(1), drain: Drain::Begin });
+    let bob = submit(&mut farm, spec("bob"));
+    join(&mut farm, 2, "new");
+    work(&mut farm, 2, 10);
+    assert!(held(&farm, 2).is_some_and(|task| task.job.is_shared()));
+    farm.control(bob, Control::Cancel);
+    farm.on(Event::Drained { worker: WorkerId(1), drain: Drain::Undo });
+    farm.control(ann, Control::Retry);
+    assert_eq!(held(&farm, 2), None, "the frame is of the old build");
+    assert!(held(&farm, 1).is_some_and(|task| task.job.is_shared()), "{:?}", farm.status(ann).waits);
+    for _ in 0..5 {
+        work(&mut farm, 1, 10);
+    }
+    assert_eq!(farm.state(ann), JobState::Done);
+}
+
+#[test]
 fn what_nobody_needs_any_more_goes_when_it_takes_too_many_bytes_and_not_before() {
     for (shared_bytes, is_kept) in [(1 << 20, true), (0, false)] {
         let mut farm = farm(Config { shared_bytes, ..config() });

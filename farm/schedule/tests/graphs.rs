@@ -195,6 +195,42 @@ fn a_round_is_counted_once_also_where_what_closed_it_is_done_again() {
 }
 
 #[test]
+fn a_task_that_was_put_aside_in_another_round_gets_no_copy() {
+    let mut farm = Farm::with(Config { prefetch: 0, late: 1, lease: 1 << 40, stall: 1 << 40, ..config() });
+    let before = |stage, role| need(stage, role, Reach::All, Round::Before);
+    let blocks = Template::new(Reduce, Scope::Frame, Sizes::even(3, 1), &[Role::Sums]).needs(before(0, Role::Sums));
+    let close = image(Scope::Frame, &[]).reads(0, Role::Sums, Reach::All).closes(0, 2);
+    let end = image(Scope::Frame, &[Role::Image]).reads(0, Role::Sums, Reach::All);
+    farm.submit(of(&[1], 2, Graph { stages: vec![blocks, close, end] }));
+    (1..=5).for_each(|worker| drop(farm.join(worker)));
+    let find = |farm: &Farm, round: u32, index: u32| {
+        let is_it = |held: &Assignment| (held.task.stage.round, held.task.index) == (round, index);
+        let found = farm.held.iter().find(|(_, held)| is_it(held)).expect("a lease");
+        (found.0.0, found.1.clone())
+    };
+    for index in 0..3 {
+        let (worker, held) = find(&farm, 0, index);
+        farm.complete_with(worker, &held, TaskResult { seconds: 0.01, ..result(&held, &[Role::Sums]) });
+    }
+    let (worker, held) = find(&farm, 0, 0);
+    farm.complete_with(worker, &held, TaskResult { decision: Some(Continue), ..result(&held, &[]) });
+    let ((reader, first), (other, second)) = (find(&farm, 1, 0), find(&farm, 1, 1));
+    let digests = [1, 2].map(|item: usize| second.work.inputs[item].output.artifact.digest).to_vec();
+    farm.fail(reader, &first, Failure::LostInputs { digests, message: "gone".into() });
+    for _ in 0..2 {
+        let (worker, held) = find(&farm, 0, 1);
+        farm.fail(worker, &held, panic());
+    }
+    let leases = |farm: &Farm| farm.held.iter().filter(|(_, held)| held.task.index == 1).count();
+    assert_eq!(leases(&farm), 2, "of both rounds");
+    farm.fail(other, &second, panic());
+    assert_eq!(leases(&farm), 1, "it is put aside, and what was leased before goes on");
+    farm.wait(60_000);
+    let of_other = farm.held.iter().filter(|(_, held)| (held.task.stage.round, held.task.index) == (0, 2)).count();
+    assert_eq!((leases(&farm), of_other), (1, 2), "what is late and not put aside gets one");
+}
+
+#[test]
 fn tiles_take_the_steps_that_were_decided_and_one_that_needs_none_is_left_alone() {
     let mut farm = Farm::new();
     let id = farm.submit(common::job(&[1], 3, &[4, 8, 16]));

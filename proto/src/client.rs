@@ -24,7 +24,7 @@ use crate::error::{BackupError, CallError, Why, from_status};
 use crate::many::{Many, together};
 use crate::net::Dial;
 use crate::server::{JobShape, Listing};
-use crate::{MESSAGE, PIECE, tls, wire};
+use crate::{ASSIGNMENT, MESSAGE, PIECE, tls, wire};
 use wire::artifacts_client::ArtifactsClient;
 use wire::attempts_reply::Part;
 use wire::backup_reply::Part as BackupPart;
@@ -267,7 +267,7 @@ impl Client {
         let (send, receive) = mpsc::channel(256);
         let outgoing = Outgoing(send);
         outgoing.send(FromWorker::Register(registration)).await;
-        let mut client = WorkersClient::new(self.channel.clone()).max_decoding_message_size(MESSAGE);
+        let mut client = WorkersClient::new(self.channel.clone()).max_decoding_message_size(ASSIGNMENT);
         let messages = together(ReceiverStream::new(receive).map(wire::FromWorker::from));
         let reply = client.session(messages).await.map_err(|status| self.error(&status))?;
         Ok((outgoing, Incoming { url: self.url().into(), stream: reply.into_inner(), waiting: VecDeque::new() }))

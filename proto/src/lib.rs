@@ -46,3 +46,8 @@ pub const PIECE: usize = 1 << 20;
 
 /// Most bytes of a message of the services `Jobs` and `Workers`.
 pub const MESSAGE: usize = 8 << 20;
+
+/// The same of what a worker takes from its coordinator: an assignment names all that its task reads, [`Graph::MAX_INPUTS`] at most.
+///
+/// [`Graph::MAX_INPUTS`]: femc_model::Graph::MAX_INPUTS
+pub const ASSIGNMENT: usize = 96 << 20;

@@ -100,8 +100,13 @@ impl Image {
 
 /// Columns of a contact sheet: as many as rows, or one more.
 pub const NEARLY_SQUARE: u32 = 0;
-/// Width of a frame's picture on a contact sheet, pixels.
-pub const SHEET_WIDTH: u32 = 320;
+/// Width of each of `count` frames' pictures on a contact sheet, pixels: 320, less where there are some hundreds, so that the sheet of
+/// any clip has about 2^25 square pixels at most.
+pub fn sheet_width(count: u32) -> u32 {
+    const MOST: u32 = 1 << 25;
+    (MOST / count.max(1)).isqrt().clamp(16, 320)
+}
+
 /// Pixels between and around the pictures of a contact sheet.
 const GAP: u32 = 4;
 /// The sheet's paper.
@@ -133,6 +138,11 @@ mod tests {
 
     fn plain(width: u32, height: u32, value: u8) -> Picture {
         Picture { width, height, pixels: vec![[value; 3]; (width * height) as usize] }
+    }
+
+    #[test]
+    fn a_sheet_of_many_frames_has_small_pictures() {
+        assert_eq!([0, 1, 300, 10_000, 65_536].map(sheet_width), [320, 320, 320, 57, 22]);
     }
 
     #[test]

@@ -5,7 +5,7 @@
 
 use serde::{Deserialize, Serialize};
 
-use crate::{JobSpec, Role, StageKind};
+use crate::{Grains, JobSpec, Role, StageKind};
 
 /// The stages of a job. A stage is named by its number here, and needs those before it only, or, of the round before, any of
 /// its loop.
@@ -249,6 +249,8 @@ impl Graph {
     pub const MAX_TASKS: u32 = 1 << 16;
     /// Most rounds of a loop.
     pub const MAX_ROUNDS: u32 = 64;
+    /// Most outputs that a task may read, in whatever parts they come: 2^20, some 60 bytes each in its assignment.
+    pub const MAX_INPUTS: u64 = 1 << 20;
     /// Most needs of a stage.
     pub const MAX_NEEDS: usize = 16;
     /// Most entries of a stage's sizes.
@@ -342,6 +344,27 @@ impl Graph {
     /// Tasks of one frame, or of the job, if every round runs.
     pub fn tasks(&self, scope: Scope) -> u64 {
         self.of(scope).map(|(stage, template)| u64::from(template.tasks()) * u64::from(self.rounds(stage))).sum()
+    }
+
+    /// Most outputs that one task reads, of a job of so many frames, if what may be cut is cut into as many parts as may be.
+    pub fn most_inputs(&self, frames: u64) -> u64 {
+        let of_need = |template: &Template, need: &Need| {
+            let Some(made) = self.stage(need.stage) else { return 0 };
+            let of_frames = (template.scope, made.scope) == (Scope::Job, Scope::Frame);
+            let tasks = u64::from(made.tasks()).saturating_mul(if of_frames { frames } else { 1 });
+            let read = match need.reach {
+                Reach::All => tasks,
+                Reach::Same => 1,
+                Reach::Fan(n) => tasks.min(u64::from(n)),
+            };
+            let rounds = if need.round == Round::Every { self.rounds(need.stage) } else { 1 };
+            let parts = if made.kind.is_cut() { Grains::MOST } else { 1 };
+            read.saturating_mul(u64::from(rounds) * u64::from(parts))
+        };
+        let of_task = |template: &Template| {
+            template.needs.iter().fold(0, |sum: u64, need| sum.saturating_add(of_need(template, need)))
+        };
+        self.stages.iter().map(of_task).max().unwrap_or(0)
     }
 
     /// Its bytes: the same graph gives the same.

@@ -66,6 +66,9 @@ impl JobSpec {
             return Err(SpecError::Frames { frames: self.frames.len() });
         }
         self.graph.check()?;
+        if self.graph.most_inputs(self.frames.len() as u64) > Graph::MAX_INPUTS {
+            return Err(GraphError::TooMany { what: "outputs that a task reads", limit: Graph::MAX_INPUTS }.into());
+        }
         let named = self.contents.last().map_or(0, |(end, _)| *end as usize);
         let wanted = if self.graph.has_content() { self.frames.len() } else { 0 };
         let ascends = self.contents.windows(2).all(|pair| pair[0].0 < pair[1].0);
@@ -310,6 +313,10 @@ mod tests {
         }
         let owner = "me\u{1b}[2J".to_owned();
         assert_eq!(JobSpec { owner, ..spec() }.check(), Err(SpecError::Control));
+        let mut large = graph(&[4, 8, 16]);
+        large.stages[0].sizes = Sizes::even(1 << 15, 1);
+        let many = GraphError::TooMany { what: "outputs that a task reads", limit: Graph::MAX_INPUTS };
+        assert_eq!(JobSpec { graph: large, ..spec() }.check(), Err(many.into()));
         let tags = vec!["a".to_owned(); 65];
         assert_eq!(JobSpec { tags, ..spec() }.check(), Err(SpecError::TooLong { field: "tags" }));
     }

@@ -378,10 +378,11 @@ fn kinds_and_roles_are_numbered_on_the_wire_as_in_the_farm_s_tables() {
 fn the_largest_assignment_fits_a_message() {
     let output = Output { role: Role::Preview, artifact: artifact() };
     let input = |item| Input { need: Graph::MAX_NEEDS as u16, frame: u32::MAX, item, output };
-    let [inputs, hints] = [Graph::MAX_TASKS, Work::MAX_HINTS as u32].map(|count| (0..count).map(input).collect());
+    let [inputs, hints] =
+        [Graph::MAX_INPUTS as u32, Work::MAX_HINTS as u32].map(|count| (0..count).map(input).collect());
     let (taken, more) = ((0..Graph::MAX_TASKS).map(|item| u32::MAX - item).collect(), More::Last);
     let work = Work { item: 0, steps: 0..1, inputs, hints, taken, more, elapsed: u64::MAX, busy_seconds: 1.0 };
-    assert!(wire::Work::from(work).encoded_len() < crate::MESSAGE * 3 / 4);
+    assert!(wire::Work::from(work).encoded_len() < crate::ASSIGNMENT * 7 / 8);
 }
 
 fn usage() -> Usage {

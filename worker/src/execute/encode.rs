@@ -18,7 +18,7 @@ use std::sync::atomic::{AtomicU64, Ordering};
 
 use bytes::Bytes;
 use femc_film::animation::AnimationFormat;
-use femc_film::picture::{NEARLY_SQUARE, SHEET_WIDTH};
+use femc_film::picture::{NEARLY_SQUARE, sheet_width};
 use femc_film::{FilmError, Frame, Levels, Picture, SampleRange, Tile, ToneCurve, contact_sheet, exr};
 use femc_model::{
     Artifact, Failure, Graph, JobSpec, Need, Phase, Reach, Role, Round, Scope, Sizes, StageKind, Template,
@@ -26,13 +26,13 @@ use femc_model::{
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::union::{Lost, artifacts, expected, tiling};
+use super::union::{Lost, artifacts, expected, tiles, tiling};
 use super::{Product, Tools, unfit};
 use crate::clip::{self, ClipError, FFMPEG};
 use crate::clock::Stopwatch;
 use crate::table::Task;
 
-/// Levels that a task adds up.
+/// Tiles whose levels a task counts, and levels that a task adds up.
 const FAN: u32 = 256;
 /// Inputs that are downloaded side by side: bounds what is in memory.
 const BATCH: usize = 16;
@@ -106,6 +106,7 @@ impl Wish {
         if self.is_empty() {
             return;
         }
+        let tiles = graph.stages[usize::from(render)].tasks();
         graph.stages[usize::from(render)].makes.push(Role::Thumbnail);
         let mut push = |template: Template| {
             graph.stages.push(template);
@@ -113,8 +114,12 @@ impl Wish {
         };
         let reduce = |scope, tasks| Template::new(StageKind::Reduce, scope, Sizes::even(tasks, 1), &[Role::Levels]);
         let need = |stage, role, reach, round, gaps| Need { stage, role, reach, round, gaps };
-        let thumbnails = need(render, Role::Thumbnail, Reach::All, Round::Every, false);
-        let mut levels = push(reduce(Scope::Frame, 1).needs(thumbnails));
+        let thumbnails = need(render, Role::Thumbnail, Reach::Fan(FAN), Round::Every, false);
+        let groups = tiles.div_ceil(FAN);
+        let mut levels = push(reduce(Scope::Frame, groups).needs(thumbnails));
+        if groups > 1 {
+            levels = push(reduce(Scope::Frame, 1).reads(levels, Role::Levels, Reach::All));
+        }
         let (mut count, mut gaps) = (frames, true);
         while gaps || count > 1 {
             count = count.div_ceil(FAN);
@@ -140,12 +145,12 @@ impl Wish {
     }
 }
 
-/// The levels of a frame's thumbnails, or the sum of levels.
+/// The levels of thumbnails, or the sum of levels.
 pub(super) fn levels(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
     task.enter(Phase::Working);
     let watch = Stopwatch::start();
     let sum = if stage.needs.iter().any(|need| need.role == Role::Thumbnail) {
-        Levels::of(&thumbnails(task, tools)?)
+        Levels::of(&thumbnails(task, stage, tools)?)
     } else {
         let mut sum = Levels::default();
         each(task, Role::Levels, tools, |bytes| Levels::decode(bytes).map(|levels| sum.merge(&levels)))?;
@@ -155,16 +160,17 @@ pub(super) fn levels(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     Ok(product(stage, Role::Levels, sum.encode(), &watch))
 }
 
-/// The thumbnails of a frame, put together: of every tile just the samples that it was given.
-fn thumbnails(task: &Task, tools: &Tools) -> Result<Frame, Failure> {
+/// The thumbnails of a group of tiles, put together: of every tile just the samples that it was given.
+fn thumbnails(task: &Task, stage: &Template, tools: &Tools) -> Result<Frame, Failure> {
+    let span = tiles(task, stage, Role::Thumbnail)?;
     let small = tiling(task)?.of_thumbnails();
     let small = small.ok_or_else(|| unfit("the job's tiles are no whole number of blocks wide"))?;
     let mut frame = Frame::new(small);
     each(task, Role::Thumbnail, tools, |bytes| frame.insert(Tile::decode_thumbnail(bytes)?).map(drop))?;
-    let is_whole = |index| SampleRange::joined(frame.ranges(index)) == Some(expected(task, index));
-    match (0..small.count()).find(|&index| !is_whole(index)) {
+    let mut places = (span.start as usize..span.end as usize).enumerate();
+    match places.find(|&(place, index)| SampleRange::joined(frame.ranges(index)) != Some(expected(task, place))) {
         None => Ok(frame),
-        Some(index) => {
+        Some((_, index)) => {
             let message = format!("thumbnail {index} holds the samples {:?}", frame.ranges(index));
             Err(Failure::Panicked { message })
         }
@@ -256,8 +262,9 @@ fn decoded(task: &Task, batch: &[Artifact], tools: &Tools) -> Vec<Result<Picture
 
 /// All frames on one PNG.
 fn sheet(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
-    let (_, pictures) = pictures(task, tools)?;
-    let small = pictures.map(|picture| Ok(picture?.shrunk_to(SHEET_WIDTH))).collect::<Result<Vec<_>, Failure>>()?;
+    let (count, pictures) = pictures(task, tools)?;
+    let width = sheet_width(count);
+    let small = pictures.map(|picture| Ok(picture?.shrunk_to(width))).collect::<Result<Vec<_>, Failure>>()?;
     tools.install(task, || contact_sheet(&small, NEARLY_SQUARE).to_png()).map_err(|error| broken(&error))
 }
 
@@ -341,6 +348,19 @@ mod tests {
                 }
             }
         }
+    }
+
+    #[test]
+    fn a_task_of_the_largest_film_s_clip_reads_what_an_assignment_can_name() {
+        let rounds: Vec<u32> = (0..Graph::MAX_ROUNDS).map(|round| 4 + round).collect();
+        let tiles = Graph::MAX_TASKS;
+        let mut graph = femc_model::testing::frames(Sizes::even(tiles, 64), &rounds, 256);
+        wish(true, Some("sheet.png"), Some("clip.png")).add_to(&mut graph, Graph::MAX_TASKS);
+        assert_eq!(graph.check(), Ok(()));
+        assert!(graph.most_inputs(u64::from(Graph::MAX_TASKS)) <= Graph::MAX_INPUTS);
+        let groups: Vec<u32> =
+            graph.of(Scope::Frame).filter(|(_, it)| it.makes == [Role::Levels]).map(|(_, it)| it.tasks()).collect();
+        assert_eq!(groups, [tiles / FAN, 1], "groups of tiles, then the frame");
     }
 
     #[test]

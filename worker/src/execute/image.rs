@@ -21,7 +21,7 @@ pub(crate) fn image(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
     let (image, bad) = if stage.needs.iter().any(|need| need.role == Role::Pixels) {
         put_together(task, tools)?
     } else {
-        let frame = union(task, tiles(task, stage)?, tools)?;
+        let frame = union(task, tiles(task, stage, Role::Tile)?, tools)?;
         (tools.install(task, || frame.resolve()), frame.bad())
     };
     let (count, bytes) = work.artifacts().fold((0, 0), |(n, sum), input| (n + 1, sum + input.bytes));

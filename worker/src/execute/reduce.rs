@@ -17,7 +17,7 @@ pub(crate) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     }
     task.enter(Phase::Working);
     let watch = Stopwatch::start();
-    let span = tiles(task, stage)?;
+    let span = tiles(task, stage, Role::Tile)?;
     let frame = union(task, span.clone(), tools)?;
     let tiles = span.start as usize..span.end as usize;
     let piece = tools.install(task, || Piece::of(&frame, tiles.clone())).map_err(unfit)?;

@@ -26,10 +26,10 @@ pub(super) fn tiling(task: &Task) -> Result<Tiling, Failure> {
     tiling.map_err(unfit)
 }
 
-/// The tiles that the task unites, by what its stage reads of them.
-pub(super) fn tiles(task: &Task, stage: &Template) -> Result<Range<u32>, Failure> {
+/// The tiles that the task unites, by what its stage reads of them: outputs of `role`, one or more for each tile.
+pub(super) fn tiles(task: &Task, stage: &Template, role: Role) -> Result<Range<u32>, Failure> {
     let (item, tiles) = (task.assignment.work.item, task.spec.grid.tiles());
-    match stage.needs.iter().find(|need| need.role == Role::Tile).map(|need| need.reach) {
+    match stage.needs.iter().find(|need| need.role == role).map(|need| need.reach) {
         Some(Reach::All) => Ok(0..tiles),
         Some(Reach::Fan(fan)) => Ok(item.saturating_mul(fan).min(tiles)..(item + 1).saturating_mul(fan).min(tiles)),
         Some(Reach::Same) | None => Err(unfit("the job's graph has a stage that unites no tiles")),

@@ -7,7 +7,7 @@ use crate::exit::{Failure, failed};
 use crate::output::Say;
 use crate::request::Asked;
 use femc_film::animation::AnimationFormat;
-use femc_film::picture::{NEARLY_SQUARE, SHEET_WIDTH};
+use femc_film::picture::{NEARLY_SQUARE, sheet_width};
 use femc_film::{Image, Levels, Picture, ToneCurve, contact_sheet, exr, file::write_atomic};
 use femc_worker::clip;
 use std::path::{Path, PathBuf};
@@ -28,7 +28,8 @@ pub fn write(asked: &Asked, report: &mut Report, extras: &ExtrasArgs, say: Say) 
         }
     }
     if let Some(path) = sheet {
-        let small = |path: &String| Ok(show(path)?.shrunk_to(SHEET_WIDTH));
+        let width = sheet_width(report.files.len() as u32);
+        let small = |path: &String| Ok(show(path)?.shrunk_to(width));
         let pictures: Vec<Picture> = report.files.iter().map(small).collect::<Result<_, Failure>>()?;
         let sheet = contact_sheet(&pictures, NEARLY_SQUARE).to_png().map_err(failed)?;
         write_atomic(path, &sheet).map_err(failed)?;

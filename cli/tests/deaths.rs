@@ -27,7 +27,7 @@ fn a_task_that_always_kills_its_worker_is_put_aside_and_the_other_frames_are_don
     let place = Place::new();
     let (_coordinator, url) = coordinator(&place, 0);
     let job = submit(&place, &url, SETTINGS);
-    let deadly = format!("{job}/1.0/render/2");
+    let deadly = format!("{job}/1.0/render.0/2");
     let mut deaths = 0;
     while quarantined(&place, &url, &job).is_empty() {
         assert!(deaths < 8, "it kills one worker after the other: {}", status(&place, &url, &job));

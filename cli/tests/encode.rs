@@ -125,7 +125,7 @@ fn a_frame_that_fails_is_a_card_in_the_clip_until_a_retry_makes_it() {
     let job = submit(&place, &url, &format!("{FRAMES} --spp 2 {SHOWN}"));
     let deadly = || {
         let mut command = place.command(&format!("worker --join {url} --threads 1 --name lab --outbox box"));
-        Running::of(command.env("FEMC_DEADLY", format!("{job}/2.0/render/0")))
+        Running::of(command.env("FEMC_DEADLY", format!("{job}/2.0/render.0/0")))
     };
     let failed = || status(&place, &url, &job)["state"] == "failed";
     let mut deaths = 0;

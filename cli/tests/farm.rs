@@ -46,7 +46,7 @@ fn frames_whose_tiles_have_their_own_numbers_of_samples_are_those_of_one_process
     let job = submit(&place, &url, SETTINGS);
     let decisions = || {
         let rows = place.run(&format!("stats {job} --by task --json --server {url}")).exits(0).json();
-        let is_decision = |row: &&serde_json::Value| row["task"].as_str().is_some_and(|task| task.contains("/decide/"));
+        let is_decision = |row: &&serde_json::Value| row["task"].as_str().is_some_and(|task| task.contains("/decide."));
         rows.as_array().expect("rows").iter().filter(is_decision).count()
     };
     farm.wait_until("a round", || decisions() >= 1);

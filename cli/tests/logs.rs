@@ -15,13 +15,14 @@ fn every_attempt_has_a_log_and_failures_are_marked_and_outlive_the_coordinator()
     assert_eq!(lines.len(), 10, "two frames of four tiles and an image: {followed}");
     let all = place.run(&format!("logs {job} --json --server {url}")).exits(0).json();
     assert_eq!(all.as_array().map(Vec::len), Some(10));
-    let one = place.run(&format!("logs {job} 2.0/render/3 --server {url}")).exits(0).stdout();
-    let words = ["2.0/render/3 on lab: done", "engine", "512 pixel samples", "MiB at most", "rendered", "shadow_rays="];
+    let one = place.run(&format!("logs {job} 2.0/render.0/3 --server {url}")).exits(0).stdout();
+    let words =
+        ["2.0/render.0/3 on lab: done", "engine", "512 pixel samples", "MiB at most", "rendered", "shadow_rays="];
     for said in words {
         assert!(one.contains(said), "{said}: {one}");
     }
     let image = place.run(&format!("logs {job}/1.0/image/0 --server {url}")).exits(0).stdout();
-    assert!(image.contains("the frame is put together") && !image.contains("render/"), "{image}");
+    assert!(image.contains("the frame is put together") && !image.contains("render."), "{image}");
 
     // A scene that nobody can read.
     place.write("fog.mgf", &common::FOG.replace("origin 0 -3.4 1", "origin 0 -3.4"));

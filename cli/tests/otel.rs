@@ -60,6 +60,6 @@ fn the_spans_of_a_job_s_tasks_come_to_the_collector() {
     let tasks: Vec<&str> =
         spans.iter().filter(|(name, _)| name == "task").map(|(_, has)| has["task"].as_str()).collect();
     assert_eq!(tasks.len(), 5, "four tiles and the image: {spans:?}");
-    assert!(tasks.contains(&"1/1.0/image/0"), "{tasks:?}");
+    assert!(tasks.contains(&"1/1.0/image.1/0"), "{tasks:?}");
     assert!(spans.iter().any(|(name, has)| name == "session" && has.contains_key("worker")), "{spans:?}");
 }

@@ -53,7 +53,7 @@ fn the_log_is_json_with_ids_where_that_is_asked_for() {
         assert!(lines.iter().any(|line| line["message"] == message && check(line)), "{message}: {said:?}");
     };
     has(&worker, "joined", &|line| line["span"]["worker"].is_number());
-    has(&worker, "rendered", &|line| line["span"]["job"] == 1 && line["span"]["task"] == "1/1.0/render/0");
+    has(&worker, "rendered", &|line| line["span"]["job"] == 1 && line["span"]["task"] == "1/1.0/render.0/0");
     has(&farm, "job submitted", &|line| line["job"] == 1);
     has(&farm, "worker joined", &|line| line["worker"].is_number() && line["engine"].is_string());
 }

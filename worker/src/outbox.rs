@@ -327,7 +327,13 @@ fn read_all(folder: &Path, engine: &str) -> io::Result<(Files, Vec<Restored>)> {
                 let length = bytes.len() as u64;
                 match decode(&bytes.into(), engine) {
                     Some(result) => {
-                        files.insert((result.assignment.task, result.assignment.epoch), length);
+                        let key = (result.assignment.task, result.assignment.epoch);
+                        let place = folder.join(file_name(&key));
+                        // Earlier programs named tasks otherwise.
+                        if place != path {
+                            fs::rename(&path, place)?;
+                        }
+                        files.insert(key, length);
                         restored.push(result);
                     }
                     None => {
@@ -457,9 +463,13 @@ impl ResultWriter {
         }
     }
 
-    fn path(&self, (task, epoch): &(TaskKey, Epoch)) -> PathBuf {
-        self.folder.join(format!("{}.{}.done", task.to_string().replace('/', "-"), epoch.0))
+    fn path(&self, key: &Key) -> PathBuf {
+        self.folder.join(file_name(key))
     }
+}
+
+fn file_name((task, epoch): &Key) -> String {
+    format!("{}.{}.done", task.to_string().replace('/', "-"), epoch.0)
 }
 
 fn write(path: &Path, bytes: &[u8]) -> io::Result<()> {
@@ -575,7 +585,7 @@ pub(crate) mod tests {
         }
         outbox.close();
         let folder = place.path().join("box");
-        let file = |index: u32| folder.join(format!("3-1.0-render-{index}.9.done"));
+        let file = |index: u32| folder.join(format!("3-1.0-render.0-{index}.9.done"));
         let whole = fs::read(file(1)).unwrap();
         for end in 0..whole.len() {
             assert!(decode(&whole[..end].to_vec().into(), crate::engine()).is_none(), "cut at {end}");
@@ -609,6 +619,22 @@ pub(crate) mod tests {
         assert_eq!(indices(&restored), [(1, &LARGE[..])]);
     }
 
+    #[tokio::test]
+    async fn a_result_kept_by_a_program_that_named_tasks_otherwise_is_read_and_goes_when_it_is_acknowledged() {
+        let place = tempfile::tempdir().unwrap();
+        let (outbox, _) = open(&config(place.path())).unwrap();
+        let kept = task(1, b"tile").await;
+        outbox.keep(&kept);
+        outbox.close();
+        let folder = place.path().join("box");
+        fs::rename(folder.join("3-1.0-render.0-1.9.done"), folder.join("3-1.0-render-1.9.done")).unwrap();
+        let (outbox, restored) = open(&config(place.path())).unwrap();
+        assert_eq!(indices(&restored), [(1, &b"tile"[..])]);
+        outbox.answered(&Table::default(), &kept.key());
+        outbox.close();
+        assert_eq!(files(place.path()), ["lock"]);
+    }
+
     fn files(folder: &Path) -> Vec<String> {
         let names = fs::read_dir(folder.join("box")).unwrap().map(|entry| entry.unwrap().file_name());
         let mut names: Vec<String> = names.map(|name| name.into_string().unwrap()).collect();
@@ -621,12 +647,12 @@ pub(crate) mod tests {
         let place = tempfile::tempdir().unwrap();
         let (outbox, _) = open(&config(place.path())).unwrap();
         // Nothing can be put at the first result's place, as on a disk that is full when the file is to be renamed.
-        let taken = "3-1.0-render-1.9.done";
+        let taken = "3-1.0-render.0-1.9.done";
         fs::create_dir(place.path().join("box").join(taken)).unwrap();
         outbox.keep(&task(1, b"first").await);
         outbox.keep(&task(2, b"second").await);
         outbox.close();
-        assert_eq!(files(place.path()), [taken, "3-1.0-render-2.9.done", "lock"]);
+        assert_eq!(files(place.path()), [taken, "3-1.0-render.0-2.9.done", "lock"]);
         let (_, restored) = open(&config(place.path())).unwrap();
         assert_eq!(indices(&restored), [(2, &b"second"[..])], "what cannot be read stops nobody");
     }

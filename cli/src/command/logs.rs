@@ -7,7 +7,7 @@ use crate::exit::{Exit, Failure, interrupted, usage};
 use crate::output::{Say, human, json};
 use crate::request::{JobTasks, Tasks};
 use clap::Args;
-use femc_model::{Attempt, Epoch, JobId, LogRecord, LogText, TaskKey, Tick};
+use femc_model::{Attempt, Epoch, LogRecord, LogText, TaskKey, Tick};
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -17,17 +17,19 @@ use std::time::Duration;
 #[command(after_help = "Examples:\n  \
     femc logs 7                      # every attempt whose log is kept\n  \
     femc logs 7 12                   # those of frame 12\n  \
-    femc logs 7/12.0/render/3        # one task, as `status` and the coordinator name it\n  \
+    femc logs 7 12.0/image           # its image tasks\n  \
+    femc logs 7/12.0/render.0/3      # one task, as the logs, `femc stats` and `femc status` name it\n  \
     femc logs 7 --failed             # failures only\n  \
     femc logs 7 --follow             # go on until the job ends\n  \
     femc logs 7 --json | jq -r '.[] | select(.attempt == \"failed\") | .text'\n\n\
     Logs of failures and of image tasks are kept with the job, 512 at most; those of tiles that went well are short, and the \
-    latest of all jobs are kept in the coordinator's memory.")]
+    latest of all jobs are kept in the coordinator's memory. A task is named by its job, its frame (0: the job's own stages) and \
+    round, the kind and number of its stage (as in `femc plan`) and its number in the stage. What jobs share is named shared-3.")]
 pub struct LogsArgs {
-    /// The job's number, or a task with its job, like 7/12.0/render/3
+    /// The job's number, or a task with its job, like 7/12.0/render.0/3
     #[arg(value_name = "JOB")]
     job: JobTasks,
-    /// A frame, or a task: 12, 12.0/render/3, 12.0/image
+    /// A frame, or a task: 12, 12.0/image, 12.0/render.0/3
     #[arg(value_name = "TASK")]
     task: Option<Tasks>,
     /// Only attempts that failed
@@ -81,8 +83,8 @@ pub fn run(args: &LogsArgs, say: Say) -> Result<Exit, Failure> {
         let mut seen = Seen::default();
         loop {
             // Asked before the logs: what is logged before the end is not missed.
-            let has_ended = !args.follow || farm.patient_status(JobId(args.job.job)).await?.state.has_ended();
-            let records = seen.fresh(farm.logs(JobId(args.job.job), seen.since).await?);
+            let has_ended = !args.follow || farm.patient_status(args.job.job).await?.state.has_ended();
+            let records = seen.fresh(farm.logs(args.job.job, seen.since).await?);
             show(args, farm, &records, say).await?;
             if has_ended {
                 return Ok(Exit::Done);

@@ -47,6 +47,7 @@ struct ActiveJson {
 
 #[derive(Debug, Serialize)]
 struct QuarantinedJson {
+    task: String,
     frame: u32,
     attempts: u32,
     failure: String,
@@ -77,6 +78,7 @@ impl From<&JobStatus> for JobJson {
                 .quarantined
                 .iter()
                 .map(|q| QuarantinedJson {
+                    task: q.task.to_string(),
                     frame: q.task.stage.frame,
                     attempts: q.attempts,
                     failure: q.failure.to_string(),
@@ -303,8 +305,9 @@ pub fn describe(say: Say, job: &JobStatus) -> String {
 /// Why a job has failed, or some task of it is out of attempts.
 pub fn trouble(job: &JobStatus) -> Vec<String> {
     let whole = job.failure.iter().map(|failure| format!("failed: {failure}"));
-    let tasks = job.quarantined.iter().map(|q| {
-        format!("{} failed {}: {}", unit(q.task.stage.frame), human::count(q.attempts.into(), "time"), q.failure)
-    });
+    let tasks = job
+        .quarantined
+        .iter()
+        .map(|q| format!("task {} failed {}: {}", q.task, human::count(q.attempts.into(), "time"), q.failure));
     whole.chain(tasks).collect()
 }

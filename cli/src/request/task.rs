@@ -1,27 +1,31 @@
-use femc_model::{StageKind, TaskKey};
+use femc_model::{JobId, StageKind, TaskKey};
 use std::str::FromStr;
 
-/// Tasks of a job: of a frame, of a round of it, or one.
+/// Tasks of a job: of a frame, of a round of it, of the stages of a kind, of one stage, or one.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Tasks {
     frame: Option<u32>,
     round: Option<u32>,
     kind: Option<StageKind>,
+    /// Number of the stage in the job's graph.
+    stage: Option<u16>,
     index: Option<u32>,
 }
 
 /// A job, and tasks of it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct JobTasks {
-    /// The job's number.
-    pub job: u64,
+    /// The job, or what jobs share.
+    pub job: JobId,
     /// All of its tasks, unless some are named.
     pub tasks: Tasks,
 }
 
 /// Why a text names no tasks.
 #[derive(Debug, PartialEq, Eq, thiserror::Error)]
-#[error("`{0}` names no task; write a frame, like 12, or a task, like 12.0/render/3 or 12.0/image")]
+#[error(
+    "`{0}` names no task; write a frame, like 12, or a task, like 12.0/render.0/3, or all tasks of a kind, like 12.0/image"
+)]
 pub struct TasksError(String);
 
 impl Tasks {
@@ -34,6 +38,7 @@ impl Tasks {
         is(self.frame, stage.frame)
             && is(self.round, stage.round)
             && is(self.kind, stage.kind)
+            && is(self.stage, stage.number)
             && is(self.index, task.index)
     }
 }
@@ -45,17 +50,22 @@ impl FromStr for Tasks {
         let wrong = || TasksError(text.to_owned());
         let number = |text: &str| text.parse::<u32>().map_err(|_| wrong());
         let mut parts = text.split('/');
-        let stage = parts.next().unwrap_or_default();
-        let (frame, round) = match stage.split_once('.') {
+        let unit = parts.next().unwrap_or_default();
+        let (frame, round) = match unit.split_once('.') {
             Some((frame, round)) => (number(frame)?, Some(number(round)?)),
-            None => (number(stage)?, None),
+            None => (number(unit)?, None),
         };
-        let kind = parts.next().map(|name| StageKind::named(name).ok_or_else(wrong)).transpose()?;
+        let (kind, stage) = match parts.next().map(|stage| stage.split_once('.').ok_or(stage)) {
+            Some(Ok((kind, stage))) => (Some(kind), Some(stage.parse().map_err(|_| wrong())?)),
+            Some(Err(kind)) => (Some(kind), None),
+            None => (None, None),
+        };
+        let kind = kind.map(|name| StageKind::named(name).ok_or_else(wrong)).transpose()?;
         let index = parts.next().map(number).transpose()?;
         if parts.next().is_some() {
             return Err(wrong());
         }
-        Ok(Self { frame: Some(frame), round, kind, index })
+        Ok(Self { frame: Some(frame), round, kind, stage, index })
     }
 }
 
@@ -74,28 +84,48 @@ impl FromStr for JobTasks {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use femc_model::{JobId, Stage};
+    use femc_model::Stage;
 
     #[test]
-    fn a_task_is_named_as_it_is_printed_or_by_a_part_of_that() {
+    fn a_name_as_it_is_printed_holds_its_task_and_no_other() {
+        let of = |frame, number, kind, index| (Stage { frame, round: 0, number, kind }, index);
+        let mut tasks =
+            vec![of(3, 0, StageKind::Render, 1), of(3, 1, StageKind::Image, 0), of(3, 1, StageKind::Image, 1)];
+        // Groups and the levels of a frame, stills, the sheet and the clip of a job.
+        tasks.extend([2, 3].map(|number| of(3, number, StageKind::Reduce, 0)));
+        tasks.extend([4, 5, 6].map(|number| of(Stage::OF_JOB, number, StageKind::Encode, 0)));
+        let jobs = [JobId(7), JobId::shared(7)];
+        let tasks = jobs.iter().flat_map(|&job| tasks.iter().map(move |&(stage, index)| TaskKey { job, stage, index }));
+        let tasks: Vec<TaskKey> = tasks.collect();
+        for task in &tasks {
+            let printed: JobTasks = task.to_string().parse().expect("as printed");
+            let held: Vec<&TaskKey> =
+                tasks.iter().filter(|other| printed.job == other.job && printed.tasks.hold(other)).collect();
+            assert_eq!(held, [task]);
+        }
+    }
+
+    #[test]
+    fn tasks_are_named_by_a_part_of_what_is_printed() {
         let stage = Stage { frame: 3, round: 1, number: 0, kind: StageKind::Render };
         let task = TaskKey { job: JobId(7), stage, index: 12 };
-        let printed: JobTasks = task.to_string().parse().expect("as printed");
-        assert!(printed.job == 7 && printed.tasks.hold(&task));
-        assert!(!printed.tasks.hold(&TaskKey { index: 13, ..task }));
         for (text, holds) in [
             ("3", true),
             ("3.1", true),
             ("3.1/render", true),
+            ("3/render.0", true),
             ("3/render/12", true),
             ("4", false),
             ("3.0", false),
             ("3.1/image", false),
+            ("3.1/image.0", false),
+            ("3.1/render.1", false),
             ("3.1/render/1", false),
         ] {
             assert_eq!(text.parse::<Tasks>().map(|tasks| tasks.hold(&task)), Ok(holds), "{text}");
         }
-        for text in ["", "a", "3.", "3/paint", "3/render/", "3/render/1/2", "-1", "1.2.3"] {
+        for text in ["", "a", "3.", "3/paint", "3/render/", "3/render/1/2", "3/render./1", "3/render.x", "-1", "1.2.3"]
+        {
             assert!(text.parse::<Tasks>().is_err(), "{text}");
         }
         assert!("7".parse::<JobTasks>().is_ok_and(|all| all.tasks.hold(&task)) && "x/3".parse::<JobTasks>().is_err());

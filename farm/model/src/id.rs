@@ -1,6 +1,7 @@
 //! Names of things, and the scheduler's time.
 
 use std::fmt;
+use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
@@ -26,6 +27,24 @@ impl JobId {
 impl fmt::Display for JobId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         if self.is_shared() { write!(f, "shared-{}", self.0 - Self::SHARED) } else { self.0.fmt(f) }
+    }
+}
+
+/// A text that is no [`JobId`].
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error("a job is named by its number, like 7, or, if jobs share it, like shared-3")]
+pub struct NoJobId;
+
+/// As it is printed.
+impl FromStr for JobId {
+    type Err = NoJobId;
+
+    fn from_str(text: &str) -> Result<Self, NoJobId> {
+        let (number, name): (&str, fn(u64) -> Self) = match text.strip_prefix("shared-") {
+            Some(number) => (number, Self::shared),
+            None => (text, Self),
+        };
+        number.parse().ok().filter(|&number| number < Self::SHARED).map(name).ok_or(NoJobId)
     }
 }
 
@@ -70,5 +89,21 @@ impl Tick {
     /// Milliseconds from `earlier` until this instant; 0 where `earlier` is later.
     pub const fn since(self, earlier: Self) -> u64 {
         self.0.saturating_sub(earlier.0)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_job_is_read_back_from_its_name() {
+        for job in [JobId(0), JobId(7), JobId(JobId::SHARED - 1), JobId::shared(1), JobId::shared(123)] {
+            assert_eq!(job.to_string().parse(), Ok(job));
+        }
+        let beyond = JobId::SHARED.to_string();
+        for text in ["", "-1", "x", "shared", "shared-", "shared-x", "shared--1", "shared-shared-1", beyond.as_str()] {
+            assert_eq!(text.parse::<JobId>(), Err(NoJobId), "{text}");
+        }
     }
 }

@@ -28,7 +28,7 @@ pub use failure::{Failure, Verdict};
 pub use grains::{Cut, Grains, Taken, Uneven};
 pub use graph::{Graph, GraphError, Hint, Loop, Need, Reach, Round, Scope, Sizes, Template};
 pub use grid::{Grid, TileRect};
-pub use id::{Epoch, JobId, Tick, WorkerId};
+pub use id::{Epoch, JobId, NoJobId, Tick, WorkerId};
 pub use job::{Control, JobSpec, JobState, SpecError};
 pub use kind::{KindRow, Lane, LogPlace, Near, Role, RoleRow, StageKind};
 pub use latest::Latest;

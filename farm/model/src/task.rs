@@ -37,10 +37,12 @@ pub struct TaskKey {
     pub index: u32,
 }
 
+/// The task's name: job, frame and round, kind and number of the stage, number in the stage, like `7/12.0/render.0/3`. No two tasks
+/// have the same.
 impl fmt::Display for TaskKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Stage { frame, round, kind, .. } = self.stage;
-        write!(f, "{}/{frame}.{round}/{}/{}", self.job, kind.name(), self.index)
+        let Stage { frame, round, number, kind } = self.stage;
+        write!(f, "{}/{frame}.{round}/{}.{number}/{}", self.job, kind.name(), self.index)
     }
 }
 
@@ -130,4 +132,27 @@ pub enum More {
     Rounds,
     /// This is the last: the loop ends with what there is.
     Last,
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeSet;
+
+    use super::*;
+
+    #[test]
+    fn no_two_tasks_have_the_same_name() {
+        let mut names = BTreeSet::new();
+        let mut tasks = 0;
+        for job in [JobId(1), JobId(11), JobId::shared(1)] {
+            for (frame, round, index) in [(0, 0, 0), (0, 0, 11), (1, 0, 0), (1, 1, 1), (11, 0, 1), (0, 11, 1)] {
+                for (number, kind) in [(0, StageKind::Reduce), (1, StageKind::Reduce), (11, StageKind::Image)] {
+                    names.insert(TaskKey { job, stage: Stage { frame, round, number, kind }, index }.to_string());
+                    tasks += 1;
+                }
+            }
+        }
+        assert_eq!(names.len(), tasks, "{names:?}");
+        assert!(names.contains("shared-1/1.1/reduce.1/1"), "{names:?}");
+    }
 }

@@ -36,8 +36,9 @@ pub fn run(args: &JobArgs, control: Control, say: Say) -> Result<Exit, Failure> 
             return Ok(Vec::new());
         }
         // It is done, whether or not the farm still says what for.
-        let waits = farm.status(JobId(args.job)).await.map(|status| status.waits).unwrap_or_default();
-        Ok(waits.into_iter().filter(|wait| matches!(wait, Wait::ImageLost { .. })).collect())
+        let Ok(status) = farm.status(JobId(args.job)).await else { return Ok(Vec::new()) };
+        let lost = status.waits.iter().filter(|wait| matches!(wait, Wait::ImageLost { .. }));
+        Ok(lost.map(|wait| show::wait(&status, wait)).collect())
     })?;
     let done = match control {
         Control::Pause => "is paused; `femc resume` ends that".to_owned(),
@@ -47,7 +48,7 @@ pub fn run(args: &JobArgs, control: Control, say: Say) -> Result<Exit, Failure> 
         Control::Priority(priority) => format!("has priority {priority}"),
     };
     say.note(format!("job {} {done}", args.job));
-    again.iter().for_each(|wait| say.note(show::wait(wait)));
+    again.iter().for_each(|line| say.note(line));
     Ok(Exit::Done)
 }
 

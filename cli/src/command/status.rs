@@ -40,7 +40,7 @@ pub fn run(args: &StatusArgs, say: Say) -> Result<Exit, Failure> {
             say.result("nothing of it waits");
         }
         for reason in &job.waits {
-            say.result(format!("waits: {}", wait(reason)));
+            say.result(format!("waits: {}", wait(&job, reason)));
         }
     }
     Ok(Exit::Done)

@@ -84,7 +84,7 @@ impl From<&JobStatus> for JobJson {
                     failure: q.failure.to_string(),
                 })
                 .collect(),
-            waits: job.waits.iter().map(wait).collect(),
+            waits: job.waits.iter().map(|it| wait(job, it)).collect(),
         }
     }
 }
@@ -135,8 +135,8 @@ fn has(count: u32) -> &'static str {
     if count == 1 { "has" } else { "have" }
 }
 
-/// Why tasks wait.
-pub fn wait(wait: &Wait) -> String {
+/// Why tasks of the job wait.
+pub fn wait(job: &JobStatus, wait: &Wait) -> String {
     match wait {
         Wait::Paused => "the job is paused".to_owned(),
         Wait::NoWorkers => "no worker is there; start one with `femc worker --join URL`".to_owned(),
@@ -196,11 +196,20 @@ pub fn wait(wait: &Wait) -> String {
         Wait::Mishaps { tasks, message } => {
             format!("{} could not be done until now: {message}", human::count(u64::from(*tasks), "task"))
         }
+        Wait::ImageLost { frame: Stage::OF_JOB } => {
+            "a still, the contact sheet or the clip was damaged in the store, or is gone: the job's own stages make them again"
+                .to_owned()
+        }
         Wait::ImageLost { frame } => {
             format!(
                 "the finished image of frame {frame} was damaged in the store, or is gone: the frame is rendered again"
             )
         }
+        Wait::Quarantined { frame: Stage::OF_JOB, tasks: 0 } => format!(
+            "the job's own stages (stills, contact sheet, clip) wait for {} that failed; `femc retry {}` tries again",
+            human::count(u64::from(job.frames_failed), "frame"),
+            job.job
+        ),
         Wait::Quarantined { frame, tasks } => {
             format!("{} cannot go on: {} out of attempts", unit(*frame), human::count(u64::from(*tasks), "task"))
         }
@@ -310,4 +319,46 @@ pub fn trouble(job: &JobStatus) -> Vec<String> {
         .iter()
         .map(|q| format!("task {} failed {}: {}", q.task, human::count(q.attempts.into(), "time"), q.failure));
     whole.chain(tasks).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use femc_model::JobId;
+
+    #[test]
+    fn stages_of_the_whole_job_are_no_frame_in_what_a_job_waits_for() {
+        let job = JobStatus {
+            job: JobId(7),
+            name: "walk".to_owned(),
+            owner: "ann".to_owned(),
+            priority: 50,
+            state: JobState::Failed,
+            failure: None,
+            frames_total: 10,
+            frames_done: 7,
+            frames_failed: 3,
+            active: Vec::new(),
+            workers: 0,
+            samples_done: 0,
+            samples_planned: 0,
+            samples_per_second: 0.0,
+            bad_samples: 0,
+            relative_error: None,
+            seconds: 0.0,
+            quarantined: Vec::new(),
+            stale_messages: 0,
+            copies: 0,
+            waits: Vec::new(),
+        };
+        let said = |reason| wait(&job, &reason);
+        let waits = said(Wait::Quarantined { frame: Stage::OF_JOB, tasks: 0 });
+        assert!(waits.contains("wait for 3 frames that failed") && waits.contains("`femc retry 7`"), "{waits}");
+        let lost = said(Wait::ImageLost { frame: Stage::OF_JOB });
+        assert!(lost.contains("clip") && !lost.contains("frame"), "{lost}");
+        assert!(said(Wait::ImageLost { frame: 3 }).contains("image of frame 3"));
+        assert!(
+            said(Wait::Quarantined { frame: 3, tasks: 1 }).contains("frame 3 cannot go on: 1 task out of attempts")
+        );
+    }
 }

@@ -180,9 +180,10 @@ pub enum Wait {
         /// What went wrong with one of them last.
         message: String,
     },
-    /// The finished image of a frame, or its preview, was damaged in the store or is gone: the frame is rendered again.
+    /// A finished output was damaged in the store or is gone. Of a frame, its image or its preview: the frame is rendered again. Of
+    /// the job, a still, the sheet or the clip: the job's own stages run again.
     ImageLost {
-        /// Frame number.
+        /// Frame number, or [`Stage::OF_JOB`](crate::Stage::OF_JOB).
         frame: u32,
     },
     /// Frames need what is done once for all that have one content, and tasks of that used up their attempts.
@@ -194,11 +195,11 @@ pub enum Wait {
         /// How many of its tasks.
         tasks: u32,
     },
-    /// A task used up its attempts, and its frame cannot go on.
+    /// Tasks used up their attempts, and their frame cannot go on; or the job's own stages wait for frames that failed.
     Quarantined {
-        /// Frame number.
+        /// Frame number, or [`Stage::OF_JOB`](crate::Stage::OF_JOB).
         frame: u32,
-        /// How many of its tasks.
+        /// How many of its tasks; 0: the job's own stages wait for frames that failed.
         tasks: u32,
     },
 }

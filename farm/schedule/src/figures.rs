@@ -54,12 +54,12 @@ const KINDS: [StageKind; StageKind::ALL.len()] = StageKind::ALL;
 impl Scheduler {
     /// The farm in numbers. Walks all jobs, leases and workers.
     pub fn figures(&self, now: Tick) -> Figures {
-        let mut left = 0;
+        let mut left = 0_u64;
         let mut ready = [0; KINDS.len()];
         let shared = self.ledger.all_shared().filter(|(_, shared)| self.is_wanted(shared)).map(|(id, _)| id);
         for id in self.order.jobs().chain(shared) {
             let Some(job) = self.ledger.jobs.get(&id) else { continue };
-            left += if id.is_shared() { 0 } else { self.samples_left(id, job) };
+            left = left.saturating_add(if id.is_shared() { 0 } else { self.samples_left(id, job) });
             let counts = self.ready(id, job);
             ready.iter_mut().zip(counts).for_each(|(sum, count)| *sum += count);
         }
@@ -107,7 +107,7 @@ impl Scheduler {
     fn samples_left(&self, id: JobId, job: &Job) -> u64 {
         let open = job.frames().len() - job.frames_done() - job.frames_blocked();
         let under_way = self.units(id).saturating_sub(job.finished_units());
-        (open as u64 * job.spec.samples_of_frame()).saturating_sub(under_way)
+        (open as u64).saturating_mul(job.spec.samples_of_frame()).saturating_sub(under_way)
     }
 
     fn standing(&self, worker: &crate::lease_table::Worker, now: Tick) -> WorkerStanding {

@@ -6,8 +6,9 @@ use crate::lease_table::{Lease, LeaseKey};
 use crate::scheduler::Scheduler;
 use crate::{Command, SnapshotError};
 
-/// First byte of a note: of the version of what follows.
-const VERSION: u8 = 1;
+/// First byte of a note: the version of what follows. Notes of other versions are refused: what earlier programs noted of
+/// attempts is not shown, and nothing else follows from it.
+pub(crate) const VERSION: u8 = 2;
 
 /// Attempts as one note beside the log.
 pub fn encode_attempts(attempts: &[AttemptRecord]) -> Result<Vec<u8>, SnapshotError> {
@@ -21,7 +22,7 @@ pub fn encode_attempts(attempts: &[AttemptRecord]) -> Result<Vec<u8>, SnapshotEr
 pub fn decode_attempts(note: &[u8]) -> Result<Vec<AttemptRecord>, SnapshotError> {
     match note.split_first() {
         Some((&VERSION, attempts)) => Ok(postcard::from_bytes(attempts)?),
-        Some((&found, _)) => Err(SnapshotError::Version { found }),
+        Some((&found, _)) => Err(SnapshotError::NoteVersion { found }),
         None => Err(SnapshotError::Empty),
     }
 }

@@ -58,6 +58,17 @@ fn a_result_is_noted_once_with_what_it_took_and_the_ledger_does_not_grow() {
 }
 
 #[test]
+fn notes_of_another_version_are_refused_and_say_so() {
+    let mut note = encode_attempts(&[]).unwrap();
+    assert_eq!(decode_attempts(&note).unwrap(), []);
+    note[0] -= 1;
+    let error = decode_attempts(&note).unwrap_err();
+    assert!(matches!(error, SnapshotError::NoteVersion { found: 1 }), "{error}");
+    assert!(error.to_string().contains("attempts were noted in version 1"), "{error}");
+    assert!(matches!(decode_attempts(&[]), Err(SnapshotError::Empty)));
+}
+
+#[test]
 fn every_end_of_a_lease_under_which_work_was_begun_is_an_attempt() {
     let (mut farm, _, held) = at_work();
     tell(&mut farm, 1, &held, 0.5);

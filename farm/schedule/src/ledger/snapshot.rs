@@ -19,6 +19,15 @@ pub enum SnapshotError {
         /// What its first byte says.
         found: u8,
     },
+    /// Attempts that another version noted.
+    #[error(
+        "attempts were noted in version {found}, and this program reads version {} only: they are left out of its reports",
+        crate::attempts::VERSION
+    )]
+    NoteVersion {
+        /// What the note's first byte says.
+        found: u8,
+    },
     /// Not what [`Ledger::encode`] writes.
     #[error("snapshot or fact is damaged: {0}")]
     Damaged(#[from] postcard::Error),

@@ -47,6 +47,11 @@ impl<'a> Shape<'a> {
         self.template(number).is_some_and(|template| template.kind.is_cut())
     }
 
+    /// The first stage of the loop whose tasks are cut: a decision may give each of them its own steps.
+    pub(super) fn main(&self) -> Option<(u16, &'a Template)> {
+        self.graph.of(self.scope).find(|(number, template)| template.kind.is_cut() && self.is_looped(*number))
+    }
+
     /// Whether another round may follow this one.
     pub(crate) fn may_go_on(&self, round: u32) -> bool {
         self.around.is_some_and(|(_, Loop { rounds, .. })| round + 1 < rounds)

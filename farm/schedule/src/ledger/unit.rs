@@ -329,8 +329,7 @@ impl Unit {
     /// - `to`: steps that each task has taken at its end; `None`: as planned.
     fn next_round(&mut self, shape: &Shape<'_>, to: Option<&[u32]>) {
         self.round += 1;
-        let main = shape.graph.of(shape.scope).find(|(number, it)| it.kind.is_cut() && shape.is_looped(*number));
-        let Some((number, template)) = main else { return };
+        let Some((number, template)) = shape.main() else { return };
         if to.is_none() && !self.uneven.contains_key(&(self.round - 1)) {
             return;
         }
@@ -346,7 +345,7 @@ impl Unit {
 
     /// The steps of the round that begins: none takes back what was done.
     fn next_steps(&self, shape: &Shape<'_>, to: &[u32]) -> Uneven {
-        let main = shape.graph.of(shape.scope).find(|(number, it)| it.kind.is_cut() && shape.is_looped(*number));
+        let main = shape.main();
         let tasks = main.map_or(0, |(_, template)| template.tasks());
         let before = |task: u32| {
             let planned = || main.map_or(0, |(_, template)| template.steps_of(self.round - 1).end);

@@ -123,20 +123,42 @@ impl TryFrom<wire::Loop> for Loop {
     }
 }
 
+/// Conversions of a [`Reach`], which the wire has in two messages.
+macro_rules! reach {
+    ($($wire:ident)::+) => {
+        impl From<Reach> for $($wire)::+ {
+            fn from(reach: Reach) -> Self {
+                match reach {
+                    Reach::All => Self::All(wire::Empty {}),
+                    Reach::Same => Self::Same(wire::Empty {}),
+                    Reach::Fan(tasks) => Self::Fan(tasks),
+                }
+            }
+        }
+
+        impl From<$($wire)::+> for Reach {
+            fn from(wire: $($wire)::+) -> Self {
+                match wire {
+                    $($wire)::+::All(_) => Self::All,
+                    $($wire)::+::Same(_) => Self::Same,
+                    $($wire)::+::Fan(tasks) => Self::Fan(tasks),
+                }
+            }
+        }
+    };
+}
+
+reach!(wire::need::Reach);
+reach!(wire::hint::Reach);
+
 impl From<Need> for wire::Need {
     fn from(Need { stage, role, reach, round, gaps }: Need) -> Self {
-        use wire::need::Reach as Wire;
         let round = match round {
             Round::Same => wire::Round::Same,
             Round::Before => wire::Round::Before,
             Round::Every => wire::Round::Every,
         };
-        let reach = match reach {
-            Reach::All => Wire::All(wire::Empty {}),
-            Reach::Same => Wire::Same(wire::Empty {}),
-            Reach::Fan(tasks) => Wire::Fan(tasks),
-        };
-        Self { stage: stage.into(), role: of_role(role), reach: Some(reach), round: round.into(), gaps }
+        Self { stage: stage.into(), role: of_role(role), reach: Some(reach.into()), round: round.into(), gaps }
     }
 }
 
@@ -144,15 +166,10 @@ impl TryFrom<wire::Need> for Need {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Need) -> Result<Self, ConvertError> {
-        use wire::need::Reach as Wire;
         Ok(Self {
             stage: stage(wire.stage)?,
             role: role(wire.role)?,
-            reach: match need("need.reach", wire.reach)? {
-                Wire::All(_) => Reach::All,
-                Wire::Same(_) => Reach::Same,
-                Wire::Fan(tasks) => Reach::Fan(tasks),
-            },
+            reach: need("need.reach", wire.reach)?.into(),
             round: match wire::Round::try_from(wire.round) {
                 Ok(wire::Round::Same) => Round::Same,
                 Ok(wire::Round::Before) => Round::Before,
@@ -168,13 +185,7 @@ impl TryFrom<wire::Need> for Need {
 
 impl From<Hint> for wire::Hint {
     fn from(Hint { stage, role, reach }: Hint) -> Self {
-        use wire::hint::Reach as Wire;
-        let reach = match reach {
-            Reach::All => Wire::All(wire::Empty {}),
-            Reach::Same => Wire::Same(wire::Empty {}),
-            Reach::Fan(tasks) => Wire::Fan(tasks),
-        };
-        Self { stage: stage.into(), role: of_role(role), reach: Some(reach) }
+        Self { stage: stage.into(), role: of_role(role), reach: Some(reach.into()) }
     }
 }
 
@@ -182,12 +193,6 @@ impl TryFrom<wire::Hint> for Hint {
     type Error = ConvertError;
 
     fn try_from(wire: wire::Hint) -> Result<Self, ConvertError> {
-        use wire::hint::Reach as Wire;
-        let reach = match need("hint.reach", wire.reach)? {
-            Wire::All(_) => Reach::All,
-            Wire::Same(_) => Reach::Same,
-            Wire::Fan(tasks) => Reach::Fan(tasks),
-        };
-        Ok(Self { stage: stage(wire.stage)?, role: role(wire.role)?, reach })
+        Ok(Self { stage: stage(wire.stage)?, role: role(wire.role)?, reach: need("hint.reach", wire.reach)?.into() })
     }
 }

@@ -19,6 +19,7 @@ use femc_pipeline::{Moment, Prepared, Settings, Source};
 use femc_proto::Client;
 
 use crate::Pieces;
+use crate::bundle::fetch_bundle;
 use crate::fetch::Fetch;
 use crate::gather::gather;
 
@@ -155,7 +156,7 @@ impl Cache {
     /// The scene as its files have it.
     fn source(&self, spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Source, Failure> {
         self.0.sources.get_or(files_key(spec), || {
-            let bundle = gather(&spec.bundle, client, fetch, &self.0.pieces)?;
+            let bundle = fetch_bundle(&spec.bundle, client, fetch, &self.0.pieces)?;
             let loaded = femc_import::load(&bundle, &spec.entry);
             let scene = loaded.map_err(|error| Failure::Scene { message: error.to_string() })?.scene;
             Ok(Source::new(Arc::new(scene)))

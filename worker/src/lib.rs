@@ -6,6 +6,7 @@
 #![deny(missing_docs)]
 
 mod availability;
+mod bundle;
 mod cache;
 mod claims;
 pub mod clip;
@@ -14,7 +15,6 @@ mod config;
 mod execute;
 mod fetch;
 mod finish;
-mod gather;
 mod journal;
 mod log;
 mod memory;

@@ -14,7 +14,7 @@ use crate::parcel;
 const BATCH: usize = 16;
 
 /// The scene that `name` names.
-pub(crate) fn gather(name: &Digest, client: &Client, fetch: &Fetch, pieces: &Pieces) -> Result<Bundle, Failure> {
+pub(crate) fn fetch_bundle(name: &Digest, client: &Client, fetch: &Fetch, pieces: &Pieces) -> Result<Bundle, Failure> {
     let bytes = match pieces.get(name) {
         Some(bytes) => bytes,
         None => {

@@ -55,10 +55,10 @@ fn cameras_share_a_world_and_fogs_share_surfaces_and_neither_shows() {
         let settings = settings(&[change]);
         let (alone, shared) = (variant(&base, &settings, None), variant(&base, &settings, Some(&first)));
         assert_eq!(Arc::ptr_eq(&shared.world, &first.world), same_world, "{change:?}");
-        assert_eq!(shared.moment.world == first.moment.world, same_world, "{change:?}");
+        assert_eq!(shared.frame_key.world == first.frame_key.world, same_world, "{change:?}");
         let surfaces = |prepared: &Prepared| prepared.instances[0].compiled.clone();
         assert_eq!(Arc::ptr_eq(&surfaces(&shared), &surfaces(&first)), same_surfaces, "{change:?}");
-        assert_ne!(shared.moment.view, first.moment.view, "{change:?}");
+        assert_ne!(shared.frame_key.view, first.frame_key.view, "{change:?}");
         let [alone, shared] = [&alone, &shared].map(|prepared| pixel_digest(&render(prepared, &settings).color));
         assert_eq!(alone, shared, "{change:?}");
     }
@@ -79,7 +79,7 @@ fn frames_in_which_nothing_moves_while_the_shutter_is_open_share_a_world_and_it_
         let first = frame(first, None);
         let (alone, after) = (frame(second, None), frame(second, Some(&first)));
         assert_eq!(Arc::ptr_eq(&after.world, &first.world), is_shared, "frame {second}");
-        assert_eq!(after.moment.content == first.moment.content, is_shared, "frame {second}");
+        assert_eq!(after.frame_key.content == first.frame_key.content, is_shared, "frame {second}");
         let [alone, after] = [&alone, &after].map(|prepared| pixel_digest(&render(prepared, &settings).color));
         assert_eq!(alone, after, "frame {second}");
     }

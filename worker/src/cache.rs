@@ -15,13 +15,12 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use femc_metrics::{Counter, Page};
 use femc_model::{Digest, Failure, JobSpec};
-use femc_pipeline::{Moment, Prepared, Settings, Source};
+use femc_pipeline::{FrameKey, Prepared, Settings, Source};
 use femc_proto::Client;
 
 use crate::Pieces;
 use crate::bundle::fetch_bundle;
 use crate::fetch::Fetch;
-use crate::gather::gather;
 
 /// A scene with the job's overrides applied.
 #[derive(Debug)]
@@ -31,18 +30,18 @@ pub(crate) struct Read {
     /// Content hash of the scene.
     pub(crate) digest: String,
     /// What frames are made from, as far as it was asked for.
-    moments: Mutex<BTreeMap<u32, Moment>>,
+    keys: Mutex<BTreeMap<u32, FrameKey>>,
 }
 
 impl Read {
-    fn moment(&self, frame: u32) -> Result<Moment, Failure> {
-        if let Some(moment) = lock(&self.moments).get(&frame) {
-            return Ok(*moment);
+    fn frame_key(&self, frame: u32) -> Result<FrameKey, Failure> {
+        if let Some(frame_key) = lock(&self.keys).get(&frame) {
+            return Ok(*frame_key);
         }
-        let moment = femc_pipeline::moment(&self.source, &self.settings, frame);
-        let moment = moment.map_err(|error| Failure::Scene { message: error.to_string() })?;
-        lock(&self.moments).insert(frame, moment);
-        Ok(moment)
+        let frame_key = femc_pipeline::frame_key(&self.source, &self.settings, frame);
+        let frame_key = frame_key.map_err(|error| Failure::Scene { message: error.to_string() })?;
+        lock(&self.keys).insert(frame, frame_key);
+        Ok(frame_key)
     }
 }
 
@@ -56,7 +55,7 @@ struct Shelves {
     sources: Shelf<Digest, Source>,
     /// Scenes with a job's overrides.
     scenes: Shelf<Digest, Arc<Read>>,
-    frames: Shelf<Moment, Arc<Prepared>>,
+    frames: Shelf<FrameKey, Arc<Prepared>>,
     pieces: Pieces,
 }
 
@@ -133,10 +132,10 @@ impl Cache {
         fetch: &Fetch,
     ) -> Result<(Arc<Read>, Arc<Prepared>), Failure> {
         let read = self.scene(spec, client, fetch)?;
-        let moment = read.moment(frame)?;
-        let same_world = || self.0.frames.latest(|other| other.world == moment.world);
-        let same_surfaces = || self.0.frames.latest(|other| other.fixed == moment.fixed);
-        let prepared = self.0.frames.get_or(moment, || {
+        let frame_key = read.frame_key(frame)?;
+        let same_world = || self.0.frames.latest(|other| other.world == frame_key.world);
+        let same_surfaces = || self.0.frames.latest(|other| other.static_digest == frame_key.static_digest);
+        let prepared = self.0.frames.get_or(frame_key, || {
             let previous = same_world().or_else(same_surfaces);
             let prepared = femc_pipeline::prepare(&read.source, &read.settings, frame, previous.as_deref());
             prepared.map(Arc::new).map_err(|error| Failure::Scene { message: error.to_string() })
@@ -150,7 +149,7 @@ impl Cache {
         settings.check().map_err(|error| unfit(&error))?;
         let source = self.source(spec, client, fetch)?;
         let source = source.variant(&settings.overrides).map_err(|error| unfit(&error))?;
-        Ok(Read { digest: source.scene().digest().to_string(), source, settings, moments: Mutex::default() })
+        Ok(Read { digest: source.scene().digest().to_string(), source, settings, keys: Mutex::default() })
     }
 
     /// The scene as its files have it.

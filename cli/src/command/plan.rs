@@ -133,7 +133,7 @@ pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
 }
 
 fn worlds(asked: &Asked) -> Result<usize, Failure> {
-    let content = |&frame: &u32| Ok(femc_pipeline::moment(&asked.source, &asked.settings, frame)?.content);
+    let content = |&frame: &u32| Ok(femc_pipeline::frame_key(&asked.source, &asked.settings, frame)?.content);
     let contents: Result<BTreeSet<_>, PrepareError> = asked.plan.frames.iter().map(content).collect();
     Ok(contents.map_err(failed)?.len())
 }

@@ -4,7 +4,7 @@ use crate::settings::Settings;
 use femc_film::{FilmError, Rect, Sample, Tile};
 use femc_montecarlo::{Counters, PathSettings, Tracer};
 use femc_prepared::{FrameSpec, PrepareError, Prepared, Source};
-use femc_scene::Moment;
+use femc_scene::FrameKey;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -21,8 +21,8 @@ pub fn prepare(
 }
 
 /// What [`prepare`] would make the frame from.
-pub fn moment(source: &Source, settings: &Settings, frame: u32) -> Result<Moment, PrepareError> {
-    femc_prepared::moment(source, &spec(settings, frame))
+pub fn frame_key(source: &Source, settings: &Settings, frame: u32) -> Result<FrameKey, PrepareError> {
+    femc_prepared::frame_key(source, &spec(settings, frame))
 }
 
 fn spec(settings: &Settings, frame: u32) -> FrameSpec {

@@ -13,7 +13,7 @@ use femc_math::Rgb;
 use femc_math::elementary::double;
 use femc_math::glam::{Affine3A, DAffine3, DVec3, Vec3A};
 use femc_scattering::Phase;
-use femc_scene::moment::{Moment, Viewpoint};
+use femc_scene::frame_key::{FrameKey, Viewpoint};
 use femc_scene::{Camera, Density, Motion, MotionPath, RegionBounds, Scalars, Scene};
 use std::f64::consts::PI;
 use std::sync::Arc;
@@ -74,7 +74,7 @@ pub struct Prepared {
     /// The description that it was made from.
     pub scene: Arc<Scene>,
     /// What it was made from: frames of equal worlds share all but the camera.
-    pub moment: Moment,
+    pub frame_key: FrameKey,
     /// Frame of the clip, from 1.
     pub frame: u32,
     /// All surfaces.
@@ -124,17 +124,17 @@ impl<'a> Sight<'a> {
         })
     }
 
-    fn moment(&self, source: &Source, now: &Scalars, frame: u32) -> Moment {
+    fn frame_key(&self, source: &Source, now: &Scalars, frame: u32) -> FrameKey {
         let Self { camera, film, shutter, origin } = *self;
-        source.scene().moment(source.fixed(), now, &Viewpoint { camera, film, frame, shutter, origin })
+        source.scene().frame_key(source.static_digest(), now, &Viewpoint { camera, film, frame, shutter, origin })
     }
 }
 
 /// What a frame would be made from.
-pub fn moment(source: &Source, spec: &FrameSpec) -> Result<Moment, PrepareError> {
+pub fn frame_key(source: &Source, spec: &FrameSpec) -> Result<FrameKey, PrepareError> {
     let scene = source.scene();
     let now = scene.scalars_at(scene.frame_time(spec.frame))?;
-    Ok(Sight::of(source, &now, spec)?.moment(source, &now, spec.frame))
+    Ok(Sight::of(source, &now, spec)?.frame_key(source, &now, spec.frame))
 }
 
 /// Prepares a frame. `previous`: any other; what the two have in common is shared: all but the camera if their worlds are
@@ -143,12 +143,12 @@ pub fn prepare(source: &Source, spec: &FrameSpec, previous: Option<&Prepared>) -
     let scene = source.scene();
     let now = scene.scalars_at(scene.frame_time(spec.frame))?;
     let sight = Sight::of(source, &now, spec)?;
-    let moment = sight.moment(source, &now, spec.frame);
+    let frame_key = sight.frame_key(source, &now, spec.frame);
     let camera = kernel_camera(&now.paths, spec, &sight)?;
-    let mut prepared = match previous.filter(|p| p.moment.fixed == moment.fixed) {
-        Some(previous) if previous.moment.world == moment.world => Prepared {
+    let mut prepared = match previous.filter(|p| p.frame_key.static_digest == frame_key.static_digest) {
+        Some(previous) if previous.frame_key.world == frame_key.world => Prepared {
             scene: scene.clone(),
-            moment,
+            frame_key,
             frame: spec.frame,
             world: previous.world.clone(),
             instances: previous.instances.clone(),
@@ -164,7 +164,7 @@ pub fn prepare(source: &Source, spec: &FrameSpec, previous: Option<&Prepared>) -
             has_null_crossings: previous.has_null_crossings,
             cache: previous.cache.clone(),
         },
-        previous => build(scene, &now, &sight, moment, camera, spec.frame, previous)?,
+        previous => build(scene, &now, &sight, frame_key, camera, spec.frame, previous)?,
     };
     if prepared.materials.iter().any(|m| m.inside.is_some()) {
         prepared.camera_inside = prepared.media_around(prepared.camera.eye());
@@ -177,7 +177,7 @@ fn build(
     scene: &Arc<Scene>,
     now: &Scalars,
     sight: &Sight<'_>,
-    moment: Moment,
+    frame_key: FrameKey,
     camera: KernelCamera,
     frame: u32,
     previous: Option<&Prepared>,
@@ -221,7 +221,7 @@ fn build(
     let lights = Lights::new(lights, entries, &world, media.haze());
     Ok(Prepared {
         scene: scene.clone(),
-        moment,
+        frame_key,
         frame,
         least_distance: if extent.is_finite() { (extent * 1e-6).max(1e-9) } else { 1e-6 },
         world: Arc::new(world),

@@ -16,7 +16,7 @@ mod frame;
 mod source;
 mod surface;
 
-pub use frame::{FrameSpec, PrepareError, Prepared, find_camera, moment, prepare};
+pub use frame::{FrameSpec, PrepareError, Prepared, find_camera, frame_key, prepare};
 pub use lights::Lights;
 pub use material::{Crossing, KernelMaterial, Orientation};
 pub use source::Source;

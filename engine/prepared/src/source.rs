@@ -1,5 +1,5 @@
 use femc_math::glam::{BVec3, DVec3};
-use femc_scene::{Fixed, Group, Scene, SelectorError};
+use femc_scene::{Group, Scene, SelectorError, StaticDigest};
 use std::sync::Arc;
 
 /// A scene to prepare frames of, which knows what it has in common with its variants: frames of one share with frames of
@@ -7,7 +7,7 @@ use std::sync::Arc;
 #[derive(Clone, Debug)]
 pub struct Source {
     scene: Arc<Scene>,
-    fixed: Fixed,
+    static_digest: StaticDigest,
     middle: Option<DVec3>,
 }
 
@@ -20,8 +20,8 @@ const GRID: f64 = 32.0;
 impl Source {
     /// A scene; reads all of it once, for its digest.
     pub fn new(scene: Arc<Scene>) -> Self {
-        let (fixed, middle) = (scene.fixed(), middle(&scene));
-        Self { scene, fixed, middle }
+        let (static_digest, middle) = (scene.static_digest(), middle(&scene));
+        Self { scene, static_digest, middle }
     }
 
     /// The same with scalars set, in order. Selectors reach nothing of what the digest is of.
@@ -39,8 +39,8 @@ impl Source {
     }
 
     /// Digest of what all variants have in common.
-    pub fn fixed(&self) -> Fixed {
-        self.fixed
+    pub fn static_digest(&self) -> StaticDigest {
+        self.static_digest
     }
 
     /// Where frames have their origin that a camera at `place` sees, m: in the scene's middle if that is near, so that the

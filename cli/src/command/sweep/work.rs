@@ -133,9 +133,9 @@ impl Work {
 impl Planned {
     fn new(name: String, values: Vec<Value>, asked: &Asked, scene: &Parcel) -> Result<Self, Failure> {
         let frame = |&frame: &u32| {
-            let moment = femc_pipeline::moment(&asked.source, &asked.settings, frame);
-            let moment = moment.map_err(|e| failed(format!("{}: {e}", asked.path.display())))?;
-            Ok(Planning { frame, key: key(&moment.view, &asked.settings)?, world: moment.world })
+            let frame_key = femc_pipeline::frame_key(&asked.source, &asked.settings, frame);
+            let frame_key = frame_key.map_err(|e| failed(format!("{}: {e}", asked.path.display())))?;
+            Ok(Planning { frame, key: key(&frame_key.view, &asked.settings)?, world: frame_key.world })
         };
         Ok(Self {
             name,

@@ -1,6 +1,6 @@
 //! What one frame of a scene is made from, as digests: frames of variants that have equal ones can share the work.
 //!
-//! Layers, each a hash of the one before: what no selector reaches ([`Fixed`]: surfaces, images, photometry), the content
+//! Layers, each a hash of the one before: what no selector reaches ([`StaticDigest`]: surfaces, images, photometry), the content
 //! (the world at the frame's time, wherever it is seen from), the world as it is prepared, around an origin that may follow
 //! the camera, and the view of one camera. Time itself does not count, only what is made of it: a scalar that varies counts
 //! with its value, a path with what it does while the shutter is open ([`Passage`]): where it stands still, with its pose. The
@@ -16,13 +16,13 @@ use std::collections::BTreeSet;
 
 /// What overrides do not reach; equal for all variants of a scene.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Fixed(SceneDigest);
+pub struct StaticDigest(SceneDigest);
 
 /// What a frame is made from.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub struct Moment {
+pub struct FrameKey {
     /// What overrides do not reach.
-    pub fixed: Fixed,
+    pub static_digest: StaticDigest,
     /// All but the camera and where the prepared frame's coordinates begin: what is done for one may serve all frames, cameras and
     /// variants that have it.
     pub content: SceneDigest,
@@ -49,7 +49,7 @@ pub struct Viewpoint<'a> {
 
 impl Scene {
     /// Digest of what no selector reaches. It reads the whole geometry: compute it once for all variants.
-    pub fn fixed(&self) -> Fixed {
+    pub fn static_digest(&self) -> StaticDigest {
         let mut canonical = Canonical::of("fixed");
         canonical.value(&self.groups.len());
         for group in &self.groups {
@@ -64,18 +64,18 @@ impl Scene {
         canonical.table(&self.regions, |region| MediumRegion { location: NOWHERE, ..*region });
         canonical.photometry(&self.photometry);
         canonical.images(&self.images);
-        Fixed(canonical.digest())
+        StaticDigest(canonical.digest())
     }
 
     /// What a frame is made from.
-    /// - `fixed`: this scene's, or that of the scene that it is a variant of;
+    /// - `static_digest`: this scene's, or that of the scene that it is a variant of;
     /// - `now`: [`Scene::scalars_at`] the frame's time.
-    pub fn moment(&self, fixed: Fixed, now: &Scalars, viewpoint: &Viewpoint<'_>) -> Moment {
+    pub fn frame_key(&self, static_digest: StaticDigest, now: &Scalars, viewpoint: &Viewpoint<'_>) -> FrameKey {
         let Viewpoint { camera, film, frame, shutter, origin } = *viewpoint;
         let paths = self.paths_of_surfaces();
         let paths = || paths.iter().map(|path| now.paths.get(path.index()));
         let mut canonical = Canonical::of("content");
-        canonical.value(&fixed.0);
+        canonical.value(&static_digest.0);
         canonical.table(&now.materials, |material| Material { location: NOWHERE, ..material.clone() });
         canonical.table(&now.objects, |object| object);
         canonical.table(&now.media, |medium| Medium { location: NOWHERE, ..medium.clone() });
@@ -94,7 +94,7 @@ impl Scene {
         let along = camera.along.and_then(|path| now.paths.get(path.index()));
         canonical.path(along, shutter);
         canonical.value(&along.map(MotionPath::is_constant));
-        Moment { fixed, content, world, view: canonical.digest() }
+        FrameKey { static_digest, content, world, view: canonical.digest() }
     }
 
     fn paths_of_surfaces(&self) -> BTreeSet<PathId> {

@@ -4,7 +4,7 @@ mod common;
 use common::*;
 use femc_math::glam::DVec3;
 use femc_scene::animation::Passage;
-use femc_scene::moment::Viewpoint;
+use femc_scene::frame_key::Viewpoint;
 use femc_scene::*;
 
 /// A floor, and on it a thing that moves for a second, stands for two, and moves again; ten frames a second.
@@ -30,7 +30,7 @@ struct Look {
 
 const LOOK: Look = Look { frame: 15, open: 0.05, origin: 0.0, fov: 40.0 };
 
-fn moment(scene: &Scene, look: &Look) -> Moment {
+fn frame_key(scene: &Scene, look: &Look) -> FrameKey {
     let camera = Camera { fov: look.fov, ..camera("main", 3) };
     let time = scene.frame_time(look.frame);
     let viewpoint = Viewpoint {
@@ -40,17 +40,17 @@ fn moment(scene: &Scene, look: &Look) -> Moment {
         shutter: [time, time + look.open],
         origin: DVec3::X * look.origin,
     };
-    scene.moment(scene.fixed(), &scene.scalars_at(time).unwrap(), &viewpoint)
+    scene.frame_key(scene.static_digest(), &scene.scalars_at(time).unwrap(), &viewpoint)
 }
 
 #[test]
 fn neither_the_camera_nor_the_origin_counts_in_the_content() {
     let (scene, far) = (scene(Interpolation::Linear), 300.0);
-    let one = moment(&scene, &LOOK);
-    let turned = moment(&scene, &Look { fov: 20.0, ..LOOK });
+    let one = frame_key(&scene, &LOOK);
+    let turned = frame_key(&scene, &Look { fov: 20.0, ..LOOK });
     assert_eq!((one.content, one.world), (turned.content, turned.world));
     assert_ne!(one.view, turned.view);
-    let moved = moment(&scene, &Look { origin: far, ..LOOK });
+    let moved = frame_key(&scene, &Look { origin: far, ..LOOK });
     assert_eq!(one.content, moved.content);
     assert_ne!(one.world, moved.world, "what is prepared is prepared around the origin");
 }
@@ -59,7 +59,7 @@ fn neither_the_camera_nor_the_origin_counts_in_the_content() {
 fn what_stands_while_the_shutter_is_open_counts_with_its_pose_alone() {
     for interpolation in [Interpolation::Linear, Interpolation::Spline] {
         let scene = scene(interpolation);
-        let at = |frame: u32, open: f64| moment(&scene, &Look { frame, open, ..LOOK });
+        let at = |frame: u32, open: f64| frame_key(&scene, &Look { frame, open, ..LOOK });
         let (one, two) = (at(15, 0.05), at(20, 0.05));
         assert_eq!((one.content, one.world), (two.content, two.world), "it stands from 1 s to 3 s");
         assert_ne!(one.view, two.view, "each frame has its own samples");
@@ -78,11 +78,11 @@ fn what_is_far_away_in_time_does_not_count_and_what_is_near_does() {
     // At 0.3 s: the keys of 0 s and 1 s; of a spline that of 2 s, too.
     for (interpolation, near) in [(Interpolation::Linear, 2), (Interpolation::Spline, 3)] {
         let look = Look { frame: 4, ..LOOK };
-        let one = moment(&scene(interpolation), &look);
+        let one = frame_key(&scene(interpolation), &look);
         for key in 0..7 {
             let mut other = scene(interpolation);
             other.paths[0].keys[key].pose.translation.y += 1e-9;
-            assert_eq!(moment(&other, &look).content == one.content, key >= near, "{interpolation:?}, key {key}");
+            assert_eq!(frame_key(&other, &look).content == one.content, key >= near, "{interpolation:?}, key {key}");
         }
     }
 }

@@ -69,8 +69,8 @@ const POINTS: &[(Fault, &str)] = &[
     (WorkerKilledWithResult, "worker-after-report:1"),
     (WorkerKilledWithResult, "worker-before-forget:1"),
     // A tile of the first group, and the second group.
-    (WorkerKilled, "worker-mid-merge:3"),
-    (WorkerKilled, "worker-mid-merge:6"),
+    (WorkerKilled, "worker-mid-reduce:3"),
+    (WorkerKilled, "worker-mid-reduce:6"),
     // The first group's.
     (WorkerKilledWithResult, "worker-after-upload:4"),
     (WorkerStopped, "worker-in-task:1"),
@@ -84,7 +84,7 @@ const POINTS: &[(Fault, &str)] = &[
     (LinkFrozenOneWay(Way::Down), "coordinator-mid-upload:6"),
     (RenderKilled, "coordinator-after-append:5"),
     (RenderKilled, "worker-after-upload:3"),
-    (RenderKilled, "worker-mid-merge:7"),
+    (RenderKilled, "worker-mid-reduce:7"),
     (RenderKilled, "render-before-file:2"),
     (RenderKilled, "render-after-file:1"),
 ];

@@ -27,7 +27,7 @@ fn a_worker_whose_grace_is_over_gives_back_what_it_is_at() {
     farm.wait_until("some samples", || share(&place, &url, &job) > 0.01);
     worker.signal("TERM");
     let ran = worker.end().exits(0);
-    assert!(ran.stderr().contains("gives that back"), "{}", ran.stderr());
+    assert!(ran.stderr().contains("grace period over"), "{}", ran.stderr());
     assert_eq!(workers(&place, &url).as_array().map(Vec::len), Some(0));
     let attempts = place.run(&format!("stats {job} --by attempt --json --server {url}")).exits(0).json();
     let endings: Vec<&str> =

@@ -1,8 +1,8 @@
-//! Removing artifacts that no job names any more: merged tiles, sums of earlier rounds.
+//! Removing artifacts that no job names any more: tiles that were reduced, sums of earlier rounds.
 //!
 //! Some time after they were released, and only if nothing names them then: the same bytes may have come in again under
 //! the same digest, and a worker that found them in the store does not send them twice. Should one be removed all the
-//! same, the merge that misses it has it made again.
+//! same, the task that misses it has it made again.
 //!
 //! The list is in memory: what a restart leaves behind is found by `femc gc`, as is what a killed client or worker uploaded
 //! for nothing.

@@ -52,8 +52,8 @@ pub(crate) async fn listen(
     let _ = actor.send((worker, SessionEvent::Over)).await;
 }
 
-/// A completion without its artifacts is hollow. Artifacts that a worker calls lost are read, which removes those that are
-/// damaged, so that they can be put again.
+/// A completion whose artifacts are not all in the store becomes [`SessionEvent::ArtifactMissing`]. Artifacts that a worker calls
+/// lost are read, which removes those that are damaged, so that they can be put again.
 async fn checked(mut message: FromWorker, store: &Store) -> SessionEvent {
     check_log(&mut message, store).await;
     if let FromWorker::Failed { failure: Failure::LostInputs { digests, .. }, .. } = &message {

@@ -44,7 +44,7 @@ pub enum Violation {
         /// Digest.
         expected: String,
     },
-    /// The log counts a sample of a tile twice, or a merge.
+    /// The log counts a result twice: samples of a tile, or a task that is not cut.
     #[error("{task} counts twice, in part at least: under epoch {} and under {}", .epochs[0].0, .epochs[1].0)]
     Twice {
         /// The task.
@@ -52,7 +52,7 @@ pub enum Violation {
         /// Of its two results.
         epochs: [Epoch; 2],
     },
-    /// The log counts a merge to which samples of its round were missing.
+    /// The log counts a task that reads what is not done, like samples of its round.
     #[error("{task} counts, and step {step} of task {item}, which it reads, does not")]
     Missing {
         /// The one that reads it.

@@ -7,7 +7,7 @@
 //! That the audit would see it is shown by planted bugs, one at a time: `sim/plants/run` gives the seed that finds each.
 //!
 //! Simulated are the network (turmoil), the clock, the disk under the log and the time that a task takes. Real
-//! are the scheduler, the coordinator's shell, the wire, the sessions, the rendering and the merging of real frames.
+//! are the scheduler, the coordinator's shell, the wire, the sessions, the rendering and the reducing of real frames.
 #![deny(missing_docs)]
 
 mod audit;

@@ -124,7 +124,7 @@ impl<'a> Session<'a> {
                     give_back(self.table.clear_line(), &out).await;
                 }
                 () = at(until) => {
-                    tracing::warn!("what it is at takes too long: it gives that back");
+                    tracing::warn!("grace period over: returning unfinished tasks");
                     break Ok(End::Stopped);
                 }
                 () = next(&mut heartbeat) => {
@@ -206,7 +206,8 @@ impl<'a> Session<'a> {
             ToWorker::Job { job, spec } => self.jobs.put(job, Arc::from(spec)),
             ToWorker::Assign(assignment) => {
                 let Some(spec) = self.jobs.get(&assignment.task.job) else {
-                    tracing::warn!(task = %assignment.task, "a task of a job that was not told");
+                    let (task, job) = (assignment.task, assignment.task.job);
+                    tracing::warn!(%task, "assignment for job {job}, whose spec this worker never received");
                     return;
                 };
                 let task = (assignment.task, assignment.epoch);

@@ -1,9 +1,9 @@
 //! The threads that work: one lane computes, one joins, one thread prepares ahead; all compute on one pool.
 //!
 //! A lane is two threads: one that does a task, the hand, and one that waits for it. Rendering notices a cancellation within
-//! milliseconds; reading a large scene or building its trees does not. Then the lane leaves the hand behind, to end
-//! unheard, and goes on with a new one: the worker is free for other tasks at once. What is left behind costs memory and
-//! processor until it ends, so a lane leaves few behind and waits when there are more.
+//! milliseconds; reading a large scene or building its trees does not. Then the lane leaves the hand behind, whose thread runs on
+//! detached and whose result is discarded, and goes on with a new one: the worker is free for other tasks at once. What is left
+//! behind costs memory and processor until it ends, so a lane leaves few behind and waits when there are more.
 
 use std::sync::{Arc, mpsc};
 use std::thread::JoinHandle;
@@ -108,7 +108,10 @@ impl Runner {
                 Err(mpsc::RecvTimeoutError::Timeout) if task.is_cancelled() => {
                     let since = cancelled.get_or_insert_with(Stopwatch::start);
                     if since.elapsed() >= Self::GRACE && self.may_leave_behind() && self.replace_hand() {
-                        tracing::info!(task = %task.key().0, "cancelled; it goes on for a while, unheard");
+                        tracing::info!(
+                            task = %task.key().0,
+                            "cancelled, but not interruptible: the thread runs on detached and its result is discarded"
+                        );
                         return None;
                     }
                 }

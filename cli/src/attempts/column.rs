@@ -72,7 +72,7 @@ const fn column(name: &'static str, title: &'static str, kind: Kind, reader: Rea
     Column { name, title, kind, reader, of }
 }
 
-/// Those of such rows.
+/// Columns shown for this grouping.
 pub fn columns(by: By) -> Vec<Column> {
     use Kind::{Bytes, Count, Seconds, Share, Text};
     use Reader::{Anybody, Programs, WhoCompares};

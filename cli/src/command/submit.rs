@@ -77,7 +77,7 @@ pub fn run(args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
         && wanted != *owner
     {
         say.warning(format!(
-            "--owner {wanted} is not heeded: this farm knows who submits, and job {job} belongs to {owner}; leave --owner away, \
+            "--owner {wanted} is not heeded: this farm knows who submits, and job {job} belongs to {owner}; omit --owner, \
              or submit it with {wanted}'s identity"
         ));
     }

@@ -101,7 +101,7 @@ fn shift(hours: Hours) -> Shift {
 
 /// Work.
 pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
-    let unknown = || usage("--memory: this system does not tell how much memory a process uses; leave it away");
+    let unknown = || usage("--memory: this system does not tell how much memory a process uses; omit it");
     let memory = args.memory.map(|Volume(bytes)| MemoryLimit::of_process(bytes).ok_or_else(unknown)).transpose()?;
     let dial = args.identity.dial()?;
     let pieces = pieces(args.cache.as_deref(), args.cache_size)?;
@@ -138,7 +138,7 @@ pub fn run(args: WorkerArgs, say: Say) -> Result<Exit, Failure> {
                 Ok(Exit::Done)
             }
             Err(WorkerError::Call(error)) => Err(super::client::map_call_error(error)),
-            Err(error @ WorkerError::Nice { .. }) => Err(failed(format!("--nice: {error}; leave it away"))),
+            Err(error @ WorkerError::Nice { .. }) => Err(failed(format!("--nice: {error}; omit it"))),
             Err(error @ WorkerError::Threads(_)) => Err(failed(error)),
             Err(error @ WorkerError::Outbox { .. }) => {
                 Err(failed(format!("--{error}; give another folder, or memory")))

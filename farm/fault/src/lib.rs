@@ -133,9 +133,9 @@ mod tests {
 
     #[test]
     fn a_fault_is_a_point_a_passage_and_a_file_and_nothing_else() {
-        let fault: Fault = "worker-mid-merge:3:/tmp/a:b".parse().unwrap();
-        assert_eq!((fault.point, fault.passage, fault.token), (Point::WorkerMidMerge, 3, "/tmp/a:b".into()));
-        for wrong in ["", "worker-mid-merge", "worker-mid-merge:0:a", "worker-mid-merge:1:", "nowhere:1:a"] {
+        let fault: Fault = "worker-mid-reduce:3:/tmp/a:b".parse().unwrap();
+        assert_eq!((fault.point, fault.passage, fault.token), (Point::WorkerMidReduce, 3, "/tmp/a:b".into()));
+        for wrong in ["", "worker-mid-reduce", "worker-mid-reduce:0:a", "worker-mid-reduce:1:", "nowhere:1:a"] {
             assert!(wrong.parse::<Fault>().is_err(), "{wrong}");
         }
     }

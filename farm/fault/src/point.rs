@@ -52,8 +52,8 @@ points! {
     WorkerAfterReport = "worker-after-report",
     /// A report is acknowledged; the result is still kept.
     WorkerBeforeForget = "worker-before-forget",
-    /// A tile or a group of them is about to join the frame; those before it have.
-    WorkerMidMerge = "worker-mid-merge",
+    /// A task that reduces outputs is about to take in another one; those before it are in.
+    WorkerMidReduce = "worker-mid-reduce",
     /// A scene's list of pieces is there, and pieces are missing.
     WorkerMidFetch = "worker-mid-fetch",
     /// `femc render` has a frame and has not written its file.

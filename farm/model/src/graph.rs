@@ -481,7 +481,7 @@ impl Graph {
         if need.round == Round::Every && same_loop {
             return fault("it needs rounds that are yet to come");
         }
-        // A stage in a loop is read there by the loop, and behind it by others.
+        // Outputs of a looped stage are read within the loop, or by stages after it.
         if need.round == Round::Same
             && self.is_looped(stage)
             && template.scope == made.scope

@@ -64,7 +64,7 @@ pub enum Phase {
     Waiting,
     /// Fetching inputs, reading and preparing the scene.
     Preparing,
-    /// Rendering or merging.
+    /// Computing the result.
     Working,
     /// Sending the result to the store.
     Uploading,

@@ -39,7 +39,7 @@ pub struct JobStatus {
     pub samples_per_second: f64,
     /// Samples refused because they were not finite.
     pub bad_samples: u64,
-    /// Relative error of the frame merged last.
+    /// Relative error of the frame measured last.
     pub relative_error: Option<f64>,
     /// Seconds since the first lease, or from the first lease to the end.
     pub seconds: f64,

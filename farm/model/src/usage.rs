@@ -80,7 +80,7 @@ pub struct AttemptRecord {
     pub ending: Ending,
     /// Pixel samples of the result that counts.
     pub samples: u64,
-    /// Relative error of the frame, where a merge measured it.
+    /// Relative error of the frame, where the task measured it.
     pub relative_error: Option<f64>,
     /// What it took; `None`: the worker could not tell.
     pub usage: Option<Usage>,

@@ -29,8 +29,8 @@ pub struct Config {
     /// Tasks that a worker holds beyond those that it runs: one that it can begin at once, and one whose result is on its
     /// way and counts as held until it is durable.
     pub prefetch: u32,
-    /// Where tasks take less than this, a worker holds more of them, up to so many milliseconds of work and at most
-    /// [`Config::DEEPEST`] tasks: then none waits for the next one's way.
+    /// Short tasks: up to so many milliseconds of work, and at most [`Config::DEEPEST`] tasks, are queued at each worker, to hide
+    /// the network's latency.
     pub ahead: u64,
     /// A lease is meant to take so long, where a task can be cut.
     pub task: u64,

@@ -169,7 +169,7 @@ impl Scheduler {
         out.push(Command::Assign { worker, assignment });
     }
 
-    /// Takes a task off the table and puts it into a worker's hands.
+    /// Takes a run of a task out of what is ready and enters its lease.
     /// - `units`: units of work of the run.
     pub(crate) fn hand_out(&mut self, key: LeaseKey, run: &Range<u32>, units: u64, worker: WorkerId, now: Tick) {
         let (task, _) = &key;

@@ -128,7 +128,8 @@ pub enum Event {
     },
     /// Time went by.
     Elapsed,
-    /// The coordinator stood still for a while: what renews leases, or brings them along, has yet to be heard.
+    /// The coordinator stood still for a while: heartbeats that renew leases, and registrations that bring leases along, may wait
+    /// to be read.
     LoopStalled,
 }
 

@@ -1,5 +1,5 @@
-//! Logs of attempts. Those in the store are few (failures and merges) and are facts, kept with the job. Those of tiles that went
-//! well are many and small: they travel in the report, and the latest are kept in memory alone.
+//! Logs of attempts. Those in the store are few (of failures and of images) and are facts, kept with the job. Those of tiles that
+//! went well are many and small: they travel in the report, and the latest are kept in memory alone.
 
 use std::collections::VecDeque;
 

@@ -12,7 +12,7 @@ use crate::open::{OpenUnit, OpenUnits};
 use crate::pace::Pace;
 use crate::quarantine::WorkerQuarantine;
 
-/// A job on the table.
+/// The ready tasks of one job, and what the scheduler remembers of its tries.
 #[derive(Debug, Clone, Default)]
 pub(crate) struct ReadyTasks {
     /// Position in the job's frames: those before it are open, finished or blocked.
@@ -84,8 +84,8 @@ impl ReadyTasks {
         }
     }
 
-    /// Whether there may be another open frame: each worker may be ahead by one, no more. Frames that wait for workers of another
-    /// build keep none idle: who holds nothing may pass as many.
+    /// Whether there may be another open frame: at most one more than there are workers. For a worker that holds
+    /// nothing twice as many may be open: frames that only workers of another build can go on with shall not keep it idle.
     pub(crate) fn may_open(&self, worker: WorkerId, table: &LeaseTable) -> bool {
         let is_idle = table.workers.get(&worker).is_some_and(|worker| worker.held.is_empty());
         self.open.frames() <= table.workers.len() * if is_idle { 2 } else { 1 }
@@ -109,13 +109,13 @@ impl ReadyTasks {
         false
     }
 
-    /// Whether the task is on the table, with all of its grains.
+    /// Whether all grains of the run are ready.
     pub(crate) fn is_ready(&self, task: &TaskKey, run: &Range<u32>) -> bool {
         let open = self.open.get(task.stage.frame).and_then(|open| open.of(&task.stage));
         open.is_some_and(|keys| keys.covers(run))
     }
 
-    /// Takes a task off the table, because it is leased.
+    /// Takes a run of a task out of what is ready, because it is leased.
     pub(crate) fn take(&mut self, task: &TaskKey, run: &Range<u32>) {
         self.open.change(task.stage.frame, |frame| frame.remove(&task.stage, run.clone()));
     }

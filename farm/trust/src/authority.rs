@@ -23,7 +23,7 @@ pub struct Authority {
     issuer: Issuer<'static, KeyPair>,
 }
 
-/// A name that every coordinator's certificate has: who trusts the authority needs no other to know a coordinator by.
+/// Name in every coordinator certificate; clients verify it whatever address they dialed.
 pub const COORDINATOR_HOST: &str = "coordinator.femc.internal";
 
 /// What is asked of an authority.

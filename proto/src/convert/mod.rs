@@ -20,8 +20,8 @@ pub(crate) use collect::collect_mode;
 /// A message that makes no sense.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum ConvertError {
-    /// Messages within messages within messages.
-    #[error("a message that holds others holds one that holds others")]
+    /// A batch within a batch.
+    #[error("nested batch: a batched message may not contain a batch")]
     Nested,
     /// A field that must be there is not.
     #[error("{field} is missing")]

@@ -66,7 +66,7 @@ pub(super) fn union(task: &Task, span: Range<u32>, tools: &Tools) -> Result<Fram
         let decoded: Vec<Result<Tile, FilmError>> =
             tools.install(task, || here.par_iter().map(|(_, bytes)| Tile::decode(bytes)).collect());
         for ((artifact, _), tile) in here.iter().zip(decoded) {
-            pass(Point::WorkerMidMerge);
+            pass(Point::WorkerMidReduce);
             let place = tile.as_ref().ok().and_then(|tile| frame.tiling().index_of(tile.rect()));
             made_of.entry(place).or_default().push(artifact.digest);
             lost.check(*artifact, tile.and_then(|tile| frame.insert(tile).map(drop)));
@@ -107,7 +107,7 @@ pub(super) fn groups<T: Send>(
         let decoded: Vec<Result<T, FilmError>> =
             tools.install(task, || here.par_iter().map(|(_, bytes)| decode(bytes)).collect());
         for ((artifact, _), group) in here.iter().zip(decoded) {
-            pass(Point::WorkerMidMerge);
+            pass(Point::WorkerMidReduce);
             let taken = group.and_then(|group| {
                 let (of, tiles, samples) = account(&group);
                 let is_whole = tiles.clone().zip(samples).all(|(tile, samples)| samples == expected(task, tile));

@@ -15,7 +15,7 @@ use object_store::{BackoffConfig, ObjectStore, RetryConfig};
 use super::http::Https;
 use crate::StoreError;
 
-/// Of one call, in all its tries: who waits for longer is a task, which has its own patience.
+/// Timeout of one S3 call with its retries; longer outages are retried per task.
 const PATIENCE: Duration = Duration::from_secs(20);
 
 /// The objects below `url`. Nothing is sent yet.

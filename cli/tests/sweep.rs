@@ -140,7 +140,7 @@ fn what_a_sweep_took_is_kept_in_its_folder_and_asks_no_farm() {
 
 #[test]
 fn frames_that_are_the_same_are_rendered_once_and_linked() {
-    // From frame 6 on (0.5 s) the fog is that of the second key's neighbours; another camera changes nothing of `main`.
+    // From frame 6 on (0.5 s) the fog is that of the second key's neighbors; another camera changes nothing of `main`.
     let place = place(
         "scene = \"fog.mgf\"\nframes = \"1..2\"\nspp = 2\nsize = \"16x16\"\n[sweep]\n\"camera.other.fov\" = [30, 50]\n\
          camera = [\"main\", \"other\"]\n",

@@ -105,7 +105,7 @@ impl Scheduler {
         let mut stages = open.into_iter().flat_map(|open| open.stages()).peekable();
         let capable = |tags: &[String]| {
             let mut workers = self.table.workers.values().filter(|it| it.registration.engine == build);
-            workers.any(|it| self.is_present(it) && it.has_tags(tags))
+            workers.any(|it| self.is_present(it) && it.has_tags(&job.spec.tags) && it.has_tags(tags))
         };
         stages.peek().is_some()
             && stages.all(|(stage, _)| !capable(job.tags_of(stage.number)))

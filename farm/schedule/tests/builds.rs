@@ -197,3 +197,25 @@ fn a_frame_of_a_build_whose_workers_cannot_end_it_says_so_and_begins_anew_with_o
     assert_eq!(farm.state(id), JobState::Done);
     assert_eq!(&farm.replay(), farm.scheduler.ledger());
 }
+
+#[test]
+fn a_worker_with_a_stage_s_tags_and_without_the_job_s_does_not_keep_a_frame_with_its_build() {
+    let mut farm = farm();
+    let id = farm.submit(JobSpec { tags: vec!["lab".into()], ..tagged() });
+    let join = |farm: &mut Farm, worker: u64, engine: &str, tags: &[&str]| {
+        let tags = tags.iter().map(|&tag| tag.to_owned()).collect();
+        farm.join_as(worker, Registration { instance: worker, engine: engine.into(), tags, ..registration() })
+    };
+    join(&mut farm, 1, "old", &["lab"]);
+    join(&mut farm, 2, "old", &["big"]);
+    (0..2).for_each(|_| drop(farm.work(1, Done)));
+    join(&mut farm, 3, "new", &["lab", "big"]);
+    for _ in 0..config().orphaned / 1_000 + 1 {
+        assert!(farm.held.is_empty(), "{:?}", farm.held);
+        farm.wait(1_000);
+        (1..=3).for_each(|worker| drop(farm.heartbeat(worker, Phase::Waiting, 0)));
+    }
+    assert_eq!((farm.tasks_of(2), farm.tasks_of(3)), (vec![], vec![(1, 0, Render, 0)]));
+    (0..3).for_each(|_| drop(farm.work(3, Done)));
+    assert_eq!(farm.state(id), JobState::Done);
+}

@@ -481,15 +481,6 @@ impl Graph {
         if need.round == Round::Every && same_loop {
             return fault("it needs rounds that are yet to come");
         }
-        // Outputs of a looped stage are read within the loop, or by stages after it.
-        if need.round == Round::Same
-            && self.is_looped(stage)
-            && template.scope == made.scope
-            && !self.is_looped(need.stage)
-        {
-            // What came before the loop is there in every round.
-            return Ok(());
-        }
         let of_frames = (template.scope, made.scope) == (Scope::Job, Scope::Frame);
         let tasks = if of_frames { None } else { Some(made.tasks()) };
         match (need.reach, tasks) {
@@ -499,6 +490,22 @@ impl Graph {
             (Reach::Same, None) => fault("one to one over frames"),
             _ => Ok(()),
         }
+    }
+
+    /// Refuses stages of the job whose tasks read the tasks of so many frames, and are too many for them or too few.
+    pub fn check_frames(&self, frames: u64) -> Result<(), GraphError> {
+        for (stage, template) in self.of(Scope::Job) {
+            for need in &template.needs {
+                let made = self.stage(need.stage).filter(|made| made.scope == Scope::Frame);
+                let (Some(made), Reach::Fan(fan)) = (made, need.reach) else { continue };
+                let read = u64::from(made.tasks()) * frames;
+                let (found, wanted) = (template.tasks(), read.div_ceil(u64::from(fan.max(1))));
+                if u64::from(found) != wanted {
+                    return Err(GraphError::Fan { stage, found, wanted, read, fan });
+                }
+            }
+        }
+        Ok(())
     }
 }
 
@@ -555,6 +562,20 @@ pub enum GraphError {
         stage: u16,
         /// Rule that the stage breaks.
         why: &'static str,
+    },
+    /// A stage of the job with other tasks than the frames feed.
+    #[error("stage {stage} has {found} tasks; {wanted} are needed to read the frames' {read} tasks, {fan} each")]
+    Fan {
+        /// Number of the stage in the graph.
+        stage: u16,
+        /// Its tasks.
+        found: u32,
+        /// Tasks that it should have.
+        wanted: u64,
+        /// Tasks of all frames that it reads.
+        read: u64,
+        /// Tasks of frames that each of its tasks reads.
+        fan: u32,
     },
     /// A need that cannot be met.
     #[error("stage {stage}: {why}")]
@@ -636,6 +657,24 @@ mod tests {
         assert!(matches!(with(|all| all[2].sizes = Sizes::even(2, 1)), Err(GraphError::Loop { stage: 2, .. })));
         assert!(with(|all| all[2].closes = Some(Loop { first: 0, rounds: 65 })).is_err());
         assert!(matches!(with(|all| all[0].sizes = Sizes::even(1 << 17, 1)), Err(GraphError::TooMany { .. })));
+    }
+
+    #[test]
+    fn a_stage_in_a_loop_reads_what_comes_before_the_loop_as_far_as_it_reaches() {
+        let read = |reach| {
+            with(|all| {
+                let before = Template::new(StageKind::Reduce, Scope::Frame, Sizes::even(6, 1), &[Role::Numbers]);
+                all.insert(0, before);
+                all.iter_mut().skip(1).flat_map(|it| &mut it.needs).for_each(|need| need.stage += 1);
+                all[2].needs.push(Need { stage: 0, role: Role::Numbers, reach, round: Round::Same, gaps: false });
+                all[3].closes = Some(Loop { first: 1, rounds: 2 });
+            })
+        };
+        let need = |why| Err(GraphError::Need { stage: 2, why });
+        assert_eq!((read(Reach::Fan(2)), read(Reach::All)), (Ok(()), Ok(())));
+        assert_eq!(read(Reach::Fan(0)), need("a fan of none"));
+        assert_eq!(read(Reach::Fan(6)), need("a fan that does not fit"));
+        assert_eq!(read(Reach::Same), need("one to one of different numbers"));
     }
 
     #[test]

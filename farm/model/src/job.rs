@@ -66,6 +66,7 @@ impl JobSpec {
             return Err(SpecError::Frames { frames: self.frames.len() });
         }
         self.graph.check()?;
+        self.graph.check_frames(self.frames.len() as u64)?;
         if self.graph.most_inputs(self.frames.len() as u64) > Graph::MAX_INPUTS {
             return Err(GraphError::TooMany { what: "outputs that a task reads", limit: Graph::MAX_INPUTS }.into());
         }
@@ -319,6 +320,22 @@ mod tests {
         assert_eq!(JobSpec { graph: large, ..spec() }.check(), Err(many.into()));
         let tags = vec!["a".to_owned(); 65];
         assert_eq!(JobSpec { tags, ..spec() }.check(), Err(SpecError::TooLong { field: "tags" }));
+    }
+
+    #[test]
+    fn a_stage_of_the_job_has_as_many_tasks_as_the_frames_feed() {
+        let joined = |tasks, fan| {
+            let mut graph = graph(&[4, 8, 16]);
+            let pairs = Template::new(StageKind::Reduce, Scope::Job, Sizes::even(tasks, 1), &[Role::Sums]);
+            graph.stages.push(pairs.reads(1, Role::Image, crate::Reach::Fan(fan)));
+            JobSpec { graph, ..spec() }.check()
+        };
+        // Of three frames.
+        assert_eq!((joined(3, 1), joined(2, 2), joined(1, 3), joined(1, 9)), (Ok(()), Ok(()), Ok(()), Ok(())));
+        for (tasks, fan, wanted) in [(2, 1, 3), (4, 1, 3), (1, 2, 2), (3, 2, 2), (2, 3, 1)] {
+            let error = GraphError::Fan { stage: 2, found: tasks, wanted, read: 3, fan };
+            assert_eq!(joined(tasks, fan), Err(SpecError::Graph(error)));
+        }
     }
 
     #[test]

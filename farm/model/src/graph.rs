@@ -118,11 +118,11 @@ pub enum Reach {
 /// Which round of a stage a task reads.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Round {
-    /// Its own, in a loop; the last, of a stage whose loop is over.
+    /// Its own, in a loop; the last, of a stage whose loop is over, or of another scope.
     Same,
     /// The one before, in a loop; in the first round there is none.
     Before,
-    /// All rounds, of a stage whose loop is over.
+    /// All rounds, of a stage whose loop is over, or of another scope: there nobody else reads the last one alone.
     Every,
 }
 
@@ -384,6 +384,7 @@ impl Graph {
         for (stage, template) in self.iter() {
             self.check_stage(stage, template)?;
         }
+        self.check_last_or_every()?;
         for scope in Scope::ALL {
             if self.of(scope).filter(|(_, template)| template.closes.is_some()).count() > 1 {
                 return Err(GraphError::Loop { stage: 0, why: "a scope has one loop at most" });
@@ -460,6 +461,25 @@ impl Graph {
         }
         if self.iter().any(|(other, inner)| (first..=stage).contains(&other) && inner.scope != template.scope) {
             return fault("the stages of a loop are of one scope");
+        }
+        Ok(())
+    }
+
+    /// What is read of a stage in a loop beyond its scope is kept of the last round, or of every one.
+    fn check_last_or_every(&self) -> Result<(), GraphError> {
+        let beyond = |made: u16, &(reader, _): &(u16, &Need)| {
+            let scope = |number| self.stage(number).map(|template| template.scope);
+            self.is_looped(made) && scope(reader) != scope(made)
+        };
+        for (made, _) in self.iter() {
+            for (stage, need) in self.readers(made).filter(|reader| beyond(made, reader)) {
+                let mut others = self.readers(made).filter(|reader| beyond(made, reader));
+                if others.any(|(_, other)| other.role == need.role && other.round != need.round) {
+                    let why =
+                        "of one output of a loop, stages of another scope read the last round or every round, not both";
+                    return Err(GraphError::Need { stage, why });
+                }
+            }
         }
         Ok(())
     }
@@ -675,6 +695,20 @@ mod tests {
         assert_eq!(read(Reach::Fan(0)), need("a fan of none"));
         assert_eq!(read(Reach::Fan(6)), need("a fan that does not fit"));
         assert_eq!(read(Reach::Same), need("one to one of different numbers"));
+    }
+
+    #[test]
+    fn other_scopes_read_the_last_round_of_an_output_or_every_round() {
+        let read = |rounds: [Round; 2], roles: [Role; 2]| {
+            let needs = rounds.into_iter().zip(roles);
+            let needs = needs.map(|(round, role)| Need { stage: 1, role, reach: Reach::All, round, gaps: false });
+            let own = Template::new(StageKind::Reduce, Scope::Job, Sizes::even(1, 1), &[Role::Levels]);
+            with(|all| all.push(Template { needs: needs.collect(), ..own }))
+        };
+        use {Role::*, Round::*};
+        assert_eq!((read([Same, Same], [Sums; 2]), read([Every, Every], [Sums; 2])), (Ok(()), Ok(())));
+        assert_eq!(read([Same, Every], [Sums, Pixels]), Ok(()));
+        assert!(matches!(read([Same, Every], [Sums; 2]), Err(GraphError::Need { stage: 3, .. })));
     }
 
     #[test]

@@ -164,6 +164,45 @@ fn a_stage_behind_the_loop_reads_all_its_rounds() {
     assert_eq!((farm.state(id), farm.scheduler.frames(id).unwrap()[0].spp), (JobState::Done, 8));
 }
 
+/// The rounds and items that the first task of a stage reads; every loop runs for all its rounds.
+fn read_by_first(graph: Graph, reader: u16) -> Vec<(u32, u32)> {
+    let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+    let contents = if graph.has_content() { vec![(1, Digest::of(b"world"))] } else { vec![] };
+    farm.submit(JobSpec { contents, ..of(&[1], 2, graph.clone()) });
+    farm.join(1);
+    let mut made = std::collections::BTreeMap::new();
+    loop {
+        let held = farm.first_of(1);
+        let Stage { round, number, .. } = held.task.stage;
+        if number == reader {
+            return held.work.inputs.iter().map(|input| made[&input.output.artifact.digest]).collect();
+        }
+        let template = &graph.stages[usize::from(number)];
+        let decision = template.closes.map(|_| if held.work.more == More::Rounds { Continue } else { Done });
+        let roles: &[Role] = if decision == Some(Continue) { &[] } else { &template.makes };
+        let made_now = TaskResult { decision, ..result(&held, roles) };
+        made.extend(made_now.outputs.iter().map(|output| (output.artifact.digest, (round, held.task.index))));
+        farm.complete_with(1, &held, made_now);
+    }
+}
+
+#[test]
+fn a_stage_of_another_scope_reads_of_a_loop_the_last_round_or_all_of_them_as_it_asks() {
+    let (last, all) = (vec![(2, 0), (2, 1)], vec![(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)]);
+    for (round, expected) in [(Round::Same, last), (Round::Every, all)] {
+        for (made_by, read_by) in [(Scope::Frame, Scope::Job), (Scope::Content, Scope::Frame)] {
+            // A result is kept of every round, for people; another output is not.
+            for role in [Role::Sums, Role::Image] {
+                let blocks = Template::new(Reduce, made_by, Sizes::even(2, 1), &[role]);
+                let close = image(made_by, &[]).reads(0, role, Reach::All).closes(0, 3);
+                let reader = image(read_by, &[Role::Preview]).needs(need(0, role, Reach::All, round));
+                let graph = Graph { stages: vec![blocks, close, reader] };
+                assert_eq!(read_by_first(graph, 2), expected, "{round:?} {read_by:?} {role:?}");
+            }
+        }
+    }
+}
+
 #[test]
 fn a_round_is_counted_once_also_where_what_closed_it_is_done_again() {
     let mut farm = Farm::new();

@@ -11,7 +11,7 @@ use femc_model::{
 use serde::{Deserialize, Serialize};
 
 use super::hints::Hints;
-use super::shape::Shape;
+use super::shape::{Place, Shape};
 use super::unit::Unit;
 use crate::{Casualty, RangeSet};
 
@@ -26,7 +26,7 @@ pub(crate) enum Hold {
     Cancelled,
 }
 
-/// An output of a finished frame that stages of the job read.
+/// An output of a finished frame that stages of the job read: of the last round, or of every one where they read all.
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 pub(crate) struct Made {
     /// Number of the stage that made it.
@@ -576,11 +576,12 @@ impl Job {
 
 /// The record of a frame all of whose stages are done.
 fn finished(shape: &Shape<'_>, unit: &Unit, frame: u32, last: (Stage, u32, Epoch), now: Tick) -> Finished {
-    let is_read = |stage: u16, output: &Output| {
-        shape.graph.readers(stage).any(|(reader, need)| shape.template(reader).is_none() && need.role == output.role)
+    let is_read = |place: Place, output: &Output| {
+        let mut beyond = shape.graph.readers(place.1).filter(|(reader, _)| shape.template(*reader).is_none());
+        beyond.any(|(_, need)| need.role == output.role && shape.is_read_beyond(place, need, unit.round))
     };
     let results = unit.outputs().filter(|(.., output)| output.role.row().is_result);
-    let made = unit.outputs().filter(|((_, stage), _, output)| is_read(*stage, output));
+    let made = unit.outputs().filter(|(place, _, output)| is_read(*place, output));
     let made = made.filter_map(|(place, first, output)| {
         let item = unit.grains(shape, place)?.task(first);
         Some(Made { stage: place.1, item, output })

@@ -70,6 +70,12 @@ impl<'a> Shape<'a> {
         }
     }
 
+    /// Whether a stage of another scope reads a stage of this one in this round.
+    /// - `current`: the round that the loop is in, or the last one where it is over.
+    pub(super) fn is_read_beyond(&self, (round, number): Place, need: &Need, current: u32) -> bool {
+        need.round == Round::Every || !self.is_looped(number) || round == current
+    }
+
     /// The tasks of another stage of the scope that a task reads.
     pub(super) fn items_read(&self, item: u32, need: &Need) -> Range<u32> {
         self.reached(need.stage, need.reach, item)

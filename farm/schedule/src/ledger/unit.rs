@@ -364,7 +364,9 @@ impl Unit {
     fn is_needed(&self, shape: &Shape<'_>, place: Place, item: u32, role: Role) -> bool {
         role.row().is_result
             || shape.graph.readers(place.1).filter(|(_, need)| need.role == role).any(|(reader, need)| {
-                let Some(template) = shape.template(reader) else { return true };
+                let Some(template) = shape.template(reader) else {
+                    return shape.is_read_beyond(place, need, self.round);
+                };
                 let readers = read_by(need.reach, item, template.tasks());
                 let is_open = |round: u32| !self.are_done((round, reader), readers.clone());
                 match need.round {

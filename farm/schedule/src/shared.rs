@@ -129,10 +129,19 @@ impl Scheduler {
         let stuck_shared: Vec<JobId> = shared.filter(|(_, _, shared)| shared.is_stuck()).map(|(_, id, _)| id).collect();
         for id in stuck_shared {
             self.forget_deaths(id);
+            self.revoke_made_with_gaps(id, out);
             self.record(Fact::Controlled { job: id, control: femc_model::Control::Retry }, now, out);
             self.rebuild(id);
         }
         self.rebuild_all();
+    }
+
+    /// Takes back what jobs make of themselves without the frames that wait for what is shared: those are about to be tried again.
+    fn revoke_made_with_gaps(&mut self, shared: JobId, out: &mut Vec<Command>) {
+        let Some(key) = self.ledger.jobs.get(&shared).and_then(|job| Some(job.shared.as_ref()?.key)) else { return };
+        let has_gaps = |job: &Job| job.spec.graph.has_gaps() && job.frames_blocked_by_shared(&key).next().is_some();
+        let jobs: Vec<JobId> = self.ledger.of_people().filter(|(_, job)| has_gaps(job)).map(|(id, _)| id).collect();
+        jobs.into_iter().for_each(|job| self.revoke_frame(job, Stage::OF_JOB, out));
     }
 
     /// What jobs share has changed for all of them.

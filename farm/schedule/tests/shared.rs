@@ -26,6 +26,7 @@ fn work(farm: &mut Farm, worker: u64, milliseconds: u64) -> TaskKey {
     let held = farm.first_of(worker);
     let (roles, decision): (&[Role], _) = match (held.task.stage.kind, held.task.stage.number) {
         (Image, _) => (&[Role::Image], Some(Decision::Done)),
+        (StageKind::Reduce, _) => (&[Role::Sums], None),
         (_, 1) => (&[Role::Answer], None),
         _ => (&[Role::Numbers], None),
     };
@@ -284,4 +285,47 @@ fn what_cannot_be_done_at_all_takes_back_the_leases_of_those_that_need_it() {
     assert!(again.task.job.is_shared());
     farm.fail(1, &again, Failure::Scene { message: "no camera".into() });
     assert_eq!((farm.state(id), held(&farm, 1), held(&farm, 2)), (JobState::Failed, None, None));
+}
+
+#[test]
+fn what_a_job_has_made_without_frames_is_made_again_when_another_job_tries_what_they_need_again() {
+    for is_made in [true, false] {
+        let mut farm = farm(config());
+        let spec = |owner: &str, frames: &[u32]| {
+            let mut spec = job(owner, frames, 1);
+            let sheet = Template::new(StageKind::Reduce, Scope::Job, Sizes::even(1, 1), &[Role::Sums]);
+            let images = Need { stage: 2, role: Role::Image, reach: Reach::All, round: Round::Same, gaps: true };
+            spec.graph.stages.push(sheet.needs(images));
+            spec.contents = (1..).zip(frames).map(|(end, &frame)| (end, Digest::of(&[frame as u8]))).collect();
+            spec
+        };
+        let ann = submit(&mut farm, spec("ann", &[1, 2]));
+        farm.join(1);
+        while held(&farm, 1).is_some_and(|task| task.stage.frame != Stage::OF_JOB || task.job.is_shared()) {
+            let held = farm.first_of(1);
+            let is_of_second = farm.scheduler.spec(held.task.job).unwrap().frames == [2];
+            if is_of_second {
+                farm.fail(1, &held, panic());
+            } else {
+                work(&mut farm, 1, 10);
+            }
+        }
+        let sheet = farm.first_of(1);
+        assert_eq!((sheet.task.job, sheet.work.inputs.len()), (ann, 1), "frame 2 is blocked");
+        if is_made {
+            work(&mut farm, 1, 10);
+            assert_eq!(farm.state(ann), JobState::Failed);
+        }
+        submit(&mut farm, spec("bob", &[2]));
+        assert_eq!(farm.ended.len(), usize::from(!is_made), "what is made with a gap is of no use");
+        let mut inputs = Vec::new();
+        while let Some(task) = held(&farm, 1) {
+            if (task.job, task.stage.frame) == (ann, Stage::OF_JOB) {
+                inputs.push(farm.first_of(1).work.inputs.len());
+            }
+            work(&mut farm, 1, 10);
+        }
+        assert_eq!((farm.state(ann), inputs), (JobState::Done, vec![2]));
+        assert_eq!(&farm.replay(), farm.scheduler.ledger());
+    }
 }

@@ -515,23 +515,29 @@ impl Job {
         self.note_end(now);
     }
 
+    /// The blocked frames that wait for nothing but what they share by this content.
+    pub(crate) fn frames_blocked_by_shared(&self, key: &Digest) -> impl Iterator<Item = u32> + use<'_> {
+        let key = *key;
+        let has_trouble = |frame| self.units.get(frame).is_some_and(|unit| unit.quarantined().next().is_some());
+        let blocked = self.blocked.iter().filter(move |frame| self.content(**frame) == Some(key));
+        blocked.filter(move |frame| !has_trouble(frame)).copied()
+    }
+
     /// What its frames of this content share is tried again: what waits for nothing else may move.
-    pub(super) fn unblock_for_shared(&mut self, key: &Digest) {
-        let is_starved = |frame: &u32| {
-            let unit = self.units.get(frame);
-            self.content(*frame).as_ref() == Some(key) && unit.is_none_or(|unit| unit.quarantined().next().is_none())
-        };
-        let frames: Vec<u32> = self.blocked.iter().copied().filter(is_starved).collect();
+    pub(super) fn unblock_for_shared(&mut self, key: &Digest) -> Vec<Digest> {
+        let frames: Vec<u32> = self.frames_blocked_by_shared(key).collect();
         if frames.is_empty() {
-            return;
+            return Vec::new();
         }
         for frame in frames {
             self.unblock(frame);
         }
         self.blocked.remove(&Stage::OF_JOB);
+        let released = self.fill_gaps();
         if !self.has_ended() {
             self.ended = None;
         }
+        released
     }
 
     /// Notes that nothing of the frame can move, and, where all frames have ended, the same of the job's own stages.

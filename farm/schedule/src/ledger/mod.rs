@@ -155,24 +155,28 @@ impl Ledger {
         }
         if job.is_shared() {
             let is_retry = matches!(fact, Fact::Controlled { control: Control::Retry, .. });
-            self.spread_shared_state(job, is_retry, now);
+            let of_others = self.spread_shared_state(job, is_retry, now);
+            return released.into_iter().flatten().chain(of_others).collect();
         }
         released.unwrap_or_default()
     }
 
-    /// What jobs share cannot be done: their frames that need it are blocked; or it is tried again, and they are not.
-    fn spread_shared_state(&mut self, id: JobId, is_retry: bool, now: Tick) {
-        let Some(job) = self.jobs.get(&id) else { return };
-        let Some(Shared { key, engine }) = job.shared.clone() else { return };
+    /// What jobs share cannot be done: their frames that need it are blocked; or it is tried again, and they are not. Returns what
+    /// is named no longer.
+    fn spread_shared_state(&mut self, id: JobId, is_retry: bool, now: Tick) -> Vec<Digest> {
+        let mut released = Vec::new();
+        let Some(job) = self.jobs.get(&id) else { return released };
+        let Some(Shared { key, engine }) = job.shared.clone() else { return released };
         let (is_stuck, side) = (job.is_stuck(), &self.side);
         for (&other, job) in self.jobs.range_mut(..JobId::shared(0)).filter(|_| is_stuck || is_retry) {
             if is_stuck {
                 let is_of_build = |frame| side.build_of(other, frame).is_none_or(|build| build == engine);
                 job.block_for_shared(&key, is_of_build, now);
             } else {
-                job.unblock_for_shared(&key);
+                released.extend(job.unblock_for_shared(&key));
             }
         }
+        released
     }
 
     /// The number that what jobs share gets next.

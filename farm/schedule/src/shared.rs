@@ -127,6 +127,9 @@ impl Scheduler {
         };
         let shared = contents.iter().flat_map(|key| self.ledger.shared_by(key));
         let stuck_shared: Vec<JobId> = shared.filter(|(_, _, shared)| shared.is_stuck()).map(|(_, id, _)| id).collect();
+        if stuck_shared.is_empty() {
+            return;
+        }
         for id in stuck_shared {
             self.forget_deaths(id);
             self.revoke_made_with_gaps(id, out);

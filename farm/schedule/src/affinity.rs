@@ -6,7 +6,6 @@ use std::collections::VecDeque;
 use femc_model::{JobId, Near, Reach, TaskKey, Tick, WorkerId};
 
 use crate::Command;
-use crate::deal::{is_quarantined_for, may_take};
 use crate::ledger::Job;
 use crate::scheduler::Scheduler;
 use crate::shared::Content;
@@ -117,7 +116,7 @@ impl Scheduler {
             let index = job.keys_of(&task.stage, item).find(|&key| keys.contains(key))?;
             Some(TaskKey { index, ..*task })
         });
-        tasks.find(|task| may_take(task, job, ready_tasks, id, &self.table))
+        tasks.find(|task| self.may_take(task, job, ready_tasks, id))
     }
 
     /// A ready task of a job of which the worker has the scene; opens a frame for it, if there may be one more.
@@ -135,7 +134,7 @@ impl Scheduler {
         let (worker, ready_tasks) = (self.table.workers.get(&id), self.ready.get(&job));
         known.is_runnable()
             && worker.is_some_and(|worker| worker.has_tags(&known.spec.tags))
-            && ready_tasks.is_some_and(|ready_tasks| !is_quarantined_for(known, ready_tasks, id, &self.table, now))
+            && ready_tasks.is_some_and(|ready_tasks| !self.is_quarantined_for(known, ready_tasks, id, now))
     }
 
     /// The first ready task that wants its frame prepared, of one frame of the job, or of any, and that the worker may take.
@@ -143,7 +142,7 @@ impl Scheduler {
         let (known, ready_tasks) = (self.ledger.jobs.get(&job)?, self.ready.get(&job)?);
         let engine = &*self.table.workers.get(&id)?.registration.engine;
         let is_for_it = |task: &TaskKey| {
-            may_take(task, known, ready_tasks, id, &self.table)
+            self.may_take(task, known, ready_tasks, id)
                 && matches!(self.content(job, known, &task.stage, engine), Content::There)
                 && !self.is_reserved_for_others(job, task.stage.frame, id)
         };

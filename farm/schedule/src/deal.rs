@@ -6,7 +6,7 @@ use std::ops::{ControlFlow, Range};
 use femc_model::{Assignment, Digest, Epoch, JobId, More, Scope, Stage, TaskKey, Tick, Wait, Work, WorkerId};
 
 use crate::Command;
-use crate::lease_table::{LeaseKey, LeaseTable, Worker};
+use crate::lease_table::{LeaseKey, Worker};
 use crate::ledger::{Job, Place};
 use crate::ready_tasks::ReadyTasks;
 use crate::scheduler::Scheduler;
@@ -71,7 +71,7 @@ impl Scheduler {
             let (Some(job), Some(ready_tasks)) = (self.ledger.jobs.get(&job_id), self.ready.get(&job_id)) else {
                 continue;
             };
-            if !worker.has_tags(&job.spec.tags) || is_quarantined_for(job, ready_tasks, id, &self.table, now) {
+            if !worker.has_tags(&job.spec.tags) || self.is_quarantined_for(job, ready_tasks, id, now) {
                 best = Pick::NotForThisWorker;
                 continue;
             }
@@ -120,7 +120,7 @@ impl Scheduler {
                     }
                 }
                 let mut tasks = keys.iter().map(|index| TaskKey { job: id, stage: *stage, index });
-                if let Some(task) = tasks.find(|task| !is_avoided(task, job, ready_tasks, worker, &self.table)) {
+                if let Some(task) = tasks.find(|task| !self.is_avoided(task, job, ready_tasks, worker)) {
                     return Pick::Task(task);
                 }
                 best = Pick::NotForThisWorker;
@@ -132,11 +132,11 @@ impl Scheduler {
     /// The first ready task of what jobs share that the worker may take.
     fn ready_shared(&self, id: JobId, worker: WorkerId, now: Tick) -> Option<TaskKey> {
         let (job, ready_tasks) = (self.ledger.jobs.get(&id)?, self.ready.get(&id)?);
-        if job.has_ended() || is_quarantined_for(job, ready_tasks, worker, &self.table, now) {
+        if job.has_ended() || self.is_quarantined_for(job, ready_tasks, worker, now) {
             return None;
         }
         let mut tasks = ready_tasks.open.ready().flat_map(|(_, open)| open.tasks(id));
-        tasks.find(|task| may_take(task, job, ready_tasks, worker, &self.table))
+        tasks.find(|task| self.may_take(task, job, ready_tasks, worker))
     }
 
     /// Leases a task to a worker.
@@ -301,7 +301,7 @@ impl Scheduler {
     fn why_avoided(&self, job: &Job, ready_tasks: &ReadyTasks) -> Option<Wait> {
         let is_kept = |(task, worker): &(&TaskKey, &WorkerId)| {
             let first = task.index..task.index + 1;
-            ready_tasks.is_ready(task, &first) && is_avoided(task, job, ready_tasks, **worker, &self.table)
+            ready_tasks.is_ready(task, &first) && self.is_avoided(task, job, ready_tasks, **worker)
         };
         let tasks = ready_tasks.avoid.iter().filter(is_kept).count() as u32;
         (tasks > 0).then_some(Wait::WorkersAvoided { tasks })
@@ -333,8 +333,7 @@ impl Scheduler {
     fn why_quarantined(&self, job: &Job, ready_tasks: &ReadyTasks, now: Tick) -> Option<Wait> {
         let quarantined = |(&id, worker): (&WorkerId, &Worker)| {
             let left = ready_tasks.quarantine.quarantines(worker.registration.instance, now)?;
-            (worker.has_tags(&job.spec.tags) && is_quarantined_for(job, ready_tasks, id, &self.table, now))
-                .then_some(left)
+            (worker.has_tags(&job.spec.tags) && self.is_quarantined_for(job, ready_tasks, id, now)).then_some(left)
         };
         let left: Vec<u64> = self.table.workers.iter().filter_map(quarantined).collect();
         let seconds = left.iter().min()?.div_ceil(1000);
@@ -359,53 +358,39 @@ fn why_idle(job: &Job, frame: u32) -> Option<Wait> {
     Some(Wait::StageWaits { frame, stage: waits.kind, needs: needs.kind, tasks })
 }
 
-/// Whether another worker may do what this one may: one of its build that wants tasks of the job, and has these tags, too.
-fn has_peer(
-    job: &Job,
-    tags: &[String],
-    worker: WorkerId,
-    table: &LeaseTable,
-    is_one: impl Fn(WorkerId) -> bool,
-) -> bool {
-    let Some(own) = table.workers.get(&worker) else { return false };
-    table.workers.iter().any(|(&id, other)| {
-        id != worker
-            && other.is_open()
-            && other.has_tags(&job.spec.tags)
-            && other.has_tags(tags)
-            && other.registration.engine == own.registration.engine
-            && is_one(id)
-    })
-}
+impl Scheduler {
+    /// Whether another worker may do what this one may: one of its build that wants tasks of the job, and has these tags, too.
+    fn has_peer(&self, job: &Job, tags: &[String], worker: WorkerId, is_one: impl Fn(WorkerId) -> bool) -> bool {
+        let Some(own) = self.table.workers.get(&worker) else { return false };
+        self.table.workers.iter().any(|(&id, other)| {
+            id != worker
+                && other.is_open()
+                && other.has_tags(tags)
+                && other.registration.engine == own.registration.engine
+                && is_one(id)
+                && self.fits(other, job)
+        })
+    }
 
-/// Whether the job's tasks keep failing on this worker, and another that is trusted could take them.
-pub(crate) fn is_quarantined_for(
-    job: &Job,
-    ready_tasks: &ReadyTasks,
-    worker: WorkerId,
-    table: &LeaseTable,
-    now: Tick,
-) -> bool {
-    let quarantines =
-        |id| table.instance(id).is_some_and(|instance| ready_tasks.quarantine.quarantines(instance, now).is_some());
-    quarantines(worker) && has_peer(job, &[], worker, table, |other| !quarantines(other))
-}
+    /// Whether the job's tasks keep failing on this worker, and another that is trusted could take them.
+    pub(crate) fn is_quarantined_for(&self, job: &Job, ready_tasks: &ReadyTasks, worker: WorkerId, now: Tick) -> bool {
+        let quarantine = &ready_tasks.quarantine;
+        let quarantines =
+            |id| self.table.instance(id).is_some_and(|instance| quarantine.quarantines(instance, now).is_some());
+        quarantines(worker) && self.has_peer(job, &[], worker, |other| !quarantines(other))
+    }
 
-/// Whether the worker has what the task's stage asks for, and is not to be spared the task.
-pub(crate) fn may_take(
-    task: &TaskKey,
-    job: &Job,
-    ready_tasks: &ReadyTasks,
-    worker: WorkerId,
-    table: &LeaseTable,
-) -> bool {
-    table.has_tags(worker, job.tags_of(task.stage.number)) && !is_avoided(task, job, ready_tasks, worker, table)
-}
+    /// Whether the worker has what the task's stage asks for, and is not to be spared the task.
+    pub(crate) fn may_take(&self, task: &TaskKey, job: &Job, ready_tasks: &ReadyTasks, worker: WorkerId) -> bool {
+        self.table.has_tags(worker, job.tags_of(task.stage.number)) && !self.is_avoided(task, job, ready_tasks, worker)
+    }
 
-/// Whether the task failed last on this very worker, and another that could take it is there: not one on which the job's tasks
-/// keep failing, or each would wait for the other.
-fn is_avoided(task: &TaskKey, job: &Job, ready_tasks: &ReadyTasks, worker: WorkerId, table: &LeaseTable) -> bool {
-    let is_trusted = |id| table.instance(id).is_some_and(|instance| !ready_tasks.quarantine.is_in_doubt(instance));
-    ready_tasks.avoid.get(task) == Some(&worker)
-        && has_peer(job, job.tags_of(task.stage.number), worker, table, is_trusted)
+    /// Whether the task failed last on this very worker, and another that could take it is there: not one on which the job's tasks
+    /// keep failing, or each would wait for the other.
+    fn is_avoided(&self, task: &TaskKey, job: &Job, ready_tasks: &ReadyTasks, worker: WorkerId) -> bool {
+        let is_trusted =
+            |id| self.table.instance(id).is_some_and(|instance| !ready_tasks.quarantine.is_in_doubt(instance));
+        ready_tasks.avoid.get(task) == Some(&worker)
+            && self.has_peer(job, job.tags_of(task.stage.number), worker, is_trusted)
+    }
 }

@@ -58,7 +58,7 @@ impl Scheduler {
     pub(crate) fn fits(&self, worker: &Worker, job: &Job) -> bool {
         match &job.shared {
             None => worker.has_tags(&job.spec.tags),
-            Some(shared) => self.waiting(&shared.key).any(|job| worker.has_tags(&job.spec.tags)),
+            Some(shared) => self.waiting(&shared.key).any(|job| may_begin(worker, job)),
         }
     }
 
@@ -237,4 +237,11 @@ impl Scheduler {
         }
         waits
     }
+}
+
+/// Whether a worker has what a job's frames ask for where they read their content: it is dealt what they share with others, too.
+fn may_begin(worker: &Worker, job: &Job) -> bool {
+    let mut frames = job.spec.graph.of(Scope::Frame);
+    worker.has_tags(&job.spec.tags)
+        && frames.any(|(number, template)| worker.has_tags(&template.tags) && job.spec.graph.reads_content(number))
 }

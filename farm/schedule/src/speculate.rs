@@ -5,7 +5,6 @@
 use femc_model::{TaskKey, Tick, WorkerId};
 
 use crate::Command;
-use crate::deal::{is_quarantined_for, may_take};
 use crate::lease_table::{Lease, LeaseKey};
 use crate::scheduler::Scheduler;
 use crate::shared::Content;
@@ -69,8 +68,8 @@ impl Scheduler {
             && worker
                 .is_some_and(|it| matches!(self.content(task.job, job, &task.stage, &it.registration.engine), Content::There))
             && worker.is_some_and(|worker| self.fits(worker, job))
-            && !is_quarantined_for(job, ready_tasks, id, &self.table, now)
-            && may_take(task, job, ready_tasks, id, &self.table)
+            && !self.is_quarantined_for(job, ready_tasks, id, now)
+            && self.may_take(task, job, ready_tasks, id)
             && !self.is_reserved_for_others(task.job, task.stage.frame, id)
     }
 }

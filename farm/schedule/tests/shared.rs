@@ -329,3 +329,29 @@ fn what_a_job_has_made_without_frames_is_made_again_when_another_job_tries_what_
         assert_eq!(&farm.replay(), farm.scheduler.ledger());
     }
 }
+
+#[test]
+fn a_failed_task_is_spared_a_worker_only_where_another_fits_a_job_that_waits() {
+    for tags_of_frames in [false, true] {
+        let mut farm = farm(config());
+        let tagged = |owner: &str, tag: &str| {
+            let mut spec = job(owner, &[1], 1);
+            let tags = if tags_of_frames { &mut spec.graph.stages[2].tags } else { &mut spec.tags };
+            tags.push(tag.into());
+            spec
+        };
+        let ann = submit(&mut farm, tagged("ann", "a"));
+        farm.join_with(2, vec!["a".into()]);
+        assert!(held(&farm, 2).is_some_and(|task| task.job.is_shared()));
+        farm.control(ann, Control::Cancel);
+        let bob = submit(&mut farm, tagged("bob", "b"));
+        farm.join_with(1, vec!["b".into()]);
+        let first = farm.first_of(1);
+        farm.fail(1, &first, panic());
+        assert_eq!(held(&farm, 1), Some(first.task), "nobody else is dealt what bob waits for");
+        while held(&farm, 1).is_some() {
+            work(&mut farm, 1, 10);
+        }
+        assert_eq!((farm.state(bob), held(&farm, 2)), (JobState::Done, None));
+    }
+}

@@ -38,6 +38,8 @@ pub struct Scheduler {
     /// Of the event that is being taken.
     pub(crate) now: Tick,
     pub(crate) orphans: Orphans,
+    /// What jobs share and no worker could go on with, since when.
+    pub(crate) unattended: BTreeMap<JobId, Tick>,
     pub(crate) deaths: Deaths,
     /// The jobs that have ended are not looked at before.
     pub(crate) looks_from: Tick,
@@ -66,6 +68,7 @@ impl Scheduler {
             reported_usage: None,
             now,
             orphans: Orphans::default(),
+            unattended: BTreeMap::new(),
             deaths: Deaths::of(&ledger),
             looks_from: Tick(0),
             shares_from: now.after(Self::NOTE_SHARES),

@@ -6,6 +6,8 @@
 //! wait for it. When nobody waits any more its leases are taken back; when it is done it is kept, for jobs to come, as long as all
 //! that is kept so is within a number of bytes.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use femc_model::{Digest, JobId, JobSpec, RevokeReason, Scope, Stage, Tick, Wait, WorkerId};
 
 use crate::builds::build_of;
@@ -36,15 +38,28 @@ impl Scheduler {
         if let Some((id, shared)) = self.ledger.shared_of(&key, engine) {
             return if shared.is_done() { Content::There } else { Content::Underway(id) };
         }
-        let may_go_on = |worker: &Worker| worker.is_open() && self.is_present(worker);
-        let is_there =
-            |build: &str| self.table.workers.values().any(|it| it.registration.engine == build && may_go_on(it));
+        let may_go_on =
+            |worker: &Worker, shared: &Job| worker.is_open() && self.is_present(worker) && self.fits(worker, shared);
+        let is_there = |id: JobId, shared: &Job| self.has_worker_for(id, shared, |worker| may_go_on(worker, shared));
         let mut others = self.ledger.shared_by(&key).filter(|(_, _, shared)| !shared.has_ended());
         // What another build makes is of no use to a frame of this one, and nobody else goes on with that frame.
         let is_own = build_of(&self.ledger, &self.table, id, stage.frame) == Some(engine);
-        let is_elsewhere = (!is_own && others.any(|(build, ..)| is_there(build)))
+        let is_elsewhere = (!is_own && others.any(|(_, id, shared)| is_there(id, shared)))
             || !self.has_best_coverage(job, Scope::Content, engine);
         if is_elsewhere { Content::Elsewhere } else { Content::Missing(key) }
+    }
+
+    /// Whether a worker of an instance's build has the tags of a stage that it is at, among those of which this holds.
+    fn has_worker_for(&self, id: JobId, shared: &Job, is_one: impl Fn(&Worker) -> bool) -> bool {
+        let build = shared.shared.as_ref().map(|shared| &*shared.engine);
+        let ready = self.ready.get(&id).into_iter().flat_map(|ready_tasks| ready_tasks.open.ready());
+        let ready = ready.flat_map(|(_, open)| open.stages()).map(|(stage, _)| stage.number);
+        let stages: BTreeSet<u16> =
+            ready.chain(self.table.of_job(id).map(|((task, _), _)| task.stage.number)).collect();
+        self.table.workers.values().any(|it| {
+            let has_tags = |number: &u16| it.has_tags(shared.tags_of(*number));
+            Some(&*it.registration.engine) == build && stages.iter().any(has_tags) && is_one(it)
+        })
     }
 
     /// The jobs that run and wait for a content, in order of submission.
@@ -154,26 +169,35 @@ impl Scheduler {
         jobs.into_iter().for_each(|job| self.rebuild(job));
     }
 
-    /// Forgets what nobody needs: of a build that is gone what is not done, and the oldest of what is done, until the rest is within
-    /// its bytes. A job needs what its frames are to be made of, whether it runs or not.
-    pub(crate) fn forget_shared(&mut self, now: Tick, out: &mut Vec<Command>) {
-        let is_needed = |shared: &Job| {
-            let key = shared.shared.as_ref().map(|shared| shared.key);
-            let needs = |job: &Job| key.is_some_and(|key| job.needs(&key) && !job.is_over());
-            self.ledger.of_people().any(|(_, job)| needs(job))
-        };
-        let is_gone = |shared: &Job| {
+    /// The jobs that need an instance for their frames, whether they run or not.
+    fn needing<'a>(&'a self, shared: &Job) -> impl Iterator<Item = &'a Job> + use<'a> {
+        let key = shared.shared.as_ref().map(|shared| shared.key);
+        let needs = move |job: &&Job| key.is_some_and(|key| job.needs(&key) && !job.is_over());
+        self.ledger.of_people().map(|(_, job)| job).filter(needs)
+    }
+
+    /// Whether a worker is there, drained or not, that could go on with an instance for a job that needs it; where none does, whether
+    /// its build is there.
+    fn is_attended(&self, id: JobId, shared: &Job) -> bool {
+        let is_there = |worker: &Worker| self.now.since(worker.seen) < self.config.orphaned;
+        let needing: Vec<&Job> = self.needing(shared).collect();
+        if needing.is_empty() {
             let build = shared.shared.as_ref().map(|shared| &*shared.engine);
-            let is_there = |seen: Tick| now.since(seen) < self.config.orphaned;
-            !self.table.workers.values().any(|it| Some(&*it.registration.engine) == build && is_there(it.seen))
-        };
-        let mut forgotten: Vec<JobId> = Vec::new();
+            return self.table.workers.values().any(|it| Some(&*it.registration.engine) == build && is_there(it));
+        }
+        self.has_worker_for(id, shared, |worker| is_there(worker) && needing.iter().any(|job| may_begin(worker, job)))
+    }
+
+    /// Forgets what is not done and has had no worker for too long, and of what is done and no job needs the oldest, until the rest is
+    /// within its bytes.
+    pub(crate) fn forget_shared(&mut self, now: Tick, out: &mut Vec<Command>) {
+        let before = std::mem::take(&mut self.unattended);
+        let (mut unattended, mut forgotten) = (BTreeMap::new(), Vec::new());
         let (mut kept, mut bytes) = (Vec::new(), 0u64);
         for (id, shared) in self.ledger.all_shared() {
-            let is_idle = self.table.of_job(id).next().is_none();
             if shared.is_done() {
                 bytes = bytes.saturating_add(shared.bytes());
-                if !is_needed(shared) {
+                if self.needing(shared).next().is_none() {
                     kept.push((shared.ended, id, shared.bytes()));
                 }
             } else if shared.is_stuck() {
@@ -183,13 +207,15 @@ impl Scheduler {
                 if !self.ledger.of_people().any(|(_, job)| has_blocked(job)) {
                     forgotten.push(id);
                 }
-            } else if is_idle
-                && is_gone(shared)
-                && now.since(shared.began.unwrap_or(shared.submitted())) >= self.config.orphaned
-            {
-                forgotten.push(id);
+            } else if self.table.of_job(id).next().is_none() && !self.is_attended(id, shared) {
+                let since = before.get(&id).copied().unwrap_or(now);
+                unattended.insert(id, since);
+                if now.since(since) >= self.config.orphaned {
+                    forgotten.push(id);
+                }
             }
         }
+        self.unattended = unattended;
         kept.sort_unstable();
         for (_, id, size) in kept {
             if bytes <= self.config.shared_bytes {

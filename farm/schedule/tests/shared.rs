@@ -355,3 +355,69 @@ fn a_failed_task_is_spared_a_worker_only_where_another_fits_a_job_that_waits() {
         assert_eq!((farm.state(bob), held(&farm, 2)), (JobState::Done, None));
     }
 }
+
+fn join_as(farm: &mut Farm, worker: u64, engine: &str, tags: &[&str]) {
+    let tags = tags.iter().map(|&tag| tag.to_owned()).collect();
+    farm.join_as(worker, Registration { instance: worker, engine: engine.into(), tags, ..registration() });
+}
+
+fn is_forgotten(farm: &Farm, shared: JobId) -> bool {
+    farm.log.iter().any(|(_, fact)| *fact == Fact::Forgotten { job: shared })
+}
+
+/// So many milliseconds, in which these workers are heard of once a second.
+fn wait_with(farm: &mut Farm, workers: &[u64], milliseconds: u64) {
+    for _ in 0..milliseconds / 1_000 {
+        workers.iter().for_each(|&worker| drop(farm.heartbeat(worker, Phase::Working, 0)));
+        farm.wait(1_000);
+    }
+}
+
+#[test]
+fn another_build_begins_what_no_worker_left_has_the_tags_for() {
+    let lab = || vec!["lab".to_owned()];
+    let of_job = Box::new(JobSpec { tags: lab(), ..*job("ann", &[1], 1) });
+    let [mut of_frames, mut of_content] = [job("ann", &[1], 1), job("ann", &[1], 1)];
+    of_frames.graph.stages[2].tags = lab();
+    of_content.graph.stages[1].tags = lab();
+    for (spec, tags) in [(of_job, &["lab"][..]), (of_frames, &["lab"]), (of_content, &[])] {
+        let mut farm = farm(config());
+        let id = submit(&mut farm, spec);
+        join_as(&mut farm, 1, "old", tags);
+        let old = held(&farm, 1).unwrap().job;
+        for _ in 0..2 {
+            work(&mut farm, 1, 10);
+        }
+        join_as(&mut farm, 2, "old", &[]);
+        farm.leave(1);
+        assert_eq!(held(&farm, 2), None, "it lacks the tag for what comes next");
+        join_as(&mut farm, 3, "new", &["lab"]);
+        assert!(held(&farm, 3).is_some_and(|task| task.job.is_shared() && task.job != old));
+        while held(&farm, 3).is_some() {
+            work(&mut farm, 3, 10);
+        }
+        assert_eq!(farm.state(id), JobState::Done);
+    }
+}
+
+#[test]
+fn what_no_worker_there_can_go_on_with_is_forgotten_after_a_while_though_others_of_its_build_stay() {
+    let orphaned = config().orphaned;
+    let mut farm = farm(config());
+    submit(&mut farm, Box::new(JobSpec { tags: vec!["lab".into()], ..*job("ann", &[1], 1) }));
+    join_as(&mut farm, 1, "e", &["lab"]);
+    join_as(&mut farm, 2, "e", &[]);
+    work(&mut farm, 1, 10);
+    let shared = held(&farm, 1).unwrap().job;
+    wait_with(&mut farm, &[1, 2], 2 * orphaned);
+    // A moment without a connection costs nothing.
+    farm.leave(1);
+    wait_with(&mut farm, &[2], orphaned / 2);
+    join_as(&mut farm, 3, "e", &["lab"]);
+    assert_eq!(held(&farm, 3).map(|task| (task.job, task.index)), Some((shared, 1)));
+    farm.leave(3);
+    wait_with(&mut farm, &[2], orphaned / 2);
+    assert!(!is_forgotten(&farm, shared));
+    wait_with(&mut farm, &[2], orphaned);
+    assert!(is_forgotten(&farm, shared));
+}

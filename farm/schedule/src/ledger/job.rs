@@ -253,11 +253,6 @@ impl Job {
         self.hold == Hold::Cancelled || self.doom.is_some()
     }
 
-    /// When it was asked for.
-    pub(crate) fn submitted(&self) -> Tick {
-        self.submitted
-    }
-
     /// Whether its tasks may be leased.
     pub(crate) fn is_runnable(&self) -> bool {
         self.hold == Hold::Free && !self.has_ended()

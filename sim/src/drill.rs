@@ -4,14 +4,16 @@
 use bytes::Bytes;
 use femc_model::{Digest, Graph, Grid, JobSpec, Need, Reach, Role, Round, Scope, Sizes, StageKind, Template};
 
+use femc_schedule::Config;
+
 use crate::stage::{FRAMES, Stage};
 
 /// Numbers of a block.
 const NUMBERS: usize = 16;
 /// What stands for a scene, which nothing reads.
 const BUNDLE: &[u8] = b"no scene";
-/// Bytes of what is kept of shared stages.
-pub(crate) const BYTES: u64 = 8 * NUMBERS as u64;
+/// Room for the shared stages of one content, and not of two.
+pub(crate) const BYTES: u64 = Config::SHARED_OVERHEAD * 3 / 2;
 
 /// A world of numbers: blocks that iterate, each round from all blocks of the round before.
 #[derive(Debug, Clone, Copy)]

@@ -45,7 +45,8 @@ pub struct Config {
     pub presumed: u64,
     /// A frame begins anew when no worker of its build of the engine has been there for so long, and others are.
     pub orphaned: u64,
-    /// Bytes of what is done for contents that no job needs any more, and that is kept for jobs to come.
+    /// Most bytes of what is begun or done for contents that no job needs any more, and that is kept for jobs to come; each content
+    /// counts [`Config::SHARED_OVERHEAD`] beside its own, so their number is bounded, too.
     pub shared_bytes: u64,
     /// A job that ended so long ago is forgotten; `None`: never.
     pub keep_ended: Option<u64>,
@@ -75,6 +76,9 @@ impl Default for Quota {
 impl Config {
     /// Most tasks that a worker holds beyond `prefetch`.
     pub const DEEPEST: u64 = 64;
+
+    /// Bytes that each content counts in `shared_bytes` for what the ledger keeps of it.
+    pub const SHARED_OVERHEAD: u64 = 64 << 10;
 
     /// Tasks that a worker holds beyond `prefetch`, where each takes so many milliseconds.
     pub(crate) fn depth(&self, milliseconds: u64) -> usize {

@@ -3,8 +3,8 @@
 //! An **instance** is a content and a build of the engine: it is begun when a worker of that build would do a frame that needs it,
 //! and a frame takes inputs of its own build alone. It has its tasks, leases and attempts like a job, under a number of its own,
 //! and its place in the order of service is that of the first job that waits for it. Its time is charged to all owners whose jobs
-//! wait for it. When nobody waits any more its leases are taken back; when it is done it is kept, for jobs to come, as long as all
-//! that is kept so is within a number of bytes.
+//! wait for it. When nobody waits any more its leases are taken back; it is kept for jobs to come, done or not, as long as all that is
+//! kept so is within a number of bytes.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -14,7 +14,7 @@ use crate::builds::build_of;
 use crate::lease_table::{LeaseKey, Worker};
 use crate::ledger::Job;
 use crate::scheduler::Scheduler;
-use crate::{Command, Fact};
+use crate::{Command, Config, Fact};
 
 /// What a worker finds of what a frame's content is.
 pub(crate) enum Content {
@@ -188,31 +188,34 @@ impl Scheduler {
         self.has_worker_for(id, shared, |worker| is_there(worker) && needing.iter().any(|job| may_begin(worker, job)))
     }
 
-    /// Forgets what is not done and has had no worker for too long, and of what is done and no job needs the oldest, until the rest is
-    /// within its bytes.
+    /// Forgets what is not done and has had no worker for too long, and of what no job needs, done or not, the oldest, until the rest
+    /// is within its bytes.
     pub(crate) fn forget_shared(&mut self, now: Tick, out: &mut Vec<Command>) {
         let before = std::mem::take(&mut self.unattended);
         let (mut unattended, mut forgotten) = (BTreeMap::new(), Vec::new());
         let (mut kept, mut bytes) = (Vec::new(), 0u64);
         for (id, shared) in self.ledger.all_shared() {
-            if shared.is_done() {
-                bytes = bytes.saturating_add(shared.bytes());
-                if self.needing(shared).next().is_none() {
-                    kept.push((shared.ended, id, shared.bytes()));
-                }
-            } else if shared.is_stuck() {
+            if shared.is_stuck() {
                 // What it has kept from being done says so as long as it is known.
                 let key = shared.shared.as_ref().map(|shared| shared.key);
                 let has_blocked = |job: &Job| key.is_some_and(|key| job.has_blocked_frames_of(&key));
                 if !self.ledger.of_people().any(|(_, job)| has_blocked(job)) {
                     forgotten.push(id);
                 }
-            } else if self.table.of_job(id).next().is_none() && !self.is_attended(id, shared) {
+                continue;
+            }
+            if !shared.is_done() && self.table.of_job(id).next().is_none() && !self.is_attended(id, shared) {
                 let since = before.get(&id).copied().unwrap_or(now);
-                unattended.insert(id, since);
                 if now.since(since) >= self.config.orphaned {
                     forgotten.push(id);
+                    continue;
                 }
+                unattended.insert(id, since);
+            }
+            if self.needing(shared).next().is_none() {
+                let size = shared.bytes().saturating_add(Config::SHARED_OVERHEAD);
+                bytes = bytes.saturating_add(size);
+                kept.push((shared.dated(), id, size));
             }
         }
         self.unattended = unattended;
@@ -221,7 +224,7 @@ impl Scheduler {
             if bytes <= self.config.shared_bytes {
                 break;
             }
-            bytes -= size;
+            bytes = bytes.saturating_sub(size);
             forgotten.push(id);
         }
         for job in forgotten {

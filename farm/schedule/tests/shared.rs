@@ -421,3 +421,41 @@ fn what_no_worker_there_can_go_on_with_is_forgotten_after_a_while_though_others_
     wait_with(&mut farm, &[2], orphaned);
     assert!(is_forgotten(&farm, shared));
 }
+
+#[test]
+fn what_is_begun_and_nobody_needs_any_more_counts_like_what_is_done_and_the_oldest_goes_first() {
+    // Room for two contents.
+    let mut farm = farm(Config { shared_bytes: Config::SHARED_OVERHEAD * 5 / 2, ..config() });
+    farm.join(1);
+    let begin = |farm: &mut Farm, content: u8| {
+        let id = submit(farm, job("ann", &[1], content));
+        farm.wait(1_000);
+        (id, held(farm, 1).expect("a lease").job)
+    };
+    let (needed, first) = begin(&mut farm, 1);
+    let mut begun = vec![first];
+    farm.control(needed, Control::Pause);
+    for content in 2..=5 {
+        let (id, shared) = begin(&mut farm, content);
+        if content == 3 {
+            for _ in 0..4 {
+                work(&mut farm, 1, 10);
+            }
+        } else {
+            work(&mut farm, 1, 10);
+            farm.control(id, Control::Cancel);
+        }
+        begun.push(shared);
+        wait_with(&mut farm, &[1], 2_000);
+    }
+    let forgotten: Vec<bool> = begun.iter().map(|&shared| is_forgotten(&farm, shared)).collect();
+    assert_eq!(forgotten, [false, true, true, false, false], "the first is needed by a job that is held");
+    farm.control(needed, Control::Resume);
+    while held(&farm, 1).is_some() {
+        work(&mut farm, 1, 10);
+    }
+    assert_eq!(farm.state(needed), JobState::Done);
+    wait_with(&mut farm, &[1], 2_000);
+    let forgotten: Vec<bool> = begun.iter().map(|&shared| is_forgotten(&farm, shared)).collect();
+    assert_eq!(forgotten, [false, true, true, true, false], "what was done last is the latest");
+}

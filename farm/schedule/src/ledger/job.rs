@@ -203,10 +203,19 @@ impl Job {
         self.shared.is_some() && self.has_ended() && !self.is_done()
     }
 
-    /// Bytes of what is finished of it.
+    /// Bytes of the artifacts that it keeps for others, finished or not, and of its description.
     pub(crate) fn bytes(&self) -> u64 {
-        let made = self.finished.values().flat_map(|finished| &finished.made);
-        made.map(|made| made.output.artifact.bytes).sum()
+        let made = self.finished.values().flat_map(|finished| &finished.made).map(|made| made.output);
+        let in_work = self.units.values().flat_map(|unit| unit.outputs().map(|(.., output)| output));
+        let artifacts: u64 = made.chain(in_work).map(|output| output.artifact.bytes).sum();
+        let stages = self.spec.graph.stages.iter();
+        let stages: usize = stages.map(|it| it.options.len() + size_of_val(it.sizes.runs())).sum();
+        artifacts + (self.spec.settings.len() + stages) as u64
+    }
+
+    /// When it was done, or was begun where it is not.
+    pub(crate) fn dated(&self) -> Tick {
+        self.ended.unwrap_or(self.submitted)
     }
 
     /// What was made of it for frames, by one of their needs.

@@ -702,7 +702,7 @@ mod tests {
         let read = |rounds: [Round; 2], roles: [Role; 2]| {
             let needs = rounds.into_iter().zip(roles);
             let needs = needs.map(|(round, role)| Need { stage: 1, role, reach: Reach::All, round, gaps: false });
-            let own = Template::new(StageKind::Reduce, Scope::Job, Sizes::even(1, 1), &[Role::Levels]);
+            let own = Template::new(StageKind::Reduce, Scope::Job, Sizes::even(1, 1), &[Levels]);
             with(|all| all.push(Template { needs: needs.collect(), ..own }))
         };
         use {Role::*, Round::*};

@@ -165,7 +165,7 @@ fn a_stage_behind_the_loop_reads_all_its_rounds() {
 }
 
 /// The rounds and items that the first task of a stage reads; every loop runs for all its rounds.
-fn read_by_first(graph: Graph, reader: u16) -> Vec<(u32, u32)> {
+fn read_by_first(graph: &Graph, reader: u16) -> Vec<(u32, u32)> {
     let mut farm = Farm::with(Config { prefetch: 0, ..config() });
     let contents = if graph.has_content() { vec![(1, Digest::of(b"world"))] } else { vec![] };
     farm.submit(JobSpec { contents, ..of(&[1], 2, graph.clone()) });
@@ -197,7 +197,7 @@ fn a_stage_of_another_scope_reads_of_a_loop_the_last_round_or_all_of_them_as_it_
                 let close = image(made_by, &[]).reads(0, role, Reach::All).closes(0, 3);
                 let reader = image(read_by, &[Role::Preview]).needs(need(0, role, Reach::All, round));
                 let graph = Graph { stages: vec![blocks, close, reader] };
-                assert_eq!(read_by_first(graph, 2), expected, "{round:?} {read_by:?} {role:?}");
+                assert_eq!(read_by_first(&graph, 2), expected, "{round:?} {read_by:?} {role:?}");
             }
         }
     }

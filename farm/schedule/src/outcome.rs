@@ -237,6 +237,10 @@ impl Scheduler {
                 self.record(repair, now, out);
                 others.into_iter().for_each(|job| self.rebuild(job));
             }
+            if self.ledger.jobs.get(&task.job).is_some_and(|job| !job.is_open(frame)) {
+                self.revoke_frame(task.job, frame, out);
+                self.revoke_ended(task.job, out);
+            }
         }
     }
 

@@ -297,7 +297,9 @@ impl Scheduler {
     pub(crate) fn record(&mut self, fact: Fact, now: Tick, out: &mut Vec<Command>) {
         let released = self.ledger.apply(&fact, now);
         let job = match &fact {
-            Fact::Failed { task, .. } | Fact::Died { task, .. } | Fact::Done { task, .. } => Some(task.job),
+            Fact::Failed { task, .. } | Fact::Died { task, .. } | Fact::Done { task, .. } | Fact::Lost { task } => {
+                Some(task.job)
+            }
             Fact::Doomed { job, .. } => Some(*job),
             _ => None,
         };

@@ -274,6 +274,36 @@ fn a_task_that_was_put_aside_in_another_round_gets_no_copy() {
 }
 
 #[test]
+fn a_frame_that_has_lost_what_was_put_aside_in_another_round_can_only_be_tried_again() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+    let before = |stage, role| need(stage, role, Reach::All, Round::Before);
+    let blocks = Template::new(Reduce, Scope::Frame, Sizes::even(3, 1), &[Role::Sums]).needs(before(0, Role::Sums));
+    let close = image(Scope::Frame, &[]).reads(0, Role::Sums, Reach::All).closes(0, 2);
+    let end = image(Scope::Frame, &[Role::Image]).reads(0, Role::Sums, Reach::All);
+    let id = farm.submit(of(&[1], 2, Graph { stages: vec![blocks, close, end] }));
+    (1..=6).for_each(|worker| drop(farm.join(worker)));
+    let find = |farm: &Farm, round: u32, index: u32| {
+        let is_it = |held: &Assignment| (held.task.stage.round, held.task.index) == (round, index);
+        farm.held.iter().find(|(_, held)| is_it(held)).map(|(key, held)| (key.0, held.clone()))
+    };
+    for index in 0..3 {
+        let (worker, held) = find(&farm, 0, index).expect("a lease");
+        farm.complete_with(worker, &held, result(&held, &[Role::Sums]));
+    }
+    let (worker, held) = find(&farm, 0, 0).expect("a lease");
+    farm.complete_with(worker, &held, TaskResult { decision: Some(Continue), ..result(&held, &[]) });
+    for _ in 0..3 {
+        let (worker, held) = find(&farm, 1, 0).expect("a lease");
+        farm.fail(worker, &held, panic());
+    }
+    let (worker, held) = find(&farm, 1, 1).expect("a lease");
+    assert!(find(&farm, 1, 2).is_some() && !farm.state(id).has_ended());
+    let lost = held.work.inputs[0].output.artifact.digest;
+    farm.fail(worker, &held, Failure::LostInputs { digests: vec![lost], message: "gone".into() });
+    assert_eq!((farm.state(id), farm.held.len()), (JobState::Failed, 0), "nothing makes what is lost");
+}
+
+#[test]
 fn tiles_take_the_steps_that_were_decided_and_one_that_needs_none_is_left_alone() {
     let mut farm = Farm::new();
     let id = farm.submit(common::job(&[1], 3, &[4, 8, 16]));

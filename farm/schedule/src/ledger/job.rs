@@ -419,6 +419,8 @@ impl Job {
         if let Some(unit) = self.units.get_mut(&task.stage.frame) {
             unit.lost(&shape, (task.stage.round, task.stage.number), task.index);
         }
+        // What makes it may be put aside, and all the rest may read it.
+        self.note_block(task.stage.frame);
         Vec::new()
     }
 

@@ -144,6 +144,11 @@ impl World {
         }
     }
 
+    /// A box around `local`, of an instance's frame, wherever it is during the shutter, in the world's frame.
+    pub fn swept(&self, instance: u32, local: &Aabb) -> Aabb {
+        self.instances[instance as usize].place.swept(local)
+    }
+
     fn placement(&self, instance: u32, time: f32) -> Option<Placement> {
         match &self.instances[instance as usize].place {
             Place::Identity => None,
@@ -166,16 +171,19 @@ impl Place {
     fn fixed(pose: Affine3A) -> Self {
         if pose == Affine3A::IDENTITY { Self::Identity } else { Self::Fixed(Placement::new(pose)) }
     }
+
+    fn swept(&self, local: &Aabb) -> Aabb {
+        match self {
+            Self::Identity => *local,
+            Self::Fixed(place) => local.transformed(&place.to_world),
+            Self::Moving(motion) => motion.bounds(local),
+        }
+    }
 }
 
 impl Instance {
     fn bounds(&self) -> Aabb {
-        let local = self.blas.bounds();
-        match &self.place {
-            Place::Identity => local,
-            Place::Fixed(place) => local.transformed(&place.to_world),
-            Place::Moving(motion) => motion.bounds(&local),
-        }
+        self.place.swept(&self.blas.bounds())
     }
 
     /// The ray in the instance's frame.

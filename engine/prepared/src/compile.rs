@@ -269,8 +269,8 @@ impl<'a> Compiler<'a> {
     fn center(&self, builder: &Builder) -> DVec3 {
         let (mut min, mut max) = (DVec3::INFINITY, DVec3::NEG_INFINITY);
         for (group, to_compiled) in &builder.sources {
-            for vertex in &self.scene.groups[group.index()].vertices {
-                let p = to_compiled.transform_point3(vertex.position);
+            for place in self.scene.groups[group.index()].places() {
+                let p = to_compiled.transform_point3(place);
                 (min, max) = (min.min(p), max.max(p));
             }
         }

@@ -1,5 +1,5 @@
 use femc_math::glam::{BVec3, DVec3};
-use femc_scene::{Group, Scene, SelectorError, StaticDigest};
+use femc_scene::{Scene, SelectorError, StaticDigest};
 use std::sync::Arc;
 
 /// A scene to prepare frames of, which knows what it has in common with its variants: frames of one share with frames of
@@ -51,7 +51,7 @@ impl Source {
     }
 }
 
-/// The middle of all that does not move, in whole metres; `None` where nothing is bounded by vertices.
+/// The middle of all that does not move, in whole metres; `None` where there is nothing.
 fn middle(scene: &Scene) -> Option<DVec3> {
     let mut boxes = vec![None; scene.groups.len()];
     let (min, max) = bounds(scene, 0, &mut boxes);
@@ -60,16 +60,16 @@ fn middle(scene: &Scene) -> Option<DVec3> {
 
 type Bounds = (DVec3, DVec3);
 
-/// Of a group's vertices and of the groups that are placed in it and do not move; `boxes`: those that are known.
+/// Of a group's own places and of the groups that are placed in it and do not move; `boxes`: those that are known.
 fn bounds(scene: &Scene, group: usize, boxes: &mut [Option<Bounds>]) -> Bounds {
     if let Some(known) = boxes[group] {
         return known;
     }
     let grown = |(min, max): Bounds, p: DVec3| (min.min(p), max.max(p));
     let nothing = (DVec3::INFINITY, DVec3::NEG_INFINITY);
-    let Group { vertices, instances, .. } = &scene.groups[group];
-    let mut all = vertices.iter().map(|vertex| vertex.position).fold(nothing, grown);
-    for instance in instances {
+    let group_here = &scene.groups[group];
+    let mut all = group_here.places().fold(nothing, grown);
+    for instance in &group_here.instances {
         let Some(pose) = instance.motion.as_static() else { continue };
         let (min, max) = bounds(scene, instance.group.index(), boxes);
         if min.cmple(max).all() {

@@ -186,6 +186,12 @@ impl Light {
         }
     }
 
+    /// Whether it is described by its intensity, cd, so that a larger one is no brighter.
+    #[inline]
+    pub fn has_intensity(&self) -> bool {
+        matches!(self, Self::PhotometricPoint(_) | Self::PhotometricSolid(_))
+    }
+
     /// Luminous flux, lm.
     pub fn power(&self) -> f32 {
         each!(self, l => l.power())

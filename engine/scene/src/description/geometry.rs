@@ -19,6 +19,15 @@ pub struct Group {
     pub instances: Vec<Instance>,
 }
 
+impl Group {
+    /// Where the group's own surfaces and luminaires are, its frame, m: vertices, and middles of what has none.
+    pub fn places(&self) -> impl Iterator<Item = DVec3> + '_ {
+        let vertices = self.vertices.iter().map(|vertex| vertex.position);
+        let quadrics = self.quadrics.iter().map(|quadric| quadric.shape.middle());
+        vertices.chain(quadrics).chain(self.luminaires.iter().map(|luminaire| luminaire.to_group.translation))
+    }
+}
+
 /// A vertex in the group's frame.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Vertex {
@@ -117,6 +126,16 @@ pub enum Shape {
         /// Front side.
         facing: Facing,
     },
+}
+
+impl Shape {
+    /// A point in its middle.
+    pub fn middle(&self) -> DVec3 {
+        match *self {
+            Self::Sphere { center, .. } | Self::Ring { center, .. } | Self::Torus { center, .. } => center,
+            Self::Cone { start, end, .. } => 0.5 * (start + end),
+        }
+    }
 }
 
 /// A luminaire with measured photometry. The photometric frame of LM-63 is the local one: nadir is -z, C0 is +x.

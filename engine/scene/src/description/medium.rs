@@ -60,6 +60,14 @@ pub struct Medium {
     pub density: Density,
 }
 
+impl Medium {
+    /// Whether it neither scatters nor absorbs nor glows, as it is now.
+    pub fn is_nothing(&self) -> bool {
+        let is_black = |color: [f64; 3], amount: f64| color.iter().all(|channel| channel * amount <= 0.0);
+        is_black(self.color, self.sigma_s) && self.sigma_a <= 0.0 && is_black(self.glow_color, self.glow)
+    }
+}
+
 /// Where a medium is. Overlapping regions add up.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MediumRegion {

@@ -73,15 +73,39 @@ impl Filter {
         match self {
             Self::Box => u.map(|u| u - 0.5),
             Self::Triangle => u.map(|u| if u < 0.5 { (2.0 * u).sqrt() - 1.0 } else { 1.0 - (2.0 * (1.0 - u)).sqrt() }),
-            Self::Gaussian => {
-                static TABLE: OnceLock<Table> = OnceLock::new();
-                lookup(TABLE.get_or_init(|| tabulate(self)), self.radius(), u)
-            }
-            Self::BlackmanHarris => {
-                static TABLE: OnceLock<Table> = OnceLock::new();
-                lookup(TABLE.get_or_init(|| tabulate(self)), self.radius(), u)
-            }
+            Self::Gaussian | Self::BlackmanHarris => lookup(self.table(), self.radius(), u),
         }
+    }
+}
+
+impl Filter {
+    /// Density of [`sample`](Self::sample) at an offset from the pixel's center, 1/pixel2; 0 beyond the radius.
+    ///
+    /// Law: it integrates to 1 (test `the_density_is_that_of_the_offsets`).
+    #[inline]
+    pub fn density(self, offset: [f32; 2]) -> f32 {
+        let radius = self.radius();
+        let along = |table: &Table, x: f32| {
+            let cell = ((x.abs() / radius * CELLS as f32) as usize).min(CELLS - 1);
+            (table[cell + 1] - table[cell]) * (0.5 * CELLS as f32 / radius)
+        };
+        if offset.iter().any(|x| x.abs() > radius) {
+            return 0.0;
+        }
+        let [x, y] = offset;
+        match self {
+            Self::Box => 1.0,
+            Self::Triangle => (1.0 - x.abs()) * (1.0 - y.abs()),
+            Self::Gaussian | Self::BlackmanHarris => along(self.table(), x) * along(self.table(), y),
+        }
+    }
+
+    /// The table of a filter that has one.
+    fn table(self) -> &'static Table {
+        static GAUSSIAN: OnceLock<Table> = OnceLock::new();
+        static BLACKMAN_HARRIS: OnceLock<Table> = OnceLock::new();
+        let table = if self == Self::Gaussian { &GAUSSIAN } else { &BLACKMAN_HARRIS };
+        table.get_or_init(|| tabulate(self))
     }
 }
 
@@ -159,6 +183,21 @@ mod tests {
                 }
                 pooled_test(&expected, &observed).expect(level, filter.name());
             }
+        }
+    }
+
+    #[test]
+    fn the_density_is_that_of_the_offsets() {
+        for filter in Filter::ALL {
+            let (n, radius) = (600, filter.radius());
+            let at = |i: u32| (2.0 * (i as f32 + 0.5) / n as f32 - 1.0) * radius;
+            let cell = (2.0 * f64::from(radius) / f64::from(n)).powi(2);
+            let all = (0..n * n).map(|i| f64::from(filter.density([at(i % n), at(i / n)])));
+            assert!((all.sum::<f64>() * cell - 1.0).abs() < 1e-3, "{filter}");
+            assert_eq!(filter.density([1.01 * radius, 0.0]), 0.0);
+            let ratio = f64::from(filter.density([0.3, 0.1]) / filter.density([0.0; 2]));
+            let expected = filter.eval(0.3) * filter.eval(0.1) / filter.eval(0.0).powi(2);
+            assert!((ratio - expected).abs() < 0.01, "{filter}: {ratio} {expected}");
         }
     }
 

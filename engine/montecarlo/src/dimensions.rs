@@ -7,12 +7,18 @@ pub const LENS: u32 = 2;
 /// Time in the shutter (1).
 pub const TIME: u32 = 4;
 
-/// First dimension of segment `segment` of a path (0: the camera ray).
-pub const fn segment(segment: u32) -> u32 {
-    8 + segment * 24
+/// Choice of a small source that the pixel sees (1).
+pub const SIGHT: u32 = 5;
+/// Point on that source (2).
+pub const SIGHT_POINT: u32 = 6;
+
+/// First dimension of ray `ray` of a path (0: the camera's). A segment that goes through clear surfaces has several rays, each with
+/// numbers of its own: that a ray has passed a stretch of fog says something about the number that was drawn for it.
+pub const fn ray(ray: u32) -> u32 {
+    8 + ray * 24
 }
 
-/// Point on the light (2), after the segment's base.
+/// Point on the light (2), after the ray's base.
 pub const LIGHT_POINT: u32 = 0;
 /// Choice of the lobe, or of the phase function (1).
 pub const LOBE: u32 = 3;
@@ -32,6 +38,8 @@ pub const GLOW: u32 = 13;
 pub const LIGHT: u32 = 14;
 /// Equiangular: choice of the light (2).
 pub const EQUIANGULAR_LIGHT: u32 = 16;
+/// The finer part of the free distance (1): in thin air all events are in the first steps of 24 bits.
+pub const DISTANCE_FINE: u32 = 18;
 
 /// A number in [0, 1) of 48 bits, for choices among very many, from two of 24.
 pub fn fine([coarse, finer]: [f32; 2]) -> f64 {

@@ -8,6 +8,7 @@
 use crate::dimensions as dim;
 use crate::path::{Counters, square};
 use crate::shadow::Shadow;
+use crate::technique::{Technique, weight};
 use femc_emission::{DeltaKind, Equiangular, LightSample};
 use femc_math::glam::Vec3A;
 use femc_math::{Rgb, SampleStream};
@@ -70,6 +71,8 @@ pub struct Fog<'a, 's> {
     pub shadow: &'a mut Shadow,
     /// Work done.
     pub counters: &'a mut Counters,
+    /// The only technique that counts.
+    pub only: Option<Technique>,
 }
 
 impl Fog<'_, '_> {
@@ -88,7 +91,8 @@ impl Fog<'_, '_> {
         let range = media.scattering_range(self.ray);
         stream.seek(segment.base + dim::DISTANCE);
         let [u, channel] = stream.next_2d();
-        match media.draw(self.ray, u, channel) {
+        stream.seek(segment.base + dim::DISTANCE_FINE);
+        match media.draw(self.ray, dim::fine([u, stream.next_1d()]), channel) {
             Distance::Through { weight } => Err(weight),
             Distance::Scatter(event) => Ok(Collision {
                 event,
@@ -123,7 +127,7 @@ impl Fog<'_, '_> {
         // Relative to way 1 for the same light and direction.
         let by_distance = square(equiangular / (collision.event.pdf * drawn.probability));
         let by_phase = if light.delta == DeltaKind::Position { 0.0 } else { square(phase_pdf / light.pdf) };
-        let weight = 1.0 / (1.0 + by_distance + by_phase);
+        let weight = weight(self.only, Technique::Light, by_distance + by_phase);
         let visibility = self.visibility(segment, collision.position, light);
         phase * light.radiance * visibility * (weight / light.pdf)
     }
@@ -162,7 +166,7 @@ impl Fog<'_, '_> {
         let by_light = square(event.pdf * at_event / (density * probability));
         let by_phase =
             if sample.delta == DeltaKind::Position { 0.0 } else { square(event.pdf * phase_pdf / (density * pdf)) };
-        let weight = 1.0 / (1.0 + by_light + by_phase);
+        let weight = weight(self.only, Technique::Equiangular, by_light + by_phase);
         let visibility = self.visibility(segment, position, &sample);
         event.weight * phase * sample.radiance * visibility * (weight / (density * pdf))
     }

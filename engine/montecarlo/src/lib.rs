@@ -9,5 +9,7 @@ mod dimensions;
 mod fog;
 mod path;
 mod shadow;
+mod technique;
 
-pub use path::{Counters, PathSample, PathSettings, Tracer};
+pub use path::{Counters, PathSample, PathSettings, PixelFilter, Tracer};
+pub use technique::Technique;

@@ -3,21 +3,24 @@
 use crate::dimensions as dim;
 use crate::fog::{Collision, Fog, Segment};
 use crate::shadow::Shadow;
+use crate::technique::{Technique, on_surfaces, weight};
 use femc_emission::DeltaKind;
 use femc_geometry::{Ray, offset_origin};
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, Rgb, SampleStream};
+use femc_prepared::camera::View;
 use femc_prepared::compile::NONE;
 use femc_prepared::media::{Inside, MediaRay};
+use femc_prepared::sightings::Seen;
 use femc_prepared::{Crossing, KernelMaterial, Orientation, Prepared, SurfacePoint};
-use femc_scattering::{Bsdf, LobeKind};
+use femc_scattering::{Bsdf, LobeKind, Transmitted};
 
-/// Segments after which Russian roulette may end a path.
+/// Rays after which Russian roulette may end a path.
 const ROULETTE_FROM: u32 = 4;
-/// A path never survives roulette with a higher probability: every path ends.
-const ROULETTE_MAX: f32 = 0.95;
-/// Index-matched interfaces that a path may cross in a row.
-const MAX_CROSSINGS: u32 = 512;
+/// Rays after which a path may end even if it has lost nothing.
+const LONG: u32 = 128;
+/// Rays after which it is ended more often.
+const VERY_LONG: u32 = 1 << 16;
 
 /// What a path may do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -26,6 +29,8 @@ pub struct PathSettings {
     pub seed: u64,
     /// Longest path in segments (1: what the camera sees directly); 0: no bound.
     pub max_depth: u32,
+    /// The only way in which light is found where there are several, for tests; `None`: all, joined.
+    pub only: Option<Technique>,
 }
 
 /// Work done by a tracer.
@@ -50,16 +55,48 @@ pub struct PathSample {
     pub depth: f32,
 }
 
+/// Where the samples of a pixel lie on the film.
+pub trait PixelFilter: Copy {
+    /// Offset from the pixel's center, pixels, for `u` in [0, 1)^2.
+    fn sample(self, u: [f32; 2]) -> [f32; 2];
+    /// Density of [`Self::sample`], 1/pixel2.
+    fn density(self, offset: [f32; 2]) -> f32;
+}
+
 /// The vertex before the present segment, for multiple importance sampling of light that is met by chance.
 #[derive(Clone, Copy)]
 struct Previous {
     position: Vec3A,
-    /// Normal of the side that light was scattered from; zero where light counted from all sides.
-    normal: Vec3A,
-    /// Density of the segment's direction, 1/sr; `None`: it could only be met this way (camera, mirror).
-    pdf: Option<f32>,
-    /// The scattering event when the vertex was in a medium.
-    collision: Option<Collision>,
+    came: Came,
+}
+
+/// How a segment began.
+#[derive(Clone, Copy)]
+enum Came {
+    /// By the only way: from a mirror, or from the camera where it sees no small sources.
+    Surely,
+    /// From the camera. Small sources that it sees are drawn, too.
+    Camera {
+        /// The pixel.
+        pixel: u32,
+        /// Density of the place on the film, 1/pixel2.
+        density: f32,
+        /// Of a pixel there, sr.
+        solid_angle: f32,
+    },
+    /// From a surface.
+    Surface {
+        /// Normal of the side that light was scattered from; zero where light counted from all sides.
+        normal: Vec3A,
+        /// Density of the direction, 1/sr.
+        pdf: f32,
+    },
+    /// From a medium.
+    Medium {
+        collision: Collision,
+        /// Density of the direction, 1/sr.
+        pdf: f32,
+    },
 }
 
 /// Traces the samples of one frame on one thread.
@@ -84,33 +121,83 @@ impl<'a> Tracer<'a> {
         }
     }
 
-    /// Draws sample `sample` of `pixel` (row-major index in the whole film); `place` maps two random numbers to the film
-    /// position, pixels.
+    /// Draws sample `sample` of `pixel` (row-major index in the whole film).
     #[inline]
-    pub fn sample(&mut self, pixel: u32, sample: u32, place: impl FnOnce([f32; 2]) -> [f32; 2]) -> PathSample {
+    pub fn sample(&mut self, pixel: u32, sample: u32, filter: impl PixelFilter) -> PathSample {
         let mut stream = SampleStream::new(self.settings.seed, self.scene.frame, pixel, sample);
         stream.seek(dim::FILM);
-        let [x, y] = place(stream.next_2d());
+        let offset = filter.sample(stream.next_2d());
         stream.seek(dim::LENS);
         let lens = stream.next_2d();
         stream.seek(dim::TIME);
         let time = stream.next_1d();
-        let ray = self.scene.camera.ray(x, y, lens, time);
-        if self.scene.media.is_empty() { self.trace::<false>(ray, stream) } else { self.trace::<true>(ray, stream) }
+        let view = self.scene.camera.view(lens, time);
+        let center = self.scene.camera.center(pixel);
+        let place = [center[0] + offset[0], center[1] + offset[1]];
+        let ray = view.ray(place);
+        let mut came = Came::Surely;
+        let mut drawn = Rgb::ZERO;
+        if let Some(seen) = self.scene.sightings.of(pixel) {
+            came = Came::Camera { pixel, density: filter.density(offset), solid_angle: view.solid_angle(place) };
+            drawn = self.sight(seen, &view, time, center, filter, &mut stream);
+        }
+        let mut sample = if self.scene.media.is_empty() {
+            self.trace::<false>(ray, came, stream)
+        } else {
+            self.trace::<true>(ray, came, stream)
+        };
+        sample.color += drawn;
+        sample
     }
 
-    fn trace<const MEDIA: bool>(&mut self, mut ray: Ray, mut stream: SampleStream) -> PathSample {
+    /// Light that comes straight from a small source to the camera, by a point drawn on the source.
+    fn sight(
+        &mut self,
+        seen: Seen<'_>,
+        view: &View,
+        time: f32,
+        center: [f32; 2],
+        filter: impl PixelFilter,
+        stream: &mut SampleStream,
+    ) -> Rgb {
+        let scene = self.scene;
+        stream.seek(dim::SIGHT);
+        let (light, chosen) = seen.choose(stream.next_1d());
+        stream.seek(dim::SIGHT_POINT);
+        let u = stream.next_2d();
+        let point = scene.lights.sample_light(&scene.world, &scene.textures, light, view.origin, time, u);
+        let Some(point) = point else { return Rgb::ZERO };
+        let Some((place, _)) = view.project(point.position) else { return Rgb::ZERO };
+        let density = filter.density([place[0] - center[0], place[1] - center[1]]);
+        if density <= 0.0 || point.radiance == Rgb::ZERO {
+            return Rgb::ZERO;
+        }
+        let pdf = chosen * point.pdf * view.solid_angle(place);
+        let weight = weight(on_surfaces(self.settings.only), Technique::Light, square(density / pdf));
+        let from = (view.origin, Vec3A::ZERO, Vec3A::ZERO);
+        let counters = &mut self.counters;
+        let visibility = if scene.media.is_empty() {
+            self.shadow.visibility::<false>(scene, from, &point, time, &scene.camera_inside, counters)
+        } else {
+            self.shadow.visibility::<true>(scene, from, &point, time, &scene.camera_inside, counters)
+        };
+        point.radiance * visibility * (weight * density / pdf)
+    }
+
+    fn trace<const MEDIA: bool>(&mut self, mut ray: Ray, came: Came, mut stream: SampleStream) -> PathSample {
         let scene = self.scene;
         let mut out = PathSample { color: Rgb::ZERO, albedo: Rgb::ZERO, depth: f32::INFINITY };
         let mut throughput = Rgb::ONE;
         let mut inside = scene.camera_inside;
-        let mut previous = Previous { position: ray.origin, normal: Vec3A::ZERO, pdf: None, collision: None };
+        let mut previous = Previous { position: ray.origin, came };
         // Square of the index ratio that radiance was scaled by: roulette must not count it as a loss.
         let mut eta_scale = 1.0f32;
         let mut first = true;
-        let (mut segment, mut crossings) = (0u32, 0u32);
+        // The segment that the path is in, and its rays until now: a segment that goes through clear surfaces has several.
+        let (mut segment, mut rays) = (0u32, 0u32);
         loop {
-            let base = dim::segment(segment);
+            let base = dim::ray(rays);
+            rays += 1;
             self.counters.rays += 1;
             self.counters.segments += 1;
             let hit = scene.world.intersect(&ray);
@@ -118,8 +205,13 @@ impl<'a> Tracer<'a> {
 
             if MEDIA && scene.media.along(ray.origin, ray.dir, t_hit, &inside, &mut self.segment_media) {
                 let may_scatter = self.settings.max_depth == 0 || segment + 1 < self.settings.max_depth;
-                let mut fog =
-                    Fog { scene, ray: &self.segment_media, shadow: &mut self.shadow, counters: &mut self.counters };
+                let mut fog = Fog {
+                    scene,
+                    ray: &self.segment_media,
+                    shadow: &mut self.shadow,
+                    counters: &mut self.counters,
+                    only: self.settings.only,
+                };
                 let stretch = Segment { origin: ray.origin, dir: ray.dir, time: ray.time, inside: &inside, base };
                 out.color += throughput * fog.glow(&stretch, &mut stream);
                 if may_scatter {
@@ -135,15 +227,10 @@ impl<'a> Tracer<'a> {
                         out.color += throughput * fog.direct(&stretch, &collision, &mut stream);
                         let Some((dir, pdf, weight)) = fog.scatter(&stretch, &collision, &mut stream) else { break };
                         throughput *= weight;
-                        previous = Previous {
-                            position: collision.position,
-                            normal: Vec3A::ZERO,
-                            pdf: Some(pdf),
-                            collision: Some(collision),
-                        };
+                        previous = Previous { position: collision.position, came: Came::Medium { collision, pdf } };
                         ray = Ray { origin: collision.position, dir, t_max: f32::INFINITY, time: ray.time };
                         segment += 1;
-                        if !self.survives(segment, &mut throughput, eta_scale, &mut stream, base) {
+                        if !survives(rays, &mut throughput, eta_scale, &mut stream, base) {
                             break;
                         }
                         continue;
@@ -158,27 +245,23 @@ impl<'a> Tracer<'a> {
             }
             let material = &scene.materials[point.material as usize];
             let back = point.normal.dot(ray.dir) > 0.0;
-            if let Crossing::Null { tint } = material.crossing[usize::from(back)] {
-                crossings += 1;
-                if crossings > MAX_CROSSINGS {
-                    break;
-                }
-                throughput *= tint;
-                cross(&mut inside, material, back);
-                let origin = offset_origin(point.position, point.error, point.normal, ray.dir);
-                ray = Ray { origin, ..ray };
-                continue;
-            }
-            if first {
-                first = false;
-                out.depth = scene.camera.depth(point.position, ray.time);
-                out.albedo = throughput * self.bsdf(material, &point).albedo(local_wo(material, &point, ray.dir).1);
-            }
-            if self.settings.max_depth != 0 && segment + 1 >= self.settings.max_depth {
-                break;
-            }
+            let crossing = material.crossing[usize::from(back)];
             let bsdf = self.bsdf(material, &point);
             let (frame, wo) = local_wo(material, &point, ray.dir);
+            if first && !matches!(crossing, Crossing::Null { .. }) {
+                first = false;
+                out.depth = scene.camera.depth(point.position, ray.time);
+                out.albedo = throughput * bsdf.albedo(wo);
+            }
+            let is_last = self.settings.max_depth != 0 && segment + 1 >= self.settings.max_depth;
+            if is_last || matches!(crossing, Crossing::Null { .. }) {
+                throughput *= crossing.unbent();
+                ray = straight_on(&ray, &point, &mut inside, material, back);
+                if !survives(rays, &mut throughput, eta_scale, &mut stream, base) {
+                    break;
+                }
+                continue;
+            }
             if !bsdf.is_delta_only() {
                 out.color += throughput
                     * self.direct::<MEDIA>(&bsdf, &frame, wo, &point, back, ray.time, &inside, base, &mut stream);
@@ -187,11 +270,21 @@ impl<'a> Tracer<'a> {
             let choice = stream.next_1d();
             stream.seek(base + dim::DIRECTION);
             let Some(scattered) = bsdf.sample(wo, stream.next_2d(), choice) else { break };
+            throughput *= scattered.weight;
+            if scattered.lobe == LobeKind::Delta
+                && scattered.transmitted == Transmitted::Yes
+                && crossing != Crossing::Scatter
+            {
+                ray = straight_on(&ray, &point, &mut inside, material, back);
+                if !survives(rays, &mut throughput, eta_scale, &mut stream, base) {
+                    break;
+                }
+                continue;
+            }
             let wi = frame.to_world(scattered.wi);
             if !same_side(&frame, &point, scattered.wi, wi) {
                 break;
             }
-            throughput *= scattered.weight;
             if scattered.eta != 1.0 {
                 eta_scale *= scattered.eta * scattered.eta;
             }
@@ -199,17 +292,16 @@ impl<'a> Tracer<'a> {
             if leaves_front == back {
                 cross(&mut inside, material, back);
             }
-            previous = Previous {
-                position: point.position,
-                normal: lit_side(&bsdf, &point, back),
-                pdf: (scattered.lobe != LobeKind::Delta).then_some(scattered.pdf),
-                collision: None,
+            let came = if scattered.lobe == LobeKind::Delta {
+                Came::Surely
+            } else {
+                Came::Surface { normal: lit_side(&bsdf, &point, back), pdf: scattered.pdf }
             };
+            previous = Previous { position: point.position, came };
             let origin = offset_origin(point.position, point.error, point.normal, wi);
             ray = Ray { origin, dir: wi, t_max: f32::INFINITY, time: ray.time };
             segment += 1;
-            crossings = 0;
-            if !self.survives(segment, &mut throughput, eta_scale, &mut stream, base) {
+            if !survives(rays, &mut throughput, eta_scale, &mut stream, base) {
                 break;
             }
         }
@@ -218,32 +310,6 @@ impl<'a> Tracer<'a> {
             out.color = Rgb::NAN;
         }
         out
-    }
-
-    /// Russian roulette; also ends paths that carry nothing.
-    #[inline]
-    fn survives(
-        &self,
-        segment: u32,
-        throughput: &mut Rgb,
-        eta_scale: f32,
-        stream: &mut SampleStream,
-        base: u32,
-    ) -> bool {
-        let most = throughput.max_element();
-        if !throughput.is_finite() || most <= 0.0 {
-            return false;
-        }
-        if segment < ROULETTE_FROM {
-            return true;
-        }
-        let q = (most * eta_scale).min(ROULETTE_MAX);
-        stream.seek(base + dim::ROULETTE);
-        if stream.next_1d() >= q {
-            return false;
-        }
-        *throughput /= q;
-        true
     }
 
     fn bsdf(&self, material: &KernelMaterial, point: &SurfacePoint) -> Bsdf {
@@ -266,21 +332,28 @@ impl<'a> Tracer<'a> {
             -ray.dir,
             point.parametric,
         );
-        let Some(pdf) = previous.pdf else { return radiance };
         if radiance == Rgb::ZERO {
             return radiance;
         }
         let at = (point.position, point.normal);
-        let drawn = scene.lights.pdf(&scene.world, light, previous.position, ray.time, at, ray.dir);
-        let chosen = scene.lights.probability(&scene.lights.at_point(previous.position, previous.normal), light);
-        let others = match &previous.collision {
-            None => square(drawn * chosen),
-            Some(collision) => {
+        let drawn = || scene.lights.pdf(&scene.world, light, previous.position, ray.time, at, ray.dir);
+        let chosen = |normal| scene.lights.probability(&scene.lights.at_point(previous.position, normal), light);
+        let others = match &previous.came {
+            Came::Surely => return radiance,
+            Came::Camera { pixel, density, solid_angle } => {
+                let chosen = scene.sightings.of(*pixel).map_or(0.0, |seen| seen.probability(light));
+                if chosen == 0.0 {
+                    return radiance;
+                }
+                square(drawn() * chosen * solid_angle / density)
+            }
+            Came::Surface { normal, pdf } => square(drawn() * chosen(*normal) / pdf),
+            Came::Medium { collision, pdf } => {
                 let equiangular = collision.equiangular_pdf(scene, light, ray.time);
-                square(drawn) * (square(chosen) + square(equiangular / collision.event.pdf))
+                square(drawn() / pdf) * (square(chosen(Vec3A::ZERO)) + square(equiangular / collision.event.pdf))
             }
         };
-        radiance * (square(pdf) / (square(pdf) + others))
+        radiance * weight(self.settings.only, Technique::Scatter, others)
     }
 
     /// Direct light on a surface by sampling a light.
@@ -315,11 +388,8 @@ impl<'a> Tracer<'a> {
         if value == Rgb::ZERO || light.radiance == Rgb::ZERO || !same_side(frame, point, wi, light.dir) {
             return Rgb::ZERO;
         }
-        let weight = if light.delta == DeltaKind::Position {
-            1.0
-        } else {
-            square(light.pdf) / (square(light.pdf) + square(bsdf.pdf(wo, wi)))
-        };
+        let by_scattering = if light.delta == DeltaKind::Position { 0.0 } else { square(bsdf.pdf(wo, wi) / light.pdf) };
+        let weight = weight(on_surfaces(self.settings.only), Technique::Light, by_scattering);
         let contribution = value * light.radiance * (weight / light.pdf);
         let mut inside = *inside;
         if MEDIA && (point.normal.dot(light.dir) > 0.0) == back {
@@ -328,6 +398,42 @@ impl<'a> Tracer<'a> {
         let from = (point.position, point.error, point.normal);
         contribution * self.shadow.visibility::<MEDIA>(scene, from, light, time, &inside, &mut self.counters)
     }
+}
+
+/// Russian roulette; also ends paths that carry nothing.
+///
+/// What a path has lost decides: where little is absorbed, a path of many segments has not lost its weight, and weights that grew
+/// with every segment would have infinite variance. A long path ends all the same: its chance to have `n` rays is `LONG / n`, so that
+/// weights grow no faster than paths, and the square of that over `VERY_LONG`, so that the mean length is bounded in endless fog
+/// that absorbs nothing.
+#[inline]
+fn survives(rays: u32, throughput: &mut Rgb, eta_scale: f32, stream: &mut SampleStream, base: u32) -> bool {
+    let most = throughput.max_element();
+    if !throughput.is_finite() || most <= 0.0 {
+        return false;
+    }
+    if rays < ROULETTE_FROM {
+        return true;
+    }
+    let mut q = (most * eta_scale).min(1.0);
+    if rays > LONG {
+        let goes_on = (rays - 1) as f32 / rays as f32;
+        q *= if rays > VERY_LONG { square(goes_on) } else { goes_on };
+    }
+    stream.seek(base + dim::ROULETTE);
+    if stream.next_1d() >= q {
+        return false;
+    }
+    *throughput /= q;
+    true
+}
+
+/// The rest of a ray behind a surface that it goes straight through. It stays on its segment: light that is sampled comes the same
+/// way to the vertex before, so that what is met is weighted against that.
+#[inline]
+fn straight_on(ray: &Ray, point: &SurfacePoint, inside: &mut Inside, material: &KernelMaterial, back: bool) -> Ray {
+    cross(inside, material, back);
+    Ray { origin: offset_origin(point.position, point.error, point.normal, ray.dir), ..*ray }
 }
 
 /// The shading frame and the direction toward the viewer in it.
@@ -375,7 +481,7 @@ fn same_side(frame: &Frame, point: &SurfacePoint, local: Vec3A, world: Vec3A) ->
 
 /// The path goes through a surface: from the front into what is behind, or back out.
 #[inline]
-fn cross(inside: &mut Inside, material: &KernelMaterial, from_back: bool) {
+pub(crate) fn cross(inside: &mut Inside, material: &KernelMaterial, from_back: bool) {
     if let Some(medium) = material.inside {
         if from_back { inside.remove(medium) } else { inside.push(medium) }
     }

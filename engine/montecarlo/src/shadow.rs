@@ -1,15 +1,15 @@
 //! Visibility and transmittance between a point and a light.
 
-use crate::path::Counters;
+use crate::path::{Counters, cross};
 use femc_emission::LightSample;
-use femc_geometry::{Ray, offset_origin, segment};
+use femc_geometry::{Ray, segment};
 use femc_math::Rgb;
 use femc_math::glam::Vec3A;
+use femc_prepared::Prepared;
 use femc_prepared::media::{Inside, MediaRay};
-use femc_prepared::{Crossing, Prepared};
 
-/// Interfaces that a shadow ray may cross.
-const MAX_CROSSINGS: u32 = 64;
+/// Clear surfaces that a shadow ray may pass; behind more it is given up as a bad sample.
+const MAX_CROSSINGS: u32 = 1 << 16;
 
 /// Shadow rays and their buffers.
 #[derive(Default)]
@@ -32,48 +32,54 @@ impl Shadow {
     ) -> Rgb {
         counters.shadow_rays += 1;
         let ray = segment(from, (light.position, light.error, light.normal), time);
-        if MEDIA && scene.has_null_crossings {
-            return self.through(scene, ray, inside, counters);
+        if scene.has_clear_surfaces {
+            return self.through::<MEDIA>(scene, ray, light, inside, counters);
         }
         if scene.world.occluded(&ray) {
             return Rgb::ZERO;
         }
-        if MEDIA { self.attenuation(scene, &ray, inside) } else { Rgb::ONE }
+        self.attenuation::<MEDIA>(scene, &ray, inside)
     }
 
-    fn attenuation(&mut self, scene: &Prepared, ray: &Ray, inside: &Inside) -> Rgb {
-        if scene.media.along(ray.origin, ray.dir, ray.t_max, inside, &mut self.media) {
+    #[inline]
+    fn attenuation<const MEDIA: bool>(&mut self, scene: &Prepared, ray: &Ray, inside: &Inside) -> Rgb {
+        if MEDIA && scene.media.along(ray.origin, ray.dir, ray.t_max, inside, &mut self.media) {
             scene.media.transmittance(&self.media)
         } else {
             Rgb::ONE
         }
     }
 
-    /// A shadow ray that passes index-matched interfaces and keeps track of the media behind them.
-    fn through(&mut self, scene: &Prepared, mut ray: Ray, inside: &Inside, counters: &mut Counters) -> Rgb {
+    /// A shadow ray that passes clear surfaces and keeps track of the media behind them.
+    fn through<const MEDIA: bool>(
+        &mut self,
+        scene: &Prepared,
+        mut ray: Ray,
+        light: &LightSample,
+        inside: &Inside,
+        counters: &mut Counters,
+    ) -> Rgb {
         let mut inside = *inside;
         let mut share = Rgb::ONE;
         for _ in 0..MAX_CROSSINGS {
             let Some(hit) = scene.world.intersect(&ray) else {
-                return share * self.attenuation(scene, &ray, &inside);
+                return share * self.attenuation::<MEDIA>(scene, &ray, &inside);
             };
             let point = scene.surface(&ray, &hit);
             let material = &scene.materials[point.material as usize];
             let back = point.normal.dot(ray.dir) > 0.0;
-            let Crossing::Null { tint } = material.crossing[usize::from(back)] else { return Rgb::ZERO };
             let travelled = Ray { t_max: hit.t, ..ray };
-            share *= tint * self.attenuation(scene, &travelled, &inside);
-            if let Some(medium) = material.inside {
-                if back { inside.remove(medium) } else { inside.push(medium) }
-            }
-            let origin = offset_origin(point.position, point.error, point.normal, ray.dir);
-            let rest = ray.t_max - (origin - ray.origin).dot(ray.dir);
-            if rest <= 0.0 {
+            share *= material.crossing[usize::from(back)].unbent();
+            if share == Rgb::ZERO {
                 return share;
             }
-            ray = Ray { origin, t_max: rest, ..ray };
+            share *= self.attenuation::<MEDIA>(scene, &travelled, &inside);
+            cross(&mut inside, material, back);
+            // Aimed anew: what is left of the length, rounded, may reach the light's own surface.
+            let from = (point.position, point.error, point.normal);
+            ray = segment(from, (light.position, light.error, light.normal), ray.time);
             counters.shadow_rays += 1;
         }
-        Rgb::ZERO
+        Rgb::NAN
     }
 }

@@ -13,7 +13,7 @@ mod stage;
 pub use femc_prepared::{PrepareError, Prepared, Source};
 pub use femc_scene::FrameKey;
 pub use plan::{LeftOut, Plan, PlanError, plan};
-pub use render::{RenderError, RenderedTile, frame_key, prepare, render_tile};
+pub use render::{Places, RenderError, RenderedTile, frame_key, prepare, render_tile};
 /// Names the build of the engine: of two programs that say the same, the same job gives the same bits (`build.rs` says what is in
 /// the name, `tests/builds` compares).
 pub const BUILD: &str = env!("FEMC_ENGINE");

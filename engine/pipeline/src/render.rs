@@ -1,8 +1,8 @@
 //! Frames made ready and tiles rendered.
 
 use crate::settings::Settings;
-use femc_film::{FilmError, Rect, Sample, Tile};
-use femc_montecarlo::{Counters, PathSettings, Tracer};
+use femc_film::{FilmError, Filter, Rect, Sample, Tile};
+use femc_montecarlo::{Counters, PathSettings, PixelFilter, Tracer};
 use femc_prepared::{FrameSpec, PrepareError, Prepared, Source};
 use femc_scene::FrameKey;
 use rayon::prelude::*;
@@ -26,7 +26,7 @@ pub fn frame_key(source: &Source, settings: &Settings, frame: u32) -> Result<Fra
 }
 
 fn spec(settings: &Settings, frame: u32) -> FrameSpec {
-    FrameSpec { camera: settings.camera.clone(), size: settings.size, frame }
+    FrameSpec { camera: settings.camera.clone(), size: settings.size, frame, filter_radius: settings.filter.radius() }
 }
 
 /// A tile and the work it took.
@@ -61,7 +61,7 @@ pub fn render_tile(
     cancel: &AtomicBool,
     progress: &AtomicU64,
 ) -> Result<RenderedTile, RenderError> {
-    let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth };
+    let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth, only: None };
     let strips: Vec<Result<(Tile, Counters), RenderError>> = (0..rect.height)
         .into_par_iter()
         .map(|row| {
@@ -90,6 +90,22 @@ pub fn render_tile(
     Ok(RenderedTile { tile: Tile::from_strips(rect, samples, tiles)?, rays, shadow_rays })
 }
 
+/// A film's filter as the tracer wants it.
+#[derive(Clone, Copy)]
+pub struct Places(pub Filter);
+
+impl PixelFilter for Places {
+    #[inline]
+    fn sample(self, u: [f32; 2]) -> [f32; 2] {
+        self.0.sample(u)
+    }
+
+    #[inline]
+    fn density(self, offset: [f32; 2]) -> f32 {
+        self.0.density(offset)
+    }
+}
+
 /// Samples of a pixel between two signs of progress.
 const STEP: usize = 256;
 
@@ -103,15 +119,11 @@ fn render_pixel(
     cancel: &AtomicBool,
 ) -> Result<(), RenderError> {
     let pixel = y * prepared.camera.film[0] + x;
-    let center = [x as f32 + 0.5, y as f32 + 0.5];
     for index in samples {
         if cancel.load(Ordering::Relaxed) {
             return Err(RenderError::Cancelled);
         }
-        let drawn = tracer.sample(pixel, index, |u| {
-            let offset = settings.filter.sample(u);
-            [center[0] + offset[0], center[1] + offset[1]]
-        });
+        let drawn = tracer.sample(pixel, index, Places(settings.filter));
         tile.add(x, y, index, &Sample { color: drawn.color, albedo: drawn.albedo, depth: drawn.depth });
     }
     Ok(())

@@ -3,7 +3,7 @@
 use femc_geometry::Ray;
 use femc_math::elementary::double;
 use femc_math::glam::{DVec3, Vec3A};
-use femc_math::warp;
+use femc_math::{cross, warp};
 use std::f64::consts::PI;
 
 /// A thin-lens camera, or a pinhole when the lens radius is 0, in the prepared frame.
@@ -47,6 +47,61 @@ impl CameraPose {
     }
 }
 
+/// The film through one point of the lens at one time.
+#[derive(Clone, Copy, Debug)]
+pub struct View {
+    /// The point of the lens.
+    pub origin: Vec3A,
+    /// To the middle of the film's image, not unit.
+    toward: Vec3A,
+    /// One pixel to the right and one down, there.
+    steps: [Vec3A; 2],
+    middle: [f32; 2],
+    time: f32,
+}
+
+impl View {
+    /// Direction through film position (`x`, `y`), pixels, y down; not unit.
+    #[inline]
+    fn through(&self, [x, y]: [f32; 2]) -> Vec3A {
+        self.toward + self.steps[0] * (x - self.middle[0]) + self.steps[1] * (y - self.middle[1])
+    }
+
+    /// The ray through a film position, pixels, y down.
+    #[inline]
+    pub fn ray(&self, place: [f32; 2]) -> Ray {
+        Ray { origin: self.origin, dir: self.through(place).normalize(), t_max: f32::INFINITY, time: self.time }
+    }
+
+    /// Where a point lies on the film, which need not reach so far, and its distance along the view axis over that of the image of
+    /// the film; `None` behind the lens.
+    #[inline]
+    pub fn project(&self, position: Vec3A) -> Option<([f32; 2], f32)> {
+        let normal = cross(self.steps[0], self.steps[1]);
+        let away = position - self.origin;
+        let depth = normal.dot(away) / normal.dot(self.toward);
+        if depth <= 0.0 || !depth.is_finite() {
+            return None;
+        }
+        let beside = away / depth - self.toward;
+        // The steps are perpendicular; between two poses of a camera that turns they are so nearly: solve for both.
+        let [a, b] = self.steps;
+        let (aa, ab, bb) = (a.dot(a), a.dot(b), b.dot(b));
+        let (pa, pb) = (beside.dot(a), beside.dot(b));
+        let scale = 1.0 / (aa * bb - ab * ab);
+        let place = [(pa * bb - pb * ab) * scale + self.middle[0], (pb * aa - pa * ab) * scale + self.middle[1]];
+        Some((place, depth))
+    }
+
+    /// Solid angle of a pixel's area at a film position, sr.
+    #[inline]
+    pub fn solid_angle(&self, place: [f32; 2]) -> f32 {
+        let through = self.through(place);
+        let distance2 = through.length_squared();
+        through.dot(cross(self.steps[0], self.steps[1])).abs() / (distance2 * distance2.sqrt())
+    }
+}
+
 impl KernelCamera {
     /// A camera whose poses are equally spaced over the shutter (one: it does not move).
     pub fn new(poses: Vec<CameraPose>, film: [u32; 2], lens_radius: f32, focus: f32) -> Self {
@@ -72,20 +127,47 @@ impl KernelCamera {
         }
     }
 
-    /// The ray through film position (`x`, `y`), pixels, y down; `lens` in [0,1)^2; `time` in [0, 1] of the shutter.
+    /// Middle of a pixel (row-major index), pixels.
     #[inline]
-    pub fn ray(&self, x: f32, y: f32, lens: [f32; 2], time: f32) -> Ray {
+    pub fn center(&self, pixel: u32) -> [f32; 2] {
+        [(pixel % self.film[0]) as f32 + 0.5, (pixel / self.film[0]) as f32 + 0.5]
+    }
+
+    /// What one point of the lens sees: `lens` in [0,1)^2; `time` in [0, 1] of the shutter.
+    #[inline]
+    pub fn view(&self, lens: [f32; 2], time: f32) -> View {
         let pose = self.pose(time);
-        let (cx, cy) = (x - 0.5 * self.film[0] as f32, y - 0.5 * self.film[1] as f32);
-        let toward = pose.forward + pose.right * cx + pose.down * cy;
-        let (mut origin, mut dir) = (pose.origin, toward);
+        let mut view = View {
+            origin: pose.origin,
+            toward: pose.forward,
+            steps: [pose.right, pose.down],
+            middle: self.film.map(|size| 0.5 * size as f32),
+            time,
+        };
         if self.lens_radius > 0.0 {
             let d = warp::disc(lens) * self.lens_radius;
             let shift = pose.lens[0] * d.x + pose.lens[1] * d.y;
-            origin += shift;
-            dir = toward * self.focus - shift;
+            view.origin += shift;
+            view.toward = pose.forward * self.focus - shift;
+            view.steps = view.steps.map(|step| step * self.focus);
         }
-        Ray { origin, dir: dir.normalize(), t_max: f32::INFINITY, time }
+        view
+    }
+
+    /// What the middle of the lens sees at the poses that the camera is known at.
+    pub(crate) fn views(&self) -> impl Iterator<Item = View> + '_ {
+        let last = (self.poses.len() - 1).max(1) as f32;
+        let pinhole = Self { lens_radius: 0.0, ..self.clone() };
+        (0..self.poses.len()).map(move |k| pinhole.view([0.5; 2], k as f32 / last))
+    }
+
+    /// Radius of the spot, in pixels, that a point at `distance` along the view axis, m, makes.
+    pub(crate) fn blur(&self, distance: f32) -> f32 {
+        if self.lens_radius > 0.0 {
+            self.lens_radius * (1.0 / self.focus - 1.0 / distance).abs() / self.poses[0].right.length()
+        } else {
+            0.0
+        }
     }
 
     /// Distance of `position` from the eye along the view axis at mid-shutter, m.

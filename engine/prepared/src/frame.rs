@@ -5,6 +5,7 @@ use crate::compile::{Cache, Compiled, Compiler, NONE, Placed, mirror, surface_cl
 use crate::lights::{Entry, Lights, PhotometryTables};
 use crate::material::{Crossing, KernelMaterial};
 use crate::media::{Inside, KernelMedium, Media, Profile};
+use crate::sightings::Sightings;
 use crate::source::Source;
 use crate::texture::Texture;
 use femc_emission::Light;
@@ -27,6 +28,8 @@ pub struct FrameSpec {
     pub size: Option<[u32; 2]>,
     /// Frame of the clip, from 1.
     pub frame: u32,
+    /// Radius of the pixel filter, pixels.
+    pub filter_radius: f32,
 }
 
 /// Why a frame cannot be prepared.
@@ -93,14 +96,16 @@ pub struct Prepared {
     pub media: Arc<Media>,
     /// The camera.
     pub camera: KernelCamera,
+    /// Small light sources by the pixels that see them.
+    pub sightings: Sightings,
     /// World position of the prepared frame's origin, m.
     pub origin: DVec3,
     /// No distance between a light and a ray is treated as smaller than this, m: a millionth of the scene's extent.
     pub least_distance: f32,
     /// Closed objects with a medium inside that hold the camera.
     pub camera_inside: Inside,
-    /// Whether a path can meet a surface that it goes through unscattered.
-    pub has_null_crossings: bool,
+    /// Whether light can go straight through a surface: shadow rays look at what they meet then.
+    pub has_clear_surfaces: bool,
     cache: Cache,
 }
 
@@ -158,10 +163,11 @@ pub fn prepare(source: &Source, spec: &FrameSpec, previous: Option<&Prepared>) -
             lights: previous.lights.clone(),
             media: previous.media.clone(),
             camera,
+            sightings: Sightings::default(),
             origin: previous.origin,
             least_distance: previous.least_distance,
             camera_inside: Inside::default(),
-            has_null_crossings: previous.has_null_crossings,
+            has_clear_surfaces: previous.has_clear_surfaces,
             cache: previous.cache.clone(),
         },
         previous => build(scene, &now, &sight, frame_key, camera, spec.frame, previous)?,
@@ -169,6 +175,7 @@ pub fn prepare(source: &Source, spec: &FrameSpec, previous: Option<&Prepared>) -
     if prepared.materials.iter().any(|m| m.inside.is_some()) {
         prepared.camera_inside = prepared.media_around(prepared.camera.eye());
     }
+    prepared.sightings = Sightings::new(&prepared.camera, &prepared.lights, spec.filter_radius);
     Ok(prepared)
 }
 
@@ -198,7 +205,12 @@ fn build(
 
     // The last material is the black body behind the openings of luminaires.
     let black = femc_scene::Material::default();
-    let materials: Vec<_> = now.materials.iter().chain([&black]).map(KernelMaterial::new).collect();
+    let is_nothing = |medium: femc_scene::MediumId| now.media[medium.index()].is_nothing();
+    let kernel = |material: &femc_scene::Material| KernelMaterial {
+        inside: material.inside.filter(|&medium| !is_nothing(medium)).map(|medium| medium.0 as u16),
+        ..KernelMaterial::new(material)
+    };
+    let materials: Vec<_> = now.materials.iter().chain([&black]).map(kernel).collect();
     let mut assembly = Assembly {
         now,
         photometry: &photometry,
@@ -212,9 +224,8 @@ fn build(
     for group in &placed {
         assembly.place(group);
     }
-    let media = media(scene, now, origin);
-    let has_null_crossings =
-        materials.iter().any(|m| m.crossing.iter().any(|c| matches!(c, Crossing::Null { .. })) && m.inside.is_some());
+    let media = media(scene, now, origin, materials.iter().any(|m| m.inside.is_some()));
+    let has_clear_surfaces = materials.iter().any(|m| m.crossing.iter().any(|&c| c != Crossing::Scatter));
     let Assembly { inputs, instances, lights, entries, .. } = assembly;
     let world = World::build(inputs);
     let extent = world.bounds().size().max_element();
@@ -232,9 +243,10 @@ fn build(
         lights: Arc::new(lights),
         media: Arc::new(media),
         camera,
+        sightings: Sightings::default(),
         origin,
         camera_inside: Inside::default(),
-        has_null_crossings,
+        has_clear_surfaces,
         cache,
     })
 }
@@ -370,7 +382,8 @@ fn affine(t: &DAffine3) -> Affine3A {
     }
 }
 
-fn media(scene: &Scene, now: &Scalars, origin: DVec3) -> Media {
+/// The media; those that do nothing fill nothing. `carried`: whether some are behind surfaces.
+fn media(scene: &Scene, now: &Scalars, origin: DVec3, carried: bool) -> Media {
     let color = |c: [f64; 3], amount: f64| Rgb::from_array(c.map(|c| (c * amount).max(0.0) as f32));
     let kernels = now.media.iter().map(|m| {
         let sigma_s = color(m.color, m.sigma_s);
@@ -387,8 +400,8 @@ fn media(scene: &Scene, now: &Scalars, origin: DVec3) -> Media {
             },
         }
     });
-    let mut media = Media::new(kernels.collect(), now.materials.iter().any(|m| m.inside.is_some()));
-    for region in &scene.regions {
+    let mut media = Media::new(kernels.collect(), carried);
+    for region in scene.regions.iter().filter(|region| !now.media[region.medium.index()].is_nothing()) {
         let medium = region.medium.0 as u16;
         match &region.bounds {
             RegionBounds::Everywhere => media.fill_everywhere(medium),

@@ -6,10 +6,10 @@ use femc_emission::light::{
     Cone, Parallelogram, PhotometricPoint, PhotometricSolid, Ring, Solid, Sphere, Torus, Triangle,
 };
 use femc_emission::{
-    AlongSegment, AtPoint, DeltaKind, Emission, EmissionCone, IntensityDistribution, Light, LightBounds, LightSample,
-    LightTree, PhotometryError, PhotometryKind, Place, Profile, Sides,
+    AlongSegment, AtPoint, Emission, EmissionCone, IntensityDistribution, Light, LightBounds, LightSample, LightTree,
+    PhotometryError, PhotometryKind, Place, Profile, Sides,
 };
-use femc_geometry::World;
+use femc_geometry::{Aabb, World};
 use femc_math::Rgb;
 use femc_math::elementary::double::cbrt;
 use femc_math::glam::{Affine3, Affine3A, DAffine3, DVec3, Vec2, Vec3A};
@@ -23,6 +23,8 @@ pub struct Lights {
     entries: Vec<Entry>,
     /// Middles of the lights, in the frames that they are kept in.
     centers: Vec<Vec3A>,
+    /// Where the lights are over the shutter, prepared frame, and their flux, lm.
+    places: Vec<(Aabb, f32)>,
     tree: LightTree,
     /// Extinction of the haze that is everywhere, 1/m: it makes far lights less important.
     haze: f32,
@@ -68,7 +70,8 @@ impl Lights {
         let bounds: Vec<_> = lights.iter().zip(&entries).map(|(light, entry)| bounds(light, entry, world)).collect();
         let reach = 4.0 * world.bounds().size().max_element();
         let reach = if reach.is_finite() && reach > 0.0 { reach } else { 1e6 };
-        Self { tree: LightTree::new(&bounds), lights, entries, centers, haze, reach }
+        let places = bounds.iter().map(|it| (Aabb { min: it.low, max: it.high }, it.power)).collect();
+        Self { tree: LightTree::new(&bounds), lights, entries, centers, places, haze, reach }
     }
 
     /// Whether there is no light at all.
@@ -79,6 +82,21 @@ impl Lights {
     /// Number of lights.
     pub fn len(&self) -> usize {
         self.entries.len()
+    }
+
+    /// Box around a light over the whole shutter, prepared frame, m.
+    pub(crate) fn bounds(&self, light: u32) -> Aabb {
+        self.places[light as usize].0
+    }
+
+    /// Luminous flux of a light, lm.
+    pub(crate) fn power(&self, light: u32) -> f32 {
+        self.places[light as usize].1
+    }
+
+    /// Whether rays may meet a light: it is no point.
+    pub(crate) fn may_be_met(&self, light: u32) -> bool {
+        !matches!(self.lights[light as usize], Light::PhotometricPoint(_))
     }
 
     /// A point that wants light. `normal`: of the side that light is scattered from; zero where light counts from all sides.
@@ -181,11 +199,10 @@ impl Lights {
         let mut radiance = if entry.carrier == NONE {
             source.radiance(dir, normal)
         } else {
-            let back = inverse(&world.pose_at(entry.carrier, time));
-            source.radiance(
-                back.transform_vector3a(dir).normalize_or_zero(),
-                back.transform_vector3a(normal).normalize_or_zero(),
-            )
+            let pose = world.pose_at(entry.carrier, time);
+            let back = inverse(&pose);
+            let local = |v: Vec3A| back.transform_vector3a(v).normalize_or_zero();
+            source.radiance(local(dir), local(normal)) * dilution(source, scale_of(&pose))
         };
         if entry.texture != NONE {
             radiance *= entry.texel(textures, parametric);
@@ -222,16 +239,27 @@ fn inverse(pose: &Affine3A) -> Affine3A {
 fn carried(light: &Light, pose: &Affine3A, reference: Vec3A, u: [f32; 2]) -> Option<LightSample> {
     let back = inverse(pose);
     let mut sample = light.sample(back.transform_point3a(reference), u)?;
-    let scale = pose.matrix3.x_axis.length();
+    let scale = scale_of(pose);
     sample.dir = pose.transform_vector3a(sample.dir).normalize_or_zero();
     sample.position = pose.transform_point3a(sample.position);
     sample.normal = pose.transform_vector3a(sample.normal).normalize_or_zero();
     sample.error = pose.matrix3.abs() * sample.error + sample.position.abs() * femc_math::gamma(4);
     sample.distance *= scale;
-    if sample.delta == DeltaKind::Position {
-        sample.radiance /= scale * scale;
-    }
+    sample.radiance *= dilution(light, scale);
     Some(sample)
+}
+
+/// Factor by which a pose scales lengths; it is a similarity.
+#[inline]
+fn scale_of(pose: &Affine3A) -> f32 {
+    pose.matrix3.x_axis.length()
+}
+
+/// Factor on what a light that a pose has scaled sends toward a place: surfaces keep their radiance; a luminaire keeps its intensity,
+/// which comes from a larger opening, or from farther away.
+#[inline]
+fn dilution(light: &Light, scale: f32) -> f32 {
+    if light.has_intensity() { 1.0 / (scale * scale) } else { 1.0 }
 }
 
 /// What the choice of a light knows of it, in the prepared frame over the whole shutter.
@@ -240,13 +268,10 @@ fn bounds(light: &Light, entry: &Entry, world: &World) -> LightBounds {
     if entry.carrier == NONE {
         return LightBounds { low, high, power, cone: light.emission_cone() };
     }
-    // Places between these are estimates: the choice is unbiased as long as no direction is ruled out.
-    let corner = |k: usize| Vec3A::select(femc_math::glam::BVec3A::new(k & 1 > 0, k & 2 > 0, k & 4 > 0), high, low);
-    let poses = (0..=4).map(|k| world.pose_at(entry.carrier, k as f32 / 4.0));
-    let corners = poses.flat_map(|pose| (0..8).map(move |k| pose.transform_point3a(corner(k))));
-    let none = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);
-    let (low, high) = corners.fold(none, |(low, high), p| (low.min(p), high.max(p)));
-    LightBounds { low, high, power, cone: EmissionCone::ALL }
+    let swept = world.swept(entry.carrier, &Aabb { min: low, max: high });
+    let scale = scale_of(&world.pose_at(entry.carrier, 0.5));
+    let power = if light.has_intensity() { power } else { power * scale * scale };
+    LightBounds { low: swept.min, high: swept.max, power, cone: EmissionCone::ALL }
 }
 
 /// The shape of an emitter in the frame where its light is kept.

@@ -6,16 +6,32 @@ use femc_math::glam::{Vec2, Vec3A};
 use femc_scattering::{Bsdf, MaterialParameters, Sides as KernelSides};
 use femc_scene::{Material, Sides, Tinted};
 
-/// What happens to a path that meets the surface.
+/// What a surface does to light that meets it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub enum Crossing {
     /// It scatters by the BSDF.
     Scatter,
-    /// It goes straight on, multiplied by the tint: an index-matched clear interface, there only to bound a medium.
+    /// It scatters by the BSDF, of which a part goes straight on: a clear sheet. Shadow rays pass with that part.
+    Clear {
+        /// Share of the radiance that goes straight on.
+        tint: Rgb,
+    },
+    /// All goes straight on, multiplied by the tint: an index-matched clear interface, there only to bound a medium.
     Null {
         /// Factor on the radiance.
         tint: Rgb,
     },
+}
+
+impl Crossing {
+    /// Share of the radiance that goes straight on.
+    #[inline]
+    pub fn unbent(self) -> Rgb {
+        match self {
+            Self::Scatter => Rgb::ZERO,
+            Self::Clear { tint } | Self::Null { tint } => tint,
+        }
+    }
 }
 
 /// A material of a prepared frame.
@@ -80,16 +96,19 @@ impl KernelMaterial {
             && material.rd.amount == 0.0
             && material.td.amount == 0.0
             && material.rs.amount == 0.0;
+        let bsdf = Bsdf::from_parameters(&parameters);
+        let tint = bsdf.unbent();
+        let met = if tint == Rgb::ZERO { Crossing::Scatter } else { Crossing::Clear { tint } };
         let crossing = if matched {
             [Crossing::Null { tint: parameters.ts }; 2]
-        } else if material.sides == Sides::One && !solid {
-            // Invisible from behind; seen there only because a medium ends (see `surface_class`).
-            [Crossing::Scatter, Crossing::Null { tint: Rgb::ONE }]
+        } else if material.sides == Sides::One && !solid && material.inside.is_some() {
+            // Invisible from behind; met there only because a medium ends (see `surface_class`).
+            [met, Crossing::Null { tint: Rgb::ONE }]
         } else {
-            [Crossing::Scatter; 2]
+            [met; 2]
         };
         Self {
-            bsdf: Bsdf::from_parameters(&parameters),
+            bsdf,
             parameters,
             crossing,
             faces_viewer: if solid { Orientation::Front } else { Orientation::TowardViewer },

@@ -6,7 +6,7 @@
 
 use femc_math::Rgb;
 use femc_math::color::luminance;
-use femc_math::elementary::{exp, exp_m1, ln_1p};
+use femc_math::elementary::{exp, exp_m1, ln, ln_1p};
 use femc_math::glam::{Affine3A, Vec3A};
 use femc_scattering::Phase;
 
@@ -396,9 +396,10 @@ impl Media {
 
     /// Draws a distance proportional to extinction times transmittance. `u` in [0, 1); `channel` in [0, 1) picks the colour
     /// channel where the media are coloured.
-    pub fn draw(&self, ray: &MediaRay, u: f32, channel: f32) -> Distance {
+    pub fn draw(&self, ray: &MediaRay, u: f64, channel: f32) -> Distance {
         let axis = ((channel * 3.0) as usize).min(2);
-        let target = -ln_1p(-u);
+        // Each half by the function that is accurate there in single precision.
+        let target = if u < 0.5 { -ln_1p(-u as f32) } else { -ln((1.0 - u) as f32) };
         let (mut all, mut drawn) = (Rgb::ZERO, Rgb::ZERO);
         for (index, interval) in ray.intervals.iter().enumerate() {
             let depth = self.depth(ray, interval, interval.start, interval.end);

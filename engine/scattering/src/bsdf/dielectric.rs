@@ -63,6 +63,12 @@ impl Dielectric {
         self.alpha <= SMOOTH_ALPHA
     }
 
+    /// Share of the light that goes straight through: of an index-matched interface, which reflects nothing.
+    #[inline]
+    pub fn unbent(&self) -> Rgb {
+        if self.eta == 1.0 && self.is_smooth() { self.ts } else { Rgb::ZERO }
+    }
+
     /// Whether there is a diffuse part.
     #[inline]
     pub fn has_diffuse(&self) -> bool {

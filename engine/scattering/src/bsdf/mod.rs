@@ -255,6 +255,17 @@ impl Bsdf {
         matches!(self, Self::Sheet(_) | Self::Dielectric(_))
     }
 
+    /// Share of the light that goes straight through, from either side and under any angle: shadow rays may pass with it. A sample
+    /// of that part is a [`LobeKind::Delta`], transmitted, with `wi = -wo` and `eta` 1 (`what_passes_unbent_is_drawn_unbent`).
+    #[inline]
+    pub fn unbent(&self) -> Rgb {
+        match self {
+            Self::Sheet(b) if b.ts_alpha <= SMOOTH_ALPHA => b.ts,
+            Self::Dielectric(b) => b.unbent(),
+            _ => Rgb::ZERO,
+        }
+    }
+
     /// Directional albedo, reflected plus transmitted. Exact for diffuse and smooth parts; the few percent that single
     /// scattering loses in rough lobes are not taken off, nor is the square of the index ratio of refracted radiance.
     #[inline]

@@ -1,9 +1,11 @@
 //! Helpers of the tests that need the whole engine: scenes from text, images, statistics.
 
+pub mod agreement;
 pub mod brute;
 pub mod fuzz;
 pub mod reference;
 pub mod rng;
+pub mod text;
 
 use femc_film::{Frame, FrameImage};
 use femc_import::{Bundle, load};

@@ -48,6 +48,37 @@ fn a_furnace_with_glossy_walls_agrees_with_its_own_losses_only() {
 }
 
 #[test]
+fn a_furnace_of_which_nearly_nothing_is_absorbed_is_as_bright_as_any() {
+    // A path has lost nothing when it ends, however long: the weights stay 1 and the variance finite.
+    for wall in [" sides 2\n c\n rd .99\n ed 3.14159265358979", " sides 2\n c\n rd .4\n rs .59 0\n ed 3.14159265358979"] {
+        agrees(&render(&scene(&closed_box(wall, "")), &spp(64), 1), 100.0, 1e-4);
+    }
+}
+
+#[test]
+fn thick_fog_that_absorbs_nothing_leaves_a_furnace_as_it_is() {
+    let text = closed_box(" sides 2\n c\n rd .5\n ed 3.14159265358979", "medium fog =\n sigma_s 80\nmglobal fog");
+    agrees(&render(&scene(&text), &spp(16), 1), 2.0, 1e-4);
+}
+
+#[test]
+fn a_lamp_that_is_smaller_than_a_pixel_is_seen_by_every_sample() {
+    // The image of a ball on the axis is a circle of radius r / sqrt(d^2 - r^2) on the plane at distance 1.
+    let (radius, distance) = (0.01f64, 10.0f64);
+    let text = format!(
+        "camera main =\n origin 0 0 0\n target 1 0 0\n fov 30\n film 9 9\nm lamp =\n sides 1\n c\n ed 314159.265358979\n\
+         v s =\n p {distance} 0 0\nm lamp\nsph s {radius}\n"
+    );
+    let pixel = 2.0 * 15f64.to_radians().tan() / 9.0;
+    let area = std::f64::consts::PI * radius * radius / (distance * distance - radius * radius);
+    let image = render(&scene(&text), &spp(16), 1);
+    let (value, error) = mean(&image);
+    let expected = 1e5 * area / (pixel * pixel) / 81.0;
+    println!("{value} +- {error}, expected {expected}");
+    assert!((value / expected - 1.0).abs() < 1e-3, "16 samples a pixel, of which none but drawn ones meet the lamp");
+}
+
+#[test]
 fn fog_that_absorbs_nothing_leaves_a_furnace_as_it_is() {
     for phase in ["iso", "hg .7", "schlick -.5", "rayleigh"] {
         let fog = format!("medium fog =\n sigma_s 1.5\n phase {phase}\nmglobal fog");
@@ -128,6 +159,21 @@ fn fog_behind_an_index_matched_surface_looks_like_the_same_fog_in_a_box() {
     let b = mean(&render(&scene(&closed), &spp(256), 1));
     println!("{a:?} {b:?}");
     assert!(a.0 > 0.5 && (a.0 - b.0).abs() < 4.0 * (a.1 * a.1 + b.1 * b.1).sqrt());
+}
+
+#[test]
+fn a_medium_that_does_nothing_is_no_medium() {
+    let room = |medium: &str| {
+        let skin = "m skin =\n sides 1\n c\n ir 1 0\n ts 1 0\n inside gas\n";
+        let text = format!("medium gas =\n {medium}\nmbox gas -1 -1 -1 1 1 1\n{skin}");
+        scene(&closed_box(" sides 2\n c\n rd .5\n ed 1", &text))
+    };
+    let has_media = |medium| {
+        let source = femc_pipeline::Source::new(room(medium));
+        !femc_pipeline::prepare(&source, &spp(1), 1, None).expect("a frame").media.is_empty()
+    };
+    assert!(!has_media("sigma_s 0\n sigma_a 0") && !has_media("sigma_s 0"));
+    assert!(has_media("sigma_s .1") && has_media("sigma_a .1") && has_media("sigma_s 0\n glow 1"));
 }
 
 #[test]

@@ -1,0 +1,71 @@
+//! Whether two descriptions, or two ways to find light, give the same mean: by independent renderings and a test at a stated level.
+
+use crate::scene_of;
+use femc_film::Filter;
+use femc_math::color::luminance;
+use femc_montecarlo::{PathSettings, Technique, Tracer};
+use femc_pipeline::{Places, Settings, Source, prepare};
+use femc_scene::Scene;
+use femc_stats::testing::z_test;
+use rayon::prelude::*;
+use std::sync::Arc;
+
+/// Independent renderings of an estimate.
+const RENDERINGS: u64 = 48;
+
+/// A mean luminance of a film, cd/m2, and its standard error.
+#[derive(Clone, Copy, Debug)]
+pub struct Estimate {
+    /// Of all samples.
+    pub mean: f64,
+    /// By what independent renderings differ.
+    pub error: f64,
+}
+
+impl Estimate {
+    /// Mean luminance of a scene's first frame by its first camera.
+    /// - `only`: the only way to find light; `None`: all, joined;
+    /// - `spp`: samples a pixel of each of 48 renderings.
+    ///
+    /// # Panics
+    /// If the scene cannot be prepared, or a sample is not a finite number.
+    pub fn of(scene: &Arc<Scene>, only: Option<Technique>, spp: u32) -> Self {
+        let source = Source::new(scene.clone());
+        let prepared = prepare(&source, &Settings::default(), 1, None).unwrap_or_else(|error| panic!("{error}"));
+        let [width, height] = prepared.camera.film;
+        let rendering = |seed: u64| {
+            let mut tracer = Tracer::new(&prepared, PathSettings { seed, max_depth: 0, only });
+            let mut sum = 0.0;
+            for pixel in 0..width * height {
+                for index in 0..spp {
+                    let drawn = tracer.sample(pixel, index, Places(Filter::Box));
+                    let value = luminance(drawn.color);
+                    assert!(value.is_finite(), "pixel {pixel}, sample {index}: {value}");
+                    sum += f64::from(value);
+                }
+            }
+            sum / f64::from(width * height * spp)
+        };
+        let means: Vec<f64> = (1..=RENDERINGS).into_par_iter().map(rendering).collect();
+        let n = means.len() as f64;
+        let mean = means.iter().sum::<f64>() / n;
+        let variance = means.iter().map(|value| (value - mean).powi(2)).sum::<f64>() / (n - 1.0);
+        Self { mean, error: (variance / n).sqrt() }
+    }
+
+    /// The same of a scene by its files; the first is the scene.
+    pub fn of_files(files: &[(&str, &str)], spp: u32) -> Self {
+        Self::of(&scene_of(files), None, spp)
+    }
+
+    /// `factor` times this.
+    pub fn times(self, factor: f64) -> Self {
+        Self { mean: factor * self.mean, error: factor * self.error }
+    }
+
+    /// Two-sided level at which the two are the same; rounding of the scene and of single precision, 1e-5, is no difference.
+    pub fn level(self, other: Self) -> f64 {
+        let rounding = 1e-5 * self.mean.abs().max(other.mean.abs());
+        z_test(self.mean - other.mean, self.error.hypot(other.error).hypot(rounding), 0.0)
+    }
+}

@@ -1,0 +1,173 @@
+//! Pairs of scenes that describe the same light in two ways, which take different code: their means are equal, or have a known ratio.
+
+use femc_tests::agreement::Estimate;
+use femc_tests::text::{block, camera, level, material, quad};
+
+/// Samples a pixel of each of 48 renderings.
+const SPP: u32 = 48;
+/// Chance of a false alarm of one pair.
+const LEVEL: f64 = 1e-5;
+
+/// A luminaire of 1000 cd in all directions; its opening is a box of this edge, m.
+fn ies(edge: f64) -> String {
+    format!(
+        "IESNA:LM-63-2002\n[TEST] isotropic\nTILT=NONE\n1 1000 1 3 1 1 2 {edge} {edge} {edge}\n1 1 1\n0 90 180\n0\n\
+         1000 1000 1000\n"
+    )
+}
+
+/// Holds `ratio` times the mean of `b` against that of `a`, and that one percent more would be seen.
+fn pair(a: &str, b: &str, ratio: f64) {
+    let (sized, point) = (ies(0.1), ies(0.0));
+    let estimate =
+        |text: &str| Estimate::of_files(&[("test.mgf", text), ("sized.ies", &sized), ("point.ies", &point)], SPP);
+    let (a, b) = (estimate(a), estimate(b).times(ratio));
+    println!("{a:?} {b:?}");
+    assert!(a.mean > 0.0 && a.level(b) >= LEVEL, "{a:?} is not {b:?}");
+    assert!(a.level(b.times(1.05)) < LEVEL, "nobody would see five percent: {a:?} {b:?}");
+}
+
+fn lamp() -> String {
+    material("lamp", &["sides 2", "ed 100"]) + &level("lamp", [0.0, 0.0, 3.0], 2.5)
+}
+
+fn skin(inside: &str) -> String {
+    material("skin", &["sides 1", "ir 1 0", "ts 1 0", inside])
+}
+
+const FOG: &str = "medium fog =\n sigma_s .6\n sigma_a .2\n";
+const HAZE: &str = "medium haze =\n sigma_s .1\n sigma_a .02\n";
+
+#[test]
+fn fog_in_two_solids_one_behind_the_other_is_the_same_fog_in_two_boxes() {
+    let room = camera("-6 0 0", "0 0 0", 6.0) + &lamp() + FOG;
+    let solids = skin("inside fog") + &block("skin", [-2.0, -1.0, -1.0], [-1.0, 1.0, 1.0]);
+    let solids = solids + &block("skin", [1.0, -1.0, -1.0], [2.0, 1.0, 1.0]);
+    let boxes = "mbox fog -2 -1 -1 -1 1 1\nmbox fog 1 -1 -1 2 1 1\n";
+    pair(&format!("{room}{solids}"), &format!("{room}{boxes}"), 1.0);
+}
+
+#[test]
+fn a_cloud_in_haze_does_not_depend_on_whether_it_has_a_skin() {
+    let room = camera("-6 0 0", "0 0 0", 4.0) + &lamp() + FOG + HAZE + "mglobal haze\n";
+    let solid = skin("inside fog") + &block("skin", [-1.0; 3], [1.0; 3]);
+    pair(&format!("{room}{solid}"), &format!("{room}mbox fog -1 -1 -1 1 1 1\n"), 1.0);
+}
+
+#[test]
+fn skins_inside_skins_are_boxes_inside_boxes() {
+    let room = camera("-6 0 0", "0 0 0", 6.0) + &lamp() + FOG + HAZE;
+    let outer = skin("inside haze") + &block("skin", [-2.0; 3], [2.0; 3]);
+    let solids = outer + &skin("inside fog").replace("skin", "core") + &block("core", [-1.0; 3], [1.0; 3]);
+    let boxes = "mbox haze -2 -2 -2 2 2 2\nmbox fog -1 -1 -1 1 1 1\n";
+    pair(&format!("{room}{solids}"), &format!("{room}{boxes}"), 1.0);
+}
+
+#[test]
+fn a_camera_inside_a_cloud_sees_the_same_with_a_skin_and_without() {
+    let room = camera(".1 .2 -.3", "2 0 1", 40.0) + &lamp() + FOG;
+    let solid = skin("inside fog") + &block("skin", [-1.0; 3], [1.0; 3]);
+    pair(&format!("{room}{solid}"), &format!("{room}mbox fog -1 -1 -1 1 1 1\n"), 1.0);
+}
+
+/// A floor that sees `between` it and the light.
+fn floor_below(between: &str, light: &str) -> String {
+    let floor = material("floor", &["sides 2", "rd .5"]) + &level("floor", [0.0; 3], 9.0);
+    camera("0 0 1", "0 0 0", 10.0) + &floor + between + light
+}
+
+fn panel() -> String {
+    material("lamp", &["sides 2", "ed 100"]) + &level("lamp", [0.0, 0.0, 3.0], 0.5)
+}
+
+#[test]
+fn a_clear_film_without_a_medium_is_nothing() {
+    let film = skin("") + &level("skin", [0.0, 0.0, 2.0], 9.0);
+    pair(&floor_below(&film, &panel()), &floor_below("", &panel()), 1.0);
+    pair(&floor_below(&film, "ies point.ies -t 0 0 3\n"), &floor_below("", "ies point.ies -t 0 0 3\n"), 1.0);
+}
+
+#[test]
+fn a_tinted_film_takes_its_share_of_every_light() {
+    let film = material("film", &["sides 1", "ir 1 0", "ts .6 0"]) + &level("film", [0.0, 0.0, 2.0], 9.0);
+    for light in [panel(), "ies point.ies -t 0 0 3\n".into(), "ies sized.ies -t 0 0 3\n".into()] {
+        pair(&floor_below(&film, &light), &floor_below("", &light), 0.6);
+    }
+}
+
+#[test]
+fn light_comes_through_panes_that_do_not_bend_it() {
+    // What two panes throw to and fro between them is lost: the upper one has no reflection.
+    let pane =
+        |name: &str, rs: &str, z: f64| material(name, &["sides 2", "ts .9 0", rs]) + &level(name, [0.0, 0.0, z], 9.0);
+    let one = pane("pane", "", 2.0);
+    let two = pane("pane", "", 2.0) + &pane("upper", "", 2.5);
+    for light in [panel(), "ies point.ies -t 0 0 3\n".into(), "ies sized.ies -t 0 0 3\n".into()] {
+        pair(&floor_below(&one, &light), &floor_below("", &light), 0.9);
+        pair(&floor_below(&two, &light), &floor_below("", &light), 0.81);
+    }
+}
+
+#[test]
+fn fog_behind_a_pane_is_lit_through_it() {
+    let scene = |pane: &str| {
+        let light = "ies point.ies -t 0 0 3\n";
+        format!("{}{FOG}mbox fog -1 -1 -1 1 1 1\n{pane}{light}", camera("-6 0 0", "0 0 0", 6.0))
+    };
+    let pane = material("pane", &["sides 2", "ts .7 0"]) + &level("pane", [0.0, 0.0, 2.0], 30.0);
+    pair(&scene(&pane), &scene(""), 0.7);
+}
+
+#[test]
+fn a_lamp_behind_a_pane_is_seen_in_a_mirror_and_by_the_camera() {
+    let mirror = material("mirror", &["sides 2", "rs .8 0"]) + &level("mirror", [0.0; 3], 9.0);
+    let pane = material("pane", &["sides 2", "ts .9 0"]) + &level("pane", [0.0, 0.0, 2.0], 9.0);
+    let scene = |pane: &str| camera("0 0 1", ".1 0 0", 10.0) + &mirror + pane + &lamp();
+    pair(&scene(&pane), &scene(""), 0.9);
+    let above = |pane: &str| camera("0 0 1", ".1 0 4", 10.0) + pane + &lamp();
+    pair(&above(&pane), &above(""), 0.9);
+}
+
+/// Two of a scene: something moves, hardly, while the shutter is open; the shutter is shut.
+fn moving(scale: f64, what: &str) -> [String; 2] {
+    ["0 .5", "0 0"].map(|shutter| {
+        let text = floor_below(
+            "",
+            &format!(
+                "path p = linear\n key 0 -t 0 0 .6\n key 1 -t .002 0 .6\nxf -s {scale}\nxf -path p\n{what}xf\nxf\n"
+            ),
+        );
+        format!("time 0 1 10\n{}", text.replace(" film 8 8\n", &format!(" film 8 8\n shutter {shutter}\n")))
+    })
+}
+
+#[test]
+fn a_light_that_moves_hardly_is_as_bright_as_one_that_stands() {
+    let sphere = "m lamp =\n c\n sides 1\n ed 100\nv s =\n p 0 0 .1\nm lamp\nsph s .1\n";
+    let ring = "m lamp =\n c\n sides 2\n ed 100\nv s =\n p 0 0 .1\n n 0 0 -1\nm lamp\nring s 0 .2\n";
+    let quad =
+        material("lamp", &["sides 2", "ed 100"]) + &quad("lamp", ["-.1 -.1 0", ".1 -.1 0", ".1 .1 0", "-.1 .1 0"]);
+    for what in ["ies sized.ies\n", "ies point.ies\n", sphere, ring, &quad] {
+        for scale in [0.3, 5.0] {
+            let [open, shut] = moving(scale, what);
+            pair(&open, &shut, 1.0);
+        }
+    }
+}
+
+#[test]
+fn a_luminaire_with_an_opening_sends_from_afar_what_a_point_sends() {
+    for scale in ["1", "2"] {
+        let light = |file: &str| format!("ies {file}.ies -s {scale} -t 0 0 30000\n");
+        pair(&floor_below("", &light("sized")), &floor_below("", &light("point")), 1.0);
+    }
+}
+
+#[test]
+fn thin_air_scatters_in_proportion_to_its_density() {
+    // The numbers of a free distance have more than 24 bits: an optical thickness of 2e-6 is 33 of their steps.
+    let air = |sigma: f64| {
+        format!("{}medium air =\n sigma_s {sigma}\nmbox air -1 -1 -1 1 1 1\n{}", camera("-6 0 0", "0 0 0", 6.0), lamp())
+    };
+    pair(&air(1e-6), &air(1e-3), 1e-3 / (1.0 - 1e-3));
+}

@@ -1,0 +1,156 @@
+//! Every technique by which light is found, alone against the others and against all of them joined: each is complete, so that they
+//! agree wherever their densities, their weights and what lies between are right.
+
+use femc_montecarlo::Technique;
+use femc_stats::testing::sidak;
+use femc_tests::agreement::Estimate;
+use femc_tests::scene_of;
+use femc_tests::text::{block, camera, level, material};
+
+/// Chance of a false alarm of all comparisons of one scene.
+const LEVEL: f64 = 1e-4;
+
+const FOG: &str = "medium fog =\n sigma_s .5\n sigma_a .1\n phase hg .4\n";
+
+/// Every pair of {all, light, scatter, equiangular} agrees.
+fn agree(name: &str, text: &str, spp: u32) {
+    let scene = scene_of(&[("test.mgf", text)]);
+    let techniques = [None, Some(Technique::Light), Some(Technique::Scatter), Some(Technique::Equiangular)];
+    let estimates = techniques.map(|only| Estimate::of(&scene, only, spp));
+    println!("{name}: {estimates:?}");
+    // Near a source in fog, drawing points on it alone has no finite variance: what is too noisy shows nothing.
+    let known: Vec<usize> = (0..4).filter(|&i| estimates[i].error < 0.05 * estimates[i].mean).collect();
+    assert!(known.contains(&0) && known.len() >= 3, "{name}: too noisy: {estimates:?}");
+    for (n, &i) in known.iter().enumerate() {
+        for &j in &known[n + 1..] {
+            let (a, b) = (estimates[i], estimates[j]);
+            let is_same = a.level(b) >= sidak(LEVEL, 6);
+            assert!(is_same, "{name}: {:?} {a:?} is not {:?} {b:?}", techniques[i], techniques[j]);
+        }
+    }
+}
+
+fn panel(half: f64) -> String {
+    material("lamp", &["sides 2", "ed 100"]) + &level("lamp", [0.3, 0.0, 3.0], half)
+}
+
+fn floor(lines: &[&str]) -> String {
+    material("floor", lines) + &level("floor", [0.0; 3], 4.0)
+}
+
+fn above() -> String {
+    camera("-2 -.5 1.5", "0 0 .3", 25.0)
+}
+
+#[test]
+fn on_surfaces_of_every_kind() {
+    let kinds: [(&str, &[&str]); 7] = [
+        ("diffuse", &["sides 2", "rd .6"]),
+        ("rough", &["sides 2", "rs .7 .3"]),
+        ("both", &["sides 2", "rd .3", "rs .5 .2"]),
+        ("coated", &["sides 2", "ir 1.5 0", "rd .5", "rs .5 .15"]),
+        ("metal", &["sides 2", "ir .2 3.9", "rs .9 .2"]),
+        ("translucent", &["sides 2", "rd .3", "td .4"]),
+        ("frosted", &["sides 2", "ts .6 .3", "rd .2"]),
+    ];
+    for (name, lines) in kinds {
+        let below = material("ground", &["sides 2", "rd .5"]) + &level("ground", [0.0, 0.0, -0.6], 4.0);
+        agree(name, &(above() + &panel(1.5) + &floor(lines) + &below), 32);
+    }
+}
+
+#[test]
+fn behind_panes_and_films() {
+    let pane = |lines: &[&str], z: f64| material("pane", lines) + &level("pane", [0.0, 0.0, z], 6.0);
+    let panes: [(&str, &[&str]); 4] = [
+        ("pane", &["sides 2", "ts .8 0", "rs .15 0"]),
+        ("stained pane", &["sides 2", "rd .2", "td .1", "ts .6 0"]),
+        ("film", &["sides 1", "ir 1 0", "ts .9 0"]),
+        ("nearly matched", &["sides 1", "ir 1.0005 0", "ts .9 0", "rd .05"]),
+    ];
+    for (name, lines) in panes {
+        for fog in ["", "mbox fog -3 -3 .2 3 3 2.6\n"] {
+            let two = pane(lines, 2.0) + &pane(lines, 1.2);
+            let text = above() + FOG + fog + &panel(1.5) + &floor(&["sides 2", "rd .6"]) + &two;
+            agree(&format!("{name} {fog}"), &text, 32);
+        }
+    }
+}
+
+#[test]
+fn in_fog_of_every_kind() {
+    let boxed = "mbox fog -2 -2 .1 2 2 2.5\n";
+    let skin = material("skin", &["sides 1", "ir 1 0", "ts 1 0", "inside fog"]);
+    let solid = skin.clone() + &block("skin", [-1.0, -1.0, 0.2], [1.0, 1.0, 1.6]);
+    let haze = "medium haze =\n sigma_s .15\n sigma_a .02\n phase schlick -.3\n";
+    let glass = material("glass", &["sides 1", "ir 1.5 0", "ts 1 .2", "inside fog"]);
+    let fogs = [
+        ("everywhere", "mglobal fog\n".to_owned()),
+        ("box", boxed.to_owned()),
+        ("box in haze", format!("{haze}mglobal haze\n{boxed}")),
+        ("boxes that overlap", format!("{haze}mbox haze -1 -3 0 3 1 2\n{boxed}")),
+        ("solid", solid.clone()),
+        ("solid in haze", format!("{haze}mglobal haze\n{solid}")),
+        ("solid in a box", format!("{haze}mbox haze -2 -2 .1 2 2 2.5\n{solid}")),
+        ("rough glass", glass + &block("glass", [-1.0, -1.0, 0.2], [1.0, 1.0, 1.6])),
+        ("thin above", format!("{}mglobal mist\n", FOG.replace("fog", "mist") + " density height .5 .6\n")),
+        ("colored", "medium smoke =\n c\n crgb .9 .5 .2\n sigma_s .8\n sigma_a .1\nmglobal smoke\n".to_owned()),
+    ];
+    for (name, fog) in fogs {
+        let text = above() + FOG + &fog + &panel(1.5) + &floor(&["sides 2", "rd .4"]);
+        agree(name, &text, 32);
+    }
+}
+
+#[test]
+fn from_sources_of_every_kind_that_stand_or_move() {
+    let at = |shape: &str| {
+        format!(
+            "m lamp =\n c\n sides 2\n ed 100\nv s =\n p .3 0 .5\n n .1 .3 -1\nv t =\n p .9 .4 .7\nm lamp\n{shape}\n"
+        )
+    };
+    let sources = ["sph s .2", "cyl s .1 t", "cone s .2 t .05", "ring s .05 .3", "torus s .1 .3"];
+    for shape in sources {
+        for fog in ["", "mglobal fog\n"] {
+            let still =
+                above() + FOG + fog + &floor(&["sides 2", "rd .5"]) + &at(shape).replace("p .3 0 .5", "p .3 0 1.2");
+            agree(&format!("{shape} {fog}"), &still, 16);
+            let moves = "time 0 1 10\npath p = linear\n key 0 -t 0 -.4 0 -rz 20\n key 1 -t .3 4 .6 -rz 70 -s 1.2\n";
+            let text = above().replace("film 8 8\n", "film 8 8\n shutter 0 .9\n") + FOG + fog;
+            let text =
+                format!("{moves}{text}{}xf -s 2\nxf -path p\n{}xf\nxf\n", floor(&["sides 2", "rd .5"]), at(shape));
+            agree(&format!("moving {shape} {fog}"), &text, 16);
+        }
+    }
+}
+
+/// A lamp that is smaller than a pixel, seen by the camera itself.
+#[test]
+fn small_lamps_that_the_camera_sees() {
+    let lamp = |shape: &str| {
+        format!(
+            "m lamp =\n c\n sides 2\n ed 1e5\nv s =\n p .3 0 1.2\n n .9 .3 .1\nv t =\n p .31 .01 1.22\nm lamp\n{shape}\n"
+        )
+    };
+    let pane = material("pane", &["sides 2", "ts .8 0", "rs .1 0"])
+        + "v pa =\n p -1 -5 -5\nv pb =\n p -1 5 -5\nv pc =\n p -1 5 5\nv pd =\n p -1 -5 5\nm pane\nf pa pb pc pd\n";
+    let view = camera("-4 -.5 1.5", "0 0 1", 25.0);
+    let lens = view.replace(" film 8 8\n", " film 8 8\n lens .02 4.3\n");
+    let blurred = view.replace(" film 8 8\n", " film 8 8\n lens .2 9\n");
+    let thin = "medium fog =\n sigma_s .05\n sigma_a .05\nmglobal fog\n";
+    for shape in ["sph s .03", "cyl s .02 t", "ring s 0 .05"] {
+        let lamp = lamp(shape);
+        for (how, text) in [
+            ("in the open", view.clone() + &lamp),
+            ("behind a pane", view.clone() + &lamp + &pane),
+            ("by a lens", lens.clone() + &lamp),
+            ("out of focus", blurred.clone() + &lamp),
+            ("in fog", view.clone() + thin + &lamp),
+        ] {
+            agree(&format!("{shape} {how}"), &text, 64);
+        }
+    }
+    let moves = "time 0 1 10\npath p = linear\n key 0 -t 0 -.1 0\n key 1 -t 0 .2 .1\n";
+    let text = view.replace(" film 8 8\n", " film 8 8\n shutter 0 .9\n");
+    agree("moving", &format!("{moves}{text}xf -path p\n{}xf\n", lamp("sph s .03")), 64);
+}

@@ -50,7 +50,8 @@ fn a_furnace_with_glossy_walls_agrees_with_its_own_losses_only() {
 #[test]
 fn a_furnace_of_which_nearly_nothing_is_absorbed_is_as_bright_as_any() {
     // A path has lost nothing when it ends, however long: the weights stay 1 and the variance finite.
-    for wall in [" sides 2\n c\n rd .99\n ed 3.14159265358979", " sides 2\n c\n rd .4\n rs .59 0\n ed 3.14159265358979"] {
+    for wall in [" sides 2\n c\n rd .99\n ed 3.14159265358979", " sides 2\n c\n rd .4\n rs .59 0\n ed 3.14159265358979"]
+    {
         agrees(&render(&scene(&closed_box(wall, "")), &spp(64), 1), 100.0, 1e-4);
     }
 }

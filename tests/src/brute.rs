@@ -211,7 +211,7 @@ impl Fog {
         let region = scene.regions.first()?;
         let medium = &scene.media[region.medium.index()];
         assert!(scene.regions.len() == 1 && region.bounds == RegionBounds::Everywhere, "one medium everywhere");
-        assert!(medium.color == [1.0; 3] && medium.glow == 0.0, "a gray medium");
+        assert!([medium.color, medium.absorption_color] == [[1.0; 3]; 2] && medium.glow == 0.0, "a gray medium");
         let sigma_t = medium.sigma_s + medium.sigma_a;
         Some(Self { sigma_t, albedo: medium.sigma_s / sigma_t, phase: medium.phase })
     }

@@ -223,14 +223,6 @@ pub enum Fault {
         /// The limit.
         limit: usize,
     },
-    /// A material that reflects more than it receives.
-    #[error("material `{material}` has rd + td + rs + ts = {sum}; the sum may be at most 1: lower one of them")]
-    TooBright {
-        /// The material.
-        material: String,
-        /// The sum.
-        sum: f64,
-    },
     /// Too many primitives after expansion.
     #[error("{count} primitives after array expansion, at most {limit} are possible; use smaller arrays")]
     TooManyPrimitives {

@@ -44,7 +44,19 @@ pub enum Oddity {
         /// The largest sum of the reflectances and transmittances in a channel.
         sum: f64,
     },
-    /// A material that reflects a little more than it receives, scaled down to 1.
+    /// Negative values in a spectrum.
+    NegativeSpectrum {
+        /// How many.
+        count: usize,
+    },
+    /// A chromaticity with y = 0, which no light has.
+    NoLuminance {
+        /// CIE x as written.
+        x: f64,
+        /// CIE x and y that are used.
+        taken: [f64; 2],
+    },
+    /// A material that reflects more than it receives, scaled down to 1.
     TooBright {
         /// The material.
         material: String,
@@ -104,6 +116,11 @@ impl fmt::Display for Oddity {
                     f,
                     "color makes the material return {sum:.3} of the light in one channel (luminance is within 1)"
                 )
+            }
+            Self::NegativeSpectrum { count: 1 } => f.write_str("spectrum has a negative value: taken as 0"),
+            Self::NegativeSpectrum { count } => write!(f, "spectrum has {count} negative values: taken as 0"),
+            Self::NoLuminance { x, taken: [a, b] } => {
+                write!(f, "chromaticity ({x}, 0) has no luminance: the nearest visible one is taken, ({a:.4}, {b:.4})")
             }
             Self::TooBright { material, sum } => {
                 write!(f, "material `{material}` has rd + td + rs + ts = {sum:.3}: all four scaled down to the sum 1")

@@ -88,15 +88,53 @@ fn all_fields_of_a_material_arrive() {
 }
 
 #[test]
-fn a_sum_a_little_above_one_is_scaled_and_a_larger_one_is_an_error() {
-    let loaded = try_scene("m bright =\nrd .9\nrs .2 0").unwrap();
-    assert!((loaded.scene.materials[0].rd.amount - 0.9 / 1.1).abs() < 1e-12);
-    assert!(loaded.warnings[0].to_string().starts_with("t.mgf:3:1: material `bright`"), "{}", loaded.warnings[0]);
-    assert!(try_scene("m bright =\nrd .9\nrs .3 0").is_err());
+fn a_sum_above_one_is_scaled_to_one_whatever_it_is() {
+    for (rs, sum) in [(0.2, 1.1), (0.9, 1.8)] {
+        let loaded = try_scene(&format!("m bright =\nrd .9\nrs {rs} 0")).unwrap();
+        let material = &loaded.scene.materials[0];
+        assert!((material.rd.amount - 0.9 / sum).abs() < 1e-12 && (material.rs.amount - rs / sum).abs() < 1e-12);
+        assert!(loaded.warnings[0].to_string().starts_with("t.mgf:3:1: material `bright`"), "{}", loaded.warnings[0]);
+    }
     let raw = scene("c\ncrgb .5 .05 .04\nm paint =\nrd 1\nc\ncrgb 1 1 1\nrs .05 .1");
     assert_eq!(raw.materials[0].rd.amount, 1.0, "a raw colour counts by its luminance");
-    assert!(try_scene("c\ncrgb 2 2 2\nm a =\nrd .9").is_err());
-    assert!(try_scene("m ok =\nrd .8\nrs .5 0\nrd .5").is_ok(), "only what is used counts");
+    let raw = try_scene("c\ncrgb 2 2 2\nm a =\nrd .9").unwrap();
+    assert!((raw.scene.materials[0].rd.luminous() - 1.0).abs() < 1e-6 && raw.warnings.len() == 1);
+    scene("m ok =\nrd .8\nrs .5 0\nrd .5");
+}
+
+#[test]
+fn negative_values_of_a_spectrum_are_taken_as_zero_with_one_warning() {
+    let loaded = try_scene("\ncspec 400 700 1 -1 .5 -2\nm a =\ned 1\nc\ncspec 400 700 1 0 .5 0\nm b =\ned 1").unwrap();
+    assert_eq!(loaded.scene.materials[0].ed, loaded.scene.materials[1].ed);
+    let said: Vec<_> = loaded.warnings.iter().map(|w| w.to_string()).filter(|w| w.contains("negative")).collect();
+    assert_eq!(said, ["t.mgf:2:1: spectrum has 2 negative values: taken as 0"]);
+}
+
+#[test]
+fn a_chromaticity_without_luminance_becomes_the_nearest_visible_one_with_a_warning() {
+    let loaded = try_scene("c\ncxy .4 0\nm a =\ned 1\nc\ncxy 0 0\ncxy 1 0").unwrap();
+    let color = loaded.scene.materials[0].ed.color;
+    assert!((luminance(color) - 1.0).abs() < 1e-6 && color[1] < color[0] && color[1] < color[2], "purple: {color:?}");
+    assert_eq!(loaded.warnings.len(), 3, "{:?}", loaded.warnings);
+    assert!(loaded.warnings[0].to_string().starts_with("t.mgf:2:1: chromaticity (0.4, 0) has no luminance"));
+}
+
+/// The color since `sigma_s` tints absorption; that before `sigma_s` tints scattering alone; chromaticities tint neither.
+#[test]
+fn absorption_is_tinted_by_a_raw_color_of_its_own() {
+    let media = [
+        ("c\ncrgb 1 2 .5\nsigma_a .5", [1.0, 2.0, 0.5]),
+        ("c\ncrgb 1 2 .5\nsigma_s 1\nsigma_a .5", [1.0; 3]),
+        ("sigma_s 1\nc\ncrgb 1 2 .5\nsigma_a .5", [1.0, 2.0, 0.5]),
+        ("c\ncct 3000\nsigma_a .5", [1.0; 3]),
+        ("sigma_a .5", [1.0; 3]),
+    ];
+    for (text, wanted) in media {
+        let medium = &scene(&format!("c\ncrgb .9 .1 .1\nmedium ink =\n{text}")).media[0];
+        assert_eq!((medium.sigma_a, medium.absorption_color), (0.5, wanted), "{text}");
+    }
+    let medium = &scene("medium ink =\nc red =\ncrgb 2 0 0\nsigma_s 1\nsigma_a .5").media[0];
+    assert_eq!(medium.extinction(), [2.5, 0.5, 0.5]);
 }
 
 #[test]

@@ -389,7 +389,7 @@ fn media(scene: &Scene, now: &Scalars, origin: DVec3, carried: bool) -> Media {
         let sigma_s = color(m.color, m.sigma_s);
         KernelMedium {
             sigma_s,
-            sigma_t: sigma_s + Rgb::splat(m.sigma_a as f32),
+            sigma_t: sigma_s + color(m.absorption_color, m.sigma_a),
             glow: color(m.glow_color, m.glow / (4.0 * PI)),
             phase: phase(&m.phase),
             profile: match m.density {

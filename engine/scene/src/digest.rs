@@ -20,7 +20,7 @@ use std::{
 };
 
 /// Version of the canonical form; raised with every change of it or of the description.
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
 /// The content hash of a scene; displays as 64 lower-case hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]

@@ -94,7 +94,7 @@ fn thick(scope: &Scope<'_>, camera: &Camera, faults: &mut Faults) {
 
 /// Extinction coefficient of the densest channel at density 1, 1/m.
 fn extinction(medium: &Medium) -> f64 {
-    medium.sigma_s * medium.color.iter().fold(0.0_f64, |most, channel| most.max(*channel)) + medium.sigma_a
+    medium.extinction().into_iter().fold(0.0, f64::max)
 }
 
 fn density_at(medium: &Medium, bounds: &RegionBounds, p: DVec3) -> f64 {

@@ -48,8 +48,10 @@ pub struct Medium {
     pub sigma_s: f64,
     /// Colour factor on `sigma_s`; (1, 1, 1) unless raw RGB was given.
     pub color: [f64; 3],
-    /// Absorption coefficient, 1/m.
+    /// Absorption coefficient, 1/m (amount; selectors set it).
     pub sigma_a: f64,
+    /// Color factor on `sigma_a`; (1, 1, 1) unless raw RGB was given between `sigma_s` and `sigma_a`.
+    pub absorption_color: [f64; 3],
     /// Phase function.
     pub phase: Phase,
     /// Isotropic emission, lm/m3: the emitted radiance per metre is `glow / (4 pi)`.
@@ -61,10 +63,17 @@ pub struct Medium {
 }
 
 impl Medium {
+    /// Extinction coefficient of each channel at density 1, 1/m.
+    pub fn extinction(&self) -> [f64; 3] {
+        [0, 1, 2].map(|i| self.sigma_s * self.color[i] + self.sigma_a * self.absorption_color[i])
+    }
+
     /// Whether it neither scatters nor absorbs nor glows, as it is now.
     pub fn is_nothing(&self) -> bool {
         let is_black = |color: [f64; 3], amount: f64| color.iter().all(|channel| channel * amount <= 0.0);
-        is_black(self.color, self.sigma_s) && self.sigma_a <= 0.0 && is_black(self.glow_color, self.glow)
+        is_black(self.color, self.sigma_s)
+            && is_black(self.absorption_color, self.sigma_a)
+            && is_black(self.glow_color, self.glow)
     }
 }
 

@@ -129,6 +129,7 @@ pub(super) enum MediumField {
     Scattering,
     ScatteringChannel(usize),
     Absorption,
+    AbsorptionChannel(usize),
     Glow,
     GlowChannel(usize),
     HenyeyGreenstein,
@@ -138,12 +139,15 @@ pub(super) enum MediumField {
 }
 
 impl MediumField {
-    pub(super) const ALL: [(&'static str, Self); 13] = [
+    pub(super) const ALL: [(&'static str, Self); 16] = [
         ("sigma_s", Self::Scattering),
         ("sigma_s.r", Self::ScatteringChannel(0)),
         ("sigma_s.g", Self::ScatteringChannel(1)),
         ("sigma_s.b", Self::ScatteringChannel(2)),
         ("sigma_a", Self::Absorption),
+        ("sigma_a.r", Self::AbsorptionChannel(0)),
+        ("sigma_a.g", Self::AbsorptionChannel(1)),
+        ("sigma_a.b", Self::AbsorptionChannel(2)),
         ("glow", Self::Glow),
         ("glow.r", Self::GlowChannel(0)),
         ("glow.g", Self::GlowChannel(1)),
@@ -159,6 +163,7 @@ impl MediumField {
             (Self::Scattering, ..) => Some(medium.sigma_s),
             (Self::ScatteringChannel(channel), ..) => Some(medium.color[channel]),
             (Self::Absorption, ..) => Some(medium.sigma_a),
+            (Self::AbsorptionChannel(channel), ..) => Some(medium.absorption_color[channel]),
             (Self::Glow, ..) => Some(medium.glow),
             (Self::GlowChannel(channel), ..) => Some(medium.glow_color[channel]),
             (Self::HenyeyGreenstein, Phase::HenyeyGreenstein { g }, _) => Some(g),
@@ -175,6 +180,7 @@ impl MediumField {
             (Self::Scattering, ..) => medium.sigma_s = value,
             (Self::ScatteringChannel(channel), ..) => medium.color[channel] = value,
             (Self::Absorption, ..) => medium.sigma_a = value,
+            (Self::AbsorptionChannel(channel), ..) => medium.absorption_color[channel] = value,
             (Self::Glow, ..) => medium.glow = value,
             (Self::GlowChannel(channel), ..) => medium.glow_color[channel] = value,
             (Self::HenyeyGreenstein, Phase::HenyeyGreenstein { g }, _) => *g = value,
@@ -187,7 +193,11 @@ impl MediumField {
 
     pub(super) fn admits(self, value: f64) -> Result<(), Constraint> {
         match self {
-            Self::Scattering | Self::ScatteringChannel(_) | Self::Absorption | Self::Glow => not_negative(value),
+            Self::Scattering
+            | Self::ScatteringChannel(_)
+            | Self::Absorption
+            | Self::AbsorptionChannel(_)
+            | Self::Glow => not_negative(value),
             Self::GlowChannel(_) | Self::DensityStart => finite(value),
             Self::HenyeyGreenstein | Self::Schlick => between(value, -1.0, 1.0),
             Self::DensityScale => positive(value),

@@ -7,7 +7,7 @@
 //! | `material.NAME.ir`, `.ir.im` | index of refraction, where the material has one |
 //! | `material.NAME.lobe` | exponent of the emission lobe; 0 = Lambertian |
 //! | `material.NAME.sides` | 1 or 2 |
-//! | `medium.NAME.sigma_s\|sigma_a\|glow` | coefficients; `sigma_s.r`, `glow.r` ..: the colours' channels |
+//! | `medium.NAME.sigma_s\|sigma_a\|glow` | coefficients; `sigma_s.r`, `sigma_a.r`, `glow.r` ..: the colours' channels |
 //! | `medium.NAME.phase.g`, `.phase.k` | parameter of `hg`, of `schlick`, where the medium has it |
 //! | `medium.NAME.density.z0`, `.density.h` | height fog, where the medium is one |
 //! | `camera.NAME.origin.x` .., `target.x` .., `up.x` .., `fov`, `film.w`, `film.h`, `lens`, `focus`, `shutter.open`, `shutter.close` | camera |

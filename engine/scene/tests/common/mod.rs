@@ -27,6 +27,7 @@ pub fn medium(name: &str, at: u32) -> Medium {
         sigma_s: 0.02,
         color: [1.0; 3],
         sigma_a: 0.0,
+        absorption_color: [1.0; 3],
         phase: Phase::HenyeyGreenstein { g: 0.5 },
         glow: 0.0,
         glow_color: [1.0; 3],

@@ -34,11 +34,17 @@ impl Reader<'_> {
     pub(super) fn cxy(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(2..=2, "x y")?;
         let x = args.number_in(0, "x", "in [0, 1]", |x| (0.0..=1.0).contains(&x))?;
-        let y = args.number_in(1, "y", "in (0, 1]", |y| y > 0.0 && y <= 1.0)?;
+        let y = args.number_in(1, "y", "in [0, 1]", |y| (0.0..=1.0).contains(&y))?;
         if x + y > 1.0 + 1e-9 {
             return Err(args.range(0, "x + y", x + y, "at most 1"));
         }
-        let color = spectrum::from_xy(x, y);
+        if y > 0.0 {
+            return self.set_color(args, spectrum::from_xy(x, y));
+        }
+        let [near_x, near_y] = spectrum::nearest_visible([x, y]);
+        self.warn(args, Oddity::NoLuminance { x, taken: [near_x, near_y] });
+        // Colors of the spectrum's ends lie outside Rec.709: that is no second oddity.
+        let color = spectrum::from_xy(near_x, near_y).map(|color| Gamut { clipped: false, ..color });
         self.set_color(args, color)
     }
 
@@ -49,8 +55,13 @@ impl Reader<'_> {
         if last <= first {
             return Err(args.range(1, "last wavelength (nm)", last, "above the first one"));
         }
-        let value = |i| args.number_in(i, "spectral value", ">= 0", |x| x >= 0.0);
-        let samples = (2..args.len()).map(value).collect::<Result<Vec<f64>>>()?;
+        let value = |i| args.number(i, "spectral value");
+        let mut samples = (2..args.len()).map(value).collect::<Result<Vec<f64>>>()?;
+        let negative = samples.iter().filter(|x| **x < 0.0).count();
+        if negative > 0 {
+            self.warn(args, Oddity::NegativeSpectrum { count: negative });
+            samples.iter_mut().for_each(|x| *x = x.max(0.0));
+        }
         let color = spectrum::from_samples(first, last, &samples);
         self.set_color(args, color)
     }
@@ -88,9 +99,14 @@ impl Reader<'_> {
     pub(super) fn crgb(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(3..=3, "r g b")?;
         let channel = |i| args.number_in(i, "color component", ">= 0", |x| x >= 0.0);
-        self.medium_colored = true;
+        self.note_color();
         *self.colors.current_mut() = Color { rgb: [channel(0)?, channel(1)?, channel(2)?], raw: true };
         Ok(())
+    }
+
+    /// Remembers that a color was given: it tints what the current medium says next.
+    pub(super) fn note_color(&mut self) {
+        (self.medium_colored, self.absorption_colored) = (true, true);
     }
 
     fn set_color(&mut self, args: &Args<'_>, color: Option<Gamut>) -> Result<()> {
@@ -100,7 +116,7 @@ impl Reader<'_> {
         if clipped {
             self.warn(args, Oddity::OutOfGamut);
         }
-        self.medium_colored = true;
+        self.note_color();
         *self.colors.current_mut() = Color { rgb, raw: false };
         Ok(())
     }

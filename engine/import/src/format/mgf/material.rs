@@ -10,13 +10,11 @@ use super::{
     spectrum::luminance,
     table::Opened,
 };
-use crate::{Fault, ImportError, Oddity};
+use crate::Oddity;
 use femc_scene::{Ior, Location, Material, MaterialId, Sides, Tinted};
 
 /// Slack of the sum of the reflectances: decimal fractions that add up to 1.
 const SUM_TOLERANCE: f64 = 1e-6;
-/// Sums up to this one are scaled down to 1 with a warning: scenes in use have them (rd .9 with rs .2). Above it: an error.
-const SCALED_SUM: f64 = 1.1;
 /// Sum in one channel above which it is said: chromaticities have few digits.
 const CHANNEL: f64 = 1.005;
 /// Entries of one name that are searched for an equal one.
@@ -39,7 +37,7 @@ fn returned(tinted: &Tinted) -> f64 {
 
 impl Reader<'_> {
     pub(super) fn m(&mut self, args: &Args<'_>) -> Result<()> {
-        self.seal_material()?;
+        self.seal_material();
         let opened = self.materials.select(args)?;
         if opened != Opened::Again {
             let state = self.materials.current_mut();
@@ -52,19 +50,16 @@ impl Reader<'_> {
     }
 
     /// The entry of the current material.
-    pub(super) fn material(&mut self) -> Result<MaterialId> {
+    pub(super) fn material(&mut self) -> MaterialId {
         let state = self.materials.current();
         if let Some(entry) = state.entry {
-            return Ok(entry);
+            return entry;
         }
         let mut material = state.material.clone();
         let sum = [material.rd, material.td, material.rs, material.ts].iter().map(returned).sum::<f64>();
         if sum > 1.0 + SUM_TOLERANCE {
             let at = self.position(state.reflectance_at);
             let name = if material.name.is_empty() { "(unnamed)".into() } else { material.name.clone() };
-            if sum > SCALED_SUM + SUM_TOLERANCE {
-                return Err(ImportError::new(at, Fault::TooBright { material: name, sum }));
-            }
             for tinted in [&mut material.rd, &mut material.td, &mut material.rs, &mut material.ts] {
                 tinted.amount /= sum;
             }
@@ -72,15 +67,14 @@ impl Reader<'_> {
         }
         let id = self.material_entry(material);
         self.materials.current_mut().entry = Some(id);
-        Ok(id)
+        id
     }
 
     /// Makes the current named material an entry, before it is left.
-    pub(super) fn seal_material(&mut self) -> Result<()> {
+    pub(super) fn seal_material(&mut self) {
         if self.materials.is_named() {
-            self.material()?;
+            self.material();
         }
-        Ok(())
     }
 
     fn material_entry(&mut self, material: Material) -> MaterialId {

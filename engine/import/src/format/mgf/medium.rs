@@ -28,6 +28,7 @@ impl Default for MediumState {
             sigma_s: 0.0,
             color: [1.0; 3],
             sigma_a: 0.0,
+            absorption_color: [1.0; 3],
             phase: Phase::default(),
             glow: 0.0,
             glow_color: [1.0; 3],
@@ -41,7 +42,7 @@ impl Reader<'_> {
     pub(super) fn medium(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(1..=3, "NAME [= [TEMPLATE]]")?;
         self.seal_medium()?;
-        self.medium_colored = false;
+        (self.medium_colored, self.absorption_colored) = (false, false);
         if self.media.select(args)? != Opened::Again {
             let state = self.media.current_mut();
             state.medium.name = args.text(0).into_owned();
@@ -57,6 +58,7 @@ impl Reader<'_> {
             return Err(args.fault(Fault::NoContext { entity: args.entity().into_owned(), kind: Kind::Medium }));
         }
         let color = if self.medium_colored { *self.colors.current() } else { super::color::Color::default() };
+        let tint = if color.raw { color.rgb } else { [1.0; 3] };
         let coefficient = |what| {
             args.count(1..=1, "one number")?;
             args.number_in(0, what, ">= 0", |x| x >= 0.0)
@@ -65,9 +67,14 @@ impl Reader<'_> {
         match entity {
             b"sigma_s" => {
                 medium.sigma_s = coefficient("scattering coefficient (1/m)")?;
-                medium.color = if color.raw { color.rgb } else { [1.0; 3] };
+                medium.color = tint;
+                // A color before `sigma_s` tints scattering alone.
+                self.absorption_colored = false;
             }
-            b"sigma_a" => medium.sigma_a = coefficient("absorption coefficient (1/m)")?,
+            b"sigma_a" => {
+                medium.sigma_a = coefficient("absorption coefficient (1/m)")?;
+                medium.absorption_color = if self.absorption_colored { tint } else { [1.0; 3] };
+            }
             b"glow" => {
                 medium.glow = coefficient("emission (lm/m3)")?;
                 medium.glow_color = color.rgb;

@@ -48,6 +48,8 @@ pub(super) struct Reader<'f> {
     pub media: Table<MediumState>,
     /// Whether a colour was given since the medium was opened: colours of other contexts do not tint media.
     pub medium_colored: bool,
+    /// Whether a color was given since the medium was opened and since its latest `sigma_s`.
+    pub absorption_colored: bool,
     pub medium_entries: HashMap<String, Vec<MediumId>>,
     pub photometries: HashMap<String, (PhotometryId, Option<Tilt>)>,
     /// Textured materials that were found on surfaces without texture coordinates.
@@ -116,6 +118,7 @@ impl<'f> Reader<'f> {
             stored: 0,
             twins: HashMap::new(),
             medium_colored: false,
+            absorption_colored: false,
             triangulator: Triangulator::default(),
         }
     }
@@ -130,7 +133,7 @@ impl<'f> Reader<'f> {
             b"f" => self.f(args),
             b"fh" => self.fh(args),
             b"c" => {
-                self.medium_colored = true;
+                self.note_color();
                 self.colors.select(args).map(|_| ())
             }
             b"cxy" => self.cxy(args),
@@ -179,7 +182,7 @@ impl<'f> Reader<'f> {
     }
 
     fn finish(mut self) -> Result<Loaded> {
-        self.seal_material()?;
+        self.seal_material();
         self.seal_medium()?;
         self.finish_cameras()?;
         self.finish_paths()?;

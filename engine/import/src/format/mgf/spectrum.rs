@@ -96,6 +96,27 @@ fn from_xyz(xyz: [f64; 3]) -> Option<Gamut> {
     normalized(raw.map(|x| x.max(0.0))).map(|rgb| Gamut { rgb, clipped })
 }
 
+/// The chromaticity nearest to `[x, y]` that light can have: inside the spectral locus and the line of purples, or on them.
+pub(super) fn nearest_visible([x, y]: [f64; 2]) -> [f64; 2] {
+    let locus = OBSERVER.map(|[a, b, c]| [a / (a + b + c), b / (a + b + c)]);
+    let edges = || (0..locus.len()).map(|i| (locus[i], locus[(i + 1) % locus.len()]));
+    let is_above = |p: [f64; 2]| p[1] > y;
+    let crossed = |(a, b): &([f64; 2], [f64; 2])| {
+        is_above(*a) != is_above(*b) && x < a[0] + (b[0] - a[0]) * (y - a[1]) / (b[1] - a[1])
+    };
+    if edges().filter(crossed).count() % 2 == 1 {
+        return [x, y];
+    }
+    let on_edge = |([ax, ay], [bx, by]): ([f64; 2], [f64; 2])| {
+        let (dx, dy) = (bx - ax, by - ay);
+        let along = ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy).max(f64::MIN_POSITIVE);
+        let along = along.clamp(0.0, 1.0);
+        [ax + along * dx, ay + along * dy]
+    };
+    let distance = |p: &[f64; 2]| (p[0] - x) * (p[0] - x) + (p[1] - y) * (p[1] - y);
+    edges().map(on_edge).min_by(|a, b| distance(a).total_cmp(&distance(b))).unwrap_or([x, y])
+}
+
 /// CIE chromaticity of the spectral density `power` (any unit, per nm), integrated every nm; flat is exactly (1/3, 1/3).
 /// `None` for a spectrum without visible power.
 fn chromaticity(power: impl Fn(f64) -> f64) -> Option<[f64; 2]> {
@@ -208,6 +229,19 @@ mod tests {
     fn saturated_chromaticities_are_clipped_and_say_so() {
         assert!(from_xy(0.08, 0.84).unwrap().clipped);
         assert!(!from_xy(0.4, 0.35).unwrap().clipped);
+    }
+
+    #[test]
+    fn the_nearest_visible_chromaticity_is_on_the_locus_and_what_is_visible_stays() {
+        for inside in [[1.0 / 3.0, 1.0 / 3.0], [0.64, 0.33], [0.2, 0.7]] {
+            assert_eq!(nearest_visible(inside), inside);
+        }
+        // Below the line of purples from 380 nm (0.1741, 0.0050) to 700 nm and beyond (0.7347, 0.2653).
+        close(&nearest_visible([0.17, 0.0]), &[0.1741, 0.0050], 3e-3);
+        close(&nearest_visible([1.0, 0.0]), &[0.7347, 0.2653], 4e-3);
+        let [x, y] = nearest_visible([0.4, 0.0]);
+        close(&[(y - 0.0050) / (x - 0.1741)], &[0.2603 / 0.5606], 1e-2);
+        assert!(from_xy(x, y).is_some_and(|color| color.rgb.iter().all(|c| c.is_finite())));
     }
 
     #[test]

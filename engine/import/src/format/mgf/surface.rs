@@ -56,7 +56,7 @@ impl Reader<'_> {
                 rest = others;
             }
         }
-        let material = self.material()?;
+        let material = self.material();
         let object = self.object();
         let group = &mut self.scene.groups[self.group.index()];
         let bare = indices.iter().any(|&i| group.vertices[i as usize].uv.is_none());
@@ -230,7 +230,7 @@ impl Reader<'_> {
         if !sound {
             return Err(args.fault(Fault::NotFinite { what: "a transformed radius (or it is 0)" }));
         }
-        let material = self.material()?;
+        let material = self.material();
         self.warn_without_uv(args, material);
         let quadric = Quadric { shape, material, object: self.object(), location: args.location() };
         self.scene.groups[self.group.index()].quadrics.push(quadric);

@@ -6,16 +6,21 @@
 
 pub mod animation;
 pub mod check;
+mod default_camera;
 pub mod description;
 pub mod digest;
 pub mod frame_key;
 pub mod needs;
 pub mod objects;
 pub mod selector;
+pub mod survey;
+mod world;
 
 pub use check::{Fault, FaultKind, Severity, check};
+pub use default_camera::{Standpoint, default_camera};
 pub use description::*;
 pub use digest::{DigestError, SceneDigest};
 pub use frame_key::{FrameKey, StaticDigest};
 pub use needs::{Feature, Needs, Spared};
 pub use selector::{Constraint, Scalars, SelectorError};
+pub use survey::{Lamp, LampKind, Survey, survey};

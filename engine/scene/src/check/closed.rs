@@ -4,11 +4,12 @@
 //! edge against all faces of their group (where an object's boundary joins faces and cones, the faces are not), cones and
 //! cylinders rim by rim against the group's other rims and the faces across them.
 
-use super::{Faults, Scope, materials::title, tree::Bounds};
+use super::{Faults, Scope, materials::title};
 use crate::{
     FaultKind::{Camera as CameraFault, OpenBoundary},
     Severity::{Note, Warning},
     description::{Facing, Group, Location, Material, MaterialId, ObjectId, Shape, Sides},
+    world::Bounds,
 };
 use femc_math::{elementary::double::atan2, glam::DVec3};
 use std::{collections::BTreeMap, f64::consts::TAU};

@@ -1,6 +1,6 @@
 //! Triangles in parallel planes: whether, how far apart, how much of each other they cover.
 
-use super::scope::PlacedTriangle;
+use crate::world::PlacedTriangle;
 use femc_math::glam::{DVec2, DVec3};
 
 /// Cosine beyond which normals count as parallel: 1.4 milliradians.

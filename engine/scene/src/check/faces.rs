@@ -1,10 +1,11 @@
 //! Surfaces without area, faces out of plane.
 
-use super::{Faults, Scope, tree::Bounds};
+use super::{Faults, Scope};
 use crate::{
     FaultKind::{DegenerateSurface, NonPlanarFace},
     Severity::{Note, Warning},
     description::{Face, Group, Quadric, Shape},
+    world::Bounds,
 };
 use femc_math::glam::DVec3;
 

@@ -1,10 +1,11 @@
 //! Lights that light nothing.
 
-use super::{Faults, Scope, WHOLE, coplanar::Plane, materials::title, overlap::tolerance, scope::PlacedTriangle};
+use super::{Faults, Scope, WHOLE, coplanar::Plane, materials::title, overlap::tolerance};
 use crate::{
     FaultKind::LightsNothing,
     Severity::{Note, Warning},
     description::{Location, Luminaire, Material, Sides},
+    world::PlacedTriangle,
 };
 use std::{collections::BTreeMap, ops::ControlFlow};
 

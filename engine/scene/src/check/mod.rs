@@ -9,16 +9,15 @@ mod cameras;
 mod closed;
 mod coplanar;
 mod faces;
+mod light_paths;
 mod lights;
 mod materials;
 mod media;
 mod names;
 mod overlap;
-mod scope;
-mod tree;
 
 use crate::description::{Location, Scene};
-use scope::Scope;
+use crate::world::Scope;
 use serde::Serialize;
 use std::fmt;
 
@@ -72,6 +71,10 @@ pub enum FaultKind {
     OpenBoundary,
     /// A light that lights nothing.
     LightsNothing,
+    /// A one-sided wall whose back lets light through.
+    OneSidedWall,
+    /// A closed scene that no light leaves.
+    EnergyTrap,
     /// A size or an emittance far from any real one.
     Scale,
     /// A camera that is missing, or that cannot see.
@@ -157,6 +160,7 @@ pub fn check(scene: &Scene) -> Vec<Fault> {
         faces::check,
         overlap::check,
         closed::check,
+        light_paths::check,
     ] {
         part(&scope, &mut faults);
     }

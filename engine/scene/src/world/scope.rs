@@ -2,19 +2,19 @@
 
 use super::tree::{Bounds, BoxTree};
 use crate::{
-    description::{Facing, Location, MaterialId, ObjectId, Scene, Shape},
+    description::{Facing, Location, Luminaire, MaterialId, ObjectId, Scene, Shape},
     objects::hidden_objects,
 };
 use femc_math::{Transform, glam::DVec3};
 
-/// Most triangles that are looked at in world space.
+/// Most triangles, curved surfaces and luminaires (each) that are looked at in world space.
 const TRIANGLE_LIMIT: usize = 1_000_000;
 /// Most placements of groups that are followed.
 const PLACEMENT_LIMIT: usize = 1_000_000;
 
 /// A triangle in the world.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct PlacedTriangle {
+pub(crate) struct PlacedTriangle {
     pub corners: [DVec3; 3],
     /// Number of the face's placement: equal for the triangles of one face in one place.
     pub face: u32,
@@ -36,15 +36,36 @@ impl PlacedTriangle {
 
 /// A sphere in the world.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct PlacedSphere {
+pub(crate) struct PlacedSphere {
     pub center: DVec3,
     pub radius: f64,
     pub facing: Facing,
     pub material: MaterialId,
 }
 
+/// A curved surface in the world.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PlacedQuadric {
+    pub shape: Shape,
+    pub material: MaterialId,
+    pub location: Location,
+}
+
+impl PlacedQuadric {
+    pub fn bounds(&self) -> Bounds {
+        shape_bounds(&self.shape)
+    }
+}
+
+/// A luminaire in the world.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct PlacedLuminaire<'a> {
+    pub place: DVec3,
+    pub luminaire: &'a Luminaire,
+}
+
 /// The scene as the checks see it.
-pub(super) struct Scope<'a> {
+pub(crate) struct Scope<'a> {
     pub scene: &'a Scene,
     /// Start of the clip, s.
     pub time: f64,
@@ -64,6 +85,12 @@ pub(super) struct Scope<'a> {
     pub tree: BoxTree,
     /// Shown spheres.
     pub spheres: Vec<PlacedSphere>,
+    /// Shown curved surfaces, spheres too.
+    pub quadrics: Vec<PlacedQuadric>,
+    /// The tree of their bounds.
+    pub quadric_tree: BoxTree,
+    /// Shown luminaires.
+    pub luminaires: Vec<PlacedLuminaire<'a>>,
     /// Whether the limits cut the list of triangles.
     pub is_cut: bool,
 }
@@ -83,12 +110,17 @@ impl<'a> Scope<'a> {
             triangles: Vec::new(),
             tree: BoxTree::default(),
             spheres: Vec::new(),
+            quadrics: Vec::new(),
+            quadric_tree: BoxTree::default(),
+            luminaires: Vec::new(),
             is_cut: false,
         };
         scope.mark_materials();
         scope.bounds = scope.group_bounds();
         scope.place_all();
         scope.tree = BoxTree::new(&scope.triangles.iter().map(PlacedTriangle::bounds).collect::<Vec<_>>());
+        let bounds = scope.quadrics.iter().map(PlacedQuadric::bounds).collect::<Vec<_>>();
+        scope.quadric_tree = BoxTree::new(&bounds);
         scope
     }
 
@@ -127,11 +159,21 @@ impl<'a> Scope<'a> {
             let lamps = group.luminaires.iter().map(|lamp| Bounds::of([lamp.to_group.translation]));
             let placed = group.instances.iter().filter_map(|instance| {
                 let inner = known.get(instance.group.index()).copied().flatten()?;
-                Some(transformed(&inner, &instance.motion.at(&self.scene.paths, self.time)))
+                Some(inner.placed(&instance.motion.at(&self.scene.paths, self.time)))
             });
             known[index] = Some(quadrics.chain(lamps).chain(placed).fold(own, Bounds::union));
         }
         known.first().copied().flatten().unwrap_or(Bounds::EMPTY)
+    }
+
+    /// World bounds of what is shown, as tight as surfaces are; of everything, where the limits cut the lists.
+    pub fn shown_bounds(&self) -> Bounds {
+        if self.is_cut {
+            return self.bounds;
+        }
+        let triangles = self.triangles.iter().map(PlacedTriangle::bounds);
+        let lamps = self.luminaires.iter().map(|lamp| Bounds::of([lamp.place]));
+        triangles.chain(self.quadrics.iter().map(PlacedQuadric::bounds)).chain(lamps).fold(Bounds::EMPTY, Bounds::union)
     }
 
     fn place_all(&mut self) {
@@ -139,7 +181,12 @@ impl<'a> Scope<'a> {
         while let Some((index, to_world)) = open.pop() {
             let Some(group) = self.scene.groups.get(index) else { continue };
             placements += 1;
-            if self.triangles.len() + group.triangles.len() > TRIANGLE_LIMIT || placements > PLACEMENT_LIMIT {
+            let most = [
+                self.triangles.len() + group.triangles.len(),
+                self.quadrics.len() + group.quadrics.len(),
+                self.luminaires.len() + group.luminaires.len(),
+            ];
+            if most.into_iter().any(|count| count > TRIANGLE_LIMIT) || placements > PLACEMENT_LIMIT {
                 self.is_cut = true;
                 return;
             }
@@ -152,6 +199,18 @@ impl<'a> Scope<'a> {
                 }
                 faces += 1;
             }
+            let shown = |object| self.is_shown(object);
+            let lamps = group.luminaires.iter().filter(|lamp| shown(lamp.object)).map(|luminaire| {
+                let place = to_world.transform_point3(luminaire.to_group.translation);
+                PlacedLuminaire { place, luminaire }
+            });
+            let curved = group.quadrics.iter().filter(|quadric| shown(quadric.object)).map(|quadric| {
+                let shape = placed_shape(&quadric.shape, &to_world);
+                PlacedQuadric { shape, material: quadric.material, location: quadric.location }
+            });
+            let (lamps, curved): (Vec<_>, Vec<_>) = (lamps.collect(), curved.collect());
+            self.luminaires.extend(lamps);
+            self.quadrics.extend(curved);
             for quadric in &group.quadrics {
                 if let Shape::Sphere { center, radius, facing } = quadric.shape
                     && self.is_shown(quadric.object)
@@ -176,23 +235,46 @@ impl<'a> Scope<'a> {
     }
 }
 
-fn transformed(bounds: &Bounds, transform: &Transform) -> Bounds {
-    if bounds.is_empty() {
-        return *bounds;
+/// A shape under a similarity.
+fn placed_shape(shape: &Shape, to_world: &Transform) -> Shape {
+    let scale = to_world.matrix3.x_axis.length();
+    let point = |p: DVec3| to_world.transform_point3(p);
+    let direction = |d: DVec3| to_world.transform_vector3(d).normalize_or_zero();
+    match *shape {
+        Shape::Sphere { center, radius, facing } => {
+            Shape::Sphere { center: point(center), radius: scale * radius, facing }
+        }
+        Shape::Cone { start, end, start_radius, end_radius, facing } => Shape::Cone {
+            start: point(start),
+            end: point(end),
+            start_radius: scale * start_radius,
+            end_radius: scale * end_radius,
+            facing,
+        },
+        Shape::Ring { center, normal, inner, outer } => {
+            Shape::Ring { center: point(center), normal: direction(normal), inner: scale * inner, outer: scale * outer }
+        }
+        Shape::Torus { center, axis, major, minor, facing } => Shape::Torus {
+            center: point(center),
+            axis: direction(axis),
+            major: scale * major,
+            minor: scale * minor,
+            facing,
+        },
     }
-    let corner =
-        |i: u8| DVec3::select(femc_math::glam::BVec3::new(i & 1 > 0, i & 2 > 0, i & 4 > 0), bounds.max, bounds.min);
-    Bounds::of((0..8).map(|i| transform.transform_point3(corner(i))))
 }
 
 fn shape_bounds(shape: &Shape) -> Bounds {
-    let around = |center: DVec3, radius: f64| Bounds { min: center - radius, max: center + radius };
+    let around = |center: DVec3, reach: DVec3| Bounds { min: center - reach, max: center + reach };
+    // How far a circle of radius 1 across a unit axis reaches.
+    let across = |axis: DVec3| (DVec3::ONE - axis * axis).max(DVec3::ZERO).map(f64::sqrt);
     match *shape {
-        Shape::Sphere { center, radius, .. } => around(center, radius),
+        Shape::Sphere { center, radius, .. } => around(center, DVec3::splat(radius)),
         Shape::Cone { start, end, start_radius, end_radius, .. } => {
-            around(start, start_radius).union(around(end, end_radius))
+            let across = across((end - start).normalize_or_zero());
+            around(start, start_radius * across).union(around(end, end_radius * across))
         }
-        Shape::Ring { center, outer, .. } => around(center, outer),
-        Shape::Torus { center, major, minor, .. } => around(center, major + minor),
+        Shape::Ring { center, normal, outer, .. } => around(center, outer * across(normal)),
+        Shape::Torus { center, axis, major, minor, .. } => around(center, major * across(axis) + minor),
     }
 }

@@ -1,6 +1,7 @@
 //! Boxes, and a tree of them that finds the ones near a place.
 
-use femc_math::glam::DVec3;
+use femc_math::Transform;
+use femc_math::glam::{BVec3, DVec3};
 use std::ops::ControlFlow;
 
 /// Boxes in a leaf.
@@ -8,7 +9,7 @@ const LEAF: usize = 4;
 
 /// An axis-parallel box.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Bounds {
+pub(crate) struct Bounds {
     pub min: DVec3,
     pub max: DVec3,
 }
@@ -18,6 +19,15 @@ impl Bounds {
 
     pub fn of(points: impl IntoIterator<Item = DVec3>) -> Self {
         points.into_iter().fold(Self::EMPTY, |bounds, p| Self { min: bounds.min.min(p), max: bounds.max.max(p) })
+    }
+
+    /// The bounds of the transformed box.
+    pub fn placed(&self, transform: &Transform) -> Self {
+        if self.is_empty() {
+            return *self;
+        }
+        let corner = |i: u8| DVec3::select(BVec3::new(i & 1 > 0, i & 2 > 0, i & 4 > 0), self.max, self.min);
+        Self::of((0..8).map(|i| transform.transform_point3(corner(i))))
     }
 
     pub fn union(self, other: Self) -> Self {
@@ -36,6 +46,10 @@ impl Bounds {
         self.min.cmple(other.max).all() && other.min.cmple(self.max).all()
     }
 
+    pub fn middle(&self) -> DVec3 {
+        0.5 * (self.min + self.max)
+    }
+
     /// Length of the diagonal; 0 when empty.
     pub fn diagonal(&self) -> f64 {
         if self.is_empty() { 0.0 } else { (self.max - self.min).length() }
@@ -49,7 +63,7 @@ impl Bounds {
 
 /// A binary tree of boxes, split at the median of the longest axis.
 #[derive(Default)]
-pub(super) struct BoxTree {
+pub(crate) struct BoxTree {
     nodes: Vec<Node>,
     /// Box numbers, those of a leaf side by side.
     order: Vec<u32>,
@@ -90,6 +104,30 @@ impl BoxTree {
         self.build(first, first + middle);
         self.nodes[node].second_child = self.nodes.len() as u32;
         self.build(first + middle, end);
+    }
+
+    /// Calls `meet` with the number of every box that the ray meets before `far`, which `meet` may shorten.
+    pub fn along(&self, origin: DVec3, dir: DVec3, mut far: f64, mut meet: impl FnMut(usize, f64) -> f64) {
+        let inverse = dir.recip();
+        let meets = |bounds: &Bounds, far: f64| {
+            let (a, b) = ((bounds.min - origin) * inverse, (bounds.max - origin) * inverse);
+            // Where a direction is 0 and the origin on the plane, NaN loses against the other value.
+            let (near, end) = (a.min(b).max_element(), a.max(b).min_element());
+            near.max(0.0) <= end.min(far)
+        };
+        let mut open = if self.nodes.is_empty() { Vec::new() } else { vec![0] };
+        while let Some(index) = open.pop() {
+            let node = &self.nodes[index as usize];
+            if !meets(&node.bounds, far) {
+                continue;
+            }
+            if node.count == 0 {
+                open.extend([node.second_child, index + 1]);
+            }
+            for &number in &self.order[node.first as usize..(node.first + node.count) as usize] {
+                far = meet(number as usize, far);
+            }
+        }
     }
 
     /// Calls `found` with the number of every box that overlaps `near`, in the order of the tree, until it says to stop.

@@ -1,0 +1,137 @@
+//! Where light can get to: walls whose backs let it in, cameras that none reaches, scenes that it never leaves.
+//!
+//! Found by a few hundred walks from each camera. What they find is there; what they do not find may be there, too.
+
+use super::{Faults, Scope, WHOLE, materials::title};
+use crate::{
+    FaultKind::{Camera as CameraFault, EnergyTrap, OneSidedWall},
+    Severity::Warning,
+    description::{Camera, Location, MaterialId, Scene},
+    world::{Dice, Ending, Hit, LampPoint, Ray, lamp_points, walk},
+};
+use femc_math::{elementary::double::tan, glam::DVec3};
+use std::collections::BTreeMap;
+
+/// Walks from each camera.
+const WALKS: u64 = 256;
+/// Lamps that are looked for from each place.
+const LAMPS: usize = 4;
+/// Cameras that are looked at.
+const CAMERAS: usize = 8;
+/// Part of the light that comes through the backs of a wall, if it is to be named.
+const THROUGH_BACKS: f64 = 0.25;
+/// A material that gives back less absorbs.
+const WHITE: f64 = 1.0 - 1e-6;
+
+pub(super) fn check(scope: &Scope<'_>, faults: &mut Faults) {
+    let lamps = lamp_points(scope);
+    let glows =
+        scope.scene.media.iter().any(|m| scope.scene.largest(&format!("medium.{}", m.name), "glow", m.glow) > 0.0);
+    let (mut backs, mut lit, mut closed) = (BTreeMap::new(), 0, !scope.scene.cameras.is_empty());
+    for camera in scope.scene.cameras.iter().take(CAMERAS) {
+        let found = look(scope, camera, &lamps, &mut backs);
+        lit += found.lit;
+        let is_enclosed = found.begun > 0 && found.escaped == 0;
+        closed &= is_enclosed;
+        if is_enclosed && found.lit == 0 && !glows && !lamps.is_empty() {
+            let message = format!(
+                "camera `{}` is enclosed by surfaces that no light gets into: its picture is black",
+                camera.name
+            );
+            faults.add(Warning, CameraFault, camera.location, message, "move it out of the solid, or put a lamp in");
+        }
+    }
+    // A mirror or a screen that stands free has a back, too: it lights nothing much.
+    let much = |(_, (_, count)): &(MaterialId, (Location, u32))| f64::from(*count) >= THROUGH_BACKS * f64::from(lit);
+    for (material, (location, _)) in backs.into_iter().filter(much) {
+        let Some(material) = scope.scene.materials.get(material.index()) else { continue };
+        let message = format!("light comes in through the back of this wall: {} has one side", title(material));
+        let advice = "let its front face the room, or give it `sides 2`, if it is to be dark behind";
+        faults.add(Warning, OneSidedWall, location, message, advice);
+    }
+    if closed && nothing_absorbs(scope) {
+        let message =
+            "the scene is closed, and no surface or medium in it absorbs: light never leaves it, and paths have no end";
+        faults.add(
+            Warning,
+            EnergyTrap,
+            WHOLE,
+            message,
+            "let a surface give back less than all light, or limit `--max-depth`",
+        );
+    }
+}
+
+/// What the walks of a camera found.
+#[derive(Default)]
+struct Found {
+    /// Walks.
+    begun: u32,
+    /// Walks that left the scene.
+    escaped: u32,
+    /// Places that a lamp lights.
+    lit: u32,
+}
+
+/// First place of a wall whose back let light in, by its material, and how often.
+type Backs = BTreeMap<MaterialId, (Location, u32)>;
+
+fn look(scope: &Scope<'_>, camera: &Camera, lamps: &[LampPoint], backs: &mut Backs) -> Found {
+    let mut found = Found::default();
+    let (mut dice, mut numbers) = (Dice(7), Dice(11));
+    for _ in 0..WALKS {
+        let Some(ray) = view(scope, camera, &mut dice) else { break };
+        found.begun += 1;
+        let mut visit = |hit: &Hit, place: DVec3, normal: DVec3| {
+            found.lit += u32::from(is_lamp(scope, hit, normal));
+            for _ in 0..LAMPS.min(lamps.len()) {
+                let lamp = &lamps[(numbers.roll() * lamps.len() as f64) as usize];
+                let Some(passed) = lights(scope, lamp, place, normal) else { continue };
+                found.lit += 1;
+                for back in passed {
+                    let entry = backs.entry(back.material).or_insert((back.location, 0));
+                    *entry = (entry.0.min(back.location), entry.1 + 1);
+                }
+            }
+        };
+        found.escaped += u32::from(walk(scope, ray, &mut dice, &mut visit) == Ending::Escaped);
+    }
+    found
+}
+
+/// A ray of the camera's view.
+fn view(scope: &Scope<'_>, camera: &Camera, dice: &mut Dice) -> Option<Ray> {
+    let camera = camera.at(&scope.scene.paths, scope.time);
+    let forward = (camera.target - camera.origin).try_normalize()?;
+    let right = forward.cross(camera.up).try_normalize()?;
+    let half = tan(0.5 * camera.fov.to_radians());
+    let aspect = f64::from(camera.film[0]) / f64::from(camera.film[1]).max(1.0);
+    let (x, y) = (half * aspect * (2.0 * dice.roll() - 1.0), half * (2.0 * dice.roll() - 1.0));
+    let dir = (forward + x * right + y * right.cross(forward)).try_normalize()?;
+    Some(Ray { origin: camera.origin, dir, far: f64::INFINITY })
+}
+
+/// Whether the side of a surface that was met emits.
+fn is_lamp(scope: &Scope<'_>, hit: &Hit, normal: DVec3) -> bool {
+    let faces = hit.normal.dot(normal) > 0.0;
+    hit.material(scope)
+        .is_some_and(|material| (faces || material.sides == crate::Sides::Two) && crate::world::emits(scope, material))
+}
+
+/// The backs that light of a lamp comes through on its way to a place; `None` if it does not get there.
+fn lights(scope: &Scope<'_>, lamp: &LampPoint, place: DVec3, normal: DVec3) -> Option<Vec<Hit>> {
+    let way = lamp.place - place;
+    let is_before = lamp.normal.is_none_or(|facing| facing.dot(way) < 0.0);
+    if way.dot(normal) <= 0.0 || !is_before {
+        return None;
+    }
+    scope.passages(place, lamp.place)
+}
+
+fn nothing_absorbs(scope: &Scope<'_>) -> bool {
+    let Scene { materials, media, .. } = scope.scene;
+    let mut shown = materials.iter().zip(&scope.visible).filter(|(_, visible)| **visible).map(|(material, _)| material);
+    let absorbs = media.iter().any(|medium| medium.sigma_a > 0.0);
+    !absorbs
+        && shown.all(|material| material.ior.is_none_or(|ior| ior.im == 0.0) && material.reflectance_sum() >= WHITE)
+}

@@ -1,0 +1,197 @@
+//! What is in a scene: how large it is, and its lamps with their luminous flux.
+
+use crate::description::{Location, Photometry, RegionBounds, Scene, Shape, Sides};
+use crate::world::{Bounds, Scope};
+use femc_math::glam::DVec3;
+use std::f64::consts::PI;
+use std::ops::ControlFlow;
+
+/// Lamps whose luminous flux differs by less than this part are equal: areas of turned copies are rounded.
+const EQUAL: f64 = 1e-3;
+
+/// What kind of lamp.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum LampKind {
+    /// Surfaces of this material that touch each other.
+    Surface {
+        /// The material's name; empty for the unnamed one.
+        material: String,
+    },
+    /// A luminaire of this photometric file.
+    Luminaire {
+        /// Its path from the scene's root.
+        path: String,
+    },
+    /// A box of this glowing medium.
+    Medium {
+        /// The medium's name.
+        medium: String,
+    },
+}
+
+/// Equal lamps.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Lamp {
+    /// Kind of lamp.
+    pub kind: LampKind,
+    /// How many there are.
+    pub count: u64,
+    /// Luminous flux of each, lm, at the start of the clip.
+    pub lumens: f64,
+    /// Area that emits of each, m2, both sides of two-sided surfaces; `None` for luminaires and media.
+    pub area: Option<f64>,
+    /// The first of them.
+    pub location: Location,
+}
+
+/// A scene in numbers.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Survey {
+    /// Lower and upper corner of all surfaces and luminaires that are shown, in the world, m; `None` for an empty scene.
+    pub bounds: Option<[DVec3; 2]>,
+    /// Lamps in order of place in the files.
+    pub lamps: Vec<Lamp>,
+}
+
+/// Looks at a scene at the start of its clip.
+/// - `flux`: luminous flux of a photometric file, lm.
+pub fn survey(scene: &Scene, flux: &dyn Fn(&Photometry) -> f64) -> Survey {
+    let scope = Scope::new(scene);
+    let single = surfaces(&scope).into_iter().chain(luminaires(&scope, flux)).chain(media(scene));
+    let mut single: Vec<Lamp> = single.collect();
+    single.sort_by(|a, b| a.kind.cmp(&b.kind).then(a.lumens.total_cmp(&b.lumens)));
+    let equal = |a: &Lamp, b: &Lamp| a.kind == b.kind && b.lumens <= a.lumens * (1.0 + EQUAL);
+    let mut lamps: Vec<Lamp> = single.chunk_by(equal).filter_map(together).collect();
+    lamps.sort_by_key(|lamp| lamp.location);
+    let bounds = scope.shown_bounds();
+    let bounds = (!bounds.is_empty()).then_some([bounds.min, bounds.max]);
+    Survey { bounds, lamps }
+}
+
+/// Equal lamps as one line.
+fn together(lamps: &[Lamp]) -> Option<Lamp> {
+    let first = lamps.iter().min_by_key(|lamp| lamp.location)?;
+    Some(Lamp { count: lamps.len() as u64, ..first.clone() })
+}
+
+/// A face or a curved surface that emits.
+struct Element {
+    bounds: Bounds,
+    area: f64,
+    material: usize,
+    location: Location,
+}
+
+/// Emitting surfaces of one material that touch each other are one lamp.
+fn surfaces(scope: &Scope<'_>) -> Vec<Lamp> {
+    let elements = elements(scope);
+    let tree = crate::world::BoxTree::new(&elements.iter().map(|element| element.bounds).collect::<Vec<_>>());
+    let mut lamp_of: Vec<usize> = vec![usize::MAX; elements.len()];
+    let mut lamps = Vec::new();
+    for first in 0..elements.len() {
+        if lamp_of[first] != usize::MAX {
+            continue;
+        }
+        let (number, mut area, mut open) = (lamps.len(), 0.0, vec![first]);
+        lamp_of[first] = number;
+        while let Some(index) = open.pop() {
+            area += elements[index].area;
+            let near = elements[index].bounds.grown(1e-6 * scope.bounds.diagonal());
+            let _never_stops = tree.find(&near, |other| {
+                if lamp_of[other] == usize::MAX && elements[other].material == elements[index].material {
+                    lamp_of[other] = number;
+                    open.push(other);
+                }
+                ControlFlow::Continue(())
+            });
+        }
+        lamps.push(lamp(scope.scene, &elements[first], area));
+    }
+    lamps
+}
+
+fn lamp(scene: &Scene, element: &Element, area: f64) -> Lamp {
+    let material = &scene.materials[element.material];
+    let sided = if material.sides == Sides::Two { 2.0 * area } else { area };
+    let texture = material.map_ed.and_then(|image| scene.images.get(image.index()));
+    let mean = texture.map_or(1.0, |image| {
+        let weights = femc_math::color::LUMINANCE_WEIGHTS.to_array();
+        let luminance = |pixel: &[f32; 3]| pixel.iter().zip(weights).map(|(c, w)| f64::from(c * w)).sum::<f64>();
+        image.pixels.iter().map(luminance).sum::<f64>() / image.pixels.len().max(1) as f64
+    });
+    Lamp {
+        kind: LampKind::Surface { material: material.name.clone() },
+        count: 1,
+        lumens: material.ed.luminous() * mean * sided,
+        area: Some(sided),
+        location: element.location,
+    }
+}
+
+fn elements(scope: &Scope<'_>) -> Vec<Element> {
+    let emits: Vec<bool> = scope.scene.materials.iter().map(|material| material.ed.luminous() > 0.0).collect();
+    let mut elements = Vec::new();
+    for face in scope.triangles.chunk_by(|a, b| a.face == b.face) {
+        if emits.get(face[0].material.index()) == Some(&true) {
+            elements.push(Element {
+                bounds: face.iter().map(|triangle| triangle.bounds()).fold(Bounds::EMPTY, Bounds::union),
+                area: face.iter().map(|triangle| 0.5 * triangle.cross().length()).sum(),
+                material: face[0].material.index(),
+                location: face[0].location,
+            });
+        }
+    }
+    for quadric in scope.quadrics.iter().filter(|q| emits.get(q.material.index()) == Some(&true)) {
+        let (material, location) = (quadric.material.index(), quadric.location);
+        elements.push(Element { bounds: quadric.bounds(), area: area(&quadric.shape), material, location });
+    }
+    elements
+}
+
+/// Area of one side, m2.
+fn area(shape: &Shape) -> f64 {
+    match *shape {
+        Shape::Sphere { radius, .. } => 4.0 * PI * radius * radius,
+        Shape::Cone { start, end, start_radius, end_radius, .. } => {
+            let (length, step) = (start.distance(end), end_radius - start_radius);
+            PI * (start_radius + end_radius) * (length * length + step * step).sqrt()
+        }
+        Shape::Ring { inner, outer, .. } => PI * (outer * outer - inner * inner),
+        Shape::Torus { major, minor, .. } => 4.0 * PI * PI * major * minor,
+    }
+}
+
+fn luminaires(scope: &Scope<'_>, flux: &dyn Fn(&Photometry) -> f64) -> Vec<Lamp> {
+    let scene = scope.scene;
+    let fluxes: Vec<f64> = scene.photometry.iter().map(flux).collect();
+    let lamp = |placed: &crate::world::PlacedLuminaire<'_>| {
+        let file = placed.luminaire.photometry.index();
+        Some(Lamp {
+            kind: LampKind::Luminaire { path: scene.photometry.get(file)?.path.clone() },
+            count: 1,
+            lumens: fluxes.get(file)? * placed.luminaire.multiplier,
+            area: None,
+            location: placed.luminaire.location,
+        })
+    };
+    scope.luminaires.iter().filter_map(lamp).collect()
+}
+
+fn media(scene: &Scene) -> Vec<Lamp> {
+    let lamp = |region: &crate::MediumRegion| {
+        let medium = scene.media.get(region.medium.index()).filter(|medium| medium.glow > 0.0)?;
+        let RegionBounds::Box { min, max, to_world } = region.bounds else { return None };
+        let size = (max - min).abs();
+        let volume = size.x * size.y * size.z * to_world.matrix3.determinant().abs();
+        let tint = crate::Tinted { amount: medium.glow, color: medium.glow_color };
+        let uniform = medium.density == crate::Density::Uniform;
+        uniform.then(|| Lamp {
+            kind: LampKind::Medium { medium: medium.name.clone() },
+            count: 1,
+            lumens: tint.luminous() * volume,
+            area: None,
+            location: region.location,
+        })
+    };
+    scene.regions.iter().filter_map(lamp).collect()
+}

@@ -1,0 +1,16 @@
+//! The surfaces of a scene where they are in the world, and rays among them: what checks and surveys look with.
+//!
+//! Everything is f64 and looks at the start of the clip. These rays are few and answer questions about the description;
+//! no picture is made of them.
+
+mod lamps;
+mod rays;
+mod scope;
+mod tree;
+mod walk;
+
+pub(crate) use lamps::{LampPoint, emits, lamp_points};
+pub(crate) use rays::{Hit, Ray};
+pub(crate) use scope::{PlacedLuminaire, PlacedTriangle, Scope};
+pub(crate) use tree::{Bounds, BoxTree};
+pub(crate) use walk::{Dice, Ending, walk};

@@ -1,0 +1,96 @@
+//! Random walks: where light, or a view, gets to from some place by diffuse reflections.
+//!
+//! They tell whether a space is closed and whether light gets into it, not how much. Their numbers are fixed, so that a
+//! scene has one answer.
+
+use super::{Hit, Ray, Scope};
+use femc_math::glam::DVec3;
+
+/// Reflections of a walk.
+const BOUNCES: u32 = 6;
+/// Surfaces that are passed through on one segment.
+const PASSED: u32 = 64;
+
+/// How a walk ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Ending {
+    /// It left the scene.
+    Escaped,
+    /// It was still among surfaces.
+    Inside,
+}
+
+/// A small generator (splitmix64) of numbers that are the same everywhere.
+pub(crate) struct Dice(pub u64);
+
+impl Dice {
+    /// In [0, 1).
+    pub fn roll(&mut self) -> f64 {
+        self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
+        let mut x = self.0;
+        x = (x ^ (x >> 30)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
+        x = (x ^ (x >> 27)).wrapping_mul(0x94d0_49bb_1331_11eb);
+        ((x ^ (x >> 31)) >> 11) as f64 / (1u64 << 53) as f64
+    }
+
+    /// A unit vector, uniform over the sphere.
+    pub fn direction(&mut self) -> DVec3 {
+        loop {
+            let p = 2.0 * DVec3::new(self.roll(), self.roll(), self.roll()) - 1.0;
+            let length = p.length_squared();
+            if (1e-6..=1.0).contains(&length) {
+                return p / length.sqrt();
+            }
+        }
+    }
+}
+
+/// Walks from `ray` on; `visit` gets each surface that stops or reflects, the place just before it, and its normal there.
+pub(crate) fn walk(
+    scope: &Scope<'_>,
+    mut ray: Ray,
+    dice: &mut Dice,
+    visit: &mut dyn FnMut(&Hit, DVec3, DVec3),
+) -> Ending {
+    for _ in 0..BOUNCES {
+        let Some(hit) = seen(scope, &mut ray, dice) else { return Ending::Escaped };
+        let normal = if hit.is_front(&ray) { hit.normal } else { -hit.normal };
+        let place = ray.origin + hit.distance * ray.dir + 2.0 * scope.offset() * normal;
+        visit(&hit, place, normal);
+        let dir = (normal + 0.999 * dice.direction()).normalize_or(normal);
+        ray = Ray { origin: place, dir, far: f64::INFINITY };
+    }
+    Ending::Inside
+}
+
+/// The next surface that the walk stops at; of those that let light through, every second one.
+fn seen(scope: &Scope<'_>, ray: &mut Ray, dice: &mut Dice) -> Option<Hit> {
+    for _ in 0..PASSED {
+        let hit = scope.first_hit(ray)?;
+        let is_passed = hit.is_unseen(scope, ray) || (hit.lets_through(scope) && dice.roll() < 0.5);
+        if !is_passed {
+            return Some(hit);
+        }
+        ray.origin += (hit.distance + scope.offset()) * ray.dir;
+    }
+    None
+}
+
+impl Scope<'_> {
+    /// What is on the way between two points: nothing that stops light, in order; `None` if something stops it.
+    pub fn passages(&self, from: DVec3, to: DVec3) -> Option<Vec<Hit>> {
+        let mut passed = Vec::new();
+        let mut ray = Ray { origin: from, dir: (to - from).try_normalize()?, far: 0.0 };
+        for _ in 0..PASSED {
+            ray.far = ray.origin.distance(to) - 4.0 * self.offset();
+            let Some(hit) = self.first_hit(&ray) else { return Some(passed) };
+            if hit.is_unseen(self, &ray) {
+                passed.push(hit);
+            } else if !hit.lets_through(self) {
+                return None;
+            }
+            ray.origin += (hit.distance + self.offset()) * ray.dir;
+        }
+        None
+    }
+}

@@ -64,12 +64,17 @@ fn a_broken_scene_fails_with_its_file_and_line() {
 }
 
 #[test]
-fn a_scene_without_a_camera_cannot_be_rendered() {
+fn a_scene_without_a_camera_gets_one_and_a_note_and_one_without_anything_cannot_be_rendered() {
     let place = Place::new();
     place.write("blind.mgf", "m lamp =\n\ted 1\nv a =\n\tp 0 0 0\nsph a 1\n");
-    let ran = place.run("render blind.mgf --spp 1").exits(1);
+    let ran = place.run("render blind.mgf --spp 1 --size 4x3 -o blind.exr").exits(0);
+    let note = "note: blind.mgf: the scene has no camera: `default` looks from outside";
+    assert!(ran.stderr().contains(note) && ran.stderr().contains("camera NAME ="), "{}", ran.stderr());
+    place.run("render blind.mgf --spp 1 --camera default --set camera.default.fov=30 --size 4x3 -o a.exr").exits(0);
+    place.write("empty.mgf", "m lamp =\n\ted 1\n");
+    let ran = place.run("render empty.mgf --spp 1").exits(1);
     assert!(ran.stderr().contains("camera"), "{}", ran.stderr());
-    assert_eq!(common::names(&place.path(".")), ["blind.mgf", "fog.mgf"]);
+    assert_eq!(common::names(&place.path(".")), ["a.exr", "blind.exr", "blind.mgf", "empty.mgf", "fog.mgf"]);
 }
 
 #[test]

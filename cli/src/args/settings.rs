@@ -1,6 +1,7 @@
 use super::{Filter, Method};
 use crate::request::{Budget, Frames, Override, Size};
 use clap::Args;
+use std::path::PathBuf;
 
 /// Render settings as typed, the same on every command that renders or plans. `None`: not typed.
 #[derive(Clone, Debug, Default, Args)]
@@ -49,6 +50,9 @@ pub struct SettingsArgs {
     /// Override a scalar of the scene, like medium.fog.sigma_s=0.03 (repeatable)
     #[arg(long, value_name = "SELECTOR=VALUE")]
     pub set: Vec<Override>,
+    /// Includes, textures and lamps of the scene may lie anywhere below DIR [default: the scene's folder]
+    #[arg(long, value_name = "DIR")]
+    pub root: Option<PathBuf>,
     /// Collect path statistics (this version keeps the wish with the settings, and collects none yet)
     #[arg(long)]
     pub stats: bool,
@@ -75,6 +79,7 @@ impl SettingsArgs {
             workers: self.workers.or(job.workers),
             threads: self.threads.or(job.threads),
             set: job.set.into_iter().chain(self.set).collect(),
+            root: self.root.or(job.root),
             stats: self.stats || job.stats,
         }
     }

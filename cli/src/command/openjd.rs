@@ -84,7 +84,7 @@ fn import(args: &ImportArgs, say: Say) -> Result<Exit, Failure> {
 
 fn export(args: &ExportArgs, say: Say) -> Result<Exit, Failure> {
     let job = JobFile::load(&args.job).map_err(usage)?;
-    let base = Base::open(&job.scene, say)?;
+    let base = Base::open(&job.scene, job.settings.root.as_deref(), say)?;
     let frames = frames(&job, &base)?;
     let frames = FramesOf { all: &frames, chunk: args.chunk };
     let exported = openjd::export(&job, frames, &args.out).map_err(refused)?;

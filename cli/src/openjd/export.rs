@@ -201,6 +201,9 @@ fn lost(job: &JobFile) -> Vec<String> {
     if job.priority.is_some() {
         lost.push(left(job, "priority", "is left out: who submits a template says how urgent it is"));
     }
+    if job.settings.root.is_some() {
+        lost.push(left(job, "root", "is left out: add `--root` to the commands of the template"));
+    }
     if !job.measures.regions.is_empty() {
         lost.push(left(job, "regions", "and contrasts are left out: `femc sweep` measures them, and no task does"));
     }

@@ -72,6 +72,7 @@ impl Written {
             ("--report", report.is_some()),
             ("--fresh", fresh),
             ("--json", format.json),
+            ("--root", settings.root.is_some()),
         ];
         let SettingsArgs { frames, workers, threads, stats, .. } = settings;
         let changes = Change::all(&SettingsArgs { frames: None, ..settings });

@@ -5,7 +5,7 @@ use crate::args::{Filter, Method, SettingsArgs};
 use crate::exit::{Failure, failed, usage};
 use crate::output::Say;
 use femc_fault::{Pretense, pretended};
-use femc_import::{Bundle, Disk, ImportError, Loaded};
+use femc_import::{Bundle, ImportError, Loaded, ScenePath};
 use femc_pipeline::{Plan, PlanError, PrepareError, Settings, SettingsError, Source, Stop};
 use femc_scene::Scene;
 use femc_worker::Parcel;
@@ -16,9 +16,11 @@ use std::sync::Arc;
 pub struct Asked {
     /// The scene file.
     pub path: PathBuf,
+    /// The same from the root of its files.
+    place: ScenePath,
     /// The scene, overrides applied.
     pub source: Source,
-    /// Files that the scene is made of, relative to its folder.
+    /// Files that the scene is made of, relative to its root.
     pub files: Vec<String>,
     /// The settings as meant.
     pub settings: Settings,
@@ -49,6 +51,7 @@ pub enum FramesChosen {
 pub struct Base {
     /// The scene file.
     pub path: PathBuf,
+    place: ScenePath,
     files: Vec<String>,
     source: Source,
 }
@@ -60,14 +63,18 @@ const DEFAULT_RATE: f64 = 24.0;
 pub type At<'a> = &'a dyn Fn(&str) -> Option<String>;
 
 impl Base {
-    /// Import the scene at `path`. Warnings of the import go to stderr.
-    pub fn open(path: &Path, say: Say) -> Result<Self, Failure> {
-        let loaded = load(path)?;
+    /// Import the scene at `path`, whose files are below `root` (`None`: below its folder). Warnings go to stderr.
+    pub fn open(path: &Path, root: Option<&Path>, say: Say) -> Result<Self, Failure> {
+        let (place, loaded) = load(path, root)?;
         for warning in &loaded.warnings {
-            say.note(format!("warning: {}", beside(path, warning)));
+            say.note(format!("warning: {}", shown(&place, warning)));
         }
-        known_varies(path, &loaded.scene)?;
-        Ok(Self { path: path.to_owned(), files: loaded.files, source: Source::new(Arc::new(loaded.scene)) })
+        for note in &loaded.notes {
+            say.note(format!("note: {}", shown(&place, note)));
+        }
+        known_varies(&place, &loaded.scene)?;
+        let source = Source::new(Arc::new(loaded.scene));
+        Ok(Self { path: path.to_owned(), place, files: loaded.files, source })
     }
 
     /// Files of the scene besides the scene file.
@@ -95,6 +102,7 @@ impl Base {
         }
         Ok(Asked {
             path: self.path.clone(),
+            place: self.place.clone(),
             source,
             files: self.files.clone(),
             settings,
@@ -121,11 +129,12 @@ impl Asked {
                 )));
             }
             job.replaced(&typed);
-            let base = Base::open(&job.scene, say)?;
-            let asked = base.ask(&typed.over(job.settings.clone()), &|key| job.at(key))?;
+            let settings = typed.over(job.settings.clone());
+            let base = Base::open(&job.scene, settings.root.as_deref(), say)?;
+            let asked = base.ask(&settings, &|key| job.at(key))?;
             Self { priority: job.priority, tags: job.tags, ..asked }
         } else {
-            Base::open(path, say)?.ask(&typed, &|_| None)?
+            Base::open(path, typed.root.as_deref(), say)?.ask(&typed, &|_| None)?
         };
         if asked.settings.statistics {
             say.note("--stats: this version does not collect path statistics yet");
@@ -138,9 +147,9 @@ impl Asked {
         self.source.scene()
     }
 
-    /// Name of the scene file within its folder.
+    /// The scene file from the root of its files.
     pub fn entry(&self) -> String {
-        self.path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+        self.place.entry().to_owned()
     }
 
     /// The scene file's stem: the first part of frames' names.
@@ -166,13 +175,14 @@ impl Asked {
     /// All files of the scene as artifacts.
     pub fn parcel(&self) -> Result<Parcel, Failure> {
         let cannot = |e: &dyn std::fmt::Display| failed(format!("{}: cannot be packed: {e}", self.path.display()));
-        let bundle = Bundle::gather(&Disk::new(folder(&self.path)), &self.files).map_err(|e| cannot(&e))?;
+        let bundle = Bundle::gather(&self.place.disk(), &self.files).map_err(|e| cannot(&e))?;
         Parcel::pack(&bundle).map_err(|e| cannot(&e))
     }
 }
 
-/// Import the scene at `path`, faults named by the path as typed.
-pub fn load(path: &Path) -> Result<Loaded, Failure> {
+/// Import the scene at `path`, whose files are below `root` (`None`: below its folder). Faults name files as they are
+/// reached from here.
+pub fn load(path: &Path, root: Option<&Path>) -> Result<(ScenePath, Loaded), Failure> {
     match path.metadata() {
         Err(e) => return Err(usage(format!("{}: {e}; give the path of a scene file", path.display()))),
         Ok(data) if data.is_dir() => {
@@ -180,35 +190,36 @@ pub fn load(path: &Path) -> Result<Loaded, Failure> {
         }
         Ok(_) => {}
     }
-    femc_import::load_path(path).map_err(|e| unimportable(path, &e))
+    let place = match root {
+        None => ScenePath::new(path),
+        Some(root) if !root.is_dir() => {
+            return Err(usage(format!(
+                "--root {}: there is no such folder; give one that holds the scene",
+                root.display()
+            )));
+        }
+        Some(root) => ScenePath::below(root, path),
+    };
+    let place = place.map_err(usage)?;
+    let loaded = place.load().map_err(|e: ImportError| failed(shown(&place, e)))?;
+    Ok((place, loaded))
 }
 
 /// A `vary` of what is not there would fail on the farm, in every frame and without its place in the file.
-fn known_varies(path: &Path, scene: &Scene) -> Result<(), Failure> {
+fn known_varies(place: &ScenePath, scene: &Scene) -> Result<(), Failure> {
     for vary in &scene.varies {
         if let Err(e) = scene.get(&vary.selector) {
             let file = scene.files.get(vary.location.file as usize).map_or("", String::as_str);
-            return Err(failed(format!("{}:{}: vary: {e}", beside(path, file), vary.location.line)));
+            return Err(failed(format!("{}:{}: vary: {e}", shown(place, file), vary.location.line)));
         }
     }
     Ok(())
 }
 
-fn unimportable(path: &Path, e: &ImportError) -> Failure {
-    failed(beside(path, e))
-}
-
-/// A message that begins with a file below the scene's folder, made to begin with that file's path from here.
-pub fn beside(path: &Path, message: impl std::fmt::Display) -> String {
-    let folder = folder(path);
-    if folder == Path::new(".") { message.to_string() } else { format!("{}/{message}", folder.display()) }
-}
-
-fn folder(path: &Path) -> &Path {
-    match path.parent() {
-        Some(folder) if folder != Path::new("") => folder,
-        _ => Path::new("."),
-    }
+/// A message that begins with a file below the scene's root, made to begin with that file's path from here.
+pub fn shown(place: &ScenePath, message: impl std::fmt::Display) -> String {
+    let root = place.root();
+    if root == Path::new(".") { message.to_string() } else { format!("{}/{message}", root.display()) }
 }
 
 /// Settings that do not fit the scene are wrong usage; a scene that cannot be looked at is the scene's fault.
@@ -276,9 +287,10 @@ mod tests {
 
     #[test]
     fn messages_name_the_file_from_where_the_user_stands() {
-        assert_eq!(beside(Path::new("a.mgf"), "a.mgf:3: fault"), "a.mgf:3: fault");
-        assert_eq!(beside(Path::new("scenes/a.mgf"), "a.mgf:3: fault"), "scenes/a.mgf:3: fault");
-        assert_eq!(beside(Path::new("/s/a.mgf"), "lamps/b.mgf:3: fault"), "/s/lamps/b.mgf:3: fault");
+        let beside = |scene: &str, message: &str| shown(&ScenePath::new(Path::new(scene)).expect("a place"), message);
+        assert_eq!(beside("a.mgf", "a.mgf:3: fault"), "a.mgf:3: fault");
+        assert_eq!(beside("scenes/a.mgf", "a.mgf:3: fault"), "scenes/a.mgf:3: fault");
+        assert_eq!(beside("/s/a.mgf", "lamps/b.mgf:3: fault"), "/s/lamps/b.mgf:3: fault");
     }
 
     #[test]

@@ -11,7 +11,7 @@ mod size;
 mod task;
 mod volume;
 
-pub use asked::{Asked, Base, FramesChosen, beside, is_job, load};
+pub use asked::{Asked, Base, FramesChosen, is_job, load, shown};
 pub use duration::Budget;
 pub use frames::Frames;
 pub use hours::Hours;

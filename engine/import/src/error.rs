@@ -90,10 +90,16 @@ pub enum Fault {
         path: String,
     },
     /// A path out of the scene's root folder.
-    #[error("`{path}` leaves the scene's root folder; move the file below the folder of the main scene file")]
+    #[error("`{path}` leaves the scene's root folder; move the file below it, or choose a higher root (`--root DIR`)")]
     OutsideRoot {
         /// As written.
         path: String,
+    },
+    /// A scene file that is not below its root.
+    #[error("this scene is not below the root folder `{root}`; choose a folder that holds the scene and all its files")]
+    SceneOutsideRoot {
+        /// The root, as given.
+        root: String,
     },
     /// A path that some system would read differently.
     #[error("`{path}` is not a portable path: {reason}; separate folders by `/`")]

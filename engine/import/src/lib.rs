@@ -10,11 +10,13 @@ mod error;
 mod files;
 mod format;
 mod image;
+mod scene_path;
 mod warning;
 
 pub use bundle::{Bundle, BundleError};
 pub use error::{Fault, ImportError, Kind, Position};
 pub use files::{Disk, Files};
+pub use scene_path::ScenePath;
 pub use warning::{Oddity, Warning};
 
 use femc_scene::Scene;
@@ -27,6 +29,8 @@ pub struct Loaded {
     pub scene: Scene,
     /// What is odd about it, in the order of discovery; at most 1001.
     pub warnings: Vec<Warning>,
+    /// What is worth knowing and not odd.
+    pub notes: Vec<Warning>,
     /// Every file that was read, each once, in order of first use.
     pub files: Vec<String>,
 }
@@ -38,16 +42,5 @@ pub fn load(files: &dyn Files, entry: &str) -> Result<Loaded, ImportError> {
 
 /// Imports the scene file at `path`; its folder is the root that nothing may leave.
 pub fn load_path(path: &Path) -> Result<Loaded, ImportError> {
-    let unreadable = |reason: &str| {
-        let shown = path.display().to_string();
-        let at = Position { file: shown.clone(), line: 0, column: 0 };
-        ImportError::new(at, Fault::Unreadable { path: shown, reason: reason.to_owned() })
-    };
-    let name = path.file_name().ok_or_else(|| unreadable("it names no file"))?;
-    let name = name.to_str().ok_or_else(|| unreadable("its name is not UTF-8"))?;
-    let folder = match path.parent() {
-        Some(parent) if parent != Path::new("") => parent,
-        _ => Path::new("."),
-    };
-    load(&Disk::new(folder), name)
+    ScenePath::new(path)?.load()
 }

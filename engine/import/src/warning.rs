@@ -1,6 +1,7 @@
 //! What is odd about a scene file but does not stop its import.
 
 use crate::Position;
+use femc_scene::Standpoint;
 use std::fmt;
 
 /// Something odd at some place. Displays as `file:line:column: what`.
@@ -63,6 +64,11 @@ pub enum Oddity {
         /// The sum of its reflectances and transmittances in the file.
         sum: f64,
     },
+    /// A file that is outside the scene's folder, where the root covers it; said once per file.
+    OutsideFolder {
+        /// Its path below the root.
+        path: String,
+    },
     /// `o` or `xf` still open at the end of the file that opened it; closed there.
     LeftOpen {
         /// `o` or `xf`.
@@ -93,11 +99,47 @@ pub enum Oddity {
         /// What was found and what was made of it.
         what: &'static str,
     },
+    /// A scene without a camera was given one.
+    DefaultCamera {
+        /// Where it stands.
+        standpoint: Standpoint,
+        /// Its eye, m.
+        origin: [f64; 3],
+        /// The point that it looks at, m.
+        target: [f64; 3],
+    },
     /// More warnings than are kept.
     More {
         /// How many are kept.
         kept: usize,
     },
+}
+
+impl Oddity {
+    /// The kind of oddity, `unknown-entity`.
+    pub fn kind(&self) -> &'static str {
+        match self {
+            Self::UnknownEntity { .. } => "unknown-entity",
+            Self::NoArea => "degenerate-surface",
+            Self::NotPlanar { .. } => "non-planar-face",
+            Self::CrossesItself => "crossing-face",
+            Self::HoleOrientation => "hole-orientation",
+            Self::OutOfGamut => "out-of-gamut",
+            Self::ChannelAboveOne { .. } => "energy-gain",
+            Self::NegativeSpectrum { .. } => "negative-spectrum",
+            Self::NoLuminance { .. } => "no-luminance",
+            Self::TooBright { .. } => "scaled-reflectance",
+            Self::OutsideFolder { .. } => "outside-folder",
+            Self::LeftOpen { .. } => "left-open",
+            Self::Replaced { .. } => "duplicate-name",
+            Self::NotTransformed { .. } => "not-transformed",
+            Self::Photometry { .. } => "photometry",
+            Self::NoTextureCoordinates { .. } => "no-texture-coordinates",
+            Self::Texture { .. } => "texture",
+            Self::DefaultCamera { .. } => "default-camera",
+            Self::More { .. } => "incomplete",
+        }
+    }
 }
 
 impl fmt::Display for Oddity {
@@ -131,10 +173,30 @@ impl fmt::Display for Oddity {
                     "material `{material}` has a texture, and this surface no coordinates (`uv`; said once per material)"
                 )
             }
+            Self::OutsideFolder { path } => {
+                write!(
+                    f,
+                    "`{path}` is outside the scene's folder: this scene needs its root (`--root`) wherever it goes"
+                )
+            }
             Self::LeftOpen { entity } => write!(f, "`{entity}` is never closed; closed at the end of its file"),
             Self::Replaced { what } => write!(f, "{what} replaces an earlier one"),
             Self::NotTransformed { what } => write!(f, "{what} inside `xf`: it stays in world coordinates"),
             Self::Photometry { what } | Self::Texture { what } => f.write_str(what),
+            Self::DefaultCamera { standpoint, origin, target } => {
+                let from = match standpoint {
+                    Standpoint::Inside => "inside the closed room",
+                    Standpoint::Outside => "outside",
+                };
+                let point = |[x, y, z]: &[f64; 3]| format!("{x:.3} {y:.3} {z:.3}");
+                write!(
+                    f,
+                    "the scene has no camera: `default` looks from {from}, `origin {}`, `target {}`; place another with \
+                     `camera NAME =`, `origin x y z` and `target x y z` in the scene file",
+                    point(origin),
+                    point(target)
+                )
+            }
             Self::More { kept } => write!(f, "more warnings follow; only the first {kept} are kept"),
         }
     }

@@ -81,8 +81,8 @@ impl Work {
             )));
         }
         job.replaced(typed);
-        let base = Base::open(&job.scene, say)?;
         let settings = typed.clone().over(job.settings.clone());
+        let base = Base::open(&job.scene, settings.root.as_deref(), say)?;
         let mut work: Option<Self> = None;
         let mut frames = 0;
         for variant in sweep.variants() {

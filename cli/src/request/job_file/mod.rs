@@ -63,6 +63,7 @@ struct Written {
     seed: Option<u64>,
     workers: Option<u32>,
     threads: Option<u32>,
+    root: Option<PathBuf>,
     #[serde(default)]
     stats: bool,
     priority: Option<u8>,
@@ -121,6 +122,7 @@ impl JobFile {
                 workers: job.workers,
                 threads: job.threads,
                 set: job.set.into_iter().map(|(selector, value)| Override { selector, value }).collect(),
+                root: job.root.map(|root| folder.join(root)),
                 stats: job.stats,
             },
             priority: job.priority,

@@ -50,10 +50,14 @@ impl<'a> Args<'a> {
         ImportError::new(self.at(), fault)
     }
 
+    /// The place of argument `i`; of the entity where there is none.
+    pub fn argument_at(&self, i: usize) -> Position {
+        self.position(self.tokens.get(i + 1).unwrap_or(&self.tokens[0]))
+    }
+
     /// A fault of argument `i`.
     pub fn fault_at(&self, i: usize, fault: Fault) -> ImportError {
-        let token = self.tokens.get(i + 1).unwrap_or(&self.tokens[0]);
-        ImportError::new(self.position(token), fault)
+        ImportError::new(self.argument_at(i), fault)
     }
 
     /// Fails unless the number of arguments is in `range`, which `expected` says in words.

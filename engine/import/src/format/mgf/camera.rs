@@ -5,9 +5,9 @@ use super::{
     reader::Reader,
     table::Opened,
 };
-use crate::{Fault, ImportError, Kind, Oddity};
+use crate::{Fault, ImportError, Kind, Oddity, Position, Warning};
 use femc_math::glam::DVec3;
-use femc_scene::{Camera, Location};
+use femc_scene::{Camera, Location, default_camera as place_camera};
 
 /// Most pixels along one side of the film.
 const MAX_SIDE: u64 = 32_768;
@@ -104,6 +104,18 @@ impl Reader<'_> {
         }
         *self.cameras.current_mut() = camera;
         Ok(())
+    }
+
+    /// Gives a scene without a camera one, and the note that says so.
+    pub(super) fn add_default_camera(&mut self) -> Option<Warning> {
+        if !self.scene.cameras.is_empty() {
+            return None;
+        }
+        let (camera, standpoint) = place_camera(&self.scene)?;
+        let (origin, target) = (camera.origin.to_array(), camera.target.to_array());
+        self.scene.cameras.push(camera);
+        let at = Position { file: self.scene.files.first()?.clone(), line: 0, column: 0 };
+        Some(Warning { at, oddity: Oddity::DefaultCamera { standpoint, origin, target } })
     }
 
     /// Checks what depends on several fields and puts the cameras into the scene.

@@ -5,7 +5,7 @@ use super::{
     lexer::{Lexer, MAX_LINE},
     reader::Reader,
 };
-use crate::{Fault, ImportError, Position, files};
+use crate::{Fault, ImportError, Oddity, Position, files};
 use std::sync::Arc;
 
 /// Most nested files.
@@ -30,13 +30,22 @@ impl Reader<'_> {
     /// `i path [xf args]`.
     pub(super) fn i(&mut self, args: &Args<'_>) -> Result<()> {
         args.count(1.., "a path and transform arguments")?;
-        let path = files::resolve(args.file, &args.text(0)).map_err(|fault| args.fault_at(0, fault))?;
+        let path = self.resolve(args, 0)?;
         if args.len() == 1 {
-            return self.run(&path, args.fault_at(0, Fault::LineTooLong { limit: 0 }).at);
+            return self.run(&path, args.argument_at(0));
         }
         self.push_frame(args, 1)?;
-        self.run(&path, args.fault_at(0, Fault::LineTooLong { limit: 0 }).at)?;
+        self.run(&path, args.argument_at(0))?;
         self.pop_frame()
+    }
+
+    /// The file that argument `i` names, from the root; one outside the scene's folder is said once.
+    pub(super) fn resolve(&mut self, args: &Args<'_>, i: usize) -> Result<String> {
+        let path = files::resolve(args.file, &args.text(i)).map_err(|fault| args.fault_at(i, fault))?;
+        if !path.starts_with(&self.folder) && self.outside.insert(path.clone()) {
+            self.warnings.push(args.argument_at(i), Oddity::OutsideFolder { path: path.clone() });
+        }
+        Ok(path)
     }
 
     /// What was open when the current file began.

@@ -38,6 +38,10 @@ pub(super) struct Reader<'f> {
     pub includes: u64,
     pub included_bytes: u64,
     pub unknown: HashSet<String>,
+    /// Folder of the scene file, from the root: empty, or with a `/` at its end.
+    pub folder: String,
+    /// Files outside it that were named.
+    pub outside: HashSet<String>,
 
     pub colors: Table<Color>,
     pub materials: Table<MaterialState>,
@@ -78,7 +82,8 @@ pub(crate) fn load(files: &dyn Files, entry: &str) -> Result<Loaded> {
     let mut reader = Reader::new(files);
     let path = crate::files::resolve("", entry)
         .map_err(|fault| ImportError::new(Position { file: entry.to_owned(), line: 0, column: 0 }, fault))?;
-    let file = path.rsplit('/').next().unwrap_or(&path);
+    let (folder, file) = path.split_at(path.rfind('/').map_or(0, |slash| slash + 1));
+    reader.folder = folder.to_owned();
     reader.scene.name = file.rsplit_once('.').map_or(file, |(stem, _)| stem).to_owned();
     reader.run(&path, Position { file: path.clone(), line: 0, column: 0 })?;
     reader.finish()
@@ -97,6 +102,8 @@ impl<'f> Reader<'f> {
             includes: 0,
             included_bytes: 0,
             unknown: HashSet::new(),
+            folder: String::new(),
+            outside: HashSet::new(),
             colors: Table::new(Kind::Color, Color::default()),
             materials: Table::new(Kind::Material, MaterialState::default()),
             material_entries: HashMap::new(),
@@ -186,7 +193,8 @@ impl<'f> Reader<'f> {
         self.seal_medium()?;
         self.finish_cameras()?;
         self.finish_paths()?;
-        Ok(Loaded { scene: self.scene, warnings: self.warnings.0, files: self.read })
+        let notes = self.add_default_camera().into_iter().collect();
+        Ok(Loaded { scene: self.scene, warnings: self.warnings.0, notes, files: self.read })
     }
 
     /// Warns at the entity.

@@ -5,7 +5,7 @@ use super::{
     reader::Reader,
 };
 use crate::{
-    Fault, Oddity, files,
+    Fault, Oddity,
     image::{self, Role},
 };
 use femc_scene::ImageId;
@@ -17,7 +17,7 @@ impl Reader<'_> {
     pub(super) fn map(&mut self, entity: &[u8], args: &Args<'_>) -> Result<()> {
         args.count(1..=1, "the path of a PNG, JPEG or EXR file")?;
         let role = if entity == b"map_n" { Role::Normals } else { Role::Color };
-        let path = files::resolve(args.file, &args.text(0)).map_err(|fault| args.fault_at(0, fault))?;
+        let path = self.resolve(args, 0)?;
         let image = Some(self.image(args, &path, role)?);
         let material = self.change_material();
         match entity {

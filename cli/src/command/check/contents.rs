@@ -1,0 +1,117 @@
+//! What is in a scene: its bounds, its lamps and their luminous flux.
+
+use crate::output::{Say, human};
+use crate::request::shown;
+use femc_emission::{IntensityDistribution, PhotometryKind};
+use femc_import::ScenePath;
+use femc_scene::{LampKind, Photometry, PhotometryType, Scene, survey};
+use serde::Serialize;
+
+/// Lines of lamps that are shown to people.
+const LAMPS: usize = 20;
+
+/// The scene in numbers.
+#[derive(Default, Serialize)]
+pub struct Contents {
+    bounds: Option<Bounds>,
+    /// Luminous flux of all lamps, lm.
+    lumens: f64,
+    lamps: Vec<Lamps>,
+}
+
+/// The bounding box, m.
+#[derive(Serialize)]
+struct Bounds {
+    min: [f64; 3],
+    max: [f64; 3],
+}
+
+/// Equal lamps.
+#[derive(Serialize)]
+struct Lamps {
+    kind: &'static str,
+    name: String,
+    count: u64,
+    /// Flux of each, lm.
+    lumens: f64,
+    /// Emitting area of each, m2.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    area: Option<f64>,
+    file: String,
+    line: u32,
+}
+
+impl Contents {
+    /// Of a scene at the start of its clip.
+    pub fn of(scene: &Scene, root: &ScenePath) -> Self {
+        let survey = survey(scene, &flux);
+        let lamps = survey.lamps.into_iter().map(|lamp| {
+            let (kind, name) = match lamp.kind {
+                LampKind::Surface { material } => ("material", material),
+                LampKind::Luminaire { path } => ("ies", path),
+                LampKind::Medium { medium } => ("medium", medium),
+            };
+            let file = scene.files.get(lamp.location.file as usize).map_or("", String::as_str);
+            Lamps {
+                kind,
+                name,
+                count: lamp.count,
+                lumens: lamp.lumens,
+                area: lamp.area,
+                file: shown(root, file),
+                line: lamp.location.line,
+            }
+        });
+        let lamps: Vec<Lamps> = lamps.collect();
+        let bounds = survey.bounds.map(|[min, max]| Bounds { min: min.to_array(), max: max.to_array() });
+        Self { bounds, lumens: lamps.iter().map(|lamp| lamp.count as f64 * lamp.lumens).sum(), lamps }
+    }
+
+    /// For people.
+    pub fn print(&self, say: Say) {
+        if let Some(Bounds { min, max }) = self.bounds {
+            let size = [0, 1, 2].map(|i| meters(max[i] - min[i])).join(" x ");
+            let point = |p: [f64; 3]| p.map(meters).join(" ");
+            say.result(format!("bounds: {size} m, from {} to {}", point(min), point(max)));
+        }
+        if self.lamps.is_empty() {
+            say.result("lamps: none");
+            return;
+        }
+        let count: u64 = self.lamps.iter().map(|lamp| lamp.count).sum();
+        say.result(format!("lamps: {count}, {} lm in all", lumens(self.lumens)));
+        let row = |lamp: &Lamps| {
+            let name = if lamp.name.is_empty() { "(unnamed)" } else { &lamp.name };
+            let area = lamp.area.map_or(String::new(), |area| format!("{area:.4}"));
+            let place = format!("{}:{}", lamp.file, lamp.line);
+            vec![lamp.count.to_string(), lumens(lamp.lumens), area, format!("{} {name}", lamp.kind), place]
+        };
+        let rows: Vec<Vec<String>> = self.lamps.iter().take(LAMPS).map(row).collect();
+        say.result(human::table(&["count", "lm each", "m2 each", "lamp", "first at"], &rows));
+        if let more @ 1.. = self.lamps.len().saturating_sub(LAMPS) {
+            say.result(format!("and {} (--json has all)", human::count(more as u64, "more kind")));
+        }
+    }
+}
+
+/// Luminous flux of a photometric file as the renderer reads it, lm.
+fn flux(photometry: &Photometry) -> f64 {
+    let kind = match photometry.kind {
+        PhotometryType::A => PhotometryKind::A,
+        PhotometryType::B => PhotometryKind::B,
+        PhotometryType::C => PhotometryKind::C,
+    };
+    let table = IntensityDistribution::new(kind, &photometry.vertical, &photometry.horizontal, &photometry.candela);
+    table.map_or(0.0, |table| table.flux())
+}
+
+/// A length without decimals that say nothing.
+fn meters(m: f64) -> String {
+    let text = format!("{m:.3}");
+    let text = text.trim_end_matches('0').trim_end_matches('.');
+    if text == "-0" { "0".to_owned() } else { text.to_owned() }
+}
+
+fn lumens(lm: f64) -> String {
+    if lm < 100.0 { format!("{lm:.3}") } else { format!("{lm:.0}") }
+}

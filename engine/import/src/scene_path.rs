@@ -1,0 +1,128 @@
+//! Where a scene is on disk: a root folder that nothing may leave, and the scene file below it.
+//!
+//! Files of the scene are named from the root, so that a scene that shares files with its neighbors is packed and found
+//! again by the same names on every machine.
+
+use crate::{Disk, Fault, ImportError, Loaded, Position, load};
+use std::path::{Component, Path, PathBuf};
+
+/// A scene file and its root.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ScenePath {
+    root: PathBuf,
+    entry: String,
+}
+
+impl ScenePath {
+    /// The scene file `scene` with its own folder as root.
+    pub fn new(scene: &Path) -> Result<Self, ImportError> {
+        let name = scene.file_name().ok_or_else(|| unreadable(scene, "it names no file"))?;
+        let entry = name.to_str().ok_or_else(|| unreadable(scene, "its name is not UTF-8"))?.to_owned();
+        Ok(Self { root: folder(scene).to_owned(), entry })
+    }
+
+    /// The scene file `scene` with the folder `root` around it: includes, textures and lamps may lie anywhere below `root`.
+    pub fn below(root: &Path, scene: &Path) -> Result<Self, ImportError> {
+        let name = scene.file_name().ok_or_else(|| unreadable(scene, "it names no file"))?;
+        let real = |path: &Path| path.canonicalize().map_err(|e| unreadable(path, &e.to_string()));
+        let (real_root, real_folder) = (real(root)?, real(folder(scene))?);
+        let full = real_folder.join(name);
+        let Ok(inner) = full.strip_prefix(&real_root) else {
+            let fault = Fault::SceneOutsideRoot { root: root.display().to_string() };
+            return Err(ImportError::new(at(scene), fault));
+        };
+        let parts = inner.components().map(|part| match part {
+            Component::Normal(part) => part.to_str(),
+            _ => None,
+        });
+        let parts = parts.collect::<Option<Vec<_>>>().ok_or_else(|| unreadable(scene, "its path is not UTF-8"))?;
+        Ok(Self { root: root.to_owned(), entry: parts.join("/") })
+    }
+
+    /// The root folder, as it was given.
+    pub fn root(&self) -> &Path {
+        &self.root
+    }
+
+    /// The scene file's path below the root, `/`-separated.
+    pub fn entry(&self) -> &str {
+        &self.entry
+    }
+
+    /// The files below the root.
+    pub fn disk(&self) -> Disk {
+        Disk::new(&self.root)
+    }
+
+    /// Imports the scene.
+    pub fn load(&self) -> Result<Loaded, ImportError> {
+        load(&self.disk(), &self.entry)
+    }
+}
+
+fn folder(scene: &Path) -> &Path {
+    match scene.parent() {
+        Some(parent) if parent != Path::new("") => parent,
+        _ => Path::new("."),
+    }
+}
+
+fn at(path: &Path) -> Position {
+    Position { file: path.display().to_string(), line: 0, column: 0 }
+}
+
+fn unreadable(path: &Path, reason: &str) -> ImportError {
+    let fault = Fault::Unreadable { path: path.display().to_string(), reason: reason.to_owned() };
+    ImportError::new(at(path), fault)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn tree() -> tempfile::TempDir {
+        let place = tempfile::tempdir().unwrap();
+        let write = |path: &str, text: &str| {
+            let path = place.path().join(path);
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(path, text).unwrap();
+        };
+        write("houses/a/room.mgf", "i ../../lib/lamp.mgf\ni ../../lib/lamp.mgf\ni near.mgf\n");
+        write("houses/a/near.mgf", "v x =\n");
+        write("lib/lamp.mgf", "i part.mgf\n");
+        write("lib/part.mgf", "v y =\nsph y 1\n");
+        place
+    }
+
+    #[test]
+    fn files_outside_the_scenes_folder_are_read_below_the_root_with_a_warning_each() {
+        let place = tree();
+        let path = ScenePath::below(place.path(), &place.path().join("houses/a/room.mgf")).unwrap();
+        assert_eq!(path.entry(), "houses/a/room.mgf");
+        let loaded = path.load().unwrap();
+        assert_eq!(loaded.files, ["houses/a/room.mgf", "lib/lamp.mgf", "lib/part.mgf", "houses/a/near.mgf"]);
+        let said: Vec<String> = loaded.warnings.iter().map(ToString::to_string).collect();
+        assert_eq!(said.len(), 2, "{said:?}");
+        assert!(said[0].starts_with("houses/a/room.mgf:1:3: `lib/lamp.mgf` is outside"), "{said:?}");
+        assert!(said[1].starts_with("lib/lamp.mgf:1:3: `lib/part.mgf` is outside"), "{said:?}");
+        assert_eq!(loaded.scene.name, "room");
+    }
+
+    #[test]
+    fn the_scenes_folder_is_the_root_unless_another_is_given_and_nothing_leaves_either() {
+        let place = tree();
+        let scene = place.path().join("houses/a/room.mgf");
+        let error = ScenePath::new(&scene).unwrap().load().unwrap_err().to_string();
+        assert!(error.starts_with("room.mgf:1:3: ") && error.contains("--root"), "{error}");
+        let error = ScenePath::below(&place.path().join("houses"), &scene).unwrap().load().unwrap_err().to_string();
+        assert!(error.starts_with("a/room.mgf:1:3: "), "{error}");
+    }
+
+    #[test]
+    fn a_scene_that_is_not_below_its_root_is_refused() {
+        let place = tree();
+        let error = ScenePath::below(&place.path().join("lib"), &place.path().join("houses/a/room.mgf")).unwrap_err();
+        assert!(matches!(*error.fault, Fault::SceneOutsideRoot { .. }), "{error}");
+        assert!(ScenePath::below(&place.path().join("none"), &place.path().join("houses/a/room.mgf")).is_err());
+    }
+}

@@ -204,3 +204,45 @@ fn ffmpeg_gets_every_frame_where_it_is_on_the_path_and_an_animated_png_stands_in
     assert_eq!(with.status.code(), Some(0), "{}", String::from_utf8_lossy(&with.stderr));
     assert_eq!(std::fs::read(place.path("clip.mp4")).expect("a clip").len(), 3 * 8 * 4 * 3);
 }
+
+#[test]
+fn out_ending_in_png_is_one_tone_mapped_frame_and_leaves_nothing_else() {
+    let place = Place::new();
+    let line = "render fog.mgf --spp 2 --frames 3 --json";
+    let auto = place.run(&format!("{line} -o a.png")).exits(0).json();
+    assert_eq!((auto["files"].clone(), auto["rendered"].as_u64()), (serde_json::json!(["a.png"]), Some(1)));
+    assert_eq!(names(&place.path(".")), ["a.png", "fog.mgf"]);
+    // The same picture as a preview's of the same frame.
+    place.run(&format!("{line} -o b.exr --preview")).exits(0);
+    let pixels = |name: &str| {
+        let bytes = std::fs::read(place.path(name)).expect("a file");
+        femc_film::Picture::from_png(&bytes).expect("a picture")
+    };
+    assert_eq!(pixels("a.png"), pixels("b.png"));
+    let ev = auto["exposure_ev"].as_f64().expect("an exposure value");
+    let fixed = place.run(&format!("{line} -o a.png --exposure {}", ev - 2.0)).exits(0).json();
+    assert_eq!(fixed["rendered"], 1, "another exposure is another picture");
+    let sum = |name: &str| pixels(name).pixels.as_flattened().iter().map(|&byte| u64::from(byte)).sum::<u64>();
+    assert!(sum("a.png") > sum("b.png"), "two stops brighter");
+    let again = place.run(&format!("{line} -o a.png --exposure {}", ev - 2.0)).exits(0).json();
+    assert_eq!((again["rendered"].as_u64(), again["exposure_ev"].as_f64()), (Some(0), fixed["exposure_ev"].as_f64()));
+    assert!((fixed["exposure_ev"].as_f64().expect("a number") - (ev - 2.0)).abs() < 1e-2);
+}
+
+#[test]
+fn an_exposure_without_a_picture_and_a_picture_with_a_clip_are_wrong_usage() {
+    let place = Place::new();
+    for (line, says) in [
+        ("-o a.exr --exposure 3", "give -o NAME.png"),
+        ("-o a.png --video a.gif", "are made of EXR files"),
+        ("-o a.png --exposure bright", "`bright` is no exposure"),
+        ("-o a.png --frames 1..2", "such a name is one"),
+        ("-o a.jpg", "give NAME.exr or NAME.png"),
+    ] {
+        let said = place.run(&format!("render fog.mgf --spp 1 {line}")).exits(2).stderr();
+        assert!(said.contains(says), "{line}: {said}");
+    }
+    let bright =
+        place.run("render fog.mgf --spp 1 --frames 1..2 -o out --preview --exposure -4 --json").exits(0).json();
+    assert_eq!(bright["exposure_ev"].as_f64().map(|ev| (ev * 100.0).round()), Some(-400.0));
+}

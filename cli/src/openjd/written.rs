@@ -62,10 +62,11 @@ impl Written {
     }
 
     fn of(args: RenderArgs) -> Self {
-        let RenderArgs { scene, out, report, fresh, extras, format, settings } = args;
+        let RenderArgs { scene, out, exposure, report, fresh, extras, format, settings } = args;
         let ExtrasArgs { video, preview, contact_sheet } = extras;
         let flags = [
             ("--out", out.is_some()),
+            ("--exposure", exposure.is_some()),
             ("--video", video.is_some()),
             ("--preview", preview),
             ("--contact-sheet", contact_sheet.is_some()),

@@ -3,6 +3,7 @@
 
 mod asked;
 mod duration;
+mod exposure;
 mod frames;
 mod hours;
 mod job_file;
@@ -13,6 +14,7 @@ mod volume;
 
 pub use asked::{Asked, Base, FramesChosen, is_job, load, shown};
 pub use duration::Budget;
+pub use exposure::{Exposure, ev};
 pub use frames::Frames;
 pub use hours::Hours;
 #[cfg(feature = "openjd")]

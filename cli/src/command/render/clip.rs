@@ -5,20 +5,27 @@ use super::report::Report;
 use crate::args::ExtrasArgs;
 use crate::exit::{Failure, failed};
 use crate::output::Say;
-use crate::request::Asked;
+use crate::request::{Asked, Exposure, ev};
 use femc_film::animation::AnimationFormat;
 use femc_film::picture::{NEARLY_SQUARE, sheet_width};
-use femc_film::{Image, Levels, Picture, ToneCurve, contact_sheet, exr, file::write_atomic};
+use femc_film::{Image, Levels, Picture, contact_sheet, exr, file::write_atomic};
 use femc_worker::clip;
 use std::path::{Path, PathBuf};
 
 /// Make it, and enter it in the report.
-pub fn write(asked: &Asked, report: &mut Report, extras: &ExtrasArgs, say: Say) -> Result<(), Failure> {
+pub fn write(
+    asked: &Asked,
+    report: &mut Report,
+    extras: &ExtrasArgs,
+    exposure: Exposure,
+    say: Say,
+) -> Result<(), Failure> {
     let ExtrasArgs { video, preview, contact_sheet: sheet } = extras;
     if report.files.is_empty() || !(*preview || video.is_some() || sheet.is_some()) {
         return Ok(());
     }
-    let curve = exposure(&report.files)?;
+    let curve = exposure.curve(&levels(&report.files)?);
+    report.exposure_ev = Some(ev(curve));
     let show = |path: &String| Ok::<_, Failure>(curve.picture(&image(path)?));
     if *preview {
         for path in &report.files {
@@ -50,13 +57,13 @@ fn image(path: &str) -> Result<Image, Failure> {
     exr::read(Path::new(path)).map(|file| file.image).map_err(failed)
 }
 
-/// One tone curve for all frames, by the rule of a farm's clips.
-fn exposure(files: &[String]) -> Result<ToneCurve, Failure> {
+/// The luminances of all frames: one exposure for all of them, by the rule of a farm's clips.
+fn levels(files: &[String]) -> Result<Levels, Failure> {
     let mut levels = Levels::default();
     for path in files {
         levels.merge(&Levels::of_image(&image(path)?));
     }
-    Ok(ToneCurve::of_levels(&levels))
+    Ok(levels)
 }
 
 /// The clip's file, in a folder that is there; another one than was asked for where there is no ffmpeg.

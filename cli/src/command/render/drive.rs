@@ -1,5 +1,6 @@
 //! Driving the embedded farm: submit or go on, write frames as they finish, stop when told to.
 
+use super::picture;
 use super::report::FrameReport;
 use super::state::State;
 use super::target::Target;
@@ -11,7 +12,7 @@ use crate::command::interrupt::Interrupt;
 use crate::command::subject::{self, Logs};
 use crate::exit::{Failure, failed, interrupted};
 use crate::output::{Progress, Say, job as show};
-use crate::request::Asked;
+use crate::request::{Asked, Exposure};
 use femc_fault::{Point, pass_async};
 use femc_model::{Control, FrameRecord, JobId, JobState};
 use femc_worker::Parcel;
@@ -28,6 +29,8 @@ pub struct Order<'a> {
     pub asked: &'a Asked,
     /// File or folder that the frames are written to.
     pub target: &'a Target,
+    /// Exposure of pictures.
+    pub exposure: Exposure,
     /// All frames asked for.
     pub frames: &'a [u32],
     /// Those that are not there yet.
@@ -156,6 +159,7 @@ impl Order<'_> {
 async fn write(order: &Order<'_>, farm: &Farm, record: &FrameRecord) -> Result<Option<FrameReport>, Failure> {
     let path = order.target.path(record.frame);
     let Some(bytes) = farm.image(record).await? else { return Ok(None) };
+    let bytes = if picture::is_picture(&path) { picture::of_exr(&bytes, order.exposure)? } else { bytes };
     pass_async(Point::RenderBeforeFile).await;
     femc_film::file::write_atomic(&path, &bytes).map_err(failed)?;
     pass_async(Point::RenderAfterFile).await;

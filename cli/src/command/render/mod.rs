@@ -2,6 +2,7 @@
 
 mod clip;
 mod drive;
+mod picture;
 mod report;
 mod report_file;
 pub mod state;
@@ -12,9 +13,9 @@ pub use target::{frame_name, still_name};
 
 use crate::args::{ExtrasArgs, FormatArgs, SettingsArgs};
 use crate::clock::Clock;
-use crate::exit::{Exit, Failure, failed};
+use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Say, human, json};
-use crate::request::Asked;
+use crate::request::{Asked, Exposure};
 use clap::Args;
 use drive::{Made, Order};
 use report::{FrameReport, Report};
@@ -29,6 +30,7 @@ use there::Wanted;
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc render scenes/cornell-fog.mgf -o cornell.exr --spp 64\n  \
+    femc render scenes/cornell-fog.mgf -o cornell.png --exposure 7    # tone-mapped, EV 7 at ISO 100\n  \
     femc render scenes/roundabout.mgf -o drive --frames 1..24 --size 160x90 --spp 8 --video drive.mp4\n  \
     femc render scene.mgf -o out --error 0.02 --set medium.fog.sigma_s=0.05 --json\n  \
     femc render scenes/cornell-fog.mgf -o cornell.exr --report cornell.html    # where the time went\n\n\
@@ -38,9 +40,13 @@ pub struct RenderArgs {
     /// Scene file, or JOB.toml
     #[arg(value_name = "SCENE")]
     pub scene: PathBuf,
-    /// A name ending in .exr: one frame; else a folder for `<scene>.0001.exr` ... [default: by the scene's name]
+    /// A name ending in .exr or .png: one frame; else a folder for `<scene>.0001.exr` ... [default: by the scene's name]
     #[arg(long, short, value_name = "OUT")]
     pub out: Option<PathBuf>,
+    /// Exposure of PNG files and clips: auto (the log-average luminance is middle gray), or an exposure value at ISO 100
+    /// (2^EV / 8 cd/m2 is middle gray; one more is half as bright) [default: auto]
+    #[arg(long, value_name = "auto|EV", allow_hyphen_values = true)]
+    pub exposure: Option<Exposure>,
     /// Write what the tasks took, too: a page if FILE ends in .html (`femc report`), a row an attempt if in .csv, .json or .parquet
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
@@ -62,8 +68,10 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     let report_file = args.report.as_deref().map(ReportFile::to).transpose()?;
     let asked = Asked::open(&args.scene, args.settings, say)?;
     let target = Target::of(args.out.as_deref(), &asked.name(), asked.plan.frames.len())?;
+    check_pictures(&target, &args.extras, args.exposure)?;
+    let exposure = args.exposure.unwrap_or_default();
     let frames = target.frames(&asked, say)?;
-    let wanted = Wanted::new(&asked)?;
+    let wanted = Wanted::new(&asked, exposure)?;
     let mut done: BTreeMap<u32, FrameReport> = if args.fresh {
         BTreeMap::new()
     } else {
@@ -87,6 +95,7 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
         let order = Order {
             asked: &asked,
             target: &target,
+            exposure,
             frames: &frames,
             missing,
             scene: asked.parcel()?,
@@ -101,7 +110,11 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     report.sum(done.into_values().collect());
     report.bad = there::bad_samples(&report.frames);
     report.seconds = Clock.since(begun).as_secs_f64();
-    clip::write(&asked, &mut report, &args.extras, say)?;
+    if let ([file], true) = (report.files.as_slice(), target.is_picture()) {
+        let attributes = picture::attributes(file.as_ref());
+        report.exposure_ev = attributes.and_then(|attributes| attributes.get(picture::EV)?.parse().ok());
+    }
+    clip::write(&asked, &mut report, &args.extras, exposure, say)?;
     report.warn(say);
     if args.format.json {
         json::print(say, &report)?;
@@ -109,6 +122,24 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
         report.print(say);
     }
     Ok(Exit::Done)
+}
+
+/// Pictures are made of EXR files, and only they have an exposure.
+fn check_pictures(target: &Target, extras: &ExtrasArgs, exposure: Option<Exposure>) -> Result<(), Failure> {
+    let ExtrasArgs { video, preview, contact_sheet } = extras;
+    let wants_more = *preview || video.is_some() || contact_sheet.is_some();
+    if target.is_picture() && wants_more {
+        let out = target.display();
+        return Err(usage(format!(
+            "-o {out} is a picture, and --preview, --video and --contact-sheet are made of EXR files; give NAME.exr or a folder"
+        )));
+    }
+    if exposure.is_some() && !target.is_picture() && !wants_more {
+        return Err(usage(
+            "--exposure is of pictures, and EXR files have none; give -o NAME.png, --preview, --video or --contact-sheet",
+        ));
+    }
+    Ok(())
 }
 
 /// Render what is missing, from the state beside the output if there is one of this scene and these settings.

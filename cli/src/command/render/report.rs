@@ -31,6 +31,8 @@ pub struct Report {
     pub bad_samples: u64,
     /// Where they were.
     pub bad: Vec<BadReport>,
+    /// Exposure value of the pictures, where some were made.
+    pub exposure_ev: Option<f64>,
     /// PNG files beside the frames.
     pub previews: Vec<String>,
     /// The clip.
@@ -144,6 +146,9 @@ impl Report {
         let mut line = format!("{what}, {width}x{height} pixels, {} samples a pixel", trimmed(self.spp));
         if let Some(error) = self.relative_error.filter(|error| error.is_finite()) {
             line += &format!(", relative error {}", human::percent(error));
+        }
+        if let Some(ev) = self.exposure_ev {
+            line += &format!(", exposure EV {ev:.1}");
         }
         line += &format!(", {}", human::seconds(self.seconds));
         let kept = self.frames.len() - self.rendered.min(self.frames.len());

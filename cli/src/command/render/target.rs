@@ -1,4 +1,4 @@
-//! Where frames go: OUT ending in `.exr` is one image, anything else a folder of numbered ones.
+//! Where frames go: OUT ending in `.exr` or `.png` is one image, anything else a folder of numbered ones.
 
 use crate::exit::{Failure, usage};
 use crate::output::Say;
@@ -29,16 +29,18 @@ impl Target {
         let shown = out.display();
         let extension = out.extension().map(|e| e.to_string_lossy().to_ascii_lowercase()).unwrap_or_default();
         match extension.as_str() {
-            "exr" if out.is_dir() => Err(usage(format!("-o {shown} is a folder; a name ending in .exr is one image"))),
-            "exr" => Ok(Self::Image(out.to_owned())),
-            "png" | "jpg" | "jpeg" | "hdr" | "tif" | "tiff" => Err(usage(format!(
-                "-o {shown}: frames are written as EXR; give NAME.exr, and --preview for a PNG beside it"
-            ))),
+            "exr" | "png" if out.is_dir() => {
+                Err(usage(format!("-o {shown} is a folder; a name ending in .{extension} is one image")))
+            }
+            "exr" | "png" => Ok(Self::Image(out.to_owned())),
+            "jpg" | "jpeg" | "hdr" | "tif" | "tiff" => {
+                Err(usage(format!("-o {shown}: frames are written as EXR or PNG; give NAME.exr or NAME.png")))
+            }
             "mp4" | "mkv" | "webm" | "mov" | "gif" | "apng" => Err(usage(format!(
                 "-o {shown}: OUT is for the frames; give a folder, and --video {shown} for the clip"
             ))),
             _ if out.is_file() => Err(usage(format!(
-                "-o {shown} is a file that does not end in .exr; give NAME.exr for one frame, or a folder"
+                "-o {shown} is a file that does not end in .exr or .png; give NAME.exr for one frame, or a folder"
             ))),
             _ => Ok(Self::Folder { folder: out.to_owned(), stem: stem.to_owned() }),
         }
@@ -57,7 +59,7 @@ impl Target {
                 Ok(vec![*first])
             }
             (Self::Image(path), [_, _, ..], FramesChosen::Typed) => Err(usage(format!(
-                "-o {}: --frames chooses {} frames, and a name ending in .exr is one; give a folder, or one frame",
+                "-o {}: --frames chooses {} frames, and such a name is one; give a folder, or one frame",
                 path.display(),
                 frames.len()
             ))),
@@ -83,6 +85,11 @@ impl Target {
             }
             Self::Folder { folder, .. } => folder.join(".femc"),
         }
+    }
+
+    /// Whether the frame is written as a picture.
+    pub fn is_picture(&self) -> bool {
+        matches!(self, Self::Image(path) if super::picture::is_picture(path))
     }
 
     /// What the user calls it.
@@ -113,10 +120,11 @@ mod tests {
     }
 
     #[test]
-    fn a_name_ending_in_exr_is_an_image_and_keeps_its_state_beside_it() {
+    fn a_name_ending_in_exr_or_png_is_an_image_and_keeps_its_state_beside_it() {
         let target = of("a/b.exr", 1).expect("a target");
         assert_eq!(target.path(7), Path::new("a/b.exr"));
         assert_eq!(target.state(), Path::new("a/b.exr.femc"));
+        assert!(!target.is_picture() && of("a/b.PNG", 1).is_some_and(|target| target.is_picture()));
     }
 
     #[test]
@@ -136,7 +144,7 @@ mod tests {
 
     #[test]
     fn names_that_promise_another_format_are_refused() {
-        for out in ["a.png", "a.JPG", "clip.mp4", "clip.gif"] {
+        for out in ["a.tif", "a.JPG", "clip.mp4", "clip.gif"] {
             assert_eq!(of(out, 1), None, "{out}");
         }
     }

@@ -1,8 +1,9 @@
 //! Frames that a run before this one finished: known by what their files say of themselves.
 
+use super::picture;
 use super::report::{BadReport, First, FrameReport};
 use crate::exit::{Failure, failed};
-use crate::request::Asked;
+use crate::request::{Asked, Exposure};
 use std::path::Path;
 
 /// What the file of a finished frame says.
@@ -10,24 +11,27 @@ use std::path::Path;
 pub struct Wanted {
     settings: serde_json::Value,
     scene: String,
+    exposure: Exposure,
 }
 
 impl Wanted {
-    /// Of what was asked for.
-    pub fn new(asked: &Asked) -> Result<Self, Failure> {
+    /// Of what was asked for; pictures have this exposure.
+    pub fn new(asked: &Asked, exposure: Exposure) -> Result<Self, Failure> {
         let settings = serde_json::to_value(&asked.settings).map_err(failed)?;
-        Ok(Self { settings, scene: asked.scene().digest().to_string() })
+        Ok(Self { settings, scene: asked.scene().digest().to_string(), exposure })
     }
 
     /// The frame in `path`, if it is there, whole, and of this build of the engine, scene and settings.
     pub fn there(&self, frame: u32, path: &Path) -> Option<FrameReport> {
-        let attributes = femc_film::exr::read_attributes(path).ok()?;
+        let attributes = picture::attributes(path)?;
         let says = |name: &str| attributes.get(&format!("femc:{name}")).map(String::as_str);
+        let is_shown = attributes.get(picture::EXPOSURE).is_none_or(|shown| *shown == self.exposure.to_string());
         let settings: serde_json::Value = serde_json::from_str(says("settings")?).ok()?;
         let same = says("engine") == Some(femc_worker::engine())
             && says("scene") == Some(&self.scene)
             && says("frame")?.parse() == Ok(frame)
-            && settings == self.settings;
+            && settings == self.settings
+            && is_shown;
         if !same {
             return None;
         }
@@ -47,7 +51,7 @@ impl Wanted {
 /// The accounts of all frames that have bad samples, from their files.
 pub fn bad_samples(frames: &[FrameReport]) -> Vec<BadReport> {
     let account_of = |frame: &FrameReport| {
-        let attributes = femc_film::exr::read_attributes(Path::new(&frame.file)).ok()?;
+        let attributes = picture::attributes(Path::new(&frame.file))?;
         account(frame.frame, attributes.get("femc:bad_samples")?)
     };
     frames.iter().filter(|frame| frame.bad_samples > 0).filter_map(account_of).collect()

@@ -1,8 +1,8 @@
 //! The manual's commands do what it says: each page of `docs/` is a script.
 //!
 //! Blocks marked `sh` run in the order of the page, in a folder with a copy of `scenes/` and `deploy/`; those marked
-//! `toml file=NAME` are written there, those marked `python` run where pandas and polars are. Those marked `text` are what a
-//! program says, or, with `by=FILE`, what that test runs. Any command that fails, fails the page.
+//! `toml file=NAME` (or `mgf`, `ies`) are written there, those marked `python` run where pandas and polars are. Those marked
+//! `text` are what a program says, or, with `by=FILE`, what that test runs. Any command that fails, fails the page.
 #![cfg(unix)]
 
 use femc_require::Need;
@@ -81,7 +81,7 @@ fn script(page: &str) -> String {
                     let _ = writeln!(script, "{line}{seen}");
                 }
             }
-            (Some("toml"), Some(file)) => {
+            (Some("toml" | "mgf" | "ies"), Some(file)) => {
                 let _ = write!(script, "cat >{file} <<'END OF FILE'\n{text}END OF FILE\n");
             }
             (Some("text"), None) => {
@@ -153,6 +153,7 @@ pages! {
     statistics: "statistics.md",
     troubleshooting: "troubleshooting.md",
     formats: "formats.md",
+    scenes: "scenes.md",
 }
 
 /// Artifacts are in a bucket under `tests/s3`, else in a folder.

@@ -5,6 +5,7 @@ pub mod brute;
 pub mod fuzz;
 pub mod reference;
 pub mod rng;
+pub mod stress;
 pub mod text;
 
 use femc_film::{Frame, FrameImage};

@@ -2,6 +2,7 @@
 //! it baked in where copies are few or small. What did not change since the previous frame is taken over whole.
 
 use crate::lights::PhotometryTables;
+use crate::twins::{self, Twins};
 use femc_emission::light::{Face, Light};
 use femc_geometry::{Blas, Cull, Facing as KernelFacing, Quadric as KernelShape, ShapeInput, TriangleInput};
 use femc_math::elementary::double::cbrt;
@@ -281,6 +282,7 @@ impl<'a> Compiler<'a> {
     }
 
     fn add_faces(&self, source: &Group, to_local: &DAffine3, out: &mut Output) {
+        let sides = |material: femc_scene::MaterialId| self.now.materials[material.index()].sides;
         for face in source.faces.iter().filter(|f| self.visible(f.object)) {
             let first = face.first_triangle as usize;
             let triangles = &source.triangles[first..first + face.triangle_count as usize];
@@ -293,9 +295,10 @@ impl<'a> Compiler<'a> {
             let pair = if class.emits && !textured { parallelogram(source, triangles) } else { None };
             let shared = pair.map(|[o, a, b]| {
                 let q = to_local.transform_point3(o);
-                let edges = [to_local.transform_vector3(a), to_local.transform_vector3(b)];
-                out.emitters.push(Emitter { shape: EmitterShape::Parallelogram([q, edges[0], edges[1]]), material });
-                out.emitters.len() as u32 - 1
+                let [a, b] = [a, b].map(|edge| to_local.transform_vector3(edge));
+                let corners = [q, q + a, q + b, q + a + b].map(|p| p.as_vec3a());
+                let surface = twins::flat(&corners, a.cross(b).as_vec3a(), sides(face.material));
+                out.emitter(Emitter { shape: EmitterShape::Parallelogram([q, a, b]), material }, surface)
             });
             for triangle in triangles {
                 let corner = triangle.map(|v| source.vertices[v as usize]);
@@ -303,8 +306,13 @@ impl<'a> Compiler<'a> {
                 let emitter = match (shared, class.emits) {
                     (Some(shared), _) => shared,
                     (None, true) => {
-                        out.emitters.push(Emitter { shape: EmitterShape::Triangle(p), material });
-                        out.emitters.len() as u32 - 1
+                        let normal = (p[1] - p[0]).cross(p[2] - p[0]).as_vec3a();
+                        let mut surface = twins::flat(&p.map(|p| p.as_vec3a()), normal, sides(face.material));
+                        if textured {
+                            // Twins may have the texture in different places: each is known by its number, too.
+                            surface.push(out.emitters.len() as u32);
+                        }
+                        out.emitter(Emitter { shape: EmitterShape::Triangle(p), material }, surface)
                     }
                     (None, false) => NONE,
                 };
@@ -329,8 +337,9 @@ impl<'a> Compiler<'a> {
             let shape = transform_shape(&quadric.shape, to_local);
             let material = quadric.material.0;
             let emitter = if class.emits {
-                out.emitters.push(Emitter { shape: EmitterShape::Curved(shape), material });
-                out.emitters.len() as u32 - 1
+                let sides = self.now.materials[quadric.material.index()].sides;
+                let surface = twins::curved(&kernel_shape(&shape), sides);
+                out.emitter(Emitter { shape: EmitterShape::Curved(shape), material }, surface)
             } else {
                 NONE
             };
@@ -379,6 +388,19 @@ struct Output {
     shape_primitives: Vec<Primitive>,
     corners: Vec<Corners>,
     emitters: Vec<Emitter>,
+    twins: Twins,
+}
+
+impl Output {
+    /// Index of the emitter of a surface, which may be a twin of one before.
+    fn emitter(&mut self, emitter: Emitter, surface: Vec<u32>) -> u32 {
+        let fresh = self.emitters.len() as u32;
+        let index = self.twins.emitter(emitter.material, surface, fresh);
+        if index == fresh {
+            self.emitters.push(emitter);
+        }
+        index
+    }
 }
 
 /// Primitives of a group with everything static in it, counted once each.

@@ -418,10 +418,13 @@ fn media(scene: &Scene, now: &Scalars, origin: DVec3, carried: bool) -> Media {
 }
 
 fn phase(phase: &femc_scene::Phase) -> Phase {
+    // What is less than 1 may round to it, where there is no density.
+    let most = 1f32.next_down();
+    let inside = |parameter: f64| (parameter as f32).clamp(-most, most);
     match *phase {
         femc_scene::Phase::Isotropic => Phase::Isotropic,
-        femc_scene::Phase::HenyeyGreenstein { g } => Phase::HenyeyGreenstein { g: g as f32 },
-        femc_scene::Phase::Schlick { k } => Phase::Schlick { k: k as f32 },
+        femc_scene::Phase::HenyeyGreenstein { g } => Phase::HenyeyGreenstein { g: inside(g) },
+        femc_scene::Phase::Schlick { k } => Phase::Schlick { k: inside(k) },
         femc_scene::Phase::Rayleigh => Phase::Rayleigh,
     }
 }

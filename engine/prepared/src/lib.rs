@@ -16,6 +16,7 @@ mod frame;
 pub mod sightings;
 mod source;
 mod surface;
+mod twins;
 
 pub use frame::{FrameSpec, PrepareError, Prepared, find_camera, frame_key, prepare};
 pub use lights::Lights;

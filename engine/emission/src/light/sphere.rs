@@ -2,10 +2,14 @@
 //!
 //! From outside it is sampled uniformly over the cone that it fills, from inside uniformly over all directions. A one-sided
 //! sphere with inward normals is transparent from outside: what is seen there is the far wall's inside.
+//!
+//! A reference point on the sphere itself is rounded to the one side or to the other, which says nothing about what is seen from there.
+//! The far wall is drawn then, uniformly by area; the near wall, of which only a point beside a sphere sees something, is not.
 
 use super::{LightSample, assemble};
 use crate::emission::{Emission, Sides};
 use femc_math::elementary::double::sin_cos;
+use femc_math::gamma;
 use femc_math::glam::{DVec3, Vec3A};
 use std::f64::consts::{PI, TAU};
 
@@ -88,6 +92,9 @@ enum View {
     Cone(OutsideView, Wall),
     /// From inside.
     Inside,
+    /// From the sphere itself, as far as rounding lets that be known: the far wall, whose directions have the density cos / pi about
+    /// this unit vector to the centre.
+    On(DVec3),
 }
 
 impl Sphere {
@@ -107,9 +114,16 @@ impl Sphere {
     }
 
     #[inline]
-    fn view(&self, to_center: DVec3) -> View {
+    fn view(&self, origin: DVec3) -> View {
+        let to_center = self.center - origin;
         let one_sided = self.emission.sides == Sides::One;
-        if let Some(outside) = OutsideView::new(self.radius, to_center) {
+        let distance = to_center.length();
+        // Of a surface point, of the centre and of the radius in single precision.
+        let rounding = origin.abs().max_element() + self.center.abs().max_element() + self.radius;
+        if (distance - self.radius).abs() <= f64::from(gamma(8)) * rounding && distance > 0.5 * self.radius {
+            let faces_away = one_sided && self.facing > 0.0;
+            if faces_away { View::Dark } else { View::On(to_center / distance) }
+        } else if let Some(outside) = OutsideView::new(self.radius, to_center) {
             let wall = if one_sided && self.facing < 0.0 { Wall::Far } else { Wall::Near };
             View::Cone(outside, wall)
         } else if one_sided && self.facing > 0.0 {
@@ -119,12 +133,14 @@ impl Sphere {
         }
     }
 
+    /// Density of a direction, 1/sr.
     #[inline]
-    fn density(view: View) -> f32 {
+    fn density(view: View, dir: DVec3) -> f32 {
         let pdf = match view {
             View::Dark => 0.0,
             View::Cone(outside, _) => outside.density(),
             View::Inside => 0.5 / TAU,
+            View::On(axis) => axis.dot(dir).max(0.0) / PI,
         } as f32;
         if pdf.is_finite() { pdf } else { 0.0 }
     }
@@ -134,7 +150,7 @@ impl Sphere {
     pub fn sample(&self, reference: Vec3A, u: [f32; 2]) -> Option<LightSample> {
         let origin = reference.as_dvec3();
         let to_center = self.center - origin;
-        let view = self.view(to_center);
+        let view = self.view(origin);
         let outward = match view {
             View::Dark => return None,
             View::Cone(outside, wall) => outside.sample_wall(u, wall),
@@ -148,6 +164,14 @@ impl Sphere {
                 let t = along + (self.radius * self.radius - across2).max(0.0).sqrt();
                 ((dir * t - to_center) / self.radius).normalize_or_zero()
             }
+            View::On(axis) => {
+                // Seen from the sphere, equal areas are equal shares of cos / pi; u = 1 is the reference itself.
+                let cos = 1.0 - 2.0 * f64::from(u[0]);
+                let sin = (1.0 - cos * cos).max(0.0).sqrt();
+                let (sin_phi, cos_phi) = sin_cos(TAU * f64::from(u[1]));
+                let (x, y) = axis.any_orthonormal_pair();
+                axis * cos + (x * cos_phi + y * sin_phi) * sin
+            }
         };
         let scale = self.center.as_vec3a().abs() + Vec3A::splat(self.radius as f32);
         assemble(
@@ -155,7 +179,7 @@ impl Sphere {
             self.center + outward * self.radius,
             outward * self.facing,
             scale,
-            |_, _| Self::density(view),
+            |dir, _| Self::density(view, dir),
             |_, cos| self.emission.radiance(cos),
             [f64::from(u[1]), 0.5 * (outward.z + 1.0)],
         )
@@ -163,8 +187,11 @@ impl Sphere {
 
     /// See [`super::Light::pdf`].
     #[inline]
-    pub fn pdf(&self, reference: Vec3A, _position: Vec3A, _normal: Vec3A, _dir: Vec3A) -> f32 {
-        Self::density(self.view(self.center - reference.as_dvec3()))
+    pub fn pdf(&self, reference: Vec3A, position: Vec3A, _normal: Vec3A, dir: Vec3A) -> f32 {
+        let view = self.view(reference.as_dvec3());
+        let dir = dir.as_dvec3();
+        let is_far_wall = || dir.dot(position.as_dvec3() - self.center) > 0.0;
+        if matches!(view, View::On(_)) && !is_far_wall() { 0.0 } else { Self::density(view, dir) }
     }
 
     /// Luminous flux, lm.

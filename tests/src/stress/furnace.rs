@@ -1,0 +1,84 @@
+//! Closed rooms of one radiance: the mean is that radiance, whatever the room.
+
+use super::Line;
+use super::measure::{Case, Effort, all};
+use super::room::{at_luminance, eye, furnace, walls};
+use crate::text::{camera, level, material};
+use std::f64::consts::PI;
+
+/// Standard error that is wanted at this albedo.
+pub fn sigma(albedo: f64) -> f64 {
+    if albedo <= 0.5 { 1e-4 } else { 1e-3 }
+}
+
+pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
+    let mut cases = albedos();
+    cases.extend(luminances());
+    cases.extend(sizes());
+    cases.extend(objects());
+    cases.extend(views());
+    all("furnace", &cases, effort, tell);
+}
+
+fn albedos() -> Vec<Case> {
+    let mut cases: Vec<_> = [0.0, 0.5, 0.9, 0.99]
+        .map(|rd| Case::new(format!("albedo {rd}"), furnace(1.0, 1.0, rd), 1.0).to(sigma(rd)))
+        .into();
+    // A thousand reflections a path: most are ended, the others count for more.
+    cases.push(Case::new("albedo 0.999", furnace(1.0, 1.0, 0.999), 1.0).long());
+    // Nothing absorbs but a black lamp, or a mirror of less than 1: paths end there.
+    let lamp = |rd| material("lamp", &[&at_luminance(1.0, rd)]) + &level("lamp", [0.0, 0.0, 0.7], 0.3);
+    for rd in [0.999, 1.0] {
+        let room = eye(1.0) + &walls(1.0, &at_luminance(1.0, rd));
+        cases.push(Case::new(format!("albedo {rd} and a black lamp"), room + &lamp(0.0), 1.0));
+    }
+    let mirrors = |rs: f64, rd: f64| format!("sides 2\n rs {rs} 0\n rd {rd}\n ed {}", PI * (1.0 - rs - rd));
+    for (rs, rd) in [(0.5, 0.0), (0.2, 0.3), (0.5, 0.49)] {
+        let room = eye(1.0) + &walls(1.0, &mirrors(rs, rd));
+        cases.push(Case::new(format!("mirrors {rs}, diffuse {rd}"), room, 1.0).to(sigma(rs + rd)));
+    }
+    cases
+}
+
+fn luminances() -> Vec<Case> {
+    let of = |l: f64| Case::new(format!("luminance {l:e}"), furnace(1.0, l, 0.5), l).to(1e-3);
+    [1e-10, 1e-5, 1e5, 1e10].map(of).into()
+}
+
+fn sizes() -> Vec<Case> {
+    let of = |half: f64| Case::new(format!("room of {half:e} m"), furnace(half, 1.0, 0.5), 1.0).to(1e-3);
+    [1e-4, 1e-3, 1e-2, 1e2, 1e4, 1e6].map(of).into()
+}
+
+/// What is as bright as the room is invisible in it, of any size, lamp or not.
+fn objects() -> Vec<Case> {
+    let mut cases = Vec::new();
+    for size in [1e-4, 1e-2, 1.0, 1e3] {
+        for half in [2.0, 3e3].into_iter().filter(|&half| half > size * 1.5) {
+            let ball = material("ball", &[&at_luminance(1.0, 0.3)])
+                + &format!("v o =\n p {} {} 0\nm ball\nsph o {size}\n", 0.45 * half, -0.3 * half);
+            let name = format!("lamp of {size:e} m in a room of {half:e} m");
+            cases.push(Case::new(name, furnace(half, 1.0, 0.5) + &ball, 1.0));
+        }
+    }
+    let glass = "m glass =\n c\n sides 1\n ir 1.5 0\n ts 1 0\nm glass\nv o =\n p .6 .3 0\nsph o .3\n";
+    cases.push(Case::new("ball of glass", furnace(1.0, 1.0, 0.5) + glass, 1.0));
+    cases
+}
+
+/// The share of the film that a lamp covers, where the field of view is as narrow or as wide as can be.
+fn views() -> Vec<Case> {
+    let mut cases = Vec::new();
+    for fov in [1e-3f64, 1.0, 90.0, 170.0, 179.0] {
+        // A square at distance 1 as large as half the film's image, and a quarter of it is lit.
+        let half = 0.5 * (0.5 * fov).to_radians().tan();
+        let view = camera("0 0 -1", "0 0 0", fov).replace("up .1 .2 .9", "up 0 1 0").replace("film 8 8", "film 6 6");
+        let text = view + &material("lamp", &[&at_luminance(1.0, 0.0)]) + &level("lamp", [0.0; 3], half);
+        // Rounding of directions, 1e-7, against an image of fov: its borders are that uncertain.
+        let slack = 1e-5 + 2e-7 / half;
+        cases.push(Case::new(format!("lamp in a field of view of {fov} degrees"), text, 0.25).slack(slack));
+        let room = furnace(1.0, 1.0, 0.5).replace("fov 60", &format!("fov {fov}"));
+        cases.push(Case::new(format!("room in a field of view of {fov} degrees"), room, 1.0));
+    }
+    cases
+}

@@ -1,0 +1,64 @@
+//! White furnaces of rough mirrors: what a floor of reflectance 1 sends back of a white sky is the model's own loss by shadowing,
+//! here by quadrature over its microfacets.
+
+use super::Line;
+use super::measure::{Case, Effort, all};
+use super::room::{at_luminance, walls};
+use crate::text::{camera, level, material};
+use std::f64::consts::TAU;
+
+pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
+    let mut cases = Vec::new();
+    for degrees in [0.0f64, 45.0, 85.0] {
+        for alpha in [0.0, 1e-4, 1e-3, 1e-2, 0.1, 0.3, 1.0] {
+            let (sin, cos) = degrees.to_radians().sin_cos();
+            let view = camera(&format!("{} 0 {}", -0.9 * sin, 0.9 * cos), "0 0 0", 0.01);
+            let floor = material("floor", &["sides 2", &format!("rs 1 {alpha}")]) + &level("floor", [0.0; 3], 0.9);
+            let text = view + &walls(1.0, &at_luminance(1.0, 0.0)) + &floor;
+            let name = format!("roughness {alpha:e} seen at {degrees} degrees");
+            cases.push(Case::new(name, text, albedo(cos, alpha)).slack(1e-4));
+        }
+    }
+    all("gloss", &cases, effort, tell);
+}
+
+/// Share of the light from direction `cos` that a GGX mirror reflects: the mean, over microfacet normals of density D cos, of
+/// `G2 (wo . h) / (cos_o cos_h)` where the reflected direction is above the surface (\[heitz2014\]).
+fn albedo(cos: f64, alpha: f64) -> f64 {
+    if alpha == 0.0 {
+        return 1.0;
+    }
+    let a2 = alpha * alpha;
+    let wo = [(1.0 - cos * cos).max(0.0).sqrt(), cos];
+    let lambda = |z: f64| 0.5 * ((1.0 + a2 * (1.0 / (z * z) - 1.0)).sqrt() - 1.0);
+    // Midpoints: the integrand ends in a kink where reflected directions go below.
+    let (rings, spokes) = (600, 400);
+    let mut sum = 0.0;
+    for ring in 0..rings {
+        let u = (f64::from(ring) + 0.5) / f64::from(rings);
+        let cos_h = ((1.0 - u) / (1.0 + (a2 - 1.0) * u)).sqrt();
+        let sin_h = (1.0 - cos_h * cos_h).max(0.0).sqrt();
+        for spoke in 0..spokes {
+            let phi = TAU * (f64::from(spoke) + 0.5) / f64::from(spokes);
+            let d = wo[0] * sin_h * phi.cos() + wo[1] * cos_h;
+            let z = 2.0 * d * cos_h - wo[1];
+            if d > 0.0 && z > 0.0 {
+                sum += d / (wo[1] * cos_h) / (1.0 + lambda(wo[1]) + lambda(z));
+            }
+        }
+    }
+    sum / f64::from(rings * spokes)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::albedo;
+
+    #[test]
+    fn smooth_mirrors_lose_nothing_and_rough_ones_a_third() {
+        assert!((albedo(0.7, 1e-3) - 1.0).abs() < 1e-4);
+        let (normal, grazing) = (albedo(1.0, 1.0), albedo(0.1, 1.0));
+        println!("{normal} {grazing}");
+        assert!(normal > 0.3 && normal < 0.8 && grazing > normal);
+    }
+}

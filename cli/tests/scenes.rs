@@ -108,3 +108,16 @@ fn the_camera_of_a_scene_without_one_is_a_note_of_its_check() {
         "{said}"
     );
 }
+
+#[test]
+fn a_scene_of_many_warnings_says_the_first_and_where_the_others_are() {
+    let place = Place::new();
+    let odd = "c\ncspec 380 780 1 1 1 1 1 1 1 -1\n".repeat(100);
+    place.write("odd.mgf", &(odd + common::FOG));
+    let said = place.run("plan odd.mgf --spp 1 --no-trial").exits(0).stderr();
+    assert_eq!(said.lines().filter(|line| line.contains("has a negative value")).count(), 12, "{said}");
+    assert!(said.contains("88 more warnings; `femc check odd.mgf` groups them"), "{said}");
+    let check = place.run("check odd.mgf").exits(0).stdout();
+    let lines: Vec<&str> = check.lines().filter(|line| line.contains("has a negative value")).collect();
+    assert!(lines.len() == 1 && lines[0].starts_with("odd.mgf:2: warning: 100 (negative-spectrum)"), "{check}");
+}

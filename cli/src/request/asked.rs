@@ -3,7 +3,7 @@
 use super::{JobFile, Size};
 use crate::args::{Filter, Method, SettingsArgs};
 use crate::exit::{Failure, failed, usage};
-use crate::output::Say;
+use crate::output::{Say, human};
 use femc_fault::{Pretense, pretended};
 use femc_import::{Bundle, ImportError, Loaded, ScenePath};
 use femc_pipeline::{Plan, PlanError, PrepareError, Settings, SettingsError, Source, Stop};
@@ -56,6 +56,8 @@ pub struct Base {
     source: Source,
 }
 
+/// Warnings of the import that are shown one by one; `femc check` has all.
+const WARNINGS: usize = 12;
 /// Frames a second of a clip of a scene that does not say.
 const DEFAULT_RATE: f64 = 24.0;
 
@@ -66,8 +68,12 @@ impl Base {
     /// Import the scene at `path`, whose files are below `root` (`None`: below its folder). Warnings go to stderr.
     pub fn open(path: &Path, root: Option<&Path>, say: Say) -> Result<Self, Failure> {
         let (place, loaded) = load(path, root)?;
-        for warning in &loaded.warnings {
+        for warning in loaded.warnings.iter().take(WARNINGS) {
             say.note(format!("warning: {}", shown(&place, warning)));
+        }
+        if let more @ 1.. = loaded.warnings.len().saturating_sub(WARNINGS) {
+            let more = human::count(more as u64, "more warning");
+            say.note(format!("warning: {more}; `femc check {}` groups them", path.display()));
         }
         for note in &loaded.notes {
             say.note(format!("note: {}", shown(&place, note)));

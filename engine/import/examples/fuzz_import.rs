@@ -1,4 +1,4 @@
-//! Mutates a built-in corpus of scenes and photometric files and imports the results; a panic is a finding.
+//! Mutates a built-in corpus of scenes and photometric files, imports, checks and surveys the results; a panic is a finding.
 //!
 //! `cargo run --release -p femc-import --example fuzz_import -- --seconds 600 --seed 1`
 
@@ -35,7 +35,13 @@ fn main() {
         let mut rng = Rng::new(seed.wrapping_add(runs));
         let bundle = Bundle(mutate(&mut rng));
         let began = Instant::now();
-        match catch_unwind(AssertUnwindSafe(|| load(&bundle, "t.mgf").map(|_| ()))) {
+        let look = |bundle: &Bundle| {
+            let scene = load(bundle, "t.mgf")?.scene;
+            let _faults = femc_scene::check(&scene);
+            let _survey = femc_scene::survey(&scene, &|_| 1.0);
+            Ok::<(), femc_import::ImportError>(())
+        };
+        match catch_unwind(AssertUnwindSafe(|| look(&bundle))) {
             Ok(result) => accepted += u64::from(result.is_ok()),
             Err(_) => findings.push(seed.wrapping_add(runs)),
         }

@@ -29,6 +29,8 @@ fn check(scene: &Scene) {
         }
     }
     assert!(scene.paths.iter().all(|path| !path.keys.is_empty()));
+    let places = scene.cameras.iter().flat_map(|camera| [camera.origin, camera.target]);
+    assert!(places.into_iter().all(|place| place.is_finite()), "{:?}", scene.cameras);
 }
 
 fn import(bundle: &Bundle) {

@@ -16,6 +16,8 @@ const LEAK: f64 = 0.2;
 const FOV: f64 = 60.0;
 /// Film, pixels.
 const FILM: [u32; 2] = [640, 480];
+/// Radius of a scene that is one point, m.
+const POINT: f64 = 1.0;
 /// How far from the middle of a room to its corner the eye is.
 const TO_CORNER: f64 = 0.8;
 /// Directions to corners in the order of preference, x right, y away, z up.
@@ -39,7 +41,8 @@ pub enum Standpoint {
     Outside,
 }
 
-/// The camera `default` of a scene at the start of its clip; `None` for a scene with nothing in it to look at.
+/// The camera `default` of a scene at the start of its clip; `None` for a scene with nothing in it to look at, or too
+/// large to be looked at.
 pub fn default_camera(scene: &Scene) -> Option<(Camera, Standpoint)> {
     let scope = Scope::new(scene);
     let bounds = subject(&scope)?;
@@ -49,6 +52,10 @@ pub fn default_camera(scene: &Scene) -> Option<(Camera, Standpoint)> {
         Reached { closed: true, places } => (inside(&scope, &bounds, &places), Standpoint::Inside),
         Reached { closed: false, places } => (outside(&scope, &bounds, &places), Standpoint::Outside),
     };
+    // Coordinates beyond all measure leave no room for a view.
+    if !origin.is_finite() || (target - origin).try_normalize().is_none() {
+        return None;
+    }
     let camera = Camera {
         name: "default".to_owned(),
         location: Location::default(),
@@ -134,7 +141,8 @@ fn inside(scope: &Scope<'_>, bounds: &Bounds, places: &[DVec3]) -> DVec3 {
 fn outside(scope: &Scope<'_>, bounds: &Bounds, places: &[DVec3]) -> DVec3 {
     let (middle, half) = (bounds.middle(), 0.5 * (bounds.max - bounds.min));
     // The box's sphere fits into a cone of 60 degrees at twice its radius.
-    let radius = half.length().max(f64::MIN_POSITIVE);
+    let radius = half.length();
+    let radius = if radius > 1e-9 * middle.length() { radius } else { POINT };
     // A flat box has no height to look down from.
     let flat = half.max(DVec3::splat(0.3 * radius));
     let corners = CORNERS.map(|sign| middle + 2.0 * radius * (flat * DVec3::from_array(sign)).normalize());

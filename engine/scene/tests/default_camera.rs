@@ -75,6 +75,10 @@ fn a_scene_with_a_camera_keeps_it_and_an_empty_one_gets_none() {
     assert!(own.scene.cameras.len() == 1 && own.scene.cameras[0].name == "main" && own.notes.is_empty());
     let empty = loaded("m wall =\nrd .5\n");
     assert!(empty.scene.cameras.is_empty() && empty.notes.is_empty());
+    let point = loaded("medium gas =\nglow 1\nmbox gas 3 4 5 3.1 4.1 5.1\n").scene;
+    assert!(point.cameras[0].target.abs_diff_eq(DVec3::new(3.05, 4.05, 5.05), 1e-9), "of media alone their boxes");
+    let huge = loaded("m wall =\nrd .5\nv a =\np 1e300 0 0\nsph a 1e300\n");
+    assert!(huge.scene.cameras.is_empty(), "beyond all measure: {:?}", huge.scene.cameras);
     let lamps = loaded(&lamp("3 4 5"));
     assert!(lamps.scene.cameras[0].target.abs_diff_eq(DVec3::new(3.0, 4.0, 5.0), 1e-9), "of lamps alone the lamps");
 }

@@ -2,7 +2,6 @@
 
 use femc_film::exr::read;
 use femc_film::{FrameImage, Image};
-use femc_math::color::LUMINANCE_WEIGHTS;
 use femc_scene::Scene;
 use femc_stats::testing::{sidak, z_test};
 use std::path::{Path, PathBuf};
@@ -135,16 +134,34 @@ impl Reference {
         blocks
     }
 
-    /// The sum of all pixels' luminances; the image's variance is an upper bound, of channels that vary as one.
+    /// The sum of all pixels' luminances.
     fn luminance(&self, image: &FrameImage) -> Difference {
         let mut sum = Difference::default();
         for at in 0..image.color.pixels.len() {
-            let deviations = image.variance[at].iter().zip(LUMINANCE_WEIGHTS.to_array());
-            let deviation: f64 = deviations.map(|(variance, weight)| f64::from(variance.sqrt() * weight)).sum();
-            let found = (f64::from(image.color.luminance(at)), deviation * deviation);
+            let found = (f64::from(image.color.luminance(at)), f64::from(image.luminance_variance[at]));
             sum.add(found, self.estimate(|half| f64::from(half.luminance(at))));
         }
         sum
+    }
+
+    /// Mean luminance of all pixels, cd/m2, and its variance.
+    pub fn mean_luminance(&self) -> (f64, f64) {
+        self.block_luminance(0..self.halves[0].pixels.len())
+    }
+
+    /// Mean luminance of these pixels, cd/m2, and its variance.
+    pub fn block_luminance(&self, pixels: impl Iterator<Item = usize>) -> (f64, f64) {
+        let (mut sum, mut variance, mut count) = (0.0, 0.0, 0.0);
+        for at in pixels {
+            let one = self.estimate(|half| f64::from(half.luminance(at)));
+            (sum, variance, count) = (sum + one.0, variance + one.1, count + 1.0);
+        }
+        (sum / count, variance / (count * count))
+    }
+
+    /// The relmse that an image claims of itself, with the reference in the denominator.
+    pub fn claimed(&self, image: &FrameImage) -> f64 {
+        self.mean_of_channels(|mean, _, at, c| f64::from(image.variance[at][c]) / (mean * mean + DARK))
     }
 }
 

@@ -56,6 +56,7 @@ fn role(role: &engine::Role) -> Role {
         engine::Role::Sums => Role::Sums,
         engine::Role::Pixels => Role::Pixels,
         engine::Role::Errors => Role::Errors,
+        engine::Role::Stops => Role::Stops,
         engine::Role::Image => Role::Image,
         engine::Role::Preview => Role::Preview,
     }

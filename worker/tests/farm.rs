@@ -237,7 +237,8 @@ async fn a_frame_goes_on_round_by_round_until_its_error_is_reached() {
     let status = until(&client, id, |_| false).await;
     assert_eq!(status.state, JobState::Done, "{status:?}");
     let frames = client.frames(id).await.unwrap();
-    assert!(frames.iter().all(|frame| frame.relative_error.unwrap() <= 0.03), "{frames:?}");
+    // What decides is a careful bound by one half; what is claimed is an estimate by both.
+    assert!(frames.iter().all(|frame| frame.relative_error.unwrap() <= 1.2 * 0.03), "{frames:?}");
     assert!(frames.iter().any(|frame| frame.spp > 16), "more than one round: {frames:?}");
     workers.iter().for_each(JoinHandle::abort);
     farm.stop().await.unwrap();
@@ -273,7 +274,7 @@ fn tiles(bytes: &[u8]) -> Vec<Vec<([f32; 3], u32)>> {
 }
 
 /// Samples a pixel of each tile of the first frame, by what was noted of the attempts at its tasks.
-async fn counted(client: &Client, job: JobId) -> Vec<u32> {
+async fn drawn(client: &Client, job: JobId) -> Vec<u32> {
     let (shape, attempts) = client.attempts(job).await.unwrap();
     let (number, template) = shape.spec.graph.main().unwrap();
     let mut counts = vec![0; 6];
@@ -298,7 +299,7 @@ fn halves(stop: Stop, fan: u32) -> (JobSpec, Vec<u8>) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn calm_tiles_get_fewer_samples_and_the_frame_is_the_same_whoever_renders_it_in_whatever_parts() {
-    let stop = Stop::Error(0.02);
+    let stop = Stop::Error(0.012);
     let mut all = Vec::new();
     // One worker; three, of which one vanishes when a round is over; grains of few samples, in groups of two tiles.
     for (workers, fan, grain) in [(1, 256, 1_u64 << 15), (3, 256, 1 << 15), (3, 2, 1 << 9)] {
@@ -318,7 +319,9 @@ async fn calm_tiles_get_fewer_samples_and_the_frame_is_the_same_whoever_renders_
         let frame = &client.frames(id).await.unwrap()[0];
         let found = tiles(&image(&client, frame).await);
         let counts: Vec<u32> = found.iter().map(|tile| tile[0].1).collect();
-        assert_eq!(counted(&client, id).await, counts, "the statistics know each task's tile");
+        let drawn = drawn(&client, id).await;
+        let is_held = |tile: usize| drawn[tile] != counts[tile];
+        assert!((0..6).all(|tile| drawn[tile] >= counts[tile]), "the statistics know each task's tile");
         if all.len() == 1 {
             assert!(found.iter().zip(&counts).all(|(tile, count)| tile.iter().all(|pixel| pixel.1 == *count)));
             // The wall alone, and the rest; a tile at the wall's edge is of either kind.
@@ -329,7 +332,7 @@ async fn calm_tiles_get_fewer_samples_and_the_frame_is_the_same_whoever_renders_
                 let even = submit(&client, halves(Stop::Spp(spp), fan)).await;
                 until(&client, even, |_| false).await;
                 let even = tiles(&image(&client, &client.frames(even).await.unwrap()[0]).await);
-                let same = (0..6).filter(|&tile| counts[tile] == spp);
+                let same = (0..6).filter(|&tile| counts[tile] == spp && !is_held(tile));
                 same.for_each(|tile| assert!(found[tile] == even[tile], "tile {tile} of {spp} samples"));
             }
         }

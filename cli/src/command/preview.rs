@@ -80,7 +80,7 @@ impl Partial {
             frame: self.frame,
             seconds: 0.0,
             spp: image.mean_spp(),
-            relative_error: image.error().worst,
+            error: image.error(),
             bad: self.bad(),
         };
         femc_film::file::write_atomic(path, &exr::encode(&image, &provenance).map_err(failed)?).map_err(failed)

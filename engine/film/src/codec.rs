@@ -3,10 +3,11 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCTILE`; of a thumbnail, whose pixels have the samples of a block, `FEMCTHMB` |
-//! | 4 | format version, 2 |
+//! | 4 | format version, 3 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 4 x 4 | x, y, width, height |
 //! | 4 + 8 n | number of sample ranges; start and end of each |
+//! | 2 x 4 | for each half the sample from which on it is held, 2^32 - 1: none |
 //! | 4 x 8 + 5 x 4 | bad samples: count of each kind; whether there is a first one, its row, column, sample and kind |
 //! | rest | zstd frame of the sums |
 //!
@@ -15,17 +16,19 @@
 //! fixed by the header, so a wrong length is refused.
 
 use crate::thumbnail::BLOCK;
-use crate::tile::{MAX_TILE_PIXELS, PixelSums};
+use crate::tile::{HALVES, MAX_TILE_PIXELS, PixelSums};
 use crate::{BadKind, BadSample, BadSamples, FilmError, Rect, SampleRange, Tile, Tiling};
+use femc_math::sampler::REPLICATES;
 use femc_stats::ExactSum;
 use std::ops::Range;
 
 const MAGIC: &[u8; 8] = b"FEMCTILE";
 const THUMBNAIL: &[u8; 8] = b"FEMCTHMB";
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
-const PIXEL_BYTES: usize = 10 * 16 + 3 * 8 + 3 * 4;
+const WIDE: usize = 3 * HALVES + REPLICATES + 1;
+const PIXEL_BYTES: usize = 16 * WIDE + 3 * 8 + 4 * (1 + HALVES + REPLICATES + HALVES);
 /// A tile is cut into fewer sample ranges than this.
 const MAX_RANGES: u32 = 1 << 16;
 /// Fast, and what remains after the byte planes is noise.
@@ -57,7 +60,10 @@ impl Tile {
         let mut word = |w: u32| out.extend_from_slice(&w.to_le_bytes());
         let Rect { x, y, width, height } = self.rect;
         [x, y, width, height].into_iter().for_each(&mut word);
-        put_account(&self.ranges, &self.bad, &mut word);
+        word(self.ranges.len() as u32);
+        self.ranges.iter().flat_map(|range| [range.start, range.end]).for_each(&mut word);
+        self.ends.into_iter().for_each(&mut word);
+        put_bad(&self.bad, word);
         finish(out, &to_planes(&self.pixels, to_bytes))
     }
 
@@ -67,13 +73,17 @@ impl Tile {
         let [x, y, width, height] = reader.words()?;
         let rect = Rect { x, y, width, height }.check(MAX_TILE_PIXELS)?;
         let ranges = reader.ranges()?;
+        let ends = reader.words()?;
         let bad = reader.bad(rect)?;
         let pixels = reader.planes(rect.area() as usize, from_bytes)?;
         let most = ranges.iter().map(|r| u64::from(r.len())).sum::<u64>() * u64::from(area);
-        if pixels.iter().any(|p| p.hits > p.samples() || u64::from(p.samples()) > most) {
+        if pixels.iter().any(|p| p.hits > p.samples() || p.counted() > p.samples() || u64::from(p.samples()) > most) {
             return Err(FilmError::Corrupt("more samples than its ranges hold"));
         }
-        Ok(Self { rect, ranges, pixels, bad })
+        if pixels.iter().flat_map(|p| p.peak).any(|peak| !(0.0..=f32::MAX).contains(&peak)) {
+            return Err(FilmError::Corrupt("impossible luminances"));
+        }
+        Ok(Self { rect, ranges, ends, pixels, bad })
     }
 }
 
@@ -83,13 +93,6 @@ pub(crate) fn begin(magic: &[u8; 8], version: u32) -> Vec<u8> {
     out.extend_from_slice(&version.to_le_bytes());
     out.extend_from_slice(&[0; CHECKSUM]);
     out
-}
-
-/// Sample ranges and bad samples, as words.
-pub(crate) fn put_account(ranges: &[SampleRange], bad: &BadSamples, mut word: impl FnMut(u32)) {
-    word(ranges.len() as u32);
-    ranges.iter().flat_map(|r| [r.start, r.end]).for_each(&mut word);
-    put_bad(bad, word);
 }
 
 /// Bad samples, as words.
@@ -220,12 +223,11 @@ fn to_bytes(p: &PixelSums) -> [u8; PIXEL_BYTES] {
         bytes[at..at + field.len()].copy_from_slice(field);
         at += field.len();
     };
-    p.color.as_flattened().iter().for_each(|s| put(&s.units().to_le_bytes()));
-    p.square.iter().for_each(|s| put(&s.units().to_le_bytes()));
+    p.color.as_flattened().iter().chain(&p.luminance).for_each(|sum| put(&sum.units().to_le_bytes()));
     put(&p.depth.units().to_le_bytes());
-    p.albedo.iter().for_each(|s| put(&s.to_le_bytes()));
-    put(&p.hits.to_le_bytes());
-    p.count.iter().for_each(|n| put(&n.to_le_bytes()));
+    p.albedo.iter().for_each(|sum| put(&sum.to_le_bytes()));
+    [p.hits].iter().chain(&p.count).chain(&p.drawn).for_each(|count| put(&count.to_le_bytes()));
+    p.peak.iter().for_each(|peak| put(&peak.to_le_bytes()));
     bytes
 }
 
@@ -234,14 +236,18 @@ fn from_bytes(bytes: &[u8; PIXEL_BYTES]) -> PixelSums {
         std::array::from_fn(|i| bytes[at + i])
     }
     let wide = |i: usize| u128::from_le_bytes(field(bytes, 16 * i));
-    let tail = 10 * 16;
+    let sum = |i: usize| ExactSum::from_units(wide(i));
+    let albedo = 16 * WIDE;
+    let word = |i: usize| u32::from_le_bytes(field(bytes, albedo + 3 * 8 + 4 * i));
     PixelSums {
-        color: [[0, 1, 2], [3, 4, 5]].map(|three| three.map(|i| ExactSum::from_units(wide(i)))),
-        square: [6, 7, 8].map(|i| ExactSum::from_units(wide(i))),
-        depth: ExactSum::from_units(wide(9)),
-        albedo: [0, 1, 2].map(|i| u64::from_le_bytes(field(bytes, tail + 8 * i))),
-        hits: u32::from_le_bytes(field(bytes, tail + 24)),
-        count: [28, 32].map(|at| u32::from_le_bytes(field(bytes, tail + at))),
+        color: std::array::from_fn(|half| std::array::from_fn(|channel| sum(3 * half + channel))),
+        luminance: std::array::from_fn(|replicate| sum(3 * HALVES + replicate)),
+        depth: ExactSum::from_units(wide(WIDE - 1)),
+        albedo: [0, 1, 2].map(|i| u64::from_le_bytes(field(bytes, albedo + 8 * i))),
+        hits: word(0),
+        count: std::array::from_fn(|half| word(1 + half)),
+        drawn: std::array::from_fn(|replicate| word(1 + HALVES + replicate)),
+        peak: std::array::from_fn(|half| f32::from_bits(word(1 + HALVES + REPLICATES + half))),
     }
 }
 

@@ -1,8 +1,11 @@
 //! How far an image is from converged, by its own account.
 //!
-//! The measure is taken over blocks of 16 x 16 pixels, because the variance of a single pixel is too noisy to stop by. The
-//! account is from the same samples as the image: where a rare bright path has not been met yet, neither knows of it, and
-//! stopping by it favors images that are too dark there.
+//! The measure is taken over blocks of 16 x 16 pixels, because the variance of a single pixel is too noisy to tell anything. The
+//! variance of a block's mean is estimated by the differences of its pixels' halves, which are independent ([`crate::tile`]): the
+//! estimate is unbiased, whatever the stratification. Nothing is added to it here; what further samples are decided by is more careful
+//! ([`crate::errors`]).
+//!
+//! A block whose samples have all been black is **unlit**: nothing is known of its error but that no light was met.
 
 use crate::piece::Pixel;
 use crate::{FrameImage, Rect};
@@ -10,39 +13,66 @@ use femc_math::color::LUMINANCE_WEIGHTS;
 
 /// Edge of a block, pixels.
 pub const BLOCK: u32 = 16;
-/// Half width of a 95 % interval in standard errors.
-const Z_95: f64 = 1.959_963_984_540_054;
+/// Half width of a 95 % interval in standard errors, of a normal number whose variance is known.
+pub(crate) const Z_95: f64 = 1.959_963_984_540_054;
 /// Blocks darker than this share of the image's mean luminance are measured against it.
-const FLOOR: f64 = 0.01;
+pub(crate) const FLOOR: f64 = 0.01;
 
-/// What the error of a block of pixels is made of, cd/m2 times pixels.
+/// What the error of a block of pixels is made of.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Block {
     /// The pixels.
     pub rect: Rect,
-    /// Sum of their luminances.
+    /// Sum of their luminances, cd/m2 times pixels.
     pub sum: f64,
-    /// Standard error of that sum; infinite when a pixel has fewer than two samples.
-    pub deviation: f64,
+    /// Estimated variance of that sum; infinite when a pixel has fewer than two samples.
+    pub variance: f64,
+    /// Degrees of freedom of the estimate: about the number of pixels where they are alike, 3 where one of them has all the variance.
+    pub freedom: f64,
 }
 
 impl Block {
     /// Of the pixels of `rect`.
     pub(crate) fn of(rect: Rect, pixels: impl Iterator<Item = Pixel>) -> Self {
-        let (mut sum, mut variance) = (0.0, 0.0);
-        for Pixel { color, variance: of_color, samples, .. } in pixels {
+        let (mut sum, mut variance, mut squares) = (0.0, 0.0, 0.0);
+        for Pixel { color, luminance_variance, samples, .. } in pixels {
+            let one = if samples < 2 { f64::INFINITY } else { f64::from(luminance_variance) };
             sum += luminance(color.map(f64::from));
-            variance += if samples < 2 { f64::INFINITY } else { luminance_variance(of_color) };
+            variance += one;
+            squares += one * one;
         }
-        Self { rect, sum, deviation: f64::sqrt(variance) }
+        Self { rect, sum, variance, freedom: freedom(variance, squares) }
     }
 
     /// Half width of the 95 % confidence interval of the mean luminance, relative to that mean, or to `floor` where that is
-    /// larger.
-    pub fn relative(&self, floor: f64) -> f64 {
+    /// larger; `None`: the block is unlit.
+    pub fn relative(&self, floor: f64) -> Option<f64> {
         let n = self.rect.area() as f64;
-        if self.deviation == 0.0 { 0.0 } else { Z_95 * self.deviation / n / (self.sum / n).max(floor) }
+        let half_width = || student_95(self.freedom) * self.variance.sqrt() / n;
+        if self.variance.is_infinite() {
+            Some(f64::INFINITY)
+        } else {
+            (self.sum > 0.0).then(|| half_width() / (self.sum / n).max(floor))
+        }
     }
+}
+
+/// Degrees of freedom of a sum of squares of normal numbers (\[satterthwaite1946\]), each of one degree, from the sum and the sum of
+/// their squares, a third of whose mean is that of the squared variances. From 3 on.
+pub(crate) fn freedom(sum: f64, squares: f64) -> f64 {
+    if squares > 0.0 && squares.is_finite() { 3.0 * sum * sum / squares } else { f64::INFINITY }
+}
+
+/// The 97.5 % quantile of Student's distribution by its expansion about the normal one (\[abramowitz1964\], 26.7.5); within 1 % from 3
+/// degrees of freedom on.
+fn student_95(freedom: f64) -> f64 {
+    let z = Z_95;
+    let terms = [
+        (z.powi(3) + z) / 4.0,
+        (5.0 * z.powi(5) + 16.0 * z.powi(3) + 3.0 * z) / 96.0,
+        (3.0 * z.powi(7) + 19.0 * z.powi(5) + 17.0 * z.powi(3) - 15.0 * z) / 384.0,
+    ];
+    terms.iter().rev().fold(0.0, |rest, term| (rest + term) / freedom) + z
 }
 
 /// The blocks of a rectangle, row by row from its corner; those at its right and lower border may be cut.
@@ -64,28 +94,26 @@ pub(crate) fn luminance(color: [f64; 3]) -> f64 {
     color.iter().zip(LUMINANCE_WEIGHTS.to_array()).map(|(value, weight)| f64::from(weight) * value).sum()
 }
 
-/// Upper bound, met where the channels vary together: the standard deviation of a sum is at most the sum of them.
-fn luminance_variance(variance: [f32; 3]) -> f64 {
-    luminance(variance.map(|value| f64::from(value).sqrt())).powi(2)
-}
-
 /// Error of one block.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct BlockError {
     /// The pixels.
     pub rect: Rect,
     /// Half width of the 95 % confidence interval of the block's mean luminance, relative to that mean (or to 1 % of the
-    /// image's mean where that is larger). Infinite when a pixel of the block has fewer than two samples.
-    pub relative: f64,
+    /// image's mean where that is larger). Infinite when a pixel of the block has fewer than two samples; `None`: no sample has met
+    /// light.
+    pub relative: Option<f64>,
 }
 
 /// Error of a frame.
-#[derive(Clone, Debug, PartialEq)]
+#[derive(Clone, Debug, Default, PartialEq)]
 pub struct FrameError {
     /// Largest relative error of a block: the frame has converged to it at 95 % confidence, each block.
     pub worst: f64,
-    /// Mean relative error of the blocks.
+    /// Mean relative error of the lit blocks.
     pub mean: f64,
+    /// Blocks none of whose samples has met light: they have no part in the other numbers.
+    pub unlit: usize,
     /// Luminance that darker blocks are measured against: 1 % of the frame's mean, cd/m2.
     pub floor: f64,
     /// The blocks, row by row.
@@ -93,16 +121,17 @@ pub struct FrameError {
 }
 
 impl FrameError {
-    /// Of all blocks of a frame, in any order. A black frame has error 0.
+    /// Of all blocks of a frame, in any order. A black frame has error 0 and only unlit blocks.
     pub fn of(mut blocks: Vec<Block>) -> Self {
         blocks.sort_unstable_by_key(|block| (block.rect.y, block.rect.x));
         let pixels: u64 = blocks.iter().map(|block| block.rect.area()).sum();
         let floor = FLOOR * blocks.iter().map(|block| block.sum).sum::<f64>() / pixels.max(1) as f64;
         let error = |block: &Block| BlockError { rect: block.rect, relative: block.relative(floor) };
         let blocks: Vec<BlockError> = blocks.iter().map(error).collect();
-        let worst = blocks.iter().map(|b| b.relative).fold(0.0, f64::max);
-        let mean = blocks.iter().map(|b| b.relative).sum::<f64>() / blocks.len().max(1) as f64;
-        Self { worst, mean, floor, blocks }
+        let lit = || blocks.iter().filter_map(|block| block.relative);
+        let worst = lit().fold(0.0, f64::max);
+        let mean = lit().sum::<f64>() / lit().count().max(1) as f64;
+        Self { worst, mean, unlit: blocks.len() - lit().count(), floor, blocks }
     }
 }
 
@@ -125,46 +154,59 @@ mod tests {
         let count = (width * height) as usize;
         FrameImage {
             color: Image::filled(width, height, [value; 3]),
-            variance: vec![[variance; 3]; count],
-            albedo: vec![[0.0; 3]; count],
-            depth: vec![0.0; count],
+            luminance_variance: vec![variance; count],
             samples: vec![4; count],
+            ..FrameImage::black(width, height)
         }
     }
 
     #[test]
+    fn students_quantiles_are_those_of_the_tables() {
+        for (freedom, quantile) in [(3.0, 3.182), (5.0, 2.571), (10.0, 2.228), (30.0, 2.042), (1000.0, 1.962)] {
+            assert!((student_95(freedom) / quantile - 1.0).abs() < 0.01, "{freedom}: {}", student_95(freedom));
+        }
+        assert_eq!(student_95(f64::INFINITY), Z_95);
+    }
+
+    #[test]
     fn the_error_of_a_gray_block_is_its_standard_error_by_hand() {
-        // 256 pixels of variance 0.01: the block's mean has the standard error 0.1 / 16.
+        // 256 pixels of variance 0.01: the block's mean has the standard error 0.1 / 16. Equal squares have three times the freedom.
         let error = gray(16, 16, 2.0, 0.01).error();
-        assert!((error.worst - 1.959_964 * 0.00625 / 2.0).abs() < 1e-7, "{error:?}");
+        assert!((error.worst - student_95(768.0) * 0.00625 / 2.0).abs() < 1e-7, "{error:?}");
         assert_eq!((error.blocks.len(), error.worst), (1, error.mean));
+        let mut image = gray(16, 16, 2.0, 0.0);
+        image.luminance_variance[9] = 2.56;
+        assert!((image.error().worst - student_95(3.0) * 0.00625 / 2.0).abs() < 1e-7, "one pixel has all the variance");
     }
 
     #[test]
     fn blocks_at_the_border_are_smaller_and_the_worst_one_decides() {
         let mut image = gray(40, 20, 1.0, 1e-4);
-        image.variance[20 * 40 - 1] = [1.0; 3];
+        image.luminance_variance[20 * 40 - 1] = 1.0;
         let error = image.error();
         assert_eq!(error.blocks.len(), 6);
         assert_eq!(error.blocks[5].rect, Rect { x: 32, y: 16, width: 8, height: 4 });
-        assert_eq!(error.worst, error.blocks[5].relative);
+        assert_eq!(Some(error.worst), error.blocks[5].relative);
         assert!(error.mean < error.worst);
     }
 
     #[test]
-    fn dark_blocks_are_measured_against_a_hundredth_of_the_mean() {
+    fn dark_blocks_are_measured_against_a_hundredth_of_the_mean_and_black_ones_are_unlit() {
         let mut image = gray(32, 16, 1.0, 0.0);
         for (x, y) in (Rect { x: 16, y: 0, width: 16, height: 16 }).pixels() {
             image.color.pixels[(y * 32 + x) as usize] = [0.0; 3];
-            image.variance[(y * 32 + x) as usize] = [0.01; 3];
+            image.luminance_variance[(y * 32 + x) as usize] = 0.01;
         }
-        assert!((image.error().worst - 1.959_964 * 0.00625 / 0.005).abs() < 1e-4);
+        let error = image.error();
+        assert_eq!((error.unlit, error.worst, error.blocks[1].relative), (1, 0.0, None));
+        image.color.pixels[16] = [1e-6; 3];
+        assert!((image.error().worst - student_95(768.0) * 0.00625 / 0.005).abs() < 1e-4);
     }
 
     #[test]
-    fn a_single_sample_is_not_convergence_and_black_without_variance_is() {
+    fn a_single_sample_is_not_convergence_and_black_is_unlit() {
         let mut image = gray(16, 16, 0.0, 0.0);
-        assert_eq!(image.error().worst, 0.0);
+        assert_eq!((image.error().worst, image.error().unlit), (0.0, 1));
         image.samples[77] = 1;
         assert_eq!(image.error().worst, f64::INFINITY);
     }

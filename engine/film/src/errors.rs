@@ -1,30 +1,42 @@
-//! How far the tiles of a frame are from converged: all that decides on their further samples, without their pixels.
+//! What decides on the further samples of a frame's tiles, without their pixels.
 //!
-//! [`Errors`] hold of each tile its samples, its bad samples, and of each block of 16 x 16 pixels what its error is made of.
+//! [`Errors`] hold of each tile its samples, its bad samples, where its halves end, and of each block of 16 x 16 pixels what its error
+//! is made of ([`Block`]) and, for each half of the samples, a bound of the variance of the block ([`HalfBlock`]).
+//!
+//! The bound is careful where an estimate is not enough. A variance estimated by few pixels, or by many of which a few have most of
+//! it, is itself uncertain: a multiple of its own standard error is added. And light that is rare may not have been met: the
+//! bound is at least what [`UNSEEN`] events as bright as the brightest sample would bring, for so many may be missed at 95 %
+//! confidence.
+//!
 //! Blocks begin at each tile's corner: where a tile's edge is a multiple of 16, they are those of [`FrameImage::error`]
 //! (`the_error_of_the_tiles_is_the_error_of_the_image`). As bytes:
 //!
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCERRS` |
-//! | 4 | format version, 1 |
+//! | 4 | format version, 2 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 5 x 4 | film width, film height, tile edge; first tile, one past the last |
-//! | 16 each | of each tile its samples (the first, one past the last), number of bad samples |
-//! | rest | zstd frame of the blocks in the order of the tiles, 4 doubles each, in byte planes |
+//! | 24 each | of each tile its samples (the first, one past the last), number of bad samples, the ends of its halves |
+//! | rest | zstd frame of the blocks in the order of the tiles, 7 doubles each, in byte planes |
 //!
 //! [`FrameImage::error`]: crate::FrameImage::error
 
 use crate::codec::{begin, finish, open, to_planes};
-use crate::convergence::{blocks, luminance};
+use crate::convergence::{Z_95, blocks};
 use crate::piece::whole;
-use crate::tile::{MAX_TILE_PIXELS, PixelSums, REPLICATES};
+use crate::tile::{Ends, HALVES, MAX_TILE_PIXELS};
 use crate::{Block, FilmError, Frame, Rect, SampleRange, Tile, Tiling};
 use std::ops::Range;
 
 const MAGIC: &[u8; 8] = b"FEMCERRS";
-const VERSION: u32 = 1;
-const BLOCK_BYTES: usize = 8 * (2 + REPLICATES);
+const VERSION: u32 = 2;
+const NUMBERS: usize = 3 + 2 * HALVES;
+const BLOCK_BYTES: usize = 8 * NUMBERS;
+/// Standard errors of the variance that a bound adds to it: 95 %, one side.
+const CARE: f64 = 1.645;
+/// Events that may be missed where their mean number is this: at 95 % confidence, none seen.
+const UNSEEN: f64 = 3.0;
 
 /// How far a tile is from converged.
 #[derive(Clone, Debug, PartialEq)]
@@ -33,6 +45,8 @@ pub struct TileErrors {
     pub samples: SampleRange,
     /// How many of them, of all pixels, were left out.
     pub bad: u64,
+    /// For each half the sample from which on it is held.
+    pub ends: Ends,
     /// Its blocks, row by row.
     pub blocks: Vec<TileBlock>,
 }
@@ -42,50 +56,73 @@ pub struct TileErrors {
 pub struct TileBlock {
     /// What its error is made of.
     pub block: Block,
-    /// The sum of luminances by each replicate of the samples alone, cd/m2 times pixels; `None` where a pixel lacks one.
-    pub replicates: Option<[f64; REPLICATES]>,
+    /// What each half of its samples says, those that are held among them.
+    pub halves: [HalfBlock; HALVES],
+}
+
+/// A block by one half of its samples.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct HalfBlock {
+    /// Sum of the pixels' luminances, cd/m2 times pixels.
+    pub sum: f64,
+    /// Bound of the variance of that sum; infinite where a pixel has too few samples.
+    pub bound: f64,
+}
+
+impl HalfBlock {
+    fn of(tile: &Tile, rect: Rect, half: usize) -> Self {
+        let (mut sum, mut variance, mut squares, mut unseen) = (0.0, 0.0, 0.0, 0.0);
+        let is_early = tile.spp() < 2 * femc_math::sampler::REPLICATES as u64;
+        for sums in rect.pixels().map(|pixel| tile.pixel(pixel)) {
+            // A pixel without good samples has bad ones: they are reported, and no number of them would help.
+            let Some([a, b]) = sums.luminances(half) else {
+                variance += if is_early { f64::INFINITY } else { 0.0 };
+                continue;
+            };
+            let one = 0.25 * (a - b).powi(2);
+            let drawn: u32 = crate::tile::replicates_of(half).iter().map(|&replicate| sums.drawn[replicate]).sum();
+            sum += 0.5 * (a + b);
+            variance += one;
+            squares += one * one;
+            unseen = f64::max(unseen, f64::from(sums.peak[half]) / f64::from(drawn));
+        }
+        // The square of the difference of two normal numbers has the variance 2 V2, and its square the mean 3 V2.
+        let bound = variance + CARE * (2.0 / 3.0 * squares).sqrt();
+        Self { sum, bound: bound.max(UNSEEN * unseen * unseen) }
+    }
+
+    /// The error that an image of two such halves has in this block: half width of a 95 % interval of the mean luminance, relative
+    /// to that mean or to `floor`, cd/m2, where that is larger. `None`: no sample has met light.
+    /// - `area`: pixels of the block.
+    pub fn relative(&self, area: u64, floor: f64) -> Option<f64> {
+        let n = area as f64;
+        let half_width = Z_95 * (0.5 * self.bound).sqrt() / n;
+        (self.sum > 0.0 || self.bound > 0.0).then(|| half_width / (self.sum / n).max(floor))
+    }
 }
 
 impl TileBlock {
-    /// Error of the sum of luminances by its replicates: half their difference, cd/m2 times pixels. Each has the weight 1/2,
-    /// however many samples it has, so that the weights do not depend on the samples.
-    pub fn contrast(&self) -> Option<f64> {
-        self.replicates.map(|[a, b]| 0.5 * (a - b).abs())
-    }
-
     fn of(tile: &Tile, rect: Rect) -> Self {
-        let Rect { x: left, y: top, width, .. } = tile.rect();
-        let sums = |(x, y): (u32, u32)| &tile.pixels()[((y - top) * width + (x - left)) as usize];
-        let mut replicates = Some([0.0; REPLICATES]);
-        for sums in rect.pixels().map(sums) {
-            replicates = replicates.zip(luminances(sums)).map(|(mut all, one)| {
-                all.iter_mut().zip(one).for_each(|(sum, value)| *sum += value);
-                all
-            });
-        }
-        Self { block: Block::of(rect, rect.pixels().map(|pixel| sums(pixel).resolve())), replicates }
+        let pixels = rect.pixels().map(|pixel| tile.pixel(pixel).resolve(tile.is_held()));
+        Self { block: Block::of(rect, pixels), halves: std::array::from_fn(|half| HalfBlock::of(tile, rect, half)) }
     }
 
     fn to_bytes(self) -> [u8; BLOCK_BYTES] {
-        let [a, b] = self.replicates.unwrap_or([f64::NAN; REPLICATES]);
+        let Block { sum, variance, freedom, .. } = self.block;
+        let halves = self.halves.into_iter().flat_map(|half| [half.sum, half.bound]);
+        let numbers = [sum, variance, freedom].into_iter().chain(halves);
         let mut bytes = [0; BLOCK_BYTES];
-        let numbers = [self.block.sum, self.block.deviation, a, b];
         bytes.chunks_exact_mut(8).zip(numbers).for_each(|(field, number)| field.copy_from_slice(&number.to_le_bytes()));
         bytes
     }
 }
 
-/// Mean luminance by each replicate, cd/m2; `None` where one has no samples.
-fn luminances(sums: &PixelSums) -> Option<[f64; REPLICATES]> {
-    let mean = |i: usize| luminance(sums.color[i].map(|sum| sum.value() / f64::from(sums.count[i])));
-    sums.count.iter().all(|&count| count > 0).then(|| std::array::from_fn(mean))
-}
-
 impl TileErrors {
-    /// Largest relative error of a block, 95 %.
-    /// - `floor`: luminance that darker blocks are measured against, cd/m2; see [`FrameError`](crate::FrameError).
-    pub fn worst(&self, floor: f64) -> f64 {
-        self.blocks.iter().map(|it| it.block.relative(floor)).fold(0.0, f64::max)
+    /// The largest error of a block by one half of the samples ([`HalfBlock::relative`]); a block that has met no light has the error
+    /// `unlit`.
+    pub fn worst(&self, half: usize, floor: f64, unlit: f64) -> f64 {
+        let error = |it: &TileBlock| it.halves[half].relative(it.block.rect.area(), floor).unwrap_or(unlit);
+        self.blocks.iter().map(error).fold(0.0, f64::max)
     }
 }
 
@@ -107,7 +144,7 @@ impl Errors {
         let measure = |index: usize| {
             let (tile, samples) = whole(frame, index)?;
             let blocks = blocks(tile.rect()).map(|rect| TileBlock::of(tile, rect)).collect();
-            Ok(TileErrors { samples, bad: tile.bad().total(), blocks })
+            Ok(TileErrors { samples, bad: tile.bad().total(), ends: tile.ends(), blocks })
         };
         let (tiling, first) = (frame.tiling(), tiles.start);
         Ok(Self { tiling, first, tiles: tiles.map(measure).collect::<Result<_, FilmError>>()? })
@@ -139,8 +176,8 @@ impl Errors {
         let mut word = |w: u32| out.extend_from_slice(&w.to_le_bytes());
         let (Tiling { width, height, edge }, Range { start, end }) = (self.tiling, self.tiles());
         [width, height, edge, start as u32, end as u32].into_iter().for_each(&mut word);
-        let accounts = self.tiles.iter().map(|tile| (tile.samples, tile.bad));
-        let words = accounts.flat_map(|(it, bad)| [it.start, it.end, bad as u32, (bad >> 32) as u32]);
+        let accounts = self.tiles.iter().map(|tile| (tile.samples, tile.bad, tile.ends));
+        let words = accounts.flat_map(|(it, bad, [a, b])| [it.start, it.end, bad as u32, (bad >> 32) as u32, a, b]);
         words.for_each(word);
         let blocks: Vec<TileBlock> = self.tiles.iter().flat_map(|tile| &tile.blocks).copied().collect();
         finish(out, &to_planes(&blocks, |block| block.to_bytes()))
@@ -153,7 +190,7 @@ impl Errors {
         let mut accounts = Vec::new();
         for _ in tiles.clone() {
             let (samples, [low, high]) = (reader.range()?, reader.words()?);
-            accounts.push((samples, u64::from(low) | (u64::from(high) << 32)));
+            accounts.push((samples, u64::from(low) | (u64::from(high) << 32), reader.words()?));
         }
         let rects = || tiles.clone().filter_map(|index| tiling.rect(index));
         if rects().map(|rect| rect.area()).sum::<u64>() > MAX_TILE_PIXELS {
@@ -162,9 +199,9 @@ impl Errors {
         let count = rects().map(|rect| blocks(rect).count()).sum();
         let mut numbers = reader.planes(count, numbers)?.into_iter();
         let mut all = Vec::with_capacity(accounts.len());
-        for (rect, (samples, bad)) in rects().zip(accounts) {
+        for (rect, (samples, bad, ends)) in rects().zip(accounts) {
             let blocks = blocks(rect).zip(&mut numbers).map(|(rect, numbers)| sound(rect, numbers));
-            all.push(TileErrors { samples, bad, blocks: blocks.collect::<Option<_>>().ok_or(IMPOSSIBLE)? });
+            all.push(TileErrors { samples, bad, ends, blocks: blocks.collect::<Option<_>>().ok_or(IMPOSSIBLE)? });
         }
         Ok(Self { tiling, first: tiles.start, tiles: all })
     }
@@ -172,14 +209,17 @@ impl Errors {
 
 const IMPOSSIBLE: FilmError = FilmError::Corrupt("impossible errors");
 
-fn numbers(bytes: &[u8; BLOCK_BYTES]) -> [f64; 2 + REPLICATES] {
+fn numbers(bytes: &[u8; BLOCK_BYTES]) -> [f64; NUMBERS] {
     std::array::from_fn(|at| f64::from_le_bytes(std::array::from_fn(|i| bytes[8 * at + i])))
 }
 
 /// A block of these numbers, if they can be one's.
-fn sound(rect: Rect, [sum, deviation, a, b]: [f64; 2 + REPLICATES]) -> Option<TileBlock> {
+fn sound(rect: Rect, [sum, variance, freedom, numbers @ ..]: [f64; NUMBERS]) -> Option<TileBlock> {
     let is_sum = |value: f64| value.is_finite() && value >= 0.0;
-    let replicates = if a.is_nan() && b.is_nan() { None } else { Some([a, b]) };
-    let is_sound = is_sum(sum) && deviation >= 0.0 && replicates.is_none_or(|pair| pair.into_iter().all(is_sum));
-    is_sound.then_some(TileBlock { block: Block { rect, sum, deviation }, replicates })
+    let halves = std::array::from_fn(|half| HalfBlock { sum: numbers[2 * half], bound: numbers[2 * half + 1] });
+    let is_sound = is_sum(sum)
+        && variance >= 0.0
+        && freedom >= 0.0
+        && halves.iter().all(|half: &HalfBlock| is_sum(half.sum) && half.bound >= 0.0);
+    is_sound.then_some(TileBlock { block: Block { rect, sum, variance, freedom }, halves })
 }

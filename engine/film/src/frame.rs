@@ -1,6 +1,6 @@
 //! One frame: the union of tiles.
 
-use crate::tile::Merged;
+use crate::tile::{Ends, Merged};
 use crate::{BadSamples, FilmError, FrameImage, SampleRange, Tile, Tiling};
 
 /// What an insertion did.
@@ -9,7 +9,7 @@ pub type Inserted = Merged;
 /// The tiles of a frame as far as they have arrived: a set keyed by (tile, sample range), kept as one sum a tile.
 ///
 /// The result depends on the set of inserted keys alone, not on the order or on repetitions.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Frame {
     tiling: Tiling,
     tiles: Vec<Option<Tile>>,
@@ -44,6 +44,11 @@ impl Frame {
         self.tiles.get(index)?.as_ref()
     }
 
+    /// Holds the samples of each half of tile `index` from `ends` on ([`Tile::hold`]); nothing where there is no such tile.
+    pub fn hold(&mut self, index: usize, ends: Ends) -> Result<(), FilmError> {
+        self.tiles.get_mut(index).and_then(Option::as_mut).map_or(Ok(()), |tile| tile.hold(ends))
+    }
+
     /// The sample ranges of tile `index` that have arrived, ascending.
     pub fn ranges(&self, index: usize) -> &[SampleRange] {
         self.tile(index).map_or(&[], Tile::ranges)
@@ -62,7 +67,7 @@ impl Frame {
         let mut image = FrameImage::black(width, height);
         for tile in self.tiles.iter().flatten() {
             for ((x, y), sums) in tile.rect.pixels().zip(&tile.pixels) {
-                image.set(y as usize * width as usize + x as usize, &sums.resolve());
+                image.set(y as usize * width as usize + x as usize, &sums.resolve(tile.is_held()));
             }
         }
         image

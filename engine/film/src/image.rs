@@ -30,14 +30,16 @@ impl Image {
 pub struct FrameImage {
     /// Mean of the good samples.
     pub color: Image,
-    /// Estimated variance of that mean, each channel. Samples are treated as independent, so stratification makes the true
-    /// variance smaller; for a single sample it is the squared mean.
+    /// Estimated variance of that mean, each channel: by the difference of two independent halves of the samples, unbiased, with one
+    /// degree of freedom. For a single sample it is the squared mean.
     pub variance: Vec<[f32; 3]>,
+    /// The same of the luminance, cd2/m4.
+    pub luminance_variance: Vec<f32>,
     /// Mean albedo of the first surface (zero where there is none), 0..1.
     pub albedo: Vec<[f32; 3]>,
     /// Mean distance of the first surface over the samples that met one, metres; 0 where none did.
     pub depth: Vec<f32>,
-    /// Number of good samples.
+    /// Number of good samples that count in the mean.
     pub samples: Vec<u32>,
 }
 

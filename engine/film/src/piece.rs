@@ -1,12 +1,12 @@
 //! Resolved pixels, and pieces of a frame that is resolved in several places.
 //!
-//! A [`Piece`] is what an image needs of some tiles: 44 bytes a pixel instead of the 196 of exact sums. Nothing can be added
+//! A [`Piece`] is what an image needs of some tiles: 48 bytes a pixel instead of the 236 of exact sums. Nothing can be added
 //! to it. As bytes:
 //!
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCPIEC` |
-//! | 4 | format version, 2 |
+//! | 4 | format version, 3 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 5 x 4 | film width, film height, tile edge; first tile, one past the last |
 //! | 8 each | of each tile its samples: the first, one past the last |
@@ -14,13 +14,14 @@
 //! | rest | zstd frame of the pixels in the order of the tiles, in byte planes |
 
 use crate::codec::{begin, finish, open, put_bad, to_planes};
-use crate::tile::{ALBEDO_FRACTION, MAX_TILE_PIXELS, PixelSums};
+use crate::convergence::luminance;
+use crate::tile::{ALBEDO_FRACTION, HALVES, MAX_TILE_PIXELS, PixelSums};
 use crate::{BadSamples, FilmError, Frame, FrameImage, Image, Rect, SampleRange, Tile, Tiling};
 use std::ops::Range;
 
 const MAGIC: &[u8; 8] = b"FEMCPIEC";
-const VERSION: u32 = 2;
-const WORDS: usize = 11;
+const VERSION: u32 = 3;
+const WORDS: usize = 12;
 const PIXEL_BYTES: usize = 4 * WORDS;
 
 /// What an image says of a pixel; see [`FrameImage`].
@@ -28,6 +29,7 @@ const PIXEL_BYTES: usize = 4 * WORDS;
 pub(crate) struct Pixel {
     pub(crate) color: [f32; 3],
     pub(crate) variance: [f32; 3],
+    pub(crate) luminance_variance: f32,
     albedo: [f32; 3],
     depth: f32,
     pub(crate) samples: u32,
@@ -35,40 +37,51 @@ pub(crate) struct Pixel {
 
 impl PixelSums {
     /// Means and the variance of the mean; zero without samples.
-    pub(crate) fn resolve(&self) -> Pixel {
+    /// - `is_held`: whether a half of the tile is held. The halves have the weight 1/2 then, since their counts tell of their samples;
+    ///   otherwise every good sample has the same weight.
+    pub(crate) fn resolve(&self, is_held: bool) -> Pixel {
         let samples = self.samples();
-        let mut pixel = Pixel { samples, ..Pixel::default() };
+        let mut pixel = Pixel { samples: self.counted(), ..Pixel::default() };
         if samples == 0 {
             return pixel;
         }
-        let n = f64::from(samples);
-        for (i, color) in self.total().into_iter().enumerate() {
-            let mean = color.value() / n;
-            pixel.color[i] = mean as f32;
-            pixel.variance[i] = variance_of_mean(mean, self.square[i].value(), n) as f32;
-            let unit = f64::from(1u32 << ALBEDO_FRACTION);
-            pixel.albedo[i] = (self.albedo[i] as f64 / unit / n) as f32;
-        }
+        let (unit, n) = (f64::from(1u32 << ALBEDO_FRACTION), f64::from(samples));
+        pixel.albedo = self.albedo.map(|sum| (sum as f64 / unit / n) as f32);
         if self.hits > 0 {
             pixel.depth = (self.depth.value() / f64::from(self.hits)) as f32;
         }
+        let (weights, factor) = self.weights(is_held);
+        let mean = |half: usize, channel: usize| match self.count[half] {
+            0 => 0.0,
+            count => self.color[half][channel].value() / f64::from(count),
+        };
+        let [a, b] = [0, 1].map(|half| [0, 1, 2].map(|channel| mean(half, channel)));
+        let color: [f64; 3] = std::array::from_fn(|i| weights[0] * a[i] + weights[1] * b[i]);
+        let difference: [f64; 3] = std::array::from_fn(|i| a[i] - b[i]);
+        pixel.color = color.map(|value| value as f32);
+        pixel.variance = difference.map(|value| (factor * value * value) as f32);
+        pixel.luminance_variance = (factor * luminance(difference).powi(2)) as f32;
         pixel
     }
-}
 
-/// Unbiased estimate of the variance of a mean of `n` independent samples from their sum of squares; one sample tells
-/// nothing, and the squared mean stands in for it (a relative error of 1).
-fn variance_of_mean(mean: f64, squares: f64, n: f64) -> f64 {
-    if n < 2.0 {
-        return mean * mean;
+    /// The weights of the halves in the image, and what the square of their difference is to be multiplied by to be an unbiased
+    /// estimate of the variance of the mean with these weights. One half alone tells nothing: its squared mean stands in for
+    /// the variance (a relative error of 1).
+    fn weights(&self, is_held: bool) -> ([f64; HALVES], f64) {
+        let [a, b] = self.count.map(f64::from);
+        match (a > 0.0, b > 0.0) {
+            (true, true) if is_held => ([0.5; 2], 0.25),
+            (true, true) => ([a / (a + b), b / (a + b)], a * b / (a + b).powi(2)),
+            _ => ([f64::from(a > 0.0), f64::from(b > 0.0)], 1.0),
+        }
     }
-    ((squares / n - mean * mean) / (n - 1.0)).max(0.0)
 }
 
 impl Pixel {
     fn to_bytes(self) -> [u8; PIXEL_BYTES] {
         let mut bytes = [0; PIXEL_BYTES];
-        let floats = [self.color, self.variance, self.albedo].concat().into_iter().chain([self.depth]);
+        let floats =
+            [self.color, self.variance, self.albedo].concat().into_iter().chain([self.luminance_variance, self.depth]);
         let words = floats.map(f32::to_bits).chain([self.samples]);
         bytes.chunks_exact_mut(4).zip(words).for_each(|(field, word)| field.copy_from_slice(&word.to_le_bytes()));
         bytes
@@ -81,8 +94,9 @@ impl Pixel {
             color: three(0),
             variance: three(3),
             albedo: three(6),
-            depth: f32::from_bits(word(9)),
-            samples: word(10),
+            luminance_variance: f32::from_bits(word(9)),
+            depth: f32::from_bits(word(10)),
+            samples: word(11),
         }
     }
 }
@@ -117,7 +131,7 @@ impl Piece {
             let (tile, samples) = whole(frame, index)?;
             piece.samples.push(samples);
             piece.bad.merge(tile.bad());
-            piece.pixels.extend(tile.pixels().iter().map(PixelSums::resolve));
+            piece.pixels.extend(tile.pixels().iter().map(|sums| sums.resolve(tile.is_held())));
         }
         Ok(piece)
     }
@@ -188,6 +202,7 @@ impl FrameImage {
         Self {
             color: Image { width, height, pixels: vec![[0.0; 3]; count] },
             variance: vec![[0.0; 3]; count],
+            luminance_variance: vec![0.0; count],
             albedo: vec![[0.0; 3]; count],
             depth: vec![0.0; count],
             samples: vec![0; count],
@@ -217,12 +232,14 @@ impl FrameImage {
 
     pub(crate) fn pixel(&self, at: usize) -> Pixel {
         let (color, variance, albedo) = (self.color.pixels[at], self.variance[at], self.albedo[at]);
-        Pixel { color, variance, albedo, depth: self.depth[at], samples: self.samples[at] }
+        let luminance_variance = self.luminance_variance[at];
+        Pixel { color, variance, luminance_variance, albedo, depth: self.depth[at], samples: self.samples[at] }
     }
 
     pub(crate) fn set(&mut self, at: usize, pixel: &Pixel) {
         self.color.pixels[at] = pixel.color;
         self.variance[at] = pixel.variance;
+        self.luminance_variance[at] = pixel.luminance_variance;
         self.albedo[at] = pixel.albedo;
         self.depth[at] = pixel.depth;
         self.samples[at] = pixel.samples;

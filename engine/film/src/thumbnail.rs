@@ -14,7 +14,6 @@
 use crate::codec::{begin, finish, open, to_planes};
 use crate::tile::PixelSums;
 use crate::{FilmError, Frame, Image, Rect, Tile, Tiling};
-use femc_math::color::LUMINANCE_WEIGHTS;
 use femc_math::elementary::double;
 
 /// Edge of a thumbnail's block, pixels.
@@ -38,7 +37,7 @@ impl Tile {
         for ((x, y), sums) in self.rect.pixels().zip(&self.pixels) {
             pixels[((y / BLOCK - top) * rect.width + (x / BLOCK - left)) as usize].merge(sums);
         }
-        Self { rect, ranges: self.ranges.clone(), pixels, bad: crate::BadSamples::default() }
+        Self { rect, ranges: self.ranges.clone(), ends: self.ends, pixels, bad: crate::BadSamples::default() }
     }
 }
 
@@ -73,8 +72,7 @@ impl Levels {
         let mut levels = Self::default();
         let tiles = (0..thumbnails.tiling().count()).filter_map(|index| thumbnails.tile(index));
         for sums in tiles.flat_map(Tile::pixels).filter(|sums| sums.samples() > 0) {
-            let weights = LUMINANCE_WEIGHTS.to_array().map(f64::from);
-            let sum: f64 = weights.iter().zip(sums.total()).map(|(weight, color)| weight * color.value()).sum();
+            let sum: f64 = sums.luminance.iter().map(|luminance| luminance.value()).sum();
             levels.counts[Self::bin(sum / f64::from(sums.samples()))] += 1;
         }
         levels

@@ -1,19 +1,23 @@
 //! Exact sums of the samples of a rectangle of pixels.
 //!
-//! Per pixel: the sums of color and of squared color in 128-bit fixed point, of albedo in 64-bit and of depth in 128-bit
-//! fixed point, and counts (196 bytes). A term is rounded once and added as an integer, so a tile is a function of the set
-//! of its samples; threads, order, tile cut and restarts leave no trace. Against floats this costs 196 instead of some 40
-//! bytes a pixel and a few nanoseconds a sample.
+//! Per pixel: the sums of color in 128-bit fixed point, of albedo in 64-bit and of depth in 128-bit fixed point, and counts; and
+//! of what further samples are decided by, the luminances ([`PixelSums`], 236 bytes). A term is rounded once and added as an
+//! integer, so a tile is a function of the set of its samples; threads, order, tile cut and restarts leave no trace. Against floats
+//! this costs 236 instead of some 60 bytes a pixel and a few nanoseconds a sample.
 //!
-//! Color is summed in two **replicates**, each with its own count: the image is made of both, and their difference is an error
-//! estimate that needs no second moment. The index of a sample alone says to which replicate it belongs, so that they do not
-//! depend on how many samples other tiles have, or in what parts these came. It costs 52 of the bytes.
+//! The samples belong to independent **replicates** ([`femc_math::sampler`]), two for each **half**: the halves' means tell the
+//! variance of the image, and the replicates of a half that of the half. Whether a half has samples enough is decided by the other
+//! one alone, so that what is decided says nothing about the samples that it is decided for: the mean of each half is unbiased, and
+//! so is the image, in which both have the weight 1/2. A half that has enough is **held**: more of its samples are drawn, because the
+//! other half is decided by them, but they do not count in the image.
 //!
 //! A sample with a NaN, infinite, negative or absurd component is counted and left out: the pixel's mean is over the others.
 
 use crate::{BadSample, BadSamples, FilmError, Rect, Sample};
+use femc_math::color::luminance;
+use femc_math::sampler::{REPLICATES, replicate_of};
 use femc_stats::ExactSum;
-use femc_stats::exact::{RadianceSum, SquareSum};
+use femc_stats::exact::RadianceSum;
 use serde::{Deserialize, Serialize};
 use std::ops::Range;
 
@@ -23,18 +27,24 @@ pub const MAX_TILE_PIXELS: u64 = 1 << 22;
 /// Fixed-point fraction bits of an albedo sum; a term is at most 255, so 2^32 of them fit.
 pub(crate) const ALBEDO_FRACTION: u32 = 24;
 
-/// Replicates of a pixel's color.
-pub const REPLICATES: usize = 2;
+/// Halves of a pixel's samples.
+pub const HALVES: usize = 2;
 
-/// Samples in a row that belong to one replicate: the sampler stratifies every aligned run of a power of two, so that each
-/// replicate covers its pixel evenly. The two are stratified together: what one lacks the other has, and an error that is
-/// estimated by their difference is rather too large than too small.
-const REPLICATE_RUN: u32 = 8;
-
-/// The replicate of sample `index`.
-pub const fn replicate_of(index: u32) -> usize {
-    (index / REPLICATE_RUN) as usize % REPLICATES
+/// The half of a replicate: replicates take turns, so that the halves do, too.
+pub(crate) const fn half_of(replicate: usize) -> usize {
+    replicate % HALVES
 }
+
+/// The replicates of a half.
+pub(crate) fn replicates_of(half: usize) -> [usize; REPLICATES / HALVES] {
+    std::array::from_fn(|i| half + i * HALVES)
+}
+
+/// For each half the sample from which on its samples are held.
+pub type Ends = [u32; HALVES];
+
+/// No half is held.
+pub const OPEN: Ends = [u32::MAX; HALVES];
 
 /// Samples `start .. end` of every pixel of a tile.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, PartialOrd, Ord, Serialize, Deserialize)]
@@ -75,20 +85,24 @@ impl From<Range<u32>> for SampleRange {
 }
 
 /// Sums over the good samples of one pixel.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct PixelSums {
-    /// Color of each replicate, cd/m2.
-    pub color: [[RadianceSum; 3]; REPLICATES],
-    /// Squared color.
-    pub square: [SquareSum; 3],
+    /// Color of each half, cd/m2, without samples that are held.
+    pub color: [[RadianceSum; 3]; HALVES],
+    /// Luminance of each replicate, cd/m2, of all samples.
+    pub luminance: [RadianceSum; REPLICATES],
     /// Depth of the samples that met a surface, metres.
     pub depth: ExactSum<40>,
     /// Albedo in units of 2^-24.
     pub albedo: [u64; 3],
     /// Samples that met a surface.
     pub hits: u32,
+    /// Good samples of each half that are not held.
+    pub count: [u32; HALVES],
     /// Good samples of each replicate.
-    pub count: [u32; REPLICATES],
+    pub drawn: [u32; REPLICATES],
+    /// Largest luminance of a sample of each half, cd/m2.
+    pub peak: [f32; HALVES],
 }
 
 impl PixelSums {
@@ -96,11 +110,15 @@ impl PixelSums {
     #[inline]
     fn add(&mut self, index: u32, sample: &Sample) {
         let replicate = replicate_of(index);
-        for (i, c) in sample.color.to_array().into_iter().enumerate() {
-            let (mantissa, exponent) = parts(c);
-            self.color[replicate][i].add_parts(mantissa, exponent);
-            self.square[i].add_parts(mantissa * mantissa, 2 * exponent);
-        }
+        let half = half_of(replicate);
+        let add = |sum: &mut RadianceSum, value: f32| {
+            let (mantissa, exponent) = parts(value);
+            sum.add_parts(mantissa, exponent);
+        };
+        let light = luminance(sample.color);
+        self.color[half].iter_mut().zip(sample.color.to_array()).for_each(|(sum, value)| add(sum, value));
+        add(&mut self.luminance[replicate], light);
+        self.peak[half] = self.peak[half].max(light);
         for (sum, a) in self.albedo.iter_mut().zip(sample.albedo.to_array()) {
             *sum = sum.saturating_add(albedo_units(a));
         }
@@ -109,30 +127,41 @@ impl PixelSums {
             self.depth.add_parts(mantissa, exponent);
             self.hits = self.hits.saturating_add(1);
         }
-        self.count[replicate] = self.count[replicate].saturating_add(1);
+        self.count[half] = self.count[half].saturating_add(1);
+        self.drawn[replicate] = self.drawn[replicate].saturating_add(1);
     }
 
-    /// Color of all samples, cd/m2.
-    pub fn total(&self) -> [RadianceSum; 3] {
-        let [mut total, rest @ ..] = self.color;
-        rest.iter().for_each(|color| total.iter_mut().zip(color).for_each(|(sum, other)| sum.merge(*other)));
-        total
-    }
-
-    /// Good samples of all replicates.
+    /// Good samples, whether held or not.
     pub fn samples(&self) -> u32 {
+        self.drawn.iter().fold(0, |sum, count| sum.saturating_add(*count))
+    }
+
+    /// Good samples that count in the image.
+    pub fn counted(&self) -> u32 {
         self.count.iter().fold(0, |sum, count| sum.saturating_add(*count))
+    }
+
+    /// Mean luminance by each replicate of a half, cd/m2; `None` where one has no good sample.
+    pub(crate) fn luminances(&self, half: usize) -> Option<[f64; REPLICATES / HALVES]> {
+        let replicates = replicates_of(half);
+        let mean = |replicate: usize| self.luminance[replicate].value() / f64::from(self.drawn[replicate]);
+        replicates.iter().all(|&replicate| self.drawn[replicate] > 0).then(|| replicates.map(mean))
+    }
+
+    /// Takes the samples of a half out of the image.
+    fn hold(&mut self, half: usize) {
+        (self.color[half], self.count[half]) = Default::default();
     }
 
     pub(crate) fn merge(&mut self, other: &Self) {
         self.color.as_flattened_mut().iter_mut().zip(other.color.as_flattened()).for_each(|(a, b)| a.merge(*b));
-        for i in 0..3 {
-            self.square[i].merge(other.square[i]);
-            self.albedo[i] = self.albedo[i].saturating_add(other.albedo[i]);
-        }
+        self.luminance.iter_mut().zip(other.luminance).for_each(|(a, b)| a.merge(b));
         self.depth.merge(other.depth);
+        self.albedo.iter_mut().zip(other.albedo).for_each(|(a, b)| *a = a.saturating_add(b));
         self.hits = self.hits.saturating_add(other.hits);
         self.count.iter_mut().zip(other.count).for_each(|(a, b)| *a = a.saturating_add(b));
+        self.drawn.iter_mut().zip(other.drawn).for_each(|(a, b)| *a = a.saturating_add(b));
+        self.peak.iter_mut().zip(other.peak).for_each(|(a, b)| *a = a.max(b));
     }
 }
 
@@ -153,11 +182,12 @@ fn albedo_units(a: f32) -> u64 {
 }
 
 /// The sums of some sample ranges of a rectangle of pixels.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Tile {
     pub(crate) rect: Rect,
     /// Sorted, disjoint, not joined: they are the keys under which samples were counted.
     pub(crate) ranges: Vec<SampleRange>,
+    pub(crate) ends: Ends,
     pub(crate) pixels: Vec<PixelSums>,
     pub(crate) bad: BadSamples,
 }
@@ -171,7 +201,7 @@ impl Tile {
             return Err(FilmError::EmptyRange(range));
         }
         let pixels = vec![PixelSums::default(); rect.area() as usize];
-        Ok(Self { rect, ranges: vec![range], pixels, bad: BadSamples::default() })
+        Ok(Self { rect, ranges: vec![range], ends: OPEN, pixels, bad: BadSamples::default() })
     }
 
     /// A tile of `rect` from full-width strips that cover it from top to bottom, each with the samples `samples`: what
@@ -206,6 +236,35 @@ impl Tile {
         &self.ranges
     }
 
+    /// For each half the sample from which on its samples do not count in the image.
+    pub fn ends(&self) -> Ends {
+        self.ends
+    }
+
+    /// Whether a half is held.
+    pub(crate) fn is_held(&self) -> bool {
+        self.ends != OPEN
+    }
+
+    /// Holds the samples of each half from `ends` on. A half that is held from an earlier sample on stays so.
+    /// - errors: there are samples before and behind an end in one sum. The tile stays as it was.
+    pub fn hold(&mut self, ends: Ends) -> Result<(), FilmError> {
+        let ends = earlier(self.ends, ends);
+        let is_new = |half: usize| ends[half] < self.ends[half];
+        let mut held = [false; HALVES];
+        for half in (0..HALVES).filter(|&half| is_new(half)) {
+            held[half] = self.ranges.iter().all(|range| range.start >= ends[half]);
+            if !held[half] && self.ranges.iter().any(|range| range.end > ends[half]) {
+                return Err(FilmError::Corrupt("samples on both sides of the end of a half"));
+            }
+        }
+        for half in (0..HALVES).filter(|&half| held[half]) {
+            self.pixels.iter_mut().for_each(|pixel| pixel.hold(half));
+        }
+        self.ends = ends;
+        Ok(())
+    }
+
     /// Samples a pixel in all ranges.
     pub fn spp(&self) -> u64 {
         self.ranges.iter().map(|r| u64::from(r.len())).sum()
@@ -221,12 +280,16 @@ impl Tile {
         &self.pixels
     }
 
+    /// Sums of the film's pixel (`x`, `y`), which lies in the tile.
+    pub(crate) fn pixel(&self, (x, y): (u32, u32)) -> &PixelSums {
+        &self.pixels[((y - self.rect.y) * self.rect.width + (x - self.rect.x)) as usize]
+    }
+
     /// Pixels one of whose sums has left its range and is a lower bound.
     pub fn saturated(&self) -> usize {
         let full = |p: &PixelSums| {
-            p.total().iter().any(|s| s.is_saturated())
-                || p.square.iter().any(|s| s.is_saturated())
-                || p.depth.is_saturated()
+            let mut sums = p.color.as_flattened().iter().chain(&p.luminance);
+            sums.any(|sum| sum.is_saturated()) || p.depth.is_saturated()
         };
         self.pixels.iter().filter(|p| full(p)).count()
     }
@@ -248,7 +311,9 @@ impl Tile {
     ///
     /// The union is keyed by sample range: ranges that are there already are the same samples, so merging them again changes
     /// nothing. Associative, commutative, idempotent (test `any_order_and_partition_gives_the_same_bytes`).
-    /// - errors: other pixels; ranges that partly overlap; some ranges known and others new. The tile stays as it was.
+    /// What is held in one of them is held in both.
+    /// - errors: other pixels; ranges that partly overlap; some ranges known and others new; samples before and behind an end in one
+    ///   sum. The tile stays as it was.
     pub fn merge(&mut self, other: &Self) -> Result<Merged, FilmError> {
         if self.rect != other.rect {
             return Err(FilmError::OtherPixels { expected: self.rect, found: other.rect });
@@ -261,12 +326,23 @@ impl Tile {
                 return Err(FilmError::Overlap { rect: self.rect, old, new });
             }
         }
+        let ends = earlier(self.ends, other.ends);
+        let mut other = std::borrow::Cow::Borrowed(other);
+        if other.ends != ends {
+            other.to_mut().hold(ends)?;
+        }
+        self.hold(ends)?;
         self.ranges.extend_from_slice(&other.ranges);
         self.ranges.sort_unstable();
         self.pixels.iter_mut().zip(&other.pixels).for_each(|(mine, theirs)| mine.merge(theirs));
         self.bad.merge(&other.bad);
         Ok(Merged::New)
     }
+}
+
+/// The earlier end of each half.
+fn earlier(a: Ends, b: Ends) -> Ends {
+    std::array::from_fn(|half| a[half].min(b[half]))
 }
 
 /// What a merge did.

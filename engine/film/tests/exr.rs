@@ -2,7 +2,8 @@
 
 use exr::prelude::*;
 use femc_film::{
-    BadKind, BadSample, BadSamples, FilmError, FrameImage, Image, Provenance, exr as film_exr, pixel_digest,
+    BadKind, BadSample, BadSamples, BlockError, FilmError, FrameError, FrameImage, Image, Provenance, Rect,
+    exr as film_exr, pixel_digest,
 };
 use std::io::Cursor;
 
@@ -12,6 +13,7 @@ fn frame(width: u32, height: u32) -> FrameImage {
     FrameImage {
         color: Image { width, height, pixels: ramp(3.7) },
         variance: ramp(0.01),
+        luminance_variance: (0..count).map(|i| i as f32 * 0.5).collect(),
         albedo: ramp(0.001),
         depth: (0..count).map(|i| i as f32 + 0.25).collect(),
         samples: (0..count).map(|i| 16 + i as u32).collect(),
@@ -27,7 +29,16 @@ fn provenance() -> Provenance {
         frame: 7,
         seconds: 1.25,
         spp: 16.5,
-        relative_error: 0.03125,
+        error: FrameError {
+            worst: 0.03125,
+            mean: 0.015625,
+            unlit: 1,
+            floor: 0.25,
+            blocks: vec![
+                BlockError { rect: Rect { x: 0, y: 0, width: 4, height: 16 }, relative: Some(0.03125) },
+                BlockError { rect: Rect { x: 4, y: 0, width: 1, height: 16 }, relative: None },
+            ],
+        },
         bad: BadSamples {
             counts: [2, 0, 1, 0],
             first: Some(BadSample { y: 4, x: 3, sample: 9, kind: BadKind::NotANumber }),
@@ -48,6 +59,9 @@ fn colors_and_attributes_survive_the_file() {
         ("femc:bad_samples", "nan=2 infinite=0 negative=1 out-of-range=0 first=3,4,9"),
         ("femc:frame", "7"),
         ("femc:relative_error", "0.03125"),
+        ("femc:relative_error_mean", "0.015625"),
+        ("femc:relative_error_floor", "0.25"),
+        ("femc:unlit_blocks", "1"),
         ("femc:scene", "00ff"),
         ("femc:seconds", "1.25"),
         ("femc:settings", r#"{"spp":16}"#),
@@ -73,12 +87,15 @@ fn the_file_has_the_promised_form() {
     assert_eq!(layer.attributes.white_luminance, Some(1.0));
     assert_eq!(file.attributes.chromaticities.unwrap().white, Vec2(0.3127, 0.3290));
     let names: Vec<String> = layer.channel_data.list.iter().map(|c| c.name.to_string()).collect();
-    let promised = "B G R albedo.B albedo.G albedo.R depth.Z samples.Y variance.B variance.G variance.R";
+    let promised = "B G R albedo.B albedo.G albedo.R depth.Z relative_error.Y samples.Y variance.B variance.G variance.R variance.Y";
     assert_eq!(names.join(" "), promised);
     let channel = |name: &str| layer.channel_data.list.iter().find(|c| c.name.eq(name)).unwrap().sample_data.clone();
     assert_eq!(channel("samples.Y"), FlatSamples::U32(image.samples.clone()));
     assert_eq!(channel("depth.Z"), FlatSamples::F32(image.depth.clone()));
     assert_eq!(channel("variance.G"), FlatSamples::F32(image.variance.iter().map(|p| p[1]).collect()));
+    assert_eq!(channel("variance.Y"), FlatSamples::F32(image.luminance_variance.clone()));
+    let FlatSamples::F32(errors) = channel("relative_error.Y") else { panic!("floats") };
+    assert_eq!((&errors[..5], errors[16 * 5 + 1]), (&[0.03125, 0.03125, 0.03125, 0.03125, film_exr::UNLIT][..], -1.0));
     assert_eq!(channel("albedo.R"), FlatSamples::F32(image.albedo.iter().map(|p| p[0]).collect()));
 }
 

@@ -168,11 +168,85 @@ fn means_variances_and_layers_are_those_of_the_samples() {
     frame.insert(tile).unwrap();
     let image = frame.resolve();
     assert_eq!(image.color.pixels[0], [3.0, 6.0, 0.0]);
-    // Sample variance 14/3, of the mean a quarter of it.
-    assert_eq!(image.variance[0], [14.0f32 / 12.0, 14.0f32 / 3.0, 0.0]);
+    // The halves have the means 2 and 4: a quarter of the square of what they differ by.
+    assert_eq!(image.variance[0], [1.0, 4.0, 0.0]);
+    assert!((image.luminance_variance[0] / (0.2126f32 + 2.0 * 0.7152).powi(2) - 1.0).abs() < 1e-4);
     assert_eq!(image.albedo[0], [0.25, 1.0, 255.0]);
     assert_eq!(image.depth[0], 11.0 / 3.0);
     assert_eq!((image.samples[0], image.mean_spp()), (4, 4.0));
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 64, rng_seed: proptest::test_runner::RngSeed::Fixed(9), ..ProptestConfig::default() })]
+
+    #[test]
+    fn what_is_held_does_not_count_in_the_image_whatever_the_order(
+        cuts in prop::collection::vec(1..SPP, 1..6),
+        at in prop::collection::vec(any::<prop::sample::Index>(), 2),
+        turn in any::<prop::sample::Index>(),
+        is_late in any::<bool>(),
+    ) {
+        let ranges = partition(cuts);
+        let ends = [0, 1].map(|half| ranges[at[half].index(ranges.len())].end);
+        let mut parts: Vec<Tile> = ranges.iter().map(|range| render(RECT, range.clone())).collect();
+        let by = turn.index(parts.len());
+        parts.rotate_left(by);
+        let mut merged = parts[0].clone();
+        if !is_late {
+            merged.hold(ends).unwrap();
+        }
+        for part in &parts[1..] {
+            // Some parts know what is held, others do not, and one that has been through its bytes still does.
+            let mut part = part.clone();
+            if is_late {
+                part.hold(ends).unwrap();
+            }
+            merged.merge(&Tile::decode(&part.encode()).unwrap()).unwrap();
+        }
+        if parts.len() == 1 {
+            merged.hold(ends).unwrap();
+        }
+        let whole = render(RECT, 0..SPP);
+        for (half, &end) in ends.iter().enumerate() {
+            let counted = render(RECT, 0..end);
+            for ((found, counted), whole) in merged.pixels().iter().zip(counted.pixels()).zip(whole.pixels()) {
+                prop_assert_eq!((found.color[half], found.count[half]), (counted.color[half], counted.count[half]));
+                prop_assert_eq!((found.luminance, found.drawn, found.peak), (whole.luminance, whole.drawn, whole.peak));
+                prop_assert_eq!((found.depth, found.albedo, found.hits), (whole.depth, whole.albedo, whole.hits));
+            }
+        }
+        prop_assert_eq!((merged.ends(), merged.spp()), (ends, u64::from(SPP)));
+    }
+}
+
+#[test]
+fn a_sum_across_an_end_cannot_be_held_and_an_end_never_moves_back() {
+    let mut tile = render(RECT, 0..8);
+    let before = tile.clone();
+    assert!(tile.hold([4, 8]).is_err());
+    assert_eq!(tile, before);
+    tile.hold([8, 16]).unwrap();
+    tile.hold([12, 12]).unwrap();
+    assert_eq!(tile.ends(), [8, 12]);
+    let mut late = render(RECT, 4..16);
+    assert!(late.merge(&render(RECT, 0..4)).is_ok() && tile.merge(&late).is_err(), "half of what comes is held");
+}
+
+#[test]
+fn of_halves_that_ended_apart_each_has_half_of_the_weight() {
+    let mut tile = Tile::new(Rect { x: 0, y: 0, width: 1, height: 1 }, 0..4).unwrap();
+    (0..4).for_each(|i| tile.add(0, 0, i, &Sample { color: Rgb::splat(1.0 + (i % 2) as f32), ..Sample::MISS }));
+    let mut more = Tile::new(tile.rect(), 4..12).unwrap();
+    (4..12).for_each(|i| more.add(0, 0, i, &Sample { color: Rgb::splat(5.0), ..Sample::MISS }));
+    tile.hold([4, u32::MAX]).unwrap();
+    tile.merge(&more).unwrap();
+    let mut frame = Frame::new(Tiling::new(1, 1, 64).unwrap());
+    frame.insert(tile).unwrap();
+    let image = frame.resolve();
+    let of_b = (2.0 * 2.0 + 4.0 * 5.0) / 6.0;
+    assert!((image.color.pixels[0][1] - 0.5 * (1.0 + of_b)).abs() < 1e-6);
+    assert!((image.variance[0][1] - 0.25 * (of_b - 1.0) * (of_b - 1.0)).abs() < 1e-6);
+    assert_eq!(image.samples[0], 8);
 }
 
 #[test]

@@ -1,8 +1,8 @@
 //! Pieces of a frame: the image that they make is the frame's own, and damage of any kind is an error.
 
 use femc_film::{
-    BadSamples, Errors, FilmError, Frame, FrameError, FrameImage, Piece, Rect, Sample, SampleRange, Tile, TileBlock,
-    TileErrors, Tiling, pixel_digest,
+    BadSamples, Errors, FilmError, Frame, FrameError, FrameImage, Piece, Rect, Sample, SampleRange, Tile, TileErrors,
+    Tiling, pixel_digest,
 };
 use femc_math::{Rgb, hash};
 use proptest::prelude::*;
@@ -114,39 +114,65 @@ fn the_error_of_the_tiles_is_the_error_of_the_image() {
     let (image, _, errors) = joined(&[4, 7, 32, 2, 16, 9], &[], 4, false);
     let of_tiles = FrameError::of(errors.iter().flat_map(|tile| &tile.blocks).map(|it| it.block).collect());
     assert_eq!(of_tiles, image.error());
-    let worst = errors.iter().map(|tile| tile.worst(of_tiles.floor)).fold(0.0, f64::max);
-    assert_eq!(worst, of_tiles.worst);
-    assert!(errors[2].worst(of_tiles.floor) < errors[3].worst(of_tiles.floor), "more samples, less error");
+    for half in 0..2 {
+        assert!(
+            errors[2].worst(half, of_tiles.floor, 0.0) < errors[4].worst(half, of_tiles.floor, 0.0),
+            "more samples"
+        );
+        assert_eq!(errors[3].worst(half, of_tiles.floor, 0.0), f64::INFINITY, "two samples tell a half nothing");
+    }
+}
+
+/// A block of 16 x 16 pixels with independent samples: `v(x, y, sample)`.
+fn block(samples: std::ops::Range<u32>, v: impl Fn(u32, u32, u32) -> f32) -> TileErrors {
+    let rect = Rect { x: 0, y: 0, width: 16, height: 16 };
+    let mut frame = Frame::new(Tiling::new(16, 16, 16).unwrap());
+    let mut all = Tile::new(rect, samples.clone()).unwrap();
+    for ((x, y), i) in rect.pixels().flat_map(|pixel| samples.clone().map(move |i| (pixel, i))) {
+        all.add(x, y, i, &Sample { color: Rgb::splat(v(x, y, i)), ..Sample::MISS });
+    }
+    frame.insert(all).unwrap();
+    Errors::of(&frame, 0..1).unwrap().into_tiles().remove(0)
+}
+
+fn unit(x: u32, y: u32, i: u32, place: u64) -> f32 {
+    hash::unit_f32(hash::combine(&[u64::from(x), u64::from(y), u64::from(i), place]) as u32)
 }
 
 #[test]
-fn a_sample_belongs_to_a_replicate_by_its_index_and_their_contrast_is_of_the_size_of_the_error() {
-    let rect = Rect { x: 0, y: 0, width: 16, height: 16 };
-    let blocks = |samples: std::ops::Range<u32>| {
-        // Blocks in many places: independent draws.
-        (0..64).map(move |place| {
-            let mut frame = Frame::new(Tiling::new(16, 16, 16).unwrap());
-            let mut all = Tile::new(rect, samples.clone()).unwrap();
-            for ((x, y), i) in rect.pixels().flat_map(|pixel| samples.clone().map(move |i| (pixel, i))) {
-                let v = hash::unit_f32(hash::combine(&[u64::from(x), u64::from(y), u64::from(i), place]) as u32);
-                all.add(x, y, i, &Sample { color: Rgb::splat(v), ..Sample::MISS });
-            }
-            frame.insert(all).unwrap();
-            Errors::of(&frame, 0..1).unwrap().into_tiles().remove(0).blocks[0]
-        })
-    };
-    assert!(blocks(0..8).all(|it| it.replicates.is_none()), "the first samples are of one replicate");
-    // Of as many samples and of uneven numbers: independent samples, so that both estimates are of the same error.
-    for (samples, ratio) in [(0..16, 1.0), (0..64, 1.0), (0..20, 1.0 / 4.0 * 20.0 * (1.0 / 12.0 + 1.0 / 8.0))] {
-        let squares = |of: fn(TileBlock) -> f64| blocks(samples.clone()).map(|it| of(it).powi(2)).sum::<f64>();
-        let found = squares(|it| it.contrast().unwrap()) / squares(|it| it.block.deviation);
-        // 64 squares of a normal number: their mean deviates by sqrt(2 / 64), and this is 4 times that.
-        assert!((found / ratio - 1.0).abs() < 4.0 * (2.0f64 / 64.0).sqrt(), "{samples:?}: {found} against {ratio}");
-        for it in blocks(samples.clone()) {
-            let mean = it.replicates.map(|[a, b]| 0.5 * (a + b)).unwrap();
-            assert!((mean / it.block.sum - 1.0).abs() < 0.05, "{it:?}");
+fn the_variance_of_a_block_and_the_bounds_of_its_halves_are_those_of_independent_samples() {
+    for samples in [16, 20, 63] {
+        let all: Vec<TileErrors> = (0..64).map(|place| block(0..samples, |x, y, i| unit(x, y, i, place))).collect();
+        // A uniform number has the variance 1/12.
+        let expected = 256.0 / 12.0 / f64::from(samples);
+        let found = all.iter().map(|tile| tile.blocks[0].block.variance).sum::<f64>() / 64.0 / expected;
+        // 64 x 256 squares of a normal number: their mean deviates by sqrt(2 / 64 / 256), and this is 4 times that.
+        assert!((found - 1.0).abs() < 4.0 * (2.0f64 / 64.0 / 256.0).sqrt(), "{samples}: {found}");
+        let freedom = all.iter().map(|tile| tile.blocks[0].block.freedom).sum::<f64>() / 64.0;
+        assert!((freedom / 256.0 - 1.0).abs() < 0.1, "{freedom}");
+        for half in 0..2 {
+            let bounds = all.iter().map(|tile| tile.blocks[0].halves[half].bound / (2.0 * expected));
+            let above = bounds.filter(|bound| *bound > 1.0).count();
+            assert!(
+                (55..64).contains(&above),
+                "{samples}: {above} of 64 bounds are above the variance, 95 % of 64 are 61"
+            );
         }
     }
+}
+
+#[test]
+fn a_bound_counts_on_light_that_was_not_met_and_a_pixel_that_is_always_bad_does_not_hold_up_its_tile() {
+    // A constant: nothing varies, and three more events of the brightest sample's size may have been missed.
+    let tile = block(0..16, |_, _, _| 2.0);
+    assert_eq!((tile.blocks[0].block.variance, tile.blocks[0].halves[0].bound), (0.0, 3.0 * (2.0f64 / 8.0).powi(2)));
+    let relative = tile.worst(0, 0.0, f64::INFINITY);
+    assert!((relative - 1.959_964 * 1.5f64.sqrt() * 0.25 / 512.0).abs() < 1e-9, "{relative}");
+    let black = block(0..16, |_, _, _| 0.0);
+    assert_eq!((black.worst(0, 1.0, 7.0), black.blocks[0].block.relative(1.0)), (7.0, None), "unlit");
+    let bad = block(0..16, |x, y, _| if (x, y) == (3, 3) { f32::NAN } else { 2.0 });
+    assert!(bad.worst(1, 0.0, 0.0).is_finite() && bad.bad == 16);
+    assert!(block(0..4, |x, y, _| if (x, y) == (3, 3) { f32::NAN } else { 2.0 }).worst(1, 0.0, 0.0).is_infinite());
 }
 
 #[test]
@@ -162,23 +188,28 @@ fn damaged_errors_are_refused() {
     }
     assert!(Piece::decode(&bytes).is_err() && Tile::decode(&bytes).is_err());
     // Right checksums around wrong numbers.
-    let words = [8u32, 8, 8, 0, 1, 0, 4, 0, 0];
-    let forged = |words: &[u32], numbers: [f64; 4]| {
+    let words = [8u32, 8, 8, 0, 1, 0, 4, 0, 0, 4, u32::MAX];
+    let forged = |words: &[u32], numbers: [f64; 7]| {
         let planes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
         let payload = zstd::bulk::compress(&planes, 1).unwrap();
         let body: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).chain(payload).collect();
-        Errors::decode(&[b"FEMCERRS", &1u32.to_le_bytes()[..], &blake3::hash(&body).as_bytes()[..16], &body].concat())
+        Errors::decode(&[b"FEMCERRS", &2u32.to_le_bytes()[..], &blake3::hash(&body).as_bytes()[..16], &body].concat())
     };
-    assert!(forged(&words, [1.0, f64::INFINITY, f64::NAN, f64::NAN]).is_ok());
-    assert!(forged(&words, [1.0, 0.5, 1.0, 1.5]).is_ok());
-    for numbers in
-        [[f64::NAN, 0.5, 1.0, 1.0], [-1.0, 0.5, 1.0, 1.0], [1.0, f64::NAN, 1.0, 1.0], [1.0, 0.5, f64::NAN, 1.0]]
+    assert!(forged(&words, [1.0, 0.5, 1.0, 1.5, 0.0, 0.0, 2.0]).is_ok());
+    assert!(forged(&words, [1.0, f64::INFINITY, f64::INFINITY, 0.0, f64::INFINITY, 1.0, 1.0]).is_ok());
+    for (place, wrong) in
+        [(0, f64::INFINITY), (3, f64::INFINITY), (5, -1.0)].into_iter().chain((0..7).map(|i| (i, f64::NAN)))
     {
+        let mut numbers = [1.0; 7];
+        numbers[place] = wrong;
         assert!(forged(&words, numbers).is_err(), "{numbers:?}");
     }
-    assert!(forged(&[8, 8, 8, 0, 1, 4, 4, 0, 0], [1.0; 4]).is_err(), "no samples");
-    assert!(forged(&[8, 8, 8, 0, 2, 0, 4, 0, 0], [1.0; 4]).is_err(), "more tiles than the film has");
-    assert!(forged(&[1 << 13, 1 << 13, 8, 0, 1 << 20, 0, 4, 0, 0], [1.0; 4]).is_err(), "more than its bytes tell of");
+    assert!(forged(&[8, 8, 8, 0, 1, 4, 4, 0, 0, 4, 4], [1.0; 7]).is_err(), "no samples");
+    assert!(forged(&[8, 8, 8, 0, 2, 0, 4, 0, 0, 4, 4], [1.0; 7]).is_err(), "more tiles than the film has");
+    assert!(
+        forged(&[1 << 13, 1 << 13, 8, 0, 1 << 20, 0, 4, 0, 0, 4, 4], [1.0; 7]).is_err(),
+        "more than its bytes tell of"
+    );
 }
 
 #[test]

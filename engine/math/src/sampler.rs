@@ -1,11 +1,22 @@
 //! Owen-scrambled Sobol points, keyed by (seed, frame, pixel, sample, dimension).
 //!
-//! Each pair of dimensions is a (0,2)-sequence whose index order is shuffled and whose digits are scrambled by hashes of
-//! (seed, frame, pixel, dimension) (\[burley2020\]). Pairs are therefore independent of each other (padding) and each is
-//! stratified over every power-of-two run of samples. A stream holds no state but its dimension counter, so any sample of
-//! any pixel can be redrawn anywhere.
+//! The samples of a pixel are dealt in turn to [`REPLICATES`] **replicates**, which are independent of each other: from the
+//! differences of their means the variance of the pixel's mean is estimated without bias, which a single stratified set does not
+//! allow (its halves lack what the other has). Within a replicate each pair of dimensions is a (0,2)-sequence whose index order is
+//! shuffled and whose digits are scrambled by hashes of (seed, frame, pixel, replicate, dimension) (\[burley2020\]). Pairs are
+//! therefore independent of each other (padding) and each is stratified over every power-of-two run of a replicate's samples. A
+//! stream holds no state but its dimension counter, so any sample of any pixel can be redrawn anywhere.
 
 use crate::hash::{mix32, mix64, unit_f32};
+
+/// Independent parts of a pixel's samples.
+pub const REPLICATES: usize = 4;
+
+/// The replicate of sample number `sample` of a pixel.
+#[inline]
+pub const fn replicate_of(sample: u32) -> usize {
+    sample as usize % REPLICATES
+}
 
 /// The random numbers of one sample of one pixel.
 #[derive(Clone, Copy, Debug)]
@@ -44,8 +55,9 @@ impl SampleStream {
     /// The stream of `sample` in `pixel` (row-major index in the whole film) of `frame`.
     #[inline]
     pub fn new(seed: u64, frame: u32, pixel: u32, sample: u32) -> Self {
-        let key = mix64(mix64(seed ^ 0x6a09_e667_f3bc_c908) ^ ((u64::from(frame) << 32) | u64::from(pixel)));
-        Self { key, index: sample, dimension: 0 }
+        let place = mix64(mix64(seed ^ 0x6a09_e667_f3bc_c908) ^ ((u64::from(frame) << 32) | u64::from(pixel)));
+        let key = mix64(place.wrapping_add(1 + replicate_of(sample) as u64));
+        Self { key, index: sample / REPLICATES as u32, dimension: 0 }
     }
 
     /// Continues at `dimension`; decisions of a path start at fixed dimensions so that one branch does not shift another.
@@ -89,12 +101,15 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_power_of_two_run_is_stratified_in_all_elementary_intervals() {
+    fn every_power_of_two_run_of_a_replicate_is_stratified_in_all_elementary_intervals() {
         for pixel in 0..20 {
             for log in 0..=8u32 {
                 let n = 1usize << log;
+                let replicate = pixel % REPLICATES as u32;
+                let sample = |at: usize| at as u32 * REPLICATES as u32 + replicate;
+                assert!((0..n).all(|at| replicate_of(sample(at)) == replicate as usize));
                 let points: Vec<[f32; 2]> =
-                    (0..n).map(|s| SampleStream::new(7, 3, pixel, s as u32).next_2d()).collect();
+                    (0..n).map(|at| SampleStream::new(7, 3, pixel, sample(at)).next_2d()).collect();
                 for a in 0..=log {
                     let (nx, ny) = (1usize << a, 1usize << (log - a));
                     let mut seen = vec![false; n];
@@ -123,6 +138,27 @@ mod tests {
         }
         let bound = 4.0 * f64::from(n).sqrt();
         assert!(dims.abs() < bound && pixels.abs() < bound, "{dims} {pixels} against {bound}");
+    }
+
+    #[test]
+    fn replicates_are_independent_though_each_is_stratified() {
+        // The mean of the first coordinate by each replicate deviates from 1/2 by about (12 n^3)^-1/2; the product of two such
+        // deviations has the mean 0 over pixels, and the square of one the variance of stratified points, not of random ones.
+        let (pixels, n) = (10_000, 8u32);
+        let (mut product, mut squared, mut of_product) = (0.0f64, 0.0f64, 0.0f64);
+        for pixel in 0..pixels {
+            let mean = |replicate: u32| {
+                let x = (0..n).map(|at| SampleStream::new(3, 1, pixel, at * REPLICATES as u32 + replicate).next_1d());
+                x.map(f64::from).sum::<f64>() / f64::from(n) - 0.5
+            };
+            let (a, b) = (mean(pixel % 4), mean((pixel + 1 + pixel / 4 % 3) % 4));
+            product += a * b;
+            of_product += (a * b).powi(2);
+            squared += a * a;
+        }
+        let variance = squared / f64::from(pixels);
+        assert!((variance * 12.0 * f64::from(n).powi(3) - 1.0).abs() < 0.1, "{variance}");
+        assert!(product.abs() < 4.0 * of_product.sqrt(), "{product}");
     }
 
     #[test]

@@ -57,7 +57,7 @@ fn shots(file: &str, camera: &str, size: [u32; 2], spp: u32, frames: &[u32]) -> 
             film.insert(tile)?;
         }
         let image = film.resolve();
-        let provenance = Provenance { relative_error: image.error().worst, ..Provenance::default() };
+        let provenance = Provenance { error: image.error(), ..Provenance::default() };
         let finished = blake3::hash(&encode(&image, &provenance)?);
         println!("{file} {camera} {frame} sums {} file {finished}", sums.finalize());
     }

@@ -18,6 +18,6 @@ pub use render::{Places, RenderError, RenderedTile, frame_key, prepare, render_t
 /// the name, `tests/builds` compares).
 pub const BUILD: &str = env!("FEMC_ENGINE");
 
-pub use round::{FrameTime, RoundVerdict, TileState};
+pub use round::{FrameTime, RoundVerdict, UNLIT_SPP};
 pub use settings::{Method, Settings, SettingsError, Stop};
 pub use stage::{Loop, Need, Reach, Role, Round, Scope, Stage, StageKind, fan, stages};

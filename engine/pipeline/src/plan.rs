@@ -100,11 +100,15 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
     Ok(Plan { camera: camera.name.clone(), tiling, rounds, frames, method: Method::Pt, stages, left_out })
 }
 
+/// Edge of tiles that have their own numbers of samples, pixels: four blocks, of which the worst one decides.
+const UNEVEN_EDGE: u32 = 32;
+
 /// Edge of a tile: tasks of about a quarter of a million samples, at least a few tasks a frame.
 fn tile_edge(stop: Stop, film: [u32; 2]) -> u32 {
     let spp = match stop {
         Stop::Spp(n) => n,
-        Stop::Error(_) | Stop::Time(_) => 64,
+        Stop::Error(_) => return UNEVEN_EDGE,
+        Stop::Time(_) => 64,
     };
     let mut edge = 128u32;
     while edge > 16 && u64::from(edge * edge) * u64::from(spp) > 1 << 18 {

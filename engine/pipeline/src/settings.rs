@@ -93,7 +93,7 @@ pub enum SettingsError {
 pub const MAX_SPP: u32 = 1 << 24;
 /// Samples a pixel of the first round when the number is not known in advance.
 const FIRST_ROUND: u32 = 16;
-/// Rounds double the samples; this many are the end even if the error asked for is not reached.
+/// Every other round doubles the samples; this many are the end even if the error asked for is not reached.
 const LAST_ROUND_SPP: u32 = 1 << 16;
 
 impl Settings {
@@ -130,7 +130,9 @@ impl Settings {
         match self.stop {
             Stop::Spp(n) => vec![n],
             Stop::Error(_) | Stop::Time(_) => {
-                std::iter::successors(Some(FIRST_ROUND), |n| (*n < LAST_ROUND_SPP).then_some(n * 2)).collect()
+                // 16, 24, 32, 48 ..: of halves and replicates each has as many.
+                let doubled = std::iter::successors(Some(FIRST_ROUND), |n| (*n < LAST_ROUND_SPP).then_some(n * 2));
+                doubled.flat_map(|n| [n, n + n / 2]).take_while(|&n| n <= LAST_ROUND_SPP).collect()
             }
         }
     }

@@ -65,6 +65,8 @@ pub enum Role {
     Pixels,
     /// How far each of several tiles is from converged.
     Errors,
+    /// Where the halves of the tiles end.
+    Stops,
     /// A finished image.
     Image,
     /// The same, tone-mapped.
@@ -127,7 +129,7 @@ impl Stage {
 
 /// Most tiles of a group: 256.
 const GROUP_TILES: u64 = 256;
-/// Most pixels of a group: their sums, 196 bytes each, are united in about a second.
+/// Most pixels of a group: their sums, 236 bytes each, are united in about a second.
 const GROUP_PIXELS: u64 = 1 << 18;
 
 /// Most tiles of a group, of such tiles.
@@ -150,10 +152,14 @@ pub fn stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32) -> Vec<Stage> {
     };
     let mut finished = (1, Role::Pixels);
     if rounds.len() > 1 {
-        // What unites the tiles goes on with its sums of the round before.
+        // What unites the tiles goes on with its sums of the round before, and with what was decided then; so does the decision.
+        let before = |stage, role, reach| Need { stage, role, reach, round: Round::Before };
+        let stops = before(2, Role::Stops, Reach::All);
         let mut reduce = reduce(&[Role::Pixels, Role::Errors, Role::Sums]);
-        reduce.needs.push(Need { stage: 1, role: Role::Sums, reach: Reach::Same, round: Round::Before });
-        let decide = Stage::of_frame(StageKind::Decide, vec![(1, 1)], &[]).reads(1, Role::Errors, Reach::All);
+        reduce.needs.extend([before(1, Role::Sums, Reach::Same), stops]);
+        let decide = Stage::of_frame(StageKind::Decide, vec![(1, 1)], &[Role::Stops]);
+        let mut decide = decide.reads(1, Role::Errors, Reach::All);
+        decide.needs.push(stops);
         let closes = Some(Loop { first: 0, rounds: rounds.len() as u32 });
         all.extend([reduce, Stage { closes, ..decide }]);
     } else if groups > 1 {

@@ -149,6 +149,8 @@ pub enum Role {
     Sheet,
     /// All frames as a clip.
     Clip,
+    /// Where the samples of tiles end that count in a frame.
+    Stops,
 }
 
 /// A row of the roles' table.
@@ -164,7 +166,7 @@ pub struct RoleRow {
 
 impl Role {
     /// All, in the order of the table.
-    pub const ALL: [Self; 14] = [
+    pub const ALL: [Self; 15] = [
         Self::Tile,
         Self::Sums,
         Self::Pixels,
@@ -179,6 +181,7 @@ impl Role {
         Self::Still,
         Self::Sheet,
         Self::Clip,
+        Self::Stops,
     ];
 
     /// Its row of the table.
@@ -199,6 +202,7 @@ impl Role {
             Self::Still => row("still", true, false),
             Self::Sheet => row("sheet", true, false),
             Self::Clip => row("clip", true, false),
+            Self::Stops => row("stops", false, false),
         }
     }
 

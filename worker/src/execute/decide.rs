@@ -3,11 +3,11 @@
 //! What is decided depends on the tiles and the job's settings alone: `femc_pipeline`'s rule says what, and where a person has
 //! asked for a time, which is the one exception.
 
-use femc_film::{Block, Errors, FrameError, TileErrors};
+use femc_film::{Errors, FrameError, Stops, TileErrors};
 use femc_model::{Decision, Failure, More, Phase, Role, Template};
-use femc_pipeline::{FrameTime, RoundVerdict, Settings, TileState};
+use femc_pipeline::{FrameTime, RoundVerdict, Settings};
 
-use super::union::groups;
+use super::union::{groups, stops};
 use super::{Product, Tools, unfit};
 use crate::clock::Stopwatch;
 use crate::table::Task;
@@ -25,20 +25,27 @@ pub(crate) fn decide(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
         tiles.extend(errors.into_tiles());
         Ok(())
     })?;
-    let blocks = || tiles.iter().flat_map(|tile| &tile.blocks);
-    let error = FrameError::of(blocks().map(|it| it.block).collect());
-    let state = |tile: &TileErrors| TileState { samples: tile.samples.end, error: tile.worst(error.floor) };
-    let states: Vec<TileState> = tiles.iter().map(state).collect();
-    let decision = match settings.verdict(&states, frame_time(task), planned(task)) {
+    let error = FrameError::of(tiles.iter().flat_map(|tile| &tile.blocks).map(|it| it.block).collect());
+    let before: Option<Stops> = stops(task, tools)?;
+    let (verdict, stops) = settings.verdict(&tiles, before, frame_time(task), planned(task));
+    let decision = match verdict {
         RoundVerdict::Continue => Decision::Continue,
         RoundVerdict::Steps(steps) => Decision::Steps(steps),
         RoundVerdict::Done => Decision::Done,
     };
-    let contrast = blocks().map(|it| Block { deviation: it.contrast().unwrap_or(f64::INFINITY), ..it.block });
-    let by_replicates = FrameError::of(contrast.collect()).mean;
     let bad = tiles.iter().map(|tile| tile.bad).sum::<u64>();
-    tracing::debug!(worst = error.worst, mean = error.mean, by_replicates, bad, ?decision, "the frame is measured");
+    tracing::debug!(
+        worst = error.worst,
+        mean = error.mean,
+        unlit = error.unlit,
+        bad,
+        ?decision,
+        "the frame is measured"
+    );
     let mut product = Product::default();
+    if decision != Decision::Done {
+        product.put(stage, Role::Stops, || stops.encode());
+    }
     product.result.decision = Some(decision);
     product.result.relative_error = Some(error.worst).filter(|error| error.is_finite());
     product.result.seconds = watch.seconds();

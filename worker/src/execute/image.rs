@@ -37,7 +37,7 @@ pub(crate) fn image(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
         frame: task.assignment.task.stage.frame,
         seconds: work.busy_seconds + watch.seconds(),
         spp,
-        relative_error: error.worst,
+        error: error.clone(),
         bad,
     };
     let (file, preview) =

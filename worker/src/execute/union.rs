@@ -6,7 +6,8 @@ use std::sync::atomic::Ordering;
 
 use bytes::Bytes;
 use femc_fault::{Point, pass};
-use femc_film::{FilmError, Frame, SampleRange, Tile, Tiling};
+use femc_film::tile::Ends;
+use femc_film::{FilmError, Frame, SampleRange, Stops, Tile, Tiling};
 use femc_model::{Artifact, Digest, Failure, Reach, Role, Template};
 use rayon::prelude::*;
 
@@ -47,6 +48,16 @@ pub(super) fn artifacts(task: &Task, role: Role) -> Vec<Artifact> {
     task.assignment.work.of_role(role).map(|input| input.output.artifact).collect()
 }
 
+/// What the decision of the round before has left; `None` in the first round.
+pub(super) fn stops(task: &Task, tools: &Tools) -> Result<Option<Stops>, Failure> {
+    let (tiles, mut lost, mut found) = (tiling(task)?.count(), Lost::default(), None);
+    for (artifact, bytes) in lost.fetch(task, &artifacts(task, Role::Stops), tools)? {
+        lost.check(artifact, Stops::decode(&bytes, tiles).map(|stops| found = Some(stops)));
+    }
+    lost.verdict()?;
+    Ok(found)
+}
+
 /// The sums of the rounds before and the tiles of this one, of the tiles `span`. Whole: each of them holds just the samples
 /// of these rounds, in whatever parts they came. Names every input that is lost, so that all are made again at once.
 pub(super) fn union(task: &Task, span: Range<u32>, tools: &Tools) -> Result<Frame, Failure> {
@@ -57,6 +68,14 @@ pub(super) fn union(task: &Task, span: Range<u32>, tools: &Tools) -> Result<Fram
     for (previous, bytes) in lost.fetch(task, &artifacts(task, Role::Sums), tools)? {
         let insert = |tiles: Vec<Tile>| tiles.into_iter().try_for_each(|tile| frame.insert(tile).map(drop));
         lost.check(previous, tools.install(task, || sums::decode(&bytes)).and_then(insert));
+    }
+    if let Some(stops) = stops(task, tools)? {
+        // Sums of samples on both sides of an end were made by another build or are damaged: they are made again.
+        let hold = |(index, ends): (usize, &Ends)| frame.hold(index, *ends);
+        let held = stops.ends.iter().enumerate().try_for_each(hold);
+        if let (Err(error), [sums, ..]) = (held, &artifacts(task, Role::Sums)[..]) {
+            lost.check(*sums, Err(error));
+        }
     }
     for batch in artifacts(task, Role::Tile).chunks(BATCH) {
         if task.is_cancelled() {

@@ -4,7 +4,7 @@ mod read;
 mod write;
 
 pub use read::{ExrFile, decode, read, read_attributes};
-pub use write::{Provenance, encode, write};
+pub use write::{Provenance, UNLIT, encode, write};
 
 /// Prefix of the string attributes that the renderer writes.
 pub const ATTRIBUTE_PREFIX: &str = "femc:";

@@ -5,7 +5,7 @@
 
 use crate::exr::{ATTRIBUTE_PREFIX, Threads};
 use crate::file::write_atomic;
-use crate::{BadSamples, FilmError, FrameImage};
+use crate::{BadSamples, FilmError, FrameError, FrameImage};
 use exr::meta::attribute::{Chromaticities, Text};
 use exr::prelude::{
     AnyChannel, AnyChannels, AttributeValue, Encoding, FlatSamples, Image, Layer, LayerAttributes, LineOrder, Vec2,
@@ -32,14 +32,14 @@ pub struct Provenance {
     pub seconds: f64,
     /// Mean samples a pixel.
     pub spp: f64,
-    /// Worst relative error of a block, 95 % confidence (see [`crate::FrameError`]).
-    pub relative_error: f64,
+    /// The error that was reached, block by block: written as the layer `relative_error.Y` and in numbers.
+    pub error: FrameError,
     /// Samples left out of the image; as `nan=2 infinite=0 negative=0 out-of-range=0 first=x,y,sample`.
     pub bad: BadSamples,
 }
 
 impl Provenance {
-    fn attributes(&self) -> [(String, String); 9] {
+    fn attributes(&self) -> [(String, String); 12] {
         [
             ("version", self.version.clone()),
             ("engine", self.engine.clone()),
@@ -48,7 +48,10 @@ impl Provenance {
             ("frame", self.frame.to_string()),
             ("seconds", self.seconds.to_string()),
             ("spp", self.spp.to_string()),
-            ("relative_error", self.relative_error.to_string()),
+            ("relative_error", self.error.worst.to_string()),
+            ("relative_error_mean", self.error.mean.to_string()),
+            ("relative_error_floor", self.error.floor.to_string()),
+            ("unlit_blocks", self.error.unlit.to_string()),
             ("bad_samples", account(&self.bad)),
         ]
         .map(|(name, value)| (format!("{ATTRIBUTE_PREFIX}{name}"), value))
@@ -65,8 +68,12 @@ fn account(bad: &BadSamples) -> String {
     }
 }
 
-/// Encodes `R G B` (32-bit float, linear Rec.709, cd/m2) and the layers `albedo.R G B`, `depth.Z` (metres), `variance.R G B`
-/// and `samples.Y` (32-bit integer).
+/// Value of `relative_error.Y` in a block that has met no light.
+pub const UNLIT: f32 = -1.0;
+
+/// Encodes `R G B` (32-bit float, linear Rec.709, cd/m2) and the layers `albedo.R G B`, `depth.Z` (metres), `variance.R G B` and
+/// `variance.Y` (of the luminance), `samples.Y` (32-bit integer), and `relative_error.Y`: of each block of 16 x 16 pixels the error
+/// that `provenance` names, [`UNLIT`] where it names none.
 pub fn encode(image: &FrameImage, provenance: &Provenance) -> Result<Vec<u8>, FilmError> {
     let color = |name: &str, pixels: &[[f32; 3]]| {
         ["R", "G", "B"]
@@ -79,6 +86,8 @@ pub fn encode(image: &FrameImage, provenance: &Provenance) -> Result<Vec<u8>, Fi
     channels.extend(color("albedo.", &image.albedo));
     channels.extend(color("variance.", &image.variance));
     channels.push(floats("depth.Z", image.depth.iter().copied()));
+    channels.push(floats("variance.Y", image.luminance_variance.iter().copied()));
+    channels.push(floats("relative_error.Y", errors(&provenance.error, image).into_iter()));
     channels.push(AnyChannel::new("samples.Y", FlatSamples::U32(image.samples.clone())));
 
     let mut attributes = LayerAttributes { white_luminance: Some(1.0), ..LayerAttributes::default() };
@@ -113,6 +122,19 @@ pub fn encode(image: &FrameImage, provenance: &Provenance) -> Result<Vec<u8>, Fi
 /// Writes [`encode`]d bytes to `path`, whole or not at all.
 pub fn write(path: &Path, image: &FrameImage, provenance: &Provenance) -> Result<(), FilmError> {
     write_atomic(path, &encode(image, provenance).map_err(|e| e.in_file(path))?)
+}
+
+/// The error of each pixel's block.
+fn errors(error: &FrameError, image: &FrameImage) -> Vec<f32> {
+    let (width, height) = (image.color.width, image.color.height);
+    let mut pixels = vec![UNLIT; width as usize * height as usize];
+    for block in &error.blocks {
+        let Some(relative) = block.relative else { continue };
+        for (x, y) in block.rect.pixels().filter(|&(x, y)| x < width && y < height) {
+            pixels[y as usize * width as usize + x as usize] = relative as f32;
+        }
+    }
+    pixels
 }
 
 fn floats(name: &str, values: impl Iterator<Item = f32>) -> AnyChannel<FlatSamples> {

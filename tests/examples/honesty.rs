@@ -1,0 +1,45 @@
+//! Whether images are right on average and their claimed errors the true ones: many seeds of a scene against its reference.
+//!
+//! `cargo run --release -p femc-tests --example honesty -- SCENE.mgf REFERENCE (--error E | --spp N) [--seeds N] [--old-rule]`
+//!
+//! REFERENCE: `<REFERENCE>_A.exr` and `<REFERENCE>_B.exr`, two independent images. `--old-rule` lets a tile end by the estimates that
+//! it stops: a control, which must fail. One line of JSON.
+
+use femc_pipeline::{Settings, Stop};
+use femc_tests::honesty::{Experiment, Measured, Rule, Verdict};
+use femc_tests::reference::Reference;
+use std::error::Error;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::Instant;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let option = |name: &str| args.iter().position(|arg| arg == name).and_then(|at| args.get(at + 1));
+    let (scene, reference) = (args.first().ok_or("no scene")?, Path::new(args.get(1).ok_or("no reference")?));
+    let stop = match (option("--error"), option("--spp")) {
+        (Some(error), _) => Stop::Error(error.parse()?),
+        (None, Some(spp)) => Stop::Spp(spp.parse()?),
+        (None, None) => return Err("neither --error nor --spp".into()),
+    };
+    let seeds: u64 = option("--seeds").map_or(Ok(16), |text| text.parse())?;
+    let first: u64 = option("--first-seed").map_or(Ok(1), |text| text.parse())?;
+    let rule = if args.iter().any(|arg| arg == "--old-rule") { Rule::Peeking } else { Rule::Settings };
+    let (folder, name) = (reference.parent().ok_or("no folder")?, reference.file_name().ok_or("no name")?);
+    let reference = Reference::read(folder, &name.to_string_lossy());
+    let loaded = Arc::new(femc_import::load_path(Path::new(scene))?.scene);
+    let experiment = Experiment::new(&loaded, Settings { stop, ..Settings::default() })?;
+    let start = Instant::now();
+    let shots = (first..first + seeds).map(|seed| experiment.shot(seed, rule));
+    let said = Verdict::of(&reference, shots);
+    let number = |of: Measured| serde_json::json!({ "value": of.value, "error": of.error });
+    let line = serde_json::json!({
+        "scene": scene, "stop": stop, "rule": format!("{rule:?}"), "seeds": seeds,
+        "bias": number(said.bias), "coverage": number(said.coverage), "relmse": number(said.relmse),
+        "true_over_claimed": number(said.honesty), "worst": number(said.worst),
+        "drawn": number(said.drawn), "counted": number(said.counted),
+        "seconds": start.elapsed().as_secs_f64() / seeds as f64,
+    });
+    println!("{line}");
+    Ok(())
+}

@@ -1,0 +1,210 @@
+//! Whether an image is right on average and the error that it claims is the true one: many seeds against a reference.
+
+use crate::reference::Reference;
+use femc_film::tile::OPEN;
+use femc_film::{Errors, Frame, FrameError, FrameImage, Stops, TileErrors, Tiling};
+use femc_pipeline::{FrameTime, Prepared, RoundVerdict, Settings, Source, Stop, plan, prepare, render_tile};
+use femc_scene::Scene;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+
+/// By what a tile's samples end.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rule {
+    /// By the settings' rule.
+    Settings,
+    /// By the very estimates that it stops, for tests: an image by it is too dark.
+    Peeking,
+}
+
+/// A scene that is rendered with many seeds.
+pub struct Experiment {
+    source: Source,
+    settings: Settings,
+    tiling: Tiling,
+    rounds: Vec<u32>,
+}
+
+/// One image.
+pub struct Shot {
+    /// The image.
+    pub image: FrameImage,
+    /// What it claims.
+    pub error: FrameError,
+    /// Samples a pixel that were drawn, averaged over the film.
+    pub drawn: f64,
+}
+
+impl Experiment {
+    /// - errors: settings that are none of the scene's.
+    pub fn new(scene: &Arc<Scene>, settings: Settings) -> Result<Self, femc_pipeline::PlanError> {
+        let plan = plan(scene, &settings, Some(&[1]))?;
+        Ok(Self { source: Source::new(scene.clone()), settings, tiling: plan.tiling, rounds: plan.rounds })
+    }
+
+    /// The image of a seed.
+    ///
+    /// # Panics
+    /// When it cannot be rendered: tests only.
+    pub fn shot(&self, seed: u64, rule: Rule) -> Shot {
+        let settings = Settings { seed, ..self.settings.clone() };
+        let prepared = prepare(&self.source, &settings, 1, None).unwrap_or_else(|error| panic!("{error}"));
+        let mut frame = Frame::new(self.tiling);
+        let (mut steps, mut stops) = (vec![0; self.tiling.count()], None);
+        for (round, &planned) in self.rounds.iter().enumerate() {
+            let ends = if round == 0 { vec![planned; steps.len()] } else { std::mem::take(&mut steps) };
+            self.draw(&prepared, &settings, &mut frame, stops.as_ref(), &ends);
+            let tiles = errors(&frame);
+            let next = self.rounds.get(round + 1).copied();
+            let (verdict, left) = match rule {
+                Rule::Settings => settings.verdict(&tiles, stops.take(), FrameTime { so_far: 0.0, next: 0.0 }, next),
+                Rule::Peeking => self.peek(&tiles, next),
+            };
+            stops = Some(left);
+            steps = match verdict {
+                RoundVerdict::Done => break,
+                RoundVerdict::Continue => vec![next.unwrap_or(planned); tiles.len()],
+                RoundVerdict::Steps(steps) => steps,
+            };
+        }
+        let image = frame.resolve();
+        let drawn: u64 =
+            self.tiling.rects().enumerate().map(|(i, r)| r.area() * frame.tile(i).map_or(0, |t| t.spp())).sum();
+        let pixels = f64::from(self.tiling.width) * f64::from(self.tiling.height);
+        Shot { error: image.error(), image, drawn: drawn as f64 / pixels }
+    }
+
+    /// Draws the samples of each tile up to `ends`.
+    fn draw(&self, prepared: &Prepared, settings: &Settings, frame: &mut Frame, stops: Option<&Stops>, ends: &[u32]) {
+        let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+        for (index, (rect, &end)) in self.tiling.rects().zip(ends).enumerate() {
+            if let Some(stops) = stops {
+                frame.hold(index, stops.ends[index]).unwrap_or_else(|error| panic!("{error}"));
+            }
+            let start = frame.tile(index).map_or(0, |tile| tile.spp() as u32);
+            if start < end {
+                let done = render_tile(prepared, settings, rect, start..end, &cancel, &progress);
+                let tile = done.unwrap_or_else(|error| panic!("{error}")).tile;
+                frame.insert(tile).unwrap_or_else(|error| panic!("{error}"));
+            }
+        }
+    }
+
+    /// A tile ends when its own image has the error that was asked for, by the samples that it is made of.
+    fn peek(&self, tiles: &[TileErrors], next: Option<u32>) -> (RoundVerdict, Stops) {
+        let Stop::Error(most) = self.settings.stop else { panic!("a rule without an error") };
+        let blocks = || tiles.iter().flat_map(|tile| &tile.blocks);
+        let floor = FrameError::of(blocks().map(|it| it.block).collect()).floor;
+        let is_enough = |tile: &TileErrors| {
+            tile.blocks.iter().all(|it| it.block.relative(floor).is_none_or(|relative| relative <= most))
+        };
+        let stops = Stops { floors: [floor; 2], ends: vec![OPEN; tiles.len()] };
+        let Some(next) = next.filter(|_| !tiles.iter().all(is_enough)) else { return (RoundVerdict::Done, stops) };
+        let steps = tiles.iter().map(|tile| if is_enough(tile) { tile.samples.end } else { next }).collect();
+        (RoundVerdict::Steps(steps), stops)
+    }
+}
+
+/// The errors of all tiles.
+fn errors(frame: &Frame) -> Vec<TileErrors> {
+    let all = Errors::of(frame, 0..frame.tiling().count()).unwrap_or_else(|error| panic!("{error}"));
+    all.into_tiles()
+}
+
+/// A number and its standard error.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Measured {
+    /// The number.
+    pub value: f64,
+    /// Its standard error.
+    pub error: f64,
+}
+
+impl Measured {
+    /// The mean of independent values.
+    pub fn mean(values: &[f64]) -> Self {
+        let n = values.len() as f64;
+        let value = values.iter().sum::<f64>() / n;
+        let squares: f64 = values.iter().map(|it| (it - value).powi(2)).sum();
+        Self { value, error: (squares / (n - 1.0) / n).sqrt() }
+    }
+}
+
+/// What many seeds say together.
+#[derive(Clone, Copy, Debug)]
+pub struct Verdict {
+    /// Mean of the frame's luminance over seeds less the reference's, relative to it; with both's noise.
+    pub bias: Measured,
+    /// Share of the blocks' 95 % intervals, in all seeds, that hold the reference, whose own noise widens them.
+    pub coverage: Measured,
+    /// Mean over seeds of the true relmse, less the reference's own noise.
+    pub relmse: Measured,
+    /// True over claimed relmse.
+    pub honesty: Measured,
+    /// Largest claimed error of a block, 95 %.
+    pub worst: Measured,
+    /// Samples a pixel that were drawn.
+    pub drawn: Measured,
+    /// Of them those that count.
+    pub counted: Measured,
+}
+
+/// What one shot says.
+struct Said {
+    mean: f64,
+    covered: f64,
+    relmse: f64,
+    claimed: f64,
+    worst: f64,
+    drawn: f64,
+    counted: f64,
+}
+
+impl Verdict {
+    /// Of the shots of many seeds against a reference.
+    pub fn of(reference: &Reference, shots: impl Iterator<Item = Shot>) -> Self {
+        let (noise, mean) = (reference.noise(), reference.mean_luminance());
+        let said: Vec<Said> = shots.map(|shot| say(reference, &shot, noise)).collect();
+        let over = |of: fn(&Said) -> f64| Measured::mean(&said.iter().map(of).collect::<Vec<_>>());
+        let found = over(|it| it.mean);
+        let (relmse, claimed) = (over(|it| it.relmse), over(|it| it.claimed));
+        // Of a ratio of means: the errors of true and claimed are taken together, seed by seed.
+        let ratio = relmse.value / claimed.value;
+        let residuals: Vec<f64> = said.iter().map(|it| (it.relmse - ratio * it.claimed) / claimed.value).collect();
+        Self {
+            bias: Measured { value: found.value / mean.0 - 1.0, error: (found.error.powi(2) + mean.1).sqrt() / mean.0 },
+            coverage: over(|it| it.covered),
+            relmse,
+            honesty: Measured { value: ratio, error: Measured::mean(&residuals).error },
+            worst: over(|it| it.worst),
+            drawn: over(|it| it.drawn),
+            counted: over(|it| it.counted),
+        }
+    }
+}
+
+fn say(reference: &Reference, Shot { image, error, drawn }: &Shot, noise: f64) -> Said {
+    let width = image.color.width as usize;
+    let (mut covered, mut lit) = (0, 0);
+    for block in &error.blocks {
+        let Some(relative) = block.relative else { continue };
+        let places = || block.rect.pixels().map(|(x, y)| y as usize * width + x as usize);
+        let area = block.rect.area() as f64;
+        let mean = places().map(|at| f64::from(image.color.luminance(at))).sum::<f64>() / area;
+        let (expected, variance) = reference.block_luminance(places());
+        let half_width = relative * mean.max(error.floor);
+        let widened = (half_width.powi(2) + 1.96f64.powi(2) * variance).sqrt();
+        lit += 1;
+        covered += usize::from((mean - expected).abs() <= widened);
+    }
+    let pixels = image.color.pixels.len();
+    Said {
+        mean: (0..pixels).map(|at| f64::from(image.color.luminance(at))).sum::<f64>() / pixels as f64,
+        covered: f64::from(covered as u32) / f64::from((lit as u32).max(1)),
+        relmse: reference.compare(image, femc_film::convergence::BLOCK as usize).relmse - noise,
+        claimed: reference.claimed(image),
+        worst: error.worst,
+        drawn: *drawn,
+        counted: image.mean_spp(),
+    }
+}

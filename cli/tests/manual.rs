@@ -152,6 +152,7 @@ pages! {
     sweeps: "sweeps.md",
     statistics: "statistics.md",
     troubleshooting: "troubleshooting.md",
+    accuracy: "accuracy.md",
     formats: "formats.md",
     scenes: "scenes.md",
 }

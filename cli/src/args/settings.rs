@@ -22,8 +22,8 @@ pub struct SettingsArgs {
     /// Stop when every 16x16 block's mean has relative error E at 95 % confidence [default: 0.05]
     ///
     /// Stop when the mean of every 16x16 block of pixels has relative error E at 95 % confidence [default: 0.05].
-    /// The rule is a simple one: a frame's samples double from round to round, and the same samples that make the
-    /// image decide whether it is good enough, which darkens dim, noisy blocks a little. A later version replaces it.
+    /// Tiles end one by one. The samples of a tile are two independent halves, and whether one has enough is decided by the
+    /// other, so that stopping does not darken the image. The file says what was reached, block by block.
     #[arg(long, value_name = "E", group = "stop", value_parser = positive)]
     pub error: Option<f64>,
     /// Stop at a time budget a frame: 90s, 2m, 1h30m

@@ -1,6 +1,7 @@
 //! Scenes at the edges of what a scene may be, each beside what is true of it: `cargo run --release -p femc-tests --example stress`.
 //!
 //! - `--quick`: in seconds, to ten times the standard errors, without long cases;
+//! - `--coarser F`: to F times the standard errors, in about 1/F^2 of the time;
 //! - `--only GROUP`: one group (may be repeated); `--list` prints them;
 //! - `--rays N`: grazing rays of the group `tight`, for instance `1e9`;
 //! - `--json`: a line of JSON for each line of the table.
@@ -26,13 +27,14 @@ fn main() -> ExitCode {
             "--quick" => effort = Effort::QUICK,
             "--json" => form = Form::Json,
             "--only" => only.extend(args.next()),
+            "--coarser" => effort.coarser = args.next().and_then(|f| f.parse().ok()).unwrap_or(effort.coarser),
             "--rays" => rays = args.next().and_then(|n| n.parse::<f64>().ok()).map(|n| n as u64),
             "--list" => {
                 GROUPS.iter().for_each(|group| println!("{:10} {}", group.name, group.about));
                 return ExitCode::SUCCESS;
             }
             _ => {
-                eprintln!("stress [--quick] [--json] [--only GROUP]... [--rays N] [--list], not {arg}");
+                eprintln!("stress [--quick] [--coarser F] [--json] [--only GROUP]... [--rays N] [--list], not {arg}");
                 return ExitCode::from(2);
             }
         }

@@ -31,6 +31,7 @@ macro_rules! groups {
 }
 
 groups! {
+    peaks_of_phase_functions_are_as_narrow_as_they_are_told: "peaks",
     closed_rooms_of_one_radiance_are_of_that_radiance: "furnace",
     what_gives_as_much_as_it_takes_is_invisible: "media",
     rough_mirrors_lose_what_their_microfacets_hide: "gloss",

@@ -43,6 +43,15 @@ pub fn direction(cos: f32, u: f32) -> Vec3A {
     Vec3A::new(sin * c, sin * s, cos)
 }
 
+/// Unit vector with 1 - z = `versine`, 0 to 2, and azimuth `2 pi u`: as near to the axis as the versine says.
+#[inline]
+pub fn about(versine: f64, u: f32) -> Vec3A {
+    let versine = versine.clamp(0.0, 2.0);
+    let sin = (versine * (2.0 - versine)).sqrt() as f32;
+    let (s, c) = sin_cos(TAU * u);
+    Vec3A::new(sin * c, sin * s, (1.0 - versine) as f32)
+}
+
 /// Uniform barycentric coordinates (b1, b2) on a triangle, low distortion (\[heitz2019\]).
 #[inline]
 pub fn triangle(u: [f32; 2]) -> [f32; 2] {

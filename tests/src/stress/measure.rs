@@ -34,7 +34,7 @@ impl Effort {
 
     /// Whether long cases are left out.
     pub fn is_quick(&self) -> bool {
-        self.coarser > 1.0
+        self.coarser >= Self::QUICK.coarser
     }
 }
 

@@ -15,6 +15,7 @@ mod lights;
 mod line;
 mod measure;
 mod media;
+mod peaks;
 mod quadrature;
 mod room;
 mod same;
@@ -38,6 +39,11 @@ pub struct Group {
 
 /// All groups, in the order of the table.
 pub const GROUPS: &[Group] = &[
+    Group {
+        name: "peaks",
+        about: "phase functions that are nearly a delta, and lamps as small as their peaks",
+        run: peaks::run,
+    },
     Group {
         name: "furnace",
         about: "closed rooms of one radiance: albedo, size, radiance, field of view",

@@ -42,21 +42,20 @@ pub struct PhaseSample {
 }
 
 impl Phase {
-    /// Value for the cosine between propagation directions, 1/sr.
-    #[inline]
-    pub fn eval_cos(&self, cos: f32) -> f32 {
-        match *self {
-            Self::Isotropic => 1.0 / (4.0 * PI),
-            Self::HenyeyGreenstein { g } => henyey_greenstein::eval(g, cos),
-            Self::Schlick { k } => schlick::eval(k, cos),
-            Self::Rayleigh => rayleigh::eval(cos),
-        }
-    }
-
     /// Phase function, 1/sr. Symmetric in its arguments; integrates to 1 over the sphere.
     #[inline]
     pub fn eval(&self, wo: Vec3A, wi: Vec3A) -> f32 {
-        self.eval_cos((-wo.dot(wi)).clamp(-1.0, 1.0))
+        // Half the square of the chord to the peak: exact where the peak is narrow and the cosine is not.
+        let versine = |parameter: f32| {
+            let chord = if parameter >= 0.0 { wo + wi } else { wo - wi };
+            0.5 * chord.length_squared()
+        };
+        match *self {
+            Self::Isotropic => 1.0 / (4.0 * PI),
+            Self::HenyeyGreenstein { g } => henyey_greenstein::eval(g.abs(), versine(g)),
+            Self::Schlick { k } => schlick::eval(k.abs(), versine(k)),
+            Self::Rayleigh => rayleigh::eval((-wo.dot(wi)).clamp(-1.0, 1.0)),
+        }
     }
 
     /// Density of [`Self::sample`], 1/sr: equal to [`Self::eval`].
@@ -68,13 +67,14 @@ impl Phase {
     /// Draws a direction from `u` in [0, 1)^2.
     #[inline]
     pub fn sample(&self, wo: Vec3A, u: [f32; 2]) -> PhaseSample {
-        let cos = match *self {
+        let (parameter, versine) = match *self {
             Self::Isotropic => return PhaseSample { wi: warp::sphere(u), pdf: 1.0 / (4.0 * PI) },
-            Self::HenyeyGreenstein { g } => henyey_greenstein::sample_cos(g, u[0]),
-            Self::Schlick { k } => schlick::sample_cos(k, u[0]),
-            Self::Rayleigh => rayleigh::sample_cos(u[0]),
+            Self::HenyeyGreenstein { g } => (g, henyey_greenstein::sample_versine(g.abs(), u[0])),
+            Self::Schlick { k } => (k, schlick::sample_versine(k.abs(), u[0])),
+            Self::Rayleigh => (1.0, 1.0 - f64::from(rayleigh::sample_cos(u[0]))),
         };
-        let wi = Frame::from_normal(-wo).to_world(warp::direction(cos, u[1])).normalize();
+        let peak = if parameter >= 0.0 { -wo } else { wo };
+        let wi = Frame::from_normal(peak).to_world(warp::about(versine, u[1])).normalize();
         PhaseSample { wi, pdf: self.eval(wo, wi) }
     }
 

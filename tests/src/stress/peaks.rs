@@ -1,0 +1,57 @@
+//! Phase functions that are nearly a delta, and a lamp as small as their peak: half of what is scattered once meets it.
+//!
+//! The camera looks through fog at the middle of a ball. What comes straight is L e^-d; what is scattered once, at the distance s,
+//! comes from the ball with the share of the phase function within the angle that the ball has there, and through as much fog.
+
+use super::Line;
+use super::measure::{Case, Effort, all};
+use super::quadrature::integral;
+use crate::text::{camera, material};
+use std::f64::consts::PI;
+
+/// Thickness of the fog, its albedo, and where the ball is.
+const DEPTH: f64 = 1.0;
+const ALBEDO: f64 = 0.9;
+const FAR: f64 = 2.0;
+
+pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
+    let mut cases = Vec::new();
+    for peak in [0.1, 1e-2, 1e-3, 1e-4, 1e-5] {
+        let parameter = 1.0 - peak;
+        // Half of Henyey-Greenstein's peak is within about 1 - g, of Schlick's within about sqrt(2 (1 - k)).
+        cases.push(lamp(&format!("hg {parameter}"), 1.0 * peak, |angle| henyey_greenstein(parameter, angle)));
+        let wide = (2.0 * peak).sqrt();
+        cases.push(lamp(&format!("schlick {parameter}"), wide.min(0.4), |angle| schlick(parameter, angle)));
+    }
+    all("peaks", &cases, effort, tell);
+}
+
+fn lamp(phase: &str, angle: f64, within: impl Fn(f64) -> f64) -> Case {
+    let radius = FAR * angle;
+    // The image is a hundredth of the ball's.
+    let view = camera("0 0 0", "1 0 0", 0.01 * angle.to_degrees()).replace("up .1 .2 .9", "up 0 0 1");
+    let fog = format!("medium fog =\n sigma_s {ALBEDO}\n sigma_a {}\n phase {phase}\n", 1.0 - ALBEDO);
+    let lamp = material("lamp", &["sides 1", &format!("ed {PI}")]);
+    // Fog to the right and to the left of the ray is as thick: paths to the ball are longer by the square of small angles alone.
+    let text = format!(
+        "{view}{fog}mbox fog 0 -9 -9 {DEPTH} 9 9\n{lamp}v o =\n p {} 0 0\nm lamp\nsph o {radius}\n",
+        FAR + radius
+    );
+    let share = integral(0.0, DEPTH, 64, |s| within((radius / (FAR + radius - s)).asin()));
+    let truth = (-DEPTH).exp() * (1.0 + ALBEDO * share);
+    Case::new(format!("a lamp of {angle:.1e} rad through fog of phase {phase}"), text, truth)
+        .depth(2)
+        .slack(1e-4 + 0.3 * angle * angle)
+}
+
+/// Share within an angle of the forward direction.
+fn henyey_greenstein(g: f64, angle: f64) -> f64 {
+    let versine = 2.0 * (0.5 * angle).sin().powi(2);
+    let chord = ((1.0 - g).powi(2) + 2.0 * g * versine).sqrt();
+    (1.0 - g * g) / (2.0 * g) * (1.0 / (1.0 - g) - 1.0 / chord)
+}
+
+fn schlick(k: f64, angle: f64) -> f64 {
+    let versine = 2.0 * (0.5 * angle).sin().powi(2);
+    (1.0 - k * k) / (2.0 * k) * (1.0 / (1.0 - k) - 1.0 / (1.0 - k + k * versine))
+}

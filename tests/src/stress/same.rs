@@ -16,7 +16,7 @@ use std::fmt::Write;
 use std::time::Instant;
 
 pub fn run(effort: &Effort, tell: &mut dyn FnMut(Line)) {
-    let spp = if effort.is_quick() { 4 } else { 256 };
+    let spp = if effort.is_quick() { 4 } else { 64 };
     for scale in [1e-3, 1e-2, 0.1, 10.0, 1e2, 1e3, 1e4] {
         tell(alike(&format!("scaled by {scale:e}"), &room(1.0, [0.0; 3]), &room(scale, [0.0; 3]), spp));
     }

@@ -35,7 +35,9 @@ fn albedo(cos: f64, alpha: f64) -> f64 {
     let (rings, spokes) = (600, 400);
     let mut sum = 0.0;
     for ring in 0..rings {
-        let u = (f64::from(ring) + 0.5) / f64::from(rings);
+        // In the square root of 1 - u: at u = 1 the integrand grows as 1 / cos_h.
+        let root = (f64::from(ring) + 0.5) / f64::from(rings);
+        let (u, weight) = (1.0 - root * root, 2.0 * root);
         let cos_h = ((1.0 - u) / (1.0 + (a2 - 1.0) * u)).sqrt();
         let sin_h = (1.0 - cos_h * cos_h).max(0.0).sqrt();
         for spoke in 0..spokes {
@@ -43,7 +45,7 @@ fn albedo(cos: f64, alpha: f64) -> f64 {
             let d = wo[0] * sin_h * phi.cos() + wo[1] * cos_h;
             let z = 2.0 * d * cos_h - wo[1];
             if d > 0.0 && z > 0.0 {
-                sum += d / (wo[1] * cos_h) / (1.0 + lambda(wo[1]) + lambda(z));
+                sum += weight * d / (wo[1] * cos_h) / (1.0 + lambda(wo[1]) + lambda(z));
             }
         }
     }

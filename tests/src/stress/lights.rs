@@ -50,13 +50,14 @@ fn lattice(n: u32) -> Case {
     let step = 20.0 / f64::from(n);
     let lamp = material("lamp", &["sides 1", &format!("ed {}", PI * 1e4)]);
     let text = format!(
-        "{lamp}xf -t -9.95 -9.95 1 -a {n} -t {step} 0 0 -i 1 -a {n} -t 0 {step} 0 -i 1 -a 10 -t 0 0 1\nv o =\n p 0 0 0\nm lamp\nsph o 1e-4\nxf\n"
+        "{lamp}xf -t -9.913 -9.871 1.037 -a {n} -t {step} 0 0 -i 1 -a {n} -t 0 {step} 0 -i 1 -a 10 -t 0 0 1\nv o =\n p 0 0 0\nm lamp\nsph o 1e-4\nxf\n"
     );
-    let at = |k: u32| -9.95 + step * f64::from(k);
+    // From the origin, no lamp is behind another: of a lattice about it, every one at three times the place of another would be.
+    let at = |start: f64, k: u32| start + step * f64::from(k);
     let mut sum = 0.0;
     for z in 0..10 {
         for y in 0..n {
-            sum += (0..n).map(|x| share([at(x), at(y), 1.0 + f64::from(z)], 1e-4)).sum::<f64>();
+            sum += (0..n).map(|x| share([at(-9.913, x), at(-9.871, y), 1.037 + f64::from(z)], 1e-4)).sum::<f64>();
         }
     }
     Case::new(format!("{} lamps in a lattice", 10 * n * n), scene(&text), RHO * 1e4 * sum).slack(1e-4)

@@ -2,10 +2,11 @@
 //! agree wherever their densities, their weights and what lies between are right.
 
 use femc_montecarlo::Technique;
+use femc_pipeline::{Settings, Stop};
 use femc_stats::testing::sidak;
 use femc_tests::agreement::Estimate;
-use femc_tests::scene_of;
 use femc_tests::text::{block, camera, level, material};
+use femc_tests::{render, scene, scene_of};
 
 /// Chance of a false alarm of all comparisons of one scene.
 const LEVEL: f64 = 1e-4;
@@ -153,4 +154,57 @@ fn small_lamps_that_the_camera_sees() {
     let moves = "time 0 1 10\npath p = linear\n key 0 -t 0 -.1 0\n key 1 -t 0 .2 .1\n";
     let text = view.replace(" film 8 8\n", " film 8 8\n shutter 0 .9\n");
     agree("moving", &format!("{moves}{text}xf -path p\n{}xf\n", lamp("sph s .03")), 64);
+}
+
+/// Flat lamps whose outlines cut pixels: small, larger than pixels, edge on, hidden in part, and partly behind the film's border.
+#[test]
+fn flat_lamps_that_cover_parts_of_pixels() {
+    let corners = |points: &[[f64; 3]]| -> String {
+        let vertex = |(at, [x, y, z]): (usize, &[f64; 3])| format!("v p{at} =\n p {x} {y} {z}\n");
+        let names: String = (0..points.len()).map(|at| format!(" p{at}")).collect();
+        let vertices: String = points.iter().enumerate().map(vertex).collect();
+        format!("m lamp =\n c\n sides 2\n ed 1e4\n{vertices}m lamp\nf{names}\n")
+    };
+    let view = camera("-4 -.5 1.5", "0 0 1", 25.0);
+    let lens = view.replace(" film 8 8\n", " film 8 8\n lens .02 4.3\n");
+    let thin = "medium fog =\n sigma_s .05\n sigma_a .05\nmglobal fog\n";
+    let wall = material("wall", &["sides 2", "rd .5"])
+        + "v wa =\n p -1 0 .5\nv wb =\n p -1 2 .5\nv wc =\n p -1 2 1.3\nv wd =\n p -1 0 1.3\nm wall\nf wa wb wc wd\n";
+    let floor = floor(&["sides 2", "rd .5"]);
+    for (name, points) in [
+        ("triangle", &[[0.0, -0.1, 1.0], [0.1, 0.15, 1.02], [0.0, 0.1, 1.3]][..]),
+        ("strip, nearly edge on", &[[0.0, -0.5, 1.2], [0.4, -0.5, 1.1], [0.4, 0.5, 1.1], [0.0, 0.5, 1.2]]),
+        ("window", &[[0.0, -0.4, 0.7], [0.0, 0.45, 0.7], [0.0, 0.45, 1.3], [0.0, -0.4, 1.3]]),
+        ("at the border", &[[0.0, 0.6, 0.9], [0.0, 1.5, 0.9], [0.0, 1.5, 1.1], [0.0, 0.6, 1.1]]),
+    ] {
+        let lamp = corners(points);
+        for (how, text) in [
+            ("alone", view.clone() + &lamp),
+            ("over a floor, hidden in part", format!("{view}{floor}{wall}{lamp}")),
+            ("in fog", format!("{view}{thin}{lamp}")),
+            ("by a lens", lens.clone() + &lamp),
+        ] {
+            agree(&format!("{name} {how}"), &text, 64);
+        }
+    }
+}
+
+/// The outline of a lamp is drawn, so that its share of a pixel does not vary: an image of a few samples has nearly no noise.
+#[test]
+fn a_lamp_s_share_of_a_pixel_hardly_varies() {
+    let view = camera("-4 -.5 1.5", "0 0 1", 25.0);
+    let lamp = "m lamp =\n c\n sides 2\n ed 1e4\nv a =\n p 0 -.5 1.2\nv b =\n p .4 -.5 1.1\nv c =\n p .4 .5 1.1\nv d =\n p 0 .5 1.2\nm lamp\nf a b c d\n";
+    let settings = Settings { stop: Stop::Spp(16), ..Settings::default() };
+    let image = render(&scene(&(view + lamp)), &settings, 1);
+    let (mut of_share, mut pixels) = (0.0, 0);
+    for at in 0..64 {
+        let share = f64::from(image.color.luminance(at)) / (1e4 / std::f64::consts::PI);
+        if (0.01..0.99).contains(&share) {
+            // A ray through a random place of the pixel meets the lamp or does not.
+            let by_chance = (1e4 / std::f64::consts::PI).powi(2) * share * (1.0 - share) / 16.0;
+            of_share += f64::from(image.luminance_variance[at]) / by_chance;
+            pixels += 1;
+        }
+    }
+    assert!(pixels > 4 && of_share < 0.01 * f64::from(pixels), "{of_share} of {pixels} pixels");
 }

@@ -84,6 +84,8 @@ enum Came {
     Camera {
         /// The pixel.
         pixel: u32,
+        /// The place on the film, pixels.
+        place: [f32; 2],
         /// Density of the place on the film, 1/pixel2.
         density: f32,
         /// Of a pixel there, sr.
@@ -143,7 +145,7 @@ impl<'a> Tracer<'a> {
         let mut came = Came::Surely;
         let mut drawn = Rgb::ZERO;
         if let Some(seen) = self.scene.sightings.of(pixel) {
-            came = Came::Camera { pixel, density: filter.density(offset), solid_angle: view.solid_angle(place) };
+            came = Came::Camera { pixel, place, density: filter.density(offset), solid_angle: view.solid_angle(place) };
             drawn = self.sight(seen, &view, time, center, filter, &mut stream);
         }
         let mut sample = if self.scene.media.is_empty() {
@@ -167,17 +169,30 @@ impl<'a> Tracer<'a> {
     ) -> Rgb {
         let scene = self.scene;
         stream.seek(dim::SIGHT);
-        let (light, chosen) = seen.choose(stream.next_1d());
+        let choice = seen.choose(stream.next_1d(), center);
         stream.seek(dim::SIGHT_POINT);
         let u = stream.next_2d();
-        let point = scene.lights.sample_light(&scene.world, &scene.textures, light, view.origin, time, u);
-        let Some(point) = point else { return Rgb::ZERO };
-        let Some((place, _)) = view.project(point.position) else { return Rgb::ZERO };
+        // The point, its place on the film and the density of that, 1/pixel2.
+        let drawn = match &choice.part {
+            Some(part) => part.sample(u).and_then(|place| {
+                let dir = view.ray(place).dir;
+                let point = scene.lights.sample_toward(&scene.textures, choice.light, view.origin, dir)?;
+                Some((point, place, 1.0 / part.area()))
+            }),
+            None => scene
+                .lights
+                .sample_light(&scene.world, &scene.textures, choice.light, view.origin, time, u)
+                .and_then(|point| {
+                    let (place, _) = view.project(point.position)?;
+                    Some((point, place, point.pdf * view.solid_angle(place)))
+                }),
+        };
+        let Some((point, place, pdf)) = drawn else { return Rgb::ZERO };
         let density = filter.density([place[0] - center[0], place[1] - center[1]]);
         if density <= 0.0 || point.radiance == Rgb::ZERO {
             return Rgb::ZERO;
         }
-        let pdf = chosen * point.pdf * view.solid_angle(place);
+        let pdf = choice.probability * pdf;
         let weight = weight(on_surfaces(self.settings.only), Technique::Light, square(density / pdf));
         let from = (view.origin, Vec3A::ZERO, Vec3A::ZERO);
         let counters = &mut self.counters;
@@ -345,12 +360,16 @@ impl<'a> Tracer<'a> {
         let chosen = |normal| scene.lights.probability(&scene.lights.at_point(previous.position, normal), light);
         let others = match &previous.came {
             Came::Surely => return radiance,
-            Came::Camera { pixel, density, solid_angle } => {
-                let chosen = scene.sightings.of(*pixel).map_or(0.0, |seen| seen.probability(light));
-                if chosen == 0.0 {
-                    return radiance;
-                }
-                square(drawn() * chosen * solid_angle / density)
+            Came::Camera { pixel, place, density, solid_angle } => {
+                let seen = scene.sightings.of(*pixel);
+                let choice = seen.and_then(|seen| seen.find(light, scene.camera.center(*pixel)));
+                let Some(choice) = choice else { return radiance };
+                let pdf = match &choice.part {
+                    Some(part) if part.contains(*place) => 1.0 / part.area(),
+                    Some(_) => return radiance,
+                    None => drawn() * solid_angle,
+                };
+                square(choice.probability * pdf / density)
             }
             Came::Surface { normal, pdf } => square(drawn() * chosen(*normal) / pdf),
             Came::Medium { collision, pdf } => {

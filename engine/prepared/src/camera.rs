@@ -161,6 +161,11 @@ impl KernelCamera {
         (0..self.poses.len()).map(move |k| pinhole.view([0.5; 2], k as f32 / last))
     }
 
+    /// What it sees, if it stands and has no lens.
+    pub(crate) fn pinhole(&self) -> Option<View> {
+        (self.poses.len() == 1 && self.lens_radius == 0.0).then(|| self.view([0.5; 2], 0.0))
+    }
+
     /// Radius of the spot, in pixels, that a point at `distance` along the view axis, m, makes.
     pub(crate) fn blur(&self, distance: f32) -> f32 {
         if self.lens_radius > 0.0 {

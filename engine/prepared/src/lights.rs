@@ -165,6 +165,24 @@ impl Lights {
         Some(sample)
     }
 
+    /// Corners of a light that is a flat polygon and stands still, prepared frame, m; none of others.
+    pub(crate) fn corners(&self, light: u32) -> Vec<Vec3A> {
+        let stands = self.entries[light as usize].carrier == NONE;
+        if stands { self.lights[light as usize].corners() } else { Vec::new() }
+    }
+
+    /// The point of such a light that is seen from `reference` in direction `dir` (unit), with density 1.
+    #[inline]
+    pub fn sample_toward(&self, textures: &[Texture], light: u32, reference: Vec3A, dir: Vec3A) -> Option<LightSample> {
+        let entry = &self.entries[light as usize];
+        let mut sample = self.lights[light as usize].toward(reference, dir)?;
+        sample.error += entry.slack;
+        if entry.texture != NONE {
+            sample.radiance *= entry.texel(textures, sample.uv);
+        }
+        Some(sample)
+    }
+
     /// Density, 1/sr, with which [`Lights::sample_light`] draws the point that a ray met, without the light's probability.
     #[inline]
     pub fn pdf(&self, world: &World, light: u32, reference: Vec3A, time: f32, at: (Vec3A, Vec3A), dir: Vec3A) -> f32 {

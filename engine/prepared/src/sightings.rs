@@ -1,19 +1,30 @@
 //! Small light sources, by the pixels that see them.
 //!
-//! A lamp far away may be smaller than a pixel: of camera rays that go through random places of the pixel few meet it, and each of
-//! those few counts for all. A path may as well begin by drawing a point on such a lamp. The lists say which lamps a pixel may see;
-//! what is hidden is found out by the shadow ray. Nothing depends on their being complete: who is not listed is met by chance.
+//! A lamp far away may be smaller than a pixel, or fill a part of one: of camera rays that go through random places of the pixel few
+//! meet it, and each of those few counts for all. A path may as well begin by drawing a point on such a lamp. The lists say which
+//! lamps a pixel may see; what is hidden is found out by the shadow ray. Nothing depends on their being complete: who is not listed
+//! is met by chance.
+//!
+//! Of a flat polygon before a camera that stands and has no lens the outline on the film is known: a place is drawn in the part
+//! of it that the pixel's filter reaches, so that the lamp's share of the pixel does not vary at all. Of other lamps a point is
+//! drawn somewhere on the lamp.
 
 use crate::camera::KernelCamera;
+use crate::compile::NONE;
 use crate::lights::Lights;
+use crate::outline::Outline;
 use femc_math::gamma;
 use femc_math::glam::{BVec3A, Vec3A};
 
-/// Images of lamps that are larger than this, in pixels, are met by chance.
+/// Images of lamps without an outline that are larger than this, in pixels, are met by chance.
 const LARGEST: f32 = 8.0;
+/// The same of those with an outline: only pixels at its border are listed.
+const LARGEST_OUTLINE: f32 = 256.0;
+/// Parts of outlines below this area, pixels2, are left to chance.
+const LEAST_PART: f32 = 1e-7;
 /// A point whose place on the film is not known this well, in pixels, is not drawn.
 const ACCURACY: f32 = 0.02;
-/// Most entries of all lists, 12 bytes each; the lamps that send most to the camera come first.
+/// Most entries of all lists, 16 bytes each; the lamps that send most to the camera come first.
 const MOST: usize = 1 << 22;
 
 /// The lists.
@@ -21,6 +32,9 @@ const MOST: usize = 1 << 22;
 pub struct Sightings {
     /// By pixel, then by light.
     entries: Vec<Entry>,
+    outlines: Vec<Outline>,
+    /// Of the pixel filter, pixels.
+    radius: f32,
     /// A bit for each pixel: whether it has a list.
     has_list: Vec<u64>,
 }
@@ -31,49 +45,91 @@ struct Entry {
     light: u32,
     /// Share of the pixel's lights up to this one.
     up_to: f32,
+    /// Number of its outline, or `NONE`.
+    outline: u32,
 }
 
 /// The lights of one pixel.
 #[derive(Clone, Copy, Debug)]
-pub struct Seen<'a>(&'a [Entry]);
+pub struct Seen<'a> {
+    entries: &'a [Entry],
+    all: &'a Sightings,
+}
+
+/// A light that was chosen.
+#[derive(Clone, Copy, Debug)]
+pub struct Choice {
+    /// Its number.
+    pub light: u32,
+    /// Probability of the choice.
+    pub probability: f32,
+    /// The part of its outline that the pixel's filter reaches, on the film; `None`: a point is to be drawn on the light.
+    pub part: Option<Outline>,
+}
 
 /// Where the image of a light is.
 struct Image {
     low: [f32; 2],
     high: [f32; 2],
-    /// What the light sends to the camera, at most.
+    /// What the light sends to the camera, at most, lm/m2.
     strength: f32,
+    outline: Option<Outline>,
 }
 
 impl Sightings {
     /// Of the `lights` that `camera` may see; `radius`: of the pixel filter, pixels.
     pub(crate) fn new(camera: &KernelCamera, lights: &Lights, radius: f32) -> Self {
+        let image = |light| outlined(camera, lights, light).or_else(|| image(camera, lights, light));
         let mut images: Vec<(u32, Image)> = (0..lights.len() as u32)
             .filter(|&light| lights.may_be_met(light))
-            .filter_map(|light| Some((light, image(camera, lights, light)?)))
+            .filter_map(|light| Some((light, image(light)?)))
             .collect();
         images.sort_by(|a, b| b.1.strength.total_cmp(&a.1.strength).then(a.0.cmp(&b.0)));
-        let mut entries: Vec<Entry> = Vec::new();
+        let mut all = Self { radius, ..Self::default() };
         for (light, image) in images {
-            // Pixels whose filter reaches the image.
-            let [columns, rows] = [0, 1].map(|axis| {
-                let last = i64::from(camera.film[axis]) - 1;
-                let first = (image.low[axis] - radius - 0.5).ceil() as i64;
-                first.max(0)..=((image.high[axis] + radius - 0.5).floor() as i64).min(last)
-            });
-            let pixels = rows.flat_map(|y| columns.clone().map(move |x| (x, y)));
-            let pixels = pixels.map(|(x, y)| (y * i64::from(camera.film[0]) + x) as u32);
-            entries.extend(pixels.map(|pixel| Entry { pixel, light, up_to: image.strength }));
-            if entries.len() > MOST {
+            all.list(camera, light, &image);
+            if all.entries.len() > MOST {
                 break;
             }
         }
-        entries.sort_by_key(|entry| (entry.pixel, entry.light));
-        let pixels = camera.film[0] as usize * camera.film[1] as usize;
-        let mut has_list = if entries.is_empty() { Vec::new() } else { vec![0; pixels.div_ceil(64)] };
-        for list in entries.chunk_by_mut(|a, b| a.pixel == b.pixel) {
+        all.share_out(camera.film);
+        all
+    }
+
+    /// Lists a light for the pixels whose filter reaches its image.
+    fn list(&mut self, camera: &KernelCamera, light: u32, image: &Image) {
+        let radius = self.radius;
+        let [columns, rows] = [0, 1].map(|axis| {
+            let last = i64::from(camera.film[axis]) - 1;
+            let first = (image.low[axis] - radius - 0.5).ceil() as i64;
+            first.max(0)..=((image.high[axis] + radius - 0.5).floor() as i64).min(last)
+        });
+        let number = if image.outline.is_some() { self.outlines.len() as u32 } else { NONE };
+        let whole = image.outline.map(|outline| outline.area());
+        for (x, y) in rows.flat_map(|y| columns.clone().map(move |x| (x, y))) {
+            let pixel = (y * i64::from(camera.film[0]) + x) as u32;
+            let mut strength = image.strength;
+            if let (Some(outline), Some(whole)) = (image.outline, whole) {
+                let area = reached(&outline, camera.center(pixel), radius).area();
+                let footprint = 4.0 * radius * radius;
+                if area < LEAST_PART || area > (1.0 - 1e-4) * footprint {
+                    continue;
+                }
+                strength *= area / whole;
+            }
+            self.entries.push(Entry { pixel, light, up_to: strength, outline: number });
+        }
+        self.outlines.extend(image.outline);
+    }
+
+    /// Makes shares of the strengths of each pixel's lights.
+    fn share_out(&mut self, film: [u32; 2]) {
+        self.entries.sort_by_key(|entry| (entry.pixel, entry.light));
+        let pixels = film[0] as usize * film[1] as usize;
+        self.has_list = if self.entries.is_empty() { Vec::new() } else { vec![0; pixels.div_ceil(64)] };
+        for list in self.entries.chunk_by_mut(|a, b| a.pixel == b.pixel) {
             let pixel = list[0].pixel as usize;
-            has_list[pixel / 64] |= 1 << (pixel % 64);
+            self.has_list[pixel / 64] |= 1 << (pixel % 64);
             let total: f32 = list.iter().map(|entry| entry.up_to).sum();
             let mut sum = 0.0;
             for entry in list.iter_mut() {
@@ -84,7 +140,6 @@ impl Sightings {
                 last.up_to = 1.0;
             }
         }
-        Self { entries, has_list }
     }
 
     /// The lights that a pixel (row-major index in the whole film) may see; `None`: no small ones.
@@ -96,27 +151,55 @@ impl Sightings {
         }
         let first = self.entries.partition_point(|entry| entry.pixel < pixel);
         let count = self.entries[first..].partition_point(|entry| entry.pixel == pixel);
-        Some(Seen(&self.entries[first..first + count]))
+        Some(Seen { entries: &self.entries[first..first + count], all: self })
     }
 }
 
 impl Seen<'_> {
-    /// A light by `u` in [0, 1), and its probability.
+    /// A light by `u` in [0, 1).
+    /// - `center`: of the pixel, on the film.
     #[inline]
-    pub fn choose(self, u: f32) -> (u32, f32) {
-        let at = self.0[..self.0.len() - 1].partition_point(|entry| entry.up_to <= u);
-        (self.0[at].light, self.share(at))
+    pub fn choose(self, u: f32, center: [f32; 2]) -> Choice {
+        let at = self.entries[..self.entries.len() - 1].partition_point(|entry| entry.up_to <= u);
+        self.choice(at, center)
     }
 
-    /// Probability with which [`Self::choose`] chooses a light; 0 of others.
+    /// The choice of a light; `None` of others.
     #[inline]
-    pub fn probability(self, light: u32) -> f32 {
-        self.0.binary_search_by_key(&light, |entry| entry.light).map_or(0.0, |at| self.share(at))
+    pub fn find(self, light: u32, center: [f32; 2]) -> Option<Choice> {
+        self.entries.binary_search_by_key(&light, |entry| entry.light).ok().map(|at| self.choice(at, center))
     }
 
-    fn share(self, at: usize) -> f32 {
-        self.0[at].up_to - if at > 0 { self.0[at - 1].up_to } else { 0.0 }
+    fn choice(self, at: usize, center: [f32; 2]) -> Choice {
+        let entry = &self.entries[at];
+        let before = if at > 0 { self.entries[at - 1].up_to } else { 0.0 };
+        let outline = self.all.outlines.get(entry.outline as usize);
+        let part = outline.map(|outline| reached(outline, center, self.all.radius));
+        Choice { light: entry.light, probability: entry.up_to - before, part }
     }
+}
+
+/// The part of an outline that the filter of a pixel reaches.
+#[inline]
+fn reached(outline: &Outline, center: [f32; 2], radius: f32) -> Outline {
+    outline.within(center.map(|x| x - radius), center.map(|x| x + radius))
+}
+
+/// The outline of a flat polygon that stands, before a camera that stands and has no lens; `None` of others, and where it is not on
+/// the film, or not wholly in front of the camera.
+fn outlined(camera: &KernelCamera, lights: &Lights, light: u32) -> Option<Image> {
+    let (corners, view) = (lights.corners(light), camera.pinhole()?);
+    let places: Option<Vec<[f32; 2]>> = corners.iter().map(|&it| view.project(it).map(|(place, _)| place)).collect();
+    let places = places.filter(|places| places.len() > 2)?;
+    let over = |axis: usize, of: fn(f32, f32) -> f32| places.iter().map(|place| place[axis]).reduce(of).unwrap_or(0.0);
+    let (low, high) = ([0, 1].map(|axis| over(axis, f32::min)), [0, 1].map(|axis| over(axis, f32::max)));
+    let is_on_film = (0..2).all(|axis| high[axis] >= -2.0 && low[axis] <= camera.film[axis] as f32 + 2.0);
+    let fits = (0..2).all(|axis| high[axis] - low[axis] <= LARGEST_OUTLINE);
+    let near = corners.iter().map(|&corner| (corner - view.origin).length()).fold(f32::INFINITY, f32::min);
+    let strength = lights.power(light) / (near * near);
+    let outline = Outline::new(&places);
+    let is_seen = is_on_film && fits && outline.area() > LEAST_PART && strength > 0.0 && strength.is_finite();
+    is_seen.then_some(Image { low, high, strength, outline: Some(outline) })
 }
 
 /// Where a light is seen over the shutter; `None` where that is not on the film, too large, too near or too uncertain.
@@ -144,5 +227,10 @@ fn image(camera: &KernelCamera, lights: &Lights, light: u32) -> Option<Image> {
     let is_small = (0..2).all(|axis| high[axis] - low[axis] <= LARGEST);
     let is_on_film = (0..2).all(|axis| high[axis] >= -2.0 && low[axis] <= camera.film[axis] as f32 + 2.0);
     let strength = power / (near * near);
-    (is_small && is_on_film && strength > 0.0 && strength.is_finite()).then_some(Image { low, high, strength })
+    (is_small && is_on_film && strength > 0.0 && strength.is_finite()).then_some(Image {
+        low,
+        high,
+        strength,
+        outline: None,
+    })
 }

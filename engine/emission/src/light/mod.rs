@@ -192,6 +192,26 @@ impl Light {
         matches!(self, Self::PhotometricPoint(_) | Self::PhotometricSolid(_))
     }
 
+    /// Corners of a flat polygon in order, m; none of other shapes.
+    pub fn corners(&self) -> Vec<Vec3A> {
+        match self {
+            Self::Triangle(l) => l.corners().to_vec(),
+            Self::Parallelogram(l) => l.corners().to_vec(),
+            _ => Vec::new(),
+        }
+    }
+
+    /// The point of a flat polygon that is seen from `reference` in direction `dir` (unit), with density 1: the caller has drawn the
+    /// direction. `None` where it is missed or sends no light there, and of other shapes.
+    #[inline]
+    pub fn toward(&self, reference: Vec3A, dir: Vec3A) -> Option<LightSample> {
+        match self {
+            Self::Triangle(l) => l.toward(reference, dir),
+            Self::Parallelogram(l) => l.toward(reference, dir),
+            _ => None,
+        }
+    }
+
     /// Luminous flux, lm.
     pub fn power(&self) -> f32 {
         each!(self, l => l.power())
@@ -275,6 +295,17 @@ fn assemble(
         delta: DeltaKind::No,
         uv: [uv[0] as f32, uv[1] as f32],
     })
+}
+
+/// Where a ray along `dir` meets the plane through `a` that `e1` and `e2` span, in units of these, if it is in front: `cross` is
+/// `e1 x e2`, and `a` and the ray are relative to the same point.
+#[inline]
+fn in_plane(a: DVec3, [e1, e2, cross]: [DVec3; 3], dir: DVec3) -> Option<[f64; 2]> {
+    let distance = a.dot(cross) / dir.dot(cross);
+    let p = dir * distance - a;
+    let scale = 1.0 / cross.length_squared();
+    let at = [p.cross(e2).dot(cross) * scale, e1.cross(p).dot(cross) * scale];
+    (distance > 0.0 && at[0] >= 0.0 && at[1] >= 0.0).then_some(at)
 }
 
 /// Bounds of a set of points.

@@ -4,7 +4,7 @@
 //! diagonal, one of them chosen by solid angle. The limits are those of [`crate::solid_angle`].
 
 use super::triangle::toward_plane;
-use super::{LightSample, area_pdf, assemble, bounds_of};
+use super::{LightSample, area_pdf, assemble, bounds_of, in_plane};
 use crate::emission::{Emission, Sides};
 use crate::solid_angle::{self, SphericalRectangle, Strategy};
 use femc_math::glam::{DVec3, Vec3A};
@@ -112,6 +112,24 @@ impl Parallelogram {
         }
         let (view, omega) = self.view(a);
         (Some(view), Strategy::of(omega))
+    }
+
+    /// The corners in order, m.
+    pub fn corners(&self) -> [Vec3A; 4] {
+        let (u, v) = (self.edge_u, self.edge_v);
+        [DVec3::ZERO, u, u + v, v].map(|corner| (self.origin + corner).as_vec3a())
+    }
+
+    /// See [`super::Light::toward`].
+    #[inline]
+    pub fn toward(&self, reference: Vec3A, dir: Vec3A) -> Option<LightSample> {
+        let origin = reference.as_dvec3();
+        let [u, v] = in_plane(self.origin - origin, [self.edge_u, self.edge_v, self.cross], dir.as_dvec3())?;
+        if u.max(v) > 1.0 {
+            return None;
+        }
+        let position = self.origin + self.edge_u * u + self.edge_v * v;
+        assemble(origin, position, self.normal, self.scale, |_, _| 1.0, |_, cos| self.emission.radiance(cos), [u, v])
     }
 
     /// See [`super::Light::sample`].

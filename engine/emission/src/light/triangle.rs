@@ -3,7 +3,7 @@
 //! Seen under a moderate solid angle it is sampled uniformly over it (\[arvo1995\]); nearly filling a hemisphere, over the
 //! hemisphere; below 1e-8 sr, by area.
 
-use super::{LightSample, area_pdf, assemble, bounds_of};
+use super::{LightSample, area_pdf, assemble, bounds_of, in_plane};
 use crate::emission::{Emission, Sides};
 use crate::solid_angle::{self, Strategy};
 use femc_math::glam::{DVec3, Vec3A};
@@ -102,6 +102,23 @@ impl Triangle {
             |_, cos| self.emission.radiance(cos),
             [b1, b2],
         )
+    }
+
+    /// The vertices, m.
+    pub fn corners(&self) -> [Vec3A; 3] {
+        [self.origin, self.origin + self.e1, self.origin + self.e2].map(|v| v.as_vec3a())
+    }
+
+    /// See [`super::Light::toward`].
+    #[inline]
+    pub fn toward(&self, reference: Vec3A, dir: Vec3A) -> Option<LightSample> {
+        let origin = reference.as_dvec3();
+        let [b1, b2] = in_plane(self.origin - origin, [self.e1, self.e2, self.cross], dir.as_dvec3())?;
+        if b1 + b2 > 1.0 {
+            return None;
+        }
+        let position = self.origin + self.e1 * b1 + self.e2 * b2;
+        assemble(origin, position, self.normal, self.scale, |_, _| 1.0, |_, cos| self.emission.radiance(cos), [b1, b2])
     }
 
     /// Barycentric coordinates of the point that the ray along `dir` hits.

@@ -31,7 +31,8 @@ fn thicknesses() -> Vec<Case> {
             let text = furnace(1.0, 1.0, 0.5) + &gas(0.5 * thickness, albedo, "") + "mglobal gas\n";
             let case = Case::new(format!("optical thickness {thickness:e}, albedo {albedo}"), text, 1.0);
             let case = case.to(sigma(albedo));
-            cases.push(if albedo > 0.9 && thickness > 1.0 { case.long() } else { case });
+            // Paths of a thousand events and more: a thousandth would take ten minutes each.
+            cases.push(if albedo > 0.9 && thickness > 1.0 { case.to(5e-3).long() } else { case });
         }
     }
     for (name, density) in [("thins with height", "height -.5 .3"), ("thins within a millimeter", "height 0 1e-3")] {

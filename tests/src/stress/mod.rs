@@ -3,7 +3,7 @@
 //! A group is a file with one function that lists its cases; a case is a scene, a measurement and a number (or a count of faults
 //! that must be 0). To add a case, add one to a list; to add a group, a file and a line of [`GROUPS`].
 //!
-//! Means are held against the truth by independent renderings ([`measure`]): three standard errors. What is farther away is
+//! Means are held against the truth by independent renderings (`measure`): three standard errors. What is farther away is
 //! measured twice again, with four times the samples and from other seeds, and fails when it is too far away all three times. By Student's
 //! distribution with 63 degrees of freedom that is a chance of (0.4 %)^3 = 6e-8 a line: under 2e-5 for a table of 300 lines.
 

@@ -5,7 +5,7 @@
 //!
 //! The bound is careful where an estimate is not enough. A variance estimated by few pixels, or by many of which a few have most of
 //! it, is itself uncertain: a multiple of its own standard error is added. And light that is rare may not have been met: the
-//! bound is at least what [`UNSEEN`] events as bright as the brightest sample would bring, for so many may be missed at 95 %
+//! bound is at least what three events as bright as the brightest sample would bring, for so many may be missed at 95 %
 //! confidence.
 //!
 //! Blocks begin at each tile's corner: where a tile's edge is a multiple of 16, they are those of [`FrameImage::error`]

@@ -24,7 +24,7 @@ impl Outline {
     }
 
     /// The part within a rectangle (\[sutherland1974\]).
-    /// - `self`: of at most four corners, as [`Self::new`] makes it.
+    /// - `self`: of at most four corners.
     #[inline]
     pub fn within(&self, low: [f32; 2], high: [f32; 2]) -> Self {
         let mut rest = *self;

@@ -2,9 +2,10 @@
 
 use crate::reference::Reference;
 use femc_film::tile::OPEN;
-use femc_film::{Errors, Frame, FrameError, FrameImage, Stops, TileErrors, Tiling};
-use femc_pipeline::{FrameTime, Prepared, RoundVerdict, Settings, Source, Stop, plan, prepare, render_tile};
+use femc_film::{Errors, Frame, FrameError, FrameImage, Rect, Stops, Tile, TileErrors, Tiling};
+use femc_pipeline::{FrameTime, RoundVerdict, Settings, Source, Stop, plan, prepare, render_tile};
 use femc_scene::Scene;
+use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
@@ -49,60 +50,72 @@ impl Experiment {
     pub fn shot(&self, seed: u64, rule: Rule) -> Shot {
         let settings = Settings { seed, ..self.settings.clone() };
         let prepared = prepare(&self.source, &settings, 1, None).unwrap_or_else(|error| panic!("{error}"));
-        let mut frame = Frame::new(self.tiling);
-        let (mut steps, mut stops) = (vec![0; self.tiling.count()], None);
-        for (round, &planned) in self.rounds.iter().enumerate() {
-            let ends = if round == 0 { vec![planned; steps.len()] } else { std::mem::take(&mut steps) };
-            self.draw(&prepared, &settings, &mut frame, stops.as_ref(), &ends);
-            let tiles = errors(&frame);
-            let next = self.rounds.get(round + 1).copied();
-            let (verdict, left) = match rule {
-                Rule::Settings => settings.verdict(&tiles, stops.take(), FrameTime { so_far: 0.0, next: 0.0 }, next),
-                Rule::Peeking => self.peek(&tiles, next),
-            };
-            stops = Some(left);
-            steps = match verdict {
-                RoundVerdict::Done => break,
-                RoundVerdict::Continue => vec![next.unwrap_or(planned); tiles.len()],
-                RoundVerdict::Steps(steps) => steps,
-            };
-        }
+        let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+        let frame = by_rounds(&settings, &self.rounds, self.tiling, rule, |rect, samples| {
+            let done = render_tile(&prepared, &settings, rect, samples, &cancel, &progress);
+            done.unwrap_or_else(|error| panic!("{error}")).tile
+        });
         let image = frame.resolve();
         let drawn: u64 =
             self.tiling.rects().enumerate().map(|(i, r)| r.area() * frame.tile(i).map_or(0, |t| t.spp())).sum();
         let pixels = f64::from(self.tiling.width) * f64::from(self.tiling.height);
         Shot { error: image.error(), image, drawn: drawn as f64 / pixels }
     }
+}
 
-    /// Draws the samples of each tile up to `ends`.
-    fn draw(&self, prepared: &Prepared, settings: &Settings, frame: &mut Frame, stops: Option<&Stops>, ends: &[u32]) {
-        let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-        for (index, (rect, &end)) in self.tiling.rects().zip(ends).enumerate() {
-            if let Some(stops) = stops {
+/// A frame whose tiles end by a rule, as the farm's do.
+/// - `rounds`: samples a pixel at the end of each round.
+/// - `draw`: the samples of a tile.
+///
+/// # Panics
+/// When samples do not fit those before: tests only.
+pub fn by_rounds(
+    settings: &Settings,
+    rounds: &[u32],
+    tiling: Tiling,
+    rule: Rule,
+    mut draw: impl FnMut(Rect, Range<u32>) -> Tile,
+) -> Frame {
+    let mut frame = Frame::new(tiling);
+    let (mut ends, mut stops) = (vec![rounds[0]; tiling.count()], None::<Stops>);
+    for round in 0..rounds.len() {
+        for (index, (rect, &end)) in tiling.rects().zip(&ends).enumerate() {
+            if let Some(stops) = &stops {
                 frame.hold(index, stops.ends[index]).unwrap_or_else(|error| panic!("{error}"));
             }
             let start = frame.tile(index).map_or(0, |tile| tile.spp() as u32);
             if start < end {
-                let done = render_tile(prepared, settings, rect, start..end, &cancel, &progress);
-                let tile = done.unwrap_or_else(|error| panic!("{error}")).tile;
-                frame.insert(tile).unwrap_or_else(|error| panic!("{error}"));
+                frame.insert(draw(rect, start..end)).unwrap_or_else(|error| panic!("{error}"));
             }
         }
-    }
-
-    /// A tile ends when its own image has the error that was asked for, by the samples that it is made of.
-    fn peek(&self, tiles: &[TileErrors], next: Option<u32>) -> (RoundVerdict, Stops) {
-        let Stop::Error(most) = self.settings.stop else { panic!("a rule without an error") };
-        let blocks = || tiles.iter().flat_map(|tile| &tile.blocks);
-        let floor = FrameError::of(blocks().map(|it| it.block).collect()).floor;
-        let is_enough = |tile: &TileErrors| {
-            tile.blocks.iter().all(|it| it.block.relative(floor).is_none_or(|relative| relative <= most))
+        let tiles = errors(&frame);
+        let next = rounds.get(round + 1).copied();
+        let (verdict, left) = match rule {
+            Rule::Settings => settings.verdict(&tiles, stops.take(), FrameTime { so_far: 0.0, next: 0.0 }, next),
+            Rule::Peeking => peek(settings.stop, &tiles, next),
         };
-        let stops = Stops { floors: [floor; 2], ends: vec![OPEN; tiles.len()] };
-        let Some(next) = next.filter(|_| !tiles.iter().all(is_enough)) else { return (RoundVerdict::Done, stops) };
-        let steps = tiles.iter().map(|tile| if is_enough(tile) { tile.samples.end } else { next }).collect();
-        (RoundVerdict::Steps(steps), stops)
+        stops = Some(left);
+        match (verdict, next) {
+            (RoundVerdict::Continue, Some(next)) => ends.fill(next),
+            (RoundVerdict::Steps(steps), _) => ends = steps,
+            _ => break,
+        }
     }
+    frame
+}
+
+/// A tile ends when its own image has the error that was asked for, by the samples that it is made of.
+fn peek(stop: Stop, tiles: &[TileErrors], next: Option<u32>) -> (RoundVerdict, Stops) {
+    let Stop::Error(most) = stop else { panic!("a rule without an error") };
+    let blocks = || tiles.iter().flat_map(|tile| &tile.blocks);
+    let floor = FrameError::of(blocks().map(|it| it.block).collect()).floor;
+    let is_enough = |tile: &TileErrors| {
+        tile.blocks.iter().all(|it| it.block.relative(floor).is_none_or(|relative| relative <= most))
+    };
+    let stops = Stops { floors: [floor; 2], ends: vec![OPEN; tiles.len()] };
+    let Some(next) = next.filter(|_| !tiles.iter().all(is_enough)) else { return (RoundVerdict::Done, stops) };
+    let steps = tiles.iter().map(|tile| if is_enough(tile) { tile.samples.end } else { next }).collect();
+    (RoundVerdict::Steps(steps), stops)
 }
 
 /// The errors of all tiles.

@@ -1,0 +1,69 @@
+//! Images are right on average however their samples end, and the errors that they claim are the true ones.
+//!
+//! The long ones, of many seeds: `cargo run --release -p femc-tests --example honesty`.
+
+use femc_film::{Rect, Sample, Tile, Tiling};
+use femc_math::{Rgb, hash};
+use femc_pipeline::{Settings, Stop};
+use femc_tests::honesty::{Experiment, Measured, Rule, Verdict, by_rounds};
+use femc_tests::reference::{Reference, rooms};
+use std::ops::Range;
+use std::sync::Arc;
+
+/// The image of a film of 4 x 4 pixels whose samples are 40 in one case of 50, and otherwise so that their mean is 1.
+fn rare(seed: u64, rule: Rule) -> f64 {
+    let draw = |rect: Rect, samples: Range<u32>| {
+        let mut tile = Tile::new(rect, samples.clone()).unwrap();
+        for ((x, y), sample) in rect.pixels().flat_map(|pixel| samples.clone().map(move |sample| (pixel, sample))) {
+            let word = hash::combine(&[seed, u64::from(x), u64::from(y), u64::from(sample)]);
+            let light = if word.is_multiple_of(50) { 40.0 } else { 0.2 / 0.98 };
+            tile.add(x, y, sample, &Sample { color: Rgb::splat(light), ..Sample::MISS });
+        }
+        tile
+    };
+    let settings = Settings { stop: Stop::Error(0.4), ..Settings::default() };
+    let frame = by_rounds(&settings, &settings.rounds()[..10], Tiling::new(4, 4, 32).unwrap(), rule, draw);
+    let image = frame.resolve();
+    (0..16).map(|at| f64::from(image.color.luminance(at))).sum::<f64>() / 16.0
+}
+
+#[test]
+fn a_tile_that_ends_by_its_other_half_is_right_on_average_and_one_that_ends_by_itself_is_not() {
+    let mean = |rule| Measured::mean(&(0..3000).map(|seed| rare(seed, rule)).collect::<Vec<_>>());
+    let crosswise = mean(Rule::Settings);
+    assert!((crosswise.value - 1.0).abs() < 4.0 * crosswise.error && crosswise.error < 0.02, "{crosswise:?}");
+    let peeking = mean(Rule::Peeking);
+    assert!(
+        (peeking.value - 1.0).abs() > 4.0 * peeking.error,
+        "the test would not find a rule that is wrong: {peeking:?}"
+    );
+}
+
+/// Many seeds of a room against its reference by brute force.
+fn room(name: &str, stop: Stop, seeds: u64) -> Verdict {
+    let scene =
+        femc_import::load_path(&rooms().join(format!("{name}.mgf"))).unwrap_or_else(|error| panic!("{error}")).scene;
+    let experiment = Experiment::new(&Arc::new(scene), Settings { stop, ..Settings::default() }).unwrap();
+    let reference = Reference::read(&rooms(), name);
+    let verdict = Verdict::of(&reference, (1..=seeds).map(|seed| experiment.shot(seed, Rule::Settings)));
+    println!("{name} {stop:?}: {verdict:?}");
+    verdict
+}
+
+#[test]
+fn claimed_errors_are_the_true_ones_and_intervals_hold_what_is_true() {
+    let mut covered = Vec::new();
+    for (name, error) in [("box", 0.011), ("glossy", 0.013), ("fog", 0.025)] {
+        let said = room(name, Stop::Spp(16), 16);
+        // 4 standard errors each; the reference is one image for all seeds, whose own noise is taken off on average only.
+        assert!((said.honesty.value - 1.0).abs() < 4.0 * said.honesty.error + 0.02, "{name}: {:?}", said.honesty);
+        assert!(said.honesty.error < 0.03, "{name}: {:?}", said.honesty);
+        covered.push(said.coverage.value);
+        let said = room(name, Stop::Error(error), 16);
+        assert!(said.bias.value.abs() < 4.0 * said.bias.error && said.drawn.value > 16.0, "{name}: {said:?}");
+        covered.push(said.coverage.value);
+    }
+    let coverage = Measured::mean(&covered).value;
+    // Of some 400 intervals.
+    assert!((0.91..0.99).contains(&coverage), "{covered:?}");
+}

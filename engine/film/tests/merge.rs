@@ -262,8 +262,8 @@ fn pixels_without_samples_are_black_and_never_nan() {
 fn a_sum_out_of_range_is_reported() {
     let mut tile = Tile::new(Rect { x: 0, y: 0, width: 2, height: 1 }, 0..300).unwrap();
     for i in 0..300 {
-        tile.add(0, 0, i, &Sample { color: Rgb::splat(femc_film::sample::MAX_RADIANCE), ..Sample::MISS });
-        tile.add(1, 0, i, &Sample { color: Rgb::splat(1e9), ..Sample::MISS });
+        tile.add(0, 0, i, &Sample { depth: 1e30, ..Sample::MISS });
+        tile.add(1, 0, i, &Sample { color: Rgb::splat(femc_film::sample::MAX_RADIANCE), ..Sample::MISS });
     }
     assert_eq!((tile.saturated(), tile.bad().total()), (1, 0));
 }

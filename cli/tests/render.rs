@@ -176,10 +176,39 @@ fn samples_that_are_not_numbers_are_left_out_counted_and_told_and_their_pixels_s
 }
 
 #[test]
-fn a_time_budget_ends_a_frame() {
+fn a_frame_that_had_a_time_says_how_its_samples_were_divided_and_comes_again_to_the_bit() {
     let place = Place::new();
-    let json = place.run("render fog.mgf -o a.exr --frames 1 --time 1s --json").exits(0).json();
-    assert!(json["frames"][0]["spp"].as_u64().is_some_and(|spp| spp >= 16), "{json}");
+    let json = place.run("render fog.mgf -o a.exr --frames 2 --size 96x64 --time 1s --json").exits(0).json();
+    assert!(json["frames"][0]["spp"].as_u64().is_some_and(|spp| spp >= 1), "{json}");
+    let allocation = |name: &str| femc_film::exr::read_attributes(&place.path(name)).unwrap().remove("femc:allocation");
+    let first = allocation("a.exr").expect("an allocation");
+    let parsed: serde_json::Value = serde_json::from_str(&first).expect("JSON");
+    assert_eq!(parsed["ends"].as_array().map(Vec::len), Some(6), "tiles of 32 pixels: {first}");
+
+    place.run("render fog.mgf -o b.exr --replay a.exr --workers 2 --threads 1").exits(0);
+    assert_eq!(common::pixels(&place.path("a.exr")), common::pixels(&place.path("b.exr")));
+    assert_eq!(allocation("b.exr"), Some(first));
+    let again = place.run("render fog.mgf -o b.exr --replay a.exr --json").exits(0).json();
+    assert_eq!(again["rendered"], 0, "it is there: {again}");
+    // Any frame of ours can be rendered again.
+    place.run("render fog.mgf -o c.exr --frames 3 --spp 2 --set medium.fog.sigma_s=0.2").exits(0);
+    place.run("render fog.mgf -o d.exr --replay c.exr").exits(0);
+    assert_eq!(common::pixels(&place.path("c.exr")), common::pixels(&place.path("d.exr")));
+}
+
+#[test]
+fn a_frame_of_another_scene_or_of_nobody_is_not_rendered_again() {
+    let place = Place::new();
+    place.run("render fog.mgf -o a.exr --frames 1 --spp 1").exits(0);
+    let refused = |line: &str, code: i32, says: &str| {
+        let ran = place.run(line).exits(code);
+        assert!(ran.stderr().contains(says), "{line}: {}", ran.stderr());
+    };
+    refused("render fog.mgf -o b.exr --replay nothing.exr", 2, "no frame that can be read");
+    refused("render fog.mgf -o b.exr --replay a.exr --spp 4", 2, "--replay");
+    let text = place.read("fog.mgf");
+    place.write("other.mgf", &format!("{text}\nm another =\n    c\n    rd 0.5\n"));
+    refused("render other.mgf -o b.exr --replay a.exr", 1, "another scene");
 }
 
 #[cfg(unix)]

@@ -1,9 +1,9 @@
 //! Whether images are right on average and their claimed errors the true ones: many seeds of a scene against its reference.
 //!
-//! `cargo run --release -p femc-tests --example honesty -- SCENE.mgf REFERENCE (--error E | --spp N) [--seeds N] [--old-rule]`
+//! `cargo run --release -p femc-tests --example honesty -- SCENE.mgf REFERENCE (--error E | --spp N | --time S) [--seeds N] [--old-rule]`
 //!
 //! REFERENCE: `<REFERENCE>_A.exr` and `<REFERENCE>_B.exr`, two independent images. `--old-rule` lets a tile end by the estimates that
-//! it stops: a control, which must fail. One line of JSON.
+//! it stops: a control, which must fail. The clock of `--time` counts rays, 1e6 a second. One line of JSON.
 
 use femc_pipeline::{Settings, Stop};
 use femc_tests::honesty::{Experiment, Measured, Rule, Verdict};
@@ -17,10 +17,11 @@ fn main() -> Result<(), Box<dyn Error>> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     let option = |name: &str| args.iter().position(|arg| arg == name).and_then(|at| args.get(at + 1));
     let (scene, reference) = (args.first().ok_or("no scene")?, Path::new(args.get(1).ok_or("no reference")?));
-    let stop = match (option("--error"), option("--spp")) {
-        (Some(error), _) => Stop::Error(error.parse()?),
-        (None, Some(spp)) => Stop::Spp(spp.parse()?),
-        (None, None) => return Err("neither --error nor --spp".into()),
+    let stop = match (option("--error"), option("--spp"), option("--time")) {
+        (Some(error), _, _) => Stop::Error(error.parse()?),
+        (None, Some(spp), _) => Stop::Spp(spp.parse()?),
+        (None, None, Some(seconds)) => Stop::Time(seconds.parse()?),
+        (None, None, None) => return Err("neither --error nor --spp nor --time".into()),
     };
     let seeds: u64 = option("--seeds").map_or(Ok(16), |text| text.parse())?;
     let first: u64 = option("--first-seed").map_or(Ok(1), |text| text.parse())?;

@@ -2,8 +2,8 @@
 
 use crate::reference::Reference;
 use femc_film::tile::OPEN;
-use femc_film::{Errors, Frame, FrameError, FrameImage, Rect, Stops, Tile, TileErrors, Tiling};
-use femc_pipeline::{FrameTime, RoundVerdict, Settings, Source, Stop, plan, prepare, render_tile};
+use femc_film::{Errors, Frame, FrameError, FrameImage, Pace, Rect, Stops, Tile, TileErrors, Tiling};
+use femc_pipeline::{RoundVerdict, Settings, Source, Stop, plan, prepare, render_tile};
 use femc_scene::Scene;
 use std::ops::Range;
 use std::sync::Arc;
@@ -17,6 +17,9 @@ pub enum Rule {
     /// By the very estimates that it stops, for tests: an image by it is too dark.
     Peeking,
 }
+
+/// Of the clock that frames go by which have a time: it counts rays.
+pub const RAYS_A_SECOND: f64 = 1e6;
 
 /// A scene that is rendered with many seeds.
 pub struct Experiment {
@@ -78,20 +81,28 @@ pub fn by_rounds(
 ) -> Frame {
     let mut frame = Frame::new(tiling);
     let (mut ends, mut stops) = (vec![rounds[0]; tiling.count()], None::<Stops>);
+    let (mut begin, mut work) = (0, 0);
     for round in 0..rounds.len() {
+        if let Some(stops) = stops.as_ref().filter(|stops| stops.pace.begin > begin) {
+            begin = stops.pace.begin;
+            frame = Frame::new(tiling);
+        }
         for (index, (rect, &end)) in tiling.rects().zip(&ends).enumerate() {
             if let Some(stops) = &stops {
                 frame.hold(index, stops.ends[index]).unwrap_or_else(|error| panic!("{error}"));
             }
-            let start = frame.tile(index).map_or(0, |tile| tile.spp() as u32);
+            let start = frame.ranges(index).last().map_or(begin, |range| range.end);
             if start < end {
-                frame.insert(draw(rect, start..end)).unwrap_or_else(|error| panic!("{error}"));
+                let tile = draw(rect, start..end);
+                work += tile.work();
+                frame.insert(tile).unwrap_or_else(|error| panic!("{error}"));
             }
         }
         let tiles = errors(&frame);
         let next = rounds.get(round + 1).copied();
+        let time = work as f64 / RAYS_A_SECOND;
         let (verdict, left) = match rule {
-            Rule::Settings => settings.verdict(&tiles, stops.take(), FrameTime { so_far: 0.0, next: 0.0 }, next),
+            Rule::Settings => settings.verdict(&tiles, stops.take(), time, next),
             Rule::Peeking => peek(settings.stop, &tiles, next),
         };
         stops = Some(left);
@@ -112,7 +123,7 @@ fn peek(stop: Stop, tiles: &[TileErrors], next: Option<u32>) -> (RoundVerdict, S
     let is_enough = |tile: &TileErrors| {
         tile.blocks.iter().all(|it| it.block.relative(floor).is_none_or(|relative| relative <= most))
     };
-    let stops = Stops { floors: [floor; 2], ends: vec![OPEN; tiles.len()] };
+    let stops = Stops { floors: [floor; 2], ends: vec![OPEN; tiles.len()], pace: Pace::default() };
     let Some(next) = next.filter(|_| !tiles.iter().all(is_enough)) else { return (RoundVerdict::Done, stops) };
     let steps = tiles.iter().map(|tile| if is_enough(tile) { tile.samples.end } else { next }).collect();
     (RoundVerdict::Steps(steps), stops)

@@ -27,6 +27,10 @@ pub struct SettingsArgs {
     #[arg(long, value_name = "E", group = "stop", value_parser = positive)]
     pub error: Option<f64>,
     /// Stop at a time budget a frame: 90s, 2m, 1h30m
+    ///
+    /// Stop at a time budget a frame, wall time from its first lease: 90s, 2m, 1h30m. Tiles get samples by their error and cost. The
+    /// clock decides how many there are, so the file states how they were divided, and `femc render --replay FILE` renders the
+    /// same pixels once more.
     #[arg(long, value_name = "DURATION", group = "stop")]
     pub time: Option<Budget>,
     /// Path tracing alone, the two-pass method, or the plan's choice [default: auto]

@@ -189,13 +189,12 @@ fn print(say: Say, report: &Report) {
     say.result(format!("\n{}", table(&report.graph)));
     let spp = match (report.stop, report.rounds.as_slice()) {
         (Stop::Spp(n), _) => format!("{n} samples a pixel"),
-        (stop, [first, .., last]) => {
-            let until = match stop {
-                Stop::Error(e) => format!("until every block's relative error is {}", human::percent(e)),
-                Stop::Time(s) => format!("for {} a frame", human::seconds(s)),
-                Stop::Spp(_) => String::new(),
-            };
-            format!("{first} to {last} samples a pixel in {} rounds, {until}", report.rounds.len())
+        (Stop::Time(s), _) => format!("as many samples as {} a frame allow", human::seconds(s)),
+        (Stop::Error(e), [first, .., last]) => {
+            let (rounds, error) = (report.rounds.len(), human::percent(e));
+            format!(
+                "{first} to {last} samples a pixel in {rounds} rounds, until every block's relative error is {error}"
+            )
         }
         (_, rounds) => format!("{rounds:?} samples a pixel"),
     };

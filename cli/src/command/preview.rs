@@ -76,6 +76,7 @@ impl Partial {
             version: env!("CARGO_PKG_VERSION").into(),
             engine: String::new(),
             settings: String::new(),
+            allocation: None,
             scene: String::new(),
             frame: self.frame,
             seconds: 0.0,

@@ -1,6 +1,6 @@
 //! A scene or a job file on the command line, with the settings typed, made into a plan.
 
-use super::{JobFile, Size};
+use super::{Frames, JobFile, Replay, Size};
 use crate::args::{Filter, Method, SettingsArgs};
 use crate::exit::{Failure, failed, usage};
 use crate::output::{Say, human};
@@ -91,7 +91,11 @@ impl Base {
 
     /// Check settings against the scene, and plan.
     pub fn ask(&self, typed: &SettingsArgs, at: At<'_>) -> Result<Asked, Failure> {
-        let settings = settings(typed);
+        self.ask_for(settings(typed), typed, at)
+    }
+
+    /// Check settings against the scene, and plan. Of what was `typed` only the frames, the workers and the threads count.
+    fn ask_for(&self, settings: Settings, typed: &SettingsArgs, at: At<'_>) -> Result<Asked, Failure> {
         let named = |key: &str| at(key).unwrap_or_else(|| format!("--{}", key.split('.').next().unwrap_or(key)));
         let source = self.source.variant(&settings.overrides);
         let source = source.map_err(|e| usage(format!("{}: {e}", named(&format!("set.{}", e.selector())))))?;
@@ -144,6 +148,27 @@ impl Asked {
         };
         if asked.settings.statistics {
             say.note("--stats: this version does not collect path statistics yet");
+        }
+        Ok(asked)
+    }
+
+    /// Read the scene at `path`, and plan the frame in the file `replayed` once more.
+    pub fn again(path: &Path, replayed: &Path, typed: SettingsArgs, say: Say) -> Result<Self, Failure> {
+        if is_job(path) {
+            return Err(usage("--replay: give the scene of the frame; a job file has settings of its own"));
+        }
+        let Replay { settings, frame, scene, engine } = Replay::of(replayed)?;
+        let shown = replayed.display();
+        let typed = SettingsArgs { frames: Some(Frames::one(frame)), ..typed };
+        let asked = Base::open(path, typed.root.as_deref(), say)?.ask_for(settings, &typed, &|_| None)?;
+        if asked.scene().digest().to_string() != scene {
+            let path = path.display();
+            return Err(failed(format!(
+                "--replay: {shown} is of another scene than {path}, or of another state of it"
+            )));
+        }
+        if engine != femc_worker::engine() {
+            say.warning(format!("--replay: {shown} is of another build of the engine ({engine}): pixels may differ"));
         }
         Ok(asked)
     }
@@ -235,6 +260,7 @@ fn refused(path: &Path, e: &PlanError, named: &dyn Fn(&str) -> String) -> Failur
         PlanError::Camera(PrepareError::UnknownCamera { .. }) => usage(format!("{}: {message}", named("camera"))),
         PlanError::Camera(_) => failed(message),
         PlanError::Settings(SettingsError::Domain { setting, .. }) => usage(format!("{}: {e}", named(setting))),
+        PlanError::Settings(SettingsError::Allocation(e)) => usage(format!("--replay: {e}")),
         PlanError::Settings(SettingsError::MethodUnavailable) => usage(format!("{}: {e}", named("method"))),
         PlanError::Film(_) => usage(format!("{}: {message}", named("size"))),
         PlanError::Settings(SettingsError::Selector(_))
@@ -267,6 +293,7 @@ fn settings(typed: &SettingsArgs) -> Settings {
         seed: typed.seed.unwrap_or(default.seed),
         overrides: typed.set.iter().map(|o| (o.selector.clone(), o.value)).collect(),
         statistics: typed.stats,
+        allocation: None,
     }
 }
 

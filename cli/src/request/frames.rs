@@ -52,6 +52,11 @@ impl fmt::Display for Available {
 }
 
 impl Frames {
+    /// This frame, >= 1.
+    pub fn one(frame: u32) -> Self {
+        Self { first: frame, last: frame, step: 1 }
+    }
+
     /// These frames, ascending and not empty, if they have the same distance all along.
     #[cfg(feature = "openjd")]
     pub fn of(frames: &[u32]) -> Option<Self> {

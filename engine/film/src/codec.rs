@@ -3,11 +3,12 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCTILE`; of a thumbnail, whose pixels have the samples of a block, `FEMCTHMB` |
-//! | 4 | format version, 3 |
+//! | 4 | format version, 4 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 4 x 4 | x, y, width, height |
 //! | 4 + 8 n | number of sample ranges; start and end of each |
 //! | 2 x 4 | for each half the sample from which on it is held, 2^32 - 1: none |
+//! | 8 | rays traced for the samples |
 //! | 4 x 8 + 5 x 4 | bad samples: count of each kind; whether there is a first one, its row, column, sample and kind |
 //! | rest | zstd frame of the sums |
 //!
@@ -24,7 +25,7 @@ use std::ops::Range;
 
 const MAGIC: &[u8; 8] = b"FEMCTILE";
 const THUMBNAIL: &[u8; 8] = b"FEMCTHMB";
-const VERSION: u32 = 3;
+const VERSION: u32 = 4;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
 const WIDE: usize = 3 * HALVES + REPLICATES + 1;
@@ -62,7 +63,7 @@ impl Tile {
         [x, y, width, height].into_iter().for_each(&mut word);
         word(self.ranges.len() as u32);
         self.ranges.iter().flat_map(|range| [range.start, range.end]).for_each(&mut word);
-        self.ends.into_iter().for_each(&mut word);
+        self.ends.into_iter().chain(words_of(self.work)).for_each(&mut word);
         put_bad(&self.bad, word);
         finish(out, &to_planes(&self.pixels, to_bytes))
     }
@@ -74,6 +75,7 @@ impl Tile {
         let rect = Rect { x, y, width, height }.check(MAX_TILE_PIXELS)?;
         let ranges = reader.ranges()?;
         let ends = reader.words()?;
+        let work = reader.long()?;
         let bad = reader.bad(rect)?;
         let pixels = reader.planes(rect.area() as usize, from_bytes)?;
         let most = ranges.iter().map(|r| u64::from(r.len())).sum::<u64>() * u64::from(area);
@@ -83,7 +85,7 @@ impl Tile {
         if pixels.iter().flat_map(|p| p.peak).any(|peak| !(0.0..=f32::MAX).contains(&peak)) {
             return Err(FilmError::Corrupt("impossible luminances"));
         }
-        Ok(Self { rect, ranges, ends, pixels, bad })
+        Ok(Self { rect, ranges, ends, pixels, bad, work })
     }
 }
 
@@ -95,9 +97,14 @@ pub(crate) fn begin(magic: &[u8; 8], version: u32) -> Vec<u8> {
     out
 }
 
+/// A long number as words, the lower one first.
+pub(crate) fn words_of(number: u64) -> [u32; 2] {
+    [number as u32, (number >> 32) as u32]
+}
+
 /// Bad samples, as words.
 pub(crate) fn put_bad(bad: &BadSamples, mut word: impl FnMut(u32)) {
-    bad.counts.iter().flat_map(|&c| [c as u32, (c >> 32) as u32]).for_each(&mut word);
+    bad.counts.iter().flat_map(|&count| words_of(count)).for_each(&mut word);
     let first = bad.first.map_or([0; 5], |b| [1, b.y, b.x, b.sample, b.kind as u32]);
     first.into_iter().for_each(&mut word);
 }
@@ -164,6 +171,11 @@ impl Reader<'_> {
         Ok(words)
     }
 
+    pub(crate) fn long(&mut self) -> Result<u64, FilmError> {
+        let [low, high] = self.words()?;
+        Ok(u64::from(low) | (u64::from(high) << 32))
+    }
+
     /// How a film is cut, and some of its tiles, at least one.
     pub(crate) fn tiles(&mut self) -> Result<(Tiling, Range<usize>), FilmError> {
         let [width, height, edge, start, end] = self.words()?;
@@ -203,8 +215,7 @@ impl Reader<'_> {
     pub(crate) fn bad(&mut self, rect: Rect) -> Result<BadSamples, FilmError> {
         let mut counts = [0; 4];
         for count in &mut counts {
-            let [low, high] = self.words()?;
-            *count = u64::from(low) | (u64::from(high) << 32);
+            *count = self.long()?;
         }
         let [present, y, x, sample, kind] = self.words()?;
         let first = match (present, BadKind::ALL.get(kind as usize)) {

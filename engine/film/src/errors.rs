@@ -14,15 +14,15 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCERRS` |
-//! | 4 | format version, 2 |
+//! | 4 | format version, 3 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 5 x 4 | film width, film height, tile edge; first tile, one past the last |
-//! | 24 each | of each tile its samples (the first, one past the last), number of bad samples, the ends of its halves |
+//! | 32 each | of each tile its samples (the first, one past the last), number of bad samples, rays traced, the ends of its halves |
 //! | rest | zstd frame of the blocks in the order of the tiles, 7 doubles each, in byte planes |
 //!
 //! [`FrameImage::error`]: crate::FrameImage::error
 
-use crate::codec::{begin, finish, open, to_planes};
+use crate::codec::{begin, finish, open, to_planes, words_of};
 use crate::convergence::{Z_95, blocks};
 use crate::piece::whole;
 use crate::tile::{Ends, HALVES, MAX_TILE_PIXELS};
@@ -30,7 +30,7 @@ use crate::{Block, FilmError, Frame, Rect, SampleRange, Tile, Tiling};
 use std::ops::Range;
 
 const MAGIC: &[u8; 8] = b"FEMCERRS";
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 const NUMBERS: usize = 3 + 2 * HALVES;
 const BLOCK_BYTES: usize = 8 * NUMBERS;
 /// Standard errors of the variance that a bound adds to it: 95 %, one side.
@@ -45,6 +45,8 @@ pub struct TileErrors {
     pub samples: SampleRange,
     /// How many of them, of all pixels, were left out.
     pub bad: u64,
+    /// What they cost, in rays traced.
+    pub work: u64,
     /// For each half the sample from which on it is held.
     pub ends: Ends,
     /// Its blocks, row by row.
@@ -144,7 +146,7 @@ impl Errors {
         let measure = |index: usize| {
             let (tile, samples) = whole(frame, index)?;
             let blocks = blocks(tile.rect()).map(|rect| TileBlock::of(tile, rect)).collect();
-            Ok(TileErrors { samples, bad: tile.bad().total(), ends: tile.ends(), blocks })
+            Ok(TileErrors { samples, bad: tile.bad().total(), work: tile.work(), ends: tile.ends(), blocks })
         };
         let (tiling, first) = (frame.tiling(), tiles.start);
         Ok(Self { tiling, first, tiles: tiles.map(measure).collect::<Result<_, FilmError>>()? })
@@ -176,9 +178,10 @@ impl Errors {
         let mut word = |w: u32| out.extend_from_slice(&w.to_le_bytes());
         let (Tiling { width, height, edge }, Range { start, end }) = (self.tiling, self.tiles());
         [width, height, edge, start as u32, end as u32].into_iter().for_each(&mut word);
-        let accounts = self.tiles.iter().map(|tile| (tile.samples, tile.bad, tile.ends));
-        let words = accounts.flat_map(|(it, bad, [a, b])| [it.start, it.end, bad as u32, (bad >> 32) as u32, a, b]);
-        words.for_each(word);
+        for tile in &self.tiles {
+            let counts = [tile.bad, tile.work].into_iter().flat_map(words_of);
+            [tile.samples.start, tile.samples.end].into_iter().chain(counts).chain(tile.ends).for_each(&mut word);
+        }
         let blocks: Vec<TileBlock> = self.tiles.iter().flat_map(|tile| &tile.blocks).copied().collect();
         finish(out, &to_planes(&blocks, |block| block.to_bytes()))
     }
@@ -189,8 +192,7 @@ impl Errors {
         let (tiling, tiles) = reader.tiles()?;
         let mut accounts = Vec::new();
         for _ in tiles.clone() {
-            let (samples, [low, high]) = (reader.range()?, reader.words()?);
-            accounts.push((samples, u64::from(low) | (u64::from(high) << 32), reader.words()?));
+            accounts.push((reader.range()?, reader.long()?, reader.long()?, reader.words()?));
         }
         let rects = || tiles.clone().filter_map(|index| tiling.rect(index));
         if rects().map(|rect| rect.area()).sum::<u64>() > MAX_TILE_PIXELS {
@@ -199,9 +201,9 @@ impl Errors {
         let count = rects().map(|rect| blocks(rect).count()).sum();
         let mut numbers = reader.planes(count, numbers)?.into_iter();
         let mut all = Vec::with_capacity(accounts.len());
-        for (rect, (samples, bad, ends)) in rects().zip(accounts) {
+        for (rect, (samples, bad, work, ends)) in rects().zip(accounts) {
             let blocks = blocks(rect).zip(&mut numbers).map(|(rect, numbers)| sound(rect, numbers));
-            all.push(TileErrors { samples, bad, ends, blocks: blocks.collect::<Option<_>>().ok_or(IMPOSSIBLE)? });
+            all.push(TileErrors { samples, bad, work, ends, blocks: blocks.collect::<Option<_>>().ok_or(IMPOSSIBLE)? });
         }
         Ok(Self { tiling, first: tiles.start, tiles: all })
     }

@@ -41,7 +41,7 @@ pub use piece::Piece;
 pub use rect::{Rect, Tiling};
 pub use sample::{BadKind, BadSample, BadSamples, Sample};
 pub use sheet::{SheetCell, SheetRow, labelled_sheet};
-pub use stops::Stops;
+pub use stops::{Pace, Stops};
 pub use thumbnail::Levels;
 pub use tile::{SampleRange, Tile};
 pub use tone::ToneCurve;

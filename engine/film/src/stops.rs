@@ -3,20 +3,21 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCSTOP` |
-//! | 4 | format version, 1 |
+//! | 4 | format version, 2 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 2 x 8 | for each half its floor, a double |
-//! | rest | zstd frame of the ends, 2 x 4 bytes a tile, in byte planes |
+//! | 4 + 4 x 8 | the first sample that counts; seconds until this decision, a double, and rays until then; the same of the pilot |
+//! | rest | zstd frame of the ends, 2 x 4 bytes a tile, and the shares, a double a tile, in byte planes |
 
-use crate::codec::{begin, finish, open, to_planes};
+use crate::codec::{begin, finish, open, to_planes, words_of};
 use crate::convergence::FLOOR;
 use crate::tile::{Ends, HALVES, OPEN};
 use crate::{FilmError, TileErrors};
 
 const MAGIC: &[u8; 8] = b"FEMCSTOP";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 
-/// Where the halves of a frame's tiles end.
+/// What one decision on a frame's samples leaves to the next.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Stops {
     /// For the errors that each half tells: luminance that darker blocks are measured against, cd/m2, by the first round's samples of
@@ -24,6 +25,23 @@ pub struct Stops {
     pub floors: [f64; HALVES],
     /// Of each tile, in order.
     pub ends: Vec<Ends>,
+    /// For a frame that ends by the clock.
+    pub pace: Pace,
+}
+
+/// How a frame that ends by the clock gets on.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Pace {
+    /// The first sample that counts in the image: those before were a pilot, which only said how to divide the others.
+    pub begin: u32,
+    /// Seconds from the frame's first lease until the decision.
+    pub seconds: f64,
+    /// Rays traced until then for the samples that count.
+    pub work: u64,
+    /// Seconds of the round that ended the pilot, and its rays; zeros before it and where there is none.
+    pub pilot: (f64, u64),
+    /// Samples of each tile as a share of the mean tile's; empty while that is not decided.
+    pub shares: Vec<f64>,
 }
 
 impl Stops {
@@ -32,14 +50,21 @@ impl Stops {
         let blocks = || tiles.iter().flat_map(|tile| &tile.blocks);
         let pixels = blocks().map(|it| it.block.rect.area()).sum::<u64>().max(1) as f64;
         let floor = |half: usize| FLOOR * blocks().map(|it| it.halves[half].sum).sum::<f64>() / pixels;
-        Self { floors: std::array::from_fn(floor), ends: vec![OPEN; tiles.len()] }
+        Self { floors: std::array::from_fn(floor), ends: vec![OPEN; tiles.len()], pace: Pace::default() }
     }
 
     /// The stops as bytes: the same bytes for the same stops.
     pub fn encode(&self) -> Vec<u8> {
+        let Pace { begin: first, seconds, work, pilot, shares } = &self.pace;
         let mut out = begin(MAGIC, VERSION);
         self.floors.iter().for_each(|floor| out.extend_from_slice(&floor.to_le_bytes()));
-        finish(out, &to_planes(&self.ends, |[a, b]| (u64::from(*a) | (u64::from(*b) << 32)).to_le_bytes()))
+        let long = [seconds.to_bits(), *work, pilot.0.to_bits(), pilot.1];
+        let words = [*first].into_iter().chain(long.into_iter().flat_map(words_of));
+        words.for_each(|word| out.extend_from_slice(&word.to_le_bytes()));
+        // Shares that are not decided yet are written as zeros.
+        let share = |tile: usize| shares.get(tile).copied().unwrap_or(0.0);
+        let tiles: Vec<(Ends, f64)> = self.ends.iter().enumerate().map(|(tile, ends)| (*ends, share(tile))).collect();
+        finish(out, &to_planes(&tiles, to_bytes))
     }
 
     /// The stops from their bytes; damage of any kind is an error.
@@ -48,18 +73,35 @@ impl Stops {
         let mut reader = open(MAGIC, VERSION, bytes)?;
         let mut floors = [0.0; HALVES];
         for floor in &mut floors {
-            let [low, high] = reader.words()?;
-            *floor = f64::from_bits(u64::from(low) | (u64::from(high) << 32));
+            *floor = f64::from_bits(reader.long()?);
         }
-        if floors.iter().any(|floor| !(0.0..=f64::MAX).contains(floor)) {
-            return Err(FilmError::Corrupt("impossible floors"));
+        let ([begin], seconds, work) = (reader.words()?, f64::from_bits(reader.long()?), reader.long()?);
+        let pilot = (f64::from_bits(reader.long()?), reader.long()?);
+        let is_possible = |value: &f64| (0.0..=f64::MAX).contains(value);
+        let (ends, mut shares): (Vec<Ends>, Vec<f64>) = reader.planes(tiles, from_bytes)?.into_iter().unzip();
+        if !floors.iter().chain([&seconds, &pilot.0]).chain(&shares).all(is_possible) {
+            return Err(FilmError::Corrupt("impossible floors, seconds or shares"));
         }
-        let ends = reader.planes(tiles, |bytes: &[u8; 8]| {
-            let both = u64::from_le_bytes(*bytes);
-            [both as u32, (both >> 32) as u32]
-        })?;
-        Ok(Self { floors, ends })
+        if shares.iter().all(|share| *share == 0.0) {
+            shares.clear();
+        }
+        Ok(Self { floors, ends, pace: Pace { begin, seconds, work, pilot, shares } })
     }
+}
+
+const TILE_BYTES: usize = 4 * HALVES + 8;
+
+fn to_bytes((ends, share): &(Ends, f64)) -> [u8; TILE_BYTES] {
+    let mut bytes = [0; TILE_BYTES];
+    let words = ends.iter().copied().chain(words_of(share.to_bits()));
+    bytes.chunks_exact_mut(4).zip(words).for_each(|(field, word)| field.copy_from_slice(&word.to_le_bytes()));
+    bytes
+}
+
+fn from_bytes(bytes: &[u8; TILE_BYTES]) -> (Ends, f64) {
+    let word = |at: usize| u32::from_le_bytes(std::array::from_fn(|i| bytes[4 * at + i]));
+    let share = u64::from(word(HALVES)) | (u64::from(word(HALVES + 1)) << 32);
+    (std::array::from_fn(word), f64::from_bits(share))
 }
 
 #[cfg(test)]
@@ -68,7 +110,11 @@ mod tests {
 
     #[test]
     fn stops_come_back_as_they_were_and_damaged_ones_are_refused() {
-        let stops = Stops { floors: [0.25, 0.0], ends: vec![OPEN, [16, u32::MAX], [24, 32]] };
+        let ends = vec![OPEN, [16, u32::MAX], [24, 32]];
+        let early = Stops { floors: [0.25, 0.0], ends, pace: Pace::default() };
+        assert_eq!(Stops::decode(&early.encode(), 3).unwrap(), early);
+        let pace = Pace { begin: 4, seconds: 1.25, work: 1 << 40, pilot: (0.5, 7), shares: vec![0.25, 2.0, 0.75] };
+        let stops = Stops { pace, ..early };
         let bytes = stops.encode();
         assert_eq!(Stops::decode(&bytes, 3).unwrap(), stops);
         assert!(Stops::decode(&bytes, 2).is_err() && Stops::decode(&bytes, 4).is_err());
@@ -80,6 +126,8 @@ mod tests {
         }
         for floor in [f64::NAN, -1.0, f64::INFINITY] {
             assert!(Stops::decode(&Stops { floors: [0.0, floor], ..stops.clone() }.encode(), 3).is_err(), "{floor}");
+            let pace = Pace { seconds: floor, ..stops.pace.clone() };
+            assert!(Stops::decode(&Stops { pace, ..stops.clone() }.encode(), 3).is_err(), "{floor}");
         }
     }
 }

@@ -37,7 +37,7 @@ impl Tile {
         for ((x, y), sums) in self.rect.pixels().zip(&self.pixels) {
             pixels[((y / BLOCK - top) * rect.width + (x / BLOCK - left)) as usize].merge(sums);
         }
-        Self { rect, ranges: self.ranges.clone(), ends: self.ends, pixels, bad: crate::BadSamples::default() }
+        Self { rect, ranges: self.ranges.clone(), ends: self.ends, pixels, bad: crate::BadSamples::default(), work: 0 }
     }
 }
 

@@ -190,6 +190,7 @@ pub struct Tile {
     pub(crate) ends: Ends,
     pub(crate) pixels: Vec<PixelSums>,
     pub(crate) bad: BadSamples,
+    pub(crate) work: u64,
 }
 
 impl Tile {
@@ -201,7 +202,7 @@ impl Tile {
             return Err(FilmError::EmptyRange(range));
         }
         let pixels = vec![PixelSums::default(); rect.area() as usize];
-        Ok(Self { rect, ranges: vec![range], ends: OPEN, pixels, bad: BadSamples::default() })
+        Ok(Self { rect, ranges: vec![range], ends: OPEN, pixels, bad: BadSamples::default(), work: 0 })
     }
 
     /// A tile of `rect` from full-width strips that cover it from top to bottom, each with the samples `samples`: what
@@ -219,6 +220,7 @@ impl Tile {
             y = y.saturating_add(strip.rect.height);
             whole.pixels.extend_from_slice(&strip.pixels);
             whole.bad.merge(&strip.bad);
+            whole.charge(strip.work);
         }
         if whole.pixels.len() as u64 != rect.area() {
             return Err(FilmError::OtherPixels { expected: rect, found: Rect { height: y - rect.y, ..rect } });
@@ -273,6 +275,16 @@ impl Tile {
     /// Account of the samples that were left out.
     pub fn bad(&self) -> &BadSamples {
         &self.bad
+    }
+
+    /// What the samples cost: rays traced for them, a count that is the same on every machine.
+    pub fn work(&self) -> u64 {
+        self.work
+    }
+
+    /// Adds to what the samples cost.
+    pub fn charge(&mut self, rays: u64) {
+        self.work = self.work.saturating_add(rays);
     }
 
     /// Sums of the pixels, row by row.
@@ -336,6 +348,7 @@ impl Tile {
         self.ranges.sort_unstable();
         self.pixels.iter_mut().zip(&other.pixels).for_each(|(mine, theirs)| mine.merge(theirs));
         self.bad.merge(&other.bad);
+        self.charge(other.work);
         Ok(Merged::New)
     }
 }

@@ -54,18 +54,18 @@ fn every_cut_and_every_flipped_bit_is_an_error() {
 fn another_version_is_named() {
     let mut bytes = tile(1, 1, 1).encode();
     bytes[8] = 9;
-    assert!(matches!(Tile::decode(&bytes), Err(FilmError::Version { found: 9, expected: 3 })));
+    assert!(matches!(Tile::decode(&bytes), Err(FilmError::Version { found: 9, expected: 4 })));
 }
 
 /// A header with a right checksum around any fields and payload.
 fn forged(words: &[u32], payload: &[u8]) -> Vec<u8> {
     let body: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).chain(payload.iter().copied()).collect();
-    [b"FEMCTILE", &3u32.to_le_bytes()[..], &blake3::hash(&body).as_bytes()[..16], &body].concat()
+    [b"FEMCTILE", &4u32.to_le_bytes()[..], &blake3::hash(&body).as_bytes()[..16], &body].concat()
 }
 
 #[test]
 fn forged_sizes_are_refused_before_they_are_allocated() {
-    let open_without_bad: Vec<u32> = [u32::MAX; 2].into_iter().chain([0; 13]).collect();
+    let open_without_bad: Vec<u32> = [u32::MAX; 2].into_iter().chain([0; 15]).collect();
     let payload = zstd::bulk::compress(&[0; 236], 1).unwrap();
     let with = |head: &[u32]| Tile::decode(&forged(&[head, &open_without_bad].concat(), &payload));
     assert!(with(&[0, 0, 1, 1, 1, 0, 1]).is_ok());

@@ -22,6 +22,7 @@ fn frame(width: u32, height: u32) -> FrameImage {
 
 fn provenance() -> Provenance {
     Provenance {
+        allocation: Some(r#"{"begin":4,"ends":[9]}"#.into()),
         version: "0.1.0".into(),
         engine: "0.1.0-7".into(),
         settings: r#"{"spp":16}"#.into(),

@@ -188,12 +188,12 @@ fn damaged_errors_are_refused() {
     }
     assert!(Piece::decode(&bytes).is_err() && Tile::decode(&bytes).is_err());
     // Right checksums around wrong numbers.
-    let words = [8u32, 8, 8, 0, 1, 0, 4, 0, 0, 4, u32::MAX];
+    let words = [8u32, 8, 8, 0, 1, 0, 4, 0, 0, 7, 0, 4, u32::MAX];
     let forged = |words: &[u32], numbers: [f64; 7]| {
         let planes: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
         let payload = zstd::bulk::compress(&planes, 1).unwrap();
         let body: Vec<u8> = words.iter().flat_map(|w| w.to_le_bytes()).chain(payload).collect();
-        Errors::decode(&[b"FEMCERRS", &2u32.to_le_bytes()[..], &blake3::hash(&body).as_bytes()[..16], &body].concat())
+        Errors::decode(&[b"FEMCERRS", &3u32.to_le_bytes()[..], &blake3::hash(&body).as_bytes()[..16], &body].concat())
     };
     assert!(forged(&words, [1.0, 0.5, 1.0, 1.5, 0.0, 0.0, 2.0]).is_ok());
     assert!(forged(&words, [1.0, f64::INFINITY, f64::INFINITY, 0.0, f64::INFINITY, 1.0, 1.0]).is_ok());

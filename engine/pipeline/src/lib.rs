@@ -4,12 +4,15 @@
 //! task holds is a function of the settings alone, so the frame does not depend on who renders what, or when.
 #![deny(missing_docs)]
 
+mod allocation;
+mod budget;
 mod plan;
 mod render;
 mod round;
 mod settings;
 mod stage;
 
+pub use allocation::{Allocation, AllocationError};
 pub use femc_prepared::{PrepareError, Prepared, Source};
 pub use femc_scene::FrameKey;
 pub use plan::{LeftOut, Plan, PlanError, plan};
@@ -18,6 +21,6 @@ pub use render::{Places, RenderError, RenderedTile, frame_key, prepare, render_t
 /// the name, `tests/builds` compares).
 pub const BUILD: &str = env!("FEMC_ENGINE");
 
-pub use round::{FrameTime, RoundVerdict, UNLIT_SPP};
+pub use round::{RoundVerdict, UNLIT_SPP};
 pub use settings::{Method, Settings, SettingsError, Stop};
 pub use stage::{Loop, Need, Reach, Role, Round, Scope, Stage, StageKind, fan, stages};

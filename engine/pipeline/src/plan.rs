@@ -90,6 +90,9 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
     }
     let rounds = settings.rounds();
     let tiling = Tiling::new(film[0], film[1], tile_edge(settings.stop, film))?;
+    if let Some(allocation) = &settings.allocation {
+        allocation.check_tiles(&tiling).map_err(SettingsError::Allocation)?;
+    }
     let stages = stages(&tiling, &rounds, fan(&tiling));
     let mut left_out = vec![LeftOut {
         what: "finite-element first pass".into(),
@@ -107,8 +110,7 @@ const UNEVEN_EDGE: u32 = 32;
 fn tile_edge(stop: Stop, film: [u32; 2]) -> u32 {
     let spp = match stop {
         Stop::Spp(n) => n,
-        Stop::Error(_) => return UNEVEN_EDGE,
-        Stop::Time(_) => 64,
+        Stop::Error(_) | Stop::Time(_) => return UNEVEN_EDGE,
     };
     let mut edge = 128u32;
     while edge > 16 && u64::from(edge * edge) * u64::from(spp) > 1 << 18 {

@@ -87,7 +87,9 @@ pub fn render_tile(
         rays += counters.rays;
         shadow_rays += counters.shadow_rays;
     }
-    Ok(RenderedTile { tile: Tile::from_strips(rect, samples, tiles)?, rays, shadow_rays })
+    let mut tile = Tile::from_strips(rect, samples, tiles)?;
+    tile.charge(rays + shadow_rays);
+    Ok(RenderedTile { tile, rays, shadow_rays })
 }
 
 /// A film's filter as the tracer wants it.

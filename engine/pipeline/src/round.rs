@@ -1,8 +1,8 @@
 //! What follows a round of samples: which tiles of a frame get more of them.
 //!
 //! The decision is a function of the tiles' own samples. It knows no clock, no order of arrival, no number of workers: all of
-//! them decide alike. The one exception is [`Stop::Time`], for which a person asks: the clock ends the frame as a whole then,
-//! and its samples are not the same another time.
+//! them decide alike. The one exception is [`Stop::Time`], for which a person asks ([`crate::budget`]): the image states how its samples
+//! were divided, and the same division gives the same image ([`Allocation`](crate::Allocation)).
 //!
 //! A rule that looks at the estimates which it stops favors estimates that look good, which are those that a rare bright path is
 //! missing from: such images are too dark (by a third in examples with heavy tails). Here the samples of a tile are two independent
@@ -12,6 +12,7 @@
 //! and the image's, (A + B) / 2. Both halves are drawn until both have ended, since each is needed to end the other: what is drawn of
 //! a half after its end is held, and does not count.
 
+use crate::budget;
 use crate::settings::{Settings, Stop};
 use femc_film::tile::{Ends, HALVES};
 use femc_film::{Stops, TileErrors};
@@ -30,58 +31,52 @@ pub enum RoundVerdict {
 /// Samples a pixel after which a block that has met no light is left alone.
 pub const UNLIT_SPP: u32 = 64;
 
-/// Seconds of a frame.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct FrameTime {
-    /// Since its first task was begun.
-    pub so_far: f64,
-    /// That the next round takes, as the rounds until now did.
-    pub next: f64,
-}
-
 impl Settings {
     /// What follows a round, and where the halves of the tiles end.
     /// - `tiles`: all tiles of the frame, in order;
     /// - `before`: what the decision before left; `None`: this is the first one;
-    /// - `time`: for [`Stop::Time`] alone;
+    /// - `seconds`: since the frame's first lease, for [`Stop::Time`] alone;
     /// - `planned`: samples a pixel at the end of the next round; `None`: this was the last one.
     pub fn verdict(
         &self,
         tiles: &[TileErrors],
         before: Option<Stops>,
-        time: FrameTime,
+        seconds: f64,
         planned: Option<u32>,
     ) -> (RoundVerdict, Stops) {
         let mut stops = before.unwrap_or_else(|| Stops::first(tiles));
-        if let Stop::Error(most) = self.stop {
-            for (tile, ends) in tiles.iter().zip(&mut stops.ends) {
-                end(tile, stops.floors, most, ends);
+        let verdict = match (self.stop, &self.allocation) {
+            (Stop::Error(most), _) => {
+                for (tile, ends) in tiles.iter().zip(&mut stops.ends) {
+                    end(tile, stops.floors, most, ends);
+                }
+                next(tiles, &stops.ends, planned)
             }
-        }
-        (self.next(tiles, &stops.ends, time, planned), stops)
+            (Stop::Time(_), Some(allocation)) => allocation.next(tiles, &mut stops, planned.is_some()),
+            (Stop::Time(most), None) => budget::next(most, tiles, &mut stops, seconds, planned.is_some()),
+            (Stop::Spp(_), _) => RoundVerdict::Done,
+        };
+        (verdict, stops)
     }
+}
 
-    fn next(&self, tiles: &[TileErrors], ends: &[Ends], time: FrameTime, planned: Option<u32>) -> RoundVerdict {
-        let Some(planned) = planned else { return RoundVerdict::Done };
-        let is_enough = |(tile, ends): &(&TileErrors, &Ends)| match self.stop {
-            Stop::Spp(_) => true,
-            Stop::Error(_) => ends.iter().all(|&end| end <= tile.samples.end),
-            Stop::Time(seconds) => time.so_far + time.next > seconds,
-        };
-        let all = || tiles.iter().zip(ends);
-        let enough = all().filter(is_enough).count();
-        if enough == tiles.len() {
-            return RoundVerdict::Done;
-        }
-        if enough == 0 {
-            return RoundVerdict::Continue;
-        }
-        let steps = |it: (&TileErrors, &Ends)| {
-            let samples = it.0.samples.end;
-            if is_enough(&it) { samples } else { planned.max(samples) }
-        };
-        RoundVerdict::Steps(all().map(steps).collect())
+/// What follows where tiles end one by one.
+fn next(tiles: &[TileErrors], ends: &[Ends], planned: Option<u32>) -> RoundVerdict {
+    let Some(planned) = planned else { return RoundVerdict::Done };
+    let is_enough = |(tile, ends): &(&TileErrors, &Ends)| ends.iter().all(|&end| end <= tile.samples.end);
+    let all = || tiles.iter().zip(ends);
+    let enough = all().filter(is_enough).count();
+    if enough == tiles.len() {
+        return RoundVerdict::Done;
     }
+    if enough == 0 {
+        return RoundVerdict::Continue;
+    }
+    let steps = |it: (&TileErrors, &Ends)| {
+        let samples = it.0.samples.end;
+        if is_enough(&it) { samples } else { planned.max(samples) }
+    };
+    RoundVerdict::Steps(all().map(steps).collect())
 }
 
 /// Ends each half of a tile of which the other one says that it has samples enough.
@@ -100,9 +95,9 @@ fn end(tile: &TileErrors, floors: [f64; HALVES], most: f64, ends: &mut Ends) {
 mod tests {
     use super::*;
     use femc_film::tile::OPEN;
-    use femc_film::{Block, HalfBlock, Rect, TileBlock};
+    use femc_film::{Block, HalfBlock, Pace, Rect, TileBlock};
 
-    const TIME: FrameTime = FrameTime { so_far: 4.0, next: 2.0 };
+    const TIME: f64 = 4.0;
     const RECT: Rect = Rect { x: 0, y: 0, width: 1, height: 1 };
 
     /// A tile of one block whose luminance is 1, with the relative error that each half tells; `None`: the half has met no light.
@@ -113,11 +108,11 @@ mod tests {
         };
         let block = Block { rect: RECT, sum: 1.0, variance: 0.0, freedom: 3.0 };
         let blocks = vec![TileBlock { block, halves: errors.map(half) }];
-        TileErrors { samples: (0..samples).into(), bad: 0, ends: OPEN, blocks }
+        TileErrors { samples: (0..samples).into(), bad: 0, work: 0, ends: OPEN, blocks }
     }
 
     fn stops(tiles: usize) -> Option<Stops> {
-        Some(Stops { floors: [0.01; 2], ends: vec![OPEN; tiles] })
+        Some(Stops { floors: [0.01; 2], ends: vec![OPEN; tiles], pace: Pace::default() })
     }
 
     fn settings(stop: Stop) -> Settings {
@@ -157,7 +152,7 @@ mod tests {
     fn dark_blocks_are_measured_against_the_floor_of_the_first_round() {
         let tiles = [tile(16, [Some(0.5); 2])];
         let with = |floors| {
-            let before = Some(Stops { floors, ends: vec![OPEN] });
+            let before = Some(Stops { floors, ..stops(1).unwrap() });
             settings(Stop::Error(0.05)).verdict(&tiles, before, TIME, Some(24)).1.ends[0]
         };
         assert_eq!(with([10.1, 9.9]), [u32::MAX, 16], "the floor that a half's error is measured against is its own");
@@ -166,12 +161,11 @@ mod tests {
     }
 
     #[test]
-    fn the_clock_counts_only_where_a_time_was_asked_for_and_then_for_the_whole_frame() {
+    fn the_clock_counts_only_where_a_time_was_asked_for() {
         let tiles = [tile(16, [Some(0.0); 2]), tile(16, [Some(9.0); 2])];
         let verdict = |stop, time| settings(stop).verdict(&tiles, stops(2), time, Some(64));
-        assert_eq!(verdict(Stop::Time(7.0), TIME), (RoundVerdict::Continue, stops(2).unwrap()));
-        assert_eq!(verdict(Stop::Time(5.0), TIME).0, RoundVerdict::Done, "the next round takes too long");
-        let late = FrameTime { so_far: 1e9, next: 1e9 };
+        let late = 1e9;
+        assert_eq!(verdict(Stop::Time(5.0), late).0, RoundVerdict::Done);
         assert_eq!(verdict(Stop::Error(0.05), late), verdict(Stop::Error(0.05), TIME));
     }
 }

@@ -1,5 +1,7 @@
 //! Render settings: the same on the command line, in job files and on the wire.
 
+use crate::allocation::{Allocation, AllocationError};
+use crate::budget::PILOT;
 use femc_film::Filter;
 use femc_scene::{Scene, SelectorError};
 use serde::{Deserialize, Serialize};
@@ -25,6 +27,9 @@ pub struct Settings {
     pub overrides: Vec<(String, f64)>,
     /// Whether path statistics are collected.
     pub statistics: bool,
+    /// Of a frame that has a time: how its samples were divided when it was rendered first; `None`: by the clock.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub allocation: Option<Allocation>,
 }
 
 impl Default for Settings {
@@ -39,6 +44,7 @@ impl Default for Settings {
             seed: 1,
             overrides: Vec::new(),
             statistics: false,
+            allocation: None,
         }
     }
 }
@@ -51,7 +57,7 @@ pub enum Stop {
     Spp(u32),
     /// When every 16 x 16 block's mean luminance has at most this relative error (95 % confidence).
     Error(f64),
-    /// When this many seconds have been spent on the frame.
+    /// This many seconds after the frame's first lease.
     Time(f64),
 }
 
@@ -84,6 +90,9 @@ pub enum SettingsError {
     /// The two-pass method is not part of this build.
     #[error("the method `femc` is not available in this version; use `pt` or `auto`")]
     MethodUnavailable,
+    /// Samples that no frame is made of.
+    #[error(transparent)]
+    Allocation(#[from] AllocationError),
     /// An override failed.
     #[error(transparent)]
     Selector(#[from] SelectorError),
@@ -114,7 +123,12 @@ impl Settings {
         if self.method == Method::Femc {
             return Err(SettingsError::MethodUnavailable);
         }
-        Ok(())
+        Ok(self.allocation.as_ref().map_or(Ok(()), Allocation::check)?)
+    }
+
+    /// The settings as an image states them: they do not tell whether it was rendered by the clock or by the division that it states.
+    pub fn stated(&self) -> Self {
+        Self { allocation: None, ..self.clone() }
     }
 
     /// Applies the overrides to a scene.
@@ -125,11 +139,16 @@ impl Settings {
         Ok(())
     }
 
-    /// Samples a pixel at the end of each round, ascending. With [`Stop::Error`] and [`Stop::Time`] a frame may end after any.
+    /// Samples a pixel at the end of each round, ascending. With [`Stop::Error`] and [`Stop::Time`] a frame may end after any; with
+    /// [`Stop::Time`] only the first number and the last are certain.
     pub fn rounds(&self) -> Vec<u32> {
-        match self.stop {
-            Stop::Spp(n) => vec![n],
-            Stop::Error(_) | Stop::Time(_) => {
+        match (self.stop, &self.allocation) {
+            (Stop::Spp(n), _) => vec![n],
+            (Stop::Time(_), Some(allocation)) => allocation.rounds(),
+            (Stop::Time(_), None) => {
+                (0..).map(|round| PILOT.saturating_pow(round)).take_while(|n| *n <= MAX_SPP).collect()
+            }
+            (Stop::Error(_), _) => {
                 // 16, 24, 32, 48 ..: of halves and replicates each has as many.
                 let doubled = std::iter::successors(Some(FIRST_ROUND), |n| (*n < LAST_ROUND_SPP).then_some(n * 2));
                 doubled.flat_map(|n| [n, n + n / 2]).take_while(|&n| n <= LAST_ROUND_SPP).collect()

@@ -1,11 +1,11 @@
 //! The errors of a frame's tiles, and what follows from them: the samples that each tile gets in the next round.
 //!
-//! What is decided depends on the tiles and the job's settings alone: `femc_pipeline`'s rule says what, and where a person has
-//! asked for a time, which is the one exception.
+//! What is decided depends on the tiles and the job's settings alone, by `femc_pipeline`'s rule, but where a person has asked for a
+//! time.
 
 use femc_film::{Errors, FrameError, Stops, TileErrors};
 use femc_model::{Decision, Failure, More, Phase, Role, Template};
-use femc_pipeline::{FrameTime, RoundVerdict, Settings};
+use femc_pipeline::{RoundVerdict, Settings};
 
 use super::union::{groups, stops};
 use super::{Product, Tools, unfit};
@@ -27,7 +27,8 @@ pub(crate) fn decide(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     })?;
     let error = FrameError::of(tiles.iter().flat_map(|tile| &tile.blocks).map(|it| it.block).collect());
     let before: Option<Stops> = stops(task, tools)?;
-    let (verdict, stops) = settings.verdict(&tiles, before, frame_time(task), planned(task));
+    let seconds = task.assignment.work.elapsed as f64 / 1000.0;
+    let (verdict, stops) = settings.verdict(&tiles, before, seconds, planned(task));
     let decision = match verdict {
         RoundVerdict::Continue => Decision::Continue,
         RoundVerdict::Steps(steps) => Decision::Steps(steps),
@@ -56,12 +57,4 @@ pub(crate) fn decide(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
 fn planned(task: &Task) -> Option<u32> {
     let next = task.assignment.task.stage.round as usize + 1;
     task.spec.rounds().get(next).copied().filter(|_| task.assignment.work.more == More::Rounds)
-}
-
-/// For a frame that has a time: its tiles have the samples that were planned.
-fn frame_time(task: &Task) -> FrameTime {
-    let round = task.assignment.task.stage.round;
-    let (taken, next) = (task.spec.samples(round).end, task.spec.samples(round + 1).len());
-    let so_far = task.assignment.work.elapsed as f64 / 1000.0;
-    FrameTime { so_far, next: so_far * next as f64 / f64::from(taken.max(1)) }
 }

@@ -1,7 +1,8 @@
 //! All that there is of a frame: its error, and its image.
 
-use femc_film::{BadSamples, FilmError, FrameImage, Piece, Provenance, ToneCurve, exr};
+use femc_film::{BadSamples, FilmError, FrameImage, Piece, Provenance, SampleRange, ToneCurve, exr};
 use femc_model::{Decision, Failure, More, Phase, Role, Template};
+use femc_pipeline::{Allocation, Settings, Stop};
 
 use super::union::{groups, tiles, tiling, union};
 use super::{Product, Tools, unfit};
@@ -18,12 +19,17 @@ pub(crate) fn image(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
     task.enter(Phase::Working);
     task.account.prepared(watch.elapsed());
     let work = &task.assignment.work;
-    let (image, bad) = if stage.needs.iter().any(|need| need.role == Role::Pixels) {
+    let (image, bad, samples) = if stage.needs.iter().any(|need| need.role == Role::Pixels) {
         put_together(task, tools)?
     } else {
         let frame = union(task, tiles(task, stage, Role::Tile)?, tools)?;
-        (tools.install(task, || frame.resolve()), frame.bad())
+        let samples = (0..frame.tiling().count()).flat_map(|tile| frame.ranges(tile)).copied().collect();
+        (tools.install(task, || frame.resolve()), frame.bad(), samples)
     };
+    let settings: Settings = serde_json::from_str(&task.spec.settings).map_err(unfit)?;
+    let is_timed = matches!(settings.stop, Stop::Time(_));
+    let allocation = Allocation::of(&samples).filter(|_| is_timed);
+    let text = |value: Option<&Allocation>| value.map(serde_json::to_string).transpose().map_err(unfit);
     let (count, bytes) = work.artifacts().fold((0, 0), |(n, sum), input| (n + 1, sum + input.bytes));
     let spp = image.mean_spp();
     tracing::debug!(inputs = count, bytes, spp, seconds = watch.seconds(), "the frame is put together");
@@ -32,7 +38,8 @@ pub(crate) fn image(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
     let provenance = Provenance {
         version: env!("CARGO_PKG_VERSION").into(),
         engine: crate::engine().into(),
-        settings: task.spec.settings.clone(),
+        settings: serde_json::to_string(&settings.stated()).map_err(unfit)?,
+        allocation: text(allocation.as_ref())?,
         scene: read.digest.clone(),
         frame: task.assignment.task.stage.frame,
         seconds: work.busy_seconds + watch.seconds(),
@@ -61,14 +68,16 @@ fn damaged_picture(error: &FilmError) -> Failure {
     Failure::Panicked { message: format!("the image cannot be written: {error}") }
 }
 
-/// The resolved pixels of all tiles, and their account of samples that were left out.
-fn put_together(task: &Task, tools: &Tools) -> Result<(FrameImage, BadSamples), Failure> {
+/// The resolved pixels of all tiles, their account of samples that were left out, and the samples of each tile.
+fn put_together(task: &Task, tools: &Tools) -> Result<(FrameImage, BadSamples, Vec<SampleRange>), Failure> {
     let tiling = tiling(task)?;
     let (mut image, mut bad) = (FrameImage::black(tiling.width, tiling.height), BadSamples::default());
+    let mut samples = Vec::with_capacity(tiling.count());
     let account = |piece: &Piece| (piece.tiling(), piece.tiles(), piece.samples().to_vec());
     groups(task, Role::Pixels, tools, Piece::decode, account, |piece| {
         bad.merge(piece.bad());
+        samples.extend_from_slice(piece.samples());
         image.put(&piece)
     })?;
-    Ok((image, bad))
+    Ok((image, bad, samples))
 }

@@ -37,10 +37,10 @@ pub(super) fn tiles(task: &Task, stage: &Template, role: Role) -> Result<Range<u
     }
 }
 
-/// The samples that a tile holds when the round is whole: as many as it was given in all rounds until then.
+/// Samples that a tile has been given in all rounds until now.
 /// - `place`: of the tile among those that the task reads, at first or at second hand.
-pub(super) fn expected(task: &Task, place: usize) -> SampleRange {
-    (0..task.assignment.work.taken.of(place).unwrap_or(0)).into()
+fn given(task: &Task, place: usize) -> u32 {
+    task.assignment.work.taken.of(place).unwrap_or(0)
 }
 
 /// What the task reads of one role, in order.
@@ -58,6 +58,11 @@ pub(super) fn stops(task: &Task, tools: &Tools) -> Result<Option<Stops>, Failure
     Ok(found)
 }
 
+/// The samples of a tile when the round is whole, those of a pilot among them.
+pub(super) fn expected(task: &Task, place: usize) -> SampleRange {
+    (0..given(task, place)).into()
+}
+
 /// The sums of the rounds before and the tiles of this one, of the tiles `span`. Whole: each of them holds just the samples
 /// of these rounds, in whatever parts they came. Names every input that is lost, so that all are made again at once.
 pub(super) fn union(task: &Task, span: Range<u32>, tools: &Tools) -> Result<Frame, Failure> {
@@ -65,11 +70,15 @@ pub(super) fn union(task: &Task, span: Range<u32>, tools: &Tools) -> Result<Fram
     let mut lost = Lost::default();
     // What each tile of this round is made of.
     let mut made_of: BTreeMap<Option<usize>, Vec<Digest>> = BTreeMap::new();
+    let stops = stops(task, tools)?;
+    let begin = stops.as_ref().map_or(0, |stops| stops.pace.begin);
     for (previous, bytes) in lost.fetch(task, &artifacts(task, Role::Sums), tools)? {
-        let insert = |tiles: Vec<Tile>| tiles.into_iter().try_for_each(|tile| frame.insert(tile).map(drop));
+        let counts = |tile: &Tile| tile.ranges().last().is_some_and(|range| range.end > begin);
+        let insert =
+            |tiles: Vec<Tile>| tiles.into_iter().filter(counts).try_for_each(|tile| frame.insert(tile).map(drop));
         lost.check(previous, tools.install(task, || sums::decode(&bytes)).and_then(insert));
     }
-    if let Some(stops) = stops(task, tools)? {
+    if let Some(stops) = stops {
         // Sums of samples on both sides of an end were made by another build or are damaged: they are made again.
         let hold = |(index, ends): (usize, &Ends)| frame.hold(index, *ends);
         let held = stops.ends.iter().enumerate().try_for_each(hold);
@@ -93,7 +102,7 @@ pub(super) fn union(task: &Task, span: Range<u32>, tools: &Tools) -> Result<Fram
     }
     lost.verdict()?;
     for (place, index) in (span.start as usize..span.end as usize).enumerate() {
-        let (found, expected) = (frame.ranges(index), expected(task, place));
+        let (found, expected) = (frame.ranges(index), (begin..given(task, place)).into());
         if SampleRange::joined(found) != Some(expected) {
             let message = format!("tile {index} holds the samples {found:?}, not {expected:?}");
             let Some(digests) = made_of.remove(&Some(index)) else { return Err(Failure::Panicked { message }) };
@@ -118,6 +127,8 @@ pub(super) fn groups<T: Send>(
     mut take: impl FnMut(T) -> Result<(), FilmError>,
 ) -> Result<(), Failure> {
     let (tiling, mut lost, mut past, mut covered) = (tiling(task)?, Lost::default(), 0, 0);
+    // All tiles begin at the same sample.
+    let mut begin = None;
     for batch in artifacts(task, role).chunks(GROUPS) {
         if task.is_cancelled() {
             return Err(Failure::Cancelled);
@@ -129,7 +140,9 @@ pub(super) fn groups<T: Send>(
             pass(Point::WorkerMidReduce);
             let taken = group.and_then(|group| {
                 let (of, tiles, samples) = account(&group);
-                let is_whole = tiles.clone().zip(samples).all(|(tile, samples)| samples == expected(task, tile));
+                let mut is_own =
+                    |it: &SampleRange, tile| it.end == given(task, tile) && *begin.get_or_insert(it.start) == it.start;
+                let is_whole = tiles.clone().zip(samples).all(|(tile, samples)| is_own(&samples, tile));
                 if of != tiling || tiles.start < past || !is_whole {
                     return Err(FilmError::Corrupt("tiles of another frame, round or place"));
                 }

@@ -2,7 +2,7 @@
 
 mod clip;
 mod drive;
-mod picture;
+pub mod picture;
 mod report;
 mod report_file;
 pub mod state;
@@ -33,6 +33,7 @@ use there::Wanted;
     femc render scenes/cornell-fog.mgf -o cornell.png --exposure 7    # tone-mapped, EV 7 at ISO 100\n  \
     femc render scenes/roundabout.mgf -o drive --frames 1..24 --size 160x90 --spp 8 --video drive.mp4\n  \
     femc render scene.mgf -o out --error 0.02 --set medium.fog.sigma_s=0.05 --json\n  \
+    femc render scenes/cornell-fog.mgf -o again.exr --replay cornell.exr    # the same pixels\n  \
     femc render scenes/cornell-fog.mgf -o cornell.exr --report cornell.html    # where the time went\n\n\
     A second run with the same OUT and settings renders what is missing: frames that are finished stay, and a frame \
     that was interrupted keeps its samples. Frames whose scene or settings differ are rendered anew.")]
@@ -50,6 +51,10 @@ pub struct RenderArgs {
     /// Write what the tasks took, too: a page if FILE ends in .html (`femc report`), a row an attempt if in .csv, .json or .parquet
     #[arg(long, value_name = "FILE")]
     pub report: Option<PathBuf>,
+    /// Render the frame in FILE, EXR or PNG, once more: with its settings and, if it had a time, the same samples for each tile
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["camera", "size", "frames", "spp", "error", "time", "method",
+        "max_depth", "filter", "seed", "set", "stats"])]
+    pub replay: Option<PathBuf>,
     /// Begin anew, whatever is there
     #[arg(long)]
     pub fresh: bool,
@@ -66,7 +71,10 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     let begun = Clock.now();
     args.extras.check()?;
     let report_file = args.report.as_deref().map(ReportFile::to).transpose()?;
-    let asked = Asked::open(&args.scene, args.settings, say)?;
+    let asked = match &args.replay {
+        Some(frame) => Asked::again(&args.scene, frame, args.settings, say)?,
+        None => Asked::open(&args.scene, args.settings, say)?,
+    };
     let target = Target::of(args.out.as_deref(), &asked.name(), asked.plan.frames.len())?;
     check_pictures(&target, &args.extras, args.exposure)?;
     let exposure = args.exposure.unwrap_or_default();

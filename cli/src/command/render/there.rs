@@ -10,6 +10,8 @@ use std::path::Path;
 #[derive(Debug)]
 pub struct Wanted {
     settings: serde_json::Value,
+    /// Of a frame that is rendered once more: the division of its samples.
+    allocation: Option<serde_json::Value>,
     scene: String,
     exposure: Exposure,
 }
@@ -17,8 +19,9 @@ pub struct Wanted {
 impl Wanted {
     /// Of what was asked for; pictures have this exposure.
     pub fn new(asked: &Asked, exposure: Exposure) -> Result<Self, Failure> {
-        let settings = serde_json::to_value(&asked.settings).map_err(failed)?;
-        Ok(Self { settings, scene: asked.scene().digest().to_string(), exposure })
+        let settings = serde_json::to_value(asked.settings.stated()).map_err(failed)?;
+        let allocation = asked.settings.allocation.as_ref().map(serde_json::to_value).transpose().map_err(failed)?;
+        Ok(Self { settings, allocation, scene: asked.scene().digest().to_string(), exposure })
     }
 
     /// The frame in `path`, if it is there, whole, and of this build of the engine, scene and settings.
@@ -27,10 +30,12 @@ impl Wanted {
         let says = |name: &str| attributes.get(&format!("femc:{name}")).map(String::as_str);
         let is_shown = attributes.get(picture::EXPOSURE).is_none_or(|shown| *shown == self.exposure.to_string());
         let settings: serde_json::Value = serde_json::from_str(says("settings")?).ok()?;
+        let allocation = || serde_json::from_str::<serde_json::Value>(says("allocation")?).ok();
         let same = says("engine") == Some(femc_worker::engine())
             && says("scene") == Some(&self.scene)
             && says("frame")?.parse() == Ok(frame)
             && settings == self.settings
+            && (self.allocation.is_none() || self.allocation == allocation())
             && is_shown;
         if !same {
             return None;

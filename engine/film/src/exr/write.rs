@@ -24,6 +24,8 @@ pub struct Provenance {
     pub engine: String,
     /// Render settings, JSON.
     pub settings: String,
+    /// Of a frame that had a time: how its samples were divided, JSON. Rendered again by that it has the same pixels.
+    pub allocation: Option<String>,
     /// Digest of the scene.
     pub scene: String,
     /// Frame of the clip, from 1.
@@ -39,8 +41,9 @@ pub struct Provenance {
 }
 
 impl Provenance {
-    fn attributes(&self) -> [(String, String); 12] {
-        [
+    fn attributes(&self) -> Vec<(String, String)> {
+        let allocation = self.allocation.iter().map(|text| ("allocation", text.clone()));
+        let always = [
             ("version", self.version.clone()),
             ("engine", self.engine.clone()),
             ("settings", self.settings.clone()),
@@ -53,8 +56,9 @@ impl Provenance {
             ("relative_error_floor", self.error.floor.to_string()),
             ("unlit_blocks", self.error.unlit.to_string()),
             ("bad_samples", account(&self.bad)),
-        ]
-        .map(|(name, value)| (format!("{ATTRIBUTE_PREFIX}{name}"), value))
+        ];
+        let named = |(name, value)| (format!("{ATTRIBUTE_PREFIX}{name}"), value);
+        always.into_iter().chain(allocation).map(named).collect()
     }
 }
 

@@ -1,0 +1,293 @@
+//! A frame that has a time: how many samples each tile gets, by the clock and by what samples bring.
+//!
+//! Every tile gets 1 sample a pixel, then 4. These are a **pilot**. It says how the others are divided: the mean of the squared relative
+//! errors of the blocks, for a given number of rays, is least where a tile has samples in proportion to its relative standard deviation
+//! over the square root of what a sample costs (\[neyman1934\]). Costs are counted in rays, so the division is a function of the samples.
+//! The clock only says how many there are in all: by the rays of the round before and the seconds that they took.
+//!
+//! **The pilot does not count in the image.** A tile whose pilot has missed a rare bright path gets fewer samples than it should; if
+//! the pilot counted there, too, it would count for more than in a tile that has met one, and images would be too dark. Behind the
+//! pilot nothing looks at samples any more: each tile's number is a share that is fixed, times a number that the clock says for the
+//! whole frame. Where the pilot is more than an eighth of what there is time for, all tiles get equally many samples instead, and all
+//! of them count.
+
+use crate::round::RoundVerdict;
+use crate::settings::MAX_SPP;
+use femc_film::stops::Pace;
+use femc_film::{Stops, TileErrors};
+
+/// Samples a pixel of the pilot.
+pub(crate) const PILOT: u32 = 4;
+/// Most that a pilot may be of what there is time for behind it.
+const PILOT_SHARE: f64 = 0.125;
+/// The pilot is drawn if it would end by this share of the time.
+const PILOT_END: f64 = 0.6;
+/// Where more is left than [`LAST`] of the time, a round takes so much of it: the next one corrects its clock.
+const ROUND: f64 = 0.7;
+/// Where no more is left than this share of the time, a round takes all of it.
+const LAST: f64 = 0.35;
+/// Where no more is left than this share of the time, the frame is done.
+const ENOUGH: f64 = 0.015;
+/// Least and most samples of a tile, as shares of the mean: the pilot is a guess.
+const SHARES: std::ops::RangeInclusive<f64> = 0.25..=16.0;
+/// Seconds a pixel of a round beside its rays, uniting the tiles and deciding, before they are measured.
+const ROUND_SECONDS: f64 = 2.5e-6;
+
+/// What follows a round of a frame that has `seconds`.
+/// - `so_far`: seconds from the frame's first lease until now;
+/// - `may_go_on`: whether another round may follow.
+pub(crate) fn next(
+    seconds: f64,
+    tiles: &[TileErrors],
+    stops: &mut Stops,
+    so_far: f64,
+    may_go_on: bool,
+) -> RoundVerdict {
+    let pace = &mut stops.pace;
+    let work: u64 = tiles.iter().map(|tile| tile.work).sum();
+    let drawn = tiles.iter().map(|tile| tile.samples.end).max().unwrap_or(0);
+    let now = Clock::of(pace, so_far, work, tiles);
+    // Behind a round its tiles are united; behind the last one the image is made, which takes about as long.
+    let left = seconds - so_far - 2.0 * now.round;
+    if !may_go_on || left <= ENOUGH * seconds {
+        return RoundVerdict::Done;
+    }
+    let is_pilot = pace.shares.is_empty() && drawn == PILOT;
+    let before = std::mem::replace(pace, Pace { seconds: so_far, work, ..pace.clone() });
+    if is_pilot {
+        pace.pilot = (so_far - before.seconds, work - before.work.min(work));
+    }
+    if pace.shares.is_empty() {
+        let pilot_end = so_far * f64::from(PILOT) / f64::from(drawn.max(1));
+        if drawn < PILOT && pilot_end <= PILOT_END * seconds {
+            return RoundVerdict::Steps(vec![PILOT; tiles.len()]);
+        }
+        let is_cheap = work as f64 <= PILOT_SHARE * now.rate * left;
+        if is_pilot && is_cheap {
+            (pace.begin, pace.work, pace.shares) = (PILOT, 0, shares(tiles));
+        } else {
+            pace.shares = vec![1.0; tiles.len()];
+        }
+    }
+    let part = if left > LAST * seconds { ROUND } else { 1.0 };
+    let steps = divide(part * left * now.rate, tiles, pace);
+    let is_more = steps.iter().zip(tiles).any(|(&steps, tile)| steps > tile.samples.end);
+    if is_more { RoundVerdict::Steps(steps) } else { RoundVerdict::Done }
+}
+
+/// How fast a frame is rendered.
+struct Clock {
+    /// Rays a second.
+    rate: f64,
+    /// Seconds of a round beside its rays.
+    round: f64,
+}
+
+impl Clock {
+    /// By the last round and by the pilot's, which had fewer rays: seconds grow with rays, from what a round takes without any.
+    fn of(before: &Pace, so_far: f64, work: u64, tiles: &[TileErrors]) -> Self {
+        let (seconds, rays) = ((so_far - before.seconds).max(1e-3), work.saturating_sub(before.work) as f64);
+        let (short, few) = (before.pilot.0, before.pilot.1 as f64);
+        let pixels: u64 = tiles.iter().flat_map(|tile| &tile.blocks).map(|it| it.block.rect.area()).sum();
+        if few > 0.0 && rays > 2.0 * few {
+            let round = ((short * rays - seconds * few) / (rays - few)).clamp(0.0, 0.5 * seconds);
+            return Self { rate: rays / (seconds - round), round };
+        }
+        // What is not known is taken to be slow: a round that was too short is followed by another.
+        Self { rate: rays / seconds, round: pixels as f64 * ROUND_SECONDS }
+    }
+}
+
+/// The samples of each tile as shares of the mean tile's, by the pilot.
+fn shares(tiles: &[TileErrors]) -> Vec<f64> {
+    let [a, b] = Stops::first(tiles).floors;
+    let found: Vec<Option<f64>> = tiles.iter().map(|tile| worth(tile, 0.5 * (a + b))).collect();
+    let known = || found.iter().flatten();
+    let mean = known().sum::<f64>() / known().count().max(1) as f64;
+    // Of a tile of which nothing is known: no more than of others.
+    let share = |worth: Option<f64>| worth.map_or(1.0, |worth| worth / mean);
+    found.into_iter().map(|worth| Some(share(worth)).filter(|it| it.is_finite()).unwrap_or(1.0)).map(clamp).collect()
+}
+
+fn clamp(share: f64) -> f64 {
+    share.clamp(*SHARES.start(), *SHARES.end())
+}
+
+/// Relative standard deviation of the blocks of a tile over the square root of the rays of a sample of a pixel; `None`: the pilot has met
+/// no light.
+fn worth(tile: &TileErrors, floor: f64) -> Option<f64> {
+    let (mut squares, mut pixels) = (0.0, 0.0);
+    for block in tile.blocks.iter().map(|it| it.block) {
+        let area = block.rect.area() as f64;
+        let relative = block.variance.sqrt() / area / (block.sum / area).max(floor);
+        // The variance of a block's mean falls with its area, by which it is weighted: what is left is a pixel's.
+        if relative.is_finite() {
+            squares += relative * relative * area * area;
+        }
+        pixels += area;
+    }
+    let rays = tile.work as f64 / pixels / f64::from(tile.samples.len().max(1));
+    let worth = (squares / pixels / rays.max(1.0)).sqrt();
+    (worth > 0.0).then_some(worth)
+}
+
+/// Samples a pixel of each tile in all, so that the further ones cost so many rays: each tile has its share.
+fn divide(rays: f64, tiles: &[TileErrors], pace: &Pace) -> Vec<u32> {
+    let begin = f64::from(pace.begin);
+    let cost: Vec<f64> = tiles.iter().map(|it| it.work as f64 / f64::from(it.samples.len().max(1))).collect();
+    // Behind the pilot each tile has a sample that counts.
+    let least = |tile: &TileErrors| tile.samples.end.max(pace.begin + u32::from(pace.begin > 0)).min(MAX_SPP);
+    let ideal = |mean: f64, (share, tile): (&f64, &TileErrors)| {
+        (begin + mean * share).clamp(f64::from(least(tile)), f64::from(MAX_SPP))
+    };
+    let all = || pace.shares.iter().zip(tiles);
+    let rays_of = |mean: f64| -> f64 {
+        all().zip(&cost).map(|(it, cost)| (ideal(mean, it) - f64::from(it.1.samples.end)) * cost).sum()
+    };
+    let (mut low, mut high) = (0.0, 1.0);
+    while rays_of(high) < rays && high < f64::from(MAX_SPP) {
+        (low, high) = (high, 2.0 * high);
+    }
+    for _ in 0..64 {
+        let middle = 0.5 * (low + high);
+        if rays_of(middle) < rays { low = middle } else { high = middle }
+    }
+    // Whole numbers whose sum is about that of the ideal ones: each is rounded up where its place in the golden ratio's sequence says so.
+    let golden = 0.5 * (5f64.sqrt() - 1.0);
+    let round = |(place, it): (usize, (&f64, &TileErrors))| {
+        let steps = (ideal(low, it) + (place as f64 * golden).fract()).floor() as u32;
+        steps.clamp(least(it.1), MAX_SPP)
+    };
+    all().enumerate().map(round).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::settings::{Settings, Stop};
+    use femc_film::tile::OPEN;
+    use femc_film::{Block, HalfBlock, Rect, TileBlock};
+
+    /// A tile of one block of 256 pixels of luminance 1: variance of a pixel's sample, rays of a pixel's sample.
+    #[derive(Clone, Copy)]
+    struct Model {
+        variance: f64,
+        rays: f64,
+    }
+
+    /// A machine and the tiles that it renders.
+    struct World {
+        tiles: Vec<Model>,
+        /// Rays a second.
+        rate: f64,
+        /// Seconds until the first ray.
+        before: f64,
+        /// Seconds of a round beside its rays, and of the image.
+        round: f64,
+    }
+
+    struct Ended {
+        seconds: f64,
+        /// Samples of each tile that count.
+        counted: Vec<u32>,
+        begin: u32,
+        rounds: usize,
+    }
+
+    impl World {
+        fn errors(&self, samples: &[std::ops::Range<u32>]) -> Vec<TileErrors> {
+            let tile = |(model, samples): (&Model, &std::ops::Range<u32>)| {
+                let spp = f64::from(samples.end - samples.start);
+                let rect = Rect { x: 0, y: 0, width: 16, height: 16 };
+                let block = Block { rect, sum: 256.0, variance: 256.0 * model.variance / spp, freedom: 256.0 };
+                let halves = [HalfBlock { sum: 256.0, bound: 2.0 * block.variance }; 2];
+                let work = (256.0 * spp * model.rays) as u64;
+                TileErrors {
+                    samples: samples.clone().into(),
+                    bad: 0,
+                    work,
+                    ends: OPEN,
+                    blocks: vec![TileBlock { block, halves }],
+                }
+            };
+            self.tiles.iter().zip(samples).map(tile).collect()
+        }
+
+        fn render(&self, seconds: f64) -> Ended {
+            let settings = Settings { stop: Stop::Time(seconds), ..Settings::default() };
+            let rounds = settings.rounds();
+            let cost = |spp: u32, model: &Model| 256.0 * f64::from(spp) * model.rays / self.rate;
+            let mut samples = vec![0..rounds[0]; self.tiles.len()];
+            let mut clock = self.before + self.tiles.iter().map(|model| cost(1, model)).sum::<f64>();
+            let mut stops = None;
+            for round in 0.. {
+                clock += self.round;
+                let planned = rounds.get(round + 1).copied();
+                let (verdict, left) = settings.verdict(&self.errors(&samples), stops.take(), clock, planned);
+                let RoundVerdict::Steps(steps) = verdict else {
+                    let counted = samples.iter().map(|it| it.end - it.start).collect();
+                    return Ended { seconds: clock + self.round, counted, begin: left.pace.begin, rounds: round + 1 };
+                };
+                for ((range, steps), model) in samples.iter_mut().zip(steps).zip(&self.tiles) {
+                    assert!(steps >= range.end, "fewer samples than there are");
+                    clock += cost(steps - range.end, model);
+                    *range = left.pace.begin..steps;
+                }
+                stops = Some(left);
+            }
+            unreachable!("rounds have an end")
+        }
+    }
+
+    fn mixed() -> Vec<Model> {
+        (0..200).map(|i| Model { variance: 0.1 * f64::from(1 + i % 9), rays: f64::from(2 + i % 5) }).collect()
+    }
+
+    #[test]
+    fn a_frame_takes_its_time_on_fast_machines_and_on_slow_ones() {
+        for (rate, before, round) in [(1e6, 0.0, 0.0), (3e6, 0.4, 0.03), (2e5, 1.0, 0.1), (4e7, 0.05, 0.02)] {
+            let world = World { tiles: mixed(), rate, before, round };
+            for seconds in [10.0, 60.0, 600.0] {
+                let ended = world.render(seconds);
+                let error = ended.seconds / seconds - 1.0;
+                assert!((-0.02..0.02).contains(&error), "{seconds} s at {rate} rays/s: {error}");
+                assert!(ended.rounds < 10, "{} rounds", ended.rounds);
+            }
+        }
+    }
+
+    #[test]
+    fn a_tile_has_samples_as_its_standard_deviation_over_the_root_of_their_cost() {
+        let tiles = [(1.0, 4.0), (4.0, 4.0), (1.0, 16.0), (4.0, 1.0)].map(|(variance, rays)| Model { variance, rays });
+        let world = World { tiles: tiles.to_vec(), rate: 1e6, before: 0.0, round: 0.0 };
+        let Ended { counted, begin, .. } = world.render(60.0);
+        assert_eq!(begin, PILOT, "the pilot does not count");
+        let ratio = |tile: usize| f64::from(counted[tile]) / f64::from(counted[0]);
+        for (tile, expected) in [(1, 2.0), (2, 0.5), (3, 4.0)] {
+            assert!((ratio(tile) / expected - 1.0).abs() < 0.01, "tile {tile}: {} for {expected}", ratio(tile));
+        }
+    }
+
+    #[test]
+    fn where_the_pilot_would_be_a_large_part_all_tiles_get_as_much_and_all_of_it_counts() {
+        let world = World { tiles: mixed(), rate: 2e5, before: 0.0, round: 0.1 };
+        // A sample of all pixels takes one second.
+        for seconds in [10.0, 20.0, 40.0] {
+            let Ended { counted, begin, seconds: taken, .. } = world.render(seconds);
+            let (least, most) = (counted.iter().min().unwrap(), counted.iter().max().unwrap());
+            assert!(begin == 0 && most - least <= 1, "{seconds} s: {least} to {most} samples");
+            assert!((taken / seconds - 1.0).abs() < 0.02, "{seconds} s: {taken}");
+        }
+        let Ended { counted, .. } = world.render(0.1);
+        assert_eq!(counted, vec![1; 200], "one sample at least");
+    }
+
+    #[test]
+    fn a_tile_that_the_pilot_found_dark_or_without_error_gets_a_share_all_the_same() {
+        let mut tiles = mixed();
+        tiles[7].variance = 0.0;
+        let ended = World { tiles, rate: 1e7, before: 0.0, round: 0.0 }.render(30.0);
+        let mean = ended.counted.iter().map(|n| f64::from(*n)).sum::<f64>() / 200.0;
+        assert!(f64::from(ended.counted[7]) > 0.2 * mean, "{} of {mean}", ended.counted[7]);
+    }
+}

@@ -142,6 +142,7 @@ pub enum Command {
     Plan(command::plan::PlanArgs),
     Check(command::check::CheckArgs),
     Compare(command::compare::CompareArgs),
+    Fireflies(command::fireflies::FirefliesArgs),
     Coordinator(command::coordinator::CoordinatorArgs),
     Worker(command::worker::WorkerArgs),
     Submit(command::submit::SubmitArgs),

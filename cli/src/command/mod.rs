@@ -12,6 +12,7 @@ pub mod drain;
 mod embedded;
 pub mod fetch;
 mod files;
+pub mod fireflies;
 pub mod gc;
 mod interrupt;
 pub mod jobs;
@@ -46,6 +47,7 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Plan(args) => plan::run(args, say),
         Command::Check(args) => check::run(&args, say),
         Command::Compare(args) => compare::run(&args, say),
+        Command::Fireflies(args) => fireflies::run(&args, say),
         Command::Coordinator(args) => coordinator::run(args, say),
         Command::Worker(args) => worker::run(args, say),
         Command::Submit(args) => submit::run(args, say),

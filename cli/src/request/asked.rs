@@ -1,7 +1,8 @@
 //! A scene or a job file on the command line, with the settings typed, made into a plan.
 
-use super::{Frames, JobFile, Replay, Size};
+use super::{Frames, JobFile, Size, Stated};
 use crate::args::{Filter, Method, SettingsArgs};
+use crate::command::render::picture::attributes;
 use crate::exit::{Failure, failed, usage};
 use crate::output::{Say, human};
 use femc_fault::{Pretense, pretended};
@@ -157,8 +158,13 @@ impl Asked {
         if is_job(path) {
             return Err(usage("--replay: give the scene of the frame; a job file has settings of its own"));
         }
-        let Replay { settings, frame, scene, engine } = Replay::of(replayed)?;
         let shown = replayed.display();
+        let Some(attributes) = attributes(replayed) else {
+            return Err(usage(format!(
+                "--replay: {shown} is no frame that can be read; give an EXR or PNG file by femc"
+            )));
+        };
+        let Stated { settings, frame, scene, engine } = Stated::of(replayed, &attributes)?;
         let typed = SettingsArgs { frames: Some(Frames::one(frame)), ..typed };
         let asked = Base::open(path, typed.root.as_deref(), say)?.ask_for(settings, &typed, &|_| None)?;
         if asked.scene().digest().to_string() != scene {

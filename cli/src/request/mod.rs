@@ -8,8 +8,8 @@ mod frames;
 mod hours;
 mod job_file;
 mod overrides;
-mod replay;
 mod size;
+mod stated;
 mod task;
 mod volume;
 
@@ -22,7 +22,7 @@ pub use hours::Hours;
 pub use job_file::{Axis, Change, Mode};
 pub use job_file::{JobFile, Measures, Place, typed_keys};
 pub use overrides::Override;
-pub use replay::Replay;
 pub use size::Size;
+pub use stated::Stated;
 pub use task::{JobTasks, Tasks};
 pub use volume::{Volume, VolumeError};

@@ -54,6 +54,19 @@ impl Collision {
     }
 }
 
+/// A distance on a segment, drawn about a light.
+#[derive(Clone, Copy)]
+pub struct AboutLight {
+    /// The light.
+    pub light: u32,
+    /// Probability of its choice.
+    pub probability: f32,
+    /// Density of the distance, 1/m.
+    pub density: f32,
+    /// The place.
+    pub event: Event,
+}
+
 /// Equiangular distances about the middle of a light on the stretch `range` of a ray, counted from its start.
 fn about(scene: &Prepared, light: u32, time: f32, origin: Vec3A, dir: Vec3A, range: (f32, f32)) -> Equiangular {
     let center = scene.lights.center(&scene.world, light, time);
@@ -135,21 +148,9 @@ impl Fog<'_, '_> {
     /// Light scattered once on the segment, by a distance equiangular about a light (way 2).
     pub fn equiangular(&mut self, segment: &Segment<'_>, stream: &mut SampleStream) -> Rgb {
         let scene = self.scene;
-        if scene.lights.is_empty() {
-            return Rgb::ZERO;
-        }
-        let Some(range) = scene.media.scattering_range(self.ray) else { return Rgb::ZERO };
-        stream.seek(segment.base + dim::EQUIANGULAR);
-        let u = stream.next_1d();
-        stream.seek(segment.base + dim::EQUIANGULAR_LIGHT);
-        let choice = dim::fine(stream.next_2d());
-        let place = scene.lights.along(segment.origin, segment.dir, range);
-        let Some((light, probability)) = scene.lights.choose(&place, choice) else { return Rgb::ZERO };
-        let distances = about(scene, light, segment.time, segment.origin, segment.dir, range);
-        let Some((t, density)) = distances.sample(u) else { return Rgb::ZERO };
-        let t = range.0 + t;
-        let Some(event) = scene.media.event_at(self.ray, t) else { return Rgb::ZERO };
-        let position = segment.origin + segment.dir * t;
+        let Some(drawn) = self.about_light(segment, *stream) else { return Rgb::ZERO };
+        let AboutLight { light, probability, density, event } = drawn;
+        let position = segment.origin + segment.dir * event.t;
         stream.seek(segment.base + dim::EQUIANGULAR_POINT);
         let point = stream.next_2d();
         let Some(sample) =
@@ -169,6 +170,36 @@ impl Fog<'_, '_> {
         let weight = weight(self.only, Technique::Equiangular, by_light + by_phase);
         let visibility = self.visibility(segment, position, &sample);
         event.weight * phase * sample.radiance * visibility * (weight / (density * pdf))
+    }
+
+    /// The light and the distance about it that the numbers of the segment choose.
+    #[inline]
+    pub fn about_light(&self, segment: &Segment<'_>, mut stream: SampleStream) -> Option<AboutLight> {
+        let scene = self.scene;
+        if scene.lights.is_empty() {
+            return None;
+        }
+        let range = scene.media.scattering_range(self.ray)?;
+        stream.seek(segment.base + dim::EQUIANGULAR);
+        let u = stream.next_1d();
+        stream.seek(segment.base + dim::EQUIANGULAR_LIGHT);
+        let choice = dim::fine(stream.next_2d());
+        let place = scene.lights.along(segment.origin, segment.dir, range);
+        let (light, probability) = scene.lights.choose(&place, choice)?;
+        let distances = about(scene, light, segment.time, segment.origin, segment.dir, range);
+        let (t, density) = distances.sample(u)?;
+        let event = scene.media.event_at(self.ray, range.0 + t)?;
+        Some(AboutLight { light, probability, density, event })
+    }
+
+    /// The medium of an event on the segment; of several the one that scatters most there.
+    pub fn medium_of(&self, event: &Event) -> u16 {
+        self.scene.media.medium_of(self.ray, event)
+    }
+
+    /// The first medium on the segment that glows.
+    pub fn glowing(&self) -> u16 {
+        self.scene.media.glowing(self.ray)
     }
 
     fn visibility(&mut self, segment: &Segment<'_>, position: Vec3A, light: &LightSample) -> Rgb {

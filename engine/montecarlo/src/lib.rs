@@ -8,8 +8,10 @@
 mod dimensions;
 mod fog;
 mod path;
+pub mod record;
 mod shadow;
 mod technique;
 
 pub use path::{Counters, PathSample, PathSettings, PixelFilter, Tracer};
+pub use record::{Recorder, Recording};
 pub use technique::Technique;

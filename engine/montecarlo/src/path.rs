@@ -2,9 +2,10 @@
 
 use crate::dimensions as dim;
 use crate::fog::{Collision, Fog, Segment};
+use crate::record::{Contribution, Found, Leaving, Place, Recorder, Vertex};
 use crate::shadow::Shadow;
 use crate::technique::{Technique, on_surfaces, weight};
-use femc_emission::DeltaKind;
+use femc_emission::{AtPoint, DeltaKind};
 use femc_geometry::{Ray, offset_origin};
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, Rgb, SampleStream};
@@ -107,30 +108,42 @@ enum Came {
 }
 
 /// Traces the samples of one frame on one thread.
-pub struct Tracer<'a> {
+/// - `R`: hears of what the paths do; `()`: nobody does.
+pub struct Tracer<'a, R = ()> {
     scene: &'a Prepared,
     settings: PathSettings,
     segment_media: MediaRay,
     shadow: Shadow,
     /// Work done so far.
     pub counters: Counters,
+    /// Who hears of the paths.
+    pub recorder: R,
 }
 
 impl<'a> Tracer<'a> {
     /// A tracer of `scene`.
     pub fn new(scene: &'a Prepared, settings: PathSettings) -> Self {
+        Self::recording(scene, settings, ())
+    }
+}
+
+impl<'a, R: Recorder> Tracer<'a, R> {
+    /// A tracer of `scene` that tells `recorder` what it does. The samples are the same to the bit.
+    pub fn recording(scene: &'a Prepared, settings: PathSettings, recorder: R) -> Self {
         Self {
             scene,
             settings,
             segment_media: MediaRay::default(),
             shadow: Shadow::default(),
             counters: Counters::default(),
+            recorder,
         }
     }
 
     /// Draws sample `sample` of `pixel` (row-major index in the whole film).
     #[inline]
     pub fn sample(&mut self, pixel: u32, sample: u32, filter: impl PixelFilter) -> PathSample {
+        self.recorder.begin();
         let mut stream = SampleStream::new(self.settings.seed, self.scene.frame, pixel, sample);
         stream.seek(dim::FILM);
         let offset = filter.sample(stream.next_2d());
@@ -201,7 +214,16 @@ impl<'a> Tracer<'a> {
         } else {
             self.shadow.visibility::<true>(scene, from, &point, time, &scene.camera_inside, counters)
         };
-        point.radiance * visibility * (weight * density / pdf)
+        let color = point.radiance * visibility * (weight * density / pdf);
+        self.recorder.light(|| Contribution {
+            color,
+            throughput: Rgb::ONE,
+            bounce: 0,
+            found: Found::Sight,
+            light: Some(choice.light),
+            position: point.position,
+        });
+        color
     }
 
     fn trace<const MEDIA: bool>(&mut self, mut ray: Ray, came: Came, mut stream: SampleStream) -> PathSample {
@@ -233,9 +255,30 @@ impl<'a> Tracer<'a> {
                     only: self.settings.only,
                 };
                 let stretch = Segment { origin: ray.origin, dir: ray.dir, time: ray.time, inside: &inside, base };
-                out.color += throughput * fog.glow(&stretch, &mut stream);
+                let color = throughput * fog.glow(&stretch, &mut stream);
+                out.color += color;
+                self.recorder.light(|| Contribution {
+                    color,
+                    throughput,
+                    bounce: segment,
+                    found: Found::Glow(fog.glowing()),
+                    light: None,
+                    position: ray.origin,
+                });
                 if may_scatter {
-                    out.color += throughput * fog.equiangular(&stretch, &mut stream);
+                    let color = throughput * fog.equiangular(&stretch, &mut stream);
+                    out.color += color;
+                    self.recorder.light(|| {
+                        let drawn = fog.about_light(&stretch, stream);
+                        Contribution {
+                            color,
+                            throughput,
+                            bounce: segment,
+                            found: Found::Equiangular(drawn.map_or(0, |drawn| fog.medium_of(&drawn.event))),
+                            light: drawn.map(|drawn| drawn.light),
+                            position: drawn.map_or(ray.origin, |drawn| ray.origin + ray.dir * drawn.event.t),
+                        }
+                    });
                 }
                 match fog.collide(&stretch, &mut stream) {
                     Ok(collision) => {
@@ -244,8 +287,21 @@ impl<'a> Tracer<'a> {
                             break;
                         }
                         throughput *= collision.event.weight;
-                        out.color += throughput * fog.direct(&stretch, &collision, &mut stream);
+                        let position = collision.position;
+                        self.recorder
+                            .vertex(|| Vertex { place: Place::Medium(fog.medium_of(&collision.event)), position });
+                        let color = throughput * fog.direct(&stretch, &collision, &mut stream);
+                        out.color += color;
+                        self.recorder.light(|| Contribution {
+                            color,
+                            throughput,
+                            bounce: segment,
+                            found: Found::Collision,
+                            light: choose(scene, &scene.lights.at_point(position, Vec3A::ZERO), base, stream),
+                            position,
+                        });
                         let Some((dir, pdf, weight)) = fog.scatter(&stretch, &collision, &mut stream) else { break };
+                        self.recorder.leave(Leaving::Scattered { pdf });
                         throughput *= weight;
                         previous = Previous { position: collision.position, came: Came::Medium { collision, pdf } };
                         ray = Ray { origin: collision.position, dir, t_max: f32::INFINITY, time: ray.time };
@@ -261,7 +317,16 @@ impl<'a> Tracer<'a> {
             let Some(hit) = hit else { break };
             let point = scene.surface(&ray, &hit);
             if point.light != NONE {
-                out.color += throughput * self.met_light(&ray, &point, &previous);
+                let color = throughput * self.met_light(&ray, &point, &previous);
+                out.color += color;
+                self.recorder.light(|| Contribution {
+                    color,
+                    throughput,
+                    bounce: segment,
+                    found: Found::Met,
+                    light: Some(point.light),
+                    position: point.position,
+                });
             }
             let material = &scene.materials[point.material as usize];
             let back = point.normal.dot(ray.dir) > 0.0;
@@ -282,9 +347,25 @@ impl<'a> Tracer<'a> {
                 }
                 continue;
             }
+            self.recorder.vertex(|| Vertex {
+                place: Place::Surface { instance: hit.instance, primitive: hit.primitive, material: point.material },
+                position: point.position,
+            });
             if !bsdf.is_delta_only() {
-                out.color += throughput
+                let color = throughput
                     * self.direct::<MEDIA>(&bsdf, &frame, wo, &point, back, ray.time, &inside, base, &mut stream);
+                out.color += color;
+                self.recorder.light(|| Contribution {
+                    color,
+                    throughput,
+                    bounce: segment,
+                    found: Found::Surface,
+                    light: {
+                        let wanted = scene.lights.at_point(point.position, lit_side(&bsdf, &point, back));
+                        choose(scene, &wanted, base, stream)
+                    },
+                    position: point.position,
+                });
             }
             stream.seek(base + dim::LOBE);
             let choice = stream.next_1d();
@@ -295,6 +376,7 @@ impl<'a> Tracer<'a> {
                 && scattered.transmitted == Transmitted::Yes
                 && crossing != Crossing::Scatter
             {
+                self.recorder.leave(Leaving::Straight);
                 ray = straight_on(&ray, &point, &mut inside, material, back);
                 if !survives::<MEDIA>(rays, &mut throughput, eta_scale, &mut stream, base) {
                     break;
@@ -313,8 +395,10 @@ impl<'a> Tracer<'a> {
                 cross(&mut inside, material, back);
             }
             let came = if scattered.lobe == LobeKind::Delta {
+                self.recorder.leave(Leaving::Delta);
                 Came::Surely
             } else {
+                self.recorder.leave(Leaving::Scattered { pdf: scattered.pdf });
                 Came::Surface { normal: lit_side(&bsdf, &point, back), pdf: scattered.pdf }
             };
             previous = Previous { position: point.position, came };
@@ -422,6 +506,13 @@ impl<'a> Tracer<'a> {
         let from = (point.position, point.error, point.normal);
         contribution * self.shadow.visibility::<MEDIA>(scene, from, light, time, &inside, &mut self.counters)
     }
+}
+
+/// The light that the numbers of a ray choose for a point.
+/// - `base`: first dimension of the ray.
+fn choose(scene: &Prepared, wanted: &AtPoint, base: u32, mut stream: SampleStream) -> Option<u32> {
+    stream.seek(base + dim::LIGHT);
+    scene.lights.choose(wanted, dim::fine(stream.next_2d())).map(|(light, _)| light)
 }
 
 /// Russian roulette; also ends paths that carry nothing.

@@ -4,10 +4,12 @@
 //! task holds is a function of the settings alone, so the frame does not depend on who renders what, or when.
 #![deny(missing_docs)]
 
+pub mod account;
 mod allocation;
 mod budget;
 mod plan;
 mod render;
+pub mod replay;
 mod round;
 mod settings;
 mod stage;

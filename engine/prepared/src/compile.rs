@@ -9,7 +9,7 @@ use femc_math::elementary::double::cbrt;
 use femc_math::glam::{DAffine3, DMat3, DVec3, Vec2, Vec3, Vec3A};
 use femc_math::hash::combine;
 use femc_math::transform::transform_normal;
-use femc_scene::{Facing, Group, GroupId, Luminaire, Motion, ObjectId, Scalars, Scene, Shape, Sides};
+use femc_scene::{Facing, Group, GroupId, Location, Luminaire, Motion, ObjectId, Scalars, Scene, Shape, Sides};
 use std::collections::BTreeMap;
 use std::sync::Arc;
 
@@ -56,6 +56,10 @@ pub struct Emitter {
     pub shape: EmitterShape,
     /// Its material.
     pub material: u32,
+    /// Innermost object that holds it.
+    pub object: Option<ObjectId>,
+    /// Where the file has it.
+    pub location: Location,
 }
 
 /// A group ready to trace.
@@ -69,6 +73,8 @@ pub struct Compiled {
     pub corners: Vec<Corners>,
     /// Surfaces that emit.
     pub emitters: Vec<Emitter>,
+    /// Objects of the primitives, for messages: each with its first primitive, ascending.
+    pub objects: Vec<(u32, Option<ObjectId>)>,
     /// Origin of the compiled frame in the group's frame, m.
     pub center: DVec3,
     /// Hash of what was compiled.
@@ -261,9 +267,12 @@ impl<'a> Compiler<'a> {
             }
         }
         // Shapes come after all triangles in primitive order.
+        let triangles = out.primitives.len() as u32;
         out.primitives.append(&mut out.shape_primitives);
+        out.objects.extend(out.shape_objects.iter().map(|&(first, object)| (triangles + first, object)));
+        let Output { primitives, corners, emitters, objects, .. } = out;
         let blas = Arc::new(Blas::build(out.triangles, out.shapes));
-        Compiled { blas, primitives: out.primitives, corners: out.corners, emitters: out.emitters, center, key }
+        Compiled { blas, primitives, corners, emitters, objects, center, key }
     }
 
     /// A round point near the middle of what is compiled, so that its coordinates are small; zero when they are anyway.
@@ -292,13 +301,16 @@ impl<'a> Compiler<'a> {
                 let m = &self.now.materials[face.material.index()];
                 m.map_rd.is_some() || m.map_ed.is_some() || m.map_n.is_some()
             };
+            begin(&mut out.objects, out.primitives.len(), face.object);
+            let (object, location) = (face.object, face.location);
             let pair = if class.emits && !textured { parallelogram(source, triangles) } else { None };
             let shared = pair.map(|[o, a, b]| {
                 let q = to_local.transform_point3(o);
                 let [a, b] = [a, b].map(|edge| to_local.transform_vector3(edge));
                 let corners = [q, q + a, q + b, q + a + b].map(|p| p.as_vec3a());
                 let surface = twins::flat(&corners, a.cross(b).as_vec3a(), sides(face.material));
-                out.emitter(Emitter { shape: EmitterShape::Parallelogram([q, a, b]), material }, surface)
+                let shape = EmitterShape::Parallelogram([q, a, b]);
+                out.emitter(Emitter { shape, material, object, location }, surface)
             });
             for triangle in triangles {
                 let corner = triangle.map(|v| source.vertices[v as usize]);
@@ -312,7 +324,7 @@ impl<'a> Compiler<'a> {
                             // Twins may have the texture in different places: each is known by its number, too.
                             surface.push(out.emitters.len() as u32);
                         }
-                        out.emitter(Emitter { shape: EmitterShape::Triangle(p), material }, surface)
+                        out.emitter(Emitter { shape: EmitterShape::Triangle(p), material, object, location }, surface)
                     }
                     (None, false) => NONE,
                 };
@@ -336,10 +348,12 @@ impl<'a> Compiler<'a> {
             let class = self.classes[quadric.material.index()];
             let shape = transform_shape(&quadric.shape, to_local);
             let material = quadric.material.0;
+            let (object, location) = (quadric.object, quadric.location);
+            begin(&mut out.shape_objects, out.shape_primitives.len(), object);
             let emitter = if class.emits {
                 let sides = self.now.materials[quadric.material.index()].sides;
                 let surface = twins::curved(&kernel_shape(&shape), sides);
-                out.emitter(Emitter { shape: EmitterShape::Curved(shape), material }, surface)
+                out.emitter(Emitter { shape: EmitterShape::Curved(shape), material, object, location }, surface)
             } else {
                 NONE
             };
@@ -352,10 +366,13 @@ impl<'a> Compiler<'a> {
     fn add_luminaire(&self, luminaire: &Luminaire, out: &mut Output) {
         let emitter = out.emitters.len() as u32;
         let material = self.scene.materials.len() as u32;
-        out.emitters.push(Emitter { shape: EmitterShape::Photometric(*luminaire), material });
+        let (object, location) = (luminaire.object, luminaire.location);
+        out.emitters.push(Emitter { shape: EmitterShape::Photometric(*luminaire), material, object, location });
         let light = self.photometry.light(luminaire, &luminaire.to_group);
         let Light::PhotometricSolid(solid) = light else { return };
         let primitive = Primitive { material, corners: NONE, emitter };
+        begin(&mut out.objects, out.primitives.len(), object);
+        begin(&mut out.shape_objects, out.shape_primitives.len(), object);
         for face in solid.faces() {
             match face {
                 Face::Parallelogram { origin, edge_u, edge_v } => {
@@ -388,6 +405,8 @@ struct Output {
     shape_primitives: Vec<Primitive>,
     corners: Vec<Corners>,
     emitters: Vec<Emitter>,
+    objects: Vec<(u32, Option<ObjectId>)>,
+    shape_objects: Vec<(u32, Option<ObjectId>)>,
     twins: Twins,
 }
 
@@ -400,6 +419,13 @@ impl Output {
             self.emitters.push(emitter);
         }
         index
+    }
+}
+
+/// Says that from primitive `first` on they are of `object`.
+fn begin(objects: &mut Vec<(u32, Option<ObjectId>)>, first: usize, object: Option<ObjectId>) {
+    if objects.last().is_none_or(|(_, latest)| *latest != object) {
+        objects.push((first as u32, object));
     }
 }
 

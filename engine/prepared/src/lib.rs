@@ -13,6 +13,7 @@ pub mod media;
 pub mod texture;
 
 mod frame;
+pub mod names;
 pub mod outline;
 pub mod sightings;
 mod source;

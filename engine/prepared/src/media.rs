@@ -527,6 +527,20 @@ impl Media {
         &self.medium(chosen).phase
     }
 
+    /// The medium that scatters most at an event.
+    pub fn medium_of(&self, ray: &MediaRay, event: &Event) -> u16 {
+        let active = ray.active_of(&ray.intervals[event.interval as usize]);
+        let z = ray.oz + ray.dz * event.t;
+        let most = |a: &u16, b: &u16| self.share(*a, z).total_cmp(&self.share(*b, z));
+        active.iter().copied().max_by(most).unwrap_or(0)
+    }
+
+    /// The first medium on a ray that glows.
+    pub fn glowing(&self, ray: &MediaRay) -> u16 {
+        let glows = |medium: &&u16| self.medium(**medium).glow.max_element() > 0.0;
+        ray.active.iter().find(glows).copied().unwrap_or(0)
+    }
+
     fn share(&self, medium: u16, z: f32) -> f32 {
         let medium = self.medium(medium);
         medium.sigma_s.element_sum() * medium.density(z)

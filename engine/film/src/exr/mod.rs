@@ -1,8 +1,10 @@
 //! OpenEXR files: what the renderer writes, and the colors of any file that the `exr` crate reads.
 
+mod layers;
 mod read;
 mod write;
 
+pub use layers::read_channels;
 pub use read::{ExrFile, decode, read, read_attributes};
 pub use write::{Provenance, UNLIT, encode, write};
 

@@ -79,7 +79,7 @@ fn has_colors(header: &Header) -> bool {
 }
 
 /// Refuses sizes beyond the limits, and more blocks than a file of `length` bytes can index.
-fn check(header: &Header, length: u64) -> Result<(), FilmError> {
+pub(super) fn check(header: &Header, length: u64) -> Result<(), FilmError> {
     const MAX_CHANNELS: usize = 1024;
     const MAX_TILE_EDGE: usize = 1 << 14;
     let (width, height) = (header.layer_size.width() as u64, header.layer_size.height() as u64);
@@ -120,6 +120,6 @@ fn utf8(text: &Text) -> String {
     std::str::from_utf8(text.as_slice()).map_or_else(|_| text.to_string(), str::to_owned)
 }
 
-fn failed(cause: &exr::error::Error) -> FilmError {
+pub(super) fn failed(cause: &exr::error::Error) -> FilmError {
     FilmError::Format { what: "reading EXR", cause: cause.to_string() }
 }

@@ -1,0 +1,91 @@
+//! A finished frame with what its file states about it.
+
+use crate::exit::{Failure, failed, usage};
+use crate::request::Stated;
+use femc_film::convergence::BLOCK;
+use femc_film::{FilmError, Image, Rect, exr};
+use femc_pipeline::Settings;
+use femc_pipeline::account::Expected;
+use std::path::Path;
+
+/// What is in the file.
+pub struct Frame {
+    /// What it was rendered with.
+    pub settings: Settings,
+    /// Digest of its scene.
+    pub scene: String,
+    /// Number in the clip, from 1.
+    pub number: u32,
+    /// Pixels.
+    pub width: u32,
+    /// Pixels.
+    pub height: u32,
+    image: Image,
+    errors: Vec<f32>,
+    samples: Vec<f32>,
+}
+
+/// A block of pixels with a large error.
+#[derive(Clone, Copy, Debug)]
+pub struct WorstBlock {
+    /// The pixels.
+    pub rect: Rect,
+    /// Relative error as the file states it.
+    pub error: f64,
+    /// Mean luminance, cd/m2.
+    pub mean: f64,
+    /// What the error is relative to: the mean, or the frame's floor, cd/m2.
+    pub scale: f64,
+}
+
+impl Frame {
+    /// Reads one that this build of the engine has rendered.
+    pub fn read(path: &Path) -> Result<Self, Failure> {
+        let file = exr::read(path).map_err(|error| match error {
+            FilmError::File { path, cause } if cause.kind() == std::io::ErrorKind::NotFound => {
+                usage(format!("{}: no such file; give a frame that femc has rendered", path.display()))
+            }
+            other => failed(other),
+        })?;
+        let Stated { settings, frame: number, scene, engine } = Stated::of(path, &file.attributes)?;
+        if engine != femc_worker::engine() {
+            return Err(failed(format!(
+                "{} was rendered by build {engine} of the engine, and this is {}: only the same build draws the same samples; \
+                 render the frame again, or look at it with the femc that rendered it",
+                path.display(),
+                femc_worker::engine()
+            )));
+        }
+        let (width, height, [errors, samples]) =
+            exr::read_channels(path, ["relative_error.Y", "samples.Y"]).map_err(failed)?;
+        Ok(Self { settings, scene, number, width, height, image: file.image, errors, samples })
+    }
+
+    fn at(&self, (x, y): (u32, u32)) -> usize {
+        y as usize * self.width as usize + x as usize
+    }
+
+    /// A pixel.
+    pub fn pixel(&self, pixel: (u32, u32)) -> Expected {
+        let at = self.at(pixel);
+        Expected { samples: self.samples[at] as u32, color: self.image.pixels[at] }
+    }
+
+    /// The blocks of the largest errors, the worst first; of equal ones the upper left one.
+    pub fn worst_blocks(&self, most: usize) -> Vec<WorstBlock> {
+        let luminance = |pixel| f64::from(self.image.luminance(self.at(pixel)));
+        let frame = Rect { x: 0, y: 0, width: self.width, height: self.height };
+        let floor = 0.01 * frame.pixels().map(luminance).sum::<f64>() / frame.area() as f64;
+        let corners = (0..self.height).step_by(BLOCK as usize);
+        let corners = corners.flat_map(|y| (0..self.width).step_by(BLOCK as usize).map(move |x| (x, y)));
+        let block = |(x, y): (u32, u32)| {
+            let rect = Rect { x, y, width: BLOCK.min(self.width - x), height: BLOCK.min(self.height - y) };
+            let mean = rect.pixels().map(luminance).sum::<f64>() / rect.area() as f64;
+            WorstBlock { rect, error: f64::from(self.errors[self.at((x, y))]), mean, scale: mean.max(floor) }
+        };
+        let mut blocks: Vec<WorstBlock> = corners.map(block).filter(|block| block.error > 0.0).collect();
+        blocks.sort_by(|a, b| b.error.total_cmp(&a.error));
+        blocks.truncate(most);
+        blocks
+    }
+}

@@ -1,0 +1,98 @@
+//! `femc fireflies FRAME.exr SCENE`: where the error of a frame's worst blocks comes from, by tracing their samples again.
+
+mod frame;
+mod print;
+mod report;
+
+use crate::args::FormatArgs;
+use crate::clock::Clock;
+use crate::exit::{Exit, Failure, failed, usage};
+use crate::output::{Progress, Say, Snapshot, json};
+use crate::request::{load, shown};
+use clap::Args;
+use femc_pipeline::account::{Account, Lamps};
+use femc_pipeline::{Prepared, Source};
+use frame::{Frame, WorstBlock};
+use report::{Names, Report};
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// Say where the error of a frame's worst blocks comes from: bounce, technique, object and lamp
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc fireflies drive/roundabout.0012.exr scenes/roundabout.mgf\n  \
+    femc fireflies box.exr scenes/cornell-fog.mgf --blocks 3\n  \
+    femc fireflies box.exr scenes/cornell-fog.mgf --json | jq '.origins[0]'\n\n\
+    A sample is a function of the settings, which the file states, so the samples of the blocks that are worst by \
+    relative_error.Y are traced again, and each contribution is noted. A share is the covariance of an origin's contributions \
+    with their pixels' samples, over the variance: shares add up to 100 %, and are below 0 where light is missing when the \
+    rest is bright. Of frames with --error or --time the samples that count are found by the pixel's value; a pixel in which \
+    samples were left out may not be found, and the first samples are taken then (`unlike` counts such pixels).\n\n\
+    SCENE must be the scene that the frame was rendered of, and this femc the same build of the engine. Overrides, camera, \
+    size and frame are in the file.")]
+pub struct FirefliesArgs {
+    /// The frame, as femc has written it
+    #[arg(value_name = "FRAME.exr")]
+    frame: PathBuf,
+    /// Its scene file
+    #[arg(value_name = "SCENE")]
+    scene: PathBuf,
+    /// Worst blocks to look at
+    #[arg(long, value_name = "N", default_value_t = 10, value_parser = clap::value_parser!(u32).range(1..))]
+    blocks: u32,
+    /// Includes, textures and lamps of the scene may lie anywhere below DIR [default: the scene's folder]
+    #[arg(long, value_name = "DIR")]
+    root: Option<PathBuf>,
+    #[command(flatten)]
+    format: FormatArgs,
+}
+
+/// Read, trace again, list.
+pub fn run(args: &FirefliesArgs, say: Say) -> Result<Exit, Failure> {
+    let frame = Frame::read(&args.frame)?;
+    let (root, loaded) = load(&args.scene, args.root.as_deref())?;
+    let other_scene = || {
+        let (frame, scene) = (args.frame.display(), args.scene.display());
+        usage(format!("{frame} was rendered of another scene than {scene} is now; give its scene, or render it again"))
+    };
+    let source = Source::new(Arc::new(loaded.scene)).variant(&frame.settings.overrides).map_err(|_| other_scene())?;
+    if source.scene().digest().to_string() != frame.scene {
+        return Err(other_scene());
+    }
+    let prepared = femc_pipeline::prepare(&source, &frame.settings, frame.number, None).map_err(failed)?;
+    if prepared.camera.film != [frame.width, frame.height] {
+        return Err(other_scene());
+    }
+    let worst = frame.worst_blocks(args.blocks as usize);
+    let lamps = Lamps::new(&prepared);
+    let accounts = accounts(&frame, &prepared, &lamps, &worst, say);
+    let names = Names { prepared: &prepared, lamps: &lamps, shown: &|file| shown(&root, file) };
+    let report = Report::new(&args.frame, &args.scene, &frame, &worst, &accounts, &names);
+    if args.format.json {
+        json::print(say, &report)?;
+    } else {
+        print::print(say, &report);
+    }
+    Ok(Exit::Done)
+}
+
+/// The accounts of blocks, in order.
+fn accounts(frame: &Frame, prepared: &Prepared, lamps: &Lamps, worst: &[WorstBlock], say: Say) -> Vec<Account> {
+    let (mut progress, samples) = (Progress::new(say, Clock), AtomicU64::new(0));
+    let mut accounts = Vec::new();
+    for block in worst {
+        let done = accounts.len() as u64;
+        progress.show(&Snapshot {
+            frames: 1,
+            tiles: worst.len() as u64,
+            tiles_done: done,
+            samples: samples.load(Ordering::Relaxed),
+            fraction: done as f64 / worst.len() as f64,
+            ..Snapshot::default()
+        });
+        let expected = |pixel| frame.pixel(pixel);
+        accounts.push(Account::of(prepared, &frame.settings, lamps, block.rect, expected, &samples));
+    }
+    accounts
+}

@@ -1,0 +1,293 @@
+//! What the command says, with names in place of numbers.
+
+use super::frame::{Frame, WorstBlock};
+use femc_pipeline::Prepared;
+use femc_pipeline::account::{Account, Brightest, How, Lamps, On, Origin, Part, on};
+use femc_pipeline::replay::Replay;
+use femc_scene::LampKind;
+use serde::Serialize;
+use std::path::Path;
+
+/// Pixels of a block that are named.
+const PIXELS: usize = 3;
+/// Origins of a block that are listed.
+const ORIGINS: usize = 5;
+
+/// The whole.
+#[derive(Serialize)]
+pub struct Report {
+    frame: String,
+    scene: String,
+    /// Samples that were traced again.
+    pub samples: u64,
+    /// Pixels of the blocks, and how many of them had another mean than their samples now.
+    pub pixels: u64,
+    /// See above.
+    pub unlike: u64,
+    /// Worst first.
+    pub blocks: Vec<BlockReport>,
+    /// Of all these blocks together, each weighted by its relative variance; the largest share first.
+    pub origins: Vec<OriginReport>,
+}
+
+/// A block.
+#[derive(Serialize)]
+pub struct BlockReport {
+    /// Upper left pixel.
+    pub x: u32,
+    /// Upper left pixel.
+    pub y: u32,
+    /// Pixels.
+    pub width: u32,
+    /// Pixels.
+    pub height: u32,
+    /// As the file states it.
+    pub relative_error: f64,
+    /// Mean luminance, cd/m2.
+    pub mean: f64,
+    /// Those with the most variance.
+    pub pixels: Vec<PixelReport>,
+    /// The largest shares.
+    pub origins: Vec<OriginReport>,
+}
+
+/// A pixel and its share of its block's variance.
+#[derive(Serialize)]
+pub struct PixelReport {
+    /// Column.
+    pub x: u32,
+    /// Row.
+    pub y: u32,
+    /// 0 to 1.
+    pub share: f64,
+}
+
+/// An origin.
+#[derive(Clone, Serialize)]
+pub struct OriginReport {
+    /// Of the variance.
+    pub share: f64,
+    /// Of the light.
+    pub light: f64,
+    /// Segment of the path, 0: the camera's.
+    pub bounce: u32,
+    /// Technique.
+    pub how: &'static str,
+    /// What it was scattered by last.
+    pub on: OnReport,
+    /// The lamp; none: a medium that glows.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub lamp: Option<LampReport>,
+    /// The brightest contribution.
+    pub brightest: BrightestReport,
+}
+
+/// What light was scattered by.
+#[derive(Clone, Default, Serialize)]
+pub struct OnReport {
+    /// Dotted name of the innermost object.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub object: String,
+    /// Material.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub material: Option<String>,
+    /// Medium.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub medium: Option<String>,
+}
+
+/// A lamp, named as by `femc check`.
+#[derive(Clone, Serialize)]
+pub struct LampReport {
+    kind: &'static str,
+    /// Of the material, or the path of the IES file.
+    pub name: String,
+    /// Dotted name of the innermost object.
+    #[serde(skip_serializing_if = "String::is_empty")]
+    pub object: String,
+    file: String,
+    line: u32,
+}
+
+/// The brightest contribution of an origin.
+#[derive(Clone, Serialize)]
+pub struct BrightestReport {
+    /// Column of its pixel.
+    pub x: u32,
+    /// Row of its pixel.
+    pub y: u32,
+    /// Number of the sample.
+    pub sample: u32,
+    /// cd/m2.
+    pub luminance: f64,
+    /// Times the pixel's mean.
+    pub times_mean: f64,
+    /// Vertices of its path until there, from the camera, and at last where light was found.
+    pub path: Vec<VertexReport>,
+}
+
+/// A vertex of a path.
+#[derive(Clone, Serialize)]
+pub struct VertexReport {
+    /// What is there.
+    #[serde(flatten)]
+    pub on: OnReport,
+    /// World, m.
+    pub position: [f64; 3],
+}
+
+/// How to name things.
+pub struct Names<'a> {
+    /// The frame.
+    pub prepared: &'a Prepared,
+    /// Its lamps.
+    pub lamps: &'a Lamps,
+    /// A file of the scene as it is reached from here.
+    pub shown: &'a dyn Fn(&str) -> String,
+}
+
+impl LampReport {
+    /// `file:line`.
+    pub fn place(&self) -> String {
+        format!("{}:{}", self.file, self.line)
+    }
+}
+
+impl Report {
+    /// Of the blocks' accounts.
+    pub fn new(
+        path: &Path,
+        scene: &Path,
+        frame: &Frame,
+        worst: &[WorstBlock],
+        accounts: &[Account],
+        names: &Names<'_>,
+    ) -> Self {
+        let mut whole = Account::default();
+        for (block, account) in worst.iter().zip(accounts) {
+            whole.join(account.clone().scaled(1.0 / (block.scale * block.scale)));
+        }
+        let blocks = worst.iter().zip(accounts).map(|(block, account)| {
+            let mut pixels = account.pixels.clone();
+            pixels.sort_by(|a, b| b.1.total_cmp(&a.1).then(a.0.cmp(&b.0)));
+            let all = account.variance();
+            let share = |&((x, y), variance): &((u32, u32), f64)| PixelReport { x, y, share: part(variance, all) };
+            BlockReport {
+                x: block.rect.x,
+                y: block.rect.y,
+                width: block.rect.width,
+                height: block.rect.height,
+                relative_error: block.error,
+                mean: block.mean,
+                pixels: pixels.iter().take(PIXELS).map(share).collect(),
+                origins: origins(account, frame, names, ORIGINS),
+            }
+        });
+        Self {
+            frame: path.display().to_string(),
+            scene: scene.display().to_string(),
+            samples: whole.samples,
+            pixels: whole.pixels.len() as u64,
+            unlike: whole.unlike,
+            blocks: blocks.collect(),
+            origins: origins(&whole, frame, names, usize::MAX),
+        }
+    }
+}
+
+fn part(of: f64, all: f64) -> f64 {
+    if all > 0.0 { of / all } else { 0.0 }
+}
+
+/// The largest shares, in order.
+fn origins(account: &Account, frame: &Frame, names: &Names<'_>, most: usize) -> Vec<OriginReport> {
+    let mut sorted: Vec<(&Origin, &Part)> = account.parts.iter().collect();
+    sorted.sort_by(|a, b| b.1.variance.total_cmp(&a.1.variance));
+    let (variance, mean) = (account.variance(), account.parts.values().map(|part| part.mean).sum());
+    let report = |(origin, it): (&Origin, &Part)| OriginReport {
+        share: part(it.variance, variance),
+        light: part(it.mean, mean),
+        bounce: origin.bounce,
+        how: how(origin.how),
+        on: names.on(origin.on),
+        lamp: origin.lamp.map(|lamp| names.lamp(lamp)),
+        brightest: names.brightest(frame, origin, &it.brightest),
+    };
+    sorted.into_iter().take(most).map(report).collect()
+}
+
+fn how(how: How) -> &'static str {
+    match how {
+        How::Sight => "lamp drawn from the camera",
+        How::Seen => "lamp met by the camera's ray",
+        How::Mirrored => "lamp met behind a mirror or glass",
+        How::Scattered => "lamp met by scattering",
+        How::Surface => "light drawn at a surface",
+        How::Collision => "light drawn at a collision",
+        How::Equiangular => "equiangular about a lamp",
+        How::Glow => "glow of a medium",
+    }
+}
+
+impl Names<'_> {
+    fn on(&self, on: On) -> OnReport {
+        match on {
+            On::Camera => OnReport::default(),
+            On::Surface { object, material } => OnReport {
+                object: self.prepared.object_name(object).to_owned(),
+                material: Some(self.prepared.material_name(material).to_owned()),
+                medium: None,
+            },
+            On::Medium(medium) => {
+                OnReport { medium: Some(self.prepared.medium_name(medium).to_owned()), ..OnReport::default() }
+            }
+        }
+    }
+
+    fn lamp(&self, lamp: u32) -> LampReport {
+        let lamp = &self.lamps.names[lamp as usize];
+        let (kind, name) = match &lamp.kind {
+            LampKind::Surface { material } => ("material", material),
+            LampKind::Luminaire { path } => ("ies", path),
+            LampKind::Medium { medium } => ("medium", medium),
+        };
+        let file = self.prepared.scene.files.get(lamp.location.file as usize).map_or("", String::as_str);
+        LampReport {
+            kind,
+            name: name.clone(),
+            object: lamp.object.clone(),
+            file: (self.shown)(file),
+            line: lamp.location.line,
+        }
+    }
+
+    /// The sample is traced once more, for its path.
+    fn brightest(&self, frame: &Frame, origin: &Origin, it: &Brightest) -> BrightestReport {
+        let mut replay = Replay::new(self.prepared, &frame.settings);
+        let (_, recording) = replay.sample(it.pixel, it.sample);
+        let is_it =
+            |entry: &&(_, usize)| Origin::of(self.prepared, self.lamps, recording, &entry.0, entry.1) == *origin;
+        let luminance = |color| f64::from(femc_pipeline::account::luminance(color));
+        let found = recording.contributions.iter().filter(is_it);
+        let found = found.max_by(|a, b| luminance(a.0.color).total_cmp(&luminance(b.0.color)));
+        let vertex = |on, position| VertexReport { on, position: self.prepared.in_world(position) };
+        let path = found.map(|(contribution, vertices)| {
+            let steps = recording.steps[..*vertices].iter().map(|step| step.vertex);
+            let mut path: Vec<VertexReport> =
+                steps.map(|it| vertex(self.on(on(self.prepared, it.place)), it.position)).collect();
+            if !matches!(origin.how, How::Surface | How::Collision | How::Glow) {
+                let end = if origin.how == How::Equiangular { self.on(origin.on) } else { OnReport::default() };
+                path.push(vertex(end, contribution.position));
+            }
+            path
+        });
+        BrightestReport {
+            x: it.pixel.0,
+            y: it.pixel.1,
+            sample: it.sample,
+            luminance: it.luminance,
+            times_mean: part(it.luminance, it.mean),
+            path: path.unwrap_or_default(),
+        }
+    }
+}

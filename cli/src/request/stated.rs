@@ -1,0 +1,47 @@
+//! What the file of a frame says of how it was rendered: enough to draw its samples again.
+
+use crate::exit::{Failure, failed};
+use femc_film::exr::ATTRIBUTE_PREFIX;
+use femc_pipeline::{Settings, Stop};
+use std::collections::BTreeMap;
+use std::path::Path;
+
+/// What the file says.
+pub struct Stated {
+    /// Its settings, with the division of its samples if it had a time.
+    pub settings: Settings,
+    /// Number of the frame.
+    pub frame: u32,
+    /// Digest of the scene.
+    pub scene: String,
+    /// Build of the engine.
+    pub engine: String,
+}
+
+impl Stated {
+    /// By the attributes of a file.
+    pub fn of(file: &Path, attributes: &BTreeMap<String, String>) -> Result<Self, Failure> {
+        let fault = |name: &str, what: &str| {
+            failed(format!(
+                "{}: {what} attribute {ATTRIBUTE_PREFIX}{name}: how its samples were drawn is not known; give a frame that this femc \
+                 has rendered",
+                file.display()
+            ))
+        };
+        let says = |name: &str| {
+            let text = attributes.get(&format!("{ATTRIBUTE_PREFIX}{name}"));
+            text.ok_or_else(|| fault(name, "no"))
+        };
+        let unfit = |name: &str| fault(name, "this femc cannot read its");
+        let mut settings: Settings = serde_json::from_str(says("settings")?).map_err(|_| unfit("settings"))?;
+        if matches!(settings.stop, Stop::Time(_)) {
+            settings.allocation = Some(serde_json::from_str(says("allocation")?).map_err(|_| unfit("allocation"))?);
+        }
+        Ok(Self {
+            settings,
+            frame: says("frame")?.parse().map_err(|_| unfit("frame"))?,
+            scene: says("scene")?.clone(),
+            engine: says("engine")?.clone(),
+        })
+    }
+}

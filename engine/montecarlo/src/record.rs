@@ -1,0 +1,155 @@
+//! What a path tells of itself, for those who ask where its light came from.
+//!
+//! A sample is a function of seed, frame, pixel and number: it can be traced again at any time, and this time with a recorder.
+//! The recorder `()` of ordinary rendering hears nothing. All that is told is told by closures which it does not call, so that
+//! what they would have to find out costs nothing.
+
+use femc_math::Rgb;
+use femc_math::glam::Vec3A;
+
+/// Hears of the vertices of paths, and of each contribution to a sample.
+pub trait Recorder {
+    /// A camera sample begins.
+    fn begin(&mut self);
+    /// The path has come to a surface that may scatter, or to a collision in a medium.
+    fn vertex(&mut self, vertex: impl FnOnce() -> Vertex);
+    /// The path goes on from its latest vertex.
+    fn leave(&mut self, way: Leaving);
+    /// Light was found.
+    fn light(&mut self, contribution: impl FnOnce() -> Contribution);
+}
+
+impl Recorder for () {
+    #[inline(always)]
+    fn begin(&mut self) {}
+    #[inline(always)]
+    fn vertex(&mut self, _: impl FnOnce() -> Vertex) {}
+    #[inline(always)]
+    fn leave(&mut self, _: Leaving) {}
+    #[inline(always)]
+    fn light(&mut self, _: impl FnOnce() -> Contribution) {}
+}
+
+/// What a path meets.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Place {
+    /// A surface of `Prepared::instances`.
+    Surface {
+        /// Index of the instance.
+        instance: u32,
+        /// Index of the primitive in it.
+        primitive: u32,
+        /// Index of the material.
+        material: u32,
+    },
+    /// A medium, by its index.
+    Medium(u16),
+}
+
+/// A vertex of a path.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Vertex {
+    /// What is there.
+    pub place: Place,
+    /// Where it is, prepared frame, m.
+    pub position: Vec3A,
+}
+
+/// How a path goes on from a vertex.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Leaving {
+    /// Straight through a clear surface: the path stays on its segment.
+    Straight,
+    /// In the only direction of a mirror, or of glass that bends.
+    Delta,
+    /// In one of many directions.
+    Scattered {
+        /// Density of the direction, 1/sr.
+        pdf: f32,
+    },
+}
+
+/// How light was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Found {
+    /// A point on a lamp was drawn from the camera.
+    Sight,
+    /// The path has met a lamp.
+    Met,
+    /// A point on a lamp was drawn from a surface, the latest vertex.
+    Surface,
+    /// A point on a lamp was drawn from a collision, the latest vertex.
+    Collision,
+    /// A lamp was chosen for the segment and a distance drawn about it, in this medium.
+    Equiangular(u16),
+    /// The segment goes through this medium, which glows.
+    Glow(u16),
+}
+
+/// A part of a sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Contribution {
+    /// What it adds to the sample, cd/m2: after throughput and weight.
+    pub color: Rgb,
+    /// Factor of the path up to the segment, or to the vertex; a part of `color`.
+    pub throughput: Rgb,
+    /// The segment that it was found on or at the end of; 0: the camera's.
+    pub bounce: u32,
+    /// How it was found.
+    pub found: Found,
+    /// Index of the light; `None`: a medium that glows, or no light could be chosen.
+    pub light: Option<u32>,
+    /// Of a lamp met or drawn from the camera the point on it, else the point that it lights; where a medium glows the segment's start.
+    /// Prepared frame, m.
+    pub position: Vec3A,
+}
+
+/// A vertex, and how the path has left it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Step {
+    /// The vertex.
+    pub vertex: Vertex,
+    /// `None`: the path ended there.
+    pub leaving: Option<Leaving>,
+}
+
+/// All about one sample: a recorder that keeps everything until the next sample begins.
+#[derive(Clone, Debug, Default)]
+pub struct Recording {
+    /// The vertices in order.
+    pub steps: Vec<Step>,
+    /// The contributions in order, each with the number of vertices that the path had until then.
+    pub contributions: Vec<(Contribution, usize)>,
+}
+
+impl Recorder for Recording {
+    fn begin(&mut self) {
+        self.steps.clear();
+        self.contributions.clear();
+    }
+
+    fn vertex(&mut self, vertex: impl FnOnce() -> Vertex) {
+        self.steps.push(Step { vertex: vertex(), leaving: None });
+    }
+
+    fn leave(&mut self, way: Leaving) {
+        if let Some(step) = self.steps.last_mut() {
+            step.leaving = Some(way);
+        }
+    }
+
+    fn light(&mut self, contribution: impl FnOnce() -> Contribution) {
+        let contribution = contribution();
+        if contribution.color != Rgb::ZERO {
+            self.contributions.push((contribution, self.steps.len()));
+        }
+    }
+}
+
+impl Recording {
+    /// The vertex that a path with so many vertices came to a lamp from: the latest that it has not gone straight through;
+    /// `None`: it came from the camera.
+    pub fn source(&self, vertices: usize) -> Option<&Step> {
+        self.steps[..vertices].iter().rev().find(|step| step.leaving != Some(Leaving::Straight))
+    }
+}

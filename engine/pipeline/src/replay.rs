@@ -1,0 +1,144 @@
+//! Samples of a finished frame, traced again: a sample is a function of the settings, so that what was not noted while rendering can
+//! be asked for afterwards.
+
+use crate::render::Places;
+use crate::settings::{Settings, Stop};
+use femc_math::Rgb;
+use femc_montecarlo::{PathSettings, Recording, Tracer};
+use femc_prepared::Prepared;
+use std::ops::Range;
+
+/// Traces samples again, on one thread.
+pub struct Replay<'a> {
+    tracer: Tracer<'a, Recording>,
+    settings: &'a Settings,
+    width: u32,
+}
+
+impl<'a> Replay<'a> {
+    /// Of a frame of these settings.
+    pub fn new(prepared: &'a Prepared, settings: &'a Settings) -> Self {
+        let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth, only: None };
+        let tracer = Tracer::recording(prepared, path, Recording::default());
+        Self { tracer, settings, width: prepared.camera.film[0] }
+    }
+
+    /// Sample number `sample` of a pixel: its color, cd/m2, and how it came about.
+    pub fn sample(&mut self, (x, y): (u32, u32), sample: u32) -> (Rgb, &Recording) {
+        let drawn = self.tracer.sample(y * self.width + x, sample, Places(self.settings.filter));
+        (drawn.color, &self.tracer.recorder)
+    }
+}
+
+/// Samples that a pixel's mean is made of. The image is the mean of the two halves' means.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Counted {
+    /// The first.
+    pub begin: u32,
+    /// Of each half one past the last.
+    pub ends: [u32; 2],
+}
+
+impl Counted {
+    /// All that a frame of these settings may have counted in a pixel whose mean is said to be of `samples`.
+    pub fn candidates(settings: &Settings, samples: u32) -> Vec<Self> {
+        match (settings.stop, &settings.allocation) {
+            (Stop::Spp(spp), _) => return vec![Self { begin: 0, ends: [spp; 2] }],
+            (Stop::Time(_), Some(allocation)) => {
+                let begin = allocation.begin;
+                return vec![Self { begin, ends: [begin.saturating_add(samples); 2] }];
+            }
+            _ => {}
+        }
+        let rounds: Vec<u32> = settings.rounds().into_iter().take_while(|&end| end <= 2 * samples).collect();
+        let pairs = rounds.iter().flat_map(|&a| rounds.iter().map(move |&b| Self { begin: 0, ends: [a, b] }));
+        pairs.filter(|pair| pair.count() == samples).collect()
+    }
+
+    /// The first samples of a pixel, as many as its mean is said to be of.
+    pub fn first(samples: u32) -> Self {
+        Self { begin: 0, ends: [samples; 2] }
+    }
+
+    /// Samples of each half.
+    fn halves(self) -> [u32; 2] {
+        let [a, b] = self.ends;
+        [a.div_ceil(2) - self.begin.div_ceil(2), b / 2 - self.begin / 2]
+    }
+
+    /// Samples of both.
+    pub fn count(self) -> u32 {
+        self.halves().iter().sum()
+    }
+
+    /// Samples to trace.
+    pub fn range(self) -> Range<u32> {
+        self.begin..self.ends[0].max(self.ends[1])
+    }
+
+    /// Whether a sample counts.
+    pub fn has(self, sample: u32) -> bool {
+        sample >= self.begin && sample < self.ends[sample as usize % 2]
+    }
+
+    /// Mean of a pixel's samples, given in order from the first of all; those that are not finite are left out as on the film.
+    pub fn mean(self, samples: &[Rgb]) -> Rgb {
+        let (mut sums, mut counts) = ([[0f64; 3]; 2], [0u32; 2]);
+        for (index, color) in (0..).zip(samples).filter(|(index, color)| self.has(*index) && is_good(**color)) {
+            let half = index as usize % 2;
+            counts[half] += 1;
+            sums[half].iter_mut().zip(color.to_array()).for_each(|(sum, value)| *sum += f64::from(value));
+        }
+        let halves = counts.iter().filter(|count| **count > 0).count().max(1) as f64;
+        let mean = |axis: usize| {
+            let half = |half: usize| sums[half][axis] / f64::from(counts[half].max(1));
+            ((half(0) + half(1)) / halves) as f32
+        };
+        Rgb::new(mean(0), mean(1), mean(2))
+    }
+
+    /// Factor from the variance of a sample to that of the mean.
+    pub fn variance_factor(self) -> f64 {
+        let halves = self.halves().map(f64::from);
+        if halves.contains(&0.0) { 1.0 } else { halves.iter().map(|count| 0.25 / count).sum() }
+    }
+}
+
+/// Whether a sample is in the image.
+pub(crate) fn is_good(color: Rgb) -> bool {
+    color.is_finite() && color.min_element() >= 0.0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::Allocation;
+
+    fn of(begin: u32, ends: [u32; 2]) -> Counted {
+        Counted { begin, ends }
+    }
+
+    #[test]
+    fn the_samples_of_a_pixel_are_found_by_their_number() {
+        let even = Settings { stop: Stop::Spp(7), ..Settings::default() };
+        assert_eq!(Counted::candidates(&even, 7), [of(0, [7; 2])]);
+        assert_eq!(of(0, [7; 2]).count(), 7);
+        let uneven = Settings::default();
+        assert_eq!(Counted::candidates(&uneven, 20), [of(0, [16, 24]), of(0, [24, 16])]);
+        assert_eq!(Counted::candidates(&uneven, 24).len(), 3, "16 and 32, 24 twice, 32 and 16");
+        assert_eq!(Counted::candidates(&uneven, 21), []);
+        let allocation = Some(Allocation { begin: 4, ends: vec![11, 60] });
+        let timed = Settings { stop: Stop::Time(9.0), allocation, ..Settings::default() };
+        assert_eq!(Counted::candidates(&timed, 7), [of(4, [11; 2])]);
+        assert_eq!(of(4, [11; 2]).count(), 7);
+    }
+
+    #[test]
+    fn the_mean_is_of_the_halves_means_and_leaves_out_what_is_not_finite() {
+        let gray = |value: f32| Rgb::splat(value);
+        let samples = [gray(1.0), gray(10.0), gray(3.0), gray(99.0), gray(f32::NAN), gray(99.0)];
+        assert_eq!(of(0, [6, 2]).mean(&samples), gray(6.0), "1 and 3, and 10 alone");
+        assert_eq!(of(0, [6, 2]).count(), 4);
+        assert!((of(0, [8, 4]).variance_factor() - 0.25 * (0.25 + 0.5)).abs() < 1e-12);
+    }
+}

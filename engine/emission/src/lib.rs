@@ -17,4 +17,4 @@ pub use emission::{Emission, Profile, Sides};
 pub use equiangular::Equiangular;
 pub use light::{DeltaKind, EmissionCone, Light, LightSample};
 pub use photometry::{IntensityDistribution, PhotometryError, PhotometryKind};
-pub use tree::{AlongSegment, AtPoint, LightBounds, LightTree, Place};
+pub use tree::{AlongSegment, AtPoint, Front, LightBounds, LightTree, Place};

@@ -9,7 +9,7 @@ use crate::dimensions as dim;
 use crate::path::{Counters, square};
 use crate::shadow::Shadow;
 use crate::technique::{Technique, weight};
-use femc_emission::{DeltaKind, Equiangular, LightSample};
+use femc_emission::{DeltaKind, Equiangular, Front, LightSample};
 use femc_math::glam::Vec3A;
 use femc_math::{Rgb, SampleStream};
 use femc_prepared::Prepared;
@@ -45,8 +45,13 @@ pub struct Collision {
 
 impl Collision {
     /// Density, 1/m, with which way 2 chooses `light` and draws this event's distance about it.
-    pub fn equiangular_pdf(&self, scene: &Prepared, light: u32, time: f32) -> f32 {
-        let chosen = scene.lights.probability(&scene.lights.along(self.origin, self.dir, self.range), light);
+    /// - `front`: where the choice of a light for the segment begins, if it is known.
+    pub fn equiangular_pdf(&self, scene: &Prepared, front: Option<&Front>, light: u32, time: f32) -> f32 {
+        let place = scene.lights.along(self.origin, self.dir, self.range);
+        let chosen = match front {
+            Some(front) => scene.lights.probability_from(front, &place, light),
+            None => scene.lights.probability(&place, light),
+        };
         if chosen <= 0.0 {
             return 0.0;
         }
@@ -86,6 +91,8 @@ pub struct Fog<'a, 's> {
     pub counters: &'a mut Counters,
     /// The only technique that counts.
     pub only: Option<Technique>,
+    /// Where the choice of a light for the segment begins, once it is known.
+    pub front: Option<Front>,
 }
 
 impl Fog<'_, '_> {
@@ -136,7 +143,7 @@ impl Fog<'_, '_> {
             return Rgb::ZERO;
         }
         let (phase, phase_pdf) = scene.media.phase(self.ray, &collision.event, -segment.dir, light.dir);
-        let equiangular = collision.equiangular_pdf(scene, drawn.light, segment.time);
+        let equiangular = collision.equiangular_pdf(scene, self.front.as_ref(), drawn.light, segment.time);
         // Relative to way 1 for the same light and direction.
         let by_distance = square(equiangular / (collision.event.pdf * drawn.probability));
         let by_phase = if light.delta == DeltaKind::Position { 0.0 } else { square(phase_pdf / light.pdf) };
@@ -174,7 +181,7 @@ impl Fog<'_, '_> {
 
     /// The light and the distance about it that the numbers of the segment choose.
     #[inline]
-    pub fn about_light(&self, segment: &Segment<'_>, mut stream: SampleStream) -> Option<AboutLight> {
+    pub fn about_light(&mut self, segment: &Segment<'_>, mut stream: SampleStream) -> Option<AboutLight> {
         let scene = self.scene;
         if scene.lights.is_empty() {
             return None;
@@ -185,7 +192,8 @@ impl Fog<'_, '_> {
         stream.seek(segment.base + dim::EQUIANGULAR_LIGHT);
         let choice = dim::fine(stream.next_2d());
         let place = scene.lights.along(segment.origin, segment.dir, range);
-        let (light, probability) = scene.lights.choose(&place, choice)?;
+        let front = self.front.get_or_insert_with(|| scene.lights.front(&place));
+        let (light, probability) = scene.lights.choose_from(front, &place, choice)?;
         let distances = about(scene, light, segment.time, segment.origin, segment.dir, range);
         let (t, density) = distances.sample(u)?;
         let event = scene.media.event_at(self.ray, range.0 + t)?;

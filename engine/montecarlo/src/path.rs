@@ -253,6 +253,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                     shadow: &mut self.shadow,
                     counters: &mut self.counters,
                     only: self.settings.only,
+                    front: None,
                 };
                 let stretch = Segment { origin: ray.origin, dir: ray.dir, time: ray.time, inside: &inside, base };
                 let color = throughput * fog.glow(&stretch, &mut stream);
@@ -457,7 +458,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             }
             Came::Surface { normal, pdf } => square(drawn() * chosen(*normal) / pdf),
             Came::Medium { collision, pdf } => {
-                let equiangular = collision.equiangular_pdf(scene, light, ray.time);
+                let equiangular = collision.equiangular_pdf(scene, None, light, ray.time);
                 square(drawn() / pdf) * (square(chosen(Vec3A::ZERO)) + square(equiangular / collision.event.pdf))
             }
         };

@@ -6,8 +6,8 @@ use femc_emission::light::{
     Cone, Parallelogram, PhotometricPoint, PhotometricSolid, Ring, Solid, Sphere, Torus, Triangle,
 };
 use femc_emission::{
-    AlongSegment, AtPoint, Emission, EmissionCone, IntensityDistribution, Light, LightBounds, LightSample, LightTree,
-    PhotometryError, PhotometryKind, Place, Profile, Sides,
+    AlongSegment, AtPoint, Emission, EmissionCone, Front, IntensityDistribution, Light, LightBounds, LightSample,
+    LightTree, PhotometryError, PhotometryKind, Place, Profile, Sides,
 };
 use femc_geometry::{Aabb, World};
 use femc_math::Rgb;
@@ -121,6 +121,24 @@ impl Lights {
     #[inline]
     pub fn probability(&self, place: &impl Place, light: u32) -> f32 {
         self.tree.probability(place, light)
+    }
+
+    /// Where the choice of a light for a place begins; worth keeping where lights are chosen for it more than once.
+    #[inline]
+    pub fn front(&self, place: &impl Place) -> Front {
+        self.tree.front(place)
+    }
+
+    /// [`Lights::choose`] with a front that is known.
+    #[inline]
+    pub fn choose_from(&self, front: &Front, place: &impl Place, u: f64) -> Option<(u32, f32)> {
+        self.tree.choose_from(front, place, u)
+    }
+
+    /// [`Lights::probability`] with a front that is known.
+    #[inline]
+    pub fn probability_from(&self, front: &Front, place: &impl Place, light: u32) -> f32 {
+        self.tree.probability_from(front, place, light)
     }
 
     /// Chooses a light for a point and draws a point on it.

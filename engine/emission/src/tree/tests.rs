@@ -136,6 +136,36 @@ fn what_faces_away_and_what_is_behind_is_not_chosen() {
     assert!(tree.probability(&beside, 1) > 0.9, "{}", tree.probability(&beside, 1));
 }
 
+/// Lamps along two crossing roads, 8 m high, facing down.
+fn street() -> Vec<Light> {
+    let lamp = |x: f32, y: f32| {
+        let (place, panel) = (Vec3A::new(x, y, 8.0), emission(Sides::One, Profile::Lambertian, 1e4));
+        Light::Parallelogram(Parallelogram::new(place, Vec3A::Y * 0.2, Vec3A::X * 0.5, panel))
+    };
+    let along = (-12..12i16).map(|i| 25.0 * f32::from(i));
+    along.flat_map(|x| [lamp(x, 5.0), lamp(-5.0, x + 12.0)]).collect()
+}
+
+#[test]
+fn under_street_lamps_the_choice_is_nearly_in_proportion_to_what_they_send() {
+    let lights = street();
+    let tree = tree(&lights);
+    for i in 0..500 {
+        let (along, beside) = (600.0 * (number(&[40, i]) - 0.5), 12.0 * (number(&[41, i]) - 0.5));
+        let [x, y] = if i % 2 == 0 { [along, beside] } else { [beside, along] };
+        let place = AtPoint { position: Vec3A::new(x, y, 0.5), normal: Vec3A::Z, haze: 0.0 };
+        let (mut sent, mut squares) = (0.0, 0.0);
+        for (index, light) in lights.iter().enumerate() {
+            let Some(sample) = light.sample(place.position, [0.5; 2]) else { continue };
+            let part = f64::from(sample.radiance.max_element() * place.normal.dot(sample.dir) / sample.pdf);
+            sent += part;
+            squares += part * part / f64::from(tree.probability(&place, index as u32));
+        }
+        // Relative second moment of one choice: 1 of the best one.
+        assert!(squares / (sent * sent) < 1.7, "{place:?}: {}", squares / (sent * sent));
+    }
+}
+
 #[test]
 fn lights_in_one_spot_without_power_and_without_end_are_no_trouble() {
     let ball =

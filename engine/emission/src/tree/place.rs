@@ -1,0 +1,229 @@
+//! The places that want light, and what a node of the tree is worth to them.
+
+use super::LEAF;
+use femc_math::glam::Vec3A;
+use std::f32::consts::{FRAC_PI_2, PI};
+
+/// Cosines of bounds are trusted up to this much: rounding shall not lose a light.
+const SLACK: f32 = 1e-3;
+
+/// A place that wants light.
+pub trait Place {
+    /// Importance of a node, >= 0; 0 only where its lights can send nothing.
+    fn importance(&self, node: &Node) -> f32;
+    /// Squared distance of the place to the middle of a node's lights, m2.
+    fn distance2(&self, node: &Node) -> f32;
+}
+
+/// A point on a surface or in a medium.
+#[derive(Clone, Copy, Debug)]
+pub struct AtPoint {
+    /// m.
+    pub position: Vec3A,
+    /// Unit normal of the side that light is scattered from; zero where light counts from all sides.
+    pub normal: Vec3A,
+    /// Extinction of the haze that is everywhere, 1/m.
+    pub haze: f32,
+}
+
+/// A segment of a ray in fog: light is wanted along all of it.
+#[derive(Clone, Copy, Debug)]
+pub struct AlongSegment {
+    /// Start of the ray, m.
+    pub origin: Vec3A,
+    /// Unit direction.
+    pub dir: Vec3A,
+    /// First and last distance on the ray, m; finite.
+    pub range: (f32, f32),
+    /// Extinction of the haze that is everywhere, 1/m.
+    pub haze: f32,
+}
+
+/// A node: one light, or all lights below it.
+#[derive(Clone, Copy, Debug)]
+pub struct Node {
+    pub(super) center: Vec3A,
+    pub(super) axis: Vec3A,
+    /// Radius of the sphere around the lights, m.
+    pub(super) radius: f32,
+    /// Its square.
+    pub(super) radius2: f32,
+    /// Candela at the peak of the profile, summed.
+    pub(super) intensity: f32,
+    pub(super) cos_normals: f32,
+    pub(super) sin_normals: f32,
+    /// Power of the cosine that the intensity follows.
+    pub(super) exponent: f32,
+    pub(super) two_sided: bool,
+    /// Index of the first child, the second follows; [`LEAF`] in leaves.
+    pub(super) children: u32,
+    pub(super) light: u32,
+    /// Ranks of its lights: the first, and how many.
+    pub(super) ranks: (u32, u32),
+}
+
+/// Cosine and sine of `a - b`, or of 0 where a < b; both in 0..pi.
+#[inline]
+pub(super) fn angle_less((cos_a, sin_a): (f32, f32), (cos_b, sin_b): (f32, f32)) -> (f32, f32) {
+    if cos_a >= cos_b { (1.0, 0.0) } else { (cos_a * cos_b + sin_a * sin_b, sin_a * cos_b - cos_a * sin_b) }
+}
+
+#[inline]
+pub(super) fn sine(cos: f32) -> f32 {
+    (1.0 - cos * cos).max(0.0).sqrt()
+}
+
+impl Node {
+    /// Whether a light of this rank is in the node.
+    #[inline]
+    pub(super) fn has(&self, rank: u32) -> bool {
+        rank.wrapping_sub(self.ranks.0) < self.ranks.1
+    }
+
+    /// Whether the intensity is the same in every direction.
+    #[inline]
+    fn is_everywhere(&self) -> bool {
+        self.cos_normals <= -1.0
+    }
+
+    /// Squared distance to the lights' middle, at least their radius; the direction from `point` to it; and the cosine and
+    /// sine of the angle by which the lights' own directions may differ from it.
+    #[inline]
+    fn seen_from(&self, point: Vec3A) -> (f32, Vec3A, (f32, f32)) {
+        let toward = self.center - point;
+        let distance2 = toward.length_squared();
+        if distance2 <= self.radius2 * 1.001 || distance2 == 0.0 {
+            return (self.radius2.max(distance2).max(f32::MIN_POSITIVE), Vec3A::ZERO, (-1.0, 0.0));
+        }
+        let inverse = 1.0 / distance2.sqrt();
+        let sin = self.radius * inverse;
+        (distance2, toward * inverse, ((1.0 - sin * sin).max(0.0).sqrt(), sin))
+    }
+
+    /// Bound on the intensity, cd, in direction `dir` (unit, from the lights to the place), whose error is `spread`.
+    #[inline]
+    fn intensity_toward(&self, dir: Vec3A, spread: (f32, f32)) -> f32 {
+        if self.is_everywhere() || spread.0 <= -1.0 {
+            return self.intensity;
+        }
+        let cos = self.axis.dot(dir);
+        let cos = if self.two_sided { cos.abs() } else { cos }.clamp(-1.0, 1.0);
+        let off_normals = angle_less((cos, sine(cos)), (self.cos_normals, self.sin_normals));
+        let (cos, _) = angle_less(off_normals, spread);
+        if cos < -SLACK {
+            return 0.0;
+        }
+        self.intensity * self.profile(cos.max(SLACK))
+    }
+
+    /// The cosine's power, by a quotient that falls off more slowly (\[schlick1994\]).
+    #[inline]
+    fn profile(&self, cos: f32) -> f32 {
+        cos / (self.exponent - self.exponent * cos + cos)
+    }
+
+    /// Estimate of the intensity, cd, toward a place that sees the lights' middle along `toward` (m, not unit).
+    #[inline]
+    fn intensity_about(&self, toward: Vec3A) -> f32 {
+        if self.is_everywhere() {
+            return self.intensity;
+        }
+        let inverse = 1.0 / toward.length_squared().max(self.radius2).max(f32::MIN_POSITIVE).sqrt();
+        let cos = -self.axis.dot(toward) * inverse;
+        let cos = if self.two_sided { cos.abs() } else { cos };
+        let open = 1.0 - self.cos_normals + self.radius * inverse;
+        self.intensity * self.profile((cos + open).clamp(SLACK, 1.0))
+    }
+}
+
+/// An upper bound of exp(-x), x >= 0, without the price of an exponential.
+#[inline]
+fn attenuation(x: f32) -> f32 {
+    1.0 / (1.0 + x * (1.0 + x * (0.5 + x * (1.0 / 6.0))))
+}
+
+impl Place for AtPoint {
+    #[inline]
+    fn distance2(&self, node: &Node) -> f32 {
+        (node.center - self.position).length_squared()
+    }
+
+    #[inline]
+    fn importance(&self, node: &Node) -> f32 {
+        let (distance2, toward, spread) = node.seen_from(self.position);
+        let intensity = node.intensity_toward(-toward, spread);
+        if intensity <= 0.0 {
+            return 0.0;
+        }
+        let mut importance = intensity / distance2;
+        if self.normal != Vec3A::ZERO && spread.0 > -1.0 {
+            let cos = self.normal.dot(toward).clamp(-1.0, 1.0);
+            let (cos, _) = angle_less((cos, sine(cos)), spread);
+            if cos < -SLACK {
+                return 0.0;
+            }
+            importance *= cos.max(SLACK);
+        }
+        if self.haze > 0.0 {
+            importance *= attenuation(self.haze * distance2.sqrt());
+        }
+        importance
+    }
+}
+
+impl Place for AlongSegment {
+    #[inline]
+    fn distance2(&self, node: &Node) -> f32 {
+        let toward = node.center - self.origin;
+        (toward - self.dir * toward.dot(self.dir).clamp(self.range.0, self.range.1)).length_squared()
+    }
+
+    /// The integral of 1 / distance^2 along the segment, times an estimate of the intensity toward its nearest point, or toward
+    /// its ends where that one is behind the lights.
+    #[inline]
+    fn importance(&self, node: &Node) -> f32 {
+        let (t0, t1) = self.range;
+        let along = (node.center - self.origin).dot(self.dir);
+        let nearest = along.clamp(t0, t1);
+        let beside2 = (node.center - (self.origin + self.dir * along)).length_squared();
+        let h = beside2.max(node.radius2).sqrt().max(f32::MIN_POSITIVE.sqrt());
+        let angle = subtended(h * (t1 - t0), h * h + (t0 - along) * (t1 - along));
+        let toward = |t: f32| node.intensity_about(node.center - (self.origin + self.dir * t));
+        let mut intensity = toward(nearest);
+        if intensity <= 2.0 * SLACK * node.intensity {
+            intensity = intensity.max(0.5 * toward(t0).max(toward(t1)));
+        }
+        let importance = intensity * angle / h;
+        if self.haze > 0.0 { importance * attenuation(self.haze * (nearest + h - t0)) } else { importance }
+    }
+}
+
+/// The angle whose tangent is `y / x`, 0..pi, to 1 %; y >= 0.
+#[inline]
+fn subtended(y: f32, x: f32) -> f32 {
+    let small = |t: f32| t / (1.0 + 0.28 * t * t);
+    if x >= y {
+        if y > 0.0 { small(y / x) } else { f32::MIN_POSITIVE }
+    } else if x > -y {
+        FRAC_PI_2 - small(x.abs() / y).copysign(x)
+    } else {
+        PI - small(y / -x)
+    }
+}
+
+impl Node {
+    pub(super) const ABSENT: Self = Self {
+        center: Vec3A::ZERO,
+        axis: Vec3A::Z,
+        radius: 0.0,
+        radius2: 0.0,
+        intensity: 0.0,
+        cos_normals: -1.0,
+        sin_normals: 0.0,
+        exponent: 1.0,
+        two_sided: false,
+        children: LEAF,
+        light: 0,
+        ranks: (0, 0),
+    };
+}

@@ -30,7 +30,7 @@ impl<'a> Replay<'a> {
     }
 }
 
-/// Samples that a pixel's mean is made of. The image is the mean of the two halves' means.
+/// Samples that a pixel's mean is made of; where the halves end each on its own, it is the mean of their means.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Counted {
     /// The first.
@@ -89,18 +89,29 @@ impl Counted {
             counts[half] += 1;
             sums[half].iter_mut().zip(color.to_array()).for_each(|(sum, value)| *sum += f64::from(value));
         }
-        let halves = counts.iter().filter(|count| **count > 0).count().max(1) as f64;
+        let weights = self.weights(counts);
         let mean = |axis: usize| {
-            let half = |half: usize| sums[half][axis] / f64::from(counts[half].max(1));
-            ((half(0) + half(1)) / halves) as f32
+            let half = |half: usize| weights[half] * sums[half][axis] / f64::from(counts[half].max(1));
+            (half(0) + half(1)) as f32
         };
         Rgb::new(mean(0), mean(1), mean(2))
     }
 
+    /// The halves' parts of a mean of so many samples of each: as many, and 1/2 where the halves end each on its own.
+    fn weights(self, counts: [u32; 2]) -> [f64; 2] {
+        match counts.map(f64::from) {
+            [0.0, _] => [0.0, 1.0],
+            [_, 0.0] => [1.0, 0.0],
+            _ if self.ends[0] != self.ends[1] => [0.5; 2],
+            [a, b] => [a / (a + b), b / (a + b)],
+        }
+    }
+
     /// Factor from the variance of a sample to that of the mean.
     pub fn variance_factor(self) -> f64 {
-        let halves = self.halves().map(f64::from);
-        if halves.contains(&0.0) { 1.0 } else { halves.iter().map(|count| 0.25 / count).sum() }
+        let counts = self.halves();
+        let weights = self.weights(counts);
+        (0..2).map(|half| weights[half].powi(2) / f64::from(counts[half].max(1))).sum()
     }
 }
 
@@ -134,11 +145,14 @@ mod tests {
     }
 
     #[test]
-    fn the_mean_is_of_the_halves_means_and_leaves_out_what_is_not_finite() {
+    fn the_mean_is_of_the_halves_means_where_they_end_apart_and_leaves_out_what_is_not_finite() {
         let gray = |value: f32| Rgb::splat(value);
         let samples = [gray(1.0), gray(10.0), gray(3.0), gray(99.0), gray(f32::NAN), gray(99.0)];
         assert_eq!(of(0, [6, 2]).mean(&samples), gray(6.0), "1 and 3, and 10 alone");
         assert_eq!(of(0, [6, 2]).count(), 4);
+        let even = of(0, [3; 2]).mean(&samples).to_array()[1];
+        assert!((even - 14.0 / 3.0).abs() < 1e-6, "{even}: of 1, 10 and 3");
+        assert!((of(0, [7; 2]).variance_factor() - 1.0 / 7.0).abs() < 1e-12);
         assert!((of(0, [8, 4]).variance_factor() - 0.25 * (0.25 + 0.5)).abs() < 1e-12);
     }
 }

@@ -2,8 +2,10 @@
 
 use crate::reference::Reference;
 use femc_film::tile::OPEN;
-use femc_film::{Errors, Frame, FrameError, FrameImage, Pace, Rect, Stops, Tile, TileErrors, Tiling};
-use femc_pipeline::{RoundVerdict, Settings, Source, Stop, plan, prepare, render_tile};
+use femc_film::{FrameError, FrameImage, Pace, Rect, Stops, Tile, TileErrors, Tiling};
+use femc_pipeline::{
+    RenderError, RenderedFrame, RoundEnd, RoundVerdict, Settings, Source, Stop, by_rounds, plan, prepare, render_tile,
+};
 use femc_scene::Scene;
 use std::ops::Range;
 use std::sync::Arc;
@@ -54,13 +56,13 @@ impl Experiment {
         let settings = Settings { seed, ..self.settings.clone() };
         let prepared = prepare(&self.source, &settings, 1, None).unwrap_or_else(|error| panic!("{error}"));
         let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-        let frame = by_rounds(&settings, &self.rounds, self.tiling, rule, |rect, samples| {
-            let done = render_tile(&prepared, &settings, rect, samples, &cancel, &progress);
-            done.unwrap_or_else(|error| panic!("{error}")).tile
+        let rendered = frame(&settings, &self.rounds, self.tiling, rule, |rect, samples| {
+            Ok(render_tile(&prepared, &settings, rect, samples, &cancel, &progress)?.tile)
         });
-        let image = frame.resolve();
-        let drawn: u64 =
-            self.tiling.rects().enumerate().map(|(i, r)| r.area() * frame.tile(i).map_or(0, |t| t.spp())).sum();
+        let image = rendered.frame.resolve();
+        let drawn: u64 = (self.tiling.rects().enumerate())
+            .map(|(index, rect)| rect.area() * rendered.frame.tile(index).map_or(0, Tile::spp))
+            .sum();
         let pixels = f64::from(self.tiling.width) * f64::from(self.tiling.height);
         Shot { error: image.error(), image, drawn: drawn as f64 / pixels }
     }
@@ -72,47 +74,18 @@ impl Experiment {
 ///
 /// # Panics
 /// When samples do not fit those before: tests only.
-pub fn by_rounds(
+pub fn frame(
     settings: &Settings,
     rounds: &[u32],
     tiling: Tiling,
     rule: Rule,
-    mut draw: impl FnMut(Rect, Range<u32>) -> Tile,
-) -> Frame {
-    let mut frame = Frame::new(tiling);
-    let (mut ends, mut stops) = (vec![rounds[0]; tiling.count()], None::<Stops>);
-    let (mut begin, mut work) = (0, 0);
-    for round in 0..rounds.len() {
-        if let Some(stops) = stops.as_ref().filter(|stops| stops.pace.begin > begin) {
-            begin = stops.pace.begin;
-            frame = Frame::new(tiling);
-        }
-        for (index, (rect, &end)) in tiling.rects().zip(&ends).enumerate() {
-            if let Some(stops) = &stops {
-                frame.hold(index, stops.ends[index]).unwrap_or_else(|error| panic!("{error}"));
-            }
-            let start = frame.ranges(index).last().map_or(begin, |range| range.end);
-            if start < end {
-                let tile = draw(rect, start..end);
-                work += tile.work();
-                frame.insert(tile).unwrap_or_else(|error| panic!("{error}"));
-            }
-        }
-        let tiles = errors(&frame);
-        let next = rounds.get(round + 1).copied();
-        let time = work as f64 / RAYS_A_SECOND;
-        let (verdict, left) = match rule {
-            Rule::Settings => settings.verdict(&tiles, stops.take(), time, next),
-            Rule::Peeking => peek(settings.stop, &tiles, next),
-        };
-        stops = Some(left);
-        match (verdict, next) {
-            (RoundVerdict::Continue, Some(next)) => ends.fill(next),
-            (RoundVerdict::Steps(steps), _) => ends = steps,
-            _ => break,
-        }
-    }
-    frame
+    draw: impl Fn(Rect, Range<u32>) -> Result<Tile, RenderError> + Sync,
+) -> RenderedFrame {
+    let decide = |end: RoundEnd<'_>| match rule {
+        Rule::Settings => settings.verdict(end.tiles, end.before, end.rays as f64 / RAYS_A_SECOND, end.next),
+        Rule::Peeking => peek(settings.stop, end.tiles, end.next),
+    };
+    by_rounds(tiling, rounds, draw, decide).unwrap_or_else(|error| panic!("{error}"))
 }
 
 /// A tile ends when its own image has the error that was asked for, by the samples that it is made of.
@@ -127,12 +100,6 @@ fn peek(stop: Stop, tiles: &[TileErrors], next: Option<u32>) -> (RoundVerdict, S
     let Some(next) = next.filter(|_| !tiles.iter().all(is_enough)) else { return (RoundVerdict::Done, stops) };
     let steps = tiles.iter().map(|tile| if is_enough(tile) { tile.samples.end } else { next }).collect();
     (RoundVerdict::Steps(steps), stops)
-}
-
-/// The errors of all tiles.
-fn errors(frame: &Frame) -> Vec<TileErrors> {
-    let all = Errors::of(frame, 0..frame.tiling().count()).unwrap_or_else(|error| panic!("{error}"));
-    all.into_tiles()
 }
 
 /// A number and its standard error.

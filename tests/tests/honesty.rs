@@ -5,7 +5,7 @@
 use femc_film::{Rect, Sample, Tile, Tiling};
 use femc_math::{Rgb, hash};
 use femc_pipeline::{Settings, Stop};
-use femc_tests::honesty::{Experiment, Measured, Rule, Verdict, by_rounds};
+use femc_tests::honesty::{Experiment, Measured, Rule, Verdict, frame};
 use femc_tests::reference::{Reference, rooms};
 use std::ops::Range;
 use std::sync::Arc;
@@ -19,11 +19,11 @@ fn rare(seed: u64, rule: Rule) -> f64 {
             let light = if word.is_multiple_of(50) { 40.0 } else { 0.2 / 0.98 };
             tile.add(x, y, sample, &Sample { color: Rgb::splat(light), ..Sample::MISS });
         }
-        tile
+        Ok(tile)
     };
     let settings = Settings { stop: Stop::Error(0.4), ..Settings::default() };
-    let frame = by_rounds(&settings, &settings.rounds()[..10], Tiling::new(4, 4, 32).unwrap(), rule, draw);
-    let image = frame.resolve();
+    let rendered = frame(&settings, &settings.rounds()[..10], Tiling::new(4, 4, 32).unwrap(), rule, draw);
+    let image = rendered.frame.resolve();
     (0..16).map(|at| f64::from(image.color.luminance(at))).sum::<f64>() / 16.0
 }
 

@@ -63,9 +63,12 @@ pub(crate) fn freedom(sum: f64, squares: f64) -> f64 {
     if squares > 0.0 && squares.is_finite() { 3.0 * sum * sum / squares } else { f64::INFINITY }
 }
 
-/// The 97.5 % quantile of Student's distribution by its expansion about the normal one (\[abramowitz1964\], 26.7.5); within 1 % from 3
-/// degrees of freedom on.
-fn student_95(freedom: f64) -> f64 {
+/// The 97.5 % quantile of Student's distribution: half the width of a 95 % interval, in standard errors. For 1 and 2 degrees of freedom
+/// it has a closed form; from 3 on it is the expansion about the normal one (\[abramowitz1964\], 26.7.5), within 1 %.
+pub fn student_95(freedom: f64) -> f64 {
+    if freedom < 2.5 {
+        return if freedom < 1.5 { 12.706_205 } else { 4.302_653 };
+    }
     let z = Z_95;
     let terms = [
         (z.powi(3) + z) / 4.0,
@@ -162,7 +165,10 @@ mod tests {
 
     #[test]
     fn students_quantiles_are_those_of_the_tables() {
-        for (freedom, quantile) in [(3.0, 3.182), (5.0, 2.571), (10.0, 2.228), (30.0, 2.042), (1000.0, 1.962)] {
+        let table = [(1.0, 12.706), (2.0, 4.303), (3.0, 3.182), (4.0, 2.776)];
+        for (freedom, quantile) in
+            table.into_iter().chain([(5.0, 2.571), (10.0, 2.228), (30.0, 2.042), (1000.0, 1.962)])
+        {
             assert!((student_95(freedom) / quantile - 1.0).abs() < 0.01, "{freedom}: {}", student_95(freedom));
         }
         assert_eq!(student_95(f64::INFINITY), Z_95);

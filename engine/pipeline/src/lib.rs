@@ -7,6 +7,7 @@
 pub mod account;
 mod allocation;
 mod budget;
+mod in_process;
 mod plan;
 mod render;
 pub mod replay;
@@ -17,6 +18,7 @@ mod stage;
 pub use allocation::{Allocation, AllocationError};
 pub use femc_prepared::{PrepareError, Prepared, Source};
 pub use femc_scene::FrameKey;
+pub use in_process::{RenderedFrame, RoundEnd, by_rounds, render_frame};
 pub use plan::{LeftOut, Plan, PlanError, plan};
 pub use render::{Places, RenderError, RenderedTile, frame_key, prepare, render_tile};
 /// Names the build of the engine: of two programs that say the same, the same job gives the same bits (`build.rs` says what is in

@@ -5,6 +5,7 @@
 
 mod args;
 mod attempts;
+mod bench;
 mod clock;
 mod command;
 mod config;

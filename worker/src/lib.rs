@@ -42,6 +42,7 @@ pub use execute::{Video, Wish, drill_key};
 pub use journal::Journal;
 pub use log::{TASK_LOG_LEVEL, TaskLogs};
 pub use memory::MemoryLimit;
+pub use meter::process_time;
 pub use metrics::Metrics;
 pub use outbox::MemoryOutbox;
 pub use parcel::{Parcel, ParcelError};

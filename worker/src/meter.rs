@@ -183,14 +183,14 @@ impl Books {
 
 /// Processor time of this process, all of its threads, since it began.
 #[cfg(unix)]
-fn process_time() -> Duration {
+pub fn process_time() -> Duration {
     let time = rustix::time::clock_gettime(rustix::time::ClockId::ProcessCPUTime);
     Duration::new(time.tv_sec.try_into().unwrap_or(0), time.tv_nsec.try_into().unwrap_or(0))
 }
 
 /// Not known here.
 #[cfg(not(unix))]
-fn process_time() -> Duration {
+pub fn process_time() -> Duration {
     Duration::ZERO
 }
 

@@ -141,6 +141,7 @@ pub enum Command {
     Render(command::render::RenderArgs),
     Plan(command::plan::PlanArgs),
     Check(command::check::CheckArgs),
+    Bench(command::bench::BenchArgs),
     Compare(command::compare::CompareArgs),
     Fireflies(command::fireflies::FirefliesArgs),
     Coordinator(command::coordinator::CoordinatorArgs),

@@ -1,6 +1,7 @@
 //! The commands, one a file.
 
 pub mod backup;
+pub mod bench;
 pub mod ca;
 pub mod check;
 mod client;
@@ -46,6 +47,7 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Render(args) => render::run(args, say),
         Command::Plan(args) => plan::run(args, say),
         Command::Check(args) => check::run(&args, say),
+        Command::Bench(args) => bench::run(&args, say),
         Command::Compare(args) => compare::run(&args, say),
         Command::Fireflies(args) => fireflies::run(&args, say),
         Command::Coordinator(args) => coordinator::run(args, say),

@@ -75,17 +75,21 @@ impl Progress {
     pub fn show(&mut self, now: &Snapshot) {
         let first = *self.at_start.get_or_insert(*now);
         let elapsed = self.clock.since(self.started);
-        let text = || line(&first, now, elapsed);
+        self.at(now.fraction, || line(&first, now, elapsed));
+    }
+
+    /// Show a text and the part of the work that is done, 0..=1.
+    pub fn at(&mut self, fraction: f64, text: impl FnOnce() -> String) {
         match &mut self.form {
             Form::Silent => {}
             Form::Bar(bar) => {
                 bar.set_message(text());
-                bar.set_position((now.fraction * STEPS as f64) as u64);
+                bar.set_position((fraction * STEPS as f64) as u64);
             }
             Form::Lines { say, last, .. } => {
                 if self.clock.since(*last) >= PLAIN_EVERY {
                     *last = self.clock.now();
-                    say.note(format!("{:3.0} %  {}", now.fraction * 100.0, text()));
+                    say.note(format!("{:3.0} %  {}", fraction * 100.0, text()));
                 }
             }
         }

@@ -1,6 +1,6 @@
 //! How the frames' errors fall.
 
-use super::figure::{BLUE, FONT, beyond, figure};
+use super::figure::{BLUE, FONT, beyond, figure, ticks};
 use crate::attempts::Row;
 use crate::exit::Failure;
 use plotters::coord::combinators::BindKeyPoints;
@@ -43,24 +43,6 @@ pub fn draw(attempts: &[Row]) -> Result<Vec<String>, Failure> {
     Ok(vec![drawn])
 }
 
-/// Round values of a logarithmic axis: 1, 2 and 5 of each decade, or, where these are fewer than three, equal steps.
-fn ticks(least: f64, most: f64) -> Vec<f64> {
-    const ROUND: [f64; 3] = [1.0, 2.0, 5.0];
-    let decade = |value: f64| value.log10().floor() as i32;
-    let rounds = |decade: i32| ROUND.map(|digit| digit * 10_f64.powi(decade));
-    let ticks: Vec<f64> =
-        (decade(least)..=decade(most)).flat_map(rounds).filter(|tick| (least..=most).contains(tick)).collect();
-    if ticks.len() > 2 {
-        return ticks;
-    }
-    let third = (most - least) / 3.0;
-    let step =
-        rounds(decade(third)).into_iter().filter(|step| *step <= third).fold(10_f64.powi(decade(third)), f64::max);
-    let first = (least / step).ceil() as u64;
-    let last = (most / step).floor() as u64;
-    (first..=last).map(|number| number as f64 * step).collect()
-}
-
 /// Three digits of it.
 fn percent(error: f64) -> String {
     let percent = error * 100.0;
@@ -70,7 +52,8 @@ fn percent(error: f64) -> String {
 
 #[cfg(test)]
 mod tests {
-    use super::{percent, ticks};
+    use super::super::figure::ticks;
+    use super::percent;
 
     #[test]
     fn an_axis_of_errors_has_numbers_however_little_they_span() {

@@ -1,10 +1,12 @@
 //! A report about jobs: one HTML file with its figures inside, which asks nobody for anything.
 
+pub mod bench;
 mod cost;
 mod durations;
 mod errors;
 mod figure;
 mod heat;
+mod logarithmic;
 mod page;
 mod timeline;
 mod variants;

@@ -81,16 +81,21 @@ impl Page {
     /// Rows, as `femc stats` shows them.
     pub fn table(&mut self, by: By, rows: &[Row]) {
         let (titles, cells) = shown(&columns(by), &rows[..rows.len().min(LINES)]);
+        self.cells(&titles, &cells);
+        if rows.len() > LINES {
+            self.text(&format!("{} more are left out; `femc stats` has them all.", rows.len() - LINES));
+        }
+    }
+
+    /// Titles and rows of text.
+    pub fn cells<T: AsRef<str>>(&mut self, titles: &[T], rows: &[Vec<String>]) {
         self.0.push_str("<div class=\"wide\"><table><tr>");
-        titles.iter().for_each(|title| self.put(format_args!("<th>{}</th>", escaped(title))));
-        for row in cells {
+        titles.iter().for_each(|title| self.put(format_args!("<th>{}</th>", escaped(title.as_ref()))));
+        for row in rows {
             self.0.push_str("</tr>\n<tr>");
             row.iter().for_each(|cell| self.put(format_args!("<td>{}</td>", escaped(cell))));
         }
         self.0.push_str("</tr></table></div>\n");
-        if rows.len() > LINES {
-            self.text(&format!("{} more are left out; `femc stats` has them all.", rows.len() - LINES));
-        }
     }
 
     /// Failures and their logs.
@@ -127,7 +132,8 @@ fn attribute<'a>(svg: &'a str, name: &str) -> &'a str {
     rest.split('"').next().unwrap_or("")
 }
 
-fn escaped(text: &str) -> String {
+/// Text that is no markup.
+pub fn escaped(text: &str) -> String {
     let mut safe = String::with_capacity(text.len());
     for c in text.chars() {
         match c {

@@ -1,0 +1,74 @@
+//! The methods that can be measured.
+
+use femc_pipeline::Stop;
+
+/// A way to render a frame, and what its budgets are.
+#[derive(Debug, PartialEq, Eq)]
+pub struct Method {
+    /// As it is typed.
+    pub name: &'static str,
+    /// One line.
+    pub about: &'static str,
+    /// How light is computed.
+    pub light: femc_pipeline::Method,
+    /// What it is given to end by.
+    pub budget: Budget,
+}
+
+/// What a frame ends by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Budget {
+    /// Samples of every pixel (`--spp`).
+    Spp,
+    /// Relative error of every block (`--error`).
+    Error,
+}
+
+/// All of them: a new one is a line here.
+#[rustfmt::skip]
+pub const METHODS: [Method; 2] = [
+    Method { name: "pt", about: "path tracing, as many samples for every pixel", light: femc_pipeline::Method::Pt, budget: Budget::Spp },
+    Method { name: "adaptive", about: "path tracing, each tile until its error is as asked", light: femc_pipeline::Method::Pt, budget: Budget::Error },
+];
+
+impl Method {
+    /// The method of a name.
+    /// - errors: there is none; says which there are.
+    pub fn named(name: &str) -> Result<&'static Self, String> {
+        METHODS.iter().find(|method| method.name == name).ok_or_else(|| {
+            let names: Vec<&str> = METHODS.iter().map(|method| method.name).collect();
+            format!("there is no method `{name}`; there are: {}", names.join(", "))
+        })
+    }
+
+    /// When a frame of this budget is done.
+    pub fn stop(&self, budget: f64) -> Stop {
+        match self.budget {
+            // Budgets of this kind are typed as whole numbers.
+            Budget::Spp => Stop::Spp(budget as u32),
+            Budget::Error => Stop::Error(budget),
+        }
+    }
+
+    /// `16 spp`, `error 0.5`.
+    pub fn shown(&self, budget: f64) -> String {
+        match self.budget {
+            Budget::Spp => format!("{budget} spp"),
+            Budget::Error => format!("error {budget}"),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_method_is_found_by_its_name_and_others_are_told_which_there_are() {
+        for method in &METHODS {
+            assert_eq!(Method::named(method.name), Ok(method));
+        }
+        let refused = Method::named("magic").expect_err("no method");
+        assert!(METHODS.iter().all(|method| refused.contains(method.name)), "{refused}");
+    }
+}

@@ -1,0 +1,190 @@
+//! Means over seeds, their intervals, and ratios.
+
+use femc_film::convergence::student_95;
+use serde::Serialize;
+
+/// A mean over seeds.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Estimate {
+    /// The mean.
+    pub mean: f64,
+    /// Half width of its 95 % interval by Student's distribution; `None`: of a single value.
+    pub half_width: Option<f64>,
+}
+
+impl Estimate {
+    /// Of independent values, at least one.
+    pub fn of(values: &[f64]) -> Self {
+        let (mean, variance) = mean_and_variance(values);
+        let half_width = variance.map(|it| student_95(values.len() as f64 - 1.0) * it.sqrt());
+        Self { mean, half_width }
+    }
+
+    /// The same of values less by a constant.
+    pub fn less(self, constant: f64) -> Self {
+        Self { mean: self.mean - constant, ..self }
+    }
+}
+
+/// The mean, and the variance of the mean.
+fn mean_and_variance(values: &[f64]) -> (f64, Option<f64>) {
+    let n = values.len() as f64;
+    let mean = values.iter().sum::<f64>() / n;
+    let squares: f64 = values.iter().map(|it| (it - mean).powi(2)).sum();
+    (mean, (values.len() > 1).then(|| squares / (n - 1.0) / n))
+}
+
+/// The middle value; of an even number of them the mean of the middle two.
+pub fn median(values: &[f64]) -> f64 {
+    let mut sorted = values.to_vec();
+    sorted.sort_by(f64::total_cmp);
+    match (sorted.get(sorted.len().wrapping_sub(1) / 2), sorted.get(sorted.len() / 2)) {
+        (Some(low), Some(high)) => 0.5 * (low + high),
+        _ => f64::NAN,
+    }
+}
+
+/// A positive number by its logarithm, which has an error: for products, ratios and geometric means.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Factor {
+    /// Natural logarithm.
+    log: f64,
+    /// Variance of the logarithm, and the degrees of freedom that it is known with; `None`: not known.
+    spread: Option<(f64, f64)>,
+}
+
+/// A positive number with its 95 % interval.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Interval {
+    /// The number.
+    pub value: f64,
+    /// Both ends; `None`: not known.
+    pub interval: Option<[f64; 2]>,
+}
+
+impl Factor {
+    /// 1 / (mean of `errors` x mean of `seconds`), the two of each seed taken together, as far as small relative deviations add up.
+    /// `None`: a mean is not positive.
+    pub fn efficiency(errors: &[f64], seconds: &[f64]) -> Option<Self> {
+        let ((error, _), (time, _)) = (mean_and_variance(errors), mean_and_variance(seconds));
+        if !(error > 0.0 && time > 0.0) {
+            return None;
+        }
+        let deviations: Vec<f64> = errors.iter().zip(seconds).map(|(e, s)| e / error + s / time).collect();
+        let freedom = deviations.len() as f64 - 1.0;
+        let spread = mean_and_variance(&deviations).1.map(|variance| (variance, freedom));
+        Some(Self { log: -(error * time).ln(), spread })
+    }
+
+    /// Over another, independent one.
+    pub fn over(self, other: Self) -> Self {
+        Self { log: self.log - other.log, spread: summed(&[self, other]) }
+    }
+
+    /// The geometric mean of independent ones; `None`: of nothing.
+    pub fn geometric_mean(factors: &[Self]) -> Option<Self> {
+        let n = factors.len() as f64;
+        let log = factors.iter().map(|it| it.log).sum::<f64>() / n;
+        let spread = summed(factors).map(|(variance, freedom)| (variance / (n * n), freedom));
+        (!factors.is_empty()).then_some(Self { log, spread })
+    }
+
+    /// The number and its interval.
+    pub fn interval(self) -> Interval {
+        let ends = |(variance, freedom): (f64, f64)| {
+            let half = student_95(freedom) * variance.sqrt();
+            [(self.log - half).exp(), (self.log + half).exp()]
+        };
+        Interval { value: self.log.exp(), interval: self.spread.map(ends) }
+    }
+}
+
+/// The variance of a sum, and its degrees of freedom by Satterthwaite's rule.
+fn summed(factors: &[Factor]) -> Option<(f64, f64)> {
+    let spreads: Vec<(f64, f64)> = factors.iter().map(|it| it.spread).collect::<Option<_>>()?;
+    let variance: f64 = spreads.iter().map(|it| it.0).sum();
+    let squares: f64 = spreads.iter().map(|(variance, freedom)| variance * variance / freedom).sum();
+    Some((variance, if squares > 0.0 { variance * variance / squares } else { f64::INFINITY }))
+}
+
+/// Seconds until an error is reached, between points measured (error, seconds), by straight lines between logarithms. `None`: the error
+/// is outside of the measured range.
+pub fn seconds_to(points: &[(f64, f64)], error: f64) -> Option<f64> {
+    let mut sorted: Vec<(f64, f64)> = points.iter().copied().filter(|it| it.0 > 0.0 && it.1 > 0.0).collect();
+    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+    if let Some(point) = sorted.iter().find(|it| it.0 == error) {
+        return Some(point.1);
+    }
+    let pair = sorted.windows(2).find(|pair| pair[0].0 < error && error < pair[1].0)?;
+    let [low, high] = [pair[0], pair[1]];
+    let share = (error / low.0).ln() / (high.0 / low.0).ln();
+    Some((low.1.ln() + share * (high.1 / low.1).ln()).exp())
+}
+
+/// The geometric mean; `None`: of nothing.
+pub fn geometric_mean(values: &[f64]) -> Option<f64> {
+    (!values.is_empty()).then(|| (values.iter().map(|it| it.ln()).sum::<f64>() / values.len() as f64).exp())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn is_near(a: f64, b: f64) -> bool {
+        (a / b - 1.0).abs() < 0.01
+    }
+
+    #[test]
+    fn the_interval_of_a_mean_is_students() {
+        // Mean 3, standard deviation sqrt(2.5); 2.776 of the table for 4 degrees of freedom.
+        let Estimate { mean, half_width } = Estimate::of(&[1.0, 2.0, 3.0, 4.0, 5.0]);
+        assert!(mean == 3.0 && is_near(half_width.expect("an interval"), 2.776 * (2.5f64 / 5.0).sqrt()));
+        let two = Estimate::of(&[1.0, 3.0]);
+        assert!(is_near(two.half_width.expect("an interval"), 12.706), "{two:?}");
+        assert_eq!(Estimate::of(&[7.0]), Estimate { mean: 7.0, half_width: None });
+        assert_eq!((median(&[5.0, 1.0, 9.0]), median(&[1.0, 2.0, 4.0, 9.0])), (5.0, 3.0));
+    }
+
+    #[test]
+    fn time_to_an_error_lies_on_a_line_in_logarithms_and_is_not_known_outside() {
+        // Seconds are 2 / error.
+        let points = [(0.1, 20.0), (0.001, 2000.0), (0.01, 200.0)];
+        for error in [0.1, 0.03, 0.01, 0.0025, 0.001] {
+            let seconds = seconds_to(&points, error).expect("within");
+            assert!(is_near(seconds, 2.0 / error), "{error}: {seconds}");
+        }
+        assert_eq!([0.2, 0.0005].map(|error| seconds_to(&points, error)), [None; 2]);
+        assert_eq!((seconds_to(&[], 1.0), seconds_to(&[(0.1, 5.0)], 0.1)), (None, Some(5.0)));
+    }
+
+    #[test]
+    fn efficiency_is_one_over_error_and_time_and_what_cancels_in_each_seed_does_not_widen_its_interval() {
+        let [errors, seconds] = [[0.019, 0.02, 0.021], [4.2, 4.0, 3.8]];
+        let cancels = Factor::efficiency(&errors, &seconds).expect("positive").interval();
+        assert!(is_near(cancels.value, 12.5));
+        let [low, high] = cancels.interval.expect("an interval");
+        assert!(low > 12.49 && high < 12.51, "{cancels:?}");
+        let widens = Factor::efficiency(&errors, &[3.8, 4.0, 4.2]).expect("positive").interval();
+        // Deviations of 10 %: 4.303 x 0.1 / sqrt(3) in logarithms.
+        assert!(
+            is_near(widens.interval.expect("an interval")[1], 12.5 * (4.303 * 0.1 / 3f64.sqrt()).exp()),
+            "{widens:?}"
+        );
+        assert_eq!(Factor::efficiency(&[0.1, -0.3], &[1.0, 1.0]), None, "an error below the reference's noise");
+    }
+
+    #[test]
+    fn ratios_and_geometric_means_add_their_variances() {
+        let one = Factor { log: 8f64.ln(), spread: Some((0.04, 4.0)) };
+        let other = Factor { log: 2f64.ln(), spread: Some((0.04, 4.0)) };
+        let ratio = one.over(other).interval();
+        // 2.306 of the table for 8 degrees of freedom.
+        assert!(is_near(ratio.value, 4.0));
+        assert!(is_near(ratio.interval.expect("an interval")[1], 4.0 * (2.306 * 0.08f64.sqrt()).exp()));
+        let mean = Factor::geometric_mean(&[one, other]).expect("a mean").interval();
+        assert!(is_near(mean.value, 4.0));
+        assert!(is_near(mean.interval.expect("an interval")[1], 4.0 * (2.306 * 0.02f64.sqrt()).exp()));
+        assert_eq!(Factor::geometric_mean(&[]), None);
+        assert!(is_near(geometric_mean(&[0.5, 8.0]).expect("a mean"), 2.0));
+    }
+}

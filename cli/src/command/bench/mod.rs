@@ -1,0 +1,301 @@
+//! `femc bench SCENE..`: run time against error.
+
+mod show;
+
+use crate::args::{Filter, FormatArgs, SettingsArgs};
+use crate::bench::measure::Bed;
+use crate::bench::method::{Budget, Method};
+use crate::bench::reference::Named;
+use crate::bench::setup::Setup;
+use crate::bench::summary::{Ladder, Summary};
+use crate::bench::{Record, Run};
+use crate::clock::Clock;
+use crate::command::client;
+use crate::command::interrupt::Interrupt;
+use crate::exit::{Exit, Failure, failed, usage};
+use crate::output::{Progress, Say, json};
+use crate::request::{Asked, Frames, FramesChosen, Override, Size};
+use clap::Args;
+use femc_film::file::write_atomic;
+use rayon::ThreadPool;
+use serde::Serialize;
+use std::path::PathBuf;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// Measure run time against error: methods with several budgets, several seeds each, against a reference
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc bench scenes/cornell.mgf --reference cornell.exr --methods pt,adaptive --report bench.html\n  \
+    femc bench box.mgf fog.mgf --reference box.exr fog.exr --spp 1,4,16,64 --error 0.5,0.2 -o bench.json\n  \
+    femc bench box.mgf --reference A.exr,B.exr --methods pt --seeds 10 --json | jq .summary.methods\n\n\
+    Methods: pt (budgets: --spp), adaptive (budgets: --error). The first one named is what the others are compared with. \
+    Only rendering is timed, in this process: the scene is read and compiled before. A reference REF.exr whose independent \
+    halves REF_A.exr and REF_B.exr stand beside it tells its own noise, which is taken off mse and relmse, not off flip.\n\
+    With -o each measurement is kept as it is made: the same command goes on after a stop, and one with more seeds, budgets, \
+    methods or scenes measures what is new.")]
+pub struct BenchArgs {
+    /// Scene files
+    #[arg(value_name = "SCENE", required = true)]
+    scenes: Vec<PathBuf>,
+    /// References, one for each scene: a file, or two independent halves of one size, A.exr,B.exr
+    #[arg(long, value_name = "REF.exr", required = true, num_args = 1..)]
+    reference: Vec<Named>,
+    /// Methods, with commas between
+    #[arg(long, value_name = "NAME,..", value_delimiter = ',', default_value = "pt,adaptive", value_parser = Method::named)]
+    methods: Vec<&'static Method>,
+    /// Budgets of methods that draw a number of samples a pixel
+    #[arg(long, value_name = "N,..", value_delimiter = ',', default_value = "1,4,16,64", value_parser = spp)]
+    spp: Vec<f64>,
+    /// Budgets of methods that end at a relative error of every block
+    #[arg(long, value_name = "E,..", value_delimiter = ',', default_value = "0.5,0.2", value_parser = relative_error)]
+    error: Vec<f64>,
+    /// Seeds, each of which is a frame for every method and budget
+    #[arg(long, value_name = "N", default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=10000))]
+    seeds: u64,
+    /// The first seed
+    #[arg(long, value_name = "N", default_value_t = 1)]
+    seed: u64,
+    /// File that keeps the measurements; if it is there, what is in it is not measured again
+    #[arg(long, short, value_name = "BENCH.json")]
+    out: Option<PathBuf>,
+    /// Write a page with plots and tables
+    #[arg(long, value_name = "FILE.html")]
+    report: Option<PathBuf>,
+    #[command(flatten)]
+    format: FormatArgs,
+    #[command(flatten)]
+    settings: BenchSettings,
+}
+
+/// Render settings of all methods.
+#[derive(Debug, Args)]
+#[command(next_help_heading = "Render settings")]
+struct BenchSettings {
+    /// Camera to look through [default: the scene's first]
+    #[arg(long, value_name = "NAME")]
+    camera: Option<String>,
+    /// Film size in pixels [default: the camera's]
+    #[arg(long, value_name = "WxH")]
+    size: Option<Size>,
+    /// Frame of the clip: one [default: its first]
+    #[arg(long, value_name = "K")]
+    frames: Option<Frames>,
+    /// Longest path in segments, the one from the camera counting 1; 0: unbounded [default: 0]
+    #[arg(long, value_name = "N")]
+    max_depth: Option<u32>,
+    /// Pixel filter; box: a pixel is the mean luminance over its area [default: box]
+    #[arg(long, value_enum)]
+    filter: Option<Filter>,
+    /// Threads [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
+    threads: Option<u32>,
+    /// Override a scalar of the scene, like medium.fog.sigma_s=0.03 (repeatable)
+    #[arg(long, value_name = "SELECTOR=VALUE")]
+    set: Vec<Override>,
+    /// Includes, textures and lamps of the scene may lie anywhere below DIR [default: the scene's folder]
+    #[arg(long, value_name = "DIR")]
+    root: Option<PathBuf>,
+}
+
+/// What is printed and kept.
+#[derive(Serialize)]
+struct Document<'a> {
+    #[serde(flatten)]
+    record: &'a Record,
+    summary: &'a Summary,
+}
+
+/// Measure what is not measured yet, and tell.
+pub fn run(args: &BenchArgs, say: Say) -> Result<Exit, Failure> {
+    let BenchArgs { scenes, reference, out, .. } = args;
+    if scenes.len() != reference.len() {
+        return Err(usage(format!(
+            "--reference: {} for {}; give one for each scene, in their order",
+            crate::output::human::count(reference.len() as u64, "reference"),
+            crate::output::human::count(scenes.len() as u64, "scene"),
+        )));
+    }
+    let threads = args.settings.threads.map_or(0, |threads| threads as usize);
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build();
+    let pool = pool.map_err(|error| failed(format!("--threads: {error}")))?;
+    let ladders = args.ladders();
+    let seeds: Vec<u64> = (0..args.seeds).map(|place| args.seed.wrapping_add(place)).collect();
+    let mut beds: Vec<Bed> = Vec::new();
+    for (scene, named) in scenes.iter().zip(reference) {
+        let asked = Asked::open(scene, args.settings.typed(), say)?;
+        if asked.frames_chosen == FramesChosen::Typed && asked.plan.frames.len() != 1 {
+            return Err(usage("--frames: a reference is of one frame; give --frames K"));
+        }
+        let bed = Bed::new(asked, named.read()?, &named.to_string())?;
+        if beds.iter().any(|other| other.setup.name == bed.setup.name) {
+            let name = &bed.setup.name;
+            return Err(usage(format!("two scenes are named {name}: figures could not be told apart; rename a file")));
+        }
+        if bed.reference().noise.is_none() {
+            let name = &bed.setup.name;
+            say.note(format!(
+                "note: {name}: the reference's own noise is not known (no halves _A and _B): it counts as error"
+            ));
+        }
+        beds.push(bed);
+    }
+    let setups = beds.iter().map(|bed| bed.setup.clone()).collect();
+    let mut record = Record::open(out.as_deref(), Setup::here(pool.current_num_threads()), setups)?;
+    let mut bench = Bench { args, ladders: &ladders, seeds: &seeds, pool: &pool, say };
+    bench.measure(&mut record, &beds)?;
+    let summary = Summary::of(&record, &beds, &ladders, &seeds);
+    let document = Document { record: &record, summary: &summary };
+    if let Some(out) = out {
+        write_atomic(out, &encoded(&document)?).map_err(failed)?;
+    }
+    if let Some(page) = &args.report {
+        write_atomic(page, crate::report::bench::page(&record, &summary)?.as_bytes()).map_err(failed)?;
+    }
+    if args.format.json {
+        json::print(say, &document)?;
+    } else {
+        show::print(&record.setup, &summary, say);
+    }
+    Ok(Exit::Done)
+}
+
+/// What is to be measured, and with what.
+struct Bench<'a> {
+    args: &'a BenchArgs,
+    ladders: &'a [Ladder],
+    seeds: &'a [u64],
+    pool: &'a ThreadPool,
+    say: Say,
+}
+
+impl Bench<'_> {
+    /// Measure what `record` lacks, scene by scene.
+    fn measure(&mut self, record: &mut Record, beds: &[Bed]) -> Result<(), Failure> {
+        let cancel = Arc::new(AtomicBool::new(false));
+        let runtime = client::runtime()?;
+        let mut interrupt = runtime.block_on(async { Interrupt::listen() })?;
+        let cancelled = cancel.clone();
+        runtime.spawn(async move {
+            interrupt.wait().await;
+            cancelled.store(true, Ordering::Relaxed);
+        });
+        let order = order(self.ladders, self.seeds);
+        let (all, mut done) = (order.len() * beds.len(), 0);
+        let mut progress = Progress::new(self.say, Clock);
+        for bed in beds {
+            let name = &bed.setup.name;
+            let mut ready = None;
+            for &(method, budget, seed) in &order {
+                if record.run(name, method, budget, seed).is_none() {
+                    let text = || {
+                        format!("{}/{all}: {name}, {}, {}, seed {seed}", done + 1, method.name, method.shown(budget))
+                    };
+                    progress.at(done as f64 / all as f64, text);
+                    let ready = match &ready {
+                        Some(ready) => ready,
+                        None => ready.insert(bed.ready(self.pool, &cancel)?),
+                    };
+                    self.keep(record, ready.run(method, budget, seed)?)?;
+                }
+                done += 1;
+            }
+        }
+        progress.finish();
+        Ok(())
+    }
+
+    fn keep(&self, record: &mut Record, run: Run) -> Result<(), Failure> {
+        record.runs.push(run);
+        let Some(out) = &self.args.out else { return Ok(()) };
+        write_atomic(out, &encoded(record)?).map_err(failed)
+    }
+}
+
+/// Seed by seed, all methods side by side, so that a machine that slows down slows all of them.
+fn order(ladders: &[Ladder], seeds: &[u64]) -> Vec<(&'static Method, f64, u64)> {
+    let longest = ladders.iter().map(|(_, budgets)| budgets.len()).max().unwrap_or(0);
+    let at = |seed: u64, place: usize| {
+        ladders.iter().filter_map(move |(method, budgets)| Some((*method, *budgets.get(place)?, seed)))
+    };
+    seeds.iter().flat_map(|&seed| (0..longest).flat_map(move |place| at(seed, place))).collect()
+}
+
+fn encoded<T: Serialize>(document: &T) -> Result<Vec<u8>, Failure> {
+    let mut text = serde_json::to_vec_pretty(document).map_err(failed)?;
+    text.push(b'\n');
+    Ok(text)
+}
+
+impl BenchArgs {
+    /// Each method once, each of its budgets once.
+    fn ladders(&self) -> Vec<Ladder> {
+        let mut ladders: Vec<Ladder> = Vec::new();
+        for &method in &self.methods {
+            if ladders.iter().all(|(there, _)| *there != method) {
+                let typed = match method.budget {
+                    Budget::Spp => &self.spp,
+                    Budget::Error => &self.error,
+                };
+                let mut budgets: Vec<f64> = Vec::new();
+                typed.iter().for_each(|budget| {
+                    if !budgets.contains(budget) {
+                        budgets.push(*budget);
+                    }
+                });
+                ladders.push((method, budgets));
+            }
+        }
+        ladders
+    }
+}
+
+impl BenchSettings {
+    fn typed(&self) -> SettingsArgs {
+        SettingsArgs {
+            camera: self.camera.clone(),
+            size: self.size,
+            frames: self.frames,
+            max_depth: self.max_depth,
+            filter: self.filter,
+            set: self.set.clone(),
+            root: self.root.clone(),
+            ..SettingsArgs::default()
+        }
+    }
+}
+
+/// A whole number of samples.
+fn spp(text: &str) -> Result<f64, String> {
+    match text.parse::<u32>() {
+        Ok(number @ 1..=16_777_216) => Ok(f64::from(number)),
+        _ => Err(format!("`{text}` is no number of samples; write whole numbers from 1 to 16777216, like 1,4,16")),
+    }
+}
+
+/// A relative error that frames can end at.
+fn relative_error(text: &str) -> Result<f64, String> {
+    match text.parse::<f64>() {
+        Ok(number) if number > 0.0 && number < 10.0 => Ok(number),
+        _ => Err(format!("`{text}` is no relative error; write numbers above 0 and below 10, like 0.5,0.2")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::bench::method::METHODS;
+
+    #[test]
+    fn methods_stand_side_by_side_in_each_seed_however_many_budgets_they_have() {
+        let ladders: Vec<Ladder> = vec![(&METHODS[0], vec![1.0, 4.0, 16.0]), (&METHODS[1], vec![0.5])];
+        let shown: Vec<String> = order(&ladders, &[7, 8])
+            .iter()
+            .map(|(method, budget, seed)| format!("{seed} {} {budget}", method.name))
+            .collect();
+        let of = |seed| {
+            [format!("{seed} pt 1"), format!("{seed} adaptive 0.5"), format!("{seed} pt 4"), format!("{seed} pt 16")]
+        };
+        assert_eq!(shown, [of(7), of(8)].concat());
+    }
+}

@@ -1,0 +1,25 @@
+//! The tables on stdout.
+
+use crate::bench::setup::Setup;
+use crate::bench::summary::Summary;
+use crate::bench::table::{self, Table};
+use crate::output::{Say, human};
+
+/// Print.
+pub fn print(setup: &Setup, summary: &Summary, say: Say) {
+    for (name, fact) in table::facts(setup, summary) {
+        say.result(format!("{}: {fact}", name.to_lowercase()));
+    }
+    for scene in &summary.scenes {
+        section(&scene.scene, table::points(scene), say);
+        table::notes(scene).iter().for_each(|note| say.result(note));
+    }
+    let methods = table::methods(summary);
+    if !methods.1.is_empty() {
+        section("geometric means over scenes", methods, say);
+    }
+}
+
+fn section(title: &str, (titles, rows): Table, say: Say) {
+    say.result(format!("\n{}\n{}", say.heading(title), human::table(&titles, &rows)));
+}

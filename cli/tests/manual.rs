@@ -153,6 +153,7 @@ pages! {
     statistics: "statistics.md",
     troubleshooting: "troubleshooting.md",
     accuracy: "accuracy.md",
+    bench: "bench.md",
     formats: "formats.md",
     scenes: "scenes.md",
 }

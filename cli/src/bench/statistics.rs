@@ -89,6 +89,46 @@ impl Factor {
         (!factors.is_empty()).then_some(Self { log, spread })
     }
 
+    /// The geometric mean of some that may depend on each other: its interval is what it would be if they did in full.
+    pub fn mean_of_dependent(factors: &[Self]) -> Option<Self> {
+        let n = factors.len() as f64;
+        let log = factors.iter().map(|it| it.log).sum::<f64>() / n;
+        let spreads: Option<Vec<(f64, f64)>> = factors.iter().map(|it| it.spread).collect();
+        let spread = spreads.map(|spreads| {
+            let deviation = spreads.iter().map(|it| it.0.sqrt()).sum::<f64>() / n;
+            (deviation * deviation, spreads.iter().map(|it| it.1).fold(f64::INFINITY, f64::min))
+        });
+        (!factors.is_empty()).then_some(Self { log, spread })
+    }
+
+    /// What it is at an error, between points (error, factor), on straight lines between logarithms of both. `None`: the error is outside
+    /// of the measured range.
+    pub fn interpolated(points: &[(f64, Self)], error: f64) -> Option<Self> {
+        let mut sorted: Vec<(f64, Self)> = points.to_vec();
+        sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
+        if let Some((_, there)) = sorted.iter().find(|it| it.0 == error) {
+            return Some(*there);
+        }
+        let pair = sorted.windows(2).find(|pair| pair[0].0 < error && error < pair[1].0)?;
+        let [(low, below), (high, above)] = [pair[0], pair[1]];
+        let share = (error / low).ln() / (high / low).ln();
+        Some(below.power(1.0 - share).times(above.power(share)))
+    }
+
+    /// One over it.
+    pub fn inverse(self) -> Self {
+        self.power(-1.0)
+    }
+
+    fn power(self, exponent: f64) -> Self {
+        let spread = self.spread.map(|(variance, freedom)| (variance * exponent * exponent, freedom));
+        Self { log: self.log * exponent, spread }
+    }
+
+    fn times(self, other: Self) -> Self {
+        Self { log: self.log + other.log, spread: summed(&[self, other]) }
+    }
+
     /// The number and its interval.
     pub fn interval(self) -> Interval {
         let ends = |(variance, freedom): (f64, f64)| {
@@ -105,25 +145,6 @@ fn summed(factors: &[Factor]) -> Option<(f64, f64)> {
     let variance: f64 = spreads.iter().map(|it| it.0).sum();
     let squares: f64 = spreads.iter().map(|(variance, freedom)| variance * variance / freedom).sum();
     Some((variance, if squares > 0.0 { variance * variance / squares } else { f64::INFINITY }))
-}
-
-/// Seconds until an error is reached, between points measured (error, seconds), by straight lines between logarithms. `None`: the error
-/// is outside of the measured range.
-pub fn seconds_to(points: &[(f64, f64)], error: f64) -> Option<f64> {
-    let mut sorted: Vec<(f64, f64)> = points.iter().copied().filter(|it| it.0 > 0.0 && it.1 > 0.0).collect();
-    sorted.sort_by(|a, b| a.0.total_cmp(&b.0));
-    if let Some(point) = sorted.iter().find(|it| it.0 == error) {
-        return Some(point.1);
-    }
-    let pair = sorted.windows(2).find(|pair| pair[0].0 < error && error < pair[1].0)?;
-    let [low, high] = [pair[0], pair[1]];
-    let share = (error / low.0).ln() / (high.0 / low.0).ln();
-    Some((low.1.ln() + share * (high.1 / low.1).ln()).exp())
-}
-
-/// The geometric mean; `None`: of nothing.
-pub fn geometric_mean(values: &[f64]) -> Option<f64> {
-    (!values.is_empty()).then(|| (values.iter().map(|it| it.ln()).sum::<f64>() / values.len() as f64).exp())
 }
 
 #[cfg(test)]
@@ -146,15 +167,18 @@ mod tests {
     }
 
     #[test]
-    fn time_to_an_error_lies_on_a_line_in_logarithms_and_is_not_known_outside() {
-        // Seconds are 2 / error.
-        let points = [(0.1, 20.0), (0.001, 2000.0), (0.01, 200.0)];
+    fn what_lies_between_budgets_is_on_a_line_in_logarithms_and_beyond_them_nothing_is_known() {
+        // Efficiency is error^-0.5: time is error^-0.5, too.
+        let factor = |error: f64| Factor { log: -0.5 * error.ln(), spread: Some((0.04, 4.0)) };
+        let points = [0.1, 0.001, 0.01].map(|error| (error, factor(error)));
         for error in [0.1, 0.03, 0.01, 0.0025, 0.001] {
-            let seconds = seconds_to(&points, error).expect("within");
-            assert!(is_near(seconds, 2.0 / error), "{error}: {seconds}");
+            let found = Factor::interpolated(&points, error).expect("within").interval();
+            assert!(is_near(found.value, error.powf(-0.5)), "{error}: {found:?}");
         }
-        assert_eq!([0.2, 0.0005].map(|error| seconds_to(&points, error)), [None; 2]);
-        assert_eq!((seconds_to(&[], 1.0), seconds_to(&[(0.1, 5.0)], 0.1)), (None, Some(5.0)));
+        let half_way = Factor::interpolated(&points, 0.1f64.powf(1.5)).expect("within");
+        assert!(is_near(half_way.spread.expect("a spread").0, 0.02), "of two independent halves: {half_way:?}");
+        assert_eq!([0.2, 0.0005].map(|error| Factor::interpolated(&points, error)), [None; 2]);
+        assert_eq!(Factor::interpolated(&[], 1.0), None);
     }
 
     #[test]
@@ -184,7 +208,9 @@ mod tests {
         let mean = Factor::geometric_mean(&[one, other]).expect("a mean").interval();
         assert!(is_near(mean.value, 4.0));
         assert!(is_near(mean.interval.expect("an interval")[1], 4.0 * (2.306 * 0.02f64.sqrt()).exp()));
-        assert_eq!(Factor::geometric_mean(&[]), None);
-        assert!(is_near(geometric_mean(&[0.5, 8.0]).expect("a mean"), 2.0));
+        let dependent = Factor::mean_of_dependent(&[one, other]).expect("a mean").interval();
+        assert!(is_near(dependent.value, 4.0));
+        assert!(is_near(dependent.interval.expect("an interval")[1], 4.0 * (2.776 * 0.2f64).exp()));
+        assert_eq!([Factor::geometric_mean(&[]), Factor::mean_of_dependent(&[])], [None; 2]);
     }
 }

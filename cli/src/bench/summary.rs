@@ -4,7 +4,7 @@ use super::measure::Bed;
 use super::method::Method;
 use super::record::{Record, Run};
 use super::reference::Noise;
-use super::statistics::{Estimate, Factor, Interval, geometric_mean, median, seconds_to};
+use super::statistics::{Estimate, Factor, Interval, median};
 use serde::Serialize;
 
 /// All of it.
@@ -58,23 +58,25 @@ pub struct Point {
     pub flip: Estimate,
     /// 1 / (relmse x s); `None`: no error is left when the reference's noise is taken off.
     pub efficiency: Option<Interval>,
-    /// Wall time over what the first method needs to the same relmse; `None`: outside of the range that was measured with the first one.
-    pub time_ratio: Option<f64>,
+    /// Wall time over what the first method needs to the same relmse; `None`: of the first one, or outside of its measured range.
+    pub time_ratio: Option<Interval>,
+    #[serde(skip)]
+    factor: Option<Factor>,
 }
 
-/// A method in a scene: geometric means over its budgets.
+/// A method in a scene: geometric means over its budgets; ratios over those in the first method's measured range.
 #[derive(Clone, Debug, Serialize)]
 pub struct SceneMethod {
     /// Its name.
     pub method: &'static str,
     /// 1 / (relmse x s).
     pub efficiency: Option<Interval>,
-    /// Its efficiency over the first method's.
+    /// Its efficiency over the first method's at the same relmse.
     pub efficiency_ratio: Option<Interval>,
-    /// Time over the first method's to the same relmse, where it is known.
-    pub time_ratio: Option<f64>,
+    /// One over that: time over the first method's to the same relmse.
+    pub time_ratio: Option<Interval>,
     #[serde(skip)]
-    factor: Option<Factor>,
+    ratio: Option<Factor>,
 }
 
 /// A method: geometric means over scenes.
@@ -82,12 +84,12 @@ pub struct SceneMethod {
 pub struct MethodSummary {
     /// Its name.
     pub method: &'static str,
-    /// Scenes in which the ratio of efficiencies is known.
+    /// Scenes in which the ratio is known.
     pub scenes: usize,
-    /// Its efficiency over the first method's.
+    /// Its efficiency over the first method's at the same relmse.
     pub efficiency_ratio: Option<Interval>,
-    /// Time over the first method's to the same relmse.
-    pub time_ratio: Option<f64>,
+    /// One over that: time over the first method's to the same relmse.
+    pub time_ratio: Option<Interval>,
 }
 
 /// A method and its budgets.
@@ -118,54 +120,46 @@ impl SceneSummary {
         runs: impl Fn(&'static Method, f64) -> Vec<&'a Run>,
     ) -> Self {
         let (mut points, mut methods): (Vec<Point>, Vec<SceneMethod>) = (Vec::new(), Vec::new());
+        let mut first: Option<Vec<(f64, Factor)>> = None;
         for (method, budgets) in ladders {
-            let mut factors = Vec::new();
-            for &budget in budgets {
-                let runs = runs(method, budget);
-                if !runs.is_empty() {
-                    let (point, factor) = Point::of(method.name, budget, noise, &runs);
-                    factors.extend(factor);
-                    points.push(point);
+            let measured = budgets.iter().map(|&budget| (budget, runs(method, budget))).filter(|it| !it.1.is_empty());
+            let mut of_method: Vec<Point> =
+                measured.map(|(budget, runs)| Point::of(method.name, budget, noise, &runs)).collect();
+            let factors: Vec<Factor> = of_method.iter().filter_map(|point| point.factor).collect();
+            let mut ratios = Vec::new();
+            if let Some(first) = &first {
+                for point in &mut of_method {
+                    let there = Factor::interpolated(first, point.relmse.mean);
+                    let ratio = point.factor.zip(there).map(|(here, there)| here.over(there));
+                    point.time_ratio = ratio.map(|ratio| ratio.inverse().interval());
+                    ratios.extend(ratio);
                 }
+            } else {
+                first = Some(of_method.iter().filter_map(|it| Some((it.relmse.mean, it.factor?))).collect());
             }
-            let factor = Factor::geometric_mean(&factors);
-            let first = methods.first().map_or(factor, |first| first.factor);
-            let is_first = methods.is_empty();
-            let ratio = factor.zip(first).filter(|_| !is_first).map(|(factor, first)| factor.over(first).interval());
+            let ratio = Factor::mean_of_dependent(&ratios);
             methods.push(SceneMethod {
                 method: method.name,
-                efficiency: factor.map(Factor::interval),
-                efficiency_ratio: ratio,
-                time_ratio: None,
-                factor,
+                efficiency: Factor::geometric_mean(&factors).map(Factor::interval),
+                efficiency_ratio: ratio.map(Factor::interval),
+                time_ratio: ratio.map(|it| it.inverse().interval()),
+                ratio,
             });
-        }
-        let first = methods.first().map_or("", |first| first.method);
-        let curve: Vec<(f64, f64)> = points
-            .iter()
-            .filter(|point| point.method == first)
-            .map(|point| (point.relmse.mean, point.seconds.mean))
-            .collect();
-        for point in &mut points {
-            point.time_ratio = seconds_to(&curve, point.relmse.mean).map(|seconds| point.seconds.mean / seconds);
-        }
-        for method in methods.iter_mut().skip(1) {
-            let of_method = points.iter().filter(|point| point.method == method.method);
-            method.time_ratio = geometric_mean(&of_method.filter_map(|point| point.time_ratio).collect::<Vec<_>>());
+            points.extend(of_method);
         }
         Self { scene: scene.to_owned(), reference_noise: noise, points, methods }
     }
 }
 
 impl Point {
-    fn of(method: &'static str, budget: f64, noise: Option<Noise>, runs: &[&Run]) -> (Self, Option<Factor>) {
+    fn of(method: &'static str, budget: f64, noise: Option<Noise>, runs: &[&Run]) -> Self {
         let all = |of: fn(&Run) -> f64| runs.iter().map(|run| of(run)).collect::<Vec<f64>>();
         let mean = |of: fn(&Run) -> f64| Estimate::of(&all(of));
         let (mse_noise, relmse_noise) = noise.map_or((0.0, 0.0), |noise| (noise.mse, noise.relmse));
         let (seconds, measured) = (all(|run| run.seconds), all(|run| run.relmse));
         let errors: Vec<f64> = measured.iter().map(|relmse| relmse - relmse_noise).collect();
         let factor = Factor::efficiency(&errors, &seconds);
-        let point = Self {
+        Self {
             method,
             budget,
             spp: mean(|run| run.spp).mean,
@@ -179,29 +173,21 @@ impl Point {
             flip: mean(|run| run.flip),
             efficiency: factor.map(Factor::interval),
             time_ratio: None,
-        };
-        (point, factor)
+            factor,
+        }
     }
 }
 
 impl MethodSummary {
     fn of(method: &'static str, scenes: &[SceneSummary]) -> Self {
-        let (mut ratios, mut times) = (Vec::new(), Vec::new());
-        for scene in scenes {
-            let Some((first, it)) = scene.methods.first().zip(scene.methods.iter().find(|it| it.method == method))
-            else {
-                continue;
-            };
-            if first.method != method {
-                ratios.extend(it.factor.zip(first.factor).map(|(factor, first)| factor.over(first)));
-                times.extend(it.time_ratio);
-            }
-        }
+        let of_method = |scene: &SceneSummary| scene.methods.iter().find(|it| it.method == method)?.ratio;
+        let ratios: Vec<Factor> = scenes.iter().filter_map(of_method).collect();
+        let ratio = Factor::geometric_mean(&ratios);
         Self {
             method,
             scenes: ratios.len(),
-            efficiency_ratio: Factor::geometric_mean(&ratios).map(Factor::interval),
-            time_ratio: geometric_mean(&times),
+            efficiency_ratio: ratio.map(Factor::interval),
+            time_ratio: ratio.map(|it| it.inverse().interval()),
         }
     }
 }
@@ -253,14 +239,14 @@ mod tests {
         assert!(is_near(point.relmse.mean, 2.0) && is_near(point.mse.mean, 6.0), "{point:?}");
         assert!(is_near(point.efficiency.expect("one").value, 0.5) && is_near(point.cpu_seconds.mean, 2.0));
         assert!(is_near(point.noise_share.expect("a share"), 0.25 / 2.25));
-        let times: Vec<Option<f64>> = scene.points.iter().map(|point| point.time_ratio).collect();
-        assert!(is_near(times[2].expect("within"), 0.5) && times[3].is_none(), "{times:?}");
+        let times: Vec<Option<Interval>> = scene.points.iter().map(|point| point.time_ratio).collect();
+        assert!(is_near(times[2].expect("within").value, 0.5) && times[3].is_none(), "{times:?}");
         let Interval { value, interval } = scene.methods[1].efficiency_ratio.expect("a ratio");
         let [low, high] = interval.expect("an interval");
         assert!(is_near(value, 2.0) && low < 1.9 && high > 2.1, "{value} {low} {high}");
         let method = MethodSummary::of(other.name, &[scene.clone(), scene.clone()]);
         assert!(method.scenes == 2 && is_near(method.efficiency_ratio.expect("a ratio").value, 2.0));
-        assert!(is_near(method.time_ratio.expect("a ratio"), 0.5));
+        assert!(is_near(method.time_ratio.expect("a ratio").value, 0.5));
         let first = MethodSummary::of(pt.name, &[scene]);
         assert!(first.efficiency_ratio.is_none() && first.time_ratio.is_none(), "the first is not compared to itself");
     }

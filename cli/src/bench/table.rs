@@ -43,10 +43,11 @@ pub fn points(scene: &SceneSummary) -> Table {
         "1/(relmse s)",
         "time at equal relmse",
     ];
-    (titles, scene.points.iter().map(row).collect())
+    let first = scene.methods.first().map_or("", |first| first.method);
+    (titles, scene.points.iter().map(|point| row(point, first)).collect())
 }
 
-fn row(point: &Point) -> Vec<String> {
+fn row(point: &Point, first: &str) -> Vec<String> {
     let budget = Method::named(point.method).map_or_else(|_| digits(point.budget), |it| it.shown(point.budget));
     vec![
         point.method.to_owned(),
@@ -59,7 +60,7 @@ fn row(point: &Point) -> Vec<String> {
         estimate(point.mse),
         estimate(point.flip),
         point.efficiency.map_or_else(|| "-".to_owned(), interval),
-        point.time_ratio.map_or_else(|| "outside the measured range".to_owned(), times),
+        if point.method == first { "1".to_owned() } else { ratio(point.time_ratio) },
     ]
 }
 
@@ -86,13 +87,13 @@ pub fn notes(scene: &SceneSummary) -> Vec<String> {
 
 /// Methods beside the first one; no rows where there is no other.
 pub fn methods(summary: &Summary) -> Table {
-    let titles = vec!["method", "scenes", "efficiency over the first method's", "time at equal relmse"];
+    let titles = vec!["method", "scenes", "efficiency at equal relmse", "time at equal relmse"];
     let row = |method: &MethodSummary| {
         vec![
             method.method.to_owned(),
             method.scenes.to_string(),
-            method.efficiency_ratio.map_or_else(|| "-".to_owned(), interval),
-            method.time_ratio.map_or_else(|| "outside the measured range".to_owned(), times),
+            ratio(method.efficiency_ratio),
+            ratio(method.time_ratio),
         ]
     };
     (titles, summary.methods.iter().skip(1).map(row).collect())
@@ -115,8 +116,9 @@ fn interval(it: Interval) -> String {
     }
 }
 
-fn times(ratio: f64) -> String {
-    format!("{} x", digits(ratio))
+/// Of a number at equal relmse.
+fn ratio(it: Option<Interval>) -> String {
+    it.map_or_else(|| "outside the measured range".to_owned(), interval)
 }
 
 /// Three digits that count.

@@ -33,7 +33,7 @@ pub fn page(record: &Record, summary: &Summary) -> Result<String, Failure> {
         page.section(
             "All scenes",
             &format!(
-                "Geometric means over budgets and scenes, beside {}: an efficiency above 1 is better, a time below 1.",
+                "Relative to {}, geometric means over scenes and over budgets in its measured range: an efficiency above 1 is better.",
                 first.method
             ),
         );

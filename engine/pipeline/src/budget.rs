@@ -272,7 +272,7 @@ mod tests {
     fn where_the_pilot_would_be_a_large_part_all_tiles_get_as_much_and_all_of_it_counts() {
         let world = World { tiles: mixed(), rate: 2e5, before: 0.0, round: 0.1 };
         // A sample of all pixels takes one second.
-        for seconds in [10.0, 20.0, 40.0] {
+        for seconds in [10.0, 20.0, 32.0] {
             let Ended { counted, begin, seconds: taken, .. } = world.render(seconds);
             let (least, most) = (counted.iter().min().unwrap(), counted.iter().max().unwrap());
             assert!(begin == 0 && most - least <= 1, "{seconds} s: {least} to {most} samples");

@@ -25,12 +25,13 @@ const PILOT_END: f64 = 0.6;
 /// Where more is left than [`LAST`] of the time, a round takes so much of it: the next one corrects its clock.
 const ROUND: f64 = 0.7;
 /// Where no more is left than this share of the time, a round takes all of it.
-const LAST: f64 = 0.35;
+const LAST: f64 = 0.15;
 /// Where no more is left than this share of the time, the frame is done.
-const ENOUGH: f64 = 0.015;
+const ENOUGH: f64 = 0.012;
 /// Least and most samples of a tile, as shares of the mean: the pilot is a guess.
 const SHARES: std::ops::RangeInclusive<f64> = 0.25..=16.0;
-/// Seconds a pixel of a round beside its rays, uniting the tiles and deciding, before they are measured.
+/// Seconds a pixel of a round beside its rays, uniting the tiles and deciding: before they are measured, and at most. What else makes a
+/// pilot slow is that it is the first to need the scene.
 const ROUND_SECONDS: f64 = 2.5e-6;
 
 /// What follows a round of a frame that has `seconds`.
@@ -89,12 +90,13 @@ impl Clock {
         let (seconds, rays) = ((so_far - before.seconds).max(1e-3), work.saturating_sub(before.work) as f64);
         let (short, few) = (before.pilot.0, before.pilot.1 as f64);
         let pixels: u64 = tiles.iter().flat_map(|tile| &tile.blocks).map(|it| it.block.rect.area()).sum();
+        let most = pixels as f64 * ROUND_SECONDS;
         if few > 0.0 && rays > 2.0 * few {
-            let round = ((short * rays - seconds * few) / (rays - few)).clamp(0.0, 0.5 * seconds);
+            let round = ((short * rays - seconds * few) / (rays - few)).min(0.5 * seconds).clamp(0.0, most);
             return Self { rate: rays / (seconds - round), round };
         }
         // What is not known is taken to be slow: a round that was too short is followed by another.
-        Self { rate: rays / seconds, round: pixels as f64 * ROUND_SECONDS }
+        Self { rate: rays / seconds, round: most }
     }
 }
 

@@ -63,7 +63,7 @@ fn errors_fall_with_the_budget_and_are_told_with_their_machine_and_seeds() {
     let page = place.read("page.html");
     assert!(
         page.matches("<svg").count() == 2 && page.matches("<circle").count() >= 9,
-        "a large plot and two small ones"
+        "a large plot and three small ones"
     );
     assert!(page.contains("<title>pt, 4 spp: ") && page.contains("Seeds") && page.contains("Threads"));
     let asks = page.replace("xmlns=\"http://www.w3.org/2000/svg\"", "");

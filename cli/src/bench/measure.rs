@@ -4,6 +4,7 @@ use super::method::Method;
 use super::record::Run;
 use super::reference::Reference;
 use super::setup::SceneSetup;
+use super::worst::worst_block;
 use crate::clock::Clock;
 use crate::exit::{Failure, failed, interrupted, usage};
 use crate::request::Asked;
@@ -108,6 +109,7 @@ impl Ready<'_> {
             mse: found.mse,
             relmse: found.relmse,
             flip: found.flip,
+            worst: worst_block(&image, &reference.image),
             left_out: found.excluded.pixels,
         })
     }

@@ -8,5 +8,6 @@ pub mod setup;
 pub mod statistics;
 pub mod summary;
 pub mod table;
+pub mod worst;
 
 pub use record::{Record, Run};

@@ -49,6 +49,8 @@ pub struct Run {
     pub relmse: f64,
     /// Mean HDR-FLIP.
     pub flip: f64,
+    /// Largest relative error of a block of pixels, see [`worst_block`](super::worst::worst_block).
+    pub worst: f64,
     /// Pixels that were left out because they are not finite, in the image or in the reference.
     pub left_out: u64,
 }

@@ -56,12 +56,16 @@ pub struct Point {
     pub noise_share: Option<f64>,
     /// With the reference's noise in it.
     pub flip: Estimate,
+    /// Relative error of the worst block, with the reference's noise in it.
+    pub worst: Estimate,
     /// 1 / (relmse x s); `None`: no error is left when the reference's noise is taken off.
     pub efficiency: Option<Interval>,
     /// Wall time over what the first method needs to the same relmse; `None`: of the first one, or outside of its measured range.
     pub time_ratio: Option<Interval>,
+    /// The same to the same worst block.
+    pub worst_time_ratio: Option<Interval>,
     #[serde(skip)]
-    factor: Option<Factor>,
+    factors: [Option<Factor>; 2],
 }
 
 /// A method in a scene: geometric means over its budgets; ratios over those in the first method's measured range.
@@ -75,8 +79,10 @@ pub struct SceneMethod {
     pub efficiency_ratio: Option<Interval>,
     /// One over that: time over the first method's to the same relmse.
     pub time_ratio: Option<Interval>,
+    /// Time over the first method's to the same worst block.
+    pub worst_time_ratio: Option<Interval>,
     #[serde(skip)]
-    ratio: Option<Factor>,
+    ratios: [Option<Factor>; 2],
 }
 
 /// A method: geometric means over scenes.
@@ -90,6 +96,8 @@ pub struct MethodSummary {
     pub efficiency_ratio: Option<Interval>,
     /// One over that: time over the first method's to the same relmse.
     pub time_ratio: Option<Interval>,
+    /// Time over the first method's to the same worst block.
+    pub worst_time_ratio: Option<Interval>,
 }
 
 /// A method and its budgets.
@@ -120,30 +128,37 @@ impl SceneSummary {
         runs: impl Fn(&'static Method, f64) -> Vec<&'a Run>,
     ) -> Self {
         let (mut points, mut methods): (Vec<Point>, Vec<SceneMethod>) = (Vec::new(), Vec::new());
-        let mut first: Option<Vec<(f64, Factor)>> = None;
+        let mut first: Option<[Vec<(f64, Factor)>; 2]> = None;
         for (method, budgets) in ladders {
             let measured = budgets.iter().map(|&budget| (budget, runs(method, budget))).filter(|it| !it.1.is_empty());
             let mut of_method: Vec<Point> =
                 measured.map(|(budget, runs)| Point::of(method.name, budget, noise, &runs)).collect();
-            let factors: Vec<Factor> = of_method.iter().filter_map(|point| point.factor).collect();
-            let mut ratios = Vec::new();
+            let factors: Vec<Factor> = of_method.iter().filter_map(|point| point.factors[0]).collect();
+            let mut all: [Vec<Factor>; 2] = Default::default();
             if let Some(first) = &first {
                 for point in &mut of_method {
-                    let there = Factor::interpolated(first, point.relmse.mean);
-                    let ratio = point.factor.zip(there).map(|(here, there)| here.over(there));
-                    point.time_ratio = ratio.map(|ratio| ratio.inverse().interval());
-                    ratios.extend(ratio);
+                    let ratios = std::array::from_fn(|place| {
+                        let there = Factor::interpolated(&first[place], point.scales()[place]);
+                        point.factors[place].zip(there).map(|(here, there)| here.over(there))
+                    });
+                    [point.time_ratio, point.worst_time_ratio] = ratios.map(time);
+                    all.iter_mut().zip(ratios).for_each(|(all, ratio)| all.extend(ratio));
                 }
             } else {
-                first = Some(of_method.iter().filter_map(|it| Some((it.relmse.mean, it.factor?))).collect());
+                let known = |place: usize| {
+                    of_method.iter().filter_map(move |it| Some((it.scales()[place], it.factors[place]?)))
+                };
+                first = Some([known(0).collect(), known(1).collect()]);
             }
-            let ratio = Factor::mean_of_dependent(&ratios);
+            let ratios = all.map(|ratios| Factor::mean_of_dependent(&ratios));
+            let [time_ratio, worst_time_ratio] = ratios.map(time);
             methods.push(SceneMethod {
                 method: method.name,
                 efficiency: Factor::geometric_mean(&factors).map(Factor::interval),
-                efficiency_ratio: ratio.map(Factor::interval),
-                time_ratio: ratio.map(|it| it.inverse().interval()),
-                ratio,
+                efficiency_ratio: ratios[0].map(Factor::interval),
+                time_ratio,
+                worst_time_ratio,
+                ratios,
             });
             points.extend(of_method);
         }
@@ -151,14 +166,25 @@ impl SceneSummary {
     }
 }
 
+/// Time over time, of an efficiency over an efficiency.
+fn time(ratio: Option<Factor>) -> Option<Interval> {
+    ratio.map(|ratio| ratio.inverse().interval())
+}
+
 impl Point {
+    /// The errors that methods are compared at, each as something that falls as one over the time.
+    fn scales(&self) -> [f64; 2] {
+        [self.relmse.mean, self.worst.mean * self.worst.mean]
+    }
+
     fn of(method: &'static str, budget: f64, noise: Option<Noise>, runs: &[&Run]) -> Self {
         let all = |of: fn(&Run) -> f64| runs.iter().map(|run| of(run)).collect::<Vec<f64>>();
         let mean = |of: fn(&Run) -> f64| Estimate::of(&all(of));
         let (mse_noise, relmse_noise) = noise.map_or((0.0, 0.0), |noise| (noise.mse, noise.relmse));
         let (seconds, measured) = (all(|run| run.seconds), all(|run| run.relmse));
         let errors: Vec<f64> = measured.iter().map(|relmse| relmse - relmse_noise).collect();
-        let factor = Factor::efficiency(&errors, &seconds);
+        let squares = all(|run| run.worst * run.worst);
+        let factors = [Factor::efficiency(&errors, &seconds), Factor::efficiency(&squares, &seconds)];
         Self {
             method,
             budget,
@@ -171,23 +197,28 @@ impl Point {
             relmse: Estimate::of(&errors),
             noise_share: noise.map(|noise| noise.relmse / Estimate::of(&measured).mean),
             flip: mean(|run| run.flip),
-            efficiency: factor.map(Factor::interval),
+            worst: mean(|run| run.worst),
+            efficiency: factors[0].map(Factor::interval),
             time_ratio: None,
-            factor,
+            worst_time_ratio: None,
+            factors,
         }
     }
 }
 
 impl MethodSummary {
     fn of(method: &'static str, scenes: &[SceneSummary]) -> Self {
-        let of_method = |scene: &SceneSummary| scene.methods.iter().find(|it| it.method == method)?.ratio;
-        let ratios: Vec<Factor> = scenes.iter().filter_map(of_method).collect();
-        let ratio = Factor::geometric_mean(&ratios);
+        let of_method = |scene: &SceneSummary| scene.methods.iter().find(|it| it.method == method).map(|it| it.ratios);
+        let found: Vec<[Option<Factor>; 2]> = scenes.iter().filter_map(of_method).collect();
+        let of = |place: usize| found.iter().filter_map(|ratios| ratios[place]).collect::<Vec<Factor>>();
+        let ratios = [of(0), of(1)];
+        let [ratio, worst] = [0, 1].map(|place| Factor::geometric_mean(&ratios[place]));
         Self {
             method,
-            scenes: ratios.len(),
+            scenes: ratios[0].len().max(ratios[1].len()),
             efficiency_ratio: ratio.map(Factor::interval),
-            time_ratio: ratio.map(|it| it.inverse().interval()),
+            time_ratio: time(ratio),
+            worst_time_ratio: time(worst),
         }
     }
 }
@@ -212,6 +243,7 @@ mod tests {
             mse: 3.0 * (relmse + NOISE),
             relmse: relmse + NOISE,
             flip: 0.1,
+            worst: relmse.sqrt(),
             left_out: 0,
         }
     }
@@ -241,6 +273,8 @@ mod tests {
         assert!(is_near(point.noise_share.expect("a share"), 0.25 / 2.25));
         let times: Vec<Option<Interval>> = scene.points.iter().map(|point| point.time_ratio).collect();
         assert!(is_near(times[2].expect("within").value, 0.5) && times[3].is_none(), "{times:?}");
+        let worst: Vec<Option<Interval>> = scene.points.iter().map(|point| point.worst_time_ratio).collect();
+        assert!((worst[2].expect("within").value / 0.5 - 1.0).abs() < 0.01 && worst[3].is_none(), "{worst:?}");
         let Interval { value, interval } = scene.methods[1].efficiency_ratio.expect("a ratio");
         let [low, high] = interval.expect("an interval");
         assert!(is_near(value, 2.0) && low < 1.9 && high > 2.1, "{value} {low} {high}");

@@ -40,8 +40,10 @@ pub fn points(scene: &SceneSummary) -> Table {
         "relmse",
         "mse",
         "flip",
+        "worst block",
         "1/(relmse s)",
         "time at equal relmse",
+        "at equal worst block",
     ];
     let first = scene.methods.first().map_or("", |first| first.method);
     (titles, scene.points.iter().map(|point| row(point, first)).collect())
@@ -59,8 +61,10 @@ fn row(point: &Point, first: &str) -> Vec<String> {
         estimate(point.relmse),
         estimate(point.mse),
         estimate(point.flip),
+        estimate(point.worst),
         point.efficiency.map_or_else(|| "-".to_owned(), interval),
         if point.method == first { "1".to_owned() } else { ratio(point.time_ratio) },
+        if point.method == first { "1".to_owned() } else { ratio(point.worst_time_ratio) },
     ]
 }
 
@@ -69,7 +73,7 @@ pub fn notes(scene: &SceneSummary) -> Vec<String> {
     let mut notes = Vec::new();
     match scene.reference_noise {
         Some(noise) => notes.push(format!(
-            "the reference's own relmse {} and mse {} are taken off; flip has its noise in it",
+            "the reference's own relmse {} and mse {} are taken off; flip and the worst block have its noise in them",
             digits(noise.relmse),
             digits(noise.mse)
         )),
@@ -87,13 +91,14 @@ pub fn notes(scene: &SceneSummary) -> Vec<String> {
 
 /// Methods beside the first one; no rows where there is no other.
 pub fn methods(summary: &Summary) -> Table {
-    let titles = vec!["method", "scenes", "efficiency at equal relmse", "time at equal relmse"];
+    let titles = vec!["method", "scenes", "efficiency at equal relmse", "time at equal relmse", "at equal worst block"];
     let row = |method: &MethodSummary| {
         vec![
             method.method.to_owned(),
             method.scenes.to_string(),
             ratio(method.efficiency_ratio),
             ratio(method.time_ratio),
+            ratio(method.worst_time_ratio),
         ]
     };
     (titles, summary.methods.iter().skip(1).map(row).collect())
@@ -116,7 +121,7 @@ fn interval(it: Interval) -> String {
     }
 }
 
-/// Of a number at equal relmse.
+/// Of a number at equal error.
 fn ratio(it: Option<Interval>) -> String {
     it.map_or_else(|| "outside the measured range".to_owned(), interval)
 }

@@ -52,7 +52,11 @@ pub fn page(record: &Record, summary: &Summary) -> Result<String, Failure> {
         page.legend(&legend(scene));
         let plots = |charts, height| draw(charts, HEIGHTS[height]);
         page.figures(&plots(vec![chart(scene, "relmse", |it| it.relmse)], 0)?, "No error is left to plot.");
-        let small = vec![chart(scene, "mse, (cd/m2)^2", |it| it.mse), chart(scene, "flip", |it| it.flip)];
+        let small = vec![
+            chart(scene, "worst block", |it| it.worst),
+            chart(scene, "mse, (cd/m2)^2", |it| it.mse),
+            chart(scene, "flip", |it| it.flip),
+        ];
         page.figures(&plots(small, 1)?, "");
         table::notes(scene).iter().for_each(|note| page.text(note));
         let (titles, rows) = table::points(scene);
@@ -62,7 +66,8 @@ pub fn page(record: &Record, summary: &Summary) -> Result<String, Failure> {
         "How to read this",
         "Lower and further left is better. Each point is the mean over the seeds of a method with one budget, the band its 95 % \
          interval. A method that only draws more samples falls along a line of slope -1, on which 1/(relmse s) is constant. Time at \
-         equal relmse is over what the first method needs to the same relmse, between its budgets on straight lines of this plot.",
+         equal relmse is over what the first method needs to the same relmse, between its budgets on straight lines of this plot. The worst block of 16x16 \
+         pixels has the largest relative error of its mean luminance: what `--error` is about.",
     );
     Ok(page.end())
 }

@@ -16,7 +16,7 @@ pub const BLOCK: u32 = 16;
 /// Half width of a 95 % interval in standard errors, of a normal number whose variance is known.
 pub(crate) const Z_95: f64 = 1.959_963_984_540_054;
 /// Blocks darker than this share of the image's mean luminance are measured against it.
-pub(crate) const FLOOR: f64 = 0.01;
+pub const FLOOR: f64 = 0.01;
 
 /// What the error of a block of pixels is made of.
 #[derive(Clone, Copy, Debug, PartialEq)]

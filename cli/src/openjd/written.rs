@@ -51,6 +51,9 @@ impl Written {
         }
         let wrong = |what: String| Err((Word::Arguments, what));
         match Cli::try_parse_from(line) {
+            Ok(Cli { command: Command::Render(RenderArgs { replay: Some(_), .. }), .. }) => {
+                wrong("--replay renders one frame again by what its file says; a sweep has no such file".to_owned())
+            }
             Ok(Cli { command: Command::Render(args), .. }) => Ok(Self::of(args)),
             Ok(_) => wrong("only `femc render` becomes a sweep, and this is another command of femc".to_owned()),
             Err(error) => {
@@ -62,7 +65,7 @@ impl Written {
     }
 
     fn of(args: RenderArgs) -> Self {
-        let RenderArgs { scene, out, exposure, report, fresh, extras, format, settings } = args;
+        let RenderArgs { scene, out, exposure, report, fresh, extras, format, settings, replay: _ } = args;
         let ExtrasArgs { video, preview, contact_sheet } = extras;
         let flags = [
             ("--out", out.is_some()),

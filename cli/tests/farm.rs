@@ -1,7 +1,7 @@
 //! Coordinator, workers and clients as processes of their own.
 
 mod common;
-use common::{Place, Running, coordinator, names, share, submit};
+use common::{Place, Running, coordinator, drawn, names, share, submit};
 
 fn worker(place: &Place, url: &str) -> Running {
     place.start(&format!("worker --join {url} --threads 1"))
@@ -209,29 +209,40 @@ fn a_job_that_does_not_exist_is_wrong_usage() {
     }
 }
 
-/// Waits until between a third and two thirds of the job are done.
-fn half_way(place: &Place, farm: &mut Running, url: &str, job: &str) {
-    farm.wait_until("a third of the samples", || share(place, url, job) > 0.33);
-    let share = share(place, url, job);
+/// Waits until between a third and two thirds of the samples that a job comes to are drawn.
+fn half_way(place: &Place, farm: &mut Running, url: &str, job: &str, samples: f64) {
+    farm.wait_until("a third of the samples", || drawn(place, url, job) / samples > 0.33);
+    let share = drawn(place, url, job) / samples;
     println!("killed with {:.0} % of the samples done", 100.0 * share);
     assert!(share < 0.67, "it is not over yet: {share}");
 }
 
-/// The frame of a foggy Cornell box rendered in six ways; `FEMC_SIX_WAYS` names another scene.
 #[test]
 #[ignore = "minutes: cargo test --release -p femc --test farm -- --ignored --nocapture six_ways"]
 fn six_ways_to_one_frame() {
+    six_ways("--spp 128 --size 192x192");
+}
+
+/// Tiles of 16 to 128 samples a pixel.
+#[test]
+#[ignore = "minutes: cargo test --release -p femc --test farm -- --ignored --nocapture six_ways"]
+fn six_ways_to_one_frame_of_uneven_tiles() {
+    six_ways("--error 0.03 --size 192x192");
+}
+
+/// Renders the frame of a foggy Cornell box in six ways; `FEMC_SIX_WAYS` names another scene.
+fn six_ways(settings: &str) {
     let place = Place::new();
     let scene = std::env::var("FEMC_SIX_WAYS")
         .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../scenes/cornell-fog.mgf").into());
-    let settings = "--spp 128 --size 192x192";
-    let mut ways = Vec::new();
+    let (mut ways, mut samples) = (Vec::new(), 0.0);
     for (name, split) in [
         ("one worker of one thread", "--workers 1 --threads 1"),
         ("three workers of one thread", "--workers 3 --threads 1"),
         ("one worker of two threads", "--workers 1 --threads 2"),
     ] {
-        place.run(&format!("render {scene} -o one.exr {settings} {split}")).exits(0);
+        let ran = place.run(&format!("render {scene} -o one.exr {settings} {split} --json")).exits(0);
+        samples = ran.json()["samples"].as_f64().expect("a number");
         ways.push((name, common::pixels(&place.path("one.exr"))));
         std::fs::remove_file(place.path("one.exr")).expect("it was written");
     }
@@ -249,7 +260,7 @@ fn six_ways_to_one_frame() {
     let (mut farm, url) = coordinator(&place, 0);
     let mut workers = [worker(&place, &url), worker(&place, &url), worker(&place, &url)];
     let job = queue(&url);
-    half_way(&place, &mut farm, &url, &job);
+    half_way(&place, &mut farm, &url, &job, samples);
     assert!(workers[1].kill(), "the victim was alive");
     ways.push(("three worker processes, one killed half way", get(&url, &job, "killed")));
 
@@ -262,11 +273,11 @@ fn six_ways_to_one_frame() {
     let (mut farm, url) = coordinator(&place, 0);
     let mut workers = [worker(&place, &url), worker(&place, &url)];
     let job = queue(&url);
-    half_way(&place, &mut farm, &url, &job);
+    half_way(&place, &mut farm, &url, &job, samples);
     assert!(farm.kill() && workers.iter_mut().all(Running::kill), "all were alive");
     let port = url.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
     let (_farm, url) = coordinator(&place, port);
-    let kept = share(&place, &url, &job);
+    let kept = drawn(&place, &url, &job) / samples;
     println!("{:.0} % of the samples were kept", 100.0 * kept);
     assert!((0.1..0.67).contains(&kept), "what was acknowledged is kept, the rest is to do: {kept}");
     let _workers = [worker(&place, &url), worker(&place, &url)];

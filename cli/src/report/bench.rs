@@ -44,7 +44,7 @@ pub fn page(record: &Record, summary: &Summary) -> Result<String, Failure> {
         let about = setup.map_or_else(String::new, |setup| {
             let [width, height] = setup.film;
             format!(
-                "{}, frame {}, {width}x{height} pixels; reference {}; scene {}",
+                "{}, frame {}, {width}x{height} pixels; reference {}; scene {:.16}",
                 setup.file, setup.frame, setup.reference, setup.digest
             )
         });

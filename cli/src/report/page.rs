@@ -8,11 +8,12 @@ use std::fmt::Write;
 const LINES: usize = 200;
 
 const STYLE: &str = "
-    body { font: 15px/1.5 sans-serif; color: #222; max-width: 1000px; margin: 2em auto; padding: 0 1em }
+    body { font: 15px/1.5 sans-serif; color: #222; max-width: 1160px; margin: 2em auto; padding: 0 1em }
     h1 { font-size: 1.5em } h2 { font-size: 1.15em; margin: 2em 0 .3em } p { margin: .3em 0 }
     svg { width: 100%; height: auto } .wide { overflow-x: auto }
     table { border-collapse: collapse; font-size: 13px; margin: .5em 0 }
     th, td { text-align: left; padding: .2em .8em .2em 0; border-bottom: 1px solid #ddd; white-space: nowrap }
+    th { white-space: normal; vertical-align: bottom }
     dl { display: grid; grid-template-columns: max-content auto; gap: .1em 1.2em } dt { color: #666 } dd { margin: 0 }
     pre { background: #f5f5f5; padding: .8em; overflow-x: auto; font-size: 12px }
     .key { display: inline-block; width: .9em; height: .9em; margin: 0 .4em 0 1em; vertical-align: -.1em }";

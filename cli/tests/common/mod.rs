@@ -99,6 +99,11 @@ pub fn share(place: &Place, url: &str, job: &str) -> f64 {
     number("samples") / number("samples_most")
 }
 
+/// Samples that are drawn.
+pub fn drawn(place: &Place, url: &str, job: &str) -> f64 {
+    status(place, url, job)["samples"].as_f64().expect("a number")
+}
+
 /// A temporary folder with `fog.mgf` in it.
 pub struct Place {
     folder: tempfile::TempDir,

@@ -38,7 +38,7 @@ fn main() -> Result<(), Box<dyn Error>> {
         "scene": scene, "stop": stop, "rule": format!("{rule:?}"), "seeds": seeds,
         "bias": number(said.bias), "coverage": number(said.coverage), "relmse": number(said.relmse),
         "true_over_claimed": number(said.honesty), "worst": number(said.worst),
-        "drawn": number(said.drawn), "counted": number(said.counted),
+        "drawn": number(said.drawn), "counted": number(said.counted), "longest": number(said.longest),
         "seconds": start.elapsed().as_secs_f64() / seeds as f64,
     });
     println!("{line}");

@@ -39,6 +39,8 @@ pub struct Shot {
     pub error: FrameError,
     /// Samples a pixel that were drawn, averaged over the film.
     pub drawn: f64,
+    /// Samples a pixel of the tile that has most.
+    pub longest: f64,
 }
 
 impl Experiment {
@@ -64,7 +66,8 @@ impl Experiment {
             .map(|(index, rect)| rect.area() * rendered.frame.tile(index).map_or(0, Tile::spp))
             .sum();
         let pixels = f64::from(self.tiling.width) * f64::from(self.tiling.height);
-        Shot { error: image.error(), image, drawn: drawn as f64 / pixels }
+        let longest = (0..self.tiling.count()).filter_map(|index| rendered.frame.tile(index)).map(Tile::spp).max();
+        Shot { error: image.error(), image, drawn: drawn as f64 / pixels, longest: longest.unwrap_or(0) as f64 }
     }
 }
 
@@ -138,6 +141,8 @@ pub struct Verdict {
     pub drawn: Measured,
     /// Of them those that count.
     pub counted: Measured,
+    /// Samples a pixel of the tile that has most: all pixels would have them if tiles did not end one by one.
+    pub longest: Measured,
 }
 
 /// What one shot says.
@@ -149,6 +154,7 @@ struct Said {
     worst: f64,
     drawn: f64,
     counted: f64,
+    longest: f64,
 }
 
 impl Verdict {
@@ -170,11 +176,12 @@ impl Verdict {
             worst: over(|it| it.worst),
             drawn: over(|it| it.drawn),
             counted: over(|it| it.counted),
+            longest: over(|it| it.longest),
         }
     }
 }
 
-fn say(reference: &Reference, Shot { image, error, drawn }: &Shot, noise: f64) -> Said {
+fn say(reference: &Reference, Shot { image, error, drawn, longest }: &Shot, noise: f64) -> Said {
     let width = image.color.width as usize;
     let (mut covered, mut lit) = (0, 0);
     for block in &error.blocks {
@@ -196,6 +203,7 @@ fn say(reference: &Reference, Shot { image, error, drawn }: &Shot, noise: f64) -
         claimed: reference.claimed(image),
         worst: error.worst,
         drawn: *drawn,
+        longest: *longest,
         counted: image.mean_spp(),
     }
 }

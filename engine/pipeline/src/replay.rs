@@ -135,7 +135,7 @@ mod tests {
         assert_eq!(Counted::candidates(&even, 7), [of(0, [7; 2])]);
         assert_eq!(of(0, [7; 2]).count(), 7);
         let uneven = Settings::default();
-        assert_eq!(Counted::candidates(&uneven, 20), [of(0, [16, 24]), of(0, [24, 16])]);
+        assert_eq!(Counted::candidates(&uneven, 14), [of(0, [12, 16]), of(0, [16, 12])]);
         assert_eq!(Counted::candidates(&uneven, 24).len(), 3, "16 and 32, 24 twice, 32 and 16");
         assert_eq!(Counted::candidates(&uneven, 21), []);
         let allocation = Some(Allocation { begin: 4, ends: vec![11, 60] });

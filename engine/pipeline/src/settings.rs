@@ -100,8 +100,8 @@ pub enum SettingsError {
 
 /// Most samples a pixel that can be asked for.
 pub const MAX_SPP: u32 = 1 << 24;
-/// Samples a pixel of the first round when the number is not known in advance.
-const FIRST_ROUND: u32 = 16;
+/// Samples a pixel of the first round when the number is not known in advance: two of each replicate.
+const FIRST_ROUND: u32 = 8;
 /// Every other round doubles the samples; this many are the end even if the error asked for is not reached.
 const LAST_ROUND_SPP: u32 = 1 << 16;
 
@@ -149,7 +149,7 @@ impl Settings {
                 (0..).map(|round| PILOT.saturating_pow(round)).take_while(|n| *n <= MAX_SPP).collect()
             }
             (Stop::Error(_), _) => {
-                // 16, 24, 32, 48 ..: of halves and replicates each has as many.
+                // 8, 12, 16, 24 ..: of halves and replicates each has as many.
                 let doubled = std::iter::successors(Some(FIRST_ROUND), |n| (*n < LAST_ROUND_SPP).then_some(n * 2));
                 doubled.flat_map(|n| [n, n + n / 2]).take_while(|&n| n <= LAST_ROUND_SPP).collect()
             }

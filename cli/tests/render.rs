@@ -183,7 +183,7 @@ fn a_frame_that_had_a_time_says_how_its_samples_were_divided_and_comes_again_to_
     let allocation = |name: &str| femc_film::exr::read_attributes(&place.path(name)).unwrap().remove("femc:allocation");
     let first = allocation("a.exr").expect("an allocation");
     let parsed: serde_json::Value = serde_json::from_str(&first).expect("JSON");
-    assert_eq!(parsed["ends"].as_array().map(Vec::len), Some(6), "tiles of 32 pixels: {first}");
+    assert_eq!(parsed["ends"].as_array().map(Vec::len), Some(24), "tiles of 16 pixels: {first}");
 
     place.run("render fog.mgf -o b.exr --replay a.exr --workers 2 --threads 1").exits(0);
     assert_eq!(common::pixels(&place.path("a.exr")), common::pixels(&place.path("b.exr")));

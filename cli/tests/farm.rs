@@ -58,10 +58,10 @@ fn frames_whose_tiles_have_their_own_numbers_of_samples_are_those_of_one_process
     let rows = place.run(&format!("stats {job} --by task --json --server {url}")).exits(0).json();
     let mut samples = std::collections::BTreeMap::new();
     for row in rows.as_array().expect("rows").iter().filter(|row| row["frame"] == 1 && !row["tile"].is_null()) {
-        *samples.entry(row["tile"].as_u64()).or_insert(0) += row["samples"].as_u64().expect("a number") / 1024;
+        *samples.entry(row["tile"].as_u64()).or_insert(0) += row["samples"].as_u64().expect("a number") / 256;
     }
     let (least, most) = (samples.values().min(), samples.values().max());
-    assert!(samples.len() == 6 && least >= Some(&8) && least < most, "{samples:?}");
+    assert!(samples.len() == 24 && least >= Some(&8) && least < most, "{samples:?}");
     let is_end_of_round = |count: &u64| matches!(count >> count.trailing_zeros(), 1 | 3);
     assert!(samples.values().all(is_end_of_round), "every other round doubles the samples: {samples:?}");
 }

@@ -10,7 +10,7 @@
 //! measurements (`soak.csv`) and the sum (`soak.json`).
 #![cfg(target_os = "linux")]
 
-#[path = "../common/mod.rs"]
+#[path = "../suite/common/mod.rs"]
 mod common;
 mod farm;
 mod faults;

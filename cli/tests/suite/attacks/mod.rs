@@ -1,0 +1,135 @@
+//! Whoever reaches the port may try: each attack is refused with a clear word or a closed connection, the farm serves others
+//! during and after it, and its memory stays what it was.
+//!
+//! Attackers come from 127.0.0.2 and up, others from 127.0.0.1: what one address may have is a matter of its own.
+#![cfg(target_os = "linux")]
+
+mod attack;
+mod frames;
+mod peer;
+
+use std::time::Duration;
+
+use crate::common::{Place, Running};
+
+/// Bytes by which the coordinator may have grown after an attack: buffers of connections that are gone go back to the allocator,
+/// and not all of them to the system.
+const GROWTH: u64 = 64 << 20;
+/// What the transfers on one connection may have in memory, as the limits say.
+const TRANSFERS: u64 = 16 * (8 << 20);
+
+/// A coordinator under attack.
+pub struct Target {
+    place: Place,
+    coordinator: Running,
+    /// With `http://` or `https://`.
+    url: String,
+}
+
+impl Target {
+    fn start(options: &str) -> Self {
+        let place = Place::new();
+        if options.contains("--identity") {
+            place.run("ca init").exits(0);
+            place.run("ca issue coordinator farm").exits(0);
+            place.run("ca issue user ann --role viewer").exits(0);
+            place.run("ca token user eve --role viewer").exits(0);
+        }
+        let line = format!("coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts artifacts {options}");
+        let mut coordinator = place.start(&line);
+        let line = coordinator.first_line();
+        let url = line.split_whitespace().find(|word| word.starts_with("http")).expect("the address").to_owned();
+        Self { place, coordinator, url }
+    }
+
+    /// Host and port.
+    pub fn address(&self) -> &str {
+        self.url.split_once("://").expect("a scheme").1
+    }
+
+    /// Somebody else asks.
+    #[track_caller]
+    fn serves_others(&mut self) {
+        let identity = if self.url.starts_with("https") { "--identity ann.pem" } else { "" };
+        self.place.run(&format!("jobs --server {} {identity}", self.url)).exits(0);
+        assert!(self.coordinator.is_running());
+    }
+
+    /// Bytes in memory.
+    fn resident(&self) -> u64 {
+        let status = std::fs::read_to_string(format!("/proc/{}/status", self.coordinator.id())).expect("it runs");
+        let line = status.lines().find(|line| line.starts_with("VmRSS:")).expect("its size");
+        let kibibytes: u64 = line.split_whitespace().nth(1).and_then(|word| word.parse().ok()).expect("a number");
+        kibibytes << 10
+    }
+}
+
+/// One attack against a coordinator of its own. It says how it was refused.
+#[track_caller]
+fn withstands(name: &str, options: &str, growth: u64, attack: impl AsyncFnOnce(&mut Target) -> String) {
+    let mut target = Target::start(options);
+    target.serves_others();
+    let before = target.resident();
+    let runtime =
+        tokio::runtime::Builder::new_multi_thread().worker_threads(2).enable_all().build().expect("a runtime");
+    let refused = runtime.block_on(attack(&mut target));
+    target.serves_others();
+    // What the attack held goes with it.
+    runtime.shutdown_timeout(Duration::from_secs(1));
+    std::thread::sleep(Duration::from_secs(1));
+    target.serves_others();
+    let after = target.resident();
+    println!("{name}: {refused}; {} -> {} KiB", before >> 10, after >> 10);
+    assert!(after <= before + growth, "{name}: grew from {before} to {after} bytes");
+}
+
+macro_rules! attacks {
+    ($($name:ident($options:expr, $growth:expr) = $attack:expr;)*) => {
+        $(#[test]
+        fn $name() {
+            withstands(stringify!($name), $options, $growth, $attack);
+        })*
+    };
+}
+
+attacks! {
+    a_plain_call_to_an_encrypted_port("--identity farm.pem", GROWTH) = attack::plain_to_encrypted;
+    a_message_of_4_gib("", GROWTH) = attack::announced_giant;
+    a_message_of_9_mib("", GROWTH) = attack::giant;
+    a_compressed_message("", GROWTH) = attack::compressed;
+    headers_of_64_kib("", GROWTH) = attack::headers;
+    a_flood_of_open_calls("", GROWTH) = attack::open_calls;
+    a_flood_of_calls_taken_back("", GROWTH) = attack::rapid_reset;
+    a_flood_of_pings_that_reads_nothing("", GROWTH) = attack::pings;
+    a_flood_of_calls("", GROWTH) = attack::calls;
+    nonsense_in_every_call("", GROWTH) = attack::nonsense;
+    guessed_tokens("--identity farm.pem --token-file femc-ca/tokens", GROWTH) = attack::guesses;
+}
+
+/// Attacks that last until the coordinator's patience is over, side by side: a thread and a coordinator for each.
+macro_rules! waiting_attacks {
+    ($($name:ident($options:expr, $growth:expr) = $attack:expr;)*) => {
+        #[test]
+        fn whoever_keeps_the_farm_waiting() {
+            std::thread::scope(|scope| {
+                $(
+                    let thread = std::thread::Builder::new().name(stringify!($name).to_owned());
+                    let run = || withstands(stringify!($name), $options, $growth, $attack);
+                    thread.spawn_scoped(scope, run).expect("a thread");
+                )*
+            });
+        }
+    };
+}
+
+waiting_attacks! {
+    thousands_of_connections("", GROWTH) = attack::connections;
+    a_connection_that_says_nothing("", GROWTH) = attack::silence;
+    half_a_tls_handshake("--identity farm.pem", GROWTH) = attack::half_a_handshake;
+    http2_and_then_nothing("", GROWTH) = attack::greeting_alone;
+    http2_that_never_calls("", GROWTH) = attack::small_talk;
+    a_peer_that_stops("", GROWTH) = attack::half_open;
+    a_request_of_a_byte_a_second("", GROWTH) = attack::trickle;
+    uploads_that_never_end("", GROWTH + TRANSFERS) = attack::uploads;
+    downloads_that_are_not_read("", GROWTH + TRANSFERS) = attack::unread_downloads;
+}

@@ -1,0 +1,175 @@
+//! Stills, contact sheets and clips that a farm makes.
+#![cfg(unix)]
+
+use crate::common;
+use crate::common::{Place, Running, coordinator, pixels, status, submit, workers};
+use femc_film::Picture;
+use std::os::unix::fs::PermissionsExt;
+
+const FRAMES: &str = "--frames 1..3 --size 48x32";
+const SHOWN: &str = "--video clip.png --contact-sheet sheet.png --preview";
+
+/// Workers of one thread each.
+fn join(place: &Place, url: &str, count: u32) -> Vec<Running> {
+    (0..count).map(|_| place.start(&format!("worker --join {url} --threads 1"))).collect()
+}
+
+/// What a farm of so many workers makes of such a job, in a folder of this name.
+fn fetched(place: &Place, out: &str, workers: u32, settings: &str) {
+    let farm = Place::new();
+    let (_coordinator, url) = coordinator(&farm, 0);
+    let _workers = join(&farm, &url, workers);
+    let job = submit(&farm, &url, settings);
+    farm.run(&format!("watch {job} --server {url}")).exits(0);
+    let folder = place.path(out);
+    farm.run(&format!("fetch {job} -o {} --server {url}", folder.display())).exits(0);
+}
+
+/// Frames of an animated PNG.
+fn frames_of(clip: &[u8]) -> u32 {
+    let at = clip.windows(4).position(|name| name == b"acTL").expect("an animated PNG") + 4;
+    u32::from_be_bytes(clip[at..at + 4].try_into().expect("four bytes"))
+}
+
+#[test]
+fn a_clip_its_stills_and_a_sheet_are_the_same_for_any_number_of_workers_and_the_images_those_without_them() {
+    let place = Place::new();
+    let settings = format!("{FRAMES} --error 0.3");
+    fetched(&place, "one", 1, &format!("{settings} {SHOWN}"));
+    fetched(&place, "three", 3, &format!("{settings} {SHOWN}"));
+    fetched(&place, "plain", 1, &settings);
+    let read = |folder: &str, name: &str| std::fs::read(place.path(folder).join(name)).expect(name);
+    let (stills, images) = ([1, 2, 3].map(|n| format!("fog.000{n}.png")), [1, 2, 3].map(|n| format!("fog.000{n}.exr")));
+    let mut all = [&["clip.png".to_owned()][..], &images, &stills, &["sheet.png".to_owned()]].concat();
+    all.sort();
+    assert_eq!(common::names(&place.path("three")), all);
+    assert_eq!(common::names(&place.path("plain")), images);
+    for name in stills.iter().chain([&"clip.png".to_owned(), &"sheet.png".to_owned()]) {
+        assert!(read("one", name) == read("three", name), "{name}");
+    }
+    for name in &images {
+        assert_eq!(pixels(&place.path("three").join(name)), pixels(&place.path("plain").join(name)), "{name}");
+    }
+    assert_eq!(frames_of(&read("one", "clip.png")), 3);
+    let still = |name: &String| Picture::from_png(&read("one", name)).expect("a picture");
+    let [first, _, last] = [0, 1, 2].map(|frame| still(&stills[frame]));
+    assert_eq!((first.width, first.height), (48, 32));
+    assert_ne!(first, last, "the fog thickens");
+    // One exposure: what is brighter in the scene is brighter in its still, pixel by pixel.
+    let [dark, bright] = [0, 2].map(|frame| common::film(&place.path("one").join(&images[frame])).rgb);
+    let [shown_dark, shown_bright] = [first, last].map(|picture| picture.pixels.concat());
+    let pairs = dark.iter().zip(&bright).zip(shown_dark.iter().zip(&shown_bright));
+    let gray = |(_, (a, b)): &((&f32, &f32), (&u8, &u8))| **a < 250 && **b < 250 && a.abs_diff(**b) > 3;
+    let clear: Vec<bool> =
+        pairs.filter(gray).map(|((a, b), (shown_a, shown_b))| (a < b) == (shown_a < shown_b)).collect();
+    let agree = clear.iter().filter(|agrees| **agrees).count() as f64 / clear.len() as f64;
+    assert!(clear.len() > 100 && agree > 0.98, "{agree} of {}", clear.len());
+}
+
+#[test]
+fn a_clip_waits_for_a_worker_that_has_ffmpeg_which_gets_every_frame() {
+    let place = Place::new();
+    std::fs::create_dir(place.path("bin")).expect("made");
+    place.write(
+        "bin/ffmpeg",
+        "#!/bin/sh\n[ \"$1\" = -version ] && echo ffmpeg version 7.1-test and so on && exit 0\n\
+         for out; do :; done\necho \"$*\" > \"${0%/*}/../told\"\nexec /bin/cat > \"$out\"\n",
+    );
+    std::fs::set_permissions(place.path("bin/ffmpeg"), PermissionsExt::from_mode(0o755)).expect("made executable");
+    let (_coordinator, url) = coordinator(&place, 0);
+    let start = |path: &str| {
+        Running::of(
+            place.command(&format!("worker --join {url} --threads 1 --name {path}")).env("PATH", place.path(path)),
+        )
+    };
+    let mut plain = start("nowhere");
+    let job = submit(&place, &url, "--frames 1..3 --size 8x4 --spp 1 --video clip.mp4 --contact-sheet sheet.png");
+    let waits = || status(&place, &url, &job)["waits"].to_string();
+    plain.wait_until("the job waits for ffmpeg", || waits().contains("no worker has all the tags ffmpeg"));
+    let sheetless = place.run(&format!("fetch {job} -o out --server {url}")).exits(1);
+    assert!(sheetless.stderr().contains("cannot be had yet"), "{}", sheetless.stderr());
+    let _able = start("bin");
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    assert!(workers(&place, &url).to_string().contains(r#""tags":["ffmpeg"]"#), "{}", workers(&place, &url));
+    let json = place.run(&format!("fetch {job} -o out --server {url} --json")).exits(0).json();
+    assert_eq!((json["video"].as_str(), json["contact_sheet"].as_str()), (Some("out/clip.mp4"), Some("out/sheet.png")));
+    assert_eq!(std::fs::read(place.path("out/clip.mp4")).expect("a clip").len(), 3 * 8 * 4 * 3);
+    assert_eq!(json["previews"].as_array().map(Vec::len), Some(0), "nobody asked for stills");
+    let log = place.read("told");
+    assert!(log.contains("ffmpeg 7.1-test") && log.contains("-s 8x4"), "{log}");
+}
+
+#[test]
+fn what_ffmpeg_refuses_fails_the_clip_with_its_own_words_and_no_frame() {
+    let place = Place::new();
+    std::fs::create_dir(place.path("bin")).expect("made");
+    place.write("bin/ffmpeg", "#!/bin/sh\n[ \"$1\" = -version ] && exit 0\necho no such muxer >&2\nexit 1\n");
+    std::fs::set_permissions(place.path("bin/ffmpeg"), PermissionsExt::from_mode(0o755)).expect("made executable");
+    let (_coordinator, url) = coordinator(&place, 0);
+    let mut worker = place.command(&format!("worker --join {url} --threads 1"));
+    let _worker = Running::of(worker.env("PATH", place.path("bin")));
+    let job = submit(&place, &url, "--frames 1..2 --size 8x4 --spp 1 --video clip.xyz");
+    place.run(&format!("watch {job} --server {url}")).exits(1);
+    let output = place.run(&format!("status {job} --server {url}")).exits(0).stdout();
+    assert!(output.contains("2 of 2 done") && output.contains("ffmpeg: no such muxer"), "{output}");
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(1);
+    assert_eq!(common::names(&place.path("out")), ["fog.0001.exr", "fog.0002.exr"]);
+}
+
+#[cfg(debug_assertions)]
+#[test]
+fn a_frame_that_fails_is_a_card_in_the_clip_until_a_retry_makes_it() {
+    let place = Place::new();
+    let (_coordinator, url) = coordinator(&place, 0);
+    let job = submit(&place, &url, &format!("{FRAMES} --spp 2 {SHOWN}"));
+    let deadly = || {
+        let mut command = place.command(&format!("worker --join {url} --threads 1 --name lab --outbox box"));
+        Running::of(command.env("FEMC_DEADLY", format!("{job}/2.0/render.0/0")))
+    };
+    let failed = || status(&place, &url, &job)["state"] == "failed";
+    let mut deaths = 0;
+    while !failed() {
+        assert!(deaths < 8, "{}", status(&place, &url, &job));
+        let mut victim = deadly();
+        while victim.is_running() && !failed() {
+            std::thread::sleep(std::time::Duration::from_millis(20));
+        }
+        deaths += u32::from(!victim.kill());
+    }
+    let fetch = |out: &str, code| place.run(&format!("fetch {job} -o {out} --server {url}")).exits(code);
+    fetch("gap", 1);
+    let read = |name: &str| std::fs::read(place.path(name)).expect(name);
+    let still = |name: &str| Picture::from_png(&read(name)).expect("a picture");
+    assert_eq!(frames_of(&read("gap/clip.png")), 3, "a frame that is missing is not left out");
+    assert_eq!(still("gap/fog.0002.png"), Picture::missing(48, 32));
+    assert_ne!(still("gap/fog.0001.png"), Picture::missing(48, 32));
+    let _healthy = place.start(&format!("worker --join {url} --threads 1"));
+    place.run(&format!("retry {job} --server {url}")).exits(0);
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    fetch("whole", 0);
+    assert_ne!(still("whole/fog.0002.png"), Picture::missing(48, 32));
+    fetched(&place, "fresh", 1, &format!("{FRAMES} --spp 2 {SHOWN}"));
+    for name in ["clip.png", "sheet.png", "fog.0001.png", "fog.0002.png", "fog.0003.png"] {
+        assert!(read(&format!("whole/{name}")) == read(&format!("fresh/{name}")), "{name}");
+    }
+}
+
+#[test]
+fn a_plan_shows_the_graph_that_a_clip_is_submitted_with_and_odd_names_are_refused() {
+    let place = Place::new();
+    let line = format!("plan fog.mgf {FRAMES} --spp 2 --no-trial --video clip.mp4");
+    let output = place.run(&line).exits(0).stdout();
+    assert!(output.contains("thumbnail") && output.contains("clip") && output.contains("ffmpeg"), "{output}");
+    let graph = &place.run(&format!("{line} --json")).exits(0).json()["graph"]["stages"];
+    assert_eq!(graph.as_array().map(Vec::len), Some(6), "{graph}");
+    for (flags, said) in [
+        ("--video ../clip.mp4", "--video"),
+        ("--video clip", "--video"),
+        ("--contact-sheet sheet.jpg", "--contact-sheet"),
+        ("--contact-sheet out/sheet.png", "--contact-sheet"),
+        ("--contact-sheet a.png --video a.png", "--contact-sheet"),
+    ] {
+        let ran = place.run(&format!("plan fog.mgf --no-trial {flags}")).exits(2);
+        assert!(ran.stderr().contains(said), "{flags}: {}", ran.stderr());
+    }
+}

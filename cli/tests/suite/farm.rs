@@ -1,0 +1,357 @@
+//! Coordinator, workers and clients as processes of their own.
+
+use crate::common;
+use crate::common::{Place, Running, coordinator, drawn, names, share, submit};
+
+fn worker(place: &Place, url: &str) -> Running {
+    place.start(&format!("worker --join {url} --threads 1"))
+}
+
+fn frames_done(place: &Place, url: &str, job: &str) -> u64 {
+    let ran = place.run(&format!("status {job} --json --server {url}")).exits(0);
+    ran.json()["frames_done"].as_u64().expect("a number")
+}
+
+const SETTINGS: &str = "--spp 12 --size 64x64";
+
+fn same_as_one_process(place: &Place, settings: &str) {
+    place.run(&format!("render fog.mgf -o alone {settings}")).exits(0);
+    assert_eq!(names(&place.path("out")), names(&place.path("alone")));
+    for name in names(&place.path("alone")) {
+        let (farm, alone) = (place.path("out").join(&name), place.path("alone").join(&name));
+        assert_eq!(common::pixels(&farm), common::pixels(&alone), "{name}");
+    }
+}
+
+#[test]
+fn a_killed_worker_costs_no_pixel() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let (mut victim, _second, _third) = (worker(&place, &url), worker(&place, &url), worker(&place, &url));
+    let job = submit(&place, &url, SETTINGS);
+    farm.wait_until("a finished frame", || frames_done(&place, &url, &job) >= 1);
+    assert!(frames_done(&place, &url, &job) < 8, "it is not over yet");
+    assert!(victim.kill(), "the victim was alive");
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    same_as_one_process(&place, SETTINGS);
+}
+
+#[test]
+fn frames_whose_tiles_have_their_own_numbers_of_samples_are_those_of_one_process() {
+    const SETTINGS: &str = "--error 0.02 --size 96x64 --frames 1..2";
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let (mut victim, _second, _third) = (worker(&place, &url), worker(&place, &url), worker(&place, &url));
+    let job = submit(&place, &url, SETTINGS);
+    let decisions = || {
+        let rows = place.run(&format!("stats {job} --by task --json --server {url}")).exits(0).json();
+        let is_decision = |row: &&serde_json::Value| row["task"].as_str().is_some_and(|task| task.contains("/decide."));
+        rows.as_array().expect("rows").iter().filter(is_decision).count()
+    };
+    farm.wait_until("a round", || decisions() >= 1);
+    assert!(victim.kill(), "the victim was alive");
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    same_as_one_process(&place, SETTINGS);
+    // Of each tile of the first frame: the samples of all its rounds.
+    let rows = place.run(&format!("stats {job} --by task --json --server {url}")).exits(0).json();
+    let mut samples = std::collections::BTreeMap::new();
+    for row in rows.as_array().expect("rows").iter().filter(|row| row["frame"] == 1 && !row["tile"].is_null()) {
+        *samples.entry(row["tile"].as_u64()).or_insert(0) += row["samples"].as_u64().expect("a number") / 256;
+    }
+    let (least, most) = (samples.values().min(), samples.values().max());
+    assert!(samples.len() == 24 && least >= Some(&8) && least < most, "{samples:?}");
+    let is_end_of_round = |count: &u64| matches!(count >> count.trailing_zeros(), 1 | 3);
+    assert!(samples.values().all(is_end_of_round), "every other round doubles the samples: {samples:?}");
+}
+
+#[test]
+fn a_killed_coordinator_comes_back_with_all_it_had_and_its_worker_joins_again() {
+    let place = Place::new();
+    let (mut first, url) = coordinator(&place, 0);
+    let _worker = worker(&place, &url);
+    let job = submit(&place, &url, SETTINGS);
+    first.wait_until("a finished frame", || frames_done(&place, &url, &job) >= 1);
+    let before = frames_done(&place, &url, &job);
+    assert!(before < 8, "it is not over yet");
+    assert!(first.kill(), "the coordinator was alive");
+    let port = url.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
+    let (_second, url) = coordinator(&place, port);
+    assert!(frames_done(&place, &url, &job) >= before, "what was finished is finished");
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    same_as_one_process(&place, SETTINGS);
+}
+
+#[test]
+fn a_frame_in_work_can_be_seen_and_shows_what_it_will_be() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let mut worker = worker(&place, &url);
+    let job = submit(&place, &url, "--spp 200 --size 64x64 --frames 1");
+    let tiles = || common::status(&place, &url, &job)["active"][0]["tiles_done"].as_u64().unwrap_or(0);
+    farm.wait_until("a tile", || tiles() >= 1);
+    worker.signal("STOP");
+    let ran = place.run(&format!("fetch {job} -o out --partial --json --server {url}")).exits(1);
+    assert_eq!(ran.json()["partial"][0], "out/fog.0001.partial.exr", "{}", ran.stdout());
+    worker.signal("CONT");
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --partial --server {url}")).exits(0);
+    let (partial, whole) =
+        (common::film(&place.path("out/fog.0001.partial.exr")), common::film(&place.path("out/fog.0001.exr")));
+    assert_eq!((partial.width, partial.height), (whole.width, whole.height));
+    let lit = partial.rgb.iter().filter(|value| **value > 0.0).count();
+    assert!(lit > 0 && lit < whole.rgb.len(), "{lit} of {} values", whole.rgb.len());
+    let differs = |(part, whole): (&f32, &f32)| *part > 0.0 && part.to_bits() != whole.to_bits();
+    assert!(!partial.rgb.iter().zip(&whole.rgb).any(differs), "what is there is what it will be");
+}
+
+#[test]
+fn a_task_under_way_lives_through_the_coordinator_s_death() {
+    let place = Place::new();
+    let (mut first, url) = coordinator(&place, 0);
+    let _worker = worker(&place, &url);
+    // Tiles of some seconds.
+    let job = submit(&place, &url, "--spp 1500 --size 32x32 --frames 1");
+    first.wait_until("some samples", || share(&place, &url, &job) > 0.1);
+    let before = share(&place, &url, &job);
+    assert!(before < 0.7 && first.kill(), "it is not over, and the coordinator was alive");
+    let port = url.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
+    let (mut second, url) = coordinator(&place, port);
+    second.wait_until("progress", || share(&place, &url, &job) > before);
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    // The second coordinator has heard of all attempts that ended in its time, each with its lease's epoch.
+    let logs = place.run(&format!("logs {job} --json --server {url}")).exits(0).json();
+    let granted_by = |log: &serde_json::Value| log["epoch"].as_u64().map_or(0, |epoch| epoch >> 40);
+    let of_the_first = logs.as_array().expect("a list").iter().filter(|log| granted_by(log) == 1).count();
+    assert!(of_the_first >= 1, "what was under way began anew: {logs}");
+    let status = place.run(&format!("status {job} --json --server {url}")).exits(0).json();
+    assert_eq!(status["state"], "done");
+}
+
+#[test]
+fn a_worker_that_is_told_to_stop_finishes_its_task_and_leaves_the_rest_to_others() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let mut leaver = worker(&place, &url);
+    let job = submit(&place, &url, SETTINGS);
+    farm.wait_until("a finished frame", || frames_done(&place, &url, &job) >= 1);
+    leaver.signal("TERM");
+    leaver.end().exits(0);
+    let workers = place.run(&format!("workers --json --server {url}")).exits(0).json();
+    assert_eq!(workers.as_array().map(Vec::len), Some(0), "{workers}");
+    let status = place.run(&format!("status {job} --json --server {url}")).exits(0).json();
+    assert!(status["frames_done"].as_u64().is_some_and(|frames| frames < 8), "it is not over yet: {status}");
+    assert!(status["failure"].is_null() && status["quarantined"].as_array().is_some_and(Vec::is_empty), "{status}");
+    let _other = worker(&place, &url);
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    same_as_one_process(&place, SETTINGS);
+}
+
+#[test]
+fn after_an_edit_only_the_changed_files_are_sent() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    // Comments that do not compress away stand for a mesh.
+    let mut state = 1u64;
+    let mut line = |_| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        format!("# {:016x}{:016x}\n", state.rotate_left(7), state.wrapping_mul(state))
+    };
+    place.write("mesh.mgf", &(0..20_000).map(&mut line).collect::<String>());
+    let submit = |brightness: u32| {
+        place.write("main.mgf", &format!("# {brightness}\ni mesh.mgf\n{}", common::FOG));
+        let line = format!("submit main.mgf --spp 4 --frames 1 --json --server {url}");
+        let report = place.run(&line).exits(0).json();
+        let number = |key: &str| report[key].as_u64().expect("a number");
+        (number("job"), number("scene_bytes"), number("sent_bytes"))
+    };
+    let (_, size, first) = submit(300);
+    assert!(first == size && size > 300_000, "{first} of {size} bytes");
+    assert_eq!(submit(300).2, 0, "the same scene again");
+    let (edited, size, sent) = submit(301);
+    println!("{sent} of {size} bytes after the edit");
+    assert!((1..10_000).contains(&sent), "{sent} of {size} bytes");
+    let _worker = place.start(&format!("worker --join {url} --threads 1 --cache pieces --cache-size 1MiB"));
+    place.run(&format!("watch {edited} --server {url}")).exits(0);
+    place.run(&format!("fetch {edited} -o out --server {url}")).exits(0);
+    place.run("render main.mgf -o alone --spp 4 --frames 1").exits(0);
+    let pixels = |folder| common::pixels(&place.path(folder).join("main.0001.exr"));
+    assert_eq!(pixels("out"), pixels("alone"));
+    assert!(names(&place.path("pieces")).len() >= 3, "manifest, mesh and the rest are kept");
+}
+
+#[test]
+fn a_job_without_a_worker_says_so_and_a_client_may_leave_a_watch() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    let job = submit(&place, &url, "--spp 1 --frames 1");
+    let ran = place.run(&format!("status {job} --why --server {url}")).exits(0);
+    assert!(ran.stdout().contains("no worker"), "{}", ran.stdout());
+    let jobs = place.run(&format!("jobs --json --server {url}")).exits(0).json();
+    assert_eq!(jobs[0]["job"].to_string(), job);
+    let mut watch = place.start(&format!("watch {job} --server {url}"));
+    // The watch has no mark of its own that it stands; the signal may come at any time.
+    std::thread::sleep(std::time::Duration::from_millis(300));
+    watch.signal("INT");
+    watch.end().exits(3);
+}
+
+#[test]
+fn a_job_that_does_not_exist_is_wrong_usage() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    for command in ["status 77", "watch 77", "fetch 77 -o out"] {
+        let ran = place.run(&format!("{command} --server {url}")).exits(2);
+        assert!(ran.stderr().contains("77"), "{command}: {}", ran.stderr());
+    }
+}
+
+/// Waits until between a third and two thirds of the samples that a job comes to are drawn.
+fn half_way(place: &Place, farm: &mut Running, url: &str, job: &str, samples: f64) {
+    farm.wait_until("a third of the samples", || drawn(place, url, job) / samples > 0.33);
+    let share = drawn(place, url, job) / samples;
+    println!("killed with {:.0} % of the samples done", 100.0 * share);
+    assert!(share < 0.67, "it is not over yet: {share}");
+}
+
+#[test]
+#[ignore = "minutes: cargo test --release -p femc --test suite -- --ignored --nocapture six_ways"]
+fn six_ways_to_one_frame() {
+    six_ways("--spp 128 --size 192x192");
+}
+
+/// Tiles of 8 to 128 samples a pixel.
+#[test]
+#[ignore = "minutes: cargo test --release -p femc --test suite -- --ignored --nocapture six_ways"]
+fn six_ways_to_one_frame_of_uneven_tiles() {
+    six_ways("--error 0.03 --size 192x192");
+}
+
+/// Renders the frame of a foggy Cornell box in six ways; `FEMC_SIX_WAYS` names another scene.
+fn six_ways(settings: &str) {
+    let place = Place::new();
+    let scene = std::env::var("FEMC_SIX_WAYS")
+        .unwrap_or_else(|_| concat!(env!("CARGO_MANIFEST_DIR"), "/../scenes/cornell-fog.mgf").into());
+    let (mut ways, mut samples) = (Vec::new(), 0.0);
+    for (name, split) in [
+        ("one worker of one thread", "--workers 1 --threads 1"),
+        ("three workers of one thread", "--workers 3 --threads 1"),
+        ("one worker of two threads", "--workers 1 --threads 2"),
+    ] {
+        let ran = place.run(&format!("render {scene} -o one.exr {settings} {split} --json")).exits(0);
+        samples = ran.json()["samples"].as_f64().expect("a number");
+        ways.push((name, common::pixels(&place.path("one.exr"))));
+        std::fs::remove_file(place.path("one.exr")).expect("it was written");
+    }
+    let queue = |url: &str| {
+        let ran = place.run(&format!("submit {scene} {settings} --server {url}")).exits(0);
+        ran.stdout().lines().last().expect("a job id").to_owned()
+    };
+    let get = |url: &str, job: &str, out: &str| {
+        place.run(&format!("watch {job} --server {url}")).exits(0);
+        place.run(&format!("fetch {job} -o {out} --server {url}")).exits(0);
+        let name = names(&place.path(out)).into_iter().find(|name| name.ends_with(".exr")).expect("a frame");
+        common::pixels(&place.path(out).join(name))
+    };
+
+    let (mut farm, url) = coordinator(&place, 0);
+    let mut workers = [worker(&place, &url), worker(&place, &url), worker(&place, &url)];
+    let job = queue(&url);
+    half_way(&place, &mut farm, &url, &job, samples);
+    assert!(workers[1].kill(), "the victim was alive");
+    ways.push(("three worker processes, one killed half way", get(&url, &job, "killed")));
+
+    // Another seed would be another frame; the same job again would be answered from the store: a fresh farm.
+    drop((farm, workers));
+    for name in ["farm.db", "farm.db-wal", "farm.db-mark"] {
+        let _ = std::fs::remove_file(place.path(name));
+    }
+    std::fs::remove_dir_all(place.path("artifacts")).expect("the artifacts");
+    let (mut farm, url) = coordinator(&place, 0);
+    let mut workers = [worker(&place, &url), worker(&place, &url)];
+    let job = queue(&url);
+    half_way(&place, &mut farm, &url, &job, samples);
+    assert!(farm.kill() && workers.iter_mut().all(Running::kill), "all were alive");
+    let port = url.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
+    let (_farm, url) = coordinator(&place, port);
+    let kept = drawn(&place, &url, &job) / samples;
+    println!("{:.0} % of the samples were kept", 100.0 * kept);
+    assert!((0.1..0.67).contains(&kept), "what was acknowledged is kept, the rest is to do: {kept}");
+    let _workers = [worker(&place, &url), worker(&place, &url)];
+    ways.push(("all killed half way and started again", get(&url, &job, "resumed")));
+
+    let line = format!("render {scene} -o clip --frames 1 {settings} --threads 1");
+    let mut render = place.start(&line);
+    let begun = std::time::Instant::now();
+    render.wait_until("some seconds", || begun.elapsed().as_secs() >= 4);
+    assert!(render.kill(), "it was alive");
+    assert!(names(&place.path("clip")).is_empty(), "it had no frame yet");
+    assert!(place.path("clip/.femc").is_dir(), "what it had is kept");
+    place.run(&line).exits(0);
+    let name = names(&place.path("clip")).into_iter().find(|name| name.ends_with(".exr")).expect("a frame");
+    ways.push(("one process, killed and started again", common::pixels(&place.path("clip").join(name))));
+
+    for (name, pixels) in &ways {
+        println!("{}  {name}", common::digest(pixels));
+        assert!(*pixels == ways[0].1, "{name}");
+    }
+}
+
+/// Where the store keeps the image of a frame.
+fn image(place: &Place, fetched: &str) -> std::path::PathBuf {
+    let bytes = std::fs::read(place.path(fetched)).expect("it was fetched");
+    place.path("artifacts").join(femc_store::place(&femc_model::Digest::of(&bytes)).to_string())
+}
+
+#[test]
+fn a_damaged_image_of_a_cancelled_job_is_not_said_to_be_rendered_again_by_itself() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    let mut worker = worker(&place, &url);
+    let job = submit(&place, &url, "--size 64x64 --spp 64 --frames 1..8");
+    worker.wait_until("a frame", || frames_done(&place, &url, &job) > 0);
+    place.run(&format!("cancel {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o part --server {url}")).exits(1);
+    let first = names(&place.path("part")).remove(0);
+    std::fs::write(image(&place, &format!("part/{first}")), b"half").expect("it is cut");
+    std::fs::remove_dir_all(place.path("part")).expect("fetched before");
+    let ran = place.run(&format!("fetch {job} -o part --server {url}")).exits(1);
+    assert!(ran.stderr().contains(&format!("rendered again after `femc retry {job}`")), "{}", ran.stderr());
+}
+
+#[test]
+fn a_damaged_image_is_named_and_its_frame_is_rendered_again_by_fetch_and_by_retry() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    let _worker = worker(&place, &url);
+    let job = submit(&place, &url, SETTINGS);
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    let intact = place.run(&format!("retry {job} --server {url}")).exits(2);
+    assert!(intact.stderr().contains("has ended"), "{}", intact.stderr());
+    let all = names(&place.path("out"));
+    let (cut, flipped) = (format!("out/{}", all[1]), format!("out/{}", all[2]));
+    let (at, whole) = (image(&place, &cut), std::fs::read(image(&place, &cut)).expect("an image"));
+    std::fs::write(at, &whole[..whole.len() / 3]).expect("it is cut");
+    std::fs::remove_dir_all(place.path("out")).expect("fetched before");
+    let ran = place.run(&format!("fetch {job} -o out --server {url}")).exits(1);
+    let said = format!("frame 2 of job {job} ({})", all[1]);
+    assert!(ran.stderr().contains(&said) && ran.stderr().contains("rendered again"), "{}", ran.stderr());
+    assert_eq!(names(&place.path("out")).len(), all.len() - 1, "all others are there");
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+
+    let (at, mut bytes) = (image(&place, &flipped), std::fs::read(place.path(&flipped)).expect("an image"));
+    let middle = bytes.len() / 2;
+    bytes[middle] ^= 1;
+    std::fs::write(at, bytes).expect("it is changed");
+    let ran = place.run(&format!("retry {job} --server {url}")).exits(0);
+    assert!(ran.stderr().contains("frame 3"), "{}", ran.stderr());
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    std::fs::remove_dir_all(place.path("out")).expect("fetched before");
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    same_as_one_process(&place, SETTINGS);
+}

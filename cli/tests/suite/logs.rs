@@ -1,0 +1,57 @@
+//! What workers wrote down, as `femc logs` prints it.
+
+use crate::common;
+use crate::common::{Place, coordinator, submit};
+
+#[test]
+fn every_attempt_has_a_log_and_failures_are_marked_and_outlive_the_coordinator() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let worker = place.start(&format!("worker --join {url} --threads 1 --name lab"));
+    let job = submit(&place, &url, "--spp 2 --frames 1..2");
+    let followed = place.run(&format!("logs {job} --follow --json --server {url}")).exits(0).stdout();
+    let lines: Vec<serde_json::Value> =
+        followed.lines().map(|line| serde_json::from_str(line).expect("a document a line")).collect();
+    assert_eq!(lines.len(), 10, "two frames of four tiles and an image: {followed}");
+    let all = place.run(&format!("logs {job} --json --server {url}")).exits(0).json();
+    assert_eq!(all.as_array().map(Vec::len), Some(10));
+    let one = place.run(&format!("logs {job} 2.0/render.0/3 --server {url}")).exits(0).stdout();
+    let words =
+        ["2.0/render.0/3 on lab: done", "engine", "512 pixel samples", "MiB at most", "rendered", "shadow_rays="];
+    for said in words {
+        assert!(one.contains(said), "{said}: {one}");
+    }
+    let image = place.run(&format!("logs {job}/1.0/image/0 --server {url}")).exits(0).stdout();
+    assert!(image.contains("the frame is put together") && !image.contains("render."), "{image}");
+
+    // A scene that nobody can read.
+    place.write("fog.mgf", &common::FOG.replace("origin 0 -3.4 1", "origin 0 -3.4"));
+    let ran = place.run(&format!("submit fog.mgf --spp 1 --server {url}"));
+    assert_eq!(ran.code(), Some(1), "it is refused before it is submitted");
+    // A worker without memory gives tasks back.
+    place.write("fog.mgf", common::FOG);
+    drop(worker);
+    let other = submit(&place, &url, "--spp 2 --frames 1");
+    let _small = place.start(&format!("worker --join {url} --threads 1 --name small --memory 1M"));
+    let failed = || place.run(&format!("logs {other} --failed --server {url}")).exits(0).stdout();
+    farm.wait_until("a failure", || failed().contains("FAILED"));
+    let text = failed();
+    assert!(text.contains("on small: FAILED") && text.contains("out of resources") && text.contains("WARN"), "{text}");
+
+    assert!(farm.kill(), "it was alive");
+    let port = url.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
+    let (_farm, url) = coordinator(&place, port);
+    let kept = place.run(&format!("logs {job} --json --server {url}")).exits(0).json();
+    assert_eq!(kept.as_array().map(Vec::len), Some(2), "the images: {kept}");
+    assert!(place.run(&format!("logs {other} 1 --failed --server {url}")).exits(0).stdout().contains("FAILED"));
+}
+
+#[test]
+fn logs_of_what_is_not_there_are_wrong_usage() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    for (line, said) in [("logs 77", "77"), ("logs 1 first", "names no task"), ("logs 1/2 3", "twice")] {
+        let ran = place.run(&format!("{line} --server {url}")).exits(2);
+        assert!(ran.stderr().contains(said), "{line}: {}", ran.stderr());
+    }
+}

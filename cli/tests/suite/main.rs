@@ -1,0 +1,36 @@
+//! The program, as people run it: real processes in temporary folders, a module a topic.
+
+mod attacks;
+mod backup;
+mod bench;
+mod common;
+mod config;
+mod deaths;
+mod drill;
+mod encode;
+mod farm;
+mod faults;
+mod fireflies;
+mod gc;
+mod inspect;
+mod interrupt;
+mod logs;
+mod manual;
+mod messages;
+mod metrics;
+mod openjd;
+mod otel;
+mod python;
+mod render;
+mod room;
+mod s3;
+mod scenes;
+mod several;
+mod skew;
+mod stats;
+mod stop;
+mod sweep;
+mod trust;
+mod usage;
+mod watch;
+mod worker;

@@ -1,0 +1,144 @@
+//! What people are told when something is in the way: by its cause, with what to do.
+#![cfg(unix)]
+
+use crate::common;
+use crate::common::{Place, Running, coordinator, submit};
+use std::io::{Read as _, Write as _};
+use std::net::TcpListener;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+
+/// A farm of its own authority, and a user of it.
+fn encrypted(place: &Place) -> (Running, String) {
+    place.run("ca init").exits(0);
+    for holder in ["coordinator farm", "worker w1", "user ann --role submitter", "user eve --role viewer"] {
+        place.run(&format!("ca issue {holder}")).exits(0);
+    }
+    let mut farm = place.start(
+        "coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts artifacts --identity farm.pem --revoked femc-ca/revoked",
+    );
+    let line = farm.first_line();
+    let url = line.split_whitespace().find(|word| word.starts_with("https://")).expect("the address").to_owned();
+    (farm, url)
+}
+
+/// A program that answers as a web server of the old kind does.
+fn web_server() -> String {
+    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let url = format!("http://{}", listener.local_addr().expect("its address"));
+    std::thread::spawn(move || {
+        for mut stream in listener.incoming().flatten() {
+            let _ = stream.read(&mut [0; 256]);
+            let _ = stream.write_all(b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n");
+        }
+    });
+    url
+}
+
+#[test]
+fn who_cannot_be_talked_to_is_not_told_as_a_coordinator_that_was_not_started() {
+    let (place, other) = (Place::new(), Place::new());
+    let (_farm, url) = encrypted(&place);
+    let (_plain, open) = coordinator(&other, 0);
+    other.run("ca init").exits(0);
+    other.run("ca issue user sue --role admin").exits(0);
+    std::fs::copy(other.path("sue.pem"), place.path("sue.pem")).expect("copied");
+    let (as_http, as_https) = (url.replace("https", "http"), open.replace("http", "https"));
+    let web = web_server();
+    for (address, identity, said) in [
+        (&as_http, "", "is encrypted; write https://"),
+        (&as_https, "--identity ann.pem", "is not encrypted"),
+        (&url, "--identity sue.pem", "belongs to another farm"),
+        (&web, "", "is no coordinator"),
+    ] {
+        for command in ["jobs --server", "submit fog.mgf --spp 1 --server", "worker --join"] {
+            let error = place.run(&format!("{command} {address} {identity}")).exits(4).stderr();
+            assert!(error.contains(said) && error.contains(address.as_str()), "{command} {address}: {error}");
+            assert!(!error.contains("start one"), "{command} {address}: {error}");
+        }
+    }
+    let error = place.run("jobs --server 127.0.0.1:7878").exits(2).stderr();
+    assert!(error.contains("http:// or https://") && error.contains("http://127.0.0.1:7878"), "{error}");
+    let error = place.run("worker --join http://127.0.0.1:1 --patience 0.1").exits(4).stderr();
+    assert!(error.contains("start one") && error.contains("--join") && !error.contains("--server"), "{error}");
+}
+
+#[test]
+fn who_takes_connections_and_says_nothing_is_told_and_a_worker_waits_for_it() {
+    let place = Place::new();
+    // As the near end of a tunnel does whose far end is not up yet; after some connections it is gone.
+    let tunnel = TcpListener::bind("127.0.0.1:0").expect("a port");
+    let port = tunnel.local_addr().expect("its address").port();
+    let url = format!("http://127.0.0.1:{port}");
+    let taken = Arc::new(AtomicUsize::new(0));
+    let last = Arc::new(AtomicUsize::new(usize::MAX));
+    let (counted, limit) = (taken.clone(), last.clone());
+    let ends = std::thread::spawn(move || {
+        while counted.load(Ordering::SeqCst) < limit.load(Ordering::SeqCst) {
+            drop(tunnel.accept());
+            counted.fetch_add(1, Ordering::SeqCst);
+        }
+    });
+    let error = place.run(&format!("worker --join {url} --threads 1 --patience 0.1")).exits(4).stderr();
+    assert!(error.contains("says nothing") && error.contains("--join") && error.contains(&url), "{error}");
+    last.store(taken.load(Ordering::SeqCst) + 10, Ordering::SeqCst);
+    let mut worker = place.start(&format!("worker --join {url} --threads 1 --patience 60s --outbox memory"));
+    worker.wait_until("it goes on trying", || ends.is_finished());
+    let (_farm, url) = coordinator(&place, port);
+    let workers = || place.run(&format!("workers --json --server {url}")).exits(0).json();
+    worker.wait_until("it is there", || workers().as_array().is_some_and(|workers| !workers.is_empty()));
+}
+
+#[test]
+fn a_viewer_is_not_told_to_be_a_worker_and_an_owner_that_does_not_count_is_told() {
+    let place = Place::new();
+    let (_farm, url) = encrypted(&place);
+    let error = place.run(&format!("submit fog.mgf --spp 1 --server {url} --identity eve.pem")).exits(1).stderr();
+    assert!(error.contains("role submitter") && !error.contains("worker"), "{error}");
+    let ran = place.run(&format!("submit fog.mgf --spp 1 --owner bob --server {url} --identity ann.pem")).exits(0);
+    assert!(ran.stderr().contains("--owner bob is not heeded") && ran.stderr().contains("ann"), "{}", ran.stderr());
+    let ran = place.run(&format!("submit fog.mgf --spp 1 --owner ann --server {url} --identity ann.pem")).exits(0);
+    assert!(!ran.stderr().contains("heeded"), "{}", ran.stderr());
+}
+
+#[test]
+fn a_watch_says_that_the_coordinator_is_away_and_goes_on_when_it_is_back() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let job = submit(&place, &url, "--spp 4 --frames 1");
+    let mut watch = place.start_as("watch", &format!("watch {job} --json --server {url}"));
+    watch.wait_until("the first status", || place.read("watch.out").contains("\"event\":\"status\""));
+    farm.kill();
+    watch.wait_until("it is told", || place.read("watch.err").contains("has been away for"));
+    assert!(place.read("watch.out").contains("\"event\":\"away\""), "{}", place.read("watch.out"));
+    let port = url.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
+    let (_farm, _) = coordinator(&place, port);
+    watch.wait_until("it is back", || place.read("watch.out").contains("\"event\":\"back\""));
+    let _worker = place.start(&format!("worker --join {url} --threads 1"));
+    watch.end().exits(0);
+    assert!(place.read("watch.err").contains("the watch goes on"), "{}", place.read("watch.err"));
+    for line in place.read("watch.out").lines() {
+        let event: serde_json::Value = serde_json::from_str(line).expect("an object a line");
+        assert!(event["event"].is_string(), "{line}");
+    }
+}
+
+#[test]
+fn why_tells_a_stopped_worker_and_one_without_memory_as_what_they_are() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let job = submit(&place, &url, "--spp 4 --frames 1");
+    let why = || place.run(&format!("status {job} --why --server {url}")).exits(0).stdout();
+    let mut poor = place.start(&format!("worker --join {url} --threads 1 --memory 1MiB"));
+    farm.wait_until("the limit is told", || why().contains("(--memory)"));
+    poor.kill();
+    // Its surroundings leave it nothing to do: the job has no tags that it has.
+    let tagged = submit(&place, &url, "--spp 100000 --frames 1 --tags lab --size 64x64");
+    let mut worker = place.start(&format!("worker --join {url} --threads 1 --tags lab"));
+    let tiles = || common::status(&place, &url, &tagged)["active"][0]["running"].as_u64().unwrap_or(0);
+    farm.wait_until("it works", || tiles() > 0);
+    worker.signal("STOP");
+    let why = || place.run(&format!("status {tagged} --why --server {url}")).exits(0).stdout();
+    farm.wait_until("its silence is told", || why().contains("1 worker has not been heard of for"));
+    assert!(!why().contains("rest"), "{}", why());
+}

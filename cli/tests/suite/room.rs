@@ -1,0 +1,109 @@
+//! A real coordinator on a real disk that is full, on which nobody else writes.
+
+use crate::common;
+use crate::common::http::{free_port, get, metrics};
+use crate::common::{Place, share, status, submit};
+use std::path::Path;
+use std::process::Command;
+
+/// A small disk in memory, until it is dropped.
+struct Disk<'a>(&'a Path);
+
+impl<'a> Disk<'a> {
+    /// `None` where only an administrator may, which is printed.
+    fn mount(at: &'a Path, size: &str) -> Option<Self> {
+        std::fs::create_dir_all(at).expect("a folder");
+        let mount =
+            Command::new("mount").args(["-t", "tmpfs", "-o", &format!("size={size}"), "tmpfs"]).arg(at).output();
+        if mount.is_ok_and(|mount| mount.status.success()) {
+            return Some(Self(at));
+        }
+        println!("skipped: no disk can be mounted here");
+        None
+    }
+
+    /// Writes until there is no room at all.
+    fn fill(&self) {
+        use std::io::Write as _;
+        let mut file = std::fs::File::create(self.0.join("ballast")).expect("a file");
+        for size in [1 << 16, 1 << 12, 1] {
+            while file.write(&vec![1; size]).is_ok_and(|written| written > 0) {}
+        }
+    }
+
+    fn empty(&self) {
+        std::fs::remove_file(self.0.join("ballast")).expect("the file goes");
+    }
+}
+
+impl Drop for Disk<'_> {
+    fn drop(&mut self) {
+        // A test that failed may still have files open there.
+        let _ = Command::new("umount").arg("--lazy").arg(self.0).status();
+    }
+}
+
+#[test]
+fn a_coordinator_whose_log_s_disk_is_full_says_so_and_goes_on_when_there_is_room() {
+    let place = Place::new();
+    let at = place.path("small");
+    let Some(disk) = Disk::mount(&at, "24m") else { return };
+    let port = free_port();
+    let line = "coordinator --listen 127.0.0.1:0 --store sqlite:small/farm.db --artifacts artifacts --keep-free 1MiB";
+    let mut farm = place.start(&format!("{line} --metrics {port}"));
+    let url = farm.address();
+    let job = submit(&place, &url, "--spp 64 --frames 1..6");
+    let _worker = place.start(&format!("worker --join {url} --threads 1 --outbox memory"));
+    farm.wait_until("some samples", || share(&place, &url, &job) > 0.1);
+    disk.fill();
+    farm.wait_until("a full log", || {
+        get(port, "/readyz").is_some_and(|(code, body)| code == 503 && body.contains("room"))
+    });
+    assert_eq!(metrics(port).value("femc_log_waits_for_room", &[]), Some(1.0));
+    farm.wait_until("a look at the disk", || {
+        metrics(port).value("femc_disk_free_bytes", &[("holds", "log")]).is_some_and(|free| free < 1e6)
+    });
+    assert!(get(port, "/healthz").is_some_and(|(code, _)| code == 200), "no restart helps");
+    let ran = place.run(&format!("jobs --server {url}"));
+    assert!(ran.stderr().contains("no room for the log"), "{}", ran.stderr());
+    let ran = place.run(&format!("submit fog.mgf --spp 1 --frames 1 --server {url}")).exits(1);
+    assert!(ran.stderr().contains("takes no new jobs"), "{}", ran.stderr());
+    assert!(farm.is_running());
+    disk.empty();
+    farm.wait_until("room", || get(port, "/readyz").is_some_and(|(code, _)| code == 200));
+    farm.wait_until("the job's end", || status(&place, &url, &job)["state"] == "done");
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    place.run("render fog.mgf -o alone --spp 64 --frames 1..6").exits(0);
+    for frame in common::names(&place.path("alone")) {
+        let same = common::pixels(&place.path("out").join(&frame)) == common::pixels(&place.path("alone").join(&frame));
+        assert!(same, "{frame}");
+    }
+    // Killed and started again: all is there.
+    disk.fill();
+    assert!(farm.kill());
+    disk.empty();
+    let mut farm = place.start(line);
+    let url = farm.address();
+    assert_eq!(status(&place, &url, &job)["state"], "done");
+    drop(farm);
+}
+
+#[test]
+fn a_disk_that_fills_up_is_told_of_by_jobs_before_new_ones_are_refused() {
+    let place = Place::new();
+    let at = place.path("small");
+    let Some(_disk) = Disk::mount(&at, "24m") else { return };
+    let line = "coordinator --listen 127.0.0.1:0 --store sqlite:small/farm.db --artifacts artifacts";
+    let mut farm = place.start(&format!("{line} --keep-free 8MiB"));
+    let url = farm.address();
+    submit(&place, &url, "--spp 1 --frames 1");
+    let ran = place.run(&format!("jobs --server {url}")).exits(0);
+    assert!(ran.stderr().contains("MiB are left for the log"), "{}", ran.stderr());
+    std::fs::write(at.join("ballast"), vec![1; 15 << 20]).expect("there is room");
+    farm.wait_until("a refusal", || {
+        let ran = place.run(&format!("submit fog.mgf --spp 1 --frames 1 --server {url}"));
+        ran.stderr().contains("takes no new jobs")
+    });
+    let ran = place.run(&format!("jobs --server {url}")).exits(0);
+    assert!(ran.stderr().contains("no new jobs are taken until"), "{}", ran.stderr());
+}

@@ -1,0 +1,216 @@
+//! Several coordinators on one PostgreSQL, as processes of their own, with workers and real frames.
+
+use std::collections::BTreeMap;
+use std::net::TcpListener;
+use std::time::Instant;
+
+use crate::common;
+use crate::common::{Place, Running, names};
+use femc_model::{Stage, TaskKey};
+use femc_queue::testing::Scratch;
+use femc_queue::{Postgres, Queue as _, Standby};
+use femc_schedule::Fact;
+
+/// Two coordinators' places, and a database for both.
+struct Farm {
+    place: Place,
+    runtime: tokio::runtime::Runtime,
+    scratch: Scratch,
+    urls: [String; 2],
+}
+
+/// As long as a take-over takes and some more, on two slow cores.
+const SETTINGS: &str = "--spp 64 --size 64x64";
+
+impl Farm {
+    fn new() -> Option<Self> {
+        let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+        let scratch = runtime.block_on(Scratch::new())?;
+        // Free now; who else takes ports here takes others, as the system gives them in turn.
+        let free = [(); 2].map(|()| TcpListener::bind("127.0.0.1:0").expect("a free port"));
+        let urls = free.map(|port| format!("http://{}", port.local_addr().expect("an address")));
+        Some(Self { place: Place::new(), runtime, scratch, urls })
+    }
+
+    fn coordinator(&self, number: usize) -> Running {
+        let (listen, store) = (self.urls[number].trim_start_matches("http://"), self.scratch.url());
+        let line = format!("coordinator --listen {listen} --store {store} --artifacts artifacts");
+        self.place.start_as(&number.to_string(), &line)
+    }
+
+    /// How often a coordinator has begun to lead.
+    fn terms(&self, number: usize) -> usize {
+        self.place.read(&format!("{number}.out")).matches(&format!("listening on {}", self.urls[number])).count()
+    }
+
+    /// How often a coordinator has said that the other leads.
+    fn bows(&self, number: usize) -> usize {
+        self.place
+            .read(&format!("{number}.err"))
+            .matches(&format!("standing by; {} leads", self.urls[1 - number]))
+            .count()
+    }
+
+    fn both(&self) -> String {
+        self.urls.join(",")
+    }
+
+    fn worker(&self, name: &str) -> Running {
+        self.place.start_as(name, &format!("worker --join {} --threads 1", self.both()))
+    }
+
+    fn submit(&self) -> String {
+        let ran = self.place.run(&format!("submit fog.mgf {SETTINGS} --server {}", self.both())).exits(0);
+        ran.stdout().lines().last().expect("a job id").to_owned()
+    }
+
+    /// Share of the samples that are done, as the coordinator of this number has it; `None` if it does not answer.
+    fn share(&self, number: usize, job: &str) -> Option<f64> {
+        let ran = self.place.run(&format!("status {job} --json --server {}", self.urls[number]));
+        (ran.code() == Some(0)).then(|| {
+            let status = ran.json();
+            status["samples"].as_f64().expect("a number") / status["samples_most"].as_f64().expect("a number")
+        })
+    }
+
+    fn workers(&self, number: usize) -> usize {
+        let ran = self.place.run(&format!("workers --json --server {}", self.urls[number])).exits(0);
+        ran.json().as_array().map_or(0, Vec::len)
+    }
+
+    /// Waits until `leader` leads, answers, has its workers back and gets on with the job; prints when that was.
+    fn taken_over(&self, leader: usize, process: &mut Running, terms: usize, workers: usize, job: &str) {
+        let begun = Instant::now();
+        let passed = || begun.elapsed().as_secs_f64();
+        process.wait_until("its term", || self.terms(leader) == terms);
+        let listens = passed();
+        let before = self.share(leader, job).expect("an answer");
+        let answers = passed();
+        process.wait_until("the workers", || self.workers(leader) == workers);
+        let joined = passed();
+        process
+            .wait_until("new samples", || self.share(leader, job).is_some_and(|share| share > before || share == 1.0));
+        println!(
+            "take-over with {:.0} % of the samples done: listens after {listens:.2} s, answers after {answers:.2} s, \
+             has all {workers} workers after {joined:.2} s, new samples after {:.2} s",
+            100.0 * before,
+            passed()
+        );
+        assert!(before < 0.9, "it was not over yet");
+    }
+
+    /// The frames are those of one process, to the bit.
+    fn same_as_one_process(&self, job: &str) {
+        self.place.run(&format!("fetch {job} -o out --server {}", self.both())).exits(0);
+        self.place.run(&format!("render fog.mgf -o alone {SETTINGS}")).exits(0);
+        assert_eq!(names(&self.place.path("out")), names(&self.place.path("alone")));
+        for name in names(&self.place.path("alone")) {
+            let (farm, alone) = (self.place.path("out").join(&name), self.place.path("alone").join(&name));
+            assert_eq!(common::pixels(&farm), common::pixels(&alone), "{name}");
+        }
+    }
+
+    /// By the log, with every coordinator gone: each task of the one job had its effect once, and none is missing.
+    fn each_task_once(&self) {
+        let records = self.runtime.block_on(async {
+            let database = self.scratch.url().parse().expect("an address");
+            let standby = Standby::open(database, "http://test".into(), Postgres::SILENCE).await.expect("a database");
+            let mut queue = standby.lead(|_| ()).await.expect("the lead");
+            queue.load().await.expect("a log").records
+        });
+        let (mut spec, mut effects, mut others, mut terms) = (None, BTreeMap::new(), Vec::new(), 0);
+        for record in &records {
+            match Fact::decode(record).expect("a fact").1 {
+                Fact::Submitted { job, spec: submitted, .. } => spec = Some((job, submitted)),
+                Fact::Done { task, .. } => {
+                    *effects.entry(task).or_insert(0) += 1;
+                }
+                Fact::Opened { .. } => terms += 1,
+                Fact::Logged { .. } | Fact::Built { .. } | Fact::Used { .. } => {}
+                other => others.push(other),
+            }
+        }
+        let (job, spec) = spec.expect("a job");
+        let mut tasks = Vec::new();
+        for &frame in &spec.frames {
+            for (number, template) in spec.graph.iter() {
+                for round in 0..spec.graph.rounds(number) {
+                    let stage = Stage { frame, round, number, kind: template.kind };
+                    tasks.extend((0..template.tasks()).map(|index| TaskKey { job, stage, index }));
+                }
+            }
+        }
+        let lost = tasks.iter().filter(|task| !effects.contains_key(task)).count();
+        let twice = effects.values().filter(|&&count| count > 1).count();
+        println!("{} tasks, {terms} terms: {lost} lost, {twice} done twice with effect", tasks.len());
+        assert_eq!((lost, twice, effects.len()), (0, 0, tasks.len()));
+        assert_eq!(others, [], "nothing failed, was lost or began anew");
+    }
+}
+
+#[test]
+fn a_killed_leader_is_replaced_and_costs_no_pixel() {
+    let Some(farm) = Farm::new() else { return };
+    let mut one = farm.coordinator(0);
+    one.wait_until("its term", || farm.terms(0) == 1);
+    let mut two = farm.coordinator(1);
+    two.wait_until("its bow", || farm.bows(1) == 1);
+    let (_first, _second) = (farm.worker("first"), farm.worker("second"));
+    let job = farm.submit();
+    let mut watch = farm.place.start(&format!("watch {job} --server {}", farm.both()));
+    one.wait_until("some samples", || farm.share(0, &job).is_some_and(|share| share > 0.1));
+    assert_eq!(farm.terms(1), 0, "who stands by does not listen");
+    assert!(one.kill(), "the leader was alive");
+    farm.taken_over(1, &mut two, 1, 2, &job);
+    watch.end().exits(0);
+    farm.same_as_one_process(&job);
+    drop((one, two));
+    farm.each_task_once();
+}
+
+#[test]
+fn a_frozen_leader_is_replaced_stands_by_when_it_wakes_and_leads_again_when_the_other_dies() {
+    let Some(farm) = Farm::new() else { return };
+    let mut one = farm.coordinator(0);
+    one.wait_until("its term", || farm.terms(0) == 1);
+    let mut two = farm.coordinator(1);
+    two.wait_until("its bow", || farm.bows(1) == 1);
+    let (_first, _second) = (farm.worker("first"), farm.worker("second"));
+    let job = farm.submit();
+    let mut watch = farm.place.start(&format!("watch {job} --server {}", farm.both()));
+    one.wait_until("some samples", || farm.share(0, &job).is_some_and(|share| share > 0.1));
+    one.signal("STOP");
+    farm.taken_over(1, &mut two, 1, 2, &job);
+    one.signal("CONT");
+    one.wait_until("its bow", || farm.bows(0) == 1);
+    assert_eq!((farm.terms(0), farm.terms(1)), (1, 1), "it has not led since");
+    assert_eq!(farm.share(0, &job), None, "and does not answer");
+    assert!(two.kill(), "the leader was alive");
+    farm.taken_over(0, &mut one, 2, 2, &job);
+    watch.end().exits(0);
+    farm.same_as_one_process(&job);
+    drop((one, two));
+    farm.each_task_once();
+}
+
+#[test]
+fn a_database_that_does_not_let_one_in_is_told_in_one_line() {
+    let Some(farm) = Farm::new() else { return };
+    let url = farm.scratch.url();
+    let (head, tail) = url.split_once('@').expect("a user");
+    let (user, password) = head.rsplit_once(':').expect("a password");
+    let nobody = farm.urls[0].trim_start_matches("http://");
+    for (store, code, word) in [
+        (format!("{user}:wrong@{tail}"), 1, "password"),
+        (format!("{head}@{}/nowhere", tail.split_once('/').expect("a path").0), 1, "nowhere"),
+        (format!("postgres://ann:{password}@{nobody}/farm"), 1, "is PostgreSQL running there"),
+        ("postgres://host:port/farm".to_owned(), 2, "postgres://user@host"),
+    ] {
+        let ran =
+            farm.place.run(&format!("coordinator --listen 127.0.0.1:0 --store {store} --artifacts a")).exits(code);
+        assert!(ran.stderr().contains(word), "{}", ran.stderr());
+        assert!(!ran.stderr().contains(password) && !ran.stderr().contains("panicked"), "{}", ran.stderr());
+    }
+    let ran = farm.place.run(&format!("coordinator --listen 127.0.0.1:0 --store {url} --artifacts memory")).exits(2);
+    assert!(ran.stderr().contains("share a folder"), "{}", ran.stderr());
+}

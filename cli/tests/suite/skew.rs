@@ -1,0 +1,90 @@
+//! Workers of other versions than their coordinator's. `FEMC_OLD` names an earlier program whose workers are taken, too: see
+//! `tests/skew`.
+
+use crate::common::{Place, Running, coordinator, names, pixels, share, submit, workers};
+use femc_proto::{OLDEST, PROTOCOL};
+use std::process::Command;
+
+const JOB: &str = "--spp 64 --frames 1..3";
+
+/// A worker that says that it is of another version.
+fn worker(place: &Place, url: &str, name: &str, pretends: &str) -> Running {
+    let line = format!("worker --join {url} --threads 1 --name {name} --outbox memory");
+    Running::of(place.command(&line).env("FEMC_PRETEND", pretends))
+}
+
+/// The job's frames are those of one process.
+fn claim_frames(place: &Place, url: &str, job: &str) {
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    place.run(&format!("render fog.mgf -o alone {JOB}")).exits(0);
+    for frame in names(&place.path("alone")) {
+        assert_eq!(pixels(&place.path("out").join(&frame)), pixels(&place.path("alone").join(&frame)), "{frame}");
+    }
+}
+
+/// Of each frame, the workers whose results count.
+fn makers(place: &Place, url: &str, job: &str) -> Vec<(u64, String)> {
+    let attempts = place.run(&format!("stats {job} --by attempt --json --server {url}")).exits(0).json();
+    let done = attempts.as_array().expect("a list").iter().filter(|attempt| attempt["ending"] == "done");
+    let mut makers: Vec<(u64, String)> = done
+        .map(|attempt| {
+            let worker = attempt["worker"].as_str().expect("a name").to_owned();
+            (attempt["frame"].as_u64().expect("a number"), worker)
+        })
+        .collect();
+    makers.sort();
+    makers.dedup();
+    makers
+}
+
+#[test]
+fn a_worker_of_the_oldest_protocol_works_beside_one_of_today() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let _old = match std::env::var_os("FEMC_OLD") {
+        Some(program) => {
+            let line = format!("worker --join {url} --threads 1 --name old --outbox memory");
+            let mut command = Command::new(program);
+            Running::of(command.args(line.split_whitespace()).current_dir(place.path(".")))
+        }
+        None => worker(&place, &url, "old", &format!("protocol={OLDEST},engine=old")),
+    };
+    let _new = worker(&place, &url, "new", "");
+    farm.wait_until("both", || workers(&place, &url).as_array().is_some_and(|all| all.len() == 2));
+    let job = submit(&place, &url, JOB);
+    claim_frames(&place, &url, &job);
+    let makers = makers(&place, &url, &job);
+    assert_eq!(makers.len(), 3, "each frame is one build's: {makers:?}");
+    let names: Vec<&str> = makers.iter().map(|(_, name)| name.as_str()).collect();
+    assert!(names.contains(&"old") && names.contains(&"new"), "both had some: {makers:?}");
+}
+
+#[test]
+fn a_worker_of_a_protocol_too_old_or_too_new_is_refused_and_told_what_to_do() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    for (protocol, said) in [(OLDEST - 1, "upgrade this worker"), (PROTOCOL + 1, "upgrade the coordinator first")] {
+        let error = worker(&place, &url, "other", &format!("protocol={protocol}")).end().exits(1).stderr();
+        assert!(error.contains(said) && error.contains(&format!("{OLDEST} to {PROTOCOL}")), "{protocol}: {error}");
+    }
+    assert_eq!(workers(&place, &url).as_array().map(Vec::len), Some(0));
+}
+
+#[test]
+fn a_frame_begun_by_one_build_waits_for_that_build() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let mut first = worker(&place, &url, "first", "engine=one");
+    let job = submit(&place, &url, "--spp 2000 --frames 1");
+    farm.wait_until("some samples", || share(&place, &url, &job) > 0.05);
+    assert!(first.kill(), "it was at it");
+    let _second = worker(&place, &url, "second", "engine=two");
+    let why = || place.run(&format!("status {job} --why --server {url}")).exits(0).stdout();
+    farm.wait_until("a reason", || why().contains("another build of the engine"));
+    assert_eq!(workers(&place, &url)[0]["engine"], "two");
+    let _third = worker(&place, &url, "third", "engine=one");
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    let names: Vec<String> = makers(&place, &url, &job).into_iter().map(|(_, name)| name).collect();
+    assert!(!names.contains(&"second".to_owned()) && names.contains(&"third".to_owned()), "{names:?}");
+}

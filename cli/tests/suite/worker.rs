@@ -1,0 +1,171 @@
+//! A worker's own life, as a process: what it keeps, what it heeds, when it ends.
+
+use crate::common;
+use crate::common::proxy::Proxy;
+use crate::common::{Place, coordinator, share, status, submit, workers};
+
+/// One tile, some seconds long: it is done in parts.
+const TILE: &str = "--spp 2500 --size 16x16 --frames 1";
+
+/// The results in an outbox.
+fn kept(place: &Place, folder: &str) -> Vec<String> {
+    let names = common::names(&place.path(folder));
+    names.into_iter().filter(|name| name.ends_with(".done")).collect()
+}
+
+#[test]
+fn a_worker_killed_between_a_result_and_its_acknowledgement_brings_the_result_along() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let proxy = Proxy::to(&url);
+    let mut first =
+        place.start(&format!("worker --join {} --threads 1 --tags lab --outbox box --name first", proxy.url));
+    let job = submit(&place, &url, &format!("{TILE} --tags lab"));
+    farm.wait_until("some samples", || share(&place, &url, &job) > 0.05);
+    proxy.freeze();
+    // One may have been on its way.
+    first.wait_until("two finished parts", || kept(&place, "box").len() >= 2);
+    let completed = |name: &str| {
+        let all = workers(&place, &url);
+        let worker = all.as_array().expect("a list").iter().find(|worker| worker["name"] == name);
+        worker.and_then(|worker| worker["completed"].as_u64()).unwrap_or(0)
+    };
+    assert!(first.kill(), "it was alive");
+    assert!(kept(&place, "box").len() >= 2, "they outlive the kill");
+
+    // Without the tag it gets no task of this job: what it brings is what it had.
+    let mut second = place.start(&format!("worker --join {url} --threads 1 --outbox box --name second"));
+    farm.wait_until("a result", || completed("second") >= 1);
+    second.wait_until("an empty outbox", || kept(&place, "box").is_empty());
+    let third = place.start(&format!("worker --join {url} --threads 1 --tags lab --name third"));
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    assert!(completed("third") >= 1, "at least the image was left to do");
+    drop(third);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    place.run(&format!("render fog.mgf -o alone {TILE}")).exits(0);
+    let name = &common::names(&place.path("alone"))[0];
+    assert_eq!(
+        common::pixels(&place.path("out").join(name)),
+        common::pixels(&place.path("alone").join(name)),
+        "the parts of the killed worker are the tile's"
+    );
+}
+
+#[test]
+fn a_drained_worker_gets_nothing_and_says_so_until_that_is_undone() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let _worker = place.start(&format!("worker --join {url} --threads 1 --name lab"));
+    farm.wait_until("a worker", || workers(&place, &url)[0].is_object());
+    let ran = place.run(&format!("drain lap --server {url}")).exits(2);
+    assert!(ran.stderr().contains("there is no worker lap"), "{}", ran.stderr());
+    let ran = place.run(&format!("drain lab --server {url}")).exits(0);
+    assert!(ran.stderr().contains("--undo"), "{}", ran.stderr());
+    assert_eq!(workers(&place, &url)[0]["intake"], "draining");
+    let job = submit(&place, &url, "--spp 1 --frames 1");
+    let why = place.run(&format!("status {job} --why --server {url}")).exits(0).stdout();
+    assert!(why.contains("takes no more tasks"), "{why}");
+    let number = workers(&place, &url)[0]["worker"].to_string();
+    place.run(&format!("drain {number} --undo --server {url}")).exits(0);
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    assert_eq!(workers(&place, &url)[0]["intake"], "open");
+}
+
+/// `HH:MM` so many hours from now, in UTC.
+fn hours_from_now(hours: u64) -> String {
+    let now = std::time::SystemTime::now().duration_since(std::time::UNIX_EPOCH).expect("after 1970").as_secs();
+    let minutes = (now / 60 + hours * 60) % (24 * 60);
+    format!("{:02}:{:02}", minutes / 60, minutes % 60)
+}
+
+#[test]
+fn a_worker_takes_tasks_within_its_hours_alone() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let job = submit(&place, &url, "--spp 1 --frames 1");
+    let start = |begin, end| {
+        let hours = format!("{}-{}", hours_from_now(begin), hours_from_now(end));
+        let mut command = place.command(&format!("worker --join {url} --threads 1 --hours {hours}"));
+        common::Running::of(command.env("TZ", "UTC"))
+    };
+    let mut off = start(2, 20);
+    farm.wait_until("a worker off duty", || workers(&place, &url)[0]["intake"] == "off");
+    let why = place.run(&format!("status {job} --why --server {url}")).exits(0).stdout();
+    assert!(why.contains("takes no more tasks"), "{why}");
+    assert_eq!(workers(&place, &url)[0]["completed"], 0);
+    let _on = start(22, 10);
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    assert!(off.is_running(), "it stays");
+    assert_eq!(workers(&place, &url)[0]["completed"], 0);
+}
+
+#[test]
+fn a_worker_without_a_task_ends_by_itself() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    let mut worker = place.start(&format!("worker --join {url} --threads 1 --idle-exit 700ms"));
+    let job = submit(&place, &url, "--spp 4 --frames 1..3");
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    let ran = worker.end().exits(0);
+    assert!(ran.stderr().contains("no task for so long"), "{}", ran.stderr());
+    assert_eq!(workers(&place, &url).as_array().map(Vec::len), Some(0));
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn a_worker_above_its_limit_of_memory_gives_tasks_back_and_says_why() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let mut small = place.start(&format!("worker --join {url} --threads 1 --memory 1M"));
+    let job = submit(&place, &url, "--spp 1 --frames 1");
+    let why = || place.run(&format!("status {job} --why --server {url}")).exits(0).stdout();
+    farm.wait_until("a rest", || why().contains("rest after a failure"));
+    let large = place.start(&format!("worker --join {url} --threads 1 --memory 4G"));
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    let all = workers(&place, &url);
+    assert_eq!((&all[0]["completed"], &all[1]["completed"]), (&0.into(), &5.into()), "four tiles and the image: {all}");
+    small.signal("TERM");
+    small.end().exits(0);
+    drop(large);
+    let said = farm.kill_for_stderr();
+    assert!(said.contains("MiB are in use") && said.contains("--memory"), "{said}");
+}
+
+#[cfg(target_os = "linux")]
+#[test]
+fn the_threads_that_compute_are_nice_and_those_that_talk_are_not() {
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let worker = place.start(&format!("worker --join {url} --threads 2 --nice 7 --name w"));
+    let job = submit(&place, &url, "--spp 1 --frames 1");
+    farm.wait_until("the job's end", || status(&place, &url, &job)["state"] == "done");
+    let threads = std::fs::read_dir(format!("/proc/{}/task", worker.id())).expect("its threads");
+    let mut niceness: Vec<(String, i32)> = Vec::new();
+    for thread in threads {
+        let Ok(stat) = std::fs::read_to_string(thread.expect("a thread").path().join("stat")) else { continue };
+        let (name, rest) = stat.split_once(") ").expect("a name");
+        // The 19th field of proc(5)'s stat, and the 17th after the name.
+        let nice = rest.split_whitespace().nth(16).and_then(|field| field.parse().ok()).expect("a niceness");
+        niceness.push((name.split_once('(').expect("a name").1.to_owned(), nice));
+    }
+    let of = |part: &str| niceness.iter().filter(|(name, _)| name.contains(part)).map(|(_, nice)| *nice).collect();
+    let (pool, hands, talk): (Vec<i32>, Vec<i32>, Vec<i32>) = (of("w "), of("hand"), of("tokio"));
+    assert_eq!(hands, [7, 7], "{niceness:?}");
+    assert!(pool.len() > 2 && pool.iter().filter(|&&nice| nice == 7).count() >= 4, "{niceness:?}");
+    assert!(!talk.is_empty() && talk.iter().all(|&nice| nice == 0), "{niceness:?}");
+}
+
+#[test]
+fn an_outbox_in_use_is_refused_and_the_default_one_is_not() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    let mut first = place.start(&format!("worker --join {url} --threads 1 --outbox box"));
+    first.wait_until("its folder", || place.path("box/lock").exists() && workers(&place, &url)[0].is_object());
+    let ran = place.run(&format!("worker --join {url} --threads 1 --outbox box")).exits(1);
+    assert!(ran.stderr().contains("--outbox box: another worker uses it"), "{}", ran.stderr());
+    let mut others = [1, 2].map(|_| place.start(&format!("worker --join {url} --threads 1 --name same")));
+    let count = || workers(&place, &url).as_array().map_or(0, Vec::len);
+    others[0].wait_until("both", || count() == 3);
+    let folders = common::names(&place.path(".state/femc/outbox"));
+    assert!(folders.len() == 2 && folders[1].ends_with("same-2"), "{folders:?}");
+}

@@ -1,0 +1,377 @@
+//! What the store damages, and what several send at once.
+
+use std::collections::VecDeque;
+use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+
+use crate::common::{Cut, Proxy};
+use bytes::Bytes;
+use femc_coordinator::{Artifacts, Config, Coordinator, Handle};
+use femc_model::*;
+use femc_proto::{CallError, Client, Incoming, Outgoing};
+use tokio::io::AsyncReadExt as _;
+use tokio::net::{TcpListener, TcpStream};
+
+const MB: u64 = 1_000_000;
+
+async fn farm() -> (tempfile::TempDir, Handle, Client) {
+    let folder = tempfile::tempdir().unwrap();
+    let config = Config { artifacts: Artifacts::Folder(folder.path().join("artifacts")), ..Config::default() };
+    let farm = Coordinator::start(config).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    (folder, farm, client)
+}
+
+/// Bytes in which no piece is like another.
+fn noise(size: u64) -> Bytes {
+    let mut state = size;
+    let word = |_| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 32).to_le_bytes()
+    };
+    (0..size / 8).flat_map(word).collect()
+}
+
+/// Where an artifact lies.
+fn file(folder: &Path, digest: &Digest) -> PathBuf {
+    let name = digest.to_string();
+    folder.join("artifacts").join(&name[..2]).join(&name[2..])
+}
+
+/// What a disk makes of a file: less, nothing, other bytes, more.
+fn harms(whole: &[u8]) -> Vec<Vec<u8>> {
+    let mut flipped = whole.to_vec();
+    flipped[whole.len() / 2] ^= 1;
+    vec![whole[..whole.len() - 1].to_vec(), vec![], flipped, [whole, b"rubbish"].concat()]
+}
+
+fn spec(bundle: Digest) -> JobSpec {
+    JobSpec {
+        name: "fog".into(),
+        bundle,
+        entry: "fog.mgf".into(),
+        settings: "{}".into(),
+        frames: vec![1, 2],
+        grid: Grid { film: [8, 8], tile: 8 },
+        graph: testing::frames(Grid { film: [8, 8], tile: 8 }.sizes(), &[16], 0),
+        contents: vec![],
+        priority: 50,
+        owner: "me".into(),
+        tags: vec![],
+    }
+}
+
+/// A worker that does what the test says.
+struct Hand {
+    client: Client,
+    out: Outgoing,
+    incoming: Incoming,
+    /// What it says the image of every frame is, if not what it makes.
+    image: Option<Artifact>,
+    /// Assigned while it listened for something else.
+    waiting: VecDeque<Assignment>,
+}
+
+impl Hand {
+    async fn join(url: &str) -> Self {
+        let client = Client::connect(url).await.unwrap();
+        let registration = Registration {
+            name: "hand".into(),
+            instance: 1,
+            engine: "e".into(),
+            threads: 1,
+            slots: 1,
+            tags: vec![],
+            held: vec![],
+            died: None,
+        };
+        let (out, incoming) = client.session(registration).await.unwrap();
+        Self { client, out, incoming, image: None, waiting: VecDeque::new() }
+    }
+
+    async fn assigned(&mut self) -> Assignment {
+        if let Some(assignment) = self.waiting.pop_front() {
+            return assignment;
+        }
+        loop {
+            if let ToWorker::Assign(assignment) = self.incoming.next().await.unwrap().expect("the session goes on") {
+                return assignment;
+            }
+        }
+    }
+
+    /// Whether the report counts.
+    async fn report(&mut self, held: &Assignment, result: TaskResult) -> bool {
+        let (task, epoch) = (held.task, held.epoch);
+        self.says(epoch, FromWorker::Completed { task, epoch, result, log: None, usage: None }).await
+    }
+
+    /// Whether what it says of a lease is accepted.
+    async fn says(&mut self, epoch: Epoch, message: FromWorker) -> bool {
+        self.out.send(message).await;
+        loop {
+            match self.incoming.next().await.unwrap().expect("the session goes on") {
+                ToWorker::Accepted { epoch: of, .. } if of == epoch => return true,
+                ToWorker::Revoke { epoch: of, reason: RevokeReason::Expired, .. } if of == epoch => panic!("no answer"),
+                ToWorker::Refused { epoch: of, .. } | ToWorker::Revoke { epoch: of, .. } if of == epoch => {
+                    return false;
+                }
+                ToWorker::Assign(assignment) => self.waiting.push_back(assignment),
+                _ => {}
+            }
+        }
+    }
+
+    /// Does tasks until the job has no more; the images are `image 1`, `image 2`.
+    async fn work(&mut self, id: JobId) {
+        while self.client.status(id).await.unwrap().state != JobState::Done {
+            let held = self.assigned().await;
+            let result = self.result(&held).await;
+            assert!(self.report(&held, result).await);
+        }
+    }
+
+    async fn result(&self, held: &Assignment) -> TaskResult {
+        let bytes = format!("{:?} {}", held.task.stage.kind, held.task.stage.frame);
+        let artifact = self.client.put(Bytes::from(bytes)).await.unwrap();
+        let of = |role, artifact| TaskResult {
+            outputs: vec![Output { role, artifact }],
+            seconds: 0.1,
+            ..TaskResult::default()
+        };
+        match held.task.stage.kind {
+            StageKind::Render => TaskResult { units: held.work.steps.len() as u64 * 64, ..of(Role::Tile, artifact) },
+            _ => TaskResult { decision: Some(Decision::Done), ..of(Role::Image, self.image.unwrap_or(artifact)) },
+        }
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn every_report_is_answered_and_its_log_is_kept() {
+    let (_folder, farm, client) = farm().await;
+    let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
+    let id = client.submit(None, JobSpec { frames: vec![1, 2, 3], ..spec(bundle.digest) }).await.unwrap();
+    let stored = client.put(Bytes::from_static(b"a long log")).await.unwrap();
+    let mut reported = Vec::new();
+    for case in 0..3 {
+        // A worker whose surroundings have failed rests: each is another one.
+        let mut hand = Hand::join(&farm.url()).await;
+        let held = hand.assigned().await;
+        let (task, epoch) = (held.task, held.epoch);
+        let (result, nobody_has) = (hand.result(&held).await, Artifact::of(b"it was never sent"));
+        let outputs = vec![Output { role: Role::Tile, artifact: nobody_has }];
+        let tile = TaskResult { outputs, units: 16 * 64, ..TaskResult::default() };
+        let failure = Failure::Panicked { message: "oops".into() };
+        let log = |attempt, text| Some(TaskLog { attempt, seconds: 0.25, text });
+        let [inline, stored] = [LogText::Inline(format!("log {case}")), LogText::Stored(stored)];
+        let (message, counts) = match case {
+            0 => {
+                let log = log(Attempt::Done, inline);
+                (FromWorker::Completed { task, epoch, result, log, usage: None }, true)
+            }
+            1 => {
+                let (result, log) = (tile, log(Attempt::Done, inline));
+                (FromWorker::Completed { task, epoch, result, log, usage: None }, false)
+            }
+            _ => (FromWorker::Failed { task, epoch, failure, log: log(Attempt::Failed, stored), usage: None }, true),
+        };
+        let (FromWorker::Completed { log, .. } | FromWorker::Failed { log, .. }) = &message else { unreachable!() };
+        reported.push((epoch, log.clone().unwrap()));
+        assert_eq!(hand.says(epoch, message).await, counts, "report {case}");
+    }
+    let mut kept = client.logs(id, Tick(0)).await.unwrap();
+    kept.sort_by_key(|record| record.epoch);
+    assert_eq!(kept.into_iter().map(|record| (record.epoch, record.log)).collect::<Vec<_>>(), reported);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_truncated_artifact_is_wanted_again_by_whoever_offers_it() {
+    let (folder, farm, client) = farm().await;
+    for whole in [Bytes::from_static(b"a tile of some bytes"), noise(9 * MB)] {
+        let artifact = client.put(whole.clone()).await.unwrap();
+        for damaged in harms(&whole) {
+            std::fs::write(file(folder.path(), &artifact.digest), &damaged).unwrap();
+            assert_eq!(client.put(whole.clone()).await.unwrap(), artifact);
+            assert_eq!(client.get_exactly(&artifact).await.unwrap(), whole, "of {} bytes", damaged.len());
+
+            std::fs::write(file(folder.path(), &artifact.digest), &damaged).unwrap();
+            let heard = client.get_exactly(&artifact).await;
+            let is_refused = matches!(
+                heard,
+                Err(CallError::Refused(Refusal::NoSuchArtifact { .. } | Refusal::DigestMismatch { .. }))
+            );
+            assert!(is_refused, "of {} bytes: {heard:?}", damaged.len());
+            assert_eq!(client.missing(&[artifact.digest]).await.unwrap(), [artifact.digest], "it is removed");
+            client.put(whole.clone()).await.unwrap();
+        }
+    }
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_truncated_result_does_not_block_its_job() {
+    let (folder, farm, client) = farm().await;
+    let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
+    let id = client.submit(None, spec(bundle.digest)).await.unwrap();
+    // Before any coordinator has seen it: as one that was put in an earlier life, and cut since.
+    let tile = Digest::of(b"Render 1");
+    std::fs::create_dir_all(file(folder.path(), &tile).parent().unwrap()).unwrap();
+    std::fs::write(file(folder.path(), &tile), b"Ren").unwrap();
+    let mut hand = Hand::join(&farm.url()).await;
+    hand.work(id).await;
+    assert_eq!(client.frames(id).await.unwrap().len(), 2);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_scene_that_the_store_has_cut_is_sent_again_before_its_job_is_taken() {
+    let (folder, farm, client) = farm().await;
+    let pieces: Vec<Bytes> = (0..3).map(|i| Bytes::from(format!("piece {i} of a scene"))).collect();
+    let named = pieces.iter().map(|bytes| Piece { artifact: Artifact::of(bytes), unpacked: 9 }).collect();
+    let manifest = Bytes::from(Manifest { pieces: named, ..Manifest::default() }.encode().unwrap());
+    let scene: Vec<Bytes> = pieces.iter().chain([&manifest]).cloned().collect();
+    client.put_all(&scene).await.unwrap();
+    for part in &scene {
+        std::fs::write(file(folder.path(), &Digest::of(part)), &part[..part.len() - 3]).unwrap();
+        let refused = client.submit(None, spec(Digest::of(&manifest))).await;
+        assert!(matches!(refused, Err(CallError::Refused(Refusal::MissingArtifacts { count: 1, .. }))), "{refused:?}");
+        assert_eq!(client.put_all(&scene).await.unwrap(), part.len() as u64, "just what is damaged");
+        client.submit(None, spec(Digest::of(&manifest))).await.unwrap();
+    }
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_damaged_image_is_found_by_who_fetches_it_and_its_frame_is_rendered_again() {
+    let (folder, farm, client) = farm().await;
+    let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
+    let id = client.submit(None, spec(bundle.digest)).await.unwrap();
+    let mut hand = Hand::join(&farm.url()).await;
+    hand.work(id).await;
+    let before = client.frames(id).await.unwrap();
+    let image = before[1].image().unwrap();
+    let whole = client.get_exactly(&image).await.unwrap();
+    for damaged in harms(&whole).into_iter().map(Some).chain([None]) {
+        let at = file(folder.path(), &image.digest);
+        match damaged {
+            Some(damaged) => std::fs::write(at, damaged).unwrap(),
+            None => std::fs::remove_file(at).unwrap(),
+        }
+        assert!(client.get_exactly(&image).await.is_err());
+        let status = client.status(id).await.unwrap();
+        assert_eq!((status.state, status.frames_done), (JobState::Running, 1), "told before the answer comes");
+        assert!(status.waits.contains(&Wait::ImageLost { frame: 2 }), "{:?}", status.waits);
+        assert_eq!(client.frames(id).await.unwrap(), before[..1]);
+        hand.work(id).await;
+        assert_eq!(client.frames(id).await.unwrap()[1].image(), Some(image));
+        assert_eq!(client.get_exactly(&image).await.unwrap(), whole);
+    }
+    farm.stop().await.unwrap();
+}
+
+/// A connection to `server` that holds back what comes from it after so many bytes, says so, and goes on when it is told.
+async fn held_at(
+    bytes: usize,
+    server: SocketAddr,
+) -> (String, tokio::sync::oneshot::Receiver<()>, tokio::sync::oneshot::Sender<()>) {
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let url = format!("http://{}", listener.local_addr().unwrap());
+    let ((say, said), (go_on, may_go_on)) = (tokio::sync::oneshot::channel(), tokio::sync::oneshot::channel());
+    tokio::spawn(async move {
+        let (mut from_client, mut to_client) = listener.accept().await.unwrap().0.into_split();
+        let (mut from_server, mut to_server) = TcpStream::connect(server).await.unwrap().into_split();
+        tokio::spawn(async move { tokio::io::copy(&mut from_client, &mut to_server).await });
+        tokio::io::copy(&mut (&mut from_server).take(bytes as u64), &mut to_client).await.unwrap();
+        say.send(()).unwrap();
+        may_go_on.await.unwrap();
+        let _ = tokio::io::copy(&mut from_server, &mut to_client).await;
+    });
+    (url, said, go_on)
+}
+
+/// Changes a byte of a file, or changes it back.
+fn flip(file: &Path) {
+    let mut file = std::fs::OpenOptions::new().read(true).write(true).open(file).unwrap();
+    let mut byte = [0];
+    file.read_exact(&mut byte).unwrap();
+    file.seek(SeekFrom::Start(0)).unwrap();
+    file.write_all(&[byte[0] ^ 1]).unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 4)]
+async fn an_image_that_was_read_wrongly_and_is_sound_does_not_begin_its_frame_anew() {
+    let (folder, farm, client) = farm().await;
+    let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
+    let whole = noise(40 * MB);
+    let image = client.put(whole.clone()).await.unwrap();
+    let id = client.submit(None, spec(bundle.digest)).await.unwrap();
+    let mut hand = Hand::join(&farm.url()).await;
+    hand.image = Some(image);
+    hand.work(id).await;
+    let file = file(folder.path(), &image.digest);
+    flip(&file);
+    // More than fits between the two ends is still to be read when the byte is as it was.
+    let (url, held, go_on) = held_at(1 << 20, farm.address()).await;
+    let slow = Client::connect(&url).await.unwrap();
+    let fetch = tokio::spawn(async move { slow.get_exactly(&image).await });
+    held.await.unwrap();
+    flip(&file);
+    go_on.send(()).unwrap();
+    let heard = fetch.await.unwrap();
+    assert!(matches!(heard, Err(CallError::Refused(Refusal::DigestMismatch { .. }))), "{heard:?}");
+    let status = client.status(id).await.unwrap();
+    assert_eq!((status.state, status.frames_done), (JobState::Done, 2), "the store has it");
+    assert_eq!(client.get_exactly(&image).await.unwrap(), whole);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_retry_of_a_job_that_is_done_looks_at_its_images() {
+    let (folder, farm, client) = farm().await;
+    let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
+    let id = client.submit(None, spec(bundle.digest)).await.unwrap();
+    let mut hand = Hand::join(&farm.url()).await;
+    hand.work(id).await;
+    let all_is_well = client.control(id, Control::Retry).await;
+    assert!(matches!(all_is_well, Err(CallError::Refused(Refusal::Ended { .. }))), "{all_is_well:?}");
+    let image = client.frames(id).await.unwrap()[0].image().unwrap();
+    std::fs::write(file(folder.path(), &image.digest), b"half").unwrap();
+    client.control(id, Control::Retry).await.unwrap();
+    let status = client.status(id).await.unwrap();
+    assert_eq!((status.state, status.frames_done), (JobState::Running, 1));
+    hand.work(id).await;
+    assert_eq!(client.get_exactly(&image).await.unwrap().len() as u64, image.bytes);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn all_who_send_the_same_at_once_succeed_and_some_may_die() {
+    let (_folder, farm, client) = farm().await;
+    let bytes = noise(24 * MB);
+    let artifact = Artifact::of(&bytes);
+    let mut senders = Vec::new();
+    for number in 0..6u64 {
+        // Every second one loses its connection on the way, and one is gone for good.
+        let cuts = if number % 2 == 0 { vec![Cut::Up((3 + 2 * number) * MB)] } else { vec![] };
+        let proxy = Proxy::start(farm.address(), &cuts).await;
+        let sender = Client::connect(&proxy.url).await.unwrap();
+        let bytes = bytes.clone();
+        let sending = tokio::spawn(async move {
+            let put = sender.put(bytes).await;
+            (put, proxy.seen.up())
+        });
+        senders.push(sending);
+    }
+    senders.remove(0).abort();
+    let mut sent = 0;
+    for sender in senders {
+        let (put, up) = sender.await.unwrap();
+        assert_eq!(put.unwrap(), artifact);
+        sent += up;
+    }
+    println!("{sent} bytes were sent for {}", bytes.len());
+    assert_eq!(client.get_exactly(&artifact).await.unwrap(), bytes);
+    farm.stop().await.unwrap();
+}

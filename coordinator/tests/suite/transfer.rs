@@ -1,0 +1,95 @@
+//! Large artifacts over connections that break.
+
+use crate::common::{Cut, Proxy};
+use bytes::Bytes;
+use femc_coordinator::{Artifacts, Config, Coordinator, Handle};
+use femc_model::*;
+use femc_proto::{CallError, Client};
+
+const MB: u64 = 1_000_000;
+/// Of the artifact in these tests.
+const SIZE: u64 = 48 * MB;
+/// Most bytes that a cut may cost: what was on its way (4 MiB of window) and a part's framing.
+const COST: u64 = 6 * MB;
+
+/// Bytes in which no piece is like another.
+fn bytes() -> Bytes {
+    let mut state = 1u64;
+    let word = |_| {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 32).to_le_bytes()
+    };
+    (0..SIZE / 8).flat_map(word).collect()
+}
+
+async fn farm() -> (tempfile::TempDir, Handle) {
+    let folder = tempfile::tempdir().unwrap();
+    let config = Config { artifacts: Artifacts::Folder(folder.path().join("artifacts")), ..Config::default() };
+    (folder, Coordinator::start(config).await.unwrap())
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn an_upload_that_is_cut_goes_on_where_it_was() {
+    let (_folder, farm) = farm().await;
+    let cuts = [Cut::Up(30 * MB), Cut::Up(8 * MB), Cut::Up(7 * MB)];
+    let proxy = Proxy::start(farm.address(), &cuts).await;
+    let client = Client::connect(&proxy.url).await.unwrap();
+    let bytes = bytes();
+    let artifact = client.put(bytes.clone()).await.unwrap();
+    assert_eq!(artifact, Artifact { digest: Digest::of(&bytes), bytes: SIZE });
+    assert_eq!(proxy.seen.cuts(), 3, "every cut was made");
+    println!("{} bytes were sent for {SIZE}", proxy.seen.up());
+    assert!(proxy.seen.up() < SIZE + 3 * COST, "{} bytes were sent", proxy.seen.up());
+    let direct = Client::connect(&farm.url()).await.unwrap();
+    assert_eq!(direct.get(&artifact.digest, SIZE).await.unwrap(), bytes);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_download_that_is_cut_goes_on_where_it_was() {
+    let (_folder, farm) = farm().await;
+    let bytes = bytes();
+    let artifact = Client::connect(&farm.url()).await.unwrap().put(bytes.clone()).await.unwrap();
+    let cuts = [Cut::Down(30 * MB), Cut::Down(8 * MB), Cut::Down(7 * MB)];
+    let proxy = Proxy::start(farm.address(), &cuts).await;
+    let client = Client::connect(&proxy.url).await.unwrap();
+    assert_eq!(client.get(&artifact.digest, SIZE).await.unwrap(), bytes);
+    assert_eq!(proxy.seen.cuts(), 3, "every cut was made");
+    println!("{} bytes came for {SIZE}", proxy.seen.down());
+    assert!(proxy.seen.down() < SIZE + 3 * COST, "{} bytes came", proxy.seen.down());
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn another_sender_of_the_same_bytes_goes_on_with_what_is_there() {
+    let (_folder, farm) = farm().await;
+    let bytes = bytes();
+    let proxy = Proxy::start(farm.address(), &[Cut::Up(40 * MB)]).await;
+    let first = Client::connect(&proxy.url).await.unwrap();
+    // It sends until the cut, and is gone then.
+    let sending = tokio::spawn({
+        let bytes = bytes.clone();
+        async move { first.put(bytes).await }
+    });
+    while proxy.seen.cuts() == 0 {
+        tokio::time::sleep(std::time::Duration::from_millis(1)).await;
+    }
+    sending.abort();
+    let rest = Proxy::start(farm.address(), &[]).await;
+    let second = Client::connect(&rest.url).await.unwrap();
+    assert_eq!(second.put(bytes.clone()).await.unwrap().bytes, SIZE);
+    assert_eq!(proxy.seen.cuts(), 1);
+    assert!(rest.seen.up() < SIZE / 2, "it sent {} bytes", rest.seen.up());
+    assert_eq!(second.get(&Digest::of(&bytes), SIZE).await.unwrap(), bytes);
+    farm.stop().await.unwrap();
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_transfer_that_gets_nowhere_is_given_up() {
+    let (_folder, farm) = farm().await;
+    let address = farm.address();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    farm.stop().await.unwrap();
+    let error = client.put(Bytes::from_static(b"a tile")).await.unwrap_err();
+    assert!(matches!(&error, CallError::Unreachable { url, .. } if url.contains(&address.to_string())), "{error}");
+}

@@ -1,0 +1,8 @@
+//! Tiles, frames and files, a module a topic.
+
+mod codec;
+mod exr;
+mod merge;
+mod metrics;
+mod piece;
+mod thumbnail;

@@ -1,0 +1,126 @@
+//! What frames are made from: what counts in each layer, and what does not.
+
+use crate::common::*;
+use femc_math::glam::DVec3;
+use femc_scene::animation::Passage;
+use femc_scene::frame_key::Viewpoint;
+use femc_scene::*;
+
+/// A floor, and on it a thing that moves for a second, stands for two, and moves again; ten frames a second.
+fn scene(interpolation: Interpolation) -> Scene {
+    let mut scene = lit_floor();
+    scene.clip = Some(Clip { start: 0.0, end: 6.0, fps: 10.0 });
+    let keys = [0.0, 1.0, 1.0, 1.0, 2.0, 4.0, 4.5];
+    let keys: Vec<_> = (0..).zip(keys).map(|(time, x)| (f64::from(time), pose(0.0, x, 0.0, 0.0))).collect();
+    scene.paths = vec![path("p", 6, interpolation, &keys)];
+    scene.groups.push(scene.groups[0].clone());
+    let motion = Motion { steps: vec![MotionStep::Along(PathId(0))] };
+    scene.groups[0].instances = vec![Instance { group: GroupId(1), motion }];
+    scene
+}
+
+struct Look {
+    frame: u32,
+    /// How long the shutter is open, s.
+    open: f64,
+    origin: f64,
+    fov: f64,
+}
+
+const LOOK: Look = Look { frame: 15, open: 0.05, origin: 0.0, fov: 40.0 };
+
+fn frame_key(scene: &Scene, look: &Look) -> FrameKey {
+    let camera = Camera { fov: look.fov, ..camera("main", 3) };
+    let time = scene.frame_time(look.frame);
+    let viewpoint = Viewpoint {
+        camera: &camera,
+        film: camera.film,
+        frame: look.frame,
+        shutter: [time, time + look.open],
+        origin: DVec3::X * look.origin,
+    };
+    scene.frame_key(scene.static_digest(), &scene.scalars_at(time).unwrap(), &viewpoint)
+}
+
+#[test]
+fn neither_the_camera_nor_the_origin_counts_in_the_content() {
+    let (scene, far) = (scene(Interpolation::Linear), 300.0);
+    let one = frame_key(&scene, &LOOK);
+    let turned = frame_key(&scene, &Look { fov: 20.0, ..LOOK });
+    assert_eq!((one.content, one.world), (turned.content, turned.world));
+    assert_ne!(one.view, turned.view);
+    let moved = frame_key(&scene, &Look { origin: far, ..LOOK });
+    assert_eq!(one.content, moved.content);
+    assert_ne!(one.world, moved.world, "what is prepared is prepared around the origin");
+}
+
+#[test]
+fn what_stands_while_the_shutter_is_open_counts_with_its_pose_alone() {
+    for interpolation in [Interpolation::Linear, Interpolation::Spline] {
+        let scene = scene(interpolation);
+        let at = |frame: u32, open: f64| frame_key(&scene, &Look { frame, open, ..LOOK });
+        let (one, two) = (at(15, 0.05), at(20, 0.05));
+        assert_eq!((one.content, one.world), (two.content, two.world), "it stands from 1 s to 3 s");
+        assert_ne!(one.view, two.view, "each frame has its own samples");
+        assert_eq!(one.content, at(15, 0.0).content, "closed or open");
+        assert_ne!(one.world, at(15, 0.0).world, "it is prepared as what moves, or as what does not");
+        assert_ne!(one.content, at(4, 0.0).content, "at another place");
+        assert_ne!(at(4, 0.0).content, at(5, 0.0).content);
+        assert_ne!(at(4, 0.05).content, at(5, 0.05).content, "it moves from 0 s to 1 s");
+        assert_ne!(at(15, 0.05).content, at(31, 0.05).content, "it begins to move while the shutter is open");
+        assert_ne!(at(4, 0.05).content, at(4, 0.08).content);
+    }
+}
+
+#[test]
+fn what_is_far_away_in_time_does_not_count_and_what_is_near_does() {
+    // At 0.3 s: the keys of 0 s and 1 s; of a spline that of 2 s, too.
+    for (interpolation, near) in [(Interpolation::Linear, 2), (Interpolation::Spline, 3)] {
+        let look = Look { frame: 4, ..LOOK };
+        let one = frame_key(&scene(interpolation), &look);
+        for key in 0..7 {
+            let mut other = scene(interpolation);
+            other.paths[0].keys[key].pose.translation.y += 1e-9;
+            assert_eq!(frame_key(&other, &look).content == one.content, key >= near, "{interpolation:?}, key {key}");
+        }
+    }
+}
+
+#[test]
+fn every_pose_between_two_times_follows_from_the_passage() {
+    // Numbers that look random enough.
+    let mut state = 1u64;
+    let mut number = || {
+        state = state.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+        (state >> 40) as f64 / f64::from(1 << 24)
+    };
+    let mut still = 0;
+    for round in 0..500 {
+        let interpolation = if round % 2 == 0 { Interpolation::Linear } else { Interpolation::Spline };
+        let mut place = pose(0.0, 0.0, 0.0, 0.0);
+        let mut keys = Vec::new();
+        for time in 0..1 + round % 9 {
+            if number() < 0.5 {
+                place = pose(6.0 * number(), number(), number(), number());
+            }
+            keys.push((f64::from(time), place));
+        }
+        let whole = path("p", 1, interpolation, &keys);
+        let from = (10.0 * number() - 1.0).floor() + if number() < 0.3 { 0.0 } else { number() };
+        let to = from + 2.0 * number();
+        let passage = whole.between([from, to]);
+        still += usize::from(matches!(passage, Passage::Still(_)));
+        for step in 0..=20 {
+            let time = from + (to - from) * f64::from(step) / 20.0;
+            let pose = match passage {
+                Passage::Still(pose) => pose,
+                Passage::Moving(interpolation, keys) => {
+                    let keys: Vec<_> = keys.iter().map(|key| (key.time, key.pose)).collect();
+                    path("p", 1, interpolation, &keys).at(time)
+                }
+            };
+            assert_eq!(pose, whole.at(time), "round {round}, {time} s of {from} to {to}");
+        }
+    }
+    assert!((50..450).contains(&still), "{still}: both happen");
+}

@@ -1,0 +1,12 @@
+//! Descriptions of scenes, a module a topic.
+
+mod animation;
+mod check;
+mod common;
+mod default_camera;
+mod digest;
+mod frame_key;
+mod light_paths;
+mod needs;
+mod selector;
+mod text;

@@ -1,0 +1,75 @@
+//! What a scene needs holds for the whole clip, and each thing spared has its reason.
+
+use crate::common::*;
+use femc_scene::*;
+
+fn needs(scene: &Scene) -> Needs {
+    let (needs, spared) = (scene.needs(&scene.cameras[0]), scene.spared(&scene.cameras[0]));
+    let denied = [needs.media, needs.glossy, needs.textures, needs.motion].iter().filter(|need| !**need).count();
+    assert_eq!(denied, spared.len(), "a reason for each: {spared:?}");
+    needs
+}
+
+#[test]
+fn a_plain_floor_needs_nothing_special() {
+    let scene = lit_floor();
+    assert_eq!(needs(&scene), Needs::default());
+    let reasons: Vec<String> = scene.spared(&scene.cameras[0]).into_iter().map(|spared| spared.reason).collect();
+    assert!(reasons[0].contains("no medium") && reasons[3].contains("`time`"), "{reasons:?}");
+}
+
+#[test]
+fn a_medium_is_needed_once_it_is_placed_and_acts_at_some_time() {
+    let mut scene = lit_floor();
+    scene.media = vec![Medium { sigma_s: 0.0, ..medium("fog", 4) }];
+    assert!(!needs(&scene).media, "defined");
+    scene.regions = vec![MediumRegion { medium: MediumId(0), bounds: RegionBounds::Everywhere, location: line(5) }];
+    assert!(!needs(&scene).media, "placed, but empty");
+    scene.varies =
+        vec![Vary { selector: "medium.fog.glow".into(), location: line(7), keys: vec![(0.0, 0.0), (1.0, 2.0)] }];
+    assert!(needs(&scene).media, "it glows later");
+    scene.varies.clear();
+    scene.regions.clear();
+    scene.media[0].sigma_a = 1.0;
+    scene.materials[0].inside = Some(MediumId(0));
+    assert!(needs(&scene).media, "inside a surface");
+}
+
+#[test]
+fn only_surfaces_that_are_shown_at_some_time_count() {
+    let mut scene = lit_floor();
+    let gloss = Material { rs: tinted(0.2), map_rd: Some(ImageId(0)), ..material("gloss", 5) };
+    scene.images = vec![Image::default()];
+    scene.materials.push(gloss);
+    assert!(!needs(&scene).glossy, "on no surface");
+    scene.objects = vec![Object { hidden: true, ..object("car", None) }];
+    add_face(&mut scene.groups[0], &[[0.0; 3], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]], 2, 9);
+    scene.groups[0].faces[2].object = Some(ObjectId(0));
+    assert!(!needs(&scene).glossy && !needs(&scene).textures, "hidden");
+    scene.varies =
+        vec![Vary { selector: "object.car.hidden".into(), location: line(7), keys: vec![(0.0, 1.0), (1.0, 0.0)] }];
+    assert!(needs(&scene).glossy && needs(&scene).textures, "shown later");
+    let world = std::mem::take(&mut scene.groups[0]);
+    scene.groups.push(world);
+    assert!(!needs(&scene).glossy, "in a group that is placed nowhere");
+}
+
+#[test]
+fn motion_is_needed_when_something_moves_while_the_shutter_is_open() {
+    let mut scene = lit_floor();
+    scene.paths =
+        vec![path("p", 6, Interpolation::Linear, &[(0.0, pose(0.0, 0.0, 0.0, 0.0)), (1.0, pose(1.0, 0.0, 0.0, 0.0))])];
+    scene.cameras[0].along = Some(PathId(0));
+    scene.cameras[0].shutter_close = 0.5;
+    assert!(!needs(&scene).motion, "a still");
+    scene.clip = Some(Clip { start: 0.0, end: 1.0, fps: 10.0 });
+    assert!(needs(&scene).motion);
+    scene.cameras[0].shutter_close = 0.0;
+    assert!(!needs(&scene).motion, "the shutter stays shut");
+    scene.cameras[0] = Camera { shutter_close: 0.5, ..camera("main", 3) };
+    assert!(!needs(&scene).motion, "nothing moves");
+    let steps = vec![MotionStep::Along(PathId(0))];
+    scene.groups[0].instances = vec![Instance { group: GroupId(1), motion: Motion { steps } }];
+    scene.groups.push(Group::default());
+    assert!(needs(&scene).motion);
+}

@@ -1,0 +1,470 @@
+//! Whatever becomes of the files of a log in SQLite, one that opens holds what was acknowledged: killed at every write, with
+//! a bit flipped, short, or without one of them.
+//!
+//! The law: what opens is the model at the end of a batch, not of an earlier one than the last that was acknowledged. Where only
+//! a process was killed, it opens without help. Where a file is damaged, it may be refused instead.
+
+use std::io::{BufRead as _, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
+
+use crate::common::{Chance, Model, Work};
+use femc_queue::{Contents, Loss, Lost, Queue, QueueError, Sqlite};
+use tempfile::TempDir;
+
+/// The files of a log; `None`: not there.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+struct Files {
+    log: Option<Vec<u8>>,
+    ahead: Option<Vec<u8>>,
+    mark: Option<Vec<u8>>,
+}
+
+const ENDS: [&str; 3] = ["", "-wal", "-mark"];
+/// Bytes of a header of the file that SQLite writes ahead, and of a frame with a page of 4096.
+const HEADER: usize = 32;
+const FRAME: usize = 24 + 4096;
+
+fn beside(path: &Path, end: &str) -> PathBuf {
+    let mut name = path.to_owned().into_os_string();
+    name.push(end);
+    name.into()
+}
+
+impl Files {
+    fn of(path: &Path) -> Self {
+        let [log, ahead, mark] = ENDS.map(|end| std::fs::read(beside(path, end)).ok());
+        Self { log, ahead, mark }
+    }
+
+    fn all(&mut self) -> [&mut Option<Vec<u8>>; 3] {
+        [&mut self.log, &mut self.ahead, &mut self.mark]
+    }
+
+    fn put(&self, path: &Path) {
+        for (end, bytes) in ENDS.iter().zip(self.clone().all()) {
+            if let Some(bytes) = bytes {
+                std::fs::write(beside(path, end), bytes).unwrap();
+            }
+        }
+    }
+
+    /// What a start finds in these files.
+    async fn open(&self) -> Result<Contents, QueueError> {
+        self.open_with(Loss::Refused).await
+    }
+
+    async fn open_with(&self, loss: Loss) -> Result<Contents, QueueError> {
+        let folder = scratch();
+        let path = folder.path().join("log");
+        self.put(&path);
+        let mut queue = Sqlite::open_with(&path, loss).await?;
+        let contents = queue.load().await?;
+        queue.close().await?;
+        Ok(contents)
+    }
+}
+
+/// In memory, where there is such a place: a disk's syncs are no part of this.
+fn scratch() -> TempDir {
+    tempfile::tempdir_in("/dev/shm").or_else(|_| tempfile::tempdir()).unwrap()
+}
+
+/// Something that is done to a log.
+#[derive(Debug, Clone)]
+enum Operation {
+    Append(Work),
+    Snapshot(Vec<u8>),
+}
+
+impl Operation {
+    fn by(chance: &mut Chance) -> Self {
+        if chance.below(7) == 0 { Self::Snapshot(chance.bytes(20_000)) } else { Self::Append(Work::by(chance)) }
+    }
+
+    async fn upon(&self, queue: &mut Sqlite, model: &mut Model) {
+        match self {
+            Self::Append(work) => {
+                queue.append(work.batch()).await.unwrap();
+                model.append(work);
+            }
+            Self::Snapshot(state) => {
+                queue.snapshot(state).await.unwrap();
+                model.snapshot(state.clone());
+            }
+        }
+    }
+}
+
+/// What a log is after each of these operations, with its files as a kill would leave them then.
+async fn story(operations: &[Operation]) -> Vec<(Files, Model)> {
+    let folder = scratch();
+    let path = folder.path().join("log");
+    let (mut queue, mut model) = (Sqlite::open(&path).await.unwrap(), Model::default());
+    queue.load().await.unwrap();
+    let mut states = vec![(Files::of(&path), model.clone())];
+    for operation in operations {
+        operation.upon(&mut queue, &mut model).await;
+        states.push((Files::of(&path), model.clone()));
+    }
+    queue.close().await.unwrap();
+    states.push((Files::of(&path), model));
+    states
+}
+
+fn operations(seed: u64, count: usize) -> Vec<Operation> {
+    let mut chance = Chance(seed);
+    (0..count).map(|_| Operation::by(&mut chance)).collect()
+}
+
+fn is(contents: &Contents, model: &Model) -> bool {
+    contents.records == model.records && contents.snapshot == model.snapshot && contents.lost.is_none()
+}
+
+/// The files at moments between two operations, every `step`-th: each write of SQLite goes on where the one before has ended.
+fn between(before: &Files, after: &Files, step: usize) -> Vec<Files> {
+    let (old, new) = (before.ahead.clone().unwrap_or_default(), after.ahead.clone().unwrap_or_default());
+    let same = old.iter().zip(&new).take_while(|(old, new)| old == new).count();
+    let frames = (0..).map(|frame| HEADER + frame * FRAME).take_while(|end| *end <= new.len());
+    let within = [1, 24, 2000, FRAME - 1];
+    let cuts = frames.flat_map(|end| std::iter::once(end).chain(within.map(|more| end + more)));
+    let cuts = cuts.chain([0, 1, 20, HEADER - 1]).filter(|cut| (same..=new.len()).contains(cut)).step_by(step);
+    let mut all: Vec<Files> = cuts
+        .map(|cut| {
+            let ahead = [&new[..cut], old.get(cut..).unwrap_or_default()].concat();
+            Files { ahead: Some(ahead), ..before.clone() }
+        })
+        .collect();
+    // Then pages go into the log itself, one after the other.
+    let (old, new) = (before.log.clone().unwrap_or_default(), after.log.clone().unwrap_or_default());
+    let mut log = old.clone();
+    let pages = (0..new.len()).step_by(4096).filter(|&at| old.get(at..at + 4096) != new.get(at..at + 4096));
+    for (number, at) in pages.enumerate() {
+        log.resize(log.len().max(at + 4096), 0);
+        log[at..at + 4096].copy_from_slice(&new[at..at + 4096]);
+        if number % step > 0 {
+            continue;
+        }
+        for mark in [&before.mark, &after.mark] {
+            all.push(Files { log: Some(log.clone()), ahead: after.ahead.clone(), mark: mark.clone() });
+        }
+    }
+    all.push(Files { mark: before.mark.clone(), ..after.clone() });
+    all
+}
+
+async fn survives_kills(operations: &[Operation], when: &str) {
+    let states = story(operations).await;
+    let mut opened = [0, 0];
+    for (step, pair) in states.windows(2).enumerate().take(operations.len()) {
+        let [(before, acknowledged), (after, under_way)] = pair else { unreachable!("windows of two") };
+        for files in between(before, after, 1) {
+            let contents = files.open().await.unwrap_or_else(|error| panic!("{when}, step {step}: {error}"));
+            let which = [under_way, acknowledged].into_iter().position(|model| is(&contents, model));
+            opened[which.unwrap_or_else(|| panic!("{when}, step {step}: {} records", contents.records.len()))] += 1;
+        }
+    }
+    for (files, model) in &states {
+        model.check(&files.open().await.unwrap(), when);
+    }
+    assert!(opened[0] > 0 && opened[1] > 0, "{opened:?}");
+}
+
+#[tokio::test]
+async fn a_log_that_is_killed_at_any_write_opens_without_help_and_holds_all_that_was_acknowledged() {
+    for seed in 0..4 {
+        survives_kills(&operations(seed, 14), &format!("seed {seed}")).await;
+    }
+}
+
+#[tokio::test]
+#[ignore = "minutes"]
+async fn a_log_that_is_killed_at_any_write_opens_without_help_with_many_seeds() {
+    for seed in 100..160 {
+        survives_kills(&operations(seed, 20), &format!("seed {seed}")).await;
+    }
+}
+
+/// Large enough that SQLite brings pages into the log on its own and begins to write ahead from the start again.
+#[tokio::test]
+async fn a_log_that_is_killed_while_its_pages_are_brought_in_holds_all_that_was_acknowledged() {
+    let large = |byte: u8| Operation::Append(Work { records: vec![vec![byte; 1 << 20]; 3], ..Work::default() });
+    let operations = [large(1), large(2), large(3), Operation::Snapshot(vec![4; 100]), large(5), large(6)];
+    let states = story(&operations).await;
+    let mut is_brought_in = false;
+    for pair in states.windows(2).take(operations.len()) {
+        let [(before, acknowledged), (after, under_way)] = pair else { unreachable!("windows of two") };
+        is_brought_in |= before.log != after.log;
+        for files in between(before, after, 300) {
+            let contents = files.open().await.unwrap();
+            assert!(is(&contents, acknowledged) || is(&contents, under_way));
+        }
+    }
+    assert!(is_brought_in, "SQLite brought no page into the log before its end");
+}
+
+/// The law of damage; whether it was refused.
+async fn judge(files: &Files, model: &Model, what: &str) -> bool {
+    match files.open().await {
+        Ok(contents) => {
+            let counts = (contents.records.len(), model.records.len());
+            assert!(is(&contents, model), "{what}: opens without a word, with {} of {} records", counts.0, counts.1);
+            false
+        }
+        Err(error) => {
+            assert!(!error.to_string().is_empty());
+            true
+        }
+    }
+}
+
+async fn survives_flips(files: &Files, model: &Model, every: usize, when: &str) {
+    for (file, end) in ENDS.iter().enumerate() {
+        let mut damaged = files.clone();
+        let Some(bits) = damaged.all()[file].as_ref().map(|bytes| 8 * bytes.len()) else { continue };
+        let mut refused = 0;
+        // Not always the same bit of a byte.
+        for bit in (0..bits).step_by(every | 1) {
+            let mut damaged = files.clone();
+            if let Some(bytes) = damaged.all()[file] {
+                bytes[bit / 8] ^= 1 << (bit % 8);
+            }
+            refused += usize::from(judge(&damaged, model, &format!("{when}: bit {bit} of log{end}")).await);
+        }
+        assert!(refused > 0 || *end == "-mark", "{when}: no bit of log{end} counts");
+    }
+}
+
+#[tokio::test]
+async fn a_flipped_bit_takes_nothing_that_was_acknowledged_without_a_word() {
+    let states = story(&operations(7, 12)).await;
+    for (files, model) in &states[states.len() - 2..] {
+        survives_flips(files, model, 1500, "seed 7").await;
+    }
+}
+
+#[tokio::test]
+#[ignore = "minutes"]
+async fn a_flipped_bit_takes_nothing_that_was_acknowledged_without_a_word_with_many_seeds() {
+    for seed in 200..212 {
+        let states = story(&operations(seed, 12)).await;
+        for (files, model) in &states[states.len() - 2..] {
+            survives_flips(files, model, 200, &format!("seed {seed}")).await;
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_short_or_missing_file_takes_nothing_that_was_acknowledged_without_a_word() {
+    let states = story(&operations(8, 12)).await;
+    for (files, model) in &states[states.len() - 2..] {
+        for (file, end) in ENDS.iter().enumerate() {
+            let whole = files.clone().all()[file].clone().unwrap_or_default();
+            let steps = (0..whole.len()).step_by(whole.len() / 60 + 1);
+            for length in steps.map(Some).chain([None]) {
+                let mut damaged = files.clone();
+                *damaged.all()[file] = length.map(|length| whole[..length].to_vec());
+                if end.is_empty() && length == Some(0) && files.mark.is_none() {
+                    continue;
+                }
+                judge(&damaged, model, &format!("{length:?} bytes of log{end}")).await;
+            }
+        }
+    }
+}
+
+#[tokio::test]
+async fn an_earlier_file_among_later_ones_takes_nothing_that_was_acknowledged_without_a_word() {
+    let states = story(&operations(9, 12)).await;
+    let (last, model) = &states[states.len() - 2];
+    for (earlier, _) in &states[..states.len() - 2] {
+        for (file, end) in ENDS.iter().enumerate() {
+            let mut mixed = last.clone();
+            mixed.all()[file].clone_from(earlier.clone().all()[file]);
+            let is_refused = judge(&mixed, model, &format!("an earlier log{end}")).await;
+            assert!(!is_refused || *end != "-mark", "an earlier mark asks for less than there is");
+        }
+    }
+}
+
+#[tokio::test]
+async fn a_bit_of_what_is_written_ahead_loses_what_follows_which_is_told_and_may_be_accepted() {
+    let folder = scratch();
+    let path = folder.path().join("log");
+    let mut queue = Sqlite::open(&path).await.unwrap();
+    queue.load().await.unwrap();
+    let incarnation = queue.reserve(1).await.unwrap();
+    for byte in 0..8 {
+        queue.append(femc_queue::Batch::of(&[vec![byte; 3000]])).await.unwrap();
+    }
+    let mut files = Files::of(&path);
+    let ahead = files.ahead.as_mut().unwrap();
+    let middle = ahead.len() / 2;
+    ahead[middle] ^= 4;
+    drop(queue);
+
+    let folder = scratch();
+    let path = folder.path().join("log");
+    files.put(&path);
+    let damaged = files.ahead.clone();
+    for _ in 0..2 {
+        let error = open_at(&path, Loss::Refused).await.map(drop).unwrap_err();
+        let QueueError::Lost { kept, known: 8, .. } = error else { panic!("{error}") };
+        assert!((1..8).contains(&kept));
+        assert_eq!(std::fs::read(beside(&path, "-wal-lost")).ok(), damaged, "nothing is thrown away");
+    }
+    let (mut queue, contents) = open_at(&path, Loss::Accepted).await.unwrap();
+    let Some(Lost { kept, known: Some(8) }) = contents.lost else { panic!("{:?}", contents.lost) };
+    assert_eq!(contents.records.len() as i64, kept);
+    assert!(queue.reserve(1).await.unwrap() > incarnation, "somebody has had it");
+    queue.append(femc_queue::Batch::of(&[vec![9]])).await.unwrap();
+    queue.close().await.unwrap();
+    let (_, contents) = open_at(&path, Loss::Refused).await.unwrap();
+    assert_eq!((contents.records.len() as i64, contents.lost), (kept + 1, None));
+}
+
+/// A connection that is dropped closes behind one's back.
+async fn open_at(path: &Path, loss: Loss) -> Result<(Sqlite, Contents), QueueError> {
+    let mut queue = loop {
+        match Sqlite::open_with(path, loss).await {
+            Err(QueueError::InUse { .. }) => tokio::task::yield_now().await,
+            other => break other?,
+        }
+    };
+    let contents = queue.load().await?;
+    Ok((queue, contents))
+}
+
+#[tokio::test]
+async fn a_log_that_is_gone_while_its_mark_is_there_is_told_of_and_a_closed_one_may_be_moved_alone() {
+    let states = story(&operations(3, 10)).await;
+    let (closed, model) = states.last().unwrap();
+    let gone = Files { mark: closed.mark.clone(), ..Files::default() };
+    assert!(matches!(gone.open().await.unwrap_err(), QueueError::Lost { kept: 0, .. }));
+    assert!(gone.open_with(Loss::Accepted).await.unwrap().lost.is_some());
+    let alone = Files { log: closed.log.clone(), ..Files::default() };
+    model.check(&alone.open().await.unwrap(), "moved");
+    let (killed, _) = &states[states.len() - 2];
+    let alone = Files { log: killed.log.clone(), ..Files::default() };
+    assert!(matches!(alone.open().await.unwrap_err(), QueueError::Unsure { .. }), "it was not closed");
+}
+
+#[tokio::test]
+async fn a_copy_that_is_put_in_the_log_s_place_is_another_log_with_incarnations_of_its_own() {
+    let folder = scratch();
+    let path = folder.path().join("log");
+    let (mut queue, _) = open_at(&path, Loss::Refused).await.unwrap();
+    assert_eq!((queue.reserve(1).await.unwrap(), queue.reserve(1).await.unwrap()), (1, 2), "one after the other");
+    queue.append(femc_queue::Batch::of(&[vec![1]])).await.unwrap();
+    let mut copy = Vec::new();
+    std::io::Read::read_to_end(&mut queue.copy().await.unwrap(), &mut copy).unwrap();
+    queue.append(femc_queue::Batch::of(&[vec![2]])).await.unwrap();
+    queue.close().await.unwrap();
+    for mark in [std::fs::read(beside(&path, "-mark")).ok(), None] {
+        let restored = scratch();
+        let path = restored.path().join("log");
+        Files { log: Some(copy.clone()), ahead: None, mark }.put(&path);
+        let (mut queue, contents) = open_at(&path, Loss::Refused).await.unwrap();
+        assert_eq!((contents.records, contents.lost), (vec![vec![1]], None));
+        let incarnation = queue.reserve(2).await.unwrap();
+        assert!(incarnation > 1000, "more than the log may have had since: {incarnation}");
+        assert_eq!(queue.reserve(2).await.unwrap(), incarnation + 1);
+    }
+}
+
+/// Writes until it is killed, and says what it knows to be durable.
+#[tokio::test]
+async fn child() {
+    let Some(path) = std::env::var_os("FEMC_QUEUE_CHILD") else { return };
+    let mut queue = Sqlite::open(Path::new(&path)).await.unwrap();
+    queue.load().await.unwrap();
+    for number in 0_u32..40 {
+        if number % 16 == 15 {
+            queue.snapshot(&number.to_le_bytes()).await.unwrap();
+        }
+        queue.append(femc_queue::Batch::of(&[number.to_le_bytes().to_vec(), vec![7; 200]])).await.unwrap();
+        println!("durable {number}");
+    }
+    queue.close().await.unwrap();
+}
+
+/// The last batch that was acknowledged, and what opens after that.
+async fn after(command: &mut Command, path: &Path, kill_after: Option<u32>) -> (Option<u32>, Contents) {
+    let mut child = command.env("FEMC_QUEUE_CHILD", path).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().unwrap();
+    let mut durable = None;
+    for line in BufReader::new(child.stdout.take().unwrap()).lines().map_while(Result::ok) {
+        durable = line.rsplit_once("durable ").and_then(|(_, number)| number.parse().ok()).or(durable);
+        if kill_after.is_some() && durable >= kill_after {
+            child.kill().unwrap();
+        }
+    }
+    child.wait().unwrap();
+    (durable, open_at(path, Loss::Refused).await.unwrap().1)
+}
+
+fn holds(durable: Option<u32>, contents: &Contents, when: &str) {
+    let snapshot = contents.snapshot.as_ref().map(|state| u32::from_le_bytes(state[..].try_into().unwrap()));
+    let numbers: Vec<u32> =
+        contents.records.iter().step_by(2).map(|record| u32::from_le_bytes(record[..].try_into().unwrap())).collect();
+    let first = snapshot.unwrap_or(0);
+    let expected: Vec<u32> = (first..).take(numbers.len()).collect();
+    assert_eq!((contents.records.len() % 2, &numbers), (0, &expected), "{when}: whole batches, in order");
+    let there = numbers.last().copied().or_else(|| first.checked_sub(1));
+    assert!(
+        there >= durable && there <= durable.map_or(Some(0), |number| Some(number + 1)),
+        "{when}: {there:?} of {durable:?}"
+    );
+}
+
+#[tokio::test]
+async fn a_process_that_is_killed_at_any_time_loses_nothing_that_it_called_durable() {
+    let folder = scratch();
+    for batch in [0, 1, 7, 14, 15, 16, 30, 39] {
+        let path = folder.path().join(format!("log{batch}"));
+        let mut itself = Command::new(std::env::current_exe().unwrap());
+        let itself = itself.args(["--exact", "crash::child", "--nocapture"]);
+        let (durable, contents) = after(itself, &path, Some(batch)).await;
+        assert!(durable >= Some(batch));
+        holds(durable, &contents, &format!("batch {batch}"));
+    }
+}
+
+/// Killed as it enters its n-th call of the system that changes a file.
+async fn killed_at_calls(calls: impl Iterator<Item = usize>) {
+    let folder = scratch();
+    let changes = "pwrite64,write,fsync,fdatasync,ftruncate,unlink,rename";
+    let strace = |path: &Path, at: usize| {
+        let mut strace = Command::new("strace");
+        strace.args(["-f", "-qq", "-o", "/dev/null", "-P"]).arg(path);
+        for end in ["-wal", "-mark", "-mark.new"] {
+            strace.arg("-P").arg(beside(path, end));
+        }
+        strace.arg("-e").arg(format!("inject={changes}:signal=KILL:when={at}"));
+        strace.arg(std::env::current_exe().unwrap()).args(["--exact", "crash::child", "--nocapture"]);
+        strace
+    };
+    let works = Command::new("strace").args(["-f", "-qq", "true"]).stderr(Stdio::null()).status();
+    if !works.is_ok_and(|status| status.success()) {
+        println!("skipped: strace is not here, or may not trace");
+        return;
+    }
+    let mut cut_short = 0;
+    for call in calls {
+        let path = folder.path().join(format!("log{call}"));
+        let (durable, contents) = after(&mut strace(&path, call), &path, None).await;
+        holds(durable, &contents, &format!("call {call}"));
+        cut_short += usize::from(durable < Some(39));
+    }
+    assert!(cut_short > 0, "nobody was killed");
+}
+
+#[tokio::test]
+async fn a_process_that_is_killed_at_a_call_that_changes_a_file_loses_nothing_that_it_called_durable() {
+    killed_at_calls([1, 2, 3, 5, 8, 13, 21, 34, 55, 89, 144, 200].into_iter()).await;
+}
+
+#[tokio::test]
+#[ignore = "minutes"]
+async fn a_process_that_is_killed_at_every_call_that_changes_a_file_loses_nothing_that_it_called_durable() {
+    killed_at_calls(1..500).await;
+}

@@ -1,0 +1,154 @@
+//! Scene affinity, a sentence each.
+
+use crate::common;
+use crate::common::{Farm, config, job, registration};
+use femc_model::*;
+use femc_schedule::*;
+
+use Decision::{Continue, Done};
+
+/// A farm whose workers hold one task at a time.
+fn farm() -> Farm {
+    Farm::with(Config { prefetch: 0, ..config() })
+}
+
+/// Worker 1 does its task in half a second; returns the job and the frame of it.
+fn step(farm: &mut Farm) -> (u64, u32) {
+    let held = farm.first_of(1);
+    farm.wait(500);
+    farm.complete(1, &held, Done);
+    (held.task.job.0, held.task.stage.frame)
+}
+
+/// How often a worker that keeps the latest two has to make a frame ready.
+fn preparations(frames: &[(u64, u32)]) -> usize {
+    let (mut kept, mut count) = (Vec::new(), 0);
+    for frame in frames {
+        count += usize::from(!kept.contains(frame));
+        kept.retain(|other| other != frame);
+        kept.push(*frame);
+        let surplus = kept.len().saturating_sub(2);
+        kept.drain(..surplus);
+    }
+    count
+}
+
+#[test]
+fn a_worker_stays_for_half_a_minute_with_the_frames_that_it_has_ready_and_owners_get_their_shares_all_the_same() {
+    let mut farm = farm();
+    for owner in ["ann", "bob", "cyd"] {
+        farm.submit(JobSpec { owner: owner.into(), ..job(&[1], 500, &[4]) });
+    }
+    farm.join(1);
+    let done: Vec<(u64, u32)> = (0..600).map(|_| step(&mut farm)).collect();
+    // 300 s; a change at the earliest after 32 s out of turn.
+    assert!((3..=20).contains(&preparations(&done)), "{} preparations", preparations(&done));
+    for job in 1..=3 {
+        let share = done.iter().filter(|(other, _)| *other == job).count() as f64 / 600.0;
+        assert!((share - 1.0 / 3.0).abs() < 0.08, "job {job} has {share}");
+    }
+}
+
+#[test]
+fn a_worker_whose_frame_is_done_goes_on_with_a_scene_that_it_has_read() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..Config::default() });
+    for owner in ["ann", "bob", "cyd"] {
+        farm.submit(JobSpec { owner: owner.into(), ..job(&(1..=200).collect::<Vec<_>>(), 1, &[4]) });
+    }
+    farm.join(1);
+    let mut scenes = Vec::new();
+    while scenes.len() < 120 {
+        let held = farm.first_of(1);
+        if held.task.stage.kind == StageKind::Render {
+            scenes.push((held.task.job.0, 0));
+        }
+        farm.wait(500);
+        farm.complete(1, &held, Done);
+    }
+    // In turn it would be 120.
+    assert!(preparations(&scenes) <= 40, "{} of {scenes:?}", preparations(&scenes));
+}
+
+#[test]
+fn a_scene_whose_job_stands_still_or_that_has_failed_here_is_not_at_hand() {
+    for is_paused in [true, false] {
+        let mut farm = farm();
+        let first = farm.submit(JobSpec { owner: "ann".into(), ..job(&[1], 12, &[4]) });
+        farm.join(1);
+        farm.join(2);
+        assert_eq!(step(&mut farm), (1, 1));
+        farm.submit(JobSpec { owner: "bob".into(), ..job(&[1], 9, &[4]) });
+        match is_paused {
+            true => {
+                farm.control(first, Control::Pause);
+                assert_eq!(step(&mut farm), (1, 1), "what it has it may end");
+            }
+            false => (0..3).for_each(|_| {
+                let held = farm.first_of(1);
+                if held.task.job == first {
+                    farm.fail(1, &held, common::panic());
+                }
+            }),
+        }
+        assert_eq!((0..4).map(|_| step(&mut farm).0).collect::<Vec<_>>(), [2; 4], "paused: {is_paused}");
+    }
+}
+
+#[test]
+fn two_frames_that_are_both_ready_are_served_in_turn() {
+    let mut farm = farm();
+    for owner in ["ann", "bob"] {
+        farm.submit(JobSpec { owner: owner.into(), ..job(&[1], 200, &[4]) });
+    }
+    farm.join(1);
+    let done: Vec<(u64, u32)> = (0..220).map(|_| step(&mut farm)).collect();
+    let late = &done[200..];
+    assert_eq!(late.iter().filter(|(job, _)| *job == 1).count(), 10, "{late:?}");
+    assert_eq!(preparations(&done), 2);
+}
+
+#[test]
+fn a_job_of_more_priority_goes_first_whatever_is_ready() {
+    let mut farm = farm();
+    farm.submit(job(&[1], 100, &[4]));
+    farm.join(1);
+    step(&mut farm);
+    step(&mut farm);
+    farm.submit(JobSpec { priority: 60, ..job(&[1], 100, &[4]) });
+    step(&mut farm);
+    assert_eq!((0..5).map(|_| step(&mut farm).0).collect::<Vec<_>>(), [2; 5]);
+}
+
+#[test]
+fn a_round_that_begins_anew_does_not_call_a_worker_away_from_its_frame() {
+    let mut farm = farm();
+    farm.submit(job(&(1..=12).collect::<Vec<_>>(), 6, &[4, 8, 12, 16]));
+    (1..=4).for_each(|worker| drop(farm.join(worker)));
+    // While a frame is merged the workers begin the next; then there are tiles of its next round.
+    let mut frames = Vec::new();
+    while let Some((worker, held)) = farm.held.first().cloned() {
+        farm.wait(500);
+        if held.task.stage.kind == StageKind::Render {
+            frames.push((worker.0, held.task.stage.frame));
+        }
+        farm.complete(worker.0, &held, Continue);
+    }
+    assert_eq!(frames.len(), 12 * 6 * 4, "{frames:?}");
+    let of = |worker| frames.iter().filter(|(other, _)| *other == worker).copied().collect::<Vec<_>>();
+    let sum: usize = (1..=4).map(|worker| preparations(&of(worker))).sum();
+    // 92 by order of frames alone.
+    assert!(sum <= 70, "{sum} preparations: {frames:?}");
+}
+
+#[test]
+fn what_a_worker_may_not_take_is_not_at_hand() {
+    let mut farm = farm();
+    farm.submit(JobSpec { owner: "ann".into(), tags: vec!["lab".into()], ..job(&[1], 9, &[4]) });
+    farm.submit(JobSpec { owner: "bob".into(), ..job(&[1], 9, &[4]) });
+    farm.join_as(1, Registration { instance: 1, ..registration() });
+    assert_eq!((0..9).map(|_| step(&mut farm).0).collect::<Vec<_>>(), [2; 9]);
+    farm.control(JobId(2), Control::Pause);
+    assert_eq!(farm.tasks_of(1).len(), 1, "the merge that it has");
+    step(&mut farm);
+    assert_eq!(farm.tasks_of(1), []);
+}

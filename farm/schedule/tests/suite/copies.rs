@@ -1,0 +1,220 @@
+//! Tasks that take too long are done twice, a sentence each.
+
+use crate::common;
+use crate::common::{Farm, job, panic, result_in};
+use femc_model::*;
+use femc_schedule::*;
+
+use Decision::Done;
+
+/// Two workers, a job of three tiles; the first is done in a second, the second hangs at worker 1, worker 2 is idle.
+fn at_the_tail() -> (Farm, JobId, Assignment) {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 2, &[4]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    wait(&mut farm, 1_000);
+    farm.complete_with(1, &held, result_in(&held, Done, 1.0));
+    farm.join(2);
+    let late = farm.first_of(1);
+    assert_eq!((late.copy_of, farm.tasks_of(2)), (None, vec![]));
+    (farm, id, late)
+}
+
+/// Time goes by, and all workers are there.
+fn wait(farm: &mut Farm, milliseconds: u64) -> Vec<Command> {
+    let (mut commands, mut left) = (vec![], milliseconds);
+    while left > 0 {
+        let step = left.min(500);
+        left -= step;
+        for worker in farm.scheduler.workers(farm.now) {
+            commands.extend(farm.heartbeat(worker.worker.0, Phase::Working, farm.now.0));
+        }
+        commands.extend(farm.wait(step));
+    }
+    commands
+}
+
+/// The copy that worker 2 gets.
+fn copy(farm: &mut Farm) -> Assignment {
+    wait(farm, 2_500);
+    farm.first_of(2)
+}
+
+fn counts(commands: &[Command]) -> bool {
+    commands.iter().any(|command| matches!(command, Command::Record(_)))
+}
+
+fn revoked(commands: &[Command], lease: &Assignment) -> bool {
+    commands
+        .iter()
+        .any(|c| matches!(c, Command::Revoke { epoch, reason: RevokeReason::Done, .. } if *epoch == lease.epoch))
+}
+
+#[test]
+fn a_late_task_is_given_to_an_idle_worker_and_the_first_result_counts_and_the_other_changes_nothing() {
+    for the_copy_wins in [false, true] {
+        let (mut farm, id, late) = at_the_tail();
+        wait(&mut farm, 1_000);
+        assert_eq!(farm.tasks_of(2), [], "twice the expected time is not late yet");
+        let copy = copy(&mut farm);
+        assert_eq!((copy.task, copy.copy_of, &copy.work), (late.task, Some(late.epoch), &late.work));
+        farm.join(3);
+        wait(&mut farm, 5_000);
+        assert_eq!(farm.tasks_of(3), [], "there is one copy, no more");
+        let (first, second) = if the_copy_wins { ((2, &copy), (1, &late)) } else { ((1, &late), (2, &copy)) };
+        let commands = farm.complete(first.0, first.1, Done);
+        assert!(counts(&commands) && revoked(&commands, second.1), "{commands:?}");
+        let commands = farm.complete(second.0, second.1, Done);
+        assert!(!counts(&commands), "{commands:?}");
+        let status = farm.status(id);
+        assert_eq!((status.active[0].tiles_done, status.copies), (2, 1));
+    }
+}
+
+#[test]
+fn nobody_gets_a_copy_while_there_is_other_work_or_before_one_knows_how_long_it_takes() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 1, &[4]));
+    (1..=2).for_each(|worker| drop(farm.join(worker)));
+    wait(&mut farm, 60_000);
+    assert_eq!(farm.tasks_of(2), [], "nobody knows");
+
+    let (mut farm, _, late) = at_the_tail();
+    farm.submit(job(&[1], 1, &[4]));
+    wait(&mut farm, 60_000);
+    assert!(farm.held.iter().all(|(_, held)| held.copy_of.is_none()), "worker 2 has the other job's task");
+    let other = farm.first_of(2);
+    assert_ne!(other.task.job, late.task.job);
+    farm.complete(2, &other, Done);
+    let merge = farm.first_of(2);
+    farm.complete(2, &merge, Done);
+    wait(&mut farm, 500);
+    assert_eq!(farm.first_of(2).copy_of, Some(late.epoch));
+}
+
+#[test]
+fn a_task_is_late_after_two_seconds_and_more_than_twice_what_it_was_expected_to_take() {
+    for (expected, not_yet, late) in [(5_000, 10_000, 10_500), (100, 2_000, 2_500)] {
+        let mut farm = Farm::with(Config { prefetch: 0, ..common::config() });
+        farm.submit(job(&[1], 2, &[4]));
+        farm.join(1);
+        let held = farm.first_of(1);
+        wait(&mut farm, expected);
+        farm.complete_with(1, &held, result_in(&held, Done, expected as f64 / 1000.0));
+        farm.join(2);
+        let granted = farm.now;
+        wait(&mut farm, not_yet);
+        assert_eq!(farm.tasks_of(2), [], "{expected} ms were expected, {} went by", farm.now.since(granted));
+        wait(&mut farm, late - not_yet);
+        assert_eq!(farm.tasks_of(2).len(), 1, "{expected} ms were expected, {} went by", farm.now.since(granted));
+    }
+}
+
+#[test]
+fn a_group_that_takes_too_long_to_gather_is_gathered_twice() {
+    let mut farm = Farm::new();
+    farm.submit(common::grouped(&[1], 4, &[4], 2));
+    farm.join(1);
+    let is_gathered = |held: &Assignment| held.task.stage.kind == StageKind::Reduce;
+    let mut gathered = 0;
+    while gathered == 0 || !is_gathered(&farm.first_of(1)) {
+        let held = farm.first_of(1);
+        gathered += usize::from(is_gathered(&held));
+        wait(&mut farm, 500);
+        farm.complete(1, &held, Done);
+    }
+    farm.join(2);
+    let late = farm.first_of(1);
+    wait(&mut farm, 5_000);
+    assert_eq!(farm.first_of(2).copy_of, Some(late.epoch), "{:?}", farm.held);
+}
+
+#[test]
+fn nobody_gets_a_copy_while_workers_come_back_to_a_coordinator_that_has_begun_anew() {
+    let mut farm = Farm::with(Config { regroup: 60_000, ..common::config() });
+    farm.submit(job(&[1], 2, &[4]));
+    farm.join(1);
+    let held = farm.held.iter().map(|(_, held)| held.clone()).collect::<Vec<_>>();
+    farm.restart();
+    farm.rejoin(2, &held);
+    wait(&mut farm, 1_000);
+    farm.complete(2, &held[0], Done);
+    farm.join(3);
+    wait(&mut farm, 10_000);
+    assert_eq!(farm.tasks_of(3), [], "others may still come back");
+    wait(&mut farm, 60_000);
+    assert!(!farm.tasks_of(3).is_empty());
+}
+
+#[test]
+fn a_failure_of_one_of_two_is_no_attempt_and_the_other_goes_on() {
+    for the_copy_fails in [false, true] {
+        let (mut farm, id, late) = at_the_tail();
+        let copy = copy(&mut farm);
+        let (bad, good) = if the_copy_fails { ((2, &copy), (1, &late)) } else { ((1, &late), (2, &copy)) };
+        assert!(!counts(&farm.fail(bad.0, bad.1, panic())));
+        assert!(farm.held.iter().all(|(_, held)| held.task != late.task || held.epoch == good.1.epoch));
+        assert!(counts(&farm.fail(good.0, good.1, panic())), "the last one counts");
+        assert_eq!(farm.status(id).quarantined, []);
+    }
+}
+
+#[test]
+fn a_worker_that_leaves_leaves_the_task_to_the_other() {
+    for the_copy_leaves in [false, true] {
+        let (mut farm, _, late) = at_the_tail();
+        let copy = copy(&mut farm);
+        let (gone, stays) = if the_copy_leaves { (2, (1, &late)) } else { (1, (2, &copy)) };
+        farm.leave(gone);
+        farm.join(4);
+        assert_eq!(farm.tasks_of(4), [], "it is not ready");
+        assert!(counts(&farm.complete(stays.0, stays.1, Done)));
+    }
+}
+
+#[test]
+fn a_worker_that_starts_again_keeps_its_lease_although_there_is_a_copy() {
+    for the_copy_returns in [false, true] {
+        let (mut farm, _, late) = at_the_tail();
+        let copy = copy(&mut farm);
+        let lease = if the_copy_returns { &copy } else { &late };
+        let commands = farm.rejoin(5, std::slice::from_ref(lease));
+        assert!(!commands.iter().any(|c| matches!(c, Command::Revoke { .. })), "{commands:?}");
+        assert!(counts(&farm.complete(5, lease, Done)));
+    }
+}
+
+#[test]
+fn a_cancelled_job_recalls_both() {
+    let (mut farm, id, late) = at_the_tail();
+    let copy = copy(&mut farm);
+    let commands = farm.control(id, Control::Cancel);
+    let is_recalled = |lease: &Assignment| {
+        commands.iter().any(|c| matches!(c, Command::Revoke { epoch, .. } if *epoch == lease.epoch))
+    };
+    assert!(is_recalled(&late) && is_recalled(&copy));
+}
+
+#[test]
+fn a_merge_that_misses_a_tile_ends_its_copy_too() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1, 2], 1, &[4]));
+    farm.join(1);
+    while farm.scheduler.frames(JobId(1)).unwrap().is_empty() {
+        let held = farm.first_of(1);
+        farm.complete_with(1, &held, result_in(&held, Done, 0.1));
+    }
+    let merge = farm.first_of(1);
+    farm.join(2);
+    wait(&mut farm, 3_000);
+    let copy = farm.first_of(2);
+    assert_eq!(copy.copy_of, Some(merge.epoch));
+    let first = merge.work.artifacts().next().unwrap();
+    let lost = Failure::LostInputs { digests: vec![first.digest], message: "gone".into() };
+    farm.fail(1, &merge, lost);
+    assert!(farm.held.iter().all(|(_, held)| held.epoch != copy.epoch), "it would miss the same");
+    assert!(!counts(&farm.complete(2, &copy, Done)));
+    let again: Vec<StageKind> = farm.held.iter().map(|(_, held)| held.task.stage.kind).collect();
+    assert_eq!(again, [StageKind::Render]);
+}

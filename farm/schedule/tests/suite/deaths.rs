@@ -1,0 +1,205 @@
+//! Tasks of which workers die.
+
+use crate::common::{Farm, config, job, registration};
+use femc_model::*;
+use femc_schedule::*;
+
+use Decision::Done;
+
+fn named(name: &str, instance: u64) -> Registration {
+    Registration { name: name.into(), instance, ..registration() }
+}
+
+fn died(commands: &[Command]) -> usize {
+    commands.iter().filter(|command| matches!(command, Command::Record(Fact::Died { .. }))).count()
+}
+
+/// Time goes by while the workers that are there say what they do.
+fn passes(farm: &mut Farm, milliseconds: u64) -> Vec<Command> {
+    let mut all = Vec::new();
+    for _ in 0..milliseconds / 1_000 {
+        farm.now = farm.now.after(1_000);
+        for worker in farm.scheduler.workers(farm.now) {
+            all.extend(farm.heartbeat(worker.worker.0, Phase::Working, farm.now.0));
+        }
+        all.extend(farm.wait(0));
+    }
+    all
+}
+
+#[test]
+fn a_task_that_kills_its_worker_is_put_aside_after_five_deaths_and_the_job_goes_on_and_a_retry_runs_just_that() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1, 2], 1, &[4]));
+    farm.join(1);
+    let deadly = farm.first_of(1);
+    for life in 1..=5 {
+        let held = farm.held.iter().find(|(_, held)| held.task == deadly.task).expect("it is leased again").1.clone();
+        assert_eq!(farm.status(id).quarantined, [], "{life}");
+        let before = 10 * (life - 1) + u64::from(life == 1);
+        assert_eq!(died(&farm.reborn(10 * life, before, &[held])), 1);
+        // The coordinator's own death changes nothing.
+        if life == 3 {
+            farm.restart();
+            farm.join_as(31, named("w", 30));
+        }
+        if life == 3 {
+            farm.leave(31);
+            farm.join(30);
+        }
+    }
+    let status = farm.status(id);
+    let failure = Failure::Killed { deaths: 5, worker: "w".into() };
+    assert_eq!(status.quarantined, [Quarantined { task: deadly.task, attempts: 5, failure: failure.clone() }]);
+    assert_eq!(failure.to_string(), "workers died 5 times while they computed it; the last was w");
+    while farm.state(id) == JobState::Running {
+        farm.work(50, Done);
+    }
+    assert_eq!((farm.state(id), farm.status(id).frames_done), (JobState::Failed, 1));
+    farm.restart();
+    assert_eq!(farm.status(id).quarantined.len(), 1);
+    farm.join(60);
+    farm.control(id, Control::Retry);
+    farm.work(60, Done);
+    farm.work(60, Done);
+    assert_eq!(farm.state(id), JobState::Done);
+}
+
+#[test]
+fn a_death_that_is_told_twice_counts_once_and_that_of_a_task_that_is_done_or_of_another_farm_not_at_all() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 2, &[4]));
+    farm.join(1);
+    let (first, second) = (farm.held[0].1.clone(), farm.held[1].1.clone());
+    farm.complete(1, &first, Done);
+    assert_eq!(died(&farm.reborn(2, 1, &[first, second.clone()])), 1, "the one that is done is innocent");
+    for life in 3..20 {
+        farm.leave(life - 1);
+        farm.reborn(life, 1, std::slice::from_ref(&second));
+    }
+    assert_eq!(farm.status(id).quarantined, []);
+    let other = HeldLease { job: Digest::of(b"another"), ..farm.lease(&second) };
+    let death = Death { instance: 3, computing: vec![HeldLease { epoch: Epoch(7), ..other }] };
+    assert_eq!(died(&farm.join_as(30, Registration { died: Some(death), ..named("w", 30) })), 0);
+}
+
+#[test]
+fn presumed_deaths_put_a_task_aside_when_they_are_of_several_workers_and_not_when_they_are_of_one() {
+    for (names, is_put_aside) in [(["a", "b", "c", "a", "b"], true), (["a"; 5], false)] {
+        let mut farm = Farm::new();
+        let id = farm.submit(job(&[1], 1, &[4]));
+        for (life, name) in names.into_iter().enumerate() {
+            let worker = life as u64 + 1;
+            farm.join_as(worker, named(name, worker));
+            assert_eq!(farm.tasks_of(worker).len(), 1);
+            farm.wait(100);
+            farm.leave(worker);
+            passes(&mut farm, 20_000);
+        }
+        assert_eq!(farm.status(id).quarantined.len(), usize::from(is_put_aside), "{names:?}");
+        farm.restart();
+        assert_eq!(farm.status(id).quarantined.len(), usize::from(is_put_aside), "{names:?}");
+    }
+}
+
+#[test]
+fn lost_links_drains_and_tasks_that_wait_do_not_count_as_deaths() {
+    let mut farm = Farm::with(Config { prefetch: 1, ..config() });
+    let id = farm.submit(job(&[1], 2, &[4]));
+    for round in 0..20 {
+        // Two processes come back again and again: at once, or after they had been given up.
+        let (worker, process) = (round + 1, round % 2);
+        farm.join_as(worker, named(&format!("w{process}"), process));
+        farm.wait(100);
+        farm.leave(worker);
+        passes(&mut farm, if round % 3 == 0 { 40_000 } else { 0 });
+    }
+    assert_eq!(farm.status(id).quarantined, []);
+    passes(&mut farm, 40_000);
+    for round in 100..120 {
+        farm.join_as(round, named(&format!("w{round}"), round));
+        farm.on(Event::Drained { worker: WorkerId(round), drain: Drain::Begin });
+        farm.wait(100);
+        farm.leave(round);
+        assert_eq!(died(&passes(&mut farm, 20_000)), 0, "drained");
+    }
+    // Of two tasks the one that waited is innocent.
+    farm.join_as(200, named("x", 200));
+    let waiting = farm.held[1].1.task;
+    farm.leave(200);
+    passes(&mut farm, 20_000);
+    let died = farm.log.iter().filter_map(|(_, fact)| match fact {
+        Fact::Died { task, casualty, .. } if casualty.worker == "x" => Some(*task),
+        _ => None,
+    });
+    let died: Vec<TaskKey> = died.collect();
+    assert!(died.len() == 1 && died[0] != waiting, "{died:?}");
+}
+
+#[test]
+fn a_worker_that_died_of_a_task_does_not_get_it_again_while_another_is_free() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    farm.on(Event::Joined { worker: WorkerId(2), registration: named("other", 2) });
+    farm.on(Event::Draining { worker: WorkerId(2) });
+    farm.reborn(3, 1, &[held]);
+    assert_eq!(farm.tasks_of(3).len(), 1, "alone, it may try again");
+    let held = farm.first_of(3);
+    farm.on(Event::Available { worker: WorkerId(2) });
+    farm.reborn(4, 3, &[held]);
+    assert_eq!((farm.tasks_of(4).len(), farm.tasks_of(2).len()), (0, 1));
+}
+
+#[test]
+fn a_death_counts_against_every_part_of_its_lease_and_then_each_part_stands_alone() {
+    let grain = std::num::NonZeroU64::new(64).unwrap();
+    let mut farm = Farm::with(Config { grain, prefetch: 0, task: 60_000, least_task: 60_000, ..config() });
+    let id = farm.submit(job(&[1], 1, &[8]));
+    farm.join(1);
+    farm.now = farm.now.after(10);
+    farm.work(1, Done);
+    let held = farm.first_of(1);
+    assert_eq!(held.work.steps, 1..8, "all that is left");
+    farm.reborn(2, 1, std::slice::from_ref(&held));
+    // The third sample is the deadly one.
+    let mut deaths = 1;
+    while farm.state(id) == JobState::Running && deaths < 9 {
+        let worker = farm.held[0].0.0;
+        let held = farm.first_of(worker);
+        if held.task.stage.kind != StageKind::Render {
+            break;
+        }
+        let samples = &held.work.steps;
+        assert_eq!(samples.len(), 1);
+        if samples.start == 3 {
+            deaths += 1;
+            farm.reborn(worker + 1, worker, &[held]);
+        } else {
+            farm.now = farm.now.after(10);
+            farm.work(worker, Done);
+        }
+    }
+    let status = farm.status(id);
+    assert_eq!((deaths, status.quarantined.len(), status.quarantined[0].attempts), (5, 1, 5), "{status:?}");
+}
+
+#[test]
+fn a_death_waits_for_the_other_lease_of_the_task_and_is_forgotten_if_that_is_done() {
+    let mut farm = Farm::with(Config { late: 1_000, prefetch: 0, ..config() });
+    let id = farm.submit(job(&[1], 2, &[4]));
+    farm.join(1);
+    farm.now = farm.now.after(100);
+    farm.work(1, Done);
+    farm.on(Event::Joined { worker: WorkerId(2), registration: named("other", 2) });
+    let original = farm.first_of(1);
+    farm.now = farm.now.after(2_000);
+    (1..=2).for_each(|worker| drop(farm.heartbeat(worker, Phase::Working, 1)));
+    farm.wait(0);
+    let copy = farm.first_of(2);
+    assert_eq!((copy.task, farm.status(id).copies), (original.task, 1));
+    assert_eq!(died(&farm.reborn(3, 1, std::slice::from_ref(&original))), 0, "another still does it");
+    assert_eq!(died(&farm.complete(2, &copy, Done)), 0);
+    assert_eq!(died(&passes(&mut farm, 30_000)), 0);
+}

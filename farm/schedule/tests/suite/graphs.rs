@@ -1,0 +1,551 @@
+//! Graphs of stages, a sentence each.
+
+use crate::common;
+use crate::common::{Farm, config, of, panic};
+use femc_model::*;
+use femc_schedule::*;
+
+use Decision::{Continue, Done};
+use StageKind::{Image, Reduce, Render};
+
+fn need(stage: u16, role: Role, reach: Reach, round: Round) -> Need {
+    Need { stage, role, reach, round, gaps: false }
+}
+
+fn render(tiles: u32, rounds: &[u32]) -> Template {
+    Template::new(Render, Scope::Frame, Sizes::even(tiles, 64), &[Role::Tile]).steps(rounds)
+}
+
+fn image(scope: Scope, makes: &[Role]) -> Template {
+    Template::new(Image, scope, Sizes::even(1, 1), makes)
+}
+
+/// Frames of two tiles, sums of pairs of tiles over all frames, and one result of the job.
+fn whole(frames: &[u32], gaps: bool) -> JobSpec {
+    let pairs = Template::new(Reduce, Scope::Job, Sizes::even(frames.len() as u32, 1), &[Role::Sums]);
+    let graph = Graph {
+        stages: vec![
+            render(2, &[4]),
+            image(Scope::Frame, &[Role::Image]).reads(0, Role::Tile, Reach::All).closes(0, 1),
+            pairs.needs(Need { gaps, ..need(0, Role::Tile, Reach::Fan(2), Round::Every) }),
+            image(Scope::Job, &[Role::Preview]).reads(2, Role::Sums, Reach::All),
+        ],
+    };
+    of(frames, 2, graph)
+}
+
+/// What a task makes of such a graph.
+fn result(held: &Assignment, roles: &[Role]) -> TaskResult {
+    let output =
+        |&role: &Role| Output { role, artifact: Artifact::of(format!("{} {}", role.name(), held.task).as_bytes()) };
+    let decides = held.task.stage.kind == Image && held.task.stage.frame != Stage::OF_JOB;
+    TaskResult {
+        outputs: roles.iter().map(output).collect(),
+        units: if held.task.stage.kind == Render { 64 * held.work.steps.len() as u64 } else { 0 },
+        decision: decides.then_some(Done),
+        ..TaskResult::default()
+    }
+}
+
+/// Does the worker's oldest task, of whatever kind.
+fn work(farm: &mut Farm, worker: u64) -> TaskKey {
+    let held = farm.first_of(worker);
+    let roles: &[Role] = match (held.task.stage.kind, held.task.stage.frame) {
+        (Render, _) => &[Role::Tile],
+        (Image, Stage::OF_JOB) => &[],
+        (Image, _) => &[Role::Image],
+        _ => &[Role::Sums],
+    };
+    farm.complete_with(worker, &held, result(&held, roles));
+    held.task
+}
+
+#[test]
+fn stages_of_the_job_take_no_frames_place() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+    farm.submit(whole(&[1, 2, 3], false));
+    for worker in 1..=2 {
+        farm.join(worker);
+    }
+    while farm.tasks_of(2) != [(3, 0, Render, 0)] {
+        work(&mut farm, 2);
+    }
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 0)]);
+    farm.restart();
+    farm.join(3);
+    farm.join(4);
+    farm.join(5);
+    assert!((3..=5).all(|worker| !farm.tasks_of(worker).is_empty()));
+}
+
+#[test]
+fn what_is_made_of_the_whole_job_is_made_as_its_frames_are_finished_and_the_job_ends_with_it() {
+    let mut farm = Farm::new();
+    let id = farm.submit(whole(&[3, 5, 9], false));
+    farm.join(1);
+    let mut done = Vec::new();
+    while farm.state(id) != JobState::Done {
+        done.push(work(&mut farm, 1));
+    }
+    let own: Vec<(StageKind, u32)> =
+        done.iter().filter(|task| task.stage.frame == Stage::OF_JOB).map(|it| (it.stage.kind, it.index)).collect();
+    assert_eq!(own, [(Reduce, 0), (Reduce, 1), (Reduce, 2), (Image, 0)]);
+    let first = done.iter().position(|task| task.stage.kind == Reduce).unwrap();
+    assert!(done[first..].iter().any(|task| task.stage.kind == Render), "frames go on meanwhile");
+    let status = farm.status(id);
+    assert_eq!((status.frames_done, status.frames_total, status.samples_done), (3, 3, 3 * 2 * 4 * 64));
+    let records: Vec<u32> = farm.scheduler.frames(id).unwrap().iter().map(|record| record.frame).collect();
+    assert_eq!(records, [Stage::OF_JOB, 3, 5, 9]);
+}
+
+#[test]
+fn a_frame_that_cannot_be_finished_is_missing_where_gaps_are_allowed_and_a_retry_fills_them() {
+    for gaps in [true, false] {
+        let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+        let id = farm.submit(whole(&[1, 2], gaps));
+        let mut worker = 1;
+        farm.join(worker);
+        while farm.state(id) == JobState::Running || farm.state(id) == JobState::Queued {
+            let held = farm.first_of(worker);
+            if held.task.stage == (Stage { frame: 1, round: 0, number: 0, kind: Render }) && held.task.index == 0 {
+                farm.fail(worker, &held, panic());
+                farm.leave(worker);
+                worker += 1;
+                farm.join(worker);
+            } else {
+                work(&mut farm, worker);
+            }
+        }
+        assert_eq!(farm.state(id), JobState::Failed);
+        let of_job = |farm: &Farm| farm.scheduler.frames(id).unwrap().iter().any(|it| it.frame == Stage::OF_JOB);
+        assert_eq!(of_job(&farm), gaps, "gaps allowed: {gaps}");
+        let mut waits = vec![Wait::Quarantined { frame: 1, tasks: 1 }];
+        if !gaps {
+            waits.insert(0, Wait::Quarantined { frame: Stage::OF_JOB, tasks: 0 });
+        }
+        assert_eq!(farm.status(id).waits, waits);
+        farm.control(id, Control::Retry);
+        assert!(!of_job(&farm), "it was made without a frame");
+        while farm.state(id) != JobState::Done {
+            work(&mut farm, worker);
+        }
+        assert!(of_job(&farm));
+    }
+}
+
+#[test]
+fn a_stage_behind_the_loop_reads_all_its_rounds() {
+    let mut farm = Farm::new();
+    let graph = Graph {
+        stages: vec![
+            render(2, &[4, 8, 16]),
+            image(Scope::Frame, &[]).reads(0, Role::Tile, Reach::All).closes(0, 3),
+            image(Scope::Frame, &[Role::Image]).needs(need(0, Role::Tile, Reach::All, Round::Every)),
+        ],
+    };
+    let id = farm.submit(of(&[1], 2, graph));
+    farm.join(1);
+    loop {
+        let held = farm.first_of(1);
+        let made = match held.task.stage.number {
+            0 => result(&held, &[Role::Tile]),
+            1 => TaskResult {
+                decision: Some(if held.task.stage.round == 0 { Continue } else { Done }),
+                ..result(&held, &[])
+            },
+            _ => break,
+        };
+        farm.complete_with(1, &held, made);
+    }
+    let held = farm.first_of(1);
+    assert_eq!(held.work.inputs.iter().map(|input| input.item).collect::<Vec<_>>(), [0, 1, 0, 1]);
+    farm.complete_with(1, &held, TaskResult { decision: None, ..result(&held, &[Role::Image]) });
+    assert_eq!((farm.state(id), farm.scheduler.frames(id).unwrap()[0].spp), (JobState::Done, 8));
+}
+
+/// The rounds and items that the first task of a stage reads; every loop runs for all its rounds.
+fn read_by_first(graph: &Graph, reader: u16) -> Vec<(u32, u32)> {
+    let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+    let contents = if graph.has_content() { vec![(1, Digest::of(b"world"))] } else { vec![] };
+    farm.submit(JobSpec { contents, ..of(&[1], 2, graph.clone()) });
+    farm.join(1);
+    let mut made = std::collections::BTreeMap::new();
+    loop {
+        let held = farm.first_of(1);
+        let Stage { round, number, .. } = held.task.stage;
+        if number == reader {
+            return held.work.inputs.iter().map(|input| made[&input.output.artifact.digest]).collect();
+        }
+        let template = &graph.stages[usize::from(number)];
+        let decision = template.closes.map(|_| if held.work.more == More::Rounds { Continue } else { Done });
+        let roles: &[Role] = if decision == Some(Continue) { &[] } else { &template.makes };
+        let made_now = TaskResult { decision, ..result(&held, roles) };
+        made.extend(made_now.outputs.iter().map(|output| (output.artifact.digest, (round, held.task.index))));
+        farm.complete_with(1, &held, made_now);
+    }
+}
+
+#[test]
+fn a_stage_of_another_scope_reads_of_a_loop_the_last_round_or_all_of_them_as_it_asks() {
+    let (last, all) = (vec![(2, 0), (2, 1)], vec![(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)]);
+    for (round, expected) in [(Round::Same, last), (Round::Every, all)] {
+        for (made_by, read_by) in [(Scope::Frame, Scope::Job), (Scope::Content, Scope::Frame)] {
+            // A result is kept of every round, for people; another output is not.
+            for role in [Role::Sums, Role::Image] {
+                let blocks = Template::new(Reduce, made_by, Sizes::even(2, 1), &[role]);
+                let close = image(made_by, &[]).reads(0, role, Reach::All).closes(0, 3);
+                let reader = image(read_by, &[Role::Preview]).needs(need(0, role, Reach::All, round));
+                let graph = Graph { stages: vec![blocks, close, reader] };
+                assert_eq!(read_by_first(&graph, 2), expected, "{round:?} {read_by:?} {role:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn a_round_is_counted_once_also_where_what_closed_it_is_done_again() {
+    let mut farm = Farm::new();
+    let before = |stage, role| need(stage, role, Reach::All, Round::Before);
+    let blocks = Template::new(Reduce, Scope::Frame, Sizes::even(2, 1), &[Role::Sums]);
+    let graph = Graph {
+        stages: vec![
+            blocks.needs(before(0, Role::Sums)).needs(before(1, Role::Numbers)),
+            image(Scope::Frame, &[Role::Numbers]).reads(0, Role::Sums, Reach::All).closes(0, 3),
+            image(Scope::Frame, &[Role::Image]).reads(0, Role::Sums, Reach::All),
+        ],
+    };
+    let id = farm.submit(of(&[1], 2, graph));
+    farm.join(1);
+    let (mut done, mut is_lost) = (Vec::new(), false);
+    while farm.state(id) != JobState::Done {
+        let held = farm.first_of(1);
+        let Stage { round, number, .. } = held.task.stage;
+        let end = held.work.inputs.iter().find(|input| input.output.role == Role::Numbers);
+        if let (1, Some(end), false) = (round, end, is_lost) {
+            is_lost = true;
+            let digests = vec![end.output.artifact.digest];
+            farm.fail(1, &held, Failure::LostInputs { digests, message: "gone".into() });
+            continue;
+        }
+        let decision = (number == 1).then_some(if held.work.more == More::Rounds { Continue } else { Done });
+        let roles: &[Role] = [&[Role::Sums], &[Role::Numbers], &[Role::Image]][usize::from(number)];
+        farm.complete_with(1, &held, TaskResult { decision, ..result(&held, roles) });
+        done.push((round, number, held.task.index));
+    }
+    let rounds = |of: u16| done.iter().filter(|(_, number, _)| *number == of).map(|it| it.0).collect::<Vec<_>>();
+    assert_eq!((rounds(0), rounds(1)), (vec![0, 0, 1, 1, 2, 2], vec![0, 0, 1, 2]), "{done:?}");
+}
+
+#[test]
+fn a_task_that_was_put_aside_in_another_round_gets_no_copy() {
+    let mut farm = Farm::with(Config { prefetch: 0, late: 1, lease: 1 << 40, stall: 1 << 40, ..config() });
+    let before = |stage, role| need(stage, role, Reach::All, Round::Before);
+    let blocks = Template::new(Reduce, Scope::Frame, Sizes::even(3, 1), &[Role::Sums]).needs(before(0, Role::Sums));
+    let close = image(Scope::Frame, &[]).reads(0, Role::Sums, Reach::All).closes(0, 2);
+    let end = image(Scope::Frame, &[Role::Image]).reads(0, Role::Sums, Reach::All);
+    farm.submit(of(&[1], 2, Graph { stages: vec![blocks, close, end] }));
+    (1..=5).for_each(|worker| drop(farm.join(worker)));
+    let find = |farm: &Farm, round: u32, index: u32| {
+        let is_it = |held: &Assignment| (held.task.stage.round, held.task.index) == (round, index);
+        let found = farm.held.iter().find(|(_, held)| is_it(held)).expect("a lease");
+        (found.0.0, found.1.clone())
+    };
+    for index in 0..3 {
+        let (worker, held) = find(&farm, 0, index);
+        farm.complete_with(worker, &held, TaskResult { seconds: 0.01, ..result(&held, &[Role::Sums]) });
+    }
+    let (worker, held) = find(&farm, 0, 0);
+    farm.complete_with(worker, &held, TaskResult { decision: Some(Continue), ..result(&held, &[]) });
+    let ((reader, first), (other, second)) = (find(&farm, 1, 0), find(&farm, 1, 1));
+    let digests = [1, 2].map(|item: usize| second.work.inputs[item].output.artifact.digest).to_vec();
+    farm.fail(reader, &first, Failure::LostInputs { digests, message: "gone".into() });
+    for _ in 0..2 {
+        let (worker, held) = find(&farm, 0, 1);
+        farm.fail(worker, &held, panic());
+    }
+    let leases = |farm: &Farm| farm.held.iter().filter(|(_, held)| held.task.index == 1).count();
+    assert_eq!(leases(&farm), 2, "of both rounds");
+    farm.fail(other, &second, panic());
+    assert_eq!(leases(&farm), 1, "it is put aside, and what was leased before goes on");
+    farm.wait(60_000);
+    let of_other = farm.held.iter().filter(|(_, held)| (held.task.stage.round, held.task.index) == (0, 2)).count();
+    assert_eq!((leases(&farm), of_other), (1, 2), "what is late and not put aside gets one");
+}
+
+#[test]
+fn a_frame_that_has_lost_what_was_put_aside_in_another_round_can_only_be_tried_again() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+    let before = |stage, role| need(stage, role, Reach::All, Round::Before);
+    let blocks = Template::new(Reduce, Scope::Frame, Sizes::even(3, 1), &[Role::Sums]).needs(before(0, Role::Sums));
+    let close = image(Scope::Frame, &[]).reads(0, Role::Sums, Reach::All).closes(0, 2);
+    let end = image(Scope::Frame, &[Role::Image]).reads(0, Role::Sums, Reach::All);
+    let id = farm.submit(of(&[1], 2, Graph { stages: vec![blocks, close, end] }));
+    (1..=6).for_each(|worker| drop(farm.join(worker)));
+    let find = |farm: &Farm, round: u32, index: u32| {
+        let is_it = |held: &Assignment| (held.task.stage.round, held.task.index) == (round, index);
+        farm.held.iter().find(|(_, held)| is_it(held)).map(|(key, held)| (key.0, held.clone()))
+    };
+    for index in 0..3 {
+        let (worker, held) = find(&farm, 0, index).expect("a lease");
+        farm.complete_with(worker, &held, result(&held, &[Role::Sums]));
+    }
+    let (worker, held) = find(&farm, 0, 0).expect("a lease");
+    farm.complete_with(worker, &held, TaskResult { decision: Some(Continue), ..result(&held, &[]) });
+    for _ in 0..3 {
+        let (worker, held) = find(&farm, 1, 0).expect("a lease");
+        farm.fail(worker, &held, panic());
+    }
+    let (worker, held) = find(&farm, 1, 1).expect("a lease");
+    assert!(find(&farm, 1, 2).is_some() && !farm.state(id).has_ended());
+    let lost = held.work.inputs[0].output.artifact.digest;
+    farm.fail(worker, &held, Failure::LostInputs { digests: vec![lost], message: "gone".into() });
+    assert_eq!((farm.state(id), farm.held.len()), (JobState::Failed, 0), "nothing makes what is lost");
+}
+
+#[test]
+fn tiles_take_the_steps_that_were_decided_and_one_that_needs_none_is_left_alone() {
+    let mut farm = Farm::new();
+    let id = farm.submit(common::job(&[1], 3, &[4, 8, 16]));
+    farm.join(1);
+    let mut rendered = Vec::new();
+    while farm.state(id) != JobState::Done {
+        let held = farm.first_of(1);
+        if held.task.stage.kind == Render {
+            rendered.push((held.task.stage.round, held.work.item, held.work.steps.clone()));
+        }
+        let decision = match held.task.stage.round {
+            0 => Decision::Steps(vec![4, 6, 9]),
+            _ => Continue,
+        };
+        farm.complete(1, &held, decision);
+    }
+    let expected = [
+        (0, 0, 0..4),
+        (0, 1, 0..4),
+        (0, 2, 0..4),
+        (1, 1, 4..6),
+        (1, 2, 4..9),
+        (2, 0, 4..16),
+        (2, 1, 6..16),
+        (2, 2, 9..16),
+    ];
+    assert_eq!(rendered, expected);
+    assert_eq!(farm.status(id).samples_done, 3 * 16 * 64);
+}
+
+#[test]
+fn an_image_behind_the_loop_that_cannot_be_made_is_named_as_it_was_leased() {
+    let mut farm = Farm::new();
+    let graph = Graph {
+        stages: vec![
+            render(2, &[4, 8]),
+            image(Scope::Frame, &[]).reads(0, Role::Tile, Reach::All).closes(0, 2),
+            image(Scope::Frame, &[Role::Image]).reads(0, Role::Tile, Reach::All),
+        ],
+    };
+    let id = farm.submit(of(&[1], 2, graph));
+    farm.join(1);
+    while farm.first_of(1).task.stage.number < 2 {
+        let held = farm.first_of(1);
+        let made = match held.task.stage {
+            Stage { number: 0, .. } => result(&held, &[Role::Tile]),
+            Stage { round: 0, .. } => TaskResult { decision: Some(Continue), ..result(&held, &[]) },
+            _ => result(&held, &[]),
+        };
+        farm.complete_with(1, &held, made);
+    }
+    let image = farm.first_of(1).task;
+    while farm.status(id).quarantined.is_empty() {
+        let held = farm.first_of(1);
+        farm.fail(1, &held, panic());
+    }
+    assert_eq!(farm.status(id).quarantined[0].task, image);
+    assert_eq!(image.stage.round, 0, "it is made once");
+}
+
+#[test]
+fn who_reads_tiles_at_first_or_at_second_hand_is_told_how_many_steps_each_of_them_has_taken() {
+    let mut farm = Farm::new();
+    let graph = Graph {
+        stages: vec![
+            render(4, &[4, 8, 16]),
+            Template::new(Reduce, Scope::Frame, Sizes::even(2, 1), &[Role::Pixels, Role::Errors, Role::Sums])
+                .reads(0, Role::Tile, Reach::Fan(2))
+                .needs(need(1, Role::Sums, Reach::Same, Round::Before)),
+            Template::new(StageKind::Decide, Scope::Frame, Sizes::even(1, 1), &[])
+                .reads(1, Role::Errors, Reach::All)
+                .closes(0, 3),
+            image(Scope::Frame, &[Role::Image]).reads(1, Role::Pixels, Reach::All),
+        ],
+    };
+    let id = farm.submit(of(&[1], 4, graph));
+    farm.join(1);
+    let mut assigned = Vec::new();
+    while farm.state(id) != JobState::Done {
+        let held = farm.first_of(1);
+        let Stage { round, kind, .. } = held.task.stage;
+        if kind != Render {
+            assigned.push((round, kind, held.work.item, held.work.taken.numbers().to_vec()));
+        }
+        let made = match kind {
+            Render => result(&held, &[Role::Tile]),
+            Reduce if held.work.more == More::Rounds => result(&held, &[Role::Pixels, Role::Errors, Role::Sums]),
+            Reduce => result(&held, &[Role::Pixels, Role::Errors]),
+            StageKind::Decide => {
+                let steps = [Decision::Steps(vec![4, 8, 8, 8]), Decision::Steps(vec![4, 16, 8, 8]), Done];
+                TaskResult { decision: Some(steps[round as usize].clone()), ..result(&held, &[]) }
+            }
+            _ => TaskResult { decision: None, ..result(&held, &[Role::Image]) },
+        };
+        assert!(kind != Render || held.work.taken == Taken::default(), "{held:?}");
+        farm.complete_with(1, &held, made);
+    }
+    assigned.sort();
+    let decide = StageKind::Decide;
+    let expected = [
+        (0, Reduce, 0, vec![4]),
+        (0, Reduce, 1, vec![4]),
+        (0, Image, 0, vec![4, 16, 8, 8]),
+        (0, decide, 0, vec![4]),
+        (1, Reduce, 0, vec![4, 8]),
+        (1, Reduce, 1, vec![8]),
+        (1, decide, 0, vec![4, 8, 8, 8]),
+        (2, Reduce, 0, vec![4, 16]),
+        (2, Reduce, 1, vec![8]),
+        (2, decide, 0, vec![4, 16, 8, 8]),
+    ];
+    assert_eq!(assigned, expected);
+}
+
+#[test]
+fn a_decision_beyond_the_plan_is_a_failure_of_the_task() {
+    for steps in [vec![4, 6], vec![4, 6, 17], vec![4, 6, 9, 9]] {
+        let mut farm = Farm::new();
+        farm.submit(common::job(&[1], 3, &[4, 8, 16]));
+        farm.join(1);
+        while farm.first_of(1).task.stage.kind == Render {
+            farm.work(1, Done);
+        }
+        let held = farm.first_of(1);
+        let commands = farm.complete(1, &held, Decision::Steps(steps));
+        assert!(commands.iter().any(|c| matches!(c, Command::Record(Fact::Failed { .. }))), "{commands:?}");
+    }
+}
+
+#[test]
+fn an_output_goes_when_all_that_read_it_are_done() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+    let graph = Graph {
+        stages: vec![
+            render(2, &[4]),
+            Template::new(Reduce, Scope::Frame, Sizes::even(1, 1), &[Role::Pixels]).reads(0, Role::Tile, Reach::Fan(2)),
+            Template::new(Reduce, Scope::Frame, Sizes::even(2, 1), &[Role::Sums]).reads(0, Role::Tile, Reach::Same),
+            image(Scope::Frame, &[Role::Image])
+                .reads(1, Role::Pixels, Reach::All)
+                .reads(2, Role::Sums, Reach::All)
+                .closes(0, 1),
+        ],
+    };
+    farm.submit(of(&[1], 2, graph));
+    farm.join(1);
+    let mut released = Vec::new();
+    for _ in 0..6 {
+        let held = farm.first_of(1);
+        let roles: &[Role] = match held.task.stage.number {
+            0 => &[Role::Tile],
+            1 => &[Role::Pixels],
+            2 => &[Role::Sums],
+            _ => &[Role::Image],
+        };
+        let commands = farm.complete_with(1, &held, result(&held, roles));
+        let all =
+            commands.into_iter().filter_map(|c| if let Command::Discard(all) = c { Some(all.len()) } else { None });
+        released.push((held.task.stage.number, held.task.index, all.sum::<usize>()));
+    }
+    // The second reduction is ready with each tile, the first with both.
+    assert_eq!(released, [(0, 0, 0), (2, 0, 0), (0, 1, 0), (2, 1, 0), (1, 0, 2), (3, 0, 3)]);
+}
+
+#[test]
+fn a_job_with_gaps_goes_on_when_its_last_frame_fails() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+    let id = farm.submit(whole(&[1], true));
+    farm.join(1);
+    while farm.first_of(1).task.stage.kind == Render {
+        let held = farm.first_of(1);
+        farm.fail(1, &held, panic());
+    }
+    assert_eq!(farm.tasks_of(1), [(Stage::OF_JOB, 0, Reduce, 0)]);
+    work(&mut farm, 1);
+    work(&mut farm, 1);
+    assert_eq!(farm.state(id), JobState::Failed);
+}
+
+#[test]
+fn a_job_that_fails_takes_back_what_reads_a_frame_that_is_lost_since() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+    let id = farm.submit(whole(&[1], false));
+    farm.join(1);
+    while farm.first_of(1).task.stage.kind != Reduce {
+        work(&mut farm, 1);
+    }
+    let image = farm.scheduler.frames(id).unwrap()[0].outputs[0].artifact.digest;
+    farm.on(Event::Lost { digest: image });
+    farm.join(2);
+    farm.join(3);
+    while let Some((worker, held)) = farm.held.iter().find(|(worker, _)| worker.0 != 1).cloned() {
+        farm.fail(worker.0, &held, panic());
+    }
+    assert_eq!((farm.state(id), farm.tasks_of(1)), (JobState::Failed, vec![]));
+}
+
+/// A frame of two tiles whose image only workers with the tag `big` may make.
+fn tagged() -> JobSpec {
+    let image = image(Scope::Frame, &[Role::Image]).reads(0, Role::Tile, Reach::All).closes(0, 1);
+    of(&[1], 2, Graph { stages: vec![render(2, &[4]), image.tags(&["big"])] })
+}
+
+#[test]
+fn a_stage_with_tags_waits_for_a_worker_that_has_them_and_says_which_are_missing() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+    let id = farm.submit(JobSpec { tags: vec!["lab".into()], ..tagged() });
+    farm.join_with(1, vec!["lab".into()]);
+    farm.join_with(2, vec!["big".into()]);
+    work(&mut farm, 1);
+    assert!(!farm.status(id).waits.iter().any(|wait| matches!(wait, Wait::NoWorkerWithTags(_))), "a tile is under way");
+    work(&mut farm, 1);
+    assert!(farm.held.is_empty(), "{:?}", farm.held);
+    assert_eq!(farm.status(id).waits, [Wait::NoWorkerWithTags(vec!["lab".into(), "big".into()])]);
+    farm.join_with(3, vec!["big".into(), "lab".into()]);
+    assert_eq!((farm.tasks_of(1).len(), farm.tasks_of(2).len(), farm.tasks_of(3)), (0, 0, vec![(1, 0, Image, 0)]));
+    assert_eq!(farm.status(id).waits, []);
+    work(&mut farm, 3);
+    assert_eq!(farm.state(id), JobState::Done);
+}
+
+#[test]
+fn what_failed_on_the_only_worker_with_its_stage_s_tags_is_tried_there_again_and_nobody_else_gets_a_copy() {
+    let mut farm = Farm::with(Config { prefetch: 0, late: 100, ..config() });
+    let id = farm.submit(JobSpec { frames: vec![1, 2], ..tagged() });
+    farm.join_with(1, vec!["big".into()]);
+    // The image of the first frame tells how long one takes.
+    while farm.tasks_of(1) != [(2, 0, Image, 0)] {
+        let held = farm.first_of(1);
+        let seconds = 0.1;
+        farm.wait(100);
+        let made = if held.task.stage.kind == Render { Role::Tile } else { Role::Image };
+        farm.complete_with(1, &held, TaskResult { seconds, ..result(&held, &[made]) });
+    }
+    farm.join(2);
+    let held = farm.first_of(1);
+    farm.fail(1, &held, panic());
+    assert_eq!(farm.tasks_of(1), [(2, 0, Image, 0)], "no other may take it");
+    for _ in 0..8 {
+        farm.wait(500);
+        farm.heartbeat(1, Phase::Working, 0);
+        farm.heartbeat(2, Phase::Working, 0);
+        assert_eq!(farm.tasks_of(2), []);
+    }
+    work(&mut farm, 1);
+    assert_eq!(farm.state(id), JobState::Done);
+}

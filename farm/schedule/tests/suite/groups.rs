@@ -1,0 +1,208 @@
+//! The merge as a tree, a sentence each: frames of 5 tiles in groups of 2.
+
+use crate::common;
+use crate::common::{Farm, config, grouped, panic};
+use femc_model::*;
+use femc_schedule::*;
+
+use Decision::{Continue, Done};
+use StageKind::{Image, Reduce, Render};
+
+fn farm(rounds: &[u32]) -> (Farm, JobId) {
+    let mut farm = Farm::new();
+    let id = farm.submit(grouped(&[1], 5, rounds, 2));
+    farm.join(1);
+    (farm, id)
+}
+
+fn roles(parts: &FrameParts) -> Vec<Role> {
+    parts.outputs.iter().map(|output| output.role).collect()
+}
+
+/// Does tasks until one of this kind is the worker's oldest.
+fn until(farm: &mut Farm, kind: StageKind) -> Assignment {
+    until_it_is(farm, |task| task.stage.kind == kind)
+}
+
+fn until_it_is(farm: &mut Farm, wanted: impl Fn(&TaskKey) -> bool) -> Assignment {
+    for _ in 0..100 {
+        let held = farm.first_of(1);
+        if wanted(&held.task) {
+            return held;
+        }
+        farm.complete(1, &held, Continue);
+    }
+    panic!("there is no such task")
+}
+
+fn lost(artifact: Artifact) -> Failure {
+    Failure::LostInputs { digests: vec![artifact.digest], message: "gone".into() }
+}
+
+/// Completes a task; returns how many artifacts that it released nothing names any more.
+fn released(farm: &mut Farm, held: &Assignment, how: Decision) -> usize {
+    let commands = farm.complete(1, held, how);
+    let all = commands.into_iter().flat_map(|command| match command {
+        Command::Discard(digests) => digests,
+        _ => Vec::new(),
+    });
+    farm.scheduler.unreferenced(all.collect()).len()
+}
+
+#[test]
+fn a_group_is_gathered_as_soon_as_its_tiles_are_there_and_the_merge_reads_groups() {
+    let (mut farm, id) = farm(&[4]);
+    farm.work(1, Done);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 1), (1, 0, Render, 2)], "half a group is none");
+    farm.work(1, Done);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 2), (1, 0, Reduce, 0)], "before more tiles");
+    let gather = farm.held[1].1.clone();
+    let read: Vec<u32> = gather.work.inputs.iter().map(|input| input.item).collect();
+    assert_eq!((gather.work.more, gather.work.item, read), (More::Last, 0, vec![0, 1]));
+    assert_eq!(released(&mut farm, &gather, Done), 2, "the tiles' artifacts are released");
+    assert_eq!(farm.status(id).active[0].tiles_done, 2, "gathered tiles are done");
+    let merge = until(&mut farm, Image);
+    assert_eq!(merge.work.of_role(Role::Pixels).count(), 3);
+    assert_eq!(released(&mut farm, &merge, Done), 3, "the groups' pixels; the last round keeps no sums");
+    let frame = farm.scheduler.frames(id).unwrap()[0].clone();
+    assert_eq!(farm.state(id), JobState::Done);
+    assert_eq!(frame.busy_seconds, 5.0 * 0.5 + 3.0 * 0.125 + 0.25);
+    assert_eq!(farm.status(id).samples_done, 5 * 64 * 4);
+}
+
+#[test]
+fn the_next_round_gathers_with_the_sums_of_the_round_before() {
+    let (mut farm, id) = farm(&[4, 8]);
+    let merge = until(&mut farm, Image);
+    assert_eq!(released(&mut farm, &merge, Continue), 3, "the pixels go, the sums stay");
+    let parts = farm.scheduler.parts(id).unwrap();
+    assert_eq!(roles(&parts[0]), [Role::Sums; 3]);
+    let gather = until(&mut farm, Reduce);
+    assert_eq!((gather.work.more, gather.work.of_role(Role::Sums).count()), (More::Last, 1));
+    farm.complete(1, &gather, Done);
+    let parts = farm.scheduler.parts(id).unwrap();
+    assert_eq!(roles(&parts[0]), [Role::Sums, Role::Sums, Role::Tile, Role::Pixels], "a preview counts nothing twice");
+    let merge = until(&mut farm, Image);
+    assert_eq!(merge.task.stage.round, 1);
+    farm.complete(1, &merge, Done);
+    assert_eq!((farm.state(id), farm.scheduler.frames(id).unwrap()[0].spp), (JobState::Done, 8));
+}
+
+#[test]
+fn a_lost_tile_is_rendered_again_and_a_lost_group_is_too_but_the_others_are_not() {
+    let (mut farm, id) = farm(&[4]);
+    let gather = until(&mut farm, Reduce);
+    let first = gather.work.artifacts().next().unwrap();
+    farm.fail(1, &gather, lost(first));
+    let again = until_it_is(&mut farm, |task| task.stage.kind == Render && task.index == 0);
+    farm.complete(1, &again, Done);
+    let merge = until(&mut farm, Image);
+    let group = merge.work.artifacts().nth(1).unwrap();
+    farm.fail(1, &merge, lost(group));
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 2), (1, 0, Render, 3)], "the tiles of group 1");
+    assert_eq!(farm.status(id).samples_done, 3 * 64 * 4);
+    let merge = until(&mut farm, Image);
+    farm.complete(1, &merge, Done);
+    assert_eq!((farm.state(id), farm.status(id).samples_done), (JobState::Done, 5 * 64 * 4));
+}
+
+#[test]
+fn lost_sums_are_made_again_with_their_tiles_alone_and_end_the_frame_when_they_are_lost_again_and_again() {
+    let (mut farm, id) = farm(&[4, 8]);
+    let merge = until(&mut farm, Image);
+    farm.complete(1, &merge, Continue);
+    for attempt in 1..=3 {
+        let gather =
+            until_it_is(&mut farm, |task| task.stage.kind == Reduce && task.index == 0 && task.stage.round == 1);
+        let sums = gather.work.of_role(Role::Sums).next().unwrap().output.artifact;
+        let before = farm.status(id).samples_done;
+        farm.fail(1, &gather, lost(sums));
+        let again = if attempt < 3 { 2 * 64 * 4 } else { 0 };
+        assert_eq!(farm.status(id).samples_done, before - again, "attempt {attempt}: of two tiles of the first round");
+        let rounds: Vec<u32> = farm.held.iter().map(|(_, held)| held.task.stage.round).collect();
+        assert!(rounds.iter().all(|&round| round == 0) || attempt < 3, "{rounds:?}");
+    }
+    while farm.state(id) == JobState::Running {
+        farm.work(1, Continue);
+    }
+    assert_eq!(farm.state(id), JobState::Failed);
+    assert_eq!(farm.status(id).quarantined[0].task.stage.kind, Reduce);
+    farm.control(id, Control::Retry);
+    while farm.state(id) == JobState::Running {
+        farm.work(1, Continue);
+    }
+    assert_eq!((farm.state(id), farm.status(id).samples_done), (JobState::Done, 5 * 64 * 8));
+}
+
+#[test]
+fn a_gather_out_of_attempts_blocks_the_frame_when_nothing_else_is_left_and_a_retry_runs_just_that() {
+    let (mut farm, id) = farm(&[4]);
+    for _ in 0..3 {
+        let gather = until_it_is(&mut farm, |task| task.stage.kind == Reduce && task.index == 0);
+        farm.fail(1, &gather, panic());
+    }
+    assert_eq!(farm.state(id), JobState::Running, "there are more tiles");
+    while farm.state(id) == JobState::Running {
+        farm.work(1, Done);
+    }
+    let status = farm.status(id);
+    assert_eq!((status.state, status.quarantined.len(), status.waits.len()), (JobState::Failed, 1, 1));
+    farm.control(id, Control::Retry);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Reduce, 0)]);
+    farm.work(1, Done);
+    farm.work(1, Done);
+    assert_eq!(farm.state(id), JobState::Done);
+}
+
+#[test]
+fn a_coordinator_that_begins_anew_goes_on_with_the_groups_that_are_gathered_even_from_a_snapshot() {
+    let (mut farm, id) = farm(&[4, 8]);
+    let merge = until(&mut farm, Image);
+    farm.complete(1, &merge, Continue);
+    let gather = until(&mut farm, Reduce);
+    farm.complete(1, &gather, Done);
+    let ledger = farm.scheduler.ledger();
+    assert_eq!(Ledger::decode(&ledger.encode().unwrap()).as_ref(), Ok(ledger));
+    let held = farm.held.clone();
+    let (mut next, _) = Scheduler::new(config(), ledger.clone());
+    assert_eq!(next.parts(id).unwrap(), farm.scheduler.parts(id).unwrap());
+    farm.restart();
+    farm.rejoin(2, &held.iter().map(|(_, held)| held.clone()).collect::<Vec<_>>());
+    while farm.state(id) == JobState::Running {
+        farm.work(2, Done);
+    }
+    assert_eq!(farm.state(id), JobState::Done);
+    let registration = Registration { instance: 3, ..common::registration() };
+    let commands = next.on(Event::Joined { worker: WorkerId(3), registration }, farm.now);
+    let assigned = commands.iter().filter_map(|command| match command {
+        Command::Assign { assignment, .. } => Some((assignment.task.stage.kind, assignment.task.index)),
+        _ => None,
+    });
+    assert_eq!(assigned.collect::<Vec<_>>(), [(Render, 3), (Render, 4)], "group 0 is gathered, tile 2 is done");
+}
+
+#[test]
+fn a_merge_says_what_it_waits_for() {
+    let (mut farm, id) = farm(&[4]);
+    farm.join(2);
+    let waits = |farm: &Farm| farm.status(id).waits.into_iter().find(|wait| matches!(wait, Wait::StageWaits { .. }));
+    while farm.held.iter().any(|(_, held)| held.task.stage.kind == Render) {
+        let (worker, held) = farm.held.iter().find(|(_, h)| h.task.stage.kind == Render).cloned().unwrap();
+        if farm.status(id).active.first().is_some_and(|frame| frame.tiles_done == 4) {
+            assert_eq!(waits(&farm), Some(Wait::StageWaits { frame: 1, stage: Reduce, needs: Render, tasks: 1 }));
+        }
+        farm.complete(worker.0, &held, Done);
+    }
+    assert_eq!(farm.status(id).active[0].stage, Reduce);
+    assert_eq!(waits(&farm), Some(Wait::StageWaits { frame: 1, stage: Image, needs: Reduce, tasks: 3 }));
+}
+
+#[test]
+fn a_gather_that_keeps_no_sums_for_the_next_round_counts_as_failed() {
+    let (mut farm, _) = farm(&[4, 8]);
+    let gather = until(&mut farm, Reduce);
+    let mut result = common::result(&gather, Continue);
+    result.outputs.retain(|output| output.role != Role::Sums);
+    let commands = farm.complete_with(1, &gather, result);
+    assert!(commands.iter().any(|c| matches!(c, Command::Record(Fact::Failed { .. }))), "{commands:?}");
+}

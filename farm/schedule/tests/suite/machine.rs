@@ -1,0 +1,1188 @@
+//! Any order of events: no task is lost, no sample of a tile is done twice, every job ends, a replay gives the same state,
+//! and dealing again changes nothing.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::num::NonZeroU64;
+
+use crate::common;
+use crate::common::{Farm, panic, result};
+use femc_model::*;
+use femc_schedule::*;
+use proptest::prelude::*;
+
+#[derive(Debug, Clone, Copy)]
+enum Step {
+    Submit {
+        frames: u32,
+        tiles: u32,
+        rounds: usize,
+        form: Form,
+        /// Whose, and with which key.
+        owner: usize,
+        key: Option<u8>,
+        priority: u8,
+    },
+    /// A worker dies while it computes a task; its next process says so.
+    Die(usize),
+    Join,
+    /// A worker comes back with the leases that an earlier session left over.
+    Return(usize),
+    /// A worker starts again, and nobody has heard its earlier session end.
+    StartAgain(usize),
+    Drain(usize, Drain),
+    Leave(usize),
+    /// After so many milliseconds of work.
+    Complete(usize, Goes, u64),
+    Fail(usize, u8),
+    /// A task panics on whoever has it, again and again.
+    Doom(usize),
+    Late(usize),
+    Heartbeat(usize, u64),
+    Wait(u64),
+    Control(usize, u8),
+    Restart,
+    /// The image of a finished frame is gone from the store.
+    LoseImage(usize),
+    /// Workers that start from now on are of the other build.
+    Upgrade,
+}
+
+/// What the graph of a job is.
+#[derive(Debug, Clone, Copy)]
+enum Form {
+    /// Tiles, groups of so many of them (0: none), an image.
+    Frames(u32),
+    /// Two stages that read the tiles, and an image that reads both.
+    Diamond,
+    /// Tiles, an image behind the loop that reads all rounds.
+    Behind,
+    /// Tiles, groups of two of them, a decision that reads the groups' errors, an image behind the loop that reads their pixels. Tiles
+    /// and groups may look at what the groups of the frame before have left.
+    Decided,
+    /// Frames, and for the job a tree over their tiles and one result; with gaps or without.
+    Whole { gaps: bool },
+    /// Frames that read what is solved in rounds, once for all frames and jobs of one content.
+    Shared,
+}
+
+impl Form {
+    fn graph(self, tiles: u32, rounds: &[u32], frames: u32) -> Graph {
+        use {Role::*, Scope::*, StageKind as Kind};
+        let (one, most) = (Sizes::even(1, 1), rounds.len() as u32);
+        let render = Template::new(Kind::Render, Frame, Sizes::even(tiles, 64), &[Tile]).steps(rounds);
+        let image = |scope, makes: &[Role]| Template::new(Kind::Image, scope, one.clone(), makes);
+        let need = |stage, role, reach, round, gaps| Need { stage, role, reach, round, gaps };
+        match self {
+            Self::Frames(fan) => common::rounded(tiles, rounds, fan),
+            Self::Diamond => {
+                let pairs = Sizes::even(tiles.div_ceil(2), 1);
+                let left = Template::new(Kind::Reduce, Frame, pairs, &[Pixels]).reads(0, Tile, Reach::Fan(2));
+                let right = Template::new(Kind::Reduce, Frame, Sizes::even(tiles, 1), &[Sums])
+                    .reads(0, Tile, Reach::Same)
+                    .needs(need(2, Sums, Reach::All, Round::Before, false));
+                let end = image(Frame, &[Image]).reads(1, Pixels, Reach::All).reads(2, Sums, Reach::All);
+                Graph { stages: vec![render, left, right, end.closes(0, most)] }
+            }
+            Self::Behind => {
+                let decide = image(Frame, &[]).reads(0, Tile, Reach::All).closes(0, most);
+                let end = image(Frame, &[Image]).needs(need(0, Tile, Reach::All, Round::Every, false));
+                Graph { stages: vec![render, decide, end] }
+            }
+            Self::Decided => {
+                let groups = Template::new(
+                    Kind::Reduce,
+                    Frame,
+                    Sizes::even(tiles.div_ceil(2), 1),
+                    &[Pixels, Errors, Sums, Numbers],
+                )
+                .reads(0, Tile, Reach::Fan(2))
+                .looks_at(1, Numbers, Reach::Same)
+                .needs(need(1, Sums, Reach::Same, Round::Before, false));
+                let decide = Template::new(Kind::Decide, Frame, one.clone(), &[]).reads(1, Errors, Reach::All);
+                let end = image(Frame, &[Image]).reads(1, Pixels, Reach::All);
+                let render = render.looks_at(1, Numbers, Reach::All);
+                Graph { stages: vec![render, groups, decide.closes(0, most), end] }
+            }
+            Self::Shared => {
+                let blocks = Template::new(Kind::Reduce, Content, Sizes::even(2, 1), &[Sums]);
+                let before = |stage, role| need(stage, role, Reach::All, Round::Before, false);
+                let blocks = blocks.needs(before(0, Sums)).needs(before(1, Numbers));
+                let decide = image(Content, &[Numbers]).reads(0, Sums, Reach::All).closes(0, most);
+                let field = Template::new(Kind::Reduce, Content, one.clone(), &[Pixels]).reads(0, Sums, Reach::All);
+                let render = render.reads(2, Pixels, Reach::All);
+                let end = image(Frame, &[Image]).reads(3, Tile, Reach::All).closes(3, most);
+                Graph { stages: vec![blocks, decide, field, render, end] }
+            }
+            Self::Whole { gaps } => {
+                let end = image(Frame, &[Image]).reads(0, Tile, Reach::All).closes(0, most);
+                let all = tiles * frames;
+                let pairs = Template::new(Kind::Reduce, Job, Sizes::even(all.div_ceil(2), 1), &[Sums]).needs(need(
+                    0,
+                    Tile,
+                    Reach::Fan(2),
+                    Round::Every,
+                    gaps,
+                ));
+                let whole = image(Job, &[Preview]).reads(2, Sums, Reach::All).tags(&[TAG]);
+                let whole = whole.needs(need(1, Image, Reach::All, Round::Same, gaps));
+                Graph { stages: vec![render, end, pairs, whole] }
+            }
+        }
+    }
+}
+
+/// What a task decides that may decide.
+#[derive(Debug, Clone, Copy)]
+enum Goes {
+    On,
+    /// On, with steps of each task that differ.
+    Unevenly(u32),
+    Over,
+}
+
+fn step() -> impl Strategy<Value = Step> {
+    let decision = prop_oneof![2 => Just(Goes::On), 1 => (0..8u32).prop_map(Goes::Unevenly), 2 => Just(Goes::Over)];
+    let form = prop_oneof![
+        4 => (0..4u32).prop_map(Form::Frames), 2 => Just(Form::Diamond), 2 => Just(Form::Behind), 4 => Just(Form::Decided),
+        3 => any::<bool>().prop_map(|gaps| Form::Whole { gaps }), 5 => Just(Form::Shared)
+    ];
+    prop_oneof![
+        1 => (1..4u32, 1..7u32, 1..4usize, form, 0..3usize, prop::option::of(0..3u8), prop_oneof![Just(50u8), 0..=100u8])
+            .prop_map(|(frames, tiles, rounds, form, owner, key, priority)| Step::Submit { frames, tiles, rounds, form, owner, key, priority }),
+        1 => any::<usize>().prop_map(Step::Die),
+        2 => Just(Step::Join),
+        2 => any::<usize>().prop_map(Step::Return),
+        1 => any::<usize>().prop_map(Step::StartAgain),
+        1 => (any::<usize>(), prop_oneof![Just(Drain::Begin), Just(Drain::Undo)]).prop_map(|(which, drain)| Step::Drain(which, drain)),
+        1 => any::<usize>().prop_map(Step::Leave),
+        12 => (any::<usize>(), decision, prop_oneof![Just(0u64), Just(30), Just(2_000)])
+            .prop_map(|(which, decision, milliseconds)| Step::Complete(which, decision, milliseconds)),
+        3 => (any::<usize>(), 0..24u8).prop_map(|(which, kind)| Step::Fail(which, kind)),
+        1 => any::<usize>().prop_map(Step::Doom),
+        2 => any::<usize>().prop_map(Step::Late),
+        3 => (any::<usize>(), 0..1000u64).prop_map(|(which, samples)| Step::Heartbeat(which, samples)),
+        3 => prop_oneof![4 => Just(400u64), 4 => Just(2_000), 4 => Just(6_000), 1 => Just(90_000), 1 => Just(1 << 32)].prop_map(Step::Wait),
+        2 => (any::<usize>(), 0..5u8).prop_map(|(which, kind)| Step::Control(which, kind)),
+        1 => Just(Step::Restart),
+        1 => any::<usize>().prop_map(Step::LoseImage),
+        1 => Just(Step::Upgrade),
+    ]
+}
+
+const OWNERS: [&str; 3] = ["ann", "bob", "eve"];
+
+/// Jobs of one tile need a worker that has it.
+const TAG: &str = "near";
+
+/// The farm, and what must hold of it.
+struct Machine {
+    farm: Farm,
+    /// The log so far, to ask what is there before a fact.
+    shadow: Ledger,
+    workers: BTreeSet<u64>,
+    next_worker: u64,
+    /// Workers that have told of a failure.
+    complained: BTreeSet<u64>,
+    /// Of the engine of each worker.
+    builds: BTreeMap<u64, &'static str>,
+    jobs: Vec<JobId>,
+    keys: BTreeMap<u8, JobId>,
+    /// Jobs that a person has ended.
+    cancelled: BTreeSet<JobId>,
+    /// Jobs that a person has stopped.
+    paused: BTreeSet<JobId>,
+    /// How often tasks that are put aside were tried.
+    tries: BTreeMap<TaskKey, u32>,
+    /// Leases that are over, as a slow worker remembers them.
+    over: Vec<(WorkerId, Assignment)>,
+    /// Of a task one, or two when the second is a copy of the first.
+    live: BTreeSet<(TaskKey, Epoch)>,
+    /// What leases cover, of all that were ever seen.
+    runs: BTreeMap<Epoch, Vec<Unit>>,
+    /// What they read, by frame, task and role: frames that are made again may be cut elsewhere.
+    read: BTreeMap<Epoch, BTreeSet<(u32, u32, Role)>>,
+    last_epoch: Epoch,
+    done: BTreeSet<TaskKey>,
+    /// By which lease each was done last.
+    made: BTreeMap<TaskKey, Epoch>,
+    /// Results of which it was noted what they took, until they count.
+    noted: BTreeSet<(TaskKey, Epoch)>,
+    /// What frames have made since they began, by job, frame, stage and task; also what was lost since.
+    ever: BTreeMap<(JobId, u32, u16, u32), BTreeSet<Digest>>,
+    /// The results that count, and by which lease.
+    results: BTreeMap<Unit, (Epoch, TaskResult)>,
+    /// What was decided after which round of which frame.
+    choices: BTreeMap<(JobId, u32, u32), Goes>,
+    /// Whether jobs have ever shared anything.
+    has_shared: bool,
+    /// What jobs share, by content and build.
+    shared: BTreeMap<(Digest, String), JobId>,
+    /// Steps of tasks at the end of rounds that somebody has decided: by job, frame and round.
+    decided: BTreeMap<(JobId, u32, u32), Vec<u32>>,
+}
+
+/// A step of a task: stage, number of the task, step.
+type Unit = (JobId, Stage, u32, u32);
+
+/// What a lease covers.
+fn units(held: &Assignment) -> Vec<Unit> {
+    held.work.steps.clone().map(|step| (held.task.job, held.task.stage, held.work.item, step)).collect()
+}
+
+impl Machine {
+    /// - `grain`: pixel samples; a tile has 64 pixels.
+    /// - `prefetch`: tasks that a worker holds beyond the one that it does.
+    fn new(grain: u64, prefetch: u32, keep_ended: Option<u64>) -> Self {
+        let grain = NonZeroU64::new(grain).unwrap();
+        let config = Config {
+            grain,
+            prefetch,
+            keep_ended,
+            task: 100,
+            least_task: 20,
+            weights: [(OWNERS[0].to_owned(), 3)].into(),
+            quota: Quota { jobs: 4, ..Quota::default() },
+            ..common::config()
+        };
+        let farm = Farm::with(config);
+        Self {
+            shadow: farm.replay(),
+            farm,
+            workers: BTreeSet::new(),
+            next_worker: 1,
+            complained: BTreeSet::new(),
+            builds: BTreeMap::new(),
+            jobs: vec![],
+            keys: BTreeMap::new(),
+            cancelled: BTreeSet::new(),
+            paused: BTreeSet::new(),
+            tries: BTreeMap::new(),
+            over: vec![],
+            live: BTreeSet::new(),
+            runs: BTreeMap::new(),
+            read: BTreeMap::new(),
+            last_epoch: Epoch(0),
+            done: BTreeSet::new(),
+            made: BTreeMap::new(),
+            noted: BTreeSet::new(),
+            ever: BTreeMap::new(),
+            results: BTreeMap::new(),
+            choices: BTreeMap::new(),
+            has_shared: false,
+            shared: BTreeMap::new(),
+            decided: BTreeMap::new(),
+        }
+    }
+
+    /// Checks every command against what is known, and learns from it.
+    fn see(&mut self, commands: Vec<Command>) {
+        for command in commands {
+            if let Command::Record(fact) = &command {
+                self.learn(fact);
+            }
+            match command {
+                Command::Assign { worker, assignment } => {
+                    let Assignment { task, epoch, .. } = assignment;
+                    self.may_lease(worker, &task);
+                    assert!(epoch > self.last_epoch, "epochs grow");
+                    self.last_epoch = epoch;
+                    assert!(!self.done.contains(&task), "{task} is done and leased again");
+                    self.all_is_there(&assignment, self.builds[&worker.0]);
+                    self.hints_are_of_the_frame_before(&assignment);
+                    self.begins(&assignment);
+                }
+                Command::Revoke { worker, task, epoch, .. } => {
+                    if let Some(held) = self.farm.ended.iter().find(|(to, held)| (*to, held.epoch) == (worker, epoch)) {
+                        self.over.push(held.clone());
+                    }
+                    self.live.remove(&(task, epoch));
+                }
+                Command::Note(note) if note.ending == Ending::Done => {
+                    assert!(self.noted.insert((note.task, note.epoch)), "{} is noted twice", note.task);
+                }
+                Command::Record(Fact::Forgotten { job }) => {
+                    self.jobs.retain(|known| *known != job);
+                    self.shared.retain(|_, known| *known != job);
+                    self.done.retain(|task| !job.is_shared() || task.job != job);
+                    self.results.retain(|unit, _| !job.is_shared() || unit.0 != job);
+                    self.keys.retain(|_, known| *known != job);
+                    self.over.retain(|(_, held)| held.task.job != job);
+                    assert!(self.live.iter().all(|(task, _)| task.job != job), "{job} is forgotten and leased");
+                }
+                Command::Record(Fact::Controlled { job, control }) => match control {
+                    Control::Cancel => drop(self.cancelled.insert(job)),
+                    Control::Pause => drop(self.paused.insert(job)),
+                    Control::Resume => drop(self.paused.remove(&job)),
+                    Control::Retry => {
+                        self.cancelled.remove(&job);
+                        self.paused.remove(&job);
+                        self.tries.retain(|task, _| task.job != job);
+                    }
+                    Control::Priority(_) => {}
+                },
+                Command::Discard(digests) => {
+                    let gone = self.farm.scheduler.unreferenced(digests);
+                    let needs =
+                        |(_, held): &&(WorkerId, Assignment)| held.work.artifacts().any(|it| gone.contains(&it.digest));
+                    let needy = self.farm.held.iter().find(needs);
+                    assert_eq!(needy, None, "what it reads may go");
+                }
+                _ => {}
+            }
+        }
+    }
+
+    /// What a fact does to what is done.
+    fn learn(&mut self, fact: &Fact) {
+        match fact {
+            Fact::Shared { job, key, engine, .. } => {
+                self.has_shared = true;
+                let before = self.shared.insert((*key, engine.clone()), *job);
+                assert_eq!(before, None, "one content is begun twice by one build");
+            }
+            Fact::Done { task, epoch, result, .. } => {
+                assert!(self.live.remove(&(*task, *epoch)), "a result without a lease counts");
+                assert!(self.done.insert(*task), "{task} is done twice");
+                for unit in self.runs[epoch].clone() {
+                    let made = self.ever.entry((unit.0, unit.1.frame, unit.1.number, unit.2)).or_default();
+                    made.extend(result.artifacts().map(|it| it.digest));
+                    let before = self.results.insert(unit, (*epoch, (**result).clone()));
+                    assert!(before.is_none(), "{unit:?} of {task} counts twice");
+                }
+                self.made.insert(*task, *epoch);
+                assert!(self.noted.remove(&(*task, *epoch)), "what {task} took is not noted");
+                if let Some(Decision::Steps(steps)) = &result.decision {
+                    let round = (task.job, task.stage.frame, task.stage.round + 1);
+                    self.decided.entry(round).or_insert_with(|| steps.clone());
+                }
+            }
+            Fact::Lost { task } => {
+                assert!(self.done.contains(task));
+                let there = self.shadow.references();
+                let units = self.runs[&self.made[task]].clone();
+                self.undo(units, &there);
+            }
+            Fact::Restarted { job, frame } => {
+                self.ever.retain(|(of, at, ..), _| (*of, *at) != (*job, *frame));
+                self.done.retain(|task| (task.job, task.stage.frame) != (*job, *frame));
+                self.results.retain(|(of, stage, ..), _| (*of, stage.frame) != (*job, *frame));
+                self.decided.retain(|(of, at, _), _| (*of, *at) != (*job, *frame));
+            }
+            _ => {}
+        }
+        let (Fact::Restarted { job, .. } | Fact::Controlled { job, control: Control::Retry }) = fact else {
+            drop(self.shadow.apply(fact, self.farm.now));
+            return;
+        };
+        // What was made of the job as a whole may have been made without a frame that is tried again.
+        let before = self.shadow.references();
+        self.shadow.apply(fact, self.farm.now);
+        let after = self.shadow.references();
+        let own = |stage: &Stage| stage.frame == Stage::OF_JOB;
+        let is_gone = |it: &Artifact| before.contains(&it.digest) && !after.contains(&it.digest);
+        let mut made = self.results.iter().filter(|(unit, _)| unit.0 == *job && own(&unit.1));
+        if made.any(|(_, (_, result))| result.artifacts().any(|it| is_gone(&it))) {
+            self.done.retain(|task| task.job != *job || !own(&task.stage));
+            self.results.retain(|(of, stage, ..), _| of != job || !own(stage));
+        }
+    }
+
+    /// These steps are to be done again; and what they read, where that is not there any more.
+    fn undo(&mut self, units: Vec<Unit>, there: &BTreeSet<Digest>) {
+        for unit in units {
+            let Some((epoch, _)) = self.results.remove(&unit) else { continue };
+            let made = &self.made;
+            self.done.retain(|task| made.get(task) != Some(&epoch));
+            let others: Vec<Unit> = self.runs[&epoch].clone();
+            others.iter().for_each(|other| drop(self.results.remove(other)));
+            let read = self.read_by(&unit, "");
+            let is_gone = |(need, unit): &(Need, Unit)| {
+                let result = self.results.get(unit);
+                result.is_some_and(|(_, it)| it.output(need.role).is_some_and(|it| !there.contains(&it.digest)))
+            };
+            let gone: Vec<(Need, Unit)> = read.into_iter().filter(is_gone).collect();
+            for (_, unit) in gone {
+                // A task of which some is gone is done again as a whole.
+                let whole: Vec<Unit> =
+                    self.results.keys().filter(|it| (it.0, it.1, it.2) == (unit.0, unit.1, unit.2)).copied().collect();
+                self.undo(whole, there);
+            }
+        }
+    }
+
+    /// The steps that a round takes of a task.
+    fn steps(&self, job: JobId, stage: &Stage, item: u32) -> std::ops::Range<u32> {
+        let template = self.farm.scheduler.spec(job).unwrap().graph.stage(stage.number).unwrap().clone();
+        let to = |round: u32| {
+            let steps = self.decided.get(&(job, stage.frame, round)).filter(|_| template.kind.is_cut());
+            steps.map(|steps| steps[item as usize])
+        };
+        let mut range = template.steps_of(0);
+        for round in 1..=stage.round {
+            let planned = template.steps_of(round);
+            range = match to(round) {
+                Some(end) => range.end..end.max(range.end),
+                None if template.kind.is_cut() => range.end..planned.end.max(range.end),
+                None => planned,
+            };
+        }
+        range
+    }
+
+    /// The last round of a frame's loop that was begun.
+    fn last_round(&self, job: JobId, frame: u32) -> u32 {
+        let of_frame = self.results.keys().filter(|unit| (unit.0, unit.1.frame) == (job, frame));
+        of_frame.map(|unit| unit.1.round).max().unwrap_or(0)
+    }
+
+    /// What a task reads, by its graph alone: of frames that there are, and of what this build has done for its content.
+    fn read_by(&self, (job, stage, item, _): &Unit, engine: &str) -> Vec<(Need, Unit)> {
+        let graph = &self.farm.scheduler.spec(*job).unwrap().graph;
+        let frames = &self.farm.scheduler.spec(*job).unwrap().frames;
+        let template = graph.stage(stage.number).unwrap();
+        let mut all = Vec::new();
+        for need in &template.needs {
+            let made = graph.stage(need.stage).unwrap();
+            let of_frames = made.scope == Scope::Frame && template.scope == Scope::Job;
+            let is_shared = made.scope == Scope::Content && template.scope == Scope::Frame;
+            let content = || {
+                let spec = self.farm.scheduler.spec(*job).unwrap();
+                spec.content(frames.binary_search(&stage.frame).unwrap()).unwrap()
+            };
+            let owner = if is_shared { self.shared.get(&(content(), engine.to_owned())).copied() } else { Some(*job) };
+            let Some(owner) = owner else { continue };
+            let own = if is_shared { Stage::OF_JOB } else { stage.frame };
+            let sources: Vec<u32> = if of_frames { frames.clone() } else { vec![own] };
+            let counted: Vec<(u32, u32)> =
+                sources.iter().flat_map(|&frame| (0..made.tasks()).map(move |task| (frame, task))).collect();
+            let chosen: Vec<(u32, u32)> = match need.reach {
+                Reach::All => counted,
+                Reach::Same => vec![counted[*item as usize]],
+                Reach::Fan(n) => counted.into_iter().skip((item * n) as usize).take(n as usize).collect(),
+            };
+            for (frame, task) in chosen {
+                let last = self.last_round(owner, frame);
+                let rounds = match need.round {
+                    Round::Before => stage.round.saturating_sub(1)..stage.round,
+                    Round::Every => 0..last + 1,
+                    Round::Same if is_shared && !graph.is_looped(need.stage) => 0..1,
+                    Round::Same
+                        if of_frames
+                            || is_shared
+                            || (graph.is_looped(need.stage) && !graph.is_looped(stage.number)) =>
+                    {
+                        last..last + 1
+                    }
+                    Round::Same => stage.round..stage.round + 1,
+                };
+                for round in rounds {
+                    let from = Stage { frame, round, number: need.stage, kind: made.kind };
+                    let steps = self.steps(owner, &from, task);
+                    all.extend(steps.map(|step| (*need, (owner, from, task, step))));
+                }
+            }
+        }
+        all
+    }
+
+    /// A job that stands still is leased to nobody, and none to a worker without its tags; of what jobs share one must run and fit,
+    /// and nothing is done for a content twice by one build.
+    fn may_lease(&self, worker: WorkerId, task: &TaskKey) {
+        if !task.job.is_shared() {
+            assert!(!self.paused.contains(&task.job), "{task} is leased, and its job stands still");
+            assert!(self.is_fit_for(worker, task.job), "{task} is leased to a worker without its tags");
+            assert!(
+                self.has_tags(worker, &self.template(task).tags),
+                "{task} is leased to a worker without its stage's"
+            );
+            return;
+        }
+        let shared = self.shared.iter().find(|(_, id)| **id == task.job);
+        let ((key, engine), _) = shared.expect("it was begun");
+        assert_eq!(engine, self.builds[&worker.0], "{task} is another build's");
+        let waits = |job: &JobId| {
+            let state = self.farm.state(*job);
+            matches!(state, JobState::Queued | JobState::Running)
+                && self.needs(*job, key)
+                && self.is_fit_for(worker, *job)
+        };
+        assert!(self.jobs.iter().any(waits), "{task} is leased, and no job waits for it");
+    }
+
+    /// Whether a frame of the job that is not finished has this content.
+    fn needs(&self, job: JobId, key: &Digest) -> bool {
+        let spec = self.farm.scheduler.spec(job).unwrap();
+        let finished = self.farm.scheduler.frames(job).unwrap();
+        let is_open = |frame: u32| !finished.iter().any(|record| record.frame == frame);
+        spec.frames
+            .iter()
+            .enumerate()
+            .any(|(place, &frame)| spec.content(place).as_ref() == Some(key) && is_open(frame))
+    }
+
+    /// Whether a worker has all that a job asks for.
+    fn is_fit_for(&self, worker: WorkerId, job: JobId) -> bool {
+        self.has_tags(worker, &self.farm.scheduler.spec(job).unwrap().tags)
+    }
+
+    fn has_tags(&self, worker: WorkerId, all: &[String]) -> bool {
+        let workers = self.farm.scheduler.workers(self.farm.now);
+        let tags = workers.into_iter().find(|known| known.worker == worker).map(|known| known.tags).unwrap_or_default();
+        all.iter().all(|tag| tags.contains(tag))
+    }
+
+    /// A lease begins, by being granted or adopted: nobody else has any of it, and none of it is done.
+    fn begins(&mut self, held: &Assignment) {
+        let units = units(held);
+        let original = held.copy_of.filter(|original| self.live.contains(&(held.task, *original)));
+        assert!(original.is_none_or(|original| self.runs[&original] == units), "{} is no copy", held.task);
+        let others = self.live.iter().filter(|(_, epoch)| Some(*epoch) != original);
+        for taken in others.clone().flat_map(|(_, epoch)| &self.runs[epoch]).chain(self.results.keys()) {
+            assert!(!units.contains(taken), "{taken:?} of {} is leased or done", held.task);
+        }
+        assert!(others.clone().all(|(task, _)| *task != held.task), "{} is leased twice", held.task);
+        self.live.insert((held.task, held.epoch));
+        self.runs.insert(held.epoch, units);
+        let read = held.work.inputs.iter().map(|it| (it.frame, it.item, it.output.role));
+        self.read.insert(held.epoch, read.collect());
+    }
+
+    /// Before a task begins, all that it reads is done, and it is given just that: of frames that cannot be finished nothing, where
+    /// gaps are allowed.
+    fn all_is_there(&self, held: &Assignment, engine: &str) {
+        let Some(unit) = units(held).first().copied() else { panic!("a task of nothing: {held:?}") };
+        let expected = self.expected(&held.task, &unit, engine);
+        let given: BTreeSet<Digest> = held.work.artifacts().map(|it| it.digest).collect();
+        assert_eq!(given, expected, "the inputs of {}", held.task);
+        assert_eq!(held.work.artifacts().count(), given.len(), "{} reads one input twice", held.task);
+        self.assignment_is_complete(held);
+    }
+
+    /// A task that reads one that is cut is told how many steps each of these has taken.
+    fn assignment_is_complete(&self, held: &Assignment) {
+        let graph = &self.farm.scheduler.spec(held.task.job).unwrap().graph;
+        let (stage, template) = (held.task.stage, self.template(&held.task));
+        let Some(need) = template.needs.iter().find(|need| need.round != Round::Before) else { return };
+        let made = graph.stage(need.stage).unwrap();
+        if !made.kind.is_cut() || made.scope != template.scope || template.kind.is_cut() {
+            return;
+        }
+        let items = match need.reach {
+            Reach::All => 0..made.tasks(),
+            Reach::Same => held.work.item..held.work.item + 1,
+            Reach::Fan(n) => held.work.item * n..((held.work.item + 1) * n).min(made.tasks()),
+        };
+        let is_behind = graph.is_looped(need.stage) && !graph.is_looped(stage.number);
+        let round = if is_behind { self.last_round(held.task.job, stage.frame) } else { stage.round };
+        let from = Stage { round, number: need.stage, kind: made.kind, ..stage };
+        let taken: Taken = items.map(|item| self.steps(held.task.job, &from, item).end).collect();
+        assert_eq!(held.work.taken, taken, "what {} is told", held.task);
+    }
+
+    /// What a task reads now.
+    fn expected(&self, task: &TaskKey, unit: &Unit, engine: &str) -> BTreeSet<Digest> {
+        let finished = |frame: u32| self.farm.scheduler.frames(unit.0).unwrap().iter().any(|it| it.frame == frame);
+        let mut expected = BTreeSet::new();
+        for (need, unit) in self.read_by(unit, engine) {
+            if unit.0 == task.job && unit.1.frame != task.stage.frame && !finished(unit.1.frame) {
+                assert!(need.gaps, "{} is given before frame {} is finished", task, unit.1.frame);
+                continue;
+            }
+            let Some((_, result)) = self.results.get(&unit) else { panic!("{unit:?} before {}", task) };
+            expected.extend(result.output(need.role).map(|it| it.digest));
+        }
+        expected
+    }
+
+    fn end_lease(&mut self, worker: WorkerId, held: &Assignment) {
+        self.over.push((worker, held.clone()));
+    }
+
+    fn held(&self, which: usize) -> Option<(WorkerId, Assignment)> {
+        let held = &self.farm.held;
+        (!held.is_empty()).then(|| held[which % held.len()].clone())
+    }
+
+    fn worker(&self, which: usize) -> Option<u64> {
+        self.workers.iter().nth(which % self.workers.len().max(1)).copied()
+    }
+
+    fn take(&mut self, step: Step) {
+        match step {
+            Step::Submit { frames, tiles, rounds, form, owner, key, priority } => {
+                let graph = form.graph(tiles, &[3, 8, 16][..rounds], frames);
+                let worlds = [1, frames].map(|end| (end, Digest::of(&[end.min(2) as u8, rounds as u8])));
+                let contents = if graph.has_content() { &worlds[usize::from(frames == 1)..] } else { &[] }.to_vec();
+                let frames: Vec<u32> = (1..=frames).collect();
+                let owner = OWNERS[owner].to_owned();
+                let tags = if tiles == 1 { vec![TAG.to_owned()] } else { vec![] };
+                let spec = Box::new(JobSpec { owner, priority, tags, contents, ..common::of(&frames, tiles, graph) });
+                let name = key.map(|key| key.to_string());
+                let commands = self.farm.on(Event::Submitted { request: RequestId(0), key: name, spec });
+                let known = key.and_then(|key| self.keys.get(&key).copied());
+                match common::answer(&commands) {
+                    Some(Answer::Submitted(job)) if known.is_none() => {
+                        assert!(!self.jobs.contains(&job), "{job} is new");
+                        self.jobs.push(job);
+                        self.keys.extend(key.map(|key| (key, job)));
+                    }
+                    answer => assert_eq!(answer, known.map(Answer::Submitted), "the same key is the same job"),
+                }
+                self.see(commands);
+            }
+            Step::Die(which) => {
+                let Some((before, held)) = self.held(which) else { return };
+                let own: Vec<_> = self.farm.held.iter().filter(|(holder, _)| *holder == before).cloned().collect();
+                for (worker, held) in own {
+                    self.live.remove(&(held.task, held.epoch));
+                    self.end_lease(worker, &held);
+                }
+                self.workers.remove(&before.0);
+                let (worker, today) = (self.next_worker, self.farm.engine);
+                self.next_worker += 1;
+                self.workers.insert(worker);
+                self.farm.engine = self.builds[&before.0];
+                self.builds.insert(worker, self.farm.engine);
+                let commands = self.farm.reborn(worker, before.0, &[held]);
+                self.farm.engine = today;
+                self.see(commands);
+            }
+            Step::Upgrade => self.farm.engine = if self.farm.engine == "e" { "f" } else { "e" },
+            Step::Join => {
+                self.counts_what_is_ready();
+                self.workers.insert(self.next_worker);
+                self.builds.insert(self.next_worker, self.farm.engine);
+                let tags = if self.next_worker.is_multiple_of(2) { vec![TAG.to_owned()] } else { vec![] };
+                let commands = self.farm.join_with(self.next_worker, tags);
+                self.next_worker += 1;
+                self.see(commands);
+            }
+            Step::Return(which) => {
+                if self.over.is_empty() {
+                    return;
+                }
+                let (before, _) = self.over[which % self.over.len()];
+                let mut leases: Vec<Assignment> =
+                    self.over.iter().filter(|(worker, _)| *worker == before).map(|(_, held)| held.clone()).collect();
+                leases.retain(|held| !self.live.contains(&(held.task, held.epoch)));
+                leases.sort_by_key(|held| held.epoch);
+                leases.dedup();
+                let commands = self.comes_back(before, &leases);
+                for held in leases {
+                    let is_back = |c: &Command| matches!(c, Command::Revoke { task, epoch, .. } if (*task, *epoch) == (held.task, held.epoch));
+                    if !commands.iter().any(is_back) {
+                        assert!(!self.done.contains(&held.task), "{} is done and adopted", held.task);
+                        self.begins(&held);
+                    }
+                }
+                self.see(commands);
+            }
+            Step::StartAgain(which) => {
+                let Some((before, held)) = self.held(which) else { return };
+                self.farm.held.retain(|(holder, other)| (*holder, other.epoch) != (before, held.epoch));
+                self.end_lease(before, &held);
+                let commands = self.comes_back(before, std::slice::from_ref(&held));
+                let is_back = |c: &Command| matches!(c, Command::Revoke { epoch, .. } if *epoch == held.epoch);
+                assert!(!commands.iter().any(is_back), "its own lease is taken from it: {commands:?}");
+                self.see(commands);
+            }
+            Step::Drain(which, drain) => {
+                let Some(worker) = self.worker(which) else { return };
+                let commands = self.farm.on(Event::Drained { worker: WorkerId(worker), drain });
+                let assigned = |c: &Command| matches!(c, Command::Assign { worker: to, .. } if to.0 == worker);
+                assert!(drain == Drain::Undo || !commands.iter().any(assigned), "a drained worker gets a task");
+                self.see(commands);
+            }
+            Step::Leave(which) => {
+                let Some(worker) = self.worker(which) else { return };
+                self.workers.remove(&worker);
+                let held: Vec<_> = self.farm.held.iter().filter(|(holder, _)| holder.0 == worker).cloned().collect();
+                for (worker, held) in held {
+                    self.live.remove(&(held.task, held.epoch));
+                    self.end_lease(worker, &held);
+                }
+                let commands = self.farm.leave(worker);
+                self.see(commands);
+            }
+            Step::Complete(which, goes, milliseconds) => {
+                self.take(Step::Wait(milliseconds));
+                let Some((worker, held)) = self.held(which) else { return };
+                // Who decides again has the same inputs.
+                let round = (held.task.job, held.task.stage.frame, held.task.stage.round);
+                let closes = self.template(&held.task).closes.is_some();
+                let goes = if closes { *self.choices.entry(round).or_insert(goes) } else { goes };
+                let result = self.result(&held, goes, milliseconds);
+                self.end_lease(worker, &held);
+                let commands = self.farm.complete_with(worker.0, &held, result.clone());
+                assert!(!commands.iter().any(|c| matches!(c, Command::Refuse { .. })), "a live lease is refused");
+                let has_counted = Self::counts(&commands, &held);
+                self.see(commands);
+                if has_counted {
+                    let again = self.farm.complete_with(worker.0, &held, result);
+                    let is_heard = |c: &Command| matches!(c, Command::Accept { epoch, .. } if *epoch == held.epoch);
+                    assert!(again.iter().any(is_heard), "what counts is refused the second time: {again:?}");
+                    assert!(!Self::counts(&again, &held), "it counts twice");
+                    self.see(again);
+                }
+            }
+            Step::Fail(which, kind) => {
+                let Some((worker, held)) = self.held(which) else { return };
+                self.end_lease(worker, &held);
+                self.live.remove(&(held.task, held.epoch));
+                let missing = held.work.artifacts().next().map_or(Digest::of(b"nobody knows"), |first| first.digest);
+                let failure = match kind {
+                    0..=9 => panic(),
+                    10 => Failure::Store { message: "away".into() },
+                    11 => Failure::Cancelled,
+                    12 => Failure::Scene { message: "no camera".into() },
+                    13..=16 => Failure::LostInputs { digests: vec![missing], message: "gone".into() },
+                    _ => Failure::Resources { message: "memory".into() },
+                };
+                self.complained.insert(worker.0);
+                let commands = self.farm.fail(worker.0, &held, failure);
+                self.see(commands);
+            }
+            Step::Doom(which) => {
+                let Some((_, doomed)) = self.held(which) else { return };
+                for _ in 0..3 {
+                    let place = self.farm.held.iter().position(|(_, held)| held.task == doomed.task);
+                    let Some(place) = place else { return };
+                    self.take(Step::Fail(place, 0));
+                }
+            }
+            Step::Late(which) => {
+                if self.over.is_empty() {
+                    return;
+                }
+                let (worker, task) = self.over[which % self.over.len()].clone();
+                let event = Event::Completed {
+                    worker,
+                    task: task.task,
+                    epoch: task.epoch,
+                    result: result(&task, Decision::Done),
+                };
+                let commands = self.farm.on(event);
+                // That its worker lives is news, and that time has gone by.
+                let is_besides = |fact: &Fact| {
+                    matches!(fact, Fact::Lives { .. } | Fact::Died { .. } | Fact::Used { .. } | Fact::Shared { .. })
+                };
+                let changes = |c: &Command| matches!(c, Command::Record(fact) if !is_besides(fact));
+                assert!(!commands.iter().any(changes), "a stale report changes something");
+                self.see(commands);
+            }
+            Step::Heartbeat(which, samples) => {
+                let Some(worker) = self.worker(which) else { return };
+                let commands = self.farm.heartbeat(worker, Phase::Working, samples);
+                self.see(commands);
+            }
+            Step::Wait(milliseconds) => {
+                let commands = self.farm.wait(milliseconds);
+                self.see(commands);
+            }
+            Step::Control(which, kind) => {
+                if self.jobs.is_empty() {
+                    return;
+                }
+                let job = self.jobs[which % self.jobs.len()];
+                let control = match kind {
+                    0 => Control::Pause,
+                    1 => Control::Resume,
+                    2 => Control::Cancel,
+                    3 => Control::Retry,
+                    _ => Control::Priority((which % 101) as u8),
+                };
+                let commands = self.farm.control(job, control);
+                self.see(commands);
+            }
+            Step::LoseImage(which) => {
+                let frames = |&job: &JobId| self.farm.scheduler.frames(job).unwrap_or_default().into_iter();
+                let images: Vec<Digest> = self
+                    .jobs
+                    .iter()
+                    .flat_map(frames)
+                    .flat_map(|frame| frame.outputs)
+                    .map(|it| it.artifact.digest)
+                    .collect();
+                if images.is_empty() {
+                    return;
+                }
+                let digest = images[which % images.len()];
+                let commands = self.farm.on(Event::Lost { digest });
+                self.see(commands);
+                let is_listed = |&job: &JobId| {
+                    let frames = self.farm.scheduler.frames(job).unwrap();
+                    frames.iter().flat_map(|frame| &frame.outputs).any(|it| it.artifact.digest == digest)
+                };
+                assert!(!self.jobs.iter().any(is_listed), "a lost image is told as finished");
+            }
+            Step::Restart => {
+                self.counts_each_result_once();
+                self.over.append(&mut self.farm.held.clone());
+                let before = self.farm.charged.clone();
+                let workers = self.next_worker;
+                self.farm.restart();
+                let [kept, charged] = [&self.farm.charged, &before].map(|charged| charged.values().sum::<u64>());
+                let most = workers * Scheduler::NOTE_SHARES;
+                assert!(kept <= charged && charged - kept <= most, "{kept} ms of {charged} are kept");
+                self.workers.clear();
+                self.live.clear();
+            }
+        }
+    }
+
+    fn template(&self, task: &TaskKey) -> &Template {
+        self.farm.scheduler.spec(task.job).and_then(|spec| spec.graph.stage(task.stage.number)).expect("it has a stage")
+    }
+
+    /// What an honest worker makes of a task: all that the graph says, and a decision where it closes a loop.
+    fn result(&self, held: &Assignment, goes: Goes, milliseconds: u64) -> TaskResult {
+        let stage = held.task.stage;
+        let graph = &self.farm.scheduler.spec(held.task.job).unwrap().graph;
+        let template = graph.stage(stage.number).unwrap();
+        let decision = template.closes.map(|_| match (held.work.more, goes) {
+            (More::Last, _) | (_, Goes::Over) => Decision::Done,
+            (More::Rounds, Goes::On) => Decision::Continue,
+            (More::Rounds, Goes::Unevenly(seed)) => {
+                let main = graph.main().filter(|_| template.scope == Scope::Frame).map(|(_, main)| main);
+                let Some(main) = main else { return Decision::Continue };
+                let steps =
+                    |task: u32| (stage.round * 3 + task.wrapping_mul(7) + seed) % (main.steps.last().unwrap() + 1);
+                Decision::Steps((0..main.tasks()).map(steps).collect())
+            }
+        });
+        let goes_on = decision.as_ref().map_or(held.work.more == More::Rounds, |it| *it != Decision::Done);
+        let is_made = |role: &&Role| {
+            let mut readers = graph.readers(stage.number).filter(|(_, need)| need.role == **role).peekable();
+            let is_carried = readers.peek().is_some() && readers.all(|(_, need)| need.round == Round::Before);
+            if is_carried { goes_on } else { decision.is_none() || !goes_on }
+        };
+        let output = |role: &Role| {
+            let artifact = Artifact::of(format!("{} {} {:?}", role.name(), held.task, held.work.steps).as_bytes());
+            Output { role: *role, artifact }
+        };
+        TaskResult {
+            outputs: template.makes.iter().filter(is_made).map(output).collect(),
+            units: if template.kind.is_cut() { 64 * held.work.steps.len() as u64 } else { 0 },
+            bad_samples: 1,
+            relative_error: Some(0.1),
+            decision,
+            seconds: milliseconds as f64 / 1000.0,
+        }
+    }
+
+    /// Whether a lease's result is written down.
+    fn counts(commands: &[Command], held: &Assignment) -> bool {
+        let is_result = |command: &Command| match command {
+            Command::Record(Fact::Done { epoch, .. }) => *epoch == held.epoch,
+            _ => false,
+        };
+        commands.iter().any(is_result)
+    }
+
+    /// A new session of a worker, which is of the same build.
+    fn comes_back(&mut self, before: WorkerId, leases: &[Assignment]) -> Vec<Command> {
+        let (worker, today) = (self.next_worker, self.farm.engine);
+        self.next_worker += 1;
+        self.workers.insert(worker);
+        let build = self.builds[&before.0];
+        self.builds.insert(worker, build);
+        self.farm.engine = build;
+        let commands = self.farm.rejoin(worker, leases);
+        self.farm.engine = today;
+        commands
+    }
+
+    fn check(&mut self) {
+        // What was paused and is done is not held any longer.
+        let is_done = |job: &JobId| self.farm.scheduler.spec(*job).is_none() || self.farm.state(*job) == JobState::Done;
+        self.paused = self.paused.iter().copied().filter(|job| !is_done(job)).collect();
+        // Copies are given out as time goes by.
+        self.take(Step::Wait(0));
+        assert_eq!(&self.farm.replay(), self.farm.scheduler.ledger(), "a replay gives the same state");
+        let again = self.farm.on(Event::Elapsed);
+        assert_eq!(again, [], "dealing again changes nothing");
+        for &job in &self.jobs {
+            let status = self.farm.status(job);
+            let is_under_way = self.farm.held.iter().any(|(_, held)| held.task.job == job);
+            let says_why = is_under_way || status.state.has_ended() || !status.waits.is_empty();
+            assert!(says_why, "nothing of job {job} is under way, and it does not say why: {status:?}");
+        }
+        self.explains_every_end();
+        self.charges_what_was_held();
+        self.counts_what_was_done();
+        self.figures_add_up();
+        let known: BTreeSet<_> = self.farm.held.iter().map(|(_, h)| (h.task, h.epoch)).collect();
+        assert_eq!(known, self.live);
+        assert!(self.live.iter().all(|(task, _)| !self.done.contains(task)), "what is done is no longer leased");
+    }
+
+    /// A job has failed if, and only if, something of it was put aside or the whole cannot succeed; who was put aside stays so until
+    /// a person says otherwise; nothing of what has ended is leased.
+    fn explains_every_end(&mut self) {
+        for &job in &self.jobs {
+            let status = self.farm.status(job);
+            assert_eq!(status.state == JobState::Cancelled, self.cancelled.contains(&job), "{status:?}");
+            let has_reason = status.failure.is_some() || !status.quarantined.is_empty();
+            assert!(status.state != JobState::Failed || has_reason, "{status:?}");
+            assert!(status.state.has_ended() || status.failure.is_none(), "{status:?}");
+            let blocked: BTreeSet<u32> = status.quarantined.iter().map(|one| one.task.stage.frame).collect();
+            let shares = self.farm.scheduler.spec(job).unwrap().graph.has_content();
+            assert!(shares || status.frames_failed as usize <= blocked.len(), "{status:?}");
+            let is_leased = self.live.iter().any(|(task, _)| task.job == job);
+            assert!(!(status.state.has_ended() && is_leased), "job {job} has ended and is leased: {status:?}");
+            let mut now: BTreeMap<TaskKey, u32> = BTreeMap::new();
+            for one in &status.quarantined {
+                let is_enough = if matches!(one.failure, Failure::Killed { .. }) { 5 } else { 3 };
+                assert!(one.attempts >= is_enough, "{one:?}");
+                // A frame that begins anew takes what is put aside along to its first round.
+                now.insert(TaskKey { stage: Stage { round: 0, ..one.task.stage }, ..one.task }, one.attempts);
+            }
+            for (task, tries) in self.tries.iter().filter(|(task, _)| task.job == job) {
+                assert!(now.get(task) >= Some(tries), "{task} was tried {tries} times: {now:?}");
+            }
+            self.tries.extend(now);
+        }
+    }
+
+    /// Every moment of a worker is its oldest lease's owner's; what is under way becomes so in time.
+    fn charges_what_was_held(&self) {
+        let used: BTreeMap<&str, u64> = self.farm.scheduler.used().map(|(owner, used)| (owner, used.held)).collect();
+        let served = self.farm.served();
+        for owner in OWNERS {
+            let charged = used.get(owner).copied().unwrap_or(0);
+            let held = self.farm.charged.get(owner).copied().unwrap_or(0);
+            let under_way = if served.contains(owner) { self.workers.len() as u64 * Scheduler::NOTE_SHARES } else { 0 };
+            let shared = self.farm.charged.get(Farm::SHARED).copied().unwrap_or(0);
+            let is_right = charged <= held + shared && held.saturating_sub(charged) <= under_way;
+            assert!(is_right, "{owner} held {held} ms, shared {shared}, and is charged {charged}");
+        }
+        let (charged, held) = (used.values().sum::<u64>(), self.farm.charged.values().sum::<u64>());
+        let under_way = self.workers.len() as u64 * Scheduler::NOTE_SHARES;
+        assert!(charged <= held && held - charged <= under_way, "{held} ms were held, and {charged} are charged");
+    }
+
+    /// Where nothing is under way, a job's samples are those that are there, and its frames' seconds those of all results.
+    fn counts_what_was_done(&self) {
+        for &job in &self.jobs {
+            if self.live.iter().any(|(task, _)| task.job == job) {
+                continue;
+            }
+            let units = self.results.keys().filter(|unit| unit.0 == job && unit.1.kind.is_cut()).count() as u64;
+            assert_eq!(self.farm.status(job).samples_done, 64 * units, "samples of job {job}");
+            for record in self.farm.scheduler.frames(job).unwrap() {
+                let of_it = |task: &TaskKey| (task.job, task.stage.frame) == (job, record.frame);
+                let seconds = self.farm.log.iter().map(|(_, fact)| match fact {
+                    Fact::Done { task, result, .. } if of_it(task) => result.seconds,
+                    _ => 0.0,
+                });
+                let sum: f64 = seconds.sum();
+                assert!((record.busy_seconds - sum).abs() < 1e-6, "{record:?}: {sum} s");
+                let passed = self.farm.now.0 as f64 / 1000.0;
+                assert!((0.0..=passed).contains(&record.seconds), "{record:?} after {passed} s");
+            }
+        }
+    }
+
+    /// The farm in numbers is the sum of what it says of each job and worker, and of what was seen.
+    fn figures_add_up(&self) {
+        let (scheduler, now) = (&self.farm.scheduler, self.farm.now);
+        let (figures, jobs, workers) = (scheduler.figures(now), scheduler.jobs(now), scheduler.workers(now));
+        for (state, count) in figures.jobs {
+            assert_eq!(count, jobs.iter().filter(|job| job.state == state).count() as u64, "{state:?} jobs");
+        }
+        for (kind, count) in figures.leased {
+            let leased = self.live.iter().filter(|(task, _)| task.stage.kind == kind).count();
+            assert_eq!(count, leased as u64, "leases of {kind:?}");
+        }
+        let aside = jobs.iter().flat_map(|job| &job.quarantined).filter(|one| !one.task.job.is_shared()).count() as u64;
+        assert!(figures.quarantined == aside || (figures.quarantined > aside && self.has_shared), "{jobs:?}");
+        assert_eq!(figures.threads, workers.iter().map(|worker| u64::from(worker.threads)).sum());
+        assert_eq!(figures.used, scheduler.used().map(|(_, used)| used.held).sum());
+        assert_eq!(figures.stale_messages, scheduler.stale_messages());
+        let stale: u64 = jobs.iter().map(|job| job.stale_messages).sum();
+        let is_all = scheduler.config().keep_ended.is_none() && !self.has_shared;
+        assert!(stale == figures.stale_messages || !is_all, "{stale} stale messages");
+
+        let standing = |sought| figures.workers.iter().find(|(standing, _)| *standing == sought).unwrap().1;
+        let count = |is: &dyn Fn(&WorkerStatus) -> bool| workers.iter().filter(|worker| is(worker)).count() as u64;
+        assert_eq!(figures.workers.iter().map(|(_, count)| count).sum::<u64>(), workers.len() as u64);
+        assert_eq!(standing(WorkerStanding::Drained), count(&|worker| worker.intake == Intake::Drained));
+        assert_eq!(standing(WorkerStanding::Off), count(&|worker| worker.intake == Intake::Off));
+        let is_open = |worker: &WorkerStatus| worker.intake == Intake::Open;
+        // Well is who has been heard and has not failed.
+        let (unfit, lease) = (standing(WorkerStanding::Unfit), scheduler.config().lease);
+        let may_rest =
+            count(&|worker| is_open(worker) && (self.complained.contains(&worker.worker.0) || worker.silent >= lease));
+        assert!(unfit <= may_rest, "{unfit} unfit: {workers:?}");
+        let [idle, busy] = [standing(WorkerStanding::Idle), standing(WorkerStanding::Busy)];
+        assert!(idle <= count(&|worker| is_open(worker) && worker.tasks.is_empty()), "{idle} idle: {workers:?}");
+        assert!(busy <= count(&|worker| is_open(worker) && !worker.tasks.is_empty()), "{busy} busy: {workers:?}");
+
+        let is_whole = |job: &JobStatus| {
+            job.frames_failed == 0
+                && job.quarantined.is_empty()
+                && self.live.iter().all(|(task, _)| task.job != job.job)
+        };
+        if jobs.iter().all(is_whole) {
+            let left = |job: &JobStatus| {
+                let frames = scheduler.frames(job.job).unwrap();
+                let spec = scheduler.spec(job.job).unwrap();
+                let is_open = |frame: &u32| !frames.iter().any(|record| record.frame == *frame);
+                let open = spec.frames.iter().filter(|frame| is_open(frame)).count() as u64;
+                let is_cut = |stage: &Stage| stage.kind.is_cut();
+                let units = self
+                    .results
+                    .keys()
+                    .filter(|(of, stage, ..)| *of == job.job && is_cut(stage) && is_open(&stage.frame));
+                open * spec.samples_of_frame() - 64 * units.count() as u64
+            };
+            let run = jobs.iter().filter(|job| matches!(job.state, JobState::Queued | JobState::Running));
+            assert_eq!(figures.samples_left, run.map(left).sum::<u64>(), "{jobs:?}");
+        }
+    }
+
+    /// What is said to be ready is what new workers get: of each build one after the other, until they get nothing.
+    fn counts_what_is_ready(&self) {
+        // What is begun for a content is ready from then on.
+        let has_content = |job: &JobId| self.farm.scheduler.spec(*job).is_some_and(|spec| spec.graph.has_content());
+        if self.jobs.iter().any(has_content) {
+            return;
+        }
+        let ready = self.farm.scheduler.figures(self.farm.now).ready;
+        let (mut scheduler, mut given) = (self.farm.scheduler.clone(), BTreeMap::<StageKind, u64>::new());
+        let (mut number, mut idle) = (0, 0);
+        while idle < 2 {
+            number += 1;
+            let engine = ["e", "f"][number as usize % 2];
+            let worker = WorkerId(1_000_000 + number);
+            let registration = Registration {
+                name: format!("new {number}"),
+                instance: worker.0,
+                engine: engine.into(),
+                tags: vec![TAG.to_owned()],
+                ..common::registration()
+            };
+            let commands = scheduler.on(Event::Joined { worker, registration }, self.farm.now);
+            idle = if scheduler.leases(worker, self.farm.now).is_empty() { idle + 1 } else { 0 };
+            for command in commands {
+                if let Command::Assign { assignment: held, .. } = command
+                    && held.copy_of.is_none()
+                {
+                    *given.entry(held.task.stage.kind).or_default() += 1;
+                }
+            }
+        }
+        let is_cut = self.farm.scheduler.config().grain.get() < 1 << 15;
+        for (kind, ready) in ready {
+            let given = given.get(&kind).copied().unwrap_or(0);
+            let is_right =
+                if kind.is_cut() && is_cut { given <= ready && (given > 0) == (ready > 0) } else { given == ready };
+            assert!(is_right, "{ready} tasks of {kind:?} are ready, and {given} are given out");
+        }
+    }
+
+    /// A result that is written down again, at once or at the end, changes nothing.
+    fn counts_each_result_once(&self) {
+        let is_result = |fact: &Fact| matches!(fact, Fact::Done { .. });
+        let mut ledger = Ledger::default();
+        for (now, fact) in &self.farm.log {
+            ledger.apply(fact, *now);
+            if is_result(fact) {
+                let once = ledger.clone();
+                ledger.apply(fact, *now);
+                assert_eq!(ledger, once, "{fact:?} counts twice");
+            }
+        }
+        let now = ledger.now();
+        let is_over = |(_, fact): &&(Tick, Fact)| match fact {
+            // Of one that was lost, the same may be made again under no other lease.
+            Fact::Done { task, .. } => self.done.contains(task),
+            _ => false,
+        };
+        for (_, fact) in self.farm.log.iter().filter(is_over) {
+            let once = ledger.clone();
+            ledger.apply(fact, now);
+            assert_eq!(ledger, once, "{fact:?} counts again at the end");
+        }
+    }
+
+    /// What was made of a job that is done as a whole was made of all its frames.
+    fn is_made_of_all(&self, job: JobId, state: JobState) {
+        let own = self.results.iter().filter(|(unit, _)| unit.0 == job && unit.1.frame == Stage::OF_JOB);
+        for (unit, (epoch, _)) in own.filter(|_| state == JobState::Done) {
+            let task = TaskKey { job, stage: unit.1, index: unit.2 };
+            let all = self.read_by(unit, "").into_iter().map(|(need, it)| (it.1.frame, it.2, need.role));
+            assert_eq!(self.read[epoch], all.collect(), "{task} is made of other frames");
+        }
+    }
+
+    /// What a task may look at counts, and was made of the frame before.
+    fn hints_are_of_the_frame_before(&self, held: &Assignment) {
+        let spec = self.farm.scheduler.spec(held.task.job).unwrap();
+        for hint in &held.work.hints {
+            let of = self.template(&held.task).hints[usize::from(hint.need)];
+            let place = spec.frames.binary_search(&held.task.stage.frame).unwrap();
+            assert_eq!((hint.frame, hint.output.role), (spec.frames[place - 1], of.role));
+            let made = self.ever.get(&(held.task.job, hint.frame, of.stage, hint.item));
+            let is_made = made.is_some_and(|made| made.contains(&hint.output.artifact.digest));
+            assert!(is_made, "{} is to look at what nobody has made: {hint:?}", held.task);
+        }
+    }
+
+    /// One good worker and no more faults: every job ends, and a job that is done has every frame.
+    fn finish(&mut self) {
+        let jobs: Vec<JobId> = self.jobs.clone();
+        for job in jobs {
+            let commands = self.farm.control(job, Control::Resume);
+            self.see(commands);
+        }
+        self.take(Step::Join);
+        for _ in 0..10_000 {
+            if self.jobs.iter().all(|&job| self.farm.state(job).has_ended()) {
+                break;
+            }
+            match self.held(0) {
+                Some(_) => self.take(Step::Complete(0, Goes::On, 30)),
+                None => self.take(Step::Wait(70_000)),
+            }
+            if self.farm.held.is_empty() {
+                self.take(Step::Join);
+            }
+        }
+        for &job in &self.jobs {
+            let status = self.farm.status(job);
+            assert!(status.state.has_ended(), "job {job} does not end: {status:?}");
+            self.is_made_of_all(job, status.state);
+            let own = u32::from(self.farm.scheduler.spec(job).unwrap().graph.has_job());
+            let frames = self.farm.scheduler.frames(job).unwrap().len() as u32;
+            assert_eq!(status.state == JobState::Done, frames == status.frames_total + own);
+            let has_reason = !status.quarantined.is_empty() || status.failure.is_some();
+            assert_eq!(
+                status.state == JobState::Failed,
+                has_reason && frames < status.frames_total + own && status.state != JobState::Cancelled
+            );
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig {
+        cases: 256, failure_persistence: None, max_shrink_time: 60_000, ..ProptestConfig::default()
+    })]
+    #[test]
+    fn no_task_is_lost_and_none_is_done_twice_and_every_job_ends(
+        grain in prop_oneof![Just(1u64), Just(128), Just(1 << 15)],
+        prefetch in 0..2u32,
+        keep_ended in prop_oneof![Just(None), Just(Some(20_000u64))],
+        steps in prop::collection::vec(step(), 1..120),
+    ) {
+        let mut machine = Machine::new(grain, prefetch, keep_ended);
+        for step in steps {
+            machine.take(step);
+            machine.check();
+        }
+        machine.finish();
+        machine.check();
+        machine.counts_each_result_once();
+    }
+}

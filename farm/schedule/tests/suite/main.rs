@@ -1,0 +1,18 @@
+//! The scheduler as a pure function, a module a topic.
+
+mod affinity;
+mod attempts;
+mod builds;
+mod common;
+mod copies;
+mod deaths;
+mod grains;
+mod graphs;
+mod groups;
+mod hints;
+mod images;
+mod machine;
+mod quota;
+mod sentences;
+mod shared;
+mod shares;

@@ -1,0 +1,785 @@
+//! What the scheduler promises, a sentence each.
+
+use crate::common;
+use crate::common::{Farm, answer, job, panic, registration, result};
+use femc_model::*;
+use femc_schedule::*;
+
+use Decision::{Continue, Done};
+use StageKind::{Image, Render};
+
+fn refused(commands: &[Command]) -> bool {
+    commands.iter().any(|command| matches!(command, Command::Refuse { .. }))
+}
+
+fn accepted(commands: &[Command]) -> bool {
+    commands.iter().any(|command| matches!(command, Command::Accept { .. }))
+}
+
+fn lost(artifacts: &[Artifact]) -> Failure {
+    let digests = artifacts.iter().map(|artifact| artifact.digest).collect();
+    Failure::LostInputs { digests, message: "gone".into() }
+}
+
+fn recorded(commands: &[Command]) -> bool {
+    commands.iter().any(|command| matches!(command, Command::Record(_)))
+}
+
+#[test]
+fn a_silent_worker_loses_its_lease_and_a_late_answer_changes_nothing() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    let late = farm.first_of(1);
+    farm.wait(4_999);
+    assert_eq!(farm.tasks_of(1).len(), 1);
+    farm.wait(1);
+    assert_eq!(farm.tasks_of(1), [], "revoked, and not given back to the silent one");
+    farm.join(2);
+    assert_eq!(farm.tasks_of(2), [(1, 0, Render, 0)]);
+    assert!(farm.first_of(2).epoch > late.epoch);
+    let answer = farm.complete(1, &late, Done);
+    assert!(refused(&answer) && !recorded(&answer) && !accepted(&answer));
+    assert_eq!(farm.status(id).stale_messages, 1);
+}
+
+#[test]
+fn heartbeats_with_progress_keep_a_lease_and_standing_still_loses_it() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    for step in 1..=100 {
+        farm.wait(4_000);
+        farm.heartbeat(1, Phase::Working, step);
+    }
+    assert_eq!(farm.tasks_of(1).len(), 1);
+    let farm_stands_still = |farm: &mut Farm| {
+        (1..100).find(|_| {
+            farm.heartbeat(1, Phase::Working, 100);
+            farm.wait(4_000).iter().any(|command| matches!(command, Command::Record(Fact::Failed { .. })))
+        })
+    };
+    assert_eq!(farm_stands_still(&mut farm), Some(31), "after the stall limit of 120 s and what was left of the lease");
+    assert_eq!(farm_stands_still(&mut farm), Some(31));
+    assert_eq!(farm_stands_still(&mut farm), Some(31));
+    assert_eq!(farm.state(id), JobState::Failed, "a task that stands still everywhere ends like one that panics");
+}
+
+#[test]
+fn a_long_merge_keeps_its_lease_by_the_inputs_that_are_in_and_these_are_no_samples() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    farm.work(1, Done);
+    for inputs in 1..=100 {
+        farm.wait(4_000);
+        farm.heartbeat(1, Phase::Working, inputs);
+    }
+    assert_eq!(farm.tasks_of(1), [(1, 0, Image, 0)]);
+    assert_eq!((farm.status(id).samples_done, farm.status(id).active[0].samples_done), (4 * 64, 4 * 64));
+}
+
+#[test]
+fn a_worker_that_leaves_frees_its_tasks_at_once() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 2, &[4]));
+    farm.join(1);
+    assert_eq!(farm.tasks_of(1).len(), 2, "one that runs and one ahead");
+    farm.join(2);
+    assert_eq!(farm.tasks_of(2), []);
+    farm.leave(1);
+    assert_eq!(farm.tasks_of(2), [(1, 0, Render, 0), (1, 0, Render, 1)]);
+}
+
+#[test]
+fn nobody_fetches_ahead_what_another_could_begin() {
+    let mut farm = Farm::new();
+    farm.join(1);
+    farm.join(2);
+    farm.submit(job(&[1], 3, &[4]));
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 0), (1, 0, Render, 2)]);
+    assert_eq!(farm.tasks_of(2), [(1, 0, Render, 1)]);
+}
+
+#[test]
+fn a_frame_is_merged_after_its_last_tile_and_the_next_frame_overlaps() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1, 2], 2, &[4]));
+    farm.join(1);
+    farm.work(1, Done);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 1), (2, 0, Render, 0)]);
+    farm.work(1, Done);
+    assert_eq!(farm.tasks_of(1), [(2, 0, Render, 0), (1, 0, Image, 0)]);
+    let merge = farm.held[1].1.clone();
+    assert_eq!((merge.work.more, merge.work.of_role(Role::Tile).count(), merge.work.inputs.len()), (More::Last, 2, 2));
+    farm.complete(1, &merge, Done);
+    assert_eq!(farm.status(id).frames_done, 1);
+    while farm.state(id) == JobState::Running {
+        farm.work(1, Done);
+    }
+    assert_eq!(farm.state(id), JobState::Done);
+    let frames: Vec<u32> = farm.scheduler.frames(id).unwrap().iter().map(|frame| frame.frame).collect();
+    assert_eq!(frames, [1, 2]);
+}
+
+#[test]
+fn a_merge_that_says_continue_opens_the_next_round_before_later_frames() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1, 2, 3], 1, &[4, 8, 16]));
+    farm.join_as(1, Registration { slots: 1, ..registration() });
+    farm.work(1, Done);
+    assert_eq!(farm.tasks_of(1), [(2, 0, Render, 0), (1, 0, Image, 0)]);
+    let merge = farm.held[1].1.clone();
+    let commands = farm.complete(1, &merge, Continue);
+    assert!(commands.iter().any(|c| matches!(c, Command::Discard(digests) if digests.len() == 1)), "the merged tile");
+    assert_eq!(farm.tasks_of(1), [(2, 0, Render, 0), (1, 1, Render, 0)]);
+    assert_eq!(farm.held[1].1.work.steps, 4..8);
+    let tile = farm.held[1].1.clone();
+    farm.complete(1, &tile, Done);
+    let merge = farm.held[1].1.clone();
+    assert_eq!(merge.work.more, More::Rounds);
+    assert_eq!(merge.work.inputs.len(), 2, "the sums of the round before and the tile");
+    farm.complete(1, &merge, Done);
+    assert_eq!(farm.scheduler.frames(id).unwrap()[0].spp, 8);
+}
+
+#[test]
+fn a_repeated_completion_gets_the_recorded_answer() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 2, &[4]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    assert!(recorded(&farm.complete(1, &held, Done)));
+    let again = farm.complete(1, &held, Done);
+    assert!(accepted(&again) && !recorded(&again) && !refused(&again));
+}
+
+#[test]
+fn a_task_that_fails_three_times_is_put_aside_and_the_job_goes_on_and_a_retry_runs_just_that() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1, 2], 2, &[4]));
+    farm.join(1);
+    for _ in 0..3 {
+        let bad =
+            farm.held.iter().find(|(_, held)| held.task.stage.frame == 1 && held.task.index == 0).unwrap().1.clone();
+        farm.fail(1, &bad, panic());
+    }
+    while farm.state(id) == JobState::Running {
+        farm.work(1, Done);
+    }
+    let status = farm.status(id);
+    assert_eq!((status.state, status.frames_done, status.frames_failed), (JobState::Failed, 1, 1));
+    assert_eq!(status.quarantined[0].attempts, 3);
+    assert_eq!(status.waits, [Wait::Quarantined { frame: 1, tasks: 1 }]);
+    farm.control(id, Control::Retry);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 0)], "the other tile is kept");
+    farm.work(1, Done);
+    farm.work(1, Done);
+    assert_eq!(farm.state(id), JobState::Done);
+}
+
+#[test]
+fn a_failed_task_goes_to_another_worker_if_there_is_one() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    farm.join(2);
+    let held = farm.first_of(1);
+    farm.fail(1, &held, panic());
+    assert_eq!((farm.tasks_of(1).len(), farm.tasks_of(2).len()), (0, 1));
+    farm.leave(2);
+    assert_eq!(farm.tasks_of(1).len(), 1, "alone, it may try again");
+}
+
+#[test]
+fn a_result_without_its_artifact_is_refused_and_the_task_done_again() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    let (worker, task, epoch) = (WorkerId(1), held.task, held.epoch);
+    let artifact = Digest::of(b"gone");
+    let said = farm.on(Event::ArtifactMissing { worker, task, epoch, artifact, message: "it did not arrive".into() });
+    let answers: Vec<_> =
+        said.iter().filter(|said| matches!(said, Command::Accept { .. } | Command::Refuse { .. })).collect();
+    let refusal = Refusal::NoSuchArtifact { digest: artifact };
+    assert_eq!(answers, [&Command::Refuse { worker, task, epoch, refusal }]);
+    farm.drop_lease(task, epoch);
+    // As after any failure of the store, the worker rests for a second.
+    farm.now = farm.now.after(999);
+    farm.heartbeat(1, Phase::Waiting, 0);
+    farm.wait(1);
+    assert_eq!(farm.first_of(1).task, task);
+    assert_eq!(farm.status(id).quarantined, []);
+}
+
+#[test]
+fn a_full_disk_uses_up_no_attempt_and_gives_the_worker_a_rest() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    for pause in [1_000, 2_000, 4_000, 8_000] {
+        let held = farm.first_of(1);
+        farm.fail(1, &held, Failure::Store { message: "disk full".into() });
+        assert_eq!(farm.tasks_of(1), []);
+        let mishap = Wait::Mishaps { tasks: 1, message: "store: disk full".into() };
+        let failure = Failure::Store { message: "disk full".into() };
+        let trouble = Wait::WorkersInTrouble { workers: 1, seconds: pause / 1000, failure };
+        assert_eq!(farm.status(id).waits, [mishap, Wait::WorkersResting, trouble]);
+        farm.now = farm.now.after(pause - 1);
+        farm.heartbeat(1, Phase::Waiting, 0);
+        assert_eq!(farm.tasks_of(1), []);
+        farm.wait(1);
+        assert_eq!(farm.tasks_of(1).len(), 1);
+    }
+    assert_eq!(farm.status(id).quarantined, []);
+}
+
+#[test]
+fn a_worker_that_is_silent_is_told_as_such_and_not_as_one_that_rests() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 6, &[4]));
+    farm.join(1);
+    farm.wait(5_000);
+    assert_eq!(farm.status(id).waits, [Wait::WorkersSilent { workers: 1, seconds: 5 }]);
+    // Another that works changes nothing about the first.
+    farm.join(2);
+    let silent = Wait::WorkersSilent { workers: 1, seconds: 5 };
+    assert_eq!(farm.status(id).waits, [Wait::WorkersBusy { workers: 1 }, silent]);
+    farm.heartbeat(1, Phase::Waiting, 0);
+    assert!(!farm.status(id).waits.iter().any(|wait| matches!(wait, Wait::WorkersSilent { .. })));
+}
+
+#[test]
+fn a_scene_that_cannot_be_read_fails_the_job_at_once_and_recalls_its_leases() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1, 2], 4, &[4]));
+    farm.join(1);
+    farm.join(2);
+    let held = farm.first_of(1);
+    farm.fail(1, &held, Failure::Scene { message: "no camera".into() });
+    assert_eq!(farm.held.len(), 0);
+    let status = farm.status(id);
+    assert_eq!(status.state, JobState::Failed);
+    assert_eq!(status.failure, Some(Failure::Scene { message: "no camera".into() }));
+}
+
+#[test]
+fn a_merge_that_misses_tiles_has_just_those_rendered_again() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 3, &[4]));
+    farm.join(1);
+    (0..3).for_each(|_| drop(farm.work(1, Done)));
+    let merge = farm.first_of(1);
+    let tiles: Vec<Artifact> = merge.work.artifacts().collect();
+    farm.fail(1, &merge, lost(&[tiles[1], tiles[2]]));
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 1), (1, 0, Render, 2)]);
+    (0..3).for_each(|_| drop(farm.work(1, Done)));
+    assert_eq!(farm.state(id), JobState::Done);
+}
+
+#[test]
+fn a_store_that_loses_every_tile_ends_the_job() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 2, &[4, 8]));
+    farm.join(1);
+    let mut steps = 0;
+    while farm.state(id) == JobState::Running {
+        let held = farm.first_of(1);
+        match held.work.artifacts().next() {
+            None => farm.complete(1, &held, Continue),
+            Some(tile) => farm.fail(1, &held, lost(&[tile])),
+        };
+        steps += 1;
+        assert!(steps < 20);
+    }
+    assert_eq!(farm.state(id), JobState::Failed);
+}
+
+#[test]
+fn cancel_recalls_and_pause_lets_finish() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 9, &[4]));
+    farm.join(1);
+    farm.control(id, Control::Pause);
+    farm.work(1, Done);
+    farm.work(1, Done);
+    assert_eq!(farm.tasks_of(1), []);
+    assert_eq!((farm.state(id), farm.status(id).waits), (JobState::Paused, vec![Wait::Paused]));
+    farm.control(id, Control::Resume);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 2), (1, 0, Render, 3)]);
+    farm.control(id, Control::Cancel);
+    assert_eq!((farm.held.len(), farm.state(id)), (0, JobState::Cancelled));
+    assert!(answer(&farm.control(id, Control::Resume)).is_none(), "it has ended");
+    farm.control(id, Control::Retry);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 2), (1, 0, Render, 3)], "what was finished stays");
+}
+
+#[test]
+fn the_job_with_more_priority_goes_first_and_says_so() {
+    let mut farm = Farm::new();
+    let slow = farm.submit(job(&[1], 9, &[4]));
+    let fast = farm.submit(JobSpec { priority: 60, ..job(&[7], 9, &[4]) });
+    farm.join(1);
+    assert_eq!(farm.tasks_of(1), [(7, 0, Render, 0), (7, 0, Render, 1)]);
+    assert_eq!(farm.status(slow).waits, [Wait::BehindJob(fast)]);
+    assert_eq!(farm.status(fast).waits, [Wait::WorkersBusy { workers: 1 }]);
+    farm.control(slow, Control::Priority(70));
+    farm.work(1, Done);
+    assert_eq!(farm.tasks_of(1)[1], (1, 0, Render, 0));
+}
+
+#[test]
+fn a_worker_on_which_three_tasks_fail_gets_no_more_of_the_job_until_it_has_proved_itself() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 400, &[8]));
+    farm.join(1);
+    farm.join(2);
+    for _ in 0..3 {
+        let held = farm.first_of(1);
+        farm.fail(1, &held, panic());
+    }
+    // It still held one more task; when that fails too, nothing changes.
+    let held = farm.first_of(1);
+    farm.fail(1, &held, panic());
+    assert!(farm.tasks_of(1).is_empty());
+    assert!(farm.status(id).waits.contains(&Wait::WorkersQuarantined { workers: 1, seconds: 60 }));
+    farm.work(2, Done);
+    assert!(farm.tasks_of(1).is_empty() && farm.tasks_of(2).len() == 2);
+
+    // A minute later it gets one task, not two.
+    (0..61).for_each(|_| {
+        farm.wait(1000);
+        farm.heartbeat(1, Phase::Waiting, 0);
+        farm.heartbeat(2, Phase::Working, farm.now.0);
+    });
+    assert_eq!(farm.tasks_of(1).len(), 1, "{:?}", farm.status(id).waits);
+    let held = farm.first_of(1);
+    farm.fail(1, &held, panic());
+    assert!(farm.tasks_of(1).is_empty());
+    assert!(farm.status(id).waits.contains(&Wait::WorkersQuarantined { workers: 1, seconds: 120 }), "twice as long");
+
+    // With nobody else there it must do.
+    farm.leave(2);
+    assert_eq!(farm.tasks_of(1).len(), 2);
+    farm.work(1, Done);
+    farm.join(3);
+    farm.work(1, Done);
+    assert_eq!(farm.tasks_of(1).len(), 2, "a success forgives");
+}
+
+#[test]
+fn a_worker_that_lived_through_a_restart_keeps_its_tasks_and_its_results_count() {
+    let mut farm = Farm::with(Config { regroup: 500, ..common::config() });
+    let id = farm.submit(job(&[1], 6, &[8]));
+    farm.join(1);
+    farm.join(2);
+    let own = |farm: &Farm, worker: u64| -> Vec<Assignment> {
+        farm.held.iter().filter(|(holder, _)| holder.0 == worker).map(|(_, held)| held.clone()).collect()
+    };
+    let (first, second) = (own(&farm, 1), own(&farm, 2));
+    farm.restart();
+    // The first worker is back before the second, and gets nothing that is the second's.
+    farm.rejoin(11, &first);
+    assert_eq!(own(&farm, 11), first);
+    assert_eq!(farm.status(id).waits, [Wait::Regrouping { milliseconds: 500 }]);
+    farm.wait(200);
+    farm.rejoin(12, &second);
+    farm.wait(400);
+    assert_eq!((own(&farm, 11), own(&farm, 12)), (first.clone(), second));
+    assert!(recorded(&farm.complete(11, &first[0], Done)), "done once, under the lease of before");
+    assert_eq!(farm.status(id).stale_messages, 0);
+}
+
+#[test]
+fn after_a_standstill_of_the_coordinator_workers_are_heard_before_leases_run_out() {
+    let mut farm = Farm::with(Config { regroup: 500, ..common::config() });
+    farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    farm.join(2);
+    let held = farm.first_of(1);
+    farm.now = farm.now.after(60_000);
+    farm.on(Event::LoopStalled);
+    let revoked = |commands: Vec<Command>| commands.iter().any(|command| matches!(command, Command::Revoke { .. }));
+    assert!(!revoked(farm.wait(100)), "its lease is long over, and stays");
+    farm.heartbeat(1, Phase::Working, 9);
+    farm.wait(400);
+    assert_eq!((farm.first_of(1).epoch, farm.tasks_of(2).len()), (held.epoch, 0));
+    // A coordinator that stumbles all the time lets leases run out all the same.
+    for _ in 0..100 {
+        farm.on(Event::LoopStalled);
+        farm.heartbeat(2, Phase::Waiting, 0);
+        farm.wait(100);
+    }
+    assert_eq!((farm.tasks_of(1).len(), farm.tasks_of(2).len()), (0, 1));
+}
+
+#[test]
+fn what_a_returning_worker_brings_is_taken_back_if_another_has_it_or_the_job_is_another() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 2, &[8]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    farm.leave(1);
+    farm.join(2);
+    let commands = farm.rejoin(3, std::slice::from_ref(&held));
+    assert!(commands.iter().any(|c| matches!(c, Command::Revoke { task, .. } if *task == held.task)), "{commands:?}");
+    assert!(refused(&farm.complete(3, &held, Done)), "the other worker's lease counts");
+
+    // Another farm's job of the same number; nothing but its key tells it from this one.
+    for (job_is, is_taken_back) in [(job(&[1], 3, &[8]), false), (job(&[1], 2, &[8]), true)] {
+        let mut farm = Farm::new();
+        assert_eq!(farm.submit(job(&[1], 3, &[8])), id);
+        let brought = HeldLease { job: job_is.key(), ..HeldLease { steps: 0..8, ..farm.lease(&held) } };
+        let commands = farm.join_as(1, Registration { held: vec![brought], ..registration() });
+        assert_eq!(commands.iter().any(|c| matches!(c, Command::Revoke { .. })), is_taken_back, "{commands:?}");
+    }
+}
+
+#[test]
+fn a_worker_that_starts_again_takes_its_lease_from_the_session_that_nobody_has_heard_to_end() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[8]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    // Another process: nothing but the lease tells that it is the same worker.
+    let commands = farm.rejoin(2, std::slice::from_ref(&held));
+    assert!(!commands.iter().any(|c| matches!(c, Command::Revoke { .. })), "{commands:?}");
+    assert!(refused(&farm.complete(1, &held, Done)), "the old session has lost it");
+    assert!(recorded(&farm.complete(2, &held, Done)), "and nobody else has got it");
+    assert_eq!(farm.status(id).stale_messages, 1);
+    // One that comes with the lease again, later, changes nothing.
+    let commands = farm.rejoin(3, std::slice::from_ref(&held));
+    assert!(commands.iter().any(|c| matches!(c, Command::Revoke { .. })), "{commands:?}");
+}
+
+#[test]
+fn a_failure_that_counts_is_not_counted_again_by_a_worker_that_brings_its_lease_along() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[8]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    farm.fail(1, &held, panic());
+    // The coordinator dies before it says so.
+    farm.restart();
+    let commands = farm.rejoin(2, std::slice::from_ref(&held));
+    let is_over = |c: &Command| matches!(c, Command::Revoke { epoch, .. } if *epoch == held.epoch);
+    assert!(commands.iter().any(is_over), "{commands:?}");
+    assert!(refused(&farm.fail(2, &held, panic())));
+    // One that was granted later is adopted.
+    let later = farm.first_of(2);
+    assert!(later.epoch > held.epoch);
+    farm.restart();
+    let commands = farm.rejoin(3, std::slice::from_ref(&later));
+    assert!(!commands.iter().any(|c| matches!(c, Command::Revoke { .. })), "{commands:?}");
+    assert!(recorded(&farm.complete(3, &later, Done)));
+    assert_eq!(farm.status(id).stale_messages, 0, "of this life");
+}
+
+#[test]
+fn a_drained_worker_finishes_what_it_has_and_gets_nothing_until_the_operator_undoes_it() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1, 2], 2, &[8]));
+    farm.join(1);
+    assert_eq!(farm.tasks_of(1).len(), 2);
+    let named = |farm: &Farm, name: &str| farm.scheduler.named(&WorkerName::Name(name.into()));
+    assert_eq!((named(&farm, "w"), named(&farm, "x")), (vec![WorkerId(1)], vec![]));
+    assert_eq!(farm.scheduler.named(&WorkerName::Number(WorkerId(1))), [WorkerId(1)]);
+    farm.on(Event::Drained { worker: WorkerId(1), drain: Drain::Begin });
+    assert!(recorded(&farm.work(1, Done)) && recorded(&farm.work(1, Done)));
+    assert_eq!(farm.tasks_of(1), []);
+    assert!(farm.status(id).waits.contains(&Wait::WorkersDraining { workers: 1 }), "{:?}", farm.status(id).waits);
+    // What the worker wants does not count, nor a new session of it, nor a new coordinator.
+    farm.on(Event::Available { worker: WorkerId(1) });
+    assert_eq!(farm.tasks_of(1), []);
+    farm.restart();
+    farm.join_as(2, Registration { instance: 1, ..registration() });
+    assert_eq!(farm.tasks_of(2), []);
+    assert_eq!(farm.scheduler.workers(farm.now)[0].intake, Intake::Drained);
+    farm.on(Event::Drained { worker: WorkerId(2), drain: Drain::Undo });
+    assert_eq!(farm.tasks_of(2).len(), 2);
+    // Of itself it may want none, too.
+    farm.on(Event::Draining { worker: WorkerId(2) });
+    assert!(recorded(&farm.work(2, Done)) && recorded(&farm.work(2, Done)));
+    assert_eq!((farm.tasks_of(2), farm.scheduler.workers(farm.now)[0].intake), (vec![], Intake::Off));
+    farm.on(Event::Available { worker: WorkerId(2) });
+    assert!(!farm.tasks_of(2).is_empty());
+}
+
+#[test]
+fn logs_of_failures_are_kept_with_the_job_and_those_of_tiles_for_a_while() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 2, &[8]));
+    farm.join(1);
+    let (first, second) = (farm.held[0].1.clone(), farm.held[1].1.clone());
+    let logged = |held: &Assignment, attempt, text: LogText| Event::Logged {
+        worker: WorkerId(1),
+        task: held.task,
+        epoch: held.epoch,
+        log: TaskLog { attempt, seconds: 1.0, text },
+    };
+    let stored = |index: usize| LogText::Stored(Artifact::of(&index.to_le_bytes()));
+    farm.on(logged(&first, Attempt::Failed, stored(0)));
+    farm.fail(1, &first, Failure::Panicked { message: "oh".into() });
+    farm.now = farm.now.after(10);
+    farm.on(logged(&second, Attempt::Done, LogText::Inline("tile".into())));
+    assert!(farm.on(logged(&first, Attempt::Failed, stored(1))).is_empty(), "that lease is over");
+    let logs = |farm: &Farm, since| {
+        let logs = farm.scheduler.logs(id, Tick(since)).unwrap();
+        logs.into_iter().map(|record| (record.task.index, record.worker, record.log.attempt)).collect::<Vec<_>>()
+    };
+    let both = [(0, "w".to_owned(), Attempt::Failed), (1, "w".to_owned(), Attempt::Done)];
+    assert_eq!((logs(&farm, 0), logs(&farm, 10)), (both.to_vec(), both[1..].to_vec()));
+    assert_eq!(farm.scheduler.unreferenced(vec![Artifact::of(&0usize.to_le_bytes()).digest]), []);
+    // A worker that writes without end: the oldest goes, the failure stays.
+    let mut discarded = 0;
+    for index in 2..600 {
+        let commands = farm.on(logged(&second, Attempt::Done, stored(index)));
+        discarded += commands.iter().filter(|c| matches!(c, Command::Discard(_))).count();
+    }
+    assert_eq!((discarded, farm.scheduler.logs(id, Tick(0)).unwrap().len()), (600 - 2 + 1 - 512, 513));
+    farm.restart();
+    assert_eq!(logs(&farm, 0)[0], both[0]);
+    assert_eq!(farm.scheduler.logs(JobId(9), Tick(0)), Err(Refusal::NoSuchJob { job: JobId(9) }));
+}
+
+#[test]
+fn the_latest_logs_of_tiles_are_kept_many_short_ones_or_as_many_long_ones_as_four_mebibytes_hold() {
+    for (length, name, kept) in [(100, "w".repeat(60), 2_048), (64 << 10, "w".into(), 60)] {
+        let mut farm = Farm::new();
+        let id = farm.submit(job(&[1], 1, &[8]));
+        farm.join_as(1, Registration { name, ..registration() });
+        let held = farm.first_of(1);
+        for number in 0..3_000 {
+            let text = LogText::Inline("x".repeat(length));
+            let log = TaskLog { attempt: Attempt::Done, seconds: f64::from(number), text };
+            farm.on(Event::Logged { worker: WorkerId(1), task: held.task, epoch: held.epoch, log });
+        }
+        let logs = farm.scheduler.logs(id, Tick(0)).unwrap();
+        assert!((kept..kept + 5).contains(&logs.len()), "{} of {length} bytes", logs.len());
+        let latest = (0..logs.len()).map(|place| (3_000 - logs.len() + place) as f64);
+        assert!(logs.iter().map(|record| record.log.seconds).eq(latest));
+    }
+}
+
+#[test]
+fn several_heartbeats_fit_into_a_lease_of_any_length() {
+    for lease in [100, 4_500, 60_000, 3_600_000] {
+        let Config { lease: found, heartbeat, .. } = Config::with_lease(lease);
+        assert!(found == lease && (1..=lease / 5).contains(&heartbeat), "{lease}: {found}, {heartbeat}");
+    }
+}
+
+#[test]
+fn a_task_that_failed_on_the_one_worker_does_not_wait_for_another_that_is_not_trusted() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..common::config() });
+    let id = farm.submit(job(&[1], 4, &[8]));
+    (1..=2).for_each(|worker| drop(farm.join(worker)));
+    for _ in 0..3 {
+        let held = farm.first_of(2);
+        farm.fail(2, &held, panic());
+    }
+    assert_eq!(farm.tasks_of(2), [], "three tasks have failed here");
+    farm.work(1, Done);
+    let held = farm.first_of(1);
+    farm.fail(1, &held, panic());
+    for _ in 0..4 {
+        farm.work(1, Done);
+    }
+    assert_eq!(farm.state(id), JobState::Done, "{:?}", farm.status(id).waits);
+}
+
+#[test]
+fn a_worker_that_is_to_prove_itself_and_loses_its_task_to_no_fault_of_its_own_gets_another() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..common::config() });
+    farm.submit(job(&[1], 12, &[8]));
+    farm.join(1);
+    // It is trusted, and has enough to do.
+    farm.join(2);
+    for _ in 0..3 {
+        let held = farm.first_of(1);
+        farm.fail(1, &held, panic());
+    }
+    assert_eq!(farm.tasks_of(1), [], "three tasks have failed here");
+    farm.wait(farm.scheduler.config().quarantine);
+    (1..=2).for_each(|worker| drop(farm.heartbeat(worker, Phase::Working, 1)));
+    assert_eq!(farm.tasks_of(1).len(), 1, "to prove itself");
+    let held = farm.first_of(1);
+    farm.fail(1, &held, Failure::Cancelled);
+    assert_eq!(farm.tasks_of(1).len(), 1, "still to prove itself");
+}
+
+#[test]
+fn a_job_goes_only_to_workers_with_its_tags() {
+    let mut farm = Farm::new();
+    let id = farm.submit(JobSpec { tags: vec!["lab".into()], ..job(&[1], 1, &[4]) });
+    assert_eq!(farm.status(id).waits, [Wait::NoWorkers]);
+    farm.join(1);
+    assert_eq!(farm.tasks_of(1), []);
+    assert_eq!(farm.status(id).waits, [Wait::NoWorkerWithTags(vec!["lab".into()])]);
+    let other = farm.submit(job(&[5], 1, &[4]));
+    assert_eq!(farm.tasks_of(1), [(5, 0, Render, 0)], "a job that it may not take is passed over");
+    farm.join_as(2, Registration { instance: 2, tags: vec!["lab".into()], ..registration() });
+    assert_eq!(farm.tasks_of(2), [(1, 0, Render, 0)]);
+    assert_ne!(id, other);
+}
+
+#[test]
+fn a_second_submission_with_the_same_key_is_the_same_job() {
+    let mut farm = Farm::new();
+    let submit = |farm: &mut Farm, key: &str| {
+        let spec = Box::new(job(&[1], 1, &[4]));
+        answer(&farm.on(Event::Submitted { request: RequestId(9), key: Some(key.into()), spec }))
+    };
+    let first = submit(&mut farm, "a");
+    assert_eq!(submit(&mut farm, "a"), first);
+    farm.restart();
+    assert_eq!(submit(&mut farm, "a"), first);
+    assert_ne!(submit(&mut farm, "b"), first);
+}
+
+#[test]
+fn a_restart_keeps_what_is_done_and_voids_every_lease() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 4, &[4]));
+    farm.join(1);
+    farm.work(1, Done);
+    let before = farm.first_of(1);
+    farm.restart();
+    farm.join(1);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 1), (1, 0, Render, 2)], "the leased ones, not the finished one");
+    assert!(farm.first_of(1).epoch > before.epoch);
+    let answer = farm.complete(1, &before, Done);
+    assert!(refused(&answer) && !recorded(&answer));
+    assert_eq!(farm.status(id).active[0].tiles_done, 1);
+}
+
+#[test]
+fn a_worker_that_comes_again_replaces_its_first_session() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 1, &[4]));
+    farm.join_as(1, Registration { instance: 7, ..registration() });
+    farm.held.clear();
+    let commands = farm.join_as(2, Registration { instance: 7, ..registration() });
+    assert!(commands.contains(&Command::Dismiss { worker: WorkerId(1) }));
+    assert_eq!(farm.tasks_of(2), [(1, 0, Render, 0)]);
+}
+
+#[test]
+fn a_leaving_worker_gets_nothing_new_and_finishes_what_it_holds() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 9, &[4]));
+    farm.join(1);
+    farm.on(Event::Draining { worker: WorkerId(1) });
+    assert!(accepted(&farm.work(1, Done)));
+    assert_eq!(farm.tasks_of(1).len(), 1);
+}
+
+#[test]
+fn a_result_of_the_wrong_kind_is_a_failure_of_the_task() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    let merge = TaskKey { stage: Stage { kind: Image, ..held.task.stage }, ..held.task };
+    let result = result(&Assignment { task: merge, ..held.clone() }, Done);
+    let event = Event::Completed { worker: WorkerId(1), task: held.task, epoch: held.epoch, result };
+    let commands = farm.on(event);
+    assert!(commands.iter().any(|command| matches!(command, Command::Record(Fact::Failed { .. }))));
+}
+
+#[test]
+fn samples_are_counted_in_results_and_in_running_tasks() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 2, &[4]));
+    farm.join(1);
+    farm.work(1, Done);
+    farm.heartbeat(1, Phase::Working, 100);
+    let status = farm.status(id);
+    assert_eq!((status.samples_done, status.samples_planned, status.bad_samples), (4 * 64 + 100, 8 * 64, 1));
+    farm.wait(1_000);
+    farm.heartbeat(1, Phase::Working, 150);
+    farm.wait(1_000);
+    assert_eq!(farm.status(id).samples_per_second, 50.0);
+}
+
+#[test]
+fn a_job_of_a_million_tasks_is_one_fact_and_no_rows() {
+    let mut farm = Farm::new();
+    let frames: Vec<u32> = (1..=1_000).collect();
+    farm.submit(job(&frames, 1_000, &[4]));
+    let bytes = farm.scheduler.ledger().encode().unwrap();
+    assert!(bytes.len() < 3_000, "{} bytes: the frame numbers and no task", bytes.len());
+    farm.join(1);
+    assert_eq!(farm.tasks_of(1), [(1, 0, Render, 0), (1, 0, Render, 1)]);
+}
+
+#[test]
+fn a_snapshot_of_another_version_is_refused_and_a_damaged_one_too() {
+    let mut farm = Farm::new();
+    farm.submit(job(&[1], 4, &[4]));
+    let mut bytes = farm.scheduler.ledger().encode().unwrap();
+    assert_eq!(Ledger::decode(&bytes).as_ref(), Ok(farm.scheduler.ledger()));
+    bytes.truncate(bytes.len() - 1);
+    assert!(matches!(Ledger::decode(&bytes), Err(SnapshotError::Damaged(_))));
+    bytes[0] = 9;
+    assert_eq!(Ledger::decode(&bytes), Err(SnapshotError::Version { found: 9 }));
+    assert_eq!(Ledger::decode(&[]), Err(SnapshotError::Empty));
+}
+
+#[test]
+fn a_worker_with_short_tasks_holds_more_of_them() {
+    let mut farm = Farm::with(Config { ahead: 200, lease: 60_000, ..common::config() });
+    farm.submit(job(&[1], 1000, &[4]));
+    farm.join(1);
+    assert_eq!(farm.tasks_of(1).len(), 2, "nothing is known of the tasks yet");
+    let mut done = |count, milliseconds: u64| {
+        for _ in 0..count {
+            farm.wait(milliseconds);
+            let held = farm.first_of(1);
+            let seconds = milliseconds as f64 / 1000.0;
+            farm.complete_with(1, &held, TaskResult { seconds, ..result(&held, Done) });
+        }
+        farm.tasks_of(1).len()
+    };
+    assert_eq!(done(1, 40), 2 + 5, "200 ms of tasks that take 40 ms");
+    assert_eq!(done(60, 1), 2 + 64, "at most so many");
+    assert_eq!(done(120, 300), 2, "long ones are fetched one ahead");
+}
+
+#[test]
+fn a_job_that_ended_long_ago_is_forgotten_and_one_that_somebody_retries_is_not() {
+    let mut farm = Farm::with(Config { keep_ended: Some(60_000), ..common::config() });
+    let submit = |farm: &mut Farm, key: &str| {
+        let spec = Box::new(job(&[1], 1, &[4]));
+        match answer(&farm.on(Event::Submitted { request: RequestId(9), key: Some(key.into()), spec })) {
+            Some(Answer::Submitted(job)) => job,
+            other => panic!("{other:?}"),
+        }
+    };
+    let (done, retried, runs) = (submit(&mut farm, "done"), submit(&mut farm, "retried"), submit(&mut farm, "runs"));
+    farm.control(runs, Control::Pause);
+    farm.control(retried, Control::Cancel);
+    farm.join(1);
+    let tile = farm.first_of(1);
+    farm.work(1, Done);
+    farm.work(1, Done);
+    assert_eq!(farm.state(done), JobState::Done);
+    farm.leave(1);
+    farm.wait(59_000);
+    farm.control(retried, Control::Retry);
+    assert!(!farm.wait(900).iter().any(|c| matches!(c, Command::Record(Fact::Forgotten { .. }))), "not yet");
+    let commands = farm.wait(1_100);
+    let forgotten: Vec<_> =
+        commands.iter().filter(|c| matches!(c, Command::Record(Fact::Forgotten { .. }))).cloned().collect();
+    assert_eq!(forgotten, [Command::Record(Fact::Forgotten { job: done })]);
+    let left = |farm: &Farm| farm.scheduler.jobs(farm.now).iter().map(|status| status.job).collect::<Vec<_>>();
+    assert_eq!(left(&farm), [retried, runs]);
+    assert_eq!(farm.scheduler.frames(done), Err(Refusal::NoSuchJob { job: done }));
+    assert_eq!(answer(&farm.control(done, Control::Retry)), None);
+    assert!(refused(&farm.complete(2, &tile, Done)), "a late word about it");
+    farm.restart();
+    assert_eq!(left(&farm), [retried, runs]);
+    let again = submit(&mut farm, "done");
+    assert!(again > runs, "a number is never used twice, and the key is free: {again}");
+}

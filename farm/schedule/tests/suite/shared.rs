@@ -1,0 +1,459 @@
+//! What is done once for all frames and jobs of one content, a sentence each.
+
+use crate::common::{Farm, config, of, panic, registration};
+use femc_model::*;
+use femc_schedule::*;
+
+use StageKind::{Drill, Image};
+
+/// Two blocks and the field that reads them, for all of one content; an image a frame.
+fn job(owner: &str, frames: &[u32], content: u8) -> Box<JobSpec> {
+    let drill = |tasks, makes| Template::new(Drill, Scope::Content, Sizes::even(tasks, 1), &[makes]);
+    let image = Template::new(Image, Scope::Frame, Sizes::even(1, 1), &[Role::Image]);
+    let stages = vec![
+        drill(2, Role::Numbers),
+        drill(1, Role::Answer).reads(0, Role::Numbers, Reach::All),
+        image.reads(1, Role::Answer, Reach::All).closes(2, 1),
+    ];
+    let contents = vec![(frames.len() as u32, Digest::of(&[content]))];
+    Box::new(JobSpec { owner: owner.into(), contents, ..of(frames, 1, Graph { stages }) })
+}
+
+/// Does the worker's oldest task after so many milliseconds.
+fn work(farm: &mut Farm, worker: u64, milliseconds: u64) -> TaskKey {
+    let held = farm.first_of(worker);
+    let (roles, decision): (&[Role], _) = match (held.task.stage.kind, held.task.stage.number) {
+        (Image, _) => (&[Role::Image], Some(Decision::Done)),
+        (StageKind::Reduce, _) => (&[Role::Sums], None),
+        (_, 1) => (&[Role::Answer], None),
+        _ => (&[Role::Numbers], None),
+    };
+    let output =
+        |&role: &Role| Output { role, artifact: Artifact::of(format!("{} {}", role.name(), held.task).as_bytes()) };
+    farm.wait(milliseconds);
+    let seconds = milliseconds as f64 / 1000.0;
+    let outputs = roles.iter().map(output).collect();
+    farm.complete_with(worker, &held, TaskResult { outputs, decision, seconds, ..TaskResult::default() });
+    held.task
+}
+
+fn farm(config: Config) -> Farm {
+    Farm::with(Config { prefetch: 0, lease: 1 << 40, late: 1 << 40, ..config })
+}
+
+fn submit(farm: &mut Farm, spec: Box<JobSpec>) -> JobId {
+    farm.submit(*spec)
+}
+
+fn held(farm: &Farm, worker: u64) -> Option<TaskKey> {
+    farm.held.iter().find(|(holder, _)| holder.0 == worker).map(|(_, held)| held.task)
+}
+
+fn used(farm: &Farm) -> Vec<(String, u64)> {
+    farm.scheduler.used().map(|(owner, used)| (owner.to_owned(), used.held)).collect()
+}
+
+#[test]
+fn it_is_done_once_for_two_jobs_and_again_for_another_content() {
+    let mut farm = farm(config());
+    let jobs = [("ann", 1), ("bob", 1), ("eve", 2)].map(|(owner, key)| submit(&mut farm, job(owner, &[1, 2], key)));
+    farm.join(1);
+    let mut done = Vec::new();
+    while held(&farm, 1).is_some() {
+        done.push(work(&mut farm, 1, 10));
+    }
+    assert!(jobs.iter().all(|&job| farm.state(job) == JobState::Done));
+    let shared: Vec<JobId> = done.iter().map(|task| task.job).filter(|job| job.is_shared()).collect();
+    assert_eq!((shared.len(), shared.iter().collect::<std::collections::BTreeSet<_>>().len()), (6, 2));
+}
+
+#[test]
+fn the_last_of_those_who_wait_stops_it_and_its_results_are_there_for_who_comes_later() {
+    let mut farm = farm(config());
+    let (ann, bob) = (submit(&mut farm, job("ann", &[1], 1)), submit(&mut farm, job("bob", &[1], 1)));
+    farm.join(1);
+    assert!(held(&farm, 1).is_some_and(|task| task.job.is_shared()));
+    work(&mut farm, 1, 10);
+    farm.control(ann, Control::Cancel);
+    assert!(held(&farm, 1).is_some(), "bob waits for it");
+    farm.control(bob, Control::Pause);
+    assert_eq!(held(&farm, 1), None);
+    let eve = submit(&mut farm, job("eve", &[1], 1));
+    let second = work(&mut farm, 1, 10);
+    assert_eq!((second.stage.number, second.index), (0, 1), "the first block is there");
+    work(&mut farm, 1, 10);
+    work(&mut farm, 1, 10);
+    assert_eq!(farm.state(eve), JobState::Done);
+}
+
+#[test]
+fn its_time_is_split_over_the_owners_who_wait_by_weight_and_the_rest_is_the_first_ones() {
+    let mut farm = farm(Config { weights: [("bob".to_owned(), 3)].into(), ..config() });
+    for (owner, frames) in [("ann", &[1][..]), ("bob", &[1]), ("bob", &[1, 2]), ("eve", &[1])] {
+        submit(&mut farm, job(owner, frames, 1));
+    }
+    farm.join(1);
+    work(&mut farm, 1, 13);
+    // Weights 1, 3, 1 of 13 ms: 2, 7, 2, and 2 ms are left over.
+    assert_eq!(used(&farm), [("ann".to_owned(), 4), ("bob".to_owned(), 7), ("eve".to_owned(), 2)]);
+}
+
+#[test]
+fn what_cannot_be_done_blocks_all_that_need_it_and_a_retry_of_one_opens_it_for_all() {
+    let mut farm = farm(config());
+    let jobs = [("ann", &[1][..]), ("bob", &[1, 2])].map(|(owner, frames)| submit(&mut farm, job(owner, frames, 1)));
+    farm.join(1);
+    let shared = held(&farm, 1).unwrap().job;
+    while let Some(task) = held(&farm, 1) {
+        assert_eq!(task.job, shared);
+        let held = farm.first_of(1);
+        farm.fail(1, &held, panic());
+    }
+    for (job, frames) in jobs.into_iter().zip([1, 2]) {
+        let status = farm.status(job);
+        assert_eq!((status.state, status.frames_failed), (JobState::Failed, frames));
+        assert_eq!(status.waits, [Wait::SharedQuarantined { shared, frames, tasks: 2 }]);
+        assert!(status.quarantined.iter().all(|one| one.task.job == shared));
+    }
+    farm.control(jobs[0], Control::Retry);
+    while held(&farm, 1).is_some() {
+        work(&mut farm, 1, 10);
+    }
+    assert!(jobs.iter().all(|&job| farm.state(job) == JobState::Done));
+}
+
+#[test]
+fn each_build_does_its_own_and_a_frame_takes_none_but_that_of_its_build() {
+    let mut farm = farm(config());
+    let id = submit(&mut farm, job("ann", &[1, 2], 1));
+    let join = |farm: &mut Farm, worker: u64, engine: &str| {
+        farm.join_as(worker, Registration { instance: worker, engine: engine.into(), ..registration() })
+    };
+    join(&mut farm, 1, "old");
+    let old = held(&farm, 1).unwrap().job;
+    for _ in 0..3 {
+        work(&mut farm, 1, 10);
+    }
+    assert_eq!(held(&farm, 1).map(|task| (task.job, task.stage.frame)), Some((id, 1)));
+    join(&mut farm, 2, "new");
+    let new = held(&farm, 2).unwrap().job;
+    assert!(new.is_shared() && new != old);
+    for _ in 0..3 {
+        work(&mut farm, 2, 10);
+    }
+    let inputs: Vec<Digest> = [1, 2].map(|worker| farm.first_of(worker).work.inputs[0].output.artifact.digest).to_vec();
+    assert_ne!(inputs[0], inputs[1]);
+}
+
+#[test]
+fn a_frame_that_begins_anew_is_blocked_where_another_build_could_not_do_what_it_needs() {
+    let mut farm = farm(config());
+    let mut spec = job("ann", &[1, 2], 1);
+    let pair =
+        Template::new(Drill, Scope::Frame, Sizes::even(2, 1), &[Role::Numbers]).reads(1, Role::Answer, Reach::All);
+    let image = Template::new(Image, Scope::Frame, Sizes::even(1, 1), &[Role::Image]);
+    spec.graph.stages.splice(2.., [pair, image.reads(2, Role::Numbers, Reach::All).closes(3, 1)]);
+    let id = submit(&mut farm, spec);
+    let join = |farm: &mut Farm, worker: u64, engine: &str| {
+        farm.join_as(worker, Registration { instance: worker, engine: engine.into(), ..registration() })
+    };
+    join(&mut farm, 1, "old");
+    for _ in 0..4 {
+        work(&mut farm, 1, 10);
+    }
+    join(&mut farm, 2, "new");
+    while held(&farm, 2).is_some() {
+        let held = farm.first_of(2);
+        assert!(held.task.job.is_shared());
+        farm.fail(2, &held, panic());
+    }
+    assert_eq!(farm.status(id).frames_failed, 1, "frame 1 is of the old build, which has done it");
+    farm.leave(1);
+    for _ in 0..2 * config().orphaned / 1_000 {
+        farm.wait(1_000);
+        farm.heartbeat(2, Phase::Working, 0);
+    }
+    assert_eq!(farm.state(id), JobState::Failed);
+}
+
+#[test]
+fn what_a_drained_build_has_begun_is_begun_again_by_another() {
+    let mut farm = farm(config());
+    submit(&mut farm, job("ann", &[1], 1));
+    let join = |farm: &mut Farm, worker: u64, engine: &str| {
+        farm.join_as(worker, Registration { instance: worker, engine: engine.into(), ..registration() })
+    };
+    join(&mut farm, 1, "old");
+    let old = held(&farm, 1).unwrap().job;
+    work(&mut farm, 1, 10);
+    join(&mut farm, 2, "new");
+    assert_eq!(held(&farm, 2), None, "the old build is at it");
+    farm.on(Event::Drained { worker: WorkerId(1), drain: Drain::Begin });
+    work(&mut farm, 1, 10);
+    assert!(held(&farm, 2).is_some_and(|task| task.job.is_shared() && task.job != old));
+}
+
+#[test]
+fn a_frame_goes_on_with_its_build_though_another_has_begun_what_it_needs() {
+    let mut farm = farm(Config { shared_bytes: 0, ..config() });
+    let spec = |owner: &str| {
+        let mut spec = job(owner, &[1], 1);
+        let pair =
+            Template::new(Drill, Scope::Frame, Sizes::even(2, 1), &[Role::Numbers]).reads(1, Role::Answer, Reach::All);
+        let image = Template::new(Image, Scope::Frame, Sizes::even(1, 1), &[Role::Image]);
+        spec.graph.stages.splice(2.., [pair, image.reads(2, Role::Numbers, Reach::All).closes(3, 1)]);
+        spec
+    };
+    let join = |farm: &mut Farm, worker: u64, engine: &str| {
+        farm.join_as(worker, Registration { instance: worker, engine: engine.into(), ..registration() })
+    };
+    let ann = submit(&mut farm, spec("ann"));
+    join(&mut farm, 1, "old");
+    for _ in 0..4 {
+        work(&mut farm, 1, 10);
+    }
+    while held(&farm, 1).is_some() {
+        let held = farm.first_of(1);
+        farm.fail(1, &held, panic());
+    }
+    assert_eq!(farm.state(ann), JobState::Failed, "half of the frame is done");
+    // What nobody needs any more goes.
+    for _ in 0..3 {
+        farm.wait(1_000);
+        farm.heartbeat(1, Phase::Working, 0);
+    }
+    farm.on(Event::Drained { worker: WorkerId(1), drain: Drain::Begin });
+    let bob = submit(&mut farm, spec("bob"));
+    join(&mut farm, 2, "new");
+    work(&mut farm, 2, 10);
+    assert!(held(&farm, 2).is_some_and(|task| task.job.is_shared()));
+    farm.control(bob, Control::Cancel);
+    farm.on(Event::Drained { worker: WorkerId(1), drain: Drain::Undo });
+    farm.control(ann, Control::Retry);
+    assert_eq!(held(&farm, 2), None, "the frame is of the old build");
+    assert!(held(&farm, 1).is_some_and(|task| task.job.is_shared()), "{:?}", farm.status(ann).waits);
+    for _ in 0..5 {
+        work(&mut farm, 1, 10);
+    }
+    assert_eq!(farm.state(ann), JobState::Done);
+}
+
+#[test]
+fn what_nobody_needs_any_more_goes_when_it_takes_too_many_bytes_and_not_before() {
+    for (shared_bytes, is_kept) in [(1 << 20, true), (0, false)] {
+        let mut farm = farm(Config { shared_bytes, ..config() });
+        submit(&mut farm, job("ann", &[1], 1));
+        farm.join(1);
+        for _ in 0..4 {
+            work(&mut farm, 1, 10);
+        }
+        farm.wait(10_000);
+        let later = submit(&mut farm, job("bob", &[1], 1));
+        assert_eq!(held(&farm, 1).map(|task| task.job) == Some(later), is_kept);
+    }
+}
+
+#[test]
+fn workers_that_fit_one_of_those_who_wait_do_it() {
+    let mut farm = farm(config());
+    let tagged = |owner: &str, tag: &str| Box::new(JobSpec { tags: vec![tag.into()], ..*job(owner, &[1], 1) });
+    submit(&mut farm, tagged("ann", "large"));
+    farm.join(1);
+    assert_eq!(held(&farm, 1), None);
+    submit(&mut farm, tagged("bob", "small"));
+    farm.join_with(2, vec!["small".into()]);
+    assert!(held(&farm, 2).is_some_and(|task| task.job.is_shared()));
+    assert_eq!(held(&farm, 1), None);
+}
+
+#[test]
+fn what_cannot_be_done_at_all_takes_back_the_leases_of_those_that_need_it() {
+    let mut farm = farm(config());
+    let id = submit(&mut farm, job("ann", &[1, 2], 1));
+    farm.join(1);
+    for _ in 0..3 {
+        work(&mut farm, 1, 10);
+    }
+    farm.join(2);
+    assert_eq!([1, 2].map(|worker| held(&farm, worker).map(|task| task.stage.frame)), [Some(1), Some(2)]);
+    let first = farm.first_of(1);
+    let digests = vec![first.work.inputs[0].output.artifact.digest];
+    farm.fail(1, &first, Failure::LostInputs { digests, message: "gone".into() });
+    let again = farm.first_of(1);
+    assert!(again.task.job.is_shared());
+    farm.fail(1, &again, Failure::Scene { message: "no camera".into() });
+    assert_eq!((farm.state(id), held(&farm, 1), held(&farm, 2)), (JobState::Failed, None, None));
+}
+
+#[test]
+fn what_a_job_has_made_without_frames_is_made_again_when_another_job_tries_what_they_need_again() {
+    for is_made in [true, false] {
+        let mut farm = farm(config());
+        let spec = |owner: &str, frames: &[u32]| {
+            let mut spec = job(owner, frames, 1);
+            let sheet = Template::new(StageKind::Reduce, Scope::Job, Sizes::even(1, 1), &[Role::Sums]);
+            let images = Need { stage: 2, role: Role::Image, reach: Reach::All, round: Round::Same, gaps: true };
+            spec.graph.stages.push(sheet.needs(images));
+            spec.contents = (1..).zip(frames).map(|(end, &frame)| (end, Digest::of(&[frame as u8]))).collect();
+            spec
+        };
+        let ann = submit(&mut farm, spec("ann", &[1, 2]));
+        farm.join(1);
+        while held(&farm, 1).is_some_and(|task| task.stage.frame != Stage::OF_JOB || task.job.is_shared()) {
+            let held = farm.first_of(1);
+            let is_of_second = farm.scheduler.spec(held.task.job).unwrap().frames == [2];
+            if is_of_second {
+                farm.fail(1, &held, panic());
+            } else {
+                work(&mut farm, 1, 10);
+            }
+        }
+        let sheet = farm.first_of(1);
+        assert_eq!((sheet.task.job, sheet.work.inputs.len()), (ann, 1), "frame 2 is blocked");
+        if is_made {
+            work(&mut farm, 1, 10);
+            assert_eq!(farm.state(ann), JobState::Failed);
+        }
+        submit(&mut farm, spec("bob", &[2]));
+        assert_eq!(farm.ended.len(), usize::from(!is_made), "what is made with a gap is of no use");
+        let mut inputs = Vec::new();
+        while let Some(task) = held(&farm, 1) {
+            if (task.job, task.stage.frame) == (ann, Stage::OF_JOB) {
+                inputs.push(farm.first_of(1).work.inputs.len());
+            }
+            work(&mut farm, 1, 10);
+        }
+        assert_eq!((farm.state(ann), inputs), (JobState::Done, vec![2]));
+        assert_eq!(&farm.replay(), farm.scheduler.ledger());
+    }
+}
+
+#[test]
+fn a_failed_task_is_spared_a_worker_only_where_another_fits_a_job_that_waits() {
+    for tags_of_frames in [false, true] {
+        let mut farm = farm(config());
+        let tagged = |owner: &str, tag: &str| {
+            let mut spec = job(owner, &[1], 1);
+            let tags = if tags_of_frames { &mut spec.graph.stages[2].tags } else { &mut spec.tags };
+            tags.push(tag.into());
+            spec
+        };
+        let ann = submit(&mut farm, tagged("ann", "a"));
+        farm.join_with(2, vec!["a".into()]);
+        assert!(held(&farm, 2).is_some_and(|task| task.job.is_shared()));
+        farm.control(ann, Control::Cancel);
+        let bob = submit(&mut farm, tagged("bob", "b"));
+        farm.join_with(1, vec!["b".into()]);
+        let first = farm.first_of(1);
+        farm.fail(1, &first, panic());
+        assert_eq!(held(&farm, 1), Some(first.task), "nobody else is dealt what bob waits for");
+        while held(&farm, 1).is_some() {
+            work(&mut farm, 1, 10);
+        }
+        assert_eq!((farm.state(bob), held(&farm, 2)), (JobState::Done, None));
+    }
+}
+
+fn join_as(farm: &mut Farm, worker: u64, engine: &str, tags: &[&str]) {
+    let tags = tags.iter().map(|&tag| tag.to_owned()).collect();
+    farm.join_as(worker, Registration { instance: worker, engine: engine.into(), tags, ..registration() });
+}
+
+fn is_forgotten(farm: &Farm, shared: JobId) -> bool {
+    farm.log.iter().any(|(_, fact)| *fact == Fact::Forgotten { job: shared })
+}
+
+/// So many milliseconds, in which these workers are heard of once a second.
+fn wait_with(farm: &mut Farm, workers: &[u64], milliseconds: u64) {
+    for _ in 0..milliseconds / 1_000 {
+        workers.iter().for_each(|&worker| drop(farm.heartbeat(worker, Phase::Working, 0)));
+        farm.wait(1_000);
+    }
+}
+
+#[test]
+fn another_build_begins_what_no_worker_left_has_the_tags_for() {
+    let lab = || vec!["lab".to_owned()];
+    let of_job = Box::new(JobSpec { tags: lab(), ..*job("ann", &[1], 1) });
+    let [mut of_frames, mut of_content] = [job("ann", &[1], 1), job("ann", &[1], 1)];
+    of_frames.graph.stages[2].tags = lab();
+    of_content.graph.stages[1].tags = lab();
+    for (spec, tags) in [(of_job, &["lab"][..]), (of_frames, &["lab"]), (of_content, &[])] {
+        let mut farm = farm(config());
+        let id = submit(&mut farm, spec);
+        join_as(&mut farm, 1, "old", tags);
+        let old = held(&farm, 1).unwrap().job;
+        for _ in 0..2 {
+            work(&mut farm, 1, 10);
+        }
+        join_as(&mut farm, 2, "old", &[]);
+        farm.leave(1);
+        assert_eq!(held(&farm, 2), None, "it lacks the tag for what comes next");
+        join_as(&mut farm, 3, "new", &["lab"]);
+        assert!(held(&farm, 3).is_some_and(|task| task.job.is_shared() && task.job != old));
+        while held(&farm, 3).is_some() {
+            work(&mut farm, 3, 10);
+        }
+        assert_eq!(farm.state(id), JobState::Done);
+    }
+}
+
+#[test]
+fn what_no_worker_there_can_go_on_with_is_forgotten_after_a_while_though_others_of_its_build_stay() {
+    let orphaned = config().orphaned;
+    let mut farm = farm(config());
+    submit(&mut farm, Box::new(JobSpec { tags: vec!["lab".into()], ..*job("ann", &[1], 1) }));
+    join_as(&mut farm, 1, "e", &["lab"]);
+    join_as(&mut farm, 2, "e", &[]);
+    work(&mut farm, 1, 10);
+    let shared = held(&farm, 1).unwrap().job;
+    wait_with(&mut farm, &[1, 2], 2 * orphaned);
+    // A moment without a connection costs nothing.
+    farm.leave(1);
+    wait_with(&mut farm, &[2], orphaned / 2);
+    join_as(&mut farm, 3, "e", &["lab"]);
+    assert_eq!(held(&farm, 3).map(|task| (task.job, task.index)), Some((shared, 1)));
+    farm.leave(3);
+    wait_with(&mut farm, &[2], orphaned / 2);
+    assert!(!is_forgotten(&farm, shared));
+    wait_with(&mut farm, &[2], orphaned);
+    assert!(is_forgotten(&farm, shared));
+}
+
+#[test]
+fn what_is_begun_and_nobody_needs_any_more_counts_like_what_is_done_and_the_oldest_goes_first() {
+    // Room for two contents.
+    let mut farm = farm(Config { shared_bytes: Config::SHARED_OVERHEAD * 5 / 2, ..config() });
+    farm.join(1);
+    let begin = |farm: &mut Farm, content: u8| {
+        let id = submit(farm, job("ann", &[1], content));
+        farm.wait(1_000);
+        (id, held(farm, 1).expect("a lease").job)
+    };
+    let (needed, first) = begin(&mut farm, 1);
+    let mut begun = vec![first];
+    farm.control(needed, Control::Pause);
+    for content in 2..=5 {
+        let (id, shared) = begin(&mut farm, content);
+        if content == 3 {
+            for _ in 0..4 {
+                work(&mut farm, 1, 10);
+            }
+        } else {
+            work(&mut farm, 1, 10);
+            farm.control(id, Control::Cancel);
+        }
+        begun.push(shared);
+        wait_with(&mut farm, &[1], 2_000);
+    }
+    let forgotten: Vec<bool> = begun.iter().map(|&shared| is_forgotten(&farm, shared)).collect();
+    assert_eq!(forgotten, [false, true, true, false, false], "the first is needed by a job that is held");
+    farm.control(needed, Control::Resume);
+    while held(&farm, 1).is_some() {
+        work(&mut farm, 1, 10);
+    }
+    assert_eq!(farm.state(needed), JobState::Done);
+    wait_with(&mut farm, &[1], 2_000);
+    let forgotten: Vec<bool> = begun.iter().map(|&shared| is_forgotten(&farm, shared)).collect();
+    assert_eq!(forgotten, [false, true, true, true, false], "what was done last is the latest");
+}

@@ -1,0 +1,216 @@
+//! How owners share the farm's time, and what they are charged for it.
+
+use std::collections::BTreeMap;
+
+use crate::common;
+use crate::common::{Farm, config, job, registration, result_in};
+use femc_model::*;
+use femc_schedule::*;
+
+fn of(owner: &str, tiles: u32) -> JobSpec {
+    JobSpec { owner: owner.into(), ..job(&[1], tiles, &[8]) }
+}
+
+/// What owners were charged, in milliseconds.
+fn charged(farm: &Farm) -> BTreeMap<String, u64> {
+    farm.scheduler.used().map(|(owner, used)| (owner.to_owned(), used.held)).filter(|(_, held)| *held > 0).collect()
+}
+
+fn owner(farm: &Farm, held: &Assignment) -> String {
+    farm.scheduler.spec(held.task.job).expect("the job is there").owner.clone()
+}
+
+/// Workers that do the oldest of their tasks, side by side, each in the time that its job's tasks take.
+#[derive(Default)]
+struct Shift {
+    /// What each worker is at, and when it is done with it.
+    at: BTreeMap<u64, (Epoch, Tick)>,
+    /// Milliseconds of work that were done, by owner.
+    done: BTreeMap<String, u64>,
+    /// Whose tasks were done, in their order.
+    order: Vec<String>,
+}
+
+impl Shift {
+    /// Does tasks one after the other, as many as that.
+    fn work(&mut self, farm: &mut Farm, tasks: usize, takes: impl Fn(&str) -> u64) {
+        for _ in 0..tasks {
+            let workers: Vec<u64> = farm.scheduler.workers(farm.now).iter().map(|worker| worker.worker.0).collect();
+            for worker in workers.into_iter().filter(|&worker| !farm.tasks_of(worker).is_empty()) {
+                let first = farm.first_of(worker);
+                let end = farm.now.after(takes(&owner(farm, &first)));
+                let at = self.at.entry(worker).or_insert((first.epoch, end));
+                if at.0 != first.epoch {
+                    *at = (first.epoch, end);
+                }
+            }
+            let (&worker, &(_, end)) = self.at.iter().min_by_key(|(_, (_, end))| *end).expect("somebody works");
+            self.at.remove(&worker);
+            farm.wait(end.since(farm.now));
+            let held = farm.first_of(worker);
+            let owner = owner(farm, &held);
+            let milliseconds = takes(&owner);
+            farm.complete_with(worker, &held, result_in(&held, Decision::Done, milliseconds as f64 / 1000.0));
+            *self.done.entry(owner.clone()).or_default() += milliseconds;
+            self.order.push(owner);
+        }
+    }
+}
+
+/// Leases last for ever, so that nobody has to send heartbeats, and nobody goes on out of turn.
+fn patient() -> Config {
+    Config { lease: 1 << 40, late: 1 << 40, task: 0, ..config() }
+}
+
+#[test]
+fn owners_share_the_time_by_their_weights() {
+    let mut farm = Farm::with(Config { weights: [("ann".to_owned(), 3)].into(), ..patient() });
+    farm.submit(of("ann", 4000));
+    farm.submit(of("bob", 4000));
+    (1..=4).for_each(|worker| drop(farm.join(worker)));
+    let mut shift = Shift::default();
+    // Bob's tasks take twice as long: it is time that is shared, not tasks.
+    shift.work(&mut farm, 800, |owner| if owner == "ann" { 250 } else { 500 });
+    let (ann, bob) = (shift.done["ann"], shift.done["bob"]);
+    let share = ann as f64 / (ann + bob) as f64;
+    assert!((share - 0.75).abs() < 0.02, "{ann} {bob}: {share}");
+}
+
+#[test]
+fn a_machine_that_died_fifty_times_did_not_use_up_its_owners_share() {
+    let mut farm = Farm::with(patient());
+    farm.submit(JobSpec { tags: vec!["lab".into()], ..of("ann", 400) });
+    farm.submit(JobSpec { tags: vec!["hall".into()], ..of("bob", 400) });
+    let machine = |tags: &[&str], instance| Registration {
+        tags: tags.iter().map(|&tag| tag.to_owned()).collect(),
+        instance,
+        ..registration()
+    };
+    for life in 1..=50 {
+        farm.join_as(life, machine(&["lab"], life));
+        farm.wait(10);
+        farm.leave(life);
+    }
+    assert_eq!(charged(&farm), [("ann".to_owned(), 500)].into(), "ten milliseconds each time");
+    farm.join_as(51, machine(&["lab", "hall"], 51));
+    let mut shift = Shift::default();
+    shift.work(&mut farm, 400, |_| 250);
+    let before = shift.order.iter().position(|owner| owner == "ann").expect("ann is served");
+    assert!(before <= 3, "{before} of bob's tasks went first");
+    assert!(shift.done["ann"].abs_diff(shift.done["bob"]) <= 4 * 250, "{:?}", shift.done);
+}
+
+#[test]
+fn what_owners_have_used_is_known_after_a_restart() {
+    let mut farm = Farm::with(patient());
+    farm.submit(of("ann", 400));
+    farm.join(1);
+    let mut shift = Shift::default();
+    shift.work(&mut farm, 100, |_| 250);
+    farm.submit(of("bob", 400));
+    shift.work(&mut farm, 100, |_| 250);
+    let (before, now) = (charged(&farm), farm.now);
+    assert_eq!(before.values().sum::<u64>(), now.0, "the worker's time, to the millisecond");
+    // Killed at any time, it forgets five seconds of each worker at most.
+    farm.restart();
+    let after = charged(&farm);
+    let forgotten = before.values().sum::<u64>() - after.values().sum::<u64>();
+    assert!(forgotten <= Scheduler::NOTE_SHARES && after["ann"] > 20_000, "{before:?} {after:?}");
+    // Bob has come when ann had used 25 s, and has nothing to make up for; nor has she.
+    farm.join(2);
+    let mut shift = Shift::default();
+    shift.work(&mut farm, 40, |_| 250);
+    assert!(shift.done["ann"].abs_diff(shift.done["bob"]) <= Scheduler::NOTE_SHARES, "{:?}", shift.done);
+}
+
+#[test]
+fn who_was_put_level_with_the_others_stays_so_however_soon_the_coordinator_is_killed() {
+    let mut farm = Farm::with(patient());
+    farm.submit(of("ann", 4000));
+    farm.join(1);
+    Shift::default().work(&mut farm, 400, |_| 250);
+    farm.submit(of("bob", 400));
+    farm.restart();
+    farm.join(2);
+    let mut shift = Shift::default();
+    shift.work(&mut farm, 100, |_| 250);
+    assert!(shift.done["ann"].abs_diff(shift.done["bob"]) <= 2 * Scheduler::NOTE_SHARES, "{:?}", shift.done);
+}
+
+#[test]
+fn who_comes_to_a_farm_that_stands_idle_does_not_shut_out_those_who_worked_it() {
+    let mut farm = Farm::with(patient());
+    farm.submit(of("ann", 400));
+    farm.join(1);
+    Shift::default().work(&mut farm, 401, |_| 250);
+    farm.submit(of("bob", 400));
+    farm.submit(of("ann", 400));
+    let mut shift = Shift::default();
+    shift.work(&mut farm, 100, |_| 250);
+    assert!(shift.done["ann"].abs_diff(shift.done["bob"]) <= 4 * 250, "{:?}", shift.done);
+}
+
+#[test]
+fn a_lease_is_charged_for_the_time_that_it_was_held_however_it_ends_and_once() {
+    let single = Config { prefetch: 0, stall: 3_000, lease: 5_000, ..config() };
+    let mut farm = Farm::with(single);
+    let id = farm.submit(of("ann", 40));
+    let ann = |farm: &Farm| charged(farm).get("ann").copied().unwrap_or(0);
+    farm.join(1);
+    let mut sum = 0;
+    let mut passes = |farm: &mut Farm, milliseconds| {
+        farm.now = farm.now.after(milliseconds);
+        sum += milliseconds;
+        sum
+    };
+    // Done, whatever the worker says that it took.
+    let expected = passes(&mut farm, 700);
+    let held = farm.first_of(1);
+    farm.complete_with(1, &held, result_in(&held, Decision::Done, 0.001));
+    assert_eq!(ann(&farm), expected, "done");
+    let expected = passes(&mut farm, 301);
+    let held = farm.first_of(1);
+    farm.fail(1, &held, common::panic());
+    assert_eq!(ann(&farm), expected, "failed");
+    let expected = passes(&mut farm, 53);
+    farm.leave(1);
+    assert_eq!(ann(&farm), expected, "lost");
+    farm.now = farm.now.after(10_000);
+    farm.join(2);
+    assert_eq!(ann(&farm), expected, "nobody had anything");
+    let held = farm.first_of(2);
+    farm.on(Event::Draining { worker: WorkerId(2) });
+    let expected = passes(&mut farm, 11);
+    farm.rejoin(3, std::slice::from_ref(&held));
+    assert!(passes(&mut farm, 17) > expected);
+    let expected = expected + 17;
+    farm.leave(3);
+    assert_eq!(ann(&farm), expected, "handed over to another session: the same lease");
+    farm.join(4);
+    let expected = passes(&mut farm, 5_000);
+    farm.on(Event::Elapsed);
+    assert_eq!(ann(&farm), expected, "expired");
+    // It is silent and gets nothing.
+    farm.wait(1_000);
+    farm.join(5);
+    let expected = passes(&mut farm, 23);
+    farm.control(id, Control::Cancel);
+    assert_eq!(ann(&farm), expected, "cancelled");
+}
+
+#[test]
+fn a_workers_time_is_charged_once_however_many_leases_it_holds() {
+    let mut farm = Farm::with(Config { prefetch: 5, ..patient() });
+    farm.submit(of("ann", 9));
+    farm.submit(of("bob", 9));
+    farm.join(1);
+    assert_eq!(farm.tasks_of(1).len(), 6);
+    let first = owner(&farm, &farm.first_of(1));
+    farm.wait(4_000);
+    assert_eq!(charged(&farm), [].into(), "what is under way is a claim");
+    farm.wait(1_000);
+    assert_eq!(charged(&farm), [(first.clone(), 5_000)].into(), "it works on the oldest");
+    farm.wait(500);
+    farm.leave(1);
+    assert_eq!(charged(&farm), [(first, 5_500)].into());
+}

@@ -1,0 +1,16 @@
+//! What needs the whole engine, a module a topic.
+
+mod analytic;
+mod bad_samples;
+mod brute;
+mod cases;
+mod crates;
+mod fuzz;
+mod honesty;
+mod pairs;
+mod parts;
+mod references;
+mod stress;
+mod techniques;
+mod tinted_absorption;
+mod variants;

@@ -1,0 +1,104 @@
+//! The parts of `tests/all` beside the manifests: a change makes due what it may have broken.
+
+use super::crates::{members, root};
+use std::collections::{BTreeMap, BTreeSet};
+
+type Names = BTreeSet<String>;
+
+/// A line of `tests/parts`, groups put in.
+struct Part {
+    name: String,
+    due: Names,
+    without: Names,
+    command: String,
+}
+
+fn parts() -> Vec<Part> {
+    let text = std::fs::read_to_string(root().join("tests/parts")).expect("tests/parts");
+    let mut groups = BTreeMap::new();
+    let mut parts = Vec::new();
+    for line in text.lines().filter(|line| !line.is_empty() && !line.starts_with('#')) {
+        if let Some((group, words)) = line.split_once(": = ") {
+            groups.insert(group, words);
+            continue;
+        }
+        let cells: Vec<&str> = line.splitn(5, '|').map(str::trim).collect();
+        let [name, minutes, due, without, command] = cells[..] else { panic!("a line of five columns: {line}") };
+        assert!(minutes.parse::<u32>().is_ok_and(|minutes| minutes > 0), "{name}: {minutes} minutes");
+        let words = |list: &str| -> Names {
+            let mut words = Names::new();
+            for word in list.split_whitespace() {
+                let group =
+                    word.strip_suffix(':').map(|name| groups.get(name).unwrap_or_else(|| panic!("no group {name}")));
+                words.extend(group.unwrap_or(&word).split_whitespace().map(str::to_owned));
+            }
+            words
+        };
+        parts.push(Part { name: name.into(), due: words(due), without: words(without), command: command.into() });
+    }
+    parts
+}
+
+#[test]
+fn each_part_is_there_once_and_names_what_there_is() {
+    let mut names = Names::new();
+    for part in parts() {
+        assert!(names.insert(part.name.clone()), "{} is there twice", part.name);
+        for word in part.due.union(&part.without) {
+            assert!(root().join(word).exists(), "{}: there is no {word}", part.name);
+        }
+    }
+}
+
+#[test]
+fn what_a_crate_of_a_part_depends_on_makes_the_part_due_or_is_named_as_what_does_not() {
+    let members = members();
+    for part in parts() {
+        let mut reached = Names::new();
+        for member in members.values().filter(|member| part.due.contains(&member.folder)) {
+            let used = member.direct.iter().filter_map(|name| members.get(name));
+            reached.extend(used.map(|used| used.folder.clone()));
+        }
+        let forgotten: Vec<_> =
+            reached.iter().filter(|used| !part.due.contains(*used) && !part.without.contains(*used)).collect();
+        assert!(forgotten.is_empty(), "{}: its crates depend on {forgotten:?}, which it does not name", part.name);
+        let both: Vec<_> = part.due.intersection(&part.without).collect();
+        assert!(both.is_empty(), "{}: {both:?} make it due and do not", part.name);
+    }
+}
+
+#[test]
+fn every_crate_makes_some_part_due() {
+    // They are tests, or the scripts' own: what they prove, they prove in every run.
+    const OTHERS: [&str; 2] = ["tests", "tests/require"];
+    let due: Names = parts().into_iter().flat_map(|part| part.due).collect();
+    let members = members();
+    let idle: Vec<_> = members.values().map(|member| &member.folder).filter(|folder| !due.contains(*folder)).collect();
+    let idle: Vec<_> = idle.into_iter().filter(|folder| !OTHERS.contains(&folder.as_str())).collect();
+    assert!(idle.is_empty(), "{idle:?}");
+}
+
+#[test]
+fn what_a_command_names_is_there() {
+    let folders: Vec<_> = members().into_values().map(|member| root().join(member.folder)).collect();
+    for part in parts() {
+        for word in part.command.split_whitespace() {
+            if let Some(example) = word.strip_prefix("$bin/examples/") {
+                let is_there = |path: &str| folders.iter().any(|folder| folder.join("examples").join(path).exists());
+                assert!(
+                    is_there(&format!("{example}.rs")) || is_there(&format!("{example}/main.rs")),
+                    "{}: {word}",
+                    part.name
+                );
+            }
+            if let Some(module) = word.trim_end_matches('\'').strip_suffix("::") {
+                let is_there =
+                    folders.iter().any(|folder| folder.join("tests/suite").join(format!("{module}.rs")).exists());
+                assert!(is_there, "{}: no suite has a module {module}", part.name);
+            }
+            if word.starts_with("tests/") || word.starts_with("sim/") {
+                assert!(root().join(word).exists(), "{}: {word}", part.name);
+            }
+        }
+    }
+}

@@ -1,0 +1,113 @@
+//! A cancelled task ends within a second, whatever it is at: the farm's promise, and so a limit of time in a test.
+
+use crate::common;
+
+use std::collections::BTreeMap;
+use std::fmt::Write as _;
+use std::future::pending;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+use femc_coordinator::{Config, Coordinator};
+use femc_import::Bundle;
+use femc_model::*;
+use femc_pipeline::{Settings, Stop};
+use femc_proto::Client;
+use femc_worker::Worker;
+
+/// From the cancellation to the end of a small job that waited behind the cancelled one.
+async fn free_after_cancel(client: &Client, endless: JobId) -> Duration {
+    let (spec, bundle) = common::job(1);
+    client.put(bundle.into()).await.unwrap();
+    let small = client.submit(None, spec).await.unwrap();
+    let mut watch = client.watch(small).await.unwrap();
+    let begun = Instant::now();
+    client.control(endless, Control::Cancel).await.unwrap();
+    let mut last = None;
+    while let Some(status) = watch.next().await.unwrap() {
+        last = Some(status);
+    }
+    assert_eq!(last.unwrap().state, JobState::Done);
+    begun.elapsed()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_task_that_renders_ends_within_a_second_even_in_the_middle_of_a_pixel() {
+    let farm = Coordinator::start(Config::default()).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    let config = femc_worker::Config { threads: 1, ..femc_worker::Config::new(farm.url()) };
+    let worker = tokio::spawn(Worker::run(config, pending()));
+    // A pixel of it takes minutes.
+    let (spec, bundle) = common::job(1 << 24);
+    client.put(bundle.into()).await.unwrap();
+    let endless = client.submit(None, JobSpec { priority: 60, ..spec }).await.unwrap();
+    while client.status(endless).await.unwrap().samples_done == 0 {
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    let free = free_after_cancel(&client, endless).await;
+    println!("rendering: free for another job, and that done, {free:?} after the cancellation");
+    assert!(free < Duration::from_secs(1), "{free:?}");
+    worker.abort();
+    farm.stop().await.unwrap();
+}
+
+/// A scene of so many triangles, as a bundle.
+fn large(triangles: u32) -> Bundle {
+    let mut text = String::from(
+        "camera main =\n    origin 0 -3 1\n    target 0 0 0\n    fov 40\n    film 32 16\nm a =\n    ed 1\n",
+    );
+    for i in 0..triangles {
+        let (x, y) = (f64::from(i % 1000) * 0.01, f64::from(i / 1000) * 0.01);
+        for (name, dx, dy) in [("a", 0.0, 0.0), ("b", 0.01, 0.0), ("c", 0.0, 0.01)] {
+            let z = (x * 31.0 + y * 17.0).sin() * 0.1;
+            writeln!(text, "v {name} =\n    p {} {} {z}", x + dx, y + dy).unwrap();
+        }
+        text.push_str("f a b c\n");
+    }
+    Bundle(BTreeMap::from([("haze.mgf".into(), text.into_bytes())]))
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_worker_that_prepares_a_large_scene_is_free_within_a_second() {
+    let settings = Settings { stop: Stop::Spp(1), ..Settings::default() };
+    // A scene that takes more than two seconds to read and prepare here, whatever machine and build this is.
+    let mut triangles = 20_000;
+    let (bundle, alone) = loop {
+        let bundle = large(triangles);
+        let begun = Instant::now();
+        let scene = Arc::new(femc_import::load(&bundle, "haze.mgf").unwrap().scene);
+        femc_pipeline::prepare(&femc_pipeline::Source::new(scene.clone()), &settings, 1, None).unwrap();
+        if begun.elapsed() > Duration::from_secs(2) {
+            break (bundle.encode().unwrap(), begun.elapsed());
+        }
+        triangles *= 2;
+    };
+    let farm = Coordinator::start(Config::default()).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    let config = femc_worker::Config { threads: 1, ..femc_worker::Config::new(farm.url()) };
+    let worker = tokio::spawn(Worker::run(config, pending()));
+    let spec = JobSpec {
+        name: "large".into(),
+        bundle: Digest::of(&bundle),
+        settings: serde_json::to_string(&settings).unwrap(),
+        priority: 60,
+        ..common::job(1).0
+    };
+    client.put(bundle.into()).await.unwrap();
+    let begun = Instant::now();
+    let heavy = client.submit(None, spec).await.unwrap();
+    while client.status(heavy).await.unwrap().workers == 0 {
+        tokio::time::sleep(Duration::from_millis(20)).await;
+    }
+    tokio::time::sleep(Duration::from_millis(300)).await;
+    let status = client.status(heavy).await.unwrap();
+    assert_eq!((status.state, status.samples_done), (JobState::Running, 0), "it is being prepared: {status:?}");
+    let free = free_after_cancel(&client, heavy).await;
+    println!(
+        "preparing ({triangles} triangles, {alone:?} alone): free, and another job done, {free:?} after the cancellation"
+    );
+    assert!(free < Duration::from_secs(1), "{free:?}");
+    assert!(begun.elapsed() < alone, "before the scene could be ready: {:?}", begun.elapsed());
+    worker.abort();
+    farm.stop().await.unwrap();
+}

@@ -1,0 +1,161 @@
+//! A worker stops counting on its leases before the coordinator can have given them to others.
+
+use std::future::pending;
+use std::time::Duration;
+
+use crate::common;
+use crate::common::{Net, Way, job, simulated};
+use femc_coordinator::{Config, Coordinator};
+use femc_model::*;
+use femc_proto::{Call, Client, Server, Session};
+use femc_queue::Memory;
+use femc_store::Store;
+use femc_worker::Worker;
+use tokio::sync::{mpsc, watch};
+use tokio::time::{Instant, timeout};
+
+/// Milliseconds of the scripted coordinator's leases.
+const LEASE: u64 = 1600;
+const HEARTBEAT: u64 = 100;
+
+/// The next session that the worker begins.
+async fn session(calls: &mut mpsc::Receiver<Call>) -> Session {
+    match calls.recv().await {
+        Some(Call::Session(session)) => *session,
+        other => panic!("no session: {other:?}"),
+    }
+}
+
+fn left(assignment: &Assignment, left: u64) -> Vec<LeaseLeft> {
+    vec![LeaseLeft { task: assignment.task, epoch: assignment.epoch, left }]
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_worker_whose_coordinator_falls_silent_reports_nothing_until_it_is_told_that_the_lease_holds() {
+    let (spec, bundle) = job(4);
+    let store = Store::memory();
+    store.put(bundle.into()).await.unwrap();
+    let ((net, connections), (send, mut calls)) = (Net::new(), mpsc::channel(16));
+    tokio::spawn(Server::new(send, store).serve(connections, pending()));
+    let config = simulated("w", net.open(), Duration::from_millis(4000));
+    tokio::spawn(Worker::run(config, pending()));
+
+    // The coordinator answers for half a second, then no more.
+    let mut first = session(&mut calls).await;
+    let stage = Stage { frame: 1, round: 0, number: 0, kind: StageKind::Render };
+    let task = TaskKey { job: JobId(7), stage, index: 0 };
+    let epoch = Epoch::new(3, 1);
+    let (inputs, taken, more) = (vec![], Taken::default(), More::Last);
+    let work = Work { item: 0, steps: 0..4, inputs, hints: Vec::new(), taken, more, elapsed: 0, busy_seconds: 0.0 };
+    let assignment = Assignment { task, epoch, lease: LEASE, copy_of: None, work };
+    let welcome = ToWorker::Welcome { worker: WorkerId(1), heartbeat: HEARTBEAT, lease: LEASE };
+    first.out.send(welcome.clone()).await.unwrap();
+    first.out.send(ToWorker::Job { job: JobId(7), spec: Box::new(spec.clone()) }).await.unwrap();
+    first.out.send(ToWorker::Assign(assignment.clone())).await.unwrap();
+    let (begun, mut answered, mut heartbeats) = (Instant::now(), Instant::now(), 0);
+    while let Some(message) = first.messages.next().await {
+        let FromWorker::Heartbeat { number, tasks, .. } = message.unwrap() else { panic!("only heartbeats") };
+        heartbeats += 1;
+        // The first one may have gone out before the task came.
+        if number > 1 && answered.elapsed() < Duration::from_millis(LEASE - 2 * HEARTBEAT) {
+            assert_eq!(tasks.len(), 1, "the lease is sure to hold");
+        }
+        if begun.elapsed() < Duration::from_millis(500) {
+            answered = Instant::now();
+            first.out.send(ToWorker::Renewed { heartbeat: number, leases: left(&assignment, LEASE) }).await.unwrap();
+        }
+    }
+    let silent = answered.elapsed();
+    println!("{heartbeats} heartbeats; the session ended {silent:?} after the last answer");
+    assert!(heartbeats > 10, "it went on while the lease was sure to hold");
+    assert!(silent < Duration::from_millis(LEASE), "it ended before the lease did: {silent:?}");
+
+    // It comes back with the lease. The task gets done, and is not reported: nobody has said that the lease holds.
+    let mut second = session(&mut calls).await;
+    assert_eq!(second.registration.held, [HeldLease { task, epoch, steps: 0..4, job: spec.key() }]);
+    second.out.send(welcome).await.unwrap();
+    let mut last = 0;
+    while begun.elapsed() < Duration::from_millis(5000) {
+        let message = second.messages.next().await.unwrap().unwrap();
+        let FromWorker::Heartbeat { number, tasks, .. } = message else {
+            panic!("reported without a lease: {message:?}")
+        };
+        assert_eq!(tasks, [], "it is not claimed either");
+        last = number;
+        second.out.send(ToWorker::Renewed { heartbeat: number, leases: vec![] }).await.unwrap();
+    }
+    second.out.send(ToWorker::Renewed { heartbeat: last, leases: left(&assignment, LEASE) }).await.unwrap();
+    let next = second.messages.next().await.unwrap().unwrap();
+    assert!(matches!(next, FromWorker::Heartbeat { .. }), "an answer that was heard before says nothing: {next:?}");
+    let FromWorker::Heartbeat { number, .. } = next else { return };
+    second.out.send(ToWorker::Renewed { heartbeat: number, leases: left(&assignment, LEASE) }).await.unwrap();
+    let reported = async {
+        loop {
+            match second.messages.next().await.unwrap().unwrap() {
+                FromWorker::Heartbeat { .. } => {}
+                FromWorker::Completed { task, epoch, .. } => return (task, epoch),
+                other => panic!("{other:?}"),
+            }
+        }
+    };
+    assert_eq!(timeout(Duration::from_secs(1), reported).await.unwrap(), (task, epoch), "now it is");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_partitioned_worker_costs_nothing_and_joins_again_when_the_network_is_back() {
+    let (net, connections) = Net::new();
+    let config = Config { time: common::time(), ..Config::default() };
+    let store = Store::memory();
+    let farm = Coordinator::on(connections, config, store, Memory::default()).await.unwrap();
+    let client = Client::connect_by(&net.open(), "http://farm:7878").await.unwrap();
+    let (spec, bundle) = job(4);
+    client.put(bundle.into()).await.unwrap();
+    let (way, is_open) = watch::channel(Way::Open);
+    let cut_off = simulated("cut off", net.dial(is_open), Duration::from_millis(3000));
+    tokio::spawn(Worker::run(cut_off, pending()));
+    while client.workers().await.unwrap().is_empty() {
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+    let id = client.submit(None, spec.clone()).await.unwrap();
+    let mut watch = client.watch(id).await.unwrap();
+    while watch.next().await.unwrap().unwrap().samples_done == 0 {}
+    assert_eq!(client.workers().await.unwrap()[0].tasks.len(), 2, "it holds all that there is");
+
+    way.send(Way::Frozen).unwrap();
+    tokio::spawn(Worker::run(simulated("other", net.open(), Duration::from_millis(3000)), pending()));
+    let mut last = None;
+    while let Some(status) = watch.next().await.unwrap() {
+        last = Some(status);
+    }
+    let status = last.unwrap();
+    assert_eq!((status.state, status.samples_done), (JobState::Done, spec.grid.pixels() * 4), "{status:?}");
+    let completed = |name: &'static str, workers: &[WorkerStatus]| {
+        workers.iter().filter(|worker| worker.name == name).map(|worker| worker.completed).sum::<u64>()
+    };
+    assert_eq!(completed("other", &client.workers().await.unwrap()), 3, "two tiles and the image");
+
+    // The cut-off worker has done both tiles meanwhile; nobody asks for them.
+    way.send(Way::Open).unwrap();
+    let again = async {
+        loop {
+            tokio::time::sleep(Duration::from_millis(100)).await;
+            let workers = client.workers().await.unwrap();
+            let back: Vec<_> =
+                workers.iter().filter(|worker| worker.name == "cut off" && worker.silent < 1000).cloned().collect();
+            if let [back] = &back[..] {
+                return back.clone();
+            }
+        }
+    };
+    let back = timeout(Duration::from_secs(60), again).await.unwrap();
+    assert_eq!((back.tasks.len(), back.completed, back.failed), (0, 0, 0), "{back:?}");
+    let more = client.submit(None, JobSpec { priority: 60, ..spec }).await.unwrap();
+    let mut watch = client.watch(more).await.unwrap();
+    let mut last = None;
+    while let Some(status) = watch.next().await.unwrap() {
+        last = Some(status);
+    }
+    assert_eq!(last.unwrap().state, JobState::Done);
+    assert!(completed("cut off", &client.workers().await.unwrap()) > 0, "it works again");
+    farm.stop().await.unwrap();
+}

@@ -36,6 +36,16 @@ impl Coordinator {
     /// Starts on the current tokio runtime; it listens when this returns, but for a coordinator of several, which waits for
     /// its turn: [`Handle::standing`] tells.
     pub async fn start(config: Config) -> Result<Handle, CoordinatorError> {
+        Self::boxed(config).await
+    }
+
+    /// Behind a pointer: all that it is made of is compiled here, once, and not by whoever starts a coordinator.
+    #[inline(never)]
+    fn boxed(config: Config) -> Pin<Box<dyn Future<Output = Result<Handle, CoordinatorError>> + Send>> {
+        Box::pin(Self::open(config))
+    }
+
+    async fn open(config: Config) -> Result<Handle, CoordinatorError> {
         if !config.is_encrypted() && config.exposure == Exposure::Loopback && !config.listen.ip().is_loopback() {
             return Err(CoordinatorError::Exposed { address: config.listen });
         }

@@ -1,4 +1,4 @@
-//! Generated from `femc/v1/femc.proto`.
+//! Written by `cargo run -p femc-generate` from `femc/v1/femc.proto`, and kept.
 #![allow(
     missing_docs,
     unused_qualifications,
@@ -8,7 +8,7 @@
     reason = "generated"
 )]
 
-tonic::include_proto!("femc.v1");
+include!("generated/femc.v1.rs");
 
 /// The file's descriptor set, for reflection.
-pub const DESCRIPTORS: &[u8] = include_bytes!(concat!(env!("OUT_DIR"), "/descriptors.bin"));
+pub const DESCRIPTORS: &[u8] = include_bytes!("generated/descriptors.bin");

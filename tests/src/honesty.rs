@@ -27,6 +27,7 @@ pub const RAYS_A_SECOND: f64 = 1e6;
 pub struct Experiment {
     source: Source,
     settings: Settings,
+    frame: u32,
     tiling: Tiling,
     rounds: Vec<u32>,
 }
@@ -43,11 +44,26 @@ pub struct Shot {
     pub longest: f64,
 }
 
+impl Shot {
+    /// Mean luminance of the frame, cd/m2.
+    pub fn mean(&self) -> f64 {
+        let pixels = self.image.color.pixels.len();
+        (0..pixels).map(|at| f64::from(self.image.color.luminance(at))).sum::<f64>() / pixels as f64
+    }
+}
+
 impl Experiment {
+    /// Of the first frame.
     /// - errors: settings that are none of the scene's.
     pub fn new(scene: &Arc<Scene>, settings: Settings) -> Result<Self, femc_pipeline::PlanError> {
-        let plan = plan(scene, &settings, Some(&[1]))?;
-        Ok(Self { source: Source::new(scene.clone()), settings, tiling: plan.tiling, rounds: plan.rounds })
+        Self::of_frame(scene, settings, 1)
+    }
+
+    /// - `frame`: counted from 1;
+    /// - errors: settings that are none of the scene's, a frame that it has not.
+    pub fn of_frame(scene: &Arc<Scene>, settings: Settings, frame: u32) -> Result<Self, femc_pipeline::PlanError> {
+        let plan = plan(scene, &settings, Some(&[frame]))?;
+        Ok(Self { source: Source::new(scene.clone()), settings, frame, tiling: plan.tiling, rounds: plan.rounds })
     }
 
     /// The image of a seed.
@@ -56,7 +72,7 @@ impl Experiment {
     /// When it cannot be rendered: tests only.
     pub fn shot(&self, seed: u64, rule: Rule) -> Shot {
         let settings = Settings { seed, ..self.settings.clone() };
-        let prepared = prepare(&self.source, &settings, 1, None).unwrap_or_else(|error| panic!("{error}"));
+        let prepared = prepare(&self.source, &settings, self.frame, None).unwrap_or_else(|error| panic!("{error}"));
         let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
         let rendered = frame(&settings, &self.rounds, self.tiling, rule, |rect, samples| {
             Ok(render_tile(&prepared, &settings, rect, samples, &cancel, &progress)?.tile)
@@ -181,7 +197,8 @@ impl Verdict {
     }
 }
 
-fn say(reference: &Reference, Shot { image, error, drawn, longest }: &Shot, noise: f64) -> Said {
+fn say(reference: &Reference, shot: &Shot, noise: f64) -> Said {
+    let Shot { image, error, drawn, longest } = shot;
     let width = image.color.width as usize;
     let (mut covered, mut lit) = (0, 0);
     for block in &error.blocks {
@@ -195,9 +212,8 @@ fn say(reference: &Reference, Shot { image, error, drawn, longest }: &Shot, nois
         lit += 1;
         covered += usize::from((mean - expected).abs() <= widened);
     }
-    let pixels = image.color.pixels.len();
     Said {
-        mean: (0..pixels).map(|at| f64::from(image.color.luminance(at))).sum::<f64>() / pixels as f64,
+        mean: shot.mean(),
         covered: f64::from(covered as u32) / f64::from((lit as u32).max(1)),
         relmse: reference.compare(image, femc_film::convergence::BLOCK as usize).relmse - noise,
         claimed: reference.claimed(image),

@@ -1,6 +1,7 @@
 //! A worker's life: join, work, lose the coordinator, join again.
 
 use std::future::Future;
+use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
@@ -36,7 +37,20 @@ impl Worker {
 
     /// Works on the current tokio runtime until `stop` comes; then gives back what it holds and ends. Survives the
     /// coordinator's absence, unless the configuration bounds its patience.
-    pub async fn run(config: Config, stop: impl Future<Output = ()>) -> Result<(), WorkerError> {
+    pub async fn run(config: Config, stop: impl Future<Output = ()> + Send) -> Result<(), WorkerError> {
+        Self::boxed(config, Box::pin(stop)).await
+    }
+
+    /// Of one type, and behind a pointer: compiled here, once, and not by whoever runs a worker.
+    #[inline(never)]
+    fn boxed<'a>(
+        config: Config,
+        stop: Pin<Box<dyn Future<Output = ()> + Send + 'a>>,
+    ) -> Pin<Box<dyn Future<Output = Result<(), WorkerError>> + Send + 'a>> {
+        Box::pin(Self::work(config, stop))
+    }
+
+    async fn work(config: Config, stop: Pin<Box<dyn Future<Output = ()> + Send + '_>>) -> Result<(), WorkerError> {
         let nice = Nice::tried(config.nice)?;
         let thread = config.name.clone();
         let pool = ThreadPoolBuilder::new()

@@ -80,7 +80,7 @@ fn the_account_names_what_was_planted() {
 #[test]
 fn the_shares_of_an_account_are_all_of_the_variance_and_of_the_light() {
     let place = Place::new();
-    for (name, settings) in [("s.exr", "--spp 7"), ("e.exr", "--error 0.12"), ("t.exr", "--time 300ms")] {
+    for (name, settings) in [("s.exr", "--spp 7"), ("e.exr", "--error 0.12"), ("t.exr", "--time 1s")] {
         place.run(&format!("render fog.mgf -o {name} --frames 2 {settings}")).exits(0);
         let report = place.run(&format!("fireflies {name} fog.mgf --json")).exits(0).json();
         assert_eq!((&report["unlike"], &report["pixels"]), (&0.into(), &1024.into()), "{settings}");

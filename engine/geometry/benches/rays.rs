@@ -1,4 +1,4 @@
-//! `cargo bench -p femc-geometry`: building, closest hits and shadow rays on meshes made here.
+//! `cargo bench -p femc-geometry --features yardsticks`: building, closest hits and shadow rays on meshes made here.
 
 use criterion::{Criterion, criterion_group, criterion_main};
 use std::hint::black_box;

@@ -1,4 +1,5 @@
-//! Rays per second beside plain obvhs trees on the same rays: `cargo run --release -p femc-geometry --example rays [MESH.bin]`.
+//! Rays per second beside plain obvhs trees on the same rays:
+//! `cargo run --release -p femc-geometry --features yardsticks --example rays [MESH.bin]`.
 //!
 //! Without a file it traces a Cornell box of 36 triangles and a bumpy terrain of half a million. A file holds u32 vertex and triangle counts,
 //! ten f32 of a camera (origin, target, up, vertical field of view in degrees), positions and indices. All contenders trace the same

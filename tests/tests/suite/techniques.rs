@@ -1,5 +1,6 @@
 //! Every technique by which light is found, alone against the others and against all of them joined: each is complete, so that they
-//! agree wherever their densities, their weights and what lies between are right.
+//! agree wherever their densities, their weights and what lies between are right. Three need few samples to show that; tests/all asks for
+//! four times as many of them.
 
 use femc_montecarlo::Technique;
 use femc_pipeline::{Settings, Stop};
@@ -43,8 +44,7 @@ fn above() -> String {
     camera("-2 -.5 1.5", "0 0 .3", 25.0)
 }
 
-#[test]
-fn on_surfaces_of_every_kind() {
+fn surfaces(finer: u32) {
     let kinds: [(&str, &[&str]); 7] = [
         ("diffuse", &["sides 2", "rd .6"]),
         ("rough", &["sides 2", "rs .7 .3"]),
@@ -56,12 +56,11 @@ fn on_surfaces_of_every_kind() {
     ];
     for (name, lines) in kinds {
         let below = material("ground", &["sides 2", "rd .5"]) + &level("ground", [0.0, 0.0, -0.6], 4.0);
-        agree(name, &(above() + &panel(1.5) + &floor(lines) + &below), 32);
+        agree(name, &(above() + &panel(1.5) + &floor(lines) + &below), 8 * finer);
     }
 }
 
-#[test]
-fn behind_panes_and_films() {
+fn panes(finer: u32) {
     let pane = |lines: &[&str], z: f64| material("pane", lines) + &level("pane", [0.0, 0.0, z], 6.0);
     let panes: [(&str, &[&str]); 4] = [
         ("pane", &["sides 2", "ts .8 0", "rs .15 0"]),
@@ -73,13 +72,12 @@ fn behind_panes_and_films() {
         for fog in ["", "mbox fog -3 -3 .2 3 3 2.6\n"] {
             let two = pane(lines, 2.0) + &pane(lines, 1.2);
             let text = above() + FOG + fog + &panel(1.5) + &floor(&["sides 2", "rd .6"]) + &two;
-            agree(&format!("{name} {fog}"), &text, 32);
+            agree(&format!("{name} {fog}"), &text, 8 * finer);
         }
     }
 }
 
-#[test]
-fn in_fog_of_every_kind() {
+fn fogs(finer: u32) {
     let boxed = "mbox fog -2 -2 .1 2 2 2.5\n";
     let skin = material("skin", &["sides 1", "ir 1 0", "ts 1 0", "inside fog"]);
     let solid = skin.clone() + &block("skin", [-1.0, -1.0, 0.2], [1.0, 1.0, 1.6]);
@@ -99,12 +97,11 @@ fn in_fog_of_every_kind() {
     ];
     for (name, fog) in fogs {
         let text = above() + FOG + &fog + &panel(1.5) + &floor(&["sides 2", "rd .4"]);
-        agree(name, &text, 32);
+        agree(name, &text, 8 * finer);
     }
 }
 
-#[test]
-fn from_sources_of_every_kind_that_stand_or_move() {
+fn sources(finer: u32) {
     let at = |shape: &str| {
         format!(
             "m lamp =\n c\n sides 2\n ed 100\nv s =\n p .3 0 .5\n n .1 .3 -1\nv t =\n p .9 .4 .7\nm lamp\n{shape}\n"
@@ -115,19 +112,18 @@ fn from_sources_of_every_kind_that_stand_or_move() {
         for fog in ["", "mglobal fog\n"] {
             let still =
                 above() + FOG + fog + &floor(&["sides 2", "rd .5"]) + &at(shape).replace("p .3 0 .5", "p .3 0 1.2");
-            agree(&format!("{shape} {fog}"), &still, 16);
+            agree(&format!("{shape} {fog}"), &still, 4 * finer);
             let moves = "time 0 1 10\npath p = linear\n key 0 -t 0 -.4 0 -rz 20\n key 1 -t .3 4 .6 -rz 70 -s 1.2\n";
             let text = above().replace("film 8 8\n", "film 8 8\n shutter 0 .9\n") + FOG + fog;
             let text =
                 format!("{moves}{text}{}xf -s 2\nxf -path p\n{}xf\nxf\n", floor(&["sides 2", "rd .5"]), at(shape));
-            agree(&format!("moving {shape} {fog}"), &text, 16);
+            agree(&format!("moving {shape} {fog}"), &text, 4 * finer);
         }
     }
 }
 
 /// A lamp that is smaller than a pixel, seen by the camera itself.
-#[test]
-fn small_lamps_that_the_camera_sees() {
+fn small_lamps(finer: u32) {
     let lamp = |shape: &str| {
         format!(
             "m lamp =\n c\n sides 2\n ed 1e5\nv s =\n p .3 0 1.2\n n .9 .3 .1\nv t =\n p .31 .01 1.22\nm lamp\n{shape}\n"
@@ -148,17 +144,16 @@ fn small_lamps_that_the_camera_sees() {
             ("out of focus", blurred.clone() + &lamp),
             ("in fog", view.clone() + thin + &lamp),
         ] {
-            agree(&format!("{shape} {how}"), &text, 64);
+            agree(&format!("{shape} {how}"), &text, 16 * finer);
         }
     }
     let moves = "time 0 1 10\npath p = linear\n key 0 -t 0 -.1 0\n key 1 -t 0 .2 .1\n";
     let text = view.replace(" film 8 8\n", " film 8 8\n shutter 0 .9\n");
-    agree("moving", &format!("{moves}{text}xf -path p\n{}xf\n", lamp("sph s .03")), 64);
+    agree("moving", &format!("{moves}{text}xf -path p\n{}xf\n", lamp("sph s .03")), 16 * finer);
 }
 
 /// Flat lamps whose outlines cut pixels: small, larger than pixels, edge on, hidden in part, and partly behind the film's border.
-#[test]
-fn flat_lamps_that_cover_parts_of_pixels() {
+fn flat_lamps(finer: u32) {
     let corners = |points: &[[f64; 3]]| -> String {
         let vertex = |(at, [x, y, z]): (usize, &[f64; 3])| format!("v p{at} =\n p {x} {y} {z}\n");
         let names: String = (0..points.len()).map(|at| format!(" p{at}")).collect();
@@ -184,7 +179,7 @@ fn flat_lamps_that_cover_parts_of_pixels() {
             ("in fog", format!("{view}{thin}{lamp}")),
             ("by a lens", lens.clone() + &lamp),
         ] {
-            agree(&format!("{name} {how}"), &text, 64);
+            agree(&format!("{name} {how}"), &text, 16 * finer);
         }
     }
 }
@@ -207,4 +202,56 @@ fn a_lamp_s_share_of_a_pixel_hardly_varies() {
         }
     }
     assert!(pixels > 4 && of_share < 0.01 * f64::from(pixels), "{of_share} of {pixels} pixels");
+}
+
+#[test]
+fn on_surfaces_of_every_kind() {
+    surfaces(1);
+}
+
+#[test]
+fn behind_panes_and_films() {
+    panes(1);
+}
+
+#[test]
+fn small_lamps_that_the_camera_sees() {
+    small_lamps(1);
+}
+
+#[test]
+fn in_fog_of_every_kind() {
+    fogs(4);
+}
+
+#[test]
+fn from_sources_of_every_kind_that_stand_or_move() {
+    sources(4);
+}
+
+#[test]
+fn flat_lamps_that_cover_parts_of_pixels() {
+    flat_lamps(4);
+}
+
+mod long {
+    use super::{panes, small_lamps, surfaces};
+
+    #[test]
+    #[ignore = "tests/all: half a minute"]
+    fn on_surfaces_of_every_kind() {
+        surfaces(4);
+    }
+
+    #[test]
+    #[ignore = "tests/all: half a minute"]
+    fn behind_panes_and_films() {
+        panes(4);
+    }
+
+    #[test]
+    #[ignore = "tests/all: half a minute"]
+    fn small_lamps_that_the_camera_sees() {
+        small_lamps(4);
+    }
 }

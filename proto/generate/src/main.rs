@@ -1,0 +1,59 @@
+//! Writes `proto/src/generated` by `proto/femc/v1/femc.proto`, without a `protoc` on the machine: `cargo run -p femc-generate`.
+//!
+//! What it writes is kept: who builds the program compiles neither this nor the 27 crates that it needs. The test here holds what is
+//! kept against the interface. It is a crate of its own because that of the interface does not compile while the two differ.
+
+use prost::Message as _;
+use std::error::Error;
+use std::path::{Path, PathBuf};
+
+const FILES: [&str; 2] = ["femc.v1.rs", "descriptors.bin"];
+
+/// What is long is passed on without a copy; a digest is short.
+const LONG: [&str; 3] = [".femc.v1.PutRequest.piece", ".femc.v1.GetReply.piece", ".femc.v1.BackupReply.log"];
+
+fn interface() -> PathBuf {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("..")
+}
+
+/// Writes [`FILES`] into a folder that is there.
+fn generate(out: &Path) -> Result<(), Box<dyn Error>> {
+    let descriptors = protox::compile(["femc/v1/femc.proto"], [interface()])?;
+    std::fs::write(out.join("descriptors.bin"), descriptors.encode_to_vec())?;
+    let mut build = tonic_prost_build::configure().out_dir(out).codec_path("crate::codec::Codec");
+    for field in LONG {
+        build = build.bytes(field);
+    }
+    Ok(build.compile_fds(descriptors)?)
+}
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let kept = interface().join("src/generated");
+    // First elsewhere: where the interface has a fault, what is kept stays.
+    let folder = tempfile::tempdir()?;
+    generate(folder.path())?;
+    for name in FILES {
+        std::fs::copy(folder.path().join(name), kept.join(name))?;
+    }
+    println!("{}: {}", kept.display(), FILES.join(", "));
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::{FILES, generate, interface};
+
+    #[test]
+    fn what_is_kept_is_what_the_interface_says() {
+        let folder = tempfile::tempdir().expect("a folder");
+        generate(folder.path()).expect("code");
+        for name in FILES {
+            let said = std::fs::read(folder.path().join(name)).expect(name);
+            let is_same = std::fs::read(interface().join("src/generated").join(name)).is_ok_and(|kept| kept == said);
+            assert!(
+                is_same,
+                "femc.proto has changed, src/generated/{name} has not: `cargo run -p femc-generate` writes it"
+            );
+        }
+    }
+}

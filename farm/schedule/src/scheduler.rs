@@ -203,11 +203,13 @@ impl Scheduler {
     }
 
     /// A lease is its worker's, whatever session or process of it comes with it: an earlier one that has not been heard to
-    /// end yet loses it. Returns whether there is such a lease.
+    /// end yet loses it. Another farm's lease of the same name is of another job, or covers other steps of the task. Returns
+    /// whether there is such a lease.
     fn take_over(&mut self, held: &HeldLease, worker: WorkerId, now: Tick) -> bool {
         let key = (held.task, held.epoch);
-        let is_of_job = self.spec(held.task.job).is_some_and(|spec| spec.key() == held.job);
-        is_of_job
+        let runs = self.table.leases.get(&key).map(|lease| lease.run(&held.task));
+        runs.is_some()
+            && runs == self.run_of(held)
             && !is_of_other_build(&self.ledger, &self.table, held.task.job, held.task.stage.frame, worker)
             && self.hand_over(&key, worker, now)
     }

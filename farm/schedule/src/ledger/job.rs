@@ -582,7 +582,9 @@ impl Job {
         if let Some(finished) = self.finished.get(&task.stage.frame) {
             return finished.last == (task.stage, task.index, epoch);
         }
-        self.units.get(&task.stage.frame).is_some_and(|unit| unit.holds(&task.stage, task.index, epoch))
+        let shape = self.shape(task.stage.frame);
+        let unit = self.units.get(&task.stage.frame);
+        unit.is_some_and(|unit| unit.holds(&shape, &task.stage, task.index, epoch))
     }
 }
 

@@ -674,9 +674,18 @@ impl Unit {
     }
 
     /// Whether this completion is the one that is held.
-    pub(super) fn holds(&self, stage: &Stage, key: u32, epoch: Epoch) -> bool {
-        let row = self.arrays.get(&(stage.round, stage.number)).and_then(|array| array.rows.get(&key));
-        row.is_some_and(|row| row.epoch == epoch) || (!stage.kind.is_cut() && self.decided == Some(epoch))
+    pub(super) fn holds(&self, shape: &Shape<'_>, stage: &Stage, key: u32, epoch: Epoch) -> bool {
+        let place = (stage.round, stage.number);
+        let row = self.arrays.get(&place).and_then(|array| array.rows.get(&key));
+        let has_decided = || self.decided == Some(epoch) && self.decider(shape) == Some((place, key));
+        shape.template(stage.number).is_some_and(|template| template.kind == stage.kind)
+            && (row.is_some_and(|row| row.epoch == epoch) || has_decided())
+    }
+
+    /// The task that decided last: of the round before, or of the last one.
+    fn decider(&self, shape: &Shape<'_>) -> Option<(Place, u32)> {
+        let (number, _) = shape.around?;
+        Some(((self.round.checked_sub(u32::from(!self.is_over))?, number), 0))
     }
 }
 

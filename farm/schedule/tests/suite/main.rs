@@ -10,6 +10,7 @@ mod grains;
 mod graphs;
 mod groups;
 mod hints;
+mod identity;
 mod images;
 mod machine;
 mod quota;

@@ -1,0 +1,247 @@
+//! Which lease a message is about: job, stage, index and epoch name it, and it is in one session's hands. Where a worker brings
+//! it along from elsewhere, the job's key and the steps are those of the lease here, too. A message that differs in any of them
+//! leaves the lease alone that runs.
+
+use crate::common::{self, Farm, job, panic, registration, result};
+use femc_model::*;
+use femc_schedule::*;
+
+use Decision::{Continue, Done};
+
+/// The parts of a lease's name, and names that differ in just that part: of another lease that runs, and of none.
+fn others(Assignment { task, epoch, .. }: &Assignment) -> Vec<(&'static str, TaskKey, Epoch)> {
+    let of = |what, stage| (what, TaskKey { stage, ..*task }, *epoch);
+    let stage = task.stage;
+    vec![
+        ("job", TaskKey { job: JobId(2), ..*task }, *epoch),
+        ("unknown job", TaskKey { job: JobId(7), ..*task }, *epoch),
+        of("frame", Stage { frame: 2, ..stage }),
+        of("unknown frame", Stage { frame: 7, ..stage }),
+        of("round", Stage { round: 1, ..stage }),
+        of("number of the stage", Stage { number: 1, ..stage }),
+        of("kind of the stage", Stage { kind: StageKind::Image, ..stage }),
+        of("stage", Stage { number: 1, kind: StageKind::Image, ..stage }),
+        ("index", TaskKey { index: 1, ..*task }, *epoch),
+        ("unknown index", TaskKey { index: 7, ..*task }, *epoch),
+        ("epoch before", *task, Epoch(epoch.0 - 1)),
+        ("epoch behind", *task, Epoch(epoch.0 + 1)),
+        ("epoch of another life", *task, Epoch(epoch.0 + Epoch::new(1, 0).0)),
+    ]
+}
+
+/// Two jobs alike, all of whose tiles worker 1 holds; and its lease of the first job's first tile.
+fn begun() -> (Farm, Assignment) {
+    let mut farm = Farm::with(Config { prefetch: 20, ..common::config() });
+    for number in 1..=2 {
+        assert_eq!(farm.submit(job(&[1, 2], 2, &[8, 16])), JobId(number));
+    }
+    farm.join(1);
+    assert_eq!(farm.tasks_of(1).len(), 8, "nothing is free");
+    let held = farm.first_of(1);
+    assert_eq!((held.task.job, held.task.stage.frame, held.task.index), (JobId(1), 1, 0));
+    (farm, held)
+}
+
+fn leases(farm: &Farm, worker: u64) -> Vec<LeaseLeft> {
+    farm.scheduler.leases(WorkerId(worker), farm.now)
+}
+
+/// Whether a worker is told that this lease is not its own, or not any more.
+fn is_taken_back(commands: &[Command], to: u64, of: (TaskKey, Epoch)) -> bool {
+    let is_it = |command: &&Command| matches!(command, Command::Revoke { worker, task, epoch, .. } if (worker.0, (*task, *epoch)) == (to, of));
+    commands.iter().filter(is_it).count() == 1
+}
+
+fn is_refused(commands: &[Command], from: u64, of: (TaskKey, Epoch)) -> bool {
+    let is_it = |command: &Command| matches!(command, Command::Refuse { worker, task, epoch, .. } if (worker.0, (*task, *epoch)) == (from, of));
+    let is_accepted = |command: &Command| matches!(command, Command::Accept { .. });
+    commands.iter().any(is_it) && !commands.iter().any(is_accepted)
+}
+
+fn facts(commands: &[Command]) -> usize {
+    commands.iter().filter(|command| matches!(command, Command::Record(_))).count()
+}
+
+fn counts(commands: &[Command]) -> bool {
+    commands.iter().any(|command| matches!(command, Command::Record(Fact::Done { .. })))
+}
+
+/// Jobs that differ from that of [`begun`] in one thing that decides pixels.
+fn other_jobs() -> Vec<(&'static str, JobSpec)> {
+    let same = || job(&[1, 2], 2, &[8, 16]);
+    let digest = Digest::of(b"another");
+    vec![
+        ("scene", JobSpec { bundle: digest, ..same() }),
+        ("file of the scene", JobSpec { entry: "mist.mgf".into(), ..same() }),
+        ("settings", JobSpec { settings: "{ }".into(), ..same() }),
+        ("frames", JobSpec { frames: vec![1, 3], ..same() }),
+        ("film", JobSpec { grid: Grid { film: [16, 9], tile: 8 }, ..same() }),
+        ("rounds", JobSpec { graph: common::rounded(2, &[8, 17], 0), ..same() }),
+        ("contents", JobSpec { contents: vec![(2, digest)], ..same() }),
+    ]
+}
+
+#[test]
+fn a_lease_from_elsewhere_takes_over_none_that_runs() {
+    let (farm, held) = begun();
+    let own = farm.lease(&held);
+    let named = others(&held).into_iter();
+    let named = named.map(|(what, task, epoch)| (what, HeldLease { task, epoch, ..own.clone() }));
+    // Another farm's job of the same number, or one that was lost with an earlier log: by chance all names are the same.
+    let jobs = other_jobs().into_iter().map(|(what, spec)| (what, HeldLease { job: spec.key(), ..own.clone() }));
+    // Another farm's lease in the same job: it has cut the job's tasks in its own way.
+    let steps = [0..7, 1..8, 0..9, 0..16, 8..16, 0..0].map(|steps| ("steps", HeldLease { steps, ..own.clone() }));
+    let mut cases = 0;
+    for (what, brought) in named.chain(jobs).chain(steps) {
+        let (mut farm, name) = (begun().0, (brought.task, brought.epoch));
+        let before = leases(&farm, 1);
+        let commands = farm.join_as(2, Registration { instance: 2, held: vec![brought.clone()], ..registration() });
+        assert!(is_taken_back(&commands, 2, name), "another {what}: {commands:?}");
+        assert_eq!((leases(&farm, 1), leases(&farm, 2)), (before, vec![]), "another {what}");
+        assert!(counts(&farm.complete(1, &held, Done)), "another {what}: the lease holds");
+        cases += 1;
+    }
+    assert_eq!(cases, 13 + 7 + 6);
+    // The same name, job and steps are those of the same worker.
+    let (mut farm, _) = begun();
+    let mut commands = farm.join_as(2, Registration { instance: 2, held: vec![own], ..registration() });
+    commands.retain(|command| matches!(command, Command::Revoke { .. }));
+    assert_eq!((commands, leases(&farm, 2).len(), leases(&farm, 1).len()), (vec![], 1, 7));
+}
+
+#[test]
+fn a_lease_is_not_taken_over_while_it_runs_by_a_worker_of_another_build() {
+    let (mut farm, held) = begun();
+    farm.work(1, Done);
+    let running = farm.first_of(1);
+    assert_eq!(running.task.stage.frame, held.task.stage.frame, "of the frame that has a build now");
+    let (before, brought) = (leases(&farm, 1), farm.lease(&running));
+    let other = Registration { instance: 2, engine: "another".into(), held: vec![brought], ..registration() };
+    let commands = farm.join_as(2, other);
+    assert!(is_taken_back(&commands, 2, (running.task, running.epoch)), "{commands:?}");
+    assert_eq!((leases(&farm, 1), leases(&farm, 2)), (before, vec![]));
+}
+
+#[test]
+fn a_report_counts_for_the_lease_that_it_names_alone_and_from_the_session_that_holds_it() {
+    let (_, held) = begun();
+    let names = others(&held).into_iter().map(|(what, task, epoch)| (what, 1, task, epoch));
+    for (what, from, task, epoch) in names.chain([("session", 2, held.task, held.epoch)]) {
+        let (worker, named) = (WorkerId(from), (task, epoch));
+        let (result, artifact) = (result(&held, Done), Digest::of(b"tile"));
+        let reports = [
+            Event::Completed { worker, task, epoch, result },
+            Event::Failed { worker, task, epoch, failure: panic() },
+            Event::ArtifactMissing { worker, task, epoch, artifact, message: "gone".into() },
+        ];
+        for report in reports {
+            let mut farm = begun().0;
+            farm.join(2);
+            let before = leases(&farm, 1);
+            let commands = farm.on(report.clone());
+            assert!(is_refused(&commands, from, named), "another {what}, {report:?}: {commands:?}");
+            assert_eq!(facts(&commands), 0, "another {what}, {report:?}: {commands:?}");
+            assert_eq!(leases(&farm, 1), before, "another {what}, {report:?}");
+            assert!(counts(&farm.complete(1, &held, Done)), "another {what}, {report:?}: the lease holds");
+        }
+    }
+}
+
+#[test]
+fn a_repetition_is_answered_as_such_by_the_name_that_has_counted_alone() {
+    let ends: [fn(&Assignment) -> bool; 3] = [
+        |held| held.task.stage.kind == StageKind::Render,
+        // What it has made is there no longer, when the next round has begun.
+        |held| held.task.stage.kind == StageKind::Image,
+        |held| (held.task.stage.kind, held.task.stage.round) == (StageKind::Image, 1),
+    ];
+    for is_last in ends {
+        let mut farm = begun().0;
+        let held = loop {
+            let held = farm.first_of(1);
+            farm.complete(1, &held, Continue);
+            if is_last(&held) {
+                break held;
+            }
+        };
+        let repeat = |farm: &mut Farm, task, epoch| {
+            farm.on(Event::Completed { worker: WorkerId(1), task, epoch, result: result(&held, Continue) })
+        };
+        let stage = Stage { number: 0, kind: StageKind::Render, ..held.task.stage };
+        let tile = ("tile", TaskKey { stage, ..held.task }, held.epoch);
+        let named = others(&held).into_iter().chain([tile]);
+        for (what, task, epoch) in named.filter(|(_, task, epoch)| (*task, *epoch) != (held.task, held.epoch)) {
+            let commands = repeat(&mut farm, task, epoch);
+            let is_told = is_refused(&commands, 1, (task, epoch)) && facts(&commands) == 0;
+            assert!(is_told, "another {what} than {}: {commands:?}", held.task);
+        }
+        let commands = repeat(&mut farm, held.task, held.epoch);
+        assert_eq!(commands, [Command::Accept { worker: WorkerId(1), task: held.task, epoch: held.epoch }]);
+    }
+}
+
+#[test]
+fn a_heartbeat_renews_the_leases_that_it_names_alone_and_those_of_its_session() {
+    let (_, held) = begun();
+    let names = others(&held).into_iter().map(|(what, task, epoch)| (what, 1, task, epoch));
+    for (what, from, task, epoch) in names.chain([("session", 2, held.task, held.epoch)]) {
+        let mut farm = begun().0;
+        farm.join(2);
+        farm.now = farm.now.after(1_000);
+        let (before, runs) = (leases(&farm, 1), farm.held.iter().any(|(_, it)| (it.task, it.epoch) == (task, epoch)));
+        assert!(!runs || from == 2, "{what}");
+        let tasks = vec![TaskProgress { task, epoch, phase: Phase::Working, units: 3 }];
+        let commands = farm.on(Event::Heartbeat { worker: WorkerId(from), tasks });
+        assert!(is_taken_back(&commands, from, (task, epoch)), "another {what}: {commands:?}");
+        assert_eq!(leases(&farm, 1), before, "another {what}: nothing is renewed");
+        assert_eq!(farm.status(JobId(1)).stale_messages, u64::from(task.job == JobId(1)), "another {what}");
+        assert_eq!(farm.status(JobId(1)).samples_done, 0, "another {what}: it has got no further");
+    }
+    let mut farm = begun().0;
+    farm.now = farm.now.after(1_000);
+    let tasks = vec![TaskProgress { task: held.task, epoch: held.epoch, phase: Phase::Working, units: 3 }];
+    farm.on(Event::Heartbeat { worker: WorkerId(1), tasks });
+    let left: Vec<u64> = leases(&farm, 1).iter().map(|lease| lease.left).collect();
+    assert_eq!(left, [vec![5_000], vec![4_000; 7]].concat(), "just the one that it names");
+}
+
+#[test]
+fn a_log_and_what_a_lease_took_are_kept_of_the_lease_that_they_name_alone() {
+    let (_, held) = begun();
+    let names = others(&held).into_iter().map(|(what, task, epoch)| (what, 1, task, epoch));
+    for (what, from, task, epoch) in names.chain([("session", 2, held.task, held.epoch)]) {
+        let mut farm = begun().0;
+        farm.join(2);
+        let (worker, text) = (WorkerId(from), LogText::Inline("rendered".into()));
+        let log = TaskLog { attempt: Attempt::Done, seconds: 0.5, text };
+        assert_eq!(farm.on(Event::Logged { worker, task, epoch, log }), [], "another {what}");
+        let usage = TaskUsage { task, epoch, usage: Usage { cpu: 3.0, ..Usage::default() } };
+        farm.on(Event::Usage { worker, usage });
+        let commands = farm.complete(1, &held, Done);
+        let noted: Vec<Option<Usage>> = commands
+            .iter()
+            .filter_map(|command| if let Command::Note(note) = command { Some(note.usage) } else { None })
+            .collect();
+        assert_eq!(noted, [None], "another {what}");
+        let logs = [1, 2].map(|job| farm.scheduler.logs(JobId(job), Tick(0)).unwrap());
+        assert_eq!(logs, [vec![], vec![]], "another {what}");
+    }
+}
+
+#[test]
+fn a_death_counts_for_the_task_and_job_that_it_names_alone() {
+    let (farm, held) = begun();
+    let own = farm.lease(&held);
+    let named = others(&held).into_iter().filter(|(_, task, _)| *task != held.task);
+    // These are tasks here, too: they may have been its death.
+    let named = named.filter(|(what, ..)| !["job", "frame", "index"].contains(what));
+    let named = named.map(|(what, task, _)| (what, HeldLease { task, ..own.clone() }));
+    let jobs = other_jobs().into_iter().map(|(what, spec)| (what, HeldLease { job: spec.key(), ..own.clone() }));
+    for (what, of) in named.chain(jobs).chain([("steps", HeldLease { steps: 0..7, ..own.clone() })]) {
+        let mut farm = begun().0;
+        farm.leave(1);
+        let died = Some(Death { instance: 1, computing: vec![of] });
+        let commands = farm.join_as(2, Registration { instance: 2, died, ..registration() });
+        assert_eq!(facts(&commands), 0, "another {what}: {commands:?}");
+    }
+}

@@ -85,8 +85,36 @@ impl Clock {
 #[cfg(test)]
 mod tests {
     use std::sync::atomic::{AtomicU64, Ordering};
+    use std::time::SystemTime;
+
+    use femc_queue::Memory;
+    use femc_schedule::{Ledger, Scheduler};
+    use femc_store::Store;
+    use tokio::sync::mpsc;
 
     use super::*;
+    use crate::Config;
+    use crate::actor::Actor;
+
+    /// The same time as all else in the program: on a machine the monotonic one, which nobody sets.
+    #[tokio::test(start_paused = true)]
+    async fn the_clock_of_a_coordinator_follows_the_time_that_passes_and_not_the_date() {
+        let config = Config::default();
+        let (scheduler, _) = Scheduler::new(config.scheduler.clone(), Ledger::default());
+        let (_asks, watchers) = mpsc::channel(1);
+        let actor = Actor::new(scheduler, Memory::default(), Store::memory(), 0, watchers, &config);
+        let [time, configured] = [Time::default(), config.time].map(|time| Clock::from(Tick(0), time));
+        let clocks = [time, configured, actor.clock];
+        let show = || clocks.each_ref().map(|clock| clock.now().0);
+        let date = SystemTime::now();
+        // A few ticks of the date go by, and no time.
+        while date.elapsed().is_ok_and(|passed| passed < Duration::from_millis(3)) {}
+        assert_eq!(show(), [0; 3], "the date goes on, and time stands still");
+        for (passes, shows) in [(1, 1), (999, 1_000), (86_400_000, 86_401_000)] {
+            tokio::time::advance(Duration::from_millis(passes)).await;
+            assert_eq!(show(), [shows; 3], "time goes by, and the date is the same");
+        }
+    }
 
     #[test]
     fn a_source_that_goes_back_does_not_turn_time_back_nor_hold_it() {

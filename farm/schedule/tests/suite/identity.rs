@@ -245,3 +245,23 @@ fn a_death_counts_for_the_task_and_job_that_it_names_alone() {
         assert_eq!(facts(&commands), 0, "another {what}: {commands:?}");
     }
 }
+
+#[test]
+fn a_lease_that_nobody_has_any_more_is_adopted_if_it_is_of_a_task_here() {
+    let (farm, held) = begun();
+    let own = farm.lease(&held);
+    // Of tasks that are here, too, and free; epochs are of leases that nobody knows any more.
+    let free = ["job", "frame", "index", "epoch before", "epoch behind", "epoch of another life"];
+    let named = others(&held).into_iter();
+    let named = named.map(|(what, task, epoch)| (what, HeldLease { task, epoch, ..own.clone() }));
+    let jobs = other_jobs().into_iter().map(|(what, spec)| (what, HeldLease { job: spec.key(), ..own.clone() }));
+    let steps = [0..7, 1..8, 0..9, 0..16, 8..16, 0..0].map(|steps| ("steps", HeldLease { steps, ..own.clone() }));
+    for (what, brought) in named.chain(jobs).chain(steps).chain([("nothing", own.clone())]) {
+        let (mut farm, name) = (begun().0, (brought.task, brought.epoch));
+        farm.restart();
+        let commands = farm.join_as(2, Registration { instance: 2, held: vec![brought], ..registration() });
+        let is_adopted = leases(&farm, 2).iter().any(|lease| (lease.task, lease.epoch) == name);
+        assert_eq!(is_adopted, free.contains(&what) || what == "nothing", "another {what}: {commands:?}");
+        assert_eq!(is_taken_back(&commands, 2, name), !is_adopted, "another {what}: {commands:?}");
+    }
+}

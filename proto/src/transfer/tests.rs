@@ -1,0 +1,300 @@
+//! A client before servers that lie, and how long it is patient.
+
+use std::io;
+use std::pin::Pin;
+use std::sync::{Arc, Mutex};
+
+use tokio_stream::wrappers::{ReceiverStream, UnboundedReceiverStream};
+use tokio_stream::{Stream, StreamExt as _};
+use tonic::{Code, Request, Response, Status, Streaming};
+
+use super::*;
+use crate::{Dial, Link, Why};
+use wire::artifacts_server::{Artifacts, ArtifactsServer};
+
+type Replies = Pin<Box<dyn Stream<Item = Result<wire::GetReply, Status>> + Send>>;
+
+/// A server that says what a test wants, whatever it is asked.
+#[derive(Default)]
+struct Liar {
+    /// Replies to one request for bytes after the other: pieces, and whether the transfer is cut then. The last one is repeated.
+    gives: Vec<(Vec<Bytes>, Option<Code>)>,
+    /// From which byte on it wants what is offered; `None`: it is there.
+    wants: Option<u64>,
+    /// What it says that it has kept.
+    kept: Option<Artifact>,
+    missing: Vec<Digest>,
+    heard: Mutex<Heard>,
+}
+
+/// What it was asked, and what it was sent.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+struct Heard {
+    /// First byte wanted and size expected, of each request for bytes.
+    got: Vec<(u64, Option<u64>)>,
+    /// First byte and bytes of each upload.
+    put: Vec<(u64, Vec<u8>)>,
+}
+
+#[tonic::async_trait]
+impl Artifacts for Arc<Liar> {
+    async fn missing(&self, _: Request<wire::MissingRequest>) -> Result<Response<wire::MissingReply>, Status> {
+        Ok(Response::new(wire::MissingReply { digests: self.missing.iter().map(digest_bytes).collect() }))
+    }
+
+    async fn offer(&self, _: Request<wire::OfferRequest>) -> Result<Response<wire::OfferReply>, Status> {
+        let answer = self.wants.map_or(Answer::There(wire::Empty {}), Answer::From);
+        Ok(Response::new(wire::OfferReply { answer: Some(answer) }))
+    }
+
+    async fn put(&self, request: Request<Streaming<wire::PutRequest>>) -> Result<Response<wire::PutReply>, Status> {
+        let (mut parts, mut from, mut bytes) = (request.into_inner(), 0, Vec::new());
+        while let Some(wire::PutRequest { part, offset }) = parts.message().await? {
+            match part.unwrap() {
+                Part::Digest(_) => from = offset,
+                Part::Piece(piece) => bytes.extend_from_slice(&piece),
+            }
+        }
+        self.heard.lock().unwrap().put.push((from, bytes));
+        Ok(Response::new(wire::PutReply { artifact: self.kept.map(Into::into) }))
+    }
+
+    type GetStream = Replies;
+
+    async fn get(&self, request: Request<wire::GetRequest>) -> Result<Response<Replies>, Status> {
+        let wire::GetRequest { offset, bytes, .. } = request.into_inner();
+        let asked = {
+            let got = &mut self.heard.lock().unwrap().got;
+            got.push((offset, bytes));
+            got.len()
+        };
+        let (pieces, ends) = self.gives[asked.min(self.gives.len()) - 1].clone();
+        let pieces = pieces.into_iter().map(|piece| Ok(wire::GetReply { piece }));
+        let ends = ends.map(|code| Err(Status::new(code, "cut")));
+        Ok(Response::new(Box::pin(tokio_stream::iter(pieces.chain(ends)))))
+    }
+
+    async fn collect(&self, _: Request<wire::CollectRequest>) -> Result<Response<wire::CollectReply>, Status> {
+        Err(Status::unimplemented("it keeps all"))
+    }
+}
+
+/// A client of a server in this process.
+async fn client(server: impl Artifacts) -> Client {
+    let (send, connections) = tokio::sync::mpsc::unbounded_channel();
+    let server = ArtifactsServer::new(server);
+    let connections = UnboundedReceiverStream::new(connections).map(Ok::<_, io::Error>);
+    tokio::spawn(tonic::transport::Server::builder().add_service(server).serve_with_incoming(connections));
+    let dial = Dial::by(move |_, _| {
+        let (ours, theirs) = tokio::io::duplex(1 << 16);
+        let sent = send.send(Link::new(theirs)).map_err(|_| io::ErrorKind::ConnectionRefused.into());
+        Box::pin(async move { sent.map(|()| Link::new(ours)) })
+    });
+    Client::connect_by(&dial, "http://farm:1").await.unwrap()
+}
+
+/// A client of a server that gives just these pieces.
+async fn given(pieces: &[&'static [u8]]) -> Client {
+    let pieces = pieces.iter().copied().map(Bytes::from_static).collect();
+    client(Arc::new(Liar { gives: vec![(pieces, None)], ..Liar::default() })).await
+}
+
+const TRUE: &[u8] = b"the light of a tile";
+
+fn is_mismatch(outcome: &Result<Bytes, CallError>, of: &Digest) -> bool {
+    matches!(outcome, Err(CallError::Refused(Refusal::DigestMismatch { digest })) if digest == of)
+}
+
+#[tokio::test(start_paused = true)]
+async fn bytes_that_are_not_those_of_the_name_are_refused_whatever_their_size() {
+    let artifact = Artifact::of(TRUE);
+    for pieces in [&[TRUE][..], &[b"the light ", b"of a tile"], &[b"", b"the light of a til", b"", b"e"]] {
+        let client = given(pieces).await;
+        assert_eq!(client.get(&artifact.digest, 1_000).await.unwrap(), TRUE);
+        assert_eq!(client.get(&artifact.digest, artifact.bytes).await.unwrap(), TRUE, "as many as the limit");
+        assert_eq!(client.get_exactly(&artifact).await.unwrap(), TRUE);
+    }
+    let lies: [&[&'static [u8]]; 10] = [
+        &[],
+        &[b""],
+        &[b"t"],
+        &[b"the light of a til"],
+        &[b"he light of a tile"],
+        &[b"the light of a tilE"],
+        &[b"The light of a tile"],
+        &[b"of a tile", b"the light "],
+        &[b"the light of a tile", b"\0"],
+        &[TRUE, TRUE],
+    ];
+    for pieces in lies {
+        let client = given(pieces).await;
+        for outcome in [client.get(&artifact.digest, 1_000).await, client.get_exactly(&artifact).await] {
+            assert!(is_mismatch(&outcome, &artifact.digest), "{pieces:?}: {outcome:?}");
+        }
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn bytes_of_another_size_than_what_is_known_are_refused_although_their_name_is_right() {
+    let Artifact { digest, bytes } = Artifact::of(TRUE);
+    for known in [0, 1, bytes - 1, bytes + 1, 1 << 40, u64::MAX] {
+        let liar = Arc::new(Liar { gives: vec![(vec![TRUE.into()], None)], ..Liar::default() });
+        let outcome = client(liar.clone()).await.get_exactly(&Artifact { digest, bytes: known }).await;
+        assert!(is_mismatch(&outcome, &digest), "{known} bytes: {outcome:?}");
+        let heard = liar.heard.lock().unwrap().clone();
+        assert_eq!(heard.got, [(0, Some(known))], "it is asked once: what is damaged stays so");
+    }
+    // Of nothing, too.
+    let nothing = Artifact::of(b"");
+    assert_eq!(given(&[]).await.get_exactly(&nothing).await.unwrap(), "");
+    let outcome = given(&[]).await.get_exactly(&Artifact { bytes: 1, ..nothing }).await;
+    assert!(is_mismatch(&outcome, &nothing.digest), "{outcome:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn no_more_is_taken_in_than_the_limit_however_much_comes() {
+    /// It gives a piece after the other for as long as somebody reads.
+    struct Endless;
+
+    #[tonic::async_trait]
+    impl Artifacts for Endless {
+        async fn missing(&self, _: Request<wire::MissingRequest>) -> Result<Response<wire::MissingReply>, Status> {
+            Err(Status::unimplemented(""))
+        }
+
+        async fn offer(&self, _: Request<wire::OfferRequest>) -> Result<Response<wire::OfferReply>, Status> {
+            Err(Status::unimplemented(""))
+        }
+
+        async fn put(&self, _: Request<Streaming<wire::PutRequest>>) -> Result<Response<wire::PutReply>, Status> {
+            Err(Status::unimplemented(""))
+        }
+
+        type GetStream = Replies;
+
+        async fn get(&self, _: Request<wire::GetRequest>) -> Result<Response<Replies>, Status> {
+            let (send, receive) = tokio::sync::mpsc::channel(1);
+            tokio::spawn(async move { while send.send(Ok(wire::GetReply { piece: TRUE.into() })).await.is_ok() {} });
+            Ok(Response::new(Box::pin(ReceiverStream::new(receive))))
+        }
+
+        async fn collect(&self, _: Request<wire::CollectRequest>) -> Result<Response<wire::CollectReply>, Status> {
+            Err(Status::unimplemented(""))
+        }
+    }
+
+    let artifact = Artifact::of(TRUE);
+    let client = client(Endless).await;
+    for limit in [0, artifact.bytes, 10 * artifact.bytes - 1] {
+        let outcome = client.get(&artifact.digest, limit).await;
+        let is_refused =
+            matches!(outcome, Err(CallError::Refused(Refusal::ArtifactTooLarge { limit: told })) if told == limit);
+        assert!(is_refused, "{limit} bytes: {outcome:?}");
+    }
+    let outcome = client.get_exactly(&artifact).await;
+    assert!(is_mismatch(&outcome, &artifact.digest), "{outcome:?}");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_transfer_that_was_cut_is_checked_as_a_whole() {
+    let artifact = Artifact::of(TRUE);
+    let (first, rest) = TRUE.split_at(10);
+    let cut = (vec![Bytes::from_static(first)], Some(Code::Unavailable));
+    for (second, is_right) in [(rest, true), (TRUE, false), (first, false), (&rest[1..], false), (b"of a tale", false)]
+    {
+        let gives = vec![cut.clone(), (vec![Bytes::from_static(second)], None)];
+        let liar = Arc::new(Liar { gives, ..Liar::default() });
+        let outcome = client(liar.clone()).await.get(&artifact.digest, 1_000).await;
+        match is_right {
+            true => assert_eq!(outcome.unwrap(), TRUE),
+            false => assert!(is_mismatch(&outcome, &artifact.digest), "{second:?}: {outcome:?}"),
+        }
+        assert_eq!(liar.heard.lock().unwrap().got, [(0, None), (10, None)], "it goes on at its byte");
+    }
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_server_that_says_that_it_has_kept_something_else_has_not_kept_what_was_put() {
+    let artifact = Artifact::of(TRUE);
+    let others = [
+        Artifact::of(b"the light of a tale"),
+        Artifact { bytes: artifact.bytes + 1, ..artifact },
+        Artifact { bytes: artifact.bytes - 1, ..artifact },
+        Artifact { bytes: 0, ..artifact },
+    ];
+    for kept in others {
+        let liar = Arc::new(Liar { wants: Some(0), kept: Some(kept), ..Liar::default() });
+        let outcome = client(liar).await.put(TRUE.into()).await;
+        let is_refused = matches!(&outcome, Err(CallError::Refused(Refusal::DigestMismatch { digest })) if *digest == artifact.digest);
+        assert!(is_refused, "{kept:?}: {outcome:?}");
+    }
+    let mute = Arc::new(Liar { wants: Some(0), kept: None, ..Liar::default() });
+    assert!(matches!(client(mute).await.put(TRUE.into()).await, Err(CallError::Answer(_))));
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_is_sent_are_the_bytes_from_where_the_server_wants_them_and_all_where_it_wants_more_than_there_are() {
+    let artifact = Artifact::of(TRUE);
+    for (wants, from) in [(0, 0), (7, 7), (18, 18), (19, 19), (20, 0), (u64::MAX, 0)] {
+        let liar = Arc::new(Liar { wants: Some(wants), kept: Some(artifact), ..Liar::default() });
+        assert_eq!(client(liar.clone()).await.put(TRUE.into()).await.unwrap(), artifact);
+        let put = liar.heard.lock().unwrap().put.clone();
+        assert_eq!(put, [(from, TRUE[from as usize..].to_vec())], "from {wants} on");
+    }
+    let has_it = Arc::new(Liar::default());
+    assert_eq!(client(has_it.clone()).await.put(TRUE.into()).await.unwrap(), artifact);
+    assert_eq!(*has_it.heard.lock().unwrap(), Heard::default());
+    // More than a piece, and not a multiple of one.
+    let large: Bytes = (0..2 * PIECE + 3).map(|at| (at / 251) as u8).collect();
+    let liar = Arc::new(Liar { wants: Some(5), kept: Some(Artifact::of(&large)), ..Liar::default() });
+    client(liar.clone()).await.put(large.clone()).await.unwrap();
+    assert!(liar.heard.lock().unwrap().put == [(5, large[5..].to_vec())]);
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_nobody_has_offered_is_not_sent_although_the_server_misses_it() {
+    let all = ["one", "two", "one", "three"].map(Bytes::from);
+    let missing = [&all[0], &all[3], &Bytes::from_static(b"four")].map(|bytes| Digest::of(bytes)).to_vec();
+    let liar = Arc::new(Liar { missing, ..Liar::default() });
+    assert_eq!(client(liar).await.put_all(&all).await.unwrap(), 8, "one and three, once");
+}
+
+#[tokio::test(start_paused = true)]
+async fn a_long_transfer_that_is_cut_goes_on_and_what_gets_nowhere_ends() {
+    let cut = || CallError::Unreachable { url: "http://farm".into(), message: "cut".into(), why: Why::Away };
+    let mut patience = Patience::new(Direction::Up);
+    for reached in 1..=3 {
+        patience.reached(reached);
+        // It was well under way for a minute before it was cut.
+        tokio::time::sleep(Duration::from_secs(60)).await;
+        patience.after(cut()).await.unwrap();
+    }
+    let begun = Instant::now();
+    while patience.after(cut()).await.is_ok() {}
+    assert!(begun.elapsed() <= Patience::LONGEST);
+}
+
+#[tokio::test(start_paused = true)]
+async fn an_upload_that_another_gets_on_with_is_not_given_up() {
+    let resume = |offset| CallError::Refused(Refusal::Resume { offset });
+    let mut patience = Patience::new(Direction::Up);
+    for offset in 1..=3 {
+        patience.after(resume(offset)).await.unwrap();
+        // It waited for the other, who was cut again.
+        tokio::time::sleep(Patience::LONGEST).await;
+    }
+    patience.after(resume(3)).await.expect_err("nobody gets on");
+}
+
+#[tokio::test(start_paused = true)]
+async fn what_another_left_that_was_not_what_it_said_does_not_spoil_an_upload() {
+    let digest = Digest::of(b"what it said");
+    let mismatch = || CallError::Refused(Refusal::DigestMismatch { digest });
+    let mut patience = Patience::new(Direction::Up);
+    patience.after(mismatch()).await.expect_err("all bytes were its own");
+    patience.reached(100);
+    patience.after(mismatch()).await.expect("the other's bytes are forgotten");
+    let mut patience = Patience::new(Direction::Down);
+    patience.reached(100);
+    patience.after(mismatch()).await.expect_err("it is damaged, however often one asks");
+}

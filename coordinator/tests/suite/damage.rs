@@ -135,16 +135,197 @@ impl Hand {
     async fn result(&self, held: &Assignment) -> TaskResult {
         let bytes = format!("{:?} {}", held.task.stage.kind, held.task.stage.frame);
         let artifact = self.client.put(Bytes::from(bytes)).await.unwrap();
-        let of = |role, artifact| TaskResult {
-            outputs: vec![Output { role, artifact }],
-            seconds: 0.1,
-            ..TaskResult::default()
-        };
-        match held.task.stage.kind {
-            StageKind::Render => TaskResult { units: held.work.steps.len() as u64 * 64, ..of(Role::Tile, artifact) },
-            _ => TaskResult { decision: Some(Decision::Done), ..of(Role::Image, self.image.unwrap_or(artifact)) },
+        made(held, if held.task.stage.kind == StageKind::Image { self.image.unwrap_or(artifact) } else { artifact })
+    }
+}
+
+/// The report of a worker that has made this of a task.
+fn made(held: &Assignment, artifact: Artifact) -> TaskResult {
+    let of = |role| TaskResult { outputs: vec![Output { role, artifact }], seconds: 0.1, ..TaskResult::default() };
+    match held.task.stage.kind {
+        StageKind::Render => TaskResult { units: held.work.steps.len() as u64 * 64, ..of(Role::Tile) },
+        _ => TaskResult { decision: Some(Decision::Done), ..of(Role::Image) },
+    }
+}
+
+/// How an artifact comes to be in the store.
+#[derive(Debug, Clone, Copy)]
+enum Known {
+    /// The coordinator has taken it in.
+    Before,
+    /// It lies there from an earlier life of the coordinator, which has not looked at it yet.
+    NotYet,
+}
+
+impl Known {
+    const BOTH: [Self; 2] = [Self::Before, Self::NotYet];
+
+    /// Another one each time.
+    async fn plant(self, folder: &Path, client: &Client, number: &mut u64) -> (Bytes, Artifact) {
+        *number += 1;
+        let bytes = Bytes::from(format!("artifact {number}"));
+        let artifact = Artifact::of(&bytes);
+        match self {
+            Self::Before => drop(client.put(bytes.clone()).await.unwrap()),
+            Self::NotYet => {
+                let file = file(folder, &artifact.digest);
+                std::fs::create_dir_all(file.parent().unwrap()).unwrap();
+                std::fs::write(file, &bytes).unwrap();
+            }
+        }
+        (bytes, artifact)
+    }
+}
+
+/// Sizes that an artifact of this size has not.
+fn other_sizes(bytes: u64) -> [u64; 5] {
+    [0, 1, bytes - 1, bytes + 1, bytes + (1 << 40)]
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_result_whose_artifact_has_another_size_than_it_says_does_not_count() {
+    for known in Known::BOTH {
+        let (folder, farm, client) = farm().await;
+        let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
+        let id = client.submit(None, spec(bundle.digest)).await.unwrap();
+        let (mut number, mut refused) = (0, 0);
+        while client.status(id).await.unwrap().state != JobState::Done {
+            for case in [0, 2, 3] {
+                let (bytes, artifact) = known.plant(folder.path(), &client, &mut number).await;
+                let other = Artifact { bytes: other_sizes(artifact.bytes)[case], ..artifact };
+                // A worker whose report was refused rests: each is another one.
+                let mut hand = Hand::join(&farm.url()).await;
+                let held = hand.assigned().await;
+                assert!(!hand.report(&held, made(&held, other)).await, "{known:?}: {} of {other:?}", held.task);
+                assert_eq!(client.get_exactly(&artifact).await.unwrap(), bytes, "the artifact stays");
+                refused += 1;
+            }
+            let (_, artifact) = known.plant(folder.path(), &client, &mut number).await;
+            let mut hand = Hand::join(&farm.url()).await;
+            let mut held = hand.assigned().await;
+            if held.task.stage.kind == StageKind::Image {
+                // Neither by another output that is right.
+                let (_, preview) = known.plant(folder.path(), &client, &mut number).await;
+                let mut both = made(&held, artifact);
+                both.outputs.push(Output { role: Role::Preview, artifact: Artifact { bytes: 1, ..preview } });
+                assert!(!hand.report(&held, both).await, "{known:?}: {}", held.task);
+                (hand, refused) = (Hand::join(&farm.url()).await, refused + 1);
+                held = hand.assigned().await;
+            }
+            assert!(hand.report(&held, made(&held, artifact)).await, "{known:?}: {} with its own size", held.task);
+        }
+        assert_eq!(refused, 4 * 3 + 2);
+        farm.stop().await.unwrap();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_log_of_another_size_than_its_report_says_did_not_arrive() {
+    for known in Known::BOTH {
+        let (folder, farm, client) = farm().await;
+        let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
+        let id = client.submit(None, spec(bundle.digest)).await.unwrap();
+        let mut hand = Hand::join(&farm.url()).await;
+        let (mut number, mut expected) = (0, Vec::new());
+        for other in [Some(3), None, Some(0), Some(2)] {
+            let (_, log) = known.plant(folder.path(), &client, &mut number).await;
+            let held = hand.assigned().await;
+            let (task, epoch, result) = (held.task, held.epoch, hand.result(&held).await);
+            let text =
+                LogText::Stored(other.map_or(log, |case| Artifact { bytes: other_sizes(log.bytes)[case], ..log }));
+            let told = Some(TaskLog { attempt: Attempt::Done, seconds: 0.25, text });
+            let report = FromWorker::Completed { task, epoch, result, log: told, usage: None };
+            assert!(hand.says(epoch, report).await, "it is no reason to do the task again");
+            let lost = LogText::Inline("the log did not arrive".into());
+            expected.push((epoch, if other.is_some() { lost } else { LogText::Stored(log) }));
+        }
+        let mut kept = client.logs(id, Tick(0)).await.unwrap();
+        kept.sort_by_key(|record| record.epoch);
+        expected.sort_by_key(|(epoch, _)| *epoch);
+        assert_eq!(kept.into_iter().map(|it| (it.epoch, it.log.text)).collect::<Vec<_>>(), expected, "{known:?}");
+        farm.stop().await.unwrap();
+    }
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn who_takes_an_artifact_for_one_of_another_size_is_refused_before_any_byte_and_the_store_keeps_it() {
+    let (_folder, farm, client) = farm().await;
+    let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
+    let whole = noise(2 * MB);
+    let image = client.put(whole.clone()).await.unwrap();
+    let id = client.submit(None, spec(bundle.digest)).await.unwrap();
+    let mut hand = Hand::join(&farm.url()).await;
+    hand.image = Some(image);
+    hand.work(id).await;
+    let proxy = Proxy::start(farm.address(), &[]).await;
+    let through = Client::connect(&proxy.url).await.unwrap();
+    for bytes in other_sizes(image.bytes) {
+        let heard = through.get_exactly(&Artifact { bytes, ..image }).await;
+        let is_refused =
+            matches!(&heard, Err(CallError::Refused(Refusal::DigestMismatch { digest })) if *digest == image.digest);
+        assert!(is_refused, "{bytes} bytes: {heard:?}");
+    }
+    assert!(proxy.seen.down() < MB / 10, "{} bytes came", proxy.seen.down());
+    let status = client.status(id).await.unwrap();
+    assert_eq!((status.state, status.frames_done), (JobState::Done, 2), "no frame is lost");
+    assert_eq!(through.get_exactly(&image).await.unwrap(), whole);
+    farm.stop().await.unwrap();
+}
+
+/// A connection to `server` that changes the bytes of [`marked`] on their way, in both directions.
+async fn lying(server: SocketAddr) -> String {
+    async fn pass(mut from: impl tokio::io::AsyncRead + Unpin, mut to: impl tokio::io::AsyncWrite + Unpin) {
+        let mut buffer = vec![0; 1 << 16];
+        while let Ok(read @ 1..) = from.read(&mut buffer).await {
+            let (mut run, bytes) = (0, &mut buffer[..read]);
+            for byte in bytes.iter_mut() {
+                run = if *byte == MARK { run + 1 } else { 0 };
+                *byte ^= u8::from(run == 16);
+            }
+            if tokio::io::AsyncWriteExt::write_all(&mut to, bytes).await.is_err() {
+                return;
+            }
         }
     }
+    let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
+    let url = format!("http://{}", listener.local_addr().unwrap());
+    tokio::spawn(async move {
+        while let Ok((client, _)) = listener.accept().await {
+            let (from_client, to_client) = client.into_split();
+            let (from_server, to_server) = TcpStream::connect(server).await.unwrap().into_split();
+            tokio::spawn(pass(from_client, to_server));
+            tokio::spawn(pass(from_server, to_client));
+        }
+    });
+    url
+}
+
+/// Of which there is nothing else in a message so many times in a row.
+const MARK: u8 = 0xa5;
+
+fn marked(size: usize) -> Bytes {
+    vec![MARK; size].into()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn bytes_that_a_link_has_changed_are_refused_on_either_side() {
+    let (_folder, farm, direct) = farm().await;
+    let far = Client::connect(&lying(farm.address()).await).await.unwrap();
+    let is_mismatch =
+        |outcome: &Result<(), CallError>| matches!(outcome, Err(CallError::Refused(Refusal::DigestMismatch { .. })));
+    for size in [100, 3_000_000] {
+        let (whole, artifact) = (marked(size), Artifact::of(&marked(size)));
+        let put = far.put(whole.clone()).await.map(drop);
+        assert!(is_mismatch(&put), "{put:?}");
+        assert_eq!(direct.missing(&[artifact.digest]).await.unwrap(), [artifact.digest], "nothing is kept");
+        direct.put(whole.clone()).await.unwrap();
+        for got in [far.get(&artifact.digest, 1 << 30).await, far.get_exactly(&artifact).await] {
+            let got = got.map(drop);
+            assert!(is_mismatch(&got), "{got:?}");
+        }
+        assert_eq!(direct.get_exactly(&artifact).await.unwrap(), whole, "the store's bytes are sound");
+    }
+    farm.stop().await.unwrap();
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]

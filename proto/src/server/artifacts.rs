@@ -50,8 +50,8 @@ impl wire::artifacts_server::Artifacts for Server {
         self.promised.note(&[name]).await;
         // Before the store is asked: an upload that is being finished is waited for.
         let from = self.uploads.offered(&name).await;
-        let is_there = self.is_sound(&name, who).await.map_err(|error| refuse(&error))?;
-        let answer = if is_there { Answer::There(wire::Empty {}) } else { Answer::From(from) };
+        let found = self.sound(&name, who).await.map_err(|error| refuse(&error))?;
+        let answer = if found.is_some() { Answer::There(wire::Empty {}) } else { Answer::From(from) };
         Ok(Response::new(wire::OfferReply { answer: Some(answer) }))
     }
 
@@ -79,11 +79,18 @@ impl wire::artifacts_server::Artifacts for Server {
         let who = request.extensions().get::<Who>().cloned().unwrap_or_default();
         let wire::GetRequest { digest: name, offset, bytes } = request.into_inner();
         let name = digest("digest", &name)?;
-        let found = self.store.size(&name).await.map_err(|error| refuse(&error))?;
-        let is_other = found.is_some_and(|found| bytes.is_some_and(|bytes| bytes != found));
-        if found.is_none() || (is_other && !self.is_sound(&name, who.clone()).await.map_err(|error| refuse(&error))?) {
+        let mut found = self.store.size(&name).await.map_err(|error| refuse(&error))?;
+        let is_other = |found: Option<u64>| found.is_some() && bytes.is_some() && found != bytes;
+        if is_other(found) {
+            found = self.sound(&name, who.clone()).await.map_err(|error| refuse(&error))?;
+        }
+        if found.is_none() {
             self.lost(&name).await;
             return Err(to_status(&Refusal::NoSuchArtifact { digest: name }));
+        }
+        if is_other(found) {
+            // None of the store's faults: it is not what the caller takes it for.
+            return Err(to_status(&Refusal::DigestMismatch { digest: name }));
         }
         let place = Arc::new(self.places.take(who).await);
         let (server, reading) = (self.clone(), place.clone());
@@ -111,13 +118,16 @@ impl wire::artifacts_server::Artifacts for Server {
 }
 
 impl Server {
-    /// Whether an artifact is there, whole. What is there is read, which takes a place.
-    async fn is_sound(&self, name: &Digest, who: Who) -> Result<bool, StoreError> {
+    /// The size of an artifact that is there, whole. What is there is read, which takes a place.
+    async fn sound(&self, name: &Digest, who: Who) -> Result<Option<u64>, StoreError> {
         if !self.store.has(name).await? {
-            return Ok(false);
+            return Ok(None);
         }
         let _place = self.places.take(who).await;
-        Ok(matches!(self.store.verify(name).await?, Soundness::Sound(_)))
+        Ok(match self.store.verify(name).await? {
+            Soundness::Sound(bytes) => Some(bytes),
+            Soundness::Damaged | Soundness::Missing => None,
+        })
     }
 
     /// Says that an artifact that somebody wanted is not there as it should be: it may be a job's. Returns when what follows is

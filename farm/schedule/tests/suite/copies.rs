@@ -218,3 +218,28 @@ fn a_merge_that_misses_a_tile_ends_its_copy_too() {
     let again: Vec<StageKind> = farm.held.iter().map(|(_, held)| held.task.stage.kind).collect();
     assert_eq!(again, [StageKind::Render]);
 }
+
+#[test]
+fn a_copy_that_comes_back_is_the_second_of_two_still_and_there_is_no_third() {
+    let (mut farm, _, late) = at_the_tail();
+    let copy = copy(&mut farm);
+    farm.rejoin(5, std::slice::from_ref(&copy));
+    farm.leave(2);
+    farm.join(6);
+    wait(&mut farm, 20_000);
+    assert_eq!(farm.tasks_of(6), []);
+    assert!(counts(&farm.complete(1, &late, Done)));
+}
+
+#[test]
+fn what_one_of_two_took_is_not_noted_of_the_other() {
+    let (mut farm, _, late) = at_the_tail();
+    let copy = copy(&mut farm);
+    let usage = TaskUsage { task: late.task, epoch: late.epoch, usage: Usage { cpu: 3.0, ..Usage::default() } };
+    farm.on(Event::Usage { worker: WorkerId(1), usage });
+    let noted = farm.complete(2, &copy, Done).into_iter().filter_map(|command| match command {
+        Command::Note(note) => Some((note.epoch, note.usage.map(|usage| usage.cpu))),
+        _ => None,
+    });
+    assert_eq!(noted.collect::<Vec<_>>(), [(copy.epoch, None), (late.epoch, Some(3.0))]);
+}

@@ -265,3 +265,41 @@ fn a_lease_that_nobody_has_any_more_is_adopted_if_it_is_of_a_task_here() {
         assert_eq!(is_taken_back(&commands, 2, name), !is_adopted, "another {what}: {commands:?}");
     }
 }
+
+#[test]
+fn what_a_lease_took_is_noted_of_it_whichever_ends_first() {
+    let noted = |commands: &[Command]| -> Vec<Option<f64>> {
+        let note = |command: &Command| if let Command::Note(note) = command { Some(note.usage) } else { None };
+        commands.iter().filter_map(note).map(|usage| usage.map(|usage| usage.cpu)).collect()
+    };
+    for (told, other) in [(0, 1), (1, 0)] {
+        let mut farm = begun().0;
+        let held = [0, 1].map(|at: usize| farm.held[at].1.clone());
+        let usage = Usage { cpu: 3.0, ..Usage::default() };
+        let usage = TaskUsage { task: held[told].task, epoch: held[told].epoch, usage };
+        farm.on(Event::Usage { worker: WorkerId(1), usage });
+        assert_eq!(noted(&farm.complete(1, &held[other], Done)), [None]);
+        assert_eq!(noted(&farm.complete(1, &held[told], Done)), [Some(3.0)]);
+    }
+}
+
+#[test]
+fn a_lease_that_is_taken_over_has_its_whole_time_and_begins_anew_with_the_preparation() {
+    let (mut farm, held) = begun();
+    let config = farm.scheduler.config().clone();
+    farm.heartbeat(1, Phase::Working, 300);
+    farm.now = farm.now.after(config.lease - 1);
+    let own = farm.lease(&held);
+    farm.join_as(2, Registration { instance: 2, held: vec![own], ..registration() });
+    assert_eq!(leases(&farm, 2)[0].left, config.lease);
+    // Longer than it may stand still at work, and not so long as a preparation may take.
+    let ends = farm.now.after(config.stall + 2 * config.lease);
+    assert!(config.stall + 3 * config.lease < config.preparation_stall);
+    while farm.now < ends {
+        let (task, epoch) = (held.task, held.epoch);
+        let tasks = vec![TaskProgress { task, epoch, phase: Phase::Preparing, units: 0 }];
+        farm.on(Event::Heartbeat { worker: WorkerId(2), tasks });
+        farm.wait(config.lease - 1);
+    }
+    assert!(leases(&farm, 2).iter().any(|lease| lease.epoch == held.epoch));
+}

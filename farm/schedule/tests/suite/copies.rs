@@ -228,7 +228,10 @@ fn a_copy_that_comes_back_is_the_second_of_two_still_and_there_is_no_third() {
     farm.join(6);
     wait(&mut farm, 20_000);
     assert_eq!(farm.tasks_of(6), []);
-    assert!(counts(&farm.complete(1, &late, Done)));
+    let commands = farm.complete(1, &late, Done);
+    assert!(counts(&commands));
+    let is_recalled = |command: &Command| matches!(command, Command::Revoke { worker: WorkerId(5), epoch, .. } if *epoch == copy.epoch);
+    assert!(commands.iter().any(is_recalled), "in the same breath: {commands:?}");
 }
 
 #[test]

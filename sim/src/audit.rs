@@ -376,6 +376,12 @@ pub enum Violation {
         /// Records of the log since the snapshot before.
         records: usize,
     },
+    /// A snapshot does not say what the log says that it replaces.
+    #[error("a snapshot is not what the snapshot before it and the {records} records since say")]
+    SnapshotDiffers {
+        /// Records of the log since the snapshot before.
+        records: usize,
+    },
     /// A coordinator came to its end because its log's disk was full.
     #[error("a full disk ended a coordinator: {message}")]
     Ended {

@@ -74,6 +74,16 @@ impl Disk {
         }
         Ok(ledger)
     }
+
+    /// What is wrong with a snapshot that is about to take the place of the one before it and of the records since.
+    fn judge(&self, snapshot: &[u8]) -> Option<Violation> {
+        let compared = Ledger::decode(snapshot).and_then(|ledger| Ok(ledger == self.ledger()?));
+        let records = self.contents.records.len();
+        match compared {
+            Ok(is_same) => (!is_same).then_some(Violation::SnapshotDiffers { records }),
+            Err(error) => Some(error.into()),
+        }
+    }
 }
 
 impl State {
@@ -245,9 +255,11 @@ impl Queue for Log {
         Ok(Page { notes: of_subject.map(|note| note.bytes.clone()).collect(), next: None })
     }
 
-    async fn snapshot(&mut self, state: &[u8]) -> Result<(), QueueError> {
-        let fresh = Contents { snapshot: Some(state.to_vec()), ..Contents::default() };
+    async fn snapshot(&mut self, snapshot: &[u8]) -> Result<(), QueueError> {
+        let fresh = Contents { snapshot: Some(snapshot.to_vec()), ..Contents::default() };
         self.write(|state| {
+            let wrong = state.disk.judge(snapshot);
+            state.wrong.extend(wrong);
             let records = state.disk.contents.records.len();
             if records < SNAPSHOT {
                 state.wrong.push(Violation::Snapshot { records });

@@ -6,5 +6,6 @@ mod garbage;
 mod health;
 mod room;
 mod several;
+mod snapshots;
 mod transfer;
 mod wire;

@@ -17,3 +17,4 @@ mod quota;
 mod sentences;
 mod shared;
 mod shares;
+mod snapshots;

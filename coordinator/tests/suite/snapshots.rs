@@ -1,0 +1,169 @@
+//! A snapshot takes the place of the one before it and of the records since: it says just what they say.
+
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+use bytes::Bytes;
+use femc_coordinator::{Config, Coordinator, QueueError, Time};
+use femc_model::*;
+use femc_proto::{Client, Incoming, Outgoing};
+use femc_queue::{Batch, Contents, Memory, Page, Queue};
+use femc_schedule::{Fact, Ledger};
+use femc_store::Store;
+
+/// A log in memory that holds each snapshot against what that replaces.
+#[derive(Debug, Clone, Default)]
+struct Compared {
+    log: Memory,
+    /// Of each snapshot the records that it replaces, and whether it says the same.
+    snapshots: Arc<Mutex<Vec<(usize, Says)>>>,
+}
+
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+enum Says {
+    TheSame,
+    Else,
+}
+
+impl Compared {
+    fn snapshots(&self) -> Vec<(usize, Says)> {
+        self.snapshots.lock().unwrap().clone()
+    }
+
+    /// Until all that has come in by now is in a snapshot.
+    async fn settles(&self) {
+        let before = self.snapshots().len();
+        while self.snapshots().len() < before + 2 {
+            tokio::time::sleep(Duration::from_millis(5)).await;
+        }
+    }
+}
+
+impl Queue for Compared {
+    async fn load(&mut self) -> Result<Contents, QueueError> {
+        self.log.load().await
+    }
+
+    async fn append(&mut self, batch: Batch<'_>) -> Result<(), QueueError> {
+        self.log.append(batch).await
+    }
+
+    async fn snapshot(&mut self, state: &[u8]) -> Result<(), QueueError> {
+        let Contents { snapshot, records, .. } = self.log.load().await?;
+        let mut ledger = snapshot.map(|state| Ledger::decode(&state).unwrap()).unwrap_or_default();
+        for record in &records {
+            let (now, fact) = Fact::decode(record).unwrap();
+            ledger.apply(&fact, now);
+        }
+        let says = if Ledger::decode(state).unwrap() == ledger { Says::TheSame } else { Says::Else };
+        self.snapshots.lock().unwrap().push((records.len(), says));
+        self.log.snapshot(state).await
+    }
+
+    async fn notes(&mut self, subject: u64, from: u64) -> Result<Page, QueueError> {
+        self.log.notes(subject, from).await
+    }
+}
+
+const TILE: &[u8] = b"a tile that nobody looks at";
+
+fn spec() -> JobSpec {
+    JobSpec {
+        name: "fog".into(),
+        bundle: Digest::of(b"bundle"),
+        entry: "fog.mgf".into(),
+        settings: "{}".into(),
+        frames: (1..=8).collect(),
+        grid: Grid { film: [16, 8], tile: 8 },
+        graph: testing::frames(Grid { film: [16, 8], tile: 8 }.sizes(), &[16], 0),
+        contents: vec![],
+        priority: 50,
+        owner: "me".into(),
+        tags: vec![],
+    }
+}
+
+async fn worker(client: &Client, instance: u64) -> (Outgoing, Incoming) {
+    let registration = Registration {
+        name: format!("worker {instance}"),
+        instance,
+        engine: "test".into(),
+        threads: 1,
+        slots: 1,
+        tags: vec![],
+        held: vec![],
+        died: None,
+    };
+    client.session(registration).await.unwrap()
+}
+
+async fn lease(incoming: &mut Incoming) -> Assignment {
+    loop {
+        if let ToWorker::Assign(lease) = incoming.next().await.unwrap().expect("the session goes on") {
+            return lease;
+        }
+    }
+}
+
+fn done(lease: &Assignment) -> FromWorker {
+    let outputs = vec![Output { role: Role::Tile, artifact: Artifact::of(TILE) }];
+    let result = TaskResult { outputs, units: 1024, ..TaskResult::default() };
+    let log = TaskLog { attempt: Attempt::Done, seconds: 1.0, text: LogText::Stored(Artifact::of(TILE)) };
+    FromWorker::Completed { task: lease.task, epoch: lease.epoch, result, log: Some(log), usage: None }
+}
+
+fn panicked(lease: &Assignment) -> FromWorker {
+    let failure = Failure::Panicked { message: "oops".into() };
+    FromWorker::Failed { task: lease.task, epoch: lease.epoch, failure, log: None, usage: None }
+}
+
+#[tokio::test]
+async fn a_snapshot_says_what_the_one_before_it_and_the_records_since_say() {
+    // Each tick makes one, also the tick that has something to say itself.
+    let (log, clock) = (Compared::default(), Arc::new(AtomicU64::new(0)));
+    let shown = clock.clone();
+    let config = Config {
+        snapshot: 0,
+        time: Time::by(move || Duration::from_millis(shown.load(Ordering::SeqCst))),
+        scheduler: femc_schedule::Config { keep_ended: Some(0), regroup: 0, ..femc_schedule::Config::default() },
+        ..Config::default()
+    };
+    let passes = |milliseconds| clock.fetch_add(milliseconds, Ordering::SeqCst);
+    let farm = Coordinator::with(config, Store::memory(), log.clone()).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    client.put(Bytes::from_static(b"bundle")).await.unwrap();
+    client.put(Bytes::from_static(TILE)).await.unwrap();
+
+    let (first, second) = (client.submit(Some("fog".into()), spec()).await.unwrap(), spec());
+    let second = client.submit(None, JobSpec { owner: "eve".into(), ..second }).await.unwrap();
+    client.control(second, Control::Priority(10)).await.unwrap();
+    let (out, mut incoming) = worker(&client, 1).await;
+    let leased = lease(&mut incoming).await;
+    log.settles().await;
+    out.send(done(&leased)).await;
+    let leased = lease(&mut incoming).await;
+    out.send(panicked(&leased)).await;
+    log.settles().await;
+    client.control(first, Control::Pause).await.unwrap();
+    client.drain(WorkerName::Name("worker 1".into()), Drain::Begin).await.unwrap();
+    log.settles().await;
+    // What workers held is charged, and ends.
+    let (_another, mut incoming) = worker(&client, 2).await;
+    lease(&mut incoming).await;
+    passes(6_000);
+    log.settles().await;
+    client.control(first, Control::Resume).await.unwrap();
+    client.control(first, Control::Cancel).await.unwrap();
+    log.settles().await;
+    // The tick that makes a snapshot forgets a job.
+    passes(2_000);
+    log.settles().await;
+    let left: Vec<JobId> = client.listing().await.unwrap().jobs.iter().map(|status| status.job).collect();
+    assert_eq!(left, [second]);
+    farm.stop().await.unwrap();
+
+    let snapshots = log.snapshots();
+    assert!(snapshots.iter().all(|(_, says)| *says == Says::TheSame), "{snapshots:?}");
+    assert!(snapshots.iter().filter(|(records, _)| *records > 0).count() >= 6, "{snapshots:?}");
+}

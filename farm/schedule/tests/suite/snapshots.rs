@@ -1,0 +1,98 @@
+//! A snapshot, and the facts since on top of what was read from it, give the ledger that made them.
+
+use std::collections::HashSet;
+
+use crate::common::{Farm, config, grouped, job, panic, registration};
+use femc_model::*;
+use femc_schedule::*;
+
+use Decision::{Continue, Done};
+
+/// A disk with a snapshot and the facts since.
+struct Disk {
+    snapshot: Vec<u8>,
+    /// Facts of the farm's log that the snapshot holds.
+    held: usize,
+}
+
+impl Disk {
+    fn of(farm: &Farm) -> Self {
+        Self { snapshot: farm.scheduler.ledger().encode().unwrap(), held: farm.log.len() }
+    }
+
+    /// What a coordinator that begins now would know.
+    fn read(&self, farm: &Farm) -> Ledger {
+        let mut ledger = Ledger::decode(&self.snapshot).unwrap();
+        for (now, fact) in &farm.log[self.held..] {
+            let (now, fact) = Fact::decode(&fact.encode(*now).unwrap()).unwrap();
+            ledger.apply(&fact, now);
+        }
+        ledger
+    }
+
+    /// The next snapshot takes the place of this one and of the facts since.
+    fn replace(&mut self, farm: &Farm) {
+        let before = self.read(farm);
+        *self = Self::of(farm);
+        assert_eq!(self.read(farm), before, "after {:?}", farm.log.last());
+    }
+}
+
+/// The worker does its oldest task, if it has one.
+fn work(farm: &mut Farm, worker: u64, decision: Decision) {
+    if farm.held.iter().any(|(holder, _)| holder.0 == worker) {
+        farm.work(worker, decision);
+    }
+}
+
+/// The farm's life, a few events at a time.
+const LIFE: &[fn(&mut Farm)] = &[
+    |farm| {
+        let (key, spec) = (Some("fog".into()), Box::new(job(&[1, 2], 2, &[4, 8])));
+        farm.on(Event::Submitted { request: RequestId(0), key, spec });
+        farm.submit(JobSpec { owner: "eve".into(), ..grouped(&[1], 4, &[4], 2) });
+    },
+    |farm| drop((farm.join(1), farm.join(2))),
+    |farm| work(farm, 1, Done),
+    |farm| {
+        let held = farm.first_of(2);
+        let text = LogText::Stored(Artifact::of(b"a log"));
+        let log = TaskLog { attempt: Attempt::Failed, seconds: 1.0, text };
+        farm.on(Event::Logged { worker: WorkerId(2), task: held.task, epoch: held.epoch, log });
+        farm.fail(2, &held, panic());
+    },
+    |farm| drop(farm.control(JobId(1), Control::Priority(80))),
+    |farm| (0..6).for_each(|_| work(farm, 1, Continue)),
+    |farm| drop(farm.on(Event::Drained { worker: WorkerId(2), drain: Drain::Begin })),
+    |farm| {
+        let held = farm.first_of(1);
+        farm.reborn(3, 1, &[held]);
+    },
+    |farm| drop(farm.wait(30_000)),
+    |farm| drop((farm.control(JobId(2), Control::Pause), farm.control(JobId(2), Control::Resume))),
+    |farm| drop(farm.join_as(4, Registration { instance: 4, engine: "new".into(), ..registration() })),
+    |farm| work(farm, 4, Done),
+    |farm| drop(farm.control(JobId(1), Control::Cancel)),
+    |farm| drop(farm.control(JobId(1), Control::Retry)),
+    |farm| drop(farm.control(JobId(2), Control::Cancel)),
+    |farm| drop(farm.wait(90_000)),
+];
+
+#[test]
+fn a_snapshot_says_what_the_one_before_it_and_the_facts_since_say_whenever_it_is_made() {
+    // Whatever is in one snapshot, and whatever comes after it.
+    for every in 1..=LIFE.len() {
+        let mut farm = Farm::with(Config { keep_ended: Some(60_000), ..config() });
+        let mut disk = Disk::of(&farm);
+        for (number, happens) in LIFE.iter().enumerate() {
+            happens(&mut farm);
+            assert_eq!(&disk.read(&farm), farm.scheduler.ledger(), "after {:?}", farm.log.last());
+            if number % every == 0 {
+                disk.replace(&farm);
+            }
+        }
+        assert_eq!(farm.scheduler.jobs(farm.now).len(), 1, "the other is forgotten");
+        let kinds: HashSet<_> = farm.log.iter().map(|(_, fact)| std::mem::discriminant(fact)).collect();
+        assert!(kinds.len() >= 11, "{:#?}", farm.log);
+    }
+}

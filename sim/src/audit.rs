@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use femc_model::{Control, Digest, Ending, Epoch, JobId, JobSpec, JobStatus, TaskKey};
+use femc_model::{Artifact, Control, Digest, Ending, Epoch, JobId, JobSpec, JobStatus, TaskKey};
 use femc_queue::Note;
 use femc_schedule::{Fact, SnapshotError, decode_attempts};
 
@@ -369,6 +369,29 @@ pub enum Violation {
     Upload {
         /// What the person was told.
         message: String,
+    },
+    /// A result counts that states another size of an artifact than that has.
+    #[error(
+        "{task} counts under epoch {}, and states {} bytes of {}, which has {bytes}",
+        .epoch.0, .stated.bytes, .stated.digest
+    )]
+    Size {
+        /// The task.
+        task: TaskKey,
+        /// Epoch of its lease.
+        epoch: Epoch,
+        /// What the result states.
+        stated: Artifact,
+        /// Bytes of the artifact.
+        bytes: u64,
+    },
+    /// Somebody asked for an artifact and got other bytes than its own.
+    #[error("somebody asked for {digest} and got {found}")]
+    Delivered {
+        /// Digest that was asked for.
+        digest: Digest,
+        /// Digest of what came.
+        found: Digest,
     },
     /// A snapshot was made of a log that was short.
     #[error("a snapshot was made of {records} records")]

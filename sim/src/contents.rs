@@ -53,7 +53,8 @@ impl Patience {
                 | Fault::StoreFull(_)
                 | Fault::StoreAway(_)
                 | Fault::StoreSlow(..)
-                | Fault::UploadTorn(..) => {}
+                | Fault::UploadTorn(..)
+                | Fault::ReadsAnother(_) => {}
                 Fault::CoordinatorDies(_)
                 | Fault::DiesBeforeWrite(_)
                 | Fault::TornWrite(_)

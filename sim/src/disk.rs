@@ -4,6 +4,7 @@ use std::future::pending;
 use std::io;
 use std::time::Duration;
 
+use femc_model::{Artifact, Epoch, TaskKey, TaskResult};
 use femc_queue::{Batch, Contents, Note, Page, Queue, QueueError};
 use femc_schedule::{Evidence, Fact, Ledger, SnapshotError};
 
@@ -87,6 +88,13 @@ impl Disk {
 }
 
 impl State {
+    /// A result that counts, and states another size of an artifact than that has.
+    fn other_size(&self, task: TaskKey, epoch: Epoch, result: &TaskResult) -> Option<Violation> {
+        let size = |stated: Artifact| Some((stated, *self.sizes.get(&stated.digest)?));
+        let (stated, bytes) = result.artifacts().filter_map(size).find(|(stated, bytes)| stated.bytes != *bytes)?;
+        Some(Violation::Size { task, epoch, stated, bytes })
+    }
+
     /// The log is gone: what was wrong with it is said, and a log begins that knows of nothing. Who may write does not change.
     pub(crate) fn lose_log(&mut self) {
         let wrong = settled(self);
@@ -222,6 +230,10 @@ impl Queue for Log {
                     Fact::Used { owners } => {
                         let charged = state.shares.judge(owners, now);
                         state.wrong.extend(charged);
+                    }
+                    Fact::Done { task, epoch, result, .. } => {
+                        let other = state.other_size(*task, *epoch, result);
+                        state.wrong.extend(other);
                     }
                     Fact::Died { task, casualty, .. } if casualty.evidence == Evidence::Journal => {
                         let instance = casualty.instance;

@@ -84,6 +84,8 @@ pub enum Fault {
     ClockDrifts(usize, i64),
     /// The log is gone, and the next coordinator begins one that knows of nothing.
     LogLost,
+    /// A read of the store, after so many others, gets bytes of another artifact.
+    ReadsAnother(u32),
 }
 
 /// A world's faults.
@@ -95,6 +97,8 @@ pub struct Planned {
     pub twice: u32,
     /// Percentage of the workers' messages that come late.
     pub late: u32,
+    /// Percentage of the workers' results that state another size of an artifact than it has.
+    pub misstated: u32,
 }
 
 impl Planned {
@@ -117,7 +121,24 @@ impl Planned {
             (0..count).map(|_| (Duration::from_millis(rng.random_range(100..15_000)), fault(&mut rng))).collect();
         faults.sort_by_key(|&(at, _)| at);
         let mut percent = |most: u32| if rng.random_range(0..2) == 0 { 0 } else { rng.random_range(0..most) };
-        Self { faults, twice: percent(30), late: percent(20) }
+        let mut plan = Self { faults, twice: percent(30), late: percent(20), misstated: 0 };
+        plan.add_lies(seed);
+        plan
+    }
+
+    /// In every third world workers lie about sizes, and the store about bytes. Drawn apart: the other worlds are as they would be
+    /// without.
+    fn add_lies(&mut self, seed: u64) {
+        let mut rng = SmallRng::seed_from_u64(seed ^ 0x5eed_11e5);
+        if rng.random_range(0..3) > 0 {
+            return;
+        }
+        self.misstated = rng.random_range(0..12);
+        for _ in 0..rng.random_range(0..=3) {
+            let at = Duration::from_millis(rng.random_range(100..15_000));
+            self.faults.push((at, Fault::ReadsAnother(rng.random_range(0..30))));
+        }
+        self.faults.sort_by_key(|&(at, _)| at);
     }
 }
 

@@ -327,7 +327,10 @@ impl Person<'_> {
             for frame in client.frames(job).await? {
                 let Some(result) = frame.output(role) else { continue };
                 match client.get(&result.digest, result.bytes).await {
-                    Ok(file) => files.push((frame, Some(file))),
+                    Ok(file) => {
+                        self.shared.receives(&result.digest, &file);
+                        files.push((frame, Some(file)));
+                    }
                     Err(CallError::Refused(_)) if is_gone(&result.digest) => files.push((frame, None)),
                     Err(error) => return Err(error),
                 }

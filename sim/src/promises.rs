@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use femc_model::{Control, JobId, JobState, JobStatus, Refusal, TaskKey};
+use femc_model::{Control, Digest, JobId, JobState, JobStatus, Refusal, TaskKey};
 
 use crate::audit::Violation;
 use crate::chronicle::Place;
@@ -102,6 +102,14 @@ impl Shared {
             Err(Refusal::NoSuchJob { .. }) => state.gone(job),
             Err(_) => None,
         });
+    }
+
+    /// Somebody got an artifact.
+    pub(crate) fn receives(&self, digest: &Digest, bytes: &[u8]) {
+        let found = Digest::of(bytes);
+        if found != *digest {
+            self.lock().wrong.push(Violation::Delivered { digest: *digest, found });
+        }
     }
 
     /// Somebody was told of all jobs.

@@ -66,6 +66,10 @@ pub(crate) struct State {
     /// Of a hundred messages of workers, how many come twice, and how many come late.
     pub(crate) twice: u32,
     pub(crate) late: u32,
+    /// Of a hundred results of workers, how many state another size of an artifact than it has.
+    pub(crate) misstated: u32,
+    /// Sizes of the artifacts of which another one was stated.
+    pub(crate) sizes: BTreeMap<Digest, u64>,
     /// Leases as seen on the way.
     pub(crate) leases: Leases,
     /// What was wrong when it was written.
@@ -119,6 +123,8 @@ impl Shared {
             clocks: [Wall::default(); COORDINATORS],
             twice: 0,
             late: 0,
+            misstated: 0,
+            sizes: BTreeMap::new(),
             leases: Leases::default(),
             wrong: Vec::new(),
             reported: BTreeSet::new(),

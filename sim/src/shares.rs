@@ -114,7 +114,8 @@ impl Shares {
                 | Fault::StoreFull(_)
                 | Fault::StoreAway(_)
                 | Fault::StoreSlow(..)
-                | Fault::UploadTorn(..) => {}
+                | Fault::UploadTorn(..)
+                | Fault::ReadsAnother(_) => {}
                 Fault::Slow(most, _) => self.way = self.way.max(Self::WAY + most),
                 Fault::CoordinatorDies(pause) | Fault::CoordinatorCut(pause) | Fault::CoordinatorFreezes(pause) => {
                     self.breaks(pause);

@@ -1,12 +1,13 @@
 //! The way between workers and the coordinator that leads: it passes everything on, sees everything, and lets some messages
-//! of workers come twice or late.
+//! of workers come twice or late, or with another size than they stated.
 
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use femc_model::{Epoch, FromWorker, Refusal, TaskKey, ToWorker};
+use femc_model::{Artifact, Epoch, FromWorker, Refusal, TaskKey, ToWorker};
 use femc_proto::{Call, Client, Outgoing, Server, Session};
 use femc_store::Store;
+use rand::RngExt as _;
 use tokio::sync::mpsc;
 
 use crate::audit::Violation;
@@ -57,7 +58,8 @@ async fn relay(session: Session, shared: Shared) {
     let Ok(Ok((up, mut down))) = tokio::time::timeout(GIVE_UP, session).await else { return };
     let joined = now();
     let upwards = async {
-        while let Some(Ok(message)) = messages.next().await {
+        while let Some(Ok(mut message)) = messages.next().await {
+            shared.lock().misstate(&mut message);
             shared.note(|| format!("{name} > {message:?}"));
             match &message {
                 FromWorker::Completed { task, epoch, .. } => drop(shared.lock().reported.insert((*task, *epoch))),
@@ -122,6 +124,20 @@ async fn relay(session: Session, shared: Shared) {
 }
 
 impl State {
+    /// Now and then a result states another size of an artifact than that has.
+    fn misstate(&mut self, message: &mut FromWorker) {
+        let FromWorker::Completed { result, .. } = message else { return };
+        // Worlds without lies draw nothing.
+        let (percent, count) = (self.misstated, result.outputs.len());
+        if percent == 0 || count == 0 || !self.chance(percent) {
+            return;
+        }
+        let Artifact { digest, bytes } = &mut result.outputs[self.rng.random_range(0..count)].artifact;
+        self.sizes.insert(*digest, *bytes);
+        *bytes = [0, bytes.saturating_sub(1), *bytes + 1, 2 * *bytes][self.rng.random_range(0..4)];
+        self.fired("size misstated");
+    }
+
     /// What a worker holds has changed.
     /// - `joined`: when its session began.
     fn turns(&mut self, session: SessionNumber, running: &BTreeSet<(Epoch, TaskKey)>, joined: Duration) {

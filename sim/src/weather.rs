@@ -40,7 +40,7 @@ impl Weather {
     pub(crate) fn storm(&mut self, now: Duration, plan: &Planned, shared: &Shared) {
         {
             let mut state = shared.lock();
-            (state.twice, state.late) = (plan.twice, plan.late);
+            (state.twice, state.late, state.misstated) = (plan.twice, plan.late, plan.misstated);
             let faults = || plan.faults.iter().map(|&(_, fault)| fault);
             state.shares.expect(faults());
             state.chronicle.contents.patience.expect(faults());
@@ -184,6 +184,10 @@ fn begin_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf, 
             shelf.trouble(|troubles| troubles.tears = Some((others, thousandths)));
             None
         }
+        Fault::ReadsAnother(others) => {
+            shelf.trouble(|troubles| troubles.swaps = Some(others));
+            None
+        }
         Fault::ClockJumps(host, jump) => {
             shared.lock().clocks[host].ahead += jump;
             fired(if jump > 0 { "clock jumped ahead" } else { "clock jumped back" });
@@ -227,6 +231,7 @@ fn end_fault(sim: &mut Sim<'_>, fault: Fault, shared: &Shared, shelf: &Shelf) {
         | Fault::DiesAfterWrite(_)
         | Fault::LeadChanges
         | Fault::UploadTorn(..)
+        | Fault::ReadsAnother(_)
         | Fault::ArtifactHarmed(_)
         | Fault::SceneHarmed(_)
         | Fault::ClockJumps(..)
@@ -246,7 +251,8 @@ fn make_peace(sim: &mut Sim<'_>, shared: &Shared, shelf: &Shelf) {
     shelf.trouble(|troubles| *troubles = Troubles::default());
     let mut state = shared.lock();
     state.clocks.iter_mut().for_each(|clock| clock.drift = 0);
-    (state.trap, state.disk.full, state.twice, state.late) = (None, 0, 0, 0);
+    (state.trap, state.disk.full) = (None, 0);
+    (state.twice, state.late, state.misstated) = (0, 0, 0);
 }
 
 /// An artifact of a frame in work, or of what frames share, if there is one. Of a frame once only: what misses an input counts as failed, and after three

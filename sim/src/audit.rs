@@ -385,6 +385,14 @@ pub enum Violation {
         /// Bytes of the artifact.
         bytes: u64,
     },
+    /// A lease of another farm took the place of one of here.
+    #[error("{task} under epoch {} is held by who brought a lease of another farm", .epoch.0)]
+    TakenOver {
+        /// The task.
+        task: TaskKey,
+        /// Epoch of the lease.
+        epoch: Epoch,
+    },
     /// Somebody asked for an artifact and got other bytes than its own.
     #[error("somebody asked for {digest} and got {found}")]
     Delivered {

@@ -99,6 +99,8 @@ pub struct Planned {
     pub late: u32,
     /// Percentage of the workers' results that state another size of an artifact than it has.
     pub misstated: u32,
+    /// Percentage of the workers' sessions that begin with a lease of another farm.
+    pub strays: u32,
 }
 
 impl Planned {
@@ -121,13 +123,13 @@ impl Planned {
             (0..count).map(|_| (Duration::from_millis(rng.random_range(100..15_000)), fault(&mut rng))).collect();
         faults.sort_by_key(|&(at, _)| at);
         let mut percent = |most: u32| if rng.random_range(0..2) == 0 { 0 } else { rng.random_range(0..most) };
-        let mut plan = Self { faults, twice: percent(30), late: percent(20), misstated: 0 };
+        let mut plan = Self { faults, twice: percent(30), late: percent(20), misstated: 0, strays: 0 };
         plan.add_lies(seed);
         plan
     }
 
-    /// In every third world workers lie about sizes, and the store about bytes. Drawn apart: the other worlds are as they would be
-    /// without.
+    /// In every third world workers lie about sizes and bring leases of another farm, and the store lies about bytes. Drawn apart:
+    /// the other worlds are as they would be without.
     fn add_lies(&mut self, seed: u64) {
         let mut rng = SmallRng::seed_from_u64(seed ^ 0x5eed_11e5);
         if rng.random_range(0..3) > 0 {
@@ -138,6 +140,7 @@ impl Planned {
             let at = Duration::from_millis(rng.random_range(100..15_000));
             self.faults.push((at, Fault::ReadsAnother(rng.random_range(0..30))));
         }
+        self.strays = rng.random_range(0..80);
         self.faults.sort_by_key(|&(at, _)| at);
     }
 }

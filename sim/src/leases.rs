@@ -1,6 +1,7 @@
 //! Who holds what, as seen on the way between coordinators and workers.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Range;
 
 use femc_model::{Assignment, Epoch, Failure, JobId, JobSpec, Stage, TaskKey};
 use femc_schedule::Fact;
@@ -83,6 +84,14 @@ impl Leases {
     /// What a lease covers that was given out.
     pub(crate) fn units(&self, task: TaskKey, epoch: Epoch) -> &[Unit] {
         self.given.get(&(task, epoch)).map_or(&[], Vec::as_slice)
+    }
+
+    /// The latest leases of all that were given out, and the steps that each covers.
+    pub(crate) fn last_given(&self, count: usize) -> impl Iterator<Item = (TaskKey, Epoch, Range<u32>)> {
+        self.epochs.iter().rev().take(count).filter_map(|(&epoch, &task)| {
+            let units = self.units(task, epoch);
+            Some((task, epoch, units.first()?.step..units.last()?.step + 1))
+        })
     }
 
     /// A coordinator ends a lease.

@@ -68,6 +68,8 @@ pub(crate) struct State {
     pub(crate) late: u32,
     /// Of a hundred results of workers, how many state another size of an artifact than it has.
     pub(crate) misstated: u32,
+    /// Of a hundred sessions of workers, how many begin with a lease of another farm.
+    pub(crate) strays: u32,
     /// Sizes of the artifacts of which another one was stated.
     pub(crate) sizes: BTreeMap<Digest, u64>,
     /// Leases as seen on the way.
@@ -124,6 +126,7 @@ impl Shared {
             twice: 0,
             late: 0,
             misstated: 0,
+            strays: 0,
             sizes: BTreeMap::new(),
             leases: Leases::default(),
             wrong: Vec::new(),

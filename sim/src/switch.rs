@@ -1,10 +1,11 @@
 //! The way between workers and the coordinator that leads: it passes everything on, sees everything, and lets some messages
-//! of workers come twice or late, or with another size than they stated.
+//! of workers come twice or late, or with another size than they stated, and makes some of them bring leases of another farm.
 
 use std::collections::BTreeSet;
+use std::ops::Range;
 use std::time::Duration;
 
-use femc_model::{Artifact, Epoch, FromWorker, Refusal, TaskKey, ToWorker};
+use femc_model::{Artifact, Digest, Epoch, FromWorker, HeldLease, Refusal, Registration, TaskKey, ToWorker};
 use femc_proto::{Call, Client, Outgoing, Server, Session};
 use femc_store::Store;
 use rand::RngExt as _;
@@ -43,13 +44,15 @@ fn now() -> Duration {
 }
 
 async fn relay(session: Session, shared: Shared) {
-    let Session { registration, mut messages, out } = session;
+    let Session { mut registration, mut messages, out } = session;
     let leader = url(&format!("c{}", shared.lock().leader));
     let (name, engine, instance) = (registration.name.clone(), registration.engine.clone(), registration.instance);
     shared.note(|| format!("{name} joins {leader} with {:?}", registration.held));
     let held = registration.held.iter().map(|held| (held.task, held.epoch));
     let mut running: BTreeSet<(Epoch, TaskKey)> = held.clone().map(|(task, epoch)| (epoch, task)).collect();
     let number = shared.lock().leases.joined(&engine, held);
+    let mut stray = shared.lock().stray(&registration);
+    registration.held.extend(stray.clone());
     let session = async {
         let client = Client::connect_by(&dial(&shared, SWITCH), &leader).await?;
         client.session(registration).await
@@ -95,6 +98,13 @@ async fn relay(session: Session, shared: Shared) {
                     running.remove(&(*epoch, *task));
                     shared.lock().leases.revoked(number, *task, *epoch);
                 }
+                ToWorker::Renewed { leases, .. } => {
+                    let is_held =
+                        |of: &mut HeldLease| leases.iter().any(|it| (it.task, it.epoch) == (of.task, of.epoch));
+                    let taken = stray.take_if(is_held);
+                    let taken = taken.map(|HeldLease { task, epoch, .. }| Violation::TakenOver { task, epoch });
+                    shared.lock().wrong.extend(taken);
+                }
                 ToWorker::Accepted { task, epoch } => {
                     running.remove(&(*epoch, *task));
                     shared.lock().accepted.insert((*task, *epoch));
@@ -136,6 +146,27 @@ impl State {
         self.sizes.insert(*digest, *bytes);
         *bytes = [0, bytes.saturating_sub(1), *bytes + 1, 2 * *bytes][self.rng.random_range(0..4)];
         self.fired("size misstated");
+    }
+
+    /// Now and then a worker was another farm's before, and brings along a lease of there: of a job with the number of one of
+    /// here, and of a task and an epoch that are in hand here.
+    fn stray(&mut self, registration: &Registration) -> Option<HeldLease> {
+        /// Of so many leases most are in hand.
+        const LAST: usize = 6;
+        // Worlds without such draw nothing.
+        let percent = self.strays;
+        if percent == 0 || !self.chance(percent) {
+            return None;
+        }
+        let is_own = |task, epoch| registration.held.iter().any(|held| (held.task, held.epoch) == (task, epoch));
+        let others = self.leases.last_given(LAST).filter(|&(task, epoch, _)| !is_own(task, epoch));
+        let mut others: Vec<(TaskKey, Epoch, Range<u32>)> = others.collect();
+        if others.is_empty() {
+            return None;
+        }
+        let (task, epoch, steps) = others.swap_remove(self.rng.random_range(0..others.len()));
+        self.fired("lease of another farm");
+        Some(HeldLease { task, epoch, steps, job: Digest::of(b"a job of another farm") })
     }
 
     /// What a worker holds has changed.

@@ -40,7 +40,8 @@ impl Weather {
     pub(crate) fn storm(&mut self, now: Duration, plan: &Planned, shared: &Shared) {
         {
             let mut state = shared.lock();
-            (state.twice, state.late, state.misstated) = (plan.twice, plan.late, plan.misstated);
+            (state.twice, state.late) = (plan.twice, plan.late);
+            (state.misstated, state.strays) = (plan.misstated, plan.strays);
             let faults = || plan.faults.iter().map(|&(_, fault)| fault);
             state.shares.expect(faults());
             state.chronicle.contents.patience.expect(faults());
@@ -252,7 +253,7 @@ fn make_peace(sim: &mut Sim<'_>, shared: &Shared, shelf: &Shelf) {
     let mut state = shared.lock();
     state.clocks.iter_mut().for_each(|clock| clock.drift = 0);
     (state.trap, state.disk.full) = (None, 0);
-    (state.twice, state.late, state.misstated) = (0, 0, 0);
+    (state.twice, state.late, state.misstated, state.strays) = (0, 0, 0, 0);
 }
 
 /// An artifact of a frame in work, or of what frames share, if there is one. Of a frame once only: what misses an input counts as failed, and after three

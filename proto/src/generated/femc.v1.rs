@@ -3730,7 +3730,8 @@ pub mod artifacts_client {
         /// The bytes from an offset on, in pieces of 1 MiB at most; none, if the offset is the artifact's size or beyond it. A transfer
         /// that was cut goes on at its byte by another call. What is found to be damaged is removed, and if it was the image of a
         /// finished frame, that frame counts as not finished, and is rendered again; in a job that has failed or was cancelled, after a
-        /// retry. Who may: workers, viewers. NOT_FOUND: there is no such artifact. DATA_LOSS: it is damaged, which shows at its end.
+        /// retry. Who may: workers, viewers. NOT_FOUND: there is no such artifact. DATA_LOSS: it is damaged, which shows at its end,
+        /// or it has another size than the caller expects.
         pub async fn get(
             &mut self,
             request: impl tonic::IntoRequest<super::GetRequest>,
@@ -3820,7 +3821,8 @@ pub mod artifacts_server {
         /// The bytes from an offset on, in pieces of 1 MiB at most; none, if the offset is the artifact's size or beyond it. A transfer
         /// that was cut goes on at its byte by another call. What is found to be damaged is removed, and if it was the image of a
         /// finished frame, that frame counts as not finished, and is rendered again; in a job that has failed or was cancelled, after a
-        /// retry. Who may: workers, viewers. NOT_FOUND: there is no such artifact. DATA_LOSS: it is damaged, which shows at its end.
+        /// retry. Who may: workers, viewers. NOT_FOUND: there is no such artifact. DATA_LOSS: it is damaged, which shows at its end,
+        /// or it has another size than the caller expects.
         async fn get(
             &self,
             request: tonic::Request<super::GetRequest>,

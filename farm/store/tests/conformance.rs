@@ -67,6 +67,10 @@ async fn conforms(store: &Store) {
     assert!(matches!(small.put(bytes.clone()).await, Err(StoreError::TooLarge { limit: 5 })));
     assert!(matches!(small.upload(digest).write(&bytes).await, Err(StoreError::TooLarge { limit: 5 })));
 
+    let exact = store.clone().with_limit(6);
+    assert_eq!(exact.put(bytes.clone()).await.unwrap().bytes, 6, "as many as the limit");
+    exact.upload(digest).write(&bytes).await.unwrap();
+
     store.remove(&digest).await.unwrap();
     store.remove(&digest).await.unwrap();
     assert!(!store.has(&digest).await.unwrap());
@@ -178,6 +182,11 @@ async fn heals(store: &Store) {
                 assert_eq!(store.known(&Artifact { digest, bytes }).await.unwrap(), Soundness::Missing, "{harm}");
             }
         }
+        // One that somebody else has removed is not known any more when that was found.
+        store.put(whole.clone()).await.unwrap();
+        store.medium_itself().delete(&place(&digest)).await.unwrap();
+        assert_eq!(store.verify(&digest).await.unwrap(), Soundness::Missing);
+        assert_eq!(store.known(&Artifact { digest, bytes }).await.unwrap(), Soundness::Missing);
         // A sound one of which somebody believes another size is none of the store's faults.
         store.put(whole.clone()).await.unwrap();
         assert_eq!(store.known(&Artifact { digest, bytes: bytes + 1 }).await.unwrap(), Soundness::Sound(bytes));

@@ -220,14 +220,18 @@ async fn a_result_whose_artifact_has_another_size_than_it_says_does_not_count() 
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_result_whose_artifact_is_damaged_in_the_store_does_not_count_and_the_artifact_is_wanted_again() {
+async fn a_result_whose_artifact_is_damaged_in_the_store_or_not_there_does_not_count_and_the_artifact_is_wanted() {
     let (folder, farm, client) = farm().await;
     let bundle = client.put(Bytes::from_static(b"bundle")).await.unwrap();
     client.submit(None, spec(bundle.digest)).await.unwrap();
     let mut number = 0;
-    for case in 0..4 {
+    for case in 0..5 {
         let (bytes, artifact) = Known::NotYet.plant(folder.path(), &client, &mut number).await;
-        std::fs::write(file(folder.path(), &artifact.digest), &harms(&bytes)[case]).unwrap();
+        let at = file(folder.path(), &artifact.digest);
+        match harms(&bytes).get(case) {
+            Some(damaged) => std::fs::write(at, damaged).unwrap(),
+            None => std::fs::remove_file(at).unwrap(),
+        }
         let mut hand = Hand::join(&farm.url()).await;
         let held = hand.assigned().await;
         assert!(!hand.report(&held, made(&held, artifact)).await, "harm {case}");

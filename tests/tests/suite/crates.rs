@@ -153,3 +153,37 @@ fn engine_and_farm_never_meet_below_the_shells_nor_in_their_tests() {
         assert_eq!(other, None, "{} depends on it", member.folder);
     }
 }
+
+/// Looking for examples in documentation, to compile each by itself, takes a second a crate: there are none, tests take their place.
+#[test]
+fn no_library_is_searched_for_examples_and_none_has_any() {
+    fn examples(folder: &Path, found: &mut Vec<PathBuf>) {
+        for entry in std::fs::read_dir(folder).expect("a folder") {
+            let path = entry.expect("an entry").path();
+            if path.is_dir() {
+                examples(&path, found);
+            } else if path.extension().is_some_and(|is| is == "rs") {
+                let text = std::fs::read_to_string(&path).expect("text");
+                let fences = text.lines().filter_map(|line| {
+                    let said = line.trim_start();
+                    said.strip_prefix("/// ```").or_else(|| said.strip_prefix("//! ```"))
+                });
+                // The first of each two fences says what is between them; if it says nothing, it is Rust.
+                if fences.step_by(2).any(|is| matches!(is, "" | "rust")) {
+                    found.push(path);
+                }
+            }
+        }
+    }
+    let mut found = Vec::new();
+    for Member { folder, .. } in members().into_values() {
+        let folder = root().join(folder);
+        if folder.join("src/lib.rs").exists() {
+            let library = manifest(&folder);
+            let searched = library.get("lib").and_then(|lib| lib.get("doctest")?.as_bool());
+            assert_eq!(searched, Some(false), "{}", folder.display());
+            examples(&folder.join("src"), &mut found);
+        }
+    }
+    assert!(found.is_empty(), "these have examples: {found:?}");
+}

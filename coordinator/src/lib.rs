@@ -8,6 +8,7 @@
 #![deny(missing_docs)]
 
 mod actor;
+mod any_queue;
 mod attempts;
 mod clock;
 mod config;

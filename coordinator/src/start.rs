@@ -18,12 +18,16 @@ use tokio::task::JoinHandle;
 use tokio_stream::Stream;
 
 use crate::actor::Actor;
+use crate::any_queue::AnyQueue;
 use crate::config::{Artifacts, Config, CoordinatorError, Exposure, Log};
 use crate::lead::{self, Standing};
 use crate::wait::Doors;
 
 /// Ends when the server is to stop.
 type Until = Pin<Box<dyn Future<Output = ()> + Send>>;
+
+/// Ends when the server has stopped.
+type Serving = Pin<Box<dyn Future<Output = Result<(), ServeError>> + Send>>;
 
 /// The farm's server.
 #[derive(Debug)]
@@ -90,7 +94,8 @@ impl Coordinator {
         queue: impl Queue,
     ) -> Result<Handle, CoordinatorError> {
         let incoming = TcpIncoming::from(listener).with_nodelay(Some(true));
-        Self::begin(config, store, queue, |server: Server, stop| server.serve(incoming, stop)).await
+        let serve = |server: Server, stop| -> Serving { Box::pin(server.serve(incoming, stop)) };
+        Self::begin(config, store, AnyQueue::new(queue), Box::new(serve)).await
     }
 
     /// The same on connections that come in some other way than over TCP, and that end when `incoming` is dropped;
@@ -101,25 +106,24 @@ impl Coordinator {
         store: Store,
         queue: impl Queue,
     ) -> Result<Handle, CoordinatorError> {
-        let serve = |server: Server, stop| async move {
-            tokio::select! {
-                biased;
-                outcome = server.serve_on(incoming) => outcome,
-                () = stop => Ok(()),
-            }
+        let serve = |server: Server, stop| -> Serving {
+            Box::pin(async move {
+                tokio::select! {
+                    biased;
+                    outcome = server.serve_on(incoming) => outcome,
+                    () = stop => Ok(()),
+                }
+            })
         };
-        Self::begin(config, store, queue, serve).await
+        Self::begin(config, store, AnyQueue::new(queue), Box::new(serve)).await
     }
 
-    async fn begin<S>(
+    async fn begin(
         config: Config,
         store: Store,
-        mut queue: impl Queue,
-        serve: impl FnOnce(Server, Until) -> S,
-    ) -> Result<Handle, CoordinatorError>
-    where
-        S: Future<Output = Result<(), ServeError>> + Send + 'static,
-    {
+        mut queue: AnyQueue,
+        serve: Box<dyn FnOnce(Server, Until) -> Serving + Send>,
+    ) -> Result<Handle, CoordinatorError> {
         let (address, url) = (config.listen, config.url(config.listen));
         let (scheduler, records) = recover(&config, &mut queue).await?;
         let (calls, inbox) = mpsc::channel(Self::CALLS);
@@ -168,7 +172,7 @@ impl Coordinator {
 }
 
 /// The scheduler as the log has it, and the number of records since the snapshot.
-async fn recover(config: &Config, queue: &mut impl Queue) -> Result<(Scheduler, usize), CoordinatorError> {
+async fn recover(config: &Config, queue: &mut AnyQueue) -> Result<(Scheduler, usize), CoordinatorError> {
     let contents = queue.load().await?;
     if contents.torn > 0 {
         tracing::warn!(records = contents.torn, "the log's tail was torn; what it said was never acknowledged");

@@ -1,0 +1,98 @@
+//! A log of any kind behind a pointer, so that the coordinator is compiled once and not for each kind of log.
+
+use std::fs::File;
+use std::future::Future;
+use std::pin::Pin;
+
+use femc_queue::{Batch, Contents, Page, Queue, QueueError};
+
+type Answer<'a, T> = Pin<Box<dyn Future<Output = Result<T, QueueError>> + Send + 'a>>;
+
+/// [`Queue`] with its futures behind pointers.
+trait Behind: Send {
+    fn load(&mut self) -> Answer<'_, Contents>;
+    fn append<'a>(&'a mut self, batch: Batch<'a>) -> Answer<'a, ()>;
+    fn snapshot<'a>(&'a mut self, state: &'a [u8]) -> Answer<'a, ()>;
+    fn reserve(&mut self, least: u32) -> Answer<'_, u32>;
+    fn notes(&mut self, subject: u64, from: u64) -> Answer<'_, Page>;
+    fn check(&mut self) -> Result<(), QueueError>;
+    fn copy(&mut self) -> Answer<'_, File>;
+    fn close(self: Box<Self>) -> Answer<'static, ()>;
+}
+
+impl<Q: Queue> Behind for Q {
+    fn load(&mut self) -> Answer<'_, Contents> {
+        Box::pin(Queue::load(self))
+    }
+
+    fn append<'a>(&'a mut self, batch: Batch<'a>) -> Answer<'a, ()> {
+        Box::pin(Queue::append(self, batch))
+    }
+
+    fn snapshot<'a>(&'a mut self, state: &'a [u8]) -> Answer<'a, ()> {
+        Box::pin(Queue::snapshot(self, state))
+    }
+
+    fn reserve(&mut self, least: u32) -> Answer<'_, u32> {
+        Box::pin(Queue::reserve(self, least))
+    }
+
+    fn notes(&mut self, subject: u64, from: u64) -> Answer<'_, Page> {
+        Box::pin(Queue::notes(self, subject, from))
+    }
+
+    fn check(&mut self) -> Result<(), QueueError> {
+        Queue::check(self)
+    }
+
+    fn copy(&mut self) -> Answer<'_, File> {
+        Box::pin(Queue::copy(self))
+    }
+
+    fn close(self: Box<Self>) -> Answer<'static, ()> {
+        Box::pin(Queue::close(*self))
+    }
+}
+
+/// Any log.
+pub(crate) struct AnyQueue(Box<dyn Behind>);
+
+impl AnyQueue {
+    pub(crate) fn new(queue: impl Queue) -> Self {
+        Self(Box::new(queue))
+    }
+}
+
+impl Queue for AnyQueue {
+    async fn load(&mut self) -> Result<Contents, QueueError> {
+        self.0.load().await
+    }
+
+    async fn append(&mut self, batch: Batch<'_>) -> Result<(), QueueError> {
+        self.0.append(batch).await
+    }
+
+    async fn snapshot(&mut self, state: &[u8]) -> Result<(), QueueError> {
+        self.0.snapshot(state).await
+    }
+
+    async fn reserve(&mut self, least: u32) -> Result<u32, QueueError> {
+        self.0.reserve(least).await
+    }
+
+    async fn notes(&mut self, subject: u64, from: u64) -> Result<Page, QueueError> {
+        self.0.notes(subject, from).await
+    }
+
+    fn check(&mut self) -> Result<(), QueueError> {
+        self.0.check()
+    }
+
+    async fn copy(&mut self) -> Result<File, QueueError> {
+        self.0.copy().await
+    }
+
+    async fn close(self) -> Result<(), QueueError> {
+        self.0.close().await
+    }
+}

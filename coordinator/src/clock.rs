@@ -96,7 +96,7 @@ mod tests {
     use crate::Config;
     use crate::actor::Actor;
 
-    /// The same time as all else in the program: on a machine the monotonic one, which nobody sets.
+    /// The clock is tokio's, which is the monotonic clock of the machine: setting the date does not change it.
     #[tokio::test(start_paused = true)]
     async fn the_clock_of_a_coordinator_follows_the_time_that_passes_and_not_the_date() {
         let config = Config::default();

@@ -43,7 +43,8 @@ impl Coordinator {
         Self::boxed(config).await
     }
 
-    /// Behind a pointer: all that it is made of is compiled here, once, and not by whoever starts a coordinator.
+    /// [`Self::open`] as a boxed future. The compiler generates an async function where it is polled; the box makes that this crate
+    /// instead of every program that starts a coordinator.
     #[inline(never)]
     fn boxed(config: Config) -> Pin<Box<dyn Future<Output = Result<Handle, CoordinatorError>> + Send>> {
         Box::pin(Self::open(config))

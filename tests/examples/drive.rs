@@ -1,5 +1,5 @@
-//! How far the noise of frames moves the mean of an animation from frame to frame: frames of a scene by `--error`, many seeds each,
-//! beside the same frames by many samples.
+//! How far the noise of frames moves the mean of an animation from frame to frame: frames of a scene by `--error`, some seeds each,
+//! beside the same frames by 16 samples a pixel and other seeds.
 //!
 //! `cargo run --release -p femc-tests --example drive -- [SCENE.mgf] [--error E] [--first FRAME] [--frames N] [--seeds N]`
 //!

@@ -41,7 +41,8 @@ impl Worker {
         Self::boxed(config, Box::pin(stop)).await
     }
 
-    /// Of one type, and behind a pointer: compiled here, once, and not by whoever runs a worker.
+    /// [`Self::work`] as a boxed future. The compiler generates an async function where it is polled; the box makes that this crate
+    /// instead of every program that runs a worker.
     #[inline(never)]
     fn boxed<'a>(
         config: Config,

@@ -284,7 +284,7 @@ async fn who_takes_an_artifact_for_one_of_another_size_is_refused_before_any_byt
         let heard = through.get_exactly(&Artifact { bytes, ..image }).await;
         let is_refused =
             matches!(&heard, Err(CallError::Refused(Refusal::DigestMismatch { digest })) if *digest == image.digest);
-        assert!(is_refused, "{bytes} bytes: {heard:?}");
+        assert!(is_refused, "an artifact asked for as one of {bytes} bytes: {heard:?}");
     }
     assert!(proxy.seen.down() < MB / 10, "{} bytes came", proxy.seen.down());
     let status = client.status(id).await.unwrap();
@@ -321,7 +321,7 @@ async fn lying(server: SocketAddr) -> String {
     url
 }
 
-/// Of which there is nothing else in a message so many times in a row.
+/// A byte that no message repeats as often as an artifact of [`marked`] does: the link knows artifacts by it.
 const MARK: u8 = 0xa5;
 
 fn marked(size: usize) -> Bytes {

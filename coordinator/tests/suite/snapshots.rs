@@ -66,7 +66,7 @@ impl Queue for Compared {
     }
 }
 
-const TILE: &[u8] = b"a tile that nobody looks at";
+const TILE: &[u8] = b"the bytes of a tile";
 
 fn spec() -> JobSpec {
     JobSpec {

@@ -1,6 +1,6 @@
-//! Which lease a message is about: job, stage, index and epoch name it, and it is in one session's hands. Where a worker brings
-//! it along from elsewhere, the job's key and the steps are those of the lease here, too. A message that differs in any of them
-//! leaves the lease alone that runs.
+//! Which lease a message is about. A lease is named by job, stage, index and epoch, and one session holds it. A lease that a worker
+//! brings along from an earlier session must also have the job's key and the steps of the running lease. A message that differs in
+//! any of these changes nothing about the running lease.
 
 use crate::common::{self, Farm, job, panic, registration, result};
 use femc_model::*;
@@ -46,7 +46,7 @@ fn leases(farm: &Farm, worker: u64) -> Vec<LeaseLeft> {
     farm.scheduler.leases(WorkerId(worker), farm.now)
 }
 
-/// Whether a worker is told that this lease is not its own, or not any more.
+/// Whether the commands revoke this lease of this worker, once.
 fn is_taken_back(commands: &[Command], to: u64, of: (TaskKey, Epoch)) -> bool {
     let is_it = |command: &&Command| matches!(command, Command::Revoke { worker, task, epoch, .. } if (worker.0, (*task, *epoch)) == (to, of));
     commands.iter().filter(is_it).count() == 1

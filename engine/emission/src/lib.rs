@@ -6,15 +6,17 @@
 #![deny(missing_docs)]
 #![cfg_attr(test, allow(clippy::disallowed_methods, reason = "tests compute what they expect apart from the engine"))]
 
+pub mod airlight;
 pub mod emission;
-pub mod equiangular;
 pub mod light;
+pub mod many;
 pub mod photometry;
 pub mod solid_angle;
 pub mod tree;
 
+pub use airlight::{Airlight, Along, Beside, Source};
 pub use emission::{Emission, Profile, Sides};
-pub use equiangular::Equiangular;
 pub use light::{DeltaKind, EmissionCone, Light, LightSample};
+pub use many::{Choice, FromPoint, ManyLights, Wanting};
 pub use photometry::{IntensityDistribution, PhotometryError, PhotometryKind};
-pub use tree::{AlongSegment, AtPoint, Front, LightBounds, LightTree, Place};
+pub use tree::{AlongSegment, AtPoint, LightBounds, Lobes};

@@ -6,7 +6,7 @@
 //! no probability only where it can send nothing.
 //!
 //! Importances are bounds where that matters (a light that faces a place is never lost) and estimates elsewhere; with
-//! [`LightTree::probability`] for the weights the choice is unbiased whatever they are.
+//! [`LightTree::probability_from`] for the weights the choice is unbiased whatever they are.
 
 mod build;
 mod place;
@@ -15,9 +15,8 @@ use crate::light::EmissionCone;
 use arrayvec::ArrayVec;
 use build::{Cluster, cut};
 use femc_math::glam::Vec3A;
-use place::Node;
 
-pub use place::{AlongSegment, AtPoint, Place};
+pub use place::{AlongSegment, AtPoint, Lobes, Node, Place};
 
 /// Depth below which nodes are cut in the middle, so that no tree is deep.
 const STEEP: u32 = 32;
@@ -38,8 +37,12 @@ pub struct LightBounds {
     pub low: Vec3A,
     /// Upper corner.
     pub high: Vec3A,
+    /// A point in the middle, of a flat light in its plane, m.
+    pub center: Vec3A,
     /// Luminous flux, lm.
     pub power: f32,
+    /// Extinction of the media around it, 1/m: it makes far lights less important.
+    pub haze: f32,
     /// Bound on normals and emission.
     pub cone: EmissionCone,
 }
@@ -50,6 +53,8 @@ pub struct LightTree {
     nodes: Vec<Node>,
     /// Of each light its rank among the leaves from left to right; [`ABSENT`] if it is not in the tree.
     ranks: Vec<u32>,
+    /// Of each rank its node.
+    leaves: Vec<u32>,
 }
 
 impl LightTree {
@@ -62,7 +67,7 @@ impl LightTree {
             .filter(|(_, light)| has_power(light))
             .map(|(index, light)| Cluster::of(light, index))
             .collect();
-        let mut tree = Self { nodes: Vec::new(), ranks: vec![ABSENT; lights.len()] };
+        let mut tree = Self { nodes: Vec::new(), ranks: vec![ABSENT; lights.len()], leaves: vec![0; leaves.len()] };
         if !leaves.is_empty() {
             tree.nodes.reserve(2 * leaves.len() - 1);
             tree.nodes.push(Node::ABSENT);
@@ -83,6 +88,7 @@ impl LightTree {
         if let [leaf] = leaves {
             self.nodes[at] = Node { ranks, ..whole.node(LEAF, leaf.light) };
             self.ranks[leaf.light as usize] = first;
+            self.leaves[first as usize] = at as u32;
             return;
         }
         let middle = if depth < STEEP { cut(&whole, leaves) } else { leaves.len() / 2 };
@@ -128,16 +134,39 @@ impl LightTree {
         front
     }
 
-    /// Chooses a light for `place` by `u` in [0, 1): its index and probability > 0. `None`: no light can send anything.
-    #[inline]
-    pub fn choose(&self, place: &impl Place, u: f64) -> Option<(u32, f32)> {
-        if let [only] = self.nodes[..] {
-            return (place.importance(&only) > 0.0).then_some((only.light, 1.0));
-        }
-        self.choose_from(&self.front(place), place, u)
+    /// The leaves from left to right: neighbours are near each other.
+    pub fn leaves(&self) -> Vec<Node> {
+        self.leaves.iter().map(|&at| self.nodes[at as usize]).collect()
     }
 
-    /// The same where the front of the place is known.
+    /// The leaf of a light; `None` if it is not in the tree.
+    #[inline]
+    pub fn leaf(&self, light: u32) -> Option<&Node> {
+        self.rank(light).map(|rank| &self.nodes[self.leaves[rank] as usize])
+    }
+
+    /// Place of a light among the leaves; `None` if it is not in the tree.
+    #[inline]
+    pub fn rank(&self, light: u32) -> Option<usize> {
+        self.ranks.get(light as usize).filter(|&&rank| rank != ABSENT).map(|&rank| rank as usize)
+    }
+
+    /// Nodes that hold every light once, at most `most` of them: those that are bright and wide are cut first.
+    pub fn cut(&self, most: usize) -> Vec<Node> {
+        let weight = |node: &Node| node.intensity * node.radius;
+        let mut parts: Vec<Node> = self.nodes.first().copied().into_iter().collect();
+        while parts.len() < most {
+            let inner = parts.iter().enumerate().filter(|(_, node)| node.children != LEAF);
+            let Some((at, node)) = inner.max_by(|a, b| weight(a.1).total_cmp(&weight(b.1)).then(b.0.cmp(&a.0))) else {
+                break;
+            };
+            let children = node.children as usize;
+            parts.splice(at..=at, self.nodes[children..children + 2].iter().copied());
+        }
+        parts
+    }
+
+    /// Chooses a light for `place`, whose front is known, by `u` in [0, 1): its index and probability > 0. `None`: no light can send anything.
     #[inline]
     pub fn choose_from(&self, front: &Front, place: &impl Place, u: f64) -> Option<(u32, f32)> {
         if !(front.total > 0.0 && front.total.is_finite()) {
@@ -172,16 +201,7 @@ impl LightTree {
         (probability > 0.0).then_some((node.light, probability))
     }
 
-    /// Probability with which [`Self::choose`] chooses `light` for `place`.
-    #[inline]
-    pub fn probability(&self, place: &impl Place, light: u32) -> f32 {
-        if let [only] = self.nodes[..] {
-            return if only.light == light && place.importance(&only) > 0.0 { 1.0 } else { 0.0 };
-        }
-        self.probability_from(&self.front(place), place, light)
-    }
-
-    /// The same where the front of the place is known.
+    /// Probability with which [`Self::choose_from`] chooses `light` for `place`.
     #[inline]
     pub fn probability_from(&self, front: &Front, place: &impl Place, light: u32) -> f32 {
         let rank = self.ranks[light as usize];
@@ -215,6 +235,3 @@ pub struct Front {
     /// Sum of the importances.
     total: f64,
 }
-
-#[cfg(test)]
-mod tests;

@@ -73,7 +73,7 @@ impl World {
     /// The same world with the portable kernels, whatever the processor has: for the test that they agree.
     #[cfg(test)]
     pub(crate) fn portable(mut self) -> Self {
-        self.level = Level::Portable;
+        self.level = Level::PORTABLE;
         self
     }
 

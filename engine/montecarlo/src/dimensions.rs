@@ -26,20 +26,25 @@ pub const LOBE: u32 = 3;
 pub const DIRECTION: u32 = 4;
 /// Free distance in a medium, and the colour channel that it is drawn for (2).
 pub const DISTANCE: u32 = 6;
-/// Equiangular: distance (1).
-pub const EQUIANGULAR: u32 = 8;
-/// Equiangular: point on the light (2).
-pub const EQUIANGULAR_POINT: u32 = 10;
+/// Airlight: distance (1).
+pub const AIRLIGHT: u32 = 8;
+/// Airlight: point on the light (2).
+pub const AIRLIGHT_POINT: u32 = 10;
 /// Russian roulette (1).
 pub const ROULETTE: u32 = 12;
 /// Point of a glowing medium (1).
 pub const GLOW: u32 = 13;
 /// Choice of the light (2: the second number is the finer part of the first).
 pub const LIGHT: u32 = 14;
-/// Equiangular: choice of the light (2).
-pub const EQUIANGULAR_LIGHT: u32 = 16;
+/// Airlight: choice of the light (2).
+pub const AIRLIGHT_LIGHT: u32 = 16;
 /// The finer part of the free distance (1): in thin air all events are in the first steps of 24 bits.
 pub const DISTANCE_FINE: u32 = 18;
+
+/// Airlight: colour channel that a distance is drawn for (1).
+pub const AIRLIGHT_CHANNEL: u32 = 19;
+/// Choice of a light that a path in fog is to pass (2).
+pub const TOWARD: u32 = 20;
 
 /// A number in [0, 1) of 48 bits, for choices among very many, from two of 24.
 pub fn fine([coarse, finer]: [f32; 2]) -> f64 {

@@ -1,19 +1,31 @@
-//! Participating media on a segment of a path: glow, free distances, and direct light scattered once.
+//! Participating media on a segment of a path: glow, free distances, and light scattered once.
 //!
-//! Light scattered once on the segment can be found in three ways: (1) a distance drawn by transmittance, then a point on a
-//! light; (2) a light, a distance equiangular about it, then a point on it (\[kulla2012\]); (3) a distance by transmittance,
-//! then a direction by the phase function that meets the light. All three are densities over (light, distance, direction)
-//! and are joined there by the power heuristic.
+//! Light scattered once on the segment is found in two ways: (1) a light by what the segment scatters of it, a distance by the same, then
+//! a point on the light; (2) a distance by transmittance, then a direction that meets the light. Both are densities over (light,
+//! distance, direction) and are joined there by the power heuristic.
+//!
+//! Directions after an event are drawn by the phase function or so that the path passes near a light, by a mixture of both densities.
 
 use crate::dimensions as dim;
 use crate::path::{Counters, square};
 use crate::shadow::Shadow;
 use crate::technique::{Technique, weight};
-use femc_emission::{DeltaKind, Equiangular, Front, LightSample};
+use femc_emission::{AlongSegment, Choice, DeltaKind, FromPoint};
 use femc_math::glam::Vec3A;
 use femc_math::{Rgb, SampleStream};
 use femc_prepared::Prepared;
-use femc_prepared::media::{Distance, Event, FAR, Inside, MediaRay};
+use femc_prepared::lights::{Airlit, Stretch};
+use femc_prepared::media::{Distance, Event, Inside, MediaRay};
+
+/// Share of the directions after an event that the phase function draws.
+const BY_PHASE: f32 = 0.5;
+/// Segments at whose ends directions may be drawn toward lights. In thick fog a path has thousands, and the product of so many
+/// factors that are 1 on average would be nearly 0 nearly always.
+const GUIDED: u32 = 6;
+
+/// Angles at which the lights are looked at from a camera's ray, whose light counts most, and from later ones.
+const ANGLES_FROM_CAMERA: u32 = 6;
+const ANGLES: u32 = 3;
 
 /// The segment of the path that is looked at.
 #[derive(Clone, Copy)]
@@ -26,8 +38,20 @@ pub struct Segment<'a> {
     pub time: f32,
     /// Closed objects that the path is in.
     pub inside: &'a Inside,
+    /// Number of the segment, 0: the camera's.
+    pub bounce: u32,
     /// First random dimension of the segment.
     pub base: u32,
+}
+
+/// The media of a ray, and what the lights are worth to it.
+#[derive(Default)]
+pub struct FoggyRay {
+    /// Its media.
+    pub media: MediaRay,
+    /// The stretch on which something scatters, as the choice of a light wants it; `None`: nothing does.
+    wanted: Option<AlongSegment>,
+    choice: Choice,
 }
 
 /// A scattering event of the path, with what the weights of light met later need.
@@ -37,46 +61,49 @@ pub struct Collision {
     pub event: Event,
     /// Where it is, m.
     pub position: Vec3A,
-    origin: Vec3A,
-    dir: Vec3A,
-    /// Stretch of the segment on which something scatters, m.
-    range: (f32, f32),
 }
 
-impl Collision {
-    /// Density, 1/m, with which way 2 chooses `light` and draws this event's distance about it.
-    /// - `front`: where the choice of a light for the segment begins, if it is known.
-    pub fn equiangular_pdf(&self, scene: &Prepared, front: Option<&Front>, light: u32, time: f32) -> f32 {
-        let place = scene.lights.along(self.origin, self.dir, self.range);
-        let chosen = match front {
-            Some(front) => scene.lights.probability_from(front, &place, light),
-            None => scene.lights.probability(&place, light),
-        };
-        if chosen <= 0.0 {
-            return 0.0;
-        }
-        chosen * about(scene, light, time, self.origin, self.dir, self.range).pdf(self.event.t - self.range.0)
-    }
-}
-
-/// A distance on a segment, drawn about a light.
+/// A direction drawn after an event.
 #[derive(Clone, Copy)]
-pub struct AboutLight {
-    /// The light.
+pub struct NewDirection {
+    /// Unit.
+    pub dir: Vec3A,
+    /// Its density, 1/sr.
+    pub pdf: f32,
+    /// The density that the phase function would have drawn it with, 1/sr: light that is met is weighted by this one, which costs no look at the
+    /// lights.
+    pub phase: f32,
+    /// Factor on the throughput.
+    pub weight: Rgb,
+}
+
+/// Light scattered once on a segment.
+#[derive(Clone, Copy)]
+pub struct Scattered {
+    /// Radiance at the segment's start, cd/m2.
+    pub color: Rgb,
+    /// The light that was chosen.
     pub light: u32,
-    /// Probability of its choice.
-    pub probability: f32,
-    /// Density of the distance, 1/m.
-    pub density: f32,
-    /// The place.
+    /// Where it was scattered.
     pub event: Event,
 }
 
-/// Equiangular distances about the middle of a light on the stretch `range` of a ray, counted from its start.
-fn about(scene: &Prepared, light: u32, time: f32, origin: Vec3A, dir: Vec3A, range: (f32, f32)) -> Equiangular {
-    let center = scene.lights.center(&scene.world, light, time);
-    let t_max = if range.1 >= FAR { f32::INFINITY } else { range.1 - range.0 };
-    Equiangular::new(origin + dir * range.0, dir, t_max, center, scene.least_distance)
+impl FoggyRay {
+    /// Density, 1/m, with which way 1 chooses `light` and draws the distance of `event` on this ray.
+    pub fn airlight_pdf(&self, scene: &Prepared, light: u32, time: f32, event: &Event) -> f32 {
+        let Some(wanted) = &self.wanted else { return 0.0 };
+        let chosen = scene.lights.probability(&self.choice, wanted, light);
+        if chosen <= 0.0 {
+            return 0.0;
+        }
+        airlit(scene, self, wanted, light, time).map_or(0.0, |airlit| chosen * airlit.pdf(event))
+    }
+}
+
+/// The distribution of distances about a light.
+fn airlit(scene: &Prepared, ray: &FoggyRay, wanted: &AlongSegment, light: u32, time: f32) -> Option<Airlit> {
+    let stretch = Stretch { wanted, media: &scene.media, ray: &ray.media, least_distance: scene.least_distance };
+    scene.lights.airlit(&scene.world, &stretch, light, time)
 }
 
 /// The media of one segment, cut by the caller.
@@ -84,15 +111,15 @@ pub struct Fog<'a, 's> {
     /// The scene.
     pub scene: &'s Prepared,
     /// The segment's media.
-    pub ray: &'a MediaRay,
+    pub ray: &'a mut FoggyRay,
+    /// Weights of lights for directions.
+    pub directions: &'a mut Choice,
     /// Shadow rays.
     pub shadow: &'a mut Shadow,
     /// Work done.
     pub counters: &'a mut Counters,
     /// The only technique that counts.
     pub only: Option<Technique>,
-    /// Where the choice of a light for the segment begins, once it is known.
-    pub front: Option<Front>,
 }
 
 impl Fog<'_, '_> {
@@ -102,132 +129,120 @@ impl Fog<'_, '_> {
             return Rgb::ZERO;
         }
         stream.seek(segment.base + dim::GLOW);
-        self.scene.media.glow(self.ray, stream.next_1d())
+        self.scene.media.glow(&self.ray.media, stream.next_1d())
     }
 
     /// Draws the distance of the next event. `Err`: none on the segment, with the weight of having gone through.
     pub fn collide(&mut self, segment: &Segment<'_>, stream: &mut SampleStream) -> Result<Collision, Rgb> {
-        let media = &self.scene.media;
-        let range = media.scattering_range(self.ray);
         stream.seek(segment.base + dim::DISTANCE);
         let [u, channel] = stream.next_2d();
         stream.seek(segment.base + dim::DISTANCE_FINE);
-        match media.draw(self.ray, dim::fine([u, stream.next_1d()]), channel) {
+        match self.scene.media.draw(&self.ray.media, dim::fine([u, stream.next_1d()]), channel) {
             Distance::Through { weight } => Err(weight),
-            Distance::Scatter(event) => Ok(Collision {
-                event,
-                position: segment.origin + segment.dir * event.t,
-                origin: segment.origin,
-                dir: segment.dir,
-                range: range.unwrap_or((0.0, 0.0)),
-            }),
+            Distance::Scatter(event) => Ok(Collision { event, position: segment.origin + segment.dir * event.t }),
         }
     }
 
-    /// Direct light at an event by sampling a light (way 1), per unit of throughput after the event's weight.
-    pub fn direct(&mut self, segment: &Segment<'_>, collision: &Collision, stream: &mut SampleStream) -> Rgb {
+    /// Weighs the lights for the segment; comes before [`Self::airlight`] and [`FoggyRay::airlight_pdf`].
+    pub fn weigh(&mut self, segment: &Segment<'_>) {
         let scene = self.scene;
+        self.ray.wanted = None;
         if scene.lights.is_empty() {
-            return Rgb::ZERO;
+            return;
         }
-        stream.seek(segment.base + dim::LIGHT_POINT);
-        let u = stream.next_2d();
-        stream.seek(segment.base + dim::LIGHT);
+        let Some(range) = scene.media.scattering_range(&self.ray.media) else { return };
+        let fog = scene.media.character(&self.ray.media, range);
+        let angles = if segment.bounce == 0 { ANGLES_FROM_CAMERA } else { ANGLES };
+        let wanted = scene.lights.along(segment.origin, segment.dir, range, fog, angles);
+        scene.lights.weigh(&wanted, &mut self.ray.choice);
+        self.ray.wanted = Some(wanted);
+    }
+
+    /// Light scattered once on the segment, by a light and a distance about it (way 1).
+    pub fn airlight(&mut self, segment: &Segment<'_>, stream: &mut SampleStream) -> Option<Scattered> {
+        let scene = self.scene;
+        let wanted = self.ray.wanted?;
+        stream.seek(segment.base + dim::AIRLIGHT_LIGHT);
         let choice = dim::fine(stream.next_2d());
-        let place = scene.lights.at_point(collision.position, Vec3A::ZERO);
-        let Some(drawn) = scene.lights.sample(&scene.world, &scene.textures, &place, segment.time, choice, u) else {
-            return Rgb::ZERO;
-        };
-        let light = &drawn.sample;
-        if light.radiance == Rgb::ZERO {
-            return Rgb::ZERO;
-        }
-        let (phase, phase_pdf) = scene.media.phase(self.ray, &collision.event, -segment.dir, light.dir);
-        let equiangular = collision.equiangular_pdf(scene, self.front.as_ref(), drawn.light, segment.time);
-        // Relative to way 1 for the same light and direction.
-        let by_distance = square(equiangular / (collision.event.pdf * drawn.probability));
-        let by_phase = if light.delta == DeltaKind::Position { 0.0 } else { square(phase_pdf / light.pdf) };
-        let weight = weight(self.only, Technique::Light, by_distance + by_phase);
-        let visibility = self.visibility(segment, collision.position, light);
-        phase * light.radiance * visibility * (weight / light.pdf)
-    }
-
-    /// Light scattered once on the segment, by a distance equiangular about a light (way 2).
-    pub fn equiangular(&mut self, segment: &Segment<'_>, stream: &mut SampleStream) -> Rgb {
-        let scene = self.scene;
-        let Some(drawn) = self.about_light(segment, *stream) else { return Rgb::ZERO };
-        let AboutLight { light, probability, density, event } = drawn;
-        let position = segment.origin + segment.dir * event.t;
-        stream.seek(segment.base + dim::EQUIANGULAR_POINT);
-        let point = stream.next_2d();
-        let Some(sample) =
-            scene.lights.sample_light(&scene.world, &scene.textures, light, position, segment.time, point)
-        else {
-            return Rgb::ZERO;
-        };
-        if sample.radiance == Rgb::ZERO {
-            return Rgb::ZERO;
-        }
-        let (phase, phase_pdf) = scene.media.phase(self.ray, &event, -segment.dir, sample.dir);
-        let pdf = probability * sample.pdf;
-        let at_event = scene.lights.probability(&scene.lights.at_point(position, Vec3A::ZERO), light);
-        let by_light = square(event.pdf * at_event / (density * probability));
-        let by_phase =
-            if sample.delta == DeltaKind::Position { 0.0 } else { square(event.pdf * phase_pdf / (density * pdf)) };
-        let weight = weight(self.only, Technique::Equiangular, by_light + by_phase);
-        let visibility = self.visibility(segment, position, &sample);
-        event.weight * phase * sample.radiance * visibility * (weight / (density * pdf))
-    }
-
-    /// The light and the distance about it that the numbers of the segment choose.
-    #[inline]
-    pub fn about_light(&mut self, segment: &Segment<'_>, mut stream: SampleStream) -> Option<AboutLight> {
-        let scene = self.scene;
-        if scene.lights.is_empty() {
-            return None;
-        }
-        let range = scene.media.scattering_range(self.ray)?;
-        stream.seek(segment.base + dim::EQUIANGULAR);
+        let (light, probability) = scene.lights.choose(&self.ray.choice, &wanted, choice)?;
+        let airlit = airlit(scene, self.ray, &wanted, light, segment.time)?;
+        stream.seek(segment.base + dim::AIRLIGHT);
         let u = stream.next_1d();
-        stream.seek(segment.base + dim::EQUIANGULAR_LIGHT);
-        let choice = dim::fine(stream.next_2d());
-        let place = scene.lights.along(segment.origin, segment.dir, range);
-        let front = self.front.get_or_insert_with(|| scene.lights.front(&place));
-        let (light, probability) = scene.lights.choose_from(front, &place, choice)?;
-        let distances = about(scene, light, segment.time, segment.origin, segment.dir, range);
-        let (t, density) = distances.sample(u)?;
-        let event = scene.media.event_at(self.ray, range.0 + t)?;
-        Some(AboutLight { light, probability, density, event })
+        stream.seek(segment.base + dim::AIRLIGHT_CHANNEL);
+        let (event, density) = airlit.sample(&scene.media, &self.ray.media, u, stream.next_1d())?;
+        let position = segment.origin + segment.dir * event.t;
+        stream.seek(segment.base + dim::AIRLIGHT_POINT);
+        let point = stream.next_2d();
+        let sample = scene.lights.sample_light(&scene.world, &scene.textures, light, position, segment.time, point)?;
+        let nothing = Scattered { color: Rgb::ZERO, light, event };
+        if sample.radiance == Rgb::ZERO {
+            return Some(nothing);
+        }
+        let (phase, phase_pdf) = scene.media.phase(&self.ray.media, &event, -segment.dir, sample.dir);
+        let pdf = density * probability * sample.pdf;
+        let by_scattering = if sample.delta == DeltaKind::Position { 0.0 } else { square(event.pdf * phase_pdf / pdf) };
+        let weight = weight(self.only, Technique::Light, by_scattering);
+        if weight <= 0.0 {
+            return Some(nothing);
+        }
+        let from = (position, Vec3A::ZERO, Vec3A::ZERO);
+        let visibility =
+            self.shadow.visibility::<true>(scene, from, &sample, segment.time, segment.inside, self.counters);
+        Some(Scattered { color: event.weight * phase * sample.radiance * visibility * (weight / pdf), ..nothing })
     }
 
     /// The medium of an event on the segment; of several the one that scatters most there.
     pub fn medium_of(&self, event: &Event) -> u16 {
-        self.scene.media.medium_of(self.ray, event)
+        self.scene.media.medium_of(&self.ray.media, event)
     }
 
     /// The first medium on the segment that glows.
     pub fn glowing(&self) -> u16 {
-        self.scene.media.glowing(self.ray)
+        self.scene.media.glowing(&self.ray.media)
     }
 
-    fn visibility(&mut self, segment: &Segment<'_>, position: Vec3A, light: &LightSample) -> Rgb {
-        let from = (position, Vec3A::ZERO, Vec3A::ZERO);
-        self.shadow.visibility::<true>(self.scene, from, light, segment.time, segment.inside, self.counters)
+    /// Where a path goes on from, for directions that pass near lights; `None` where there are no lights.
+    fn leaving(&self, segment: &Segment<'_>, position: Vec3A, event: &Event) -> Option<FromPoint> {
+        let (extinction, phase) = self.scene.media.character_at(&self.ray.media, event);
+        (!self.scene.lights.many().is_empty()).then_some(FromPoint {
+            position,
+            toward: -segment.dir,
+            extinction,
+            phase,
+        })
     }
 
-    /// Draws the direction after an event: (direction, density, factor on the throughput).
+    /// Draws the direction after an event.
     pub fn scatter(
         &mut self,
         segment: &Segment<'_>,
         collision: &Collision,
         stream: &mut SampleStream,
-    ) -> Option<(Vec3A, f32, Rgb)> {
-        let media = &self.scene.media;
+    ) -> Option<NewDirection> {
+        let scene = self.scene;
+        let (media, event, many) = (&scene.media, &collision.event, scene.lights.many());
         stream.seek(segment.base + dim::LOBE);
-        let choice = stream.next_1d();
+        let mut choice = stream.next_1d();
         stream.seek(segment.base + dim::DIRECTION);
-        let drawn = media.draw_phase(self.ray, &collision.event, choice).sample(-segment.dir, stream.next_2d());
-        let (value, pdf) = media.phase(self.ray, &collision.event, -segment.dir, drawn.wi);
-        (pdf > 0.0).then(|| (drawn.wi, pdf, value / pdf))
+        let u = stream.next_2d();
+        let from = (segment.bounce < GUIDED).then(|| self.leaving(segment, collision.position, event)).flatten();
+        let mut toward_light = None;
+        if let Some(from) = &from {
+            many.weigh_directions(from, self.directions);
+            if choice >= BY_PHASE {
+                stream.seek(segment.base + dim::TOWARD);
+                toward_light = Some(many.sample_direction(from, self.directions, dim::fine(stream.next_2d()), u)?);
+            } else {
+                choice /= BY_PHASE;
+            }
+        }
+        let by_phase = || media.draw_phase(&self.ray.media, event, choice).sample(-segment.dir, u).wi;
+        let dir = toward_light.unwrap_or_else(by_phase);
+        let (value, phase) = media.phase(&self.ray.media, event, -segment.dir, dir);
+        let pdf = match &from {
+            None => phase,
+            Some(from) => BY_PHASE * phase + (1.0 - BY_PHASE) * many.direction_pdf(from, self.directions, dir),
+        };
+        (pdf > 0.0 && phase > 0.0).then(|| NewDirection { dir, pdf, phase, weight: value / pdf })
     }
 }

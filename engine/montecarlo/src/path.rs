@@ -1,17 +1,17 @@
 //! The path loop.
 
 use crate::dimensions as dim;
-use crate::fog::{Collision, Fog, Segment};
+use crate::fog::{Collision, Fog, FoggyRay, Segment};
 use crate::record::{Contribution, Found, Leaving, Place, Recorder, Vertex};
 use crate::shadow::Shadow;
-use crate::technique::{Technique, on_surfaces, weight};
-use femc_emission::{AtPoint, DeltaKind};
+use crate::technique::{Technique, weight};
+use femc_emission::{AtPoint, Choice, DeltaKind, Lobes};
 use femc_geometry::{Ray, offset_origin};
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, Rgb, SampleStream};
 use femc_prepared::camera::View;
 use femc_prepared::compile::NONE;
-use femc_prepared::media::{Inside, MediaRay};
+use femc_prepared::media::Inside;
 use femc_prepared::sightings::Seen;
 use femc_prepared::{Crossing, KernelMaterial, Orientation, Prepared, SurfacePoint};
 use femc_scattering::{Bsdf, LobeKind, Transmitted};
@@ -27,6 +27,10 @@ const SPARED_IN_MEDIA: f32 = 0.8;
 const LONG: u32 = 128;
 /// Rays after which it is ended more often.
 const VERY_LONG: u32 = 1 << 16;
+
+/// Points that a sample draws on the small sources that its pixel sees. There are few such pixels, and what hides a part of a lamp
+/// would make them the noisiest of all.
+const SIGHTS: u32 = 4;
 
 /// What a path may do.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -94,16 +98,16 @@ enum Came {
     },
     /// From a surface.
     Surface {
-        /// Normal of the side that light was scattered from; zero where light counted from all sides.
-        normal: Vec3A,
+        /// As the lights were weighed for it.
+        wanted: AtPoint,
         /// Density of the direction, 1/sr.
         pdf: f32,
     },
     /// From a medium.
     Medium {
         collision: Collision,
-        /// Density of the direction, 1/sr.
-        pdf: f32,
+        /// Density of the direction by the phase function alone, 1/sr.
+        phase: f32,
     },
 }
 
@@ -112,7 +116,12 @@ enum Came {
 pub struct Tracer<'a, R = ()> {
     scene: &'a Prepared,
     settings: PathSettings,
-    segment_media: MediaRay,
+    /// The segment that the path is in, and the one whose end it was scattered from.
+    fog: FoggyRay,
+    fog_before: FoggyRay,
+    /// Weights of the lights for the latest surface, and for directions from a point in fog.
+    at_surface: Choice,
+    directions: Choice,
     shadow: Shadow,
     /// Work done so far.
     pub counters: Counters,
@@ -133,7 +142,10 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         Self {
             scene,
             settings,
-            segment_media: MediaRay::default(),
+            fog: FoggyRay::default(),
+            fog_before: FoggyRay::default(),
+            at_surface: Choice::default(),
+            directions: Choice::default(),
             shadow: Shadow::default(),
             counters: Counters::default(),
             recorder,
@@ -159,7 +171,16 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         let mut drawn = Rgb::ZERO;
         if let Some(seen) = self.scene.sightings.of(pixel) {
             came = Came::Camera { pixel, place, density: filter.density(offset), solid_angle: view.solid_angle(place) };
-            drawn = self.sight(seen, &view, time, center, filter, &mut stream);
+            stream.seek(dim::SIGHT);
+            let choice = stream.next_1d();
+            stream.seek(dim::SIGHT_POINT);
+            let point = stream.next_2d();
+            for part in 0..SIGHTS {
+                let number = (choice + part as f32 / SIGHTS as f32).fract();
+                // A quarter of the square each.
+                let point = [0, 1].map(|axis| 0.5 * (point[axis] + (part >> axis & 1) as f32));
+                drawn += self.sight(seen, &view, time, center, filter, number, point);
+            }
         }
         let mut sample = if self.scene.media.is_empty() {
             self.trace::<false>(ray, came, stream)
@@ -170,7 +191,8 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         sample
     }
 
-    /// Light that comes straight from a small source to the camera, by a point drawn on the source.
+    /// Light that comes straight from a small source to the camera, by one of [`SIGHTS`] points drawn on sources.
+    /// - `number`: chooses the source, `u` the point; in [0, 1).
     fn sight(
         &mut self,
         seen: Seen<'_>,
@@ -178,13 +200,11 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         time: f32,
         center: [f32; 2],
         filter: impl PixelFilter,
-        stream: &mut SampleStream,
+        number: f32,
+        u: [f32; 2],
     ) -> Rgb {
         let scene = self.scene;
-        stream.seek(dim::SIGHT);
-        let choice = seen.choose(stream.next_1d(), center);
-        stream.seek(dim::SIGHT_POINT);
-        let u = stream.next_2d();
+        let choice = seen.choose(number, center);
         // The point, its place on the film and the density of that, 1/pixel2.
         let drawn = match &choice.part {
             Some(part) => part.sample(u).and_then(|place| {
@@ -205,8 +225,8 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         if density <= 0.0 || point.radiance == Rgb::ZERO {
             return Rgb::ZERO;
         }
-        let pdf = choice.probability * pdf;
-        let weight = weight(on_surfaces(self.settings.only), Technique::Light, square(density / pdf));
+        let pdf = SIGHTS as f32 * choice.probability * pdf;
+        let weight = weight(self.settings.only, Technique::Light, square(density / pdf));
         let from = (view.origin, Vec3A::ZERO, Vec3A::ZERO);
         let counters = &mut self.counters;
         let visibility = if scene.media.is_empty() {
@@ -232,8 +252,8 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         let mut throughput = Rgb::ONE;
         let mut inside = scene.camera_inside;
         let mut previous = Previous { position: ray.origin, came };
-        // Square of the index ratio that radiance was scaled by: roulette must not count it as a loss.
-        let mut eta_scale = 1.0f32;
+        // What the throughput was scaled by that roulette must not count as a loss: squares of index ratios, and densities of directions.
+        let mut scale = 1.0f32;
         let mut first = true;
         // The segment that the path is in, and its rays until now: a segment that goes through clear surfaces has several.
         let (mut segment, mut rays) = (0u32, 0u32);
@@ -245,17 +265,18 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             let hit = scene.world.intersect(&ray);
             let t_hit = hit.as_ref().map_or(f32::INFINITY, |h| h.t);
 
-            if MEDIA && scene.media.along(ray.origin, ray.dir, t_hit, &inside, &mut self.segment_media) {
+            if MEDIA && scene.media.along(ray.origin, ray.dir, t_hit, &inside, &mut self.fog.media) {
                 let may_scatter = self.settings.max_depth == 0 || segment + 1 < self.settings.max_depth;
                 let mut fog = Fog {
                     scene,
-                    ray: &self.segment_media,
+                    ray: &mut self.fog,
+                    directions: &mut self.directions,
                     shadow: &mut self.shadow,
                     counters: &mut self.counters,
                     only: self.settings.only,
-                    front: None,
                 };
-                let stretch = Segment { origin: ray.origin, dir: ray.dir, time: ray.time, inside: &inside, base };
+                let (origin, dir, time) = (ray.origin, ray.dir, ray.time);
+                let stretch = Segment { origin, dir, time, inside: &inside, bounce: segment, base };
                 let color = throughput * fog.glow(&stretch, &mut stream);
                 out.color += color;
                 self.recorder.light(|| Contribution {
@@ -267,19 +288,19 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                     position: ray.origin,
                 });
                 if may_scatter {
-                    let color = throughput * fog.equiangular(&stretch, &mut stream);
-                    out.color += color;
-                    self.recorder.light(|| {
-                        let drawn = fog.about_light(&stretch, stream);
-                        Contribution {
+                    fog.weigh(&stretch);
+                    if let Some(scattered) = fog.airlight(&stretch, &mut stream) {
+                        let color = throughput * scattered.color;
+                        out.color += color;
+                        self.recorder.light(|| Contribution {
                             color,
                             throughput,
                             bounce: segment,
-                            found: Found::Equiangular(drawn.map_or(0, |drawn| fog.medium_of(&drawn.event))),
-                            light: drawn.map(|drawn| drawn.light),
-                            position: drawn.map_or(ray.origin, |drawn| ray.origin + ray.dir * drawn.event.t),
-                        }
-                    });
+                            found: Found::Airlight(fog.medium_of(&scattered.event)),
+                            light: Some(scattered.light),
+                            position: ray.origin + ray.dir * scattered.event.t,
+                        });
+                    }
                 }
                 match fog.collide(&stretch, &mut stream) {
                     Ok(collision) => {
@@ -291,23 +312,16 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                         let position = collision.position;
                         self.recorder
                             .vertex(|| Vertex { place: Place::Medium(fog.medium_of(&collision.event)), position });
-                        let color = throughput * fog.direct(&stretch, &collision, &mut stream);
-                        out.color += color;
-                        self.recorder.light(|| Contribution {
-                            color,
-                            throughput,
-                            bounce: segment,
-                            found: Found::Collision,
-                            light: choose(scene, &scene.lights.at_point(position, Vec3A::ZERO), base, stream),
-                            position,
-                        });
-                        let Some((dir, pdf, weight)) = fog.scatter(&stretch, &collision, &mut stream) else { break };
-                        self.recorder.leave(Leaving::Scattered { pdf });
-                        throughput *= weight;
-                        previous = Previous { position: collision.position, came: Came::Medium { collision, pdf } };
-                        ray = Ray { origin: collision.position, dir, t_max: f32::INFINITY, time: ray.time };
+                        let Some(new) = fog.scatter(&stretch, &collision, &mut stream) else { break };
+                        self.recorder.leave(Leaving::Scattered { pdf: new.pdf });
+                        throughput *= new.weight;
+                        // What a path is worth does not depend on what its direction was drawn by.
+                        scale *= new.pdf / new.phase;
+                        std::mem::swap(&mut self.fog, &mut self.fog_before);
+                        previous = Previous { position, came: Came::Medium { collision, phase: new.phase } };
+                        ray = Ray { origin: position, dir: new.dir, t_max: f32::INFINITY, time: ray.time };
                         segment += 1;
-                        if !survives::<MEDIA>(rays, &mut throughput, eta_scale, &mut stream, base) {
+                        if !survives::<MEDIA>(rays, &mut throughput, scale, &mut stream, base) {
                             break;
                         }
                         continue;
@@ -343,7 +357,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             if is_last || matches!(crossing, Crossing::Null { .. }) {
                 throughput *= crossing.unbent();
                 ray = straight_on(&ray, &point, &mut inside, material, back);
-                if !survives::<MEDIA>(rays, &mut throughput, eta_scale, &mut stream, base) {
+                if !survives::<MEDIA>(rays, &mut throughput, scale, &mut stream, base) {
                     break;
                 }
                 continue;
@@ -352,21 +366,36 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 place: Place::Surface { instance: hit.instance, primitive: hit.primitive, material: point.material },
                 position: point.position,
             });
-            if !bsdf.is_delta_only() {
-                let color = throughput
-                    * self.direct::<MEDIA>(&bsdf, &frame, wo, &point, back, ray.time, &inside, base, &mut stream);
-                out.color += color;
-                self.recorder.light(|| Contribution {
-                    color,
-                    throughput,
-                    bounce: segment,
-                    found: Found::Surface,
-                    light: {
-                        let wanted = scene.lights.at_point(point.position, lit_side(&bsdf, &point, back));
-                        choose(scene, &wanted, base, stream)
-                    },
-                    position: point.position,
-                });
+            let wanted =
+                scene.lights.at_point(point.position, lit_side(&bsdf, &point, back), lobes(&bsdf, wo, ray.dir));
+            if !bsdf.is_delta_only() && !scene.lights.is_empty() {
+                scene.lights.weigh(&wanted, &mut self.at_surface);
+                stream.seek(base + dim::LIGHT);
+                let number = dim::fine(stream.next_2d());
+                if let Some(chosen) = scene.lights.choose(&self.at_surface, &wanted, number) {
+                    let color = throughput
+                        * self.direct::<MEDIA>(
+                            chosen,
+                            &bsdf,
+                            &frame,
+                            wo,
+                            &point,
+                            back,
+                            ray.time,
+                            &inside,
+                            base,
+                            &mut stream,
+                        );
+                    out.color += color;
+                    self.recorder.light(|| Contribution {
+                        color,
+                        throughput,
+                        bounce: segment,
+                        found: Found::Surface,
+                        light: Some(chosen.0),
+                        position: point.position,
+                    });
+                }
             }
             stream.seek(base + dim::LOBE);
             let choice = stream.next_1d();
@@ -379,7 +408,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             {
                 self.recorder.leave(Leaving::Straight);
                 ray = straight_on(&ray, &point, &mut inside, material, back);
-                if !survives::<MEDIA>(rays, &mut throughput, eta_scale, &mut stream, base) {
+                if !survives::<MEDIA>(rays, &mut throughput, scale, &mut stream, base) {
                     break;
                 }
                 continue;
@@ -389,7 +418,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 break;
             }
             if scattered.eta != 1.0 {
-                eta_scale *= scattered.eta * scattered.eta;
+                scale *= scattered.eta * scattered.eta;
             }
             let leaves_front = point.normal.dot(wi) > 0.0;
             if leaves_front == back {
@@ -400,13 +429,13 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 Came::Surely
             } else {
                 self.recorder.leave(Leaving::Scattered { pdf: scattered.pdf });
-                Came::Surface { normal: lit_side(&bsdf, &point, back), pdf: scattered.pdf }
+                Came::Surface { wanted, pdf: scattered.pdf }
             };
             previous = Previous { position: point.position, came };
             let origin = offset_origin(point.position, point.error, point.normal, wi);
             ray = Ray { origin, dir: wi, t_max: f32::INFINITY, time: ray.time };
             segment += 1;
-            if !survives::<MEDIA>(rays, &mut throughput, eta_scale, &mut stream, base) {
+            if !survives::<MEDIA>(rays, &mut throughput, scale, &mut stream, base) {
                 break;
             }
         }
@@ -442,7 +471,6 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         }
         let at = (point.position, point.normal);
         let drawn = || scene.lights.pdf(&scene.world, light, previous.position, ray.time, at, ray.dir);
-        let chosen = |normal| scene.lights.probability(&scene.lights.at_point(previous.position, normal), light);
         let others = match &previous.came {
             Came::Surely => return radiance,
             Came::Camera { pixel, place, density, solid_angle } => {
@@ -454,21 +482,25 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                     Some(_) => return radiance,
                     None => drawn() * solid_angle,
                 };
-                square(choice.probability * pdf / density)
+                square(SIGHTS as f32 * choice.probability * pdf / density)
             }
-            Came::Surface { normal, pdf } => square(drawn() * chosen(*normal) / pdf),
-            Came::Medium { collision, pdf } => {
-                let equiangular = collision.equiangular_pdf(scene, None, light, ray.time);
-                square(drawn() / pdf) * (square(chosen(Vec3A::ZERO)) + square(equiangular / collision.event.pdf))
+            Came::Surface { wanted, pdf } => {
+                square(drawn() * scene.lights.probability(&self.at_surface, wanted, light) / pdf)
+            }
+            Came::Medium { collision, phase } => {
+                let distance = self.fog_before.airlight_pdf(scene, light, ray.time, &collision.event);
+                square(drawn() * distance / (phase * collision.event.pdf))
             }
         };
         radiance * weight(self.settings.only, Technique::Scatter, others)
     }
 
     /// Direct light on a surface by sampling a light.
+    /// - `chosen`: its index, and the probability of that.
     #[inline]
     fn direct<const MEDIA: bool>(
         &mut self,
+        chosen: (u32, f32),
         bsdf: &Bsdf,
         frame: &Frame,
         wo: Vec3A,
@@ -480,25 +512,22 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         stream: &mut SampleStream,
     ) -> Rgb {
         let scene = self.scene;
-        if scene.lights.is_empty() {
-            return Rgb::ZERO;
-        }
         stream.seek(base + dim::LIGHT_POINT);
         let u = stream.next_2d();
-        stream.seek(base + dim::LIGHT);
-        let choice = dim::fine(stream.next_2d());
-        let place = scene.lights.at_point(point.position, lit_side(bsdf, point, back));
-        let Some(drawn) = scene.lights.sample(&scene.world, &scene.textures, &place, time, choice, u) else {
+        let Some(mut light) =
+            scene.lights.sample_light(&scene.world, &scene.textures, chosen.0, point.position, time, u)
+        else {
             return Rgb::ZERO;
         };
-        let light = &drawn.sample;
+        light.pdf *= chosen.1;
+        let light = &light;
         let wi = frame.to_local(light.dir);
         let value = bsdf.eval(wo, wi);
         if value == Rgb::ZERO || light.radiance == Rgb::ZERO || !same_side(frame, point, wi, light.dir) {
             return Rgb::ZERO;
         }
         let by_scattering = if light.delta == DeltaKind::Position { 0.0 } else { square(bsdf.pdf(wo, wi) / light.pdf) };
-        let weight = weight(on_surfaces(self.settings.only), Technique::Light, by_scattering);
+        let weight = weight(self.settings.only, Technique::Light, by_scattering);
         let contribution = value * light.radiance * (weight / light.pdf);
         let mut inside = *inside;
         if MEDIA && (point.normal.dot(light.dir) > 0.0) == back {
@@ -509,11 +538,11 @@ impl<'a, R: Recorder> Tracer<'a, R> {
     }
 }
 
-/// The light that the numbers of a ray choose for a point.
-/// - `base`: first dimension of the ray.
-fn choose(scene: &Prepared, wanted: &AtPoint, base: u32, mut stream: SampleStream) -> Option<u32> {
-    stream.seek(base + dim::LIGHT);
-    scene.lights.choose(wanted, dim::fine(stream.next_2d())).map(|(light, _)| light)
+/// How a surface scatters toward a viewer who looks along `dir`, where that says more than its normal.
+#[inline]
+fn lobes(bsdf: &Bsdf, wo: Vec3A, dir: Vec3A) -> Option<Lobes> {
+    let (diffuse, glossy, alpha) = bsdf.glossy_lobes(wo)?;
+    Some(Lobes { diffuse, glossy, alpha, toward: -dir })
 }
 
 /// Russian roulette; also ends paths that carry nothing.
@@ -526,7 +555,7 @@ fn choose(scene: &Prepared, wanted: &AtPoint, base: u32, mut stream: SampleStrea
 fn survives<const MEDIA: bool>(
     rays: u32,
     throughput: &mut Rgb,
-    eta_scale: f32,
+    scale: f32,
     stream: &mut SampleStream,
     base: u32,
 ) -> bool {
@@ -538,7 +567,7 @@ fn survives<const MEDIA: bool>(
         return true;
     }
     let spared = if MEDIA { SPARED_IN_MEDIA } else { SPARED };
-    let mut q = (most * eta_scale / spared).min(1.0);
+    let mut q = (most * scale / spared).min(1.0);
     if rays > LONG {
         let goes_on = (rays - 1) as f32 / rays as f32;
         q *= if rays > VERY_LONG { square(goes_on) } else { goes_on };

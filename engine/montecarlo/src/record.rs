@@ -78,10 +78,8 @@ pub enum Found {
     Met,
     /// A point on a lamp was drawn from a surface, the latest vertex.
     Surface,
-    /// A point on a lamp was drawn from a collision, the latest vertex.
-    Collision,
-    /// A lamp was chosen for the segment and a distance drawn about it, in this medium.
-    Equiangular(u16),
+    /// A lamp was chosen for the segment, and a distance by what this medium scatters of its light.
+    Airlight(u16),
     /// The segment goes through this medium, which glows.
     Glow(u16),
 }

@@ -4,18 +4,10 @@
 /// it cannot find, so that any two can be held against each other.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Technique {
-    /// A point on a source is drawn; in a medium, from a distance that was drawn by transmittance.
+    /// A point on a source is drawn; in a medium with a distance by the light of that source that is scattered on the segment.
     Light,
     /// The source is met by chance, by scattering or by the camera's ray; points never.
     Scatter,
-    /// In a medium: a source, a distance equiangular about it, a point on it. Elsewhere, [`Self::Light`].
-    Equiangular,
-}
-
-/// The only technique where there are two, without a medium: what is to be equiangular is drawn there.
-#[inline]
-pub(crate) fn on_surfaces(only: Option<Technique>) -> Option<Technique> {
-    only.map(|only| if only == Technique::Scatter { only } else { Technique::Light })
 }
 
 /// Weight of a technique by the power heuristic, or of one alone.

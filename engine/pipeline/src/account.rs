@@ -31,10 +31,8 @@ pub enum How {
     Scattered,
     /// A point on the lamp was drawn from a surface.
     Surface,
-    /// A point on the lamp was drawn from a collision in a medium.
-    Collision,
-    /// A distance about the lamp was drawn on a segment in a medium.
-    Equiangular,
+    /// A point on the lamp, and a distance by what a medium on the segment scatters of its light.
+    Airlight,
     /// A medium glows.
     Glow,
 }
@@ -105,8 +103,7 @@ impl Origin {
                 Some(_) => (How::Scattered, before),
             },
             Found::Surface => (How::Surface, before),
-            Found::Collision => (How::Collision, before),
-            Found::Equiangular(medium) => (How::Equiangular, On::Medium(medium)),
+            Found::Airlight(medium) => (How::Airlight, On::Medium(medium)),
             Found::Glow(medium) => (How::Glow, On::Medium(medium)),
         };
         let lamp = it.light.and_then(|light| lamps.of_light.get(light as usize).copied());

@@ -229,7 +229,7 @@ fn build(
     let Assembly { inputs, instances, lights, entries, .. } = assembly;
     let world = World::build(inputs);
     let extent = world.bounds().size().max_element();
-    let lights = Lights::new(lights, entries, &world, media.haze());
+    let lights = Lights::new(lights, entries, &world, |point| media.extinction_at(point));
     Ok(Prepared {
         scene: scene.clone(),
         frame_key,

@@ -1,13 +1,14 @@
 //! The light sources of a frame, with their places and textures.
 
+pub use crate::airlit::{Airlit, Stretch};
 use crate::compile::{Emitter, EmitterShape, NONE};
 use crate::texture::Texture;
 use femc_emission::light::{
     Cone, Parallelogram, PhotometricPoint, PhotometricSolid, Ring, Solid, Sphere, Torus, Triangle,
 };
 use femc_emission::{
-    AlongSegment, AtPoint, Emission, EmissionCone, Front, IntensityDistribution, Light, LightBounds, LightSample,
-    LightTree, PhotometryError, PhotometryKind, Place, Profile, Sides,
+    AlongSegment, AtPoint, Choice, Emission, EmissionCone, IntensityDistribution, Light, LightBounds, LightSample,
+    Lobes, ManyLights, PhotometryError, PhotometryKind, Profile, Sides, Wanting,
 };
 use femc_geometry::{Aabb, World};
 use femc_math::Rgb;
@@ -15,6 +16,9 @@ use femc_math::elementary::double::cbrt;
 use femc_math::glam::{Affine3, Affine3A, DAffine3, DVec3, Vec2, Vec3A};
 use femc_scene::{Facing, Luminaire, Material, Opening, Photometry, PhotometryType, Scene, Shape};
 use std::sync::Arc;
+
+/// Behind fog of this optical depth little is seen: light from there is left to chance.
+const DEEPEST: f32 = 10.0;
 
 /// All light sources. A light is fixed in the prepared frame, or in the frame of an instance that moves in the shutter.
 #[derive(Debug, Default)]
@@ -25,9 +29,7 @@ pub struct Lights {
     centers: Vec<Vec3A>,
     /// Where the lights are over the shutter, prepared frame, and their flux, lm.
     places: Vec<(Aabb, f32)>,
-    tree: LightTree,
-    /// Extinction of the haze that is everywhere, 1/m: it makes far lights less important.
-    haze: f32,
+    many: ManyLights,
     /// Longest stretch of a ray that is looked at when a light is chosen for it, m.
     reach: f32,
 }
@@ -51,27 +53,18 @@ impl Default for Entry {
     }
 }
 
-/// A point drawn on a light.
-#[derive(Clone, Copy, Debug)]
-pub struct Drawn {
-    /// The point, prepared frame; `pdf` includes the probability of the light.
-    pub sample: LightSample,
-    /// Index of the light.
-    pub light: u32,
-    /// Probability with which it was chosen.
-    pub probability: f32,
-}
-
 impl Lights {
-    /// Joins lights with their entries (same length and order) in `world`. `haze`: extinction that is everywhere, 1/m.
-    pub fn new(lights: Vec<Light>, entries: Vec<Entry>, world: &World, haze: f32) -> Self {
+    /// Joins lights with their entries (same length and order) in `world`.
+    /// - `haze`: extinction of the media at a point of the prepared frame, 1/m.
+    pub fn new(lights: Vec<Light>, entries: Vec<Entry>, world: &World, haze: impl Fn(Vec3A) -> f32) -> Self {
         debug_assert_eq!(lights.len(), entries.len());
         let centers = lights.iter().map(Light::center).collect();
-        let bounds: Vec<_> = lights.iter().zip(&entries).map(|(light, entry)| bounds(light, entry, world)).collect();
+        let bounds: Vec<_> =
+            lights.iter().zip(&entries).map(|(light, entry)| bounds(light, entry, world, &haze)).collect();
         let reach = 4.0 * world.bounds().size().max_element();
         let reach = if reach.is_finite() && reach > 0.0 { reach } else { 1e6 };
         let places = bounds.iter().map(|it| (Aabb { min: it.low, max: it.high }, it.power)).collect();
-        Self { tree: LightTree::new(&bounds), lights, entries, centers, places, haze, reach }
+        Self { many: ManyLights::new(&bounds), lights, entries, centers, places, reach }
     }
 
     /// Whether there is no light at all.
@@ -99,63 +92,62 @@ impl Lights {
         !matches!(self.lights[light as usize], Light::PhotometricPoint(_))
     }
 
-    /// A point that wants light. `normal`: of the side that light is scattered from; zero where light counts from all sides.
+    /// A point that wants light.
+    /// - `normal`: of the side that light is scattered from; zero where light counts from all sides.
+    /// - `lobes`: how light is scattered there, if that is known.
     #[inline]
-    pub fn at_point(&self, position: Vec3A, normal: Vec3A) -> AtPoint {
-        AtPoint { position, normal, haze: self.haze }
+    pub fn at_point(&self, position: Vec3A, normal: Vec3A, lobes: Option<Lobes>) -> AtPoint {
+        AtPoint { position, normal, lobes }
     }
 
-    /// A stretch `range` of a ray along which light is wanted.
+    /// A stretch of a ray along which light is wanted.
+    /// - `range`: first and last distance, m.
+    /// - `fog`: its extinction, 1/m, and the parameter of its phase function ([`Media::character`](crate::media::Media::character)).
+    /// - `angles`: at which each light is looked at.
     #[inline]
-    pub fn along(&self, origin: Vec3A, dir: Vec3A, range: (f32, f32)) -> AlongSegment {
-        AlongSegment { origin, dir, range: (range.0, range.1.min(range.0 + self.reach)), haze: self.haze }
+    pub fn along(&self, origin: Vec3A, dir: Vec3A, range: (f32, f32), fog: (f32, f32), angles: u32) -> AlongSegment {
+        let (extinction, phase) = fog;
+        let reach = self.reach.min(DEEPEST / extinction.max(f32::MIN_POSITIVE));
+        let (start, end) = range;
+        AlongSegment { origin, dir, range: (start, end.min(start + reach)), end, angles, extinction, phase }
     }
 
-    /// Chooses a light for a place by `u` in [0, 1): (index, probability). `None`: none can send anything there.
+    /// Weighs all lights for a place; what is chosen there later is read from `choice`.
     #[inline]
-    pub fn choose(&self, place: &impl Place, u: f64) -> Option<(u32, f32)> {
-        self.tree.choose(place, u)
+    pub fn weigh(&self, place: &impl Wanting, choice: &mut Choice) {
+        self.many.weigh(place, choice);
+    }
+
+    /// Chooses a light for a place that was weighed, by `u` in [0, 1): (index, probability). `None`: none can send anything there.
+    #[inline]
+    pub fn choose(&self, choice: &Choice, place: &impl Wanting, u: f64) -> Option<(u32, f32)> {
+        self.many.choose(choice, place, u)
     }
 
     /// Probability that [`Lights::choose`] chooses a light.
     #[inline]
-    pub fn probability(&self, place: &impl Place, light: u32) -> f32 {
-        self.tree.probability(place, light)
+    pub fn probability(&self, choice: &Choice, place: &impl Wanting, light: u32) -> f32 {
+        self.many.probability(choice, place, light)
     }
 
-    /// Where the choice of a light for a place begins; worth keeping where lights are chosen for it more than once.
+    /// All lights, for directions that pass near them.
     #[inline]
-    pub fn front(&self, place: &impl Place) -> Front {
-        self.tree.front(place)
+    pub fn many(&self) -> &ManyLights {
+        &self.many
     }
 
-    /// [`Lights::choose`] with a front that is known.
+    /// The distribution of distances on a stretch of a ray by the light of one source that is scattered there.
     #[inline]
-    pub fn choose_from(&self, front: &Front, place: &impl Place, u: f64) -> Option<(u32, f32)> {
-        self.tree.choose_from(front, place, u)
+    pub fn airlit(&self, world: &World, stretch: &Stretch<'_>, light: u32, time: f32) -> Option<Airlit> {
+        Airlit::new(self, world, stretch, light, time)
     }
 
-    /// [`Lights::probability`] with a front that is known.
+    /// What a measured light that stands sends along some directions (unit, away from it), cd; `None` of other lights.
     #[inline]
-    pub fn probability_from(&self, front: &Front, place: &impl Place, light: u32) -> f32 {
-        self.tree.probability_from(front, place, light)
-    }
-
-    /// Chooses a light for a point and draws a point on it.
-    #[inline]
-    pub fn sample(
-        &self,
-        world: &World,
-        textures: &[Texture],
-        place: &AtPoint,
-        time: f32,
-        choice: f64,
-        u: [f32; 2],
-    ) -> Option<Drawn> {
-        let (index, probability) = self.choose(place, choice)?;
-        let mut sample = self.sample_light(world, textures, index, place.position, time, u)?;
-        sample.pdf *= probability;
-        Some(Drawn { sample, light: index, probability })
+    pub(crate) fn intensities(&self, light: u32, directions: impl FnOnce() -> [Vec3A; 8]) -> Option<[f32; 8]> {
+        let source = &self.lights[light as usize];
+        let stands = self.entries[light as usize].carrier == NONE;
+        (stands && source.has_intensity()).then(|| directions().map(|dir| source.intensity(dir).unwrap_or(0.0)))
     }
 
     /// Draws a point on one light; the density is that of the point alone.
@@ -299,15 +291,18 @@ fn dilution(light: &Light, scale: f32) -> f32 {
 }
 
 /// What the choice of a light knows of it, in the prepared frame over the whole shutter.
-fn bounds(light: &Light, entry: &Entry, world: &World) -> LightBounds {
+fn bounds(light: &Light, entry: &Entry, world: &World, haze: impl Fn(Vec3A) -> f32) -> LightBounds {
     let ((low, high), power) = (light.bounds(), light.power());
     if entry.carrier == NONE {
-        return LightBounds { low, high, power, cone: light.emission_cone() };
+        let center = light.center();
+        return LightBounds { low, high, center, power, haze: haze(center), cone: light.emission_cone() };
     }
     let swept = world.swept(entry.carrier, &Aabb { min: low, max: high });
     let scale = scale_of(&world.pose_at(entry.carrier, 0.5));
     let power = if light.has_intensity() { power } else { power * scale * scale };
-    LightBounds { low: swept.min, high: swept.max, power, cone: EmissionCone::ALL }
+    let (low, high) = (swept.min, swept.max);
+    let center = (low + high) * 0.5;
+    LightBounds { low, high, center, power, haze: haze(center), cone: EmissionCone::ALL }
 }
 
 /// The shape of an emitter in the frame where its light is kept.

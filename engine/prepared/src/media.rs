@@ -214,11 +214,17 @@ impl Media {
         self.glows
     }
 
-    /// Extinction, 1/m, of the uniform media that are everywhere.
-    pub fn haze(&self) -> f32 {
-        let everywhere = self.regions.iter().filter(|(_, bounds)| matches!(bounds, Bounds::Everywhere));
-        let uniform = everywhere.map(|&(m, _)| self.medium(m)).filter(|m| matches!(m.profile, Profile::Uniform));
-        uniform.map(|m| luminance(m.sigma_t)).sum()
+    /// Extinction at a point, 1/m, by luminance. Media inside closed objects do not count.
+    pub fn extinction_at(&self, point: Vec3A) -> f32 {
+        let holds = |bounds: &Bounds| match bounds {
+            Bounds::Everywhere => true,
+            Bounds::Box { to_local, min, max } => {
+                let local = to_local.transform_point3a(point);
+                local.cmpge(*min).all() && local.cmple(*max).all()
+            }
+        };
+        let here = self.regions.iter().filter(|(_, bounds)| holds(bounds)).map(|&(m, _)| self.medium(m));
+        here.map(|medium| luminance(medium.sigma_t) * medium.density(point.z)).sum()
     }
 
     /// The medium of an index.
@@ -364,6 +370,59 @@ impl Media {
             }
         }
         range
+    }
+
+    /// What the choice of a light wants to know of the fog on a ray: mean extinction of the stretch `range`, 1/m, and Schlick's
+    /// parameter for the phase function of the medium that scatters most. Both are rough.
+    pub fn character(&self, ray: &MediaRay, range: (f32, f32)) -> (f32, f32) {
+        let Some(interval) = ray.intervals.iter().find(|it| it.varies || it.drawn.max_element() > 0.0) else {
+            return (0.0, 0.0);
+        };
+        let at = 0.5 * (interval.start + interval.end.min(interval.start + 100.0));
+        let active = ray.active_of(interval);
+        let z = ray.oz + ray.dz * at;
+        let densest = active.iter().copied().max_by(|a, b| self.share(*a, z).total_cmp(&self.share(*b, z)));
+        let phase = densest.map_or(0.0, |medium| self.medium(medium).phase.schlick_parameter());
+        if !interval.varies {
+            return (luminance(interval.sigma_t), phase);
+        }
+        let end = range.1.min(interval.end).min(interval.start + 1e4);
+        let length = (end - interval.start).max(1e-6);
+        (luminance(self.depth(ray, interval, interval.start, end).0) / length, phase)
+    }
+
+    /// The same at an event.
+    pub fn character_at(&self, ray: &MediaRay, event: &Event) -> (f32, f32) {
+        let interval = &ray.intervals[event.interval as usize];
+        let z = ray.oz + ray.dz * event.t;
+        let extinction =
+            ray.active_of(interval).iter().map(|&m| luminance(self.medium(m).sigma_t) * self.medium(m).density(z));
+        (extinction.sum(), self.medium(self.medium_of(ray, event)).phase.schlick_parameter())
+    }
+
+    /// Optical depth from the ray's start and scattering coefficient (1/m), by luminance, at some distances in ascending order.
+    pub fn along_ray(&self, ray: &MediaRay, distances: &[f32; 8]) -> ([f32; 8], [f32; 8]) {
+        if let [interval] = &ray.intervals[..]
+            && !interval.varies
+        {
+            let extinction = luminance(interval.sigma_t);
+            return (distances.map(|t| extinction * (t - interval.start).max(0.0)), [luminance(interval.sigma_s); 8]);
+        }
+        let (mut depths, mut scattering) = ([0.0; 8], [0.0; 8]);
+        for (k, &t) in distances.iter().enumerate() {
+            let mut depth = Rgb::ZERO;
+            for interval in &ray.intervals {
+                if t <= interval.start {
+                    break;
+                }
+                depth += self.depth(ray, interval, interval.start, t.min(interval.end)).0;
+                if t <= interval.end {
+                    scattering[k] = luminance(self.coefficients(ray, interval, t).0);
+                }
+            }
+            depths[k] = luminance(depth);
+        }
+        (depths, scattering)
     }
 
     /// The event at a distance that was drawn by other means, `pdf` the density (1/m) that [`Media::draw`] gives it.

@@ -223,8 +223,7 @@ fn how(how: How) -> &'static str {
         How::Mirrored => "lamp met behind a mirror or glass",
         How::Scattered => "lamp met by scattering",
         How::Surface => "light drawn at a surface",
-        How::Collision => "light drawn at a collision",
-        How::Equiangular => "equiangular about a lamp",
+        How::Airlight => "airlight of a lamp",
         How::Glow => "glow of a medium",
     }
 }
@@ -275,8 +274,8 @@ impl Names<'_> {
             let steps = recording.steps[..*vertices].iter().map(|step| step.vertex);
             let mut path: Vec<VertexReport> =
                 steps.map(|it| vertex(self.on(on(self.prepared, it.place)), it.position)).collect();
-            if !matches!(origin.how, How::Surface | How::Collision | How::Glow) {
-                let end = if origin.how == How::Equiangular { self.on(origin.on) } else { OnReport::default() };
+            if !matches!(origin.how, How::Surface | How::Glow) {
+                let end = if origin.how == How::Airlight { self.on(origin.on) } else { OnReport::default() };
                 path.push(vertex(end, contribution.position));
             }
             path

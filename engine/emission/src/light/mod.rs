@@ -15,6 +15,7 @@ pub mod triangle;
 
 use crate::{Emission, Profile, Sides};
 pub use cone::Cone;
+use femc_math::color::luminance;
 use femc_math::elementary::double;
 use femc_math::glam::{DVec3, Vec3A};
 use femc_math::{Rgb, cross, gamma};
@@ -192,6 +193,16 @@ impl Light {
         matches!(self, Self::PhotometricPoint(_) | Self::PhotometricSolid(_))
     }
 
+    /// Luminous intensity, cd, in direction `dir` (unit, away from the light) where it is measured; `None` of other lights.
+    #[inline]
+    pub fn intensity(&self, dir: Vec3A) -> Option<f32> {
+        match self {
+            Self::PhotometricPoint(l) => Some(luminance(l.intensity(dir))),
+            Self::PhotometricSolid(l) => Some(luminance(l.intensity(dir))),
+            _ => None,
+        }
+    }
+
     /// Corners of a flat polygon in order, m; none of other shapes.
     pub fn corners(&self) -> Vec<Vec3A> {
         match self {
@@ -222,8 +233,11 @@ impl Light {
         each!(self, l => l.bounds())
     }
 
-    /// A point in the middle of the light, for sampling along rays, m.
+    /// A point in the middle of the light, of a flat one in its plane, m.
     pub fn center(&self) -> Vec3A {
+        if let Self::Triangle(triangle) = self {
+            return triangle.corners().iter().sum::<Vec3A>() / 3.0;
+        }
         let (low, high) = self.bounds();
         (low + high) * 0.5
     }

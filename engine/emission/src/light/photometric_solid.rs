@@ -167,6 +167,13 @@ impl PhotometricSolid {
         x * v.x + y * v.y + z * v.z
     }
 
+    /// Luminous intensity of the whole, cd, in the direction `dir` (unit, common frame, away from the light).
+    #[inline]
+    pub fn intensity(&self, dir: Vec3A) -> Rgb {
+        let local = Vec3A::new(dir.dot(self.axes[0]), dir.dot(self.axes[1]), dir.dot(self.axes[2]));
+        self.tint * self.distribution.intensity(local)
+    }
+
     /// Radiance, cd/m2, toward `dir` (unit, common frame, away from the light) from a point with outward normal `normal`.
     #[inline]
     pub fn radiance(&self, dir: Vec3A, normal: Vec3A) -> Rgb {

@@ -14,7 +14,9 @@ const BUCKETS: usize = 12;
 pub(super) struct Cluster {
     pub(super) low: Vec3A,
     pub(super) high: Vec3A,
+    center: Vec3A,
     pub(super) power: f32,
+    haze: f32,
     pub(super) intensity: f32,
     pub(super) cone: EmissionCone,
     pub(super) light: u32,
@@ -30,14 +32,18 @@ impl Cluster {
             2.0 * PI / (cone.exponent + 1.0) * if cone.two_sided { 2.0 } else { 1.0 }
         };
         let intensity = light.power / solid_angle;
-        Self { low: light.low, high: light.high, power: light.power, intensity, cone, light: index }
+        let &LightBounds { low, high, center, power, haze, .. } = light;
+        Self { low, high, center, power, haze, intensity, cone, light: index }
     }
 
     pub(super) fn join(self, other: &Self) -> Self {
+        let (low, high) = (self.low.min(other.low), self.high.max(other.high));
         Self {
-            low: self.low.min(other.low),
-            high: self.high.max(other.high),
+            low,
+            high,
+            center: (low + high) * 0.5,
             power: self.power + other.power,
+            haze: self.haze.min(other.haze),
             intensity: self.intensity + other.intensity,
             cone: self.cone.join(&other.cone),
             light: self.light,
@@ -45,16 +51,19 @@ impl Cluster {
     }
 
     pub(super) fn node(&self, children: u32, light: u32) -> Node {
+        // Of one light the middle need not be that of its box.
+        let radius2 = (self.high - self.center).max(self.center - self.low).length_squared();
         Node {
-            center: (self.low + self.high) * 0.5,
+            center: self.center,
             axis: self.cone.axis,
-            radius: (self.high - self.low).length() * 0.5,
-            radius2: (self.high - self.low).length_squared() * 0.25,
+            radius: radius2.sqrt(),
+            radius2,
             intensity: self.intensity,
             cos_normals: self.cone.cos_normals,
             sin_normals: sine(self.cone.cos_normals),
             exponent: self.cone.exponent,
             two_sided: self.cone.two_sided,
+            haze: self.haze,
             children,
             light,
             ranks: (0, 0),

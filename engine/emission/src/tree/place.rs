@@ -22,8 +22,21 @@ pub struct AtPoint {
     pub position: Vec3A,
     /// Unit normal of the side that light is scattered from; zero where light counts from all sides.
     pub normal: Vec3A,
-    /// Extinction of the haze that is everywhere, 1/m.
-    pub haze: f32,
+    /// How the surface scatters toward the viewer; `None`: no more is known than the normal.
+    pub lobes: Option<Lobes>,
+}
+
+/// How a surface scatters light toward a viewer, roughly: two lobes.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Lobes {
+    /// Luminance of the diffuse reflectance.
+    pub diffuse: f32,
+    /// Luminance of the glossy lobe's reflectance.
+    pub glossy: f32,
+    /// Its GGX roughness.
+    pub alpha: f32,
+    /// Unit, toward the viewer, in the frame of the point.
+    pub toward: Vec3A,
 }
 
 /// A segment of a ray in fog: light is wanted along all of it.
@@ -33,28 +46,36 @@ pub struct AlongSegment {
     pub origin: Vec3A,
     /// Unit direction.
     pub dir: Vec3A,
-    /// First and last distance on the ray, m; finite.
+    /// First and last distance on the ray of what is looked at closely, m; finite.
     pub range: (f32, f32),
-    /// Extinction of the haze that is everywhere, 1/m.
-    pub haze: f32,
+    /// Last distance at which light counts, m; may be infinite.
+    pub end: f32,
+    /// Angles at which a light's airlight is looked at, at least 1.
+    pub angles: u32,
+    /// Extinction on it, 1/m.
+    pub extinction: f32,
+    /// Schlick's parameter of the phase function there (\[blasi1993\]).
+    pub phase: f32,
 }
 
 /// A node: one light, or all lights below it.
 #[derive(Clone, Copy, Debug)]
 pub struct Node {
-    pub(super) center: Vec3A,
-    pub(super) axis: Vec3A,
+    pub(crate) center: Vec3A,
+    pub(crate) axis: Vec3A,
     /// Radius of the sphere around the lights, m.
-    pub(super) radius: f32,
+    pub(crate) radius: f32,
     /// Its square.
     pub(super) radius2: f32,
     /// Candela at the peak of the profile, summed.
-    pub(super) intensity: f32,
-    pub(super) cos_normals: f32,
-    pub(super) sin_normals: f32,
+    pub(crate) intensity: f32,
+    pub(crate) cos_normals: f32,
+    pub(crate) sin_normals: f32,
     /// Power of the cosine that the intensity follows.
-    pub(super) exponent: f32,
-    pub(super) two_sided: bool,
+    pub(crate) exponent: f32,
+    pub(crate) two_sided: bool,
+    /// Extinction of the media around the lights, 1/m.
+    pub(crate) haze: f32,
     /// Index of the first child, the second follows; [`LEAF`] in leaves.
     pub(super) children: u32,
     pub(super) light: u32,
@@ -74,6 +95,21 @@ pub(super) fn sine(cos: f32) -> f32 {
 }
 
 impl Node {
+    /// Radius of the sphere around its lights, m.
+    pub fn radius(&self) -> f32 {
+        self.radius
+    }
+
+    /// Extinction of the media around its lights, 1/m.
+    pub fn haze(&self) -> f32 {
+        self.haze
+    }
+
+    /// Index of its light, if it holds one alone.
+    pub fn light(&self) -> u32 {
+        self.light
+    }
+
     /// Whether a light of this rank is in the node.
     #[inline]
     pub(super) fn has(&self, rank: u32) -> bool {
@@ -82,7 +118,7 @@ impl Node {
 
     /// Whether the intensity is the same in every direction.
     #[inline]
-    fn is_everywhere(&self) -> bool {
+    pub(crate) fn is_everywhere(&self) -> bool {
         self.cos_normals <= -1.0
     }
 
@@ -164,8 +200,8 @@ impl Place for AtPoint {
             }
             importance *= cos.max(SLACK);
         }
-        if self.haze > 0.0 {
-            importance *= attenuation(self.haze * distance2.sqrt());
+        if node.haze > 0.0 {
+            importance *= attenuation(node.haze * distance2.sqrt());
         }
         importance
     }
@@ -194,7 +230,8 @@ impl Place for AlongSegment {
             intensity = intensity.max(0.5 * toward(t0).max(toward(t1)));
         }
         let importance = intensity * angle / h;
-        if self.haze > 0.0 { importance * attenuation(self.haze * (nearest + h - t0)) } else { importance }
+        let depth = self.extinction * (nearest - t0) + node.haze * h;
+        if depth > 0.0 { importance * attenuation(depth) } else { importance }
     }
 }
 
@@ -222,6 +259,7 @@ impl Node {
         sin_normals: 0.0,
         exponent: 1.0,
         two_sided: false,
+        haze: 0.0,
         children: LEAF,
         light: 0,
         ranks: (0, 0),

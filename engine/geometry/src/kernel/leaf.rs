@@ -2,7 +2,6 @@
 
 use super::{
     probe::Probe,
-    simd::{Simd, Vector},
     walk::{self, AnyLeaf, NearestLeaf},
 };
 use crate::{
@@ -11,6 +10,7 @@ use crate::{
     shape::Span,
     tree::{Child, Lanes, WIDTH},
 };
+use femc_simd::{Simd, Vector};
 
 /// The closest hit so far.
 #[derive(Clone, Copy, Debug)]

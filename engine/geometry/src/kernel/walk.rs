@@ -2,13 +2,11 @@
 
 use super::{
     probe::Probe,
-    simd::{
-        Simd, Vector,
-        stack::{Entry, Stack},
-    },
+    stack::{Entry, Stack},
 };
 use crate::tree::{Child, Node, Tree};
 use femc_math::gamma;
+use femc_simd::{Simd, Vector};
 
 /// What a nearest-first traversal does with a leaf.
 pub(crate) trait NearestLeaf {
@@ -82,7 +80,7 @@ pub(crate) fn nearest_first<S: Simd>(simd: S, tree: &Tree, probe: &Probe, limit:
                     continue;
                 }
             } else {
-                let count = simd.push(mask, distances, &node.children, &mut stack);
+                let count = stack.push(simd, mask, distances, &node.children);
                 stack.sort_top(count);
             }
         } else {
@@ -113,7 +111,7 @@ pub(crate) fn any<S: Simd>(simd: S, tree: &Tree, probe: &Probe, limit: f32, leaf
         if current.is_node() {
             let node = &tree.nodes[current.index()];
             let (mask, distances) = slabs.test(simd, node, limit);
-            simd.push(mask, distances, &node.children, &mut stack);
+            stack.push(simd, mask, distances, &node.children);
         } else if leaf.visit(current) {
             return true;
         }

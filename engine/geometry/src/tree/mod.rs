@@ -12,15 +12,11 @@ pub(crate) use collapse::{LeafRule, collapse};
 
 use crate::Aabb;
 
-/// Number of children of a node and of triangles in a leaf.
-pub(crate) const WIDTH: usize = 8;
+/// Eight numbers, one of each child or triangle; their number is the most children of a node and triangles in a leaf.
+pub(crate) use femc_simd::{Lanes, WIDTH};
+
 /// The most entries that a traversal's stack holds.
 pub(crate) const STACK: usize = 384;
-
-/// Eight floats, aligned for one vector load.
-#[derive(Clone, Copy, Debug)]
-#[repr(C, align(32))]
-pub(crate) struct Lanes(pub [f32; WIDTH]);
 
 /// A reference to a child: a node, or a leaf of one of two kinds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -266,6 +266,16 @@ impl Bsdf {
         }
     }
 
+    /// What reflects without being a delta, roughly: luminance of the diffuse reflectance, of the glossy reflectance toward `wo`, and
+    /// the roughness of that. `None` of surfaces without a glossy lobe, or through which light comes.
+    #[inline]
+    pub fn glossy_lobes(&self, wo: Vec3A) -> Option<(f32, f32, f32)> {
+        match self {
+            Self::Opaque(it) if !it.is_smooth() => Some(it.lobes(wo)),
+            _ => None,
+        }
+    }
+
     /// Directional albedo, reflected plus transmitted. Exact for diffuse and smooth parts; the few percent that single
     /// scattering loses in rough lobes are not taken off, nor is the square of the index ratio of refracted radiance.
     #[inline]

@@ -5,7 +5,7 @@
 
 use super::{BsdfSample, LobeKind, Sides, Transmitted, coat::Coat, onto_side};
 use crate::microfacet::{SMOOTH_ALPHA, reflect, reflection, sample_visible_normal};
-use femc_math::{Rgb, glam::Vec3A, warp};
+use femc_math::{Rgb, color::luminance, glam::Vec3A, warp};
 use std::f32::consts::FRAC_1_PI;
 
 /// An opaque surface with a diffuse and a specular part.
@@ -26,6 +26,13 @@ impl Opaque {
     #[inline]
     pub fn is_smooth(&self) -> bool {
         self.alpha <= SMOOTH_ALPHA
+    }
+
+    /// Luminance of the diffuse reflectance and of the specular reflectance toward `wo`, and the roughness.
+    #[inline]
+    pub fn lobes(&self, wo: Vec3A) -> (f32, f32, f32) {
+        let cos = wo.z.abs();
+        (luminance(self.rd * self.coat.left(cos)), luminance(self.coat.reflectance(cos)), self.alpha)
     }
 
     /// Probability of the specular lobe at `cos_o` = |wo.z|.

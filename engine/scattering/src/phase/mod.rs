@@ -78,6 +78,15 @@ impl Phase {
         PhaseSample { wi, pdf: self.eval(wo, wi) }
     }
 
+    /// Parameter of the Schlick phase function that is close to it (\[blasi1993\]); 0 of those that are not narrow.
+    pub fn schlick_parameter(&self) -> f32 {
+        match *self {
+            Self::Isotropic | Self::Rayleigh => 0.0,
+            Self::HenyeyGreenstein { g } => 1.55 * g - 0.55 * g * g * g,
+            Self::Schlick { k } => k,
+        }
+    }
+
     /// Mean cosine between propagation directions.
     pub fn mean_cosine(&self) -> f32 {
         match *self {

@@ -1,6 +1,9 @@
 //! The traversal's stack: distances and children packed into u64, ordered like the distances, which are not negative.
 
+#![expect(unsafe_code, reason = "measured: clearing the stack would cost as much as a ray")]
+
 use crate::tree::{Child, STACK, WIDTH};
+use femc_simd::Simd;
 use std::mem::MaybeUninit;
 
 /// A child and the distance of its box.
@@ -8,11 +11,6 @@ use std::mem::MaybeUninit;
 pub(crate) struct Entry(pub u64);
 
 impl Entry {
-    #[inline(always)]
-    pub fn new(distance: f32, child: Child) -> Self {
-        Self(u64::from(distance.to_bits()) << 32 | u64::from(child.0))
-    }
-
     #[inline(always)]
     pub fn child(self) -> Child {
         Child(self.0 as u32)
@@ -36,25 +34,16 @@ impl Stack {
         Self { entries: [const { MaybeUninit::uninit() }; STACK], len: 0 }
     }
 
+    /// Pushes the children whose bit in `mask` is set, with their distances; returns how many.
     #[inline(always)]
-    pub fn push(&mut self, entry: Entry) {
-        self.entries[self.len].write(entry.0);
-        self.len += 1;
-    }
-
-    /// Room for [`WIDTH`] entries at the top.
-    #[inline(always)]
-    pub fn room(&mut self) -> &mut [MaybeUninit<u64>; WIDTH] {
-        self.entries[self.len..].first_chunk_mut::<WIDTH>().expect("trees are built to fit the stack")
-    }
-
-    /// Takes the first `count` entries of the room into the stack.
-    ///
-    /// # Safety
-    /// They must have been initialised, and `count` be at most [`WIDTH`].
-    #[inline(always)]
-    pub unsafe fn take(&mut self, count: usize) {
+    pub fn push<S: Simd>(&mut self, simd: S, mask: u32, distances: S::V, children: &[Child; WIDTH]) -> usize {
+        let room = self.entries[self.len..].first_chunk_mut::<WIDTH>().expect("trees are built to fit the stack");
+        // SAFETY: a child is transparent over u32.
+        let children = unsafe { &*children.as_ptr().cast::<[u32; WIDTH]>() };
+        // So many entries of the room are initialised, and `len` counts those.
+        let count = simd.compress(mask, distances, children, room);
         self.len += count;
+        count
     }
 
     #[inline(always)]

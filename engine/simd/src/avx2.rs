@@ -1,9 +1,9 @@
 //! AVX2: one register a vector, no fused multiply-add.
 
-use super::{Simd, Task, Vector, stack::Stack};
-use crate::tree::{Child, Lanes, WIDTH};
+use super::{Lanes, Simd, Task, Vector, WIDTH, sealed::Sealed};
 use std::{
     arch::x86_64::*,
+    mem::MaybeUninit,
     ops::{Add, BitAnd, BitOr, Div, Mul, Sub},
 };
 
@@ -94,6 +94,16 @@ impl Vector for Floats {
         equal _mm256_cmp_ps::<_CMP_EQ_OQ>;
     }
     #[inline(always)]
+    fn sqrt(self) -> Self {
+        // SAFETY: vectors are made from a token, which proves AVX2.
+        Self(unsafe { _mm256_sqrt_ps(self.0) })
+    }
+    #[inline(always)]
+    fn select(self, yes: Self, no: Self) -> Self {
+        // SAFETY: vectors are made from a token, which proves AVX2.
+        Self(unsafe { _mm256_blendv_ps(no.0, yes.0, self.0) })
+    }
+    #[inline(always)]
     fn signs(self) -> u32 {
         // SAFETY: vectors are made from a token, which proves AVX2.
         unsafe { _mm256_movemask_ps(self.0) as u32 }
@@ -106,6 +116,8 @@ impl Vector for Floats {
         lanes
     }
 }
+
+impl Sealed for Token {}
 
 impl Simd for Token {
     type V = Floats;
@@ -120,23 +132,20 @@ impl Simd for Token {
         Floats(unsafe { _mm256_load_ps(lanes.0.as_ptr()) })
     }
     #[inline(always)]
-    fn push(self, mask: u32, distances: Floats, children: &[Child; WIDTH], stack: &mut Stack) -> usize {
+    fn compress(self, mask: u32, high: Floats, low: &[u32; WIDTH], room: &mut [MaybeUninit<u64>; WIDTH]) -> usize {
         let mask = mask & 255;
-        let count = mask.count_ones() as usize;
-        let room = stack.room().as_mut_ptr().cast::<__m256i>();
-        // SAFETY: the token proves AVX2. `children` is eight u32 (Child is transparent); the room is eight u64, written whole, so
-        // the first `count` <= 8 are initialised.
+        let room = room.as_mut_ptr().cast::<__m256i>();
+        // SAFETY: the token proves AVX2. `low` is eight u32; the room is eight u64, written whole.
         unsafe {
             let places = _mm256_cvtepu8_epi32(_mm_cvtsi64_si128(COMPRESS[mask as usize] as i64));
-            let children = _mm256_loadu_si256(children.as_ptr().cast());
-            let children = _mm256_permutevar8x32_epi32(children, places);
-            let distances = _mm256_permutevar8x32_epi32(_mm256_castps_si256(distances.0), places);
-            let even = _mm256_unpacklo_epi32(children, distances);
-            let odd = _mm256_unpackhi_epi32(children, distances);
+            let low = _mm256_loadu_si256(low.as_ptr().cast());
+            let low = _mm256_permutevar8x32_epi32(low, places);
+            let high = _mm256_permutevar8x32_epi32(_mm256_castps_si256(high.0), places);
+            let even = _mm256_unpacklo_epi32(low, high);
+            let odd = _mm256_unpackhi_epi32(low, high);
             _mm256_storeu_si256(room, _mm256_permute2x128_si256::<0x20>(even, odd));
             _mm256_storeu_si256(room.add(1), _mm256_permute2x128_si256::<0x31>(even, odd));
-            stack.take(count);
         }
-        count
+        mask.count_ones() as usize
     }
 }

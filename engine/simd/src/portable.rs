@@ -1,10 +1,7 @@
 //! The portable twin: plain arrays, of which the compiler makes what vectors it can (SSE2, NEON).
 
-use super::{
-    Simd, Vector,
-    stack::{Entry, Stack},
-};
-use crate::tree::{Child, Lanes, WIDTH};
+use super::{Lanes, Simd, Vector, WIDTH, sealed::Sealed};
+use std::mem::MaybeUninit;
 use std::ops::{Add, BitAnd, BitOr, Div, Mul, Sub};
 
 /// Plain arrays: the compiler makes what vectors it can of them.
@@ -67,6 +64,14 @@ impl Vector for Floats {
         zip(self, other, |a, b| truth(a == b))
     }
     #[inline(always)]
+    fn sqrt(self) -> Self {
+        Self(self.0.map(f32::sqrt))
+    }
+    #[inline(always)]
+    fn select(self, yes: Self, no: Self) -> Self {
+        Self(std::array::from_fn(|i| if self.0[i].to_bits() >> 31 == 1 { yes.0[i] } else { no.0[i] }))
+    }
+    #[inline(always)]
     fn signs(self) -> u32 {
         self.0.iter().enumerate().fold(0, |m, (i, x)| m | (x.to_bits() >> 31) << i)
     }
@@ -75,6 +80,8 @@ impl Vector for Floats {
         Lanes(self.0)
     }
 }
+
+impl Sealed for Token {}
 
 impl Simd for Token {
     type V = Floats;
@@ -87,11 +94,13 @@ impl Simd for Token {
         Floats(lanes.0)
     }
     #[inline(always)]
-    fn push(self, mut mask: u32, distances: Floats, children: &[Child; WIDTH], stack: &mut Stack) -> usize {
-        let count = mask.count_ones() as usize;
+    fn compress(self, mask: u32, high: Floats, low: &[u32; WIDTH], room: &mut [MaybeUninit<u64>; WIDTH]) -> usize {
+        let mut mask = mask & 255;
+        let mut count = 0;
         while mask != 0 {
             let lane = mask.trailing_zeros() as usize % WIDTH;
-            stack.push(Entry::new(distances.0[lane], children[lane]));
+            room[count % WIDTH].write(u64::from(high.0[lane].to_bits()) << 32 | u64::from(low[lane]));
+            count += 1;
             mask &= mask - 1;
         }
         count

@@ -1,0 +1,324 @@
+//! Lights side by side in vectors, to be weighed all at once.
+
+use super::approx::narrowing;
+use crate::tree::Node;
+use femc_math::glam::Vec3A;
+use femc_simd::{Lanes, Level, Simd, Task, Vector, WIDTH};
+
+/// Lights at most that are weighed one by one.
+pub const MOST: usize = 128;
+/// Cosines of bounds are trusted up to this much: rounding shall not lose a light.
+const SLACK: f32 = 1e-3;
+/// No weight is more: the sum of all stays finite.
+const HEAVIEST: f32 = 1e30;
+
+/// Eight lights. In lanes without one the intensity is 0.
+#[derive(Clone, Debug)]
+struct Block {
+    center: [Lanes; 3],
+    radius: Lanes,
+    axis: [Lanes; 3],
+    /// How far the middle may be from the plane that is the border of what the light sees: its radius, 0 of a flat light.
+    border: Lanes,
+    /// Candela at the peak of the profile.
+    intensity: Lanes,
+    exponent: Lanes,
+    cos_normals: Lanes,
+    sin_normals: Lanes,
+    /// Masks.
+    two_sided: Lanes,
+    everywhere: Lanes,
+    haze: Lanes,
+    /// Whether each is flat, or sends light everywhere.
+    all_flat: bool,
+    /// Whether the intensity of each follows the cosine itself.
+    all_lambertian: bool,
+}
+
+/// A mask as a lane.
+fn mask(is_set: bool) -> f32 {
+    f32::from_bits(if is_set { u32::MAX } else { 0 })
+}
+
+impl Block {
+    fn of(lights: &[Node]) -> Self {
+        let lanes = |of: &dyn Fn(&Node) -> f32| Lanes(std::array::from_fn(|k| lights.get(k).map_or(0.0, of)));
+        let vector = |of: &dyn Fn(&Node) -> Vec3A| [0, 1, 2].map(|axis| lanes(&|light| of(light)[axis]));
+        Self {
+            center: vector(&|light| light.center),
+            radius: lanes(&|light| light.radius),
+            axis: vector(&|light| light.axis),
+            border: lanes(&|light| if light.cos_normals >= 1.0 { 0.0 } else { light.radius }),
+            intensity: lanes(&|light| light.intensity.min(HEAVIEST)),
+            exponent: lanes(&|light| light.exponent),
+            cos_normals: lanes(&|light| light.cos_normals),
+            sin_normals: lanes(&|light| light.sin_normals),
+            two_sided: lanes(&|light| mask(light.two_sided)),
+            everywhere: lanes(&|light| mask(light.is_everywhere())),
+            haze: lanes(&|light| light.haze),
+            all_flat: lights.iter().all(|light| light.cos_normals >= 1.0 || light.is_everywhere()),
+            all_lambertian: lights.iter().all(|light| light.exponent <= 1.0 || light.is_everywhere()),
+        }
+    }
+}
+
+/// The lights.
+#[derive(Clone, Debug)]
+pub struct Flat {
+    blocks: Vec<Block>,
+    level: Level,
+}
+
+/// Weights of the lights for one place.
+#[derive(Clone, Debug)]
+pub struct Weights {
+    lanes: [Lanes; MOST / WIDTH],
+    /// Sums of the blocks' lanes.
+    sums: [f64; MOST / WIDTH],
+    blocks: usize,
+    total: f64,
+}
+
+impl Default for Weights {
+    fn default() -> Self {
+        Self { lanes: [Lanes::ZERO; MOST / WIDTH], sums: [0.0; MOST / WIDTH], blocks: 0, total: 0.0 }
+    }
+}
+
+impl Weights {
+    fn close(&mut self, blocks: usize) {
+        self.blocks = blocks;
+        self.total = 0.0;
+        for (sum, lanes) in self.sums.iter_mut().zip(&self.lanes[..blocks]) {
+            let l = lanes.0.map(f64::from);
+            *sum = ((l[0] + l[1]) + (l[2] + l[3])) + ((l[4] + l[5]) + (l[6] + l[7]));
+            self.total += *sum;
+        }
+    }
+
+    /// Draws a light by `u` in [0, 1): its number and probability > 0. `None` where no light has a weight.
+    #[inline]
+    pub fn choose(&self, u: f64) -> Option<(usize, f32)> {
+        let mut rest = u * self.total;
+        let mut chosen = None;
+        for (block, &sum) in self.sums[..self.blocks].iter().enumerate() {
+            if sum > 0.0 {
+                chosen = Some((block, rest));
+                if rest < sum {
+                    break;
+                }
+            }
+            rest -= sum;
+        }
+        let (block, mut rest) = chosen?;
+        let mut light = None;
+        for (lane, &weight) in self.lanes[block].0.iter().enumerate() {
+            let weight = f64::from(weight);
+            if weight > 0.0 {
+                light = Some((block * WIDTH + lane, weight));
+                if rest < weight {
+                    break;
+                }
+            }
+            rest -= weight;
+        }
+        let (light, weight) = light?;
+        Some((light, (weight / self.total) as f32)).filter(|&(_, probability)| probability > 0.0)
+    }
+
+    /// Probability with which [`Self::choose`] draws a light.
+    #[inline]
+    pub fn probability(&self, light: usize) -> f32 {
+        let weight = f64::from(self.lanes[light / WIDTH].0[light % WIDTH]);
+        if weight > 0.0 { (weight / self.total) as f32 } else { 0.0 }
+    }
+}
+
+impl Flat {
+    pub fn new(lights: &[Node]) -> Self {
+        debug_assert!(lights.len() <= MOST);
+        Self { blocks: lights.chunks(WIDTH).map(Block::of).collect(), level: Level::detect() }
+    }
+
+    /// The same by plain arrays, for tests.
+    #[cfg(test)]
+    pub fn portable(self) -> Self {
+        Self { level: Level::PORTABLE, ..self }
+    }
+
+    /// Weighs every light for a place.
+    #[inline]
+    pub fn weigh<W: Weigh>(&self, place: &W, out: &mut Weights) {
+        self.level.run(Sweep { blocks: &self.blocks, place, out });
+    }
+
+    /// The instruction set to use.
+    pub fn level(&self) -> Level {
+        self.level
+    }
+
+    /// Sum over the lights of their probability in `weights`, times a function of the direction and distance to their middle.
+    #[inline]
+    pub fn mixture<M: Mixture>(&self, weights: &Weights, of: &M) -> f32 {
+        self.level.run(Mix { blocks: &self.blocks, weights, of })
+    }
+}
+
+/// What lights are worth to a place.
+pub trait Weigh {
+    /// Weights of eight lights, >= 0; 0 only where a light can send nothing. `#[inline(always)]`.
+    fn weigh<S: Simd>(&self, simd: S, lights: &Seen<S>) -> S::V;
+}
+
+/// A function of the middle of a light.
+pub trait Mixture {
+    /// Its value for eight lights' middles. `#[inline(always)]`.
+    fn value<S: Simd>(&self, simd: S, center: [S::V; 3]) -> S::V;
+}
+
+/// Eight lights in vectors.
+pub struct Seen<S: Simd> {
+    simd: S,
+    pub center: [S::V; 3],
+    pub radius: S::V,
+    pub axis: [S::V; 3],
+    border: S::V,
+    pub intensity: S::V,
+    exponent: S::V,
+    cos_normals: S::V,
+    sin_normals: S::V,
+    two_sided: S::V,
+    everywhere: S::V,
+    /// Extinction of the media around each, 1/m.
+    pub haze: S::V,
+    all_flat: bool,
+    all_lambertian: bool,
+}
+
+impl<S: Simd> Seen<S> {
+    #[inline(always)]
+    fn new(simd: S, block: &Block) -> Self {
+        let load = |lanes: &Lanes| simd.load(lanes);
+        let vector = |lanes: &[Lanes; 3]| [load(&lanes[0]), load(&lanes[1]), load(&lanes[2])];
+        Self {
+            simd,
+            center: vector(&block.center),
+            radius: load(&block.radius),
+            axis: vector(&block.axis),
+            border: load(&block.border),
+            intensity: load(&block.intensity),
+            exponent: load(&block.exponent),
+            cos_normals: load(&block.cos_normals),
+            sin_normals: load(&block.sin_normals),
+            two_sided: load(&block.two_sided),
+            everywhere: load(&block.everywhere),
+            haze: load(&block.haze),
+            all_flat: block.all_flat,
+            all_lambertian: block.all_lambertian,
+        }
+    }
+
+    /// Share of the intensity that is sent, at most, in directions from the light whose cosine with its axis is `cos`, where `inverse` is
+    /// one over the distance, 1/m; 0 only where it sends nothing there. As numerator and denominator, for a division costs more than
+    /// all the rest.
+    #[inline(always)]
+    pub fn profile(&self, cos: S::V, inverse: S::V) -> [S::V; 2] {
+        let c = |x| self.simd.splat(x);
+        let (zero, one) = (c(0.0), c(1.0));
+        let cos = self.two_sided.select(cos.max(zero - cos), cos).min(one);
+        let subtended = (self.radius * inverse).min(one);
+        let (off, border) = if self.all_flat {
+            (cos, zero)
+        } else {
+            let sin = (one - cos * cos).max(zero).sqrt();
+            let off = self.cos_normals.le(cos).select(one, cos * self.cos_normals + sin * self.sin_normals);
+            (off, (self.border * inverse).min(one))
+        };
+        let is_seen = c(-SLACK).lt(off + border);
+        // Beside a light that is near some of it is seen under a better angle than its middle.
+        let cos = (off.max(zero) + c(0.5) * subtended).min(one).max(c(SLACK));
+        let whole = self.everywhere;
+        let numerator = whole.select(one, is_seen.select(cos, zero));
+        if self.all_lambertian {
+            return [numerator, one];
+        }
+        [numerator, whole.select(one, narrowing(self.simd, cos, self.exponent - one))]
+    }
+
+    /// Mask of the lights that send something to one of two places at `a` and `b`, or to a place between them, given from the lights' middles.
+    #[inline(always)]
+    pub fn faces(&self, a: [S::V; 3], b: [S::V; 3]) -> S::V {
+        let c = |x| self.simd.splat(x);
+        let (front, behind) = (dot(self.axis, a), dot(self.axis, b));
+        let reach = dot(a, a).max(dot(b, b)).sqrt() * c(SLACK) + self.border;
+        let most = front.max(behind);
+        let most = self.two_sided.select(most.max(c(0.0) - front.min(behind)), most);
+        let wide = self.cos_normals.lt(c(1.0));
+        (c(0.0) - reach).lt(most) | wide
+    }
+}
+
+#[inline(always)]
+pub fn dot<V: Vector>(a: [V; 3], b: [V; 3]) -> V {
+    a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+}
+
+#[inline(always)]
+pub fn minus<V: Vector>(a: [V; 3], b: [V; 3]) -> [V; 3] {
+    [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
+}
+
+/// `a + b scale`.
+#[inline(always)]
+pub fn plus<V: Vector>(a: [V; 3], b: [V; 3], scale: V) -> [V; 3] {
+    [a[0] + b[0] * scale, a[1] + b[1] * scale, a[2] + b[2] * scale]
+}
+
+/// A vector in all lanes.
+#[inline(always)]
+pub fn splat<S: Simd>(simd: S, v: Vec3A) -> [S::V; 3] {
+    [simd.splat(v.x), simd.splat(v.y), simd.splat(v.z)]
+}
+
+struct Sweep<'a, W> {
+    blocks: &'a [Block],
+    place: &'a W,
+    out: &'a mut Weights,
+}
+
+impl<W: Weigh> Task for Sweep<'_, W> {
+    type Output = ();
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) {
+        for (block, out) in self.blocks.iter().zip(&mut self.out.lanes) {
+            let weights = self.place.weigh(simd, &Seen::new(simd, block));
+            *out = weights.max(simd.splat(0.0)).min(simd.splat(HEAVIEST)).lanes();
+        }
+        self.out.close(self.blocks.len());
+    }
+}
+
+struct Mix<'a, M> {
+    blocks: &'a [Block],
+    weights: &'a Weights,
+    of: &'a M,
+}
+
+impl<M: Mixture> Task for Mix<'_, M> {
+    type Output = f32;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> f32 {
+        let mut sum = simd.splat(0.0);
+        for (block, weights) in self.blocks.iter().zip(&self.weights.lanes) {
+            let center = [simd.load(&block.center[0]), simd.load(&block.center[1]), simd.load(&block.center[2])];
+            let weights = simd.load(weights);
+            let value = simd.splat(0.0).lt(weights).select(weights * self.of.value(simd, center), simd.splat(0.0));
+            sum = sum + value;
+        }
+        let l = sum.lanes().0;
+        let sum = ((l[0] + l[1]) + (l[2] + l[3])) + ((l[4] + l[5]) + (l[6] + l[7]));
+        if self.weights.total > 0.0 { (f64::from(sum) / self.weights.total) as f32 } else { 0.0 }
+    }
+}

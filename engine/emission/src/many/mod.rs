@@ -1,0 +1,148 @@
+//! Choice of one light among many.
+//!
+//! Few lights are weighed one by one, all at once ([`flat`]): by the light that they send to a point ([`point`]) or that fog scatters on a
+//! segment ([`segment`]), unhindered. The weights are kept, so that what multiple importance sampling asks for later, at the same place,
+//! is read from them. Of more lights than [`flat::MOST`] one is chosen by the tree.
+
+pub(crate) mod approx;
+mod flat;
+mod point;
+mod segment;
+mod toward;
+
+use crate::tree::{Front, LightBounds, LightTree, Node, Place};
+use femc_math::glam::Vec3A;
+use femc_simd::Level;
+use flat::{Flat, MOST, Weigh, Weights};
+
+pub use toward::FromPoint;
+
+/// A place that wants light.
+pub trait Wanting: Place + Weigh {}
+impl<P: Place + Weigh> Wanting for P {}
+
+/// All lights of a scene.
+#[derive(Clone, Debug)]
+pub struct ManyLights {
+    tree: LightTree,
+    /// The lights from left to right in the tree if they are few, else clusters of them.
+    flat: Flat,
+    /// What the lanes of `flat` hold.
+    nodes: Vec<Node>,
+    /// Their middles.
+    centers: Vec<Vec3A>,
+    /// The light of each lane, if each holds one.
+    lights: Option<Vec<u32>>,
+    /// The only light.
+    sole: Option<u32>,
+}
+
+/// What the lights are worth to one place.
+#[derive(Clone, Debug, Default)]
+pub struct Choice {
+    weights: Weights,
+    front: Option<Front>,
+}
+
+impl Default for ManyLights {
+    fn default() -> Self {
+        Self::new(&[])
+    }
+}
+
+impl ManyLights {
+    /// Of lights whose indices it gives out. Those without power, or with bounds that are not finite, are never chosen.
+    pub fn new(lights: &[LightBounds]) -> Self {
+        let tree = LightTree::new(lights);
+        let leaves = tree.leaves();
+        let is_few = leaves.len() <= MOST;
+        let nodes = if is_few { leaves } else { tree.cut(MOST) };
+        let each: Vec<u32> = nodes.iter().map(Node::light).collect();
+        Self {
+            flat: Flat::new(&nodes),
+            centers: nodes.iter().map(|node| node.center).collect(),
+            sole: match each[..] {
+                [sole] if is_few => Some(sole),
+                _ => None,
+            },
+            lights: is_few.then_some(each),
+            nodes,
+            tree,
+        }
+    }
+
+    /// Whether no light can be chosen.
+    pub fn is_empty(&self) -> bool {
+        self.nodes.is_empty()
+    }
+
+    /// Weighs the lights for `place`.
+    #[inline]
+    pub fn weigh(&self, place: &impl Wanting, choice: &mut Choice) {
+        if self.sole.is_some() {
+        } else if self.lights.is_some() {
+            self.flat.weigh(place, &mut choice.weights);
+        } else {
+            choice.front = Some(self.tree.front(place));
+        }
+    }
+
+    /// Chooses a light by `u` in [0, 1): its index and probability > 0. `None`: no light can send anything.
+    /// - `choice`: as [`Self::weigh`] made it for the same place.
+    #[inline]
+    pub fn choose(&self, choice: &Choice, place: &impl Wanting, u: f64) -> Option<(u32, f32)> {
+        if let Some(sole) = self.sole {
+            return Some((sole, 1.0));
+        }
+        match &self.lights {
+            Some(lights) => choice.weights.choose(u).map(|(lane, probability)| (lights[lane], probability)),
+            None => self.tree.choose_from(choice.front.as_ref()?, place, u),
+        }
+    }
+
+    /// Probability with which [`Self::choose`] chooses `light`.
+    #[inline]
+    pub fn probability(&self, choice: &Choice, place: &impl Wanting, light: u32) -> f32 {
+        if let Some(sole) = self.sole {
+            return f32::from(u8::from(light == sole));
+        }
+        let Some(rank) = self.tree.rank(light) else { return 0.0 };
+        match (&self.lights, &choice.front) {
+            (Some(_), _) => choice.weights.probability(rank),
+            (None, Some(front)) => self.tree.probability_from(front, place, light),
+            (None, None) => 0.0,
+        }
+    }
+
+    /// Weighs the lights, or clusters of them, for a path that goes on from a point in fog.
+    #[inline]
+    pub fn weigh_directions(&self, from: &FromPoint, weights: &mut Choice) {
+        self.flat.weigh(from, &mut weights.weights);
+    }
+
+    /// Draws a direction that passes near lights. `None` where there are none.
+    #[inline]
+    pub fn sample_direction(&self, from: &FromPoint, weights: &Choice, choice: f64, u: [f32; 2]) -> Option<Vec3A> {
+        from.sample(&self.centers, &weights.weights, choice, u)
+    }
+
+    /// Density of [`Self::sample_direction`], 1/sr.
+    #[inline]
+    pub fn direction_pdf(&self, from: &FromPoint, weights: &Choice, dir: Vec3A) -> f32 {
+        from.pdf(&self.flat, &weights.weights, dir)
+    }
+
+    /// The instruction set that weighs them.
+    pub fn level(&self) -> Level {
+        self.flat.level()
+    }
+
+    /// What the tree knows of one light; `None` if it is never chosen.
+    #[inline]
+    pub fn node(&self, light: u32) -> Option<&Node> {
+        self.tree.leaf(light)
+    }
+}
+
+#[cfg(test)]
+mod tests;

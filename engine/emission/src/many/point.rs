@@ -1,0 +1,72 @@
+//! What lights are worth to a point: what they send there unhindered, times what is scattered on.
+
+use super::approx::growth;
+use super::flat::{Seen, Weigh, dot, minus, splat};
+use crate::tree::{AtPoint, Lobes};
+use femc_math::glam::Vec3A;
+use femc_simd::{Simd, Vector};
+use std::f32::consts::FRAC_1_PI;
+
+/// Cosines below this count as this much: bounds are trusted up to rounding.
+const SLACK: f32 = 1e-3;
+
+impl Weigh for AtPoint {
+    #[inline(always)]
+    fn weigh<S: Simd>(&self, simd: S, lights: &Seen<S>) -> S::V {
+        let c = |x| simd.splat(x);
+        let (zero, one) = (c(0.0), c(1.0));
+        let position = splat(simd, self.position);
+        let toward = minus(lights.center, position);
+        let distance2 = dot(toward, toward);
+        let least2 = (lights.radius * lights.radius).max(c(1e-20));
+        let bounded2 = distance2.max(least2);
+        let distance = bounded2.sqrt();
+        let inverse = one / distance;
+        let [profile, below] = lights.profile((zero - dot(lights.axis, toward)) * inverse, inverse);
+        let mut weight = lights.intensity * profile;
+        if self.normal != Vec3A::ZERO {
+            let sin = (lights.radius * inverse).min(one);
+            let cos = dot(splat(simd, self.normal), toward) * inverse;
+            let bound = cos * (one - sin * sin).max(zero).sqrt() + sin;
+            let lit = bound.min(one).max(c(SLACK));
+            let value = match &self.lobes {
+                None => lit,
+                Some(lobes) => scattered(simd, lobes, self.normal, toward, inverse, lit, sin),
+            };
+            weight = c(-SLACK).lt(bound).select(weight * value, zero);
+        }
+        weight / (below * bounded2 * growth(simd, lights.haze * distance))
+    }
+}
+
+/// Luminance that the lobes send on of light from `toward` (not unit), 1/sr, times the cosine.
+/// - `cos`: of the light, > 0; `sin`: of the angle that its radius subtends.
+#[inline(always)]
+fn scattered<S: Simd>(
+    simd: S,
+    lobes: &Lobes,
+    normal: Vec3A,
+    toward: [S::V; 3],
+    inverse: S::V,
+    cos: S::V,
+    sin: S::V,
+) -> S::V {
+    let c = |x| simd.splat(x);
+    let diffuse = c(lobes.diffuse * FRAC_1_PI) * cos;
+    if lobes.glossy <= 0.0 {
+        return diffuse;
+    }
+    // A microfacet lobe (\[walter2007\]) as wide as its roughness and half the light's angle together.
+    let cos_o = lobes.toward.dot(normal).max(SLACK);
+    let between = dot(splat(simd, lobes.toward), toward) * inverse;
+    let half = c(cos_o) + cos;
+    let cos_h2 = (half * half / (c(2.0) + c(2.0) * between).max(c(1e-12))).min(c(1.0));
+    let alpha2 = c(lobes.alpha * lobes.alpha) + c(0.25) * sin * sin;
+    let t = (c(1.0) - cos_h2) + alpha2 * cos_h2;
+    let normals = alpha2 / (c(std::f32::consts::PI) * t * t);
+    let rough2 = lobes.alpha * lobes.alpha;
+    let root_o = (rough2 + (1.0 - rough2) * cos_o * cos_o).sqrt();
+    let root_i = (c(rough2) + c(1.0 - rough2) * cos * cos).sqrt();
+    let masked = c(0.5) * cos / (cos * c(root_o) + c(cos_o) * root_i);
+    diffuse + c(lobes.glossy) * normals.min(c(1e12)) * masked + c(1e-4) * cos
+}

@@ -1,0 +1,98 @@
+//! Directions toward lights in fog: what was scattered is best scattered on where it will pass near one.
+//!
+//! Of light that a point source sends into fog, what a ray at an angle theta from it meets is proportional to `(pi - theta) / sin(theta)`
+//! where nothing is lost: the integral of 1 / distance^2 along the ray. That over solid angle, `(pi - theta) / (pi^3 sin(theta))`, is
+//! a density, and its angle is drawn in closed form.
+
+use super::approx::{arc_sine, attenuation};
+use super::flat::{Flat, Mixture, Seen, Weigh, Weights, dot, minus, plus, splat};
+use femc_math::Frame;
+use femc_math::elementary::sin_cos;
+use femc_math::glam::Vec3A;
+use femc_simd::{Simd, Vector};
+use std::f32::consts::{PI, TAU};
+
+/// A point in fog from which a path goes on.
+#[derive(Clone, Copy, Debug)]
+pub struct FromPoint {
+    /// m.
+    pub position: Vec3A,
+    /// Direction that the light is scattered to, unit: back along the path.
+    pub toward: Vec3A,
+    /// Extinction there, 1/m.
+    pub extinction: f32,
+    /// Schlick's parameter of the phase function.
+    pub phase: f32,
+}
+
+impl Weigh for FromPoint {
+    /// Intensity over distance, dimmed, times the phase function toward the middle, widened: the ray passes at some angle.
+    #[inline(always)]
+    fn weigh<S: Simd>(&self, simd: S, lights: &Seen<S>) -> S::V {
+        let c = |x| simd.splat(x);
+        let position = splat(simd, self.position);
+        let toward = minus(lights.center, position);
+        let distance2 = dot(toward, toward).max(lights.radius * lights.radius).max(c(1e-20));
+        let distance = distance2.sqrt();
+        let inverse = c(1.0) / distance;
+        // Light comes along -toward and leaves along self.toward.
+        let cos = (c(0.0) - dot(splat(simd, self.toward), toward)) * inverse;
+        let k = self.phase;
+        let lobe = c(1.0) / (c(1.0) - c(k) * cos);
+        let [profile, below] = lights.profile((c(0.0) - dot(lights.axis, toward)) * inverse, inverse);
+        lights.intensity
+            * inverse
+            * attenuation(simd, c(self.extinction) * distance)
+            * lobe
+            * lobe
+            * (c(0.2) + profile / below)
+    }
+}
+
+/// Density of a direction about the direction to a light's middle.
+struct About {
+    position: Vec3A,
+    dir: Vec3A,
+}
+
+impl Mixture for About {
+    #[inline(always)]
+    fn value<S: Simd>(&self, simd: S, center: [S::V; 3]) -> S::V {
+        let c = |x| simd.splat(x);
+        let (position, dir) = (splat(simd, self.position), splat(simd, self.dir));
+        let toward = minus(center, position);
+        let inverse = c(1.0) / dot(toward, toward).max(c(1e-20)).sqrt();
+        let axis = [toward[0] * inverse, toward[1] * inverse, toward[2] * inverse];
+        // Half chords to the axis and to its opposite: sine and cosine of half the angle.
+        let chord = minus(dir, axis);
+        let other = plus(dir, axis, c(1.0));
+        let sin = c(0.5) * dot(chord, chord).sqrt();
+        let cos = c(0.5) * dot(other, other).sqrt();
+        // Half of pi - theta is the arc sine of cos; of theta that of sin: the smaller one is exact.
+        let is_near = sin.lt(cos);
+        let arc = arc_sine(simd, is_near.select(sin, cos).min(c(1.0)));
+        let left = is_near.select(c(PI) - c(2.0) * arc, c(2.0) * arc);
+        left / (c(2.0 * PI * PI * PI) * (sin * cos).max(c(1e-12)))
+    }
+}
+
+impl FromPoint {
+    /// Draws a direction by `choice` and `u`, all in [0, 1), among those that pass near lights of `weights`. `None` where none has a weight.
+    #[inline]
+    pub fn sample(&self, centers: &[Vec3A], weights: &Weights, choice: f64, u: [f32; 2]) -> Option<Vec3A> {
+        let (light, _) = weights.choose(choice)?;
+        let axis = (centers[light] - self.position).normalize_or(Vec3A::Z);
+        // The distribution function of the angle is 1 - (1 - theta / pi)^2.
+        let theta = PI * u[0] / (1.0 + (1.0 - u[0]).sqrt());
+        let (sin, cos) = sin_cos(theta);
+        let (sin_azimuth, cos_azimuth) = sin_cos(TAU * u[1]);
+        let local = Vec3A::new(sin * cos_azimuth, sin * sin_azimuth, cos);
+        Some(Frame::from_normal(axis).to_world(local).normalize())
+    }
+
+    /// Density of [`Self::sample`], 1/sr.
+    #[inline]
+    pub fn pdf(&self, lights: &Flat, weights: &Weights, dir: Vec3A) -> f32 {
+        lights.mixture(weights, &About { position: self.position, dir })
+    }
+}

@@ -1,0 +1,78 @@
+//! Distances on a stretch of a ray by the light of one source that fog scatters there.
+
+use crate::lights::Lights;
+use crate::media::{Distance, Event, Media, MediaRay};
+use femc_emission::{Airlight, Along, AlongSegment, Beside, Source};
+use femc_geometry::World;
+
+/// Most of the distances that transmittance may draw.
+const MOST_BY_TRANSMITTANCE: f32 = 0.8;
+
+/// Share of the distances that transmittance draws at least where the stretch goes on behind what is looked at closely.
+const LEAST_BEHIND: f32 = 0.02;
+
+/// A stretch of a ray.
+#[derive(Clone, Copy)]
+pub struct Stretch<'a> {
+    /// As the choice of a light wants it.
+    pub wanted: &'a AlongSegment,
+    /// The media.
+    pub media: &'a Media,
+    /// Those of the ray.
+    pub ray: &'a MediaRay,
+    /// No light is treated as nearer to the ray than this, m.
+    pub least_distance: f32,
+}
+
+/// The distribution of distances: the angle subtended at the light by what is scattered there, and transmittance alone where the fog is so thick that it
+/// changes between the angles that are looked at.
+#[derive(Clone, Copy, Debug)]
+pub struct Airlit {
+    airlight: Airlight,
+    start: f32,
+    /// Share of the distances that transmittance draws.
+    by_transmittance: f32,
+}
+
+impl Airlit {
+    /// Of `light` at `time` in the shutter; `None` if it is never chosen.
+    pub fn new(lights: &Lights, world: &World, stretch: &Stretch<'_>, light: u32, time: f32) -> Option<Self> {
+        let Stretch { wanted, media, ray, least_distance } = *stretch;
+        let many = lights.many();
+        let node = many.node(light)?;
+        let (start, end) = wanted.range;
+        let center = lights.center(world, light, time);
+        let least = least_distance.max(0.5 * node.radius());
+        let beside = Beside::new(many.level(), wanted.origin, wanted.dir, wanted.range, center, least);
+        let (depth, scattering) = media.along_ray(ray, &beside.distances().map(|t| t + start));
+        let along = Along { depth, scattering, haze: node.haze(), phase: wanted.phase };
+        let measured = lights.intensities(light, || beside.directions());
+        let source = measured.as_ref().map_or(Source::Bounds(node), Source::Given);
+        let airlight = beside.airlight(many.level(), &along, source);
+        let steep = airlight.steepness(&depth);
+        let thick = MOST_BY_TRANSMITTANCE * steep / (1.0 + steep);
+        let by_transmittance = if wanted.end <= end { thick } else { thick.max(LEAST_BEHIND) };
+        Some(Self { airlight, start, by_transmittance })
+    }
+
+    /// Draws an event by `u` and, where media are coloured, `channel`, both in [0, 1): the event, whose weight is not divided by a density, and the
+    /// density, 1/m.
+    pub fn sample(&self, media: &Media, ray: &MediaRay, u: f32, channel: f32) -> Option<(Event, f32)> {
+        let share = self.by_transmittance;
+        let t = if u < share {
+            let Distance::Scatter(event) = media.draw(ray, f64::from(u / share), channel) else { return None };
+            event.t
+        } else {
+            self.start + self.airlight.sample((u - share) / (1.0 - share))
+        };
+        let event = media.event_at(ray, t)?;
+        let density = self.pdf(&event);
+        (density > 0.0).then_some((event, density))
+    }
+
+    /// Density of the distance of an event, 1/m.
+    pub fn pdf(&self, event: &Event) -> f32 {
+        let about = self.airlight.pdf(event.t - self.start);
+        self.by_transmittance * event.pdf + (1.0 - self.by_transmittance) * about
+    }
+}

@@ -48,6 +48,8 @@ pub enum Trial {
 
 /// A trial renders for about this long.
 const TRIAL: Duration = Duration::from_millis(300);
+/// A pilot begins no further round after this.
+const PILOT: Duration = Duration::from_millis(1500);
 /// Edge of the blocks of a trial, pixels.
 const BLOCK: u32 = 8;
 
@@ -83,6 +85,15 @@ pub struct Cost {
     pub samples_per_second: f64,
     seconds_least: f64,
     seconds_most: f64,
+    /// By a pilot, with `--error`: likely samples a pixel, and the time that these take, s.
+    likely: Option<Likely>,
+}
+
+/// What a pilot says.
+#[derive(Serialize)]
+struct Likely {
+    samples_a_pixel: f64,
+    seconds: f64,
 }
 
 /// Plan, and estimate.
@@ -162,7 +173,24 @@ pub fn trial(asked: &Asked, samples_least: u64, samples_most: u64) -> Result<Cos
     let seconds = |samples: u64| all_prepared + samples as f64 / samples_per_second;
     let seconds_most = budget.map_or(seconds(samples_most), |budget| budget.min(seconds(samples_most)));
     let seconds_least = budget.unwrap_or(seconds(samples_least)).min(seconds_most);
-    Ok(Cost { prepare_seconds, samples_per_second, seconds_least, seconds_most })
+    let likely = pilot(asked, &prepared, frame)?.map(|samples_a_pixel| {
+        let [width, height] = asked.film().map(f64::from);
+        let samples = samples_a_pixel * width * height * plan.frames.len() as f64;
+        Likely { samples_a_pixel, seconds: seconds(samples as u64).clamp(seconds_least, seconds_most) }
+    });
+    Ok(Cost { prepare_seconds, samples_per_second, seconds_least, seconds_most, likely })
+}
+
+/// Samples a pixel that a frame is likely to need for its error; `None` where that is not what ends it.
+fn pilot(asked: &Asked, prepared: &Prepared, frame: u32) -> Result<Option<f64>, Failure> {
+    if !matches!(asked.settings.stop, Stop::Error(_)) {
+        return Ok(None);
+    }
+    let small = femc_pipeline::pilot::film(asked.film());
+    let settings = femc_pipeline::Settings { size: Some(small), ..asked.settings.clone() };
+    let prepared = femc_pipeline::prepare(&asked.source, &settings, frame, Some(prepared)).map_err(failed)?;
+    let (clock, begun) = (Clock, Clock.now());
+    femc_pipeline::pilot::likely_samples(&prepared, &settings, || clock.since(begun) >= PILOT).map_err(failed)
 }
 
 /// One sample a pixel in 16 blocks spread over the film; how many samples that were.
@@ -210,14 +238,16 @@ fn print(say: Say, report: &Report) {
         }
     }
     if let Some(cost) = &report.cost {
-        let range = match report.stop {
-            Stop::Error(_) => format!(
-                "{} for the first round, {} if all {} rounds are needed,",
-                human::seconds(cost.seconds_least),
-                human::seconds(cost.seconds_most),
-                report.rounds.len()
-            ),
-            Stop::Spp(_) | Stop::Time(_) => human::seconds(cost.seconds_most),
+        let range = match (report.stop, &cost.likely) {
+            (Stop::Error(_), likely) => {
+                let (least, most) = (human::seconds(cost.seconds_least), human::seconds(cost.seconds_most));
+                let likely = likely.as_ref().map_or(String::new(), |likely| {
+                    let (seconds, samples) = (human::seconds(likely.seconds), likely.samples_a_pixel.round());
+                    format!("likely {seconds} (a pilot needs {samples} samples a pixel); ")
+                });
+                format!("{likely}{least} for the first round, {most} if all {} rounds are needed,", report.rounds.len())
+            }
+            (Stop::Spp(_) | Stop::Time(_), _) => human::seconds(cost.seconds_most),
         };
         let rate = human::quantity(cost.samples_per_second);
         say.result(format!("estimated cost: {range} on this machine ({rate} samples/s in a short trial)"));

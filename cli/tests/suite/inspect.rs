@@ -49,6 +49,15 @@ fn a_trial_estimates_the_cost_and_leaves_nothing_behind() {
     assert!(plan["cost"]["seconds_most"].as_f64().is_some_and(|seconds| seconds > 0.0), "{plan}");
     let said = place.run("plan fog.mgf --spp 16").exits(0).stdout();
     assert!(said.contains("estimated cost") && said.contains("left out"), "{said}");
+    // Where the error ends a frame, a pilot says what is likely, between the first round and the last.
+    let plan = place.run("plan fog.mgf --error 0.1 --json").exits(0).json();
+    let [least, likely, most] =
+        [&plan["samples_least"], &plan["cost"]["likely"]["samples_a_pixel"], &plan["samples_most"]]
+            .map(|number| number.as_f64().unwrap_or(f64::NAN));
+    let pixels = plan["film"].as_array().expect("a film").iter().filter_map(|edge| edge.as_f64()).product::<f64>();
+    assert!(least <= likely * pixels * 1.001 && likely * pixels <= most, "{plan}");
+    let said = place.run("plan fog.mgf --error 0.1").exits(0).stdout();
+    assert!(said.contains("estimated cost: likely "), "{said}");
     assert_eq!(common::names(&place.path(".")), ["fog.mgf"]);
 }
 

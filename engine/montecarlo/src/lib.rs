@@ -1,7 +1,7 @@
 //! The second pass: unbiased path tracing of surfaces and fog.
 //!
-//! Direct light is joined from light sampling, from scattering that meets the light and, in fog, from equiangular distance
-//! sampling, by multiple importance sampling. The kernel is monomorphised over what the scene needs (media or none), chosen
+//! Direct light is joined from drawing a light and a point on it, in fog with a distance by what is scattered of that light, and from scattering
+//! that meets the light, by multiple importance sampling. The kernel is monomorphised over what the scene needs (media or none), chosen
 //! once a tile.
 #![deny(missing_docs)]
 

@@ -8,6 +8,7 @@ pub mod account;
 mod allocation;
 mod budget;
 mod in_process;
+pub mod pilot;
 mod plan;
 mod render;
 pub mod replay;

@@ -1,0 +1,74 @@
+//! How many samples a frame is likely to need: the frame at a few pixels, rendered by the rule of the whole one.
+//!
+//! A block of 16 x 16 pixels of a smaller film sees more of the scene, at about the noise of a block of the large one: the mean of
+//! the samples that its blocks need is about that of the frame's. It is an estimate and no bound.
+
+use crate::in_process::by_rounds;
+use crate::render::{RenderError, render_tile};
+use crate::round::RoundVerdict;
+use crate::settings::{Settings, Stop};
+use femc_film::{TileErrors, Tiling};
+use femc_prepared::Prepared;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+
+/// Pixels of a pilot, about: 15 blocks.
+const PIXELS: f64 = 3840.0;
+/// Edge of a block and of a tile, pixels.
+const EDGE: u32 = 16;
+
+/// Film of a pilot for a film of this size, pixels.
+pub fn film([width, height]: [u32; 2]) -> [u32; 2] {
+    let scale = (PIXELS / (f64::from(width) * f64::from(height))).sqrt().min(1.0);
+    [width, height].map(|edge| ((f64::from(edge) * scale).round() as u32).clamp(1, edge.max(1)))
+}
+
+/// Samples a pixel, on average, that tiles are likely to need for [`Stop::Error`]; `None` for other stops.
+/// - `prepared`: of `settings` at the size [`film`];
+/// - `is_over`: looked at after each round; what is missing by then is extrapolated, for errors fall with the root of the samples.
+/// - errors: the film is no film.
+pub fn likely_samples(
+    prepared: &Prepared,
+    settings: &Settings,
+    is_over: impl Fn() -> bool,
+) -> Result<Option<f64>, RenderError> {
+    let Stop::Error(most) = settings.stop else { return Ok(None) };
+    let [width, height] = prepared.camera.film;
+    let tiling = Tiling::new(width, height, EDGE)?;
+    let rounds = settings.rounds();
+    let last = rounds.last().copied().unwrap_or(1);
+    let (never, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+    let draw = |rect, samples| -> Result<_, RenderError> {
+        Ok(render_tile(prepared, settings, rect, samples, &never, &progress)?.tile)
+    };
+    let mut likely = 0.0;
+    by_rounds(tiling, &rounds, draw, |end| {
+        let (verdict, stops) = settings.verdict(end.tiles, end.before, 0.0, end.next);
+        let needs = |(tile, ends): (&TileErrors, &[u32; 2])| {
+            let drawn = f64::from(tile.samples.end);
+            if ends.iter().all(|&end| end <= tile.samples.end) {
+                return drawn;
+            }
+            let worst = (0..ends.len()).map(|half| tile.worst(half, stops.floors[half], 2.0 * most));
+            let error = worst.filter(|error| error.is_finite()).fold(most, f64::max);
+            (drawn * (error / most).powi(2)).clamp(drawn, f64::from(last))
+        };
+        let areas = tiling.rects().map(|rect| rect.area() as f64);
+        let sum: f64 = end.tiles.iter().zip(&stops.ends).map(needs).zip(areas).map(|(n, area)| n * area).sum();
+        likely = sum / (f64::from(width) * f64::from(height));
+        (if is_over() { RoundVerdict::Done } else { verdict }, stops)
+    })?;
+    Ok(Some(likely))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_pilot_is_small_and_of_the_film_s_shape() {
+        assert_eq!(film([1920, 1080]), [83, 46]);
+        assert_eq!(film([40, 30]), [40, 30]);
+        assert_eq!(film([100_000, 1]), [19_596, 1]);
+        assert_eq!(film([1, 1]), [1, 1]);
+    }
+}

@@ -230,8 +230,9 @@ impl Fog<'_, '_> {
         if let Some(from) = &from {
             many.weigh_directions(from, self.directions);
             if choice >= BY_PHASE {
+                choice = (choice - BY_PHASE) / (1.0 - BY_PHASE);
                 stream.seek(segment.base + dim::TOWARD);
-                toward_light = Some(many.sample_direction(from, self.directions, dim::fine(stream.next_2d()), u)?);
+                toward_light = many.sample_direction(from, self.directions, dim::fine(stream.next_2d()), u);
             } else {
                 choice /= BY_PHASE;
             }
@@ -241,7 +242,7 @@ impl Fog<'_, '_> {
         let (value, phase) = media.phase(&self.ray.media, event, -segment.dir, dir);
         let pdf = match &from {
             None => phase,
-            Some(from) => BY_PHASE * phase + (1.0 - BY_PHASE) * many.direction_pdf(from, self.directions, dir),
+            Some(from) => BY_PHASE * phase + (1.0 - BY_PHASE) * many.direction_pdf(from, self.directions, dir, phase),
         };
         (pdf > 0.0 && phase > 0.0).then(|| NewDirection { dir, pdf, phase, weight: value / pdf })
     }

@@ -252,7 +252,8 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         let mut throughput = Rgb::ONE;
         let mut inside = scene.camera_inside;
         let mut previous = Previous { position: ray.origin, came };
-        // What the throughput was scaled by that roulette must not count as a loss: squares of index ratios, and densities of directions.
+        // What the throughput was scaled by that roulette must not count: squares of index ratios, and what directions were drawn by instead of
+        // the phase function. With the latter counted, paths in fog are twice as long for the same variance.
         let mut scale = 1.0f32;
         let mut first = true;
         // The segment that the path is in, and its rays until now: a segment that goes through clear surfaces has several.
@@ -315,12 +316,11 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                         let Some(new) = fog.scatter(&stretch, &collision, &mut stream) else { break };
                         self.recorder.leave(Leaving::Scattered { pdf: new.pdf });
                         throughput *= new.weight;
-                        // What a path is worth does not depend on what its direction was drawn by.
-                        scale *= new.pdf / new.phase;
                         std::mem::swap(&mut self.fog, &mut self.fog_before);
                         previous = Previous { position, came: Came::Medium { collision, phase: new.phase } };
                         ray = Ray { origin: position, dir: new.dir, t_max: f32::INFINITY, time: ray.time };
                         segment += 1;
+                        scale *= new.pdf / new.phase;
                         if !survives::<MEDIA>(rays, &mut throughput, scale, &mut stream, base) {
                             break;
                         }

@@ -68,7 +68,6 @@ mod tests {
     fn a_pilot_is_small_and_of_the_film_s_shape() {
         assert_eq!(film([1920, 1080]), [83, 46]);
         assert_eq!(film([40, 30]), [40, 30]);
-        assert_eq!(film([100_000, 1]), [19_596, 1]);
         assert_eq!(film([1, 1]), [1, 1]);
     }
 }

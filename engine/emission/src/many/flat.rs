@@ -96,9 +96,9 @@ impl Weights {
         }
     }
 
-    /// Draws a light by `u` in [0, 1): its number and probability > 0. `None` where no light has a weight.
+    /// Draws a light by `u` in [0, 1): its number, probability > 0, and what is left of `u`, in [0, 1). `None` where no light has a weight.
     #[inline]
-    pub fn choose(&self, u: f64) -> Option<(usize, f32)> {
+    pub fn choose(&self, u: f64) -> Option<(usize, f32, f32)> {
         let mut rest = u * self.total;
         let mut chosen = None;
         for (block, &sum) in self.sums[..self.blocks].iter().enumerate() {
@@ -123,7 +123,13 @@ impl Weights {
             rest -= weight;
         }
         let (light, weight) = light?;
-        Some((light, (weight / self.total) as f32)).filter(|&(_, probability)| probability > 0.0)
+        let left = (rest / weight).clamp(0.0, 1.0 - f64::from(f32::EPSILON)) as f32;
+        Some((light, (weight / self.total) as f32, left)).filter(|&(_, probability, _)| probability > 0.0)
+    }
+
+    /// Whether no light has a weight.
+    pub fn is_nothing(&self) -> bool {
+        self.total <= 0.0
     }
 
     /// Probability with which [`Self::choose`] draws a light.
@@ -170,10 +176,10 @@ pub trait Weigh {
     fn weigh<S: Simd>(&self, simd: S, lights: &Seen<S>) -> S::V;
 }
 
-/// A function of the middle of a light.
+/// A function of a light's middle and radius.
 pub trait Mixture {
     /// Its value for eight lights' middles. `#[inline(always)]`.
-    fn value<S: Simd>(&self, simd: S, center: [S::V; 3]) -> S::V;
+    fn value<S: Simd>(&self, simd: S, center: [S::V; 3], radius: S::V) -> S::V;
 }
 
 /// Eight lights in vectors.
@@ -314,7 +320,10 @@ impl<M: Mixture> Task for Mix<'_, M> {
         for (block, weights) in self.blocks.iter().zip(&self.weights.lanes) {
             let center = [simd.load(&block.center[0]), simd.load(&block.center[1]), simd.load(&block.center[2])];
             let weights = simd.load(weights);
-            let value = simd.splat(0.0).lt(weights).select(weights * self.of.value(simd, center), simd.splat(0.0));
+            let value = simd
+                .splat(0.0)
+                .lt(weights)
+                .select(weights * self.of.value(simd, center, simd.load(&block.radius)), simd.splat(0.0));
             sum = sum + value;
         }
         let l = sum.lanes().0;

@@ -29,8 +29,6 @@ pub struct ManyLights {
     flat: Flat,
     /// What the lanes of `flat` hold.
     nodes: Vec<Node>,
-    /// Their middles.
-    centers: Vec<Vec3A>,
     /// The light of each lane, if each holds one.
     lights: Option<Vec<u32>>,
     /// The only light.
@@ -60,7 +58,6 @@ impl ManyLights {
         let each: Vec<u32> = nodes.iter().map(Node::light).collect();
         Self {
             flat: Flat::new(&nodes),
-            centers: nodes.iter().map(|node| node.center).collect(),
             sole: match each[..] {
                 [sole] if is_few => Some(sole),
                 _ => None,
@@ -95,7 +92,7 @@ impl ManyLights {
             return Some((sole, 1.0));
         }
         match &self.lights {
-            Some(lights) => choice.weights.choose(u).map(|(lane, probability)| (lights[lane], probability)),
+            Some(lights) => choice.weights.choose(u).map(|(lane, probability, _)| (lights[lane], probability)),
             None => self.tree.choose_from(choice.front.as_ref()?, place, u),
         }
     }
@@ -120,16 +117,16 @@ impl ManyLights {
         self.flat.weigh(from, &mut weights.weights);
     }
 
-    /// Draws a direction that passes near lights. `None` where there are none.
+    /// Draws a direction that passes near lights. `None`: it is to be drawn by the phase function.
     #[inline]
     pub fn sample_direction(&self, from: &FromPoint, weights: &Choice, choice: f64, u: [f32; 2]) -> Option<Vec3A> {
-        from.sample(&self.centers, &weights.weights, choice, u)
+        from.sample(&self.nodes, &weights.weights, choice, u, self.flat.level())
     }
 
-    /// Density of [`Self::sample_direction`], 1/sr.
+    /// Density, 1/sr, of [`Self::sample_direction`] followed by the phase function, whose density is `phase`, where that says nothing.
     #[inline]
-    pub fn direction_pdf(&self, from: &FromPoint, weights: &Choice, dir: Vec3A) -> f32 {
-        from.pdf(&self.flat, &weights.weights, dir)
+    pub fn direction_pdf(&self, from: &FromPoint, weights: &Choice, dir: Vec3A, phase: f32) -> f32 {
+        from.pdf(&self.flat, &weights.weights, dir, phase)
     }
 
     /// The instruction set that weighs them.

@@ -6,10 +6,11 @@
 
 use super::approx::{arc_sine, attenuation};
 use super::flat::{Flat, Mixture, Seen, Weigh, Weights, dot, minus, plus, splat};
+use crate::tree::Node;
 use femc_math::Frame;
 use femc_math::elementary::sin_cos;
 use femc_math::glam::Vec3A;
-use femc_simd::{Simd, Vector};
+use femc_simd::{Level, Simd, Task, Vector};
 use std::f32::consts::{PI, TAU};
 
 /// A point in fog from which a path goes on.
@@ -49,19 +50,22 @@ impl Weigh for FromPoint {
     }
 }
 
-/// Density of a direction about the direction to a light's middle.
-struct About {
-    position: Vec3A,
+/// Density of a direction about the direction to a light's middle, as far as that is trusted, and by the phase function as far as not.
+struct About<'a> {
+    from: &'a FromPoint,
     dir: Vec3A,
+    phase: f32,
 }
 
-impl Mixture for About {
+impl Mixture for About<'_> {
     #[inline(always)]
-    fn value<S: Simd>(&self, simd: S, center: [S::V; 3]) -> S::V {
+    fn value<S: Simd>(&self, simd: S, center: [S::V; 3], radius: S::V) -> S::V {
         let c = |x| simd.splat(x);
-        let (position, dir) = (splat(simd, self.position), splat(simd, self.dir));
+        let (position, dir) = (splat(simd, self.from.position), splat(simd, self.dir));
         let toward = minus(center, position);
-        let inverse = c(1.0) / dot(toward, toward).max(c(1e-20)).sqrt();
+        let distance = dot(toward, toward).max(c(1e-20)).sqrt();
+        let inverse = c(1.0) / distance;
+        let trust = trust(simd, radius * inverse, c(self.from.extinction) * distance);
         let axis = [toward[0] * inverse, toward[1] * inverse, toward[2] * inverse];
         // Half chords to the axis and to its opposite: sine and cosine of half the angle.
         let chord = minus(dir, axis);
@@ -72,16 +76,48 @@ impl Mixture for About {
         let is_near = sin.lt(cos);
         let arc = arc_sine(simd, is_near.select(sin, cos).min(c(1.0)));
         let left = is_near.select(c(PI) - c(2.0) * arc, c(2.0) * arc);
-        left / (c(2.0 * PI * PI * PI) * (sin * cos).max(c(1e-12)))
+        let near = left / (c(2.0 * PI * PI * PI) * (sin * cos).max(c(1e-12)));
+        trust * near + (c(1.0) - trust) * c(self.phase)
+    }
+}
+
+/// How far the direction to a light's middle says where light is: not where the light is large as seen from there, or behind much fog.
+/// - `size`: its radius over the distance; `depth`: optical, of the way there.
+#[inline(always)]
+fn trust<S: Simd>(simd: S, size: S::V, depth: S::V) -> S::V {
+    let c = |x| simd.splat(x);
+    (c(1.0) - c(2.0) * size).max(c(0.0)) / (c(1.0) + c(0.06) * depth * depth)
+}
+
+/// One light's trust.
+struct Trust {
+    size: f32,
+    depth: f32,
+}
+
+impl Task for Trust {
+    type Output = f32;
+
+    #[inline(always)]
+    fn run<S: Simd>(self, simd: S) -> f32 {
+        trust(simd, simd.splat(self.size), simd.splat(self.depth)).lanes().0[0]
     }
 }
 
 impl FromPoint {
-    /// Draws a direction by `choice` and `u`, all in [0, 1), among those that pass near lights of `weights`. `None` where none has a weight.
+    /// Draws a direction by `choice` and `u`, all in [0, 1), among those that pass near lights of `weights`; `None`: it is to be drawn by the phase
+    /// function.
     #[inline]
-    pub fn sample(&self, centers: &[Vec3A], weights: &Weights, choice: f64, u: [f32; 2]) -> Option<Vec3A> {
-        let (light, _) = weights.choose(choice)?;
-        let axis = (centers[light] - self.position).normalize_or(Vec3A::Z);
+    pub fn sample(&self, lights: &[Node], weights: &Weights, choice: f64, u: [f32; 2], level: Level) -> Option<Vec3A> {
+        let (light, _, rest) = weights.choose(choice)?;
+        let toward = lights[light].center - self.position;
+        let distance = toward.length_squared().max(1e-20).sqrt();
+        let inverse = 1.0 / distance;
+        let trust = level.run(Trust { size: lights[light].radius * inverse, depth: self.extinction * distance });
+        if rest >= trust {
+            return None;
+        }
+        let axis = (toward * inverse).normalize_or(Vec3A::Z);
         // The distribution function of the angle is 1 - (1 - theta / pi)^2.
         let theta = PI * u[0] / (1.0 + (1.0 - u[0]).sqrt());
         let (sin, cos) = sin_cos(theta);
@@ -90,9 +126,10 @@ impl FromPoint {
         Some(Frame::from_normal(axis).to_world(local).normalize())
     }
 
-    /// Density of [`Self::sample`], 1/sr.
+    /// Density, 1/sr, of [`Self::sample`] followed by the phase function where that says nothing.
+    /// - `phase`: density of the phase function.
     #[inline]
-    pub fn pdf(&self, lights: &Flat, weights: &Weights, dir: Vec3A) -> f32 {
-        lights.mixture(weights, &About { position: self.position, dir })
+    pub fn pdf(&self, lights: &Flat, weights: &Weights, dir: Vec3A, phase: f32) -> f32 {
+        if weights.is_nothing() { phase } else { lights.mixture(weights, &About { from: self, dir, phase }) }
     }
 }

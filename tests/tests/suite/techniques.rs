@@ -6,7 +6,7 @@ use femc_montecarlo::Technique;
 use femc_pipeline::{Settings, Stop};
 use femc_stats::testing::sidak;
 use femc_tests::agreement::Estimate;
-use femc_tests::text::{block, camera, level, material};
+use femc_tests::text::{block, camera, level, material, quad};
 use femc_tests::{render, scene, scene_of};
 
 /// Chance of a false alarm of all comparisons of one scene.
@@ -122,6 +122,51 @@ fn sources(finer: u32) {
     }
 }
 
+/// `count` lamps over a floor: panels that face down, panels with a narrow lobe, balls and long strips, in turns.
+fn lamps(count: u32) -> String {
+    let power = 2000.0 / f64::from(count);
+    let size = if count > 100 { 0.5 } else { 1.0 };
+    let kinds = material("down", &["sides 1", &format!("ed {power}")])
+        + &material("lobe", &["sides 1", "lobe 12", &format!("ed {power}")])
+        + &material("both", &["sides 2", &format!("ed {power}")]);
+    let lamp = |i: u32| {
+        // Places without a pattern.
+        let [x, y, z] = [0.618_034, 0.754_878, 0.569_84].map(|step: f64| (f64::from(i + 1) * step).fract());
+        let (x, y, z) = (6.0 * x - 3.0, 6.0 * y - 3.0, 1.0 + 1.5 * z);
+        let panel = |material: &str, a: f64, b: f64| {
+            let corner = |u: f64, v: f64| format!("{} {} {z}", x + u * a * size, y + v * b * size);
+            let face = [corner(-1.0, -1.0), corner(-1.0, 1.0), corner(1.0, 1.0), corner(1.0, -1.0)];
+            quad(material, face.each_ref().map(String::as_str))
+        };
+        match i % 4 {
+            0 => panel("down", 0.3, 0.2),
+            1 => panel("lobe", 0.3, 0.3),
+            2 => format!("v s{i} =\n p {x} {y} {z}\nm both\nsph s{i} {}\n", 0.2 * size),
+            _ => panel("both", 1.0, 0.05),
+        }
+    };
+    (0..count).fold(kinds, |text, i| text + &lamp(i))
+}
+
+fn many_lamps(finer: u32) {
+    let fog = |more: &str| format!("medium mist =\n sigma_s .3\n sigma_a .05\n{more}");
+    let fogs = [
+        ("clear", String::new()),
+        ("isotropic", fog("") + "mglobal mist\n"),
+        ("forward", fog(" phase hg .85\n") + "mglobal mist\n"),
+        ("backward", fog(" phase hg -.5\n") + "mglobal mist\n"),
+        ("thin above", fog(" density height 1 .5\n") + "mglobal mist\n"),
+        ("lamps inside and outside", fog("") + "mbox mist -5 -1 0 0 4 1.8\n"),
+        ("thick", "medium mist =\n sigma_s 8\n sigma_a .4\nmbox mist -3 -3 0 3 3 1.2\n".to_owned()),
+    ];
+    for count in [2, 40, 150] {
+        for (name, fog) in &fogs {
+            let text = above() + fog + &lamps(count) + &floor(&["sides 2", "rd .3", "rs .3 .2"]);
+            agree(&format!("{count} lamps, {name}"), &text, 16 * finer);
+        }
+    }
+}
+
 /// A lamp that is smaller than a pixel, seen by the camera itself.
 fn small_lamps(finer: u32) {
     let lamp = |shape: &str| {
@@ -230,12 +275,23 @@ fn from_sources_of_every_kind_that_stand_or_move() {
 }
 
 #[test]
+fn from_many_lamps_in_fog_of_every_kind() {
+    many_lamps(1);
+}
+
+#[test]
 fn flat_lamps_that_cover_parts_of_pixels() {
     flat_lamps(2);
 }
 
 mod long {
-    use super::{flat_lamps, fogs, panes, small_lamps, sources, surfaces};
+    use super::{flat_lamps, fogs, many_lamps, panes, small_lamps, sources, surfaces};
+
+    #[test]
+    #[ignore = "tests/all: half a minute"]
+    fn from_many_lamps_in_fog_of_every_kind() {
+        many_lamps(4);
+    }
 
     #[test]
     #[ignore = "tests/all: half a minute"]

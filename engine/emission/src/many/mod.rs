@@ -1,8 +1,8 @@
 //! Choice of one light among many.
 //!
-//! Few lights are weighed one by one, all at once ([`flat`]): by the light that they send to a point ([`point`]) or that fog scatters on a
-//! segment ([`segment`]), unhindered. The weights are kept, so that what multiple importance sampling asks for later, at the same place,
-//! is read from them. Of more lights than [`flat::MOST`] one is chosen by the tree.
+//! Up to 128 lights are weighed one by one, eight at a time (`flat`): by the light that they send to a point (`point`) or that fog scatters on a
+//! segment (`segment`), unhindered. The weights are kept, so that what multiple importance sampling asks for later, at the same place,
+//! is read from them. Of more lights one is chosen by the tree.
 
 pub(crate) mod approx;
 mod flat;

@@ -54,8 +54,10 @@ fn a_trial_estimates_the_cost_and_leaves_nothing_behind() {
     let [least, likely, most] =
         [&plan["samples_least"], &plan["cost"]["likely"]["samples_a_pixel"], &plan["samples_most"]]
             .map(|number| number.as_f64().unwrap_or(f64::NAN));
-    let pixels = plan["film"].as_array().expect("a film").iter().filter_map(|edge| edge.as_f64()).product::<f64>();
-    assert!(least <= likely * pixels * 1.001 && likely * pixels <= most, "{plan}");
+    let edges = plan["film"].as_array().expect("a film").iter().filter_map(|edge| edge.as_f64());
+    let frames = plan["frames"].as_array().map_or(0, Vec::len);
+    let likely = likely * edges.product::<f64>() * frames as f64;
+    assert!(least <= likely * 1.001 && likely <= most, "{plan}");
     let said = place.run("plan fog.mgf --error 0.1").exits(0).stdout();
     assert!(said.contains("estimated cost: likely "), "{said}");
     assert_eq!(common::names(&place.path(".")), ["fog.mgf"]);

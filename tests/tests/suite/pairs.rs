@@ -172,11 +172,12 @@ fn thin_air_scatters_in_proportion_to_its_density() {
     pair(&air(1e-6), &air(1e-3), 1e-3 / (1.0 - 1e-3));
 }
 
-/// Of several lamps one is chosen by what it sends, by a segment in fog and by a surface, whatever it is described by.
+/// Of several lamps one is chosen by what it sends, by a segment in fog and by a surface, whatever it is described by. The camera looks
+/// at the floor before them: balls would be seen, and points would not.
 #[test]
 fn measured_lamps_of_one_intensity_are_small_balls_in_fog() {
     let room =
-        camera("-6 0 1", "0 0 1", 30.0) + "medium mist =\n sigma_s .1\n sigma_a .02\n phase hg .5\nmglobal mist\n";
+        camera("-6 0 1", "-4.5 0 0", 30.0) + "medium mist =\n sigma_s .1\n sigma_a .02\n phase hg .5\nmglobal mist\n";
     let floor = material("floor", &["sides 2", "rd .5", "rs .2 .3"]) + &level("floor", [0.0, 0.0, 0.0], 5.0);
     let places = [[0.0, 1.0, 2.0], [1.0, -1.5, 1.5], [-1.0, 0.5, 0.7]];
     let measured: String = places.iter().map(|[x, y, z]| format!("ies point.ies -t {x} {y} {z}\n")).collect();

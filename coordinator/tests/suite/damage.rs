@@ -284,7 +284,10 @@ async fn who_takes_an_artifact_for_one_of_another_size_is_refused_before_any_byt
         let heard = through.get_exactly(&Artifact { bytes, ..image }).await;
         let is_refused =
             matches!(&heard, Err(CallError::Refused(Refusal::DigestMismatch { digest })) if *digest == image.digest);
-        assert!(is_refused, "an artifact asked for as one of {bytes} bytes: {heard:?}");
+        assert!(
+            is_refused,
+            "the artifact was asked for with the wrong size of {bytes} bytes, and the answer was {heard:?}"
+        );
     }
     assert!(proxy.seen.down() < MB / 10, "{} bytes came", proxy.seen.down());
     let status = client.status(id).await.unwrap();

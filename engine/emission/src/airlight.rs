@@ -59,7 +59,7 @@ impl Beside {
     /// - `least_distance`: the source is treated as no nearer to the ray than this, m, > 0.
     #[inline]
     pub fn new(level: Level, origin: Vec3A, dir: Vec3A, range: (f32, f32), center: Vec3A, least_distance: f32) -> Self {
-        // Where the source is far, the foot is known no better than coordinates are: a peak narrower than that could not be told.
+        // The nearest point of the line is rounded as coordinates are. No peak is made narrower than this error.
         let from = origin - center;
         let along = from.dot(dir);
         let foot = from - dir * along;

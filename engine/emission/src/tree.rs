@@ -76,11 +76,6 @@ impl LightTree {
         tree
     }
 
-    /// Whether no light can be chosen.
-    pub fn is_empty(&self) -> bool {
-        self.nodes.is_empty()
-    }
-
     /// - `first`: rank of the first of the leaves.
     fn build(&mut self, at: usize, leaves: &mut [Cluster], first: u32, depth: u32) {
         let ranks = (first, leaves.len() as u32);

@@ -14,15 +14,14 @@ use femc_emission::{AlongSegment, Choice, DeltaKind, FromPoint};
 use femc_math::glam::Vec3A;
 use femc_math::{Rgb, SampleStream};
 use femc_prepared::Prepared;
-use femc_prepared::lights::{Airlit, Stretch};
+use femc_prepared::airlit::{Airlit, Stretch};
 use femc_prepared::media::{Distance, Event, Inside, MediaRay};
 
 /// Share of the directions after an event that the phase function draws.
 const BY_PHASE: f32 = 0.5;
 /// Segments at whose ends directions may be drawn toward lights. In thick fog a path has thousands, and the product of so many
-/// factors that are 1 on average would be nearly 0 nearly always.
-const GUIDED: u32 = 6;
-
+/// factors that are 1 on average would be nearly 0 nearly always. On the drive 6 make paths a seventh longer than 24, for no less variance.
+const GUIDED: u32 = 24;
 /// Angles at which the lights are looked at from a camera's ray, whose light counts most, and from later ones.
 const ANGLES_FROM_CAMERA: u32 = 6;
 const ANGLES: u32 = 3;
@@ -103,7 +102,7 @@ impl FoggyRay {
 /// The distribution of distances about a light.
 fn airlit(scene: &Prepared, ray: &FoggyRay, wanted: &AlongSegment, light: u32, time: f32) -> Option<Airlit> {
     let stretch = Stretch { wanted, media: &scene.media, ray: &ray.media, least_distance: scene.least_distance };
-    scene.lights.airlit(&scene.world, &stretch, light, time)
+    Airlit::new(&scene.lights, &scene.world, &stretch, light, time)
 }
 
 /// The media of one segment, cut by the caller.

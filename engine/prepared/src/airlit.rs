@@ -16,16 +16,16 @@ const LEAST_BEHIND: f32 = 0.02;
 pub struct Stretch<'a> {
     /// As the choice of a light wants it.
     pub wanted: &'a AlongSegment,
-    /// The media.
+    /// All media of the frame.
     pub media: &'a Media,
-    /// Those of the ray.
+    /// The media that the ray goes through.
     pub ray: &'a MediaRay,
     /// No light is treated as nearer to the ray than this, m.
     pub least_distance: f32,
 }
 
-/// The distribution of distances: the angle subtended at the light by what is scattered there, and transmittance alone where the fog is so thick that it
-/// changes between the angles that are looked at.
+/// A distribution of distances. Most are drawn by the light that is scattered at each. Where fog is so thick that it changes between the
+/// angles at which that is looked at, a share is drawn by transmittance alone.
 #[derive(Clone, Copy, Debug)]
 pub struct Airlit {
     airlight: Airlight,

@@ -5,7 +5,7 @@
 //! same for all frames of a clip. What did not change since an earlier frame, or is equal in a variant of the scene, is shared.
 #![deny(missing_docs)]
 
-mod airlit;
+pub mod airlit;
 pub mod camera;
 pub mod compile;
 pub mod lights;

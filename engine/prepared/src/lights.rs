@@ -1,6 +1,5 @@
 //! The light sources of a frame, with their places and textures.
 
-pub use crate::airlit::{Airlit, Stretch};
 use crate::compile::{Emitter, EmitterShape, NONE};
 use crate::texture::Texture;
 use femc_emission::light::{
@@ -134,12 +133,6 @@ impl Lights {
     #[inline]
     pub fn many(&self) -> &ManyLights {
         &self.many
-    }
-
-    /// The distribution of distances on a stretch of a ray by the light of one source that is scattered there.
-    #[inline]
-    pub fn airlit(&self, world: &World, stretch: &Stretch<'_>, light: u32, time: f32) -> Option<Airlit> {
-        Airlit::new(self, world, stretch, light, time)
     }
 
     /// What a measured light that stands sends along some directions (unit, away from it), cd; `None` of other lights.

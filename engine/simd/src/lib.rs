@@ -56,7 +56,7 @@ pub trait Vector:
     fn lanes(self) -> Lanes;
 }
 
-/// An instruction set. Nobody else implements it: callers rely on what [`Simd::compress`] has written.
+/// An instruction set. Only this crate can implement it: the caller's `unsafe` code trusts the number that [`Simd::compress`] returns.
 pub trait Simd: Copy + sealed::Sealed {
     /// Its vectors.
     type V: Vector;
@@ -64,8 +64,8 @@ pub trait Simd: Copy + sealed::Sealed {
     fn splat(self, x: f32) -> Self::V;
     /// Lanes from memory.
     fn load(self, lanes: &Lanes) -> Self::V;
-    /// Writes the lanes whose bit in `mask` is set to the beginning of `room`, in order: the bits of `high` above, those of `low` below.
-    /// Returns how many there are: so many entries of `room` are initialised.
+    /// Packs the lanes that `mask` names: each becomes one entry of `room`, with the lane of `high` in its upper 32 bits and that of `low` in
+    /// its lower 32. Returns the number of entries that were written, from the first on.
     fn compress(self, mask: u32, high: Self::V, low: &[u32; WIDTH], room: &mut [MaybeUninit<u64>; WIDTH]) -> usize;
 }
 

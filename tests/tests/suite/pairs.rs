@@ -181,7 +181,7 @@ fn measured_lamps_of_one_intensity_are_small_balls_in_fog() {
     let floor = material("floor", &["sides 2", "rd .5", "rs .2 .3"]) + &level("floor", [0.0, 0.0, 0.0], 5.0);
     let places = [[0.0, 1.0, 2.0], [1.0, -1.5, 1.5], [-1.0, 0.5, 0.7]];
     let measured: String = places.iter().map(|[x, y, z]| format!("ies point.ies -t {x} {y} {z}\n")).collect();
-    // 1000 cd of a ball of 0.02 m: pi r^2 times its luminance, of which the emittance is pi times.
+    // A ball's intensity is pi r^2 times its luminance, and its emittance pi times its luminance: 1000 cd need 1000 / 0.02^2 lm/m2.
     let balls =
         places.iter().enumerate().map(|(k, [x, y, z])| format!("v b{k} =\n p {x} {y} {z}\nm ball\nsph b{k} .02\n"));
     let balls = material("ball", &["sides 1", "ed 2.5e6"]) + &balls.collect::<String>();

@@ -9,7 +9,7 @@ use super::flat::{Seen, Weigh, dot, minus, plus, splat};
 use crate::tree::AlongSegment;
 use femc_simd::{Simd, Vector};
 
-/// A light is worth at least this share of what it might send if nothing but the distance dimmed it.
+/// A light is worth at least this share of what it might send if it sent its peak intensity everywhere.
 const FLOOR: f32 = 0.01;
 
 /// Farther than this, m, is as far as this.

@@ -99,8 +99,8 @@ fn segments(count: u64) -> impl Iterator<Item = AlongSegment> {
     })
 }
 
-/// Choices at evenly spaced numbers have the probabilities that the tree tells; those sum to 1, but for the choices that end
-/// among lights of which none reaches the place.
+/// The lights that evenly spaced numbers choose have the probabilities that are told. The probabilities sum to 1, less the share of the
+/// numbers that choose no light: in a tree, a number may lead to a cluster whose lights all face away.
 fn agrees(lights: &ManyLights, count: usize, place: &impl Wanting) -> f64 {
     let asked = Asked::new(lights, place);
     let probabilities: Vec<f64> = (0..count as u32).map(|light| f64::from(asked.probability(light))).collect();

@@ -55,7 +55,8 @@ struct Shelves {
     sources: Shelf<Digest, Source>,
     /// Scenes with a job's overrides.
     scenes: Shelf<Digest, Arc<Read>>,
-    frames: Shelf<FrameKey, Arc<Prepared>>,
+    /// Frames by what they are made from, with their first pass or without.
+    frames: Shelf<(FrameKey, bool), Arc<Prepared>>,
     pieces: Pieces,
 }
 
@@ -133,10 +134,12 @@ impl Cache {
     ) -> Result<(Arc<Read>, Arc<Prepared>), Failure> {
         let read = self.scene(spec, client, fetch)?;
         let frame_key = read.frame_key(frame)?;
-        let same_world = || self.0.frames.latest(|other| other.world == frame_key.world);
-        let same_surfaces = || self.0.frames.latest(|other| other.static_digest == frame_key.static_digest);
-        let prepared = self.0.frames.get_or(frame_key, || {
-            let previous = same_world().or_else(same_surfaces);
+        let first_pass = read.settings.method.has_first_pass();
+        let same_world =
+            |passes: bool| self.0.frames.latest(|(other, has)| other.world == frame_key.world && *has == passes);
+        let same_surfaces = || self.0.frames.latest(|(other, _)| other.static_digest == frame_key.static_digest);
+        let prepared = self.0.frames.get_or((frame_key, first_pass), || {
+            let previous = same_world(first_pass).or_else(|| same_world(!first_pass)).or_else(same_surfaces);
             let prepared = femc_pipeline::prepare(&read.source, &read.settings, frame, previous.as_deref());
             prepared.map(Arc::new).map_err(|error| Failure::Scene { message: error.to_string() })
         })?;

@@ -9,6 +9,8 @@ pub enum Method {
     Auto,
     /// Path tracing alone.
     Pt,
+    /// The finite-element solution alone: fast, biased.
+    Fem,
     /// The two-pass method.
     Femc,
 }

@@ -76,6 +76,7 @@ impl Partial {
             version: env!("CARGO_PKG_VERSION").into(),
             engine: String::new(),
             settings: String::new(),
+            bias: None,
             allocation: None,
             scene: String::new(),
             frame: self.frame,

@@ -267,7 +267,9 @@ fn refused(path: &Path, e: &PlanError, named: &dyn Fn(&str) -> String) -> Failur
         PlanError::Camera(_) => failed(message),
         PlanError::Settings(SettingsError::Domain { setting, .. }) => usage(format!("{}: {e}", named(setting))),
         PlanError::Settings(SettingsError::Allocation(e)) => usage(format!("--replay: {e}")),
-        PlanError::Settings(SettingsError::MethodUnavailable) => usage(format!("{}: {e}", named("method"))),
+        PlanError::Settings(SettingsError::MethodUnavailable | SettingsError::DepthOfElements(_)) => {
+            usage(format!("{}: {e}", named("method")))
+        }
         PlanError::Film(_) => usage(format!("{}: {message}", named("size"))),
         PlanError::Settings(SettingsError::Selector(_))
         | PlanError::FrameOutside { .. }
@@ -307,6 +309,7 @@ fn method(method: Method) -> femc_pipeline::Method {
     match method {
         Method::Auto => femc_pipeline::Method::Auto,
         Method::Pt => femc_pipeline::Method::Pt,
+        Method::Fem => femc_pipeline::Method::Fem,
         Method::Femc => femc_pipeline::Method::Femc,
     }
 }

@@ -154,6 +154,7 @@ pages! {
     troubleshooting: "troubleshooting.md",
     accuracy: "accuracy.md",
     bench: "bench.md",
+    first_pass: "first-pass.md",
     formats: "formats.md",
     scenes: "scenes.md",
 }

@@ -120,6 +120,11 @@ impl Blas {
         self.triangles.get(primitive as usize).map(|t| t.map(Vec3A::from_array))
     }
 
+    /// An analytic shape, group's frame, m; `None` for triangles.
+    pub fn quadric(&self, primitive: u32) -> Option<Quadric> {
+        (primitive as usize).checked_sub(self.triangles.len()).and_then(|index| self.quadrics.get(index).copied())
+    }
+
     /// Bounds of all that can be hit, in the group's frame; empty if there is nothing.
     pub fn bounds(&self) -> Aabb {
         self.tree.bounds

@@ -6,6 +6,7 @@ use crate::record::{Contribution, Found, Leaving, Place, Recorder, Vertex};
 use crate::shadow::Shadow;
 use crate::technique::{Technique, weight};
 use femc_emission::{AtPoint, Choice, DeltaKind, Lobes};
+use femc_field::{Field, Side};
 use femc_geometry::{Ray, offset_origin};
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, Rgb, SampleStream};
@@ -15,6 +16,7 @@ use femc_prepared::media::Inside;
 use femc_prepared::sightings::Seen;
 use femc_prepared::{Crossing, KernelMaterial, Orientation, Prepared, SurfacePoint};
 use femc_scattering::{Bsdf, LobeKind, Transmitted};
+use std::f32::consts::FRAC_1_PI;
 
 /// Rays after which Russian roulette may end a path.
 const ROULETTE_FROM: u32 = 4;
@@ -123,6 +125,8 @@ pub struct Tracer<'a, R = ()> {
     at_surface: Choice,
     directions: Choice,
     shadow: Shadow,
+    /// Where all but the light of sources comes from, in place of longer paths.
+    field: Option<&'a Field>,
     /// Work done so far.
     pub counters: Counters,
     /// Who hears of the paths.
@@ -147,9 +151,19 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             at_surface: Choice::default(),
             directions: Choice::default(),
             shadow: Shadow::default(),
+            field: None,
             counters: Counters::default(),
             recorder,
         }
+    }
+
+    /// The same with light by a field: a path ends where it is scattered diffusely, or in fog, with the field's light, and goes on from
+    /// mirrors, glossy and clear surfaces alone. The samples are those of the field, with its errors.
+    pub fn with_field(mut self, field: &'a Field) -> Self {
+        self.field = Some(field);
+        // Light of sources comes by being drawn: where the path ends nothing else could find it.
+        self.settings.only = Some(Technique::Light);
+        self
     }
 
     /// Draws sample `sample` of `pixel` (row-major index in the whole film).
@@ -313,6 +327,12 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                         let position = collision.position;
                         self.recorder
                             .vertex(|| Vertex { place: Place::Medium(fog.medium_of(&collision.event)), position });
+                        if let Some(field) = self.field {
+                            let color = throughput * field.fog.mean_radiance(position);
+                            out.color += color;
+                            self.recorder.light(|| from_field(color, throughput, segment, position));
+                            break;
+                        }
                         let Some(new) = fog.scatter(&stretch, &collision, &mut stream) else { break };
                         self.recorder.leave(Leaving::Scattered { pdf: new.pdf });
                         throughput *= new.weight;
@@ -397,6 +417,23 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                     });
                 }
             }
+            let bsdf = match self.field {
+                None => bsdf,
+                Some(field) => {
+                    let (reflected, transmitted) = bsdf.lambertian(wo);
+                    let (here, behind) = if back { (Side::Back, Side::Front) } else { (Side::Front, Side::Back) };
+                    let facing = if back { -point.shading } else { point.shading };
+                    let light = |side, normal| field.irradiance(&hit, side, point.position, normal);
+                    let mut color = reflected * light(here, facing);
+                    if transmitted != Rgb::ZERO {
+                        color += transmitted * light(behind, -facing);
+                    }
+                    let color = throughput * color * FRAC_1_PI;
+                    out.color += color;
+                    self.recorder.light(|| from_field(color, throughput, segment, point.position));
+                    bsdf.without_lambertian()
+                }
+            };
             stream.seek(base + dim::LOBE);
             let choice = stream.next_1d();
             stream.seek(base + dim::DIRECTION);
@@ -586,6 +623,11 @@ fn survives<const MEDIA: bool>(
 fn straight_on(ray: &Ray, point: &SurfacePoint, inside: &mut Inside, material: &KernelMaterial, back: bool) -> Ray {
     cross(inside, material, back);
     Ray { origin: offset_origin(point.position, point.error, point.normal, ray.dir), ..*ray }
+}
+
+/// Light of a field at a path's latest vertex.
+fn from_field(color: Rgb, throughput: Rgb, bounce: u32, position: Vec3A) -> Contribution {
+    Contribution { color, throughput, bounce, found: Found::Field, light: None, position }
 }
 
 /// The shading frame and the direction toward the viewer in it.

@@ -82,6 +82,8 @@ pub enum Found {
     Airlight(u16),
     /// The segment goes through this medium, which glows.
     Glow(u16),
+    /// The path ended at its latest vertex with the light of a field.
+    Field,
 }
 
 /// A part of a sample.
@@ -95,7 +97,7 @@ pub struct Contribution {
     pub bounce: u32,
     /// How it was found.
     pub found: Found,
-    /// Index of the light; `None`: a medium that glows, or no light could be chosen.
+    /// Index of the light; `None`: a medium that glows, a field, or no light could be chosen.
     pub light: Option<u32>,
     /// Of a lamp met or drawn from the camera the point on it, else the point that it lights; where a medium glows the segment's start.
     /// Prepared frame, m.

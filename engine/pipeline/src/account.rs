@@ -35,6 +35,8 @@ pub enum How {
     Airlight,
     /// A medium glows.
     Glow,
+    /// From the first pass, with the method `fem`.
+    Field,
 }
 
 /// What light was scattered by last.
@@ -105,6 +107,7 @@ impl Origin {
             Found::Surface => (How::Surface, before),
             Found::Airlight(medium) => (How::Airlight, On::Medium(medium)),
             Found::Glow(medium) => (How::Glow, On::Medium(medium)),
+            Found::Field => (How::Field, before),
         };
         let lamp = it.light.and_then(|light| lamps.of_light.get(light as usize).copied());
         Self { bounce: it.bounce, how, on, lamp }

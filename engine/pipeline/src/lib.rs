@@ -17,11 +17,13 @@ mod settings;
 mod stage;
 
 pub use allocation::{Allocation, AllocationError};
+pub use femc_field::{Field, Form, Side};
 pub use femc_prepared::{PrepareError, Prepared, Source};
+pub use femc_radiosity::{Report as FirstPassReport, Solution};
 pub use femc_scene::FrameKey;
 pub use in_process::{RenderedFrame, RoundEnd, by_rounds, render_frame};
 pub use plan::{LeftOut, Plan, PlanError, plan};
-pub use render::{Places, RenderError, RenderedTile, frame_key, prepare, render_tile};
+pub use render::{Places, RenderError, RenderedTile, first_pass, frame_key, prepare, render_tile};
 /// Names the build of the engine: of two programs that say the same, the same job gives the same bits (`build.rs` says what is in
 /// the name, `tests/builds` compares).
 pub const BUILD: &str = env!("FEMC_ENGINE");

@@ -94,13 +94,20 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
         allocation.check_tiles(&tiling).map_err(SettingsError::Allocation)?;
     }
     let stages = stages(&tiling, &rounds, fan(&tiling));
-    let mut left_out = vec![LeftOut {
-        what: "finite-element first pass".into(),
-        reason: "this version renders by path tracing alone".into(),
-    }];
+    let method = if settings.method == Method::Fem { Method::Fem } else { Method::Pt };
+    let left_out = |what: &str, reason: &str| LeftOut { what: what.into(), reason: reason.into() };
+    let mut left_out = match method {
+        Method::Fem => {
+            vec![left_out("paths beyond the first diffuse surface", "the method `fem` takes that light from elements")]
+        }
+        _ => vec![left_out(
+            "finite-element first pass",
+            "path tracing does without; `--method fem` renders its solution",
+        )],
+    };
     let spared = scene.spared(camera).into_iter();
     left_out.extend(spared.map(|s| LeftOut { what: s.feature.to_string(), reason: s.reason }));
-    Ok(Plan { camera: camera.name.clone(), tiling, rounds, frames, method: Method::Pt, stages, left_out })
+    Ok(Plan { camera: camera.name.clone(), tiling, rounds, frames, method, stages, left_out })
 }
 
 /// Edges of tiles that have their own numbers of samples, pixels. The worst block of a tile decides, so tiles of one block draw fewest

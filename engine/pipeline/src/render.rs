@@ -1,12 +1,14 @@
 //! Frames made ready and tiles rendered.
 
-use crate::settings::Settings;
+use crate::settings::{Method, Settings};
 use femc_film::{FilmError, Filter, Rect, Sample, Tile};
 use femc_montecarlo::{Counters, PathSettings, PixelFilter, Tracer};
 use femc_prepared::{FrameSpec, PrepareError, Prepared, Source};
+use femc_radiosity::Solution;
 use femc_scene::FrameKey;
 use rayon::prelude::*;
 use std::ops::Range;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
 /// Makes frame `frame` (from 1) of `source`, which has the overrides applied, ready to render.
@@ -17,7 +19,18 @@ pub fn prepare(
     frame: u32,
     previous: Option<&Prepared>,
 ) -> Result<Prepared, PrepareError> {
-    femc_prepared::prepare(source, &spec(settings, frame), previous)
+    let mut prepared = femc_prepared::prepare(source, &spec(settings, frame), previous)?;
+    if settings.method.has_first_pass() && prepared.field.is_none() {
+        let Ok(solution) = first_pass(&prepared, &AtomicBool::new(false)) else { return Ok(prepared) };
+        prepared.field = Some(Arc::new(solution.field));
+    }
+    Ok(prepared)
+}
+
+/// Solves the finite-element first pass of a prepared frame: its light, and what it took. It depends on the frame's world alone.
+/// - errors: `cancel` was set.
+pub fn first_pass(prepared: &Prepared, cancel: &AtomicBool) -> Result<Solution, RenderError> {
+    femc_radiosity::solve(prepared, &femc_radiosity::Options::default(), cancel).map_err(|_| RenderError::Cancelled)
 }
 
 /// What [`prepare`] would make the frame from.
@@ -68,6 +81,9 @@ pub fn render_tile(
             let strip = Rect { y: rect.y + row, height: 1, ..rect };
             let mut tile = Tile::new(strip, samples.clone())?;
             let mut tracer = Tracer::new(prepared, path);
+            if let Some(field) = prepared.field.as_deref().filter(|_| settings.method == Method::Fem) {
+                tracer = tracer.with_field(field);
+            }
             for x in strip.x..strip.x + strip.width {
                 // Progress shows also within a pixel of very many samples.
                 for begin in samples.clone().step_by(STEP) {

@@ -2,7 +2,7 @@
 //! be asked for afterwards.
 
 use crate::render::Places;
-use crate::settings::{Settings, Stop};
+use crate::settings::{Method, Settings, Stop};
 use femc_math::Rgb;
 use femc_montecarlo::{PathSettings, Recording, Tracer};
 use femc_prepared::Prepared;
@@ -19,7 +19,10 @@ impl<'a> Replay<'a> {
     /// Of a frame of these settings.
     pub fn new(prepared: &'a Prepared, settings: &'a Settings) -> Self {
         let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth, only: None };
-        let tracer = Tracer::recording(prepared, path, Recording::default());
+        let mut tracer = Tracer::recording(prepared, path, Recording::default());
+        if let Some(field) = prepared.field.as_deref().filter(|_| settings.method == Method::Fem) {
+            tracer = tracer.with_field(field);
+        }
         Self { tracer, settings, width: prepared.camera.film[0] }
     }
 

@@ -70,8 +70,23 @@ pub enum Method {
     Auto,
     /// Path tracing alone.
     Pt,
+    /// The finite-element first pass alone: its light ends the paths. Biased by the elements' errors.
+    Fem,
     /// The finite-element first pass, then guided path tracing.
     Femc,
+}
+
+impl Method {
+    /// Whether frames have a finite-element first pass.
+    pub fn has_first_pass(self) -> bool {
+        matches!(self, Self::Fem | Self::Femc)
+    }
+
+    /// What a method leaves in every pixel however many samples it draws; `None`: nothing.
+    pub fn bias(self) -> Option<&'static str> {
+        (self == Self::Fem)
+            .then_some("fem: the elements' errors are in every pixel; variance and relative_error do not hold them")
+    }
 }
 
 /// Why settings are refused.
@@ -88,8 +103,13 @@ pub enum SettingsError {
         domain: &'static str,
     },
     /// The two-pass method is not part of this build.
-    #[error("the method `femc` is not available in this version; use `pt` or `auto`")]
+    #[error("the method `femc` is not available in this version; use `pt`, `fem` or `auto`")]
     MethodUnavailable,
+    /// Elements know no lengths of paths.
+    #[error(
+        "a longest path (`max-depth` {0}) cannot be asked of the method `fem`, whose light has come any number of ways; use `pt`"
+    )]
+    DepthOfElements(u32),
     /// Samples that no frame is made of.
     #[error(transparent)]
     Allocation(#[from] AllocationError),
@@ -122,6 +142,9 @@ impl Settings {
         }
         if self.method == Method::Femc {
             return Err(SettingsError::MethodUnavailable);
+        }
+        if self.method == Method::Fem && self.max_depth != 0 {
+            return Err(SettingsError::DepthOfElements(self.max_depth));
         }
         Ok(self.allocation.as_ref().map_or(Ok(()), Allocation::check)?)
     }

@@ -9,6 +9,7 @@ use crate::sightings::Sightings;
 use crate::source::Source;
 use crate::texture::Texture;
 use femc_emission::Light;
+use femc_field::Field;
 use femc_geometry::{InstanceInput, Pose, Ray, World, offset_origin};
 use femc_math::Rgb;
 use femc_math::elementary::double;
@@ -106,6 +107,8 @@ pub struct Prepared {
     pub camera_inside: Inside,
     /// Whether light can go straight through a surface: shadow rays look at what they meet then.
     pub has_clear_surfaces: bool,
+    /// The light that the first pass has found, where there was one.
+    pub field: Option<Arc<Field>>,
     cache: Cache,
 }
 
@@ -168,6 +171,7 @@ pub fn prepare(source: &Source, spec: &FrameSpec, previous: Option<&Prepared>) -
             least_distance: previous.least_distance,
             camera_inside: Inside::default(),
             has_clear_surfaces: previous.has_clear_surfaces,
+            field: previous.field.clone(),
             cache: previous.cache.clone(),
         },
         previous => build(scene, &now, &sight, frame_key, camera, spec.frame, previous)?,
@@ -247,6 +251,7 @@ fn build(
         origin,
         camera_inside: Inside::default(),
         has_clear_surfaces,
+        field: None,
         cache,
     })
 }

@@ -77,12 +77,12 @@ impl Lights {
     }
 
     /// Box around a light over the whole shutter, prepared frame, m.
-    pub(crate) fn bounds(&self, light: u32) -> Aabb {
+    pub fn bounds(&self, light: u32) -> Aabb {
         self.places[light as usize].0
     }
 
     /// Luminous flux of a light, lm.
-    pub(crate) fn power(&self, light: u32) -> f32 {
+    pub fn power(&self, light: u32) -> f32 {
         self.places[light as usize].1
     }
 
@@ -172,6 +172,26 @@ impl Lights {
     pub(crate) fn corners(&self, light: u32) -> Vec<Vec3A> {
         let stands = self.entries[light as usize].carrier == NONE;
         if stands { self.lights[light as usize].corners() } else { Vec::new() }
+    }
+
+    /// Corners in order, counter-clockwise about the front normal, luminance of the sides and whether the back has it, too, of a flat
+    /// polygon that stands still and is as bright everywhere and from everywhere; `None` of other lights.
+    pub fn even_polygon(&self, light: u32) -> Option<(Vec<Vec3A>, Rgb, bool)> {
+        let (normal, emission) = match &self.lights[light as usize] {
+            Light::Triangle(it) => (it.normal(), it.emission),
+            Light::Parallelogram(it) => (it.normal(), it.emission),
+            _ => return None,
+        };
+        let mut corners = self.corners(light);
+        let even = emission.profile == Profile::Lambertian && self.entries[light as usize].texture == NONE;
+        if corners.len() < 3 || !even {
+            return None;
+        }
+        if femc_math::cross(corners[1] - corners[0], corners[2] - corners[0]).dot(normal) < 0.0 {
+            corners.reverse();
+        }
+        let both = emission.sides == Sides::Two;
+        Some((corners, emission.radiance(1.0), both))
     }
 
     /// The point of such a light that is seen from `reference` in direction `dir` (unit), with density 1.

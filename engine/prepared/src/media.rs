@@ -4,10 +4,11 @@
 //! Overlapping media add up. Coefficients may differ by colour channel; a distance is then drawn for one channel and its
 //! density is the mean over the channels, which keeps the estimator unbiased and its weights bounded.
 
+use femc_geometry::Aabb;
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_math::elementary::{exp, exp_m1, ln, ln_1p};
-use femc_math::glam::{Affine3A, Vec3A};
+use femc_math::glam::{Affine3, Affine3A, Vec3A};
 use femc_scattering::Phase;
 
 /// Farthest distance along a ray, m: infinity for products that must stay finite.
@@ -214,17 +215,51 @@ impl Media {
         self.glows
     }
 
-    /// Extinction at a point, 1/m, by luminance. Media inside closed objects do not count.
-    pub fn extinction_at(&self, point: Vec3A) -> f32 {
-        let holds = |bounds: &Bounds| match bounds {
+    /// The media at a point, without those inside closed objects.
+    fn at(&self, point: Vec3A) -> impl Iterator<Item = &KernelMedium> {
+        let holds = move |bounds: &Bounds| match bounds {
             Bounds::Everywhere => true,
             Bounds::Box { to_local, min, max } => {
                 let local = to_local.transform_point3a(point);
                 local.cmpge(*min).all() && local.cmple(*max).all()
             }
         };
-        let here = self.regions.iter().filter(|(_, bounds)| holds(bounds)).map(|&(m, _)| self.medium(m));
-        here.map(|medium| luminance(medium.sigma_t) * medium.density(point.z)).sum()
+        self.regions.iter().filter(move |(_, bounds)| holds(bounds)).map(|&(m, _)| self.medium(m))
+    }
+
+    /// Extinction at a point, 1/m, by luminance. Media inside closed objects do not count.
+    pub fn extinction_at(&self, point: Vec3A) -> f32 {
+        self.at(point).map(|medium| luminance(medium.sigma_t) * medium.density(point.z)).sum()
+    }
+
+    /// Extinction where all media together are gray and the same everywhere, 1/m. Media inside closed objects do not count.
+    pub fn even_extinction(&self) -> Option<f32> {
+        let even = |(medium, bounds): &(u16, Bounds)| {
+            let it = self.medium(*medium);
+            let gray = it.sigma_t.min_element() == it.sigma_t.max_element();
+            (matches!(bounds, Bounds::Everywhere) && it.profile == Profile::Uniform && gray).then_some(it.sigma_t.x)
+        };
+        self.regions.iter().map(even).sum()
+    }
+
+    /// Scattering coefficient at a point, 1/m. Media inside closed objects do not count.
+    pub fn scattering_at(&self, point: Vec3A) -> Rgb {
+        self.at(point).map(|medium| medium.sigma_s * medium.density(point.z)).sum()
+    }
+
+    /// A box around all that scatters of the media outside of closed objects, if anything does.
+    /// - `around`: what a medium that is everywhere is taken around, prepared frame, m.
+    pub fn scattering_bounds(&self, around: Aabb) -> Option<Aabb> {
+        let part = |(medium, bounds): &(u16, Bounds)| {
+            let medium = self.medium(*medium);
+            medium.scatters().then(|| match bounds {
+                Bounds::Everywhere => around,
+                Bounds::Box { to_local, min, max } => {
+                    Aabb { min: *min, max: *max }.transformed(&Affine3A::from(Affine3::from(*to_local).inverse()))
+                }
+            })
+        };
+        self.regions.iter().filter_map(part).reduce(Aabb::union)
     }
 
     /// The medium of an index.

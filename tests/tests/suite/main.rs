@@ -5,6 +5,7 @@ mod bad_samples;
 mod brute;
 mod cases;
 mod crates;
+mod first_pass;
 mod fuzz;
 mod honesty;
 mod pairs;

@@ -39,6 +39,7 @@ pub(crate) fn image(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
         version: env!("CARGO_PKG_VERSION").into(),
         engine: crate::engine().into(),
         settings: serde_json::to_string(&settings.stated()).map_err(unfit)?,
+        bias: settings.method.bias().map(Into::into),
         allocation: text(allocation.as_ref())?,
         scene: read.digest.clone(),
         frame: task.assignment.task.stage.frame,

@@ -225,6 +225,7 @@ fn how(how: How) -> &'static str {
         How::Surface => "light drawn at a surface",
         How::Airlight => "airlight of a lamp",
         How::Glow => "glow of a medium",
+        How::Field => "light of the first pass",
     }
 }
 

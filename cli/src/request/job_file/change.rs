@@ -79,6 +79,7 @@ impl Change {
             Self::Time(time) => format!("{}s", shortest(time.seconds)),
             Self::Method(Method::Auto) => "auto".to_owned(),
             Self::Method(Method::Pt) => "pt".to_owned(),
+            Self::Method(Method::Fem) => "fem".to_owned(),
             Self::Method(Method::Femc) => "femc".to_owned(),
             Self::Filter(Filter::Box) => "box".to_owned(),
             Self::Filter(Filter::Triangle) => "triangle".to_owned(),

@@ -24,6 +24,8 @@ pub struct Provenance {
     pub engine: String,
     /// Render settings, JSON.
     pub settings: String,
+    /// Of a method whose pixels are not right on average however many samples they are made of: which, and why.
+    pub bias: Option<String>,
     /// Of a frame that had a time: how its samples were divided, JSON. Rendered again by that it has the same pixels.
     pub allocation: Option<String>,
     /// Digest of the scene.
@@ -43,6 +45,7 @@ pub struct Provenance {
 impl Provenance {
     fn attributes(&self) -> Vec<(String, String)> {
         let allocation = self.allocation.iter().map(|text| ("allocation", text.clone()));
+        let bias = self.bias.iter().map(|text| ("bias", text.clone()));
         let always = [
             ("version", self.version.clone()),
             ("engine", self.engine.clone()),
@@ -58,7 +61,7 @@ impl Provenance {
             ("bad_samples", account(&self.bad)),
         ];
         let named = |(name, value)| (format!("{ATTRIBUTE_PREFIX}{name}"), value);
-        always.into_iter().chain(allocation).map(named).collect()
+        always.into_iter().chain(allocation).chain(bias).map(named).collect()
     }
 }
 

@@ -26,6 +26,7 @@ fn provenance() -> Provenance {
         version: "0.1.0".into(),
         engine: "0.1.0-7".into(),
         settings: r#"{"spp":16}"#.into(),
+        bias: Some("fem".into()),
         scene: "00ff".into(),
         frame: 7,
         seconds: 1.25,

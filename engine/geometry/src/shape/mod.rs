@@ -11,10 +11,10 @@ mod torus;
 
 use crate::Aabb;
 use femc_math::{
-    elementary::double::atan2,
+    elementary::double::{atan2, sin_cos},
     glam::{DVec3, Vec3A},
 };
-use std::f64::consts::TAU;
+use std::f64::consts::{PI, TAU};
 
 /// Whether a shape's front side is its outer or its inner one.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -193,6 +193,82 @@ impl Quadric {
                 torus.intersect(origin - center.as_dvec3(), dir, span, crossings)
             }
         }
+    }
+
+    /// The point with the parameters `u` and `v` of a hit, and the unit normal of the front side there. The inverse of
+    /// [`World::intersect`](crate::World::intersect)'s parameters (test `parameters_name_the_point_that_has_them`).
+    pub fn point_at(&self, [u, v]: [f64; 2]) -> (DVec3, DVec3) {
+        let around = |axis: DVec3| {
+            let (x, y) = axis.any_orthonormal_pair();
+            let (sin, cos) = sin_cos(TAU * u);
+            x * cos + y * sin
+        };
+        let (position, normal) = match *self {
+            Self::Sphere { center, radius, .. } => {
+                let ((sin, cos), (sin_polar, cos_polar)) = (sin_cos(TAU * u), sin_cos(PI * v));
+                let n = DVec3::new(sin_polar * cos, sin_polar * sin, cos_polar);
+                (center.as_dvec3() + n * f64::from(radius), n)
+            }
+            Self::Cone { start, end, start_radius, end_radius, .. } => {
+                let (start, end) = (start.as_dvec3(), end.as_dvec3());
+                let (from, to) = (f64::from(start_radius), f64::from(end_radius));
+                let axis = (end - start).normalize();
+                let across = around(axis);
+                let slope = (to - from) / (end - start).length();
+                (start.lerp(end, v) + across * (from + (to - from) * v), (across - axis * slope).normalize())
+            }
+            Self::Ring { center, normal, inner, outer } => {
+                let n = normal.as_dvec3().normalize();
+                let (inner, outer) = (f64::from(inner), f64::from(outer));
+                (center.as_dvec3() + around(n) * (inner + (outer - inner) * v), n)
+            }
+            Self::Torus { center, axis, major, minor, .. } => {
+                let axis = axis.as_dvec3().normalize();
+                let outward = around(axis);
+                let (sin, cos) = sin_cos(TAU * v);
+                let n = outward * cos + axis * sin;
+                (center.as_dvec3() + outward * f64::from(major) + n * f64::from(minor), n)
+            }
+        };
+        (position, if self.facing() == Facing::Inward { -normal } else { normal })
+    }
+
+    /// Area, m2.
+    pub fn area(&self) -> f64 {
+        match *self {
+            Self::Sphere { radius, .. } => 2.0 * TAU * f64::from(radius) * f64::from(radius),
+            Self::Cone { start, end, start_radius, end_radius, .. } => {
+                let (height, step) =
+                    ((end.as_dvec3() - start.as_dvec3()).length(), f64::from(end_radius - start_radius));
+                PI * f64::from(start_radius + end_radius) * (height * height + step * step).sqrt()
+            }
+            Self::Ring { inner, outer, .. } => PI * f64::from(outer + inner) * f64::from(outer - inner),
+            Self::Torus { major, minor, .. } => TAU * TAU * f64::from(major) * f64::from(minor),
+        }
+    }
+
+    /// Share of the area that has a second parameter below `v`, in [0, 1]: with it in place of `v`, equal steps of the parameters
+    /// have equal areas.
+    pub fn share_below(&self, v: f64) -> f64 {
+        match *self {
+            Self::Sphere { .. } => 0.5 - 0.5 * sin_cos(PI * v).1,
+            Self::Cone { start_radius: a, end_radius: b, .. } | Self::Ring { inner: a, outer: b, .. } => {
+                let (a, b) = (f64::from(a), f64::from(b));
+                v * (2.0 * a + (b - a) * v) / (a + b)
+            }
+            Self::Torus { major, minor, .. } => v + f64::from(minor / major) * sin_cos(TAU * v).0 / TAU,
+        }
+    }
+
+    /// The second parameter that has a share of the area below it: the inverse of [`Self::share_below`].
+    pub fn at_share(&self, share: f64) -> f64 {
+        let (mut low, mut high) = (0.0, 1.0);
+        // The share grows with the parameter; a third of a step of bisection is left of a double's precision.
+        for _ in 0..52 {
+            let middle = 0.5 * (low + high);
+            if self.share_below(middle) < share { low = middle } else { high = middle }
+        }
+        0.5 * (low + high)
     }
 
     /// The point of the surface next to `p`, which is near it.

@@ -230,3 +230,42 @@ fn shapes_and_triangles_share_a_tree() {
         assert_eq!(both.occluded(&ray), nearest.is_some());
     }
 }
+
+#[test]
+fn parameters_name_the_point_that_has_them() {
+    let mut random = Random(29);
+    for _ in 0..50 {
+        for quadric in quadrics(&mut random, 1.0) {
+            for k in 1..8 {
+                let uv = [f64::from(k) / 8.3, f64::from(k * 3 % 8) / 8.0 + 0.02];
+                let (point, normal) = quadric.point_at(uv);
+                let found = quadric.nearest(point);
+                assert!(
+                    (found.position - point).length() < 1e-9 && (found.normal - normal).length() < 1e-9,
+                    "{quadric:?}"
+                );
+                assert!(
+                    (found.uv[0] - uv[0]).abs() < 1e-9 && (found.uv[1] - uv[1]).abs() < 1e-9,
+                    "{quadric:?}: {uv:?} {:?}",
+                    found.uv
+                );
+                let share = quadric.share_below(uv[1]);
+                assert!((quadric.at_share(share) - uv[1]).abs() < 1e-9);
+            }
+            // A step of the share has that share of the area, wherever it is.
+            for share in [0.1, 0.3, 0.8] {
+                let area = patch(&quadric, share, 1e-4);
+                assert!((area / (quadric.area() * 1e-4) - 1.0).abs() < 1e-3, "{quadric:?}");
+            }
+        }
+    }
+}
+
+/// Area of a band around a share of the area.
+fn patch(quadric: &Quadric, share: f64, width: f64) -> f64 {
+    let at = |u: f64, share: f64| quadric.point_at([u, quadric.at_share(share.clamp(0.0, 1.0))]).0;
+    let step = 1e-4;
+    let along = (at(step, share) - at(0.0, share)) / step;
+    let across = at(0.0, share + 0.5 * width) - at(0.0, share - 0.5 * width);
+    along.cross(across).length()
+}

@@ -180,6 +180,28 @@ impl Bsdf {
         }
     }
 
+    /// Share of irradiance from all around that the Lambertian parts reflect, and let through, toward `wo`: times the irradiance of the
+    /// side of `wo`, and of the other side, over pi it is their radiance.
+    pub fn lambertian(&self, wo: Vec3A) -> (Rgb, Rgb) {
+        let cos = wo.z.abs();
+        match self {
+            Self::Diffuse(b) if b.sides.exist_at(wo.z) => (b.rd, Rgb::ZERO),
+            Self::Opaque(b) if b.sides.exist_at(wo.z) => (b.rd * b.coat.left(cos), Rgb::ZERO),
+            Self::Sheet(b) if b.sides.exist_at(wo.z) => (b.rd * b.coat.left(cos), b.td * b.coat.left(cos)),
+            _ => (Rgb::ZERO, Rgb::ZERO),
+        }
+    }
+
+    /// The same without its Lambertian parts; what bounds a clear solid stays as it is.
+    pub fn without_lambertian(&self) -> Self {
+        match *self {
+            Self::Diffuse(_) => Self::Black,
+            Self::Opaque(b) => Self::Opaque(Opaque { rd: Rgb::ZERO, ..b }),
+            Self::Sheet(b) => Self::Sheet(Sheet { rd: Rgb::ZERO, td: Rgb::ZERO, ..b }),
+            other => other,
+        }
+    }
+
     /// `f |cos wi|`, 1/sr, delta parts excluded.
     /// Laws: reciprocal (`reciprocity_holds`), the white furnace keeps at most 1 (`no_member_creates_energy`).
     #[inline]

@@ -1,0 +1,103 @@
+use crate::NONE;
+use femc_math::glam::Vec2;
+
+/// How a cell is cut in two.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Split {
+    /// A leaf.
+    None,
+    /// A rectangle, at the middle of its first (0) or second (1) parameter.
+    Half(u8),
+    /// A triangle, from its first corner to the middle of the edge across.
+    Bisection,
+}
+
+/// A corner and two edges over a surface's parameters.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Outline {
+    /// The corner.
+    pub corner: Vec2,
+    /// The edges from it.
+    pub edges: [Vec2; 2],
+}
+
+impl Outline {
+    /// All of a surface.
+    pub const WHOLE: Self = Self { corner: Vec2::ZERO, edges: [Vec2::X, Vec2::Y] };
+
+    /// The point with these coordinates along the edges.
+    pub fn at(&self, local: Vec2) -> Vec2 {
+        self.corner + self.edges[0] * local.x + self.edges[1] * local.y
+    }
+
+    /// Coordinates along the edges of a point.
+    pub fn local(&self, place: Vec2) -> Vec2 {
+        let ([a, b], p) = (self.edges, place - self.corner);
+        Vec2::new(p.perp_dot(b), a.perp_dot(p)) / a.perp_dot(b)
+    }
+
+    /// An outline that is given in this one's coordinates.
+    pub fn of(&self, inner: &Self) -> Self {
+        let edge = |edge: Vec2| self.edges[0] * edge.x + self.edges[1] * edge.y;
+        Self { corner: self.at(inner.corner), edges: inner.edges.map(edge) }
+    }
+
+    /// The two halves, in coordinates of the whole. Of triangles each is turned so that the edge across its corner is that which is
+    /// longest by `length` of (from, to) in these coordinates.
+    pub fn halves(split: Split, length: impl Fn(Vec2, Vec2) -> f32) -> [Self; 2] {
+        let half = 0.5;
+        match split {
+            Split::None | Split::Half(0) => {
+                [0.0, half].map(|x| Self { corner: Vec2::new(x, 0.0), edges: [Vec2::new(half, 0.0), Vec2::Y] })
+            }
+            Split::Half(_) => {
+                [0.0, half].map(|y| Self { corner: Vec2::new(0.0, y), edges: [Vec2::X, Vec2::new(0.0, half)] })
+            }
+            Split::Bisection => {
+                let middle = Vec2::splat(half);
+                [[Vec2::ZERO, Vec2::X, middle], [Vec2::ZERO, middle, Vec2::Y]]
+                    .map(|corners| Self::across_longest(corners, &length))
+            }
+        }
+    }
+
+    /// A triangle whose corner lies across its longest edge.
+    pub fn across_longest(corners: [Vec2; 3], length: &impl Fn(Vec2, Vec2) -> f32) -> Self {
+        let edge = |k: usize| length(corners[(k + 1) % 3], corners[(k + 2) % 3]);
+        let first = (1..3).fold(0, |best, k| if edge(k) > edge(best) { k } else { best });
+        let [a, b, c] = [0, 1, 2].map(|k| corners[(first + k) % 3]);
+        Self { corner: a, edges: [b - a, c - a] }
+    }
+}
+
+/// A part of a surface.
+#[derive(Clone, Copy, Debug)]
+pub struct Cell {
+    /// Its place in the cell that holds it, in that one's coordinates; of a root in the surface's parameters.
+    pub outline: Outline,
+    /// How it is cut.
+    pub split: Split,
+    /// Index of the first of its two halves, which follow each other; of a leaf index of what is known of it.
+    pub next: u32,
+}
+
+impl Cell {
+    /// The leaf that holds a point, and the point's coordinates in it; `None` of a surface without cells.
+    pub fn find(cells: &[Self], root: u32, place: Vec2) -> Option<(u32, Vec2)> {
+        if root == NONE {
+            return None;
+        }
+        let mut cell = &cells[root as usize];
+        let mut local = cell.outline.local(place);
+        loop {
+            let second = match cell.split {
+                Split::None => return Some((cell.next, local)),
+                Split::Half(0) => local.x >= 0.5,
+                Split::Half(_) => local.y >= 0.5,
+                Split::Bisection => local.y > local.x,
+            };
+            cell = &cells[cell.next as usize + usize::from(second)];
+            local = cell.outline.local(local);
+        }
+    }
+}

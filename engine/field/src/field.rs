@@ -1,0 +1,94 @@
+use crate::{Cell, FogTree, Harmonics, NONE, Side, Surface};
+use femc_geometry::Hit;
+use femc_math::Rgb;
+use femc_math::glam::{Vec2, Vec3A};
+
+/// What is known of a leaf: irradiance, lx by channel, without what comes straight from light sources.
+#[derive(Clone, Copy, Debug)]
+pub enum Leaf {
+    /// Of a triangle: at the three points that have two thirds of a corner each and a sixth of the others.
+    Triangle([Rgb; 3]),
+    /// Of a rectangle: at the four points of Gauss' rule, the first parameter fastest.
+    Rectangle([Rgb; 4]),
+    /// By direction of the normal.
+    Curved(Harmonics),
+}
+
+/// Distance of the points of Gauss' rule from the middle of [0, 1].
+const GAUSS: f32 = 0.288_675_13;
+
+impl Leaf {
+    /// Where a triangle's values are, in the leaf's coordinates.
+    pub const TRIANGLE: [Vec2; 3] =
+        [Vec2::new(1.0 / 6.0, 1.0 / 6.0), Vec2::new(2.0 / 3.0, 1.0 / 6.0), Vec2::new(1.0 / 6.0, 2.0 / 3.0)];
+    /// Where a rectangle's values are.
+    pub const RECTANGLE: [Vec2; 4] = [
+        Vec2::new(0.5 - GAUSS, 0.5 - GAUSS),
+        Vec2::new(0.5 + GAUSS, 0.5 - GAUSS),
+        Vec2::new(0.5 - GAUSS, 0.5 + GAUSS),
+        Vec2::new(0.5 + GAUSS, 0.5 + GAUSS),
+    ];
+
+    /// The linear function with these values at a triangle's points.
+    pub fn over_triangle(values: &[Rgb; 3], local: Vec2) -> Rgb {
+        let [a, b, c] = [1.0 - local.x - local.y, local.x, local.y].map(|weight| 2.0 * weight - 1.0 / 3.0);
+        values[0] * a + values[1] * b + values[2] * c
+    }
+
+    /// The bilinear function with these values at a rectangle's points.
+    pub fn over_rectangle(values: &[Rgb; 4], local: Vec2) -> Rgb {
+        let [x, y] = [local.x, local.y].map(|at| (at - (0.5 - GAUSS)) / (2.0 * GAUSS));
+        (values[0] * (1.0 - x) + values[1] * x) * (1.0 - y) + (values[2] * (1.0 - x) + values[3] * x) * y
+    }
+
+    /// Irradiance at a point of the leaf.
+    fn at(&self, local: Vec2, normal: Vec3A) -> Rgb {
+        match self {
+            Self::Triangle(values) => Self::over_triangle(values, local).max(Rgb::ZERO),
+            Self::Rectangle(values) => Self::over_rectangle(values, local).max(Rgb::ZERO),
+            Self::Curved(light) => light.cosine(normal),
+        }
+    }
+}
+
+/// The light of a scene as the first pass has found it.
+#[derive(Clone, Debug, Default)]
+pub struct Field {
+    /// All surfaces.
+    pub surfaces: Vec<Surface>,
+    /// By surface: its first cell, or [`NONE`].
+    pub roots: Vec<u32>,
+    /// Parts of surfaces.
+    pub cells: Vec<Cell>,
+    /// What is known of them.
+    pub leaves: Vec<Leaf>,
+    /// By instance and primitive: surface of the front and of the back, or [`NONE`].
+    pub sides: Vec<Vec<[u32; 2]>>,
+    /// Light in fog.
+    pub fog: FogTree,
+}
+
+impl Field {
+    /// Irradiance at a hit, lx by channel, without what comes straight from light sources.
+    /// - `position`, `normal`: of the hit; the unit normal on the side that is asked for.
+    /// - returns 0 where the first pass knows no surface.
+    pub fn irradiance(&self, hit: &Hit, side: Side, position: Vec3A, normal: Vec3A) -> Rgb {
+        let sides = self.sides[hit.instance as usize][hit.primitive as usize];
+        let surface = sides[usize::from(side == Side::Back)];
+        if surface == NONE {
+            return Rgb::ZERO;
+        }
+        let place = self.surfaces[surface as usize].parameters(position, [hit.u, hit.v]);
+        let found = Cell::find(&self.cells, self.roots[surface as usize], place);
+        found.map_or(Rgb::ZERO, |(leaf, local)| self.leaves[leaf as usize].at(local, normal))
+    }
+
+    /// Bytes that it takes.
+    pub fn memory(&self) -> usize {
+        size_of_val(&*self.surfaces)
+            + size_of_val(&*self.cells)
+            + size_of_val(&*self.leaves)
+            + self.sides.iter().map(|sides| size_of_val(&**sides)).sum::<usize>()
+            + size_of_val(&*self.fog.0)
+    }
+}

@@ -1,0 +1,109 @@
+//! Functions of direction by nine spherical harmonics: enough for what Lambertian surfaces receive and send (\[ramamoorthi2001\]).
+
+use femc_math::Rgb;
+use femc_math::glam::Vec3A;
+use std::f32::consts::PI;
+use std::ops::{Add, AddAssign, Mul};
+
+/// Coefficients of the real spherical harmonics up to degree 2.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Harmonics(pub [Rgb; 9]);
+
+/// Of the clamped cosine about a direction, by degree: the function is the sum over the harmonics of these times their values at
+/// the direction and at the point.
+const COSINE: [f32; 3] = [PI, 2.0 * PI / 3.0, PI / 4.0];
+
+/// Values of the nine harmonics in a unit direction.
+fn values(w: Vec3A) -> [f32; 9] {
+    const ONE: [f32; 2] = [0.282_094_8, 0.488_602_5];
+    const TWO: [f32; 3] = [1.092_548_4, 0.315_391_57, 0.546_274_2];
+    [
+        ONE[0],
+        ONE[1] * w.y,
+        ONE[1] * w.z,
+        ONE[1] * w.x,
+        TWO[0] * w.x * w.y,
+        TWO[0] * w.y * w.z,
+        TWO[1] * (3.0 * w.z * w.z - 1.0),
+        TWO[0] * w.x * w.z,
+        TWO[2] * (w.x * w.x - w.y * w.y),
+    ]
+}
+
+/// Degree of the harmonic of an index.
+const DEGREE: [usize; 9] = [0, 1, 1, 1, 2, 2, 2, 2, 2];
+
+impl Harmonics {
+    /// Nothing.
+    pub const ZERO: Self = Self([Rgb::ZERO; 9]);
+
+    /// All of `amount` in the unit direction `w`.
+    pub fn toward(w: Vec3A, amount: Rgb) -> Self {
+        Self(values(w).map(|value| amount * value))
+    }
+
+    /// The sum of the parts, each times the clamped cosine between its direction and `w` (unit): of light by where it comes from, the
+    /// irradiance of a surface with that normal; of surfaces' area times radiance by their normals, the intensity in that direction.
+    /// Within some percent of the greatest value, and never negative.
+    pub fn cosine(&self, w: Vec3A) -> Rgb {
+        let mut sum = Rgb::ZERO;
+        for ((part, value), degree) in self.0.iter().zip(values(w)).zip(DEGREE) {
+            sum += *part * (value * COSINE[degree]);
+        }
+        sum.max(Rgb::ZERO)
+    }
+
+    /// The sum of the parts, whatever their directions.
+    pub fn total(&self) -> Rgb {
+        // The first harmonic is the same everywhere.
+        self.0[0] / 0.282_094_8
+    }
+}
+
+impl Add for Harmonics {
+    type Output = Self;
+
+    fn add(mut self, other: Self) -> Self {
+        self += other;
+        self
+    }
+}
+
+impl AddAssign for Harmonics {
+    fn add_assign(&mut self, other: Self) {
+        self.0.iter_mut().zip(other.0).for_each(|(a, b)| *a += b);
+    }
+}
+
+impl Mul<Rgb> for Harmonics {
+    type Output = Self;
+
+    fn mul(self, by: Rgb) -> Self {
+        Self(self.0.map(|part| part * by))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn one_direction_gives_nearly_the_clamped_cosine_and_all_directions_a_quarter() {
+        let towards = |k: u32, n: u32| {
+            let z = 1.0 - (2 * k + 1) as f32 / n as f32;
+            femc_math::warp::direction(z, (k as f32 * 0.618_034).fract())
+        };
+        let from = towards(17, 100);
+        let light = Harmonics::toward(from, Rgb::ONE);
+        for k in 0..100 {
+            let n = towards(k, 100);
+            assert!((light.cosine(n).x - n.dot(from).max(0.0)).abs() < 0.1, "{n}: {}", light.cosine(n));
+        }
+        let mut all = Harmonics::ZERO;
+        (0..1000).for_each(|k| all += Harmonics::toward(towards(k, 1000), Rgb::ONE));
+        assert!((all.total().y - 1000.0).abs() < 1e-2);
+        for k in 0..100 {
+            assert!((all.cosine(towards(k, 100)).z - 250.0).abs() < 1.0, "the mean of the clamped cosine");
+        }
+    }
+}

@@ -1,0 +1,22 @@
+//! The radiance field: what the first pass knows of the light, asked by point.
+//!
+//! A [`Surface`] is one side of a triangle, of a parallelogram or of a curved shape, with two parameters over it. Its [`Cell`]s are a
+//! binary tree over the parameters; a leaf has the irradiance that comes from other surfaces and from fog, linear over the leaf, or,
+//! where a leaf is too curved for one normal, by direction ([`Harmonics`]). In fog the leaves of a tree of boxes have the same of
+//! light from all around. What comes straight from light sources is not in the field: who asks knows the sources.
+#![deny(missing_docs)]
+
+mod cell;
+mod field;
+mod fog;
+mod harmonics;
+mod surface;
+
+pub use cell::{Cell, Outline, Split};
+pub use field::{Field, Leaf};
+pub use fog::{FogCell, FogTree};
+pub use harmonics::Harmonics;
+pub use surface::{Form, Side, Surface, SurfaceSpot};
+
+/// "None" among `u32` indices.
+pub const NONE: u32 = u32::MAX;

@@ -1,0 +1,164 @@
+//! The tree of elements, which grows as links are refined.
+
+use crate::element::{Element, Kind};
+use crate::scene::Scene;
+use femc_field::{NONE, Outline, Split};
+use femc_math::glam::{Vec2, Vec3A};
+
+/// All elements; a parent comes before its children.
+#[derive(Debug, Default)]
+pub struct Arena {
+    pub elements: Vec<Element>,
+    /// Clusters and balls.
+    pub wide: usize,
+    /// The element that holds all.
+    pub root: u32,
+    /// By surface: its root element, or [`NONE`].
+    pub roots: Vec<u32>,
+    /// Root of the fog, or [`NONE`].
+    pub fog: u32,
+}
+
+/// Cosine between normals that are the same.
+const ONE_PLANE: f32 = 0.999_999;
+
+impl Arena {
+    /// Roots of all surfaces in a tree of clusters, and the fog beside them.
+    pub fn new(scene: &Scene<'_>) -> Self {
+        let mut arena = Self { roots: vec![NONE; scene.surfaces.len()], fog: NONE, ..Self::default() };
+        let mut roots: Vec<(u32, Element)> = (0..scene.surfaces.len() as u32)
+            .filter(|&surface| scene.surfaces[surface as usize].area() > 0.0)
+            .map(|surface| (surface, Element::of_surface(scene, surface, None, root_outline(scene, surface), 0)))
+            .filter(|(_, element)| element.radius.is_finite() && element.radius > 0.0)
+            .collect();
+        let fog = scene.fog.map(|bounds| Element::of_fog(scene, None, bounds, 0));
+        if fog.is_some() {
+            arena.push(Element::cluster(NONE, 1));
+        }
+        let parent = if fog.is_some() { 0 } else { NONE };
+        let surfaces = if roots.is_empty() { NONE } else { arena.cluster(&mut roots, parent, 2) };
+        if let Some(fog) = fog {
+            arena.fog = arena.push(Element { parent: 0, ..fog });
+            let whole = &mut arena.elements[0];
+            (whole.children, whole.radius) = ([surfaces, 0], f32::INFINITY);
+            whole.children[1] = arena.fog;
+        } else {
+            arena.root = surfaces;
+        }
+        arena
+    }
+
+    fn push(&mut self, mut element: Element) -> u32 {
+        if element.is_wide() {
+            element.wide = self.wide as u32;
+            self.wide += 1;
+        }
+        self.elements.push(element);
+        self.elements.len() as u32 - 1
+    }
+
+    /// A tree over some roots: halves by their middles along the axis on which these are farthest apart.
+    fn cluster(&mut self, roots: &mut [(u32, Element)], parent: u32, key: u64) -> u32 {
+        if let [(surface, root)] = roots {
+            let index = self.push(Element { parent, ..root.clone() });
+            self.roots[*surface as usize] = index;
+            return index;
+        }
+        let index = self.push(Element::cluster(parent, key));
+        let (mut low, mut high) = (Vec3A::INFINITY, Vec3A::NEG_INFINITY);
+        for (_, root) in roots.iter() {
+            (low, high) = (low.min(root.center), high.max(root.center));
+        }
+        let extent = high - low;
+        let axis = (1..3).fold(0, |best, axis| if extent[axis] > extent[best] { axis } else { best });
+        let place = |root: &(u32, Element)| root.1.center[axis];
+        roots.sort_by(|a, b| place(a).total_cmp(&place(b)).then(a.0.cmp(&b.0)));
+        // Where a large surface is among small ones it parts from them first.
+        let largest = roots
+            .iter()
+            .enumerate()
+            .fold(0, |best, (k, root)| if root.1.radius > roots[best].1.radius { k } else { best });
+        let rest =
+            roots.iter().enumerate().filter(|(k, _)| *k != largest).map(|(_, root)| root.1.radius).fold(0.0, f32::max);
+        let (a, b) = if roots[largest].1.radius > 2.0 * rest {
+            roots.swap(0, largest);
+            roots.split_at_mut(1)
+        } else {
+            let middle = roots.len() / 2;
+            roots.split_at_mut(middle)
+        };
+        let children = [self.cluster(a, index, key * 2), self.cluster(b, index, key * 2 + 1)];
+        let [a, b] = children.map(|child| &self.elements[child as usize]);
+        let (center, radius) = around((a.center, a.radius), (b.center, b.radius));
+        let size = a.size + b.size;
+        let normal = if a.normal.dot(b.normal) > ONE_PLANE { a.normal } else { Vec3A::ZERO };
+        let low = (a.middle - a.half).min(b.middle - b.half);
+        let high = (a.middle + a.half).max(b.middle + b.half);
+        let cluster = &mut self.elements[index as usize];
+        (cluster.middle, cluster.half, cluster.normal) = (0.5 * (low + high), 0.5 * (high - low), normal);
+        (cluster.children, cluster.center, cluster.radius, cluster.size) = (children, center, radius, size);
+        cluster.nodes[0].position = center;
+        index
+    }
+
+    /// The parts of an element, made if they are not there; `None` of what cannot be cut.
+    /// - returns whether they are new.
+    pub fn children(&mut self, scene: &Scene<'_>, index: u32) -> ([u32; 2], bool) {
+        let element = &self.elements[index as usize];
+        if !element.is_leaf() {
+            return (element.children, false);
+        }
+        let made: [Element; 2] = match element.kind {
+            Kind::Fog => {
+                let half = element.half;
+                let axis = (1..3).fold(0, |best, axis| if half[axis] > half[best] { axis } else { best });
+                let (min, max) = (element.center - half, element.center + half);
+                let (mut low_max, mut high_min) = (max, min);
+                (low_max[axis], high_min[axis]) = (element.center[axis], element.center[axis]);
+                let parent = Some((index, element.key));
+                [([min, low_max], 0), ([high_min, max], 1)].map(|(part, k)| Element::of_fog(scene, parent, part, k))
+            }
+            _ => {
+                let (surface, outline) = (element.surface, element.outline);
+                let source = &scene.surfaces[surface as usize];
+                let at = |local: Vec2| source.at(outline.at(local)).position;
+                let halves = Outline::halves(element.split, |from, to| at(from).distance(at(to)));
+                let mut part = 0;
+                halves.map(|half| {
+                    part += 1;
+                    Element::of_surface(scene, surface, Some((index, element)), half, part)
+                })
+            }
+        };
+        let children = made.map(|child| self.push(child));
+        self.elements[index as usize].children = children;
+        (children, true)
+    }
+}
+
+fn root_outline(scene: &Scene<'_>, surface: u32) -> Outline {
+    let source = &scene.surfaces[surface as usize];
+    if !matches!(source.form, femc_field::Form::Triangle(_)) {
+        return Outline::WHOLE;
+    }
+    let length = |from: Vec2, to: Vec2| source.at(from).position.distance(source.at(to).position);
+    Outline::across_longest([Vec2::ZERO, Vec2::X, Vec2::Y], &length)
+}
+
+/// A sphere around two.
+fn around(a: (Vec3A, f32), b: (Vec3A, f32)) -> (Vec3A, f32) {
+    let distance = a.0.distance(b.0);
+    if distance + b.1 <= a.1 {
+        return a;
+    }
+    if distance + a.1 <= b.1 {
+        return b;
+    }
+    let radius = 0.5 * (distance + a.1 + b.1);
+    (a.0 + (b.0 - a.0) * ((radius - a.1) / distance), radius)
+}
+
+/// How an element is cut, for the field.
+pub fn split_of(element: &Element) -> Split {
+    if element.is_leaf() { Split::None } else { element.split }
+}

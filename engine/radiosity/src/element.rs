@@ -1,0 +1,243 @@
+//! Elements: parts of surfaces, boxes of fog, and clusters of them.
+
+use crate::scene::Scene;
+use femc_field::{Leaf, NONE, Outline, Split, SurfaceSpot};
+use femc_math::Rgb;
+use femc_math::glam::{Vec2, Vec3A};
+use femc_math::hash::combine;
+
+/// What an element is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// Elements near each other, seen as one.
+    Cluster,
+    /// A part of a surface that has about one normal: its light is linear over it.
+    Patch,
+    /// A part of a curved surface with many normals: its light is a function of the normal alone.
+    Ball,
+    /// A box of fog.
+    Fog,
+}
+
+/// An element. Lengths in m, prepared frame.
+#[derive(Clone, Debug)]
+pub struct Element {
+    pub kind: Kind,
+    /// The element that it is a part of, or [`NONE`].
+    pub parent: u32,
+    /// Its two parts, or [`NONE`].
+    pub children: [u32; 2],
+    /// Its surface, or [`NONE`].
+    pub surface: u32,
+    /// Where it lies in the surface's parameters.
+    pub outline: Outline,
+    /// Where it lies in its parent's.
+    pub in_parent: Outline,
+    /// How it is or would be cut.
+    pub split: Split,
+    /// Area, m2; of fog volume, m3.
+    pub size: f32,
+    /// Middle and radius of a sphere around it.
+    pub center: Vec3A,
+    pub radius: f32,
+    /// Middle of the box around it, and half of the box's edges.
+    pub middle: Vec3A,
+    pub half: Vec3A,
+    /// Unit normal in its middle; zero of balls, fog, and clusters with more than one.
+    pub normal: Vec3A,
+    /// The points that its light is known at: `count` of them; of clusters and balls the middle alone.
+    pub nodes: [SurfaceSpot; 4],
+    pub count: usize,
+    /// Corners, of polygons `corner_count` of them in order, else 0.
+    pub corners: [Vec3A; 4],
+    pub corner_count: usize,
+    /// Share of the irradiance that it reflects, and that it lets through to the other side; of fog the scattering coefficient, 1/m.
+    pub reflectance: Rgb,
+    pub transmittance: Rgb,
+    /// Names it whatever order elements are made in.
+    pub key: u64,
+    /// Place of its light by direction, of clusters and balls, else [`NONE`].
+    pub wide: u32,
+}
+
+/// The points of a box of fog: four of its eight corners, drawn in, integrate what is quadratic.
+pub const FOG_NODES: [Vec3A; 4] = {
+    const D: f32 = 0.577_350_26;
+    [Vec3A::new(D, D, D), Vec3A::new(D, -D, -D), Vec3A::new(-D, D, -D), Vec3A::new(-D, -D, D)]
+};
+
+/// Cosine between an element's normals that are one no more.
+const ONE_NORMAL: f32 = 0.85;
+
+impl Element {
+    fn empty(kind: Kind, parent: u32, key: u64) -> Self {
+        Self {
+            kind,
+            parent,
+            children: [NONE; 2],
+            surface: NONE,
+            outline: Outline::WHOLE,
+            in_parent: Outline::WHOLE,
+            split: Split::None,
+            size: 0.0,
+            center: Vec3A::ZERO,
+            radius: 0.0,
+            middle: Vec3A::ZERO,
+            half: Vec3A::ZERO,
+            normal: Vec3A::ZERO,
+            nodes: [SurfaceSpot::default(); 4],
+            count: 1,
+            corners: [Vec3A::ZERO; 4],
+            corner_count: 0,
+            reflectance: Rgb::ZERO,
+            transmittance: Rgb::ZERO,
+            key,
+            wide: NONE,
+        }
+    }
+
+    pub fn cluster(parent: u32, key: u64) -> Self {
+        Self::empty(Kind::Cluster, parent, key)
+    }
+
+    /// A part of a surface. `inner`: where it lies in its parent; of a root in the surface's parameters.
+    pub fn of_surface(
+        scene: &Scene<'_>,
+        surface: u32,
+        parent: Option<(u32, &Self)>,
+        inner: Outline,
+        part: u64,
+    ) -> Self {
+        let around = parent.map_or(Outline::WHOLE, |(_, parent)| parent.outline);
+        let key = combine(&[parent.map_or(u64::from(surface), |(_, parent)| parent.key), part]);
+        let mut element = Self::empty(Kind::Patch, parent.map_or(NONE, |(index, _)| index), key);
+        let outline = around.of(&inner);
+        let source = &scene.surfaces[surface as usize];
+        let at = |local: Vec2| source.at(outline.at(local));
+        let triangle = matches!(source.form, femc_field::Form::Triangle(_));
+        (element.surface, element.outline, element.in_parent) = (surface, outline, inner);
+        let share = outline.edges[0].perp_dot(outline.edges[1]).abs();
+        element.size = source.area() * share;
+        (element.reflectance, element.transmittance) = scene.reflected(surface);
+        let places: &[Vec2] = if triangle { &Leaf::TRIANGLE } else { &Leaf::RECTANGLE };
+        element.count = places.len();
+        for (node, place) in element.nodes.iter_mut().zip(places) {
+            *node = at(*place);
+        }
+        let middle = at(if triangle { Vec2::splat(1.0 / 3.0) } else { Vec2::splat(0.5) });
+        (element.center, element.normal) = (middle.position, middle.normal);
+        if triangle {
+            element.split = Split::Bisection;
+            element.corners = [Vec2::ZERO, Vec2::X, Vec2::Y, Vec2::Y].map(|local| at(local).position);
+            element.corner_count = 3;
+        } else {
+            // Along curves, by chords.
+            let length = |from: Vec2, to: Vec2| -> f32 {
+                let points = [0, 1, 2, 3, 4].map(|k| at(from.lerp(to, k as f32 * 0.25)).position);
+                points.windows(2).map(|pair| pair[0].distance(pair[1])).sum()
+            };
+            let lengths =
+                [length(Vec2::new(0.0, 0.5), Vec2::new(1.0, 0.5)), length(Vec2::new(0.5, 0.0), Vec2::new(0.5, 1.0))];
+            element.split = Split::Half(u8::from(lengths[1] > lengths[0]));
+            element.corners = [Vec2::ZERO, Vec2::X, Vec2::ONE, Vec2::Y].map(|local| at(local).position);
+            element.corner_count = if source.is_polygon() { 4 } else { 0 };
+        }
+        if source.side == femc_field::Side::Back {
+            // Counter-clockwise seen from the side.
+            element.corners[..element.corner_count].reverse();
+        }
+        if source.is_polygon() {
+            element.radius = element.corners.iter().map(|c| c.distance(element.center)).fold(0.0, f32::max);
+            let corners = element.corners.iter();
+            let (low, high) =
+                corners.fold((Vec3A::INFINITY, Vec3A::NEG_INFINITY), |(low, high), &c| (low.min(c), high.max(c)));
+            (element.middle, element.half) = (0.5 * (low + high), 0.5 * (high - low));
+            return element;
+        }
+        let grid = (0..25).map(|k| at(Vec2::new((k % 5) as f32, (k / 5) as f32) * 0.25));
+        let (mut low, mut high, mut least) = (Vec3A::INFINITY, Vec3A::NEG_INFINITY, 1.0f32);
+        for spot in grid {
+            (low, high) = (low.min(spot.position), high.max(spot.position));
+            least = least.min(spot.normal.dot(element.normal));
+        }
+        if least < ONE_NORMAL {
+            element.kind = Kind::Ball;
+            element.normal = Vec3A::ZERO;
+            element.center = 0.5 * (low + high);
+            element.count = 1;
+            element.nodes[0] = SurfaceSpot { position: element.center, ..SurfaceSpot::default() };
+        }
+        // Between the points of the grid the surface may bulge.
+        element.radius = 1.1 * 0.5 * (high - low).length();
+        (element.middle, element.half) = (0.5 * (low + high), 0.5 * (high - low) + 0.05 * element.radius);
+        element
+    }
+
+    /// A box of fog.
+    pub fn of_fog(scene: &Scene<'_>, parent: Option<(u32, u64)>, [min, max]: [Vec3A; 2], part: u64) -> Self {
+        let key = combine(&[parent.map_or(0x0f09, |(_, key)| key), part]);
+        let mut element = Self::empty(Kind::Fog, parent.map_or(NONE, |(index, _)| index), key);
+        element.center = 0.5 * (min + max);
+        element.middle = element.center;
+        element.half = 0.5 * (max - min);
+        element.radius = element.half.length();
+        element.size = 8.0 * element.half.x * element.half.y * element.half.z;
+        element.count = 4;
+        for (node, place) in element.nodes.iter_mut().zip(FOG_NODES) {
+            node.position = element.center + element.half * place;
+        }
+        // Of fog that thins out upward the mean.
+        let scattering = element.nodes.map(|node| scene.prepared.media.scattering_at(node.position));
+        element.reflectance = scattering.into_iter().sum::<Rgb>() * 0.25;
+        element
+    }
+
+    pub fn is_leaf(&self) -> bool {
+        self.children[0] == NONE
+    }
+
+    /// How far above the plane through `point` with unit normal `normal` it reaches at most, m.
+    pub fn above(&self, point: Vec3A, normal: Vec3A) -> f32 {
+        normal.dot(self.middle - point) + normal.abs().dot(self.half)
+    }
+
+    /// Whether light is told by direction here.
+    pub fn is_wide(&self) -> bool {
+        matches!(self.kind, Kind::Cluster | Kind::Ball)
+    }
+
+    /// The value at a point of a linear function that is known at the nodes.
+    /// - `local`: the point, of a patch in its coordinates; of fog in halves of the box's edges from its middle.
+    pub fn between(&self, values: &[Rgb; 4], local: Vec3A) -> Rgb {
+        let place = Vec2::new(local.x, local.y);
+        match (self.kind, self.count) {
+            (Kind::Patch, 3) => Leaf::over_triangle(&[values[0], values[1], values[2]], place),
+            (Kind::Patch, _) => Leaf::over_rectangle(values, place),
+            _ => {
+                let [middle, slopes @ ..] = Self::fog_slopes(values);
+                middle + slopes[0] * local.x + slopes[1] * local.y + slopes[2] * local.z
+            }
+        }
+    }
+
+    /// Of values at a box's nodes: that in the middle, and the change over half of an edge, by axis.
+    pub fn fog_slopes(values: &[Rgb; 4]) -> [Rgb; 4] {
+        let mut out = [Rgb::ZERO; 4];
+        for (value, node) in values.iter().zip(FOG_NODES) {
+            out[0] += *value * 0.25;
+            // The nodes' coordinates are orthogonal: their squares sum up to 4 / 3.
+            (0..3).for_each(|axis| out[1 + axis] += *value * (node[axis] * 0.75));
+        }
+        out
+    }
+
+    /// Where a child's node lies, as [`Self::between`] wants it.
+    pub fn local_of(&self, child: &Self, node: usize) -> Vec3A {
+        if self.kind == Kind::Fog {
+            return (child.nodes[node].position - self.center) / self.half;
+        }
+        let place = if child.count == 3 { Leaf::TRIANGLE[node] } else { Leaf::RECTANGLE[node] };
+        let local = child.in_parent.at(place);
+        Vec3A::new(local.x, local.y, 0.0)
+    }
+}

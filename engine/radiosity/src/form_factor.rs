@@ -1,0 +1,85 @@
+//! Form factors from a point: what share of a source's light a point receives, before anything is in between.
+
+use femc_math::cross;
+use femc_math::elementary::atan2;
+use femc_math::glam::Vec3A;
+use std::f32::consts::PI;
+
+/// A surface farther than this many times its radius is taken as a point.
+const FAR: f32 = 30.0;
+
+/// Lambert's formula: form factor from a point with unit normal to a polygon, which sends from the side that sees its corners
+/// counter-clockwise; the part below the point's horizon is cut off. At most 1.
+pub fn polygon(point: Vec3A, normal: Vec3A, corners: &[Vec3A]) -> f32 {
+    let mut above = [Vec3A::ZERO; 5];
+    let mut count = 0;
+    for (k, &corner) in corners.iter().enumerate() {
+        let (a, b) = (corner - point, corners[(k + 1) % corners.len()] - point);
+        let (ha, hb) = (normal.dot(a), normal.dot(b));
+        if ha >= 0.0 {
+            above[count] = a;
+            count += 1;
+        }
+        if (ha > 0.0 && hb < 0.0) || (ha < 0.0 && hb > 0.0) {
+            above[count] = a + (b - a) * (ha / (ha - hb));
+            count += 1;
+        }
+    }
+    if count < 3 {
+        return 0.0;
+    }
+    let sum: f32 = (0..count)
+        .map(|k| {
+            let (a, b) = (above[k], above[(k + 1) % count]);
+            let across = cross(a, b);
+            let sine = across.length();
+            // The edge goes through the point, or is a point: it adds nothing.
+            if sine > 0.0 { atan2(sine, a.dot(b)) * normal.dot(across) / sine } else { 0.0 }
+        })
+        .sum();
+    // Seen counter-clockwise from the point, the corners turn the other way about its normal.
+    (-sum / (2.0 * PI)).clamp(0.0, 1.0)
+}
+
+/// Solid angle of a polygon from a point on the side that sees its corners counter-clockwise, sr; 0 from behind.
+pub fn solid_angle(point: Vec3A, corners: &[Vec3A]) -> f32 {
+    let mut sum = 0.0;
+    for k in 1..corners.len() - 1 {
+        let [a, b, c] = [corners[0], corners[k], corners[k + 1]].map(|corner| (corner - point).normalize_or_zero());
+        let numerator = -a.dot(cross(b, c));
+        sum += 2.0 * atan2(numerator, 1.0 + a.dot(b) + b.dot(c) + c.dot(a));
+    }
+    sum.max(0.0)
+}
+
+/// Whether a surface is more than a point from there.
+pub fn is_near(distance2: f32, radius: f32) -> bool {
+    distance2 < FAR * FAR * radius * radius
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Corner unit square at height 1 above a point: 0.1385316 (brief A4).
+    #[test]
+    fn a_square_has_lamberts_form_factor_and_its_part_below_the_horizon_counts_for_nothing() {
+        let square = [[0.0, 0.0], [0.0, 1.0], [1.0, 1.0], [1.0, 0.0]].map(|[x, y]| Vec3A::new(x, y, 1.0));
+        assert!((polygon(Vec3A::ZERO, Vec3A::Z, &square) - 0.138_531_6).abs() < 1e-6);
+        let mut behind = square;
+        behind.reverse();
+        assert_eq!(polygon(Vec3A::ZERO, Vec3A::Z, &behind), 0.0);
+        // A wall of height 2 and endless breadth, half below the horizon, has half of what is above it.
+        let wall = |low: f32| [[-1e3, low], [-1e3, 1.0], [1e3, 1.0], [1e3, low]].map(|[y, z]| Vec3A::new(1.0, y, z));
+        let (cut, above) = (polygon(Vec3A::ZERO, Vec3A::Z, &wall(-1.0)), polygon(Vec3A::ZERO, Vec3A::Z, &wall(0.0)));
+        assert!((cut - above).abs() < 1e-6 && cut > 0.0, "{cut} {above}");
+        // Of an endless strip from the horizon up to 45 degrees: (1 - cos 45) / 2.
+        assert!((above - 0.5 * (1.0 - 0.5f32.sqrt())).abs() < 1e-3, "{above}");
+    }
+
+    #[test]
+    fn a_cube_seen_from_its_middle_has_six_equal_sides() {
+        let side = [[-1.0, -1.0], [-1.0, 1.0], [1.0, 1.0], [1.0, -1.0]].map(|[x, y]| Vec3A::new(x, y, 1.0));
+        assert!((solid_angle(Vec3A::ZERO, &side) - 4.0 * PI / 6.0).abs() < 1e-5);
+    }
+}

@@ -1,0 +1,287 @@
+//! Gathering through links, and light up and down the tree.
+
+use crate::arena::Arena;
+use crate::element::{Element, Kind};
+use crate::link::Link;
+use crate::scene::Scene;
+use femc_field::{Cell, Harmonics, NONE};
+use femc_math::Rgb;
+use femc_math::color::luminance;
+use femc_math::glam::{Vec2, Vec3A};
+use rayon::prelude::*;
+
+/// The light of an element.
+#[derive(Clone, Copy, Debug)]
+pub struct Light {
+    /// Irradiance at the nodes, lx, that came by the element's own links with light sources, and by those with elements.
+    pub own: [[Rgb; 4]; 2],
+    /// The same with what came to the elements above it.
+    pub whole: [[Rgb; 4]; 2],
+    /// Mean radiosity, lx; of fog per m.
+    pub radiosity: Rgb,
+    /// Bounds of the radiosity's luminance over the parts.
+    pub darkest: f32,
+    pub brightest: f32,
+    /// Mean irradiance, by luminance, and that of the darkest part.
+    pub mean: f32,
+    pub least: f32,
+    /// Of wide elements: what they send, by direction; cd.
+    pub sent: Harmonics,
+}
+
+impl Light {
+    pub const NOTHING: Self = Self {
+        own: [[Rgb::ZERO; 4]; 2],
+        whole: [[Rgb::ZERO; 4]; 2],
+        radiosity: Rgb::ZERO,
+        darkest: 0.0,
+        brightest: 0.0,
+        mean: 0.0,
+        least: 0.0,
+        sent: Harmonics::ZERO,
+    };
+}
+
+/// By wide element: light that arrives, by direction, of sources and of elements: its own, and with that of the elements above.
+#[derive(Clone, Copy, Debug)]
+pub struct Arriving {
+    pub own: [Harmonics; 2],
+    pub whole: [Harmonics; 2],
+}
+
+impl Arriving {
+    pub const NOTHING: Self = Self { own: [Harmonics::ZERO; 2], whole: [Harmonics::ZERO; 2] };
+}
+
+/// Which light is meant.
+pub const FROM_SOURCES: usize = 0;
+pub const FROM_ELEMENTS: usize = 1;
+
+/// Normals at which a ball's light is looked at.
+const AROUND: usize = 16;
+
+/// Light of all elements.
+pub struct Lights {
+    pub of: Vec<Light>,
+    pub arriving: Vec<Arriving>,
+}
+
+impl Lights {
+    pub fn new(arena: &Arena) -> Self {
+        Self { of: vec![Light::NOTHING; arena.elements.len()], arriving: vec![Arriving::NOTHING; arena.wide] }
+    }
+
+    /// Room for elements that are new, which begin with their parents' light.
+    pub fn grow(&mut self, arena: &Arena) {
+        for element in &arena.elements[self.of.len()..] {
+            let parent = self.of[element.parent as usize];
+            let Light { radiosity, darkest, brightest, mean, least, .. } = parent;
+            self.of.push(Light { radiosity, darkest, brightest, mean, least, ..Light::NOTHING });
+        }
+        self.arriving.resize(arena.wide, Arriving::NOTHING);
+    }
+
+    /// Gathers irradiance by all links, whose order is by receiver. What each receiver gets is added in the links' order.
+    pub fn gather(&mut self, arena: &Arena, links: &[Link]) {
+        let rows: Vec<&[Link]> = links.chunk_by(|a, b| a.receiver == b.receiver).collect();
+        let of = &self.of;
+        let gathered: Vec<([Rgb; 4], Harmonics)> =
+            rows.par_iter().with_min_len(64).map(|row| row_of(arena, of, row)).collect();
+        for light in &mut self.of {
+            light.own[FROM_ELEMENTS] = [Rgb::ZERO; 4];
+        }
+        for arriving in &mut self.arriving {
+            arriving.own[FROM_ELEMENTS] = Harmonics::ZERO;
+        }
+        for (row, (nodes, arriving)) in rows.iter().zip(gathered) {
+            let receiver = row[0].receiver as usize;
+            self.of[receiver].own[FROM_ELEMENTS] = nodes;
+            let wide = arena.elements[receiver].wide;
+            if wide != NONE {
+                self.arriving[wide as usize].own[FROM_ELEMENTS] = arriving;
+            }
+        }
+    }
+
+    /// Down the tree with what arrives, up with what is sent. Returns the greatest change of a radiosity, and the greatest radiosity,
+    /// by luminance.
+    pub fn push_pull(&mut self, scene: &Scene<'_>, arena: &Arena) -> (f32, f32) {
+        for index in 0..arena.elements.len() {
+            self.push(arena, index);
+        }
+        let (mut change, mut greatest) = (0.0f32, 0.0f32);
+        for index in (0..arena.elements.len()).rev() {
+            let before = self.of[index].radiosity;
+            if arena.elements[index].is_leaf() {
+                self.reflect(scene, arena, index);
+                let now = self.of[index].radiosity;
+                change = change.max(luminance((now - before).abs()));
+                greatest = greatest.max(luminance(now));
+            } else {
+                self.pull(arena, index);
+            }
+        }
+        (change, greatest)
+    }
+
+    fn push(&mut self, arena: &Arena, index: usize) {
+        let element = &arena.elements[index];
+        if element.is_wide() {
+            let mut arriving = self.arriving[element.wide as usize];
+            arriving.whole = arriving.own;
+            if element.parent != NONE {
+                let above = self.arriving[arena.elements[element.parent as usize].wide as usize].whole;
+                (0..2).for_each(|kind| arriving.whole[kind] += above[kind]);
+            }
+            self.arriving[element.wide as usize] = arriving;
+            return;
+        }
+        let mut whole = self.of[index].own;
+        if element.parent != NONE {
+            let above = &arena.elements[element.parent as usize];
+            for kind in [FROM_SOURCES, FROM_ELEMENTS] {
+                for (node, value) in whole[kind].iter_mut().enumerate().take(element.count) {
+                    *value += if above.is_wide() {
+                        let light = &self.arriving[above.wide as usize].whole[kind];
+                        match element.kind {
+                            // Of light from all directions a point of fog has a quarter.
+                            Kind::Fog => (light.total() * 0.25).max(Rgb::ZERO),
+                            _ => light.cosine(element.nodes[node].normal),
+                        }
+                    } else {
+                        above.between(&self.of[element.parent as usize].whole[kind], above.local_of(element, node))
+                    };
+                }
+            }
+        }
+        self.of[index].whole = whole;
+    }
+
+    /// What a leaf sends of what it receives.
+    fn reflect(&mut self, scene: &Scene<'_>, arena: &Arena, index: usize) {
+        let element = &arena.elements[index];
+        let behind = self.behind(scene, arena, element);
+        let light = &mut self.of[index];
+        if element.kind == Kind::Ball {
+            let [a, b] = self.arriving[element.wide as usize].whole;
+            let arriving = a + b;
+            let surface = &scene.surfaces[element.surface as usize];
+            let (mut sent, mut sum, mut mean) = (Harmonics::ZERO, Rgb::ZERO, 0.0);
+            for k in 0..AROUND {
+                let place = Vec2::new((k % 4) as f32 + 0.5, (k / 4) as f32 + 0.5) * 0.25;
+                let normal = surface.at(element.outline.at(place)).normal;
+                let irradiance = arriving.cosine(normal);
+                let radiosity = element.reflectance * irradiance + element.transmittance * behind;
+                sent += Harmonics::toward(normal, radiosity * (element.size / (std::f32::consts::PI * AROUND as f32)));
+                (sum, mean) = (sum + radiosity, mean + luminance(irradiance));
+            }
+            light.sent = sent;
+            light.radiosity = sum / AROUND as f32;
+            light.mean = mean / AROUND as f32;
+            light.least = light.mean;
+            (light.darkest, light.brightest) = (0.0, 2.0 * luminance(light.radiosity));
+            return;
+        }
+        let (mut sum, mut mean, mut darkest, mut brightest) = (Rgb::ZERO, 0.0, f32::INFINITY, 0.0f32);
+        for node in 0..element.count {
+            let irradiance = (light.whole[FROM_SOURCES][node] + light.whole[FROM_ELEMENTS][node]).max(Rgb::ZERO);
+            let radiosity = element.reflectance * irradiance + element.transmittance * behind;
+            let value = luminance(radiosity);
+            (darkest, brightest) = (darkest.min(value), brightest.max(value));
+            (sum, mean) = (sum + radiosity, mean + luminance(irradiance));
+        }
+        let share = 1.0 / element.count as f32;
+        (light.radiosity, light.mean) = (sum * share, mean * share);
+        light.least = light.mean;
+        (light.darkest, light.brightest) = (darkest, brightest);
+    }
+
+    /// Mean irradiance of the other side where light comes through.
+    fn behind(&self, scene: &Scene<'_>, arena: &Arena, element: &Element) -> Rgb {
+        if element.transmittance == Rgb::ZERO || element.kind == Kind::Fog {
+            return Rgb::ZERO;
+        }
+        let other = scene.behind(element.surface);
+        let root = if other == NONE { NONE } else { arena.roots[other as usize] };
+        if root == NONE {
+            return Rgb::ZERO;
+        }
+        // Both sides are cut alike, one perhaps further.
+        let middle = if element.corner_count == 3 { Vec2::splat(1.0 / 3.0) } else { Vec2::splat(0.5) };
+        let place = element.outline.at(middle);
+        let mut index = root;
+        loop {
+            let other = &arena.elements[index as usize];
+            if other.is_leaf() || other.size <= element.size {
+                break;
+            }
+            let second = &arena.elements[other.children[1] as usize];
+            let local = second.outline.local(place);
+            let inside = match second.corner_count {
+                3 => local.min_element() >= 0.0 && local.x + local.y <= 1.0,
+                _ => local.min_element() >= 0.0 && local.max_element() <= 1.0,
+            };
+            index = other.children[usize::from(inside)];
+        }
+        let other = &arena.elements[index as usize];
+        if other.kind == Kind::Ball {
+            let [a, b] = self.arriving[other.wide as usize].whole;
+            return (a + b).total() * 0.25;
+        }
+        let light = &self.of[index as usize];
+        let sum: Rgb = (0..other.count).map(|node| light.whole[0][node] + light.whole[1][node]).sum();
+        (sum / other.count as f32).max(Rgb::ZERO)
+    }
+
+    fn pull(&mut self, arena: &Arena, index: usize) {
+        let element = &arena.elements[index];
+        let [a, b] = element.children.map(|child| (&arena.elements[child as usize], self.of[child as usize]));
+        let mut out = self.of[index];
+        let size = a.0.size + b.0.size;
+        let [wa, wb] = [a, b].map(|(part, _)| if size > 0.0 { part.size / size } else { 0.5 });
+        if element.is_wide() {
+            out.sent = Harmonics::ZERO;
+            for (part, light) in [a, b] {
+                match part.kind {
+                    Kind::Cluster | Kind::Ball => out.sent += light.sent,
+                    Kind::Patch => {
+                        let amount = light.radiosity * (part.size / (std::f32::consts::PI * part.count as f32));
+                        for node in &part.nodes[..part.count] {
+                            out.sent += Harmonics::toward(node.normal, amount);
+                        }
+                    }
+                    Kind::Fog => {}
+                }
+            }
+        }
+        out.radiosity = a.1.radiosity * wa + b.1.radiosity * wb;
+        out.mean = a.1.mean * wa + b.1.mean * wb;
+        out.least = a.1.least.min(b.1.least);
+        out.darkest = a.1.darkest.min(b.1.darkest);
+        out.brightest = a.1.brightest.max(b.1.brightest);
+        self.of[index] = out;
+    }
+}
+
+fn row_of(arena: &Arena, of: &[Light], row: &[Link]) -> ([Rgb; 4], Harmonics) {
+    let p = &arena.elements[row[0].receiver as usize];
+    let (mut nodes, mut arriving) = ([Rgb::ZERO; 4], Harmonics::ZERO);
+    for link in row {
+        let (q, light) = (&arena.elements[link.source as usize], &of[link.source as usize]);
+        let way: Vec3A = q.center - p.center;
+        let sent = if q.is_wide() { light.sent.cosine(-way.normalize_or(Vec3A::Z)) } else { light.radiosity };
+        if p.is_wide() {
+            arriving += Harmonics::toward(way.normalize_or(Vec3A::Z), sent * link.factors[0]);
+        } else {
+            for (node, factor) in nodes.iter_mut().zip(link.factors) {
+                *node += sent * factor;
+            }
+        }
+    }
+    (nodes, arriving)
+}
+
+/// Whether an element's outline is of use to the field.
+pub fn cell_of(element: &Element, next: u32) -> Cell {
+    Cell { outline: element.in_parent, split: crate::arena::split_of(element), next }
+}

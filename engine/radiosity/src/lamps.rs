@@ -1,0 +1,195 @@
+//! What elements receive straight from light sources. A source is asked at each point anew; it is never an element itself.
+
+use crate::element::{Element, Kind};
+use crate::form_factor::{polygon, solid_angle};
+use crate::link::Judge;
+use crate::scene::{Lamp, TIME};
+use crate::visibility::{Eye, Numbers};
+use femc_field::SurfaceSpot;
+use femc_math::Rgb;
+use femc_math::color::luminance;
+use femc_math::glam::Vec3A;
+use std::f32::consts::PI;
+
+/// Light of one source that an element receives.
+#[derive(Clone, Copy, Debug)]
+pub struct LampLink {
+    /// Who receives.
+    pub receiver: u32,
+    /// The source's index.
+    pub lamp: u32,
+    /// Irradiance at each node; of a wide element on what faces the source.
+    pub light: [Rgb; 4],
+    /// Unit, toward the source; of a wide element.
+    pub dir: Vec3A,
+}
+
+/// What to do with one.
+#[derive(Clone, Copy, Debug)]
+pub enum LampVerdict {
+    Drop,
+    Keep { link: LampLink, refused: bool },
+    Receiver,
+}
+
+/// Points on a source that is large as seen from the element, by axis.
+const STRATA: u32 = 2;
+/// A source is large where its radius is more than this share of the distance.
+const LARGE: f32 = 0.1;
+/// A source is near where an element's radius is more than this share of the distance.
+const NEAR: f32 = 0.3;
+/// Greatest share of a source's light that is not looked at closer, times the error.
+const TAKEN: f32 = 0.3;
+
+impl Judge<'_> {
+    /// Decides on the light of a source at an element.
+    pub fn judge_lamp(&self, receiver: u32, lamp: u32, eye: &mut Eye) -> LampVerdict {
+        let p = &self.arena.elements[receiver as usize];
+        if p.radius.is_infinite() {
+            // Surfaces and fog together: nothing can be said of both.
+            return LampVerdict::Receiver;
+        }
+        let Lamp { center, radius, intensity, .. } = self.scene.lamps[lamp as usize];
+        let flat = p.kind == Kind::Patch && self.scene.surfaces[p.surface as usize].is_flat();
+        if (flat || p.kind == Kind::Cluster && p.normal != Vec3A::ZERO)
+            && p.normal.dot(center - p.center) + radius + p.radius * 1e-5 <= 0.0
+        {
+            return LampVerdict::Drop;
+        }
+        let way = center - p.center;
+        let distance = way.length();
+        let wide = p.is_wide();
+        // A few points do not show what a large element has of a source that is near, or shines to one side.
+        let close = (p.radius / distance.max(1e-20)).min(1.0);
+        let reach = distance.max(0.5 * p.radius);
+        let share = if p.kind == Kind::Fog { 0.25 } else { 1.0 };
+        let hidden_part = share * intensity * close / (reach * reach) * eye.fog(self.scene, p.center, center);
+        let allowed = self.allowed(p, &self.light[receiver as usize]);
+        if p.kind != Kind::Patch && close > NEAR && hidden_part > allowed && self.may_cut_lamp(p) {
+            return LampVerdict::Receiver;
+        }
+        // Of what the fog takes of the source's light a box around it has this share; four points do not know how much.
+        if p.kind == Kind::Fog && close > NEAR && !self.full {
+            let taken = 4.0 * hidden_part * p.size * self.extinction(p) / (PI * intensity);
+            if taken > TAKEN * self.error {
+                return LampVerdict::Receiver;
+            }
+        }
+        let large = radius > LARGE * (distance - p.radius).max(0.0);
+        let mut link = LampLink { receiver, lamp, light: [Rgb::ZERO; 4], dir: way.normalize_or(Vec3A::Z) };
+        let mut numbers = Numbers::new(&[p.key, u64::from(lamp), 7]);
+        // Before anything is in between: by points of the source, or exactly, when the points tell what is hidden.
+        let exact = large && !self.scene.lamps[lamp as usize].polygons.is_empty() && !wide;
+        let mut open = [Rgb::ZERO; 4];
+        let mut weight = [0.0f32; 4];
+        let mut points = [[None; (STRATA * STRATA) as usize]; 4];
+        for node in 0..p.count {
+            let count = if large { STRATA * STRATA } else { 1 };
+            for (k, point) in points[node].iter_mut().enumerate().take(count as usize) {
+                let u = if large {
+                    let place = [k as u32 % STRATA, k as u32 / STRATA];
+                    place.map(|at| (at as f32 + numbers.next()) / STRATA as f32)
+                } else {
+                    [0.5; 2]
+                };
+                *point = self.arriving(p, &p.nodes[node], lamp, u);
+                if let Some((light, _)) = point {
+                    *light *= 1.0 / count as f32;
+                    weight[node] += luminance(*light);
+                    open[node] += *light;
+                }
+            }
+            if exact {
+                open[node] = self.exactly(p, &p.nodes[node], lamp);
+            }
+        }
+        let amounts = open.map(luminance);
+        let mean = amounts[..p.count].iter().sum::<f32>() / p.count as f32;
+        let most = amounts[..p.count].iter().copied().fold(0.0, f32::max);
+        let least = amounts[..p.count].iter().copied().fold(f32::INFINITY, f32::min);
+        let near = (p.radius / distance.max(1e-20)).min(1.0);
+        let error = match p.kind {
+            Kind::Cluster | Kind::Ball => mean * (0.1 + near),
+            // Twice what four points do not show: a linear function has the mean of its nodes in the middle.
+            _ => {
+                let spot = SurfaceSpot { position: p.center, normal: p.normal, error: p.nodes[0].error };
+                let middle = match (exact, large) {
+                    (true, _) => luminance(self.exactly(p, &spot, lamp)),
+                    (_, true) => mean,
+                    _ => self.arriving(p, &spot, lamp, [0.5; 2]).map_or(0.0, |(light, _)| luminance(light)),
+                };
+                (middle - mean).abs() + 0.1 * (most - least)
+            }
+        };
+        if error > allowed && self.may_cut_lamp(p) {
+            return LampVerdict::Receiver;
+        }
+        if most <= 0.0 {
+            return LampVerdict::Drop;
+        }
+        let mut shares = [1.0f32; 4];
+        for node in 0..p.count {
+            let mut got = Rgb::ZERO;
+            for (light, to) in points[node].iter().flatten() {
+                let from = if wide {
+                    let part = numbers.next();
+                    let spot =
+                        crate::visibility::spot(self.arena, self.scene, p, (part * 4.0) as u32, &mut numbers, |_| 1.0);
+                    if spot.normal != Vec3A::ZERO && spot.normal.dot(to.position - spot.position) <= 0.0 {
+                        p.nodes[node]
+                    } else {
+                        spot
+                    }
+                } else {
+                    p.nodes[node]
+                };
+                got += *light * eye.through(self.scene, &from, to);
+            }
+            if weight[node] > 0.0 {
+                shares[node] = luminance(got) / weight[node];
+            }
+            // The points' own sum where there is no better one.
+            link.light[node] = if exact { open[node] * shares[node] } else { got };
+        }
+        let hidden = &shares[..p.count];
+        let spread = hidden.iter().copied().fold(0.0, f32::max) - hidden.iter().copied().fold(1.0, f32::min);
+        let refused = 0.5 * spread * mean > allowed;
+        if refused && self.may_cut_lamp(p) {
+            return LampVerdict::Receiver;
+        }
+        LampVerdict::Keep { link, refused: refused || error > allowed }
+    }
+
+    fn may_cut_lamp(&self, p: &Element) -> bool {
+        match p.kind {
+            Kind::Cluster => true,
+            _ if !p.is_leaf() => true,
+            _ if self.full => false,
+            Kind::Fog => p.size > self.least_volume,
+            Kind::Patch | Kind::Ball => p.size > self.least_area,
+        }
+    }
+
+    /// Light that arrives at a spot from a polygon that is as bright everywhere, if nothing is between.
+    fn exactly(&self, p: &Element, spot: &SurfaceSpot, lamp: u32) -> Rgb {
+        let of = |(corners, luminance): &(Vec<Vec3A>, Rgb)| match p.kind {
+            Kind::Fog => *luminance * (0.25 * solid_angle(spot.position, corners)),
+            _ => *luminance * (PI * polygon(spot.position, spot.normal, corners)),
+        };
+        self.scene.lamps[lamp as usize].polygons.iter().map(of).sum()
+    }
+
+    /// Light that arrives at a spot from a point of a source, if nothing is between, and that point.
+    fn arriving(&self, p: &Element, spot: &SurfaceSpot, lamp: u32, u: [f32; 2]) -> Option<(Rgb, SurfaceSpot)> {
+        let prepared = self.scene.prepared;
+        let sample = prepared.lights.sample_light(&prepared.world, &prepared.textures, lamp, spot.position, TIME, u)?;
+        let share = match p.kind {
+            Kind::Patch => spot.normal.dot(sample.dir).max(0.0),
+            Kind::Fog => 0.25,
+            Kind::Cluster | Kind::Ball => 1.0,
+        };
+        let light = sample.radiance * (share / sample.pdf);
+        (share > 0.0 && light.is_finite())
+            .then_some((light, SurfaceSpot { position: sample.position, error: sample.error, normal: sample.normal }))
+    }
+}

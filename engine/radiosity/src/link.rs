@@ -1,0 +1,476 @@
+//! Links: what one element receives of another's light, and whether that is exact enough.
+
+use crate::arena::Arena;
+use crate::element::{Element, Kind};
+use crate::form_factor::{is_near, polygon, solid_angle};
+use crate::gather::Light;
+use crate::scene::Scene;
+use crate::visibility::{Eye, Numbers, spot};
+use femc_field::SurfaceSpot;
+use femc_math::color::luminance;
+use femc_math::cross;
+use femc_math::elementary::exp_m1;
+use femc_math::glam::Vec3A;
+use std::f32::consts::PI;
+
+/// Light from one element to another.
+#[derive(Clone, Copy, Debug)]
+pub struct Link {
+    /// Who receives.
+    pub receiver: u32,
+    /// Who sends.
+    pub source: u32,
+    /// At each of the receiver's nodes the share of the source's radiosity that arrives as irradiance. Of a wide source, and at a wide
+    /// receiver, the factor of the intensity, or on what faces the source: 1/m2.
+    pub factors: [f32; 4],
+}
+
+/// What to do with a link.
+#[derive(Clone, Copy, Debug)]
+pub enum Verdict {
+    /// No light can go this way.
+    Drop,
+    /// It is exact enough, or cannot be cut further (`refused`).
+    Keep { link: Link, refused: bool },
+    /// Links with the receiver's parts.
+    Receiver,
+    /// Links with the source's parts.
+    Source,
+    /// An element with itself: links among its parts.
+    Both,
+}
+
+/// Light of a small surface at a spot: the spot, the surface's, its area.
+type Kernel = fn(&SurfaceSpot, &SurfaceSpot, f32) -> f32;
+
+/// What decides on links.
+pub struct Judge<'a> {
+    pub scene: &'a Scene<'a>,
+    pub arena: &'a Arena,
+    pub light: &'a [Light],
+    /// Greatest error of a link, as a share of the receiver's irradiance.
+    pub error: f32,
+    /// Irradiance that is added to the receiver's, lx.
+    pub floor: f32,
+    /// The same in fog.
+    pub fog_floor: f32,
+    /// Area that is not cut any more, m2.
+    pub least_area: f32,
+    /// Volume of fog likewise, m3.
+    pub least_volume: f32,
+    /// No more elements are to be made.
+    pub full: bool,
+}
+
+/// Points by axis on a face of a box of fog.
+const FACE: u32 = 5;
+
+/// Optical thickness of half of a box of fog whose light to itself is not taken as one.
+const THICK: f32 = 0.5;
+
+/// Optical thickness of a surface's radius, times that over the distance, up to which its own points tell what the fog leaves.
+const THIN: f32 = 0.1;
+
+/// Rays of a first look, and of a second one where the first found the source partly hidden.
+const LOOK: [u32; 2] = [4, 12];
+/// Share of the error that is allowed which a link has as a whole, if one ray is enough for it.
+const LITTLE: f32 = 0.2;
+
+impl Judge<'_> {
+    fn may_cut(&self, element: &Element) -> bool {
+        match element.kind {
+            Kind::Cluster => true,
+            _ if !element.is_leaf() => true,
+            _ if self.full => false,
+            Kind::Fog => element.size > self.least_volume,
+            Kind::Patch | Kind::Ball => element.size > self.least_area,
+        }
+    }
+
+    /// Error that a link of a receiver may have, lx. Boxes of fog that hold a light source are bright in their middle alone.
+    pub fn allowed(&self, p: &Element, light: &Light) -> f32 {
+        match p.kind {
+            Kind::Fog => self.error * (light.least + self.fog_floor),
+            _ => self.error * (0.5 * (light.least + light.mean) + self.floor),
+        }
+    }
+
+    /// Extinction in the middle of an element, 1/m.
+    pub fn extinction(&self, element: &Element) -> f32 {
+        self.haze_at(element.center)
+    }
+
+    fn haze_at(&self, point: Vec3A) -> f32 {
+        self.scene.haze.unwrap_or_else(|| self.scene.prepared.media.extinction_at(point))
+    }
+
+    /// Decides on a link.
+    pub fn judge(&self, receiver: u32, source: u32, eye: &mut Eye) -> Verdict {
+        let (p, q) = (&self.arena.elements[receiver as usize], &self.arena.elements[source as usize]);
+        if receiver == source {
+            return self.judge_itself(receiver, p, eye);
+        }
+        if unseen(self.scene, p, q) || unseen(self.scene, q, p) {
+            return Verdict::Drop;
+        }
+        let distance = p.center.distance(q.center);
+        let wide = p.is_wide() || q.is_wide();
+        let (from, to) = (&self.light[source as usize], &self.light[receiver as usize]);
+        let mut link = Link { receiver, source, factors: [0.0; 4] };
+        let dir = (p.center - q.center) / distance.max(f32::MIN_POSITIVE);
+        let radiosity = luminance(if q.is_wide() { from.sent.cosine(dir) } else { from.radiosity });
+        if radiosity <= 0.0 && from.brightest <= 0.0 {
+            return Verdict::Keep { link, refused: false };
+        }
+        let allowed = self.allowed(p, to);
+        // The point of a wide element stands for all of it from afar only. Near the source the receiver's parts have up to its
+        // radiosity, and they are as large as the source.
+        if wide && distance < 1.5 * (p.radius + q.radius) {
+            let share = (q.radius / p.radius).min(1.0);
+            // Of fog by the length that light comes from.
+            let length = if q.kind == Kind::Fog { q.radius.min(1.0 / self.extinction(q)) } else { 1.0 };
+            if luminance(from.radiosity) * length * share > 0.5 * allowed {
+                let larger_first = if p.radius > q.radius { [1.0, 0.0] } else { [0.0, 1.0] };
+                let wide_first = if p.is_wide() == q.is_wide() {
+                    larger_first
+                } else {
+                    [f32::from(u8::from(p.is_wide())), f32::from(u8::from(q.is_wide()))]
+                };
+                if let Some(verdict) = self.cut(p, q, wide_first) {
+                    return verdict;
+                }
+            }
+        }
+
+        for (factor, node) in link.factors.iter_mut().zip(&p.nodes[..p.count]) {
+            *factor = self.factor(p, q, node, eye);
+        }
+        let nodes = &link.factors[..p.count];
+        let mean = nodes.iter().sum::<f32>() / p.count as f32;
+        let middle = if p.count > 1 {
+            self.factor(p, q, &SurfaceSpot { position: p.center, normal: p.normal, error: p.nodes[0].error }, eye)
+        } else {
+            mean
+        };
+        let (low, high) = nodes.iter().fold((f32::INFINITY, 0.0f32), |(low, high), &f| (low.min(f), high.max(f)));
+        let reach = radiosity.max(from.brightest * if q.is_wide() { 0.0 } else { 1.0 });
+        let close = |element: &Element| (element.radius / distance.max(1e-20)).min(1.0);
+        let (near_p, near_q) = (close(p), close(q));
+        let spread = 0.5 * (from.brightest - from.darkest);
+        // Where the receiver is next to the source a linear function of its nodes misses most.
+        let edge = if p.kind == Kind::Fog && near_p + near_q > 0.5 {
+            let toward = (q.center - p.center) / p.half;
+            let place = toward / toward.abs().max_element().max(1.0);
+            let there = SurfaceSpot { position: p.center + p.half * place, ..SurfaceSpot::default() };
+            let values = link.factors.map(Vec3A::splat);
+            (self.factor(p, q, &there, eye) - p.between(&values, place).x).abs()
+        } else {
+            0.0
+        };
+        let mut errors = [
+            if p.is_wide() {
+                mean * radiosity * (0.1 + 2.0 * near_p * near_p)
+            } else {
+                (2.0 * (middle - mean).abs() + 0.03 * (high - low) + edge) * radiosity
+            },
+            if q.is_wide() {
+                mean * radiosity * (0.1 + 2.0 * near_q * near_q)
+            } else {
+                mean * spread * (2.0 * near_q).min(1.0)
+            },
+        ];
+        if self.scene.fog.is_some() {
+            // What the fog leaves of the light differs over the source; a box of fog has no one distance, either.
+            let thickness = (self.extinction(q) * q.radius).min(1.0);
+            let shape = if q.kind == Kind::Fog { near_q * near_q } else { 0.0 };
+            errors[1] += mean * radiosity * (shape + 0.3 * near_q * thickness);
+        }
+        if errors[0] + errors[1] > allowed
+            && let Some(verdict) = self.cut(p, q, errors)
+        {
+            return verdict;
+        }
+        if mean * reach <= 0.0 {
+            return Verdict::Keep { link, refused: false };
+        }
+        // What is hidden.
+        let (seen, refused) = self.look(p, q, eye, mean * reach <= LITTLE * allowed);
+        let least = seen[..p.count].iter().copied().fold(1.0f32, f32::min);
+        let most = seen[..p.count].iter().copied().fold(0.0f32, f32::max);
+        let hidden = if most == 0.0 { refused } else { 0.5 * (most - least).max(refused) };
+        link.factors.iter_mut().zip(seen).for_each(|(factor, seen)| *factor *= seen);
+        let error = mean * reach * hidden;
+        if error > allowed {
+            let sizes = if p.radius > q.radius { [error, 0.0] } else { [0.0, error] };
+            return self.cut(p, q, sizes).unwrap_or(Verdict::Keep { link, refused: true });
+        }
+        Verdict::Keep { link, refused: errors[0] + errors[1] > allowed }
+    }
+
+    /// Cuts where the error comes from, else the other one; `None` if neither can be cut.
+    fn cut(&self, p: &Element, q: &Element, errors: [f32; 2]) -> Option<Verdict> {
+        let order = if errors[0] >= errors[1] {
+            [(p, Verdict::Receiver), (q, Verdict::Source)]
+        } else {
+            [(q, Verdict::Source), (p, Verdict::Receiver)]
+        };
+        order.into_iter().find(|(element, _)| self.may_cut(element)).map(|(_, verdict)| verdict)
+    }
+
+    fn judge_itself(&self, receiver: u32, p: &Element, eye: &mut Eye) -> Verdict {
+        let keep = |factors| Verdict::Keep { link: Link { receiver, source: receiver, factors }, refused: false };
+        match p.kind {
+            Kind::Cluster => Verdict::Both,
+            Kind::Patch | Kind::Ball if !self.scene.surfaces[p.surface as usize].is_concave() => Verdict::Drop,
+            Kind::Ball => {
+                if self.may_cut(p) {
+                    Verdict::Both
+                } else {
+                    Verdict::Drop
+                }
+            }
+            Kind::Patch => {
+                // A sphere's inner side has one kernel everywhere; of others this is its mean over the other nodes.
+                let mut factors = [0.0; 4];
+                for (k, factor) in factors.iter_mut().enumerate().take(p.count) {
+                    let others = (0..p.count).filter(|&j| j != k);
+                    let sum: f32 = others.map(|j| exchange(&p.nodes[k], &p.nodes[j], p.size)).sum();
+                    *factor = sum / (p.count - 1) as f32;
+                }
+                keep(factors)
+            }
+            Kind::Fog => {
+                let to = self.light[receiver as usize];
+                let spread = 0.5 * (to.brightest - to.darkest);
+                let mut factors = [0.0; 4];
+                for (factor, node) in factors.iter_mut().zip(&p.nodes) {
+                    *factor = self.factor(p, p, node, eye);
+                }
+                let thick = self.extinction(p) * p.half.max_element() > THICK;
+                if (thick || factors[0] * spread > self.allowed(p, &to)) && self.may_cut(p) {
+                    return Verdict::Both;
+                }
+                keep(factors)
+            }
+        }
+    }
+
+    /// What a point receives of an element through the fog, as if nothing else were between, as [`Link::factors`] has it.
+    fn factor(&self, p: &Element, q: &Element, node: &SurfaceSpot, eye: &mut Eye) -> f32 {
+        if q.kind == Kind::Fog {
+            return self.factor_of_fog(p, q, node, eye);
+        }
+        let way = q.center - node.position;
+        let mut distance2 = way.length_squared();
+        if p.is_wide() || q.is_wide() {
+            // Parts of the two are no nearer on average than this.
+            let reach = p.radius + q.radius;
+            distance2 = distance2.max(0.25 * reach * reach);
+        }
+        let distance = distance2.sqrt();
+        let near = is_near(distance2, q.radius) && !p.is_wide();
+        let polygon_corners = &q.corners[..q.corner_count];
+        // Of a part of the source, by its area and its direction from the point.
+        let parts = |of: &dyn Fn(&SurfaceSpot, f32) -> f32| -> f32 {
+            if near {
+                q.nodes[..q.count].iter().map(|part| of(part, q.size / q.count as f32)).sum()
+            } else {
+                of(&SurfaceSpot { position: q.center, normal: q.normal, ..*node }, q.size)
+            }
+        };
+        let open = match (p.kind, q.kind) {
+            (Kind::Patch, Kind::Patch) if q.corner_count > 0 && distance2 < 25.0 * q.radius * q.radius => {
+                polygon(node.position, node.normal, polygon_corners)
+            }
+            (Kind::Patch, Kind::Patch) => parts(&|part, area| exchange(node, part, area)).min(1.0),
+            (Kind::Patch, _) => (node.normal.dot(way) / distance).max(0.0) / distance2,
+            (Kind::Fog, Kind::Patch) if q.corner_count > 0 && distance2 < 25.0 * q.radius * q.radius => {
+                solid_angle(node.position, polygon_corners) / (4.0 * PI)
+            }
+            (Kind::Fog, Kind::Patch) => 0.25 * parts(&|part, area| facing(node, part, area)),
+            (Kind::Fog, _) => 0.25 / distance2,
+            (_, Kind::Patch) => q.size * (-q.normal.dot(way) / distance).max(0.0) / (PI * distance2),
+            _ => 1.0 / distance2,
+        };
+        if open <= 0.0 || self.scene.fog.is_none() {
+            return open.max(0.0);
+        }
+        if q.kind != Kind::Patch || !near {
+            return open * eye.fog(self.scene, node.position, q.center);
+        }
+        // What is near lets more through: by the kernel at points of the source, at more of them where that matters.
+        let (mut weight, mut through) = (0.0, 0.0);
+        let mut add = |part: &SurfaceSpot| {
+            let kernel = if p.kind == Kind::Patch { exchange(node, part, 1.0) } else { facing(node, part, 1.0) };
+            weight += kernel;
+            through += kernel * eye.fog(self.scene, node.position, part.position);
+        };
+        let thickness = self.extinction(q) * q.radius;
+        if q.corner_count > 0 && thickness * q.radius > THIN * distance {
+            let [a, b, c, d] = q.corners;
+            let last = if q.corner_count == 3 { c } else { d };
+            for k in 0..64 {
+                let mut u = [k % 8, k / 8].map(|k| (k as f32 + 0.5) / 8.0);
+                if q.corner_count == 3 && u[0] + u[1] > 1.0 {
+                    u = u.map(|u| 1.0 - u);
+                }
+                let position = a + (b - a) * u[0] + (last - a) * u[1];
+                add(&SurfaceSpot { position, ..q.nodes[0] });
+            }
+        } else {
+            q.nodes[..q.count].iter().for_each(add);
+        }
+        if weight > 0.0 { open * through / weight } else { open * eye.fog(self.scene, node.position, q.center) }
+    }
+
+    /// Of a box of fog. Near it the box's light is summed by its faces: of all directions through a face the light from the point to
+    /// there, which is that of the fog up to the far faces less that up to the near ones.
+    fn factor_of_fog(&self, p: &Element, q: &Element, node: &SurfaceSpot, eye: &mut Eye) -> f32 {
+        let way = q.center - node.position;
+        let mut distance2 = way.length_squared();
+        if p.is_wide() {
+            let reach = p.radius + q.radius;
+            distance2 = distance2.max(0.25 * reach * reach);
+        }
+        let distance = distance2.sqrt();
+        let extinction = self.extinction(q);
+        if p.is_wide() || distance > 3.0 * q.radius {
+            let share = match p.kind {
+                Kind::Fog => 1.0,
+                Kind::Patch => 4.0 * (node.normal.dot(way) / distance).max(0.0),
+                Kind::Cluster | Kind::Ball => 4.0,
+            };
+            if share <= 0.0 {
+                return 0.0;
+            }
+            // Mean over the box of what decays along the way, by its value in the middle.
+            let decay = q.half * way.abs() * (extinction / distance);
+            let spread = |x: f32| 1.0 + x * x * (1.0 / 6.0 + x * x * (1.0 / 120.0 + x * x / 5040.0));
+            let through = decay.to_array().into_iter().map(spread).product::<f32>()
+                * eye.fog(self.scene, node.position, q.center);
+            return share * q.size / (4.0 * PI * distance2) * through;
+        }
+        // Light on the way from a point at a distance.
+        let along = |distance: f32| {
+            let x = extinction * distance;
+            if x < 1e-3 { distance * (1.0 - 0.5 * x) } else { -exp_m1(-x) / extinction }
+        };
+        let mut sum = 0.0;
+        for axis in 0..3 {
+            for side in [-1.0, 1.0] {
+                let (mut out, mut u, mut v) = (Vec3A::ZERO, Vec3A::ZERO, Vec3A::ZERO);
+                out[axis] = side * q.half[axis];
+                u[(axis + 1) % 3] = q.half[(axis + 1) % 3];
+                v[(axis + 2) % 3] = q.half[(axis + 2) % 3];
+                let middle = q.center + out;
+                // Counter-clockwise seen from the side of the point; near faces count against.
+                let inward = out.dot(node.position - middle) * side.abs() < 0.0;
+                let turned = (side > 0.0) == inward;
+                if turned {
+                    std::mem::swap(&mut u, &mut v);
+                }
+                let corners = [middle - u - v, middle + u - v, middle + u + v, middle - u + v];
+                let (share, kernel): (f32, Kernel) = match p.kind {
+                    Kind::Patch => (polygon(node.position, node.normal, &corners), exchange),
+                    _ => (solid_angle(node.position, &corners) / (4.0 * PI), facing),
+                };
+                if share <= 0.0 {
+                    continue;
+                }
+                let normal = cross(u, v).normalize_or(Vec3A::Z);
+                let (mut weight, mut length) = (0.0, 0.0);
+                for k in 0..FACE * FACE {
+                    let [x, y] = [k % FACE, k / FACE].map(|k| (2 * k + 1) as f32 / FACE as f32 - 1.0);
+                    let spot = SurfaceSpot { position: middle + u * x + v * y, normal, ..*node };
+                    let part = kernel(node, &spot, 1.0);
+                    weight += part;
+                    length += part * along(spot.position.distance(node.position));
+                }
+                let length = if weight > 0.0 { length / weight } else { along(middle.distance(node.position)) };
+                sum += if inward { share * length } else { -share * length };
+            }
+        }
+        sum.max(0.0)
+    }
+
+    /// Share of the source's light that reaches each node, and how uncertain the shares are.
+    fn look(&self, p: &Element, q: &Element, eye: &mut Eye, little: bool) -> ([f32; 4], f32) {
+        let mut numbers = Numbers::new(&[p.key, q.key]);
+        let (mut got, mut cast) = ([0.0f32; 4], [0u32; 4]);
+        let (mut hits, mut misses) = (0u32, 0u32);
+        // One ray alone goes from any node to any quarter.
+        let first = (numbers.next() * 12.0) as u32;
+        for (round, rays) in LOOK.into_iter().enumerate() {
+            if round == 1 && (hits == 0 || misses == 0 || little) {
+                break;
+            }
+            for k in 0..if little { 1 } else { rays } {
+                let turn = k + first;
+                let node = turn as usize % p.count;
+                for _ in 0..4 {
+                    let to = spot(self.arena, self.scene, q, (turn + turn / 4) % 4, &mut numbers, |part| {
+                        luminance(self.light[part as usize].radiosity)
+                    });
+                    let from = if p.is_wide() {
+                        spot(self.arena, self.scene, p, turn % 4, &mut numbers, |_| 1.0)
+                    } else {
+                        p.nodes[node]
+                    };
+                    let way = to.position - from.position;
+                    if faces(&from, way) && faces(&to, -way) {
+                        let share = eye.seen(self.scene, &from, &to);
+                        got[node] += share;
+                        cast[node] += 1;
+                        *if share > 0.0 { &mut hits } else { &mut misses } += 1;
+                        break;
+                    }
+                }
+            }
+        }
+        let total: u32 = cast.iter().sum();
+        if total == 0 {
+            return ([0.0; 4], 0.0);
+        }
+        let mean = got.iter().sum::<f32>() / total as f32;
+        let seen = [0, 1, 2, 3].map(|k| if cast[k] > 0 { got[k] / cast[k] as f32 } else { mean });
+        let share = hits as f32 / total as f32;
+        // A source that no ray has met may be there.
+        let unsure = if hits == 0 { 0.5 / (total + 2) as f32 } else { (share * (1.0 - share)).sqrt() };
+        (seen, unsure)
+    }
+}
+
+fn faces(spot: &SurfaceSpot, way: Vec3A) -> bool {
+    spot.normal == Vec3A::ZERO || spot.normal.dot(way) > 0.0
+}
+
+/// Form factor of a small surface of area `area` at a spot, from another spot.
+fn exchange(at: &SurfaceSpot, from: &SurfaceSpot, area: f32) -> f32 {
+    let way = from.position - at.position;
+    let distance2 = way.length_squared();
+    if distance2 <= 0.0 {
+        return 0.0;
+    }
+    area * at.normal.dot(way).max(0.0) * (-from.normal.dot(way)).max(0.0) / (PI * distance2 * distance2)
+}
+
+/// The same without the cosine of the receiver.
+fn facing(at: &SurfaceSpot, from: &SurfaceSpot, area: f32) -> f32 {
+    let way = from.position - at.position;
+    let distance2 = way.length_squared();
+    if distance2 <= 0.0 {
+        return 0.0;
+    }
+    area * (-from.normal.dot(way)).max(0.0) / (PI * distance2 * distance2.sqrt())
+}
+
+/// Whether all of `b` is behind all of the flat surfaces `a`.
+fn unseen(scene: &Scene<'_>, a: &Element, b: &Element) -> bool {
+    let flat = match a.kind {
+        Kind::Patch => scene.surfaces[a.surface as usize].is_flat(),
+        Kind::Cluster => a.normal != Vec3A::ZERO,
+        Kind::Ball | Kind::Fog => false,
+    };
+    let lowest = || if a.kind == Kind::Patch { a.center } else { a.middle - a.normal * a.normal.abs().dot(a.half) };
+    flat && b.above(lowest(), a.normal) <= 1e-5 * (a.radius + b.radius)
+}

@@ -1,0 +1,411 @@
+//! The solver: elements, links, light, until the light no longer changes.
+
+use crate::arena::Arena;
+use crate::element::{Element, Kind};
+use crate::gather::{FROM_ELEMENTS, FROM_SOURCES, Lights, cell_of};
+use crate::lamps::{LampLink, LampVerdict};
+use crate::link::{Judge, Link, Verdict};
+use crate::scene::Scene;
+use crate::visibility::Eye;
+use femc_field::{Field, FogCell, FogTree, Harmonics, Leaf, NONE};
+use femc_math::Rgb;
+use femc_math::color::luminance;
+use femc_prepared::Prepared;
+use rayon::prelude::*;
+use std::f32::consts::PI;
+use std::sync::atomic::{AtomicBool, Ordering};
+
+/// How exact the solution is to be, and what it may take.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Options {
+    /// Greatest error of one link, as a share of its receiver's irradiance.
+    pub error: f32,
+    /// Bytes that elements and links may take.
+    pub memory: usize,
+}
+
+impl Default for Options {
+    fn default() -> Self {
+        Self { error: 0.2, memory: 1 << 30 }
+    }
+}
+
+/// What a solution is made of.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Report {
+    /// Parts of surfaces and of fog.
+    pub elements: usize,
+    /// Those that are not cut further.
+    pub leaves: usize,
+    /// Links among elements.
+    pub links: usize,
+    /// Links with light sources.
+    pub lamp_links: usize,
+    /// Links that are not as exact as asked for: the elements may not be cut further.
+    pub refused: usize,
+    /// Visibility rays.
+    pub rays: u64,
+    /// Times that light was passed on through all links.
+    pub iterations: usize,
+    /// What further iterations would change of a radiosity, as far as the latest tell, as a share of the greatest radiosity.
+    pub residual: f32,
+    /// Bytes of elements and links.
+    pub bytes: usize,
+}
+
+/// The light of a scene, and how it was found.
+#[derive(Clone, Debug)]
+pub struct Solution {
+    /// The light.
+    pub field: Field,
+    /// How it was found.
+    pub report: Report,
+}
+
+/// The caller cancelled it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Cancelled;
+
+/// Errors of a link that are allowed one after the other, as multiples of what is asked for.
+const COARSE: [f32; 3] = [8.0, 2.5, 1.0];
+/// An iteration after which no radiosity would change by more than this share of the greatest one is the last.
+const RESIDUAL: f32 = 1e-4;
+/// Most iterations at one level of refinement.
+const ITERATIONS: usize = 400;
+/// Share of the mean irradiance that is added to an element's when a link's error is judged.
+const FLOOR: f32 = 0.03;
+/// Parts of all surfaces' area, and of the fog's volume, that are not cut further, over the error.
+const LEAST_AREA: f32 = 5e-3;
+const LEAST_VOLUME: f32 = 5e-4;
+
+/// Finds the light of a prepared frame. The result depends on the frame and the options alone, not on threads.
+/// - errors: `cancel` was set.
+pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Result<Solution, Cancelled> {
+    let scene = Scene::new(prepared);
+    let arena = Arena::new(&scene);
+    if arena.root == NONE {
+        let field = Field {
+            roots: vec![NONE; scene.surfaces.len()],
+            sides: scene.sides,
+            surfaces: scene.surfaces,
+            ..Field::default()
+        };
+        return Ok(Solution { field, report: Report::default() });
+    }
+    let lights = Lights::new(&arena);
+    let mut solver =
+        Solver { scene: &scene, arena, lights, links: Vec::new(), report: Report::default(), options, cancel };
+    solver.open();
+    solver.links = vec![Link { receiver: solver.arena.root, source: solver.arena.root, factors: [0.0; 4] }];
+    for (round, coarse) in COARSE.into_iter().enumerate() {
+        solver.report.refused = 0;
+        let error = options.error * coarse;
+        // Where the light falls first; then where it goes.
+        solver.light_up(error.min(0.1))?;
+        if round == 0 {
+            solver.lights.push_pull(&scene, &solver.arena);
+        }
+        solver.refine(error)?;
+        solver.iterate(if round + 1 == COARSE.len() { RESIDUAL } else { 1e-2 })?;
+    }
+    let report = solver.finish();
+    let Solver { arena, lights, .. } = solver;
+    Ok(Solution { field: field(scene, &arena, &lights), report })
+}
+
+struct Solver<'a> {
+    scene: &'a Scene<'a>,
+    arena: Arena,
+    lights: Lights,
+    links: Vec<Link>,
+    report: Report,
+    options: &'a Options,
+    cancel: &'a AtomicBool,
+}
+
+impl Solver<'_> {
+    fn bytes(&self, links: usize) -> usize {
+        links * size_of::<Link>()
+            + self.arena.elements.len() * (size_of::<Element>() + size_of::<crate::gather::Light>())
+            + self.arena.wide * size_of::<crate::gather::Arriving>()
+    }
+
+    /// Mean irradiance of all surfaces, by luminance, lx.
+    fn mean(&self) -> f32 {
+        let roots = self.arena.roots.iter().filter(|&&root| root != NONE);
+        let (sum, area) = roots.fold((0.0f64, 0.0f64), |(sum, area), &root| {
+            let size = f64::from(self.arena.elements[root as usize].size);
+            (sum + size * f64::from(self.lights.of[root as usize].mean), area + size)
+        });
+        if area > 0.0 { (sum / area) as f32 } else { self.lights.of[self.arena.root as usize].mean }
+    }
+
+    /// A first idea of what elements receive: as if nothing were between them and the light sources.
+    fn open(&mut self) {
+        let (lights, world) = (&self.scene.prepared.lights, &self.scene.prepared.world);
+        let found: Vec<f32> = self
+            .arena
+            .elements
+            .par_iter()
+            .map(|element| {
+                if element.kind == Kind::Cluster {
+                    return 0.0;
+                }
+                let spots = &element.nodes[..element.count];
+                let at = |spot: &femc_field::SurfaceSpot, lamp: u32| {
+                    let textures = &self.scene.prepared.textures;
+                    let sample =
+                        lights.sample_light(world, textures, lamp, spot.position, crate::scene::TIME, [0.5; 2]);
+                    sample.map_or(0.0, |sample| {
+                        let share =
+                            if element.kind == Kind::Patch { spot.normal.dot(sample.dir).max(0.0) } else { 0.25 };
+                        luminance(sample.radiance) * share / sample.pdf
+                    })
+                };
+                let sum: f32 =
+                    spots.iter().map(|spot| (0..lights.len() as u32).map(|lamp| at(spot, lamp)).sum::<f32>()).sum();
+                sum / element.count as f32
+            })
+            .collect();
+        for (light, mean) in self.lights.of.iter_mut().zip(found) {
+            light.mean = if mean.is_finite() { mean } else { 0.0 };
+            light.least = light.mean;
+        }
+        for index in (0..self.arena.elements.len()).rev() {
+            let element = &self.arena.elements[index];
+            if !element.is_leaf() {
+                let [a, b] = element.children.map(|child| child as usize);
+                let sizes = [a, b].map(|child| self.arena.elements[child].size);
+                let mean =
+                    (self.lights.of[a].mean * sizes[0] + self.lights.of[b].mean * sizes[1]) / (sizes[0] + sizes[1]);
+                self.lights.of[index].mean = if mean.is_finite() { mean } else { 0.0 };
+                self.lights.of[index].least = self.lights.of[a].least.min(self.lights.of[b].least);
+            }
+        }
+    }
+
+    fn judge(&self, error: f32, links: usize) -> Judge<'_> {
+        let area: f32 = self
+            .arena
+            .roots
+            .iter()
+            .filter(|&&root| root != NONE)
+            .map(|&root| self.arena.elements[root as usize].size)
+            .sum();
+        let volume = if self.arena.fog == NONE { 0.0 } else { self.arena.elements[self.arena.fog as usize].size };
+        Judge {
+            scene: self.scene,
+            arena: &self.arena,
+            light: &self.lights.of,
+            error,
+            floor: FLOOR * self.mean(),
+            fog_floor: if self.arena.fog == NONE { 0.0 } else { FLOOR * self.lights.of[self.arena.fog as usize].mean },
+            least_area: area * LEAST_AREA * self.options.error,
+            least_volume: volume * LEAST_VOLUME * self.options.error,
+            full: self.bytes(links) > self.options.memory,
+        }
+    }
+
+    /// Light of the sources, on elements as fine as it needs.
+    fn light_up(&mut self, error: f32) -> Result<(), Cancelled> {
+        let mut pending: Vec<(u32, u32)> =
+            (0..self.scene.prepared.lights.len() as u32).map(|lamp| (self.arena.root, lamp)).collect();
+        let mut done: Vec<LampLink> = Vec::new();
+        while !pending.is_empty() {
+            if self.cancel.load(Ordering::Relaxed) {
+                return Err(Cancelled);
+            }
+            let judge = self.judge(error, done.len() + pending.len());
+            let (verdicts, rays) = judged(&pending, |&(receiver, lamp), eye| judge.judge_lamp(receiver, lamp, eye));
+            self.report.rays += rays;
+            let mut next = Vec::new();
+            for ((receiver, lamp), verdict) in pending.into_iter().zip(verdicts) {
+                match verdict {
+                    LampVerdict::Drop => {}
+                    LampVerdict::Keep { link, refused } => {
+                        done.push(link);
+                        self.report.refused += usize::from(refused);
+                    }
+                    LampVerdict::Receiver => {
+                        let (children, _) = self.arena.children(self.scene, receiver);
+                        next.extend(children.map(|child| (child, lamp)));
+                    }
+                }
+            }
+            self.lights.grow(&self.arena);
+            pending = next;
+        }
+        done.sort_unstable_by_key(|link| (link.receiver, link.lamp));
+        self.report.lamp_links = done.len();
+        for light in &mut self.lights.of {
+            light.own[FROM_SOURCES] = [Rgb::ZERO; 4];
+        }
+        for arriving in &mut self.lights.arriving {
+            arriving.own[FROM_SOURCES] = Harmonics::ZERO;
+        }
+        for link in done {
+            let element = &self.arena.elements[link.receiver as usize];
+            if element.is_wide() {
+                self.lights.arriving[element.wide as usize].own[FROM_SOURCES] +=
+                    Harmonics::toward(link.dir, link.light[0]);
+            } else {
+                let own = &mut self.lights.of[link.receiver as usize].own[FROM_SOURCES];
+                own.iter_mut().zip(link.light).for_each(|(sum, light)| *sum += light);
+            }
+        }
+        Ok(())
+    }
+
+    /// Links until each is as exact as asked for.
+    fn refine(&mut self, error: f32) -> Result<(), Cancelled> {
+        let mut pending = std::mem::take(&mut self.links);
+        let mut done = Vec::new();
+        while !pending.is_empty() {
+            if self.cancel.load(Ordering::Relaxed) {
+                return Err(Cancelled);
+            }
+            let judge = self.judge(error, done.len() + pending.len());
+            let (verdicts, rays) = judged(&pending, |link, eye| judge.judge(link.receiver, link.source, eye));
+            self.report.rays += rays;
+            let mut next = Vec::new();
+            let link = |receiver: u32, source: u32| Link { receiver, source, factors: [0.0; 4] };
+            for (Link { receiver, source, .. }, verdict) in pending.into_iter().zip(verdicts) {
+                match verdict {
+                    Verdict::Drop => {}
+                    Verdict::Keep { link, refused } => {
+                        done.push(link);
+                        self.report.refused += usize::from(refused);
+                    }
+                    Verdict::Receiver => {
+                        let (children, _) = self.arena.children(self.scene, receiver);
+                        next.extend(children.map(|child| link(child, source)));
+                    }
+                    Verdict::Source => {
+                        let (children, _) = self.arena.children(self.scene, source);
+                        next.extend(children.map(|child| link(receiver, child)));
+                    }
+                    Verdict::Both => {
+                        let ([a, b], _) = self.arena.children(self.scene, receiver);
+                        next.extend([(a, a), (a, b), (b, a), (b, b)].map(|(p, q)| link(p, q)));
+                    }
+                }
+            }
+            self.lights.grow(&self.arena);
+            pending = next;
+        }
+        done.sort_unstable_by_key(|link| (link.receiver, link.source));
+        self.links = done;
+        Ok(())
+    }
+
+    fn iterate(&mut self, residual: f32) -> Result<(), Cancelled> {
+        let mut before = f32::INFINITY;
+        for _ in 0..ITERATIONS {
+            if self.cancel.load(Ordering::Relaxed) {
+                return Err(Cancelled);
+            }
+            self.lights.gather(&self.arena, &self.links);
+            let (change, greatest) = self.lights.push_pull(self.scene, &self.arena);
+            self.report.iterations += 1;
+            // What further iterations would change in all, if each changes as much less as the latest did.
+            let rate = if before.is_finite() { (change / before).min(0.99) } else { 0.99 };
+            before = change;
+            let left = change * rate / (1.0 - rate);
+            self.report.residual = if greatest > 0.0 { left / greatest } else { 0.0 };
+            if self.report.residual <= residual {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    fn finish(&self) -> Report {
+        let elements = &self.arena.elements;
+        Report {
+            elements: elements.iter().filter(|element| element.kind != Kind::Cluster).count(),
+            leaves: elements.iter().filter(|element| element.is_leaf()).count(),
+            links: self.links.len(),
+            bytes: self.bytes(self.links.len()),
+            ..self.report
+        }
+    }
+}
+
+/// Verdicts in order, and the rays that they took.
+fn judged<T: Sync, V: Send>(pending: &[T], judge: impl Fn(&T, &mut Eye) -> V + Sync) -> (Vec<V>, u64) {
+    let chunks: Vec<(Vec<V>, u64)> = pending
+        .par_chunks(256)
+        .map(|chunk| {
+            let mut eye = Eye::default();
+            let verdicts = chunk.iter().map(|item| judge(item, &mut eye)).collect();
+            (verdicts, eye.rays)
+        })
+        .collect();
+    let rays = chunks.iter().map(|(_, rays)| rays).sum();
+    (chunks.into_iter().flat_map(|(verdicts, _)| verdicts).collect(), rays)
+}
+
+/// What is kept of a solution.
+fn field(scene: Scene<'_>, arena: &Arena, lights: &Lights) -> Field {
+    let mut field = Field { roots: vec![NONE; scene.surfaces.len()], ..Field::default() };
+    for (surface, &root) in arena.roots.iter().enumerate() {
+        if root == NONE {
+            continue;
+        }
+        // Breadth first, so that two halves follow each other.
+        let first = field.cells.len() as u32;
+        field.roots[surface] = first;
+        let mut order = vec![root];
+        let mut at = 0;
+        while at < order.len() {
+            let element = &arena.elements[order[at] as usize];
+            let next = if element.is_leaf() {
+                field.leaves.push(leaf(element, order[at], lights));
+                field.leaves.len() as u32 - 1
+            } else {
+                order.extend(element.children);
+                first + order.len() as u32 - 2
+            };
+            field.cells.push(cell_of(element, next));
+            at += 1;
+        }
+    }
+    if arena.fog != NONE {
+        field.fog = fog(arena, lights);
+    }
+    (field.surfaces, field.sides) = (scene.surfaces, scene.sides);
+    field
+}
+
+fn leaf(element: &Element, index: u32, lights: &Lights) -> Leaf {
+    if element.is_wide() {
+        return Leaf::Curved(lights.arriving[element.wide as usize].whole[FROM_ELEMENTS]);
+    }
+    let values = lights.of[index as usize].whole[FROM_ELEMENTS];
+    if element.count == 3 { Leaf::Triangle([values[0], values[1], values[2]]) } else { Leaf::Rectangle(values) }
+}
+
+fn fog(arena: &Arena, lights: &Lights) -> FogTree {
+    let mut cells = Vec::new();
+    let mut order = vec![arena.fog];
+    let mut at = 0;
+    while at < order.len() {
+        let index = order[at];
+        let element = &arena.elements[index as usize];
+        let mut mean = [Rgb::ZERO; 4];
+        let mut next = 0;
+        if element.is_leaf() {
+            let [middle, slopes @ ..] = Element::fog_slopes(&lights.of[index as usize].whole[FROM_ELEMENTS]);
+            // Of all around from a quarter of it; slopes over whole edges.
+            mean[0] = middle / PI;
+            (0..3).for_each(|axis| mean[1 + axis] = slopes[axis] * (2.0 / PI));
+        } else {
+            next = order.len() as u32;
+            order.extend(element.children);
+        }
+        let (min, max) = (element.center - element.half, element.center + element.half);
+        cells.push(FogCell { min, max, next, mean });
+        at += 1;
+    }
+    FogTree(cells)
+}

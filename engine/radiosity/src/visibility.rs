@@ -1,0 +1,123 @@
+//! What is between two elements: rays between keyed points of theirs.
+
+use crate::arena::Arena;
+use crate::element::{Element, Kind};
+use crate::scene::{Scene, TIME};
+use femc_field::SurfaceSpot;
+use femc_geometry::{Ray, offset_origin, segment};
+use femc_math::color::luminance;
+use femc_math::elementary::exp;
+use femc_math::glam::{Vec2, Vec3A};
+use femc_math::hash::{combine, unit_f32};
+use femc_prepared::media::{Inside, MediaRay};
+
+/// Clear surfaces that a ray goes through at most.
+const CLEAR: u32 = 64;
+
+/// Rays and their buffers, of one thread.
+#[derive(Default)]
+pub struct Eye {
+    media: MediaRay,
+    pub rays: u64,
+}
+
+/// Numbers in [0, 1) by a key.
+pub struct Numbers(u64, u64);
+
+impl Numbers {
+    pub fn new(words: &[u64]) -> Self {
+        Self(combine(words), 0)
+    }
+
+    pub fn next(&mut self) -> f32 {
+        self.1 += 1;
+        unit_f32((femc_math::hash::mix64(self.0.wrapping_add(self.1.wrapping_mul(0x9e37_79b9_7f4a_7c15))) >> 32) as u32)
+    }
+}
+
+impl Eye {
+    /// Share of light, by luminance, that gets from one point to another: 0 behind something opaque, and what clear surfaces and fog
+    /// leave of it. Zero normals: points in space.
+    pub fn through(&mut self, scene: &Scene<'_>, from: &SurfaceSpot, to: &SurfaceSpot) -> f32 {
+        let seen = self.seen(scene, from, to);
+        if seen > 0.0 { seen * self.fog(scene, from.position, to.position) } else { 0.0 }
+    }
+
+    /// The same without the fog.
+    pub fn seen(&mut self, scene: &Scene<'_>, from: &SurfaceSpot, to: &SurfaceSpot) -> f32 {
+        let prepared = scene.prepared;
+        let end = (to.position, to.error, to.normal);
+        let mut ray = segment((from.position, from.error, from.normal), end, TIME);
+        self.rays += 1;
+        let mut share = 1.0;
+        if prepared.has_clear_surfaces {
+            for _ in 0..CLEAR {
+                let Some(hit) = prepared.world.intersect(&ray) else { break };
+                let point = prepared.surface(&ray, &hit);
+                let back = point.normal.dot(ray.dir) > 0.0;
+                share *= luminance(prepared.materials[point.material as usize].crossing[usize::from(back)].unbent());
+                if share <= 0.0 {
+                    return 0.0;
+                }
+                self.rays += 1;
+                let origin = offset_origin(point.position, point.error, point.normal, ray.dir);
+                ray = Ray { t_max: ray.t_max - ray.origin.distance(origin), origin, ..ray };
+            }
+        } else if prepared.world.occluded(&ray) {
+            return 0.0;
+        }
+        share
+    }
+
+    /// Transmittance of the fog alone between two points.
+    pub fn fog(&mut self, scene: &Scene<'_>, from: Vec3A, to: Vec3A) -> f32 {
+        let (media, way) = (&scene.prepared.media, to - from);
+        let length = way.length();
+        if let Some(extinction) = scene.haze {
+            return exp(-extinction * length);
+        }
+        let foggy = length > 0.0 && !media.is_empty();
+        if foggy && media.along(from, way / length, length, &Inside::default(), &mut self.media) {
+            luminance(media.transmittance(&self.media))
+        } else {
+            1.0
+        }
+    }
+}
+
+/// A point of an element, by numbers in [0, 1); stratum `part` of four.
+/// - `weight`: how much more often a part of a cluster, or of fog, is taken than its size says.
+pub fn spot(
+    arena: &Arena,
+    scene: &Scene<'_>,
+    element: &Element,
+    part: u32,
+    numbers: &mut Numbers,
+    weight: impl Fn(u32) -> f32,
+) -> SurfaceSpot {
+    let mut element = element;
+    while element.kind == Kind::Cluster || !element.is_leaf() {
+        let children = element.children;
+        let [a, b] = children.map(|child| &arena.elements[child as usize]);
+        let [wa, wb] = [(a, children[0]), (b, children[1])].map(|(part, index)| part.size * weight(index));
+        let share = if wa + wb > 0.0 { wa / (wa + wb) } else { a.size / (a.size + b.size) };
+        // Strata are worth more than a choice between parts that are nearly alike.
+        let even = a.size / (a.size + b.size);
+        if element.kind == Kind::Patch && (share - even).abs() < 0.2 {
+            break;
+        }
+        element = if numbers.next() < share { a } else { b };
+    }
+    let u = [0, 1].map(|axis| 0.5 * (numbers.next() + (part >> axis & 1) as f32));
+    if element.kind == Kind::Fog {
+        let u = Vec3A::new(u[0], u[1], numbers.next());
+        let position = element.center + element.half * (u * 2.0 - 1.0);
+        return SurfaceSpot { position, ..SurfaceSpot::default() };
+    }
+    let mut local = Vec2::new(u[0], u[1]);
+    let surface = &scene.surfaces[element.surface as usize];
+    if matches!(surface.form, femc_field::Form::Triangle(_)) && local.x + local.y > 1.0 {
+        local = Vec2::ONE - local;
+    }
+    surface.at(element.outline.at(local))
+}

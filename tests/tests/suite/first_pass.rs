@@ -1,0 +1,196 @@
+//! The finite-element first pass: closed forms, references, and inputs that break finite elements.
+
+use femc_math::glam::Vec3A;
+use femc_pipeline::{Method, Settings, Side, Solution, Source, Stop, first_pass, prepare};
+use femc_tests::reference::{Reference, rooms};
+use femc_tests::{render, scene};
+use std::f64::consts::PI;
+use std::fmt::Write as _;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+const CAMERA: &str = "camera main =\n  origin .31 .42 .23\n  target .8 .6 .7\n  fov 90\n  film 24 24\n";
+
+/// The unit cube, its faces inward, with the material in force.
+fn cube() -> String {
+    let mut text = String::new();
+    for (k, [x, y, z]) in
+        [[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [0, 0, 1], [1, 0, 1], [1, 1, 1], [0, 1, 1]].iter().enumerate()
+    {
+        let _ = writeln!(text, "v p{k} =\n  p {x} {y} {z}");
+    }
+    for face in ["p0 p1 p2 p3", "p7 p6 p5 p4", "p0 p4 p5 p1", "p1 p5 p6 p2", "p2 p6 p7 p3", "p3 p7 p4 p0"] {
+        let _ = writeln!(text, "f {face}");
+    }
+    text
+}
+
+fn solve(text: &str) -> Solution {
+    let prepared = prepare(&Source::new(scene(text)), &Settings::default(), 1, None).unwrap_or_else(|e| panic!("{e}"));
+    let solution = first_pass(&prepared, &AtomicBool::new(false)).unwrap_or_else(|e| panic!("{e}"));
+    let light = solution.field.leaves.len();
+    assert!(light > 0 || solution.report.elements == 0, "{:?}", solution.report);
+    solution
+}
+
+/// Least, mean and greatest irradiance of the sides of a scene's surfaces at points spread over them.
+fn irradiances(solution: &Solution, wanted: Side) -> [f64; 3] {
+    let field = &solution.field;
+    let (mut low, mut high, mut sum, mut count) = (f64::INFINITY, 0.0f64, 0.0, 0.0);
+    for surface in field.surfaces.iter().filter(|surface| surface.side == wanted) {
+        for k in 0..64u32 {
+            let mut place = [k % 8, k / 8].map(|k| (k as f32 + 0.5) / 8.0);
+            if place[0] + place[1] > 1.0 && matches!(surface.form, femc_pipeline::Form::Triangle(_)) {
+                place = place.map(|x| 1.0 - x);
+            }
+            let spot = surface.at(place.into());
+            let v = match surface.form {
+                femc_pipeline::Form::Curved { shape, .. } => shape.at_share(f64::from(place[1])) as f32,
+                _ => place[1],
+            };
+            let hit = femc_geometry::Hit {
+                t: 1.0,
+                instance: surface.instance,
+                primitive: surface.primitives[0],
+                u: place[0],
+                v,
+            };
+            let value = f64::from(field.irradiance(&hit, wanted, spot.position, spot.normal).y);
+            assert!(value.is_finite() && value >= 0.0, "{value}");
+            (low, high, sum, count) = (low.min(value), high.max(value), sum + value, count + 1.0);
+        }
+    }
+    [low, sum / count, high]
+}
+
+fn furnace(reflectance: f64, fog: &str) -> String {
+    format!("{CAMERA}{fog}m wall =\n  sides 1\n  rd {reflectance}\n  ed {PI}\n{}", cube())
+}
+
+#[test]
+fn in_a_closed_box_that_shines_evenly_all_surfaces_have_the_furnace_s_light() {
+    for reflectance in [0.2, 0.5, 0.9] {
+        let solution = solve(&furnace(reflectance, ""));
+        // Of luminance 1 / (1 - rd) everywhere 1 comes straight from the walls.
+        let want = PI * (1.0 / (1.0 - reflectance) - 1.0);
+        let [low, mean, high] = irradiances(&solution, Side::Front);
+        assert!(
+            (mean / want - 1.0).abs() < 1e-3 && low > 0.997 * want && high < 1.003 * want,
+            "{reflectance}: {low} {mean} {high}, not {want}"
+        );
+    }
+}
+
+#[test]
+fn fog_that_takes_nothing_leaves_the_furnace_as_it_is() {
+    for scattering in [0.3, 1.0] {
+        let fog = format!("medium air =\n  sigma_s {scattering}\nmbox air 0 0 0 1 1 1\n");
+        let text = furnace(0.5, &fog);
+        let settings = Settings { stop: Stop::Spp(64), method: Method::Fem, ..Settings::default() };
+        let image = render(&scene(&text), &settings, 1);
+        let values: Vec<f64> = image.color.pixels.iter().map(|p| f64::from(p[1])).collect();
+        let mean = values.iter().sum::<f64>() / values.len() as f64;
+        assert!((mean - 2.0).abs() < 0.04, "{scattering}: {mean}");
+    }
+}
+
+#[test]
+fn a_sphere_with_a_lamp_inside_gathers_what_an_integrating_sphere_does() {
+    for reflectance in [0.5, 0.9] {
+        let text = format!(
+            "{CAMERA}m wall =\n  sides 1\n  rd {reflectance}\nv c =\n  p 0 0 0\nsph c -1\nm lamp =\n  sides 1\n  ed 100\nv l =\n  p .2 .1 0\nsph l .02\n"
+        );
+        let solution = solve(&text);
+        let flux = 100.0 * 4.0 * PI * 0.02 * 0.02;
+        let want = flux * reflectance / (4.0 * PI * (1.0 - reflectance));
+        let [low, mean, high] = irradiances(&solution, Side::Front);
+        assert!((mean / want - 1.0).abs() < 0.015, "{reflectance}: {mean}, not {want}");
+        assert!(low > 0.95 * want && high < 1.05 * want, "{reflectance}: {low} to {high}, not {want}");
+    }
+}
+
+#[test]
+fn the_reference_room_looks_as_its_reference_does() {
+    let loaded = femc_import::load_path(&rooms().join("box.mgf")).unwrap_or_else(|e| panic!("{e}"));
+    let settings = Settings { stop: Stop::Spp(64), method: Method::Fem, ..Settings::default() };
+    let image = render(&Arc::new(loaded.scene), &settings, 1);
+    let c = Reference::read(&rooms(), "box").compare(&image, 16);
+    println!("relmse {:.4} less {:.4}, mean ratio {:.3}", c.relmse, c.reference_noise, c.mean_ratio);
+    assert!(c.relmse - c.reference_noise < 0.02 && (c.mean_ratio - 1.0).abs() < 0.06, "{c:?}");
+}
+
+#[test]
+fn a_lamp_in_fog_looks_as_by_path_tracing() {
+    let lamp = "m lamp =\n  sides 1\n  ed 100\nv l0 =\n  p .4 .4 .98\nv l1 =\n  p .6 .4 .98\nv l2 =\n  p .6 .6 .98\nv l3 =\n  p .4 .6 .98\nf l3 l2 l1 l0\n";
+    for scattering in [0.5, 1.0] {
+        let fog = format!("medium air =\n  sigma_s {scattering}\n  sigma_a .1\nmbox air 0 0 0 1 1 1\n");
+        let text = format!("{CAMERA}{fog}{lamp}m wall =\n  sides 1\n  rd .5\n{}", cube());
+        let mean = |method, spp| {
+            let settings = Settings { stop: Stop::Spp(spp), method, ..Settings::default() };
+            let image = render(&scene(&text), &settings, 1);
+            image.color.pixels.iter().map(|p| f64::from(p[1])).sum::<f64>() / image.color.pixels.len() as f64
+        };
+        let (by_elements, by_paths) = (mean(Method::Fem, 32), mean(Method::Pt, 256));
+        println!("scattering {scattering}: {by_elements:.4} by elements, {by_paths:.4} by paths");
+        assert!(
+            (by_elements / by_paths - 1.0).abs() < 0.08,
+            "{scattering}: {by_elements} by elements, {by_paths} by paths"
+        );
+    }
+}
+
+#[test]
+fn threads_change_no_bit() {
+    let text = format!(
+        "{}m box =\n  rd .5\nprism p0 p1 p2 p3 -.2\nm ball =\n  rd .3\nsph p6 .3\n",
+        furnace(0.4, "medium air =\n  sigma_s 1\nmbox air 0 0 0 1 1 1\n")
+    );
+    let solved = [1, 2].map(|threads| {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap_or_else(|e| panic!("{e}"));
+        format!("{:?}", pool.install(|| solve(&text)))
+    });
+    assert!(solved[0] == solved[1], "the solution depends on the number of threads");
+}
+
+#[test]
+fn what_breaks_finite_elements_ends_all_the_same() {
+    let lamp = "m lamp =\n  ed 100\nv l =\n  p .5 .5 .5\nsph l .1\n";
+    let corner = |name: &str, [x, y, z]: [f64; 3]| format!("v {name} =\n  p {x:e} {y:e} {z:e}\n");
+    let needle = corner("a", [0.0, 0.0, 0.0])
+        + &corner("b", [1.0, 0.0, 0.0])
+        + &corner("c", [0.5, 1e-6, 0.0])
+        + "m w =\n  rd .5\nf a b c\n";
+    let sizes = corner("a", [0.0, 0.0, 0.0])
+        + &corner("b", [1e3, 0.0, 0.0])
+        + &corner("c", [0.0, 1e3, 0.0])
+        + &corner("d", [0.5, 0.5, 1e-3])
+        + &corner("e", [0.501, 0.5, 1e-3])
+        + &corner("f", [0.5, 0.501, 1e-3])
+        + "m w =\n  rd .5\nf a b c\nf d e f\n";
+    let twice = format!("m w =\n  rd .5\n{0}{0}", cube());
+    let open = corner("a", [0.0, 0.0, 0.0])
+        + &corner("b", [1.0, 0.0, 0.0])
+        + &corner("c", [0.0, 1.0, 0.0])
+        + "m w =\n  rd .5\nf a b c\nf a c b\n";
+    let closed = "m w =\n  rd .5\nv c =\n  p .5 .5 .5\nsph c .2\n".to_owned();
+    let white = format!("m w =\n  rd 1\n{}", cube());
+    let shapes = "m w =\n  rd .5\nv c =\n  p 2 0 0\n  n 0 0 1\nring c .1 .5\ntorus c .1 .4\nv d =\n  p 2 0 1\ncone c .3 d 0\ncyl c .2 d\n".to_owned();
+    for (what, text) in [
+        ("needle", needle),
+        ("sizes", sizes),
+        ("twice", twice),
+        ("open", open),
+        ("closed", closed),
+        ("white", white),
+        ("shapes", shapes),
+    ] {
+        let solution = solve(&format!("{CAMERA}{lamp}{text}"));
+        let [low, mean, high] = irradiances(&solution, Side::Front);
+        assert!(low >= 0.0 && mean <= high && high.is_finite(), "{what}: {low} {mean} {high}");
+        assert!(solution.report.bytes < 1 << 28, "{what}: {:?}", solution.report);
+    }
+    for text in [CAMERA.to_owned(), format!("{CAMERA}{lamp}"), format!("{CAMERA}m w =\n  rd .5\n{}", cube())] {
+        let solution = solve(&text);
+        assert!(solution.field.fog.mean_radiance(Vec3A::splat(0.5)) == Vec3A::ZERO);
+    }
+}

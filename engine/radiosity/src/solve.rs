@@ -26,7 +26,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { error: 0.2, memory: 1 << 30 }
+        Self { error: 0.1, memory: 1 << 30 }
     }
 }
 

@@ -341,7 +341,11 @@ impl<Q: Queue> Actor<Q> {
 
     /// Makes the facts durable, then executes the commands and empties them, then answers questions. Whoever may lead no longer says
     /// nothing.
-    async fn commit(&mut self, commands: &mut Vec<Command>, doors: &mut Doors) -> Result<(), CoordinatorError> {
+    pub(crate) async fn commit(
+        &mut self,
+        commands: &mut Vec<Command>,
+        doors: &mut Doors,
+    ) -> Result<(), CoordinatorError> {
         if self.facts.is_empty() && self.attempts.is_empty() {
             self.queue.check()?;
         } else {
@@ -421,7 +425,7 @@ impl<Q: Queue> Actor<Q> {
     async fn look_after(&mut self, commands: &mut Vec<Command>, doors: &mut Doors) -> Result<(), CoordinatorError> {
         self.queue.check()?;
         self.refresh_watched();
-        self.sweep();
+        self.sweep(commands, doors).await?;
         self.disks.look_later(&mut self.looked);
         if self.records >= self.snapshot && Instant::now() >= self.snapshots_from {
             // The snapshot holds what these commands' facts say already.

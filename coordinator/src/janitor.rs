@@ -11,8 +11,11 @@ use std::collections::VecDeque;
 
 use femc_model::{Digest, Tick};
 use femc_queue::Queue;
+use femc_schedule::Command;
 
 use crate::actor::Actor;
+use crate::config::CoordinatorError;
+use crate::wait::Doors;
 
 /// Artifacts on their way out.
 #[derive(Debug, Default)]
@@ -31,11 +34,13 @@ impl Janitor {
         self.released.push_back((now, digests));
     }
 
+    /// Whether it is time to look at what was released.
+    fn is_due(&self, now: Tick) -> bool {
+        now.since(self.swept) >= Self::EVERY
+    }
+
     fn due(&mut self, now: Tick) -> Vec<Digest> {
         let mut due = Vec::new();
-        if now.since(self.swept) < Self::EVERY {
-            return due;
-        }
         self.swept = now;
         while self.released.front().is_some_and(|(released, _)| now.since(*released) >= Self::REST) {
             due.extend(self.released.pop_front().map(|(_, digests)| digests).unwrap_or_default());
@@ -45,10 +50,20 @@ impl Janitor {
 }
 
 impl<Q: Queue> Actor<Q> {
-    pub(crate) fn sweep(&mut self) {
+    /// Removes what is due. All that the scheduler holds for true is durable first: what it has released in memory alone is named by
+    /// the log still, and whoever reads that after a crash needs it.
+    pub(crate) async fn sweep(
+        &mut self,
+        commands: &mut Vec<Command>,
+        doors: &mut Doors,
+    ) -> Result<(), CoordinatorError> {
+        if !self.janitor.is_due(self.clock.now()) {
+            return Ok(());
+        }
+        self.commit(commands, doors).await?;
         let due = self.scheduler.unreferenced(self.janitor.due(self.clock.now()));
         if due.is_empty() {
-            return;
+            return Ok(());
         }
         let store = self.store.clone();
         tokio::spawn(async move {
@@ -58,5 +73,6 @@ impl<Q: Queue> Actor<Q> {
                 }
             }
         });
+        Ok(())
     }
 }

@@ -103,25 +103,28 @@ impl Lights {
         }
     }
 
-    /// Down the tree with what arrives, up with what is sent. Returns the greatest change of a radiosity, and the greatest radiosity,
-    /// by luminance.
-    pub fn push_pull(&mut self, scene: &Scene<'_>, arena: &Arena) -> (f32, f32) {
+    /// Down the tree with what arrives, up with what is sent. Returns by how much the light that leaves all elements has changed, and
+    /// all of it, lm: of elements next to each other the changes' sizes are added.
+    pub fn push_pull(&mut self, scene: &Scene<'_>, arena: &Arena) -> (f64, f64) {
         for index in 0..arena.elements.len() {
             self.push(arena, index);
         }
-        let (mut change, mut greatest) = (0.0f32, 0.0f32);
+        let (mut change, mut whole) = (0.0, 0.0);
         for index in (0..arena.elements.len()).rev() {
             let before = self.of[index].radiosity;
             if arena.elements[index].is_leaf() {
                 self.reflect(scene, arena, index);
                 let now = self.of[index].radiosity;
-                change = change.max(luminance((now - before).abs()));
-                greatest = greatest.max(luminance(now));
+                let element = &arena.elements[index];
+                // A box of fog sends to all around four times what a surface of its radiosity does.
+                let size = f64::from(if element.kind == Kind::Fog { 4.0 * element.size } else { element.size });
+                change += size * f64::from(luminance((now - before).abs()));
+                whole += size * f64::from(luminance(now));
             } else {
                 self.pull(arena, index);
             }
         }
-        (change, greatest)
+        (change, whole)
     }
 
     fn push(&mut self, arena: &Arena, index: usize) {

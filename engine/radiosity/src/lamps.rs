@@ -2,7 +2,7 @@
 
 use crate::element::{Element, Kind};
 use crate::form_factor::{polygon, solid_angle};
-use crate::link::Judge;
+use crate::link::{FACE, Judge, along};
 use crate::scene::{Lamp, TIME};
 use crate::visibility::{Eye, Numbers};
 use femc_field::SurfaceSpot;
@@ -151,6 +151,18 @@ impl Judge<'_> {
             // The points' own sum where there is no better one.
             link.light[node] = if exact { open[node] * shares[node] } else { got };
         }
+        if p.kind == Kind::Fog && close > NEAR && !large {
+            // What the nodes do not show of the box's light is spread over it.
+            let seen = shares.iter().sum::<f32>() * 0.25;
+            let through: f32 =
+                p.nodes.iter().map(|node| eye.fog(self.scene, node.position, center)).sum::<f32>() * 0.25;
+            let whole = self.mean_of_fog(p, lamp, center) * (seen / through.max(f32::MIN_POSITIVE)).min(1.0);
+            let got = link.light.into_iter().sum::<Rgb>() * 0.25;
+            let less = whole - got;
+            let more = less.max(Rgb::ZERO);
+            let scale = (whole / got.max(Rgb::splat(f32::MIN_POSITIVE))).min(Rgb::ONE);
+            link.light = link.light.map(|light| light * scale + more);
+        }
         let hidden = &shares[..p.count];
         let spread = hidden.iter().copied().fold(0.0, f32::max) - hidden.iter().copied().fold(1.0, f32::min);
         let refused = 0.5 * spread * mean > allowed;
@@ -158,6 +170,34 @@ impl Judge<'_> {
             return LampVerdict::Receiver;
         }
         LampVerdict::Keep { link, refused: refused || error > allowed }
+    }
+
+    /// Mean over a box of fog of what arrives from a source, taken as a point, through the fog, as a quarter of what comes from all
+    /// around: by all directions through the box's faces, up to the far ones less up to the near ones.
+    fn mean_of_fog(&self, p: &Element, lamp: u32, source: Vec3A) -> Rgb {
+        let extinction = self.extinction(p);
+        let mut sum = Rgb::ZERO;
+        for axis in 0..3 {
+            for side in [-1.0, 1.0] {
+                let [a, b] = [1, 2].map(|step| (axis + step) % 3);
+                let area = 4.0 * p.half[a] * p.half[b] / (FACE * FACE) as f32;
+                for k in 0..FACE * FACE {
+                    let [x, y] = [k % FACE, k / FACE].map(|k| (2 * k + 1) as f32 / FACE as f32 - 1.0);
+                    let mut place = Vec3A::ZERO;
+                    (place[axis], place[a], place[b]) = (side, x, y);
+                    let position = p.center + p.half * place;
+                    let way = position - source;
+                    let Some((light, _)) =
+                        self.arriving(p, &SurfaceSpot { position, ..SurfaceSpot::default() }, lamp, [0.5; 2])
+                    else {
+                        continue;
+                    };
+                    // Light that goes out through the face counts, what comes in counts against.
+                    sum += light * (area * side * way[axis] / way.length() * along(extinction, way.length()));
+                }
+            }
+        }
+        (sum / p.size).max(Rgb::ZERO)
     }
 
     fn may_cut_lamp(&self, p: &Element) -> bool {

@@ -54,6 +54,10 @@ pub struct Judge<'a> {
     pub floor: f32,
     /// The same in fog.
     pub fog_floor: f32,
+    /// Area of an element whose error may be as it is asked for, m2; that of others by the root of their size.
+    pub unit_area: f32,
+    /// Volume of fog likewise, m3.
+    pub unit_volume: f32,
     /// Area that is not cut any more, m2.
     pub least_area: f32,
     /// Volume of fog likewise, m3.
@@ -63,7 +67,16 @@ pub struct Judge<'a> {
 }
 
 /// Points by axis on a face of a box of fog.
-const FACE: u32 = 5;
+pub const FACE: u32 = 5;
+
+/// Something is beside a box of fog where their radii are more than this share of their distance.
+const BESIDE: f32 = 0.5;
+
+/// Bounds of how much more error than others a small element may have, and a large one.
+const WEIGHTS: [f32; 2] = [0.5, 4.0];
+
+/// A source's share of the receiver's view, by radius over distance, below which no more of its like are thought of.
+const MANY: f32 = 0.03;
 
 /// Optical thickness of half of a box of fog whose light to itself is not taken as one.
 const THICK: f32 = 0.5;
@@ -89,9 +102,11 @@ impl Judge<'_> {
 
     /// Error that a link of a receiver may have, lx. Boxes of fog that hold a light source are bright in their middle alone.
     pub fn allowed(&self, p: &Element, light: &Light) -> f32 {
+        // What is larger is more of the scene.
+        let weight = |ratio: f32| ratio.sqrt().clamp(WEIGHTS[0], WEIGHTS[1]);
         match p.kind {
-            Kind::Fog => self.error * (light.least + self.fog_floor),
-            _ => self.error * (0.5 * (light.least + light.mean) + self.floor),
+            Kind::Fog => self.error * (light.least + self.fog_floor) * weight(self.unit_volume / p.size),
+            _ => self.error * (0.5 * (light.least + light.mean) + self.floor) * weight(self.unit_area / p.size),
         }
     }
 
@@ -126,17 +141,12 @@ impl Judge<'_> {
         // The point of a wide element stands for all of it from afar only. Near the source the receiver's parts have up to its
         // radiosity, and they are as large as the source.
         if wide && distance < 1.5 * (p.radius + q.radius) {
-            let share = (q.radius / p.radius).min(1.0);
+            let share = (q.radius / p.radius).min(1.0).sqrt();
             // Of fog by the length that light comes from.
             let length = if q.kind == Kind::Fog { q.radius.min(1.0 / self.extinction(q)) } else { 1.0 };
             if luminance(from.radiosity) * length * share > 0.5 * allowed {
                 let larger_first = if p.radius > q.radius { [1.0, 0.0] } else { [0.0, 1.0] };
-                let wide_first = if p.is_wide() == q.is_wide() {
-                    larger_first
-                } else {
-                    [f32::from(u8::from(p.is_wide())), f32::from(u8::from(q.is_wide()))]
-                };
-                if let Some(verdict) = self.cut(p, q, wide_first) {
+                if let Some(verdict) = self.cut(p, q, larger_first) {
                     return verdict;
                 }
             }
@@ -146,7 +156,7 @@ impl Judge<'_> {
             *factor = self.factor(p, q, node, eye);
         }
         let nodes = &link.factors[..p.count];
-        let mean = nodes.iter().sum::<f32>() / p.count as f32;
+        let mut mean = nodes.iter().sum::<f32>() / p.count as f32;
         let middle = if p.count > 1 {
             self.factor(p, q, &SurfaceSpot { position: p.center, normal: p.normal, error: p.nodes[0].error }, eye)
         } else {
@@ -157,13 +167,21 @@ impl Judge<'_> {
         let close = |element: &Element| (element.radius / distance.max(1e-20)).min(1.0);
         let (near_p, near_q) = (close(p), close(q));
         let spread = 0.5 * (from.brightest - from.darkest);
-        // Where the receiver is next to the source a linear function of its nodes misses most.
-        let edge = if p.kind == Kind::Fog && near_p + near_q > 0.5 {
-            let toward = (q.center - p.center) / p.half;
-            let place = toward / toward.abs().max_element().max(1.0);
-            let there = SurfaceSpot { position: p.center + p.half * place, ..SurfaceSpot::default() };
-            let values = link.factors.map(Vec3A::splat);
-            (self.factor(p, q, &there, eye) - p.between(&values, place).x).abs()
+        // What is small and at a box of fog lights it next to itself most of all, where no node may be. What the whole box receives is
+        // known the other way round; what the nodes do not show of it is spread over the box.
+        let is_beside = p.kind == Kind::Fog
+            && near_p + near_q > BESIDE
+            && (q.kind == Kind::Patch || q.kind == Kind::Fog && q.size < p.size);
+        let unseen_part = if is_beside {
+            let spots = &q.nodes[..q.count];
+            let back: f32 = spots.iter().map(|spot| self.factor_of_fog(q, p, spot, eye)).sum::<f32>() / q.count as f32;
+            let share = if q.kind == Kind::Fog { 1.0 } else { 0.25 };
+            let whole = share * back * q.size / p.size;
+            let less = whole - mean;
+            let scale = if mean > 0.0 { (whole / mean).min(1.0) } else { 1.0 };
+            link.factors = link.factors.map(|factor| factor * scale + less.max(0.0));
+            mean = whole;
+            less.abs()
         } else {
             0.0
         };
@@ -171,7 +189,8 @@ impl Judge<'_> {
             if p.is_wide() {
                 mean * radiosity * (0.1 + 2.0 * near_p * near_p)
             } else {
-                (2.0 * (middle - mean).abs() + 0.03 * (high - low) + edge) * radiosity
+                let shape = 0.5 * near_p * near_p * mean;
+                (2.0 * (middle - mean).abs() + 0.03 * (high - low) + shape + unseen_part) * radiosity
             },
             if q.is_wide() {
                 mean * radiosity * (0.1 + 2.0 * near_q * near_q)
@@ -179,6 +198,8 @@ impl Judge<'_> {
                 mean * spread * (2.0 * near_q).min(1.0)
             },
         ];
+        // A source that is small from here is one of many, next to each other, whose errors at the receiver are alike and add up.
+        errors[0] /= near_q.max(MANY);
         if self.scene.fog.is_some() {
             // What the fog leaves of the light differs over the source; a box of fog has no one distance, either.
             let thickness = (self.extinction(q) * q.radius).min(1.0);
@@ -288,7 +309,7 @@ impl Judge<'_> {
                 solid_angle(node.position, polygon_corners) / (4.0 * PI)
             }
             (Kind::Fog, Kind::Patch) => 0.25 * parts(&|part, area| facing(node, part, area)),
-            (Kind::Fog, _) => 0.25 / distance2,
+            (Kind::Fog, _) => return self.factor_at_fog(p, q, distance2, node, eye),
             (_, Kind::Patch) => q.size * (-q.normal.dot(way) / distance).max(0.0) / (PI * distance2),
             _ => 1.0 / distance2,
         };
@@ -350,11 +371,7 @@ impl Judge<'_> {
                 * eye.fog(self.scene, node.position, q.center);
             return share * q.size / (4.0 * PI * distance2) * through;
         }
-        // Light on the way from a point at a distance.
-        let along = |distance: f32| {
-            let x = extinction * distance;
-            if x < 1e-3 { distance * (1.0 - 0.5 * x) } else { -exp_m1(-x) / extinction }
-        };
+        let along = |distance: f32| along(extinction, distance);
         let mut sum = 0.0;
         for axis in 0..3 {
             for side in [-1.0, 1.0] {
@@ -391,6 +408,16 @@ impl Judge<'_> {
             }
         }
         sum.max(0.0)
+    }
+
+    /// Of a wide source at a box of fog: at a point as from the source's middle, in the box around that as the box has on average.
+    fn factor_at_fog(&self, p: &Element, q: &Element, distance2: f32, node: &SurfaceSpot, eye: &mut Eye) -> f32 {
+        if (q.center - p.center).abs().cmple(p.half).all() {
+            // A quarter of 4 pi times the way that light goes in the box, by its volume.
+            let length = along(self.extinction(p), p.half.min_element());
+            return PI * length / p.size;
+        }
+        0.25 / distance2 * eye.fog(self.scene, node.position, q.center)
     }
 
     /// Share of the source's light that reaches each node, and how uncertain the shares are.
@@ -438,6 +465,12 @@ impl Judge<'_> {
         let unsure = if hits == 0 { 0.5 / (total + 2) as f32 } else { (share * (1.0 - share)).sqrt() };
         (seen, unsure)
     }
+}
+
+/// Length of fog that sends as much light as all up to a distance does, seen through itself: m.
+pub fn along(extinction: f32, distance: f32) -> f32 {
+    let x = extinction * distance;
+    if x < 1e-3 { distance * (1.0 - 0.5 * x) } else { -exp_m1(-x) / extinction }
 }
 
 fn faces(spot: &SurfaceSpot, way: Vec3A) -> bool {

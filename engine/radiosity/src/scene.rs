@@ -126,6 +126,9 @@ fn scattered(bsdf: &Bsdf) -> (Rgb, Rgb) {
     }
 }
 
+/// Free paths beyond the surfaces up to which fog is taken.
+const FAR: f32 = 2.0;
+
 /// A box around the fog that scatters: around all surfaces, and where the scene is open as far beyond as light goes in the fog.
 fn fog(prepared: &Prepared) -> Option<[Vec3A; 2]> {
     if prepared.media.is_empty() {
@@ -133,7 +136,7 @@ fn fog(prepared: &Prepared) -> Option<[Vec3A; 2]> {
     }
     let mut around = prepared.world.bounds();
     let size = around.size();
-    let far = (1.0 / prepared.media.extinction_at(around.center())).min(0.5 * size.max_element());
+    let far = (FAR / prepared.media.extinction_at(around.center())).min(0.5 * size.max_element());
     for axis in 0..3 {
         for outward in [-1.0, 1.0] {
             if !is_open(prepared, axis, outward) {

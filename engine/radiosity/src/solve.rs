@@ -26,7 +26,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { error: 0.1, memory: 1 << 30 }
+        Self { error: 0.5, memory: 1 << 30 }
     }
 }
 
@@ -47,7 +47,7 @@ pub struct Report {
     pub rays: u64,
     /// Times that light was passed on through all links.
     pub iterations: usize,
-    /// What further iterations would change of a radiosity, as far as the latest tell, as a share of the greatest radiosity.
+    /// What further iterations would change of the light that leaves all elements, as far as the latest tell, as a share of it.
     pub residual: f32,
     /// Bytes of elements and links.
     pub bytes: usize,
@@ -68,15 +68,17 @@ pub struct Cancelled;
 
 /// Errors of a link that are allowed one after the other, as multiples of what is asked for.
 const COARSE: [f32; 3] = [8.0, 2.5, 1.0];
-/// An iteration after which no radiosity would change by more than this share of the greatest one is the last.
+/// An iteration after which the light that leaves all elements would change by no more than this share of it is the last.
 const RESIDUAL: f32 = 1e-4;
 /// Most iterations at one level of refinement.
 const ITERATIONS: usize = 400;
 /// Share of the mean irradiance that is added to an element's when a link's error is judged.
 const FLOOR: f32 = 0.03;
 /// Parts of all surfaces' area, and of the fog's volume, that are not cut further, over the error.
-const LEAST_AREA: f32 = 5e-3;
-const LEAST_VOLUME: f32 = 5e-4;
+const LEAST_AREA: f32 = 1e-4;
+const LEAST_VOLUME: f32 = 1e-5;
+/// An element of this part of all surfaces' area, or of the fog's volume, may have the error that is asked for as it is.
+const UNIT: f32 = 1e-3;
 
 /// Finds the light of a prepared frame. The result depends on the frame and the options alone, not on threads.
 /// - errors: `cancel` was set.
@@ -200,6 +202,8 @@ impl Solver<'_> {
             error,
             floor: FLOOR * self.mean(),
             fog_floor: if self.arena.fog == NONE { 0.0 } else { FLOOR * self.lights.of[self.arena.fog as usize].mean },
+            unit_area: area * UNIT,
+            unit_volume: volume * UNIT,
             least_area: area * LEAST_AREA * self.options.error,
             least_volume: volume * LEAST_VOLUME * self.options.error,
             full: self.bytes(links) > self.options.memory,
@@ -299,19 +303,19 @@ impl Solver<'_> {
     }
 
     fn iterate(&mut self, residual: f32) -> Result<(), Cancelled> {
-        let mut before = f32::INFINITY;
+        let mut before = f64::INFINITY;
         for _ in 0..ITERATIONS {
             if self.cancel.load(Ordering::Relaxed) {
                 return Err(Cancelled);
             }
             self.lights.gather(&self.arena, &self.links);
-            let (change, greatest) = self.lights.push_pull(self.scene, &self.arena);
+            let (change, whole) = self.lights.push_pull(self.scene, &self.arena);
             self.report.iterations += 1;
             // What further iterations would change in all, if each changes as much less as the latest did.
             let rate = if before.is_finite() { (change / before).min(0.99) } else { 0.99 };
             before = change;
             let left = change * rate / (1.0 - rate);
-            self.report.residual = if greatest > 0.0 { left / greatest } else { 0.0 };
+            self.report.residual = if whole > 0.0 { (left / whole) as f32 } else { 0.0 };
             if self.report.residual <= residual {
                 break;
             }

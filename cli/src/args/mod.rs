@@ -144,6 +144,7 @@ pub enum Command {
     Bench(command::bench::BenchArgs),
     Compare(command::compare::CompareArgs),
     Fireflies(command::fireflies::FirefliesArgs),
+    Field(command::field::FieldArgs),
     Coordinator(command::coordinator::CoordinatorArgs),
     Worker(command::worker::WorkerArgs),
     Submit(command::submit::SubmitArgs),

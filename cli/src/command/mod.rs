@@ -12,6 +12,7 @@ pub mod coordinator;
 pub mod drain;
 mod embedded;
 pub mod fetch;
+pub mod field;
 mod files;
 pub mod fireflies;
 pub mod gc;
@@ -50,6 +51,7 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Bench(args) => bench::run(&args, say),
         Command::Compare(args) => compare::run(&args, say),
         Command::Fireflies(args) => fireflies::run(&args, say),
+        Command::Field(args) => field::run(args, say),
         Command::Coordinator(args) => coordinator::run(args, say),
         Command::Worker(args) => worker::run(args, say),
         Command::Submit(args) => submit::run(args, say),

@@ -42,7 +42,9 @@ impl Leaf {
     }
 
     /// Irradiance at a point of the leaf.
-    fn at(&self, local: Vec2, normal: Vec3A) -> Rgb {
+    /// - `local`: the point's coordinates in the leaf;
+    /// - `normal`: unit, of the surface's side there.
+    pub fn at(&self, local: Vec2, normal: Vec3A) -> Rgb {
         match self {
             Self::Triangle(values) => Self::over_triangle(values, local).max(Rgb::ZERO),
             Self::Rectangle(values) => Self::over_rectangle(values, local).max(Rgb::ZERO),

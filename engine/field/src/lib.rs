@@ -11,6 +11,7 @@ mod field;
 mod fog;
 mod harmonics;
 mod surface;
+mod walk;
 
 pub use cell::{Cell, Outline, Split};
 pub use field::{Field, Leaf};

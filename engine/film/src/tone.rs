@@ -49,8 +49,9 @@ impl ToneCurve {
         Self::exposing(levels.lit().map(|(y, count)| (y, count as f64)))
     }
 
-    /// - `luminances`: positive ones with their weights.
-    fn exposing(luminances: impl Iterator<Item = (f64, f64)> + Clone) -> Self {
+    /// The same of what is no image.
+    /// - `luminances`: positive ones, cd/m2, with their weights, which add up to 1 at least.
+    pub fn exposing(luminances: impl Iterator<Item = (f64, f64)> + Clone) -> Self {
         let n: f64 = luminances.clone().map(|(_, weight)| weight).sum();
         let mean = luminances.clone().map(|(y, weight)| weight * y).sum::<f64>() / n.max(1.0);
         if mean <= 0.0 {

@@ -19,7 +19,7 @@ mod stage;
 pub use allocation::{Allocation, AllocationError};
 pub use femc_field::{Field, Form, Side};
 pub use femc_prepared::{PrepareError, Prepared, Source};
-pub use femc_radiosity::{Report as FirstPassReport, Solution};
+pub use femc_radiosity::{self as radiosity, Report as FirstPassReport, Solution};
 pub use femc_scene::FrameKey;
 pub use in_process::{RenderedFrame, RoundEnd, by_rounds, render_frame};
 pub use plan::{LeftOut, Plan, PlanError, plan};

@@ -13,13 +13,19 @@
 #![deny(missing_docs)]
 
 mod arena;
+mod census;
 mod element;
 mod form_factor;
 mod gather;
 mod lamps;
 mod link;
+mod look;
+mod mesh;
 mod scene;
 mod solve;
 mod visibility;
 
+pub use census::{Census, Kinds};
+pub use look::{Irradiance, Look, Summary};
+pub use mesh::{Mesh, Part, meshes};
 pub use solve::{Cancelled, Options, Report, Solution, solve};

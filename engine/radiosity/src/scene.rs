@@ -114,7 +114,7 @@ impl<'a> Scene<'a> {
 }
 
 /// Diffuse reflectance and transmittance, with what is reflected with a gloss; mirrors and clear solids give nothing.
-fn scattered(bsdf: &Bsdf) -> (Rgb, Rgb) {
+pub fn scattered(bsdf: &Bsdf) -> (Rgb, Rgb) {
     // Halfway between along the normal and grazing, by solid angle.
     let wo = Vec3A::new(0.866_025_4, 0.0, 0.5);
     match bsdf {

@@ -1,6 +1,7 @@
 //! The solver: elements, links, light, until the light no longer changes.
 
 use crate::arena::Arena;
+use crate::census::Census;
 use crate::element::{Element, Kind};
 use crate::gather::{FROM_ELEMENTS, FROM_SOURCES, Lights, cell_of};
 use crate::lamps::{LampLink, LampVerdict};
@@ -51,6 +52,8 @@ pub struct Report {
     pub residual: f32,
     /// Bytes of elements and links.
     pub bytes: usize,
+    /// Elements and links by kind.
+    pub census: Census,
 }
 
 /// The light of a scene, and how it was found.
@@ -58,6 +61,8 @@ pub struct Report {
 pub struct Solution {
     /// The light.
     pub field: Field,
+    /// By leaf of the field: what comes straight from light sources, as the elements have it.
+    pub direct: Vec<Leaf>,
     /// How it was found.
     pub report: Report,
 }
@@ -92,7 +97,7 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
             surfaces: scene.surfaces,
             ..Field::default()
         };
-        return Ok(Solution { field, report: Report::default() });
+        return Ok(Solution { field, direct: Vec::new(), report: Report::default() });
     }
     let lights = Lights::new(&arena);
     let mut solver =
@@ -112,7 +117,8 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
     }
     let report = solver.finish();
     let Solver { arena, lights, .. } = solver;
-    Ok(Solution { field: field(scene, &arena, &lights), report })
+    let (field, direct) = field(scene, &arena, &lights);
+    Ok(Solution { field, direct, report })
 }
 
 struct Solver<'a> {
@@ -330,6 +336,7 @@ impl Solver<'_> {
             leaves: elements.iter().filter(|element| element.is_leaf()).count(),
             links: self.links.len(),
             bytes: self.bytes(self.links.len()),
+            census: Census::new(elements, &self.links),
             ..self.report
         }
     }
@@ -349,9 +356,10 @@ fn judged<T: Sync, V: Send>(pending: &[T], judge: impl Fn(&T, &mut Eye) -> V + S
     (chunks.into_iter().flat_map(|(verdicts, _)| verdicts).collect(), rays)
 }
 
-/// What is kept of a solution.
-fn field(scene: Scene<'_>, arena: &Arena, lights: &Lights) -> Field {
+/// What is kept of a solution, and beside it what comes straight from light sources.
+fn field(scene: Scene<'_>, arena: &Arena, lights: &Lights) -> (Field, Vec<Leaf>) {
     let mut field = Field { roots: vec![NONE; scene.surfaces.len()], ..Field::default() };
+    let mut direct = Vec::new();
     for (surface, &root) in arena.roots.iter().enumerate() {
         if root == NONE {
             continue;
@@ -364,7 +372,8 @@ fn field(scene: Scene<'_>, arena: &Arena, lights: &Lights) -> Field {
         while at < order.len() {
             let element = &arena.elements[order[at] as usize];
             let next = if element.is_leaf() {
-                field.leaves.push(leaf(element, order[at], lights));
+                field.leaves.push(leaf(element, order[at], lights, FROM_ELEMENTS));
+                direct.push(leaf(element, order[at], lights, FROM_SOURCES));
                 field.leaves.len() as u32 - 1
             } else {
                 order.extend(element.children);
@@ -378,14 +387,14 @@ fn field(scene: Scene<'_>, arena: &Arena, lights: &Lights) -> Field {
         field.fog = fog(arena, lights);
     }
     (field.surfaces, field.sides) = (scene.surfaces, scene.sides);
-    field
+    (field, direct)
 }
 
-fn leaf(element: &Element, index: u32, lights: &Lights) -> Leaf {
+fn leaf(element: &Element, index: u32, lights: &Lights, from: usize) -> Leaf {
     if element.is_wide() {
-        return Leaf::Curved(lights.arriving[element.wide as usize].whole[FROM_ELEMENTS]);
+        return Leaf::Curved(lights.arriving[element.wide as usize].whole[from]);
     }
-    let values = lights.of[index as usize].whole[FROM_ELEMENTS];
+    let values = lights.of[index as usize].whole[from];
     if element.count == 3 { Leaf::Triangle([values[0], values[1], values[2]]) } else { Leaf::Rectangle(values) }
 }
 

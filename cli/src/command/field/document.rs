@@ -1,0 +1,139 @@
+//! The solution as a glTF document: a node a material and side under one that turns the scene's z up into glTF's y up.
+
+use super::glb::{Glb, TooLarge};
+use femc_pipeline::radiosity::{Mesh, Part};
+use femc_pipeline::{Prepared, Side};
+use serde_json::{Value, json};
+use std::f64::consts::FRAC_1_SQRT_2;
+
+/// Whether the elements' edges are drawn.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Wire {
+    /// As lines.
+    Shown,
+    /// Not at all.
+    Hidden,
+}
+
+/// Distance of the lines from the surface, as a share of the scene's extent.
+const LIFT: f32 = 1e-4;
+/// Gray of the lines.
+const INK: f32 = 0.02;
+
+/// What the file says of itself.
+pub struct About<'a> {
+    /// The frame.
+    pub prepared: &'a Prepared,
+    /// Colors are luminances, cd/m2, times this.
+    pub scale: f32,
+    /// The same as an exposure value.
+    pub ev: f64,
+    /// The scene file.
+    pub scene: String,
+}
+
+/// The file.
+pub fn glb(meshes: &[Mesh], wire: Wire, about: &About<'_>) -> Result<Vec<u8>, TooLarge> {
+    let mut glb = Glb::default();
+    let (mut materials, mut shown, mut nodes) = (Vec::new(), Vec::new(), Vec::new());
+    let lift = LIFT * about.prepared.world.bounds().size().length();
+    for mesh in meshes {
+        let name = name(mesh, about.prepared);
+        materials.push(material(&name, 1.0));
+        let mut primitives = vec![surface(&mut glb, mesh, about.scale, materials.len() - 1)];
+        if wire == Wire::Shown && mesh.part == Part::Elements {
+            materials.push(material(&format!("edges of {name}"), INK));
+            primitives.push(edges(&mut glb, mesh, lift, materials.len() - 1));
+        }
+        shown.push(json!({ "name": name, "primitives": primitives }));
+        nodes.push(json!({ "name": name, "mesh": shown.len() - 1 }));
+    }
+    let [x, y, z] = about.prepared.in_world([0.0; 3].into());
+    let mut root = json!({
+        "name": "scene", "translation": [x, z, -y], "rotation": [-FRAC_1_SQRT_2, 0.0, 0.0, FRAC_1_SQRT_2],
+    });
+    if !nodes.is_empty() {
+        root["children"] = (0..nodes.len()).collect();
+    }
+    nodes.push(root);
+    let mut document = json!({
+        "asset": { "version": "2.0", "generator": format!("femc {}", env!("CARGO_PKG_VERSION")) },
+        "scene": 0,
+        "scenes": [{ "name": about.scene, "nodes": [nodes.len() - 1], "extras": extras(about) }],
+        "nodes": nodes,
+    });
+    if !shown.is_empty() {
+        document["meshes"] = shown.into();
+        document["materials"] = materials.into();
+        document["extensionsUsed"] = json!(["KHR_materials_unlit"]);
+    }
+    glb.finish(document)
+}
+
+fn extras(about: &About<'_>) -> Value {
+    json!({
+        "frame": about.prepared.frame,
+        "scale": about.scale,
+        "exposure_ev": about.ev,
+        "color": "COLOR_0 = min(1, scale * luminance), luminance in cd/m2 by channel of linear Rec.709 along the normal",
+        "_RADIANCE": "the same luminance, neither scaled nor cut, cd/m2",
+        "_IRRADIANCE": "lx by channel, with what comes straight from lamps",
+        "_DIRECT": "the part of it that comes straight from lamps, lx",
+        "_ELEMENT": "number of the element, -1 of lamps",
+        "_SURFACE": "number of the surface, -1 of lamps",
+        "origin": about.prepared.in_world([0.0; 3].into()),
+        "axes": "positions are x, y, z of the scene in m less its origin; the root node puts them back, with y up",
+    })
+}
+
+fn name(mesh: &Mesh, prepared: &Prepared) -> String {
+    let material = match prepared.material_name(mesh.material) {
+        "" => "unnamed",
+        name => name,
+    };
+    let part = if mesh.part == Part::Lamps { ", lamp" } else { "" };
+    let side = if mesh.side == Side::Back { ", back" } else { "" };
+    format!("{material}{part}{side}")
+}
+
+/// Shown as it is, from its front.
+fn material(name: &str, gray: f32) -> Value {
+    json!({
+        "name": name,
+        "doubleSided": false,
+        "pbrMetallicRoughness": { "baseColorFactor": [gray, gray, gray, 1.0], "metallicFactor": 0.0 },
+        "extensions": { "KHR_materials_unlit": {} },
+    })
+}
+
+fn surface(glb: &mut Glb, mesh: &Mesh, scale: f32, material: usize) -> Value {
+    let colors: Vec<[f32; 3]> = mesh.radiance.iter().map(|color| color.map(|c| (c * scale).min(1.0))).collect();
+    // Exact up to 2^24, more than fit into a file.
+    let number = |&index: &u32| if index == u32::MAX { -1.0 } else { index as f32 };
+    json!({
+        "attributes": {
+            "POSITION": glb.vectors(&mesh.positions),
+            "COLOR_0": glb.vectors(&colors),
+            "_RADIANCE": glb.vectors(&mesh.radiance),
+            "_IRRADIANCE": glb.vectors(&mesh.irradiance),
+            "_DIRECT": glb.vectors(&mesh.direct),
+            "_ELEMENT": glb.scalars(mesh.leaves.iter().map(number)),
+            "_SURFACE": glb.scalars(mesh.surfaces.iter().map(number)),
+        },
+        "indices": glb.indices(&mesh.triangles),
+        "material": material,
+        "mode": 4,
+    })
+}
+
+/// Lines a little in front of the surface.
+fn edges(glb: &mut Glb, mesh: &Mesh, lift: f32, material: usize) -> Value {
+    let lifted = |(p, n): (&[f32; 3], &[f32; 3])| std::array::from_fn(|axis| p[axis] + lift * n[axis]);
+    let positions: Vec<[f32; 3]> = mesh.positions.iter().zip(&mesh.normals).map(lifted).collect();
+    json!({
+        "attributes": { "POSITION": glb.vectors(&positions) },
+        "indices": glb.indices(&mesh.edges),
+        "material": material,
+        "mode": 1,
+    })
+}

@@ -1,0 +1,179 @@
+//! `femc field SCENE -o solution.glb`: the finite-element first pass, solved and written for viewers of glTF.
+
+mod document;
+mod glb;
+mod report;
+
+use crate::args::{FormatArgs, SettingsArgs};
+use crate::clock::Clock;
+use crate::exit::{Exit, Failure, failed, usage};
+use crate::output::{Say, human, json};
+use crate::request::{Base, Exposure, Frames, Override, Volume, ev};
+use clap::Args;
+use document::{About, Wire};
+use femc_film::{Levels, ToneCurve};
+use femc_pipeline::radiosity::{Look, Mesh, Options, Part, meshes, solve};
+use report::{Leaves, Links, Report};
+use std::path::{Path, PathBuf};
+use std::sync::atomic::AtomicBool;
+
+/// Solve the finite-element first pass and write it as glTF, to look at
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc field scenes/cornell.mgf -o solution.glb    # open it in any viewer of glTF\n  \
+    femc field scenes/cornell.mgf -o solution.glb --error 0.02 --wire\n  \
+    femc field scenes/roundabout.mgf --frame 12 --exposure 7 -o drive.glb\n  \
+    femc field scenes/cornell.mgf -o solution.glb --json | jq .energy\n\n\
+    The file has a mesh for each material and side, made of the elements' leaves. Colors are the luminance along the normal \
+    times one scale, which scenes[0].extras state; the attributes _RADIANCE (cd/m2), _IRRADIANCE and _DIRECT (lx) have the \
+    values themselves, _ELEMENT and _SURFACE tell elements and surfaces apart. Mirrors, clear solids and fog are not in it. \
+    Statistics go to a JSON file beside it.")]
+pub struct FieldArgs {
+    /// Scene file
+    #[arg(value_name = "SCENE")]
+    scene: PathBuf,
+    /// File to write, and statistics to a .json beside it [default: by the scene's name]
+    #[arg(long, short, value_name = "FILE.glb")]
+    out: Option<PathBuf>,
+    /// Greatest error of one link, as a share of what its receiver gets
+    #[arg(long, value_name = "E", default_value_t = 0.1, value_parser = share)]
+    error: f32,
+    /// Frame of the clip
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
+    frame: u32,
+    /// Memory of elements and links; what does not fit is not cut further
+    #[arg(long, value_name = "BYTES", default_value = "1GiB")]
+    memory: Volume,
+    /// Exposure of the colors: auto (the log-average luminance of what sends light, by how much, is middle gray), or an exposure
+    /// value at ISO 100 (2^EV / 8 cd/m2 is middle gray; one more is half as bright)
+    #[arg(long, value_name = "auto|EV", default_value = "auto", allow_hyphen_values = true)]
+    exposure: Exposure,
+    /// Draw the elements' edges
+    #[arg(long)]
+    wire: bool,
+    /// Threads [default: all cores]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
+    threads: Option<u32>,
+    /// Override a scalar of the scene, like medium.fog.sigma_s=0.03 (repeatable)
+    #[arg(long, value_name = "SELECTOR=VALUE")]
+    set: Vec<Override>,
+    /// Includes, textures and lamps of the scene may lie anywhere below DIR [default: the scene's folder]
+    #[arg(long, value_name = "DIR")]
+    root: Option<PathBuf>,
+    #[command(flatten)]
+    format: FormatArgs,
+}
+
+/// A share, > 0 and at most 1.
+fn share(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(share) if share > 0.0 && share <= 1.0 => Ok(share),
+        _ => Err(format!("`{text}` is no error of a link; write a number above 0 and up to 1, like 0.1 for 10 %")),
+    }
+}
+
+/// Solve, write, tell.
+pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
+    let out = target(args.out.as_deref(), &args.scene)?;
+    let pool = rayon::ThreadPoolBuilder::new().num_threads(args.threads.map_or(0, |threads| threads as usize)).build();
+    let pool = pool.map_err(|error| failed(format!("--threads: {error}")))?;
+    let typed = SettingsArgs { frames: Some(Frames::one(args.frame)), set: args.set, ..SettingsArgs::default() };
+    let named = |key: &str| (key == "frames").then(|| "--frame".to_owned());
+    let asked = Base::open(&args.scene, args.root.as_deref(), say)?.ask(&typed, &named)?;
+    let prepared = pool.install(|| femc_pipeline::prepare(&asked.source, &asked.settings, args.frame, None));
+    let prepared = prepared.map_err(failed)?;
+
+    say.note(format!(
+        "{}: solving frame {} to links of {}",
+        args.scene.display(),
+        args.frame,
+        human::percent(args.error.into())
+    ));
+    let options = Options { error: args.error, memory: usize::try_from(args.memory.0).unwrap_or(usize::MAX) };
+    let begun = Clock.now();
+    let solution = pool.install(|| solve(&prepared, &options, &AtomicBool::new(false)));
+    let solution = solution.map_err(|_| failed("cancelled"))?;
+    let seconds = Clock.since(begun).as_secs_f64();
+
+    let look = Look::new(&prepared, &solution);
+    let meshes = meshes(&look);
+    if meshes.is_empty() {
+        say.warning(format!(
+            "{}: no surface reflects or sends light, so there is nothing to see",
+            args.scene.display()
+        ));
+    }
+    let curve = curve(args.exposure, &meshes);
+    let wire = if args.wire { Wire::Shown } else { Wire::Hidden };
+    let (scale, scene) = (curve.exposure, args.scene.display().to_string());
+    let about = About { prepared: &prepared, scale, ev: ev(curve), scene: asked.name() };
+    let file = document::glb(&meshes, wire, &about).map_err(failed)?;
+    femc_film::file::write_atomic(&out, &file).map_err(failed)?;
+
+    let (found, light, statistics) = (&solution.report, look.summary(), out.with_extension("json"));
+    let report = Report {
+        scene,
+        frame: args.frame,
+        out: out.display().to_string(),
+        statistics: statistics.display().to_string(),
+        error: args.error,
+        seconds,
+        elements: found.census.elements.into(),
+        leaves: Leaves::of(found, &light),
+        links: Links::of(found),
+        refused: found.refused,
+        rays: found.rays,
+        iterations: found.iterations,
+        residual: found.residual,
+        bytes: found.bytes,
+        energy: (&light).into(),
+        irradiance: (&light).into(),
+        area: light.area,
+        exposure_ev: about.ev,
+        scale,
+        vertices: meshes.iter().map(|mesh| mesh.positions.len()).sum(),
+        triangles: meshes.iter().map(|mesh| mesh.triangles.len()).sum(),
+    };
+    let text = serde_json::to_string_pretty(&report).map_err(failed)? + "\n";
+    femc_film::file::write_atomic(&statistics, text.as_bytes()).map_err(failed)?;
+    if args.format.json {
+        json::print(say, &report)?;
+    } else {
+        report.print(say);
+    }
+    Ok(Exit::Done)
+}
+
+/// The file that is meant, in a folder that is there.
+fn target(out: Option<&Path>, scene: &Path) -> Result<PathBuf, Failure> {
+    let Some(out) = out else {
+        return Ok(Path::new(scene.file_stem().unwrap_or_default()).with_extension("glb"));
+    };
+    let shown = out.display();
+    if out.is_dir() {
+        return Err(usage(format!("-o {shown} is a folder; give FILE.glb")));
+    }
+    if !out.extension().is_some_and(|extension| extension.eq_ignore_ascii_case("glb")) {
+        return Err(usage(format!("-o {shown}: solutions are written as binary glTF (.glb) alone; give FILE.glb")));
+    }
+    match out.parent().filter(|folder| !folder.as_os_str().is_empty() && !folder.is_dir()) {
+        Some(folder) => Err(usage(format!("-o {shown}: there is no folder {}; make it first", folder.display()))),
+        None => Ok(out.to_owned()),
+    }
+}
+
+/// What brings luminances to colors. Each surface counts by the light that it sends: backs of walls that are nearly black, which nobody
+/// looks at, count for nothing. Nor do lamps, which would leave little for all else.
+fn curve(exposure: Exposure, meshes: &[Mesh]) -> ToneCurve {
+    if exposure != Exposure::Auto {
+        return exposure.curve(&Levels::default());
+    }
+    let elements = meshes.iter().filter(|mesh| mesh.part == Part::Elements);
+    let lit: Vec<(f64, f64)> = elements
+        .flat_map(Mesh::luminances)
+        .map(|(luminance, area)| (f64::from(luminance), f64::from(area)))
+        .filter(|&(luminance, area)| luminance > 0.0 && area > 0.0)
+        .collect();
+    let sent: f64 = lit.iter().map(|(luminance, area)| luminance * area).sum();
+    ToneCurve::exposing(lit.iter().map(|&(luminance, area)| (luminance, luminance * area / sent)))
+}

@@ -1,0 +1,187 @@
+//! What a solution is made of, for people and for machines.
+
+use crate::output::{Say, human};
+use femc_pipeline::radiosity::{Kinds, Report as Found, Summary};
+use serde::Serialize;
+
+/// The report.
+#[derive(Serialize)]
+pub struct Report {
+    /// The scene file.
+    pub scene: String,
+    /// The frame.
+    pub frame: u32,
+    /// The solution's file.
+    pub out: String,
+    /// This report's file.
+    pub statistics: String,
+    /// Greatest error of a link that was asked for.
+    pub error: f32,
+    /// The solver's time, s.
+    pub seconds: f64,
+    /// Elements by kind.
+    pub elements: Counts,
+    /// Elements that are not cut further.
+    pub leaves: Leaves,
+    /// Links.
+    pub links: Links,
+    /// Links that are not as exact as asked for.
+    pub refused: usize,
+    /// Visibility rays.
+    pub rays: u64,
+    /// Times that light was passed on through all links.
+    pub iterations: usize,
+    /// What further iterations would change, as a share of the greatest radiosity.
+    pub residual: f32,
+    /// Bytes of elements and links.
+    pub bytes: usize,
+    /// Flux, lm.
+    pub energy: Energy,
+    /// Mean irradiance of leaves, lx.
+    pub irradiance: Irradiance,
+    /// Area of the surfaces' sides, m2.
+    pub area: f64,
+    /// Exposure value of the colors.
+    pub exposure_ev: f64,
+    /// Colors are luminances, cd/m2, times this.
+    pub scale: f32,
+    /// Vertices and triangles of the file.
+    pub vertices: usize,
+    /// Triangles of the file.
+    pub triangles: usize,
+}
+
+/// Numbers by kind of element.
+#[derive(Serialize)]
+pub struct Counts {
+    all: usize,
+    clusters: usize,
+    patches: usize,
+    curved: usize,
+    fog: usize,
+}
+
+impl From<Kinds> for Counts {
+    fn from(kinds: Kinds) -> Self {
+        let Kinds { clusters, patches, curved, fog } = kinds;
+        Self { all: kinds.total(), clusters, patches, curved, fog }
+    }
+}
+
+/// Elements that are not cut further.
+#[derive(Serialize)]
+pub struct Leaves {
+    /// Of surfaces and fog.
+    all: usize,
+    /// Sides of surfaces that have some.
+    surfaces: usize,
+    median_per_surface: usize,
+    most_per_surface: usize,
+}
+
+/// Links by kind.
+#[derive(Serialize)]
+pub struct Links {
+    /// Among elements.
+    elements: usize,
+    /// Of light sources with elements.
+    lamps: usize,
+    by_receiver: Counts,
+    by_sender: Counts,
+}
+
+/// Luminous flux, lm.
+#[derive(Serialize)]
+pub struct Energy {
+    emitted: f64,
+    received: f64,
+    absorbed: f64,
+}
+
+/// Mean irradiance of leaves by luminance, lx; the median by area.
+#[derive(Serialize)]
+pub struct Irradiance {
+    least: f32,
+    median: f32,
+    most: f32,
+}
+
+impl Leaves {
+    /// What of it the solver and the field say.
+    pub fn of(found: &Found, light: &Summary) -> Self {
+        Self {
+            all: found.leaves,
+            surfaces: light.surfaces,
+            median_per_surface: light.median_leaves,
+            most_per_surface: light.most_leaves,
+        }
+    }
+}
+
+impl Links {
+    /// What of it the solver says.
+    pub fn of(found: &Found) -> Self {
+        Self {
+            elements: found.links,
+            lamps: found.lamp_links,
+            by_receiver: found.census.receivers.into(),
+            by_sender: found.census.senders.into(),
+        }
+    }
+}
+
+impl From<&Summary> for Energy {
+    fn from(light: &Summary) -> Self {
+        Self { emitted: light.emitted, received: light.received, absorbed: light.absorbed }
+    }
+}
+
+impl From<&Summary> for Irradiance {
+    fn from(light: &Summary) -> Self {
+        Self { least: light.least, median: light.median, most: light.most }
+    }
+}
+
+impl Report {
+    /// For people.
+    pub fn print(&self, say: Say) {
+        let row = |name: &str, value: String| vec![name.to_owned(), value];
+        let Counts { clusters, patches, curved, fog, .. } = self.elements;
+        let quantity = |n: usize| human::quantity(n as f64);
+        let by_kind = [(patches, "flat"), (curved, "curved"), (fog, "fog"), (clusters, "clusters")];
+        let by_kind: Vec<String> = by_kind
+            .iter()
+            .filter(|(count, _)| *count > 0)
+            .map(|(count, kind)| format!("{} {kind}", quantity(*count)))
+            .collect();
+        let Links { elements, lamps, .. } = self.links;
+        let Irradiance { least, median, most } = self.irradiance;
+        let Energy { emitted, received, absorbed } = self.energy;
+        let rows = [
+            row("elements", format!("{} ({})", quantity(self.elements.all), by_kind.join(", "))),
+            row(
+                "leaves",
+                format!(
+                    "{} on {} sides of surfaces and in fog",
+                    quantity(self.leaves.all),
+                    quantity(self.leaves.surfaces)
+                ),
+            ),
+            row(
+                "links",
+                format!(
+                    "{} among elements, {} with lamps; {} not exact enough",
+                    quantity(elements),
+                    quantity(lamps),
+                    quantity(self.refused)
+                ),
+            ),
+            row("iterations", format!("{}, residual {:.1e}", self.iterations, self.residual)),
+            row("irradiance", format!("{least:.3} to {most:.3} lx, median {median:.3} lx")),
+            row("flux", format!("{emitted:.1} lm sent, {received:.1} lm received, {absorbed:.1} lm kept")),
+            row("took", format!("{}, {}", human::seconds(self.seconds), human::bytes(self.bytes as u64))),
+            row("shown at", format!("EV {:.2}", self.exposure_ev)),
+        ];
+        say.result(human::table(&["solution", &self.out], &rows));
+    }
+}

@@ -1,0 +1,58 @@
+//! Elements and links, counted by kind.
+
+use crate::element::{Element, Kind};
+use crate::link::Link;
+
+/// Numbers by kind of element.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Kinds {
+    /// Groups of surfaces, whose light is told by direction.
+    pub clusters: usize,
+    /// Parts of surfaces with one normal, or nearly so.
+    pub patches: usize,
+    /// Parts of curved surfaces, whose light is told by direction.
+    pub curved: usize,
+    /// Boxes of fog.
+    pub fog: usize,
+}
+
+impl Kinds {
+    fn of(kinds: impl Iterator<Item = Kind>) -> Self {
+        kinds.fold(Self::default(), |mut sum, kind| {
+            *match kind {
+                Kind::Cluster => &mut sum.clusters,
+                Kind::Patch => &mut sum.patches,
+                Kind::Ball => &mut sum.curved,
+                Kind::Fog => &mut sum.fog,
+            } += 1;
+            sum
+        })
+    }
+
+    /// All together.
+    pub fn total(self) -> usize {
+        self.clusters + self.patches + self.curved + self.fog
+    }
+}
+
+/// What a solution is made of, by kind.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Census {
+    /// Elements, clusters among them.
+    pub elements: Kinds,
+    /// Links among elements, by who receives.
+    pub receivers: Kinds,
+    /// The same links, by who sends.
+    pub senders: Kinds,
+}
+
+impl Census {
+    pub(crate) fn new(elements: &[Element], links: &[Link]) -> Self {
+        let kind = |element: u32| elements[element as usize].kind;
+        Self {
+            elements: Kinds::of(elements.iter().map(|element| element.kind)),
+            receivers: Kinds::of(links.iter().map(|link| kind(link.receiver))),
+            senders: Kinds::of(links.iter().map(|link| kind(link.source))),
+        }
+    }
+}

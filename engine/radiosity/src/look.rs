@@ -1,0 +1,174 @@
+//! A solution as an eye would see it: what arrives at a point of an element, and what it sends.
+
+use crate::scene::{TIME, scattered};
+use crate::solve::Solution;
+use femc_field::{Cell, Form, Leaf, NONE, Side, Surface, SurfaceSpot};
+use femc_math::Rgb;
+use femc_math::color::luminance;
+use femc_math::glam::{Vec2, Vec3A};
+use femc_prepared::Prepared;
+use std::f32::consts::FRAC_1_PI;
+
+/// Irradiance, lx by channel of linear Rec.709.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Irradiance {
+    /// From other surfaces and from fog: what the field has.
+    pub indirect: Rgb,
+    /// Straight from light sources, as the elements have it.
+    pub direct: Rgb,
+}
+
+impl Irradiance {
+    /// Both together.
+    pub fn total(self) -> Rgb {
+        self.indirect + self.direct
+    }
+}
+
+/// The light of a whole solution.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Summary {
+    /// Area of the surfaces that the solution has light of, each side by itself, m2.
+    pub area: f64,
+    /// Luminous flux of all light sources, lm.
+    pub emitted: f64,
+    /// What these surfaces receive, each time that light arrives, lm.
+    pub received: f64,
+    /// What they keep of that, lm.
+    pub absorbed: f64,
+    /// Least mean irradiance of a leaf, by luminance, lx.
+    pub least: f32,
+    /// Half of the area is in leaves of less mean irradiance, lx.
+    pub median: f32,
+    /// Greatest mean irradiance of a leaf, lx.
+    pub most: f32,
+    /// Most leaves of a surface.
+    pub most_leaves: usize,
+    /// Surfaces with a leaf.
+    pub surfaces: usize,
+    /// Half of the surfaces have fewer leaves, or as many.
+    pub median_leaves: usize,
+}
+
+/// A solution beside the frame that it is of.
+pub struct Look<'a> {
+    pub(crate) prepared: &'a Prepared,
+    pub(crate) solution: &'a Solution,
+    /// Reflected and transmitted share by material.
+    scattered: Vec<(Rgb, Rgb)>,
+}
+
+impl<'a> Look<'a> {
+    /// - `prepared`: the frame that `solution` was found for.
+    pub fn new(prepared: &'a Prepared, solution: &'a Solution) -> Self {
+        let scattered = prepared.materials.iter().map(|material| scattered(&material.bsdf)).collect();
+        Self { prepared, solution, scattered }
+    }
+
+    /// What arrives at a point of a leaf.
+    /// - `local`: the point's coordinates in the leaf;
+    /// - `normal`: unit, of the surface's side there.
+    pub fn irradiance(&self, leaf: u32, local: Vec2, normal: Vec3A) -> Irradiance {
+        let at = |leaves: &[Leaf]| finite(leaves[leaf as usize].at(local, normal));
+        Irradiance { indirect: at(&self.solution.field.leaves), direct: at(&self.solution.direct) }
+    }
+
+    /// Luminance by channel, cd/m2, of a point of a surface, seen along its normal. Gloss counts as diffuse, and textures of `rd` are
+    /// left out, as the solution does it.
+    /// - `arriving`: what arrives there;
+    /// - `place`: the point's parameters; `inside`: those of a point nearby that is no edge of its leaf.
+    pub(crate) fn radiance(&self, surface: u32, arriving: Irradiance, place: Vec2, inside: Vec2) -> Rgb {
+        let source = &self.solution.field.surfaces[surface as usize];
+        let (reflected, transmitted) = self.scattered[source.material as usize];
+        let mut sent = reflected * arriving.total();
+        if transmitted != Rgb::ZERO {
+            sent += transmitted * self.behind(source, inside);
+        }
+        finite(sent * FRAC_1_PI) + self.emitted(source, place, &source.at(place))
+    }
+
+    /// What arrives at the other side of a surface.
+    fn behind(&self, surface: &Surface, place: Vec2) -> Rgb {
+        let field = &self.solution.field;
+        let sides = field.sides[surface.instance as usize][surface.primitives[0] as usize];
+        let other = sides[usize::from(surface.side == Side::Front)];
+        let root = if other == NONE { NONE } else { field.roots[other as usize] };
+        let normal = -surface.at(place).normal;
+        let found = Cell::find(&field.cells, root, place);
+        found.map_or(Rgb::ZERO, |(leaf, local)| self.irradiance(leaf, local, normal).total())
+    }
+
+    /// Luminance by channel, cd/m2, that a surface sends along its normal by itself.
+    pub(crate) fn emitted(&self, surface: &Surface, place: Vec2, spot: &SurfaceSpot) -> Rgb {
+        let Surface { instance, primitives, side, .. } = *surface;
+        let second = matches!(surface.form, Form::Parallelogram(_)) && place.x + place.y > 1.0;
+        let primitive = primitives[usize::from(second)];
+        let group = &self.prepared.instances[instance as usize];
+        let emitter = group.compiled.primitives[primitive as usize].emitter;
+        if emitter == NONE {
+            return Rgb::ZERO;
+        }
+        let pose = self.prepared.world.pose_at(instance, TIME);
+        let parametric = group.compiled.blas.triangle(primitive).map_or([0.0; 2], |corners| {
+            let [a, b, c] = corners.map(|corner| pose.transform_point3a(corner));
+            let triangle = Surface { form: Form::Triangle([a, b - a, c - a]), ..surface.clone() };
+            triangle.parameters(spot.position, [0.0; 2]).to_array()
+        });
+        let front = if side == Side::Back { -spot.normal } else { spot.normal };
+        let Prepared { lights, world, textures, .. } = self.prepared;
+        let light = group.first_light + emitter;
+        finite(lights.radiance(world, textures, light, TIME, front, spot.normal, parametric))
+    }
+
+    /// The light of all leaves together.
+    pub fn summary(&self) -> Summary {
+        let (lights, field) = (&self.prepared.lights, &self.solution.field);
+        let emitted = (0..lights.len() as u32).map(|light| f64::from(lights.power(light))).sum();
+        let mut summary = Summary { emitted, ..Summary::default() };
+        let (mut leaves, mut counts) = (Vec::new(), Vec::new());
+        for (index, surface) in field.surfaces.iter().enumerate() {
+            let parts = field.leaves_of(index as u32);
+            if parts.is_empty() {
+                continue;
+            }
+            counts.push(parts.len());
+            let (reflected, transmitted) = self.scattered[surface.material as usize];
+            let kept = (Rgb::ONE - reflected - transmitted).max(Rgb::ZERO);
+            for (leaf, outline) in parts {
+                let area = f64::from(surface.area() * outline.edges[0].perp_dot(outline.edges[1]).abs());
+                let at = |local: &Vec2| self.irradiance(leaf, *local, surface.at(outline.at(*local)).normal).total();
+                let mean = match field.leaves[leaf as usize] {
+                    Leaf::Triangle(_) => Leaf::TRIANGLE.iter().map(at).sum::<Rgb>() / 3.0,
+                    Leaf::Rectangle(_) => Leaf::RECTANGLE.iter().map(at).sum::<Rgb>() / 4.0,
+                    Leaf::Curved(_) => {
+                        let place = |k: u8| (Vec2::new(f32::from(k % 4), f32::from(k / 4)) + 0.5) * 0.25;
+                        (0..16).map(|k| at(&place(k))).sum::<Rgb>() / 16.0
+                    }
+                };
+                summary.area += area;
+                summary.received += area * f64::from(luminance(mean));
+                summary.absorbed += area * f64::from(luminance(kept * mean));
+                leaves.push((luminance(mean), area));
+            }
+        }
+        leaves.sort_by(|a, b| a.0.total_cmp(&b.0));
+        counts.sort_unstable();
+        summary.least = leaves.first().map_or(0.0, |leaf| leaf.0);
+        summary.most = leaves.last().map_or(0.0, |leaf| leaf.0);
+        let mut below = 0.0;
+        let middle = leaves.iter().find(|leaf| {
+            below += leaf.1;
+            below >= 0.5 * summary.area
+        });
+        summary.median = middle.map_or(0.0, |leaf| leaf.0);
+        summary.surfaces = counts.len();
+        summary.most_leaves = counts.last().copied().unwrap_or(0);
+        summary.median_leaves = counts.get(counts.len().saturating_sub(1) / 2).copied().unwrap_or(0);
+        summary
+    }
+}
+
+/// What is no number counts as no light.
+fn finite(color: Rgb) -> Rgb {
+    if color.is_finite() { color.max(Rgb::ZERO) } else { Rgb::ZERO }
+}

@@ -1,0 +1,291 @@
+//! The elements of a solution as triangles with their light, for those who look at it.
+//!
+//! Every leaf has vertices of its own, as the light jumps from leaf to leaf. Curved leaves are cut along a grid over the whole surface,
+//! so that neighbors share its lines; where a leaf is finer than the grid, its neighbor's chord passes the vertex by less than the
+//! grid's own error.
+
+use crate::look::Look;
+use crate::scene::TIME;
+use femc_field::{Form, NONE, Outline, Side, Surface, SurfaceSpot};
+use femc_geometry::Quadric;
+use femc_math::Rgb;
+use femc_math::color::luminance;
+use femc_math::cross;
+use femc_math::glam::{Vec2, Vec3A};
+use femc_prepared::{Orientation, Prepared};
+use femc_scattering::Sides;
+use std::collections::BTreeMap;
+
+/// What a mesh shows.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Part {
+    /// Elements.
+    Elements,
+    /// Light sources that reflect nothing, and so are no elements.
+    Lamps,
+}
+
+/// All triangles of a material, one side. Prepared frame, m; by vertex unless it says otherwise.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Mesh {
+    /// What it shows.
+    pub part: Part,
+    /// Index of the material.
+    pub material: u32,
+    /// The side from which it is seen.
+    pub side: Side,
+    /// Positions.
+    pub positions: Vec<[f32; 3]>,
+    /// Unit normals of the side.
+    pub normals: Vec<[f32; 3]>,
+    /// Luminance by channel, cd/m2, along the normal: reflected, let through and emitted.
+    pub radiance: Vec<[f32; 3]>,
+    /// Irradiance, lx by channel.
+    pub irradiance: Vec<[f32; 3]>,
+    /// The part of it that comes straight from light sources.
+    pub direct: Vec<[f32; 3]>,
+    /// Index of the leaf in the field, or [`NONE`] of lamps.
+    pub leaves: Vec<u32>,
+    /// Index of the surface in the field, or [`NONE`].
+    pub surfaces: Vec<u32>,
+    /// Vertices of each triangle, counter-clockwise as seen from the side.
+    pub triangles: Vec<[u32; 3]>,
+    /// Ends of the leaves' edges.
+    pub edges: Vec<[u32; 2]>,
+}
+
+impl Mesh {
+    fn new((part, material, back): (Part, u32, bool)) -> Self {
+        Self {
+            part,
+            material,
+            side: if back { Side::Back } else { Side::Front },
+            positions: Vec::new(),
+            normals: Vec::new(),
+            radiance: Vec::new(),
+            irradiance: Vec::new(),
+            direct: Vec::new(),
+            leaves: Vec::new(),
+            surfaces: Vec::new(),
+            triangles: Vec::new(),
+            edges: Vec::new(),
+        }
+    }
+
+    fn push(&mut self, spot: &SurfaceSpot, [radiance, irradiance, direct]: [Rgb; 3], leaf: u32, surface: u32) {
+        self.positions.push(spot.position.to_array());
+        self.normals.push(spot.normal.to_array());
+        self.radiance.push(radiance.to_array());
+        self.irradiance.push(irradiance.to_array());
+        self.direct.push(direct.to_array());
+        self.leaves.push(leaf);
+        self.surfaces.push(surface);
+    }
+
+    /// Luminance, cd/m2, and area, m2, of each triangle.
+    pub fn luminances(&self) -> impl Iterator<Item = (f32, f32)> {
+        self.triangles.iter().map(|triangle| {
+            let [a, b, c] = triangle.map(|vertex| Vec3A::from(self.positions[vertex as usize]));
+            let sum: Rgb = triangle.iter().map(|&vertex| Rgb::from_array(self.radiance[vertex as usize])).sum();
+            (luminance(sum) / 3.0, 0.5 * cross(b - a, c - a).length())
+        })
+    }
+
+    /// Adds a triangle with its front on the side of the vertices' normals, if it has an area.
+    fn triangle(&mut self, corners: [u32; 3]) {
+        let [a, b, c] = corners.map(|corner| Vec3A::from(self.positions[corner as usize]));
+        let normal: Vec3A = corners.iter().map(|&corner| Vec3A::from(self.normals[corner as usize])).sum();
+        let facing = cross(b - a, c - a);
+        // Two of the corners are one at the poles of a grid.
+        let longest = (b - a).length_squared().max((c - a).length_squared()).max((c - b).length_squared());
+        if facing.length_squared() <= (NOTHING * longest) * (NOTHING * longest) {
+            return;
+        }
+        let [a, b, c] = corners;
+        self.triangles.push(if facing.dot(normal) < 0.0 { [a, c, b] } else { [a, b, c] });
+    }
+}
+
+/// Height over longest edge of a triangle that is none.
+const NOTHING: f32 = 1e-7;
+/// Steps of a grid around an axis.
+const STEPS: [u32; 3] = [16, 32, 64];
+/// Distance of a chord of the grid from the surface that nobody sees, as a share of the scene's extent.
+const SAGITTA: f32 = 2e-5;
+
+/// The meshes of a solution, in an order that depends on the scene alone: elements, then lamps.
+pub fn meshes(look: &Look<'_>) -> Vec<Mesh> {
+    let mut meshes = BTreeMap::new();
+    let extent = look.prepared.world.bounds().size().length();
+    let field = &look.solution.field;
+    for (index, surface) in (0u32..).zip(&field.surfaces) {
+        let key = (Part::Elements, surface.material, surface.side == Side::Back);
+        for (leaf, outline) in field.leaves_of(index) {
+            let mesh = meshes.entry(key).or_insert_with(|| Mesh::new(key));
+            let grid = Grid::new(surface, &outline, extent);
+            grid.add(mesh, |mesh, local, spot| {
+                let place = outline.at(local);
+                let inside = outline.at(local.lerp(Vec2::splat(1.0 / 3.0), 1e-3));
+                let arriving = look.irradiance(leaf, local, spot.normal);
+                let sent = look.radiance(index, arriving, place, inside);
+                mesh.push(spot, [sent, arriving.total(), arriving.direct], leaf, index);
+            });
+        }
+    }
+    for surface in lamps(look) {
+        let key = (Part::Lamps, surface.material, surface.side == Side::Back);
+        let grid = Grid::new(&surface, &Outline::WHOLE, extent);
+        let mesh = meshes.entry(key).or_insert_with(|| Mesh::new(key));
+        grid.add(mesh, |mesh, local, spot| {
+            mesh.push(spot, [look.emitted(&surface, local, spot), Rgb::ZERO, Rgb::ZERO], NONE, NONE);
+        });
+    }
+    meshes.into_values().filter(|mesh| !mesh.triangles.is_empty()).collect()
+}
+
+/// Sides of surfaces that shine and are no elements.
+fn lamps(look: &Look<'_>) -> Vec<Surface> {
+    let Prepared { world, instances, materials, .. } = look.prepared;
+    let mut lamps = Vec::new();
+    for (instance, group) in (0u32..).zip(instances.iter()) {
+        let pose = world.pose_at(instance, TIME);
+        let blas = &group.compiled.blas;
+        for (primitive, about) in (0u32..).zip(&group.compiled.primitives) {
+            let sides =
+                look.solution.field.sides.get(instance as usize).and_then(|sides| sides.get(primitive as usize));
+            if about.emitter == NONE || sides != Some(&[NONE; 2]) {
+                continue;
+            }
+            let form = match (blas.triangle(primitive), blas.quadric(primitive)) {
+                (Some(corners), _) => {
+                    let [a, b, c] = corners.map(|corner| pose.transform_point3a(corner));
+                    Form::Triangle([a, b - a, c - a])
+                }
+                (None, Some(shape)) => Form::Curved { shape, pose },
+                (None, None) => continue,
+            };
+            let kernel = &materials[about.material as usize];
+            let both = kernel.parameters.sides == Sides::Two && kernel.faces_viewer == Orientation::TowardViewer;
+            for side in [Side::Front, Side::Back].into_iter().take(1 + usize::from(both)) {
+                let (primitives, form) = ([primitive; 2], form.clone());
+                let surface = Surface { instance, primitives, material: about.material, side, form };
+                if surface.area().is_finite() {
+                    lamps.push(surface);
+                }
+            }
+        }
+    }
+    lamps
+}
+
+/// Where a leaf has vertices.
+struct Grid<'a> {
+    surface: &'a Surface,
+    /// Columns of vertices by their first local coordinate; of a triangle empty.
+    columns: Vec<f32>,
+    /// Rows by their second parameter as the shape has it, and their second local coordinate.
+    rows: Vec<(f64, f32)>,
+    outline: Outline,
+}
+
+impl<'a> Grid<'a> {
+    fn new(surface: &'a Surface, outline: &Outline, extent: f32) -> Self {
+        let mut grid = Self { surface, columns: Vec::new(), rows: Vec::new(), outline: *outline };
+        match &surface.form {
+            Form::Triangle(_) => {}
+            Form::Parallelogram(_) => {
+                grid.columns = vec![0.0, 1.0];
+                grid.rows = vec![(0.0, 0.0), (1.0, 1.0)];
+            }
+            Form::Curved { shape, pose } => {
+                let [around, along] = steps(shape, pose.matrix3.x_axis.length(), extent);
+                let (corner, end) = (outline.at(Vec2::ZERO), outline.at(Vec2::ONE));
+                let size = end - corner;
+                let columns = cuts([corner.x, end.x].map(f64::from), around);
+                grid.columns =
+                    columns.iter().map(|&u| ((u - f64::from(corner.x)) / f64::from(size.x)) as f32).collect();
+                let at = |share: f32| match share {
+                    0.0 => 0.0,
+                    1.0 => 1.0,
+                    _ => shape.at_share(f64::from(share)),
+                };
+                let local = |v: f64| ((shape.share_below(v) - f64::from(corner.y)) / f64::from(size.y)) as f32;
+                let rows = cuts([corner.y, end.y].map(at), along);
+                grid.rows = rows.into_iter().map(|v| (v, local(v).clamp(0.0, 1.0))).collect();
+            }
+        }
+        grid
+    }
+
+    /// Adds the vertices by `push`, which is told each one's local coordinates, then triangles and edges.
+    fn add(&self, mesh: &mut Mesh, mut push: impl FnMut(&mut Mesh, Vec2, &SurfaceSpot)) {
+        let first = mesh.positions.len() as u32;
+        if self.columns.is_empty() {
+            for local in [Vec2::ZERO, Vec2::X, Vec2::Y] {
+                push(mesh, local, &self.surface.at(self.outline.at(local)));
+            }
+            let [a, b, c] = [0, 1, 2].map(|corner| first + corner);
+            mesh.triangle([a, b, c]);
+            mesh.edges.extend([[a, b], [b, c], [c, a]]);
+            return;
+        }
+        for &(v, y) in &self.rows {
+            for &x in &self.columns {
+                let local = Vec2::new(x, y);
+                push(mesh, local, &self.spot(local, v));
+            }
+        }
+        let (across, up) = (self.columns.len() as u32, self.rows.len() as u32);
+        let vertex = |column: u32, row: u32| first + row * across + column;
+        for row in 1..up {
+            for column in 1..across {
+                let [a, b] = [column - 1, column].map(|column| vertex(column, row - 1));
+                let [d, c] = [column - 1, column].map(|column| vertex(column, row));
+                mesh.triangle([a, b, c]);
+                mesh.triangle([a, c, d]);
+            }
+        }
+        for column in 1..across {
+            mesh.edges.extend([0, up - 1].map(|row| [vertex(column - 1, row), vertex(column, row)]));
+        }
+        for row in 1..up {
+            mesh.edges.extend([0, across - 1].map(|column| [vertex(column, row - 1), vertex(column, row)]));
+        }
+    }
+
+    /// - `v`: the second parameter as the shape has it.
+    fn spot(&self, local: Vec2, v: f64) -> SurfaceSpot {
+        let place = self.outline.at(local);
+        let Form::Curved { shape, pose } = &self.surface.form else { return self.surface.at(place) };
+        let (position, normal) = shape.point_at([f64::from(place.x), v]);
+        let normal = pose.transform_vector3a(normal.as_vec3a()).normalize_or(Vec3A::Z);
+        SurfaceSpot {
+            position: pose.transform_point3a(position.as_vec3a()),
+            error: Vec3A::ZERO,
+            normal: if self.surface.side == Side::Back { -normal } else { normal },
+        }
+    }
+}
+
+/// Steps around the axis, and along the second parameter.
+fn steps(shape: &Quadric, scale: f32, extent: f32) -> [u32; 2] {
+    let (radius, straight) = match *shape {
+        Quadric::Sphere { radius, .. } => (radius, false),
+        Quadric::Cone { start_radius, end_radius, .. } => (start_radius.max(end_radius), true),
+        Quadric::Ring { outer, .. } => (outer, true),
+        Quadric::Torus { major, minor, .. } => (major + minor, false),
+    };
+    // A chord over the angle a is r a^2 / 8 from its arc.
+    let angle = (8.0 * SAGITTA * extent / (radius * scale).max(f32::MIN_POSITIVE)).sqrt();
+    let needed = std::f32::consts::TAU / angle;
+    let around = STEPS.into_iter().find(|&steps| steps as f32 >= needed).unwrap_or(STEPS[2]);
+    [around, if straight { 1 } else { around / 2 }]
+}
+
+/// Both ends, and the multiples of 1 / `steps` between them.
+fn cuts([from, to]: [f64; 2], steps: u32) -> Vec<f64> {
+    let near = 1e-3 / f64::from(steps);
+    let inner = (1..steps).map(|step| f64::from(step) / f64::from(steps));
+    let inner = inner.filter(|&at| at > from + near && at < to - near);
+    std::iter::once(from).chain(inner).chain(std::iter::once(to)).collect()
+}

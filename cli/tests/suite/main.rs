@@ -10,6 +10,7 @@ mod drill;
 mod encode;
 mod farm;
 mod faults;
+mod field;
 mod fireflies;
 mod gc;
 mod inspect;

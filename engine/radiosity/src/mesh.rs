@@ -289,3 +289,74 @@ fn cuts([from, to]: [f64; 2], steps: u32) -> Vec<f64> {
     let inner = inner.filter(|&at| at > from + near && at < to - near);
     std::iter::once(from).chain(inner).chain(std::iter::once(to)).collect()
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use femc_geometry::Facing;
+    use femc_math::glam::Affine3A;
+
+    fn surface(shape: Quadric, side: Side) -> Surface {
+        let pose = Affine3A::from_translation([3.0, 4.0, 5.0].into());
+        Surface { instance: 0, primitives: [0; 2], material: 0, side, form: Form::Curved { shape, pose } }
+    }
+
+    /// A surface as leaves: halves along both parameters by turns, those with the first corner cut `deeper` times more.
+    fn mesh(surface: &Surface, deeper: u32) -> Mesh {
+        let mut mesh = Mesh::new((Part::Elements, 0, surface.side == Side::Back));
+        let mut pending = vec![(Outline::WHOLE, 0)];
+        while let Some((outline, depth)) = pending.pop() {
+            let deepest = 3 + if outline.corner == Vec2::ZERO { deeper } else { 0 };
+            if depth < deepest {
+                let halves = Outline::halves(femc_field::Split::Half((depth % 2) as u8), |_, _| 1.0);
+                pending.extend(halves.map(|half| (outline.of(&half), depth + 1)));
+                continue;
+            }
+            let grid = Grid::new(surface, &outline, 4.0);
+            grid.add(&mut mesh, |mesh, _, spot| mesh.push(spot, [Rgb::ZERO; 3], 0, 0));
+        }
+        mesh
+    }
+
+    /// Area, and the volume on the far side of the normals; the triangles' normals must be the vertices'.
+    fn measures(mesh: &Mesh) -> (f64, f64) {
+        mesh.triangles.iter().fold((0.0, 0.0), |(area, volume), triangle| {
+            let [a, b, c] = triangle.map(|k| Vec3A::from(mesh.positions[k as usize]).as_dvec3());
+            let normal = (b - a).cross(c - a);
+            let vertex = Vec3A::from(mesh.normals[triangle[0] as usize]).as_dvec3();
+            assert!(normal.dot(vertex) > 0.0, "{triangle:?} is turned over");
+            (area + 0.5 * normal.length(), volume + a.dot(normal) / 6.0)
+        })
+    }
+
+    #[test]
+    fn the_triangles_of_spheres_and_tori_close_whatever_their_leaves() {
+        let (center, facing) = (Vec3A::new(1.0, 0.0, 0.0), Facing::Outward);
+        let sphere = Quadric::Sphere { center, radius: 0.7, facing };
+        let torus = Quadric::Torus { center, axis: Vec3A::new(0.6, 0.0, 0.8), major: 0.8, minor: 0.3, facing };
+        let tau = std::f64::consts::TAU;
+        for (shape, volume) in [(sphere, tau / 1.5 * 0.343), (torus, 0.5 * tau * tau * 0.8 * 0.09)] {
+            for deeper in [0, 1, 6, 11] {
+                let (found, inside) = measures(&mesh(&surface(shape, Side::Front), deeper));
+                assert!((found / shape.area() - 1.0).abs() < 0.01, "{shape:?}: area {found}, not {}", shape.area());
+                assert!((inside / volume - 1.0).abs() < 0.015, "{shape:?}: volume {inside}, not {volume}");
+                let (same, outside) = measures(&mesh(&surface(shape, Side::Back), deeper));
+                assert!(
+                    (same - found).abs() < 1e-9 && (outside + inside).abs() < 1e-9,
+                    "the back is the front turned over"
+                );
+            }
+        }
+    }
+
+    #[test]
+    fn cones_with_a_tip_and_rings_without_a_hole_have_their_area() {
+        let (start, end, facing) = (Vec3A::ZERO, Vec3A::new(0.0, 1.0, 2.0), Facing::Inward);
+        let cone = Quadric::Cone { start, end, start_radius: 0.0, end_radius: 1.0, facing };
+        let ring = Quadric::Ring { center: end, normal: Vec3A::Y, inner: 0.0, outer: 1.0 };
+        for shape in [cone, ring] {
+            let (area, _) = measures(&mesh(&surface(shape, Side::Front), 5));
+            assert!((area / shape.area() - 1.0).abs() < 0.01, "{shape:?}: {area}, not {}", shape.area());
+        }
+    }
+}

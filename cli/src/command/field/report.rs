@@ -154,6 +154,7 @@ impl Report {
             .filter(|(count, _)| *count > 0)
             .map(|(count, kind)| format!("{} {kind}", quantity(*count)))
             .collect();
+        let in_fog = if fog > 0 { " and in fog" } else { "" };
         let Links { elements, lamps, .. } = self.links;
         let Irradiance { least, median, most } = self.irradiance;
         let Energy { emitted, received, absorbed } = self.energy;
@@ -161,11 +162,7 @@ impl Report {
             row("elements", format!("{} ({})", quantity(self.elements.all), by_kind.join(", "))),
             row(
                 "leaves",
-                format!(
-                    "{} on {} sides of surfaces and in fog",
-                    quantity(self.leaves.all),
-                    quantity(self.leaves.surfaces)
-                ),
+                format!("{} on {} sides of surfaces{in_fog}", quantity(self.leaves.all), self.leaves.surfaces),
             ),
             row(
                 "links",

@@ -155,7 +155,7 @@ impl Gltf {
         let root = &nodes[whole(&list(&scenes[number(document, "scene")], "nodes")[0])];
         let turn: f64 = list(root, "rotation").iter().map(|q| q.as_f64().expect("a number").powi(2)).sum();
         assert!((turn - 1.0).abs() < 1e-12);
-        let children: Vec<_> = list(root, "children").iter().map(|node| whole(node)).collect();
+        let children: Vec<_> = list(root, "children").iter().map(whole).collect();
         let meshes: Vec<_> = children.iter().map(|&child| number(&nodes[child], "mesh")).collect();
         assert_eq!(meshes, (0..list(document, "meshes").len()).collect::<Vec<_>>(), "each mesh is shown once");
         for primitive in self.primitives() {
@@ -408,6 +408,31 @@ fn threads_change_no_byte_and_edges_add_lines() {
     };
     let (usual, fine, starved) = (leaves(""), leaves("--error 0.03"), leaves("--memory 1"));
     assert!(fine.0 > usual.0 && starved.0 < usual.0 && starved.1 > Some(0), "{usual:?} {fine:?} {starved:?}");
+}
+
+#[test]
+fn in_a_closed_box_that_shines_all_that_is_sent_is_kept() {
+    let place = Place::new();
+    let mut scene = "camera main =\n\torigin .3 .4 .2\n\ttarget .8 .6 .7\n\tfov 90\n\tfilm 8 8\n".to_owned();
+    scene += &format!("m wall =\n\tsides 1\n\trd 0.5\n\ted {}\n", std::f64::consts::PI);
+    for k in 0..8 {
+        scene += &format!("v p{k} =\n\tp {} {} {}\n", k & 1, k >> 1 & 1, k >> 2);
+    }
+    for face in ["p0 p1 p3 p2", "p4 p6 p7 p5", "p0 p4 p5 p1", "p2 p3 p7 p6", "p0 p2 p6 p4", "p1 p5 p7 p3"] {
+        scene += &format!("f {face}\n");
+    }
+    place.write("box.mgf", &scene);
+    let report = place.run("field box.mgf -o box.glb --json").exits(0).json();
+    let flux = |key: &str| report["energy"][key].as_f64().expect("a number") / std::f64::consts::PI;
+    assert!((flux("emitted") / 6.0 - 1.0).abs() < 1e-3, "{report}");
+    assert!((flux("received") / 12.0 - 1.0).abs() < 5e-3 && (flux("absorbed") / 6.0 - 1.0).abs() < 5e-3, "{report}");
+    let gltf = Gltf::read(&place.path("box.glb"));
+    let (sum, area) = gltf.areas("wall");
+    assert!((area - 6.0).abs() < 1e-4 && sum.iter().all(|sum| sum.abs() < 1e-4), "{sum:?} {area}");
+    // Of luminance 1 by itself and half of what arrives.
+    for light in gltf.vectors(gltf.mesh("wall"), "_RADIANCE") {
+        assert!((luminance(light) - 2.0).abs() < 0.02, "{light:?}");
+    }
 }
 
 #[test]

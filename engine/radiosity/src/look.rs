@@ -123,7 +123,7 @@ impl<'a> Look<'a> {
     /// The light of all leaves together.
     pub fn summary(&self) -> Summary {
         let (lights, field) = (&self.prepared.lights, &self.solution.field);
-        let emitted = (0..lights.len() as u32).map(|light| f64::from(lights.power(light))).sum();
+        let emitted = (0..lights.len() as u32).fold(0.0, |sum, light| sum + f64::from(lights.power(light)));
         let mut summary = Summary { emitted, ..Summary::default() };
         let (mut leaves, mut counts) = (Vec::new(), Vec::new());
         for (index, surface) in field.surfaces.iter().enumerate() {

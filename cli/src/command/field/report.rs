@@ -154,12 +154,13 @@ impl Report {
             .filter(|(count, _)| *count > 0)
             .map(|(count, kind)| format!("{} {kind}", quantity(*count)))
             .collect();
+        let by_kind = if by_kind.is_empty() { String::new() } else { format!(" ({})", by_kind.join(", ")) };
         let in_fog = if fog > 0 { " and in fog" } else { "" };
         let Links { elements, lamps, .. } = self.links;
         let Irradiance { least, median, most } = self.irradiance;
         let Energy { emitted, received, absorbed } = self.energy;
         let rows = [
-            row("elements", format!("{} ({})", quantity(self.elements.all), by_kind.join(", "))),
+            row("elements", format!("{}{by_kind}", quantity(self.elements.all))),
             row(
                 "leaves",
                 format!("{} on {} sides of surfaces{in_fog}", quantity(self.leaves.all), self.leaves.surfaces),

@@ -4,9 +4,11 @@
 //! binary tree over the parameters; a leaf has the irradiance that comes from other surfaces and from fog, linear over the leaf, or,
 //! where a leaf is too curved for one normal, by direction ([`Harmonics`]). In fog the leaves of a tree of boxes have the same of
 //! light from all around. What comes straight from light sources is not in the field: who asks knows the sources.
+//! [`Field::encode`] makes bytes of it that a farm can keep and send.
 #![deny(missing_docs)]
 
 mod cell;
+mod codec;
 mod field;
 mod fog;
 mod harmonics;
@@ -14,6 +16,7 @@ mod surface;
 mod walk;
 
 pub use cell::{Cell, Outline, Split};
+pub use codec::{FieldError, Statistics};
 pub use field::{Field, Leaf};
 pub use fog::{FogCell, FogTree};
 pub use harmonics::Harmonics;

@@ -1,0 +1,530 @@
+//! A field as bytes: what the first pass has found, to be kept and sent. The same field gives the same bytes, and the bytes give the
+//! same field to the bit. All numbers are little-endian.
+//!
+//! | bytes | what |
+//! | --- | --- |
+//! | 8 | `FEMCFELD` |
+//! | 4 | format version, 1 |
+//! | 16 | BLAKE3 of everything after this field, first half |
+//! | 8 x 8 | [`Statistics`]: elements, leaves, links, links with light sources, refused links, rays, iterations, bytes |
+//! | 4 | the residual |
+//! | 6 x 4 | numbers of instances, primitives of all of them, surfaces, cells, leaves, boxes of fog |
+//! | 8 | bytes of the tables below |
+//! | rest | zstd frame of the tables |
+//!
+//! A table is a number of records of equal length, made of words of 4 bytes, and stored in byte planes (the lowest byte of the first
+//! word of all records, then the next):
+//!
+//! | table | words of a record |
+//! | --- | --- |
+//! | instances | number of primitives |
+//! | primitives | surface of the front, of the back |
+//! | surfaces | instance, first and last primitive, material, form and side, first cell |
+//! | flat surfaces, in order | corner and edges: 9 |
+//! | curved surfaces, in order | the shape: 8, those that it does not need are 0; the pose: 12 |
+//! | cells | split, next, corner and edges over the parameters: 6 |
+//! | leaves | 0: triangle, 1: rectangle, 2: curved |
+//! | triangles, rectangles, curved leaves, in order | 9, 12, 27 |
+//! | boxes of fog | next, lower corner, upper corner, mean and changes: 19 |
+//!
+//! The checksum is looked at first. What is decompressed is never more than the header says, and nothing is made room for that has not
+//! come out of it. Whatever is accepted can be asked for light anywhere: indices are in their ranges, and trees have no circles.
+
+use crate::{Cell, Field, FogCell, FogTree, Form, Harmonics, Leaf, NONE, Outline, Side, Split, Surface};
+use femc_geometry::{Facing, Quadric};
+use femc_math::Rgb;
+use femc_math::glam::{Affine3A, Mat3A, Vec2, Vec3A};
+use std::io::Read;
+
+const MAGIC: &[u8; 8] = b"FEMCFELD";
+const VERSION: u32 = 1;
+const CHECKSUM: usize = 16;
+const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
+/// Most bytes of all tables: 4 GiB.
+const MOST: u64 = 1 << 32;
+/// What is read back needs no larger window than this; it bounds what the decompressor takes.
+const WINDOW_LOG: u32 = 23;
+const LEVEL: i32 = 3;
+
+/// What a first pass was made of.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Statistics {
+    /// Parts of surfaces and of fog.
+    pub elements: u64,
+    /// Those that are not cut further.
+    pub leaves: u64,
+    /// Links among elements.
+    pub links: u64,
+    /// Links with light sources.
+    pub lamp_links: u64,
+    /// Links that are not as exact as asked for.
+    pub refused: u64,
+    /// Visibility rays.
+    pub rays: u64,
+    /// Times that light was passed on through all links.
+    pub iterations: u64,
+    /// Bytes of elements and links while it was solved.
+    pub bytes: u64,
+    /// What further iterations would change of a radiosity, as a share of the greatest one.
+    pub residual: f32,
+}
+
+/// Why bytes are no field.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum FieldError {
+    /// They are of another version of the format.
+    #[error("a field of format {found}, not {expected}")]
+    Version {
+        /// Version of these bytes.
+        found: u32,
+        /// Version that is read here.
+        expected: u32,
+    },
+    /// They are damaged, or something else.
+    #[error("no field: {0}")]
+    Corrupt(&'static str),
+}
+
+const CUT: FieldError = FieldError::Corrupt("cut short");
+
+impl Field {
+    /// The field as bytes, with what it was made of.
+    pub fn encode(&self, statistics: &Statistics) -> Vec<u8> {
+        let mut out = MAGIC.to_vec();
+        out.extend(VERSION.to_le_bytes());
+        out.extend([0; CHECKSUM]);
+        let Statistics { elements, leaves, links, lamp_links, refused, rays, iterations, bytes, residual } =
+            *statistics;
+        let counts = [elements, leaves, links, lamp_links, refused, rays, iterations, bytes];
+        counts.iter().for_each(|count| out.extend(count.to_le_bytes()));
+        out.extend(residual.to_bits().to_le_bytes());
+        let primitives: usize = self.sides.iter().map(Vec::len).sum();
+        let lengths =
+            [self.sides.len(), primitives, self.surfaces.len(), self.cells.len(), self.leaves.len(), self.fog.0.len()];
+        lengths.iter().for_each(|&length| out.extend((length as u32).to_le_bytes()));
+        let tables = self.tables();
+        out.extend((tables.len() as u64).to_le_bytes());
+        // Compression of a buffer in memory to a growing one cannot fail; should it, the result does not decode.
+        out.extend(zstd::bulk::compress(&tables, LEVEL).unwrap_or_default());
+        let sum = blake3::hash(&out[PREFIX..]);
+        out[PREFIX - CHECKSUM..PREFIX].copy_from_slice(&sum.as_bytes()[..CHECKSUM]);
+        out
+    }
+
+    fn tables(&self) -> Vec<u8> {
+        let mut out = Vec::new();
+        table(&mut out, self.sides.iter().map(|sides| [sides.len() as u32]));
+        table(&mut out, self.sides.iter().flatten().copied());
+        let surface = |(surface, &root): (&Surface, &u32)| {
+            let Surface { instance, primitives: [first, last], material, side, form } = surface;
+            [*instance, *first, *last, *material, tag(form) << 1 | u32::from(*side == Side::Back), root]
+        };
+        table(&mut out, self.surfaces.iter().zip(&self.roots).map(surface));
+        let forms = || self.surfaces.iter().map(|surface| &surface.form);
+        let flat = |form: &Form| match form {
+            Form::Triangle(corner) | Form::Parallelogram(corner) => Some(colors::<3, 9>(corner)),
+            Form::Curved { .. } => None,
+        };
+        table(&mut out, forms().filter_map(flat));
+        let curved = |form: &Form| match form {
+            Form::Triangle(_) | Form::Parallelogram(_) => None,
+            Form::Curved { shape, pose } => {
+                let Mat3A { x_axis, y_axis, z_axis } = pose.matrix3;
+                let pose: [u32; 12] = colors(&[x_axis, y_axis, z_axis, pose.translation]);
+                let shape = numbers(shape).map(f32::to_bits);
+                Some(std::array::from_fn::<u32, 20, _>(|at| if at < 8 { shape[at] } else { pose[at - 8] }))
+            }
+        };
+        table(&mut out, forms().filter_map(curved));
+        let cell = |cell: &Cell| {
+            let split = match cell.split {
+                Split::None => 0,
+                Split::Half(0) => 1,
+                Split::Half(_) => 2,
+                Split::Bisection => 3,
+            };
+            let Outline { corner, edges: [a, b] } = cell.outline;
+            let [x, y, ax, ay, bx, by] = [corner.x, corner.y, a.x, a.y, b.x, b.y].map(f32::to_bits);
+            [split, cell.next, x, y, ax, ay, bx, by]
+        };
+        table(&mut out, self.cells.iter().map(cell));
+        let kind = |leaf: &Leaf| match leaf {
+            Leaf::Triangle(_) => [0],
+            Leaf::Rectangle(_) => [1],
+            Leaf::Curved(_) => [2],
+        };
+        table(&mut out, self.leaves.iter().map(kind));
+        let triangle =
+            |leaf: &Leaf| if let Leaf::Triangle(values) = leaf { Some(colors::<3, 9>(values)) } else { None };
+        table(&mut out, self.leaves.iter().filter_map(triangle));
+        let rectangle =
+            |leaf: &Leaf| if let Leaf::Rectangle(values) = leaf { Some(colors::<4, 12>(values)) } else { None };
+        table(&mut out, self.leaves.iter().filter_map(rectangle));
+        let curved = |leaf: &Leaf| if let Leaf::Curved(light) = leaf { Some(colors::<9, 27>(&light.0)) } else { None };
+        table(&mut out, self.leaves.iter().filter_map(curved));
+        let fog = |cell: &FogCell| {
+            let FogCell { min, max, next, mean: [a, b, c, d] } = *cell;
+            let values: [u32; 18] = colors(&[min, max, a, b, c, d]);
+            std::array::from_fn::<u32, 19, _>(|at| if at == 0 { next } else { values[at - 1] })
+        };
+        table(&mut out, self.fog.0.iter().map(fog));
+        out
+    }
+
+    /// The field and what it was made of, from their bytes; damage of any kind is an error.
+    pub fn decode(bytes: &[u8]) -> Result<(Self, Statistics), FieldError> {
+        let (prefix, body) = bytes.split_at_checked(PREFIX).ok_or(CUT)?;
+        if prefix[..MAGIC.len()] != MAGIC[..] {
+            return Err(FieldError::Corrupt("it begins as something else"));
+        }
+        let mut front = Front(&prefix[MAGIC.len()..]);
+        let found = front.word()?;
+        if found != VERSION {
+            return Err(FieldError::Version { found, expected: VERSION });
+        }
+        if blake3::hash(body).as_bytes()[..CHECKSUM] != *front.0 {
+            return Err(FieldError::Corrupt("checksum mismatch"));
+        }
+        let mut front = Front(body);
+        let statistics = Statistics {
+            elements: front.long()?,
+            leaves: front.long()?,
+            links: front.long()?,
+            lamp_links: front.long()?,
+            refused: front.long()?,
+            rays: front.long()?,
+            iterations: front.long()?,
+            bytes: front.long()?,
+            residual: f32::from_bits(front.word()?),
+        };
+        let mut lengths = [0; 6];
+        for length in &mut lengths {
+            *length = front.word()?;
+        }
+        let plain = front.long()?;
+        let tables = decompressed(front.0, plain)?;
+        Ok((read(Tables(&tables), lengths)?, statistics))
+    }
+
+    /// Whether it is a field of these surfaces.
+    /// - `primitives`: number of primitives of each instance of a world.
+    pub fn fits(&self, primitives: impl ExactSizeIterator<Item = usize>) -> bool {
+        self.sides.len() == primitives.len() && self.sides.iter().zip(primitives).all(|(sides, of)| sides.len() == of)
+    }
+}
+
+fn decompressed(bytes: &[u8], plain: u64) -> Result<Vec<u8>, FieldError> {
+    const LENGTH: FieldError = FieldError::Corrupt("tables of another length");
+    const DAMAGED: FieldError = FieldError::Corrupt("tables do not decompress");
+    if plain > MOST {
+        return Err(LENGTH);
+    }
+    let mut decoder = zstd::stream::read::Decoder::with_buffer(bytes).map_err(|_| DAMAGED)?;
+    decoder.window_log_max(WINDOW_LOG).map_err(|_| DAMAGED)?;
+    let mut tables = Vec::new();
+    decoder.take(plain + 1).read_to_end(&mut tables).map_err(|_| DAMAGED)?;
+    if tables.len() as u64 == plain { Ok(tables) } else { Err(LENGTH) }
+}
+
+fn read(mut tables: Tables<'_>, lengths: [u32; 6]) -> Result<Field, FieldError> {
+    let [instances, primitives, surfaces, cells, leaves, boxes] = lengths;
+    const INDEX: FieldError = FieldError::Corrupt("an index is out of its range");
+    let instances: Vec<[u32; 1]> = tables.table(instances)?;
+    if instances.iter().map(|[count]| u64::from(*count)).sum::<u64>() != u64::from(primitives) {
+        return Err(FieldError::Corrupt("primitives of another number"));
+    }
+    let primitives: Vec<[u32; 2]> = tables.table(primitives)?;
+    if primitives.as_flattened().iter().any(|&surface| surface != NONE && surface >= surfaces) {
+        return Err(INDEX);
+    }
+    let mut rest = &primitives[..];
+    let sides = instances.iter().map(|[count]| {
+        let (own, others) = rest.split_at(*count as usize);
+        rest = others;
+        own.to_vec()
+    });
+    let sides: Vec<Vec<[u32; 2]>> = sides.collect();
+    let records: Vec<[u32; 6]> = tables.table(surfaces)?;
+    let tags = || records.iter().map(|record| record[4] >> 1);
+    let mut flat = tables.table(tags().filter(|tag| *tag < CURVED).count() as u32)?.into_iter();
+    let mut curved = tables.table(tags().filter(|tag| *tag >= CURVED).count() as u32)?.into_iter();
+    let (mut surfaces, mut roots) = (Vec::with_capacity(records.len()), Vec::with_capacity(records.len()));
+    for [instance, first, last, material, form, root] in records {
+        let of = sides.get(instance as usize).map_or(0, Vec::len);
+        if first as usize >= of || last as usize >= of || (root != NONE && root >= cells) {
+            return Err(INDEX);
+        }
+        let side = if form & 1 == 0 { Side::Front } else { Side::Back };
+        let form = match form >> 1 {
+            tag if tag < CURVED => {
+                let corner = vectors::<3, 9>(&flat.next().ok_or(CUT)?);
+                if tag == 0 { Form::Triangle(corner) } else { Form::Parallelogram(corner) }
+            }
+            tag => {
+                let words: [u32; 20] = curved.next().ok_or(CUT)?;
+                let values = std::array::from_fn(|at| f32::from_bits(words[at]));
+                let [x_axis, y_axis, z_axis, translation] = vectors::<4, 12>(&std::array::from_fn(|at| words[8 + at]));
+                let pose = Affine3A { matrix3: Mat3A { x_axis, y_axis, z_axis }, translation };
+                Form::Curved { shape: shape(tag, &values).ok_or(FieldError::Corrupt("no such form"))?, pose }
+            }
+        };
+        surfaces.push(Surface { instance, primitives: [first, last], material, side, form });
+        roots.push(root);
+    }
+    let records: Vec<[u32; 8]> = tables.table(cells)?;
+    let mut all = Vec::with_capacity(records.len());
+    for (index, [split, next, outline @ ..]) in records.into_iter().enumerate() {
+        let split = match split {
+            0 => Split::None,
+            1 => Split::Half(0),
+            2 => Split::Half(1),
+            3 => Split::Bisection,
+            _ => return Err(FieldError::Corrupt("no such split")),
+        };
+        let is_sound = if split == Split::None { next < leaves } else { is_below(index, next, cells) };
+        if !is_sound {
+            return Err(INDEX);
+        }
+        let [x, y, ax, ay, bx, by] = outline.map(f32::from_bits);
+        let outline = Outline { corner: Vec2::new(x, y), edges: [Vec2::new(ax, ay), Vec2::new(bx, by)] };
+        all.push(Cell { outline, split, next });
+    }
+    let leaves = read_leaves(&mut tables, leaves)?;
+    let records: Vec<[u32; 19]> = tables.table(boxes)?;
+    let mut fog = Vec::with_capacity(records.len());
+    for (index, [next, values @ ..]) in records.into_iter().enumerate() {
+        if next != 0 && !is_below(index, next, boxes) {
+            return Err(INDEX);
+        }
+        let [min, max, mean @ ..] = vectors::<6, 18>(&values);
+        fog.push(FogCell { min, max, next, mean });
+    }
+    if !tables.0.is_empty() {
+        return Err(FieldError::Corrupt("more than its tables"));
+    }
+    Ok(Field { surfaces, roots, cells: all, leaves, sides, fog: FogTree(fog) })
+}
+
+fn read_leaves(tables: &mut Tables<'_>, leaves: u32) -> Result<Vec<Leaf>, FieldError> {
+    let kinds: Vec<[u32; 1]> = tables.table(leaves)?;
+    let count = |wanted: u32| kinds.iter().filter(|[kind]| *kind == wanted).count() as u32;
+    let mut triangles = tables.table::<9>(count(0))?.into_iter();
+    let mut rectangles = tables.table::<12>(count(1))?.into_iter();
+    let mut curved = tables.table::<27>(count(2))?.into_iter();
+    let leaf = |[kind]: &[u32; 1]| match kind {
+        0 => triangles.next().map(|words| Leaf::Triangle(vectors(&words))),
+        1 => rectangles.next().map(|words| Leaf::Rectangle(vectors(&words))),
+        2 => curved.next().map(|words| Leaf::Curved(Harmonics(vectors(&words)))),
+        _ => None,
+    };
+    kinds.iter().map(leaf).collect::<Option<_>>().ok_or(FieldError::Corrupt("no such leaf"))
+}
+
+/// Whether the halves of a node lie behind it, so that no way down comes back.
+fn is_below(index: usize, next: u32, nodes: u32) -> bool {
+    next as usize > index && next < nodes && next + 1 < nodes
+}
+
+/// Words of a front that is read one by one.
+struct Front<'a>(&'a [u8]);
+
+impl Front<'_> {
+    fn word(&mut self) -> Result<u32, FieldError> {
+        let (word, rest) = self.0.split_first_chunk().ok_or(CUT)?;
+        self.0 = rest;
+        Ok(u32::from_le_bytes(*word))
+    }
+
+    fn long(&mut self) -> Result<u64, FieldError> {
+        let (word, rest) = self.0.split_first_chunk().ok_or(CUT)?;
+        self.0 = rest;
+        Ok(u64::from_le_bytes(*word))
+    }
+}
+
+/// Tables that are not read yet.
+struct Tables<'a>(&'a [u8]);
+
+impl Tables<'_> {
+    fn table<const N: usize>(&mut self, records: u32) -> Result<Vec<[u32; N]>, FieldError> {
+        let records = records as usize;
+        let bytes = records.checked_mul(4 * N).ok_or(CUT)?;
+        let (planes, rest) = self.0.split_at_checked(bytes).ok_or(CUT)?;
+        self.0 = rest;
+        let byte = |record: usize, at: usize| planes[at * records + record];
+        let word = |record: usize, at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|k| byte(record, 4 * at + k)));
+        Ok((0..records).map(|record| std::array::from_fn(|at| word(record, at))).collect())
+    }
+}
+
+/// Writes a table in byte planes.
+fn table<const N: usize>(out: &mut Vec<u8>, records: impl Iterator<Item = [u32; N]>) {
+    let records: Vec<[u32; N]> = records.collect();
+    out.reserve(4 * N * records.len());
+    for at in 0..N {
+        for byte in 0..4 {
+            out.extend(records.iter().map(|record| record[at].to_le_bytes()[byte]));
+        }
+    }
+}
+
+/// `W` is 3 `N`.
+fn colors<const N: usize, const W: usize>(values: &[Rgb; N]) -> [u32; W] {
+    std::array::from_fn(|at| values[at / 3][at % 3].to_bits())
+}
+
+/// `W` is 3 `N`.
+fn vectors<const N: usize, const W: usize>(words: &[u32; W]) -> [Vec3A; N] {
+    std::array::from_fn(|at| Vec3A::from_array(std::array::from_fn(|axis| f32::from_bits(words[3 * at + axis]))))
+}
+
+/// The least number of a form that is curved.
+const CURVED: u32 = 2;
+
+/// The number of a form; of a shape two, by the way it faces.
+fn tag(form: &Form) -> u32 {
+    let (shape, facing) = match form {
+        Form::Triangle(_) => return 0,
+        Form::Parallelogram(_) => return 1,
+        Form::Curved { shape: Quadric::Sphere { facing, .. }, .. } => (0, *facing),
+        Form::Curved { shape: Quadric::Cone { facing, .. }, .. } => (1, *facing),
+        Form::Curved { shape: Quadric::Ring { .. }, .. } => (2, Facing::Outward),
+        Form::Curved { shape: Quadric::Torus { facing, .. }, .. } => (3, *facing),
+    };
+    CURVED + 2 * shape + u32::from(facing == Facing::Inward)
+}
+
+/// A shape's own numbers.
+fn numbers(shape: &Quadric) -> [f32; 8] {
+    match *shape {
+        Quadric::Sphere { center: c, radius, .. } => [c.x, c.y, c.z, radius, 0.0, 0.0, 0.0, 0.0],
+        Quadric::Cone { start: s, end: e, start_radius, end_radius, .. } => {
+            [s.x, s.y, s.z, start_radius, e.x, e.y, e.z, end_radius]
+        }
+        Quadric::Ring { center: c, normal: n, inner, outer } => [c.x, c.y, c.z, inner, n.x, n.y, n.z, outer],
+        Quadric::Torus { center: c, axis: a, major, minor, .. } => [c.x, c.y, c.z, major, a.x, a.y, a.z, minor],
+    }
+}
+
+fn shape(tag: u32, values: &[f32; 8]) -> Option<Quadric> {
+    let [x, y, z, first, a, b, c, second] = *values;
+    let (center, other) = (Vec3A::new(x, y, z), Vec3A::new(a, b, c));
+    let facing = if (tag - CURVED) & 1 == 0 { Facing::Outward } else { Facing::Inward };
+    Some(match ((tag - CURVED) >> 1, facing) {
+        (0, facing) => Quadric::Sphere { center, radius: first, facing },
+        (1, facing) => Quadric::Cone { start: center, end: other, start_radius: first, end_radius: second, facing },
+        (2, Facing::Outward) => Quadric::Ring { center, normal: other, inner: first, outer: second },
+        (3, facing) => Quadric::Torus { center, axis: other, major: first, minor: second, facing },
+        _ => return None,
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A field with one of everything.
+    fn one_of_everything() -> Field {
+        let v = |k: f32| Vec3A::new(k, -k, 0.5 * k);
+        let pose = Affine3A { matrix3: Mat3A::from_diagonal(v(2.0).into()), translation: v(7.0) };
+        let facing = Facing::Inward;
+        let curved = |shape| Form::Curved { shape, pose };
+        let forms = [
+            Form::Triangle([v(1.0), v(2.0), v(-0.0)]),
+            Form::Parallelogram([v(3.0), v(f32::MIN_POSITIVE / 4.0), v(5.0)]),
+            curved(Quadric::Sphere { center: v(1.0), radius: 2.0, facing }),
+            curved(Quadric::Cone { start: v(1.0), end: v(2.0), start_radius: 0.1, end_radius: 0.0, facing }),
+            curved(Quadric::Ring { center: v(1.0), normal: v(9.0), inner: 0.0, outer: 4.0 }),
+            curved(Quadric::Torus { center: v(1.0), axis: v(2.0), major: 3.0, minor: 1.0, facing: Facing::Outward }),
+        ];
+        let surface = |(k, form): (u32, Form)| {
+            let side = if k % 2 == 0 { Side::Front } else { Side::Back };
+            Surface { instance: k / 4, primitives: [k % 4 / 2, k % 2], material: 3 * k, side, form }
+        };
+        let outline = |k: f32| Outline { corner: Vec2::new(k, 0.1), edges: [Vec2::X, Vec2::new(0.3, k)] };
+        let cell = |split, next| Cell { outline: outline(next as f32), split, next };
+        let (none, half) = (Split::None, Split::Half(1));
+        let fog = |next| FogCell { min: v(-1.0), max: v(-2.0), next, mean: [v(1.0), v(2.0), v(3.0), v(f32::NAN)] };
+        Field {
+            surfaces: (0..).zip(forms).map(surface).collect(),
+            roots: vec![0, NONE, 3, 5, NONE, 0],
+            cells: vec![
+                cell(half, 1),
+                cell(none, 0),
+                cell(none, 1),
+                cell(Split::Bisection, 4),
+                cell(none, 2),
+                cell(none, 2),
+            ],
+            leaves: vec![
+                Leaf::Curved(Harmonics([v(1.0); 9])),
+                Leaf::Triangle([v(1.0), v(f32::INFINITY), v(3.0)]),
+                Leaf::Rectangle([v(1.0), v(2.0), v(3.0), v(4.0)]),
+            ],
+            sides: vec![vec![[0, 1], [2, NONE]], vec![[4, NONE], [NONE, 5]], vec![]],
+            fog: FogTree(vec![fog(1), fog(0), fog(0)]),
+        }
+    }
+
+    const STATISTICS: Statistics = Statistics {
+        elements: 1,
+        leaves: 2,
+        links: u64::MAX,
+        lamp_links: 4,
+        refused: 5,
+        rays: 6,
+        iterations: 7,
+        bytes: 8,
+        residual: 1e-5,
+    };
+
+    #[test]
+    fn a_field_comes_back_to_the_bit() {
+        for field in [Field::default(), one_of_everything()] {
+            let bytes = field.encode(&STATISTICS);
+            let (again, statistics) = Field::decode(&bytes).unwrap();
+            assert_eq!(format!("{again:?}"), format!("{field:?}"));
+            assert_eq!(statistics, STATISTICS);
+            assert!(again.encode(&statistics) == bytes, "the same field, the same bytes");
+        }
+    }
+
+    #[test]
+    fn a_damaged_byte_is_found_and_another_version_is_named() {
+        let bytes = one_of_everything().encode(&STATISTICS);
+        for at in 0..bytes.len() {
+            let mut damaged = bytes.clone();
+            damaged[at] ^= 0x10;
+            assert!(Field::decode(&damaged).is_err(), "byte {at}");
+            assert!(Field::decode(&bytes[..at]).is_err(), "the first {at} bytes");
+        }
+        let mut newer = bytes;
+        newer[8] = 2;
+        assert_eq!(Field::decode(&newer).err(), Some(FieldError::Version { found: 2, expected: 1 }));
+    }
+
+    #[test]
+    fn indices_that_lead_astray_are_refused() {
+        let refused = |change: fn(&mut Field)| {
+            let mut field = one_of_everything();
+            change(&mut field);
+            Field::decode(&field.encode(&STATISTICS)).is_err()
+        };
+        assert!(refused(|field| field.cells[0].next = 0), "a cell in itself");
+        assert!(refused(|field| field.cells[3].next = 5), "half of a pair");
+        assert!(refused(|field| field.cells[1].next = 3), "no such leaf");
+        assert!(refused(|field| field.roots[0] = 6), "no such cell");
+        assert!(refused(|field| field.sides[0][0][0] = 6), "no such surface");
+        assert!(refused(|field| field.surfaces[0].primitives[1] = 2), "no such primitive");
+        assert!(refused(|field| field.surfaces[0].instance = 3), "no such instance");
+        assert!(refused(|field| field.fog.0[0].next = 2), "half of a pair of boxes");
+        assert!(!refused(|_| ()));
+    }
+
+    #[test]
+    fn a_field_fits_the_surfaces_that_it_was_made_of() {
+        let field = one_of_everything();
+        assert!(field.fits([2, 2, 0].into_iter()));
+        assert!(!field.fits([2, 2].into_iter()) && !field.fits([2, 1, 0].into_iter()));
+    }
+}

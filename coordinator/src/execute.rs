@@ -36,7 +36,7 @@ impl<Q: Queue> Actor<Q> {
                 }
                 Command::Dismiss { worker } => drop(self.workers.remove(&worker)),
                 Command::Answer { request, answer } => self.reply(request, answer),
-                Command::Changed(job) => drop(self.changed.insert(job)),
+                Command::Changed(job) => self.changed.extend(self.scheduler.concerned(job)),
                 Command::Discard(digests) => self.janitor.note(self.clock.now(), digests),
             }
         }

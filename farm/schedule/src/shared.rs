@@ -69,6 +69,14 @@ impl Scheduler {
         jobs.filter(move |job| job.needs(&key))
     }
 
+    /// The jobs whose status may be another when this one has changed: itself, and all that share it.
+    pub fn concerned(&self, job: JobId) -> Vec<JobId> {
+        let Some(shared) = self.ledger.jobs.get(&job).and_then(|known| known.shared.as_ref()) else { return vec![job] };
+        let names = |known: &Job| known.spec.contents.iter().any(|(_, key)| *key == shared.key);
+        let sharing = self.ledger.of_people().filter(|(_, known)| names(known)).map(|(id, _)| id);
+        sharing.chain([job]).collect()
+    }
+
     /// Whether a worker has what the job asks for; of what jobs share, what one of those asks for that wait for it.
     pub(crate) fn fits(&self, worker: &Worker, job: &Job) -> bool {
         match &job.shared {

@@ -283,6 +283,8 @@ fn what_cannot_be_done_at_all_takes_back_the_leases_of_those_that_need_it() {
     assert!(again.task.job.is_shared());
     farm.fail(1, &again, Failure::Scene { message: "no camera".into() });
     assert_eq!((farm.state(id), held(&farm, 1), held(&farm, 2)), (JobState::Failed, None, None));
+    assert_eq!(farm.scheduler.concerned(again.task.job), [id, again.task.job], "who watches the job hears of it");
+    assert_eq!(farm.scheduler.concerned(id), [id]);
 }
 
 #[test]

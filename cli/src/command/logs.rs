@@ -22,9 +22,10 @@ use std::time::Duration;
     femc logs 7 --failed             # failures only\n  \
     femc logs 7 --follow             # go on until the job ends\n  \
     femc logs 7 --json | jq -r '.[] | select(.attempt == \"failed\") | .text'\n\n\
-    Logs of failures and of image tasks are kept with the job, 512 at most; those of tiles that went well are short, and the \
+    Logs of failures, of image tasks and of first passes are kept with the job, 512 at most; those of tiles that went well are short, and the \
     latest of all jobs are kept in the coordinator's memory. A task is named by its job, its frame (0: the job's own stages) and \
-    round, the kind and number of its stage (as in `femc plan`) and its number in the stage. What jobs share is named shared-3.")]
+    round, the kind and number of its stage (as in `femc plan`) and its number in the stage. What jobs share is named shared-3; \
+    its logs are shown with each of them.")]
 pub struct LogsArgs {
     /// The job's number, or a task with its job, like 7/12.0/render.0/3
     #[arg(value_name = "JOB")]

@@ -18,6 +18,7 @@ use std::path::PathBuf;
     \"import pandas; print(pandas.read_parquet('7.parquet').groupby('worker').cpu_seconds.sum())\"\n  \
     femc stats fog --by variant               # of the sweep in the folder fog, without a farm\n  \
     femc stats 7 8 9 --by variant             # of several jobs\n  \
+    femc stats shared-1                       # of what jobs share, like a first pass: `femc logs 7` names it\n  \
     femc stats 7 --json | jq '[.[].cpu_seconds] | add'\n\n\
     An attempt is a lease under which work was begun; it ended done, failed, cancelled (given back, or its job had ended), \
     revoked (it ran out, or another worker was the first) or lost (its worker was gone, and nobody knows what it used). \

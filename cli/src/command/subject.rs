@@ -17,7 +17,7 @@ const KEPT: &str = "jobs";
 /// One that is asked about.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Subject {
-    /// A job of the farm.
+    /// A job of the farm, or what jobs share.
     Job(JobId),
     /// A sweep's folder.
     Sweep(PathBuf),
@@ -27,7 +27,7 @@ impl FromStr for Subject {
     type Err = Infallible;
 
     fn from_str(text: &str) -> Result<Self, Infallible> {
-        Ok(text.parse().map_or_else(|_| Self::Sweep(text.into()), |job| Self::Job(JobId(job))))
+        Ok(text.parse().map_or_else(|_| Self::Sweep(text.into()), Self::Job))
     }
 }
 

@@ -1,7 +1,7 @@
 //! Logs of attempts. Those in the store are few (of failures and of images) and are facts, kept with the job. Those of tiles that
 //! went well are many and small: they travel in the report, and the latest are kept in memory alone.
 
-use std::collections::VecDeque;
+use std::collections::{BTreeSet, VecDeque};
 
 use femc_model::{Epoch, JobId, LogRecord, LogText, Refusal, TaskKey, TaskLog, Tick, WorkerId};
 
@@ -58,13 +58,16 @@ impl Scheduler {
         }
     }
 
-    /// The logs of a job's attempts that were reported since then, oldest first; the latest, where they are very many.
+    /// The logs of attempts at a job's tasks, and at those of what it shares with others, that were reported since then, oldest first;
+    /// the latest, where they are very many.
     pub fn logs(&self, job: JobId, since: Tick) -> Result<Vec<LogRecord>, Refusal> {
         /// Most records of one answer.
         const MOST: usize = 2048;
-        self.job(job)?;
-        let of_tiles = self.logs.records.iter().filter(|record| record.task.job == job);
-        let all = self.ledger.side.logs(job).chain(of_tiles);
+        let keys = self.job(job)?.spec.contents.iter().map(|(_, key)| key);
+        let shared = keys.flat_map(|key| self.ledger.shared_by(key)).map(|(_, id, _)| id);
+        let jobs: BTreeSet<JobId> = shared.chain([job]).collect();
+        let of_tiles = self.logs.records.iter().filter(|record| jobs.contains(&record.task.job));
+        let all = jobs.iter().flat_map(|job| self.ledger.side.logs(*job)).chain(of_tiles);
         let mut all: Vec<LogRecord> = all.filter(|record| record.at >= since).cloned().collect();
         all.sort_by_key(|record| (record.at, record.epoch));
         all.drain(..all.len().saturating_sub(MOST));

@@ -10,7 +10,7 @@ use bytes::Bytes;
 use femc_film::{Frame, Image, Tiling, exr, pixel_digest};
 use femc_import::Bundle;
 use femc_model::{Digest, Grid, JobSpec, Role};
-use femc_pipeline::{Settings, Stop};
+use femc_pipeline::{Method, Settings, Stop};
 use femc_schedule::Config;
 use femc_worker::{Cache, graph};
 
@@ -74,7 +74,7 @@ impl Stage {
     fn grouped(&self, fan: NonZeroU32) -> Self {
         let Grid { film, tile } = self.spec.grid;
         let tiling = Tiling { width: film[0], height: film[1], edge: tile };
-        let graph = graph(&femc_pipeline::stages(&tiling, self.spec.rounds(), fan));
+        let graph = graph(&femc_pipeline::stages(&tiling, self.spec.rounds(), fan, Method::Pt));
         let spec = JobSpec { graph, ..self.spec.clone() };
         Self { spec, ..self.clone() }
     }
@@ -166,7 +166,7 @@ fn stage(rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
         settings: serde_json::to_string(&settings)?,
         frames: FRAMES.to_vec(),
         grid: Grid { film: FILM, tile: TILE },
-        graph: graph(&femc_pipeline::stages(&Tiling::new(FILM[0], FILM[1], TILE)?, rounds, FANS[0])),
+        graph: graph(&femc_pipeline::stages(&Tiling::new(FILM[0], FILM[1], TILE)?, rounds, FANS[0], Method::Pt)),
         contents: vec![],
         priority: 50,
         owner: "me".into(),

@@ -7,15 +7,17 @@
 //! scene once; with equal worlds they differ in the camera alone ([`femc_pipeline::prepare`]); and else unchanged
 //! surfaces are taken over from any other frame of any variant.
 //!
-//! Scenes and frames are bounded by their number (2 and 3): what a frame takes follows from its scene, and frames of a
-//! scene share what does not change. The pieces that scenes are made of are bounded by their bytes, see [`Pieces`].
+//! The light of a first pass is fetched and read once for all frames and tiles of its world, known by its artifact's digest.
+//!
+//! Scenes, frames and lights are bounded by their number (2, 3 and 2): what a frame takes follows from its scene, and frames of
+//! a scene share what does not change. The pieces that scenes are made of are bounded by their bytes, see [`Pieces`].
 
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use femc_metrics::{Counter, Page};
-use femc_model::{Digest, Failure, JobSpec};
-use femc_pipeline::{FrameKey, Prepared, Settings, Source};
+use femc_model::{Artifact, Digest, Failure, JobSpec};
+use femc_pipeline::{Field, FrameKey, Prepared, Settings, Source};
 use femc_proto::Client;
 
 use crate::Pieces;
@@ -34,7 +36,8 @@ pub(crate) struct Read {
 }
 
 impl Read {
-    fn frame_key(&self, frame: u32) -> Result<FrameKey, Failure> {
+    /// What a frame is made from.
+    pub(crate) fn frame_key(&self, frame: u32) -> Result<FrameKey, Failure> {
         if let Some(frame_key) = lock(&self.keys).get(&frame) {
             return Ok(*frame_key);
         }
@@ -55,8 +58,10 @@ struct Shelves {
     sources: Shelf<Digest, Source>,
     /// Scenes with a job's overrides.
     scenes: Shelf<Digest, Arc<Read>>,
-    /// Frames by what they are made from, with their first pass or without.
-    frames: Shelf<(FrameKey, bool), Arc<Prepared>>,
+    /// Frames by what they are made from, and by the light that they have of a first pass, if of any.
+    frames: Shelf<(FrameKey, Option<Digest>), Arc<Prepared>>,
+    /// Lights of first passes.
+    fields: Shelf<Digest, Arc<Field>>,
     pieces: Pieces,
 }
 
@@ -72,6 +77,9 @@ impl Cache {
 
     /// Most prepared frames, unless [`Cache::new`] says otherwise.
     const FRAMES: usize = 3;
+
+    /// Most lights of first passes.
+    const FIELDS: usize = 2;
 
     /// Keeps at most `frames` prepared frames; they share what does not change between them.
     pub fn new(frames: usize) -> Self {
@@ -89,6 +97,7 @@ impl Cache {
             sources: Shelf::new(sources),
             scenes: Shelf::new(Self::SCENES),
             frames: Shelf::new(frames),
+            fields: Shelf::new(Self::FIELDS),
             pieces,
         }))
     }
@@ -98,17 +107,20 @@ impl Cache {
         self.0.sources.clear();
         self.0.scenes.clear();
         self.0.frames.clear();
+        self.0.fields.clear();
     }
 
     /// Puts on the page what was found here and what was not.
     pub(crate) fn put(&self, page: &mut Page) {
-        let Shelves { sources, scenes, frames, pieces } = &*self.0;
+        let Shelves { sources, scenes, frames, fields, pieces } = &*self.0;
         let looks = [
             ("files", &sources.hits, &sources.misses),
             ("scenes", &scenes.hits, &scenes.misses),
             ("frames", &frames.hits, &frames.misses),
+            ("first passes", &fields.hits, &fields.misses),
         ];
-        let help = "Looks for something that is made ready once, by what it was: scene files, scenes, frames.";
+        let help =
+            "Looks for something that is made ready once, by what it was: scene files, scenes, frames, first passes.";
         let family = page.counter("femc_worker_cache_lookups_total", help);
         looks.into_iter().fold(family, |family, (cache, hits, misses)| {
             let family = family.with(&[("cache", cache), ("outcome", "hit")], hits.get() as f64);
@@ -125,25 +137,72 @@ impl Cache {
     }
 
     /// The frame, ready to render.
+    /// - `light`: what the first pass of its world has found; a job whose method has a first pass reads one.
     pub(crate) fn frame(
+        &self,
+        spec: &JobSpec,
+        frame: u32,
+        light: Option<Artifact>,
+        client: &Client,
+        fetch: &Fetch,
+    ) -> Result<(Arc<Read>, Arc<Prepared>), Failure> {
+        let read = self.scene(spec, client, fetch)?;
+        if read.settings.method.has_first_pass() != light.is_some() {
+            let message = "a method with a first pass, and no other, has a stage of that kind, whose output is read";
+            return Err(Failure::Settings { message: message.into() });
+        }
+        self.prepared(read, frame, light, client, fetch)
+    }
+
+    /// The frame, as it is before its first pass.
+    pub(crate) fn world(
         &self,
         spec: &JobSpec,
         frame: u32,
         client: &Client,
         fetch: &Fetch,
     ) -> Result<(Arc<Read>, Arc<Prepared>), Failure> {
-        let read = self.scene(spec, client, fetch)?;
+        self.prepared(self.scene(spec, client, fetch)?, frame, None, client, fetch)
+    }
+
+    fn prepared(
+        &self,
+        read: Arc<Read>,
+        frame: u32,
+        light: Option<Artifact>,
+        client: &Client,
+        fetch: &Fetch,
+    ) -> Result<(Arc<Read>, Arc<Prepared>), Failure> {
         let frame_key = read.frame_key(frame)?;
-        let first_pass = read.settings.method.has_first_pass();
-        let same_world =
-            |passes: bool| self.0.frames.latest(|(other, has)| other.world == frame_key.world && *has == passes);
+        let same_world = || self.0.frames.latest(|(other, _)| other.world == frame_key.world);
         let same_surfaces = || self.0.frames.latest(|(other, _)| other.static_digest == frame_key.static_digest);
-        let prepared = self.0.frames.get_or((frame_key, first_pass), || {
-            let previous = same_world(first_pass).or_else(|| same_world(!first_pass)).or_else(same_surfaces);
-            let prepared = femc_pipeline::prepare(&read.source, &read.settings, frame, previous.as_deref());
-            prepared.map(Arc::new).map_err(|error| Failure::Scene { message: error.to_string() })
+        let prepared = self.0.frames.get_or((frame_key, light.map(|light| light.digest)), || {
+            let field = light.map(|light| Ok((light, self.field(light, client, fetch)?))).transpose()?;
+            let previous = same_world().or_else(same_surfaces);
+            let prepared = femc_pipeline::prepare_world(&read.source, &read.settings, frame, previous.as_deref());
+            let mut prepared = prepared.map_err(|error| Failure::Scene { message: error.to_string() })?;
+            prepared.field = None;
+            if let Some((light, field)) = field {
+                femc_pipeline::light(&mut prepared, field).map_err(|error| lost(light, &error))?;
+            }
+            Ok(Arc::new(prepared))
         })?;
         Ok((read, prepared))
+    }
+
+    /// The light of a first pass.
+    fn field(&self, light: Artifact, client: &Client, fetch: &Fetch) -> Result<Arc<Field>, Failure> {
+        self.0.fields.get_or(light.digest, || {
+            let bytes = fetch.all(client, &[light]).pop().unwrap_or(Err(Failure::Cancelled))?;
+            let (field, _) = Field::decode(&bytes).map_err(|error| lost(light, &error))?;
+            Ok(Arc::new(field))
+        })
+    }
+
+    /// Keeps the light of a first pass that was solved here.
+    pub(crate) fn keep_field(&self, digest: Digest, field: Arc<Field>) {
+        // It is there or put there: that does not fail.
+        let _ = self.0.fields.slot(digest).get_or(|| Ok(field));
     }
 
     fn read(&self, spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Read, Failure> {
@@ -176,6 +235,11 @@ impl Cache {
     pub(crate) fn is_empty(&self) -> bool {
         lock(&self.0.frames.slots).is_empty() && lock(&self.0.scenes.slots).is_empty()
     }
+}
+
+/// A light that is of no use: it is made again.
+fn lost(light: Artifact, error: &dyn std::fmt::Display) -> Failure {
+    Failure::LostInputs { digests: vec![light.digest], message: error.to_string() }
 }
 
 fn files_key(spec: &JobSpec) -> Digest {

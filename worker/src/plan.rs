@@ -3,9 +3,15 @@
 use femc_model::{Graph, Loop, Need, Reach, Role, Round, Scope, StageKind, Template};
 use femc_pipeline as engine;
 
+/// The tag of workers that know first passes. Those of earlier versions cannot read the graph of a job that has one, so all its stages
+/// ask for it.
+pub const FIRST_PASS: &str = "first-pass";
+
 /// The stages of a plan, as a job has them.
 pub fn graph(stages: &[engine::Stage]) -> Graph {
-    Graph { stages: stages.iter().map(template).collect() }
+    let has_first_pass = stages.iter().any(|stage| stage.kind == engine::StageKind::FirstPass);
+    let tags: &[&str] = if has_first_pass { &[FIRST_PASS] } else { &[] };
+    Graph { stages: stages.iter().map(|stage| template(stage).tags(tags)).collect() }
 }
 
 fn template(stage: &engine::Stage) -> Template {
@@ -16,10 +22,12 @@ fn template(stage: &engine::Stage) -> Template {
             engine::StageKind::Reduce => StageKind::Reduce,
             engine::StageKind::Decide => StageKind::Decide,
             engine::StageKind::Image => StageKind::Image,
+            engine::StageKind::FirstPass => StageKind::FirstPass,
         },
         scope: match scope {
             engine::Scope::Job => Scope::Job,
             engine::Scope::Frame => Scope::Frame,
+            engine::Scope::Content => Scope::Content,
         },
         sizes: sizes.iter().copied().collect(),
         steps: steps.clone(),
@@ -59,6 +67,7 @@ fn role(role: &engine::Role) -> Role {
         engine::Role::Stops => Role::Stops,
         engine::Role::Image => Role::Image,
         engine::Role::Preview => Role::Preview,
+        engine::Role::Field => Role::Field,
     }
 }
 
@@ -77,10 +86,15 @@ mod tests {
             for rounds in [&[4][..], &[4, 8, 16]] {
                 for fan in [1, 3, 4, 1000].map(|fan| NonZeroU32::new(fan).unwrap()) {
                     let tiling = Tiling::new(film[0], film[1], 16).unwrap();
-                    let graph = graph(&engine::stages(&tiling, rounds, fan));
-                    assert_eq!(graph.check(), Ok(()), "{film:?} {rounds:?} {fan}");
-                    let (_, main) = graph.main().unwrap();
-                    assert_eq!((&main.sizes, &main.steps[..]), (&Grid { film, tile: 16 }.sizes(), rounds));
+                    for method in [engine::Method::Pt, engine::Method::Fem] {
+                        let graph = graph(&engine::stages(&tiling, rounds, fan, method));
+                        assert_eq!(graph.check(), Ok(()), "{film:?} {rounds:?} {fan} {method:?}");
+                        let (number, main) = graph.main().unwrap();
+                        assert_eq!((&main.sizes, &main.steps[..]), (&Grid { film, tile: 16 }.sizes(), rounds));
+                        assert_eq!(graph.reads_content(number), method.has_first_pass());
+                        let tags: &[&str] = if method.has_first_pass() { &[FIRST_PASS] } else { &[] };
+                        assert!(graph.stages.iter().all(|stage| stage.tags == tags), "{method:?}");
+                    }
                 }
             }
         }

@@ -5,8 +5,8 @@ use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, OnceLock, PoisonError};
 
 use femc_model::{
-    Assignment, Digest, Epoch, Failure, HeldLease, JobSpec, KindRow, Lane, LogPlace, Phase, TaskKey, TaskProgress,
-    Usage,
+    Artifact, Assignment, Digest, Epoch, Failure, HeldLease, JobSpec, KindRow, Lane, LogPlace, Phase, Role, TaskKey,
+    TaskProgress, Usage,
 };
 use femc_proto::Client;
 use tokio::sync::Notify;
@@ -95,6 +95,11 @@ impl Task {
     /// What the farm knows of its kind.
     pub(crate) fn row(&self) -> KindRow {
         self.assignment.task.stage.kind.row()
+    }
+
+    /// The light that the first pass of its frame's world has found, where it reads one.
+    pub(crate) fn light(&self) -> Option<Artifact> {
+        self.assignment.work.of_role(Role::Field).next().map(|input| input.output.artifact)
     }
 
     /// Where its log goes, if the attempt ends so.

@@ -54,7 +54,7 @@ pub(crate) fn start(
             let Some(task) = table.get(&task).filter(|_| memory.has_room_ahead()) else { continue };
             let fetch = fetch.of(&task);
             // The task itself meets the same failure, and reports it.
-            let prepare = || drop(cache.frame(&spec, frame, &client, &fetch));
+            let prepare = || drop(cache.frame(&spec, frame, task.light(), &client, &fetch));
             let _ = std::panic::catch_unwind(std::panic::AssertUnwindSafe(prepare));
         }
     })?;

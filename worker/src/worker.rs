@@ -21,6 +21,7 @@ use crate::memory::Memory;
 use crate::meter::Meter;
 use crate::nice::Nice;
 use crate::outbox::Outbox;
+use crate::plan::FIRST_PASS;
 use crate::session::{End, Session};
 use crate::table::{Table, Task};
 use crate::{availability, simulated, threads};
@@ -66,7 +67,7 @@ impl Worker {
             engine: config.engine.clone(),
             threads: pool.current_num_threads() as u32,
             slots: 1,
-            tags: config.tags.clone(),
+            tags: offered(&config.tags),
             held: Vec::new(),
             died: None,
         };
@@ -160,4 +161,13 @@ impl Worker {
         let _ = tokio::task::spawn_blocking(move || outbox.close()).await;
         outcome
     }
+}
+
+/// The tags that a worker offers: those that it was given, and what this version knows.
+fn offered(tags: &[String]) -> Vec<String> {
+    let mut tags = tags.to_vec();
+    if !tags.iter().any(|tag| tag == FIRST_PASS) {
+        tags.push(FIRST_PASS.to_owned());
+    }
+    tags
 }

@@ -358,14 +358,31 @@ pub fn job_spec(asked: &Asked, scene: &Parcel, frames: Vec<u32>) -> Result<JobSp
         bundle: scene.digest(),
         entry: asked.entry(),
         settings: serde_json::to_string(&asked.settings).map_err(failed)?,
+        contents: contents(asked, &frames)?,
         frames,
         grid: Grid { film: asked.film(), tile: asked.plan.tiling.edge },
         graph: femc_worker::graph(&asked.plan.stages),
-        contents: vec![],
         priority: asked.priority.unwrap_or(DEFAULT_PRIORITY),
         owner: user(),
         tags: asked.tags.clone(),
     })
+}
+
+/// What the frames' first passes depend on, in runs of frames that share one; nothing where the method has none.
+pub fn contents(asked: &Asked, frames: &[u32]) -> Result<Vec<(u32, Digest)>, Failure> {
+    if !asked.plan.method.has_first_pass() {
+        return Ok(Vec::new());
+    }
+    let mut runs: Vec<(u32, Digest)> = Vec::new();
+    for (place, &frame) in (1..).zip(frames) {
+        let frame_key = femc_pipeline::frame_key(&asked.source, &asked.settings, frame).map_err(failed)?;
+        let key = Digest::from_bytes(femc_pipeline::first_pass_key(&frame_key));
+        match runs.last_mut() {
+            Some((end, other)) if *other == key => *end = place,
+            _ => runs.push((place, key)),
+        }
+    }
+    Ok(runs)
 }
 
 /// Priority of a job that asks for none.

@@ -2,7 +2,7 @@
 
 use crate::args::{ExtrasArgs, FormatArgs, SettingsArgs};
 use crate::clock::Clock;
-use crate::command::sweep;
+use crate::command::{client, sweep};
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Say, human, json};
 use crate::request::{Asked, JobFile, is_job};
@@ -12,6 +12,7 @@ use femc_pipeline::{LeftOut, PrepareError, Prepared, Stop};
 use serde::Serialize;
 use std::collections::BTreeSet;
 use std::path::PathBuf;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::Duration;
 
@@ -70,6 +71,8 @@ struct Report {
     tasks: u64,
     /// Different worlds that the frames are of, whatever the camera does: what frames with one have in common could be done once.
     worlds: usize,
+    /// Solutions of the first pass that the frames share: one for each world, around its origin; 0 where the method has none.
+    first_passes: usize,
     samples_least: u64,
     samples_most: u64,
     cost: Option<Cost>,
@@ -81,6 +84,8 @@ struct Report {
 pub struct Cost {
     /// A frame made ready, s.
     pub prepare_seconds: f64,
+    /// A first pass solved, s; 0 where the method has none.
+    pub first_pass_seconds: f64,
     /// Rate of camera samples.
     pub samples_per_second: f64,
     seconds_least: f64,
@@ -113,9 +118,10 @@ pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
     args.extras.wish(asked.rate(&plan.frames))?.add_to(&mut graph, frames as u32);
     let (samples_least, samples_most) =
         (plan.samples_per_frame(least) * frames, plan.samples_per_frame(rounds) * frames);
+    let first_passes = first_passes(&asked)?;
     let cost = match run {
         Trial::Skip => None,
-        Trial::Run => Some(trial(&asked, samples_least, samples_most)?),
+        Trial::Run => Some(trial(&asked, first_passes, samples_least, samples_most)?),
     };
     let report = Report {
         scene: args.scene.display().to_string(),
@@ -127,9 +133,12 @@ pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
         tile: plan.tiling.edge,
         tiles: plan.tiling.count(),
         rounds: plan.rounds.clone(),
-        tasks: graph.tasks(Scope::Frame) * frames + graph.tasks(Scope::Job),
+        tasks: graph.tasks(Scope::Frame) * frames
+            + graph.tasks(Scope::Job)
+            + graph.tasks(Scope::Content) * first_passes as u64,
         graph,
         worlds: worlds(&asked)?,
+        first_passes,
         samples_least,
         samples_most,
         cost,
@@ -149,13 +158,26 @@ fn worlds(asked: &Asked) -> Result<usize, Failure> {
     Ok(contents.map_err(failed)?.len())
 }
 
+fn first_passes(asked: &Asked) -> Result<usize, Failure> {
+    let contents = client::contents(asked, &asked.plan.frames)?;
+    Ok(contents.iter().map(|(_, key)| key).collect::<BTreeSet<_>>().len())
+}
+
 /// Render a few blocks all over the first frame and count what a sample costs.
-pub fn trial(asked: &Asked, samples_least: u64, samples_most: u64) -> Result<Cost, Failure> {
+/// - `first_passes`: solutions that the frames share.
+pub fn trial(asked: &Asked, first_passes: usize, samples_least: u64, samples_most: u64) -> Result<Cost, Failure> {
     let (clock, plan) = (Clock, &asked.plan);
     let frame = plan.frames.first().copied().unwrap_or(1);
     let begun = clock.now();
-    let prepared = femc_pipeline::prepare(&asked.source, &asked.settings, frame, None).map_err(failed)?;
+    let mut prepared = femc_pipeline::prepare_world(&asked.source, &asked.settings, frame, None).map_err(failed)?;
     let prepare_seconds = clock.since(begun).as_secs_f64();
+    let mut first_pass_seconds = 0.0;
+    if plan.method.has_first_pass() {
+        let begun = clock.now();
+        let solution = femc_pipeline::first_pass(&prepared, &AtomicBool::new(false)).map_err(failed)?;
+        first_pass_seconds = clock.since(begun).as_secs_f64();
+        femc_pipeline::light(&mut prepared, Arc::new(solution.field)).map_err(failed)?;
+    }
     let begun = clock.now();
     let mut samples = 0;
     for round in 0.. {
@@ -165,7 +187,7 @@ pub fn trial(asked: &Asked, samples_least: u64, samples_most: u64) -> Result<Cos
         }
     }
     let samples_per_second = samples as f64 / clock.since(begun).as_secs_f64();
-    let all_prepared = prepare_seconds * plan.frames.len() as f64;
+    let all_prepared = prepare_seconds * plan.frames.len() as f64 + first_pass_seconds * first_passes as f64;
     let budget = match asked.settings.stop {
         Stop::Time(seconds) => Some(seconds * plan.frames.len() as f64),
         Stop::Spp(_) | Stop::Error(_) => None,
@@ -178,7 +200,7 @@ pub fn trial(asked: &Asked, samples_least: u64, samples_most: u64) -> Result<Cos
         let samples = samples_a_pixel * width * height * plan.frames.len() as f64;
         Likely { samples_a_pixel, seconds: seconds(samples as u64).clamp(seconds_least, seconds_most) }
     });
-    Ok(Cost { prepare_seconds, samples_per_second, seconds_least, seconds_most, likely })
+    Ok(Cost { prepare_seconds, first_pass_seconds, samples_per_second, seconds_least, seconds_most, likely })
 }
 
 /// Samples a pixel that a frame is likely to need for its error; `None` where that is not what ends it.
@@ -236,6 +258,14 @@ fn print(say: Say, report: &Report) {
         worlds => {
             say.result(format!("the frames are of {worlds} worlds; among those of one, nothing changes but the view"));
         }
+    }
+    if report.first_passes > 0 {
+        say.result(match (report.first_passes, frames.len()) {
+            (1, 1) => "the first pass is solved before the frame's samples".to_owned(),
+            (1, all) => format!("the first pass is solved once, and all {all} frames share it"),
+            (solutions, all) if solutions == all => "every frame has a first pass of its own".to_owned(),
+            (solutions, all) => format!("the first pass is solved {solutions} times, and {all} frames share them"),
+        });
     }
     if let Some(cost) = &report.cost {
         let range = match (report.stop, &cost.likely) {

@@ -109,7 +109,7 @@ impl Base {
         let plan = femc_pipeline::plan(scene, &settings, frames.as_deref());
         let mut plan = plan.map_err(|e| refused(&self.path, &e, &named))?;
         if let Some(fan) = pretended(Pretense::Fan).and_then(|fan| fan.parse().ok()) {
-            plan.stages = femc_pipeline::stages(&plan.tiling, &plan.rounds, fan);
+            plan.stages = femc_pipeline::stages(&plan.tiling, &plan.rounds, fan, plan.method);
         }
         Ok(Asked {
             path: self.path.clone(),

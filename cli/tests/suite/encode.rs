@@ -90,7 +90,11 @@ fn a_clip_waits_for_a_worker_that_has_ffmpeg_which_gets_every_frame() {
     assert!(sheetless.stderr().contains("cannot be had yet"), "{}", sheetless.stderr());
     let _able = start("bin");
     place.run(&format!("watch {job} --server {url}")).exits(0);
-    assert!(workers(&place, &url).to_string().contains(r#""tags":["ffmpeg"]"#), "{}", workers(&place, &url));
+    assert!(
+        workers(&place, &url).to_string().contains(r#""tags":["ffmpeg","first-pass"]"#),
+        "{}",
+        workers(&place, &url)
+    );
     let json = place.run(&format!("fetch {job} -o out --server {url} --json")).exits(0).json();
     assert_eq!((json["video"].as_str(), json["contact_sheet"].as_str()), (Some("out/clip.mp4"), Some("out/sheet.png")));
     assert_eq!(std::fs::read(place.path("out/clip.mp4")).expect("a clip").len(), 3 * 8 * 4 * 3);

@@ -12,6 +12,7 @@ mod farm;
 mod faults;
 mod field;
 mod fireflies;
+mod first_pass;
 mod gc;
 mod inspect;
 mod interrupt;

@@ -7,6 +7,7 @@
 pub mod account;
 mod allocation;
 mod budget;
+mod first_pass;
 mod in_process;
 pub mod pilot;
 mod plan;
@@ -17,13 +18,14 @@ mod settings;
 mod stage;
 
 pub use allocation::{Allocation, AllocationError};
-pub use femc_field::{Field, Form, Side};
+pub use femc_field::{Field, FieldError, Form, Side, Statistics as FirstPassStatistics};
 pub use femc_prepared::{PrepareError, Prepared, Source};
 pub use femc_radiosity::{self as radiosity, Report as FirstPassReport, Solution};
 pub use femc_scene::FrameKey;
+pub use first_pass::{OtherWorld, encode_solution, first_pass, first_pass_key, light};
 pub use in_process::{RenderedFrame, RoundEnd, by_rounds, render_frame};
 pub use plan::{LeftOut, Plan, PlanError, plan};
-pub use render::{Places, RenderError, RenderedTile, first_pass, frame_key, prepare, render_tile};
+pub use render::{Places, RenderError, RenderedTile, frame_key, prepare, prepare_world, render_tile};
 /// Names the build of the engine: of two programs that say the same, the same job gives the same bits (`build.rs` says what is in
 /// the name, `tests/builds` compares).
 pub const BUILD: &str = env!("FEMC_ENGINE");

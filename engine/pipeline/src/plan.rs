@@ -93,8 +93,8 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
     if let Some(allocation) = &settings.allocation {
         allocation.check_tiles(&tiling).map_err(SettingsError::Allocation)?;
     }
-    let stages = stages(&tiling, &rounds, fan(&tiling));
     let method = if settings.method == Method::Fem { Method::Fem } else { Method::Pt };
+    let stages = stages(&tiling, &rounds, fan(&tiling), method);
     let left_out = |what: &str, reason: &str| LeftOut { what: what.into(), reason: reason.into() };
     let mut left_out = match method {
         Method::Fem => {

@@ -1,17 +1,18 @@
 //! Frames made ready and tiles rendered.
 
+use crate::first_pass::first_pass;
 use crate::settings::{Method, Settings};
 use femc_film::{FilmError, Filter, Rect, Sample, Tile};
 use femc_montecarlo::{Counters, PathSettings, PixelFilter, Tracer};
 use femc_prepared::{FrameSpec, PrepareError, Prepared, Source};
-use femc_radiosity::Solution;
 use femc_scene::FrameKey;
 use rayon::prelude::*;
 use std::ops::Range;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 
-/// Makes frame `frame` (from 1) of `source`, which has the overrides applied, ready to render.
+/// Makes frame `frame` (from 1) of `source`, which has the overrides applied, ready to render; solves its first pass, where the method
+/// has one.
 /// `previous`: any other frame; what the two have in common is shared.
 pub fn prepare(
     source: &Source,
@@ -19,7 +20,7 @@ pub fn prepare(
     frame: u32,
     previous: Option<&Prepared>,
 ) -> Result<Prepared, PrepareError> {
-    let mut prepared = femc_prepared::prepare(source, &spec(settings, frame), previous)?;
+    let mut prepared = prepare_world(source, settings, frame, previous)?;
     if settings.method.has_first_pass() && prepared.field.is_none() {
         let Ok(solution) = first_pass(&prepared, &AtomicBool::new(false)) else { return Ok(prepared) };
         prepared.field = Some(Arc::new(solution.field));
@@ -27,10 +28,14 @@ pub fn prepare(
     Ok(prepared)
 }
 
-/// Solves the finite-element first pass of a prepared frame: its light, and what it took. It depends on the frame's world alone.
-/// - errors: `cancel` was set.
-pub fn first_pass(prepared: &Prepared, cancel: &AtomicBool) -> Result<Solution, RenderError> {
-    femc_radiosity::solve(prepared, &femc_radiosity::Options::default(), cancel).map_err(|_| RenderError::Cancelled)
+/// The same, but for the first pass: [`first_pass`](crate::first_pass()) solves it, [`light`](crate::light) takes what was solved before.
+pub fn prepare_world(
+    source: &Source,
+    settings: &Settings,
+    frame: u32,
+    previous: Option<&Prepared>,
+) -> Result<Prepared, PrepareError> {
+    femc_prepared::prepare(source, &spec(settings, frame), previous)
 }
 
 /// What [`prepare`] would make the frame from.

@@ -5,7 +5,10 @@
 //!
 //! A frame of several rounds always has groups, though it be one. A decision closes the loop: it reads the errors of all tiles,
 //! some kilobytes, and says how many samples each tile gets in the next round. The image is made once, behind the loop.
+//!
+//! A method with a first pass has it before all others, once for all frames of one world; each tile reads its light.
 
+use crate::Method;
 use femc_film::Tiling;
 use serde::{Deserialize, Serialize};
 use std::num::NonZeroU32;
@@ -43,6 +46,8 @@ pub enum StageKind {
     Decide,
     /// Measures a frame and writes its image.
     Image,
+    /// Solves the first pass of a world.
+    FirstPass,
 }
 
 /// What has a stage once.
@@ -52,6 +57,8 @@ pub enum Scope {
     Job,
     /// Every frame.
     Frame,
+    /// What frames and jobs share that name one key.
+    Content,
 }
 
 /// What an output is.
@@ -71,6 +78,8 @@ pub enum Role {
     Image,
     /// The same, tone-mapped.
     Preview,
+    /// The light that a first pass has found.
+    Field,
 }
 
 /// Outputs of one role of a stage, which the tasks of another read.
@@ -139,33 +148,41 @@ pub fn fan(tiling: &Tiling) -> NonZeroU32 {
     NonZeroU32::new(tiles).unwrap_or(NonZeroU32::MIN)
 }
 
-/// The stages of a job of frames: tiles, groups of `fan` of them where there are more or several rounds, a decision where there
-/// are several rounds, the image.
+/// The stages of a job of frames: the first pass where the method has one, tiles, groups of `fan` of them where there are more or
+/// several rounds, a decision where there are several rounds, the image.
 /// - `rounds`: samples a pixel at the end of each round, ascending.
-pub fn stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32) -> Vec<Stage> {
+pub fn stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Method) -> Vec<Stage> {
     let groups = (tiling.count() as u32).div_ceil(fan.get());
     let render = Stage::of_frame(StageKind::Render, areas(tiling), &[Role::Tile]);
-    let mut all = vec![Stage { steps: rounds.to_vec(), ..render }];
+    let mut render = Stage { steps: rounds.to_vec(), ..render };
+    let mut all = Vec::new();
+    if method.has_first_pass() {
+        let first_pass = Stage::of_frame(StageKind::FirstPass, vec![(1, 1)], &[Role::Field]);
+        all.push(Stage { scope: Scope::Content, ..first_pass });
+        render = render.reads(0, Role::Field, Reach::All);
+    }
+    let first = all.len() as u16;
+    all.push(render);
     let reduce = |makes: &[Role]| {
         let reduce = Stage::of_frame(StageKind::Reduce, vec![(groups, 1)], makes);
-        reduce.reads(0, Role::Tile, Reach::Fan(fan))
+        reduce.reads(first, Role::Tile, Reach::Fan(fan))
     };
-    let mut finished = (1, Role::Pixels);
+    let mut finished = (first + 1, Role::Pixels);
     if rounds.len() > 1 {
         // What unites the tiles goes on with its sums of the round before, and with what was decided then; so does the decision.
         let before = |stage, role, reach| Need { stage, role, reach, round: Round::Before };
-        let stops = before(2, Role::Stops, Reach::All);
+        let stops = before(first + 2, Role::Stops, Reach::All);
         let mut reduce = reduce(&[Role::Pixels, Role::Errors, Role::Sums]);
-        reduce.needs.extend([before(1, Role::Sums, Reach::Same), stops]);
+        reduce.needs.extend([before(first + 1, Role::Sums, Reach::Same), stops]);
         let decide = Stage::of_frame(StageKind::Decide, vec![(1, 1)], &[Role::Stops]);
-        let mut decide = decide.reads(1, Role::Errors, Reach::All);
+        let mut decide = decide.reads(first + 1, Role::Errors, Reach::All);
         decide.needs.push(stops);
-        let closes = Some(Loop { first: 0, rounds: rounds.len() as u32 });
+        let closes = Some(Loop { first, rounds: rounds.len() as u32 });
         all.extend([reduce, Stage { closes, ..decide }]);
     } else if groups > 1 {
         all.push(reduce(&[Role::Pixels]));
     } else {
-        finished = (0, Role::Tile);
+        finished = (first, Role::Tile);
     }
     let image = Stage::of_frame(StageKind::Image, vec![(1, 1)], &[Role::Image, Role::Preview]);
     all.push(image.reads(finished.0, finished.1, Reach::All));
@@ -188,7 +205,7 @@ mod tests {
 
     fn kinds(film: [u32; 2], edge: u32, rounds: &[u32]) -> Vec<StageKind> {
         let tiling = tiling(film, edge);
-        stages(&tiling, rounds, fan(&tiling)).iter().map(|stage| stage.kind).collect()
+        stages(&tiling, rounds, fan(&tiling), Method::Pt).iter().map(|stage| stage.kind).collect()
     }
 
     #[test]
@@ -204,7 +221,7 @@ mod tests {
         assert_eq!(kinds([256, 256], 16, &[4]), [Render, Image]);
         assert_eq!(kinds([272, 256], 16, &[4]), [Render, Reduce, Image]);
         let tiling = tiling([100, 50], 32);
-        let all = stages(&tiling, &[4], NonZeroU32::new(3).unwrap());
+        let all = stages(&tiling, &[4], NonZeroU32::new(3).unwrap(), Method::Pt);
         assert_eq!(all[0].sizes, [(3, 1024), (1, 128), (3, 576), (1, 72)]);
         assert_eq!(all[1].sizes, [(3, 1)], "8 tiles in threes");
     }
@@ -218,14 +235,39 @@ mod tests {
         let tiling = tiling([64, 64], 16);
         for fan in [3, 16].map(|fan| NonZeroU32::new(fan).unwrap()) {
             let makes = |rounds: &[u32], role: Role| -> Vec<bool> {
-                stages(&tiling, rounds, fan).iter().map(|stage| stage.makes.contains(&role)).collect()
+                stages(&tiling, rounds, fan, Method::Pt).iter().map(|stage| stage.makes.contains(&role)).collect()
             };
             for role in [Role::Sums, Role::Errors] {
                 assert!(!makes(&[8], role).contains(&true));
                 assert_eq!(makes(&[4, 8], role), [false, true, false, false]);
             }
-            let closes = |rounds: &[u32]| stages(&tiling, rounds, fan).iter().rposition(|stage| stage.closes.is_some());
+            let closes = |rounds: &[u32]| {
+                stages(&tiling, rounds, fan, Method::Pt).iter().rposition(|stage| stage.closes.is_some())
+            };
             assert_eq!((closes(&[8]), closes(&[4, 8, 16])), (None, Some(2)));
+        }
+    }
+
+    #[test]
+    fn a_method_with_a_first_pass_has_it_once_a_world_and_only_tiles_read_it() {
+        let (tiling, method) = (tiling([272, 256], 16), Method::Fem);
+        for rounds in [&[4][..], &[4, 8]] {
+            let without = stages(&tiling, rounds, fan(&tiling), Method::Pt);
+            let with = stages(&tiling, rounds, fan(&tiling), method);
+            let [first_pass, render, others @ ..] = &with[..] else { panic!("{with:?}") };
+            assert_eq!((first_pass.kind, first_pass.scope), (StageKind::FirstPass, Scope::Content));
+            assert_eq!((&first_pass.sizes[..], &first_pass.makes[..]), (&[(1, 1)][..], &[Role::Field][..]));
+            assert_eq!(render.needs.iter().map(|need| need.role).collect::<Vec<_>>(), [Role::Field]);
+            assert!(
+                others.iter().flat_map(|stage| &stage.needs).all(|need| need.role != Role::Field && need.stage > 0)
+            );
+            // All others are as without it, one place further on.
+            for (stage, before) in [render].into_iter().chain(others).zip(&without) {
+                let needs = stage.needs.iter().filter(|need| need.role != Role::Field);
+                let needs = needs.map(|need| Need { stage: need.stage - 1, ..*need }).collect();
+                let closes = stage.closes.map(|closes| Loop { first: closes.first - 1, ..closes });
+                assert_eq!(Stage { needs, closes, ..stage.clone() }, *before);
+            }
         }
     }
 }

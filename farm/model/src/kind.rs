@@ -18,6 +18,8 @@ pub enum StageKind {
     Decide,
     /// Shows frames under one exposure, and makes a contact sheet or a clip of them.
     Encode,
+    /// What is solved once for all frames of one content, before their samples.
+    FirstPass,
 }
 
 /// Tasks of one lane are done one after the other, those of different lanes side by side.
@@ -79,7 +81,8 @@ pub struct KindRow {
 
 impl StageKind {
     /// All, in the order of the table.
-    pub const ALL: [Self; 6] = [Self::Render, Self::Reduce, Self::Image, Self::Drill, Self::Decide, Self::Encode];
+    pub const ALL: [Self; 7] =
+        [Self::Render, Self::Reduce, Self::Image, Self::Drill, Self::Decide, Self::Encode, Self::FirstPass];
 
     /// Its row of the table.
     pub fn row(self) -> KindRow {
@@ -94,6 +97,8 @@ impl StageKind {
             Self::Decide => row("decide", "inputs", Join, false, Near::Inputs, Report),
             // An encoder of videos takes all threads, too.
             Self::Encode => row("encode", "inputs", Compute, false, Near::Inputs, Report),
+            // One a content, and long: its log is kept.
+            Self::FirstPass => row("first-pass", "solutions", Compute, false, Near::Inputs, Store),
         }
     }
 
@@ -151,6 +156,8 @@ pub enum Role {
     Clip,
     /// Where the samples of tiles end that count in a frame.
     Stops,
+    /// What a first pass has found.
+    Field,
 }
 
 /// A row of the roles' table.
@@ -166,7 +173,7 @@ pub struct RoleRow {
 
 impl Role {
     /// All, in the order of the table.
-    pub const ALL: [Self; 15] = [
+    pub const ALL: [Self; 16] = [
         Self::Tile,
         Self::Sums,
         Self::Pixels,
@@ -182,6 +189,7 @@ impl Role {
         Self::Sheet,
         Self::Clip,
         Self::Stops,
+        Self::Field,
     ];
 
     /// Its row of the table.
@@ -203,6 +211,7 @@ impl Role {
             Self::Sheet => row("sheet", true, false),
             Self::Clip => row("clip", true, false),
             Self::Stops => row("stops", false, false),
+            Self::Field => row("field", false, false),
         }
     }
 

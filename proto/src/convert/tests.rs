@@ -361,7 +361,7 @@ fn nonsense_is_refused_by_name() {
 
 #[test]
 fn kinds_and_roles_are_numbered_on_the_wire_as_in_the_farm_s_tables() {
-    let named = |prefix: &str, name: &str| format!("{prefix}_{}", name.to_uppercase());
+    let named = |prefix: &str, name: &str| format!("{prefix}_{}", name.to_uppercase().replace('-', "_"));
     for kind in StageKind::ALL {
         let wire = wire::StageKind::try_from(wire::TaskKey::from(task(kind)).kind).unwrap();
         assert_eq!(wire.as_str_name(), named("STAGE_KIND", kind.name()));

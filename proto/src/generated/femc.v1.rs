@@ -91,10 +91,17 @@ pub struct JobSpec {
     /// REDUCE: where there are more than `n` tiles, or several rounds; `n` is 256, or fewer that have 262144 pixels together. It
     ///      reads the TILE of `n` tasks each, makes PIXELS. With several rounds it makes ERRORS and SUMS, too, and reads its own
     ///      SUMS of the round before, of the task of its number.
-    /// DECIDE: where there are several rounds: one task of one unit, which closes the loop that begins with the first stage. It
+    /// DECIDE: where there are several rounds: one task of one unit, which closes the loop that begins with RENDER. It
     ///      reads all ERRORS, and makes nothing but its decision. With the stop rule `error` a tile whose error is as asked for
     ///      gets no samples in the next round, and the others get those planned.
     /// IMAGE: one task of one unit. It reads all PIXELS, or, without a REDUCE stage, all TILE, and makes IMAGE and PREVIEW.
+    /// ```
+    ///
+    /// Before these, for each content, with the method `fem`:
+    ///
+    /// ```text
+    /// FIRST_PASS: one task of one unit. It makes FIELD, which each RENDER task reads. A worker that knows this kind offers the tag
+    ///      `first-pass`: all stages of such a job ask for it, as others cannot even read the job's graph.
     /// ```
     #[prost(message, optional, tag = "9")]
     pub graph: ::core::option::Option<Graph>,
@@ -1819,6 +1826,8 @@ pub enum Role {
     Clip = 14,
     /// Where the samples of tiles end that count in a frame.
     Stops = 15,
+    /// The light that a first pass has found.
+    Field = 16,
 }
 impl Role {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -1843,6 +1852,7 @@ impl Role {
             Self::Sheet => "ROLE_SHEET",
             Self::Clip => "ROLE_CLIP",
             Self::Stops => "ROLE_STOPS",
+            Self::Field => "ROLE_FIELD",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -1864,6 +1874,7 @@ impl Role {
             "ROLE_SHEET" => Some(Self::Sheet),
             "ROLE_CLIP" => Some(Self::Clip),
             "ROLE_STOPS" => Some(Self::Stops),
+            "ROLE_FIELD" => Some(Self::Field),
             _ => None,
         }
     }
@@ -1972,6 +1983,8 @@ pub enum StageKind {
     Decide = 5,
     /// Shows frames under one exposure, and makes a contact sheet or a clip of them.
     Encode = 6,
+    /// Solves the finite-element first pass of a frame's world.
+    FirstPass = 7,
 }
 impl StageKind {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -1987,6 +2000,7 @@ impl StageKind {
             Self::Drill => "STAGE_KIND_DRILL",
             Self::Decide => "STAGE_KIND_DECIDE",
             Self::Encode => "STAGE_KIND_ENCODE",
+            Self::FirstPass => "STAGE_KIND_FIRST_PASS",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -1999,6 +2013,7 @@ impl StageKind {
             "STAGE_KIND_DRILL" => Some(Self::Drill),
             "STAGE_KIND_DECIDE" => Some(Self::Decide),
             "STAGE_KIND_ENCODE" => Some(Self::Encode),
+            "STAGE_KIND_FIRST_PASS" => Some(Self::FirstPass),
             _ => None,
         }
     }
@@ -2394,8 +2409,8 @@ pub mod jobs_client {
             req.extensions_mut().insert(GrpcMethod::new("femc.v1.Jobs", "Parts"));
             self.inner.unary(req, path, codec).await
         }
-        /// What workers wrote down while they did the job's tasks: of failures and of image tasks as long as the job is known, of
-        /// others the latest. Who may: viewers. NOT_FOUND: there is no such job.
+        /// What workers wrote down while they did the job's tasks, and those of what it shares with others: of failures, image tasks and
+        /// first passes as long as the job is known, of others the latest. Who may: viewers. NOT_FOUND: there is no such job.
         pub async fn logs(
             &mut self,
             request: impl tonic::IntoRequest<super::LogsRequest>,
@@ -2570,8 +2585,8 @@ pub mod jobs_server {
             &self,
             request: tonic::Request<super::PartsRequest>,
         ) -> std::result::Result<tonic::Response<super::PartsReply>, tonic::Status>;
-        /// What workers wrote down while they did the job's tasks: of failures and of image tasks as long as the job is known, of
-        /// others the latest. Who may: viewers. NOT_FOUND: there is no such job.
+        /// What workers wrote down while they did the job's tasks, and those of what it shares with others: of failures, image tasks and
+        /// first passes as long as the job is known, of others the latest. Who may: viewers. NOT_FOUND: there is no such job.
         async fn logs(
             &self,
             request: tonic::Request<super::LogsRequest>,

@@ -1,15 +1,19 @@
 //! What lies in the store, in the log and on workers' disks.
 
 use std::collections::BTreeMap;
+use std::sync::atomic::AtomicBool;
 
 use bytes::Bytes;
 use femc_film::{Errors, Frame, Levels, Piece, Rect, Sample, Tile, Tiling};
+use femc_geometry::Hit;
 use femc_import::Bundle;
 use femc_math::Rgb;
+use femc_math::glam::Vec3A;
 use femc_model::{
     Artifact, Assignment, AttemptRecord, Control, Cut, Digest, Drain, Ending, Epoch, Grid, JobId, JobSpec, Manifest,
     More, Output, Role, Stage, StageKind, TaskKey, TaskResult, Tick, Work, testing::frames,
 };
+use femc_pipeline::{Field, Settings, Side, Source, encode_solution, first_pass as first_pass_of, prepare_world};
 use femc_schedule::{Fact, Ledger, decode_attempts, encode_attempts};
 use femc_worker::{Parcel, decode_sums, testing};
 
@@ -21,6 +25,7 @@ const LIMIT: u64 = 1 << 20;
 pub(super) fn targets() -> Vec<Target> {
     let mut all = scenes();
     all.extend(film());
+    all.extend(first_pass());
     all.extend(log());
     all
 }
@@ -153,6 +158,52 @@ fn film() -> Vec<Target> {
         Target::of("levels", vec![levels], |bytes| Levels::decode(bytes).is_ok()),
         Target::of("sums", vec![sums], |bytes| decode_sums(bytes).is_ok()),
     ]
+}
+
+/// The light of a floor, a ball and fog, as the first pass finds it.
+fn first_pass() -> Vec<Target> {
+    let text = "camera main =\n  origin .2 .2 .2\n  target .8 .8 .8\n  fov 60\n  film 8 8\n\
+        medium air =\n  sigma_s .5\nmbox air 0 0 0 1 1 1\nm lamp =\n  ed 100\nv l =\n  p .5 .5 .9\nsph l .05\n\
+        m wall =\n  sides 1\n  rd .5\nv a =\n  p 0 0 0\nv b =\n  p 1 0 0\nv c =\n  p 1 1 0\nv d =\n  p 0 1 0\nf a b c d\n\
+        v e =\n  p .2 .9 .8\nf a b e\nv f =\n  p .6 .5 .3\nsph f .2\n";
+    let source = Source::new(crate::scene(text));
+    let prepared = prepare_world(&source, &Settings::default(), 1, None).expect("a frame");
+    let mut solution = first_pass_of(&prepared, &AtomicBool::new(false)).expect("a solution");
+    // A little of it will do.
+    solution.field.fog.0.truncate(1);
+    solution.field.fog.0.iter_mut().for_each(|cell| cell.next = 0);
+    let encoded = encode_solution(&solution);
+    let tables = zstd::bulk::decompress(&encoded[FIELD_FRONT..], 1 << 26).expect("what was compressed");
+    let front = encoded[..FIELD_FRONT - 8].to_vec();
+    let dress = move |tables: &[u8]| {
+        let compressed = zstd::bulk::compress(tables, 1).expect("it compresses");
+        sealed(&[&front[..], &(tables.len() as u64).to_le_bytes(), &compressed].concat())
+    };
+    let is_field = |bytes: &[u8]| {
+        let Ok((field, statistics)) = Field::decode(bytes) else { return false };
+        // What is accepted can be asked for light at any of its surfaces, and is one again.
+        for (instance, sides) in (0..).zip(&field.sides) {
+            for primitive in 0..sides.len() as u32 {
+                let hit = Hit { t: 1.0, instance, primitive, u: 0.3, v: 0.6 };
+                let [front, _] = [Side::Front, Side::Back].map(|side| field.irradiance(&hit, side, hit_at(), Vec3A::Z));
+                let _ = (front, field.fog.mean_radiance(hit_at()));
+            }
+        }
+        assert!(Field::decode(&field.encode(&statistics)).is_ok());
+        true
+    };
+    vec![
+        Target::of("field", vec![encoded.clone()], is_field),
+        Target::dressed("field, header", vec![encoded], sealed, is_field),
+        Target::dressed("field, tables", vec![tables], dress, is_field),
+    ]
+}
+
+/// Bytes of an encoded field before its tables.
+const FIELD_FRONT: usize = 28 + 8 * 8 + 4 + 6 * 4 + 8;
+
+fn hit_at() -> Vec3A {
+    Vec3A::new(0.4, 0.3, 0.2)
 }
 
 /// Its checksum made right again.

@@ -1,7 +1,10 @@
 //! The finite-element first pass: closed forms, references, and inputs that break finite elements.
 
 use femc_math::glam::Vec3A;
-use femc_pipeline::{Method, Settings, Side, Solution, Source, Stop, first_pass, prepare};
+use femc_pipeline::{
+    Field, Method, Settings, Side, Solution, Source, Stop, encode_solution, first_pass, first_pass_key, frame_key,
+    light, prepare, prepare_world,
+};
 use femc_tests::reference::{Reference, rooms};
 use femc_tests::{render, scene};
 use std::f64::consts::PI;
@@ -150,6 +153,45 @@ fn threads_change_no_bit() {
         format!("{:?}", pool.install(|| solve(&text)))
     });
     assert!(solved[0] == solved[1], "the solution depends on the number of threads");
+}
+
+#[test]
+fn a_solution_comes_back_from_its_bytes_to_the_bit_and_lights_the_frame_as_it_does_itself() {
+    let text = format!(
+        "{}m box =\n  rd .5\nprism p0 p1 p2 p3 -.2\nm ball =\n  rd .3\nsph p6 .3\n",
+        furnace(0.4, "medium air =\n  sigma_s 1\nmbox air 0 0 0 1 1 1\n")
+    );
+    let solution = solve(&text);
+    let bytes = encode_solution(&solution);
+    let (field, statistics) = Field::decode(&bytes).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(format!("{field:?}"), format!("{:?}", solution.field));
+    assert_eq!((statistics.links, statistics.residual), (solution.report.links as u64, solution.report.residual));
+    assert!(field.encode(&statistics) == bytes && bytes.len() < solution.field.memory());
+    let source = Source::new(scene(&text));
+    let mut world = prepare_world(&source, &Settings::default(), 1, None).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(light(&mut world, Arc::new(field.clone())), Ok(()));
+    let other = Source::new(scene(&furnace(0.4, "")));
+    let mut other = prepare_world(&other, &Settings::default(), 1, None).unwrap_or_else(|e| panic!("{e}"));
+    assert!(light(&mut other, Arc::new(field)).is_err() && other.field.is_none(), "it is of other surfaces");
+}
+
+#[test]
+fn frames_share_a_first_pass_if_nothing_but_the_view_changes() {
+    let text = |origin: &str, rd: &str| {
+        let cube = cube();
+        format!("camera main =\n  origin {origin}\n  target .8 .6 .7\n  fov 90\n  film 24 24\nm w =\n  rd {rd}\n{cube}")
+    };
+    let key = |text: &str, settings: &Settings| {
+        let found = frame_key(&Source::new(scene(text)), settings, 1).unwrap_or_else(|e| panic!("{e}"));
+        first_pass_key(&found)
+    };
+    let settings = Settings::default();
+    let here = key(&text(".3 .4 .2", ".5"), &settings);
+    let other = Settings { size: Some([99, 7]), seed: 9, stop: Stop::Spp(3), method: Method::Fem, ..settings.clone() };
+    assert_eq!(here, key(&text(".3 .4 .2", ".5"), &other), "neither film, seed, samples nor method count");
+    assert_eq!(here, key(&text(".6 .4 100", ".5"), &settings), "nor the camera");
+    assert_ne!(here, key(&text(".3 .4 .2", ".6"), &settings), "the world does");
+    assert_ne!(here, key(&text(".3 .4 200", ".5"), &settings), "and where the coordinates begin");
 }
 
 #[test]

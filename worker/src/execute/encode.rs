@@ -108,7 +108,10 @@ impl Wish {
         }
         let tiles = graph.stages[usize::from(render)].tasks();
         graph.stages[usize::from(render)].makes.push(Role::Thumbnail);
-        let mut push = |template: Template| {
+        // Who cannot read the job's graph can do nothing of it.
+        let asked = graph.stages[usize::from(render)].tags.clone();
+        let mut push = |mut template: Template| {
+            template.tags.extend_from_slice(&asked);
             graph.stages.push(template);
             graph.stages.len() as u16 - 1
         };

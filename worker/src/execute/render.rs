@@ -14,7 +14,8 @@ pub(crate) fn render(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     let (key, Work { item, steps: samples, .. }) = (task.assignment.task, &task.assignment.work);
     task.enter(Phase::Preparing);
     let preparing = Stopwatch::start();
-    let (read, prepared) = tools.cache.frame(&task.spec, key.stage.frame, &task.client, &tools.fetch)?;
+    let light = task.light();
+    let (read, prepared) = tools.cache.frame(&task.spec, key.stage.frame, light, &task.client, &tools.fetch)?;
     task.account.prepared(preparing.elapsed());
     tracing::debug!(frame = key.stage.frame, seconds = preparing.seconds(), "the frame is ready");
     let grid = task.spec.grid;

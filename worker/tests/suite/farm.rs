@@ -5,12 +5,15 @@ use crate::common;
 use std::collections::BTreeMap;
 use std::future::pending;
 use std::num::NonZeroU32;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::time::Duration;
 
 use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log};
 use femc_film::{Image, Tiling, exr, pixel_digest};
 use femc_import::Bundle;
 use femc_model::*;
-use femc_pipeline::{Settings, Stop};
+use femc_pipeline::{Method, Settings, Source, Stop};
 use femc_proto::Client;
 use femc_store::Store;
 use femc_worker::Worker;
@@ -102,7 +105,7 @@ async fn until(client: &Client, job: JobId, wanted: impl Fn(&JobStatus) -> bool)
 fn grouped(settings: &Settings, fan: u32) -> (JobSpec, Vec<u8>) {
     let (spec, bundle) = job(SCENE, settings);
     let tiling = Tiling::new(spec.grid.film[0], spec.grid.film[1], spec.grid.tile).unwrap();
-    let stages = femc_pipeline::stages(&tiling, &settings.rounds(), NonZeroU32::new(fan).unwrap());
+    let stages = femc_pipeline::stages(&tiling, &settings.rounds(), NonZeroU32::new(fan).unwrap(), settings.method);
     (JobSpec { graph: femc_worker::graph(&stages), ..spec }, bundle)
 }
 
@@ -293,7 +296,12 @@ fn halves(stop: Stop, fan: u32) -> (JobSpec, Vec<u8>) {
     let settings = settings(stop);
     let (spec, bundle) = job(&format!("{SCENE}{HALVES}"), &settings);
     let rounds = if let Stop::Spp(spp) = stop { vec![spp] } else { vec![16, 32, 64] };
-    let stages = femc_pipeline::stages(&Tiling::new(48, 32, 16).unwrap(), &rounds, NonZeroU32::new(fan).unwrap());
+    let stages = femc_pipeline::stages(
+        &Tiling::new(48, 32, 16).unwrap(),
+        &rounds,
+        NonZeroU32::new(fan).unwrap(),
+        settings.method,
+    );
     (JobSpec { graph: femc_worker::graph(&stages), frames: vec![1, 3], ..spec }, bundle)
 }
 
@@ -414,7 +422,7 @@ async fn a_worker_waits_for_its_coordinator_and_impatient_ones_give_up() {
     let url = format!("http://{address}");
     let impatient = femc_worker::Config {
         threads: 1,
-        patience: Some(std::time::Duration::from_millis(1)),
+        patience: Some(Duration::from_millis(1)),
         ..femc_worker::Config::new(url.clone())
     };
     let error = Worker::run(impatient, pending()).await.unwrap_err();
@@ -426,5 +434,76 @@ async fn a_worker_waits_for_its_coordinator_and_impatient_ones_give_up() {
     let id = submit(&client, job(SCENE, &settings(Stop::Spp(4)))).await;
     assert_eq!(until(&client, id, |_| false).await.state, JobState::Done);
     patient.abort();
+    farm.stop().await.unwrap();
+}
+
+/// The job without fog, whose light is found by elements: the floor, and so the world, is another in each frame.
+fn with_first_pass() -> (JobSpec, Vec<u8>) {
+    let settings = Settings { stop: Stop::Spp(64), method: Method::Fem, ..Settings::default() };
+    let scene = SCENE.replace("vary medium.haze.sigma_s = 0 0.05 1 0.4", "vary material.gray.rd = 0 0.1 1 0.8");
+    let scene = scene.replace("mbox haze -1 -1 -1 1 1 1\n", "").replace("sigma_s 0.05", "sigma_s 0");
+    let (spec, bundle) = job(&scene, &settings);
+    let files = Bundle::decode(&bundle, 1 << 20).unwrap();
+    let source = Source::new(Arc::new(femc_import::load(&files, &spec.entry).unwrap().scene));
+    let content = |&frame: &u32| {
+        let frame_key = femc_pipeline::frame_key(&source, &settings, frame).unwrap();
+        (frame, Digest::from_bytes(femc_pipeline::first_pass_key(&frame_key)))
+    };
+    (JobSpec { contents: spec.frames.iter().map(content).collect(), ..spec }, bundle)
+}
+
+/// Files below a folder that hold the light of a first pass.
+fn fields(folder: &Path) -> Vec<PathBuf> {
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten().map(|entry| entry.path());
+    let is_field = |path: &PathBuf| std::fs::read(path).is_ok_and(|bytes| bytes.starts_with(b"FEMCFELD"));
+    entries.flat_map(|path| if path.is_dir() { fields(&path) } else { vec![path] }).filter(is_field).collect()
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn the_light_of_a_first_pass_that_is_lost_is_found_again_and_the_pixels_are_the_same() {
+    let mut all = Vec::new();
+    for is_lost in [false, true] {
+        let folder = tempfile::tempdir().unwrap();
+        let artifacts = folder.path().join("artifacts");
+        let config = Config { artifacts: Artifacts::Folder(artifacts.clone()), ..Config::default() };
+        let farm = Coordinator::start(config).await.unwrap();
+        let client = Client::connect(&farm.url()).await.unwrap();
+        let id = submit(&client, with_first_pass()).await;
+        let first = worker(&farm, 1);
+        if is_lost {
+            while fields(&artifacts).is_empty() {
+                tokio::time::sleep(Duration::from_millis(2)).await;
+            }
+            first.abort();
+            assert_ne!(client.status(id).await.unwrap().state, JobState::Done);
+            fields(&artifacts).iter().for_each(|field| std::fs::remove_file(field).unwrap());
+        }
+        let second = worker(&farm, 2);
+        let status = until(&client, id, |_| false).await;
+        assert_eq!((status.state, status.frames_done), (JobState::Done, 3), "{status:?}");
+        all.push(pixels(&client, id).await);
+        [first, second].iter().for_each(JoinHandle::abort);
+        farm.stop().await.unwrap();
+    }
+    assert_eq!(all[0], all[1]);
+    assert_ne!(all[0][0], all[0][2], "each frame has its own world's light");
+}
+
+#[tokio::test(flavor = "multi_thread", worker_threads = 2)]
+async fn a_first_pass_under_another_s_key_and_frames_without_one_fail_the_job() {
+    let farm = Coordinator::start(Config::default()).await.unwrap();
+    let client = Client::connect(&farm.url()).await.unwrap();
+    let one = worker(&farm, 1);
+    let (spec, bundle) = with_first_pass();
+    let foreign = JobSpec { contents: vec![(3, Digest::of(b"another world"))], ..spec.clone() };
+    let graph = common::graph(spec.grid, &settings(Stop::Spp(64)));
+    let without = JobSpec { graph, contents: vec![], ..spec };
+    for (spec, said) in [(foreign, "not what its key says"), (without, "a stage of that kind")] {
+        let id = submit(&client, (spec, bundle.clone())).await;
+        let status = until(&client, id, |_| false).await;
+        assert_eq!(status.state, JobState::Failed, "{status:?}");
+        assert!(format!("{status:?}").contains(said), "{status:?}");
+    }
+    one.abort();
     farm.stop().await.unwrap();
 }

@@ -69,9 +69,9 @@ fn cost(work: &Work, shares: &Shares) -> Result<Option<Cost>, Failure> {
         Stop::Error(_) | Stop::Time(_) => None,
     });
     let Some(samples) = samples else { return Ok(None) };
-    let tried = trial(&work.first, 0, 0)?;
+    let tried = trial(&work.first, 1, 0, 0)?;
     let seconds = |prepared: usize, samples: u64| {
-        tried.prepare_seconds * prepared as f64 + samples as f64 / tried.samples_per_second
+        (tried.prepare_seconds + tried.first_pass_seconds) * prepared as f64 + samples as f64 / tried.samples_per_second
     };
     Ok(Some(Cost {
         prepare_seconds: tried.prepare_seconds,

@@ -17,7 +17,7 @@ use tokio::sync::{mpsc, watch};
 use tokio_stream::wrappers::UnboundedReceiverStream;
 
 /// A lamp over a floor in fog; two tiles.
-const SCENE: &str = "
+pub const SCENE: &str = "
 camera main =
     origin 0 -3 1
     target 0 0 0.5
@@ -51,7 +51,12 @@ sph e 0.2
 /// The stages of frames of these tiles.
 pub fn graph(grid: Grid, settings: &Settings) -> Graph {
     let tiling = Tiling::new(grid.film[0], grid.film[1], grid.tile).unwrap();
-    femc_worker::graph(&femc_pipeline::stages(&tiling, &settings.rounds(), femc_pipeline::fan(&tiling)))
+    femc_worker::graph(&femc_pipeline::stages(
+        &tiling,
+        &settings.rounds(),
+        femc_pipeline::fan(&tiling),
+        settings.method,
+    ))
 }
 
 /// A job of one frame of two tiles, and its bundle.

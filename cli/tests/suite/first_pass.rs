@@ -1,0 +1,140 @@
+//! The first pass on a farm: one task for each world, whoever solves it, and the same bytes.
+
+use std::collections::BTreeMap;
+
+use crate::common::{FOG, Place, Running, coordinator, names, pixels, status, submit};
+use femc_model::{Digest, Role, TaskKey};
+use femc_queue::Queue as _;
+use femc_schedule::Fact;
+
+/// The room, in which nothing changes but the view.
+fn place() -> Place {
+    let place = Place::new();
+    let text = FOG.replace("vary medium.fog.sigma_s = 0 0.02 1 0.3", "vary camera.main.fov = 0 40 1 30");
+    assert_ne!(text, FOG);
+    place.write("still.mgf", &text);
+    place
+}
+
+/// By the log: how many first passes were begun, and the solution of each, by its task.
+async fn solutions(place: &Place) -> (usize, BTreeMap<TaskKey, Digest>) {
+    let mut log = femc_queue::Sqlite::open(&place.path("farm.db")).await.expect("a log");
+    let (mut begun, mut done) = (0, BTreeMap::new());
+    for record in log.load().await.expect("its records").records {
+        match Fact::decode(&record).expect("a fact").1 {
+            Fact::Shared { .. } => begun += 1,
+            Fact::Done { task, result, .. } if task.job.is_shared() => {
+                let field = result.outputs.iter().find(|output| output.role == Role::Field).expect("a field");
+                assert!(done.insert(task, field.artifact.digest).is_none(), "{task} counts twice");
+            }
+            _ => {}
+        }
+    }
+    (begun, done)
+}
+
+fn run<T>(work: impl Future<Output = T>) -> T {
+    tokio::runtime::Runtime::new().expect("a runtime").block_on(work)
+}
+
+/// Asks for frames of a scene with a first pass; the job's number.
+fn ask(place: &Place, url: &str, scene: &str) -> String {
+    let line = format!("submit {scene} --server {url} --method fem --spp 4 --frames 1..2");
+    place.run(&line).exits(0).stdout().trim().to_owned()
+}
+
+/// The job's frames are those of one process.
+fn claim_frames(place: &Place, url: &str, job: &str, scene: &str, threads: u32) {
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    let line = format!("render {scene} -o alone --method fem --spp 4 --frames 1..2 --threads {threads}");
+    place.run(&line).exits(0);
+    let frames = names(&place.path("alone"));
+    assert!(frames.len() >= 2, "{frames:?}");
+    for frame in frames {
+        assert_eq!(pixels(&place.path("out").join(&frame)), pixels(&place.path("alone").join(&frame)), "{frame}");
+    }
+}
+
+#[test]
+fn frames_of_one_world_have_one_first_pass_and_neither_workers_nor_threads_change_a_bit() {
+    let mut fields = Vec::new();
+    for (workers, threads) in [(1, 2), (3, 1)] {
+        let place = place();
+        let (mut farm, url) = coordinator(&place, 0);
+        let _workers: Vec<Running> =
+            (0..workers).map(|_| place.start(&format!("worker --join {url} --threads {threads}"))).collect();
+        let job = ask(&place, &url, "still.mgf");
+        claim_frames(&place, &url, &job, "still.mgf", 3 - threads);
+        farm.kill();
+        let (begun, done) = run(solutions(&place));
+        assert_eq!((begun, done.len()), (1, 1), "{done:?}");
+        fields.extend(done.into_values());
+    }
+    assert_eq!(fields[0], fields[1], "the same solution to the bit");
+}
+
+#[test]
+fn every_world_has_a_first_pass_of_its_own_and_a_second_job_finds_them_there() {
+    let place = place();
+    let (mut farm, url) = coordinator(&place, 0);
+    let _worker = place.start(&format!("worker --join {url} --threads 2"));
+    let first = ask(&place, &url, "fog.mgf");
+    claim_frames(&place, &url, &first, "fog.mgf", 1);
+    let line = format!("submit fog.mgf --server {url} --method fem --spp 1 --seed 7 --size 16x16 --frames 2");
+    let second = place.run(&line).exits(0).stdout().trim().to_owned();
+    place.run(&format!("watch {second} --server {url}")).exits(0);
+    let paths = submit(&place, &url, "--method pt --spp 1 --frames 1");
+    place.run(&format!("watch {paths} --server {url}")).exits(0);
+    farm.kill();
+    let (begun, done) = run(solutions(&place));
+    assert_eq!((begun, done.len()), (2, 2), "one for each fog, none for the other jobs: {done:?}");
+}
+
+#[test]
+fn a_worker_that_is_killed_while_it_solves_costs_the_others_one_solution() {
+    let place = place();
+    let (mut farm, url) = coordinator(&place, 0);
+    let token = place.path("token");
+    let line = format!("worker --join {url} --threads 1 --outbox memory");
+    let fault = format!("worker-before-task:1:{}", token.display());
+    let mut victim = Running::of(place.command(&line).env("FEMC_FAULT", fault));
+    let job = ask(&place, &url, "still.mgf");
+    victim.wait_until("its task", || token.exists());
+    let why = place.run(&format!("status {job} --why --server {url}")).exits(0).stdout();
+    assert!(why.contains("first-pass"), "{why}");
+    let _other = place.start(&line);
+    assert!(victim.kill(), "it was alive");
+    claim_frames(&place, &url, &job, "still.mgf", 1);
+    assert_eq!(status(&place, &url, &job)["state"], "done");
+    let logs = place.run(&format!("logs {job} --server {url}")).exits(0).stdout();
+    assert!(logs.contains("first-pass") && logs.contains("links="), "what it was made of is in its log: {logs}");
+    let task = place.run(&format!("logs shared-1/0.0/first-pass.0/0 --json --server {url}")).exits(0).json();
+    assert_eq!(task.as_array().map(Vec::len), Some(1), "{task}");
+    let stats = place.run(&format!("stats shared-1 --by task --server {url}")).exits(0).stdout();
+    assert!(stats.contains("first-pass"), "{stats}");
+    farm.kill();
+    let (begun, done) = run(solutions(&place));
+    assert_eq!((begun, done.len()), (1, 1), "{done:?}");
+}
+
+#[test]
+fn a_plan_says_how_many_solutions_the_frames_share() {
+    let place = place();
+    let plan = |line: &str| place.run(&format!("plan {line} --no-trial")).exits(0).stdout();
+    let shared = plan("still.mgf --method fem --frames 1..4");
+    assert!(shared.contains("first-pass") && shared.contains("solved once, and all 4 frames share it"), "{shared}");
+    assert!(!shared.contains("finite-element first pass: path tracing"), "{shared}");
+    let own = plan("fog.mgf --method fem --frames 1..4");
+    assert!(own.contains("every frame has a first pass of its own"), "{own}");
+    let none = plan("still.mgf --frames 1..4");
+    assert!(!none.contains("solved") && none.contains("finite-element first pass: path tracing"), "{none}");
+    let count = |line: &str| {
+        let plan = place.run(&format!("plan {line} --no-trial --json")).exits(0).json();
+        (plan["first_passes"].clone(), plan["tasks"].as_u64(), plan["graph"]["stages"].as_array().map(Vec::len))
+    };
+    let (with, tasks, stages) = count("still.mgf --method fem --spp 4 --frames 1..4");
+    let (without, fewer, before) = count("still.mgf --method pt --spp 4 --frames 1..4");
+    assert_eq!((with, without), (1.into(), 0.into()));
+    assert_eq!((tasks, stages), (fewer.map(|n| n + 1), before.map(|n| n + 1)));
+}

@@ -1,0 +1,65 @@
+//! The first pass as a piece of work of its own: what its solution depends on, and the solution as bytes.
+
+use crate::render::RenderError;
+use femc_field::{Field, Statistics};
+use femc_prepared::Prepared;
+use femc_radiosity::{Options, Report, Solution};
+use femc_scene::FrameKey;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+/// How exact every solution is, and what it may take.
+fn options() -> Options {
+    Options::default()
+}
+
+/// Solves the finite-element first pass of a prepared frame: its light, and what it took. It depends on what
+/// [`first_pass_key`] is a digest of, and on nothing else.
+/// - errors: `cancel` was set.
+pub fn first_pass(prepared: &Prepared, cancel: &AtomicBool) -> Result<Solution, RenderError> {
+    femc_radiosity::solve(prepared, &options(), cancel).map_err(|_| RenderError::Cancelled)
+}
+
+/// Digest of all that a solution depends on: the frame's world around its origin, and the options of the first pass. Neither film,
+/// camera, seed nor samples: frames with equal keys share the solution.
+pub fn first_pass_key(frame_key: &FrameKey) -> [u8; 32] {
+    let Options { error, memory } = options();
+    let mut hasher = blake3::Hasher::new();
+    hasher.update(b"femc first pass 1");
+    hasher.update(&frame_key.world.0);
+    hasher.update(&error.to_bits().to_le_bytes());
+    hasher.update(&(memory as u64).to_le_bytes());
+    *hasher.finalize().as_bytes()
+}
+
+/// A solution as bytes: [`Field::decode`] reads them.
+pub fn encode_solution(solution: &Solution) -> Vec<u8> {
+    let Report { elements, leaves, links, lamp_links, refused, rays, iterations, residual, bytes } = solution.report;
+    let statistics = Statistics {
+        elements: elements as u64,
+        leaves: leaves as u64,
+        links: links as u64,
+        lamp_links: lamp_links as u64,
+        refused: refused as u64,
+        rays,
+        iterations: iterations as u64,
+        bytes: bytes as u64,
+        residual,
+    };
+    solution.field.encode(&statistics)
+}
+
+/// Gives a frame the light that the first pass of its world has found.
+/// - errors: it is the light of other surfaces.
+pub fn light(prepared: &mut Prepared, field: Arc<Field>) -> Result<(), OtherWorld> {
+    if !field.fits(prepared.instances.iter().map(|group| group.compiled.primitives.len())) {
+        return Err(OtherWorld);
+    }
+    prepared.field = Some(field);
+    Ok(())
+}
+
+/// A field is not one of a frame's surfaces.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the light of the first pass is of other surfaces than the frame's")]
+pub struct OtherWorld;

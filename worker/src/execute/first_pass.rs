@@ -1,0 +1,61 @@
+//! The first pass of a world: what is solved once for all frames, and all jobs, that are of it.
+
+use std::sync::Arc;
+use std::sync::atomic::Ordering;
+
+use femc_model::{Digest, Failure, Phase, Role, Template};
+use femc_pipeline::{FirstPassReport, RenderError};
+
+use super::{Product, Tools, unfit};
+use crate::clock::Stopwatch;
+use crate::table::Task;
+
+pub(crate) fn first_pass(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
+    let spec = &task.spec;
+    task.enter(Phase::Preparing);
+    let watch = Stopwatch::start();
+    // Any frame of the content: they differ in nothing that the solution depends on.
+    let frame = *spec.frames.first().ok_or_else(|| unfit("a first pass of no frame"))?;
+    let read = tools.cache.scene(spec, &task.client, &tools.fetch)?;
+    if !read.settings.method.has_first_pass() {
+        return Err(unfit("the job's graph has a first pass, its method has none"));
+    }
+    let frame_key = read.frame_key(frame)?;
+    if spec.content(0) != Some(Digest::from_bytes(femc_pipeline::first_pass_key(&frame_key))) {
+        return Err(unfit("the job's content is not what its key says"));
+    }
+    let (_, prepared) = tools.cache.world(spec, frame, &task.client, &tools.fetch)?;
+    task.account.prepared(watch.elapsed());
+    tracing::debug!(frame, seconds = watch.seconds(), "the world is ready");
+    task.enter(Phase::Working);
+    let solving = Stopwatch::start();
+    let solved = tools.install(task, || {
+        let solution = femc_pipeline::first_pass(&prepared, &task.cancel)?;
+        let bytes = femc_pipeline::encode_solution(&solution);
+        log(&solution.report, bytes.len(), &solving);
+        Ok((bytes, Arc::new(solution.field)))
+    });
+    let (bytes, field) = solved.map_err(|error: RenderError| match error {
+        RenderError::Cancelled => Failure::Cancelled,
+        RenderError::Film(error) => unfit(error),
+    })?;
+    task.units.store(1, Ordering::Relaxed);
+    // Who has solved it need not fetch it.
+    tools.cache.keep_field(Digest::of(&bytes), field);
+    let mut product = Product::default();
+    product.put(stage, Role::Field, || bytes);
+    product.result.seconds = watch.seconds();
+    Ok(product)
+}
+
+fn log(report: &FirstPassReport, stored: usize, solving: &Stopwatch) {
+    let FirstPassReport { elements, leaves, links, lamp_links, refused, rays, iterations, residual, bytes } = *report;
+    let seconds = solving.seconds();
+    tracing::debug!(elements, leaves, links, lamp_links, rays, iterations, residual, bytes, stored, seconds, "solved");
+    if refused > 0 {
+        tracing::debug!(
+            links = refused,
+            "not as exact as asked for: their elements may not be cut further, being small enough or for want of memory"
+        );
+    }
+}

@@ -49,7 +49,8 @@ pub(crate) fn first_pass(task: &Task, stage: &Template, tools: &Tools) -> Result
 }
 
 fn log(report: &FirstPassReport, stored: usize, solving: &Stopwatch) {
-    let FirstPassReport { elements, leaves, links, lamp_links, refused, rays, iterations, residual, bytes } = *report;
+    let FirstPassReport { elements, leaves, links, lamp_links, refused, rays, iterations, residual, bytes, census: _ } =
+        *report;
     let seconds = solving.seconds();
     tracing::debug!(elements, leaves, links, lamp_links, rays, iterations, residual, bytes, stored, seconds, "solved");
     if refused > 0 {

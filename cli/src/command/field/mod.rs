@@ -36,7 +36,7 @@ pub struct FieldArgs {
     #[arg(long, short, value_name = "FILE.glb")]
     out: Option<PathBuf>,
     /// Greatest error of one link, as a share of what its receiver gets
-    #[arg(long, value_name = "E", default_value_t = 0.1, value_parser = share)]
+    #[arg(long, value_name = "E", default_value_t = Options::default().error, value_parser = share)]
     error: f32,
     /// Frame of the clip
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
@@ -64,11 +64,11 @@ pub struct FieldArgs {
     format: FormatArgs,
 }
 
-/// A share, > 0 and at most 1.
+/// A share, > 0 and at most 10.
 fn share(text: &str) -> Result<f32, String> {
     match text.parse::<f32>() {
-        Ok(share) if share > 0.0 && share <= 1.0 => Ok(share),
-        _ => Err(format!("`{text}` is no error of a link; write a number above 0 and up to 1, like 0.1 for 10 %")),
+        Ok(share) if share > 0.0 && share <= 10.0 => Ok(share),
+        _ => Err(format!("`{text}` is no error of a link; write a number above 0 and up to 10, like 0.1 for 10 %")),
     }
 }
 

@@ -109,7 +109,7 @@ impl Judge<'_> {
         let least = amounts[..p.count].iter().copied().fold(f32::INFINITY, f32::min);
         let near = (p.radius / distance.max(1e-20)).min(1.0);
         let error = match p.kind {
-            Kind::Cluster | Kind::Ball => mean * (0.1 + near),
+            Kind::Cluster | Kind::Ball => mean * (0.1 + 4.0 * near * near),
             // Twice what four points do not show: a linear function has the mean of its nodes in the middle.
             _ => {
                 let spot = SurfaceSpot { position: p.center, normal: p.normal, error: p.nodes[0].error };

@@ -27,7 +27,7 @@ pub struct Options {
 
 impl Default for Options {
     fn default() -> Self {
-        Self { error: 0.5, memory: 1 << 30 }
+        Self { error: 0.3, memory: 1 << 30 }
     }
 }
 

@@ -4,6 +4,7 @@ pub mod agreement;
 pub mod brute;
 pub mod fuzz;
 pub mod honesty;
+pub mod irradiance;
 pub mod reference;
 pub mod rng;
 pub mod stress;

@@ -34,8 +34,20 @@ pub fn first_pass_key(frame_key: &FrameKey) -> [u8; 32] {
 
 /// A solution as bytes: [`Field::decode`] reads them.
 pub fn encode_solution(solution: &Solution) -> Vec<u8> {
-    let Report { elements, leaves, links, lamp_links, refused, rays, iterations, residual, bytes, census: _ } =
-        solution.report;
+    let Report {
+        elements,
+        leaves,
+        links,
+        lamp_links,
+        refused,
+        rays,
+        iterations,
+        residual,
+        bytes,
+        row_sum: _,
+        bounded: _,
+        census: _,
+    } = solution.report;
     let statistics = Statistics {
         elements: elements as u64,
         leaves: leaves as u64,

@@ -11,7 +11,8 @@ const FAR: f32 = 30.0;
 /// Lambert's formula: form factor from a point with unit normal to a polygon, which sends from the side that sees its corners
 /// counter-clockwise; the part below the point's horizon is cut off. At most 1.
 pub fn polygon(point: Vec3A, normal: Vec3A, corners: &[Vec3A]) -> f32 {
-    let mut above = [Vec3A::ZERO; 5];
+    // By rounding a polygon in the horizon may cross it at every edge.
+    let mut above = [Vec3A::ZERO; 8];
     let mut count = 0;
     for (k, &corner) in corners.iter().enumerate() {
         let (a, b) = (corner - point, corners[(k + 1) % corners.len()] - point);
@@ -75,6 +76,15 @@ mod tests {
         assert!((cut - above).abs() < 1e-6 && cut > 0.0, "{cut} {above}");
         // Of an endless strip from the horizon up to 45 degrees: (1 - cos 45) / 2.
         assert!((above - 0.5 * (1.0 - 0.5f32.sqrt())).abs() < 1e-3, "{above}");
+    }
+
+    /// Corners by rounding above and below the horizon in turn (the kitchen soda.mgf had such).
+    #[test]
+    fn a_polygon_in_the_horizon_is_no_panic_and_gives_nothing() {
+        let zigzag = [[1.0, 0.0, 1e-7], [2.0, 0.0, -1e-7], [2.0, 1.0, 1e-7], [1.0, 1.0, -1e-7]].map(Vec3A::from);
+        for corners in [zigzag, [zigzag[3], zigzag[2], zigzag[1], zigzag[0]]] {
+            assert!(polygon(Vec3A::ZERO, Vec3A::Z, &corners) < 1e-6);
+        }
     }
 
     #[test]

@@ -57,6 +57,11 @@ impl Arriving {
 pub const FROM_SOURCES: usize = 0;
 pub const FROM_ELEMENTS: usize = 1;
 
+/// Irradiance that a point may have where all have a radiosity of 1.
+const BEYOND: f32 = 1.1;
+/// Share of the light that a reflection may pass on at most, by that bound.
+const DECAY: f32 = 0.99;
+
 /// Normals at which a ball's light is looked at.
 const AROUND: usize = 16;
 
@@ -64,11 +69,18 @@ const AROUND: usize = 16;
 pub struct Lights {
     pub of: Vec<Light>,
     pub arriving: Vec<Arriving>,
+    /// By element: share of what links bring to the nodes that is taken, see [`Lights::row_sum`].
+    pub taken: Vec<[f32; 4]>,
 }
 
 impl Lights {
     pub fn new(arena: &Arena) -> Self {
-        Self { of: vec![Light::NOTHING; arena.elements.len()], arriving: vec![Arriving::NOTHING; arena.wide] }
+        let count = arena.elements.len();
+        Self {
+            of: vec![Light::NOTHING; count],
+            arriving: vec![Arriving::NOTHING; arena.wide],
+            taken: vec![[1.0; 4]; count],
+        }
     }
 
     /// Room for elements that are new, which begin with their parents' light.
@@ -79,6 +91,56 @@ impl Lights {
             self.of.push(Light { radiosity, darkest, brightest, mean, least, ..Light::NOTHING });
         }
         self.arriving.resize(arena.wide, Arriving::NOTHING);
+        self.taken.resize(arena.elements.len(), [1.0; 4]);
+    }
+
+    /// Greatest irradiance of a point where all elements have a radiosity of 1, and the fog that of its extinction: 1 in a closed scene, if
+    /// all links were exact. `bounded`: what links bring beyond [`BEYOND`], or beyond what the most reflecting element makes up for, is
+    /// left out from now on, so that light cannot grow from reflection to reflection.
+    pub fn row_sum(&mut self, scene: &Scene<'_>, arena: &Arena, links: &[Link], bounded: bool) -> f32 {
+        let (of, arriving) = (self.of.clone(), self.arriving.clone());
+        self.taken.fill([1.0; 4]);
+        for index in (0..arena.elements.len()).rev() {
+            let element = &arena.elements[index];
+            if !element.is_leaf() {
+                self.pull(arena, index);
+                continue;
+            }
+            let light = &mut self.of[index];
+            light.own[FROM_SOURCES] = [Rgb::ZERO; 4];
+            light.radiosity = match element.kind {
+                Kind::Fog => Rgb::splat(scene.prepared.media.extinction_at(element.center)),
+                _ => Rgb::ONE,
+            };
+            if element.kind == Kind::Ball {
+                light.sent = sent_of(scene, element, |_| Rgb::ONE);
+            }
+        }
+        self.gather(arena, links);
+        (0..arena.elements.len()).for_each(|index| self.push(arena, index));
+        let albedo = |element: &Element| match element.kind {
+            Kind::Cluster => 0.0,
+            Kind::Fog => {
+                let extinction = scene.prepared.media.extinction_at(element.center);
+                element.reflectance.max_element() / extinction.max(f32::MIN_POSITIVE)
+            }
+            Kind::Patch | Kind::Ball => (element.reflectance + element.transmittance).max_element(),
+        };
+        let greatest = arena.elements.iter().map(albedo).fold(0.0, f32::max);
+        let bound = (DECAY / greatest.max(f32::MIN_POSITIVE)).clamp(1.0, BEYOND);
+        let mut most = 0.0f32;
+        for (index, element) in arena.elements.iter().enumerate().filter(|(_, element)| element.is_leaf()) {
+            let received = match element.kind {
+                Kind::Ball => [self.arriving[element.wide as usize].whole[FROM_ELEMENTS].total().y * 0.25; 4],
+                _ => self.of[index].whole[FROM_ELEMENTS].map(|light| light.y),
+            };
+            most = received[..element.count].iter().copied().fold(most, f32::max);
+            if bounded {
+                self.taken[index] = received.map(|received| bound / received.max(bound));
+            }
+        }
+        (self.of, self.arriving) = (of, arriving);
+        most
     }
 
     /// Gathers irradiance by all links, whose order is by receiver. What each receiver gets is added in the links' order.
@@ -160,24 +222,37 @@ impl Lights {
         self.of[index].whole = whole;
     }
 
+    /// What an element's nodes receive of sources or of elements.
+    pub fn at_nodes(&self, index: usize, from: usize) -> [Rgb; 4] {
+        let mut values = self.of[index].whole[from];
+        if from == FROM_ELEMENTS {
+            values.iter_mut().zip(self.taken[index]).for_each(|(value, taken)| *value = *value * taken);
+        }
+        values
+    }
+
+    /// What a curved element receives of them, by direction.
+    pub fn around(&self, element: &Element, index: usize, from: usize) -> Harmonics {
+        let taken = if from == FROM_ELEMENTS { self.taken[index][0] } else { 1.0 };
+        self.arriving[element.wide as usize].whole[from] * Rgb::splat(taken)
+    }
+
     /// What a leaf sends of what it receives.
     fn reflect(&mut self, scene: &Scene<'_>, arena: &Arena, index: usize) {
         let element = &arena.elements[index];
         let behind = self.behind(scene, arena, element);
-        let light = &mut self.of[index];
+        let of_elements = self.at_nodes(index, FROM_ELEMENTS);
         if element.kind == Kind::Ball {
-            let [a, b] = self.arriving[element.wide as usize].whole;
-            let arriving = a + b;
-            let surface = &scene.surfaces[element.surface as usize];
-            let (mut sent, mut sum, mut mean) = (Harmonics::ZERO, Rgb::ZERO, 0.0);
-            for k in 0..AROUND {
-                let place = Vec2::new((k % 4) as f32 + 0.5, (k / 4) as f32 + 0.5) * 0.25;
-                let normal = surface.at(element.outline.at(place)).normal;
+            let arriving =
+                self.arriving[element.wide as usize].whole[FROM_SOURCES] + self.around(element, index, FROM_ELEMENTS);
+            let (mut sum, mut mean) = (Rgb::ZERO, 0.0);
+            let sent = sent_of(scene, element, |normal| {
                 let irradiance = arriving.cosine(normal);
                 let radiosity = element.reflectance * irradiance + element.transmittance * behind;
-                sent += Harmonics::toward(normal, radiosity * (element.size / (std::f32::consts::PI * AROUND as f32)));
                 (sum, mean) = (sum + radiosity, mean + luminance(irradiance));
-            }
+                radiosity
+            });
+            let light = &mut self.of[index];
             light.sent = sent;
             light.radiosity = sum / AROUND as f32;
             light.mean = mean / AROUND as f32;
@@ -185,9 +260,10 @@ impl Lights {
             (light.darkest, light.brightest) = (0.0, 2.0 * luminance(light.radiosity));
             return;
         }
+        let light = &mut self.of[index];
         let (mut sum, mut mean, mut darkest, mut brightest) = (Rgb::ZERO, 0.0, f32::INFINITY, 0.0f32);
-        for node in 0..element.count {
-            let irradiance = (light.whole[FROM_SOURCES][node] + light.whole[FROM_ELEMENTS][node]).max(Rgb::ZERO);
+        for (node, of_elements) in of_elements.into_iter().enumerate().take(element.count) {
+            let irradiance = (light.whole[FROM_SOURCES][node] + of_elements).max(Rgb::ZERO);
             let radiosity = element.reflectance * irradiance + element.transmittance * behind;
             let value = luminance(radiosity);
             (darkest, brightest) = (darkest.min(value), brightest.max(value));
@@ -264,6 +340,18 @@ impl Lights {
         out.brightest = a.1.brightest.max(b.1.brightest);
         self.of[index] = out;
     }
+}
+
+/// What a curved element sends, cd, by the radiosity at points around it.
+fn sent_of(scene: &Scene<'_>, element: &Element, mut radiosity: impl FnMut(Vec3A) -> Rgb) -> Harmonics {
+    let surface = &scene.surfaces[element.surface as usize];
+    let mut sent = Harmonics::ZERO;
+    for k in 0..AROUND {
+        let place = Vec2::new((k % 4) as f32 + 0.5, (k / 4) as f32 + 0.5) * 0.25;
+        let normal = surface.at(element.outline.at(place)).normal;
+        sent += Harmonics::toward(normal, radiosity(normal) * (element.size / (std::f32::consts::PI * AROUND as f32)));
+    }
+    sent
 }
 
 fn row_of(arena: &Arena, of: &[Light], row: &[Link]) -> ([Rgb; 4], Harmonics) {

@@ -50,6 +50,10 @@ pub struct Report {
     pub iterations: usize,
     /// What further iterations would change of the light that leaves all elements, as far as the latest tell, as a share of it.
     pub residual: f32,
+    /// Greatest irradiance of a point if all that it sees had a radiosity of 1: 1 in a closed scene, if all links were exact.
+    pub row_sum: f32,
+    /// Whether light grew from reflection to reflection: what points receive beyond 1 in that sense was left out then.
+    pub bounded: bool,
     /// Bytes of elements and links.
     pub bytes: usize,
     /// Elements and links by kind.
@@ -75,6 +79,8 @@ pub struct Cancelled;
 const COARSE: [f32; 3] = [8.0, 2.5, 1.0];
 /// An iteration after which the light that leaves all elements would change by no more than this share of it is the last.
 const RESIDUAL: f32 = 1e-4;
+/// Iterations in a row that each change more than the one before: light grows.
+const GROWING: usize = 4;
 /// Most iterations at one level of refinement.
 const ITERATIONS: usize = 400;
 /// Share of the mean irradiance that is added to an element's when a link's error is judged.
@@ -105,7 +111,7 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
     solver.open();
     solver.links = vec![Link { receiver: solver.arena.root, source: solver.arena.root, factors: [0.0; 4] }];
     for (round, coarse) in COARSE.into_iter().enumerate() {
-        solver.report.refused = 0;
+        (solver.report.refused, solver.report.bounded) = (0, false);
         let error = options.error * coarse;
         // Where the light falls first; then where it goes.
         solver.light_up(error.min(0.1))?;
@@ -113,6 +119,7 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
             solver.lights.push_pull(&scene, &solver.arena);
         }
         solver.refine(error)?;
+        solver.report.row_sum = solver.lights.row_sum(&scene, &solver.arena, &solver.links, false);
         solver.iterate(if round + 1 == COARSE.len() { RESIDUAL } else { 1e-2 })?;
     }
     let report = solver.finish();
@@ -309,7 +316,7 @@ impl Solver<'_> {
     }
 
     fn iterate(&mut self, residual: f32) -> Result<(), Cancelled> {
-        let mut before = f64::INFINITY;
+        let (mut before, mut growing) = (f64::INFINITY, 0);
         for _ in 0..ITERATIONS {
             if self.cancel.load(Ordering::Relaxed) {
                 return Err(Cancelled);
@@ -317,6 +324,12 @@ impl Solver<'_> {
             self.lights.gather(&self.arena, &self.links);
             let (change, whole) = self.lights.push_pull(self.scene, &self.arena);
             self.report.iterations += 1;
+            growing = if change > before { growing + 1 } else { 0 };
+            if growing == GROWING && !self.report.bounded {
+                self.lights.row_sum(self.scene, &self.arena, &self.links, true);
+                (self.report.bounded, before) = (true, f64::INFINITY);
+                continue;
+            }
             // What further iterations would change in all, if each changes as much less as the latest did.
             let rate = if before.is_finite() { (change / before).min(0.99) } else { 0.99 };
             before = change;
@@ -392,9 +405,9 @@ fn field(scene: Scene<'_>, arena: &Arena, lights: &Lights) -> (Field, Vec<Leaf>)
 
 fn leaf(element: &Element, index: u32, lights: &Lights, from: usize) -> Leaf {
     if element.is_wide() {
-        return Leaf::Curved(lights.arriving[element.wide as usize].whole[from]);
+        return Leaf::Curved(lights.around(element, index as usize, from));
     }
-    let values = lights.of[index as usize].whole[from];
+    let values = lights.at_nodes(index as usize, from);
     if element.count == 3 { Leaf::Triangle([values[0], values[1], values[2]]) } else { Leaf::Rectangle(values) }
 }
 
@@ -408,7 +421,7 @@ fn fog(arena: &Arena, lights: &Lights) -> FogTree {
         let mut mean = [Rgb::ZERO; 4];
         let mut next = 0;
         if element.is_leaf() {
-            let [middle, slopes @ ..] = Element::fog_slopes(&lights.of[index as usize].whole[FROM_ELEMENTS]);
+            let [middle, slopes @ ..] = Element::fog_slopes(&lights.at_nodes(index as usize, FROM_ELEMENTS));
             // Of all around from a quarter of it; slopes over whole edges.
             mean[0] = middle / PI;
             (0..3).for_each(|axis| mean[1 + axis] = slopes[axis] * (2.0 / PI));

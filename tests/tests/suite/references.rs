@@ -110,7 +110,7 @@ mod long {
     #[test]
     #[ignore = "tests/all: half a minute"]
     fn cornell_fog_is_within_its_bounds() {
-        check("cornell-fog", 64, 0.005, 1.83e-2);
+        check("cornell-fog", 256, 0.005, 4.6e-3);
     }
 
     #[test]

@@ -49,10 +49,25 @@ pub(crate) fn first_pass(task: &Task, stage: &Template, tools: &Tools) -> Result
 }
 
 fn log(report: &FirstPassReport, stored: usize, solving: &Stopwatch) {
-    let FirstPassReport { elements, leaves, links, lamp_links, refused, rays, iterations, residual, bytes, census: _ } =
-        *report;
+    let FirstPassReport {
+        elements,
+        leaves,
+        links,
+        lamp_links,
+        refused,
+        rays,
+        iterations,
+        residual,
+        bytes,
+        row_sum,
+        bounded,
+        census: _,
+    } = *report;
     let seconds = solving.seconds();
-    tracing::debug!(elements, leaves, links, lamp_links, rays, iterations, residual, bytes, stored, seconds, "solved");
+    tracing::debug!(
+        elements, leaves, links, lamp_links, rays, iterations, residual, row_sum, bounded, bytes, stored, seconds,
+        "solved"
+    );
     if refused > 0 {
         tracing::debug!(
             links = refused,

@@ -1,0 +1,60 @@
+//! The first pass beside paths at points of a scene's surfaces: `irradiance SCENE POINTS.tsv [--make COUNT] [--error E,E..]`. With
+//! `--make` the points are made and written; else the file is read.
+//!
+//! `cargo run --release -p femc-tests --example irradiance -- ../shared/scenes-real/soda.mgf tests/references/soda.tsv`
+
+use femc_pipeline::radiosity::{Options, solve};
+use femc_pipeline::{Settings, Source, prepare};
+use femc_tests::irradiance::{Point, compare, points};
+use std::error::Error;
+use std::fmt::Write as _;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+use std::time::Instant;
+
+/// Directions a point.
+const SAMPLES: u32 = 2048;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let option = |name: &str| args.iter().position(|arg| arg == name).and_then(|at| args.get(at + 1));
+    let [scene, file, ..] = &args[..] else {
+        return Err("usage: irradiance SCENE POINTS.tsv [--make COUNT] [--error E,E..]".into());
+    };
+    let scene = Arc::new(femc_import::load_path(Path::new(scene))?.scene);
+    if let Some(count) = option("--make") {
+        let start = Instant::now();
+        let mut text = String::from(
+            "# position, m\tnormal\tirradiance without what comes straight from light sources, lx\tits standard error\n",
+        );
+        for Point { position, normal, irradiance } in points(&scene, count.parse()?, SAMPLES)? {
+            let numbers = position.to_array().into_iter().chain(normal.to_array()).map(|x| x.to_string());
+            let numbers: Vec<String> = numbers.chain(irradiance.map(|x| format!("{x:.5e}"))).collect();
+            writeln!(text, "{}", numbers.join("\t"))?;
+        }
+        std::fs::write(file, text)?;
+        println!("{:.1} s", start.elapsed().as_secs_f64());
+    }
+    let points = femc_tests::irradiance::read(&std::fs::read_to_string(file)?).ok_or("a line is not eight numbers")?;
+    let errors = option("--error").map_or("1,0.3,0.1", String::as_str);
+    for error in errors.split(',') {
+        let prepared = prepare(&Source::new(scene.clone()), &Settings::default(), 1, None)?;
+        let (options, start) = (Options { error: error.parse()?, ..Options::default() }, Instant::now());
+        let solution = solve(&prepared, &options, &AtomicBool::new(false)).map_err(|_| "cancelled")?;
+        let seconds = start.elapsed().as_secs_f64();
+        let report = solution.report;
+        let compared = compare(&scene, &solution, &points)?;
+        println!(
+            "error {error}: {seconds:.2} s, {} elements, {} links, {} refused, {} MB; relmse {:.4}, mean ratio {:.4} at {} points",
+            report.elements,
+            report.links,
+            report.refused,
+            report.bytes >> 20,
+            compared.relmse,
+            compared.mean_ratio,
+            compared.points
+        );
+    }
+    Ok(())
+}

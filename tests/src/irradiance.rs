@@ -1,0 +1,181 @@
+//! Irradiance at points of a scene's surfaces, without what comes straight from light sources: by paths, and by the first pass.
+
+use femc_film::Filter;
+use femc_geometry::{Ray, offset_origin};
+use femc_math::color::luminance;
+use femc_math::glam::{DVec3, Vec3A};
+use femc_math::warp;
+use femc_montecarlo::record::Found;
+use femc_montecarlo::{PathSettings, PixelFilter, Recording, Tracer};
+use femc_pipeline::radiosity::{Options, Solution, solve};
+use femc_pipeline::{Settings, Side, Source, prepare};
+use femc_prepared::Prepared;
+use femc_prepared::camera::{CameraPose, KernelCamera};
+use femc_scene::Scene;
+use rayon::prelude::*;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
+
+use crate::rng::Rng;
+
+/// A point and what arrives there.
+#[derive(Clone, Copy, Debug)]
+pub struct Point {
+    /// Position, prepared frame, m.
+    pub position: Vec3A,
+    /// Unit normal.
+    pub normal: Vec3A,
+    /// Irradiance by luminance, lx, and its standard error.
+    pub irradiance: [f64; 2],
+}
+
+/// Points are looked for again from so far above, as a share of the scene's size.
+const ABOVE: f32 = 1e-4;
+
+fn prepared(scene: &Arc<Scene>) -> Result<Prepared, femc_pipeline::PrepareError> {
+    prepare(&Source::new(scene.clone()), &Settings::default(), 1, None)
+}
+
+/// Points spread over all surfaces by area, with what paths bring there: `samples` directions each.
+/// - errors: the scene cannot be prepared.
+pub fn points(scene: &Arc<Scene>, count: usize, samples: u32) -> Result<Vec<Point>, femc_pipeline::PrepareError> {
+    let world = prepared(scene)?;
+    let coarse = Options { error: 10.0, ..Options::default() };
+    let Ok(Solution { field, .. }) = solve(&world, &coarse, &AtomicBool::new(false)) else { return Ok(Vec::new()) };
+    let sums: Vec<f64> = field
+        .surfaces
+        .iter()
+        .scan(0.0, |sum, surface| {
+            *sum += f64::from(surface.area());
+            Some(*sum)
+        })
+        .collect();
+    let mut rng = Rng::new(1);
+    let mut number = || rng.bits() as f64 / u64::MAX as f64;
+    let mut spots = Vec::new();
+    while spots.len() < count {
+        let at = number() * sums.last().copied().unwrap_or_default();
+        let surface = &field.surfaces[sums.partition_point(|&sum| sum < at).min(sums.len() - 1)];
+        let mut place = [number() as f32, number() as f32];
+        if matches!(surface.form, femc_pipeline::Form::Triangle(_)) && place[0] + place[1] > 1.0 {
+            place = place.map(|x| 1.0 - x);
+        }
+        let spot = surface.at(place.into());
+        if find(&world, spot.position, spot.normal).is_some() {
+            spots.push(spot);
+        }
+    }
+    let seeds: Vec<u64> = spots.iter().map(|_| (number() * 1e9) as u64).collect();
+    let chunks: Vec<_> = spots.chunks(64).zip(seeds.chunks(64)).collect();
+    let found: Result<Vec<Vec<Point>>, femc_pipeline::PrepareError> = chunks
+        .into_par_iter()
+        .map(|(spots, seeds)| {
+            let mut world = prepared(scene)?;
+            Ok(spots
+                .iter()
+                .zip(seeds)
+                .map(|(spot, &seed)| {
+                    let (position, normal) = (spot.position, spot.normal);
+                    let irradiance = gathered(&mut world, position, spot.error, normal, seed, samples);
+                    Point { position, normal, irradiance }
+                })
+                .collect())
+        })
+        .collect();
+    Ok(found?.into_iter().flatten().collect())
+}
+
+/// Irradiance at a point by paths, without lamps that are seen from there, and its standard error.
+fn gathered(world: &mut Prepared, position: Vec3A, error: Vec3A, normal: Vec3A, seed: u64, samples: u32) -> [f64; 2] {
+    let mut rng = Rng::new(seed);
+    let mut number = || (rng.bits() >> 40) as f32 / (1u64 << 24) as f32;
+    let (mut sum, mut squares) = (0.0, 0.0);
+    for sample in 0..samples {
+        // Uniform on a sphere that touches the point: by the cosine.
+        let dir = (warp::direction(1.0 - 2.0 * number(), number()) + normal).normalize_or(normal);
+        let origin = offset_origin(position, error, normal, dir).as_dvec3();
+        let up = if dir.z.abs() > 0.9 { DVec3::X } else { DVec3::Z };
+        let Some(pose) = CameraPose::new(origin, origin + dir.as_dvec3(), up, 1e-4, [1, 1]) else { continue };
+        world.camera = KernelCamera::new(vec![pose], [1, 1], 0.0, 1.0);
+        let path = PathSettings { seed, max_depth: 0, only: None };
+        let mut tracer = Tracer::recording(world, path, Recording::default());
+        tracer.sample(0, sample, Box(Filter::default()));
+        let straight = |found: &Found| !matches!(found, Found::Surface | Found::Airlight(_));
+        let parts = tracer.recorder.contributions.iter().map(|(part, _)| part);
+        let value: f32 =
+            parts.filter(|part| part.bounce > 0 || !straight(&part.found)).map(|part| luminance(part.color)).sum();
+        let value = f64::from(value) * std::f64::consts::PI;
+        (sum, squares) = (sum + value, squares + value * value);
+    }
+    let n = f64::from(samples);
+    let mean = sum / n;
+    [mean, ((squares / n - mean * mean).max(0.0) / (n - 1.0)).sqrt()]
+}
+
+#[derive(Clone, Copy)]
+struct Box(Filter);
+
+impl PixelFilter for Box {
+    fn sample(self, u: [f32; 2]) -> [f32; 2] {
+        self.0.sample(u)
+    }
+
+    fn density(self, offset: [f32; 2]) -> f32 {
+        self.0.density(offset)
+    }
+}
+
+/// The surface at a point, as a ray from above finds it.
+fn find(world: &Prepared, position: Vec3A, normal: Vec3A) -> Option<(femc_geometry::Hit, Side)> {
+    let above = ABOVE * world.world.bounds().size().length();
+    let ray = Ray { origin: position + normal * above, dir: -normal, t_max: 2.0 * above, time: 0.5 };
+    let hit = world.world.intersect(&ray)?;
+    let point = world.surface(&ray, &hit);
+    let side = if point.normal.dot(normal) > 0.0 { Side::Front } else { Side::Back };
+    Some((hit, side))
+}
+
+/// What the first pass makes of the same points.
+#[derive(Clone, Copy, Debug)]
+pub struct Compared {
+    /// Mean over the points of the squared difference, less the paths' own variance, over the irradiance's square and that of a tenth of
+    /// its mean.
+    pub relmse: f64,
+    /// Ratio of the means.
+    pub mean_ratio: f64,
+    /// Points that are found on a surface.
+    pub points: usize,
+}
+
+/// Compares a solution of a scene with points.
+/// - errors: the scene cannot be prepared.
+pub fn compare(
+    scene: &Arc<Scene>,
+    solution: &Solution,
+    points: &[Point],
+) -> Result<Compared, femc_pipeline::PrepareError> {
+    let world = prepared(scene)?;
+    let mean = points.iter().map(|point| point.irradiance[0]).sum::<f64>() / points.len() as f64;
+    let (mut squares, mut sums, mut count) = (0.0, [0.0; 2], 0);
+    for Point { position, normal, irradiance: [want, error] } in points {
+        let Some((hit, side)) = find(&world, *position, *normal) else { continue };
+        let have = f64::from(luminance(solution.field.irradiance(&hit, side, *position, *normal)));
+        squares += ((have - want).powi(2) - error * error) / (want * want + 0.01 * mean * mean);
+        sums = [sums[0] + have, sums[1] + want];
+        count += 1;
+    }
+    Ok(Compared { relmse: squares / f64::from(count), mean_ratio: sums[0] / sums[1], points: count as usize })
+}
+
+/// Points as lines of eight numbers: position, normal, irradiance, its standard error; `None` if a line has others.
+pub fn read(text: &str) -> Option<Vec<Point>> {
+    let lines = text.lines().filter(|line| !line.starts_with('#'));
+    lines
+        .map(|line| {
+            let numbers: Vec<f64> = line.split('\t').map(str::parse).collect::<Result<_, _>>().ok()?;
+            let [x, y, z, a, b, c, irradiance, error] = numbers[..] else { return None };
+            let vector = |v: [f64; 3]| DVec3::from(v).as_vec3a();
+            Some(Point { position: vector([x, y, z]), normal: vector([a, b, c]), irradiance: [irradiance, error] })
+        })
+        .collect()
+}

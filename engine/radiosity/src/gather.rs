@@ -226,7 +226,7 @@ impl Lights {
     pub fn at_nodes(&self, index: usize, from: usize) -> [Rgb; 4] {
         let mut values = self.of[index].whole[from];
         if from == FROM_ELEMENTS {
-            values.iter_mut().zip(self.taken[index]).for_each(|(value, taken)| *value = *value * taken);
+            values.iter_mut().zip(self.taken[index]).for_each(|(value, taken)| *value *= taken);
         }
         values
     }

@@ -484,8 +484,7 @@ fn exchange(at: &SurfaceSpot, from: &SurfaceSpot, area: f32) -> f32 {
     if distance2 <= 0.0 {
         return 0.0;
     }
-    // Of a disc of that area: next to it no more than all.
-    area * at.normal.dot(way).max(0.0) * (-from.normal.dot(way)).max(0.0) / (distance2 * (PI * distance2 + area))
+    area * at.normal.dot(way).max(0.0) * (-from.normal.dot(way)).max(0.0) / (PI * distance2 * distance2)
 }
 
 /// The same without the cosine of the receiver.

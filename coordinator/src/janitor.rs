@@ -50,8 +50,8 @@ impl Janitor {
 }
 
 impl<Q: Queue> Actor<Q> {
-    /// Removes what is due. All that the scheduler holds for true is durable first: what it has released in memory alone is named by
-    /// the log still, and whoever reads that after a crash needs it.
+    /// Removes artifacts that are due. The scheduler's facts are made durable first: until then the log still names an artifact that
+    /// the scheduler has released, and a coordinator that reads the log after a crash needs that artifact.
     pub(crate) async fn sweep(
         &mut self,
         commands: &mut Vec<Command>,

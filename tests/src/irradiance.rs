@@ -50,11 +50,14 @@ pub fn points(scene: &Arc<Scene>, count: usize, samples: u32) -> Result<Vec<Poin
             Some(*sum)
         })
         .collect();
+    if sums.is_empty() {
+        return Ok(Vec::new());
+    }
     let mut rng = Rng::new(1);
     let mut number = || rng.bits() as f64 / u64::MAX as f64;
     let mut spots = Vec::new();
     while spots.len() < count {
-        let at = number() * sums.last().copied().unwrap_or_default();
+        let at = number() * sums[sums.len() - 1];
         let surface = &field.surfaces[sums.partition_point(|&sum| sum < at).min(sums.len() - 1)];
         let mut place = [number() as f32, number() as f32];
         if matches!(surface.form, femc_pipeline::Form::Triangle(_)) && place[0] + place[1] > 1.0 {

@@ -147,8 +147,8 @@ impl Gltf {
             for component in 0..width {
                 let of = || values.iter().skip(component).step_by(width);
                 let (least, most) = (of().fold(f64::MAX, |a, &b| a.min(b)), of().fold(f64::MIN, |a, &b| a.max(b)));
-                let told = ["min", "max"].map(|key| accessor[key][component].as_f64().map(|bound| bound as f32));
-                assert_eq!(told, [Some(least as f32), Some(most as f32)], "bounds of accessor {index}");
+                let stated = ["min", "max"].map(|key| accessor[key][component].as_f64().map(|bound| bound as f32));
+                assert_eq!(stated, [Some(least as f32), Some(most as f32)], "bounds of accessor {index}");
             }
         }
         let (nodes, scenes) = (list(document, "nodes"), list(document, "scenes"));
@@ -383,10 +383,10 @@ fn colors_over_the_scale_are_the_solution_s_light() {
     let nodes = list(&gltf.document, "nodes");
     let root = nodes.last().expect("a root");
     let origin: Vec<f64> = list(root, "translation").iter().filter_map(Value::as_f64).collect();
-    let told: Vec<f64> =
+    let stated: Vec<f64> =
         list(&gltf.document["scenes"][0]["extras"], "origin").iter().filter_map(Value::as_f64).collect();
-    assert_eq!(origin, [told[0], told[2], -told[1]]);
-    assert!(told[0] > 900.0, "coordinates are near the scene's middle: {told:?}");
+    assert_eq!(origin, [stated[0], stated[2], -stated[1]]);
+    assert!(stated[0] > 900.0, "positions are relative to an origin near the scene's middle: {stated:?}");
 }
 
 #[test]

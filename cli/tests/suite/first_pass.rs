@@ -1,4 +1,4 @@
-//! The first pass on a farm: one task for each world, whoever solves it, and the same bytes.
+//! The first pass on a farm: each world has one task, and any worker that solves it makes the same bytes.
 
 use std::collections::BTreeMap;
 
@@ -43,7 +43,7 @@ fn ask(place: &Place, url: &str, scene: &str) -> String {
     place.run(&line).exits(0).stdout().trim().to_owned()
 }
 
-/// The job's frames are those of one process.
+/// Fetches the job's frames and compares them with frames that one process has rendered: the pixels are the same.
 fn claim_frames(place: &Place, url: &str, job: &str, scene: &str, threads: u32) {
     place.run(&format!("watch {job} --server {url}")).exits(0);
     place.run(&format!("fetch {job} -o out --server {url}")).exits(0);

@@ -6,11 +6,11 @@ use crate::link::Link;
 /// Numbers by kind of element.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Kinds {
-    /// Groups of surfaces, whose light is told by direction.
+    /// Groups of surfaces. The light of each is kept by direction.
     pub clusters: usize,
     /// Parts of surfaces with one normal, or nearly so.
     pub patches: usize,
-    /// Parts of curved surfaces, whose light is told by direction.
+    /// Parts of surfaces too curved for one normal. The light of each is kept by direction.
     pub curved: usize,
     /// Boxes of fog.
     pub fog: usize,

@@ -57,6 +57,15 @@ impl Arriving {
 pub const FROM_SOURCES: usize = 0;
 pub const FROM_ELEMENTS: usize = 1;
 
+/// What becomes of irradiance that is more than there can be.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Bound {
+    /// It stays.
+    None,
+    /// It is left out from now on, so that light cannot grow from reflection to reflection.
+    RowSums,
+}
+
 /// Irradiance that a point may have where all have a radiosity of 1.
 const BEYOND: f32 = 1.1;
 /// Share of the light that a reflection may pass on at most, by that bound.
@@ -94,12 +103,15 @@ impl Lights {
         self.taken.resize(arena.elements.len(), [1.0; 4]);
     }
 
-    /// Greatest irradiance of a point where all elements have a radiosity of 1, and the fog that of its extinction: 1 in a closed scene, if
-    /// all links were exact. `bounded`: what links bring beyond [`BEYOND`], or beyond what the most reflecting element makes up for, is
-    /// left out from now on, so that light cannot grow from reflection to reflection.
-    pub fn row_sum(&mut self, scene: &Scene<'_>, arena: &Arena, links: &[Link], bounded: bool) -> f32 {
-        let (of, arriving) = (self.of.clone(), self.arriving.clone());
+    /// All that links bring is taken.
+    pub fn unbounded(&mut self) {
         self.taken.fill([1.0; 4]);
+    }
+
+    /// Greatest irradiance of a point where all elements have a radiosity of 1, and the fog that of its extinction: 1 in a closed scene, if
+    /// all links were exact. The bound is [`BEYOND`], or less where elements reflect so much that light would grow with that.
+    pub fn row_sum(&mut self, scene: &Scene<'_>, arena: &Arena, links: &[Link], then: Bound) -> f32 {
+        let (of, arriving) = (self.of.clone(), self.arriving.clone());
         for index in (0..arena.elements.len()).rev() {
             let element = &arena.elements[index];
             if !element.is_leaf() {
@@ -107,7 +119,6 @@ impl Lights {
                 continue;
             }
             let light = &mut self.of[index];
-            light.own[FROM_SOURCES] = [Rgb::ZERO; 4];
             light.radiosity = match element.kind {
                 Kind::Fog => Rgb::splat(scene.prepared.media.extinction_at(element.center)),
                 _ => Rgb::ONE,
@@ -135,7 +146,7 @@ impl Lights {
                 _ => self.of[index].whole[FROM_ELEMENTS].map(|light| light.y),
             };
             most = received[..element.count].iter().copied().fold(most, f32::max);
-            if bounded {
+            if then == Bound::RowSums {
                 self.taken[index] = received.map(|received| bound / received.max(bound));
             }
         }

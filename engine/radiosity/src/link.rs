@@ -138,8 +138,8 @@ impl Judge<'_> {
             return Verdict::Keep { link, refused: false };
         }
         let allowed = self.allowed(p, to);
-        // The point of a wide element stands for all of it from afar only. Near the source the receiver's parts have up to its
-        // radiosity, and they are as large as the source.
+        // The point of a wide element stands for all of it from afar only. Near the source parts of the receiver as large as the source
+        // have up to the source's radiosity; an error counts by the root of their share of the receiver.
         if wide && distance < 1.5 * (p.radius + q.radius) {
             let share = (q.radius / p.radius).min(1.0).sqrt();
             // Of fog by the length that light comes from.

@@ -76,7 +76,9 @@ impl<'a> Look<'a> {
     /// Luminance by channel, cd/m2, of a point of a surface, seen along its normal. Gloss counts as diffuse, and textures of `rd` are
     /// left out, as the solution does it.
     /// - `arriving`: what arrives there;
-    /// - `place`: the point's parameters; `inside`: those of a point nearby that is no edge of its leaf.
+    /// - `place`: the point's parameters on the surface;
+    /// - `inside`: parameters of a point near it in the interior of the same leaf. The other side is looked up there, as a point on an
+    ///   edge belongs to two leaves.
     pub(crate) fn radiance(&self, surface: u32, arriving: Irradiance, place: Vec2, inside: Vec2) -> Rgb {
         let source = &self.solution.field.surfaces[surface as usize];
         let (reflected, transmitted) = self.scattered[source.material as usize];

@@ -3,7 +3,7 @@
 use crate::arena::Arena;
 use crate::census::Census;
 use crate::element::{Element, Kind};
-use crate::gather::{FROM_ELEMENTS, FROM_SOURCES, Lights, cell_of};
+use crate::gather::{Bound, FROM_ELEMENTS, FROM_SOURCES, Lights, cell_of};
 use crate::lamps::{LampLink, LampVerdict};
 use crate::link::{Judge, Link, Verdict};
 use crate::scene::Scene;
@@ -111,7 +111,9 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
     solver.open();
     solver.links = vec![Link { receiver: solver.arena.root, source: solver.arena.root, factors: [0.0; 4] }];
     for (round, coarse) in COARSE.into_iter().enumerate() {
+        let is_last = round + 1 == COARSE.len();
         (solver.report.refused, solver.report.bounded) = (0, false);
+        solver.lights.unbounded();
         let error = options.error * coarse;
         // Where the light falls first; then where it goes.
         solver.light_up(error.min(0.1))?;
@@ -119,8 +121,10 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
             solver.lights.push_pull(&scene, &solver.arena);
         }
         solver.refine(error)?;
-        solver.report.row_sum = solver.lights.row_sum(&scene, &solver.arena, &solver.links, false);
-        solver.iterate(if round + 1 == COARSE.len() { RESIDUAL } else { 1e-2 })?;
+        if is_last {
+            solver.report.row_sum = solver.lights.row_sum(&scene, &solver.arena, &solver.links, Bound::None);
+        }
+        solver.iterate(if is_last { RESIDUAL } else { 1e-2 })?;
     }
     let report = solver.finish();
     let Solver { arena, lights, .. } = solver;
@@ -326,7 +330,7 @@ impl Solver<'_> {
             self.report.iterations += 1;
             growing = if change > before { growing + 1 } else { 0 };
             if growing == GROWING && !self.report.bounded {
-                self.lights.row_sum(self.scene, &self.arena, &self.links, true);
+                self.lights.row_sum(self.scene, &self.arena, &self.links, Bound::RowSums);
                 (self.report.bounded, before) = (true, f64::INFINITY);
                 continue;
             }

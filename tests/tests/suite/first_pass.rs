@@ -215,6 +215,21 @@ fn a_lamp_in_fog_looks_as_by_path_tracing() {
     }
 }
 
+/// A kitchen of small curved things, whose links bring more than there is: unbounded, light grew to 1e19 of what it is.
+#[test]
+fn light_that_grows_from_reflection_to_reflection_is_bounded() {
+    let Some(folder) = femc_require::shared("scenes-real") else { return };
+    let loaded = femc_import::load_path(&folder.join("soda.mgf")).unwrap_or_else(|e| panic!("{e}"));
+    let prepared = prepare(&Source::new(Arc::new(loaded.scene)), &Settings::default(), 1, None);
+    let prepared = prepared.unwrap_or_else(|e| panic!("{e}"));
+    let options = Options { error: 0.3, ..Options::default() };
+    let Solution { field, report, .. } =
+        radiosity::solve(&prepared, &options, &AtomicBool::new(false)).unwrap_or_else(|e| panic!("{e:?}"));
+    assert!(report.bounded && report.row_sum > 2.0 && report.residual <= 1e-4, "{report:?}");
+    let [_, _, most] = irradiances(&Solution { field, direct: Vec::new(), report }, Side::Front);
+    assert!(most < 1e4, "{most} lx, where paths find a mean of 4");
+}
+
 #[test]
 fn threads_change_no_bit() {
     let text = format!(

@@ -125,6 +125,8 @@ pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
         rays: found.rays,
         iterations: found.iterations,
         residual: found.residual,
+        row_sum: found.row_sum,
+        bounded: found.bounded,
         bytes: found.bytes,
         energy: (&light).into(),
         irradiance: (&light).into(),
@@ -134,6 +136,9 @@ pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
         vertices: meshes.iter().map(|mesh| mesh.positions.len()).sum(),
         triangles: meshes.iter().map(|mesh| mesh.triangles.len()).sum(),
     };
+    if report.bounded {
+        say.warning("light grew from reflection to reflection, as links are not exact; it was bounded, and the solution is rough");
+    }
     let text = serde_json::to_string_pretty(&report).map_err(failed)? + "\n";
     femc_film::file::write_atomic(&statistics, text.as_bytes()).map_err(failed)?;
     if args.format.json {
@@ -162,8 +167,8 @@ fn target(out: Option<&Path>, scene: &Path) -> Result<PathBuf, Failure> {
     }
 }
 
-/// What brings luminances to colors. Each surface counts by the light that it sends: backs of walls that are nearly black, which nobody
-/// looks at, count for nothing. Nor do lamps, which would leave little for all else.
+/// The tone curve whose exposure scales luminances to colors. Automatic exposure weights each surface by the light that it sends, so that
+/// the nearly black backs of walls have no influence. Lamps are left out: beside them all else would be dark.
 fn curve(exposure: Exposure, meshes: &[Mesh]) -> ToneCurve {
     if exposure != Exposure::Auto {
         return exposure.curve(&Levels::default());

@@ -31,8 +31,12 @@ pub struct Report {
     pub rays: u64,
     /// Times that light was passed on through all links.
     pub iterations: usize,
-    /// What further iterations would change, as a share of the greatest radiosity.
+    /// What further iterations would change of the light that leaves all elements, as a share of it.
     pub residual: f32,
+    /// Greatest irradiance of a point if all that it sees had a radiosity of 1; 1 in a closed scene, if all links were exact.
+    pub row_sum: f32,
+    /// Whether light grew from reflection to reflection and was bounded by the row sums.
+    pub bounded: bool,
     /// Bytes of elements and links.
     pub bytes: usize,
     /// Flux, lm.
@@ -174,7 +178,10 @@ impl Report {
                     quantity(self.refused)
                 ),
             ),
-            row("iterations", format!("{}, residual {:.1e}", self.iterations, self.residual)),
+            row(
+                "iterations",
+                format!("{}, residual {:.1e}, row sums up to {:.2}", self.iterations, self.residual, self.row_sum),
+            ),
             row("irradiance", format!("{least:.3} to {most:.3} lx, median {median:.3} lx")),
             row("flux", format!("{emitted:.1} lm sent, {received:.1} lm received, {absorbed:.1} lm kept")),
             row("took", format!("{}, {}", human::seconds(self.seconds), human::bytes(self.bytes as u64))),

@@ -15,20 +15,32 @@ fn sum(rows: &serde_json::Value, column: &str) -> f64 {
     rows.as_array().expect("rows").iter().map(|row| row[column].as_f64().expect("a number")).sum()
 }
 
+/// Until so many workers have registered: what their start takes is of no attempt.
+fn wait_for_workers(place: &Place, url: &str, number: usize) {
+    let start = std::time::Instant::now();
+    let known = || place.run(&format!("workers --json --server {url}")).exits(0).json().as_array().map_or(0, Vec::len);
+    while known() < number {
+        assert!(start.elapsed().as_secs() < 60, "{number} workers never registered");
+    }
+}
+
 #[test]
 fn the_processor_seconds_of_all_attempts_are_those_that_the_system_says_the_workers_used() {
     let place = Place::new();
     let (_farm, url) = coordinator(&place, 0);
     let workers = [1, 2].map(|number| place.start(&format!("worker --join {url} --threads 2 --name lab{number}")));
-    let job = submit(&place, &url, "--spp 192 --frames 1..4");
+    let used = || workers.iter().map(|worker| processor(worker.id())).sum::<f64>();
+    wait_for_workers(&place, &url, workers.len());
+    let started = used();
+    let job = submit(&place, &url, "--spp 384 --frames 1..4");
     place.run(&format!("watch {job} --quiet --server {url}")).exits(0);
-    let used: f64 = workers.iter().map(|worker| processor(worker.id())).sum();
+    let used = used() - started;
     let stats = |what: &str| place.run(&format!("stats {job} {what} --server {url}")).exits(0);
     for by in ["task", "frame", "worker", "attempt"] {
         let rows = stats(&format!("--by {by} --json")).json();
         let recorded = sum(&rows, "cpu_seconds");
         assert!((recorded - used).abs() <= 0.03 * used, "by {by}: {recorded} s of {used} s");
-        assert_eq!(sum(&rows, "samples"), 4.0 * 32.0 * 32.0 * 192.0, "by {by}");
+        assert_eq!(sum(&rows, "samples"), 4.0 * 32.0 * 32.0 * 384.0, "by {by}");
     }
     let attempts = stats("--by attempt --json").json();
     let leases: BTreeSet<(String, u64)> = attempts.as_array().expect("rows").iter().map(lease).collect();

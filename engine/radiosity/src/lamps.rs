@@ -2,9 +2,9 @@
 
 use crate::element::{Element, Kind};
 use crate::form_factor::{polygon, solid_angle};
-use crate::link::{FACE, Judge, along};
+use crate::link::{FACE, Judge, along, unproved};
 use crate::scene::{Lamp, TIME};
-use crate::visibility::{Eye, Numbers};
+use crate::visibility::{Eye, Numbers, spot};
 use femc_field::SurfaceSpot;
 use femc_math::Rgb;
 use femc_math::color::luminance;
@@ -32,6 +32,8 @@ pub enum LampVerdict {
     Receiver,
 }
 
+/// Rays that tell whether anything of a source arrives.
+const LOOK: u32 = 16;
 /// Points on a source that is large as seen from the element, by axis.
 const STRATA: u32 = 2;
 /// A source is large where its radius is more than this share of the distance.
@@ -118,11 +120,13 @@ impl Judge<'_> {
                     (_, true) => mean,
                     _ => self.arriving(p, &spot, lamp, [0.5; 2]).map_or(0.0, |(light, _)| luminance(light)),
                 };
-                (middle - mean).abs() + 0.1 * (most - least)
+                (middle - mean).abs() + 0.1 * (most - least) + self.missed(p, lamp)
             }
         };
         if error > allowed && self.may_cut_lamp(p) {
-            return LampVerdict::Receiver;
+            let in_doubt = self.in_doubt(p, allowed);
+            let looks = allowed < in_doubt && mean * unproved(LOOK) <= in_doubt;
+            return if looks && self.is_dark(p, lamp, eye) { LampVerdict::Drop } else { LampVerdict::Receiver };
         }
         if most <= 0.0 {
             return LampVerdict::Drop;
@@ -133,8 +137,7 @@ impl Judge<'_> {
             for (light, to) in points[node].iter().flatten() {
                 let from = if wide {
                     let part = numbers.next();
-                    let spot =
-                        crate::visibility::spot(self.arena, self.scene, p, (part * 4.0) as u32, &mut numbers, |_| 1.0);
+                    let spot = spot(self.arena, self.scene, p, (part * 4.0) as u32, &mut numbers, |_| 1.0);
                     if spot.normal != Vec3A::ZERO && spot.normal.dot(to.position - spot.position) <= 0.0 {
                         p.nodes[node]
                     } else {
@@ -198,6 +201,41 @@ impl Judge<'_> {
             }
         }
         (sum / p.size).max(Rgb::ZERO)
+    }
+
+    /// Irradiance of a patch by a source, taken as a point, that the nodes do not show, lx: a source that is next to a large patch is
+    /// far from all of them. What arrives on the whole is known by the solid angle of the patch.
+    fn missed(&self, p: &Element, lamp: u32) -> f32 {
+        if p.kind != Kind::Patch {
+            return 0.0;
+        }
+        let Lamp { center, intensity, .. } = self.scene.lamps[lamp as usize];
+        let mut corners = p.corners;
+        let corners = &mut corners[..p.corner_count.max(if p.corner_count == 0 { 4 } else { 0 })];
+        let mut whole = solid_angle(center, corners);
+        if p.corner_count == 0 {
+            // Chords of a curve, in either order.
+            corners.reverse();
+            whole = whole.max(solid_angle(center, corners));
+        }
+        let at = |node: &SurfaceSpot| {
+            let way = center - node.position;
+            let distance2 = way.length_squared();
+            node.normal.dot(way).max(0.0) / (distance2 * distance2.sqrt()).max(f32::MIN_POSITIVE)
+        };
+        let mean = p.nodes[..p.count].iter().map(at).sum::<f32>() / p.count as f32;
+        intensity * (whole / p.size - mean).abs()
+    }
+
+    /// Whether no ray between points of an element and of a source meets the other.
+    fn is_dark(&self, p: &Element, lamp: u32, eye: &mut Eye) -> bool {
+        let mut numbers = Numbers::new(&[p.key, u64::from(lamp), 8]);
+        !(0..LOOK).any(|part| {
+            let from = spot(self.arena, self.scene, p, part % 4, &mut numbers, |_| 1.0);
+            let u = [numbers.next(), numbers.next()];
+            let to = self.arriving(p, &from, lamp, u);
+            to.is_some_and(|(_, to)| eye.seen(self.scene, &from, &to) > 0.0)
+        })
     }
 
     fn may_cut_lamp(&self, p: &Element) -> bool {

@@ -73,7 +73,7 @@ pub const FACE: u32 = 5;
 const BESIDE: f32 = 0.5;
 
 /// Bounds of how much more error than others a small element may have, and a large one.
-const WEIGHTS: [f32; 2] = [0.5, 4.0];
+const WEIGHTS: [f32; 2] = [0.5, 100.0];
 
 /// A source's share of the receiver's view, by radius over distance, below which no more of its like are thought of.
 const MANY: f32 = 0.03;
@@ -86,6 +86,9 @@ const THIN: f32 = 0.1;
 
 /// Rays of a first look, and of a second one where the first found the source partly hidden.
 const LOOK: [u32; 2] = [4, 12];
+/// What no ray has met is taken as dark where it would bring no more than so many times the least irradiance that an error is a share
+/// of: what lies in the dark is not cut to pieces to prove that.
+const DOUBT: f32 = 10.0;
 /// Share of the error that is allowed which a link has as a whole, if one ray is enough for it.
 const LITTLE: f32 = 0.2;
 
@@ -108,6 +111,11 @@ impl Judge<'_> {
             Kind::Fog => self.error * (light.least + self.fog_floor) * weight(self.unit_volume / p.size),
             _ => self.error * (0.5 * (light.least + light.mean) + self.floor) * weight(self.unit_area / p.size),
         }
+    }
+
+    /// Error that is allowed where no ray has met the source.
+    pub fn in_doubt(&self, p: &Element, allowed: f32) -> f32 {
+        allowed.max(self.error * DOUBT * if p.kind == Kind::Fog { self.fog_floor } else { self.floor })
     }
 
     /// Extinction in the middle of an element, 1/m.
@@ -167,23 +175,27 @@ impl Judge<'_> {
         let close = |element: &Element| (element.radius / distance.max(1e-20)).min(1.0);
         let (near_p, near_q) = (close(p), close(q));
         let spread = 0.5 * (from.brightest - from.darkest);
-        // What is small and at a box of fog lights it next to itself most of all, where no node may be. What the whole box receives is
-        // known the other way round; what the nodes do not show of it is spread over the box.
-        let is_beside = p.kind == Kind::Fog
-            && near_p + near_q > BESIDE
-            && (q.kind == Kind::Patch || q.kind == Kind::Fog && q.size < p.size);
-        let unseen_part = if is_beside {
-            let spots = &q.nodes[..q.count];
-            let back: f32 = spots.iter().map(|spot| self.factor_of_fog(q, p, spot, eye)).sum::<f32>() / q.count as f32;
-            let share = if q.kind == Kind::Fog { 1.0 } else { 0.25 };
-            let whole = share * back * q.size / p.size;
-            let less = whole - mean;
-            let scale = if mean > 0.0 { (whole / mean).min(1.0) } else { 1.0 };
-            link.factors = link.factors.map(|factor| factor * scale + less.max(0.0));
-            mean = whole;
-            less.abs()
-        } else {
-            0.0
+        // What is small lights a large element next to it most of all where no node may be. What the whole element receives is known
+        // the other way round; what the nodes do not show of it is spread over the element.
+        let is_polygon = |element: &Element| element.kind == Kind::Patch && element.corner_count > 0;
+        let share = match (p.kind, q.kind) {
+            (Kind::Fog, Kind::Fog) if q.size < p.size => Some(1.0),
+            (Kind::Fog, Kind::Patch) => Some(0.25),
+            (Kind::Patch, Kind::Patch) if is_polygon(p) && is_polygon(q) && q.size < p.size => Some(1.0),
+            _ => None,
+        };
+        let unseen_part = match share {
+            Some(share) if near_p + near_q > BESIDE => {
+                let spots = &q.nodes[..q.count];
+                let back: f32 = spots.iter().map(|spot| self.factor(q, p, spot, eye)).sum::<f32>() / q.count as f32;
+                let whole = share * back * q.size / p.size;
+                let less = whole - mean;
+                let scale = if mean > 0.0 { (whole / mean).min(1.0) } else { 1.0 };
+                link.factors = link.factors.map(|factor| factor * scale + less.max(0.0));
+                mean = whole;
+                less.abs()
+            }
+            _ => 0.0,
         };
         let mut errors = [
             if p.is_wide() {
@@ -199,29 +211,43 @@ impl Judge<'_> {
             },
         ];
         // A source that is small from here is one of many, next to each other, whose errors at the receiver are alike and add up.
-        errors[0] /= near_q.max(MANY);
+        if p.kind == Kind::Fog {
+            errors[0] /= near_q.max(MANY);
+        } else {
+            let share = if wide { 0.25 * near_q * near_q } else { mean };
+            let many = 1.0 / share.sqrt().clamp(MANY, 1.0);
+            errors = errors.map(|error| error * many);
+        }
         if self.scene.fog.is_some() {
             // What the fog leaves of the light differs over the source; a box of fog has no one distance, either.
             let thickness = (self.extinction(q) * q.radius).min(1.0);
             let shape = if q.kind == Kind::Fog { near_q * near_q } else { 0.0 };
             errors[1] += mean * radiosity * (shape + 0.3 * near_q * thickness);
         }
-        if errors[0] + errors[1] > allowed
-            && let Some(verdict) = self.cut(p, q, errors)
-        {
-            return verdict;
+        let amount = mean * reach;
+        let in_doubt = self.in_doubt(p, allowed);
+        if errors[0] + errors[1] > allowed {
+            // In the dark it is worth finding out first whether anything arrives.
+            let looks = allowed < in_doubt && amount * unproved(LOOK[0] + LOOK[1]) <= in_doubt;
+            let is_dark = looks && self.look(p, q, eye, false, true).0[..p.count].iter().all(|&seen| seen == 0.0);
+            if is_dark {
+                return Verdict::Keep { link: Link { factors: [0.0; 4], ..link }, refused: false };
+            }
+            if let Some(verdict) = self.cut(p, q, errors) {
+                return verdict;
+            }
         }
-        if mean * reach <= 0.0 {
+        if amount <= 0.0 {
             return Verdict::Keep { link, refused: false };
         }
         // What is hidden.
-        let (seen, refused) = self.look(p, q, eye, mean * reach <= LITTLE * allowed);
+        let (seen, refused) = self.look(p, q, eye, amount <= LITTLE * allowed, amount * unproved(LOOK[0]) > in_doubt);
         let least = seen[..p.count].iter().copied().fold(1.0f32, f32::min);
         let most = seen[..p.count].iter().copied().fold(0.0f32, f32::max);
         let hidden = if most == 0.0 { refused } else { 0.5 * (most - least).max(refused) };
         link.factors.iter_mut().zip(seen).for_each(|(factor, seen)| *factor *= seen);
-        let error = mean * reach * hidden;
-        if error > allowed {
+        let error = amount * hidden;
+        if error > if most == 0.0 { in_doubt } else { allowed } {
             let sizes = if p.radius > q.radius { [error, 0.0] } else { [0.0, error] };
             return self.cut(p, q, sizes).unwrap_or(Verdict::Keep { link, refused: true });
         }
@@ -421,14 +447,16 @@ impl Judge<'_> {
     }
 
     /// Share of the source's light that reaches each node, and how uncertain the shares are.
-    fn look(&self, p: &Element, q: &Element, eye: &mut Eye, little: bool) -> ([f32; 4], f32) {
+    /// - `little`: one ray is enough;
+    /// - `doubt`: where the first rays meet nothing of the source more are cast.
+    fn look(&self, p: &Element, q: &Element, eye: &mut Eye, little: bool, doubt: bool) -> ([f32; 4], f32) {
         let mut numbers = Numbers::new(&[p.key, q.key]);
         let (mut got, mut cast) = ([0.0f32; 4], [0u32; 4]);
         let (mut hits, mut misses) = (0u32, 0u32);
         // One ray alone goes from any node to any quarter.
         let first = (numbers.next() * 12.0) as u32;
         for (round, rays) in LOOK.into_iter().enumerate() {
-            if round == 1 && (hits == 0 || misses == 0 || little) {
+            if round == 1 && (misses == 0 || little || hits == 0 && !doubt) {
                 break;
             }
             for k in 0..if little { 1 } else { rays } {
@@ -462,9 +490,14 @@ impl Judge<'_> {
         let seen = [0, 1, 2, 3].map(|k| if cast[k] > 0 { got[k] / cast[k] as f32 } else { mean });
         let share = hits as f32 / total as f32;
         // A source that no ray has met may be there.
-        let unsure = if hits == 0 { 0.5 / (total + 2) as f32 } else { (share * (1.0 - share)).sqrt() };
+        let unsure = if hits == 0 { unproved(total) } else { (share * (1.0 - share)).sqrt() };
         (seen, unsure)
     }
+}
+
+/// Share of a source that may be seen though so many rays have missed it.
+pub fn unproved(rays: u32) -> f32 {
+    0.5 / (rays + 2) as f32
 }
 
 /// Length of fog that sends as much light as all up to a distance does, seen through itself: m.

@@ -46,6 +46,8 @@ pub fn encode_solution(solution: &Solution) -> Vec<u8> {
         bytes,
         row_sum: _,
         bounded: _,
+        checked: _,
+        corrected: _,
         census: _,
     } = solution.report;
     let statistics = Statistics {

@@ -101,6 +101,47 @@ impl Arena {
         index
     }
 
+    /// The smallest part of a surface that holds a point, if it is larger than `least`, m2; else the first that is not.
+    /// - `place`: the point, in the surface's parameters.
+    pub fn part_at(&self, root: u32, place: Vec2, least: f32) -> u32 {
+        let mut index = root;
+        let mut local = self.elements[root as usize].in_parent.local(place);
+        loop {
+            let element = &self.elements[index as usize];
+            if element.is_leaf() || element.size <= least {
+                return index;
+            }
+            let second = match element.split {
+                Split::Half(0) | Split::None => local.x >= 0.5,
+                Split::Half(_) => local.y >= 0.5,
+                Split::Bisection => local.y > local.x,
+            };
+            index = element.children[usize::from(second)];
+            local = self.elements[index as usize].in_parent.local(local);
+        }
+    }
+
+    /// The smallest box of fog that holds a point, m; `None` outside of the fog.
+    pub fn fog_at(&self, point: Vec3A) -> Option<u32> {
+        let mut index = self.fog;
+        if index == NONE {
+            return None;
+        }
+        let whole = &self.elements[index as usize];
+        if (point - whole.center).abs().cmpgt(whole.half).any() {
+            return None;
+        }
+        loop {
+            let element = &self.elements[index as usize];
+            if element.is_leaf() {
+                return Some(index);
+            }
+            let second = &self.elements[element.children[1] as usize];
+            let is_first = point.cmplt(second.center - second.half).any();
+            index = element.children[usize::from(!is_first)];
+        }
+    }
+
     /// The parts of an element, made if they are not there; `None` of what cannot be cut.
     /// - returns whether they are new.
     pub fn children(&mut self, scene: &Scene<'_>, index: u32) -> ([u32; 2], bool) {

@@ -47,10 +47,12 @@ impl Light {
 pub struct Arriving {
     pub own: [Harmonics; 2],
     pub whole: [Harmonics; 2],
+    /// Of a ball: what rays find beyond what links bring.
+    pub more: Harmonics,
 }
 
 impl Arriving {
-    pub const NOTHING: Self = Self { own: [Harmonics::ZERO; 2], whole: [Harmonics::ZERO; 2] };
+    pub const NOTHING: Self = Self { own: [Harmonics::ZERO; 2], whole: [Harmonics::ZERO; 2], more: Harmonics::ZERO };
 }
 
 /// Which light is meant.
@@ -80,6 +82,8 @@ pub struct Lights {
     pub arriving: Vec<Arriving>,
     /// By element: share of what links bring to the nodes that is taken, see [`Lights::row_sum`].
     pub taken: Vec<[f32; 4]>,
+    /// By element: what rays find at the nodes beyond that, lx; see [`crate::rays`].
+    pub more: Vec<[Rgb; 4]>,
 }
 
 impl Lights {
@@ -89,6 +93,7 @@ impl Lights {
             of: vec![Light::NOTHING; count],
             arriving: vec![Arriving::NOTHING; arena.wide],
             taken: vec![[1.0; 4]; count],
+            more: vec![[Rgb::ZERO; 4]; count],
         }
     }
 
@@ -98,9 +103,11 @@ impl Lights {
             let parent = self.of[element.parent as usize];
             let Light { radiosity, darkest, brightest, mean, least, .. } = parent;
             self.of.push(Light { radiosity, darkest, brightest, mean, least, ..Light::NOTHING });
+            let taken = self.taken[element.parent as usize].into_iter().fold(1.0, f32::min);
+            self.taken.push([taken; 4]);
         }
         self.arriving.resize(arena.wide, Arriving::NOTHING);
-        self.taken.resize(arena.elements.len(), [1.0; 4]);
+        self.more.resize(arena.elements.len(), [Rgb::ZERO; 4]);
     }
 
     /// All that links bring is taken.
@@ -147,7 +154,9 @@ impl Lights {
             };
             most = received[..element.count].iter().copied().fold(most, f32::max);
             if then == Bound::RowSums {
-                self.taken[index] = received.map(|received| bound / received.max(bound));
+                for (taken, received) in self.taken[index].iter_mut().zip(received) {
+                    *taken = taken.min(bound / received.max(f32::MIN_POSITIVE));
+                }
             }
         }
         (self.of, self.arriving) = (of, arriving);
@@ -237,15 +246,16 @@ impl Lights {
     pub fn at_nodes(&self, index: usize, from: usize) -> [Rgb; 4] {
         let mut values = self.of[index].whole[from];
         if from == FROM_ELEMENTS {
-            values.iter_mut().zip(self.taken[index]).for_each(|(value, taken)| *value *= taken);
+            let beyond = self.taken[index].into_iter().zip(self.more[index]);
+            values.iter_mut().zip(beyond).for_each(|(value, (taken, more))| *value = *value * taken + more);
         }
         values
     }
 
     /// What a curved element receives of them, by direction.
     pub fn around(&self, element: &Element, index: usize, from: usize) -> Harmonics {
-        let taken = if from == FROM_ELEMENTS { self.taken[index][0] } else { 1.0 };
-        self.arriving[element.wide as usize].whole[from] * Rgb::splat(taken)
+        let Arriving { whole, more, .. } = self.arriving[element.wide as usize];
+        if from == FROM_ELEMENTS { whole[from] * Rgb::splat(self.taken[index][0]) + more } else { whole[from] }
     }
 
     /// What a leaf sends of what it receives.
@@ -298,28 +308,14 @@ impl Lights {
         }
         // Both sides are cut alike, one perhaps further.
         let middle = if element.corner_count == 3 { Vec2::splat(1.0 / 3.0) } else { Vec2::splat(0.5) };
-        let place = element.outline.at(middle);
-        let mut index = root;
-        loop {
-            let other = &arena.elements[index as usize];
-            if other.is_leaf() || other.size <= element.size {
-                break;
-            }
-            let second = &arena.elements[other.children[1] as usize];
-            let local = second.outline.local(place);
-            let inside = match second.corner_count {
-                3 => local.min_element() >= 0.0 && local.x + local.y <= 1.0,
-                _ => local.min_element() >= 0.0 && local.max_element() <= 1.0,
-            };
-            index = other.children[usize::from(inside)];
-        }
+        let index = arena.part_at(root, element.outline.at(middle), element.size);
         let other = &arena.elements[index as usize];
         if other.kind == Kind::Ball {
-            let [a, b] = self.arriving[other.wide as usize].whole;
-            return (a + b).total() * 0.25;
+            let sources = self.arriving[other.wide as usize].whole[FROM_SOURCES];
+            return (sources + self.around(other, index as usize, FROM_ELEMENTS)).total() * 0.25;
         }
-        let light = &self.of[index as usize];
-        let sum: Rgb = (0..other.count).map(|node| light.whole[0][node] + light.whole[1][node]).sum();
+        let [sources, elements] = [FROM_SOURCES, FROM_ELEMENTS].map(|from| self.at_nodes(index as usize, from));
+        let sum: Rgb = (0..other.count).map(|node| sources[node] + elements[node]).sum();
         (sum / other.count as f32).max(Rgb::ZERO)
     }
 

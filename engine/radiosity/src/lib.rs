@@ -21,6 +21,7 @@ mod lamps;
 mod link;
 mod look;
 mod mesh;
+mod rays;
 mod scene;
 mod solve;
 mod visibility;

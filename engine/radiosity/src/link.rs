@@ -73,7 +73,7 @@ pub const FACE: u32 = 5;
 const BESIDE: f32 = 0.5;
 
 /// Bounds of how much more error than others a small element may have, and a large one.
-const WEIGHTS: [f32; 2] = [0.5, 100.0];
+const WEIGHTS: [f32; 2] = [0.5, 4.0];
 
 /// A source's share of the receiver's view, by radius over distance, below which no more of its like are thought of.
 const MANY: f32 = 0.03;
@@ -93,7 +93,8 @@ const DOUBT: f32 = 10.0;
 const LITTLE: f32 = 0.2;
 
 impl Judge<'_> {
-    fn may_cut(&self, element: &Element) -> bool {
+    /// Whether an element has parts, or may have.
+    pub fn may_cut(&self, element: &Element) -> bool {
         match element.kind {
             Kind::Cluster => true,
             _ if !element.is_leaf() => true,
@@ -177,11 +178,9 @@ impl Judge<'_> {
         let spread = 0.5 * (from.brightest - from.darkest);
         // What is small lights a large element next to it most of all where no node may be. What the whole element receives is known
         // the other way round; what the nodes do not show of it is spread over the element.
-        let is_polygon = |element: &Element| element.kind == Kind::Patch && element.corner_count > 0;
         let share = match (p.kind, q.kind) {
             (Kind::Fog, Kind::Fog) if q.size < p.size => Some(1.0),
             (Kind::Fog, Kind::Patch) => Some(0.25),
-            (Kind::Patch, Kind::Patch) if is_polygon(p) && is_polygon(q) && q.size < p.size => Some(1.0),
             _ => None,
         };
         let unseen_part = match share {

@@ -6,6 +6,7 @@ use crate::element::{Element, Kind};
 use crate::gather::{Bound, FROM_ELEMENTS, FROM_SOURCES, Lights, cell_of};
 use crate::lamps::{LampLink, LampVerdict};
 use crate::link::{Judge, Link, Verdict};
+use crate::rays::Rays;
 use crate::scene::Scene;
 use crate::visibility::Eye;
 use femc_field::{Field, FogCell, FogTree, Harmonics, Leaf, NONE};
@@ -54,6 +55,10 @@ pub struct Report {
     pub row_sum: f32,
     /// Whether light grew from reflection to reflection: what points receive beyond 1 in that sense was left out then.
     pub bounded: bool,
+    /// Light that rays find on all surfaces, over what the links bring there; 0: no rays were cast, as the fog is not even.
+    pub checked: f32,
+    /// Root mean square, over all surfaces, of what was changed by that, over the links' mean.
+    pub corrected: f32,
     /// Bytes of elements and links.
     pub bytes: usize,
     /// Elements and links by kind.
@@ -83,6 +88,10 @@ const RESIDUAL: f32 = 1e-4;
 const GROWING: usize = 4;
 /// Most iterations at one level of refinement.
 const ITERATIONS: usize = 400;
+/// Times that rays are cast, and between them leaves cut where these find shadows.
+const ROUNDS: usize = 3;
+/// Times that the light of the links is compared with that of the same rays.
+const CHECKS: usize = 2;
 /// Share of the mean irradiance that is added to an element's when a link's error is judged.
 const FLOOR: f32 = 0.03;
 /// Parts of all surfaces' area, and of the fog's volume, that are not cut further, over the error.
@@ -126,6 +135,7 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
         }
         solver.iterate(if is_last { RESIDUAL } else { 1e-2 })?;
     }
+    solver.check()?;
     let report = solver.finish();
     let Solver { arena, lights, .. } = solver;
     let (field, direct) = field(scene, &arena, &lights);
@@ -342,6 +352,42 @@ impl Solver<'_> {
             if self.report.residual <= residual {
                 break;
             }
+        }
+        Ok(())
+    }
+
+    /// Takes of the light that links bring what rays find of it, on leaves that are fine enough for the shadows that these find.
+    fn check(&mut self) -> Result<(), Cancelled> {
+        for round in 0..ROUNDS {
+            let Some(rays) = Rays::new(self.scene, &self.arena) else { return Ok(()) };
+            self.report.rays += rays.traced;
+            let mut contrast = Vec::new();
+            for _ in 0..CHECKS {
+                let found = rays.correct(self.scene, &self.arena, &mut self.lights, self.options.error);
+                (self.report.checked, self.report.corrected) = (found.ratio, found.changed);
+                contrast = found.contrast;
+                self.iterate(RESIDUAL)?;
+            }
+            if round + 1 == ROUNDS {
+                break;
+            }
+            let judge = self.judge(self.options.error, self.links.len());
+            let is_uneven = |&(leaf, contrast): &(u32, f32)| {
+                let element = &self.arena.elements[leaf as usize];
+                0.5 * contrast > judge.allowed(element, &self.lights.of[leaf as usize]) && judge.may_cut(element)
+            };
+            let uneven: Vec<u32> = contrast.iter().filter(|leaf| is_uneven(leaf)).map(|&(leaf, _)| leaf).collect();
+            if uneven.is_empty() {
+                break;
+            }
+            for leaf in uneven {
+                let (halves, _) = self.arena.children(self.scene, leaf);
+                for half in halves {
+                    self.arena.children(self.scene, half);
+                }
+            }
+            self.lights.grow(&self.arena);
+            self.lights.push_pull(self.scene, &self.arena);
         }
         Ok(())
     }

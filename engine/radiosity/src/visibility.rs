@@ -12,7 +12,7 @@ use femc_math::hash::{combine, unit_f32};
 use femc_prepared::media::{Inside, MediaRay};
 
 /// Clear surfaces that a ray goes through at most.
-const CLEAR: u32 = 64;
+pub const CLEAR: u32 = 64;
 
 /// Rays and their buffers, of one thread.
 #[derive(Default)]

@@ -61,12 +61,14 @@ fn log(report: &FirstPassReport, stored: usize, solving: &Stopwatch) {
         bytes,
         row_sum,
         bounded,
+        checked,
+        corrected,
         census: _,
     } = *report;
     let seconds = solving.seconds();
     tracing::debug!(
-        elements, leaves, links, lamp_links, rays, iterations, residual, row_sum, bounded, bytes, stored, seconds,
-        "solved"
+        elements, leaves, links, lamp_links, rays, iterations, residual, row_sum, bounded, checked, corrected, bytes,
+        stored, seconds, "solved"
     );
     if refused > 0 {
         tracing::debug!(

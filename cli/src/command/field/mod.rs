@@ -127,6 +127,8 @@ pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
         residual: found.residual,
         row_sum: found.row_sum,
         bounded: found.bounded,
+        checked: found.checked,
+        corrected: found.corrected,
         bytes: found.bytes,
         energy: (&light).into(),
         irradiance: (&light).into(),

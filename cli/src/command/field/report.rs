@@ -37,6 +37,10 @@ pub struct Report {
     pub row_sum: f32,
     /// Whether light grew from reflection to reflection and was bounded by the row sums.
     pub bounded: bool,
+    /// Light that rays find on all surfaces, over what the links bring there; 0: no rays were cast, as the fog is not even.
+    pub checked: f32,
+    /// Root mean square, over all surfaces, of what was changed by that, over the links' mean.
+    pub corrected: f32,
     /// Bytes of elements and links.
     pub bytes: usize,
     /// Flux, lm.
@@ -181,6 +185,17 @@ impl Report {
             row(
                 "iterations",
                 format!("{}, residual {:.1e}, row sums up to {:.2}", self.iterations, self.residual, self.row_sum),
+            ),
+            row(
+                "checked",
+                match self.checked > 0.0 {
+                    true => format!(
+                        "rays find {:.3} of the light of the links; changed by {:.1} % rms",
+                        self.checked,
+                        100.0 * self.corrected
+                    ),
+                    false => "no: the fog is not even".into(),
+                },
             ),
             row("irradiance", format!("{least:.3} to {most:.3} lx, median {median:.3} lx")),
             row("flux", format!("{emitted:.1} lm sent, {received:.1} lm received, {absorbed:.1} lm kept")),

@@ -1,0 +1,408 @@
+//! Statistics as bytes. The same statistics give the same bytes, and the bytes give the same statistics to the bit. All numbers are
+//! little-endian.
+//!
+//! | bytes | what |
+//! | --- | --- |
+//! | 8 | `FEMCPATH` |
+//! | 4 | format version, 1 |
+//! | 16 | BLAKE3 of everything after this field, first half |
+//! | 4 | version of the attributes and their bins ([`schema`]) |
+//! | 8 | seed |
+//! | 6 x 4 | frame, width, height, tile, most records, most records of a sketch |
+//! | 6 x 8 | corners of the box, m |
+//! | 8 | threshold |
+//! | 7 x 4 | numbers of portions, paths, brightest, deepest, intersections, lights, names |
+//! | 8 | bytes of the tables below |
+//! | rest | zstd frame of the tables |
+//!
+//! A table is a number of records of equal length, made of words of 4 bytes, and stored in byte planes (the lowest byte of the first
+//! word of all records, then the next). Numbers of 8 bytes are two words, the lower one first.
+//!
+//! | table | words of a record |
+//! | --- | --- |
+//! | portions | tile, half, begin, end; the counters, two each |
+//! | paths, brightest, deepest | pixel, sample, radiance: 3, throughput: 3, depth, end, numbers of intersections, lights |
+//! | intersections, in order | bounce, position: 6, radiance: 3, throughput: 3, object, material, interaction |
+//! | lights, in order | vertex, light, radiance: 3, occluder, how it was found |
+//! | names | kind, bytes of the text |
+//!
+//! The texts follow, one after the other. Names are their places among the names, from 1; 0 is none, and 2^32 - 1 no occluder.
+//!
+//! The checksum is looked at first. What is decompressed is never more than the header says, and nothing is made room for that has not
+//! come out of it. Accepted bytes hold all laws of [`Statistics`]: order, ranges, portions apart, no number that is not finite.
+
+use crate::record::{
+    End, Found, Interaction, Intersection, Kind, Light, MOST_INTERSECTIONS, MOST_LIGHTS, Name, Names, Path, PathKey,
+};
+use crate::schema;
+use crate::statistics::{Counters, ENDS, PortionKey, Records, Scope, Statistics, is_clear};
+use std::collections::BTreeMap;
+use std::io::Read;
+
+const MAGIC: &[u8; 8] = b"FEMCPATH";
+const VERSION: u32 = 1;
+const CHECKSUM: usize = 16;
+const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
+/// Most bytes of all tables: 1 GiB.
+const MOST: u64 = 1 << 30;
+/// What is read back needs no larger window than this; it bounds what the decompressor takes.
+const WINDOW_LOG: u32 = 23;
+const LEVEL: i32 = 3;
+/// No occluder.
+const NONE: u32 = u32::MAX;
+
+/// Words of a record of each table.
+const PORTION: usize = 4 + 2 * (1 + 2 * schema::FINE + ENDS);
+const PATH: usize = 12;
+const INTERSECTION: usize = 16;
+const LIGHT: usize = 7;
+
+/// Why bytes are no light statistics.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum PathsError {
+    /// They are of another version of the format.
+    #[error("light statistics of format {found}, not {expected}")]
+    Version {
+        /// Version of these bytes.
+        found: u32,
+        /// Version that is read here.
+        expected: u32,
+    },
+    /// They are counted in other bins.
+    #[error("light statistics with bins of version {found}, not {expected}")]
+    Schema {
+        /// Version of these bytes.
+        found: u32,
+        /// Version that is read here.
+        expected: u32,
+    },
+    /// They are damaged, or something else.
+    #[error("no light statistics: {0}")]
+    Corrupt(&'static str),
+}
+
+const CUT: PathsError = PathsError::Corrupt("cut short");
+const ORDER: PathsError = PathsError::Corrupt("records out of order");
+const RANGE: PathsError = PathsError::Corrupt("a number is out of its range");
+
+impl Statistics {
+    /// The statistics as bytes.
+    pub fn encode(&self) -> Vec<u8> {
+        let mut out = MAGIC.to_vec();
+        out.extend(VERSION.to_le_bytes());
+        out.extend([0; CHECKSUM]);
+        let Scope { seed, frame, film: [width, height], edge, lower, upper, keep, top } = self.scope;
+        out.extend(schema::VERSION.to_le_bytes());
+        out.extend(seed.to_le_bytes());
+        [frame, width, height, edge, keep, top].iter().for_each(|word| out.extend(word.to_le_bytes()));
+        lower.iter().chain(&upper).for_each(|axis| out.extend(axis.to_bits().to_le_bytes()));
+        out.extend(self.threshold.to_le_bytes());
+        let all = || [&self.paths, &self.brightest, &self.deepest].into_iter().flat_map(|records| records.values());
+        let intersections: usize = all().map(|path| path.intersections.len()).sum();
+        let lights: usize = all().map(|path| path.lights.len()).sum();
+        let [paths, brightest, deepest] = [&self.paths, &self.brightest, &self.deepest].map(BTreeMap::len);
+        let lengths = [self.portions.len(), paths, brightest, deepest, intersections, lights, self.names.len()];
+        lengths.iter().for_each(|&length| out.extend((length as u32).to_le_bytes()));
+        let tables = self.tables();
+        out.extend((tables.len() as u64).to_le_bytes());
+        // Compression of a buffer in memory to a growing one cannot fail; should it, the result does not decode.
+        out.extend(zstd::bulk::compress(&tables, LEVEL).unwrap_or_default());
+        let sum = blake3::hash(&out[PREFIX..]);
+        out[PREFIX - CHECKSUM..PREFIX].copy_from_slice(&sum.as_bytes()[..CHECKSUM]);
+        out
+    }
+
+    fn tables(&self) -> Vec<u8> {
+        let mut out = Vec::new();
+        let places: BTreeMap<Name, u32> = (1..).zip(self.names.keys()).map(|(place, name)| (*name, place)).collect();
+        // A name that nobody has told the text of is none.
+        let place = |name: Name| places.get(&name).copied().unwrap_or(0);
+        table(&mut out, self.portions.iter().map(|(key, counters)| portion(key, counters)));
+        let all = [&self.paths, &self.brightest, &self.deepest];
+        for records in all {
+            table(&mut out, records.values().map(path));
+        }
+        let paths = || all.into_iter().flat_map(|records| records.values());
+        let intersection = |it: &Intersection| -> [u32; INTERSECTION] {
+            let mut words = Words::new(it.bounce);
+            it.position.iter().for_each(|axis| words.long(axis.to_bits()));
+            it.radiance.iter().chain(&it.throughput).for_each(|value| words.word(value.to_bits()));
+            let numbers = [place(it.object), place(it.material), it.interaction as u32];
+            numbers.into_iter().for_each(|number| words.word(number));
+            words.done()
+        };
+        table(&mut out, paths().flat_map(|path| &path.intersections).map(intersection));
+        let light = |it: &Light| {
+            let [r, g, b] = it.radiance.map(f32::to_bits);
+            [it.vertex, place(it.light), r, g, b, it.occluder.map_or(NONE, place), it.found as u32]
+        };
+        table::<LIGHT>(&mut out, paths().flat_map(|path| &path.lights).map(light));
+        table(&mut out, self.names.values().map(|(kind, text)| [*kind as u32, text.len() as u32]));
+        self.names.values().for_each(|(_, text)| out.extend(text.as_bytes()));
+        out
+    }
+
+    /// The statistics of bytes; damage of any kind is an error.
+    pub fn decode(bytes: &[u8]) -> Result<Self, PathsError> {
+        let (prefix, body) = bytes.split_at_checked(PREFIX).ok_or(CUT)?;
+        if prefix[..MAGIC.len()] != MAGIC[..] {
+            return Err(PathsError::Corrupt("it begins as something else"));
+        }
+        let mut front = Front(&prefix[MAGIC.len()..]);
+        let found = front.word()?;
+        if found != VERSION {
+            return Err(PathsError::Version { found, expected: VERSION });
+        }
+        if blake3::hash(body).as_bytes()[..CHECKSUM] != *front.0 {
+            return Err(PathsError::Corrupt("checksum mismatch"));
+        }
+        let mut front = Front(body);
+        let found = front.word()?;
+        if found != schema::VERSION {
+            return Err(PathsError::Schema { found, expected: schema::VERSION });
+        }
+        let seed = front.long()?;
+        let [frame, width, height, edge, keep, top] = front.words()?;
+        let mut corners = [0.0; 6];
+        for corner in &mut corners {
+            *corner = f64::from_bits(front.long()?);
+        }
+        let [a, b, c, d, e, f] = corners;
+        let scope = Scope { seed, frame, film: [width, height], edge, lower: [a, b, c], upper: [d, e, f], keep, top };
+        if !scope.is_sound() {
+            return Err(PathsError::Corrupt("no such film"));
+        }
+        let threshold = front.long()?;
+        let lengths = front.words()?;
+        let plain = front.long()?;
+        let tables = decompressed(front.0, plain)?;
+        read(Tables(&tables), scope, threshold, lengths)
+    }
+}
+
+fn portion(key: &PortionKey, counters: &Counters) -> [u32; PORTION] {
+    let mut words = Words::new(key.tile);
+    [u32::from(key.half), key.begin, key.end].into_iter().for_each(|number| words.word(number));
+    counters.words().for_each(|count| words.long(count));
+    words.done()
+}
+
+fn path(path: &Path) -> [u32; PATH] {
+    let Path { key, radiance: [r, g, b], throughput: [s, t, u], depth, end, intersections, lights } = path;
+    let [r, g, b, s, t, u] = [r, g, b, s, t, u].map(|value| value.to_bits());
+    let (kept, found) = (intersections.len() as u32, lights.len() as u32);
+    [key.pixel, key.sample, r, g, b, s, t, u, *depth, *end as u32, kept, found]
+}
+
+fn decompressed(bytes: &[u8], plain: u64) -> Result<Vec<u8>, PathsError> {
+    const LENGTH: PathsError = PathsError::Corrupt("tables of another length");
+    const DAMAGED: PathsError = PathsError::Corrupt("tables do not decompress");
+    if plain > MOST {
+        return Err(LENGTH);
+    }
+    let mut decoder = zstd::stream::read::Decoder::with_buffer(bytes).map_err(|_| DAMAGED)?;
+    decoder.window_log_max(WINDOW_LOG).map_err(|_| DAMAGED)?;
+    let mut tables = Vec::new();
+    decoder.take(plain + 1).read_to_end(&mut tables).map_err(|_| DAMAGED)?;
+    if tables.len() as u64 == plain { Ok(tables) } else { Err(LENGTH) }
+}
+
+fn read(mut tables: Tables<'_>, scope: Scope, threshold: u64, lengths: [u32; 7]) -> Result<Statistics, PathsError> {
+    let [portions, paths, brightest, deepest, intersections, lights, names] = lengths;
+    let portions = read_portions(tables.table(portions)?, &scope)?;
+    let heads: [Vec<[u32; PATH]>; 3] = [tables.table(paths)?, tables.table(brightest)?, tables.table(deepest)?];
+    let intersections: Vec<[u32; INTERSECTION]> = tables.table(intersections)?;
+    let lights: Vec<[u32; LIGHT]> = tables.table(lights)?;
+    let names = read_names(tables.table(names)?, tables.0)?;
+    let keys: Vec<Name> = [Name::NONE].into_iter().chain(names.keys().copied()).collect();
+    let name = |place: u32| keys.get(place as usize).copied().ok_or(RANGE);
+    let intersection = |words: &[u32; INTERSECTION]| {
+        let long = |at: usize| f64::from_bits(u64::from(words[at]) | u64::from(words[at + 1]) << 32);
+        let floats = |at: usize| [0, 1, 2].map(|k| f32::from_bits(words[at + k]));
+        Ok(Intersection {
+            bounce: words[0],
+            position: [long(1), long(3), long(5)],
+            radiance: floats(7),
+            throughput: floats(10),
+            object: name(words[13])?,
+            material: name(words[14])?,
+            interaction: number(Interaction::ALL, words[15])?,
+        })
+    };
+    let light = |&[vertex, light, r, g, b, occluder, found]: &[u32; LIGHT]| {
+        Ok(Light {
+            vertex,
+            light: name(light)?,
+            radiance: [r, g, b].map(f32::from_bits),
+            occluder: if occluder == NONE { None } else { Some(name(occluder)?) },
+            found: number(Found::ALL, found)?,
+        })
+    };
+    let (mut intersections, mut lights) = (&intersections[..], &lights[..]);
+    let mut records = [Records::new(), Records::new(), Records::new()];
+    for (records, heads) in records.iter_mut().zip(heads) {
+        for [pixel, sample, r, g, b, s, t, u, depth, end, kept, found] in heads {
+            if kept as usize > MOST_INTERSECTIONS || found as usize > MOST_LIGHTS {
+                return Err(RANGE);
+            }
+            let (own, rest) = intersections.split_at_checked(kept as usize).ok_or(CUT)?;
+            let (own_lights, rest_lights) = lights.split_at_checked(found as usize).ok_or(CUT)?;
+            (intersections, lights) = (rest, rest_lights);
+            let key = PathKey { frame: scope.frame, pixel, sample };
+            let path = Path {
+                key,
+                radiance: [r, g, b].map(f32::from_bits),
+                throughput: [s, t, u].map(f32::from_bits),
+                depth,
+                end: number(End::ALL, end)?,
+                intersections: own.iter().map(intersection).collect::<Result<_, _>>()?,
+                lights: own_lights.iter().map(light).collect::<Result<_, _>>()?,
+            };
+            let order = (key.hash(scope.seed), key);
+            if !path.is_sound() || u64::from(pixel) >= scope.pixels() {
+                return Err(RANGE);
+            }
+            if records.last_key_value().is_some_and(|(last, _)| *last >= order) {
+                return Err(ORDER);
+            }
+            records.insert(order, path);
+        }
+    }
+    if !intersections.is_empty() || !lights.is_empty() {
+        return Err(PathsError::Corrupt("more than its tables"));
+    }
+    let [paths, brightest, deepest] = records;
+    let mut read = Statistics { scope, threshold, portions, paths, brightest, deepest, names };
+    // Settling drops what the scope does not allow, or no sample counted: there is no such thing.
+    let extent = |it: &Statistics| (it.threshold, it.paths.len(), it.brightest.len(), it.deepest.len(), it.names.len());
+    let before = extent(&read);
+    read.settle();
+    if extent(&read) != before || !read.paths.keys().all(|(_, key)| read.portion_of(*key).is_some()) {
+        return Err(PathsError::Corrupt("records that do not belong there"));
+    }
+    Ok(read)
+}
+
+fn read_portions(records: Vec<[u32; PORTION]>, scope: &Scope) -> Result<BTreeMap<PortionKey, Counters>, PathsError> {
+    let [_, tiles] = scope.tiles();
+    let mut portions = BTreeMap::new();
+    for words in records {
+        let [tile, half, begin, end, ref counts @ ..] = words;
+        let mut counters = Counters::default();
+        let longs = counts.as_chunks::<2>().0.iter().map(|&[low, high]| u64::from(low) | u64::from(high) << 32);
+        counters.words_mut().zip(longs).for_each(|(count, value)| *count = value);
+        let key = PortionKey { tile, half: half.min(2) as u8, begin, end };
+        if u64::from(tile) >= tiles || half > 1 || begin >= end || !counters.is_sound() {
+            return Err(RANGE);
+        }
+        // The samples that it says are those that were counted.
+        if counters.samples() != u64::from(key.samples()) * scope.area(tile) {
+            return Err(PathsError::Corrupt("samples of another number"));
+        }
+        if portions.last_key_value().is_some_and(|(last, _)| *last >= key) || !is_clear(&portions, key) {
+            return Err(ORDER);
+        }
+        portions.insert(key, counters);
+    }
+    Ok(portions)
+}
+
+fn read_names(records: Vec<[u32; 2]>, mut texts: &[u8]) -> Result<Names, PathsError> {
+    let mut names = Names::new();
+    for [kind, bytes] in records {
+        let (text, rest) = texts.split_at_checked(bytes as usize).ok_or(CUT)?;
+        texts = rest;
+        let text = std::str::from_utf8(text).map_err(|_| PathsError::Corrupt("a name is no text"))?;
+        let kind = number(&Kind::ALL, kind)?;
+        let name = Name::of(kind, text);
+        if names.last_key_value().is_some_and(|(last, _)| *last >= name) || name == Name::NONE {
+            return Err(ORDER);
+        }
+        names.insert(name, (kind, text.to_owned()));
+    }
+    if texts.is_empty() { Ok(names) } else { Err(PathsError::Corrupt("more than its tables")) }
+}
+
+fn number<T: Copy>(all: &[T], number: u32) -> Result<T, PathsError> {
+    all.get(number as usize).copied().ok_or(RANGE)
+}
+
+/// Words of a record that is written one by one.
+struct Words<const N: usize> {
+    words: [u32; N],
+    next: usize,
+}
+
+impl<const N: usize> Words<N> {
+    fn new(first: u32) -> Self {
+        let mut words = Self { words: [0; N], next: 0 };
+        words.word(first);
+        words
+    }
+
+    fn word(&mut self, word: u32) {
+        self.words[self.next] = word;
+        self.next += 1;
+    }
+
+    fn long(&mut self, long: u64) {
+        self.word(long as u32);
+        self.word((long >> 32) as u32);
+    }
+
+    fn done(self) -> [u32; N] {
+        debug_assert_eq!(self.next, N);
+        self.words
+    }
+}
+
+/// Words of a front that is read one by one.
+struct Front<'a>(&'a [u8]);
+
+impl Front<'_> {
+    fn word(&mut self) -> Result<u32, PathsError> {
+        let (word, rest) = self.0.split_first_chunk().ok_or(CUT)?;
+        self.0 = rest;
+        Ok(u32::from_le_bytes(*word))
+    }
+
+    fn words<const N: usize>(&mut self) -> Result<[u32; N], PathsError> {
+        let mut words = [0; N];
+        for word in &mut words {
+            *word = self.word()?;
+        }
+        Ok(words)
+    }
+
+    fn long(&mut self) -> Result<u64, PathsError> {
+        let (word, rest) = self.0.split_first_chunk().ok_or(CUT)?;
+        self.0 = rest;
+        Ok(u64::from_le_bytes(*word))
+    }
+}
+
+/// Tables that are not read yet.
+struct Tables<'a>(&'a [u8]);
+
+impl Tables<'_> {
+    fn table<const N: usize>(&mut self, records: u32) -> Result<Vec<[u32; N]>, PathsError> {
+        let records = records as usize;
+        let bytes = records.checked_mul(4 * N).ok_or(CUT)?;
+        let (planes, rest) = self.0.split_at_checked(bytes).ok_or(CUT)?;
+        self.0 = rest;
+        let byte = |record: usize, at: usize| planes[at * records + record];
+        let word = |record: usize, at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|k| byte(record, 4 * at + k)));
+        Ok((0..records).map(|record| std::array::from_fn(|at| word(record, at))).collect())
+    }
+}
+
+/// Writes a table in byte planes.
+fn table<const N: usize>(out: &mut Vec<u8>, records: impl Iterator<Item = [u32; N]>) {
+    let records: Vec<[u32; N]> = records.collect();
+    out.reserve(4 * N * records.len());
+    for at in 0..N {
+        for byte in 0..4 {
+            out.extend(records.iter().map(|record| record[at].to_le_bytes()[byte]));
+        }
+    }
+}

@@ -1,0 +1,114 @@
+//! Histograms of records: of every attribute in 64 bins, and of every pair of attributes of one table in 64 x 64.
+//!
+//! They are exact over the samples that [`Statistics::threshold`] chose: integers, counted of the records that there are. Divided by
+//! [`Statistics::share`] they are estimates of what all samples have. Each exists twice:
+//!
+//! - by samples: a record counts 1;
+//! - by image: it counts the part of the image that its sample is, in units of 2^-32 of a pixel
+//!   ([`Statistics::image_weight`]). Where tiles have different numbers of samples only this shows what one sees.
+
+use crate::schema::{Attribute, FINE, INTERSECTION, LIGHT, PATH, intersection_bins, light_bins, path_bins};
+use crate::statistics::Statistics;
+
+/// A table of records.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Table {
+    /// Paths.
+    Paths,
+    /// Intersections of paths.
+    Intersections,
+    /// Lights of paths.
+    Lights,
+}
+
+impl Table {
+    /// All.
+    pub const ALL: [Self; 3] = [Self::Paths, Self::Intersections, Self::Lights];
+
+    /// Its name.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Paths => "paths",
+            Self::Intersections => "intersections",
+            Self::Lights => "lights",
+        }
+    }
+
+    /// Its attributes.
+    pub fn attributes(self) -> &'static [Attribute] {
+        match self {
+            Self::Paths => &PATH,
+            Self::Intersections => &INTERSECTION,
+            Self::Lights => &LIGHT,
+        }
+    }
+}
+
+/// Counts in bins, by samples and by image.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Counts {
+    /// Records.
+    pub samples: Vec<u64>,
+    /// Parts of the image, in units of 2^-32 of a pixel.
+    pub image: Vec<u64>,
+}
+
+impl Counts {
+    fn new(bins: usize) -> Self {
+        Self { samples: vec![0; bins], image: vec![0; bins] }
+    }
+
+    #[inline]
+    fn add(&mut self, bin: usize, weight: u64) {
+        self.samples[bin] += 1;
+        self.image[bin] += weight;
+    }
+}
+
+/// The histograms of one table.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Histograms {
+    /// The table.
+    pub table: Table,
+    /// Of each attribute, in the order of the schema: 64 bins.
+    pub attributes: Vec<Counts>,
+    /// Of each pair of attributes `(a, b)` with `a < b`, in order: 64 x 64 bins, that of `a` is the row.
+    pub pairs: Vec<Counts>,
+}
+
+impl Histograms {
+    /// Of the records of one table.
+    pub fn of(statistics: &Statistics, table: Table) -> Self {
+        let axes = table.attributes().len();
+        let attributes = vec![Counts::new(FINE); axes];
+        let mut all = Self { table, attributes, pairs: vec![Counts::new(FINE * FINE); axes * (axes - 1) / 2] };
+        for path in statistics.paths.values() {
+            let weight = statistics.image_weight(path.key);
+            match table {
+                Table::Paths => all.add(&path_bins(&statistics.scope, path), weight),
+                Table::Intersections => {
+                    intersection_bins(&statistics.scope, path).for_each(|bins| all.add(&bins, weight));
+                }
+                Table::Lights => light_bins(path).for_each(|bins| all.add(&bins, weight)),
+            }
+        }
+        all
+    }
+
+    fn add(&mut self, bins: &[u8], weight: u64) {
+        let mut pair = 0;
+        for (a, &row) in bins.iter().enumerate() {
+            self.attributes[a].add(usize::from(row), weight);
+            for &column in &bins[a + 1..] {
+                self.pairs[pair].add(usize::from(row) * FINE + usize::from(column), weight);
+                pair += 1;
+            }
+        }
+    }
+
+    /// The pairs of attributes, in the order of [`Self::pairs`].
+    pub fn pair_names(&self) -> impl Iterator<Item = [&'static str; 2]> + use<> {
+        let attributes = self.table.attributes();
+        (0..attributes.len()).flat_map(move |a| attributes[a + 1..].iter().map(move |b| [attributes[a].name, b.name]))
+    }
+}

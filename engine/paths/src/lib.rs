@@ -1,0 +1,22 @@
+//! Light statistics: records of paths, and what is known of all of them, merged exactly.
+//!
+//! A renderer tells of samples; [`Statistics`] keeps integer counters of all of them and whole [`Path`]s of some: those whose hash of
+//! (seed, frame, pixel, sample) is least. Which samples these are depends on the set of all samples alone, so parts of a frame are
+//! united in any order and grouping, and a part that comes twice counts once. Everything else is a function of the records:
+//! [`histogram`]s, exact over the samples that the hash chose, a small [`representative`](represent) set for plots, the energy
+//! of the scene in an [`octree`]. The founding documents are \[simons2016\] and the thesis behind it.
+//!
+//! Nothing here renders, reads files or knows of a farm.
+#![deny(missing_docs)]
+
+pub mod codec;
+pub mod histogram;
+pub mod octree;
+pub mod record;
+pub mod represent;
+pub mod schema;
+pub mod statistics;
+
+pub use codec::PathsError;
+pub use record::{End, Found, Interaction, Intersection, Kind, Light, Name, Named, Path, PathKey};
+pub use statistics::{Counters, PortionKey, Scope, Statistics, UnionError};

@@ -1,0 +1,187 @@
+//! Where the energy of a scene is: a sparse octree over a box, after \[simons2016\].
+//!
+//! A voxel has the number of intersections in it and the sum of their energies, each the mean of the three channels, by bounce. Sums are
+//! integers, so trees of disjoint records are added in any order with the same result. Only leaves are stored; a voxel of a coarser
+//! level is the sum of its leaves.
+
+use crate::record::Path;
+use femc_stats::ExactSum;
+use std::collections::BTreeMap;
+
+/// Sum of energies, cd/m2: quantum 2^-40, range 2^88.
+pub type EnergySum = ExactSum<40>;
+
+/// Most levels below the root.
+pub const MOST_LEVELS: u8 = 20;
+
+/// The box and the finest voxels of a tree. Trees of one root can be added and compared, so the variants of a sweep share one.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Root {
+    /// Lower corner, world, m.
+    pub lower: [f64; 3],
+    /// Width of the cube, m; above 0.
+    pub width: f64,
+    /// Halvings of the cube down to a leaf, at most [`MOST_LEVELS`].
+    pub levels: u8,
+}
+
+impl Root {
+    /// The cube about a box that has its lower corner.
+    pub fn around(lower: [f64; 3], upper: [f64; 3], levels: u8) -> Self {
+        let width = (0..3).map(|axis| upper[axis] - lower[axis]).fold(0.0, f64::max);
+        let width = if width.is_finite() && width > 0.0 { width } else { 1.0 };
+        Self { lower, width, levels: levels.min(MOST_LEVELS) }
+    }
+
+    /// Code of the leaf that has a point: three bits a level, x the lowest, the coarsest level highest. `None`: it is outside.
+    pub fn code(&self, position: [f64; 3]) -> Option<u64> {
+        let leaves = (1u64 << self.levels) as f64;
+        let mut code = 0;
+        for (axis, (position, lower)) in position.into_iter().zip(self.lower).enumerate() {
+            let place = ((position - lower) / self.width * leaves).floor();
+            // The upper faces of the cube belong to the last leaves.
+            let place = if position == lower + self.width { leaves - 1.0 } else { place };
+            if !(0.0..leaves).contains(&place) {
+                return None;
+            }
+            code |= spread(place as u64) << axis;
+        }
+        Some(code)
+    }
+
+    /// Lower corner and width of a voxel of a level, m.
+    pub fn voxel(&self, level: u8, code: u64) -> ([f64; 3], f64) {
+        let width = self.width / (1u64 << level.min(MOST_LEVELS)) as f64;
+        (std::array::from_fn(|axis| self.lower[axis] + width * gather(code >> axis) as f64), width)
+    }
+}
+
+/// Puts each bit of a number of 20 at every third place.
+fn spread(x: u64) -> u64 {
+    (0..u32::from(MOST_LEVELS)).fold(0, |code, bit| code | (x >> bit & 1) << (3 * bit))
+}
+
+fn gather(code: u64) -> u64 {
+    (0..u32::from(MOST_LEVELS)).fold(0, |x, bit| x | (code >> (3 * bit) & 1) << bit)
+}
+
+/// What a voxel has.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Voxel {
+    /// Intersections.
+    pub count: u64,
+    /// Sum of their energies.
+    pub energy: EnergySum,
+}
+
+impl Voxel {
+    /// Mean energy of its intersections, cd/m2.
+    pub fn mean(self) -> f64 {
+        if self.count == 0 { 0.0 } else { self.energy.value() / self.count as f64 }
+    }
+
+    fn merge(&mut self, other: Self) {
+        self.count = self.count.saturating_add(other.count);
+        self.energy.merge(other.energy);
+    }
+}
+
+/// Trees of different roots were to be joined.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("octrees of different roots")]
+pub struct RootMismatch;
+
+/// The energy of intersections by bounce and place.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Octree {
+    /// Its box.
+    pub root: Root,
+    /// Leaves by bounce and code.
+    pub leaves: BTreeMap<(u32, u64), Voxel>,
+    /// Intersections that are outside.
+    pub outside: u64,
+}
+
+impl Octree {
+    /// Of no intersections.
+    pub fn new(root: Root) -> Self {
+        Self { root, leaves: BTreeMap::new(), outside: 0 }
+    }
+
+    /// Of the intersections of paths.
+    pub fn of<'a>(root: Root, paths: impl IntoIterator<Item = &'a Path>) -> Self {
+        let mut tree = Self::new(root);
+        paths.into_iter().for_each(|path| tree.add(path));
+        tree
+    }
+
+    /// Adds the intersections of a path.
+    pub fn add(&mut self, path: &Path) {
+        for it in &path.intersections {
+            let energy = it.radiance.iter().map(|value| f64::from(*value)).sum::<f64>() / 3.0;
+            match (self.root.code(it.position), EnergySum::quantize(energy)) {
+                (Some(code), Ok(units)) => {
+                    let voxel = Voxel { count: 1, energy: EnergySum::from_units(units) };
+                    self.leaves.entry((it.bounce, code)).or_default().merge(voxel);
+                }
+                _ => self.outside += 1,
+            }
+        }
+    }
+
+    /// Adds a tree of other intersections.
+    pub fn merge(&mut self, other: &Self) -> Result<(), RootMismatch> {
+        if self.root != other.root {
+            return Err(RootMismatch);
+        }
+        other.leaves.iter().for_each(|(key, voxel)| self.leaves.entry(*key).or_default().merge(*voxel));
+        self.outside = self.outside.saturating_add(other.outside);
+        Ok(())
+    }
+
+    /// The voxels of a level, 0: the root, of all bounces together or of one.
+    pub fn level(&self, level: u8, bounce: Option<u32>) -> BTreeMap<u64, Voxel> {
+        let shift = 3 * u32::from(self.root.levels.saturating_sub(level));
+        let mut voxels = BTreeMap::<u64, Voxel>::new();
+        for (&(own, code), voxel) in &self.leaves {
+            if bounce.is_none_or(|bounce| bounce == own) {
+                voxels.entry(code >> shift).or_default().merge(*voxel);
+            }
+        }
+        voxels
+    }
+
+    /// Mean energies of the voxels of a level, less those of another tree, cd/m2; a voxel that one tree lacks has 0 there.
+    pub fn difference(&self, other: &Self, level: u8, bounce: Option<u32>) -> Result<BTreeMap<u64, f64>, RootMismatch> {
+        if self.root != other.root {
+            return Err(RootMismatch);
+        }
+        let mut all: BTreeMap<u64, f64> =
+            self.level(level, bounce).into_iter().map(|(code, voxel)| (code, voxel.mean())).collect();
+        for (code, voxel) in other.level(level, bounce) {
+            *all.entry(code).or_default() -= voxel.mean();
+        }
+        Ok(all)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_point_is_in_the_voxels_of_all_levels_that_its_leaf_is_in() {
+        let root = Root::around([-1.0, 0.0, 2.0], [3.0, 1.0, 5.0], 6);
+        assert_eq!(root.width, 4.0);
+        for point in [[0.3, 0.9, 4.9], [-1.0, 0.0, 2.0], [2.99, 3.9, 2.01], [3.0, 4.0, 6.0]] {
+            let code = root.code(point).unwrap();
+            for level in 0..=6 {
+                let (lower, width) = root.voxel(level, code >> (3 * (6 - u32::from(level))));
+                assert_eq!(width, 4.0 / f64::from(1 << level));
+                assert!((0..3).all(|axis| (lower[axis]..=lower[axis] + width).contains(&point[axis])), "{point:?}");
+            }
+        }
+        assert_eq!(root.code([3.1, 0.0, 2.0]), None);
+        assert_eq!(root.code([f64::NAN, 0.0, 2.0]), None);
+    }
+}

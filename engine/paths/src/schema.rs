@@ -1,0 +1,281 @@
+//! What is known of a record as numbers, and the bins that they are counted in. All edges are fixed: they depend on no sample, so counts
+//! of different workers, jobs and variants add up. A change of this file is a new [`VERSION`].
+//!
+//! | scale | of 64 fine bins | of 10 coarse bins |
+//! | --- | --- | --- |
+//! | [`Scale::Film`] | 64 equal parts of the film's width or height | 10 runs of fine bins: `10 f / 64` |
+//! | [`Scale::World`] | 0: there is none; 63 equal parts of the scene's box, what is outside in the nearest | the same |
+//! | [`Scale::Radiance`] | 0: zero; two an octave: 1 has all below 2^-10 cd/m2, 2 from there to 2^-9.5, 63 all from 2^20.5 on | the same |
+//! | [`Scale::Throughput`] | 0: zero; four an octave: 1 has all below 2^-11.75, 2 from there to 2^-11.5, 63 all from 2^3.5 on | the same |
+//! | [`Scale::Count`] | the number; 63 has all from 63 on | the number, 9 has all from 9 on |
+//! | [`Scale::Class`] | the number of the word, 0: there is none | the same |
+//! | [`Scale::Name`] | 0: none, else 1 + key mod 63: names may share a bin | `10 f / 64` |
+
+use crate::record::{Name, Path, luminance};
+use crate::statistics::Scope;
+
+/// Version of the attributes and their bins.
+pub const VERSION: u32 = 1;
+/// Fine bins of an attribute.
+pub const FINE: usize = 64;
+/// Coarse bins of an attribute, as the founding documents have them.
+pub const COARSE: usize = 10;
+
+/// How numbers become bins.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scale {
+    /// A pixel's place on the film.
+    Film,
+    /// A coordinate, world, m.
+    World,
+    /// cd/m2.
+    Radiance,
+    /// A factor.
+    Throughput,
+    /// A number of things.
+    Count,
+    /// One of a few words.
+    Class,
+    /// A name.
+    Name,
+}
+
+impl Scale {
+    /// The coarse bin of a fine one.
+    #[inline]
+    pub fn coarse(self, fine: u8) -> u8 {
+        match self {
+            Self::Count | Self::Class => fine.min(COARSE as u8 - 1),
+            Self::Film | Self::World | Self::Radiance | Self::Throughput | Self::Name => {
+                (u32::from(fine) * COARSE as u32 / FINE as u32) as u8
+            }
+        }
+    }
+}
+
+/// An attribute of a record.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Attribute {
+    /// Its name in tables and conditions.
+    pub name: &'static str,
+    /// Its bins.
+    pub scale: Scale,
+}
+
+const fn of(name: &'static str, scale: Scale) -> Attribute {
+    Attribute { name, scale }
+}
+
+/// Attributes of a path, in the order of the axes of a parallel coordinates plot. `first` and `last` are its intersections, `light` the
+/// light that has brought the most.
+pub const PATH: [Attribute; 20] = [
+    of("pixel.x", Scale::Film),
+    of("pixel.y", Scale::Film),
+    of("radiance.r", Scale::Radiance),
+    of("radiance.g", Scale::Radiance),
+    of("radiance.b", Scale::Radiance),
+    of("throughput.r", Scale::Throughput),
+    of("throughput.g", Scale::Throughput),
+    of("throughput.b", Scale::Throughput),
+    of("depth", Scale::Count),
+    of("end", Scale::Class),
+    of("first.x", Scale::World),
+    of("first.y", Scale::World),
+    of("first.z", Scale::World),
+    of("first.interaction", Scale::Class),
+    of("first.object", Scale::Name),
+    of("last.x", Scale::World),
+    of("last.y", Scale::World),
+    of("last.z", Scale::World),
+    of("light.radiance", Scale::Radiance),
+    of("light", Scale::Name),
+];
+
+/// Attributes of an intersection.
+pub const INTERSECTION: [Attribute; 10] = [
+    of("bounce", Scale::Count),
+    of("position.x", Scale::World),
+    of("position.y", Scale::World),
+    of("position.z", Scale::World),
+    of("radiance.r", Scale::Radiance),
+    of("radiance.g", Scale::Radiance),
+    of("radiance.b", Scale::Radiance),
+    of("object", Scale::Name),
+    of("material", Scale::Name),
+    of("interaction", Scale::Class),
+];
+
+/// Attributes of a light record.
+pub const LIGHT: [Attribute; 6] = [
+    of("radiance.r", Scale::Radiance),
+    of("radiance.g", Scale::Radiance),
+    of("radiance.b", Scale::Radiance),
+    of("light", Scale::Name),
+    of("occluder", Scale::Name),
+    of("found", Scale::Class),
+];
+
+/// Fine bins of a path.
+pub fn path_bins(scope: &Scope, path: &Path) -> [u8; PATH.len()] {
+    let [width, height] = scope.film;
+    let (x, y) = (path.key.pixel % width.max(1), path.key.pixel / width.max(1));
+    let [r, g, b] = path.radiance.map(radiance);
+    let [tr, tg, tb] = path.throughput.map(throughput);
+    let (first, last) = (path.intersections.first(), path.intersections.last());
+    let [fx, fy, fz] = first.map_or([0; 3], |it| world(scope, it.position));
+    let [lx, ly, lz] = last.map_or([0; 3], |it| world(scope, it.position));
+    let brightest = path.lights.iter().max_by(|a, b| luminance(a.radiance).total_cmp(&luminance(b.radiance)));
+    [
+        film(x, width),
+        film(y, height),
+        r,
+        g,
+        b,
+        tr,
+        tg,
+        tb,
+        count(path.depth),
+        path.end as u8 + 1,
+        fx,
+        fy,
+        fz,
+        first.map_or(0, |it| it.interaction as u8 + 1),
+        first.map_or(0, |it| name(it.object)),
+        lx,
+        ly,
+        lz,
+        brightest.map_or(0, |it| radiance(luminance(it.radiance))),
+        brightest.map_or(0, |it| name(it.light)),
+    ]
+}
+
+/// Fine bins of a path's intersections.
+pub fn intersection_bins<'a>(
+    scope: &'a Scope,
+    path: &'a Path,
+) -> impl Iterator<Item = [u8; INTERSECTION.len()]> + use<'a> {
+    path.intersections.iter().map(|it| {
+        let [x, y, z] = world(scope, it.position);
+        let [r, g, b] = it.radiance.map(radiance);
+        [count(it.bounce), x, y, z, r, g, b, name(it.object), name(it.material), it.interaction as u8 + 1]
+    })
+}
+
+/// Fine bins of a path's lights.
+pub fn light_bins(path: &Path) -> impl Iterator<Item = [u8; LIGHT.len()]> + use<'_> {
+    path.lights.iter().map(|it| {
+        let [r, g, b] = it.radiance.map(radiance);
+        [r, g, b, name(it.light), it.occluder.map_or(0, name), it.found as u8 + 1]
+    })
+}
+
+fn film(place: u32, size: u32) -> u8 {
+    (u64::from(place) * FINE as u64 / u64::from(size.max(1))).min(FINE as u64 - 1) as u8
+}
+
+fn world(scope: &Scope, position: [f64; 3]) -> [u8; 3] {
+    std::array::from_fn(|axis| {
+        let (low, high) = (scope.lower[axis], scope.upper[axis]);
+        let part = (position[axis] - low) / (high - low);
+        // A box without extent has all in its first part: NaN becomes 0.
+        1 + (part * (FINE - 1) as f64).clamp(0.0, (FINE - 2) as f64) as u8
+    })
+}
+
+/// Roots of 2, each as the nearest number.
+const FOURTHS: [f32; 4] = [1.0, 1.189_207_115_002_721, std::f32::consts::SQRT_2, 1.681_792_830_507_429];
+
+/// The number of fourths of an octave that `value` lies above 2^0, rounded down; of numbers below the normal ones -504.
+#[inline]
+fn fourths(value: f32) -> i32 {
+    let bits = value.to_bits();
+    let exponent = (bits >> 23 & 0xff) as i32 - 127;
+    let mantissa = f32::from_bits(bits & 0x007f_ffff | 0x3f80_0000);
+    let part = FOURTHS.iter().rposition(|edge| mantissa >= *edge).unwrap_or(0);
+    4 * exponent.max(-126) + part as i32
+}
+
+/// The fine bin of a radiance, cd/m2; finite, not negative.
+#[inline]
+pub fn radiance(value: f32) -> u8 {
+    if value > 0.0 { (fourths(value).div_euclid(2) + RADIANCE_BASE).clamp(1, FINE as i32 - 1) as u8 } else { 0 }
+}
+
+/// The fine bin of a factor; finite, not negative.
+#[inline]
+pub fn throughput(value: f32) -> u8 {
+    if value > 0.0 { (fourths(value) + THROUGHPUT_BASE).clamp(1, FINE as i32 - 1) as u8 } else { 0 }
+}
+
+/// Bin of a radiance of 1 cd/m2.
+const RADIANCE_BASE: i32 = 22;
+/// Bin of a factor of 1.
+const THROUGHPUT_BASE: i32 = 49;
+
+/// Lower edge of a fine bin of radiances; of bins 0 and 1 it is 0.
+pub fn radiance_edge(bin: u8) -> f64 {
+    edge(bin, 2 * (i32::from(bin) - RADIANCE_BASE))
+}
+
+/// Lower edge of a fine bin of factors; of bins 0 and 1 it is 0.
+pub fn throughput_edge(bin: u8) -> f64 {
+    edge(bin, i32::from(bin) - THROUGHPUT_BASE)
+}
+
+fn edge(bin: u8, fourths: i32) -> f64 {
+    let octave = f32::from_bits(((fourths.div_euclid(4) + 127) as u32) << 23);
+    if bin < 2 { 0.0 } else { f64::from(octave * FOURTHS[fourths.rem_euclid(4) as usize]) }
+}
+
+/// The fine bin of a number of things.
+#[inline]
+pub fn count(number: u32) -> u8 {
+    number.min(FINE as u32 - 1) as u8
+}
+
+/// The fine bin of a name.
+#[inline]
+pub fn name(name: Name) -> u8 {
+    if name == Name::NONE { 0 } else { 1 + (name.0 % (FINE as u64 - 1)) as u8 }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn bins_begin_at_their_edges() {
+        type Bin = fn(f32) -> u8;
+        type Edge = fn(u8) -> f64;
+        for (bin, lower) in [(radiance as Bin, radiance_edge as Edge), (throughput, throughput_edge)] {
+            assert_eq!((bin(0.0), bin(f32::MIN_POSITIVE), bin(f32::from_bits(1)), bin(f32::MAX)), (0, 1, 1, 63));
+            for number in 2..64 {
+                let edge = lower(number) as f32;
+                assert_eq!(bin(edge), number, "{edge}");
+                assert_eq!(bin(edge.next_down()), number - 1, "below {edge}");
+            }
+        }
+        assert_eq!((radiance(1.0), throughput(1.0)), (22, 49));
+        assert_eq!((radiance_edge(2), throughput_edge(2)), (1.0 / 1024.0, f64::from(FOURTHS[1]) / 4096.0));
+        assert_eq!(radiance_edge(63), f64::from(std::f32::consts::SQRT_2 * 1048576.0));
+    }
+
+    #[test]
+    fn every_fine_bin_has_a_coarse_one_and_none_is_empty() {
+        for attribute in PATH.iter().chain(&INTERSECTION).chain(&LIGHT) {
+            let coarse: Vec<u8> = (0..FINE as u8).map(|fine| attribute.scale.coarse(fine)).collect();
+            assert!(coarse.is_sorted() && coarse[0] == 0 && coarse[63] == 9, "{attribute:?}");
+            assert!(coarse.windows(2).all(|pair| pair[1] - pair[0] <= 1), "{attribute:?}");
+        }
+    }
+
+    #[test]
+    fn places_on_the_film_and_in_the_world_are_cut_into_equal_parts() {
+        assert_eq!((film(0, 512), film(7, 512), film(8, 512), film(511, 512)), (0, 0, 1, 63));
+        let scope = Scope { lower: [0.0; 3], upper: [63.0, 126.0, 0.0], ..Scope::default() };
+        assert_eq!(world(&scope, [0.0, 0.0, 0.0]), [1, 1, 1], "a box without extent has one part");
+        assert_eq!(world(&scope, [62.5, 125.9, 9.0]), [63, 63, 63]);
+        assert_eq!(world(&scope, [-1.0, 2.0, 0.0]), [1, 2, 1]);
+        assert_eq!(world(&scope, [1e9, 1.99, 0.0])[..2], [63, 1]);
+    }
+}

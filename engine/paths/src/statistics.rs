@@ -1,0 +1,413 @@
+//! What is known of the samples of a frame, or of a part of it, and the union of parts.
+//!
+//! The unit of counting is a *portion*: samples of one half of a tile. Which halves of which rounds count in the image is known only
+//! when the frame is finished, so counters are kept by portion until then, and a record names the portion that it is of. A union is one
+//! of sets, keyed by (tile, half, samples): it is associative, commutative and idempotent to the byte.
+//!
+//! Records are the bottom-k of all samples by hash (\[cohen2007\]): `threshold` is at most the (k+1)-th least hash of all samples, and all
+//! samples of lesser hashes are there. So they are a fair subset, and anything counted of them is exact over a known subset,
+//! of the share [`Statistics::share`]. Records of samples that turn out not to count are dropped, which leaves all that count below
+//! the same threshold.
+
+use crate::record::{Name, Names, Path, PathKey};
+use crate::schema;
+use std::collections::{BTreeMap, BTreeSet};
+use std::ops::Bound;
+
+/// What statistics are of: parts that differ in it have no union.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Scope {
+    /// Key of the random streams.
+    pub seed: u64,
+    /// Number of the frame.
+    pub frame: u32,
+    /// Width and height of the film, pixels; not 0.
+    pub film: [u32; 2],
+    /// Width and height of a tile, pixels; not 0.
+    pub edge: u32,
+    /// Lower corner of the box that places are counted in, world, m.
+    pub lower: [f64; 3],
+    /// Its upper corner.
+    pub upper: [f64; 3],
+    /// Most records chosen by hash (k).
+    pub keep: u32,
+    /// Most records of each sketch for each portion.
+    pub top: u32,
+}
+
+impl Scope {
+    /// Tiles in a row, and in all.
+    pub(crate) fn tiles(&self) -> [u64; 2] {
+        let [columns, rows] = self.film.map(|size| u64::from(size.div_ceil(self.edge.max(1))));
+        [columns, columns * rows]
+    }
+
+    /// Index of the tile of a pixel, row by row.
+    pub fn tile_of(&self, pixel: u32) -> u32 {
+        let (width, edge) = (self.film[0].max(1), self.edge.max(1));
+        let (x, y) = (pixel % width / edge, pixel / width / edge);
+        y * width.div_ceil(edge) + x
+    }
+
+    /// Pixels of a tile.
+    pub fn area(&self, tile: u32) -> u64 {
+        let [width, height] = self.film.map(u64::from);
+        let (columns, edge) = (self.tiles()[0].max(1), u64::from(self.edge));
+        let (x, y) = (u64::from(tile) % columns * edge, u64::from(tile) / columns * edge);
+        edge.min(width.saturating_sub(x)) * edge.min(height.saturating_sub(y))
+    }
+
+    /// Pixels of the film.
+    pub(crate) fn pixels(&self) -> u64 {
+        self.film.iter().map(|size| u64::from(*size)).product()
+    }
+
+    pub(crate) fn is_sound(&self) -> bool {
+        let sizes = [self.film[0], self.film[1], self.edge];
+        let corners = || self.lower.iter().zip(&self.upper);
+        sizes.iter().all(|size| (1..=1 << 16).contains(size))
+            && corners().all(|(low, high)| low.is_finite() && high.is_finite() && low <= high)
+            && self.keep > 0
+    }
+}
+
+/// Samples of one half of a tile; the order is that of the fields.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct PortionKey {
+    /// Index of the tile.
+    pub tile: u32,
+    /// 0: the even samples (A), 1: the odd ones (B).
+    pub half: u8,
+    /// Samples of each pixel from here on, of both halves.
+    pub begin: u32,
+    /// One past the last.
+    pub end: u32,
+}
+
+impl PortionKey {
+    /// Samples a pixel of its half.
+    pub fn samples(self) -> u32 {
+        let below = |end: u32| if self.half == 0 { end.div_ceil(2) } else { end / 2 };
+        below(self.end) - below(self.begin)
+    }
+
+    fn has(self, sample: u32) -> bool {
+        (self.begin..self.end).contains(&sample) && sample % 2 == u32::from(self.half)
+    }
+}
+
+/// Counts of all samples of a portion, in integers.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Counters {
+    /// Samples that are no light (not finite, negative): the film leaves them out, and so does everything here.
+    pub bad: u64,
+    /// The others by the fine bin of their luminance.
+    pub luminance: [u64; schema::FINE],
+    /// By the fine bin of their depth.
+    pub depth: [u64; schema::FINE],
+    /// By why the path ended, in the order of [`End::ALL`](crate::End::ALL).
+    pub ends: [u64; ENDS],
+}
+
+/// Reasons for a path to end.
+pub(crate) const ENDS: usize = crate::End::ALL.len();
+
+impl Default for Counters {
+    fn default() -> Self {
+        Self { bad: 0, luminance: [0; schema::FINE], depth: [0; schema::FINE], ends: [0; ENDS] }
+    }
+}
+
+impl Counters {
+    /// Counts a sample of a luminance, a depth and an end.
+    #[inline]
+    pub fn count(&mut self, luminance: f32, depth: u32, end: crate::End) {
+        self.luminance[usize::from(schema::radiance(luminance))] += 1;
+        self.depth[usize::from(schema::count(depth))] += 1;
+        self.ends[end as usize] += 1;
+    }
+
+    /// Samples that were counted, bad ones among them.
+    pub fn samples(&self) -> u64 {
+        self.bad.saturating_add(sum(&self.ends))
+    }
+
+    /// Adds the counts of other samples.
+    pub fn merge(&mut self, other: &Self) {
+        self.words_mut().zip(other.words()).for_each(|(mine, theirs)| *mine = mine.saturating_add(theirs));
+    }
+
+    /// Whether all counts are of as many samples.
+    pub(crate) fn is_sound(&self) -> bool {
+        let ends = sum(&self.ends);
+        sum(&self.luminance) == ends && sum(&self.depth) == ends
+    }
+
+    pub(crate) fn words(&self) -> impl Iterator<Item = u64> + '_ {
+        [self.bad].into_iter().chain(self.luminance.iter().chain(&self.depth).chain(&self.ends).copied())
+    }
+
+    pub(crate) fn words_mut(&mut self) -> impl Iterator<Item = &mut u64> + '_ {
+        [&mut self.bad].into_iter().chain(self.luminance.iter_mut().chain(&mut self.depth).chain(&mut self.ends))
+    }
+}
+
+fn sum(counts: &[u64]) -> u64 {
+    counts.iter().fold(0, |all: u64, count| all.saturating_add(*count))
+}
+
+/// Why parts have no union.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum UnionError {
+    /// Of another frame, film, box or size.
+    #[error("statistics of different frames or settings")]
+    Scope,
+    /// The same samples are in parts that are cut otherwise.
+    #[error("samples {} to {} of half {} of tile {} are there in two portions", .0.begin, .0.end, .0.half, .0.tile)]
+    Overlap(PortionKey),
+    /// A portion comes twice, with other counts.
+    #[error("samples {} to {} of half {} of tile {} were counted differently", .0.begin, .0.end, .0.half, .0.tile)]
+    Unlike(PortionKey),
+}
+
+/// Light statistics of some samples of a frame.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Statistics {
+    /// What they are of.
+    pub scope: Scope,
+    /// Every sample of a portion whose hash is below has its record in `paths`, and no other.
+    pub threshold: u64,
+    /// Counters by portion.
+    pub portions: BTreeMap<PortionKey, Counters>,
+    /// Records by their hashes.
+    pub paths: Records,
+    /// Of each portion the records of greatest luminance: fireflies.
+    pub brightest: Records,
+    /// Of each portion the records of greatest throughput, of paths with at least [`DEEP`] intersections: bottlenecks.
+    pub deepest: Records,
+    /// Texts of the names that the records have.
+    pub names: Names,
+}
+
+/// Records in order of hash and key.
+pub type Records = BTreeMap<(u64, PathKey), Path>;
+
+/// Intersections of a deep path.
+pub const DEEP: u32 = 8;
+
+/// What a path's rank among the brightest goes by: its luminance, cd/m2.
+pub fn brightness(path: &Path) -> f32 {
+    path.luminance()
+}
+
+/// What a path's rank among the deepest goes by: its greatest throughput; of paths that are not deep none.
+pub fn depth_rank(path: &Path) -> Option<f32> {
+    (path.depth >= DEEP).then(|| path.throughput.into_iter().fold(0.0, f32::max))
+}
+
+impl Statistics {
+    /// Of no samples.
+    /// - `share`: the share of samples whose paths are recorded to begin with, in (0, 1].
+    pub fn new(scope: Scope, share: f64) -> Self {
+        // All of 2^64, up to the one hash that there is not.
+        let threshold = if share < 1.0 { (share.max(0.0) * TWO_64) as u64 } else { u64::MAX };
+        Self { scope, threshold, ..Self::default() }
+    }
+
+    /// Share of samples whose paths are there.
+    pub fn share(&self) -> f64 {
+        if self.threshold == u64::MAX { 1.0 } else { self.threshold as f64 / TWO_64 }
+    }
+
+    /// Samples that were counted, bad ones among them.
+    pub fn samples(&self) -> u64 {
+        self.portions.values().fold(0, |all: u64, counters| all.saturating_add(counters.samples()))
+    }
+
+    /// The counters of all portions together.
+    pub fn totals(&self) -> Counters {
+        let mut all = Counters::default();
+        self.portions.values().for_each(|counters| all.merge(counters));
+        all
+    }
+
+    /// Whether the path of a sample is to be recorded.
+    #[inline]
+    pub fn wants(&self, key: PathKey) -> bool {
+        key.hash(self.scope.seed) < self.threshold
+    }
+
+    /// The portion that a sample is of.
+    pub fn portion_of(&self, key: PathKey) -> Option<PortionKey> {
+        portion_of(&self.scope, &self.portions, key)
+    }
+
+    /// Adds what another part of the frame has; of what both have, one. An error changes nothing.
+    pub fn unite(&mut self, other: Self) -> Result<(), UnionError> {
+        self.absorb(other)?;
+        self.settle();
+        Ok(())
+    }
+
+    /// The same of many parts.
+    pub fn unite_all(&mut self, others: impl IntoIterator<Item = Self>) -> Result<(), UnionError> {
+        for other in others {
+            self.absorb(other)?;
+            if self.paths.len() > 2 * self.scope.keep as usize {
+                self.settle();
+            }
+        }
+        self.settle();
+        Ok(())
+    }
+
+    fn absorb(&mut self, other: Self) -> Result<(), UnionError> {
+        if self.scope != other.scope {
+            return Err(UnionError::Scope);
+        }
+        for (key, counters) in &other.portions {
+            match self.portions.get(key) {
+                Some(mine) if mine != counters => return Err(UnionError::Unlike(*key)),
+                Some(_) => {}
+                None if is_clear(&self.portions, *key) => {}
+                None => return Err(UnionError::Overlap(*key)),
+            }
+        }
+        self.portions.extend(other.portions);
+        self.threshold = self.threshold.min(other.threshold);
+        for (mine, theirs) in
+            [(&mut self.paths, other.paths), (&mut self.brightest, other.brightest), (&mut self.deepest, other.deepest)]
+        {
+            mine.extend(theirs);
+        }
+        self.names.extend(other.names);
+        Ok(())
+    }
+
+    /// Keeps of the records what the scope allows, and of the names what the records have: what is left is a function of the samples.
+    pub fn settle(&mut self) {
+        if let Some(((hash, _), _)) = self.paths.iter().nth(self.scope.keep as usize) {
+            self.threshold = self.threshold.min(*hash);
+        }
+        drop(self.paths.split_off(&(self.threshold, PathKey::default())));
+        let most = self.scope.top as usize;
+        let mut brightest = std::mem::take(&mut self.brightest);
+        self.keep_best(&mut brightest, most, |path| Some(brightness(path)));
+        let mut deepest = std::mem::take(&mut self.deepest);
+        self.keep_best(&mut deepest, most, depth_rank);
+        (self.brightest, self.deepest) = (brightest, deepest);
+        let records = [&self.paths, &self.brightest, &self.deepest];
+        let used: BTreeSet<Name> =
+            records.into_iter().flat_map(|records| records.values()).flat_map(Path::names).collect();
+        self.names.retain(|name, _| used.contains(name));
+    }
+
+    /// Keeps of each portion the `most` records of greatest `rank`, of equal ones those of least hash.
+    fn keep_best(&self, records: &mut Records, most: usize, rank: impl Fn(&Path) -> Option<f32>) {
+        let mut by_portion = BTreeMap::<PortionKey, Vec<(f32, (u64, PathKey))>>::new();
+        for (key, path) in records.iter() {
+            if let (Some(rank), Some(portion)) = (rank(path), self.portion_of(key.1)) {
+                by_portion.entry(portion).or_default().push((rank, *key));
+            }
+        }
+        let mut kept = BTreeSet::new();
+        for mut ranked in by_portion.into_values() {
+            ranked.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.cmp(&b.1)));
+            kept.extend(ranked.into_iter().take(most).map(|(_, key)| key));
+        }
+        records.retain(|key, _| kept.contains(key));
+    }
+
+    /// What counts in the image: samples from `begin` on, of each half up to its end; neighboring portions are joined.
+    ///
+    /// The result is the same however the samples were divided into portions; it is to be made when all parts are there, since what was
+    /// joined is not recognized as what it was made of.
+    /// - `ends`: of a tile and a half one past the last sample that counts.
+    #[must_use]
+    pub fn counted(mut self, begin: u32, ends: impl Fn(u32, u8) -> u32) -> Self {
+        let counts = |key: &PortionKey| key.begin >= begin && key.end <= ends(key.tile, key.half);
+        self.portions.retain(|key, _| counts(key));
+        let mut joined = BTreeMap::<PortionKey, Counters>::new();
+        for (key, counters) in std::mem::take(&mut self.portions) {
+            match joined.last_entry() {
+                Some(last) if (last.key().tile, last.key().half, last.key().end) == (key.tile, key.half, key.begin) => {
+                    let (before, mut all) = last.remove_entry();
+                    all.merge(&counters);
+                    joined.insert(PortionKey { end: key.end, ..before }, all);
+                }
+                _ => drop(joined.insert(key, counters)),
+            }
+        }
+        self.portions = joined;
+        for records in [&mut self.paths, &mut self.brightest, &mut self.deepest] {
+            let mut all = std::mem::take(records);
+            all.retain(|(_, key), _| portion_of(&self.scope, &self.portions, *key).is_some());
+            *records = all;
+        }
+        self.settle();
+        self
+    }
+
+    /// The records of greatest luminance of all portions, the greatest first.
+    pub fn fireflies(&self) -> Vec<&Path> {
+        ranked(&self.brightest, |path| Some(brightness(path)))
+    }
+
+    /// The deep records of greatest throughput of all portions, the greatest first.
+    pub fn bottlenecks(&self) -> Vec<&Path> {
+        ranked(&self.deepest, depth_rank)
+    }
+
+    /// Part of the image that a sample is, in units of 2^-[`IMAGE_BITS`] of its pixel: with n_A samples of half A in the pixel and n_B of B
+    /// each of A weighs 1 / (2 n_A), each of B 1 / (2 n_B); where there is one half alone, 1 / n. Rounded to the nearest unit, halves up.
+    /// 0: the sample does not count.
+    pub fn image_weight(&self, key: PathKey) -> u64 {
+        let counts = self.half_counts(self.scope.tile_of(key.pixel));
+        image_weight(counts, key.half())
+    }
+
+    /// Samples a pixel that each half of a tile has.
+    pub fn half_counts(&self, tile: u32) -> [u64; 2] {
+        let mut counts = [0; 2];
+        let first = PortionKey { tile, half: 0, begin: 0, end: 0 };
+        for (key, _) in self.portions.range(first..).take_while(|(key, _)| key.tile == tile) {
+            counts[usize::from(key.half)] += u64::from(key.samples());
+        }
+        counts
+    }
+}
+
+const TWO_64: f64 = 18_446_744_073_709_551_616.0;
+
+/// Bits of a part of a pixel.
+pub const IMAGE_BITS: u32 = 32;
+
+/// See [`Statistics::image_weight`].
+pub fn image_weight(counts: [u64; 2], half: u8) -> u64 {
+    let [own, other] = if half == 0 { counts } else { [counts[1], counts[0]] };
+    let parts = if other == 0 { own } else { 2 * own };
+    ((1 << IMAGE_BITS) + parts / 2).checked_div(parts).unwrap_or(0)
+}
+
+fn portion_of(scope: &Scope, portions: &BTreeMap<PortionKey, Counters>, key: PathKey) -> Option<PortionKey> {
+    let (tile, half) = (scope.tile_of(key.pixel), key.half());
+    let after = PortionKey { tile, half, begin: key.sample, end: u32::MAX };
+    let (portion, _) = portions.range(..=after).next_back()?;
+    (portion.tile == tile && portion.has(key.sample)).then_some(*portion)
+}
+
+fn ranked(records: &Records, rank: impl Fn(&Path) -> Option<f32>) -> Vec<&Path> {
+    let mut all: Vec<(f32, &Path)> = records.values().filter_map(|path| Some((rank(path)?, path))).collect();
+    all.sort_by(|a, b| b.0.total_cmp(&a.0));
+    all.into_iter().map(|(_, path)| path).collect()
+}
+
+/// Whether no other portion has samples of this one.
+pub(crate) fn is_clear(portions: &BTreeMap<PortionKey, Counters>, key: PortionKey) -> bool {
+    let is_clear = |other: &PortionKey| {
+        (other.tile, other.half) != (key.tile, key.half) || other.end <= key.begin || key.end <= other.begin
+    };
+    let before = portions.range(..key).next_back();
+    let after = portions.range((Bound::Excluded(key), Bound::Unbounded)).next();
+    [before, after].into_iter().flatten().all(|(other, _)| is_clear(other))
+}

@@ -1,0 +1,225 @@
+//! Unions in any order, grouping and number; totals.
+
+use crate::world::{self, ROUNDS, SEED, ends, is_bad, scope, task, tasks, tiles, united};
+use femc_math::hash::combine;
+use femc_paths::histogram::{Histograms, Table};
+use femc_paths::octree::{Octree, Root};
+use femc_paths::statistics::{IMAGE_BITS, image_weight};
+use femc_paths::{PathKey, Statistics, UnionError};
+use femc_stats::testing::{sidak, z_test};
+
+const KEEP: u32 = 900;
+
+fn shuffled<T>(mut items: Vec<T>, seed: u64) -> Vec<T> {
+    for at in (1..items.len()).rev() {
+        items.swap(at, (combine(&[seed, at as u64]) % (at as u64 + 1)) as usize);
+    }
+    items
+}
+
+/// The samples of the frame that the film takes.
+fn good(scope: &femc_paths::Scope) -> Vec<PathKey> {
+    let pixels = 0..scope.film[0] * scope.film[1];
+    let keys = pixels.flat_map(|pixel| (0..16).map(move |sample| PathKey { frame: 3, pixel, sample }));
+    keys.filter(|key| !is_bad(*key)).collect()
+}
+
+#[test]
+fn any_number_of_shards_in_any_order_and_tasks_done_again_give_the_same_bytes() {
+    let scope = scope(KEEP);
+    let tasks = tasks(&scope);
+    let expected = united(&scope, tasks.clone());
+    assert_eq!(expected.paths.len(), KEEP as usize, "the pool is full, so the threshold has moved");
+    let bytes = expected.encode();
+    for (shards, seed) in [(1, 1), (2, 2), (16, 3), (16, 4), (45, 5)] {
+        // A third of the tasks is done twice, by other shards.
+        let again = tasks.iter().step_by(3).cloned();
+        let all = shuffled(tasks.iter().cloned().chain(again).collect(), seed);
+        let mut parts = vec![Vec::new(); shards];
+        all.into_iter().enumerate().for_each(|(at, task)| parts[at % shards].push(task));
+        let parts = parts.into_iter().map(|part| united(&scope, part));
+        assert!(united(&scope, parts).encode() == bytes, "{shards} shards, order {seed}");
+    }
+    let mut twice = expected.clone();
+    twice.unite(expected.clone()).unwrap();
+    assert_eq!(twice, expected, "idempotent");
+}
+
+#[test]
+fn unions_are_associative_and_commutative() {
+    let scope = scope(40);
+    let parts = [task(&scope, 1, 0..4), task(&scope, 2, 0..4), task(&scope, 1, 4..8)];
+    let unite = |a: &Statistics, b: &Statistics| {
+        let mut all = a.clone();
+        all.unite(b.clone()).unwrap();
+        all
+    };
+    let [a, b, c] = &parts;
+    assert_eq!(unite(&unite(a, b), c), unite(a, &unite(b, c)));
+    assert_eq!(unite(a, b), unite(b, a));
+    assert_eq!(unite(a, &Statistics::new(scope, 0.5)), *a, "nothing is neutral");
+}
+
+#[test]
+fn what_counts_is_the_same_however_the_samples_were_divided_into_tasks() {
+    let scope = scope(KEEP);
+    let whole = united(&scope, tasks(&scope)).counted(0, ends);
+    let other: Vec<Statistics> = tiles(&scope)
+        .flat_map(|tile| [0..1, 1..4, 4..6, 6..7, 7..8, 8..13, 13..16].map(|range| task(&scope, tile, range)))
+        .collect();
+    let other = united(&scope, shuffled(other, 6)).counted(0, ends);
+    assert!(whole.encode() == other.encode());
+    assert_eq!(whole.fireflies(), other.fireflies());
+}
+
+#[test]
+fn totals_are_the_samples_and_histograms_those_of_the_subset() {
+    let scope = scope(KEEP);
+    let all = united(&scope, tasks(&scope));
+    let counted = all.clone().counted(0, ends);
+    assert_eq!(all.samples(), 36 * 20 * 16);
+    assert_eq!(all.totals().bad, (36 * 20 * 16 - good(&scope).len()) as u64);
+    let counts = |key: &PathKey| key.sample < ends(scope.tile_of(key.pixel), key.half());
+    let subset: Vec<PathKey> =
+        good(&scope).into_iter().filter(|key| counts(key) && key.hash(SEED) < counted.threshold).collect();
+    assert!((300..KEEP as usize).contains(&subset.len()), "{}", subset.len());
+    assert_eq!(counted.threshold, all.threshold);
+    assert!(counted.paths.keys().map(|(_, key)| *key).eq({
+        let mut ordered = subset.clone();
+        ordered.sort_by_key(|key| (key.hash(SEED), *key));
+        ordered
+    }));
+    assert_eq!(counted.samples(), {
+        let half = |tile, half| u64::from(ends(tile, half)).div_ceil(2) * scope.area(tile);
+        tiles(&scope).map(|tile| half(tile, 0) + half(tile, 1)).sum::<u64>()
+    });
+    for table in Table::ALL {
+        let records = |path: &femc_paths::Path| match table {
+            Table::Paths => 1,
+            Table::Intersections => path.intersections.len(),
+            Table::Lights => path.lights.len(),
+        };
+        let expected: usize = subset.iter().map(|key| records(&world::path(&scope, *key))).sum();
+        let histograms = Histograms::of(&counted, table);
+        assert_eq!(histograms.pairs.len(), histograms.pair_names().count());
+        for counts in histograms.attributes.iter().chain(&histograms.pairs) {
+            assert_eq!(counts.samples.iter().sum::<u64>(), expected as u64, "{table:?}");
+        }
+        // A pair's rows and columns are the histograms of its two.
+        let pair = &histograms.pairs[0];
+        let row = |bin: usize| pair.samples[64 * bin..64 * bin + 64].iter().sum::<u64>();
+        assert!((0..64).map(row).eq(histograms.attributes[0].samples.iter().copied()));
+    }
+}
+
+#[test]
+fn by_image_every_pixel_counts_one_however_many_samples_its_halves_have() {
+    for counts in [[1, 0], [0, 5], [1, 1], [3, 4], [8, 2], [1000, 999]] {
+        let sum: u64 = (0..2).map(|half| counts[usize::from(half)] * image_weight(counts, half)).sum();
+        let rounding = (counts[0] + counts[1]) / 2 + 1;
+        assert!(sum.abs_diff(1 << IMAGE_BITS) <= rounding, "{counts:?}: {sum}");
+    }
+    let scope = scope(1 << 20);
+    let mut all = Statistics::new(scope, 1.0);
+    all.unite_all(tiles(&scope).map(|tile| world::record(&scope, tile, 0..16, 1.0, |_, _| true))).unwrap();
+    let histograms = Histograms::of(&all, Table::Paths);
+    let image: u64 = histograms.attributes[0].image.iter().sum();
+    let bad = all.totals().bad as f64 / 16.0;
+    let pixels = image as f64 / (1u64 << IMAGE_BITS) as f64;
+    assert!((pixels - (36.0 * 20.0 - bad)).abs() < 1e-4, "{pixels}");
+}
+
+/// Whether a choice of samples of the share `share` is fair: of pixels of either parity, of every third column, of either half as many
+/// as there should be. The chance of a false alarm is 1e-4 for three such tests.
+pub(crate) fn is_fair(share: f64, chooses: impl Fn(PathKey) -> bool) -> bool {
+    let classes = |key: PathKey| (key.pixel % 2 + 2 * (key.sample % 2) + 4 * (key.pixel % 3)) as usize;
+    let mut counts = [[0u64; 2]; 12];
+    for pixel in 0..1000 {
+        for sample in 0..40 {
+            let key = PathKey { frame: 2, pixel, sample };
+            counts[classes(key)][usize::from(chooses(key))] += 1;
+        }
+    }
+    counts.iter().all(|[no, yes]| {
+        let all = (no + yes) as f64;
+        let error = (share * (1.0 - share) / all).sqrt();
+        z_test(*yes as f64 / all, error, share) > sidak(1e-4, 3 * 12)
+    })
+}
+
+#[test]
+fn the_subset_is_fair() {
+    for (seed, share) in [(0, 0.5), (1, 0.1), (u64::MAX, 0.03)] {
+        let statistics = Statistics::new(femc_paths::Scope { seed, ..scope(9) }, share);
+        assert!(is_fair(share, |key| statistics.wants(key)), "seed {seed}, share {share}");
+    }
+}
+
+#[test]
+fn parts_that_do_not_go_together_are_refused_and_change_nothing() {
+    let scope = scope(40);
+    let mut all = task(&scope, 1, 0..4);
+    let before = all.clone();
+    let clash = all.unite(task(&scope, 1, 2..6)).unwrap_err();
+    assert!(matches!(clash, UnionError::Overlap(key) if (key.tile, key.begin) == (1, 2)), "{clash}");
+    let mut other = task(&scope, 1, 0..4);
+    other.portions.values_mut().for_each(|counters| counters.bad += 1);
+    assert!(matches!(all.unite(other), Err(UnionError::Unlike(_))));
+    assert_eq!(all.unite(Statistics::new(world::scope(41), 0.5)), Err(UnionError::Scope));
+    assert_eq!(all, before);
+}
+
+#[test]
+fn the_brightest_of_the_frame_are_those_of_its_portions() {
+    let scope = scope(40);
+    let counted = united(&scope, tasks(&scope)).counted(0, |_, _| 16);
+    let mut all: Vec<f32> = good(&scope).iter().map(|key| world::path(&scope, *key).luminance()).collect();
+    all.sort_by(|a, b| b.total_cmp(a));
+    let found: Vec<f32> = counted.fireflies().iter().map(|path| path.luminance()).collect();
+    assert_eq!(found[0], all[0]);
+    assert!(found.is_sorted_by(|a, b| a >= b) && found.len() <= 3 * 30);
+    let deep = counted.bottlenecks();
+    assert!(!deep.is_empty() && deep.iter().all(|path| path.depth >= 8));
+}
+
+#[test]
+fn the_energy_of_disjoint_parts_adds_up_to_that_of_all_to_the_bit() {
+    let scope = scope(1 << 20);
+    let root = Root::around(scope.lower, scope.upper, 7);
+    let all = united(&scope, tasks(&scope));
+    let whole = Octree::of(root, all.paths.values());
+    let mut parts = Octree::new(root);
+    for tile in tiles(&scope).rev() {
+        let own = all.paths.values().filter(|path| scope.tile_of(path.key.pixel) == tile);
+        parts.merge(&Octree::of(root, own)).unwrap();
+    }
+    assert_eq!(parts, whole);
+    assert_eq!(whole.outside, 0);
+    let count = |level, bounce| whole.level(level, bounce).values().map(|voxel| voxel.count).sum::<u64>();
+    let intersections: usize = all.paths.values().map(|path| path.intersections.len()).sum();
+    for level in [0, 3, 7] {
+        assert_eq!(count(level, None), intersections as u64);
+        assert_eq!((0..80).map(|bounce| count(level, Some(bounce))).sum::<u64>(), intersections as u64);
+    }
+    assert_eq!(whole.level(0, None).len(), 1);
+    let nothing = Octree::new(root);
+    let energy = whole.level(4, Some(1));
+    let difference = nothing.difference(&whole, 4, Some(1)).unwrap();
+    assert!(difference.len() == energy.len() && energy.iter().all(|(code, voxel)| difference[code] == -voxel.mean()));
+    assert!(whole.difference(&whole, 7, None).unwrap().values().all(|value| *value == 0.0));
+    let elsewhere = Octree::new(Root::around(scope.lower, scope.upper, 6));
+    assert!(parts.merge(&elsewhere).is_err() && whole.difference(&elsewhere, 3, None).is_err());
+}
+
+#[test]
+fn a_pilot_and_halves_that_ended_earlier_do_not_count() {
+    let scope = scope(KEEP);
+    let all = united(&scope, tasks(&scope));
+    let after = all.clone().counted(ROUNDS[0].end, |_, _| 16);
+    assert_eq!(after.samples(), 36 * 20 * 12);
+    assert!(after.paths.keys().all(|(_, key)| key.sample >= 4));
+    let held = all.counted(0, ends);
+    for records in [&held.paths, &held.brightest, &held.deepest] {
+        assert!(records.keys().all(|(_, key)| key.sample < ends(scope.tile_of(key.pixel), key.half())));
+    }
+}

@@ -1,0 +1,163 @@
+//! A made-up renderer: a path is a function of seed and key.
+
+use femc_math::elementary::ln;
+use femc_math::hash::{combine, unit_f32};
+use femc_paths::statistics::{brightness, depth_rank};
+use femc_paths::{
+    Counters, End, Found, Interaction, Intersection, Kind, Light, Name, Path, PathKey, PortionKey, Scope, Statistics,
+};
+use std::ops::Range;
+
+pub(crate) const SEED: u64 = 7;
+
+/// A film of 5 x 3 tiles, the last of each row and column narrower.
+pub(crate) fn scope(keep: u32) -> Scope {
+    Scope {
+        seed: SEED,
+        frame: 3,
+        film: [36, 20],
+        edge: 8,
+        lower: [-2.0, 0.0, 0.0],
+        upper: [4.0, 3.0, 2.5],
+        keep,
+        top: 3,
+    }
+}
+
+pub(crate) fn tiles(scope: &Scope) -> Range<u32> {
+    let [columns, rows] = scope.film.map(|size| size.div_ceil(scope.edge));
+    0..columns * rows
+}
+
+pub(crate) const OBJECTS: [&str; 5] = ["room.floor", "room.wall", "plant", "lamp", ""];
+
+/// The numbers of one path.
+struct Rolls(u64);
+
+impl Rolls {
+    fn next(&mut self) -> f32 {
+        self.0 = combine(&[self.0, 1]);
+        unit_f32((self.0 >> 32) as u32)
+    }
+
+    fn below(&mut self, count: u32) -> u32 {
+        (self.next() * count as f32) as u32
+    }
+}
+
+pub(crate) fn path(scope: &Scope, key: PathKey) -> Path {
+    let mut rolls = Rolls(combine(&[SEED, u64::from(key.frame), u64::from(key.pixel), u64::from(key.sample)]));
+    let (x, y) = (key.pixel % scope.film[0], key.pixel / scope.film[0]);
+    let depth = (-ln(rolls.next().max(1e-6)) * 3.0) as u32;
+    let mut throughput = [1.0f32; 3];
+    let (mut intersections, mut lights) = (Vec::new(), Vec::new());
+    for bounce in 0..depth {
+        let part = [x as f64 / scope.film[0] as f64, y as f64 / scope.film[1] as f64, 0.5];
+        let spread = f64::from(bounce) / 4.0;
+        let position = std::array::from_fn(|axis| {
+            let own = part[axis] + spread * f64::from(rolls.next() - 0.5);
+            scope.lower[axis] + own.clamp(0.0, 1.0) * (scope.upper[axis] - scope.lower[axis])
+        });
+        let object = rolls.below(5) as usize;
+        let ways = [Interaction::Diffuse, Interaction::Glossy, Interaction::Reflection, Interaction::Volume];
+        intersections.push(Intersection {
+            bounce,
+            position,
+            radiance: [rolls.next() * 30.0, rolls.next() * 20.0, rolls.next() * 10.0],
+            throughput,
+            object: Name::of(Kind::Object, OBJECTS[object]),
+            material: Name::of(Kind::Material, ["white", "metal"][object % 2]),
+            interaction: ways[rolls.below(4) as usize],
+        });
+        lights.push(Light {
+            vertex: bounce + 1,
+            light: Name::of(Kind::Lamp, ["lamp a", "lamp b"][rolls.below(2) as usize]),
+            radiance: [rolls.next(); 3],
+            occluder: (rolls.next() < 0.2).then(|| Name::of(Kind::Object, OBJECTS[rolls.below(4) as usize])),
+            found: Found::Surface,
+        });
+        throughput = throughput.map(|factor| factor * (0.4 + 0.6 * rolls.next()));
+    }
+    let bright = if rolls.next() < 0.002 { 5e4 } else { 1.0 };
+    let radiance = throughput.map(|factor| factor * bright * (1.0 + x as f32) * -ln(rolls.next().max(1e-6)));
+    let end =
+        if depth == 0 { End::Escaped } else { [End::Absorbed, End::Roulette, End::Depth][rolls.below(3) as usize] };
+    Path { key, radiance, throughput, depth, end, intersections, lights }
+}
+
+/// Whether a sample is none: now and then one is.
+pub(crate) fn is_bad(key: PathKey) -> bool {
+    combine(&[9, u64::from(key.pixel), u64::from(key.sample)]).is_multiple_of(997)
+}
+
+/// What a task of a tile tells: all samples of a range.
+pub(crate) fn task(scope: &Scope, tile: u32, samples: Range<u32>) -> Statistics {
+    record(scope, tile, samples, 0.5, |statistics, key| statistics.wants(key))
+}
+
+/// The same with another share, and another choice of records.
+pub(crate) fn record(
+    scope: &Scope,
+    tile: u32,
+    samples: Range<u32>,
+    share: f64,
+    wants: impl Fn(&Statistics, PathKey) -> bool,
+) -> Statistics {
+    let mut statistics = Statistics::new(*scope, share);
+    let mut counters = [Counters::default(), Counters::default()];
+    for (kind, texts) in [
+        (Kind::Object, &OBJECTS[..4]),
+        (Kind::Material, &["white", "metal"][..]),
+        (Kind::Lamp, &["lamp a", "lamp b"][..]),
+    ] {
+        for text in texts {
+            statistics.names.insert(Name::of(kind, text), (kind, (*text).to_owned()));
+        }
+    }
+    for pixel in (0..scope.film[0] * scope.film[1]).filter(|pixel| scope.tile_of(*pixel) == tile) {
+        for sample in samples.clone() {
+            let key = PathKey { frame: scope.frame, pixel, sample };
+            let counters = &mut counters[usize::from(key.half())];
+            if is_bad(key) {
+                counters.bad += 1;
+                continue;
+            }
+            let path = path(scope, key);
+            counters.count(path.luminance(), path.depth, path.end);
+            let order = (key.hash(scope.seed), key);
+            if wants(&statistics, key) {
+                statistics.paths.insert(order, path.clone());
+            }
+            if brightness(&path) > 20.0 {
+                statistics.brightest.insert(order, path.clone());
+            }
+            if depth_rank(&path).is_some() {
+                statistics.deepest.insert(order, path);
+            }
+        }
+    }
+    for (half, counters) in (0..).zip(counters) {
+        statistics.portions.insert(PortionKey { tile, half, begin: samples.start, end: samples.end }, counters);
+    }
+    statistics.settle();
+    statistics
+}
+
+/// Rounds of samples.
+pub(crate) const ROUNDS: [Range<u32>; 3] = [0..4, 4..8, 8..16];
+
+/// All tasks of a frame, in order.
+pub(crate) fn tasks(scope: &Scope) -> Vec<Statistics> {
+    tiles(scope).flat_map(|tile| ROUNDS.map(|round| task(scope, tile, round))).collect()
+}
+
+pub(crate) fn united(scope: &Scope, parts: impl IntoIterator<Item = Statistics>) -> Statistics {
+    let mut all = Statistics::new(*scope, 0.5);
+    all.unite_all(parts).unwrap_or_else(|e| panic!("{e}"));
+    all
+}
+
+/// Ends of halves as a rule on errors might leave them: some ended a round or two before the last.
+pub(crate) fn ends(tile: u32, half: u8) -> u32 {
+    [16, 8, 16, 4, 8][(2 * tile + u32::from(half)) as usize % 5]
+}

@@ -2,12 +2,12 @@
 
 use crate::dimensions as dim;
 use crate::fog::{Collision, Fog, FoggyRay, Segment};
-use crate::record::{Contribution, Found, Leaving, Place, Recorder, Vertex};
+use crate::record::{Contribution, Found, Leaving, Place, Recorder, Scatterer, Stop, Vertex};
 use crate::shadow::Shadow;
 use crate::technique::{Technique, weight};
 use femc_emission::{AtPoint, Choice, DeltaKind, Lobes};
 use femc_field::{Field, Side};
-use femc_geometry::{Ray, offset_origin};
+use femc_geometry::{Ray, offset_origin, segment};
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, Rgb, SampleStream};
 use femc_prepared::camera::View;
@@ -169,7 +169,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
     /// Draws sample `sample` of `pixel` (row-major index in the whole film).
     #[inline]
     pub fn sample(&mut self, pixel: u32, sample: u32, filter: impl PixelFilter) -> PathSample {
-        self.recorder.begin();
+        self.recorder.begin(pixel, sample);
         let mut stream = SampleStream::new(self.settings.seed, self.scene.frame, pixel, sample);
         stream.seek(dim::FILM);
         let offset = filter.sample(stream.next_2d());
@@ -196,13 +196,14 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 drawn += self.sight(seen, &view, time, center, filter, number, point);
             }
         }
-        let mut sample = if self.scene.media.is_empty() {
+        let mut out = if self.scene.media.is_empty() {
             self.trace::<false>(ray, came, stream)
         } else {
             self.trace::<true>(ray, came, stream)
         };
-        sample.color += drawn;
-        sample
+        out.color += drawn;
+        self.recorder.end(out.color);
+        out
     }
 
     /// Light that comes straight from a small source to the camera, by one of [`SIGHTS`] points drawn on sources.
@@ -321,20 +322,29 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                     Ok(collision) => {
                         first = false;
                         if !may_scatter {
+                            self.recorder.stop(Stop::Depth, throughput);
                             break;
                         }
                         throughput *= collision.event.weight;
                         let position = collision.position;
-                        self.recorder
-                            .vertex(|| Vertex { place: Place::Medium(fog.medium_of(&collision.event)), position });
+                        self.recorder.vertex(|| Vertex {
+                            place: Place::Medium(fog.medium_of(&collision.event)),
+                            position,
+                            bounce: segment,
+                            throughput,
+                        });
                         if let Some(field) = self.field {
                             let color = throughput * field.fog.mean_radiance(position);
                             out.color += color;
                             self.recorder.light(|| from_field(color, throughput, segment, position));
+                            self.recorder.stop(Stop::Field, throughput);
                             break;
                         }
-                        let Some(new) = fog.scatter(&stretch, &collision, &mut stream) else { break };
-                        self.recorder.leave(Leaving::Scattered { pdf: new.pdf });
+                        let Some(new) = fog.scatter(&stretch, &collision, &mut stream) else {
+                            self.recorder.stop(Stop::Absorbed, throughput);
+                            break;
+                        };
+                        self.recorder.leave(Leaving::Scattered { pdf: new.pdf, by: Scatterer::Phase });
                         throughput *= new.weight;
                         std::mem::swap(&mut self.fog, &mut self.fog_before);
                         previous = Previous { position, came: Came::Medium { collision, phase: new.phase } };
@@ -342,6 +352,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                         segment += 1;
                         scale *= new.pdf / new.phase;
                         if !survives::<MEDIA>(rays, &mut throughput, scale, &mut stream, base) {
+                            self.recorder.stop(Stop::of_lost(throughput), throughput);
                             break;
                         }
                         continue;
@@ -349,7 +360,10 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                     Err(weight) => throughput *= weight,
                 }
             }
-            let Some(hit) = hit else { break };
+            let Some(hit) = hit else {
+                self.recorder.stop(Stop::Escaped, throughput);
+                break;
+            };
             let point = scene.surface(&ray, &hit);
             if point.light != NONE {
                 let color = throughput * self.met_light(&ray, &point, &previous);
@@ -375,9 +389,11 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             }
             let is_last = self.settings.max_depth != 0 && segment + 1 >= self.settings.max_depth;
             if is_last || matches!(crossing, Crossing::Null { .. }) {
+                let before = throughput;
                 throughput *= crossing.unbent();
                 ray = straight_on(&ray, &point, &mut inside, material, back);
                 if !survives::<MEDIA>(rays, &mut throughput, scale, &mut stream, base) {
+                    self.recorder.stop(if is_last { Stop::Depth } else { Stop::of_lost(throughput) }, before);
                     break;
                 }
                 continue;
@@ -385,6 +401,8 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             self.recorder.vertex(|| Vertex {
                 place: Place::Surface { instance: hit.instance, primitive: hit.primitive, material: point.material },
                 position: point.position,
+                bounce: segment,
+                throughput,
             });
             let wanted =
                 scene.lights.at_point(point.position, lit_side(&bsdf, &point, back), lobes(&bsdf, wo, ray.dir));
@@ -437,7 +455,10 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             stream.seek(base + dim::LOBE);
             let choice = stream.next_1d();
             stream.seek(base + dim::DIRECTION);
-            let Some(scattered) = bsdf.sample(wo, stream.next_2d(), choice) else { break };
+            let Some(scattered) = bsdf.sample(wo, stream.next_2d(), choice) else {
+                self.recorder.stop(if self.field.is_some() { Stop::Field } else { Stop::Absorbed }, throughput);
+                break;
+            };
             throughput *= scattered.weight;
             if scattered.lobe == LobeKind::Delta
                 && scattered.transmitted == Transmitted::Yes
@@ -446,12 +467,14 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 self.recorder.leave(Leaving::Straight);
                 ray = straight_on(&ray, &point, &mut inside, material, back);
                 if !survives::<MEDIA>(rays, &mut throughput, scale, &mut stream, base) {
+                    self.recorder.stop(Stop::of_lost(throughput), throughput);
                     break;
                 }
                 continue;
             }
             let wi = frame.to_world(scattered.wi);
             if !same_side(&frame, &point, scattered.wi, wi) {
+                self.recorder.stop(Stop::Absorbed, throughput);
                 break;
             }
             if scattered.eta != 1.0 {
@@ -462,10 +485,11 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 cross(&mut inside, material, back);
             }
             let came = if scattered.lobe == LobeKind::Delta {
-                self.recorder.leave(Leaving::Delta);
+                self.recorder.leave(Leaving::Delta(scattered.transmitted));
                 Came::Surely
             } else {
-                self.recorder.leave(Leaving::Scattered { pdf: scattered.pdf });
+                let by = if scattered.lobe == LobeKind::Glossy { Scatterer::Glossy } else { Scatterer::Diffuse };
+                self.recorder.leave(Leaving::Scattered { pdf: scattered.pdf, by });
                 Came::Surface { wanted, pdf: scattered.pdf }
             };
             previous = Previous { position: point.position, came };
@@ -473,6 +497,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             ray = Ray { origin, dir: wi, t_max: f32::INFINITY, time: ray.time };
             segment += 1;
             if !survives::<MEDIA>(rays, &mut throughput, scale, &mut stream, base) {
+                self.recorder.stop(Stop::of_lost(throughput), throughput);
                 break;
             }
         }
@@ -571,7 +596,11 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             cross(&mut inside, &scene.materials[point.material as usize], back);
         }
         let from = (point.position, point.error, point.normal);
-        contribution * self.shadow.visibility::<MEDIA>(scene, from, light, time, &inside, &mut self.counters)
+        let visibility = self.shadow.visibility::<MEDIA>(scene, from, light, time, &inside, &mut self.counters);
+        if visibility == Rgb::ZERO {
+            self.recorder.hidden(|| segment(from, (light.position, light.error, light.normal), time));
+        }
+        contribution * visibility
     }
 }
 

@@ -4,30 +4,68 @@
 //! The recorder `()` of ordinary rendering hears nothing. All that is told is told by closures which it does not call, so that
 //! what they would have to find out costs nothing.
 
+use femc_geometry::Ray;
 use femc_math::Rgb;
 use femc_math::glam::Vec3A;
+pub use femc_scattering::Transmitted;
 
-/// Hears of the vertices of paths, and of each contribution to a sample.
+/// Hears of the vertices of paths, of each contribution to a sample, and of its end.
 pub trait Recorder {
-    /// A camera sample begins.
-    fn begin(&mut self);
+    /// A camera sample begins: its pixel, a row-major index in the whole film, and its number.
+    fn begin(&mut self, pixel: u32, sample: u32);
     /// The path has come to a surface that may scatter, or to a collision in a medium.
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex);
     /// The path goes on from its latest vertex.
     fn leave(&mut self, way: Leaving);
+    /// Something hides the light that was drawn from the latest vertex, a surface; its contribution, of nothing, comes next.
+    fn hidden(&mut self, shadow: impl FnOnce() -> Ray);
     /// Light was found.
     fn light(&mut self, contribution: impl FnOnce() -> Contribution);
+    /// The path goes no further.
+    /// - `throughput`: its factor, 0 if that is why.
+    fn stop(&mut self, why: Stop, throughput: Rgb);
+    /// The sample is done: its radiance, cd/m2, not checked.
+    fn end(&mut self, color: Rgb);
 }
 
 impl Recorder for () {
     #[inline(always)]
-    fn begin(&mut self) {}
+    fn begin(&mut self, _: u32, _: u32) {}
     #[inline(always)]
     fn vertex(&mut self, _: impl FnOnce() -> Vertex) {}
     #[inline(always)]
     fn leave(&mut self, _: Leaving) {}
     #[inline(always)]
+    fn hidden(&mut self, _: impl FnOnce() -> Ray) {}
+    #[inline(always)]
     fn light(&mut self, _: impl FnOnce() -> Contribution) {}
+    #[inline(always)]
+    fn stop(&mut self, _: Stop, _: Rgb) {}
+    #[inline(always)]
+    fn end(&mut self, _: Rgb) {}
+}
+
+/// Why a path goes no further.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Stop {
+    /// It has left the scene.
+    Escaped,
+    /// Nothing was scattered, or what was had no way to go.
+    Absorbed,
+    /// Russian roulette.
+    Roulette,
+    /// It has as many segments as it may.
+    Depth,
+    /// It ended with the light of a field.
+    Field,
+}
+
+impl Stop {
+    /// Of a path that roulette, or having lost everything, has ended.
+    #[inline]
+    pub(crate) fn of_lost(throughput: Rgb) -> Self {
+        if throughput.max_element() > 0.0 { Self::Roulette } else { Self::Absorbed }
+    }
 }
 
 /// What a path meets.
@@ -53,6 +91,10 @@ pub struct Vertex {
     pub place: Place,
     /// Where it is, prepared frame, m.
     pub position: Vec3A,
+    /// The segment that ends there; 0: the camera's.
+    pub bounce: u32,
+    /// Factor of the path on arrival.
+    pub throughput: Rgb,
 }
 
 /// How a path goes on from a vertex.
@@ -61,12 +103,25 @@ pub enum Leaving {
     /// Straight through a clear surface: the path stays on its segment.
     Straight,
     /// In the only direction of a mirror, or of glass that bends.
-    Delta,
+    Delta(Transmitted),
     /// In one of many directions.
     Scattered {
         /// Density of the direction, 1/sr.
         pdf: f32,
+        /// What it was drawn by.
+        by: Scatterer,
     },
+}
+
+/// What scatters in many directions.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scatterer {
+    /// A Lambertian lobe, reflected or transmitted.
+    Diffuse,
+    /// A lobe about a direction.
+    Glossy,
+    /// A phase function.
+    Phase,
 }
 
 /// How light was found.
@@ -123,7 +178,7 @@ pub struct Recording {
 }
 
 impl Recorder for Recording {
-    fn begin(&mut self) {
+    fn begin(&mut self, _: u32, _: u32) {
         self.steps.clear();
         self.contributions.clear();
     }
@@ -144,6 +199,12 @@ impl Recorder for Recording {
             self.contributions.push((contribution, self.steps.len()));
         }
     }
+
+    fn hidden(&mut self, _: impl FnOnce() -> Ray) {}
+
+    fn stop(&mut self, _: Stop, _: Rgb) {}
+
+    fn end(&mut self, _: Rgb) {}
 }
 
 impl Recording {

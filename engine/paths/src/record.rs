@@ -159,7 +159,7 @@ pub struct Path {
     pub key: PathKey,
     /// What the sample adds to its pixel, cd/m2 by channel; finite, not negative.
     pub radiance: [f32; 3],
-    /// Factor of the path at its end, before what ended it; finite, not negative.
+    /// Factor of the path at its end, 0 where it has lost everything; finite, not negative.
     pub throughput: [f32; 3],
     /// Number of its intersections, those past [`MOST_INTERSECTIONS`] among them.
     pub depth: u32,

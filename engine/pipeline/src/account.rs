@@ -101,7 +101,7 @@ impl Origin {
             Found::Sight => (How::Sight, On::Camera),
             Found::Met => match source.map(|step| step.leaving) {
                 None => (How::Seen, On::Camera),
-                Some(Some(Leaving::Delta)) => (How::Mirrored, before),
+                Some(Some(Leaving::Delta(_))) => (How::Mirrored, before),
                 Some(_) => (How::Scattered, before),
             },
             Found::Surface => (How::Surface, before),

@@ -16,6 +16,7 @@ pub mod replay;
 mod round;
 mod settings;
 mod stage;
+mod statistics;
 
 pub use allocation::{Allocation, AllocationError};
 pub use femc_field::{Field, FieldError, Form, Side, Statistics as FirstPassStatistics};
@@ -30,6 +31,8 @@ pub use render::{Places, RenderError, RenderedTile, frame_key, prepare, prepare_
 /// the name, `tests/builds` compares).
 pub const BUILD: &str = env!("FEMC_ENGINE");
 
+pub use femc_paths as paths;
 pub use round::{RoundVerdict, UNLIT_SPP};
 pub use settings::{Method, Settings, SettingsError, Stop};
 pub use stage::{Loop, Need, Reach, Role, Round, Scope, Stage, StageKind, fan, stages};
+pub use statistics::{StatisticsPlan, render_with_statistics};

@@ -3,7 +3,7 @@
 use crate::first_pass::first_pass;
 use crate::settings::{Method, Settings};
 use femc_film::{FilmError, Filter, Rect, Sample, Tile};
-use femc_montecarlo::{Counters, PathSettings, PixelFilter, Tracer};
+use femc_montecarlo::{Counters, PathSettings, PixelFilter, Recorder, Tracer};
 use femc_prepared::{FrameSpec, PrepareError, Prepared, Source};
 use femc_scene::FrameKey;
 use rayon::prelude::*;
@@ -79,13 +79,26 @@ pub fn render_tile(
     cancel: &AtomicBool,
     progress: &AtomicU64,
 ) -> Result<RenderedTile, RenderError> {
+    render_rows(prepared, settings, rect, samples, cancel, progress, || ()).map(|(rendered, _)| rendered)
+}
+
+/// The same with a recorder for each row of pixels, and what they have heard, in order. The tile is the same to the bit.
+pub fn render_rows<R: Recorder + Send>(
+    prepared: &Prepared,
+    settings: &Settings,
+    rect: Rect,
+    samples: Range<u32>,
+    cancel: &AtomicBool,
+    progress: &AtomicU64,
+    recorder: impl Fn() -> R + Sync,
+) -> Result<(RenderedTile, Vec<R>), RenderError> {
     let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth, only: None };
-    let strips: Vec<Result<(Tile, Counters), RenderError>> = (0..rect.height)
+    let strips: Vec<Result<(Tile, Counters, R), RenderError>> = (0..rect.height)
         .into_par_iter()
         .map(|row| {
             let strip = Rect { y: rect.y + row, height: 1, ..rect };
             let mut tile = Tile::new(strip, samples.clone())?;
-            let mut tracer = Tracer::new(prepared, path);
+            let mut tracer = Tracer::recording(prepared, path, recorder());
             if let Some(field) = prepared.field.as_deref().filter(|_| settings.method == Method::Fem) {
                 tracer = tracer.with_field(field);
             }
@@ -98,19 +111,21 @@ pub fn render_tile(
                     progress.fetch_add(count, Ordering::Relaxed);
                 }
             }
-            Ok((tile, tracer.counters))
+            Ok((tile, tracer.counters, tracer.recorder))
         })
         .collect();
     let (mut tiles, mut rays, mut shadow_rays) = (Vec::with_capacity(strips.len()), 0, 0);
+    let mut recorders = Vec::with_capacity(strips.len());
     for strip in strips {
-        let (tile, counters) = strip?;
+        let (tile, counters, recorder) = strip?;
         tiles.push(tile);
+        recorders.push(recorder);
         rays += counters.rays;
         shadow_rays += counters.shadow_rays;
     }
     let mut tile = Tile::from_strips(rect, samples, tiles)?;
     tile.charge(rays + shadow_rays);
-    Ok(RenderedTile { tile, rays, shadow_rays })
+    Ok((RenderedTile { tile, rays, shadow_rays }, recorders))
 }
 
 /// A film's filter as the tracer wants it.
@@ -132,10 +147,10 @@ impl PixelFilter for Places {
 /// Samples of a pixel between two signs of progress.
 const STEP: usize = 256;
 
-fn render_pixel(
+fn render_pixel<R: Recorder>(
     prepared: &Prepared,
     settings: &Settings,
-    tracer: &mut Tracer<'_>,
+    tracer: &mut Tracer<'_, R>,
     tile: &mut Tile,
     [x, y]: [u32; 2],
     samples: Range<u32>,

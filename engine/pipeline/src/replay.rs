@@ -4,13 +4,13 @@
 use crate::render::Places;
 use crate::settings::{Method, Settings, Stop};
 use femc_math::Rgb;
-use femc_montecarlo::{PathSettings, Recording, Tracer};
+use femc_montecarlo::{PathSettings, Recorder, Recording, Tracer};
 use femc_prepared::Prepared;
 use std::ops::Range;
 
 /// Traces samples again, on one thread.
-pub struct Replay<'a> {
-    tracer: Tracer<'a, Recording>,
+pub struct Replay<'a, R = Recording> {
+    tracer: Tracer<'a, R>,
     settings: &'a Settings,
     width: u32,
 }
@@ -18,8 +18,15 @@ pub struct Replay<'a> {
 impl<'a> Replay<'a> {
     /// Of a frame of these settings.
     pub fn new(prepared: &'a Prepared, settings: &'a Settings) -> Self {
+        Self::recording(prepared, settings, Recording::default())
+    }
+}
+
+impl<'a, R: Recorder> Replay<'a, R> {
+    /// The same, with another recorder.
+    pub fn recording(prepared: &'a Prepared, settings: &'a Settings, recorder: R) -> Self {
         let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth, only: None };
-        let mut tracer = Tracer::recording(prepared, path, Recording::default());
+        let mut tracer = Tracer::recording(prepared, path, recorder);
         if let Some(field) = prepared.field.as_deref().filter(|_| settings.method == Method::Fem) {
             tracer = tracer.with_field(field);
         }
@@ -27,9 +34,14 @@ impl<'a> Replay<'a> {
     }
 
     /// Sample number `sample` of a pixel: its color, cd/m2, and how it came about.
-    pub fn sample(&mut self, (x, y): (u32, u32), sample: u32) -> (Rgb, &Recording) {
+    pub fn sample(&mut self, (x, y): (u32, u32), sample: u32) -> (Rgb, &R) {
         let drawn = self.tracer.sample(y * self.width + x, sample, Places(self.settings.filter));
         (drawn.color, &self.tracer.recorder)
+    }
+
+    /// What the recorder has heard of all samples.
+    pub fn into_recorder(self) -> R {
+        self.tracer.recorder
     }
 }
 

@@ -1,0 +1,3 @@
+//! The pipeline on small scenes.
+
+mod statistics;

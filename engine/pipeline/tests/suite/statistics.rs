@@ -1,0 +1,205 @@
+//! Light statistics of rendered tiles.
+
+use femc_film::{Rect, Tiling};
+use femc_import::{Bundle, load};
+use femc_pipeline::paths::histogram::{Histograms, Table};
+use femc_pipeline::paths::{End, Interaction, Kind, Name, Path, Statistics};
+use femc_pipeline::replay::Replay;
+use femc_pipeline::{Prepared, Settings, Source, StatisticsPlan, Stop, prepare, render_tile, render_with_statistics};
+use std::collections::BTreeMap;
+use std::ops::Range;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+
+/// A room with a mirror ball and a plate above a white floor, lit by a lamp that the plate hides from a part of it.
+const ROOM: &str = "\
+camera main =
+	origin 0 -3 1
+	target 0 0 .8
+	fov 60
+	film 20 12
+m white =
+	sides 1
+	c
+	rd .7
+m gray =
+	c
+	rd .4
+m mirror =
+	rs .9 0
+m glow =
+	sides 1
+	ed 500
+v a =
+	p -4 -4 0
+v b =
+	p 4 -4 0
+v c =
+	p 4 4 0
+v d =
+	p -4 4 0
+m white
+o floor
+f a b c d
+o
+v o =
+	p .6 0 .5
+m mirror
+o ball
+sph o .5
+o
+v e =
+	p -.6 -.3 1.2
+v f =
+	p -.2 -.3 1.2
+v g =
+	p -.2 .3 1.2
+v h =
+	p -.6 .3 1.2
+m gray
+o plate
+f e f g h
+o
+v l =
+	p -.4 0 2
+m glow
+o lamp
+sph l .2
+o
+";
+
+const FOG: &str = "medium fog =\n\tsigma_s .3\nmbox fog -4 -4 0 4 4 3\n";
+
+fn prepared(text: &str, settings: &Settings) -> Prepared {
+    let files = BTreeMap::from([("room.mgf".to_owned(), text.as_bytes().to_vec())]);
+    let scene = load(&Bundle(files), "room.mgf").unwrap_or_else(|e| panic!("{e}")).scene;
+    prepare(&Source::new(Arc::new(scene)), settings, 1, None).unwrap_or_else(|e| panic!("{e}"))
+}
+
+fn settings() -> Settings {
+    Settings { stop: Stop::Spp(8), seed: 5, statistics: true, ..Settings::default() }
+}
+
+fn tiling(prepared: &Prepared) -> Tiling {
+    Tiling { width: prepared.camera.film[0], height: prepared.camera.film[1], edge: 8 }
+}
+
+fn rendered(prepared: &Prepared, settings: &Settings, rect: Rect, samples: Range<u32>) -> (Vec<u8>, Statistics) {
+    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+    let plan = StatisticsPlan::of(prepared, settings, 8);
+    let done = render_with_statistics(prepared, settings, &plan, rect, samples, &cancel, &progress);
+    let (rendered, statistics) = done.unwrap_or_else(|e| panic!("{e}"));
+    (rendered.tile.encode(), statistics)
+}
+
+/// The statistics of a frame whose tiles have tasks that end at these samples each.
+fn whole(prepared: &Prepared, settings: &Settings, ends: &[u32]) -> Statistics {
+    let ranges = || [0].iter().chain(ends).zip(ends).map(|(begin, end)| *begin..*end);
+    let tasks = tiling(prepared).rects().flat_map(|rect| ranges().map(move |range| (rect, range)));
+    let parts = tasks.map(|(rect, range)| rendered(prepared, settings, rect, range).1);
+    let mut all: Option<Statistics> = None;
+    for part in parts {
+        match &mut all {
+            Some(all) => all.unite(part).unwrap_or_else(|e| panic!("{e}")),
+            None => all = Some(part),
+        }
+    }
+    all.unwrap().counted(0, |_, _| u32::MAX)
+}
+
+#[test]
+fn statistics_change_no_bit_of_a_tile_and_hold_all_laws() {
+    for text in [ROOM.to_owned(), format!("{FOG}{ROOM}")] {
+        let (settings, prepared) = (settings(), prepared(&text, &settings()));
+        let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+        for rect in tiling(&prepared).rects() {
+            let alone = render_tile(&prepared, &settings, rect, 0..8, &cancel, &progress).unwrap().tile;
+            let (tile, statistics) = rendered(&prepared, &settings, rect, 0..8);
+            assert!(tile == alone.encode());
+            assert_eq!(statistics.samples(), rect.area() * 8);
+            assert_eq!(statistics.totals().bad, alone.bad().total());
+            let read = Statistics::decode(&statistics.encode()).unwrap_or_else(|e| panic!("{e}"));
+            assert!(read == statistics);
+        }
+    }
+}
+
+#[test]
+fn records_are_the_samples_themselves_and_their_lights_add_up() {
+    for text in [ROOM.to_owned(), format!("{FOG}{ROOM}")] {
+        let (settings, prepared) = (settings(), prepared(&text, &settings()));
+        let all = whole(&prepared, &settings, &[8]);
+        assert_eq!(all.share(), 1.0, "a small frame has all of its samples");
+        assert_eq!(all.paths.len() as u64, 20 * 12 * 8 - all.totals().bad);
+        let mut replay = Replay::new(&prepared, &settings);
+        for path in all.paths.values() {
+            let (color, recording) = replay.sample((path.key.pixel % 20, path.key.pixel / 20), path.key.sample);
+            assert_eq!(path.radiance, color.to_array());
+            assert_eq!(path.intersections.len(), recording.steps.len());
+            let sum = |lights: &mut dyn Iterator<Item = f64>| lights.sum::<f64>();
+            let is_near = |a: f64, b: f32| (a - f64::from(b)).abs() <= 1e-4 * a.abs() + 1e-6;
+            let lights = sum(&mut path.lights.iter().map(|light| f64::from(light.radiance[1])));
+            assert!(is_near(lights, path.radiance[1]), "{path:?}");
+            // What comes to the camera is what its first vertex sends and what was found before it.
+            if let Some(first) = path.intersections.first() {
+                let early = path.lights.iter().filter(|light| light.vertex == 0);
+                let own = recording
+                    .contributions
+                    .iter()
+                    .filter(|(it, vertices)| *vertices == 0 && it.position == recording.steps[0].vertex.position);
+                let own = sum(&mut own.map(|(it, _)| f64::from(it.color.to_array()[1])));
+                let early_sum = sum(&mut early.map(|light| f64::from(light.radiance[1])));
+                let sent = f64::from(first.radiance[1]) * f64::from(first.throughput[1]);
+                assert!(is_near(sent + early_sum - own, path.radiance[1]), "{path:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn statistics_are_those_of_the_samples_however_they_are_divided_into_tasks() {
+    let (settings, prepared) = (settings(), prepared(&format!("{FOG}{ROOM}"), &settings()));
+    let bytes = whole(&prepared, &settings, &[8]).encode();
+    for ends in [&[4, 8][..], &[1, 4, 5, 8]] {
+        assert!(whole(&prepared, &settings, ends).encode() == bytes, "{ends:?}");
+    }
+}
+
+#[test]
+fn paths_name_what_they_meet_and_say_how_they_went_on() {
+    let (settings, prepared) = (settings(), prepared(ROOM, &settings()));
+    let all = whole(&prepared, &settings, &[8]);
+    let named = |kind, text: &str| {
+        let name = Name::of(kind, text);
+        assert_eq!(all.names.get(&name), Some(&(kind, text.to_owned())));
+        name
+    };
+    let [ball, plate, lamp, floor] = ["ball", "plate", "lamp", "floor"].map(|object| named(Kind::Object, object));
+    let glow = named(Kind::Lamp, "lamp/glow");
+    let steps = || all.paths.values().flat_map(|path| &path.intersections);
+    assert!(steps().any(|it| it.object == ball && it.interaction == Interaction::Reflection));
+    assert!(steps().filter(|it| it.object == ball).all(|it| {
+        it.material == Name::of(Kind::Material, "mirror")
+            && [Interaction::Reflection, Interaction::Absorbed].contains(&it.interaction)
+    }));
+    assert!(steps().any(|it| it.object == lamp && it.interaction == Interaction::Emission));
+    assert!(steps().all(|it| it.object != floor || it.position[2].abs() < 1e-4));
+    let lights = || all.paths.values().flat_map(|path| &path.lights);
+    assert!(lights().all(|light| light.light == glow));
+    assert!(lights().any(|light| light.occluder == Some(plate)));
+    assert!(lights().all(|light| light.occluder.is_none() || light.radiance == [0.0; 3]));
+    let ends = |path: &Path| path.end;
+    assert!(all.paths.values().map(ends).any(|end| end == End::Escaped));
+    assert!(all.paths.values().map(ends).all(|end| end != End::Depth));
+    let histograms = Histograms::of(&all, Table::Intersections);
+    assert_eq!(histograms.attributes[0].samples.iter().sum::<u64>(), steps().count() as u64);
+}
+
+#[test]
+fn the_longest_paths_end_by_their_depth() {
+    let settings = Settings { max_depth: 2, ..settings() };
+    let prepared = prepared(ROOM, &settings);
+    let all = whole(&prepared, &settings, &[8]);
+    assert!(all.paths.values().any(|path| path.end == End::Depth));
+    assert!(all.paths.values().all(|path| path.depth <= 1));
+}

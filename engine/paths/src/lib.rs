@@ -12,6 +12,7 @@
 pub mod codec;
 pub mod histogram;
 pub mod octree;
+pub mod query;
 pub mod record;
 pub mod represent;
 pub mod schema;

@@ -3,5 +3,6 @@
 mod bytes;
 mod laws;
 mod plants;
+mod questions;
 mod reduction;
 mod world;

@@ -1,0 +1,504 @@
+//! Questions about paths: which have been where, and what was there.
+//!
+//! A [`Condition`] is asked of each intersection of a path, and of a path that has none once, without an intersection:
+//!
+//! ```text
+//! radiance.g > 2 and bounce == 2 and (interaction == reflection or object == room.mirror)
+//! ```
+//!
+//! | name | of | value |
+//! | --- | --- | --- |
+//! | `bounce`, `position.x` `.y` `.z`, `radiance.r` `.g` `.b`, `throughput.r` `.g` `.b` | the intersection | number |
+//! | `object`, `material` | the intersection | name |
+//! | `interaction` | the intersection | a word of [`Interaction`] |
+//! | `light`, `occluder` | any light that was looked for there | name |
+//! | `light.radiance.r` `.g` `.b` | any of them | number |
+//! | `found` | any of them | a word of [`Found`] |
+//! | `path.radiance.r` `.g` `.b`, `path.throughput.r` `.g` `.b`, `depth`, `pixel.x`, `pixel.y`, `sample` | the path | number |
+//! | `end` | the path | a word of [`End`] |
+//!
+//! Numbers are compared by `==`, `!=`, `<`, `<=`, `>`, `>=`, words by the first two. A name is that of a thing or of anything in it: `room` is
+//! `room.wall`, too. What is not there equals nothing: `occluder != door` holds where nothing is in the way, `occluder == door` does not.
+
+use crate::record::{End, Found, Interaction, Intersection, Light, Name, Names, Path};
+use crate::statistics::Scope;
+use std::collections::BTreeSet;
+
+/// A question about paths.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Query {
+    /// What an intersection must be like; `None`: any, or none at all.
+    pub condition: Option<Condition>,
+    /// Objects that the path must have come to, one after the other: the first anywhere, each other at any later intersection.
+    pub objects: Vec<String>,
+    /// Corners of a box of the world, m, that the intersection must be in.
+    pub within: Option<[[f64; 3]; 2]>,
+}
+
+/// A condition.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Condition {
+    /// Both hold.
+    And(Box<Self>, Box<Self>),
+    /// One holds, or both.
+    Or(Box<Self>, Box<Self>),
+    /// It does not hold.
+    Not(Box<Self>),
+    /// A number is compared.
+    Number(Number, Order, f64),
+    /// A word or a name is, or is not, this one.
+    Word(Word, Equality, String),
+}
+
+/// How numbers are compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// `==`
+    Equal,
+    /// `!=`
+    Unequal,
+    /// `<`
+    Below,
+    /// `<=`
+    AtMost,
+    /// `>`
+    Above,
+    /// `>=`
+    AtLeast,
+}
+
+impl Order {
+    fn holds(self, a: f64, b: f64) -> bool {
+        match self {
+            Self::Equal => a == b,
+            Self::Unequal => a != b,
+            Self::Below => a < b,
+            Self::AtMost => a <= b,
+            Self::Above => a > b,
+            Self::AtLeast => a >= b,
+        }
+    }
+}
+
+/// How words are compared.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Equality {
+    /// `==`
+    Is,
+    /// `!=`
+    IsNot,
+}
+
+/// A number of a path, an intersection or a light.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Number {
+    /// `bounce`
+    Bounce,
+    /// `position`, of an axis
+    Position(usize),
+    /// `radiance`, of a channel
+    Radiance(usize),
+    /// `throughput`, of a channel
+    Throughput(usize),
+    /// `light.radiance`, of a channel
+    LightRadiance(usize),
+    /// `path.radiance`, of a channel
+    PathRadiance(usize),
+    /// `path.throughput`, of a channel
+    PathThroughput(usize),
+    /// `depth`
+    Depth,
+    /// `pixel`, of an axis
+    Pixel(usize),
+    /// `sample`
+    Sample,
+}
+
+/// A word of a path, an intersection or a light.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Word {
+    /// `object`
+    Object,
+    /// `material`
+    Material,
+    /// `interaction`
+    Interaction,
+    /// `light`
+    Light,
+    /// `occluder`
+    Occluder,
+    /// `found`
+    Found,
+    /// `end`
+    End,
+}
+
+/// Why a text is no condition.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum QueryError {
+    /// Something else was expected.
+    #[error("column {column}: {found:?} where {expected} is expected")]
+    Expected {
+        /// Place in the text, from 1.
+        column: usize,
+        /// What is there; empty: the end.
+        found: String,
+        /// What may be there.
+        expected: &'static str,
+    },
+    /// There is no such name.
+    #[error("column {column}: there is no {name:?}; known are {}", KNOWN.join(", "))]
+    Name {
+        /// Place in the text, from 1.
+        column: usize,
+        /// The name.
+        name: String,
+    },
+    /// There is no such word.
+    #[error("column {column}: {name} is never {word:?}; it is one of {}", .words.join(", "))]
+    NoWord {
+        /// Place in the text, from 1.
+        column: usize,
+        /// What is compared.
+        name: String,
+        /// The word.
+        word: String,
+        /// Those that there are.
+        words: Vec<&'static str>,
+    },
+    /// Conditions are nested too deep.
+    #[error("more than {MOST_DEPTH} conditions within each other")]
+    TooDeep,
+    /// It is too long.
+    #[error("more than {MOST_TOKENS} words and signs")]
+    TooLong,
+}
+
+/// Names in conditions, for people.
+const KNOWN: [&str; 17] = [
+    "bounce",
+    "position.x",
+    "radiance.r",
+    "throughput.r",
+    "object",
+    "material",
+    "interaction",
+    "light",
+    "occluder",
+    "light.radiance.r",
+    "found",
+    "path.radiance.r",
+    "path.throughput.r",
+    "depth",
+    "pixel.x",
+    "sample",
+    "end",
+];
+
+/// Most conditions within each other.
+const MOST_DEPTH: usize = 64;
+/// Most words and signs of a condition.
+const MOST_TOKENS: usize = 2048;
+
+enum Field {
+    Number(Number),
+    Word(Word),
+}
+
+fn field(name: &str) -> Option<Field> {
+    let part = |prefix: &str, parts: &str| {
+        let rest = name.strip_prefix(prefix)?;
+        (rest.len() == 1).then(|| parts.find(rest)).flatten()
+    };
+    let number = match name {
+        "bounce" => Some(Number::Bounce),
+        "depth" => Some(Number::Depth),
+        "sample" => Some(Number::Sample),
+        _ => None,
+    };
+    let number = number
+        .or_else(|| part("position.", "xyz").map(Number::Position))
+        .or_else(|| part("radiance.", "rgb").map(Number::Radiance))
+        .or_else(|| part("throughput.", "rgb").map(Number::Throughput))
+        .or_else(|| part("light.radiance.", "rgb").map(Number::LightRadiance))
+        .or_else(|| part("path.radiance.", "rgb").map(Number::PathRadiance))
+        .or_else(|| part("path.throughput.", "rgb").map(Number::PathThroughput))
+        .or_else(|| part("pixel.", "xy").map(Number::Pixel));
+    let word = match name {
+        "object" => Some(Word::Object),
+        "material" => Some(Word::Material),
+        "interaction" => Some(Word::Interaction),
+        "light" => Some(Word::Light),
+        "occluder" => Some(Word::Occluder),
+        "found" => Some(Word::Found),
+        "end" => Some(Word::End),
+        _ => None,
+    };
+    number.map(Field::Number).or(word.map(Field::Word))
+}
+
+/// The words that there are; of names there are any.
+fn words(word: Word) -> Vec<&'static str> {
+    match word {
+        Word::Object | Word::Material | Word::Light | Word::Occluder => Vec::new(),
+        Word::Interaction => Interaction::ALL.iter().map(|it| it.word()).collect(),
+        Word::Found => Found::ALL.iter().map(|it| it.word()).collect(),
+        Word::End => End::ALL.iter().map(|it| it.word()).collect(),
+    }
+}
+
+impl Condition {
+    /// Of a text.
+    pub fn parse(text: &str) -> Result<Self, QueryError> {
+        let mut parser = Parser { tokens: tokens(text)?, at: 0, depth: 0 };
+        let condition = parser.any()?;
+        match parser.tokens.get(parser.at) {
+            None => Ok(condition),
+            Some(_) => Err(parser.expected("`and`, `or` or the end")),
+        }
+    }
+
+    fn holds(&self, at: &At<'_>) -> bool {
+        match self {
+            Self::And(a, b) => a.holds(at) && b.holds(at),
+            Self::Or(a, b) => a.holds(at) || b.holds(at),
+            Self::Not(condition) => !condition.holds(at),
+            Self::Number(number, order, value) => at.has_number(*number, |own| order.holds(own, *value)),
+            Self::Word(word, Equality::Is, value) => at.has_word(*word, value),
+            Self::Word(word, Equality::IsNot, value) => !at.has_word(*word, value),
+        }
+    }
+}
+
+/// A piece of a condition, and its place.
+type Token = (usize, String);
+
+fn tokens(text: &str) -> Result<Vec<Token>, QueryError> {
+    let (mut all, mut rest) = (Vec::new(), text);
+    loop {
+        rest = rest.trim_start();
+        let column = text.len() - rest.len() + 1;
+        let Some(first) = rest.chars().next() else { return Ok(all) };
+        let is_word = |c: char| c.is_alphanumeric() || "._-+/#:".contains(c);
+        let length = match first {
+            '(' | ')' => 1,
+            '"' => match rest[1..].find('"') {
+                Some(end) => end + 2,
+                None => {
+                    let found = rest.to_owned();
+                    return Err(QueryError::Expected { column, found, expected: "a closing quotation mark" });
+                }
+            },
+            '=' | '!' | '<' | '>' => rest.find(|c| !"=!<>".contains(c)).unwrap_or(rest.len()),
+            _ if is_word(first) => rest.find(|c| !is_word(c)).unwrap_or(rest.len()),
+            _ => first.len_utf8(),
+        };
+        if all.len() == MOST_TOKENS {
+            return Err(QueryError::TooLong);
+        }
+        all.push((column, rest[..length].to_owned()));
+        rest = &rest[length..];
+    }
+}
+
+struct Parser {
+    tokens: Vec<Token>,
+    at: usize,
+    depth: usize,
+}
+
+impl Parser {
+    fn next(&mut self) -> Option<Token> {
+        let token = self.tokens.get(self.at).cloned();
+        self.at += 1;
+        token
+    }
+
+    fn takes(&mut self, word: &str) -> bool {
+        let takes = self.tokens.get(self.at).is_some_and(|(_, token)| token == word);
+        self.at += usize::from(takes);
+        takes
+    }
+
+    fn expected(&self, expected: &'static str) -> QueryError {
+        let end = self.tokens.last().map_or(1, |(column, token)| column + token.len());
+        let (column, found) = self.tokens.get(self.at).cloned().unwrap_or((end, String::new()));
+        QueryError::Expected { column, found, expected }
+    }
+
+    fn any(&mut self) -> Result<Condition, QueryError> {
+        let mut all = self.every()?;
+        while self.takes("or") {
+            all = Condition::Or(Box::new(all), Box::new(self.every()?));
+        }
+        Ok(all)
+    }
+
+    fn every(&mut self) -> Result<Condition, QueryError> {
+        let mut all = self.one()?;
+        while self.takes("and") {
+            all = Condition::And(Box::new(all), Box::new(self.one()?));
+        }
+        Ok(all)
+    }
+
+    fn one(&mut self) -> Result<Condition, QueryError> {
+        self.depth += 1;
+        if self.depth > MOST_DEPTH {
+            return Err(QueryError::TooDeep);
+        }
+        let condition = if self.takes("not") {
+            Condition::Not(Box::new(self.one()?))
+        } else if self.takes("(") {
+            let inner = self.any()?;
+            if !self.takes(")") {
+                return Err(self.expected("`)`"));
+            }
+            inner
+        } else {
+            self.comparison()?
+        };
+        self.depth -= 1;
+        Ok(condition)
+    }
+
+    fn comparison(&mut self) -> Result<Condition, QueryError> {
+        let missing = self.expected("a name");
+        let (column, name) = self.next().ok_or(missing.clone())?;
+        if !name.starts_with(char::is_alphabetic) {
+            return Err(missing);
+        }
+        let field = field(&name).ok_or_else(|| QueryError::Name { column, name: name.clone() })?;
+        let order = self.order()?;
+        match field {
+            Field::Number(number) => {
+                let missing = self.expected("a number");
+                let value = self.next().and_then(|(_, text)| text.parse::<f64>().ok());
+                Ok(Condition::Number(number, order, value.filter(|value| value.is_finite()).ok_or(missing)?))
+            }
+            Field::Word(word) => {
+                let equality = match order {
+                    Order::Equal => Equality::Is,
+                    Order::Unequal => Equality::IsNot,
+                    _ => {
+                        self.at -= 1;
+                        return Err(self.expected("`==` or `!=`"));
+                    }
+                };
+                let missing = self.expected("a word");
+                let (column, value) = self.next().ok_or(missing.clone())?;
+                let value = match value.strip_prefix('"').and_then(|text| text.strip_suffix('"')) {
+                    Some(text) => text.to_owned(),
+                    None if value.starts_with(|c| "()=!<>".contains(c)) => return Err(missing),
+                    None => value,
+                };
+                let words = words(word);
+                if !words.is_empty() && !words.contains(&value.as_str()) {
+                    return Err(QueryError::NoWord { column, name, word: value, words });
+                }
+                Ok(Condition::Word(word, equality, value))
+            }
+        }
+    }
+
+    fn order(&mut self) -> Result<Order, QueryError> {
+        let missing = self.expected("`==`, `!=`, `<`, `<=`, `>` or `>=`");
+        match self.next().as_ref().map(|(_, token)| token.as_str()) {
+            Some("==" | "=") => Ok(Order::Equal),
+            Some("!=") => Ok(Order::Unequal),
+            Some("<") => Ok(Order::Below),
+            Some("<=") => Ok(Order::AtMost),
+            Some(">") => Ok(Order::Above),
+            Some(">=") => Ok(Order::AtLeast),
+            _ => Err(missing),
+        }
+    }
+}
+
+/// An intersection of a path, or the path alone.
+struct At<'a> {
+    scope: &'a Scope,
+    names: &'a Names,
+    path: &'a Path,
+    /// Its place among the path's.
+    place: Option<usize>,
+}
+
+impl At<'_> {
+    fn intersection(&self) -> Option<&Intersection> {
+        self.place.and_then(|place| self.path.intersections.get(place))
+    }
+
+    fn lights(&self) -> impl Iterator<Item = &Light> {
+        let vertex = self.place.map_or(0, |place| place as u32 + 1);
+        self.path.lights.iter().filter(move |light| light.vertex == vertex)
+    }
+
+    fn has_number(&self, number: Number, holds: impl Fn(f64) -> bool) -> bool {
+        let of_intersection = |get: &dyn Fn(&Intersection) -> f64| self.intersection().is_some_and(|it| holds(get(it)));
+        let width = self.scope.film[0].max(1);
+        match number {
+            Number::Bounce => of_intersection(&|it| f64::from(it.bounce)),
+            Number::Position(axis) => of_intersection(&|it| it.position[axis]),
+            Number::Radiance(channel) => of_intersection(&|it| f64::from(it.radiance[channel])),
+            Number::Throughput(channel) => of_intersection(&|it| f64::from(it.throughput[channel])),
+            Number::LightRadiance(channel) => self.lights().any(|it| holds(f64::from(it.radiance[channel]))),
+            Number::PathRadiance(channel) => holds(f64::from(self.path.radiance[channel])),
+            Number::PathThroughput(channel) => holds(f64::from(self.path.throughput[channel])),
+            Number::Depth => holds(f64::from(self.path.depth)),
+            Number::Pixel(0) => holds(f64::from(self.path.key.pixel % width)),
+            Number::Pixel(_) => holds(f64::from(self.path.key.pixel / width)),
+            Number::Sample => holds(f64::from(self.path.key.sample)),
+        }
+    }
+
+    fn has_word(&self, word: Word, value: &str) -> bool {
+        let is = |name: Name| is_named(self.names, name, value);
+        match word {
+            Word::Object => self.intersection().is_some_and(|it| is(it.object)),
+            Word::Material => self.intersection().is_some_and(|it| is(it.material)),
+            Word::Interaction => self.intersection().is_some_and(|it| it.interaction.word() == value),
+            Word::Light => self.lights().any(|it| is(it.light)),
+            Word::Occluder => self.lights().any(|it| it.occluder.is_some_and(is)),
+            Word::Found => self.lights().any(|it| it.found.word() == value),
+            Word::End => self.path.end.word() == value,
+        }
+    }
+}
+
+/// Whether a name is this one, or of something in it.
+fn is_named(names: &Names, name: Name, value: &str) -> bool {
+    let rest = names.get(&name).and_then(|(_, text)| text.strip_prefix(value));
+    rest.is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '/']))
+}
+
+impl Query {
+    /// The places of the intersections of a path that are asked for; `None`: the path is not. A path without intersections may be
+    /// asked for, with no place.
+    pub fn matches(&self, scope: &Scope, names: &Names, path: &Path) -> Option<BTreeSet<usize>> {
+        let mut later = path.intersections.iter();
+        for object in &self.objects {
+            later.find(|it| is_named(names, it.object, object))?;
+        }
+        let is_within = |place: usize| {
+            let [low, high] = self.within.unwrap_or([[f64::NEG_INFINITY; 3], [f64::INFINITY; 3]]);
+            let position = path.intersections[place].position;
+            (0..3).all(|axis| (low[axis]..=high[axis]).contains(&position[axis]))
+        };
+        let holds = |place: Option<usize>| {
+            let at = At { scope, names, path, place };
+            self.condition.as_ref().is_none_or(|condition| condition.holds(&at))
+        };
+        if path.intersections.is_empty() {
+            return (self.within.is_none() && holds(None)).then(BTreeSet::new);
+        }
+        let places: BTreeSet<usize> =
+            (0..path.intersections.len()).filter(|&place| is_within(place) && holds(Some(place))).collect();
+        (!places.is_empty()).then_some(places)
+    }
+}
+
+/// Whether a name is known: that of a thing, or what things are in.
+pub fn is_known(names: &Names, value: &str) -> bool {
+    names.keys().any(|name| is_named(names, *name, value))
+}

@@ -7,11 +7,16 @@ use femc_pipeline as engine;
 /// ask for it.
 pub const FIRST_PASS: &str = "first-pass";
 
+/// The same of workers that know light statistics.
+pub const STATISTICS: &str = "statistics";
+
 /// The stages of a plan, as a job has them.
 pub fn graph(stages: &[engine::Stage]) -> Graph {
     let has_first_pass = stages.iter().any(|stage| stage.kind == engine::StageKind::FirstPass);
-    let tags: &[&str] = if has_first_pass { &[FIRST_PASS] } else { &[] };
-    Graph { stages: stages.iter().map(|stage| template(stage).tags(tags)).collect() }
+    let has_statistics = stages.iter().any(|stage| stage.makes.contains(&engine::Role::Statistics));
+    let tags: Vec<&str> =
+        [(has_first_pass, FIRST_PASS), (has_statistics, STATISTICS)].iter().filter(|it| it.0).map(|it| it.1).collect();
+    Graph { stages: stages.iter().map(|stage| template(stage).tags(&tags)).collect() }
 }
 
 fn template(stage: &engine::Stage) -> Template {
@@ -53,6 +58,7 @@ fn need(need: &engine::Need) -> Need {
         round: match round {
             engine::Round::Same => Round::Same,
             engine::Round::Before => Round::Before,
+            engine::Round::Every => Round::Every,
         },
         gaps: false,
     }
@@ -68,6 +74,8 @@ fn role(role: &engine::Role) -> Role {
         engine::Role::Image => Role::Image,
         engine::Role::Preview => Role::Preview,
         engine::Role::Field => Role::Field,
+        engine::Role::Paths => Role::Paths,
+        engine::Role::Statistics => Role::Statistics,
     }
 }
 
@@ -87,7 +95,12 @@ mod tests {
                 for fan in [1, 3, 4, 1000].map(|fan| NonZeroU32::new(fan).unwrap()) {
                     let tiling = Tiling::new(film[0], film[1], 16).unwrap();
                     for method in [engine::Method::Pt, engine::Method::Fem] {
-                        let graph = graph(&engine::stages(&tiling, rounds, fan, method));
+                        let stages = engine::stages(&tiling, rounds, fan, method);
+                        let with_statistics = graph(&engine::with_statistics(stages.clone()));
+                        assert_eq!(with_statistics.check(), Ok(()), "{film:?} {rounds:?} {fan} {method:?}");
+                        let has_tag = |stage: &Template| stage.tags.iter().any(|tag| tag == STATISTICS);
+                        assert!(with_statistics.stages.iter().all(has_tag));
+                        let graph = graph(&stages);
                         assert_eq!(graph.check(), Ok(()), "{film:?} {rounds:?} {fan} {method:?}");
                         let (number, main) = graph.main().unwrap();
                         assert_eq!((&main.sizes, &main.steps[..]), (&Grid { film, tile: 16 }.sizes(), rounds));

@@ -57,7 +57,7 @@ pub struct SettingsArgs {
     /// Includes, textures and lamps of the scene may lie anywhere below DIR [default: the scene's folder]
     #[arg(long, value_name = "DIR")]
     pub root: Option<PathBuf>,
-    /// Collect path statistics (this version keeps the wish with the settings, and collects none yet)
+    /// Write light statistics beside each frame, as FRAME.paths: counts of all samples, and whole paths of some (`femc paths`)
     #[arg(long)]
     pub stats: bool,
 }

@@ -71,8 +71,12 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
         let (mut files, mut lost) = (Vec::new(), Vec::new());
         for frame in farm.frames(JobId(args.job)).await? {
             let path = args.out.join(frame_name(&status.name, frame.frame));
+            let statistics = match frame.statistics() {
+                Some(statistics) => file(farm, &statistics, &path.with_extension("paths")).await?,
+                None => true,
+            };
             match frame.image() {
-                Some(image) if file(farm, &image, &path).await? => files.push(path),
+                Some(image) if statistics && file(farm, &image, &path).await? => files.push(path),
                 _ => lost.push(frame.frame),
             }
         }

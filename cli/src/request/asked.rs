@@ -147,9 +147,6 @@ impl Asked {
         } else {
             Base::open(path, typed.root.as_deref(), say)?.ask(&typed, &|_| None)?
         };
-        if asked.settings.statistics {
-            say.note("--stats: this version does not collect path statistics yet");
-        }
         Ok(asked)
     }
 

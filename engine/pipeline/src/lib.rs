@@ -34,5 +34,5 @@ pub const BUILD: &str = env!("FEMC_ENGINE");
 pub use femc_paths as paths;
 pub use round::{RoundVerdict, UNLIT_SPP};
 pub use settings::{Method, Settings, SettingsError, Stop};
-pub use stage::{Loop, Need, Reach, Role, Round, Scope, Stage, StageKind, fan, stages};
+pub use stage::{Loop, Need, Reach, Role, Round, Scope, Stage, StageKind, fan, stages, with_statistics};
 pub use statistics::{StatisticsPlan, render_with_statistics};

@@ -1,7 +1,7 @@
 //! What would run, and what is left out and why.
 
 use crate::settings::{Method, Settings, SettingsError, Stop};
-use crate::stage::{Stage, fan, stages};
+use crate::stage::{Stage, fan, stages, with_statistics};
 use femc_film::{FilmError, Tiling};
 use femc_scene::Scene;
 use serde::{Deserialize, Serialize};
@@ -95,6 +95,7 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
     }
     let method = if settings.method == Method::Fem { Method::Fem } else { Method::Pt };
     let stages = stages(&tiling, &rounds, fan(&tiling), method);
+    let stages = if settings.statistics { with_statistics(stages) } else { stages };
     let left_out = |what: &str, reason: &str| LeftOut { what: what.into(), reason: reason.into() };
     let mut left_out = match method {
         Method::Fem => {

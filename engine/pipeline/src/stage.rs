@@ -7,6 +7,9 @@
 //! some kilobytes, and says how many samples each tile gets in the next round. The image is made once, behind the loop.
 //!
 //! A method with a first pass has it before all others, once for all frames of one world; each tile reads its light.
+//!
+//! With light statistics each tile says, beside its sums, what it knows of the paths of its samples; the image unites that of all rounds,
+//! of many tiles by groups, when it is known which samples count.
 
 use crate::Method;
 use femc_film::Tiling;
@@ -80,6 +83,10 @@ pub enum Role {
     Preview,
     /// The light that a first pass has found.
     Field,
+    /// What is known of the paths of samples.
+    Paths,
+    /// The same of all samples that count in a frame.
+    Statistics,
 }
 
 /// Outputs of one role of a stage, which the tasks of another read.
@@ -113,6 +120,8 @@ pub enum Round {
     Same,
     /// The one before; in the first round there is none.
     Before,
+    /// All, of a stage whose loop is over.
+    Every,
 }
 
 /// Stages that run in rounds.
@@ -189,6 +198,35 @@ pub fn stages(tiling: &Tiling, rounds: &[u32], fan: NonZeroU32, method: Method) 
     all
 }
 
+/// Tiles whose paths are united by one task, and groups of them that one task reads.
+const PATHS_FAN: NonZeroU32 = NonZeroU32::new(256).expect("it is not 0");
+
+/// Adds light statistics to the stages of a job: nothing of its images changes.
+pub fn with_statistics(mut stages: Vec<Stage>) -> Vec<Stage> {
+    let find = |stages: &[Stage], kind| stages.iter().position(|stage| stage.kind == kind);
+    let (Some(render), Some(mut image)) = (find(&stages, StageKind::Render), stages.pop()) else { return stages };
+    let decide = find(&stages, StageKind::Decide);
+    stages[render].makes.push(Role::Paths);
+    let tiles: u32 = stages[render].sizes.iter().map(|(count, _)| count).sum();
+    let of = |stage: usize, role, reach| Need { stage: stage as u16, role, reach, round: Round::Every };
+    // What was decided last says what counts.
+    if tiles > PATHS_FAN.get() {
+        let groups = vec![(tiles.div_ceil(PATHS_FAN.get()), 1)];
+        let mut reduce = Stage::of_frame(StageKind::Reduce, groups, &[Role::Paths]);
+        reduce.needs.push(of(render, Role::Paths, Reach::Fan(PATHS_FAN)));
+        image = image.reads(stages.len() as u16, Role::Paths, Reach::All);
+        stages.push(reduce);
+    } else {
+        image.needs.push(of(render, Role::Paths, Reach::All));
+    }
+    if let Some(decide) = decide {
+        image = image.reads(decide as u16, Role::Stops, Reach::All);
+    }
+    image.makes.push(Role::Statistics);
+    stages.push(image);
+    stages
+}
+
 /// The tiles as runs of as many pixels.
 fn areas(tiling: &Tiling) -> Vec<(u32, u64)> {
     let areas: Vec<u64> = tiling.rects().map(|rect| rect.area()).collect();
@@ -245,6 +283,30 @@ mod tests {
                 stages(&tiling, rounds, fan, Method::Pt).iter().rposition(|stage| stage.closes.is_some())
             };
             assert_eq!((closes(&[8]), closes(&[4, 8, 16])), (None, Some(2)));
+        }
+    }
+
+    #[test]
+    fn light_statistics_are_an_output_more_of_tiles_and_image_and_a_stage_more_of_many_tiles() {
+        let all = |film, rounds: &[u32], method| {
+            let tiling = tiling(film, 16);
+            let without = stages(&tiling, rounds, fan(&tiling), method);
+            (without.clone(), with_statistics(without))
+        };
+        for method in [Method::Pt, Method::Fem] {
+            for rounds in [&[4][..], &[4, 8]] {
+                for (film, more) in [([256, 256], 0), ([272, 256], 1)] {
+                    let (without, with) = all(film, rounds, method);
+                    assert_eq!(with.len(), without.len() + more);
+                    let (image, before) = (with.last().unwrap(), without.last().unwrap());
+                    assert_eq!(image.needs[..before.needs.len()], before.needs);
+                    assert_eq!(image.makes, [Role::Image, Role::Preview, Role::Statistics]);
+                    let stops = image.needs.iter().filter(|need| need.role == Role::Stops);
+                    assert_eq!(stops.count(), rounds.len() - 1);
+                    let paths = image.needs.iter().find(|need| need.role == Role::Paths).unwrap();
+                    assert!(with[usize::from(paths.stage)].makes.contains(&Role::Paths));
+                }
+            }
         }
     }
 

@@ -158,6 +158,10 @@ pub enum Role {
     Stops,
     /// What a first pass has found.
     Field,
+    /// What is known of the paths of samples: of a tile, or of several.
+    Paths,
+    /// The same of all samples that count in a frame.
+    Statistics,
 }
 
 /// A row of the roles' table.
@@ -173,7 +177,7 @@ pub struct RoleRow {
 
 impl Role {
     /// All, in the order of the table.
-    pub const ALL: [Self; 16] = [
+    pub const ALL: [Self; 18] = [
         Self::Tile,
         Self::Sums,
         Self::Pixels,
@@ -190,6 +194,8 @@ impl Role {
         Self::Clip,
         Self::Stops,
         Self::Field,
+        Self::Paths,
+        Self::Statistics,
     ];
 
     /// Its row of the table.
@@ -212,6 +218,8 @@ impl Role {
             Self::Clip => row("clip", true, false),
             Self::Stops => row("stops", false, false),
             Self::Field => row("field", false, false),
+            Self::Paths => row("paths", false, false),
+            Self::Statistics => row("statistics", true, false),
         }
     }
 

@@ -49,8 +49,8 @@ pub struct TaskResult {
 }
 
 impl TaskResult {
-    /// Most outputs.
-    pub const MAX_OUTPUTS: usize = 16;
+    /// Most outputs: one of each role.
+    pub const MAX_OUTPUTS: usize = Role::ALL.len();
 
     /// Every artifact that it names.
     pub fn artifacts(&self) -> impl Iterator<Item = Artifact> + '_ {
@@ -106,6 +106,11 @@ impl FrameRecord {
     /// The image as EXR.
     pub fn image(&self) -> Option<Artifact> {
         self.output(Role::Image)
+    }
+
+    /// The light statistics, where the job has some.
+    pub fn statistics(&self) -> Option<Artifact> {
+        self.output(Role::Statistics)
     }
 
     /// The image tone-mapped, as PNG.

@@ -1,7 +1,7 @@
 //! What workers report: a result or a failure, counted once and only under a lease that holds.
 
 use femc_model::{
-    Decision, Digest, Ending, Epoch, Failure, JobId, Output, Refusal, RevokeReason, Role, Round, Stage, TaskKey,
+    Decision, Digest, Ending, Epoch, Failure, JobId, Need, Output, Refusal, RevokeReason, Role, Round, Stage, TaskKey,
     TaskResult, Template, Tick, Verdict, WorkerId,
 };
 
@@ -314,10 +314,11 @@ fn is_sound(job: &Job, stage: &Stage, units: u64, result: &TaskResult) -> bool {
 /// Whether an output must be there, or must not; `None`: as the worker likes.
 /// - `goes_on`: whether another round follows, or may follow where that is not decided yet.
 fn is_output_required(shape: &Shape<'_>, number: u16, template: &Template, role: Role, goes_on: bool) -> Option<bool> {
-    let mut readers = shape.graph.readers(number).filter(|(_, need)| need.role == role).peekable();
-    let is_read = readers.peek().is_some();
-    if is_read && readers.all(|(_, need)| need.round == Round::Before) {
-        return goes_on.then_some(true);
+    let readers = || shape.graph.readers(number).filter(|(_, need)| need.role == role);
+    let is_before = |(_, need): (u16, &Need)| need.round == Round::Before;
+    if readers().any(is_before) {
+        // What is read behind the loop, too, is there in every round.
+        return (goes_on || !readers().all(is_before)).then_some(true);
     }
     if role.row().is_optional && !goes_on {
         return None;

@@ -1828,6 +1828,10 @@ pub enum Role {
     Stops = 15,
     /// The light that a first pass has found.
     Field = 16,
+    /// What is known of the paths of samples. A worker that knows this role offers the tag `statistics`.
+    Paths = 17,
+    /// The same of all samples that count in a frame.
+    Statistics = 18,
 }
 impl Role {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -1853,6 +1857,8 @@ impl Role {
             Self::Clip => "ROLE_CLIP",
             Self::Stops => "ROLE_STOPS",
             Self::Field => "ROLE_FIELD",
+            Self::Paths => "ROLE_PATHS",
+            Self::Statistics => "ROLE_STATISTICS",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -1875,6 +1881,8 @@ impl Role {
             "ROLE_CLIP" => Some(Self::Clip),
             "ROLE_STOPS" => Some(Self::Stops),
             "ROLE_FIELD" => Some(Self::Field),
+            "ROLE_PATHS" => Some(Self::Paths),
+            "ROLE_STATISTICS" => Some(Self::Statistics),
             _ => None,
         }
     }

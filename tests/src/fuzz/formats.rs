@@ -1,7 +1,7 @@
 //! What lies in the store, in the log and on workers' disks.
 
 use std::collections::BTreeMap;
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicU64};
 
 use bytes::Bytes;
 use femc_film::{Errors, Frame, Levels, Piece, Rect, Sample, Tile, Tiling};
@@ -13,7 +13,12 @@ use femc_model::{
     Artifact, Assignment, AttemptRecord, Control, Cut, Digest, Drain, Ending, Epoch, Grid, JobId, JobSpec, Manifest,
     More, Output, Role, Stage, StageKind, TaskKey, TaskResult, Tick, Work, testing::frames,
 };
-use femc_pipeline::{Field, Settings, Side, Source, encode_solution, first_pass as first_pass_of, prepare_world};
+use femc_pipeline::paths::Statistics;
+use femc_pipeline::paths::histogram::{Histograms, Table};
+use femc_pipeline::{
+    Field, Settings, Side, Source, StatisticsPlan, Stop, encode_solution, first_pass as first_pass_of, prepare_world,
+    render_with_statistics,
+};
 use femc_schedule::{Fact, Ledger, decode_attempts, encode_attempts};
 use femc_worker::{Parcel, decode_sums, testing};
 
@@ -26,6 +31,7 @@ pub(super) fn targets() -> Vec<Target> {
     let mut all = scenes();
     all.extend(film());
     all.extend(first_pass());
+    all.extend(paths());
     all.extend(log());
     all
 }
@@ -198,6 +204,44 @@ fn first_pass() -> Vec<Target> {
         Target::dressed("field, tables", vec![tables], dress, is_field),
     ]
 }
+
+/// Light statistics of a tile of a floor under a lamp.
+fn paths() -> Vec<Target> {
+    let text = "camera main =\n  origin .5 .5 2\n  target .5 .5 0\n  up 0 1 0\n  fov 60\n  film 8 4\n\
+        m lamp =\n  ed 100\nv l =\n  p .5 .5 1.5\no lamp\nsph l .05\no\n\
+        m wall =\n  rd .5\nv a =\n  p 0 0 0\nv b =\n  p 1 0 0\nv c =\n  p 1 1 0\nv d =\n  p 0 1 0\no floor\nf a b c d\no\n";
+    let settings = Settings { stop: Stop::Spp(3), ..Settings::default() };
+    let prepared = prepare_world(&Source::new(crate::scene(text)), &settings, 1, None).expect("a frame");
+    let (plan, rect) = (StatisticsPlan::of(&prepared, &settings, 4), Rect { x: 4, y: 0, width: 4, height: 4 });
+    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+    let rendered = render_with_statistics(&prepared, &settings, &plan, rect, 0..3, &cancel, &progress);
+    let encoded = rendered.expect("a tile").1.encode();
+    let tables = zstd::bulk::decompress(&encoded[PATHS_FRONT..], 1 << 26).expect("what was compressed");
+    let front = encoded[..PATHS_FRONT - 8].to_vec();
+    let dress = move |tables: &[u8]| {
+        let compressed = zstd::bulk::compress(tables, 1).expect("it compresses");
+        sealed(&[&front[..], &(tables.len() as u64).to_le_bytes(), &compressed].concat())
+    };
+    let are_paths = |bytes: &[u8]| {
+        let Ok(read) = Statistics::decode(bytes) else { return false };
+        // What is accepted can be counted, united with itself, and is one again.
+        for table in Table::ALL {
+            assert_eq!(Histograms::of(&read, table).table, table);
+        }
+        let mut twice = read.clone();
+        assert!(twice.unite(read.clone()).is_ok() && twice == read);
+        assert!(Statistics::decode(&read.clone().counted(1, |_, _| 2).encode()).is_ok());
+        true
+    };
+    vec![
+        Target::of("paths", vec![encoded.clone()], are_paths),
+        Target::dressed("paths, header", vec![encoded], sealed, are_paths),
+        Target::dressed("paths, tables", vec![tables], dress, are_paths),
+    ]
+}
+
+/// Bytes of encoded light statistics before their tables.
+const PATHS_FRONT: usize = 28 + 4 + 8 + 6 * 4 + 6 * 8 + 8 + 7 * 4 + 8;
 
 /// Bytes of an encoded field before its tables.
 const FIELD_FRONT: usize = 28 + 8 * 8 + 4 + 6 * 4 + 8;

@@ -4,7 +4,7 @@
 //! time.
 
 use femc_film::{Errors, FrameError, Stops, TileErrors};
-use femc_model::{Decision, Failure, More, Phase, Role, Template};
+use femc_model::{Decision, Failure, More, Phase, Role, Round, Template};
 use femc_pipeline::{RoundVerdict, Settings};
 
 use super::union::{groups, stops};
@@ -44,7 +44,9 @@ pub(crate) fn decide(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
         "the frame is measured"
     );
     let mut product = Product::default();
-    if decision != Decision::Done {
+    let number = task.assignment.task.stage.number;
+    let mut readers = task.spec.graph.readers(number).filter(|(_, need)| need.role == Role::Stops);
+    if decision != Decision::Done || readers.any(|(_, need)| need.round != Round::Before) {
         product.put(stage, Role::Stops, || stops.encode());
     }
     product.result.decision = Some(decision);

@@ -26,7 +26,7 @@ use femc_model::{
 use rayon::prelude::*;
 use serde::{Deserialize, Serialize};
 
-use super::union::{Lost, artifacts, expected, tiles, tiling};
+use super::union::{Lost, artifacts, each, expected, tiles, tiling};
 use super::{Product, Tools, unfit};
 use crate::clip::{self, ClipError, FFMPEG};
 use crate::clock::Stopwatch;
@@ -178,24 +178,6 @@ fn thumbnails(task: &Task, stage: &Template, tools: &Tools) -> Result<Frame, Fai
             Err(Failure::Panicked { message })
         }
     }
-}
-
-/// Takes in all inputs of one role in order, a batch at a time; names those that are lost or do not fit.
-fn each(
-    task: &Task,
-    role: Role,
-    tools: &Tools,
-    mut take: impl FnMut(&[u8]) -> Result<(), FilmError> + Send,
-) -> Result<(), Failure> {
-    let mut lost = Lost::default();
-    for batch in artifacts(task, role).chunks(BATCH) {
-        if task.is_cancelled() {
-            return Err(Failure::Cancelled);
-        }
-        let here = lost.fetch(task, batch, tools)?;
-        tools.install(task, || here.iter().for_each(|(artifact, bytes)| lost.check(*artifact, take(bytes))));
-    }
-    lost.verdict()
 }
 
 pub(super) fn encode(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {

@@ -5,7 +5,7 @@ use femc_model::{Decision, Failure, More, Phase, Role, Template};
 use femc_pipeline::{Allocation, Settings, Stop};
 
 use super::union::{groups, tiles, tiling, union};
-use super::{Product, Tools, unfit};
+use super::{Product, Tools, statistics, unfit};
 use crate::clock::Stopwatch;
 use crate::table::Task;
 
@@ -53,6 +53,10 @@ pub(crate) fn image(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
     let mut product = Product::default();
     product.put(stage, Role::Image, || file);
     product.put(stage, Role::Preview, || preview);
+    if stage.makes.contains(&Role::Statistics) {
+        let bytes = statistics::of_frame(task, tools)?;
+        product.put(stage, Role::Statistics, || bytes);
+    }
     product.result.decision = stage.closes.map(|_| Decision::Done);
     product.result.relative_error = Some(error.worst).filter(|error| error.is_finite());
     product.result.seconds = watch.seconds();

@@ -7,6 +7,7 @@ mod first_pass;
 mod image;
 mod reduce;
 mod render;
+mod statistics;
 mod union;
 
 pub use drill::drill_key;

@@ -1,12 +1,12 @@
 //! Outputs of one role, united: the tiles of a group, as sums for the next round, as resolved pixels for the image, and as errors
-//! for the decision; and what a clip's exposure is found by.
+//! for the decision; what a clip's exposure is found by, and what is known of paths.
 
 use femc_film::{Errors, Piece};
 use femc_model::{Failure, More, Phase, Role, Template};
 
 use super::encode::levels;
 use super::union::{tiles, union};
-use super::{Product, Tools, unfit};
+use super::{Product, Tools, statistics, unfit};
 use crate::clock::Stopwatch;
 use crate::sums;
 use crate::table::Task;
@@ -14,6 +14,9 @@ use crate::table::Task;
 pub(crate) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
     if stage.makes.contains(&Role::Levels) {
         return levels(task, stage, tools);
+    }
+    if stage.makes.contains(&Role::Paths) {
+        return statistics::reduce(task, stage, tools);
     }
     task.enter(Phase::Working);
     let watch = Stopwatch::start();

@@ -4,7 +4,7 @@ use std::sync::atomic::Ordering;
 
 use femc_film::Rect;
 use femc_model::{Failure, Phase, Role, Template, TileRect, Work};
-use femc_pipeline::RenderError;
+use femc_pipeline::{RenderError, StatisticsPlan, render_tile, render_with_statistics};
 
 use super::{Product, Tools, unfit};
 use crate::clock::Stopwatch;
@@ -27,23 +27,34 @@ pub(crate) fn render(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     task.enter(Phase::Working);
     let watch = Stopwatch::start();
     let (settings, range) = (&read.settings, samples.clone());
+    let (cancel, units) = (&task.cancel, &task.units);
     let rendered = tools.install(task, || {
-        femc_pipeline::render_tile(&prepared, settings, rect, range, &task.cancel, &task.units).map(|rendered| {
+        let (outcome, statistics) = if stage.makes.contains(&Role::Paths) {
+            let plan = StatisticsPlan::of(&prepared, settings, grid.tile);
+            match render_with_statistics(&prepared, settings, &plan, rect, range, cancel, units) {
+                Ok((rendered, statistics)) => (Ok(rendered), Some(statistics.encode())),
+                Err(error) => (Err(error), None),
+            }
+        } else {
+            (render_tile(&prepared, settings, rect, range, cancel, units), None)
+        };
+        outcome.map(|rendered| {
             let (rays, shadow_rays, bad) = (rendered.rays, rendered.shadow_rays, rendered.tile.bad().total());
             task.account.rays.store(rays + shadow_rays, Ordering::Relaxed);
             tracing::debug!(?rect, ?samples, rays, shadow_rays, bad, seconds = watch.seconds(), "rendered");
             let thumbnail =
                 stage.makes.contains(&Role::Thumbnail).then(|| rendered.tile.thumbnail().encode_thumbnail());
-            (bad, rendered.tile.encode(), thumbnail)
+            (bad, rendered.tile.encode(), thumbnail, statistics)
         })
     });
-    let (bad_samples, bytes, thumbnail) = rendered.map_err(|error| match error {
+    let (bad_samples, bytes, thumbnail, statistics) = rendered.map_err(|error| match error {
         RenderError::Cancelled => Failure::Cancelled,
         RenderError::Film(error) => unfit(error),
     })?;
     let mut product = Product::default();
     product.put(stage, Role::Tile, || bytes);
     product.put(stage, Role::Thumbnail, || thumbnail.unwrap_or_default());
+    product.put(stage, Role::Paths, || statistics.unwrap_or_default());
     let result = &mut product.result;
     (result.units, result.bad_samples) = (rect.area() * samples.len() as u64, bad_samples);
     result.seconds = watch.seconds();

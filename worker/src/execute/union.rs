@@ -1,6 +1,7 @@
 //! The union of tiles, keyed by (tile, sample range): in any order and grouping the same sums to the bit.
 
 use std::collections::BTreeMap;
+use std::fmt::Display;
 use std::ops::Range;
 use std::sync::atomic::Ordering;
 
@@ -157,6 +158,24 @@ pub(super) fn groups<T: Send>(
     if covered == wanted { Ok(()) } else { Err(unfit(format!("{covered} tiles are there, the frame has {wanted}"))) }
 }
 
+/// Takes in all inputs of one role in order, a batch at a time; names those that are lost or do not fit.
+pub(super) fn each<E: Display>(
+    task: &Task,
+    role: Role,
+    tools: &Tools,
+    mut take: impl FnMut(&[u8]) -> Result<(), E> + Send,
+) -> Result<(), Failure> {
+    let mut lost = Lost::default();
+    for batch in artifacts(task, role).chunks(BATCH) {
+        if task.is_cancelled() {
+            return Err(Failure::Cancelled);
+        }
+        let here = lost.fetch(task, batch, tools)?;
+        tools.install(task, || here.iter().for_each(|(artifact, bytes)| lost.check(*artifact, take(bytes))));
+    }
+    lost.verdict()
+}
+
 /// Inputs that are missing or damaged.
 #[derive(Debug, Default)]
 pub(super) struct Lost {
@@ -188,7 +207,7 @@ impl Lost {
     }
 
     /// Takes note of one that does not fit.
-    pub(super) fn check(&mut self, artifact: Artifact, outcome: Result<(), FilmError>) {
+    pub(super) fn check(&mut self, artifact: Artifact, outcome: Result<(), impl Display>) {
         if let Err(error) = outcome {
             self.digests.push(artifact.digest);
             self.message = error.to_string();

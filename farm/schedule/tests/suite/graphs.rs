@@ -203,6 +203,46 @@ fn a_stage_of_another_scope_reads_of_a_loop_the_last_round_or_all_of_them_as_it_
 }
 
 #[test]
+fn what_the_next_round_reads_of_a_decision_and_what_is_behind_the_loop_too_is_there_in_every_round() {
+    let graph = || {
+        let close = image(Scope::Frame, &[Role::Stops]).reads(0, Role::Tile, Reach::All).closes(0, 3);
+        let stages = vec![
+            render(1, &[4, 8, 12]),
+            close.needs(need(1, Role::Stops, Reach::All, Round::Before)),
+            image(Scope::Frame, &[Role::Image]).reads(1, Role::Stops, Reach::All),
+        ];
+        Graph { stages }
+    };
+    let refused = |commands: &[Command]| commands.iter().any(|command| matches!(command, Command::Refuse { .. }));
+    for end in 0..3 {
+        let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+        let id = farm.submit(of(&[1], 1, graph()));
+        farm.join(1);
+        let mut read = Vec::new();
+        while farm.state(id) != JobState::Done {
+            let held = farm.first_of(1);
+            let Stage { round, number, .. } = held.task.stage;
+            let roles: &[Role] = [&[Role::Tile], &[Role::Stops], &[Role::Image]][usize::from(number)];
+            if number == 2 {
+                read = held.work.inputs.iter().map(|input| input.output.artifact).collect();
+            }
+            let decision = (number == 1).then_some(if round < end { Continue } else { Done });
+            let made = TaskResult { decision, ..result(&held, roles) };
+            assert!(!refused(&farm.complete_with(1, &held, made)), "{}", held.task);
+        }
+        let close = Stage { frame: 1, round: end, number: 1, kind: Image };
+        let last = Artifact::of(format!("stops {}", TaskKey { job: id, stage: close, index: 0 }).as_bytes());
+        assert_eq!(read, [last], "of the last round alone");
+    }
+    let mut farm = Farm::with(Config { prefetch: 0, ..config() });
+    farm.submit(of(&[1], 1, graph()));
+    farm.join(1);
+    work(&mut farm, 1);
+    let held = farm.first_of(1);
+    assert!(refused(&farm.complete_with(1, &held, result(&held, &[]))), "it is done, and does not say what counts");
+}
+
+#[test]
 fn a_round_is_counted_once_also_where_what_closed_it_is_done_again() {
     let mut farm = Farm::new();
     let before = |stage, role| need(stage, role, Reach::All, Round::Before);

@@ -1,0 +1,66 @@
+//! Light statistics: what tiles know of the paths of their samples, united, and reduced to what counts in a frame.
+
+use femc_model::{Failure, Phase, Role, Template};
+use femc_pipeline::paths::{PortionKey, Statistics};
+
+use super::union::{each, expected, stops, tiling};
+use super::{Product, Tools, unfit};
+use crate::clock::Stopwatch;
+use crate::table::Task;
+
+/// What a group of tiles knows.
+pub(super) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
+    task.enter(Phase::Working);
+    let watch = Stopwatch::start();
+    let all = united(task, tools)?;
+    let mut product = Product::default();
+    product.put(stage, Role::Paths, || tools.install(task, || all.encode()));
+    product.result.seconds = watch.seconds();
+    Ok(product)
+}
+
+/// All that the task reads of paths.
+fn united(task: &Task, tools: &Tools) -> Result<Statistics, Failure> {
+    let mut all: Option<Statistics> = None;
+    each(task, Role::Paths, tools, |bytes| {
+        let part = Statistics::decode(bytes).map_err(|error| error.to_string())?;
+        match &mut all {
+            Some(all) => all.unite(part).map_err(|error| error.to_string()),
+            None => {
+                all = Some(part);
+                Ok(())
+            }
+        }
+    })?;
+    all.ok_or_else(|| unfit("the job's graph has a stage that unites no paths"))
+}
+
+/// What counts in the frame, as bytes: the same whoever rendered what, and in what parts.
+pub(super) fn of_frame(task: &Task, tools: &Tools) -> Result<Vec<u8>, Failure> {
+    let watch = Stopwatch::start();
+    let all = united(task, tools)?;
+    let stops = stops(task, tools)?;
+    let begin = stops.as_ref().map_or(0, |stops| stops.pace.begin);
+    let end = |tile: u32, half: u8| {
+        let stop = stops.as_ref().and_then(|stops| stops.ends.get(tile as usize));
+        stop.map_or(u32::MAX, |ends| ends[usize::from(half)])
+    };
+    let counted = tools.install(task, || all.counted(begin, end));
+    // Every tile has just the samples that it was given and that count.
+    let wanted = (0..tiling(task)?.count() as u32).flat_map(|tile| {
+        let given = expected(task, tile as usize).end;
+        [0, 1].map(|half| PortionKey { tile, half, begin, end: given.min(end(tile, half)) })
+    });
+    if !wanted.eq(counted.portions.keys().copied()) {
+        let message = "the paths are not those of the samples that count".to_owned();
+        return Err(Failure::Panicked { message });
+    }
+    tracing::debug!(
+        samples = counted.samples(),
+        paths = counted.paths.len(),
+        share = counted.share(),
+        seconds = watch.seconds(),
+        "paths are united"
+    );
+    Ok(tools.install(task, || counted.encode()))
+}

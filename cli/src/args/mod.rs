@@ -145,6 +145,7 @@ pub enum Command {
     Compare(command::compare::CompareArgs),
     Fireflies(command::fireflies::FirefliesArgs),
     Field(command::field::FieldArgs),
+    Paths(command::paths::PathsArgs),
     Coordinator(command::coordinator::CoordinatorArgs),
     Worker(command::worker::WorkerArgs),
     Submit(command::submit::SubmitArgs),

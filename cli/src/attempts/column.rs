@@ -28,6 +28,8 @@ pub enum Kind {
     Seconds,
     /// A share of one.
     Share,
+    /// Other numbers.
+    Number,
 }
 
 /// Who reads a column.
@@ -41,9 +43,8 @@ pub enum Reader {
     WhoCompares,
 }
 
-/// One column.
-#[derive(Clone, Copy)]
-pub struct Column {
+/// One column of rows.
+pub struct Column<R = Row> {
     /// As programs name it, with its unit.
     pub name: &'static str,
     /// As people read it.
@@ -53,8 +54,16 @@ pub struct Column {
     /// For whom it is.
     pub reader: Reader,
     /// A row's value.
-    pub of: fn(&Row) -> Cell,
+    pub of: fn(&R) -> Cell,
 }
+
+impl<R> Clone for Column<R> {
+    fn clone(&self) -> Self {
+        *self
+    }
+}
+
+impl<R> Copy for Column<R> {}
 
 impl From<Option<String>> for Cell {
     fn from(value: Option<String>) -> Self {

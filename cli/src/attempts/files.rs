@@ -7,9 +7,9 @@ use serde::ser::{Serialize, SerializeMap, SerializeSeq, Serializer};
 use std::borrow::Cow;
 
 /// An array of an object a row, its keys in the order of the columns.
-pub struct Json<'a>(pub &'a [Column], pub &'a [Row]);
+pub struct Json<'a, R = Row>(pub &'a [Column<R>], pub &'a [R]);
 
-impl Serialize for Json<'_> {
+impl<R> Serialize for Json<'_, R> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut rows = serializer.serialize_seq(Some(self.1.len()))?;
         for row in self.1 {
@@ -19,9 +19,9 @@ impl Serialize for Json<'_> {
     }
 }
 
-struct Object<'a>(&'a [Column], &'a Row);
+struct Object<'a, R>(&'a [Column<R>], &'a R);
 
-impl Serialize for Object<'_> {
+impl<R> Serialize for Object<'_, R> {
     fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
         let mut object = serializer.serialize_map(Some(self.0.len()))?;
         for column in self.0 {
@@ -37,7 +37,7 @@ impl Serialize for Object<'_> {
 }
 
 /// Lines of fields with commas between, the names first; a gap is an empty field.
-pub fn csv(columns: &[Column], rows: &[Row]) -> String {
+pub fn csv<R>(columns: &[Column<R>], rows: &[R]) -> String {
     let names: Vec<Cow<'_, str>> = columns.iter().map(|column| column.name.into()).collect();
     let mut text = names.join(",");
     for row in rows {
@@ -67,13 +67,13 @@ fn quoted(field: &str) -> Cow<'_, str> {
 }
 
 /// What people read of it: the columns' titles, and each row's cells in words.
-pub fn shown(columns: &[Column], rows: &[Row]) -> (Vec<&'static str>, Vec<Vec<String>>) {
-    let shown: Vec<&Column> = columns.iter().filter(|column| is_shown(column, rows)).collect();
-    let cells = |row: &Row| shown.iter().map(|column| cell(column.kind, &(column.of)(row))).collect();
+pub fn shown<R>(columns: &[Column<R>], rows: &[R]) -> (Vec<&'static str>, Vec<Vec<String>>) {
+    let shown: Vec<&Column<R>> = columns.iter().filter(|column| is_shown(column, rows)).collect();
+    let cells = |row: &R| shown.iter().map(|column| cell(column.kind, &(column.of)(row))).collect();
     (shown.iter().map(|column| column.title).collect(), rows.iter().map(cells).collect())
 }
 
-fn is_shown(column: &Column, rows: &[Row]) -> bool {
+fn is_shown<R>(column: &Column<R>, rows: &[R]) -> bool {
     match column.reader {
         Reader::Anybody => true,
         Reader::Programs => false,
@@ -82,7 +82,7 @@ fn is_shown(column: &Column, rows: &[Row]) -> bool {
 }
 
 /// A table.
-pub fn human(columns: &[Column], rows: &[Row]) -> String {
+pub fn human<R>(columns: &[Column<R>], rows: &[R]) -> String {
     let (titles, cells) = shown(columns, rows);
     human::table(&titles, &cells)
 }
@@ -94,6 +94,7 @@ fn cell(kind: Kind, cell: &Cell) -> String {
         (Kind::Bytes, Cell::Count(bytes)) => human::bytes(*bytes),
         (_, Cell::Count(count)) => human::quantity(*count as f64),
         (Kind::Share, Cell::Real(share)) => human::percent(*share),
+        (Kind::Number, Cell::Real(real)) => human::number(*real),
         (_, Cell::Real(seconds)) => human::seconds(*seconds),
     }
 }

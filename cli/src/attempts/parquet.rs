@@ -1,7 +1,6 @@
 //! Rows as Apache Parquet: a file that data frames open as they are.
 
 use super::column::{Cell, Column, Kind};
-use super::row::Row;
 use crate::exit::{Failure, failed};
 use parquet::basic::{LogicalType, Repetition, Type as Physical};
 use parquet::data_type::{ByteArray, ByteArrayType, DoubleType, Int64Type};
@@ -18,7 +17,7 @@ use std::sync::Arc;
 const GROUP: usize = 1 << 16;
 
 /// Write `path`, whole or not at all.
-pub fn write(path: &Path, columns: &[Column], rows: &[Row]) -> Result<(), Failure> {
+pub fn write<R>(path: &Path, columns: &[Column<R>], rows: &[R]) -> Result<(), Failure> {
     let at = |error: &dyn std::fmt::Display| failed(format!("{}: {error}", path.display()));
     let new = path.with_extension("parquet.new");
     let written = fs::File::create(&new)
@@ -32,7 +31,7 @@ pub fn write(path: &Path, columns: &[Column], rows: &[Row]) -> Result<(), Failur
     written
 }
 
-fn put<W: Write + Send>(file: W, columns: &[Column], rows: &[Row]) -> Result<(), ParquetError> {
+fn put<W: Write + Send, R>(file: W, columns: &[Column<R>], rows: &[R]) -> Result<(), ParquetError> {
     let mut writer = SerializedFileWriter::new(file, schema(columns)?, Arc::new(WriterProperties::default()))?;
     for some in rows.chunks(GROUP) {
         let mut group = writer.next_row_group()?;
@@ -47,21 +46,21 @@ fn put<W: Write + Send>(file: W, columns: &[Column], rows: &[Row]) -> Result<(),
     Ok(())
 }
 
-fn schema(columns: &[Column]) -> Result<TypePtr, ParquetError> {
-    let field = |column: &Column| {
+fn schema<R>(columns: &[Column<R>]) -> Result<TypePtr, ParquetError> {
+    let field = |column: &Column<R>| {
         let (physical, logical) = match column.kind {
             Kind::Text => (Physical::BYTE_ARRAY, Some(LogicalType::String)),
             Kind::Count | Kind::Bytes => (Physical::INT64, None),
-            Kind::Seconds | Kind::Share => (Physical::DOUBLE, None),
+            Kind::Seconds | Kind::Share | Kind::Number => (Physical::DOUBLE, None),
         };
         let field = Type::primitive_type_builder(column.name, physical).with_repetition(Repetition::OPTIONAL);
         field.with_logical_type(logical).build().map(Arc::new)
     };
     let fields = columns.iter().map(field).collect::<Result<_, _>>()?;
-    Type::group_type_builder("attempts").with_fields(fields).build().map(Arc::new)
+    Type::group_type_builder("rows").with_fields(fields).build().map(Arc::new)
 }
 
-fn put_column(out: &mut SerializedColumnWriter<'_>, column: &Column, rows: &[Row]) -> Result<(), ParquetError> {
+fn put_column<R>(out: &mut SerializedColumnWriter<'_>, column: &Column<R>, rows: &[R]) -> Result<(), ParquetError> {
     let cells: Vec<Cell> = rows.iter().map(column.of).collect();
     // 0: a gap, for which there is no value.
     let levels: Vec<i16> = cells.iter().map(|cell| i16::from(*cell != Cell::Gap)).collect();
@@ -79,7 +78,7 @@ fn put_column(out: &mut SerializedColumnWriter<'_>, column: &Column, rows: &[Row
             let values: Vec<i64> = cells.into_iter().filter_map(count).collect();
             out.typed::<Int64Type>().write_batch(&values, levels, None)?;
         }
-        Kind::Seconds | Kind::Share => {
+        Kind::Seconds | Kind::Share | Kind::Number => {
             let real = |cell| if let Cell::Real(real) = cell { Some(real) } else { None };
             let values: Vec<f64> = cells.into_iter().filter_map(real).collect();
             out.typed::<DoubleType>().write_batch(&values, levels, None)?;

@@ -24,6 +24,7 @@ mod metrics;
 #[cfg(feature = "openjd")]
 pub mod openjd;
 mod outbox;
+pub mod paths;
 pub mod plan;
 mod preview;
 pub mod render;
@@ -52,6 +53,7 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Compare(args) => compare::run(&args, say),
         Command::Fireflies(args) => fireflies::run(&args, say),
         Command::Field(args) => field::run(args, say),
+        Command::Paths(args) => paths::run(&args, say),
         Command::Coordinator(args) => coordinator::run(args, say),
         Command::Worker(args) => worker::run(args, say),
         Command::Submit(args) => submit::run(args, say),

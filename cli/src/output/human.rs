@@ -2,6 +2,25 @@
 
 use std::fmt::Write;
 
+/// A number in about four digits.
+pub fn number(x: f64) -> String {
+    let size = x.abs();
+    if x == 0.0 {
+        "0".to_owned()
+    } else if (1e-3..1e6).contains(&size) {
+        let digits = if size < 1.0 {
+            4
+        } else if size < 100.0 {
+            3
+        } else {
+            1
+        };
+        format!("{x:.digits$}")
+    } else {
+        format!("{x:.3e}")
+    }
+}
+
 /// `0.42 s`, `12.3 s`, `3 min 20 s`, `2 h 5 min`.
 pub fn seconds(s: f64) -> String {
     if !s.is_finite() || s < 0.0 {

@@ -22,6 +22,7 @@ mod messages;
 mod metrics;
 mod openjd;
 mod otel;
+mod paths;
 mod python;
 mod render;
 mod room;

@@ -1,0 +1,287 @@
+//! The tables of `femc paths`: rows and columns.
+
+use crate::attempts::{Cell, Column, Kind, Reader};
+use femc_pipeline::paths::histogram::{Histograms, Table};
+use femc_pipeline::paths::octree::{Octree, Root, Voxel};
+use femc_pipeline::paths::schema::{Scale, radiance_edge, throughput_edge};
+use femc_pipeline::paths::statistics::IMAGE_BITS;
+use femc_pipeline::paths::{Intersection, Light, Name, Path, Scope, Statistics};
+use std::collections::BTreeSet;
+
+/// A path that is asked for.
+pub struct Match<'a> {
+    /// Its place in the file.
+    pub number: u32,
+    /// The record.
+    pub path: &'a Path,
+    /// Places of its intersections that are as asked for.
+    pub places: BTreeSet<usize>,
+}
+
+/// A path, or something of it.
+pub struct Of<'a, T> {
+    all: &'a Statistics,
+    number: u32,
+    path: &'a Path,
+    it: T,
+}
+
+impl<T> Of<'_, T> {
+    fn text(&self, name: Name) -> Cell {
+        self.all.names.get(&name).map(|(_, text)| text.clone()).into()
+    }
+
+    fn pixel(&self) -> [u32; 2] {
+        let (pixel, width) = (self.path.key.pixel, self.all.scope.film[0].max(1));
+        [pixel % width, pixel / width]
+    }
+
+    fn weight(&self) -> Cell {
+        Cell::Real(part(self.all.image_weight(self.path.key)))
+    }
+}
+
+/// Pixels, of units of a part of the image.
+fn part(units: u64) -> f64 {
+    units as f64 / (1u64 << IMAGE_BITS) as f64
+}
+
+fn number(value: u32) -> Cell {
+    Cell::Count(u64::from(value))
+}
+
+fn real(value: f32) -> Cell {
+    Cell::Real(f64::from(value))
+}
+
+fn word(text: &str) -> Cell {
+    Cell::Text(text.to_owned())
+}
+
+const fn column<R>(
+    name: &'static str,
+    title: &'static str,
+    kind: Kind,
+    reader: Reader,
+    of: fn(&R) -> Cell,
+) -> Column<R> {
+    Column { name, title, kind, reader, of }
+}
+
+use Kind::{Count, Number, Text};
+use Reader::{Anybody, Programs};
+
+/// A path, and the first of its intersections that is as asked for.
+pub type PathRow<'a> = Of<'a, (usize, Option<&'a Intersection>)>;
+
+pub fn path_rows<'a>(all: &'a Statistics, found: &[Match<'a>]) -> Vec<PathRow<'a>> {
+    let row = |it: &Match<'a>| {
+        let first = it.places.first().map(|place| &it.path.intersections[*place]);
+        Of { all, number: it.number, path: it.path, it: (it.places.len(), first) }
+    };
+    found.iter().map(row).collect()
+}
+
+pub fn paths<'a>() -> Vec<Column<PathRow<'a>>> {
+    vec![
+        column("path", "path", Count, Programs, |row| number(row.number)),
+        column("pixel_x", "x", Count, Anybody, |row| number(row.pixel()[0])),
+        column("pixel_y", "y", Count, Anybody, |row| number(row.pixel()[1])),
+        column("sample", "sample", Count, Anybody, |row| number(row.path.key.sample)),
+        column("radiance_r", "red cd/m2", Number, Anybody, |row| real(row.path.radiance[0])),
+        column("radiance_g", "green", Number, Anybody, |row| real(row.path.radiance[1])),
+        column("radiance_b", "blue", Number, Anybody, |row| real(row.path.radiance[2])),
+        column("throughput_r", "throughput r", Number, Programs, |row| real(row.path.throughput[0])),
+        column("throughput_g", "throughput", Number, Anybody, |row| real(row.path.throughput[1])),
+        column("throughput_b", "throughput b", Number, Programs, |row| real(row.path.throughput[2])),
+        column("depth", "depth", Count, Anybody, |row| number(row.path.depth)),
+        column("end", "end", Text, Anybody, |row| word(row.path.end.word())),
+        column("matches", "matches", Count, Anybody, |row| Cell::Count(row.it.0 as u64)),
+        column("bounce", "first at bounce", Count, Anybody, |row| row.it.1.map(|it| u64::from(it.bounce)).into()),
+        column("object", "object", Text, Anybody, |row| row.it.1.map_or(Cell::Gap, |it| row.text(it.object))),
+        column("material", "material", Text, Anybody, |row| row.it.1.map_or(Cell::Gap, |it| row.text(it.material))),
+        column("interaction", "interaction", Text, Anybody, |row| {
+            row.it.1.map_or(Cell::Gap, |it| word(it.interaction.word()))
+        }),
+        column("pixels", "pixels", Number, Programs, Of::weight),
+    ]
+}
+
+/// An intersection, and its place.
+pub type IntersectionRow<'a> = Of<'a, (usize, &'a Intersection)>;
+
+pub fn intersection_rows<'a>(all: &'a Statistics, found: &[Match<'a>]) -> Vec<IntersectionRow<'a>> {
+    let rows = found.iter().flat_map(|it| {
+        let (number, path) = (it.number, it.path);
+        it.places.iter().map(move |&place| Of { all, number, path, it: (place, &path.intersections[place]) })
+    });
+    rows.collect()
+}
+
+pub fn intersections<'a>() -> Vec<Column<IntersectionRow<'a>>> {
+    vec![
+        column("path", "path", Count, Anybody, |row| number(row.number)),
+        column("vertex", "vertex", Count, Anybody, |row| Cell::Count(row.it.0 as u64 + 1)),
+        column("bounce", "bounce", Count, Anybody, |row| number(row.it.1.bounce)),
+        column("x", "x m", Number, Anybody, |row| Cell::Real(row.it.1.position[0])),
+        column("y", "y", Number, Anybody, |row| Cell::Real(row.it.1.position[1])),
+        column("z", "z", Number, Anybody, |row| Cell::Real(row.it.1.position[2])),
+        column("radiance_r", "red cd/m2", Number, Anybody, |row| real(row.it.1.radiance[0])),
+        column("radiance_g", "green", Number, Anybody, |row| real(row.it.1.radiance[1])),
+        column("radiance_b", "blue", Number, Anybody, |row| real(row.it.1.radiance[2])),
+        column("throughput_r", "throughput r", Number, Programs, |row| real(row.it.1.throughput[0])),
+        column("throughput_g", "throughput", Number, Anybody, |row| real(row.it.1.throughput[1])),
+        column("throughput_b", "throughput b", Number, Programs, |row| real(row.it.1.throughput[2])),
+        column("object", "object", Text, Anybody, |row| row.text(row.it.1.object)),
+        column("material", "material", Text, Anybody, |row| row.text(row.it.1.material)),
+        column("interaction", "interaction", Text, Anybody, |row| word(row.it.1.interaction.word())),
+        column("pixels", "pixels", Number, Programs, Of::weight),
+    ]
+}
+
+/// A light.
+pub type LightRow<'a> = Of<'a, &'a Light>;
+
+pub fn light_rows<'a>(all: &'a Statistics, found: &[Match<'a>]) -> Vec<LightRow<'a>> {
+    let of = |it: &Match<'a>| {
+        let (number, path) = (it.number, it.path);
+        path.lights.iter().map(move |it| Of { all, number, path, it })
+    };
+    found.iter().flat_map(of).collect()
+}
+
+pub fn lights<'a>() -> Vec<Column<LightRow<'a>>> {
+    vec![
+        column("path", "path", Count, Anybody, |row| number(row.number)),
+        column("vertex", "vertex", Count, Anybody, |row| number(row.it.vertex)),
+        column("light", "light", Text, Anybody, |row| row.text(row.it.light)),
+        column("radiance_r", "red cd/m2", Number, Anybody, |row| real(row.it.radiance[0])),
+        column("radiance_g", "green", Number, Anybody, |row| real(row.it.radiance[1])),
+        column("radiance_b", "blue", Number, Anybody, |row| real(row.it.radiance[2])),
+        column("is_hidden", "hidden", Count, Programs, |row| Cell::Count(u64::from(row.it.occluder.is_some()))),
+        column("occluder", "hidden by", Text, Anybody, |row| row.it.occluder.map_or(Cell::Gap, |it| row.text(it))),
+        column("found", "found by", Text, Anybody, |row| word(row.it.found.word())),
+        column("pixels", "pixels", Number, Programs, Of::weight),
+    ]
+}
+
+/// A bin of an attribute.
+pub struct BinRow {
+    table: Table,
+    attribute: &'static str,
+    bin: u8,
+    lower: Option<f64>,
+    samples: u64,
+    image: u64,
+}
+
+pub fn bin_rows(all: &Statistics) -> Vec<BinRow> {
+    let mut rows = Vec::new();
+    for table in Table::ALL {
+        let histograms = Histograms::of(all, table);
+        for (attribute, counts) in table.attributes().iter().zip(&histograms.attributes) {
+            for (bin, (samples, image)) in (0u8..).zip(counts.samples.iter().zip(&counts.image)) {
+                let lower = lower(&all.scope, attribute.name, attribute.scale, bin);
+                let (samples, image) = (*samples, *image);
+                rows.push(BinRow { table, attribute: attribute.name, bin, lower, samples, image });
+            }
+        }
+    }
+    rows
+}
+
+/// Where a bin begins; `None`: it is of words or names, or of what is not there.
+fn lower(scope: &Scope, name: &str, scale: Scale, bin: u8) -> Option<f64> {
+    let axis = || "xyz".find(&name[name.len() - 1..]);
+    match scale {
+        Scale::Radiance => Some(radiance_edge(bin)),
+        Scale::Throughput => Some(throughput_edge(bin)),
+        Scale::Count => Some(f64::from(bin)),
+        Scale::Film => axis().map(|axis| f64::from(scope.film[axis]) * f64::from(bin) / 64.0),
+        Scale::World => {
+            let (axis, bin) = (axis()?, bin.checked_sub(1)?);
+            Some(scope.lower[axis] + (scope.upper[axis] - scope.lower[axis]) * f64::from(bin) / 63.0)
+        }
+        Scale::Class | Scale::Name => None,
+    }
+}
+
+pub fn histograms() -> Vec<Column<BinRow>> {
+    vec![
+        column("table", "table", Text, Anybody, |row| word(row.table.name())),
+        column("attribute", "attribute", Text, Anybody, |row| word(row.attribute)),
+        column("bin", "bin", Count, Anybody, |row| number(row.bin.into())),
+        column("lower", "from", Number, Anybody, |row| row.lower.map_or(Cell::Gap, Cell::Real)),
+        column("samples", "records", Count, Anybody, |row| Cell::Count(row.samples)),
+        column("pixels", "pixels", Number, Anybody, |row| Cell::Real(part(row.image))),
+    ]
+}
+
+/// A bin of two attributes that something is in.
+pub struct PairRow {
+    table: Table,
+    attributes: [&'static str; 2],
+    bins: [u32; 2],
+    samples: u64,
+    image: u64,
+}
+
+pub fn pair_rows(all: &Statistics) -> Vec<PairRow> {
+    let mut rows = Vec::new();
+    for table in Table::ALL {
+        let histograms = Histograms::of(all, table);
+        for (attributes, counts) in histograms.pair_names().zip(&histograms.pairs) {
+            for (place, (&samples, &image)) in (0u32..).zip(counts.samples.iter().zip(&counts.image)) {
+                if samples > 0 {
+                    rows.push(PairRow { table, attributes, bins: [place / 64, place % 64], samples, image });
+                }
+            }
+        }
+    }
+    rows
+}
+
+pub fn pairs() -> Vec<Column<PairRow>> {
+    vec![
+        column("table", "table", Text, Anybody, |row| word(row.table.name())),
+        column("a", "a", Text, Anybody, |row| word(row.attributes[0])),
+        column("b", "b", Text, Anybody, |row| word(row.attributes[1])),
+        column("bin_a", "bin of a", Count, Anybody, |row| number(row.bins[0])),
+        column("bin_b", "bin of b", Count, Anybody, |row| number(row.bins[1])),
+        column("samples", "records", Count, Anybody, |row| Cell::Count(row.samples)),
+        column("pixels", "pixels", Number, Anybody, |row| Cell::Real(part(row.image))),
+    ]
+}
+
+/// A voxel of a bounce.
+pub struct VoxelRow {
+    bounce: u32,
+    lower: [f64; 3],
+    width: f64,
+    voxel: Voxel,
+}
+
+/// Halvings of the scene's box.
+const LEVELS: u8 = 6;
+
+pub fn voxel_rows(all: &Statistics, found: &[Match<'_>]) -> Vec<VoxelRow> {
+    let root = Root::around(all.scope.lower, all.scope.upper, LEVELS);
+    let tree = Octree::of(root, found.iter().map(|it| it.path));
+    let row = |(&(bounce, code), &voxel): (&(u32, u64), &Voxel)| {
+        let (lower, width) = root.voxel(LEVELS, code);
+        VoxelRow { bounce, lower, width, voxel }
+    };
+    tree.leaves.iter().map(row).collect()
+}
+
+pub fn voxels() -> Vec<Column<VoxelRow>> {
+    vec![
+        column("bounce", "bounce", Count, Anybody, |row| number(row.bounce)),
+        column("x", "from x m", Number, Anybody, |row| Cell::Real(row.lower[0])),
+        column("y", "y", Number, Anybody, |row| Cell::Real(row.lower[1])),
+        column("z", "z", Number, Anybody, |row| Cell::Real(row.lower[2])),
+        column("width", "width m", Number, Anybody, |row| Cell::Real(row.width)),
+        column("intersections", "intersections", Count, Anybody, |row| Cell::Count(row.voxel.count)),
+        column("energy", "mean cd/m2", Number, Anybody, |row| Cell::Real(row.voxel.mean())),
+    ]
+}

@@ -1,0 +1,172 @@
+//! Light statistics: `--stats` and `femc paths`.
+
+use crate::common::{Place, Running, coordinator, pixels, status, submit};
+use femc_pipeline::paths::histogram::{Histograms, Table};
+use femc_pipeline::paths::{Interaction, Kind, Name, PortionKey, Statistics};
+
+fn statistics(place: &Place, name: &str) -> Statistics {
+    let bytes = std::fs::read(place.path(name)).unwrap_or_else(|e| panic!("{name}: {e}"));
+    Statistics::decode(&bytes).unwrap_or_else(|e| panic!("{name}: {e}"))
+}
+
+fn bytes(place: &Place, name: &str) -> Vec<u8> {
+    std::fs::read(place.path(name)).unwrap_or_else(|e| panic!("{name}: {e}"))
+}
+
+fn worker(place: &Place, url: &str) -> Running {
+    place.start(&format!("worker --join {url} --threads 1"))
+}
+
+/// The foggy box with names.
+fn named(place: &Place) {
+    let text = crate::common::FOG.replace("m wall\nf a b c d\n", "m wall\no floor\nf a b c d\no\n");
+    let text = text.replace("m lamp\nv i", "m lamp\no ceiling\no lamp\nv i") + "o\no\n";
+    place.write("box.mgf", &text);
+}
+
+#[test]
+fn statistics_are_the_same_for_any_workers_and_change_no_pixel() {
+    let place = Place::new();
+    for (settings, rounds) in [("--spp 6", 1), ("--error 0.03 --seed 3", 2)] {
+        let line = |out: &str, rest: &str| format!("render fog.mgf --frames 5 --size 48x40 {settings} -o {out} {rest}");
+        place.run(&line("without.exr", "")).exits(0);
+        place.run(&line("one.exr", "--stats --workers 1 --threads 1")).exits(0);
+        place.run(&line("three.exr", "--stats --workers 3 --threads 2")).exits(0);
+        assert_eq!(pixels(&place.path("one.exr")), pixels(&place.path("without.exr")), "{settings}");
+        assert!(bytes(&place, "one.paths") == bytes(&place, "three.paths"), "{settings}");
+        let all = statistics(&place, "one.paths");
+        assert_eq!((all.scope.film, all.scope.frame), ([48, 40], 5));
+        if rounds == 1 {
+            assert_eq!(all.samples(), 48 * 40 * 6);
+        } else {
+            let ends: Vec<u32> = all.portions.keys().map(|portion| portion.end).collect();
+            assert!(ends.iter().any(|end| *end != ends[0]), "halves and tiles end apart: {ends:?}");
+        }
+        let recorded = Histograms::of(&all, Table::Paths);
+        assert!(recorded.attributes.iter().all(|it| it.samples.iter().sum::<u64>() == all.paths.len() as u64));
+        let expected = all.samples() as f64 * all.share();
+        assert!((all.paths.len() as f64 - expected).abs() < 6.0 * expected.sqrt() + 1.0, "{expected}");
+        for name in ["without.exr", "one.exr", "three.exr", "one.paths", "three.paths"] {
+            std::fs::remove_file(place.path(name)).expect("a file");
+        }
+    }
+}
+
+#[test]
+fn a_frame_with_a_time_counts_what_its_image_counts() {
+    let place = Place::new();
+    place.run("render fog.mgf --frames 5 --time 2s -o timed.exr --stats").exits(0);
+    let all = statistics(&place, "timed.paths");
+    // How its samples were divided, the file says; they may leave out a pilot.
+    let said = femc_film::exr::read_attributes(&place.path("timed.exr")).expect("attributes");
+    let said: serde_json::Value = serde_json::from_str(&said["femc:allocation"]).expect("an allocation");
+    let begin = said["begin"].as_u64().expect("a number") as u32;
+    let ends = said["ends"].as_array().expect("numbers").iter().map(|end| end.as_u64().expect("a number") as u32);
+    let portion = |(tile, end): (u32, u32)| [0, 1].map(|half| PortionKey { tile, half, begin, end });
+    assert!((0..).zip(ends).flat_map(portion).eq(all.portions.keys().copied()), "{said}");
+    assert!(all.paths.values().all(|path| path.key.sample >= begin));
+}
+
+#[test]
+fn statistics_of_a_farm_with_a_killed_worker_are_those_of_one_process() {
+    const SETTINGS: &str = "--frames 1..4 --size 64x48 --spp 64 --stats";
+    let place = Place::new();
+    let (mut farm, url) = coordinator(&place, 0);
+    let (mut victim, _second, _third) = (worker(&place, &url), worker(&place, &url), worker(&place, &url));
+    let job = submit(&place, &url, SETTINGS);
+    let done = || status(&place, &url, &job)["frames_done"].as_u64().expect("a number");
+    farm.wait_until("a finished frame", || done() >= 1);
+    assert!(done() < 4, "it is not over yet");
+    assert!(victim.kill(), "the victim was alive");
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    place.run(&format!("render fog.mgf {SETTINGS} -o alone --workers 1 --threads 1")).exits(0);
+    for frame in 1..=4 {
+        let name = |folder: &str| format!("{folder}/fog.{frame:04}.paths");
+        assert!(bytes(&place, &name("out")) == bytes(&place, &name("alone")), "frame {frame}");
+        assert_eq!(statistics(&place, &name("out")).samples(), 64 * 48 * 64);
+    }
+}
+
+#[test]
+fn a_frame_whose_statistics_are_gone_is_rendered_again() {
+    let place = Place::new();
+    let render = || place.run("render fog.mgf --frames 2 --spp 2 --stats -o a.exr --json").exits(0).json();
+    render();
+    let before = bytes(&place, "a.paths");
+    std::fs::remove_file(place.path("a.paths")).expect("a file");
+    render();
+    assert!(bytes(&place, "a.paths") == before);
+}
+
+#[test]
+fn paths_are_found_by_what_they_met() {
+    let place = Place::new();
+    named(&place);
+    place.run("render box.mgf --frames 8 --spp 8 --stats -o box.exr").exits(0);
+    let all = statistics(&place, "box.paths");
+    let rows = |rest: &str| -> Vec<serde_json::Value> {
+        let rows = place.run(&format!("paths box.paths --json {rest}")).exits(0).json();
+        rows.as_array().expect("rows").clone()
+    };
+    assert_eq!(rows("").len(), all.paths.len());
+    let floor = Name::of(Kind::Object, "floor");
+    let is_low = |it: &&femc_pipeline::paths::Intersection| it.object == floor && it.bounce >= 1;
+    let expected = all.paths.values().flat_map(|path| &path.intersections).filter(is_low).count();
+    let ran = place.command("paths box.paths --json --table intersections");
+    let found = {
+        let mut command = ran;
+        command.args(["--where", "bounce >= 1 and object == floor"]);
+        let output = command.output().expect("femc");
+        serde_json::from_slice::<Vec<serde_json::Value>>(&output.stdout).expect("rows")
+    };
+    assert!(expected > 10 && found.len() == expected, "{} and {expected}", found.len());
+    assert!(found.iter().all(|row| row["object"] == "floor" && row["z"].as_f64().is_some_and(|z| z.abs() < 1e-4)));
+    let then = rows("--object floor --then ceiling");
+    assert!(!then.is_empty() && then.len() < all.paths.len());
+    let lights = rows("--table lights");
+    assert!(lights.iter().any(|row| row["light"] == "ceiling.lamp/lamp" && row["found"] == "airlight"));
+    let in_fog = |it: &femc_pipeline::paths::Intersection| it.interaction == Interaction::Volume;
+    assert!(all.paths.values().any(|path| path.intersections.iter().any(in_fog)));
+    let bins = rows("--table histograms");
+    let depth = bins.iter().filter(|row| row["table"] == "paths" && row["attribute"] == "depth");
+    let sum: u64 = depth.map(|row| row["samples"].as_u64().expect("a number")).sum();
+    assert_eq!(sum, all.paths.len() as u64);
+    assert!(!rows("--table voxels --in -1,-1,0,1,1,0.5").is_empty());
+    assert!(!rows("--brightest").is_empty() && rows("--few 100").len() == 100);
+}
+
+#[test]
+fn tables_are_files_that_other_programs_read() {
+    let place = Place::new();
+    place.run("render fog.mgf --frames 3 --spp 4 --stats -o a.exr").exits(0);
+    let all = statistics(&place, "a.paths");
+    for table in ["paths", "intersections", "lights", "histograms", "pairs", "voxels"] {
+        place.run(&format!("paths a.paths --table {table} --parquet {table}.parquet")).exits(0);
+        let csv = place.run(&format!("paths a.paths --table {table} --csv")).exits(0).stdout();
+        let file = std::fs::read(place.path(&format!("{table}.parquet"))).expect("a file");
+        assert!(file.starts_with(b"PAR1") && file.ends_with(b"PAR1"), "{table}");
+        assert!(csv.lines().count() > 10, "{table}");
+        if table == "paths" {
+            assert_eq!(csv.lines().count(), all.paths.len() + 1);
+        }
+    }
+}
+
+#[test]
+fn what_cannot_be_asked_is_refused_with_the_place() {
+    let place = Place::new();
+    named(&place);
+    place.run("render box.mgf --frames 1 --spp 1 --stats -o box.exr").exits(0);
+    let refused = |rest: &str, code: i32, why: &str| {
+        let said = place.run(&format!("paths {rest}")).exits(code).stderr();
+        assert!(said.contains(why), "{rest}: {said}");
+    };
+    refused("box.paths --where depth", 2, "--where: column 6");
+    refused("box.paths --where colour==2", 2, "column 1: there is no \"colour\"");
+    refused("box.paths --object flor", 2, "known are");
+    refused("box.paths --then floor", 2, "--object");
+    refused("box.paths --in 1,1,1,0,0,0", 2, "lower corner");
+    refused("nothing.paths", 2, "nothing.paths");
+    refused("box.exr", 1, "no light statistics: it begins as something else");
+}

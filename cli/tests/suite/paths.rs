@@ -53,6 +53,18 @@ fn statistics_are_the_same_for_any_workers_and_change_no_pixel() {
 }
 
 #[test]
+fn paths_of_many_tiles_are_united_by_groups() {
+    let place = Place::new();
+    // 17 x 16 tiles: two groups.
+    let line =
+        |out: &str, rest: &str| format!("render fog.mgf --frames 5 --size 272x256 --error 3 --stats -o {out} {rest}");
+    place.run(&line("one.exr", "--workers 1")).exits(0);
+    place.run(&line("three.exr", "--workers 3 --threads 1")).exits(0);
+    assert!(bytes(&place, "one.paths") == bytes(&place, "three.paths"));
+    assert_eq!(statistics(&place, "one.paths").samples(), 272 * 256 * 8);
+}
+
+#[test]
 fn a_frame_with_a_time_counts_what_its_image_counts() {
     let place = Place::new();
     place.run("render fog.mgf --frames 5 --time 2s -o timed.exr --stats").exits(0);

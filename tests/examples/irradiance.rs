@@ -46,12 +46,13 @@ fn main() -> Result<(), Box<dyn Error>> {
         let report = solution.report;
         let compared = compare(&scene, &solution, &points)?;
         println!(
-            "error {error}: {seconds:.2} s, {} elements, {} links, {} refused, {} MB; relmse {:.4}, mean ratio {:.4} at {} points",
+            "error {error}: {seconds:.2} s, {} elements, {} links, {} refused, {} MB; relmse {:.4}, {:.4} at lit ones, mean ratio {:.4} at {} points",
             report.elements,
             report.links,
             report.refused,
             report.bytes >> 20,
             compared.relmse,
+            compared.lit,
             compared.mean_ratio,
             compared.points
         );

@@ -144,6 +144,8 @@ pub struct Compared {
     /// Mean over the points of the squared difference, less the paths' own variance, over the irradiance's square and that of a tenth of
     /// its mean.
     pub relmse: f64,
+    /// The same over the points that have a tenth of the mean or more, which no leaf that is partly hidden rules.
+    pub lit: f64,
     /// Ratio of the means.
     pub mean_ratio: f64,
     /// Points that are found on a surface.
@@ -159,15 +161,19 @@ pub fn compare(
 ) -> Result<Compared, femc_pipeline::PrepareError> {
     let world = prepared(scene)?;
     let mean = points.iter().map(|point| point.irradiance[0]).sum::<f64>() / points.len() as f64;
-    let (mut squares, mut sums, mut count) = (0.0, [0.0; 2], 0);
+    let (mut squares, mut sums, mut count) = ([0.0; 2], [0.0; 2], [0; 2]);
     for Point { position, normal, irradiance: [want, error] } in points {
         let Some((hit, side)) = find(&world, *position, *normal) else { continue };
         let have = f64::from(luminance(solution.field.irradiance(&hit, side, *position, *normal)));
-        squares += ((have - want).powi(2) - error * error) / (want * want + 0.01 * mean * mean);
+        let square = ((have - want).powi(2) - error * error) / (want * want + 0.01 * mean * mean);
         sums = [sums[0] + have, sums[1] + want];
-        count += 1;
+        for kind in 0..if *want >= 0.1 * mean { 2 } else { 1 } {
+            squares[kind] += square;
+            count[kind] += 1;
+        }
     }
-    Ok(Compared { relmse: squares / f64::from(count), mean_ratio: sums[0] / sums[1], points: count as usize })
+    let [relmse, lit] = [0, 1].map(|kind| squares[kind] / f64::from(count[kind]));
+    Ok(Compared { relmse, lit, mean_ratio: sums[0] / sums[1], points: count[0] as usize })
 }
 
 /// Points as lines of eight numbers: position, normal, irradiance, its standard error; `None` if a line has others.

@@ -364,7 +364,8 @@ fn colors_over_the_scale_are_the_solution_s_light() {
     // The ball and the sheet, both of whose sides send light.
     let (closed, area) = gltf.areas("ball");
     assert!((area / (4.0 * std::f64::consts::PI * 0.09) - 1.0).abs() < 0.01, "{area}");
-    assert!(closed.iter().all(|sum| sum.abs() < 1e-4), "a closed surface: {closed:?}");
+    // Where leaves are finer than the file's grid, gaps are narrower than its chords are from the ball: 2e-5 of the scene's extent.
+    assert!(closed.iter().all(|sum| sum.abs() < 1e-3 * area), "a closed surface: {closed:?}");
     let [(front, _), (back, _)] = ["sheet", "sheet, back"].map(|name| gltf.areas(name));
     assert!((front[0] + back[0]).abs() < 1e-6 && front[0].abs() > 0.79, "{front:?} {back:?}");
     let most = |name: &str, attribute: &str| {

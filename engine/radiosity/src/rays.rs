@@ -14,13 +14,14 @@ use crate::visibility::{Eye, Numbers};
 use femc_field::{NONE, SurfaceSpot};
 use femc_math::Rgb;
 use femc_math::color::luminance;
-use femc_math::elementary::ln;
 use femc_math::glam::{Vec2, Vec3A};
 use femc_math::warp;
+use femc_prepared::media::{Distance, Inside};
 use rayon::prelude::*;
 
-/// Rays from each quarter of a leaf.
-const RAYS: usize = 8;
+/// Least and most rays from each quarter of a leaf, and as many in all where that is in between.
+const RAYS: [usize; 2] = [8, 256];
+const ALL: usize = 1 << 16;
 /// Quarters of a leaf, which its nodes stand for.
 const QUARTERS: usize = 4;
 /// Squared difference, in variances of it, up to which it is taken as chance, where links may have the error [`ROUGH`] or more; the more
@@ -35,7 +36,7 @@ const MOST: f32 = 4.0;
 struct Sight {
     /// The leaf, or [`NONE`].
     leaf: u32,
-    /// Irradiance of the ray's origin, if all rays met it, over the leaf's radiosity.
+    /// Irradiance of the ray's origin, if all rays met it, over the leaf's radiosity; of fog over its irradiance.
     share: f32,
     /// Normal there, in 127ths.
     normal: [i8; 3],
@@ -47,6 +48,8 @@ pub struct Rays {
     leaves: Vec<u32>,
     /// By leaf, quarter and ray.
     sights: Vec<Sight>,
+    /// Rays from a quarter.
+    each: usize,
     /// Rays that were traced.
     pub traced: u64,
 }
@@ -115,30 +118,28 @@ impl Sums {
 }
 
 impl Rays {
-    /// Casts them; `None` where light is lost on the way in a manner that rays cannot be drawn by: fog that is not even.
-    pub fn new(scene: &Scene<'_>, arena: &Arena) -> Option<Self> {
-        if scene.fog.is_some() && scene.haze.is_none() {
-            return None;
-        }
+    /// Casts them.
+    pub fn new(scene: &Scene<'_>, arena: &Arena) -> Self {
         let is_leaf = |index: &u32| {
             let element = &arena.elements[*index as usize];
             element.is_leaf() && matches!(element.kind, Kind::Patch | Kind::Ball)
         };
         let leaves: Vec<u32> = (0..arena.elements.len() as u32).filter(is_leaf).collect();
+        let each = (ALL / (QUARTERS * leaves.len().max(1))).clamp(RAYS[0], RAYS[1]);
         let chunks: Vec<(Vec<Sight>, u64)> = leaves
             .par_chunks(64)
             .map(|leaves| {
                 let mut eye = Eye::default();
-                let mut sights = Vec::with_capacity(leaves.len() * QUARTERS * RAYS);
+                let mut sights = Vec::with_capacity(leaves.len() * QUARTERS * each);
                 for &leaf in leaves {
-                    let origins = origins(scene, &arena.elements[leaf as usize]);
+                    let origins = origins(scene, &arena.elements[leaf as usize], each);
                     sights.extend(origins.map(|(spot, dir, u)| met(scene, arena, &spot, dir, u, &mut eye)));
                 }
                 (sights, eye.rays)
             })
             .collect();
         let traced = chunks.iter().map(|(_, rays)| rays).sum();
-        Some(Self { leaves, sights: chunks.into_iter().flat_map(|(sights, _)| sights).collect(), traced })
+        Self { leaves, sights: chunks.into_iter().flat_map(|(sights, _)| sights).collect(), each, traced }
     }
 
     /// Sets what the leaves receive beyond what links bring.
@@ -148,13 +149,13 @@ impl Rays {
         let by_leaf: Vec<[Sums; QUARTERS]> = self
             .leaves
             .par_iter()
-            .zip(self.sights.par_chunks(QUARTERS * RAYS))
+            .zip(self.sights.par_chunks(QUARTERS * self.each))
             .map(|(&leaf, sights)| {
                 let element = &arena.elements[leaf as usize];
                 let found: Vec<f32> = sights.iter().map(|sight| received(arena, lights, sight)).collect();
                 let area = element.size / QUARTERS as f32;
-                let links = brought(scene, element, leaf, lights);
-                [0, 1, 2, 3].map(|k| Sums::of(area, &found[k * RAYS..(k + 1) * RAYS], links[k]))
+                let links = brought(scene, element, leaf, lights, self.each);
+                [0, 1, 2, 3].map(|k| Sums::of(area, &found[k * self.each..(k + 1) * self.each], links[k]))
             })
             .collect();
         let mut sums = vec![Sums::default(); arena.elements.len()];
@@ -247,14 +248,18 @@ fn is_root(arena: &Arena, element: &Element) -> bool {
     element.surface != NONE && (element.parent == NONE || arena.elements[element.parent as usize].surface == NONE)
 }
 
-/// Points of a leaf by quarter, directions by the cosine, and a number in [0, 1) for each.
-fn origins<'a>(scene: &'a Scene<'_>, element: &'a Element) -> impl Iterator<Item = (SurfaceSpot, Vec3A, f32)> + 'a {
+/// Points of a leaf by quarter, directions by the cosine, and two numbers in [0, 1) for each.
+fn origins<'a>(
+    scene: &'a Scene<'_>,
+    element: &'a Element,
+    each: usize,
+) -> impl Iterator<Item = (SurfaceSpot, Vec3A, [f32; 2])> + 'a {
     let surface = &scene.surfaces[element.surface as usize];
     let is_triangle = matches!(surface.form, femc_field::Form::Triangle(_));
     let mut numbers = Numbers::new(&[element.key, 11]);
     (0..QUARTERS).flat_map(move |quarter| {
         let shift = [numbers.next(), numbers.next()];
-        let rays: Vec<_> = (0..RAYS)
+        let rays: Vec<_> = (0..each)
             .map(|ray| {
                 let mut local = Vec2::new(numbers.next(), numbers.next());
                 if is_triangle {
@@ -271,9 +276,9 @@ fn origins<'a>(scene: &'a Scene<'_>, element: &'a Element) -> impl Iterator<Item
                 }
                 let spot = surface.at(element.outline.at(local));
                 // A lattice, shifted.
-                let u = [(ray as f32 + shift[0]) / RAYS as f32, (ray as f32 * 0.618_034 + shift[1]).fract()];
+                let u = [(ray as f32 + shift[0]) / each as f32, (ray as f32 * 0.618_034 + shift[1]).fract()];
                 let dir = (warp::direction(1.0 - 2.0 * u[0], u[1]) + spot.normal).normalize_or(spot.normal);
-                (spot, dir, numbers.next())
+                (spot, dir, [numbers.next(), numbers.next()])
             })
             .collect();
         rays
@@ -281,18 +286,22 @@ fn origins<'a>(scene: &'a Scene<'_>, element: &'a Element) -> impl Iterator<Item
 }
 
 /// What a ray meets first: a surface, or fog.
-fn met(scene: &Scene<'_>, arena: &Arena, from: &SurfaceSpot, dir: Vec3A, u: f32, eye: &mut Eye) -> Sight {
+fn met(scene: &Scene<'_>, arena: &Arena, from: &SurfaceSpot, dir: Vec3A, u: [f32; 2], eye: &mut Eye) -> Sight {
     let nothing = Sight { leaf: NONE, share: 0.0, normal: [0; 3] };
     let (hit, share) = match eye.first(scene, from, dir) {
         Some((point, hit, share)) => (Some((point, hit)), share),
         None => (None, 1.0),
     };
-    if let Some(extinction) = scene.haze.filter(|&extinction| extinction > 0.0 && arena.fog != NONE) {
-        // As far as light goes in the fog.
-        let way = -ln(1.0 - u) / extinction;
-        let place = from.position + dir * way;
-        if hit.as_ref().is_none_or(|(point, _)| way * way < point.position.distance_squared(from.position)) {
-            return arena.fog_at(place).map_or(nothing, |leaf| Sight { leaf, share: 1.0 / extinction, ..nothing });
+    let mut share = share;
+    let media = &scene.prepared.media;
+    let length = hit.as_ref().map_or(f32::INFINITY, |(point, _)| point.position.distance(from.position));
+    if arena.fog != NONE && media.along(from.position, dir, length, &Inside::default(), &mut eye.media) {
+        match media.draw(&eye.media, f64::from(u[0]), u[1]) {
+            Distance::Scatter(event) => {
+                let leaf = arena.fog_at(from.position + dir * event.t);
+                return leaf.map_or(nothing, |leaf| Sight { leaf, share: luminance(event.weight), ..nothing });
+            }
+            Distance::Through { weight } => share *= luminance(weight),
         }
     }
     let Some((point, hit)) = hit else { return nothing };
@@ -314,6 +323,9 @@ fn received(arena: &Arena, lights: &Lights, sight: &Sight) -> f32 {
     }
     let element = &arena.elements[sight.leaf as usize];
     let light = &lights.of[sight.leaf as usize];
+    if element.kind == Kind::Fog {
+        return sight.share * light.mean;
+    }
     let radiosity = if element.kind == Kind::Ball {
         let normal = Vec3A::from_array(sight.normal.map(f32::from)).normalize_or_zero();
         let of = |from: usize| lights.around(element, sight.leaf as usize, from).cosine(normal);
@@ -325,11 +337,12 @@ fn received(arena: &Arena, lights: &Lights, sight: &Sight) -> f32 {
 }
 
 /// Irradiance that links bring to the quarters of a leaf, lx.
-fn brought(scene: &Scene<'_>, element: &Element, leaf: u32, lights: &Lights) -> [f32; QUARTERS] {
+fn brought(scene: &Scene<'_>, element: &Element, leaf: u32, lights: &Lights, each: usize) -> [f32; QUARTERS] {
     if element.kind == Kind::Ball {
         let light = lights.arriving[element.wide as usize].whole[FROM_ELEMENTS];
-        let sum: f32 = origins(scene, element).map(|(spot, ..)| luminance(light.cosine(spot.normal)).max(0.0)).sum();
-        return [sum / (QUARTERS * RAYS) as f32; QUARTERS];
+        let sum: f32 =
+            origins(scene, element, each).map(|(spot, ..)| luminance(light.cosine(spot.normal)).max(0.0)).sum();
+        return [sum / (QUARTERS * each) as f32; QUARTERS];
     }
     let at = lights.of[leaf as usize].whole[FROM_ELEMENTS].map(|light| luminance(light.max(Rgb::ZERO)));
     // The last rays of a triangle are from all of it.

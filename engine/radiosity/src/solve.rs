@@ -55,7 +55,7 @@ pub struct Report {
     pub row_sum: f32,
     /// Whether light grew from reflection to reflection: what points receive beyond 1 in that sense was left out then.
     pub bounded: bool,
-    /// Light that rays find on all surfaces, over what the links bring there; 0: no rays were cast, as the fog is not even.
+    /// Light that rays find on all surfaces, over what the links bring there.
     pub checked: f32,
     /// Root mean square, over all surfaces, of what was changed by that, over the links' mean.
     pub corrected: f32,
@@ -359,7 +359,7 @@ impl Solver<'_> {
     /// Takes of the light that links bring what rays find of it, on leaves that are fine enough for the shadows that these find.
     fn check(&mut self) -> Result<(), Cancelled> {
         for round in 0..ROUNDS {
-            let Some(rays) = Rays::new(self.scene, &self.arena) else { return Ok(()) };
+            let rays = Rays::new(self.scene, &self.arena);
             self.report.rays += rays.traced;
             let mut contrast = Vec::new();
             for _ in 0..CHECKS {

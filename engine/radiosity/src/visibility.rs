@@ -17,7 +17,7 @@ pub const CLEAR: u32 = 64;
 /// Rays and their buffers, of one thread.
 #[derive(Default)]
 pub struct Eye {
-    media: MediaRay,
+    pub media: MediaRay,
     pub rays: u64,
 }
 

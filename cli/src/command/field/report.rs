@@ -37,7 +37,7 @@ pub struct Report {
     pub row_sum: f32,
     /// Whether light grew from reflection to reflection and was bounded by the row sums.
     pub bounded: bool,
-    /// Light that rays find on all surfaces, over what the links bring there; 0: no rays were cast, as the fog is not even.
+    /// Light that rays find on all surfaces, over what the links bring there.
     pub checked: f32,
     /// Root mean square, over all surfaces, of what was changed by that, over the links' mean.
     pub corrected: f32,
@@ -188,14 +188,11 @@ impl Report {
             ),
             row(
                 "checked",
-                match self.checked > 0.0 {
-                    true => format!(
-                        "rays find {:.3} of the light of the links; changed by {:.1} % rms",
-                        self.checked,
-                        100.0 * self.corrected
-                    ),
-                    false => "no: the fog is not even".into(),
-                },
+                format!(
+                    "rays find {:.3} of the light of the links; changed by {:.1} % rms",
+                    self.checked,
+                    100.0 * self.corrected
+                ),
             ),
             row("irradiance", format!("{least:.3} to {most:.3} lx, median {median:.3} lx")),
             row("flux", format!("{emitted:.1} lm sent, {received:.1} lm received, {absorbed:.1} lm kept")),

@@ -87,6 +87,9 @@ pub struct Lights {
 }
 
 impl Lights {
+    /// Bytes of an element's light, without that by direction.
+    pub const BYTES: usize = size_of::<Light>() + size_of::<[f32; 4]>() + size_of::<[Rgb; 4]>();
+
     pub fn new(arena: &Arena) -> Self {
         let count = arena.elements.len();
         Self {

@@ -119,13 +119,16 @@ impl Sums {
 
 impl Rays {
     /// Casts them.
-    pub fn new(scene: &Scene<'_>, arena: &Arena) -> Self {
+    /// - `room`: bytes that they may take; where that is too little, there are fewer, one from each quarter at least.
+    pub fn new(scene: &Scene<'_>, arena: &Arena, room: usize) -> Self {
         let is_leaf = |index: &u32| {
             let element = &arena.elements[*index as usize];
             element.is_leaf() && matches!(element.kind, Kind::Patch | Kind::Ball)
         };
         let leaves: Vec<u32> = (0..arena.elements.len() as u32).filter(is_leaf).collect();
-        let each = (ALL / (QUARTERS * leaves.len().max(1))).clamp(RAYS[0], RAYS[1]);
+        let quarters = QUARTERS * leaves.len().max(1);
+        let fit = (room / (size_of::<Sight>() * quarters)).max(1);
+        let each = (ALL / quarters).clamp(RAYS[0], RAYS[1]).min(fit);
         let chunks: Vec<(Vec<Sight>, u64)> = leaves
             .par_chunks(64)
             .map(|leaves| {
@@ -140,6 +143,11 @@ impl Rays {
             .collect();
         let traced = chunks.iter().map(|(_, rays)| rays).sum();
         Self { leaves, sights: chunks.into_iter().flat_map(|(sights, _)| sights).collect(), each, traced }
+    }
+
+    /// Bytes.
+    pub fn bytes(&self) -> usize {
+        size_of_val(&*self.sights) + size_of_val(&*self.leaves)
     }
 
     /// Sets what the leaves receive beyond what links bring.

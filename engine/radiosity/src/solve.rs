@@ -59,7 +59,7 @@ pub struct Report {
     pub checked: f32,
     /// Root mean square, over all surfaces, of what was changed by that, over the links' mean.
     pub corrected: f32,
-    /// Bytes of elements and links.
+    /// Bytes of elements, links and rays.
     pub bytes: usize,
     /// Elements and links by kind.
     pub census: Census,
@@ -155,7 +155,7 @@ struct Solver<'a> {
 impl Solver<'_> {
     fn bytes(&self, links: usize) -> usize {
         links * size_of::<Link>()
-            + self.arena.elements.len() * (size_of::<Element>() + size_of::<crate::gather::Light>())
+            + self.arena.elements.len() * (size_of::<Element>() + Lights::BYTES)
             + self.arena.wide * size_of::<crate::gather::Arriving>()
     }
 
@@ -359,7 +359,9 @@ impl Solver<'_> {
     /// Takes of the light that links bring what rays find of it, on leaves that are fine enough for the shadows that these find.
     fn check(&mut self) -> Result<(), Cancelled> {
         for round in 0..ROUNDS {
-            let rays = Rays::new(self.scene, &self.arena);
+            let room = self.options.memory.saturating_sub(self.bytes(self.links.len()));
+            let rays = Rays::new(self.scene, &self.arena, room);
+            self.report.bytes = self.report.bytes.max(rays.bytes());
             self.report.rays += rays.traced;
             let mut contrast = Vec::new();
             for _ in 0..CHECKS {
@@ -398,7 +400,7 @@ impl Solver<'_> {
             elements: elements.iter().filter(|element| element.kind != Kind::Cluster).count(),
             leaves: elements.iter().filter(|element| element.is_leaf()).count(),
             links: self.links.len(),
-            bytes: self.bytes(self.links.len()),
+            bytes: self.report.bytes + self.bytes(self.links.len()),
             census: Census::new(elements, &self.links),
             ..self.report
         }

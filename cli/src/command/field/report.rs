@@ -41,7 +41,7 @@ pub struct Report {
     pub checked: f32,
     /// Root mean square, over all surfaces, of what was changed by that, over the links' mean.
     pub corrected: f32,
-    /// Bytes of elements and links.
+    /// Bytes of elements, links and rays.
     pub bytes: usize,
     /// Flux, lm.
     pub energy: Energy,

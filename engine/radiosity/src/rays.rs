@@ -72,6 +72,8 @@ struct Sums {
     links: f32,
     /// By the rays' squares, lm lx.
     squares: f32,
+    /// By the one ray that brings most, lm.
+    most: f32,
     /// By leaf the area squared over the rays, times what arrives by the links, and times the square of that.
     variances: [f32; 2],
 }
@@ -85,6 +87,7 @@ impl Sums {
             rays: each * found.iter().sum::<f32>(),
             links: area * links,
             squares: each * found.iter().map(|x| x * x).sum::<f32>(),
+            most: each * found.iter().copied().fold(0.0, f32::max),
             variances: [weight * links, weight * links * links],
         }
     }
@@ -93,6 +96,7 @@ impl Sums {
         self.rays += other.rays;
         self.links += other.links;
         self.squares += other.squares;
+        self.most = self.most.max(other.most);
         self.variances.iter_mut().zip(other.variances).for_each(|(sum, part)| *sum += part);
     }
 
@@ -109,11 +113,14 @@ impl Sums {
         if self.links <= 0.0 {
             return scale;
         }
-        let difference = self.rays - scale * self.links;
+        // One ray that has met the fog at a lamp is no proof of more light.
+        let rays =
+            if self.rays > scale * self.links { (self.rays - self.most).max(scale * self.links) } else { self.rays };
+        let difference = rays - scale * self.links;
         // As if the scale above were right: of what a part receives few rays may have missed all.
         let variance = (scale * bright * self.variances[0] - scale * scale * self.variances[1]).max(0.0);
         let sure = 1.0 - chance * variance / (difference * difference).max(f32::MIN_POSITIVE);
-        (scale + sure.max(0.0) * (self.rays / self.links - scale)).clamp(0.0, MOST)
+        (scale + sure.max(0.0) * (rays / self.links - scale)).clamp(0.0, MOST)
     }
 }
 

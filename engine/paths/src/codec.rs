@@ -115,7 +115,7 @@ impl Statistics {
     fn tables(&self) -> Vec<u8> {
         let mut out = Vec::new();
         let places: BTreeMap<Name, u32> = (1..).zip(self.names.keys()).map(|(place, name)| (*name, place)).collect();
-        // A name that nobody has told the text of is none.
+        // A name without a text is written as no name.
         let place = |name: Name| places.get(&name).copied().unwrap_or(0);
         table(&mut out, self.portions.iter().map(|(key, counters)| portion(key, counters)));
         let all = [&self.paths, &self.brightest, &self.deepest];

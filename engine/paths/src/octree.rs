@@ -151,7 +151,7 @@ impl Octree {
         voxels
     }
 
-    /// Mean energies of the voxels of a level, less those of another tree, cd/m2; a voxel that one tree lacks has 0 there.
+    /// Mean energy of each voxel of a level in this tree minus that in another tree, cd/m2. Where a tree has no such voxel, its mean is 0.
     pub fn difference(&self, other: &Self, level: u8, bounce: Option<u32>) -> Result<BTreeMap<u64, f64>, RootMismatch> {
         if self.root != other.root {
             return Err(RootMismatch);

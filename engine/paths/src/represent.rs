@@ -1,4 +1,4 @@
-//! A few paths that stand for all: N of them whose histograms are as near as can be to those of all.
+//! A representative set: N paths whose histograms are nearly the histograms of all paths.
 //!
 //! The distance of the founding documents (\[simons2016\]) is `D = sum |m_i / M - n_i / N|` over the 10 bins of each attribute, summed over
 //! the attributes of a path; they keep the best of many random sets ([`best_of`]). `DJ` is the same over the 10 x 10 bins of each
@@ -16,7 +16,7 @@ use femc_math::hash::mix64;
 const AXES: usize = PATH.len();
 /// Room for the bins of an attribute; a power of two, so that no index is out of bounds.
 const SINGLE: usize = 16;
-/// Room for those of a pair.
+/// Room for the joint bins of a pair of attributes.
 const JOINT: usize = SINGLE * SINGLE;
 /// Units of a path in the residuals.
 const UNIT: i64 = 256;

@@ -1,8 +1,8 @@
 //! What is known of the samples of a frame, or of a part of it, and the union of parts.
 //!
-//! The unit of counting is a *portion*: samples of one half of a tile. Which halves of which rounds count in the image is known only
-//! when the frame is finished, so counters are kept by portion until then, and a record names the portion that it is of. A union is one
-//! of sets, keyed by (tile, half, samples): it is associative, commutative and idempotent to the byte.
+//! Samples are counted by *portion*: a range of samples of one half of a tile. Only the finished frame knows which portions count in its
+//! image, so each portion keeps its own counters until then; the key of a record says which portion it belongs to. Statistics are united
+//! as sets, keyed by (tile, half, samples): the union is associative, commutative and idempotent to the byte.
 //!
 //! Records are the bottom-k of all samples by hash (\[cohen2007\]): `threshold` is at most the (k+1)-th least hash of all samples, and all
 //! samples of lesser hashes are there. So they are a fair subset, and anything counted of them is exact over a known subset,
@@ -302,7 +302,7 @@ impl Statistics {
         self.names.retain(|name, _| used.contains(name));
     }
 
-    /// Keeps of each portion the `most` records of greatest `rank`, of equal ones those of least hash.
+    /// Keeps the `most` records of greatest `rank` of each portion; among equal ranks the record with the lesser hash wins.
     fn keep_best(&self, records: &mut Records, most: usize, rank: impl Fn(&Path) -> Option<f32>) {
         let mut by_portion = BTreeMap::<PortionKey, Vec<(f32, (u64, PathKey))>>::new();
         for (key, path) in records.iter() {

@@ -67,7 +67,7 @@ impl Judge<'_> {
         let share = if p.kind == Kind::Fog { 0.25 } else { 1.0 };
         let hidden_part = share * intensity * close / (reach * reach) * eye.fog(self.scene, p.center, center);
         let allowed = self.allowed(p, &self.light[receiver as usize]);
-        if p.kind != Kind::Patch && close > NEAR && hidden_part > allowed && self.may_cut_lamp(p) {
+        if p.kind != Kind::Patch && close > NEAR && hidden_part > allowed && self.may_cut(p) {
             return LampVerdict::Receiver;
         }
         // Of what the fog takes of the source's light a box around it has this share; four points do not know how much.
@@ -123,7 +123,7 @@ impl Judge<'_> {
                 (middle - mean).abs() + 0.1 * (most - least) + self.missed(p, lamp)
             }
         };
-        if error > allowed && self.may_cut_lamp(p) {
+        if error > allowed && self.may_cut(p) {
             let in_doubt = self.in_doubt(p, allowed);
             let looks = allowed < in_doubt && mean * unproved(LOOK) <= in_doubt;
             return if looks && self.is_dark(p, lamp, eye) { LampVerdict::Drop } else { LampVerdict::Receiver };
@@ -169,7 +169,7 @@ impl Judge<'_> {
         let hidden = &shares[..p.count];
         let spread = hidden.iter().copied().fold(0.0, f32::max) - hidden.iter().copied().fold(1.0, f32::min);
         let refused = 0.5 * spread * mean > allowed;
-        if refused && self.may_cut_lamp(p) {
+        if refused && self.may_cut(p) {
             return LampVerdict::Receiver;
         }
         LampVerdict::Keep { link, refused: refused || error > allowed }
@@ -211,9 +211,10 @@ impl Judge<'_> {
         }
         let Lamp { center, intensity, .. } = self.scene.lamps[lamp as usize];
         let mut corners = p.corners;
-        let corners = &mut corners[..p.corner_count.max(if p.corner_count == 0 { 4 } else { 0 })];
+        let is_curved = p.corner_count == 0;
+        let corners = &mut corners[..if is_curved { 4 } else { p.corner_count }];
         let mut whole = solid_angle(center, corners);
-        if p.corner_count == 0 {
+        if is_curved {
             // Chords of a curve, in either order.
             corners.reverse();
             whole = whole.max(solid_angle(center, corners));
@@ -236,16 +237,6 @@ impl Judge<'_> {
             let to = self.arriving(p, &from, lamp, u);
             to.is_some_and(|(_, to)| eye.seen(self.scene, &from, &to) > 0.0)
         })
-    }
-
-    fn may_cut_lamp(&self, p: &Element) -> bool {
-        match p.kind {
-            Kind::Cluster => true,
-            _ if !p.is_leaf() => true,
-            _ if self.full => false,
-            Kind::Fog => p.size > self.least_volume,
-            Kind::Patch | Kind::Ball => p.size > self.least_area,
-        }
     }
 
     /// Light that arrives at a spot from a polygon that is as bright everywhere, if nothing is between.

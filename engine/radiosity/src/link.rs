@@ -176,25 +176,23 @@ impl Judge<'_> {
         let close = |element: &Element| (element.radius / distance.max(1e-20)).min(1.0);
         let (near_p, near_q) = (close(p), close(q));
         let spread = 0.5 * (from.brightest - from.darkest);
-        // What is small lights a large element next to it most of all where no node may be. What the whole element receives is known
-        // the other way round; what the nodes do not show of it is spread over the element.
-        let share = match (p.kind, q.kind) {
-            (Kind::Fog, Kind::Fog) if q.size < p.size => Some(1.0),
-            (Kind::Fog, Kind::Patch) => Some(0.25),
-            _ => None,
-        };
-        let unseen_part = match share {
-            Some(share) if near_p + near_q > BESIDE => {
-                let spots = &q.nodes[..q.count];
-                let back: f32 = spots.iter().map(|spot| self.factor(q, p, spot, eye)).sum::<f32>() / q.count as f32;
-                let whole = share * back * q.size / p.size;
-                let less = whole - mean;
-                let scale = if mean > 0.0 { (whole / mean).min(1.0) } else { 1.0 };
-                link.factors = link.factors.map(|factor| factor * scale + less.max(0.0));
-                mean = whole;
-                less.abs()
-            }
-            _ => 0.0,
+        // What is small and at a box of fog lights it next to itself most of all, where no node may be. What the whole box receives is
+        // known the other way round; what the nodes do not show of it is spread over the box.
+        let is_beside = p.kind == Kind::Fog
+            && near_p + near_q > BESIDE
+            && (q.kind == Kind::Patch || q.kind == Kind::Fog && q.size < p.size);
+        let unseen_part = if is_beside {
+            let spots = &q.nodes[..q.count];
+            let back: f32 = spots.iter().map(|spot| self.factor_of_fog(q, p, spot, eye)).sum::<f32>() / q.count as f32;
+            let share = if q.kind == Kind::Fog { 1.0 } else { 0.25 };
+            let whole = share * back * q.size / p.size;
+            let less = whole - mean;
+            let scale = if mean > 0.0 { (whole / mean).min(1.0) } else { 1.0 };
+            link.factors = link.factors.map(|factor| factor * scale + less.max(0.0));
+            mean = whole;
+            less.abs()
+        } else {
+            0.0
         };
         let mut errors = [
             if p.is_wide() {

@@ -56,7 +56,7 @@ pub struct Rays {
 
 /// What rays have found.
 pub struct Found {
-    /// Light that arrives by the rays over that by the links.
+    /// Light that arrives by the rays over that by the links; 1 where these bring none.
     pub ratio: f32,
     /// Root mean square of what is changed, over what the links bring on average.
     pub changed: f32,
@@ -232,9 +232,10 @@ impl Rays {
                 (whole, area) = (whole + f64::from(quarter.links), area + size);
             }
         }
-        let mean = whole / area;
-        let changed = (changed / area).sqrt() / mean.max(f64::MIN_POSITIVE);
-        Found { ratio: all.rays / all.links.max(f32::MIN_POSITIVE), changed: changed as f32, contrast }
+        let area = area.max(f64::MIN_POSITIVE);
+        let changed = (changed / area).sqrt() / (whole / area).max(f64::MIN_POSITIVE);
+        let ratio = if all.links > 0.0 { all.rays / all.links } else { 1.0 };
+        Found { ratio, changed: changed as f32, contrast }
     }
 }
 

@@ -55,7 +55,7 @@ pub struct Report {
     pub row_sum: f32,
     /// Whether light grew from reflection to reflection: what points receive beyond 1 in that sense was left out then.
     pub bounded: bool,
-    /// Light that rays find on all surfaces, over what the links bring there.
+    /// Light that rays find on all surfaces, over what the links bring there; 1 where these bring none.
     pub checked: f32,
     /// Root mean square, over all surfaces, of what was changed by that, over the links' mean.
     pub corrected: f32,
@@ -115,8 +115,16 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
         return Ok(Solution { field, direct: Vec::new(), report: Report::default() });
     }
     let lights = Lights::new(&arena);
-    let mut solver =
-        Solver { scene: &scene, arena, lights, links: Vec::new(), report: Report::default(), options, cancel };
+    let mut solver = Solver {
+        scene: &scene,
+        arena,
+        lights,
+        links: Vec::new(),
+        report: Report::default(),
+        most_rays: 0,
+        options,
+        cancel,
+    };
     solver.open();
     solver.links = vec![Link { receiver: solver.arena.root, source: solver.arena.root, factors: [0.0; 4] }];
     for (round, coarse) in COARSE.into_iter().enumerate() {
@@ -148,6 +156,8 @@ struct Solver<'a> {
     lights: Lights,
     links: Vec<Link>,
     report: Report,
+    /// Bytes of rays at most.
+    most_rays: usize,
     options: &'a Options,
     cancel: &'a AtomicBool,
 }
@@ -361,7 +371,7 @@ impl Solver<'_> {
         for round in 0..ROUNDS {
             let room = self.options.memory.saturating_sub(self.bytes(self.links.len()));
             let rays = Rays::new(self.scene, &self.arena, room);
-            self.report.bytes = self.report.bytes.max(rays.bytes());
+            self.most_rays = self.most_rays.max(rays.bytes());
             self.report.rays += rays.traced;
             let mut contrast = Vec::new();
             for _ in 0..CHECKS {
@@ -400,7 +410,7 @@ impl Solver<'_> {
             elements: elements.iter().filter(|element| element.kind != Kind::Cluster).count(),
             leaves: elements.iter().filter(|element| element.is_leaf()).count(),
             links: self.links.len(),
-            bytes: self.report.bytes + self.bytes(self.links.len()),
+            bytes: self.bytes(self.links.len()) + self.most_rays,
             census: Census::new(elements, &self.links),
             ..self.report
         }

@@ -54,7 +54,7 @@ pub struct PathsArgs {
     /// The deepest paths of greatest throughput of each tile in place of a fair subset
     #[arg(long, conflicts_with = "few")]
     deepest: bool,
-    /// Only N of all paths, chosen so that their histograms are those of all
+    /// List N paths whose histograms are nearest to the histograms of all paths
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
     few: Option<u32>,
     /// What a line is of

@@ -9,7 +9,7 @@
 //! B / pi cd/m2), lengths in m, prepared frame. Sources: \[hanrahan1991\] (links between levels), \[smits1994\] (clusters),
 //! \[sillion1995\] (fog), \[bekaert1996\] (the error of a link from the values at its receiver's points).
 //!
-//! What is light of mirrors and clear solids is left out; glossy reflection counts as diffuse; phase functions count as isotropic.
+//! Light that mirrors and clear solids pass on is found by rays alone; glossy reflection counts as diffuse; phase functions count as isotropic.
 #![deny(missing_docs)]
 
 mod arena;

@@ -9,15 +9,18 @@
 use crate::arena::Arena;
 use crate::element::{Element, Kind};
 use crate::gather::{FROM_ELEMENTS, FROM_SOURCES, Lights};
-use crate::scene::{Scene, TIME};
+use crate::scene::{Scene, TIME, scattered};
 use crate::visibility::{Eye, Numbers};
 use femc_field::{NONE, SurfaceSpot};
-use femc_math::Rgb;
+use femc_geometry::{Ray, offset_origin};
 use femc_math::color::luminance;
 use femc_math::glam::{Vec2, Vec3A};
-use femc_math::warp;
+use femc_math::{Frame, Rgb, warp};
 use femc_prepared::media::{Distance, Inside};
+use femc_prepared::{Crossing, Orientation};
+use femc_scattering::{LobeKind, Transmitted};
 use rayon::prelude::*;
+use std::f32::consts::PI;
 
 /// Least and most rays from each quarter of a leaf, and as many in all where that is in between.
 const RAYS: [usize; 2] = [8, 256];
@@ -34,9 +37,9 @@ const MOST: f32 = 4.0;
 /// What a ray has met.
 #[derive(Clone, Copy, Debug)]
 struct Sight {
-    /// The leaf, or [`NONE`].
+    /// The leaf; [`NONE`] of a lamp, or of nothing.
     leaf: u32,
-    /// Irradiance of the ray's origin, if all rays met it, over the leaf's radiosity; of fog over its irradiance.
+    /// Irradiance of the ray's origin, if all rays met it, over the leaf's radiosity; of fog over its irradiance; of a lamp in lx.
     share: f32,
     /// Normal there, in 127ths.
     normal: [i8; 3],
@@ -301,41 +304,102 @@ fn origins<'a>(
     })
 }
 
-/// What a ray meets first: a surface, or fog.
+/// What a ray meets: a surface that scatters, the fog, or a lamp that it sees in a mirror or through bent glass. From mirrors and clear
+/// surfaces it goes on.
+/// - `u`: numbers in [0, 1).
 fn met(scene: &Scene<'_>, arena: &Arena, from: &SurfaceSpot, dir: Vec3A, u: [f32; 2], eye: &mut Eye) -> Sight {
     let nothing = Sight { leaf: NONE, share: 0.0, normal: [0; 3] };
-    let (hit, share) = match eye.first(scene, from, dir) {
-        Some((point, hit, share)) => (Some((point, hit)), share),
-        None => (None, 1.0),
+    let prepared = scene.prepared;
+    let mut numbers = Numbers::new(&[u64::from(u[0].to_bits()), u64::from(u[1].to_bits())]);
+    let mut ray = Ray {
+        origin: offset_origin(from.position, from.error, from.normal, dir),
+        dir,
+        t_max: f32::INFINITY,
+        time: TIME,
     };
-    let mut share = share;
-    let media = &scene.prepared.media;
-    let length = hit.as_ref().map_or(f32::INFINITY, |(point, _)| point.position.distance(from.position));
-    if arena.fog != NONE && media.along(from.position, dir, length, &Inside::default(), &mut eye.media) {
-        match media.draw(&eye.media, f64::from(u[0]), u[1]) {
-            Distance::Scatter(event) => {
-                let leaf = arena.fog_at(from.position + dir * event.t);
-                return leaf.map_or(nothing, |leaf| Sight { leaf, share: luminance(event.weight), ..nothing });
+    let (mut share, mut is_bent, mut is_inside) = (1.0f32, false, false);
+    for _ in 0..=crate::visibility::CLEAR {
+        eye.rays += 1;
+        let hit = prepared.world.intersect(&ray);
+        let length = hit.as_ref().map_or(f32::INFINITY, |hit| hit.t);
+        let media = &prepared.media;
+        if arena.fog != NONE
+            && !is_inside
+            && media.along(ray.origin, ray.dir, length, &Inside::default(), &mut eye.media)
+        {
+            match media.draw(&eye.media, f64::from(numbers.next()), numbers.next()) {
+                Distance::Scatter(event) => {
+                    let leaf = arena.fog_at(ray.origin + ray.dir * event.t);
+                    return leaf.map_or(nothing, |leaf| Sight {
+                        leaf,
+                        share: share * luminance(event.weight),
+                        ..nothing
+                    });
+                }
+                Distance::Through { weight } => share *= luminance(weight),
             }
-            Distance::Through { weight } => share *= luminance(weight),
         }
+        let Some(hit) = hit else { return nothing };
+        let point = prepared.surface(&ray, &hit);
+        let is_back = point.normal.dot(ray.dir) > 0.0;
+        if is_bent && point.light != NONE {
+            // Of what comes straight or unbent the links with lamps know.
+            let (lights, world) = (&prepared.lights, &prepared.world);
+            let lamp = (point.light, TIME, point.normal, -ray.dir, point.parametric);
+            let radiance = lights.radiance(world, &prepared.textures, lamp.0, lamp.1, lamp.2, lamp.3, lamp.4);
+            if radiance != Rgb::ZERO {
+                return Sight { share: share * PI * luminance(radiance), ..nothing };
+            }
+        }
+        let material = &prepared.materials[point.material as usize];
+        let crossing = material.crossing[usize::from(is_back)];
+        let unbent = luminance(crossing.unbent());
+        if matches!(crossing, Crossing::Null { .. }) {
+            share *= unbent;
+            ray.origin = offset_origin(point.position, point.error, point.normal, ray.dir);
+            continue;
+        }
+        let mut goes_on = 0.0;
+        if material.bsdf.has_delta() {
+            let towards_viewer = material.faces_viewer == Orientation::TowardViewer;
+            let normal = if is_back && towards_viewer { -point.normal } else { point.normal };
+            let (frame, delta) = (Frame::from_normal(normal), material.bsdf.without_lambertian());
+            let wo = frame.to_local(-ray.dir);
+            let (reflected, transmitted) = scattered(&material.bsdf);
+            let [sent, passed] = [reflected + transmitted, delta.albedo(wo)].map(luminance);
+            goes_on = if passed > 0.0 { passed / (passed + sent) } else { 0.0 };
+            if numbers.next() < goes_on {
+                let Some(sample) = delta.sample(wo, [numbers.next(), numbers.next()], numbers.next()) else {
+                    return nothing;
+                };
+                share *= luminance(sample.weight) / goes_on;
+                let is_through = sample.transmitted == Transmitted::Yes;
+                let is_straight = sample.lobe == LobeKind::Delta && is_through && unbent > 0.0;
+                is_bent |= !is_straight;
+                is_inside ^= is_through && sample.eta != 1.0;
+                let dir = frame.to_world(sample.wi).normalize_or(normal);
+                let origin = offset_origin(point.position, point.error, point.normal, dir);
+                ray = Ray { origin, dir, ..ray };
+                continue;
+            }
+        }
+        let surface = scene.sides[hit.instance as usize][hit.primitive as usize][usize::from(is_back)];
+        if surface == NONE || arena.roots[surface as usize] == NONE || share <= 0.0 {
+            return nothing;
+        }
+        let place = scene.surfaces[surface as usize].parameters(point.position, [hit.u, hit.v]);
+        let leaf = arena.part_at(arena.roots[surface as usize], place, 0.0);
+        let normal = if is_back { -point.normal } else { point.normal };
+        let normal = (normal * 127.0).round().to_array().map(|x| x as i8);
+        return Sight { leaf, share: share / (1.0 - goes_on), normal };
     }
-    let Some((point, hit)) = hit else { return nothing };
-    let is_back = point.normal.dot(dir) > 0.0;
-    let surface = scene.sides[hit.instance as usize][hit.primitive as usize][usize::from(is_back)];
-    if surface == NONE || arena.roots[surface as usize] == NONE || share <= 0.0 {
-        return nothing;
-    }
-    let place = scene.surfaces[surface as usize].parameters(point.position, [hit.u, hit.v]);
-    let leaf = arena.part_at(arena.roots[surface as usize], place, 0.0);
-    let normal = if is_back { -point.normal } else { point.normal };
-    Sight { leaf, share, normal: (normal * 127.0).round().to_array().map(|x| x as i8) }
+    nothing
 }
 
 /// Irradiance of a ray's origin, if all rays met the same, lx.
 fn received(arena: &Arena, lights: &Lights, sight: &Sight) -> f32 {
     if sight.leaf == NONE {
-        return 0.0;
+        return sight.share;
     }
     let element = &arena.elements[sight.leaf as usize];
     let light = &lights.of[sight.leaf as usize];
@@ -363,33 +427,4 @@ fn brought(scene: &Scene<'_>, element: &Element, leaf: u32, lights: &Lights, eac
     let at = lights.of[leaf as usize].whole[FROM_ELEMENTS].map(|light| luminance(light.max(Rgb::ZERO)));
     // The last rays of a triangle are from all of it.
     if element.count == 3 { [at[0], at[1], at[2], (at[0] + at[1] + at[2]) / 3.0] } else { at }
-}
-
-impl Eye {
-    /// The first surface that is not clear along a ray from a point of a surface, and the share of its light that gets there, by
-    /// luminance, without the fog.
-    fn first(
-        &mut self,
-        scene: &Scene<'_>,
-        from: &SurfaceSpot,
-        dir: Vec3A,
-    ) -> Option<(femc_prepared::SurfacePoint, femc_geometry::Hit, f32)> {
-        let prepared = scene.prepared;
-        let origin = femc_geometry::offset_origin(from.position, from.error, from.normal, dir);
-        let mut ray = femc_geometry::Ray { origin, dir, t_max: f32::INFINITY, time: TIME };
-        let mut share = 1.0;
-        for _ in 0..=crate::visibility::CLEAR {
-            self.rays += 1;
-            let hit = prepared.world.intersect(&ray)?;
-            let point = prepared.surface(&ray, &hit);
-            let back = point.normal.dot(dir) > 0.0;
-            let clear = luminance(prepared.materials[point.material as usize].crossing[usize::from(back)].unbent());
-            if clear <= 0.0 {
-                return Some((point, hit, share));
-            }
-            share *= clear;
-            ray.origin = femc_geometry::offset_origin(point.position, point.error, point.normal, dir);
-        }
-        None
-    }
 }

@@ -81,9 +81,11 @@ pub struct Solution {
 pub struct Cancelled;
 
 /// Errors of a link that are allowed one after the other, as multiples of what is asked for.
-const COARSE: [f32; 3] = [8.0, 2.5, 1.0];
-/// An iteration after which the light that leaves all elements would change by no more than this share of it is the last.
-const RESIDUAL: f32 = 1e-4;
+const COARSE: [f32; 2] = [3.0, 1.0];
+/// An iteration after which the light that leaves all elements would change by no more than this share of it is the last, times the
+/// error of a link; and bounds of that.
+const RESIDUAL: f32 = 3e-3;
+const RESIDUALS: [f32; 2] = [1e-4, 1e-2];
 /// Iterations in a row that each change more than the one before: light grows.
 const GROWING: usize = 4;
 /// Most iterations at one level of refinement.
@@ -141,7 +143,7 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
         if is_last {
             solver.report.row_sum = solver.lights.row_sum(&scene, &solver.arena, &solver.links, Bound::None);
         }
-        solver.iterate(if is_last { RESIDUAL } else { 1e-2 })?;
+        solver.iterate(if is_last { solver.enough() } else { RESIDUALS[1] })?;
     }
     solver.check()?;
     let report = solver.finish();
@@ -221,6 +223,11 @@ impl Solver<'_> {
                 self.lights.of[index].least = self.lights.of[a].least.min(self.lights.of[b].least);
             }
         }
+    }
+
+    /// Share of the light that further iterations may change.
+    fn enough(&self) -> f32 {
+        (RESIDUAL * self.options.error).clamp(RESIDUALS[0], RESIDUALS[1])
     }
 
     fn judge(&self, error: f32, links: usize) -> Judge<'_> {
@@ -378,7 +385,7 @@ impl Solver<'_> {
                 let found = rays.correct(self.scene, &self.arena, &mut self.lights, self.options.error);
                 (self.report.checked, self.report.corrected) = (found.ratio, found.changed);
                 contrast = found.contrast;
-                self.iterate(RESIDUAL)?;
+                self.iterate(self.enough())?;
             }
             if round + 1 == ROUNDS {
                 break;

@@ -159,18 +159,25 @@ fn a_lamp_next_to_a_ceiling_lights_it_as_the_closed_form_says() {
     }
 }
 
-/// Links that are each exact enough are wrong together; rays find that. Mean irradiance within 4 %, and in fog 10 %, of what paths find.
+/// Links that are each exact enough are wrong together; rays find that, and what comes over mirrors. Mean irradiance within 4 % of what
+/// paths find, and in fog 10 %.
 #[test]
 fn leaves_have_the_irradiance_that_paths_find() {
     let room = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../scenes/cornell.mgf")).expect("a scene");
     let fog = "medium air =\n  sigma_s 0.08\n  sigma_a 0.02\n  phase iso\nmglobal air\n";
-    for (name, text, most) in [("clear", room.clone(), 0.04), ("fog", format!("{fog}{room}"), 0.1)] {
+    let mirrors = room.replace("\trd 1\nm teal", "\trd .2\n\trs .8 0\nm teal");
+    assert_ne!(mirrors, room);
+    for (name, text, most) in [
+        ("clear", room.clone(), [0.04, 0.03]),
+        ("mirrors", mirrors, [0.04, 0.05]),
+        ("fog", format!("{fog}{room}"), [0.1, 0.03]),
+    ] {
         let scene = scene(&text);
         let points = femc_tests::irradiance::points(&scene, 600, 256).unwrap_or_else(|e| panic!("{e}"));
         let solution = solve_to(&text, 0.3);
         let found = femc_tests::irradiance::compare(&scene, &solution, &points).unwrap_or_else(|e| panic!("{e}"));
         println!("{name}: {found:?}, checked {}, corrected {}", solution.report.checked, solution.report.corrected);
-        assert!((found.mean_ratio - 1.0).abs() < most && found.lit < 0.03, "{name}: {found:?}");
+        assert!((found.mean_ratio - 1.0).abs() < most[0] && found.lit < most[1], "{name}: {found:?}");
     }
 }
 
@@ -270,7 +277,7 @@ fn light_that_grows_from_reflection_to_reflection_is_bounded() {
     let options = Options { error: 0.3, ..Options::default() };
     let Solution { field, report, .. } =
         radiosity::solve(&prepared, &options, &AtomicBool::new(false)).unwrap_or_else(|e| panic!("{e:?}"));
-    assert!(report.bounded && report.row_sum > 2.0 && report.residual <= 1e-4, "{report:?}");
+    assert!(report.bounded && report.row_sum > 2.0 && report.residual <= 1e-3, "{report:?}");
     let [_, _, most] = irradiances(&Solution { field, direct: Vec::new(), report }, Side::Front);
     assert!(most < 1e4, "{most} lx, where paths find a mean of 4");
 }

@@ -4,11 +4,11 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCFELD` |
-//! | 4 | format version, 1 |
+//! | 4 | format version, 2 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 8 x 8 | [`Statistics`]: elements, leaves, links, links with light sources, refused links, rays, iterations, bytes |
 //! | 4 | the residual |
-//! | 6 x 4 | numbers of instances, primitives of all of them, surfaces, cells, leaves, boxes of fog |
+//! | 8 x 4 | numbers of instances, primitives of all of them, surfaces, cells, leaves, boxes of fog, guides, lobes |
 //! | 8 | bytes of the tables below |
 //! | rest | zstd frame of the tables |
 //!
@@ -26,18 +26,22 @@
 //! | leaves | 0: triangle, 1: rectangle, 2: curved |
 //! | triangles, rectangles, curved leaves, in order | 9, 12, 27 |
 //! | boxes of fog | next, lower corner, upper corner, mean and changes: 19 |
+//! | guides | first lobe, number of lobes, share |
+//! | lobes | target, half axes, share: 10 |
 //!
 //! The checksum is looked at first. What is decompressed is never more than the header says, and nothing is made room for that has not
 //! come out of it. Whatever is accepted can be asked for light anywhere: indices are in their ranges, and trees have no circles.
 
-use crate::{Cell, Field, FogCell, FogTree, Form, Harmonics, Leaf, NONE, Outline, Side, Split, Surface};
+use crate::{
+    Cell, Field, FogCell, FogTree, Form, Guide, Harmonics, LOBES, Leaf, Lobe, NONE, Outline, Side, Split, Surface,
+};
 use femc_geometry::{Facing, Quadric};
 use femc_math::Rgb;
 use femc_math::glam::{Affine3A, Mat3A, Vec2, Vec3A};
 use std::io::Read;
 
 const MAGIC: &[u8; 8] = b"FEMCFELD";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
 /// Most bytes of all tables: 4 GiB.
@@ -45,6 +49,8 @@ const MOST: u64 = 1 << 32;
 /// What is read back needs no larger window than this; it bounds what the decompressor takes.
 const WINDOW_LOG: u32 = 23;
 const LEVEL: i32 = 3;
+/// No guide has all directions drawn by its lobes.
+const MOST_GUIDED: f32 = 0.99;
 
 /// What a first pass was made of.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
@@ -99,8 +105,16 @@ impl Field {
         counts.iter().for_each(|count| out.extend(count.to_le_bytes()));
         out.extend(residual.to_bits().to_le_bytes());
         let primitives: usize = self.sides.iter().map(Vec::len).sum();
-        let lengths =
-            [self.sides.len(), primitives, self.surfaces.len(), self.cells.len(), self.leaves.len(), self.fog.0.len()];
+        let lengths = [
+            self.sides.len(),
+            primitives,
+            self.surfaces.len(),
+            self.cells.len(),
+            self.leaves.len(),
+            self.fog.0.len(),
+            self.guides.len(),
+            self.lobes.len(),
+        ];
         lengths.iter().for_each(|&length| out.extend((length as u32).to_le_bytes()));
         let tables = self.tables();
         out.extend((tables.len() as u64).to_le_bytes());
@@ -168,6 +182,12 @@ impl Field {
             std::array::from_fn::<u32, 19, _>(|at| if at == 0 { next } else { values[at - 1] })
         };
         table(&mut out, self.fog.0.iter().map(fog));
+        table(&mut out, self.guides.iter().map(|guide| [guide.first, guide.count, guide.share.to_bits()]));
+        let lobe = |&Lobe { target, axes: [a, b], share }: &Lobe| {
+            let values: [u32; 9] = colors(&[target, a, b]);
+            std::array::from_fn::<u32, 10, _>(|at| if at < 9 { values[at] } else { share.to_bits() })
+        };
+        table(&mut out, self.lobes.iter().map(lobe));
         out
     }
 
@@ -197,7 +217,7 @@ impl Field {
             bytes: front.long()?,
             residual: f32::from_bits(front.word()?),
         };
-        let mut lengths = [0; 6];
+        let mut lengths = [0; 8];
         for length in &mut lengths {
             *length = front.word()?;
         }
@@ -226,8 +246,8 @@ fn decompressed(bytes: &[u8], plain: u64) -> Result<Vec<u8>, FieldError> {
     if tables.len() as u64 == plain { Ok(tables) } else { Err(LENGTH) }
 }
 
-fn read(mut tables: Tables<'_>, lengths: [u32; 6]) -> Result<Field, FieldError> {
-    let [instances, primitives, surfaces, cells, leaves, boxes] = lengths;
+fn read(mut tables: Tables<'_>, lengths: [u32; 8]) -> Result<Field, FieldError> {
+    let [instances, primitives, surfaces, cells, leaves, boxes, guides, lobes] = lengths;
     const INDEX: FieldError = FieldError::Corrupt("an index is out of its range");
     let instances: Vec<[u32; 1]> = tables.table(instances)?;
     if instances.iter().map(|[count]| u64::from(*count)).sum::<u64>() != u64::from(primitives) {
@@ -289,6 +309,9 @@ fn read(mut tables: Tables<'_>, lengths: [u32; 6]) -> Result<Field, FieldError> 
         let outline = Outline { corner: Vec2::new(x, y), edges: [Vec2::new(ax, ay), Vec2::new(bx, by)] };
         all.push(Cell { outline, split, next });
     }
+    if guides != 0 && guides != leaves {
+        return Err(FieldError::Corrupt("guides of another number"));
+    }
     let leaves = read_leaves(&mut tables, leaves)?;
     let records: Vec<[u32; 19]> = tables.table(boxes)?;
     let mut fog = Vec::with_capacity(records.len());
@@ -299,10 +322,37 @@ fn read(mut tables: Tables<'_>, lengths: [u32; 6]) -> Result<Field, FieldError> 
         let [min, max, mean @ ..] = vectors::<6, 18>(&values);
         fog.push(FogCell { min, max, next, mean });
     }
+    let records: Vec<[u32; 3]> = tables.table(guides)?;
+    if records
+        .iter()
+        .any(|&[first, count, _]| count as usize > LOBES || first.checked_add(count).is_none_or(|end| end > lobes))
+    {
+        return Err(INDEX);
+    }
+    let guides = records.into_iter().map(|[first, count, share]| Guide { first, count, share: share_of(share) });
+    let guides = guides.collect();
+    let lobe = |words: [u32; 10]| {
+        let [target, a, b] = vectors::<3, 9>(&std::array::from_fn(|at| words[at]));
+        Lobe { target, axes: [a, b], share: f32::from_bits(words[9]) }
+    };
+    let lobes: Vec<Lobe> = tables.table::<10>(lobes)?.into_iter().map(lobe).collect();
+    let is_sound = |lobe: &Lobe| {
+        let is_axis = |axis: &Vec3A| axis.is_finite() && axis.length_squared() > 0.0;
+        lobe.target.is_finite() && lobe.axes.iter().all(is_axis) && (0.0..f32::INFINITY).contains(&lobe.share)
+    };
+    if !lobes.iter().all(is_sound) {
+        return Err(FieldError::Corrupt("a lobe that is none"));
+    }
     if !tables.0.is_empty() {
         return Err(FieldError::Corrupt("more than its tables"));
     }
-    Ok(Field { surfaces, roots, cells: all, leaves, sides, fog: FogTree(fog) })
+    Ok(Field { surfaces, roots, cells: all, leaves, guides, lobes, sides, fog: FogTree(fog) })
+}
+
+/// A share of directions, in [0, 1): the rest is for what no lobe knows.
+fn share_of(bits: u32) -> f32 {
+    let share = f32::from_bits(bits);
+    if (0.0..MOST_GUIDED).contains(&share) { share } else { 0.0 }
 }
 
 fn read_leaves(tables: &mut Tables<'_>, leaves: u32) -> Result<Vec<Leaf>, FieldError> {
@@ -461,6 +511,12 @@ mod tests {
                 Leaf::Triangle([v(1.0), v(f32::INFINITY), v(3.0)]),
                 Leaf::Rectangle([v(1.0), v(2.0), v(3.0), v(4.0)]),
             ],
+            guides: vec![
+                Guide::default(),
+                Guide { first: 0, count: 2, share: 0.5 },
+                Guide { first: 1, count: 1, share: 0.25 },
+            ],
+            lobes: vec![Lobe::round(v(1.0), Vec3A::X, 0.5, 0.25), Lobe::round(v(2.0), Vec3A::Y, 0.1, 0.75)],
             sides: vec![vec![[0, 1], [2, NONE]], vec![[4, NONE], [NONE, 5]], vec![]],
             fog: FogTree(vec![fog(1), fog(0), fog(0)]),
         }
@@ -499,8 +555,8 @@ mod tests {
             assert!(Field::decode(&bytes[..at]).is_err(), "the first {at} bytes");
         }
         let mut newer = bytes;
-        newer[8] = 2;
-        assert_eq!(Field::decode(&newer).err(), Some(FieldError::Version { found: 2, expected: 1 }));
+        newer[8] = 3;
+        assert_eq!(Field::decode(&newer).err(), Some(FieldError::Version { found: 3, expected: 2 }));
     }
 
     #[test]
@@ -518,6 +574,9 @@ mod tests {
         assert!(refused(|field| field.surfaces[0].primitives[1] = 2), "no such primitive");
         assert!(refused(|field| field.surfaces[0].instance = 3), "no such instance");
         assert!(refused(|field| field.fog.0[0].next = 2), "half of a pair of boxes");
+        assert!(refused(|field| field.guides[2].count = 2), "no such lobe");
+        assert!(refused(|field| field.guides.truncate(1)), "leaves without a guide");
+        assert!(refused(|field| field.lobes[0].axes[1] = Vec3A::ZERO), "a lobe without a width");
         assert!(!refused(|_| ()));
     }
 

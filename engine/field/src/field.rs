@@ -1,4 +1,4 @@
-use crate::{Cell, FogTree, Harmonics, NONE, Side, Surface};
+use crate::{Cell, Directions, FogTree, Guide, Harmonics, Lobe, NONE, Side, Surface};
 use femc_geometry::Hit;
 use femc_math::Rgb;
 use femc_math::glam::{Vec2, Vec3A};
@@ -64,6 +64,10 @@ pub struct Field {
     pub cells: Vec<Cell>,
     /// What is known of them.
     pub leaves: Vec<Leaf>,
+    /// By leaf where its light comes from; or nothing is known of that.
+    pub guides: Vec<Guide>,
+    /// Lobes of the guides.
+    pub lobes: Vec<Lobe>,
     /// By instance and primitive: surface of the front and of the back, or [`NONE`].
     pub sides: Vec<Vec<[u32; 2]>>,
     /// Light in fog.
@@ -75,14 +79,33 @@ impl Field {
     /// - `position`, `normal`: of the hit; the unit normal on the side that is asked for.
     /// - returns 0 where the first pass knows no surface.
     pub fn irradiance(&self, hit: &Hit, side: Side, position: Vec3A, normal: Vec3A) -> Rgb {
+        let found = self.leaf(hit, side, position);
+        found.map_or(Rgb::ZERO, |(leaf, local)| self.leaves[leaf as usize].at(local, normal))
+    }
+
+    /// Where the light of a hit comes from, as far as directions are worth drawing by that.
+    /// - `position`: of the hit.
+    pub fn directions(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<Directions> {
+        if self.guides.is_empty() {
+            return None;
+        }
+        let (leaf, _) = self.leaf(hit, side, position)?;
+        let Guide { first, count, share } = self.guides[leaf as usize];
+        if count == 0 {
+            return None;
+        }
+        Directions::new(&self.lobes[first as usize..(first + count) as usize], share, position)
+    }
+
+    /// The leaf of a hit, and the hit's coordinates in it.
+    fn leaf(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<(u32, Vec2)> {
         let sides = self.sides[hit.instance as usize][hit.primitive as usize];
         let surface = sides[usize::from(side == Side::Back)];
         if surface == NONE {
-            return Rgb::ZERO;
+            return None;
         }
         let place = self.surfaces[surface as usize].parameters(position, [hit.u, hit.v]);
-        let found = Cell::find(&self.cells, self.roots[surface as usize], place);
-        found.map_or(Rgb::ZERO, |(leaf, local)| self.leaves[leaf as usize].at(local, normal))
+        Cell::find(&self.cells, self.roots[surface as usize], place)
     }
 
     /// Bytes that it takes.
@@ -90,6 +113,8 @@ impl Field {
         size_of_val(&*self.surfaces)
             + size_of_val(&*self.cells)
             + size_of_val(&*self.leaves)
+            + size_of_val(&*self.guides)
+            + size_of_val(&*self.lobes)
             + self.sides.iter().map(|sides| size_of_val(&**sides)).sum::<usize>()
             + size_of_val(&*self.fog.0)
     }

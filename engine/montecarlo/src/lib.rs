@@ -7,6 +7,7 @@
 
 mod dimensions;
 mod fog;
+mod guided;
 mod path;
 pub mod record;
 mod shadow;

@@ -2,6 +2,7 @@
 
 use crate::dimensions as dim;
 use crate::fog::{Collision, Fog, FoggyRay, Segment};
+use crate::guided::Scattering;
 use crate::record::{Contribution, Found, Leaving, Place, Recorder, Scatterer, Stop, Vertex};
 use crate::shadow::Shadow;
 use crate::technique::{Technique, weight};
@@ -127,6 +128,8 @@ pub struct Tracer<'a, R = ()> {
     shadow: Shadow,
     /// Where all but the light of sources comes from, in place of longer paths.
     field: Option<&'a Field>,
+    /// What directions are drawn by, besides the BSDF.
+    guide: Option<&'a Field>,
     /// Work done so far.
     pub counters: Counters,
     /// Who hears of the paths.
@@ -152,6 +155,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             directions: Choice::default(),
             shadow: Shadow::default(),
             field: None,
+            guide: None,
             counters: Counters::default(),
             recorder,
         }
@@ -163,6 +167,13 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         self.field = Some(field);
         // Light of sources comes by being drawn: where the path ends nothing else could find it.
         self.settings.only = Some(Technique::Light);
+        self
+    }
+
+    /// The same with directions at surfaces drawn by what a field knows of the light there, too. The mean of the samples is the same,
+    /// whatever is in the field.
+    pub fn guided_by(mut self, field: &'a Field) -> Self {
+        self.guide = Some(field);
         self
     }
 
@@ -404,6 +415,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 bounce: segment,
                 throughput,
             });
+            let scattering = Scattering::new(self.guide, (&bsdf, &frame, wo), (&hit, &point, back));
             let wanted =
                 scene.lights.at_point(point.position, lit_side(&bsdf, &point, back), lobes(&bsdf, wo, ray.dir));
             if !bsdf.is_delta_only() && !scene.lights.is_empty() {
@@ -414,7 +426,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                     let color = throughput
                         * self.direct::<MEDIA>(
                             chosen,
-                            &bsdf,
+                            (&bsdf, &scattering),
                             &frame,
                             wo,
                             &point,
@@ -435,8 +447,9 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                     });
                 }
             }
-            let bsdf = match self.field {
-                None => bsdf,
+            let rest;
+            let scattering = match self.field {
+                None => scattering,
                 Some(field) => {
                     let (reflected, transmitted) = bsdf.lambertian(wo);
                     let (here, behind) = if back { (Side::Back, Side::Front) } else { (Side::Front, Side::Back) };
@@ -449,13 +462,14 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                     let color = throughput * color * FRAC_1_PI;
                     out.color += color;
                     self.recorder.light(|| from_field(color, throughput, segment, point.position));
-                    bsdf.without_lambertian()
+                    rest = bsdf.without_lambertian();
+                    Scattering::new(None, (&rest, &frame, wo), (&hit, &point, back))
                 }
             };
             stream.seek(base + dim::LOBE);
             let choice = stream.next_1d();
             stream.seek(base + dim::DIRECTION);
-            let Some(scattered) = bsdf.sample(wo, stream.next_2d(), choice) else {
+            let Some(scattered) = scattering.sample(stream.next_2d(), choice) else {
                 self.recorder.stop(if self.field.is_some() { Stop::Field } else { Stop::Absorbed }, throughput);
                 break;
             };
@@ -563,7 +577,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
     fn direct<const MEDIA: bool>(
         &mut self,
         chosen: (u32, f32),
-        bsdf: &Bsdf,
+        (bsdf, scattering): (&Bsdf, &Scattering<'_>),
         frame: &Frame,
         wo: Vec3A,
         point: &SurfacePoint,
@@ -588,7 +602,8 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         if value == Rgb::ZERO || light.radiance == Rgb::ZERO || !same_side(frame, point, wi, light.dir) {
             return Rgb::ZERO;
         }
-        let by_scattering = if light.delta == DeltaKind::Position { 0.0 } else { square(bsdf.pdf(wo, wi) / light.pdf) };
+        let by_scattering =
+            if light.delta == DeltaKind::Position { 0.0 } else { square(scattering.pdf(wi, light.dir) / light.pdf) };
         let weight = weight(self.settings.only, Technique::Light, by_scattering);
         let contribution = value * light.radiance * (weight / light.pdf);
         let mut inside = *inside;

@@ -99,8 +99,10 @@ pub fn render_rows<R: Recorder + Send>(
             let strip = Rect { y: rect.y + row, height: 1, ..rect };
             let mut tile = Tile::new(strip, samples.clone())?;
             let mut tracer = Tracer::recording(prepared, path, recorder());
-            if let Some(field) = prepared.field.as_deref().filter(|_| settings.method == Method::Fem) {
-                tracer = tracer.with_field(field);
+            match (settings.method, prepared.field.as_deref()) {
+                (Method::Fem, Some(field)) => tracer = tracer.with_field(field),
+                (Method::Femc, Some(field)) => tracer = tracer.guided_by(field),
+                _ => (),
             }
             for x in strip.x..strip.x + strip.width {
                 // Progress shows also within a pixel of very many samples.

@@ -27,8 +27,10 @@ impl<'a, R: Recorder> Replay<'a, R> {
     pub fn recording(prepared: &'a Prepared, settings: &'a Settings, recorder: R) -> Self {
         let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth, only: None };
         let mut tracer = Tracer::recording(prepared, path, recorder);
-        if let Some(field) = prepared.field.as_deref().filter(|_| settings.method == Method::Fem) {
-            tracer = tracer.with_field(field);
+        match (settings.method, prepared.field.as_deref()) {
+            (Method::Fem, Some(field)) => tracer = tracer.with_field(field),
+            (Method::Femc, Some(field)) => tracer = tracer.guided_by(field),
+            _ => (),
         }
         Self { tracer, settings, width: prepared.camera.film[0] }
     }

@@ -102,9 +102,6 @@ pub enum SettingsError {
         /// What it may be.
         domain: &'static str,
     },
-    /// The two-pass method is not part of this build.
-    #[error("the method `femc` is not available in this version; use `pt`, `fem` or `auto`")]
-    MethodUnavailable,
     /// Elements know no lengths of paths.
     #[error(
         "a longest path (`max-depth` {0}) cannot be asked of the method `fem`, whose light has come any number of ways; use `pt`"
@@ -139,9 +136,6 @@ impl Settings {
             && (w == 0 || h == 0 || w > 32768 || h > 32768)
         {
             return refuse("size", format!("{w}x{h}"), "from 1x1 to 32768x32768");
-        }
-        if self.method == Method::Femc {
-            return Err(SettingsError::MethodUnavailable);
         }
         if self.method == Method::Fem && self.max_depth != 0 {
             return Err(SettingsError::DepthOfElements(self.max_depth));

@@ -17,6 +17,7 @@ mod census;
 mod element;
 mod form_factor;
 mod gather;
+mod incoming;
 mod lamps;
 mod link;
 mod look;

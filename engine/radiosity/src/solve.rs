@@ -4,6 +4,7 @@ use crate::arena::Arena;
 use crate::census::Census;
 use crate::element::{Element, Kind};
 use crate::gather::{Bound, FROM_ELEMENTS, FROM_SOURCES, Lights, cell_of};
+use crate::incoming::guides;
 use crate::lamps::{LampLink, LampVerdict};
 use crate::link::{Judge, Link, Verdict};
 use crate::rays::Rays;
@@ -93,7 +94,7 @@ const ITERATIONS: usize = 400;
 /// Times that rays are cast, and between them leaves cut where these find shadows.
 const ROUNDS: usize = 3;
 /// Times that the light of the links is compared with that of the same rays.
-const CHECKS: usize = 2;
+const CHECKS: usize = 4;
 /// Share of the mean irradiance that is added to an element's when a link's error is judged.
 const FLOOR: f32 = 0.03;
 /// Parts of all surfaces' area, and of the fog's volume, that are not cut further, over the error.
@@ -145,10 +146,12 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
         }
         solver.iterate(if is_last { solver.enough() } else { RESIDUALS[1] })?;
     }
-    solver.check()?;
+    let rays = solver.check()?;
     let report = solver.finish();
-    let Solver { arena, lights, .. } = solver;
+    let Solver { arena, lights, links, .. } = solver;
+    let (guides, lobes) = guides(&scene, &arena, &lights, &links, &rays, &leaves(&arena));
     let (field, direct) = field(scene, &arena, &lights);
+    let field = Field { guides, lobes, ..field };
     Ok(Solution { field, direct, report })
 }
 
@@ -374,21 +377,27 @@ impl Solver<'_> {
     }
 
     /// Takes of the light that links bring what rays find of it, on leaves that are fine enough for the shadows that these find.
-    fn check(&mut self) -> Result<(), Cancelled> {
-        for round in 0..ROUNDS {
+    fn check(&mut self) -> Result<Rays, Cancelled> {
+        let mut round = 0;
+        loop {
+            round += 1;
             let room = self.options.memory.saturating_sub(self.bytes(self.links.len()));
-            let rays = Rays::new(self.scene, &self.arena, room);
-            self.most_rays = self.most_rays.max(rays.bytes());
-            self.report.rays += rays.traced;
+            let mut rays = Rays::new(self.scene, &self.arena, room);
             let mut contrast = Vec::new();
-            for _ in 0..CHECKS {
+            for check in 0..CHECKS {
+                if check > 0 {
+                    rays.aim(self.scene, &self.arena, &self.lights, room);
+                }
                 let found = rays.correct(self.scene, &self.arena, &mut self.lights, self.options.error);
                 (self.report.checked, self.report.corrected) = (found.ratio, found.changed);
                 contrast = found.contrast;
                 self.iterate(self.enough())?;
             }
-            if round + 1 == ROUNDS {
-                break;
+
+            self.most_rays = self.most_rays.max(rays.bytes());
+            self.report.rays += rays.traced;
+            if round == ROUNDS {
+                return Ok(rays);
             }
             let judge = self.judge(self.options.error, self.links.len());
             let is_uneven = |&(leaf, contrast): &(u32, f32)| {
@@ -397,7 +406,7 @@ impl Solver<'_> {
             };
             let uneven: Vec<u32> = contrast.iter().filter(|leaf| is_uneven(leaf)).map(|&(leaf, _)| leaf).collect();
             if uneven.is_empty() {
-                break;
+                return Ok(rays);
             }
             for leaf in uneven {
                 let (halves, _) = self.arena.children(self.scene, leaf);
@@ -408,7 +417,6 @@ impl Solver<'_> {
             self.lights.grow(&self.arena);
             self.lights.push_pull(self.scene, &self.arena);
         }
-        Ok(())
     }
 
     fn finish(&self) -> Report {
@@ -436,6 +444,25 @@ fn judged<T: Sync, V: Send>(pending: &[T], judge: impl Fn(&T, &mut Eye) -> V + S
         .collect();
     let rays = chunks.iter().map(|(_, rays)| rays).sum();
     (chunks.into_iter().flat_map(|(verdicts, _)| verdicts).collect(), rays)
+}
+
+/// Leaves of surfaces, in the order of the field.
+fn leaves(arena: &Arena) -> Vec<u32> {
+    let mut leaves = Vec::new();
+    for &root in arena.roots.iter().filter(|&&root| root != NONE) {
+        let mut order = vec![root];
+        let mut at = 0;
+        while at < order.len() {
+            let element = &arena.elements[order[at] as usize];
+            if element.is_leaf() {
+                leaves.push(order[at])
+            } else {
+                order.extend(element.children)
+            }
+            at += 1;
+        }
+    }
+    leaves
 }
 
 /// What is kept of a solution, and beside it what comes straight from light sources.

@@ -2,6 +2,7 @@
 
 pub mod agreement;
 pub mod brute;
+pub mod closed_forms;
 pub mod fuzz;
 pub mod honesty;
 pub mod irradiance;

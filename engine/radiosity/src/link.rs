@@ -336,7 +336,7 @@ impl Judge<'_> {
             (_, Kind::Patch) => q.size * (-q.normal.dot(way) / distance).max(0.0) / (PI * distance2),
             _ => 1.0 / distance2,
         };
-        if open <= 0.0 || self.scene.fog.is_none() {
+        if open <= 0.0 || self.scene.haze == Some(0.0) {
             return open.max(0.0);
         }
         if q.kind != Kind::Patch || !near {

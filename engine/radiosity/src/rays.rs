@@ -311,7 +311,7 @@ fn met(scene: &Scene<'_>, arena: &Arena, from: &SurfaceSpot, dir: Vec3A, u: [f32
     let mut share = share;
     let media = &scene.prepared.media;
     let length = hit.as_ref().map_or(f32::INFINITY, |(point, _)| point.position.distance(from.position));
-    if arena.fog != NONE && media.along(from.position, dir, length, &Inside::default(), &mut eye.media) {
+    if !media.is_empty() && media.along(from.position, dir, length, &Inside::default(), &mut eye.media) {
         match media.draw(&eye.media, f64::from(u[0]), u[1]) {
             Distance::Scatter(event) => {
                 let leaf = arena.fog_at(from.position + dir * event.t);

@@ -11,6 +11,7 @@ pub mod reference;
 pub mod rng;
 pub mod stress;
 pub mod text;
+pub mod two_rooms;
 
 use femc_film::{Frame, FrameImage};
 use femc_import::{Bundle, load};

@@ -187,7 +187,7 @@ pub fn floor_alone() -> Case {
 }
 
 /// Light of a room of luminance 1 that shines through a disc of radius `r2`, and a coaxial disc of radius `r1` at distance `h` that
-/// receives it (\[howell2010\], B-13).
+/// receives it (\[howell2010\]).
 pub fn discs(r1: f64, r2: f64, h: f64) -> Case {
     let mut text = format!("{CAMERA}m room =\n  sides 1\n  ed {PI}\n");
     let at = corners([20.0, 20.0, 10.0]).map(|[x, y, z]| [x - 10.0, y - 10.0, z - 10.0]);

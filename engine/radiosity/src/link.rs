@@ -204,7 +204,9 @@ impl Judge<'_> {
             if q.is_wide() {
                 mean * radiosity * (0.1 + 2.0 * near_q * near_q)
             } else {
-                mean * spread * (2.0 * near_q).min(1.0)
+                // A few points stand for what is no polygon.
+                let shape = if q.kind == Kind::Patch && q.corner_count == 0 { 0.5 * near_q * near_q } else { 0.0 };
+                mean * (spread * (2.0 * near_q).min(1.0) + shape * radiosity)
             },
         ];
         // A source that is small from here is one of many, next to each other, whose errors at the receiver are alike and add up.

@@ -2,7 +2,7 @@
 
 use femc_math::glam::DVec3;
 use femc_tests::closed_forms::{
-    Case, Errors, Slab, ball, discs, errors, floor_alone, furnace, furnace_fog, lamp_in_fog, of_discs, sphere,
+    Case, Errors, SLABS, Slab, ball, discs, errors, floor_alone, furnace, furnace_fog, lamp_in_fog, of_discs, sphere,
     third_exponential_integral,
 };
 
@@ -102,4 +102,16 @@ fn light_of_a_lamp_in_fog_without_end_falls_off() {
         let [near, middle, far] = [1.0, 2.0, 3.0].map(|x| solved.in_fog(DVec3::X * x));
         assert!(near > middle && middle > far && far > 0.0, "{near} {middle} {far}");
     }
+}
+
+/// Light that a slab sends back, and that it lets through after scattering: too little, and less so the less error a link may have.
+#[test]
+fn slabs_that_take_nothing_come_closer_to_what_they_reflect_and_let_through() {
+    let (thickness, albedo, reflected, transmitted) = SLABS[1];
+    let case = Slab { thickness, albedo, reach: 6.0, lamps: 3 }.case(reflected, transmitted);
+    let found = [0.3, 0.1, 0.03].map(|error| found(&case, error));
+    for (errors, most) in found.iter().zip([0.25, 0.14, 0.08]) {
+        assert!(errors.rms < most && errors.mean < 0.02, "{errors:?}");
+    }
+    assert!(found[2].rms < 0.6 * found[0].rms, "{found:?}");
 }

@@ -16,6 +16,7 @@ use crate::faults::Hardship;
 use crate::people::{Curse, Errand, Manner, Person, Whim, answer, drain_a_while, open_all, some};
 use crate::shared::Shared;
 use crate::shelf::Shelf;
+use crate::stage::Stage;
 use crate::{drill, stage};
 
 /// People of a world.
@@ -48,6 +49,7 @@ impl Cast {
     pub(crate) fn of(seed: u64) -> anyhow::Result<Self> {
         let mut rng = SmallRng::seed_from_u64(seed ^ 0x0ca5_7000);
         let mut drills = Drills::of(seed);
+        let mut first_passes = FirstPasses::of(seed);
         let count = if drills.are_there { rng.random_range(1..=4).max(2) } else { rng.random_range(1..=4) };
         let is_shared = rng.random_range(0..3) == 0;
         let (mut left, mut people) = (FRAMES, vec![Vec::new(); count]);
@@ -62,7 +64,13 @@ impl Cast {
             let is_both = is_first && is_shared && number < 2 && count > 1;
             let mut own = if is_both { SmallRng::seed_from_u64(seed) } else { SmallRng::seed_from_u64(rng.random()) };
             let content = if is_both { drills.common() } else { drills.draw() };
-            let mut errand = errand(&mut own, left.min(2), content)?;
+            let lit = if is_both { first_passes.common() } else { first_passes.draw() };
+            let stage = match (content, lit) {
+                (Some(content), _) => Some(drill::stage(content)),
+                (None, Some(number)) => Some(stage::lit(number)?),
+                (None, None) => None,
+            };
+            let mut errand = errand(&mut own, left.min(2), stage)?;
             errand.key = if is_both { "both".into() } else { format!("{name} {place}") };
             errand.spec.owner = if is_both { "both".into() } else { name };
             if is_both {
@@ -159,10 +167,37 @@ impl Drills {
     }
 }
 
-/// - `content`: of a drill.
-fn errand(rng: &mut SmallRng, most: usize, content: Option<u64>) -> anyhow::Result<Errand> {
-    let rendered = stage::pick(rng.random_range(0..stage::Stage::COUNT))?;
-    let stage = content.map_or_else(|| rendered.clone(), drill::stage);
+/// Which jobs of a world are lit by a first pass.
+struct FirstPasses {
+    seed: u64,
+    rng: SmallRng,
+    are_there: bool,
+}
+
+impl FirstPasses {
+    /// Every third world has some, among drills or not.
+    fn of(seed: u64) -> Self {
+        let mut rng = SmallRng::seed_from_u64(seed ^ 0x0f12_5700);
+        let are_there = rng.random_range(0..3) == 0;
+        Self { seed, rng, are_there }
+    }
+
+    /// The number of the job of those who want the same.
+    fn common(&self) -> Option<u64> {
+        self.are_there.then_some(self.seed)
+    }
+
+    /// The number of the next job, if that has one.
+    fn draw(&mut self) -> Option<u64> {
+        let number = self.rng.random();
+        (self.are_there && self.rng.random_range(0..2) == 0).then_some(number)
+    }
+}
+
+/// - `special`: what is wanted, if that is not a job that is rendered by paths.
+fn errand(rng: &mut SmallRng, most: usize, special: Option<Stage>) -> anyhow::Result<Errand> {
+    let rendered = stage::pick(rng.random_range(0..Stage::COUNT))?;
+    let stage = special.unwrap_or_else(|| rendered.clone());
     let curse = match rng.random_range(0..24) {
         0..4 => Curse::NowAndThen,
         4 => Curse::Always,

@@ -48,6 +48,14 @@ m bright
 sph e 0.2
 ";
 
+/// The same without fog and with a wall: a world that stays as it is while the camera zooms.
+/// - `reflectance`: of floor and wall.
+fn still(reflectance: f64) -> String {
+    let wall = "v g =\n    p -2 2 2\nv h =\n    p 2 2 2\nm gray\nf d c h g\n";
+    let scene = SCENE.replace("mbox haze -1 -1 -1 1 1 1\n", "").replace("rd 0.6", &format!("rd {reflectance}"));
+    scene.replace("vary medium.haze.sigma_s = 0 0.05 1 0.4", "vary camera.main.fov = 0 40 1 30") + wall
+}
+
 pub(crate) const FRAMES: [u32; 3] = [1, 2, 3];
 const FILM: [u32; 2] = [16, 12];
 const TILE: u32 = 8;
@@ -74,7 +82,8 @@ impl Stage {
     fn grouped(&self, fan: NonZeroU32) -> Self {
         let Grid { film, tile } = self.spec.grid;
         let tiling = Tiling { width: film[0], height: film[1], edge: tile };
-        let graph = graph(&femc_pipeline::stages(&tiling, self.spec.rounds(), fan, Method::Pt));
+        let method = if self.spec.contents.is_empty() { Method::Pt } else { Method::Fem };
+        let graph = graph(&femc_pipeline::stages(&tiling, self.spec.rounds(), fan, method));
         let spec = JobSpec { graph, ..self.spec.clone() };
         Self { spec, ..self.clone() }
     }
@@ -129,6 +138,21 @@ pub(crate) fn pick(number: u64) -> anyhow::Result<&'static Stage> {
     stages.get((number % stages.len() as u64) as usize).context("a stage")
 }
 
+/// Jobs whose frames are lit by a first pass, which those of one world share: of two worlds, in one round and in several.
+static LIT: LazyLock<Result<Vec<Stage>, String>> = LazyLock::new(|| {
+    let kinds =
+        [0.3, 0.6].into_iter().flat_map(|reflectance| [ROUNDS[0], ROUNDS[1]].map(|rounds| (reflectance, rounds)));
+    let lit = kinds.map(|(reflectance, rounds)| rendered(&still(reflectance), Method::Fem, rounds, 0));
+    lit.collect::<anyhow::Result<_>>().map_err(|error| format!("{error:#}"))
+});
+
+/// The job of this number among those that have a first pass.
+pub(crate) fn lit(number: u64) -> anyhow::Result<Stage> {
+    let stages = LIT.as_ref().map_err(|error| anyhow::anyhow!("{error}"))?;
+    let stage = stages.get((number % stages.len() as u64) as usize).context("a stage")?;
+    Ok(stage.grouped(FANS[(number / 4 % 4) as usize]))
+}
+
 /// How the farm of this number cuts tasks.
 pub(crate) fn schedule(number: u64) -> Config {
     if number % 4 < 2 { whole() } else { cut() }
@@ -140,14 +164,24 @@ pub(crate) fn fresh(number: u64) -> anyhow::Result<Stage> {
 }
 
 fn stage(rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
+    rendered(SCENE, Method::Pt, rounds, seed)
+}
+
+fn rendered(scene: &str, method: Method, rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
     // An error that is never reached: every round runs.
     let stop = if let [spp] = rounds { Stop::Spp(*spp) } else { Stop::Error(1e-9) };
-    let settings = Settings { stop, max_depth: 3, seed, ..Settings::default() };
-    let bundle = Bundle(BTreeMap::from([("haze.mgf".into(), SCENE.as_bytes().to_vec())]));
+    // Light of elements has come any number of ways.
+    let max_depth = if method.has_first_pass() { 0 } else { 3 };
+    let settings = Settings { stop, max_depth, seed, method, ..Settings::default() };
+    let bundle = Bundle(BTreeMap::from([("haze.mgf".into(), scene.as_bytes().to_vec())]));
     let source = femc_pipeline::Source::new(Arc::new(femc_import::load(&bundle, "haze.mgf")?.scene));
     let spp = *rounds.last().context("a round")?;
-    let mut digests = Vec::new();
+    let (mut digests, mut contents) = (Vec::new(), Vec::new());
     for number in FRAMES {
+        if method.has_first_pass() {
+            let key = femc_pipeline::first_pass_key(&femc_pipeline::frame_key(&source, &settings, number)?);
+            contents.push((FRAMES.len() as u32, Digest::from_bytes(key)));
+        }
         let prepared = femc_pipeline::prepare(&source, &settings, number, None)?;
         let tiling = Tiling::new(FILM[0], FILM[1], TILE)?;
         let mut frame = Frame::new(tiling);
@@ -158,6 +192,7 @@ fn stage(rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
         }
         digests.push(pixel_digest(&frame.resolve().color).to_string());
     }
+    contents.dedup();
     let bytes = bundle.encode()?;
     let spec = JobSpec {
         name: "haze".into(),
@@ -166,8 +201,8 @@ fn stage(rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
         settings: serde_json::to_string(&settings)?,
         frames: FRAMES.to_vec(),
         grid: Grid { film: FILM, tile: TILE },
-        graph: graph(&femc_pipeline::stages(&Tiling::new(FILM[0], FILM[1], TILE)?, rounds, FANS[0], Method::Pt)),
-        contents: vec![],
+        graph: graph(&femc_pipeline::stages(&Tiling::new(FILM[0], FILM[1], TILE)?, rounds, FANS[0], method)),
+        contents,
         priority: 50,
         owner: "me".into(),
         tags: vec![],

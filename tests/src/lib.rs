@@ -2,6 +2,8 @@
 
 pub mod agreement;
 pub mod brute;
+pub mod closed_forms;
+pub mod furnished;
 pub mod fuzz;
 pub mod honesty;
 pub mod irradiance;
@@ -9,6 +11,7 @@ pub mod reference;
 pub mod rng;
 pub mod stress;
 pub mod text;
+pub mod two_rooms;
 
 use femc_film::{Frame, FrameImage};
 use femc_import::{Bundle, load};

@@ -32,16 +32,13 @@ impl Arena {
             .filter(|(_, element)| element.radius.is_finite() && element.radius > 0.0)
             .collect();
         let fog = scene.fog.map(|bounds| Element::of_fog(scene, None, bounds, 0));
-        if fog.is_some() {
-            arena.push(Element::cluster(NONE, 1));
-        }
-        let parent = if fog.is_some() { 0 } else { NONE };
+        let parent = if fog.is_some() && !roots.is_empty() { arena.push(Element::cluster(NONE, 1)) } else { NONE };
         let surfaces = if roots.is_empty() { NONE } else { arena.cluster(&mut roots, parent, 2) };
         if let Some(fog) = fog {
-            arena.fog = arena.push(Element { parent: 0, ..fog });
-            let whole = &mut arena.elements[0];
-            (whole.children, whole.radius) = ([surfaces, 0], f32::INFINITY);
-            whole.children[1] = arena.fog;
+            arena.fog = arena.push(Element { parent, ..fog });
+            if let Some(whole) = arena.elements.get_mut(parent as usize) {
+                (whole.children, whole.radius) = ([surfaces, arena.fog], f32::INFINITY);
+            }
         } else {
             arena.root = surfaces;
         }

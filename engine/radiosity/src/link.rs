@@ -204,7 +204,9 @@ impl Judge<'_> {
             if q.is_wide() {
                 mean * radiosity * (0.1 + 2.0 * near_q * near_q)
             } else {
-                mean * spread * (2.0 * near_q).min(1.0)
+                // A few points stand for what is no polygon.
+                let shape = if q.kind == Kind::Patch && q.corner_count == 0 { 0.5 * near_q * near_q } else { 0.0 };
+                mean * (spread * (2.0 * near_q).min(1.0) + shape * radiosity)
             },
         ];
         // A source that is small from here is one of many, next to each other, whose errors at the receiver are alike and add up.
@@ -336,7 +338,7 @@ impl Judge<'_> {
             (_, Kind::Patch) => q.size * (-q.normal.dot(way) / distance).max(0.0) / (PI * distance2),
             _ => 1.0 / distance2,
         };
-        if open <= 0.0 || self.scene.fog.is_none() {
+        if open <= 0.0 || self.scene.haze == Some(0.0) {
             return open.max(0.0);
         }
         if q.kind != Kind::Patch || !near {

@@ -581,18 +581,15 @@ fn met(scene: &Scene<'_>, arena: &Arena, from: &SurfaceSpot, dir: Vec3A, u: [f32
         let hit = prepared.world.intersect(&ray);
         let length = hit.as_ref().map_or(f32::INFINITY, |hit| hit.t);
         let media = &prepared.media;
-        if arena.fog != NONE
+        if !media.is_empty()
             && !is_inside
             && media.along(ray.origin, ray.dir, length, &Inside::default(), &mut eye.media)
         {
             match media.draw(&eye.media, f64::from(numbers.next()), numbers.next()) {
                 Distance::Scatter(event) => {
                     let leaf = arena.fog_at(ray.origin + ray.dir * event.t);
-                    return leaf.map_or(nothing, |leaf| Sight {
-                        leaf,
-                        share: share * luminance(event.weight),
-                        ..nothing
-                    });
+                    let (share, target) = (share * luminance(event.weight), target(way + event.t));
+                    return leaf.map_or(nothing, |leaf| Sight { leaf, share, target, ..nothing });
                 }
                 Distance::Through { weight } => share *= luminance(weight),
             }

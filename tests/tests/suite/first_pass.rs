@@ -1,5 +1,8 @@
 //! The finite-element first pass: closed forms, references, and inputs that break finite elements.
 
+mod closed_forms;
+mod hard;
+
 use femc_math::glam::Vec3A;
 use femc_pipeline::radiosity::{self, Options};
 use femc_pipeline::{

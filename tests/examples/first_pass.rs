@@ -1,0 +1,138 @@
+//! The first pass measured: `first_pass errors [--error E,E..] [--only WORD]` sets its own estimates of error beside true errors in scenes
+//! whose light is known; `first_pass growth [--error E] [--faces N,N..] [--kind room|terrain]` solves scenes of more and more faces.
+//!
+//! `cargo run --release -p femc-tests --example first_pass -- errors`
+
+use femc_pipeline::radiosity::Options;
+use femc_tests::closed_forms::{Case, Solved, all, errors};
+use femc_tests::furnished::{Kind, furnished};
+use std::error::Error;
+use std::time::Instant;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let args: Vec<String> = std::env::args().skip(1).collect();
+    let option =
+        |name: &str| args.iter().position(|arg| arg == name).and_then(|at| args.get(at + 1)).map(String::as_str);
+    match args.first().map(String::as_str) {
+        Some("errors") => {
+            let errors = numbers(option("--error").unwrap_or("1,0.3,0.1,0.03"))?;
+            let word = option("--only").unwrap_or("");
+            table(&all().into_iter().filter(|case| case.name.contains(word)).collect::<Vec<_>>(), &errors);
+        }
+        Some("growth") => {
+            let faces = numbers(option("--faces").unwrap_or("1000,3000,10000,30000,100000"))?;
+            let error = option("--error").unwrap_or("1").parse()?;
+            let kind = if option("--kind") == Some("terrain") { Kind::Terrain } else { Kind::Room };
+            growth(kind, &faces, error);
+        }
+        _ => return Err("usage: first_pass errors [--error E,E..] [--only WORD] | growth [--error E] [--faces N,N..] [--kind room|terrain]".into()),
+    }
+    Ok(())
+}
+
+fn numbers(text: &str) -> Result<Vec<f32>, std::num::ParseFloatError> {
+    text.split(',').map(str::parse).collect()
+}
+
+/// Estimates of a solution's error, as shares of its light.
+const ESTIMATES: [&str; 6] = ["error", "corrected", "|checked-1|", "sum of both", "row sum-1", "error/4"];
+
+fn estimates(error: f32, solved: &Solved) -> [f64; 6] {
+    let report = &solved.report;
+    let (corrected, checked) = (f64::from(report.corrected), f64::from((report.checked - 1.0).abs()));
+    let error = f64::from(error);
+    [error, corrected, checked, corrected + checked, f64::from((report.row_sum - 1.0).abs()), 0.25 * error]
+}
+
+fn table(cases: &[Case], asked: &[f32]) {
+    println!(
+        "scene\terror\tseconds\tleaves\trefused\tof the mean\trms\tgreatest\tchecked\tcorrected\trow sum\tresidual"
+    );
+    let mut ratios: [Vec<f64>; 6] = Default::default();
+    for case in cases {
+        for &error in asked {
+            let start = Instant::now();
+            let (solved, pairs) = case.solve(error);
+            let (found, report) = (errors(&pairs), solved.report);
+            println!(
+                "{}\t{error}\t{:.1}\t{}\t{}\t{:+.5}\t{:.5}\t{:.5}\t{:.4}\t{:.4}\t{:.4}\t{:.1e}",
+                case.name,
+                start.elapsed().as_secs_f64(),
+                report.leaves,
+                report.refused,
+                found.mean,
+                found.rms,
+                found.most,
+                report.checked,
+                report.corrected,
+                report.row_sum,
+                report.residual
+            );
+            for (ratios, estimate) in ratios.iter_mut().zip(estimates(error, &solved)) {
+                ratios.push(estimate / found.rms);
+            }
+        }
+    }
+    println!("\nestimate over rms error\tleast\tmedian\tgreatest\tbelow 1");
+    for (name, ratios) in ESTIMATES.iter().zip(&mut ratios) {
+        ratios.sort_by(f64::total_cmp);
+        let below = ratios.iter().filter(|&&ratio| ratio < 1.0).count();
+        let n = ratios.len();
+        if n > 0 {
+            println!("{name}\t{:.3}\t{:.3}\t{:.3}\t{below} of {n}", ratios[0], ratios[n / 2], ratios[n - 1]);
+        }
+    }
+}
+
+/// Seconds that this process has spent on its processors, where the system says so.
+fn processor_seconds() -> Option<f64> {
+    let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
+    let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
+    // User and system, in hundredths.
+    Some((fields.get(11)?.parse::<f64>().ok()? + fields.get(12)?.parse::<f64>().ok()?) / 100.0)
+}
+
+fn growth(kind: Kind, faces: &[f32], error: f32) {
+    println!(
+        "faces\tseconds\tprocessor seconds\telements\tleaves\tlinks\tlamp links\trefused\trays\tMB\trow sum\tbounded"
+    );
+    let mut rows: Vec<[f64; 4]> = Vec::new();
+    for &wanted in faces {
+        let (text, faces) = furnished(kind, wanted as usize);
+        let source = femc_pipeline::Source::new(femc_tests::scene(&text));
+        let prepared = femc_pipeline::prepare(&source, &femc_pipeline::Settings::default(), 1, None);
+        let prepared = prepared.unwrap_or_else(|e| panic!("{e}"));
+        let (start, before) = (Instant::now(), processor_seconds());
+        let options = Options { error, ..Options::default() };
+        let cancel = std::sync::atomic::AtomicBool::new(false);
+        let solution = femc_pipeline::radiosity::solve(&prepared, &options, &cancel);
+        let report = solution.unwrap_or_else(|e| panic!("{e:?}")).report;
+        let seconds = start.elapsed().as_secs_f64();
+        let spent = processor_seconds().zip(before).map_or(seconds, |(now, before)| now - before);
+        println!(
+            "{faces}\t{seconds:.2}\t{spent:.2}\t{}\t{}\t{}\t{}\t{}\t{}\t{}\t{:.2}\t{}",
+            report.elements,
+            report.leaves,
+            report.links,
+            report.lamp_links,
+            report.refused,
+            report.rays,
+            report.bytes >> 20,
+            report.row_sum,
+            report.bounded
+        );
+        rows.push([report.elements as f64, seconds, spent, report.links as f64]);
+    }
+    for (k, what) in ["seconds", "processor seconds", "links"].into_iter().enumerate() {
+        println!("exponent of {what} by elements: {:.3}", exponent(rows.iter().map(|row| [row[0], row[k + 1]])));
+    }
+}
+
+/// Slope of the line through the logarithms, by least squares.
+fn exponent(pairs: impl Iterator<Item = [f64; 2]>) -> f64 {
+    let logs: Vec<[f64; 2]> = pairs.map(|pair| pair.map(|x| x.max(1e-9).ln())).collect();
+    let n = logs.len() as f64;
+    let [x, y] = [0, 1].map(|k| logs.iter().map(|pair| pair[k]).sum::<f64>() / n);
+    let (xy, xx) = logs.iter().fold((0.0, 0.0), |(xy, xx), [a, b]| (xy + (a - x) * (b - y), xx + (a - x) * (a - x)));
+    xy / xx
+}

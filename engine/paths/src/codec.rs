@@ -4,7 +4,7 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCPATH` |
-//! | 4 | format version, 1 |
+//! | 4 | format version, 2 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 4 | version of the attributes and their bins ([`schema`]) |
 //! | 8 | seed |
@@ -21,6 +21,7 @@
 //! | table | words of a record |
 //! | --- | --- |
 //! | portions | tile, half, begin, end; the counters, two each |
+//! | pixels, portion by portion | samples, depth, throughput, luminance: 2, its squares: 4 ([`pixels`](crate::pixels)) |
 //! | paths, brightest, deepest | pixel, sample, radiance: 3, throughput: 3, depth, end, numbers of intersections, lights |
 //! | intersections, in order | bounce, position: 6, radiance: 3, throughput: 3, object, material, interaction |
 //! | lights, in order | vertex, light, radiance: 3, occluder, how it was found |
@@ -31,6 +32,7 @@
 //! The checksum is looked at first. What is decompressed is never more than the header says, and nothing is made room for that has not
 //! come out of it. Accepted bytes hold all laws of [`Statistics`]: order, ranges, portions apart, no number that is not finite.
 
+use crate::pixels::{self, PixelSums};
 use crate::record::{
     End, Found, Interaction, Intersection, Kind, Light, MOST_INTERSECTIONS, MOST_LIGHTS, Name, Names, Path, PathKey,
 };
@@ -40,11 +42,11 @@ use std::collections::BTreeMap;
 use std::io::Read;
 
 const MAGIC: &[u8; 8] = b"FEMCPATH";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
-/// Most bytes of all tables: 1 GiB.
-const MOST: u64 = 1 << 30;
+/// Most bytes of all tables: 4 GiB, of which a film of 8192 x 4320 pixels has 2.4 GiB.
+const MOST: u64 = 1 << 32;
 /// What is read back needs no larger window than this; it bounds what the decompressor takes.
 const WINDOW_LOG: u32 = 23;
 const LEVEL: i32 = 3;
@@ -118,6 +120,7 @@ impl Statistics {
         // A name without a text is written as no name.
         let place = |name: Name| places.get(&name).copied().unwrap_or(0);
         table(&mut out, self.portions.iter().map(|(key, counters)| portion(key, counters)));
+        table(&mut out, self.portions.values().flat_map(|counters| &counters.pixels).map(PixelSums::words));
         let all = [&self.paths, &self.brightest, &self.deepest];
         for records in all {
             table(&mut out, records.values().map(path));
@@ -209,7 +212,7 @@ fn decompressed(bytes: &[u8], plain: u64) -> Result<Vec<u8>, PathsError> {
 
 fn read(mut tables: Tables<'_>, scope: Scope, threshold: u64, lengths: [u32; 7]) -> Result<Statistics, PathsError> {
     let [portions, paths, brightest, deepest, intersections, lights, names] = lengths;
-    let portions = read_portions(tables.table(portions)?, &scope)?;
+    let portions = read_portions(&mut tables, portions, &scope)?;
     let heads: [Vec<[u32; PATH]>; 3] = [tables.table(paths)?, tables.table(brightest)?, tables.table(deepest)?];
     let intersections: Vec<[u32; INTERSECTION]> = tables.table(intersections)?;
     let lights: Vec<[u32; LIGHT]> = tables.table(lights)?;
@@ -283,16 +286,21 @@ fn read(mut tables: Tables<'_>, scope: Scope, threshold: u64, lengths: [u32; 7])
     Ok(read)
 }
 
-fn read_portions(records: Vec<[u32; PORTION]>, scope: &Scope) -> Result<BTreeMap<PortionKey, Counters>, PathsError> {
+fn read_portions(
+    tables: &mut Tables<'_>,
+    records: u32,
+    scope: &Scope,
+) -> Result<BTreeMap<PortionKey, Counters>, PathsError> {
+    let records: Vec<[u32; PORTION]> = tables.table(records)?;
     let [_, tiles] = scope.tiles();
-    let mut portions = BTreeMap::new();
+    let (mut portions, mut all_pixels) = (BTreeMap::<PortionKey, Counters>::new(), 0u64);
     for words in records {
         let [tile, half, begin, end, ref counts @ ..] = words;
         let mut counters = Counters::default();
         let longs = counts.as_chunks::<2>().0.iter().map(|&[low, high]| u64::from(low) | u64::from(high) << 32);
         counters.words_mut().zip(longs).for_each(|(count, value)| *count = value);
         let key = PortionKey { tile, half: half.min(2) as u8, begin, end };
-        if u64::from(tile) >= tiles || half > 1 || begin >= end || !counters.is_sound() {
+        if u64::from(tile) >= tiles || half > 1 || begin >= end {
             return Err(RANGE);
         }
         // The samples that it says are those that were counted.
@@ -302,7 +310,19 @@ fn read_portions(records: Vec<[u32; PORTION]>, scope: &Scope) -> Result<BTreeMap
         if portions.last_key_value().is_some_and(|(last, _)| *last >= key) || !is_clear(&portions, key) {
             return Err(ORDER);
         }
+        all_pixels = all_pixels.saturating_add(scope.area(tile));
         portions.insert(key, counters);
+    }
+    let pixels: Vec<[u32; pixels::WORDS]> = tables.table(u32::try_from(all_pixels).map_err(|_| CUT)?)?;
+    let mut rest = &pixels[..];
+    for (key, counters) in &mut portions {
+        let area = scope.area(key.tile);
+        let (own, others) = rest.split_at_checked(area as usize).ok_or(CUT)?;
+        rest = others;
+        counters.pixels = own.iter().map(|words| PixelSums::from_words(*words)).collect();
+        if !counters.is_sound(*key, area) {
+            return Err(RANGE);
+        }
     }
     Ok(portions)
 }

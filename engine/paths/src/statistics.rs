@@ -9,6 +9,7 @@
 //! of the share [`Statistics::share`]. Records of samples that turn out not to count are dropped, which leaves all that count below
 //! the same threshold.
 
+use crate::pixels::{self, PixelSums};
 use crate::record::{Name, Names, Path, PathKey};
 use crate::schema;
 use std::collections::{BTreeMap, BTreeSet};
@@ -55,6 +56,16 @@ impl Scope {
         let (columns, edge) = (self.tiles()[0].max(1), u64::from(self.edge));
         let (x, y) = (u64::from(tile) % columns * edge, u64::from(tile) / columns * edge);
         edge.min(width.saturating_sub(x)) * edge.min(height.saturating_sub(y))
+    }
+
+    /// Pixels of a tile, row by row.
+    pub fn pixels_of(&self, tile: u32) -> impl Iterator<Item = u32> + use<> {
+        let (edge, [width, height]) = (self.edge.max(1), self.film);
+        let columns = width.div_ceil(edge).max(1);
+        let [x, y] = [tile % columns, tile / columns].map(|place| place.saturating_mul(edge));
+        let end = |begin: u32, size: u32| begin.saturating_add(edge).min(size);
+        let (columns, rows) = (x..end(x, width), y..end(y, height));
+        rows.flat_map(move |y| columns.clone().map(move |x| y * width + x))
     }
 
     /// Pixels of the film.
@@ -107,6 +118,8 @@ pub struct Counters {
     pub depth: [u64; schema::FINE],
     /// By why the path ended, in the order of [`End::ALL`](crate::End::ALL).
     pub ends: [u64; ENDS],
+    /// Sums of each pixel of the tile, row by row.
+    pub pixels: Vec<PixelSums>,
 }
 
 /// Reasons for a path to end.
@@ -114,12 +127,18 @@ pub(crate) const ENDS: usize = crate::End::ALL.len();
 
 impl Default for Counters {
     fn default() -> Self {
-        Self { bad: 0, luminance: [0; schema::FINE], depth: [0; schema::FINE], ends: [0; ENDS] }
+        let (luminance, depth) = ([0; schema::FINE], [0; schema::FINE]);
+        Self { bad: 0, luminance, depth, ends: [0; ENDS], pixels: Vec::new() }
     }
 }
 
 impl Counters {
-    /// Counts a sample of a luminance, a depth and an end.
+    /// Of no samples of a tile of so many pixels.
+    pub fn of_pixels(pixels: usize) -> Self {
+        Self { pixels: vec![PixelSums::default(); pixels], ..Self::default() }
+    }
+
+    /// Counts a sample of a luminance, a depth and an end; not in its pixel.
     #[inline]
     pub fn count(&mut self, luminance: f32, depth: u32, end: crate::End) {
         self.luminance[usize::from(schema::radiance(luminance))] += 1;
@@ -132,15 +151,22 @@ impl Counters {
         self.bad.saturating_add(sum(&self.ends))
     }
 
-    /// Adds the counts of other samples.
+    /// Adds the counts of other samples of the same tile.
     pub fn merge(&mut self, other: &Self) {
+        self.merge_counts(other);
+        self.pixels.iter_mut().zip(&other.pixels).for_each(|(mine, theirs)| mine.merge(theirs));
+    }
+
+    /// The same without what is known of pixels: of any tiles.
+    pub fn merge_counts(&mut self, other: &Self) {
         self.words_mut().zip(other.words()).for_each(|(mine, theirs)| *mine = mine.saturating_add(theirs));
     }
 
     /// Whether all counts are of as many samples.
-    pub(crate) fn is_sound(&self) -> bool {
+    /// - `area`: pixels of the tile.
+    pub(crate) fn is_sound(&self, key: PortionKey, area: u64) -> bool {
         let ends = sum(&self.ends);
-        sum(&self.luminance) == ends && sum(&self.depth) == ends
+        sum(&self.luminance) == ends && sum(&self.depth) == ends && pixels::are_sound(key, area, ends, &self.pixels)
     }
 
     pub(crate) fn words(&self) -> impl Iterator<Item = u64> + '_ {
@@ -224,10 +250,10 @@ impl Statistics {
         self.portions.values().fold(0, |all: u64, counters| all.saturating_add(counters.samples()))
     }
 
-    /// The counters of all portions together.
+    /// The counters of all portions together, without pixels.
     pub fn totals(&self) -> Counters {
         let mut all = Counters::default();
-        self.portions.values().for_each(|counters| all.merge(counters));
+        self.portions.values().for_each(|counters| all.merge_counts(counters));
         all
     }
 

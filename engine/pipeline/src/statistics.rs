@@ -17,6 +17,7 @@ use femc_math::color::luminance;
 use femc_montecarlo::record::{
     Contribution, Found as FoundBy, Leaving, Place, Recorder, Scatterer, Stop, Transmitted, Vertex,
 };
+use femc_paths::pixels::PixelSums;
 use femc_paths::record::{MOST_INTERSECTIONS, MOST_LIGHTS, Names};
 use femc_paths::statistics::DEEP;
 use femc_paths::{
@@ -102,9 +103,9 @@ pub fn render_with_statistics(
     heard.into_iter().for_each(|recorder| all.merge(recorder.heard));
     let corner = rect.y * plan.scope.film[0] + rect.x;
     let tile = plan.scope.tile_of(corner);
-    for (half, counters) in (0..).zip(&all.counters) {
+    for ((half, counters), pixels) in (0..).zip(all.counters).zip(all.pixels) {
         let portion = PortionKey { tile, half, begin: samples.start, end: samples.end };
-        statistics.portions.insert(portion, counters.clone());
+        statistics.portions.insert(portion, Counters { pixels, ..counters });
     }
     let order = |path: Path| ((path.key.hash(plan.scope.seed), path.key), path);
     statistics.paths.extend(all.paths.drain(..).map(order));
@@ -188,6 +189,8 @@ fn name(known: &[OnceLock<Name>], index: usize, make: impl FnOnce() -> Name) -> 
 /// What was heard of some samples.
 struct Heard {
     counters: [Counters; 2],
+    /// Of each half, in the order in which they were rendered: row by row.
+    pixels: [Vec<PixelSums>; 2],
     paths: Vec<Path>,
     bright: Tops,
     deep: Tops,
@@ -198,6 +201,7 @@ impl Heard {
     fn new() -> Self {
         Self {
             counters: Default::default(),
+            pixels: Default::default(),
             paths: Vec::new(),
             bright: Tops::default(),
             deep: Tops::default(),
@@ -207,6 +211,7 @@ impl Heard {
 
     fn merge(&mut self, other: Self) {
         self.counters.iter_mut().zip(&other.counters).for_each(|(mine, theirs)| mine.merge(theirs));
+        self.pixels.iter_mut().zip(other.pixels).for_each(|(mine, theirs)| mine.extend(theirs));
         self.paths.extend(other.paths);
         self.bright.merge(other.bright);
         self.deep.merge(other.deep);
@@ -261,6 +266,8 @@ struct PathRecorder<'a> {
     // Of the sample that is being traced:
     key: PathKey,
     is_wanted: bool,
+    /// The one of its pixel.
+    latest: Option<u32>,
     depth: u32,
     stop: (Stop, Rgb),
     steps: Vec<(Vertex, Option<Leaving>)>,
@@ -277,6 +284,7 @@ impl<'a> PathRecorder<'a> {
             heard: Heard::new(),
             key: PathKey::default(),
             is_wanted: false,
+            latest: None,
             depth: 0,
             stop: (Stop::Escaped, Rgb::ZERO),
             steps: Vec::new(),
@@ -442,6 +450,10 @@ impl Recorder for PathRecorder<'_> {
     fn begin(&mut self, pixel: u32, sample: u32) {
         self.key = PathKey { frame: self.scope.frame, pixel, sample };
         self.is_wanted = self.key.hash(self.scope.seed) < self.threshold;
+        if self.latest != Some(pixel) {
+            self.latest = Some(pixel);
+            self.heard.pixels.iter_mut().for_each(|pixels| pixels.push(PixelSums::default()));
+        }
         self.depth = 0;
         self.steps.clear();
         self.lights.clear();
@@ -487,7 +499,8 @@ impl Recorder for PathRecorder<'_> {
 
     #[inline]
     fn end(&mut self, color: Rgb) {
-        let counters = &mut self.heard.counters[usize::from(self.key.half())];
+        let half = usize::from(self.key.half());
+        let counters = &mut self.heard.counters[half];
         if !is_good(color) {
             counters.bad += 1;
             return;
@@ -495,9 +508,13 @@ impl Recorder for PathRecorder<'_> {
         let (stop, throughput) = self.stop;
         let luminance = luminance(color);
         counters.count(luminance, self.depth, end(stop));
+        let greatest = throughput.max_element().max(0.0);
+        if let Some(pixel) = self.heard.pixels[half].last_mut() {
+            pixel.count(luminance, greatest, self.depth);
+        }
         self.heard.bright.offer(luminance, self.key, self.scope.seed);
         if self.depth >= DEEP {
-            self.heard.deep.offer(throughput.max_element().max(0.0), self.key, self.scope.seed);
+            self.heard.deep.offer(greatest, self.key, self.scope.seed);
         }
         if self.is_wanted {
             let path = self.path(color);

@@ -4,6 +4,7 @@ use crate::world::{self, ROUNDS, SEED, ends, is_bad, scope, task, tasks, tiles, 
 use femc_math::hash::combine;
 use femc_paths::histogram::{Histograms, Table};
 use femc_paths::octree::{Octree, Root};
+use femc_paths::pixels::Maps;
 use femc_paths::statistics::{IMAGE_BITS, image_weight};
 use femc_paths::{PathKey, Statistics, UnionError};
 use femc_stats::testing::{sidak, z_test};
@@ -222,4 +223,35 @@ fn a_pilot_and_halves_that_ended_earlier_do_not_count() {
     for records in [&held.paths, &held.brightest, &held.deepest] {
         assert!(records.keys().all(|(_, key)| key.sample < ends(scope.tile_of(key.pixel), key.half())));
     }
+}
+
+#[test]
+fn maps_are_of_all_samples_that_count_and_the_pixels_of_a_tile_are_its_own() {
+    let scope = scope(KEEP);
+    let mut all: Vec<u32> = tiles(&scope).flat_map(|tile| scope.pixels_of(tile)).collect();
+    assert!(tiles(&scope).all(|tile| scope.pixels_of(tile).all(|pixel| scope.tile_of(pixel) == tile)));
+    all.sort_unstable();
+    assert!(all.into_iter().eq(0..36 * 20));
+    let counted = united(&scope, shuffled(tasks(&scope), 8)).counted(0, ends);
+    let maps = Maps::of(&counted);
+    assert_eq!((maps.film, maps.pixels().len()), ([36, 20], 36 * 20));
+    let keys = good(&scope).into_iter().filter(|key| key.sample < ends(scope.tile_of(key.pixel), key.half()));
+    let mut by_pixel = vec![Vec::new(); 36 * 20];
+    keys.for_each(|key| by_pixel[key.pixel as usize].push(world::path(&scope, key)));
+    for (pixel, paths) in maps.pixels().zip(&by_pixel) {
+        assert_eq!(pixel.samples, paths.len() as u64);
+        let halves = [0, 1].map(|half| paths.iter().filter(|path| path.key.half() == half).collect::<Vec<_>>());
+        let mean = |of: &dyn Fn(&femc_paths::Path) -> f64| {
+            let there = halves.iter().filter(|half| !half.is_empty());
+            let means = there.map(|half| half.iter().map(|path| of(path)).sum::<f64>() / half.len() as f64);
+            means.clone().sum::<f64>() / means.count().max(1) as f64
+        };
+        let luminance = mean(&|path| f64::from(path.luminance()));
+        assert!((pixel.luminance - luminance).abs() < 1e-5, "{pixel:?} {luminance}");
+        assert_eq!(pixel.depth, mean(&|path| f64::from(path.depth)));
+        let greatest = |path: &femc_paths::Path| path.throughput.into_iter().fold(0.0, f32::max);
+        assert!((pixel.throughput - mean(&|path| f64::from(greatest(path)))).abs() < 2e-4);
+    }
+    let sum: f64 = maps.pixels().map(|pixel| pixel.variance).sum();
+    assert!(sum > 0.0);
 }

@@ -146,6 +146,7 @@ pub enum Command {
     Fireflies(command::fireflies::FirefliesArgs),
     Field(command::field::FieldArgs),
     Paths(command::paths::PathsArgs),
+    Bottlenecks(command::bottlenecks::BottlenecksArgs),
     Coordinator(command::coordinator::CoordinatorArgs),
     Worker(command::worker::WorkerArgs),
     Submit(command::submit::SubmitArgs),

@@ -144,6 +144,20 @@ fn paths_are_found_by_what_they_met() {
     let depth = bins.iter().filter(|row| row["table"] == "paths" && row["attribute"] == "depth");
     let sum: u64 = depth.map(|row| row["samples"].as_u64().expect("a number")).sum();
     assert_eq!(sum, all.paths.len() as u64);
+    let map = rows("--table pixels");
+    let (width, height, [r, g, b, _]) =
+        femc_film::exr::read_channels(&place.path("box.exr"), ["R", "G", "B", "depth.Z"]).expect("a frame");
+    assert_eq!(map.len(), (width * height) as usize);
+    let number = |row: &serde_json::Value, key: &str| row[key].as_f64().expect("a number");
+    for (row, ((r, g), b)) in map.iter().zip(r.iter().zip(&g).zip(&b)) {
+        let luminance = f64::from(0.2126 * r + 0.7152 * g + 0.0722 * b);
+        assert!((number(row, "luminance") - luminance).abs() < 1e-3 * luminance + 1e-4, "{row}: {luminance}");
+        assert_eq!(row["samples"], 8);
+        assert!(number(row, "variance") >= 0.0 && number(row, "depth") >= 0.0);
+    }
+    let depths: f64 = map.iter().map(|row| 8.0 * number(row, "depth")).sum();
+    let expected: u64 = (0..).zip(all.totals().depth).map(|(depth, samples): (u64, u64)| depth * samples).sum();
+    assert!((depths - expected as f64).abs() < 1e-6 * depths, "{depths} {expected}");
     assert!(!rows("--table voxels --in -1,-1,0,1,1,0.5").is_empty());
     assert!(!rows("--brightest").is_empty() && rows("--few 100").len() == 100);
 }

@@ -1,18 +1,22 @@
 //! What makes an image noisy, and what makes its paths long, by object, material and interaction, and by lamp.
 //!
 //! A part of a sample is laid to the vertex whose scattering made it: the one that a point on a lamp was drawn from, or the latest that
-//! the path had not gone straight through when it came to a lamp. So the parts of a sample add up to it, and the covariances of the parts
-//! with the sample add up to its variance. Of a part c of a sample L the covariance is estimated by c (L - m), where m is the mean of the
-//! pixel's other samples, which knows nothing of L; by the weight of the sample in its pixel, squared, it is what the part adds to the
-//! variance of the image. It is below 0 where a part is missing when the rest is bright.
+//! the path had not gone straight through when it came to a lamp. So the parts of a sample add up to it.
+//!
+//! Noise is told by samples that are brighter than the others of their pixel: the square of the difference is laid to the parts of the
+//! sample in proportion, and counts by the weight of the sample in its pixel, squared, over the squared mean of the block of 16 x 16
+//! pixels, as the relative error of a block does. The others' mean knows nothing of the sample.
 //!
 //! Samples are of two kinds ([`Weighed`]): the brightest of each portion, which are all known and count once, and others, which are known
 //! by the fair subset and count as many times as it is smaller. So a rare bright sample is neither missed nor counted for more than it is.
+//!
+//! Long paths are told by the first intersection of a path, which all paths through a pixel of it share: what throughput is left when they
+//! come to intersection number [`DEEP`]. Where a path comes later says little: a longer one comes to more.
 
 use crate::pixels::Maps;
-use crate::record::{Found, Interaction, Kind, Light, Name, Names, Path, PathKey, luminance};
+use crate::record::{Found, Interaction, Intersection, Light, Name, Names, Path, PathKey, luminance};
 use crate::statistics::{DEEP, IMAGE_BITS, PortionKey, Statistics, brightness};
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 
 /// What light was scattered by.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -23,6 +27,12 @@ pub struct Part {
     pub material: Name,
     /// How the path went on, or how light came to it; `None`: any way, or the camera.
     pub interaction: Option<Interaction>,
+}
+
+impl Part {
+    fn of(it: &Intersection) -> Self {
+        Self { object: it.object, material: it.material, interaction: Some(it.interaction) }
+    }
 }
 
 /// What parts are told apart by.
@@ -46,39 +56,58 @@ impl By {
     }
 }
 
-/// What is known of a part. Sums of shares of many frames are sums of these.
+/// What is known of a part.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Evidence {
     /// Intersections of recorded paths.
     pub records: u64,
-    /// Recorded paths that have come to it.
-    pub paths: u64,
-    /// Sum of their depths.
-    pub depths: u64,
     /// Intersections of all samples, estimated.
     pub intersections: f64,
     /// Throughput that arrives at it at an intersection of number [`DEEP`] or later, of all samples, estimated.
     pub deep: f64,
+    /// Recorded paths whose first intersection it is; those that they go straight through are none.
+    pub begun: u64,
+    /// Sum of their depths.
+    pub depths: u64,
+    /// Sum of the throughputs with which they come to intersection number [`DEEP`].
+    pub left: f64,
     /// Light of the image that it has scattered last, cd/m2, summed over the pixels.
     pub light: f64,
-    /// What it adds to the variance of the image, (cd/m2)^2, summed over the pixels.
-    pub variance: f64,
+    /// Noise of the image: relative variance of its blocks, summed over them.
+    pub noise: f64,
 }
 
 impl Evidence {
-    /// Mean depth of the paths that have come to it.
+    /// Mean depth of the paths that begin there.
     pub fn depth(&self) -> f64 {
-        self.depths as f64 / self.paths.max(1) as f64
+        self.depths as f64 / self.begun.max(1) as f64
+    }
+
+    /// Mean throughput that is left to them at intersection number [`DEEP`].
+    pub fn left(&self) -> f64 {
+        self.left / self.begun.max(1) as f64
     }
 
     fn merge(&mut self, other: &Self) {
         self.records += other.records;
-        self.paths += other.paths;
-        self.depths += other.depths;
         self.intersections += other.intersections;
         self.deep += other.deep;
+        self.begun += other.begun;
+        self.depths += other.depths;
+        self.left += other.left;
         self.light += other.light;
-        self.variance += other.variance;
+        self.noise += other.noise;
+    }
+
+    /// What is not of this one.
+    #[must_use]
+    fn without(&self, one: &Self) -> Self {
+        Self {
+            begun: self.begun.saturating_sub(one.begun),
+            depths: self.depths.saturating_sub(one.depths),
+            left: (self.left - one.left).max(0.0),
+            ..Self::default()
+        }
     }
 }
 
@@ -91,8 +120,8 @@ pub struct Lamp {
     pub hidden: u64,
     /// Light of the image that is from it, cd/m2, summed over the pixels.
     pub light: f64,
-    /// What its light adds to the variance of the image, (cd/m2)^2, summed over the pixels.
-    pub variance: f64,
+    /// Noise that is from it.
+    pub noise: f64,
 }
 
 /// A bright sample.
@@ -104,8 +133,8 @@ pub struct Firefly {
     pub luminance: f32,
     /// Mean of the pixel's other samples, cd/m2.
     pub others: f64,
-    /// What it adds to the variance of the image, (cd/m2)^2.
-    pub variance: f64,
+    /// Its part of the noise.
+    pub noise: f64,
     /// What has scattered most of it.
     pub part: Part,
     /// The lamp of that.
@@ -123,7 +152,7 @@ pub struct Bottlenecks {
     pub parts: BTreeMap<Part, Evidence>,
     /// By lamp; none: a first pass.
     pub lamps: BTreeMap<Name, Lamp>,
-    /// Samples that add most to the variance, the most first, each with the number of its frame among those that were merged.
+    /// Samples that add most to the noise, the most first, each with the number of its frame among those that were merged.
     pub fireflies: Vec<(usize, Firefly)>,
     /// Frames.
     pub frames: usize,
@@ -184,9 +213,7 @@ pub fn scattered_by(path: &Path, light: &Light) -> Part {
         Found::Met => vertices.iter().rev().find(|it| it.interaction != Interaction::Straight),
         Found::Surface | Found::Field => vertices.last(),
     };
-    let part =
-        |it: &crate::Intersection| Part { object: it.object, material: it.material, interaction: Some(it.interaction) };
-    vertex.map(part).unwrap_or_default()
+    vertex.map(Part::of).unwrap_or_default()
 }
 
 /// Bright samples that are kept.
@@ -202,47 +229,43 @@ impl Bottlenecks {
         for path in all.paths.values() {
             found.count(path, weight, by);
         }
+        let blocks = Blocks::of(&maps);
         for Weighed { path, weight } in weighed(all) {
-            let image = all.image_weight(path.key) as f64 / (1u64 << IMAGE_BITS) as f64;
-            let excess =
-                maps.others(path.key.pixel, path.luminance()).map_or(0.0, |it| f64::from(path.luminance()) - it);
+            let (own, image) = (f64::from(path.luminance()), image_weight(all, path));
+            let noise = blocks.noise(&maps, path, image);
             for light in &path.lights {
                 let part = f64::from(luminance(light.radiance));
-                let (light_of, variance) = (weight * image * part, weight * image * image * part * excess);
+                let noise = if own > 0.0 { weight * noise * part / own } else { 0.0 };
+                let light_of = weight * image * part;
                 let evidence = found.parts.entry(by.of(scattered_by(path, light))).or_default();
                 for it in [evidence, &mut found.total] {
                     it.light += light_of;
-                    it.variance += variance;
+                    it.noise += noise;
                 }
                 let lamp = found.lamps.entry(light.light).or_default();
                 lamp.light += light_of;
-                lamp.variance += variance;
+                lamp.noise += noise;
             }
         }
-        found.fireflies = fireflies(all, &maps, by).into_iter().map(|it| (0, it)).collect();
+        found.fireflies = fireflies(all, &maps, &blocks, by).into_iter().map(|it| (0, it)).collect();
         found
     }
 
     /// What a recorded path says of intersections and lamps.
     fn count(&mut self, path: &Path, weight: f64, by: By) {
-        let mut met = BTreeSet::new();
+        let greatest = |it: &Intersection| f64::from(it.throughput.into_iter().fold(0.0, f32::max));
+        let mut add = |it: &Intersection, evidence: Evidence| {
+            self.parts.entry(by.of(Part::of(it))).or_default().merge(&evidence);
+            self.total.merge(&evidence);
+        };
         for (number, it) in (1..).zip(&path.intersections) {
-            let key = by.of(Part { object: it.object, material: it.material, interaction: Some(it.interaction) });
-            let first = met.insert(key);
-            let deep = if number < DEEP { 0.0 } else { f64::from(it.throughput.into_iter().fold(0.0, f32::max)) };
-            let evidence = Evidence {
-                records: 1,
-                paths: u64::from(first),
-                depths: if first { u64::from(path.depth) } else { 0 },
-                intersections: weight,
-                deep: weight * deep,
-                ..Evidence::default()
-            };
-            self.parts.entry(key).or_default().merge(&evidence);
-            self.total.merge(&Evidence { paths: 0, depths: 0, ..evidence });
+            let deep = if number < DEEP { 0.0 } else { weight * greatest(it) };
+            add(it, Evidence { records: 1, intersections: weight, deep, ..Evidence::default() });
         }
-        self.total.paths += 1;
-        self.total.depths += u64::from(path.depth);
+        if let Some(first) = path.intersections.iter().find(|it| it.interaction != Interaction::Straight) {
+            let left = path.intersections.get(DEEP as usize - 1).map_or(0.0, greatest);
+            add(first, Evidence { begun: 1, depths: path.depth.into(), left, ..Evidence::default() });
+        }
         for light in &path.lights {
             let lamp = self.lamps.entry(light.light).or_default();
             lamp.records += 1;
@@ -261,11 +284,11 @@ impl Bottlenecks {
             own.records += lamp.records;
             own.hidden += lamp.hidden;
             own.light += lamp.light;
-            own.variance += lamp.variance;
+            own.noise += lamp.noise;
         }
         let later = other.fireflies.into_iter().map(|(frame, it)| (self.frames + frame, it));
         self.fireflies.extend(later);
-        self.fireflies.sort_by(|a, b| b.1.variance.total_cmp(&a.1.variance));
+        self.fireflies.sort_by(|a, b| b.1.noise.total_cmp(&a.1.noise));
         self.fireflies.truncate(FIREFLIES);
         self.frames += other.frames;
         self.samples += other.samples;
@@ -280,38 +303,86 @@ impl Bottlenecks {
         all
     }
 
-    /// Mean depth of the recorded paths that have not come to a part.
-    pub fn depth_of_others(&self, of: &Evidence) -> f64 {
-        let (paths, depths) =
-            (self.total.paths - of.paths.min(self.total.paths), self.total.depths - of.depths.min(self.total.depths));
-        depths as f64 / paths.max(1) as f64
+    /// The paths that do not begin at a part.
+    #[must_use]
+    pub fn others(&self, of: &Evidence) -> Evidence {
+        self.total.without(of)
+    }
+
+    /// How much of the spread of what is left to paths at intersection number [`DEEP`] is between those that begin at a part and the
+    /// others: p (1 - p) d^2, where p is the share of paths and d the difference of the means; 0 where less is left to those.
+    pub fn lengthening(&self, of: &Evidence) -> f64 {
+        let share = of.begun as f64 / self.total.begun.max(1) as f64;
+        let more = (of.left() - self.others(of).left()).max(0.0);
+        share * (1.0 - share) * more * more
     }
 
     /// The text of a name, if it has one.
     pub fn text(&self, name: Name) -> Option<&str> {
         self.names.get(&name).map(|(_, text)| text.as_str())
     }
+}
 
-    /// Whether a part is a medium.
-    pub fn is_medium(&self, part: Part) -> bool {
-        self.names.get(&part.material).is_some_and(|(kind, _)| *kind == Kind::Medium)
+/// Edge of a block, pixels: as the relative error has them.
+const BLOCK: u32 = 16;
+
+/// What noise is relative to.
+struct Blocks {
+    columns: u32,
+    width: u32,
+    /// Sum of the luminances of the block's pixels, cd/m2, squared.
+    squares: Vec<f64>,
+}
+
+impl Blocks {
+    fn of(maps: &Maps) -> Self {
+        let [width, height] = maps.film.map(|size| size.max(1));
+        let columns = width.div_ceil(BLOCK);
+        let mut blocks = Self { columns, width, squares: vec![0.0; (columns * height.div_ceil(BLOCK)) as usize] };
+        for (number, pixel) in (0..).zip(maps.pixels()) {
+            let block = blocks.number(number);
+            blocks.squares[block] += pixel.luminance;
+        }
+        blocks.squares.iter_mut().for_each(|sum| *sum *= *sum);
+        blocks
+    }
+
+    fn number(&self, pixel: u32) -> usize {
+        let [x, y] = [pixel % self.width, pixel / self.width].map(|place| place / BLOCK);
+        (y * self.columns + x) as usize
+    }
+
+    /// Part of a sample in the relative variance of its block.
+    /// - `image`: weight of the sample in its pixel.
+    fn noise(&self, maps: &Maps, path: &Path, image: f64) -> f64 {
+        let own = path.luminance();
+        let excess = maps.others(path.key.pixel, own).map_or(0.0, |others| (f64::from(own) - others).max(0.0));
+        let square = self.squares.get(self.number(path.key.pixel)).copied().unwrap_or(0.0);
+        if square > 0.0 { (image * excess).powi(2) / square } else { 0.0 }
     }
 }
 
-/// The brightest samples, those that add most to the variance first.
-fn fireflies(all: &Statistics, maps: &Maps, by: By) -> Vec<Firefly> {
+fn image_weight(all: &Statistics, path: &Path) -> f64 {
+    all.image_weight(path.key) as f64 / (1u64 << IMAGE_BITS) as f64
+}
+
+/// The brightest samples, those that add most to the noise first.
+fn fireflies(all: &Statistics, maps: &Maps, blocks: &Blocks, by: By) -> Vec<Firefly> {
     let one = |path: &Path| {
-        let own = path.luminance();
-        let others = maps.others(path.key.pixel, own)?;
+        let others = maps.others(path.key.pixel, path.luminance())?;
         let light = path.lights.iter().max_by(|a, b| luminance(a.radiance).total_cmp(&luminance(b.radiance)))?;
-        let image = all.image_weight(path.key) as f64 / (1u64 << IMAGE_BITS) as f64;
-        let excess = (f64::from(own) - others).max(0.0);
-        let part = by.of(scattered_by(path, light));
-        let variance = image * image * f64::from(own) * excess;
-        Some(Firefly { key: path.key, luminance: own, others, variance, part, lamp: light.light, found: light.found })
+        Some(Firefly {
+            key: path.key,
+            luminance: path.luminance(),
+            others,
+            noise: blocks.noise(maps, path, image_weight(all, path)),
+            part: by.of(scattered_by(path, light)),
+            lamp: light.light,
+            found: light.found,
+        })
     };
-    let mut found: Vec<Firefly> = all.brightest.values().filter_map(one).filter(|it| it.variance > 0.0).collect();
-    found.sort_by(|a, b| b.variance.total_cmp(&a.variance).then(a.key.cmp(&b.key)));
+    let mut found: Vec<Firefly> = all.brightest.values().filter_map(one).filter(|it| it.noise > 0.0).collect();
+    found.sort_by(|a, b| b.noise.total_cmp(&a.noise).then(a.key.cmp(&b.key)));
     found.truncate(FIREFLIES);
     found
 }

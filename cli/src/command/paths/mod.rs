@@ -88,6 +88,8 @@ enum Table {
     Pairs,
     /// A voxel of the scene's box, with the energy of the paths' intersections
     Voxels,
+    /// A pixel of the image, with what is known of all its samples
+    Pixels,
 }
 
 /// List.
@@ -103,11 +105,13 @@ pub fn run(args: &PathsArgs, say: Say) -> Result<Exit, Failure> {
         Table::Histograms => out.put(&table::histograms(), &table::bin_rows(&all))?,
         Table::Pairs => out.put(&table::pairs(), &table::pair_rows(&all))?,
         Table::Voxels => out.put(&table::voxels(), &table::voxel_rows(&all, &found))?,
+        Table::Pixels => out.put(&table::pixels(), &table::pixel_rows(&all))?,
     }
     Ok(Exit::Done)
 }
 
-fn read(file: &Path) -> Result<Statistics, Failure> {
+/// The statistics in a file.
+pub fn read(file: &Path) -> Result<Statistics, Failure> {
     let bytes = std::fs::read(file).map_err(|error| usage(format!("{}: {error}", file.display())))?;
     Statistics::decode(&bytes).map_err(|error| failed(format!("{}: {error}", file.display())))
 }

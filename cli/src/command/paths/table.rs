@@ -3,6 +3,7 @@
 use crate::attempts::{Cell, Column, Kind, Reader};
 use femc_pipeline::paths::histogram::{Histograms, Table};
 use femc_pipeline::paths::octree::{Octree, Root, Voxel};
+use femc_pipeline::paths::pixels::{Maps, Pixel};
 use femc_pipeline::paths::schema::{Scale, radiance_edge, throughput_edge};
 use femc_pipeline::paths::statistics::IMAGE_BITS;
 use femc_pipeline::paths::{Intersection, Light, Name, Path, Scope, Statistics};
@@ -283,5 +284,30 @@ pub fn voxels() -> Vec<Column<VoxelRow>> {
         column("width", "width m", Number, Anybody, |row| Cell::Real(row.width)),
         column("intersections", "intersections", Count, Anybody, |row| Cell::Count(row.voxel.count)),
         column("energy", "mean cd/m2", Number, Anybody, |row| Cell::Real(row.voxel.mean())),
+    ]
+}
+
+/// A pixel, and its place.
+pub struct PixelRow {
+    place: [u32; 2],
+    pixel: Pixel,
+}
+
+pub fn pixel_rows(all: &Statistics) -> Vec<PixelRow> {
+    let maps = Maps::of(all);
+    let width = maps.film[0].max(1);
+    let row = |(number, pixel): (u32, Pixel)| PixelRow { place: [number % width, number / width], pixel };
+    (0..).zip(maps.pixels()).map(row).collect()
+}
+
+pub fn pixels() -> Vec<Column<PixelRow>> {
+    vec![
+        column("pixel_x", "x", Count, Anybody, |row| number(row.place[0])),
+        column("pixel_y", "y", Count, Anybody, |row| number(row.place[1])),
+        column("samples", "samples", Count, Anybody, |row| Cell::Count(row.pixel.samples)),
+        column("luminance", "cd/m2", Number, Anybody, |row| Cell::Real(row.pixel.luminance)),
+        column("variance", "variance of a sample", Number, Anybody, |row| Cell::Real(row.pixel.variance)),
+        column("depth", "depth", Number, Anybody, |row| Cell::Real(row.pixel.depth)),
+        column("throughput", "throughput", Number, Anybody, |row| Cell::Real(row.pixel.throughput)),
     ]
 }

@@ -180,6 +180,30 @@ fn tables_are_files_that_other_programs_read() {
 }
 
 #[test]
+fn a_page_shows_maps_and_histograms_and_asks_nobody_for_anything() {
+    let place = Place::new();
+    named(&place);
+    place.run("render box.mgf --frames 1..2 --spp 4 --stats -o out").exits(0);
+    assert!(place.run("report out/box.0001.paths").exits(0).stdout().contains("box.0001.html"));
+    let page = place.read("out/box.0001.html");
+    assert_eq!(page.matches("<svg").count(), 3, "histograms of paths, intersections and lights");
+    for (title, pictures) in [("Luminance, cd/m2", 1), ("Standard deviation", 1), ("Intersections of a path", 1)] {
+        assert_eq!(page.matches(&format!("<figcaption>{title}")).count(), pictures, "{title}");
+    }
+    for outside in ["src=\"http", "href=", "@import", "url("] {
+        assert!(!page.contains(outside), "{outside} asks for something");
+    }
+    // The pictures have the pixels of the film.
+    let (_, rest) = page.split_once("src=\"data:image/png;base64,").expect("a picture");
+    assert!(rest.starts_with("iVBORw0KGgo"), "a PNG: {}", &rest[..20]);
+    assert!(page.contains("ceiling") && page.contains("most work:"), "what stands out, and where");
+    place.run("report out/box.0001.paths out/box.0002.paths -o two.html").exits(0);
+    assert_eq!(place.read("two.html").matches("<img").count(), 8);
+    assert!(place.run("report out/box.0001.paths 7").exits(2).stderr().contains("not both"));
+    place.run("report out/box.0003.paths").exits(2);
+}
+
+#[test]
 fn what_cannot_be_asked_is_refused_with_the_place() {
     let place = Place::new();
     named(&place);

@@ -1,7 +1,7 @@
 //! `femc bottlenecks FRAME.paths...`: which objects, materials and lamps make frames noisy, and which make their paths long.
 
 mod report;
-mod table;
+pub mod table;
 
 use crate::args::FormatArgs;
 use crate::attempts::csv;

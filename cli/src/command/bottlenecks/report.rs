@@ -143,11 +143,12 @@ impl Report {
         Ok(Self::of(&all, names, &films, order))
     }
 
-    /// Of one frame that was read.
-    pub fn of_frame(file: &Path, statistics: &Statistics) -> Self {
+    /// Of frames that were read.
+    pub fn of_frames(frames: &[(PathBuf, Statistics)]) -> Self {
         let mut all: [Bottlenecks; 3] = Default::default();
-        add(&mut all, statistics);
-        Self::of(&all, vec![name(file)], &[statistics.scope.film[0]], Order::Noise)
+        frames.iter().for_each(|(_, statistics)| add(&mut all, statistics));
+        let widths: Vec<u32> = frames.iter().map(|(_, statistics)| statistics.scope.film[0]).collect();
+        Self::of(&all, frames.iter().map(|(file, _)| name(file)).collect(), &widths, Order::Noise)
     }
 
     fn of(all: &[Bottlenecks; 3], files: Vec<String>, widths: &[u32], order: Order) -> Self {

@@ -79,25 +79,51 @@ fn a_frame_with_a_time_counts_what_its_image_counts() {
     assert!(all.paths.values().all(|path| path.key.sample >= begin));
 }
 
+/// Seconds of the tasks that render and of the others, and bytes that were sent, of a job's results.
+fn took(place: &Place, url: &str, job: &str) -> ([f64; 2], u64) {
+    let rows = place.run(&format!("stats {job} --by task --json --server {url}")).exits(0).json();
+    let (mut seconds, mut bytes) = ([0.0; 2], 0);
+    for row in rows.as_array().expect("rows") {
+        seconds[usize::from(row["stage"] != "render")] += row["wall_seconds"].as_f64().expect("a number");
+        bytes += row["sent_bytes"].as_u64().expect("a number");
+    }
+    (seconds, bytes)
+}
+
 #[test]
 fn statistics_of_a_farm_with_a_killed_worker_are_those_of_one_process() {
-    const SETTINGS: &str = "--frames 1..4 --size 64x48 --spp 64 --stats";
+    const FRAMES: u32 = 24;
+    const SETTINGS: &str = "--size 48x36 --spp 8";
     let place = Place::new();
+    place.write("fog.mgf", &crate::common::FOG.replace("time 0 0.75 10", "time 0 2.3 10"));
     let (mut farm, url) = coordinator(&place, 0);
     let (mut victim, _second, _third) = (worker(&place, &url), worker(&place, &url), worker(&place, &url));
-    let job = submit(&place, &url, SETTINGS);
+    let job = submit(&place, &url, &format!("{SETTINGS} --stats"));
     let done = || status(&place, &url, &job)["frames_done"].as_u64().expect("a number");
     farm.wait_until("a finished frame", || done() >= 1);
-    assert!(done() < 4, "it is not over yet");
+    assert!(done() < u64::from(FRAMES), "it is not over yet");
     assert!(victim.kill(), "the victim was alive");
     place.run(&format!("watch {job} --server {url}")).exits(0);
     place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
-    place.run(&format!("render fog.mgf {SETTINGS} -o alone --workers 1 --threads 1")).exits(0);
-    for frame in 1..=4 {
+    place.run(&format!("render fog.mgf {SETTINGS} --stats -o alone --workers 1 --threads 1")).exits(0);
+    let mut kept = 0;
+    for frame in 1..=FRAMES {
         let name = |folder: &str| format!("{folder}/fog.{frame:04}.paths");
         assert!(bytes(&place, &name("out")) == bytes(&place, &name("alone")), "frame {frame}");
-        assert_eq!(statistics(&place, &name("out")).samples(), 64 * 48 * 64);
+        assert_eq!(statistics(&place, &name("out")).samples(), 48 * 36 * 8);
+        kept += bytes(&place, &name("out")).len();
     }
+    // What it takes more than the same frames without; one worker less makes both take longer.
+    let without = submit(&place, &url, SETTINGS);
+    place.run(&format!("watch {without} --server {url}")).exits(0);
+    let ([render, rest], sent) = took(&place, &url, &job);
+    let ([_, rest_without], sent_without) = took(&place, &url, &without);
+    println!(
+        "24 frames: {render:.2} s rendering; images and merging {rest:.2} s, without statistics {rest_without:.2} s; \
+         {sent} bytes sent, without {sent_without}; {kept} bytes of statistics kept"
+    );
+    let moved = (sent - sent_without) / u64::from(FRAMES);
+    assert!(moved > 1 << 10 && moved < 64 << 20, "{moved} bytes a frame");
 }
 
 #[test]

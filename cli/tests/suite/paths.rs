@@ -93,7 +93,7 @@ fn took(place: &Place, url: &str, job: &str) -> ([f64; 2], u64) {
 #[test]
 fn statistics_of_a_farm_with_a_killed_worker_are_those_of_one_process() {
     const FRAMES: u32 = 24;
-    const SETTINGS: &str = "--size 48x36 --spp 8";
+    const SETTINGS: &str = "--size 40x24 --spp 6";
     let place = Place::new();
     place.write("fog.mgf", &crate::common::FOG.replace("time 0 0.75 10", "time 0 2.3 10"));
     let (mut farm, url) = coordinator(&place, 0);
@@ -110,7 +110,7 @@ fn statistics_of_a_farm_with_a_killed_worker_are_those_of_one_process() {
     for frame in 1..=FRAMES {
         let name = |folder: &str| format!("{folder}/fog.{frame:04}.paths");
         assert!(bytes(&place, &name("out")) == bytes(&place, &name("alone")), "frame {frame}");
-        assert_eq!(statistics(&place, &name("out")).samples(), 48 * 36 * 8);
+        assert_eq!(statistics(&place, &name("out")).samples(), 40 * 24 * 6);
         kept += bytes(&place, &name("out")).len();
     }
     // What it takes more than the same frames without; one worker less makes both take longer.

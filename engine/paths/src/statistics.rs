@@ -270,7 +270,7 @@ impl Statistics {
 
     /// Adds what another part of the frame has; of what both have, one. An error changes nothing.
     pub fn unite(&mut self, other: Self) -> Result<(), UnionError> {
-        self.absorb(other)?;
+        self.add(other)?;
         self.settle();
         Ok(())
     }
@@ -279,15 +279,22 @@ impl Statistics {
     pub fn unite_all(&mut self, others: impl IntoIterator<Item = Self>) -> Result<(), UnionError> {
         for other in others {
             self.absorb(other)?;
-            if self.paths.len() > 2 * self.scope.keep as usize {
-                self.settle();
-            }
         }
         self.settle();
         Ok(())
     }
 
-    fn absorb(&mut self, other: Self) -> Result<(), UnionError> {
+    /// Adds another part without keeping of the records what the scope allows: after the last one [`Self::settle`] does.
+    /// With records of twice as many as are kept it is done at once, so that memory does not grow with the number of parts.
+    pub fn absorb(&mut self, other: Self) -> Result<(), UnionError> {
+        self.add(other)?;
+        if self.paths.len() > 2 * self.scope.keep as usize {
+            self.settle();
+        }
+        Ok(())
+    }
+
+    fn add(&mut self, other: Self) -> Result<(), UnionError> {
         if self.scope != other.scope {
             return Err(UnionError::Scope);
         }

@@ -7,7 +7,7 @@ mod values;
 
 pub use extras::ExtrasArgs;
 pub use metrics::MetricsArgs;
-pub use settings::SettingsArgs;
+pub use settings::{SettingsArgs, Stats};
 pub use values::{Filter, Method};
 
 use crate::command;

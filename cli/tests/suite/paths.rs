@@ -189,6 +189,109 @@ fn paths_are_found_by_what_they_met() {
 }
 
 #[test]
+fn full_statistics_have_all_samples_in_their_histograms_for_any_workers() {
+    let place = Place::new();
+    let line = |out: &str, rest: &str| format!("render fog.mgf --frames 5 --size 96x80 --spp 6 -o {out} {rest}");
+    place.run(&line("some.exr", "--stats")).exits(0);
+    place.run(&line("one.exr", "--stats=full --workers 1")).exits(0);
+    place.run(&line("three.exr", "--stats=full --workers 3 --threads 2")).exits(0);
+    assert!(bytes(&place, "one.paths") == bytes(&place, "three.paths"));
+    assert_eq!(pixels(&place.path("one.exr")), pixels(&place.path("some.exr")));
+    let (some, full) = (statistics(&place, "some.paths"), statistics(&place, "one.paths"));
+    assert!(full.paths == some.paths && full.share() < 0.5, "the same paths are recorded");
+    let samples = |name: &str, table: &str| {
+        let rows = place.run(&format!("paths {name} --table histograms --json")).exits(0).json();
+        let mut sums = std::collections::BTreeMap::<String, u64>::new();
+        for row in rows.as_array().expect("rows").iter().filter(|row| row["table"] == table) {
+            let attribute = row["attribute"].as_str().expect("a name").to_owned();
+            *sums.entry(attribute).or_default() += row["samples"].as_u64().expect("a number");
+        }
+        sums
+    };
+    let of = |name: &str| samples(name, "paths").into_values().collect::<std::collections::BTreeSet<u64>>();
+    assert_eq!(of("one.paths"), [96 * 80 * 6].into());
+    assert_eq!(of("some.paths"), [some.paths.len() as u64].into());
+    let depths: u64 = (0..).zip(full.totals().depth).map(|(depth, samples): (u64, u64)| depth * samples).sum();
+    assert!(samples("one.paths", "intersections").values().all(|sum| *sum == depths), "{depths}");
+    // A run after that one, with less, has other settings.
+    place.write("full.toml", "scene = \"fog.mgf\"\nframes = \"5\"\nspp = 2\nstats = \"full\"\n");
+    place.run("render full.toml -o job.exr").exits(0);
+    assert!(statistics(&place, "job.paths").scope.is_full);
+    place.write("half.toml", "scene = \"fog.mgf\"\nstats = \"half\"\n");
+    assert!(place.run("render half.toml -o half.exr").exits(2).stderr().contains("half.toml:2"));
+}
+
+#[test]
+fn rare_paths_and_those_that_stand_for_all_are_listed_and_an_object_has_a_box() {
+    let place = Place::new();
+    named(&place);
+    place.run("render box.mgf --frames 8 --spp 8 --stats -o box.exr").exits(0);
+    let rows = |rest: &str| -> Vec<serde_json::Value> {
+        place.run(&format!("paths box.paths --json {rest}")).exits(0).json().as_array().expect("rows").clone()
+    };
+    let few = rows("--few 200");
+    let weights: f64 = few.iter().map(|row| row["weight"].as_f64().expect("a weight")).sum();
+    assert!(few.len() == 200 && (weights - 200.0).abs() < 1e-6, "{weights}");
+    let rare = rows("--rarest 20");
+    assert_eq!(rare.len(), 20);
+    assert!(rare.iter().all(|row| row["weight"].is_null()));
+    // The first is alone in a bin of some attribute.
+    let bins = rows("--table histograms");
+    assert!(bins.iter().any(|row| row["table"] == "paths" && row["samples"] == 1));
+    let on_floor = rows("--in floor --table intersections");
+    let floor = rows("--where object==floor --table intersections");
+    assert!(floor.len() > 100 && on_floor.len() >= floor.len());
+    assert!(on_floor.iter().all(|row| row["z"].as_f64().is_some_and(|z| z.abs() < 1e-4)));
+    let refused = |rest: &str, why: &str| {
+        let said = place.run(&format!("paths box.paths {rest}")).exits(2).stderr();
+        assert!(said.contains(why), "{rest}: {said}");
+    };
+    refused("--in flor", "known are");
+    refused("--in 1,2,3", "six numbers");
+    refused("--rarest 3 --few 4", "--few");
+    refused("--minus box.paths", "--table voxels");
+}
+
+#[test]
+fn voxels_of_all_variants_of_a_sweep_have_one_root_and_their_difference_is_where_light_differs() {
+    let place = Place::new();
+    place.write(
+        "fog.toml",
+        "scene = \"fog.mgf\"\nframes = \"3\"\nspp = 4\nstats = true\n[sweep]\n\"material.lamp.ed\" = [300, 900]\n",
+    );
+    place.run("sweep fog.toml -o fog --local").exits(0);
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(place.path("fog")).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        let within = path.is_dir().then(|| crate::common::names(&path)).unwrap_or_default();
+        files.extend(within.iter().filter(|name| name.ends_with(".paths")).map(|name| path.join(name)));
+    }
+    files.sort();
+    let [dim, bright] = &files[..] else { panic!("a file for each variant: {files:?}") };
+    let [dim, bright] = [dim, bright].map(|path| path.display().to_string());
+    let rows = |rest: &str| place.run(&format!("paths {rest} --json")).exits(0).json();
+    let both = rows(&format!("{dim} {bright} --table voxels"));
+    let of = |file: &str| -> Vec<[String; 4]> {
+        let own = both.as_array().expect("rows").iter().filter(|row| row["file"] == file);
+        own.map(|row| ["x", "y", "z", "bounce"].map(|key| row[key].to_string())).collect()
+    };
+    assert!(of(&dim).len() > 100 && of(&dim) == of(&bright), "the same paths are in the same voxels");
+    let differences = rows(&format!("{bright} --table voxels --minus {dim}"));
+    for row in differences.as_array().expect("rows") {
+        let number = |key: &str| row[key].as_f64().expect("a number");
+        assert_eq!(row["intersections"], row["intersections_there"]);
+        assert!((number("energy") - 3.0 * number("energy_there")).abs() <= 1e-4 * number("energy"), "{row}");
+        let difference = number("energy") - number("energy_there");
+        assert!((number("difference") - difference).abs() <= 1e-9 * number("energy"), "{row}");
+    }
+    // Frames whose light is gone are rendered again, and nothing else is.
+    std::fs::remove_file(&bright).expect("a file");
+    place.run("sweep fog.toml -o fog --local").exits(0);
+    assert!(std::path::Path::new(&bright).is_file());
+    place.run(&format!("bottlenecks {dim} {bright}")).exits(0);
+}
+
+#[test]
 fn tables_are_files_that_other_programs_read() {
     let place = Place::new();
     place.run("render fog.mgf --frames 3 --spp 4 --stats -o a.exr").exits(0);

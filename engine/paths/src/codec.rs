@@ -8,7 +8,7 @@
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 4 | version of the attributes and their bins ([`schema`]) |
 //! | 8 | seed |
-//! | 6 x 4 | frame, width, height, tile, most records, most records of a sketch |
+//! | 7 x 4 | frame, width, height, tile, most records, most records of a sketch, 1: all samples are in the histograms, else 0 |
 //! | 6 x 8 | corners of the box, m |
 //! | 8 | threshold |
 //! | 7 x 4 | numbers of portions, paths, brightest, deepest, intersections, lights, names |
@@ -21,6 +21,7 @@
 //! | table | words of a record |
 //! | --- | --- |
 //! | portions | tile, half, begin, end; the counters, two each |
+//! | bins, of each portion those of all attributes, if all samples are in them | count: 2 |
 //! | pixels, portion by portion | samples, depth, throughput, luminance: 2, its squares: 4 ([`pixels`](crate::pixels)) |
 //! | paths, brightest, deepest | pixel, sample, radiance: 3, throughput: 3, depth, end, numbers of intersections, lights |
 //! | intersections, in order | bounce, position: 6, radiance: 3, throughput: 3, object, material, interaction |
@@ -93,10 +94,12 @@ impl Statistics {
         let mut out = MAGIC.to_vec();
         out.extend(VERSION.to_le_bytes());
         out.extend([0; CHECKSUM]);
-        let Scope { seed, frame, film: [width, height], edge, lower, upper, keep, top } = self.scope;
+        let Scope { seed, frame, film: [width, height], edge, lower, upper, keep, top, is_full } = self.scope;
         out.extend(schema::VERSION.to_le_bytes());
         out.extend(seed.to_le_bytes());
-        [frame, width, height, edge, keep, top].iter().for_each(|word| out.extend(word.to_le_bytes()));
+        [frame, width, height, edge, keep, top, u32::from(is_full)]
+            .iter()
+            .for_each(|word| out.extend(word.to_le_bytes()));
         lower.iter().chain(&upper).for_each(|axis| out.extend(axis.to_bits().to_le_bytes()));
         out.extend(self.threshold.to_le_bytes());
         let all = || [&self.paths, &self.brightest, &self.deepest].into_iter().flat_map(|records| records.values());
@@ -120,6 +123,14 @@ impl Statistics {
         // A name without a text is written as no name.
         let place = |name: Name| places.get(&name).copied().unwrap_or(0);
         table(&mut out, self.portions.iter().map(|(key, counters)| portion(key, counters)));
+        if self.scope.is_full {
+            let bins = |counters: &Counters| {
+                // A portion without samples has them without counts.
+                (0..schema::ALL_BINS).map(|bin| counters.bins.get(bin).copied().unwrap_or(0)).collect::<Vec<u64>>()
+            };
+            let words = |count: u64| [count as u32, (count >> 32) as u32];
+            table(&mut out, self.portions.values().flat_map(bins).map(words));
+        }
         table(&mut out, self.portions.values().flat_map(|counters| &counters.pixels).map(PixelSums::words));
         let all = [&self.paths, &self.brightest, &self.deepest];
         for records in all {
@@ -165,14 +176,15 @@ impl Statistics {
             return Err(PathsError::Schema { found, expected: schema::VERSION });
         }
         let seed = front.long()?;
-        let [frame, width, height, edge, keep, top] = front.words()?;
+        let [frame, width, height, edge, keep, top, full] = front.words()?;
         let mut corners = [0.0; 6];
         for corner in &mut corners {
             *corner = f64::from_bits(front.long()?);
         }
         let [a, b, c, d, e, f] = corners;
-        let scope = Scope { seed, frame, film: [width, height], edge, lower: [a, b, c], upper: [d, e, f], keep, top };
-        if !scope.is_sound() {
+        let (film, lower, upper, is_full) = ([width, height], [a, b, c], [d, e, f], full == 1);
+        let scope = Scope { seed, frame, film, edge, lower, upper, keep, top, is_full };
+        if !scope.is_sound() || full > 1 {
             return Err(PathsError::Corrupt("no such film"));
         }
         let threshold = front.long()?;
@@ -313,6 +325,17 @@ fn read_portions(
         all_pixels = all_pixels.saturating_add(scope.area(tile));
         portions.insert(key, counters);
     }
+    if scope.is_full {
+        let records = portions.len().saturating_mul(schema::ALL_BINS);
+        let bins: Vec<[u32; 2]> = tables.table(u32::try_from(records).map_err(|_| CUT)?)?;
+        for (counters, bins) in portions.values_mut().zip(bins.chunks(schema::ALL_BINS)) {
+            let own = bins.iter().map(|&[low, high]| u64::from(low) | u64::from(high) << 32);
+            counters.bins = if counters.ends.iter().all(|count| *count == 0) { Vec::new() } else { own.collect() };
+            if counters.bins.is_empty() && bins.iter().any(|count| *count != [0; 2]) {
+                return Err(RANGE);
+            }
+        }
+    }
     let pixels: Vec<[u32; pixels::WORDS]> = tables.table(u32::try_from(all_pixels).map_err(|_| CUT)?)?;
     let mut rest = &pixels[..];
     for (key, counters) in &mut portions {
@@ -320,7 +343,7 @@ fn read_portions(
         let (own, others) = rest.split_at_checked(area as usize).ok_or(CUT)?;
         rest = others;
         counters.pixels = own.iter().map(|words| PixelSums::from_words(*words)).collect();
-        if !counters.is_sound(*key, area) {
+        if !counters.is_sound(*key, scope) {
             return Err(RANGE);
         }
     }

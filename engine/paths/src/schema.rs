@@ -115,6 +115,11 @@ pub const LIGHT: [Attribute; 6] = [
     of("found", Scale::Class),
 ];
 
+/// Attributes of paths, intersections and lights.
+pub const AXES: [usize; 3] = [PATH.len(), INTERSECTION.len(), LIGHT.len()];
+/// Bins of all attributes.
+pub const ALL_BINS: usize = FINE * (AXES[0] + AXES[1] + AXES[2]);
+
 /// Fine bins of a path.
 pub fn path_bins(scope: &Scope, path: &Path) -> [u8; PATH.len()] {
     let [width, height] = scope.film;

@@ -34,6 +34,8 @@ pub struct Scope {
     pub keep: u32,
     /// Most records of each sketch for each portion.
     pub top: u32,
+    /// Whether all samples are in the histograms of single attributes.
+    pub is_full: bool,
 }
 
 impl Scope {
@@ -120,7 +122,12 @@ pub struct Counters {
     pub ends: [u64; ENDS],
     /// Sums of each pixel of the tile, row by row.
     pub pixels: Vec<PixelSums>,
+    /// If the [scope is full](Scope::is_full), else none: histograms of all attributes of all tables, [`Bins`] one after the other.
+    pub bins: Bins,
 }
+
+/// Counts of all attributes of paths, then of intersections, then of lights, each in its fine bins; or nothing.
+pub type Bins = Vec<u64>;
 
 /// Reasons for a path to end.
 pub(crate) const ENDS: usize = crate::End::ALL.len();
@@ -128,7 +135,7 @@ pub(crate) const ENDS: usize = crate::End::ALL.len();
 impl Default for Counters {
     fn default() -> Self {
         let (luminance, depth) = ([0; schema::FINE], [0; schema::FINE]);
-        Self { bad: 0, luminance, depth, ends: [0; ENDS], pixels: Vec::new() }
+        Self { bad: 0, luminance, depth, ends: [0; ENDS], pixels: Vec::new(), bins: Bins::new() }
     }
 }
 
@@ -155,6 +162,30 @@ impl Counters {
     pub fn merge(&mut self, other: &Self) {
         self.merge_counts(other);
         self.pixels.iter_mut().zip(&other.pixels).for_each(|(mine, theirs)| mine.merge(theirs));
+        self.merge_bins(&other.bins);
+    }
+
+    /// Counts a path of the frame in the histograms of all attributes.
+    pub fn count_bins(&mut self, scope: &Scope, path: &Path) {
+        self.bins.resize(schema::ALL_BINS, 0);
+        let mut counts = self.bins.as_chunks_mut::<{ schema::FINE }>().0.iter_mut();
+        let [paths, intersections, lights] = schema::AXES.map(|axes| counts.by_ref().take(axes).collect::<Vec<_>>());
+        fn add(mut counts: Vec<&mut [u64; schema::FINE]>, bins: impl Iterator<Item = impl AsRef<[u8]>>) {
+            for bins in bins {
+                for (counts, bin) in counts.iter_mut().zip(bins.as_ref()) {
+                    counts[usize::from(*bin)] += 1;
+                }
+            }
+        }
+        add(paths, [schema::path_bins(scope, path)].into_iter());
+        add(intersections, schema::intersection_bins(scope, path));
+        add(lights, schema::light_bins(path));
+    }
+
+    /// Adds histograms of other samples.
+    pub fn merge_bins(&mut self, other: &Bins) {
+        self.bins.resize(self.bins.len().max(other.len()), 0);
+        self.bins.iter_mut().zip(other).for_each(|(mine, theirs)| *mine = mine.saturating_add(*theirs));
     }
 
     /// The same without what is known of pixels: of any tiles.
@@ -163,10 +194,25 @@ impl Counters {
     }
 
     /// Whether all counts are of as many samples.
-    /// - `area`: pixels of the tile.
-    pub(crate) fn is_sound(&self, key: PortionKey, area: u64) -> bool {
-        let ends = sum(&self.ends);
-        sum(&self.luminance) == ends && sum(&self.depth) == ends && pixels::are_sound(key, area, ends, &self.pixels)
+    pub(crate) fn is_sound(&self, key: PortionKey, scope: &Scope) -> bool {
+        let (ends, area) = (sum(&self.ends), scope.area(key.tile));
+        let mut counts = self.bins.as_chunks::<{ schema::FINE }>().0.iter().map(|counts| sum(counts));
+        // Each path is in one bin of each attribute, each of its intersections and lights in one of each of theirs.
+        let mut are_alike = |axes: usize, expected: Option<u64>| {
+            let first = counts.next();
+            first == expected.or(first) && counts.by_ref().take(axes - 1).all(|sum| Some(sum) == first)
+        };
+        let [paths, intersections, lights] = schema::AXES;
+        let has_bins = are_alike(paths, Some(ends)) && are_alike(intersections, None) && are_alike(lights, None);
+        let are_there = if scope.is_full {
+            self.bins.len() == schema::ALL_BINS && has_bins || ends == 0 && self.bins.is_empty()
+        } else {
+            self.bins.is_empty()
+        };
+        are_there
+            && sum(&self.luminance) == ends
+            && sum(&self.depth) == ends
+            && pixels::are_sound(key, area, ends, &self.pixels)
     }
 
     pub(crate) fn words(&self) -> impl Iterator<Item = u64> + '_ {

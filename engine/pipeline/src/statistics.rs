@@ -56,7 +56,8 @@ impl StatisticsPlan {
         let bounds = prepared.world.bounds();
         let (lower, upper) = rounded(prepared.in_world(bounds.min), prepared.in_world(bounds.max));
         let (film, frame) = (prepared.camera.film, prepared.frame);
-        Self { scope: Scope { seed: settings.seed, frame, film, edge, lower, upper, keep: KEEP, top: TOP } }
+        let (seed, is_full) = (settings.seed, settings.full_statistics);
+        Self { scope: Scope { seed, frame, film, edge, lower, upper, keep: KEEP, top: TOP, is_full } }
     }
 
     /// Share of the samples whose paths are recorded by a task.
@@ -97,6 +98,8 @@ pub fn render_with_statistics(
 ) -> Result<(RenderedTile, Statistics), RenderError> {
     let names = SceneNames::new(prepared);
     let mut statistics = Statistics::new(plan.scope, plan.share(settings, &samples));
+    // What is traced again is counted already.
+    let again = Scope { is_full: false, ..plan.scope };
     let recorder = || PathRecorder::new(&names, statistics.threshold, plan.scope);
     let (rendered, heard) = render_rows(prepared, settings, rect, samples.clone(), cancel, progress, recorder)?;
     let mut all = Heard::new();
@@ -110,7 +113,7 @@ pub fn render_with_statistics(
     let order = |path: Path| ((path.key.hash(plan.scope.seed), path.key), path);
     statistics.paths.extend(all.paths.drain(..).map(order));
     // Everything is wanted of what is traced again.
-    let mut replay = Replay::recording(prepared, settings, PathRecorder::new(&names, u64::MAX, plan.scope));
+    let mut replay = Replay::recording(prepared, settings, PathRecorder::new(&names, u64::MAX, again));
     let [bright, deep] = [all.bright, all.deep].map(Tops::keys);
     let width = plan.scope.film[0];
     for key in bright.iter().chain(&deep) {
@@ -210,7 +213,10 @@ impl Heard {
     }
 
     fn merge(&mut self, other: Self) {
-        self.counters.iter_mut().zip(&other.counters).for_each(|(mine, theirs)| mine.merge(theirs));
+        for (mine, theirs) in self.counters.iter_mut().zip(&other.counters) {
+            mine.merge_counts(theirs);
+            mine.merge_bins(&theirs.bins);
+        }
         self.pixels.iter_mut().zip(other.pixels).for_each(|(mine, theirs)| mine.extend(theirs));
         self.paths.extend(other.paths);
         self.bright.merge(other.bright);
@@ -265,6 +271,9 @@ struct PathRecorder<'a> {
     heard: Heard,
     // Of the sample that is being traced:
     key: PathKey,
+    /// Whether its path is recorded.
+    is_kept: bool,
+    /// Whether all is heard of it: it is recorded, or all are counted.
     is_wanted: bool,
     /// The one of its pixel.
     latest: Option<u32>,
@@ -283,6 +292,7 @@ impl<'a> PathRecorder<'a> {
             scope,
             heard: Heard::new(),
             key: PathKey::default(),
+            is_kept: false,
             is_wanted: false,
             latest: None,
             depth: 0,
@@ -449,7 +459,8 @@ impl Recorder for PathRecorder<'_> {
     #[inline]
     fn begin(&mut self, pixel: u32, sample: u32) {
         self.key = PathKey { frame: self.scope.frame, pixel, sample };
-        self.is_wanted = self.key.hash(self.scope.seed) < self.threshold;
+        self.is_kept = self.key.hash(self.scope.seed) < self.threshold;
+        self.is_wanted = self.is_kept || self.scope.is_full;
         if self.latest != Some(pixel) {
             self.latest = Some(pixel);
             self.heard.pixels.iter_mut().for_each(|pixels| pixels.push(PixelSums::default()));
@@ -518,8 +529,13 @@ impl Recorder for PathRecorder<'_> {
         }
         if self.is_wanted {
             let path = self.path(color);
-            self.keep_names(&path);
-            self.heard.paths.push(path);
+            if self.scope.is_full {
+                self.heard.counters[half].count_bins(&self.scope, &path);
+            }
+            if self.is_kept {
+                self.keep_names(&path);
+                self.heard.paths.push(path);
+            }
         }
     }
 }

@@ -21,6 +21,7 @@ pub(crate) fn scope(keep: u32) -> Scope {
         upper: [4.0, 3.0, 2.5],
         keep,
         top: 3,
+        is_full: false,
     }
 }
 
@@ -129,6 +130,9 @@ pub(crate) fn record(
             let path = path(scope, key);
             counters.count(path.luminance(), path.depth, path.end);
             let throughput = path.throughput.into_iter().fold(0.0, f32::max);
+            if scope.is_full {
+                counters.count_bins(scope, &path);
+            }
             counters.pixels[place].count(path.luminance(), throughput, path.depth);
             let order = (key.hash(scope.seed), key);
             if wants(&statistics, key) {

@@ -263,7 +263,7 @@ fn voxels_of_all_variants_of_a_sweep_have_one_root_and_their_difference_is_where
     let mut files = Vec::new();
     for entry in std::fs::read_dir(place.path("fog")).expect("a folder") {
         let path = entry.expect("an entry").path();
-        let within = path.is_dir().then(|| crate::common::names(&path)).unwrap_or_default();
+        let within = if path.is_dir() { crate::common::names(&path) } else { Vec::new() };
         files.extend(within.iter().filter(|name| name.ends_with(".paths")).map(|name| path.join(name)));
     }
     files.sort();

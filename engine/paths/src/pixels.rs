@@ -2,7 +2,7 @@
 //! them at their end.
 //!
 //! Sums over all samples of a pixel of one half, in integers, so that they are the same in any order. A term is rounded once, to the
-//! nearest unit, halves up:
+//! nearest unit, halves to even ones:
 //!
 //! | sum | unit | largest term |
 //! | --- | --- | --- |
@@ -19,10 +19,10 @@ use crate::statistics::{PortionKey, Statistics};
 const LUMINANCE_BITS: i32 = 16;
 /// Fraction bits of a throughput.
 const THROUGHPUT_BITS: i32 = 12;
-/// Largest term of the luminance, in its units.
-const MOST_LUMINANCE: f64 = (1u64 << 48) as f64;
-/// Largest term of the throughput, in its units.
-const MOST_THROUGHPUT: f64 = (1u64 << 20) as f64;
+/// Largest term of the luminance, cd/m2.
+const MOST_LUMINANCE: f32 = (1u64 << 32) as f32;
+/// Largest term of the throughput.
+const MOST_THROUGHPUT: f32 = (1u64 << 8) as f32;
 
 /// Sums of some samples of one pixel.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -48,8 +48,10 @@ impl PixelSums {
     /// - `throughput`: of the path's end, not negative.
     #[inline]
     pub fn count(&mut self, luminance: f32, throughput: f32, depth: u32) {
-        let units = |value: f32, bits: i32, most: f64| {
-            (f64::from(value) * f64::from(1u32 << bits) + 0.5).clamp(0.0, most) as u64
+        // In a double of the size of this bias the lowest bit of the mantissa is 1.
+        const BIAS: f64 = (1u64 << 52) as f64;
+        let units = |value: f32, bits: i32, most: f32| {
+            (f64::from(value.clamp(0.0, most)) * f64::from(1u32 << bits) + BIAS).to_bits() - BIAS.to_bits()
         };
         let light = units(luminance, LUMINANCE_BITS, MOST_LUMINANCE);
         self.samples = self.samples.saturating_add(1);

@@ -14,6 +14,7 @@ use femc_film::Rect;
 use femc_geometry::{Ray, offset_origin};
 use femc_math::Rgb;
 use femc_math::color::luminance;
+use femc_math::hash::Begun;
 use femc_montecarlo::record::{
     Contribution, Found as FoundBy, Leaving, Place, Recorder, Scatterer, Stop, Transmitted, Vertex,
 };
@@ -234,11 +235,12 @@ type Ranked = (u32, Reverse<(u64, PathKey)>);
 
 impl Tops {
     #[inline]
-    fn offer(&mut self, rank: f32, key: PathKey, seed: u64) {
+    fn offer(&mut self, rank: f32, hash: u64, key: PathKey) {
         let half = &mut self.0[usize::from(key.half())];
-        let is_low = |Reverse(least): &Reverse<Ranked>| rank.to_bits() < least.0;
-        if half.len() < TOP as usize || !half.peek().is_some_and(is_low) {
-            Self::push(half, (rank.to_bits(), Reverse((key.hash(seed), key))));
+        let ranked = (rank.to_bits(), Reverse((hash, key)));
+        // Of equal ranks, like those of all samples that are black, few are of the least hashes.
+        if half.len() < TOP as usize || half.peek().is_none_or(|Reverse(least)| ranked > *least) {
+            Self::push(half, ranked);
         }
     }
 
@@ -271,6 +273,9 @@ struct PathRecorder<'a> {
     heard: Heard,
     // Of the sample that is being traced:
     key: PathKey,
+    hash: u64,
+    /// What the hashes of its pixel's samples begin with.
+    pixel_hash: Begun,
     /// Whether its path is recorded.
     is_kept: bool,
     /// Whether all is heard of it: it is recorded, or all are counted.
@@ -292,6 +297,8 @@ impl<'a> PathRecorder<'a> {
             scope,
             heard: Heard::new(),
             key: PathKey::default(),
+            hash: 0,
+            pixel_hash: Begun::default(),
             is_kept: false,
             is_wanted: false,
             latest: None,
@@ -459,12 +466,14 @@ impl Recorder for PathRecorder<'_> {
     #[inline]
     fn begin(&mut self, pixel: u32, sample: u32) {
         self.key = PathKey { frame: self.scope.frame, pixel, sample };
-        self.is_kept = self.key.hash(self.scope.seed) < self.threshold;
-        self.is_wanted = self.is_kept || self.scope.is_full;
         if self.latest != Some(pixel) {
             self.latest = Some(pixel);
+            self.pixel_hash = self.key.pixel_hash(self.scope.seed);
             self.heard.pixels.iter_mut().for_each(|pixels| pixels.push(PixelSums::default()));
         }
+        self.hash = self.key.hash_in_pixel(self.pixel_hash);
+        self.is_kept = self.hash < self.threshold;
+        self.is_wanted = self.is_kept || self.scope.is_full;
         self.depth = 0;
         self.steps.clear();
         self.lights.clear();
@@ -480,6 +489,9 @@ impl Recorder for PathRecorder<'_> {
 
     #[inline]
     fn leave(&mut self, way: Leaving) {
+        if !self.is_wanted {
+            return;
+        }
         if let Some(last) = self.steps.last_mut() {
             last.1 = Some(way);
         }
@@ -523,9 +535,9 @@ impl Recorder for PathRecorder<'_> {
         if let Some(pixel) = self.heard.pixels[half].last_mut() {
             pixel.count(luminance, greatest, self.depth);
         }
-        self.heard.bright.offer(luminance, self.key, self.scope.seed);
+        self.heard.bright.offer(luminance, self.hash, self.key);
         if self.depth >= DEEP {
-            self.heard.deep.offer(greatest, self.key, self.scope.seed);
+            self.heard.deep.offer(greatest, self.hash, self.key);
         }
         if self.is_wanted {
             let path = self.path(color);

@@ -7,7 +7,7 @@ mod values;
 
 pub use extras::ExtrasArgs;
 pub use metrics::MetricsArgs;
-pub use settings::SettingsArgs;
+pub use settings::{SettingsArgs, Stats};
 pub use values::{Filter, Method};
 
 use crate::command;
@@ -146,6 +146,7 @@ pub enum Command {
     Fireflies(command::fireflies::FirefliesArgs),
     Field(command::field::FieldArgs),
     Paths(command::paths::PathsArgs),
+    Bottlenecks(command::bottlenecks::BottlenecksArgs),
     Coordinator(command::coordinator::CoordinatorArgs),
     Worker(command::worker::WorkerArgs),
     Submit(command::submit::SubmitArgs),

@@ -1,7 +1,16 @@
 use super::{Filter, Method};
 use crate::request::{Budget, Frames, Override, Size};
-use clap::Args;
+use clap::{Args, ValueEnum};
 use std::path::PathBuf;
+
+/// Which samples are in the histograms.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Stats {
+    /// Those whose paths are recorded
+    Some,
+    /// All
+    Full,
+}
 
 /// Render settings as typed, the same on every command that renders or plans. `None`: not typed.
 #[derive(Clone, Debug, Default, Args)]
@@ -58,8 +67,12 @@ pub struct SettingsArgs {
     #[arg(long, value_name = "DIR")]
     pub root: Option<PathBuf>,
     /// Write light statistics beside each frame, as FRAME.paths: counts of all samples, and whole paths of some (`femc paths`)
-    #[arg(long)]
-    pub stats: bool,
+    ///
+    /// Write light statistics beside each frame, as FRAME.paths: counts and maps of all samples, and whole paths of some (`femc paths`,
+    /// `femc bottlenecks`). With `--stats=full` all samples are in the histograms of each attribute, in place of those that are recorded; that
+    /// takes about half as long again.
+    #[arg(long, value_enum, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "some")]
+    pub stats: Option<Stats>,
 }
 
 impl SettingsArgs {
@@ -84,7 +97,7 @@ impl SettingsArgs {
             threads: self.threads.or(job.threads),
             set: job.set.into_iter().chain(self.set).collect(),
             root: self.root.or(job.root),
-            stats: self.stats || job.stats,
+            stats: self.stats.or(job.stats),
         }
     }
 }

@@ -2,6 +2,7 @@
 
 pub mod backup;
 pub mod bench;
+pub mod bottlenecks;
 pub mod ca;
 pub mod check;
 mod client;
@@ -54,6 +55,7 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Fireflies(args) => fireflies::run(&args, say),
         Command::Field(args) => field::run(args, say),
         Command::Paths(args) => paths::run(&args, say),
+        Command::Bottlenecks(args) => bottlenecks::run(&args, say),
         Command::Coordinator(args) => coordinator::run(args, say),
         Command::Worker(args) => worker::run(args, say),
         Command::Submit(args) => submit::run(args, say),

@@ -1,25 +1,27 @@
-//! `femc report JOB`: what became of jobs, as a page.
+//! `femc report JOB`: what became of jobs, as a page; or what is known of the light of frames.
 
+use super::bottlenecks::Report as Findings;
 use super::subject::{self, Logs, Subject};
 use crate::args::ServerArgs;
-use crate::exit::{Exit, Failure, failed};
+use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::Say;
-use crate::report::Report;
+use crate::report::{Report, light};
 use clap::Args;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
-/// Write a page about jobs: workers over time, durations, errors, samples, cost, failures
+/// Write a page about jobs: workers over time, durations, errors, samples, cost, failures; or about the light of frames
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc report 7 -o report.html\n  \
     femc report fog                            # of the sweep in the folder fog, without a farm\n  \
-    femc watch 7 && femc report 7 && xdg-open job-7.html\n\n\
-    One file that opens without a network. The numbers behind it: `femc stats`.")]
+    femc watch 7 && femc report 7 && xdg-open job-7.html\n  \
+    femc report box.paths                      # maps and histograms of the light of a frame: box.html\n\n\
+    One file that opens without a network. The numbers behind it: `femc stats`; of light: `femc paths` and `femc bottlenecks`.")]
 pub struct ReportArgs {
-    /// Numbers of jobs, or the folders of sweeps that have ended
-    #[arg(value_name = "JOB|DIR", required = true)]
+    /// Numbers of jobs, or the folders of sweeps that have ended; or files with the light of frames
+    #[arg(value_name = "JOB|DIR|FRAME.paths", required = true)]
     subjects: Vec<Subject>,
-    /// File to write [default: job-JOB.html, of a sweep DIR/report.html]
+    /// File to write [default: job-JOB.html, of a sweep DIR/report.html, of a frame FRAME.html]
     #[arg(long, short, value_name = "FILE.html")]
     out: Option<PathBuf>,
     #[command(flatten)]
@@ -28,6 +30,9 @@ pub struct ReportArgs {
 
 /// Write.
 pub fn run(args: &ReportArgs, say: Say) -> Result<Exit, Failure> {
+    if let Some(files) = light_files(&args.subjects)? {
+        return light_page(args, &files, say);
+    }
     let records = subject::records(&args.subjects, Logs::Failures, &args.server)?;
     let out = args.out.clone().unwrap_or_else(|| match &args.subjects[..] {
         [Subject::Job(job)] => format!("job-{job}.html").into(),
@@ -39,6 +44,42 @@ pub fn run(args: &ReportArgs, say: Say) -> Result<Exit, Failure> {
         _ => None,
     };
     femc_film::file::write_atomic(&out, Report { title, records }.html()?.as_bytes()).map_err(failed)?;
+    say.result(out.display());
+    Ok(Exit::Done)
+}
+
+/// The files, if the page is about light.
+fn light_files(subjects: &[Subject]) -> Result<Option<Vec<PathBuf>>, Failure> {
+    let is_light = |path: &Path| path.extension().is_some_and(|extension| extension == "paths");
+    let files: Vec<PathBuf> = subjects
+        .iter()
+        .filter_map(|subject| match subject {
+            Subject::Sweep(path) if is_light(path) && !path.is_dir() => Some(path.clone()),
+            _ => None,
+        })
+        .collect();
+    match files.len() {
+        0 => Ok(None),
+        count if count < subjects.len() => {
+            Err(usage("a page is about jobs and sweeps, or about the light of frames (FRAME.paths): not both"))
+        }
+        count if count > light::FILES => Err(usage(format!(
+            "{count} files: a page shows at most {}; `femc bottlenecks` takes them all",
+            light::FILES
+        ))),
+        _ => Ok(Some(files)),
+    }
+}
+
+fn light_page(args: &ReportArgs, files: &[PathBuf], say: Say) -> Result<Exit, Failure> {
+    let frames: Vec<_> =
+        files.iter().map(|file| Ok((file.clone(), super::paths::read(file)?))).collect::<Result<_, Failure>>()?;
+    let out = args.out.clone().unwrap_or_else(|| match files {
+        [one] => one.with_extension("html"),
+        _ => "light.html".into(),
+    });
+    let page = light::html(&frames, &Findings::of_frames(&frames))?;
+    femc_film::file::write_atomic(&out, page.as_bytes()).map_err(failed)?;
     say.result(out.display());
     Ok(Exit::Done)
 }

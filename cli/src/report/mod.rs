@@ -6,6 +6,7 @@ mod durations;
 mod errors;
 mod figure;
 mod heat;
+pub mod light;
 mod logarithmic;
 mod page;
 mod timeline;

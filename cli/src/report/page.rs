@@ -16,6 +16,7 @@ const STYLE: &str = "
     th { white-space: normal; vertical-align: bottom }
     dl { display: grid; grid-template-columns: max-content auto; gap: .1em 1.2em } dt { color: #666 } dd { margin: 0 }
     pre { background: #f5f5f5; padding: .8em; overflow-x: auto; font-size: 12px }
+    .map { display: inline-block; width: 49%; margin: .5em 0; font-size: 13px } .map img { width: 98%; height: auto; image-rendering: pixelated }
     .key { display: inline-block; width: .9em; height: .9em; margin: 0 .4em 0 1em; vertical-align: -.1em }";
 
 /// A page in the making.
@@ -68,6 +69,15 @@ impl Page {
             self.text(without);
         }
         svgs.iter().for_each(|svg| self.figure(svg));
+    }
+
+    /// A PNG, with a line under it.
+    pub fn picture(&mut self, title: &str, png: &[u8]) {
+        let (title, address, width) = (escaped(title), super::light::address(png), super::light::SHOWN);
+        self.put(format_args!(
+            "<figure class=\"map\"><img src=\"{address}\" width=\"{width}\" alt=\"{title}\"><figcaption>{title}</figcaption>\
+             </figure>\n"
+        ));
     }
 
     /// What colors mean.

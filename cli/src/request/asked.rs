@@ -1,7 +1,7 @@
 //! A scene or a job file on the command line, with the settings typed, made into a plan.
 
 use super::{Frames, JobFile, Size, Stated};
-use crate::args::{Filter, Method, SettingsArgs};
+use crate::args::{Filter, Method, SettingsArgs, Stats};
 use crate::command::render::picture::attributes;
 use crate::exit::{Failure, failed, usage};
 use crate::output::{Say, human};
@@ -297,7 +297,8 @@ fn settings(typed: &SettingsArgs) -> Settings {
         filter: typed.filter.map_or(default.filter, filter),
         seed: typed.seed.unwrap_or(default.seed),
         overrides: typed.set.iter().map(|o| (o.selector.clone(), o.value)).collect(),
-        statistics: typed.stats,
+        statistics: typed.stats.is_some(),
+        full_statistics: typed.stats == Some(Stats::Full),
         allocation: None,
     }
 }

@@ -3,6 +3,7 @@
 mod attacks;
 mod backup;
 mod bench;
+mod bottlenecks;
 mod common;
 mod config;
 mod deaths;

@@ -79,25 +79,51 @@ fn a_frame_with_a_time_counts_what_its_image_counts() {
     assert!(all.paths.values().all(|path| path.key.sample >= begin));
 }
 
+/// Seconds of the tasks that render and of the others, and bytes that were sent, of a job's results.
+fn took(place: &Place, url: &str, job: &str) -> ([f64; 2], u64) {
+    let rows = place.run(&format!("stats {job} --by task --json --server {url}")).exits(0).json();
+    let (mut seconds, mut bytes) = ([0.0; 2], 0);
+    for row in rows.as_array().expect("rows") {
+        seconds[usize::from(row["stage"] != "render")] += row["wall_seconds"].as_f64().expect("a number");
+        bytes += row["sent_bytes"].as_u64().expect("a number");
+    }
+    (seconds, bytes)
+}
+
 #[test]
 fn statistics_of_a_farm_with_a_killed_worker_are_those_of_one_process() {
-    const SETTINGS: &str = "--frames 1..4 --size 64x48 --spp 64 --stats";
+    const FRAMES: u32 = 24;
+    const SETTINGS: &str = "--size 40x24 --spp 6";
     let place = Place::new();
+    place.write("fog.mgf", &crate::common::FOG.replace("time 0 0.75 10", "time 0 2.3 10"));
     let (mut farm, url) = coordinator(&place, 0);
     let (mut victim, _second, _third) = (worker(&place, &url), worker(&place, &url), worker(&place, &url));
-    let job = submit(&place, &url, SETTINGS);
+    let job = submit(&place, &url, &format!("{SETTINGS} --stats"));
     let done = || status(&place, &url, &job)["frames_done"].as_u64().expect("a number");
     farm.wait_until("a finished frame", || done() >= 1);
-    assert!(done() < 4, "it is not over yet");
+    assert!(done() < u64::from(FRAMES), "it is not over yet");
     assert!(victim.kill(), "the victim was alive");
     place.run(&format!("watch {job} --server {url}")).exits(0);
     place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
-    place.run(&format!("render fog.mgf {SETTINGS} -o alone --workers 1 --threads 1")).exits(0);
-    for frame in 1..=4 {
+    place.run(&format!("render fog.mgf {SETTINGS} --stats -o alone --workers 1 --threads 1")).exits(0);
+    let mut kept = 0;
+    for frame in 1..=FRAMES {
         let name = |folder: &str| format!("{folder}/fog.{frame:04}.paths");
         assert!(bytes(&place, &name("out")) == bytes(&place, &name("alone")), "frame {frame}");
-        assert_eq!(statistics(&place, &name("out")).samples(), 64 * 48 * 64);
+        assert_eq!(statistics(&place, &name("out")).samples(), 40 * 24 * 6);
+        kept += bytes(&place, &name("out")).len();
     }
+    // What it takes more than the same frames without; one worker less makes both take longer.
+    let without = submit(&place, &url, SETTINGS);
+    place.run(&format!("watch {without} --server {url}")).exits(0);
+    let ([render, rest], sent) = took(&place, &url, &job);
+    let ([_, rest_without], sent_without) = took(&place, &url, &without);
+    println!(
+        "24 frames: {render:.2} s rendering; images and merging {rest:.2} s, without statistics {rest_without:.2} s; \
+         {sent} bytes sent, without {sent_without}; {kept} bytes of statistics kept"
+    );
+    let moved = (sent - sent_without) / u64::from(FRAMES);
+    assert!(moved > 1 << 10 && moved < 64 << 20, "{moved} bytes a frame");
 }
 
 #[test]
@@ -144,8 +170,125 @@ fn paths_are_found_by_what_they_met() {
     let depth = bins.iter().filter(|row| row["table"] == "paths" && row["attribute"] == "depth");
     let sum: u64 = depth.map(|row| row["samples"].as_u64().expect("a number")).sum();
     assert_eq!(sum, all.paths.len() as u64);
+    let map = rows("--table pixels");
+    let (width, height, [r, g, b, _]) =
+        femc_film::exr::read_channels(&place.path("box.exr"), ["R", "G", "B", "depth.Z"]).expect("a frame");
+    assert_eq!(map.len(), (width * height) as usize);
+    let number = |row: &serde_json::Value, key: &str| row[key].as_f64().expect("a number");
+    for (row, ((r, g), b)) in map.iter().zip(r.iter().zip(&g).zip(&b)) {
+        let luminance = f64::from(0.2126 * r + 0.7152 * g + 0.0722 * b);
+        assert!((number(row, "luminance") - luminance).abs() < 1e-3 * luminance + 1e-4, "{row}: {luminance}");
+        assert_eq!(row["samples"], 8);
+        assert!(number(row, "variance") >= 0.0 && number(row, "depth") >= 0.0);
+    }
+    let depths: f64 = map.iter().map(|row| 8.0 * number(row, "depth")).sum();
+    let expected: u64 = (0..).zip(all.totals().depth).map(|(depth, samples): (u64, u64)| depth * samples).sum();
+    assert!((depths - expected as f64).abs() < 1e-6 * depths, "{depths} {expected}");
     assert!(!rows("--table voxels --in -1,-1,0,1,1,0.5").is_empty());
     assert!(!rows("--brightest").is_empty() && rows("--few 100").len() == 100);
+}
+
+#[test]
+fn full_statistics_have_all_samples_in_their_histograms_for_any_workers() {
+    let place = Place::new();
+    let line = |out: &str, rest: &str| format!("render fog.mgf --frames 5 --size 96x80 --spp 6 -o {out} {rest}");
+    place.run(&line("some.exr", "--stats")).exits(0);
+    place.run(&line("one.exr", "--stats=full --workers 1")).exits(0);
+    place.run(&line("three.exr", "--stats=full --workers 3 --threads 2")).exits(0);
+    assert!(bytes(&place, "one.paths") == bytes(&place, "three.paths"));
+    assert_eq!(pixels(&place.path("one.exr")), pixels(&place.path("some.exr")));
+    let (some, full) = (statistics(&place, "some.paths"), statistics(&place, "one.paths"));
+    assert!(full.paths == some.paths && full.share() < 0.5, "the same paths are recorded");
+    let samples = |name: &str, table: &str| {
+        let rows = place.run(&format!("paths {name} --table histograms --json")).exits(0).json();
+        let mut sums = std::collections::BTreeMap::<String, u64>::new();
+        for row in rows.as_array().expect("rows").iter().filter(|row| row["table"] == table) {
+            let attribute = row["attribute"].as_str().expect("a name").to_owned();
+            *sums.entry(attribute).or_default() += row["samples"].as_u64().expect("a number");
+        }
+        sums
+    };
+    let of = |name: &str| samples(name, "paths").into_values().collect::<std::collections::BTreeSet<u64>>();
+    assert_eq!(of("one.paths"), [96 * 80 * 6].into());
+    assert_eq!(of("some.paths"), [some.paths.len() as u64].into());
+    let depths: u64 = (0..).zip(full.totals().depth).map(|(depth, samples): (u64, u64)| depth * samples).sum();
+    assert!(samples("one.paths", "intersections").values().all(|sum| *sum == depths), "{depths}");
+    // A run after that one, with less, has other settings.
+    place.write("full.toml", "scene = \"fog.mgf\"\nframes = \"5\"\nspp = 2\nstats = \"full\"\n");
+    place.run("render full.toml -o job.exr").exits(0);
+    assert!(statistics(&place, "job.paths").scope.is_full);
+    place.write("half.toml", "scene = \"fog.mgf\"\nstats = \"half\"\n");
+    assert!(place.run("render half.toml -o half.exr").exits(2).stderr().contains("half.toml:2"));
+}
+
+#[test]
+fn rare_paths_and_those_that_stand_for_all_are_listed_and_an_object_has_a_box() {
+    let place = Place::new();
+    named(&place);
+    place.run("render box.mgf --frames 8 --spp 8 --stats -o box.exr").exits(0);
+    let rows = |rest: &str| -> Vec<serde_json::Value> {
+        place.run(&format!("paths box.paths --json {rest}")).exits(0).json().as_array().expect("rows").clone()
+    };
+    let few = rows("--few 200");
+    let weights: f64 = few.iter().map(|row| row["weight"].as_f64().expect("a weight")).sum();
+    assert!(few.len() == 200 && (weights - 200.0).abs() < 1e-6, "{weights}");
+    let rare = rows("--rarest 20");
+    assert_eq!(rare.len(), 20);
+    assert!(rare.iter().all(|row| row["weight"].is_null()));
+    // The first is alone in a bin of some attribute.
+    let bins = rows("--table histograms");
+    assert!(bins.iter().any(|row| row["table"] == "paths" && row["samples"] == 1));
+    let on_floor = rows("--in floor --table intersections");
+    let floor = rows("--where object==floor --table intersections");
+    assert!(floor.len() > 100 && on_floor.len() >= floor.len());
+    assert!(on_floor.iter().all(|row| row["z"].as_f64().is_some_and(|z| z.abs() < 1e-4)));
+    let refused = |rest: &str, why: &str| {
+        let said = place.run(&format!("paths box.paths {rest}")).exits(2).stderr();
+        assert!(said.contains(why), "{rest}: {said}");
+    };
+    refused("--in flor", "known are");
+    refused("--in 1,2,3", "six numbers");
+    refused("--rarest 3 --few 4", "--few");
+    refused("--minus box.paths", "--table voxels");
+}
+
+#[test]
+fn voxels_of_all_variants_of_a_sweep_have_one_root_and_their_difference_is_where_light_differs() {
+    let place = Place::new();
+    place.write(
+        "fog.toml",
+        "scene = \"fog.mgf\"\nframes = \"3\"\nspp = 4\nstats = true\n[sweep]\n\"material.lamp.ed\" = [300, 900]\n",
+    );
+    place.run("sweep fog.toml -o fog --local").exits(0);
+    let mut files = Vec::new();
+    for entry in std::fs::read_dir(place.path("fog")).expect("a folder") {
+        let path = entry.expect("an entry").path();
+        let within = if path.is_dir() { crate::common::names(&path) } else { Vec::new() };
+        files.extend(within.iter().filter(|name| name.ends_with(".paths")).map(|name| path.join(name)));
+    }
+    files.sort();
+    let [dim, bright] = &files[..] else { panic!("a file for each variant: {files:?}") };
+    let [dim, bright] = [dim, bright].map(|path| path.display().to_string());
+    let rows = |rest: &str| place.run(&format!("paths {rest} --json")).exits(0).json();
+    let both = rows(&format!("{dim} {bright} --table voxels"));
+    let of = |file: &str| -> Vec<[String; 4]> {
+        let own = both.as_array().expect("rows").iter().filter(|row| row["file"] == file);
+        own.map(|row| ["x", "y", "z", "bounce"].map(|key| row[key].to_string())).collect()
+    };
+    assert!(of(&dim).len() > 100 && of(&dim) == of(&bright), "the same paths are in the same voxels");
+    let differences = rows(&format!("{bright} --table voxels --minus {dim}"));
+    for row in differences.as_array().expect("rows") {
+        let number = |key: &str| row[key].as_f64().expect("a number");
+        assert_eq!(row["intersections"], row["intersections_there"]);
+        assert!((number("energy") - 3.0 * number("energy_there")).abs() <= 1e-4 * number("energy"), "{row}");
+        let difference = number("energy") - number("energy_there");
+        assert!((number("difference") - difference).abs() <= 1e-9 * number("energy"), "{row}");
+    }
+    // Frames whose light is gone are rendered again, and nothing else is.
+    std::fs::remove_file(&bright).expect("a file");
+    place.run("sweep fog.toml -o fog --local").exits(0);
+    assert!(std::path::Path::new(&bright).is_file());
+    place.run(&format!("bottlenecks {dim} {bright}")).exits(0);
 }
 
 #[test]
@@ -163,6 +306,30 @@ fn tables_are_files_that_other_programs_read() {
             assert_eq!(csv.lines().count(), all.paths.len() + 1);
         }
     }
+}
+
+#[test]
+fn a_page_shows_maps_and_histograms_and_asks_nobody_for_anything() {
+    let place = Place::new();
+    named(&place);
+    place.run("render box.mgf --frames 1..2 --spp 4 --stats -o out").exits(0);
+    assert!(place.run("report out/box.0001.paths").exits(0).stdout().contains("box.0001.html"));
+    let page = place.read("out/box.0001.html");
+    assert_eq!(page.matches("<svg").count(), 3, "histograms of paths, intersections and lights");
+    for (title, pictures) in [("Luminance, cd/m2", 1), ("Standard deviation", 1), ("Intersections of a path", 1)] {
+        assert_eq!(page.matches(&format!("<figcaption>{title}")).count(), pictures, "{title}");
+    }
+    for outside in ["src=\"http", "href=", "@import", "url("] {
+        assert!(!page.contains(outside), "{outside} asks for something");
+    }
+    // The pictures have the pixels of the film.
+    let (_, rest) = page.split_once("src=\"data:image/png;base64,").expect("a picture");
+    assert!(rest.starts_with("iVBORw0KGgo"), "a PNG: {}", &rest[..20]);
+    assert!(page.contains("ceiling") && page.contains("most work:"), "what stands out, and where");
+    place.run("report out/box.0001.paths out/box.0002.paths -o two.html").exits(0);
+    assert_eq!(place.read("two.html").matches("<img").count(), 8);
+    assert!(place.run("report out/box.0001.paths 7").exits(2).stderr().contains("not both"));
+    place.run("report out/box.0003.paths").exits(2);
 }
 
 #[test]

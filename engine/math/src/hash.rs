@@ -21,11 +21,30 @@ pub fn mix64(mut x: u64) -> u64 {
 /// Hash of a sequence of words; the order matters.
 #[inline]
 pub fn combine(words: &[u64]) -> u64 {
-    let mut h = 0x9e37_79b9_7f4a_7c15;
-    for &w in words {
-        h = mix64(h ^ w).wrapping_add(0x9e37_79b9_7f4a_7c15);
+    begun(words).end(&[])
+}
+
+/// The hash of a sequence whose first words are known: of many sequences that begin alike it is made of them once.
+#[inline]
+pub fn begun(words: &[u64]) -> Begun {
+    Begun(0x9e37_79b9_7f4a_7c15).and(words)
+}
+
+/// See [`begun`].
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Begun(u64);
+
+impl Begun {
+    #[inline]
+    fn and(self, words: &[u64]) -> Self {
+        Self(words.iter().fold(self.0, |h, w| mix64(h ^ w).wrapping_add(0x9e37_79b9_7f4a_7c15)))
     }
-    mix64(h)
+
+    /// [`combine`] of the first words and these.
+    #[inline]
+    pub fn end(self, words: &[u64]) -> u64 {
+        mix64(self.and(words).0)
+    }
 }
 
 /// The 24 high bits of `x` as a float in [0, 1).

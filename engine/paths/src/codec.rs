@@ -4,11 +4,11 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCPATH` |
-//! | 4 | format version, 1 |
+//! | 4 | format version, 2 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 4 | version of the attributes and their bins ([`schema`]) |
 //! | 8 | seed |
-//! | 6 x 4 | frame, width, height, tile, most records, most records of a sketch |
+//! | 7 x 4 | frame, width, height, tile, most records, most records of a sketch, 1: all samples are in the histograms, else 0 |
 //! | 6 x 8 | corners of the box, m |
 //! | 8 | threshold |
 //! | 7 x 4 | numbers of portions, paths, brightest, deepest, intersections, lights, names |
@@ -21,6 +21,8 @@
 //! | table | words of a record |
 //! | --- | --- |
 //! | portions | tile, half, begin, end; the counters, two each |
+//! | bins, of each portion those of all attributes, if all samples are in them | count: 2 |
+//! | pixels, portion by portion | samples, depth, throughput, luminance: 2, its squares: 4 ([`pixels`](crate::pixels)) |
 //! | paths, brightest, deepest | pixel, sample, radiance: 3, throughput: 3, depth, end, numbers of intersections, lights |
 //! | intersections, in order | bounce, position: 6, radiance: 3, throughput: 3, object, material, interaction |
 //! | lights, in order | vertex, light, radiance: 3, occluder, how it was found |
@@ -31,6 +33,7 @@
 //! The checksum is looked at first. What is decompressed is never more than the header says, and nothing is made room for that has not
 //! come out of it. Accepted bytes hold all laws of [`Statistics`]: order, ranges, portions apart, no number that is not finite.
 
+use crate::pixels::{self, PixelSums};
 use crate::record::{
     End, Found, Interaction, Intersection, Kind, Light, MOST_INTERSECTIONS, MOST_LIGHTS, Name, Names, Path, PathKey,
 };
@@ -40,11 +43,11 @@ use std::collections::BTreeMap;
 use std::io::Read;
 
 const MAGIC: &[u8; 8] = b"FEMCPATH";
-const VERSION: u32 = 1;
+const VERSION: u32 = 2;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
-/// Most bytes of all tables: 1 GiB.
-const MOST: u64 = 1 << 30;
+/// Most bytes of all tables: 4 GiB, of which a film of 8192 x 4320 pixels has 2.4 GiB.
+const MOST: u64 = 1 << 32;
 /// What is read back needs no larger window than this; it bounds what the decompressor takes.
 const WINDOW_LOG: u32 = 23;
 const LEVEL: i32 = 3;
@@ -91,10 +94,12 @@ impl Statistics {
         let mut out = MAGIC.to_vec();
         out.extend(VERSION.to_le_bytes());
         out.extend([0; CHECKSUM]);
-        let Scope { seed, frame, film: [width, height], edge, lower, upper, keep, top } = self.scope;
+        let Scope { seed, frame, film: [width, height], edge, lower, upper, keep, top, is_full } = self.scope;
         out.extend(schema::VERSION.to_le_bytes());
         out.extend(seed.to_le_bytes());
-        [frame, width, height, edge, keep, top].iter().for_each(|word| out.extend(word.to_le_bytes()));
+        [frame, width, height, edge, keep, top, u32::from(is_full)]
+            .iter()
+            .for_each(|word| out.extend(word.to_le_bytes()));
         lower.iter().chain(&upper).for_each(|axis| out.extend(axis.to_bits().to_le_bytes()));
         out.extend(self.threshold.to_le_bytes());
         let all = || [&self.paths, &self.brightest, &self.deepest].into_iter().flat_map(|records| records.values());
@@ -118,6 +123,15 @@ impl Statistics {
         // A name without a text is written as no name.
         let place = |name: Name| places.get(&name).copied().unwrap_or(0);
         table(&mut out, self.portions.iter().map(|(key, counters)| portion(key, counters)));
+        if self.scope.is_full {
+            let bins = |counters: &Counters| {
+                // A portion without samples has them without counts.
+                (0..schema::ALL_BINS).map(|bin| counters.bins.get(bin).copied().unwrap_or(0)).collect::<Vec<u64>>()
+            };
+            let words = |count: u64| [count as u32, (count >> 32) as u32];
+            table(&mut out, self.portions.values().flat_map(bins).map(words));
+        }
+        table(&mut out, self.portions.values().flat_map(|counters| &counters.pixels).map(PixelSums::words));
         let all = [&self.paths, &self.brightest, &self.deepest];
         for records in all {
             table(&mut out, records.values().map(path));
@@ -162,14 +176,15 @@ impl Statistics {
             return Err(PathsError::Schema { found, expected: schema::VERSION });
         }
         let seed = front.long()?;
-        let [frame, width, height, edge, keep, top] = front.words()?;
+        let [frame, width, height, edge, keep, top, full] = front.words()?;
         let mut corners = [0.0; 6];
         for corner in &mut corners {
             *corner = f64::from_bits(front.long()?);
         }
         let [a, b, c, d, e, f] = corners;
-        let scope = Scope { seed, frame, film: [width, height], edge, lower: [a, b, c], upper: [d, e, f], keep, top };
-        if !scope.is_sound() {
+        let (film, lower, upper, is_full) = ([width, height], [a, b, c], [d, e, f], full == 1);
+        let scope = Scope { seed, frame, film, edge, lower, upper, keep, top, is_full };
+        if !scope.is_sound() || full > 1 {
             return Err(PathsError::Corrupt("no such film"));
         }
         let threshold = front.long()?;
@@ -209,7 +224,7 @@ fn decompressed(bytes: &[u8], plain: u64) -> Result<Vec<u8>, PathsError> {
 
 fn read(mut tables: Tables<'_>, scope: Scope, threshold: u64, lengths: [u32; 7]) -> Result<Statistics, PathsError> {
     let [portions, paths, brightest, deepest, intersections, lights, names] = lengths;
-    let portions = read_portions(tables.table(portions)?, &scope)?;
+    let portions = read_portions(&mut tables, portions, &scope)?;
     let heads: [Vec<[u32; PATH]>; 3] = [tables.table(paths)?, tables.table(brightest)?, tables.table(deepest)?];
     let intersections: Vec<[u32; INTERSECTION]> = tables.table(intersections)?;
     let lights: Vec<[u32; LIGHT]> = tables.table(lights)?;
@@ -283,16 +298,21 @@ fn read(mut tables: Tables<'_>, scope: Scope, threshold: u64, lengths: [u32; 7])
     Ok(read)
 }
 
-fn read_portions(records: Vec<[u32; PORTION]>, scope: &Scope) -> Result<BTreeMap<PortionKey, Counters>, PathsError> {
+fn read_portions(
+    tables: &mut Tables<'_>,
+    records: u32,
+    scope: &Scope,
+) -> Result<BTreeMap<PortionKey, Counters>, PathsError> {
+    let records: Vec<[u32; PORTION]> = tables.table(records)?;
     let [_, tiles] = scope.tiles();
-    let mut portions = BTreeMap::new();
+    let (mut portions, mut all_pixels) = (BTreeMap::<PortionKey, Counters>::new(), 0u64);
     for words in records {
         let [tile, half, begin, end, ref counts @ ..] = words;
         let mut counters = Counters::default();
         let longs = counts.as_chunks::<2>().0.iter().map(|&[low, high]| u64::from(low) | u64::from(high) << 32);
         counters.words_mut().zip(longs).for_each(|(count, value)| *count = value);
         let key = PortionKey { tile, half: half.min(2) as u8, begin, end };
-        if u64::from(tile) >= tiles || half > 1 || begin >= end || !counters.is_sound() {
+        if u64::from(tile) >= tiles || half > 1 || begin >= end {
             return Err(RANGE);
         }
         // The samples that it says are those that were counted.
@@ -302,7 +322,30 @@ fn read_portions(records: Vec<[u32; PORTION]>, scope: &Scope) -> Result<BTreeMap
         if portions.last_key_value().is_some_and(|(last, _)| *last >= key) || !is_clear(&portions, key) {
             return Err(ORDER);
         }
+        all_pixels = all_pixels.saturating_add(scope.area(tile));
         portions.insert(key, counters);
+    }
+    if scope.is_full {
+        let records = portions.len().saturating_mul(schema::ALL_BINS);
+        let bins: Vec<[u32; 2]> = tables.table(u32::try_from(records).map_err(|_| CUT)?)?;
+        for (counters, bins) in portions.values_mut().zip(bins.chunks(schema::ALL_BINS)) {
+            let own = bins.iter().map(|&[low, high]| u64::from(low) | u64::from(high) << 32);
+            counters.bins = if counters.ends.iter().all(|count| *count == 0) { Vec::new() } else { own.collect() };
+            if counters.bins.is_empty() && bins.iter().any(|count| *count != [0; 2]) {
+                return Err(RANGE);
+            }
+        }
+    }
+    let pixels: Vec<[u32; pixels::WORDS]> = tables.table(u32::try_from(all_pixels).map_err(|_| CUT)?)?;
+    let mut rest = &pixels[..];
+    for (key, counters) in &mut portions {
+        let area = scope.area(key.tile);
+        let (own, others) = rest.split_at_checked(area as usize).ok_or(CUT)?;
+        rest = others;
+        counters.pixels = own.iter().map(|words| PixelSums::from_words(*words)).collect();
+        if !counters.is_sound(*key, scope) {
+            return Err(RANGE);
+        }
     }
     Ok(portions)
 }

@@ -1,14 +1,15 @@
 //! Histograms of records: of every attribute in 64 bins, and of every pair of attributes of one table in 64 x 64.
 //!
 //! They are exact over the samples that [`Statistics::threshold`] chose: integers, counted of the records that there are. Divided by
-//! [`Statistics::share`] they are estimates of what all samples have. Each exists twice:
+//! [`Statistics::share`] they are estimates of what all samples have. If the [scope is full](crate::Scope::is_full), those of single
+//! attributes are there of all samples, too ([`Histograms::of_all`]). Each exists twice:
 //!
 //! - by samples: a record counts 1;
 //! - by image: it counts the part of the image that its sample is, in units of 2^-32 of a pixel
 //!   ([`Statistics::image_weight`]). Where tiles have different numbers of samples only this shows what one sees.
 
-use crate::schema::{Attribute, FINE, INTERSECTION, LIGHT, PATH, intersection_bins, light_bins, path_bins};
-use crate::statistics::Statistics;
+use crate::schema::{AXES, Attribute, FINE, INTERSECTION, LIGHT, PATH, intersection_bins, light_bins, path_bins};
+use crate::statistics::{Statistics, image_weight};
 
 /// A table of records.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -93,6 +94,31 @@ impl Histograms {
             }
         }
         all
+    }
+
+    /// Of all samples, if the [scope is full](crate::Scope::is_full), else `None`: those of single attributes, in order.
+    pub fn of_all(statistics: &Statistics, table: Table) -> Option<Vec<Counts>> {
+        if !statistics.scope.is_full {
+            return None;
+        }
+        let [paths, intersections, _] = AXES;
+        let (skipped, axes) = match table {
+            Table::Paths => (0, paths),
+            Table::Intersections => (paths, intersections),
+            Table::Lights => (paths + intersections, LIGHT.len()),
+        };
+        let mut all = vec![Counts::new(FINE); axes];
+        for (key, counters) in &statistics.portions {
+            let weight = image_weight(statistics.half_counts(key.tile), key.half);
+            let own = counters.bins.as_chunks::<FINE>().0.iter().skip(skipped);
+            for (sums, counts) in all.iter_mut().zip(own) {
+                for (bin, count) in counts.iter().enumerate() {
+                    sums.samples[bin] = sums.samples[bin].saturating_add(*count);
+                    sums.image[bin] = sums.image[bin].saturating_add(count.saturating_mul(weight));
+                }
+            }
+        }
+        Some(all)
     }
 
     fn add(&mut self, bins: &[u8], weight: u64) {

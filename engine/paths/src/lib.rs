@@ -9,9 +9,11 @@
 //! Nothing here renders, reads files or knows of a farm.
 #![deny(missing_docs)]
 
+pub mod bottlenecks;
 pub mod codec;
 pub mod histogram;
 pub mod octree;
+pub mod pixels;
 pub mod query;
 pub mod record;
 pub mod represent;

@@ -467,6 +467,10 @@ impl At<'_> {
 }
 
 /// Whether a name is this one, or of something in it.
+pub fn is_in(names: &Names, name: Name, value: &str) -> bool {
+    is_named(names, name, value)
+}
+
 fn is_named(names: &Names, name: Name, value: &str) -> bool {
     let rest = names.get(&name).and_then(|(_, text)| text.strip_prefix(value));
     rest.is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '/']))

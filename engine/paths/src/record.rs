@@ -1,6 +1,6 @@
 //! Records of light: a path, its intersections, and what lights have brought it.
 
-use femc_math::hash::combine;
+use femc_math::hash::{Begun, begun};
 use std::collections::BTreeMap;
 
 /// A camera sample of a frame of a known seed.
@@ -24,9 +24,19 @@ impl PathKey {
     /// (test `the_subset_is_fair`). Never `u64::MAX`.
     #[inline]
     pub fn hash(self, seed: u64) -> u64 {
-        let Self { frame, pixel, sample } = self;
-        let words = [SALT, seed, u64::from(frame) << 32 | u64::from(pixel), u64::from(sample)];
-        combine(&words).min(u64::MAX - 1)
+        self.hash_in_pixel(self.pixel_hash(seed))
+    }
+
+    /// What the hashes of all samples of a pixel begin with.
+    #[inline]
+    pub fn pixel_hash(self, seed: u64) -> Begun {
+        begun(&[SALT, seed, u64::from(self.frame) << 32 | u64::from(self.pixel)])
+    }
+
+    /// [`Self::hash`], of what [`Self::pixel_hash`] gives for its pixel.
+    #[inline]
+    pub fn hash_in_pixel(self, pixel: Begun) -> u64 {
+        pixel.end(&[u64::from(self.sample)]).min(u64::MAX - 1)
     }
 
     /// The half that the sample belongs to: A (0) has the even numbers, B (1) the odd ones.

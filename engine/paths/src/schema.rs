@@ -115,6 +115,11 @@ pub const LIGHT: [Attribute; 6] = [
     of("found", Scale::Class),
 ];
 
+/// Attributes of paths, intersections and lights.
+pub const AXES: [usize; 3] = [PATH.len(), INTERSECTION.len(), LIGHT.len()];
+/// Bins of all attributes.
+pub const ALL_BINS: usize = FINE * (AXES[0] + AXES[1] + AXES[2]);
+
 /// Fine bins of a path.
 pub fn path_bins(scope: &Scope, path: &Path) -> [u8; PATH.len()] {
     let [width, height] = scope.film;
@@ -191,8 +196,9 @@ fn fourths(value: f32) -> i32 {
     let bits = value.to_bits();
     let exponent = (bits >> 23 & 0xff) as i32 - 127;
     let mantissa = f32::from_bits(bits & 0x007f_ffff | 0x3f80_0000);
-    let part = FOURTHS.iter().rposition(|edge| mantissa >= *edge).unwrap_or(0);
-    4 * exponent.max(-126) + part as i32
+    let [_, first, second, third] = FOURTHS;
+    let part = i32::from(mantissa >= first) + i32::from(mantissa >= second) + i32::from(mantissa >= third);
+    4 * exponent.max(-126) + part
 }
 
 /// The fine bin of a radiance, cd/m2; finite, not negative.

@@ -9,6 +9,7 @@
 //! of the share [`Statistics::share`]. Records of samples that turn out not to count are dropped, which leaves all that count below
 //! the same threshold.
 
+use crate::pixels::{self, PixelSums};
 use crate::record::{Name, Names, Path, PathKey};
 use crate::schema;
 use std::collections::{BTreeMap, BTreeSet};
@@ -33,6 +34,8 @@ pub struct Scope {
     pub keep: u32,
     /// Most records of each sketch for each portion.
     pub top: u32,
+    /// Whether all samples are in the histograms of single attributes.
+    pub is_full: bool,
 }
 
 impl Scope {
@@ -55,6 +58,16 @@ impl Scope {
         let (columns, edge) = (self.tiles()[0].max(1), u64::from(self.edge));
         let (x, y) = (u64::from(tile) % columns * edge, u64::from(tile) / columns * edge);
         edge.min(width.saturating_sub(x)) * edge.min(height.saturating_sub(y))
+    }
+
+    /// Pixels of a tile, row by row.
+    pub fn pixels_of(&self, tile: u32) -> impl Iterator<Item = u32> + use<> {
+        let (edge, [width, height]) = (self.edge.max(1), self.film);
+        let columns = width.div_ceil(edge).max(1);
+        let [x, y] = [tile % columns, tile / columns].map(|place| place.saturating_mul(edge));
+        let end = |begin: u32, size: u32| begin.saturating_add(edge).min(size);
+        let (columns, rows) = (x..end(x, width), y..end(y, height));
+        rows.flat_map(move |y| columns.clone().map(move |x| y * width + x))
     }
 
     /// Pixels of the film.
@@ -107,19 +120,32 @@ pub struct Counters {
     pub depth: [u64; schema::FINE],
     /// By why the path ended, in the order of [`End::ALL`](crate::End::ALL).
     pub ends: [u64; ENDS],
+    /// Sums of each pixel of the tile, row by row.
+    pub pixels: Vec<PixelSums>,
+    /// If the [scope is full](Scope::is_full), else none: histograms of all attributes of all tables, [`Bins`] one after the other.
+    pub bins: Bins,
 }
+
+/// Counts of all attributes of paths, then of intersections, then of lights, each in its fine bins; or nothing.
+pub type Bins = Vec<u64>;
 
 /// Reasons for a path to end.
 pub(crate) const ENDS: usize = crate::End::ALL.len();
 
 impl Default for Counters {
     fn default() -> Self {
-        Self { bad: 0, luminance: [0; schema::FINE], depth: [0; schema::FINE], ends: [0; ENDS] }
+        let (luminance, depth) = ([0; schema::FINE], [0; schema::FINE]);
+        Self { bad: 0, luminance, depth, ends: [0; ENDS], pixels: Vec::new(), bins: Bins::new() }
     }
 }
 
 impl Counters {
-    /// Counts a sample of a luminance, a depth and an end.
+    /// Of no samples of a tile of so many pixels.
+    pub fn of_pixels(pixels: usize) -> Self {
+        Self { pixels: vec![PixelSums::default(); pixels], ..Self::default() }
+    }
+
+    /// Counts a sample of a luminance, a depth and an end; not in its pixel.
     #[inline]
     pub fn count(&mut self, luminance: f32, depth: u32, end: crate::End) {
         self.luminance[usize::from(schema::radiance(luminance))] += 1;
@@ -132,15 +158,61 @@ impl Counters {
         self.bad.saturating_add(sum(&self.ends))
     }
 
-    /// Adds the counts of other samples.
+    /// Adds the counts of other samples of the same tile.
     pub fn merge(&mut self, other: &Self) {
+        self.merge_counts(other);
+        self.pixels.iter_mut().zip(&other.pixels).for_each(|(mine, theirs)| mine.merge(theirs));
+        self.merge_bins(&other.bins);
+    }
+
+    /// Counts a path of the frame in the histograms of all attributes.
+    pub fn count_bins(&mut self, scope: &Scope, path: &Path) {
+        self.bins.resize(schema::ALL_BINS, 0);
+        let mut counts = self.bins.as_chunks_mut::<{ schema::FINE }>().0.iter_mut();
+        let [paths, intersections, lights] = schema::AXES.map(|axes| counts.by_ref().take(axes).collect::<Vec<_>>());
+        fn add(mut counts: Vec<&mut [u64; schema::FINE]>, bins: impl Iterator<Item = impl AsRef<[u8]>>) {
+            for bins in bins {
+                for (counts, bin) in counts.iter_mut().zip(bins.as_ref()) {
+                    counts[usize::from(*bin)] += 1;
+                }
+            }
+        }
+        add(paths, [schema::path_bins(scope, path)].into_iter());
+        add(intersections, schema::intersection_bins(scope, path));
+        add(lights, schema::light_bins(path));
+    }
+
+    /// Adds histograms of other samples.
+    pub fn merge_bins(&mut self, other: &Bins) {
+        self.bins.resize(self.bins.len().max(other.len()), 0);
+        self.bins.iter_mut().zip(other).for_each(|(mine, theirs)| *mine = mine.saturating_add(*theirs));
+    }
+
+    /// The same without what is known of pixels: of any tiles.
+    pub fn merge_counts(&mut self, other: &Self) {
         self.words_mut().zip(other.words()).for_each(|(mine, theirs)| *mine = mine.saturating_add(theirs));
     }
 
     /// Whether all counts are of as many samples.
-    pub(crate) fn is_sound(&self) -> bool {
-        let ends = sum(&self.ends);
-        sum(&self.luminance) == ends && sum(&self.depth) == ends
+    pub(crate) fn is_sound(&self, key: PortionKey, scope: &Scope) -> bool {
+        let (ends, area) = (sum(&self.ends), scope.area(key.tile));
+        let mut counts = self.bins.as_chunks::<{ schema::FINE }>().0.iter().map(|counts| sum(counts));
+        // Each path is in one bin of each attribute, each of its intersections and lights in one of each of theirs.
+        let mut are_alike = |axes: usize, expected: Option<u64>| {
+            let first = counts.next();
+            first == expected.or(first) && counts.by_ref().take(axes - 1).all(|sum| Some(sum) == first)
+        };
+        let [paths, intersections, lights] = schema::AXES;
+        let has_bins = are_alike(paths, Some(ends)) && are_alike(intersections, None) && are_alike(lights, None);
+        let are_there = if scope.is_full {
+            self.bins.len() == schema::ALL_BINS && has_bins || ends == 0 && self.bins.is_empty()
+        } else {
+            self.bins.is_empty()
+        };
+        are_there
+            && sum(&self.luminance) == ends
+            && sum(&self.depth) == ends
+            && pixels::are_sound(key, area, ends, &self.pixels)
     }
 
     pub(crate) fn words(&self) -> impl Iterator<Item = u64> + '_ {
@@ -224,10 +296,10 @@ impl Statistics {
         self.portions.values().fold(0, |all: u64, counters| all.saturating_add(counters.samples()))
     }
 
-    /// The counters of all portions together.
+    /// The counters of all portions together, without pixels.
     pub fn totals(&self) -> Counters {
         let mut all = Counters::default();
-        self.portions.values().for_each(|counters| all.merge(counters));
+        self.portions.values().for_each(|counters| all.merge_counts(counters));
         all
     }
 
@@ -244,7 +316,7 @@ impl Statistics {
 
     /// Adds what another part of the frame has; of what both have, one. An error changes nothing.
     pub fn unite(&mut self, other: Self) -> Result<(), UnionError> {
-        self.absorb(other)?;
+        self.add(other)?;
         self.settle();
         Ok(())
     }
@@ -253,15 +325,22 @@ impl Statistics {
     pub fn unite_all(&mut self, others: impl IntoIterator<Item = Self>) -> Result<(), UnionError> {
         for other in others {
             self.absorb(other)?;
-            if self.paths.len() > 2 * self.scope.keep as usize {
-                self.settle();
-            }
         }
         self.settle();
         Ok(())
     }
 
-    fn absorb(&mut self, other: Self) -> Result<(), UnionError> {
+    /// Adds another part without keeping of the records what the scope allows: after the last one [`Self::settle`] does.
+    /// With records of twice as many as are kept it is done at once, so that memory does not grow with the number of parts.
+    pub fn absorb(&mut self, other: Self) -> Result<(), UnionError> {
+        self.add(other)?;
+        if self.paths.len() > 2 * self.scope.keep as usize {
+            self.settle();
+        }
+        Ok(())
+    }
+
+    fn add(&mut self, other: Self) -> Result<(), UnionError> {
         if self.scope != other.scope {
             return Err(UnionError::Scope);
         }

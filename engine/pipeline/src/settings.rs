@@ -27,6 +27,9 @@ pub struct Settings {
     pub overrides: Vec<(String, f64)>,
     /// Whether path statistics are collected.
     pub statistics: bool,
+    /// Whether all samples are in the histograms of path statistics; else those that are recorded.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub full_statistics: bool,
     /// Of a frame that has a time: how its samples were divided when it was rendered first; `None`: by the clock.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub allocation: Option<Allocation>,
@@ -44,6 +47,7 @@ impl Default for Settings {
             seed: 1,
             overrides: Vec::new(),
             statistics: false,
+            full_statistics: false,
             allocation: None,
         }
     }

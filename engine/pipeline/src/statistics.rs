@@ -14,9 +14,11 @@ use femc_film::Rect;
 use femc_geometry::{Ray, offset_origin};
 use femc_math::Rgb;
 use femc_math::color::luminance;
+use femc_math::hash::Begun;
 use femc_montecarlo::record::{
     Contribution, Found as FoundBy, Leaving, Place, Recorder, Scatterer, Stop, Transmitted, Vertex,
 };
+use femc_paths::pixels::PixelSums;
 use femc_paths::record::{MOST_INTERSECTIONS, MOST_LIGHTS, Names};
 use femc_paths::statistics::DEEP;
 use femc_paths::{
@@ -55,7 +57,8 @@ impl StatisticsPlan {
         let bounds = prepared.world.bounds();
         let (lower, upper) = rounded(prepared.in_world(bounds.min), prepared.in_world(bounds.max));
         let (film, frame) = (prepared.camera.film, prepared.frame);
-        Self { scope: Scope { seed: settings.seed, frame, film, edge, lower, upper, keep: KEEP, top: TOP } }
+        let (seed, is_full) = (settings.seed, settings.full_statistics);
+        Self { scope: Scope { seed, frame, film, edge, lower, upper, keep: KEEP, top: TOP, is_full } }
     }
 
     /// Share of the samples whose paths are recorded by a task.
@@ -96,20 +99,22 @@ pub fn render_with_statistics(
 ) -> Result<(RenderedTile, Statistics), RenderError> {
     let names = SceneNames::new(prepared);
     let mut statistics = Statistics::new(plan.scope, plan.share(settings, &samples));
+    // What is traced again is counted already.
+    let again = Scope { is_full: false, ..plan.scope };
     let recorder = || PathRecorder::new(&names, statistics.threshold, plan.scope);
     let (rendered, heard) = render_rows(prepared, settings, rect, samples.clone(), cancel, progress, recorder)?;
     let mut all = Heard::new();
     heard.into_iter().for_each(|recorder| all.merge(recorder.heard));
     let corner = rect.y * plan.scope.film[0] + rect.x;
     let tile = plan.scope.tile_of(corner);
-    for (half, counters) in (0..).zip(&all.counters) {
+    for ((half, counters), pixels) in (0..).zip(all.counters).zip(all.pixels) {
         let portion = PortionKey { tile, half, begin: samples.start, end: samples.end };
-        statistics.portions.insert(portion, counters.clone());
+        statistics.portions.insert(portion, Counters { pixels, ..counters });
     }
     let order = |path: Path| ((path.key.hash(plan.scope.seed), path.key), path);
     statistics.paths.extend(all.paths.drain(..).map(order));
     // Everything is wanted of what is traced again.
-    let mut replay = Replay::recording(prepared, settings, PathRecorder::new(&names, u64::MAX, plan.scope));
+    let mut replay = Replay::recording(prepared, settings, PathRecorder::new(&names, u64::MAX, again));
     let [bright, deep] = [all.bright, all.deep].map(Tops::keys);
     let width = plan.scope.film[0];
     for key in bright.iter().chain(&deep) {
@@ -188,6 +193,8 @@ fn name(known: &[OnceLock<Name>], index: usize, make: impl FnOnce() -> Name) -> 
 /// What was heard of some samples.
 struct Heard {
     counters: [Counters; 2],
+    /// Of each half, in the order in which they were rendered: row by row.
+    pixels: [Vec<PixelSums>; 2],
     paths: Vec<Path>,
     bright: Tops,
     deep: Tops,
@@ -198,6 +205,7 @@ impl Heard {
     fn new() -> Self {
         Self {
             counters: Default::default(),
+            pixels: Default::default(),
             paths: Vec::new(),
             bright: Tops::default(),
             deep: Tops::default(),
@@ -206,7 +214,11 @@ impl Heard {
     }
 
     fn merge(&mut self, other: Self) {
-        self.counters.iter_mut().zip(&other.counters).for_each(|(mine, theirs)| mine.merge(theirs));
+        for (mine, theirs) in self.counters.iter_mut().zip(&other.counters) {
+            mine.merge_counts(theirs);
+            mine.merge_bins(&theirs.bins);
+        }
+        self.pixels.iter_mut().zip(other.pixels).for_each(|(mine, theirs)| mine.extend(theirs));
         self.paths.extend(other.paths);
         self.bright.merge(other.bright);
         self.deep.merge(other.deep);
@@ -223,11 +235,12 @@ type Ranked = (u32, Reverse<(u64, PathKey)>);
 
 impl Tops {
     #[inline]
-    fn offer(&mut self, rank: f32, key: PathKey, seed: u64) {
+    fn offer(&mut self, rank: f32, hash: u64, key: PathKey) {
         let half = &mut self.0[usize::from(key.half())];
-        let is_low = |Reverse(least): &Reverse<Ranked>| rank.to_bits() < least.0;
-        if half.len() < TOP as usize || !half.peek().is_some_and(is_low) {
-            Self::push(half, (rank.to_bits(), Reverse((key.hash(seed), key))));
+        let ranked = (rank.to_bits(), Reverse((hash, key)));
+        // Of equal ranks, like those of all samples that are black, few are of the least hashes.
+        if half.len() < TOP as usize || half.peek().is_none_or(|Reverse(least)| ranked > *least) {
+            Self::push(half, ranked);
         }
     }
 
@@ -260,7 +273,15 @@ struct PathRecorder<'a> {
     heard: Heard,
     // Of the sample that is being traced:
     key: PathKey,
+    hash: u64,
+    /// What the hashes of its pixel's samples begin with.
+    pixel_hash: Begun,
+    /// Whether its path is recorded.
+    is_kept: bool,
+    /// Whether all is heard of it: it is recorded, or all are counted.
     is_wanted: bool,
+    /// The one of its pixel.
+    latest: Option<u32>,
     depth: u32,
     stop: (Stop, Rgb),
     steps: Vec<(Vertex, Option<Leaving>)>,
@@ -276,7 +297,11 @@ impl<'a> PathRecorder<'a> {
             scope,
             heard: Heard::new(),
             key: PathKey::default(),
+            hash: 0,
+            pixel_hash: Begun::default(),
+            is_kept: false,
             is_wanted: false,
+            latest: None,
             depth: 0,
             stop: (Stop::Escaped, Rgb::ZERO),
             steps: Vec::new(),
@@ -441,7 +466,14 @@ impl Recorder for PathRecorder<'_> {
     #[inline]
     fn begin(&mut self, pixel: u32, sample: u32) {
         self.key = PathKey { frame: self.scope.frame, pixel, sample };
-        self.is_wanted = self.key.hash(self.scope.seed) < self.threshold;
+        if self.latest != Some(pixel) {
+            self.latest = Some(pixel);
+            self.pixel_hash = self.key.pixel_hash(self.scope.seed);
+            self.heard.pixels.iter_mut().for_each(|pixels| pixels.push(PixelSums::default()));
+        }
+        self.hash = self.key.hash_in_pixel(self.pixel_hash);
+        self.is_kept = self.hash < self.threshold;
+        self.is_wanted = self.is_kept || self.scope.is_full;
         self.depth = 0;
         self.steps.clear();
         self.lights.clear();
@@ -457,6 +489,9 @@ impl Recorder for PathRecorder<'_> {
 
     #[inline]
     fn leave(&mut self, way: Leaving) {
+        if !self.is_wanted {
+            return;
+        }
         if let Some(last) = self.steps.last_mut() {
             last.1 = Some(way);
         }
@@ -487,7 +522,8 @@ impl Recorder for PathRecorder<'_> {
 
     #[inline]
     fn end(&mut self, color: Rgb) {
-        let counters = &mut self.heard.counters[usize::from(self.key.half())];
+        let half = usize::from(self.key.half());
+        let counters = &mut self.heard.counters[half];
         if !is_good(color) {
             counters.bad += 1;
             return;
@@ -495,14 +531,23 @@ impl Recorder for PathRecorder<'_> {
         let (stop, throughput) = self.stop;
         let luminance = luminance(color);
         counters.count(luminance, self.depth, end(stop));
-        self.heard.bright.offer(luminance, self.key, self.scope.seed);
+        let greatest = throughput.max_element().max(0.0);
+        if let Some(pixel) = self.heard.pixels[half].last_mut() {
+            pixel.count(luminance, greatest, self.depth);
+        }
+        self.heard.bright.offer(luminance, self.hash, self.key);
         if self.depth >= DEEP {
-            self.heard.deep.offer(throughput.max_element().max(0.0), self.key, self.scope.seed);
+            self.heard.deep.offer(greatest, self.hash, self.key);
         }
         if self.is_wanted {
             let path = self.path(color);
-            self.keep_names(&path);
-            self.heard.paths.push(path);
+            if self.scope.is_full {
+                self.heard.counters[half].count_bins(&self.scope, &path);
+            }
+            if self.is_kept {
+                self.keep_names(&path);
+                self.heard.paths.push(path);
+            }
         }
     }
 }

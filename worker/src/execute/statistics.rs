@@ -25,14 +25,16 @@ fn united(task: &Task, tools: &Tools) -> Result<Statistics, Failure> {
     each(task, Role::Paths, tools, |bytes| {
         let part = Statistics::decode(bytes).map_err(|error| error.to_string())?;
         match &mut all {
-            Some(all) => all.unite(part).map_err(|error| error.to_string()),
+            Some(all) => all.absorb(part).map_err(|error| error.to_string()),
             None => {
                 all = Some(part);
                 Ok(())
             }
         }
     })?;
-    all.ok_or_else(|| unfit("the job's graph has a stage that unites no paths"))
+    let mut all = all.ok_or_else(|| unfit("the job's graph has a stage that unites no paths"))?;
+    all.settle();
+    Ok(all)
 }
 
 /// What counts in the frame, as bytes: the same whoever rendered what, and in what parts.

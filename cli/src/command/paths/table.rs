@@ -3,6 +3,7 @@
 use crate::attempts::{Cell, Column, Kind, Reader};
 use femc_pipeline::paths::histogram::{Histograms, Table};
 use femc_pipeline::paths::octree::{Octree, Root, Voxel};
+use femc_pipeline::paths::pixels::{Maps, Pixel};
 use femc_pipeline::paths::schema::{Scale, radiance_edge, throughput_edge};
 use femc_pipeline::paths::statistics::IMAGE_BITS;
 use femc_pipeline::paths::{Intersection, Light, Name, Path, Scope, Statistics};
@@ -16,10 +17,29 @@ pub struct Match<'a> {
     pub path: &'a Path,
     /// Places of its intersections that are as asked for.
     pub places: BTreeSet<usize>,
+    /// What it counts among those that stand for all.
+    pub weight: Option<f64>,
+}
+
+/// A file, and what is found in it.
+pub struct Frame<'a> {
+    /// Its name.
+    pub file: &'a str,
+    /// All of it.
+    pub all: &'a Statistics,
+    /// The paths that are asked for.
+    pub found: Vec<Match<'a>>,
+}
+
+impl<'a> Frame<'a> {
+    fn of<T>(&self, found: &Match<'a>, it: T) -> Of<'a, T> {
+        Of { file: self.file, all: self.all, number: found.number, path: found.path, it }
+    }
 }
 
 /// A path, or something of it.
 pub struct Of<'a, T> {
+    file: &'a str,
     all: &'a Statistics,
     number: u32,
     path: &'a Path,
@@ -69,21 +89,22 @@ const fn column<R>(
 }
 
 use Kind::{Count, Number, Text};
-use Reader::{Anybody, Programs};
+use Reader::{Anybody, Programs, WhoCompares};
 
-/// A path, and the first of its intersections that is as asked for.
-pub type PathRow<'a> = Of<'a, (usize, Option<&'a Intersection>)>;
+/// A path, the first of its intersections that is as asked for, and how many are; its weight.
+pub type PathRow<'a> = Of<'a, (usize, Option<&'a Intersection>, Option<f64>)>;
 
-pub fn path_rows<'a>(all: &'a Statistics, found: &[Match<'a>]) -> Vec<PathRow<'a>> {
+pub fn path_rows<'a>(frame: &'a Frame<'a>) -> Vec<PathRow<'a>> {
     let row = |it: &Match<'a>| {
         let first = it.places.first().map(|place| &it.path.intersections[*place]);
-        Of { all, number: it.number, path: it.path, it: (it.places.len(), first) }
+        frame.of(it, (it.places.len(), first, it.weight))
     };
-    found.iter().map(row).collect()
+    frame.found.iter().map(row).collect()
 }
 
 pub fn paths<'a>() -> Vec<Column<PathRow<'a>>> {
     vec![
+        column("file", "file", Text, WhoCompares, |row| word(row.file)),
         column("path", "path", Count, Programs, |row| number(row.number)),
         column("pixel_x", "x", Count, Anybody, |row| number(row.pixel()[0])),
         column("pixel_y", "y", Count, Anybody, |row| number(row.pixel()[1])),
@@ -104,22 +125,24 @@ pub fn paths<'a>() -> Vec<Column<PathRow<'a>>> {
             row.it.1.map_or(Cell::Gap, |it| word(it.interaction.word()))
         }),
         column("pixels", "pixels", Number, Programs, Of::weight),
+        column("weight", "weight", Number, Programs, |row| row.it.2.map_or(Cell::Gap, Cell::Real)),
     ]
 }
 
 /// An intersection, and its place.
 pub type IntersectionRow<'a> = Of<'a, (usize, &'a Intersection)>;
 
-pub fn intersection_rows<'a>(all: &'a Statistics, found: &[Match<'a>]) -> Vec<IntersectionRow<'a>> {
-    let rows = found.iter().flat_map(|it| {
-        let (number, path) = (it.number, it.path);
-        it.places.iter().map(move |&place| Of { all, number, path, it: (place, &path.intersections[place]) })
-    });
+pub fn intersection_rows<'a>(frame: &'a Frame<'a>) -> Vec<IntersectionRow<'a>> {
+    let rows = frame
+        .found
+        .iter()
+        .flat_map(|it| it.places.iter().map(move |&place| frame.of(it, (place, &it.path.intersections[place]))));
     rows.collect()
 }
 
 pub fn intersections<'a>() -> Vec<Column<IntersectionRow<'a>>> {
     vec![
+        column("file", "file", Text, WhoCompares, |row| word(row.file)),
         column("path", "path", Count, Anybody, |row| number(row.number)),
         column("vertex", "vertex", Count, Anybody, |row| Cell::Count(row.it.0 as u64 + 1)),
         column("bounce", "bounce", Count, Anybody, |row| number(row.it.1.bounce)),
@@ -142,16 +165,13 @@ pub fn intersections<'a>() -> Vec<Column<IntersectionRow<'a>>> {
 /// A light.
 pub type LightRow<'a> = Of<'a, &'a Light>;
 
-pub fn light_rows<'a>(all: &'a Statistics, found: &[Match<'a>]) -> Vec<LightRow<'a>> {
-    let of = |it: &Match<'a>| {
-        let (number, path) = (it.number, it.path);
-        path.lights.iter().map(move |it| Of { all, number, path, it })
-    };
-    found.iter().flat_map(of).collect()
+pub fn light_rows<'a>(frame: &'a Frame<'a>) -> Vec<LightRow<'a>> {
+    frame.found.iter().flat_map(|it| it.path.lights.iter().map(move |light| frame.of(it, light))).collect()
 }
 
 pub fn lights<'a>() -> Vec<Column<LightRow<'a>>> {
     vec![
+        column("file", "file", Text, WhoCompares, |row| word(row.file)),
         column("path", "path", Count, Anybody, |row| number(row.number)),
         column("vertex", "vertex", Count, Anybody, |row| number(row.it.vertex)),
         column("light", "light", Text, Anybody, |row| row.text(row.it.light)),
@@ -166,7 +186,8 @@ pub fn lights<'a>() -> Vec<Column<LightRow<'a>>> {
 }
 
 /// A bin of an attribute.
-pub struct BinRow {
+pub struct BinRow<'a> {
+    file: &'a str,
     table: Table,
     attribute: &'static str,
     bin: u8,
@@ -175,15 +196,16 @@ pub struct BinRow {
     image: u64,
 }
 
-pub fn bin_rows(all: &Statistics) -> Vec<BinRow> {
+pub fn bin_rows<'a>(frame: &'a Frame<'a>) -> Vec<BinRow<'a>> {
+    let Frame { file, all, .. } = *frame;
     let mut rows = Vec::new();
     for table in Table::ALL {
-        let histograms = Histograms::of(all, table);
-        for (attribute, counts) in table.attributes().iter().zip(&histograms.attributes) {
+        let histograms = Histograms::of_all(all, table).unwrap_or_else(|| Histograms::of(all, table).attributes);
+        for (attribute, counts) in table.attributes().iter().zip(&histograms) {
             for (bin, (samples, image)) in (0u8..).zip(counts.samples.iter().zip(&counts.image)) {
                 let lower = lower(&all.scope, attribute.name, attribute.scale, bin);
                 let (samples, image) = (*samples, *image);
-                rows.push(BinRow { table, attribute: attribute.name, bin, lower, samples, image });
+                rows.push(BinRow { file, table, attribute: attribute.name, bin, lower, samples, image });
             }
         }
     }
@@ -206,8 +228,9 @@ fn lower(scope: &Scope, name: &str, scale: Scale, bin: u8) -> Option<f64> {
     }
 }
 
-pub fn histograms() -> Vec<Column<BinRow>> {
+pub fn histograms<'a>() -> Vec<Column<BinRow<'a>>> {
     vec![
+        column("file", "file", Text, WhoCompares, |row| word(row.file)),
         column("table", "table", Text, Anybody, |row| word(row.table.name())),
         column("attribute", "attribute", Text, Anybody, |row| word(row.attribute)),
         column("bin", "bin", Count, Anybody, |row| number(row.bin.into())),
@@ -218,7 +241,8 @@ pub fn histograms() -> Vec<Column<BinRow>> {
 }
 
 /// A bin of two attributes that something is in.
-pub struct PairRow {
+pub struct PairRow<'a> {
+    file: &'a str,
     table: Table,
     attributes: [&'static str; 2],
     bins: [u32; 2],
@@ -226,14 +250,15 @@ pub struct PairRow {
     image: u64,
 }
 
-pub fn pair_rows(all: &Statistics) -> Vec<PairRow> {
+pub fn pair_rows<'a>(frame: &'a Frame<'a>) -> Vec<PairRow<'a>> {
+    let Frame { file, all, .. } = *frame;
     let mut rows = Vec::new();
     for table in Table::ALL {
         let histograms = Histograms::of(all, table);
         for (attributes, counts) in histograms.pair_names().zip(&histograms.pairs) {
             for (place, (&samples, &image)) in (0u32..).zip(counts.samples.iter().zip(&counts.image)) {
                 if samples > 0 {
-                    rows.push(PairRow { table, attributes, bins: [place / 64, place % 64], samples, image });
+                    rows.push(PairRow { file, table, attributes, bins: [place / 64, place % 64], samples, image });
                 }
             }
         }
@@ -241,8 +266,9 @@ pub fn pair_rows(all: &Statistics) -> Vec<PairRow> {
     rows
 }
 
-pub fn pairs() -> Vec<Column<PairRow>> {
+pub fn pairs<'a>() -> Vec<Column<PairRow<'a>>> {
     vec![
+        column("file", "file", Text, WhoCompares, |row| word(row.file)),
         column("table", "table", Text, Anybody, |row| word(row.table.name())),
         column("a", "a", Text, Anybody, |row| word(row.attributes[0])),
         column("b", "b", Text, Anybody, |row| word(row.attributes[1])),
@@ -254,7 +280,8 @@ pub fn pairs() -> Vec<Column<PairRow>> {
 }
 
 /// A voxel of a bounce.
-pub struct VoxelRow {
+pub struct VoxelRow<'a> {
+    file: &'a str,
     bounce: u32,
     lower: [f64; 3],
     width: f64,
@@ -262,20 +289,65 @@ pub struct VoxelRow {
 }
 
 /// Halvings of the scene's box.
-const LEVELS: u8 = 6;
+pub const LEVELS: u8 = 6;
 
-pub fn voxel_rows(all: &Statistics, found: &[Match<'_>]) -> Vec<VoxelRow> {
-    let root = Root::around(all.scope.lower, all.scope.upper, LEVELS);
-    let tree = Octree::of(root, found.iter().map(|it| it.path));
-    let row = |(&(bounce, code), &voxel): (&(u32, u64), &Voxel)| {
-        let (lower, width) = root.voxel(LEVELS, code);
-        VoxelRow { bounce, lower, width, voxel }
-    };
-    tree.leaves.iter().map(row).collect()
+impl Frame<'_> {
+    fn octree(&self, root: Root) -> Octree {
+        Octree::of(root, self.found.iter().map(|it| it.path))
+    }
 }
 
-pub fn voxels() -> Vec<Column<VoxelRow>> {
+pub fn voxel_rows<'a>(frame: &'a Frame<'a>, root: Root) -> Vec<VoxelRow<'a>> {
+    let row = |(&(bounce, code), &voxel): (&(u32, u64), &Voxel)| {
+        let (lower, width) = root.voxel(LEVELS, code);
+        VoxelRow { file: frame.file, bounce, lower, width, voxel }
+    };
+    frame.octree(root).leaves.iter().map(row).collect()
+}
+
+/// A voxel of two frames.
+pub struct DifferenceRow {
+    lower: [f64; 3],
+    width: f64,
+    here: Voxel,
+    there: Voxel,
+    /// Means here minus there, cd/m2.
+    difference: f64,
+}
+
+/// Of all bounces together; the greatest difference first.
+pub fn difference_rows(frame: &Frame<'_>, other: &Frame<'_>, root: Root) -> Vec<DifferenceRow> {
+    let [here, there] = [frame, other].map(|frame| frame.octree(root));
+    let [own, others] = [&here, &there].map(|tree| tree.level(LEVELS, None));
+    // Trees of one root have a difference.
+    let differences = here.difference(&there, LEVELS, None).unwrap_or_default();
+    let row = |(code, difference): (u64, f64)| {
+        let (lower, width) = root.voxel(LEVELS, code);
+        let [here, there] = [&own, &others].map(|voxels| voxels.get(&code).copied().unwrap_or_default());
+        DifferenceRow { lower, width, here, there, difference }
+    };
+    let mut rows: Vec<DifferenceRow> = differences.into_iter().map(row).collect();
+    rows.sort_by(|a, b| b.difference.abs().total_cmp(&a.difference.abs()));
+    rows
+}
+
+pub fn differences() -> Vec<Column<DifferenceRow>> {
     vec![
+        column("x", "from x m", Number, Anybody, |row| Cell::Real(row.lower[0])),
+        column("y", "y", Number, Anybody, |row| Cell::Real(row.lower[1])),
+        column("z", "z", Number, Anybody, |row| Cell::Real(row.lower[2])),
+        column("width", "width m", Number, Anybody, |row| Cell::Real(row.width)),
+        column("intersections", "intersections", Count, Anybody, |row| Cell::Count(row.here.count)),
+        column("energy", "mean cd/m2", Number, Anybody, |row| Cell::Real(row.here.mean())),
+        column("intersections_there", "there", Count, Anybody, |row| Cell::Count(row.there.count)),
+        column("energy_there", "mean there", Number, Anybody, |row| Cell::Real(row.there.mean())),
+        column("difference", "difference", Number, Anybody, |row| Cell::Real(row.difference)),
+    ]
+}
+
+pub fn voxels<'a>() -> Vec<Column<VoxelRow<'a>>> {
+    vec![
+        column("file", "file", Text, WhoCompares, |row| word(row.file)),
         column("bounce", "bounce", Count, Anybody, |row| number(row.bounce)),
         column("x", "from x m", Number, Anybody, |row| Cell::Real(row.lower[0])),
         column("y", "y", Number, Anybody, |row| Cell::Real(row.lower[1])),
@@ -283,5 +355,33 @@ pub fn voxels() -> Vec<Column<VoxelRow>> {
         column("width", "width m", Number, Anybody, |row| Cell::Real(row.width)),
         column("intersections", "intersections", Count, Anybody, |row| Cell::Count(row.voxel.count)),
         column("energy", "mean cd/m2", Number, Anybody, |row| Cell::Real(row.voxel.mean())),
+    ]
+}
+
+/// A pixel, and its place.
+pub struct PixelRow<'a> {
+    file: &'a str,
+    place: [u32; 2],
+    pixel: Pixel,
+}
+
+pub fn pixel_rows<'a>(frame: &'a Frame<'a>) -> Vec<PixelRow<'a>> {
+    let maps = Maps::of(frame.all);
+    let width = maps.film[0].max(1);
+    let row =
+        |(number, pixel): (u32, Pixel)| PixelRow { file: frame.file, place: [number % width, number / width], pixel };
+    (0..).zip(maps.pixels()).map(row).collect()
+}
+
+pub fn pixels<'a>() -> Vec<Column<PixelRow<'a>>> {
+    vec![
+        column("file", "file", Text, WhoCompares, |row| word(row.file)),
+        column("pixel_x", "x", Count, Anybody, |row| number(row.place[0])),
+        column("pixel_y", "y", Count, Anybody, |row| number(row.place[1])),
+        column("samples", "samples", Count, Anybody, |row| Cell::Count(row.pixel.samples)),
+        column("luminance", "cd/m2", Number, Anybody, |row| Cell::Real(row.pixel.luminance)),
+        column("variance", "variance of a sample", Number, Anybody, |row| Cell::Real(row.pixel.variance)),
+        column("depth", "depth", Number, Anybody, |row| Cell::Real(row.pixel.depth)),
+        column("throughput", "throughput", Number, Anybody, |row| Cell::Real(row.pixel.throughput)),
     ]
 }

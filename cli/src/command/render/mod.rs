@@ -9,6 +9,8 @@ pub mod state;
 mod target;
 mod there;
 
+pub use drive::statistics_of;
+
 pub use target::{frame_name, still_name};
 
 use crate::args::{ExtrasArgs, FormatArgs, SettingsArgs};

@@ -190,7 +190,18 @@ impl Queued<'_> {
                     took = Took::NotAll;
                     continue;
                 };
-                folder.write(&self.variant.file(record.frame), &bytes, shot(&planning.key, &record))?;
+                let light = match record.statistics() {
+                    None => None,
+                    Some(statistics) => match farm.get_if_there(&statistics).await? {
+                        Some(light) => Some(light),
+                        None => {
+                            took = Took::NotAll;
+                            continue;
+                        }
+                    },
+                };
+                let name = self.variant.file(record.frame);
+                folder.write(&name, &bytes, light.as_deref(), shot(&planning.key, &record))?;
                 self.open.remove(&record.frame);
             }
         }

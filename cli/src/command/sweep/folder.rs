@@ -6,6 +6,7 @@
 
 use super::work::{Planned, Work};
 use crate::clock::{Clock, Moment};
+use crate::command::render::statistics_of;
 use crate::exit::{Failure, failed};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -25,6 +26,8 @@ pub struct Folder {
     manifest: Manifest,
     by_key: BTreeMap<String, String>,
     saved: Moment,
+    /// Whether each frame has light statistics beside it.
+    has_statistics: bool,
 }
 
 #[derive(Default, Serialize, Deserialize)]
@@ -77,7 +80,8 @@ pub struct Order {
 
 impl Folder {
     /// Open the folder, which need not be there.
-    pub fn open(path: &Path) -> Result<Self, Failure> {
+    /// - `has_statistics`: whether frames without light statistics count as missing.
+    pub fn open(path: &Path, has_statistics: bool) -> Result<Self, Failure> {
         let file = path.join(MANIFEST);
         let manifest: Manifest = match fs::read(&file) {
             Ok(text) => serde_json::from_slice(&text).map_err(|e| {
@@ -86,15 +90,20 @@ impl Folder {
             Err(e) if e.kind() == ErrorKind::NotFound => Manifest::default(),
             Err(e) => return Err(failed(format!("{}: {e}", file.display()))),
         };
-        let mut folder = Self { path: path.to_owned(), manifest, by_key: BTreeMap::new(), saved: Clock.now() };
+        let mut folder =
+            Self { path: path.to_owned(), manifest, by_key: BTreeMap::new(), saved: Clock.now(), has_statistics };
         folder.forget_what_is_gone();
         Ok(folder)
     }
 
     /// Only files that are there and whole count.
     fn forget_what_is_gone(&mut self) {
-        let path = self.path.clone();
-        self.manifest.files.retain(|name, _| femc_film::exr::read_attributes(&path.join(name)).is_ok());
+        let (path, has_statistics) = (self.path.clone(), self.has_statistics);
+        self.manifest.files.retain(|name, _| {
+            let path = path.join(name);
+            let is_whole = !has_statistics || statistics_of(&path).is_file();
+            is_whole && femc_film::exr::read_attributes(&path).is_ok()
+        });
         let mut files: Vec<_> = self.manifest.files.iter().collect();
         // Of equal files the last one stands for all: one that was rendered rather than linked.
         files.sort_by_key(|(_, shot)| shot.same_as.is_none());
@@ -136,14 +145,22 @@ impl Folder {
     pub fn link(&mut self, name: &str, key: &str) -> Result<(), Failure> {
         let Some(source) = self.by_key.get(key).cloned().filter(|source| source != name) else { return Ok(()) };
         let Some(shot) = self.manifest.files.get(&source).cloned() else { return Ok(()) };
-        same(&self.join(&source), &self.join(name))
-            .map_err(|e| failed(format!("{}: {e}", self.join(name).display())))?;
+        let (from, to) = (self.join(&source), self.join(name));
+        if self.has_statistics {
+            let to = statistics_of(&to);
+            same(&statistics_of(&from), &to).map_err(|e| failed(format!("{}: {e}", to.display())))?;
+        }
+        same(&from, &to).map_err(|e| failed(format!("{}: {e}", to.display())))?;
         self.enter(name, Shot { same_as: Some(shot.same_as.unwrap_or(source)), ..shot });
         Ok(())
     }
 
-    /// Write a finished frame.
-    pub fn write(&mut self, name: &str, bytes: &[u8], shot: Shot) -> Result<(), Failure> {
+    /// Write a finished frame, and what is known of its light.
+    pub fn write(&mut self, name: &str, bytes: &[u8], light: Option<&[u8]>, shot: Shot) -> Result<(), Failure> {
+        // First: where the frame is, they are.
+        if let Some(light) = light {
+            femc_film::file::write_atomic(&statistics_of(&self.join(name)), light).map_err(failed)?;
+        }
         femc_film::file::write_atomic(&self.join(name), bytes).map_err(failed)?;
         self.enter(name, shot);
         if Clock.since(self.saved) >= EVERY { self.save() } else { Ok(()) }

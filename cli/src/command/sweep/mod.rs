@@ -80,7 +80,7 @@ pub fn run(args: &SweepArgs, say: Say) -> Result<Exit, Failure> {
         return Err(usage(format!("-o {} is a file; give a folder", out.display())));
     }
     let state = lock(&work, out)?;
-    let mut folder = Folder::open(out)?;
+    let mut folder = Folder::open(out, work.first.settings.statistics)?;
     if let Some(other) = folder.other_engine() {
         let (path, own) = (out.display(), femc_worker::engine());
         say.note(format!(

@@ -17,7 +17,7 @@ pub use sweep::Sweep;
 pub use {axis::Axis, change::Change, sweep::Mode};
 
 use super::{Budget, Frames, Override, Size};
-use crate::args::{Filter, Method, SettingsArgs};
+use crate::args::{Filter, Method, SettingsArgs, Stats};
 use place::Fault;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
@@ -64,8 +64,7 @@ struct Written {
     workers: Option<u32>,
     threads: Option<u32>,
     root: Option<PathBuf>,
-    #[serde(default)]
-    stats: bool,
+    stats: Option<StatsValue>,
     priority: Option<u8>,
     #[serde(default)]
     tags: Vec<String>,
@@ -78,6 +77,29 @@ struct Written {
     _regions: Option<IgnoredAny>,
     #[serde(rename = "contrasts")]
     _contrasts: Option<IgnoredAny>,
+}
+
+/// `true`, `false` or `"full"`.
+#[derive(Debug, Deserialize)]
+#[serde(untagged, expecting = "expected true, false or \"full\"")]
+enum StatsValue {
+    Whether(bool),
+    How(StatsWord),
+}
+
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "lowercase")]
+enum StatsWord {
+    Full,
+}
+
+impl StatsValue {
+    fn how(self) -> Option<Stats> {
+        match self {
+            Self::Whether(is_wanted) => is_wanted.then_some(Stats::Some),
+            Self::How(StatsWord::Full) => Some(Stats::Full),
+        }
+    }
 }
 
 impl JobFile {
@@ -123,7 +145,7 @@ impl JobFile {
                 threads: job.threads,
                 set: job.set.into_iter().map(|(selector, value)| Override { selector, value }).collect(),
                 root: job.root.map(|root| folder.join(root)),
-                stats: job.stats,
+                stats: job.stats.and_then(StatsValue::how),
             },
             priority: job.priority,
             tags: job.tags,
@@ -266,7 +288,7 @@ mod tests {
         assert_eq!(settings.size, Some(Size { width: 32, height: 16 }));
         assert_eq!(settings.time, Some(Budget { seconds: 90.0 }));
         assert_eq!((settings.method, settings.filter), (Some(Method::Pt), Some(Filter::BlackmanHarris)));
-        assert_eq!((settings.max_depth, settings.seed, settings.stats), (Some(5), Some(3), true));
+        assert_eq!((settings.max_depth, settings.seed, settings.stats), (Some(5), Some(3), Some(Stats::Some)));
         assert_eq!((settings.workers, settings.threads), (Some(2), Some(1)));
     }
 

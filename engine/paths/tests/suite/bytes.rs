@@ -2,7 +2,7 @@
 
 use crate::world::{scope, task, tasks, united};
 use femc_math::hash::combine;
-use femc_paths::{PathsError, Statistics};
+use femc_paths::{PathsError, Scope, Statistics};
 
 /// Its checksum made right again.
 fn sealed(mut bytes: Vec<u8>) -> Vec<u8> {
@@ -36,8 +36,8 @@ fn any_damage_is_an_error() {
         assert!(Statistics::decode(&bytes[..at]).is_err(), "the first {at} bytes");
     }
     let mut newer = bytes.clone();
-    newer[8] = 2;
-    assert_eq!(Statistics::decode(&newer), Err(PathsError::Version { found: 2, expected: 1 }));
+    newer[8] = 3;
+    assert_eq!(Statistics::decode(&newer), Err(PathsError::Version { found: 3, expected: 2 }));
     let mut bins = bytes.clone();
     bins[28] = 9;
     assert_eq!(Statistics::decode(&sealed(bins)), Err(PathsError::Schema { found: 9, expected: 1 }));
@@ -45,9 +45,13 @@ fn any_damage_is_an_error() {
 
 #[test]
 fn bytes_with_a_right_checksum_are_refused_or_hold_all_laws() {
-    let seed = task(&scope(20), 1, 0..2);
+    is_refused_or_sound(&task(&scope(20), 1, 0..2));
+    is_refused_or_sound(&task(&Scope { is_full: true, ..scope(20) }, 1, 0..2));
+}
+
+fn is_refused_or_sound(seed: &Statistics) {
     let bytes = seed.encode();
-    const FRONT: usize = 28 + 4 + 8 + 24 + 48 + 8 + 28;
+    const FRONT: usize = 28 + 4 + 8 + 28 + 48 + 8 + 28;
     let tables = zstd::bulk::decompress(&bytes[FRONT + 8..], 1 << 20).unwrap();
     let mut accepted = 0;
     for trial in 0..4000u64 {

@@ -4,8 +4,9 @@ use crate::world::{self, ROUNDS, SEED, ends, is_bad, scope, task, tasks, tiles, 
 use femc_math::hash::combine;
 use femc_paths::histogram::{Histograms, Table};
 use femc_paths::octree::{Octree, Root};
+use femc_paths::pixels::Maps;
 use femc_paths::statistics::{IMAGE_BITS, image_weight};
-use femc_paths::{PathKey, Statistics, UnionError};
+use femc_paths::{PathKey, Scope, Statistics, UnionError};
 use femc_stats::testing::{sidak, z_test};
 
 const KEEP: u32 = 900;
@@ -18,7 +19,7 @@ fn shuffled<T>(mut items: Vec<T>, seed: u64) -> Vec<T> {
 }
 
 /// The samples of the frame that the film takes.
-fn good(scope: &femc_paths::Scope) -> Vec<PathKey> {
+fn good(scope: &Scope) -> Vec<PathKey> {
     let pixels = 0..scope.film[0] * scope.film[1];
     let keys = pixels.flat_map(|pixel| (0..16).map(move |sample| PathKey { frame: 3, pixel, sample }));
     keys.filter(|key| !is_bad(*key)).collect()
@@ -150,7 +151,7 @@ pub(crate) fn is_fair(share: f64, chooses: impl Fn(PathKey) -> bool) -> bool {
 #[test]
 fn the_subset_is_fair() {
     for (seed, share) in [(0, 0.5), (1, 0.1), (u64::MAX, 0.03)] {
-        let statistics = Statistics::new(femc_paths::Scope { seed, ..scope(9) }, share);
+        let statistics = Statistics::new(Scope { seed, ..scope(9) }, share);
         assert!(is_fair(share, |key| statistics.wants(key)), "seed {seed}, share {share}");
     }
 }
@@ -222,4 +223,75 @@ fn a_pilot_and_halves_that_ended_earlier_do_not_count() {
     for records in [&held.paths, &held.brightest, &held.deepest] {
         assert!(records.keys().all(|(_, key)| key.sample < ends(scope.tile_of(key.pixel), key.half())));
     }
+}
+
+#[test]
+fn maps_are_of_all_samples_that_count_and_the_pixels_of_a_tile_are_its_own() {
+    let scope = scope(KEEP);
+    let mut all: Vec<u32> = tiles(&scope).flat_map(|tile| scope.pixels_of(tile)).collect();
+    assert!(tiles(&scope).all(|tile| scope.pixels_of(tile).all(|pixel| scope.tile_of(pixel) == tile)));
+    all.sort_unstable();
+    assert!(all.into_iter().eq(0..36 * 20));
+    let counted = united(&scope, shuffled(tasks(&scope), 8)).counted(0, ends);
+    let maps = Maps::of(&counted);
+    assert_eq!((maps.film, maps.pixels().len()), ([36, 20], 36 * 20));
+    let keys = good(&scope).into_iter().filter(|key| key.sample < ends(scope.tile_of(key.pixel), key.half()));
+    let mut by_pixel = vec![Vec::new(); 36 * 20];
+    keys.for_each(|key| by_pixel[key.pixel as usize].push(world::path(&scope, key)));
+    for (pixel, paths) in maps.pixels().zip(&by_pixel) {
+        assert_eq!(pixel.samples, paths.len() as u64);
+        let halves = [0, 1].map(|half| paths.iter().filter(|path| path.key.half() == half).collect::<Vec<_>>());
+        let mean = |of: &dyn Fn(&femc_paths::Path) -> f64| {
+            let there = halves.iter().filter(|half| !half.is_empty());
+            let means = there.map(|half| half.iter().map(|path| of(path)).sum::<f64>() / half.len() as f64);
+            means.clone().sum::<f64>() / means.count().max(1) as f64
+        };
+        let luminance = mean(&|path| f64::from(path.luminance()));
+        assert!((pixel.luminance - luminance).abs() < 1e-5, "{pixel:?} {luminance}");
+        assert_eq!(pixel.depth, mean(&|path| f64::from(path.depth)));
+        let greatest = |path: &femc_paths::Path| path.throughput.into_iter().fold(0.0, f32::max);
+        assert!((pixel.throughput - mean(&|path| f64::from(greatest(path)))).abs() < 2e-4);
+    }
+    let sum: f64 = maps.pixels().map(|pixel| pixel.variance).sum();
+    assert!(sum > 0.0);
+}
+
+#[test]
+fn full_histograms_are_of_all_samples_that_count_by_samples_and_by_image() {
+    let scope = Scope { is_full: true, ..scope(KEEP) };
+    let parts = shuffled(tasks(&scope), 9);
+    let all = united(&scope, parts.clone());
+    assert!(Statistics::decode(&all.encode()).is_ok_and(|read| read == all));
+    let mut again = united(&scope, parts[..20].to_vec());
+    again.unite(united(&scope, parts[10..].to_vec())).unwrap();
+    assert!(again.encode() == all.encode());
+    let counted = all.counted(0, ends);
+    let counts = |key: &PathKey| key.sample < ends(scope.tile_of(key.pixel), key.half());
+    let keys: Vec<PathKey> = good(&scope).into_iter().filter(counts).collect();
+    let weight: u64 = keys.iter().map(|key| counted.image_weight(*key)).sum();
+    for table in Table::ALL {
+        let histograms = Histograms::of_all(&counted, table).unwrap();
+        assert_eq!(histograms.len(), table.attributes().len());
+        let records = |key: &PathKey| match table {
+            Table::Paths => 1,
+            Table::Intersections => world::path(&scope, *key).intersections.len() as u64,
+            Table::Lights => world::path(&scope, *key).lights.len() as u64,
+        };
+        let expected: u64 = keys.iter().map(records).sum();
+        for counts in &histograms {
+            assert_eq!(counts.samples.iter().sum::<u64>(), expected, "{table:?}");
+        }
+        if table == Table::Paths {
+            assert!(histograms.iter().all(|counts| counts.image.iter().sum::<u64>() == weight));
+            let depth = |depth: u32| keys.iter().filter(|key| world::path(&scope, **key).depth == depth).count() as u64;
+            assert!((0..9).all(|number| histograms[8].samples[number as usize] == depth(number)));
+        }
+    }
+    // A sample that is missing from them is found.
+    let mut damaged = counted.clone();
+    let counters = damaged.portions.values_mut().next().unwrap();
+    let bin = counters.bins.iter().position(|count| *count > 0).unwrap();
+    counters.bins[bin] -= 1;
+    assert!(Statistics::decode(&damaged.encode()).is_err());
+    assert_eq!(Histograms::of_all(&united(&world::scope(KEEP), tasks(&world::scope(KEEP))), Table::Paths), None);
 }

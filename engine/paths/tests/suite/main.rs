@@ -1,6 +1,7 @@
 //! Laws of light statistics, on made-up paths that are a function of their keys alone, as those of a renderer are.
 
 mod bytes;
+mod causes;
 mod laws;
 mod plants;
 mod questions;

@@ -2,7 +2,7 @@
 
 use femc_math::elementary::ln;
 use femc_math::hash::{combine, unit_f32};
-use femc_paths::statistics::{brightness, depth_rank};
+use femc_paths::statistics::depth_rank;
 use femc_paths::{
     Counters, End, Found, Interaction, Intersection, Kind, Light, Name, Path, PathKey, PortionKey, Scope, Statistics,
 };
@@ -21,6 +21,7 @@ pub(crate) fn scope(keep: u32) -> Scope {
         upper: [4.0, 3.0, 2.5],
         keep,
         top: 3,
+        is_full: false,
     }
 }
 
@@ -82,6 +83,10 @@ pub(crate) fn path(scope: &Scope, key: PathKey) -> Path {
     let radiance = throughput.map(|factor| factor * bright * (1.0 + x as f32) * -ln(rolls.next().max(1e-6)));
     let end =
         if depth == 0 { End::Escaped } else { [End::Absorbed, End::Roulette, End::Depth][rolls.below(3) as usize] };
+    // The lights' parts add up to the sample; what is seen of none comes from none.
+    let parts: f32 = lights.iter().map(|it: &Light| it.radiance[0]).sum();
+    lights.iter_mut().for_each(|it| it.radiance = radiance.map(|all| all * it.radiance[0] / parts));
+    let radiance = if depth == 0 { [0.0; 3] } else { radiance };
     Path { key, radiance, throughput, depth, end, intersections, lights }
 }
 
@@ -104,7 +109,7 @@ pub(crate) fn record(
     wants: impl Fn(&Statistics, PathKey) -> bool,
 ) -> Statistics {
     let mut statistics = Statistics::new(*scope, share);
-    let mut counters = [Counters::default(), Counters::default()];
+    let mut counters = [0, 1].map(|_| Counters::of_pixels(scope.area(tile) as usize));
     for (kind, texts) in [
         (Kind::Object, &OBJECTS[..4]),
         (Kind::Material, &["white", "metal"][..]),
@@ -114,7 +119,7 @@ pub(crate) fn record(
             statistics.names.insert(Name::of(kind, text), (kind, (*text).to_owned()));
         }
     }
-    for pixel in (0..scope.film[0] * scope.film[1]).filter(|pixel| scope.tile_of(*pixel) == tile) {
+    for (place, pixel) in scope.pixels_of(tile).enumerate() {
         for sample in samples.clone() {
             let key = PathKey { frame: scope.frame, pixel, sample };
             let counters = &mut counters[usize::from(key.half())];
@@ -124,13 +129,16 @@ pub(crate) fn record(
             }
             let path = path(scope, key);
             counters.count(path.luminance(), path.depth, path.end);
+            let throughput = path.throughput.into_iter().fold(0.0, f32::max);
+            if scope.is_full {
+                counters.count_bins(scope, &path);
+            }
+            counters.pixels[place].count(path.luminance(), throughput, path.depth);
             let order = (key.hash(scope.seed), key);
             if wants(&statistics, key) {
                 statistics.paths.insert(order, path.clone());
             }
-            if brightness(&path) > 20.0 {
-                statistics.brightest.insert(order, path.clone());
-            }
+            statistics.brightest.insert(order, path.clone());
             if depth_rank(&path).is_some() {
                 statistics.deepest.insert(order, path);
             }

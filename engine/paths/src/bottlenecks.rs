@@ -1,0 +1,388 @@
+//! What makes an image noisy, and what makes its paths long, by object, material and interaction, and by lamp.
+//!
+//! A part of a sample is laid to the vertex whose scattering made it: the one that a point on a lamp was drawn from, or the latest that
+//! the path had not gone straight through when it came to a lamp. So the parts of a sample add up to it.
+//!
+//! Noise is told by samples that are brighter than the others of their pixel: the square of the difference is laid to the parts of the
+//! sample in proportion, and counts by the weight of the sample in its pixel, squared, over the squared mean of the block of 16 x 16
+//! pixels, as the relative error of a block does. The others' mean knows nothing of the sample.
+//!
+//! Samples are of two kinds ([`Weighed`]): the brightest of each portion, which are all known and count once, and others, which are known
+//! by the fair subset and count as many times as it is smaller. So a rare bright sample is neither missed nor counted for more than it is.
+//!
+//! Long paths are told by the first intersection of a path, which all paths through a pixel of it share: what throughput is left when they
+//! come to intersection number [`DEEP`]. Where a path comes later says little: a longer one comes to more.
+
+use crate::pixels::Maps;
+use crate::record::{Found, Interaction, Intersection, Light, Name, Names, Path, PathKey, luminance};
+use crate::statistics::{DEEP, IMAGE_BITS, PortionKey, Statistics, brightness};
+use std::collections::BTreeMap;
+
+/// What light was scattered by.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Part {
+    /// The object; none: the camera, a medium, or something without a name.
+    pub object: Name,
+    /// The material or the medium.
+    pub material: Name,
+    /// How the path went on, or how light came to it; `None`: any way, or the camera.
+    pub interaction: Option<Interaction>,
+}
+
+impl Part {
+    fn of(it: &Intersection) -> Self {
+        Self { object: it.object, material: it.material, interaction: Some(it.interaction) }
+    }
+}
+
+/// What parts are told apart by.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum By {
+    /// Object, material and interaction.
+    Part,
+    /// Object.
+    Object,
+    /// Material or medium.
+    Material,
+}
+
+impl By {
+    fn of(self, part: Part) -> Part {
+        match self {
+            Self::Part => part,
+            Self::Object => Part { object: part.object, ..Part::default() },
+            Self::Material => Part { material: part.material, ..Part::default() },
+        }
+    }
+}
+
+/// What is known of a part.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Evidence {
+    /// Intersections of recorded paths.
+    pub records: u64,
+    /// Intersections of all samples, estimated.
+    pub intersections: f64,
+    /// Throughput that arrives at it at an intersection of number [`DEEP`] or later, of all samples, estimated.
+    pub deep: f64,
+    /// Recorded paths whose first intersection it is; those that they go straight through are none.
+    pub begun: u64,
+    /// Sum of their depths.
+    pub depths: u64,
+    /// Sum of the throughputs with which they come to intersection number [`DEEP`].
+    pub left: f64,
+    /// Light of the image that it has scattered last, cd/m2, summed over the pixels.
+    pub light: f64,
+    /// Noise of the image: relative variance of its blocks, summed over them.
+    pub noise: f64,
+}
+
+impl Evidence {
+    /// Mean depth of the paths that begin there.
+    pub fn depth(&self) -> f64 {
+        self.depths as f64 / self.begun.max(1) as f64
+    }
+
+    /// Mean throughput that is left to them at intersection number [`DEEP`].
+    pub fn left(&self) -> f64 {
+        self.left / self.begun.max(1) as f64
+    }
+
+    fn merge(&mut self, other: &Self) {
+        self.records += other.records;
+        self.intersections += other.intersections;
+        self.deep += other.deep;
+        self.begun += other.begun;
+        self.depths += other.depths;
+        self.left += other.left;
+        self.light += other.light;
+        self.noise += other.noise;
+    }
+
+    /// What is not of this one.
+    #[must_use]
+    fn without(&self, one: &Self) -> Self {
+        Self {
+            begun: self.begun.saturating_sub(one.begun),
+            depths: self.depths.saturating_sub(one.depths),
+            left: (self.left - one.left).max(0.0),
+            ..Self::default()
+        }
+    }
+}
+
+/// What is known of a lamp.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Lamp {
+    /// How often recorded paths have looked for it or met it.
+    pub records: u64,
+    /// How often something was in between.
+    pub hidden: u64,
+    /// Light of the image that is from it, cd/m2, summed over the pixels.
+    pub light: f64,
+    /// Noise that is from it.
+    pub noise: f64,
+}
+
+/// A bright sample.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Firefly {
+    /// Which.
+    pub key: PathKey,
+    /// cd/m2.
+    pub luminance: f32,
+    /// Mean of the pixel's other samples, cd/m2.
+    pub others: f64,
+    /// Its part of the noise.
+    pub noise: f64,
+    /// What has scattered most of it.
+    pub part: Part,
+    /// The lamp of that.
+    pub lamp: Name,
+    /// How that was found.
+    pub found: Found,
+}
+
+/// All that is found of frames.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Bottlenecks {
+    /// Of all together.
+    pub total: Evidence,
+    /// By what parts are told apart by.
+    pub parts: BTreeMap<Part, Evidence>,
+    /// By lamp; none: a first pass.
+    pub lamps: BTreeMap<Name, Lamp>,
+    /// Samples that add most to the noise, the most first, each with the number of its frame among those that were merged.
+    pub fireflies: Vec<(usize, Firefly)>,
+    /// Frames.
+    pub frames: usize,
+    /// Samples of all frames.
+    pub samples: u64,
+    /// Those of them whose paths are deep.
+    pub deep_samples: u64,
+    /// Names that all this has.
+    pub names: Names,
+}
+
+/// A path, and the samples that it stands for.
+#[derive(Clone, Copy, Debug)]
+pub struct Weighed<'a> {
+    /// The path.
+    pub path: &'a Path,
+    /// Samples.
+    pub weight: f64,
+}
+
+/// Paths that stand for all samples: all that are brighter than the least bright one that its portion keeps, and of the others those
+/// recorded by hash.
+pub fn weighed(all: &Statistics) -> Vec<Weighed<'_>> {
+    let top = all.scope.top as usize;
+    // Of a portion that keeps fewer than it may, all samples are there.
+    let mut cuts: BTreeMap<PortionKey, (usize, f32)> = BTreeMap::new();
+    for path in all.brightest.values() {
+        if let Some(portion) = all.portion_of(path.key) {
+            let (count, least) = cuts.entry(portion).or_insert((0, f32::INFINITY));
+            (*count, *least) = (*count + 1, least.min(brightness(path)));
+        }
+    }
+    let cut = |path: &Path| {
+        let (count, least) =
+            all.portion_of(path.key).and_then(|portion| cuts.get(&portion).copied()).unwrap_or_default();
+        match (top, count < top) {
+            (0, _) => f32::INFINITY,
+            (_, true) => f32::NEG_INFINITY,
+            _ => least,
+        }
+    };
+    let bright = all.brightest.values().filter(|path| brightness(path) > cut(path));
+    let others = all.paths.values().filter(|path| brightness(path) <= cut(path));
+    let weight = 1.0 / all.share().max(f64::MIN_POSITIVE);
+    let bright = bright.map(|path| Weighed { path, weight: 1.0 });
+    bright.chain(others.map(|path| Weighed { path, weight })).collect()
+}
+
+/// What has scattered the light.
+pub fn scattered_by(path: &Path, light: &Light) -> Part {
+    let volume = |material| Part { material, interaction: Some(Interaction::Volume), ..Part::default() };
+    let vertices = &path.intersections[..path.intersections.len().min(light.vertex as usize)];
+    let vertex = match light.found {
+        // Of the segment after the vertex.
+        Found::Airlight => return volume(Name::NONE),
+        Found::Glow => return volume(light.light),
+        Found::Sight => None,
+        Found::Met => vertices.iter().rev().find(|it| it.interaction != Interaction::Straight),
+        Found::Surface | Found::Field => vertices.last(),
+    };
+    vertex.map(Part::of).unwrap_or_default()
+}
+
+/// Bright samples that are kept.
+const FIREFLIES: usize = 1000;
+
+impl Bottlenecks {
+    /// Of a frame.
+    pub fn of(all: &Statistics, by: By) -> Self {
+        let maps = Maps::of(all);
+        let mut found = Self { frames: 1, samples: all.samples(), names: all.names.clone(), ..Self::default() };
+        found.deep_samples = all.totals().depth[DEEP as usize..].iter().sum();
+        let weight = 1.0 / all.share().max(f64::MIN_POSITIVE);
+        for path in all.paths.values() {
+            found.count(path, weight, by);
+        }
+        let blocks = Blocks::of(&maps);
+        for Weighed { path, weight } in weighed(all) {
+            let (own, image) = (f64::from(path.luminance()), image_weight(all, path));
+            let noise = blocks.noise(&maps, path, image);
+            for light in &path.lights {
+                let part = f64::from(luminance(light.radiance));
+                let noise = if own > 0.0 { weight * noise * part / own } else { 0.0 };
+                let light_of = weight * image * part;
+                let evidence = found.parts.entry(by.of(scattered_by(path, light))).or_default();
+                for it in [evidence, &mut found.total] {
+                    it.light += light_of;
+                    it.noise += noise;
+                }
+                let lamp = found.lamps.entry(light.light).or_default();
+                lamp.light += light_of;
+                lamp.noise += noise;
+            }
+        }
+        found.fireflies = fireflies(all, &maps, &blocks, by).into_iter().map(|it| (0, it)).collect();
+        found
+    }
+
+    /// What a recorded path says of intersections and lamps.
+    fn count(&mut self, path: &Path, weight: f64, by: By) {
+        let greatest = |it: &Intersection| f64::from(it.throughput.into_iter().fold(0.0, f32::max));
+        let mut add = |it: &Intersection, evidence: Evidence| {
+            self.parts.entry(by.of(Part::of(it))).or_default().merge(&evidence);
+            self.total.merge(&evidence);
+        };
+        for (number, it) in (1..).zip(&path.intersections) {
+            let deep = if number < DEEP { 0.0 } else { weight * greatest(it) };
+            add(it, Evidence { records: 1, intersections: weight, deep, ..Evidence::default() });
+        }
+        if let Some(first) = path.intersections.iter().find(|it| it.interaction != Interaction::Straight) {
+            let left = path.intersections.get(DEEP as usize - 1).map_or(0.0, greatest);
+            add(first, Evidence { begun: 1, depths: path.depth.into(), left, ..Evidence::default() });
+        }
+        for light in &path.lights {
+            let lamp = self.lamps.entry(light.light).or_default();
+            lamp.records += 1;
+            lamp.hidden += u64::from(light.occluder.is_some());
+        }
+    }
+
+    /// Adds what was found of other frames.
+    pub fn merge(&mut self, other: Self) {
+        self.total.merge(&other.total);
+        for (part, evidence) in &other.parts {
+            self.parts.entry(*part).or_default().merge(evidence);
+        }
+        for (name, lamp) in other.lamps {
+            let own = self.lamps.entry(name).or_default();
+            own.records += lamp.records;
+            own.hidden += lamp.hidden;
+            own.light += lamp.light;
+            own.noise += lamp.noise;
+        }
+        let later = other.fireflies.into_iter().map(|(frame, it)| (self.frames + frame, it));
+        self.fireflies.extend(later);
+        self.fireflies.sort_by(|a, b| b.1.noise.total_cmp(&a.1.noise));
+        self.fireflies.truncate(FIREFLIES);
+        self.frames += other.frames;
+        self.samples += other.samples;
+        self.deep_samples += other.deep_samples;
+        self.names.extend(other.names);
+    }
+
+    /// The parts by what `of` says of them, the most first.
+    pub fn ranked(&self, of: impl Fn(&Evidence) -> f64) -> Vec<(Part, Evidence)> {
+        let mut all: Vec<(Part, Evidence)> = self.parts.iter().map(|(part, evidence)| (*part, *evidence)).collect();
+        all.sort_by(|a, b| of(&b.1).total_cmp(&of(&a.1)).then(a.0.cmp(&b.0)));
+        all
+    }
+
+    /// The paths that do not begin at a part.
+    #[must_use]
+    pub fn others(&self, of: &Evidence) -> Evidence {
+        self.total.without(of)
+    }
+
+    /// How much of the spread of what is left to paths at intersection number [`DEEP`] is between those that begin at a part and the
+    /// others: p (1 - p) d^2, where p is the share of paths and d the difference of the means; 0 where less is left to those.
+    pub fn lengthening(&self, of: &Evidence) -> f64 {
+        let share = of.begun as f64 / self.total.begun.max(1) as f64;
+        let more = (of.left() - self.others(of).left()).max(0.0);
+        share * (1.0 - share) * more * more
+    }
+
+    /// The text of a name, if it has one.
+    pub fn text(&self, name: Name) -> Option<&str> {
+        self.names.get(&name).map(|(_, text)| text.as_str())
+    }
+}
+
+/// Edge of a block, pixels: as the relative error has them.
+const BLOCK: u32 = 16;
+
+/// What noise is relative to.
+struct Blocks {
+    columns: u32,
+    width: u32,
+    /// Sum of the luminances of the block's pixels, cd/m2, squared.
+    squares: Vec<f64>,
+}
+
+impl Blocks {
+    fn of(maps: &Maps) -> Self {
+        let [width, height] = maps.film.map(|size| size.max(1));
+        let columns = width.div_ceil(BLOCK);
+        let mut blocks = Self { columns, width, squares: vec![0.0; (columns * height.div_ceil(BLOCK)) as usize] };
+        for (number, pixel) in (0..).zip(maps.pixels()) {
+            let block = blocks.number(number);
+            blocks.squares[block] += pixel.luminance;
+        }
+        blocks.squares.iter_mut().for_each(|sum| *sum *= *sum);
+        blocks
+    }
+
+    fn number(&self, pixel: u32) -> usize {
+        let [x, y] = [pixel % self.width, pixel / self.width].map(|place| place / BLOCK);
+        (y * self.columns + x) as usize
+    }
+
+    /// Part of a sample in the relative variance of its block.
+    /// - `image`: weight of the sample in its pixel.
+    fn noise(&self, maps: &Maps, path: &Path, image: f64) -> f64 {
+        let own = path.luminance();
+        let excess = maps.others(path.key.pixel, own).map_or(0.0, |others| (f64::from(own) - others).max(0.0));
+        let square = self.squares.get(self.number(path.key.pixel)).copied().unwrap_or(0.0);
+        if square > 0.0 { (image * excess).powi(2) / square } else { 0.0 }
+    }
+}
+
+fn image_weight(all: &Statistics, path: &Path) -> f64 {
+    all.image_weight(path.key) as f64 / (1u64 << IMAGE_BITS) as f64
+}
+
+/// The brightest samples, those that add most to the noise first.
+fn fireflies(all: &Statistics, maps: &Maps, blocks: &Blocks, by: By) -> Vec<Firefly> {
+    let one = |path: &Path| {
+        let others = maps.others(path.key.pixel, path.luminance())?;
+        let light = path.lights.iter().max_by(|a, b| luminance(a.radiance).total_cmp(&luminance(b.radiance)))?;
+        Some(Firefly {
+            key: path.key,
+            luminance: path.luminance(),
+            others,
+            noise: blocks.noise(maps, path, image_weight(all, path)),
+            part: by.of(scattered_by(path, light)),
+            lamp: light.light,
+            found: light.found,
+        })
+    };
+    let mut found: Vec<Firefly> = all.brightest.values().filter_map(one).filter(|it| it.noise > 0.0).collect();
+    found.sort_by(|a, b| b.noise.total_cmp(&a.noise).then(a.key.cmp(&b.key)));
+    found.truncate(FIREFLIES);
+    found
+}

@@ -179,7 +179,7 @@ fn rendered(scene: &str, method: Method, rounds: &[u32], seed: u64) -> anyhow::R
     let (mut digests, mut contents) = (Vec::new(), Vec::new());
     for number in FRAMES {
         if method.has_first_pass() {
-            let key = femc_pipeline::first_pass_key(&femc_pipeline::frame_key(&source, &settings, number)?);
+            let key = femc_pipeline::first_pass_key(&femc_pipeline::frame_key(&source, &settings, number)?, method);
             contents.push((FRAMES.len() as u32, Digest::from_bytes(key)));
         }
         let prepared = femc_pipeline::prepare(&source, &settings, number, None)?;

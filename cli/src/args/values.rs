@@ -5,13 +5,13 @@ use serde::Deserialize;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum Method {
-    /// The plan's choice.
+    /// The plan's choice; so far path tracing alone.
     Auto,
     /// Path tracing alone.
     Pt,
     /// The finite-element solution alone: fast, biased.
     Fem,
-    /// The two-pass method.
+    /// Path tracing guided by the finite-element solution: unbiased.
     Femc,
 }
 

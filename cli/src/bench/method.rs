@@ -26,10 +26,11 @@ pub enum Budget {
 
 /// All of them: a new one is a line here.
 #[rustfmt::skip]
-pub const METHODS: [Method; 3] = [
+pub const METHODS: [Method; 4] = [
     Method { name: "pt", about: "path tracing, as many samples for every pixel", light: femc_pipeline::Method::Pt, budget: Budget::Spp },
     Method { name: "adaptive", about: "path tracing, each tile until its error is as asked", light: femc_pipeline::Method::Pt, budget: Budget::Error },
     Method { name: "fem", about: "the finite-element solution alone (biased), as many samples for every pixel", light: femc_pipeline::Method::Fem, budget: Budget::Spp },
+    Method { name: "femc", about: "path tracing guided by the finite-element solution, as many samples for every pixel", light: femc_pipeline::Method::Femc, budget: Budget::Spp },
 ];
 
 impl Method {

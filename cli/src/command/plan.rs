@@ -174,7 +174,7 @@ pub fn trial(asked: &Asked, first_passes: usize, samples_least: u64, samples_mos
     let mut first_pass_seconds = 0.0;
     if plan.method.has_first_pass() {
         let begun = clock.now();
-        let solution = femc_pipeline::first_pass(&prepared, &AtomicBool::new(false)).map_err(failed)?;
+        let solution = femc_pipeline::first_pass(&prepared, plan.method, &AtomicBool::new(false)).map_err(failed)?;
         first_pass_seconds = clock.since(begun).as_secs_f64();
         femc_pipeline::light(&mut prepared, Arc::new(solution.field)).map_err(failed)?;
     }

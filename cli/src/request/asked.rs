@@ -264,9 +264,7 @@ fn refused(path: &Path, e: &PlanError, named: &dyn Fn(&str) -> String) -> Failur
         PlanError::Camera(_) => failed(message),
         PlanError::Settings(SettingsError::Domain { setting, .. }) => usage(format!("{}: {e}", named(setting))),
         PlanError::Settings(SettingsError::Allocation(e)) => usage(format!("--replay: {e}")),
-        PlanError::Settings(SettingsError::MethodUnavailable | SettingsError::DepthOfElements(_)) => {
-            usage(format!("{}: {e}", named("method")))
-        }
+        PlanError::Settings(SettingsError::DepthOfElements(_)) => usage(format!("{}: {e}", named("method"))),
         PlanError::Film(_) => usage(format!("{}: {message}", named("size"))),
         PlanError::Settings(SettingsError::Selector(_))
         | PlanError::FrameOutside { .. }

@@ -38,16 +38,16 @@ fn run<T>(work: impl Future<Output = T>) -> T {
 }
 
 /// Asks for frames of a scene with a first pass; the job's number.
-fn ask(place: &Place, url: &str, scene: &str) -> String {
-    let line = format!("submit {scene} --server {url} --method fem --spp 4 --frames 1..2");
+fn ask(place: &Place, url: &str, scene: &str, method: &str) -> String {
+    let line = format!("submit {scene} --server {url} --method {method} --spp 4 --frames 1..2");
     place.run(&line).exits(0).stdout().trim().to_owned()
 }
 
 /// Fetches the job's frames and compares them with frames that one process has rendered: the pixels are the same.
-fn claim_frames(place: &Place, url: &str, job: &str, scene: &str, threads: u32) {
+fn claim_frames(place: &Place, url: &str, job: &str, scene: &str, method: &str, threads: u32) {
     place.run(&format!("watch {job} --server {url}")).exits(0);
     place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
-    let line = format!("render {scene} -o alone --method fem --spp 4 --frames 1..2 --threads {threads}");
+    let line = format!("render {scene} -o alone --method {method} --spp 4 --frames 1..2 --threads {threads}");
     place.run(&line).exits(0);
     let frames = names(&place.path("alone"));
     assert!(frames.len() >= 2, "{frames:?}");
@@ -64,14 +64,19 @@ fn frames_of_one_world_have_one_first_pass_and_neither_workers_nor_threads_chang
         let (mut farm, url) = coordinator(&place, 0);
         let _workers: Vec<Running> =
             (0..workers).map(|_| place.start(&format!("worker --join {url} --threads {threads}"))).collect();
-        let job = ask(&place, &url, "still.mgf");
-        claim_frames(&place, &url, &job, "still.mgf", 3 - threads);
+        // To be looked at, and to guide paths: a solution of each.
+        for method in ["fem", "femc"] {
+            let job = ask(&place, &url, "still.mgf", method);
+            claim_frames(&place, &url, &job, "still.mgf", method, 3 - threads);
+            std::fs::remove_dir_all(place.path("alone")).expect("frames");
+            std::fs::remove_dir_all(place.path("out")).expect("frames");
+        }
         farm.kill();
         let (begun, done) = run(solutions(&place));
-        assert_eq!((begun, done.len()), (1, 1), "{done:?}");
-        fields.extend(done.into_values());
+        assert_eq!((begun, done.len()), (2, 2), "{done:?}");
+        fields.push(done.into_values().collect::<Vec<_>>());
     }
-    assert_eq!(fields[0], fields[1], "the same solution to the bit");
+    assert_eq!(fields[0], fields[1], "the same solutions to the bit");
 }
 
 #[test]
@@ -79,8 +84,8 @@ fn every_world_has_a_first_pass_of_its_own_and_a_second_job_finds_them_there() {
     let place = place();
     let (mut farm, url) = coordinator(&place, 0);
     let _worker = place.start(&format!("worker --join {url} --threads 2"));
-    let first = ask(&place, &url, "fog.mgf");
-    claim_frames(&place, &url, &first, "fog.mgf", 1);
+    let first = ask(&place, &url, "fog.mgf", "fem");
+    claim_frames(&place, &url, &first, "fog.mgf", "fem", 1);
     let line = format!("submit fog.mgf --server {url} --method fem --spp 1 --seed 7 --size 16x16 --frames 2");
     let second = place.run(&line).exits(0).stdout().trim().to_owned();
     place.run(&format!("watch {second} --server {url}")).exits(0);
@@ -99,13 +104,13 @@ fn a_worker_that_is_killed_while_it_solves_costs_the_others_one_solution() {
     let line = format!("worker --join {url} --threads 1 --outbox memory");
     let fault = format!("worker-before-task:1:{}", token.display());
     let mut victim = Running::of(place.command(&line).env("FEMC_FAULT", fault));
-    let job = ask(&place, &url, "still.mgf");
+    let job = ask(&place, &url, "still.mgf", "femc");
     victim.wait_until("its task", || token.exists());
     let why = place.run(&format!("status {job} --why --server {url}")).exits(0).stdout();
     assert!(why.contains("first-pass"), "{why}");
     let _other = place.start(&line);
     assert!(victim.kill(), "it was alive");
-    claim_frames(&place, &url, &job, "still.mgf", 1);
+    claim_frames(&place, &url, &job, "still.mgf", "femc", 1);
     assert_eq!(status(&place, &url, &job)["state"], "done");
     let logs = place.run(&format!("logs {job} --server {url}")).exits(0).stdout();
     assert!(logs.contains("first-pass") && logs.contains("links="), "what it was made of is in its log: {logs}");

@@ -155,6 +155,7 @@ pages! {
     accuracy: "accuracy.md",
     bench: "bench.md",
     first_pass: "first-pass.md",
+    two_passes: "two-passes.md",
     paths: "paths.md",
     formats: "formats.md",
     scenes: "scenes.md",

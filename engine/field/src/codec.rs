@@ -33,7 +33,8 @@
 //! come out of it. Whatever is accepted can be asked for light anywhere: indices are in their ranges, and trees have no circles.
 
 use crate::{
-    Cell, Field, FogCell, FogTree, Form, Guide, Harmonics, LOBES, Leaf, Lobe, NONE, Outline, Side, Split, Surface,
+    Cell, Field, FogCell, FogTree, Form, Guide, Guides, Harmonics, LOBES, Leaf, Lobe, NONE, Outline, Side, Split,
+    Surface,
 };
 use femc_geometry::{Facing, Quadric};
 use femc_math::Rgb;
@@ -112,8 +113,8 @@ impl Field {
             self.cells.len(),
             self.leaves.len(),
             self.fog.0.len(),
-            self.guides.len(),
-            self.lobes.len(),
+            self.guides.of().len(),
+            self.guides.lobes().len(),
         ];
         lengths.iter().for_each(|&length| out.extend((length as u32).to_le_bytes()));
         let tables = self.tables();
@@ -182,12 +183,12 @@ impl Field {
             std::array::from_fn::<u32, 19, _>(|at| if at == 0 { next } else { values[at - 1] })
         };
         table(&mut out, self.fog.0.iter().map(fog));
-        table(&mut out, self.guides.iter().map(|guide| [guide.first, guide.count, guide.share.to_bits()]));
+        table(&mut out, self.guides.of().iter().map(|guide| [guide.first, guide.count, guide.share.to_bits()]));
         let lobe = |&Lobe { target, axes: [a, b], share }: &Lobe| {
             let values: [u32; 9] = colors(&[target, a, b]);
             std::array::from_fn::<u32, 10, _>(|at| if at < 9 { values[at] } else { share.to_bits() })
         };
-        table(&mut out, self.lobes.iter().map(lobe));
+        table(&mut out, self.guides.lobes().iter().map(lobe));
         out
     }
 
@@ -346,7 +347,7 @@ fn read(mut tables: Tables<'_>, lengths: [u32; 8]) -> Result<Field, FieldError> 
     if !tables.0.is_empty() {
         return Err(FieldError::Corrupt("more than its tables"));
     }
-    Ok(Field { surfaces, roots, cells: all, leaves, guides, lobes, sides, fog: FogTree(fog) })
+    Ok(Field { surfaces, roots, cells: all, leaves, guides: Guides::new(guides, lobes), sides, fog: FogTree(fog) })
 }
 
 /// A share of directions, in [0, 1): the rest is for what no lobe knows.
@@ -511,12 +512,14 @@ mod tests {
                 Leaf::Triangle([v(1.0), v(f32::INFINITY), v(3.0)]),
                 Leaf::Rectangle([v(1.0), v(2.0), v(3.0), v(4.0)]),
             ],
-            guides: vec![
-                Guide::default(),
-                Guide { first: 0, count: 2, share: 0.5 },
-                Guide { first: 1, count: 1, share: 0.25 },
-            ],
-            lobes: vec![Lobe::round(v(1.0), Vec3A::X, 0.5, 0.25), Lobe::round(v(2.0), Vec3A::Y, 0.1, 0.75)],
+            guides: Guides::new(
+                vec![
+                    Guide::default(),
+                    Guide { first: 0, count: 2, share: 0.5 },
+                    Guide { first: 1, count: 1, share: 0.25 },
+                ],
+                vec![Lobe::round(v(1.0), Vec3A::X, 0.5, 0.25), Lobe::round(v(2.0), Vec3A::Y, 0.1, 0.75)],
+            ),
             sides: vec![vec![[0, 1], [2, NONE]], vec![[4, NONE], [NONE, 5]], vec![]],
             fog: FogTree(vec![fog(1), fog(0), fog(0)]),
         }
@@ -574,9 +577,15 @@ mod tests {
         assert!(refused(|field| field.surfaces[0].primitives[1] = 2), "no such primitive");
         assert!(refused(|field| field.surfaces[0].instance = 3), "no such instance");
         assert!(refused(|field| field.fog.0[0].next = 2), "half of a pair of boxes");
-        assert!(refused(|field| field.guides[2].count = 2), "no such lobe");
-        assert!(refused(|field| field.guides.truncate(1)), "leaves without a guide");
-        assert!(refused(|field| field.lobes[0].axes[1] = Vec3A::ZERO), "a lobe without a width");
+        // The field reads them as they are; bytes of others may hold anything.
+        fn guides(field: &mut Field, change: fn(&mut Vec<Guide>, &mut Vec<Lobe>)) {
+            let (mut of, mut lobes) = (field.guides.of().to_vec(), field.guides.lobes().to_vec());
+            change(&mut of, &mut lobes);
+            field.guides = Guides::unchecked(of, lobes);
+        }
+        assert!(refused(|field| guides(field, |of, _| of[2].count = 2)), "no such lobe");
+        assert!(refused(|field| guides(field, |of, _| of.truncate(1))), "leaves without a guide");
+        assert!(refused(|field| guides(field, |_, lobes| lobes[0].axes[1] = Vec3A::ZERO)), "a lobe without a width");
         assert!(!refused(|_| ()));
     }
 

@@ -1,4 +1,4 @@
-use crate::{Cell, Directions, FogTree, Guide, Harmonics, Lobe, NONE, Side, Surface};
+use crate::{Cell, Directions, FogTree, Guides, Harmonics, NONE, Side, Surface};
 use femc_geometry::Hit;
 use femc_math::Rgb;
 use femc_math::glam::{Vec2, Vec3A};
@@ -64,10 +64,8 @@ pub struct Field {
     pub cells: Vec<Cell>,
     /// What is known of them.
     pub leaves: Vec<Leaf>,
-    /// By leaf where its light comes from; or nothing is known of that.
-    pub guides: Vec<Guide>,
-    /// Lobes of the guides.
-    pub lobes: Vec<Lobe>,
+    /// By leaf where its light comes from; of no leaf where nothing is known of that.
+    pub guides: Guides,
     /// By instance and primitive: surface of the front and of the back, or [`NONE`].
     pub sides: Vec<Vec<[u32; 2]>>,
     /// Light in fog.
@@ -85,16 +83,9 @@ impl Field {
 
     /// Where the light of a hit comes from, as far as directions are worth drawing by that.
     /// - `position`: of the hit.
-    pub fn directions(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<Directions> {
-        if self.guides.is_empty() {
-            return None;
-        }
+    pub fn directions(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<Directions<'_>> {
         let (leaf, _) = self.leaf(hit, side, position)?;
-        let Guide { first, count, share } = self.guides[leaf as usize];
-        if count == 0 {
-            return None;
-        }
-        Directions::new(&self.lobes[first as usize..(first + count) as usize], share, position)
+        self.guides.directions(leaf, position)
     }
 
     /// The leaf of a hit, and the hit's coordinates in it.
@@ -113,8 +104,7 @@ impl Field {
         size_of_val(&*self.surfaces)
             + size_of_val(&*self.cells)
             + size_of_val(&*self.leaves)
-            + size_of_val(&*self.guides)
-            + size_of_val(&*self.lobes)
+            + self.guides.memory()
             + self.sides.iter().map(|sides| size_of_val(&**sides)).sum::<usize>()
             + size_of_val(&*self.fog.0)
     }

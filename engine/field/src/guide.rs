@@ -43,70 +43,153 @@ pub struct Guide {
     pub share: f32,
 }
 
-/// Least half axis of a lobe over its distance, an angle of half a degree.
-const NARROW: f32 = 0.01;
+/// The guides of all leaves.
+#[derive(Clone, Debug, Default)]
+pub struct Guides {
+    of: Vec<Guide>,
+    lobes: Vec<Lobe>,
+    /// By leaf its block, or `u32::MAX`; leaves that have the same lobes have one together.
+    places: Vec<u32>,
+    blocks: Vec<Block>,
+}
+
+impl Guides {
+    /// - `of`: by leaf; ranges are within `lobes`.
+    pub fn new(of: Vec<Guide>, lobes: Vec<Lobe>) -> Self {
+        let mut blocks: Vec<Block> = Vec::new();
+        let mut known = std::collections::HashMap::new();
+        let place = |guide: &Guide| {
+            if guide.count == 0 || guide.share <= 0.0 {
+                return u32::MAX;
+            }
+            *known.entry((guide.first, guide.count)).or_insert_with(|| {
+                blocks.push(Block::new(&lobes[guide.first as usize..(guide.first + guide.count) as usize]));
+                blocks.len() as u32 - 1
+            })
+        };
+        let places = of.iter().map(place).collect();
+        Self { of, lobes, places, blocks }
+    }
+
+    /// The same of ranges that may lead astray, for nothing but to be written.
+    #[cfg(test)]
+    pub(crate) fn unchecked(of: Vec<Guide>, lobes: Vec<Lobe>) -> Self {
+        Self { of, lobes, ..Self::default() }
+    }
+
+    /// By leaf.
+    pub fn of(&self) -> &[Guide] {
+        &self.of
+    }
+
+    /// All lobes.
+    pub fn lobes(&self) -> &[Lobe] {
+        &self.lobes
+    }
+
+    /// Bytes that they take.
+    pub fn memory(&self) -> usize {
+        size_of_val(&*self.of) + size_of_val(&*self.lobes) + size_of_val(&*self.places) + size_of_val(&*self.blocks)
+    }
+
+    /// The lobes of a leaf as seen from one of its points; `None` where there are none.
+    #[inline]
+    pub fn directions(&self, leaf: u32, point: Vec3A) -> Option<Directions<'_>> {
+        let block = self.blocks.get(*self.places.get(leaf as usize)? as usize)?;
+        Directions::new(block, self.of[leaf as usize].share, point)
+    }
+}
+
+/// Lobes side by side.
+#[derive(Clone, Copy, Debug)]
+pub struct Block {
+    /// By axis and lobe: the place; the plane's unit normal; the ellipse's axes over their squared lengths.
+    targets: [[f32; LOBES]; 3],
+    normals: [[f32; LOBES]; 3],
+    across: [[[f32; LOBES]; 3]; 2],
+    /// Squares of the half axes, m2.
+    squares: [[f32; LOBES]; 2],
+    /// Density in the middle of the plane, 1/m2, times the lobe's share.
+    peaks: [f32; LOBES],
+    shares: [f32; LOBES],
+}
+
+impl Block {
+    /// Of [`LOBES`] lobes at most.
+    pub fn new(lobes: &[Lobe]) -> Self {
+        const NONE: [f32; LOBES] = [0.0; LOBES];
+        let mut out = Self {
+            targets: [NONE; 3],
+            normals: [NONE; 3],
+            across: [[NONE; 3]; 2],
+            squares: [NONE; 2],
+            peaks: NONE,
+            shares: NONE,
+        };
+        for (k, lobe) in lobes.iter().enumerate().take(LOBES) {
+            let [a, b] = lobe.axes.map(|axis| axis.length_squared());
+            let normal = cross(lobe.axes[0], lobe.axes[1]).normalize_or_zero();
+            let density = 2.0 / (PI * (a * b).sqrt());
+            let is_sound = [a, b].iter().all(|square| square.is_finite() && *square > 0.0)
+                && normal != Vec3A::ZERO
+                && lobe.target.is_finite()
+                && (lobe.share * density).is_finite()
+                && lobe.share > 0.0;
+            if !is_sound {
+                continue;
+            }
+            for axis in 0..3 {
+                (out.targets[axis][k], out.normals[axis][k]) = (lobe.target[axis], normal[axis]);
+                (out.across[0][axis][k], out.across[1][axis][k]) = (lobe.axes[0][axis] / a, lobe.axes[1][axis] / b);
+            }
+            (out.squares[0][k], out.squares[1][k]) = (a, b);
+            (out.peaks[k], out.shares[k]) = (lobe.share * density, lobe.share);
+        }
+        out
+    }
+}
 
 /// The lobes of a leaf as seen from one of its points.
 #[derive(Clone, Copy, Debug)]
-pub struct Directions {
-    /// By axis and lobe: the plane's unit normal, away from the point; the ellipse's axes over their squared lengths.
-    normals: [[f32; LOBES]; 3],
-    across: [[[f32; LOBES]; 3]; 2],
-    /// Distance of the plane, m; the point's place in it, in half axes.
+pub struct Directions<'a> {
+    block: &'a Block,
+    /// Way to the plane along its normal, m; the point's place in it, in half axes.
     heights: [f32; LOBES],
     places: [[f32; LOBES]; 2],
-    /// Half axes, m, and density in the middle of the plane, 1/m2, times the lobe's share.
-    lengths: [[f32; LOBES]; 2],
-    peaks: [f32; LOBES],
-    shares: [f32; LOBES],
+    /// 1 over the shares of the lobes that are seen from here, for these; 0 for the others.
+    weights: [f32; LOBES],
     /// Share of directions to be drawn by the lobes.
     pub share: f32,
 }
 
-impl Directions {
-    /// Of lobes, at a point; `None` where there are none.
+/// A lobe is not seen from points nearer to its plane than this share of their distance from its place.
+const FLAT: f32 = 1e-3;
+
+impl<'a> Directions<'a> {
+    /// Of lobes, at a point; `None` where none is seen.
     #[inline]
-    pub fn new(lobes: &[Lobe], share: f32, point: Vec3A) -> Option<Self> {
+    pub fn new(block: &'a Block, share: f32, point: Vec3A) -> Option<Self> {
         const NONE: [f32; LOBES] = [0.0; LOBES];
-        let mut out = Self {
-            normals: [NONE; 3],
-            across: [[NONE; 3]; 2],
-            heights: [1.0; LOBES],
-            places: [NONE; 2],
-            lengths: [NONE; 2],
-            peaks: NONE,
-            shares: NONE,
-            share,
-        };
-        let mut sum = 0.0;
-        for (k, lobe) in lobes.iter().enumerate().take(LOBES) {
-            let way = lobe.target - point;
-            let distance = way.length();
-            let [a, b] = lobe.axes.map(|axis| axis.length());
-            let (wide_a, wide_b) = (a.max(NARROW * distance), b.max(NARROW * distance));
-            let [u, v] = [lobe.axes[0] / (a * wide_a), lobe.axes[1] / (b * wide_b)];
-            let normal = cross(lobe.axes[0], lobe.axes[1]) / (a * b);
-            let height = normal.dot(way);
-            let (normal, height) = if height < 0.0 { (-normal, -height) } else { (normal, height) };
-            // From a point in the plane there is nothing to be seen of it.
-            if !(height > 1e-3 * distance && lobe.share > 0.0 && lobe.share.is_finite()) {
-                continue;
-            }
-            for axis in 0..3 {
-                out.normals[axis][k] = normal[axis];
-                (out.across[0][axis][k], out.across[1][axis][k]) = (u[axis], v[axis]);
-            }
-            (out.heights[k], out.places[0][k], out.places[1][k]) = (height, -u.dot(way), -v.dot(way));
-            (out.lengths[0][k], out.lengths[1][k]) = (wide_a, wide_b);
-            (out.peaks[k], out.shares[k]) = (2.0 / (PI * wide_a * wide_b), lobe.share);
-            sum += lobe.share;
+        let mut out = Self { block, heights: NONE, places: [NONE; 2], weights: NONE, share };
+        let mut seen = NONE;
+        for k in 0..LOBES {
+            let x = block.targets[0][k] - point.x;
+            let y = block.targets[1][k] - point.y;
+            let z = block.targets[2][k] - point.z;
+            let dot = |of: &[[f32; LOBES]; 3]| of[0][k] * x + of[1][k] * y + of[2][k] * z;
+            let height = dot(&block.normals);
+            out.heights[k] = height;
+            (out.places[0][k], out.places[1][k]) = (-dot(&block.across[0]), -dot(&block.across[1]));
+            let is_seen = height * height > FLAT * FLAT * (x * x + y * y + z * z);
+            seen[k] = if is_seen { block.shares[k] } else { 0.0 };
         }
-        if !(sum > 0.0 && sum.is_finite() && share > 0.0 && out.heights.iter().all(|height| height.is_finite())) {
+        let sum: f32 = seen.iter().sum();
+        if !(sum > 0.0 && sum.is_finite() && share > 0.0) {
             return None;
         }
-        out.shares = out.shares.map(|share| share / sum);
+        let scale = 1.0 / sum;
         for k in 0..LOBES {
-            out.peaks[k] *= out.shares[k];
+            out.weights[k] = if seen[k] > 0.0 { scale } else { 0.0 };
         }
         Some(out)
     }
@@ -122,14 +205,17 @@ impl Directions {
     #[inline]
     pub fn each(&self, dir: Vec3A) -> [f32; LOBES] {
         let mut each = [0.0f32; LOBES];
-        let dot = |of: &[[f32; LOBES]; 3], k: usize| of[0][k] * dir.x + of[1][k] * dir.y + of[2][k] * dir.z;
         for (k, pdf) in each.iter_mut().enumerate() {
-            let ahead = dot(&self.normals, k).max(1e-6);
-            let distance = self.heights[k] / ahead;
-            let [a, b] = [0, 1].map(|axis| self.places[axis][k] + distance * dot(&self.across[axis], k));
+            let dot = |of: &[[f32; LOBES]; 3]| of[0][k] * dir.x + of[1][k] * dir.y + of[2][k] * dir.z;
+            let ahead = dot(&self.block.normals);
+            // Both in the direction of the plane; a point on the line at infinity has no density.
+            let steep = if ahead.abs() > 1e-6 { ahead } else { f32::INFINITY };
+            let distance = self.heights[k] / steep;
+            let a = self.places[0][k] + distance * dot(&self.block.across[0]);
+            let b = self.places[1][k] + distance * dot(&self.block.across[1]);
             let x = 1.0 / (1.0 + a * a + b * b);
-            let value = self.peaks[k] * (x * x * x) * (distance * distance / ahead);
-            *pdf = if ahead > 1e-6 { value } else { 0.0 };
+            let value = self.block.peaks[k] * self.weights[k] * (x * x * x) * (distance * distance / steep.abs());
+            *pdf = if distance > 0.0 { value } else { 0.0 };
         }
         each
     }
@@ -138,23 +224,23 @@ impl Directions {
     /// - `choice`, `u`: numbers in [0, 1).
     #[inline]
     pub fn sample(&self, choice: f32, u: [f32; 2]) -> Vec3A {
+        let share = |k: usize| self.block.shares[k] * self.weights[k];
         let (mut at, mut left) = (0, choice);
-        while at + 1 < LOBES && left >= self.shares[at] {
-            left -= self.shares[at];
+        while at + 1 < LOBES && left >= share(at) {
+            left -= share(at);
             at += 1;
         }
         // By rounding nothing may be left for the last ones.
-        while at > 0 && self.shares[at] <= 0.0 {
+        while at > 0 && share(at) <= 0.0 {
             at -= 1;
         }
         let radius = (1.0 / (1.0 - u[0]).sqrt() - 1.0).max(0.0).sqrt();
         let (sin, cos) = sin_cos(2.0 * PI * u[1]);
         let axis = |of: &[[f32; LOBES]; 3]| Vec3A::new(of[0][at], of[1][at], of[2][at]);
         let places = [radius * cos - self.places[0][at], radius * sin - self.places[1][at]];
-        let mut way = axis(&self.normals) * self.heights[at];
+        let mut way = axis(&self.block.normals) * self.heights[at];
         for (k, place) in places.into_iter().enumerate() {
-            let length = self.lengths[k][at];
-            way += axis(&self.across[k]) * (place * length * length);
+            way += axis(&self.block.across[k]) * (place * self.block.squares[k][at]);
         }
         way.normalize_or(Vec3A::Z)
     }
@@ -169,7 +255,7 @@ mod tests {
         (0..n).map(move |k| [(k as f32 + 0.5) / n as f32, (k as f32 * 0.618_034).fract()])
     }
 
-    fn some() -> Directions {
+    fn some() -> Block {
         let lobe = |target: Vec3A, spread, share| Lobe::round(target, target.normalize(), spread, share);
         let tall = [Vec3A::new(-0.1, 0.3, 0.0), Vec3A::new(0.0, 0.0, 2.0)];
         let lobes = [
@@ -178,13 +264,14 @@ mod tests {
             lobe(Vec3A::new(0.0, 0.0, -5.0), 9.0, 0.1),
             Lobe { target: Vec3A::new(-3.0, -1.0, 0.5), axes: tall, share: 0.1 },
         ];
-        Directions::new(&lobes, 0.5, Vec3A::new(0.1, 0.2, 0.3)).expect("lobes")
+        Block::new(&lobes)
     }
 
     /// The shares of samples in boxes of direction are the density's (chi-square with 95 degrees of freedom: 161 at a level of 3e-5).
     #[test]
     fn samples_have_the_density() {
-        let directions = some();
+        let block = some();
+        let directions = Directions::new(&block, 0.5, Vec3A::new(0.1, 0.2, 0.3)).expect("lobes");
         const N: usize = 200_000;
         let bin = |dir: Vec3A| {
             let turn = femc_math::elementary::atan2(dir.y, dir.x) / (2.0 * PI) + 0.5;
@@ -225,13 +312,17 @@ mod tests {
     fn a_lobe_points_from_each_point_to_the_same_place() {
         let lobes = [Lobe::round(Vec3A::new(1.0, 2.0, 3.0), Vec3A::X, 1e-4, 1.0)];
         for point in [Vec3A::ZERO, Vec3A::new(5.0, 0.0, 0.0), Vec3A::new(0.5, 2.0, 2.9)] {
-            let directions = Directions::new(&lobes, 0.5, point).expect("a lobe");
+            let block = Block::new(&lobes);
+            let directions = Directions::new(&block, 0.5, point).expect("a lobe");
             let mean: Vec3A = lattice(256).map(|u| directions.sample(0.3, u)).sum();
             assert!(mean.normalize().dot((lobes[0].target - point).normalize()) > 0.999);
         }
-        assert!(Directions::new(&[], 0.5, Vec3A::ZERO).is_none(), "no lobes");
+        assert!(Directions::new(&Block::new(&[]), 0.5, Vec3A::ZERO).is_none(), "no lobes");
         let dark = [Lobe { share: 0.0, ..lobes[0] }];
-        assert!(Directions::new(&dark, 0.5, Vec3A::ZERO).is_none(), "lobes of nothing");
-        assert!(Directions::new(&lobes, 0.5, Vec3A::new(1.0, 0.0, 0.0)).is_none(), "a plane from the side");
+        assert!(Directions::new(&Block::new(&dark), 0.5, Vec3A::ZERO).is_none(), "lobes of nothing");
+        assert!(
+            Directions::new(&Block::new(&lobes), 0.5, Vec3A::new(1.0, 0.0, 0.0)).is_none(),
+            "a plane from the side"
+        );
     }
 }

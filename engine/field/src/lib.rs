@@ -20,7 +20,7 @@ pub use cell::{Cell, Outline, Split};
 pub use codec::{FieldError, Statistics};
 pub use field::{Field, Leaf};
 pub use fog::{FogCell, FogTree};
-pub use guide::{Directions, Guide, LOBES, Lobe};
+pub use guide::{Block, Directions, Guide, Guides, LOBES, Lobe};
 pub use harmonics::Harmonics;
 pub use surface::{Form, Side, Surface, SurfaceSpot};
 

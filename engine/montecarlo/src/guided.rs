@@ -1,8 +1,8 @@
 //! Directions at a surface, by the BSDF and by what the first pass knows of where light comes from.
 //!
-//! A share of the directions is drawn by the guide, the others by the BSDF; whichever it was, the density is that of both together (one-sample
-//! multiple importance sampling with the balance heuristic, \[veach1995\]). The BSDF always has a share, so the mean is right whatever the
-//! guide says.
+//! A share of the directions is drawn by the guide, the others by the BSDF; whichever it was, the density is that of both together
+//! (one-sample multiple importance sampling with the balance heuristic, \[pharr2023\]). The BSDF always has a share, so the mean is
+//! right whatever the guide says.
 
 use femc_field::{Directions, Field, Side};
 use femc_geometry::Hit;
@@ -18,13 +18,13 @@ pub struct Scattering<'a> {
     frame: &'a Frame,
     /// Local frame, toward where the path came from.
     wo: Vec3A,
-    guide: Option<(Directions, f32)>,
+    guide: Option<(Directions<'a>, f32)>,
 }
 
 impl<'a> Scattering<'a> {
     /// - `field`: what guides; `None`: nothing.
     pub fn new(
-        field: Option<&Field>,
+        field: Option<&'a Field>,
         (bsdf, frame, wo): (&'a Bsdf, &'a Frame, Vec3A),
         (hit, point, back): (&Hit, &SurfacePoint, bool),
     ) -> Self {

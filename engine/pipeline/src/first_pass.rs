@@ -1,6 +1,7 @@
 //! The first pass as a piece of work of its own: what its solution depends on, and the solution as bytes.
 
 use crate::render::RenderError;
+use crate::settings::Method;
 use femc_field::{Field, Statistics};
 use femc_prepared::Prepared;
 use femc_radiosity::{Options, Report, Solution};
@@ -8,27 +9,34 @@ use femc_scene::FrameKey;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 
-/// How exact every solution is, and what it may take.
-fn options() -> Options {
-    Options::default()
+/// Greatest error of a link where the solution guides paths: it need not be right, only know where light comes from.
+const GUIDING: f32 = 1.0;
+
+/// How exact every solution of a method is, what it may take, and what it is for.
+fn options(method: Method) -> Options {
+    match method {
+        Method::Femc => Options { error: GUIDING, guides: true, ..Options::default() },
+        Method::Auto | Method::Pt | Method::Fem => Options::default(),
+    }
 }
 
 /// Solves the finite-element first pass of a prepared frame: its light, and what it took. It depends on what
 /// [`first_pass_key`] is a digest of, and on nothing else.
 /// - errors: `cancel` was set.
-pub fn first_pass(prepared: &Prepared, cancel: &AtomicBool) -> Result<Solution, RenderError> {
-    femc_radiosity::solve(prepared, &options(), cancel).map_err(|_| RenderError::Cancelled)
+pub fn first_pass(prepared: &Prepared, method: Method, cancel: &AtomicBool) -> Result<Solution, RenderError> {
+    femc_radiosity::solve(prepared, &options(method), cancel).map_err(|_| RenderError::Cancelled)
 }
 
-/// Digest of all that a solution depends on: the frame's world around its origin, and the options of the first pass. Neither film,
+/// Digest of all that a solution depends on: the frame's world around its origin, and the options of the method's first pass. Neither film,
 /// camera, seed nor samples: frames with equal keys share the solution.
-pub fn first_pass_key(frame_key: &FrameKey) -> [u8; 32] {
-    let Options { error, memory } = options();
+pub fn first_pass_key(frame_key: &FrameKey, method: Method) -> [u8; 32] {
+    let Options { error, memory, guides } = options(method);
     let mut hasher = blake3::Hasher::new();
-    hasher.update(b"femc first pass 1");
+    hasher.update(b"femc first pass 2");
     hasher.update(&frame_key.world.0);
     hasher.update(&error.to_bits().to_le_bytes());
     hasher.update(&(memory as u64).to_le_bytes());
+    hasher.update(&[u8::from(guides)]);
     *hasher.finalize().as_bytes()
 }
 

@@ -93,7 +93,8 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
     if let Some(allocation) = &settings.allocation {
         allocation.check_tiles(&tiling).map_err(SettingsError::Allocation)?;
     }
-    let method = if settings.method == Method::Fem { Method::Fem } else { Method::Pt };
+    // Which frames two passes are worth for is not known in advance: path tracing is never far from the best.
+    let method = if settings.method == Method::Auto { Method::Pt } else { settings.method };
     let stages = stages(&tiling, &rounds, fan(&tiling), method);
     let stages = if settings.statistics { with_statistics(stages) } else { stages };
     let left_out = |what: &str, reason: &str| LeftOut { what: what.into(), reason: reason.into() };
@@ -101,9 +102,10 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
         Method::Fem => {
             vec![left_out("paths beyond the first diffuse surface", "the method `fem` takes that light from elements")]
         }
-        _ => vec![left_out(
+        Method::Femc => Vec::new(),
+        Method::Auto | Method::Pt => vec![left_out(
             "finite-element first pass",
-            "path tracing does without; `--method fem` renders its solution",
+            "path tracing does without; `--method femc` guides paths by its solution, `--method fem` renders that",
         )],
     };
     let spared = scene.spared(camera).into_iter();

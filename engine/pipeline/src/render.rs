@@ -22,7 +22,7 @@ pub fn prepare(
 ) -> Result<Prepared, PrepareError> {
     let mut prepared = prepare_world(source, settings, frame, previous)?;
     if settings.method.has_first_pass() && prepared.field.is_none() {
-        let Ok(solution) = first_pass(&prepared, &AtomicBool::new(false)) else { return Ok(prepared) };
+        let Ok(solution) = first_pass(&prepared, settings.method, &AtomicBool::new(false)) else { return Ok(prepared) };
         prepared.field = Some(Arc::new(solution.field));
     }
     Ok(prepared)

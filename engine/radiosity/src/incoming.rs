@@ -10,7 +10,7 @@ use crate::gather::Lights;
 use crate::link::Link;
 use crate::rays::{Rays, Seen};
 use crate::scene::Scene;
-use femc_field::{Directions, Guide, LOBES, Lobe, NONE};
+use femc_field::{Block, Directions, Guide, LOBES, Lobe, NONE};
 use femc_math::color::luminance;
 use femc_math::elementary::{atan2, sin_cos};
 use femc_math::glam::Vec3A;
@@ -339,7 +339,7 @@ fn guide(element: &Element, links: &[Part], rays: &[Seen]) -> (f32, Vec<Lobe>) {
     let mut parts = links.to_vec();
     parts.extend(rays.iter().step_by(2).filter(|ray| ray.irradiance > 0.0).map(|ray| {
         // Half as wide as a ray's share of all directions.
-        let spread = ray.target.distance_squared(ray.origin) * ray.weight / (2 * rays.len()) as f32;
+        let spread = ray.target.distance_squared(ray.origin) / (2 * rays.len()) as f32;
         Part { origin: ray.origin, target: ray.target, spread, amount: ray.irradiance * scale }
     }));
     for part in &parts {
@@ -355,7 +355,8 @@ fn guide(element: &Element, links: &[Part], rays: &[Seen]) -> (f32, Vec<Lobe>) {
     }
     // Second moments of a sample of the direction by the cosine, and by the mixtures, over the squared mean.
     let mut moments = [[0.0f32; 2]; 1 + SHARES.len()];
-    let Some(directions) = Directions::new(&lobes, 1.0, element.center) else { return nothing };
+    let block = Block::new(&lobes);
+    let Some(directions) = Directions::new(&block, 1.0, element.center) else { return nothing };
     let mut cells = [0.0f32; CELLS];
     for part in links {
         let local = frame.to_local((part.target - element.center).normalize_or(Vec3A::ZERO));
@@ -383,8 +384,8 @@ fn guide(element: &Element, links: &[Part], rays: &[Seen]) -> (f32, Vec<Lobe>) {
             // The mean of the square, as if the direction had been drawn by the mixture.
             let dir = (ray.target - ray.origin).normalize_or(element.normal);
             let cosine = element.normal.dot(dir).max(1e-3) / PI;
-            let square = ray.irradiance * ray.irradiance / (odd * odd * ray.weight) * number;
-            let lobes = Directions::new(&lobes, 1.0, ray.origin).map_or(0.0, |directions| directions.pdf(dir));
+            let square = ray.irradiance * ray.irradiance / (odd * odd) * number;
+            let lobes = Directions::new(&block, 1.0, ray.origin).map_or(0.0, |directions| directions.pdf(dir));
             moments[0][1] += square;
             for (moment, share) in moments[1..].iter_mut().zip(SHARES) {
                 moment[1] += square * cosine / (cosine * (1.0 - share) + lobes * share);
@@ -448,12 +449,13 @@ fn merged(bundles: &[Bundle; CELLS], center: Vec3A) -> Option<Vec<Lobe>> {
 
 /// The lobes once each way belongs to that of them which would draw it most often.
 fn settled(lobes: &[Lobe], parts: &[Part], center: Vec3A) -> Option<Vec<Lobe>> {
+    let block = Block::new(lobes);
     let mut sums = [Focus::default(); LOBES];
     let frames: Vec<Frame> =
         lobes.iter().map(|lobe| Frame::from_normal((lobe.target - center).normalize_or(Vec3A::Z))).collect();
     for part in parts {
         let dir = (part.target - part.origin).normalize_or(Vec3A::Z);
-        let Some(each) = Directions::new(lobes, 1.0, part.origin).map(|directions| directions.each(dir)) else {
+        let Some(each) = Directions::new(&block, 1.0, part.origin).map(|directions| directions.each(dir)) else {
             continue;
         };
         let best = (0..lobes.len()).fold(0, |best, k| if each[k] > each[best] { k } else { best });

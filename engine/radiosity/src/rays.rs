@@ -11,10 +11,9 @@ use crate::element::{Element, Kind};
 use crate::gather::{FROM_ELEMENTS, FROM_SOURCES, Lights};
 use crate::scene::{Scene, TIME, scattered};
 use crate::visibility::{Eye, Numbers};
-use femc_field::{Directions, LOBES, Lobe, NONE, SurfaceSpot};
+use femc_field::{NONE, SurfaceSpot};
 use femc_geometry::{Ray, offset_origin};
 use femc_math::color::luminance;
-use femc_math::elementary::ln;
 use femc_math::glam::{Vec2, Vec3A};
 use femc_math::{Frame, Rgb, warp};
 use femc_prepared::media::{Distance, Inside};
@@ -25,20 +24,15 @@ use std::f32::consts::PI;
 
 /// Least and most rays from each quarter of a leaf, and as many in all where that is in between.
 const RAYS: [usize; 2] = [8, 256];
-const ALL: usize = 1 << 17;
+const ALL: usize = 1 << 16;
 /// Quarters of a leaf, which its nodes stand for.
 const QUARTERS: usize = 4;
 /// Squared difference, in variances of it, up to which it is taken as chance, where links may have the error [`ROUGH`] or more; the more
 /// exact they are, the less is a difference their fault.
 const CHANCE: f32 = 4.0;
 const ROUGH: f32 = 0.3;
-/// What is kept of what rays have found under an element, and elements above a leaf that are asked for it.
-const POOL: usize = 8;
-const LEVELS: usize = 6;
-/// Rays are aimed at a place so much more closely, in solid angle, than they were when it was found.
-const BESIDE: usize = 4;
 /// What links bring is scaled up to so much at most.
-const MOST: f32 = 100.0;
+const MOST: f32 = 4.0;
 
 /// What a ray has met.
 #[derive(Clone, Copy, Debug)]
@@ -47,8 +41,6 @@ struct Sight {
     leaf: u32,
     /// Irradiance of the ray's origin, if all rays met it, over the leaf's radiosity; of fog over its irradiance; of a lamp in lx.
     share: f32,
-    /// Of the ray among those of its quarter; 1 on average where all are drawn by the cosine.
-    weight: f32,
     /// Normal there, in 127ths.
     normal: [i8; 3],
     /// The point, m; of what is seen in a mirror the mirrored one.
@@ -64,8 +56,6 @@ pub struct Seen {
     pub target: Vec3A,
     /// Irradiance of the leaf, if all its rays found as much, lx.
     pub irradiance: f32,
-    /// Of the ray among the leaf's, above 0.
-    pub weight: f32,
 }
 
 /// Rays from all leaves of surfaces.
@@ -74,11 +64,8 @@ pub struct Rays {
     leaves: Vec<u32>,
     /// By leaf, quarter and ray.
     sights: Vec<Sight>,
-    /// Rays from a quarter, and those of them, the first ones, that are drawn by the cosine.
+    /// Rays from a quarter.
     each: usize,
-    free: usize,
-    /// Times that rays were aimed.
-    generation: u64,
     /// Rays that were traced.
     pub traced: u64,
 }
@@ -103,8 +90,6 @@ struct Sums {
     squares: f32,
     /// By the one ray that brings most, lm.
     most: f32,
-    /// Sum of the squares of what each ray brings, lm2: the variance of all, if there are many.
-    noise: f32,
     /// By leaf the area squared over the rays, times what arrives by the links, and times the square of that.
     variances: [f32; 2],
 }
@@ -119,7 +104,6 @@ impl Sums {
             links: area * links,
             squares: each * found.iter().map(|x| x * x).sum::<f32>(),
             most: each * found.iter().copied().fold(0.0, f32::max),
-            noise: each * each * found.iter().map(|x| x * x).sum::<f32>(),
             variances: [weight * links, weight * links * links],
         }
     }
@@ -129,7 +113,6 @@ impl Sums {
         self.links += other.links;
         self.squares += other.squares;
         self.most = self.most.max(other.most);
-        self.noise += other.noise;
         self.variances.iter_mut().zip(other.variances).for_each(|(sum, part)| *sum += part);
     }
 
@@ -151,16 +134,14 @@ impl Sums {
         let rays = if is_more { (self.rays - self.most).max(scale * self.links) } else { self.rays };
         let difference = rays - scale * self.links;
         // As if the scale above were right: of what a part receives few rays may have missed all.
-        let unseen = (scale * bright * self.variances[0] - scale * scale * self.variances[1]).max(0.0);
-        // But what many rays have found is there.
-        let variance = if is_more { unseen.min(self.noise - self.most * self.most) } else { unseen };
+        let variance = (scale * bright * self.variances[0] - scale * scale * self.variances[1]).max(0.0);
         let sure = 1.0 - chance * variance / (difference * difference).max(f32::MIN_POSITIVE);
         (scale + sure.max(0.0) * (rays / self.links - scale)).clamp(0.0, MOST)
     }
 }
 
 impl Sight {
-    const NOTHING: Self = Self { leaf: NONE, share: 0.0, weight: 1.0, normal: [0; 3], target: [0.0; 3] };
+    const NOTHING: Self = Self { leaf: NONE, share: 0.0, normal: [0; 3], target: [0.0; 3] };
 }
 
 impl Rays {
@@ -188,14 +169,7 @@ impl Rays {
             })
             .collect();
         let traced = chunks.iter().map(|(_, rays)| rays).sum();
-        Self {
-            leaves,
-            sights: chunks.into_iter().flat_map(|(sights, _)| sights).collect(),
-            each,
-            free: each,
-            generation: 0,
-            traced,
-        }
+        Self { leaves, sights: chunks.into_iter().flat_map(|(sights, _)| sights).collect(), each, traced }
     }
 
     /// Bytes.
@@ -213,67 +187,13 @@ impl Rays {
         let Ok(place) = self.leaves.binary_search(&leaf) else { return Vec::new() };
         let number = QUARTERS * self.each;
         let spots: Vec<SurfaceSpot> =
-            origins(scene, &arena.elements[leaf as usize], self.free).map(|(spot, ..)| spot).collect();
-        let seen = |(k, sight): (usize, &Sight)| {
-            let (quarter, ray) = (k / self.each, k % self.each);
-            Seen {
-                origin: spots[quarter * self.free + ray % self.free].position,
-                target: Vec3A::from_array(sight.target),
-                irradiance: received(arena, lights, sight),
-                weight: sight.weight.max(f32::MIN_POSITIVE),
-            }
+            origins(scene, &arena.elements[leaf as usize], self.each).map(|(spot, ..)| spot).collect();
+        let seen = |(sight, spot): (&Sight, &SurfaceSpot)| Seen {
+            origin: spot.position,
+            target: Vec3A::from_array(sight.target),
+            irradiance: received(arena, lights, sight),
         };
-        self.sights[place * number..][..number].iter().enumerate().map(seen).collect()
-    }
-
-    /// Casts as many rays again, toward what rays of leaves nearby have found: what comes through a gap few rays find, but all that it
-    /// falls on see the same place. Rays are weighted as if each had been drawn either way (\[veach1995\]).
-    /// - `room`: bytes that all may take.
-    pub fn aim(&mut self, scene: &Scene<'_>, arena: &Arena, lights: &Lights, room: usize) {
-        let (free, before) = (self.free, self.each);
-        let each = 2 * free;
-        if size_of::<Sight>() * QUARTERS * each * self.leaves.len() > room {
-            return;
-        }
-        let pools = Pools::new(scene, arena, lights, self);
-        let chunks: Vec<(Vec<Sight>, u64)> = self
-            .leaves
-            .par_chunks(64)
-            .zip(self.sights.par_chunks(64 * QUARTERS * before))
-            .map(|(leaves, sights)| {
-                let mut eye = Eye::default();
-                let mut out = Vec::with_capacity(leaves.len() * QUARTERS * each);
-                for (&leaf, sights) in leaves.iter().zip(sights.chunks(QUARTERS * before)) {
-                    let element = &arena.elements[leaf as usize];
-                    let lobes = pools.around(arena, leaf);
-                    let mut numbers = Numbers::new(&[element.key, 13, self.generation]);
-                    let cast: Vec<_> = origins(scene, element, free).collect();
-                    for (cast, sights) in cast.chunks(free).zip(sights.chunks(before)) {
-                        for ((spot, dir, _), sight) in cast.iter().zip(sights) {
-                            let aims = Aims::new(&lobes, spot.position);
-                            out.push(Sight { weight: aims.weight(spot.normal.dot(*dir).max(1e-6), *dir), ..*sight });
-                        }
-                        for (spot, ..) in cast {
-                            let aims = Aims::new(&lobes, spot.position);
-                            let u = [0; 6].map(|_| numbers.next());
-                            let sight = aims.sample([u[0], u[1], u[2]]).map_or(Sight::NOTHING, |dir| {
-                                let cos = spot.normal.dot(dir);
-                                if cos <= 0.0 {
-                                    return Sight::NOTHING;
-                                }
-                                let sight = met(scene, arena, spot, dir, [u[4], u[5]], &mut eye);
-                                Sight { weight: aims.weight(cos, dir), ..sight }
-                            });
-                            out.push(sight);
-                        }
-                    }
-                }
-                (out, eye.rays)
-            })
-            .collect();
-        self.traced += chunks.iter().map(|(_, rays)| rays).sum::<u64>();
-        self.sights = chunks.into_iter().flat_map(|(sights, _)| sights).collect();
-        (self.each, self.generation) = (each, self.generation + 1);
+        self.sights[place * number..][..number].iter().zip(&spots).map(seen).collect()
     }
 
     /// Sets what the leaves receive beyond what links bring.
@@ -288,7 +208,7 @@ impl Rays {
                 let element = &arena.elements[leaf as usize];
                 let found: Vec<f32> = sights.iter().map(|sight| received(arena, lights, sight)).collect();
                 let area = element.size / QUARTERS as f32;
-                let links = brought(scene, element, leaf, lights, self.free);
+                let links = brought(scene, element, leaf, lights, self.each);
                 [0, 1, 2, 3].map(|k| Sums::of(area, &found[k * self.each..(k + 1) * self.each], links[k]))
             })
             .collect();
@@ -376,146 +296,6 @@ impl Known {
         let more = (self.scale * whole.links / together.max(f32::MIN_POSITIVE)).min(MOST);
         let bright = |part: &Sums| part.bright(above.bright);
         parts.iter().zip(scales).map(|(part, scale)| Self { scale: scale * more, bright: bright(part) }).collect()
-    }
-}
-
-/// What rays have found, by element: a few of what they have met under it, by chance, what brings more more often.
-struct Pools(Vec<[Find; POOL]>);
-
-/// Something that a ray has met.
-#[derive(Clone, Copy, Debug)]
-struct Find {
-    /// By these the first ones are kept: exponentially distributed by the light that it brings (\[efraimidis2006\]).
-    order: f32,
-    origin: Vec3A,
-    target: Vec3A,
-    /// Square of how far rays beside it are at the target, m2.
-    spread: f32,
-}
-
-impl Find {
-    /// The point of the way that is nearest to another way, between the two ends, and a quarter of the squared distance there, m2.
-    fn crossing(&self, other: &Self) -> Option<(Vec3A, f32)> {
-        let (a, b, between) = (self.target - self.origin, other.target - other.origin, self.origin - other.origin);
-        let (aa, ab, bb, ad, bd) = (a.dot(a), a.dot(b), b.dot(b), a.dot(between), b.dot(between));
-        let det = aa * bb - ab * ab;
-        // Ways that are nearly parallel, or from nearly the same place, cross nowhere.
-        if det <= 1e-3 * aa * bb || between.length_squared() < 1e-4 * aa {
-            return None;
-        }
-        let (s, t) = ((ab * bd - bb * ad) / det, (aa * bd - ab * ad) / det);
-        let point = self.origin + a * s;
-        let miss = 0.25 * point.distance_squared(other.origin + b * t);
-        ((0.05..1.0).contains(&s) && (0.05..1.0).contains(&t) && miss.is_finite()).then_some((point, miss))
-    }
-}
-
-impl Pools {
-    fn new(scene: &Scene<'_>, arena: &Arena, lights: &Lights, rays: &Rays) -> Self {
-        let none = Find { order: f32::INFINITY, origin: Vec3A::ZERO, target: Vec3A::ZERO, spread: 0.0 };
-        let number = QUARTERS * rays.each;
-        let of_leaves: Vec<[Find; POOL]> = rays
-            .leaves
-            .par_iter()
-            .zip(rays.sights.par_chunks(number))
-            .map(|(&leaf, sights)| {
-                let element = &arena.elements[leaf as usize];
-                let mut numbers = Numbers::new(&[element.key, 12, rays.generation]);
-                let mut pool = [none; POOL];
-                let spots: Vec<SurfaceSpot> = origins(scene, element, rays.free).map(|(spot, ..)| spot).collect();
-                for (k, sight) in sights.iter().enumerate() {
-                    let light = received(arena, lights, sight) * element.size;
-                    let order = -ln(1.0 - numbers.next()) / light;
-                    if !(order < pool[POOL - 1].order) {
-                        continue;
-                    }
-                    let target = Vec3A::from_array(sight.target);
-                    let origin = spots[k / rays.each * rays.free + k % rays.each % rays.free].position;
-                    let spread = target.distance_squared(origin) / (BESIDE * QUARTERS * rays.free) as f32;
-                    insert(&mut pool, Find { order, origin, target, spread });
-                }
-                pool
-            })
-            .collect();
-        let mut pools = vec![[none; POOL]; arena.elements.len()];
-        for (&leaf, pool) in rays.leaves.iter().zip(of_leaves) {
-            pools[leaf as usize] = pool;
-        }
-        for index in (0..arena.elements.len()).rev() {
-            let parent = arena.elements[index].parent;
-            if parent != NONE {
-                let part = pools[index];
-                part.into_iter().for_each(|find| insert(&mut pools[parent as usize], find));
-            }
-        }
-        Self(pools)
-    }
-
-    /// Lobes toward what was found at a leaf, and at elements around it, nearest first.
-    fn around(&self, arena: &Arena, leaf: u32) -> Vec<Lobe> {
-        let mut chain = Vec::new();
-        let mut at = leaf;
-        while at != NONE {
-            chain.push(at);
-            at = arena.elements[at as usize].parent;
-        }
-        let levels = chain.len().min(LEVELS);
-        let mut lobes = Vec::with_capacity(levels * POOL);
-        for level in 0..levels {
-            let at = if levels > 1 { level * (chain.len() - 1) / (levels - 1) } else { 0 };
-            let pool = &self.0[chain[at] as usize];
-            let found = pool.iter().take_while(|find| find.order < f32::INFINITY).count();
-            for (k, find) in pool[..found].iter().enumerate() {
-                let along = (find.target - find.origin).normalize_or(Vec3A::Z);
-                lobes.push(Lobe::round(find.target, along, find.spread, 1.0));
-                // Where rays of two places cross there may be a gap that all go through.
-                let others = (0..found).filter(|&other| other != k).filter_map(|other| find.crossing(&pool[other]));
-                let nearest = others.fold(None, |best: Option<(Vec3A, f32)>, it| match best {
-                    Some(best) if best.1 <= it.1 => Some(best),
-                    _ => Some(it),
-                });
-                if let Some((target, miss)) = nearest {
-                    let nearer = target.distance_squared(find.origin) / find.target.distance_squared(find.origin);
-                    lobes.push(Lobe::round(target, along, find.spread * nearer + miss, 1.0));
-                }
-            }
-        }
-        lobes
-    }
-}
-
-fn insert(pool: &mut [Find; POOL], find: Find) {
-    let Some(place) = pool.iter().position(|other| find.order < other.order) else { return };
-    pool.copy_within(place..POOL - 1, place + 1);
-    pool[place] = find;
-}
-
-/// Lobes as seen from a point.
-struct Aims(Vec<(Directions, f32)>);
-
-impl Aims {
-    fn new(lobes: &[Lobe], point: Vec3A) -> Self {
-        let share = |of: &[Lobe]| of.len() as f32 / lobes.len() as f32;
-        let of = |of: &[Lobe]| Directions::new(of, 1.0, point).map(|directions| (directions, share(of)));
-        Self(lobes.chunks(LOBES).filter_map(of).collect())
-    }
-
-    /// A direction by numbers in [0, 1).
-    fn sample(&self, u: [f32; 3]) -> Option<Vec3A> {
-        let mut left = u[0];
-        for (directions, share) in &self.0 {
-            if left < *share {
-                return Some(directions.sample(left / share, [u[1], u[2]]));
-            }
-            left -= share;
-        }
-        None
-    }
-
-    /// Weight of a ray that could be drawn by the cosine or by these: 2 of those that these would hardly draw.
-    fn weight(&self, cos: f32, dir: Vec3A) -> f32 {
-        let aimed: f32 = self.0.iter().map(|(directions, share)| directions.pdf(dir) * share).sum();
-        2.0 * cos / (cos + PI * aimed)
     }
 }
 
@@ -654,7 +434,7 @@ fn met(scene: &Scene<'_>, arena: &Arena, from: &SurfaceSpot, dir: Vec3A, u: [f32
 
 /// Irradiance of a ray's origin, if all rays met the same, lx.
 fn received(arena: &Arena, lights: &Lights, sight: &Sight) -> f32 {
-    let share = sight.share * sight.weight;
+    let share = sight.share;
     if sight.leaf == NONE {
         return share;
     }

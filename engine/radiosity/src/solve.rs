@@ -10,7 +10,7 @@ use crate::link::{Judge, Link, Verdict};
 use crate::rays::Rays;
 use crate::scene::Scene;
 use crate::visibility::Eye;
-use femc_field::{Field, FogCell, FogTree, Harmonics, Leaf, NONE};
+use femc_field::{Field, FogCell, FogTree, Guides, Harmonics, Leaf, NONE};
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_prepared::Prepared;
@@ -25,11 +25,13 @@ pub struct Options {
     pub error: f32,
     /// Bytes that elements and links may take.
     pub memory: usize,
+    /// Whether the field is to say where light comes from, for those who draw directions by it.
+    pub guides: bool,
 }
 
 impl Default for Options {
     fn default() -> Self {
-        Self { error: 0.3, memory: 1 << 30 }
+        Self { error: 0.3, memory: 1 << 30, guides: false }
     }
 }
 
@@ -94,7 +96,7 @@ const ITERATIONS: usize = 400;
 /// Times that rays are cast, and between them leaves cut where these find shadows.
 const ROUNDS: usize = 3;
 /// Times that the light of the links is compared with that of the same rays.
-const CHECKS: usize = 4;
+const CHECKS: usize = 2;
 /// Share of the mean irradiance that is added to an element's when a link's error is judged.
 const FLOOR: f32 = 0.03;
 /// Parts of all surfaces' area, and of the fog's volume, that are not cut further, over the error.
@@ -149,9 +151,13 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
     let rays = solver.check()?;
     let report = solver.finish();
     let Solver { arena, lights, links, .. } = solver;
-    let (guides, lobes) = guides(&scene, &arena, &lights, &links, &rays, &leaves(&arena));
+    let (guides, lobes) = if options.guides {
+        guides(&scene, &arena, &lights, &links, &rays, &leaves(&arena))
+    } else {
+        Default::default()
+    };
     let (field, direct) = field(scene, &arena, &lights);
-    let field = Field { guides, lobes, ..field };
+    let field = Field { guides: Guides::new(guides, lobes), ..field };
     Ok(Solution { field, direct, report })
 }
 
@@ -382,12 +388,9 @@ impl Solver<'_> {
         loop {
             round += 1;
             let room = self.options.memory.saturating_sub(self.bytes(self.links.len()));
-            let mut rays = Rays::new(self.scene, &self.arena, room);
+            let rays = Rays::new(self.scene, &self.arena, room);
             let mut contrast = Vec::new();
-            for check in 0..CHECKS {
-                if check > 0 {
-                    rays.aim(self.scene, &self.arena, &self.lights, room);
-                }
+            for _ in 0..CHECKS {
                 let found = rays.correct(self.scene, &self.arena, &mut self.lights, self.options.error);
                 (self.report.checked, self.report.corrected) = (found.ratio, found.changed);
                 contrast = found.contrast;

@@ -174,7 +174,8 @@ fn first_pass() -> Vec<Target> {
         v e =\n  p .2 .9 .8\nf a b e\nv f =\n  p .6 .5 .3\nsph f .2\n";
     let source = Source::new(crate::scene(text));
     let prepared = prepare_world(&source, &Settings::default(), 1, None).expect("a frame");
-    let mut solution = first_pass_of(&prepared, &AtomicBool::new(false)).expect("a solution");
+    let mut solution =
+        first_pass_of(&prepared, femc_pipeline::Method::Femc, &AtomicBool::new(false)).expect("a solution");
     // A little of it will do.
     solution.field.fog.0.truncate(1);
     solution.field.fog.0.iter_mut().for_each(|cell| cell.next = 0);
@@ -193,6 +194,10 @@ fn first_pass() -> Vec<Target> {
                 let hit = Hit { t: 1.0, instance, primitive, u: 0.3, v: 0.6 };
                 let [front, _] = [Side::Front, Side::Back].map(|side| field.irradiance(&hit, side, hit_at(), Vec3A::Z));
                 let _ = (front, field.fog.mean_radiance(hit_at()));
+                if let Some(directions) = field.directions(&hit, Side::Front, hit_at()) {
+                    let dir = directions.sample(0.3, [0.4, 0.5]);
+                    let _ = directions.pdf(dir);
+                }
             }
         }
         assert!(Field::decode(&field.encode(&statistics)).is_ok());

@@ -34,7 +34,7 @@ fn cube() -> String {
 
 fn solve(text: &str) -> Solution {
     let prepared = prepare(&Source::new(scene(text)), &Settings::default(), 1, None).unwrap_or_else(|e| panic!("{e}"));
-    let solution = first_pass(&prepared, &AtomicBool::new(false)).unwrap_or_else(|e| panic!("{e}"));
+    let solution = first_pass(&prepared, Method::Fem, &AtomicBool::new(false)).unwrap_or_else(|e| panic!("{e}"));
     let light = solution.field.leaves.len();
     assert!(light > 0 || solution.report.elements == 0, "{:?}", solution.report);
     solution
@@ -326,7 +326,7 @@ fn frames_share_a_first_pass_if_nothing_but_the_view_changes() {
     };
     let key = |text: &str, settings: &Settings| {
         let found = frame_key(&Source::new(scene(text)), settings, 1).unwrap_or_else(|e| panic!("{e}"));
-        first_pass_key(&found)
+        first_pass_key(&found, Method::Fem)
     };
     let settings = Settings::default();
     let here = key(&text(".3 .4 .2", ".5"), &settings);

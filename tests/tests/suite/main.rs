@@ -14,4 +14,5 @@ mod references;
 mod stress;
 mod techniques;
 mod tinted_absorption;
+mod two_passes;
 mod variants;

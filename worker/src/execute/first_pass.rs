@@ -21,7 +21,7 @@ pub(crate) fn first_pass(task: &Task, stage: &Template, tools: &Tools) -> Result
         return Err(unfit("the job's graph has a first pass, its method has none"));
     }
     let frame_key = read.frame_key(frame)?;
-    if spec.content(0) != Some(Digest::from_bytes(femc_pipeline::first_pass_key(&frame_key))) {
+    if spec.content(0) != Some(Digest::from_bytes(femc_pipeline::first_pass_key(&frame_key, read.settings.method))) {
         return Err(unfit("the job's content is not what its key says"));
     }
     let (_, prepared) = tools.cache.world(spec, frame, &task.client, &tools.fetch)?;
@@ -30,7 +30,7 @@ pub(crate) fn first_pass(task: &Task, stage: &Template, tools: &Tools) -> Result
     task.enter(Phase::Working);
     let solving = Stopwatch::start();
     let solved = tools.install(task, || {
-        let solution = femc_pipeline::first_pass(&prepared, &task.cancel)?;
+        let solution = femc_pipeline::first_pass(&prepared, read.settings.method, &task.cancel)?;
         let bytes = femc_pipeline::encode_solution(&solution);
         log(&solution.report, bytes.len(), &solving);
         Ok((bytes, Arc::new(solution.field)))

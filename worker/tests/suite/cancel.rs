@@ -135,7 +135,7 @@ async fn a_worker_that_solves_a_first_pass_is_free_within_a_second() {
         let source = Source::new(Arc::new(femc_import::load(&bundle, "haze.mgf").unwrap().scene));
         let world = femc_pipeline::prepare_world(&source, &settings, 1, None).unwrap();
         let begun = Instant::now();
-        pool.install(|| femc_pipeline::first_pass(&world, &AtomicBool::new(false))).unwrap();
+        pool.install(|| femc_pipeline::first_pass(&world, settings.method, &AtomicBool::new(false))).unwrap();
         if begun.elapsed() > Duration::from_secs(3) {
             break (bundle.encode().unwrap(), source, begun.elapsed());
         }
@@ -146,7 +146,7 @@ async fn a_worker_that_solves_a_first_pass_is_free_within_a_second() {
     let config = femc_worker::Config { threads: 1, ..femc_worker::Config::new(farm.url()) };
     let worker = tokio::spawn(Worker::run(config, pending()));
     let (small, _) = common::job(1);
-    let key = femc_pipeline::first_pass_key(&femc_pipeline::frame_key(&source, &settings, 1).unwrap());
+    let key = femc_pipeline::first_pass_key(&femc_pipeline::frame_key(&source, &settings, 1).unwrap(), settings.method);
     let spec = JobSpec {
         name: "balls".into(),
         bundle: Digest::of(&bundle),

@@ -89,7 +89,8 @@ pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
         args.frame,
         human::percent(args.error.into())
     ));
-    let options = Options { error: args.error, memory: usize::try_from(args.memory.0).unwrap_or(usize::MAX) };
+    let options =
+        Options { error: args.error, memory: usize::try_from(args.memory.0).unwrap_or(usize::MAX), guides: false };
     let begun = Clock.now();
     let solution = pool.install(|| solve(&prepared, &options, &AtomicBool::new(false)));
     let solution = solution.map_err(|_| failed("cancelled"))?;

@@ -12,7 +12,7 @@ const LAMP: &str = "m lamp =\n  ed 100\nv l =\n  p .5 .5 .5\nsph l .05\n";
 
 /// Solves a scene in so many bytes, and looks at every number of its light.
 fn solve(text: &str, error: f32, memory: usize) -> Solved {
-    let solved = Solved::new(text, &Options { error, memory });
+    let solved = Solved::new(text, &Options { error, memory, ..Options::default() });
     for leaf in solved.field.leaves.iter().chain(&solved.direct.leaves) {
         let is_number = match leaf {
             Leaf::Triangle(values) => values.iter().all(|value| value.is_finite()),

@@ -5,6 +5,7 @@ mod document;
 use super::import::TAGS;
 use super::place::relative;
 use super::template::{Template, TemplateError};
+use crate::args::Stats;
 use crate::request::{Change, Frames, JobFile, Mode};
 use document::{Document, HostAttribute, Parameter, Range, TaskParameter};
 use openjd_expr::escape_format_string;
@@ -178,7 +179,10 @@ fn constants(job: &JobFile) -> Vec<String> {
         Change::all(&job.settings).into_iter().filter(|change| !is_varied(change)).map(flag).collect();
     flags.extend(job.settings.workers.map(|n| format!("--workers={n}")));
     flags.extend(job.settings.threads.map(|n| format!("--threads={n}")));
-    flags.extend(job.settings.stats.then(|| "--stats".to_owned()));
+    flags.extend(job.settings.stats.map(|stats| match stats {
+        Stats::Some => "--stats".to_owned(),
+        Stats::Full => "--stats=full".to_owned(),
+    }));
     flags
 }
 

@@ -4,6 +4,7 @@
 use super::place::{absolute, relative};
 use super::template::{Template, TemplateError};
 use super::written::{Rest, Word, Written};
+use crate::args::Stats;
 use crate::request::{Change, Frames, JobFile};
 use femc_model::JobSpec;
 use openjd_model::job::HostRequirements;
@@ -215,7 +216,10 @@ fn settings(changes: &BTreeMap<String, Change>, axes: &[String], rest: &Rest, ta
     }
     lines.extend(rest.workers.map(|n| format!("workers = {n}")));
     lines.extend(rest.threads.map(|n| format!("threads = {n}")));
-    lines.extend(rest.stats.then(|| "stats = true".to_owned()));
+    lines.extend(rest.stats.map(|stats| match stats {
+        Stats::Some => "stats = true".to_owned(),
+        Stats::Full => "stats = \"full\"".to_owned(),
+    }));
     let same = || changes.values().filter(|change| !axes.iter().any(|axis| axis == change.name()));
     let is_scalar = |change: &&Change| matches!(change, Change::Scalar(_));
     lines.extend(same().filter(|c| !is_scalar(c)).map(|change| format!("{} = {}", change.name(), value(change))));

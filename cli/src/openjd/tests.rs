@@ -183,7 +183,7 @@ fn variants(job: &JobFile, all: &[u32]) -> Vec<String> {
         let changes = crate::request::Change::all(settings);
         let values: Vec<String> =
             changes.iter().filter(|change| change.name() != "frames").map(|c| format!("{c:?}")).collect();
-        format!("{frames:?} {values:?} {:?} {:?} {}", settings.workers, settings.threads, settings.stats)
+        format!("{frames:?} {values:?} {:?} {:?} {:?}", settings.workers, settings.threads, settings.stats)
     };
     let mut lines: Vec<String> = match &job.sweep {
         None => vec![line(&job.settings)],
@@ -199,6 +199,7 @@ fn an_exported_job_comes_back_as_the_same_variants() {
     for text in [
         "spp = 4",
         "spp = 4\nworkers = 2\nthreads = 3\nstats = true\ntags = [\"lab\"]\nfilter = \"gaussian\"\nmethod = \"pt\"",
+        "spp = 4\nstats = \"full\"",
         "frames = \"2..6+2\"\n[set]\n\"medium.fog.sigma_s\" = 1e-9",
         "[sweep]\n\"medium.fog.sigma_s\" = [0.01, 0.02]\n\"material.lamp.ed\" = { from = 1e4, to = 1e5, steps = 4, scale = \"log\" }\ncamera = [\"driver\", \"over view\"]",
         "error = 0.1\n[sweep]\nmode = \"zip\"\nspp = [4, 8]\nseed = [1, 18446744073709551]\n\"a.b.c\" = [-1, 2.5]",

@@ -1,6 +1,6 @@
 //! A task's command line, read as `femc render` reads its own.
 
-use crate::args::{Cli, Command, ExtrasArgs, SettingsArgs};
+use crate::args::{Cli, Command, ExtrasArgs, SettingsArgs, Stats};
 use crate::command::render::RenderArgs;
 use crate::request::{Change, Frames};
 use clap::Parser as _;
@@ -29,7 +29,7 @@ pub struct Rest {
     /// `--threads`
     pub threads: Option<u32>,
     /// `--stats`
-    pub stats: bool,
+    pub stats: Option<Stats>,
 }
 
 /// Which word of a command line is at fault.

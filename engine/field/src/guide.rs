@@ -172,7 +172,7 @@ impl<'a> Directions<'a> {
         const NONE: [f32; LOBES] = [0.0; LOBES];
         let mut out = Self { block, heights: NONE, places: [NONE; 2], weights: NONE, share };
         let mut seen = NONE;
-        for k in 0..LOBES {
+        for (k, seen) in seen.iter_mut().enumerate() {
             let x = block.targets[0][k] - point.x;
             let y = block.targets[1][k] - point.y;
             let z = block.targets[2][k] - point.z;
@@ -181,16 +181,14 @@ impl<'a> Directions<'a> {
             out.heights[k] = height;
             (out.places[0][k], out.places[1][k]) = (-dot(&block.across[0]), -dot(&block.across[1]));
             let is_seen = height * height > FLAT * FLAT * (x * x + y * y + z * z);
-            seen[k] = if is_seen { block.shares[k] } else { 0.0 };
+            *seen = if is_seen { block.shares[k] } else { 0.0 };
         }
         let sum: f32 = seen.iter().sum();
         if !(sum > 0.0 && sum.is_finite() && share > 0.0) {
             return None;
         }
         let scale = 1.0 / sum;
-        for k in 0..LOBES {
-            out.weights[k] = if seen[k] > 0.0 { scale } else { 0.0 };
-        }
+        out.weights = seen.map(|share| if share > 0.0 { scale } else { 0.0 });
         Some(out)
     }
 

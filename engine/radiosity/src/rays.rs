@@ -427,7 +427,7 @@ fn met(scene: &Scene<'_>, arena: &Arena, from: &SurfaceSpot, dir: Vec3A, u: [f32
         let leaf = arena.part_at(arena.roots[surface as usize], place, 0.0);
         let normal = if is_back { -point.normal } else { point.normal };
         let normal = (normal * 127.0).round().to_array().map(|x| x as i8);
-        return Sight { leaf, share: share / (1.0 - goes_on), normal, target: target(way), ..nothing };
+        return Sight { leaf, share: share / (1.0 - goes_on), normal, target: target(way) };
     }
     nothing
 }

@@ -458,9 +458,9 @@ fn leaves(arena: &Arena) -> Vec<u32> {
         while at < order.len() {
             let element = &arena.elements[order[at] as usize];
             if element.is_leaf() {
-                leaves.push(order[at])
+                leaves.push(order[at]);
             } else {
-                order.extend(element.children)
+                order.extend(element.children);
             }
             at += 1;
         }

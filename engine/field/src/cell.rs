@@ -90,14 +90,21 @@ impl Cell {
         let mut cell = &cells[root as usize];
         let mut local = cell.outline.local(place);
         loop {
-            let second = match cell.split {
-                Split::None => return Some((cell.next, local)),
-                Split::Half(0) => local.x >= 0.5,
-                Split::Half(_) => local.y >= 0.5,
-                Split::Bisection => local.y > local.x,
-            };
-            cell = &cells[cell.next as usize + usize::from(second)];
+            let Some(half) = cell.half(local) else { return Some((cell.next, local)) };
+            cell = &cells[half as usize];
             local = cell.outline.local(local);
         }
+    }
+
+    /// Index of the half that holds a point, by its coordinates in the cell; `None` of a leaf.
+    #[inline]
+    pub fn half(&self, local: Vec2) -> Option<u32> {
+        let second = match self.split {
+            Split::None => return None,
+            Split::Half(0) => local.x >= 0.5,
+            Split::Half(_) => local.y >= 0.5,
+            Split::Bisection => local.y > local.x,
+        };
+        Some(self.next + u32::from(second))
     }
 }

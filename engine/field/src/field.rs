@@ -84,19 +84,27 @@ impl Field {
     /// Where the light of a hit comes from, as far as directions are worth drawing by that.
     /// - `position`: of the hit.
     pub fn directions(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<Directions<'_>> {
-        let (leaf, _) = self.leaf(hit, side, position)?;
-        self.guides.directions(leaf, position)
+        let (surface, root) = self.root(hit, side)?;
+        if !self.guides.are_in(root) {
+            return None;
+        }
+        let place = surface.parameters(position, [hit.u, hit.v]);
+        self.guides.directions(&self.cells, root, place, position)
     }
 
     /// The leaf of a hit, and the hit's coordinates in it.
     fn leaf(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<(u32, Vec2)> {
+        let (surface, root) = self.root(hit, side)?;
+        Cell::find(&self.cells, root, surface.parameters(position, [hit.u, hit.v]))
+    }
+
+    /// The surface of a hit, and its first cell.
+    #[inline]
+    fn root(&self, hit: &Hit, side: Side) -> Option<(&Surface, u32)> {
         let sides = self.sides[hit.instance as usize][hit.primitive as usize];
-        let surface = sides[usize::from(side == Side::Back)];
-        if surface == NONE {
-            return None;
-        }
-        let place = self.surfaces[surface as usize].parameters(position, [hit.u, hit.v]);
-        Cell::find(&self.cells, self.roots[surface as usize], place)
+        let surface = sides[usize::from(side == Side::Back)] as usize;
+        let root = *self.roots.get(surface)?;
+        (root != NONE).then(|| (&self.surfaces[surface], root))
     }
 
     /// Bytes that it takes.

@@ -1,8 +1,10 @@
 //! Where a leaf's light comes from: a mixture of lobes, for drawing directions.
 
+use crate::{Cell, Split};
 use femc_math::elementary::sin_cos;
-use femc_math::glam::Vec3A;
+use femc_math::glam::{Vec2, Vec3A};
 use femc_math::{Frame, cross};
+use std::collections::HashMap;
 use std::f32::consts::PI;
 
 /// Most lobes of a leaf.
@@ -48,27 +50,43 @@ pub struct Guide {
 pub struct Guides {
     of: Vec<Guide>,
     lobes: Vec<Lobe>,
-    /// By leaf its block, or `u32::MAX`; leaves that have the same lobes have one together.
-    places: Vec<u32>,
-    blocks: Vec<Block>,
+    /// By cell what all leaves in it have: a block, [`UNGUIDED`], or [`MIXED`].
+    cells: Vec<u32>,
+    /// Lobes, and the share of directions that are drawn by them.
+    blocks: Vec<(Block, f32)>,
 }
 
+const UNGUIDED: u32 = u32::MAX;
+const MIXED: u32 = u32::MAX - 1;
+
 impl Guides {
-    /// - `of`: by leaf; ranges are within `lobes`.
-    pub fn new(of: Vec<Guide>, lobes: Vec<Lobe>) -> Self {
-        let mut blocks: Vec<Block> = Vec::new();
-        let mut known = std::collections::HashMap::new();
-        let place = |guide: &Guide| {
-            if guide.count == 0 || guide.share <= 0.0 {
-                return u32::MAX;
+    /// - `of`: by leaf, or of none; ranges are within `lobes`;
+    /// - `cells`: parts of surfaces down to these leaves.
+    pub fn new(of: Vec<Guide>, lobes: Vec<Lobe>, cells: &[Cell]) -> Self {
+        let (mut blocks, mut known) = (Vec::new(), HashMap::new());
+        let mut block = |Guide { first, count, share }: Guide| {
+            if count == 0 || share <= 0.0 {
+                return UNGUIDED;
             }
-            *known.entry((guide.first, guide.count)).or_insert_with(|| {
-                blocks.push(Block::new(&lobes[guide.first as usize..(guide.first + guide.count) as usize]));
+            *known.entry((first, count, share.to_bits())).or_insert_with(|| {
+                blocks.push((Block::new(&lobes[first as usize..(first + count) as usize]), share));
                 blocks.len() as u32 - 1
             })
         };
-        let places = of.iter().map(place).collect();
-        Self { of, lobes, places, blocks }
+        let mut by_cell = Vec::new();
+        if !of.is_empty() {
+            by_cell = vec![UNGUIDED; cells.len()];
+            // Halves come after what they are halves of.
+            for (index, cell) in cells.iter().enumerate().rev() {
+                let next = cell.next as usize;
+                by_cell[index] = match cell.split {
+                    Split::None => block(of[next]),
+                    _ if by_cell[next] == by_cell[next + 1] => by_cell[next],
+                    _ => MIXED,
+                };
+            }
+        }
+        Self { of, lobes, cells: by_cell, blocks }
     }
 
     /// The same of ranges that may lead astray, for nothing but to be written.
@@ -89,14 +107,27 @@ impl Guides {
 
     /// Bytes that they take.
     pub fn memory(&self) -> usize {
-        size_of_val(&*self.of) + size_of_val(&*self.lobes) + size_of_val(&*self.places) + size_of_val(&*self.blocks)
+        size_of_val(&*self.of) + size_of_val(&*self.lobes) + size_of_val(&*self.cells) + size_of_val(&*self.blocks)
     }
 
-    /// The lobes of a leaf as seen from one of its points; `None` where there are none.
+    /// Whether something in a cell has lobes.
     #[inline]
-    pub fn directions(&self, leaf: u32, point: Vec3A) -> Option<Directions<'_>> {
-        let block = self.blocks.get(*self.places.get(leaf as usize)? as usize)?;
-        Directions::new(block, self.of[leaf as usize].share, point)
+    pub fn are_in(&self, cell: u32) -> bool {
+        self.cells.get(cell as usize).is_some_and(|&block| block != UNGUIDED)
+    }
+
+    /// The lobes at a point of a cell; `None` where there are none.
+    /// - `place`: the point's parameters of the surface whose root the cell is.
+    #[inline]
+    pub fn directions(&self, cells: &[Cell], root: u32, place: Vec2, point: Vec3A) -> Option<Directions<'_>> {
+        let mut index = root;
+        let mut local = cells[index as usize].outline.local(place);
+        while self.cells[index as usize] == MIXED {
+            index = cells[index as usize].half(local)?;
+            local = cells[index as usize].outline.local(local);
+        }
+        let (block, share) = self.blocks.get(self.cells[index as usize] as usize)?;
+        Directions::new(block, *share, point)
     }
 }
 

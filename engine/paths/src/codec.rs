@@ -22,7 +22,7 @@
 //! | --- | --- |
 //! | portions | tile, half, begin, end; the counters, two each |
 //! | bins, of each portion those of all attributes, if all samples are in them | count: 2 |
-//! | pixels, portion by portion | samples, depth, throughput, luminance: 2, its squares: 4 ([`pixels`](crate::pixels)) |
+//! | pixels, portion by portion | samples, depth, throughput, luminance: 2, its squares: 4 ([`crate::pixels`]) |
 //! | paths, brightest, deepest | pixel, sample, radiance: 3, throughput: 3, depth, end, numbers of intersections, lights |
 //! | intersections, in order | bounce, position: 6, radiance: 3, throughput: 3, object, material, interaction |
 //! | lights, in order | vertex, light, radiance: 3, occluder, how it was found |

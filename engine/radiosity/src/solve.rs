@@ -35,6 +35,14 @@ impl Default for Options {
     }
 }
 
+impl Options {
+    /// Share of the light that further iterations may change: what [`Report::residual`] is below, but where surfaces reflect so much
+    /// that the light does not come to rest.
+    pub fn residual(&self) -> f32 {
+        (RESIDUAL * self.error).clamp(RESIDUALS[0], RESIDUALS[1])
+    }
+}
+
 /// What a solution is made of.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Report {
@@ -146,7 +154,7 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
         if is_last {
             solver.report.row_sum = solver.lights.row_sum(&scene, &solver.arena, &solver.links, Bound::None);
         }
-        solver.iterate(if is_last { solver.enough() } else { RESIDUALS[1] })?;
+        solver.iterate(if is_last { options.residual() } else { RESIDUALS[1] })?;
     }
     let rays = solver.check()?;
     let report = solver.finish();
@@ -157,7 +165,7 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
         Default::default()
     };
     let (field, direct) = field(scene, &arena, &lights);
-    let field = Field { guides: Guides::new(guides, lobes), ..field };
+    let field = Field { guides: Guides::new(guides, lobes, &field.cells), ..field };
     Ok(Solution { field, direct, report })
 }
 
@@ -232,11 +240,6 @@ impl Solver<'_> {
                 self.lights.of[index].least = self.lights.of[a].least.min(self.lights.of[b].least);
             }
         }
-    }
-
-    /// Share of the light that further iterations may change.
-    fn enough(&self) -> f32 {
-        (RESIDUAL * self.options.error).clamp(RESIDUALS[0], RESIDUALS[1])
     }
 
     fn judge(&self, error: f32, links: usize) -> Judge<'_> {
@@ -394,7 +397,7 @@ impl Solver<'_> {
                 let found = rays.correct(self.scene, &self.arena, &mut self.lights, self.options.error);
                 (self.report.checked, self.report.corrected) = (found.ratio, found.changed);
                 contrast = found.contrast;
-                self.iterate(self.enough())?;
+                self.iterate(self.options.residual())?;
             }
 
             self.most_rays = self.most_rays.max(rays.bytes());

@@ -113,7 +113,7 @@ fn a_guide_that_is_wrong_changes_no_mean() {
     for (name, change) in wrong {
         let mut lobes = field.guides.lobes().to_vec();
         lobes.iter_mut().enumerate().for_each(|(k, lobe)| change(k, lobe));
-        let guides = femc_field::Guides::new(field.guides.of().to_vec(), lobes);
+        let guides = femc_field::Guides::new(field.guides.of().to_vec(), lobes, &field.cells);
         let changed = Field { guides, ..field.clone() };
         claim_same(name, &paths, &blocks(&prepared, Some(&changed), 2, 128));
     }

@@ -142,6 +142,13 @@ pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
     if report.bounded {
         say.warning("light grew from reflection to reflection, as links are not exact; it was bounded, and the solution is rough");
     }
+    if report.residual > options.residual() {
+        say.warning(format!(
+            "light still changes by {} after {} iterations, as surfaces or fog take hardly any of it: there is more than the solution has",
+            human::percent(report.residual.into()),
+            report.iterations
+        ));
+    }
     let text = serde_json::to_string_pretty(&report).map_err(failed)? + "\n";
     femc_film::file::write_atomic(&statistics, text.as_bytes()).map_err(failed)?;
     if args.format.json {

@@ -30,4 +30,4 @@ mod visibility;
 pub use census::{Census, Kinds};
 pub use look::{Irradiance, Look, Summary};
 pub use mesh::{Mesh, Part, meshes};
-pub use solve::{Cancelled, Options, Report, Solution, solve};
+pub use solve::{Cancelled, Options, RESIDUAL, Report, Solution, solve};

@@ -35,14 +35,6 @@ impl Default for Options {
     }
 }
 
-impl Options {
-    /// Share of the light that further iterations may change: what [`Report::residual`] is below, but where surfaces reflect so much
-    /// that the light does not come to rest.
-    pub fn residual(&self) -> f32 {
-        (RESIDUAL * self.error).clamp(RESIDUALS[0], RESIDUALS[1])
-    }
-}
-
 /// What a solution is made of.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Report {
@@ -92,11 +84,10 @@ pub struct Solution {
 pub struct Cancelled;
 
 /// Errors of a link that are allowed one after the other, as multiples of what is asked for.
-const COARSE: [f32; 2] = [3.0, 1.0];
-/// An iteration after which the light that leaves all elements would change by no more than this share of it is the last, times the
-/// error of a link; and bounds of that.
-const RESIDUAL: f32 = 3e-3;
-const RESIDUALS: [f32; 2] = [1e-4, 1e-2];
+const COARSE: [f32; 3] = [8.0, 2.5, 1.0];
+/// An iteration after which the light that leaves all elements would change by no more than this share of it is the last. A greater
+/// [`Report::residual`] says that light did not come to rest.
+pub const RESIDUAL: f32 = 1e-4;
 /// Iterations in a row that each change more than the one before: light grows.
 const GROWING: usize = 4;
 /// Most iterations at one level of refinement.
@@ -154,7 +145,7 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
         if is_last {
             solver.report.row_sum = solver.lights.row_sum(&scene, &solver.arena, &solver.links, Bound::None);
         }
-        solver.iterate(if is_last { options.residual() } else { RESIDUALS[1] })?;
+        solver.iterate(if is_last { RESIDUAL } else { 1e-2 })?;
     }
     let rays = solver.check()?;
     let report = solver.finish();
@@ -397,7 +388,7 @@ impl Solver<'_> {
                 let found = rays.correct(self.scene, &self.arena, &mut self.lights, self.options.error);
                 (self.report.checked, self.report.corrected) = (found.ratio, found.changed);
                 contrast = found.contrast;
-                self.iterate(self.options.residual())?;
+                self.iterate(RESIDUAL)?;
             }
 
             self.most_rays = self.most_rays.max(rays.bytes());

@@ -12,7 +12,7 @@ use crate::request::{Base, Exposure, Frames, Override, Volume, ev};
 use clap::Args;
 use document::{About, Wire};
 use femc_film::{Levels, ToneCurve};
-use femc_pipeline::radiosity::{Look, Mesh, Options, Part, meshes, solve};
+use femc_pipeline::radiosity::{Look, Mesh, Options, Part, RESIDUAL, meshes, solve};
 use report::{Leaves, Links, Report};
 use std::path::{Path, PathBuf};
 use std::sync::atomic::AtomicBool;
@@ -142,7 +142,7 @@ pub fn run(args: FieldArgs, say: Say) -> Result<Exit, Failure> {
     if report.bounded {
         say.warning("light grew from reflection to reflection, as links are not exact; it was bounded, and the solution is rough");
     }
-    if report.residual > options.residual() {
+    if report.residual > RESIDUAL {
         say.warning(format!(
             "light still changes by {} after {} iterations, as surfaces or fog take hardly any of it: there is more than the solution has",
             human::percent(report.residual.into()),

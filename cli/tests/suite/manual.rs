@@ -11,6 +11,7 @@ use std::net::TcpListener;
 use std::os::unix::process::CommandExt as _;
 use std::path::{Path, PathBuf};
 use std::process::Command;
+use std::sync::atomic::{AtomicU32, Ordering};
 
 /// What the script begins with: processes that it leaves behind end with it.
 const BEGIN: &str = "set -euo pipefail\n\
@@ -50,9 +51,16 @@ fn blocks(page: &str) -> Vec<Block> {
     blocks
 }
 
+/// A port that nobody listens at, below those that systems give to connections and to whoever asks for any: it stays free until the page
+/// uses it.
 fn free_port() -> String {
-    let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
-    listener.local_addr().expect("an address").port().to_string()
+    static NEXT: AtomicU32 = AtomicU32::new(0);
+    let is_free = |port: &u32| TcpListener::bind(("127.0.0.1", *port as u16)).is_ok();
+    let ports = std::iter::repeat_with(|| {
+        let number = NEXT.fetch_add(1, Ordering::Relaxed);
+        20_000 + std::process::id().wrapping_mul(101).wrapping_add(number) % 12_000
+    });
+    ports.take(12_000).find(is_free).expect("a port").to_string()
 }
 
 fn python() -> Option<String> {

@@ -77,7 +77,14 @@ impl From<Option<u64>> for Cell {
     }
 }
 
-const fn column(name: &'static str, title: &'static str, kind: Kind, reader: Reader, of: fn(&Row) -> Cell) -> Column {
+/// A column.
+pub const fn column<R>(
+    name: &'static str,
+    title: &'static str,
+    kind: Kind,
+    reader: Reader,
+    of: fn(&R) -> Cell,
+) -> Column<R> {
     Column { name, title, kind, reader, of }
 }
 
@@ -85,6 +92,7 @@ const fn column(name: &'static str, title: &'static str, kind: Kind, reader: Rea
 pub fn columns(by: By) -> Vec<Column> {
     use Kind::{Bytes, Count, Seconds, Share, Text};
     use Reader::{Anybody, Programs, WhoCompares};
+    let column = column::<Row>;
     let source = [
         column("job", "job", Count, WhoCompares, |row| Cell::Count(row.job)),
         column("variant", "variant", Text, WhoCompares, |row| row.variant.clone().into()),

@@ -6,7 +6,7 @@ mod job_record;
 mod parquet;
 mod row;
 
-pub use column::{Cell, Column, Kind, Reader, columns};
+pub use column::{Cell, Column, Kind, Reader, column, columns};
 pub use files::{Json, csv, human, shown};
 pub use job_record::{FailureLog, JobRecord};
 pub use parquet::write as write_parquet;

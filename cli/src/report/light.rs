@@ -133,7 +133,7 @@ fn color(share: f64) -> [u8; 3] {
     })
 }
 
-/// The histograms of a table, but for those of names, which have no order; nothing where nothing is recorded.
+/// The histograms of a table. Names have no order, so their histograms are left out. A table without records gives no picture.
 fn draw(histograms: &Histograms) -> Result<Vec<String>, Failure> {
     let all = histograms.table.attributes().iter().zip(&histograms.attributes);
     let shown: Vec<(&Attribute, &Counts)> = all.filter(|(attribute, _)| attribute.scale != Scale::Name).collect();

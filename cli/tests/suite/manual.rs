@@ -51,8 +51,8 @@ fn blocks(page: &str) -> Vec<Block> {
     blocks
 }
 
-/// A port that nobody listens at, below those that systems give to connections and to whoever asks for any: it stays free until the page
-/// uses it.
+/// A free port from 20000 to 31999. The system gives ports of this range to nobody (its own begin at 32768), so the port is still free when
+/// the page uses it.
 fn free_port() -> String {
     static NEXT: AtomicU32 = AtomicU32::new(0);
     let is_free = |port: &u32| TcpListener::bind(("127.0.0.1", *port as u16)).is_ok();

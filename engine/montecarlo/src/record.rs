@@ -9,7 +9,7 @@ use femc_math::Rgb;
 use femc_math::glam::Vec3A;
 pub use femc_scattering::Transmitted;
 
-/// Is told the vertices of each path, each contribution to a sample, and where the path ends.
+/// What the tracer calls for each vertex of a path, for each contribution to a sample, and at the path's end.
 pub trait Recorder {
     /// A camera sample begins: its pixel, a row-major index in the whole film, and its number.
     fn begin(&mut self, pixel: u32, sample: u32);

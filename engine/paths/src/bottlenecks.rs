@@ -3,9 +3,9 @@
 //! A part of a sample is laid to the vertex whose scattering made it: the one that a point on a lamp was drawn from, or the latest that
 //! the path had not gone straight through when it came to a lamp. So the parts of a sample add up to it.
 //!
-//! Noise is told by samples that are brighter than the others of their pixel: the square of the difference is laid to the parts of the
-//! sample in proportion, and counts by the weight of the sample in its pixel, squared, over the squared mean of the block of 16 x 16
-//! pixels, as the relative error of a block does. The others' mean knows nothing of the sample.
+//! The noise of a sample is the square of how much it is brighter than the mean of the other samples of its pixel. It is divided among the
+//! parts of the sample in proportion to their light. It is multiplied by the squared weight of the sample in its pixel and divided by the
+//! squared mean of its block of 16 x 16 pixels, as the relative error of a block is.
 //!
 //! Samples are of two kinds ([`Weighed`]): the brightest of each portion, which are all known and count once, and others, which are known
 //! by the fair subset and count as many times as it is smaller. So a rare bright sample is neither missed nor counted for more than it is.

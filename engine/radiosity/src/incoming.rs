@@ -1,8 +1,8 @@
 //! Where the light of a leaf comes from, as the guides of the field have it.
 //!
-//! What links bring to a leaf and to the elements above it, and what its rays have met, are contributions from around points.
-//! Those that lie in about the same direction are merged until few are left: of all pairs that one
-//! whose joint mean direction loses least. Directions are drawn by that only where both say that it lowers the variance.
+//! Links and rays tell along which ways light comes to a group of leaves. Ways in about the same direction are merged until few bundles
+//! are left: of all pairs that one whose joint mean direction loses least. Each bundle becomes a lobe. A group has a guide only if that
+//! lowers the variance of a sample of the direction, by the links and by the rays that the lobes were not made of.
 
 use crate::arena::Arena;
 use crate::element::{Element, Kind};
@@ -82,9 +82,8 @@ impl Bundle {
         let distance = self.amount / self.nearness.max(f32::MIN_POSITIVE);
         // Mean of 1 - cos, of the ways' directions, and of their own widths.
         let off = (1.0 - length / self.amount).max(0.0) + 0.5 * self.width / self.amount;
-        let target = center + self.toward / length.max(f32::MIN_POSITIVE) * distance;
         let along = self.toward / length.max(f32::MIN_POSITIVE);
-        Lobe::round(target, along, 2.0 * off * distance * distance, self.amount)
+        Lobe::round(center + along * distance, along, 2.0 * off * distance * distance, self.amount)
     }
 }
 
@@ -191,18 +190,18 @@ pub fn guides(
             if !(least > f32::MIN_POSITIVE && least.is_finite()) {
                 return (0.0, Vec::new());
             }
-            let (mut by_links_of, mut by_rays) = (Vec::new(), Vec::new());
+            let (mut ways, mut seen) = (Vec::new(), Vec::new());
             for &leaf in leaves {
                 let (element, light) = (&arena.elements[leaf as usize], &lights.of[leaf as usize]);
                 // Dark leaves next to bright ones count nearly as much.
                 let scale = element.size / area / (light.mean + least);
-                let first = by_links_of.len();
-                by_links(arena, lights, links, leaf, &mut by_links_of);
-                by_links_of[first..].iter_mut().for_each(|part: &mut Part| part.amount *= scale);
+                let first = ways.len();
+                by_links(arena, lights, links, leaf, &mut ways);
+                ways[first..].iter_mut().for_each(|part: &mut Part| part.amount *= scale);
                 let of = rays.of(scene, arena, lights, leaf).into_iter().filter(|ray| ray.irradiance.is_finite());
-                by_rays.extend(of.map(|ray| Seen { irradiance: ray.irradiance * scale * leaves.len() as f32, ..ray }));
+                seen.extend(of.map(|ray| Seen { irradiance: ray.irradiance * scale * leaves.len() as f32, ..ray }));
             }
-            guide(&arena.elements[*group as usize], &by_links_of, &by_rays)
+            guide(&arena.elements[*group as usize], &ways, &seen)
         })
         .collect();
     let mut lobes = Vec::new();

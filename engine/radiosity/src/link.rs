@@ -397,6 +397,7 @@ impl Judge<'_> {
             return share * q.size / (4.0 * PI * distance2) * through;
         }
         let along = |distance: f32| along(extinction, distance);
+        // Fewer points where the distances to a face differ less.
         let face = if distance > 1.5 * q.radius { 3 } else { FACE };
         let mut sum = 0.0;
         for axis in 0..3 {

@@ -434,14 +434,13 @@ fn met(scene: &Scene<'_>, arena: &Arena, from: &SurfaceSpot, dir: Vec3A, u: [f32
 
 /// Irradiance of a ray's origin, if all rays met the same, lx.
 fn received(arena: &Arena, lights: &Lights, sight: &Sight) -> f32 {
-    let share = sight.share;
     if sight.leaf == NONE {
-        return share;
+        return sight.share;
     }
     let element = &arena.elements[sight.leaf as usize];
     let light = &lights.of[sight.leaf as usize];
     if element.kind == Kind::Fog {
-        return share * light.mean;
+        return sight.share * light.mean;
     }
     let radiosity = if element.kind == Kind::Ball {
         let normal = Vec3A::from_array(sight.normal.map(f32::from)).normalize_or_zero();
@@ -450,7 +449,7 @@ fn received(arena: &Arena, lights: &Lights, sight: &Sight) -> f32 {
     } else {
         light.radiosity
     };
-    share * luminance(radiosity.max(Rgb::ZERO))
+    sight.share * luminance(radiosity.max(Rgb::ZERO))
 }
 
 /// Irradiance that links bring to the quarters of a leaf, lx.

@@ -390,7 +390,6 @@ impl Solver<'_> {
                 contrast = found.contrast;
                 self.iterate(RESIDUAL)?;
             }
-
             self.most_rays = self.most_rays.max(rays.bytes());
             self.report.rays += rays.traced;
             if round == ROUNDS {

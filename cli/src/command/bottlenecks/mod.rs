@@ -24,7 +24,7 @@ use std::path::PathBuf;
     to blocks, as --error has it. light: the light of the image, in the same way. work: the intersections of paths. deep: the \
     throughput that arrives at the 8th intersection or later. seen: paths whose first intersection it is. depth: their intersections, \
     on average. left: the throughput that is left to them at the 8th; much of it needs long paths.\n\n\
-    The files are those of `femc render --stats`; the brightest samples of each tile are all known, of the others a fair subset is.")]
+    `femc render --stats` writes the files. A file has the brightest samples of each tile, all of them, and a fair subset of the others.")]
 pub struct BottlenecksArgs {
     /// The files beside the frames
     #[arg(value_name = "FRAME.paths", required = true)]

@@ -126,7 +126,7 @@ pub enum Finding {
 
 /// Samples that are listed.
 const FIREFLIES: usize = 1000;
-/// How much more throughput is left to the paths that begin somewhere than to others, so that it is told.
+/// A part is a finding if the mean throughput that is left to the paths that begin there is so many times that of the other paths.
 const MORE: f64 = 2.0;
 
 impl Report {

@@ -1,21 +1,11 @@
 //! The tables of `femc bottlenecks`.
 
 use super::report::{FireflyRow, LampRow, Row};
-use crate::attempts::{Cell, Column, Kind, Reader, human};
+use crate::attempts::{Cell, Column, Kind, Reader, column, human};
 use crate::output::Say;
 
 use Kind::{Count, Number, Share, Text};
 use Reader::{Anybody, Programs};
-
-const fn column<R>(
-    name: &'static str,
-    title: &'static str,
-    kind: Kind,
-    reader: Reader,
-    of: fn(&R) -> Cell,
-) -> Column<R> {
-    Column { name, title, kind, reader, of }
-}
 
 fn word(text: Option<&'static str>) -> Cell {
     text.map(str::to_owned).into()

@@ -144,7 +144,7 @@ fn rows<'a, R>(frames: &'a [Frame<'a>], of: impl Fn(&'a Frame<'a>) -> Vec<R>) ->
     frames.iter().flat_map(of).collect()
 }
 
-/// One root for all frames, so that voxels of the one are those of the others: about all their boxes.
+/// The cube about the boxes of all frames. Voxels are parts of it, so all frames have the same voxels.
 fn root<'a>(all: impl Iterator<Item = &'a Statistics>) -> Root {
     let (mut lower, mut upper) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
     for Statistics { scope, .. } in all {

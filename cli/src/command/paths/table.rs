@@ -1,6 +1,6 @@
 //! The tables of `femc paths`: rows and columns.
 
-use crate::attempts::{Cell, Column, Kind, Reader};
+use crate::attempts::{Cell, Column, Kind, Reader, column};
 use femc_pipeline::paths::histogram::{Histograms, Table};
 use femc_pipeline::paths::octree::{Octree, Root, Voxel};
 use femc_pipeline::paths::pixels::{Maps, Pixel};
@@ -76,16 +76,6 @@ fn real(value: f32) -> Cell {
 
 fn word(text: &str) -> Cell {
     Cell::Text(text.to_owned())
-}
-
-const fn column<R>(
-    name: &'static str,
-    title: &'static str,
-    kind: Kind,
-    reader: Reader,
-    of: fn(&R) -> Cell,
-) -> Column<R> {
-    Column { name, title, kind, reader, of }
 }
 
 use Kind::{Count, Number, Text};

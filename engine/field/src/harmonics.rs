@@ -42,6 +42,13 @@ impl Harmonics {
         Self(values(w).map(|value| amount * value))
     }
 
+    /// As much from all around, so that a surface of any normal receives this irradiance.
+    pub fn even(irradiance: Rgb) -> Self {
+        let mut out = Self::ZERO;
+        out.0[0] = irradiance * (4.0 * 0.282_094_8);
+        out
+    }
+
     /// The sum of the parts, each times the clamped cosine between its direction and `w` (unit): of light by where it comes from, the
     /// irradiance of a surface with that normal; of surfaces' area times radiance by their normals, the intensity in that direction.
     /// Within some percent of the greatest value, and never negative.

@@ -99,14 +99,15 @@ impl Arena {
     }
 
     /// The smallest part of a surface that holds a point, if it is larger than `least`, m2; else the first that is not.
-    /// - `place`: the point, in the surface's parameters.
-    pub fn part_at(&self, root: u32, place: Vec2, least: f32) -> u32 {
+    /// - `place`: the point, in the surface's parameters;
+    /// - returns the part, and the point in its own.
+    pub fn part_at(&self, root: u32, place: Vec2, least: f32) -> (u32, Vec2) {
         let mut index = root;
         let mut local = self.elements[root as usize].in_parent.local(place);
         loop {
             let element = &self.elements[index as usize];
             if element.is_leaf() || element.size <= least {
-                return index;
+                return (index, local);
             }
             let second = match element.split {
                 Split::Half(0) | Split::None => local.x >= 0.5,

@@ -311,7 +311,7 @@ impl Lights {
         }
         // Both sides are cut alike, one perhaps further.
         let middle = if element.corner_count == 3 { Vec2::splat(1.0 / 3.0) } else { Vec2::splat(0.5) };
-        let index = arena.part_at(root, element.outline.at(middle), 0.0);
+        let (index, _) = arena.part_at(root, element.outline.at(middle), 0.0);
         let other = &arena.elements[index as usize];
         if other.kind == Kind::Ball {
             let sources = self.arriving[other.wide as usize].whole[FROM_SOURCES];

@@ -20,6 +20,7 @@ mod gather;
 mod incoming;
 mod lamps;
 mod link;
+mod lobes;
 mod look;
 mod mesh;
 mod rays;

@@ -6,11 +6,17 @@
 //! surface down its tree, as far as the rays of a part differ from what is known of the part above by more than chance
 //! (James and Stein's estimator, \[efron1973\]).
 
+mod aims;
+mod correct;
+
+pub use aims::Aims;
+
 use crate::arena::Arena;
 use crate::element::{Element, Kind};
 use crate::gather::{FROM_ELEMENTS, FROM_SOURCES, Lights};
 use crate::scene::{Scene, TIME, scattered};
 use crate::visibility::{Eye, Numbers};
+use aims::Aim;
 use femc_field::{NONE, SurfaceSpot};
 use femc_geometry::{Ray, offset_origin};
 use femc_math::color::luminance;
@@ -22,18 +28,15 @@ use femc_scattering::{LobeKind, Transmitted};
 use rayon::prelude::*;
 use std::f32::consts::PI;
 
-/// Least and most rays from each quarter of a leaf, and as many in all where that is in between.
-const RAYS: [usize; 2] = [8, 256];
+/// Least and most rays from each part of a leaf, and as many in all where that is in between.
+const RAYS: [usize; 2] = [8, 1024];
 const ALL: usize = 1 << 16;
-/// Quarters of a leaf, which its nodes stand for.
-const QUARTERS: usize = 4;
-/// Squared difference, in variances of it, up to which it is taken as chance, where links may have the error [`ROUGH`] or more; the more
-/// exact they are, the less is a difference their fault.
-const CHANCE: f32 = 4.0;
-const ROUGH: f32 = 0.3;
-/// What links bring is scaled up to so much at most.
-const MOST: f32 = 4.0;
-
+/// Rays beside these that leaves have by the light that they send, over all of these.
+const BRIGHT: f32 = 1.0;
+/// Parts of a leaf at most, which its nodes stand for.
+const PARTS: usize = 4;
+/// How much denser rays from the other end must be to be better than a leaf's own.
+const DENSER: f32 = 4.0;
 /// What a ray has met.
 #[derive(Clone, Copy, Debug)]
 struct Sight {
@@ -43,301 +46,320 @@ struct Sight {
     share: f32,
     /// Normal there, in 127ths.
     normal: [i8; 3],
+    /// Part of the leaf; [`ONE_WAY`] of what is seen in a mirror, of fog and of lamps: it receives nothing by this ray.
+    part: u8,
     /// The point, m; of what is seen in a mirror the mirrored one.
     target: [f32; 3],
+    /// Rays that would be expected along such ways from the ray's own leaf, and from that which it has met, over the cosine's density and
+    /// the area, 1/m2.
+    density: [f32; 2],
 }
 
-/// Where a ray went, and what it has found.
+/// How a way is weighed that rays of either end might find.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Weights {
+    /// By the rays of both: no way is left out.
+    Both,
+    /// By the rays of the leaf itself, unless the other's are [`DENSER`]: what is not stratified adds noise.
+    Best,
+}
+
+impl Weights {
+    /// Rays an area that a way's light is divided by; 0: it does not count.
+    /// - `own`, `other`: from the leaf itself, and from the other end; `is_own`: who has found it.
+    fn density(self, own: f32, other: f32, is_own: bool) -> f32 {
+        match self {
+            Self::Both => own + other,
+            Self::Best if is_own == (other <= DENSER * own) => {
+                if is_own {
+                    own
+                } else {
+                    other
+                }
+            }
+            Self::Best => 0.0,
+        }
+    }
+}
+
+/// See [`Sight::part`].
+const ONE_WAY: u8 = u8::MAX;
+
+/// A way that light comes to a leaf.
 #[derive(Clone, Copy, Debug)]
 pub struct Seen {
-    /// Where the ray began, m.
+    /// The point of the leaf, m.
     pub origin: Vec3A,
-    /// The point, m; of what is seen in a mirror the mirrored one.
+    /// Where the light comes from, m; of what is seen in a mirror the mirrored point.
     pub target: Vec3A,
-    /// Irradiance of the leaf, if all its rays found as much, lx.
+    /// What the way tells of the leaf's mean irradiance, lx: the sum over all ways is an estimate of that.
     pub irradiance: f32,
+    /// Ways about there that there would be in all directions by the cosine, if they were as dense everywhere.
+    pub number: f32,
 }
 
-/// Rays from all leaves of surfaces.
+/// Rays from all leaves of surfaces. Each tells what its origin receives of where it ends, and where that is a leaf what this one
+/// receives of the origin: light goes both ways. So a way between two leaves may be found by the rays of either; what it is found
+/// to bring is divided by the number of rays that would be expected along it from both, or by that of those that count (multiple
+/// importance sampling by the balance or the maximum heuristic, \[pharr2023\]). Leaves that send much light have more rays: what they light through a small gap is found from their side.
+/// And where earlier rays have told where light comes from, a share of the later ones goes there.
 pub struct Rays {
     /// The leaves, by index.
     leaves: Vec<u32>,
-    /// By leaf, quarter and ray.
+    /// By leaf its first ray, and the end.
+    first: Vec<u32>,
+    /// Of [`origin`].
+    round: u32,
+    /// By leaf and part.
     sights: Vec<Sight>,
-    /// Rays from a quarter.
-    each: usize,
+    /// By leaf its first ray from elsewhere, and the end; and of these rays the origin's place among the leaves, and the ray.
+    first_from: Vec<u32>,
+    from: Vec<[u32; 2]>,
     /// Rays that were traced.
     pub traced: u64,
 }
 
-/// What rays have found.
-pub struct Found {
-    /// Light that arrives by the rays over that by the links; 1 where these bring none.
-    pub ratio: f32,
-    /// Root mean square of what is changed, over what the links bring on average.
-    pub changed: f32,
-    /// The leaves, and by how much the irradiance of their quarters differs, lx.
-    pub contrast: Vec<(u32, f32)>,
-}
-
-/// Sums over a part of a surface, by which rays and links are compared.
-#[derive(Clone, Copy, Debug, Default)]
-struct Sums {
-    /// Light that arrives by the rays and by the links, lm.
-    rays: f32,
-    links: f32,
-    /// By the rays' squares, lm lx.
-    squares: f32,
-    /// By the one ray that brings most, lm.
-    most: f32,
-    /// By leaf the area squared over the rays, times what arrives by the links, and times the square of that.
-    variances: [f32; 2],
-}
-
-impl Sums {
-    fn of(area: f32, found: &[f32], links: f32) -> Self {
-        let count = found.len() as f32;
-        let each = area / count;
-        let weight = area * each;
-        Self {
-            rays: each * found.iter().sum::<f32>(),
-            links: area * links,
-            squares: each * found.iter().map(|x| x * x).sum::<f32>(),
-            most: each * found.iter().copied().fold(0.0, f32::max),
-            variances: [weight * links, weight * links * links],
-        }
-    }
-
-    fn add(&mut self, other: &Self) {
-        self.rays += other.rays;
-        self.links += other.links;
-        self.squares += other.squares;
-        self.most = self.most.max(other.most);
-        self.variances.iter_mut().zip(other.variances).for_each(|(sum, part)| *sum += part);
-    }
-
-    /// Irradiance of a ray that meets something bright, lx; no less than in the part above, as few rays may have missed that.
-    fn bright(&self, above: f32) -> f32 {
-        if self.rays > 0.0 { above.max(self.squares / self.rays) } else { above }
-    }
-
-    /// Scale of the links here.
-    /// - `above`: what is known of the part above;
-    /// - `chance`: the squared difference, in variances of it, that is taken as chance.
-    fn scale(&self, above: Known, chance: f32) -> f32 {
-        let Known { scale, bright } = above;
-        if self.links <= 0.0 {
-            return scale;
-        }
-        // One ray that has met the fog at a lamp is no proof of more light.
-        let is_more = self.rays > scale * self.links;
-        let rays = if is_more { (self.rays - self.most).max(scale * self.links) } else { self.rays };
-        let difference = rays - scale * self.links;
-        // As if the scale above were right: of what a part receives few rays may have missed all.
-        let variance = (scale * bright * self.variances[0] - scale * scale * self.variances[1]).max(0.0);
-        let sure = 1.0 - chance * variance / (difference * difference).max(f32::MIN_POSITIVE);
-        (scale + sure.max(0.0) * (rays / self.links - scale)).clamp(0.0, MOST)
-    }
+/// Light along a way to a part of a leaf.
+#[derive(Clone, Copy, Debug)]
+struct Way {
+    /// The ray, and its leaf's place among the leaves; `None`: the leaf itself.
+    ray: usize,
+    origin: Option<usize>,
+    part: usize,
+    /// What it tells of the leaf's mean irradiance, lx.
+    irradiance: Rgb,
+    /// Ways as dense as here, by the cosine; see [`Seen::number`].
+    number: f32,
 }
 
 impl Sight {
-    const NOTHING: Self = Self { leaf: NONE, share: 0.0, normal: [0; 3], target: [0.0; 3] };
+    const NOTHING: Self =
+        Self { leaf: NONE, share: 0.0, normal: [0; 3], part: ONE_WAY, target: [0.0; 3], density: [0.0; 2] };
+}
+
+/// Parts of a leaf that rays begin on.
+fn parts_of(element: &Element) -> usize {
+    if element.count == 3 { 3 } else { PARTS }
 }
 
 impl Rays {
     /// Casts them.
-    /// - `room`: bytes that they may take; where that is too little, there are fewer, one from each quarter at least.
-    pub fn new(scene: &Scene<'_>, arena: &Arena, room: usize) -> Self {
+    /// - `room`: bytes that they may take; where that is too little, there are fewer, one from each part at least.
+    /// - `aims`: where a share of them goes; `round`: others have other rays.
+    pub fn new(scene: &Scene<'_>, arena: &Arena, lights: &Lights, aims: &Aims, round: u32, room: usize) -> Self {
         let is_leaf = |index: &u32| {
             let element = &arena.elements[*index as usize];
             element.is_leaf() && matches!(element.kind, Kind::Patch | Kind::Ball)
         };
         let leaves: Vec<u32> = (0..arena.elements.len() as u32).filter(is_leaf).collect();
-        let quarters = QUARTERS * leaves.len().max(1);
-        let fit = (room / (size_of::<Sight>() * quarters)).max(1);
-        let each = (ALL / quarters).clamp(RAYS[0], RAYS[1]).min(fit);
+        let parts = PARTS * leaves.len().max(1);
+        let fit = (room / ((size_of::<Sight>() + size_of::<[u32; 2]>()) * parts)).max(1);
+        let each = (ALL / parts).clamp(RAYS[0], RAYS[1]).min(fit);
+        let more = (BRIGHT * (parts * each) as f32).min(((fit - each) * parts) as f32);
+        let power = |&leaf: &u32| {
+            let element = &arena.elements[leaf as usize];
+            element.size * luminance(lights.of[leaf as usize].radiosity).max(0.0)
+        };
+        let whole: f32 = leaves.iter().map(power).sum();
+        let by_power = |leaf: &u32| if whole > 0.0 { (more * (power(leaf) / whole)) as usize / PARTS } else { 0 };
+        let each: Vec<usize> = leaves.iter().map(|leaf| each + by_power(leaf)).collect();
+        let mut first = vec![0u32];
+        let mut density = vec![0.0f32; arena.elements.len()];
+        for (&leaf, each) in leaves.iter().zip(&each) {
+            let element = &arena.elements[leaf as usize];
+            let number = (parts_of(element) * each) as u32;
+            first.push(first[first.len() - 1] + number);
+            density[leaf as usize] = number as f32 / element.size;
+        }
         let chunks: Vec<(Vec<Sight>, u64)> = leaves
             .par_chunks(64)
-            .map(|leaves| {
+            .zip(each.par_chunks(64))
+            .map(|(leaves, each)| {
                 let mut eye = Eye::default();
-                let mut sights = Vec::with_capacity(leaves.len() * QUARTERS * each);
-                for &leaf in leaves {
-                    let origins = origins(scene, &arena.elements[leaf as usize], each);
-                    sights.extend(origins.map(|(spot, dir, u)| met(scene, arena, &spot, dir, u, &mut eye)));
+                let mut sights = Vec::with_capacity(leaves.len() * PARTS * each[0]);
+                for (&leaf, &each) in leaves.iter().zip(each) {
+                    let element = &arena.elements[leaf as usize];
+                    let sight = |ray: usize| {
+                        let (spot, dir, u) = origin(scene, element, aims.of(leaf), ray, each, round);
+                        if dir.dot(spot.normal) <= 0.0 {
+                            return Sight::NOTHING;
+                        }
+                        let mut sight = met(scene, arena, &spot, dir, u, &mut eye);
+                        sight.density[0] = density[leaf as usize] * aims.of(leaf).ratio(&spot, dir, each);
+                        if sight.part != ONE_WAY {
+                            let number = density[sight.leaf as usize];
+                            let other = &arena.elements[sight.leaf as usize];
+                            let normal = Vec3A::from_array(sight.normal.map(f32::from)).normalize_or_zero();
+                            let spot = SurfaceSpot { position: Vec3A::from_array(sight.target), normal, ..spot };
+                            let each = (number * other.size / parts_of(other) as f32).round() as usize;
+                            sight.density[1] = number * aims.of(sight.leaf).ratio(&spot, -dir, each);
+                        }
+                        sight
+                    };
+                    sights.extend((0..parts_of(element) * each).map(sight));
                 }
                 (sights, eye.rays)
             })
             .collect();
         let traced = chunks.iter().map(|(_, rays)| rays).sum();
-        Self { leaves, sights: chunks.into_iter().flat_map(|(sights, _)| sights).collect(), each, traced }
+        let sights: Vec<Sight> = chunks.into_iter().flat_map(|(sights, _)| sights).collect();
+        let mut out = Self { leaves, first, round, sights, first_from: Vec::new(), from: Vec::new(), traced };
+        out.turn_round();
+        out
+    }
+
+    /// By leaf the rays from elsewhere.
+    fn turn_round(&mut self) {
+        let place = |sight: &Sight| {
+            let both = sight.part != ONE_WAY && sight.share > 0.0;
+            both.then(|| self.leaves.binary_search(&sight.leaf).ok()).flatten()
+        };
+        let places: Vec<u32> = self.sights.par_iter().map(|sight| place(sight).map_or(NONE, |at| at as u32)).collect();
+        let mut first = vec![0u32; self.leaves.len() + 1];
+        places.iter().filter(|&&at| at != NONE).for_each(|&at| first[at as usize + 1] += 1);
+        (1..first.len()).for_each(|at| first[at] += first[at - 1]);
+        let mut next = first.clone();
+        let mut from = vec![[0u32; 2]; first[self.leaves.len()] as usize];
+        let mut origin = 0u32;
+        for (ray, &at) in places.iter().enumerate() {
+            while self.first[origin as usize + 1] as usize <= ray {
+                origin += 1;
+            }
+            if at != NONE {
+                from[next[at as usize] as usize] = [origin, ray as u32];
+                next[at as usize] += 1;
+            }
+        }
+        (self.first_from, self.from) = (first, from);
     }
 
     /// Bytes.
     pub fn bytes(&self) -> usize {
-        size_of_val(&*self.sights) + size_of_val(&*self.leaves)
+        size_of_val(&*self.sights) + size_of_val(&*self.from) + 20 * self.leaves.len()
     }
 
-    /// Rays of a leaf.
-    pub fn by_leaf(&self) -> usize {
-        QUARTERS * self.each
+    /// Ways that light comes to the leaf at this place, by the light as it is now: those of its rays, then those of others that have met it.
+    fn ways(
+        &self,
+        (scene, arena, lights): (&Scene<'_>, &Arena, &Lights),
+        place: usize,
+        weights: Weights,
+        mut each: impl FnMut(Way),
+    ) {
+        let element = &arena.elements[self.leaves[place] as usize];
+        let [first, end] = [self.first[place], self.first[place + 1]].map(|at| at as usize);
+        let parts = parts_of(element);
+        for (ray, sight) in self.sights[first..end].iter().enumerate() {
+            let number = weights.density(sight.density[0], sight.density[1], true) * element.size;
+            if number > 0.0 {
+                let irradiance = received(arena, lights, sight) * (1.0 / number);
+                each(Way { ray: first + ray, origin: None, part: ray % parts, irradiance, number });
+            }
+        }
+        for &[origin, ray] in &self.from[self.first_from[place] as usize..self.first_from[place + 1] as usize] {
+            let (ray, origin) = (ray as usize, origin as usize);
+            let sight = &self.sights[ray];
+            let number = weights.density(sight.density[1], sight.density[0], false) * element.size;
+            if number > 0.0 {
+                let leaf = self.leaves[origin];
+                let is_curved = arena.elements[leaf as usize].kind == Kind::Ball;
+                let normal = if is_curved { self.origin_of(scene, arena, origin, ray).normal } else { Vec3A::ZERO };
+                let irradiance = radiosity(arena, lights, leaf, normal) * (sight.share / number);
+                each(Way { ray, origin: Some(origin), part: usize::from(sight.part), irradiance, number });
+            }
+        }
     }
 
-    /// What the rays of a leaf have found, by the light as it is now.
+    /// Where a ray begins.
+    fn origin_of(&self, scene: &Scene<'_>, arena: &Arena, place: usize, ray: usize) -> SurfaceSpot {
+        let element = &arena.elements[self.leaves[place] as usize];
+        let [first, end] = [self.first[place], self.first[place + 1]].map(|at| at as usize);
+        origin(scene, element, &Aim::NONE, ray - first, (end - first) / parts_of(element), self.round).0
+    }
+
+    /// By leaf, in the order of their indices: the light that its ways bring, lm, and the sum of its squares.
+    pub fn light(&self, scene: &Scene<'_>, arena: &Arena, lights: &Lights) -> Vec<(u32, [f32; 2])> {
+        let of = |place: usize| {
+            let leaf = self.leaves[place];
+            let size = arena.elements[leaf as usize].size;
+            let mut sums = [0.0f32; 2];
+            self.ways((scene, arena, lights), place, Weights::Both, |Way { irradiance, .. }| {
+                let light = luminance(irradiance) * size;
+                if light.is_finite() {
+                    sums = [sums[0] + light, sums[1] + light * light];
+                }
+            });
+            (leaf, sums)
+        };
+        (0..self.leaves.len()).into_par_iter().map(of).collect()
+    }
+
+    /// Ways that light comes to a leaf, by the light as it is now.
     pub fn of(&self, scene: &Scene<'_>, arena: &Arena, lights: &Lights, leaf: u32) -> Vec<Seen> {
         let Ok(place) = self.leaves.binary_search(&leaf) else { return Vec::new() };
-        let number = QUARTERS * self.each;
-        let spots: Vec<SurfaceSpot> =
-            origins(scene, &arena.elements[leaf as usize], self.each).map(|(spot, ..)| spot).collect();
-        let seen = |(sight, spot): (&Sight, &SurfaceSpot)| Seen {
-            origin: spot.position,
-            target: Vec3A::from_array(sight.target),
-            irradiance: received(arena, lights, sight),
-        };
-        self.sights[place * number..][..number].iter().zip(&spots).map(seen).collect()
-    }
-
-    /// Sets what the leaves receive beyond what links bring.
-    /// - `error`: what a link may have.
-    pub fn correct(&self, scene: &Scene<'_>, arena: &Arena, lights: &mut Lights, error: f32) -> Found {
-        let chance = CHANCE * (ROUGH / error).max(1.0);
-        let by_leaf: Vec<[Sums; QUARTERS]> = self
-            .leaves
-            .par_iter()
-            .zip(self.sights.par_chunks(QUARTERS * self.each))
-            .map(|(&leaf, sights)| {
-                let element = &arena.elements[leaf as usize];
-                let found: Vec<f32> = sights.iter().map(|sight| received(arena, lights, sight)).collect();
-                let area = element.size / QUARTERS as f32;
-                let links = brought(scene, element, leaf, lights, self.each);
-                [0, 1, 2, 3].map(|k| Sums::of(area, &found[k * self.each..(k + 1) * self.each], links[k]))
-            })
-            .collect();
-        let mut sums = vec![Sums::default(); arena.elements.len()];
-        for (&leaf, quarters) in self.leaves.iter().zip(&by_leaf) {
-            quarters.iter().for_each(|quarter| sums[leaf as usize].add(quarter));
-        }
-        let mut all = Sums::default();
-        for index in (0..arena.elements.len()).rev() {
-            let element = &arena.elements[index];
-            let part = sums[index];
-            if is_root(arena, element) {
-                all.add(&part);
-            } else if element.surface != NONE {
-                sums[element.parent as usize].add(&part);
-            }
-        }
-        // A parent comes before its children; what its parts have together is known best of it.
-        let whole =
-            Known { scale: all.scale(Known { scale: 1.0, bright: all.bright(0.0) }, chance), bright: all.bright(0.0) };
-        let mut known = vec![whole; arena.elements.len()];
-        let roots: Vec<u32> = arena.roots.iter().copied().filter(|&root| root != NONE).collect();
-        let parts: Vec<Sums> = roots.iter().map(|&root| sums[root as usize]).collect();
-        for (&root, part) in roots.iter().zip(whole.of_parts(&all, chance, &parts)) {
-            known[root as usize] = part;
-        }
-        for (index, element) in arena.elements.iter().enumerate() {
-            if element.surface == NONE || element.is_leaf() {
-                continue;
-            }
-            let parts = element.children.map(|child| sums[child as usize]);
-            let parts = known[index].of_parts(&sums[index], chance, &parts);
-            element.children.iter().zip(parts).for_each(|(&child, part)| known[child as usize] = part);
-        }
-        let mut contrast = Vec::with_capacity(self.leaves.len());
-        let (mut changed, mut whole, mut area) = (0.0f64, 0.0f64, 0.0f64);
-        for (&leaf, quarters) in self.leaves.iter().zip(&by_leaf) {
-            let above = known[leaf as usize];
-            let element = &arena.elements[leaf as usize];
-            let mut parts = [above.scale; QUARTERS];
-            let taken = lights.taken[leaf as usize];
-            if element.kind == Kind::Ball {
-                let arriving = &mut lights.arriving[element.wide as usize];
-                arriving.more = arriving.whole[FROM_ELEMENTS] * Rgb::splat(above.scale - taken[0]);
-            } else {
-                let shares = above.of_parts(&sums[leaf as usize], chance, quarters);
-                parts.iter_mut().zip(shares).for_each(|(part, share)| *part = share.scale);
-                let whole = lights.of[leaf as usize].whole[FROM_ELEMENTS];
-                for (node, more) in lights.more[leaf as usize].iter_mut().enumerate() {
-                    *more = whole[node] * (parts[node] - taken[node]);
-                }
-            }
-            let found = quarters.iter().zip(parts).map(|(quarter, part)| quarter.links * part);
-            let (low, high) =
-                found.fold((f32::INFINITY, 0.0f32), |(low, high), light| (low.min(light), high.max(light)));
-            contrast.push((leaf, (high - low) * QUARTERS as f32 / element.size));
-            for (quarter, part) in quarters.iter().zip(parts) {
-                let size = f64::from(element.size) / QUARTERS as f64;
-                changed += (f64::from(quarter.links) * f64::from(part - 1.0)).powi(2) / size.max(f64::MIN_POSITIVE);
-                (whole, area) = (whole + f64::from(quarter.links), area + size);
-            }
-        }
-        let area = area.max(f64::MIN_POSITIVE);
-        let changed = (changed / area).sqrt() / (whole / area).max(f64::MIN_POSITIVE);
-        let ratio = if all.links > 0.0 { all.rays / all.links } else { 1.0 };
-        Found { ratio, changed: changed as f32, contrast }
+        let mut seen = Vec::new();
+        self.ways((scene, arena, lights), place, Weights::Both, |Way { ray, origin, irradiance, number, .. }| {
+            let begin = self.origin_of(scene, arena, origin.unwrap_or(place), ray).position;
+            let end = Vec3A::from_array(self.sights[ray].target);
+            let [origin, target] = if origin.is_none() { [begin, end] } else { [end, begin] };
+            seen.push(Seen { origin, target, irradiance: luminance(irradiance), number });
+        });
+        seen
     }
 }
 
-/// What is known of a part of a surface.
-#[derive(Clone, Copy, Debug)]
-struct Known {
-    /// Light that arrives over that by the links.
-    scale: f32,
-    /// Irradiance of a ray that meets something bright, lx.
-    bright: f32,
-}
-
-impl Known {
-    /// Of the parts of a whole, which together have what the whole has.
-    fn of_parts(self, whole: &Sums, chance: f32, parts: &[Sums]) -> Vec<Self> {
-        let above = Self { bright: whole.bright(self.bright), ..self };
-        let scales: Vec<f32> = parts.iter().map(|part| part.scale(above, chance)).collect();
-        let together: f32 = parts.iter().zip(&scales).map(|(part, scale)| part.links * scale).sum();
-        let more = (self.scale * whole.links / together.max(f32::MIN_POSITIVE)).min(MOST);
-        let bright = |part: &Sums| part.bright(above.bright);
-        parts.iter().zip(scales).map(|(part, scale)| Self { scale: scale * more, bright: bright(part) }).collect()
+/// Part of a leaf at a place in it.
+fn part_at(element: &Element, local: Vec2) -> usize {
+    if element.count == 3 {
+        let weights = [1.0 - local.x - local.y, local.x, local.y];
+        (1..3).fold(0, |best, k| if weights[k] > weights[best] { k } else { best })
+    } else {
+        usize::from(local.x >= 0.5) + 2 * usize::from(local.y >= 0.5)
     }
 }
 
-fn is_root(arena: &Arena, element: &Element) -> bool {
-    element.surface != NONE && (element.parent == NONE || arena.elements[element.parent as usize].surface == NONE)
-}
-
-/// Points of a leaf by quarter, directions by the cosine, and two numbers in [0, 1) for each.
-fn origins<'a>(
-    scene: &'a Scene<'_>,
-    element: &'a Element,
+/// Where a ray of a leaf begins, by parts in turn, its direction, by the cosine, and two numbers in [0, 1) for it.
+/// - `each`: rays of a part;
+/// - `round`: in each the rays are others.
+fn origin(
+    scene: &Scene<'_>,
+    element: &Element,
+    aim: &Aim,
+    ray: usize,
     each: usize,
-) -> impl Iterator<Item = (SurfaceSpot, Vec3A, [f32; 2])> + 'a {
+    round: u32,
+) -> (SurfaceSpot, Vec3A, [f32; 2]) {
     let surface = &scene.surfaces[element.surface as usize];
-    let is_triangle = matches!(surface.form, femc_field::Form::Triangle(_));
-    let mut numbers = Numbers::new(&[element.key, 11]);
-    (0..QUARTERS).flat_map(move |quarter| {
-        let shift = [numbers.next(), numbers.next()];
-        let rays: Vec<_> = (0..each)
-            .map(|ray| {
-                let mut local = Vec2::new(numbers.next(), numbers.next());
-                if is_triangle {
-                    // Of three parts, of the points next to a corner each.
-                    if local.x + local.y > 1.0 {
-                        local = Vec2::ONE - local;
-                    }
-                    let mut weights = [1.0 - local.x - local.y, local.x, local.y];
-                    let most = (1..3).fold(0, |best, k| if weights[k] > weights[best] { k } else { best });
-                    weights.swap(most, (quarter + ray * usize::from(quarter == 3)) % 3);
-                    local = Vec2::new(weights[1], weights[2]);
-                } else {
-                    local = 0.5 * (local + Vec2::new((quarter % 2) as f32, (quarter / 2) as f32));
-                }
-                let spot = surface.at(element.outline.at(local));
-                // A lattice, shifted.
-                let u = [(ray as f32 + shift[0]) / each as f32, (ray as f32 * 0.618_034 + shift[1]).fract()];
-                let dir = (warp::direction(1.0 - 2.0 * u[0], u[1]) + spot.normal).normalize_or(spot.normal);
-                (spot, dir, [numbers.next(), numbers.next()])
-            })
-            .collect();
-        rays
-    })
+    let parts = parts_of(element);
+    let (part, turn) = (ray % parts, ray / parts);
+    let mut numbers = Numbers::new(&[element.key, 11, u64::from(round), part as u64]);
+    let shift = [numbers.next(), numbers.next()];
+    let mut numbers = Numbers::new(&[element.key, 12, u64::from(round), ray as u64]);
+    let mut local = Vec2::new(numbers.next(), numbers.next());
+    if parts == 3 {
+        // Of three parts, of the points next to a corner each.
+        if local.x + local.y > 1.0 {
+            local = Vec2::ONE - local;
+        }
+        let mut weights = [1.0 - local.x - local.y, local.x, local.y];
+        let most = (1..3).fold(0, |best, k| if weights[k] > weights[best] { k } else { best });
+        weights.swap(most, part);
+        local = Vec2::new(weights[1], weights[2]);
+    } else {
+        local = 0.5 * (local + Vec2::new((part % 2) as f32, (part / 2) as f32));
+    }
+    let spot = surface.at(element.outline.at(local));
+    // Lattices, shifted.
+    let aimed = aim.number(each);
+    let (turn, of) = if turn < aimed { (turn, aimed) } else { (turn - aimed, each - aimed) };
+    let u = [(turn as f32 + shift[0]) / of as f32, (turn as f32 * 0.618_034 + shift[1]).fract()];
+    if ray / parts < aimed
+        && let Some(dir) = aim.sample(spot.position, numbers.next(), u)
+    {
+        return (spot, dir, [numbers.next(), numbers.next()]);
+    }
+    let dir = (warp::direction(1.0 - 2.0 * u[0], u[1]) + spot.normal).normalize_or(spot.normal);
+    (spot, dir, [numbers.next(), numbers.next()])
 }
 
 /// What a ray meets: a surface that scatters, the fog, or a lamp that it sees in a mirror or through bent glass. From mirrors and clear
@@ -355,7 +377,7 @@ fn met(scene: &Scene<'_>, arena: &Arena, from: &SurfaceSpot, dir: Vec3A, u: [f32
         t_max: f32::INFINITY,
         time: TIME,
     };
-    let (mut share, mut is_bent, mut is_inside) = (1.0f32, false, false);
+    let (mut share, mut is_bent, mut is_turned, mut is_inside) = (1.0f32, false, false, false);
     for _ in 0..=crate::visibility::CLEAR {
         eye.rays += 1;
         let hit = prepared.world.intersect(&ray);
@@ -412,6 +434,7 @@ fn met(scene: &Scene<'_>, arena: &Arena, from: &SurfaceSpot, dir: Vec3A, u: [f32
                 let is_through = sample.transmitted == Transmitted::Yes;
                 let is_straight = sample.lobe == LobeKind::Delta && is_through && unbent > 0.0;
                 is_bent |= !is_straight;
+                is_turned = true;
                 is_inside ^= is_through && sample.eta != 1.0;
                 let dir = frame.to_world(sample.wi).normalize_or(normal);
                 let origin = offset_origin(point.position, point.error, point.normal, dir);
@@ -424,43 +447,37 @@ fn met(scene: &Scene<'_>, arena: &Arena, from: &SurfaceSpot, dir: Vec3A, u: [f32
             return nothing;
         }
         let place = scene.surfaces[surface as usize].parameters(point.position, [hit.u, hit.v]);
-        let leaf = arena.part_at(arena.roots[surface as usize], place, 0.0);
+        let (leaf, local) = arena.part_at(arena.roots[surface as usize], place, 0.0);
+        let part = if is_turned { ONE_WAY } else { part_at(&arena.elements[leaf as usize], local) as u8 };
         let normal = if is_back { -point.normal } else { point.normal };
         let normal = (normal * 127.0).round().to_array().map(|x| x as i8);
-        return Sight { leaf, share: share / (1.0 - goes_on), normal, target: target(way) };
+        return Sight { leaf, share: share / (1.0 - goes_on), normal, part, target: target(way), density: [0.0; 2] };
     }
     nothing
 }
 
 /// Irradiance of a ray's origin, if all rays met the same, lx.
-fn received(arena: &Arena, lights: &Lights, sight: &Sight) -> f32 {
+fn received(arena: &Arena, lights: &Lights, sight: &Sight) -> Rgb {
     if sight.leaf == NONE {
-        return sight.share;
+        return Rgb::splat(sight.share);
     }
-    let element = &arena.elements[sight.leaf as usize];
     let light = &lights.of[sight.leaf as usize];
-    if element.kind == Kind::Fog {
-        return sight.share * light.mean;
+    if arena.elements[sight.leaf as usize].kind == Kind::Fog {
+        return Rgb::splat(sight.share * light.mean);
     }
-    let radiosity = if element.kind == Kind::Ball {
-        let normal = Vec3A::from_array(sight.normal.map(f32::from)).normalize_or_zero();
-        let of = |from: usize| lights.around(element, sight.leaf as usize, from).cosine(normal);
-        element.reflectance * (of(FROM_SOURCES) + of(FROM_ELEMENTS))
-    } else {
-        light.radiosity
-    };
-    sight.share * luminance(radiosity.max(Rgb::ZERO))
+    let normal = Vec3A::from_array(sight.normal.map(f32::from)).normalize_or_zero();
+    radiosity(arena, lights, sight.leaf, normal) * sight.share
 }
 
-/// Irradiance that links bring to the quarters of a leaf, lx.
-fn brought(scene: &Scene<'_>, element: &Element, leaf: u32, lights: &Lights, each: usize) -> [f32; QUARTERS] {
-    if element.kind == Kind::Ball {
-        let light = lights.arriving[element.wide as usize].whole[FROM_ELEMENTS];
-        let sum: f32 =
-            origins(scene, element, each).map(|(spot, ..)| luminance(light.cosine(spot.normal)).max(0.0)).sum();
-        return [sum / (QUARTERS * each) as f32; QUARTERS];
-    }
-    let at = lights.of[leaf as usize].whole[FROM_ELEMENTS].map(|light| luminance(light.max(Rgb::ZERO)));
-    // The last rays of a triangle are from all of it.
-    if element.count == 3 { [at[0], at[1], at[2], (at[0] + at[1] + at[2]) / 3.0] } else { at }
+/// Radiosity of a leaf of a surface, lx.
+/// - `normal`: of a curved one at the point that is meant.
+fn radiosity(arena: &Arena, lights: &Lights, leaf: u32, normal: Vec3A) -> Rgb {
+    let element = &arena.elements[leaf as usize];
+    let radiosity = if element.kind == Kind::Ball {
+        let of = |from: usize| lights.around(element, leaf as usize, from).cosine(normal);
+        element.reflectance * (of(FROM_SOURCES) + of(FROM_ELEMENTS))
+    } else {
+        lights.of[leaf as usize].radiosity
+    };
+    radiosity.max(Rgb::ZERO)
 }

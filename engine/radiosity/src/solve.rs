@@ -7,10 +7,10 @@ use crate::gather::{Bound, FROM_ELEMENTS, FROM_SOURCES, Lights, cell_of};
 use crate::incoming::guides;
 use crate::lamps::{LampLink, LampVerdict};
 use crate::link::{Judge, Link, Verdict};
-use crate::rays::Rays;
+use crate::rays::{Aims, Rays};
 use crate::scene::Scene;
 use crate::visibility::Eye;
-use femc_field::{Field, FogCell, FogTree, Guides, Harmonics, Leaf, NONE};
+use femc_field::{Field, FogCell, FogTree, Guide, Guides, Harmonics, Leaf, Lobe, NONE};
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_prepared::Prepared;
@@ -149,12 +149,9 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
     }
     let rays = solver.check()?;
     let report = solver.finish();
-    let Solver { arena, lights, links, .. } = solver;
-    let (guides, lobes) = if options.guides {
-        guides(&scene, &arena, &lights, &links, &rays, &leaves(&arena))
-    } else {
-        Default::default()
-    };
+    let (guides, lobes) =
+        if options.guides { solver.guides(&rays, &leaves(&solver.arena)) } else { Default::default() };
+    let Solver { arena, lights, .. } = solver;
     let (field, direct) = field(scene, &arena, &lights);
     let field = Field { guides: Guides::new(guides, lobes, &field.cells), ..field };
     Ok(Solution { field, direct, report })
@@ -378,11 +375,12 @@ impl Solver<'_> {
 
     /// Takes of the light that links bring what rays find of it, on leaves that are fine enough for the shadows that these find.
     fn check(&mut self) -> Result<Rays, Cancelled> {
+        let mut aims = Aims::default();
         let mut round = 0;
         loop {
             round += 1;
             let room = self.options.memory.saturating_sub(self.bytes(self.links.len()));
-            let rays = Rays::new(self.scene, &self.arena, room);
+            let rays = Rays::new(self.scene, &self.arena, &self.lights, &aims, round, room);
             let mut contrast = Vec::new();
             for _ in 0..CHECKS {
                 let found = rays.correct(self.scene, &self.arena, &mut self.lights, self.options.error);
@@ -392,7 +390,7 @@ impl Solver<'_> {
             }
             self.most_rays = self.most_rays.max(rays.bytes());
             self.report.rays += rays.traced;
-            if round == ROUNDS {
+            if round == ROUNDS as u32 {
                 return Ok(rays);
             }
             let judge = self.judge(self.options.error, self.links.len());
@@ -401,9 +399,9 @@ impl Solver<'_> {
                 0.5 * contrast > judge.allowed(element, &self.lights.of[leaf as usize]) && judge.may_cut(element)
             };
             let uneven: Vec<u32> = contrast.iter().filter(|leaf| is_uneven(leaf)).map(|&(leaf, _)| leaf).collect();
-            if uneven.is_empty() {
-                return Ok(rays);
-            }
+            let leaves = leaves(&self.arena);
+            let (guides, lobes) = self.guides(&rays, &leaves);
+            aims = Aims::new(&self.arena, &leaves, &guides, &lobes);
             for leaf in uneven {
                 let (halves, _) = self.arena.children(self.scene, leaf);
                 for half in halves {
@@ -412,7 +410,12 @@ impl Solver<'_> {
             }
             self.lights.grow(&self.arena);
             self.lights.push_pull(self.scene, &self.arena);
+            aims.grow(&self.arena);
         }
+    }
+
+    fn guides(&self, rays: &Rays, leaves: &[u32]) -> (Vec<Guide>, Vec<Lobe>) {
+        guides(self.scene, &self.arena, &self.lights, &self.links, rays, leaves)
     }
 
     fn finish(&self) -> Report {

@@ -1,0 +1,348 @@
+//! Lobes that are fitted to ways along which light comes.
+//!
+//! The ways are cut in two, and the parts again, each time where that raises the likelihood of the ways most, if each part's light were
+//! spread evenly over the directions that it fills: narrow bright bundles part from wide dim ones. Each part becomes a lobe through where
+//! its ways fill the least solid angle. Then each way is given to the lobe that would draw it most often, and the lobes are made anew.
+
+use femc_field::{Block, Directions, LOBES, Lobe};
+use femc_math::Frame;
+use femc_math::elementary::{atan2, ln, sin_cos};
+use femc_math::glam::Vec3A;
+
+/// Nearest place of a lobe, over the distance of what it is of, and places that are tried from there on.
+const NEAREST: f32 = 0.15;
+const DEPTHS: u32 = 17;
+/// Times that ways are given to lobes anew.
+const SETTLING: usize = 3;
+/// Ways that lobes are fitted to at most; of more, these stand for all.
+const MOST: usize = 256;
+/// Parts of a bundle's length along an axis, between which it may be cut.
+const BINS: usize = 16;
+/// Gain of a cut, over all light, that is worth another lobe.
+const GAIN: f32 = 0.005;
+/// Places that what is known before is worth.
+const PRIOR: f32 = 1.0;
+
+/// Light along a way.
+#[derive(Clone, Copy, Debug)]
+pub struct Part {
+    /// The way, m.
+    pub origin: Vec3A,
+    pub target: Vec3A,
+    /// Mean square distance from the target across the view, m2.
+    pub spread: f32,
+    /// Irradiance.
+    pub amount: f32,
+}
+
+/// Sums over the ways of a lobe, in a plane across its axis: places there, and slopes.
+#[derive(Clone, Copy, Debug, Default)]
+struct Focus {
+    amount: f32,
+    squared: f32,
+    place: [f32; 2],
+    slope: [f32; 2],
+    /// Of amount times the products of places, of places and slopes, and of slopes: of the first axes, both, the second ones.
+    places: [f32; 3],
+    both: [f32; 3],
+    slopes: [f32; 3],
+    /// Of amount times the way's own width at the target, and times its distance.
+    width: f32,
+    distance: f32,
+}
+
+/// Products of the components of two, made symmetric.
+fn products(a: [f32; 2], b: [f32; 2]) -> [f32; 3] {
+    [a[0] * b[0], 0.5 * (a[0] * b[1] + a[1] * b[0]), a[1] * b[1]]
+}
+
+impl Focus {
+    fn add(&mut self, part: &Part, center: Vec3A, frame: &Frame) {
+        let dir = frame.to_local((part.target - part.origin).normalize_or(Vec3A::Z));
+        let ahead = dir.z.max(0.2);
+        let slope = [dir.x / ahead, dir.y / ahead];
+        let from = frame.to_local(part.origin - center);
+        let place = [from.x - slope[0] * from.z, from.y - slope[1] * from.z];
+        let (amount, distance) = (part.amount, part.target.distance(part.origin));
+        self.amount += amount;
+        self.squared += amount * amount;
+        let sums = [(&mut self.places, place, place), (&mut self.both, place, slope), (&mut self.slopes, slope, slope)];
+        for (sum, a, b) in sums {
+            sum.iter_mut().zip(products(a, b)).for_each(|(sum, of)| *sum += of * amount);
+        }
+        for axis in 0..2 {
+            self.place[axis] += place[axis] * amount;
+            self.slope[axis] += slope[axis] * amount;
+        }
+        self.width += amount * (part.spread / (distance * distance).max(f32::MIN_POSITIVE)).min(1.0);
+        self.distance += amount * distance;
+    }
+
+    /// The lobe through where the ways fill the least solid angle as seen from the leaf: at a gap that all go through, or at a source.
+    fn lobe(&self, center: Vec3A, frame: &Frame) -> Option<Lobe> {
+        if self.amount <= 0.0 {
+            return None;
+        }
+        let share = 1.0 / self.amount;
+        let [place, slope] = [self.place, self.slope].map(|of| of.map(|sum| sum * share));
+        let less = |sum: [f32; 3], mean: [f32; 3]| [0, 1, 2].map(|k| sum[k] * share - mean[k]);
+        let places = less(self.places, products(place, place));
+        let both = less(self.both, products(place, slope));
+        let slopes = less(self.slopes, products(slope, slope));
+        let (distance, width) = (self.distance * share, self.width * share);
+        // Few ways tell little of how wide they are.
+        let wider = 1.0 + 2.0 * PRIOR * self.squared / (self.amount * self.amount);
+        // Covariance in the plane at a depth, of the ways' middles and of their own widths.
+        let at = |depth: f32| {
+            let mut of = [0, 1, 2].map(|k| places[k] + 2.0 * depth * both[k] + depth * depth * slopes[k]);
+            let own = 0.5 * depth * depth * width.max(1e-6);
+            (of[0], of[2]) = (of[0].max(0.0) + own, of[2].max(0.0) + own);
+            of.map(|sum| sum * wider)
+        };
+        let solid_angle = |depth: f32| {
+            let [a, b, c] = at(depth);
+            (a * c - b * b).max(0.0) / depth.powi(4)
+        };
+        let depths = (0..=DEPTHS).map(|k| distance * (NEAREST + (1.0 - NEAREST) * k as f32 / DEPTHS as f32));
+        let (depth, _) = depths
+            .map(|depth| (depth, solid_angle(depth)))
+            .fold((distance, f32::INFINITY), |best, it| if it.1 < best.1 { it } else { best });
+        let [a, b, c] = at(depth);
+        // Main axes.
+        let turn = 0.5 * atan2(2.0 * b, a - c);
+        let (sin, cos) = sin_cos(turn);
+        let along = a * cos * cos + 2.0 * b * sin * cos + c * sin * sin;
+        let across = (a + c - along).max(0.25 * depth * depth * width.max(1e-6));
+        let axes = [(cos, sin, along), (-sin, cos, across)]
+            .map(|(x, y, square)| frame.to_world(Vec3A::new(x, y, 0.0)) * (2.0 * square.max(f32::MIN_POSITIVE)).sqrt());
+        let middle = Vec3A::new(place[0] + slope[0] * depth, place[1] + slope[1] * depth, depth);
+        Some(Lobe { target: center + frame.to_world(middle), axes, share: self.amount })
+    }
+}
+
+/// Lobes of ways that come to a leaf; `None` of nothing.
+/// - `center`: the leaf's; `frame`: with its normal.
+pub fn fit(parts: &[Part], center: Vec3A, frame: &Frame) -> Option<Vec<Lobe>> {
+    let parts = &fewer(parts);
+    let places: Vec<Place> = parts.iter().filter_map(|part| Place::of(part, center, frame)).collect();
+    let whole: f32 = places.iter().map(|place| place.part.amount).sum();
+    if !(whole > 0.0 && whole.is_finite()) {
+        return None;
+    }
+    let mut bundles = vec![Bundle::new(places, 0.25)];
+    while bundles.len() < LOBES {
+        let gain = |k: usize| bundles[k].cut.map_or(0.0, |cut| cut.gain);
+        let best = (1..bundles.len()).fold(0, |best, k| if gain(k) > gain(best) { k } else { best });
+        let Some(cut) = bundles[best].cut.filter(|cut| cut.gain > GAIN * whole) else { break };
+        let Bundle { places, area, .. } = bundles.swap_remove(best);
+        let (places, rest) = places.into_iter().partition(|place| place.along(cut.axis) < cut.at);
+        bundles.extend([places, rest].map(|places: Vec<Place>| Bundle::new(places, area)));
+    }
+    let mut lobes = shares(bundles.iter().filter_map(|bundle| bundle.lobe(center)).collect())?;
+    for _ in 0..SETTLING {
+        let Some(settled) = settled(&lobes, parts, center) else { break };
+        lobes = settled;
+    }
+    Some(lobes)
+}
+
+/// Ways of equal amounts that stand for more than [`MOST`].
+fn fewer(parts: &[Part]) -> Vec<Part> {
+    if parts.len() <= MOST {
+        return parts.to_vec();
+    }
+    let whole: f32 = parts.iter().map(|part| part.amount).sum();
+    let each = whole / MOST as f32;
+    let (mut out, mut sum, mut next) = (Vec::with_capacity(MOST), 0.0, 0.5 * each);
+    for part in parts {
+        sum += part.amount;
+        let mut number = 0;
+        while next < sum && out.len() + number < MOST {
+            (number, next) = (number + 1, next + each);
+        }
+        if number > 0 {
+            out.push(Part { amount: each * number as f32, ..*part });
+        }
+    }
+    out
+}
+
+/// A way among directions, by their places on the disc of the unit hemisphere seen along the normal: there the cosine's density is even.
+#[derive(Clone, Copy, Debug)]
+struct Place {
+    part: Part,
+    /// Of its direction, and of that from the leaf's middle to its target.
+    at: [[f32; 2]; 2],
+    /// Variance on the disc that the way has as it is wide itself.
+    own: f32,
+}
+
+impl Place {
+    fn of(part: &Part, center: Vec3A, frame: &Frame) -> Option<Self> {
+        let dirs = [part.target - part.origin, part.target - center].map(|way| frame.to_local(way.normalize_or_zero()));
+        if !(dirs[1].z > 0.0 && part.amount > 0.0) {
+            return None;
+        }
+        let distance2 = part.target.distance_squared(part.origin).max(f32::MIN_POSITIVE);
+        let own = (0.5 * part.spread / distance2).clamp(1e-7, 0.25) * dirs[0].z.clamp(0.05, 1.0);
+        Some(Self { part: *part, at: dirs.map(|dir| [dir.x, dir.y]), own })
+    }
+
+    /// Along one of [`AXES`].
+    fn along(&self, axis: usize) -> f32 {
+        let [x, y] = self.at[axis / 4];
+        match axis % 4 {
+            0 => x,
+            1 => y,
+            2 => x + y,
+            _ => x - y,
+        }
+    }
+}
+
+/// Axes along which bundles are cut: four on either disc.
+const AXES: usize = 8;
+
+/// Sums over places on both discs.
+#[derive(Clone, Copy, Debug, Default)]
+struct Extent {
+    amount: f32,
+    /// Sum of the amounts' squares.
+    squared: f32,
+    own: f32,
+    middle: [[f32; 2]; 2],
+    squares: [[f32; 3]; 2],
+}
+
+impl Extent {
+    fn add(&mut self, place: &Place) {
+        let amount = place.part.amount;
+        self.amount += amount;
+        self.squared += amount * amount;
+        self.own += amount * place.own;
+        for (disc, at) in place.at.iter().enumerate() {
+            let squares = [at[0] * at[0], at[0] * at[1], at[1] * at[1]];
+            self.middle[disc].iter_mut().zip(at).for_each(|(sum, x)| *sum += amount * x);
+            self.squares[disc].iter_mut().zip(squares).for_each(|(sum, x)| *sum += amount * x);
+        }
+    }
+
+    fn sum(&mut self, other: &Self, scale: f32) {
+        self.amount += scale * other.amount;
+        self.squared += scale * other.squared;
+        self.own += scale * other.own;
+        for disc in 0..2 {
+            self.middle[disc].iter_mut().zip(other.middle[disc]).for_each(|(sum, x)| *sum += scale * x);
+            self.squares[disc].iter_mut().zip(other.squares[disc]).for_each(|(sum, x)| *sum += scale * x);
+        }
+    }
+
+    /// Part of the disc that the places fill. Few places tell little of that: it is believed to be that of the bundle that they are cut
+    /// from, as much as if [`PRIOR`] places had said so.
+    fn area(&self, before: f32) -> f32 {
+        let share = 1.0 / self.amount;
+        let area = |disc: usize| {
+            let [x, y] = self.middle[disc].map(|sum| sum * share);
+            let [xx, xy, yy] = self.squares[disc].map(|sum| sum * share);
+            let own = (self.own * share).max(1e-8);
+            let [a, b, c] = [(xx - x * x).max(0.0) + own, xy - x * y, (yy - y * y).max(0.0) + own];
+            (a * c - b * b).max(own * own).sqrt()
+        };
+        let number = self.amount * self.amount / self.squared.max(f32::MIN_POSITIVE);
+        (number * area(0).min(area(1)) + PRIOR * before) / (number + PRIOR)
+    }
+
+    /// Logarithm of the likelihood: of the amount over the part of the disc.
+    fn likelihood(&self, before: f32) -> f32 {
+        if self.amount <= f32::MIN_POSITIVE { 0.0 } else { self.amount * ln(self.amount / self.area(before)) }
+    }
+}
+
+/// Where a bundle is best cut.
+#[derive(Clone, Copy, Debug)]
+struct Cut {
+    axis: usize,
+    /// The place along it.
+    at: f32,
+    gain: f32,
+}
+
+struct Bundle {
+    places: Vec<Place>,
+    /// Part of the disc that they fill.
+    area: f32,
+    cut: Option<Cut>,
+}
+
+impl Bundle {
+    /// - `area`: of the bundle that it is cut from.
+    fn new(places: Vec<Place>, area: f32) -> Self {
+        let mut whole = Extent::default();
+        places.iter().for_each(|place| whole.add(place));
+        let area = if whole.amount > 0.0 { whole.area(area) } else { area };
+        let before = whole.likelihood(area);
+        let mut best: Option<Cut> = None;
+        for axis in 0..AXES {
+            let (low, high) = places.iter().fold((f32::INFINITY, f32::NEG_INFINITY), |(low, high), place| {
+                let along = place.along(axis);
+                (low.min(along), high.max(along))
+            });
+            let width = (high - low) / BINS as f32;
+            if width <= 0.0 {
+                continue;
+            }
+            let mut bins = [Extent::default(); BINS];
+            for place in &places {
+                bins[(((place.along(axis) - low) / width) as usize).min(BINS - 1)].add(place);
+            }
+            let mut first = Extent::default();
+            for (k, bin) in bins.iter().enumerate().take(BINS - 1) {
+                if bin.amount <= 0.0 {
+                    continue;
+                }
+                first.sum(bin, 1.0);
+                let mut rest = whole;
+                rest.sum(&first, -1.0);
+                let gain = first.likelihood(area) + rest.likelihood(area) - before;
+                if best.is_none_or(|best| gain > best.gain) {
+                    best = Some(Cut { axis, at: low + width * (k + 1) as f32, gain });
+                }
+            }
+        }
+        Self { places, area, cut: best.filter(|cut| cut.gain.is_finite()) }
+    }
+
+    fn lobe(&self, center: Vec3A) -> Option<Lobe> {
+        let dir = |place: &Place| (place.part.target - place.part.origin).normalize_or_zero() * place.part.amount;
+        let frame = Frame::from_normal(self.places.iter().map(dir).sum::<Vec3A>().normalize_or(Vec3A::Z));
+        let mut focus = Focus::default();
+        self.places.iter().for_each(|place| focus.add(&place.part, center, &frame));
+        focus.lobe(center, &frame)
+    }
+}
+
+/// The lobes once each way belongs to that of them which would draw it most often.
+fn settled(lobes: &[Lobe], parts: &[Part], center: Vec3A) -> Option<Vec<Lobe>> {
+    let block = Block::new(lobes);
+    let mut sums = [Focus::default(); LOBES];
+    let frames: Vec<Frame> =
+        lobes.iter().map(|lobe| Frame::from_normal((lobe.target - center).normalize_or(Vec3A::Z))).collect();
+    for part in parts {
+        let dir = (part.target - part.origin).normalize_or(Vec3A::Z);
+        let Some(each) = Directions::new(&block, 1.0, part.origin).map(|directions| directions.each(dir)) else {
+            continue;
+        };
+        let best = (0..lobes.len()).fold(0, |best, k| if each[k] > each[best] { k } else { best });
+        sums[best].add(part, center, &frames[best]);
+    }
+    shares(sums.iter().zip(&frames).filter_map(|(sum, frame)| sum.lobe(center, frame)).collect())
+}
+
+/// Lobes whose shares are of 1; `None` of nothing.
+fn shares(lobes: Vec<Lobe>) -> Option<Vec<Lobe>> {
+    let sum: f32 = lobes.iter().map(|lobe| lobe.share).sum();
+    let is_axis = |axis: &Vec3A| axis.is_finite() && axis.length_squared() > 0.0;
+    let is_sound = |lobe: &Lobe| lobe.target.is_finite() && lobe.axes.iter().all(is_axis);
+    (sum > 0.0 && sum.is_finite() && lobes.iter().all(is_sound))
+        .then(|| lobes.into_iter().map(|lobe| Lobe { share: lobe.share / sum, ..lobe }).collect())
+}

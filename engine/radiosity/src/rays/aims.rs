@@ -1,0 +1,73 @@
+//! Where later rays go, by what earlier ones have found.
+
+use crate::arena::Arena;
+use femc_field::{Block, Directions, Guide, Lobe, NONE, SurfaceSpot};
+use femc_math::glam::Vec3A;
+use std::collections::HashMap;
+use std::f32::consts::PI;
+
+/// Where a share of a leaf's rays goes.
+#[derive(Clone, Debug)]
+pub struct Aim(Option<(Block, f32)>);
+
+/// By element where a share of its rays goes.
+#[derive(Clone, Debug, Default)]
+pub struct Aims {
+    of: Vec<u32>,
+    aims: Vec<Aim>,
+}
+
+impl Aims {
+    /// - `of`: by leaf in this order of `leaves`.
+    pub fn new(arena: &Arena, leaves: &[u32], of: &[Guide], lobes: &[Lobe]) -> Self {
+        let mut out = Self { of: vec![NONE; arena.elements.len()], aims: Vec::new() };
+        let mut known = HashMap::new();
+        for (&leaf, guide) in leaves.iter().zip(of).filter(|(_, guide)| guide.count > 0) {
+            let range = guide.first as usize..(guide.first + guide.count) as usize;
+            out.of[leaf as usize] = *known.entry(guide.first).or_insert_with(|| {
+                out.aims.push(Aim(Some((Block::new(&lobes[range]), guide.share))));
+                out.aims.len() as u32 - 1
+            });
+        }
+        out
+    }
+
+    /// Elements that are new have what their parents have.
+    pub fn grow(&mut self, arena: &Arena) {
+        if self.aims.is_empty() {
+            return;
+        }
+        for element in &arena.elements[self.of.len()..] {
+            self.of.push(if element.parent == NONE { NONE } else { self.of[element.parent as usize] });
+        }
+    }
+
+    pub fn of(&self, leaf: u32) -> &Aim {
+        let at = self.of.get(leaf as usize).copied().unwrap_or(NONE);
+        self.aims.get(at as usize).unwrap_or(&Aim::NONE)
+    }
+}
+
+impl Aim {
+    pub const NONE: Self = Self(None);
+
+    /// How many of a part's rays.
+    pub fn number(&self, each: usize) -> usize {
+        self.0.as_ref().map_or(0, |(_, share)| ((each as f32 * share) as usize).min(each - 1))
+    }
+
+    pub fn sample(&self, point: Vec3A, choice: f32, u: [f32; 2]) -> Option<Vec3A> {
+        let (block, _) = self.0.as_ref()?;
+        Some(Directions::new(block, 1.0, point)?.sample(choice, u))
+    }
+
+    /// Density of directions over the cosine's.
+    pub fn ratio(&self, spot: &SurfaceSpot, dir: Vec3A, each: usize) -> f32 {
+        let aimed = self.number(each);
+        let (Some((block, _)), true) = (&self.0, aimed > 0) else { return 1.0 };
+        let Some(directions) = Directions::new(block, 1.0, spot.position) else { return 1.0 };
+        let share = aimed as f32 / each as f32;
+        let cosine = (spot.normal.dot(dir) / PI).max(1e-6);
+        1.0 - share + share * directions.pdf(dir) / cosine
+    }
+}

@@ -1,0 +1,254 @@
+//! What links bring, scaled to what rays find.
+
+use super::{PARTS, Rays, Way, Weights, parts_of};
+use crate::arena::Arena;
+use crate::element::{Element, Kind};
+use crate::gather::{FROM_ELEMENTS, Lights};
+use crate::scene::Scene;
+use femc_field::{Harmonics, NONE};
+use femc_math::Rgb;
+use femc_math::color::luminance;
+use rayon::prelude::*;
+
+/// Squared difference, in variances of it, up to which it is taken as chance, where links may have the error [`ROUGH`] or more; the more
+/// exact they are, the less is a difference their fault.
+const CHANCE: f32 = 4.0;
+const ROUGH: f32 = 0.3;
+/// What links bring is scaled up to so much at most; what rays find beyond that is added.
+const MOST: f32 = 4.0;
+
+/// What rays have found.
+pub struct Found {
+    /// Light that arrives by the rays over that by the links; 1 where these bring none.
+    pub ratio: f32,
+    /// Root mean square of what is changed, over what the links bring on average.
+    pub changed: f32,
+    /// The leaves, and by how much the irradiance of their parts differs, lx.
+    pub contrast: Vec<(u32, f32)>,
+}
+
+/// Sums over a part of a surface, by which rays and links are compared.
+#[derive(Clone, Copy, Debug, Default)]
+struct Sums {
+    area: f32,
+    /// Light that arrives by the rays and by the links, lm, and that by the rays by color.
+    rays: f32,
+    links: f32,
+    color: Rgb,
+    /// By rays of the leaves themselves, which are stratified, lm.
+    own: f32,
+    /// Of the light by rays: of each way times what it would be if all rays of its leaf found as much, lm lx.
+    squares: f32,
+    /// By the one way that brings most, lm.
+    most: f32,
+    /// By leaf the area squared over the rays, and that times what arrives by the links, and times the square of that.
+    variances: [f32; 3],
+}
+
+impl Sums {
+    /// - `number`: rays of the part.
+    fn of(area: f32, number: f32, links: f32) -> Self {
+        let weight = area * area / number;
+        Self {
+            area,
+            links: area * links,
+            variances: [weight, weight * links, weight * links * links],
+            ..Self::default()
+        }
+    }
+
+    /// Light along a way, lm; and what it would be if all rays of the leaf found as much, lx.
+    fn find(&mut self, color: Rgb, bright: f32, is_own: bool) {
+        let light = luminance(color);
+        self.rays += light;
+        self.own += if is_own { light } else { 0.0 };
+        self.color += color;
+        self.squares += light * bright;
+        self.most = self.most.max(light);
+    }
+
+    fn add(&mut self, other: &Self) {
+        self.area += other.area;
+        self.rays += other.rays;
+        self.own += other.own;
+        self.links += other.links;
+        self.color += other.color;
+        self.squares += other.squares;
+        self.most = self.most.max(other.most);
+        self.variances.iter_mut().zip(other.variances).for_each(|(sum, part)| *sum += part);
+    }
+
+    /// Irradiance of a ray that meets something bright, lx; no less than in the part above, as few rays may have missed that.
+    fn bright(&self, above: f32) -> f32 {
+        if self.rays > 0.0 { above.max(self.squares / self.rays) } else { above }
+    }
+
+    /// What the part receives, lm, by what is known of it.
+    fn light(&self, known: &Known) -> f32 {
+        known.scale * self.links + luminance(known.extra) * self.area
+    }
+
+    /// What is known of the light here.
+    /// - `above`: what is known of the part above;
+    /// - `chance`: the squared difference, in variances of it, that is taken as chance.
+    fn known(&self, above: &Known, chance: f32) -> Known {
+        let (scale, extra, bright) = (above.scale, luminance(above.extra), above.bright);
+        let before = self.light(above);
+        // One ray that has met the fog at a lamp is no proof of more light.
+        let rays = if self.rays > before { (self.rays - self.most).max(before) } else { self.rays };
+        // As if what is known above were right: of what a part receives few rays may have missed all.
+        let [area, links, squares] = self.variances;
+        let once = scale * links + extra * area;
+        let twice = scale * scale * squares + 2.0 * scale * extra * links + extra * extra * area;
+        let own = if self.rays > 0.0 { self.own / self.rays } else { 1.0 };
+        let variance = (bright * once - own * own * twice).max(0.0);
+        let difference = rays - before;
+        let sure = 1.0 - chance * variance / (difference * difference).max(f32::MIN_POSITIVE);
+        let change = sure.max(0.0) * difference;
+        if change <= 0.0 {
+            let less = if before > 0.0 { (1.0 + change / before).max(0.0) } else { 1.0 };
+            return Known { scale: scale * less, extra: above.extra * less, bright };
+        }
+        let room = (MOST - scale).max(0.0) * self.links;
+        let scaled = if self.links > 0.0 { scale + change.min(room) / self.links } else { scale };
+        let more = (change - room).max(0.0) / (self.area * luminance(self.color)).max(f32::MIN_POSITIVE);
+        Known { scale: scaled, extra: above.extra + self.color * more, bright }
+    }
+}
+
+impl Rays {
+    /// Sets what the leaves receive beyond what links bring.
+    /// - `error`: what a link may have.
+    pub fn correct(&self, scene: &Scene<'_>, arena: &Arena, lights: &mut Lights, error: f32) -> Found {
+        let chance = CHANCE * (ROUGH / error).max(1.0);
+        let by_leaf: Vec<[Sums; PARTS]> = (0..self.leaves.len())
+            .into_par_iter()
+            .map(|place| {
+                let leaf = self.leaves[place];
+                let element = &arena.elements[leaf as usize];
+                let own = (self.first[place + 1] - self.first[place]) as usize;
+                let parts = parts_of(element);
+                let links = self.brought(scene, arena, place, lights);
+                let (area, number) = (element.size / parts as f32, (own / parts) as f32);
+                let mut sums =
+                    [0, 1, 2, 3].map(|k| if k < parts { Sums::of(area, number, links[k]) } else { Sums::default() });
+                let of = (scene, arena, &*lights);
+                self.ways(of, place, Weights::Best, |Way { part, irradiance, origin, .. }| {
+                    let bright = luminance(irradiance) * own as f32;
+                    sums[part.min(parts - 1)].find(irradiance * element.size, bright, origin.is_none());
+                });
+                sums
+            })
+            .collect();
+        let mut sums = vec![Sums::default(); arena.elements.len()];
+        for (&leaf, parts) in self.leaves.iter().zip(&by_leaf) {
+            parts.iter().for_each(|part| sums[leaf as usize].add(part));
+        }
+        let mut all = Sums::default();
+        for index in (0..arena.elements.len()).rev() {
+            let element = &arena.elements[index];
+            let part = sums[index];
+            if is_root(arena, element) {
+                all.add(&part);
+            } else if element.surface != NONE {
+                sums[element.parent as usize].add(&part);
+            }
+        }
+        // A parent comes before its children; what its parts have together is known best of it.
+        let nothing = Known { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0) };
+        let whole = all.known(&nothing, chance);
+        let mut known = vec![whole; arena.elements.len()];
+        let roots: Vec<u32> = arena.roots.iter().copied().filter(|&root| root != NONE).collect();
+        let parts: Vec<Sums> = roots.iter().map(|&root| sums[root as usize]).collect();
+        for (&root, part) in roots.iter().zip(whole.of_parts(&all, chance, &parts)) {
+            known[root as usize] = part;
+        }
+        for (index, element) in arena.elements.iter().enumerate() {
+            if element.surface == NONE || element.is_leaf() {
+                continue;
+            }
+            let parts = element.children.map(|child| sums[child as usize]);
+            let parts = known[index].of_parts(&sums[index], chance, &parts);
+            element.children.iter().zip(parts).for_each(|(&child, part)| known[child as usize] = part);
+        }
+        let mut contrast = Vec::with_capacity(self.leaves.len());
+        let (mut changed, mut whole, mut area) = (0.0f64, 0.0f64, 0.0f64);
+        for (&leaf, sums_of) in self.leaves.iter().zip(&by_leaf) {
+            let above = known[leaf as usize];
+            let element = &arena.elements[leaf as usize];
+            let sums_of = &sums_of[..parts_of(element)];
+            let mut parts = vec![above; sums_of.len()];
+            let taken = lights.taken[leaf as usize];
+            if element.kind == Kind::Ball {
+                let arriving = &mut lights.arriving[element.wide as usize];
+                arriving.more =
+                    arriving.whole[FROM_ELEMENTS] * Rgb::splat(above.scale - taken[0]) + Harmonics::even(above.extra);
+            } else {
+                parts = above.of_parts(&sums[leaf as usize], chance, sums_of);
+                let whole = lights.of[leaf as usize].whole[FROM_ELEMENTS];
+                for (node, (more, part)) in lights.more[leaf as usize].iter_mut().zip(&parts).enumerate() {
+                    *more = whole[node] * (part.scale - taken[node]) + part.extra;
+                }
+            }
+            let found = sums_of.iter().zip(&parts).map(|(sums, part)| sums.light(part) / sums.area);
+            let (low, high) =
+                found.fold((f32::INFINITY, 0.0f32), |(low, high), light| (low.min(light), high.max(light)));
+            contrast.push((leaf, high - low));
+            for (sums, part) in sums_of.iter().zip(parts) {
+                let size = f64::from(sums.area);
+                changed += f64::from(sums.light(&part) - sums.links).powi(2) / size.max(f64::MIN_POSITIVE);
+                (whole, area) = (whole + f64::from(sums.links), area + size);
+            }
+        }
+        let area = area.max(f64::MIN_POSITIVE);
+        let changed = (changed / area).sqrt() / (whole / area).max(f64::MIN_POSITIVE);
+        let ratio = if all.links > 0.0 { all.rays / all.links } else { 1.0 };
+        Found { ratio, changed: changed as f32, contrast }
+    }
+
+    /// Irradiance that links bring to the parts of a leaf, lx.
+    fn brought(&self, scene: &Scene<'_>, arena: &Arena, place: usize, lights: &Lights) -> [f32; PARTS] {
+        let leaf = self.leaves[place];
+        let element = &arena.elements[leaf as usize];
+        if element.kind == Kind::Ball {
+            let light = lights.arriving[element.wide as usize].whole[FROM_ELEMENTS];
+            let range = self.first[place] as usize..self.first[place + 1] as usize;
+            let number = range.len() as f32;
+            let normal = |ray| self.origin_of(scene, arena, place, ray).normal;
+            let sum: f32 = range.map(|ray| luminance(light.cosine(normal(ray))).max(0.0)).sum();
+            return [sum / number; PARTS];
+        }
+        lights.of[leaf as usize].whole[FROM_ELEMENTS].map(|light| luminance(light.max(Rgb::ZERO)))
+    }
+}
+
+/// What is known of a part of a surface.
+#[derive(Clone, Copy, Debug)]
+struct Known {
+    /// What is taken of what the links bring.
+    scale: f32,
+    /// What is added to that, lx.
+    extra: Rgb,
+    /// Irradiance of a ray that meets something bright, lx.
+    bright: f32,
+}
+
+impl Known {
+    /// Of the parts of a whole, which together have what the whole has.
+    fn of_parts(self, whole: &Sums, chance: f32, parts: &[Sums]) -> Vec<Self> {
+        let above = Self { bright: whole.bright(self.bright), ..self };
+        let known: Vec<Self> = parts.iter().map(|part| part.known(&above, chance)).collect();
+        let together: f32 = parts.iter().zip(&known).map(|(part, known)| part.light(known)).sum();
+        let more = (whole.light(&self) / together.max(f32::MIN_POSITIVE)).min(MOST);
+        let bright = |part: &Sums| part.bright(above.bright);
+        parts
+            .iter()
+            .zip(known)
+            .map(|(part, known)| Self { scale: known.scale * more, extra: known.extra * more, bright: bright(part) })
+            .collect()
+    }
+}
+
+fn is_root(arena: &Arena, element: &Element) -> bool {
+    element.surface != NONE && (element.parent == NONE || arena.elements[element.parent as usize].surface == NONE)
+}

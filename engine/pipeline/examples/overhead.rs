@@ -5,7 +5,7 @@
 //!
 //! With `without` or `with` as a fifth word it renders once and in that way alone: to count instructions.
 
-use femc_film::Tiling;
+use femc_film::{Rect, Tiling};
 use femc_pipeline::paths::represent::{Bins, Distance, Target, best_of, representative};
 use femc_pipeline::paths::schema::path_bins;
 use femc_pipeline::paths::{PathsError, Statistics};
@@ -21,13 +21,10 @@ const N: usize = 5000;
 /// Width and height of a tile, pixels.
 const EDGE: u32 = 64;
 
-/// What a way of rendering a frame took, the hash of its tiles, and the statistics of each.
-type Rendered = (f64, blake3::Hash, Vec<Vec<u8>>);
-
 fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let [file, size, samples, pairs, way @ ..] = &words[..] else {
-        return Err("usage: overhead SCENE WIDTHxHEIGHT SAMPLES PAIRS [without|with]".into());
+        return Err("usage: overhead SCENE WIDTHxHEIGHT SAMPLES TURNS [without|with]".into());
     };
     let (width, height) = size.split_once('x').ok_or("the size is WIDTHxHEIGHT")?;
     let size = Some([width.parse()?, height.parse()?]);
@@ -36,46 +33,72 @@ fn main() -> Result<(), Box<dyn Error>> {
     let settings = Settings { size, seed: 7, stop: Stop::Spp(samples.parse()?), ..Settings::default() };
     let prepared = prepare(&source, &settings, 1, None)?;
     if let [way] = way {
-        let (seconds, hash, _) = frame(&prepared, &settings, way == "with")?;
+        let (seconds, hash) = frame(&prepared, &settings, way == "with")?;
         println!("{hash} {seconds:.3} s");
         return Ok(());
     }
-    let (mut least, mut parts) = ([f64::INFINITY; 2], Vec::new());
-    for _ in 0..pairs.parse::<u32>()? {
-        let (without, expected, _) = frame(&prepared, &settings, false)?;
-        let (with, hash, own) = frame(&prepared, &settings, true)?;
-        if hash != expected {
-            return Err("statistics have changed the pixels".into());
-        }
-        (least, parts) = ([least[0].min(without), least[1].min(with)], own);
-    }
-    let [without, with] = least;
+    let ([without, with], parts) = by_turns(&prepared, &settings, pairs.parse()?)?;
     println!("rendered in {without:.3} s, with statistics in {with:.3} s: {:+.2} %", 100.0 * (with / without - 1.0));
     let all = united(&parts, without)?;
     represent(&all);
     Ok(())
 }
 
-/// Renders and packs all tiles of a frame.
-fn frame(prepared: &Prepared, settings: &Settings, with: bool) -> Result<Rendered, Box<dyn Error>> {
-    let [width, height] = prepared.camera.film;
-    let tiling = Tiling { width, height, edge: EDGE };
-    let plan = StatisticsPlan::of(prepared, settings, EDGE);
-    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-    let (mut hasher, mut parts) = (blake3::Hasher::new(), Vec::new());
+/// Renders all tiles of a frame in one way: seconds, and the hash of the tiles.
+fn frame(prepared: &Prepared, settings: &Settings, with: bool) -> Result<(f64, blake3::Hash), Box<dyn Error>> {
+    let mut hasher = blake3::Hasher::new();
     let began = Instant::now();
-    for rect in tiling.rects() {
-        let Stop::Spp(spp) = settings.stop else { return Err("samples are not counted".into()) };
-        let tile = if with {
-            let done = render_with_statistics(prepared, settings, &plan, rect, 0..spp, &cancel, &progress)?;
-            parts.push(done.1.encode());
-            done.0.tile
-        } else {
-            render_tile(prepared, settings, rect, 0..spp, &cancel, &progress)?.tile
-        };
-        hasher.update(&tile.encode());
+    for rect in tiling(prepared).rects() {
+        hasher.update(&rendered(prepared, settings, rect, with)?.0);
     }
-    Ok((began.elapsed().as_secs_f64(), hasher.finalize(), parts))
+    Ok((began.elapsed().as_secs_f64(), hasher.finalize()))
+}
+
+/// Renders each tile so often in both ways by turns. Seconds of a frame are the sum of the least of each tile: what else the machine does
+/// lengthens some turns, and hardly ever all of a tile.
+fn by_turns(prepared: &Prepared, settings: &Settings, turns: u32) -> Result<([f64; 2], Vec<Vec<u8>>), Box<dyn Error>> {
+    let (mut sums, mut parts) = ([0.0; 2], Vec::new());
+    for rect in tiling(prepared).rects() {
+        let (mut least, mut tiles) = ([f64::INFINITY; 2], [Vec::new(), Vec::new()]);
+        let mut part = None;
+        for turn in 0..2 * turns {
+            let with = turn % 2 == 1;
+            let began = Instant::now();
+            let (tile, own) = rendered(prepared, settings, rect, with)?;
+            let way = usize::from(with);
+            least[way] = least[way].min(began.elapsed().as_secs_f64());
+            tiles[way] = tile;
+            part = own.or(part);
+        }
+        if tiles[0] != tiles[1] {
+            return Err("statistics have changed the pixels".into());
+        }
+        parts.extend(part);
+        sums = [sums[0] + least[0], sums[1] + least[1]];
+    }
+    Ok((sums, parts))
+}
+
+fn tiling(prepared: &Prepared) -> Tiling {
+    let [width, height] = prepared.camera.film;
+    Tiling { width, height, edge: EDGE }
+}
+
+/// The bytes of a tile, and of its statistics.
+type Packed = (Vec<u8>, Option<Vec<u8>>);
+
+/// Renders and packs a tile, as a task of the farm does.
+fn rendered(prepared: &Prepared, settings: &Settings, rect: Rect, with: bool) -> Result<Packed, Box<dyn Error>> {
+    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+    let Stop::Spp(spp) = settings.stop else { return Err("samples are not counted".into()) };
+    if !with {
+        let done = render_tile(prepared, settings, rect, 0..spp, &cancel, &progress)?;
+        return Ok((done.tile.encode(), None));
+    }
+    let plan = StatisticsPlan::of(prepared, settings, EDGE);
+    let (done, statistics) = render_with_statistics(prepared, settings, &plan, rect, 0..spp, &cancel, &progress)?;
+    let part = statistics.encode();
+    Ok((done.tile.encode(), Some(part)))
 }
 
 /// Unites the tiles as the last task of a frame does.

@@ -4,7 +4,7 @@
 //! are known only when all are done: they are traced again then, as any sample can be.
 //!
 //! What is chosen is a function of the settings: of all samples that a frame may have at the end of a round about as many records as it keeps,
-//! but no more than one sample in 128, so that recording takes no more than some hundredths of the time, nor fewer than 5,000, which
+//! but no more than one sample in 256, so that recording takes no more than some hundredths of the time, nor fewer than 5,000, which
 //! take a twentieth of a second. A task of a later round keeps a smaller share, and the least share holds for the frame.
 
 mod heard;
@@ -27,9 +27,9 @@ use std::sync::atomic::{AtomicBool, AtomicU64};
 const KEEP: u32 = 16 * 5000;
 /// Records of each sketch for each half of a tile.
 const TOP: u32 = 16;
-/// Most records that are chosen, as a share of all samples: to record a path, to pack it and to unite it takes twice as long as to trace an
-/// ordinary one of a cheap scene.
-const MOST: f64 = 1.0 / 128.0;
+/// Most records that are chosen, as a share of all samples: to record a path, to pack it and to unite it takes as long as to trace five
+/// ordinary ones of a cheap scene.
+const MOST: f64 = 1.0 / 256.0;
 /// Records that are chosen in any case: as many as one representative set has.
 const LEAST: f64 = 5000.0;
 

@@ -140,7 +140,7 @@ fn a_frame_whose_statistics_are_gone_is_rendered_again() {
 #[test]
 fn frames_of_a_job_are_asked_as_one_in_any_order_and_given_twice_they_count_once() {
     let place = Place::new();
-    place.run("render fog.mgf --frames 2,3 --size 40x24 --spp 6 --stats -o clip").exits(0);
+    place.run("render fog.mgf --frames 2..3 --size 40x24 --spp 6 --stats -o clip").exits(0);
     let [a, b] = ["clip/fog.0002.paths", "clip/fog.0003.paths"];
     place.run(&format!("paths {b} {a} {b} --out twice.paths")).exits(0);
     place.run("paths clip --out all.paths").exits(0);

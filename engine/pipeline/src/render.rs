@@ -82,6 +82,9 @@ pub fn render_tile(
     render_rows(prepared, settings, rect, samples, cancel, progress, || ()).map(|(rendered, _)| rendered)
 }
 
+/// Rows of pixels that one thread has rendered, one after the other, and its tracer.
+type Run<'a, R> = (Vec<Tile>, Tracer<'a, R>);
+
 /// The same with a recorder for each run of rows of pixels, and what they have heard, in order. The tile is the same to the bit.
 pub fn render_rows<R: Recorder + Send>(
     prepared: &Prepared,
@@ -123,7 +126,7 @@ pub fn render_rows<R: Recorder + Send>(
             Ok((strips, tracer))
         },
     );
-    let runs: Vec<Result<(Vec<Tile>, Tracer<'_, R>), RenderError>> = rows.collect();
+    let runs: Vec<Result<Run<'_, R>, RenderError>> = rows.collect();
     let (mut tiles, mut rays, mut shadow_rays) = (Vec::with_capacity(rect.height as usize), 0, 0);
     let mut recorders = Vec::with_capacity(runs.len());
     for run in runs {

@@ -167,11 +167,11 @@ fn frames_of_a_job_are_asked_as_one_in_any_order_and_given_twice_they_count_once
     assert_eq!(found["samples"], 2 * 40 * 24 * 6);
     // The same frame of another scene is no part of that job.
     place
-        .run("render fog.mgf --frames 2 --size 40x24 --spp 6 --stats -o other.exr --set medium.air.sigma_s=0.9")
+        .run("render fog.mgf --frames 2 --size 40x24 --spp 6 --stats -o other.exr --set medium.fog.sigma_a=0.9")
         .exits(0);
     let refused = place.run("paths all.paths other.paths --union").exits(2);
     assert!(refused.stderr().contains("other.paths") && refused.stderr().contains("one job"), "{}", refused.stderr());
-    place.run("paths all.paths --out no/where/all.paths").exits(1);
+    place.run("paths all.paths --out again.paths --csv").exits(2);
 }
 
 #[test]

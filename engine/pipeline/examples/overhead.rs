@@ -54,9 +54,12 @@ fn frame(prepared: &Prepared, settings: &Settings, with: bool) -> Result<(f64, b
     Ok((began.elapsed().as_secs_f64(), hasher.finalize()))
 }
 
+/// Seconds without and with statistics, and the statistics of the tiles.
+type Turns = ([f64; 2], Vec<Vec<u8>>);
+
 /// Renders each tile so often in both ways by turns. Seconds of a frame are the sum of the least of each tile: what else the machine does
 /// lengthens some turns, and hardly ever all of a tile.
-fn by_turns(prepared: &Prepared, settings: &Settings, turns: u32) -> Result<([f64; 2], Vec<Vec<u8>>), Box<dyn Error>> {
+fn by_turns(prepared: &Prepared, settings: &Settings, turns: u32) -> Result<Turns, Box<dyn Error>> {
     let (mut sums, mut parts) = ([0.0; 2], Vec::new());
     for rect in tiling(prepared).rects() {
         let (mut least, mut tiles) = ([f64::INFINITY; 2], [Vec::new(), Vec::new()]);

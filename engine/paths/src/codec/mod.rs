@@ -25,7 +25,7 @@
 //! | pixels, portion by portion | samples, depth, throughput, luminance: 2, its squares: 4 ([`crate::pixels`]) |
 //! | names | kind, bytes of the text |
 //!
-//! The texts follow, one after the other, and then the tables of the [records]. Names are their places among the names, from 1; 0 is none.
+//! The texts follow, one after the other, and then the tables of the records (`codec/records.rs`). Names are their places among the names, from 1; 0 is none.
 //!
 //! The checksum is looked at first. What is decompressed is never more than the header says, and nothing is made room for that has not
 //! come out of it. Accepted bytes hold all laws of [`Statistics`]: order, ranges, portions apart, no number that is not finite.

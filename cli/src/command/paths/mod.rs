@@ -134,7 +134,8 @@ pub fn run(args: &PathsArgs, say: Say) -> Result<Exit, Failure> {
         Table::Intersections => out.put(&table::intersections(), &rows(&found, table::intersection_rows))?,
         Table::Lights => out.put(&table::lights(), &rows(&found, table::light_rows))?,
         Table::Histograms => {
-            out.put(&table::histograms(), &units.iter().flat_map(table::bin_rows).collect::<Vec<_>>())?
+            let rows: Vec<_> = units.iter().flat_map(table::bin_rows).collect();
+            out.put(&table::histograms(), &rows)?;
         }
         Table::Pairs => out.put(&table::pairs(), &units.iter().flat_map(table::pair_rows).collect::<Vec<_>>())?,
         Table::Pixels => out.put(&table::pixels(), &rows(&found, table::pixel_rows))?,

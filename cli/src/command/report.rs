@@ -72,8 +72,24 @@ fn light_files(subjects: &[Subject]) -> Result<Option<Vec<PathBuf>>, Failure> {
 }
 
 fn light_page(args: &ReportArgs, files: &[PathBuf], say: Say) -> Result<Exit, Failure> {
-    let frames: Vec<_> =
-        files.iter().map(|file| Ok((file.clone(), super::paths::read(file)?))).collect::<Result<_, Failure>>()?;
+    let mut frames = Vec::new();
+    for file in files {
+        let unit = super::paths::read(file)?;
+        let is_one = unit.frames.len() == 1;
+        for statistics in unit.frames {
+            // Of a union the frames' numbers tell them apart.
+            let number = statistics.scope.frame;
+            let name = if is_one { file.clone() } else { format!("{}, frame {number}", file.display()).into() };
+            frames.push((name, statistics));
+        }
+    }
+    if frames.len() > light::FILES {
+        return Err(usage(format!(
+            "{} frames: a page shows at most {}; `femc bottlenecks` takes them all",
+            frames.len(),
+            light::FILES
+        )));
+    }
     let out = args.out.clone().unwrap_or_else(|| match files {
         [one] => one.with_extension("html"),
         _ => "light.html".into(),

@@ -138,6 +138,43 @@ fn a_frame_whose_statistics_are_gone_is_rendered_again() {
 }
 
 #[test]
+fn frames_of_a_job_are_asked_as_one_in_any_order_and_given_twice_they_count_once() {
+    let place = Place::new();
+    place.run("render fog.mgf --frames 2..3 --size 40x24 --spp 6 --stats -o clip").exits(0);
+    let [a, b] = ["clip/fog.0002.paths", "clip/fog.0003.paths"];
+    place.run(&format!("paths {b} {a} {b} --out twice.paths")).exits(0);
+    place.run("paths clip --out all.paths").exits(0);
+    place.run(&format!("paths all.paths {a} --out again.paths")).exits(0);
+    let expected = bytes(&place, "all.paths");
+    assert!(bytes(&place, "twice.paths") == expected && bytes(&place, "again.paths") == expected);
+    let rows = |line: &str| -> Vec<serde_json::Value> {
+        let rows = place.run(&format!("paths {line} --json")).exits(0).json();
+        rows.as_array().expect("rows").clone()
+    };
+    let paths: usize = [a, b].map(|name| statistics(&place, name).paths.len()).iter().sum();
+    let all = rows("all.paths");
+    assert_eq!(all.len(), paths, "small frames keep all");
+    let numbers: std::collections::BTreeSet<u64> = all.iter().filter_map(|row| row["path"].as_u64()).collect();
+    assert_eq!(numbers.len(), paths, "a path has a number of its own");
+    assert!([2, 3].iter().all(|frame| all.iter().any(|row| row["frame"] == *frame)));
+    // One set of answers: the histograms are those of both frames, and one representative set stands for both.
+    let samples = |line: &str| -> u64 { rows(line).iter().map(|row| row["samples"].as_u64().expect("a number")).sum() };
+    let [first, second] = [a, b].map(|name| samples(&format!("{name} --table histograms")));
+    assert_eq!(samples("clip --union --table histograms"), first + second);
+    assert_eq!(rows("all.paths --few 100").len(), 100);
+    assert_eq!(rows(&format!("{a} {b} --few 100")).len(), 200);
+    let found = place.run("bottlenecks all.paths --json").exits(0).json();
+    assert_eq!(found["samples"], 2 * 40 * 24 * 6);
+    // The same frame of another scene is no part of that job.
+    place
+        .run("render fog.mgf --frames 2 --size 40x24 --spp 6 --stats -o other.exr --set medium.fog.sigma_a=0.9")
+        .exits(0);
+    let refused = place.run("paths all.paths other.paths --union").exits(2);
+    assert!(refused.stderr().contains("other.paths") && refused.stderr().contains("one job"), "{}", refused.stderr());
+    place.run("paths all.paths --out again.paths --csv").exits(2);
+}
+
+#[test]
 fn paths_are_found_by_what_they_met() {
     let place = Place::new();
     named(&place);

@@ -13,7 +13,7 @@
 //!
 //! A sample with a NaN, infinite, negative or absurd component is counted and left out: the pixel's mean is over the others.
 
-use crate::{BadSample, BadSamples, FilmError, Rect, Sample};
+use crate::{BadKind, BadSample, BadSamples, FilmError, Rect, Sample};
 use femc_math::color::luminance;
 use femc_math::sampler::{REPLICATES, replicate_of};
 use femc_stats::ExactSum;
@@ -308,15 +308,17 @@ impl Tile {
 
     /// Adds sample number `index` of the film's pixel (`x`, `y`), which must lie in the tile.
     ///
-    /// A bad sample is counted, with its place, and changes no sum.
+    /// A bad sample is counted, with its place, and changes no sum; returned is what makes it unusable.
     #[inline]
-    pub fn add(&mut self, x: u32, y: u32, index: u32, sample: &Sample) {
+    pub fn add(&mut self, x: u32, y: u32, index: u32, sample: &Sample) -> Option<BadKind> {
         debug_assert!(self.rect.contains(x, y), "pixel {x},{y} outside of tile {}", self.rect);
         debug_assert!(self.ranges.iter().any(|r| (r.start..r.end).contains(&index)), "sample {index} not announced");
-        match sample.fault() {
+        let fault = sample.fault();
+        match fault {
             None => self.pixels[((y - self.rect.y) * self.rect.width + (x - self.rect.x)) as usize].add(index, sample),
             Some(kind) => self.bad.add(BadSample { y, x, sample: index, kind }),
         }
+        fault
     }
 
     /// Adds the samples of `other`, a tile of the same pixels.

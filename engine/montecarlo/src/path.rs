@@ -1,9 +1,9 @@
 //! The path loop.
 
 use crate::dimensions as dim;
-use crate::fog::{Collision, Fog, FoggyRay, Segment};
+use crate::fog::{Collision, Fog, FoggyRay, Scattered, Segment};
 use crate::guided::Scattering;
-use crate::record::{Contribution, Found, Leaving, Place, Recorder, Scatterer, Stop, Vertex};
+use crate::record::{Contribution, Found, Hears, Leaving, Place, Recorder, Scatterer, Stop, Vertex};
 use crate::shadow::Shadow;
 use crate::technique::{Technique, weight};
 use femc_emission::{AtPoint, Choice, DeltaKind, Lobes};
@@ -114,6 +114,15 @@ enum Came {
     },
 }
 
+/// Tells the recorder of something on the way, if it hears of the sample's whole path.
+macro_rules! tell {
+    ($tracer:ident.$what:ident($($about:tt)*)) => {
+        if HEARD {
+            $tracer.recorder.$what($($about)*);
+        }
+    };
+}
+
 /// Traces the samples of one frame on one thread.
 /// - `R`: hears of what the paths do; `()`: nobody does.
 pub struct Tracer<'a, R = ()> {
@@ -178,9 +187,9 @@ impl<'a, R: Recorder> Tracer<'a, R> {
     }
 
     /// Draws sample `sample` of `pixel` (row-major index in the whole film).
-    #[inline]
+    #[inline(always)]
     pub fn sample(&mut self, pixel: u32, sample: u32, filter: impl PixelFilter) -> PathSample {
-        self.recorder.begin(pixel, sample);
+        let hears = self.recorder.begin(pixel, sample);
         let mut stream = SampleStream::new(self.settings.seed, self.scene.frame, pixel, sample);
         stream.seek(dim::FILM);
         let offset = filter.sample(stream.next_2d());
@@ -204,16 +213,17 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 let number = (choice + part as f32 / SIGHTS as f32).fract();
                 // A quarter of the square each.
                 let point = [0, 1].map(|axis| 0.5 * (point[axis] + (part >> axis & 1) as f32));
-                drawn += self.sight(seen, &view, time, center, filter, number, point);
+                drawn += self.sight(seen, &view, time, center, filter, number, point, hears);
             }
         }
-        let mut out = if self.scene.media.is_empty() {
-            self.trace::<false>(ray, came, stream)
-        } else {
-            self.trace::<true>(ray, came, stream)
+        // What hears of the end alone slows no path down.
+        let mut out = match (self.scene.media.is_empty(), hears) {
+            (true, Hears::End) => self.trace::<false, false>(ray, came, stream),
+            (false, Hears::End) => self.trace::<true, false>(ray, came, stream),
+            (true, Hears::All) => self.trace::<false, true>(ray, came, stream),
+            (false, Hears::All) => self.trace::<true, true>(ray, came, stream),
         };
         out.color += drawn;
-        self.recorder.end(out.color);
         out
     }
 
@@ -228,6 +238,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         filter: impl PixelFilter,
         number: f32,
         u: [f32; 2],
+        hears: Hears,
     ) -> Rgb {
         let scene = self.scene;
         let choice = seen.choose(number, center);
@@ -261,18 +272,25 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             self.shadow.visibility::<true>(scene, from, &point, time, &scene.camera_inside, counters)
         };
         let color = point.radiance * visibility * (weight * density / pdf);
-        self.recorder.light(|| Contribution {
-            color,
-            throughput: Rgb::ONE,
-            bounce: 0,
-            found: Found::Sight,
-            light: Some(choice.light),
-            position: point.position,
-        });
+        if hears == Hears::All {
+            self.recorder.light(|| Contribution {
+                color,
+                throughput: Rgb::ONE,
+                bounce: 0,
+                found: Found::Sight,
+                light: Some(choice.light),
+                position: point.position,
+            });
+        }
         color
     }
 
-    fn trace<const MEDIA: bool>(&mut self, mut ray: Ray, came: Came, mut stream: SampleStream) -> PathSample {
+    fn trace<const MEDIA: bool, const HEARD: bool>(
+        &mut self,
+        mut ray: Ray,
+        came: Came,
+        mut stream: SampleStream,
+    ) -> PathSample {
         let scene = self.scene;
         let mut out = PathSample { color: Rgb::ZERO, albedo: Rgb::ZERO, depth: f32::INFINITY };
         let mut throughput = Rgb::ONE;
@@ -283,7 +301,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         let mut scale = 1.0f32;
         let mut first = true;
         // The segment that the path is in, and its rays until now: a segment that goes through clear surfaces has several.
-        let (mut segment, mut rays) = (0u32, 0u32);
+        let (mut segment, mut rays, mut vertices) = (0u32, 0u32, 0u32);
         loop {
             let base = dim::ray(rays);
             rays += 1;
@@ -306,56 +324,63 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 let stretch = Segment { origin, dir, time, inside: &inside, bounce: segment, base };
                 let color = throughput * fog.glow(&stretch, &mut stream);
                 out.color += color;
-                self.recorder.light(|| Contribution {
+                tell!(self.light(|| Contribution {
                     color,
                     throughput,
                     bounce: segment,
                     found: Found::Glow(fog.glowing()),
                     light: None,
                     position: ray.origin,
-                });
+                }));
                 if may_scatter {
                     fog.weigh(&stretch);
                     if let Some(scattered) = fog.airlight(&stretch, &mut stream) {
+                        if HEARD
+                            && scattered.color == Rgb::ZERO
+                            && let Some(shadow) = shadow_of(scene, &stretch, &scattered, &mut stream)
+                        {
+                            tell!(self.hidden(|| shadow));
+                        }
                         let color = throughput * scattered.color;
                         out.color += color;
-                        self.recorder.light(|| Contribution {
+                        tell!(self.light(|| Contribution {
                             color,
                             throughput,
                             bounce: segment,
                             found: Found::Airlight(fog.medium_of(&scattered.event)),
                             light: Some(scattered.light),
                             position: ray.origin + ray.dir * scattered.event.t,
-                        });
+                        }));
                     }
                 }
                 match fog.collide(&stretch, &mut stream) {
                     Ok(collision) => {
                         first = false;
                         if !may_scatter {
-                            self.recorder.stop(Stop::Depth, throughput);
+                            self.recorder.stop(vertices, Stop::Depth, throughput);
                             break;
                         }
                         throughput *= collision.event.weight;
                         let position = collision.position;
-                        self.recorder.vertex(|| Vertex {
+                        vertices += 1;
+                        tell!(self.vertex(|| Vertex {
                             place: Place::Medium(fog.medium_of(&collision.event)),
                             position,
                             bounce: segment,
                             throughput,
-                        });
+                        }));
                         if let Some(field) = self.field {
                             let color = throughput * field.fog.mean_radiance(position);
                             out.color += color;
-                            self.recorder.light(|| from_field(color, throughput, segment, position));
-                            self.recorder.stop(Stop::Field, throughput);
+                            tell!(self.light(|| from_field(color, throughput, segment, position)));
+                            self.recorder.stop(vertices, Stop::Field, throughput);
                             break;
                         }
                         let Some(new) = fog.scatter(&stretch, &collision, &mut stream) else {
-                            self.recorder.stop(Stop::Absorbed, throughput);
+                            self.recorder.stop(vertices, Stop::Absorbed, throughput);
                             break;
                         };
-                        self.recorder.leave(Leaving::Scattered { pdf: new.pdf, by: Scatterer::Phase });
+                        tell!(self.leave(Leaving::Scattered { pdf: new.pdf, by: Scatterer::Phase }));
                         throughput *= new.weight;
                         std::mem::swap(&mut self.fog, &mut self.fog_before);
                         previous = Previous { position, came: Came::Medium { collision, phase: new.phase } };
@@ -363,7 +388,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                         segment += 1;
                         scale *= new.pdf / new.phase;
                         if !survives::<MEDIA>(rays, &mut throughput, scale, &mut stream, base) {
-                            self.recorder.stop(Stop::of_lost(throughput), throughput);
+                            self.recorder.stop(vertices, Stop::of_lost(throughput), throughput);
                             break;
                         }
                         continue;
@@ -372,21 +397,21 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 }
             }
             let Some(hit) = hit else {
-                self.recorder.stop(Stop::Escaped, throughput);
+                self.recorder.stop(vertices, Stop::Escaped, throughput);
                 break;
             };
             let point = scene.surface(&ray, &hit);
             if point.light != NONE {
                 let color = throughput * self.met_light(&ray, &point, &previous);
                 out.color += color;
-                self.recorder.light(|| Contribution {
+                tell!(self.light(|| Contribution {
                     color,
                     throughput,
                     bounce: segment,
                     found: Found::Met,
                     light: Some(point.light),
                     position: point.position,
-                });
+                }));
             }
             let material = &scene.materials[point.material as usize];
             let back = point.normal.dot(ray.dir) > 0.0;
@@ -404,17 +429,18 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 throughput *= crossing.unbent();
                 ray = straight_on(&ray, &point, &mut inside, material, back);
                 if !survives::<MEDIA>(rays, &mut throughput, scale, &mut stream, base) {
-                    self.recorder.stop(if is_last { Stop::Depth } else { Stop::of_lost(throughput) }, before);
+                    self.recorder.stop(vertices, if is_last { Stop::Depth } else { Stop::of_lost(throughput) }, before);
                     break;
                 }
                 continue;
             }
-            self.recorder.vertex(|| Vertex {
+            vertices += 1;
+            tell!(self.vertex(|| Vertex {
                 place: Place::Surface { instance: hit.instance, primitive: hit.primitive, material: point.material },
                 position: point.position,
                 bounce: segment,
                 throughput,
-            });
+            }));
             let scattering = Scattering::new(self.guide, (&bsdf, &frame, wo), (&hit, &point, back));
             let wanted =
                 scene.lights.at_point(point.position, lit_side(&bsdf, &point, back), lobes(&bsdf, wo, ray.dir));
@@ -424,7 +450,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 let number = dim::fine(stream.next_2d());
                 if let Some(chosen) = scene.lights.choose(&self.at_surface, &wanted, number) {
                     let color = throughput
-                        * self.direct::<MEDIA>(
+                        * self.direct::<MEDIA, HEARD>(
                             chosen,
                             (&bsdf, &scattering),
                             &frame,
@@ -437,14 +463,14 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                             &mut stream,
                         );
                     out.color += color;
-                    self.recorder.light(|| Contribution {
+                    tell!(self.light(|| Contribution {
                         color,
                         throughput,
                         bounce: segment,
                         found: Found::Surface,
                         light: Some(chosen.0),
                         position: point.position,
-                    });
+                    }));
                 }
             }
             let rest;
@@ -461,7 +487,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                     }
                     let color = throughput * color * FRAC_1_PI;
                     out.color += color;
-                    self.recorder.light(|| from_field(color, throughput, segment, point.position));
+                    tell!(self.light(|| from_field(color, throughput, segment, point.position)));
                     rest = bsdf.without_lambertian();
                     Scattering::new(None, (&rest, &frame, wo), (&hit, &point, back))
                 }
@@ -470,7 +496,11 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             let choice = stream.next_1d();
             stream.seek(base + dim::DIRECTION);
             let Some(scattered) = scattering.sample(stream.next_2d(), choice) else {
-                self.recorder.stop(if self.field.is_some() { Stop::Field } else { Stop::Absorbed }, throughput);
+                self.recorder.stop(
+                    vertices,
+                    if self.field.is_some() { Stop::Field } else { Stop::Absorbed },
+                    throughput,
+                );
                 break;
             };
             throughput *= scattered.weight;
@@ -478,17 +508,17 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 && scattered.transmitted == Transmitted::Yes
                 && crossing != Crossing::Scatter
             {
-                self.recorder.leave(Leaving::Straight);
+                tell!(self.leave(Leaving::Straight));
                 ray = straight_on(&ray, &point, &mut inside, material, back);
                 if !survives::<MEDIA>(rays, &mut throughput, scale, &mut stream, base) {
-                    self.recorder.stop(Stop::of_lost(throughput), throughput);
+                    self.recorder.stop(vertices, Stop::of_lost(throughput), throughput);
                     break;
                 }
                 continue;
             }
             let wi = frame.to_world(scattered.wi);
             if !same_side(&frame, &point, scattered.wi, wi) {
-                self.recorder.stop(Stop::Absorbed, throughput);
+                self.recorder.stop(vertices, Stop::Absorbed, throughput);
                 break;
             }
             if scattered.eta != 1.0 {
@@ -499,11 +529,11 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 cross(&mut inside, material, back);
             }
             let came = if scattered.lobe == LobeKind::Delta {
-                self.recorder.leave(Leaving::Delta(scattered.transmitted));
+                tell!(self.leave(Leaving::Delta(scattered.transmitted)));
                 Came::Surely
             } else {
                 let by = if scattered.lobe == LobeKind::Glossy { Scatterer::Glossy } else { Scatterer::Diffuse };
-                self.recorder.leave(Leaving::Scattered { pdf: scattered.pdf, by });
+                tell!(self.leave(Leaving::Scattered { pdf: scattered.pdf, by }));
                 Came::Surface { wanted, pdf: scattered.pdf }
             };
             previous = Previous { position: point.position, came };
@@ -511,7 +541,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             ray = Ray { origin, dir: wi, t_max: f32::INFINITY, time: ray.time };
             segment += 1;
             if !survives::<MEDIA>(rays, &mut throughput, scale, &mut stream, base) {
-                self.recorder.stop(Stop::of_lost(throughput), throughput);
+                self.recorder.stop(vertices, Stop::of_lost(throughput), throughput);
                 break;
             }
         }
@@ -574,7 +604,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
     /// Direct light on a surface by sampling a light.
     /// - `chosen`: its index, and the probability of that.
     #[inline]
-    fn direct<const MEDIA: bool>(
+    fn direct<const MEDIA: bool, const HEARD: bool>(
         &mut self,
         chosen: (u32, f32),
         (bsdf, scattering): (&Bsdf, &Scattering<'_>),
@@ -613,10 +643,22 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         let from = (point.position, point.error, point.normal);
         let visibility = self.shadow.visibility::<MEDIA>(scene, from, light, time, &inside, &mut self.counters);
         if visibility == Rgb::ZERO {
-            self.recorder.hidden(|| segment(from, (light.position, light.error, light.normal), time));
+            tell!(self.hidden(|| segment(from, (light.position, light.error, light.normal), time)));
         }
         contribution * visibility
     }
+}
+
+/// The ray from where nothing of a lamp's light was scattered to the point on the lamp that was drawn for it; `None`: the lamp does not
+/// shine from there.
+#[cold]
+fn shadow_of(scene: &Prepared, stretch: &Segment<'_>, scattered: &Scattered, stream: &mut SampleStream) -> Option<Ray> {
+    let position = stretch.origin + stretch.dir * scattered.event.t;
+    stream.seek(stretch.base + dim::AIRLIGHT_POINT);
+    let (light, time, u) = (scattered.light, stretch.time, stream.next_2d());
+    let point = scene.lights.sample_light(&scene.world, &scene.textures, light, position, time, u)?;
+    let lamp = (point.position, point.error, point.normal);
+    (point.radiance != Rgb::ZERO).then(|| segment((position, Vec3A::ZERO, Vec3A::ZERO), lamp, time))
 }
 
 /// How a surface scatters toward a viewer who looks along `dir`, where that says more than its normal.

@@ -9,28 +9,41 @@ use femc_math::Rgb;
 use femc_math::glam::Vec3A;
 pub use femc_scattering::Transmitted;
 
+/// What a recorder hears of a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hears {
+    /// Why its path stops, and what it comes to.
+    End,
+    /// Every vertex and every contribution, too.
+    All,
+}
+
 /// What the tracer calls for each vertex of a path, for each contribution to a sample, and at the path's end.
 pub trait Recorder {
-    /// A camera sample begins: its pixel, a row-major index in the whole film, and its number.
-    fn begin(&mut self, pixel: u32, sample: u32);
+    /// A camera sample begins: its pixel, a row-major index in the whole film, and its number. Says what is to be heard of it.
+    fn begin(&mut self, pixel: u32, sample: u32) -> Hears;
     /// The path has come to a surface that may scatter, or to a collision in a medium.
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex);
     /// The path goes on from its latest vertex.
     fn leave(&mut self, way: Leaving);
-    /// Something hides the light that was drawn from the latest vertex, a surface; its contribution, of nothing, comes next.
+    /// Something hides the light that was drawn from the latest vertex, a surface, or for a point in fog; its contribution, of nothing, comes
+    /// next.
     fn hidden(&mut self, shadow: impl FnOnce() -> Ray);
     /// Light was found.
     fn light(&mut self, contribution: impl FnOnce() -> Contribution);
     /// The path goes no further.
+    /// - `vertices`: that it has come to;
     /// - `throughput`: its factor, 0 if that is why.
-    fn stop(&mut self, why: Stop, throughput: Rgb);
-    /// The sample is done: its radiance, cd/m2, not checked.
-    fn end(&mut self, color: Rgb);
+    fn stop(&mut self, vertices: u32, why: Stop, throughput: Rgb);
+    /// The sample is done. Whoever has drawn it says its radiance, cd/m2, or that the film refuses it.
+    fn end(&mut self, color: Option<Rgb>);
 }
 
 impl Recorder for () {
     #[inline(always)]
-    fn begin(&mut self, _: u32, _: u32) {}
+    fn begin(&mut self, _: u32, _: u32) -> Hears {
+        Hears::End
+    }
     #[inline(always)]
     fn vertex(&mut self, _: impl FnOnce() -> Vertex) {}
     #[inline(always)]
@@ -40,9 +53,9 @@ impl Recorder for () {
     #[inline(always)]
     fn light(&mut self, _: impl FnOnce() -> Contribution) {}
     #[inline(always)]
-    fn stop(&mut self, _: Stop, _: Rgb) {}
+    fn stop(&mut self, _: u32, _: Stop, _: Rgb) {}
     #[inline(always)]
-    fn end(&mut self, _: Rgb) {}
+    fn end(&mut self, _: Option<Rgb>) {}
 }
 
 /// Why a path goes no further.
@@ -178,9 +191,10 @@ pub struct Recording {
 }
 
 impl Recorder for Recording {
-    fn begin(&mut self, _: u32, _: u32) {
+    fn begin(&mut self, _: u32, _: u32) -> Hears {
         self.steps.clear();
         self.contributions.clear();
+        Hears::All
     }
 
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex) {
@@ -202,9 +216,9 @@ impl Recorder for Recording {
 
     fn hidden(&mut self, _: impl FnOnce() -> Ray) {}
 
-    fn stop(&mut self, _: Stop, _: Rgb) {}
+    fn stop(&mut self, _: u32, _: Stop, _: Rgb) {}
 
-    fn end(&mut self, _: Rgb) {}
+    fn end(&mut self, _: Option<Rgb>) {}
 }
 
 impl Recording {

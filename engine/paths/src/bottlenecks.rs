@@ -207,7 +207,7 @@ pub fn scattered_by(path: &Path, light: &Light) -> Part {
     let vertices = &path.intersections[..path.intersections.len().min(light.vertex as usize)];
     let vertex = match light.found {
         // Of the segment after the vertex.
-        Found::Airlight => return volume(Name::NONE),
+        Found::Airlight => return volume(light.medium),
         Found::Glow => return volume(light.light),
         Found::Sight => None,
         Found::Met => vertices.iter().rev().find(|it| it.interaction != Interaction::Straight),

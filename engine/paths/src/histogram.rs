@@ -35,6 +35,12 @@ impl Table {
         }
     }
 
+    /// Names of each two of its attributes, in the order of [`Histograms::pairs`].
+    pub fn pairs(self) -> impl Iterator<Item = [&'static str; 2]> + use<> {
+        let attributes = self.attributes();
+        (0..attributes.len()).flat_map(move |a| attributes[a + 1..].iter().map(move |b| [attributes[a].name, b.name]))
+    }
+
     /// Its attributes.
     pub fn attributes(self) -> &'static [Attribute] {
         match self {
@@ -57,6 +63,13 @@ pub struct Counts {
 impl Counts {
     fn new(bins: usize) -> Self {
         Self { samples: vec![0; bins], image: vec![0; bins] }
+    }
+
+    /// Adds counts of other samples in the same bins.
+    pub fn merge(&mut self, other: &Self) {
+        for (mine, theirs) in [(&mut self.samples, &other.samples), (&mut self.image, &other.image)] {
+            mine.iter_mut().zip(theirs).for_each(|(mine, theirs)| *mine = mine.saturating_add(*theirs));
+        }
     }
 
     #[inline]
@@ -134,7 +147,6 @@ impl Histograms {
 
     /// The pairs of attributes, in the order of [`Self::pairs`].
     pub fn pair_names(&self) -> impl Iterator<Item = [&'static str; 2]> + use<> {
-        let attributes = self.table.attributes();
-        (0..attributes.len()).flat_map(move |a| attributes[a + 1..].iter().map(move |b| [attributes[a].name, b.name]))
+        self.table.pairs()
     }
 }

@@ -11,6 +11,7 @@
 
 pub mod bottlenecks;
 pub mod codec;
+pub mod frames;
 pub mod histogram;
 pub mod octree;
 pub mod pixels;
@@ -21,5 +22,6 @@ pub mod schema;
 pub mod statistics;
 
 pub use codec::PathsError;
+pub use frames::Frames;
 pub use record::{End, Found, Interaction, Intersection, Kind, Light, Name, Named, Path, PathKey};
 pub use statistics::{Counters, PortionKey, Scope, Statistics, UnionError};

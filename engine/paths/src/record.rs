@@ -1,7 +1,8 @@
 //! Records of light: a path, its intersections, and what lights have brought it.
 
 use femc_math::hash::{Begun, begun};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, HashMap};
+use std::hash::{BuildHasherDefault, Hasher};
 
 /// A camera sample of a frame of a known seed.
 ///
@@ -90,6 +91,27 @@ impl Name {
 
 /// The texts of names.
 pub type Names = BTreeMap<Name, Named>;
+
+/// Something of each name; their order says nothing.
+pub(crate) type ByName<T> = HashMap<Name, T, BuildHasherDefault<KeyHasher>>;
+
+/// A name is a hash already.
+#[derive(Default)]
+pub(crate) struct KeyHasher(u64);
+
+impl Hasher for KeyHasher {
+    fn finish(&self) -> u64 {
+        self.0
+    }
+
+    fn write(&mut self, bytes: &[u8]) {
+        bytes.iter().for_each(|byte| self.0 = self.0.rotate_left(8) ^ u64::from(*byte));
+    }
+
+    fn write_u64(&mut self, key: u64) {
+        self.0 = key;
+    }
+}
 
 macro_rules! numbered {
     ($(#[$doc:meta])* $type:ident: $($(#[$about:meta])* $variant:ident = $word:literal),+ $(,)?) => {
@@ -213,9 +235,11 @@ pub struct Light {
     pub vertex: u32,
     /// The lamp; of a glowing medium the medium; none: the light of a first pass.
     pub light: Name,
+    /// The medium that has scattered the lamp's light into the segment ([`Found::Airlight`]); else none.
+    pub medium: Name,
     /// What it adds to the sample, cd/m2: 0 where something is in between. Finite, not negative.
     pub radiance: [f32; 3],
-    /// The nearest object that hides the lamp from the vertex.
+    /// The nearest object that hides the lamp from the vertex, or from the point in the medium.
     pub occluder: Option<Name>,
     /// How it was found.
     pub found: Found,
@@ -227,10 +251,43 @@ impl Path {
         luminance(self.radiance)
     }
 
+    /// Light that goes from each intersection along the path, cd/m2: the record's lights from there on, the latest first, without the
+    /// factor on arrival; 0 where that is 0.
+    /// - `emits`: whether an intersection is itself what the latest lamp was that the path met before it counted as one.
+    pub fn sent(&self, emits: impl Fn(usize) -> bool) -> Vec<[f32; 3]> {
+        let (mut sum, mut earlier) = ([0f32; 3], &self.lights[..]);
+        let mut sent = vec![[0f32; 3]; self.intersections.len()];
+        for (index, (it, sent)) in self.intersections.iter().zip(&mut sent).enumerate().rev() {
+            while let Some((light, before)) = earlier.split_last()
+                && light.vertex as usize > index
+            {
+                sum = added(sum, light.radiance);
+                earlier = before;
+            }
+            let mut here = earlier.iter().rev().take_while(|light| light.vertex as usize == index);
+            let own = here.find(|light| light.found == Found::Met).filter(|_| emits(index));
+            let all = own.map_or(sum, |own| added(sum, own.radiance));
+            *sent = std::array::from_fn(|channel| {
+                let (light, factor) = (all[channel], it.throughput[channel]);
+                if factor > 0.0 { (light / factor).min(f32::MAX) } else { 0.0 }
+            });
+        }
+        sent
+    }
+
+    /// What its lights add up to, cd/m2: those drawn from the camera are added last, as a renderer does.
+    pub(crate) fn sum(&self) -> [f32; 3] {
+        let of = |is_sight: bool| {
+            let lights = self.lights.iter().filter(|light| (light.found == Found::Sight) == is_sight);
+            lights.fold([0f32; 3], |sum, light| added(sum, light.radiance))
+        };
+        added(of(false), of(true))
+    }
+
     /// All names that the record has.
     pub(crate) fn names(&self) -> impl Iterator<Item = Name> + '_ {
         let surfaces = self.intersections.iter().flat_map(|it| [it.object, it.material]);
-        let lights = self.lights.iter().flat_map(|it| [it.light, it.occluder.unwrap_or_default()]);
+        let lights = self.lights.iter().flat_map(|it| [it.light, it.medium, it.occluder.unwrap_or_default()]);
         surfaces.chain(lights)
     }
 
@@ -249,6 +306,10 @@ impl Path {
             && are_sound
             && self.lights.iter().all(|it| is_light(it.radiance) && it.vertex <= self.depth)
     }
+}
+
+fn added(a: [f32; 3], b: [f32; 3]) -> [f32; 3] {
+    std::array::from_fn(|channel| a[channel] + b[channel])
 }
 
 /// Luminance of a color, cd/m2 of cd/m2 by channel.

@@ -10,7 +10,7 @@
 //! the same threshold.
 
 use crate::pixels::{self, PixelSums};
-use crate::record::{Name, Names, Path, PathKey};
+use crate::record::{ByName, Names, Path, PathKey};
 use crate::schema;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ops::Bound;
@@ -68,6 +68,21 @@ impl Scope {
         let end = |begin: u32, size: u32| begin.saturating_add(edge).min(size);
         let (columns, rows) = (x..end(x, width), y..end(y, height));
         rows.flat_map(move |y| columns.clone().map(move |x| y * width + x))
+    }
+
+    /// Places of intersections are whole multiples of it, m: a power of two, 2^-20 to 2^-19 of the box's greatest extent.
+    pub fn grid(&self) -> f64 {
+        let extents = self.lower.iter().zip(&self.upper).map(|(low, high)| high - low);
+        let extent = extents.fold(0.0, f64::max).clamp(1e-30, 1e30);
+        // The exponent alone.
+        f64::from_bits(extent.to_bits() >> 52 << 52) / f64::from(1u32 << 19)
+    }
+
+    /// The nearest place on the [grid](Self::grid).
+    pub fn on_grid(&self, position: [f64; 3]) -> [f64; 3] {
+        let grid = self.grid();
+        // A negative zero is none.
+        position.map(|axis| (axis / grid).round() * grid + 0.0)
     }
 
     /// Pixels of the film.
@@ -376,9 +391,9 @@ impl Statistics {
         self.keep_best(&mut deepest, most, depth_rank);
         (self.brightest, self.deepest) = (brightest, deepest);
         let records = [&self.paths, &self.brightest, &self.deepest];
-        let used: BTreeSet<Name> =
-            records.into_iter().flat_map(|records| records.values()).flat_map(Path::names).collect();
-        self.names.retain(|name, _| used.contains(name));
+        let all = records.into_iter().flat_map(|records| records.values()).flat_map(Path::names);
+        let used: ByName<()> = all.map(|name| (name, ())).collect();
+        self.names.retain(|name, _| used.contains_key(name));
     }
 
     /// Keeps the `most` records of greatest `rank` of each portion; among equal ranks the record with the lesser hash wins.

@@ -1,71 +1,150 @@
-//! What hearing of paths costs: renders a frame of a scene on one thread, without statistics or, with a fourth word, with them.
+//! What light statistics cost: renders a frame of a scene on one thread, tile by tile as a farm does, by turns without and with statistics;
+//! unites what the tiles have, and chooses a representative set.
 //!
-//! `cargo run --release -p femc-pipeline --example overhead -- scene.mgf 128 16 [stats]`
+//! `cargo run --release -p femc-pipeline --example overhead -- scene.mgf 192x192 32 5`
+//!
+//! With `without` or `with` as a fifth word it renders once and in that way alone: to count instructions.
 
-use femc_film::{Rect, Tile};
-use femc_pipeline::paths::represent::{Distance, Target, best_of, representative};
+use femc_film::{Rect, Tiling};
+use femc_pipeline::paths::represent::{Bins, Distance, Target, best_of, representative};
 use femc_pipeline::paths::schema::path_bins;
-use femc_pipeline::{Settings, Source, StatisticsPlan, Stop, prepare, render_tile, render_with_statistics};
+use femc_pipeline::paths::{PathsError, Statistics};
+use femc_pipeline::{Prepared, Settings, Source, StatisticsPlan, Stop, prepare, render_tile, render_with_statistics};
+use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 use std::time::Instant;
 
-fn main() -> Result<(), Box<dyn std::error::Error>> {
-    let mut words = std::env::args().skip(1);
-    let (Some(file), Some(width), Some(samples)) = (words.next(), words.next(), words.next()) else {
-        return Err("usage: overhead SCENE WIDTH SAMPLES".into());
+/// Paths of a representative set.
+const N: usize = 5000;
+/// Width and height of a tile, pixels.
+const EDGE: u32 = 64;
+
+fn main() -> Result<(), Box<dyn Error>> {
+    let words: Vec<String> = std::env::args().skip(1).collect();
+    let [file, size, samples, pairs, way @ ..] = &words[..] else {
+        return Err("usage: overhead SCENE WIDTHxHEIGHT SAMPLES TURNS [without|with]".into());
     };
+    let (width, height) = size.split_once('x').ok_or("the size is WIDTHxHEIGHT")?;
+    let size = Some([width.parse()?, height.parse()?]);
     rayon::ThreadPoolBuilder::new().num_threads(1).build_global()?;
-    let source = Source::new(Arc::new(femc_import::load_path(Path::new(&file))?.scene));
-    let width: u32 = width.parse()?;
-    let spp = samples.parse()?;
-    let settings = Settings { size: Some([width, width]), seed: 7, stop: Stop::Spp(spp), ..Settings::default() };
+    let source = Source::new(Arc::new(femc_import::load_path(Path::new(file))?.scene));
+    let settings = Settings { size, seed: 7, stop: Stop::Spp(samples.parse()?), ..Settings::default() };
     let prepared = prepare(&source, &settings, 1, None)?;
-    let [width, height] = prepared.camera.film;
-    let rect = Rect { x: 0, y: 0, width, height };
-    let samples = 0..spp;
-    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-    let began = Instant::now();
-    let (rendered, statistics) = if words.next().is_some() {
-        // One tile is the whole frame.
-        let plan = StatisticsPlan::of(&prepared, &settings, width.max(height));
-        let (rendered, statistics) =
-            render_with_statistics(&prepared, &settings, &plan, rect, samples, &cancel, &progress)?;
-        (rendered, Some(statistics))
-    } else {
-        (render_tile(&prepared, &settings, rect, samples, &cancel, &progress)?, None)
-    };
-    let seconds = began.elapsed().as_secs_f64();
-    let tile: &Tile = &rendered.tile;
-    println!("{} {seconds:.3} s {}", blake3::hash(&tile.encode()).to_hex(), rendered.rays);
-    let Some(statistics) = statistics else { return Ok(()) };
-    let began = Instant::now();
-    let bytes = statistics.encode();
-    println!(
-        "{} of {} samples recorded, {} bytes in {:.3} s",
-        statistics.paths.len(),
-        statistics.samples(),
-        bytes.len(),
-        began.elapsed().as_secs_f64()
-    );
-    let began = Instant::now();
-    let bins: Vec<_> = statistics.paths.values().map(|path| path_bins(&statistics.scope, path)).collect();
-    let target = Target::of(&bins);
-    println!("bins and target in {:.3} s", began.elapsed().as_secs_f64());
-    let candidates = &bins[..bins.len().min(8 * N)];
-    println!("the first: {:?}", Distance::of(candidates.iter().take(N), &target));
-    for sets in [10, 100] {
-        let began = Instant::now();
-        let best = best_of(candidates, &target, N, sets);
-        println!("best of {sets}: {best:?} in {:.3} s", began.elapsed().as_secs_f64());
+    if let [way] = way {
+        let (seconds, hash) = frame(&prepared, &settings, way == "with")?;
+        println!("{hash} {seconds:.3} s");
+        return Ok(());
     }
-    let began = Instant::now();
-    let found = representative(candidates, &target, N);
-    let (distance, effective) = (found.distance, found.effective);
-    println!("exchanged: {distance:?} in {:.3} s, worth {effective:.0}", began.elapsed().as_secs_f64());
+    let ([without, with], parts) = by_turns(&prepared, &settings, pairs.parse()?)?;
+    println!("rendered in {without:.3} s, with statistics in {with:.3} s: {:+.2} %", 100.0 * (with / without - 1.0));
+    let all = united(&parts, without)?;
+    represent(&all);
     Ok(())
 }
 
-/// Paths of a representative set.
-const N: usize = 5000;
+/// Renders all tiles of a frame in one way: seconds, and the hash of the tiles.
+fn frame(prepared: &Prepared, settings: &Settings, with: bool) -> Result<(f64, blake3::Hash), Box<dyn Error>> {
+    let mut hasher = blake3::Hasher::new();
+    let began = Instant::now();
+    for rect in tiling(prepared).rects() {
+        hasher.update(&rendered(prepared, settings, rect, with)?.0);
+    }
+    Ok((began.elapsed().as_secs_f64(), hasher.finalize()))
+}
+
+/// Seconds without and with statistics, and the statistics of the tiles.
+type Turns = ([f64; 2], Vec<Vec<u8>>);
+
+/// Renders each tile so often in both ways by turns. Seconds of a frame are the sum of the least of each tile: what else the machine does
+/// lengthens some turns, and hardly ever all of a tile.
+fn by_turns(prepared: &Prepared, settings: &Settings, turns: u32) -> Result<Turns, Box<dyn Error>> {
+    let (mut sums, mut parts) = ([0.0; 2], Vec::new());
+    for rect in tiling(prepared).rects() {
+        let (mut least, mut tiles) = ([f64::INFINITY; 2], [Vec::new(), Vec::new()]);
+        let mut part = None;
+        for turn in 0..2 * turns {
+            let with = turn % 2 == 1;
+            let began = Instant::now();
+            let (tile, own) = rendered(prepared, settings, rect, with)?;
+            let way = usize::from(with);
+            least[way] = least[way].min(began.elapsed().as_secs_f64());
+            tiles[way] = tile;
+            part = own.or(part);
+        }
+        if tiles[0] != tiles[1] {
+            return Err("statistics have changed the pixels".into());
+        }
+        parts.extend(part);
+        sums = [sums[0] + least[0], sums[1] + least[1]];
+    }
+    Ok((sums, parts))
+}
+
+fn tiling(prepared: &Prepared) -> Tiling {
+    let [width, height] = prepared.camera.film;
+    Tiling { width, height, edge: EDGE }
+}
+
+/// The bytes of a tile, and of its statistics.
+type Packed = (Vec<u8>, Option<Vec<u8>>);
+
+/// Renders and packs a tile, as a task of the farm does.
+fn rendered(prepared: &Prepared, settings: &Settings, rect: Rect, with: bool) -> Result<Packed, Box<dyn Error>> {
+    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+    let Stop::Spp(spp) = settings.stop else { return Err("samples are not counted".into()) };
+    if !with {
+        let done = render_tile(prepared, settings, rect, 0..spp, &cancel, &progress)?;
+        return Ok((done.tile.encode(), None));
+    }
+    let plan = StatisticsPlan::of(prepared, settings, EDGE);
+    let (done, statistics) = render_with_statistics(prepared, settings, &plan, rect, 0..spp, &cancel, &progress)?;
+    let part = statistics.encode();
+    Ok((done.tile.encode(), Some(part)))
+}
+
+/// Unites the tiles as the last task of a frame does.
+fn united(parts: &[Vec<u8>], render: f64) -> Result<Statistics, Box<dyn Error>> {
+    let began = Instant::now();
+    let decoded: Result<Vec<Statistics>, PathsError> = parts.iter().map(|part| Statistics::decode(part)).collect();
+    let mut decoded = decoded?.into_iter();
+    let mut all = decoded.next().ok_or("no tiles")?;
+    all.unite_all(decoded)?;
+    let all = all.counted(0, |_, _| u32::MAX);
+    let file = all.encode();
+    let seconds = began.elapsed().as_secs_f64();
+    println!(
+        "{} of {} samples recorded ({:.3} %); the tiles send {} bytes, the file has {}",
+        all.paths.len(),
+        all.samples(),
+        100.0 * all.share(),
+        parts.iter().map(Vec::len).sum::<usize>(),
+        file.len()
+    );
+    let paths = (all.paths.len() + all.brightest.len() + all.deepest.len()) as f64;
+    println!(
+        "united in {seconds:.3} s: {:.1} us a record, {:.2} % of rendering",
+        1e6 * seconds / paths,
+        100.0 * seconds / render
+    );
+    Ok(all)
+}
+
+fn represent(all: &Statistics) {
+    let began = Instant::now();
+    let bins: Vec<Bins> = all.paths.values().map(|path| path_bins(&all.scope, path)).collect();
+    let target = Target::of(&bins);
+    println!("bins of {} paths in {:.1} ms", bins.len(), 1e3 * began.elapsed().as_secs_f64());
+    let candidates = &bins[..bins.len().min(8 * N)];
+    println!("the first {N}: {:?}", Distance::of(candidates.iter().take(N), &target));
+    for sets in [10, 100] {
+        let began = Instant::now();
+        let best = best_of(candidates, &target, N, sets);
+        println!("best of {sets}: {best:?} in {:.1} ms", 1e3 * began.elapsed().as_secs_f64());
+    }
+    let began = Instant::now();
+    let found = representative(candidates, &target, N);
+    let milliseconds = 1e3 * began.elapsed().as_secs_f64();
+    println!("exchanged: {:?} in {milliseconds:.1} ms, worth {:.0}", found.distance, found.effective);
+}

@@ -5,7 +5,7 @@
 //! (That the samples of a replicate are spread evenly is not looked at: what dominates a bad block are rare bright samples, to which
 //! that does not matter.)
 
-use crate::replay::{Counted, Replay, is_good};
+use crate::replay::{Counted, Replay};
 use crate::settings::Settings;
 use femc_film::Rect;
 use femc_math::Rgb;
@@ -231,7 +231,7 @@ struct Replayed {
     pixel: (u32, u32),
     counted: Counted,
     is_like: bool,
-    colors: Vec<Rgb>,
+    colors: Vec<Option<Rgb>>,
     /// Sample, origin and luminance of each contribution.
     parts: Vec<(u32, Origin, f64)>,
 }
@@ -265,16 +265,17 @@ impl Replayed {
 
     /// - `area`: pixels of the block.
     fn account(&self, area: f64) -> Account {
-        let is_counted = |sample: u32| self.counted.has(sample) && is_good(self.colors[sample as usize]);
-        let counted = (0..self.colors.len() as u32).filter(|&sample| is_counted(sample));
-        let values = counted.map(|sample| f64::from(luminance(self.colors[sample as usize])));
-        let values: Vec<f64> = values.collect();
+        // Of a sample that counts.
+        let color = |sample: u32| self.colors[sample as usize].filter(|_| self.counted.has(sample));
+        let counted = (0..self.colors.len() as u32).filter_map(color);
+        let values: Vec<f64> = counted.map(|color| f64::from(luminance(color))).collect();
         let n = values.len() as f64;
         let mean = values.iter().sum::<f64>() / n.max(1.0);
         let factor = self.counted.variance_factor() / (n - 1.0).max(1.0) / (area * area);
         let mut parts = BTreeMap::<Origin, Part>::new();
-        for &(sample, origin, luminance) in self.parts.iter().filter(|part| is_counted(part.0)) {
-            let all = f64::from(femc_math::color::luminance(self.colors[sample as usize]));
+        for &(sample, origin, luminance) in &self.parts {
+            let Some(color) = color(sample) else { continue };
+            let all = f64::from(femc_math::color::luminance(color));
             let brightest = Brightest { pixel: self.pixel, sample, luminance, mean };
             let part = parts.entry(origin).or_insert(Part { variance: 0.0, mean: 0.0, brightest });
             part.variance += factor * (all - mean) * luminance;

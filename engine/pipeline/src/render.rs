@@ -3,7 +3,7 @@
 use crate::first_pass::first_pass;
 use crate::settings::{Method, Settings};
 use femc_film::{FilmError, Filter, Rect, Sample, Tile};
-use femc_montecarlo::{Counters, PathSettings, PixelFilter, Recorder, Tracer};
+use femc_montecarlo::{PathSample, PathSettings, PixelFilter, Recorder, Tracer};
 use femc_prepared::{FrameSpec, PrepareError, Prepared, Source};
 use femc_scene::FrameKey;
 use rayon::prelude::*;
@@ -82,7 +82,10 @@ pub fn render_tile(
     render_rows(prepared, settings, rect, samples, cancel, progress, || ()).map(|(rendered, _)| rendered)
 }
 
-/// The same with a recorder for each row of pixels, and what they have heard, in order. The tile is the same to the bit.
+/// Rows of pixels that one thread has rendered, one after the other, and its tracer.
+type Run<'a, R> = (Vec<Tile>, Tracer<'a, R>);
+
+/// The same with a recorder for each run of rows of pixels, and what they have heard, in order. The tile is the same to the bit.
 pub fn render_rows<R: Recorder + Send>(
     prepared: &Prepared,
     settings: &Settings,
@@ -93,41 +96,55 @@ pub fn render_rows<R: Recorder + Send>(
     recorder: impl Fn() -> R + Sync,
 ) -> Result<(RenderedTile, Vec<R>), RenderError> {
     let path = PathSettings { seed: settings.seed, max_depth: settings.max_depth, only: None };
-    let strips: Vec<Result<(Tile, Counters, R), RenderError>> = (0..rect.height)
-        .into_par_iter()
-        .map(|row| {
-            let strip = Rect { y: rect.y + row, height: 1, ..rect };
-            let mut tile = Tile::new(strip, samples.clone())?;
-            let mut tracer = Tracer::recording(prepared, path, recorder());
-            match (settings.method, prepared.field.as_deref()) {
-                (Method::Fem, Some(field)) => tracer = tracer.with_field(field),
-                (Method::Femc, Some(field)) => tracer = tracer.guided_by(field),
-                _ => (),
+    // Neighboring rows have one tracer as long as one thread renders them.
+    let tracer = || {
+        let tracer = Tracer::recording(prepared, path, recorder());
+        match (settings.method, prepared.field.as_deref()) {
+            (Method::Fem, Some(field)) => tracer.with_field(field),
+            (Method::Femc, Some(field)) => tracer.guided_by(field),
+            _ => tracer,
+        }
+    };
+    let render_row = |tracer: &mut Tracer<'_, R>, row: u32| -> Result<Tile, RenderError> {
+        let strip = Rect { y: rect.y + row, height: 1, ..rect };
+        let mut tile = Tile::new(strip, samples.clone())?;
+        for x in strip.x..strip.x + strip.width {
+            // Progress shows also within a pixel of very many samples.
+            for begin in samples.clone().step_by(STEP) {
+                let step = begin..samples.end.min(begin.saturating_add(STEP as u32));
+                let count = u64::from(step.end - step.start);
+                render_pixel(prepared, settings, tracer, &mut tile, [x, strip.y], step, cancel)?;
+                progress.fetch_add(count, Ordering::Relaxed);
             }
-            for x in strip.x..strip.x + strip.width {
-                // Progress shows also within a pixel of very many samples.
-                for begin in samples.clone().step_by(STEP) {
-                    let step = begin..samples.end.min(begin.saturating_add(STEP as u32));
-                    let count = u64::from(step.end - step.start);
-                    render_pixel(prepared, settings, &mut tracer, &mut tile, [x, strip.y], step, cancel)?;
-                    progress.fetch_add(count, Ordering::Relaxed);
-                }
-            }
-            Ok((tile, tracer.counters, tracer.recorder))
-        })
-        .collect();
-    let (mut tiles, mut rays, mut shadow_rays) = (Vec::with_capacity(strips.len()), 0, 0);
-    let mut recorders = Vec::with_capacity(strips.len());
-    for strip in strips {
-        let (tile, counters, recorder) = strip?;
-        tiles.push(tile);
-        recorders.push(recorder);
-        rays += counters.rays;
-        shadow_rays += counters.shadow_rays;
+        }
+        Ok(tile)
+    };
+    let rows = (0..rect.height).into_par_iter().try_fold(
+        || (Vec::new(), tracer()),
+        |(mut strips, mut tracer), row| {
+            strips.push(render_row(&mut tracer, row)?);
+            Ok((strips, tracer))
+        },
+    );
+    let runs: Vec<Result<Run<'_, R>, RenderError>> = rows.collect();
+    let (mut tiles, mut rays, mut shadow_rays) = (Vec::with_capacity(rect.height as usize), 0, 0);
+    let mut recorders = Vec::with_capacity(runs.len());
+    for run in runs {
+        let (strips, tracer) = run?;
+        tiles.extend(strips);
+        rays += tracer.counters.rays;
+        shadow_rays += tracer.counters.shadow_rays;
+        recorders.push(tracer.recorder);
     }
     let mut tile = Tile::from_strips(rect, samples, tiles)?;
     tile.charge(rays + shadow_rays);
     Ok((RenderedTile { tile, rays, shadow_rays }, recorders))
+}
+
+/// A sample as the film takes it.
+#[inline]
+pub(crate) fn film_sample(drawn: &PathSample) -> Sample {
+    Sample { color: drawn.color, albedo: drawn.albedo, depth: drawn.depth }
 }
 
 /// A film's filter as the tracer wants it.
@@ -164,7 +181,8 @@ fn render_pixel<R: Recorder>(
             return Err(RenderError::Cancelled);
         }
         let drawn = tracer.sample(pixel, index, Places(settings.filter));
-        tile.add(x, y, index, &Sample { color: drawn.color, albedo: drawn.albedo, depth: drawn.depth });
+        let fault = tile.add(x, y, index, &film_sample(&drawn));
+        tracer.recorder.end(fault.is_none().then_some(drawn.color));
     }
     Ok(())
 }

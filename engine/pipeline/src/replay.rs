@@ -1,7 +1,7 @@
 //! Samples of a finished frame, traced again: a sample is a function of the settings, so that what was not noted while rendering can
 //! be asked for afterwards.
 
-use crate::render::Places;
+use crate::render::{Places, film_sample};
 use crate::settings::{Method, Settings, Stop};
 use femc_math::Rgb;
 use femc_montecarlo::{PathSettings, Recorder, Recording, Tracer};
@@ -35,10 +35,12 @@ impl<'a, R: Recorder> Replay<'a, R> {
         Self { tracer, settings, width: prepared.camera.film[0] }
     }
 
-    /// Sample number `sample` of a pixel: its color, cd/m2, and how it came about.
-    pub fn sample(&mut self, (x, y): (u32, u32), sample: u32) -> (Rgb, &R) {
+    /// Sample number `sample` of a pixel: its color, cd/m2, or `None` if the film refuses it, and how it came about.
+    pub fn sample(&mut self, (x, y): (u32, u32), sample: u32) -> (Option<Rgb>, &R) {
         let drawn = self.tracer.sample(y * self.width + x, sample, Places(self.settings.filter));
-        (drawn.color, &self.tracer.recorder)
+        let color = film_sample(&drawn).fault().is_none().then_some(drawn.color);
+        self.tracer.recorder.end(color);
+        (color, &self.tracer.recorder)
     }
 
     /// What the recorder has heard of all samples.
@@ -98,10 +100,11 @@ impl Counted {
         sample >= self.begin && sample < self.ends[sample as usize % 2]
     }
 
-    /// Mean of a pixel's samples, given in order from the first of all; those that are not finite are left out as on the film.
-    pub fn mean(self, samples: &[Rgb]) -> Rgb {
+    /// Mean of a pixel's samples, given in order from the first of all; those that the film refuses are left out.
+    pub fn mean(self, samples: &[Option<Rgb>]) -> Rgb {
         let (mut sums, mut counts) = ([[0f64; 3]; 2], [0u32; 2]);
-        for (index, color) in (0..).zip(samples).filter(|(index, color)| self.has(*index) && is_good(**color)) {
+        let taken = (0u32..).zip(samples).filter_map(|(index, color)| Some((index, (*color)?)));
+        for (index, color) in taken.filter(|(index, _)| self.has(*index)) {
             let half = index as usize % 2;
             counts[half] += 1;
             sums[half].iter_mut().zip(color.to_array()).for_each(|(sum, value)| *sum += f64::from(value));
@@ -132,11 +135,6 @@ impl Counted {
     }
 }
 
-/// Whether a sample is in the image.
-pub(crate) fn is_good(color: Rgb) -> bool {
-    color.is_finite() && color.min_element() >= 0.0
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -162,9 +160,9 @@ mod tests {
     }
 
     #[test]
-    fn the_mean_is_of_the_halves_means_where_they_end_apart_and_leaves_out_what_is_not_finite() {
+    fn the_mean_is_of_the_halves_means_where_they_end_apart_and_leaves_out_what_the_film_refuses() {
         let gray = |value: f32| Rgb::splat(value);
-        let samples = [gray(1.0), gray(10.0), gray(3.0), gray(99.0), gray(f32::NAN), gray(99.0)];
+        let samples = [Some(1.0), Some(10.0), Some(3.0), Some(99.0), None, Some(99.0)].map(|it| it.map(gray));
         assert_eq!(of(0, [6, 2]).mean(&samples), gray(6.0), "1 and 3, and 10 alone");
         assert_eq!(of(0, [6, 2]).count(), 4);
         let even = of(0, [3; 2]).mean(&samples).to_array()[1];

@@ -13,8 +13,8 @@ use femc_model::{
     Artifact, Assignment, AttemptRecord, Control, Cut, Digest, Drain, Ending, Epoch, Grid, JobId, JobSpec, Manifest,
     More, Output, Role, Stage, StageKind, TaskKey, TaskResult, Tick, Work, testing::frames,
 };
-use femc_pipeline::paths::Statistics;
 use femc_pipeline::paths::histogram::{Histograms, Table};
+use femc_pipeline::paths::{Frames, Statistics};
 use femc_pipeline::{
     Field, Settings, Side, Source, StatisticsPlan, Stop, encode_solution, first_pass as first_pass_of, prepare_world,
     render_with_statistics,
@@ -210,17 +210,52 @@ fn first_pass() -> Vec<Target> {
     ]
 }
 
-/// Light statistics of a tile of a floor under a lamp.
+/// Light statistics of a tile of a foggy floor under a lamp: those of recorded samples, those of all, and of two frames.
 fn paths() -> Vec<Target> {
+    let some = statistics(1, false);
+    let mut all = paths_of(["paths", "paths, header", "paths, tables"], &some);
+    all.extend(paths_of(["full paths", "full paths, header", "full paths, tables"], &statistics(1, true)));
+    let frames = Frames::of([some, statistics(2, false)]).expect("a union").encode();
+    let are_frames = |bytes: &[u8]| {
+        let Ok(read) = Frames::decode(bytes) else { return false };
+        // What is accepted is united, and one again.
+        let mut twice = read.clone();
+        assert!(twice.unite(read.clone().into_frames()).is_ok() && twice == read);
+        assert!(Frames::decode(&read.encode()).is_ok_and(|again| again == read));
+        true
+    };
+    all.push(Target::of("paths of frames", vec![frames.clone()], are_frames));
+    let dress = |bytes: &[u8]| {
+        // The first frame's checksum made right again.
+        let mut bytes = bytes.to_vec();
+        if let Some((front, rest)) = bytes.split_at_mut_checked(FRAMES_FRONT)
+            && let Ok(length) = usize::try_from(u64::from_le_bytes(*front.last_chunk().expect("it has a length")))
+            && let Some((own, _)) = rest.split_at_mut_checked(length)
+        {
+            let whole = sealed(own);
+            own.copy_from_slice(&whole);
+        }
+        bytes
+    };
+    all.push(Target::dressed("paths of frames, inside", vec![frames], dress, are_frames));
+    all
+}
+
+fn statistics(frame: u32, full_statistics: bool) -> Statistics {
     let text = "camera main =\n  origin .5 .5 2\n  target .5 .5 0\n  up 0 1 0\n  fov 60\n  film 8 4\n\
+        medium air =\n  sigma_s .2\nmbox air 0 0 0 1 1 3\n\
         m lamp =\n  ed 100\nv l =\n  p .5 .5 1.5\no lamp\nsph l .05\no\n\
         m wall =\n  rd .5\nv a =\n  p 0 0 0\nv b =\n  p 1 0 0\nv c =\n  p 1 1 0\nv d =\n  p 0 1 0\no floor\nf a b c d\no\n";
-    let settings = Settings { stop: Stop::Spp(3), ..Settings::default() };
-    let prepared = prepare_world(&Source::new(crate::scene(text)), &settings, 1, None).expect("a frame");
+    let settings = Settings { stop: Stop::Spp(3), full_statistics, ..Settings::default() };
+    let prepared = prepare_world(&Source::new(crate::scene(text)), &settings, frame, None).expect("a frame");
     let (plan, rect) = (StatisticsPlan::of(&prepared, &settings, 4), Rect { x: 4, y: 0, width: 4, height: 4 });
     let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
     let rendered = render_with_statistics(&prepared, &settings, &plan, rect, 0..3, &cancel, &progress);
-    let encoded = rendered.expect("a tile").1.encode();
+    rendered.expect("a tile").1
+}
+
+fn paths_of([bytes, header, inside]: [&'static str; 3], statistics: &Statistics) -> Vec<Target> {
+    let encoded = statistics.encode();
     let tables = zstd::bulk::decompress(&encoded[PATHS_FRONT..], 1 << 26).expect("what was compressed");
     let front = encoded[..PATHS_FRONT - 8].to_vec();
     let dress = move |tables: &[u8]| {
@@ -232,6 +267,7 @@ fn paths() -> Vec<Target> {
         // What is accepted can be counted, united with itself, and is one again.
         for table in Table::ALL {
             assert_eq!(Histograms::of(&read, table).table, table);
+            assert_eq!(Histograms::of_all(&read, table).is_some(), read.scope.is_full);
         }
         let mut twice = read.clone();
         assert!(twice.unite(read.clone()).is_ok() && twice == read);
@@ -239,11 +275,14 @@ fn paths() -> Vec<Target> {
         true
     };
     vec![
-        Target::of("paths", vec![encoded.clone()], are_paths),
-        Target::dressed("paths, header", vec![encoded], sealed, are_paths),
-        Target::dressed("paths, tables", vec![tables], dress, are_paths),
+        Target::of(bytes, vec![encoded.clone()], are_paths),
+        Target::dressed(header, vec![encoded], sealed, are_paths),
+        Target::dressed(inside, vec![tables], dress, are_paths),
     ]
 }
+
+/// Bytes of encoded frames before the statistics of the first.
+const FRAMES_FRONT: usize = 8 + 4 + 4 + 8;
 
 /// Bytes of encoded light statistics before their tables.
 const PATHS_FRONT: usize = 28 + 4 + 8 + 7 * 4 + 6 * 8 + 8 + 7 * 4 + 8;

@@ -135,10 +135,11 @@ impl Report {
         let mut all: [Bottlenecks; 3] = Default::default();
         let (mut names, mut films) = (Vec::new(), Vec::new());
         for file in files {
-            let statistics = read(file)?;
-            add(&mut all, &statistics);
-            names.push(name(file));
-            films.push(statistics.scope.film[0]);
+            for statistics in read(file)?.frames {
+                add(&mut all, &statistics);
+                names.push(name(file));
+                films.push(statistics.scope.film[0]);
+            }
         }
         Ok(Self::of(&all, names, &films, order))
     }

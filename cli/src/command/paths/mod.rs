@@ -1,10 +1,11 @@
 //! `femc paths FRAME.paths...`: the light paths of frames that were rendered with `--stats`.
 
+mod files;
 mod table;
 
 use crate::args::FormatArgs;
 use crate::attempts::{Column, Json, csv, human, write_parquet};
-use crate::exit::{Exit, Failure, failed, usage};
+use crate::exit::{Exit, Failure, usage};
 use crate::output::{Say, human as words, json};
 use clap::{Args, ValueEnum};
 use femc_pipeline::paths::octree::Root;
@@ -12,8 +13,9 @@ use femc_pipeline::paths::query::{Condition, Query, is_in, is_known};
 use femc_pipeline::paths::represent::{Bins, Target, rarest, representative};
 use femc_pipeline::paths::schema::path_bins;
 use femc_pipeline::paths::{Kind, Path as LightPath, Statistics};
+pub use files::{Unit, read};
 use std::collections::BTreeSet;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use table::{Frame, Match};
 
 /// List light paths of frames: where they have been, and what light they have found
@@ -27,6 +29,8 @@ use table::{Frame, Match};
     femc paths box.paths --rarest 100                           # paths with what few others have\n  \
     femc paths fog/*/*.paths --table voxels --parquet fog.parquet      # one box for all, so that voxels can be compared\n  \
     femc paths new.paths --table voxels --minus old.paths       # where light has become more, and less\n  \
+    femc paths drive --out drive.paths                          # all frames in a folder: one pool, one set of answers\n  \
+    femc paths drive.paths --few 5000                           # paths that stand for the whole clip\n  \
     femc paths box.paths --few 5000 --parquet few.parquet && python3 -c \\\n    \
     \"import pandas; print(pandas.read_parquet('few.parquet').radiance_g.describe())\"\n  \
     femc paths box.paths --table pairs --parquet pairs.parquet\n\n\
@@ -38,9 +42,15 @@ use table::{Frame, Match};
     The paths are a fair subset of all samples, by hashes of their numbers; the share is said. --brightest and --deepest are those of \
     greatest radiance, and of greatest throughput after 8 intersections or more, of all samples.")]
 pub struct PathsArgs {
-    /// The files beside the frames
-    #[arg(value_name = "FRAME.paths", required = true)]
+    /// The files beside the frames, or folders of such files
+    #[arg(value_name = "FRAME.paths|FOLDER", required = true)]
     files: Vec<PathBuf>,
+    /// Take the frames of all files as one: a frame that is given twice counts once
+    #[arg(long)]
+    union: bool,
+    /// Write the union of the frames of all files; it can be asked as a frame can
+    #[arg(long, value_name = "ALL.paths", conflicts_with_all = ["csv", "json", "parquet"])]
+    out: Option<PathBuf>,
     /// What an intersection of the path is like
     #[arg(long = "where", value_name = "CONDITION")]
     condition: Option<String>,
@@ -105,34 +115,42 @@ enum Table {
 
 /// List.
 pub fn run(args: &PathsArgs, say: Say) -> Result<Exit, Failure> {
-    if args.minus.is_some() && (args.table != Table::Voxels || args.files.len() > 1) {
-        return Err(usage("--minus: with --table voxels, and one frame"));
+    let mut units = files::units(&args.files)?;
+    if args.union || args.out.is_some() {
+        units = vec![files::united(units)?];
     }
-    let name = |file: &PathBuf| file.display().to_string();
-    let all: Vec<(String, Statistics)> =
-        args.files.iter().map(|file| Ok((name(file), read(file)?))).collect::<Result<_, Failure>>()?;
+    if let (Some(out), [unit]) = (&args.out, &units[..]) {
+        return files::write(out, unit, say);
+    }
     let minus = args.minus.as_deref().map(read).transpose()?;
-    let query = query(args, &all)?;
-    let mut frames = Vec::new();
-    for (file, all) in &all {
-        frames.push(Frame { file, all, found: found(args, all, &query, say) });
+    if minus.is_some() && (args.table != Table::Voxels || units.len() > 1) {
+        return Err(usage("--minus: with --table voxels, and one file; --union takes several as one"));
     }
+    let query = query(args, &units)?;
+    let found: Vec<Frame<'_>> = units.iter().flat_map(|unit| found(args, unit, &query, say)).collect();
     let out = Out { args, say };
     match args.table {
-        Table::Paths => out.put(&table::paths(), &rows(&frames, table::path_rows))?,
-        Table::Intersections => out.put(&table::intersections(), &rows(&frames, table::intersection_rows))?,
-        Table::Lights => out.put(&table::lights(), &rows(&frames, table::light_rows))?,
-        Table::Histograms => out.put(&table::histograms(), &rows(&frames, table::bin_rows))?,
-        Table::Pairs => out.put(&table::pairs(), &rows(&frames, table::pair_rows))?,
-        Table::Pixels => out.put(&table::pixels(), &rows(&frames, table::pixel_rows))?,
+        Table::Paths => out.put(&table::paths(), &rows(&found, table::path_rows))?,
+        Table::Intersections => out.put(&table::intersections(), &rows(&found, table::intersection_rows))?,
+        Table::Lights => out.put(&table::lights(), &rows(&found, table::light_rows))?,
+        Table::Histograms => {
+            let rows: Vec<_> = units.iter().flat_map(table::bin_rows).collect();
+            out.put(&table::histograms(), &rows)?;
+        }
+        Table::Pairs => out.put(&table::pairs(), &units.iter().flat_map(table::pair_rows).collect::<Vec<_>>())?,
+        Table::Pixels => out.put(&table::pixels(), &rows(&found, table::pixel_rows))?,
         Table::Voxels => {
-            let root = root(frames.iter().map(|frame| frame.all).chain(&minus));
+            let all = units.iter().chain(&minus).flat_map(|unit| &unit.frames);
+            let root = root(all);
+            let by_unit: Vec<&[Frame<'_>]> = found.chunk_by(|a, b| a.file == b.file).collect();
             match &minus {
-                None => out.put(&table::voxels(), &rows(&frames, |frame| table::voxel_rows(frame, root)))?,
+                None => {
+                    let rows: Vec<_> = by_unit.iter().flat_map(|frames| table::voxel_rows(frames, root)).collect();
+                    out.put(&table::voxels(), &rows)?;
+                }
                 Some(minus) => {
-                    let other = Frame { file: "", all: minus, found: found(args, minus, &query, say) };
-                    let rows = rows(&frames, |frame| table::difference_rows(frame, &other, root));
-                    out.put(&table::differences(), &rows)?;
+                    let others = self::found(args, minus, &query, say);
+                    out.put(&table::differences(), &table::difference_rows(&found, &others, root))?;
                 }
             }
         }
@@ -156,13 +174,7 @@ fn root<'a>(all: impl Iterator<Item = &'a Statistics>) -> Root {
     Root::around(lower, upper, table::LEVELS)
 }
 
-/// The statistics in a file.
-pub fn read(file: &Path) -> Result<Statistics, Failure> {
-    let bytes = std::fs::read(file).map_err(|error| usage(format!("{}: {error}", file.display())))?;
-    Statistics::decode(&bytes).map_err(|error| failed(format!("{}: {error}", file.display())))
-}
-
-fn query(args: &PathsArgs, all: &[(String, Statistics)]) -> Result<Query, Failure> {
+fn query(args: &PathsArgs, all: &[Unit]) -> Result<Query, Failure> {
     let condition = args.condition.as_deref().map(Condition::parse).transpose();
     let condition = condition.map_err(|error| usage(format!("--where: {error}")))?;
     let objects: Vec<String> = args.object.iter().chain(&args.then).cloned().collect();
@@ -172,16 +184,17 @@ fn query(args: &PathsArgs, all: &[(String, Statistics)]) -> Result<Query, Failur
 }
 
 /// Whether some path has come to an object.
-fn known(object: &str, all: &[(String, Statistics)]) -> Result<(), Failure> {
-    if all.iter().any(|(_, all)| is_known(&all.names, object)) {
+fn known(object: &str, all: &[Unit]) -> Result<(), Failure> {
+    let frames = || all.iter().flat_map(|unit| &unit.frames);
+    if frames().any(|all| is_known(&all.names, object)) {
         return Ok(());
     }
-    let names = all.iter().flat_map(|(_, all)| all.names.values());
+    let names = frames().flat_map(|all| all.names.values());
     let known: BTreeSet<&str> =
         names.filter(|(kind, _)| *kind == Kind::Object).map(|(_, name)| name.as_str()).collect();
     let some: Vec<&str> = known.iter().copied().take(12).collect();
     let more = if known.len() > some.len() { ", ..." } else { "" };
-    let files: Vec<&str> = all.iter().map(|(file, _)| file.as_str()).collect();
+    let files: Vec<&str> = all.iter().map(|unit| unit.file.as_str()).collect();
     Err(usage(format!(
         "no path of {} has come to an object {object:?}; known are {}{more}",
         files.join(", "),
@@ -190,7 +203,7 @@ fn known(object: &str, all: &[(String, Statistics)]) -> Result<(), Failure> {
 }
 
 /// Six numbers, or the box of the intersections with an object.
-fn corners(within: &str, all: &[(String, Statistics)]) -> Result<[[f64; 3]; 2], Failure> {
+fn corners(within: &str, all: &[Unit]) -> Result<[[f64; 3]; 2], Failure> {
     let numbers: Result<Vec<f64>, _> = within.split(',').map(|number| number.trim().parse::<f64>()).collect();
     match numbers.as_deref() {
         Ok(&[a, b, c, d, e, f]) if [a, b, c, d, e, f].iter().all(|x| x.is_finite()) && a <= d && b <= e && c <= f => {
@@ -205,7 +218,7 @@ fn corners(within: &str, all: &[(String, Statistics)]) -> Result<[[f64; 3]; 2], 
     }
     known(within, all)?;
     let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
-    for (_, all) in all {
+    for all in all.iter().flat_map(|unit| &unit.frames) {
         for it in all.paths.values().flat_map(|path| &path.intersections) {
             if is_in(&all.names, it.object, within) {
                 for axis in 0..3 {
@@ -221,52 +234,78 @@ fn corners(within: &str, all: &[(String, Statistics)]) -> Result<[[f64; 3]; 2], 
     Ok([low, high])
 }
 
-/// The paths that are asked for, in the order of the file; the rarest in theirs.
-fn found<'a>(args: &PathsArgs, all: &'a Statistics, query: &Query, say: Say) -> Vec<Match<'a>> {
-    let chosen = match (args.few, args.rarest) {
-        (Some(few), _) => Some(representatives(all, few as usize, say)),
-        (None, Some(most)) => {
-            Some(rarest(&bins(all), most as usize).into_iter().map(|number| (number, None)).collect())
+/// The paths that are asked for, by frame, in the order of the file; the rarest of a frame in theirs.
+fn found<'a>(args: &PathsArgs, unit: &'a Unit, query: &Query, say: Say) -> Vec<Frame<'a>> {
+    let of_frame = |all: &'a Statistics| -> Vec<&'a LightPath> {
+        match (args.brightest, args.deepest) {
+            (true, _) => all.fireflies(),
+            (_, true) => all.bottlenecks(),
+            _ => all.paths.values().collect(),
         }
-        (None, None) => None,
     };
-    let (paths, what): (Vec<&LightPath>, _) = match (args.brightest, args.deepest) {
-        (true, _) => (all.fireflies(), "of the brightest"),
-        (_, true) => (all.bottlenecks(), "of the deepest"),
-        _ => (all.paths.values().collect(), "recorded"),
+    // Paths are numbered through all frames of a file.
+    let paths: Vec<(usize, &LightPath)> = unit
+        .frames
+        .iter()
+        .enumerate()
+        .flat_map(|(frame, all)| of_frame(all).into_iter().map(move |it| (frame, it)))
+        .collect();
+    let all = || (0..paths.len() as u32).map(|number| (number, None)).collect();
+    let chosen: Vec<(u32, Option<f64>)> = match (args.few, args.rarest) {
+        (Some(few), _) => representatives(unit, few as usize, say),
+        (None, Some(most)) => rarest(&bins(unit), most as usize).into_iter().map(|number| (number, None)).collect(),
+        (None, None) => all(),
     };
-    let of = paths.len();
-    let is_fair = !args.brightest && !args.deepest && chosen.is_none();
-    let chosen: Vec<(u32, Option<f64>)> =
-        chosen.unwrap_or_else(|| (0..of as u32).map(|number| (number, None)).collect());
-    let matched = |&(number, weight): &(u32, Option<f64>)| {
-        let path = *paths.get(number as usize)?;
-        query.matches(&all.scope, &all.names, path).map(|places| Match { number, path, places, weight })
+    let mut frames: Vec<Frame<'a>> =
+        unit.frames.iter().map(|all| Frame { file: &unit.file, all, found: Vec::new() }).collect();
+    let mut count = 0;
+    for (number, weight) in chosen {
+        let Some(&(frame, path)) = paths.get(number as usize) else { continue };
+        let Frame { all, found, .. } = &mut frames[frame];
+        if let Some(places) = query.matches(&all.scope, &all.names, path) {
+            found.push(Match { number, path, places, weight });
+            count += 1;
+        }
+    }
+    note(args, unit, (count, paths.len()), say);
+    frames
+}
+
+/// Says how many of how many paths were found.
+fn note(args: &PathsArgs, unit: &Unit, (count, of): (usize, usize), say: Say) {
+    let what = match (args.brightest, args.deepest) {
+        (true, _) => "of the brightest",
+        (_, true) => "of the deepest",
+        _ => "recorded",
     };
-    let found: Vec<Match<'a>> = chosen.iter().filter_map(matched).collect();
-    let (samples, share) = (all.samples(), words::number(100.0 * all.share()));
+    let is_fair = !args.brightest && !args.deepest && args.few.is_none() && args.rarest.is_none();
+    // All frames of a file have one share.
+    let share = unit.frames.first().map_or(1.0, Statistics::share);
+    let samples: u64 = unit.frames.iter().map(Statistics::samples).sum();
     let about = if is_fair {
-        format!(", about {} samples", words::quantity(found.len() as f64 / all.share().max(f64::MIN_POSITIVE)))
+        format!(", about {} samples", words::quantity(count as f64 / share.max(f64::MIN_POSITIVE)))
     } else {
         String::new()
     };
+    let frames = if unit.frames.len() == 1 { String::new() } else { format!(" of {} frames", unit.frames.len()) };
     say.note(format!(
-        "{} of {of} paths {what}{about}; {share} % of {} samples are recorded",
-        found.len(),
+        "{count} of {of} paths {what}{about}; {} % of {} samples{frames} are recorded",
+        words::number(100.0 * share),
         words::quantity(samples as f64)
     ));
-    found
 }
 
-fn bins(all: &Statistics) -> Vec<Bins> {
-    all.paths.values().map(|path| path_bins(&all.scope, path)).collect()
+fn bins(unit: &Unit) -> Vec<Bins> {
+    let paths = unit.frames.iter().flat_map(|all| all.paths.values().map(|path| path_bins(&all.scope, path)));
+    paths.collect()
 }
 
 /// Numbers of paths that stand for all, in order, and what each counts so that every attribute is right.
-fn representatives(all: &Statistics, few: usize, say: Say) -> Vec<(u32, Option<f64>)> {
-    let bins = bins(all);
-    let candidates = &bins[..bins.len().min(few.saturating_mul(8))];
-    let found = representative(candidates, &Target::of(&bins), few);
+fn representatives(unit: &Unit, few: usize, say: Say) -> Vec<(u32, Option<f64>)> {
+    let bins = bins(unit);
+    let candidates = candidates(unit, few.saturating_mul(8));
+    let own: Vec<Bins> = candidates.iter().map(|number| bins[*number as usize]).collect();
+    let found = representative(&own, &Target::of(&bins), few);
     say.note(format!(
         "{} paths stand for {}: D = {:.4}, DJ = {:.3}; by their weights worth {:.0} of equal weight",
         found.chosen.len(),
@@ -275,7 +314,18 @@ fn representatives(all: &Statistics, few: usize, say: Say) -> Vec<(u32, Option<f
         found.distance.joint,
         found.effective
     ));
-    found.chosen.into_iter().zip(found.weights.into_iter().map(Some)).collect()
+    let numbers = found.chosen.into_iter().map(|place| candidates[place as usize]);
+    let mut chosen: Vec<_> = numbers.zip(found.weights.into_iter().map(Some)).collect();
+    chosen.sort_unstable_by_key(|(number, _)| *number);
+    chosen
+}
+
+/// Numbers of the paths of least hash, in the order of the hashes.
+fn candidates(unit: &Unit, most: usize) -> Vec<u32> {
+    let hashes = unit.frames.iter().flat_map(|all| all.paths.keys());
+    let mut all: Vec<_> = hashes.copied().zip(0u32..).collect();
+    all.sort_unstable();
+    all.into_iter().take(most).map(|(_, number)| number).collect()
 }
 
 struct Out<'a> {

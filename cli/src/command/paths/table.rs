@@ -1,7 +1,8 @@
 //! The tables of `femc paths`: rows and columns.
 
+use super::Unit;
 use crate::attempts::{Cell, Column, Kind, Reader, column};
-use femc_pipeline::paths::histogram::{Histograms, Table};
+use femc_pipeline::paths::histogram::{Counts, Histograms, Table};
 use femc_pipeline::paths::octree::{Octree, Root, Voxel};
 use femc_pipeline::paths::pixels::{Maps, Pixel};
 use femc_pipeline::paths::schema::{Scale, radiance_edge, throughput_edge};
@@ -95,6 +96,7 @@ pub fn path_rows<'a>(frame: &'a Frame<'a>) -> Vec<PathRow<'a>> {
 pub fn paths<'a>() -> Vec<Column<PathRow<'a>>> {
     vec![
         column("file", "file", Text, WhoCompares, |row| word(row.file)),
+        column("frame", "frame", Count, WhoCompares, |row| number(row.all.scope.frame)),
         column("path", "path", Count, Programs, |row| number(row.number)),
         column("pixel_x", "x", Count, Anybody, |row| number(row.pixel()[0])),
         column("pixel_y", "y", Count, Anybody, |row| number(row.pixel()[1])),
@@ -133,6 +135,7 @@ pub fn intersection_rows<'a>(frame: &'a Frame<'a>) -> Vec<IntersectionRow<'a>> {
 pub fn intersections<'a>() -> Vec<Column<IntersectionRow<'a>>> {
     vec![
         column("file", "file", Text, WhoCompares, |row| word(row.file)),
+        column("frame", "frame", Count, WhoCompares, |row| number(row.all.scope.frame)),
         column("path", "path", Count, Anybody, |row| number(row.number)),
         column("vertex", "vertex", Count, Anybody, |row| Cell::Count(row.it.0 as u64 + 1)),
         column("bounce", "bounce", Count, Anybody, |row| number(row.it.1.bounce)),
@@ -162,9 +165,11 @@ pub fn light_rows<'a>(frame: &'a Frame<'a>) -> Vec<LightRow<'a>> {
 pub fn lights<'a>() -> Vec<Column<LightRow<'a>>> {
     vec![
         column("file", "file", Text, WhoCompares, |row| word(row.file)),
+        column("frame", "frame", Count, WhoCompares, |row| number(row.all.scope.frame)),
         column("path", "path", Count, Anybody, |row| number(row.number)),
         column("vertex", "vertex", Count, Anybody, |row| number(row.it.vertex)),
         column("light", "light", Text, Anybody, |row| row.text(row.it.light)),
+        column("medium", "medium", Text, Programs, |row| row.text(row.it.medium)),
         column("radiance_r", "red cd/m2", Number, Anybody, |row| real(row.it.radiance[0])),
         column("radiance_g", "green", Number, Anybody, |row| real(row.it.radiance[1])),
         column("radiance_b", "blue", Number, Anybody, |row| real(row.it.radiance[2])),
@@ -186,20 +191,30 @@ pub struct BinRow<'a> {
     image: u64,
 }
 
-pub fn bin_rows<'a>(frame: &'a Frame<'a>) -> Vec<BinRow<'a>> {
-    let Frame { file, all, .. } = *frame;
-    let mut rows = Vec::new();
+pub fn bin_rows(unit: &Unit) -> Vec<BinRow<'_>> {
+    let (file, mut rows) = (&unit.file[..], Vec::new());
     for table in Table::ALL {
-        let histograms = Histograms::of_all(all, table).unwrap_or_else(|| Histograms::of(all, table).attributes);
+        let of =
+            |all: &Statistics| Histograms::of_all(all, table).unwrap_or_else(|| Histograms::of(all, table).attributes);
+        let histograms = summed(unit.frames.iter().map(of));
         for (attribute, counts) in table.attributes().iter().zip(&histograms) {
             for (bin, (samples, image)) in (0u8..).zip(counts.samples.iter().zip(&counts.image)) {
-                let lower = lower(&all.scope, attribute.name, attribute.scale, bin);
+                let lower = unit.frames.first().and_then(|all| lower(&all.scope, attribute.name, attribute.scale, bin));
                 let (samples, image) = (*samples, *image);
                 rows.push(BinRow { file, table, attribute: attribute.name, bin, lower, samples, image });
             }
         }
     }
     rows
+}
+
+/// Counts of frames with equal bins added up.
+fn summed(mut frames: impl Iterator<Item = Vec<Counts>>) -> Vec<Counts> {
+    let mut all = frames.next().unwrap_or_default();
+    for counts in frames {
+        all.iter_mut().zip(&counts).for_each(|(all, counts)| all.merge(counts));
+    }
+    all
 }
 
 /// Where a bin begins; `None`: it is of words or names, or of what is not there.
@@ -240,12 +255,11 @@ pub struct PairRow<'a> {
     image: u64,
 }
 
-pub fn pair_rows<'a>(frame: &'a Frame<'a>) -> Vec<PairRow<'a>> {
-    let Frame { file, all, .. } = *frame;
-    let mut rows = Vec::new();
+pub fn pair_rows(unit: &Unit) -> Vec<PairRow<'_>> {
+    let (file, mut rows) = (&unit.file[..], Vec::new());
     for table in Table::ALL {
-        let histograms = Histograms::of(all, table);
-        for (attributes, counts) in histograms.pair_names().zip(&histograms.pairs) {
+        let pairs = summed(unit.frames.iter().map(|all| Histograms::of(all, table).pairs));
+        for (attributes, counts) in table.pairs().zip(&pairs) {
             for (place, (&samples, &image)) in (0u32..).zip(counts.samples.iter().zip(&counts.image)) {
                 if samples > 0 {
                     rows.push(PairRow { file, table, attributes, bins: [place / 64, place % 64], samples, image });
@@ -281,18 +295,18 @@ pub struct VoxelRow<'a> {
 /// Halvings of the scene's box.
 pub const LEVELS: u8 = 6;
 
-impl Frame<'_> {
-    fn octree(&self, root: Root) -> Octree {
-        Octree::of(root, self.found.iter().map(|it| it.path))
-    }
+fn octree(frames: &[Frame<'_>], root: Root) -> Octree {
+    Octree::of(root, frames.iter().flat_map(|frame| &frame.found).map(|it| it.path))
 }
 
-pub fn voxel_rows<'a>(frame: &'a Frame<'a>, root: Root) -> Vec<VoxelRow<'a>> {
+/// Of the frames of one file.
+pub fn voxel_rows<'a>(frames: &[Frame<'a>], root: Root) -> Vec<VoxelRow<'a>> {
+    let file = frames.first().map_or("", |frame| frame.file);
     let row = |(&(bounce, code), &voxel): (&(u32, u64), &Voxel)| {
         let (lower, width) = root.voxel(LEVELS, code);
-        VoxelRow { file: frame.file, bounce, lower, width, voxel }
+        VoxelRow { file, bounce, lower, width, voxel }
     };
-    frame.octree(root).leaves.iter().map(row).collect()
+    octree(frames, root).leaves.iter().map(row).collect()
 }
 
 /// A voxel of two frames.
@@ -306,8 +320,8 @@ pub struct DifferenceRow {
 }
 
 /// Of all bounces together; the greatest difference first.
-pub fn difference_rows(frame: &Frame<'_>, other: &Frame<'_>, root: Root) -> Vec<DifferenceRow> {
-    let [here, there] = [frame, other].map(|frame| frame.octree(root));
+pub fn difference_rows(here: &[Frame<'_>], there: &[Frame<'_>], root: Root) -> Vec<DifferenceRow> {
+    let [here, there] = [here, there].map(|frames| octree(frames, root));
     let [own, others] = [&here, &there].map(|tree| tree.level(LEVELS, None));
     // Trees of one root have a difference.
     let differences = here.difference(&there, LEVELS, None).unwrap_or_default();
@@ -351,6 +365,7 @@ pub fn voxels<'a>() -> Vec<Column<VoxelRow<'a>>> {
 /// A pixel, and its place.
 pub struct PixelRow<'a> {
     file: &'a str,
+    frame: u32,
     place: [u32; 2],
     pixel: Pixel,
 }
@@ -358,14 +373,19 @@ pub struct PixelRow<'a> {
 pub fn pixel_rows<'a>(frame: &'a Frame<'a>) -> Vec<PixelRow<'a>> {
     let maps = Maps::of(frame.all);
     let width = maps.film[0].max(1);
-    let row =
-        |(number, pixel): (u32, Pixel)| PixelRow { file: frame.file, place: [number % width, number / width], pixel };
+    let row = |(number, pixel): (u32, Pixel)| PixelRow {
+        file: frame.file,
+        frame: frame.all.scope.frame,
+        place: [number % width, number / width],
+        pixel,
+    };
     (0..).zip(maps.pixels()).map(row).collect()
 }
 
 pub fn pixels<'a>() -> Vec<Column<PixelRow<'a>>> {
     vec![
         column("file", "file", Text, WhoCompares, |row| word(row.file)),
+        column("frame", "frame", Count, WhoCompares, |row| number(row.frame)),
         column("pixel_x", "x", Count, Anybody, |row| number(row.place[0])),
         column("pixel_y", "y", Count, Anybody, |row| number(row.place[1])),
         column("samples", "samples", Count, Anybody, |row| Cell::Count(row.pixel.samples)),

@@ -33,7 +33,9 @@ fn draw(x: u32, y: u32, index: u32) -> Sample {
 fn render(rect: Rect, samples: std::ops::Range<u32>) -> Tile {
     let mut tile = Tile::new(rect, samples.clone()).unwrap();
     for (x, y) in rect.pixels() {
-        samples.clone().for_each(|i| tile.add(x, y, i, &draw(x, y, i)));
+        for i in samples.clone() {
+            tile.add(x, y, i, &draw(x, y, i));
+        }
     }
     tile
 }
@@ -235,9 +237,13 @@ fn a_sum_across_an_end_cannot_be_held_and_an_end_never_moves_back() {
 #[test]
 fn of_halves_that_ended_apart_each_has_half_of_the_weight() {
     let mut tile = Tile::new(Rect { x: 0, y: 0, width: 1, height: 1 }, 0..4).unwrap();
-    (0..4).for_each(|i| tile.add(0, 0, i, &Sample { color: Rgb::splat(1.0 + (i % 2) as f32), ..Sample::MISS }));
+    for i in 0..4 {
+        tile.add(0, 0, i, &Sample { color: Rgb::splat(1.0 + (i % 2) as f32), ..Sample::MISS });
+    }
     let mut more = Tile::new(tile.rect(), 4..12).unwrap();
-    (4..12).for_each(|i| more.add(0, 0, i, &Sample { color: Rgb::splat(5.0), ..Sample::MISS }));
+    for i in 4..12 {
+        more.add(0, 0, i, &Sample { color: Rgb::splat(5.0), ..Sample::MISS });
+    }
     tile.hold([4, u32::MAX]).unwrap();
     tile.merge(&more).unwrap();
     let mut frame = Frame::new(Tiling::new(1, 1, 64).unwrap());

@@ -16,7 +16,9 @@ fn draw(x: u32, y: u32, index: u32) -> Sample {
 fn render(rect: Rect, samples: std::ops::Range<u32>) -> Tile {
     let mut tile = Tile::new(rect, samples.clone()).unwrap();
     for (x, y) in rect.pixels() {
-        samples.clone().for_each(|index| tile.add(x, y, index, &draw(x, y, index)));
+        for index in samples.clone() {
+            tile.add(x, y, index, &draw(x, y, index));
+        }
     }
     tile
 }

@@ -36,8 +36,8 @@ fn any_damage_is_an_error() {
         assert!(Statistics::decode(&bytes[..at]).is_err(), "the first {at} bytes");
     }
     let mut newer = bytes.clone();
-    newer[8] = 3;
-    assert_eq!(Statistics::decode(&newer), Err(PathsError::Version { found: 3, expected: 2 }));
+    newer[8] = 4;
+    assert_eq!(Statistics::decode(&newer), Err(PathsError::Version { found: 4, expected: 3 }));
     let mut bins = bytes.clone();
     bins[28] = 9;
     assert_eq!(Statistics::decode(&sealed(bins)), Err(PathsError::Schema { found: 9, expected: 1 }));

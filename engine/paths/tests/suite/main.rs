@@ -2,6 +2,7 @@
 
 mod bytes;
 mod causes;
+mod frames;
 mod laws;
 mod plants;
 mod questions;

@@ -73,6 +73,7 @@ pub(crate) fn path(scope: &Scope, key: PathKey) -> Path {
         lights.push(Light {
             vertex: bounce + 1,
             light: Name::of(Kind::Lamp, ["lamp a", "lamp b"][rolls.below(2) as usize]),
+            medium: Name::NONE,
             radiance: [rolls.next(); 3],
             occluder: (rolls.next() < 0.2).then(|| Name::of(Kind::Object, OBJECTS[rolls.below(4) as usize])),
             found: Found::Surface,

@@ -2,8 +2,9 @@
 
 use femc_film::{Rect, Tiling};
 use femc_import::{Bundle, load};
+use femc_pipeline::paths::bottlenecks::{Bottlenecks, By};
 use femc_pipeline::paths::histogram::{Histograms, Table};
-use femc_pipeline::paths::{End, Interaction, Kind, Name, Path, Statistics};
+use femc_pipeline::paths::{End, Found, Interaction, Kind, Name, Path, Statistics};
 use femc_pipeline::replay::Replay;
 use femc_pipeline::{Prepared, Settings, Source, StatisticsPlan, Stop, prepare, render_tile, render_with_statistics};
 use std::collections::BTreeMap;
@@ -134,7 +135,7 @@ fn records_are_the_samples_themselves_and_their_lights_add_up() {
         let mut replay = Replay::new(&prepared, &settings);
         for path in all.paths.values() {
             let (color, recording) = replay.sample((path.key.pixel % 20, path.key.pixel / 20), path.key.sample);
-            assert_eq!(path.radiance, color.to_array());
+            assert_eq!(Some(path.radiance), color.map(|color| color.to_array()));
             assert_eq!(path.intersections.len(), recording.steps.len());
             let sum = |lights: &mut dyn Iterator<Item = f64>| lights.sum::<f64>();
             let is_near = |a: f64, b: f32| (a - f64::from(b)).abs() <= 1e-4 * a.abs() + 1e-6;
@@ -193,6 +194,48 @@ fn paths_name_what_they_meet_and_say_how_they_went_on() {
     assert!(all.paths.values().map(ends).all(|end| end != End::Depth));
     let histograms = Histograms::of(&all, Table::Intersections);
     assert_eq!(histograms.attributes[0].samples.iter().sum::<u64>(), steps().count() as u64);
+}
+
+#[test]
+fn light_scattered_in_fog_names_the_fog_and_what_hides_the_lamp_from_it() {
+    let (settings, prepared) = (settings(), prepared(&format!("{FOG}{ROOM}"), &settings()));
+    let all = whole(&prepared, &settings, &[8]);
+    let fog = Name::of(Kind::Medium, "fog");
+    assert_eq!(all.names.get(&fog), Some(&(Kind::Medium, "fog".to_owned())));
+    let plate = Name::of(Kind::Object, "plate");
+    let lights = || all.paths.values().flat_map(|path| &path.lights);
+    let in_fog = || lights().filter(|light| light.found == Found::Airlight);
+    assert!(in_fog().all(|light| light.medium == fog));
+    assert!(lights().all(|light| light.found == Found::Airlight || light.medium == Name::NONE));
+    // Light that is hidden adds nothing, and something opaque is in the way of all that adds nothing and could have.
+    assert!(in_fog().all(|light| light.occluder.is_none() || light.radiance == [0.0; 3]));
+    let [hidden, plates] = [|_: Name| true, |it: Name| it == Name::of(Kind::Object, "plate")]
+        .map(|is| in_fog().filter(|light| light.occluder.is_some_and(is)).count());
+    assert!(plates > 20 && hidden > plates, "{hidden} hidden, {plates} of them by {plate:?}");
+    let causes = Bottlenecks::of(&all, By::Part);
+    let scattered =
+        causes.parts.iter().filter(|(part, of)| part.interaction == Some(Interaction::Volume) && of.light > 0.0);
+    let named: Vec<Option<&str>> = scattered.map(|(part, _)| causes.text(part.material)).collect();
+    assert_eq!(named, [Some("fog")]);
+}
+
+#[test]
+fn a_sample_that_the_film_refuses_is_in_no_statistic() {
+    // The largest radiance that the film takes is 1.1e12 cd/m2.
+    let (settings, text) = (settings(), ROOM.replace("ed 500", "ed 5e13"));
+    let prepared = prepared(&text, &settings);
+    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+    let mut refused = 0;
+    for rect in tiling(&prepared).rects() {
+        let alone = render_tile(&prepared, &settings, rect, 0..8, &cancel, &progress).unwrap().tile;
+        let (_, statistics) = rendered(&prepared, &settings, rect, 0..8);
+        assert_eq!(statistics.totals().bad, alone.bad().total());
+        refused += alone.bad().total();
+        let records = [&statistics.paths, &statistics.brightest, &statistics.deepest];
+        let mut paths = records.into_iter().flat_map(|records| records.values());
+        assert!(paths.all(|path| path.radiance.into_iter().all(|light| light <= 1_099_511_627_776.0)));
+    }
+    assert!(refused > 0 && refused < 20 * 12 * 8, "{refused} refused");
 }
 
 #[test]

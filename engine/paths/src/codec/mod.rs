@@ -4,7 +4,7 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCPATH` |
-//! | 4 | format version, 2 |
+//! | 4 | format version, 3 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 4 | version of the attributes and their bins ([`schema`]) |
 //! | 8 | seed |
@@ -23,42 +23,37 @@
 //! | portions | tile, half, begin, end; the counters, two each |
 //! | bins, of each portion those of all attributes, if all samples are in them | count: 2 |
 //! | pixels, portion by portion | samples, depth, throughput, luminance: 2, its squares: 4 ([`crate::pixels`]) |
-//! | paths, brightest, deepest | pixel, sample, radiance: 3, throughput: 3, depth, end, numbers of intersections, lights |
-//! | intersections, in order | bounce, position: 6, radiance: 3, throughput: 3, object, material, interaction |
-//! | lights, in order | vertex, light, radiance: 3, occluder, how it was found |
 //! | names | kind, bytes of the text |
 //!
-//! The texts follow, one after the other. Names are their places among the names, from 1; 0 is none, and 2^32 - 1 no occluder.
+//! The texts follow, one after the other, and then the tables of the records (`codec/records.rs`). Names are their places among the names, from 1; 0 is none.
 //!
 //! The checksum is looked at first. What is decompressed is never more than the header says, and nothing is made room for that has not
 //! come out of it. Accepted bytes hold all laws of [`Statistics`]: order, ranges, portions apart, no number that is not finite.
 
+mod columns;
+mod records;
+
 use crate::pixels::{self, PixelSums};
-use crate::record::{
-    End, Found, Interaction, Intersection, Kind, Light, MOST_INTERSECTIONS, MOST_LIGHTS, Name, Names, Path, PathKey,
-};
+use crate::record::{Kind, Name, Names};
 use crate::schema;
-use crate::statistics::{Counters, ENDS, PortionKey, Records, Scope, Statistics, is_clear};
+use crate::statistics::{Counters, ENDS, PortionKey, Scope, Statistics, is_clear};
+use columns::{Tables, joined, put, split};
+use records::{extents, put_records};
 use std::collections::BTreeMap;
 use std::io::Read;
 
 const MAGIC: &[u8; 8] = b"FEMCPATH";
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
 /// Most bytes of all tables: 4 GiB, of which a film of 8192 x 4320 pixels has 2.4 GiB.
 const MOST: u64 = 1 << 32;
 /// What is read back needs no larger window than this; it bounds what the decompressor takes.
 const WINDOW_LOG: u32 = 23;
-const LEVEL: i32 = 3;
-/// No occluder.
-const NONE: u32 = u32::MAX;
+const LEVEL: i32 = 1;
 
-/// Words of a record of each table.
+/// Words of a portion.
 const PORTION: usize = 4 + 2 * (1 + 2 * schema::FINE + ENDS);
-const PATH: usize = 12;
-const INTERSECTION: usize = 16;
-const LIGHT: usize = 7;
 
 /// Why bytes are no light statistics.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
@@ -102,9 +97,8 @@ impl Statistics {
             .for_each(|word| out.extend(word.to_le_bytes()));
         lower.iter().chain(&upper).for_each(|axis| out.extend(axis.to_bits().to_le_bytes()));
         out.extend(self.threshold.to_le_bytes());
-        let all = || [&self.paths, &self.brightest, &self.deepest].into_iter().flat_map(|records| records.values());
-        let intersections: usize = all().map(|path| path.intersections.len()).sum();
-        let lights: usize = all().map(|path| path.lights.len()).sum();
+        let all = [&self.paths, &self.brightest, &self.deepest].into_iter().flat_map(|records| records.values());
+        let [intersections, lights] = extents(all);
         let [paths, brightest, deepest] = [&self.paths, &self.brightest, &self.deepest].map(BTreeMap::len);
         let lengths = [self.portions.len(), paths, brightest, deepest, intersections, lights, self.names.len()];
         lengths.iter().for_each(|&length| out.extend((length as u32).to_le_bytes()));
@@ -119,40 +113,20 @@ impl Statistics {
 
     fn tables(&self) -> Vec<u8> {
         let mut out = Vec::new();
-        let places: BTreeMap<Name, u32> = (1..).zip(self.names.keys()).map(|(place, name)| (*name, place)).collect();
-        // A name without a text is written as no name.
-        let place = |name: Name| places.get(&name).copied().unwrap_or(0);
-        table(&mut out, self.portions.iter().map(|(key, counters)| portion(key, counters)));
+        put(&mut out, &self.portions.iter().map(|(key, counters)| portion(key, counters)).collect::<Vec<_>>());
         if self.scope.is_full {
             let bins = |counters: &Counters| {
                 // A portion without samples has them without counts.
                 (0..schema::ALL_BINS).map(|bin| counters.bins.get(bin).copied().unwrap_or(0)).collect::<Vec<u64>>()
             };
-            let words = |count: u64| [count as u32, (count >> 32) as u32];
-            table(&mut out, self.portions.values().flat_map(bins).map(words));
+            put(&mut out, &self.portions.values().flat_map(bins).map(split).collect::<Vec<_>>());
         }
-        table(&mut out, self.portions.values().flat_map(|counters| &counters.pixels).map(PixelSums::words));
-        let all = [&self.paths, &self.brightest, &self.deepest];
-        for records in all {
-            table(&mut out, records.values().map(path));
-        }
-        let paths = || all.into_iter().flat_map(|records| records.values());
-        let intersection = |it: &Intersection| -> [u32; INTERSECTION] {
-            let mut words = Words::new(it.bounce);
-            it.position.iter().for_each(|axis| words.long(axis.to_bits()));
-            it.radiance.iter().chain(&it.throughput).for_each(|value| words.word(value.to_bits()));
-            let numbers = [place(it.object), place(it.material), it.interaction as u32];
-            numbers.into_iter().for_each(|number| words.word(number));
-            words.done()
-        };
-        table(&mut out, paths().flat_map(|path| &path.intersections).map(intersection));
-        let light = |it: &Light| {
-            let [r, g, b] = it.radiance.map(f32::to_bits);
-            [it.vertex, place(it.light), r, g, b, it.occluder.map_or(NONE, place), it.found as u32]
-        };
-        table::<LIGHT>(&mut out, paths().flat_map(|path| &path.lights).map(light));
-        table(&mut out, self.names.values().map(|(kind, text)| [*kind as u32, text.len() as u32]));
+        let pixels = self.portions.values().flat_map(|counters| &counters.pixels);
+        put(&mut out, &pixels.map(PixelSums::words).collect::<Vec<_>>());
+        let names = self.names.values().map(|(kind, text)| [*kind as u32, text.len() as u32]);
+        put(&mut out, &names.collect::<Vec<_>>());
         self.names.values().for_each(|(_, text)| out.extend(text.as_bytes()));
+        put_records(&mut out, [&self.paths, &self.brightest, &self.deepest], &self.names, &self.scope);
         out
     }
 
@@ -202,13 +176,6 @@ fn portion(key: &PortionKey, counters: &Counters) -> [u32; PORTION] {
     words.done()
 }
 
-fn path(path: &Path) -> [u32; PATH] {
-    let Path { key, radiance: [r, g, b], throughput: [s, t, u], depth, end, intersections, lights } = path;
-    let [r, g, b, s, t, u] = [r, g, b, s, t, u].map(|value| value.to_bits());
-    let (kept, found) = (intersections.len() as u32, lights.len() as u32);
-    [key.pixel, key.sample, r, g, b, s, t, u, *depth, *end as u32, kept, found]
-}
-
 fn decompressed(bytes: &[u8], plain: u64) -> Result<Vec<u8>, PathsError> {
     const LENGTH: PathsError = PathsError::Corrupt("tables of another length");
     const DAMAGED: PathsError = PathsError::Corrupt("tables do not decompress");
@@ -225,68 +192,12 @@ fn decompressed(bytes: &[u8], plain: u64) -> Result<Vec<u8>, PathsError> {
 fn read(mut tables: Tables<'_>, scope: Scope, threshold: u64, lengths: [u32; 7]) -> Result<Statistics, PathsError> {
     let [portions, paths, brightest, deepest, intersections, lights, names] = lengths;
     let portions = read_portions(&mut tables, portions, &scope)?;
-    let heads: [Vec<[u32; PATH]>; 3] = [tables.table(paths)?, tables.table(brightest)?, tables.table(deepest)?];
-    let intersections: Vec<[u32; INTERSECTION]> = tables.table(intersections)?;
-    let lights: Vec<[u32; LIGHT]> = tables.table(lights)?;
-    let names = read_names(tables.table(names)?, tables.0)?;
-    let keys: Vec<Name> = [Name::NONE].into_iter().chain(names.keys().copied()).collect();
-    let name = |place: u32| keys.get(place as usize).copied().ok_or(RANGE);
-    let intersection = |words: &[u32; INTERSECTION]| {
-        let long = |at: usize| f64::from_bits(u64::from(words[at]) | u64::from(words[at + 1]) << 32);
-        let floats = |at: usize| [0, 1, 2].map(|k| f32::from_bits(words[at + k]));
-        Ok(Intersection {
-            bounce: words[0],
-            position: [long(1), long(3), long(5)],
-            radiance: floats(7),
-            throughput: floats(10),
-            object: name(words[13])?,
-            material: name(words[14])?,
-            interaction: number(Interaction::ALL, words[15])?,
-        })
-    };
-    let light = |&[vertex, light, r, g, b, occluder, found]: &[u32; LIGHT]| {
-        Ok(Light {
-            vertex,
-            light: name(light)?,
-            radiance: [r, g, b].map(f32::from_bits),
-            occluder: if occluder == NONE { None } else { Some(name(occluder)?) },
-            found: number(Found::ALL, found)?,
-        })
-    };
-    let (mut intersections, mut lights) = (&intersections[..], &lights[..]);
-    let mut records = [Records::new(), Records::new(), Records::new()];
-    for (records, heads) in records.iter_mut().zip(heads) {
-        for [pixel, sample, r, g, b, s, t, u, depth, end, kept, found] in heads {
-            if kept as usize > MOST_INTERSECTIONS || found as usize > MOST_LIGHTS {
-                return Err(RANGE);
-            }
-            let (own, rest) = intersections.split_at_checked(kept as usize).ok_or(CUT)?;
-            let (own_lights, rest_lights) = lights.split_at_checked(found as usize).ok_or(CUT)?;
-            (intersections, lights) = (rest, rest_lights);
-            let key = PathKey { frame: scope.frame, pixel, sample };
-            let path = Path {
-                key,
-                radiance: [r, g, b].map(f32::from_bits),
-                throughput: [s, t, u].map(f32::from_bits),
-                depth,
-                end: number(End::ALL, end)?,
-                intersections: own.iter().map(intersection).collect::<Result<_, _>>()?,
-                lights: own_lights.iter().map(light).collect::<Result<_, _>>()?,
-            };
-            let order = (key.hash(scope.seed), key);
-            if !path.is_sound() || u64::from(pixel) >= scope.pixels() {
-                return Err(RANGE);
-            }
-            if records.last_key_value().is_some_and(|(last, _)| *last >= order) {
-                return Err(ORDER);
-            }
-            records.insert(order, path);
-        }
-    }
-    if !intersections.is_empty() || !lights.is_empty() {
+    let names = read_names(&mut tables, names)?;
+    let heads = [paths, brightest, deepest];
+    let [paths, brightest, deepest] = records::records(&mut tables, heads, [intersections, lights], &names, &scope)?;
+    if !tables.0.is_empty() {
         return Err(PathsError::Corrupt("more than its tables"));
     }
-    let [paths, brightest, deepest] = records;
     let mut read = Statistics { scope, threshold, portions, paths, brightest, deepest, names };
     // Settling drops what the scope does not allow, or no sample counted: there is no such thing.
     let extent = |it: &Statistics| (it.threshold, it.paths.len(), it.brightest.len(), it.deepest.len(), it.names.len());
@@ -303,13 +214,13 @@ fn read_portions(
     records: u32,
     scope: &Scope,
 ) -> Result<BTreeMap<PortionKey, Counters>, PathsError> {
-    let records: Vec<[u32; PORTION]> = tables.table(records)?;
+    let records: Vec<[u32; PORTION]> = tables.table(records as usize)?;
     let [_, tiles] = scope.tiles();
     let (mut portions, mut all_pixels) = (BTreeMap::<PortionKey, Counters>::new(), 0u64);
     for words in records {
         let [tile, half, begin, end, ref counts @ ..] = words;
         let mut counters = Counters::default();
-        let longs = counts.as_chunks::<2>().0.iter().map(|&[low, high]| u64::from(low) | u64::from(high) << 32);
+        let longs = counts.as_chunks::<2>().0.iter().copied().map(joined);
         counters.words_mut().zip(longs).for_each(|(count, value)| *count = value);
         let key = PortionKey { tile, half: half.min(2) as u8, begin, end };
         if u64::from(tile) >= tiles || half > 1 || begin >= end {
@@ -326,17 +237,16 @@ fn read_portions(
         portions.insert(key, counters);
     }
     if scope.is_full {
-        let records = portions.len().saturating_mul(schema::ALL_BINS);
-        let bins: Vec<[u32; 2]> = tables.table(u32::try_from(records).map_err(|_| CUT)?)?;
+        let bins: Vec<[u32; 2]> = tables.table(portions.len().saturating_mul(schema::ALL_BINS))?;
         for (counters, bins) in portions.values_mut().zip(bins.chunks(schema::ALL_BINS)) {
-            let own = bins.iter().map(|&[low, high]| u64::from(low) | u64::from(high) << 32);
+            let own = bins.iter().copied().map(joined);
             counters.bins = if counters.ends.iter().all(|count| *count == 0) { Vec::new() } else { own.collect() };
             if counters.bins.is_empty() && bins.iter().any(|count| *count != [0; 2]) {
                 return Err(RANGE);
             }
         }
     }
-    let pixels: Vec<[u32; pixels::WORDS]> = tables.table(u32::try_from(all_pixels).map_err(|_| CUT)?)?;
+    let pixels: Vec<[u32; pixels::WORDS]> = tables.table(usize::try_from(all_pixels).map_err(|_| CUT)?)?;
     let mut rest = &pixels[..];
     for (key, counters) in &mut portions {
         let area = scope.area(key.tile);
@@ -350,11 +260,12 @@ fn read_portions(
     Ok(portions)
 }
 
-fn read_names(records: Vec<[u32; 2]>, mut texts: &[u8]) -> Result<Names, PathsError> {
+fn read_names(tables: &mut Tables<'_>, records: u32) -> Result<Names, PathsError> {
+    let records: Vec<[u32; 2]> = tables.table(records as usize)?;
     let mut names = Names::new();
     for [kind, bytes] in records {
-        let (text, rest) = texts.split_at_checked(bytes as usize).ok_or(CUT)?;
-        texts = rest;
+        let (text, rest) = tables.0.split_at_checked(bytes as usize).ok_or(CUT)?;
+        tables.0 = rest;
         let text = std::str::from_utf8(text).map_err(|_| PathsError::Corrupt("a name is no text"))?;
         let kind = number(&Kind::ALL, kind)?;
         let name = Name::of(kind, text);
@@ -363,7 +274,7 @@ fn read_names(records: Vec<[u32; 2]>, mut texts: &[u8]) -> Result<Names, PathsEr
         }
         names.insert(name, (kind, text.to_owned()));
     }
-    if texts.is_empty() { Ok(names) } else { Err(PathsError::Corrupt("more than its tables")) }
+    Ok(names)
 }
 
 fn number<T: Copy>(all: &[T], number: u32) -> Result<T, PathsError> {
@@ -421,31 +332,5 @@ impl Front<'_> {
         let (word, rest) = self.0.split_first_chunk().ok_or(CUT)?;
         self.0 = rest;
         Ok(u64::from_le_bytes(*word))
-    }
-}
-
-/// Tables that are not read yet.
-struct Tables<'a>(&'a [u8]);
-
-impl Tables<'_> {
-    fn table<const N: usize>(&mut self, records: u32) -> Result<Vec<[u32; N]>, PathsError> {
-        let records = records as usize;
-        let bytes = records.checked_mul(4 * N).ok_or(CUT)?;
-        let (planes, rest) = self.0.split_at_checked(bytes).ok_or(CUT)?;
-        self.0 = rest;
-        let byte = |record: usize, at: usize| planes[at * records + record];
-        let word = |record: usize, at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|k| byte(record, 4 * at + k)));
-        Ok((0..records).map(|record| std::array::from_fn(|at| word(record, at))).collect())
-    }
-}
-
-/// Writes a table in byte planes.
-fn table<const N: usize>(out: &mut Vec<u8>, records: impl Iterator<Item = [u32; N]>) {
-    let records: Vec<[u32; N]> = records.collect();
-    out.reserve(4 * N * records.len());
-    for at in 0..N {
-        for byte in 0..4 {
-            out.extend(records.iter().map(|record| record[at].to_le_bytes()[byte]));
-        }
     }
 }

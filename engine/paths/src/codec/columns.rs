@@ -1,0 +1,54 @@
+//! Tables of records of equal length, made of words of 4 bytes, in byte planes: the lowest byte of the first word of all records, then the
+//! next. What is alike lies together then.
+
+use super::{CUT, PathsError};
+
+/// Writes a table in byte planes.
+pub(super) fn put<const N: usize>(out: &mut Vec<u8>, records: &[[u32; N]]) {
+    out.reserve(4 * N * records.len());
+    let any = records.iter().fold([0u32; N], |any, record| std::array::from_fn(|at| any[at] | record[at]));
+    let mut column = vec![0u32; records.len()];
+    for at in 0..N {
+        column.iter_mut().zip(records).for_each(|(word, record)| *word = record[at]);
+        for byte in 0..4 {
+            // Most planes are nothing but zeros.
+            if any[at].to_le_bytes()[byte] == 0 {
+                out.resize(out.len() + records.len(), 0);
+            } else {
+                out.extend(column.iter().map(|word| (word >> (8 * byte)) as u8));
+            }
+        }
+    }
+}
+
+/// Tables that are not read yet.
+pub(super) struct Tables<'a>(pub(super) &'a [u8]);
+
+impl Tables<'_> {
+    /// The next table; nothing is made room for that is not there.
+    pub(super) fn table<const N: usize>(&mut self, records: usize) -> Result<Vec<[u32; N]>, PathsError> {
+        let bytes = records.checked_mul(4 * N).ok_or(CUT)?;
+        let (planes, rest) = self.0.split_at_checked(bytes).ok_or(CUT)?;
+        self.0 = rest;
+        let mut table = vec![[0u32; N]; records];
+        if records > 0 {
+            for (number, plane) in planes.chunks_exact(records).enumerate() {
+                let (at, shift) = (number / 4, 8 * (number % 4));
+                if plane.iter().any(|byte| *byte != 0) {
+                    table.iter_mut().zip(plane).for_each(|(record, byte)| record[at] |= u32::from(*byte) << shift);
+                }
+            }
+        }
+        Ok(table)
+    }
+}
+
+/// The two words of a number of 8 bytes, the lower one first.
+pub(super) fn split(long: u64) -> [u32; 2] {
+    [long as u32, (long >> 32) as u32]
+}
+
+/// The number of two words.
+pub(super) fn joined([low, high]: [u32; 2]) -> u64 {
+    u64::from(low) | u64::from(high) << 32
+}

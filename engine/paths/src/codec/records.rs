@@ -1,0 +1,337 @@
+//! Records as tables. What follows from the rest of a record is not written: a number is written as the bits in which it differs from what
+//! would follow, which are hardly ever any. The order of what is written is that of the records, first those chosen by hash, then the
+//! brightest, then the deepest, and in each that of its intersections and lights.
+//!
+//! | table | words of a record |
+//! | --- | --- |
+//! | heads | pixel, sample, radiance: 3, from the sum of the lights; throughput: 3; depth less kept intersections; end; numbers of kept intersections and of lights |
+//! | intersections | bounce, from the next one; place: 6; radiance: 3, from what the lights say; throughput: 3; class; object; material |
+//! | places off the grid | 6 |
+//! | lights | class; vertex, from that of the light before; lamp |
+//! | occluders, of hidden lights | 1 |
+//! | radiances, of lights that have some | 3 |
+//! | media, of light scattered in some | 1 |
+//!
+//! - A coordinate is its number on the [grid](Scope::grid), in two words, twice as large, and one less for -1, -2...: zigzag. Where one of a
+//!   place is no such number below 2^52, all three are 2^64 - 1 and the place lies in the next table.
+//! - Of three channels the second and third are the bits in which they differ from the first.
+//! - The class of an intersection is its interaction, and 8 if what it sends has the light that the path met there ([`Path::sent`]). Its material
+//!   is 0 if it is that of the latest intersection with the same object, else one more than its place among the names.
+//! - The class of a light is how it was found, 8 if it is hidden, 16 if it has radiance.
+
+use super::columns::{Tables, joined, put, split};
+use super::{CUT, ORDER, PathsError, RANGE, number};
+use crate::record::{
+    ByName, End, Found, Interaction, Intersection, Light, MOST_INTERSECTIONS, MOST_LIGHTS, Name, Names, Path, PathKey,
+};
+use crate::statistics::{Records, Scope};
+use std::collections::HashMap;
+use std::slice::Iter;
+
+const HEAD: usize = 12;
+const INTERSECTION: usize = 16;
+const LIGHT: usize = 3;
+/// A coordinate that is not on the grid.
+const OFF_GRID: u64 = u64::MAX;
+/// The light met there is sent from there.
+const EMITS: u32 = 8;
+const HIDDEN: u32 = 8;
+const LIT: u32 = 16;
+
+/// Numbers of intersections and lights of records.
+pub(super) fn extents<'a>(records: impl Iterator<Item = &'a Path>) -> [usize; 2] {
+    records.fold([0, 0], |[a, b], path| [a + path.intersections.len(), b + path.lights.len()])
+}
+
+/// Writes the records.
+pub(super) fn put_records(out: &mut Vec<u8>, all: [&Records; 3], names: &Names, scope: &Scope) {
+    let places: ByName<u32> = names.keys().copied().zip(1..).collect();
+    let mut columns = Columns { grid: scope.grid(), places, ..Columns::default() };
+    all.into_iter().flat_map(|records| records.values()).for_each(|path| columns.add(path));
+    columns.put(out);
+}
+
+#[derive(Default)]
+struct Columns {
+    grid: f64,
+    /// What names are written as.
+    places: ByName<u32>,
+    /// The latest material of each object, by their places.
+    materials: HashMap<u32, u32>,
+    heads: Vec<[u32; HEAD]>,
+    intersections: Vec<[u32; INTERSECTION]>,
+    off_grid: Vec<[u32; 6]>,
+    lights: Vec<[u32; LIGHT]>,
+    occluders: Vec<[u32; 1]>,
+    radiances: Vec<[u32; 3]>,
+    media: Vec<[u32; 1]>,
+}
+
+impl Columns {
+    /// A name without a text is written as no name.
+    fn place(&self, name: Name) -> u32 {
+        self.places.get(&name).copied().unwrap_or(0)
+    }
+
+    fn add(&mut self, path: &Path) {
+        let (kept, found) = (path.intersections.len() as u32, path.lights.len() as u32);
+        let [r, g, b] = differing(path.radiance, path.sum());
+        let [s, t, u] = alike(path.throughput);
+        let PathKey { pixel, sample, .. } = path.key;
+        self.heads.push([pixel, sample, r, g, b, s, t, u, path.depth.wrapping_sub(kept), path.end as u32, kept, found]);
+        let sent = path.sent(|_| false);
+        let has_met = path.lights.iter().any(|light| light.found == Found::Met);
+        let emitted = if has_met { path.sent(|_| true) } else { sent.clone() };
+        let mut before = 0;
+        for (it, (sent, emitted)) in path.intersections.iter().zip(sent.into_iter().zip(emitted)) {
+            let emits = differing(it.radiance, sent) != [0; 3] && differing(it.radiance, emitted) == [0; 3];
+            let (sent, class) = if emits { (emitted, EMITS) } else { (sent, 0) };
+            self.intersection(it, it.bounce.wrapping_sub(before), differing(it.radiance, sent), class);
+            before = it.bounce;
+        }
+        let mut before = 0;
+        for light in &path.lights {
+            self.light(light, light.vertex.wrapping_sub(before));
+            before = light.vertex;
+        }
+    }
+
+    fn intersection(&mut self, it: &Intersection, bounce: u32, [r, g, b]: [u32; 3], class: u32) {
+        let [[x, x2], [y, y2], [z, z2]] = on_grid(it.position, self.grid).map(split);
+        if [x, x2] == split(OFF_GRID) {
+            let [[x, x2], [y, y2], [z, z2]] = it.position.map(|axis| split(axis.to_bits()));
+            self.off_grid.push([x, x2, y, y2, z, z2]);
+        }
+        let [s, t, u] = alike(it.throughput);
+        let class = class | it.interaction as u32;
+        let (object, material) = (self.place(it.object), self.place(it.material));
+        let latest = self.materials.insert(object, material);
+        let material = if latest == Some(material) { 0 } else { 1 + material };
+        self.intersections.push([bounce, x, x2, y, y2, z, z2, r, g, b, s, t, u, class, object, material]);
+    }
+
+    fn light(&mut self, light: &Light, vertex: u32) {
+        let radiance = light.radiance.map(f32::to_bits);
+        let mut class = light.found as u32;
+        if let Some(occluder) = light.occluder {
+            class |= HIDDEN;
+            self.occluders.push([self.place(occluder)]);
+        }
+        if radiance != [0; 3] {
+            class |= LIT;
+            self.radiances.push(alike(light.radiance));
+        }
+        if light.found == Found::Airlight {
+            self.media.push([self.place(light.medium)]);
+        }
+        self.lights.push([class, vertex, self.place(light.light)]);
+    }
+
+    fn put(&self, out: &mut Vec<u8>) {
+        put(out, &self.heads);
+        put(out, &self.intersections);
+        put(out, &self.off_grid);
+        put(out, &self.lights);
+        put(out, &self.occluders);
+        put(out, &self.radiances);
+        put(out, &self.media);
+    }
+}
+
+/// The bits in which the channels differ from those that would follow.
+fn differing(own: [f32; 3], other: [f32; 3]) -> [u32; 3] {
+    std::array::from_fn(|channel| own[channel].to_bits() ^ other[channel].to_bits())
+}
+
+/// The first channel, and the bits in which the others differ from it.
+fn alike(color: [f32; 3]) -> [u32; 3] {
+    let [r, g, b] = color.map(f32::to_bits);
+    [r, g ^ r, b ^ r]
+}
+
+/// What [`alike`] was made of.
+fn color([r, g, b]: [u32; 3]) -> [f32; 3] {
+    [r, g ^ r, b ^ r].map(f32::from_bits)
+}
+
+fn on_grid(position: [f64; 3], grid: f64) -> [u64; 3] {
+    const MOST: f64 = (1u64 << 52) as f64;
+    let place = |axis: f64| {
+        let number = axis / grid;
+        let is_there =
+            number.fract() == 0.0 && number.abs() < MOST && (number as i64 as f64 * grid).to_bits() == axis.to_bits();
+        let number = number as i64;
+        is_there.then_some(((number << 1) ^ (number >> 63)) as u64)
+    };
+    match position.map(place) {
+        [Some(x), Some(y), Some(z)] => [x, y, z],
+        _ => [OFF_GRID; 3],
+    }
+}
+
+/// What [`on_grid`] was made of.
+fn position(place: u64, grid: f64) -> f64 {
+    let number = (place >> 1) as i64 ^ -((place & 1) as i64);
+    number as f64 * grid
+}
+
+/// Reads as many records: chosen by hash, brightest, deepest; and of intersections and lights of them all.
+pub(super) fn records(
+    tables: &mut Tables<'_>,
+    heads: [u32; 3],
+    [intersections, lights]: [u32; 2],
+    names: &Names,
+    scope: &Scope,
+) -> Result<[Records; 3], PathsError> {
+    let numbers = heads;
+    let heads = numbers.map(|number| number as usize).iter().try_fold(0usize, |sum, number| sum.checked_add(*number));
+    let heads: Vec<[u32; HEAD]> = tables.table(heads.ok_or(CUT)?)?;
+    let intersections: Vec<[u32; INTERSECTION]> = tables.table(intersections as usize)?;
+    let off_grid = intersections.iter().filter(|words| joined([words[1], words[2]]) == OFF_GRID).count();
+    let off_grid = tables.table(off_grid)?;
+    let lights: Vec<[u32; LIGHT]> = tables.table(lights as usize)?;
+    let of_class = |is: fn(u32) -> bool| lights.iter().filter(|light| is(light[0])).count();
+    let occluders = tables.table(of_class(|class| class & HIDDEN != 0))?;
+    let radiances = tables.table(of_class(|class| class & LIT != 0))?;
+    let media = tables.table(of_class(|class| class & 7 == Found::Airlight as u32))?;
+    let mut rest = Rest {
+        scope,
+        grid: scope.grid(),
+        names: [Name::NONE].into_iter().chain(names.keys().copied()).collect(),
+        materials: ByName::default(),
+        intersections: intersections.iter(),
+        off_grid: off_grid.iter(),
+        lights: lights.iter(),
+        occluders: occluders.iter(),
+        radiances: radiances.iter(),
+        media: media.iter(),
+    };
+    let (mut heads, mut all) = (heads.iter(), <[Records; 3]>::default());
+    for (records, number) in all.iter_mut().zip(numbers) {
+        let mut latest = None;
+        let paths = heads.by_ref().take(number as usize).map(|head| {
+            let path = rest.path(head)?;
+            let order = (path.key.hash(scope.seed), path.key);
+            if latest.replace(order).is_some_and(|latest| latest >= order) { Err(ORDER) } else { Ok((order, path)) }
+        });
+        *records = paths.collect::<Result<_, PathsError>>()?;
+    }
+    if rest.intersections.next().is_some() || rest.lights.next().is_some() {
+        return Err(PathsError::Corrupt("more than its tables"));
+    }
+    Ok(all)
+}
+
+/// What is not read yet.
+struct Rest<'a> {
+    scope: &'a Scope,
+    grid: f64,
+    names: Vec<Name>,
+    materials: ByName<Name>,
+    intersections: Iter<'a, [u32; INTERSECTION]>,
+    off_grid: Iter<'a, [u32; 6]>,
+    lights: Iter<'a, [u32; LIGHT]>,
+    occluders: Iter<'a, [u32; 1]>,
+    radiances: Iter<'a, [u32; 3]>,
+    media: Iter<'a, [u32; 1]>,
+}
+
+impl Rest<'_> {
+    fn name(&self, place: u32) -> Result<Name, PathsError> {
+        self.names.get(place as usize).copied().ok_or(RANGE)
+    }
+
+    fn path(&mut self, head: &[u32; HEAD]) -> Result<Path, PathsError> {
+        let &[pixel, sample, r, g, b, s, t, u, deeper, end, kept, found] = head;
+        let (kept, found) = (kept as usize, found as usize);
+        if kept > MOST_INTERSECTIONS || found > MOST_LIGHTS || u64::from(pixel) >= self.scope.pixels() {
+            return Err(RANGE);
+        }
+        let mut path = Path {
+            key: PathKey { frame: self.scope.frame, pixel, sample },
+            radiance: [0.0; 3],
+            throughput: color([s, t, u]),
+            depth: deeper.wrapping_add(kept as u32),
+            end: number(End::ALL, end)?,
+            intersections: Vec::with_capacity(kept.min(self.intersections.len())),
+            lights: Vec::with_capacity(found.min(self.lights.len())),
+        };
+        let (mut bounce, mut vertex) = (0, 0);
+        // What is not as it follows, and whether something is emitted there.
+        let mut differences = Vec::with_capacity(path.intersections.capacity());
+        for _ in 0..kept {
+            let (it, difference) = self.intersection(&mut bounce)?;
+            path.intersections.push(it);
+            differences.push(difference);
+        }
+        for _ in 0..found {
+            let light = self.light(&mut vertex)?;
+            path.lights.push(light);
+        }
+        path.radiance = apart(path.sum(), [r, g, b]);
+        let sent = path.sent(|index| differences[index].1);
+        for (it, (sent, (difference, _))) in path.intersections.iter_mut().zip(sent.into_iter().zip(&differences)) {
+            it.radiance = apart(sent, *difference);
+        }
+        if path.is_sound() { Ok(path) } else { Err(RANGE) }
+    }
+
+    fn intersection(&mut self, latest: &mut u32) -> Result<(Intersection, ([u32; 3], bool)), PathsError> {
+        let &[bounce, x, x2, y, y2, z, z2, r, g, b, s, t, u, class, object, material] =
+            self.intersections.next().ok_or(CUT)?;
+        *latest = latest.wrapping_add(bounce);
+        let places = [[x, x2], [y, y2], [z, z2]].map(joined);
+        let position = if places[0] == OFF_GRID {
+            let &[x, x2, y, y2, z, z2] = self.off_grid.next().ok_or(CUT)?;
+            [[x, x2], [y, y2], [z, z2]].map(|words| f64::from_bits(joined(words)))
+        } else {
+            places.map(|place| position(place, self.grid))
+        };
+        let object = self.name(object)?;
+        let material = match material {
+            0 => *self.materials.get(&object).ok_or(RANGE)?,
+            _ => self.name(material - 1)?,
+        };
+        self.materials.insert(object, material);
+        let it = Intersection {
+            bounce: *latest,
+            position,
+            radiance: [0.0; 3],
+            throughput: color([s, t, u]),
+            object,
+            material,
+            interaction: number(Interaction::ALL, class & !EMITS)?,
+        };
+        Ok((it, ([r, g, b], class & EMITS != 0)))
+    }
+
+    fn light(&mut self, latest: &mut u32) -> Result<Light, PathsError> {
+        let &[class, vertex, light] = self.lights.next().ok_or(CUT)?;
+        *latest = latest.wrapping_add(vertex);
+        let found = number(Found::ALL, class & !(HIDDEN | LIT))?;
+        let occluder = match class & HIDDEN {
+            0 => None,
+            _ => {
+                let [place] = *self.occluders.next().ok_or(CUT)?;
+                Some(self.name(place)?)
+            }
+        };
+        let radiance = match class & LIT {
+            0 => [0.0; 3],
+            _ => color(*self.radiances.next().ok_or(CUT)?),
+        };
+        let medium = match found {
+            Found::Airlight => {
+                let [place] = *self.media.next().ok_or(CUT)?;
+                self.name(place)?
+            }
+            _ => Name::NONE,
+        };
+        Ok(Light { vertex: *latest, light: self.name(light)?, medium, radiance, occluder, found })
+    }
+}
+
+/// What [`differing`] was made of.
+fn apart(other: [f32; 3], bits: [u32; 3]) -> [f32; 3] {
+    std::array::from_fn(|channel| f32::from_bits(other[channel].to_bits() ^ bits[channel]))
+}

@@ -1,0 +1,144 @@
+//! Light statistics of several frames of a job, united.
+//!
+//! Frames are keyed by seed and number: one that is given twice counts once. All of them have one box and one threshold, so their records
+//! together are a fair subset of the samples of all frames, the least by hash, no more than one frame keeps. The union is associative,
+//! commutative and idempotent to the byte. Counters, pixels and sketches of a frame stay as they are.
+//!
+//! As bytes, little-endian:
+//!
+//! | bytes | what |
+//! | --- | --- |
+//! | 8 | `FEMCFRAM` |
+//! | 4 | format version, 1 |
+//! | 4 | number of frames |
+//! | of each, in order | 8: number of bytes; the [bytes](crate::codec) of its statistics |
+
+use crate::codec::PathsError;
+use crate::statistics::{Statistics, UnionError};
+use std::collections::BTreeMap;
+
+const MAGIC: &[u8; 8] = b"FEMCFRAM";
+const VERSION: u32 = 1;
+const CUT: PathsError = PathsError::Corrupt("cut short");
+
+/// Light statistics of frames.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Frames {
+    by_key: BTreeMap<(u64, u32), Statistics>,
+}
+
+impl Frames {
+    /// Of these frames, or parts of frames.
+    pub fn of(all: impl IntoIterator<Item = Statistics>) -> Result<Self, UnionError> {
+        let mut frames = Self::default();
+        frames.unite(all)?;
+        Ok(frames)
+    }
+
+    /// Adds frames, or parts of frames; of what is there already, one. An error changes nothing.
+    pub fn unite(&mut self, others: impl IntoIterator<Item = Statistics>) -> Result<(), UnionError> {
+        let mut all = self.clone();
+        for other in others {
+            all.add(other)?;
+        }
+        all.settle();
+        *self = all;
+        Ok(())
+    }
+
+    fn add(&mut self, mut other: Statistics) -> Result<(), UnionError> {
+        let key = (other.scope.seed, other.scope.frame);
+        let boxes = self.frames().chain([&other]).map(|it| (it.scope.lower, it.scope.upper));
+        let all = boxes.reduce(|(lower, upper), (low, high)| {
+            (
+                std::array::from_fn(|axis| low[axis].min(lower[axis])),
+                std::array::from_fn(|axis| high[axis].max(upper[axis])),
+            )
+        });
+        for it in self.by_key.values_mut().chain([&mut other]) {
+            let (lower, upper) = all.unwrap_or((it.scope.lower, it.scope.upper));
+            // What was counted in the parts of one box is not known in those of another.
+            if it.scope.is_full && (it.scope.lower, it.scope.upper) != (lower, upper) {
+                return Err(UnionError::Scope);
+            }
+            (it.scope.lower, it.scope.upper) = (lower, upper);
+        }
+        match self.by_key.get_mut(&key) {
+            Some(own) => own.unite(other),
+            None => {
+                self.by_key.insert(key, other);
+                Ok(())
+            }
+        }
+    }
+
+    /// One threshold for all, below which there are no more records than one frame keeps.
+    fn settle(&mut self) {
+        let keep = self.frames().map(|it| it.scope.keep as usize).min().unwrap_or(0);
+        let mut hashes: Vec<u64> = self.frames().flat_map(|it| it.paths.keys().map(|(hash, _)| *hash)).collect();
+        let mut threshold = self.frames().map(|it| it.threshold).min().unwrap_or(0);
+        if hashes.len() > keep {
+            threshold = threshold.min(*hashes.select_nth_unstable(keep).1);
+        }
+        for it in self.by_key.values_mut() {
+            it.threshold = threshold;
+            it.settle();
+        }
+    }
+
+    /// The frames in order of seed and number.
+    pub fn frames(&self) -> impl Iterator<Item = &Statistics> + Clone {
+        self.by_key.values()
+    }
+
+    /// The same, to keep.
+    pub fn into_frames(self) -> Vec<Statistics> {
+        self.by_key.into_values().collect()
+    }
+
+    /// Whether bytes are those of frames, or claim to be.
+    pub fn is_meant(bytes: &[u8]) -> bool {
+        bytes.starts_with(MAGIC)
+    }
+
+    /// The frames as bytes.
+    pub fn encode(&self) -> Vec<u8> {
+        let mut out = [&MAGIC[..], &VERSION.to_le_bytes(), &(self.by_key.len() as u32).to_le_bytes()].concat();
+        for it in self.frames() {
+            let bytes = it.encode();
+            out.extend((bytes.len() as u64).to_le_bytes());
+            out.extend(bytes);
+        }
+        out
+    }
+
+    /// The frames of bytes; damage of any kind is an error.
+    pub fn decode(bytes: &[u8]) -> Result<Self, PathsError> {
+        let (front, mut rest) = bytes.split_first_chunk::<16>().ok_or(CUT)?;
+        let [magic @ .., a, b, c, d, e, f, g, h] = *front;
+        if magic != *MAGIC {
+            return Err(PathsError::Corrupt("it begins as something else"));
+        }
+        let (found, count) = (u32::from_le_bytes([a, b, c, d]), u32::from_le_bytes([e, f, g, h]));
+        if found != VERSION {
+            return Err(PathsError::Version { found, expected: VERSION });
+        }
+        let mut frames = Self::default();
+        for _ in 0..count {
+            let (length, after) = rest.split_first_chunk().ok_or(CUT)?;
+            let length = usize::try_from(u64::from_le_bytes(*length)).map_err(|_| CUT)?;
+            let (own, after) = after.split_at_checked(length).ok_or(CUT)?;
+            rest = after;
+            let it = Statistics::decode(own)?;
+            let key = (it.scope.seed, it.scope.frame);
+            if frames.by_key.last_key_value().is_some_and(|(last, _)| *last >= key) {
+                return Err(PathsError::Corrupt("frames out of order"));
+            }
+            frames.by_key.insert(key, it);
+        }
+        // United they are what they are.
+        let united = Self::of(frames.frames().cloned()).map_err(|_| PathsError::Corrupt("frames without a union"))?;
+        let is_whole = rest.is_empty() && united == frames;
+        if is_whole { Ok(frames) } else { Err(PathsError::Corrupt("frames that are not united")) }
+    }
+}

@@ -1,0 +1,88 @@
+//! Frames of a job, united.
+
+use crate::world::{path, scope, task, tiles, united};
+use femc_paths::{Frames, Scope, Statistics, UnionError};
+
+/// A frame whose tiles have as many samples.
+fn frame(number: u32, samples: u32, keep: u32) -> Statistics {
+    let scope = Scope { frame: number, ..scope(keep) };
+    united(&scope, tiles(&scope).map(|tile| task(&scope, tile, 0..samples))).counted(0, |_, _| u32::MAX)
+}
+
+fn frames(keep: u32) -> Vec<Statistics> {
+    [(3, 16), (4, 2), (7, 8)].map(|(number, samples)| frame(number, samples, keep)).to_vec()
+}
+
+#[test]
+fn frames_in_any_order_and_grouping_and_given_twice_have_one_union_to_the_byte() {
+    let all = frames(900);
+    let expected = Frames::of(all.clone()).unwrap();
+    let bytes = expected.encode();
+    for order in [[0, 1, 2], [2, 1, 0], [1, 2, 0]] {
+        let [a, b, c] = order.map(|place| all[place].clone());
+        assert!(Frames::of([a.clone(), b.clone(), c.clone()]).unwrap().encode() == bytes);
+        let mut grouped = Frames::of([c.clone(), a.clone()]).unwrap();
+        let rest = Frames::of([b, a]).unwrap();
+        grouped.unite(rest.into_frames()).unwrap();
+        assert!(grouped.encode() == bytes, "by groups, one frame in both");
+        grouped.unite([c]).unwrap();
+        assert!(grouped.encode() == bytes, "a frame as its own file has it, once more");
+    }
+    assert!(Frames::decode(&bytes).is_ok_and(|read| read == expected));
+}
+
+#[test]
+fn the_records_of_all_frames_are_the_least_by_hash_of_all_their_samples() {
+    const KEEP: usize = 900;
+    let all = frames(1 << 20);
+    let mut wanted: Vec<_> = all.iter().flat_map(|it| it.paths.keys().copied()).collect();
+    wanted.sort_unstable();
+    wanted.truncate(KEEP);
+    let united = Frames::of(frames(KEEP as u32)).unwrap();
+    let mut found: Vec<_> = united.frames().flat_map(|it| it.paths.keys().copied()).collect();
+    found.sort_unstable();
+    assert_eq!(found, wanted);
+    // Each frame has the share of its samples; counters and sketches are those of the frames.
+    for (own, alone) in united.frames().zip(frames(KEEP as u32)) {
+        assert_eq!(
+            (own.samples(), &own.portions, &own.brightest),
+            (alone.samples(), &alone.portions, &alone.brightest)
+        );
+        assert_eq!(own.threshold, united.frames().next().unwrap().threshold);
+        assert!(own.paths.values().all(|it| *it == path(&own.scope, it.key)));
+    }
+}
+
+#[test]
+fn frames_get_one_box_and_other_content_of_the_same_frame_is_refused() {
+    let [a, b] = [frame(3, 2, 900), frame(4, 2, 900)];
+    let mut wider = b.clone();
+    (wider.scope.lower[0], wider.scope.upper[1]) = (-5.0, 9.0);
+    let united = Frames::of([a.clone(), wider.clone()]).unwrap();
+    assert!(united.frames().all(|it| (it.scope.lower, it.scope.upper) == ([-5.0, 0.0, 0.0], [4.0, 9.0, 2.5])));
+    let mut again = united.clone();
+    again.unite([wider, a.clone()]).unwrap();
+    assert_eq!(again, united);
+    // Read back, with places that are on no grid of the larger box.
+    assert!(Frames::decode(&united.encode()).is_ok_and(|read| read == united));
+    let mut other = a.clone();
+    other.portions.values_mut().for_each(|counters| counters.bad += 1);
+    let before = again.clone();
+    assert!(matches!(again.unite([other]), Err(UnionError::Unlike(_))));
+    assert_eq!(again, before, "an error changes nothing");
+}
+
+#[test]
+fn damaged_frames_are_refused() {
+    let bytes = Frames::of([frame(3, 1, 20), frame(4, 1, 20)]).unwrap().encode();
+    for at in (0..bytes.len()).step_by(67).chain(0..16) {
+        let mut damaged = bytes.clone();
+        damaged[at] ^= 0x10;
+        assert!(Frames::decode(&damaged).is_err(), "byte {at}");
+        assert!(Frames::decode(&bytes[..at]).is_err(), "the first {at} bytes");
+    }
+    let loose = [frame(3, 16, 900), frame(4, 16, 900)].map(|it| it.encode());
+    let mut apart = [&b"FEMCFRAM"[..], &1u32.to_le_bytes(), &2u32.to_le_bytes()].concat();
+    loose.iter().for_each(|own| apart.extend([&(own.len() as u64).to_le_bytes()[..], own].concat()));
+    assert!(Frames::decode(&apart).is_err(), "they have more records than one frame keeps");
+}

@@ -1,0 +1,76 @@
+//! What was heard of some samples, and the keys of the brightest and the deepest of them.
+
+use super::TOP;
+use femc_paths::pixels::PixelSums;
+use femc_paths::{Counters, Path, PathKey};
+use std::cmp::Reverse;
+use std::collections::{BTreeSet, BinaryHeap};
+
+/// What was heard of some samples.
+pub(super) struct Heard {
+    pub(super) counters: [Counters; 2],
+    /// Of each half, in the order in which they were rendered: row by row.
+    pub(super) pixels: [Vec<PixelSums>; 2],
+    pub(super) paths: Vec<Path>,
+    pub(super) bright: Tops,
+    pub(super) deep: Tops,
+}
+
+impl Heard {
+    pub(super) fn new() -> Self {
+        Self {
+            counters: Default::default(),
+            pixels: Default::default(),
+            paths: Vec::new(),
+            bright: Tops::default(),
+            deep: Tops::default(),
+        }
+    }
+
+    pub(super) fn merge(&mut self, other: Self) {
+        for (mine, theirs) in self.counters.iter_mut().zip(&other.counters) {
+            mine.merge_counts(theirs);
+            mine.merge_bins(&theirs.bins);
+        }
+        self.pixels.iter_mut().zip(other.pixels).for_each(|(mine, theirs)| mine.extend(theirs));
+        self.paths.extend(other.paths);
+        self.bright.merge(other.bright);
+        self.deep.merge(other.deep);
+    }
+}
+
+/// The keys of greatest rank of each half; of equal ranks those of least hash.
+#[derive(Default)]
+pub(super) struct Tops([BinaryHeap<Reverse<Ranked>>; 2]);
+
+/// The bits of a number that is not negative are in its order.
+type Ranked = (u32, Reverse<(u64, PathKey)>);
+
+impl Tops {
+    #[inline]
+    pub(super) fn offer(&mut self, rank: f32, hash: u64, key: PathKey) {
+        let half = &mut self.0[usize::from(key.half())];
+        let ranked = (rank.to_bits(), Reverse((hash, key)));
+        // Of equal ranks, like those of all samples that are black, few are of the least hashes.
+        if half.len() < TOP as usize || half.peek().is_none_or(|Reverse(least)| ranked > *least) {
+            Self::push(half, ranked);
+        }
+    }
+
+    fn push(half: &mut BinaryHeap<Reverse<Ranked>>, ranked: Ranked) {
+        half.push(Reverse(ranked));
+        if half.len() > TOP as usize {
+            half.pop();
+        }
+    }
+
+    pub(super) fn merge(&mut self, other: Self) {
+        for (mine, theirs) in self.0.iter_mut().zip(other.0) {
+            theirs.into_iter().for_each(|Reverse(ranked)| Self::push(mine, ranked));
+        }
+    }
+
+    pub(super) fn keys(self) -> BTreeSet<PathKey> {
+        self.0.into_iter().flatten().map(|Reverse((_, Reverse((_, key))))| key).collect()
+    }
+}

@@ -15,6 +15,7 @@
 mod arena;
 mod census;
 mod element;
+mod fog;
 mod form_factor;
 mod gather;
 mod incoming;

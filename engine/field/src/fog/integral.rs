@@ -80,9 +80,9 @@ pub(super) fn invert(channels: &[(f64, Sent)], wanted: f64, whole: f64) -> f64 {
     for _ in 0..STEPS {
         let error = sum(part, at) - wanted;
         if error > 0.0 {
-            high = at
+            high = at;
         } else {
-            low = at
+            low = at;
         }
         let step = error / sum(density, at);
         let next = at - step;

@@ -211,7 +211,7 @@ impl FogTree {
                 Kind::Cut { axis, at, low } => {
                     let at = f64::from(at);
                     if way[axis] == 0.0 {
-                        node = low + u32::from(!(from[axis] < at));
+                        node = low + u32::from(from[axis] >= at);
                         continue;
                     }
                     let later = u32::from(way[axis] > 0.0);

@@ -209,8 +209,7 @@ impl FogTree {
         let mut node = self.nodes[0];
         loop {
             match node.kind() {
-                // Not `>=`: of what is no number the upper half.
-                Kind::Cut { axis, at, low } => node = self.nodes[low as usize + usize::from(!(place[axis] < at))],
+                Kind::Cut { axis, at, low } => node = self.nodes[low as usize + usize::from(place[axis] >= at)],
                 Kind::Leaf(index) => return Some(&self.leaves[index as usize]),
             }
         }

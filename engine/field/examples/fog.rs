@@ -3,6 +3,7 @@
 
 use femc_field::{FogCell, FogLeaf, FogTree, Line};
 use femc_math::Rgb;
+use femc_math::elementary::cbrt;
 use femc_math::glam::Vec3A;
 use std::hint::black_box;
 use std::time::Instant;
@@ -56,7 +57,7 @@ fn main() {
         let tree = tree(boxes.max(2).ilog2(), color);
         let points: Vec<Vec3A> = (0..LINES).map(|k| point(k, 0.5)).collect();
         // Lines of this length meet 15 boxes of 16 by axis on average.
-        let edge = (tree.leaves().count() as f32).cbrt();
+        let edge = cbrt(tree.leaves().count() as f32);
         let length = 14.0 / (1.5 * edge);
         let of = |k: usize| {
             let (from, to) = (point(k, 0.1), point(k, 0.7));

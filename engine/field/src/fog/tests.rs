@@ -2,6 +2,7 @@
 
 use super::{FogCell, FogLeaf, FogTree, Line};
 use femc_math::Rgb;
+use femc_math::elementary::double::exp;
 use femc_math::glam::{DVec3, Vec3A};
 use femc_stats::testing::{chi2::pooled_test, sidak};
 use proptest::prelude::*;
@@ -33,7 +34,7 @@ enum Fog {
 
 fn leaf(numbers: &mut Numbers, fog: Fog) -> FogLeaf {
     let exponent = 11.0 * numbers.next() - 8.0;
-    let scale = if numbers.next() < 0.15 { 0.0 } else { 10f32.powf(exponent) };
+    let scale = if numbers.next() < 0.15 { 0.0 } else { femc_math::elementary::pow(10.0, exponent) };
     let sigma_t = if fog == Fog::Colored { numbers.color(scale) } else { Rgb::splat(scale) };
     if fog == Fog::Furnace {
         return FogLeaf { mean: [Rgb::splat(3.0), Rgb::ZERO, Rgb::ZERO, Rgb::ZERO], sigma_s: sigma_t, sigma_t };
@@ -169,13 +170,13 @@ fn quadrature(tree: &FogTree, origin: Vec3A, dir: Vec3A, range: [f32; 2]) -> ([f
                     let part = |slope: f64, at: f64| if slope == 0.0 { 0.0 } else { slope * at };
                     let mean = (middle + part(x, local.x) + part(y, local.y) + part(z, local.z)).max(0.0);
                     let sent = f64::from(leaf.sigma_s[k]) * mean;
-                    sum[k] += weight * length / f64::from(steps) * sent * (-depth[k] - sigma[k] * s).exp();
+                    sum[k] += weight * length / f64::from(steps) * sent * exp(-depth[k] - sigma[k] * s);
                 }
             }
         }
         (0..3).for_each(|k| depth[k] += sigma[k] * length);
     }
-    (sum, depth.map(|depth| (-depth).exp()))
+    (sum, depth.map(|depth| exp(-depth)))
 }
 
 fn claim_close(have: Rgb, want: [f64; 3], scale: f64, what: &str) {

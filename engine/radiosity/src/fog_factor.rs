@@ -23,12 +23,12 @@ const NEAREST: f32 = 1e-4;
 const AT_EDGE: f32 = 0.9;
 
 impl Judge<'_> {
-    /// By how much what a box of fog receives of another one at the edge next to it differs from what its nodes say of that place.
+    /// By how much what a box of fog receives of a surface or of another box at the edge next to it differs from what its nodes say of that place.
     pub fn missed_at_edge(&self, p: &Element, q: &Element, factors: &[f32; 4], eye: &mut Eye) -> f32 {
         let nearest = ((q.center - p.center) / p.half).clamp(Vec3A::NEG_ONE, Vec3A::ONE) * AT_EDGE;
         let spot = SurfaceSpot { position: p.center + p.half * nearest, ..SurfaceSpot::default() };
         let linear: f32 = factors.iter().zip(FOG_NODES).map(|(f, node)| f * (0.25 + 0.75 * node.dot(nearest))).sum();
-        (self.factor_of_fog(p, q, &spot, eye) - linear).abs()
+        (self.factor(p, q, &spot, eye) - linear).abs()
     }
 
     /// Of a box of fog. Near it by its faces, see [`of_box`].

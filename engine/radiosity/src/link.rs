@@ -176,7 +176,11 @@ impl Judge<'_> {
         // known the other way round; what the nodes do not show of it is spread over the box.
         let is_beside = p.kind == Kind::Fog
             && near_p + near_q > BESIDE
-            && (q.kind == Kind::Patch || q.kind == Kind::Fog && q.size < p.size);
+            && match q.kind {
+                Kind::Patch => q.radius < p.radius,
+                Kind::Fog => q.size < p.size,
+                Kind::Cluster | Kind::Ball => false,
+            };
         let unseen_part = if is_beside {
             let spots = &q.nodes[..q.count];
             let back: f32 = spots.iter().map(|spot| self.factor_of_fog(q, p, spot, eye)).sum::<f32>() / q.count as f32;
@@ -190,7 +194,7 @@ impl Judge<'_> {
         } else {
             0.0
         };
-        let edge = if p.kind == Kind::Fog && q.kind == Kind::Fog {
+        let edge = if p.kind == Kind::Fog && matches!(q.kind, Kind::Fog | Kind::Patch) {
             self.missed_at_edge(p, q, &link.factors, eye)
         } else {
             0.0
@@ -303,7 +307,7 @@ impl Judge<'_> {
     }
 
     /// What a point receives of an element through the fog, as if nothing else were between, as [`Link::factors`] has it.
-    fn factor(&self, p: &Element, q: &Element, node: &SurfaceSpot, eye: &mut Eye) -> f32 {
+    pub fn factor(&self, p: &Element, q: &Element, node: &SurfaceSpot, eye: &mut Eye) -> f32 {
         if q.kind == Kind::Fog {
             return self.factor_of_fog(p, q, node, eye);
         }

@@ -134,13 +134,13 @@ fn growth(kind: Kind, faces: &[f32], error: f32) {
     let mut rows: Vec<[f64; 4]> = Vec::new();
     for &wanted in faces {
         let (text, faces) = furnished(kind, wanted as usize);
-        let source = femc_pipeline::Source::new(femc_tests::scene(&text));
-        let prepared = femc_pipeline::prepare(&source, &femc_pipeline::Settings::default(), 1, None);
+        let source = Source::new(femc_tests::scene(&text));
+        let prepared = prepare(&source, &Settings::default(), 1, None);
         let prepared = prepared.unwrap_or_else(|e| panic!("{e}"));
         let (start, before) = (Instant::now(), processor_seconds());
         let options = Options { error, ..Options::default() };
-        let cancel = std::sync::atomic::AtomicBool::new(false);
-        let solution = femc_pipeline::radiosity::solve(&prepared, &options, &cancel);
+        let cancel = AtomicBool::new(false);
+        let solution = solve(&prepared, &options, &cancel);
         let report = solution.unwrap_or_else(|e| panic!("{e:?}")).report;
         let seconds = start.elapsed().as_secs_f64();
         let spent = processor_seconds().zip(before).map_or(seconds, |(now, before)| now - before);

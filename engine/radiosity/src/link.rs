@@ -73,6 +73,8 @@ const MANY: f32 = 0.03;
 /// Weight of what the nodes do not show there. A small one lets large boxes be linked next to each other, whose light goes from edge to edge
 /// where no node is, and is lost.
 const EDGE: f32 = 2.0;
+/// The same where a surface is the source, which is next to more of the box.
+const EDGE_OF_SURFACE: f32 = 4.0;
 
 /// Optical thickness of half of a box of fog whose light to itself is not taken as one.
 const THICK: f32 = 0.5;
@@ -194,17 +196,17 @@ impl Judge<'_> {
         } else {
             0.0
         };
-        let edge = if p.kind == Kind::Fog && matches!(q.kind, Kind::Fog | Kind::Patch) {
-            self.missed_at_edge(p, q, &link.factors, eye)
-        } else {
-            0.0
+        let edge = match (p.kind, q.kind) {
+            (Kind::Fog, Kind::Fog) => EDGE * self.missed_at_edge(p, q, &link.factors, eye),
+            (Kind::Fog, Kind::Patch) => EDGE_OF_SURFACE * self.missed_at_edge(p, q, &link.factors, eye),
+            _ => 0.0,
         };
         let mut errors = [
             if p.is_wide() {
                 mean * radiosity * (0.1 + 2.0 * near_p * near_p)
             } else {
                 let shape = 0.5 * near_p * near_p * mean;
-                (2.0 * (middle - mean).abs() + 0.03 * (high - low) + shape + unseen_part + EDGE * edge) * radiosity
+                (2.0 * (middle - mean).abs() + 0.03 * (high - low) + shape + unseen_part + edge) * radiosity
             },
             if q.is_wide() {
                 mean * radiosity * (0.1 + 2.0 * near_q * near_q)

@@ -257,7 +257,7 @@ fn paths() -> Vec<Target> {
 const PATHS_FRONT: usize = 28 + 4 + 8 + 7 * 4 + 6 * 8 + 8 + 7 * 4 + 8;
 
 /// Bytes of an encoded field before its tables.
-const FIELD_FRONT: usize = 28 + 8 * 8 + 4 + 8 * 4 + 8;
+const FIELD_FRONT: usize = 28 + 8 * 8 + 4 + 9 * 4 + 8;
 
 fn hit_at() -> Vec3A {
     Vec3A::new(0.4, 0.3, 0.2)

@@ -1,12 +1,18 @@
 //! The first pass measured: `first_pass errors [--error E,E..] [--only WORD]` sets its own estimates of error beside true errors in scenes
-//! whose light is known; `first_pass growth [--error E] [--faces N,N..] [--kind room|terrain]` solves scenes of more and more faces.
+//! whose light is known; `first_pass growth [--error E] [--faces N,N..] [--kind room|terrain]` solves scenes of more and more faces;
+//! `first_pass fog SCENE [--error E,E..] [--rays N] [--samples N]` sets light in the fog of a scene beside what paths find.
 //!
 //! `cargo run --release -p femc-tests --example first_pass -- errors`
 
-use femc_pipeline::radiosity::Options;
+use femc_pipeline::radiosity::{Options, solve};
+use femc_pipeline::{Settings, Source, prepare};
 use femc_tests::closed_forms::{Case, Solved, all, errors};
+use femc_tests::fog_light::{self, Compared, compare_along, compare_around};
 use femc_tests::furnished::{Kind, furnished};
 use std::error::Error;
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 use std::time::Instant;
 
 fn main() -> Result<(), Box<dyn Error>> {
@@ -25,7 +31,14 @@ fn main() -> Result<(), Box<dyn Error>> {
             let kind = if option("--kind") == Some("terrain") { Kind::Terrain } else { Kind::Room };
             growth(kind, &faces, error);
         }
-        _ => return Err("usage: first_pass errors [--error E,E..] [--only WORD] | growth [--error E] [--faces N,N..] [--kind room|terrain]".into()),
+        Some("fog") => {
+            let scene = args.get(1).ok_or("which scene?")?;
+            let errors = numbers(option("--error").unwrap_or("2,1,0.3"))?;
+            let [rays, samples] = [("--rays", "300"), ("--samples", "4096")]
+                .map(|(name, otherwise)| option(name).unwrap_or(otherwise).parse());
+            fog(Path::new(scene), &errors, rays?, samples?)?;
+        }
+        _ => return Err("usage: first_pass errors [--error E,E..] [--only WORD] | growth [--error E] [--faces N,N..] [--kind room|terrain] | fog SCENE [--error E,E..] [--rays N] [--samples N]".into()),
     }
     Ok(())
 }
@@ -84,6 +97,28 @@ fn table(cases: &[Case], asked: &[f32]) {
     }
 }
 
+fn fog(path: &Path, errors: &[f32], rays: u32, samples: u32) -> Result<(), Box<dyn Error>> {
+    let scene = Arc::new(femc_import::load_path(path)?.scene);
+    let mut prepared = prepare(&Source::new(scene), &Settings::default(), 1, None)?;
+    let start = Instant::now();
+    let along = fog_light::along(&prepared, rays, samples);
+    let around = fog_light::around(&mut prepared, &along, samples);
+    println!("{rays} rays and {} points, {samples} paths each: {:.0} s", around.len(), start.elapsed().as_secs_f64());
+    println!("error\tseconds\tboxes\twhat\tmean ratio\tits error\trms\trelative rms");
+    for &error in errors {
+        let start = Instant::now();
+        let options = Options { error, ..Options::default() };
+        let solution = solve(&prepared, &options, &AtomicBool::new(false)).map_err(|_| "cancelled")?;
+        let (fog, seconds) = (&solution.field.fog, start.elapsed().as_secs_f64());
+        let found = [("along rays", compare_along(fog, &along)), ("around points", compare_around(fog, &around))];
+        for (what, Compared { ratio, rms, relative, error: of_paths }) in found {
+            let boxes = fog.leaves().count();
+            println!("{error}\t{seconds:.1}\t{boxes}\t{what}\t{ratio:.4}\t{of_paths:.4}\t{rms:.4}\t{relative:.4}");
+        }
+    }
+    Ok(())
+}
+
 /// Seconds that this process has spent on its processors, where the system says so.
 fn processor_seconds() -> Option<f64> {
     let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
@@ -99,13 +134,13 @@ fn growth(kind: Kind, faces: &[f32], error: f32) {
     let mut rows: Vec<[f64; 4]> = Vec::new();
     for &wanted in faces {
         let (text, faces) = furnished(kind, wanted as usize);
-        let source = femc_pipeline::Source::new(femc_tests::scene(&text));
-        let prepared = femc_pipeline::prepare(&source, &femc_pipeline::Settings::default(), 1, None);
+        let source = Source::new(femc_tests::scene(&text));
+        let prepared = prepare(&source, &Settings::default(), 1, None);
         let prepared = prepared.unwrap_or_else(|e| panic!("{e}"));
         let (start, before) = (Instant::now(), processor_seconds());
         let options = Options { error, ..Options::default() };
-        let cancel = std::sync::atomic::AtomicBool::new(false);
-        let solution = femc_pipeline::radiosity::solve(&prepared, &options, &cancel);
+        let cancel = AtomicBool::new(false);
+        let solution = solve(&prepared, &options, &cancel);
         let report = solution.unwrap_or_else(|e| panic!("{e:?}")).report;
         let seconds = start.elapsed().as_secs_f64();
         let spent = processor_seconds().zip(before).map_or(seconds, |(now, before)| now - before);

@@ -3,6 +3,7 @@
 pub mod agreement;
 pub mod brute;
 pub mod closed_forms;
+pub mod fog_light;
 pub mod furnished;
 pub mod fuzz;
 pub mod honesty;

@@ -4,11 +4,11 @@
 //! | bytes | what |
 //! | --- | --- |
 //! | 8 | `FEMCFELD` |
-//! | 4 | format version, 2 |
+//! | 4 | format version, 3 |
 //! | 16 | BLAKE3 of everything after this field, first half |
 //! | 8 x 8 | [`Statistics`]: elements, leaves, links, links with light sources, refused links, rays, iterations, bytes |
 //! | 4 | the residual |
-//! | 8 x 4 | numbers of instances, primitives of all of them, surfaces, cells, leaves, boxes of fog, guides, lobes |
+//! | 9 x 4 | numbers of instances, primitives of all of them, surfaces, cells, leaves, boxes that hold all fog (1 or 0), boxes of fog, guides, lobes |
 //! | 8 | bytes of the tables below |
 //! | rest | zstd frame of the tables |
 //!
@@ -25,16 +25,20 @@
 //! | cells | split, next, corner and edges over the parameters: 6 |
 //! | leaves | 0: triangle, 1: rectangle, 2: curved |
 //! | triangles, rectangles, curved leaves, in order | 9, 12, 27 |
-//! | boxes of fog | next, lower corner, upper corner, mean and changes: 19 |
+//! | the box that holds all fog | lower corner, upper corner: 6 |
+//! | boxes of fog, halves in the order of what is cut | 0, 1, 2: cut across this axis, 3: leaf |
+//! | cuts, in order | coordinate |
+//! | leaves of fog, in order | mean and its changes, scattering and extinction coefficient: 18 |
 //! | guides | first lobe, number of lobes, share |
 //! | lobes | target, half axes, share: 10 |
 //!
 //! The checksum is looked at first. What is decompressed is never more than the header says, and nothing is made room for that has not
-//! come out of it. Whatever is accepted can be asked for light anywhere: indices are in their ranges, and trees have no circles.
+//! come out of it. Whatever is accepted can be asked for light anywhere: indices are in their ranges, trees have no circles, and light and
+//! coefficients of fog are finite and not negative.
 
 use crate::{
-    Cell, Field, FogCell, FogTree, Form, Guide, Guides, Harmonics, LOBES, Leaf, Lobe, NONE, Outline, Side, Split,
-    Surface,
+    Cell, Field, FogCell, FogLeaf, FogTree, Form, Guide, Guides, Harmonics, LOBES, Leaf, Lobe, NONE, Outline, Side,
+    Split, Surface,
 };
 use femc_geometry::{Facing, Quadric};
 use femc_math::Rgb;
@@ -42,7 +46,7 @@ use femc_math::glam::{Affine3A, Mat3A, Vec2, Vec3A};
 use std::io::Read;
 
 const MAGIC: &[u8; 8] = b"FEMCFELD";
-const VERSION: u32 = 2;
+const VERSION: u32 = 3;
 const CHECKSUM: usize = 16;
 const PREFIX: usize = MAGIC.len() + 4 + CHECKSUM;
 /// Most bytes of all tables: 4 GiB.
@@ -112,7 +116,8 @@ impl Field {
             self.surfaces.len(),
             self.cells.len(),
             self.leaves.len(),
-            self.fog.0.len(),
+            usize::from(!self.fog.is_empty()),
+            self.fog.cells().count(),
             self.guides.of().len(),
             self.guides.lobes().len(),
         ];
@@ -177,12 +182,7 @@ impl Field {
         table(&mut out, self.leaves.iter().filter_map(rectangle));
         let curved = |leaf: &Leaf| if let Leaf::Curved(light) = leaf { Some(colors::<9, 27>(&light.0)) } else { None };
         table(&mut out, self.leaves.iter().filter_map(curved));
-        let fog = |cell: &FogCell| {
-            let FogCell { min, max, next, mean: [a, b, c, d] } = *cell;
-            let values: [u32; 18] = colors(&[min, max, a, b, c, d]);
-            std::array::from_fn::<u32, 19, _>(|at| if at == 0 { next } else { values[at - 1] })
-        };
-        table(&mut out, self.fog.0.iter().map(fog));
+        self.fog_tables(&mut out);
         table(&mut out, self.guides.of().iter().map(|guide| [guide.first, guide.count, guide.share.to_bits()]));
         let lobe = |&Lobe { target, axes: [a, b], share }: &Lobe| {
             let values: [u32; 9] = colors(&[target, a, b]);
@@ -190,6 +190,22 @@ impl Field {
         };
         table(&mut out, self.guides.lobes().iter().map(lobe));
         out
+    }
+
+    fn fog_tables(&self, out: &mut Vec<u8>) {
+        let fog = &self.fog;
+        table(out, (!fog.is_empty()).then(|| colors::<2, 6>(&fog.bounds())).into_iter());
+        let kind = |cell| match cell {
+            FogCell::Cut { axis, .. } => [u32::from(axis)],
+            FogCell::Leaf(_) => [3],
+        };
+        table(out, fog.cells().map(kind));
+        let cut = |cell| if let FogCell::Cut { at, .. } = cell { Some([at.to_bits()]) } else { None };
+        table(out, fog.cells().filter_map(cut));
+        let leaf = |&FogLeaf { mean: [a, b, c, d], sigma_s, sigma_t }: &FogLeaf| {
+            colors::<6, 18>(&[a, b, c, d, sigma_s, sigma_t])
+        };
+        table(out, fog.leaves().map(leaf));
     }
 
     /// The field and what it was made of, from their bytes; damage of any kind is an error.
@@ -218,7 +234,7 @@ impl Field {
             bytes: front.long()?,
             residual: f32::from_bits(front.word()?),
         };
-        let mut lengths = [0; 8];
+        let mut lengths = [0; 9];
         for length in &mut lengths {
             *length = front.word()?;
         }
@@ -247,8 +263,8 @@ fn decompressed(bytes: &[u8], plain: u64) -> Result<Vec<u8>, FieldError> {
     if tables.len() as u64 == plain { Ok(tables) } else { Err(LENGTH) }
 }
 
-fn read(mut tables: Tables<'_>, lengths: [u32; 8]) -> Result<Field, FieldError> {
-    let [instances, primitives, surfaces, cells, leaves, boxes, guides, lobes] = lengths;
+fn read(mut tables: Tables<'_>, lengths: [u32; 9]) -> Result<Field, FieldError> {
+    let [instances, primitives, surfaces, cells, leaves, roots_of_fog, boxes, guides, lobes] = lengths;
     const INDEX: FieldError = FieldError::Corrupt("an index is out of its range");
     let instances: Vec<[u32; 1]> = tables.table(instances)?;
     if instances.iter().map(|[count]| u64::from(*count)).sum::<u64>() != u64::from(primitives) {
@@ -314,15 +330,7 @@ fn read(mut tables: Tables<'_>, lengths: [u32; 8]) -> Result<Field, FieldError> 
         return Err(FieldError::Corrupt("guides of another number"));
     }
     let leaves = read_leaves(&mut tables, leaves)?;
-    let records: Vec<[u32; 19]> = tables.table(boxes)?;
-    let mut fog = Vec::with_capacity(records.len());
-    for (index, [next, values @ ..]) in records.into_iter().enumerate() {
-        if next != 0 && !is_below(index, next, boxes) {
-            return Err(INDEX);
-        }
-        let [min, max, mean @ ..] = vectors::<6, 18>(&values);
-        fog.push(FogCell { min, max, next, mean });
-    }
+    let fog = read_fog(&mut tables, roots_of_fog, boxes)?;
     let records: Vec<[u32; 3]> = tables.table(guides)?;
     if records
         .iter()
@@ -347,15 +355,7 @@ fn read(mut tables: Tables<'_>, lengths: [u32; 8]) -> Result<Field, FieldError> 
     if !tables.0.is_empty() {
         return Err(FieldError::Corrupt("more than its tables"));
     }
-    Ok(Field {
-        surfaces,
-        roots,
-        leaves,
-        guides: Guides::new(guides, lobes, &all),
-        cells: all,
-        sides,
-        fog: FogTree(fog),
-    })
+    Ok(Field { surfaces, roots, leaves, guides: Guides::new(guides, lobes, &all), cells: all, sides, fog })
 }
 
 /// A share of directions, in [0, 1): the rest is for what no lobe knows.
@@ -377,6 +377,31 @@ fn read_leaves(tables: &mut Tables<'_>, leaves: u32) -> Result<Vec<Leaf>, FieldE
         _ => None,
     };
     kinds.iter().map(leaf).collect::<Option<_>>().ok_or(FieldError::Corrupt("no such leaf"))
+}
+
+fn read_fog(tables: &mut Tables<'_>, roots: u32, boxes: u32) -> Result<FogTree, FieldError> {
+    const NONE: FieldError = FieldError::Corrupt("boxes of fog that are none");
+    if roots != u32::from(boxes > 0) {
+        return Err(NONE);
+    }
+    let root: Vec<[u32; 6]> = tables.table(roots)?;
+    let kinds: Vec<[u32; 1]> = tables.table(boxes)?;
+    let count = |is_leaf: bool| kinds.iter().filter(|[kind]| (*kind == 3) == is_leaf).count() as u32;
+    let mut cuts = tables.table::<1>(count(false))?.into_iter();
+    let mut leaves = tables.table::<18>(count(true))?.into_iter();
+    let Some(root) = root.first() else { return Ok(FogTree::default()) };
+    let cell = |[kind]: &[u32; 1]| match kind {
+        3 => leaves.next().map(|words| {
+            let [a, b, c, d, sigma_s, sigma_t] = vectors::<6, 18>(&words);
+            FogCell::Leaf(FogLeaf { mean: [a, b, c, d], sigma_s, sigma_t })
+        }),
+        _ => {
+            let at = cuts.next().map(|[at]| f32::from_bits(at));
+            at.zip(u8::try_from(*kind).ok()).map(|(at, axis)| FogCell::Cut { axis, at })
+        }
+    };
+    let cells: Vec<FogCell> = kinds.iter().map(cell).collect::<Option<_>>().ok_or(NONE)?;
+    FogTree::new(vectors(root), &cells).ok_or(NONE)
 }
 
 /// Whether the halves of a node lie behind it, so that no way down comes back.
@@ -503,7 +528,18 @@ mod tests {
         let outline = |k: f32| Outline { corner: Vec2::new(k, 0.1), edges: [Vec2::X, Vec2::new(0.3, k)] };
         let cell = |split, next| Cell { outline: outline(next as f32), split, next };
         let (none, half) = (Split::None, Split::Half(1));
-        let fog = |next| FogCell { min: v(-1.0), max: v(-2.0), next, mean: [v(1.0), v(2.0), v(3.0), v(f32::NAN)] };
+        let of_fog = |sigma_s| {
+            let mean = [Vec3A::splat(9.0), v(2.0), v(3.0), v(-1.0)];
+            FogCell::Leaf(FogLeaf { mean, sigma_s: Vec3A::splat(sigma_s), sigma_t: Vec3A::new(0.5, 0.25, 1e-9) })
+        };
+        let fog = [
+            FogCell::Cut { axis: 1, at: 0.5 },
+            of_fog(0.0),
+            FogCell::Cut { axis: 2, at: -1.0 },
+            of_fog(0.5),
+            of_fog(1.0),
+        ];
+        let fog = FogTree::new([Vec3A::NEG_ONE, Vec3A::ONE], &fog).expect("boxes of fog");
         let cells =
             vec![cell(half, 1), cell(none, 0), cell(none, 1), cell(Split::Bisection, 4), cell(none, 2), cell(none, 2)];
         let guides = Guides::new(
@@ -522,7 +558,7 @@ mod tests {
             ],
             guides,
             sides: vec![vec![[0, 1], [2, NONE]], vec![[4, NONE], [NONE, 5]], vec![]],
-            fog: FogTree(vec![fog(1), fog(0), fog(0)]),
+            fog,
         }
     }
 
@@ -559,8 +595,8 @@ mod tests {
             assert!(Field::decode(&bytes[..at]).is_err(), "the first {at} bytes");
         }
         let mut newer = bytes;
-        newer[8] = 3;
-        assert_eq!(Field::decode(&newer).err(), Some(FieldError::Version { found: 3, expected: 2 }));
+        newer[8] = 4;
+        assert_eq!(Field::decode(&newer).err(), Some(FieldError::Version { found: 4, expected: 3 }));
     }
 
     #[test]
@@ -577,7 +613,6 @@ mod tests {
         assert!(refused(|field| field.sides[0][0][0] = 6), "no such surface");
         assert!(refused(|field| field.surfaces[0].primitives[1] = 2), "no such primitive");
         assert!(refused(|field| field.surfaces[0].instance = 3), "no such instance");
-        assert!(refused(|field| field.fog.0[0].next = 2), "half of a pair of boxes");
         // The field reads them as they are; bytes of others may hold anything.
         fn guides(field: &mut Field, change: fn(&mut Vec<Guide>, &mut Vec<Lobe>)) {
             let (mut of, mut lobes) = (field.guides.of().to_vec(), field.guides.lobes().to_vec());

@@ -114,6 +114,6 @@ impl Field {
             + size_of_val(&*self.leaves)
             + self.guides.memory()
             + self.sides.iter().map(|sides| size_of_val(&**sides)).sum::<usize>()
-            + size_of_val(&*self.fog.0)
+            + self.fog.memory()
     }
 }

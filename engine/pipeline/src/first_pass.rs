@@ -32,7 +32,7 @@ pub fn first_pass(prepared: &Prepared, method: Method, cancel: &AtomicBool) -> R
 pub fn first_pass_key(frame_key: &FrameKey, method: Method) -> [u8; 32] {
     let Options { error, memory, guides } = options(method);
     let mut hasher = blake3::Hasher::new();
-    hasher.update(b"femc first pass 2");
+    hasher.update(b"femc first pass 3");
     hasher.update(&frame_key.world.0);
     hasher.update(&error.to_bits().to_le_bytes());
     hasher.update(&(memory as u64).to_le_bytes());

@@ -232,6 +232,11 @@ impl Media {
         self.at(point).map(|medium| luminance(medium.sigma_t) * medium.density(point.z)).sum()
     }
 
+    /// The same by channel.
+    pub fn extinction_color_at(&self, point: Vec3A) -> Rgb {
+        self.at(point).map(|medium| medium.sigma_t * medium.density(point.z)).sum()
+    }
+
     /// Extinction where all media together are gray and the same everywhere, 1/m. Media inside closed objects do not count.
     pub fn even_extinction(&self) -> Option<f32> {
         let even = |(medium, bounds): &(u16, Bounds)| {

@@ -1,8 +1,9 @@
 //! What elements receive straight from light sources. A source is asked at each point anew; it is never an element itself.
 
 use crate::element::{Element, Kind};
+use crate::fog_factor::{FACE, along};
 use crate::form_factor::{polygon, solid_angle};
-use crate::link::{FACE, Judge, along, unproved};
+use crate::link::{Judge, unproved};
 use crate::scene::{Lamp, TIME};
 use crate::visibility::{Eye, Numbers, spot};
 use femc_field::SurfaceSpot;

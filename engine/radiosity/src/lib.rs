@@ -15,6 +15,8 @@
 mod arena;
 mod census;
 mod element;
+mod fog;
+mod fog_factor;
 mod form_factor;
 mod gather;
 mod incoming;

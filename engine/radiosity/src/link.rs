@@ -8,8 +8,6 @@ use crate::scene::Scene;
 use crate::visibility::{Eye, Numbers, spot};
 use femc_field::SurfaceSpot;
 use femc_math::color::luminance;
-use femc_math::cross;
-use femc_math::elementary::exp;
 use femc_math::glam::Vec3A;
 use std::f32::consts::PI;
 
@@ -40,9 +38,6 @@ pub enum Verdict {
     Both,
 }
 
-/// Light of a small surface at a spot: the spot, the surface's, its area.
-type Kernel = fn(&SurfaceSpot, &SurfaceSpot, f32) -> f32;
-
 /// What decides on links.
 pub struct Judge<'a> {
     pub scene: &'a Scene<'a>,
@@ -66,9 +61,6 @@ pub struct Judge<'a> {
     pub full: bool,
 }
 
-/// Points by axis on a face of a box of fog.
-pub const FACE: u32 = 5;
-
 /// Something is beside a box of fog where their radii are more than this share of their distance.
 const BESIDE: f32 = 0.5;
 
@@ -77,6 +69,12 @@ const WEIGHTS: [f32; 2] = [0.5, 4.0];
 
 /// A source's share of the receiver's view, by radius over distance, below which no more of its like are thought of.
 const MANY: f32 = 0.03;
+
+/// Weight of what the nodes do not show there. A small one lets large boxes be linked next to each other, whose light goes from edge to edge
+/// where no node is, and is lost.
+const EDGE: f32 = 2.0;
+/// The same where a surface is the source, which is next to more of the box.
+const EDGE_OF_SURFACE: f32 = 4.0;
 
 /// Optical thickness of half of a box of fog whose light to itself is not taken as one.
 const THICK: f32 = 0.5;
@@ -180,7 +178,11 @@ impl Judge<'_> {
         // known the other way round; what the nodes do not show of it is spread over the box.
         let is_beside = p.kind == Kind::Fog
             && near_p + near_q > BESIDE
-            && (q.kind == Kind::Patch || q.kind == Kind::Fog && q.size < p.size);
+            && match q.kind {
+                Kind::Patch => q.radius < p.radius,
+                Kind::Fog => q.size < p.size,
+                Kind::Cluster | Kind::Ball => false,
+            };
         let unseen_part = if is_beside {
             let spots = &q.nodes[..q.count];
             let back: f32 = spots.iter().map(|spot| self.factor_of_fog(q, p, spot, eye)).sum::<f32>() / q.count as f32;
@@ -194,12 +196,17 @@ impl Judge<'_> {
         } else {
             0.0
         };
+        let edge = match (p.kind, q.kind) {
+            (Kind::Fog, Kind::Fog) => EDGE * self.missed_at_edge(p, q, &link.factors, eye),
+            (Kind::Fog, Kind::Patch) => EDGE_OF_SURFACE * self.missed_at_edge(p, q, &link.factors, eye),
+            _ => 0.0,
+        };
         let mut errors = [
             if p.is_wide() {
                 mean * radiosity * (0.1 + 2.0 * near_p * near_p)
             } else {
                 let shape = 0.5 * near_p * near_p * mean;
-                (2.0 * (middle - mean).abs() + 0.03 * (high - low) + shape + unseen_part) * radiosity
+                (2.0 * (middle - mean).abs() + 0.03 * (high - low) + shape + unseen_part + edge) * radiosity
             },
             if q.is_wide() {
                 mean * radiosity * (0.1 + 2.0 * near_q * near_q)
@@ -302,7 +309,7 @@ impl Judge<'_> {
     }
 
     /// What a point receives of an element through the fog, as if nothing else were between, as [`Link::factors`] has it.
-    fn factor(&self, p: &Element, q: &Element, node: &SurfaceSpot, eye: &mut Eye) -> f32 {
+    pub fn factor(&self, p: &Element, q: &Element, node: &SurfaceSpot, eye: &mut Eye) -> f32 {
         if q.kind == Kind::Fog {
             return self.factor_of_fog(p, q, node, eye);
         }
@@ -369,84 +376,6 @@ impl Judge<'_> {
         if weight > 0.0 { open * through / weight } else { open * eye.fog(self.scene, node.position, q.center) }
     }
 
-    /// Of a box of fog. Near it the box's light is summed by its faces: of all directions through a face the light from the point to
-    /// there, which is that of the fog up to the far faces less that up to the near ones.
-    fn factor_of_fog(&self, p: &Element, q: &Element, node: &SurfaceSpot, eye: &mut Eye) -> f32 {
-        let way = q.center - node.position;
-        let mut distance2 = way.length_squared();
-        if p.is_wide() {
-            let reach = p.radius + q.radius;
-            distance2 = distance2.max(0.25 * reach * reach);
-        }
-        let distance = distance2.sqrt();
-        let extinction = self.extinction(q);
-        if p.is_wide() || distance > 3.0 * q.radius {
-            let share = match p.kind {
-                Kind::Fog => 1.0,
-                Kind::Patch => 4.0 * (node.normal.dot(way) / distance).max(0.0),
-                Kind::Cluster | Kind::Ball => 4.0,
-            };
-            if share <= 0.0 {
-                return 0.0;
-            }
-            // Mean over the box of what decays along the way, by its value in the middle.
-            let decay = q.half * way.abs() * (extinction / distance);
-            let spread = |x: f32| 1.0 + x * x * (1.0 / 6.0 + x * x * (1.0 / 120.0 + x * x / 5040.0));
-            let through = decay.to_array().into_iter().map(spread).product::<f32>()
-                * eye.fog(self.scene, node.position, q.center);
-            return share * q.size / (4.0 * PI * distance2) * through;
-        }
-        let along = |distance: f32| along(extinction, distance);
-        // Fewer points where the distances to a face differ less.
-        let face = if distance > 1.5 * q.radius { 3 } else { FACE };
-        let mut sum = 0.0;
-        for axis in 0..3 {
-            for side in [-1.0, 1.0] {
-                let (mut out, mut u, mut v) = (Vec3A::ZERO, Vec3A::ZERO, Vec3A::ZERO);
-                out[axis] = side * q.half[axis];
-                u[(axis + 1) % 3] = q.half[(axis + 1) % 3];
-                v[(axis + 2) % 3] = q.half[(axis + 2) % 3];
-                let middle = q.center + out;
-                // Counter-clockwise seen from the side of the point; near faces count against.
-                let inward = out.dot(node.position - middle) * side.abs() < 0.0;
-                let turned = (side > 0.0) == inward;
-                if turned {
-                    std::mem::swap(&mut u, &mut v);
-                }
-                let corners = [middle - u - v, middle + u - v, middle + u + v, middle - u + v];
-                let (share, kernel): (f32, Kernel) = match p.kind {
-                    Kind::Patch => (polygon(node.position, node.normal, &corners), exchange),
-                    _ => (solid_angle(node.position, &corners) / (4.0 * PI), facing),
-                };
-                if share <= 0.0 {
-                    continue;
-                }
-                let normal = cross(u, v).normalize_or(Vec3A::Z);
-                let (mut weight, mut length) = (0.0, 0.0);
-                for k in 0..face * face {
-                    let [x, y] = [k % face, k / face].map(|k| (2 * k + 1) as f32 / face as f32 - 1.0);
-                    let spot = SurfaceSpot { position: middle + u * x + v * y, normal, ..*node };
-                    let part = kernel(node, &spot, 1.0);
-                    weight += part;
-                    length += part * along(spot.position.distance(node.position));
-                }
-                let length = if weight > 0.0 { length / weight } else { along(middle.distance(node.position)) };
-                sum += if inward { share * length } else { -share * length };
-            }
-        }
-        sum.max(0.0)
-    }
-
-    /// Of a wide source at a box of fog: at a point as from the source's middle, in the box around that as the box has on average.
-    fn factor_at_fog(&self, p: &Element, q: &Element, distance2: f32, node: &SurfaceSpot, eye: &mut Eye) -> f32 {
-        if (q.center - p.center).abs().cmple(p.half).all() {
-            // A quarter of 4 pi times the way that light goes in the box, by its volume.
-            let length = along(self.extinction(p), p.half.min_element());
-            return PI * length / p.size;
-        }
-        0.25 / distance2 * eye.fog(self.scene, node.position, q.center)
-    }
-
     /// Share of the source's light that reaches each node, and how uncertain the shares are.
     /// - `little`: one ray is enough;
     /// - `doubt`: where the first rays meet nothing of the source more are cast.
@@ -501,23 +430,12 @@ pub fn unproved(rays: u32) -> f32 {
     0.5 / (rays + 2) as f32
 }
 
-/// Length of fog that sends as much light as all up to a distance does, seen through itself: m.
-pub fn along(extinction: f32, distance: f32) -> f32 {
-    let x = extinction * distance;
-    if x < 0.35 {
-        // Its series: a tenth of the time that the function takes.
-        let more = x * (1.0 / 24.0 - x * (1.0 / 120.0 - x / 720.0));
-        return distance * (1.0 - x * (0.5 - x * (1.0 / 6.0 - more)));
-    }
-    (1.0 - exp(-x)) / extinction
-}
-
 fn faces(spot: &SurfaceSpot, way: Vec3A) -> bool {
     spot.normal == Vec3A::ZERO || spot.normal.dot(way) > 0.0
 }
 
 /// Form factor of a small surface of area `area` at a spot, from another spot.
-fn exchange(at: &SurfaceSpot, from: &SurfaceSpot, area: f32) -> f32 {
+pub fn exchange(at: &SurfaceSpot, from: &SurfaceSpot, area: f32) -> f32 {
     let way = from.position - at.position;
     let distance2 = way.length_squared();
     if distance2 <= 0.0 {
@@ -527,7 +445,7 @@ fn exchange(at: &SurfaceSpot, from: &SurfaceSpot, area: f32) -> f32 {
 }
 
 /// The same without the cosine of the receiver.
-fn facing(at: &SurfaceSpot, from: &SurfaceSpot, area: f32) -> f32 {
+pub fn facing(at: &SurfaceSpot, from: &SurfaceSpot, area: f32) -> f32 {
     let way = from.position - at.position;
     let distance2 = way.length_squared();
     if distance2 <= 0.0 {

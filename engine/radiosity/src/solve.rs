@@ -10,12 +10,11 @@ use crate::link::{Judge, Link, Verdict};
 use crate::rays::{Aims, Rays};
 use crate::scene::Scene;
 use crate::visibility::Eye;
-use femc_field::{Field, FogCell, FogTree, Guide, Guides, Harmonics, Leaf, Lobe, NONE};
+use femc_field::{Field, Guide, Guides, Harmonics, Leaf, Lobe, NONE};
 use femc_math::Rgb;
 use femc_math::color::luminance;
 use femc_prepared::Prepared;
 use rayon::prelude::*;
-use std::f32::consts::PI;
 use std::sync::atomic::{AtomicBool, Ordering};
 
 /// How exact the solution is to be, and what it may take.
@@ -492,7 +491,7 @@ fn field(scene: Scene<'_>, arena: &Arena, lights: &Lights) -> (Field, Vec<Leaf>)
         }
     }
     if arena.fog != NONE {
-        field.fog = fog(arena, lights);
+        field.fog = crate::fog::tree(&scene, arena, lights);
     }
     (field.surfaces, field.sides) = (scene.surfaces, scene.sides);
     (field, direct)
@@ -504,29 +503,4 @@ fn leaf(element: &Element, index: u32, lights: &Lights, from: usize) -> Leaf {
     }
     let values = lights.at_nodes(index as usize, from);
     if element.count == 3 { Leaf::Triangle([values[0], values[1], values[2]]) } else { Leaf::Rectangle(values) }
-}
-
-fn fog(arena: &Arena, lights: &Lights) -> FogTree {
-    let mut cells = Vec::new();
-    let mut order = vec![arena.fog];
-    let mut at = 0;
-    while at < order.len() {
-        let index = order[at];
-        let element = &arena.elements[index as usize];
-        let mut mean = [Rgb::ZERO; 4];
-        let mut next = 0;
-        if element.is_leaf() {
-            let [middle, slopes @ ..] = Element::fog_slopes(&lights.at_nodes(index as usize, FROM_ELEMENTS));
-            // Of all around from a quarter of it; slopes over whole edges.
-            mean[0] = middle / PI;
-            (0..3).for_each(|axis| mean[1 + axis] = slopes[axis] * (2.0 / PI));
-        } else {
-            next = order.len() as u32;
-            order.extend(element.children);
-        }
-        let (min, max) = (element.center - element.half, element.center + element.half);
-        cells.push(FogCell { min, max, next, mean });
-        at += 1;
-    }
-    FogTree(cells)
 }

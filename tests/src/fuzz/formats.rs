@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
 use bytes::Bytes;
+use femc_field::{FogCell, FogTree, Line};
 use femc_film::{Errors, Frame, Levels, Piece, Rect, Sample, Tile, Tiling};
 use femc_geometry::Hit;
 use femc_import::Bundle;
@@ -177,8 +178,10 @@ fn first_pass() -> Vec<Target> {
     let mut solution =
         first_pass_of(&prepared, femc_pipeline::Method::Femc, &AtomicBool::new(false)).expect("a solution");
     // A little of it will do.
-    solution.field.fog.0.truncate(1);
-    solution.field.fog.0.iter_mut().for_each(|cell| cell.next = 0);
+    let leaf = |k: usize| FogCell::Leaf(*solution.field.fog.leaves().nth(k).expect("a box of fog"));
+    let [min, max] = solution.field.fog.bounds();
+    let cells = [FogCell::Cut { axis: 1, at: 0.5 * (min.y + max.y) }, leaf(0), leaf(1)];
+    solution.field.fog = FogTree::new([min, max], &cells).expect("boxes of fog");
     let encoded = encode_solution(&solution);
     let tables = zstd::bulk::decompress(&encoded[FIELD_FRONT..], 1 << 26).expect("what was compressed");
     let front = encoded[..FIELD_FRONT - 8].to_vec();
@@ -189,11 +192,16 @@ fn first_pass() -> Vec<Target> {
     let is_field = |bytes: &[u8]| {
         let Ok((field, statistics)) = Field::decode(bytes) else { return false };
         // What is accepted can be asked for light at any of its surfaces, and is one again.
+        let mut line = Line::default();
         for (instance, sides) in (0..).zip(&field.sides) {
             for primitive in 0..sides.len() as u32 {
                 let hit = Hit { t: 1.0, instance, primitive, u: 0.3, v: 0.6 };
                 let [front, _] = [Side::Front, Side::Back].map(|side| field.irradiance(&hit, side, hit_at(), Vec3A::Z));
                 let _ = (front, field.fog.mean_radiance(hit_at()));
+                field.fog.line(hit_at(), Vec3A::Z, 0.0, f32::INFINITY, &mut line);
+                if let Some(point) = line.sample(0.4) {
+                    assert!(point.pdf == line.pdf(point.t));
+                }
                 if let Some(directions) = field.directions(&hit, Side::Front, hit_at()) {
                     let dir = directions.sample(0.3, [0.4, 0.5]);
                     let _ = directions.pdf(dir);
@@ -288,7 +296,7 @@ const FRAMES_FRONT: usize = 8 + 4 + 4 + 8;
 const PATHS_FRONT: usize = 28 + 4 + 8 + 7 * 4 + 6 * 8 + 8 + 7 * 4 + 8;
 
 /// Bytes of an encoded field before its tables.
-const FIELD_FRONT: usize = 28 + 8 * 8 + 4 + 8 * 4 + 8;
+const FIELD_FRONT: usize = 28 + 8 * 8 + 4 + 9 * 4 + 8;
 
 fn hit_at() -> Vec3A {
     Vec3A::new(0.4, 0.3, 0.2)

@@ -104,14 +104,15 @@ fn light_of_a_lamp_in_fog_without_end_falls_off() {
     }
 }
 
-/// Light that a slab sends back, and that it lets through after scattering: too little, and less so the less error a link may have.
+/// Light that a slab sends back, and that it lets through after scattering: of a slab of 12 m beside the closed form's, which has no end.
 #[test]
-fn slabs_that_take_nothing_come_closer_to_what_they_reflect_and_let_through() {
-    let (thickness, albedo, reflected, transmitted) = SLABS[1];
-    let case = Slab { thickness, albedo, reach: 6.0, lamps: 3 }.case(reflected, transmitted);
-    let found = [0.3, 0.1, 0.03].map(|error| found(&case, error));
-    for (errors, most) in found.iter().zip([0.25, 0.14, 0.08]) {
-        assert!(errors.rms < most && errors.mean < 0.02, "{errors:?}");
+fn slabs_that_take_nothing_reflect_and_let_through_what_they_should() {
+    for (number, most) in [(1, [0.05, 0.09, 0.07]), (2, [0.08, 0.08, 0.08])] {
+        let (thickness, albedo, reflected, transmitted) = SLABS[number];
+        let case = Slab { thickness, albedo, reach: 6.0, lamps: 3 }.case(reflected, transmitted);
+        for (error, most) in [0.3, 0.1, 0.03].into_iter().zip(most).take(4 - number) {
+            let found = found(&case, error);
+            assert!(found.rms < most, "{}, error {error}: {found:?}", case.name);
+        }
     }
-    assert!(found[2].rms < 0.6 * found[0].rms, "{found:?}");
 }

@@ -21,8 +21,7 @@ fn solve(text: &str, error: f32, memory: usize) -> Solved {
         };
         assert!(is_number, "{leaf:?}");
     }
-    let cells = &solved.field.fog.0;
-    assert!(cells.iter().flat_map(|cell| cell.mean).all(|value| value.is_finite()));
+    assert!(solved.field.fog.leaves().flat_map(|leaf| leaf.mean).all(|value| value.is_finite()));
     solved
 }
 

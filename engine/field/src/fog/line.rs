@@ -1,0 +1,269 @@
+//! What fog sends along a line, leaf by leaf.
+
+use super::integral::{Sent, density, invert, weights};
+use super::tree::{FogTree, Kind, Placed};
+use femc_math::Rgb;
+use femc_math::color::LUMINANCE_WEIGHTS;
+use femc_math::glam::{DVec3, Vec3A};
+
+/// A stretch of a line in one leaf.
+#[derive(Clone, Copy, Debug)]
+struct Piece {
+    /// Distance of its beginning from the line's origin, m.
+    start: f64,
+    /// Luminance that arrives at the line's beginning of this piece and of all before it, cd/m2.
+    upto: f64,
+    length: f32,
+    /// Optical depth.
+    depth: f32,
+    /// What is sent per m at its beginning and its end, by luminance, as far as the pieces before let it through.
+    sent: [f32; 2],
+}
+
+/// Of a piece behind which fog has color: optical depth and what is sent, by channel.
+#[derive(Clone, Copy, Debug)]
+struct Channels {
+    depth: [f32; 3],
+    sent: [[f32; 2]; 3],
+}
+
+/// A place on a line.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct LinePoint {
+    /// Distance from the line's origin, m.
+    pub t: f32,
+    /// Density of the distance, 1/m.
+    pub pdf: f32,
+}
+
+/// What fog sends along a line: light that it scatters toward the line's beginning, but for what it scatters straight from light sources,
+/// as if it scattered to all sides alike. See [`FogTree::line`].
+#[derive(Clone, Debug, Default)]
+pub struct Line {
+    pieces: Vec<Piece>,
+    /// Of the last pieces, where fog has color: as many as there are.
+    colored: Vec<Channels>,
+    /// Boxes that are not walked yet: the node, and the distance at which the line leaves it.
+    pending: Vec<(u32, f64)>,
+    total: Rgb,
+    through: Rgb,
+}
+
+impl Line {
+    /// Radiance that arrives at the line's beginning, cd/m2.
+    pub fn total(&self) -> Rgb {
+        self.total
+    }
+
+    /// Its luminance, cd/m2.
+    pub fn luminance(&self) -> f32 {
+        self.pieces.last().map_or(0.0, |piece| piece.upto) as f32
+    }
+
+    /// Number of boxes that it goes through.
+    pub fn leaves(&self) -> usize {
+        self.pieces.len()
+    }
+
+    /// Share of the light that gets from the line's end to its beginning through the fog of the boxes.
+    pub fn transmittance(&self) -> Rgb {
+        self.through
+    }
+
+    /// A place where the light comes from, by luminance.
+    /// - `u`: in [0, 1);
+    /// - returns `None` where no light comes; [`Self::pdf`] is the density.
+    pub fn sample(&self, u: f64) -> Option<LinePoint> {
+        let whole = self.pieces.last()?.upto;
+        let wanted = u * whole;
+        let index = self.pieces.partition_point(|piece| piece.upto <= wanted);
+        let piece = self.pieces.get(index)?;
+        let (before, length) = (if index == 0 { 0.0 } else { self.pieces[index - 1].upto }, f64::from(piece.length));
+        let (channels, count) = self.channels(index);
+        let share = invert(&channels[..count], (wanted - before) / length, (piece.upto - before) / length);
+        let t = (piece.start + length * share) as f32;
+        let pdf = self.pdf(t);
+        (pdf > 0.0).then_some(LinePoint { t, pdf })
+    }
+
+    /// Density of [`Self::sample`] at a distance from the line's origin, 1/m. It integrates to 1 over the line, if light comes at all.
+    /// - `t`: m.
+    pub fn pdf(&self, t: f32) -> f32 {
+        let (Some(first), Some(last)) = (self.pieces.first(), self.pieces.last()) else { return 0.0 };
+        let t = f64::from(t);
+        // Rounding may put what is drawn at an end beside it.
+        let slack = f64::from(f32::EPSILON) * t.abs();
+        let end = last.start + f64::from(last.length);
+        if !(last.upto > 0.0 && t >= first.start - slack && t <= end + slack) {
+            return 0.0;
+        }
+        let index = self.pieces.partition_point(|piece| piece.start <= t).saturating_sub(1);
+        let piece = &self.pieces[index];
+        let at = ((t - piece.start) / f64::from(piece.length)).clamp(0.0, 1.0);
+        let (channels, count) = self.channels(index);
+        let value: f64 = channels[..count].iter().map(|&(depth, sent)| density(depth, sent, at)).sum();
+        (value / last.upto) as f32
+    }
+
+    /// Optical depth of a piece and what is sent there: of all channels together, or of each.
+    #[inline]
+    fn channels(&self, index: usize) -> ([(f64, Sent); 3], usize) {
+        let channel =
+            |depth: f32, [from, to]: [f32; 2]| (f64::from(depth), Sent { from: f64::from(from), to: f64::from(to) });
+        let gray = self.pieces.len() - self.colored.len();
+        if index < gray {
+            let Piece { depth, sent, .. } = self.pieces[index];
+            return ([channel(depth, sent); 3], 1);
+        }
+        let Channels { depth, sent } = &self.colored[index - gray];
+        ([0, 1, 2].map(|k| channel(depth[k], sent[k])), 3)
+    }
+
+    fn clear(&mut self) {
+        self.pieces.clear();
+        self.colored.clear();
+        self.pending.clear();
+        (self.total, self.through) = (Rgb::ZERO, Rgb::ONE);
+    }
+}
+
+/// What has been walked of a line.
+struct Walk {
+    origin: DVec3,
+    dir: DVec3,
+    /// Share of the light that gets to the line's beginning, by channel.
+    through: [f64; 3],
+    total: Rgb,
+    luminance: f64,
+}
+
+impl Walk {
+    /// What a leaf sends at the two ends of a stretch in it, per m.
+    #[inline]
+    fn sent(&self, placed: &Placed, start: f64, length: f32) -> [Rgb; 2] {
+        let [from, slope] = placed.along(self.origin + self.dir * start, self.dir);
+        [from, from + slope * length].map(|mean| placed.leaf.sigma_s * mean.max(Rgb::ZERO))
+    }
+
+    /// Adds the stretch of the line in a leaf, where nothing has color so far.
+    #[inline]
+    fn add(&mut self, placed: &Placed, start: f64, end: f64, pieces: &mut Vec<Piece>) {
+        let length = end - start;
+        let sent = self.sent(placed, start, length as f32);
+        let through = self.through[0];
+        let depth = f64::from(placed.leaf.sigma_t.x) * length;
+        let ([first, second], passes) = weights(depth);
+        let [from, to] = sent.map(|color| color.dot(LUMINANCE_WEIGHTS) * through as f32);
+        self.luminance += length * (f64::from(from) * first + f64::from(to) * second);
+        let scale = through * length;
+        self.total += sent[0] * ((first * scale) as f32) + sent[1] * ((second * scale) as f32);
+        self.through[0] = through * passes;
+        pieces.push(Piece {
+            start,
+            upto: self.luminance,
+            length: length as f32,
+            depth: depth as f32,
+            sent: [from, to],
+        });
+    }
+
+    /// The same in color.
+    fn add_colored(&mut self, placed: &Placed, start: f64, end: f64, line: &mut Line) {
+        let length = end - start;
+        let sent = self.sent(placed, start, length as f32);
+        let mut channels = Channels { depth: [0.0; 3], sent: [[0.0; 2]; 3] };
+        for k in 0..3 {
+            let through = self.through[k];
+            let depth = f64::from(placed.leaf.sigma_t[k]) * length;
+            let ([first, second], passes) = weights(depth);
+            let [from, to] = sent.map(|color| f64::from(color[k]) * through);
+            let arrives = length * (from * first + to * second);
+            self.total[k] += arrives as f32;
+            let weight = f64::from(LUMINANCE_WEIGHTS[k]);
+            self.luminance += weight * arrives;
+            channels.depth[k] = depth as f32;
+            channels.sent[k] = [from, to].map(|value| (weight * value) as f32);
+            self.through[k] = through * passes;
+        }
+        line.colored.push(channels);
+        line.pieces.push(Piece { start, upto: self.luminance, length: length as f32, depth: 0.0, sent: [0.0; 2] });
+    }
+}
+
+impl FogTree {
+    /// What the fog sends along a line, as [`Line`] has it. Outside of the boxes it is as if nothing were there.
+    /// - `origin`: prepared frame, m; `dir`: unit; `t0`, `t1`: distances of the line's beginning and end from the origin, m;
+    /// - `line`: what was in it is gone. Its buffers are kept from line to line.
+    pub fn line(&self, origin: Vec3A, dir: Vec3A, t0: f32, t1: f32, line: &mut Line) {
+        line.clear();
+        if self.nodes.is_empty() {
+            return;
+        }
+        let (o, d) = (origin.as_dvec3(), dir.as_dvec3());
+        let Some((mut start, mut end)) = self.clip(o, d, [t0, t1].map(f64::from)) else { return };
+        let inverse = d.recip().to_array();
+        let (from, way) = (o.to_array(), d.to_array());
+        let mut walk = Walk { origin: o, dir: d, through: [1.0; 3], total: Rgb::ZERO, luminance: 0.0 };
+        let mut gray = true;
+        let mut node = 0;
+        loop {
+            match self.nodes[node as usize].kind() {
+                Kind::Cut { axis, at, low } => {
+                    let at = f64::from(at);
+                    if way[axis] == 0.0 {
+                        node = low + u32::from(from[axis] >= at);
+                        continue;
+                    }
+                    let later = u32::from(way[axis] > 0.0);
+                    let crossing = (at - from[axis]) * inverse[axis];
+                    if crossing >= end {
+                        node = low + (1 - later);
+                    } else if crossing > start {
+                        line.pending.push((low + later, end));
+                        node = low + (1 - later);
+                        end = crossing;
+                    } else {
+                        node = low + later;
+                    }
+                }
+                Kind::Leaf(index) => {
+                    if end > start {
+                        let placed = &self.leaves[index as usize];
+                        if gray && !placed.is_gray {
+                            gray = false;
+                            walk.through = [walk.through[0]; 3];
+                        }
+                        if gray {
+                            walk.add(placed, start, end, &mut line.pieces);
+                        } else {
+                            walk.add_colored(placed, start, end, line);
+                        }
+                        start = end;
+                    }
+                    let Some((next, until)) = line.pending.pop() else { break };
+                    (node, end) = (next, until);
+                }
+            }
+        }
+        line.total = walk.total;
+        let through = if gray { [walk.through[0]; 3] } else { walk.through };
+        line.through = Rgb::from_array(through.map(|x| x as f32));
+    }
+
+    /// The part of a line in the box that holds all; `None` if there is none.
+    fn clip(&self, origin: DVec3, dir: DVec3, [mut start, mut end]: [f64; 2]) -> Option<(f64, f64)> {
+        let (min, max) = (self.min.as_dvec3(), self.max.as_dvec3());
+        for axis in 0..3 {
+            if dir[axis] == 0.0 {
+                if origin[axis] < min[axis] || origin[axis] > max[axis] {
+                    return None;
+                }
+                continue;
+            }
+            let [a, b] = [min, max].map(|corner| (corner[axis] - origin[axis]) / dir[axis]);
+            (start, end) = (start.max(a.min(b)), end.min(a.max(b)));
+        }
+        // Not `>=`: what is no number has no part, either.
+        (start < end && end.is_finite() && start.is_finite()).then_some((start, end))
+    }
+}

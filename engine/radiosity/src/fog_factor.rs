@@ -1,0 +1,213 @@
+//! What a point receives of a box of fog.
+
+use crate::element::{Element, FOG_NODES, Kind};
+use crate::form_factor::{polygon, solid_angle};
+use crate::link::{Judge, exchange, facing};
+use crate::visibility::Eye;
+use femc_field::SurfaceSpot;
+use femc_math::cross;
+use femc_math::elementary::{exp, ln};
+use femc_math::glam::Vec3A;
+use std::f32::consts::PI;
+
+/// Light of a small surface at a spot: the spot, the surface's, its area.
+type Kernel = fn(&SurfaceSpot, &SurfaceSpot, f32) -> f32;
+
+/// Points by axis on a face of a box of fog.
+pub const FACE: u32 = 5;
+
+/// A point is no nearer to a face of a box of fog than this share of the box's radius, for the choice of places on the face.
+const NEAREST: f32 = 1e-4;
+
+/// Where the edge of a box of fog is looked at, in halves of its edges from its middle.
+const AT_EDGE: f32 = 0.9;
+
+impl Judge<'_> {
+    /// By how much what a box of fog receives of a surface or of another box at the edge next to it differs from what its nodes say of that place.
+    pub fn missed_at_edge(&self, p: &Element, q: &Element, factors: &[f32; 4], eye: &mut Eye) -> f32 {
+        let nearest = ((q.center - p.center) / p.half).clamp(Vec3A::NEG_ONE, Vec3A::ONE) * AT_EDGE;
+        let spot = SurfaceSpot { position: p.center + p.half * nearest, ..SurfaceSpot::default() };
+        let linear: f32 = factors.iter().zip(FOG_NODES).map(|(f, node)| f * (0.25 + 0.75 * node.dot(nearest))).sum();
+        (self.factor(p, q, &spot, eye) - linear).abs()
+    }
+
+    /// Of a box of fog. Near it by its faces, see [`of_box`].
+    pub fn factor_of_fog(&self, p: &Element, q: &Element, node: &SurfaceSpot, eye: &mut Eye) -> f32 {
+        let way = q.center - node.position;
+        let mut distance2 = way.length_squared();
+        if p.is_wide() {
+            let reach = p.radius + q.radius;
+            distance2 = distance2.max(0.25 * reach * reach);
+        }
+        let distance = distance2.sqrt();
+        let extinction = self.extinction(q);
+        if p.is_wide() || distance > 3.0 * q.radius {
+            let share = match p.kind {
+                Kind::Fog => 1.0,
+                Kind::Patch => 4.0 * (node.normal.dot(way) / distance).max(0.0),
+                Kind::Cluster | Kind::Ball => 4.0,
+            };
+            if share <= 0.0 {
+                return 0.0;
+            }
+            // Mean over the box of what decays along the way, by its value in the middle.
+            let decay = q.half * way.abs() * (extinction / distance);
+            let spread = |x: f32| 1.0 + x * x * (1.0 / 6.0 + x * x * (1.0 / 120.0 + x * x / 5040.0));
+            let through = decay.to_array().into_iter().map(spread).product::<f32>()
+                * eye.fog(self.scene, node.position, q.center);
+            return share * q.size / (4.0 * PI * distance2) * through;
+        }
+        // Fewer points where the distances to a face differ less.
+        let count = if distance > 1.5 * q.radius { 3 } else { FACE };
+        of_box(extinction, (q.center, q.half), node, p.kind == Kind::Patch, count as usize)
+    }
+
+    /// Of a wide source at a box of fog: at a point as from the source's middle, in the box around that as the box has on average.
+    pub fn factor_at_fog(&self, p: &Element, q: &Element, distance2: f32, node: &SurfaceSpot, eye: &mut Eye) -> f32 {
+        if (q.center - p.center).abs().cmple(p.half).all() {
+            // A quarter of 4 pi times the way that light goes in the box, by its volume.
+            let length = along(self.extinction(p), p.half.min_element());
+            return PI * length / p.size;
+        }
+        0.25 / distance2 * eye.fog(self.scene, node.position, q.center)
+    }
+}
+
+/// Share of the radiosity (per m) of an even box of fog that a point receives, m, by the box's faces: of all directions through a face the
+/// length of fog from the point to there, which is that up to the far faces less that up to the near ones.
+/// - `count`: points on a face by axis, at most [`FACE`].
+fn of_box(extinction: f32, (center, half): (Vec3A, Vec3A), node: &SurfaceSpot, on_surface: bool, count: usize) -> f32 {
+    let (mut sum, least) = (0.0, NEAREST * half.length());
+    for axis in 0..3 {
+        for side in [-1.0, 1.0] {
+            let (mut out, mut u, mut v) = (Vec3A::ZERO, Vec3A::ZERO, Vec3A::ZERO);
+            out[axis] = side * half[axis];
+            u[(axis + 1) % 3] = half[(axis + 1) % 3];
+            v[(axis + 2) % 3] = half[(axis + 2) % 3];
+            let middle = center + out;
+            // Counter-clockwise seen from the side of the point; near faces count against.
+            let inward = out.dot(node.position - middle) < 0.0;
+            if (side > 0.0) == inward {
+                std::mem::swap(&mut u, &mut v);
+            }
+            let corners = [middle - u - v, middle + u - v, middle + u + v, middle - u + v];
+            let (share, kernel): (f32, Kernel) = if on_surface {
+                (polygon(node.position, node.normal, &corners), exchange)
+            } else {
+                (solid_angle(node.position, &corners) / (4.0 * PI), facing)
+            };
+            if share > 0.0 {
+                let length = mean_length(extinction, (middle, u, v), node, kernel, (least, count));
+                sum += if inward { share * length } else { -share * length };
+            }
+        }
+    }
+    sum.max(0.0)
+}
+
+/// Mean length of fog, as [`along`] has it, from a point to a face with this middle and these halves of its edges.
+/// - `least`: the point is no nearer to the face than this for the choice of places on it, m.
+fn mean_length(
+    extinction: f32,
+    (middle, u, v): (Vec3A, Vec3A, Vec3A),
+    node: &SurfaceSpot,
+    kernel: Kernel,
+    (least, count): (f32, usize),
+) -> f32 {
+    let normal = cross(u, v).normalize_or(Vec3A::Z);
+    let from = node.position - middle;
+    let height = normal.dot(from).abs().max(least);
+    let [across, up] = [u, v].map(|edge| {
+        let half = edge.length();
+        let foot = edge.dot(from) / (half * height);
+        let steps = steps([-half / height - foot, half / height - foot], count);
+        steps.map(|(place, weight)| (edge * ((place + foot) * height / half), weight))
+    });
+    let (mut weight, mut length) = (0.0, 0.0);
+    for (x, of_x) in &across[..count] {
+        for (y, of_y) in &up[..count] {
+            let spot = SurfaceSpot { position: middle + *x + *y, normal, ..*node };
+            let part = kernel(node, &spot, 1.0) * of_x * of_y;
+            weight += part;
+            length += part * along(extinction, spot.position.distance(node.position));
+        }
+    }
+    if weight > 0.0 { length / weight } else { along(extinction, middle.distance(node.position)) }
+}
+
+/// Places on a stretch beside a point, in units of the point's distance from the stretch's line, and their weights: where the stretch is
+/// near the point they are close to each other, as the light from there asks for.
+/// - `ends`: from the foot of the point; `count`: at most [`FACE`].
+fn steps(ends: [f32; 2], count: usize) -> [(f32, f32); FACE as usize] {
+    // Even steps of the area hyperbolic sine, by its exponential.
+    let [from, to] = ends.map(|x| {
+        let e = x.abs() + (x * x + 1.0).sqrt();
+        if x < 0.0 { 1.0 / e } else { e }
+    });
+    let ratio = exp(ln(to / from) / (2 * count) as f32);
+    let mut e = from * ratio;
+    let mut steps = [(0.0, 0.0); FACE as usize];
+    for step in &mut steps[..count] {
+        *step = (0.5 * (e - 1.0 / e), 0.5 * (e + 1.0 / e));
+        e *= ratio * ratio;
+    }
+    steps
+}
+
+/// Length of fog that sends as much light as all up to a distance does, seen through itself: m.
+pub fn along(extinction: f32, distance: f32) -> f32 {
+    let x = extinction * distance;
+    if x < 0.35 {
+        // Its series: a tenth of the time that the function takes.
+        let more = x * (1.0 / 24.0 - x * (1.0 / 120.0 - x / 720.0));
+        return distance * (1.0 - x * (0.5 - x * (1.0 / 6.0 - more)));
+    }
+    (1.0 - exp(-x)) / extinction
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// By directions: the fog from where a ray enters the box, or begins, to where it leaves it.
+    fn by_directions(extinction: f32, center: Vec3A, half: Vec3A, point: Vec3A) -> f64 {
+        const N: u32 = 1000;
+        let of = |k: u32| {
+            let [u, v] = [k % N, k / N].map(|k| (k as f32 + 0.5) / N as f32);
+            let dir = femc_math::warp::direction(1.0 - 2.0 * u, v);
+            let [a, b] = [-1.0, 1.0].map(|side| (center + half * side - point) / dir);
+            let (near, far) = (a.min(b).max_element().max(0.0), a.max(b).min_element());
+            let part = |t: f32| f64::from((1.0 - exp(-extinction * t)) / extinction);
+            if far > near { part(far) - part(near) } else { 0.0 }
+        };
+        (0..N * N).map(of).sum::<f64>() / f64::from(N * N)
+    }
+
+    /// In a box, at its face, over its edge; beside boxes that are larger and smaller, thick and thin.
+    #[test]
+    fn a_point_receives_of_a_box_what_all_directions_bring() {
+        let boxes = [
+            ([0.0, 0.0, 0.0], [0.25, 0.25, 0.25]),
+            ([0.5, 0.0, 0.0], [0.25, 0.25, 0.25]),
+            ([0.5, 0.5, 0.0], [0.25, 0.25, 0.25]),
+            ([0.6, 0.1, 0.0], [0.5, 0.5, 0.25]),
+            ([0.3, 0.0, 0.1], [0.05, 0.05, 0.1]),
+            ([1.0, 0.3, 0.0], [0.85, 0.6, 0.6]),
+        ];
+        for extinction in [0.3, 1.0, 3.0] {
+            for (center, half) in boxes.map(|(center, half)| (Vec3A::from(center), Vec3A::from(half))) {
+                for place in FOG_NODES {
+                    let point = place * 0.25;
+                    let spot = SurfaceSpot { position: point, ..SurfaceSpot::default() };
+                    let have = f64::from(of_box(extinction, (center, half), &spot, false, FACE as usize));
+                    let want = by_directions(extinction, center, half, point);
+                    let scale = f64::from(half.max_element());
+                    assert!(
+                        (have - want).abs() < 0.02 * want + 2e-4 * scale,
+                        "{extinction} {center} {point}: {have} {want}"
+                    );
+                }
+            }
+        }
+    }
+}

@@ -1,0 +1,201 @@
+//! Light in fog, but for what is scattered straight from light sources: along the camera's rays and from all around points, by paths
+//! and by the first pass.
+
+use crate::rng::Rng;
+use femc_field::{FogTree, Line};
+use femc_math::color::luminance;
+use femc_math::glam::{DVec3, Vec3A};
+use femc_math::warp;
+use femc_montecarlo::record::{Found, Place, Recording};
+use femc_montecarlo::{PathSettings, PixelFilter, Tracer};
+use femc_prepared::Prepared;
+use femc_prepared::camera::{CameraPose, KernelCamera};
+use femc_prepared::media::{Inside, MediaRay};
+use rayon::prelude::*;
+
+/// What paths find, and its standard error.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Estimate {
+    /// The mean.
+    pub mean: f64,
+    /// Its standard error.
+    pub error: f64,
+}
+
+impl Estimate {
+    fn of(values: impl Iterator<Item = f64>) -> Self {
+        let (n, sum, squares) =
+            values.fold((0.0, 0.0, 0.0), |(n, sum, squares), x| (n + 1.0, sum + x, squares + x * x));
+        let mean: f64 = sum / n;
+        Self { mean, error: ((squares / n - mean * mean).max(0.0) / (n - 1.0f64).max(1.0)).sqrt() }
+    }
+}
+
+/// A ray of the camera, and luminance of what fog scatters on it toward the camera, cd/m2.
+#[derive(Clone, Copy, Debug)]
+pub struct Along {
+    /// Its origin, prepared frame, m.
+    pub origin: Vec3A,
+    /// Its unit direction.
+    pub dir: Vec3A,
+    /// Distance of the surface that it meets, m.
+    pub length: f32,
+    /// By paths.
+    pub found: Estimate,
+}
+
+/// A point in fog, and mean luminance from all around, cd/m2.
+#[derive(Clone, Copy, Debug)]
+pub struct Around {
+    /// Prepared frame, m.
+    pub point: Vec3A,
+    /// By paths.
+    pub found: Estimate,
+}
+
+/// All samples in the middle of a pixel.
+#[derive(Clone, Copy)]
+struct Middle;
+
+impl PixelFilter for Middle {
+    fn sample(self, _: [f32; 2]) -> [f32; 2] {
+        [0.0; 2]
+    }
+
+    fn density(self, _: [f32; 2]) -> f32 {
+        1.0
+    }
+}
+
+fn settings(seed: u64) -> PathSettings {
+    PathSettings { seed, max_depth: 0, only: None }
+}
+
+/// The middle of so many pixels, spread over the film, with what `samples` paths each find.
+pub fn along(prepared: &Prepared, count: u32, samples: u32) -> Vec<Along> {
+    let [width, height] = prepared.camera.film;
+    let of = |k: u32| {
+        // A lattice that fills the film evenly.
+        let [x, y] = [0.754_877_666_246_692_7, 0.569_840_290_998_053_3].map(|a| (0.5 + a * f64::from(k)).fract());
+        let pixel = (y * f64::from(height)) as u32 * width + (x * f64::from(width)) as u32;
+        let ray = prepared.camera.view([0.5; 2], 0.5).ray(prepared.camera.center(pixel));
+        let length = prepared.world.intersect(&ray).map_or(f32::INFINITY, |hit| hit.t);
+        let mut tracer = Tracer::recording(prepared, settings(1), Recording::default());
+        let values = (0..samples).map(|sample| {
+            tracer.sample(pixel, sample, Middle);
+            scattered_again(&tracer.recorder)
+        });
+        Along { origin: ray.origin, dir: ray.dir, length, found: Estimate::of(values) }
+    };
+    (0..count).into_par_iter().map(of).collect()
+}
+
+/// Light that fog has scattered on the camera's segment, and something else before.
+fn scattered_again(path: &Recording) -> f64 {
+    let Some(first) = path.steps.first() else { return 0.0 };
+    if !matches!(first.vertex.place, Place::Medium(_)) {
+        return 0.0;
+    }
+    let counts = |(part, vertices): &&(femc_montecarlo::record::Contribution, usize)| {
+        let is_straight = part.found == Found::Met && path.source(*vertices).is_some_and(|step| step == first);
+        part.bounce > 0 && !is_straight
+    };
+    path.contributions.iter().filter(counts).map(|(part, _)| f64::from(luminance(part.color))).sum()
+}
+
+/// Points where the camera's rays are scattered, with what paths in `samples` directions each find.
+pub fn around(prepared: &mut Prepared, rays: &[Along], samples: u32) -> Vec<Around> {
+    let mut media = MediaRay::default();
+    let mut rng = Rng::new(3);
+    let mut number = move || (rng.bits() >> 40) as f32 / (1u64 << 24) as f32;
+    let points: Vec<Vec3A> = rays
+        .iter()
+        .filter_map(|ray| {
+            // Where the fog has taken an even share of what it takes of the ray.
+            let scene = &prepared.media;
+            scene.along(ray.origin, ray.dir, ray.length, &Inside::default(), &mut media).then_some(())?;
+            let (first, last) = scene.scattering_range(&media)?;
+            let through = |t: f32, media: &mut MediaRay| {
+                scene.along(ray.origin, ray.dir, t, &Inside::default(), media);
+                luminance(scene.transmittance(media))
+            };
+            let end = last.min(first + 1e4);
+            let share = number();
+            let wanted = 1.0 - share * (1.0 - through(end, &mut media));
+            let (mut low, mut high) = (first, end);
+            for _ in 0..40 {
+                let middle = 0.5 * (low + high);
+                if through(middle, &mut media) > wanted { low = middle } else { high = middle }
+            }
+            Some(ray.origin + ray.dir * low)
+        })
+        .collect();
+    let camera = prepared.camera.clone();
+    let sightings = std::mem::take(&mut prepared.sightings);
+    let found = points.iter().map(|&point| Around { point, found: from_all(prepared, point, samples) }).collect();
+    (prepared.camera, prepared.sightings) = (camera, sightings);
+    found
+}
+
+/// By rays of cameras at the point, each with a direction of its own.
+fn from_all(prepared: &mut Prepared, point: Vec3A, samples: u32) -> Estimate {
+    const FILM: u32 = 64;
+    let mut rng = Rng::new(u64::from(point.x.to_bits()) << 32 | u64::from(point.y.to_bits()));
+    let mut number = move || (rng.bits() >> 40) as f32 / (1u64 << 24) as f32;
+    let mut values = Vec::new();
+    for sample in 0..samples {
+        let u = [sample % FILM, sample / FILM].map(|k| (k as f32 + number()) / FILM as f32);
+        let dir = warp::direction(1.0 - 2.0 * u[0], (u[1] * FILM as f32 * FILM as f32 / samples as f32).fract());
+        let (origin, up) = (point.as_dvec3(), if dir.z.abs() > 0.9 { DVec3::X } else { DVec3::Z });
+        let Some(pose) = CameraPose::new(origin, origin + dir.as_dvec3(), up, 1e-4, [1, 1]) else { continue };
+        prepared.camera = KernelCamera::new(vec![pose], [1, 1], 0.0, 1.0);
+        let mut tracer = Tracer::recording(prepared, settings(u64::from(sample) + 1), Recording::default());
+        tracer.sample(0, 0, Middle);
+        let path = &tracer.recorder;
+        let counts = |(part, _): &&(femc_montecarlo::record::Contribution, usize)| {
+            part.bounce > 0 || !matches!(part.found, Found::Met | Found::Sight)
+        };
+        values.push(path.contributions.iter().filter(counts).map(|(part, _)| f64::from(luminance(part.color))).sum());
+    }
+    Estimate::of(values.into_iter())
+}
+
+/// What a tree of fog makes of them.
+#[derive(Clone, Copy, Debug)]
+pub struct Compared {
+    /// Mean over the paths' mean.
+    pub ratio: f64,
+    /// Root mean square of the differences, the paths' own variance taken off, over the mean.
+    pub rms: f64,
+    /// The same of relative differences, where a tenth of the mean is added to each.
+    pub relative: f64,
+    /// Standard error of the ratio.
+    pub error: f64,
+}
+
+fn compared(pairs: &[(f64, Estimate)]) -> Compared {
+    let n = pairs.len() as f64;
+    let [have, want] =
+        [pairs.iter().map(|pair| pair.0).sum::<f64>() / n, pairs.iter().map(|pair| pair.1.mean).sum::<f64>() / n];
+    let square = |(have, Estimate { mean, error }): &(f64, Estimate)| (have - mean).powi(2) - error * error;
+    let squares = pairs.iter().map(square).sum::<f64>() / n;
+    let relative = pairs.iter().map(|pair| square(pair) / (pair.1.mean + 0.1 * want).powi(2)).sum::<f64>() / n;
+    let error = pairs.iter().map(|pair| pair.1.error.powi(2)).sum::<f64>().sqrt() / n / want;
+    Compared { ratio: have / want, rms: squares.max(0.0).sqrt() / want, relative: relative.max(0.0).sqrt(), error }
+}
+
+/// Light along rays.
+pub fn compare_along(fog: &FogTree, rays: &[Along]) -> Compared {
+    let mut line = Line::default();
+    let mut have = |ray: &Along| {
+        fog.line(ray.origin, ray.dir, 0.0, ray.length, &mut line);
+        f64::from(line.luminance())
+    };
+    compared(&rays.iter().map(|ray| (have(ray), ray.found)).collect::<Vec<_>>())
+}
+
+/// Light from all around points.
+pub fn compare_around(fog: &FogTree, points: &[Around]) -> Compared {
+    let have = |at: &Around| f64::from(luminance(fog.mean_radiance(at.point)));
+    compared(&points.iter().map(|at| (have(at), at.found)).collect::<Vec<_>>())
+}

@@ -1,7 +1,7 @@
 //! What light statistics cost: renders a frame of a scene on one thread, tile by tile as a farm does, by turns without and with statistics;
 //! unites what the tiles have, and chooses a representative set.
 //!
-//! `cargo run --release -p femc-pipeline --example overhead -- scene.mgf 192x192 32 5`
+//! `cargo run --release -p femc-pipeline --example recording -- scene.mgf 192x192 32 5`
 //!
 //! With `without` or `with` as a fifth word it renders once and in that way alone: to count instructions.
 

@@ -36,7 +36,7 @@ const BRIGHT: f32 = 1.0;
 /// Parts of a leaf at most, which its nodes stand for.
 const PARTS: usize = 4;
 /// How much denser rays from the other end must be to be better than a leaf's own.
-const DENSER: f32 = 4.0;
+const DENSER: f32 = 32.0;
 /// What a ray has met.
 #[derive(Clone, Copy, Debug)]
 struct Sight {

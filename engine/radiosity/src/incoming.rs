@@ -45,7 +45,7 @@ pub fn guides(
     leaves: &[u32],
 ) -> (Vec<Guide>, Vec<Lobe>) {
     use rayon::prelude::*;
-    let groups = groups(arena, leaves, &rays.light(scene, arena, lights));
+    let groups = groups(arena, leaves, &rays.light(arena, lights));
     let found: Vec<(f32, Vec<Lobe>)> = groups
         .par_iter()
         .map(|(group, leaves)| {

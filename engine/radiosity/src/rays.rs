@@ -46,6 +46,8 @@ struct Sight {
     share: f32,
     /// Normal there, in 127ths.
     normal: [i8; 3],
+    /// Normal where the ray begins, in 127ths.
+    start: [i8; 3],
     /// Part of the leaf; [`ONE_WAY`] of what is seen in a mirror, of fog and of lamps: it receives nothing by this ray.
     part: u8,
     /// The point, m; of what is seen in a mirror the mirrored one.
@@ -133,8 +135,15 @@ struct Way {
 }
 
 impl Sight {
-    const NOTHING: Self =
-        Self { leaf: NONE, share: 0.0, normal: [0; 3], part: ONE_WAY, target: [0.0; 3], density: [0.0; 2] };
+    const NOTHING: Self = Self {
+        leaf: NONE,
+        share: 0.0,
+        normal: [0; 3],
+        start: [0; 3],
+        part: ONE_WAY,
+        target: [0.0; 3],
+        density: [0.0; 2],
+    };
 }
 
 /// Parts of a leaf that rays begin on.
@@ -182,14 +191,15 @@ impl Rays {
                     let sight = |ray: usize| {
                         let (spot, dir, u) = origin(scene, element, aims.of(leaf), ray, each, round);
                         if dir.dot(spot.normal) <= 0.0 {
-                            return Sight::NOTHING;
+                            return Sight { start: packed(spot.normal), ..Sight::NOTHING };
                         }
                         let mut sight = met(scene, arena, &spot, dir, u, &mut eye);
+                        sight.start = packed(spot.normal);
                         sight.density[0] = density[leaf as usize] * aims.of(leaf).ratio(&spot, dir, each);
                         if sight.part != ONE_WAY {
                             let number = density[sight.leaf as usize];
                             let other = &arena.elements[sight.leaf as usize];
-                            let normal = Vec3A::from_array(sight.normal.map(f32::from)).normalize_or_zero();
+                            let normal = unpacked(sight.normal);
                             let spot = SurfaceSpot { position: Vec3A::from_array(sight.target), normal, ..spot };
                             let each = (number * other.size / parts_of(other) as f32).round() as usize;
                             sight.density[1] = number * aims.of(sight.leaf).ratio(&spot, -dir, each);
@@ -239,13 +249,7 @@ impl Rays {
     }
 
     /// Ways that light comes to the leaf at this place, by the light as it is now: those of its rays, then those of others that have met it.
-    fn ways(
-        &self,
-        (scene, arena, lights): (&Scene<'_>, &Arena, &Lights),
-        place: usize,
-        weights: Weights,
-        mut each: impl FnMut(Way),
-    ) {
+    fn ways(&self, (arena, lights): (&Arena, &Lights), place: usize, weights: Weights, mut each: impl FnMut(Way)) {
         let element = &arena.elements[self.leaves[place] as usize];
         let [first, end] = [self.first[place], self.first[place + 1]].map(|at| at as usize);
         let parts = parts_of(element);
@@ -262,9 +266,7 @@ impl Rays {
             let number = weights.density(sight.density[1], sight.density[0], false) * element.size;
             if number > 0.0 {
                 let leaf = self.leaves[origin];
-                let is_curved = arena.elements[leaf as usize].kind == Kind::Ball;
-                let normal = if is_curved { self.origin_of(scene, arena, origin, ray).normal } else { Vec3A::ZERO };
-                let irradiance = radiosity(arena, lights, leaf, normal) * (sight.share / number);
+                let irradiance = radiosity(arena, lights, leaf, unpacked(sight.start)) * (sight.share / number);
                 each(Way { ray, origin: Some(origin), part: usize::from(sight.part), irradiance, number });
             }
         }
@@ -278,12 +280,12 @@ impl Rays {
     }
 
     /// By leaf, in the order of their indices: the light that its ways bring, lm, and the sum of its squares.
-    pub fn light(&self, scene: &Scene<'_>, arena: &Arena, lights: &Lights) -> Vec<(u32, [f32; 2])> {
+    pub fn light(&self, arena: &Arena, lights: &Lights) -> Vec<(u32, [f32; 2])> {
         let of = |place: usize| {
             let leaf = self.leaves[place];
             let size = arena.elements[leaf as usize].size;
             let mut sums = [0.0f32; 2];
-            self.ways((scene, arena, lights), place, Weights::Both, |Way { irradiance, .. }| {
+            self.ways((arena, lights), place, Weights::Both, |Way { irradiance, .. }| {
                 let light = luminance(irradiance) * size;
                 if light.is_finite() {
                     sums = [sums[0] + light, sums[1] + light * light];
@@ -298,7 +300,7 @@ impl Rays {
     pub fn of(&self, scene: &Scene<'_>, arena: &Arena, lights: &Lights, leaf: u32) -> Vec<Seen> {
         let Ok(place) = self.leaves.binary_search(&leaf) else { return Vec::new() };
         let mut seen = Vec::new();
-        self.ways((scene, arena, lights), place, Weights::Both, |Way { ray, origin, irradiance, number, .. }| {
+        self.ways((arena, lights), place, Weights::Both, |Way { ray, origin, irradiance, number, .. }| {
             let begin = self.origin_of(scene, arena, origin.unwrap_or(place), ray).position;
             let end = Vec3A::from_array(self.sights[ray].target);
             let [origin, target] = if origin.is_none() { [begin, end] } else { [end, begin] };
@@ -306,6 +308,15 @@ impl Rays {
         });
         seen
     }
+}
+
+/// A unit vector in 127ths.
+fn packed(normal: Vec3A) -> [i8; 3] {
+    (normal * 127.0).round().to_array().map(|x| x as i8)
+}
+
+fn unpacked(normal: [i8; 3]) -> Vec3A {
+    Vec3A::from_array(normal.map(f32::from)).normalize_or_zero()
 }
 
 /// Part of a leaf at a place in it.
@@ -450,8 +461,8 @@ fn met(scene: &Scene<'_>, arena: &Arena, from: &SurfaceSpot, dir: Vec3A, u: [f32
         let (leaf, local) = arena.part_at(arena.roots[surface as usize], place, 0.0);
         let part = if is_turned { ONE_WAY } else { part_at(&arena.elements[leaf as usize], local) as u8 };
         let normal = if is_back { -point.normal } else { point.normal };
-        let normal = (normal * 127.0).round().to_array().map(|x| x as i8);
-        return Sight { leaf, share: share / (1.0 - goes_on), normal, part, target: target(way), density: [0.0; 2] };
+        let (share, normal) = (share / (1.0 - goes_on), packed(normal));
+        return Sight { leaf, share, normal, part, target: target(way), ..nothing };
     }
     nothing
 }
@@ -465,8 +476,7 @@ fn received(arena: &Arena, lights: &Lights, sight: &Sight) -> Rgb {
     if arena.elements[sight.leaf as usize].kind == Kind::Fog {
         return Rgb::splat(sight.share * light.mean);
     }
-    let normal = Vec3A::from_array(sight.normal.map(f32::from)).normalize_or_zero();
-    radiosity(arena, lights, sight.leaf, normal) * sight.share
+    radiosity(arena, lights, sight.leaf, unpacked(sight.normal)) * sight.share
 }
 
 /// Radiosity of a leaf of a surface, lx.

@@ -92,7 +92,7 @@ const GROWING: usize = 4;
 /// Most iterations at one level of refinement.
 const ITERATIONS: usize = 400;
 /// Times that rays are cast, and between them leaves cut where these find shadows.
-const ROUNDS: usize = 3;
+const ROUNDS: u32 = 3;
 /// Times that the light of the links is compared with that of the same rays.
 const CHECKS: usize = 2;
 /// Share of the mean irradiance that is added to an element's when a link's error is judged.
@@ -382,14 +382,14 @@ impl Solver<'_> {
             let rays = Rays::new(self.scene, &self.arena, &self.lights, &aims, round, room);
             let mut contrast = Vec::new();
             for _ in 0..CHECKS {
-                let found = rays.correct(self.scene, &self.arena, &mut self.lights, self.options.error);
+                let found = rays.correct(&self.arena, &mut self.lights, self.options.error);
                 (self.report.checked, self.report.corrected) = (found.ratio, found.changed);
                 contrast = found.contrast;
                 self.iterate(RESIDUAL)?;
             }
             self.most_rays = self.most_rays.max(rays.bytes());
             self.report.rays += rays.traced;
-            if round == ROUNDS as u32 {
+            if round == ROUNDS {
                 return Ok(rays);
             }
             let judge = self.judge(self.options.error, self.links.len());

@@ -1,10 +1,9 @@
 //! What links bring, scaled to what rays find.
 
-use super::{PARTS, Rays, Way, Weights, parts_of};
+use super::{PARTS, Rays, Way, Weights, parts_of, unpacked};
 use crate::arena::Arena;
 use crate::element::{Element, Kind};
 use crate::gather::{FROM_ELEMENTS, Lights};
-use crate::scene::Scene;
 use femc_field::{Harmonics, NONE};
 use femc_math::Rgb;
 use femc_math::color::luminance;
@@ -83,6 +82,11 @@ impl Sums {
         if self.rays > 0.0 { above.max(self.squares / self.rays) } else { above }
     }
 
+    /// Share of the light that the leaves' own rays find; no more than in the part above, as the others' rays may have missed this one.
+    fn own(&self, above: f32) -> f32 {
+        if self.rays > 0.0 { above.min(self.own / self.rays) } else { above }
+    }
+
     /// What the part receives, lm, by what is known of it.
     fn light(&self, known: &Known) -> f32 {
         known.scale * self.links + luminance(known.extra) * self.area
@@ -92,7 +96,7 @@ impl Sums {
     /// - `above`: what is known of the part above;
     /// - `chance`: the squared difference, in variances of it, that is taken as chance.
     fn known(&self, above: &Known, chance: f32) -> Known {
-        let (scale, extra, bright) = (above.scale, luminance(above.extra), above.bright);
+        let (scale, extra, Known { bright, own, .. }) = (above.scale, luminance(above.extra), *above);
         let before = self.light(above);
         // One ray that has met the fog at a lamp is no proof of more light.
         let rays = if self.rays > before { (self.rays - self.most).max(before) } else { self.rays };
@@ -100,26 +104,25 @@ impl Sums {
         let [area, links, squares] = self.variances;
         let once = scale * links + extra * area;
         let twice = scale * scale * squares + 2.0 * scale * extra * links + extra * extra * area;
-        let own = if self.rays > 0.0 { self.own / self.rays } else { 1.0 };
         let variance = (bright * once - own * own * twice).max(0.0);
         let difference = rays - before;
         let sure = 1.0 - chance * variance / (difference * difference).max(f32::MIN_POSITIVE);
         let change = sure.max(0.0) * difference;
         if change <= 0.0 {
             let less = if before > 0.0 { (1.0 + change / before).max(0.0) } else { 1.0 };
-            return Known { scale: scale * less, extra: above.extra * less, bright };
+            return Known { scale: scale * less, extra: above.extra * less, bright, own };
         }
         let room = (MOST - scale).max(0.0) * self.links;
         let scaled = if self.links > 0.0 { scale + change.min(room) / self.links } else { scale };
         let more = (change - room).max(0.0) / (self.area * luminance(self.color)).max(f32::MIN_POSITIVE);
-        Known { scale: scaled, extra: above.extra + self.color * more, bright }
+        Known { scale: scaled, extra: above.extra + self.color * more, bright, own }
     }
 }
 
 impl Rays {
     /// Sets what the leaves receive beyond what links bring.
     /// - `error`: what a link may have.
-    pub fn correct(&self, scene: &Scene<'_>, arena: &Arena, lights: &mut Lights, error: f32) -> Found {
+    pub fn correct(&self, arena: &Arena, lights: &mut Lights, error: f32) -> Found {
         let chance = CHANCE * (ROUGH / error).max(1.0);
         let by_leaf: Vec<[Sums; PARTS]> = (0..self.leaves.len())
             .into_par_iter()
@@ -128,12 +131,11 @@ impl Rays {
                 let element = &arena.elements[leaf as usize];
                 let own = (self.first[place + 1] - self.first[place]) as usize;
                 let parts = parts_of(element);
-                let links = self.brought(scene, arena, place, lights);
+                let links = self.brought(arena, place, lights);
                 let (area, number) = (element.size / parts as f32, (own / parts) as f32);
                 let mut sums =
                     [0, 1, 2, 3].map(|k| if k < parts { Sums::of(area, number, links[k]) } else { Sums::default() });
-                let of = (scene, arena, &*lights);
-                self.ways(of, place, Weights::Best, |Way { part, irradiance, origin, .. }| {
+                self.ways((arena, &*lights), place, Weights::Best, |Way { part, irradiance, origin, .. }| {
                     let bright = luminance(irradiance) * own as f32;
                     sums[part.min(parts - 1)].find(irradiance * element.size, bright, origin.is_none());
                 });
@@ -155,7 +157,7 @@ impl Rays {
             }
         }
         // A parent comes before its children; what its parts have together is known best of it.
-        let nothing = Known { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0) };
+        let nothing = Known { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own: all.own(1.0) };
         let whole = all.known(&nothing, chance);
         let mut known = vec![whole; arena.elements.len()];
         let roots: Vec<u32> = arena.roots.iter().copied().filter(|&root| root != NONE).collect();
@@ -207,15 +209,14 @@ impl Rays {
     }
 
     /// Irradiance that links bring to the parts of a leaf, lx.
-    fn brought(&self, scene: &Scene<'_>, arena: &Arena, place: usize, lights: &Lights) -> [f32; PARTS] {
+    fn brought(&self, arena: &Arena, place: usize, lights: &Lights) -> [f32; PARTS] {
         let leaf = self.leaves[place];
         let element = &arena.elements[leaf as usize];
         if element.kind == Kind::Ball {
             let light = lights.arriving[element.wide as usize].whole[FROM_ELEMENTS];
             let range = self.first[place] as usize..self.first[place + 1] as usize;
-            let number = range.len() as f32;
-            let normal = |ray| self.origin_of(scene, arena, place, ray).normal;
-            let sum: f32 = range.map(|ray| luminance(light.cosine(normal(ray))).max(0.0)).sum();
+            let (sights, number) = (&self.sights[range.clone()], range.len() as f32);
+            let sum: f32 = sights.iter().map(|sight| luminance(light.cosine(unpacked(sight.start))).max(0.0)).sum();
             return [sum / number; PARTS];
         }
         lights.of[leaf as usize].whole[FROM_ELEMENTS].map(|light| luminance(light.max(Rgb::ZERO)))
@@ -231,24 +232,69 @@ struct Known {
     extra: Rgb,
     /// Irradiance of a ray that meets something bright, lx.
     bright: f32,
+    /// Share of the light that the leaves' own rays find.
+    own: f32,
 }
 
 impl Known {
     /// Of the parts of a whole, which together have what the whole has.
     fn of_parts(self, whole: &Sums, chance: f32, parts: &[Sums]) -> Vec<Self> {
-        let above = Self { bright: whole.bright(self.bright), ..self };
+        let above = Self { bright: whole.bright(self.bright), own: whole.own(self.own), ..self };
         let known: Vec<Self> = parts.iter().map(|part| part.known(&above, chance)).collect();
         let together: f32 = parts.iter().zip(&known).map(|(part, known)| part.light(known)).sum();
         let more = (whole.light(&self) / together.max(f32::MIN_POSITIVE)).min(MOST);
-        let bright = |part: &Sums| part.bright(above.bright);
-        parts
-            .iter()
-            .zip(known)
-            .map(|(part, known)| Self { scale: known.scale * more, extra: known.extra * more, bright: bright(part) })
-            .collect()
+        let of = |(part, known): (&Sums, Self)| Self {
+            scale: known.scale * more,
+            extra: known.extra * more,
+            bright: part.bright(above.bright),
+            own: part.own(above.own),
+        };
+        parts.iter().zip(known).map(of).collect()
     }
 }
 
 fn is_root(arena: &Arena, element: &Element) -> bool {
     element.surface != NONE && (element.parent == NONE || arena.elements[element.parent as usize].surface == NONE)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Rays from elsewhere find a third of the light of all parts; to one of them none has come. That is chance, not a shadow.
+    #[test]
+    fn a_part_that_rays_from_elsewhere_have_missed_is_no_darker_for_that() {
+        let gray = |light: f32| Rgb::splat(light);
+        let part = |by_others: usize| {
+            let mut sums = Sums::of(1.0, 32.0, 1.0);
+            (0..32).for_each(|_| sums.find(gray(0.67 / 32.0), 0.67, true));
+            (0..by_others).for_each(|_| sums.find(gray(0.11), 3.52, false));
+            sums
+        };
+        let parts: Vec<Sums> = [4, 3, 5, 0, 3, 3, 4, 2].map(part).to_vec();
+        let mut all = Sums::default();
+        parts.iter().for_each(|part| all.add(part));
+        let nothing = Known { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own: all.own(1.0) };
+        let known = nothing.of_parts(&all, CHANCE, &parts);
+        let scales: Vec<f32> = known.iter().map(|known| known.scale).collect();
+        assert!(scales.iter().all(|scale| (scale - 1.0).abs() < 0.01), "{scales:?}");
+    }
+
+    /// Where links bring nothing, what rays find is added, and in the parts as in the whole.
+    #[test]
+    fn light_that_no_link_brings_is_added() {
+        let part = |light: f32| {
+            let mut sums = Sums::of(2.0, 400.0, 0.0);
+            (0..400).for_each(|_| sums.find(Rgb::splat(light * 2.0 / 400.0), light, true));
+            sums
+        };
+        let parts = [part(3.0), part(5.0)];
+        let mut all = Sums::default();
+        parts.iter().for_each(|part| all.add(part));
+        let nothing = Known { scale: 1.0, extra: Rgb::ZERO, bright: all.bright(0.0), own: all.own(1.0) };
+        let known = all.known(&nothing, CHANCE).of_parts(&all, CHANCE, &parts);
+        for (known, want) in known.iter().zip([3.0, 5.0]) {
+            assert!((luminance(known.extra) / want - 1.0).abs() < 0.1, "{known:?} {want}");
+        }
+    }
 }

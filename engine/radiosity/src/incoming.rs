@@ -39,6 +39,8 @@ const WORTH: f32 = 0.75;
 const BRIGHT: f32 = 8.0;
 /// Share of a lobe toward a portal that none of a group's rays has found.
 const SEEK: f32 = 0.25;
+/// The same for paths.
+const BEWARE: f32 = 0.1;
 /// Share of rays that go toward lobes where portals are sought.
 const AIMED: f32 = 0.25;
 
@@ -47,7 +49,7 @@ const AIMED: f32 = 0.25;
 pub enum Purpose {
     /// For paths: where what is known says that it lowers the variance.
     Paths,
-    /// For further rays of the first pass: also toward portals that no ray of the group has found so far.
+    /// For further rays of the first pass: more of them toward portals that no ray of the group has found so far.
     Rays,
 }
 
@@ -92,7 +94,7 @@ pub fn guides(
             }
             let element = &arena.elements[*group as usize];
             let found = guide(element, &ways, &seen, portals);
-            if purpose == Purpose::Rays { toward(found, element, portals) } else { found }
+            toward(found, element, portals, purpose)
         })
         .collect();
     let mut lobes = Vec::new();
@@ -151,18 +153,28 @@ fn root(arena: &Arena, leaf: u32) -> u32 {
     }
 }
 
-/// Lobes with all portals in front of a group among them: what none of its rays has found is to be sought there.
-fn toward((share, mut lobes): (f32, Vec<Lobe>), group: &Element, portals: &[Portal]) -> (f32, Vec<Lobe>) {
+/// Lobes with all portals in front of a group among them: rays are to seek there what none of the group has found, and paths are not to be
+/// surprised by it.
+fn toward(
+    (share, mut lobes): (f32, Vec<Lobe>),
+    group: &Element,
+    portals: &[Portal],
+    purpose: Purpose,
+) -> (f32, Vec<Lobe>) {
     let is_there = |portal: &&Portal| !lobes.iter().any(|lobe| portal.has(group.center, lobe.target));
+    let [seek, least] = match purpose {
+        Purpose::Rays => [SEEK, AIMED],
+        Purpose::Paths => [BEWARE, SHARES[0]],
+    };
     let seen: Vec<Lobe> =
-        portals.iter().filter(is_there).filter_map(|portal| portal.lobe(group.center, group.normal, SEEK)).collect();
+        portals.iter().filter(is_there).filter_map(|portal| portal.lobe(group.center, group.normal, seek)).collect();
     if seen.is_empty() {
         return (share, lobes);
     }
     lobes.sort_by(|a, b| b.share.total_cmp(&a.share));
     lobes.truncate(LOBES - seen.len());
     lobes.extend(seen);
-    (share.max(AIMED), lobes)
+    (share.max(least), lobes)
 }
 
 /// The smallest parts of surfaces that have [`ENOUGH`] ways, or whole surfaces, and their leaves.

@@ -26,8 +26,8 @@ const FEW: usize = 12;
 const RARE: usize = 2048;
 /// Solid angle, over that of the hemisphere, that a portal fills at most as its ways' origins see it; and over the share of ways that it has:
 /// any set of lines has places where some meet by chance. Of lines in all directions six times as much is within [`NEAR`].
-const WIDE: f64 = 0.02;
-const DENSE: f64 = 0.03;
+const WIDE: f64 = 0.025;
+const DENSE: f64 = 0.05;
 /// How much wider than the portal is a lobe toward it: a gap has sharp edges, and light just inside them is not to be missed.
 const LOOSE: f32 = 2.0;
 /// Squared distance from a portal's middle, in standard deviations, up to which a line goes through it.
@@ -56,8 +56,9 @@ pub struct Portal {
     inverse: DMat3,
     /// Share of all lines that go through it.
     share: f64,
-    /// Bright ways that were found to go through it.
+    /// Bright ways that were found to go through it, and their mean direction: light comes from there.
     ways: usize,
+    toward: DVec3,
 }
 
 /// Where a line is nearest to a portal.
@@ -81,7 +82,14 @@ impl Portal {
         let determinant = covariance.determinant();
         let is_sound = middle.is_finite() && covariance.is_finite() && determinant > 0.0 && determinant.is_finite();
         let inverse = if is_sound { covariance.inverse() } else { DMat3::ZERO };
-        (is_sound && inverse.is_finite()).then_some(Self { middle, covariance, inverse, share, ways: 0 })
+        (is_sound && inverse.is_finite()).then_some(Self {
+            middle,
+            covariance,
+            inverse,
+            share,
+            ways: 0,
+            toward: DVec3::ZERO,
+        })
     }
 
     fn passage(&self, line: &Line) -> Passage {
@@ -115,12 +123,12 @@ impl Portal {
         length > 0.0 && self.passage(&line).far < NEAR
     }
 
-    /// The portal as it is seen from a point, in front of a plane there.
+    /// The portal as it is seen from a point, if it is in front of a plane there and light comes from behind it.
     pub fn lobe(&self, point: Vec3A, normal: Vec3A, share: f32) -> Option<Lobe> {
         let target = self.middle.as_vec3a();
         let way = target - point;
         let distance = way.length();
-        if way.dot(normal) <= 0.0 || distance <= 0.0 {
+        if way.dot(normal) <= 0.0 || way.as_dvec3().dot(self.toward) <= 0.0 || distance <= 0.0 {
             return None;
         }
         let frame = Frame::from_normal(way / distance);
@@ -186,8 +194,9 @@ pub fn find(all: &[Line], whole: f64) -> Vec<Portal> {
         });
         let Some((portal, _)) = best else { break };
         lines.retain(|line| portal.passage(line).far >= NEAR);
-        let ways = all.iter().filter(|line| portal.passage(line).far < NEAR).count();
-        out.push(Portal { ways, ..portal });
+        let through: Vec<&Line> = all.iter().filter(|line| portal.passage(line).far < NEAR).collect();
+        let toward = through.iter().map(|line| line.dir).sum();
+        out.push(Portal { ways: through.len(), toward, ..portal });
     }
     out
 }

@@ -151,6 +151,7 @@ macro_rules! pages {
 }
 
 pages! {
+    browser: "browser.md",
     clusters: "clusters.md",
     first_farm: "first-farm.md",
     two_machines: "two-machines.md",

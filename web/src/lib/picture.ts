@@ -3,7 +3,7 @@
 import { autoExposure, diverging, lookup, luminance, srgbByte, toneGain, viridis } from './color';
 import { halves } from './half';
 import type { Pixels } from './pixels';
-import { place, spread, type Scale } from './scale';
+import { place, spread, valueAt, type Scale } from './scale';
 
 export type Show = 'picture' | 'luminance' | 'error' | 'samples' | 'difference';
 
@@ -140,11 +140,15 @@ export interface Summary {
   high: number;
 }
 
-/** Mean and ends of the finite values. */
-export function summarize(values: Float32Array): Summary | null {
+/**
+ * Mean and ends of the finite values.
+ * - `chosen`: numbers of the pixels that count; without it all do.
+ */
+export function summarize(values: Float32Array, chosen: Uint32Array | null = null): Summary | null {
   let [n, sum, low, high] = [0, 0, Infinity, -Infinity];
-  for (let i = 0; i < values.length; i++) {
-    const v = values[i]!;
+  const length = chosen?.length ?? values.length;
+  for (let i = 0; i < length; i++) {
+    const v = values[chosen ? chosen[i]! : i]!;
     if (v - v !== 0) continue;
     n++;
     sum += v;
@@ -152,4 +156,20 @@ export function summarize(values: Float32Array): Summary | null {
     if (v > high) high = v;
   }
   return n ? { pixels: n, mean: sum / n, low, high } : null;
+}
+
+/** How many values lie where: the middles of equal parts of a scale, and the pixels in each. */
+export function histogram(
+  values: Float32Array,
+  scale: Scale,
+  parts: number,
+  chosen: Uint32Array | null = null,
+): { middles: number[]; counts: number[] } {
+  const counts = new Array<number>(parts).fill(0);
+  const length = chosen?.length ?? values.length;
+  for (let i = 0; i < length; i++) {
+    const t = place(scale, values[chosen ? chosen[i]! : i]!);
+    if (t >= 0 && t <= 1 + 1e-9) counts[Math.min(Math.floor(t * parts + 1e-9), parts - 1)]!++;
+  }
+  return { middles: counts.map((_, i) => valueAt(scale, (i + 0.5) / parts)), counts };
 }

@@ -53,7 +53,8 @@ export function formatQuery(query: Query): string {
     .toString()
     .replaceAll('%2C', ',')
     .replaceAll('%2F', '/')
-    .replaceAll('%3A', ':');
+    .replaceAll('%3A', ':')
+    .replaceAll('%3B', ';');
   return text ? `?${text}` : '';
 }
 

@@ -2,6 +2,7 @@
 
 import { api, ApiError, explain } from './api';
 import { EMPTY, Feed, type Connection, type FarmState } from './feed';
+import { formatLasso, parseLasso, simplify, type Point } from './lasso';
 import { refusal, type Right } from './rights';
 import {
   formatNumbers,
@@ -54,7 +55,7 @@ class Views {
   }
 }
 
-const SELECTION_KEYS = new Set(['jobs', 'frames', 'frame', 'task', 'pixel']);
+const SELECTION_KEYS = new Set(['jobs', 'frames', 'frame', 'task', 'pixel', 'lasso']);
 
 export const views = new Views();
 
@@ -70,6 +71,9 @@ class Selection {
     return match ? { x: Number(match[1]), y: Number(match[2]) } : null;
   });
 
+  /** A closed line around pixels; empty where there is none. */
+  lasso = $derived(parseLasso(views.query.lasso));
+
   setJobs(jobs: Iterable<number>) {
     views.set({ jobs: formatNumbers(jobs) });
   }
@@ -84,6 +88,9 @@ class Selection {
   }
   setPixel(pixel: { x: number; y: number } | null) {
     views.set({ pixel: pixel && `${pixel.x},${pixel.y}` });
+  }
+  setLasso(points: readonly Point[]) {
+    views.set({ lasso: points.length >= 3 ? formatLasso(simplify(points)) : null });
   }
 }
 

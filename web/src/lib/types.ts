@@ -75,7 +75,8 @@ export interface Worker {
 }
 
 export interface Me {
-  name: string;
+  /** Null where nobody is asked. */
+  name: string | null;
   /** Null on a coordinator that asks nobody who they are: everybody may do everything. */
   role: Role | null;
   secured: boolean;
@@ -90,6 +91,9 @@ export interface StageTemplate {
   kind: string;
   scope: string;
   needs: number[];
+  /** Of each frame (or other scope) and round, before tasks are cut. */
+  tasks?: number;
+  rounds?: number;
 }
 
 export interface Spec {

@@ -37,6 +37,7 @@ impl Embedded {
         let config = Config {
             log: Log::Sqlite(plan.log),
             artifacts: Artifacts::Folder(plan.artifacts),
+            site: super::site(),
             // Its workers end with it: there is nobody to wait for.
             scheduler: femc_schedule::Config { regroup: 0, ..femc_schedule::Config::default() },
             ..Config::default()

@@ -7,17 +7,15 @@ use std::time::Duration;
 use bytes::Bytes;
 use femc_fault::{Point, pass_async};
 use femc_model::{Artifact, Digest, Refusal};
+use femc_service::{Place, Who};
 use femc_store::{Novelty, Soundness, StoreError};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt as _};
 use tonic::{Request, Response, Status, Streaming};
 
-use super::guard::Who;
-use super::places::Place;
-use super::trail::Trail;
 use super::uploads::Turn;
-use super::{Call, Server, collect};
+use super::{Call, Server, collect, trail};
 use crate::convert::{self, digest, digest_bytes, need};
 use crate::error::to_status;
 use crate::{PIECE, wire};
@@ -65,7 +63,7 @@ impl wire::artifacts_server::Artifacts for Server {
     }
 
     async fn collect(&self, request: Request<wire::CollectRequest>) -> Result<Response<wire::CollectReply>, Status> {
-        let trail = Trail::of(&request);
+        let trail = trail(&request);
         let request = request.into_inner();
         let mode = convert::collect_mode(request.mode)?;
         trail.what(&format!("{mode:?}"));

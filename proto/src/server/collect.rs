@@ -8,21 +8,13 @@ use std::collections::BTreeSet;
 use std::time::{Duration, SystemTime};
 
 use femc_model::{Artifact, Digest, Refusal};
+use femc_service::References;
 use femc_store::{Store, Stored, Sweep};
 use tokio::task::JoinSet;
 
 use super::artifacts::refusal;
 use super::promised::Promised;
 use super::{Call, Server, inputs};
-
-/// What jobs refer to.
-#[derive(Debug, Clone, Default)]
-pub struct References {
-    /// All that they name.
-    pub artifacts: BTreeSet<Digest>,
-    /// Their scenes, whose pieces are theirs, too.
-    pub scenes: BTreeSet<Digest>,
-}
 
 /// What a collection does with garbage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]

@@ -18,14 +18,16 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Instant, Sleep};
 use tonic::transport::server::{Connected, TcpConnectInfo};
 
-use crate::limits::Limits;
 use crate::net::Io;
+use femc_service::Limits;
 
 /// Who is at the other end, as far as a connection tells.
 #[derive(Debug, Clone)]
 pub(super) struct Peer {
     /// Unless the connection is no TCP connection.
     pub(super) address: Option<SocketAddr>,
+    /// Where it has reached this machine, likewise.
+    pub(super) reached: Option<SocketAddr>,
     /// Of the connection, from 1.
     pub(super) number: u64,
     is_introduced: Arc<AtomicBool>,
@@ -94,7 +96,9 @@ impl Door {
     /// The connection, if there is room; else it is closed.
     pub(super) fn admit<C: Io + Connected>(&self, io: C) -> Option<Admitted<C>> {
         let info = io.connect_info();
-        let address = (&info as &dyn Any).downcast_ref::<TcpConnectInfo>().and_then(TcpConnectInfo::remote_addr);
+        let tcp = (&info as &dyn Any).downcast_ref::<TcpConnectInfo>();
+        let address = tcp.and_then(TcpConnectInfo::remote_addr);
+        let reached = tcp.and_then(TcpConnectInfo::local_addr);
         let place = Place::of(address);
         let mut inside = self.lock();
         let of_place = inside.of.get(&place).copied().unwrap_or(0);
@@ -108,7 +112,7 @@ impl Door {
         inside.numbers += 1;
         let number = inside.numbers;
         inside.of.insert(place, of_place + 1);
-        let peer = Peer { address, number, is_introduced: Arc::default() };
+        let peer = Peer { address, reached, number, is_introduced: Arc::default() };
         let deadline = Some(Box::pin(tokio::time::sleep(self.limits.introduction)));
         let audit = self.audit.clone().filter(|_| self.unheard == Unheard::Noted);
         Some(Admitted { io, peer, deadline, audit, _seat: Seat { inside: self.inside.clone(), place } })

@@ -5,16 +5,15 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::{Control, Drain, JobId, JobSpec, JobState, JobStatus, Tick, WorkerName};
+use femc_service::{Caller, JobShape, Listing};
 use femc_store::Soundness;
-use femc_trust::{Holder, Role};
 use tokio::sync::{mpsc, watch};
 use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
 use super::artifacts::refuse;
-use super::trail::Trail;
-use super::{Call, Caller, JobShape, Listing, Server, backup, inputs};
+use super::{Call, Server, backup, inputs, trail};
 use crate::convert::need;
 use crate::error::to_status;
 use crate::wire;
@@ -29,7 +28,7 @@ type Answer<T> = Result<Response<T>, Status>;
 impl wire::jobs_server::Jobs for Server {
     async fn submit(&self, request: Request<wire::SubmitRequest>) -> Answer<wire::SubmitReply> {
         let caller = request.extensions().get::<Arc<Caller>>().cloned();
-        let trail = Trail::of(&request);
+        let trail = trail(&request);
         let wire::SubmitRequest { job, key } = request.into_inner();
         let mut spec: Box<JobSpec> = Box::new(need("job", job)?.try_into()?);
         trail.what(&format!("{} frames of {}", spec.frames.len(), spec.name));
@@ -66,7 +65,7 @@ impl wire::jobs_server::Jobs for Server {
 
     async fn control(&self, request: Request<wire::ControlRequest>) -> Answer<wire::ControlReply> {
         let caller = request.extensions().get::<Arc<Caller>>().cloned();
-        let trail = Trail::of(&request);
+        let trail = trail(&request);
         let wire::ControlRequest { job, control } = request.into_inner();
         let (job, control): (JobId, Control) = (JobId(job), need("control", control)?.try_into()?);
         trail.job(job);
@@ -125,7 +124,7 @@ impl wire::jobs_server::Jobs for Server {
     }
 
     async fn drain_workers(&self, request: Request<wire::DrainWorkersRequest>) -> Answer<wire::DrainWorkersReply> {
-        let trail = Trail::of(&request);
+        let trail = trail(&request);
         let (worker, drain): (WorkerName, Drain) = request.into_inner().try_into()?;
         trail.what(&format!("{drain:?} {worker}"));
         let workers = self.ask(|reply| Call::Drain { worker, drain, reply }).await?;
@@ -152,13 +151,8 @@ impl Server {
 
     /// A submitter steers jobs of its own, others need an operator.
     async fn may_steer(&self, caller: &Caller, job: JobId) -> Result<(), Status> {
-        match &caller.holder {
-            Holder::User { role: Role::Operator | Role::Admin, .. } => Ok(()),
-            Holder::User { name, .. } if self.ask(|reply| Call::Status { job, reply }).await?.owner == *name => Ok(()),
-            Holder::User { .. } | Holder::Worker { .. } | Holder::Coordinator { .. } => {
-                Err(caller.forbidden("the job's owner, or a user of role operator"))
-            }
-        }
+        let owner = self.ask(|reply| Call::Status { job, reply }).await?.owner;
+        caller.may_steer(&owner).map_err(|no| to_status(&no))
     }
 }
 
@@ -168,7 +162,7 @@ async fn revoked(caller: Option<&Caller>) -> Status {
     while caller.still_counts() {
         tokio::time::sleep(LOOKS).await;
     }
-    caller.revoked()
+    to_status(&caller.revoked())
 }
 
 /// Sends what a job is made of and its attempts, page by page, as fast as the listener reads.
@@ -212,7 +206,7 @@ async fn forward(
             revoked = revoked(caller.as_deref()) => return drop(send.send(Err(revoked)).await),
         }
         if let Some(caller) = caller.as_ref().filter(|caller| !caller.still_counts()) {
-            return drop(send.send(Err(caller.revoked())).await);
+            return drop(send.send(Err(to_status(&caller.revoked()))).await);
         }
     }
 }

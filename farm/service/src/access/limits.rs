@@ -2,8 +2,6 @@
 
 use std::time::Duration;
 
-use crate::MESSAGE;
-
 /// How much one peer, and all of them, may have at a time. Beyond each there is a clear refusal, or a closed connection where
 /// nobody has been introduced yet; none costs memory without bound.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -44,10 +42,15 @@ pub struct Limits {
     pub transfers_of_connection: usize,
 }
 
+impl Limits {
+    /// Most bytes of a message of the services `Jobs` and `Workers`, by default.
+    pub const MESSAGE: usize = 8 << 20;
+}
+
 impl Default for Limits {
     fn default() -> Self {
         Self {
-            message: MESSAGE,
+            message: Self::MESSAGE,
             headers: 16 << 10,
             connections: 4096,
             connections_of_one: 512,

@@ -124,21 +124,12 @@ await step('begin: a farm of three workers, and the page finds it', async () => 
   jobs.waits = farm.submit('cornell.mgf', '--size', '64x64', '--spp', '4', '--tags', 'gpu', '--owner', 'eve');
   // More tasks than a table could hold, for nobody to do.
   jobs.huge = farm.submit(
-    'cornell.mgf',
-    '--frames',
-    '1..20',
-    '--size',
-    '4096x4096',
-    '--spp',
-    '4',
-    '--tags',
-    'nobody',
-    '--owner',
-    'eve',
+    ...['roundabout.mgf', '--frames', '1..96', '--size', '4096x4096'],
+    ...['--spp', '4', '--tags', 'nobody', '--owner', 'eve'],
   );
   current = await open(farm);
   await visit('/');
-  await current.getByRole('link', { name: 'roundabout' }).waitFor();
+  await current.getByRole('link', { name: 'roundabout' }).first().waitFor();
   await current.getByRole('link', { name: 'Workers 3' }).waitFor();
 });
 
@@ -172,7 +163,7 @@ await step('jobs: several at once are selected by keys, paused, resumed and give
   for (const key of ['ArrowDown', 'x', 'j', 'Shift+X']) await current.keyboard.press(key);
   await current.getByText('2 jobs selected').waitFor();
   equal(query('jobs'), `${jobs.waits},${jobs.huge}`, 'selection in the address');
-  await current.getByRole('button', { name: 'Pause' }).click();
+  await current.getByRole('button', { name: 'Pause', exact: true }).click();
   await until(
     () => farm.job(jobs.waits).state === 'paused' && farm.job(jobs.huge).state === 'paused',
     'both jobs are paused',
@@ -181,10 +172,10 @@ await step('jobs: several at once are selected by keys, paused, resumed and give
     async () => (await current.locator('.row.body', { hasText: 'paused' }).count()) === 2,
     'the page shows it',
   );
-  await current.getByRole('button', { name: 'Resume' }).click();
+  await current.getByRole('button', { name: 'Resume', exact: true }).click();
   await until(() => farm.job(jobs.waits).state !== 'paused', 'resumed');
   await current.getByLabel('Priority').fill('33');
-  await current.getByRole('button', { name: 'Set' }).click();
+  await current.getByRole('button', { name: 'Set', exact: true }).click();
   await until(() => farm.job(jobs.waits).priority === 33 && farm.job(jobs.huge).priority === 33, 'priority 33');
   await current.locator('[role=table]').focus();
   await current.keyboard.press('Escape');
@@ -386,37 +377,41 @@ await step('the coordinator is killed and started again: the page says so, and g
   await farm.coordinator();
   await current.getByText('live', { exact: true }).waitFor({ timeout: 15_000 });
   await until(async () => (await current.getByText(/^Connection lost/).count()) === 0, 'the banner goes');
-  const late = farm.submit('cornell.mgf', '--size', '32x32', '--spp', '4', '--owner', 'late');
+  const late = farm.submit('cornell.mgf', '--size', '32x32', '--spp', '4', '--owner', 'late', '--priority', '90');
   await current.locator('.row.body', { hasText: 'late' }).waitFor();
-  await until(() => farm.job(late).state === 'done', 'the farm goes on', 60);
+  await until(() => farm.job(late).state === 'done', 'the farm goes on', 120);
   await current.locator('.row.body', { hasText: 'late' }).getByText('done').waitFor();
 });
 
 await step('cancel asks first; a retry takes it up again', async () => {
   await visit(`/jobs/${jobs.huge}`);
-  await current.getByRole('button', { name: 'Cancel' }).first().click();
+  await current.getByRole('button', { name: 'Cancel', exact: true }).first().click();
   await current.getByRole('button', { name: 'Keep it' }).click();
   claim(farm.job(jobs.huge).state !== 'cancelled', 'kept');
-  await current.getByRole('button', { name: 'Cancel' }).first().click();
+  await current.getByRole('button', { name: 'Cancel', exact: true }).first().click();
   await current.getByRole('button', { name: 'Cancel the job' }).click();
   await until(() => farm.job(jobs.huge).state === 'cancelled', 'cancelled');
   await until(
-    async () => (await current.getByRole('button', { name: 'Retry' }).getAttribute('aria-disabled')) === 'false',
+    async () =>
+      (await current.getByRole('button', { name: 'Retry', exact: true }).getAttribute('aria-disabled')) === 'false',
     'a retry is offered',
   );
-  await current.getByRole('button', { name: 'Retry' }).click();
+  await current.getByRole('button', { name: 'Retry', exact: true }).click();
   await until(() => farm.job(jobs.huge).state !== 'cancelled', 'tried again');
 });
 
 await step('read-only switches every change off', async () => {
   await visit(`/jobs/${jobs.waits}`);
   await current.getByLabel('read-only').check();
-  await current.getByRole('button', { name: 'Pause' }).click();
+  await current.getByRole('button', { name: 'Pause', exact: true }).click();
   await pause(500);
   claim(farm.job(jobs.waits).state !== 'paused', 'nothing was paused');
   await visit('/workers');
   equal(
-    await current.getByRole('button', { name: 'Drain' }).first().getAttribute('aria-disabled'),
+    await current
+      .getByRole('button', { name: /^Drain/ })
+      .first()
+      .getAttribute('aria-disabled'),
     'true',
     'drain is off',
   );
@@ -548,7 +543,7 @@ await step('roles: a token lets in, and each role is refused what is not its own
         .evaluateAll((all) => all.every((b) => b.ariaDisabled === 'true'));
     equal(!(await off()), may[role][0], `${role}: own job`);
     await visit(`/jobs/${others}`);
-    await current.getByRole('button', { name: 'Pause' }).waitFor();
+    await current.getByRole('button', { name: 'Pause', exact: true }).waitFor();
     equal(!(await off()), may[role][1], `${role}: another's job`);
     equal((await current.getByRole('link', { name: 'Audit' }).count()) === 1, may[role][2], `${role}: audit`);
     // What the page does not offer, the coordinator refuses.

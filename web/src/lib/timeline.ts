@@ -17,7 +17,7 @@ export interface Layout {
   bars: Bar[];
   bands: Band[];
   lanes: number;
-  /** Seconds since the job's first lease. */
+  /** Seconds by the farm's clock. */
   begin: number;
   end: number;
 }
@@ -55,27 +55,4 @@ export function layout(attempts: readonly Attempt[]): Layout {
     begin: attempts.length ? begin : 0,
     end: attempts.length ? Math.max(end, begin + 1e-3) : 1,
   };
-}
-
-/** Attempts that were read in pages, each once. */
-export class Attempts {
-  private readonly seen = new Map<string, Attempt>();
-  cursor: number | string | null = null;
-
-  /** Takes a page; whether another one may follow. */
-  add(page: { attempts: readonly Attempt[]; next: number | string | null }): boolean {
-    let fresh = 0;
-    for (const attempt of page.attempts) {
-      const key = `${attempt.task} ${attempt.epoch}`;
-      if (!this.seen.has(key)) fresh++;
-      this.seen.set(key, attempt);
-    }
-    const moved = page.next !== null && page.next !== this.cursor;
-    if (page.next !== null) this.cursor = page.next;
-    return moved && fresh > 0;
-  }
-
-  all(): Attempt[] {
-    return [...this.seen.values()];
-  }
 }

@@ -132,10 +132,15 @@ export interface Task {
   stage: string;
   index: number;
   state: string;
-  worker: string | null;
+  /** Of the stage. */
+  number: number;
+  round: number;
+  /** Who has it now. */
+  workers: string[];
+  /** Those that failed, or run now. */
   attempts: number;
+  /** Since the lease, while it runs. */
   seconds: number | null;
-  relative_error: number | null;
   failure: string | null;
 }
 
@@ -144,7 +149,7 @@ export interface TaskWindow {
   tasks: Task[];
 }
 
-/** One lease that was begun; times are seconds since the job's first lease. */
+/** One lease that was begun; times are seconds by the farm's clock. */
 export interface Attempt {
   job: number;
   task: string;

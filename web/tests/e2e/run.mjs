@@ -87,6 +87,13 @@ const visit = async (path) => {
 };
 const query = (key) => new URL(current.url()).searchParams.get(key);
 
+/** In the table of tasks: those of the first stage of this kind. */
+async function chooseStage(kind) {
+  const option = current.getByLabel('Stage').locator('option', { hasText: kind }).first();
+  await current.getByLabel('Stage').selectOption(await option.getAttribute('value'));
+  await current.locator('.row.body', { hasText: kind }).first().waitFor();
+}
+
 async function accessible(what) {
   // By the debugger's protocol, which the page's content security policy does not concern.
   const session = await current.context().newCDPSession(current);
@@ -271,8 +278,9 @@ await step('picture: exposure, false color, error, samples, difference, split, a
 });
 
 await step('tasks: a row leads to attempts and logs', async () => {
-  await visit(`/jobs/${jobs.drive}/tasks?stage=image`);
-  await current.locator('.row.body', { hasText: 'image' }).first().waitFor();
+  await visit(`/jobs/${jobs.drive}/tasks`);
+  await chooseStage('image');
+  equal(await current.locator('.row.body', { hasText: 'render' }).count(), 0, 'rows of another stage');
   await current.locator('.row.body', { hasText: 'image' }).first().click();
   await current.locator('aside pre').first().waitFor();
   claim((await current.locator('aside pre').first().textContent()).length > 10, 'the log has words');
@@ -483,7 +491,8 @@ if (shotsAt) {
     await visit(`/jobs/${jobs.drive}/timeline`);
     await pause(1500);
     await shot('browser-timeline');
-    await visit(`/jobs/${jobs.drive}/tasks?stage=image`);
+    await visit(`/jobs/${jobs.drive}/tasks`);
+    await chooseStage('image');
     await current.locator('.row.body').nth(2).click();
     await pause(1500);
     await shot('browser-tasks');

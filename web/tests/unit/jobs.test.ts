@@ -2,7 +2,8 @@ import { describe, expect, test } from 'vitest';
 import { lines, matches, parseOrder, sorted } from '../../src/lib/jobs';
 import { fraction, secondsLeft } from '../../src/lib/progress';
 import { refusal } from '../../src/lib/rights';
-import { Attempts, layout } from '../../src/lib/timeline';
+import { Attempts } from '../../src/lib/attempts';
+import { layout } from '../../src/lib/timeline';
 import type { Me, Role } from '../../src/lib/types';
 import { attempt, job } from './fixtures';
 

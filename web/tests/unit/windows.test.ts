@@ -9,10 +9,11 @@ const task = (index: number): Task => ({
   stage: 'render',
   index,
   state: 'waiting',
-  worker: null,
+  number: 0,
+  round: 0,
+  workers: [],
   attempts: 0,
   seconds: null,
-  relative_error: null,
   failure: null,
 });
 

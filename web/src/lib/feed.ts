@@ -67,6 +67,33 @@ function merge<T>(
   return after;
 }
 
+/** A worker that was there, and when it was heard of last, by this browser's clock. */
+export interface GoneWorker {
+  worker: Worker;
+  at: number;
+}
+
+const MOST_GONE = 500;
+
+/**
+ * The workers that are gone since this page knows the farm, by name: one that is back under its name is not among them.
+ * - `now`: milliseconds.
+ */
+export function goneWorkers(
+  gone: readonly GoneWorker[],
+  before: ReadonlyMap<number, Worker>,
+  after: ReadonlyMap<number, Worker>,
+  now: number,
+): readonly GoneWorker[] {
+  if (before === after) return gone;
+  const names = new Set([...after.values()].map((worker) => worker.name));
+  const all = new Map(gone.map((it) => [it.worker.name, it]));
+  for (const worker of before.values()) {
+    if (!after.has(worker.worker)) all.set(worker.name, { worker, at: now - 1000 * worker.silent_seconds });
+  }
+  return [...all.values()].filter((it) => !names.has(it.worker.name)).slice(-MOST_GONE);
+}
+
 export interface FeedEvent {
   id: string | null;
   event: string;

@@ -1,5 +1,14 @@
 import { afterEach, beforeEach, describe, expect, test, vi } from 'vitest';
-import { EventParser, Feed, fromSnapshot, join, SILENCE_MS, type Connection, type FarmState } from '../../src/lib/feed';
+import {
+  EventParser,
+  Feed,
+  fromSnapshot,
+  goneWorkers,
+  join,
+  SILENCE_MS,
+  type Connection,
+  type FarmState,
+} from '../../src/lib/feed';
 import { job, worker } from './fixtures';
 
 describe('joining', () => {
@@ -29,6 +38,26 @@ describe('joining', () => {
 
   test('a job that comes and goes in one joined delta is gone', () => {
     expect(join(begin, { seq: '7-9', jobs: [job(5)], gone_jobs: [5] }).jobs.has(5)).toBe(false);
+  });
+});
+
+describe('workers that are gone', () => {
+  const map = (...workers: ReturnType<typeof worker>[]) => new Map(workers.map((it) => [it.worker, it]));
+
+  test('they are remembered by name with the time when they were heard of', () => {
+    const gone = goneWorkers(
+      [],
+      map({ ...worker(1, 'a'), silent_seconds: 4 }, worker(2, 'b')),
+      map(worker(2, 'b')),
+      10_000,
+    );
+    expect(gone.map((it) => [it.worker.name, it.at])).toEqual([['a', 6_000]]);
+  });
+
+  test('one that is back under its name with another number is not gone', () => {
+    const gone = goneWorkers([], map(worker(1, 'a')), map(), 1);
+    expect(goneWorkers(gone, map(), map(worker(9, 'a')), 2)).toEqual([]);
+    expect(goneWorkers([], map(worker(1, 'a')), map(worker(9, 'a')), 1)).toEqual([]);
   });
 });
 

@@ -24,7 +24,7 @@ mod wire;
 pub use client::{Client, Incoming, Outgoing, Watch};
 pub use convert::ConvertError;
 pub use error::{BackupError, CallError, ServeError, Why};
-pub use femc_service::{AttemptPage, Backup, Files, JobShape, Limits, Listing, References, Reply, Site};
+pub use femc_service::{AttemptPage, Backup, Changes, Files, JobShape, Limits, Listing, News, References, Reply, Site};
 pub use look::{Found, look};
 pub use net::{Dial, Dialing, Io, Link};
 pub use server::{

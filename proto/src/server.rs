@@ -226,7 +226,8 @@ impl Server {
         let is_encrypted = self.entrance.as_ref().is_some_and(|entrance| entrance.identity.is_some());
         let lists = self.entrance.as_ref().map(|Entrance { revoked, tokens, .. }| (revoked.clone(), tokens.clone()));
         let gate = Gate::new(lists, limits, self.audit.clone());
-        let http = Http::new(self.farm.clone(), gate.clone(), self.site.clone(), is_encrypted);
+        let (store, places) = (self.store.clone(), self.places.clone());
+        let http = Http::new(self.farm.clone(), store, places, gate.clone(), self.site.clone(), is_encrypted);
         let router = builder
             .accept_http1(true)
             .layer(self.traffic.clone())

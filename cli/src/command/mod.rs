@@ -90,5 +90,5 @@ fn site() -> Site {
     let files = Files(femc_web::FILES);
     #[cfg(not(feature = "ui"))]
     let files = Files::default();
-    Site { files, engine: femc_worker::engine().to_owned() }
+    Site { files, engine: femc_worker::engine().to_owned(), draw: Some(femc_pictures::draw) }
 }

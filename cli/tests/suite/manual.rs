@@ -158,6 +158,7 @@ pages! {
     tls: "tls.md",
     operations: "operations.md",
     security: "security.md",
+    http: "http.md",
     sweeps: "sweeps.md",
     statistics: "statistics.md",
     troubleshooting: "troubleshooting.md",

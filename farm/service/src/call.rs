@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::fs::File;
 
 use femc_model::{
-    AttemptRecord, Control, Cut, Digest, Drain, FrameParts, FrameRecord, JobId, JobSpec, JobStatus, LogRecord, Refusal,
-    Tick, WorkerId, WorkerName, WorkerStatus,
+    AttemptRecord, Control, Cut, Digest, Drain, FrameParts, FrameRecord, FrameStatus, JobId, JobSpec, JobStatus,
+    LogRecord, Refusal, TaskFilter, TaskPage, Tick, WorkerId, WorkerName, WorkerStatus,
 };
 use tokio::sync::{oneshot, watch};
 
@@ -37,6 +37,28 @@ pub struct Listing {
     pub jobs: Vec<JobStatus>,
     /// What somebody should look after, for people.
     pub warnings: Vec<String>,
+}
+
+/// What has changed of the farm.
+#[derive(Debug, Clone, Default, PartialEq)]
+pub struct Changes {
+    /// Jobs that may be otherwise than before: all that have not ended, and those to which something happened.
+    pub jobs: Vec<JobStatus>,
+    /// Every job that there is.
+    pub there: BTreeSet<JobId>,
+    /// All workers, in order of joining.
+    pub workers: Vec<WorkerStatus>,
+    /// What somebody should look after, for people.
+    pub warnings: Vec<String>,
+}
+
+/// How much a feed wants to hear.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum News {
+    /// Every job.
+    All,
+    /// What happened since it was asked before.
+    Changes,
 }
 
 /// What jobs refer to.
@@ -74,6 +96,13 @@ pub enum Call<S> {
     List {
         /// Status of all jobs.
         reply: Reply<Listing>,
+    },
+    /// What has changed since this was asked before, of which there is one who asks.
+    Changes {
+        /// How much is wanted.
+        news: News,
+        /// Jobs and workers at this moment.
+        reply: Reply<Changes>,
     },
     /// One job.
     Status {
@@ -127,6 +156,26 @@ pub enum Call<S> {
         job: JobId,
         /// Specification of the job and its cut into tasks.
         reply: Reply<JobShape>,
+    },
+    /// A job frame by frame.
+    FrameTable {
+        /// The job.
+        job: JobId,
+        /// Ascending; the job's own stages first, if it has any.
+        reply: Reply<Vec<FrameStatus>>,
+    },
+    /// A job task by task.
+    Tasks {
+        /// The job.
+        job: JobId,
+        /// Which of its tasks.
+        filter: TaskFilter,
+        /// The first of these that is told.
+        from: u64,
+        /// How many are told at most.
+        count: usize,
+        /// A window of these, and how many there are.
+        reply: Reply<TaskPage>,
     },
     /// What the attempts at a job's tasks took.
     Attempts {

@@ -12,7 +12,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use bytes::Bytes;
-use femc_model::Refusal;
+use femc_model::{JobId, WorkerStatus};
 use futures_util::Stream;
 use futures_util::stream::unfold;
 use serde::Serialize;
@@ -20,7 +20,7 @@ use tokio::sync::watch;
 use tokio::time::{Instant, MissedTickBehavior};
 
 use crate::access::Caller;
-use crate::call::{Call, Listing};
+use crate::call::{Call, Changes, News};
 use crate::farm::Farm;
 use crate::view::{JobJson, WorkerJson};
 
@@ -82,10 +82,10 @@ impl Kept {
     /// Most that is remembered of what is gone.
     const GONE: usize = 4096;
 
-    /// Takes in what there is now; says whether that is something else than before.
-    fn update(&mut self, now: BTreeMap<u64, String>, seq: u64) -> bool {
+    /// Takes in what may have changed, and forgets what is not there any more; says whether something is otherwise than before.
+    fn update(&mut self, now: BTreeMap<u64, String>, is_there: impl Fn(u64) -> bool, seq: u64) -> bool {
         let mut has_changed = false;
-        let gone: Vec<u64> = self.there.keys().filter(|number| !now.contains_key(number)).copied().collect();
+        let gone: Vec<u64> = self.there.keys().filter(|number| !is_there(**number)).copied().collect();
         for number in gone {
             self.there.remove(&number);
             self.gone.push_back((seq, number));
@@ -185,16 +185,27 @@ impl State {
         text.into()
     }
 
-    /// Takes in what there is now; says whether there is something new.
-    fn update(&mut self, jobs: BTreeMap<u64, String>, workers: BTreeMap<u64, String>, warnings: Vec<String>) -> bool {
+    /// Takes in what may have changed; says whether there is something new.
+    fn update(&mut self, changes: Changes, silence: impl Fn(f64) -> f64) -> bool {
+        let Changes { jobs, there, workers, warnings } = changes;
         let next = self.seq + 1;
-        let have_jobs_changed = self.jobs.update(jobs, next);
-        let have_workers_changed = self.workers.update(workers, next);
+        let jobs = jobs.iter().map(|job| (job.job.0, json(&JobJson::from(job)))).collect();
+        let have_jobs_changed = self.jobs.update(jobs, |number| there.contains(&JobId(number)), next);
+        let worker = |it: &WorkerStatus| (it.worker.0, json(&WorkerJson::from(it).silent(&silence)));
+        let workers: BTreeMap<u64, String> = workers.iter().map(worker).collect();
+        let numbers: BTreeSet<u64> = workers.keys().copied().collect();
+        let have_workers_changed = self.workers.update(workers, |number| numbers.contains(&number), next);
+        self.note(have_jobs_changed || have_workers_changed, warnings)
+    }
+
+    /// Gives what has changed its number; says whether there is something new.
+    fn note(&mut self, has_changed: bool, warnings: Vec<String>) -> bool {
+        let next = self.seq + 1;
         let have_warnings_changed = self.warnings != warnings;
         if have_warnings_changed {
             (self.warnings, self.warnings_changed) = (warnings, next);
         }
-        let is_new = self.seq == 0 || have_jobs_changed || have_workers_changed || have_warnings_changed;
+        let is_new = self.seq == 0 || has_changed || have_warnings_changed;
         if is_new {
             let before = std::mem::replace(&mut self.seq, next);
             self.delta = Some((next, self.joined(before)));
@@ -266,7 +277,7 @@ impl<S: Send + 'static> Feed<S> {
     async fn run(self) {
         let mut timer = tokio::time::interval(Self::EVERY);
         timer.set_missed_tick_behavior(MissedTickBehavior::Delay);
-        let mut is_first = true;
+        let (mut is_first, mut wanted) = (true, News::All);
         loop {
             tokio::select! {
                 _ = timer.tick() => {}
@@ -279,7 +290,7 @@ impl<S: Send + 'static> Feed<S> {
                     return;
                 }
             }
-            let is_new = self.look().await;
+            let is_new = self.look(&mut wanted).await;
             if is_new || is_first {
                 self.hub.news.send_modify(|news| *news += 1);
             }
@@ -288,27 +299,19 @@ impl<S: Send + 'static> Feed<S> {
     }
 
     /// Asks once; says whether there is something new.
-    async fn look(&self) -> bool {
-        let listing = self.farm.ask(|reply| Call::List { reply }).await;
-        let workers = self.farm.ask(|reply| Call::Workers { reply }).await;
-        match (listing, workers) {
-            (Ok(Listing { jobs, warnings }), Ok(workers)) => {
-                let jobs = jobs.iter().map(|job| (job.job.0, json(&JobJson::from(job)))).collect();
-                let quiet = |silent: f64| if silent < Self::SILENCE { 0.0 } else { silent.floor() };
-                let worker = |it| json(&WorkerJson::from(it).silent(quiet));
-                let workers = workers.iter().map(|it| (it.worker.0, worker(it))).collect();
-                self.hub.lock().update(jobs, workers, warnings)
+    /// - `wanted`: changes alone, once all is known.
+    async fn look(&self, wanted: &mut News) -> bool {
+        let news = *wanted;
+        let changes = self.farm.ask(|reply| Call::Changes { news, reply }).await;
+        let quiet = |silent: f64| if silent < Self::SILENCE { 0.0 } else { silent.floor() };
+        match changes {
+            Ok(changes) => {
+                *wanted = News::Changes;
+                self.hub.lock().update(changes, quiet)
             }
-            (Err(refusal), _) | (_, Err(refusal)) => self.cannot(&refusal),
+            // What is known stays, with a warning.
+            Err(refusal) => self.hub.lock().note(false, vec![refusal.to_string()]),
         }
-    }
-
-    /// The coordinator does not answer: what is known stays, with a warning.
-    fn cannot(&self, refusal: &Refusal) -> bool {
-        let mut state = self.hub.lock();
-        let of = |kept: &Kept| kept.there.iter().map(|(number, (json, _))| (*number, json.clone())).collect();
-        let (jobs, workers) = (of(&state.jobs), of(&state.workers));
-        state.update(jobs, workers, vec![refusal.to_string()])
     }
 }
 
@@ -339,5 +342,157 @@ impl<S: Send + 'static> Listener<S> {
                 }
             }
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use femc_model::{Intake, WorkerId};
+    use futures_util::StreamExt as _;
+    use tokio::sync::mpsc;
+
+    use super::*;
+
+    /// A farm with as many workers as are wanted, which counts how often it is asked.
+    fn farm(workers: watch::Receiver<Vec<u64>>) -> (Farm<()>, watch::Receiver<u32>) {
+        let (calls, mut inbox) = mpsc::channel(8);
+        let (asked, count) = watch::channel(0);
+        tokio::spawn(async move {
+            while let Some(call) = inbox.recv().await {
+                match call {
+                    Call::Changes { reply, .. } => {
+                        asked.send_modify(|count| *count += 1);
+                        let workers = workers.borrow().iter().map(|number| worker(*number)).collect();
+                        drop(reply.send(Ok(Changes { workers, ..Changes::default() })));
+                    }
+                    other => panic!("nobody asks {other:?}"),
+                }
+            }
+        });
+        (Farm::new(calls), count)
+    }
+
+    fn worker(number: u64) -> WorkerStatus {
+        WorkerStatus {
+            worker: WorkerId(number),
+            name: format!("w{number}"),
+            threads: 1,
+            tags: Vec::new(),
+            tasks: Vec::new(),
+            silent: 900,
+            completed: 0,
+            failed: 0,
+            intake: Intake::Open,
+            engine: String::new(),
+        }
+    }
+
+    /// Its kind, its id and its data.
+    fn parts(event: &Bytes) -> (String, String, serde_json::Value) {
+        let text = std::str::from_utf8(event).unwrap();
+        let field = |name: &str| text.lines().find_map(|line| line.strip_prefix(name)).unwrap_or_default().to_owned();
+        (field("event: "), field("id: "), serde_json::from_str(&field("data: ")).unwrap())
+    }
+
+    fn numbers(list: &serde_json::Value) -> Vec<u64> {
+        let number = |it: &serde_json::Value| it.get("worker").unwrap_or(it).as_u64().unwrap();
+        list.as_array().unwrap().iter().map(number).collect()
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_listener_that_was_away_gets_what_it_missed_as_one_delta() {
+        let (there, workers) = watch::channel(vec![1, 2]);
+        let (farm, _) = farm(workers);
+        let feed = Feed::new(farm);
+        let mut steady = Box::pin(feed.listen(None, None));
+        let (kind, first, data) = parts(&steady.next().await.unwrap().unwrap());
+        assert_eq!((kind.as_str(), numbers(&data["workers"])), ("snapshot", vec![1, 2]));
+        there.send_replace(vec![1, 2, 3]);
+        let (kind, _, data) = parts(&steady.next().await.unwrap().unwrap());
+        assert_eq!((kind.as_str(), numbers(&data["workers"])), ("delta", vec![3]), "and nothing that is as it was");
+        assert!(data["warnings"].is_null());
+        there.send_replace(vec![1, 3, 4]);
+        let last = steady.next().await.unwrap().unwrap();
+        let mut back = Box::pin(feed.listen(Some(&first), None));
+        let (kind, id, data) = parts(&back.next().await.unwrap().unwrap());
+        assert_eq!(kind, "delta");
+        assert_eq!((numbers(&data["workers"]), numbers(&data["gone_workers"])), (vec![3, 4], vec![2]));
+        assert_eq!(id, parts(&last).1, "now it knows as much as the other");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn listeners_share_one_look_at_the_farm_and_the_same_bytes() {
+        let (there, workers) = watch::channel(vec![1]);
+        let (farm, asked) = farm(workers);
+        let feed = Feed::new(farm);
+        let mut all: Vec<_> = (0..100).map(|_| Box::pin(feed.listen(None, None))).collect();
+        let mut heard = Vec::new();
+        for listener in &mut all {
+            heard.push(listener.next().await.unwrap().unwrap());
+        }
+        assert!(heard.windows(2).all(|pair| pair[0].as_ptr() == pair[1].as_ptr()), "one snapshot, not a hundred");
+        there.send_replace(vec![1, 2]);
+        heard.clear();
+        for listener in &mut all {
+            heard.push(listener.next().await.unwrap().unwrap());
+        }
+        assert!(heard.windows(2).all(|pair| pair[0].as_ptr() == pair[1].as_ptr()), "one delta, not a hundred");
+        assert!(*asked.borrow() <= 3, "{} looks", *asked.borrow());
+        drop(all);
+        tokio::time::sleep(Duration::from_secs(5)).await;
+        let before = *asked.borrow();
+        tokio::time::sleep(Duration::from_secs(60)).await;
+        assert_eq!(*asked.borrow(), before, "nobody listens, so nobody asks");
+        let mut late = Box::pin(feed.listen(None, None));
+        there.send_replace(vec![7]);
+        let (_, _, data) = parts(&late.next().await.unwrap().unwrap());
+        assert_eq!(numbers(&data["workers"]), [7], "what there is now, not what there was");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_slow_listener_costs_nothing_and_hears_the_end_of_it() {
+        let (there, workers) = watch::channel(vec![0]);
+        let (farm, _) = farm(workers);
+        let feed = Feed::new(farm);
+        let mut slow = Box::pin(feed.listen(None, None));
+        slow.next().await.unwrap().unwrap();
+        let mut steady = Box::pin(feed.listen(None, None));
+        steady.next().await.unwrap().unwrap();
+        // More comes and goes than is remembered.
+        for turn in 0..20 {
+            there.send_replace((0..500).map(|number| 1 + number + 500 * turn).collect());
+            steady.next().await.unwrap().unwrap();
+        }
+        assert!(feed.hub.lock().workers.gone.len() <= Kept::GONE);
+        let (kind, _, data) = parts(&slow.next().await.unwrap().unwrap());
+        assert_eq!((kind.as_str(), numbers(&data["workers"]).len()), ("snapshot", 500));
+        let quiet = tokio::time::timeout(Duration::from_secs(5), slow.next()).await;
+        assert!(quiet.is_err(), "it is up to date");
+        assert_eq!(slow.next().await.unwrap().unwrap(), ": alive\n\n");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn an_id_of_another_start_or_of_nobody_brings_a_snapshot() {
+        let (_there, workers) = watch::channel(vec![1]);
+        let (farm, _) = farm(workers);
+        let feed = Feed::new(farm);
+        let mut first = Box::pin(feed.listen(None, None));
+        let (_, id, _) = parts(&first.next().await.unwrap().unwrap());
+        let start = id.split_once('-').unwrap().0.to_owned();
+        for wrong in ["", "-", "1-1", "0", &start, &format!("{start}-"), &format!("{start}-99"), &format!("{start}-0")]
+        {
+            let mut listener = Box::pin(feed.listen(Some(wrong), None));
+            let (kind, _, _) = parts(&listener.next().await.unwrap().unwrap());
+            assert_eq!(kind, "snapshot", "{wrong}");
+        }
+    }
+
+    #[tokio::test]
+    async fn listeners_hear_the_end_of_the_coordinator() {
+        let (calls, inbox) = mpsc::channel::<Call<()>>(1);
+        let feed = Feed::new(Farm::new(calls));
+        let mut listener = Box::pin(feed.listen(None, None));
+        drop(inbox);
+        assert!(listener.next().await.is_none());
     }
 }

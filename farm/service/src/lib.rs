@@ -6,16 +6,21 @@
 #![deny(missing_docs)]
 
 mod access;
+pub mod attempts;
 mod call;
 mod farm;
 mod feed;
 mod http;
 mod operation;
+mod picture;
+mod steer;
 pub mod view;
 
 pub use access::{Caller, Credential, Gate, Granted, Limits, Outcome, Place, Places, Shown, Trail, Who};
-pub use call::{AttemptPage, Backup, Call, JobShape, Listing, References, Reply};
+pub use call::{AttemptPage, Backup, Call, Changes, JobShape, Listing, News, References, Reply};
 pub use farm::Farm;
 pub use feed::Feed;
 pub use http::{Body, Files, Http, Introduced, Site, Visitor};
 pub use operation::{Operation, Right};
+pub use picture::{Draw, Source, Wanted};
+pub use steer::store_refusal;

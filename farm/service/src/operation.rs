@@ -21,6 +21,12 @@ pub enum Operation {
     Parts,
     /// Read logs.
     Logs,
+    /// See a job frame by frame.
+    FrameTable,
+    /// See a job task by task.
+    Tasks,
+    /// See a frame as it grows.
+    Picture,
     /// See what attempts took.
     Attempts,
     /// See the workers.
@@ -71,6 +77,9 @@ impl Operation {
             Self::Frames => "Jobs/Frames",
             Self::Parts => "Jobs/Parts",
             Self::Logs => "Jobs/Logs",
+            Self::FrameTable => "Jobs/FrameTable",
+            Self::Tasks => "Jobs/Tasks",
+            Self::Picture => "Jobs/Picture",
             Self::Attempts => "Jobs/Attempts",
             Self::ListWorkers => "Jobs/ListWorkers",
             Self::DrainWorkers => "Jobs/DrainWorkers",
@@ -103,6 +112,9 @@ impl Operation {
             | Self::Frames
             | Self::Parts
             | Self::Logs
+            | Self::FrameTable
+            | Self::Tasks
+            | Self::Picture
             | Self::Attempts
             | Self::ListWorkers
             | Self::Feed => Right::User(Role::Viewer),

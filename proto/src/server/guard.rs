@@ -119,7 +119,8 @@ fn visitor<B>(request: &Request<B>) -> (Visitor, Option<Peer>) {
     let certificate = certificates.as_deref().and_then(|all| all.first().cloned());
     let address = peer.as_ref().and_then(|peer| peer.address);
     let reached = peer.as_ref().and_then(|peer| peer.reached);
-    (Visitor { address, reached, certificate }, peer)
+    let connection = peer.as_ref().map_or(0, |peer| peer.number);
+    (Visitor { address, reached, connection, certificate }, peer)
 }
 
 impl<S> Layer<S> for Guard {

@@ -4,15 +4,13 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
-use femc_model::{Control, Drain, JobId, JobSpec, JobState, JobStatus, Tick, WorkerName};
+use femc_model::{Control, Drain, JobId, JobSpec, JobStatus, Tick, WorkerName};
 use femc_service::{Caller, JobShape, Listing};
-use femc_store::Soundness;
 use tokio::sync::{mpsc, watch};
 use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
-use super::artifacts::refuse;
 use super::{Call, Server, backup, inputs, trail};
 use crate::convert::need;
 use crate::error::to_status;
@@ -70,13 +68,8 @@ impl wire::jobs_server::Jobs for Server {
         let (job, control): (JobId, Control) = (JobId(job), need("control", control)?.try_into()?);
         trail.job(job);
         trail.what(&format!("{control:?}"));
-        if let Some(caller) = caller {
-            self.may_steer(&caller, job).await?;
-        }
-        if control == Control::Retry {
-            self.look_at_images(job).await?;
-        }
-        self.ask(|reply| Call::Control { job, control, reply }).await?;
+        let steered = self.farm.steer(&self.store, caller.as_deref(), job, control).await;
+        steered.map_err(|no| to_status(&no))?;
         Ok(Response::new(wire::ControlReply {}))
     }
 
@@ -129,30 +122,6 @@ impl wire::jobs_server::Jobs for Server {
         trail.what(&format!("{drain:?} {worker}"));
         let workers = self.ask(|reply| Call::Drain { worker, drain, reply }).await?;
         Ok(Response::new(wire::DrainWorkersReply { workers: workers.into_iter().map(|worker| worker.0).collect() }))
-    }
-}
-
-impl Server {
-    /// Reads the images of a job that is done: those that are damaged or gone are its business again.
-    async fn look_at_images(&self, job: JobId) -> Result<(), Status> {
-        if self.ask(|reply| Call::Status { job, reply }).await?.state != JobState::Done {
-            return Ok(());
-        }
-        for frame in self.ask(|reply| Call::Frames { job, reply }).await? {
-            for digest in frame.outputs.iter().map(|output| output.artifact.digest) {
-                let found = self.store.verify(&digest).await.map_err(|error| refuse(&error))?;
-                if !matches!(found, Soundness::Sound(_)) {
-                    self.lost(&digest).await;
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// A submitter steers jobs of its own, others need an operator.
-    async fn may_steer(&self, caller: &Caller, job: JobId) -> Result<(), Status> {
-        let owner = self.ask(|reply| Call::Status { job, reply }).await?.owner;
-        caller.may_steer(&owner).map_err(|no| to_status(&no))
     }
 }
 

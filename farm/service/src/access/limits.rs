@@ -20,6 +20,8 @@ pub struct Limits {
     pub silence: Duration,
     /// And has so long for the answer: 10 s.
     pub answer: Duration,
+    /// A connection on which nothing passes for so long is closed: 60 s. HTTP/2 has signs of life, HTTP/1 and who does not read have none.
+    pub idle: Duration,
     /// Calls that are open on one connection: 256.
     pub streams: u32,
     /// Calls that a connection may begin and take back before they have been looked at: 32; then it is closed.
@@ -57,6 +59,7 @@ impl Default for Limits {
             introduction: Duration::from_secs(10),
             silence: Duration::from_secs(10),
             answer: Duration::from_secs(10),
+            idle: Duration::from_secs(60),
             streams: 256,
             resets: 32,
             patience: Duration::from_secs(30),

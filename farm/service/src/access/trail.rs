@@ -10,7 +10,15 @@ use crate::operation::Operation;
 
 /// Filled in on the way through a request; empty where there is no record.
 #[derive(Debug, Clone, Default)]
-pub struct Trail(Option<Arc<Mutex<(Operation, AuditEvent)>>>);
+pub struct Trail(Option<Arc<Mutex<Entry>>>);
+
+#[derive(Debug, Clone)]
+struct Entry {
+    operation: Operation,
+    event: AuditEvent,
+    /// Its parts have lines of their own.
+    is_told: bool,
+}
 
 /// How a request ended.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -34,13 +42,13 @@ impl Trail {
             known => known.name().to_owned(),
         };
         let event = AuditEvent { who: "unknown".into(), from, call, ..AuditEvent::default() };
-        Self(Some(Arc::new(Mutex::new((operation, event)))))
+        Self(Some(Arc::new(Mutex::new(Entry { operation, event, is_told: false }))))
     }
 
     fn with(&self, change: impl FnOnce(&mut AuditEvent)) {
         if let Some(event) = &self.0 {
             // A panic within the few lines under this lock leaves nothing half done.
-            change(&mut event.lock().unwrap_or_else(PoisonError::into_inner).1);
+            change(&mut event.lock().unwrap_or_else(PoisonError::into_inner).event);
         }
     }
 
@@ -64,13 +72,23 @@ impl Trail {
         self.with(|event| event.job = Some(job));
     }
 
+    /// A line of its own for a part of the request; the request as a whole gets none then, unless it is refused.
+    pub fn part(&self) -> Self {
+        let Some(event) = &self.0 else { return Self(None) };
+        let mut entry = event.lock().unwrap_or_else(PoisonError::into_inner);
+        let part = Entry { is_told: false, ..entry.clone() };
+        entry.is_told = true;
+        Self(Some(Arc::new(Mutex::new(part))))
+    }
+
     /// Notes it, if it is a change or was refused.
     /// - `code`: of the refusal or the error, in one word.
     /// - `why`: what its message said.
     pub fn end(&self, audit: &Audit, outcome: Outcome, code: &str, why: &str) {
         let Some(event) = &self.0 else { return };
-        let (operation, mut ended) = event.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        if outcome != Outcome::Refused && !operation.is_change() {
+        let entry = event.lock().unwrap_or_else(PoisonError::into_inner).clone();
+        let Entry { operation, event: mut ended, is_told } = entry;
+        if outcome != Outcome::Refused && (is_told || !operation.is_change()) {
             return;
         }
         ended.outcome = if outcome == Outcome::Done { "ok".into() } else { code.to_owned() };

@@ -46,6 +46,13 @@ pub(super) fn bytes(status: StatusCode, kind: &'static str, bytes: impl Into<Byt
     response
 }
 
+/// Without a body.
+pub(super) fn empty(status: StatusCode) -> Response<Body> {
+    let mut response = Response::new(Full::default().boxed_unsync());
+    *response.status_mut() = status;
+    response
+}
+
 /// As JSON.
 pub(super) fn json<T: Serialize>(value: &T) -> Response<Body> {
     json_with(StatusCode::OK, value)

@@ -5,6 +5,7 @@
 //! let in: there are no CORS headers, and what changes something needs a header that a form cannot send.
 
 mod answer;
+mod change;
 mod fault;
 mod pages;
 mod respond;
@@ -16,12 +17,14 @@ use std::sync::Arc;
 
 use ::http::{HeaderMap, Method, Request, Response, Uri};
 use bytes::Bytes;
+use femc_store::Store;
 use femc_trust::Audit;
 
-use crate::access::{Gate, Granted, Outcome, Shown, Trail};
+use crate::access::{Gate, Granted, Outcome, Places, Shown, Trail, Who};
 use crate::farm::Farm;
 use crate::feed::Feed;
 use crate::operation::Operation;
+use crate::picture::{Draw, Pictures};
 pub use answer::Body;
 use fault::Fault;
 pub use pages::Files;
@@ -35,6 +38,8 @@ pub struct Site {
     pub files: Files,
     /// Build of the engine that this program has, for people.
     pub engine: String,
+    /// Draws frames; without it there are no pictures.
+    pub draw: Option<Draw>,
 }
 
 /// The HTTP side of a farm.
@@ -51,6 +56,9 @@ impl<S> Clone for Http<S> {
 struct Inner<S> {
     farm: Farm<S>,
     feed: Feed<S>,
+    store: Store,
+    places: Places,
+    pictures: Pictures,
     gate: Gate,
     site: Site,
     is_encrypted: bool,
@@ -65,10 +73,12 @@ struct Asked<'a> {
 
 impl<S: Send + 'static> Http<S> {
     /// Of this farm, behind this gate.
+    /// - `places`: for those who read what is large.
     /// - `is_encrypted`: whether connections are, so that cookies are sent over such alone.
-    pub fn new(farm: Farm<S>, gate: Gate, site: Site, is_encrypted: bool) -> Self {
+    pub fn new(farm: Farm<S>, store: Store, places: Places, gate: Gate, site: Site, is_encrypted: bool) -> Self {
         let feed = Feed::new(farm.clone());
-        Self(Arc::new(Inner { farm, feed, gate, site, is_encrypted }))
+        let pictures = Pictures::new(site.draw, store.clone());
+        Self(Arc::new(Inner { farm, feed, store, places, pictures, gate, site, is_encrypted }))
     }
 
     /// Answers a request, whatever it is.
@@ -120,12 +130,13 @@ impl<S: Send + 'static> Http<S> {
         let shown = Shown { token, certificate: visitor.certificate.as_ref(), place: place.as_deref() };
         let granted = gate.check(route.operation(), shown, trail)?;
         site::check(&route, asked, visitor, gate.asks())?;
-        let Granted { caller, wait, .. } = granted;
+        let Granted { caller, name, wait } = granted;
+        let who = Who { name, connection: visitor.connection };
         if !wait.is_zero() {
             tokio::time::sleep(wait).await;
         }
         let is_known = caller.is_some() || !gate.asks();
-        let mut response = self.respond(route, asked, body, caller, trail).await?;
+        let mut response = self.respond(route, asked, body, caller, who, trail).await?;
         if is_known {
             response.extensions_mut().insert(Introduced);
         }

@@ -118,7 +118,7 @@ mod tests {
     #[test]
     fn a_host_is_the_coordinators_own_if_it_is_an_address_of_it() {
         let reached = Some("10.0.0.5:7878".parse().unwrap());
-        let visitor = Visitor { address: reached, reached, certificate: None };
+        let visitor = Visitor { address: reached, reached, ..Visitor::default() };
         for own in ["localhost", "LOCALHOST:9000", "127.0.0.1:7878", "127.9.9.9", "[::1]:7878", "10.0.0.5:7878"] {
             assert!(is_own(own, &visitor), "{own}");
         }
@@ -143,7 +143,7 @@ mod tests {
     #[test]
     fn what_another_site_may_have_sent_is_refused() {
         let address = Some("127.0.0.1:7878".parse().unwrap());
-        let visitor = Visitor { address, reached: address, certificate: None };
+        let visitor = Visitor { address, reached: address, ..Visitor::default() };
         let uri: Uri = "/api/v1/jobs".parse().unwrap();
         let checked = |pairs: &[(&'static str, &str)]| {
             let headers = headers(pairs);

@@ -11,6 +11,8 @@ pub struct Visitor {
     pub address: Option<SocketAddr>,
     /// The address at which it has reached the server.
     pub reached: Option<SocketAddr>,
+    /// Number of the connection.
+    pub connection: u64,
     /// The certificate that it has shown.
     pub certificate: Option<CertificateDer<'static>>,
 }

@@ -2,11 +2,15 @@
 //! case, states and kinds in lower case, times in seconds; what is not there is null.
 
 mod job;
+mod log;
 mod spec;
+mod table;
 mod words;
 mod worker;
 
 pub use job::{JobJson, state, unit, wait};
+pub use log::LogJson;
 pub use spec::SpecJson;
+pub use table::{FrameJson, TaskJson};
 pub use words::count;
 pub use worker::{WorkerJson, intake};

@@ -87,9 +87,9 @@ export const api = {
     (await get<{ frames: Frame[] }>(`/jobs/${job}/frames`, signal)).frames,
   tasks: (job: number, from: number, count: number, filter: TaskFilter, signal?: AbortSignal) =>
     get<TaskWindow>(`/jobs/${job}/tasks${query({ from, count, ...filter })}`, signal),
-  /** A page of the attempts that have ended, from a cursor on. */
-  attempts: (job: number, from: number | null, signal?: AbortSignal) =>
-    get<{ attempts: Attempt[]; next: number | null }>(`/jobs/${job}/attempts${query({ from })}`, signal),
+  /** A page of the attempts that have ended, from a cursor on: of the job, or of a task. */
+  attempts: (job: number, from: number | null, task: string | null, signal?: AbortSignal) =>
+    get<{ attempts: Attempt[]; next: number | null }>(`/jobs/${job}/attempts${query({ from, task })}`, signal),
   logs: async (job: number, task: string | null, signal?: AbortSignal) =>
     (await get<{ records: LogRecord[] }>(`/jobs/${job}/logs${query({ task })}`, signal)).records,
   thumbnail: (job: number, frame: number, version: string, height = 90) =>
@@ -116,7 +116,7 @@ export const api = {
     return { pixels: decodePixels(await answer.arrayBuffer()), etag: answer.headers.get('ETag') };
   },
 
-  control: (jobs: number[], action: JobAction, more: { priority?: number; frames?: number[] } = {}) =>
+  control: (jobs: number[], action: JobAction, more: { priority?: number } = {}) =>
     post<Done<number>>('/jobs/control', { jobs, action, ...more }),
   drain: (workers: (number | string)[], action: 'begin' | 'undo') =>
     post<Done<number | string>>('/workers/drain', { workers, action }),

@@ -8,14 +8,12 @@ import type { Attempt } from './types';
 /** Most attempts that a page reads of a job. */
 export const MOST_ATTEMPTS = 200_000;
 
-/** A job's attempts, for all views of it. */
-export function attemptsOf(job: number): Resource<Attempt[]> {
+/** The attempts of a job, or of one of its tasks. */
+export function attemptsOf(job: number, task: string | null = null): Resource<Attempt[]> {
   const read = new Attempts();
   return new Resource(async (signal) => {
-    let count = 0;
-    for (let more = true; more && count < MOST_ATTEMPTS;) {
-      more = read.add(await api.attempts(job, read.cursor, signal));
-      count = read.size;
+    for (let more = true; more && read.size < MOST_ATTEMPTS;) {
+      more = read.add(await api.attempts(job, read.cursor, task, signal));
     }
     return read.all();
   });

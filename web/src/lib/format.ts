@@ -11,13 +11,6 @@ export function seconds(s: number | null | undefined): string {
   return `${Math.floor(whole / 86400)} d ${Math.floor((whole % 86400) / 3600)} h`;
 }
 
-/** How long ago, in one unit: `now`, `5 min`, `3 h`, `2 d`. */
-export function age(s: number): string {
-  if (s < 60) return 'now';
-  if (s < 3600) return `${Math.floor(s / 60)} min`;
-  return s < 48 * 3600 ? `${Math.floor(s / 3600)} h` : `${Math.floor(s / 86400)} d`;
-}
-
 /** `999`, `12.3 k`, `4.56 M`, `7.89 G`: three digits that count. */
 export function quantity(n: number | null | undefined): string {
   if (n == null || !Number.isFinite(n)) return '–';

@@ -80,14 +80,14 @@ export function sorted(jobs: Iterable<Job>, { key, descending }: Order): Job[] {
   });
 }
 
-export type Grouping = 'none' | 'sweep' | 'owner' | 'state';
+export type Grouping = 'none' | 'scene' | 'owner' | 'state';
 
 /** A heading, or a job under it. */
 export type Line = { kind: 'group'; key: string; jobs: Job[] } | { kind: 'job'; job: Job };
 
-/** What jobs of a group have in common; the variants of a sweep are jobs of one scene. */
+/** What jobs of a group have in common; a job has its scene's name, and so have all variants of a sweep. */
 const GROUPS: Record<Exclude<Grouping, 'none'>, (job: Job) => string> = {
-  sweep: (job) => (job.scene ? `${job.name} (${job.scene.slice(0, 8)})` : job.name),
+  scene: (job) => job.name,
   owner: (job) => job.owner,
   state: (job) => job.state,
 };

@@ -3,6 +3,7 @@
 import { halves } from './half';
 
 export const MAGIC = 0x43584d46;
+const NOT_A_NUMBER = 0x7e00;
 
 /** A frame's pixels: planes of half floats, row after row from the top left. */
 export class Pixels {
@@ -35,6 +36,13 @@ export class Pixels {
   }
 }
 
+/**
+ * An error that is not known is sent as -1: it becomes no number. Bits of negative half floats have the highest bit.
+ */
+function forget(plane: Uint16Array) {
+  for (let i = 0; i < plane.length; i++) if (plane[i]! > 0x8000) plane[i] = NOT_A_NUMBER;
+}
+
 /** Reads what the coordinator sent; throws an `Error` that says what is wrong. */
 export function decodePixels(buffer: ArrayBuffer): Pixels {
   const view = new DataView(buffer);
@@ -64,7 +72,9 @@ export function decodePixels(buffer: ArrayBuffer): Pixels {
   const planes = new Map<string, Uint16Array>();
   for (const name of names) {
     // Names may leave the planes at an odd address: they are copied.
-    planes.set(name, new Uint16Array(buffer.slice(at, at + size)));
+    const plane = new Uint16Array(buffer.slice(at, at + size));
+    if (name === 'error') forget(plane);
+    planes.set(name, plane);
     at += size;
   }
   return new Pixels(width, height, planes);

@@ -22,19 +22,24 @@ import type { Me } from './types';
 class Views {
   route = $state.raw<Route>({ page: 'jobs' });
   query = $state.raw<Query>({});
+  private timer: ReturnType<typeof setTimeout> | undefined;
 
   constructor() {
     this.read();
     addEventListener('popstate', () => this.read());
+    addEventListener('pagehide', () => this.timer !== undefined && this.write());
   }
 
   private read() {
+    clearTimeout(this.timer);
+    this.timer = undefined;
     this.route = parsePath(location.pathname);
     this.query = parseQuery(location.search);
   }
 
   /** Goes to a page; the way back is kept. */
   go(route: Route, query: Record<string, string | number | null> = {}) {
+    if (this.timer !== undefined) this.write();
     this.query = withValues({}, query);
     this.route = route;
     history.pushState(null, '', pathOf(route) + formatQuery(this.query));
@@ -48,9 +53,18 @@ class Views {
     this.go({ ...this.route, tab }, { ...kept, ...values });
   }
 
-  /** Changes settings of this page. */
+  /**
+   * Changes settings of this page. The address follows a moment later: browsers take 200 changes of it in ten
+   * seconds.
+   */
   set(values: Record<string, string | number | null | undefined>) {
     this.query = withValues(this.query, values);
+    this.timer ??= setTimeout(() => this.write(), 80);
+  }
+
+  private write() {
+    clearTimeout(this.timer);
+    this.timer = undefined;
     history.replaceState(null, '', pathOf(this.route) + formatQuery(this.query));
   }
 }

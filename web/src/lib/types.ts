@@ -55,10 +55,6 @@ export interface Job {
   quarantined: QuarantinedTask[];
   /** Why tasks of it wait, a sentence each. */
   waits: string[];
-  /** Digest of the scene's files: variants of a sweep share it. */
-  scene?: string | null;
-  /** Seconds since 1970. */
-  submitted?: number | null;
 }
 
 export interface Worker {

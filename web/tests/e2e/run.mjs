@@ -119,15 +119,15 @@ await step('begin: a farm of three workers, and the page finds it', async () => 
     '--frames',
     '1..12',
     '--size',
-    '160x90',
+    '128x72',
     '--spp',
-    '16',
+    '8',
     '--owner',
     'ann',
     '--priority',
     '60',
   );
-  jobs.fog = farm.submit('cornell-fog.mgf', '--size', '128x128', '--spp', '64', '--owner', 'bob');
+  jobs.fog = farm.submit('cornell-fog.mgf', '--size', '64x64', '--spp', '32', '--owner', 'bob');
   jobs.waits = farm.submit('cornell.mgf', '--size', '64x64', '--spp', '4', '--tags', 'gpu', '--owner', 'eve');
   // More tasks than a table could hold, for nobody to do.
   jobs.huge = farm.submit(
@@ -147,7 +147,7 @@ await step('jobs: filter, states, order and groups, all in the address', async (
   await current.keyboard.press('/');
   await current.keyboard.type('owner:eve');
   await until(async () => (await rows()) === 2, 'the filter leaves two jobs');
-  equal(query('filter'), 'owner:eve', 'filter in the address');
+  await until(() => query('filter') === 'owner:eve', 'filter in the address', 5);
   await current.reload();
   await until(async () => (await rows()) === 2, 'the filter outlives a reload');
   await current.getByLabel('Filter the jobs').fill('');
@@ -156,7 +156,7 @@ await step('jobs: filter, states, order and groups, all in the address', async (
     async () => (await current.locator('.row.body a').first().textContent()) === 'roundabout',
     'the oldest job comes first',
   );
-  equal(query('sort'), 'job', 'order in the address');
+  await until(() => query('sort') === 'job', 'order in the address', 5);
   await current.getByLabel('Groups').selectOption('owner');
   await until(async () => (await current.locator('.grouphead').count()) === 3, 'three owners');
   await current.getByRole('button', { name: /eve/ }).click();
@@ -169,7 +169,7 @@ await step('jobs: several at once are selected by keys, paused, resumed and give
   await current.locator('[role=table]').focus();
   for (const key of ['ArrowDown', 'x', 'j', 'Shift+X']) await current.keyboard.press(key);
   await current.getByText('2 jobs selected').waitFor();
-  equal(query('jobs'), `${jobs.waits},${jobs.huge}`, 'selection in the address');
+  await until(() => query('jobs') === `${jobs.waits},${jobs.huge}`, 'selection in the address', 5);
   await current.getByRole('button', { name: 'Pause', exact: true }).click();
   await until(
     () => farm.job(jobs.waits).state === 'paused' && farm.job(jobs.huge).state === 'paused',
@@ -186,7 +186,7 @@ await step('jobs: several at once are selected by keys, paused, resumed and give
   await until(() => farm.job(jobs.waits).priority === 33 && farm.job(jobs.huge).priority === 33, 'priority 33');
   await current.locator('[role=table]').focus();
   await current.keyboard.press('Escape');
-  equal(query('jobs'), null, 'nothing selected');
+  await until(() => query('jobs') === null, 'nothing selected', 5);
 });
 
 await step('a job says why it waits', async () => {
@@ -211,12 +211,12 @@ await step('frames: thumbnails come, colors change, a drag selects', async () =>
   await current.mouse.move(...(await cell(5)), { steps: 4 });
   await current.mouse.move(...(await cell(6)), { steps: 4 });
   await current.mouse.up();
-  equal(query('frames'), '3..6', 'frames in the address');
+  await until(() => query('frames') === '3..6', 'frames in the address', 5);
   await current.getByText('4 frames selected').waitFor();
   await current.locator('[role=listbox]').press('Escape');
   for (const key of ['Home', ' ']) if (key === ' ') await current.locator('[role=listbox]').press(key);
   await current.locator('[role=listbox]').press('Shift+ArrowRight');
-  claim(query('frames') !== null, 'keys select frames, too');
+  await until(() => query('frames') !== null, 'keys select frames, too', 5);
   for (const color of ['seconds', 'error']) {
     await current.getByRole('button', { name: color, exact: true }).click();
     await current.locator('.legend').waitFor();
@@ -234,7 +234,7 @@ await step('picture: exposure, false color, error, samples, difference, split, a
   await visit(`/jobs/${jobs.drive}?frames=3`);
   await current.locator('#frame-3').dblclick();
   await current.locator('.host canvas').waitFor();
-  equal(query('frame'), '3', 'frame in the address');
+  await until(() => query('frame') === '3', 'frame in the address', 5);
   const lit = () =>
     current
       .locator('.host canvas')
@@ -249,7 +249,7 @@ await step('picture: exposure, false color, error, samples, difference, split, a
   claim(plain > 5, `the picture is black: ${plain}`);
   await current.getByLabel('Exposure').fill('3');
   await until(async () => (await lit()) > plain * 1.2, 'three stops are brighter');
-  equal(query('ev'), '3', 'exposure in the address');
+  await until(() => query('ev') === '3', 'exposure in the address', 5);
   await current.getByRole('button', { name: 'Automatic' }).click();
   for (const [name, unit] of [
     ['Luminance', 'cd/m²'],
@@ -261,15 +261,15 @@ await step('picture: exposure, false color, error, samples, difference, split, a
   }
   const box = await current.locator('.host').boundingBox();
   await current.mouse.click(box.x + box.width / 2, box.y + box.height / 2);
-  claim(/^\d+,\d+$/.test(query('pixel') ?? ''), 'the pixel is in the address');
+  await until(() => /^\d+,\d+$/.test(query('pixel') ?? ''), 'the pixel is in the address', 5);
   await current.getByText(/^Pixel \d+, \d+$/).waitFor();
   claim((await current.locator('aside dd').first().textContent()).includes('cd/m²'), 'its luminance is told');
   const before = query('pixel');
   await current.locator('.host').press('ArrowRight');
-  claim(query('pixel') !== before, 'arrows move the pin');
+  await until(() => query('pixel') !== before, 'arrows move the pin', 5);
   await current.getByLabel('beside').selectOption({ label: 'frame 9' });
   await current.getByLabel('Where the second frame begins').fill('30');
-  equal(query('split'), '30', 'the split is in the address');
+  await until(() => query('split') === '30', 'the split is in the address', 5);
   await current.getByRole('button', { name: 'Difference', exact: true }).click();
   await current.locator('.legend', { hasText: 'other frame less this one' }).waitFor();
   await current.getByLabel('Smoothing').fill('2');
@@ -326,7 +326,7 @@ await step('timeline: attempts by worker, enlarged and chosen', async () => {
   await current.getByText(/^[\d,]+ attempts/).waitFor();
   await current.getByText('render', { exact: true }).waitFor();
   await current.locator('.host').press('+');
-  claim(/^[\d.]+,[\d.]+$/.test(query('t') ?? ''), 'the stretch is in the address');
+  await until(() => /^[\d.]+,[\d.]+$/.test(query('t') ?? ''), 'the stretch is in the address', 5);
   await current.locator('.host').press('0');
   const box = await current.locator('.host').boundingBox();
   search: for (let y = 30; y < 200; y += 6) {
@@ -339,7 +339,7 @@ await step('timeline: attempts by worker, enlarged and chosen', async () => {
     }
   }
   await current.locator('aside').waitFor();
-  claim(query('task') !== null, 'the task is in the address');
+  await until(() => query('task') !== null, 'the task is in the address', 5);
   await accessible('the timeline');
 });
 
@@ -352,7 +352,7 @@ await step('logs and settings', async () => {
   await current.getByText('No log is kept, or none fits.').waitFor();
   await accessible('logs');
   await visit(`/jobs/${jobs.drive}/settings`);
-  await current.getByText('160 × 90 pixels', { exact: false }).waitFor();
+  await current.getByText('128 × 72 pixels', { exact: false }).waitFor();
   await accessible('settings');
 });
 
@@ -409,7 +409,7 @@ await step('cancel asks first; a retry takes it up again', async () => {
 await step('read-only switches every change off', async () => {
   await visit(`/jobs/${jobs.waits}`);
   await current.getByLabel('read-only').check();
-  await current.getByRole('button', { name: 'Pause', exact: true }).click();
+  await current.getByRole('button', { name: 'Pause', exact: true }).click({ force: true });
   await pause(500);
   claim(farm.job(jobs.waits).state !== 'paused', 'nothing was paused');
   await visit('/workers');
@@ -466,15 +466,15 @@ if (shotsAt) {
       '--frames',
       '1..24',
       '--size',
-      '192x108',
+      '128x72',
       '--spp',
-      '64',
+      '8',
       '--owner',
       'ann',
       '--priority',
       '70',
     );
-    farm.submit('glossy.mgf', '--size', '256x256', '--spp', '256', '--owner', 'bob');
+    farm.submit('glossy.mgf', '--size', '128x128', '--spp', '64', '--owner', 'bob');
     current = await open(farm);
     await visit(`/jobs/${jobs.running}`);
     await until(async () => (await current.locator('.cell.done').count()) >= 3, 'some frames are done', 120);
@@ -483,7 +483,7 @@ if (shotsAt) {
     await visit('/jobs');
     await pause(1200);
     await shot('browser-jobs');
-    await visit(`/jobs/${jobs.drive}/picture?frame=6&show=luminance&pixel=80,60`);
+    await visit(`/jobs/${jobs.drive}/picture?frame=6&show=luminance&pixel=64,48`);
     await pause(2000);
     await shot('browser-luminance');
     await visit(`/jobs/${jobs.drive}/timeline`);
@@ -496,7 +496,7 @@ if (shotsAt) {
     await shot('browser-tasks');
     await current.context().close();
     current = await open(farm, { dark: true });
-    await visit(`/jobs/${jobs.drive}/picture?frame=6&other=9&split=40&pixel=80,60`);
+    await visit(`/jobs/${jobs.drive}/picture?frame=6&other=9&split=40&pixel=64,48`);
     await pause(2000);
     await shot('browser-picture');
     await current.context().close();

@@ -1,5 +1,5 @@
 import { expect, test } from 'vitest';
-import { age, bytes, percent, quantity, ranges, seconds, value } from '../../src/lib/format';
+import { bytes, percent, quantity, ranges, seconds, value } from '../../src/lib/format';
 
 test.each([
   [0.421, '0.42 s'],
@@ -49,11 +49,3 @@ test.each([
 ])('the value %s is %s', (x, text) => expect(value(x)).toBe(text));
 
 test('frames are told in ranges', () => expect(ranges([3, 1, 2, 8, 9])).toBe('1..3, 8, 9'));
-
-test.each([
-  [-3, 'now'],
-  [59, 'now'],
-  [300, '5 min'],
-  [7300, '2 h'],
-  [200_000, '2 d'],
-])('%s seconds ago are %s', (s, text) => expect(age(s)).toBe(text));

@@ -39,15 +39,10 @@ describe('order and groups', () => {
     expect(sorted(jobs, parseOrder('name')).map((it) => it.job)).toEqual([2, 1, 3]);
     expect(parseOrder('nonsense')).toEqual({ key: 'job', descending: true });
   });
-  test('variants of a sweep are jobs of one scene; a group that is closed hides them', () => {
-    const sweep = jobs.map((it, i) => ({ ...it, name: 'room', scene: i < 2 ? 'aaaaaaaaaa' : 'bbbbbbbbbb' }));
-    const all = lines(sweep, 'sweep', new Set(['room (bbbbbbbb)']));
-    expect(all.map((line) => (line.kind === 'group' ? line.key : line.job.job))).toEqual([
-      'room (aaaaaaaa)',
-      1,
-      2,
-      'room (bbbbbbbb)',
-    ]);
+  test('groups stand where their first job would; one that is closed hides its jobs', () => {
+    const all = lines(jobs, 'scene', new Set(['a']));
+    expect(all.map((line) => (line.kind === 'group' ? line.key : line.job.job))).toEqual(['b', 1, 3, 'a']);
+    expect(lines(jobs, 'none', new Set()).length).toBe(3);
   });
 });
 

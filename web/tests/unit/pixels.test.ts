@@ -44,6 +44,13 @@ describe('pixels', () => {
     expect([...pixels.floats('samples')!]).toEqual([4, 8]);
   });
 
+  test('an error that is not known is no number; negative values of other channels stay', () => {
+    const pixels = decodePixels(encode(2, 1, { error: [0xbc00, 0x3c00], Y: [0xbc00, 0x8000] }));
+    expect(pixels.at('error', 0, 0)).toBeNaN();
+    expect(pixels.at('error', 1, 0)).toBe(1);
+    expect(pixels.at('Y', 0, 0)).toBe(-1);
+  });
+
   test('names of odd lengths leave planes at odd addresses: they are read all the same', () => {
     expect(decodePixels(encode(1, 1, { abc: [0x3c00] })).at('abc', 0, 0)).toBe(1);
   });

@@ -180,3 +180,29 @@ fn an_open_feed_ends_when_its_token_is_taken_back() {
     assert_eq!(ask(&address, "GET /api/v1/me", &[&format!("Cookie: femc={token}")], "").status, 401);
     assert_eq!(ask(&address, "GET /", &[], "").header("location"), "", "the page itself is for everybody");
 }
+
+#[test]
+fn several_jobs_are_steered_at_once_and_what_cannot_be_done_to_one_is_done_to_the_others() {
+    let place = Place::new();
+    let (_coordinator, url) = coordinator(&place, 0);
+    for owner in ["ann", "ann", "bob", "ann"] {
+        submit(&place, &url, &format!("--frames 1 --spp 1 --owner {owner}"));
+    }
+    let run = |line: &str| place.run(&format!("{line} --server {url}"));
+    let states = || -> Vec<String> {
+        let jobs = run("jobs --json").exits(0).json();
+        let state = |job: &serde_json::Value| job["state"].as_str().expect("a state").to_owned();
+        jobs.as_array().expect("jobs").iter().map(state).collect()
+    };
+    assert!(run("cancel 1 99 3").exits(1).stderr().contains("99"));
+    assert_eq!(states(), ["cancelled", "queued", "cancelled", "queued"]);
+    run("pause --owner ann").exits(0);
+    assert_eq!(states(), ["cancelled", "paused", "cancelled", "paused"], "what has ended is left alone");
+    let of_bob = run("jobs --owner bob --json").exits(0).json();
+    assert_eq!((of_bob.as_array().map(Vec::len), &of_bob[0]["job"]), (Some(1), &3.into()));
+    assert_eq!(run("jobs --name f*g --state paused --json").exits(0).json().as_array().map(Vec::len), Some(2));
+    assert!(run("cancel --name nothing").exits(2).stderr().contains("no job"));
+    run("cancel").exits(2);
+    run("cancel 1 --owner ann").exits(2);
+    run("jobs --state odd").exits(2);
+}

@@ -124,6 +124,12 @@ impl Gate {
         lists.caller(Shown { token: Some(token), ..Shown::default() }).map_err(unknown)
     }
 
+    /// When a request that asks for nothing there is may be answered.
+    /// - `place`: the address that it came from, without the port.
+    pub fn pace(&self, place: Option<&str>) -> Result<Duration, Refusal> {
+        self.turn(place)
+    }
+
     /// When a request is this caller's turn.
     fn turn(&self, name: Option<&str>) -> Result<Duration, Refusal> {
         let Some(name) = name else { return Ok(Duration::ZERO) };

@@ -3,11 +3,12 @@
 use std::convert::Infallible;
 
 use ::http::header::{
-    CACHE_CONTROL, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY,
+    CACHE_CONTROL, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY,
     X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
 };
 use ::http::{Response, StatusCode};
 use bytes::Bytes;
+use futures_util::stream::unfold;
 use futures_util::{Stream, StreamExt as _};
 use http_body::Frame;
 use http_body_util::combinators::UnsyncBoxBody;
@@ -43,6 +44,25 @@ pub(super) fn bytes(status: StatusCode, kind: &'static str, bytes: impl Into<Byt
     let mut response = Response::new(Full::new(bytes.into()).boxed_unsync());
     *response.status_mut() = status;
     response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(kind));
+    response
+}
+
+/// The same of what is large: `held` is dropped when all of it is sent, or the client is gone.
+pub(super) fn large<T: Send + 'static>(kind: &'static str, bytes: Bytes, held: T) -> Response<Body> {
+    /// Bytes that are handed on at a time.
+    const PIECE: usize = 256 << 10;
+    let length = bytes.len();
+    let pieces = unfold((bytes, held), |(mut rest, held)| async move {
+        if rest.is_empty() {
+            return None;
+        }
+        let piece = rest.split_to(rest.len().min(PIECE));
+        Some((Ok(Frame::data(piece)), (rest, held)))
+    });
+    let mut response = Response::new(StreamBody::new(pieces).boxed_unsync());
+    let headers = response.headers_mut();
+    headers.insert(CONTENT_TYPE, HeaderValue::from_static(kind));
+    headers.insert(CONTENT_LENGTH, length.into());
     response
 }
 

@@ -20,7 +20,7 @@ use bytes::Bytes;
 use femc_store::Store;
 use femc_trust::Audit;
 
-use crate::access::{Gate, Granted, Outcome, Places, Shown, Trail, Who};
+use crate::access::{Gate, Granted, Limits, Outcome, Places, Shown, Trail, Who};
 use crate::farm::Farm;
 use crate::feed::Feed;
 use crate::operation::Operation;
@@ -58,6 +58,8 @@ struct Inner<S> {
     feed: Feed<S>,
     store: Store,
     places: Places,
+    /// For those who read pixels: a place is held until all are sent.
+    large: Places,
     pictures: Pictures,
     gate: Gate,
     site: Site,
@@ -77,8 +79,10 @@ impl<S: Send + 'static> Http<S> {
     /// - `is_encrypted`: whether connections are, so that cookies are sent over such alone.
     pub fn new(farm: Farm<S>, store: Store, places: Places, gate: Gate, site: Site, is_encrypted: bool) -> Self {
         let feed = Feed::new(farm.clone());
+        let few = Limits { transfers: 4, transfers_of_caller: 2, transfers_of_connection: 2, ..*gate.limits() };
+        let large = Places::new(&few);
         let pictures = Pictures::new(site.draw, store.clone());
-        Self(Arc::new(Inner { farm, feed, store, places, pictures, gate, site, is_encrypted }))
+        Self(Arc::new(Inner { farm, feed, store, places, large, pictures, gate, site, is_encrypted }))
     }
 
     /// Answers a request, whatever it is.
@@ -93,8 +97,8 @@ impl<S: Send + 'static> Http<S> {
         let operation = route.as_ref().map_or(Operation::Other, Route::operation);
         let trail = self.0.gate.trail(operation, asked.uri.path(), visitor.address.map(|it| it.to_string()));
         let answered = match route {
-            // What is no route is told without asking who wants to know: there is nothing to be learned from it.
-            Err(fault) => Err(fault),
+            // What is no route is told without asking who wants to know, as often as anybody may ask.
+            Err(fault) => Err(self.nowhere(fault, &visitor).await),
             Ok(route) => self.pass(route, &asked, body, &visitor, &trail).await,
         };
         let mut response = match answered {
@@ -109,6 +113,17 @@ impl<S: Send + 'static> Http<S> {
         };
         answer::protect(&mut response);
         response
+    }
+
+    async fn nowhere(&self, fault: Fault, visitor: &Visitor) -> Fault {
+        let place = visitor.address.map(|address| address.ip().to_string());
+        match self.0.gate.pace(place.as_deref()) {
+            Ok(wait) => {
+                tokio::time::sleep(wait).await;
+                fault
+            }
+            Err(refusal) => refusal.into(),
+        }
     }
 
     /// Lets a request through, or not, and does what it asks for.

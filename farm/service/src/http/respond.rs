@@ -242,20 +242,19 @@ impl<S: Send + 'static> Http<S> {
         wanted: Wanted,
         who: Who,
     ) -> Result<Response<Body>, Fault> {
-        let _place = self.0.places.take(who).await;
+        let place = match wanted {
+            Wanted::Thumbnail { .. } => self.0.places.take(who).await,
+            Wanted::Pixels => self.0.large.take(who).await,
+        };
         let known = asked.headers.get(IF_NONE_MATCH).and_then(|tag| tag.to_str().ok());
         let known = known.map(|tag| tag.trim_start_matches("W/").trim_matches('"'));
         let Some(drawn) = self.0.pictures.of(&self.0.farm, job, frame, wanted, known).await? else {
             return Ok(answer::empty(StatusCode::NO_CONTENT));
         };
-        let mut response = if known == Some(drawn.tag.as_str()) {
-            answer::empty(StatusCode::NOT_MODIFIED)
-        } else {
-            let kind = match wanted {
-                Wanted::Thumbnail { .. } => "image/png",
-                Wanted::Pixels => "application/vnd.femc.pixels",
-            };
-            answer::bytes(StatusCode::OK, kind, drawn.bytes)
+        let mut response = match wanted {
+            _ if known == Some(drawn.tag.as_str()) => answer::empty(StatusCode::NOT_MODIFIED),
+            Wanted::Thumbnail { .. } => answer::bytes(StatusCode::OK, "image/png", drawn.bytes),
+            Wanted::Pixels => answer::large("application/vnd.femc.pixels", drawn.bytes, place),
         };
         let headers = response.headers_mut();
         // A digest in hexadecimal is good for a header.

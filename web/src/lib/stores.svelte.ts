@@ -161,6 +161,7 @@ class Farm {
       this.me = await api.me();
     } catch (error) {
       if (error instanceof ApiError && error.status === 401) this.denied();
+      else if (this.connection.state === 'live') setTimeout(() => void this.identify(), 2000);
     }
   }
 }

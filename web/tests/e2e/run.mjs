@@ -267,6 +267,21 @@ await step('picture: exposure, false color, error, samples, difference, split, a
   const before = query('pixel');
   await current.locator('.host').press('ArrowRight');
   await until(() => query('pixel') !== before, 'arrows move the pin', 5);
+  await current.keyboard.down('Shift');
+  await current.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
+  await current.mouse.down();
+  for (const [dx, dy] of [
+    [80, 0],
+    [80, 80],
+    [0, 80],
+  ]) {
+    await current.mouse.move(box.x + box.width / 2 + dx, box.y + box.height / 2 + dy, { steps: 6 });
+  }
+  await current.mouse.up();
+  await current.keyboard.up('Shift');
+  await until(() => (query('lasso') ?? '').split(';').length >= 4, 'the line around pixels is in the address', 5);
+  const chosen = Number((await current.getByText(/^[\d,]+ pixels chosen$/).textContent()).replace(/\D/g, ''));
+  claim(chosen > 20, `${chosen} pixels chosen`);
   await current.getByLabel('beside').selectOption({ label: 'frame 9' });
   await current.getByLabel('Where the second frame begins').fill('30');
   await until(() => query('split') === '30', 'the split is in the address', 5);

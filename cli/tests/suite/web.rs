@@ -74,6 +74,8 @@ fn a_page_sees_a_job_from_its_submission_to_its_picture_and_steers_it() {
     let frames = get(&address, &format!("jobs/{job}/frames")).json();
     let frames = frames["frames"].as_array().expect("frames");
     assert!(frames.iter().all(|frame| frame["state"] == "done" && frame["has_image"] == true), "{frames:?}");
+    let window = get(&address, &format!("jobs/{job}/frames?from=1&count=1")).json();
+    assert_eq!((&window["total"], &window["frames"][0]["frame"]), (&2.into(), &2.into()));
     let done = get(&address, &format!("jobs/{job}/tasks?state=done")).json();
     let all = get(&address, &format!("jobs/{job}/tasks")).json();
     assert_eq!(done["total"], all["total"]);

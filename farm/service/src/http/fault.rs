@@ -136,7 +136,9 @@ impl Fault {
             Self::NoPage => "GET /api/v1/jobs and /api/v1/feed give JSON; docs/http.md has the rest",
             Self::Method { .. } | Self::Invalid { .. } => "docs/http.md has methods, headers and parameters",
             Self::CrossSite { .. } => "open the coordinator's own page, or ask from a program, which sends no Origin",
-            Self::Host { .. } => "use http://127.0.0.1:PORT or http://localhost:PORT",
+            Self::Host { .. } => {
+                "use its address, like http://127.0.0.1:PORT; names are for coordinators with --identity or --token-file"
+            }
             Self::TooLarge { .. } => "send less at a time",
             Self::Cut { .. } => "send the request again, all of it at once",
         }

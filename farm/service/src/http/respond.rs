@@ -13,7 +13,7 @@ use serde::Serialize;
 
 use super::answer::{self, Body};
 use super::fault::Fault;
-use super::route::{Query, Route, TaskWindow};
+use super::route::{Query, Route, TaskWindow, Window};
 use super::{Asked, Http, site};
 use crate::access::{Caller, Trail, Who};
 use crate::attempts::{By, JobRecord, Json, columns, rows_of_page};
@@ -46,6 +46,7 @@ struct Job {
 
 #[derive(Serialize)]
 struct Frames {
+    total: usize,
     frames: Vec<FrameJson>,
 }
 
@@ -99,7 +100,7 @@ impl<S: Send + 'static> Http<S> {
             Route::Feed(last) => Ok(answer::events(self.0.feed.listen(last.as_deref(), caller))),
             Route::Jobs => self.jobs().await,
             Route::Job(job) => self.job(job).await,
-            Route::Frames(job) => self.frames(job).await,
+            Route::Frames(job, window) => self.frames(job, window).await,
             Route::Tasks(job, window) => self.tasks(job, window).await,
             Route::Attempts(job, from, task) => self.attempts(job, from, task).await,
             Route::Logs(job, since, task) => self.logs(job, since, task, who).await,
@@ -180,12 +181,16 @@ impl<S: Send + 'static> Http<S> {
         Ok(answer::json(&Job { job: JobJson::from(&status), spec: SpecJson::from(&*shape.spec) }))
     }
 
-    async fn frames(&self, job: JobId) -> Result<Response<Body>, Fault> {
+    async fn frames(&self, job: JobId, Window { from, count }: Window) -> Result<Response<Body>, Fault> {
+        /// Most frames of one answer.
+        const MOST: usize = 10_000;
         let JobShape { spec, .. } = self.0.farm.ask(|reply| Call::Shape { job, reply }).await?;
         let [width, height] = spec.grid.film;
         let pixels = u64::from(width) * u64::from(height);
         let frames = self.0.farm.ask(|reply| Call::FrameTable { job, reply }).await?;
-        Ok(answer::json(&Frames { frames: frames.iter().map(|frame| FrameJson::new(frame, pixels)).collect() }))
+        let total = frames.len();
+        let window = frames.iter().skip(from).take(count.min(MOST));
+        Ok(answer::json(&Frames { total, frames: window.map(|frame| FrameJson::new(frame, pixels)).collect() }))
     }
 
     async fn tasks(&self, job: JobId, window: TaskWindow) -> Result<Response<Body>, Fault> {

@@ -21,7 +21,7 @@ pub(super) enum Route {
     Feed(Option<String>),
     Jobs,
     Job(JobId),
-    Frames(JobId),
+    Frames(JobId, Window),
     Tasks(JobId, TaskWindow),
     /// What attempts took, from this note on; or all at one task.
     Attempts(JobId, u64, Option<TaskKey>),
@@ -33,6 +33,13 @@ pub(super) enum Route {
     Drain,
     /// The latest lines of the record.
     Audit(usize),
+}
+
+/// Some of many.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Window {
+    pub(super) from: usize,
+    pub(super) count: usize,
 }
 
 /// Some of a job's tasks.
@@ -61,7 +68,10 @@ impl Route {
             ["jobs"] => (Self::Jobs, Method::GET),
             ["jobs", "control"] => (Self::Control, Method::POST),
             ["jobs", job] => (Self::Job(number("job", job)?), Method::GET),
-            ["jobs", job, "frames"] => (Self::Frames(number("job", job)?), Method::GET),
+            ["jobs", job, "frames"] => {
+                let (from, count) = (query.number("from")?.unwrap_or(0), query.number("count")?.unwrap_or(10_000));
+                (Self::Frames(number("job", job)?, Window { from, count }), Method::GET)
+            }
             ["jobs", job, "tasks"] => (Self::Tasks(number("job", job)?, window(query)?), Method::GET),
             ["jobs", job, "attempts"] => {
                 let (from, task) = (query.number("from")?.unwrap_or(0), query.number("task")?);
@@ -121,7 +131,7 @@ impl Route {
             Self::Feed(_) => Operation::Feed,
             Self::Jobs => Operation::List,
             Self::Job(_) => Operation::Status,
-            Self::Frames(_) => Operation::FrameTable,
+            Self::Frames(..) => Operation::FrameTable,
             Self::Tasks(..) => Operation::Tasks,
             Self::Attempts(..) => Operation::Attempts,
             Self::Logs(..) => Operation::Logs,

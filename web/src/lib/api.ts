@@ -4,6 +4,7 @@ import type { Attempt, AuditLine, Done, Frame, Job, JobAction, LogRecord, Me, Sp
 import { decodePixels, type Pixels } from './pixels';
 
 const BASE = '/api/v1';
+const FRAME_WINDOW = 10_000;
 
 /** What the coordinator answered instead, or that it did not answer (`status` 0). */
 export class ApiError extends Error {
@@ -83,8 +84,16 @@ export interface PixelAnswer {
 export const api = {
   me: (signal?: AbortSignal) => get<Me>('/me', signal),
   job: (job: number, signal?: AbortSignal) => get<{ job: Job; spec: Spec }>(`/jobs/${job}`, signal),
-  frames: async (job: number, signal?: AbortSignal) =>
-    (await get<{ frames: Frame[] }>(`/jobs/${job}/frames`, signal)).frames,
+  /** All frames of a job; they come in windows. */
+  async frames(job: number, signal?: AbortSignal): Promise<Frame[]> {
+    const all: Frame[] = [];
+    for (;;) {
+      const path = `/jobs/${job}/frames${query({ from: all.length, count: FRAME_WINDOW })}`;
+      const { frames, total } = await get<{ frames: Frame[]; total: number }>(path, signal);
+      all.push(...frames);
+      if (frames.length < FRAME_WINDOW || all.length >= total) return all;
+    }
+  },
   tasks: (job: number, from: number, count: number, filter: TaskFilter, signal?: AbortSignal) =>
     get<TaskWindow>(`/jobs/${job}/tasks${query({ from, count, ...filter })}`, signal),
   /** A page of the attempts that have ended, from a cursor on: of the job, or of a task. */

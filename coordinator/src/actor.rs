@@ -4,8 +4,10 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::time::Duration;
 
 use femc_fault::{Point, pass, pass_async};
-use femc_model::{Digest, Failure, FromWorker, JobId, JobStatus, Refusal, TaskUsage, Tick, ToWorker, WorkerId};
-use femc_proto::{AttemptPage, Backup, Call, JobShape, Listing, References, Reply, Session};
+use femc_model::{
+    Digest, Failure, FromWorker, JobId, JobStatus, Refusal, TaskFilter, TaskPage, TaskUsage, Tick, ToWorker, WorkerId,
+};
+use femc_proto::{AttemptPage, Backup, Call, Changes, JobShape, Listing, News, References, Reply, Session};
 use femc_queue::{Batch, Queue, QueueError, Remedy};
 use femc_schedule::{Command, Event, Fact, RequestId, Scheduler};
 use femc_store::Store;
@@ -44,12 +46,15 @@ pub(crate) enum PendingReply {
 #[derive(Debug)]
 enum Question {
     List(Reply<Listing>),
+    Changes(News, Reply<Changes>),
     Status(JobId, Reply<JobStatus>),
     Watch(JobId, Reply<watch::Receiver<JobStatus>>),
     Parts(JobId, Reply<Vec<femc_model::FrameParts>>),
     Frames(JobId, Reply<Vec<femc_model::FrameRecord>>),
     Logs(JobId, Tick, Reply<Vec<femc_model::LogRecord>>),
     Shape(JobId, Reply<JobShape>),
+    FrameTable(JobId, Reply<Vec<femc_model::FrameStatus>>),
+    Tasks(JobId, TaskFilter, u64, usize, Reply<TaskPage>),
     Attempts(JobId, u64, Reply<AttemptPage>),
     Workers(Reply<Vec<femc_model::WorkerStatus>>),
     Drained(Result<Vec<WorkerId>, Refusal>, Reply<Vec<WorkerId>>),
@@ -70,6 +75,8 @@ pub(crate) struct Actor<Q> {
     pub(crate) pending: BTreeMap<RequestId, PendingReply>,
     pub(crate) watched: BTreeMap<JobId, Watched>,
     pub(crate) changed: BTreeSet<JobId>,
+    /// Jobs to which something happened since a feed has asked, once one has.
+    pub(crate) touched: Option<BTreeSet<JobId>>,
     pub(crate) janitor: Janitor,
     /// What the scheduler holds for true and is not durable yet, each with the time at which it became true.
     facts: Vec<(Tick, Fact)>,
@@ -132,6 +139,7 @@ impl<Q: Queue> Actor<Q> {
             pending: BTreeMap::new(),
             watched: BTreeMap::new(),
             changed: BTreeSet::new(),
+            touched: None,
             janitor: Janitor::default(),
             facts: Vec::new(),
             attempts: Ended::default(),
@@ -278,6 +286,7 @@ impl<Q: Queue> Actor<Q> {
                 self.hear(Event::Controlled { request, job, control }, commands);
             }
             Call::Session(session) => self.join(*session, commands),
+            Call::Changes { news, reply } => self.questions.push(Question::Changes(news, reply)),
             Call::List { reply } => self.questions.push(Question::List(reply)),
             Call::Status { job, reply } => self.questions.push(Question::Status(job, reply)),
             Call::Watch { job, reply } => self.questions.push(Question::Watch(job, reply)),
@@ -298,6 +307,10 @@ impl<Q: Queue> Actor<Q> {
             }
             Call::Logs { job, since, reply } => self.questions.push(Question::Logs(job, since, reply)),
             Call::Shape { job, reply } => self.questions.push(Question::Shape(job, reply)),
+            Call::FrameTable { job, reply } => self.questions.push(Question::FrameTable(job, reply)),
+            Call::Tasks { job, filter, from, count, reply } => {
+                self.questions.push(Question::Tasks(job, filter, from, count, reply));
+            }
             Call::Attempts { job, from, reply } => self.questions.push(Question::Attempts(job, from, reply)),
             Call::Workers { reply } => self.questions.push(Question::Workers(reply)),
             Call::References { reply } => self.questions.push(Question::References(reply)),
@@ -387,12 +400,17 @@ impl<Q: Queue> Actor<Q> {
                     let (jobs, warnings) = (self.scheduler.jobs(now), self.disks.warnings());
                     drop(reply.send(Ok(Listing { jobs, warnings })));
                 }
+                Question::Changes(news, reply) => drop(reply.send(Ok(self.changes(news)))),
                 Question::Status(job, reply) => drop(reply.send(self.scheduler.status(job, now))),
                 Question::Watch(job, reply) => drop(reply.send(self.watch(job))),
                 Question::Parts(job, reply) => drop(reply.send(self.scheduler.parts(job))),
                 Question::Frames(job, reply) => drop(reply.send(self.scheduler.frames(job))),
                 Question::Logs(job, since, reply) => drop(reply.send(self.scheduler.logs(job, since))),
                 Question::Shape(job, reply) => drop(reply.send(self.shape(job))),
+                Question::FrameTable(job, reply) => drop(reply.send(self.scheduler.frame_table(job))),
+                Question::Tasks(job, filter, from, count, reply) => {
+                    drop(reply.send(self.scheduler.tasks(job, filter, from, count, now)));
+                }
                 Question::Attempts(job, from, reply) => {
                     let page = match self.queue.notes(job.0, from).await {
                         Ok(page) => Ok(attempts::page(page)),
@@ -414,6 +432,15 @@ impl<Q: Queue> Actor<Q> {
             }
         }
         Ok(())
+    }
+
+    /// What a feed wants to hear.
+    fn changes(&mut self, news: News) -> Changes {
+        let now = self.clock.now();
+        let touched = self.touched.replace(BTreeSet::new()).filter(|_| news == News::Changes);
+        let is_wanted = |job| touched.as_ref().is_none_or(|touched| touched.contains(&job));
+        let (jobs, there) = self.scheduler.changed_jobs(is_wanted, now);
+        Changes { jobs, there, workers: self.scheduler.workers(now), warnings: self.disks.warnings() }
     }
 
     pub(crate) fn references(&self) -> References {

@@ -4,7 +4,7 @@ use std::net::SocketAddr;
 use std::path::PathBuf;
 use std::time::Duration;
 
-use femc_proto::{Entrance, Limits, ServeError};
+use femc_proto::{Entrance, Limits, ServeError, Site};
 use femc_queue::{Database, Loss, QueueError};
 use femc_schedule::SnapshotError;
 use femc_store::StoreError;
@@ -62,6 +62,8 @@ pub struct Config {
     pub limits: Limits,
     /// Where changes and refusals are noted.
     pub audit: Option<Audit>,
+    /// What browsers are shown.
+    pub site: Site,
     /// Place of the log.
     pub log: Log,
     /// Place of the artifacts.
@@ -88,6 +90,7 @@ impl Default for Config {
             entrance: None,
             limits: Limits::default(),
             audit: None,
+            site: Site::default(),
             log: Log::Memory,
             artifacts: Artifacts::Memory,
             scheduler: femc_schedule::Config::default(),

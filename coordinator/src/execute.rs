@@ -36,7 +36,13 @@ impl<Q: Queue> Actor<Q> {
                 }
                 Command::Dismiss { worker } => drop(self.workers.remove(&worker)),
                 Command::Answer { request, answer } => self.reply(request, answer),
-                Command::Changed(job) => self.changed.extend(self.scheduler.concerned(job)),
+                Command::Changed(job) => {
+                    let concerned = self.scheduler.concerned(job);
+                    if let Some(touched) = &mut self.touched {
+                        touched.extend(&concerned);
+                    }
+                    self.changed.extend(concerned);
+                }
                 Command::Discard(digests) => self.janitor.note(self.clock.now(), digests),
             }
         }

@@ -23,7 +23,7 @@ mod wait;
 
 pub use clock::Time;
 pub use config::{Artifacts, Config, CoordinatorError, Exposure, Log};
-pub use femc_proto::{Entrance, Limits};
+pub use femc_proto::{Entrance, Files, Limits, Site};
 pub use femc_queue::{Database, Loss, Postgres, QueueError};
 pub use lead::Standing;
 pub use metrics::Metrics;

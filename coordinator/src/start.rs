@@ -139,7 +139,8 @@ impl Coordinator {
                 .behind(config.entrance)
                 .counted(config.metrics.traffic())
                 .within(config.limits)
-                .noting(config.audit),
+                .noting(config.audit)
+                .showing(config.site),
             Box::pin(async move {
                 // Ends when the sender is dropped: on a stop, or because the actor is gone.
                 let _ = until.changed().await;

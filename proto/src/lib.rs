@@ -11,7 +11,6 @@ mod client;
 mod codec;
 mod convert;
 mod error;
-mod limits;
 mod look;
 mod many;
 mod net;
@@ -25,12 +24,11 @@ mod wire;
 pub use client::{Client, Incoming, Outgoing, Watch};
 pub use convert::ConvertError;
 pub use error::{BackupError, CallError, ServeError, Why};
-pub use limits::Limits;
+pub use femc_service::{AttemptPage, Backup, Changes, Files, JobShape, Limits, Listing, News, References, Reply, Site};
 pub use look::{Found, look};
 pub use net::{Dial, Dialing, Io, Link};
 pub use server::{
-    AttemptPage, Backup, Call, CollectMode, Collected, Entrance, JobShape, LEAST_GRACE, Listing, References, Reply,
-    Server, Session, Traffic, Volume, WorkerMessages,
+    Call, CollectMode, Collected, Entrance, LEAST_GRACE, Server, Session, Traffic, Volume, WorkerMessages,
 };
 pub use tonic::transport::server::{Connected, TcpIncoming};
 
@@ -45,7 +43,7 @@ pub const OLDEST: u32 = if PROTOCOL > 5 { PROTOCOL - 1 } else { 5 };
 pub const PIECE: usize = 1 << 20;
 
 /// Most bytes of a message of the services `Jobs` and `Workers`.
-pub const MESSAGE: usize = 8 << 20;
+pub const MESSAGE: usize = Limits::MESSAGE;
 
 /// The same of what a worker takes from its coordinator: an assignment names all that its task reads, [`Graph::MAX_INPUTS`] at most.
 ///

@@ -7,12 +7,9 @@ mod door;
 mod guard;
 mod inputs;
 mod jobs;
-mod places;
 mod promised;
 mod punctual;
-mod rate;
 mod traffic;
-mod trail;
 mod uploads;
 mod workers;
 
@@ -21,31 +18,26 @@ use std::future::Future;
 use std::io;
 use std::sync::Arc;
 
-use femc_model::{
-    AttemptRecord, Control, Cut, Digest, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus,
-    LogRecord, Refusal, Registration, Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
-};
+use femc_model::{FromWorker, Refusal, Registration, ToWorker};
+use femc_service::{Caller, Farm, Gate, Http, Limits, Places, Reply, Site, Trail};
 use femc_store::Store;
 use femc_trust::{Audit, Identity, Revoked, Tokens};
-use tokio::sync::{mpsc, oneshot, watch};
+use tokio::sync::mpsc;
 use tokio_stream::{Stream, StreamExt as _};
-use tonic::Streaming;
 use tonic::transport::server::{Connected, Router};
+use tonic::{Request, Streaming};
 use tonic_health::ServingStatus;
 use tonic_health::server::HealthReporter;
 use tower::layer::util::Stack;
 
 use crate::convert::ConvertError;
 use crate::error::ServeError;
-use crate::limits::Limits;
 use crate::many::Many as _;
 use crate::net::Io;
 use crate::{PIECE, tls, wire};
-pub use backup::Backup;
-pub use collect::{CollectMode, Collected, LEAST_GRACE, References, Volume};
+pub use collect::{CollectMode, Collected, LEAST_GRACE, Volume};
 use door::{Admitted, Door, Unheard};
-use guard::{Caller, Guard};
-use places::Places;
+use guard::Guard;
 use promised::Promised;
 pub use traffic::Traffic;
 use uploads::Uploads;
@@ -53,149 +45,8 @@ use wire::artifacts_server::ArtifactsServer;
 use wire::jobs_server::JobsServer;
 use wire::workers_server::WorkersServer;
 
-/// What a job is made of.
-#[derive(Debug, Clone, PartialEq)]
-pub struct JobShape {
-    /// Specification of the job, as submitted.
-    pub spec: Box<JobSpec>,
-    /// How its tasks are cut.
-    pub cut: Cut,
-}
-
-/// Some of a job's attempts.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct AttemptPage {
-    /// In the order in which they ended; see [`femc_model::Attempts`].
-    pub attempts: Vec<AttemptRecord>,
-    /// Where the next page begins; `None`: there is none.
-    pub next: Option<u64>,
-}
-
-/// Where an answer goes.
-pub type Reply<T> = oneshot::Sender<Result<T, Refusal>>;
-
-/// What there is.
-#[derive(Debug, Clone, Default, PartialEq)]
-pub struct Listing {
-    /// In order of submission.
-    pub jobs: Vec<JobStatus>,
-    /// What somebody should look after, for people.
-    pub warnings: Vec<String>,
-}
-
 /// A request, to be answered in its own time.
-#[derive(Debug)]
-pub enum Call {
-    /// Queue a job.
-    Submit {
-        /// A second submission with this key is the same job.
-        key: Option<String>,
-        /// The job.
-        spec: Box<JobSpec>,
-        /// Its number.
-        reply: Reply<JobId>,
-    },
-    /// Every job.
-    List {
-        /// Status of all jobs.
-        reply: Reply<Listing>,
-    },
-    /// One job.
-    Status {
-        /// The job.
-        job: JobId,
-        /// Status of the job at this moment.
-        reply: Reply<JobStatus>,
-    },
-    /// One job, as it changes.
-    Watch {
-        /// The job.
-        job: JobId,
-        /// Its status now and later; closed after its end.
-        reply: Reply<watch::Receiver<JobStatus>>,
-    },
-    /// Steer a job.
-    Control {
-        /// The job.
-        job: JobId,
-        /// What is done to the job.
-        control: Control,
-        /// Sent when the control is durable.
-        reply: Reply<()>,
-    },
-    /// What there is of a job's frames in work.
-    Parts {
-        /// The job.
-        job: JobId,
-        /// Answer, in ascending order of frames.
-        reply: Reply<Vec<FrameParts>>,
-    },
-    /// The finished frames of a job.
-    Frames {
-        /// The job.
-        job: JobId,
-        /// Answer, in ascending order of frames.
-        reply: Reply<Vec<FrameRecord>>,
-    },
-    /// What workers wrote down while they did the job's tasks.
-    Logs {
-        /// The job.
-        job: JobId,
-        /// Of attempts reported then or later.
-        since: Tick,
-        /// Records, oldest first.
-        reply: Reply<Vec<LogRecord>>,
-    },
-    /// What a job is made of.
-    Shape {
-        /// The job.
-        job: JobId,
-        /// Specification of the job and its cut into tasks.
-        reply: Reply<JobShape>,
-    },
-    /// What the attempts at a job's tasks took.
-    Attempts {
-        /// The job.
-        job: JobId,
-        /// 0, or the `next` of the page before.
-        from: u64,
-        /// In the order in which they ended.
-        reply: Reply<AttemptPage>,
-    },
-    /// The workers that are there.
-    Workers {
-        /// In order of joining.
-        reply: Reply<Vec<WorkerStatus>>,
-    },
-    /// Give workers no more tasks, or tasks again.
-    Drain {
-        /// Name of the worker.
-        worker: WorkerName,
-        /// Whether the drain begins or ends.
-        drain: Drain,
-        /// The sessions that it was done to, when it is durable.
-        reply: Reply<Vec<WorkerId>>,
-    },
-    /// What all jobs refer to.
-    References {
-        /// Sent when all earlier calls are durable.
-        reply: Reply<References>,
-    },
-    /// A copy of the log, and what it refers to.
-    Backup {
-        /// Sent when all earlier calls are durable.
-        reply: Reply<Backup>,
-    },
-    /// An artifact that somebody wanted is not in the store, or was damaged and is removed.
-    Lost {
-        /// Digest of the artifact.
-        digest: Digest,
-        /// Sent when all that follows from the loss is durable.
-        reply: Reply<()>,
-    },
-    /// A worker has come.
-    Session(Box<Session>),
-}
+pub type Call = femc_service::Call<Session>;
 
 /// A worker's session. It ends when `out` is dropped, or when `messages` does.
 #[derive(Debug)]
@@ -242,8 +93,8 @@ impl WorkerMessages {
 /// The three services, health and reflection on one port.
 #[derive(Debug, Clone)]
 pub struct Server {
-    /// Queue of calls to the coordinator.
-    calls: mpsc::Sender<Call>,
+    /// The way to the coordinator.
+    farm: Farm<Session>,
     /// Store of the artifacts.
     store: Store,
     uploads: Uploads,
@@ -256,6 +107,7 @@ pub struct Server {
     traffic: Traffic,
     limits: Limits,
     audit: Option<Audit>,
+    site: Site,
 }
 
 /// What stands before the services, the first at the end.
@@ -282,7 +134,7 @@ impl Server {
     pub fn new(calls: mpsc::Sender<Call>, store: Store) -> Self {
         let limits = Limits::default();
         Self {
-            calls,
+            farm: Farm::new(calls),
             store,
             uploads: Uploads::default(),
             places: Places::new(&limits),
@@ -292,6 +144,7 @@ impl Server {
             traffic: Traffic::default(),
             limits,
             audit: None,
+            site: Site::default(),
         }
     }
 
@@ -313,6 +166,11 @@ impl Server {
     /// Notes changes and refusals there.
     pub fn noting(self, audit: Option<Audit>) -> Self {
         Self { audit, ..self }
+    }
+
+    /// Shows browsers this.
+    pub fn showing(self, site: Site) -> Self {
+        Self { site, ..self }
     }
 
     /// Serves the connections that come in until `stop` comes, then until the open calls have ended.
@@ -365,9 +223,15 @@ impl Server {
             builder = builder.tls_config(tls::server(identity, clients))?;
         }
         let limits = self.limits;
+        let is_encrypted = self.entrance.as_ref().is_some_and(|entrance| entrance.identity.is_some());
+        let lists = self.entrance.as_ref().map(|Entrance { revoked, tokens, .. }| (revoked.clone(), tokens.clone()));
+        let gate = Gate::new(lists, limits, self.audit.clone());
+        let (store, places) = (self.store.clone(), self.places.clone());
+        let http = Http::new(self.farm.clone(), store, places, gate.clone(), self.site.clone(), is_encrypted);
         let router = builder
+            .accept_http1(true)
             .layer(self.traffic.clone())
-            .layer(Guard::new(self.entrance.as_ref(), limits, self.audit.clone()))
+            .layer(Guard::new(gate, http))
             .http2_keepalive_interval(Some(limits.silence))
             .http2_keepalive_timeout(Some(limits.answer))
             .http2_max_header_list_size(limits.headers)
@@ -390,9 +254,11 @@ impl Server {
 
     /// The same for those who decide by the refusal.
     async fn question<T>(&self, call: impl FnOnce(Reply<T>) -> Call) -> Result<T, Refusal> {
-        let stopping = || Refusal::Unavailable { message: "the coordinator is stopping".into() };
-        let (reply, answer) = oneshot::channel();
-        self.calls.send(call(reply)).await.map_err(|_| stopping())?;
-        answer.await.map_err(|_| stopping())?
+        self.farm.ask(call).await
     }
+}
+
+/// What the call that this request makes leaves in the audit record.
+fn trail<T>(request: &Request<T>) -> Trail {
+    request.extensions().get().cloned().unwrap_or_default()
 }

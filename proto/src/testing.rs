@@ -6,9 +6,10 @@ use femc_model::{
 };
 use prost::Message;
 
+use crate::JobShape;
 use crate::convert::{ConvertError, collect_mode, digest, need};
 use crate::many::Many;
-use crate::server::{Collected, JobShape};
+use crate::server::Collected;
 use crate::wire;
 
 /// The descriptions of all messages: a `FileDescriptorSet`.

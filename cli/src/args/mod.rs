@@ -2,11 +2,13 @@
 
 mod extras;
 mod metrics;
+mod select;
 mod settings;
 mod values;
 
 pub use extras::ExtrasArgs;
 pub use metrics::MetricsArgs;
+pub use select::SelectArgs;
 pub use settings::{SettingsArgs, Stats};
 pub use values::{Filter, Method};
 
@@ -165,19 +167,19 @@ pub enum Command {
     Gc(command::gc::GcArgs),
     Backup(command::backup::BackupArgs),
     Ca(command::ca::CaArgs),
-    /// Hold a job: running tasks end, no new ones begin
-    #[command(after_help = "Examples:\n  femc pause 7")]
-    Pause(command::control::JobArgs),
+    /// Hold jobs: running tasks end, no new ones begin
+    #[command(after_help = "Examples:\n  femc pause 7\n  femc pause --owner ann")]
+    Pause(command::control::JobsArgs),
     /// End a pause
-    #[command(after_help = "Examples:\n  femc resume 7")]
-    Resume(command::control::JobArgs),
-    /// End a job now; its finished frames stay
-    #[command(after_help = "Examples:\n  femc cancel 7")]
-    Cancel(command::control::JobArgs),
-    /// Try again what failed of a job, or what a cancel left undone
+    #[command(after_help = "Examples:\n  femc resume 7 8")]
+    Resume(command::control::JobsArgs),
+    /// End jobs now; their finished frames stay
+    #[command(after_help = "Examples:\n  femc cancel 7\n  femc cancel 5 6 7\n  femc cancel --owner ann --name 'fog-*'")]
+    Cancel(command::control::JobsArgs),
+    /// Try again what failed of jobs, or what a cancel left undone
     #[command(after_help = "Examples:\n  femc retry 7\n\n\
         Of a job that is done, the images are read: frames whose image is damaged or gone are rendered again.")]
-    Retry(command::control::JobArgs),
+    Retry(command::control::JobsArgs),
     /// Change a job's priority
     Priority(command::control::PriorityArgs),
     /// Print a completion script for a shell

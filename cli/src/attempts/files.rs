@@ -1,40 +1,8 @@
-//! Rows as text: JSON, CSV, and a table for people.
+//! Rows as text: CSV, and a table for people.
 
-use super::column::{Cell, Column, Kind, Reader};
-use super::row::Row;
 use crate::output::human;
-use serde::ser::{Serialize, SerializeMap, SerializeSeq, Serializer};
+use femc_service::attempts::{Cell, Column, Kind, Reader};
 use std::borrow::Cow;
-
-/// An array of an object a row, its keys in the order of the columns.
-pub struct Json<'a, R = Row>(pub &'a [Column<R>], pub &'a [R]);
-
-impl<R> Serialize for Json<'_, R> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut rows = serializer.serialize_seq(Some(self.1.len()))?;
-        for row in self.1 {
-            rows.serialize_element(&Object(self.0, row))?;
-        }
-        rows.end()
-    }
-}
-
-struct Object<'a, R>(&'a [Column<R>], &'a R);
-
-impl<R> Serialize for Object<'_, R> {
-    fn serialize<S: Serializer>(&self, serializer: S) -> Result<S::Ok, S::Error> {
-        let mut object = serializer.serialize_map(Some(self.0.len()))?;
-        for column in self.0 {
-            match (column.of)(self.1) {
-                Cell::Text(text) => object.serialize_entry(column.name, &text)?,
-                Cell::Count(count) => object.serialize_entry(column.name, &count)?,
-                Cell::Real(real) => object.serialize_entry(column.name, &real)?,
-                Cell::Gap => object.serialize_entry(column.name, &())?,
-            }
-        }
-        object.end()
-    }
-}
 
 /// Lines of fields with commas between, the names first; a gap is an empty field.
 pub fn csv<R>(columns: &[Column<R>], rows: &[R]) -> String {

@@ -1,13 +1,12 @@
-//! What jobs' attempts took: as rows, one an attempt or one of many, as columns of these, and as files for other programs.
+//! What jobs' attempts took, as files for other programs and tables for people.
 
-mod column;
 mod files;
 mod job_record;
 mod parquet;
-mod row;
 
-pub use column::{Cell, Column, Kind, Reader, column, columns};
-pub use files::{Json, csv, human, shown};
-pub use job_record::{FailureLog, JobRecord};
+pub use femc_service::attempts::{
+    By, Cell, Column, FailureLog, JobRecord, Json, Kind, Reader, Row, column, columns, rows,
+};
+pub use files::{csv, human, shown};
+pub use job_record::{read_all, write as write_record};
 pub use parquet::write as write_parquet;
-pub use row::{By, Row, rows};

@@ -1,7 +1,7 @@
 //! Rows as Apache Parquet: a file that data frames open as they are.
 
-use super::column::{Cell, Column, Kind};
 use crate::exit::{Failure, failed};
+use femc_service::attempts::{Cell, Column, Kind};
 use parquet::basic::{LogicalType, Repetition, Type as Physical};
 use parquet::data_type::{ByteArray, ByteArrayType, DoubleType, Int64Type};
 use parquet::errors::ParquetError;

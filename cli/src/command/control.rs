@@ -1,18 +1,20 @@
-//! `femc pause|resume|cancel|retry JOB` and `femc priority JOB N`: steer a job.
+//! `femc pause|resume|cancel|retry JOB..` and `femc priority JOB N`: steer jobs.
 
-use super::client;
-use crate::args::ServerArgs;
-use crate::exit::{Exit, Failure};
+use super::client::{self, Farm};
+use crate::args::{SelectArgs, ServerArgs};
+use crate::exit::{Exit, Failure, usage};
 use crate::output::{Say, job as show};
 use clap::Args;
-use femc_model::{Control, JobId, Wait};
+use femc_model::{Control, JobId, JobState, JobStatus, Wait};
 
-/// A job and its farm.
+/// Jobs and their farm.
 #[derive(Debug, Args)]
-pub struct JobArgs {
-    /// The job's number, as `submit` printed it
-    #[arg(value_name = "JOB")]
-    job: u64,
+pub struct JobsArgs {
+    /// The jobs' numbers, as `submit` printed them
+    #[arg(value_name = "JOB", required_unless_present_any = ["owner", "name"], conflicts_with_all = ["owner", "name"])]
+    jobs: Vec<u64>,
+    #[command(flatten)]
+    select: SelectArgs,
     #[command(flatten)]
     server: ServerArgs,
 }
@@ -21,25 +23,46 @@ pub struct JobArgs {
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  femc priority 7 90")]
 pub struct PriorityArgs {
-    #[command(flatten)]
-    job: JobArgs,
+    /// The job's number, as `submit` printed it
+    #[arg(value_name = "JOB")]
+    job: u64,
     /// 0 to 100, greater goes first
     #[arg(value_name = "N", value_parser = clap::value_parser!(u8).range(0..=100))]
     priority: u8,
+    #[command(flatten)]
+    server: ServerArgs,
 }
 
-/// Do `control` to the job.
-pub fn run(args: &JobArgs, control: Control, say: Say) -> Result<Exit, Failure> {
-    let again = client::block_on(&args.server, async |farm| {
-        farm.control(JobId(args.job), control).await?;
-        if control != Control::Retry {
-            return Ok(Vec::new());
+/// Do `control` to the jobs: to each, whatever becomes of the others.
+pub fn run(args: &JobsArgs, control: Control, say: Say) -> Result<Exit, Failure> {
+    client::block_on(&args.server, async |farm| {
+        let jobs =
+            if args.select.is_empty() { args.jobs.clone() } else { selected(&args.select, control, farm).await? };
+        if jobs.is_empty() {
+            return Err(usage("no job of this owner and name to which this could be done; `femc jobs` lists them"));
         }
-        // It is done, whether or not the farm still says what for.
-        let Ok(status) = farm.status(JobId(args.job)).await else { return Ok(Vec::new()) };
-        let lost = status.waits.iter().filter(|wait| matches!(wait, Wait::ImageLost { .. }));
-        Ok(lost.map(|wait| show::wait(&status, wait)).collect())
-    })?;
+        steer(farm, &jobs, control, say).await
+    })
+}
+
+/// Change the priority.
+pub fn prioritize(args: &PriorityArgs, say: Say) -> Result<Exit, Failure> {
+    let control = Control::Priority(args.priority);
+    client::block_on(&args.server, async |farm| steer(farm, &[args.job], control, say).await)
+}
+
+/// The jobs that are meant and to which this can be done.
+async fn selected(select: &SelectArgs, control: Control, farm: &Farm) -> Result<Vec<u64>, Failure> {
+    let can = |job: &JobStatus| match control {
+        Control::Retry => matches!(job.state, JobState::Failed | JobState::Cancelled) || !job.quarantined.is_empty(),
+        Control::Resume => job.state == JobState::Paused,
+        Control::Pause | Control::Cancel | Control::Priority(_) => !job.state.has_ended(),
+    };
+    let jobs = farm.listing().await?.jobs;
+    Ok(jobs.iter().filter(|job| select.holds(job) && can(job)).map(|job| job.job.0).collect())
+}
+
+async fn steer(farm: &Farm, jobs: &[u64], control: Control, say: Say) -> Result<Exit, Failure> {
     let done = match control {
         Control::Pause => "is paused; `femc resume` ends that".to_owned(),
         Control::Resume => "goes on".to_owned(),
@@ -47,12 +70,28 @@ pub fn run(args: &JobArgs, control: Control, say: Say) -> Result<Exit, Failure> 
         Control::Retry => "tries again what failed".to_owned(),
         Control::Priority(priority) => format!("has priority {priority}"),
     };
-    say.note(format!("job {} {done}", args.job));
-    again.iter().for_each(|line| say.note(line));
-    Ok(Exit::Done)
+    let mut failures = Vec::new();
+    for &job in jobs {
+        match farm.control(JobId(job), control).await {
+            Ok(()) => {
+                say.note(format!("job {job} {done}"));
+                lost_images(farm, job, control).await.iter().for_each(|line| say.note(line));
+            }
+            Err(failure) => failures.push((job, failure)),
+        }
+    }
+    let Some((_, last)) = failures.pop() else { return Ok(Exit::Done) };
+    failures.iter().for_each(|(job, failure)| say.warning(format!("job {job}: {failure}")));
+    Err(last)
 }
 
-/// Change the priority.
-pub fn prioritize(args: &PriorityArgs, say: Say) -> Result<Exit, Failure> {
-    run(&args.job, Control::Priority(args.priority), say)
+/// What a retry found to be done again.
+async fn lost_images(farm: &Farm, job: u64, control: Control) -> Vec<String> {
+    if control != Control::Retry {
+        return Vec::new();
+    }
+    // It is done, whether or not the farm still says what for.
+    let Ok(status) = farm.status(JobId(job)).await else { return Vec::new() };
+    let lost = status.waits.iter().filter(|wait| matches!(wait, Wait::ImageLost { .. }));
+    lost.map(|wait| show::wait(&status, wait)).collect()
 }

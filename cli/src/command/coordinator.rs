@@ -186,6 +186,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         exposure,
         entrance,
         audit,
+        site: super::site(),
         log,
         artifacts: args.artifacts,
         scheduler: femc_schedule::Config {
@@ -270,7 +271,12 @@ fn audit(asked: Option<PathBuf>, log: &Log) -> Result<Option<Audit>, Failure> {
 
 fn tell(say: Say, standing: &Standing, url: &str) {
     match standing {
-        Standing::Leads => say.result(format!("listening on {url}")),
+        Standing::Leads => {
+            say.result(format!("listening on {url}"));
+            if !super::site().files.is_empty() {
+                say.note(format!("the farm in a browser: {url}/"));
+            }
+        }
         Standing::StandsBy { leader: Some(leader) } => say.note(format!("standing by; {leader} leads")),
         Standing::StandsBy { leader: None } => {}
         Standing::Seeks { message } => say.warning(format!("{message}; trying again until it is back")),

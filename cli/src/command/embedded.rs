@@ -4,10 +4,12 @@
 
 use super::client::{self, Farm};
 use crate::exit::{Failure, failed};
+use crate::output::Say;
 use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log};
 use femc_proto::Dial;
 use femc_worker::{Cache, Pieces, Worker, WorkerError};
 use std::path::PathBuf;
+use std::process::{Command, Stdio};
 use tokio::sync::watch;
 use tokio::task::JoinSet;
 
@@ -37,6 +39,7 @@ impl Embedded {
         let config = Config {
             log: Log::Sqlite(plan.log),
             artifacts: Artifacts::Folder(plan.artifacts),
+            site: super::site(),
             // Its workers end with it: there is nobody to wait for.
             scheduler: femc_schedule::Config { regroup: 0, ..femc_schedule::Config::default() },
             ..Config::default()
@@ -61,6 +64,28 @@ impl Embedded {
         let client =
             Farm::connect(&Dial::tcp(), &coordinator.url(), client::SERVER).await.map_err(|unmet| unmet.failure)?;
         Ok((Self { coordinator, workers, stop }, client))
+    }
+
+    /// Says where a browser shows it, and opens one where there is a desktop.
+    pub fn show(&self, say: Say) {
+        let page = format!("{}/", self.coordinator.url());
+        if super::site().files.is_empty() {
+            say.warning(format!(
+                "--watch: this femc was built without its page; {page}api/v1/feed has the same as JSON"
+            ));
+            return;
+        }
+        say.note(format!("the run in a browser: {page}"));
+        let has_desktop = ["DISPLAY", "WAYLAND_DISPLAY"].iter().any(|name| std::env::var_os(name).is_some());
+        let opener = if cfg!(target_os = "macos") { "open" } else { "xdg-open" };
+        if has_desktop || cfg!(target_os = "macos") {
+            let mut browser = Command::new(opener);
+            browser.arg(&page).stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+            // It has its own life; the address is there in any case.
+            if let Err(error) = browser.spawn() {
+                tracing::debug!(%error, opener, "no browser was opened");
+            }
+        }
     }
 
     /// Waits until a part of it ends by itself, which it does only when something is broken.

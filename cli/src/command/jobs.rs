@@ -1,24 +1,35 @@
 //! `femc jobs`: all jobs of the farm.
 
 use super::client;
-use crate::args::{FormatArgs, ServerArgs};
+use crate::args::{FormatArgs, SelectArgs, ServerArgs};
 use crate::exit::{Exit, Failure};
-use crate::output::job::{JobJson, table};
+use crate::output::job::{JobJson, state, table};
 use crate::output::{Say, json};
 use clap::Args;
+use clap::builder::PossibleValuesParser;
+use femc_model::JobStatus;
 use femc_proto::Listing;
 
 /// List the farm's jobs
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc jobs\n  \
+    femc jobs --owner ann --name 'fog-*' --state running\n  \
     femc jobs --json | jq '.[] | select(.state == \"running\") | .job'")]
 pub struct JobsArgs {
+    #[command(flatten)]
+    select: SelectArgs,
+    /// Jobs in this state; may be given again
+    #[arg(long, value_name = "STATE", value_parser = PossibleValuesParser::new(STATES))]
+    state: Vec<String>,
     #[command(flatten)]
     format: FormatArgs,
     #[command(flatten)]
     server: ServerArgs,
 }
+
+/// The states of jobs.
+const STATES: [&str; 6] = ["queued", "running", "paused", "done", "failed", "cancelled"];
 
 /// List.
 pub fn run(args: &JobsArgs, say: Say) -> Result<Exit, Failure> {
@@ -26,8 +37,13 @@ pub fn run(args: &JobsArgs, say: Say) -> Result<Exit, Failure> {
     for warning in warnings {
         say.warning(warning);
     }
+    let has_any = !jobs.is_empty();
+    let is_wanted = |job: &JobStatus| args.state.is_empty() || args.state.iter().any(|name| name == state(job.state));
+    let jobs: Vec<JobStatus> = jobs.into_iter().filter(|job| args.select.holds(job) && is_wanted(job)).collect();
     if args.format.json {
         json::print(say, &jobs.iter().map(JobJson::from).collect::<Vec<_>>())?;
+    } else if jobs.is_empty() && has_any {
+        say.note("no job of this owner, name and state");
     } else if jobs.is_empty() {
         say.note("no jobs; queue one with `femc submit SCENE`");
     } else {

@@ -8,7 +8,7 @@ use crate::output::{Say, human, json};
 use crate::request::{JobTasks, Tasks};
 use clap::Args;
 use femc_model::{Attempt, Epoch, LogRecord, LogText, TaskKey, Tick};
-use serde::Serialize;
+use femc_service::view::LogJson;
 use std::collections::BTreeSet;
 use std::time::Duration;
 
@@ -47,32 +47,6 @@ pub struct LogsArgs {
 
 /// Between two looks.
 const EVERY: Duration = Duration::from_millis(500);
-
-#[derive(Serialize)]
-struct LogJson {
-    task: String,
-    epoch: u64,
-    worker: String,
-    attempt: &'static str,
-    seconds: f64,
-    text: String,
-}
-
-impl LogJson {
-    fn new(record: &LogRecord, text: String) -> Self {
-        Self {
-            task: record.task.to_string(),
-            epoch: record.epoch.0,
-            worker: record.worker.clone(),
-            attempt: match record.log.attempt {
-                Attempt::Done => "done",
-                Attempt::Failed => "failed",
-            },
-            seconds: record.log.seconds,
-            text,
-        }
-    }
-}
 
 /// Print.
 pub fn run(args: &LogsArgs, say: Say) -> Result<Exit, Failure> {

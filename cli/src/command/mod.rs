@@ -42,6 +42,7 @@ pub mod workers;
 use crate::args::{Cli, Command};
 use crate::exit::{Exit, Failure};
 use crate::output::Say;
+use femc_coordinator::{Files, Site};
 use femc_model::Control;
 
 /// Do what was asked.
@@ -81,4 +82,13 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Priority(args) => control::prioritize(&args, say),
         Command::Completions { shell } => completions::run(shell),
     }
+}
+
+/// What browsers are shown of a farm.
+fn site() -> Site {
+    #[cfg(feature = "ui")]
+    let files = Files(femc_web::FILES);
+    #[cfg(not(feature = "ui"))]
+    let files = Files::default();
+    Site { files, engine: femc_worker::engine().to_owned(), draw: Some(femc_pictures::draw) }
 }

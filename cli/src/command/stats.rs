@@ -5,7 +5,7 @@ use crate::args::{FormatArgs, ServerArgs};
 use crate::attempts::{By, Json, columns, csv, human, rows, write_parquet};
 use crate::exit::{Exit, Failure};
 use crate::output::{Say, json};
-use clap::Args;
+use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 
 /// Print what jobs' tasks took: time, processor, memory, samples, rays, bytes
@@ -30,8 +30,8 @@ pub struct StatsArgs {
     #[arg(value_name = "JOB|DIR", required = true)]
     subjects: Vec<Subject>,
     /// What a line is of
-    #[arg(long, value_enum, default_value_t = By::Frame, value_name = "WHAT")]
-    by: By,
+    #[arg(long, value_enum, default_value_t = Lines::Frame, value_name = "WHAT")]
+    by: Lines,
     /// Print CSV on stdout, the names of the columns first
     #[arg(long, conflicts_with = "json")]
     csv: bool,
@@ -44,10 +44,38 @@ pub struct StatsArgs {
     server: ServerArgs,
 }
 
+/// What a line is of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Lines {
+    /// A task, with all its attempts.
+    Task,
+    /// A frame.
+    Frame,
+    /// A variant of a sweep; of other jobs, a job.
+    Variant,
+    /// A worker's process.
+    Worker,
+    /// One attempt at a task.
+    Attempt,
+}
+
+impl From<Lines> for By {
+    fn from(lines: Lines) -> Self {
+        match lines {
+            Lines::Task => Self::Task,
+            Lines::Frame => Self::Frame,
+            Lines::Variant => Self::Variant,
+            Lines::Worker => Self::Worker,
+            Lines::Attempt => Self::Attempt,
+        }
+    }
+}
+
 /// Print.
 pub fn run(args: &StatsArgs, say: Say) -> Result<Exit, Failure> {
     let records = subject::records(&args.subjects, Logs::None, &args.server)?;
-    let (columns, rows) = (columns(args.by), rows(&records, args.by));
+    let by = args.by.into();
+    let (columns, rows) = (columns(by), rows(&records, by));
     if let Some(path) = &args.parquet {
         write_parquet(path, &columns, &rows)?;
         say.note(format!("{}: {} rows", path.display(), rows.len()));

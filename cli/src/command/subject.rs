@@ -2,7 +2,7 @@
 
 use super::client::{self, Farm};
 use crate::args::ServerArgs;
-use crate::attempts::{FailureLog, JobRecord};
+use crate::attempts::{FailureLog, JobRecord, read_all};
 use crate::exit::{Failure, usage};
 use femc_model::{Attempt, JobId, LogText, Tick};
 use std::convert::Infallible;
@@ -67,7 +67,7 @@ fn kept(folder: &Path) -> Result<Vec<JobRecord>, Failure> {
         let folder = folder.display();
         return Err(usage(format!("{folder}: neither a job's number nor the folder of a sweep whose jobs have ended")));
     }
-    JobRecord::read_all(&jobs)
+    read_all(&jobs)
 }
 
 /// Where a sweep keeps the record of a ticket's job.

@@ -5,8 +5,8 @@ use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure};
 use crate::output::{Say, human, json};
 use clap::Args;
-use femc_model::{Intake, WorkerStatus};
-use serde::Serialize;
+use femc_model::WorkerStatus;
+use femc_service::view::{WorkerJson, intake};
 
 /// List the farm's workers
 #[derive(Debug, Args)]
@@ -19,37 +19,6 @@ pub struct WorkersArgs {
     format: FormatArgs,
     #[command(flatten)]
     server: ServerArgs,
-}
-
-#[derive(Serialize)]
-struct WorkerJson {
-    worker: u64,
-    name: String,
-    threads: u32,
-    tags: Vec<String>,
-    tasks: Vec<String>,
-    silent_seconds: f64,
-    completed: u64,
-    failed: u64,
-    intake: &'static str,
-    engine: String,
-}
-
-impl From<&WorkerStatus> for WorkerJson {
-    fn from(worker: &WorkerStatus) -> Self {
-        Self {
-            worker: worker.worker.0,
-            name: worker.name.clone(),
-            threads: worker.threads,
-            tags: worker.tags.clone(),
-            tasks: worker.tasks.iter().map(ToString::to_string).collect(),
-            silent_seconds: worker.silent as f64 / 1000.0,
-            completed: worker.completed,
-            failed: worker.failed,
-            intake: intake(worker.intake),
-            engine: worker.engine.clone(),
-        }
-    }
 }
 
 /// List.
@@ -81,13 +50,4 @@ fn row(worker: &WorkerStatus) -> Vec<String> {
         human::seconds(worker.silent as f64 / 1000.0),
         intake(worker.intake).to_owned(),
     ]
-}
-
-/// Whether it gets more tasks, in one word.
-fn intake(intake: Intake) -> &'static str {
-    match intake {
-        Intake::Open => "open",
-        Intake::Off => "off",
-        Intake::Drained => "draining",
-    }
 }

@@ -1,5 +1,6 @@
 //! Numbers and tables for people.
 
+pub use femc_service::view::count;
 use std::fmt::Write;
 
 /// A number in about four digits.
@@ -82,11 +83,6 @@ pub fn bytes(n: u64) -> String {
 pub fn percent(fraction: f64) -> String {
     let p = fraction * 100.0;
     if p < 10.0 { format!("{p:.2} %") } else { format!("{p:.0} %") }
-}
-
-/// `1 frame`, `3 frames`.
-pub fn count(n: u64, noun: &str) -> String {
-    if n == 1 { format!("1 {noun}") } else { format!("{n} {noun}s") }
 }
 
 /// What another wrote, for a terminal: control characters are shown instead of obeyed.

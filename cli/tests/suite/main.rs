@@ -37,4 +37,5 @@ mod sweep;
 mod trust;
 mod usage;
 mod watch;
+mod web;
 mod worker;

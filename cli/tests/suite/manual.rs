@@ -151,12 +151,14 @@ macro_rules! pages {
 }
 
 pages! {
+    browser: "browser.md",
     clusters: "clusters.md",
     first_farm: "first-farm.md",
     two_machines: "two-machines.md",
     tls: "tls.md",
     operations: "operations.md",
     security: "security.md",
+    http: "http.md",
     sweeps: "sweeps.md",
     statistics: "statistics.md",
     troubleshooting: "troubleshooting.md",

@@ -19,6 +19,7 @@ mod refusal;
 mod result;
 mod session;
 mod status;
+mod table;
 mod task;
 pub mod testing;
 mod usage;
@@ -40,5 +41,6 @@ pub use session::{
     Death, FromWorker, HeldLease, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, TaskUsage, ToWorker,
 };
 pub use status::{Drain, FrameProgress, Intake, JobStatus, Quarantined, Wait, WorkerName, WorkerStatus};
-pub use task::{Assignment, Input, More, Output, Stage, TaskKey, Work};
+pub use table::{FrameStatus, TaskFilter, TaskPage, TaskState, TaskStatus};
+pub use task::{Assignment, Input, More, NoTaskKey, Output, Stage, TaskKey, Work};
 pub use usage::{AttemptRecord, Attempts, Ending, Usage};

@@ -2,6 +2,7 @@
 
 use std::fmt;
 use std::ops::Range;
+use std::str::FromStr;
 
 use serde::{Deserialize, Serialize};
 
@@ -43,6 +44,35 @@ impl fmt::Display for TaskKey {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let Stage { frame, round, number, kind } = self.stage;
         write!(f, "{}/{frame}.{round}/{}.{number}/{}", self.job, kind.name(), self.index)
+    }
+}
+
+/// A text that is no name of a task.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, thiserror::Error)]
+#[error(
+    "a task is named by job, frame and round, kind and number of its stage, and its number there, like 7/12.0/render.0/3"
+)]
+pub struct NoTaskKey;
+
+/// As it is printed.
+impl FromStr for TaskKey {
+    type Err = NoTaskKey;
+
+    fn from_str(text: &str) -> Result<Self, NoTaskKey> {
+        let parts: Vec<&str> = text.split('/').collect();
+        let [job, unit, stage, index] = parts[..] else { return Err(NoTaskKey) };
+        let two = |text: &'_ str| text.rsplit_once('.').map(|(a, b)| (a.to_owned(), b.to_owned())).ok_or(NoTaskKey);
+        let ((frame, round), (kind, number)) = (two(unit)?, two(stage)?);
+        Ok(Self {
+            job: job.parse().map_err(|_| NoTaskKey)?,
+            stage: Stage {
+                frame: frame.parse().map_err(|_| NoTaskKey)?,
+                round: round.parse().map_err(|_| NoTaskKey)?,
+                number: number.parse().map_err(|_| NoTaskKey)?,
+                kind: StageKind::named(&kind).ok_or(NoTaskKey)?,
+            },
+            index: index.parse().map_err(|_| NoTaskKey)?,
+        })
     }
 }
 
@@ -147,12 +177,19 @@ mod tests {
         for job in [JobId(1), JobId(11), JobId::shared(1)] {
             for (frame, round, index) in [(0, 0, 0), (0, 0, 11), (1, 0, 0), (1, 1, 1), (11, 0, 1), (0, 11, 1)] {
                 for (number, kind) in [(0, StageKind::Reduce), (1, StageKind::Reduce), (11, StageKind::Image)] {
-                    names.insert(TaskKey { job, stage: Stage { frame, round, number, kind }, index }.to_string());
+                    let task = TaskKey { job, stage: Stage { frame, round, number, kind }, index };
+                    assert_eq!(task.to_string().parse(), Ok(task));
+                    names.insert(task.to_string());
                     tasks += 1;
                 }
             }
         }
         assert_eq!(names.len(), tasks, "{names:?}");
         assert!(names.contains("shared-1/1.1/reduce.1/1"), "{names:?}");
+        for text in
+            ["", "7", "7/1/render/0", "7/1.0/render.0", "7/1.0/nothing.0/0", "7/1.0/render.0/-1", "x/1.0/render.0/0"]
+        {
+            assert_eq!(text.parse::<TaskKey>(), Err(NoTaskKey), "{text}");
+        }
     }
 }

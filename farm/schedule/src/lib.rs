@@ -37,6 +37,7 @@ mod scheduler;
 mod share;
 mod shared;
 mod speculate;
+mod table;
 mod view;
 
 pub use attempts::{decode_attempts, encode_attempts};

@@ -17,6 +17,19 @@ impl Scheduler {
         self.ledger.of_people().filter_map(|(job, _)| self.status(job, now).ok()).collect()
     }
 
+    /// Every job that has not ended or is wanted, and the names of all that there are.
+    pub fn changed_jobs(&self, is_wanted: impl Fn(JobId) -> bool, now: Tick) -> (Vec<JobStatus>, BTreeSet<JobId>) {
+        let mut there = BTreeSet::new();
+        let mut changed = Vec::new();
+        for (id, job) in self.ledger.of_people() {
+            there.insert(id);
+            if !job.has_ended() || is_wanted(id) {
+                changed.extend(self.status(id, now).ok());
+            }
+        }
+        (changed, there)
+    }
+
     /// One job.
     pub fn status(&self, id: JobId, now: Tick) -> Result<JobStatus, Refusal> {
         let job = self.job(id)?;
@@ -159,7 +172,7 @@ impl Scheduler {
         })
     }
 
-    fn active(&self, id: JobId, job: &Job) -> Vec<FrameProgress> {
+    pub(crate) fn active(&self, id: JobId, job: &Job) -> Vec<FrameProgress> {
         let mut active: BTreeMap<u32, FrameProgress> =
             job.units.keys().map(|&frame| (frame, progress(job, frame))).collect();
         for (task, units) in self.under_way(id) {

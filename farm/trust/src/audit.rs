@@ -7,7 +7,7 @@
 
 use std::collections::BTreeMap;
 use std::fs::{File, OpenOptions};
-use std::io::Write as _;
+use std::io::{Read as _, Seek as _, SeekFrom, Write as _};
 use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -90,6 +90,24 @@ impl Audit {
         });
         let keeper = Some(keeper.map_err(TrustError::file(path))?);
         Ok(Self(Arc::new(Shared { book, open: Some(open), keeper })))
+    }
+
+    /// The latest lines, the last one first; one that makes no sense is left out.
+    pub fn latest(&self, count: usize) -> Result<Vec<serde_json::Value>, TrustError> {
+        let path = lock(&self.0.book).path.clone();
+        let mut found = Vec::new();
+        for number in 0..=Self::ASIDE {
+            let path = if number == 0 { path.clone() } else { aside(&path, number) };
+            match File::open(&path).and_then(|file| last_lines(file, count - found.len())) {
+                Ok(lines) => found.extend(lines),
+                Err(error) if error.kind() == std::io::ErrorKind::NotFound && number > 0 => break,
+                Err(error) => return Err(TrustError::file(&path)(error)),
+            }
+            if found.len() >= count {
+                break;
+            }
+        }
+        Ok(found)
     }
 
     /// Notes what was done, or not done for another reason than a refusal.
@@ -194,11 +212,7 @@ impl Book {
     /// `audit.jsonl` becomes `audit.jsonl.1`, that becomes `.2`, and the last goes.
     fn put_aside(&mut self) -> std::io::Result<()> {
         self.file.sync_data()?;
-        let aside = |number: usize| {
-            let mut name = self.path.clone().into_os_string();
-            name.push(format!(".{number}"));
-            PathBuf::from(name)
-        };
+        let aside = |number| aside(&self.path, number);
         for number in (1..Audit::ASIDE).rev() {
             match std::fs::rename(aside(number), aside(number + 1)) {
                 Err(error) if error.kind() != std::io::ErrorKind::NotFound => return Err(error),
@@ -224,6 +238,25 @@ impl Book {
             self.write(&event, Some(others));
         }
     }
+}
+
+/// Where a file is put aside.
+fn aside(path: &Path, number: usize) -> PathBuf {
+    let mut name = path.to_owned().into_os_string();
+    name.push(format!(".{number}"));
+    PathBuf::from(name)
+}
+
+/// The last lines of a file that are JSON, the last one first; they are looked for in its last megabytes.
+fn last_lines(mut file: File, count: usize) -> std::io::Result<Vec<serde_json::Value>> {
+    /// Bytes that are read at most.
+    const MOST: u64 = 8 << 20;
+    let length = file.metadata()?.len();
+    file.seek(SeekFrom::Start(length.saturating_sub(MOST)))?;
+    let mut bytes = Vec::new();
+    file.take(MOST).read_to_end(&mut bytes)?;
+    let lines = bytes.split(|byte| *byte == b'\n').rev().filter(|line| !line.is_empty());
+    Ok(lines.filter_map(|line| serde_json::from_slice(line).ok()).take(count).collect())
 }
 
 fn append_to(path: &Path) -> std::io::Result<File> {
@@ -297,5 +330,9 @@ mod tests {
         assert_eq!(lines(&path).last().unwrap()["job"], 499);
         let first = lines(&path)[0]["job"].as_u64().unwrap();
         assert_eq!(lines(&folder.path().join("audit.jsonl.1")).last().unwrap()["job"], first - 1);
+        let audit = Audit::with(&path, 1000).unwrap();
+        let latest: Vec<u64> = audit.latest(20).unwrap().iter().map(|line| line["job"].as_u64().unwrap()).collect();
+        assert_eq!(latest, (480..500).rev().collect::<Vec<_>>(), "also out of files that were put aside");
+        assert!(audit.latest(1000).unwrap().len() < 200, "what is gone is gone");
     }
 }

@@ -7,17 +7,15 @@ use std::time::Duration;
 use bytes::Bytes;
 use femc_fault::{Point, pass_async};
 use femc_model::{Artifact, Digest, Refusal};
+use femc_service::{Place, Who, store_refusal};
 use femc_store::{Novelty, Soundness, StoreError};
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt as _};
 use tonic::{Request, Response, Status, Streaming};
 
-use super::guard::Who;
-use super::places::Place;
-use super::trail::Trail;
 use super::uploads::Turn;
-use super::{Call, Server, collect};
+use super::{Server, collect, trail};
 use crate::convert::{self, digest, digest_bytes, need};
 use crate::error::to_status;
 use crate::{PIECE, wire};
@@ -65,7 +63,7 @@ impl wire::artifacts_server::Artifacts for Server {
     }
 
     async fn collect(&self, request: Request<wire::CollectRequest>) -> Result<Response<wire::CollectReply>, Status> {
-        let trail = Trail::of(&request);
+        let trail = trail(&request);
         let request = request.into_inner();
         let mode = convert::collect_mode(request.mode)?;
         trail.what(&format!("{mode:?}"));
@@ -85,7 +83,7 @@ impl wire::artifacts_server::Artifacts for Server {
             found = self.sound(&name, who.clone()).await.map_err(|error| refuse(&error))?;
         }
         if found.is_none() {
-            self.lost(&name).await;
+            self.farm.lost(name).await;
             return Err(to_status(&Refusal::NoSuchArtifact { digest: name }));
         }
         if is_other(found) {
@@ -101,7 +99,7 @@ impl wire::artifacts_server::Artifacts for Server {
                 let is_bad = matches!(error, StoreError::Mismatch { .. } | StoreError::Missing { .. });
                 // What lies there may be sound: the harm was done on the way, or somebody has put it there anew.
                 if is_bad && matches!(server.store.has(&name).await, Ok(false)) {
-                    server.lost(&name).await;
+                    server.farm.lost(name).await;
                 }
                 let _ = send.send(Err(error)).await;
             }
@@ -128,16 +126,6 @@ impl Server {
             Soundness::Sound(bytes) => Some(bytes),
             Soundness::Damaged | Soundness::Missing => None,
         })
-    }
-
-    /// Says that an artifact that somebody wanted is not there as it should be: it may be a job's. Returns when what follows is
-    /// durable.
-    pub(super) async fn lost(&self, name: &Digest) {
-        let digest = *name;
-        if let Err(refusal) = self.question(|reply| Call::Lost { digest, reply }).await {
-            // Whoever asks for it next finds the same.
-            tracing::warn!(%digest, %refusal, "an artifact is lost, and its job does not know");
-        }
     }
 }
 
@@ -175,16 +163,5 @@ async fn put(server: Server, _place: Place, mut parts: Streaming<wire::PutReques
 }
 
 pub(super) fn refuse(error: &StoreError) -> Status {
-    to_status(&refusal(error))
-}
-
-pub(super) fn refusal(error: &StoreError) -> Refusal {
-    match error {
-        StoreError::Missing { digest } => Refusal::NoSuchArtifact { digest: *digest },
-        StoreError::Mismatch { announced, .. } => Refusal::DigestMismatch { digest: *announced },
-        StoreError::TooLarge { limit } => Refusal::ArtifactTooLarge { limit: *limit },
-        StoreError::Medium { .. } | StoreError::Url { .. } | StoreError::Unsound { .. } => {
-            Refusal::Unavailable { message: error.to_string() }
-        }
-    }
+    to_status(&store_refusal(error))
 }

@@ -1,28 +1,18 @@
 //! A copy of the log on its way, and the names of the artifacts that it refers to.
 
-use std::fs::File;
-
 use bytes::BytesMut;
 use femc_model::Artifact;
+use femc_service::Backup;
 use femc_store::Store;
 use tokio::io::AsyncReadExt as _;
 use tokio::sync::mpsc;
 use tonic::Status;
 
 use super::artifacts::refuse;
-use super::collect::{References, named};
+use super::collect::named;
 use crate::error::to_status;
 use crate::{PIECE, wire};
 use wire::backup_reply::Part;
-
-/// The log at one moment.
-#[derive(Debug)]
-pub struct Backup {
-    /// A copy of it, at its beginning.
-    pub log: File,
-    /// What its jobs refer to.
-    pub references: References,
-}
 
 type Sender = mpsc::Sender<Result<wire::BackupReply, Status>>;
 

@@ -8,21 +8,12 @@ use std::collections::BTreeSet;
 use std::time::{Duration, SystemTime};
 
 use femc_model::{Artifact, Digest, Refusal};
+use femc_service::{References, store_refusal};
 use femc_store::{Store, Stored, Sweep};
 use tokio::task::JoinSet;
 
-use super::artifacts::refusal;
 use super::promised::Promised;
 use super::{Call, Server, inputs};
-
-/// What jobs refer to.
-#[derive(Debug, Clone, Default)]
-pub struct References {
-    /// All that they name.
-    pub artifacts: BTreeSet<Digest>,
-    /// Their scenes, whose pieces are theirs, too.
-    pub scenes: BTreeSet<Digest>,
-}
 
 /// What a collection does with garbage.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -80,7 +71,7 @@ pub(super) async fn collect(server: &Server, mode: CollectMode, grace: Duration)
         let minutes = wait.as_secs() / 60 + 1;
         return Err(busy(format!("too much has been uploaded lately to tell garbage; try again in {minutes} min")));
     }
-    let listing = server.store.listing().await.map_err(|error| refusal(&error))?;
+    let listing = server.store.listing().await.map_err(|error| store_refusal(&error))?;
     let references = server.question(|reply| Call::References { reply }).await?;
     let references = named(&server.store, references).await?;
     let now = SystemTime::now();
@@ -116,7 +107,7 @@ pub(super) async fn collect(server: &Server, mode: CollectMode, grace: Duration)
     };
     // An upload that was cut may go on for a while, however short the grace period.
     let idle = grace.max(Promised::HOLDS);
-    let (uploads, bytes) = server.store.sweep_uploads(idle, sweep).await.map_err(|error| refusal(&error))?;
+    let (uploads, bytes) = server.store.sweep_uploads(idle, sweep).await.map_err(|error| store_refusal(&error))?;
     collected.garbage.artifacts += uploads;
     collected.garbage.bytes += bytes;
     Ok(collected)
@@ -147,7 +138,7 @@ async fn remove(server: &Server, garbage: &[Artifact]) -> Result<(), Refusal> {
         removals.spawn(async move { store.remove(&digest).await });
     }
     while let Some(removed) = removals.join_next().await {
-        removed.unwrap_or(Ok(())).map_err(|error| refusal(&error))?;
+        removed.unwrap_or(Ok(())).map_err(|error| store_refusal(&error))?;
     }
     Ok(())
 }

@@ -18,14 +18,16 @@ use tokio::io::{AsyncRead, AsyncWrite, ReadBuf};
 use tokio::time::{Instant, Sleep};
 use tonic::transport::server::{Connected, TcpConnectInfo};
 
-use crate::limits::Limits;
 use crate::net::Io;
+use femc_service::Limits;
 
 /// Who is at the other end, as far as a connection tells.
 #[derive(Debug, Clone)]
 pub(super) struct Peer {
     /// Unless the connection is no TCP connection.
     pub(super) address: Option<SocketAddr>,
+    /// Where it has reached this machine, likewise.
+    pub(super) reached: Option<SocketAddr>,
     /// Of the connection, from 1.
     pub(super) number: u64,
     is_introduced: Arc<AtomicBool>,
@@ -94,7 +96,9 @@ impl Door {
     /// The connection, if there is room; else it is closed.
     pub(super) fn admit<C: Io + Connected>(&self, io: C) -> Option<Admitted<C>> {
         let info = io.connect_info();
-        let address = (&info as &dyn Any).downcast_ref::<TcpConnectInfo>().and_then(TcpConnectInfo::remote_addr);
+        let tcp = (&info as &dyn Any).downcast_ref::<TcpConnectInfo>();
+        let address = tcp.and_then(TcpConnectInfo::remote_addr);
+        let reached = tcp.and_then(TcpConnectInfo::local_addr);
         let place = Place::of(address);
         let mut inside = self.lock();
         let of_place = inside.of.get(&place).copied().unwrap_or(0);
@@ -108,10 +112,11 @@ impl Door {
         inside.numbers += 1;
         let number = inside.numbers;
         inside.of.insert(place, of_place + 1);
-        let peer = Peer { address, number, is_introduced: Arc::default() };
+        let peer = Peer { address, reached, number, is_introduced: Arc::default() };
         let deadline = Some(Box::pin(tokio::time::sleep(self.limits.introduction)));
+        let idle = Idle::new(self.limits.idle);
         let audit = self.audit.clone().filter(|_| self.unheard == Unheard::Noted);
-        Some(Admitted { io, peer, deadline, audit, _seat: Seat { inside: self.inside.clone(), place } })
+        Some(Admitted { io, peer, deadline, idle, audit, _seat: Seat { inside: self.inside.clone(), place } })
     }
 
     fn turn_away(&self, inside: &mut Inside, address: Option<SocketAddr>) {
@@ -163,9 +168,41 @@ pub(super) struct Admitted<C> {
     peer: Peer,
     /// `None` after its introduction.
     deadline: Option<Pin<Box<Sleep>>>,
+    idle: Idle,
     /// Where it is noted, if it ends without an introduction.
     audit: Option<Audit>,
     _seat: Seat,
+}
+
+/// Ends a connection on which nothing passes.
+#[derive(Debug)]
+struct Idle {
+    limit: Duration,
+    passed: Instant,
+    /// It looks then whether something has passed since it looked last.
+    look: Pin<Box<Sleep>>,
+}
+
+impl Idle {
+    fn new(limit: Duration) -> Self {
+        Self { limit, passed: Instant::now(), look: Box::pin(tokio::time::sleep(limit)) }
+    }
+
+    /// What became of reading or writing.
+    fn note<T>(&mut self, cx: &mut Context<'_>, polled: Poll<io::Result<T>>) -> Poll<io::Result<T>> {
+        if polled.is_ready() {
+            self.passed = Instant::now();
+            return polled;
+        }
+        while self.look.as_mut().poll(cx).is_ready() {
+            let until = self.passed + self.limit;
+            if until <= Instant::now() {
+                return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
+            }
+            self.look.as_mut().reset(until);
+        }
+        Poll::Pending
+    }
 }
 
 impl<C> Drop for Admitted<C> {
@@ -193,13 +230,15 @@ impl<C: AsyncRead + Unpin> AsyncRead for Admitted<C> {
         if self.deadline.as_mut().is_some_and(|deadline| deadline.as_mut().poll(cx).is_ready()) {
             return Poll::Ready(Err(io::ErrorKind::TimedOut.into()));
         }
-        Pin::new(&mut self.io).poll_read(cx, buffer)
+        let read = Pin::new(&mut self.io).poll_read(cx, buffer);
+        self.idle.note(cx, read)
     }
 }
 
 impl<C: AsyncWrite + Unpin> AsyncWrite for Admitted<C> {
     fn poll_write(mut self: Pin<&mut Self>, cx: &mut Context<'_>, bytes: &[u8]) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.io).poll_write(cx, bytes)
+        let written = Pin::new(&mut self.io).poll_write(cx, bytes);
+        self.idle.note(cx, written)
     }
 
     fn poll_write_vectored(
@@ -207,7 +246,8 @@ impl<C: AsyncWrite + Unpin> AsyncWrite for Admitted<C> {
         cx: &mut Context<'_>,
         bytes: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
-        Pin::new(&mut self.io).poll_write_vectored(cx, bytes)
+        let written = Pin::new(&mut self.io).poll_write_vectored(cx, bytes);
+        self.idle.note(cx, written)
     }
 
     fn is_write_vectored(&self) -> bool {
@@ -226,7 +266,7 @@ impl<C: AsyncWrite + Unpin> AsyncWrite for Admitted<C> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use tokio::io::AsyncReadExt as _;
+    use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
 
     #[derive(Debug)]
     struct Far(tokio::io::DuplexStream, SocketAddr);
@@ -267,15 +307,20 @@ mod tests {
     }
 
     #[tokio::test(start_paused = true)]
-    async fn who_says_nothing_is_let_go_of_and_who_is_introduced_may_stay() {
+    async fn who_says_nothing_is_let_go_of_and_who_is_introduced_may_stay_while_something_passes() {
         let door = Door::new(Limits::default(), None, Unheard::Ignored);
         let mut silent = door.admit(far("10.0.0.1:1")).unwrap();
         let mut guest = door.admit(far("10.0.0.1:2")).unwrap();
         guest.connect_info().introduce();
         let error = silent.read_u8().await.unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::TimedOut);
-        let stays = tokio::time::timeout(Duration::from_secs(3600), guest.read_u8()).await;
+        let stays = tokio::time::timeout(Duration::from_secs(45), guest.read_u8()).await;
         assert!(stays.is_err());
+        guest.write_u8(1).await.unwrap();
+        let stays = tokio::time::timeout(Duration::from_secs(45), guest.read_u8()).await;
+        assert!(stays.is_err(), "something has passed");
+        let error = guest.read_u8().await.unwrap_err();
+        assert_eq!(error.kind(), io::ErrorKind::TimedOut);
     }
 
     #[tokio::test]

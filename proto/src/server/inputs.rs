@@ -1,22 +1,22 @@
 //! What a job needs of the store, seen to before the scheduler hears of it.
 
 use femc_model::{Digest, Manifest, Refusal};
+use femc_service::store_refusal;
 use femc_store::{Store, StoreError};
 
-use super::artifacts::refusal;
 use super::promised::Promised;
 
 /// The artifacts that hold a scene, besides the one that names it.
 pub(super) async fn pieces(store: &Store, bundle: &Digest) -> Result<Vec<Digest>, Refusal> {
     let missing = |digest: &Digest| Refusal::MissingArtifacts { digests: vec![*digest], count: 1 };
-    let size = store.size(bundle).await.map_err(|error| refusal(&error))?.ok_or_else(|| missing(bundle))?;
+    let size = store.size(bundle).await.map_err(|error| store_refusal(&error))?.ok_or_else(|| missing(bundle))?;
     if size > Manifest::MOST {
         // One of the bundles of earlier versions, which may be that large.
         return Ok(Vec::new());
     }
     let bytes = store.get(bundle).await.map_err(|error| match error {
         StoreError::Missing { digest } => missing(&digest),
-        other => refusal(&other),
+        other => store_refusal(&other),
     })?;
     if !Manifest::is_one(&bytes) {
         return Ok(Vec::new());
@@ -32,7 +32,7 @@ pub(super) async fn check(store: &Store, promised: &Promised, bundle: &Digest) -
     promised.note(&[*bundle]).await;
     let pieces = pieces(store, bundle).await?;
     promised.note(&pieces).await;
-    let mut missing = store.missing(&pieces).await.map_err(|error| refusal(&error))?;
+    let mut missing = store.missing(&pieces).await.map_err(|error| store_refusal(&error))?;
     if missing.is_empty() {
         return Ok(());
     }

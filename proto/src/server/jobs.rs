@@ -4,17 +4,14 @@ use std::pin::Pin;
 use std::sync::Arc;
 use std::time::Duration;
 
-use femc_model::{Control, Drain, JobId, JobSpec, JobState, JobStatus, Tick, WorkerName};
-use femc_store::Soundness;
-use femc_trust::{Holder, Role};
+use femc_model::{Control, Drain, JobId, JobSpec, JobStatus, Tick, WorkerName};
+use femc_service::{Caller, JobShape, Listing};
 use tokio::sync::{mpsc, watch};
 use tokio_stream::Stream;
 use tokio_stream::wrappers::ReceiverStream;
 use tonic::{Request, Response, Status};
 
-use super::artifacts::refuse;
-use super::trail::Trail;
-use super::{Call, Caller, JobShape, Listing, Server, backup, inputs};
+use super::{Call, Server, backup, inputs, trail};
 use crate::convert::need;
 use crate::error::to_status;
 use crate::wire;
@@ -29,7 +26,7 @@ type Answer<T> = Result<Response<T>, Status>;
 impl wire::jobs_server::Jobs for Server {
     async fn submit(&self, request: Request<wire::SubmitRequest>) -> Answer<wire::SubmitReply> {
         let caller = request.extensions().get::<Arc<Caller>>().cloned();
-        let trail = Trail::of(&request);
+        let trail = trail(&request);
         let wire::SubmitRequest { job, key } = request.into_inner();
         let mut spec: Box<JobSpec> = Box::new(need("job", job)?.try_into()?);
         trail.what(&format!("{} frames of {}", spec.frames.len(), spec.name));
@@ -66,18 +63,13 @@ impl wire::jobs_server::Jobs for Server {
 
     async fn control(&self, request: Request<wire::ControlRequest>) -> Answer<wire::ControlReply> {
         let caller = request.extensions().get::<Arc<Caller>>().cloned();
-        let trail = Trail::of(&request);
+        let trail = trail(&request);
         let wire::ControlRequest { job, control } = request.into_inner();
         let (job, control): (JobId, Control) = (JobId(job), need("control", control)?.try_into()?);
         trail.job(job);
         trail.what(&format!("{control:?}"));
-        if let Some(caller) = caller {
-            self.may_steer(&caller, job).await?;
-        }
-        if control == Control::Retry {
-            self.look_at_images(job).await?;
-        }
-        self.ask(|reply| Call::Control { job, control, reply }).await?;
+        let steered = self.farm.steer(&self.store, caller.as_deref(), job, control).await;
+        steered.map_err(|no| to_status(&no))?;
         Ok(Response::new(wire::ControlReply {}))
     }
 
@@ -125,40 +117,11 @@ impl wire::jobs_server::Jobs for Server {
     }
 
     async fn drain_workers(&self, request: Request<wire::DrainWorkersRequest>) -> Answer<wire::DrainWorkersReply> {
-        let trail = Trail::of(&request);
+        let trail = trail(&request);
         let (worker, drain): (WorkerName, Drain) = request.into_inner().try_into()?;
         trail.what(&format!("{drain:?} {worker}"));
         let workers = self.ask(|reply| Call::Drain { worker, drain, reply }).await?;
         Ok(Response::new(wire::DrainWorkersReply { workers: workers.into_iter().map(|worker| worker.0).collect() }))
-    }
-}
-
-impl Server {
-    /// Reads the images of a job that is done: those that are damaged or gone are its business again.
-    async fn look_at_images(&self, job: JobId) -> Result<(), Status> {
-        if self.ask(|reply| Call::Status { job, reply }).await?.state != JobState::Done {
-            return Ok(());
-        }
-        for frame in self.ask(|reply| Call::Frames { job, reply }).await? {
-            for digest in frame.outputs.iter().map(|output| output.artifact.digest) {
-                let found = self.store.verify(&digest).await.map_err(|error| refuse(&error))?;
-                if !matches!(found, Soundness::Sound(_)) {
-                    self.lost(&digest).await;
-                }
-            }
-        }
-        Ok(())
-    }
-
-    /// A submitter steers jobs of its own, others need an operator.
-    async fn may_steer(&self, caller: &Caller, job: JobId) -> Result<(), Status> {
-        match &caller.holder {
-            Holder::User { role: Role::Operator | Role::Admin, .. } => Ok(()),
-            Holder::User { name, .. } if self.ask(|reply| Call::Status { job, reply }).await?.owner == *name => Ok(()),
-            Holder::User { .. } | Holder::Worker { .. } | Holder::Coordinator { .. } => {
-                Err(caller.forbidden("the job's owner, or a user of role operator"))
-            }
-        }
     }
 }
 
@@ -168,7 +131,7 @@ async fn revoked(caller: Option<&Caller>) -> Status {
     while caller.still_counts() {
         tokio::time::sleep(LOOKS).await;
     }
-    caller.revoked()
+    to_status(&caller.revoked())
 }
 
 /// Sends what a job is made of and its attempts, page by page, as fast as the listener reads.
@@ -212,7 +175,7 @@ async fn forward(
             revoked = revoked(caller.as_deref()) => return drop(send.send(Err(revoked)).await),
         }
         if let Some(caller) = caller.as_ref().filter(|caller| !caller.still_counts()) {
-            return drop(send.send(Err(caller.revoked())).await);
+            return drop(send.send(Err(to_status(&caller.revoked()))).await);
         }
     }
 }

@@ -11,11 +11,10 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
 
 use femc_model::{Artifact, Digest, Refusal};
+use femc_service::store_refusal;
 use femc_store::{Novelty, Soundness, Store, Upload};
 use tokio::sync::Notify;
 use tokio::time::Instant;
-
-use super::artifacts::refusal;
 
 /// Uploads under way by digest; clones share them.
 #[derive(Debug, Clone, Default)]
@@ -125,7 +124,7 @@ impl Uploads {
                 () = &mut patience, if most == 1 => most = Self::SIDE_BY_SIDE,
             }
             start = Start::Waited;
-            if let Soundness::Sound(bytes) = store.verify(&digest).await.map_err(|error| refusal(&error))? {
+            if let Soundness::Sound(bytes) = store.verify(&digest).await.map_err(|error| store_refusal(&error))? {
                 return Ok(Turn::There(Artifact { digest, bytes }));
             }
         }
@@ -238,7 +237,7 @@ impl Sending {
             Ok(()) => self.upload = Some(upload),
             Err(error) => {
                 upload.abandon().await;
-                return Err(refusal(&error));
+                return Err(store_refusal(&error));
             }
         }
         Ok(None)
@@ -250,7 +249,7 @@ impl Sending {
             return Ok((kept, Novelty::Older));
         }
         let upload = self.upload.take().ok_or_else(Self::over)?;
-        let (artifact, novelty) = upload.finish().await.map_err(|error| refusal(&error))?;
+        let (artifact, novelty) = upload.finish().await.map_err(|error| store_refusal(&error))?;
         if let Some(entry) = self.uploads.lock().entries.get_mut(&self.digest) {
             entry.kept = Some(artifact);
         }

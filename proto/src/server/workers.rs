@@ -5,13 +5,13 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::FromWorker;
+use femc_service::Caller;
 use tokio::sync::mpsc;
 use tokio_stream::wrappers::ReceiverStream;
 use tokio_stream::{Stream, StreamExt as _};
 use tonic::{Request, Response, Status, Streaming};
 
-use super::trail::Trail;
-use super::{Call, Caller, Server, Session, WorkerMessages};
+use super::{Call, Server, Session, WorkerMessages, trail};
 use crate::many::together;
 use crate::wire;
 
@@ -30,7 +30,7 @@ impl wire::workers_server::Workers for Server {
         request: Request<Streaming<wire::FromWorker>>,
     ) -> Result<Response<Self::SessionStream>, Status> {
         let caller = request.extensions().get::<Arc<Caller>>().cloned();
-        let trail = Trail::of(&request);
+        let trail = trail(&request);
         let mut messages = request.into_inner();
         let first = tokio::time::timeout(INTRODUCTION, messages.message()).await;
         let first = first.map_err(|_| Status::deadline_exceeded("the worker did not register"))??;
@@ -41,10 +41,9 @@ impl wire::workers_server::Workers for Server {
         trail.what(&format!("worker {}", registration.name));
         let (out, receive) = mpsc::channel(WAITING);
         let session = Session { registration, messages: WorkerMessages::new(messages, caller), out };
-        self.calls
-            .send(Call::Session(Box::new(session)))
-            .await
-            .map_err(|_| Status::unavailable("the coordinator is stopping"))?;
+        if !self.farm.tell(Call::Session(Box::new(session))).await {
+            return Err(Status::unavailable("the coordinator is stopping"));
+        }
         Ok(Response::new(Box::pin(together(ReceiverStream::new(receive).map(Into::into)).map(Ok))))
     }
 }

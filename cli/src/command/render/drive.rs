@@ -36,6 +36,8 @@ pub struct Order<'a> {
     pub frames: &'a [u32],
     /// Those that are not there yet.
     pub missing: Vec<u32>,
+    /// Whether a browser is to show it.
+    pub watch: bool,
     /// The scene's files.
     pub scene: Parcel,
     /// Whether it is asked at the end what the tasks took.
@@ -61,6 +63,9 @@ pub fn run(order: &Order<'_>, state: &State, say: Say) -> Result<Made, Failure> 
             threads: order.asked.threads,
         };
         let (mut farm, client) = Embedded::start(plan).await?;
+        if order.watch {
+            farm.show(say);
+        }
         let outcome = tokio::select! {
             outcome = frames(order, &client, state, &mut interrupt, say) => outcome,
             broken = farm.broken() => return Err(broken),

@@ -60,6 +60,9 @@ pub struct RenderArgs {
     /// Begin anew, whatever is there
     #[arg(long)]
     pub fresh: bool,
+    /// Say where a browser shows the run while it lasts, and open it there where this machine has a desktop
+    #[arg(long)]
+    pub watch: bool,
     #[command(flatten)]
     pub extras: ExtrasArgs,
     #[command(flatten)]
@@ -108,6 +111,7 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
             exposure,
             frames: &frames,
             missing,
+            watch: args.watch,
             scene: asked.parcel()?,
             wants_record: report_file.is_some(),
         };

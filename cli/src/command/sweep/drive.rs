@@ -2,7 +2,7 @@
 
 use super::folder::{Folder, Order, Shot};
 use super::work::{Planned, Work};
-use crate::attempts::JobRecord;
+use crate::attempts::{JobRecord, write_record};
 use crate::clock::Clock;
 use crate::command::client::Farm;
 use crate::command::interrupt::Interrupt;
@@ -120,7 +120,7 @@ async fn keep_record(queued: &[Queued<'_>], folder: &Folder, farm: &Farm) -> Res
         let Some(order) = folder.order(&queued.variant.name) else { continue };
         let record = subject::of_job(farm, queued.job, Logs::Failures).await?;
         let record = JobRecord { run, variant: Some(queued.variant.name.clone()), ..record };
-        record.write(&folder.join(&subject::kept_file(&order.ticket)))?;
+        write_record(&record, &folder.join(&subject::kept_file(&order.ticket)))?;
     }
     Ok(())
 }

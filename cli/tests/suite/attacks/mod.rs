@@ -5,6 +5,7 @@
 #![cfg(target_os = "linux")]
 
 mod attack;
+mod browser;
 mod frames;
 mod peer;
 
@@ -29,11 +30,12 @@ pub struct Target {
 impl Target {
     fn start(options: &str) -> Self {
         let place = Place::new();
-        if options.contains("--identity") {
+        if options.contains("--identity") || options.contains("--token-file") {
             place.run("ca init").exits(0);
             place.run("ca issue coordinator farm").exits(0);
             place.run("ca issue user ann --role viewer").exits(0);
             place.run("ca token user eve --role viewer").exits(0);
+            place.run("ca token user bob --role viewer").exits(0);
         }
         let line = format!("coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts artifacts {options}");
         let mut coordinator = place.start(&line);
@@ -50,9 +52,31 @@ impl Target {
     /// Somebody else asks.
     #[track_caller]
     fn serves_others(&mut self) {
-        let identity = if self.url.starts_with("https") { "--identity ann.pem" } else { "" };
+        let identity = match (self.url.starts_with("https"), self.place.path("bob.token").exists()) {
+            (true, _) => "--identity ann.pem",
+            (false, true) => "--token-file bob.token",
+            (false, false) => "",
+        };
         self.place.run(&format!("jobs --server {} {identity}", self.url)).exits(0);
         assert!(self.coordinator.is_running());
+    }
+
+    /// Queues a job, which nobody does.
+    #[track_caller]
+    fn submit(&self) {
+        self.place.run(&format!("submit fog.mgf --frames 1 --spp 1 --server {}", self.url)).exits(0);
+    }
+
+    /// The token of somebody.
+    fn token(&self, name: &str) -> String {
+        let text = std::fs::read_to_string(self.place.path(&format!("{name}.token"))).expect("a token");
+        text.lines().next().expect("a line").trim().to_owned()
+    }
+
+    /// Ends what somebody was given.
+    #[track_caller]
+    fn revoke(&self, name: &str) {
+        self.place.run(&format!("ca revoke {name}")).exits(0);
     }
 
     /// Bytes in memory.
@@ -103,6 +127,11 @@ attacks! {
     a_flood_of_pings_that_reads_nothing("", GROWTH) = attack::pings;
     a_flood_of_calls("", GROWTH) = attack::calls;
     nonsense_in_every_call("", GROWTH) = attack::nonsense;
+    a_page_of_another_site("", GROWTH) = browser::cross_site;
+    a_name_that_was_made_to_lead_here("", GROWTH) = browser::rebinding;
+    paths_that_climb("", GROWTH) = browser::climbing;
+    a_body_without_end("", GROWTH) = browser::huge_body;
+    cookies_that_are_forged_or_over("--token-file femc-ca/tokens", GROWTH) = browser::forged;
     guessed_tokens("--identity farm.pem --token-file femc-ca/tokens", GROWTH) = attack::guesses;
 }
 
@@ -130,6 +159,9 @@ waiting_attacks! {
     http2_that_never_calls("", GROWTH) = attack::small_talk;
     a_peer_that_stops("", GROWTH) = attack::half_open;
     a_request_of_a_byte_a_second("", GROWTH) = attack::trickle;
+    a_head_that_never_ends("", GROWTH) = browser::slow_head;
+    feeds_that_are_not_read("", GROWTH) = browser::unread_feeds;
+    a_connection_that_is_kept_open("", GROWTH) = browser::kept_open;
     uploads_that_never_end("", GROWTH + TRANSFERS) = attack::uploads;
     downloads_that_are_not_read("", GROWTH + TRANSFERS) = attack::unread_downloads;
 }

@@ -30,3 +30,63 @@ pub fn metrics(port: u16) -> Samples {
     assert_eq!(status, 200);
     Samples::read(&page).unwrap_or_else(|fault| panic!("{fault}\n{page}"))
 }
+
+/// An answer.
+pub struct Answer {
+    pub status: u16,
+    /// Lines of the head, in lower case up to the colon.
+    pub head: Vec<(String, String)>,
+    pub body: Vec<u8>,
+}
+
+impl Answer {
+    /// The value of a header; empty: it has none.
+    pub fn header(&self, name: &str) -> &str {
+        self.head.iter().find(|(known, _)| known == name).map_or("", |(_, value)| value)
+    }
+
+    #[track_caller]
+    pub fn json(&self) -> serde_json::Value {
+        let text = String::from_utf8_lossy(&self.body);
+        serde_json::from_slice(&self.body).unwrap_or_else(|error| panic!("{}: {error}: {text}", self.status))
+    }
+
+    /// The code of a refusal.
+    #[track_caller]
+    pub fn code(&self) -> String {
+        self.json()["error"]["code"].as_str().expect("a code").to_owned()
+    }
+}
+
+/// Sends a request as it is, one that ends the connection, and reads the answer.
+pub fn send(address: &str, request: &[u8]) -> Answer {
+    let mut stream = TcpStream::connect(address).expect("a connection");
+    stream.set_read_timeout(Some(Duration::from_secs(40))).expect("a timeout");
+    // It may be refused before all is sent.
+    let _ = stream.write_all(request);
+    let mut bytes = Vec::new();
+    let mut piece = [0; 1 << 14];
+    while let Ok(count @ 1..) = stream.read(&mut piece) {
+        bytes.extend(&piece[..count]);
+    }
+    let end = bytes.windows(4).position(|four| four == b"\r\n\r\n").expect("a head");
+    let text = String::from_utf8_lossy(&bytes[..end]).into_owned();
+    let mut lines = text.lines();
+    let status = lines.next().and_then(|line| line.split_whitespace().nth(1)?.parse().ok()).expect("a status");
+    let head = lines.filter_map(|line| line.split_once(": ")).map(|(a, b)| (a.to_ascii_lowercase(), b.to_owned()));
+    Answer { status, head: head.collect(), body: bytes[end + 4..].to_vec() }
+}
+
+/// A request by its first line, with these lines of its head, and a body.
+pub fn ask(address: &str, line: &str, head: &[&str], body: &str) -> Answer {
+    let host =
+        if head.iter().any(|line| line.starts_with("Host:")) { String::new() } else { format!("Host: {address}\r\n") };
+    let lines: String = head.iter().map(|line| format!("{line}\r\n")).collect();
+    let length = body.len();
+    let request =
+        format!("{line} HTTP/1.1\r\n{host}{lines}Content-Length: {length}\r\nConnection: close\r\n\r\n{body}");
+    send(address, request.as_bytes())
+}
+
+/// Head of what changes something.
+pub const CHANGE: [&str; 2] = ["Content-Type: application/json", "X-Femc: 1"];

@@ -5,7 +5,7 @@ use crate::FilmError;
 use exr::meta::MetaData;
 use exr::prelude::{FlatSamples, ReadChannels, ReadLayers, read as exr_read};
 use std::fs::File;
-use std::io::BufReader;
+use std::io::{BufReader, Read, Seek, SeekFrom};
 use std::path::Path;
 
 /// Reads the channels `names` of the file at `path`, as floats, row by row.
@@ -13,17 +13,20 @@ use std::path::Path;
 /// - errors: the file has no such channel, or is no flat EXR file.
 pub fn read_channels<const N: usize>(path: &Path, names: [&str; N]) -> Result<(u32, u32, [Vec<f32>; N]), FilmError> {
     let file = File::open(path).map_err(|cause| FilmError::File { path: path.into(), cause })?;
-    channels(file, names).map_err(|e| e.in_file(path))
+    decode_channels(BufReader::new(file), names).map_err(|e| e.in_file(path))
 }
 
-fn channels<const N: usize>(file: File, names: [&str; N]) -> Result<(u32, u32, [Vec<f32>; N]), FilmError> {
+/// The same from a seekable source.
+pub fn decode_channels<const N: usize>(
+    mut file: impl Read + Seek,
+    names: [&str; N],
+) -> Result<(u32, u32, [Vec<f32>; N]), FilmError> {
     let broken = |e: std::io::Error| FilmError::Format { what: "reading EXR", cause: e.to_string() };
-    let length = file.metadata().map_err(broken)?.len();
-    let again = file.try_clone().map_err(broken)?;
-    let meta = MetaData::read_from_buffered(BufReader::new(again), false).map_err(|e| failed(&e))?;
+    let length = file.seek(SeekFrom::End(0)).map_err(broken)?;
+    file.rewind().map_err(broken)?;
+    let meta = MetaData::read_from_buffered(&mut file, false).map_err(|e| failed(&e))?;
     meta.headers.iter().try_for_each(|header| check(header, length))?;
-    let mut file = BufReader::new(file);
-    std::io::Seek::rewind(&mut file).map_err(broken)?;
+    file.rewind().map_err(broken)?;
     let read = exr_read().no_deep_data().largest_resolution_level().all_channels().first_valid_layer().all_attributes();
     let layer = read.non_parallel().from_buffered(file).map_err(|e| failed(&e))?.layer_data;
     let mut found = names.map(|_| Vec::new());

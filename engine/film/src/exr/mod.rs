@@ -4,9 +4,9 @@ mod layers;
 mod read;
 mod write;
 
-pub use layers::read_channels;
+pub use layers::{decode_channels, read_channels};
 pub use read::{ExrFile, decode, read, read_attributes};
-pub use write::{Provenance, UNLIT, encode, write};
+pub use write::{Provenance, UNLIT, encode, errors, write};
 
 /// Prefix of the string attributes that the renderer writes.
 pub const ATTRIBUTE_PREFIX: &str = "femc:";

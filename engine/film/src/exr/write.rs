@@ -132,7 +132,8 @@ pub fn write(path: &Path, image: &FrameImage, provenance: &Provenance) -> Result
 }
 
 /// The error of each pixel's block.
-fn errors(error: &FrameError, image: &FrameImage) -> Vec<f32> {
+/// The relative error of each pixel's block, row by row; [`UNLIT`] where `error` names none.
+pub fn errors(error: &FrameError, image: &FrameImage) -> Vec<f32> {
     let (width, height) = (image.color.width, image.color.height);
     let mut pixels = vec![UNLIT; width as usize * height as usize];
     for block in &error.blocks {

@@ -159,6 +159,11 @@ impl Unit {
         self.arrays.get(&place).map_or(0, |array| array.whole.count())
     }
 
+    /// Whether a task of a stage is done.
+    pub(crate) fn is_done(&self, place: Place, item: u32) -> bool {
+        self.are_done(place, item..item + 1)
+    }
+
     /// Whether all of these tasks of a stage are done.
     fn are_done(&self, place: Place, items: Range<u32>) -> bool {
         items.is_empty() || self.arrays.get(&place).is_some_and(|array| array.whole.covers(&items))
@@ -630,6 +635,11 @@ impl Unit {
     /// Whether a task is put aside.
     pub(crate) fn is_put_aside(&self, stage: &Stage, key: u32) -> bool {
         self.trouble.get(&name(stage, key)).is_some_and(Trouble::is_quarantined)
+    }
+
+    /// Tasks of which attempts have failed, by stage, round and key.
+    pub(crate) fn troubles(&self) -> impl Iterator<Item = ((u16, u32, u32), &Trouble)> + '_ {
+        self.trouble.iter().map(|(&name, trouble)| (name, trouble))
     }
 
     /// Tasks that are put aside, by stage, round and key.

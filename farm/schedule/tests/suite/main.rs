@@ -18,3 +18,4 @@ mod sentences;
 mod shared;
 mod shares;
 mod snapshots;
+mod tables;

@@ -1,10 +1,11 @@
 //! Every call's comment in the .proto says who may call it; the guard says the same.
 
+use femc_service::Right;
 use femc_trust::Role;
 use prost::Message as _;
 use prost_types::FileDescriptorSet;
 
-use super::Right;
+use super::operation;
 use crate::wire;
 
 /// Path of each call, and who may call it by the comment: the words after "Who may:".
@@ -41,6 +42,6 @@ fn who_may_call_by_the_documentation_may_call() {
             "admins" => Right::User(Role::Admin),
             other => panic!("{path}: who are {other:?}?"),
         };
-        assert_eq!(Right::of(&path), right, "{path}");
+        assert_eq!(operation(&path).right(), right, "{path}");
     }
 }

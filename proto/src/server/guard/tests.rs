@@ -4,6 +4,7 @@ use std::collections::BTreeSet;
 use std::net::SocketAddr;
 
 use bytes::{Buf as _, BufMut as _};
+use femc_service::Gate;
 use femc_store::Store;
 use femc_trust::{Authority, Holder, Identity, Issue, Pass, Revoked, Role, Tokens};
 use prost::Message as _;
@@ -252,13 +253,12 @@ async fn an_open_session_ends_when_its_token_is_removed() {
     let farm = Farm::start().await;
     let pass = farm.authority.token(holder("worker"), 1).unwrap();
     let tokens = Tokens::open(farm.authority.tokens()).unwrap();
-    let (holder, digest) = tokens.holder(&pass.token().secret()).unwrap();
-    let lists = super::Lists { revoked: None, tokens: Some(tokens) };
-    let caller = super::Caller { holder, credential: super::Credential::Token(digest), lists };
+    let gate = Gate::new(Some((None, Some(tokens))), Limits::default(), None);
+    let caller = gate.holder(&pass.token().secret()).unwrap();
     assert!(caller.still_counts());
     farm.authority.revoke("a-worker").unwrap();
     assert!(!caller.still_counts());
-    farm.authority.token(super::tests::holder("worker"), 1).unwrap();
+    farm.authority.token(holder("worker"), 1).unwrap();
     assert!(!caller.still_counts(), "another token of the same name is another token");
 }
 
@@ -350,7 +350,7 @@ async fn a_worker_s_certificate_does_not_make_a_coordinator() {
 #[test]
 fn roles_grow() {
     for (call, _) in TABLE {
-        let right = super::Right::of(&format!("/femc.v1.{call}"));
+        let right = super::operation(&format!("/femc.v1.{call}")).right();
         let may = |role| right.is_of(&Holder::User { name: "ann".into(), role });
         assert!(Role::ALL.windows(2).all(|pair| may(pair[1]) || !may(pair[0])), "{call}");
     }

@@ -1,12 +1,13 @@
 //! Attempts, and what they add up to.
 
-use super::job_record::JobRecord;
-use clap::ValueEnum;
-use femc_model::{AttemptRecord, Ending, Grains, TaskKey, Tick};
 use std::collections::{BTreeMap, BTreeSet};
 
+use femc_model::{AttemptRecord, Ending, Grains, TaskKey, Tick};
+
+use super::job_record::JobRecord;
+
 /// What a row is of.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum By {
     /// A task, with all its attempts.
     Task,
@@ -164,7 +165,16 @@ fn began(record: &AttemptRecord) -> f64 {
 
 /// One row for each task, frame, variant, worker or attempt, in their order.
 pub fn rows(jobs: &[JobRecord], by: By) -> Vec<Row> {
-    let zeros = zeros(jobs);
+    rows_since(jobs, by, &zeros(jobs))
+}
+
+/// The rows of some of a job's attempts, an attempt each. Their times are the coordinator's own; the numbers of the attempts at a
+/// task count within these.
+pub fn rows_of_page(job: JobRecord) -> Vec<Row> {
+    rows_since(&[job], By::Attempt, &BTreeMap::new())
+}
+
+fn rows_since(jobs: &[JobRecord], by: By, zeros: &BTreeMap<u64, f64>) -> Vec<Row> {
     let all = jobs.iter().enumerate().flat_map(|(source, job)| {
         let zero = zeros.get(&job.run).copied().unwrap_or_default();
         let (mut last, mut number) = (None, 0);

@@ -6,12 +6,11 @@ use std::sync::{Arc, Mutex, PoisonError};
 
 use tokio::sync::{OwnedSemaphorePermit, Semaphore};
 
-use super::guard::Who;
-use crate::limits::Limits;
+use super::{Limits, Who};
 
 /// Places for uploads and downloads; clones share them.
 #[derive(Debug, Clone)]
-pub(super) struct Places {
+pub struct Places {
     limits: Limits,
     all: Arc<Semaphore>,
     /// Of each that has some in use.
@@ -26,15 +25,16 @@ enum Owner {
 
 /// The right to a transfer, until dropped.
 #[derive(Debug)]
-pub(super) struct Place(#[expect(dead_code, reason = "they are held")] Vec<OwnedSemaphorePermit>);
+pub struct Place(#[expect(dead_code, reason = "they are held")] Vec<OwnedSemaphorePermit>);
 
 impl Places {
-    pub(super) fn new(limits: &Limits) -> Self {
+    /// As many as the limits have.
+    pub fn new(limits: &Limits) -> Self {
         Self { limits: *limits, all: Arc::new(Semaphore::new(limits.transfers)), of: Arc::default() }
     }
 
     /// Waits until there is one: first for one of the caller's own, so that who has many does not keep the others waiting.
-    pub(super) async fn take(&self, who: Who) -> Place {
+    pub async fn take(&self, who: Who) -> Place {
         let Limits { transfers_of_connection, transfers_of_caller, .. } = self.limits;
         let own = self.of(Owner::Connection(who.connection), transfers_of_connection);
         let callers = who.name.map(|name| self.of(Owner::Caller(name), transfers_of_caller));

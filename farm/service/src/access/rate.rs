@@ -6,11 +6,11 @@ use std::time::Duration;
 
 use tokio::time::Instant;
 
-use crate::limits::Limits;
+use super::Limits;
 
 /// Buckets by caller; clones share them.
 #[derive(Debug, Clone)]
-pub(super) struct Rates {
+pub(crate) struct Rates {
     /// Between two calls, on average.
     every: Duration,
     /// So much earlier than that a caller may come.
@@ -25,13 +25,13 @@ impl Rates {
     /// Callers that are remembered before those are forgotten that have been quiet.
     const CALLERS: usize = 4096;
 
-    pub(super) fn new(limits: &Limits) -> Self {
+    pub(crate) fn new(limits: &Limits) -> Self {
         let every = Duration::from_secs(1) / limits.rate.max(1);
         Self { every, ahead: every * limits.burst, due: Arc::default() }
     }
 
     /// How long a call waits that comes now; `None`: too many came before.
-    pub(super) fn turn(&self, caller: &str, now: Instant) -> Option<Duration> {
+    pub(crate) fn turn(&self, caller: &str, now: Instant) -> Option<Duration> {
         let mut all = self.due.lock().unwrap_or_else(PoisonError::into_inner);
         if all.len() >= Self::CALLERS && !all.contains_key(caller) {
             all.retain(|_, due| *due > now);

@@ -2,8 +2,6 @@
 
 use std::time::Duration;
 
-use crate::MESSAGE;
-
 /// How much one peer, and all of them, may have at a time. Beyond each there is a clear refusal, or a closed connection where
 /// nobody has been introduced yet; none costs memory without bound.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -22,6 +20,8 @@ pub struct Limits {
     pub silence: Duration,
     /// And has so long for the answer: 10 s.
     pub answer: Duration,
+    /// A connection on which nothing passes for so long is closed: 60 s. HTTP/2 has signs of life, HTTP/1 and who does not read have none.
+    pub idle: Duration,
     /// Calls that are open on one connection: 256.
     pub streams: u32,
     /// Calls that a connection may begin and take back before they have been looked at: 32; then it is closed.
@@ -44,16 +44,22 @@ pub struct Limits {
     pub transfers_of_connection: usize,
 }
 
+impl Limits {
+    /// Most bytes of a message of the services `Jobs` and `Workers`, by default.
+    pub const MESSAGE: usize = 8 << 20;
+}
+
 impl Default for Limits {
     fn default() -> Self {
         Self {
-            message: MESSAGE,
+            message: Self::MESSAGE,
             headers: 16 << 10,
             connections: 4096,
             connections_of_one: 512,
             introduction: Duration::from_secs(10),
             silence: Duration::from_secs(10),
             answer: Duration::from_secs(10),
+            idle: Duration::from_secs(60),
             streams: 256,
             resets: 32,
             patience: Duration::from_secs(30),

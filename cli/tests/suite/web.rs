@@ -1,0 +1,210 @@
+//! The farm over HTTP: what a page sees of a job, from its submission to its picture.
+#![cfg(unix)]
+
+use std::io::{BufRead as _, BufReader, Write as _};
+use std::net::TcpStream;
+use std::time::{Duration, Instant};
+
+use crate::common::http::{Answer, CHANGE, ask};
+use crate::common::{PATIENCE, Place, coordinator, submit};
+
+fn get(address: &str, path: &str) -> Answer {
+    ask(address, &format!("GET /api/v1/{path}"), &[], "")
+}
+
+fn address(url: &str) -> String {
+    url.trim_start_matches("http://").to_owned()
+}
+
+/// A page that listens.
+struct Listener(BufReader<TcpStream>);
+
+impl Listener {
+    fn connect(address: &str, last: Option<&str>) -> Self {
+        let mut stream = TcpStream::connect(address).expect("a connection");
+        stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+        let last = last.map_or(String::new(), |id| format!("Last-Event-ID: {id}\r\n"));
+        write!(stream, "GET /api/v1/feed HTTP/1.1\r\nHost: {address}\r\n{last}\r\n").expect("it listens");
+        Self(BufReader::new(stream))
+    }
+
+    /// The kind, the id and the data of the next event; `None`: the connection ended.
+    fn next(&mut self) -> Option<(String, String, serde_json::Value)> {
+        let (mut id, mut kind) = (String::new(), String::new());
+        loop {
+            let mut line = String::new();
+            if self.0.read_line(&mut line).ok()? == 0 {
+                return None;
+            }
+            if let Some(text) = line.strip_prefix("id: ") {
+                id = text.trim().to_owned();
+            } else if let Some(text) = line.strip_prefix("event: ") {
+                kind = text.trim().to_owned();
+            } else if let Some(text) = line.strip_prefix("data: ") {
+                return Some((kind, id, serde_json::from_str(text).expect("JSON")));
+            }
+        }
+    }
+}
+
+#[test]
+fn a_page_sees_a_job_from_its_submission_to_its_picture_and_steers_it() {
+    let place = Place::new();
+    let (_coordinator, url) = coordinator(&place, 0);
+    let address = address(&url);
+    let me = get(&address, "me").json();
+    assert!(me["role"].is_null() && me["secured"] == false && me["engine"].as_str().is_some_and(|it| !it.is_empty()));
+    let job = submit(&place, &url, "--frames 1..2 --spp 4");
+    // As the command line has it.
+    let listed = get(&address, "jobs").json();
+    assert_eq!(listed["jobs"], place.run(&format!("jobs --json --server {url}")).exits(0).json());
+    let one = get(&address, &format!("jobs/{job}")).json();
+    assert_eq!((&one["spec"]["film"][0], &one["spec"]["frames"][1]), (&32.into(), &2.into()));
+    let page = get(&address, &format!("jobs/{job}/tasks?count=2&frame=1&stage=0")).json();
+    assert_eq!((&page["total"], page["tasks"].as_array().expect("tasks").len()), (&4.into(), 2));
+    assert_eq!(page["tasks"][1]["task"], format!("{job}/1.0/render.0/1"));
+    assert_eq!(get(&address, &format!("jobs/{job}/frames/1/thumbnail.png")).status, 204, "nothing yet");
+    let control = |body: &str| ask(&address, "POST /api/v1/jobs/control", &CHANGE, body).json();
+    let paused = control(&format!("{{\"jobs\":[{job},99],\"action\":\"pause\"}}"));
+    assert_eq!((&paused["done"][0], &paused["refused"][0]["code"]), (&1.into(), &"not_found".into()));
+    assert_eq!(get(&address, &format!("jobs/{job}")).json()["job"]["state"], "paused");
+    control(&format!("{{\"jobs\":[{job}],\"action\":\"resume\"}}"));
+    let _worker = place.start(&format!("worker --join {url} --name w1 --threads 1"));
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    let frames = get(&address, &format!("jobs/{job}/frames")).json();
+    let frames = frames["frames"].as_array().expect("frames");
+    assert!(frames.iter().all(|frame| frame["state"] == "done" && frame["has_image"] == true), "{frames:?}");
+    let window = get(&address, &format!("jobs/{job}/frames?from=1&count=1")).json();
+    assert_eq!((&window["total"], &window["frames"][0]["frame"]), (&2.into(), &2.into()));
+    let done = get(&address, &format!("jobs/{job}/tasks?state=done")).json();
+    let all = get(&address, &format!("jobs/{job}/tasks")).json();
+    assert_eq!(done["total"], all["total"]);
+    assert_eq!(get(&address, &format!("jobs/{job}/tasks?state=failed")).json()["total"], 0);
+    let attempts = get(&address, &format!("jobs/{job}/attempts")).json();
+    let attempts = attempts["attempts"].as_array().expect("attempts");
+    assert!(!attempts.is_empty() && attempts.iter().all(|it| it["worker"] == "w1" && it["ending"] == "done"));
+    let picture = get(&address, &format!("jobs/{job}/frames/2/thumbnail.png?height=16"));
+    assert_eq!((picture.status, picture.header("content-type")), (200, "image/png"));
+    assert!(picture.body.starts_with(b"\x89PNG"));
+    let tag = format!("If-None-Match: {}", picture.header("etag"));
+    let again = ask(&address, &format!("GET /api/v1/jobs/{job}/frames/2/thumbnail.png?height=16"), &[&tag], "");
+    assert_eq!((again.status, again.body.len()), (304, 0));
+    let pixels = get(&address, &format!("jobs/{job}/frames/2/pixels"));
+    assert_eq!((pixels.status, &pixels.body[..4]), (200, &b"FMXC"[..]));
+    let head = 20 + 5 * 4 + "RGBYerrorsamples".len() + 4;
+    assert_eq!(pixels.body.len(), head + 6 * 2 * 32 * 32);
+    let drained = ask(&address, "POST /api/v1/workers/drain", &CHANGE, "{\"workers\":[\"w1\"],\"action\":\"begin\"}");
+    assert_eq!(drained.json()["done"].as_array().expect("sessions").len(), 1);
+    let lines = get(&address, "audit?count=5").json();
+    assert_eq!(
+        (&lines["lines"][0]["call"], &lines["lines"][0]["outcome"]),
+        (&"Jobs/DrainWorkers".into(), &"ok".into())
+    );
+    for (path, status) in [
+        ("jobs/x", 400),
+        ("jobs/77", 404),
+        ("jobs/1/tasks?state=odd", 400),
+        ("jobs/1/tasks?from=-1", 400),
+        ("jobs/1/frames/1/thumbnail.png?height=9999999", 400),
+        ("audit?count=0", 400),
+        ("nothing", 404),
+    ] {
+        let answer = get(&address, path);
+        assert_eq!(answer.status, status, "{path}");
+        let error = &answer.json()["error"];
+        assert!(error["message"].as_str().is_some_and(|it| !it.is_empty()) && error["help"].is_string(), "{path}");
+    }
+    for body in ["", "{}", "{\"jobs\":[1],\"action\":\"explode\"}", "{\"jobs\":[1],\"action\":\"priority\"}"] {
+        assert_eq!(ask(&address, "POST /api/v1/jobs/control", &CHANGE, body).status, 400, "{body}");
+    }
+}
+
+#[test]
+fn every_answer_keeps_browsers_from_what_a_page_of_another_site_could_make_of_it() {
+    let place = Place::new();
+    let (_coordinator, url) = coordinator(&place, 0);
+    for line in ["GET /", "GET /jobs/7", "GET /api/v1/me", "GET /api/v1/nothing", "POST /login", "PUT /", "GET /no.js"]
+    {
+        let answer = ask(&address(&url), line, &[], "");
+        let policy = answer.header("content-security-policy");
+        assert!(policy.contains("default-src 'none'") && policy.contains("frame-ancestors 'none'"), "{line}");
+        assert!(!policy.contains("unsafe"), "{line}: no script within the page");
+        assert_eq!(answer.header("x-content-type-options"), "nosniff", "{line}");
+    }
+}
+
+#[test]
+fn a_page_goes_on_when_the_coordinator_was_restarted() {
+    let place = Place::new();
+    let (mut first, url) = coordinator(&place, 0);
+    let address = address(&url);
+    let port = address.rsplit(':').next().and_then(|port| port.parse().ok()).expect("a port");
+    let mut page = Listener::connect(&address, None);
+    let (kind, id, data) = page.next().expect("an event");
+    assert_eq!((kind.as_str(), data["jobs"].as_array().map(Vec::len)), ("snapshot", Some(0)));
+    submit(&place, &url, "--frames 1 --spp 1");
+    let (kind, second, data) = page.next().expect("an event");
+    assert_eq!((kind.as_str(), &data["jobs"][0]["job"]), ("delta", &1.into()));
+    // Away and back: what was missed, as one delta; and nothing for who knows it.
+    let (kind, now, data) = Listener::connect(&address, Some(&id)).next().expect("an event");
+    assert_eq!((kind.as_str(), &now, &data["jobs"][0]["job"]), ("delta", &second, &1.into()));
+    first.kill();
+    assert!(page.next().is_none(), "it ends with the coordinator");
+    let (_coordinator, url) = coordinator(&place, port);
+    submit(&place, &url, "--frames 1 --spp 1");
+    let (kind, third, data) = Listener::connect(&address, Some(&second)).next().expect("an event");
+    assert_eq!((kind.as_str(), data["jobs"].as_array().map(Vec::len)), ("snapshot", Some(2)));
+    assert_ne!(third.split('-').next(), second.split('-').next(), "another start");
+}
+
+#[test]
+fn an_open_feed_ends_when_its_token_is_taken_back() {
+    let place = Place::new();
+    place.run("ca init").exits(0);
+    place.run("ca token user eve --role viewer").exits(0);
+    let line = "coordinator --listen 127.0.0.1:0 --store memory --artifacts memory --token-file femc-ca/tokens";
+    let mut coordinator = place.start(line);
+    let url = coordinator.first_line().split_whitespace().last().expect("the address").to_owned();
+    let address = address(&url);
+    let token = std::fs::read_to_string(place.path("eve.token")).expect("a token");
+    let token = token.lines().next().expect("a line");
+    let mut stream = TcpStream::connect(&address).expect("a connection");
+    stream.set_read_timeout(Some(PATIENCE)).expect("a timeout");
+    write!(stream, "GET /api/v1/feed HTTP/1.1\r\nHost: farm\r\nCookie: femc={token}\r\n\r\n").expect("it listens");
+    let mut page = Listener(BufReader::new(stream));
+    assert_eq!(page.next().expect("an event").0, "snapshot");
+    let me = ask(&address, "GET /api/v1/me", &[&format!("Cookie: femc={token}")], "").json();
+    assert_eq!((&me["name"], &me["role"]), (&"eve".into(), &"viewer".into()));
+    let begun = Instant::now();
+    place.run("ca revoke eve").exits(0);
+    assert!(page.next().is_none());
+    assert!(begun.elapsed() < Duration::from_secs(60));
+    assert_eq!(ask(&address, "GET /api/v1/me", &[&format!("Cookie: femc={token}")], "").status, 401);
+    assert_eq!(ask(&address, "GET /", &[], "").header("location"), "", "the page itself is for everybody");
+}
+
+#[test]
+fn several_jobs_are_steered_at_once_and_what_cannot_be_done_to_one_is_done_to_the_others() {
+    let place = Place::new();
+    let (_coordinator, url) = coordinator(&place, 0);
+    for owner in ["ann", "ann", "bob", "ann"] {
+        submit(&place, &url, &format!("--frames 1 --spp 1 --owner {owner}"));
+    }
+    let run = |line: &str| place.run(&format!("{line} --server {url}"));
+    let states = || -> Vec<String> {
+        let jobs = run("jobs --json").exits(0).json();
+        let state = |job: &serde_json::Value| job["state"].as_str().expect("a state").to_owned();
+        jobs.as_array().expect("jobs").iter().map(state).collect()
+    };
+    assert!(run("cancel 1 99 3").exits(1).stderr().contains("99"));
+    assert_eq!(states(), ["cancelled", "queued", "cancelled", "queued"]);
+    run("pause --owner ann").exits(0);
+    assert_eq!(states(), ["cancelled", "paused", "cancelled", "paused"], "what has ended is left alone");
+    let of_bob = run("jobs --owner bob --json").exits(0).json();
+    assert_eq!((of_bob.as_array().map(Vec::len), &of_bob[0]["job"]), (Some(1), &3.into()));
+    assert_eq!(run("jobs --name f*g --state paused --json").exits(0).json().as_array().map(Vec::len), Some(2));
+    assert!(run("cancel --name nothing").exits(2).stderr().contains("no job"));
+    run("cancel").exits(2);
+    run("cancel 1 --owner ann").exits(2);
+    run("jobs --state odd").exits(2);
+}

@@ -1,0 +1,103 @@
+//! A job frame by frame and task by task.
+
+use crate::common::{Farm, job, panic};
+use femc_model::*;
+
+use Decision::Done;
+
+fn page(farm: &Farm, id: JobId, filter: TaskFilter, from: u64, count: usize) -> TaskPage {
+    farm.scheduler.tasks(id, filter, from, count, farm.now).expect("the job is there")
+}
+
+fn states(farm: &Farm, id: JobId) -> Vec<TaskState> {
+    let all = page(farm, id, TaskFilter::default(), 0, 1000);
+    assert_eq!(all.total, all.tasks.len() as u64);
+    all.tasks.iter().map(|task| task.state).collect()
+}
+
+fn frames(farm: &Farm, id: JobId) -> Vec<TaskState> {
+    farm.scheduler.frame_table(id).expect("the job is there").iter().map(|frame| frame.state).collect()
+}
+
+#[test]
+fn tasks_wait_run_and_are_done_and_so_are_their_frames() {
+    use TaskState::{Done as Finished, Running, Waiting};
+    let mut farm = Farm::new();
+    // Two tiles and an image of each frame.
+    let id = farm.submit(job(&[1, 2], 2, &[4]));
+    assert_eq!((states(&farm, id), frames(&farm, id)), (vec![Waiting; 6], vec![Waiting; 2]));
+    farm.join(1);
+    let held = farm.tasks_of(1).len();
+    farm.wait(700);
+    let now = page(&farm, id, TaskFilter { state: Some(Running), ..TaskFilter::default() }, 0, 1000);
+    assert_eq!((now.total, now.tasks.len()), (held as u64, held));
+    assert!(now.tasks.iter().all(|task| task.workers == ["w"] && task.attempts == 1 && task.seconds == Some(0.7)));
+    assert_eq!(frames(&farm, id)[0], Running);
+    farm.work(1, Done);
+    assert_eq!(states(&farm, id)[0], Finished);
+    while farm.state(id) != JobState::Done {
+        farm.work(1, Done);
+    }
+    assert_eq!((states(&farm, id), frames(&farm, id)), (vec![Finished; 6], vec![Finished; 2]));
+    let table = farm.scheduler.frame_table(id).unwrap();
+    assert!(table.iter().all(|frame| frame.progress.is_none() && frame.record.as_ref().unwrap().image().is_some()));
+    farm.restart();
+    assert_eq!(states(&farm, id), vec![Finished; 6], "after a restart, too");
+}
+
+#[test]
+fn a_task_that_failed_says_why_and_after_its_last_attempt_its_frame_has_failed() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1], 1, &[4]));
+    farm.join(1);
+    let held = farm.first_of(1);
+    farm.fail(1, &held, panic());
+    let first = page(&farm, id, TaskFilter::default(), 0, 1).tasks.remove(0);
+    assert_eq!((first.failure.clone(), first.task.stage.kind), (Some(panic()), StageKind::Render));
+    while farm.state(id) != JobState::Failed {
+        if farm.tasks_of(1).is_empty() {
+            farm.wait(60_000);
+            farm.heartbeat(1, Phase::Waiting, 0);
+        } else {
+            let held = farm.first_of(1);
+            farm.fail(1, &held, panic());
+        }
+    }
+    assert_eq!((states(&farm, id)[0], frames(&farm, id)), (TaskState::Failed, vec![TaskState::Failed]));
+    farm.control(id, Control::Retry);
+    assert_eq!(page(&farm, id, TaskFilter { state: Some(TaskState::Failed), ..TaskFilter::default() }, 0, 9).total, 0);
+}
+
+#[test]
+fn any_window_is_a_part_of_the_whole_and_filters_count_what_they_let_through() {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1, 2, 3, 4, 5], 7, &[4]));
+    farm.join(1);
+    (0..9).for_each(|_| drop(farm.work(1, Done)));
+    let all = page(&farm, id, TaskFilter::default(), 0, 1000);
+    assert_eq!(all.total, 5 * (7 + 1));
+    for from in [0, 1, 7, 8, 9, 31, 39, 40, 41, u64::MAX] {
+        for count in [0, 1, 3, 8, 1000] {
+            let window = page(&farm, id, TaskFilter::default(), from, count);
+            let wanted: Vec<_> = all.tasks.iter().skip(from.min(1000) as usize).take(count).cloned().collect();
+            assert_eq!((window.total, window.tasks), (all.total, wanted), "{count} from {from}");
+        }
+    }
+    for frame in [None, Some(1), Some(4), Some(6)] {
+        for stage in [None, Some(0), Some(1), Some(2)] {
+            for state in [None, Some(TaskState::Done), Some(TaskState::Waiting)] {
+                let fits = |task: &&TaskStatus| {
+                    let of = &task.task.stage;
+                    frame.is_none_or(|only| only == of.frame)
+                        && stage.is_none_or(|only| only == of.number)
+                        && state.is_none_or(|only| only == task.state)
+                };
+                let wanted: Vec<_> = all.tasks.iter().filter(fits).cloned().collect();
+                let found = page(&farm, id, TaskFilter { frame, stage, state }, 0, 1000);
+                assert_eq!((found.total, found.tasks), (wanted.len() as u64, wanted), "{frame:?} {stage:?} {state:?}");
+            }
+        }
+    }
+    let nobody = farm.scheduler.tasks(JobId(99), TaskFilter::default(), 0, 1, farm.now);
+    assert_eq!(nobody, Err(Refusal::NoSuchJob { job: JobId(99) }));
+}

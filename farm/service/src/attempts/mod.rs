@@ -1,0 +1,11 @@
+//! What jobs' attempts took: as rows, one an attempt or one of many, as columns of these, and as JSON.
+
+mod column;
+mod job_record;
+mod json;
+mod row;
+
+pub use column::{Cell, Column, Kind, Reader, column, columns};
+pub use job_record::{FailureLog, JobRecord};
+pub use json::Json;
+pub use row::{By, Row, rows, rows_of_page};

@@ -1,0 +1,498 @@
+//! The farm as it changes, for any number of listeners.
+//!
+//! While somebody listens the farm is asked once a second. What has changed becomes one delta with a number, encoded once; a
+//! listener that is up to date gets those bytes. One that was away, or reads slowly, gets all that has changed since the number
+//! that it knows, joined into one delta: every job and worker is kept with the number of its last change, so nothing is
+//! queued for anybody. What is gone is remembered for a while; who knows less than that gets a snapshot.
+
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::convert::Infallible;
+use std::fmt::{self, Write as _};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+use bytes::Bytes;
+use femc_model::{JobId, WorkerStatus};
+use futures_util::Stream;
+use futures_util::stream::unfold;
+use serde::Serialize;
+use tokio::sync::watch;
+use tokio::time::{Instant, MissedTickBehavior};
+
+use crate::access::Caller;
+use crate::call::{Call, Changes, News};
+use crate::farm::Farm;
+use crate::view::{JobJson, WorkerJson};
+
+/// What listeners hear; clones are the same feed.
+pub struct Feed<S> {
+    farm: Farm<S>,
+    hub: Arc<Hub>,
+}
+
+impl<S> Clone for Feed<S> {
+    fn clone(&self) -> Self {
+        Self { farm: self.farm.clone(), hub: self.hub.clone() }
+    }
+}
+
+impl<S> fmt::Debug for Feed<S> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Feed").field("hub", &self.hub).finish()
+    }
+}
+
+/// What listeners share.
+#[derive(Debug)]
+struct Hub {
+    state: Mutex<State>,
+    /// How often there was something new.
+    news: watch::Sender<u64>,
+}
+
+/// What is known of the farm.
+#[derive(Debug)]
+struct State {
+    /// Of this start of the coordinator: numbers of another mean nothing.
+    start: String,
+    /// Number of the last change.
+    seq: u64,
+    jobs: Kept,
+    workers: Kept,
+    warnings: Vec<String>,
+    warnings_changed: u64,
+    /// Encoded: the last change, and all there is.
+    delta: Option<(u64, Bytes)>,
+    snapshot: Option<(u64, Bytes)>,
+    /// Whether somebody asks the farm.
+    is_running: bool,
+}
+
+/// Things by number, each as JSON with the number of its last change.
+#[derive(Debug, Default)]
+struct Kept {
+    there: BTreeMap<u64, (String, u64)>,
+    /// What is gone, in order of changes.
+    gone: VecDeque<(u64, u64)>,
+    /// Changes up to this one have been forgotten.
+    forgotten: u64,
+}
+
+impl Kept {
+    /// Most that is remembered of what is gone.
+    const GONE: usize = 4096;
+
+    /// Takes in what may have changed, and forgets what is not there any more; says whether something is otherwise than before.
+    fn update(&mut self, now: BTreeMap<u64, String>, is_there: impl Fn(u64) -> bool, seq: u64) -> bool {
+        let mut has_changed = false;
+        let gone: Vec<u64> = self.there.keys().filter(|number| !is_there(**number)).copied().collect();
+        for number in gone {
+            self.there.remove(&number);
+            self.gone.push_back((seq, number));
+            has_changed = true;
+        }
+        while self.gone.len() > Self::GONE {
+            self.forgotten = self.gone.pop_front().map_or(self.forgotten, |(seq, _)| seq);
+        }
+        for (number, json) in now {
+            if self.there.get(&number).is_none_or(|(known, _)| *known != json) {
+                self.there.insert(number, (json, seq));
+                has_changed = true;
+            }
+        }
+        has_changed
+    }
+
+    /// As a JSON list: what has changed since.
+    fn since(&self, seq: u64) -> String {
+        let changed = self.there.values().filter(|(_, changed)| *changed > seq);
+        format!("[{}]", changed.map(|(json, _)| json.as_str()).collect::<Vec<_>>().join(","))
+    }
+
+    /// As a JSON list: what is gone since.
+    fn gone_since(&self, seq: u64) -> String {
+        let gone = self.gone.iter().filter(|(at, number)| *at > seq && !self.there.contains_key(number));
+        let numbers: BTreeSet<u64> = gone.map(|(_, number)| *number).collect();
+        format!("[{}]", numbers.iter().map(ToString::to_string).collect::<Vec<_>>().join(","))
+    }
+}
+
+impl State {
+    fn new(start: String) -> Self {
+        Self {
+            start,
+            seq: 0,
+            jobs: Kept::default(),
+            workers: Kept::default(),
+            warnings: Vec::new(),
+            warnings_changed: 0,
+            delta: None,
+            snapshot: None,
+            is_running: false,
+        }
+    }
+
+    /// What a listener is to hear that knows the change `known`, and the number that it knows then.
+    fn message(&mut self, known: Option<u64>) -> Option<(u64, Bytes)> {
+        match known {
+            Some(known) if known == self.seq => None,
+            Some(known) if known < self.seq && known >= self.jobs.forgotten.max(self.workers.forgotten) => {
+                if known + 1 == self.seq
+                    && let Some(delta) = self.delta.clone()
+                {
+                    return Some(delta);
+                }
+                Some((self.seq, self.joined(known)))
+            }
+            Some(_) | None => {
+                let is_old = self.snapshot.as_ref().is_none_or(|(seq, _)| *seq != self.seq);
+                if is_old {
+                    self.snapshot = Some((self.seq, self.whole()));
+                }
+                self.snapshot.clone()
+            }
+        }
+    }
+
+    /// The event with all that has changed since.
+    fn joined(&self, since: u64) -> Bytes {
+        let warnings = if self.warnings_changed > since { json(&self.warnings) } else { "null".to_owned() };
+        let fields = [
+            ("jobs", self.jobs.since(since)),
+            ("gone_jobs", self.jobs.gone_since(since)),
+            ("workers", self.workers.since(since)),
+            ("gone_workers", self.workers.gone_since(since)),
+            ("warnings", warnings),
+        ];
+        self.event("delta", &fields)
+    }
+
+    /// The event with all there is.
+    fn whole(&self) -> Bytes {
+        let fields =
+            [("jobs", self.jobs.since(0)), ("workers", self.workers.since(0)), ("warnings", json(&self.warnings))];
+        self.event("snapshot", &fields)
+    }
+
+    fn event(&self, name: &str, fields: &[(&str, String)]) -> Bytes {
+        let id = format!("{}-{}", self.start, self.seq);
+        let mut text = format!("id: {id}\nevent: {name}\ndata: {{\"seq\":\"{id}\"");
+        for (field, value) in fields {
+            // Writing to a string does not fail.
+            let _ = write!(text, ",\"{field}\":{value}");
+        }
+        text.push_str("}\n\n");
+        text.into()
+    }
+
+    /// Takes in what may have changed; says whether there is something new.
+    fn update(&mut self, changes: Changes, silence: impl Fn(f64) -> f64) -> bool {
+        let Changes { jobs, there, workers, warnings } = changes;
+        let next = self.seq + 1;
+        let jobs = jobs.iter().map(|job| (job.job.0, json(&JobJson::from(job)))).collect();
+        let have_jobs_changed = self.jobs.update(jobs, |number| there.contains(&JobId(number)), next);
+        let worker = |it: &WorkerStatus| (it.worker.0, json(&WorkerJson::from(it).silent(&silence)));
+        let workers: BTreeMap<u64, String> = workers.iter().map(worker).collect();
+        let numbers: BTreeSet<u64> = workers.keys().copied().collect();
+        let have_workers_changed = self.workers.update(workers, |number| numbers.contains(&number), next);
+        self.note(have_jobs_changed || have_workers_changed, warnings)
+    }
+
+    /// Gives what has changed its number; says whether there is something new.
+    fn note(&mut self, has_changed: bool, warnings: Vec<String>) -> bool {
+        let next = self.seq + 1;
+        let have_warnings_changed = self.warnings != warnings;
+        if have_warnings_changed {
+            (self.warnings, self.warnings_changed) = (warnings, next);
+        }
+        let is_new = self.seq == 0 || has_changed || have_warnings_changed;
+        if is_new {
+            let before = std::mem::replace(&mut self.seq, next);
+            self.delta = Some((next, self.joined(before)));
+        }
+        is_new
+    }
+}
+
+/// On one line; what is there has no maps with strange keys.
+fn json<T: Serialize>(value: &T) -> String {
+    serde_json::to_string(value).unwrap_or_else(|_| "null".to_owned())
+}
+
+impl Hub {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        // A panic within the few lines under this lock leaves nothing half done.
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// Where a listener stands.
+struct Listener<S> {
+    feed: Feed<S>,
+    news: watch::Receiver<u64>,
+    known: Option<u64>,
+    caller: Option<Arc<Caller>>,
+    heard: Instant,
+}
+
+impl<S: Send + 'static> Feed<S> {
+    /// Between two looks at the farm.
+    const EVERY: Duration = Duration::from_secs(1);
+    /// Between two signs of life to a listener.
+    const ALIVE: Duration = Duration::from_secs(10);
+    /// Silence of a worker that is worth a word: less is the time between two heartbeats.
+    const SILENCE: f64 = 3.0;
+
+    /// Of this farm, as this start of its coordinator knows it.
+    pub fn new(farm: Farm<S>) -> Self {
+        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let start = format!("{:x}", since.as_nanos());
+        let hub = Hub { state: Mutex::new(State::new(start)), news: watch::Sender::new(0) };
+        Self { farm, hub: Arc::new(hub) }
+    }
+
+    /// Server-sent events for one listener, until it goes away, the coordinator ends, or its identity counts no more.
+    /// - `last`: the id of the last event that it has heard.
+    pub fn listen(
+        &self,
+        last: Option<&str>,
+        caller: Option<Arc<Caller>>,
+    ) -> impl Stream<Item = Result<Bytes, Infallible>> + Send + use<S> {
+        let (news, known) = {
+            let mut state = self.hub.lock();
+            let mut news = self.hub.news.subscribe();
+            if !std::mem::replace(&mut state.is_running, true) {
+                tokio::spawn(self.clone().run());
+            } else if state.seq > 0 {
+                news.mark_changed();
+            }
+            let number = |id: &str| id.strip_prefix(&*state.start)?.strip_prefix('-')?.parse().ok();
+            (news, last.and_then(number).filter(|known: &u64| *known > 0 && *known <= state.seq))
+        };
+        let listener = Listener { feed: self.clone(), news, known, caller, heard: Instant::now() };
+        unfold(listener, Listener::next)
+    }
+
+    /// Asks the farm while somebody listens.
+    async fn run(self) {
+        let mut timer = tokio::time::interval(Self::EVERY);
+        timer.set_missed_tick_behavior(MissedTickBehavior::Delay);
+        let (mut is_first, mut wanted) = (true, News::All);
+        loop {
+            tokio::select! {
+                _ = timer.tick() => {}
+                () = self.farm.ended() => return,
+            }
+            if !is_first {
+                let mut state = self.hub.lock();
+                if self.hub.news.receiver_count() == 0 {
+                    state.is_running = false;
+                    return;
+                }
+            }
+            let is_new = self.look(&mut wanted).await;
+            if is_new || is_first {
+                self.hub.news.send_modify(|news| *news += 1);
+            }
+            is_first = false;
+        }
+    }
+
+    /// Asks once; says whether there is something new.
+    /// - `wanted`: changes alone, once all is known.
+    async fn look(&self, wanted: &mut News) -> bool {
+        let news = *wanted;
+        let changes = self.farm.ask(|reply| Call::Changes { news, reply }).await;
+        let quiet = |silent: f64| if silent < Self::SILENCE { 0.0 } else { silent.floor() };
+        match changes {
+            Ok(changes) => {
+                *wanted = News::Changes;
+                self.hub.lock().update(changes, quiet)
+            }
+            // What is known stays, with a warning.
+            Err(refusal) => self.hub.lock().note(false, vec![refusal.to_string()]),
+        }
+    }
+}
+
+impl<S: Send + 'static> Listener<S> {
+    /// The next event, as soon as there is one.
+    async fn next(mut self) -> Option<(Result<Bytes, Infallible>, Self)> {
+        loop {
+            if self.caller.as_ref().is_some_and(|caller| !caller.still_counts()) {
+                return None;
+            }
+            let pause = tokio::time::sleep(Feed::<S>::EVERY);
+            tokio::select! {
+                biased;
+                () = self.feed.farm.ended() => return None,
+                changed = self.news.changed() => {
+                    changed.ok()?;
+                    let message = self.feed.hub.lock().message(self.known);
+                    if let Some((known, event)) = message {
+                        (self.known, self.heard) = (Some(known), Instant::now());
+                        return Some((Ok(event), self));
+                    }
+                }
+                () = pause => {
+                    if self.heard.elapsed() >= Feed::<S>::ALIVE {
+                        self.heard = Instant::now();
+                        return Some((Ok(Bytes::from_static(b": alive\n\n")), self));
+                    }
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use femc_model::{Intake, WorkerId};
+    use futures_util::StreamExt as _;
+    use tokio::sync::mpsc;
+
+    use super::*;
+
+    /// A farm with as many workers as are wanted, which counts how often it is asked.
+    fn farm(workers: watch::Receiver<Vec<u64>>) -> (Farm<()>, watch::Receiver<u32>) {
+        let (calls, mut inbox) = mpsc::channel(8);
+        let (asked, count) = watch::channel(0);
+        tokio::spawn(async move {
+            while let Some(call) = inbox.recv().await {
+                match call {
+                    Call::Changes { reply, .. } => {
+                        asked.send_modify(|count| *count += 1);
+                        let workers = workers.borrow().iter().map(|number| worker(*number)).collect();
+                        drop(reply.send(Ok(Changes { workers, ..Changes::default() })));
+                    }
+                    other => panic!("nobody asks {other:?}"),
+                }
+            }
+        });
+        (Farm::new(calls), count)
+    }
+
+    fn worker(number: u64) -> WorkerStatus {
+        WorkerStatus {
+            worker: WorkerId(number),
+            name: format!("w{number}"),
+            threads: 1,
+            tags: Vec::new(),
+            tasks: Vec::new(),
+            silent: 900,
+            completed: 0,
+            failed: 0,
+            intake: Intake::Open,
+            engine: String::new(),
+        }
+    }
+
+    /// Its kind, its id and its data.
+    fn parts(event: &Bytes) -> (String, String, serde_json::Value) {
+        let text = std::str::from_utf8(event).unwrap();
+        let field = |name: &str| text.lines().find_map(|line| line.strip_prefix(name)).unwrap_or_default().to_owned();
+        (field("event: "), field("id: "), serde_json::from_str(&field("data: ")).unwrap())
+    }
+
+    fn numbers(list: &serde_json::Value) -> Vec<u64> {
+        let number = |it: &serde_json::Value| it.get("worker").unwrap_or(it).as_u64().unwrap();
+        list.as_array().unwrap().iter().map(number).collect()
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_listener_that_was_away_gets_what_it_missed_as_one_delta() {
+        let (there, workers) = watch::channel(vec![1, 2]);
+        let (farm, _) = farm(workers);
+        let feed = Feed::new(farm);
+        let mut steady = Box::pin(feed.listen(None, None));
+        let (kind, first, data) = parts(&steady.next().await.unwrap().unwrap());
+        assert_eq!((kind.as_str(), numbers(&data["workers"])), ("snapshot", vec![1, 2]));
+        there.send_replace(vec![1, 2, 3]);
+        let (kind, _, data) = parts(&steady.next().await.unwrap().unwrap());
+        assert_eq!((kind.as_str(), numbers(&data["workers"])), ("delta", vec![3]), "and nothing that is as it was");
+        assert!(data["warnings"].is_null());
+        there.send_replace(vec![1, 3, 4]);
+        let last = steady.next().await.unwrap().unwrap();
+        let mut back = Box::pin(feed.listen(Some(&first), None));
+        let (kind, id, data) = parts(&back.next().await.unwrap().unwrap());
+        assert_eq!(kind, "delta");
+        assert_eq!((numbers(&data["workers"]), numbers(&data["gone_workers"])), (vec![3, 4], vec![2]));
+        assert_eq!(id, parts(&last).1, "now it knows as much as the other");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn listeners_share_one_look_at_the_farm_and_the_same_bytes() {
+        let (there, workers) = watch::channel(vec![1]);
+        let (farm, asked) = farm(workers);
+        let feed = Feed::new(farm);
+        let mut all: Vec<_> = (0..100).map(|_| Box::pin(feed.listen(None, None))).collect();
+        let mut heard = Vec::new();
+        for listener in &mut all {
+            heard.push(listener.next().await.unwrap().unwrap());
+        }
+        assert!(heard.windows(2).all(|pair| pair[0].as_ptr() == pair[1].as_ptr()), "one snapshot, not a hundred");
+        there.send_replace(vec![1, 2]);
+        heard.clear();
+        for listener in &mut all {
+            heard.push(listener.next().await.unwrap().unwrap());
+        }
+        assert!(heard.windows(2).all(|pair| pair[0].as_ptr() == pair[1].as_ptr()), "one delta, not a hundred");
+        assert!(*asked.borrow() <= 3, "{} looks", *asked.borrow());
+        drop(all);
+        tokio::time::sleep(Duration::from_secs(5)).await;
+        let before = *asked.borrow();
+        tokio::time::sleep(Duration::from_secs(60)).await;
+        assert_eq!(*asked.borrow(), before, "nobody listens, so nobody asks");
+        let mut late = Box::pin(feed.listen(None, None));
+        there.send_replace(vec![7]);
+        let (_, _, data) = parts(&late.next().await.unwrap().unwrap());
+        assert_eq!(numbers(&data["workers"]), [7], "what there is now, not what there was");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn a_slow_listener_costs_nothing_and_hears_the_end_of_it() {
+        let (there, workers) = watch::channel(vec![0]);
+        let (farm, _) = farm(workers);
+        let feed = Feed::new(farm);
+        let mut slow = Box::pin(feed.listen(None, None));
+        slow.next().await.unwrap().unwrap();
+        let mut steady = Box::pin(feed.listen(None, None));
+        steady.next().await.unwrap().unwrap();
+        // More comes and goes than is remembered.
+        for turn in 0..20 {
+            there.send_replace((0..500).map(|number| 1 + number + 500 * turn).collect());
+            steady.next().await.unwrap().unwrap();
+        }
+        assert!(feed.hub.lock().workers.gone.len() <= Kept::GONE);
+        let (kind, _, data) = parts(&slow.next().await.unwrap().unwrap());
+        assert_eq!((kind.as_str(), numbers(&data["workers"]).len()), ("snapshot", 500));
+        let quiet = tokio::time::timeout(Duration::from_secs(5), slow.next()).await;
+        assert!(quiet.is_err(), "it is up to date");
+        assert_eq!(slow.next().await.unwrap().unwrap(), ": alive\n\n");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn an_id_of_another_start_or_of_nobody_brings_a_snapshot() {
+        let (_there, workers) = watch::channel(vec![1]);
+        let (farm, _) = farm(workers);
+        let feed = Feed::new(farm);
+        let mut first = Box::pin(feed.listen(None, None));
+        let (_, id, _) = parts(&first.next().await.unwrap().unwrap());
+        let start = id.split_once('-').unwrap().0.to_owned();
+        for wrong in ["", "-", "1-1", "0", &start, &format!("{start}-"), &format!("{start}-99"), &format!("{start}-0")]
+        {
+            let mut listener = Box::pin(feed.listen(Some(wrong), None));
+            let (kind, _, _) = parts(&listener.next().await.unwrap().unwrap());
+            assert_eq!(kind, "snapshot", "{wrong}");
+        }
+    }
+
+    #[tokio::test]
+    async fn listeners_hear_the_end_of_the_coordinator() {
+        let (calls, inbox) = mpsc::channel::<Call<()>>(1);
+        let feed = Feed::new(Farm::new(calls));
+        let mut listener = Box::pin(feed.listen(None, None));
+        drop(inbox);
+        assert!(listener.next().await.is_none());
+    }
+}

@@ -1,0 +1,111 @@
+//! Responses, and what every one of them says to browsers.
+
+use std::convert::Infallible;
+
+use ::http::header::{
+    CACHE_CONTROL, CONTENT_LENGTH, CONTENT_SECURITY_POLICY, CONTENT_TYPE, HeaderName, HeaderValue, REFERRER_POLICY,
+    X_CONTENT_TYPE_OPTIONS, X_FRAME_OPTIONS,
+};
+use ::http::{Response, StatusCode};
+use bytes::Bytes;
+use futures_util::stream::unfold;
+use futures_util::{Stream, StreamExt as _};
+use http_body::Frame;
+use http_body_util::combinators::UnsyncBoxBody;
+use http_body_util::{BodyExt as _, Full, StreamBody};
+use serde::Serialize;
+
+/// What a response brings.
+pub type Body = UnsyncBoxBody<Bytes, Infallible>;
+
+/// Scripts, styles and pictures come from the coordinator alone, none from within the page; nobody shows it in a frame.
+const POLICY: &str = "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; \
+    connect-src 'self'; font-src 'self'; worker-src 'self'; manifest-src 'self'; form-action 'self'; base-uri 'none'; \
+    frame-ancestors 'none'";
+
+/// What every response says.
+pub(super) fn protect(response: &mut Response<Body>) {
+    let headers = response.headers_mut();
+    for (name, value) in [
+        (CONTENT_SECURITY_POLICY, POLICY),
+        (X_CONTENT_TYPE_OPTIONS, "nosniff"),
+        (X_FRAME_OPTIONS, "DENY"),
+        (REFERRER_POLICY, "no-referrer"),
+        (HeaderName::from_static("cross-origin-resource-policy"), "same-origin"),
+        (HeaderName::from_static("cross-origin-opener-policy"), "same-origin"),
+    ] {
+        headers.insert(name, HeaderValue::from_static(value));
+    }
+    headers.entry(CACHE_CONTROL).or_insert(HeaderValue::from_static("no-store"));
+}
+
+/// These bytes, of this type.
+pub(super) fn bytes(status: StatusCode, kind: &'static str, bytes: impl Into<Bytes>) -> Response<Body> {
+    let mut response = Response::new(Full::new(bytes.into()).boxed_unsync());
+    *response.status_mut() = status;
+    response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static(kind));
+    response
+}
+
+/// The same of what is large: `held` is dropped when all of it is sent, or the client is gone.
+pub(super) fn large<T: Send + 'static>(kind: &'static str, bytes: Bytes, held: T) -> Response<Body> {
+    /// Bytes that are handed on at a time.
+    const PIECE: usize = 256 << 10;
+    let length = bytes.len();
+    let pieces = unfold((bytes, held), |(mut rest, held)| async move {
+        if rest.is_empty() {
+            return None;
+        }
+        let piece = rest.split_to(rest.len().min(PIECE));
+        Some((Ok(Frame::data(piece)), (rest, held)))
+    });
+    let mut response = Response::new(StreamBody::new(pieces).boxed_unsync());
+    let headers = response.headers_mut();
+    headers.insert(CONTENT_TYPE, HeaderValue::from_static(kind));
+    headers.insert(CONTENT_LENGTH, length.into());
+    response
+}
+
+/// Without a body.
+pub(super) fn empty(status: StatusCode) -> Response<Body> {
+    let mut response = Response::new(Full::default().boxed_unsync());
+    *response.status_mut() = status;
+    response
+}
+
+/// As JSON.
+pub(super) fn json<T: Serialize>(value: &T) -> Response<Body> {
+    json_with(StatusCode::OK, value)
+}
+
+/// The same with another status.
+pub(super) fn json_with<T: Serialize>(status: StatusCode, value: &T) -> Response<Body> {
+    match serde_json::to_vec(value) {
+        Ok(text) => bytes(status, "application/json", text),
+        Err(error) => bytes(StatusCode::INTERNAL_SERVER_ERROR, "text/plain; charset=utf-8", error.to_string()),
+    }
+}
+
+/// A page with nothing but a message, for people whose browser shows it.
+pub(super) fn message(status: StatusCode, message: &str, help: &str) -> Response<Body> {
+    let page = format!(
+        "<!doctype html>\n<html lang=\"en\"><meta charset=\"utf-8\"><title>femc</title>\n<h1>femc</h1>\n<p>{}</p>\n<p>{}</p>\n\
+         <p><a href=\"/\">back</a></p>\n</html>\n",
+        escaped(message),
+        escaped(help)
+    );
+    bytes(status, "text/html; charset=utf-8", page)
+}
+
+/// Text within HTML.
+fn escaped(text: &str) -> String {
+    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+}
+
+/// Server-sent events.
+pub(super) fn events(events: impl Stream<Item = Result<Bytes, Infallible>> + Send + 'static) -> Response<Body> {
+    let body = StreamBody::new(events.map(|event| event.map(Frame::data)));
+    let mut response = Response::new(body.boxed_unsync());
+    response.headers_mut().insert(CONTENT_TYPE, HeaderValue::from_static("text/event-stream"));
+    response
+}

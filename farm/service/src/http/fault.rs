@@ -1,0 +1,201 @@
+//! Why a request is not answered with what it asks for.
+
+use ::http::header::{ACCEPT, ALLOW, HeaderValue, RETRY_AFTER};
+use ::http::{Response, StatusCode};
+use femc_model::Refusal;
+use serde_json::json;
+
+use super::Asked;
+use super::answer::{self, Body};
+use crate::access::Outcome;
+
+/// What is wrong with a request.
+#[derive(Debug, thiserror::Error)]
+pub(super) enum Fault {
+    /// The farm, or the gate before it.
+    #[error(transparent)]
+    Refused(#[from] Refusal),
+    /// Nothing is there.
+    #[error("there is nothing at {path}")]
+    Nowhere {
+        /// Path of the request.
+        path: String,
+    },
+    /// The page was left out of this build.
+    #[error("this coordinator was built without its page")]
+    NoPage,
+    /// The path takes another method.
+    #[error("{path} takes {allowed}")]
+    Method {
+        /// Path of the request.
+        path: String,
+        /// What it takes.
+        allowed: &'static str,
+    },
+    /// A parameter, a field or a header makes no sense.
+    #[error("{field}: {message}")]
+    Invalid {
+        /// Name of it.
+        field: String,
+        /// What is wrong with it.
+        message: String,
+    },
+    /// The request comes from a page of another site.
+    #[error("the request comes from a page of {origin}, and not of this coordinator")]
+    CrossSite {
+        /// What the browser says of the page.
+        origin: String,
+    },
+    /// The name under which the coordinator was reached is not its own.
+    #[error(
+        "this coordinator is not reached as {host}: it asks nobody who he is, so it serves its own addresses alone"
+    )]
+    Host {
+        /// Host of the request.
+        host: String,
+    },
+    /// A body is too large.
+    #[error("the body has more than {limit} bytes")]
+    TooLarge {
+        /// Bytes.
+        limit: usize,
+    },
+    /// A body did not come.
+    #[error("the body did not come: {message}")]
+    Cut {
+        /// What happened to it.
+        message: String,
+    },
+}
+
+impl Fault {
+    fn status(&self) -> StatusCode {
+        match self {
+            Self::Refused(refusal) => match refusal {
+                Refusal::NoSuchJob { .. } | Refusal::NoSuchWorker { .. } | Refusal::NoSuchArtifact { .. } => {
+                    StatusCode::NOT_FOUND
+                }
+                Refusal::Ended { .. }
+                | Refusal::StaleEpoch
+                | Refusal::MissingArtifacts { .. }
+                | Refusal::Resume { .. } => StatusCode::CONFLICT,
+                Refusal::Invalid { .. } | Refusal::DigestMismatch { .. } => StatusCode::BAD_REQUEST,
+                // Of the calls that come this way only too many a second are too large.
+                Refusal::TooLarge { .. } => StatusCode::TOO_MANY_REQUESTS,
+                Refusal::ArtifactTooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
+                Refusal::NoRoom { .. } | Refusal::Unavailable { .. } => StatusCode::SERVICE_UNAVAILABLE,
+                Refusal::Forbidden { .. } => StatusCode::FORBIDDEN,
+                Refusal::Unauthenticated { .. } => StatusCode::UNAUTHORIZED,
+            },
+            Self::Nowhere { .. } | Self::NoPage => StatusCode::NOT_FOUND,
+            Self::Method { .. } => StatusCode::METHOD_NOT_ALLOWED,
+            Self::Invalid { .. } => StatusCode::BAD_REQUEST,
+            Self::CrossSite { .. } | Self::Host { .. } => StatusCode::FORBIDDEN,
+            Self::TooLarge { .. } => StatusCode::PAYLOAD_TOO_LARGE,
+            Self::Cut { .. } => StatusCode::REQUEST_TIMEOUT,
+        }
+    }
+
+    /// In one word, for programs.
+    pub(super) fn code(&self) -> &'static str {
+        match self {
+            Self::Refused(refusal) => code(refusal),
+            Self::Nowhere { .. } | Self::NoPage => "not_found",
+            Self::Method { .. } => "method_not_allowed",
+            Self::Invalid { .. } => "invalid",
+            Self::CrossSite { .. } => "cross_site",
+            Self::Host { .. } => "foreign_host",
+            Self::TooLarge { .. } => "too_large",
+            Self::Cut { .. } => "cut",
+        }
+    }
+
+    /// What to do now.
+    fn help(&self) -> &'static str {
+        match self {
+            Self::Refused(refusal) => match refusal {
+                Refusal::NoSuchJob { .. } => "GET /api/v1/jobs lists the jobs",
+                Refusal::NoSuchWorker { .. } => "GET /api/v1/feed names the workers",
+                Refusal::NoSuchArtifact { .. } => "it may have been removed; ask again for what names it",
+                Refusal::Ended { .. } => "retry it, if something of it is left to do",
+                Refusal::Invalid { .. } => "docs/http.md has the parameters",
+                Refusal::TooLarge { .. } => "wait a second, then ask less often",
+                Refusal::NoRoom { .. } => "make room there (`femc gc`)",
+                Refusal::Unavailable { .. } => "try again in a few seconds",
+                Refusal::Forbidden { .. } => "ask the farm's admin for an identity of that role (`femc ca`)",
+                Refusal::Unauthenticated { .. } => {
+                    "POST /login with a token that `femc ca token` made, or send it as `Authorization: Bearer TOKEN`"
+                }
+                Refusal::StaleEpoch
+                | Refusal::DigestMismatch { .. }
+                | Refusal::ArtifactTooLarge { .. }
+                | Refusal::MissingArtifacts { .. }
+                | Refusal::Resume { .. } => "use `femc submit`",
+            },
+            Self::Nowhere { .. } => "docs/http.md has all paths; the API begins with /api/v1",
+            Self::NoPage => "GET /api/v1/jobs and /api/v1/feed give JSON; docs/http.md has the rest",
+            Self::Method { .. } | Self::Invalid { .. } => "docs/http.md has methods, headers and parameters",
+            Self::CrossSite { .. } => "open the coordinator's own page, or ask from a program, which sends no Origin",
+            Self::Host { .. } => {
+                "use its address, like http://127.0.0.1:PORT; names are for coordinators with --identity or --token-file"
+            }
+            Self::TooLarge { .. } => "send less at a time",
+            Self::Cut { .. } => "send the request again, all of it at once",
+        }
+    }
+
+    /// For the audit record.
+    pub(super) fn outcome(&self) -> Outcome {
+        match self {
+            Self::Refused(Refusal::Forbidden { .. } | Refusal::Unauthenticated { .. } | Refusal::TooLarge { .. })
+            | Self::CrossSite { .. }
+            | Self::Host { .. }
+            | Self::TooLarge { .. } => Outcome::Refused,
+            Self::Refused(_)
+            | Self::Nowhere { .. }
+            | Self::NoPage
+            | Self::Method { .. }
+            | Self::Invalid { .. }
+            | Self::Cut { .. } => Outcome::Failed,
+        }
+    }
+
+    /// As JSON, or as a small page for a browser that shows the answer to a person.
+    pub(super) fn response(&self, asked: &Asked<'_>) -> Response<Body> {
+        let status = self.status();
+        let accepts = asked.headers.get(ACCEPT).and_then(|accept| accept.to_str().ok()).unwrap_or_default();
+        let is_for_people = !asked.uri.path().starts_with("/api/") && accepts.contains("text/html");
+        let mut response = if is_for_people {
+            answer::message(status, &self.to_string(), self.help())
+        } else {
+            let error = json!({ "code": self.code(), "message": self.to_string(), "help": self.help() });
+            answer::json_with(status, &json!({ "error": error }))
+        };
+        if let Self::Method { allowed, .. } = self {
+            response.headers_mut().insert(ALLOW, HeaderValue::from_static(allowed));
+        }
+        if matches!(status, StatusCode::TOO_MANY_REQUESTS | StatusCode::SERVICE_UNAVAILABLE) {
+            response.headers_mut().insert(RETRY_AFTER, HeaderValue::from_static("2"));
+        }
+        response
+    }
+}
+
+/// The refusal in one word.
+pub(super) fn code(refusal: &Refusal) -> &'static str {
+    match refusal {
+        Refusal::NoSuchJob { .. } | Refusal::NoSuchWorker { .. } | Refusal::NoSuchArtifact { .. } => "not_found",
+        Refusal::Ended { .. } => "ended",
+        Refusal::Invalid { .. } => "invalid",
+        Refusal::StaleEpoch => "stale_epoch",
+        Refusal::DigestMismatch { .. } => "digest_mismatch",
+        Refusal::TooLarge { .. } => "too_many",
+        Refusal::ArtifactTooLarge { .. } => "too_large",
+        Refusal::MissingArtifacts { .. } => "missing_artifacts",
+        Refusal::Resume { .. } => "resume",
+        Refusal::Forbidden { .. } => "forbidden",
+        Refusal::Unavailable { .. } => "unavailable",
+        Refusal::NoRoom { .. } => "no_room",
+        Refusal::Unauthenticated { .. } => "unauthenticated",
+    }
+}

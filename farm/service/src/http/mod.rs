@@ -1,0 +1,167 @@
+//! JSON over HTTP, for programs and for the page in a browser.
+//!
+//! A request becomes a [`Route`], which says what [`Operation`](crate::Operation) it is; what belongs to browsers (cookies, other sites'
+//! pages, names that lead elsewhere) is looked at next, then the gate decides as it does for gRPC. Nothing of another site is ever
+//! let in: there are no CORS headers, and what changes something needs a header that a form cannot send.
+
+mod answer;
+mod change;
+mod fault;
+mod pages;
+mod respond;
+mod route;
+mod site;
+mod visitor;
+
+use std::sync::Arc;
+
+use ::http::{HeaderMap, Method, Request, Response, Uri};
+use bytes::Bytes;
+use femc_store::Store;
+use femc_trust::Audit;
+
+use crate::access::{Gate, Granted, Limits, Outcome, Places, Shown, Trail, Who};
+use crate::farm::Farm;
+use crate::feed::Feed;
+use crate::operation::Operation;
+use crate::picture::{Draw, Pictures};
+pub use answer::Body;
+use fault::Fault;
+pub use pages::Files;
+use route::Route;
+pub use visitor::{Introduced, Visitor};
+
+/// What is served beside the farm itself.
+#[derive(Debug, Clone, Default)]
+pub struct Site {
+    /// The page; without it there is JSON alone.
+    pub files: Files,
+    /// Build of the engine that this program has, for people.
+    pub engine: String,
+    /// Draws frames; without it there are no pictures.
+    pub draw: Option<Draw>,
+}
+
+/// The HTTP side of a farm.
+#[derive(Debug)]
+pub struct Http<S>(Arc<Inner<S>>);
+
+impl<S> Clone for Http<S> {
+    fn clone(&self) -> Self {
+        Self(self.0.clone())
+    }
+}
+
+#[derive(Debug)]
+struct Inner<S> {
+    farm: Farm<S>,
+    feed: Feed<S>,
+    store: Store,
+    places: Places,
+    /// For those who read pixels: a place is held until all are sent.
+    large: Places,
+    pictures: Pictures,
+    gate: Gate,
+    site: Site,
+    is_encrypted: bool,
+}
+
+/// A request without its body.
+struct Asked<'a> {
+    method: &'a Method,
+    uri: &'a Uri,
+    headers: &'a HeaderMap,
+}
+
+impl<S: Send + 'static> Http<S> {
+    /// Of this farm, behind this gate.
+    /// - `places`: for those who read what is large.
+    /// - `is_encrypted`: whether connections are, so that cookies are sent over such alone.
+    pub fn new(farm: Farm<S>, store: Store, places: Places, gate: Gate, site: Site, is_encrypted: bool) -> Self {
+        let feed = Feed::new(farm.clone());
+        let few = Limits { transfers: 4, transfers_of_caller: 2, transfers_of_connection: 2, ..*gate.limits() };
+        let large = Places::new(&few);
+        let pictures = Pictures::new(site.draw, store.clone());
+        Self(Arc::new(Inner { farm, feed, store, places, large, pictures, gate, site, is_encrypted }))
+    }
+
+    /// Answers a request, whatever it is.
+    pub async fn serve<B>(&self, request: Request<B>, visitor: Visitor) -> Response<Body>
+    where
+        B: http_body::Body<Data = Bytes> + Send,
+        B::Error: std::fmt::Display,
+    {
+        let (head, body) = request.into_parts();
+        let asked = Asked { method: &head.method, uri: &head.uri, headers: &head.headers };
+        let route = Route::of(&asked);
+        let operation = route.as_ref().map_or(Operation::Other, Route::operation);
+        let trail = self.0.gate.trail(operation, asked.uri.path(), visitor.address.map(|it| it.to_string()));
+        let answered = match route {
+            // What is no route is told without asking who wants to know, as often as anybody may ask.
+            Err(fault) => Err(self.nowhere(fault, &visitor).await),
+            Ok(route) => self.pass(route, &asked, body, &visitor, &trail).await,
+        };
+        let mut response = match answered {
+            Ok(response) => {
+                self.note(&trail, Outcome::Done, "ok", "");
+                response
+            }
+            Err(fault) => {
+                self.note(&trail, fault.outcome(), fault.code(), &fault.to_string());
+                fault.response(&asked)
+            }
+        };
+        answer::protect(&mut response);
+        response
+    }
+
+    async fn nowhere(&self, fault: Fault, visitor: &Visitor) -> Fault {
+        let place = visitor.address.map(|address| address.ip().to_string());
+        match self.0.gate.pace(place.as_deref()) {
+            Ok(wait) => {
+                tokio::time::sleep(wait).await;
+                fault
+            }
+            Err(refusal) => refusal.into(),
+        }
+    }
+
+    /// Lets a request through, or not, and does what it asks for.
+    async fn pass<B>(
+        &self,
+        route: Route,
+        asked: &Asked<'_>,
+        body: B,
+        visitor: &Visitor,
+        trail: &Trail,
+    ) -> Result<Response<Body>, Fault>
+    where
+        B: http_body::Body<Data = Bytes> + Send,
+        B::Error: std::fmt::Display,
+    {
+        let gate = &self.0.gate;
+        let place = visitor.address.map(|address| address.ip().to_string());
+        let token = site::token(asked.headers)?;
+        let shown = Shown { token, certificate: visitor.certificate.as_ref(), place: place.as_deref() };
+        let granted = gate.check(route.operation(), shown, trail)?;
+        site::check(&route, asked, visitor, gate.asks())?;
+        let Granted { caller, name, wait } = granted;
+        let who = Who { name, connection: visitor.connection };
+        if !wait.is_zero() {
+            tokio::time::sleep(wait).await;
+        }
+        let is_known = caller.is_some() || !gate.asks();
+        let mut response = self.respond(route, asked, body, caller, who, trail).await?;
+        if is_known {
+            response.extensions_mut().insert(Introduced);
+        }
+        Ok(response)
+    }
+
+    fn note(&self, trail: &Trail, outcome: Outcome, code: &str, why: &str) {
+        let audit: Option<&Audit> = self.0.gate.audit();
+        if let Some(audit) = audit {
+            trail.end(audit, outcome, code, why);
+        }
+    }
+}

@@ -1,0 +1,56 @@
+//! The page: files that are part of the program.
+
+use ::http::header::{CACHE_CONTROL, HeaderValue};
+use ::http::{Response, StatusCode};
+
+use super::answer::{self, Body};
+use super::fault::Fault;
+
+/// Files by their paths in the page's folder, like `index.html` and `assets/index-4f2a.js`.
+#[derive(Debug, Clone, Copy, Default)]
+pub struct Files(pub &'static [(&'static str, &'static [u8])]);
+
+impl Files {
+    const INDEX: &str = "index.html";
+    /// Files in here have hashes in their names: what has such a name never changes.
+    const HASHED: &str = "assets/";
+
+    /// Whether the page was left out.
+    pub fn is_empty(self) -> bool {
+        self.0.is_empty()
+    }
+
+    /// The file at a path; a path without a file is one within the page, which finds its way itself.
+    pub(super) fn get(self, path: &str) -> Result<Response<Body>, Fault> {
+        let path = path.trim_start_matches('/');
+        let find = |path: &str| self.0.iter().find(|(name, _)| *name == path);
+        let is_file = path.starts_with(Self::HASHED) || path.rsplit('/').next().is_some_and(|last| last.contains('.'));
+        let found = match find(path) {
+            None if is_file => return Err(Fault::Nowhere { path: format!("/{path}") }),
+            None => find(Self::INDEX),
+            found => found,
+        };
+        let (name, bytes) = found.ok_or(Fault::NoPage)?;
+        let mut response = answer::bytes(StatusCode::OK, kind(name), *bytes);
+        let cached = if name.starts_with(Self::HASHED) { "public, max-age=31536000, immutable" } else { "no-cache" };
+        response.headers_mut().insert(CACHE_CONTROL, HeaderValue::from_static(cached));
+        Ok(response)
+    }
+}
+
+/// The media type of a file by its name.
+fn kind(name: &str) -> &'static str {
+    match name.rsplit('.').next().unwrap_or_default() {
+        "html" => "text/html; charset=utf-8",
+        "js" | "mjs" => "text/javascript; charset=utf-8",
+        "css" => "text/css; charset=utf-8",
+        "json" | "webmanifest" | "map" => "application/json",
+        "svg" => "image/svg+xml",
+        "png" => "image/png",
+        "ico" => "image/x-icon",
+        "woff2" => "font/woff2",
+        "wasm" => "application/wasm",
+        "txt" => "text/plain; charset=utf-8",
+        _ => "application/octet-stream",
+    }
+}

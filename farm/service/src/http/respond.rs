@@ -1,0 +1,291 @@
+//! What each route does.
+
+use std::sync::Arc;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+use ::http::header::{CACHE_CONTROL, ETAG, IF_NONE_MATCH, LOCATION, SET_COOKIE};
+use ::http::{HeaderValue, Response, StatusCode};
+use bytes::Bytes;
+use femc_model::{Cut, Grains, JobId, JobSpec, LogRecord, LogText, Refusal, TaskKey, TaskPage, Tick};
+use femc_trust::Holder;
+use http_body_util::{BodyExt as _, LengthLimitError, Limited};
+use serde::Serialize;
+
+use super::answer::{self, Body};
+use super::fault::Fault;
+use super::route::{Query, Route, TaskWindow, Window};
+use super::{Asked, Http, site};
+use crate::access::{Caller, Trail, Who};
+use crate::attempts::{By, JobRecord, Json, columns, rows_of_page};
+use crate::call::{AttemptPage, Call, JobShape, Listing};
+use crate::picture::Wanted;
+use crate::view::{FrameJson, JobJson, LogJson, SpecJson, TaskJson};
+
+/// Who asks.
+#[derive(Serialize)]
+struct Me<'a> {
+    name: Option<&'a str>,
+    role: Option<&'static str>,
+    secured: bool,
+    version: &'static str,
+    engine: &'a str,
+    farm_time: f64,
+}
+
+#[derive(Serialize)]
+struct Jobs {
+    jobs: Vec<JobJson>,
+    warnings: Vec<String>,
+}
+
+#[derive(Serialize)]
+struct Job {
+    job: JobJson,
+    spec: SpecJson,
+}
+
+#[derive(Serialize)]
+struct Frames {
+    total: usize,
+    frames: Vec<FrameJson>,
+}
+
+#[derive(Serialize)]
+struct Tasks {
+    total: u64,
+    tasks: Vec<TaskJson>,
+}
+
+#[derive(Serialize)]
+struct Attempts<'a> {
+    attempts: Json<'a>,
+    next: Option<u64>,
+}
+
+#[derive(Serialize)]
+struct Logs {
+    records: Vec<LogJson>,
+    /// When the last of them was reported, by the farm's clock: the `since` of the next request.
+    latest: Option<f64>,
+}
+
+#[derive(Serialize)]
+struct AuditLines {
+    lines: Vec<serde_json::Value>,
+}
+
+impl<S: Send + 'static> Http<S> {
+    /// Most bytes of a form or of JSON that comes in.
+    const BODY: usize = 64 << 10;
+
+    /// Does what a route asks for.
+    pub(super) async fn respond<B>(
+        &self,
+        route: Route,
+        asked: &Asked<'_>,
+        body: B,
+        caller: Option<Arc<Caller>>,
+        who: Who,
+        trail: &Trail,
+    ) -> Result<Response<Body>, Fault>
+    where
+        B: http_body::Body<Data = Bytes> + Send,
+        B::Error: std::fmt::Display,
+    {
+        match route {
+            Route::Page(path) => self.0.site.files.get(&path),
+            Route::Login => self.login(asked, &self.whole(body).await?, trail),
+            Route::Logout => self.logged(None),
+            Route::Me => Ok(self.me(caller.as_deref())),
+            Route::Feed(last) => Ok(answer::events(self.0.feed.listen(last.as_deref(), caller))),
+            Route::Jobs => self.jobs().await,
+            Route::Job(job) => self.job(job).await,
+            Route::Frames(job, window) => self.frames(job, window).await,
+            Route::Tasks(job, window) => self.tasks(job, window).await,
+            Route::Attempts(job, from, task) => self.attempts(job, from, task).await,
+            Route::Logs(job, since, task) => self.logs(job, since, task, who).await,
+            Route::Picture(job, frame, wanted) => self.picture(asked, job, frame, wanted, who).await,
+            Route::Control => self.control(&self.whole(body).await?, caller.as_deref(), trail).await,
+            Route::Drain => self.drain(&self.whole(body).await?, trail).await,
+            Route::Audit(count) => self.audit(count).await,
+        }
+    }
+
+    /// A body that is not too large and comes in time.
+    async fn whole<B>(&self, body: B) -> Result<Bytes, Fault>
+    where
+        B: http_body::Body<Data = Bytes> + Send,
+        B::Error: std::fmt::Display,
+    {
+        let patience = self.0.gate.limits().patience;
+        let body = std::pin::pin!(body);
+        let mapped = body.map_err(|error| std::io::Error::other(error.to_string()));
+        let whole = tokio::time::timeout(patience, Limited::new(mapped, Self::BODY).collect()).await;
+        let late = || Fault::Cut { message: format!("not within {} s", patience.as_secs()) };
+        match whole.map_err(|_| late())? {
+            Ok(whole) => Ok(whole.to_bytes()),
+            Err(error) if error.is::<LengthLimitError>() => Err(Fault::TooLarge { limit: Self::BODY }),
+            Err(error) => Err(Fault::Cut { message: error.to_string() }),
+        }
+    }
+
+    /// Takes a token from a form, and gives a cookie that brings it along.
+    fn login(&self, asked: &Asked<'_>, form: &Bytes, trail: &Trail) -> Result<Response<Body>, Fault> {
+        let kind = asked.headers.get(::http::header::CONTENT_TYPE).and_then(|kind| kind.to_str().ok());
+        if !kind.is_some_and(|kind| kind.starts_with("application/x-www-form-urlencoded")) {
+            let message = "must be application/x-www-form-urlencoded, with the field `token`".into();
+            return Err(Fault::Invalid { field: "Content-Type".into(), message });
+        }
+        let form = std::str::from_utf8(form).unwrap_or_default();
+        let token = Query(form).get("token").unwrap_or_default();
+        let caller = self.0.gate.holder(token.trim())?;
+        trail.caller(&caller);
+        self.logged(Some(token.trim()))
+    }
+
+    /// Back to the page, with the cookie, or without it.
+    fn logged(&self, token: Option<&str>) -> Result<Response<Body>, Fault> {
+        let mut response = answer::bytes(StatusCode::SEE_OTHER, "text/plain; charset=utf-8", Bytes::new());
+        response.headers_mut().insert(LOCATION, HeaderValue::from_static("/"));
+        if let Some(cookie) = site::cookie(token, self.0.is_encrypted) {
+            response.headers_mut().insert(SET_COOKIE, cookie);
+        }
+        Ok(response)
+    }
+
+    fn me(&self, caller: Option<&Caller>) -> Response<Body> {
+        let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let role = caller.map(|caller| match &caller.holder {
+            Holder::User { role, .. } => role.name(),
+            Holder::Worker { .. } => "worker",
+            Holder::Coordinator { .. } => "coordinator",
+        });
+        answer::json(&Me {
+            name: caller.map(|caller| caller.holder.name()),
+            role,
+            secured: self.0.is_encrypted,
+            version: env!("CARGO_PKG_VERSION"),
+            engine: &self.0.site.engine,
+            farm_time: now.as_secs_f64(),
+        })
+    }
+
+    async fn jobs(&self) -> Result<Response<Body>, Fault> {
+        let Listing { jobs, warnings } = self.0.farm.ask(|reply| Call::List { reply }).await?;
+        Ok(answer::json(&Jobs { jobs: jobs.iter().map(JobJson::from).collect(), warnings }))
+    }
+
+    async fn job(&self, job: JobId) -> Result<Response<Body>, Fault> {
+        let status = self.0.farm.ask(|reply| Call::Status { job, reply }).await?;
+        let shape = self.0.farm.ask(|reply| Call::Shape { job, reply }).await?;
+        Ok(answer::json(&Job { job: JobJson::from(&status), spec: SpecJson::from(&*shape.spec) }))
+    }
+
+    async fn frames(&self, job: JobId, Window { from, count }: Window) -> Result<Response<Body>, Fault> {
+        /// Most frames of one answer.
+        const MOST: usize = 10_000;
+        let JobShape { spec, .. } = self.0.farm.ask(|reply| Call::Shape { job, reply }).await?;
+        let [width, height] = spec.grid.film;
+        let pixels = u64::from(width) * u64::from(height);
+        let frames = self.0.farm.ask(|reply| Call::FrameTable { job, reply }).await?;
+        let total = frames.len();
+        let window = frames.iter().skip(from).take(count.min(MOST));
+        Ok(answer::json(&Frames { total, frames: window.map(|frame| FrameJson::new(frame, pixels)).collect() }))
+    }
+
+    async fn tasks(&self, job: JobId, window: TaskWindow) -> Result<Response<Body>, Fault> {
+        let TaskWindow { filter, from, count } = window;
+        let TaskPage { total, tasks } =
+            self.0.farm.ask(|reply| Call::Tasks { job, filter, from, count, reply }).await?;
+        Ok(answer::json(&Tasks { total, tasks: tasks.iter().map(TaskJson::from).collect() }))
+    }
+
+    async fn attempts(&self, job: JobId, from: u64, task: Option<TaskKey>) -> Result<Response<Body>, Fault> {
+        let JobShape { spec, cut } = self.0.farm.ask(|reply| Call::Shape { job, reply }).await?;
+        let page = |from| self.0.farm.ask(move |reply| Call::Attempts { job, from, reply });
+        let AttemptPage { mut attempts, mut next } = page(from).await?;
+        if let Some(task) = task {
+            attempts.retain(|attempt| is_of(&spec, cut, &task, &attempt.task));
+            while let Some(from) = next {
+                let more = page(from).await?;
+                attempts.extend(more.attempts.into_iter().filter(|attempt| is_of(&spec, cut, &task, &attempt.task)));
+                next = more.next;
+            }
+        }
+        let record = JobRecord { job, run: 0, variant: None, spec: *spec, cut, attempts, failures: Vec::new() };
+        let (columns, rows) = (columns(By::Attempt), rows_of_page(record));
+        Ok(answer::json(&Attempts { attempts: Json(&columns, &rows), next }))
+    }
+
+    async fn logs(&self, job: JobId, since: Tick, task: Option<TaskKey>, who: Who) -> Result<Response<Body>, Fault> {
+        let JobShape { spec, cut } = self.0.farm.ask(|reply| Call::Shape { job, reply }).await?;
+        let all = self.0.farm.ask(|reply| Call::Logs { job, since, reply }).await?;
+        let is_wanted = |record: &LogRecord| task.is_none_or(|task| is_of(&spec, cut, &task, &record.task));
+        let wanted = all.into_iter().filter(is_wanted);
+        let wanted: Vec<LogRecord> = wanted.collect();
+        let latest = wanted.iter().map(|record| record.at.0 as f64 / 1000.0).next_back();
+        let _place = self.0.places.take(who).await;
+        let mut records = Vec::with_capacity(wanted.len());
+        for record in wanted {
+            let text = match &record.log.text {
+                LogText::Inline(text) => text.clone(),
+                LogText::Stored(artifact) => match self.0.store.get(&artifact.digest).await {
+                    Ok(bytes) => String::from_utf8_lossy(&bytes).into_owned(),
+                    Err(error) => format!("the log cannot be read: {error}\n"),
+                },
+            };
+            records.push(LogJson::new(&record, text));
+        }
+        Ok(answer::json(&Logs { records, latest }))
+    }
+
+    async fn picture(
+        &self,
+        asked: &Asked<'_>,
+        job: JobId,
+        frame: u32,
+        wanted: Wanted,
+        who: Who,
+    ) -> Result<Response<Body>, Fault> {
+        let place = match wanted {
+            Wanted::Thumbnail { .. } => self.0.places.take(who).await,
+            Wanted::Pixels => self.0.large.take(who).await,
+        };
+        let known = asked.headers.get(IF_NONE_MATCH).and_then(|tag| tag.to_str().ok());
+        let known = known.map(|tag| tag.trim_start_matches("W/").trim_matches('"'));
+        let Some(drawn) = self.0.pictures.of(&self.0.farm, job, frame, wanted, known).await? else {
+            return Ok(answer::empty(StatusCode::NO_CONTENT));
+        };
+        let mut response = match wanted {
+            _ if known == Some(drawn.tag.as_str()) => answer::empty(StatusCode::NOT_MODIFIED),
+            Wanted::Thumbnail { .. } => answer::bytes(StatusCode::OK, "image/png", drawn.bytes),
+            Wanted::Pixels => answer::large("application/vnd.femc.pixels", drawn.bytes, place),
+        };
+        let headers = response.headers_mut();
+        // A digest in hexadecimal is good for a header.
+        if let Ok(tag) = HeaderValue::try_from(format!("\"{}\"", drawn.tag)) {
+            headers.insert(ETAG, tag);
+        }
+        headers.insert(CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
+        Ok(response)
+    }
+
+    async fn audit(&self, count: usize) -> Result<Response<Body>, Fault> {
+        let audit = self.0.gate.audit().cloned();
+        let audit =
+            audit.ok_or(Refusal::Unavailable { message: "this coordinator keeps no record (`--audit`)".into() })?;
+        let lines = tokio::task::spawn_blocking(move || audit.latest(count)).await;
+        let failed = |message: String| Refusal::Unavailable { message };
+        let lines = lines.map_err(|error| failed(error.to_string()))?.map_err(|error| failed(error.to_string()))?;
+        Ok(answer::json(&AuditLines { lines }))
+    }
+}
+
+/// Whether a lease is one of a task, by its own name or by that of the task before it was cut.
+fn is_of(spec: &JobSpec, cut: Cut, task: &TaskKey, lease: &TaskKey) -> bool {
+    let item = || {
+        let template = spec.graph.stage(lease.stage.number)?;
+        Some(Grains::of(template, lease.stage.round, None, cut).task(lease.index))
+    };
+    task.job == lease.job && task.stage == lease.stage && (task.index == lease.index || item() == Some(task.index))
+}

@@ -1,0 +1,267 @@
+//! Paths, and what they ask for.
+
+use ::http::Method;
+use ::http::header::HeaderName;
+use femc_model::{JobId, TaskFilter, TaskKey, TaskState, Tick};
+
+use super::Asked;
+use super::fault::Fault;
+use crate::operation::Operation;
+use crate::picture::Wanted;
+
+/// What a request asks for.
+#[derive(Debug, Clone, PartialEq, Eq)]
+pub(super) enum Route {
+    /// A file of the page.
+    Page(String),
+    Login,
+    Logout,
+    Me,
+    /// Changes since an event, by its id.
+    Feed(Option<String>),
+    Jobs,
+    Job(JobId),
+    Frames(JobId, Window),
+    Tasks(JobId, TaskWindow),
+    /// What attempts took, from this note on; or all at one task.
+    Attempts(JobId, u64, Option<TaskKey>),
+    /// Logs since this moment of the farm's clock, of one task where it is named.
+    Logs(JobId, Tick, Option<TaskKey>),
+    /// A frame as a picture.
+    Picture(JobId, u32, Wanted),
+    Control,
+    Drain,
+    /// The latest lines of the record.
+    Audit(usize),
+}
+
+/// Some of many.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct Window {
+    pub(super) from: usize,
+    pub(super) count: usize,
+}
+
+/// Some of a job's tasks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub(super) struct TaskWindow {
+    pub(super) filter: TaskFilter,
+    pub(super) from: u64,
+    pub(super) count: usize,
+}
+
+const LAST_EVENT: HeaderName = HeaderName::from_static("last-event-id");
+
+impl Route {
+    /// Of a request.
+    pub(super) fn of(asked: &Asked<'_>) -> Result<Self, Fault> {
+        let path = asked.uri.path();
+        let Some(call) = path.strip_prefix("/api/v1/") else { return Self::of_page(asked, path) };
+        let query = Query(asked.uri.query().unwrap_or_default());
+        let segments: Vec<&str> = call.split('/').collect();
+        let (route, method) = match segments[..] {
+            ["me"] => (Self::Me, Method::GET),
+            ["feed"] => {
+                let last = asked.headers.get(LAST_EVENT).and_then(|id| id.to_str().ok()).map(str::to_owned);
+                (Self::Feed(last.or_else(|| query.get("since"))), Method::GET)
+            }
+            ["jobs"] => (Self::Jobs, Method::GET),
+            ["jobs", "control"] => (Self::Control, Method::POST),
+            ["jobs", job] => (Self::Job(number("job", job)?), Method::GET),
+            ["jobs", job, "frames"] => {
+                let (from, count) = (query.number("from")?.unwrap_or(0), query.number("count")?.unwrap_or(10_000));
+                (Self::Frames(number("job", job)?, Window { from, count }), Method::GET)
+            }
+            ["jobs", job, "tasks"] => (Self::Tasks(number("job", job)?, window(query)?), Method::GET),
+            ["jobs", job, "attempts"] => {
+                let (from, task) = (query.number("from")?.unwrap_or(0), query.number("task")?);
+                (Self::Attempts(number("job", job)?, from, task), Method::GET)
+            }
+            ["jobs", job, "logs"] => {
+                let since = query.number::<f64>("since")?.unwrap_or(0.0);
+                // Beyond the range of milliseconds there is no log.
+                let since = Tick((since * 1000.0) as u64);
+                (Self::Logs(number("job", job)?, since, query.number("task")?), Method::GET)
+            }
+            ["jobs", job, "frames", frame, picture] => {
+                let wanted = match picture {
+                    "pixels" => Wanted::Pixels,
+                    "thumbnail.png" => Wanted::Thumbnail { height: height(query)? },
+                    _ => return Err(Fault::Nowhere { path: path.to_owned() }),
+                };
+                (Self::Picture(number("job", job)?, number("frame", frame)?, wanted), Method::GET)
+            }
+            ["workers", "drain"] => (Self::Drain, Method::POST),
+            ["audit"] => {
+                let count = query.number("count")?.unwrap_or(200);
+                if !(1..=10_000).contains(&count) {
+                    return Err(invalid("count", "from 1 to 10000"));
+                }
+                (Self::Audit(count), Method::GET)
+            }
+            _ => return Err(Fault::Nowhere { path: path.to_owned() }),
+        };
+        route.by(asked, &method, path)
+    }
+
+    fn of_page(asked: &Asked<'_>, path: &str) -> Result<Self, Fault> {
+        match path {
+            "/login" if asked.method == Method::POST => Ok(Self::Login),
+            "/logout" => Self::Logout.by(asked, &Method::POST, path),
+            _ if path == "/api" || path.starts_with("/api/") => Err(Fault::Nowhere { path: path.to_owned() }),
+            _ => Self::Page(path.to_owned()).by(asked, &Method::GET, path),
+        }
+    }
+
+    fn by(self, asked: &Asked<'_>, method: &Method, path: &str) -> Result<Self, Fault> {
+        if asked.method == method {
+            return Ok(self);
+        }
+        let allowed = if method == Method::GET { "GET" } else { "POST" };
+        Err(Fault::Method { path: path.to_owned(), allowed })
+    }
+
+    /// What it is.
+    pub(super) fn operation(&self) -> Operation {
+        match self {
+            Self::Page(_) => Operation::Page,
+            Self::Login => Operation::Login,
+            Self::Logout => Operation::Logout,
+            Self::Me => Operation::Me,
+            Self::Feed(_) => Operation::Feed,
+            Self::Jobs => Operation::List,
+            Self::Job(_) => Operation::Status,
+            Self::Frames(..) => Operation::FrameTable,
+            Self::Tasks(..) => Operation::Tasks,
+            Self::Attempts(..) => Operation::Attempts,
+            Self::Logs(..) => Operation::Logs,
+            Self::Picture(..) => Operation::Picture,
+            Self::Control => Operation::Control,
+            Self::Drain => Operation::DrainWorkers,
+            Self::Audit(_) => Operation::ReadAudit,
+        }
+    }
+
+    /// Whether it changes something of the farm, by JSON.
+    pub(super) fn is_change(&self) -> bool {
+        matches!(self, Self::Control | Self::Drain)
+    }
+}
+
+fn window(query: Query<'_>) -> Result<TaskWindow, Fault> {
+    let state = query.get("state").map(|name| {
+        let known = TaskState::ALL.into_iter().find(|state| state.name() == name);
+        known.ok_or_else(|| invalid("state", &format!("`{name}`: give waiting, running, done or failed")))
+    });
+    let filter = TaskFilter { frame: query.number("frame")?, stage: query.number("stage")?, state: state.transpose()? };
+    Ok(TaskWindow { filter, from: query.number("from")?.unwrap_or(0), count: query.number("count")?.unwrap_or(1000) })
+}
+
+/// Rows of a thumbnail.
+fn height(query: Query<'_>) -> Result<u32, Fault> {
+    let height = query.number("height")?.unwrap_or(90);
+    if (1..=1024).contains(&height) { Ok(height) } else { Err(invalid("height", "from 1 to 1024")) }
+}
+
+fn invalid(field: &str, message: &str) -> Fault {
+    Fault::Invalid { field: field.into(), message: message.into() }
+}
+
+/// A number, or another name, within a path.
+fn number<T: std::str::FromStr>(field: &str, text: &str) -> Result<T, Fault>
+where
+    T::Err: std::fmt::Display,
+{
+    text.parse().map_err(|error| Fault::Invalid { field: field.into(), message: format!("`{text}`: {error}") })
+}
+
+/// The part of an address behind the question mark.
+#[derive(Debug, Clone, Copy)]
+pub(super) struct Query<'a>(pub(super) &'a str);
+
+impl Query<'_> {
+    /// The first value of this name; an empty one is none.
+    pub(super) fn get(self, name: &str) -> Option<String> {
+        let value = form_urlencoded::parse(self.0.as_bytes()).find(|(key, _)| key == name)?.1;
+        Some(value.into_owned()).filter(|value| !value.is_empty())
+    }
+
+    /// The same as a number.
+    pub(super) fn number<T: std::str::FromStr>(self, name: &str) -> Result<Option<T>, Fault>
+    where
+        T::Err: std::fmt::Display,
+    {
+        self.get(name).map(|text| number(name, &text)).transpose()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use ::http::{HeaderMap, Uri};
+    use femc_trust::Role;
+
+    use super::*;
+    use crate::operation::Right;
+
+    fn route(method: &Method, path: &str) -> Result<Route, Fault> {
+        let (uri, headers): (Uri, _) = (path.parse().expect("a path"), HeaderMap::new());
+        Route::of(&Asked { method, uri: &uri, headers: &headers })
+    }
+
+    #[test]
+    fn who_may_by_the_documentation_may() {
+        let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/http.md")).expect("a page");
+        let rows: Vec<Vec<&str>> = page.lines().map(|line| line.split(" | ").collect()).collect();
+        let mut seen = 0;
+        for row in rows.iter().filter(|row| row.len() == 3 && row[0].starts_with("| `")) {
+            let right = match row[2].trim_end_matches(" |") {
+                "everybody" => Right::Public,
+                "any identity" => Right::Anybody,
+                "viewers" => Right::User(Role::Viewer),
+                "the owner, if a submitter; operators" => Right::User(Role::Submitter),
+                "operators" => Right::User(Role::Operator),
+                "admins" => Right::User(Role::Admin),
+                other => panic!("who are {other:?}?"),
+            };
+            for request in row[0].split('`').filter(|part| part.contains(" /")) {
+                let (method, path) = request.split_once(' ').expect("a method");
+                let path = path.replace("JOB", "7").replace("/N/", "/1/");
+                let route = route(&method.parse().expect("a method"), &path).expect("a route");
+                assert_eq!(route.operation().right(), right, "{request}");
+                assert_eq!(route.is_change(), method == "POST" && path.starts_with("/api"), "{request}");
+                seen += 1;
+            }
+        }
+        assert_eq!(seen, 15);
+    }
+
+    #[test]
+    fn a_path_that_is_none_of_these_or_makes_no_sense_is_told_so() {
+        for path in ["/api", "/api/", "/api/v1", "/api/v2/jobs", "/api/v1/jobs/7/nothing", "/api/v1/jobs/7/frames/1/x"]
+        {
+            assert!(matches!(route(&Method::GET, path), Err(Fault::Nowhere { .. })), "{path}");
+        }
+        for path in [
+            "/api/v1/jobs/",
+            "/api/v1/jobs/7x",
+            "/api/v1/jobs/7/frames/-1/pixels",
+            "/api/v1/jobs/7/tasks?count=many",
+            "/api/v1/jobs/7/tasks?state=Done",
+            "/api/v1/jobs/7/logs?since=yesterday",
+            "/api/v1/jobs/7/logs?task=7",
+        ] {
+            assert!(matches!(route(&Method::GET, path), Err(Fault::Invalid { .. })), "{path}");
+        }
+        for (method, path) in [(Method::POST, "/api/v1/jobs"), (Method::GET, "/logout"), (Method::DELETE, "/")] {
+            assert!(matches!(route(&method, path), Err(Fault::Method { .. })), "{method} {path}");
+        }
+        assert_eq!(route(&Method::GET, "/login").expect("the page"), Route::Page("/login".into()));
+        let Ok(Route::Tasks(job, window)) =
+            route(&Method::GET, "/api/v1/jobs/shared-3/tasks?frame=0&state=failed&from=5")
+        else {
+            panic!("it is a window of tasks");
+        };
+        let filter = TaskFilter { frame: Some(0), stage: None, state: Some(TaskState::Failed) };
+        assert_eq!((job, window), (JobId::shared(3), TaskWindow { filter, from: 5, count: 1000 }));
+    }
+}

@@ -1,0 +1,163 @@
+//! What keeps other sites' pages out, and the cookie of this one.
+//!
+//! A browser sends requests for any page that it shows. So what changes something must come as JSON with a header of its own, which a
+//! form of another site cannot send and a script only after this server has allowed it, which it never does; an `Origin`, where there
+//! is one, must be the coordinator itself; and what a browser says to come from another site is refused. A coordinator that
+//! asks nobody who he is could be reached by a page whose name has been made to lead to this machine (DNS rebinding): it answers
+//! only those who name it by its own address.
+
+use std::net::IpAddr;
+
+use ::http::header::{AUTHORIZATION, CONTENT_TYPE, COOKIE, HOST, HeaderName, HeaderValue, ORIGIN};
+use ::http::{HeaderMap, Method};
+
+use super::Asked;
+use super::fault::Fault;
+use super::route::Route;
+use super::visitor::Visitor;
+
+/// Name of the cookie.
+const COOKIE_NAME: &str = "femc";
+/// Header that only the page and programs send.
+const OWN_HEADER: HeaderName = HeaderName::from_static("x-femc");
+const FETCH_SITE: HeaderName = HeaderName::from_static("sec-fetch-site");
+const FETCH_MODE: HeaderName = HeaderName::from_static("sec-fetch-mode");
+
+/// The token that a request brings: of the header, else of the cookie.
+pub(super) fn token(headers: &HeaderMap) -> Result<Option<&str>, Fault> {
+    if let Some(header) = headers.get(AUTHORIZATION) {
+        // What is no bearer's token is a wrong one.
+        return Ok(Some(text(header).strip_prefix("Bearer ").unwrap_or_default()));
+    }
+    let cookies = headers.get_all(COOKIE).into_iter().flat_map(|cookies| text(cookies).split(';'));
+    let mut own = cookies.filter_map(|cookie| cookie.trim().split_once('=')).filter(|(name, _)| *name == COOKIE_NAME);
+    let token = own.next().map(|(_, value)| value);
+    if own.next().is_some() {
+        return Err(invalid("Cookie", "there are two cookies named femc: log out, and in again"));
+    }
+    Ok(token.filter(|token| !token.is_empty()))
+}
+
+fn text(value: &HeaderValue) -> &str {
+    value.to_str().unwrap_or_default()
+}
+
+fn invalid(field: &str, message: &str) -> Fault {
+    Fault::Invalid { field: field.into(), message: message.into() }
+}
+
+/// The cookie that brings a token along; `None` ends it.
+pub(super) fn cookie(token: Option<&str>, is_encrypted: bool) -> Option<HeaderValue> {
+    let secure = if is_encrypted { "; Secure" } else { "" };
+    let end = if token.is_none() { "; Max-Age=0" } else { "" };
+    let token = token.unwrap_or_default();
+    let mut value =
+        HeaderValue::try_from(format!("{COOKIE_NAME}={token}; HttpOnly; SameSite=Strict; Path=/{secure}{end}")).ok()?;
+    value.set_sensitive(true);
+    Some(value)
+}
+
+/// Refuses what another site's page may have sent.
+pub(super) fn check(route: &Route, asked: &Asked<'_>, visitor: &Visitor, asks: bool) -> Result<(), Fault> {
+    let host = host(asked);
+    if !asks && visitor.address.is_some() && !is_own(&host, visitor) {
+        return Err(Fault::Host { host });
+    }
+    if let Some(origin) = asked.headers.get(ORIGIN).map(text)
+        && origin.split_once("://").is_none_or(|(_, authority)| !authority.eq_ignore_ascii_case(&host))
+    {
+        return Err(Fault::CrossSite { origin: origin.to_owned() });
+    }
+    let header = |name: HeaderName| asked.headers.get(name).map(text).unwrap_or_default();
+    let is_visit = *asked.method == Method::GET && header(FETCH_MODE) == "navigate" && matches!(route, Route::Page(_));
+    if matches!(header(FETCH_SITE), "cross-site" | "same-site") && !is_visit {
+        return Err(Fault::CrossSite { origin: "another site".into() });
+    }
+    if route.is_change() {
+        let kind = header(CONTENT_TYPE).split(';').next().unwrap_or_default().trim();
+        if !kind.eq_ignore_ascii_case("application/json") {
+            return Err(invalid("Content-Type", "must be application/json"));
+        }
+        if header(OWN_HEADER) != "1" {
+            return Err(invalid("X-Femc", "what changes something must come with the header `X-Femc: 1`"));
+        }
+    }
+    Ok(())
+}
+
+/// How the client names the server, with the port.
+fn host(asked: &Asked<'_>) -> String {
+    let authority = asked.uri.authority().map(|authority| authority.as_str().to_owned());
+    authority.or_else(|| asked.headers.get(HOST).map(|host| text(host).to_owned())).unwrap_or_default()
+}
+
+/// Whether a name is this machine's loopback, or the address at which the client has reached the server. The port may be another: of
+/// a tunnel.
+fn is_own(host: &str, visitor: &Visitor) -> bool {
+    let name = match host.strip_prefix('[').and_then(|rest| rest.split_once(']')) {
+        Some((ip, _)) => ip,
+        None => host.rsplit_once(':').map_or(host, |(name, _)| name),
+    };
+    if name.eq_ignore_ascii_case("localhost") {
+        return true;
+    }
+    let reached = visitor.reached.map(|address| address.ip().to_canonical());
+    name.parse::<IpAddr>().is_ok_and(|ip| ip.to_canonical().is_loopback() || Some(ip.to_canonical()) == reached)
+}
+
+#[cfg(test)]
+mod tests {
+    use ::http::Uri;
+
+    use super::*;
+
+    fn headers(pairs: &[(&'static str, &str)]) -> HeaderMap {
+        pairs.iter().map(|(name, value)| (HeaderName::from_static(name), value.parse().unwrap())).collect()
+    }
+
+    #[test]
+    fn a_host_is_the_coordinators_own_if_it_is_an_address_of_it() {
+        let reached = Some("10.0.0.5:7878".parse().unwrap());
+        let visitor = Visitor { address: reached, reached, ..Visitor::default() };
+        for own in ["localhost", "LOCALHOST:9000", "127.0.0.1:7878", "127.9.9.9", "[::1]:7878", "10.0.0.5:7878"] {
+            assert!(is_own(own, &visitor), "{own}");
+        }
+        for foreign in
+            ["", "evil.example", "evil.example:7878", "localhost.evil.example", "10.0.0.6", "[::2]:1", ":", "["]
+        {
+            assert!(!is_own(foreign, &visitor), "{foreign}");
+        }
+    }
+
+    #[test]
+    fn a_token_is_the_header_s_else_the_cookie_s() {
+        assert_eq!(token(&headers(&[])).unwrap(), None);
+        assert_eq!(token(&headers(&[("cookie", "a=b; femc=x; c=d")])).unwrap(), Some("x"));
+        assert_eq!(token(&headers(&[("cookie", "notfemc=x; femc=")])).unwrap(), None);
+        let both = headers(&[("cookie", "femc=x"), ("authorization", "Bearer y")]);
+        assert_eq!(token(&both).unwrap(), Some("y"));
+        assert_eq!(token(&headers(&[("authorization", "Basic y")])).unwrap(), Some(""), "a wrong one, and not none");
+        assert!(token(&headers(&[("cookie", "femc=x; femc=y")])).is_err());
+    }
+
+    #[test]
+    fn what_another_site_may_have_sent_is_refused() {
+        let address = Some("127.0.0.1:7878".parse().unwrap());
+        let visitor = Visitor { address, reached: address, ..Visitor::default() };
+        let uri: Uri = "/api/v1/jobs".parse().unwrap();
+        let checked = |pairs: &[(&'static str, &str)]| {
+            let headers = headers(pairs);
+            let asked = Asked { method: &Method::GET, uri: &uri, headers: &headers };
+            check(&Route::Jobs, &asked, &visitor, false)
+        };
+        let own = ("host", "127.0.0.1:7878");
+        assert!(checked(&[own]).is_ok());
+        assert!(checked(&[own, ("origin", "http://127.0.0.1:7878"), ("sec-fetch-site", "same-origin")]).is_ok());
+        for origin in ["http://evil.example", "null", "http://127.0.0.1:80", "http://127.0.0.1:7878.evil.example"] {
+            assert!(matches!(checked(&[own, ("origin", origin)]), Err(Fault::CrossSite { .. })), "{origin}");
+        }
+        assert!(matches!(checked(&[own, ("sec-fetch-site", "cross-site")]), Err(Fault::CrossSite { .. })));
+        assert!(matches!(checked(&[("host", "evil.example:7878")]), Err(Fault::Host { .. })));
+        assert!(matches!(checked(&[]), Err(Fault::Host { .. })));
+    }
+}

@@ -1,0 +1,249 @@
+//! A job as programs and pages read it, and why its tasks wait.
+
+use femc_model::{FrameProgress, JobState, JobStatus, Stage, Wait};
+use serde::Serialize;
+
+use super::words::count;
+
+/// A job as JSON: the names of states in lower case, so that scripts compare words, not a program's spelling.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct JobJson {
+    job: u64,
+    name: String,
+    state: &'static str,
+    owner: String,
+    priority: u8,
+    frames: u32,
+    frames_done: u32,
+    frames_failed: u32,
+    samples: u64,
+    samples_most: u64,
+    samples_per_second: f64,
+    bad_samples: u64,
+    relative_error: Option<f64>,
+    seconds: f64,
+    workers: u32,
+    failure: Option<String>,
+    active: Vec<ActiveJson>,
+    /// Late tasks that were given to a second worker.
+    copies: u64,
+    quarantined: Vec<QuarantinedJson>,
+    waits: Vec<String>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+struct ActiveJson {
+    frame: u32,
+    stage: &'static str,
+    round: u32,
+    rounds: u32,
+    tiles_done: u32,
+    tiles: u32,
+    running: u32,
+    samples: u64,
+    relative_error: Option<f64>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+struct QuarantinedJson {
+    task: String,
+    frame: u32,
+    attempts: u32,
+    failure: String,
+}
+
+impl From<&JobStatus> for JobJson {
+    fn from(job: &JobStatus) -> Self {
+        Self {
+            job: job.job.0,
+            name: job.name.clone(),
+            state: state(job.state),
+            owner: job.owner.clone(),
+            priority: job.priority,
+            frames: job.frames_total,
+            frames_done: job.frames_done,
+            frames_failed: job.frames_failed,
+            samples: job.samples_done,
+            samples_most: job.samples_planned,
+            samples_per_second: job.samples_per_second,
+            bad_samples: job.bad_samples,
+            relative_error: job.relative_error,
+            seconds: job.seconds,
+            workers: job.workers,
+            failure: job.failure.as_ref().map(ToString::to_string),
+            active: job.active.iter().map(ActiveJson::from).collect(),
+            copies: job.copies,
+            quarantined: job
+                .quarantined
+                .iter()
+                .map(|q| QuarantinedJson {
+                    task: q.task.to_string(),
+                    frame: q.task.stage.frame,
+                    attempts: q.attempts,
+                    failure: q.failure.to_string(),
+                })
+                .collect(),
+            waits: job.waits.iter().map(|it| wait(job, it)).collect(),
+        }
+    }
+}
+
+impl From<&FrameProgress> for ActiveJson {
+    fn from(frame: &FrameProgress) -> Self {
+        Self {
+            frame: frame.frame,
+            stage: frame.stage.name(),
+            round: frame.round + 1,
+            rounds: frame.rounds,
+            tiles_done: frame.tiles_done,
+            tiles: frame.tiles_total,
+            running: frame.running,
+            samples: frame.samples_done,
+            relative_error: frame.relative_error,
+        }
+    }
+}
+
+/// The state in one word.
+pub fn state(state: JobState) -> &'static str {
+    match state {
+        JobState::Queued => "queued",
+        JobState::Running => "running",
+        JobState::Paused => "paused",
+        JobState::Done => "done",
+        JobState::Failed => "failed",
+        JobState::Cancelled => "cancelled",
+    }
+}
+
+/// The frame of this number, or the whole job.
+pub fn unit(frame: u32) -> String {
+    if frame == Stage::OF_JOB { "the whole job".to_owned() } else { format!("frame {frame}") }
+}
+
+fn has(n: u32) -> &'static str {
+    if n == 1 { "has" } else { "have" }
+}
+
+/// Why tasks of the job wait.
+pub fn wait(job: &JobStatus, wait: &Wait) -> String {
+    match wait {
+        Wait::Paused => "the job is paused".to_owned(),
+        Wait::NoWorkers => "no worker is there; start one with `femc worker --join URL`".to_owned(),
+        Wait::NoWorkerWithTags(tags) => format!("no worker has all the tags {}", tags.join(", ")),
+        Wait::WorkersBusy { workers: 1 } => "the only worker that may take it is busy".to_owned(),
+        Wait::WorkersBusy { workers } => format!("all {workers} workers that may take it are busy"),
+        Wait::WorkersDraining { workers: 1 } => {
+            "the only worker that may take it takes no more tasks; `femc workers` tells more".to_owned()
+        }
+        Wait::WorkersDraining { workers } => {
+            format!("all {workers} workers that may take it take no more tasks; `femc workers` tells more")
+        }
+        Wait::WorkersResting => {
+            "the workers that may take it rest after a failure of memory, disk, store or network".to_owned()
+        }
+        Wait::WorkersSilent { workers, seconds } => {
+            let (workers, verb) = (count(u64::from(*workers), "worker"), has(*workers));
+            format!(
+                "{workers} {verb} not been heard of for {seconds} s: stopped, cut off or overloaded; `femc workers` tells which"
+            )
+        }
+        Wait::WorkersInTrouble { workers: 1, seconds, failure } => {
+            format!("1 worker rests for {seconds} s more, after this: {failure}")
+        }
+        Wait::WorkersInTrouble { workers, seconds, failure } => {
+            format!("{workers} workers rest, the first for {seconds} s more, after this: {failure}")
+        }
+        Wait::WorkersQuarantined { workers, seconds } => format!(
+            "tasks kept failing on {}: the next try there in {seconds} s",
+            count(u64::from(*workers), "worker")
+        ),
+        Wait::WorkersAvoided { tasks } => format!(
+            "{} failed last on the workers with room, and another worker is to try next",
+            count(u64::from(*tasks), "task")
+        ),
+        Wait::OtherBuild { frames } => format!(
+            "{} begun by another build of the engine than that of the workers with room; a minute after its last worker has left they begin anew",
+            count(u64::from(*frames), "frame")
+        ),
+        Wait::Regrouping { milliseconds } => {
+            format!("the coordinator hears the workers out after its start; tasks go out in {milliseconds} ms")
+        }
+        Wait::BehindJob(job) => format!("job {job} goes first"),
+        Wait::StageWaits { frame, stage, needs, tasks } => {
+            let tasks = count(u64::from(*tasks), &format!("{} task", needs.name()));
+            format!("the {} stage of {} waits for {tasks}", stage.name(), unit(*frame))
+        }
+        Wait::SharedStage { shared, stage, done, tasks, jobs } => {
+            let jobs = count(u64::from(*jobs), "job");
+            let stage = stage.name();
+            format!("frames wait for {shared}, which is done once for {jobs}: {done} of {tasks} {stage} tasks are done")
+        }
+        Wait::SharedQuarantined { shared, frames, tasks } => {
+            let (frames, tasks) = (count(u64::from(*frames), "frame"), count(u64::from(*tasks), "task"));
+            format!("{frames} cannot go on: {shared}, which they need, has {tasks} out of attempts")
+        }
+        Wait::Mishaps { tasks, message } => {
+            format!("{} could not be done until now: {message}", count(u64::from(*tasks), "task"))
+        }
+        Wait::ImageLost { frame: Stage::OF_JOB } => {
+            "a still, the contact sheet or the clip was damaged in the store, or is gone: the job's own stages make them again"
+                .to_owned()
+        }
+        Wait::ImageLost { frame } => {
+            format!(
+                "the finished image of frame {frame} was damaged in the store, or is gone: the frame is rendered again"
+            )
+        }
+        Wait::Quarantined { frame: Stage::OF_JOB, tasks: 0 } => format!(
+            "the job's own stages (stills, contact sheet, clip) wait for {} that failed; `femc retry {}` tries again",
+            count(u64::from(job.frames_failed), "frame"),
+            job.job
+        ),
+        Wait::Quarantined { frame, tasks } => {
+            format!("{} cannot go on: {} out of attempts", unit(*frame), count(u64::from(*tasks), "task"))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use femc_model::JobId;
+
+    #[test]
+    fn stages_of_the_whole_job_are_no_frame_in_what_a_job_waits_for() {
+        let job = JobStatus {
+            job: JobId(7),
+            name: "walk".to_owned(),
+            owner: "ann".to_owned(),
+            priority: 50,
+            state: JobState::Failed,
+            failure: None,
+            frames_total: 10,
+            frames_done: 7,
+            frames_failed: 3,
+            active: Vec::new(),
+            workers: 0,
+            samples_done: 0,
+            samples_planned: 0,
+            samples_per_second: 0.0,
+            bad_samples: 0,
+            relative_error: None,
+            seconds: 0.0,
+            quarantined: Vec::new(),
+            stale_messages: 0,
+            copies: 0,
+            waits: Vec::new(),
+        };
+        let said = |reason| wait(&job, &reason);
+        let waits = said(Wait::Quarantined { frame: Stage::OF_JOB, tasks: 0 });
+        assert!(waits.contains("wait for 3 frames that failed") && waits.contains("`femc retry 7`"), "{waits}");
+        let lost = said(Wait::ImageLost { frame: Stage::OF_JOB });
+        assert!(lost.contains("clip") && !lost.contains("frame"), "{lost}");
+        assert!(said(Wait::ImageLost { frame: 3 }).contains("image of frame 3"));
+        assert!(
+            said(Wait::Quarantined { frame: 3, tasks: 1 }).contains("frame 3 cannot go on: 1 task out of attempts")
+        );
+    }
+}

@@ -1,0 +1,32 @@
+//! What a worker wrote down during an attempt, as programs and pages read it.
+
+use femc_model::{Attempt, LogRecord};
+use serde::Serialize;
+
+/// A log as JSON.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct LogJson {
+    task: String,
+    epoch: u64,
+    worker: String,
+    attempt: &'static str,
+    seconds: f64,
+    text: String,
+}
+
+impl LogJson {
+    /// Of a record, with the text of its log.
+    pub fn new(record: &LogRecord, text: String) -> Self {
+        Self {
+            task: record.task.to_string(),
+            epoch: record.epoch.0,
+            worker: record.worker.clone(),
+            attempt: match record.log.attempt {
+                Attempt::Done => "done",
+                Attempt::Failed => "failed",
+            },
+            seconds: record.log.seconds,
+            text,
+        }
+    }
+}

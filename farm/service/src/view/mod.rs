@@ -1,0 +1,16 @@
+//! What there is, as JSON: one form for the command line's `--json`, for pages and for other people's programs. Names are in snake
+//! case, states and kinds in lower case, times in seconds; what is not there is null.
+
+mod job;
+mod log;
+mod spec;
+mod table;
+mod words;
+mod worker;
+
+pub use job::{JobJson, state, unit, wait};
+pub use log::LogJson;
+pub use spec::SpecJson;
+pub use table::{FrameJson, TaskJson};
+pub use words::count;
+pub use worker::{WorkerJson, intake};

@@ -1,0 +1,57 @@
+//! What a job is made of, as programs and pages read it.
+
+use std::collections::BTreeSet;
+
+use femc_model::{JobSpec, Scope};
+use serde::Serialize;
+
+/// A job's specification as JSON, without the tables of its tasks.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct SpecJson {
+    /// Pixels, width and height.
+    film: [u32; 2],
+    /// Pixels of a tile's side.
+    tile: u32,
+    frames: Vec<u32>,
+    tags: Vec<String>,
+    stages: Vec<StageJson>,
+    /// Render settings, JSON within a string.
+    settings: String,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+struct StageJson {
+    number: u16,
+    kind: &'static str,
+    scope: &'static str,
+    /// Numbers of the stages that it reads.
+    needs: BTreeSet<u16>,
+    /// In each frame (or other scope) and round, before tasks are cut.
+    tasks: u32,
+    rounds: u32,
+}
+
+impl From<&JobSpec> for SpecJson {
+    fn from(spec: &JobSpec) -> Self {
+        let stages = (0..).zip(&spec.graph.stages).map(|(number, template)| StageJson {
+            number,
+            kind: template.kind.name(),
+            scope: match template.scope {
+                Scope::Job => "job",
+                Scope::Frame => "frame",
+                Scope::Content => "content",
+            },
+            needs: template.needs.iter().map(|need| need.stage).collect(),
+            tasks: template.tasks(),
+            rounds: spec.graph.rounds(number),
+        });
+        Self {
+            film: spec.grid.film,
+            tile: spec.grid.tile,
+            frames: spec.frames.clone(),
+            tags: spec.tags.clone(),
+            stages: stages.collect(),
+            settings: spec.settings.clone(),
+        }
+    }
+}

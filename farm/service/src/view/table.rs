@@ -1,0 +1,96 @@
+//! A job frame by frame and task by task, as programs and pages read it.
+
+use femc_model::{FrameStatus, Output, Role, TaskStatus};
+use serde::Serialize;
+
+/// A frame as JSON; number 0: the job's own stages.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct FrameJson {
+    frame: u32,
+    state: &'static str,
+    /// Kind of the stage in work.
+    stage: Option<&'static str>,
+    tiles_done: u32,
+    tiles: u32,
+    running: u32,
+    samples: u64,
+    relative_error: Option<f64>,
+    /// From the first lease to the last result, once it is done.
+    seconds: Option<f64>,
+    has_image: bool,
+    outputs: Vec<OutputJson>,
+}
+
+#[derive(Debug, Clone, PartialEq, Serialize)]
+struct OutputJson {
+    role: &'static str,
+    digest: String,
+    bytes: u64,
+}
+
+impl From<&Output> for OutputJson {
+    fn from(output: &Output) -> Self {
+        let artifact = &output.artifact;
+        Self { role: output.role.name(), digest: artifact.digest.to_string(), bytes: artifact.bytes }
+    }
+}
+
+impl FrameJson {
+    /// Of a frame.
+    /// - `pixels`: of the film.
+    pub fn new(frame: &FrameStatus, pixels: u64) -> Self {
+        let (progress, record) = (frame.progress.as_ref(), frame.record.as_ref());
+        let of_record = record.map(|record| u64::from(record.spp) * pixels);
+        Self {
+            frame: frame.frame,
+            state: frame.state.name(),
+            stage: progress.map(|progress| progress.stage.name()),
+            tiles_done: progress.map_or(0, |progress| progress.tiles_done),
+            tiles: progress.map_or(0, |progress| progress.tiles_total),
+            running: progress.map_or(0, |progress| progress.running),
+            samples: progress.map(|progress| progress.samples_done).or(of_record).unwrap_or(0),
+            relative_error: record
+                .and_then(|record| record.relative_error)
+                .or_else(|| progress.and_then(|progress| progress.relative_error)),
+            seconds: record.map(|record| record.seconds),
+            has_image: record.is_some_and(|record| record.output(Role::Image).is_some()),
+            outputs: record.map_or_else(Vec::new, |record| record.outputs.iter().map(OutputJson::from).collect()),
+        }
+    }
+}
+
+/// A task as JSON.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct TaskJson {
+    task: String,
+    frame: u32,
+    round: u32,
+    stage: &'static str,
+    /// Of the stage.
+    number: u16,
+    index: u32,
+    state: &'static str,
+    workers: Vec<String>,
+    attempts: u32,
+    seconds: Option<f64>,
+    failure: Option<String>,
+}
+
+impl From<&TaskStatus> for TaskJson {
+    fn from(status: &TaskStatus) -> Self {
+        let stage = &status.task.stage;
+        Self {
+            task: status.task.to_string(),
+            frame: stage.frame,
+            round: stage.round,
+            stage: stage.kind.name(),
+            number: stage.number,
+            index: status.task.index,
+            state: status.state.name(),
+            workers: status.workers.clone(),
+            attempts: status.attempts,
+            seconds: status.seconds,
+            failure: status.failure.as_ref().map(ToString::to_string),
+        }
+    }
+}

@@ -1,0 +1,6 @@
+//! Words for people.
+
+/// `1 frame`, `3 frames`.
+pub fn count(n: u64, noun: &str) -> String {
+    if n == 1 { format!("1 {noun}") } else { format!("{n} {noun}s") }
+}

@@ -1,0 +1,52 @@
+//! A worker as programs and pages read it.
+
+use femc_model::{Intake, WorkerStatus};
+use serde::Serialize;
+
+/// A worker as JSON.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct WorkerJson {
+    worker: u64,
+    name: String,
+    threads: u32,
+    tags: Vec<String>,
+    tasks: Vec<String>,
+    silent_seconds: f64,
+    completed: u64,
+    failed: u64,
+    intake: &'static str,
+    engine: String,
+}
+
+impl From<&WorkerStatus> for WorkerJson {
+    fn from(worker: &WorkerStatus) -> Self {
+        Self {
+            worker: worker.worker.0,
+            name: worker.name.clone(),
+            threads: worker.threads,
+            tags: worker.tags.clone(),
+            tasks: worker.tasks.iter().map(ToString::to_string).collect(),
+            silent_seconds: worker.silent as f64 / 1000.0,
+            completed: worker.completed,
+            failed: worker.failed,
+            intake: intake(worker.intake),
+            engine: worker.engine.clone(),
+        }
+    }
+}
+
+impl WorkerJson {
+    /// With another measure of its silence.
+    pub fn silent(self, measure: impl FnOnce(f64) -> f64) -> Self {
+        Self { silent_seconds: measure(self.silent_seconds), ..self }
+    }
+}
+
+/// Whether it gets more tasks, in one word.
+pub fn intake(intake: Intake) -> &'static str {
+    match intake {
+        Intake::Open => "open",
+        Intake::Off => "off",
+        Intake::Drained => "draining",
+    }
+}

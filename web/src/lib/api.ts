@@ -1,0 +1,146 @@
+/** Requests to the coordinator. */
+
+import type { Attempt, AuditLine, Done, Frame, Job, JobAction, LogRecord, Me, Spec, TaskWindow } from './types';
+import { decodePixels, type Pixels } from './pixels';
+
+const BASE = '/api/v1';
+const FRAME_WINDOW = 10_000;
+
+/** What the coordinator answered instead, or that it did not answer (`status` 0). */
+export class ApiError extends Error {
+  constructor(
+    readonly status: number,
+    readonly code: string,
+    message: string,
+    readonly help: string | null = null,
+  ) {
+    super(message);
+  }
+}
+
+/** An error for people: the message, and what helps. */
+export function explain(error: unknown): string {
+  if (error instanceof ApiError) return error.help ? `${error.message} (${error.help})` : error.message;
+  return error instanceof Error ? error.message : String(error);
+}
+
+/** Reads the error out of an answer that is none of success. */
+export async function failure(answer: Response): Promise<ApiError> {
+  const text = await answer.text().catch(() => '');
+  try {
+    const { error } = JSON.parse(text) as { error: { code: string; message: string; help?: string | null } };
+    return new ApiError(answer.status, error.code, error.message, error.help ?? null);
+  } catch {
+    const first = text.trim().split('\n')[0];
+    return new ApiError(
+      answer.status,
+      'unknown',
+      first && first.length < 300 ? first : `the coordinator answered ${answer.status}`,
+    );
+  }
+}
+
+async function ask(path: string, init: RequestInit = {}): Promise<Response> {
+  let answer: Response;
+  try {
+    answer = await fetch(path, { credentials: 'same-origin', ...init });
+  } catch (error) {
+    if (init.signal?.aborted) throw error;
+    throw new ApiError(0, 'unreachable', 'the coordinator does not answer', 'the page tries again by itself');
+  }
+  if (!answer.ok) throw await failure(answer);
+  return answer;
+}
+
+const get = async <T>(path: string, signal?: AbortSignal): Promise<T> =>
+  (await ask(BASE + path, { signal: signal ?? null, cache: 'no-cache' })).json() as Promise<T>;
+
+const post = async <T>(path: string, body: unknown): Promise<T> =>
+  (
+    await ask(BASE + path, {
+      method: 'POST',
+      headers: { 'Content-Type': 'application/json', 'X-Femc': '1' },
+      body: JSON.stringify(body),
+    })
+  ).json() as Promise<T>;
+
+function query(values: Record<string, string | number | null | undefined>): string {
+  const kept = Object.entries(values).filter(([, v]) => v != null && v !== '');
+  return kept.length ? `?${new URLSearchParams(kept.map(([k, v]) => [k, String(v)]))}` : '';
+}
+
+export interface TaskFilter {
+  frame?: string | null;
+  stage?: string | null;
+  state?: string | null;
+}
+
+/** The pixels, or null as long as there are none; `etag` tells whether they have changed. */
+export interface PixelAnswer {
+  pixels: Pixels | null;
+  etag: string | null;
+}
+
+export const api = {
+  me: (signal?: AbortSignal) => get<Me>('/me', signal),
+  job: (job: number, signal?: AbortSignal) => get<{ job: Job; spec: Spec }>(`/jobs/${job}`, signal),
+  /** All frames of a job; they come in windows. */
+  async frames(job: number, signal?: AbortSignal): Promise<Frame[]> {
+    const all: Frame[] = [];
+    for (;;) {
+      const path = `/jobs/${job}/frames${query({ from: all.length, count: FRAME_WINDOW })}`;
+      const { frames, total } = await get<{ frames: Frame[]; total: number }>(path, signal);
+      all.push(...frames);
+      if (frames.length < FRAME_WINDOW || all.length >= total) return all;
+    }
+  },
+  tasks: (job: number, from: number, count: number, filter: TaskFilter, signal?: AbortSignal) =>
+    get<TaskWindow>(`/jobs/${job}/tasks${query({ from, count, ...filter })}`, signal),
+  /** A page of the attempts that have ended, from a cursor on: of the job, or of a task. */
+  attempts: (job: number, from: number | null, task: string | null, signal?: AbortSignal) =>
+    get<{ attempts: Attempt[]; next: number | null }>(`/jobs/${job}/attempts${query({ from, task })}`, signal),
+  logs: async (job: number, task: string | null, signal?: AbortSignal) =>
+    (await get<{ records: LogRecord[] }>(`/jobs/${job}/logs${query({ task })}`, signal)).records,
+  thumbnail: (job: number, frame: number, version: string, height = 90) =>
+    `${BASE}/jobs/${job}/frames/${frame}/thumbnail.png${query({ height, v: version })}`,
+
+  /** The pixels of a frame, unless they still are those of `etag` (then `undefined`). */
+  async pixels(
+    job: number,
+    frame: number,
+    etag: string | null,
+    signal?: AbortSignal,
+  ): Promise<PixelAnswer | undefined> {
+    const answer = await fetch(`${BASE}/jobs/${job}/frames/${frame}/pixels`, {
+      signal: signal ?? null,
+      cache: 'no-store',
+      headers: etag ? { 'If-None-Match': etag } : {},
+    }).catch((error: unknown) => {
+      if (signal?.aborted) throw error;
+      throw new ApiError(0, 'unreachable', 'the coordinator does not answer');
+    });
+    if (answer.status === 304) return undefined;
+    if (answer.status === 204) return { pixels: null, etag: null };
+    if (!answer.ok) throw await failure(answer);
+    return { pixels: decodePixels(await answer.arrayBuffer()), etag: answer.headers.get('ETag') };
+  },
+
+  control: (jobs: number[], action: JobAction, more: { priority?: number } = {}) =>
+    post<Done<number>>('/jobs/control', { jobs, action, ...more }),
+  drain: (workers: (number | string)[], action: 'begin' | 'undo') =>
+    post<Done<number | string>>('/workers/drain', { workers, action }),
+  audit: async (count: number, signal?: AbortSignal) =>
+    (await get<{ lines: AuditLine[] }>(`/audit${query({ count })}`, signal)).lines,
+
+  /** Trades a token for the cookie. */
+  async login(token: string): Promise<void> {
+    await ask('/login', {
+      method: 'POST',
+      headers: { 'X-Femc': '1' },
+      body: new URLSearchParams({ token }),
+    });
+  },
+  async logout(): Promise<void> {
+    await ask('/logout', { method: 'POST', headers: { 'X-Femc': '1' }, body: new URLSearchParams() });
+  },
+};

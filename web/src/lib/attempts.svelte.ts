@@ -1,0 +1,20 @@
+/** The attempts of a job that have ended: read once, and then as they come. */
+
+import { api } from './api';
+import { Attempts } from './attempts';
+import { Resource } from './stores.svelte';
+import type { Attempt } from './types';
+
+/** Most attempts that a page reads of a job. */
+export const MOST_ATTEMPTS = 200_000;
+
+/** The attempts of a job, or of one of its tasks. */
+export function attemptsOf(job: number, task: string | null = null): Resource<Attempt[]> {
+  const read = new Attempts();
+  return new Resource(async (signal) => {
+    for (let more = true; more && read.size < MOST_ATTEMPTS;) {
+      more = read.add(await api.attempts(job, read.cursor, task, signal));
+    }
+    return read.all();
+  });
+}

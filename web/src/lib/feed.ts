@@ -1,0 +1,248 @@
+/**
+ * The feed of changes: server-sent events, read with `fetch` and not with `EventSource`, which hides the
+ * coordinator's signs of life and
+ * gives up for good after an answer that is an error.
+ */
+
+import { ApiError, failure } from './api';
+import type { Job, Worker } from './types';
+
+/** The farm as this page knows it. */
+export interface FarmState {
+  /** Where the next connection goes on. */
+  seq: string | null;
+  jobs: ReadonlyMap<number, Job>;
+  workers: ReadonlyMap<number, Worker>;
+  warnings: readonly string[];
+}
+
+export interface Snapshot {
+  seq: string;
+  jobs: Job[];
+  workers: Worker[];
+  warnings: string[];
+}
+
+export interface Delta {
+  seq: string;
+  jobs?: Job[];
+  gone_jobs?: number[];
+  workers?: Worker[];
+  gone_workers?: number[];
+  /** Null: as before. */
+  warnings?: string[] | null;
+}
+
+export const EMPTY: FarmState = { seq: null, jobs: new Map(), workers: new Map(), warnings: [] };
+
+export function fromSnapshot(snapshot: Snapshot): FarmState {
+  return {
+    seq: snapshot.seq,
+    jobs: new Map(snapshot.jobs.map((job) => [job.job, job])),
+    workers: new Map(snapshot.workers.map((worker) => [worker.worker, worker])),
+    warnings: snapshot.warnings,
+  };
+}
+
+/** The state after a delta; the state before stays as it is. Maps without a change are the same objects. */
+export function join(state: FarmState, delta: Delta): FarmState {
+  return {
+    seq: delta.seq,
+    jobs: merge(state.jobs, delta.jobs, (job) => job.job, delta.gone_jobs),
+    workers: merge(state.workers, delta.workers, (worker) => worker.worker, delta.gone_workers),
+    warnings: delta.warnings ?? state.warnings,
+  };
+}
+
+function merge<T>(
+  before: ReadonlyMap<number, T>,
+  changed: T[] = [],
+  key: (item: T) => number,
+  gone: number[] = [],
+): ReadonlyMap<number, T> {
+  if (changed.length === 0 && gone.length === 0) return before;
+  const after = new Map(before);
+  for (const item of changed) after.set(key(item), item);
+  for (const number of gone) after.delete(number);
+  return after;
+}
+
+/** A worker that was there, and when it was heard of last, by this browser's clock. */
+export interface GoneWorker {
+  worker: Worker;
+  at: number;
+}
+
+const MOST_GONE = 500;
+
+/**
+ * The workers that are gone since this page knows the farm, by name: one that is back under its name is not among them.
+ * - `now`: milliseconds.
+ */
+export function goneWorkers(
+  gone: readonly GoneWorker[],
+  before: ReadonlyMap<number, Worker>,
+  after: ReadonlyMap<number, Worker>,
+  now: number,
+): readonly GoneWorker[] {
+  if (before === after) return gone;
+  const names = new Set([...after.values()].map((worker) => worker.name));
+  const all = new Map(gone.map((it) => [it.worker.name, it]));
+  for (const worker of before.values()) {
+    if (!after.has(worker.worker)) all.set(worker.name, { worker, at: now - 1000 * worker.silent_seconds });
+  }
+  return [...all.values()].filter((it) => !names.has(it.worker.name)).slice(-MOST_GONE);
+}
+
+export interface FeedEvent {
+  id: string | null;
+  event: string;
+  data: string;
+}
+
+/** Server-sent events out of pieces of text (WHATWG HTML, 9.2.6); comments are dropped. */
+export class EventParser {
+  private rest = '';
+  private id: string | null = null;
+  private event = '';
+  private data: string[] = [];
+
+  push(text: string): FeedEvent[] {
+    const events: FeedEvent[] = [];
+    const lines = (this.rest + text).split(/\r\n|\n|\r(?!$)/);
+    this.rest = lines.pop()!;
+    for (const line of lines) {
+      if (line === '') {
+        if (this.data.length) events.push({ id: this.id, event: this.event || 'message', data: this.data.join('\n') });
+        this.event = '';
+        this.data = [];
+        continue;
+      }
+      const colon = line.indexOf(':');
+      if (colon === 0) continue;
+      const field = colon < 0 ? line : line.slice(0, colon);
+      const value = colon < 0 ? '' : line.slice(colon + 1).replace(/^ /, '');
+      if (field === 'data') this.data.push(value);
+      else if (field === 'event') this.event = value;
+      else if (field === 'id') this.id = value;
+    }
+    return events;
+  }
+}
+
+/** How the connection is. `denied`: the coordinator wants to know who asks. */
+export type Connection =
+  | { state: 'connecting' }
+  | { state: 'live' }
+  | { state: 'lost'; since: number; again: number; why: string }
+  | { state: 'denied'; why: string };
+
+export interface Watcher {
+  farm(state: FarmState): void;
+  connection(connection: Connection): void;
+}
+
+/** Without a sign of life for so long, a connection counts as lost; the coordinator gives one every ten seconds. */
+export const SILENCE_MS = 25_000;
+const FIRST_WAIT_MS = 500;
+const LONGEST_WAIT_MS = 5_000;
+
+/** Follows the feed until it is stopped. */
+export class Feed {
+  private state = EMPTY;
+  private stopped = false;
+  private abort = new AbortController();
+  private hurry: (() => void) | null = null;
+  private lostSince: number | null = null;
+
+  constructor(
+    private readonly watcher: Watcher,
+    private readonly request: typeof fetch = (...args) => fetch(...args),
+    private readonly now: () => number = Date.now,
+  ) {}
+
+  /** Connects, and connects again; returns when stopped or denied. */
+  async run(): Promise<void> {
+    let failures = 0;
+    while (!this.stopped) {
+      const before = this.state;
+      let why = 'the coordinator ended the connection';
+      try {
+        await this.follow();
+      } catch (error) {
+        if (this.stopped) return;
+        if (error instanceof ApiError && (error.status === 401 || error.status === 403)) {
+          this.watcher.connection({ state: 'denied', why: error.message });
+          return;
+        }
+        why = error instanceof ApiError ? error.message : 'the coordinator does not answer';
+      }
+      if (this.stopped) return;
+      failures = this.state === before ? failures + 1 : 1;
+      const wait = Math.min(FIRST_WAIT_MS * 2 ** (failures - 1), LONGEST_WAIT_MS);
+      this.lostSince ??= this.now();
+      this.watcher.connection({ state: 'lost', since: this.lostSince, again: this.now() + wait, why });
+      await new Promise<void>((resolve) => {
+        const timer = setTimeout(resolve, wait);
+        this.hurry = () => {
+          clearTimeout(timer);
+          resolve();
+        };
+      });
+      this.hurry = null;
+    }
+  }
+
+  /** Tries again at once. */
+  again(): void {
+    this.hurry?.();
+  }
+
+  stop(): void {
+    this.stopped = true;
+    this.abort.abort();
+    this.hurry?.();
+  }
+
+  private async follow(): Promise<void> {
+    this.abort = new AbortController();
+    const { signal } = this.abort;
+    let timer = setTimeout(() => this.abort.abort(), SILENCE_MS);
+    const alive = () => {
+      clearTimeout(timer);
+      timer = setTimeout(() => this.abort.abort(), SILENCE_MS);
+    };
+    try {
+      const headers: Record<string, string> = { Accept: 'text/event-stream' };
+      if (this.state.seq !== null) headers['Last-Event-ID'] = this.state.seq;
+      const answer = await this.request('/api/v1/feed', {
+        headers,
+        signal,
+        cache: 'no-store',
+        credentials: 'same-origin',
+      });
+      if (!answer.ok || !answer.body) throw await failure(answer);
+      this.lostSince = null;
+      this.watcher.connection({ state: 'live' });
+      const reader = answer.body.pipeThrough(new TextDecoderStream()).getReader();
+      const ended = () => void reader.cancel().catch(() => {});
+      signal.addEventListener('abort', ended);
+      const parser = new EventParser();
+      for (;;) {
+        const { done, value } = await reader.read();
+        if (done) return;
+        alive();
+        for (const event of parser.push(value)) this.on(event);
+      }
+    } finally {
+      clearTimeout(timer);
+    }
+  }
+
+  private on({ event, data }: FeedEvent): void {
+    if (event === 'snapshot') this.state = fromSnapshot(JSON.parse(data) as Snapshot);
+    else if (event === 'delta') this.state = join(this.state, JSON.parse(data) as Delta);
+    else return;
+    this.watcher.farm(this.state);
+  }
+}

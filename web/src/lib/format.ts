@@ -1,0 +1,73 @@
+/** Numbers for people, in the words of the command line (cli/src/output/human.rs). */
+
+/** `0.42 s`, `12.3 s`, `3 min 20 s`, `2 h 5 min`, `3 d 4 h`. */
+export function seconds(s: number | null | undefined): string {
+  if (s == null || !Number.isFinite(s) || s < 0) return '–';
+  if (s < 10) return `${s.toFixed(2)} s`;
+  if (s < 100) return `${s.toFixed(1)} s`;
+  const whole = Math.round(s);
+  if (whole < 3600) return `${Math.floor(whole / 60)} min ${whole % 60} s`;
+  if (whole < 48 * 3600) return `${Math.floor(whole / 3600)} h ${Math.floor((whole % 3600) / 60)} min`;
+  return `${Math.floor(whole / 86400)} d ${Math.floor((whole % 86400) / 3600)} h`;
+}
+
+/** `999`, `12.3 k`, `4.56 M`, `7.89 G`: three digits that count. */
+export function quantity(n: number | null | undefined): string {
+  if (n == null || !Number.isFinite(n)) return '–';
+  const size = Math.abs(n);
+  const [scaled, unit] = size >= 1e9 ? [n / 1e9, ' G'] : size >= 1e6 ? [n / 1e6, ' M'] : [n / 1e3, ' k'];
+  return size < 1e4 ? n.toFixed(0) : three(scaled) + unit;
+}
+
+/** `999 B`, `12.3 KiB`, `4.56 MiB`. */
+export function bytes(n: number | null | undefined): string {
+  if (n == null || !Number.isFinite(n)) return '–';
+  if (n < 1024) return `${n.toFixed(0)} B`;
+  const [scaled, unit] = n >= 2 ** 30 ? [n / 2 ** 30, 'GiB'] : n >= 2 ** 20 ? [n / 2 ** 20, 'MiB'] : [n / 1024, 'KiB'];
+  return `${three(scaled)} ${unit}`;
+}
+
+/** A share of one as `7.1 %`. */
+export function percent(share: number | null | undefined): string {
+  if (share == null || !Number.isFinite(share)) return '–';
+  const value = 100 * share;
+  const text =
+    value >= 99.95 || value === 0 ? value.toFixed(0) : value >= 0.095 ? value.toFixed(1) : value.toPrecision(1);
+  return `${text} %`;
+}
+
+/** `1 job`, `2 jobs`. */
+export function count(n: number, noun: string): string {
+  return `${n.toLocaleString('en-US')} ${noun}${n === 1 ? '' : 's'}`;
+}
+
+/** A physical value in about four digits: `0`, `0.01234`, `12.34`, `1.234e6`. */
+export function value(x: number): string {
+  if (Number.isNaN(x)) return 'not a number';
+  if (!Number.isFinite(x)) return x > 0 ? '∞' : '-∞';
+  const size = Math.abs(x);
+  if (size === 0) return '0';
+  if (size < 1e-3 || size >= 1e6) return x.toExponential(3);
+  return x
+    .toPrecision(4)
+    .replace(/(\.\d*?)0+$/, '$1')
+    .replace(/\.$/, '');
+}
+
+function three(n: number): string {
+  const size = Math.abs(n);
+  return n.toFixed(size < 10 ? 2 : size < 100 ? 1 : 0);
+}
+
+/** Frame numbers as people write them: `1..4, 7, 9..10`. */
+export function ranges(numbers: Iterable<number>): string {
+  const sorted = [...numbers].sort((a, b) => a - b);
+  const parts: string[] = [];
+  for (let i = 0; i < sorted.length;) {
+    let j = i;
+    while (j + 1 < sorted.length && sorted[j + 1] === sorted[j]! + 1) j++;
+    parts.push(j > i + 1 ? `${sorted[i]}..${sorted[j]}` : sorted.slice(i, j + 1).join(', '));
+    i = j + 1;
+  }
+  return parts.join(', ');
+}

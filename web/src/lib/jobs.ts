@@ -1,0 +1,111 @@
+/** Which jobs are shown, in which order, under which headings. */
+
+import { fraction, secondsLeft } from './progress';
+import type { Job } from './types';
+
+export type SortKey =
+  | 'job'
+  | 'name'
+  | 'state'
+  | 'progress'
+  | 'left'
+  | 'frames'
+  | 'time'
+  | 'owner'
+  | 'priority'
+  | 'workers'
+  | 'rate'
+  | 'error';
+
+const STATE_ORDER = ['running', 'queued', 'paused', 'failed', 'done', 'cancelled'];
+
+const KEYS: Record<SortKey, (job: Job) => number | string> = {
+  job: (job) => job.job,
+  name: (job) => job.name.toLowerCase(),
+  state: (job) => STATE_ORDER.indexOf(job.state),
+  progress: fraction,
+  left: (job) => secondsLeft(job) ?? Infinity,
+  frames: (job) => job.frames,
+  time: (job) => job.seconds,
+  owner: (job) => job.owner.toLowerCase(),
+  priority: (job) => job.priority,
+  workers: (job) => job.workers,
+  rate: (job) => job.samples_per_second,
+  error: (job) => job.relative_error ?? Infinity,
+};
+
+/**
+ * Whether a job fits a filter: all its words must. `owner:ann`, `state:failed`, `name:drive`, a number of a job, or
+ * a part of name or
+ * owner; a word that begins with `-` must not fit.
+ */
+export function matches(job: Job, filter: string): boolean {
+  return filter
+    .split(/\s+/)
+    .filter(Boolean)
+    .every((word) => {
+      const not = word.length > 1 && word.startsWith('-');
+      return fits(job, (not ? word.slice(1) : word).toLowerCase()) !== not;
+    });
+}
+
+function fits(job: Job, word: string): boolean {
+  const colon = word.indexOf(':');
+  const [key, value] = [word.slice(0, Math.max(colon, 0)), word.slice(colon + 1)];
+  if (key === 'owner') return job.owner.toLowerCase().startsWith(value);
+  if (key === 'state') return value.split(',').includes(job.state);
+  if (key === 'name') return job.name.toLowerCase().includes(value);
+  return String(job.job) === word || job.name.toLowerCase().includes(word) || job.owner.toLowerCase().includes(word);
+}
+
+export interface Order {
+  key: SortKey;
+  descending: boolean;
+}
+
+/** `-job` as an order; what is no key is the newest first. */
+export function parseOrder(text: string | undefined): Order {
+  const descending = text?.startsWith('-') ?? true;
+  const key = (text ?? '-job').replace(/^-/, '');
+  return key in KEYS ? { key: key as SortKey, descending } : { key: 'job', descending: true };
+}
+
+/** Sorted; equals by number. */
+export function sorted(jobs: Iterable<Job>, { key, descending }: Order): Job[] {
+  const of = KEYS[key];
+  const sign = descending ? -1 : 1;
+  return [...jobs].sort((a, b) => {
+    const [x, y] = [of(a), of(b)];
+    return x < y ? -sign : x > y ? sign : sign * (a.job - b.job);
+  });
+}
+
+export type Grouping = 'none' | 'scene' | 'owner' | 'state';
+
+/** A heading, or a job under it. */
+export type Line = { kind: 'group'; key: string; jobs: Job[] } | { kind: 'job'; job: Job };
+
+/** What jobs of a group have in common; a job has its scene's name, and so have all variants of a sweep. */
+const GROUPS: Record<Exclude<Grouping, 'none'>, (job: Job) => string> = {
+  scene: (job) => job.name,
+  owner: (job) => job.owner,
+  state: (job) => job.state,
+};
+
+/** The lines of the table; groups stand where their first job would. */
+export function lines(jobs: Job[], grouping: Grouping, closed: ReadonlySet<string>): Line[] {
+  if (grouping === 'none') return jobs.map((job) => ({ kind: 'job', job }));
+  const groups = new Map<string, Job[]>();
+  for (const job of jobs) {
+    const key = GROUPS[grouping](job);
+    const group = groups.get(key);
+    if (group) group.push(job);
+    else groups.set(key, [job]);
+  }
+  const all: Line[] = [];
+  for (const [key, members] of groups) {
+    all.push({ kind: 'group', key, jobs: members });
+    if (!closed.has(key)) all.push(...members.map((job): Line => ({ kind: 'job', job })));
+  }
+  return all;
+}

@@ -1,0 +1,175 @@
+/** From a frame's planes to what is shown of them. */
+
+import { autoExposure, diverging, lookup, luminance, srgbByte, toneGain, viridis } from './color';
+import { halves } from './half';
+import type { Pixels } from './pixels';
+import { place, spread, valueAt, type Scale } from './scale';
+
+export type Show = 'picture' | 'luminance' | 'error' | 'samples' | 'difference';
+
+/** What is measured: name, unit, channel. */
+export const MEASURES: Record<Exclude<Show, 'picture'>, { title: string; unit: string; channel: string }> = {
+  luminance: { title: 'Luminance', unit: 'cd/m²', channel: 'Y' },
+  error: { title: 'Error', unit: 'relative standard error', channel: 'error' },
+  samples: { title: 'Samples', unit: 'samples a pixel', channel: 'samples' },
+  difference: { title: 'Difference', unit: 'cd/m², other frame less this one', channel: 'Y' },
+};
+
+/** A color that means: there is no value. */
+export const NO_VALUE = 0xff808080;
+
+/** Luminances of all pixels, cd/m2. */
+export function luminances(pixels: Pixels): Float32Array {
+  const y = pixels.floats('Y');
+  if (y) return y;
+  const [r, g, b] = ['R', 'G', 'B'].map((name) => pixels.floats(name));
+  return Float32Array.from({ length: pixels.width * pixels.height }, (_, i) =>
+    luminance(r?.[i] ?? 0, g?.[i] ?? 0, b?.[i] ?? 0),
+  );
+}
+
+/** The exposure that suits the picture, 1/(cd/m2). */
+export const suitableExposure = (pixels: Pixels): number => autoExposure(luminances(pixels));
+
+/** The picture through the farm's tone curve: 32-bit words of a canvas. */
+export function develop(pixels: Pixels, exposure: number): Uint32Array<ArrayBuffer> {
+  const out = new Uint32Array(pixels.width * pixels.height);
+  const table = halves();
+  const [red, green, blue] = ['R', 'G', 'B'].map((name) => pixels.planes.get(name));
+  if (!red || !green || !blue) return out.fill(NO_VALUE);
+  for (let i = 0; i < out.length; i++) {
+    const r = Math.max(table[red[i]!]! * exposure, 0);
+    const g = Math.max(table[green[i]!]! * exposure, 0);
+    const b = Math.max(table[blue[i]!]! * exposure, 0);
+    const gain = toneGain(luminance(r, g, b));
+    out[i] = 0xff000000 | (srgbByte(b * gain) << 16) | (srgbByte(g * gain) << 8) | srgbByte(r * gain);
+  }
+  return out;
+}
+
+/** The other frame's luminance less this one's, pixel by pixel; null where the films differ. */
+export function difference(a: Pixels, b: Pixels): Float32Array | null {
+  if (a.width !== b.width || a.height !== b.height) return null;
+  const [x, y] = [luminances(a), luminances(b)];
+  return x.map((v, i) => y[i]! - v);
+}
+
+/**
+ * Gaussian smoothing; values that are not finite are left out of the means, and stay.
+ * - `sigma`: pixels; 0 changes nothing.
+ */
+export function smooth(values: Float32Array, width: number, height: number, sigma: number): Float32Array {
+  if (!(sigma > 0)) return values;
+  const reach = Math.ceil(3 * sigma);
+  const kernel = Float64Array.from({ length: 2 * reach + 1 }, (_, i) =>
+    Math.exp(-((i - reach) ** 2) / (2 * sigma * sigma)),
+  );
+  const sums = new Float32Array(values.length);
+  const weights = new Float32Array(values.length);
+  const out = new Float32Array(values.length);
+  for (let y = 0; y < height; y++) {
+    for (let x = 0; x < width; x++) {
+      let [sum, weight] = [0, 0];
+      for (let k = Math.max(-reach, -x); k <= Math.min(reach, width - 1 - x); k++) {
+        const v = values[y * width + x + k]!;
+        if (v - v !== 0) continue;
+        const w = kernel[k + reach]!;
+        sum += w * v;
+        weight += w;
+      }
+      sums[y * width + x] = sum;
+      weights[y * width + x] = weight;
+    }
+  }
+  for (let y = 0; y < height; y++) {
+    for (let x = 0; x < width; x++) {
+      const i = y * width + x;
+      if (values[i]! - values[i]! !== 0) {
+        out[i] = values[i]!;
+        continue;
+      }
+      let [sum, weight] = [0, 0];
+      for (let k = Math.max(-reach, -y); k <= Math.min(reach, height - 1 - y); k++) {
+        const w = kernel[k + reach]!;
+        sum += w * sums[i + k * width]!;
+        weight += w * weights[i + k * width]!;
+      }
+      out[i] = sum / weight;
+    }
+  }
+  return out;
+}
+
+/**
+ * The scale that suits values of a kind: a half percent at each end is cut off. Null where there is nothing to show.
+ */
+export function suitableScale(show: Exclude<Show, 'picture'>, values: Float32Array): Scale | null {
+  // A few ten thousand values tell the ends well enough.
+  const stride = Math.max(1, Math.floor(values.length / 50_000));
+  const some = stride === 1 ? values : values.filter((_, i) => i % stride === 0);
+  if (show === 'difference') {
+    const ends = spread(some.map(Math.abs), 0.005);
+    return ends && { low: -(ends[1] || 1e-6), high: ends[1] || 1e-6, logarithmic: false };
+  }
+  const ends = spread(some, show === 'samples' ? 0 : 0.005, show !== 'samples');
+  if (!ends) return null;
+  if (show === 'samples') return { low: 0, high: Math.max(ends[1], 1), logarithmic: false };
+  // Six decades at most: what is darker is as good as black.
+  const high = ends[1];
+  const low = Math.max(ends[0], high * 1e-6);
+  return { low, high: high > low ? high : low * 1.01, logarithmic: true };
+}
+
+const TABLES = { viridis: lookup(viridis), diverging: lookup(diverging) };
+
+/** Values in colors: 32-bit words of a canvas. */
+export function paint(values: Float32Array, scale: Scale, colors: keyof typeof TABLES): Uint32Array<ArrayBuffer> {
+  const table = TABLES[colors];
+  const out = new Uint32Array(values.length);
+  for (let i = 0; i < values.length; i++) {
+    const t = place(scale, values[i]!);
+    out[i] = Number.isNaN(t) ? NO_VALUE : table[t <= 0 ? 0 : t >= 1 ? 255 : Math.round(t * 255)]!;
+  }
+  return out;
+}
+
+export interface Summary {
+  pixels: number;
+  mean: number;
+  low: number;
+  high: number;
+}
+
+/**
+ * Mean and ends of the finite values.
+ * - `chosen`: numbers of the pixels that count; without it all do.
+ */
+export function summarize(values: Float32Array, chosen: Uint32Array | null = null): Summary | null {
+  let [n, sum, low, high] = [0, 0, Infinity, -Infinity];
+  const length = chosen?.length ?? values.length;
+  for (let i = 0; i < length; i++) {
+    const v = values[chosen ? chosen[i]! : i]!;
+    if (v - v !== 0) continue;
+    n++;
+    sum += v;
+    if (v < low) low = v;
+    if (v > high) high = v;
+  }
+  return n ? { pixels: n, mean: sum / n, low, high } : null;
+}
+
+/** How many values lie where: the middles of equal parts of a scale, and the pixels in each. */
+export function histogram(
+  values: Float32Array,
+  scale: Scale,
+  parts: number,
+  chosen: Uint32Array | null = null,
+): { middles: number[]; counts: number[] } {
+  const counts = new Array<number>(parts).fill(0);
+  const length = chosen?.length ?? values.length;
+  for (let i = 0; i < length; i++) {
+    const t = place(scale, values[chosen ? chosen[i]! : i]!);
+    if (t >= 0 && t <= 1 + 1e-9) counts[Math.min(Math.floor(t * parts + 1e-9), parts - 1)]!++;
+  }
+  return { middles: counts.map((_, i) => valueAt(scale, (i + 0.5) / parts)), counts };
+}

@@ -1,0 +1,85 @@
+/** Addresses of the pages: what is looked at, so that a link shows another person the same. */
+
+import { ranges } from './format';
+
+export type JobTab = 'frames' | 'picture' | 'tasks' | 'timeline' | 'logs' | 'settings';
+export const JOB_TABS: readonly JobTab[] = ['frames', 'picture', 'tasks', 'timeline', 'logs', 'settings'];
+
+export type Route =
+  | { page: 'jobs' }
+  | { page: 'job'; job: number; tab: JobTab }
+  | { page: 'workers' }
+  | { page: 'audit' }
+  | { page: 'login' }
+  | { page: 'unknown'; path: string };
+
+/** The page of a path. */
+export function parsePath(path: string): Route {
+  const parts = path.split('/').filter(Boolean);
+  const [first, second, third] = parts;
+  if (parts.length === 0 || (first === 'jobs' && parts.length === 1)) return { page: 'jobs' };
+  if (parts.length === 1 && (first === 'workers' || first === 'audit' || first === 'login')) return { page: first };
+  const tab = (third ?? 'frames') as JobTab;
+  if (first === 'jobs' && parts.length <= 3 && /^\d{1,15}$/.test(second!) && JOB_TABS.includes(tab)) {
+    return { page: 'job', job: Number(second), tab };
+  }
+  return { page: 'unknown', path };
+}
+
+/** The path of a page. */
+export function pathOf(route: Route): string {
+  switch (route.page) {
+    case 'jobs':
+      return '/jobs';
+    case 'job':
+      return route.tab === 'frames' ? `/jobs/${route.job}` : `/jobs/${route.job}/${route.tab}`;
+    case 'unknown':
+      return route.path;
+    default:
+      return `/${route.page}`;
+  }
+}
+
+/** The values of an address, as text; a value that is null or empty is left out. */
+export type Query = Readonly<Record<string, string>>;
+
+export function parseQuery(search: string): Query {
+  return Object.fromEntries(new URLSearchParams(search));
+}
+
+export function formatQuery(query: Query): string {
+  // Commas and slashes are legal in a query; escaped they are unreadable.
+  const text = new URLSearchParams(query)
+    .toString()
+    .replaceAll('%2C', ',')
+    .replaceAll('%2F', '/')
+    .replaceAll('%3A', ':')
+    .replaceAll('%3B', ';');
+  return text ? `?${text}` : '';
+}
+
+/** `query` with some values changed; null and the empty text remove one. */
+export function withValues(query: Query, values: Record<string, string | number | null | undefined>): Query {
+  const next: Record<string, string> = { ...query };
+  for (const [key, value] of Object.entries(values)) {
+    if (value == null || value === '') delete next[key];
+    else next[key] = String(value);
+  }
+  return next;
+}
+
+const MOST_NUMBERS = 1 << 20;
+
+/** Numbers of a text like `1..4,7`; what is no number is left out. */
+export function parseNumbers(text: string | undefined): number[] {
+  const numbers: number[] = [];
+  for (const part of (text ?? '').split(',')) {
+    const match = /^\s*(\d{1,10})(?:\.\.(\d{1,10}))?\s*$/.exec(part);
+    if (!match) continue;
+    const [first, last] = [Number(match[1]), Number(match[2] ?? match[1])];
+    for (let n = first; n <= last && numbers.length < MOST_NUMBERS; n++) numbers.push(n);
+  }
+  return numbers;
+}
+
+export const formatNumbers = (numbers: Iterable<number>): string => ranges(numbers).replaceAll(' ', '');

@@ -1,0 +1,202 @@
+/**
+ * What the farm says, as JSON (docs/browser.md and the interface of the coordinator, version 1). Seconds are floats;
+ * what is absent
+ * is null, or missing from a coordinator that does not know of it.
+ */
+
+export type JobState = 'queued' | 'running' | 'paused' | 'done' | 'failed' | 'cancelled';
+export type FrameState = 'waiting' | 'running' | 'done' | 'failed';
+export type Role = 'viewer' | 'submitter' | 'operator' | 'admin';
+
+/** A frame in work; `frame` 0 stands for the job's own stages. */
+export interface ActiveFrame {
+  frame: number;
+  stage: string;
+  /** From 1. */
+  round: number;
+  rounds: number;
+  tiles_done: number;
+  tiles: number;
+  running: number;
+  samples: number;
+  relative_error: number | null;
+}
+
+/** A task that used up its attempts. */
+export interface QuarantinedTask {
+  task: string;
+  frame: number;
+  attempts: number;
+  failure: string;
+}
+
+export interface Job {
+  job: number;
+  name: string;
+  state: JobState;
+  owner: string;
+  /** 0..100; greater goes first. */
+  priority: number;
+  frames: number;
+  frames_done: number;
+  frames_failed: number;
+  samples: number;
+  samples_most: number;
+  samples_per_second: number;
+  bad_samples: number;
+  /** Of the frame measured last. */
+  relative_error: number | null;
+  /** Since the first lease, or from the first lease to the end. */
+  seconds: number;
+  workers: number;
+  failure: string | null;
+  active: ActiveFrame[];
+  copies: number;
+  quarantined: QuarantinedTask[];
+  /** Why tasks of it wait, a sentence each. */
+  waits: string[];
+}
+
+export interface Worker {
+  worker: number;
+  name: string;
+  threads: number;
+  tags: string[];
+  tasks: string[];
+  silent_seconds: number;
+  completed: number;
+  failed: number;
+  intake: 'open' | 'off' | 'draining';
+  engine: string;
+}
+
+export interface Me {
+  /** Null where nobody is asked. */
+  name: string | null;
+  /** Null on a coordinator that asks nobody who they are: everybody may do everything. */
+  role: Role | null;
+  secured: boolean;
+  version: string;
+  engine: string;
+  /** Seconds since 1970 by the coordinator's clock. */
+  farm_time: number;
+}
+
+export interface StageTemplate {
+  number: number;
+  kind: string;
+  scope: string;
+  needs: number[];
+  /** Of each frame (or other scope) and round, before tasks are cut. */
+  tasks?: number;
+  rounds?: number;
+}
+
+export interface Spec {
+  film: [number, number];
+  tile: number;
+  frames: number[];
+  tags: string[];
+  stages: StageTemplate[];
+  /** Settings of the render, as JSON. */
+  settings: string;
+}
+
+export interface Output {
+  role: string;
+  digest: string;
+  bytes: number;
+}
+
+export interface Frame {
+  frame: number;
+  state: FrameState;
+  stage: string | null;
+  tiles_done: number;
+  tiles: number;
+  running: number;
+  samples: number;
+  relative_error: number | null;
+  seconds: number | null;
+  has_image: boolean;
+  outputs: Output[];
+}
+
+export interface Task {
+  task: string;
+  frame: number;
+  stage: string;
+  index: number;
+  state: string;
+  /** Of the stage. */
+  number: number;
+  round: number;
+  /** Who has it now. */
+  workers: string[];
+  /** Those that failed, or run now. */
+  attempts: number;
+  /** Since the lease, while it runs. */
+  seconds: number | null;
+  failure: string | null;
+}
+
+export interface TaskWindow {
+  total: number;
+  tasks: Task[];
+}
+
+/** One lease that was begun; times are seconds by the farm's clock. */
+export interface Attempt {
+  job: number;
+  task: string;
+  frame: number;
+  stage: string;
+  attempt: number;
+  epoch: number;
+  worker: string;
+  ending: string | null;
+  began_seconds: number;
+  ended_seconds: number;
+  wait_seconds: number | null;
+  wall_seconds: number | null;
+  cpu_seconds: number | null;
+  peak_memory_bytes: number | null;
+  samples: number | null;
+  rays: number | null;
+}
+
+export interface LogRecord {
+  task: string;
+  epoch: number;
+  worker: string;
+  attempt: 'done' | 'failed';
+  seconds: number;
+  text: string;
+}
+
+export interface Refused {
+  job?: number;
+  worker?: number | string;
+  code: string;
+  message: string;
+}
+
+export interface Done<T> {
+  done: T[];
+  refused: Refused[];
+}
+
+export type JobAction = 'pause' | 'resume' | 'cancel' | 'retry' | 'priority';
+
+export interface AuditLine {
+  time?: string;
+  who?: string;
+  by?: string;
+  from?: string;
+  call?: string;
+  job?: number;
+  what?: string;
+  outcome?: string;
+  why?: string;
+  times?: number;
+}

@@ -1,0 +1,33 @@
+import { afterEach, expect, test, vi } from 'vitest';
+import { api, ApiError, explain } from '../../src/lib/api';
+
+afterEach(() => void vi.unstubAllGlobals());
+
+test('a job of many frames is read window by window, each frame once', async () => {
+  const total = 25_000;
+  const asked: string[] = [];
+  vi.stubGlobal('fetch', async (path: string) => {
+    asked.push(path);
+    const query = new URL(path, 'http://farm').searchParams;
+    const [from, count] = [Number(query.get('from')), Number(query.get('count'))];
+    const frames = Array.from({ length: Math.min(count, total - from) }, (_, i) => ({ frame: from + i + 1 }));
+    return new Response(JSON.stringify({ frames, total }));
+  });
+  const frames = await api.frames(7);
+  expect(frames.map((it) => it.frame)).toEqual(Array.from({ length: total }, (_, i) => i + 1));
+  expect(asked.length).toBe(3);
+});
+
+test('a refusal has the words of the coordinator, and what helps', async () => {
+  const error = { code: 'forbidden', message: 'this takes an operator', help: 'ask one' };
+  vi.stubGlobal('fetch', async () => new Response(JSON.stringify({ error }), { status: 403 }));
+  const refused = await api.control([1], 'pause').catch((it: unknown) => it);
+  expect(refused).toBeInstanceOf(ApiError);
+  expect((refused as ApiError).status).toBe(403);
+  expect(explain(refused)).toBe('this takes an operator (ask one)');
+});
+
+test('a coordinator that is not there is said to be so', async () => {
+  vi.stubGlobal('fetch', async () => Promise.reject(new TypeError('failed to fetch')));
+  await expect(api.me()).rejects.toThrow('the coordinator does not answer');
+});

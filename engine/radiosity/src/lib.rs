@@ -25,6 +25,7 @@ mod link;
 mod lobes;
 mod look;
 mod mesh;
+mod portals;
 mod rays;
 mod scene;
 mod solve;

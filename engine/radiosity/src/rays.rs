@@ -31,6 +31,8 @@ use std::f32::consts::PI;
 /// Least and most rays from each part of a leaf, and as many in all where that is in between.
 const RAYS: [usize; 2] = [8, 1024];
 const ALL: usize = 1 << 16;
+/// The same where few rays have found portals, so that each leaf is to learn from its own how much comes through them.
+const MANY: usize = 4 * ALL;
 /// Rays beside these that leaves have by the light that they send, over all of these.
 const BRIGHT: f32 = 1.0;
 /// Parts of a leaf at most, which its nodes stand for.
@@ -163,7 +165,8 @@ impl Rays {
         let leaves: Vec<u32> = (0..arena.elements.len() as u32).filter(is_leaf).collect();
         let parts = PARTS * leaves.len().max(1);
         let fit = (room / ((size_of::<Sight>() + size_of::<[u32; 2]>()) * parts)).max(1);
-        let each = (ALL / parts).clamp(RAYS[0], RAYS[1]).min(fit);
+        let all = if aims.worth_more { MANY } else { ALL };
+        let each = (all / parts).clamp(RAYS[0], RAYS[1]).min(fit);
         let more = (BRIGHT * (parts * each) as f32).min(((fit - each) * parts) as f32);
         let power = |&leaf: &u32| {
             let element = &arena.elements[leaf as usize];

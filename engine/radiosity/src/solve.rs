@@ -4,9 +4,10 @@ use crate::arena::Arena;
 use crate::census::Census;
 use crate::element::{Element, Kind};
 use crate::gather::{Bound, FROM_ELEMENTS, FROM_SOURCES, Lights, cell_of};
-use crate::incoming::guides;
+use crate::incoming::{Purpose, guides, portals};
 use crate::lamps::{LampLink, LampVerdict};
 use crate::link::{Judge, Link, Verdict};
+use crate::portals::Portal;
 use crate::rays::{Aims, Rays};
 use crate::scene::Scene;
 use crate::visibility::Eye;
@@ -148,11 +149,14 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
     }
     let rays = solver.check()?;
     let report = solver.finish();
-    let (guides, lobes) =
-        if options.guides { solver.guides(&rays, &leaves(&solver.arena)) } else { Default::default() };
+    let (mut guides, mut lobes) = Default::default();
+    if options.guides {
+        let leaves = leaves(&solver.arena);
+        (guides, lobes) = solver.guides(&rays, &leaves, &solver.portals(&rays, &leaves), Purpose::Paths);
+    }
     let Solver { arena, lights, .. } = solver;
     let (field, direct) = field(scene, &arena, &lights);
-    let field = Field { guides: Guides::new(guides, lobes, &field.cells), ..field };
+    let field = Field { guides: Guides::new(guides, lobes, &field.cells, &field.leaves), ..field };
     Ok(Solution { field, direct, report })
 }
 
@@ -398,9 +402,16 @@ impl Solver<'_> {
                 0.5 * contrast > judge.allowed(element, &self.lights.of[leaf as usize]) && judge.may_cut(element)
             };
             let uneven: Vec<u32> = contrast.iter().filter(|leaf| is_uneven(leaf)).map(|&(leaf, _)| leaf).collect();
-            let leaves = leaves(&self.arena);
-            let (guides, lobes) = self.guides(&rays, &leaves);
-            aims = Aims::new(&self.arena, &leaves, &guides, &lobes);
+            if self.options.guides {
+                // What guides paths later guides rays before.
+                let leaves = leaves(&self.arena);
+                let portals = self.portals(&rays, &leaves);
+                let (guides, lobes) = self.guides(&rays, &leaves, &portals, Purpose::Rays);
+                let worth_more = aims.worth_more || portals.iter().any(Portal::is_rare);
+                aims = Aims::new(&self.arena, &leaves, (&guides, &lobes), worth_more);
+            } else if uneven.is_empty() {
+                return Ok(rays);
+            }
             for leaf in uneven {
                 let (halves, _) = self.arena.children(self.scene, leaf);
                 for half in halves {
@@ -413,8 +424,12 @@ impl Solver<'_> {
         }
     }
 
-    fn guides(&self, rays: &Rays, leaves: &[u32]) -> (Vec<Guide>, Vec<Lobe>) {
-        guides(self.scene, &self.arena, &self.lights, &self.links, rays, leaves)
+    fn portals(&self, rays: &Rays, leaves: &[u32]) -> Vec<Portal> {
+        portals(self.scene, &self.arena, &self.lights, rays, leaves)
+    }
+
+    fn guides(&self, rays: &Rays, leaves: &[u32], portals: &[Portal], purpose: Purpose) -> (Vec<Guide>, Vec<Lobe>) {
+        guides(self.scene, &self.arena, &self.lights, (&self.links, rays), leaves, portals, purpose)
     }
 
     fn finish(&self) -> Report {

@@ -196,7 +196,7 @@ fn several_jobs_are_steered_at_once_and_what_cannot_be_done_to_one_is_done_to_th
         let state = |job: &serde_json::Value| job["state"].as_str().expect("a state").to_owned();
         jobs.as_array().expect("jobs").iter().map(state).collect()
     };
-    assert!(run("cancel 1 99 3").exits(1).stderr().contains("99"));
+    assert!(run("cancel 1 99 3").exits(2).stderr().contains("99"));
     assert_eq!(states(), ["cancelled", "queued", "cancelled", "queued"]);
     run("pause --owner ann").exits(0);
     assert_eq!(states(), ["cancelled", "paused", "cancelled", "paused"], "what has ended is left alone");

@@ -35,7 +35,7 @@ impl Target {
             place.run("ca issue coordinator farm").exits(0);
             place.run("ca issue user ann --role viewer").exits(0);
             place.run("ca token user eve --role viewer").exits(0);
-            place.run("ca token user bob --role viewer").exits(0);
+            place.run("ca token user dora --role viewer").exits(0);
         }
         let line = format!("coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts artifacts {options}");
         let mut coordinator = place.start(&line);
@@ -52,9 +52,9 @@ impl Target {
     /// Somebody else asks.
     #[track_caller]
     fn serves_others(&mut self) {
-        let identity = match (self.url.starts_with("https"), self.place.path("bob.token").exists()) {
+        let identity = match (self.url.starts_with("https"), self.place.path("dora.token").exists()) {
             (true, _) => "--identity ann.pem",
-            (false, true) => "--token-file bob.token",
+            (false, true) => "--token-file dora.token",
             (false, false) => "",
         };
         self.place.run(&format!("jobs --server {} {identity}", self.url)).exits(0);

@@ -24,10 +24,11 @@ const LEAST: f64 = 0.01;
 const FEW: usize = 12;
 /// Ways through a portal from which on leaves know by their own rays how much comes through it.
 const RARE: usize = 2048;
-/// Solid angle, over that of the hemisphere, that a portal fills at most as its ways' origins see it; and over the share of ways that it has:
-/// any set of lines has places where some meet by chance. Of lines in all directions six times as much is within [`NEAR`].
+/// Solid angle, over that of the hemisphere, that a portal fills at most as its ways' origins see it.
 const WIDE: f64 = 0.025;
-const DENSE: f64 = 0.05;
+/// What a line tells on average by whether it goes through a portal, against lines in all directions, nats: any set of lines has places where
+/// some meet by chance. Of a thousand lines between a floor and a ceiling no such place has 0.15.
+const TOLD: f64 = 0.2;
 /// How much wider than the portal is a lobe toward it: a gap has sharp edges, and light just inside them is not to be missed.
 const LOOSE: f32 = 2.0;
 /// Squared distance from a portal's middle, in standard deviations, up to which a line goes through it.
@@ -213,9 +214,12 @@ impl Portal {
                 (number, light, wide) = (number + 1, light + line.weight, wide + line.weight * (1.0 / over).min(1.0));
             }
         }
-        // As a share of the hemisphere, in the mean over the lines.
+        // As a share of the hemisphere, in the mean over the lines: of the density's middle, and of what counts as near.
         let wide = wide / light;
-        number >= FEW && light >= least && wide < WIDE.min(DENSE * light / pool)
+        let (share, even) = (light / pool, (NEAR * wide).min(0.5));
+        let told = f64::from(ln((share / even) as f32)) * share
+            + f64::from(ln(((1.0 - share).max(1e-6) / (1.0 - even)) as f32)) * (1.0 - share);
+        number >= FEW && light >= least && wide < WIDE && share > even && told > TOLD
     }
 
     /// Density of lines through the middle, across this one, 1/m2.

@@ -17,7 +17,7 @@ const ROUNDS: u32 = femc_radiosity::ROUNDS;
 
 /// Surfaces of a block, and most blocks.
 const SURFACES: u64 = 64;
-const MOST_BLOCKS: u64 = 64;
+const MOST_BLOCKS: u64 = 32;
 /// Blocks that are worth it.
 const LEAST_BLOCKS: u64 = 4;
 
@@ -262,6 +262,6 @@ m gray\nf a b c d\nf e f g h\nsph i 0.3\nm bright\nsph j 0.2\n";
             let (text, _) = SCENE.split_once("f a b c d").unwrap();
             first_pass_blocks(&scene(&format!("{text}{}", "f a b c d\n".repeat(faces))))
         };
-        assert_eq!([0, 30, 255, 256, 1000, 1 << 20].map(with), [1, 1, 1, 4, 15, 64]);
+        assert_eq!([0, 30, 255, 256, 1000, 1 << 20].map(with), [1, 1, 1, 4, 15, 32]);
     }
 }

@@ -19,6 +19,7 @@ use femc_field::{Guide, Harmonics, Lobe, NONE};
 use femc_math::Rgb;
 use femc_math::hash::mix64;
 use femc_prepared::Prepared;
+use std::sync::OnceLock;
 use std::sync::atomic::AtomicBool;
 
 /// A first pass before rays are cast: it is known where they are to go.
@@ -34,6 +35,15 @@ pub struct Aimed {
 pub struct Settled {
     underway: Underway,
     rays: Rays,
+    groups: OnceLock<Groups>,
+}
+
+/// Groups of leaves that have one guide each.
+#[derive(Debug)]
+struct Groups {
+    groups: Vec<(u32, Vec<u32>)>,
+    /// By group the rays and leaves of those before it, and at the end of all.
+    first: Vec<u32>,
 }
 
 /// Where the light of some groups of leaves comes from.
@@ -88,7 +98,7 @@ impl Underway {
             return Err(OTHERS);
         }
         let rays = Rays::new(origins, self.round, sights);
-        Ok(Settled { underway: self, rays })
+        Ok(Settled::new(self, rays))
     }
 
     /// The solution.
@@ -272,11 +282,15 @@ impl Aimed {
         let rays = self.casting.clone().rays(sights);
         let mut solver = Solver::with(self.underway.clone(), &scene, options, cancel);
         solver.settle(&rays)?;
-        Ok(Some(Settled { underway: solver.now, rays }))
+        Ok(Some(Settled::new(solver.now, rays)))
     }
 }
 
 impl Settled {
+    fn new(underway: Underway, rays: Rays) -> Self {
+        Self { underway, rays, groups: OnceLock::new() }
+    }
+
     /// What is known after that.
     pub fn underway(&self) -> &Underway {
         &self.underway
@@ -286,15 +300,21 @@ impl Settled {
     pub fn guides(&self, prepared: &Prepared, block: u32, blocks: u32) -> Found {
         let scene = Scene::new(prepared);
         let Underway { arena, lights, links, .. } = &self.underway;
-        let mut groups = incoming::groups(arena, &leaves(arena), &self.rays.light(arena, lights));
+        let Groups { groups, first } = self.groups.get_or_init(|| self.groups());
+        let groups = &groups[part(first, block, blocks)];
+        let found = incoming::of_groups(&scene, arena, lights, links, &self.rays, groups);
+        Found { groups: groups.iter().map(|(_, leaves)| leaves.clone()).collect(), found }
+    }
+
+    fn groups(&self) -> Groups {
+        let Underway { arena, lights, .. } = &self.underway;
+        let groups = incoming::groups(arena, &leaves(arena), &self.rays.light(arena, lights));
         let numbers = groups.iter().scan(0, |sum, (_, leaves)| {
             *sum += self.rays.number(leaves) + leaves.len() as u32;
             Some(*sum)
         });
-        let first: Vec<u32> = [0].into_iter().chain(numbers).collect();
-        let groups: Vec<_> = groups.drain(part(&first, block, blocks)).collect();
-        let found = incoming::of_groups(&scene, arena, lights, links, &self.rays, &groups);
-        Found { groups: groups.into_iter().map(|(_, leaves)| leaves).collect(), found }
+        let first = [0].into_iter().chain(numbers).collect();
+        Groups { groups, first }
     }
 }
 

@@ -72,7 +72,8 @@ impl Underway {
 
     /// What it is made of so far.
     pub fn report(&self) -> Report {
-        Report { elements: self.arena.elements.len(), links: self.links.len(), ..self.report }
+        let elements = self.arena.elements.iter().filter(|element| element.kind != Kind::Cluster).count();
+        Report { elements, links: self.links.len(), ..self.report }
     }
 
     /// Makes ready for rays.

@@ -6,6 +6,7 @@
 
 use femc_pipeline::radiosity::{Options, solve};
 use femc_pipeline::{Settings, Source, prepare};
+use femc_tests::clock::processor_seconds;
 use femc_tests::closed_forms::{Case, Solved, all, errors};
 use femc_tests::fog_light::{self, Compared, compare_along, compare_around};
 use femc_tests::furnished::{Kind, furnished};
@@ -117,14 +118,6 @@ fn fog(path: &Path, errors: &[f32], rays: u32, samples: u32) -> Result<(), Box<d
         }
     }
     Ok(())
-}
-
-/// Seconds that this process has spent on its processors, where the system says so.
-fn processor_seconds() -> Option<f64> {
-    let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
-    let fields: Vec<&str> = stat.rsplit_once(')')?.1.split_whitespace().collect();
-    // User and system, in hundredths.
-    Some((fields.get(11)?.parse::<f64>().ok()? + fields.get(12)?.parse::<f64>().ok()?) / 100.0)
 }
 
 fn growth(kind: Kind, faces: &[f32], error: f32) {

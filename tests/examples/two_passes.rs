@@ -9,6 +9,7 @@ use femc_montecarlo::{PathSettings, PixelFilter, Tracer};
 use femc_pipeline::radiosity::{self, Options};
 use femc_pipeline::{Field, Settings, Source, prepare};
 use femc_prepared::Prepared;
+use femc_tests::clock::processor_seconds;
 use rayon::prelude::*;
 use std::error::Error;
 use std::sync::Arc;
@@ -52,10 +53,10 @@ fn main() -> Result<(), Box<dyn Error>> {
         let prepared = prepare(&Source::new(scene), &settings, 1, None)?;
         let name = std::path::Path::new(&path).file_stem().unwrap_or_default().to_string_lossy().into_owned();
         for &error in &errors {
-            let start = processor_seconds();
+            let start = processor_seconds().unwrap_or(0.0);
             let options = Options { error, guides: true, ..Options::default() };
             let solution = radiosity::solve(&prepared, &options, &AtomicBool::new(false)).map_err(|_| "cancelled")?;
-            let first = processor_seconds() - start;
+            let first = processor_seconds().unwrap_or(0.0) - start;
             let [plain, guided, field] = compare(&prepared, &solution.field, size * size, spp);
             let ratio = plain.variance / guided.variance;
             println!(
@@ -117,7 +118,7 @@ fn compare(prepared: &Prepared, field: &Field, number: u32, spp: u32) -> [Measur
     for turn in 0..TURNS {
         for (which, (sums, out)) in sums.iter_mut().zip(&mut out).enumerate() {
             let samples = turn * spp / TURNS..(turn + 1) * spp / TURNS;
-            let start = processor_seconds();
+            let start = processor_seconds().unwrap_or(0.0);
             sums.par_chunks_mut(64).enumerate().for_each(|(chunk, sums)| {
                 // Other numbers each, so that their differences are chance.
                 let path = PathSettings { seed: 1 + which as u64, max_depth: 0, only: None };
@@ -135,7 +136,7 @@ fn compare(prepared: &Prepared, field: &Field, number: u32, spp: u32) -> [Measur
                     }
                 }
             });
-            out.seconds += processor_seconds() - start;
+            out.seconds += processor_seconds().unwrap_or(0.0) - start;
         }
     }
     let n = f64::from(spp);
@@ -156,12 +157,4 @@ fn compare(prepared: &Prepared, field: &Field, number: u32, spp: u32) -> [Measur
         out.variance = out.pixels.iter().zip(&means).map(of).sum::<f64>() / f64::from(number);
     }
     out
-}
-
-/// Of all threads until now; 0 where the system does not tell.
-fn processor_seconds() -> f64 {
-    let text = std::fs::read_to_string("/proc/self/stat").unwrap_or_default();
-    let after = text.rsplit(')').next().unwrap_or_default();
-    let ticks = |at: usize| after.split_whitespace().nth(at).and_then(|word| word.parse::<f64>().ok()).unwrap_or(0.0);
-    (ticks(11) + ticks(12)) / 100.0
 }

@@ -2,6 +2,7 @@
 
 pub mod agreement;
 pub mod brute;
+pub mod clock;
 pub mod closed_forms;
 pub mod fog_light;
 pub mod furnished;

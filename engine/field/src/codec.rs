@@ -355,7 +355,8 @@ fn read(mut tables: Tables<'_>, lengths: [u32; 9]) -> Result<Field, FieldError> 
     if !tables.0.is_empty() {
         return Err(FieldError::Corrupt("more than its tables"));
     }
-    Ok(Field { surfaces, roots, leaves, guides: Guides::new(guides, lobes, &all), cells: all, sides, fog })
+    let guides = Guides::new(guides, lobes, &all, &leaves);
+    Ok(Field { surfaces, roots, leaves, guides, cells: all, sides, fog })
 }
 
 /// A share of directions, in [0, 1): the rest is for what no lobe knows.
@@ -542,20 +543,22 @@ mod tests {
         let fog = FogTree::new([Vec3A::NEG_ONE, Vec3A::ONE], &fog).expect("boxes of fog");
         let cells =
             vec![cell(half, 1), cell(none, 0), cell(none, 1), cell(Split::Bisection, 4), cell(none, 2), cell(none, 2)];
+        let leaves = vec![
+            Leaf::Curved(Harmonics([v(1.0); 9])),
+            Leaf::Triangle([v(1.0), v(f32::INFINITY), v(3.0)]),
+            Leaf::Rectangle([v(1.0), v(2.0), v(3.0), v(4.0)]),
+        ];
         let guides = Guides::new(
             vec![Guide::default(), Guide { first: 0, count: 2, share: 0.5 }, Guide { first: 1, count: 1, share: 0.25 }],
             vec![Lobe::round(v(1.0), Vec3A::X, 0.5, 0.25), Lobe::round(v(2.0), Vec3A::Y, 0.1, 0.75)],
             &cells,
+            &leaves,
         );
         Field {
             surfaces: (0..).zip(forms).map(surface).collect(),
             roots: vec![0, NONE, 3, 5, NONE, 0],
             cells,
-            leaves: vec![
-                Leaf::Curved(Harmonics([v(1.0); 9])),
-                Leaf::Triangle([v(1.0), v(f32::INFINITY), v(3.0)]),
-                Leaf::Rectangle([v(1.0), v(2.0), v(3.0), v(4.0)]),
-            ],
+            leaves,
             guides,
             sides: vec![vec![[0, 1], [2, NONE]], vec![[4, NONE], [NONE, 5]], vec![]],
             fog,

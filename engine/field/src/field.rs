@@ -1,6 +1,7 @@
-use crate::{Cell, Directions, FogTree, Guides, Harmonics, NONE, Side, Surface};
+use crate::{Cell, FogTree, Guided, Guides, Harmonics, NONE, Side, Surface};
 use femc_geometry::Hit;
 use femc_math::Rgb;
+use femc_math::color::luminance;
 use femc_math::glam::{Vec2, Vec3A};
 
 /// What is known of a leaf: irradiance, lx by channel, without what comes straight from light sources.
@@ -51,6 +52,20 @@ impl Leaf {
             Self::Curved(light) => light.cosine(normal),
         }
     }
+
+    /// Luminance of the mean irradiance over the leaf, lx; 0 at least.
+    pub fn mean(&self) -> f32 {
+        let mean = |values: &[Rgb]| values.iter().copied().sum::<Rgb>() * (1.0 / values.len() as f32);
+        let mean = match self {
+            Self::Triangle(values) => mean(values),
+            Self::Rectangle(values) => mean(values),
+            Self::Curved(light) => {
+                let axes = [Vec3A::X, Vec3A::Y, Vec3A::Z];
+                axes.iter().map(|&axis| (light.cosine(axis) + light.cosine(-axis)) * (1.0 / 6.0)).sum()
+            }
+        };
+        luminance(mean.max(Rgb::ZERO))
+    }
 }
 
 /// The light of a scene as the first pass has found it.
@@ -81,15 +96,12 @@ impl Field {
         found.map_or(Rgb::ZERO, |(leaf, local)| self.leaves[leaf as usize].at(local, normal))
     }
 
-    /// Where the light of a hit comes from, as far as directions are worth drawing by that.
+    /// What guides paths at a hit; `None` where the first pass knows no surface, or has not asked where light comes from.
     /// - `position`: of the hit.
-    pub fn directions(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<Directions<'_>> {
+    #[inline]
+    pub fn guided(&self, hit: &Hit, side: Side, position: Vec3A) -> Option<Guided<'_>> {
         let (surface, root) = self.root(hit, side)?;
-        if !self.guides.are_in(root) {
-            return None;
-        }
-        let place = surface.parameters(position, [hit.u, hit.v]);
-        self.guides.directions(&self.cells, root, place, position)
+        self.guides.at(&self.cells, root, || surface.parameters(position, [hit.u, hit.v]), position)
     }
 
     /// The leaf of a hit, and the hit's coordinates in it.

@@ -1,6 +1,6 @@
 //! Where a leaf's light comes from: a mixture of lobes, for drawing directions.
 
-use crate::{Cell, Split};
+use crate::{Cell, Leaf, Split};
 use femc_math::elementary::sin_cos;
 use femc_math::glam::{Vec2, Vec3A};
 use femc_math::{Frame, cross};
@@ -9,6 +9,8 @@ use std::f32::consts::PI;
 
 /// Most lobes of a leaf.
 pub const LOBES: usize = 8;
+/// As many lobes take half the time.
+pub const HALF: usize = LOBES / 2;
 
 /// Light through a place in space: through a gap, or from a source. It is a density over the plane through the place across the view, which
 /// falls as `(1 + q)^-3`, with q = 1 on an ellipse: a Student distribution, whose long tails find what is somewhat beside. From each point of
@@ -54,6 +56,17 @@ pub struct Guides {
     cells: Vec<u32>,
     /// Lobes, and the share of directions that are drawn by them.
     blocks: Vec<(Block, f32)>,
+    /// By cell the luminance of its mean irradiance, lx.
+    light: Vec<f32>,
+}
+
+/// What guides paths at a point.
+#[derive(Clone, Copy, Debug)]
+pub struct Guided<'a> {
+    /// Where light comes from, as far as directions are worth drawing by that.
+    pub directions: Option<Directions<'a>>,
+    /// Luminance of the irradiance about there, lx, without what comes straight from light sources.
+    pub light: f32,
 }
 
 const UNGUIDED: u32 = u32::MAX;
@@ -61,8 +74,8 @@ const MIXED: u32 = u32::MAX - 1;
 
 impl Guides {
     /// - `of`: by leaf, or of none; ranges are within `lobes`;
-    /// - `cells`: parts of surfaces down to these leaves.
-    pub fn new(of: Vec<Guide>, lobes: Vec<Lobe>, cells: &[Cell]) -> Self {
+    /// - `cells`: parts of surfaces down to these `leaves`.
+    pub fn new(of: Vec<Guide>, lobes: Vec<Lobe>, cells: &[Cell], leaves: &[Leaf]) -> Self {
         let (mut blocks, mut known) = (Vec::new(), HashMap::new());
         let mut block = |Guide { first, count, share }: Guide| {
             if count == 0 || share <= 0.0 {
@@ -73,9 +86,10 @@ impl Guides {
                 blocks.len() as u32 - 1
             })
         };
-        let mut by_cell = Vec::new();
+        let (mut by_cell, mut light) = (Vec::new(), Vec::new());
         if !of.is_empty() {
             by_cell = vec![UNGUIDED; cells.len()];
+            light = vec![0.0; cells.len()];
             // Halves come after what they are halves of.
             for (index, cell) in cells.iter().enumerate().rev() {
                 let next = cell.next as usize;
@@ -84,9 +98,13 @@ impl Guides {
                     _ if by_cell[next] == by_cell[next + 1] => by_cell[next],
                     _ => MIXED,
                 };
+                light[index] = match cell.split {
+                    Split::None => leaves[next].mean(),
+                    _ => 0.5 * (light[next] + light[next + 1]),
+                };
             }
         }
-        Self { of, lobes, cells: by_cell, blocks }
+        Self { of, lobes, cells: by_cell, blocks, light }
     }
 
     /// The same of ranges that may lead astray, for nothing but to be written.
@@ -107,27 +125,30 @@ impl Guides {
 
     /// Bytes that they take.
     pub fn memory(&self) -> usize {
-        size_of_val(&*self.of) + size_of_val(&*self.lobes) + size_of_val(&*self.cells) + size_of_val(&*self.blocks)
+        size_of_val(&*self.of)
+            + size_of_val(&*self.lobes)
+            + size_of_val(&*self.cells)
+            + size_of_val(&*self.blocks)
+            + size_of_val(&*self.light)
     }
 
-    /// Whether something in a cell has lobes.
-    #[inline]
-    pub fn are_in(&self, cell: u32) -> bool {
-        self.cells.get(cell as usize).is_some_and(|&block| block != UNGUIDED)
-    }
-
-    /// The lobes at a point of a cell; `None` where there are none.
+    /// What guides at a point of a cell; `None` where nothing is known of any.
     /// - `place`: the point's parameters of the surface whose root the cell is.
     #[inline]
-    pub fn directions(&self, cells: &[Cell], root: u32, place: Vec2, point: Vec3A) -> Option<Directions<'_>> {
-        let mut index = root;
-        let mut local = cells[index as usize].outline.local(place);
-        while self.cells[index as usize] == MIXED {
-            index = cells[index as usize].half(local)?;
-            local = cells[index as usize].outline.local(local);
+    pub fn at(&self, cells: &[Cell], root: u32, place: impl FnOnce() -> Vec2, point: Vec3A) -> Option<Guided<'_>> {
+        let mut index = root as usize;
+        let mut block = *self.cells.get(index)?;
+        if block == MIXED {
+            let mut local = cells[index].outline.local(place());
+            while block == MIXED {
+                index = cells[index].half(local)? as usize;
+                local = cells[index].outline.local(local);
+                block = self.cells[index];
+            }
         }
-        let (block, share) = self.blocks.get(self.cells[index as usize] as usize)?;
-        Directions::new(block, *share, point)
+        let directions = self.blocks.get(block as usize);
+        let directions = directions.and_then(|(block, share)| Directions::new(block, *share, point));
+        Some(Guided { directions, light: self.light[index] })
     }
 }
 
@@ -143,6 +164,8 @@ pub struct Block {
     /// Density in the middle of the plane, 1/m2, times the lobe's share.
     peaks: [f32; LOBES],
     shares: [f32; LOBES],
+    /// Whether there are [`HALF`] lobes at most.
+    is_half: bool,
 }
 
 impl Block {
@@ -156,6 +179,7 @@ impl Block {
             squares: [NONE; 2],
             peaks: NONE,
             shares: NONE,
+            is_half: lobes.len() <= HALF,
         };
         for (k, lobe) in lobes.iter().enumerate().take(LOBES) {
             let [a, b] = lobe.axes.map(|axis| axis.length_squared());
@@ -200,10 +224,15 @@ impl<'a> Directions<'a> {
     /// Of lobes, at a point; `None` where none is seen.
     #[inline]
     pub fn new(block: &'a Block, share: f32, point: Vec3A) -> Option<Self> {
+        if block.is_half { Self::of::<HALF>(block, share, point) } else { Self::of::<LOBES>(block, share, point) }
+    }
+
+    #[inline(always)]
+    fn of<const N: usize>(block: &'a Block, share: f32, point: Vec3A) -> Option<Self> {
         const NONE: [f32; LOBES] = [0.0; LOBES];
         let mut out = Self { block, heights: NONE, places: [NONE; 2], weights: NONE, share };
         let mut seen = NONE;
-        for (k, seen) in seen.iter_mut().enumerate() {
+        for (k, seen) in seen.iter_mut().enumerate().take(N) {
             let x = block.targets[0][k] - point.x;
             let y = block.targets[1][k] - point.y;
             let z = block.targets[2][k] - point.z;
@@ -233,8 +262,14 @@ impl<'a> Directions<'a> {
     /// The same by lobe.
     #[inline]
     pub fn each(&self, dir: Vec3A) -> [f32; LOBES] {
+        if self.block.is_half { self.first::<HALF>(dir) } else { self.first::<LOBES>(dir) }
+    }
+
+    /// Of the first lobes.
+    #[inline(always)]
+    fn first<const N: usize>(&self, dir: Vec3A) -> [f32; LOBES] {
         let mut each = [0.0f32; LOBES];
-        for (k, pdf) in each.iter_mut().enumerate() {
+        for (k, pdf) in each.iter_mut().enumerate().take(N) {
             let dot = |of: &[[f32; LOBES]; 3]| of[0][k] * dir.x + of[1][k] * dir.y + of[2][k] * dir.z;
             let ahead = dot(&self.block.normals);
             // Both in the direction of the plane; a point on the line at infinity has no density.

@@ -20,7 +20,7 @@ pub use cell::{Cell, Outline, Split};
 pub use codec::{FieldError, Statistics};
 pub use field::{Field, Leaf};
 pub use fog::{FogCell, FogLeaf, FogTree, Line, LinePoint};
-pub use guide::{Block, Directions, Guide, Guides, LOBES, Lobe};
+pub use guide::{Block, Directions, Guide, Guided, Guides, HALF, LOBES, Lobe};
 pub use harmonics::Harmonics;
 pub use surface::{Form, Side, Surface, SurfaceSpot};
 

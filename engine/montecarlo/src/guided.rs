@@ -19,28 +19,33 @@ pub struct Scattering<'a> {
     /// Local frame, toward where the path came from.
     wo: Vec3A,
     guide: Option<(Directions<'a>, f32)>,
+    /// What the vertex scatters toward where the path came from, by the field, without light straight from sources: albedo by channel times the
+    /// luminance of the irradiance, lx. 0: the field knows nothing.
+    pub ahead: Rgb,
 }
 
 impl<'a> Scattering<'a> {
-    /// - `field`: what guides; `None`: nothing.
-    pub fn new(
-        field: Option<&'a Field>,
-        (bsdf, frame, wo): (&'a Bsdf, &'a Frame, Vec3A),
-        (hit, point, back): (&Hit, &SurfacePoint, bool),
-    ) -> Self {
-        let guide = || {
-            // Of a gloss the guide knows nothing.
-            let diffuse = luminance(bsdf.lambertian(wo).0);
-            if diffuse <= 0.0 {
-                return None;
-            }
-            let side = if back { Side::Back } else { Side::Front };
-            let directions = field?.directions(hit, side, point.position)?;
-            let share = directions.share * (diffuse / luminance(bsdf.albedo(wo))).min(1.0);
+    /// Without a guide.
+    pub fn new(bsdf: &'a Bsdf, frame: &'a Frame, wo: Vec3A) -> Self {
+        Self { bsdf, frame, wo, guide: None, ahead: Rgb::ZERO }
+    }
+
+    /// The same with a field's guide.
+    pub fn guided(mut self, field: &'a Field, (hit, point, back): (&Hit, &SurfacePoint, bool)) -> Self {
+        // Of a gloss the guide knows nothing.
+        let diffuse = luminance(self.bsdf.lambertian(self.wo).0);
+        let side = if back { Side::Back } else { Side::Front };
+        if diffuse <= 0.0 {
+            return self;
+        }
+        let Some(guided) = field.guided(hit, side, point.position) else { return self };
+        let albedo = self.bsdf.albedo(self.wo);
+        self.ahead = albedo * guided.light;
+        self.guide = guided.directions.and_then(|directions| {
+            let share = directions.share * (diffuse / luminance(albedo)).min(1.0);
             (share > 0.0).then_some((directions, share))
-        };
-        let guide = if field.is_some() { guide() } else { None };
-        Self { bsdf, frame, wo, guide }
+        });
+        self
     }
 
     /// Density of [`Self::sample`], 1/sr, deltas excluded.
@@ -55,9 +60,12 @@ impl<'a> Scattering<'a> {
     }
 
     /// Draws a direction from `u` in [0, 1)^2; `choice` in [0, 1) picks who draws it, and the lobe. `None`: the light is absorbed.
+    /// - returns also how much more often than by the BSDF alone such a direction is drawn.
     #[inline]
-    pub fn sample(&self, u: [f32; 2], choice: f32) -> Option<BsdfSample> {
-        let Some((directions, share)) = &self.guide else { return self.bsdf.sample(self.wo, u, choice) };
+    pub fn sample(&self, u: [f32; 2], choice: f32) -> Option<(BsdfSample, f32)> {
+        let Some((directions, share)) = &self.guide else {
+            return self.bsdf.sample(self.wo, u, choice).map(|drawn| (drawn, 1.0));
+        };
         let mut drawn = if choice < *share {
             let wi = self.frame.to_local(directions.sample(choice / share, u));
             let transmitted = if wi.z * self.wo.z < 0.0 { Transmitted::Yes } else { Transmitted::No };
@@ -70,14 +78,18 @@ impl<'a> Scattering<'a> {
         if drawn.lobe == LobeKind::Delta {
             drawn.weight /= 1.0 - share;
             drawn.pdf *= 1.0 - share;
-            return Some(drawn);
+            return Some((drawn, 1.0 - share));
         }
         let value = self.bsdf.eval(self.wo, drawn.wi);
         if value == Rgb::ZERO {
             return None;
         }
-        drawn.pdf = self.pdf(drawn.wi, self.frame.to_world(drawn.wi));
+        let by_bsdf = self.bsdf.pdf(self.wo, drawn.wi);
+        let by_guide = directions.pdf(self.frame.to_world(drawn.wi));
+        drawn.pdf = by_bsdf * (1.0 - share) + by_guide * share;
         drawn.weight = value / drawn.pdf;
-        Some(drawn)
+        // The BSDF may draw whatever it scatters, so its density is 0 by rounding at most.
+        let often = drawn.pdf / by_bsdf.max(1e-6 * drawn.pdf);
+        Some((drawn, often))
     }
 }

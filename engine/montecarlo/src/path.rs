@@ -9,6 +9,7 @@ use crate::technique::{Technique, weight};
 use femc_emission::{AtPoint, Choice, DeltaKind, Lobes};
 use femc_field::{Field, Side};
 use femc_geometry::{Ray, offset_origin, segment};
+use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, Rgb, SampleStream};
 use femc_prepared::camera::View;
@@ -26,6 +27,8 @@ const ROULETTE_FROM: u32 = 4;
 const SPARED: f32 = 0.25;
 /// The same in a scene with media, where a path's later vertices cost more (each has a segment of fog, too) and bring less.
 const SPARED_IN_MEDIA: f32 = 0.8;
+/// Least chance that a path survives by what a field expects, over that by its weight alone.
+const LEAST_KEPT: f32 = 0.5;
 /// Rays after which a path may end even if it has lost nothing.
 const LONG: u32 = 128;
 /// Rays after which it is ended more often.
@@ -114,7 +117,7 @@ enum Came {
     },
 }
 
-/// Tells the recorder of something on the way, if it hears of the sample's whole path.
+/// Calls the recorder with an event of the path, if the recorder hears of all events of this sample ([`Hears::All`]).
 macro_rules! tell {
     ($tracer:ident.$what:ident($($about:tt)*)) => {
         if HEARD {
@@ -299,6 +302,8 @@ impl<'a, R: Recorder> Tracer<'a, R> {
         // What the throughput was scaled by that roulette must not count: squares of index ratios, and what directions were drawn by instead of
         // the phase function. Where only the latest of these densities counts, the reference roundabout has 8 % more variance.
         let mut scale = 1.0f32;
+        // What the field expects of the path from its first vertex on that the field knows.
+        let mut promised = 0.0f32;
         let mut first = true;
         // The segment that the path is in, and its rays until now: a segment that goes through clear surfaces has several.
         let (mut segment, mut rays, mut vertices) = (0u32, 0u32, 0u32);
@@ -387,7 +392,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                         ray = Ray { origin: position, dir: new.dir, t_max: f32::INFINITY, time: ray.time };
                         segment += 1;
                         scale *= new.pdf / new.phase;
-                        if !survives::<MEDIA>(rays, &mut throughput, scale, &mut stream, base) {
+                        if !survives::<MEDIA>(rays, &mut throughput, scale, None, &mut stream, base) {
                             self.recorder.stop(vertices, Stop::of_lost(throughput), throughput);
                             break;
                         }
@@ -428,7 +433,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 let before = throughput;
                 throughput *= crossing.unbent();
                 ray = straight_on(&ray, &point, &mut inside, material, back);
-                if !survives::<MEDIA>(rays, &mut throughput, scale, &mut stream, base) {
+                if !survives::<MEDIA>(rays, &mut throughput, scale, None, &mut stream, base) {
                     self.recorder.stop(vertices, if is_last { Stop::Depth } else { Stop::of_lost(throughput) }, before);
                     break;
                 }
@@ -441,7 +446,16 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 bounce: segment,
                 throughput,
             }));
-            let scattering = Scattering::new(self.guide, (&bsdf, &frame, wo), (&hit, &point, back));
+            let mut scattering = Scattering::new(&bsdf, &frame, wo);
+            if let Some(field) = self.guide {
+                scattering = scattering.guided(field, (&hit, &point, back));
+            }
+            let ahead = luminance(throughput * scattering.ahead);
+            let is_known = ahead > 0.0 && ahead.is_finite();
+            if promised == 0.0 && is_known {
+                promised = ahead;
+            }
+            let kept = is_known.then(|| ahead / promised);
             let wanted =
                 scene.lights.at_point(point.position, lit_side(&bsdf, &point, back), lobes(&bsdf, wo, ray.dir));
             if !bsdf.is_delta_only() && !scene.lights.is_empty() {
@@ -489,13 +503,13 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                     out.color += color;
                     tell!(self.light(|| from_field(color, throughput, segment, point.position)));
                     rest = bsdf.without_lambertian();
-                    Scattering::new(None, (&rest, &frame, wo), (&hit, &point, back))
+                    Scattering::new(&rest, &frame, wo)
                 }
             };
             stream.seek(base + dim::LOBE);
             let choice = stream.next_1d();
             stream.seek(base + dim::DIRECTION);
-            let Some(scattered) = scattering.sample(stream.next_2d(), choice) else {
+            let Some((scattered, often)) = scattering.sample(stream.next_2d(), choice) else {
                 self.recorder.stop(
                     vertices,
                     if self.field.is_some() { Stop::Field } else { Stop::Absorbed },
@@ -504,13 +518,14 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 break;
             };
             throughput *= scattered.weight;
+            scale *= often;
             if scattered.lobe == LobeKind::Delta
                 && scattered.transmitted == Transmitted::Yes
                 && crossing != Crossing::Scatter
             {
                 tell!(self.leave(Leaving::Straight));
                 ray = straight_on(&ray, &point, &mut inside, material, back);
-                if !survives::<MEDIA>(rays, &mut throughput, scale, &mut stream, base) {
+                if !survives::<MEDIA>(rays, &mut throughput, scale, None, &mut stream, base) {
                     self.recorder.stop(vertices, Stop::of_lost(throughput), throughput);
                     break;
                 }
@@ -540,7 +555,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             let origin = offset_origin(point.position, point.error, point.normal, wi);
             ray = Ray { origin, dir: wi, t_max: f32::INFINITY, time: ray.time };
             segment += 1;
-            if !survives::<MEDIA>(rays, &mut throughput, scale, &mut stream, base) {
+            if !survives::<MEDIA>(rays, &mut throughput, scale, kept, &mut stream, base) {
                 self.recorder.stop(vertices, Stop::of_lost(throughput), throughput);
                 break;
             }
@@ -674,11 +689,18 @@ fn lobes(bsdf: &Bsdf, wo: Vec3A, dir: Vec3A) -> Option<Lobes> {
 /// with every segment would have infinite variance. A long path ends all the same: its chance to have `n` rays is `LONG / n`, so that
 /// weights grow no faster than paths, and the square of that over `VERY_LONG`, so that the mean length is bounded in endless fog
 /// that absorbs nothing.
+///
+/// Where a field knows how much light comes to a vertex, that decides (\[vorba2016\]): a path that a guide has sent to much light has a small
+/// weight for that reason and is worth following; one of great weight in the dark is not. The field may be wrong, so the chance to
+/// survive is at least [`LEAST_KEPT`] of that by the weight.
+/// - `scale`: factor of the weight here: what guides and refraction have changed it by does not count;
+/// - `kept`: light that the field expects of the path from here on, over that from the first vertex on.
 #[inline]
 fn survives<const MEDIA: bool>(
     rays: u32,
     throughput: &mut Rgb,
     scale: f32,
+    kept: Option<f32>,
     stream: &mut SampleStream,
     base: u32,
 ) -> bool {
@@ -691,6 +713,9 @@ fn survives<const MEDIA: bool>(
     }
     let spared = if MEDIA { SPARED_IN_MEDIA } else { SPARED };
     let mut q = (most * scale / spared).min(1.0);
+    if let Some(kept) = kept {
+        q = kept.clamp(LEAST_KEPT * q, 1.0);
+    }
     if rays > LONG {
         let goes_on = (rays - 1) as f32 / rays as f32;
         q *= if rays > VERY_LONG { square(goes_on) } else { goes_on };

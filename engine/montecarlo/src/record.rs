@@ -9,12 +9,12 @@ use femc_math::Rgb;
 use femc_math::glam::Vec3A;
 pub use femc_scattering::Transmitted;
 
-/// What a recorder hears of a sample.
+/// Events of a sample that a recorder is told.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Hears {
-    /// Why its path stops, and what it comes to.
+    /// The end: why the path stops, and the sample's radiance.
     End,
-    /// Every vertex and every contribution, too.
+    /// The end, and every vertex and contribution before it.
     All,
 }
 
@@ -26,16 +26,16 @@ pub trait Recorder {
     fn vertex(&mut self, vertex: impl FnOnce() -> Vertex);
     /// The path goes on from its latest vertex.
     fn leave(&mut self, way: Leaving);
-    /// Something hides the light that was drawn from the latest vertex, a surface, or for a point in fog; its contribution, of nothing, comes
-    /// next.
+    /// The light that was drawn for the latest vertex, or for a point in fog, is hidden by a surface: its contribution, which is told next, is 0.
     fn hidden(&mut self, shadow: impl FnOnce() -> Ray);
     /// Light was found.
     fn light(&mut self, contribution: impl FnOnce() -> Contribution);
     /// The path goes no further.
-    /// - `vertices`: that it has come to;
-    /// - `throughput`: its factor, 0 if that is why.
+    /// - `vertices`: number of vertices of the path;
+    /// - `throughput`: of the path; 0 if it stops because nothing is left.
     fn stop(&mut self, vertices: u32, why: Stop, throughput: Rgb);
-    /// The sample is done. Whoever has drawn it says its radiance, cd/m2, or that the film refuses it.
+    /// The sample is done.
+    /// - `color`: its radiance, cd/m2 by channel; `None`: the film refuses it.
     fn end(&mut self, color: Option<Rgb>);
 }
 

@@ -57,7 +57,7 @@ impl Frames {
         });
         for it in self.by_key.values_mut().chain([&mut other]) {
             let (lower, upper) = all.unwrap_or((it.scope.lower, it.scope.upper));
-            // What was counted in the parts of one box is not known in those of another.
+            // Counts by cell of one box cannot be told by cell of another box.
             if it.scope.is_full && (it.scope.lower, it.scope.upper) != (lower, upper) {
                 return Err(UnionError::Scope);
             }
@@ -96,7 +96,7 @@ impl Frames {
         self.by_key.into_values().collect()
     }
 
-    /// Whether bytes are those of frames, or claim to be.
+    /// Whether bytes begin as a file of united frames does.
     pub fn is_meant(bytes: &[u8]) -> bool {
         bytes.starts_with(MAGIC)
     }

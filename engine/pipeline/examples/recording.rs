@@ -24,7 +24,7 @@ const EDGE: u32 = 64;
 fn main() -> Result<(), Box<dyn Error>> {
     let words: Vec<String> = std::env::args().skip(1).collect();
     let [file, size, samples, pairs, way @ ..] = &words[..] else {
-        return Err("usage: overhead SCENE WIDTHxHEIGHT SAMPLES TURNS [without|with]".into());
+        return Err("usage: recording SCENE WIDTHxHEIGHT SAMPLES TURNS [without|with]".into());
     };
     let (width, height) = size.split_once('x').ok_or("the size is WIDTHxHEIGHT")?;
     let size = Some([width.parse()?, height.parse()?]);

@@ -85,7 +85,7 @@ pub fn render_tile(
 /// Rows of pixels that one thread has rendered, one after the other, and its tracer.
 type Run<'a, R> = (Vec<Tile>, Tracer<'a, R>);
 
-/// The same with a recorder for each run of rows of pixels, and what they have heard, in order. The tile is the same to the bit.
+/// Renders a tile as [`render_tile`] does, to the bit, with a recorder for each run of rows of pixels; returns the recorders in order, too.
 pub fn render_rows<R: Recorder + Send>(
     prepared: &Prepared,
     settings: &Settings,

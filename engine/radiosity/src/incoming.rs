@@ -8,13 +8,16 @@ use crate::element::{Element, Kind};
 use crate::gather::Lights;
 use crate::link::Link;
 use crate::lobes::{Part, fit};
+use crate::portals::{self, Line, Portal};
 use crate::rays::{Rays, Seen};
 use crate::scene::Scene;
-use femc_field::{Block, Directions, Guide, Lobe, NONE, SurfaceSpot};
+use femc_field::{Block, Directions, Guide, LOBES, Lobe, NONE, SurfaceSpot};
 use femc_math::color::luminance;
 use femc_math::elementary::atan2;
 use femc_math::glam::Vec3A;
 use femc_math::{Frame, warp};
+use rayon::prelude::*;
+use std::collections::HashMap;
 use std::f32::consts::PI;
 
 /// Cells of directions by axis of a square, over which the hemisphere is spread.
@@ -25,47 +28,49 @@ const LARGE: f32 = 0.3;
 /// Parts of a link's source at most.
 const PARTS: usize = 64;
 /// Shares of directions that are drawn by lobes, of which the best is taken.
-const SHARES: [f32; 3] = [0.25, 0.5, 0.75];
+const SHARES: [f32; 4] = [0.125, 0.25, 0.5, 0.75];
 /// Ways that a guide is made of at least, if the surface has so many: as many of equal light as would tell as much.
-const ENOUGH: f32 = 100.0;
+const ENOUGH: f32 = 50.0;
 /// Share of a group's mean irradiance that is added to a leaf's when their light is weighed against each other.
 const EVEN: f32 = 0.2;
 /// Variance of a sample with the guide over that without it from which on there is none.
-const WORTH: f32 = 0.85;
+const WORTH: f32 = 0.75;
+/// How much brighter than the mean a way is from which on portals are sought by it.
+const BRIGHT: f32 = 8.0;
+/// Share of a lobe toward a portal that none of a group's rays has found.
+const SEEK: f32 = 0.25;
+/// Share of rays that go toward lobes where portals are sought.
+const AIMED: f32 = 0.25;
 
-/// The guides of leaves of surfaces, in the order of `leaves`, and their lobes. Leaves next to each other have one together, so that it
-/// is made of as many rays as it takes: what few rays find lights all of them.
-/// - `links`: by receiver, ascending.
-pub fn guides(
-    scene: &Scene<'_>,
-    arena: &Arena,
-    lights: &Lights,
-    links: &[Link],
-    rays: &Rays,
-    leaves: &[u32],
-) -> (Vec<Guide>, Vec<Lobe>) {
-    let groups = groups(arena, leaves, &rays.light(arena, lights));
-    let found = of_groups(scene, arena, lights, links, rays, &groups);
-    joined(groups.iter().map(|(_, leaves)| &**leaves).zip(found), leaves)
+/// What directions are drawn for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// For paths: where what is known says that it lowers the variance.
+    Paths,
+    /// For further rays of the first pass: also toward portals that no ray of the group has found so far.
+    Rays,
 }
 
-/// Of each group of leaves the share of directions that its lobes are to draw, and the lobes.
+/// Of each group of leaves the share of directions that its lobes are to draw, and the lobes. Leaves next to each other have one guide
+/// together, so that it is made of as many rays as it takes: what few rays find lights all of them.
+/// - `links`: by receiver, ascending.
 pub fn of_groups(
     scene: &Scene<'_>,
     arena: &Arena,
     lights: &Lights,
-    links: &[Link],
-    rays: &Rays,
+    (links, rays): (&[Link], &Rays),
     groups: &[(u32, Vec<u32>)],
+    portals: &[Portal],
+    purpose: Purpose,
 ) -> Vec<(f32, Vec<Lobe>)> {
-    use rayon::prelude::*;
     groups
         .par_iter()
         .map(|(group, leaves)| {
             let area: f32 = leaves.iter().map(|&leaf| arena.elements[leaf as usize].size).sum();
             let mean = |leaf: &u32| arena.elements[*leaf as usize].size * lights.of[*leaf as usize].mean / area;
             let least = EVEN * leaves.iter().map(mean).sum::<f32>();
-            if !(least > f32::MIN_POSITIVE && least.is_finite()) {
+            let is_flat = arena.elements[*group as usize].kind == Kind::Patch;
+            if !(is_flat && least > f32::MIN_POSITIVE && least.is_finite()) {
                 return (0.0, Vec::new());
             }
             let (mut ways, mut seen) = (Vec::new(), Vec::new());
@@ -84,7 +89,9 @@ pub fn of_groups(
                     ..ray
                 }));
             }
-            guide(&arena.elements[*group as usize], &ways, &seen)
+            let element = &arena.elements[*group as usize];
+            let found = guide(element, &ways, &seen, portals);
+            if purpose == Purpose::Rays { toward(found, element, portals) } else { found }
         })
         .collect()
 }
@@ -97,13 +104,72 @@ pub fn joined<'a>(
 ) -> (Vec<Guide>, Vec<Lobe>) {
     let mut lobes = Vec::new();
     let mut guides = vec![Guide::default(); leaves.len()];
-    let place: std::collections::HashMap<u32, usize> = leaves.iter().enumerate().map(|(k, &leaf)| (leaf, k)).collect();
+    let place: HashMap<u32, usize> = leaves.iter().enumerate().map(|(k, &leaf)| (leaf, k)).collect();
     for (of, (share, found)) in groups {
         let guide = Guide { first: lobes.len() as u32, count: found.len() as u32, share };
         lobes.extend(found);
         of.iter().filter_map(|leaf| place.get(leaf)).for_each(|&k| guides[k] = guide);
     }
     (guides, lobes)
+}
+
+/// The portals of a scene, by what rays have found.
+pub fn portals(scene: &Scene<'_>, arena: &Arena, lights: &Lights, rays: &Rays, leaves: &[u32]) -> Vec<Portal> {
+    let area = |&leaf: &u32| f64::from(arena.elements[leaf as usize].size);
+    portals::find(&bright(scene, arena, lights, rays, leaves), leaves.iter().map(area).sum())
+}
+
+/// Ways that are much brighter than others that come to the same leaf.
+fn bright(scene: &Scene<'_>, arena: &Arena, lights: &Lights, rays: &Rays, leaves: &[u32]) -> Vec<Line> {
+    let light = |leaf: u32| f64::from(arena.elements[leaf as usize].size * lights.of[leaf as usize].mean);
+    let roots: Vec<u32> = leaves.iter().map(|&leaf| root(arena, leaf)).collect();
+    let mut sums: HashMap<u32, [f64; 2]> = HashMap::new();
+    for (&leaf, &root) in leaves.iter().zip(&roots) {
+        let sum = sums.entry(root).or_default();
+        *sum = [sum[0] + light(leaf), sum[1] + f64::from(arena.elements[leaf as usize].size)];
+    }
+    let of = |(&leaf, root): (&u32, &u32)| {
+        let element = &arena.elements[leaf as usize];
+        let [whole, area] = sums[root];
+        let mean = lights.of[leaf as usize].mean + EVEN * (whole / area) as f32;
+        let is_bright = |ray: &Seen| ray.irradiance.is_finite() && ray.irradiance * ray.number > BRIGHT * mean;
+        let line = |ray: Seen| {
+            let way = (ray.target - ray.origin).as_dvec3();
+            let length = way.length();
+            let weight = f64::from(ray.irradiance / mean * element.size);
+            Line { origin: ray.origin.as_dvec3(), dir: way / length, length, weight }
+        };
+        let of = if mean > f32::MIN_POSITIVE { rays.of(scene, arena, lights, leaf) } else { Vec::new() };
+        let lines = of.into_iter().filter(is_bright).map(line);
+        lines.filter(|line| line.length > 0.0 && line.weight.is_finite()).collect::<Vec<_>>()
+    };
+    leaves.par_iter().zip(&roots).flat_map_iter(of).collect()
+}
+
+/// The surface of a leaf, as a whole.
+fn root(arena: &Arena, leaf: u32) -> u32 {
+    let mut at = leaf;
+    loop {
+        let parent = arena.elements[at as usize].parent;
+        if parent == NONE || arena.elements[parent as usize].surface == NONE {
+            return at;
+        }
+        at = parent;
+    }
+}
+
+/// Lobes with all portals in front of a group among them: what none of its rays has found is to be sought there.
+fn toward((share, mut lobes): (f32, Vec<Lobe>), group: &Element, portals: &[Portal]) -> (f32, Vec<Lobe>) {
+    let is_there = |portal: &&Portal| !lobes.iter().any(|lobe| portal.has(group.center, lobe.target));
+    let seen: Vec<Lobe> =
+        portals.iter().filter(is_there).filter_map(|portal| portal.lobe(group.center, group.normal, SEEK)).collect();
+    if seen.is_empty() {
+        return (share, lobes);
+    }
+    lobes.sort_by(|a, b| b.share.total_cmp(&a.share));
+    lobes.truncate(LOBES - seen.len());
+    lobes.extend(seen);
+    (share.max(AIMED), lobes)
 }
 
 /// The smallest parts of surfaces that have [`ENOUGH`] ways, or whole surfaces, and their leaves.
@@ -228,23 +294,23 @@ fn direction(cell: usize, place: [f32; 2]) -> Vec3A {
 }
 
 /// The lobes of a leaf, and the share of directions that they are to draw; no lobes where they gain nothing.
-fn guide(element: &Element, links: &[Part], rays: &[Seen]) -> (f32, Vec<Lobe>) {
+fn guide(element: &Element, links: &[Part], rays: &[Seen], portals: &[Portal]) -> (f32, Vec<Lobe>) {
     let nothing = (0.0, Vec::new());
     let by_links: f32 = links.iter().map(|part| part.amount).sum();
     let by_rays: f32 = rays.iter().map(|ray| ray.irradiance).sum();
-    if element.kind != Kind::Patch || !(by_links + by_rays > 0.0 && (by_links + by_rays).is_finite()) {
+    if !(by_links + by_rays > 0.0 && (by_links + by_rays).is_finite()) {
         return nothing;
     }
     let frame = Frame::from_normal(element.normal);
     // What is believed is by the links and by every other ray, whichever finds more: the rest says whether that was right.
-    let scale = 2.0;
+    const SCALE: f32 = 2.0;
     let mut parts = links.to_vec();
     parts.extend(rays.iter().step_by(2).filter(|ray| ray.irradiance > 0.0).map(|ray| {
         // Half as wide as a ray's share of all directions.
         let spread = ray.target.distance_squared(ray.origin) / (2.0 * ray.number);
-        Part { origin: ray.origin, target: ray.target, spread, amount: ray.irradiance * scale }
+        Part { origin: ray.origin, target: ray.target, spread, amount: ray.irradiance * SCALE }
     }));
-    let Some(lobes) = fit(&parts, element.center, &frame) else { return nothing };
+    let Some(lobes) = fit(&parts, element.center, &frame, portals) else { return nothing };
     // Second moments of a sample of the direction by the cosine, and by the mixtures, over the squared mean.
     let mut moments = [[0.0f32; 2]; 1 + SHARES.len()];
     let block = Block::new(&lobes);
@@ -283,7 +349,7 @@ fn guide(element: &Element, links: &[Part], rays: &[Seen]) -> (f32, Vec<Lobe>) {
             }
         }
     }
-    let weights = [by_links, odd * scale];
+    let weights = [by_links, odd * SCALE];
     let of = |moment: [f32; 2]| {
         // Each by what it is without a guide: rays that are few make of noise what looks like light from one place.
         let ratio = |which: usize| moment[which] / moments[0][which].max(f32::MIN_POSITIVE) * weights[which];

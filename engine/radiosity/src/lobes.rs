@@ -4,7 +4,8 @@
 //! spread evenly over the directions that it fills: narrow bright bundles part from wide dim ones. Each part becomes a lobe through where
 //! its ways fill the least solid angle. Then each way is given to the lobe that would draw it most often, and the lobes are made anew.
 
-use femc_field::{Block, Directions, LOBES, Lobe};
+use crate::portals::Portal;
+use femc_field::{Block, Directions, HALF, LOBES, Lobe};
 use femc_math::Frame;
 use femc_math::elementary::{atan2, ln, sin_cos};
 use femc_math::glam::Vec3A;
@@ -22,6 +23,8 @@ const BINS: usize = 16;
 const GAIN: f32 = 0.005;
 /// Places that what is known before is worth.
 const PRIOR: f32 = 1.0;
+/// Ways through a portal, as many of equal light as would tell as much, that are a lobe without it.
+const MANY: f32 = 10.0;
 
 /// Light along a way.
 #[derive(Clone, Copy, Debug)]
@@ -121,16 +124,38 @@ impl Focus {
 }
 
 /// Lobes of ways that come to a leaf; `None` of nothing.
-/// - `center`: the leaf's; `frame`: with its normal.
-pub fn fit(parts: &[Part], center: Vec3A, frame: &Frame) -> Option<Vec<Lobe>> {
-    let parts = &fewer(parts);
+/// - `center`: the leaf's; `frame`: with its normal;
+/// - `portals`: what goes through one has a lobe there, however few the ways are.
+pub fn fit(parts: &[Part], center: Vec3A, frame: &Frame, portals: &[Portal]) -> Option<Vec<Lobe>> {
+    let mut through = vec![[0.0f32; 2]; portals.len()];
+    let mut rest = Vec::with_capacity(parts.len());
+    for part in parts {
+        match portals.iter().position(|portal| portal.has(part.origin, part.target)) {
+            Some(at) => {
+                through[at] = [through[at][0] + part.amount, through[at][1] + part.amount * part.amount];
+                rest.push((Some(at), *part));
+            }
+            None => rest.push((None, *part)),
+        }
+    }
+    // Where enough ways tell, they tell better than the portal, which all leaves have.
+    let lobe = |(portal, [amount, squares]): (&Portal, &[f32; 2])| {
+        let is_known = amount * amount > MANY * squares;
+        (!is_known && *amount > 0.0).then(|| portal.lobe(center, frame.normal, *amount)).flatten()
+    };
+    let fixed: Vec<Option<Lobe>> = portals.iter().zip(&through).map(lobe).collect();
+    let is_free = |at: Option<usize>| at.is_none_or(|at| fixed[at].is_none());
+    let parts: Vec<Part> = rest.into_iter().filter(|&(at, _)| is_free(at)).map(|(_, part)| part).collect();
+    let fixed: Vec<Lobe> = fixed.into_iter().flatten().collect();
+    let parts = &fewer(&parts);
     let places: Vec<Place> = parts.iter().filter_map(|part| Place::of(part, center, frame)).collect();
     let whole: f32 = places.iter().map(|place| place.part.amount).sum();
     if !(whole > 0.0 && whole.is_finite()) {
-        return None;
+        return shares(fixed);
     }
+    let most = if portals.is_empty() { HALF } else { LOBES };
     let mut bundles = vec![Bundle::new(places, 0.25)];
-    while bundles.len() < LOBES {
+    while bundles.len() + fixed.len() < most {
         let gain = |k: usize| bundles[k].cut.map_or(0.0, |cut| cut.gain);
         let best = (1..bundles.len()).fold(0, |best, k| if gain(k) > gain(best) { k } else { best });
         let Some(cut) = bundles[best].cut.filter(|cut| cut.gain > GAIN * whole) else { break };
@@ -138,12 +163,13 @@ pub fn fit(parts: &[Part], center: Vec3A, frame: &Frame) -> Option<Vec<Lobe>> {
         let (places, rest) = places.into_iter().partition(|place| place.along(cut.axis) < cut.at);
         bundles.extend([places, rest].map(|places: Vec<Place>| Bundle::new(places, area)));
     }
-    let mut lobes = shares(bundles.iter().filter_map(|bundle| bundle.lobe(center)).collect())?;
+    let mut lobes: Vec<Lobe> = bundles.iter().filter_map(|bundle| bundle.lobe(center)).collect();
     for _ in 0..SETTLING {
-        let Some(settled) = settled(&lobes, parts, center) else { break };
+        let Some(settled) = shares(lobes.clone()).and_then(|lobes| settled(&lobes, parts, center)) else { break };
         lobes = settled;
     }
-    Some(lobes)
+    lobes.extend(fixed);
+    shares(lobes)
 }
 
 /// Ways of equal amounts that stand for more than [`MOST`].
@@ -335,7 +361,8 @@ fn settled(lobes: &[Lobe], parts: &[Part], center: Vec3A) -> Option<Vec<Lobe>> {
         let best = (0..lobes.len()).fold(0, |best, k| if each[k] > each[best] { k } else { best });
         sums[best].add(part, center, &frames[best]);
     }
-    shares(sums.iter().zip(&frames).filter_map(|(sum, frame)| sum.lobe(center, frame)).collect())
+    let lobes: Vec<Lobe> = sums.iter().zip(&frames).filter_map(|(sum, frame)| sum.lobe(center, frame)).collect();
+    (!lobes.is_empty()).then_some(lobes)
 }
 
 /// Lobes whose shares are of 1; `None` of nothing.

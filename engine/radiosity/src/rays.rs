@@ -33,6 +33,8 @@ use std::ops::Range;
 /// Least and most rays from each part of a leaf, and as many in all where that is in between.
 const RAYS: [usize; 2] = [8, 1024];
 const ALL: usize = 1 << 16;
+/// The same where few rays have found portals, so that each leaf is to learn from its own how much comes through them.
+const MANY: usize = 4 * ALL;
 /// Rays beside these that leaves have by the light that they send, over all of these.
 const BRIGHT: f32 = 1.0;
 /// Parts of a leaf at most, which its nodes stand for.
@@ -180,13 +182,20 @@ pub struct Sights {
 }
 
 impl Casting {
+    /// No rays.
+    pub fn none() -> Self {
+        Self { leaves: Vec::new(), first: vec![0], density: Vec::new(), round: 0 }
+    }
+
     /// - `room`: bytes that the rays may take; where that is too little, there are fewer, one from each part at least.
     /// - `round`: others have other rays.
-    pub fn new(arena: &Arena, lights: &Lights, round: u32, room: usize) -> Self {
+    /// - `worth_more`: whether more are worth casting, as some have to find how much comes through portals.
+    pub fn new(arena: &Arena, lights: &Lights, round: u32, room: usize, worth_more: bool) -> Self {
         let leaves = origins(arena);
         let parts = PARTS * leaves.len().max(1);
         let fit = (room / ((size_of::<Sight>() + size_of::<[u32; 2]>()) * parts)).max(1);
-        let each = (ALL / parts).clamp(RAYS[0], RAYS[1]).min(fit);
+        let all = if worth_more { MANY } else { ALL };
+        let each = (all / parts).clamp(RAYS[0], RAYS[1]).min(fit);
         let more = (BRIGHT * (parts * each) as f32).min(((fit - each) * parts) as f32);
         let power = |&leaf: &u32| {
             let element = &arena.elements[leaf as usize];
@@ -203,11 +212,6 @@ impl Casting {
             density[*leaf as usize] = number as f32 / element.size;
         }
         Self { leaves, first, density, round }
-    }
-
-    /// Places of all leaves.
-    pub fn all(&self) -> Range<usize> {
-        0..self.leaves.len()
     }
 
     /// Places of the leaves of a block: of so many, each has about as many rays.

@@ -4,16 +4,14 @@ use crate::arena::Arena;
 use crate::census::Census;
 use crate::element::{Element, Kind};
 use crate::gather::{Bound, FROM_ELEMENTS, FROM_SOURCES, Lights, cell_of};
-use crate::incoming::guides;
 use crate::lamps::{LampLink, LampVerdict};
 use crate::link::{Judge, Link, Verdict};
-use crate::rays::{Aims, Casting, Rays};
+use crate::rays::{Casting, Rays};
 use crate::scene::Scene;
 use crate::visibility::Eye;
 use femc_field::{Field, Guide, Guides, Harmonics, Leaf, Lobe, NONE};
 use femc_math::Rgb;
 use femc_math::color::luminance;
-use femc_prepared::Prepared;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -103,29 +101,6 @@ const LEAST_VOLUME: f32 = 1e-5;
 /// An element of this part of all surfaces' area, or of the fog's volume, may have the error that is asked for as it is.
 const UNIT: f32 = 1e-3;
 
-/// Finds the light of a prepared frame. The result depends on the frame and the options alone, not on threads.
-/// - errors: `cancel` was set.
-pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Result<Solution, Cancelled> {
-    let scene = Scene::new(prepared);
-    let mut solver = Solver::new(&scene, options, cancel)?;
-    let mut aims = Aims::default();
-    loop {
-        let casting = solver.casting();
-        let sights = casting.cast(&scene, &solver.now.arena, &aims, casting.all());
-        let rays = casting.rays(vec![sights]);
-        solver.settle(&rays)?;
-        if solver.now.is_settled() {
-            let found = if options.guides { solver.guides(&rays) } else { Default::default() };
-            return Ok(solver.now.finish(scene, found));
-        }
-        let leaves = leaves(&solver.now.arena);
-        let (guides, lobes) = solver.guides(&rays);
-        aims = Aims::new(&solver.now.arena, &leaves, &guides, &lobes);
-        solver.now.cut(&scene);
-        aims.grow(&solver.now.arena);
-    }
-}
-
 /// A first pass that is not done: elements, links, light.
 #[derive(Clone, Debug)]
 pub struct Underway {
@@ -136,10 +111,12 @@ pub struct Underway {
     pub(crate) report: Report,
     /// Bytes of rays at most.
     pub(crate) most_rays: usize,
-    /// Times that rays have been cast.
+    /// Times that rays have been cast; [`ROUNDS`] where no more are wanted.
     pub(crate) round: u32,
     /// Leaves that are to be cut before rays are cast again.
     pub(crate) uneven: Vec<u32>,
+    /// Whether more rays are worth casting, as some have to find how much comes through portals.
+    pub(crate) worth_more: bool,
 }
 
 impl Underway {
@@ -157,8 +134,11 @@ impl Underway {
     /// Rays that are to be cast next.
     /// - `memory`: bytes that elements, links and rays may take.
     pub(crate) fn casting(&self, memory: usize) -> Casting {
+        if self.is_settled() {
+            return Casting::none();
+        }
         let room = memory.saturating_sub(self.bytes(self.links.len()));
-        Casting::new(&self.arena, &self.lights, self.round + 1, room)
+        Casting::new(&self.arena, &self.lights, self.round + 1, room, self.worth_more)
     }
 
     /// Cuts the leaves on which rays have found shadows.
@@ -171,10 +151,6 @@ impl Underway {
         }
         self.lights.grow(&self.arena);
         self.lights.push_pull(scene, &self.arena);
-    }
-
-    pub(crate) fn guides(&self, scene: &Scene<'_>, rays: &Rays) -> (Vec<Guide>, Vec<Lobe>) {
-        guides(scene, &self.arena, &self.lights, &self.links, rays, &leaves(&self.arena))
     }
 
     /// What has come of it.
@@ -194,7 +170,7 @@ impl Underway {
             }
         };
         let (field, direct) = field(scene, &self.arena, &self.lights);
-        let field = Field { guides: Guides::new(guides, lobes, &field.cells), ..field };
+        let field = Field { guides: Guides::new(guides, lobes, &field.cells, &field.leaves), ..field };
         Solution { field, direct, report }
     }
 }
@@ -213,7 +189,7 @@ impl<'a> Solver<'a> {
         let arena = Arena::new(scene);
         let lights = Lights::new(&arena);
         let (links, report, uneven) = (Vec::new(), Report::default(), Vec::new());
-        let underway = Underway { arena, lights, links, report, most_rays: 0, round: 0, uneven };
+        let underway = Underway { arena, lights, links, report, most_rays: 0, round: 0, uneven, worth_more: false };
         let mut solver = Self::with(underway, scene, options, cancel);
         let root = solver.now.arena.root;
         if root == NONE {
@@ -244,14 +220,6 @@ impl<'a> Solver<'a> {
     /// Goes on.
     pub(crate) fn with(underway: Underway, scene: &'a Scene<'a>, options: &'a Options, cancel: &'a AtomicBool) -> Self {
         Self { scene, now: underway, options, cancel }
-    }
-
-    fn casting(&self) -> Casting {
-        self.now.casting(self.options.memory)
-    }
-
-    fn guides(&self, rays: &Rays) -> (Vec<Guide>, Vec<Lobe>) {
-        self.now.guides(self.scene, rays)
     }
 
     /// Mean irradiance of all surfaces, by luminance, lx.
@@ -460,6 +428,9 @@ impl<'a> Solver<'a> {
 
     /// Takes of the light that links bring what rays find of it, and finds out which leaves are too large for the shadows that these find.
     pub(crate) fn settle(&mut self, rays: &Rays) -> Result<(), Cancelled> {
+        if self.now.is_settled() {
+            return Ok(());
+        }
         self.now.round += 1;
         if self.now.arena.root == NONE {
             return Ok(());
@@ -482,6 +453,10 @@ impl<'a> Solver<'a> {
             };
             let uneven = contrast.iter().filter(|leaf| is_uneven(leaf)).map(|&(leaf, _)| leaf).collect();
             self.now.uneven = uneven;
+            if !self.options.guides && self.now.uneven.is_empty() {
+                // Nothing is cut, and rays go nowhere else: there is nothing to find out.
+                self.now.round = ROUNDS;
+            }
         }
         Ok(())
     }

@@ -10,8 +10,9 @@ use crate::arena::Arena;
 use crate::bytes::{Damaged, Reader, Writer, colors, flat, place};
 use crate::element::Kind;
 use crate::gather::{Arriving, FROM_ELEMENTS, FROM_SOURCES, Light, Lights};
-use crate::incoming;
+use crate::incoming::{self, Purpose};
 use crate::link::Link;
+use crate::portals::Portal;
 use crate::rays::{Aims, Casting, Rays, Sights, are_whole, origins, part};
 use crate::scene::Scene;
 use crate::solve::{Cancelled, Options, Report, Solution, Solver, Underway, leaves};
@@ -21,6 +22,20 @@ use femc_math::hash::mix64;
 use femc_prepared::Prepared;
 use std::sync::OnceLock;
 use std::sync::atomic::AtomicBool;
+
+/// Finds the light of a prepared frame. The result depends on the frame and the options alone, not on threads.
+/// - errors: `cancel` was set.
+pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Result<Solution, Cancelled> {
+    let (mut underway, mut found) = (Underway::begin(prepared, options, cancel)?, Vec::new());
+    while !underway.is_settled() {
+        let aimed = underway.aim(prepared, options, found);
+        let sights = aimed.cast(prepared, 0, 1);
+        let settled = aimed.take_in(prepared, options, vec![sights], cancel)?;
+        found = if options.guides { vec![settled.guides(prepared, 0, 1)] } else { Vec::new() };
+        underway = settled.underway;
+    }
+    Ok(underway.solution(prepared, found))
+}
 
 /// A first pass before rays are cast: it is known where they are to go.
 #[derive(Debug)]
@@ -44,6 +59,7 @@ struct Groups {
     groups: Vec<(u32, Vec<u32>)>,
     /// By group the rays and leaves of those before it, and at the end of all.
     first: Vec<u32>,
+    portals: Vec<Portal>,
 }
 
 /// Where the light of some groups of leaves comes from.
@@ -51,6 +67,8 @@ struct Groups {
 pub struct Found {
     groups: Vec<Vec<u32>>,
     found: Vec<(f32, Vec<Lobe>)>,
+    /// Whether rays have seldom found some way that light comes.
+    is_rare: bool,
 }
 
 const ELEMENTS: &[u8; 8] = b"element1";
@@ -81,6 +99,7 @@ impl Underway {
     pub fn aim(mut self, prepared: &Prepared, options: &Options, found: Vec<Found>) -> Aimed {
         let scene = Scene::new(prepared);
         let leaves = leaves(&self.arena);
+        self.worth_more |= found.iter().any(|found| found.is_rare);
         let (guides, lobes) = joined(found, &leaves);
         let mut aims = Aims::new(&self.arena, &leaves, &guides, &lobes);
         if self.arena.root != NONE {
@@ -124,7 +143,8 @@ impl Underway {
             self.report;
         writer.number(mark(&self.links));
         writer.number(u64::from(self.round));
-        let numbers = [lamp_links, refused, iterations, usize::from(bounded), self.most_rays];
+        let [bounded, worth_more] = [bounded, self.worth_more].map(usize::from);
+        let numbers = [lamp_links, refused, iterations, bounded, worth_more, self.most_rays];
         numbers.into_iter().for_each(|number| writer.number(number as u64));
         writer.number(rays);
         writer.rows(&[[residual, row_sum, checked, corrected]]);
@@ -164,11 +184,11 @@ impl Underway {
         let mark_of_links = reader.number()?;
         let mut number = || usize::try_from(reader.number()?).map_err(|_| Damaged("a number is too large"));
         let round = number()?;
-        let [lamp_links, refused, iterations, bounded, most_rays] =
-            [number()?, number()?, number()?, number()?, number()?];
+        let [lamp_links, refused, iterations, bounded, worth_more, most_rays] =
+            [number()?, number()?, number()?, number()?, number()?, number()?];
         let rays = reader.number()?;
         let [residual, row_sum, checked, corrected] = reader.rows::<4>(1)?[0];
-        let bounded = bounded != 0;
+        let (bounded, worth_more) = (bounded != 0, worth_more != 0);
         let report = Report {
             lamp_links,
             refused,
@@ -230,7 +250,7 @@ impl Underway {
         if mark(&links) != mark_of_links {
             return Err(OTHERS);
         }
-        Ok(Self { arena, lights, links, report, most_rays, round: round as u32, uneven })
+        Ok(Self { arena, lights, links, report, most_rays, round: round as u32, uneven, worth_more })
     }
 }
 
@@ -276,14 +296,22 @@ impl Aimed {
         sights: Vec<Sights>,
         cancel: &AtomicBool,
     ) -> Result<Option<Settled>, Cancelled> {
+        let fits = self.casting.fits(&self.underway.arena, &sights);
+        fits.then(|| self.take_in(prepared, options, sights, cancel)).transpose()
+    }
+
+    fn take_in(
+        &self,
+        prepared: &Prepared,
+        options: &Options,
+        sights: Vec<Sights>,
+        cancel: &AtomicBool,
+    ) -> Result<Settled, Cancelled> {
         let scene = Scene::new(prepared);
-        if !self.casting.fits(&self.underway.arena, &sights) {
-            return Ok(None);
-        }
         let rays = self.casting.clone().rays(sights);
         let mut solver = Solver::with(self.underway.clone(), &scene, options, cancel);
         solver.settle(&rays)?;
-        Ok(Some(Settled::new(solver.now, rays)))
+        Ok(Settled::new(solver.now, rays))
     }
 }
 
@@ -301,21 +329,26 @@ impl Settled {
     pub fn guides(&self, prepared: &Prepared, block: u32, blocks: u32) -> Found {
         let scene = Scene::new(prepared);
         let Underway { arena, lights, links, .. } = &self.underway;
-        let Groups { groups, first } = self.groups.get_or_init(|| self.groups());
+        let Groups { groups, first, portals } = self.groups.get_or_init(|| self.groups(&scene));
         let groups = &groups[part(first, block, blocks)];
-        let found = incoming::of_groups(&scene, arena, lights, links, &self.rays, groups);
-        Found { groups: groups.iter().map(|(_, leaves)| leaves.clone()).collect(), found }
+        // What guides paths at the end guides rays before.
+        let purpose = if self.underway.is_settled() { Purpose::Paths } else { Purpose::Rays };
+        let found = incoming::of_groups(&scene, arena, lights, (links, &self.rays), groups, portals, purpose);
+        let groups = groups.iter().map(|(_, leaves)| leaves.clone()).collect();
+        Found { groups, found, is_rare: portals.iter().any(Portal::is_rare) }
     }
 
-    fn groups(&self) -> Groups {
+    fn groups(&self, scene: &Scene<'_>) -> Groups {
         let Underway { arena, lights, .. } = &self.underway;
-        let groups = incoming::groups(arena, &leaves(arena), &self.rays.light(arena, lights));
+        let leaves = leaves(arena);
+        let portals = incoming::portals(scene, arena, lights, &self.rays, &leaves);
+        let groups = incoming::groups(arena, &leaves, &self.rays.light(arena, lights));
         let numbers = groups.iter().scan(0, |sum, (_, leaves)| {
             *sum += self.rays.number(leaves) + leaves.len() as u32;
             Some(*sum)
         });
         let first = [0].into_iter().chain(numbers).collect();
-        Groups { groups, first }
+        Groups { groups, first, portals }
     }
 }
 
@@ -340,6 +373,7 @@ impl Found {
             [target.x, target.y, target.z, a.x, a.y, a.z, b.x, b.y, b.z, share]
         };
         let lobes: Vec<[f32; 10]> = self.found.iter().flat_map(|(_, lobes)| lobes).map(lobe).collect();
+        writer.number(u64::from(self.is_rare));
         writer.number(lobes.len() as u64);
         writer.rows(&lobes);
         writer.finish()
@@ -351,6 +385,7 @@ impl Found {
         let mut reader = Reader::new(bytes, FOUND)?;
         let (sizes, mut leaves, counts) = (reader.numbers()?, reader.numbers()?, reader.numbers()?);
         let shares = reader.rows::<1>(sizes.len())?;
+        let is_rare = reader.number()? != 0;
         let number = usize::try_from(reader.number()?).unwrap_or(usize::MAX);
         let whole = |counts: &[u32]| counts.iter().map(|&count| u64::from(count)).sum::<u64>();
         let is_whole =
@@ -366,6 +401,6 @@ impl Found {
         let groups = sizes.iter().map(|&size| leaves.by_ref().take(size as usize).collect()).collect();
         let of = |(&count, [share]): (&u32, [f32; 1])| (share, lobes.by_ref().take(count as usize).collect());
         let found = counts.iter().zip(shares).map(of).collect();
-        Ok(Self { groups, found })
+        Ok(Self { groups, found, is_rare })
     }
 }

@@ -204,7 +204,8 @@ fn first_pass() -> Vec<Target> {
                 if let Some(point) = line.sample(0.4) {
                     assert!(point.pdf == line.pdf(point.t));
                 }
-                if let Some(directions) = field.directions(&hit, Side::Front, hit_at()) {
+                if let Some(directions) = field.guided(&hit, Side::Front, hit_at()).and_then(|guided| guided.directions)
+                {
                     let dir = directions.sample(0.3, [0.4, 0.5]);
                     let _ = directions.pdf(dir);
                 }

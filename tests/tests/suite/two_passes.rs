@@ -1,5 +1,6 @@
 //! Paths that a first pass guides have the same mean as those that nothing guides, whatever the guide says.
 
+use femc_field::Leaf;
 use femc_film::Filter;
 use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
@@ -114,8 +115,36 @@ fn a_guide_that_is_wrong_changes_no_mean() {
     for (name, change) in wrong {
         let mut lobes = field.guides.lobes().to_vec();
         lobes.iter_mut().enumerate().for_each(|(k, lobe)| change(k, lobe));
-        let guides = femc_field::Guides::new(field.guides.of().to_vec(), lobes, &field.cells);
+        let guides = femc_field::Guides::new(field.guides.of().to_vec(), lobes, &field.cells, &field.leaves);
         let changed = Field { guides, ..field.clone() };
+        claim_same(name, &paths, &blocks(&prepared, Some(&changed), 2, 128));
+    }
+}
+
+/// Light of the field that is wrong ends paths too early or too late, which costs time, and no more.
+#[test]
+fn light_that_is_wrong_changes_no_mean() {
+    let prepared = prepared("cornell");
+    let field = guide(&prepared);
+    let paths = blocks(&prepared, None, 1, 128);
+    type Scale = fn(usize) -> f32;
+    let wrong: [(&str, Scale); 4] = [
+        ("three times as bright", |_| 3.0),
+        ("dark in half of the leaves", |leaf| (leaf % 2) as f32),
+        ("at random", |leaf| 10f32.powi((leaf * 7 % 9) as i32 - 4)),
+        ("endless in places", |leaf| if leaf % 3 == 0 { f32::INFINITY } else { 1.0 }),
+    ];
+    for (name, scale) in wrong {
+        let mut leaves = field.leaves.clone();
+        for (k, leaf) in leaves.iter_mut().enumerate() {
+            match leaf {
+                Leaf::Triangle(values) => values.iter_mut().for_each(|value| *value *= scale(k)),
+                Leaf::Rectangle(values) => values.iter_mut().for_each(|value| *value *= scale(k)),
+                Leaf::Curved(light) => light.0.iter_mut().for_each(|value| *value *= scale(k)),
+            }
+        }
+        let (of, lobes) = (field.guides.of().to_vec(), field.guides.lobes().to_vec());
+        let changed = Field { guides: femc_field::Guides::new(of, lobes, &field.cells, &leaves), ..field.clone() };
         claim_same(name, &paths, &blocks(&prepared, Some(&changed), 2, 128));
     }
 }

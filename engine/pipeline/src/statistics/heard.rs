@@ -1,4 +1,4 @@
-//! What was heard of some samples, and the keys of the brightest and the deepest of them.
+//! Statistics of some samples, and the keys of the brightest and the deepest of them.
 
 use super::TOP;
 use femc_paths::pixels::PixelSums;

@@ -1,0 +1,369 @@
+//! Portals: parts of space that much light comes through along few ways, such as a gap or a spot that a lamp lights.
+//!
+//! Of the rays of one leaf few find such light, of all leaves together many. So the bright ways of all leaves are seen as one set of lines, of
+//! which each has gone through some portal or none; a portal is a normal distribution in space, and the lines tell of it what lies across
+//! them (expectation maximization with what is missing, \[dempster1977\]). Each leaf then has the portal in its own direction.
+
+use femc_field::Lobe;
+use femc_math::Frame;
+use femc_math::elementary::{atan2, ln, sin_cos};
+use femc_math::glam::{DMat3, DVec3, Vec3A};
+use std::f64::consts::PI;
+
+/// Most portals of a scene.
+const MOST: usize = 6;
+/// Cells of space along the longest side of the ways' bounds.
+const CELLS: usize = 24;
+/// Cells that portals are sought from, and times that each is made anew.
+const SEEDS: usize = 6;
+const TURNS: usize = 40;
+/// Ways that portals are sought by; of more, these stand for all.
+const WAYS: usize = 4096;
+/// Part of all light that a portal has at least, and ways.
+const LEAST: f64 = 0.01;
+const FEW: usize = 12;
+/// Ways through a portal from which on leaves know by their own rays how much comes through it.
+const RARE: usize = 2048;
+/// Solid angle, over that of the hemisphere, that a portal fills at most as its ways' origins see it; and over the share of ways that it has:
+/// any set of lines has places where some meet by chance. Of lines in all directions six times as much is within [`NEAR`].
+const WIDE: f64 = 0.02;
+const DENSE: f64 = 0.03;
+/// How much wider than the portal is a lobe toward it: a gap has sharp edges, and light just inside them is not to be missed.
+const LOOSE: f32 = 2.0;
+/// Squared distance from a portal's middle, in standard deviations, up to which a line goes through it.
+const NEAR: f64 = 6.0;
+
+/// A bright way that light comes.
+#[derive(Clone, Copy, Debug)]
+pub struct Line {
+    /// Where it arrives, m.
+    pub origin: DVec3,
+    /// Toward where it comes from, unit.
+    pub dir: DVec3,
+    /// How far that is, m.
+    pub length: f64,
+    /// How much it matters.
+    pub weight: f64,
+}
+
+/// Part of space that light comes through.
+#[derive(Clone, Copy, Debug)]
+pub struct Portal {
+    /// m.
+    middle: DVec3,
+    /// m2, and its inverse.
+    covariance: DMat3,
+    inverse: DMat3,
+    /// Share of all lines that go through it.
+    share: f64,
+    /// Bright ways that were found to go through it.
+    ways: usize,
+}
+
+/// Where a line is nearest to a portal.
+struct Passage {
+    /// The place, m, and how uncertain it is along the line, m2.
+    place: DVec3,
+    along: f64,
+    /// Squared distance from the portal's middle, in standard deviations.
+    far: f64,
+    /// Probability density over the area across the line, 1/m2.
+    density: f64,
+}
+
+/// a b^T.
+fn outer(a: DVec3, b: DVec3) -> DMat3 {
+    DMat3::from_cols(a * b.x, a * b.y, a * b.z)
+}
+
+impl Portal {
+    fn new(middle: DVec3, covariance: DMat3, share: f64) -> Option<Self> {
+        let determinant = covariance.determinant();
+        let is_sound = middle.is_finite() && covariance.is_finite() && determinant > 0.0 && determinant.is_finite();
+        let inverse = if is_sound { covariance.inverse() } else { DMat3::ZERO };
+        (is_sound && inverse.is_finite()).then_some(Self { middle, covariance, inverse, share, ways: 0 })
+    }
+
+    fn passage(&self, line: &Line) -> Passage {
+        let ahead = self.inverse * line.dir;
+        let along = 1.0 / line.dir.dot(ahead).max(f64::MIN_POSITIVE);
+        let at = (ahead.dot(self.middle - line.origin) * along).clamp(0.0, line.length);
+        let place = line.origin + line.dir * at;
+        let off = place - self.middle;
+        let far = off.dot(self.inverse * off).max(0.0);
+        // (1 + q)^-3 with q = 1 at root two standard deviations, as the lobes have it.
+        let tail = 1.0 / (1.0 + 0.5 * far);
+        let across = (self.covariance.determinant() / along).max(f64::MIN_POSITIVE).sqrt();
+        Passage { place, along, far, density: tail * tail * tail / (PI * across) }
+    }
+
+    /// Probability density of a line's direction over the even one, if it goes through the portal.
+    fn over(&self, line: &Line, passage: &Passage) -> f64 {
+        2.0 * PI * passage.density * passage.place.distance_squared(line.origin)
+    }
+
+    /// Whether rays have seldom found it.
+    pub fn is_rare(&self) -> bool {
+        self.ways < RARE
+    }
+
+    /// Whether a way goes through it.
+    pub fn has(&self, origin: Vec3A, target: Vec3A) -> bool {
+        let way = (target - origin).as_dvec3();
+        let length = way.length();
+        let line = Line { origin: origin.as_dvec3(), dir: way / length, length, weight: 0.0 };
+        length > 0.0 && self.passage(&line).far < NEAR
+    }
+
+    /// The portal as it is seen from a point, in front of a plane there.
+    pub fn lobe(&self, point: Vec3A, normal: Vec3A, share: f32) -> Option<Lobe> {
+        let target = self.middle.as_vec3a();
+        let way = target - point;
+        let distance = way.length();
+        if way.dot(normal) <= 0.0 || distance <= 0.0 {
+            return None;
+        }
+        let frame = Frame::from_normal(way / distance);
+        let [x, y] = [Vec3A::X, Vec3A::Y].map(|axis| frame.to_world(axis));
+        let of = |a: Vec3A, b: Vec3A| a.as_dvec3().dot(self.covariance * b.as_dvec3()) as f32;
+        let (a, b, c) = (of(x, x), of(x, y), of(y, y));
+        let turn = 0.5 * atan2(2.0 * b, a - c);
+        let (sin, cos) = sin_cos(turn);
+        let long = a * cos * cos + 2.0 * b * sin * cos + c * sin * sin;
+        let axes = [(x * cos + y * sin, long), (y * cos - x * sin, a + c - long)]
+            .map(|(axis, square)| axis * LOOSE * (2.0 * square.max(1e-6 * distance * distance)).sqrt());
+        Some(Lobe { target, axes, share })
+    }
+
+    /// Made anew of the lines that go through it; and how much likelier these are by it.
+    fn again(&self, lines: &[Line], least: f64) -> Option<(Self, f64)> {
+        let (mut sum, mut whole, mut gain) = (0.0, 0.0, 0.0);
+        let (mut weights, mut places, mut squares) = (0.0, DVec3::ZERO, DMat3::ZERO);
+        for line in lines {
+            let passage = self.passage(line);
+            let through = self.share * self.over(line, &passage);
+            let likelihood = through + 1.0 - self.share;
+            let amount = line.weight * through / likelihood;
+            gain += line.weight * f64::from(ln(likelihood as f32));
+            (sum, whole) = (sum + amount, whole + line.weight);
+            // What is far out says less.
+            let weight = amount / (1.0 + 0.5 * passage.far);
+            let off = passage.place - self.middle;
+            weights += weight;
+            places += off * weight;
+            squares += (outer(off, off) + outer(line.dir, line.dir) * passage.along) * weight;
+        }
+        if !(weights > 0.0 && whole > 0.0) {
+            return None;
+        }
+        let mean = places / weights;
+        let covariance = squares * (1.0 / weights) - outer(mean, mean) + DMat3::from_diagonal(DVec3::splat(least));
+        let share = (sum / whole).clamp(1e-6, 0.999);
+        Some((Self::new(self.middle + mean, covariance, share)?, gain))
+    }
+}
+
+/// The portals of a scene, the one that tells most of the bright ways first.
+/// - `whole`: weight of all ways, dim ones too.
+pub fn find(all: &[Line], whole: f64) -> Vec<Portal> {
+    let mut lines = fewer(all);
+    let mut out = Vec::new();
+    while out.len() < MOST {
+        let Some(grid) = Grid::new(&lines) else { break };
+        let found = grid.seeds(&lines).into_iter().filter_map(|middle| {
+            let start = DMat3::from_diagonal(DVec3::splat(grid.cell * grid.cell));
+            let mut portal = Portal::new(middle, start, 0.1)?;
+            let mut gain = 0.0;
+            for _ in 0..TURNS {
+                (portal, gain) = portal.again(&lines, 1e-4 * grid.cell * grid.cell)?;
+            }
+            Some((portal, gain))
+        });
+        let narrow = found.filter(|(portal, _)| portal.is_narrow(&lines, LEAST * whole));
+        let best = narrow.fold(None::<(Portal, f64)>, |best, it| match best {
+            Some(best) if best.1 >= it.1 => Some(best),
+            _ => Some(it),
+        });
+        let Some((portal, _)) = best else { break };
+        lines.retain(|line| portal.passage(line).far >= NEAR);
+        let ways = all.iter().filter(|line| portal.passage(line).far < NEAR).count();
+        out.push(Portal { ways, ..portal });
+    }
+    out
+}
+
+impl Portal {
+    /// Whether it has enough of the lines, and of their light, for as wide as it is.
+    fn is_narrow(&self, lines: &[Line], least: f64) -> bool {
+        let (mut number, mut light, mut pool, mut wide) = (0, 0.0, 0.0, 0.0);
+        for line in lines {
+            pool += line.weight;
+            let passage = self.passage(line);
+            if passage.far < NEAR {
+                let over = self.over(line, &Passage { density: self.peak(line), ..passage });
+                (number, light, wide) = (number + 1, light + line.weight, wide + line.weight * (1.0 / over).min(1.0));
+            }
+        }
+        // As a share of the hemisphere, in the mean over the lines.
+        let wide = wide / light;
+        number >= FEW && light >= least && wide < WIDE.min(DENSE * light / pool)
+    }
+
+    /// Density of lines through the middle, across this one, 1/m2.
+    fn peak(&self, line: &Line) -> f64 {
+        let along = 1.0 / line.dir.dot(self.inverse * line.dir).max(f64::MIN_POSITIVE);
+        1.0 / (PI * (self.covariance.determinant() / along).max(f64::MIN_POSITIVE).sqrt())
+    }
+}
+
+/// Lines that stand for more than [`WAYS`], by their weights; none weighs more than a hundredth of all.
+fn fewer(lines: &[Line]) -> Vec<Line> {
+    let whole: f64 = lines.iter().map(|line| line.weight).sum();
+    let most = 0.01 * whole;
+    let lines: Vec<Line> = lines.iter().map(|line| Line { weight: line.weight.min(most), ..*line }).collect();
+    if lines.len() <= WAYS {
+        return lines;
+    }
+    let each = lines.iter().map(|line| line.weight).sum::<f64>() / WAYS as f64;
+    let (mut out, mut sum, mut next) = (Vec::with_capacity(WAYS), 0.0, 0.5 * each);
+    for line in lines {
+        sum += line.weight;
+        let mut weight = 0.0;
+        while next < sum {
+            (weight, next) = (weight + each, next + each);
+        }
+        if weight > 0.0 {
+            out.push(Line { weight, ..line });
+        }
+    }
+    out
+}
+
+/// Space in cells.
+struct Grid {
+    low: DVec3,
+    /// Edge of a cell, m.
+    cell: f64,
+    counts: [usize; 3],
+}
+
+impl Grid {
+    fn new(lines: &[Line]) -> Option<Self> {
+        let ends = lines.iter().flat_map(|line| [line.origin, line.origin + line.dir * line.length]);
+        let (low, high) =
+            ends.fold((DVec3::INFINITY, DVec3::NEG_INFINITY), |(low, high), at| (low.min(at), high.max(at)));
+        let cell = (high - low).max_element() / CELLS as f64;
+        let is_sound = lines.len() >= FEW && low.is_finite() && high.is_finite() && cell > 0.0;
+        let counts = ((high - low) / cell).to_array().map(|count| (count as usize + 1).min(CELLS + 1));
+        is_sound.then_some(Self { low, cell, counts })
+    }
+
+    /// Middles of cells that lines go through often, seen far from where these arrive: no two next to each other.
+    fn seeds(&self, lines: &[Line]) -> Vec<DVec3> {
+        let mut cells = vec![0.0f64; self.counts.iter().product()];
+        let place = |index: usize| {
+            let (x, y, z) = (
+                index % self.counts[0],
+                index / self.counts[0] % self.counts[1],
+                index / self.counts[0] / self.counts[1],
+            );
+            [x, y, z].map(|at| at as i64)
+        };
+        for line in lines {
+            let steps = ((2.0 * line.length / self.cell) as usize).clamp(1, 8 * CELLS);
+            let mut last = usize::MAX;
+            for step in 1..=steps {
+                let part = step as f64 / steps as f64;
+                let at = ((line.origin + line.dir * (line.length * part) - self.low) / self.cell).to_array();
+                let at: Vec<usize> =
+                    at.iter().zip(self.counts).map(|(at, count)| (at.max(0.0) as usize).min(count - 1)).collect();
+                let index = at[0] + self.counts[0] * (at[1] + self.counts[1] * at[2]);
+                if index != last {
+                    cells[index] += line.weight * part * part;
+                }
+                last = index;
+            }
+        }
+        let mut order: Vec<usize> = (0..cells.len()).filter(|&index| cells[index] > 0.0).collect();
+        order.sort_by(|&a, &b| cells[b].total_cmp(&cells[a]).then(a.cmp(&b)));
+        let mut seeds: Vec<[i64; 3]> = Vec::new();
+        for index in order {
+            let at = place(index);
+            let is_near = |other: &[i64; 3]| (0..3).all(|axis| (other[axis] - at[axis]).abs() <= 2);
+            if !seeds.iter().any(is_near) {
+                seeds.push(at);
+            }
+            if seeds.len() == SEEDS {
+                break;
+            }
+        }
+        seeds.iter().map(|at| self.low + DVec3::from_array(at.map(|at| at as f64 + 0.5)) * self.cell).collect()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Numbers in [0, 1).
+    fn numbers() -> impl FnMut() -> f64 {
+        let mut state = 1u64;
+        move || {
+            state = femc_math::hash::mix64(state.wrapping_add(0x9e37_79b9_7f4a_7c15));
+            f64::from(femc_math::hash::unit_f32((state >> 32) as u32))
+        }
+    }
+
+    fn line(origin: DVec3, target: DVec3) -> Line {
+        let way = target - origin;
+        Line { origin, dir: way.normalize(), length: way.length(), weight: 1.0 }
+    }
+
+    /// Ways from a floor of 4 m through a slot of 6 cm by 2 m to a wall behind it, and as many that go anywhere.
+    #[test]
+    fn a_slot_is_found_among_other_ways() {
+        let mut number = numbers();
+        let mut lines = Vec::new();
+        for _ in 0..300 {
+            let origin = DVec3::new(-4.0 * number(), 4.0 * number() - 2.0, 0.0);
+            let slot = DVec3::new(0.0, 0.3 + 0.06 * number(), 2.0 * number());
+            lines.push(line(origin, origin + (slot - origin) * (1.5 + number())));
+            let other = DVec3::new(4.0 * number() - 4.0, 4.0 * number() - 2.0, 2.5);
+            lines.push(line(DVec3::new(-4.0 * number(), 4.0 * number() - 2.0, 0.0), other));
+        }
+        let portals = find(&lines, 1000.0);
+        let portal = portals[0];
+        assert!((portal.middle - DVec3::new(0.0, 0.33, 1.0)).abs().max_element() < 0.15, "{portal:?}");
+        let deviation = [0, 1, 2].map(|axis| portal.covariance.col(axis)[axis].sqrt());
+        assert!(deviation[0] < 0.05 && deviation[1] < 0.05, "{deviation:?}");
+        assert!((0.4..0.8).contains(&deviation[2]), "{deviation:?}");
+        assert!((280..=330).contains(&portal.ways) && portal.is_rare(), "{}", portal.ways);
+        // From the side it is as wide as from the front: the lobe stands across the view.
+        for point in [Vec3A::new(-3.0, -1.5, 0.0), Vec3A::new(-0.5, 0.3, 0.0)] {
+            let lobe = portal.lobe(point, Vec3A::Z, 1.0).expect("in front");
+            assert!(lobe.axes.iter().all(|axis| axis.dot(lobe.target - point).abs() < 1e-3), "{lobe:?}");
+        }
+        assert!(portal.lobe(Vec3A::new(-1.0, 0.0, 2.5), Vec3A::Z, 1.0).is_none(), "behind a ceiling's back");
+    }
+
+    #[test]
+    fn ways_that_meet_nowhere_have_no_portal() {
+        let mut number = numbers();
+        let mut point = |z: f64| DVec3::new(4.0 * number(), 4.0 * number(), z);
+        let lines: Vec<Line> = (0..1000).map(|_| line(point(0.0), point(3.0))).collect();
+        assert!(find(&lines, 1000.0).is_empty());
+        assert!(find(&[], 1.0).is_empty());
+        let same = vec![line(DVec3::ZERO, DVec3::X); 100];
+        assert!(find(&same, 100.0).len() <= 1, "lines that are all the same are no fault");
+    }
+
+    /// What is far brighter than the rest weighs no more than a hundredth: no portal is made of one way.
+    #[test]
+    fn one_way_makes_no_portal() {
+        let mut number = numbers();
+        let mut point = |z: f64| DVec3::new(4.0 * number(), 4.0 * number(), z);
+        let mut lines: Vec<Line> = (0..500).map(|_| line(point(0.0), point(3.0))).collect();
+        lines[7].weight = 1e6;
+        assert!(find(&lines, 1e6).is_empty());
+    }
+}

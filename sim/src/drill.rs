@@ -111,5 +111,6 @@ pub(crate) fn stage(number: u64) -> Stage {
         bundle: Bytes::from_static(BUNDLE),
         result: Role::Answer,
         digests: FRAMES.iter().map(answer).collect(),
+        light: (femc_pipeline::Method::Pt, 1),
     }
 }

@@ -72,6 +72,8 @@ pub(crate) struct Stage {
     pub(crate) result: Role,
     /// Of each frame the digest of its pixels, or of its answer.
     pub(crate) digests: Vec<String>,
+    /// How its light is computed, and the blocks of its first pass.
+    pub(crate) light: (Method, u32),
 }
 
 impl Stage {
@@ -82,8 +84,9 @@ impl Stage {
     fn grouped(&self, fan: NonZeroU32) -> Self {
         let Grid { film, tile } = self.spec.grid;
         let tiling = Tiling { width: film[0], height: film[1], edge: tile };
-        let method = if self.spec.contents.is_empty() { Method::Pt } else { Method::Fem };
-        let graph = graph(&femc_pipeline::stages(&tiling, self.spec.rounds(), fan, method));
+        let (method, blocks) = self.light;
+        let stages = femc_pipeline::stages(&tiling, self.spec.rounds(), fan, method);
+        let graph = graph(&femc_pipeline::in_blocks(stages, method, blocks));
         let spec = JobSpec { graph, ..self.spec.clone() };
         Self { spec, ..self.clone() }
     }
@@ -138,19 +141,23 @@ pub(crate) fn pick(number: u64) -> anyhow::Result<&'static Stage> {
     stages.get((number % stages.len() as u64) as usize).context("a stage")
 }
 
-/// Jobs whose frames are lit by a first pass, which those of one world share: of two worlds, in one round and in several.
+/// Jobs whose frames are lit by a first pass, which those of one world share: of two worlds, in one round and in several, solved by one
+/// task or in blocks.
 static LIT: LazyLock<Result<Vec<Stage>, String>> = LazyLock::new(|| {
-    let kinds =
-        [0.3, 0.6].into_iter().flat_map(|reflectance| [ROUNDS[0], ROUNDS[1]].map(|rounds| (reflectance, rounds)));
-    let lit = kinds.map(|(reflectance, rounds)| rendered(&still(reflectance), Method::Fem, rounds, 0));
+    let lights = [(Method::Fem, 1), (Method::Femc, 3), (Method::Fem, 2)];
+    let kinds = lights.into_iter().flat_map(|light| {
+        [0.3, 0.6].into_iter().flat_map(move |gray| [ROUNDS[0], ROUNDS[1]].map(|rounds| (light, gray, rounds)))
+    });
+    let lit = kinds.map(|(light, reflectance, rounds)| rendered(&still(reflectance), light, rounds, 0));
     lit.collect::<anyhow::Result<_>>().map_err(|error| format!("{error:#}"))
 });
 
 /// The job of this number among those that have a first pass.
 pub(crate) fn lit(number: u64) -> anyhow::Result<Stage> {
     let stages = LIT.as_ref().map_err(|error| anyhow::anyhow!("{error}"))?;
-    let stage = stages.get((number % stages.len() as u64) as usize).context("a stage")?;
-    Ok(stage.grouped(FANS[(number / 4 % 4) as usize]))
+    let count = stages.len() as u64;
+    let stage = stages.get((number % count) as usize).context("a stage")?;
+    Ok(stage.grouped(FANS[(number / count % 4) as usize]))
 }
 
 /// How the farm of this number cuts tasks.
@@ -164,10 +171,10 @@ pub(crate) fn fresh(number: u64) -> anyhow::Result<Stage> {
 }
 
 fn stage(rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
-    rendered(SCENE, Method::Pt, rounds, seed)
+    rendered(SCENE, (Method::Pt, 1), rounds, seed)
 }
 
-fn rendered(scene: &str, method: Method, rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
+fn rendered(scene: &str, (method, blocks): (Method, u32), rounds: &[u32], seed: u64) -> anyhow::Result<Stage> {
     // An error that is never reached: every round runs.
     let stop = if let [spp] = rounds { Stop::Spp(*spp) } else { Stop::Error(1e-9) };
     // Light of elements has come any number of ways.
@@ -179,7 +186,8 @@ fn rendered(scene: &str, method: Method, rounds: &[u32], seed: u64) -> anyhow::R
     let (mut digests, mut contents) = (Vec::new(), Vec::new());
     for number in FRAMES {
         if method.has_first_pass() {
-            let key = femc_pipeline::first_pass_key(&femc_pipeline::frame_key(&source, &settings, number)?, method);
+            let key =
+                femc_pipeline::first_pass_key(&femc_pipeline::frame_key(&source, &settings, number)?, method, blocks);
             contents.push((FRAMES.len() as u32, Digest::from_bytes(key)));
         }
         let prepared = femc_pipeline::prepare(&source, &settings, number, None)?;
@@ -194,6 +202,7 @@ fn rendered(scene: &str, method: Method, rounds: &[u32], seed: u64) -> anyhow::R
     }
     contents.dedup();
     let bytes = bundle.encode()?;
+    let stages = femc_pipeline::stages(&Tiling::new(FILM[0], FILM[1], TILE)?, rounds, FANS[0], method);
     let spec = JobSpec {
         name: "haze".into(),
         bundle: Digest::of(&bytes),
@@ -201,11 +210,11 @@ fn rendered(scene: &str, method: Method, rounds: &[u32], seed: u64) -> anyhow::R
         settings: serde_json::to_string(&settings)?,
         frames: FRAMES.to_vec(),
         grid: Grid { film: FILM, tile: TILE },
-        graph: graph(&femc_pipeline::stages(&Tiling::new(FILM[0], FILM[1], TILE)?, rounds, FANS[0], method)),
+        graph: graph(&femc_pipeline::in_blocks(stages, method, blocks)),
         contents,
         priority: 50,
         owner: "me".into(),
         tags: vec![],
     };
-    Ok(Stage { spec, bundle: bytes.into(), result: Role::Image, digests })
+    Ok(Stage { spec, bundle: bytes.into(), result: Role::Image, digests, light: (method, blocks) })
 }

@@ -7,7 +7,8 @@
 //! scene once; with equal worlds they differ in the camera alone ([`femc_pipeline::prepare`]); and else unchanged
 //! surfaces are taken over from any other frame of any variant.
 //!
-//! The light of a first pass is fetched and read once for all frames and tiles of its world, known by its artifact's digest.
+//! The light of a first pass is fetched and read once for all frames and tiles of its world, known by its artifact's digest. While a
+//! first pass is made in blocks, what these begin with is kept, too: that of one first pass.
 //!
 //! Scenes, frames and lights are bounded by their number (2, 3 and 2): what a frame takes follows from its scene, and frames of
 //! a scene share what does not change. The pieces that scenes are made of are bounded by their bytes, see [`Pieces`].
@@ -17,7 +18,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 use femc_metrics::{Counter, Page};
 use femc_model::{Artifact, Digest, Failure, JobSpec};
-use femc_pipeline::{Field, FrameKey, Prepared, Settings, Source};
+use femc_pipeline::{Aimed, Field, FrameKey, Prepared, Settings, Settled, Source};
 use femc_proto::Client;
 
 use crate::Pieces;
@@ -62,6 +63,9 @@ struct Shelves {
     frames: Shelf<(FrameKey, Option<Digest>), Arc<Prepared>>,
     /// Lights of first passes.
     fields: Shelf<Digest, Arc<Field>>,
+    /// First passes that are not done, by what they are made of: before rays, and after them.
+    aimed: Shelf<Digest, Arc<Aimed>>,
+    settled: Shelf<Digest, Arc<Settled>>,
     pieces: Pieces,
 }
 
@@ -98,6 +102,8 @@ impl Cache {
             scenes: Shelf::new(Self::SCENES),
             frames: Shelf::new(frames),
             fields: Shelf::new(Self::FIELDS),
+            aimed: Shelf::new(1),
+            settled: Shelf::new(1),
             pieces,
         }))
     }
@@ -108,11 +114,18 @@ impl Cache {
         self.0.scenes.clear();
         self.0.frames.clear();
         self.0.fields.clear();
+        self.forget_steps();
+    }
+
+    /// Lets go of first passes that are not done.
+    fn forget_steps(&self) {
+        self.0.aimed.clear();
+        self.0.settled.clear();
     }
 
     /// Puts on the page what was found here and what was not.
     pub(crate) fn put(&self, page: &mut Page) {
-        let Shelves { sources, scenes, frames, fields, pieces } = &*self.0;
+        let Shelves { sources, scenes, frames, fields, pieces, .. } = &*self.0;
         let looks = [
             ("files", &sources.hits, &sources.misses),
             ("scenes", &scenes.hits, &scenes.misses),
@@ -193,6 +206,8 @@ impl Cache {
     /// The light of a first pass.
     fn field(&self, light: Artifact, client: &Client, fetch: &Fetch) -> Result<Arc<Field>, Failure> {
         self.0.fields.get_or(light.digest, || {
+            // It is done: its steps are of no use any more.
+            self.forget_steps();
             let bytes = fetch.all(client, &[light]).pop().unwrap_or(Err(Failure::Cancelled))?;
             let (field, _) = Field::decode(&bytes).map_err(|error| lost(light, &error))?;
             Ok(Arc::new(field))
@@ -201,8 +216,27 @@ impl Cache {
 
     /// Keeps the light of a first pass that was solved here.
     pub(crate) fn keep_field(&self, digest: Digest, field: Arc<Field>) {
+        self.forget_steps();
         // It is there or put there: that does not fail.
         let _ = self.0.fields.slot(digest).get_or(|| Ok(field));
+    }
+
+    /// A first pass before rays, by what it is made of.
+    pub(crate) fn aimed(
+        &self,
+        of: &[Artifact],
+        make: impl FnOnce() -> Result<Aimed, Failure>,
+    ) -> Result<Arc<Aimed>, Failure> {
+        self.0.aimed.get_or(all_of(of), || make().map(Arc::new))
+    }
+
+    /// A first pass after rays, by what it is made of.
+    pub(crate) fn settled(
+        &self,
+        of: &[Artifact],
+        make: impl FnOnce() -> Result<Settled, Failure>,
+    ) -> Result<Arc<Settled>, Failure> {
+        self.0.settled.get_or(all_of(of), || make().map(Arc::new))
     }
 
     fn read(&self, spec: &JobSpec, client: &Client, fetch: &Fetch) -> Result<Read, Failure> {
@@ -240,6 +274,10 @@ impl Cache {
 /// A light that is of no use: it is made again.
 fn lost(light: Artifact, error: &dyn std::fmt::Display) -> Failure {
     Failure::LostInputs { digests: vec![light.digest], message: error.to_string() }
+}
+
+fn all_of(artifacts: &[Artifact]) -> Digest {
+    Digest::of(&artifacts.iter().flat_map(|artifact| *artifact.digest.as_bytes()).collect::<Vec<u8>>())
 }
 
 fn files_key(spec: &JobSpec) -> Digest {

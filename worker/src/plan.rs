@@ -7,15 +7,19 @@ use femc_pipeline as engine;
 /// ask for it.
 pub const FIRST_PASS: &str = "first-pass";
 
+/// The same of workers that know blocks of first passes.
+pub const FIRST_PASS_BLOCKS: &str = "first-pass-blocks";
+
 /// The same of workers that know light statistics.
 pub const STATISTICS: &str = "statistics";
 
 /// The stages of a plan, as a job has them.
 pub fn graph(stages: &[engine::Stage]) -> Graph {
     let has_first_pass = stages.iter().any(|stage| stage.kind == engine::StageKind::FirstPass);
+    let has_blocks = stages.iter().any(|stage| stage.kind == engine::StageKind::FirstPassBlock);
     let has_statistics = stages.iter().any(|stage| stage.makes.contains(&engine::Role::Statistics));
-    let tags: Vec<&str> =
-        [(has_first_pass, FIRST_PASS), (has_statistics, STATISTICS)].iter().filter(|it| it.0).map(|it| it.1).collect();
+    let known = [(has_first_pass, FIRST_PASS), (has_blocks, FIRST_PASS_BLOCKS), (has_statistics, STATISTICS)];
+    let tags: Vec<&str> = known.iter().filter(|it| it.0).map(|it| it.1).collect();
     Graph { stages: stages.iter().map(|stage| template(stage).tags(&tags)).collect() }
 }
 
@@ -28,6 +32,7 @@ fn template(stage: &engine::Stage) -> Template {
             engine::StageKind::Decide => StageKind::Decide,
             engine::StageKind::Image => StageKind::Image,
             engine::StageKind::FirstPass => StageKind::FirstPass,
+            engine::StageKind::FirstPassBlock => StageKind::FirstPassBlock,
         },
         scope: match scope {
             engine::Scope::Job => Scope::Job,
@@ -76,6 +81,10 @@ fn role(role: &engine::Role) -> Role {
         engine::Role::Field => Role::Field,
         engine::Role::Paths => Role::Paths,
         engine::Role::Statistics => Role::Statistics,
+        engine::Role::Elements => Role::Elements,
+        engine::Role::Links => Role::Links,
+        engine::Role::Rays => Role::Rays,
+        engine::Role::Guides => Role::Guides,
     }
 }
 
@@ -100,6 +109,7 @@ mod tests {
                         assert_eq!(with_statistics.check(), Ok(()), "{film:?} {rounds:?} {fan} {method:?}");
                         let has_tag = |stage: &Template| stage.tags.iter().any(|tag| tag == STATISTICS);
                         assert!(with_statistics.stages.iter().all(has_tag));
+                        let cut = graph(&engine::in_blocks(stages.clone(), method, 5));
                         let graph = graph(&stages);
                         assert_eq!(graph.check(), Ok(()), "{film:?} {rounds:?} {fan} {method:?}");
                         let (number, main) = graph.main().unwrap();
@@ -107,6 +117,12 @@ mod tests {
                         assert_eq!(graph.reads_content(number), method.has_first_pass());
                         let tags: &[&str] = if method.has_first_pass() { &[FIRST_PASS] } else { &[] };
                         assert!(graph.stages.iter().all(|stage| stage.tags == tags), "{method:?}");
+                        if method.has_first_pass() {
+                            assert_eq!(cut.check(), Ok(()), "{film:?} {rounds:?} {fan} {method:?}");
+                            let tags = [FIRST_PASS, FIRST_PASS_BLOCKS];
+                            assert!(cut.stages.iter().all(|stage| stage.tags == tags), "{method:?}");
+                            assert!(cut.main().is_some_and(|(number, _)| cut.reads_content(number)));
+                        }
                     }
                 }
             }

@@ -373,10 +373,11 @@ pub fn contents(asked: &Asked, frames: &[u32]) -> Result<Vec<(u32, Digest)>, Fai
     if !asked.plan.method.has_first_pass() {
         return Ok(Vec::new());
     }
+    let blocks = femc_pipeline::blocks_of(&asked.plan.stages);
     let mut runs: Vec<(u32, Digest)> = Vec::new();
     for (place, &frame) in (1..).zip(frames) {
         let frame_key = femc_pipeline::frame_key(&asked.source, &asked.settings, frame).map_err(failed)?;
-        let key = Digest::from_bytes(femc_pipeline::first_pass_key(&frame_key, asked.plan.method));
+        let key = Digest::from_bytes(femc_pipeline::first_pass_key(&frame_key, asked.plan.method, blocks));
         match runs.last_mut() {
             Some((end, other)) if *other == key => *end = place,
             _ => runs.push((place, key)),

@@ -73,6 +73,10 @@ struct Report {
     worlds: usize,
     /// Solutions of the first pass that the frames share: one for each world, around its origin; 0 where the method has none.
     first_passes: usize,
+    /// Faces and curved surfaces, each as often as it is placed.
+    surfaces: u64,
+    /// Blocks that a solution is cut into; 1: it is one task.
+    first_pass_blocks: u32,
     samples_least: u64,
     samples_most: u64,
     cost: Option<Cost>,
@@ -139,6 +143,8 @@ pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
         graph,
         worlds: worlds(&asked)?,
         first_passes,
+        surfaces: femc_pipeline::surfaces(asked.source.scene()),
+        first_pass_blocks: femc_pipeline::blocks_of(&plan.stages),
         samples_least,
         samples_most,
         cost,
@@ -265,6 +271,11 @@ fn print(say: Say, report: &Report) {
             (1, all) => format!("the first pass is solved once, and all {all} frames share it"),
             (solutions, all) if solutions == all => "every frame has a first pass of its own".to_owned(),
             (solutions, all) => format!("the first pass is solved {solutions} times, and {all} frames share them"),
+        });
+        let surfaces = human::count(report.surfaces, "surface");
+        say.result(match report.first_pass_blocks {
+            1 => format!("it is one task: for {surfaces}, blocks would cost more than they save"),
+            blocks => format!("its rays and guides are made in {blocks} blocks, by the scene's {surfaces}"),
         });
     }
     if let Some(cost) = &report.cost {

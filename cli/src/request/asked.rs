@@ -111,6 +111,9 @@ impl Base {
         if let Some(fan) = pretended(Pretense::Fan).and_then(|fan| fan.parse().ok()) {
             plan.stages = femc_pipeline::stages(&plan.tiling, &plan.rounds, fan, plan.method);
         }
+        if let Some(blocks) = pretended(Pretense::Blocks).and_then(|blocks| blocks.parse().ok()) {
+            plan.stages = femc_pipeline::in_blocks(plan.stages, plan.method, blocks);
+        }
         Ok(Asked {
             path: self.path.clone(),
             place: self.place.clone(),

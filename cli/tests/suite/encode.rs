@@ -91,7 +91,9 @@ fn a_clip_waits_for_a_worker_that_has_ffmpeg_which_gets_every_frame() {
     let _able = start("bin");
     place.run(&format!("watch {job} --server {url}")).exits(0);
     assert!(
-        workers(&place, &url).to_string().contains(r#""tags":["ffmpeg","first-pass","statistics"]"#),
+        workers(&place, &url)
+            .to_string()
+            .contains(r#""tags":["ffmpeg","first-pass","first-pass-blocks","statistics"]"#),
         "{}",
         workers(&place, &url)
     );

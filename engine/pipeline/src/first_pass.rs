@@ -13,7 +13,7 @@ use std::sync::atomic::AtomicBool;
 const GUIDING: f32 = 1.0;
 
 /// How exact every solution of a method is, what it may take, and what it is for.
-fn options(method: Method) -> Options {
+pub(crate) fn options(method: Method) -> Options {
     match method {
         Method::Femc => Options { error: GUIDING, guides: true, ..Options::default() },
         Method::Auto | Method::Pt | Method::Fem => Options::default(),
@@ -29,7 +29,8 @@ pub fn first_pass(prepared: &Prepared, method: Method, cancel: &AtomicBool) -> R
 
 /// Digest of all that a solution depends on: the frame's world around its origin, and the options of the method's first pass. Neither film,
 /// camera, seed nor samples: frames with equal keys share the solution.
-pub fn first_pass_key(frame_key: &FrameKey, method: Method) -> [u8; 32] {
+/// - `blocks`: of [`first_pass_blocks`]. They change no bit of the solution, but who shares it shares the tasks that it is made by.
+pub fn first_pass_key(frame_key: &FrameKey, method: Method, blocks: u32) -> [u8; 32] {
     let Options { error, memory, guides } = options(method);
     let mut hasher = blake3::Hasher::new();
     hasher.update(b"femc first pass 3");
@@ -37,6 +38,9 @@ pub fn first_pass_key(frame_key: &FrameKey, method: Method) -> [u8; 32] {
     hasher.update(&error.to_bits().to_le_bytes());
     hasher.update(&(memory as u64).to_le_bytes());
     hasher.update(&[u8::from(guides)]);
+    if blocks > 1 {
+        hasher.update(&blocks.to_le_bytes());
+    }
     *hasher.finalize().as_bytes()
 }
 

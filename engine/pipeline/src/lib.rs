@@ -8,6 +8,7 @@ pub mod account;
 mod allocation;
 mod budget;
 mod first_pass;
+mod first_pass_steps;
 mod in_process;
 pub mod pilot;
 mod plan;
@@ -21,9 +22,12 @@ mod statistics;
 pub use allocation::{Allocation, AllocationError};
 pub use femc_field::{Field, FieldError, Form, Side, Statistics as FirstPassStatistics};
 pub use femc_prepared::{PrepareError, Prepared, Source};
-pub use femc_radiosity::{self as radiosity, Report as FirstPassReport, Solution};
+pub use femc_radiosity::{
+    self as radiosity, Aimed, Damaged, Found, Report as FirstPassReport, Settled, Sights, Solution, Underway,
+};
 pub use femc_scene::FrameKey;
 pub use first_pass::{OtherWorld, encode_solution, first_pass, first_pass_key, light};
+pub use first_pass_steps::{aim, begin, blocks_of, first_pass_blocks, in_blocks, settle, surfaces};
 pub use in_process::{RenderedFrame, RoundEnd, by_rounds, render_frame};
 pub use plan::{LeftOut, Plan, PlanError, plan};
 pub use render::{Places, RenderError, RenderedTile, frame_key, prepare, prepare_world, render_tile};

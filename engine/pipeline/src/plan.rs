@@ -1,5 +1,6 @@
 //! What would run, and what is left out and why.
 
+use crate::first_pass_steps::{first_pass_blocks, in_blocks};
 use crate::settings::{Method, Settings, SettingsError, Stop};
 use crate::stage::{Stage, fan, stages, with_statistics};
 use femc_film::{FilmError, Tiling};
@@ -95,7 +96,7 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
     }
     // Which frames two passes are worth for is not known in advance: path tracing is never far from the best.
     let method = if settings.method == Method::Auto { Method::Pt } else { settings.method };
-    let stages = stages(&tiling, &rounds, fan(&tiling), method);
+    let stages = in_blocks(stages(&tiling, &rounds, fan(&tiling), method), method, first_pass_blocks(scene));
     let stages = if settings.statistics { with_statistics(stages) } else { stages };
     let left_out = |what: &str, reason: &str| LeftOut { what: what.into(), reason: reason.into() };
     let mut left_out = match method {

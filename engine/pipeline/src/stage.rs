@@ -6,7 +6,8 @@
 //! A frame of several rounds always has groups, though it be one. A decision closes the loop: it reads the errors of all tiles,
 //! some kilobytes, and says how many samples each tile gets in the next round. The image is made once, behind the loop.
 //!
-//! A method with a first pass has it before all others, once for all frames of one world; each tile reads its light.
+//! A method with a first pass has it before all others, once for all frames of one world; each tile reads its light. It is one task, or
+//! many of them ([`in_blocks`](crate::in_blocks)).
 //!
 //! With light statistics each tile says, beside its sums, what it knows of the paths of its samples; the image unites that of all rounds,
 //! of many tiles by groups, when it is known which samples count.
@@ -49,8 +50,10 @@ pub enum StageKind {
     Decide,
     /// Measures a frame and writes its image.
     Image,
-    /// Solves the first pass of a world.
+    /// Solves the first pass of a world, or does of it what one task does for all blocks.
     FirstPass,
+    /// A block of a first pass: its rays, or where its light comes from.
+    FirstPassBlock,
 }
 
 /// What has a stage once.
@@ -87,6 +90,14 @@ pub enum Role {
     Paths,
     /// The same of all samples that count in a frame.
     Statistics,
+    /// Elements of a first pass that is not done, and their light.
+    Elements,
+    /// Links between these.
+    Links,
+    /// What the rays of a block have met.
+    Rays,
+    /// Where the light of a block comes from.
+    Guides,
 }
 
 /// Outputs of one role of a stage, which the tasks of another read.
@@ -134,12 +145,12 @@ pub struct Loop {
 }
 
 impl Stage {
-    fn of_frame(kind: StageKind, sizes: Vec<(u32, u64)>, makes: &[Role]) -> Self {
+    pub(crate) fn of_frame(kind: StageKind, sizes: Vec<(u32, u64)>, makes: &[Role]) -> Self {
         let makes = makes.to_vec();
         Self { kind, scope: Scope::Frame, sizes, steps: Vec::new(), needs: Vec::new(), makes, closes: None }
     }
 
-    fn reads(mut self, stage: u16, role: Role, reach: Reach) -> Self {
+    pub(crate) fn reads(mut self, stage: u16, role: Role, reach: Reach) -> Self {
         self.needs.push(Need { stage, role, reach, round: Round::Same });
         self
     }

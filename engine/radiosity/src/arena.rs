@@ -6,7 +6,7 @@ use femc_field::{NONE, Outline, Split};
 use femc_math::glam::{Vec2, Vec3A};
 
 /// All elements; a parent comes before its children.
-#[derive(Debug, Default)]
+#[derive(Clone, Debug, Default)]
 pub struct Arena {
     pub elements: Vec<Element>,
     /// Clusters and balls.
@@ -17,6 +17,8 @@ pub struct Arena {
     pub roots: Vec<u32>,
     /// Root of the fog, or [`NONE`].
     pub fog: u32,
+    /// Elements that were cut, in order: with the scene they make the same tree again.
+    pub cuts: Vec<u32>,
 }
 
 /// Cosine between normals that are the same.
@@ -171,6 +173,7 @@ impl Arena {
         };
         let children = made.map(|child| self.push(child));
         self.elements[index as usize].children = children;
+        self.cuts.push(index);
         (children, true)
     }
 }

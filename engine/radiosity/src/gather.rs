@@ -77,6 +77,7 @@ const DECAY: f32 = 0.99;
 const AROUND: usize = 16;
 
 /// Light of all elements.
+#[derive(Clone, Debug)]
 pub struct Lights {
     pub of: Vec<Light>,
     pub arriving: Vec<Arriving>,
@@ -138,7 +139,7 @@ impl Lights {
             }
         }
         self.gather(arena, links);
-        (0..arena.elements.len()).for_each(|index| self.push(arena, index));
+        self.push_all(arena);
         let albedo = |element: &Element| match element.kind {
             Kind::Cluster => 0.0,
             Kind::Fog => {
@@ -191,9 +192,7 @@ impl Lights {
     /// Down the tree with what arrives, up with what is sent. Returns by how much the light that leaves all elements has changed, and
     /// all of it, lm: of elements next to each other the changes' sizes are added.
     pub fn push_pull(&mut self, scene: &Scene<'_>, arena: &Arena) -> (f64, f64) {
-        for index in 0..arena.elements.len() {
-            self.push(arena, index);
-        }
+        self.push_all(arena);
         let (mut change, mut whole) = (0.0, 0.0);
         for index in (0..arena.elements.len()).rev() {
             let before = self.of[index].radiosity;
@@ -210,6 +209,11 @@ impl Lights {
             }
         }
         (change, whole)
+    }
+
+    /// Down the tree with what arrives.
+    pub fn push_all(&mut self, arena: &Arena) {
+        (0..arena.elements.len()).for_each(|index| self.push(arena, index));
     }
 
     fn push(&mut self, arena: &Arena, index: usize) {

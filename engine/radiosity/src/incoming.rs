@@ -53,20 +53,19 @@ pub enum Purpose {
     Rays,
 }
 
-/// The guides of leaves of surfaces, in the order of `leaves`, and their lobes. Leaves next to each other have one together, so that it
-/// is made of as many rays as it takes: what few rays find lights all of them.
+/// Of each group of leaves the share of directions that its lobes are to draw, and the lobes. Leaves next to each other have one guide
+/// together, so that it is made of as many rays as it takes: what few rays find lights all of them.
 /// - `links`: by receiver, ascending.
-pub fn guides(
+pub fn of_groups(
     scene: &Scene<'_>,
     arena: &Arena,
     lights: &Lights,
     (links, rays): (&[Link], &Rays),
-    leaves: &[u32],
+    groups: &[(u32, Vec<u32>)],
     portals: &[Portal],
     purpose: Purpose,
-) -> (Vec<Guide>, Vec<Lobe>) {
-    let groups = groups(arena, leaves, &rays.light(arena, lights));
-    let found: Vec<(f32, Vec<Lobe>)> = groups
+) -> Vec<(f32, Vec<Lobe>)> {
+    groups
         .par_iter()
         .map(|(group, leaves)| {
             let area: f32 = leaves.iter().map(|&leaf| arena.elements[leaf as usize].size).sum();
@@ -96,14 +95,22 @@ pub fn guides(
             let found = guide(element, &ways, &seen, portals);
             toward(found, element, portals, purpose)
         })
-        .collect();
+        .collect()
+}
+
+/// The guides of all leaves, in the order of `leaves`, and their lobes, by what was found for groups of leaves, in order. A leaf that
+/// is in no group has none.
+pub fn joined<'a>(
+    groups: impl Iterator<Item = (&'a [u32], (f32, Vec<Lobe>))>,
+    leaves: &[u32],
+) -> (Vec<Guide>, Vec<Lobe>) {
     let mut lobes = Vec::new();
     let mut guides = vec![Guide::default(); leaves.len()];
     let place: HashMap<u32, usize> = leaves.iter().enumerate().map(|(k, &leaf)| (leaf, k)).collect();
-    for ((_, leaves), (share, of)) in groups.iter().zip(found) {
-        let guide = Guide { first: lobes.len() as u32, count: of.len() as u32, share };
-        lobes.extend(of);
-        leaves.iter().for_each(|leaf| guides[place[leaf]] = guide);
+    for (of, (share, found)) in groups {
+        let guide = Guide { first: lobes.len() as u32, count: found.len() as u32, share };
+        lobes.extend(found);
+        of.iter().filter_map(|leaf| place.get(leaf)).for_each(|&k| guides[k] = guide);
     }
     (guides, lobes)
 }
@@ -179,7 +186,7 @@ fn toward(
 
 /// The smallest parts of surfaces that have [`ENOUGH`] ways, or whole surfaces, and their leaves.
 /// - `light`: by leaf that of its ways, and the sum of its squares.
-fn groups(arena: &Arena, leaves: &[u32], light: &[(u32, [f32; 2])]) -> Vec<(u32, Vec<u32>)> {
+pub fn groups(arena: &Arena, leaves: &[u32], light: &[(u32, [f32; 2])]) -> Vec<(u32, Vec<u32>)> {
     let mut sums = vec![[0.0f32; 2]; arena.elements.len()];
     for &(leaf, of) in light {
         let mut at = leaf;

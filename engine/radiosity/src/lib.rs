@@ -13,6 +13,7 @@
 #![deny(missing_docs)]
 
 mod arena;
+mod bytes;
 mod census;
 mod element;
 mod fog;
@@ -29,9 +30,13 @@ mod portals;
 mod rays;
 mod scene;
 mod solve;
+mod steps;
 mod visibility;
 
+pub use bytes::Damaged;
 pub use census::{Census, Kinds};
 pub use look::{Irradiance, Look, Summary};
 pub use mesh::{Mesh, Part, meshes};
-pub use solve::{Cancelled, Options, RESIDUAL, Report, Solution, solve};
+pub use rays::Sights;
+pub use solve::{Cancelled, Options, RESIDUAL, ROUNDS, Report, Solution, Underway};
+pub use steps::{Aimed, Found, Settled, solve};

@@ -7,6 +7,7 @@
 //! (James and Stein's estimator, \[efron1973\]).
 
 mod aims;
+mod bytes;
 mod correct;
 
 pub use aims::Aims;
@@ -27,6 +28,7 @@ use femc_prepared::{Crossing, Orientation};
 use femc_scattering::{LobeKind, Transmitted};
 use rayon::prelude::*;
 use std::f32::consts::PI;
+use std::ops::Range;
 
 /// Least and most rays from each part of a leaf, and as many in all where that is in between.
 const RAYS: [usize; 2] = [8, 1024];
@@ -107,6 +109,7 @@ pub struct Seen {
 /// to bring is divided by the number of rays that would be expected along it from both, or by that of those that count (multiple
 /// importance sampling by the balance or the maximum heuristic, \[pharr2023\]). Leaves that send much light have more rays: what they light through a small gap is found from their side.
 /// And where earlier rays have told where light comes from, a share of the later ones goes there.
+#[derive(Debug)]
 pub struct Rays {
     /// The leaves, by index.
     leaves: Vec<u32>,
@@ -153,19 +156,45 @@ fn parts_of(element: &Element) -> usize {
     if element.count == 3 { 3 } else { PARTS }
 }
 
-impl Rays {
-    /// Casts them.
-    /// - `room`: bytes that they may take; where that is too little, there are fewer, one from each part at least.
-    /// - `aims`: where a share of them goes; `round`: others have other rays.
-    pub fn new(scene: &Scene<'_>, arena: &Arena, lights: &Lights, aims: &Aims, round: u32, room: usize) -> Self {
-        let is_leaf = |index: &u32| {
-            let element = &arena.elements[*index as usize];
-            element.is_leaf() && matches!(element.kind, Kind::Patch | Kind::Ball)
-        };
-        let leaves: Vec<u32> = (0..arena.elements.len() as u32).filter(is_leaf).collect();
+/// Rays that are to be cast: how many from each leaf.
+#[derive(Clone, Debug)]
+pub struct Casting {
+    /// The leaves, by index.
+    leaves: Vec<u32>,
+    /// By leaf its first ray, and the end.
+    first: Vec<u32>,
+    /// By element, rays over its area, 1/m2.
+    density: Vec<f32>,
+    /// Of [`origin`].
+    round: u32,
+}
+
+/// What rays from some leaves have met.
+#[derive(Clone, Debug, Default)]
+pub struct Sights {
+    /// Place of the first leaf among all.
+    leaf: u32,
+    /// By leaf its rays.
+    counts: Vec<u32>,
+    sights: Vec<Sight>,
+    /// Rays that were traced.
+    traced: u64,
+}
+
+impl Casting {
+    /// No rays.
+    pub fn none() -> Self {
+        Self { leaves: Vec::new(), first: vec![0], density: Vec::new(), round: 0 }
+    }
+
+    /// - `room`: bytes that the rays may take; where that is too little, there are fewer, one from each part at least.
+    /// - `round`: others have other rays.
+    /// - `worth_more`: whether more are worth casting, as some have to find how much comes through portals.
+    pub fn new(arena: &Arena, lights: &Lights, round: u32, room: usize, worth_more: bool) -> Self {
+        let leaves = origins(arena);
         let parts = PARTS * leaves.len().max(1);
         let fit = (room / ((size_of::<Sight>() + size_of::<[u32; 2]>()) * parts)).max(1);
-        let all = if aims.worth_more { MANY } else { ALL };
+        let all = if worth_more { MANY } else { ALL };
         let each = (all / parts).clamp(RAYS[0], RAYS[1]).min(fit);
         let more = (BRIGHT * (parts * each) as f32).min(((fit - each) * parts) as f32);
         let power = |&leaf: &u32| {
@@ -174,25 +203,49 @@ impl Rays {
         };
         let whole: f32 = leaves.iter().map(power).sum();
         let by_power = |leaf: &u32| if whole > 0.0 { (more * (power(leaf) / whole)) as usize / PARTS } else { 0 };
-        let each: Vec<usize> = leaves.iter().map(|leaf| each + by_power(leaf)).collect();
         let mut first = vec![0u32];
         let mut density = vec![0.0f32; arena.elements.len()];
-        for (&leaf, each) in leaves.iter().zip(&each) {
-            let element = &arena.elements[leaf as usize];
-            let number = (parts_of(element) * each) as u32;
+        for leaf in &leaves {
+            let element = &arena.elements[*leaf as usize];
+            let number = (parts_of(element) * (each + by_power(leaf))) as u32;
             first.push(first[first.len() - 1] + number);
-            density[leaf as usize] = number as f32 / element.size;
+            density[*leaf as usize] = number as f32 / element.size;
         }
-        let chunks: Vec<(Vec<Sight>, u64)> = leaves
+        Self { leaves, first, density, round }
+    }
+
+    /// Places of the leaves of a block: of so many, each has about as many rays.
+    pub fn part(&self, block: u32, blocks: u32) -> Range<usize> {
+        part(&self.first, block, blocks)
+    }
+
+    /// The rays, by the sights of all leaves in order.
+    pub fn rays(self, parts: Vec<Sights>) -> Rays {
+        Rays::new(self.leaves, self.round, parts)
+    }
+
+    /// Whether these are the sights of all leaves, in order.
+    pub fn fits(&self, arena: &Arena, parts: &[Sights]) -> bool {
+        let counts = parts.iter().flat_map(|part| &part.counts).copied();
+        are_whole(arena, parts, self.leaves.len()) && counts.eq(self.first.windows(2).map(|ends| ends[1] - ends[0]))
+    }
+
+    /// Casts the rays of these leaves.
+    /// - `aims`: where a share of them goes.
+    pub fn cast(&self, scene: &Scene<'_>, arena: &Arena, aims: &Aims, part: Range<usize>) -> Sights {
+        let density = &self.density;
+        let counts: Vec<u32> = self.first[part.start..=part.end].windows(2).map(|ends| ends[1] - ends[0]).collect();
+        let chunks: Vec<(Vec<Sight>, u64)> = self.leaves[part.clone()]
             .par_chunks(64)
-            .zip(each.par_chunks(64))
-            .map(|(leaves, each)| {
+            .zip(counts.par_chunks(64))
+            .map(|(leaves, counts)| {
                 let mut eye = Eye::default();
-                let mut sights = Vec::with_capacity(leaves.len() * PARTS * each[0]);
-                for (&leaf, &each) in leaves.iter().zip(each) {
+                let mut sights = Vec::with_capacity(counts.iter().sum::<u32>() as usize);
+                for (&leaf, &count) in leaves.iter().zip(counts) {
                     let element = &arena.elements[leaf as usize];
+                    let each = count as usize / parts_of(element);
                     let sight = |ray: usize| {
-                        let (spot, dir, u) = origin(scene, element, aims.of(leaf), ray, each, round);
+                        let (spot, dir, u) = origin(scene, element, aims.of(leaf), ray, each, self.round);
                         if dir.dot(spot.normal) <= 0.0 {
                             return Sight { start: packed(spot.normal), ..Sight::NOTHING };
                         }
@@ -209,16 +262,72 @@ impl Rays {
                         }
                         sight
                     };
-                    sights.extend((0..parts_of(element) * each).map(sight));
+                    sights.extend((0..count as usize).map(sight));
                 }
                 (sights, eye.rays)
             })
             .collect();
         let traced = chunks.iter().map(|(_, rays)| rays).sum();
-        let sights: Vec<Sight> = chunks.into_iter().flat_map(|(sights, _)| sights).collect();
+        let sights = chunks.into_iter().flat_map(|(sights, _)| sights).collect();
+        Sights { leaf: part.start as u32, counts, sights, traced }
+    }
+}
+
+/// Leaves of surfaces that rays begin on, by index.
+pub fn origins(arena: &Arena) -> Vec<u32> {
+    let is_leaf = |index: &u32| {
+        let element = &arena.elements[*index as usize];
+        element.is_leaf() && matches!(element.kind, Kind::Patch | Kind::Ball)
+    };
+    (0..arena.elements.len() as u32).filter(is_leaf).collect()
+}
+
+/// Whether sights are, in order, those of so many leaves, and what they have met is there.
+pub fn are_whole(arena: &Arena, parts: &[Sights], leaves: usize) -> bool {
+    let mut next = 0;
+    let follow = parts.iter().all(|part| {
+        let is_next = part.leaf as usize == next;
+        next += part.counts.len();
+        is_next
+    });
+    let sights = || parts.par_iter().flat_map(|part| &part.sights);
+    follow && next == leaves && sights().all(|sight| sight.leaf == NONE || (sight.leaf as usize) < arena.elements.len())
+}
+
+/// Of so many parts this one, each with about as much.
+/// - `first`: by item what those before it have together, and at the end what all have.
+pub fn part(first: &[u32], block: u32, blocks: u32) -> Range<usize> {
+    let (items, whole) = (first.len() - 1, u64::from(first[first.len() - 1]));
+    let at = |block: u32| match block {
+        0 => 0,
+        _ if block >= blocks => items,
+        _ => first.partition_point(|&first| u64::from(first) < whole * u64::from(block) / u64::from(blocks)).min(items),
+    };
+    at(block)..at(block + 1)
+}
+
+impl Rays {
+    /// By the sights of all leaves, in order.
+    pub fn new(leaves: Vec<u32>, round: u32, parts: Vec<Sights>) -> Self {
+        let ends = parts.iter().flat_map(|part| &part.counts).scan(0, |end, count| {
+            *end += count;
+            Some(*end)
+        });
+        let first = [0].into_iter().chain(ends).collect();
+        let traced = parts.iter().map(|part| part.traced).sum();
+        let mut sights = Vec::new();
+        for part in parts {
+            if sights.is_empty() { sights = part.sights } else { sights.extend(part.sights) }
+        }
         let mut out = Self { leaves, first, round, sights, first_from: Vec::new(), from: Vec::new(), traced };
         out.turn_round();
         out
+    }
+
+    /// Rays of a group of leaves.
+    pub fn number(&self, leaves: &[u32]) -> u32 {
+        let of = |leaf: &u32| self.leaves.binary_search(leaf).map_or(0, |at| self.first[at + 1] - self.first[at]);
+        leaves.iter().map(of).sum()
     }
 
     /// By leaf the rays from elsewhere.

@@ -4,17 +4,14 @@ use crate::arena::Arena;
 use crate::census::Census;
 use crate::element::{Element, Kind};
 use crate::gather::{Bound, FROM_ELEMENTS, FROM_SOURCES, Lights, cell_of};
-use crate::incoming::{Purpose, guides, portals};
 use crate::lamps::{LampLink, LampVerdict};
 use crate::link::{Judge, Link, Verdict};
-use crate::portals::Portal;
-use crate::rays::{Aims, Rays};
+use crate::rays::{Casting, Rays};
 use crate::scene::Scene;
 use crate::visibility::Eye;
 use femc_field::{Field, Guide, Guides, Harmonics, Leaf, Lobe, NONE};
 use femc_math::Rgb;
 use femc_math::color::luminance;
-use femc_prepared::Prepared;
 use rayon::prelude::*;
 use std::sync::atomic::{AtomicBool, Ordering};
 
@@ -93,7 +90,7 @@ const GROWING: usize = 4;
 /// Most iterations at one level of refinement.
 const ITERATIONS: usize = 400;
 /// Times that rays are cast, and between them leaves cut where these find shadows.
-const ROUNDS: u32 = 3;
+pub const ROUNDS: u32 = 3;
 /// Times that the light of the links is compared with that of the same rays.
 const CHECKS: usize = 2;
 /// Share of the mean irradiance that is added to an element's when a link's error is judged.
@@ -104,95 +101,142 @@ const LEAST_VOLUME: f32 = 1e-5;
 /// An element of this part of all surfaces' area, or of the fog's volume, may have the error that is asked for as it is.
 const UNIT: f32 = 1e-3;
 
-/// Finds the light of a prepared frame. The result depends on the frame and the options alone, not on threads.
-/// - errors: `cancel` was set.
-pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Result<Solution, Cancelled> {
-    let scene = Scene::new(prepared);
-    let arena = Arena::new(&scene);
-    if arena.root == NONE {
-        let field = Field {
-            roots: vec![NONE; scene.surfaces.len()],
-            sides: scene.sides,
-            surfaces: scene.surfaces,
-            ..Field::default()
-        };
-        return Ok(Solution { field, direct: Vec::new(), report: Report::default() });
-    }
-    let lights = Lights::new(&arena);
-    let mut solver = Solver {
-        scene: &scene,
-        arena,
-        lights,
-        links: Vec::new(),
-        report: Report::default(),
-        most_rays: 0,
-        options,
-        cancel,
-    };
-    solver.open();
-    solver.links = vec![Link { receiver: solver.arena.root, source: solver.arena.root, factors: [0.0; 4] }];
-    for (round, coarse) in COARSE.into_iter().enumerate() {
-        let is_last = round + 1 == COARSE.len();
-        (solver.report.refused, solver.report.bounded) = (0, false);
-        solver.lights.unbounded();
-        let error = options.error * coarse;
-        // Where the light falls first; then where it goes.
-        solver.light_up(error.min(0.1))?;
-        if round == 0 {
-            solver.lights.push_pull(&scene, &solver.arena);
-        }
-        solver.refine(error)?;
-        if is_last {
-            solver.report.row_sum = solver.lights.row_sum(&scene, &solver.arena, &solver.links, Bound::None);
-        }
-        solver.iterate(if is_last { RESIDUAL } else { 1e-2 })?;
-    }
-    let rays = solver.check()?;
-    let report = solver.finish();
-    let (mut guides, mut lobes) = Default::default();
-    if options.guides {
-        let leaves = leaves(&solver.arena);
-        (guides, lobes) = solver.guides(&rays, &leaves, &solver.portals(&rays, &leaves), Purpose::Paths);
-    }
-    let Solver { arena, lights, .. } = solver;
-    let (field, direct) = field(scene, &arena, &lights);
-    let field = Field { guides: Guides::new(guides, lobes, &field.cells, &field.leaves), ..field };
-    Ok(Solution { field, direct, report })
-}
-
-struct Solver<'a> {
-    scene: &'a Scene<'a>,
-    arena: Arena,
-    lights: Lights,
-    links: Vec<Link>,
-    report: Report,
+/// A first pass that is not done: elements, links, light.
+#[derive(Clone, Debug)]
+pub struct Underway {
+    pub(crate) arena: Arena,
+    pub(crate) lights: Lights,
+    /// By receiver and source, ascending.
+    pub(crate) links: Vec<Link>,
+    pub(crate) report: Report,
     /// Bytes of rays at most.
-    most_rays: usize,
-    options: &'a Options,
-    cancel: &'a AtomicBool,
+    pub(crate) most_rays: usize,
+    /// Times that rays have been cast; [`ROUNDS`] where no more are wanted.
+    pub(crate) round: u32,
+    /// Leaves that are to be cut before rays are cast again.
+    pub(crate) uneven: Vec<u32>,
+    /// Whether more rays are worth casting, as some have to find how much comes through portals.
+    pub(crate) worth_more: bool,
 }
 
-impl Solver<'_> {
+impl Underway {
+    /// Whether rays have been cast as often as they are to be.
+    pub(crate) fn is_settled(&self) -> bool {
+        self.round == ROUNDS
+    }
+
     fn bytes(&self, links: usize) -> usize {
         links * size_of::<Link>()
             + self.arena.elements.len() * (size_of::<Element>() + Lights::BYTES)
             + self.arena.wide * size_of::<crate::gather::Arriving>()
     }
 
+    /// Rays that are to be cast next.
+    /// - `memory`: bytes that elements, links and rays may take.
+    pub(crate) fn casting(&self, memory: usize) -> Casting {
+        if self.is_settled() {
+            return Casting::none();
+        }
+        let room = memory.saturating_sub(self.bytes(self.links.len()));
+        Casting::new(&self.arena, &self.lights, self.round + 1, room, self.worth_more)
+    }
+
+    /// Cuts the leaves on which rays have found shadows.
+    pub(crate) fn cut(&mut self, scene: &Scene<'_>) {
+        for leaf in std::mem::take(&mut self.uneven) {
+            let (halves, _) = self.arena.children(scene, leaf);
+            for half in halves {
+                self.arena.children(scene, half);
+            }
+        }
+        self.lights.grow(&self.arena);
+        self.lights.push_pull(scene, &self.arena);
+    }
+
+    /// What has come of it.
+    /// - `guides`: by leaf, and their lobes.
+    pub(crate) fn finish(&self, scene: Scene<'_>, (guides, lobes): (Vec<Guide>, Vec<Lobe>)) -> Solution {
+        let elements = &self.arena.elements;
+        let report = if self.arena.root == NONE {
+            Report::default()
+        } else {
+            Report {
+                elements: elements.iter().filter(|element| element.kind != Kind::Cluster).count(),
+                leaves: elements.iter().filter(|element| element.is_leaf()).count(),
+                links: self.links.len(),
+                bytes: self.bytes(self.links.len()) + self.most_rays,
+                census: Census::new(elements, &self.links),
+                ..self.report
+            }
+        };
+        let (field, direct) = field(scene, &self.arena, &self.lights);
+        let field = Field { guides: Guides::new(guides, lobes, &field.cells, &field.leaves), ..field };
+        Solution { field, direct, report }
+    }
+}
+
+pub(crate) struct Solver<'a> {
+    scene: &'a Scene<'a>,
+    pub(crate) now: Underway,
+    options: &'a Options,
+    cancel: &'a AtomicBool,
+}
+
+impl<'a> Solver<'a> {
+    /// With all links.
+    /// - errors: `cancel` was set.
+    pub(crate) fn new(scene: &'a Scene<'a>, options: &'a Options, cancel: &'a AtomicBool) -> Result<Self, Cancelled> {
+        let arena = Arena::new(scene);
+        let lights = Lights::new(&arena);
+        let (links, report, uneven) = (Vec::new(), Report::default(), Vec::new());
+        let underway = Underway { arena, lights, links, report, most_rays: 0, round: 0, uneven, worth_more: false };
+        let mut solver = Self::with(underway, scene, options, cancel);
+        let root = solver.now.arena.root;
+        if root == NONE {
+            return Ok(solver);
+        }
+        solver.open();
+        solver.now.links = vec![Link { receiver: root, source: root, factors: [0.0; 4] }];
+        for (round, coarse) in COARSE.into_iter().enumerate() {
+            let is_last = round + 1 == COARSE.len();
+            (solver.now.report.refused, solver.now.report.bounded) = (0, false);
+            solver.now.lights.unbounded();
+            let error = options.error * coarse;
+            // Where the light falls first; then where it goes.
+            solver.light_up(error.min(0.1))?;
+            if round == 0 {
+                solver.now.lights.push_pull(scene, &solver.now.arena);
+            }
+            solver.refine(error)?;
+            if is_last {
+                let Underway { arena, lights, links, report, .. } = &mut solver.now;
+                report.row_sum = lights.row_sum(scene, arena, links, Bound::None);
+            }
+            solver.iterate(if is_last { RESIDUAL } else { 1e-2 })?;
+        }
+        Ok(solver)
+    }
+
+    /// Goes on.
+    pub(crate) fn with(underway: Underway, scene: &'a Scene<'a>, options: &'a Options, cancel: &'a AtomicBool) -> Self {
+        Self { scene, now: underway, options, cancel }
+    }
+
     /// Mean irradiance of all surfaces, by luminance, lx.
     fn mean(&self) -> f32 {
-        let roots = self.arena.roots.iter().filter(|&&root| root != NONE);
+        let roots = self.now.arena.roots.iter().filter(|&&root| root != NONE);
         let (sum, area) = roots.fold((0.0f64, 0.0f64), |(sum, area), &root| {
-            let size = f64::from(self.arena.elements[root as usize].size);
-            (sum + size * f64::from(self.lights.of[root as usize].mean), area + size)
+            let size = f64::from(self.now.arena.elements[root as usize].size);
+            (sum + size * f64::from(self.now.lights.of[root as usize].mean), area + size)
         });
-        if area > 0.0 { (sum / area) as f32 } else { self.lights.of[self.arena.root as usize].mean }
+        if area > 0.0 { (sum / area) as f32 } else { self.now.lights.of[self.now.arena.root as usize].mean }
     }
 
     /// A first idea of what elements receive: as if nothing were between them and the light sources.
     fn open(&mut self) {
         let (lights, world) = (&self.scene.prepared.lights, &self.scene.prepared.world);
         let found: Vec<f32> = self
+            .now
             .arena
             .elements
             .par_iter()
@@ -216,51 +260,57 @@ impl Solver<'_> {
                 sum / element.count as f32
             })
             .collect();
-        for (light, mean) in self.lights.of.iter_mut().zip(found) {
+        for (light, mean) in self.now.lights.of.iter_mut().zip(found) {
             light.mean = if mean.is_finite() { mean } else { 0.0 };
             light.least = light.mean;
         }
-        for index in (0..self.arena.elements.len()).rev() {
-            let element = &self.arena.elements[index];
+        for index in (0..self.now.arena.elements.len()).rev() {
+            let element = &self.now.arena.elements[index];
             if !element.is_leaf() {
                 let [a, b] = element.children.map(|child| child as usize);
-                let sizes = [a, b].map(|child| self.arena.elements[child].size);
-                let mean =
-                    (self.lights.of[a].mean * sizes[0] + self.lights.of[b].mean * sizes[1]) / (sizes[0] + sizes[1]);
-                self.lights.of[index].mean = if mean.is_finite() { mean } else { 0.0 };
-                self.lights.of[index].least = self.lights.of[a].least.min(self.lights.of[b].least);
+                let sizes = [a, b].map(|child| self.now.arena.elements[child].size);
+                let mean = (self.now.lights.of[a].mean * sizes[0] + self.now.lights.of[b].mean * sizes[1])
+                    / (sizes[0] + sizes[1]);
+                self.now.lights.of[index].mean = if mean.is_finite() { mean } else { 0.0 };
+                self.now.lights.of[index].least = self.now.lights.of[a].least.min(self.now.lights.of[b].least);
             }
         }
     }
 
     fn judge(&self, error: f32, links: usize) -> Judge<'_> {
         let area: f32 = self
+            .now
             .arena
             .roots
             .iter()
             .filter(|&&root| root != NONE)
-            .map(|&root| self.arena.elements[root as usize].size)
+            .map(|&root| self.now.arena.elements[root as usize].size)
             .sum();
-        let volume = if self.arena.fog == NONE { 0.0 } else { self.arena.elements[self.arena.fog as usize].size };
+        let volume =
+            if self.now.arena.fog == NONE { 0.0 } else { self.now.arena.elements[self.now.arena.fog as usize].size };
         Judge {
             scene: self.scene,
-            arena: &self.arena,
-            light: &self.lights.of,
+            arena: &self.now.arena,
+            light: &self.now.lights.of,
             error,
             floor: FLOOR * self.mean(),
-            fog_floor: if self.arena.fog == NONE { 0.0 } else { FLOOR * self.lights.of[self.arena.fog as usize].mean },
+            fog_floor: if self.now.arena.fog == NONE {
+                0.0
+            } else {
+                FLOOR * self.now.lights.of[self.now.arena.fog as usize].mean
+            },
             unit_area: area * UNIT,
             unit_volume: volume * UNIT,
             least_area: area * LEAST_AREA * self.options.error,
             least_volume: volume * LEAST_VOLUME * self.options.error,
-            full: self.bytes(links) > self.options.memory,
+            full: self.now.bytes(links) > self.options.memory,
         }
     }
 
     /// Light of the sources, on elements as fine as it needs.
     fn light_up(&mut self, error: f32) -> Result<(), Cancelled> {
         let mut pending: Vec<(u32, u32)> =
-            (0..self.scene.prepared.lights.len() as u32).map(|lamp| (self.arena.root, lamp)).collect();
+            (0..self.scene.prepared.lights.len() as u32).map(|lamp| (self.now.arena.root, lamp)).collect();
         let mut done: Vec<LampLink> = Vec::new();
         while !pending.is_empty() {
             if self.cancel.load(Ordering::Relaxed) {
@@ -268,39 +318,39 @@ impl Solver<'_> {
             }
             let judge = self.judge(error, done.len() + pending.len());
             let (verdicts, rays) = judged(&pending, |&(receiver, lamp), eye| judge.judge_lamp(receiver, lamp, eye));
-            self.report.rays += rays;
+            self.now.report.rays += rays;
             let mut next = Vec::new();
             for ((receiver, lamp), verdict) in pending.into_iter().zip(verdicts) {
                 match verdict {
                     LampVerdict::Drop => {}
                     LampVerdict::Keep { link, refused } => {
                         done.push(link);
-                        self.report.refused += usize::from(refused);
+                        self.now.report.refused += usize::from(refused);
                     }
                     LampVerdict::Receiver => {
-                        let (children, _) = self.arena.children(self.scene, receiver);
+                        let (children, _) = self.now.arena.children(self.scene, receiver);
                         next.extend(children.map(|child| (child, lamp)));
                     }
                 }
             }
-            self.lights.grow(&self.arena);
+            self.now.lights.grow(&self.now.arena);
             pending = next;
         }
         done.sort_unstable_by_key(|link| (link.receiver, link.lamp));
-        self.report.lamp_links = done.len();
-        for light in &mut self.lights.of {
+        self.now.report.lamp_links = done.len();
+        for light in &mut self.now.lights.of {
             light.own[FROM_SOURCES] = [Rgb::ZERO; 4];
         }
-        for arriving in &mut self.lights.arriving {
+        for arriving in &mut self.now.lights.arriving {
             arriving.own[FROM_SOURCES] = Harmonics::ZERO;
         }
         for link in done {
-            let element = &self.arena.elements[link.receiver as usize];
+            let element = &self.now.arena.elements[link.receiver as usize];
             if element.is_wide() {
-                self.lights.arriving[element.wide as usize].own[FROM_SOURCES] +=
+                self.now.lights.arriving[element.wide as usize].own[FROM_SOURCES] +=
                     Harmonics::toward(link.dir, link.light[0]);
             } else {
-                let own = &mut self.lights.of[link.receiver as usize].own[FROM_SOURCES];
+                let own = &mut self.now.lights.of[link.receiver as usize].own[FROM_SOURCES];
                 own.iter_mut().zip(link.light).for_each(|(sum, light)| *sum += light);
             }
         }
@@ -309,7 +359,7 @@ impl Solver<'_> {
 
     /// Links until each is as exact as asked for.
     fn refine(&mut self, error: f32) -> Result<(), Cancelled> {
-        let mut pending = std::mem::take(&mut self.links);
+        let mut pending = std::mem::take(&mut self.now.links);
         let mut done = Vec::new();
         while !pending.is_empty() {
             if self.cancel.load(Ordering::Relaxed) {
@@ -317,7 +367,7 @@ impl Solver<'_> {
             }
             let judge = self.judge(error, done.len() + pending.len());
             let (verdicts, rays) = judged(&pending, |link, eye| judge.judge(link.receiver, link.source, eye));
-            self.report.rays += rays;
+            self.now.report.rays += rays;
             let mut next = Vec::new();
             let link = |receiver: u32, source: u32| Link { receiver, source, factors: [0.0; 4] };
             for (Link { receiver, source, .. }, verdict) in pending.into_iter().zip(verdicts) {
@@ -325,27 +375,27 @@ impl Solver<'_> {
                     Verdict::Drop => {}
                     Verdict::Keep { link, refused } => {
                         done.push(link);
-                        self.report.refused += usize::from(refused);
+                        self.now.report.refused += usize::from(refused);
                     }
                     Verdict::Receiver => {
-                        let (children, _) = self.arena.children(self.scene, receiver);
+                        let (children, _) = self.now.arena.children(self.scene, receiver);
                         next.extend(children.map(|child| link(child, source)));
                     }
                     Verdict::Source => {
-                        let (children, _) = self.arena.children(self.scene, source);
+                        let (children, _) = self.now.arena.children(self.scene, source);
                         next.extend(children.map(|child| link(receiver, child)));
                     }
                     Verdict::Both => {
-                        let ([a, b], _) = self.arena.children(self.scene, receiver);
+                        let ([a, b], _) = self.now.arena.children(self.scene, receiver);
                         next.extend([(a, a), (a, b), (b, a), (b, b)].map(|(p, q)| link(p, q)));
                     }
                 }
             }
-            self.lights.grow(&self.arena);
+            self.now.lights.grow(&self.now.arena);
             pending = next;
         }
         done.sort_unstable_by_key(|link| (link.receiver, link.source));
-        self.links = done;
+        self.now.links = done;
         Ok(())
     }
 
@@ -355,93 +405,60 @@ impl Solver<'_> {
             if self.cancel.load(Ordering::Relaxed) {
                 return Err(Cancelled);
             }
-            self.lights.gather(&self.arena, &self.links);
-            let (change, whole) = self.lights.push_pull(self.scene, &self.arena);
-            self.report.iterations += 1;
+            self.now.lights.gather(&self.now.arena, &self.now.links);
+            let (change, whole) = self.now.lights.push_pull(self.scene, &self.now.arena);
+            self.now.report.iterations += 1;
             growing = if change > before { growing + 1 } else { 0 };
-            if growing == GROWING && !self.report.bounded {
-                self.lights.row_sum(self.scene, &self.arena, &self.links, Bound::RowSums);
-                (self.report.bounded, before) = (true, f64::INFINITY);
+            if growing == GROWING && !self.now.report.bounded {
+                self.now.lights.row_sum(self.scene, &self.now.arena, &self.now.links, Bound::RowSums);
+                (self.now.report.bounded, before) = (true, f64::INFINITY);
                 continue;
             }
             // What further iterations would change in all, if each changes as much less as the latest did.
             let rate = if before.is_finite() { (change / before).min(0.99) } else { 0.99 };
             before = change;
             let left = change * rate / (1.0 - rate);
-            self.report.residual = if whole > 0.0 { (left / whole) as f32 } else { 0.0 };
-            if self.report.residual <= residual {
+            self.now.report.residual = if whole > 0.0 { (left / whole) as f32 } else { 0.0 };
+            if self.now.report.residual <= residual {
                 break;
             }
         }
         Ok(())
     }
 
-    /// Takes of the light that links bring what rays find of it, on leaves that are fine enough for the shadows that these find.
-    fn check(&mut self) -> Result<Rays, Cancelled> {
-        let mut aims = Aims::default();
-        let mut round = 0;
-        loop {
-            round += 1;
-            let room = self.options.memory.saturating_sub(self.bytes(self.links.len()));
-            let rays = Rays::new(self.scene, &self.arena, &self.lights, &aims, round, room);
-            let mut contrast = Vec::new();
-            for _ in 0..CHECKS {
-                let found = rays.correct(&self.arena, &mut self.lights, self.options.error);
-                (self.report.checked, self.report.corrected) = (found.ratio, found.changed);
-                contrast = found.contrast;
-                self.iterate(RESIDUAL)?;
-            }
-            self.most_rays = self.most_rays.max(rays.bytes());
-            self.report.rays += rays.traced;
-            if round == ROUNDS {
-                return Ok(rays);
-            }
-            let judge = self.judge(self.options.error, self.links.len());
+    /// Takes of the light that links bring what rays find of it, and finds out which leaves are too large for the shadows that these find.
+    pub(crate) fn settle(&mut self, rays: &Rays) -> Result<(), Cancelled> {
+        if self.now.is_settled() {
+            return Ok(());
+        }
+        self.now.round += 1;
+        if self.now.arena.root == NONE {
+            return Ok(());
+        }
+        let mut contrast = Vec::new();
+        for _ in 0..CHECKS {
+            let Underway { arena, lights, report, .. } = &mut self.now;
+            let found = rays.correct(arena, lights, self.options.error);
+            (report.checked, report.corrected) = (found.ratio, found.changed);
+            contrast = found.contrast;
+            self.iterate(RESIDUAL)?;
+        }
+        self.now.most_rays = self.now.most_rays.max(rays.bytes());
+        self.now.report.rays += rays.traced;
+        if !self.now.is_settled() {
+            let judge = self.judge(self.options.error, self.now.links.len());
             let is_uneven = |&(leaf, contrast): &(u32, f32)| {
-                let element = &self.arena.elements[leaf as usize];
-                0.5 * contrast > judge.allowed(element, &self.lights.of[leaf as usize]) && judge.may_cut(element)
+                let element = &judge.arena.elements[leaf as usize];
+                0.5 * contrast > judge.allowed(element, &judge.light[leaf as usize]) && judge.may_cut(element)
             };
-            let uneven: Vec<u32> = contrast.iter().filter(|leaf| is_uneven(leaf)).map(|&(leaf, _)| leaf).collect();
-            if self.options.guides {
-                // What guides paths later guides rays before.
-                let leaves = leaves(&self.arena);
-                let portals = self.portals(&rays, &leaves);
-                let (guides, lobes) = self.guides(&rays, &leaves, &portals, Purpose::Rays);
-                let worth_more = aims.worth_more || portals.iter().any(Portal::is_rare);
-                aims = Aims::new(&self.arena, &leaves, (&guides, &lobes), worth_more);
-            } else if uneven.is_empty() {
-                return Ok(rays);
+            let uneven = contrast.iter().filter(|leaf| is_uneven(leaf)).map(|&(leaf, _)| leaf).collect();
+            self.now.uneven = uneven;
+            if !self.options.guides && self.now.uneven.is_empty() {
+                // Nothing is cut, and rays go nowhere else: there is nothing to find out.
+                self.now.round = ROUNDS;
             }
-            for leaf in uneven {
-                let (halves, _) = self.arena.children(self.scene, leaf);
-                for half in halves {
-                    self.arena.children(self.scene, half);
-                }
-            }
-            self.lights.grow(&self.arena);
-            self.lights.push_pull(self.scene, &self.arena);
-            aims.grow(&self.arena);
         }
-    }
-
-    fn portals(&self, rays: &Rays, leaves: &[u32]) -> Vec<Portal> {
-        portals(self.scene, &self.arena, &self.lights, rays, leaves)
-    }
-
-    fn guides(&self, rays: &Rays, leaves: &[u32], portals: &[Portal], purpose: Purpose) -> (Vec<Guide>, Vec<Lobe>) {
-        guides(self.scene, &self.arena, &self.lights, (&self.links, rays), leaves, portals, purpose)
-    }
-
-    fn finish(&self) -> Report {
-        let elements = &self.arena.elements;
-        Report {
-            elements: elements.iter().filter(|element| element.kind != Kind::Cluster).count(),
-            leaves: elements.iter().filter(|element| element.is_leaf()).count(),
-            links: self.links.len(),
-            bytes: self.bytes(self.links.len()) + self.most_rays,
-            census: Census::new(elements, &self.links),
-            ..self.report
-        }
+        Ok(())
     }
 }
 
@@ -460,7 +477,7 @@ fn judged<T: Sync, V: Send>(pending: &[T], judge: impl Fn(&T, &mut Eye) -> V + S
 }
 
 /// Leaves of surfaces, in the order of the field.
-fn leaves(arena: &Arena) -> Vec<u32> {
+pub(crate) fn leaves(arena: &Arena) -> Vec<u32> {
     let mut leaves = Vec::new();
     for &root in arena.roots.iter().filter(|&&root| root != NONE) {
         let mut order = vec![root];

@@ -11,6 +11,8 @@ pub enum Pretense {
     Engine,
     /// Tiles of a group, of a client: small frames have groups, too.
     Fan,
+    /// Blocks of a first pass, of a client: those of small scenes are cut, too.
+    Blocks,
 }
 
 impl Pretense {
@@ -19,6 +21,7 @@ impl Pretense {
             Self::Protocol => "protocol",
             Self::Engine => "engine",
             Self::Fan => "fan",
+            Self::Blocks => "blocks",
         }
     }
 }

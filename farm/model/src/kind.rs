@@ -18,8 +18,10 @@ pub enum StageKind {
     Decide,
     /// Shows frames under one exposure, and makes a contact sheet or a clip of them.
     Encode,
-    /// What is solved once for all frames of one content, before their samples.
+    /// What is solved once for all frames of one content, before their samples; where it is cut into blocks, what one task does for all.
     FirstPass,
+    /// A block of what is solved so.
+    FirstPassBlock,
 }
 
 /// Tasks of one lane are done one after the other, those of different lanes side by side.
@@ -81,8 +83,16 @@ pub struct KindRow {
 
 impl StageKind {
     /// All, in the order of the table.
-    pub const ALL: [Self; 7] =
-        [Self::Render, Self::Reduce, Self::Image, Self::Drill, Self::Decide, Self::Encode, Self::FirstPass];
+    pub const ALL: [Self; 8] = [
+        Self::Render,
+        Self::Reduce,
+        Self::Image,
+        Self::Drill,
+        Self::Decide,
+        Self::Encode,
+        Self::FirstPass,
+        Self::FirstPassBlock,
+    ];
 
     /// Its row of the table.
     pub fn row(self) -> KindRow {
@@ -99,6 +109,7 @@ impl StageKind {
             Self::Encode => row("encode", "inputs", Compute, false, Near::Inputs, Report),
             // One a content, and long: its log is kept.
             Self::FirstPass => row("first-pass", "solutions", Compute, false, Near::Inputs, Store),
+            Self::FirstPassBlock => row("first-pass-block", "blocks", Compute, false, Near::Inputs, Report),
         }
     }
 
@@ -162,6 +173,14 @@ pub enum Role {
     Paths,
     /// The same of all samples that count in a frame.
     Statistics,
+    /// Elements of a first pass that is not done, and their light.
+    Elements,
+    /// Links between these.
+    Links,
+    /// What the rays of a block of a first pass have met.
+    Rays,
+    /// Where the light of a block comes from.
+    Guides,
 }
 
 /// A row of the roles' table.
@@ -177,7 +196,7 @@ pub struct RoleRow {
 
 impl Role {
     /// All, in the order of the table.
-    pub const ALL: [Self; 18] = [
+    pub const ALL: [Self; 22] = [
         Self::Tile,
         Self::Sums,
         Self::Pixels,
@@ -196,6 +215,10 @@ impl Role {
         Self::Field,
         Self::Paths,
         Self::Statistics,
+        Self::Elements,
+        Self::Links,
+        Self::Rays,
+        Self::Guides,
     ];
 
     /// Its row of the table.
@@ -220,6 +243,10 @@ impl Role {
             Self::Field => row("field", false, false),
             Self::Paths => row("paths", false, false),
             Self::Statistics => row("statistics", true, false),
+            Self::Elements => row("elements", false, false),
+            Self::Links => row("links", false, false),
+            Self::Rays => row("rays", false, false),
+            Self::Guides => row("guides", false, false),
         }
     }
 

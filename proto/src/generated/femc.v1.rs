@@ -1832,6 +1832,15 @@ pub enum Role {
     Paths = 17,
     /// The same of all samples that count in a frame.
     Statistics = 18,
+    /// Elements of a first pass that is not done, and their light. A worker that knows this role and the three below offers the tag
+    /// `first-pass-blocks`.
+    Elements = 19,
+    /// Links between these.
+    Links = 20,
+    /// What the rays of a block of a first pass have met.
+    Rays = 21,
+    /// Where the light of a block comes from.
+    Guides = 22,
 }
 impl Role {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -1859,6 +1868,10 @@ impl Role {
             Self::Field => "ROLE_FIELD",
             Self::Paths => "ROLE_PATHS",
             Self::Statistics => "ROLE_STATISTICS",
+            Self::Elements => "ROLE_ELEMENTS",
+            Self::Links => "ROLE_LINKS",
+            Self::Rays => "ROLE_RAYS",
+            Self::Guides => "ROLE_GUIDES",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -1883,6 +1896,10 @@ impl Role {
             "ROLE_FIELD" => Some(Self::Field),
             "ROLE_PATHS" => Some(Self::Paths),
             "ROLE_STATISTICS" => Some(Self::Statistics),
+            "ROLE_ELEMENTS" => Some(Self::Elements),
+            "ROLE_LINKS" => Some(Self::Links),
+            "ROLE_RAYS" => Some(Self::Rays),
+            "ROLE_GUIDES" => Some(Self::Guides),
             _ => None,
         }
     }
@@ -1991,8 +2008,10 @@ pub enum StageKind {
     Decide = 5,
     /// Shows frames under one exposure, and makes a contact sheet or a clip of them.
     Encode = 6,
-    /// Solves the finite-element first pass of a frame's world.
+    /// Solves the finite-element first pass of a frame's world, or does of it what one task does for all blocks.
     FirstPass = 7,
+    /// A block of a first pass: its rays, or where its light comes from.
+    FirstPassBlock = 8,
 }
 impl StageKind {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -2009,6 +2028,7 @@ impl StageKind {
             Self::Decide => "STAGE_KIND_DECIDE",
             Self::Encode => "STAGE_KIND_ENCODE",
             Self::FirstPass => "STAGE_KIND_FIRST_PASS",
+            Self::FirstPassBlock => "STAGE_KIND_FIRST_PASS_BLOCK",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -2022,6 +2042,7 @@ impl StageKind {
             "STAGE_KIND_DECIDE" => Some(Self::Decide),
             "STAGE_KIND_ENCODE" => Some(Self::Encode),
             "STAGE_KIND_FIRST_PASS" => Some(Self::FirstPass),
+            "STAGE_KIND_FIRST_PASS_BLOCK" => Some(Self::FirstPassBlock),
             _ => None,
         }
     }

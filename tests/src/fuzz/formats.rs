@@ -1,6 +1,7 @@
 //! What lies in the store, in the log and on workers' disks.
 
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
 use bytes::Bytes;
@@ -16,9 +17,10 @@ use femc_model::{
 };
 use femc_pipeline::paths::histogram::{Histograms, Table};
 use femc_pipeline::paths::{Frames, Statistics};
+use femc_pipeline::radiosity::Options;
 use femc_pipeline::{
-    Field, Settings, Side, Source, StatisticsPlan, Stop, encode_solution, first_pass as first_pass_of, prepare_world,
-    render_with_statistics,
+    Field, Found, Prepared, Settings, Side, Sights, Source, StatisticsPlan, Stop, Underway, encode_solution,
+    first_pass as first_pass_of, prepare_world, render_with_statistics,
 };
 use femc_schedule::{Fact, Ledger, decode_attempts, encode_attempts};
 use femc_worker::{Parcel, decode_sums, testing};
@@ -212,10 +214,57 @@ fn first_pass() -> Vec<Target> {
         assert!(Field::decode(&field.encode(&statistics)).is_ok());
         true
     };
-    vec![
+    let mut all = vec![
         Target::of("field", vec![encoded.clone()], is_field),
         Target::dressed("field, header", vec![encoded], sealed, is_field),
         Target::dressed("field, tables", vec![tables], dress, is_field),
+    ];
+    all.extend(first_pass_steps(prepared));
+    all
+}
+
+/// What the steps of a first pass in blocks send each other: few elements, for want of memory, and a ray from each part.
+fn first_pass_steps(prepared: Prepared) -> Vec<Target> {
+    let (options, cancel) = (Options { error: 1.0, memory: 0, guides: true }, AtomicBool::new(false));
+    let begun = Underway::begin(&prepared, &options, &cancel).expect("elements");
+    let links = begun.encode_links();
+    let aimed = begun.aim(&prepared, &options, Vec::new());
+    let sights = aimed.cast(&prepared, 0, 1);
+    let settled = aimed.settle(&prepared, &options, vec![sights.clone()], &cancel).expect("nobody cancels");
+    let settled = settled.expect("its own rays");
+    let elements = settled.underway().encode_elements();
+    let found = settled.guides(&prepared, 0, 1).encode();
+    let (of_links, of_elements, prepared) = (links.clone(), elements.clone(), Arc::new(prepared));
+    let (of, twice) = (prepared.clone(), settled.underway().clone());
+    let underway = move |elements: &[u8], links: &[u8]| {
+        let Ok(read) = Underway::decode(&prepared, elements, links) else { return false };
+        // What is accepted can be gone on with, and is one again.
+        let again = Underway::decode(&prepared, &read.encode_elements(), &read.encode_links());
+        assert!(again.is_ok_and(|again| again.solution(&prepared, Vec::new()).report.links == read.report().links));
+        true
+    };
+    let with_links = underway.clone();
+    let columns = |bytes: &[u8]| zstd::bulk::decompress(bytes, 1 << 26).expect("what was compressed");
+    let dress = |columns: &[u8]| zstd::bulk::compress(columns, 1).expect("it compresses");
+    let are_rays = move |bytes: &[u8]| {
+        let Ok(sights) = Sights::decode(bytes) else { return false };
+        assert!(Sights::decode(&sights.encode()).is_ok());
+        twice.clone().settled(vec![sights]).is_ok()
+    };
+    let end = settled.underway().clone();
+    let are_guides = move |bytes: &[u8]| {
+        let Ok(found) = Found::decode(bytes) else { return false };
+        assert!(Found::decode(&found.encode()).is_ok());
+        let _ = end.solution(&of, vec![found]);
+        true
+    };
+    let (rays, is_rays) = (sights.encode(), are_rays.clone());
+    vec![
+        Target::dressed("elements", vec![columns(&elements)], dress, move |bytes| underway(bytes, &of_links)),
+        Target::dressed("links", vec![columns(&links)], dress, move |bytes| with_links(&of_elements, bytes)),
+        Target::of("rays", vec![rays.clone()], is_rays),
+        Target::dressed("rays, inside", vec![columns(&rays)], dress, are_rays),
+        Target::dressed("guides", vec![columns(&found)], dress, are_guides),
     ]
 }
 

@@ -326,7 +326,7 @@ fn frames_share_a_first_pass_if_nothing_but_the_view_changes() {
     };
     let key = |text: &str, settings: &Settings| {
         let found = frame_key(&Source::new(scene(text)), settings, 1).unwrap_or_else(|e| panic!("{e}"));
-        first_pass_key(&found, Method::Fem)
+        first_pass_key(&found, Method::Fem, 1)
     };
     let settings = Settings::default();
     let here = key(&text(".3 .4 .2", ".5"), &settings);

@@ -1,4 +1,4 @@
-//! The first pass of a world: what is solved once for all frames, and all jobs, that are of it.
+//! The first pass of a world: what is solved once for all frames, and all jobs, that are of it. It is one task, or many steps of it.
 
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -6,7 +6,7 @@ use std::sync::atomic::Ordering;
 use femc_model::{Digest, Failure, Phase, Role, Template};
 use femc_pipeline::{FirstPassReport, RenderError};
 
-use super::{Product, Tools, unfit};
+use super::{Product, Tools, first_pass_steps, unfit};
 use crate::clock::Stopwatch;
 use crate::table::Task;
 
@@ -21,7 +21,9 @@ pub(crate) fn first_pass(task: &Task, stage: &Template, tools: &Tools) -> Result
         return Err(unfit("the job's graph has a first pass, its method has none"));
     }
     let frame_key = read.frame_key(frame)?;
-    if spec.content(0) != Some(Digest::from_bytes(femc_pipeline::first_pass_key(&frame_key, read.settings.method))) {
+    let method = read.settings.method;
+    let key = femc_pipeline::first_pass_key(&frame_key, method, first_pass_steps::blocks(&spec.graph));
+    if spec.content(0) != Some(Digest::from_bytes(key)) {
         return Err(unfit("the job's content is not what its key says"));
     }
     let (_, prepared) = tools.cache.world(spec, frame, &task.client, &tools.fetch)?;
@@ -29,16 +31,19 @@ pub(crate) fn first_pass(task: &Task, stage: &Template, tools: &Tools) -> Result
     tracing::debug!(frame, seconds = watch.seconds(), "the world is ready");
     task.enter(Phase::Working);
     let solving = Stopwatch::start();
+    if !stage.needs.is_empty() || !stage.makes.contains(&Role::Field) {
+        let mut product = first_pass_steps::step(task, stage, tools, (method, &prepared), &solving)?;
+        task.units.store(1, Ordering::Relaxed);
+        product.result.seconds = watch.seconds();
+        return Ok(product);
+    }
     let solved = tools.install(task, || {
-        let solution = femc_pipeline::first_pass(&prepared, read.settings.method, &task.cancel)?;
+        let solution = femc_pipeline::first_pass(&prepared, method, &task.cancel)?;
         let bytes = femc_pipeline::encode_solution(&solution);
         log(&solution.report, bytes.len(), &solving);
         Ok((bytes, Arc::new(solution.field)))
     });
-    let (bytes, field) = solved.map_err(|error: RenderError| match error {
-        RenderError::Cancelled => Failure::Cancelled,
-        RenderError::Film(error) => unfit(error),
-    })?;
+    let (bytes, field) = solved.map_err(failed)?;
     task.units.store(1, Ordering::Relaxed);
     // Who has solved it need not fetch it.
     tools.cache.keep_field(Digest::of(&bytes), field);
@@ -48,7 +53,14 @@ pub(crate) fn first_pass(task: &Task, stage: &Template, tools: &Tools) -> Result
     Ok(product)
 }
 
-fn log(report: &FirstPassReport, stored: usize, solving: &Stopwatch) {
+pub(super) fn failed(error: RenderError) -> Failure {
+    match error {
+        RenderError::Cancelled => Failure::Cancelled,
+        RenderError::Film(error) => unfit(error),
+    }
+}
+
+pub(super) fn log(report: &FirstPassReport, stored: usize, solving: &Stopwatch) {
     let FirstPassReport {
         elements,
         leaves,

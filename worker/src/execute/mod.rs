@@ -4,6 +4,7 @@ mod decide;
 mod drill;
 mod encode;
 mod first_pass;
+mod first_pass_steps;
 mod image;
 mod reduce;
 mod render;
@@ -104,7 +105,7 @@ fn attempt(task: &Task, tools: &Tools) -> Result<Product, Failure> {
         StageKind::Drill => drill::drill(task, stage, tools),
         StageKind::Decide => decide::decide(task, stage, tools),
         StageKind::Encode => encode::encode(task, stage, tools),
-        StageKind::FirstPass => first_pass::first_pass(task, stage, tools),
+        StageKind::FirstPass | StageKind::FirstPassBlock => first_pass::first_pass(task, stage, tools),
     };
     let measured = tools.memory.begin(stage.kind, &tools.cache)?;
     let outcome = std::panic::catch_unwind(AssertUnwindSafe(work))

@@ -146,7 +146,8 @@ async fn a_worker_that_solves_a_first_pass_is_free_within_a_second() {
     let config = femc_worker::Config { threads: 1, ..femc_worker::Config::new(farm.url()) };
     let worker = tokio::spawn(Worker::run(config, pending()));
     let (small, _) = common::job(1);
-    let key = femc_pipeline::first_pass_key(&femc_pipeline::frame_key(&source, &settings, 1).unwrap(), settings.method);
+    let key =
+        femc_pipeline::first_pass_key(&femc_pipeline::frame_key(&source, &settings, 1).unwrap(), settings.method, 1);
     let spec = JobSpec {
         name: "balls".into(),
         bundle: Digest::of(&bundle),

@@ -447,7 +447,7 @@ fn with_first_pass() -> (JobSpec, Vec<u8>) {
     let source = Source::new(Arc::new(femc_import::load(&files, &spec.entry).unwrap().scene));
     let content = |&frame: &u32| {
         let frame_key = femc_pipeline::frame_key(&source, &settings, frame).unwrap();
-        (frame, Digest::from_bytes(femc_pipeline::first_pass_key(&frame_key, settings.method)))
+        (frame, Digest::from_bytes(femc_pipeline::first_pass_key(&frame_key, settings.method, 1)))
     };
     (JobSpec { contents: spec.frames.iter().map(content).collect(), ..spec }, bundle)
 }

@@ -15,15 +15,12 @@ pub struct Aim(Option<(Block, f32)>);
 pub struct Aims {
     of: Vec<u32>,
     aims: Vec<Aim>,
-    /// Whether more rays are worth casting, as some have to find how much comes through portals.
-    pub worth_more: bool,
 }
 
 impl Aims {
     /// - `of`: by leaf in this order of `leaves`.
-    pub fn new(arena: &Arena, leaves: &[u32], (of, lobes): (&[Guide], &[Lobe]), worth_more: bool) -> Self {
-        let of_elements = vec![NONE; arena.elements.len()];
-        let mut out = Self { of: of_elements, aims: Vec::new(), worth_more };
+    pub fn new(arena: &Arena, leaves: &[u32], of: &[Guide], lobes: &[Lobe]) -> Self {
+        let mut out = Self { of: vec![NONE; arena.elements.len()], aims: Vec::new() };
         let mut known = HashMap::new();
         for (&leaf, guide) in leaves.iter().zip(of).filter(|(_, guide)| guide.count > 0) {
             let range = guide.first as usize..(guide.first + guide.count) as usize;

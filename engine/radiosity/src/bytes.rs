@@ -1,0 +1,178 @@
+//! What machines that share a first pass send each other: columns of numbers.
+//!
+//! A column holds one number of every row, byte by byte: all first bytes, then all second ones, as those of neighbors are alike. All columns
+//! are compressed together. The numbers are exact: who reads them goes on with the same bits.
+
+use femc_math::Rgb;
+use femc_math::glam::Vec3A;
+use std::io::Read as _;
+
+/// Level of zstd: fast, as all is read once or twice.
+const LEVEL: i32 = 1;
+/// Most bytes of all columns.
+const MOST: u64 = 1 << 33;
+
+/// Bytes that are not what a step of a first pass has made.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("what a step of the first pass has made is damaged: {0}")]
+pub struct Damaged(pub &'static str);
+
+/// Columns that are written.
+#[derive(Debug, Default)]
+pub struct Writer(Vec<u8>);
+
+impl Writer {
+    /// - `what`: eight letters and digits that say what follows, and in which version.
+    pub fn new(what: &[u8; 8]) -> Self {
+        Self(what.to_vec())
+    }
+
+    pub fn number(&mut self, number: u64) {
+        self.0.extend(number.to_le_bytes());
+    }
+
+    pub fn bytes(&mut self, bytes: impl ExactSizeIterator<Item = u8>) {
+        self.number(bytes.len() as u64);
+        self.0.extend(bytes);
+    }
+
+    pub fn numbers(&mut self, numbers: impl ExactSizeIterator<Item = u32>) {
+        let (count, first) = (numbers.len(), self.0.len() + 8);
+        self.number(count as u64);
+        self.0.resize(first + 4 * count, 0);
+        let planes = &mut self.0[first..];
+        for (at, number) in numbers.enumerate() {
+            number.to_le_bytes().into_iter().enumerate().for_each(|(plane, byte)| planes[plane * count + at] = byte);
+        }
+    }
+
+    /// Rows of so many numbers.
+    pub fn rows<const N: usize>(&mut self, rows: &[[f32; N]]) {
+        (0..N).for_each(|column| self.numbers(rows.iter().map(|row| row[column].to_bits())));
+    }
+
+    pub fn finish(self) -> Vec<u8> {
+        // It is written to memory: that does not fail.
+        zstd::bulk::compress(&self.0, LEVEL).unwrap_or_default()
+    }
+}
+
+/// Columns that are read.
+#[derive(Debug)]
+pub struct Reader {
+    bytes: Vec<u8>,
+    at: usize,
+}
+
+impl Reader {
+    pub fn new(bytes: &[u8], what: &[u8; 8]) -> Result<Self, Damaged> {
+        let decoder = zstd::stream::read::Decoder::with_buffer(bytes).map_err(|_| Damaged("its columns"))?;
+        let mut all = Vec::new();
+        decoder.take(MOST).read_to_end(&mut all).map_err(|_| Damaged("its columns"))?;
+        if !all.starts_with(what) {
+            return Err(Damaged("it is something else, or of another version"));
+        }
+        Ok(Self { bytes: all, at: what.len() })
+    }
+
+    fn take(&mut self, count: usize) -> Result<&[u8], Damaged> {
+        let end = self.at.checked_add(count).filter(|&end| end <= self.bytes.len()).ok_or(Damaged("it ends early"))?;
+        let taken = &self.bytes[self.at..end];
+        self.at = end;
+        Ok(taken)
+    }
+
+    pub fn number(&mut self) -> Result<u64, Damaged> {
+        let bytes = self.take(8)?.first_chunk::<8>().copied();
+        bytes.map(u64::from_le_bytes).ok_or(Damaged("it ends early"))
+    }
+
+    pub fn bytes(&mut self) -> Result<Vec<u8>, Damaged> {
+        let count = self.number()?;
+        Ok(self.take(usize::try_from(count).unwrap_or(usize::MAX))?.to_vec())
+    }
+
+    pub fn numbers(&mut self) -> Result<Vec<u32>, Damaged> {
+        let count = usize::try_from(self.number()?).unwrap_or(usize::MAX);
+        let planes = self.take(count.saturating_mul(4))?;
+        let of = |at: usize| u32::from_le_bytes([0, 1, 2, 3].map(|plane| planes[plane * count + at]));
+        Ok((0..count).map(of).collect())
+    }
+
+    /// So many rows.
+    pub fn rows<const N: usize>(&mut self, count: usize) -> Result<Vec<[f32; N]>, Damaged> {
+        if count.saturating_mul(4 * N) > self.bytes.len() - self.at {
+            return Err(Damaged("it ends early"));
+        }
+        let mut rows = vec![[0.0; N]; count];
+        for column in 0..N {
+            let numbers = self.numbers()?;
+            if numbers.len() != count {
+                return Err(Damaged("its columns differ in length"));
+            }
+            rows.iter_mut().zip(numbers).for_each(|(row, bits)| row[column] = f32::from_bits(bits));
+        }
+        Ok(rows)
+    }
+
+    /// Nothing may follow.
+    pub fn end(self) -> Result<(), Damaged> {
+        if self.at == self.bytes.len() { Ok(()) } else { Err(Damaged("something follows its end")) }
+    }
+}
+
+/// Colors as numbers, and back.
+pub fn flat<const N: usize, const M: usize>(colors: &[Rgb; N]) -> [f32; M] {
+    std::array::from_fn(|at| colors[at / 3].to_array()[at % 3])
+}
+
+pub fn colors<const N: usize>(numbers: &[f32]) -> [Rgb; N] {
+    std::array::from_fn(|at| Rgb::from_array([0, 1, 2].map(|channel| numbers[3 * at + channel])))
+}
+
+/// A place by its numbers.
+pub fn place(numbers: &[f32]) -> Vec3A {
+    Vec3A::from_array([0, 1, 2].map(|axis| numbers[axis]))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn columns_come_back_to_the_bit_and_damage_is_said() {
+        let rows = [[1.5f32, -0.0, f32::NAN], [f32::MIN_POSITIVE, 3.0e38, 7.0]];
+        let mut writer = Writer::new(b"columns1");
+        writer.number(7);
+        writer.numbers([1u32, u32::MAX, 3].into_iter());
+        writer.rows(&rows);
+        writer.bytes([5u8, 6].into_iter());
+        let bytes = writer.finish();
+        let mut reader = Reader::new(&bytes, b"columns1").unwrap();
+        assert_eq!(reader.number(), Ok(7));
+        assert_eq!(reader.numbers(), Ok(vec![1, u32::MAX, 3]));
+        let back: Vec<[f32; 3]> = reader.rows(2).unwrap();
+        assert_eq!(back.map_bits(), rows.to_vec().map_bits());
+        assert_eq!(reader.bytes(), Ok(vec![5, 6]));
+        assert_eq!(reader.end(), Ok(()));
+        assert!(Reader::new(&bytes, b"columns2").is_err());
+        for end in 0..bytes.len() {
+            let read = Reader::new(&bytes[..end], b"columns1").and_then(|mut it| it.number().map(drop));
+            assert!(read.is_err(), "{end} bytes");
+        }
+        let mut reader = Reader::new(&bytes, b"columns1").unwrap();
+        assert_eq!(reader.number(), Ok(7));
+        assert_eq!(reader.rows::<3>(2), Err(Damaged("its columns differ in length")));
+        assert_eq!(reader.rows::<3>(usize::MAX), Err(Damaged("it ends early")));
+    }
+
+    trait Bits {
+        fn map_bits(&self) -> Vec<[u32; 3]>;
+    }
+
+    impl Bits for Vec<[f32; 3]> {
+        fn map_bits(&self) -> Vec<[u32; 3]> {
+            self.iter().map(|row| row.map(f32::to_bits)).collect()
+        }
+    }
+}

@@ -65,7 +65,7 @@ impl Written {
     }
 
     fn of(args: RenderArgs) -> Self {
-        let RenderArgs { scene, out, exposure, report, fresh, extras, format, settings, replay: _ } = args;
+        let RenderArgs { scene, out, exposure, report, fresh, extras, format, settings, replay: _, watch: _ } = args;
         let ExtrasArgs { video, preview, contact_sheet } = extras;
         let flags = [
             ("--out", out.is_some()),

@@ -29,7 +29,7 @@ pub fn first_pass(prepared: &Prepared, method: Method, cancel: &AtomicBool) -> R
 
 /// Digest of all that a solution depends on: the frame's world around its origin, and the options of the method's first pass. Neither film,
 /// camera, seed nor samples: frames with equal keys share the solution.
-/// - `blocks`: of [`first_pass_blocks`]. They change no bit of the solution, but who shares it shares the tasks that it is made by.
+/// - `blocks`: of [`first_pass_blocks`](crate::first_pass_blocks). They change no bit of the solution, but who shares it shares the tasks that it is made by.
 pub fn first_pass_key(frame_key: &FrameKey, method: Method, blocks: u32) -> [u8; 32] {
     let Options { error, memory, guides } = options(method);
     let mut hasher = blake3::Hasher::new();

@@ -362,8 +362,10 @@ mod tests {
     /// A way from a floor of 4 m, in a direction by the cosine, to the wall or ceiling of the room over it.
     fn any(number: &mut impl FnMut() -> f64) -> Line {
         let origin = DVec3::new(4.0 * number(), 4.0 * number(), 0.0);
-        let (radius, turn) = (number().sqrt(), 2.0 * PI * number());
-        let dir = DVec3::new(radius * turn.cos(), radius * turn.sin(), (1.0 - radius * radius).max(1e-9).sqrt());
+        let radius = number().sqrt();
+        let (sin, cos) = sin_cos((2.0 * PI * number()) as f32);
+        let rise = (1.0 - radius * radius).max(1e-9).sqrt();
+        let dir = DVec3::new(radius * f64::from(cos), radius * f64::from(sin), rise);
         let room = DVec3::new(4.0, 4.0, 3.0);
         let out =
             (0..3).map(|axis| (if dir[axis] > 0.0 { room[axis] - origin[axis] } else { -origin[axis] }) / dir[axis]);

@@ -256,11 +256,11 @@ impl Chronicle {
                 Drain::Undo => drop(self.drained.remove(instance)),
             },
             Fact::Controlled { job, control } => {
-                if !job.is_shared() && !asked.contains(&(*job, *control)) {
-                    wrong.push(Violation::Unasked { job: *job, control: *control });
+                if !job.is_shared() && !asked.contains(&(*job, control.clone())) {
+                    wrong.push(Violation::Unasked { job: *job, control: control.clone() });
                 }
                 if let Some(record) = self.jobs.get_mut(job) {
-                    record.steered(place, *control);
+                    record.steered(place, control);
                 }
             }
             Fact::Doomed { job, failure } => {
@@ -413,31 +413,32 @@ impl Chronicle {
     }
 
     /// Whether what was acknowledged since `place` was done by then.
-    pub(crate) fn holds(&self, job: JobId, control: Control, place: Place) -> Option<Violation> {
+    pub(crate) fn holds(&self, job: JobId, control: &Control, place: Place) -> Option<Violation> {
         let record = self.jobs.get(&job)?;
-        let is_written = record.controls.iter().any(|(at, written)| *at > place && *written == control);
+        let is_written = record.controls.iter().any(|(at, written)| *at > place && written == control);
         let is_so = |standing: Standing| match control {
             Control::Pause => standing.hold == Hold::Paused,
             Control::Resume => standing.hold == Hold::Free,
             Control::Cancel => false,
-            Control::Retry => standing.hold != Hold::Cancelled && !standing.doomed,
-            Control::Priority(priority) => standing.priority == priority,
+            Control::Retry | Control::RetryFrames(_) => standing.hold != Hold::Cancelled && !standing.doomed,
+            Control::Priority(priority) => standing.priority == *priority,
         };
         let holds = is_written || record.since(place).any(is_so);
-        (!holds).then_some(Violation::Unwritten { job, control })
+        (!holds).then(|| Violation::Unwritten { job, control: control.clone() })
     }
 
     /// Whether a refusal because the job has ended is right at some moment since `place`.
-    pub(crate) fn may_refuse(&self, job: JobId, control: Control, place: Place) -> Option<Violation> {
+    pub(crate) fn may_refuse(&self, job: JobId, control: &Control, place: Place) -> Option<Violation> {
         let record = self.jobs.get(&job)?;
         let frames = record.spec.frames.len() as u32;
-        let has_ended = |standing: Standing| match control {
-            Control::Retry => standing.finished == frames,
-            _ => standing.hold == Hold::Cancelled || standing.doomed || standing.finished == frames,
+        let is_retry = matches!(control, Control::Retry | Control::RetryFrames(_));
+        let has_ended = |standing: Standing| match is_retry {
+            true => standing.finished == frames,
+            false => standing.hold == Hold::Cancelled || standing.doomed || standing.finished == frames,
         };
-        let is_blocked = control != Control::Retry && self.is_blocked(record);
+        let is_blocked = !is_retry && self.is_blocked(record);
         let is_right = is_blocked || record.since(place).any(has_ended);
-        (!is_right).then_some(Violation::Refused { job, control })
+        (!is_right).then(|| Violation::Refused { job, control: control.clone() })
     }
 
     /// Seconds of the results of a finished frame.
@@ -453,23 +454,30 @@ const DEATHS: usize = 5;
 
 impl Record {
     fn is_retried_since(&self, place: Place) -> bool {
-        self.controls.iter().any(|(at, control)| *at > place && *control == Control::Retry)
+        self.controls
+            .iter()
+            .any(|(at, control)| *at > place && matches!(control, Control::Retry | Control::RetryFrames(_)))
     }
 
-    fn steered(&mut self, place: Place, control: Control) {
-        self.controls.push((place, control));
+    fn steered(&mut self, place: Place, control: &Control) {
+        self.controls.push((place, control.clone()));
         let before = self.now();
         let after = match control {
             Control::Pause => Standing { hold: Hold::Paused, ..before },
             Control::Resume => Standing { hold: Hold::Free, ..before },
             Control::Cancel => Standing { hold: Hold::Cancelled, ..before },
             Control::Retry => Standing { hold: Hold::Free, doomed: false, ..before },
-            Control::Priority(priority) => Standing { priority, ..before },
+            Control::Priority(priority) => Standing { priority: *priority, ..before },
+            Control::RetryFrames(_) => before,
         };
         self.stands(place, after);
-        if control == Control::Retry {
-            self.troubles.clear();
-            self.doom = None;
+        match control {
+            Control::Retry => {
+                self.troubles.clear();
+                self.doom = None;
+            }
+            Control::RetryFrames(frames) => self.troubles.retain(|task, _| !frames.contains(&task.stage.frame)),
+            Control::Pause | Control::Resume | Control::Cancel | Control::Priority(_) => {}
         }
     }
 }

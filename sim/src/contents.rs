@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
-use femc_model::{Assignment, Digest, JobId, JobSpec, Scope, Stage, TaskKey};
+use femc_model::{Assignment, Control, Digest, JobId, JobSpec, Scope, Stage, TaskKey};
 use femc_schedule::Fact;
 
 use crate::audit::Violation;
@@ -174,7 +174,7 @@ impl Chronicle {
             Fact::Controlled { job, control } if job.is_shared() => {
                 let key = self.contents.key_of(*job).map(|(key, _)| *key);
                 let is_asked_for = key.is_some_and(|key| self.contents.again.contains(&key));
-                (!is_asked_for).then_some(Violation::Unasked { job: *job, control: *control })
+                (!is_asked_for).then_some(Violation::Unasked { job: *job, control: control.clone() })
             }
             // A job needs what its frames are made of, whether it runs or not.
             Fact::Forgotten { job } if job.is_shared() => {
@@ -203,7 +203,8 @@ impl Chronicle {
             _ => {}
         }
         let asked = match fact {
-            Fact::Submitted { job, .. } | Fact::Controlled { job, control: femc_model::Control::Retry } => Some(job),
+            Fact::Submitted { job, .. }
+            | Fact::Controlled { job, control: Control::Retry | Control::RetryFrames(_) } => Some(job),
             _ => None,
         };
         if asked.is_none_or(|job| !job.is_shared()) {

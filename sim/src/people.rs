@@ -352,9 +352,10 @@ impl Person<'_> {
         if self.shared.is_over(asked) {
             return Err(over());
         }
-        self.shared.steers(job, control);
-        let answered = answer(self.shared, asked, &async |client: Client| client.control(job, control).await).await;
-        self.shared.hears_steered(now, job, control, &answered);
+        self.shared.steers(job, &control);
+        let steers = async |client: Client| client.control(job, control.clone()).await;
+        let answered = answer(self.shared, asked, &steers).await;
+        self.shared.hears_steered(now, job, &control, &answered);
         answered
     }
 

@@ -72,15 +72,16 @@ impl Shared {
     }
 
     /// Somebody is about to steer a job.
-    pub(crate) fn steers(&self, job: JobId, control: Control) {
+    pub(crate) fn steers(&self, job: JobId, control: &Control) {
         let mut state = self.lock();
-        if !state.answers.controls.contains(&(job, control)) {
-            state.answers.controls.push((job, control));
+        let asked = (job, control.clone());
+        if !state.answers.controls.contains(&asked) {
+            state.answers.controls.push(asked);
         }
     }
 
     /// And was answered.
-    pub(crate) fn hears_steered(&self, asked: Asked, job: JobId, control: Control, answer: &Result<(), Refusal>) {
+    pub(crate) fn hears_steered(&self, asked: Asked, job: JobId, control: &Control, answer: &Result<(), Refusal>) {
         self.heard(asked, |state| match answer {
             Ok(()) => state.chronicle.holds(job, control, asked.place),
             Err(Refusal::Ended { .. }) => state.chronicle.may_refuse(job, control, asked.place),

@@ -177,9 +177,10 @@ pub enum Command {
     #[command(after_help = "Examples:\n  femc cancel 7\n  femc cancel 5 6 7\n  femc cancel --owner ann --name 'fog-*'")]
     Cancel(command::control::JobsArgs),
     /// Try again what failed of jobs, or what a cancel left undone
-    #[command(after_help = "Examples:\n  femc retry 7\n\n\
-        Of a job that is done, the images are read: frames whose image is damaged or gone are rendered again.")]
-    Retry(command::control::JobsArgs),
+    #[command(after_help = "Examples:\n  femc retry 7\n  femc retry 7 --frames 3,7..9\n\n\
+        Of a job that is done, and of the frames that are named, the images are read: frames whose image is damaged or gone are\n\
+        rendered again.")]
+    Retry(command::control::RetryArgs),
     /// Change a job's priority
     Priority(command::control::PriorityArgs),
     /// Print a completion script for a shell

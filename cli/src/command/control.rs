@@ -3,9 +3,11 @@
 use super::client::{self, Farm};
 use crate::args::{SelectArgs, ServerArgs};
 use crate::exit::{Exit, Failure, usage};
-use crate::output::{Say, job as show};
+use crate::output::{Say, human, job as show};
+use crate::request::Frames;
 use clap::Args;
 use femc_model::{Control, JobId, JobState, JobStatus, Wait};
+use std::collections::BTreeSet;
 
 /// Jobs and their farm.
 #[derive(Debug, Args)]
@@ -17,6 +19,16 @@ pub struct JobsArgs {
     select: SelectArgs,
     #[command(flatten)]
     server: ServerArgs,
+}
+
+/// Jobs, their farm, and frames of theirs.
+#[derive(Debug, Args)]
+pub struct RetryArgs {
+    #[command(flatten)]
+    jobs: JobsArgs,
+    /// Only these frames: K, A..B or A..B+STEP, with commas between them; a pause stays
+    #[arg(long, value_name = "FRAMES", value_delimiter = ',', conflicts_with_all = ["owner", "name"])]
+    frames: Vec<Frames>,
 }
 
 /// A job, its farm and a priority.
@@ -34,27 +46,52 @@ pub struct PriorityArgs {
 }
 
 /// Do `control` to the jobs: to each, whatever becomes of the others.
-pub fn run(args: &JobsArgs, control: Control, say: Say) -> Result<Exit, Failure> {
+pub fn run(args: &JobsArgs, control: &Control, say: Say) -> Result<Exit, Failure> {
+    do_to(args, control, &[], say)
+}
+
+/// Try again what failed, of all frames or of some.
+pub fn retry(args: &RetryArgs, say: Say) -> Result<Exit, Failure> {
+    do_to(&args.jobs, &Control::Retry, &args.frames, say)
+}
+
+fn do_to(args: &JobsArgs, control: &Control, frames: &[Frames], say: Say) -> Result<Exit, Failure> {
     client::block_on(&args.server, async |farm| {
         let jobs =
             if args.select.is_empty() { args.jobs.clone() } else { selected(&args.select, control, farm).await? };
         if jobs.is_empty() {
             return Err(usage("no job of this owner and name to which this could be done; `femc jobs` lists them"));
         }
-        steer(farm, &jobs, control, say).await
+        steer(farm, &jobs, control, frames, say).await
     })
+}
+
+/// The numbers of the frames, if all of them are the job's.
+async fn named(farm: &Farm, job: JobId, frames: &[Frames]) -> Result<Vec<u32>, Failure> {
+    let there = farm.spec(job).await?.frames;
+    let mut named = BTreeSet::new();
+    for frames in frames {
+        named.extend(frames.among(&there).map_err(|frame| {
+            let (first, last) = (there.first().unwrap_or(&0), there.last().unwrap_or(&0));
+            let count = human::count(there.len() as u64, "frame");
+            usage(format!("job {job} has no frame {frame}: it has {count}, from {first} to {last}"))
+        })?);
+    }
+    Ok(named.into_iter().collect())
 }
 
 /// Change the priority.
 pub fn prioritize(args: &PriorityArgs, say: Say) -> Result<Exit, Failure> {
     let control = Control::Priority(args.priority);
-    client::block_on(&args.server, async |farm| steer(farm, &[args.job], control, say).await)
+    client::block_on(&args.server, async |farm| steer(farm, &[args.job], &control, &[], say).await)
 }
 
 /// The jobs that are meant and to which this can be done.
-async fn selected(select: &SelectArgs, control: Control, farm: &Farm) -> Result<Vec<u64>, Failure> {
+async fn selected(select: &SelectArgs, control: &Control, farm: &Farm) -> Result<Vec<u64>, Failure> {
     let can = |job: &JobStatus| match control {
-        Control::Retry => matches!(job.state, JobState::Failed | JobState::Cancelled) || !job.quarantined.is_empty(),
+        Control::Retry | Control::RetryFrames(_) => {
+            matches!(job.state, JobState::Failed | JobState::Cancelled) || !job.quarantined.is_empty()
+        }
         Control::Resume => job.state == JobState::Paused,
         Control::Pause | Control::Cancel | Control::Priority(_) => !job.state.has_ended(),
     };
@@ -62,17 +99,29 @@ async fn selected(select: &SelectArgs, control: Control, farm: &Farm) -> Result<
     Ok(jobs.iter().filter(|job| select.holds(job) && can(job)).map(|job| job.job.0).collect())
 }
 
-async fn steer(farm: &Farm, jobs: &[u64], control: Control, say: Say) -> Result<Exit, Failure> {
+/// - `frames`: those to which a retry is limited; all where none is named.
+async fn steer(farm: &Farm, jobs: &[u64], control: &Control, frames: &[Frames], say: Say) -> Result<Exit, Failure> {
     let done = match control {
         Control::Pause => "is paused; `femc resume` ends that".to_owned(),
         Control::Resume => "goes on".to_owned(),
         Control::Cancel => "is cancelled; finished frames stay, and `femc retry` would do the others".to_owned(),
-        Control::Retry => "tries again what failed".to_owned(),
+        Control::Retry if !frames.is_empty() => {
+            let frames: Vec<String> = frames.iter().map(ToString::to_string).collect();
+            format!("tries again what failed of the frames {}", frames.join(", "))
+        }
+        Control::Retry | Control::RetryFrames(_) => "tries again what failed".to_owned(),
         Control::Priority(priority) => format!("has priority {priority}"),
     };
     let mut failures = Vec::new();
     for &job in jobs {
-        match farm.control(JobId(job), control).await {
+        let steered = async {
+            let control = match frames {
+                [] => control.clone(),
+                frames => Control::RetryFrames(named(farm, JobId(job), frames).await?),
+            };
+            farm.control(JobId(job), control).await
+        };
+        match steered.await {
             Ok(()) => {
                 say.note(format!("job {job} {done}"));
                 lost_images(farm, job, control).await.iter().for_each(|line| say.note(line));
@@ -86,8 +135,8 @@ async fn steer(farm: &Farm, jobs: &[u64], control: Control, say: Say) -> Result<
 }
 
 /// What a retry found to be done again.
-async fn lost_images(farm: &Farm, job: u64, control: Control) -> Vec<String> {
-    if control != Control::Retry {
+async fn lost_images(farm: &Farm, job: u64, control: &Control) -> Vec<String> {
+    if *control != Control::Retry {
         return Vec::new();
     }
     // It is done, whether or not the farm still says what for.

@@ -66,6 +66,13 @@ impl Frames {
         is_even.then_some(Self { first, last, step })
     }
 
+    /// Its frames that `frames` has, ascending; the first that it has not, otherwise.
+    /// - `frames`: ascending.
+    pub fn among(self, frames: &[u32]) -> Result<Vec<u32>, u32> {
+        let named = (self.first..=self.last).step_by(self.step as usize);
+        named.map(|frame| frames.binary_search(&frame).map(|_| frame).map_err(|_| frame)).collect()
+    }
+
     /// The frames named, ascending, given that the clip has frames 1..=`available`.
     pub fn resolve(self, available: u32) -> Result<Vec<u32>, FramesError> {
         let last = self.first + (self.last - self.first) / self.step * self.step;

@@ -355,3 +355,33 @@ fn a_damaged_image_is_named_and_its_frame_is_rendered_again_by_fetch_and_by_retr
     place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
     same_as_one_process(&place, SETTINGS);
 }
+
+#[test]
+fn a_retry_of_single_frames_reads_their_images_and_leaves_the_others_as_they_are() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    let _worker = worker(&place, &url);
+    let job = submit(&place, &url, SETTINGS);
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    let all = names(&place.path("out"));
+    for name in &all[1..3] {
+        let at = image(&place, &format!("out/{name}"));
+        let whole = std::fs::read(&at).expect("an image");
+        std::fs::write(at, &whole[..whole.len() / 3]).expect("it is cut");
+    }
+    for (frames, word) in [("9", "no frame 9"), ("1..1000000000", "no frame"), ("0", "count from 1"), ("3,", "")] {
+        let ran = place.run(&format!("retry {job} --frames {frames} --server {url}")).exits(2);
+        assert!(ran.stderr().contains(word), "{frames}: {}", ran.stderr());
+    }
+    let ran = place.run(&format!("retry {job} --frames 1,3 --server {url}")).exits(0);
+    assert!(ran.stderr().contains("of the frames 1, 3"), "{}", ran.stderr());
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    std::fs::remove_dir_all(place.path("out")).expect("fetched before");
+    let ran = place.run(&format!("fetch {job} -o out --server {url}")).exits(1);
+    let (asked, other) = (format!("frame 3 of job {job}"), format!("frame 2 of job {job}"));
+    assert!(ran.stderr().contains(&other) && !ran.stderr().contains(&asked), "{}", ran.stderr());
+    place.run(&format!("watch {job} --server {url}")).exits(0);
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    same_as_one_process(&place, SETTINGS);
+}

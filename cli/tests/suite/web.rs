@@ -114,7 +114,17 @@ fn a_page_sees_a_job_from_its_submission_to_its_picture_and_steers_it() {
         let error = &answer.json()["error"];
         assert!(error["message"].as_str().is_some_and(|it| !it.is_empty()) && error["help"].is_string(), "{path}");
     }
-    for body in ["", "{}", "{\"jobs\":[1],\"action\":\"explode\"}", "{\"jobs\":[1],\"action\":\"priority\"}"] {
+    let retried = control(&format!("{{\"jobs\":[{job}],\"action\":\"retry\",\"frames\":[2,7]}}"));
+    assert_eq!((&retried["done"][0], &retried["refused"][0]["code"]), (&().into(), &"invalid".into()));
+    assert!(retried["refused"][0]["message"].as_str().is_some_and(|it| it.contains("frame 7")), "{retried}");
+    for body in [
+        "",
+        "{}",
+        "{\"jobs\":[1],\"action\":\"explode\"}",
+        "{\"jobs\":[1],\"action\":\"priority\"}",
+        "{\"jobs\":[1],\"action\":\"pause\",\"frames\":[1]}",
+        "{\"jobs\":[1],\"action\":\"retry\",\"frames\":[-1]}",
+    ] {
         assert_eq!(ask(&address, "POST /api/v1/jobs/control", &CHANGE, body).status, 400, "{body}");
     }
 }

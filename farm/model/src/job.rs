@@ -245,7 +245,7 @@ impl JobState {
 }
 
 /// What a person may do to a job.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub enum Control {
     /// Lease no more of it.
     Pause,
@@ -257,6 +257,9 @@ pub enum Control {
     Retry,
     /// Change the priority (0..=100).
     Priority(u8),
+    /// Try again what failed of these frames, and nothing else: a pause stays, and so do the failures of other frames. What of
+    /// them is shared with others is tried again for all who need it.
+    RetryFrames(Vec<u32>),
 }
 
 #[cfg(test)]

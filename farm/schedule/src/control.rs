@@ -26,7 +26,7 @@ impl Scheduler {
         let job = self.ledger.next_job();
         self.record(Fact::Submitted { job, key, spec, cut: Cut::Grains(self.config.grain) }, now, out);
         self.rebuild(job);
-        self.retry_shared(job, now, out);
+        self.retry_shared(job, |_| true, now, out);
         out.push(Command::Changed(job));
         Ok(Answer::Submitted(job))
     }
@@ -59,33 +59,52 @@ impl Scheduler {
         if id.is_shared() {
             return Err(Refusal::NoSuchJob { job: id });
         }
+        let control = match control {
+            Control::RetryFrames(frames) => Control::RetryFrames(retried(job, frames)?),
+            other => other,
+        };
         let is_done = job.is_done();
         let has_trouble = !job.blocked.is_empty() || job.units.values().any(|unit| unit.quarantined().next().is_some());
-        let changes = match control {
+        let changes = match &control {
             Control::Pause | Control::Resume | Control::Cancel if job.has_ended() => {
                 return Err(Refusal::Ended { job: id });
             }
-            Control::Retry if is_done => return Err(Refusal::Ended { job: id }),
+            Control::Retry | Control::RetryFrames(_) if is_done => return Err(Refusal::Ended { job: id }),
             Control::Pause => job.hold != Hold::Paused,
             Control::Resume => job.hold != Hold::Free,
             Control::Cancel => true,
+            Control::RetryFrames(_) if job.is_over() => {
+                let message = format!("job {id} was cancelled or has failed as a whole: retry all of it");
+                return Err(Refusal::Invalid { field: "frames".into(), message });
+            }
             Control::Retry => job.has_ended() || has_trouble,
-            Control::Priority(priority) if priority > 100 => {
+            Control::RetryFrames(frames) => frames.iter().any(|&frame| job.has_trouble(frame)),
+            Control::Priority(priority) if *priority > 100 => {
                 return Err(Refusal::Invalid { field: "priority".into(), message: "at most 100".into() });
             }
-            Control::Priority(priority) => job.spec.priority != priority,
+            Control::Priority(priority) => job.spec.priority != *priority,
         };
-        let has_gaps = job.frames_blocked() > 0 && job.spec.graph.has_gaps();
+        let fills_gaps = job.spec.graph.has_gaps()
+            && match &control {
+                Control::Retry => job.frames_blocked() > 0,
+                Control::RetryFrames(frames) => frames.iter().any(|frame| job.blocked.contains(frame)),
+                Control::Pause | Control::Resume | Control::Cancel | Control::Priority(_) => false,
+            };
         if changes {
-            if control == Control::Retry && has_gaps {
+            if fills_gaps {
                 self.revoke_frame(id, Stage::OF_JOB, out);
             }
-            self.record(Fact::Controlled { job: id, control }, now, out);
+            self.record(Fact::Controlled { job: id, control: control.clone() }, now, out);
             match control {
                 Control::Cancel => self.revoke_all(id, out),
                 Control::Retry => {
-                    self.forget_deaths(id);
-                    self.retry_shared(id, now, out);
+                    self.forget_deaths(id, |_| true);
+                    self.retry_shared(id, |_| true, now, out);
+                }
+                Control::RetryFrames(frames) => {
+                    let is_meant = |frame: u32| frames.binary_search(&frame).is_ok();
+                    self.forget_deaths(id, is_meant);
+                    self.retry_shared(id, is_meant, now, out);
                 }
                 Control::Pause | Control::Resume | Control::Priority(_) => {}
             }
@@ -115,5 +134,19 @@ impl Scheduler {
         for key in keys {
             self.revoke(&key, RevokeReason::JobEnded, out);
         }
+    }
+}
+
+/// The frames that are to be tried again, ascending and each once, if all of them are the job's.
+fn retried(job: &Job, mut frames: Vec<u32>) -> Result<Vec<u32>, Refusal> {
+    let invalid = |message| Refusal::Invalid { field: "frames".into(), message };
+    frames.sort_unstable();
+    frames.dedup();
+    if frames.is_empty() {
+        return Err(invalid("at least one is wanted".to_owned()));
+    }
+    match frames.iter().find(|frame| job.frames().binary_search(frame).is_err()) {
+        Some(frame) => Err(invalid(format!("frame {frame} is none of the job's"))),
+        None => Ok(frames),
     }
 }

@@ -180,7 +180,7 @@ impl Scheduler {
     }
 
     /// A person gives the job's tasks another chance: what is not counted yet is forgotten.
-    pub(crate) fn forget_deaths(&mut self, job: JobId) {
-        self.deaths.pending.retain(|pending| pending.task.job != job);
+    pub(crate) fn forget_deaths(&mut self, job: JobId, is_meant: impl Fn(u32) -> bool) {
+        self.deaths.pending.retain(|pending| pending.task.job != job || !is_meant(pending.task.stage.frame));
     }
 }

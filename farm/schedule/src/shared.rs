@@ -143,18 +143,23 @@ impl Scheduler {
     }
 
     /// A person tries a job again, or asks for another: so is what it shares and could not be done.
-    pub(crate) fn retry_shared(&mut self, job: JobId, now: Tick, out: &mut Vec<Command>) {
-        let contents: Vec<Digest> = match self.ledger.jobs.get(&job) {
-            Some(job) => job.spec.contents.iter().map(|(_, key)| *key).collect(),
-            None => return,
-        };
+    /// - `is_meant`: frames of the job that are tried again.
+    pub(crate) fn retry_shared(
+        &mut self,
+        job: JobId,
+        is_meant: impl Fn(u32) -> bool,
+        now: Tick,
+        out: &mut Vec<Command>,
+    ) {
+        let Some(job) = self.ledger.jobs.get(&job) else { return };
+        let contents = job.contents_of(is_meant);
         let shared = contents.iter().flat_map(|key| self.ledger.shared_by(key));
         let stuck_shared: Vec<JobId> = shared.filter(|(_, _, shared)| shared.is_stuck()).map(|(_, id, _)| id).collect();
         if stuck_shared.is_empty() {
             return;
         }
         for id in stuck_shared {
-            self.forget_deaths(id);
+            self.forget_deaths(id, |_| true);
             self.revoke_made_with_gaps(id, out);
             self.record(Fact::Controlled { job: id, control: femc_model::Control::Retry }, now, out);
             self.rebuild(id);

@@ -1,5 +1,7 @@
 //! What people do to jobs, by whichever way.
 
+use std::collections::BTreeSet;
+
 use femc_model::{Control, Digest, JobId, JobState, Refusal};
 use femc_store::{Soundness, Store, StoreError};
 
@@ -8,8 +10,8 @@ use crate::call::Call;
 use crate::farm::Farm;
 
 impl<S> Farm<S> {
-    /// Steers a job: a submitter one of its own, others need an operator. Before a retry of a job that is done its images are read:
-    /// those that are damaged or gone are its business again.
+    /// Steers a job: a submitter one of its own, others need an operator. Before a retry of a job that is done its images are read,
+    /// before one of single frames theirs: those that are damaged or gone are its business again.
     pub async fn steer(
         &self,
         store: &Store,
@@ -20,17 +22,24 @@ impl<S> Farm<S> {
         if let Some(caller) = caller {
             caller.may_steer(&self.ask(|reply| Call::Status { job, reply }).await?.owner)?;
         }
-        if control == Control::Retry {
-            self.look_at_images(store, job).await?;
+        match &control {
+            Control::Retry => {
+                if self.ask(|reply| Call::Status { job, reply }).await?.state == JobState::Done {
+                    self.look_at_images(store, job, |_| true).await?;
+                }
+            }
+            Control::RetryFrames(frames) => {
+                let frames: BTreeSet<u32> = frames.iter().copied().collect();
+                self.look_at_images(store, job, |frame| frames.contains(&frame)).await?;
+            }
+            Control::Pause | Control::Resume | Control::Cancel | Control::Priority(_) => {}
         }
         self.ask(|reply| Call::Control { job, control, reply }).await
     }
 
-    async fn look_at_images(&self, store: &Store, job: JobId) -> Result<(), Refusal> {
-        if self.ask(|reply| Call::Status { job, reply }).await?.state != JobState::Done {
-            return Ok(());
-        }
-        for frame in self.ask(|reply| Call::Frames { job, reply }).await? {
+    async fn look_at_images(&self, store: &Store, job: JobId, is_meant: impl Fn(u32) -> bool) -> Result<(), Refusal> {
+        let frames = self.ask(|reply| Call::Frames { job, reply }).await?;
+        for frame in frames.into_iter().filter(|frame| is_meant(frame.frame)) {
             for digest in frame.outputs.iter().map(|output| output.artifact.digest) {
                 let found = store.verify(&digest).await.map_err(|error| store_refusal(&error))?;
                 if !matches!(found, Soundness::Sound(_)) {

@@ -63,6 +63,7 @@ impl From<Control> for wire::control_request::Control {
             Control::Resume => Self::Resume(wire::Empty {}),
             Control::Cancel => Self::Cancel(wire::Empty {}),
             Control::Retry => Self::Retry(wire::Empty {}),
+            Control::RetryFrames(frames) => Self::RetryFrames(wire::FrameNumbers { frames }),
             Control::Priority(priority) => Self::Priority(priority.into()),
         }
     }
@@ -78,6 +79,7 @@ impl TryFrom<wire::control_request::Control> for Control {
             Wire::Resume(_) => Self::Resume,
             Wire::Cancel(_) => Self::Cancel,
             Wire::Retry(_) => Self::Retry,
+            Wire::RetryFrames(wire::FrameNumbers { frames }) => Self::RetryFrames(frames),
             Wire::Priority(value) => Self::Priority(priority(value)?),
         })
     }

@@ -313,19 +313,19 @@ pub struct WatchRequest {
     pub job: u64,
 }
 /// What is to be done to a job.
-#[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct ControlRequest {
     /// Its number.
     #[prost(uint64, tag = "1")]
     pub job: u64,
     /// What; one of these must be there.
-    #[prost(oneof = "control_request::Control", tags = "2, 3, 4, 5, 6")]
+    #[prost(oneof = "control_request::Control", tags = "2, 3, 4, 5, 6, 7")]
     pub control: ::core::option::Option<control_request::Control>,
 }
 /// Nested message and enum types in `ControlRequest`.
 pub mod control_request {
     /// What; one of these must be there.
-    #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Oneof)]
+    #[derive(Clone, PartialEq, Eq, Hash, ::prost::Oneof)]
     pub enum Control {
         /// No more tasks of it are given out; those under way go on.
         #[prost(message, tag = "2")]
@@ -343,7 +343,19 @@ pub mod control_request {
         /// The new priority, 0 to 100.
         #[prost(uint32, tag = "6")]
         Priority(u32),
+        /// Tries again what failed of these frames alone; a pause stays. Their images are read, and frames whose image is damaged or gone
+        /// are rendered again. INVALID_ARGUMENT: one of them is none of the job's, there is none, or the job was cancelled or has failed
+        /// as a whole.
+        #[prost(message, tag = "7")]
+        RetryFrames(super::FrameNumbers),
     }
+}
+/// Some of a job's frames.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct FrameNumbers {
+    /// Their numbers, in any order.
+    #[prost(uint32, repeated, tag = "1")]
+    pub frames: ::prost::alloc::vec::Vec<u32>,
 }
 /// It is done.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]

@@ -125,7 +125,7 @@ export const api = {
     return { pixels: decodePixels(await answer.arrayBuffer()), etag: answer.headers.get('ETag') };
   },
 
-  control: (jobs: number[], action: JobAction, more: { priority?: number } = {}) =>
+  control: (jobs: number[], action: JobAction, more: { priority?: number; frames?: number[] } = {}) =>
     post<Done<number>>('/jobs/control', { jobs, action, ...more }),
   drain: (workers: (number | string)[], action: 'begin' | 'undo') =>
     post<Done<number | string>>('/workers/drain', { workers, action }),

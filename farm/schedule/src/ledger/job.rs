@@ -140,6 +140,20 @@ impl Job {
         self.spec.content(self.frames().binary_search(&frame).ok()?)
     }
 
+    /// The contents of those of its frames of which this holds.
+    pub(crate) fn contents_of(&self, is_meant: impl Fn(u32) -> bool) -> BTreeSet<Digest> {
+        let mut first = 0;
+        let runs = self.spec.contents.iter().map(|(end, key)| (std::mem::replace(&mut first, *end)..*end, key));
+        let frames = |run: Range<u32>| self.frames().get(run.start as usize..run.end as usize).unwrap_or_default();
+        runs.filter(|(run, _)| frames(run.clone()).iter().any(|&frame| is_meant(frame))).map(|(_, key)| *key).collect()
+    }
+
+    /// Whether something of the frame has failed as often as it may, or keeps it from ever being finished.
+    pub(crate) fn has_trouble(&self, frame: u32) -> bool {
+        let unit = self.units.get(&frame);
+        self.blocked.contains(&frame) || unit.is_some_and(|unit| unit.quarantined().next().is_some())
+    }
+
     /// Whether frames with this content are to be finished.
     pub(crate) fn needs(&self, key: &Digest) -> bool {
         self.left.get(key).is_some_and(|&left| left > 0)
@@ -466,7 +480,7 @@ impl Job {
         Vec::new()
     }
 
-    pub(super) fn controlled(&mut self, control: Control) -> Vec<Digest> {
+    pub(super) fn controlled(&mut self, control: &Control) -> Vec<Digest> {
         match control {
             Control::Pause => self.hold = Hold::Paused,
             Control::Resume => self.hold = Hold::Free,
@@ -485,9 +499,30 @@ impl Job {
                     return self.fill_gaps();
                 }
             }
-            Control::Priority(priority) => self.spec.priority = priority,
+            Control::RetryFrames(frames) => return self.frames_retried(frames),
+            Control::Priority(priority) => self.spec.priority = *priority,
         }
         Vec::new()
+    }
+
+    /// What has failed of these frames is forgotten.
+    fn frames_retried(&mut self, frames: &[u32]) -> Vec<Digest> {
+        let mut have_gaps = false;
+        for &frame in frames {
+            have_gaps |= self.unblock(frame);
+            if let Some(unit) = self.units.get_mut(&frame) {
+                unit.clear_trouble();
+            }
+        }
+        if !have_gaps {
+            return Vec::new();
+        }
+        self.blocked.remove(&Stage::OF_JOB);
+        let released = self.fill_gaps();
+        if !self.has_ended() {
+            self.ended = None;
+        }
+        released
     }
 
     /// Only a retry can move the frame.

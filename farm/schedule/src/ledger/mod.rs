@@ -148,7 +148,7 @@ impl Ledger {
                 (*job, released)
             }
             Fact::Doomed { job, failure } => (*job, self.jobs.get_mut(job).map(|j| j.doomed(failure))),
-            Fact::Controlled { job, control } => (*job, self.jobs.get_mut(job).map(|j| j.controlled(*control))),
+            Fact::Controlled { job, control } => (*job, self.jobs.get_mut(job).map(|j| j.controlled(control))),
         };
         if let Some(job) = self.jobs.get_mut(&job) {
             job.note_end(now);

@@ -100,7 +100,8 @@ fn what_is_made_of_the_whole_job_is_made_as_its_frames_are_finished_and_the_job_
 
 #[test]
 fn a_frame_that_cannot_be_finished_is_missing_where_gaps_are_allowed_and_a_retry_fills_them() {
-    for gaps in [true, false] {
+    let retries = [Control::Retry, Control::RetryFrames(vec![1])];
+    for (gaps, retry) in [true, false].into_iter().flat_map(|gaps| retries.clone().map(|retry| (gaps, retry))) {
         let mut farm = Farm::with(Config { prefetch: 0, ..config() });
         let id = farm.submit(whole(&[1, 2], gaps));
         let mut worker = 1;
@@ -124,7 +125,7 @@ fn a_frame_that_cannot_be_finished_is_missing_where_gaps_are_allowed_and_a_retry
             waits.insert(0, Wait::Quarantined { frame: Stage::OF_JOB, tasks: 0 });
         }
         assert_eq!(farm.status(id).waits, waits);
-        farm.control(id, Control::Retry);
+        farm.control(id, retry);
         assert!(!of_job(&farm), "it was made without a frame");
         while farm.state(id) != JobState::Done {
             work(&mut farm, worker);

@@ -162,7 +162,7 @@ fn step() -> impl Strategy<Value = Step> {
         2 => any::<usize>().prop_map(Step::Late),
         3 => (any::<usize>(), 0..1000u64).prop_map(|(which, samples)| Step::Heartbeat(which, samples)),
         3 => prop_oneof![4 => Just(400u64), 4 => Just(2_000), 4 => Just(6_000), 1 => Just(90_000), 1 => Just(1 << 32)].prop_map(Step::Wait),
-        2 => (any::<usize>(), 0..5u8).prop_map(|(which, kind)| Step::Control(which, kind)),
+        2 => (any::<usize>(), 0..6u8).prop_map(|(which, kind)| Step::Control(which, kind)),
         1 => Just(Step::Restart),
         1 => any::<usize>().prop_map(Step::LoseImage),
         1 => Just(Step::Upgrade),
@@ -318,6 +318,9 @@ impl Machine {
                         self.paused.remove(&job);
                         self.tries.retain(|task, _| task.job != job);
                     }
+                    Control::RetryFrames(frames) => {
+                        self.tries.retain(|task, _| task.job != job || !frames.contains(&task.stage.frame));
+                    }
                     Control::Priority(_) => {}
                 },
                 Command::Discard(digests) => {
@@ -370,7 +373,9 @@ impl Machine {
             }
             _ => {}
         }
-        let (Fact::Restarted { job, .. } | Fact::Controlled { job, control: Control::Retry }) = fact else {
+        let (Fact::Restarted { job, .. } | Fact::Controlled { job, control: Control::Retry | Control::RetryFrames(_) }) =
+            fact
+        else {
             drop(self.shadow.apply(fact, self.farm.now));
             return;
         };
@@ -789,6 +794,7 @@ impl Machine {
                     1 => Control::Resume,
                     2 => Control::Cancel,
                     3 => Control::Retry,
+                    4 => Control::RetryFrames(vec![1 + (which % 3) as u32]),
                     _ => Control::Priority((which % 101) as u8),
                 };
                 let commands = self.farm.control(job, control);

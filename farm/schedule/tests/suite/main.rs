@@ -14,6 +14,7 @@ mod identity;
 mod images;
 mod machine;
 mod quota;
+mod retries;
 mod sentences;
 mod shared;
 mod shares;

@@ -100,6 +100,12 @@ fn its_time_is_split_over_the_owners_who_wait_by_weight_and_the_rest_is_the_firs
 
 #[test]
 fn what_cannot_be_done_blocks_all_that_need_it_and_a_retry_of_one_opens_it_for_all() {
+    for retry in [Control::Retry, Control::RetryFrames(vec![1])] {
+        blocks_all_until(retry);
+    }
+}
+
+fn blocks_all_until(retry: Control) {
     let mut farm = farm(config());
     let jobs = [("ann", &[1][..]), ("bob", &[1, 2])].map(|(owner, frames)| submit(&mut farm, job(owner, frames, 1)));
     farm.join(1);
@@ -115,7 +121,7 @@ fn what_cannot_be_done_blocks_all_that_need_it_and_a_retry_of_one_opens_it_for_a
         assert_eq!(status.waits, [Wait::SharedQuarantined { shared, frames, tasks: 2 }]);
         assert!(status.quarantined.iter().all(|one| one.task.job == shared));
     }
-    farm.control(jobs[0], Control::Retry);
+    farm.control(jobs[0], retry);
     while held(&farm, 1).is_some() {
         work(&mut farm, 1, 10);
     }

@@ -18,6 +18,8 @@ struct ControlJson {
     jobs: Vec<u64>,
     action: Action,
     priority: Option<u8>,
+    /// Numbers of frames, to which the retry is limited.
+    frames: Option<Vec<u32>>,
 }
 
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Deserialize)]
@@ -85,23 +87,25 @@ impl<S: Send + 'static> Http<S> {
         caller: Option<&Caller>,
         trail: &Trail,
     ) -> Result<Response<Body>, Fault> {
-        let ControlJson { jobs, action, priority } = parse(json)?;
+        let ControlJson { jobs, action, priority, frames } = parse(json)?;
         few(jobs.len(), "jobs")?;
-        let control = match (action, priority) {
-            (Action::Pause, None) => Control::Pause,
-            (Action::Resume, None) => Control::Resume,
-            (Action::Cancel, None) => Control::Cancel,
-            (Action::Retry, None) => Control::Retry,
-            (Action::Priority, Some(priority)) if priority <= 100 => Control::Priority(priority),
-            (Action::Priority, _) => return Err(invalid("priority", "a whole number from 0 to 100 is wanted")),
-            (_, Some(_)) => return Err(invalid("priority", "it goes with the action `priority` alone")),
+        let control = match (action, priority, frames) {
+            (Action::Pause, None, None) => Control::Pause,
+            (Action::Resume, None, None) => Control::Resume,
+            (Action::Cancel, None, None) => Control::Cancel,
+            (Action::Retry, None, None) => Control::Retry,
+            (Action::Retry, None, Some(frames)) => Control::RetryFrames(frames),
+            (Action::Priority, Some(priority), None) if priority <= 100 => Control::Priority(priority),
+            (_, _, Some(_)) => return Err(invalid("frames", "they go with the action `retry` alone")),
+            (Action::Priority, _, None) => return Err(invalid("priority", "a whole number from 0 to 100 is wanted")),
+            (_, Some(_), None) => return Err(invalid("priority", "it goes with the action `priority` alone")),
         };
         let mut changed = Changed { done: Vec::new(), refused: Vec::new() };
         for job in jobs {
             let part = trail.part();
             part.job(JobId(job));
             part.what(&format!("{control:?}"));
-            let steered = self.0.farm.steer(&self.0.store, caller, JobId(job), control).await;
+            let steered = self.0.farm.steer(&self.0.store, caller, JobId(job), control.clone()).await;
             self.told(&part, steered.as_ref().err());
             match steered {
                 Ok(()) => changed.done.push(job),

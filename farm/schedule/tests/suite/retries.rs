@@ -1,0 +1,128 @@
+//! Single frames that are tried again: what happens to them, and that nothing happens to the others.
+
+use crate::common;
+use crate::common::{Farm, job, panic};
+use femc_model::*;
+use femc_schedule::*;
+
+use Decision::Done;
+use StageKind::Render;
+
+/// A job of four frames of which the first three have failed.
+fn failed() -> (Farm, JobId) {
+    let mut farm = Farm::new();
+    let id = farm.submit(job(&[1, 2, 3, 4], 1, &[4]));
+    farm.join(1);
+    run(&mut farm, id, &[1, 2, 3]);
+    assert_eq!((farm.state(id), farm.status(id).frames_failed), (JobState::Failed, 3));
+    (farm, id)
+}
+
+/// Works until the job has ended; tasks of these frames fail.
+fn run(farm: &mut Farm, id: JobId, bad: &[u32]) {
+    while !farm.state(id).has_ended() {
+        let held = farm.first_of(1);
+        if bad.contains(&held.task.stage.frame) {
+            farm.fail(1, &held, panic());
+        } else {
+            farm.complete(1, &held, Done);
+        }
+    }
+}
+
+fn refusal(commands: &[Command]) -> Option<&Refusal> {
+    commands.iter().find_map(|command| match command {
+        Command::Answer { answer: Err(refusal), .. } => Some(refusal),
+        _ => None,
+    })
+}
+
+fn frames(frames: &[u32]) -> Control {
+    Control::RetryFrames(frames.to_vec())
+}
+
+#[test]
+fn only_the_frames_that_are_named_are_tried_again() {
+    let (mut farm, id) = failed();
+    farm.control(id, frames(&[3, 1, 3, 4]));
+    let status = farm.status(id);
+    assert_eq!((status.state, status.frames_failed, status.quarantined.len()), (JobState::Running, 1, 1));
+    let mut given: Vec<u32> = farm.tasks_of(1).iter().map(|task| task.0).collect();
+    given.sort_unstable();
+    assert_eq!(given, [1, 3], "of what is finished and what is not named nothing is given out");
+    run(&mut farm, id, &[]);
+    let status = farm.status(id);
+    assert_eq!((status.state, status.frames_done, status.frames_failed), (JobState::Failed, 3, 1));
+    assert_eq!(status.waits, [Wait::Quarantined { frame: 2, tasks: 1 }]);
+    // After a restart from a snapshot, too.
+    farm.restart();
+    let ledger = farm.scheduler.ledger();
+    assert_eq!(Ledger::decode(&ledger.encode().unwrap()).as_ref(), Ok(ledger));
+    farm.join(1);
+    farm.control(id, frames(&[2]));
+    assert_eq!(farm.tasks_of(1), [(2, 0, Render, 0)]);
+    run(&mut farm, id, &[]);
+    assert_eq!((farm.state(id), farm.status(id).frames_done), (JobState::Done, 4));
+}
+
+#[test]
+fn a_frame_that_fails_again_needs_as_many_attempts_as_the_first_time() {
+    let (mut farm, id) = failed();
+    farm.control(id, frames(&[2]));
+    run(&mut farm, id, &[2]);
+    assert_eq!((farm.state(id), farm.status(id).frames_failed), (JobState::Failed, 3));
+    let attempts = |frame| {
+        let all = farm.status(id).quarantined;
+        all.iter().find(|one| one.task.stage.frame == frame).expect("it is put aside").attempts
+    };
+    assert_eq!([1, 2, 3].map(attempts), [3, 3, 3]);
+}
+
+#[test]
+fn what_names_no_frame_of_the_job_is_refused_and_changes_nothing() {
+    let (mut farm, id) = failed();
+    let before = farm.scheduler.ledger().clone();
+    for (named, word) in [(&[][..], "at least one"), (&[1, 9], "frame 9"), (&[0], "frame 0")] {
+        let commands = farm.control(id, frames(named));
+        let Some(Refusal::Invalid { field, message }) = refusal(&commands) else { panic!("{commands:?}") };
+        assert!(field == "frames" && message.contains(word), "{message}");
+    }
+    assert_eq!(farm.scheduler.ledger(), &before);
+    // What is finished stays so; that is not told as a fault.
+    assert_eq!(refusal(&farm.control(id, frames(&[4]))), None);
+    assert_eq!(farm.scheduler.ledger(), &before);
+}
+
+#[test]
+fn a_job_that_is_over_as_a_whole_takes_no_retry_of_single_frames() {
+    let (mut farm, id) = failed();
+    farm.control(id, Control::Retry);
+    farm.control(id, Control::Cancel);
+    let commands = farm.control(id, frames(&[1]));
+    assert!(matches!(refusal(&commands), Some(Refusal::Invalid { message, .. }) if message.contains("cancelled")));
+    assert_eq!(farm.state(id), JobState::Cancelled);
+    farm.control(id, Control::Retry);
+    run(&mut farm, id, &[]);
+    assert_eq!(refusal(&farm.control(id, frames(&[1]))), Some(&Refusal::Ended { job: id }));
+}
+
+#[test]
+fn a_pause_stays_when_a_frame_is_tried_again() {
+    let mut farm = Farm::with(Config { prefetch: 0, ..common::config() });
+    let id = farm.submit(job(&[1, 2], 1, &[4]));
+    farm.join(1);
+    while farm.status(id).frames_failed == 0 {
+        let held = farm.first_of(1);
+        match held.task.stage.frame {
+            1 => drop(farm.fail(1, &held, panic())),
+            _ => break,
+        }
+    }
+    assert_eq!(farm.status(id).frames_failed, 1);
+    farm.control(id, Control::Pause);
+    farm.control(id, frames(&[1]));
+    assert_eq!((farm.state(id), farm.status(id).frames_failed), (JobState::Paused, 0));
+    farm.control(id, Control::Resume);
+    run(&mut farm, id, &[]);
+    assert_eq!(farm.state(id), JobState::Done);
+}

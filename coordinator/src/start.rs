@@ -4,7 +4,7 @@ use std::future::Future;
 use std::io;
 use std::net::SocketAddr;
 use std::pin::Pin;
-use std::time::Duration;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 use femc_model::Tick;
 use femc_proto::{Connected, Io, ServeError, Server, TcpIncoming};
@@ -190,7 +190,10 @@ async fn recover(config: &Config, queue: &mut AnyQueue) -> Result<(Scheduler, us
     let now: Tick = ledger.now();
     let incarnation = queue.reserve(ledger.incarnation() + 1).await?;
     ledger.outlive(incarnation - 1);
-    let (scheduler, opened) = Scheduler::new(config.scheduler.clone(), ledger);
+    let date = SystemTime::now().duration_since(UNIX_EPOCH).ok();
+    let date = date.and_then(|since| u64::try_from(since.as_millis()).ok());
+    let clock_zero = config.scheduler.clock_zero.or_else(|| date?.checked_sub(now.0));
+    let (scheduler, opened) = Scheduler::new(femc_schedule::Config { clock_zero, ..config.scheduler.clone() }, ledger);
     queue.append(Batch::of(&[opened.encode(now)?])).await?;
     Ok((scheduler, contents.records.len() + 1))
 }

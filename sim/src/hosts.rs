@@ -117,8 +117,8 @@ async fn coordinator(host: usize, shared: Shared, store: Store, scheduler: femc_
         let started = tokio::time::Instant::now();
         let clock = shared.clone();
         let time = move || clock.lock().clocks[host].shows(started.elapsed());
-        let config =
-            Config { scheduler: scheduler.clone(), snapshot: SNAPSHOT, time: Time::by(time), ..Config::default() };
+        let scheduler = femc_schedule::Config { clock_zero: Some(0), ..scheduler.clone() };
+        let config = Config { scheduler, snapshot: SNAPSHOT, time: Time::by(time), ..Config::default() };
         shared.note(|| format!("c{host} leads"));
         let failed = async {
             match Coordinator::on(listen(&shared, &coordinator_name(host)).await, config, store.clone(), log).await {

@@ -6,6 +6,7 @@ use femc_model::{FrameProgress, JobState, JobStatus, Stage};
 use femc_pipeline::Stop;
 use femc_service::view::unit;
 pub use femc_service::view::{JobJson, state, wait};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// The exit code of a job that has ended; `None` while it goes on.
 pub fn exit(state: JobState) -> Option<Exit> {
@@ -61,10 +62,18 @@ pub fn table(jobs: &[JobStatus]) -> String {
                 job.owner.clone(),
                 job.workers.to_string(),
                 human::seconds(job.seconds),
+                age(job).unwrap_or_default(),
             ]
         })
         .collect();
-    human::table(&["job", "name", "state", "frames", "priority", "owner", "workers", "time"], &rows)
+    human::table(&["job", "name", "state", "frames", "priority", "owner", "workers", "time", "age"], &rows)
+}
+
+/// How long ago it was submitted; `None`: not known.
+fn age(job: &JobStatus) -> Option<String> {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).ok()?;
+    let age = now.saturating_sub(Duration::from_millis(job.submitted?));
+    Some(human::seconds(age.as_secs_f64()))
 }
 
 /// All about one job.
@@ -91,6 +100,7 @@ pub fn describe(say: Say, job: &JobStatus) -> String {
         human::seconds(job.seconds),
         human::count(job.workers.into(), "worker")
     ));
+    lines.extend(age(job).map(|age| format!("age      {age} since it was submitted")));
     if job.copies > 0 {
         lines.push(format!("copies   {} given to a second worker", human::count(job.copies, "late task")));
     }

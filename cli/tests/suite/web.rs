@@ -3,7 +3,7 @@
 
 use std::io::{BufRead as _, BufReader, Write as _};
 use std::net::TcpStream;
-use std::time::{Duration, Instant};
+use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 use crate::common::http::{Answer, CHANGE, ask};
 use crate::common::{PATIENCE, Place, coordinator, submit};
@@ -58,6 +58,11 @@ fn a_page_sees_a_job_from_its_submission_to_its_picture_and_steers_it() {
     // As the command line has it.
     let listed = get(&address, "jobs").json();
     assert_eq!(listed["jobs"], place.run(&format!("jobs --json --server {url}")).exits(0).json());
+    let submitted = listed["jobs"][0]["submitted"].as_f64().expect("a date");
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).expect("a date").as_secs_f64();
+    assert!((now - PATIENCE.as_secs_f64()..=now).contains(&submitted), "{submitted}, and it is {now}");
+    let table = place.run(&format!("jobs --server {url}")).exits(0).stdout();
+    assert!(table.lines().next().is_some_and(|head| head.ends_with("age")), "{table}");
     let one = get(&address, &format!("jobs/{job}")).json();
     assert_eq!((&one["spec"]["film"][0], &one["spec"]["frames"][1]), (&32.into(), &2.into()));
     let page = get(&address, &format!("jobs/{job}/tasks?count=2&frame=1&stage=0")).json();

@@ -51,6 +51,9 @@ pub struct JobStatus {
     pub copies: u64,
     /// Reasons for which tasks of the job wait.
     pub waits: Vec<Wait>,
+    /// When it was submitted: Unix time in milliseconds, by the farm's clock, which stands still while no coordinator is there: what
+    /// was submitted before an outage counts as submitted so much later. `None`: nobody knows what the date was.
+    pub submitted: Option<u64>,
 }
 
 /// How far a frame in work is.

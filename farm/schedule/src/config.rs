@@ -54,6 +54,8 @@ pub struct Config {
     pub weights: BTreeMap<String, u32>,
     /// What one owner may have waiting.
     pub quota: Quota,
+    /// Unix time, in milliseconds, at which the farm's clock would have begun at 0, had it never stood still; `None`: not known.
+    pub clock_zero: Option<u64>,
 }
 
 /// What the jobs of one owner that have not ended may add up to; a job beyond is refused.
@@ -126,6 +128,7 @@ impl Default for Config {
             keep_ended: None,
             weights: BTreeMap::new(),
             quota: Quota::default(),
+            clock_zero: None,
         }
     }
 }

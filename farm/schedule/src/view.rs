@@ -69,6 +69,7 @@ impl Scheduler {
             stale_messages: ready_tasks.stale_messages,
             copies: ready_tasks.copies,
             waits: self.waits(id, job, ready_tasks, now),
+            submitted: self.config.clock_zero.map(|zero| zero.saturating_add(job.submitted().0)),
         })
     }
 

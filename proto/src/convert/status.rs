@@ -33,6 +33,7 @@ impl From<JobStatus> for wire::JobStatus {
             stale_messages: status.stale_messages,
             copies: status.copies,
             waits: status.waits.into_iter().map(Into::into).collect(),
+            submitted_unix_ms: status.submitted,
         }
     }
 }
@@ -63,6 +64,7 @@ impl TryFrom<wire::JobStatus> for JobStatus {
             stale_messages: wire.stale_messages,
             copies: wire.copies,
             waits: each(wire.waits)?,
+            submitted: wire.submitted_unix_ms,
         })
     }
 }

@@ -277,6 +277,7 @@ fn statuses_cross_the_wire() {
             stale_messages: 8,
             copies: 2,
             waits: waits.clone(),
+            submitted: (state != Queued).then_some(1_795_680_000_123),
         };
         crosses::<JobStatus, wire::JobStatus>(status);
     }

@@ -607,6 +607,10 @@ pub struct JobStatus {
     /// Late tasks that were given to a second worker, since the coordinator's start.
     #[prost(uint64, tag = "21")]
     pub copies: u64,
+    /// When it was submitted, by the farm's clock, which stands still while no coordinator is there: Unix time in milliseconds; absent:
+    /// not known.
+    #[prost(uint64, optional, tag = "22")]
+    pub submitted_unix_ms: ::core::option::Option<u64>,
 }
 /// How far a frame in work is.
 #[derive(Clone, Copy, PartialEq, ::prost::Message)]

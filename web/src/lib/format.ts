@@ -11,6 +11,14 @@ export function seconds(s: number | null | undefined): string {
   return `${Math.floor(whole / 86400)} d ${Math.floor((whole % 86400) / 3600)} h`;
 }
 
+/** How long ago a date was, in Unix seconds; `now` is in milliseconds. */
+export const ago = (date: number | null, now: number): string =>
+  date == null ? '–' : seconds(Math.max(0, Math.round(now / 1000 - date)));
+
+/** A date in Unix seconds, in the words of the browser's language; nothing where it is not known. */
+export const date = (unix: number | null): string | undefined =>
+  unix == null ? undefined : new Date(1000 * unix).toLocaleString();
+
 /** `999`, `12.3 k`, `4.56 M`, `7.89 G`: three digits that count. */
 export function quantity(n: number | null | undefined): string {
   if (n == null || !Number.isFinite(n)) return '–';

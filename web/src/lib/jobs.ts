@@ -11,6 +11,7 @@ export type SortKey =
   | 'left'
   | 'frames'
   | 'time'
+  | 'age'
   | 'owner'
   | 'priority'
   | 'workers'
@@ -27,6 +28,7 @@ const KEYS: Record<SortKey, (job: Job) => number | string> = {
   left: (job) => secondsLeft(job) ?? Infinity,
   frames: (job) => job.frames,
   time: (job) => job.seconds,
+  age: (job) => -(job.submitted ?? Infinity),
   owner: (job) => job.owner.toLowerCase(),
   priority: (job) => job.priority,
   workers: (job) => job.workers,

@@ -48,6 +48,8 @@ export interface Job {
   relative_error: number | null;
   /** Since the first lease, or from the first lease to the end. */
   seconds: number;
+  /** Unix seconds, by the farm's clock. */
+  submitted: number | null;
   workers: number;
   failure: string | null;
   active: ActiveFrame[];

@@ -16,6 +16,7 @@ export const job = (number: number, more: Partial<Job> = {}): Job => ({
   bad_samples: 0,
   relative_error: null,
   seconds: 10,
+  submitted: null,
   workers: 1,
   failure: null,
   active: [],

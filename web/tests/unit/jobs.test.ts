@@ -39,6 +39,11 @@ describe('order and groups', () => {
     expect(sorted(jobs, parseOrder('name')).map((it) => it.job)).toEqual([2, 1, 3]);
     expect(parseOrder('nonsense')).toEqual({ key: 'job', descending: true });
   });
+  test('by age: the one submitted last is the youngest, and so counts one of which nobody knows', () => {
+    const aged = [job(1, { submitted: 10 }), job(2, { submitted: 30 }), job(3), job(4, { submitted: 20 })];
+    expect(sorted(aged, parseOrder('age')).map((it) => it.job)).toEqual([3, 2, 4, 1]);
+    expect(sorted(aged, parseOrder('-age')).map((it) => it.job)).toEqual([1, 4, 2, 3]);
+  });
   test('groups stand where their first job would; one that is closed hides its jobs', () => {
     const all = lines(jobs, 'scene', new Set(['a']));
     expect(all.map((line) => (line.kind === 'group' ? line.key : line.job.job))).toEqual(['b', 1, 3, 'a']);

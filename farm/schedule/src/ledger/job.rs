@@ -227,6 +227,11 @@ impl Job {
         artifacts + (self.spec.settings.len() + stages) as u64
     }
 
+    /// When it was submitted.
+    pub(crate) fn submitted(&self) -> Tick {
+        self.submitted
+    }
+
     /// When it was done, or was begun where it is not.
     pub(crate) fn dated(&self) -> Tick {
         self.ended.unwrap_or(self.submitted)

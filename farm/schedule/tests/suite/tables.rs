@@ -1,7 +1,9 @@
 //! A job frame by frame and task by task.
 
+use crate::common;
 use crate::common::{Farm, job, panic};
 use femc_model::*;
+use femc_schedule::Config;
 
 use Decision::Done;
 
@@ -100,4 +102,18 @@ fn any_window_is_a_part_of_the_whole_and_filters_count_what_they_let_through() {
     }
     let nobody = farm.scheduler.tasks(JobId(99), TaskFilter::default(), 0, 1, farm.now);
     assert_eq!(nobody, Err(Refusal::NoSuchJob { job: JobId(99) }));
+}
+
+#[test]
+fn the_date_of_a_submission_is_told_by_the_farms_clock_where_its_date_is_known() {
+    for (clock_zero, told) in [(None, None), (Some(1_000_000), Some(1_002_000))] {
+        let mut farm = Farm::with(Config { clock_zero, ..common::config() });
+        let begun = farm.now.0;
+        farm.wait(2_000 - begun);
+        let id = farm.submit(job(&[1], 1, &[4]));
+        farm.wait(500);
+        assert_eq!(farm.status(id).submitted, told);
+        farm.restart();
+        assert_eq!(farm.status(id).submitted, told, "a restart does not change it");
+    }
 }

@@ -22,6 +22,8 @@ pub struct JobJson {
     bad_samples: u64,
     relative_error: Option<f64>,
     seconds: f64,
+    /// When it was submitted, Unix seconds by the farm's clock.
+    submitted: Option<f64>,
     workers: u32,
     failure: Option<String>,
     active: Vec<ActiveJson>,
@@ -69,6 +71,7 @@ impl From<&JobStatus> for JobJson {
             bad_samples: job.bad_samples,
             relative_error: job.relative_error,
             seconds: job.seconds,
+            submitted: job.submitted.map(|milliseconds| milliseconds as f64 / 1000.0),
             workers: job.workers,
             failure: job.failure.as_ref().map(ToString::to_string),
             active: job.active.iter().map(ActiveJson::from).collect(),
@@ -235,6 +238,7 @@ mod tests {
             stale_messages: 0,
             copies: 0,
             waits: Vec::new(),
+            submitted: None,
         };
         let said = |reason| wait(&job, &reason);
         let waits = said(Wait::Quarantined { frame: Stage::OF_JOB, tasks: 0 });

@@ -1,8 +1,10 @@
 //! `femc fetch JOB -o DIR`: the finished frames of a job as files.
 
 use super::client::{self, Farm};
+use super::lookout::Views;
 use super::preview::Partial;
 use super::render::{frame_name, still_name};
+use super::watch::{Words, follow};
 use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure, failed};
 use crate::output::{Say, human, job as show, json};
@@ -17,6 +19,7 @@ use std::path::{Path, PathBuf};
 #[command(after_help = "Examples:\n  \
     femc fetch 7 -o drive\n  \
     femc fetch 7 -o drive --partial    # also what there is of the frames in work\n  \
+    femc fetch 7 -o drive --wait       # when the job has ended\n  \
     femc watch 7; femc fetch 7 -o drive --json | jq -r '.files[]'\n\n\
     Files that are there already are not fetched again. A frame whose image the farm's store has damaged or lost is named; it is\n  \
     rendered again, in a job that has failed or was cancelled after `femc retry`. The exit code is 1 while frames are missing.")]
@@ -30,6 +33,9 @@ pub struct FetchArgs {
     /// Also what there is of the frames in work, as NAME.NNNN.partial.exr; what is not rendered yet is black
     #[arg(long)]
     partial: bool,
+    /// First wait until the job has ended, and show how far it is
+    #[arg(long)]
+    wait: bool,
     #[command(flatten)]
     format: FormatArgs,
     #[command(flatten)]
@@ -68,6 +74,7 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
         if !JobSpec::names_files(&status.name) {
             return Err(failed(format!("job {} is called {:?}, and files cannot be called so", args.job, status.name)));
         }
+        let status = if args.wait { ended(args, farm, say).await? } else { status };
         let (mut files, mut lost) = (Vec::new(), Vec::new());
         for frame in farm.frames(JobId(args.job)).await? {
             let path = args.out.join(frame_name(&status.name, frame.frame));
@@ -131,6 +138,16 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
         )));
     }
     Ok(Exit::Done)
+}
+
+/// How the job stands when it has ended.
+async fn ended(args: &FetchArgs, farm: &Farm, say: Say) -> Result<JobStatus, Failure> {
+    let again = format!("`femc fetch {} -o {} --wait` waits again", args.job, args.out.display());
+    let no_pictures = |_| Views { drawn: false, file: None };
+    let words = Words { who: "the fetch", again };
+    let status = follow(farm, JobId(args.job), &words, None, no_pictures, say).await?;
+    show::trouble(&status).iter().for_each(|line| say.warning(line));
+    Ok(status)
 }
 
 /// What becomes of a frame whose image is lost.

@@ -83,70 +83,91 @@ const EVERY: Duration = Duration::from_millis(250);
 
 /// Watch.
 pub fn run(args: &WatchArgs, say: Say) -> Result<Exit, Failure> {
+    let job = JobId(args.job);
     let last = client::block_on(&args.server, async |farm| {
-        let mut interrupt = Interrupt::listen()?;
-        let mut events = Events { say: args.json.then_some(say), last: None };
-        let mut progress = Progress::new(say, Clock);
-        let views = Views { drawn: args.preview.draws(progress.stage(), say), file: args.preview_to.clone() };
-        let is_seen = views.drawn || views.file.is_some();
-        let mut lookout = is_seen.then(|| Lookout::new(farm.clone(), JobId(args.job), views));
-        loop {
-            let mut away = None;
-            let status = farm.status_unless_away(JobId(args.job), |gone| {
-                if away.is_none() {
-                    events.away(farm.url());
-                }
-                away = Some(gone);
-                progress.away(&format!(
-                    "the coordinator at {} has been away for {}; the watch goes on when it is back, and waits {}",
-                    farm.url(),
-                    human::seconds(gone.as_secs_f64()),
-                    human::seconds(client::PATIENCE.as_secs_f64())
-                ));
-            });
-            let status = tokio::select! {
-                status = status => Some(status?),
-                () = interrupt.wait() => None,
-            };
-            let Some(status) = status else {
-                progress.finish();
-                return Err(left(args.job));
-            };
-            if let Some(gone) = away {
-                progress.back(&format!(
-                    "the coordinator is back after {}; the watch goes on",
-                    human::seconds(gone.as_secs_f64())
-                ));
-                events.back(gone);
-            }
-            events.status(&status);
-            if status.state.has_ended() {
-                drop(lookout.take());
-                if let Some(file) = &args.preview_to {
-                    last_frame(farm, JobId(args.job), file).await?;
-                }
-                return Ok(status);
-            }
-            if let Some(lookout) = &mut lookout
-                && let Some(picture) = lookout.latest().await?
-            {
-                progress.picture(&picture);
-            }
-            progress.show(&show::snapshot(&status, None));
-            tokio::select! {
-                () = tokio::time::sleep(EVERY) => {}
-                () = interrupt.wait() => {
-                    progress.finish();
-                    return Err(left(args.job));
-                }
-            }
+        let words = Words { who: "the watch", again: format!("`femc watch {job}` looks again") };
+        let views = |stage| Views { drawn: args.preview.draws(stage, say), file: args.preview_to.clone() };
+        let last = follow(farm, job, &words, args.json.then_some(say), views, say).await?;
+        if let Some(file) = &args.preview_to {
+            last_frame(farm, job, file).await?;
         }
+        Ok(last)
     })?;
     ended(args, say, &last)
 }
 
-fn left(job: u64) -> Failure {
-    interrupted(format!("no longer watching job {job}, which goes on; `femc watch {job}` looks again"))
+/// What is said of whoever follows a job.
+pub(super) struct Words {
+    /// Such as `the watch`.
+    pub(super) who: &'static str,
+    /// How to go on after Ctrl-C.
+    pub(super) again: String,
+}
+
+/// Shows a job's progress until it has ended, also while the coordinator is away for a while; returns how it stands then.
+/// - `events`: where every change is printed, for machines.
+/// - `views`: which pictures are kept, on a terminal or without one.
+pub(super) async fn follow(
+    farm: &Farm,
+    job: JobId,
+    words: &Words,
+    events: Option<Say>,
+    views: impl FnOnce(Stage) -> Views,
+    say: Say,
+) -> Result<JobStatus, Failure> {
+    let left = || interrupted(format!("job {job} goes on; {}", words.again));
+    let mut interrupt = Interrupt::listen()?;
+    let mut events = Events { say: events, last: None };
+    let mut progress = Progress::new(say, Clock);
+    let views = views(progress.stage());
+    let is_seen = views.drawn || views.file.is_some();
+    let mut lookout = is_seen.then(|| Lookout::new(farm.clone(), job, views));
+    loop {
+        let mut away = None;
+        let status = farm.status_unless_away(job, |gone| {
+            if away.is_none() {
+                events.away(farm.url());
+            }
+            away = Some(gone);
+            progress.away(&format!(
+                "the coordinator at {} has been away for {}; {} goes on when it is back, and waits {}",
+                farm.url(),
+                human::seconds(gone.as_secs_f64()),
+                words.who,
+                human::seconds(client::PATIENCE.as_secs_f64())
+            ));
+        });
+        let status = tokio::select! {
+            status = status => Some(status?),
+            () = interrupt.wait() => None,
+        };
+        let Some(status) = status else {
+            progress.finish();
+            return Err(left());
+        };
+        if let Some(gone) = away {
+            let gone_for = human::seconds(gone.as_secs_f64());
+            progress.back(&format!("the coordinator is back after {gone_for}; {} goes on", words.who));
+            events.back(gone);
+        }
+        events.status(&status);
+        if status.state.has_ended() {
+            return Ok(status);
+        }
+        if let Some(lookout) = &mut lookout
+            && let Some(picture) = lookout.latest().await?
+        {
+            progress.picture(&picture);
+        }
+        progress.show(&show::snapshot(&status, None));
+        tokio::select! {
+            () = tokio::time::sleep(EVERY) => {}
+            () = interrupt.wait() => {
+                progress.finish();
+                return Err(left());
+            }
+        }
+    }
 }
 
 /// What `--json` prints: an object a line, when there is something new.

@@ -385,3 +385,21 @@ fn a_retry_of_single_frames_reads_their_images_and_leaves_the_others_as_they_are
     place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
     same_as_one_process(&place, SETTINGS);
 }
+
+#[test]
+fn a_fetch_that_waits_has_all_frames_when_it_ends_and_says_how_the_job_ended() {
+    let place = Place::new();
+    let (_farm, url) = coordinator(&place, 0);
+    let job = submit(&place, &url, SETTINGS);
+    let mut fetch = place.start(&format!("fetch {job} -o out --wait --server {url}"));
+    // Nobody works on it yet: without the wait it would have ended with exit code 1.
+    place.run(&format!("fetch {job} -o early --server {url}")).exits(1);
+    let _worker = worker(&place, &url);
+    fetch.end().exits(0);
+    assert_eq!(place.run(&format!("fetch {job} -o out --json --server {url}")).exits(0).json()["state"], "done");
+    same_as_one_process(&place, SETTINGS);
+    let endless = submit(&place, &url, "--size 256x256 --spp 100000");
+    place.run(&format!("cancel {endless} --server {url}")).exits(0);
+    let ran = place.run(&format!("fetch {endless} -o none --wait --server {url}")).exits(1);
+    assert!(ran.stderr().contains("is cancelled"), "{}", ran.stderr());
+}

@@ -259,7 +259,8 @@ fn put_now(page: &mut Page, Now { figures, records }: &Now) {
     page.gauge("femc_log_records", help).counts(*records as u64);
 }
 
-fn put_traffic(page: &mut Page, Traffic { calls, latencies, received, sent }: &Traffic) {
+fn put_traffic(page: &mut Page, traffic: &Traffic) {
+    let Traffic { calls, latencies, requests, request_latencies, received, sent } = traffic;
     let help = "Calls, by method and the status with which the answer began.";
     let family = page.counter("femc_rpc_calls_total", help);
     calls.get().iter().fold(family, |family, ((method, code), count)| {
@@ -268,6 +269,14 @@ fn put_traffic(page: &mut Page, Traffic { calls, latencies, received, sent }: &T
     let help = "Until the answer to a call began, in seconds.";
     let family = page.histogram("femc_rpc_seconds", help);
     latencies.iter().fold(family, |family, (method, histogram)| family.with(&[("method", method)], histogram));
+    let help = "Requests over HTTP, by what they ask for and the status of the answer.";
+    let family = page.counter("femc_http_requests_total", help);
+    requests.get().iter().fold(family, |family, ((operation, status), count)| {
+        family.with(&[("operation", operation), ("status", &status.to_string())], *count as f64)
+    });
+    let help = "Until the answer to a request over HTTP began, in seconds.";
+    let family = page.histogram("femc_http_seconds", help);
+    request_latencies.iter().fold(family, |family, (operation, it)| family.with(&[("operation", operation)], it));
     page.counter("femc_store_received_bytes_total", "Bytes of artifacts that came in.").counts(received.get());
     page.counter("femc_store_sent_bytes_total", "Bytes of artifacts that went out.").counts(sent.get());
 }

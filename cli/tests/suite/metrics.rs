@@ -1,6 +1,6 @@
 //! What services show of themselves agrees with what they did, and what watches them names nothing else.
 
-use crate::common::http::{free_port, get, metrics};
+use crate::common::http::{ask, free_port, get, metrics};
 use crate::common::{Place, Running, status, submit};
 use femc_metrics::testing::Samples;
 use std::collections::BTreeSet;
@@ -32,6 +32,10 @@ fn the_numbers_are_those_of_the_job() {
     // The last acknowledgement may be on its way.
     worker.wait_until("all acknowledged", || metrics(own).sum("femc_worker_tasks_done_total", &[]) == attempts);
 
+    for (path, code) in [("/api/v1/jobs", 200), ("/api/v1/jobs/99", 404), ("/api/v1/jobs/98", 404)] {
+        let answer = ask(url.trim_start_matches("http://"), &format!("GET {path}"), &[], "");
+        assert_eq!(answer.status, code, "{path}");
+    }
     let farm_now = metrics(port);
     let value = |name: &str, labels: &[(&str, &str)]| farm_now.value(name, labels).expect(name);
     assert_eq!(value("femc_jobs", &[("state", "done")]), 1.0);
@@ -45,6 +49,13 @@ fn the_numbers_are_those_of_the_job() {
     let submitted = [("method", "/femc.v1.Jobs/Submit"), ("code", "OK")];
     assert_eq!(value("femc_rpc_calls_total", &submitted), 1.0);
     assert_eq!(value("femc_rpc_seconds_count", &submitted[..1]), 1.0);
+    let missed = [("operation", "Jobs/Status"), ("status", "404")];
+    assert_eq!(
+        (value("femc_http_requests_total", &missed), value("femc_http_seconds_count", &missed[..1])),
+        (2.0, 2.0)
+    );
+    let listed = [("operation", "Jobs/List"), ("status", "200")];
+    assert_eq!(value("femc_http_requests_total", &listed), 1.0);
     assert!(value("femc_log_append_seconds_count", &[]) > 0.0 && value("femc_log_file_bytes", &[]) > 4096.0);
 
     let worker_now = metrics(own);

@@ -66,6 +66,26 @@ pub enum Operation {
 }
 
 impl Operation {
+    /// Those that requests over HTTP are.
+    pub const HTTP: [Self; 16] = [
+        Self::List,
+        Self::Status,
+        Self::Control,
+        Self::Logs,
+        Self::FrameTable,
+        Self::Tasks,
+        Self::Picture,
+        Self::Attempts,
+        Self::DrainWorkers,
+        Self::Feed,
+        Self::Me,
+        Self::Page,
+        Self::Login,
+        Self::Logout,
+        Self::ReadAudit,
+        Self::Other,
+    ];
+
     /// Its name in the audit record.
     pub const fn name(self) -> &'static str {
         match self {

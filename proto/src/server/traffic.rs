@@ -8,6 +8,7 @@ use std::task::{Context, Poll};
 use std::time::Instant;
 
 use femc_metrics::{Counter, Histogram, Tally};
+use femc_service::Operation;
 use http::{Request, Response};
 use prost::Message as _;
 use tonic::Code;
@@ -22,6 +23,10 @@ pub struct Traffic {
     pub calls: Tally<(String, &'static str)>,
     /// Until the answer began, by the path of the call.
     pub latencies: Arc<BTreeMap<String, Histogram>>,
+    /// Requests over HTTP, by the name of their operation and the status of the answer.
+    pub requests: Tally<(&'static str, u16)>,
+    /// Until the answer to a request over HTTP began, by the name of its operation.
+    pub request_latencies: Arc<BTreeMap<&'static str, Histogram>>,
     /// Bytes of artifacts that came in.
     pub received: Counter,
     /// Bytes of artifacts that went out.
@@ -35,9 +40,12 @@ impl Default for Traffic {
     fn default() -> Self {
         let paths: Vec<String> = paths().into_iter().chain([OTHER.to_owned()]).collect();
         let histogram = |path: &String| (path.clone(), Histogram::new(Histogram::LATENCIES));
+        let timed = |operation: &'static str| (operation, Histogram::new(Histogram::LATENCIES));
         Self {
             calls: Tally::of(paths.iter().map(|path| (path.clone(), name(Code::Ok)))),
             latencies: Arc::new(paths.iter().map(histogram).collect()),
+            requests: Tally::of(Operation::HTTP.map(|operation| (operation.name(), 200))),
+            request_latencies: Arc::new(Operation::HTTP.map(Operation::name).into_iter().map(timed).collect()),
             received: Counter::default(),
             sent: Counter::default(),
         }
@@ -46,6 +54,13 @@ impl Default for Traffic {
 
 impl Traffic {
     fn note<B>(&self, path: &str, response: &Response<B>, begun: Instant) {
+        if let Some(operation) = response.extensions().get::<Operation>() {
+            self.requests.add((operation.name(), response.status().as_u16()), 1);
+            if let Some(latencies) = self.request_latencies.get(operation.name()) {
+                latencies.note(begun.elapsed());
+            }
+            return;
+        }
         let path = self.latencies.get_key_value(path).map_or(OTHER, |(path, _)| path);
         let code = response.headers().get("grpc-status").map_or(Code::Ok, |code| Code::from_bytes(code.as_bytes()));
         self.calls.add((path.to_owned(), name(code)), 1);
@@ -154,5 +169,31 @@ mod tests {
         assert_eq!(count("other", "UNIMPLEMENTED"), Some(2));
         assert_eq!(count("/femc.v1.Artifacts/Put", "OK"), Some(0), "there before the first");
         assert!(!calls.keys().any(|(path, _)| path.contains("Lisp")));
+    }
+
+    #[test]
+    fn a_request_over_http_counts_by_what_it_asks_for_and_not_as_a_call() {
+        let traffic = Traffic::default();
+        let calls = traffic.calls.get();
+        let answer = |operation: Operation, status: u16| {
+            let response = Response::builder().status(status).extension(operation).body(());
+            response.expect("a response")
+        };
+        for (path, operation, status) in [
+            ("/api/v1/jobs", Operation::List, 200),
+            ("/api/v1/jobs/9", Operation::Status, 404),
+            ("/api/v1/made/up", Operation::Other, 404),
+            ("/api/v1/made/up/otherwise", Operation::Other, 404),
+        ] {
+            traffic.note(path, &answer(operation, status), Instant::now());
+        }
+        assert_eq!(traffic.calls.get(), calls, "none of them is a call");
+        let requests: BTreeMap<(&str, u16), u64> = traffic.requests.get().into_iter().collect();
+        let count = |operation, status| requests.get(&(operation, status)).copied();
+        assert_eq!(
+            (count("Jobs/List", 200), count("Jobs/Status", 200), count("Jobs/Status", 404)),
+            (Some(1), Some(0), Some(1))
+        );
+        assert_eq!(count("other", 404), Some(2));
     }
 }

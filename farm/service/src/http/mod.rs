@@ -85,7 +85,7 @@ impl<S: Send + 'static> Http<S> {
         Self(Arc::new(Inner { farm, feed, store, places, large, pictures, gate, site, is_encrypted }))
     }
 
-    /// Answers a request, whatever it is.
+    /// Answers a request, whatever it is. The answer has its [`Operation`] among its extensions, for those who count.
     pub async fn serve<B>(&self, request: Request<B>, visitor: Visitor) -> Response<Body>
     where
         B: http_body::Body<Data = Bytes> + Send,
@@ -112,6 +112,7 @@ impl<S: Send + 'static> Http<S> {
             }
         };
         answer::protect(&mut response);
+        response.extensions_mut().insert(operation);
         response
     }
 

@@ -197,6 +197,8 @@ impl Query<'_> {
 
 #[cfg(test)]
 mod tests {
+    use std::collections::{BTreeMap, BTreeSet};
+
     use ::http::{HeaderMap, Uri};
     use femc_trust::Role;
 
@@ -212,7 +214,7 @@ mod tests {
     fn who_may_by_the_documentation_may() {
         let page = std::fs::read_to_string(concat!(env!("CARGO_MANIFEST_DIR"), "/../../docs/http.md")).expect("a page");
         let rows: Vec<Vec<&str>> = page.lines().map(|line| line.split(" | ").collect()).collect();
-        let mut seen = 0;
+        let mut seen = BTreeMap::new();
         for row in rows.iter().filter(|row| row.len() == 3 && row[0].starts_with("| `")) {
             let right = match row[2].trim_end_matches(" |") {
                 "everybody" => Right::Public,
@@ -229,10 +231,13 @@ mod tests {
                 let route = route(&method.parse().expect("a method"), &path).expect("a route");
                 assert_eq!(route.operation().right(), right, "{request}");
                 assert_eq!(route.is_change(), method == "POST" && path.starts_with("/api"), "{request}");
-                seen += 1;
+                *seen.entry(route.operation()).or_default() += 1;
             }
         }
-        assert_eq!(seen, 15);
+        assert_eq!(seen.values().sum::<usize>(), 15);
+        // The page itself has no row, and what is no request has none.
+        let documented = seen.into_keys().chain([Operation::Page, Operation::Other]);
+        assert_eq!(documented.collect::<BTreeSet<_>>(), BTreeSet::from(Operation::HTTP));
     }
 
     #[test]

@@ -8,7 +8,7 @@ use std::sync::{Arc, Mutex, PoisonError};
 use std::time::Duration;
 
 use femc_metrics::{Counter, Health, Histogram, Page, Report, Tally, process};
-use femc_model::{Ending, Failure, JobState, RevokeReason, StageKind};
+use femc_model::{Ending, Failure, RevokeReason, StageKind};
 use femc_proto::{PROTOCOL, Traffic};
 use femc_schedule::{Command, Fact, Figures, WorkerStanding};
 use tokio::sync::{mpsc, oneshot};
@@ -237,7 +237,7 @@ impl Metrics {
 
 fn put_now(page: &mut Page, Now { figures, records }: &Now) {
     let Figures { jobs, ready, leased, quarantined, samples_left, workers, threads, used, stale_messages } = figures;
-    let jobs = jobs.iter().map(|&(state, count)| (job_state(state), count));
+    let jobs = jobs.iter().map(|&(state, count)| (state.name(), count));
     page.gauge("femc_jobs", "Jobs, by where they stand.").each("state", jobs);
     let by_stage = |counts: &[(StageKind, u64)]| -> Vec<(&str, u64)> {
         counts.iter().map(|&(kind, count)| (kind.name(), count)).collect()
@@ -286,17 +286,6 @@ fn revocation(reason: RevokeReason) -> &'static str {
         RevokeReason::JobEnded => "job_ended",
         RevokeReason::Expired => "expired",
         RevokeReason::Done => "done",
-    }
-}
-
-fn job_state(state: JobState) -> &'static str {
-    match state {
-        JobState::Queued => "queued",
-        JobState::Running => "running",
-        JobState::Paused => "paused",
-        JobState::Done => "done",
-        JobState::Failed => "failed",
-        JobState::Cancelled => "cancelled",
     }
 }
 

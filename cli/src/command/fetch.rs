@@ -112,7 +112,7 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
     if args.format.json {
         let names = |paths: &[PathBuf]| paths.iter().map(|path| path.display().to_string()).collect();
         let (files, partial) = (names(&files), names(&partial));
-        let (state, frames) = (show::state(status.state), status.frames_total);
+        let (state, frames) = (status.state.name(), status.frames_total);
         json::print(say, &Report { job: args.job, state, frames, files, partial, shown: shown.clone(), lost })?;
     } else {
         let frames = human::count(files.len() as u64, "frame");
@@ -127,7 +127,7 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
             files.len(),
             status.frames_total,
             args.job,
-            show::state(status.state)
+            status.state.name()
         )));
     }
     if shown.missing > 0 {

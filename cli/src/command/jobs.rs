@@ -3,7 +3,7 @@
 use super::client;
 use crate::args::{FormatArgs, SelectArgs, ServerArgs};
 use crate::exit::{Exit, Failure};
-use crate::output::job::{JobJson, state, table};
+use crate::output::job::{JobJson, table};
 use crate::output::{Say, json};
 use clap::Args;
 use clap::builder::PossibleValuesParser;
@@ -38,7 +38,7 @@ pub fn run(args: &JobsArgs, say: Say) -> Result<Exit, Failure> {
         say.warning(warning);
     }
     let has_any = !jobs.is_empty();
-    let is_wanted = |job: &JobStatus| args.state.is_empty() || args.state.iter().any(|name| name == state(job.state));
+    let is_wanted = |job: &JobStatus| args.state.is_empty() || args.state.iter().any(|name| name == job.state.name());
     let jobs: Vec<JobStatus> = jobs.into_iter().filter(|job| args.select.holds(job) && is_wanted(job)).collect();
     if args.format.json {
         json::print(say, &jobs.iter().map(JobJson::from).collect::<Vec<_>>())?;

@@ -96,7 +96,7 @@ pub fn run(args: &WatchArgs, say: Say) -> Result<Exit, Failure> {
     ended(args, say, &last)
 }
 
-/// What is said of whoever follows a job.
+/// Words of the messages that a command prints while it follows a job.
 pub(super) struct Words {
     /// Such as `the watch`.
     pub(super) who: &'static str,

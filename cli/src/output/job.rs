@@ -5,7 +5,7 @@ use crate::exit::Exit;
 use femc_model::{FrameProgress, JobState, JobStatus, Stage};
 use femc_pipeline::Stop;
 use femc_service::view::unit;
-pub use femc_service::view::{JobJson, state, wait};
+pub use femc_service::view::{JobJson, wait};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// The exit code of a job that has ended; `None` while it goes on.
@@ -56,7 +56,7 @@ pub fn table(jobs: &[JobStatus]) -> String {
             vec![
                 job.job.to_string(),
                 job.name.clone(),
-                state(job.state).to_owned(),
+                job.state.name().to_owned(),
                 format!("{}/{}", job.frames_done, job.frames_total),
                 job.priority.to_string(),
                 job.owner.clone(),
@@ -78,7 +78,7 @@ fn age(job: &JobStatus) -> Option<String> {
 
 /// All about one job.
 pub fn describe(say: Say, job: &JobStatus) -> String {
-    let mut lines = vec![say.heading(&format!("job {} ({}): {}", job.job, job.name, state(job.state)))];
+    let mut lines = vec![say.heading(&format!("job {} ({}): {}", job.job, job.name, job.state.name()))];
     let mut frames = format!("frames   {} of {} done", job.frames_done, job.frames_total);
     if job.frames_failed > 0 {
         frames += &say.bad(&format!(", {} failed", job.frames_failed));

@@ -392,7 +392,7 @@ fn a_fetch_that_waits_has_all_frames_when_it_ends_and_says_how_the_job_ended() {
     let (_farm, url) = coordinator(&place, 0);
     let job = submit(&place, &url, SETTINGS);
     let mut fetch = place.start(&format!("fetch {job} -o out --wait --server {url}"));
-    // Nobody works on it yet: without the wait it would have ended with exit code 1.
+    // The farm has no worker yet: without `--wait` the command would have ended with exit code 1.
     place.run(&format!("fetch {job} -o early --server {url}")).exits(1);
     let _worker = worker(&place, &url);
     fetch.end().exits(0);

@@ -83,7 +83,7 @@ pub fn of_groups(
                 let first = ways.len();
                 by_links(arena, lights, links, leaf, &mut ways);
                 ways[first..].iter_mut().for_each(|part: &mut Part| part.amount *= scale);
-                let of = rays.of(scene, arena, lights, leaf).into_iter().filter(|ray| ray.irradiance.is_finite());
+                let of = rays.of((scene, arena), lights, leaf, |irradiance, _| irradiance.is_finite()).into_iter();
                 let number = area / element.size;
                 seen.extend(of.map(|ray| Seen {
                     irradiance: ray.irradiance * scale,
@@ -134,15 +134,16 @@ fn bright(scene: &Scene<'_>, arena: &Arena, lights: &Lights, rays: &Rays, leaves
         let element = &arena.elements[leaf as usize];
         let [whole, area] = sums[root];
         let mean = lights.of[leaf as usize].mean + EVEN * (whole / area) as f32;
-        let is_bright = |ray: &Seen| ray.irradiance.is_finite() && ray.irradiance * ray.number > BRIGHT * mean;
+        let is_bright = |irradiance: f32, number: f32| irradiance.is_finite() && irradiance * number > BRIGHT * mean;
         let line = |ray: Seen| {
             let way = (ray.target - ray.origin).as_dvec3();
             let length = way.length();
             let weight = f64::from(ray.irradiance / mean * element.size);
             Line { origin: ray.origin.as_dvec3(), dir: way / length, length, weight }
         };
-        let of = if mean > f32::MIN_POSITIVE { rays.of(scene, arena, lights, leaf) } else { Vec::new() };
-        let lines = of.into_iter().filter(is_bright).map(line);
+        let is_lit = mean > f32::MIN_POSITIVE;
+        let of = if is_lit { rays.of((scene, arena), lights, leaf, is_bright) } else { Vec::new() };
+        let lines = of.into_iter().map(line);
         lines.filter(|line| line.length > 0.0 && line.weight.is_finite()).collect::<Vec<_>>()
     };
     leaves.par_iter().zip(&roots).flat_map_iter(of).collect()

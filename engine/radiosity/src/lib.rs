@@ -16,6 +16,7 @@ mod arena;
 mod bytes;
 mod census;
 mod element;
+mod fewer;
 mod fog;
 mod fog_factor;
 mod form_factor;

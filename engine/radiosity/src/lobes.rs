@@ -4,6 +4,7 @@
 //! spread evenly over the directions that it fills: narrow bright bundles part from wide dim ones. Each part becomes a lobe through where
 //! its ways fill the least solid angle. Then each way is given to the lobe that would draw it most often, and the lobes are made anew.
 
+use crate::fewer::fewer;
 use crate::portals::Portal;
 use femc_field::{Block, Directions, HALF, LOBES, Lobe};
 use femc_math::Frame;
@@ -147,7 +148,8 @@ pub fn fit(parts: &[Part], center: Vec3A, frame: &Frame, portals: &[Portal]) -> 
     let is_free = |at: Option<usize>| at.is_none_or(|at| fixed[at].is_none());
     let parts: Vec<Part> = rest.into_iter().filter(|&(at, _)| is_free(at)).map(|(_, part)| part).collect();
     let fixed: Vec<Lobe> = fixed.into_iter().flatten().collect();
-    let parts = &fewer(&parts);
+    let parts = fewer(&parts, MOST, |part| f64::from(part.amount));
+    let parts = &parts.into_iter().map(|(part, amount)| Part { amount: amount as f32, ..part }).collect::<Vec<_>>();
     let places: Vec<Place> = parts.iter().filter_map(|part| Place::of(part, center, frame)).collect();
     let whole: f32 = places.iter().map(|place| place.part.amount).sum();
     if !(whole > 0.0 && whole.is_finite()) {
@@ -170,27 +172,6 @@ pub fn fit(parts: &[Part], center: Vec3A, frame: &Frame, portals: &[Portal]) -> 
     }
     lobes.extend(fixed);
     shares(lobes)
-}
-
-/// Ways of equal amounts that stand for more than [`MOST`].
-fn fewer(parts: &[Part]) -> Vec<Part> {
-    if parts.len() <= MOST {
-        return parts.to_vec();
-    }
-    let whole: f32 = parts.iter().map(|part| part.amount).sum();
-    let each = whole / MOST as f32;
-    let (mut out, mut sum, mut next) = (Vec::with_capacity(MOST), 0.0, 0.5 * each);
-    for part in parts {
-        sum += part.amount;
-        let mut number = 0;
-        while next < sum && out.len() + number < MOST {
-            (number, next) = (number + 1, next + each);
-        }
-        if number > 0 {
-            out.push(Part { amount: each * number as f32, ..*part });
-        }
-    }
-    out
 }
 
 /// A way among directions, by their places on the disc of the unit hemisphere seen along the normal: there the cosine's density is even.

@@ -4,6 +4,7 @@
 //! which each has gone through some portal or none; a portal is a normal distribution in space, and the lines tell of it what lies across
 //! them (expectation maximization with what is missing, \[dempster1977\]). Each leaf then has the portal in its own direction.
 
+use crate::fewer::fewer;
 use femc_field::Lobe;
 use femc_math::Frame;
 use femc_math::elementary::{atan2, ln, sin_cos};
@@ -52,9 +53,10 @@ pub struct Line {
 pub struct Portal {
     /// m.
     middle: DVec3,
-    /// m2, and its inverse.
+    /// m2, its inverse and its determinant.
     covariance: DMat3,
     inverse: DMat3,
+    determinant: f64,
     /// Share of all lines that go through it.
     share: f64,
     /// Bright ways that were found to go through it, and their mean direction: light comes from there.
@@ -69,8 +71,16 @@ struct Passage {
     along: f64,
     /// Squared distance from the portal's middle, in standard deviations.
     far: f64,
-    /// Probability density over the area across the line, 1/m2.
-    density: f64,
+    /// Probability density over the area across the line, 1/m2: through the portal's middle, and here over that.
+    peak: f64,
+    tail: f64,
+}
+
+impl Passage {
+    /// Probability density of the direction of a line through the portal's middle, over that of directions evenly over the hemisphere.
+    fn over(&self, line: &Line) -> f64 {
+        2.0 * PI * self.peak * self.place.distance_squared(line.origin)
+    }
 }
 
 /// a b^T.
@@ -87,6 +97,7 @@ impl Portal {
             middle,
             covariance,
             inverse,
+            determinant,
             share,
             ways: 0,
             toward: DVec3::ZERO,
@@ -102,13 +113,8 @@ impl Portal {
         let far = off.dot(self.inverse * off).max(0.0);
         // (1 + q)^-3 with q = 1 at root two standard deviations, as the lobes have it.
         let tail = 1.0 / (1.0 + 0.5 * far);
-        let across = (self.covariance.determinant() / along).max(f64::MIN_POSITIVE).sqrt();
-        Passage { place, along, far, density: tail * tail * tail / (PI * across) }
-    }
-
-    /// Probability density of a line's direction over the even one, if it goes through the portal.
-    fn over(&self, line: &Line, passage: &Passage) -> f64 {
-        2.0 * PI * passage.density * passage.place.distance_squared(line.origin)
+        let across = (self.determinant / along).max(f64::MIN_POSITIVE).sqrt();
+        Passage { place, along, far, peak: 1.0 / (PI * across), tail: tail * tail * tail }
     }
 
     /// Whether rays have seldom found it.
@@ -150,7 +156,7 @@ impl Portal {
         let (mut weights, mut places, mut squares) = (0.0, DVec3::ZERO, DMat3::ZERO);
         for line in lines {
             let passage = self.passage(line);
-            let through = self.share * self.over(line, &passage);
+            let through = self.share * passage.over(line) * passage.tail;
             let likelihood = through + 1.0 - self.share;
             let amount = line.weight * through / likelihood;
             gain += line.weight * f64::from(ln(likelihood as f32));
@@ -170,12 +176,31 @@ impl Portal {
         let share = (sum / whole).clamp(1e-6, 0.999);
         Some((Self::new(self.middle + mean, covariance, share)?, gain))
     }
+
+    /// Whether it has enough of the lines, and of their light, for as wide as it is.
+    fn is_narrow(&self, lines: &[Line], least: f64) -> bool {
+        let (mut number, mut light, mut pool, mut wide) = (0, 0.0, 0.0, 0.0);
+        for line in lines {
+            pool += line.weight;
+            let passage = self.passage(line);
+            if passage.far < NEAR {
+                let own = (1.0 / passage.over(line)).min(1.0);
+                (number, light, wide) = (number + 1, light + line.weight, wide + line.weight * own);
+            }
+        }
+        // As a share of the hemisphere, in the mean over the lines: of the density's middle, and of what counts as near.
+        let wide = wide / light;
+        let (share, even) = (light / pool, (NEAR * wide).min(0.5));
+        let told = f64::from(ln((share / even) as f32)) * share
+            + f64::from(ln(((1.0 - share).max(1e-6) / (1.0 - even)) as f32)) * (1.0 - share);
+        number >= FEW && light >= least && wide < WIDE && share > even && told > TOLD
+    }
 }
 
 /// The portals of a scene, the one that tells most of the bright ways first.
 /// - `whole`: weight of all ways, dim ones too.
 pub fn find(all: &[Line], whole: f64) -> Vec<Portal> {
-    let mut lines = fewer(all);
+    let mut lines = standing_for(all);
     let mut out = Vec::new();
     while out.len() < MOST {
         let Some(grid) = Grid::new(&lines) else { break };
@@ -202,54 +227,11 @@ pub fn find(all: &[Line], whole: f64) -> Vec<Portal> {
     out
 }
 
-impl Portal {
-    /// Whether it has enough of the lines, and of their light, for as wide as it is.
-    fn is_narrow(&self, lines: &[Line], least: f64) -> bool {
-        let (mut number, mut light, mut pool, mut wide) = (0, 0.0, 0.0, 0.0);
-        for line in lines {
-            pool += line.weight;
-            let passage = self.passage(line);
-            if passage.far < NEAR {
-                let over = self.over(line, &Passage { density: self.peak(line), ..passage });
-                (number, light, wide) = (number + 1, light + line.weight, wide + line.weight * (1.0 / over).min(1.0));
-            }
-        }
-        // As a share of the hemisphere, in the mean over the lines: of the density's middle, and of what counts as near.
-        let wide = wide / light;
-        let (share, even) = (light / pool, (NEAR * wide).min(0.5));
-        let told = f64::from(ln((share / even) as f32)) * share
-            + f64::from(ln(((1.0 - share).max(1e-6) / (1.0 - even)) as f32)) * (1.0 - share);
-        number >= FEW && light >= least && wide < WIDE && share > even && told > TOLD
-    }
-
-    /// Density of lines through the middle, across this one, 1/m2.
-    fn peak(&self, line: &Line) -> f64 {
-        let along = 1.0 / line.dir.dot(self.inverse * line.dir).max(f64::MIN_POSITIVE);
-        1.0 / (PI * (self.covariance.determinant() / along).max(f64::MIN_POSITIVE).sqrt())
-    }
-}
-
-/// Lines that stand for more than [`WAYS`], by their weights; none weighs more than a hundredth of all.
-fn fewer(lines: &[Line]) -> Vec<Line> {
-    let whole: f64 = lines.iter().map(|line| line.weight).sum();
-    let most = 0.01 * whole;
-    let lines: Vec<Line> = lines.iter().map(|line| Line { weight: line.weight.min(most), ..*line }).collect();
-    if lines.len() <= WAYS {
-        return lines;
-    }
-    let each = lines.iter().map(|line| line.weight).sum::<f64>() / WAYS as f64;
-    let (mut out, mut sum, mut next) = (Vec::with_capacity(WAYS), 0.0, 0.5 * each);
-    for line in lines {
-        sum += line.weight;
-        let mut weight = 0.0;
-        while next < sum {
-            (weight, next) = (weight + each, next + each);
-        }
-        if weight > 0.0 {
-            out.push(Line { weight, ..line });
-        }
-    }
-    out
+/// Lines that stand for all: [`WAYS`] at most; none weighs more than a hundredth of all.
+fn standing_for(lines: &[Line]) -> Vec<Line> {
+    let most = 0.01 * lines.iter().map(|line| line.weight).sum::<f64>();
+    let few = fewer(lines, WAYS, |line| line.weight.min(most));
+    few.into_iter().map(|(line, weight)| Line { weight, ..line }).collect()
 }
 
 /// Space in cells.
@@ -288,8 +270,7 @@ impl Grid {
             for step in 1..=steps {
                 let part = step as f64 / steps as f64;
                 let at = ((line.origin + line.dir * (line.length * part) - self.low) / self.cell).to_array();
-                let at: Vec<usize> =
-                    at.iter().zip(self.counts).map(|(at, count)| (at.max(0.0) as usize).min(count - 1)).collect();
+                let at = [0, 1, 2].map(|axis| (at[axis].max(0.0) as usize).min(self.counts[axis] - 1));
                 let index = at[0] + self.counts[0] * (at[1] + self.counts[1] * at[2]);
                 if index != last {
                     cells[index] += line.weight * part * part;

@@ -409,14 +409,25 @@ impl Rays {
     }
 
     /// Ways that light comes to a leaf, by the light as it is now.
-    pub fn of(&self, scene: &Scene<'_>, arena: &Arena, lights: &Lights, leaf: u32) -> Vec<Seen> {
+    /// - `is_wanted`: by [`Seen::irradiance`] and [`Seen::number`]; the others are left out before their ends are found.
+    pub fn of(
+        &self,
+        (scene, arena): (&Scene<'_>, &Arena),
+        lights: &Lights,
+        leaf: u32,
+        is_wanted: impl Fn(f32, f32) -> bool,
+    ) -> Vec<Seen> {
         let Ok(place) = self.leaves.binary_search(&leaf) else { return Vec::new() };
         let mut seen = Vec::new();
         self.ways((arena, lights), place, Weights::Both, |Way { ray, origin, irradiance, number, .. }| {
+            let irradiance = luminance(irradiance);
+            if !is_wanted(irradiance, number) {
+                return;
+            }
             let begin = self.origin_of(scene, arena, origin.unwrap_or(place), ray).position;
             let end = Vec3A::from_array(self.sights[ray].target);
             let [origin, target] = if origin.is_none() { [begin, end] } else { [end, begin] };
-            seen.push(Seen { origin, target, irradiance: luminance(irradiance), number });
+            seen.push(Seen { origin, target, irradiance, number });
         });
         seen
     }

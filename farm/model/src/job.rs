@@ -235,6 +235,18 @@ pub enum JobState {
 }
 
 impl JobState {
+    /// The state in one word.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Queued => "queued",
+            Self::Running => "running",
+            Self::Paused => "paused",
+            Self::Done => "done",
+            Self::Failed => "failed",
+            Self::Cancelled => "cancelled",
+        }
+    }
+
     /// Whether nothing more will happen by itself.
     pub const fn has_ended(self) -> bool {
         match self {

@@ -226,7 +226,7 @@ fn troubles(queued: &[Queued<'_>], all: &BTreeMap<JobId, JobStatus>) -> Vec<Stri
         match all.get(&queued.job) {
             Some(status) if status.state == JobState::Done => Vec::new(),
             Some(status) => {
-                let mut lines = vec![format!("{name}: job {} is {}", queued.job, show::state(status.state))];
+                let mut lines = vec![format!("{name}: job {} is {}", queued.job, status.state.name())];
                 lines.extend(show::trouble(status));
                 lines
             }

@@ -1,4 +1,4 @@
-//! What other sites' pages, and whoever speaks HTTP/1, may try.
+//! Attacks over HTTP/1: by pages of other sites in a user's browser, and by programs.
 
 use std::net::Ipv4Addr;
 use std::time::{Duration, Instant};

@@ -61,7 +61,7 @@ impl Target {
         assert!(self.coordinator.is_running());
     }
 
-    /// Queues a job, which nobody does.
+    /// Queues a job, which stays queued: there is no worker.
     #[track_caller]
     fn submit(&self) {
         self.place.run(&format!("submit fog.mgf --frames 1 --spp 1 --server {}", self.url)).exits(0);

@@ -1,6 +1,6 @@
 //! A job as programs and pages read it, and why its tasks wait.
 
-use femc_model::{FrameProgress, JobState, JobStatus, Stage, Wait};
+use femc_model::{FrameProgress, JobStatus, Stage, Wait};
 use serde::Serialize;
 
 use super::words::count;
@@ -59,7 +59,7 @@ impl From<&JobStatus> for JobJson {
         Self {
             job: job.job.0,
             name: job.name.clone(),
-            state: state(job.state),
+            state: job.state.name(),
             owner: job.owner.clone(),
             priority: job.priority,
             frames: job.frames_total,
@@ -104,18 +104,6 @@ impl From<&FrameProgress> for ActiveJson {
             samples: frame.samples_done,
             relative_error: frame.relative_error,
         }
-    }
-}
-
-/// The state in one word.
-pub fn state(state: JobState) -> &'static str {
-    match state {
-        JobState::Queued => "queued",
-        JobState::Running => "running",
-        JobState::Paused => "paused",
-        JobState::Done => "done",
-        JobState::Failed => "failed",
-        JobState::Cancelled => "cancelled",
     }
 }
 
@@ -212,7 +200,7 @@ pub fn wait(job: &JobStatus, wait: &Wait) -> String {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use femc_model::JobId;
+    use femc_model::{JobId, JobState};
 
     #[test]
     fn stages_of_the_whole_job_are_no_frame_in_what_a_job_waits_for() {

@@ -8,7 +8,7 @@ mod table;
 mod words;
 mod worker;
 
-pub use job::{JobJson, state, unit, wait};
+pub use job::{JobJson, unit, wait};
 pub use log::LogJson;
 pub use spec::SpecJson;
 pub use table::{FrameJson, TaskJson};

@@ -1,11 +1,11 @@
 //! The first pass measured: `first_pass errors [--error E,E..] [--only WORD]` sets its own estimates of error beside true errors in scenes
-//! whose light is known; `first_pass growth [--error E] [--faces N,N..] [--kind room|terrain]` solves scenes of more and more faces;
-//! `first_pass fog SCENE [--error E,E..] [--rays N] [--samples N]` sets light in the fog of a scene beside what paths find.
+//! whose light is known; `first_pass growth [--error E] [--faces N,N..] [--kind room|terrain] [--memory MB]` solves scenes of more and
+//! more faces, with so much memory; `first_pass steps SCENE` says what the steps of a first pass that guides paths take; `first_pass fog SCENE [--error E,E..] [--rays N] [--samples N]` sets light in the fog of a scene beside what paths find.
 //!
 //! `cargo run --release -p femc-tests --example first_pass -- errors`
 
-use femc_pipeline::radiosity::{Options, solve};
-use femc_pipeline::{Settings, Source, prepare};
+use femc_pipeline::radiosity::{Options, ROUNDS, solve};
+use femc_pipeline::{Method, Settings, Source, aim, begin, first_pass_world, prepare, settle};
 use femc_tests::clock::processor_seconds;
 use femc_tests::closed_forms::{Case, Solved, all, errors};
 use femc_tests::fog_light::{self, Compared, compare_along, compare_around};
@@ -30,8 +30,11 @@ fn main() -> Result<(), Box<dyn Error>> {
             let faces = numbers(option("--faces").unwrap_or("1000,3000,10000,30000,100000"))?;
             let error = option("--error").unwrap_or("1").parse()?;
             let kind = if option("--kind") == Some("terrain") { Kind::Terrain } else { Kind::Room };
-            growth(kind, &faces, error);
+            let memory = option("--memory").map(str::parse::<usize>).transpose()?.map(|megabytes| megabytes << 20);
+            let memory = memory.unwrap_or(Options::default().memory);
+            growth(kind, &faces, Options { error, memory, ..Options::default() });
         }
+        Some("steps") => steps(Path::new(args.get(1).ok_or("which scene?")?))?,
         Some("fog") => {
             let scene = args.get(1).ok_or("which scene?")?;
             let errors = numbers(option("--error").unwrap_or("2,1,0.3"))?;
@@ -39,7 +42,7 @@ fn main() -> Result<(), Box<dyn Error>> {
                 .map(|(name, otherwise)| option(name).unwrap_or(otherwise).parse());
             fog(Path::new(scene), &errors, rays?, samples?)?;
         }
-        _ => return Err("usage: first_pass errors [--error E,E..] [--only WORD] | growth [--error E] [--faces N,N..] [--kind room|terrain] | fog SCENE [--error E,E..] [--rays N] [--samples N]".into()),
+        _ => return Err("usage: first_pass errors [--error E,E..] [--only WORD] | growth [--error E] [--faces N,N..] [--kind room|terrain] [--memory MB] | steps SCENE | fog SCENE [--error E,E..] [--rays N] [--samples N]".into()),
     }
     Ok(())
 }
@@ -120,7 +123,40 @@ fn fog(path: &Path, errors: &[f32], rays: u32, samples: u32) -> Result<(), Box<d
     Ok(())
 }
 
-fn growth(kind: Kind, faces: &[f32], error: f32) {
+/// What each step takes, in one process.
+fn steps(path: &Path) -> Result<(), Box<dyn Error>> {
+    let (settings, cancel) = (Settings { method: Method::Femc, ..Settings::default() }, AtomicBool::new(false));
+    let world = first_pass_world(&Source::new(Arc::new(femc_import::load_path(path)?.scene)), &settings, 1, None)?;
+    let mut rows: Vec<(&str, f64)> = Vec::new();
+    let mut clock = processor_seconds().unwrap_or(0.0);
+    let mut took = |what| {
+        let now = processor_seconds().unwrap_or(0.0);
+        match rows.iter_mut().find(|row| row.0 == what) {
+            Some(row) => row.1 += now - clock,
+            None => rows.push((what, now - clock)),
+        }
+        clock = now;
+    };
+    let mut underway = begin(&world, Method::Femc, &cancel)?;
+    took("elements and links");
+    let mut found = Vec::new();
+    for _ in 0..ROUNDS {
+        let aimed = aim(underway, &world, Method::Femc, found);
+        let sights = vec![aimed.cast(&world, 0, 1)];
+        took("rays");
+        let settled = settle(&aimed, &world, Method::Femc, sights, &cancel)?.ok_or("rays of other elements")?;
+        took("what rays have met is taken in, and portals are found");
+        found = vec![settled.guides(&world, 0, 1)];
+        took("where light comes from");
+        underway = settled.underway().clone();
+    }
+    let whole: f64 = rows.iter().map(|row| row.1).sum();
+    println!("step\tprocessor seconds\tshare");
+    rows.iter().for_each(|(what, seconds)| println!("{what}\t{seconds:.2}\t{:.0} %", 100.0 * seconds / whole));
+    Ok(())
+}
+
+fn growth(kind: Kind, faces: &[f32], options: Options) {
     println!(
         "faces\tseconds\tprocessor seconds\telements\tleaves\tlinks\tlamp links\trefused\trays\tMB\trow sum\tbounded"
     );
@@ -131,7 +167,6 @@ fn growth(kind: Kind, faces: &[f32], error: f32) {
         let prepared = prepare(&source, &Settings::default(), 1, None);
         let prepared = prepared.unwrap_or_else(|e| panic!("{e}"));
         let (start, before) = (Instant::now(), processor_seconds());
-        let options = Options { error, ..Options::default() };
         let cancel = AtomicBool::new(false);
         let solution = solve(&prepared, &options, &cancel);
         let report = solution.unwrap_or_else(|e| panic!("{e:?}")).report;

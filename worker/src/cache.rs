@@ -61,8 +61,9 @@ struct Shelves {
     scenes: Shelf<Digest, Arc<Read>>,
     /// Frames by what they are made from, and by the light that they have of a first pass, if of any.
     frames: Shelf<(FrameKey, Option<Digest>), Arc<Prepared>>,
-    /// Lights of first passes.
+    /// Lights of first passes, of lamps of brightness 1; and as bright as those of frames are, by that.
     fields: Shelf<Digest, Arc<Field>>,
+    brightened: Shelf<(Digest, u32), Arc<Field>>,
     /// First passes that are not done, by what they are made of: before rays, and after them.
     aimed: Shelf<Digest, Arc<Aimed>>,
     settled: Shelf<Digest, Arc<Settled>>,
@@ -102,6 +103,7 @@ impl Cache {
             scenes: Shelf::new(Self::SCENES),
             frames: Shelf::new(frames),
             fields: Shelf::new(Self::FIELDS),
+            brightened: Shelf::new(Self::FIELDS),
             aimed: Shelf::new(1),
             settled: Shelf::new(1),
             pieces,
@@ -114,6 +116,7 @@ impl Cache {
         self.0.scenes.clear();
         self.0.frames.clear();
         self.0.fields.clear();
+        self.0.brightened.clear();
         self.forget_steps();
     }
 
@@ -167,15 +170,25 @@ impl Cache {
         self.prepared(read, frame, light, client, fetch)
     }
 
-    /// The frame, as it is before its first pass.
+    /// The world that the first pass of a frame is of.
     pub(crate) fn world(
         &self,
         spec: &JobSpec,
         frame: u32,
         client: &Client,
         fetch: &Fetch,
-    ) -> Result<(Arc<Read>, Arc<Prepared>), Failure> {
-        self.prepared(self.scene(spec, client, fetch)?, frame, None, client, fetch)
+    ) -> Result<Arc<Prepared>, Failure> {
+        let read = self.scene(spec, client, fetch)?;
+        let frame_key = read.frame_key(frame)?;
+        // No world of a frame has this digest.
+        let key = FrameKey { world: frame_key.light, ..frame_key };
+        self.0.frames.get_or((key, None), || {
+            let previous = self.0.frames.latest(|(other, _)| other.static_digest == frame_key.static_digest);
+            let world = femc_pipeline::first_pass_world(&read.source, &read.settings, frame, previous.as_deref());
+            let mut world = world.map_err(|error| Failure::Scene { message: error.to_string() })?;
+            world.field = None;
+            Ok(Arc::new(world))
+        })
     }
 
     fn prepared(
@@ -190,12 +203,12 @@ impl Cache {
         let same_world = || self.0.frames.latest(|(other, _)| other.world == frame_key.world);
         let same_surfaces = || self.0.frames.latest(|(other, _)| other.static_digest == frame_key.static_digest);
         let prepared = self.0.frames.get_or((frame_key, light.map(|light| light.digest)), || {
-            let field = light.map(|light| Ok((light, self.field(light, client, fetch)?))).transpose()?;
             let previous = same_world().or_else(same_surfaces);
             let prepared = femc_pipeline::prepare_world(&read.source, &read.settings, frame, previous.as_deref());
             let mut prepared = prepared.map_err(|error| Failure::Scene { message: error.to_string() })?;
             prepared.field = None;
-            if let Some((light, field)) = field {
+            if let Some(light) = light {
+                let field = self.field(light, prepared.brightness, client, fetch)?;
                 femc_pipeline::light(&mut prepared, field).map_err(|error| lost(light, &error))?;
             }
             Ok(Arc::new(prepared))
@@ -203,8 +216,14 @@ impl Cache {
         Ok((read, prepared))
     }
 
-    /// The light of a first pass.
-    fn field(&self, light: Artifact, client: &Client, fetch: &Fetch) -> Result<Arc<Field>, Failure> {
+    /// The light of a first pass, as bright as a frame's lamps are.
+    fn field(&self, light: Artifact, brightness: f32, client: &Client, fetch: &Fetch) -> Result<Arc<Field>, Failure> {
+        self.0.brightened.get_or((light.digest, brightness.to_bits()), || {
+            Ok(femc_pipeline::brightened(self.field_of_one(light, client, fetch)?, brightness))
+        })
+    }
+
+    fn field_of_one(&self, light: Artifact, client: &Client, fetch: &Fetch) -> Result<Arc<Field>, Failure> {
         self.0.fields.get_or(light.digest, || {
             // It is done: its steps are of no use any more.
             self.forget_steps();

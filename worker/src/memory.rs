@@ -50,8 +50,26 @@ pub(crate) fn forget_peak() {
     let _ = std::fs::write("/proc/self/clear_refs", "5");
 }
 
+/// Bytes that the system has left for this process, where it says so: of the machine, and of the group of processes that it may be in.
+fn available() -> Option<u64> {
+    let of_group = |name: &str| -> Option<u64> {
+        std::fs::read_to_string(format!("/sys/fs/cgroup/memory.{name}")).ok()?.trim().parse().ok()
+    };
+    // Files that were read count, too, until something else needs the room.
+    let files = std::fs::read_to_string("/sys/fs/cgroup/memory.stat")
+        .ok()
+        .and_then(|text| text.lines().find_map(|line| line.strip_prefix("inactive_file "))?.trim().parse::<u64>().ok());
+    let used = of_group("current").map(|now| now.saturating_sub(files.unwrap_or(0)));
+    let group = of_group("max").zip(used).map(|(most, used)| most.saturating_sub(used));
+    [kilobytes_of("/proc/meminfo", "MemAvailable:"), group].into_iter().flatten().min()
+}
+
 fn kilobytes(field: &str) -> Option<u64> {
-    let status = std::fs::read_to_string("/proc/self/status").ok()?;
+    kilobytes_of("/proc/self/status", field)
+}
+
+fn kilobytes_of(file: &str, field: &str) -> Option<u64> {
+    let status = std::fs::read_to_string(file).ok()?;
     let line = status.lines().find_map(|line| line.strip_prefix(field))?;
     line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok().map(|kilobytes| kilobytes << 10)
 }
@@ -101,6 +119,23 @@ impl Memory {
             }
         }
         Ok(Measured { watch: Some((watch.clone(), kind)), before: watch.resident() })
+    }
+
+    /// Refuses what would take more than there is: the system would end the worker in the midst of it.
+    /// - `needs`: bytes that it takes at least;
+    /// - `what`: names it.
+    pub(crate) fn holds(&self, needs: u64, what: &str) -> Result<(), Failure> {
+        let (room, who) = match &self.0 {
+            Some(watch) => (Some(watch.limit.bytes.saturating_sub(watch.resident())), "the worker may use (--memory)"),
+            None => (available(), "the machine has left"),
+        };
+        let mega = |bytes: u64| bytes.div_ceil(1 << 20);
+        match room {
+            Some(room) if needs > room => Err(Failure::Resources {
+                message: format!("{what} takes {} MiB at least, of {} MiB that {who}", mega(needs), mega(room)),
+            }),
+            _ => Ok(()),
+        }
     }
 
     /// Whether something that is not asked for yet may be prepared.
@@ -161,6 +196,24 @@ mod tests {
         assert!(memory.begin(StageKind::Render, &cache).is_ok() && memory.has_room_ahead());
         set(101);
         assert!(memory.begin(StageKind::Image, &cache).is_err(), "above the limit nothing begins");
+    }
+
+    #[test]
+    fn what_takes_more_than_there_is_is_refused_before_it_begins() {
+        let (memory, size) = memory();
+        size.store(60, Ordering::Relaxed);
+        assert!(memory.holds(40 << 20, "it").is_ok());
+        let refused = memory.holds((40 << 20) + 1, "a first pass").err();
+        assert!(
+            matches!(&refused, Some(Failure::Resources { message })
+                if message == "a first pass takes 41 MiB at least, of 40 MiB that the worker may use (--memory)"),
+            "{refused:?}"
+        );
+        let memory = Memory::default();
+        assert!(memory.holds(1, "it").is_ok());
+        if cfg!(target_os = "linux") {
+            assert!(memory.holds(1 << 60, "it").is_err_and(|error| error.to_string().contains("the machine has left")));
+        }
     }
 
     #[test]

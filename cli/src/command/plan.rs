@@ -184,10 +184,12 @@ pub fn trial(asked: &Asked, first_passes: usize, samples_least: u64, samples_mos
     let prepare_seconds = clock.since(begun).as_secs_f64();
     let mut first_pass_seconds = 0.0;
     if plan.method.has_first_pass() {
-        let begun = clock.now();
-        let solution = femc_pipeline::first_pass(&prepared, plan.method, &AtomicBool::new(false)).map_err(failed)?;
+        let world = femc_pipeline::first_pass_world(&asked.source, &asked.settings, frame, Some(&prepared));
+        let (world, begun) = (world.map_err(failed)?, clock.now());
+        let solution = femc_pipeline::first_pass(&world, plan.method, &AtomicBool::new(false)).map_err(failed)?;
         first_pass_seconds = clock.since(begun).as_secs_f64();
-        femc_pipeline::light(&mut prepared, Arc::new(solution.field)).map_err(failed)?;
+        let field = femc_pipeline::brightened(Arc::new(solution.field), prepared.brightness);
+        femc_pipeline::light(&mut prepared, field).map_err(failed)?;
     }
     let begun = clock.now();
     let mut samples = 0;

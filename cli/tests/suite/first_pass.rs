@@ -105,6 +105,26 @@ fn every_world_has_a_first_pass_of_its_own_and_a_second_job_finds_them_there() {
 }
 
 #[test]
+fn a_sweep_of_the_power_of_all_lamps_has_one_first_pass() {
+    let place = place();
+    let (mut farm, url) = coordinator(&place, 0);
+    let _worker = place.start(&format!("worker --join {url} --threads 2"));
+    let still = std::fs::read_to_string(place.path("still.mgf")).expect("a scene");
+    let lamp = still.lines().find(|line| line.trim_start().starts_with("ed ")).expect("a lamp");
+    for power in ["300", "41.7", "9000"] {
+        let scene = format!("lamp-{power}.mgf");
+        place.write(&scene, &still.replace(lamp, &format!("\ted {power}")));
+        let job = ask(&place, &url, &scene, "femc");
+        claim_frames(&place, &url, &job, &scene, "femc", 1);
+        std::fs::remove_dir_all(place.path("alone")).expect("frames");
+        std::fs::remove_dir_all(place.path("out")).expect("frames");
+    }
+    farm.kill();
+    let (begun, done) = run(solutions(&place));
+    assert_eq!((begun, done.len()), (1, 1), "{done:?}");
+}
+
+#[test]
 fn a_worker_that_is_killed_while_it_solves_costs_the_others_one_solution() {
     let place = place();
     let (mut farm, url) = coordinator(&place, 0);

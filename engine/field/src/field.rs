@@ -53,6 +53,15 @@ impl Leaf {
         }
     }
 
+    /// The same with all light times a factor.
+    fn times(&self, factor: f32) -> Self {
+        match self {
+            Self::Triangle(values) => Self::Triangle(values.map(|value| value * factor)),
+            Self::Rectangle(values) => Self::Rectangle(values.map(|value| value * factor)),
+            Self::Curved(light) => Self::Curved(*light * Rgb::splat(factor)),
+        }
+    }
+
     /// Luminance of the mean irradiance over the leaf, lx; 0 at least.
     pub fn mean(&self) -> f32 {
         let mean = |values: &[Rgb]| values.iter().copied().sum::<Rgb>() * (1.0 / values.len() as f32);
@@ -88,6 +97,14 @@ pub struct Field {
 }
 
 impl Field {
+    /// The field of the same scene with lamps that are brighter by a factor: all light times that.
+    pub fn times(mut self, factor: f32) -> Self {
+        self.leaves.iter_mut().for_each(|leaf| *leaf = leaf.times(factor));
+        self.guides.scale(factor);
+        self.fog.scale(factor);
+        self
+    }
+
     /// Irradiance at a hit, lx by channel, without what comes straight from light sources.
     /// - `position`, `normal`: of the hit; the unit normal on the side that is asked for.
     /// - returns 0 where the first pass knows no surface.

@@ -113,6 +113,11 @@ impl Guides {
         Self { of, lobes, ..Self::default() }
     }
 
+    /// Light times a factor; where it comes from stays.
+    pub(crate) fn scale(&mut self, factor: f32) {
+        self.light.iter_mut().for_each(|light| *light *= factor);
+    }
+
     /// By leaf.
     pub fn of(&self) -> &[Guide] {
         &self.of

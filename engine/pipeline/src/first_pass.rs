@@ -1,9 +1,9 @@
 //! The first pass as a piece of work of its own: what its solution depends on, and the solution as bytes.
 
-use crate::render::RenderError;
-use crate::settings::Method;
+use crate::render::{RenderError, spec};
+use crate::settings::{Method, Settings};
 use femc_field::{Field, Statistics};
-use femc_prepared::Prepared;
+use femc_prepared::{PrepareError, Prepared, Source};
 use femc_radiosity::{Options, Report, Solution};
 use femc_scene::FrameKey;
 use std::sync::Arc;
@@ -27,14 +27,31 @@ pub fn first_pass(prepared: &Prepared, method: Method, cancel: &AtomicBool) -> R
     femc_radiosity::solve(prepared, &options(method), cancel).map_err(|_| RenderError::Cancelled)
 }
 
-/// Digest of all that a solution depends on: the frame's world around its origin, and the options of the method's first pass. Neither film,
-/// camera, seed nor samples: frames with equal keys share the solution.
+/// The world of a frame as its first pass has it: with lamps of brightness 1. Frames with equal keys ([`first_pass_key`]) have the same one,
+/// and the light of each is that of this one, as bright as its lamps are ([`brightened`]).
+pub fn first_pass_world(
+    source: &Source,
+    settings: &Settings,
+    frame: u32,
+    previous: Option<&Prepared>,
+) -> Result<Prepared, PrepareError> {
+    femc_prepared::prepare_of_brightness_one(source, &spec(settings, frame), previous)
+}
+
+/// What the first pass of a [`first_pass_world`] has found, for a frame.
+/// - `brightness`: of the frame's lamps.
+pub fn brightened(field: Arc<Field>, brightness: f32) -> Arc<Field> {
+    if brightness == 1.0 { field } else { Arc::new(Arc::unwrap_or_clone(field).times(brightness)) }
+}
+
+/// Digest of all that a solution depends on: the frame's world around its origin, but for how bright all lamps are together, and the options of
+/// the method's first pass. Neither film, camera, seed nor samples: frames with equal keys share the solution.
 /// - `blocks`: of [`first_pass_blocks`](crate::first_pass_blocks). They change no bit of the solution, but who shares it shares the tasks that it is made by.
 pub fn first_pass_key(frame_key: &FrameKey, method: Method, blocks: u32) -> [u8; 32] {
     let Options { error, memory, guides } = options(method);
     let mut hasher = blake3::Hasher::new();
-    hasher.update(b"femc first pass 3");
-    hasher.update(&frame_key.world.0);
+    hasher.update(b"femc first pass 4");
+    hasher.update(&frame_key.light.0);
     hasher.update(&error.to_bits().to_le_bytes());
     hasher.update(&(memory as u64).to_le_bytes());
     hasher.update(&[u8::from(guides)]);

@@ -27,7 +27,7 @@ pub use femc_radiosity::{
     self as radiosity, Aimed, Damaged, Found, Report as FirstPassReport, Settled, Sights, Solution, Underway,
 };
 pub use femc_scene::FrameKey;
-pub use first_pass::{OtherWorld, encode_solution, first_pass, first_pass_key, light};
+pub use first_pass::{OtherWorld, brightened, encode_solution, first_pass, first_pass_key, first_pass_world, light};
 pub use first_pass_steps::{aim, begin, blocks_of, first_pass_blocks, in_blocks, settle, surfaces};
 pub use in_process::{RenderedFrame, RoundEnd, by_rounds, render_frame};
 pub use plan::{FIRST_PASS, LeftOut, Plan, PlanError, plan};

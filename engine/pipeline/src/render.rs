@@ -1,6 +1,6 @@
 //! Frames made ready and tiles rendered.
 
-use crate::first_pass::first_pass;
+use crate::first_pass::{brightened, first_pass, first_pass_world};
 use crate::settings::{Method, Settings};
 use femc_film::{FilmError, Filter, Rect, Sample, Tile};
 use femc_montecarlo::{PathSample, PathSettings, PixelFilter, Recorder, Tracer};
@@ -22,8 +22,9 @@ pub fn prepare(
 ) -> Result<Prepared, PrepareError> {
     let mut prepared = prepare_world(source, settings, frame, previous)?;
     if settings.method.has_first_pass() && prepared.field.is_none() {
-        let Ok(solution) = first_pass(&prepared, settings.method, &AtomicBool::new(false)) else { return Ok(prepared) };
-        prepared.field = Some(Arc::new(solution.field));
+        let world = first_pass_world(source, settings, frame, Some(&prepared))?;
+        let Ok(solution) = first_pass(&world, settings.method, &AtomicBool::new(false)) else { return Ok(prepared) };
+        prepared.field = Some(brightened(Arc::new(solution.field), prepared.brightness));
     }
     Ok(prepared)
 }
@@ -43,7 +44,7 @@ pub fn frame_key(source: &Source, settings: &Settings, frame: u32) -> Result<Fra
     femc_prepared::frame_key(source, &spec(settings, frame))
 }
 
-fn spec(settings: &Settings, frame: u32) -> FrameSpec {
+pub(crate) fn spec(settings: &Settings, frame: u32) -> FrameSpec {
     FrameSpec { camera: settings.camera.clone(), size: settings.size, frame, filter_radius: settings.filter.radius() }
 }
 

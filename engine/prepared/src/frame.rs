@@ -107,6 +107,8 @@ pub struct Prepared {
     pub camera_inside: Inside,
     /// Whether light can go straight through a surface: shadow rays look at what they meet then.
     pub has_clear_surfaces: bool,
+    /// Brightness of the lamps ([`Scalars::brightness`]).
+    pub brightness: f32,
     /// The light that the first pass has found, where there was one.
     pub field: Option<Arc<Field>>,
     cache: Cache,
@@ -149,9 +151,28 @@ pub fn frame_key(source: &Source, spec: &FrameSpec) -> Result<FrameKey, PrepareE
 /// equal, and unchanged surfaces if one scene is a variant of the other.
 pub fn prepare(source: &Source, spec: &FrameSpec, previous: Option<&Prepared>) -> Result<Prepared, PrepareError> {
     let scene = source.scene();
-    let now = scene.scalars_at(scene.frame_time(spec.frame))?;
-    let sight = Sight::of(source, &now, spec)?;
-    let frame_key = sight.frame_key(source, &now, spec.frame);
+    prepare_with(source, spec, &scene.scalars_at(scene.frame_time(spec.frame))?, previous)
+}
+
+/// The same with lamps of brightness 1 ([`Scalars::of_brightness_one`]): frames whose [`FrameKey::light`] is equal give the same world.
+pub fn prepare_of_brightness_one(
+    source: &Source,
+    spec: &FrameSpec,
+    previous: Option<&Prepared>,
+) -> Result<Prepared, PrepareError> {
+    let scene = source.scene();
+    prepare_with(source, spec, &scene.scalars_at(scene.frame_time(spec.frame))?.of_brightness_one(), previous)
+}
+
+fn prepare_with(
+    source: &Source,
+    spec: &FrameSpec,
+    now: &Scalars,
+    previous: Option<&Prepared>,
+) -> Result<Prepared, PrepareError> {
+    let scene = source.scene();
+    let sight = Sight::of(source, now, spec)?;
+    let frame_key = sight.frame_key(source, now, spec.frame);
     let camera = kernel_camera(&now.paths, spec, &sight)?;
     let mut prepared = match previous.filter(|p| p.frame_key.static_digest == frame_key.static_digest) {
         Some(previous) if previous.frame_key.world == frame_key.world => Prepared {
@@ -171,10 +192,11 @@ pub fn prepare(source: &Source, spec: &FrameSpec, previous: Option<&Prepared>) -
             least_distance: previous.least_distance,
             camera_inside: Inside::default(),
             has_clear_surfaces: previous.has_clear_surfaces,
+            brightness: previous.brightness,
             field: previous.field.clone(),
             cache: previous.cache.clone(),
         },
-        previous => build(scene, &now, &sight, frame_key, camera, spec.frame, previous)?,
+        previous => build(scene, now, &sight, frame_key, camera, spec.frame, previous)?,
     };
     if prepared.materials.iter().any(|m| m.inside.is_some()) {
         prepared.camera_inside = prepared.media_around(prepared.camera.eye());
@@ -251,6 +273,7 @@ fn build(
         origin,
         camera_inside: Inside::default(),
         has_clear_surfaces,
+        brightness: now.brightness() as f32,
         field: None,
         cache,
     })

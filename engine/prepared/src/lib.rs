@@ -21,7 +21,7 @@ mod source;
 mod surface;
 mod twins;
 
-pub use frame::{FrameSpec, PrepareError, Prepared, find_camera, frame_key, prepare};
+pub use frame::{FrameSpec, PrepareError, Prepared, find_camera, frame_key, prepare, prepare_of_brightness_one};
 pub use lights::Lights;
 pub use material::{Crossing, KernelMaterial, Orientation};
 pub use source::Source;

@@ -40,4 +40,4 @@ pub use look::{Irradiance, Look, Summary};
 pub use mesh::{Mesh, Part, meshes};
 pub use rays::Sights;
 pub use solve::{Cancelled, Options, RESIDUAL, ROUNDS, Report, Solution, Underway};
-pub use steps::{Aimed, Found, Settled, solve};
+pub use steps::{Aimed, Found, Settled, least_bytes, solve};

@@ -59,6 +59,8 @@ pub struct Judge<'a> {
     pub least_volume: f32,
     /// No more elements are to be made.
     pub full: bool,
+    /// No link is to be cut into more, of elements that are there.
+    pub brimful: bool,
 }
 
 /// Something is beside a box of fog where their radii are more than this share of their distance.
@@ -94,6 +96,7 @@ impl Judge<'_> {
     /// Whether an element has parts, or may have.
     pub fn may_cut(&self, element: &Element) -> bool {
         match element.kind {
+            _ if self.brimful => false,
             Kind::Cluster => true,
             _ if !element.is_leaf() => true,
             _ if self.full => false,
@@ -276,7 +279,7 @@ impl Judge<'_> {
             Kind::Cluster => Verdict::Both,
             Kind::Patch | Kind::Ball if !self.scene.surfaces[p.surface as usize].is_concave() => Verdict::Drop,
             Kind::Ball => {
-                if self.may_cut(p) {
+                if self.may_cut(p) || !p.is_leaf() {
                     Verdict::Both
                 } else {
                     Verdict::Drop

@@ -4,6 +4,7 @@
 //! which each has gone through some portal or none; a portal is a normal distribution in space, and the lines tell of it what lies across
 //! them (expectation maximization with what is missing, \[dempster1977\]). Each leaf then has the portal in its own direction.
 
+use crate::bytes::{Damaged, Reader, Writer};
 use crate::fewer::fewer;
 use femc_field::Lobe;
 use femc_math::Frame;
@@ -227,6 +228,40 @@ pub fn find(all: &[Line], whole: f64) -> Vec<Portal> {
     out
 }
 
+/// Writes portals, to the bit.
+pub fn write(portals: &[Portal], writer: &mut Writer) {
+    writer.number(portals.len() as u64);
+    for Portal { middle, covariance, share, ways, toward, .. } in portals {
+        writer.number(*ways as u64);
+        let numbers = [*share].into_iter().chain(middle.to_array()).chain(toward.to_array());
+        numbers.chain(covariance.to_cols_array()).for_each(|number| writer.number(number.to_bits()));
+    }
+}
+
+/// Reads what [`write`] has written.
+/// - errors: it is damaged.
+pub fn read(reader: &mut Reader) -> Result<Vec<Portal>, Damaged> {
+    let count = reader.number()?;
+    if count > MOST as u64 {
+        return Err(Damaged("it has too many portals"));
+    }
+    let read = |_| {
+        let ways = usize::try_from(reader.number()?).map_err(|_| WRONG)?;
+        let mut numbers = [0.0; 16];
+        for number in &mut numbers {
+            *number = f64::from_bits(reader.number()?);
+        }
+        let [share, x, y, z, a, b, c, ref covariance @ ..] = numbers;
+        let portal = Portal::new(DVec3::new(x, y, z), DMat3::from_cols_array(covariance), share).ok_or(WRONG)?;
+        let toward = DVec3::new(a, b, c);
+        let is_sound = toward.is_finite() && (0.0..=1.0).contains(&share);
+        is_sound.then_some(Portal { ways, toward, ..portal }).ok_or(WRONG)
+    };
+    (0..count).map(read).collect()
+}
+
+const WRONG: Damaged = Damaged("a portal's numbers");
+
 /// Lines that stand for all: [`WAYS`] at most; none weighs more than a hundredth of all.
 fn standing_for(lines: &[Line]) -> Vec<Line> {
     let most = 0.01 * lines.iter().map(|line| line.weight).sum::<f64>();
@@ -332,6 +367,11 @@ mod tests {
         assert!(deviation[0] < 0.05 && deviation[1] < 0.05, "{deviation:?}");
         assert!((0.4..0.8).contains(&deviation[2]), "{deviation:?}");
         assert!((280..=330).contains(&portal.ways) && portal.is_rare(), "{}", portal.ways);
+        let mut writer = Writer::new(b"portals1");
+        write(&portals, &mut writer);
+        let bytes = writer.finish();
+        let again = read(&mut Reader::new(&bytes, b"portals1").unwrap()).unwrap();
+        assert_eq!(format!("{again:?}"), format!("{portals:?}"));
         // From the side it is as wide as from the front: the lobe stands across the view.
         for point in [Vec3A::new(-3.0, -1.5, 0.0), Vec3A::new(-0.5, 0.3, 0.0)] {
             let lobe = portal.lobe(point, Vec3A::Z, 1.0).expect("in front");

@@ -41,6 +41,8 @@ const BRIGHT: f32 = 1.0;
 const PARTS: usize = 4;
 /// How much denser rays from the other end must be to be better than a leaf's own.
 const DENSER: f32 = 32.0;
+/// Bytes of the fewest rays of a surface.
+pub const LEAST_BYTES: usize = PARTS * (size_of::<Sight>() + size_of::<[u32; 2]>());
 /// What a ray has met.
 #[derive(Clone, Copy, Debug)]
 struct Sight {

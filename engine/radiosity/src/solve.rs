@@ -6,6 +6,7 @@ use crate::element::{Element, Kind};
 use crate::gather::{Bound, FROM_ELEMENTS, FROM_SOURCES, Lights, cell_of};
 use crate::lamps::{LampLink, LampVerdict};
 use crate::link::{Judge, Link, Verdict};
+use crate::portals::Portal;
 use crate::rays::{Casting, Rays};
 use crate::scene::Scene;
 use crate::visibility::Eye;
@@ -20,7 +21,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub struct Options {
     /// Greatest error of one link, as a share of its receiver's irradiance.
     pub error: f32,
-    /// Bytes that elements and links may take.
+    /// Bytes that elements and links may take: where they are taken, elements are not cut further, and where links alone take as many, links are
+    /// left as coarse as they are.
     pub memory: usize,
     /// Whether the field is to say where light comes from, for those who draw directions by it.
     pub guides: bool,
@@ -95,6 +97,8 @@ pub const ROUNDS: u32 = 3;
 const CHECKS: usize = 2;
 /// Share of the mean irradiance that is added to an element's when a link's error is judged.
 const FLOOR: f32 = 0.03;
+/// Bytes that links may take, where elements and links are to take less.
+const LEAST_MEMORY: usize = 1 << 20;
 /// Parts of all surfaces' area, and of the fog's volume, that are not cut further, over the error.
 const LEAST_AREA: f32 = 1e-4;
 const LEAST_VOLUME: f32 = 1e-5;
@@ -117,6 +121,8 @@ pub struct Underway {
     pub(crate) uneven: Vec<u32>,
     /// Whether more rays are worth casting, as some have to find how much comes through portals.
     pub(crate) worth_more: bool,
+    /// Parts of space that much light comes through, by the rays that were cast last; of a field that guides paths.
+    pub(crate) portals: Vec<Portal>,
 }
 
 impl Underway {
@@ -188,8 +194,10 @@ impl<'a> Solver<'a> {
     pub(crate) fn new(scene: &'a Scene<'a>, options: &'a Options, cancel: &'a AtomicBool) -> Result<Self, Cancelled> {
         let arena = Arena::new(scene);
         let lights = Lights::new(&arena);
-        let (links, report, uneven) = (Vec::new(), Report::default(), Vec::new());
-        let underway = Underway { arena, lights, links, report, most_rays: 0, round: 0, uneven, worth_more: false };
+        let (links, report) = (Vec::new(), Report::default());
+        let (uneven, portals) = (Vec::new(), Vec::new());
+        let underway =
+            Underway { arena, lights, links, report, most_rays: 0, round: 0, uneven, worth_more: false, portals };
         let mut solver = Self::with(underway, scene, options, cancel);
         let root = solver.now.arena.root;
         if root == NONE {
@@ -304,6 +312,7 @@ impl<'a> Solver<'a> {
             least_area: area * LEAST_AREA * self.options.error,
             least_volume: volume * LEAST_VOLUME * self.options.error,
             full: self.now.bytes(links) > self.options.memory,
+            brimful: links > self.options.memory.max(LEAST_MEMORY) / size_of::<Link>(),
         }
     }
 

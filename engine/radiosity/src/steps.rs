@@ -8,11 +8,11 @@
 
 use crate::arena::Arena;
 use crate::bytes::{Damaged, Reader, Writer, colors, flat, place};
-use crate::element::Kind;
+use crate::element::{Element, Kind};
 use crate::gather::{Arriving, FROM_ELEMENTS, FROM_SOURCES, Light, Lights};
 use crate::incoming::{self, Purpose};
 use crate::link::Link;
-use crate::portals::Portal;
+use crate::portals::{self, Portal};
 use crate::rays::{Aims, Casting, Rays, Sights, are_whole, origins, part};
 use crate::scene::Scene;
 use crate::solve::{Cancelled, Options, Report, Solution, Solver, Underway, leaves};
@@ -29,12 +29,20 @@ pub fn solve(prepared: &Prepared, options: &Options, cancel: &AtomicBool) -> Res
     let (mut underway, mut found) = (Underway::begin(prepared, options, cancel)?, Vec::new());
     while !underway.is_settled() {
         let aimed = underway.aim(prepared, options, found);
-        let sights = aimed.cast(prepared, 0, 1);
-        let settled = aimed.take_in(prepared, options, vec![sights], cancel)?;
+        let sights = vec![aimed.cast(prepared, 0, 1)];
+        let settled = take_in(aimed.underway, aimed.casting, prepared, options, sights, cancel)?;
         found = if options.guides { vec![settled.guides(prepared, 0, 1)] } else { Vec::new() };
         underway = settled.underway;
     }
     Ok(underway.solution(prepared, found))
+}
+
+/// Bytes that the first pass of a prepared frame takes at least: of elements that are not cut, and of a ray from each part of them. What is cut
+/// and linked beyond that follows from [`Options::memory`].
+pub fn least_bytes(prepared: &Prepared) -> u64 {
+    let surfaces = Scene::new(prepared).surfaces.len();
+    // Each surface is an element, and has about one cluster.
+    (surfaces * (2 * (size_of::<Element>() + Lights::BYTES) + size_of::<Arriving>() + crate::rays::LEAST_BYTES)) as u64
 }
 
 /// A first pass before rays are cast: it is known where they are to go.
@@ -59,7 +67,6 @@ struct Groups {
     groups: Vec<(u32, Vec<u32>)>,
     /// By group the rays and leaves of those before it, and at the end of all.
     first: Vec<u32>,
-    portals: Vec<Portal>,
 }
 
 /// Where the light of some groups of leaves comes from.
@@ -67,13 +74,11 @@ struct Groups {
 pub struct Found {
     groups: Vec<Vec<u32>>,
     found: Vec<(f32, Vec<Lobe>)>,
-    /// Whether rays have seldom found some way that light comes.
-    is_rare: bool,
 }
 
-const ELEMENTS: &[u8; 8] = b"element1";
+const ELEMENTS: &[u8; 8] = b"element2";
 const LINKS: &[u8; 8] = b"links  1";
-const FOUND: &[u8; 8] = b"guides 1";
+const FOUND: &[u8; 8] = b"guides 2";
 
 impl Underway {
     /// All elements and links of a prepared frame, before rays are cast.
@@ -99,7 +104,6 @@ impl Underway {
     pub fn aim(mut self, prepared: &Prepared, options: &Options, found: Vec<Found>) -> Aimed {
         let scene = Scene::new(prepared);
         let leaves = leaves(&self.arena);
-        self.worth_more |= found.iter().any(|found| found.is_rare);
         let (guides, lobes) = joined(found, &leaves);
         let mut aims = Aims::new(&self.arena, &leaves, &guides, &lobes);
         if self.arena.root != NONE {
@@ -150,6 +154,7 @@ impl Underway {
         writer.rows(&[[residual, row_sum, checked, corrected]]);
         writer.numbers(self.arena.cuts.iter().copied());
         writer.numbers(self.uneven.iter().copied());
+        portals::write(&self.portals, &mut writer);
         let Lights { of, arriving, taken, more } = &self.lights;
         let brightness = |light: &Light| {
             let Light { radiosity, darkest, brightest, mean, least, .. } = light;
@@ -203,7 +208,7 @@ impl Underway {
         };
         let mut arena = Arena::new(&scene);
         for cut in reader.numbers()? {
-            let may_be_cut = |element: &crate::element::Element| element.is_leaf() && element.kind != Kind::Cluster;
+            let may_be_cut = |element: &Element| element.is_leaf() && element.kind != Kind::Cluster;
             if !arena.elements.get(cut as usize).is_some_and(may_be_cut) {
                 return Err(OTHERS);
             }
@@ -216,6 +221,7 @@ impl Underway {
         if !uneven.iter().all(is_surface) {
             return Err(OTHERS);
         }
+        let portals = portals::read(&mut reader)?;
         let mut lights = Lights::new(&arena);
         let count = arena.elements.len();
         for (light, row) in lights.of.iter_mut().zip(reader.rows::<7>(count)?) {
@@ -250,7 +256,7 @@ impl Underway {
         if mark(&links) != mark_of_links {
             return Err(OTHERS);
         }
-        Ok(Self { arena, lights, links, report, most_rays, round: round as u32, uneven, worth_more })
+        Ok(Self { arena, lights, links, report, most_rays, round: round as u32, uneven, worth_more, portals })
     }
 }
 
@@ -297,22 +303,29 @@ impl Aimed {
         cancel: &AtomicBool,
     ) -> Result<Option<Settled>, Cancelled> {
         let fits = self.casting.fits(&self.underway.arena, &sights);
-        fits.then(|| self.take_in(prepared, options, sights, cancel)).transpose()
+        let taken = || take_in(self.underway.clone(), self.casting.clone(), prepared, options, sights, cancel);
+        fits.then(taken).transpose()
     }
+}
 
-    fn take_in(
-        &self,
-        prepared: &Prepared,
-        options: &Options,
-        sights: Vec<Sights>,
-        cancel: &AtomicBool,
-    ) -> Result<Settled, Cancelled> {
-        let scene = Scene::new(prepared);
-        let rays = self.casting.clone().rays(sights);
-        let mut solver = Solver::with(self.underway.clone(), &scene, options, cancel);
-        solver.settle(&rays)?;
-        Ok(Settled::new(solver.now, rays))
+/// Takes in what all rays have found.
+fn take_in(
+    underway: Underway,
+    casting: Casting,
+    prepared: &Prepared,
+    options: &Options,
+    sights: Vec<Sights>,
+    cancel: &AtomicBool,
+) -> Result<Settled, Cancelled> {
+    let scene = Scene::new(prepared);
+    let rays = casting.rays(sights);
+    let mut solver = Solver::with(underway, &scene, options, cancel);
+    solver.settle(&rays)?;
+    let mut settled = Settled::new(solver.now, rays);
+    if options.guides {
+        settled.seek_portals(&scene);
     }
+    Ok(settled)
 }
 
 impl Settled {
@@ -328,27 +341,34 @@ impl Settled {
     /// Where the light of one of so many blocks of groups of leaves comes from.
     pub fn guides(&self, prepared: &Prepared, block: u32, blocks: u32) -> Found {
         let scene = Scene::new(prepared);
-        let Underway { arena, lights, links, .. } = &self.underway;
-        let Groups { groups, first, portals } = self.groups.get_or_init(|| self.groups(&scene));
+        let Underway { arena, lights, links, portals, .. } = &self.underway;
+        let Groups { groups, first } = self.groups.get_or_init(|| self.groups());
         let groups = &groups[part(first, block, blocks)];
         // What guides paths at the end guides rays before.
         let purpose = if self.underway.is_settled() { Purpose::Paths } else { Purpose::Rays };
         let found = incoming::of_groups(&scene, arena, lights, (links, &self.rays), groups, portals, purpose);
         let groups = groups.iter().map(|(_, leaves)| leaves.clone()).collect();
-        Found { groups, found, is_rare: portals.iter().any(Portal::is_rare) }
+        Found { groups, found }
     }
 
-    fn groups(&self, scene: &Scene<'_>) -> Groups {
+    /// Finds what all blocks of groups of leaves are to know of: the portals of the scene.
+    fn seek_portals(&mut self, scene: &Scene<'_>) {
+        let Underway { arena, lights, .. } = &self.underway;
+        let portals = incoming::portals(scene, arena, lights, &self.rays, &leaves(arena));
+        self.underway.worth_more |= portals.iter().any(Portal::is_rare);
+        self.underway.portals = portals;
+    }
+
+    fn groups(&self) -> Groups {
         let Underway { arena, lights, .. } = &self.underway;
         let leaves = leaves(arena);
-        let portals = incoming::portals(scene, arena, lights, &self.rays, &leaves);
         let groups = incoming::groups(arena, &leaves, &self.rays.light(arena, lights));
         let numbers = groups.iter().scan(0, |sum, (_, leaves)| {
             *sum += self.rays.number(leaves) + leaves.len() as u32;
             Some(*sum)
         });
         let first = [0].into_iter().chain(numbers).collect();
-        Groups { groups, first, portals }
+        Groups { groups, first }
     }
 }
 
@@ -373,7 +393,6 @@ impl Found {
             [target.x, target.y, target.z, a.x, a.y, a.z, b.x, b.y, b.z, share]
         };
         let lobes: Vec<[f32; 10]> = self.found.iter().flat_map(|(_, lobes)| lobes).map(lobe).collect();
-        writer.number(u64::from(self.is_rare));
         writer.number(lobes.len() as u64);
         writer.rows(&lobes);
         writer.finish()
@@ -385,7 +404,6 @@ impl Found {
         let mut reader = Reader::new(bytes, FOUND)?;
         let (sizes, mut leaves, counts) = (reader.numbers()?, reader.numbers()?, reader.numbers()?);
         let shares = reader.rows::<1>(sizes.len())?;
-        let is_rare = reader.number()? != 0;
         let number = usize::try_from(reader.number()?).unwrap_or(usize::MAX);
         let whole = |counts: &[u32]| counts.iter().map(|&count| u64::from(count)).sum::<u64>();
         let is_whole =
@@ -401,6 +419,6 @@ impl Found {
         let groups = sizes.iter().map(|&size| leaves.by_ref().take(size as usize).collect()).collect();
         let of = |(&count, [share]): (&u32, [f32; 1])| (share, lobes.by_ref().take(count as usize).collect());
         let found = counts.iter().zip(shares).map(of).collect();
-        Ok(Self { groups, found, is_rare })
+        Ok(Self { groups, found })
     }
 }

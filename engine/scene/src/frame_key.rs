@@ -28,6 +28,8 @@ pub struct FrameKey {
     pub content: SceneDigest,
     /// All but the camera, as it is prepared: frames with equal ones share the prepared world.
     pub world: SceneDigest,
+    /// The world, but for the brightness of its lamps ([`Scalars::brightness`]): frames with equal ones have the same light but for a factor.
+    pub light: SceneDigest,
     /// All: frames with equal ones have the same pixels under the same settings.
     pub view: SceneDigest,
 }
@@ -74,27 +76,34 @@ impl Scene {
         let Viewpoint { camera, film, frame, shutter, origin } = *viewpoint;
         let paths = self.paths_of_surfaces();
         let paths = || paths.iter().map(|path| now.paths.get(path.index()));
-        let mut canonical = Canonical::of("content");
-        canonical.value(&static_digest.0);
-        canonical.table(&now.materials, |material| Material { location: NOWHERE, ..material.clone() });
-        canonical.table(&now.objects, |object| object);
-        canonical.table(&now.media, |medium| Medium { location: NOWHERE, ..medium.clone() });
-        canonical.value(&now.luminaires.len());
-        now.luminaires.iter().for_each(|group| canonical.table(group, |luminaire| luminaire.multiplier));
-        paths().for_each(|path| canonical.path(path, shutter));
-        let content = canonical.digest();
-        let mut canonical = Canonical::of("world");
-        // What moves at other times is prepared as what moves, where the shutter is open.
-        canonical.value(&(content, origin, shutter[1] > shutter[0]));
-        paths().for_each(|path| canonical.value(&path.map(MotionPath::is_constant)));
-        let world = canonical.digest();
+        let content_of = |what: &str, now: &Scalars| {
+            let mut canonical = Canonical::of(what);
+            canonical.value(&static_digest.0);
+            canonical.table(&now.materials, |material| Material { location: NOWHERE, ..material.clone() });
+            canonical.table(&now.objects, |object| object);
+            canonical.table(&now.media, |medium| Medium { location: NOWHERE, ..medium.clone() });
+            canonical.value(&now.luminaires.len());
+            now.luminaires.iter().for_each(|group| canonical.table(group, |luminaire| luminaire.multiplier));
+            paths().for_each(|path| canonical.path(path, shutter));
+            canonical.digest()
+        };
+        let world_of = |what: &str, content: SceneDigest| {
+            let mut canonical = Canonical::of(what);
+            // What moves at other times is prepared as what moves, where the shutter is open.
+            canonical.value(&(content, origin, shutter[1] > shutter[0]));
+            paths().for_each(|path| canonical.value(&path.map(MotionPath::is_constant)));
+            canonical.digest()
+        };
+        let content = content_of("content", now);
+        let world = world_of("world", content);
+        let light = world_of("light", content_of("content of brightness 1", &now.of_brightness_one()));
         let mut canonical = Canonical::of("view");
         canonical.value(&(world, film, frame));
         canonical.value(&Camera { name: String::new(), location: NOWHERE, film, ..camera.clone() });
         let along = camera.along.and_then(|path| now.paths.get(path.index()));
         canonical.path(along, shutter);
         canonical.value(&along.map(MotionPath::is_constant));
-        FrameKey { static_digest, content, world, view: canonical.digest() }
+        FrameKey { static_digest, content, world, light, view: canonical.digest() }
     }
 
     fn paths_of_surfaces(&self) -> BTreeSet<PathId> {

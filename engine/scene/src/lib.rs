@@ -5,6 +5,7 @@
 #![deny(missing_docs)]
 
 pub mod animation;
+mod brightness;
 pub mod check;
 mod default_camera;
 pub mod description;

@@ -3,11 +3,12 @@
 mod closed_forms;
 mod hard;
 
+use femc_math::color::luminance;
 use femc_math::glam::Vec3A;
 use femc_pipeline::radiosity::{self, Options};
 use femc_pipeline::{
-    Field, Method, Settings, Side, Solution, Source, Stop, encode_solution, first_pass, first_pass_key, frame_key,
-    light, prepare, prepare_world,
+    Field, Method, Settings, Side, Solution, Source, Stop, encode_solution, first_pass, first_pass_key,
+    first_pass_world, frame_key, light, prepare, prepare_world,
 };
 use femc_tests::reference::{Reference, rooms};
 use femc_tests::{render, scene};
@@ -335,6 +336,42 @@ fn frames_share_a_first_pass_if_nothing_but_the_view_changes() {
     assert_eq!(here, key(&text(".6 .4 100", ".5"), &settings), "nor the camera");
     assert_ne!(here, key(&text(".3 .4 .2", ".6"), &settings), "the world does");
     assert_ne!(here, key(&text(".3 .4 200", ".5"), &settings), "and where the coordinates begin");
+}
+
+/// A lamp's power is a factor of all light: its bytes are those of the factor's lamp of brightness 1, whichever job has asked first.
+#[test]
+fn lamps_of_any_power_share_a_first_pass_and_its_light_is_as_much_brighter() {
+    let text = |power: f64| {
+        let fog = "medium air =\n  sigma_s 1\nmbox air 0 0 0 1 1 1\n";
+        let lamp = format!("m lamp =\n  ed {power}\nv l =\n  p .5 .5 .8\nsph l .1\n");
+        format!("{}{fog}m w =\n  rd .5\n{}{lamp}", CAMERA, cube())
+    };
+    let settings = Settings { method: Method::Femc, ..Settings::default() };
+    let of = |power: f64| {
+        let source = Source::new(scene(&text(power)));
+        let key = first_pass_key(&frame_key(&source, &settings, 1).unwrap(), Method::Femc, 1);
+        let world = first_pass_world(&source, &settings, 1, None).unwrap();
+        let unit = first_pass(&world, Method::Femc, &AtomicBool::new(false)).unwrap();
+        let lit = prepare(&source, &settings, 1, None).unwrap();
+        let own =
+            first_pass(&prepare_world(&source, &settings, 1, None).unwrap(), Method::Femc, &AtomicBool::new(false));
+        (key, encode_solution(&unit), lit.field.unwrap(), own.unwrap().field)
+    };
+    let (one, other) = (of(170.0), of(2310.0));
+    assert_eq!(one.0, other.0);
+    assert!(one.1 == other.1, "the same bytes");
+    let mean = |field: &Field| field.leaves.iter().map(|leaf| f64::from(leaf.mean())).sum::<f64>();
+    let fog = |field: &Field| {
+        let [min, max] = field.fog.bounds();
+        f64::from(luminance(field.fog.mean_radiance(min + (max - min) * 0.3)))
+    };
+    for (_, _, lit, own) in [&one, &other] {
+        assert!((mean(lit) / mean(own) - 1.0).abs() < 1e-3, "{} {}", mean(lit), mean(own));
+        assert!((fog(lit) / fog(own) - 1.0).abs() < 1e-3, "{} {}", fog(lit), fog(own));
+    }
+    let power = 2310.0 / 170.0;
+    assert!((mean(&other.2) / mean(&one.2) / power - 1.0).abs() < 1e-6);
+    assert!((fog(&other.2) / fog(&one.2) / power - 1.0).abs() < 1e-6);
 }
 
 #[test]

@@ -26,10 +26,16 @@ pub(crate) fn first_pass(task: &Task, stage: &Template, tools: &Tools) -> Result
     if spec.content(0) != Some(Digest::from_bytes(key)) {
         return Err(unfit("the job's content is not what its key says"));
     }
-    let (_, prepared) = tools.cache.world(spec, frame, &task.client, &tools.fetch)?;
+    let prepared = tools.cache.world(spec, frame, &task.client, &tools.fetch)?;
     task.account.prepared(watch.elapsed());
     tracing::debug!(frame, seconds = watch.seconds(), "the world is ready");
     task.enter(Phase::Working);
+    if stage.needs.is_empty() {
+        let needs = femc_pipeline::radiosity::least_bytes(&prepared);
+        let surfaces = femc_pipeline::surfaces(&prepared.scene);
+        let what = format!("the first pass of {surfaces} surfaces (--method pt has none)");
+        tools.memory.holds(needs, &what)?;
+    }
     let solving = Stopwatch::start();
     if !stage.needs.is_empty() || !stage.makes.contains(&Role::Field) {
         let mut product = first_pass_steps::step(task, stage, tools, (method, &prepared), &solving)?;

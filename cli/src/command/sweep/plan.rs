@@ -70,13 +70,14 @@ fn cost(work: &Work, shares: &Shares) -> Result<Option<Cost>, Failure> {
     });
     let Some(samples) = samples else { return Ok(None) };
     let tried = trial(&work.first, 1, 0, 0)?;
-    let seconds = |prepared: usize, samples: u64| {
-        (tried.prepare_seconds + tried.first_pass_seconds) * prepared as f64 + samples as f64 / tried.samples_per_second
+    let seconds = |prepared: usize, solved: usize, samples: u64| {
+        let before = tried.prepare_seconds * prepared as f64 + tried.first_pass_seconds * solved as f64;
+        before + samples as f64 / tried.samples_per_second
     };
     Ok(Some(Cost {
         prepare_seconds: tried.prepare_seconds,
         samples_per_second: tried.samples_per_second,
-        seconds_alone: seconds(shares.frames, samples),
-        seconds_shared: seconds(shares.worlds, samples - shares.samples_saved),
+        seconds_alone: seconds(shares.frames, shares.frames, samples),
+        seconds_shared: seconds(shares.worlds, shares.first_passes, samples - shares.samples_saved),
     }))
 }

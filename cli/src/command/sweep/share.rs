@@ -22,6 +22,8 @@ pub struct Shares {
     pub render: usize,
     /// Different worlds among those to be rendered: what is prepared besides cameras.
     pub worlds: usize,
+    /// Different first passes of those to be rendered: worlds that differ in how bright all lamps are together share one; 0 without any.
+    pub first_passes: usize,
     /// Camera samples that are not taken, where their number is known in advance.
     pub samples_saved: u64,
 }
@@ -30,14 +32,14 @@ impl Shares {
     /// Count. `folder`: what is there.
     pub fn count(work: &Work, folder: Option<&Folder>) -> Self {
         let mut shares = Self { variants: work.variants.len(), ..Self::default() };
-        let (mut keys, mut worlds) = (BTreeSet::new(), BTreeSet::new());
+        let (mut keys, mut worlds, mut first_passes) = (BTreeSet::new(), BTreeSet::new(), BTreeSet::new());
         for variant in &work.variants {
             let [width, height] = variant.spec.grid.film;
             let samples = match variant.stop {
                 Stop::Spp(spp) => u64::from(width) * u64::from(height) * u64::from(spp),
                 Stop::Error(_) | Stop::Time(_) => 0,
             };
-            for planning in &variant.frames {
+            for (place, planning) in (0..).zip(&variant.frames) {
                 shares.frames += 1;
                 if folder.is_some_and(|folder| folder.has(&variant.file(planning.frame), &planning.key)) {
                     shares.there += 1;
@@ -47,16 +49,17 @@ impl Shares {
                 } else {
                     shares.render += 1;
                     worlds.insert(planning.world);
+                    first_passes.extend(variant.spec.content(place));
                 }
             }
         }
-        shares.worlds = worlds.len();
+        (shares.worlds, shares.first_passes) = (worlds.len(), first_passes.len());
         shares
     }
 
     /// For people, line by line.
     pub fn lines(&self) -> Vec<String> {
-        let Self { variants, frames, there, linked, render, worlds, samples_saved } = *self;
+        let Self { variants, frames, there, linked, render, worlds, first_passes, samples_saved } = *self;
         let count = |n: usize, what: &str| human::count(n as u64, what);
         let mut lines = vec![format!(
             "{}, {}: {render} to render, {linked} the same as others and linked, {there} finished before",
@@ -71,6 +74,10 @@ impl Shares {
             };
             let variants = count(variants, "variant");
             lines.push(format!("the scene is read once for {variants}, what does not move is built once; {prepared}"));
+        }
+        if first_passes > 0 {
+            let [solved, frames] = [(first_passes, "time"), (render, "frame")].map(|(n, what)| count(n, what));
+            lines.push(format!("the first pass is solved {solved} for {frames}"));
         }
         if samples_saved > 0 {
             lines.push(format!("linking saves {} samples", human::quantity(samples_saved as f64)));

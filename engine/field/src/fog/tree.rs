@@ -168,6 +168,11 @@ impl FogTree {
         Some(tree)
     }
 
+    /// Light times a factor.
+    pub(crate) fn scale(&mut self, factor: f32) {
+        self.leaves.iter_mut().flat_map(|placed| &mut placed.leaf.mean).for_each(|light| *light *= factor);
+    }
+
     /// Whether there are no boxes.
     pub fn is_empty(&self) -> bool {
         self.nodes.is_empty()

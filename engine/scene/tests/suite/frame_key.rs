@@ -55,6 +55,29 @@ fn neither_the_camera_nor_the_origin_counts_in_the_content() {
 }
 
 #[test]
+fn how_bright_all_lamps_are_together_does_not_count_in_the_light() {
+    let brighter = |which: &[usize], factor: f64| {
+        let mut scene = lit_floor();
+        scene.materials.push(Material { ed: Tinted { amount: 70.0, color: [1.0; 3] }, ..Material::default() });
+        scene.materials.push(Material { ed: Tinted { amount: 900.0, color: [1.0; 3] }, ..Material::default() });
+        let first = scene.materials.len() - 2;
+        which.iter().for_each(|&lamp| scene.materials[first + lamp].ed.amount *= factor);
+        scene.materials[..first].iter_mut().for_each(|material| material.ed.amount = 0.0);
+        let now = scene.scalars_at(0.0).unwrap();
+        (frame_key(&scene, &LOOK), now.brightness(), now.of_brightness_one())
+    };
+    let (one, brightness, unit) = brighter(&[], 1.0);
+    assert_eq!((brightness, unit.brightness()), (900.0, 1.0));
+    assert_eq!(unit.of_brightness_one().materials, unit.materials);
+    for factor in [0.31, 1.7, 1e3] {
+        let (all, brightness, same) = brighter(&[0, 1], factor);
+        assert_eq!((all.light, brightness, &same.materials), (one.light, 900.0 * factor, &unit.materials));
+        assert!(all.world != one.world && all.content != one.content);
+        assert_ne!(brighter(&[0], factor).0.light, one.light, "one lamp against the other does");
+    }
+}
+
+#[test]
 fn what_stands_while_the_shutter_is_open_counts_with_its_pose_alone() {
     for interpolation in [Interpolation::Linear, Interpolation::Spline] {
         let scene = scene(interpolation);

@@ -1,0 +1,48 @@
+//! How bright the lamps of a scene are together. Light is proportional to the lamps: what is found of it for lamps of brightness 1 is that of
+//! all scenes whose lamps are to each other as these, times their brightness.
+
+use crate::selector::Scalars;
+
+impl Scalars {
+    /// Brightness of the lamps: the greatest emittance of a material, lm/m2; where no material emits, the greatest factor of a luminaire, or
+    /// else the greatest glow of a medium; 1 where nothing emits.
+    pub fn brightness(&self) -> f64 {
+        let greatest = |values: &mut dyn Iterator<Item = f64>| values.fold(0.0, f64::max);
+        let materials = greatest(&mut self.materials.iter().map(|material| material.ed.amount));
+        let luminaires = greatest(&mut self.luminaires.iter().flatten().map(|luminaire| luminaire.multiplier));
+        let media = greatest(&mut self.media.iter().map(|medium| medium.glow));
+        [materials, luminaires, media].into_iter().find(|&it| it > 0.0 && it.is_finite()).unwrap_or(1.0)
+    }
+
+    /// The same with lamps of brightness 1, each to the others as before. Scenes that differ in the brightness alone give equal ones.
+    pub fn of_brightness_one(&self) -> Self {
+        let (mut one, whole) = (self.clone(), self.brightness());
+        one.materials.iter_mut().for_each(|material| material.ed.amount = share(material.ed.amount, whole));
+        let luminaires = one.luminaires.iter_mut().flatten();
+        luminaires.for_each(|luminaire| luminaire.multiplier = share(luminaire.multiplier, whole));
+        one.media.iter_mut().for_each(|medium| medium.glow = share(medium.glow, whole));
+        one
+    }
+}
+
+/// A part of a whole, rounded to 41 bits: the last ones of a quotient of equal proportions differ.
+fn share(part: f64, whole: f64) -> f64 {
+    const LAST: u64 = 12;
+    let bits = (part / whole).to_bits() + (1 << (LAST - 1));
+    f64::from_bits(bits >> LAST << LAST)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn shares_of_equal_proportions_are_equal_and_near() {
+        for k in 1..2000 {
+            let (part, whole, factor) = (0.1 + 0.37 * f64::from(k), 811.3, 1.0 + 0.013 * f64::from(k));
+            assert_eq!(share(part, whole).to_bits(), share(part * factor, whole * factor).to_bits());
+            assert!((share(part, whole) * whole / part - 1.0).abs() < 1e-12);
+        }
+        assert_eq!([share(0.0, 3.0), share(3.0, 3.0)], [0.0, 1.0]);
+    }
+}

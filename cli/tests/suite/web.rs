@@ -223,3 +223,47 @@ fn several_jobs_are_steered_at_once_and_what_cannot_be_done_to_one_is_done_to_th
     run("cancel 1 --owner ann").exits(2);
     run("jobs --state odd").exits(2);
 }
+
+#[test]
+fn a_worker_that_is_gone_stays_known_with_its_last_contact_over_a_restart_of_the_coordinator() {
+    let place = Place::new();
+    let (mut coordinator, url) = coordinator(&place, 0);
+    let address = address(&url);
+    let start = |name: &str| place.start(&format!("worker --join {url} --name {name} --threads 1 --tags hall"));
+    let (mut first, mut second) = (start("w1"), start("w2"));
+    let now = || SystemTime::now().duration_since(UNIX_EPOCH).expect("a date").as_secs_f64();
+    let names = |list: &str| -> Vec<String> {
+        let workers = get(&address, "workers").json()[list].clone();
+        let mut names: Vec<String> =
+            workers.as_array().expect("a list").iter().map(|it| it["name"].to_string().replace('"', "")).collect();
+        names.sort();
+        names
+    };
+    coordinator.wait_until("both are there", || names("workers") == ["w1", "w2"]);
+    assert_eq!(names("offline"), [""; 0]);
+    first.kill();
+    coordinator.wait_until("the first is missed", || names("offline") == ["w1"]);
+    // Killed: it has no time to write anything down. The second worker goes while nobody listens.
+    let port = url.rsplit_once(':').expect("a port").1.to_owned();
+    coordinator.kill();
+    second.kill();
+    let line = format!("coordinator --listen 127.0.0.1:{port} --store sqlite:farm.db --artifacts artifacts");
+    let mut again = place.start(&line);
+    again.address();
+    assert_eq!(names("offline"), ["w1", "w2"]);
+    let offline = get(&address, "workers").json()["offline"].clone();
+    for worker in offline.as_array().expect("a list") {
+        let heard = worker["last_contact"].as_f64().expect("a date");
+        assert!((now() - PATIENCE.as_secs_f64()..=now()).contains(&heard), "{worker}, and it is {}", now());
+        assert_eq!((&worker["intake"], &worker["tags"][0]), (&"offline".into(), &"hall".into()));
+    }
+    let table = place.run(&format!("workers --server {url}")).exits(0).stdout();
+    assert_eq!(table.lines().filter(|line| line.ends_with("offline")).count(), 2, "{table}");
+    let json = |flags: &str| place.run(&format!("workers --json {flags} --server {url}")).exits(0).json();
+    assert_eq!((json(""), json("--offline")), (serde_json::json!([]), offline));
+    let mut listener = Listener::connect(&address, None);
+    let (kind, _, snapshot) = listener.next().expect("an event");
+    assert_eq!((kind.as_str(), snapshot["offline"].as_array().map(Vec::len)), ("snapshot", Some(2)));
+    let _back = start("w2");
+    again.wait_until("the second is back", || names("workers") == ["w2"] && names("offline") == ["w1"]);
+}

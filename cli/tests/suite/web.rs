@@ -267,3 +267,53 @@ fn a_worker_that_is_gone_stays_known_with_its_last_contact_over_a_restart_of_the
     let _back = start("w2");
     again.wait_until("the second is back", || names("workers") == ["w2"] && names("offline") == ["w1"]);
 }
+
+#[test]
+fn maps_of_a_frame_are_what_its_light_statistics_know_of_each_pixel() {
+    let place = Place::new();
+    let (_coordinator, url) = coordinator(&place, 0);
+    let address = address(&url);
+    let (plain, job) = (submit(&place, &url, "--frames 1 --spp 4"), submit(&place, &url, "--frames 1 --spp 4 --stats"));
+    assert_eq!(get(&address, &format!("jobs/{job}/frames/1/maps")).status, 204, "nothing yet");
+    let _worker = place.start(&format!("worker --join {url} --threads 1"));
+    for job in [&plain, &job] {
+        place.run(&format!("watch {job} --server {url}")).exits(0);
+    }
+    assert_eq!(get(&address, &format!("jobs/{plain}/frames/1/maps")).status, 204, "it has no statistics");
+    let maps = get(&address, &format!("jobs/{job}/frames/1/maps"));
+    assert_eq!((maps.status, maps.header("content-type")), (200, "application/vnd.femc.pixels"));
+    let names = ["depth", "throughput", "deviation"];
+    let head = 20 + names.iter().map(|name| 4 + name.len()).sum::<usize>();
+    assert_eq!(maps.body.len(), head + 3 * 2 * 32 * 32);
+    let planes = &maps.body[head..];
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    let file = names_in(&place, "out").into_iter().find(|name| name.ends_with(".paths")).expect("statistics");
+    let pixels = place.run(&format!("paths out/{file} --table pixels --json")).exits(0).json();
+    let pixels = pixels.as_array().expect("pixels");
+    assert_eq!(pixels.len(), 32 * 32);
+    for pixel in pixels {
+        let number = |name: &str| pixel[name].as_f64().expect("a number");
+        let at = (number("pixel_y") * 32.0 + number("pixel_x")) as usize;
+        for (plane, name) in ["depth", "throughput"].into_iter().enumerate() {
+            let half = &planes[2 * (plane * 32 * 32 + at)..][..2];
+            let (sent, known) = (f64::from(half_float([half[0], half[1]])), number(name));
+            assert!((sent - known).abs() <= 1e-3 * known.abs() + 1e-4, "{name} of {pixel}: {sent}");
+        }
+    }
+}
+
+fn names_in(place: &Place, folder: &str) -> Vec<String> {
+    crate::common::names(&place.path(folder))
+}
+
+/// A half float that is finite and no subnormal number, or 0.
+fn half_float(bytes: [u8; 2]) -> f32 {
+    let bits = u16::from_le_bytes(bytes);
+    let (sign, exponent, mantissa) = (bits >> 15, i32::from(bits >> 10 & 31), f32::from(bits & 1023));
+    let size = if exponent == 0 {
+        mantissa / 1024.0 * 2f32.powi(-14)
+    } else {
+        (1.0 + mantissa / 1024.0) * 2f32.powi(exponent - 15)
+    };
+    if sign == 1 { -size } else { size }
+}

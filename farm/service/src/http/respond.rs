@@ -256,7 +256,7 @@ impl<S: Send + 'static> Http<S> {
     ) -> Result<Response<Body>, Fault> {
         let place = match wanted {
             Wanted::Thumbnail { .. } => self.0.places.take(who).await,
-            Wanted::Pixels => self.0.large.take(who).await,
+            Wanted::Pixels | Wanted::Maps => self.0.large.take(who).await,
         };
         let known = asked.headers.get(IF_NONE_MATCH).and_then(|tag| tag.to_str().ok());
         let known = known.map(|tag| tag.trim_start_matches("W/").trim_matches('"'));
@@ -266,7 +266,7 @@ impl<S: Send + 'static> Http<S> {
         let mut response = match wanted {
             _ if known == Some(drawn.tag.as_str()) => answer::empty(StatusCode::NOT_MODIFIED),
             Wanted::Thumbnail { .. } => answer::bytes(StatusCode::OK, "image/png", drawn.bytes),
-            Wanted::Pixels => answer::large("application/vnd.femc.pixels", drawn.bytes, place),
+            Wanted::Pixels | Wanted::Maps => answer::large("application/vnd.femc.pixels", drawn.bytes, place),
         };
         let headers = response.headers_mut();
         // A digest in hexadecimal is good for a header.

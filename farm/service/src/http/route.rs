@@ -87,6 +87,7 @@ impl Route {
             ["jobs", job, "frames", frame, picture] => {
                 let wanted = match picture {
                     "pixels" => Wanted::Pixels,
+                    "maps" => Wanted::Maps,
                     "thumbnail.png" => Wanted::Thumbnail { height: height(query)? },
                     _ => return Err(Fault::Nowhere { path: path.to_owned() }),
                 };
@@ -237,7 +238,7 @@ mod tests {
                 *seen.entry(route.operation()).or_default() += 1;
             }
         }
-        assert_eq!(seen.values().sum::<usize>(), 16);
+        assert_eq!(seen.values().sum::<usize>(), 17);
         // The page itself has no row, and what is no request has none.
         let documented = seen.into_keys().chain([Operation::Page, Operation::Other]);
         assert_eq!(documented.collect::<BTreeSet<_>>(), BTreeSet::from(Operation::HTTP));

@@ -126,7 +126,8 @@ pub fn pilot(source: &Source, settings: &Settings, plan: &Plan) -> Result<Option
     let prepared = prepare(source, &settings, frame, None)?;
     let whole = Rect { x: 0, y: 0, width, height };
     let (never, progress) = (AtomicBool::new(false), AtomicU64::new(0));
-    let (rendered, splits) = render_rows(&prepared, &settings, whole, 0..SAMPLES, &never, &progress, Split::default)?;
+    let (rendered, splits) =
+        render_rows(&prepared, &settings, whole, 0..SAMPLES, &never, &progress, PixelNoise::default)?;
     let samples = whole.area() * u64::from(SAMPLES);
     let rays_a_sample = (rendered.rays + rendered.shadow_rays) as f64 / samples as f64;
     let samples_a_pixel = match settings.stop {
@@ -140,7 +141,7 @@ pub fn pilot(source: &Source, settings: &Settings, plan: &Plan) -> Result<Option
     let rays = rays_a_sample * samples_a_pixel * f64::from(film[0]) * f64::from(film[1]) * frames;
     let surfaces = surfaces(source.scene()) as f64;
     let first_pass_rays = (LEAST_RAYS + RAYS_OF_SURFACE * surfaces) * solutions(source, &settings, plan)? as f64;
-    let most_gain = most_gain(splits.into_iter().flat_map(Split::into_pixels).collect());
+    let most_gain = most_gain(splits.into_iter().flat_map(PixelNoise::into_pixels).collect());
     Ok(Some(Pilot { samples, rays_a_sample, samples_a_pixel, most_gain, rays, first_pass_rays }))
 }
 
@@ -183,7 +184,7 @@ fn most_gain(pixels: Vec<PixelSums>) -> f64 {
 
 /// Hears by pixel how much of the samples' light came by way of a diffuse surface.
 #[derive(Debug, Default)]
-struct Split {
+struct PixelNoise {
     pixel: Option<u32>,
     now: PixelSums,
     done: Vec<PixelSums>,
@@ -192,7 +193,7 @@ struct Split {
     guidable: f64,
 }
 
-impl Split {
+impl PixelNoise {
     fn into_pixels(mut self) -> Vec<PixelSums> {
         if self.now.count > 0.0 {
             self.done.push(self.now);
@@ -201,7 +202,7 @@ impl Split {
     }
 }
 
-impl Recorder for Split {
+impl Recorder for PixelNoise {
     fn begin(&mut self, pixel: u32, _: u32) -> Hears {
         if self.pixel != Some(pixel) && self.now.count > 0.0 {
             self.done.push(std::mem::take(&mut self.now));

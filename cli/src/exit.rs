@@ -1,5 +1,6 @@
 //! How a command ends: the exit codes that scripts rely on, and the one short paragraph that goes with a failure.
 
+use femc_reports::{Blame, ReportError};
 use std::fmt;
 use std::process::ExitCode;
 
@@ -36,6 +37,15 @@ pub struct Failure {
 impl fmt::Display for Failure {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(&self.message)
+    }
+}
+
+impl From<ReportError> for Failure {
+    fn from(error: ReportError) -> Self {
+        match error.blame() {
+            Blame::Usage => usage(error),
+            Blame::Work => failed(error),
+        }
     }
 }
 

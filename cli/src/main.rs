@@ -1,21 +1,18 @@
 //! `femc`: scenes to frames, on this machine or a farm.
 //!
-//! Arguments as typed ([`args`]) become a request as meant ([`request`]); a command ([`command`]) does it with the
-//! engine's and the farm's libraries; [`output`] says what came of it.
+//! Arguments as typed ([`args`], of [`values`]) become a request as meant ([`request`]); a command ([`command`]) does it with
+//! the engine's and the farm's libraries; [`output`] says what came of it. A module uses those before it alone: values, args,
+//! output, request, command, then what starts them ([`config`], [`log`]); `femc-tests` looks for circles.
 
 mod args;
-mod attempts;
-mod bench;
 mod clock;
 mod command;
 mod config;
 mod exit;
 mod log;
-#[cfg(feature = "openjd")]
-mod openjd;
 mod output;
-mod report;
 mod request;
+mod values;
 
 use config::{Parsed, Refused};
 use std::process::ExitCode;

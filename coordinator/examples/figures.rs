@@ -1,9 +1,12 @@
 //! The farm's own figures, without a picture: a real coordinator with its log on the disk, and workers in a process of their
 //! own that have every task done at once.
 //!
-//! `cargo run --release -p femc-coordinator --example figures`
+//! `cargo run --release -p femc-coordinator --example figures`; what pages cost alone: `... --example figures feed`, for which pages
+//! connect from many addresses of this machine (Linux).
 
 use std::error::Error;
+use std::io::{BufRead as _, BufReader, Read as _};
+use std::net::SocketAddr;
 use std::path::Path;
 use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
@@ -13,6 +16,8 @@ use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log};
 use femc_model::*;
 use femc_proto::{Client, Incoming, Outgoing};
 use femc_schedule::{Fact, Ledger};
+use tokio::io::{AsyncReadExt as _, AsyncWriteExt as _};
+use tokio::sync::mpsc;
 
 type Result<T> = std::result::Result<T, Box<dyn Error>>;
 
@@ -24,6 +29,8 @@ async fn main() -> Result<()> {
     let args: Vec<String> = std::env::args().skip(1).collect();
     match args.iter().map(String::as_str).collect::<Vec<_>>()[..] {
         ["worker", url, sessions, kind] => work(url, sessions.parse()?, kind == "holds").await,
+        ["pages", address, count] => pages(address.parse()?, count.parse()?).await,
+        ["feed"] => feed(1000, 7).await,
         ["throughput", sessions, frames] => throughput(sessions.parse()?, frames.parse()?).await,
         _ => measure().await,
     }
@@ -106,6 +113,109 @@ async fn throughput(sessions: u32, frames: u32) -> Result<()> {
     others.wait()?;
     farm.stop().await?;
     Ok(())
+}
+
+/// What pages cost a coordinator that is busy: turns without and with them, one after the other.
+/// - `count`: pages that listen, in a process of their own.
+async fn feed(count: usize, turns: usize) -> Result<()> {
+    const SESSIONS: u32 = 16;
+    let folder = tempfile::tempdir()?;
+    let (farm, client) = start(config(folder.path())).await?;
+    let mut others = workers(&farm.url(), SESSIONS, "works")?;
+    while client.workers().await?.len() < SESSIONS as usize {
+        tokio::time::sleep(Duration::from_millis(10)).await;
+    }
+    // The first one finds an empty log.
+    turn(&client).await?;
+    let mut ratios = Vec::new();
+    for _ in 0..turns {
+        let (_, alone) = turn(&client).await?;
+        let mut command = Command::new(std::env::current_exe()?);
+        command.args(["pages", &farm.address().to_string(), &count.to_string()]);
+        let mut pages = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn()?;
+        let mut lines = BufReader::new(pages.stdout.take().ok_or("no stdout")?);
+        let mut line = String::new();
+        // All have their snapshot.
+        lines.read_line(&mut line)?;
+        let (elapsed, watched) = turn(&client).await?;
+        pages.kill()?;
+        line.clear();
+        lines.read_to_string(&mut line)?;
+        pages.wait()?;
+        // Of each second the last number stands.
+        let heard: u64 = line.lines().last().unwrap_or("0").parse()?;
+        let ratio = watched / alone;
+        println!(
+            "{alone:.2} us of processor a task without pages, {watched:.2} us with {count}: {:+.1} %; a page heard {:.2} events/s",
+            100.0 * (ratio - 1.0),
+            heard as f64 / count as f64 / elapsed
+        );
+        ratios.push(ratio);
+    }
+    ratios.sort_by(f64::total_cmp);
+    let median = ratios[ratios.len() / 2];
+    println!("{count} pages, median of {turns} turns: {:+.1} % of processor a task", 100.0 * (median - 1.0));
+    others.kill()?;
+    others.wait()?;
+    farm.stop().await?;
+    Ok(())
+}
+
+/// Seconds of a job of 100,500 no-op tasks, and microseconds of this process's processor a task.
+async fn turn(client: &Client) -> Result<(f64, f64)> {
+    let (begun, before) = (Instant::now(), processor());
+    let id = client.submit(None, job(100, 1000)).await?;
+    while !client.status(id).await?.state.has_ended() {
+        tokio::time::sleep(Duration::from_millis(100)).await;
+    }
+    Ok((begun.elapsed().as_secs_f64(), (processor() - before) * 1e6 / 100_500.0))
+}
+
+/// So many pages that listen; says so when all have heard, and from then on once a second how many events they have heard.
+async fn pages(address: SocketAddr, count: usize) -> Result<()> {
+    let (ready, mut heard) = mpsc::channel(count);
+    for number in 0..count {
+        // A coordinator takes 512 connections of one address.
+        let source = SocketAddr::from(([127, 0, 1, (number / 250) as u8], 0));
+        let ready = ready.clone();
+        tokio::spawn(async move {
+            let outcome = page(address, source, &ready).await;
+            eprintln!("a page has ended: {outcome:?}");
+        });
+    }
+    for _ in 0..count {
+        heard.recv().await.ok_or("no page is left")?;
+    }
+    println!("ready");
+    let (mut events, mut second) = (0u64, tokio::time::interval(Duration::from_secs(1)));
+    loop {
+        tokio::select! {
+            event = heard.recv() => events += u64::from(event.is_some()),
+            _ = second.tick() => println!("{events}"),
+        }
+    }
+}
+
+/// One page: asks for the feed, and tells of every event.
+async fn page(address: SocketAddr, source: SocketAddr, heard: &mpsc::Sender<()>) -> Result<()> {
+    let socket = tokio::net::TcpSocket::new_v4()?;
+    socket.bind(source)?;
+    let mut stream = socket.connect(address).await?;
+    stream.write_all(format!("GET /api/v1/feed HTTP/1.1\r\nHost: {address}\r\n\r\n").as_bytes()).await?;
+    let (mut bytes, mut last) = (vec![0; 64 << 10], 0);
+    loop {
+        let count = stream.read(&mut bytes).await?;
+        if count == 0 {
+            return Err("the feed has ended".into());
+        }
+        for &byte in &bytes[..count] {
+            // Of an event's lines only the last one is followed by an empty one; heads of HTTP end in CR LF.
+            if byte == b'\n' && last == b'\n' {
+                heard.send(()).await?;
+            }
+            last = byte;
+        }
+    }
 }
 
 async fn submission() -> Result<()> {

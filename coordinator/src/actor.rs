@@ -5,11 +5,12 @@ use std::time::Duration;
 
 use femc_fault::{Point, pass, pass_async};
 use femc_model::{
-    Digest, Failure, FromWorker, JobId, JobStatus, Refusal, TaskFilter, TaskPage, TaskUsage, Tick, ToWorker, WorkerId,
+    Crew, Digest, Failure, FromWorker, JobId, JobStatus, Refusal, TaskFilter, TaskPage, TaskUsage, Tick, ToWorker,
+    WorkerId,
 };
 use femc_proto::{AttemptPage, Backup, Call, Changes, JobShape, Listing, News, References, Reply, Session};
-use femc_queue::{Batch, Queue, QueueError, Remedy};
-use femc_schedule::{Command, Event, Fact, RequestId, Scheduler};
+use femc_queue::{Batch, Note, Queue, QueueError, Remedy};
+use femc_schedule::{Command, Event, Fact, RequestId, Roster, Scheduler, SnapshotError};
 use femc_store::Store;
 use tokio::sync::{mpsc, oneshot, watch};
 use tokio::time::Instant;
@@ -23,6 +24,9 @@ use crate::janitor::Janitor;
 use crate::metrics::{Metrics, Now};
 use crate::session::{self, Worker};
 use crate::wait::{Doors, Pending};
+
+/// The subject of the note of who has been there; others are numbers of jobs, which begin with 1.
+pub const ROSTER: u64 = 0;
 
 /// What a session's reader passes on.
 #[derive(Debug)]
@@ -56,7 +60,7 @@ enum Question {
     FrameTable(JobId, Reply<Vec<femc_model::FrameStatus>>),
     Tasks(JobId, TaskFilter, u64, usize, Reply<TaskPage>),
     Attempts(JobId, u64, Reply<AttemptPage>),
-    Workers(Reply<Vec<femc_model::WorkerStatus>>),
+    Workers(Reply<Crew>),
     Drained(Result<Vec<WorkerId>, Refusal>, Reply<Vec<WorkerId>>),
     Done(Reply<()>),
     References(Reply<References>),
@@ -82,6 +86,12 @@ pub(crate) struct Actor<Q> {
     facts: Vec<(Tick, Fact)>,
     /// What attempts took, not durable yet.
     attempts: Ended,
+    /// Who has been there.
+    pub(crate) roster: Roster,
+    /// Whether it says what its note does not.
+    is_roster_new: bool,
+    /// It is noted again then, while somebody is there.
+    roster_from: Instant,
     /// Sessions that broke while commands were executed.
     pub(crate) echoes: VecDeque<Event>,
     questions: Vec<Question>,
@@ -113,6 +123,8 @@ impl<Q: Queue> Actor<Q> {
     const TIMER: Duration = Duration::from_millis(100);
     /// Whoever looks so late has heard nobody in the meantime.
     const STANDSTILL: Duration = Duration::from_millis(500);
+    /// Between two notes of who is there: a coordinator that is killed knows last contacts as well as that.
+    const ROSTER: Duration = Duration::from_secs(60);
     /// Until a snapshot for which there was no room is tried again.
     const SNAPSHOT_AGAIN: Duration = Duration::from_secs(10);
 
@@ -121,6 +133,7 @@ impl<Q: Queue> Actor<Q> {
         queue: Q,
         store: Store,
         records: usize,
+        roster: Roster,
         watchers: mpsc::Receiver<oneshot::Sender<Now>>,
         config: &Config,
     ) -> Self {
@@ -143,6 +156,9 @@ impl<Q: Queue> Actor<Q> {
             janitor: Janitor::default(),
             facts: Vec::new(),
             attempts: Ended::default(),
+            roster,
+            is_roster_new: false,
+            roster_from: Instant::now() + Self::ROSTER,
             echoes: VecDeque::new(),
             questions: Vec::new(),
             heartbeats: Vec::new(),
@@ -199,6 +215,7 @@ impl<Q: Queue> Actor<Q> {
             self.commit(&mut commands, &mut doors).await?;
         }
         self.say_goodbye();
+        self.note_roster().await;
         Ok(self.queue.close().await?)
     }
 
@@ -259,6 +276,7 @@ impl<Q: Queue> Actor<Q> {
                 artifact_missing(worker, &said, artifact, message)
             }
             SessionEvent::Over => {
+                self.observe_workers();
                 self.workers.remove(&worker);
                 tracing::info!(worker = worker.0, "worker left");
                 Some(Event::Left { worker })
@@ -345,6 +363,7 @@ impl<Q: Queue> Actor<Q> {
         tokio::spawn(session::listen(worker, messages, self.store.clone(), self.session_events.clone()));
         self.joined.push(worker);
         self.hear(Event::Joined { worker, registration }, commands);
+        self.observe_workers();
     }
 
     /// Whether a job was submitted with this key.
@@ -359,12 +378,16 @@ impl<Q: Queue> Actor<Q> {
         commands: &mut Vec<Command>,
         doors: &mut Doors,
     ) -> Result<(), CoordinatorError> {
-        if self.facts.is_empty() && self.attempts.is_empty() {
+        if self.facts.is_empty() && self.attempts.is_empty() && !self.is_roster_new {
             self.queue.check()?;
         } else {
             let records = self.facts.drain(..).map(|(now, fact)| fact.encode(now)).collect::<Result<Vec<_>, _>>()?;
             pass_async(Point::CoordinatorBeforeAppend).await;
-            let (notes, forgotten) = self.attempts.take()?;
+            let (mut notes, mut forgotten) = self.attempts.take()?;
+            if std::mem::take(&mut self.is_roster_new) {
+                notes.push(self.roster_note()?);
+                forgotten.push(ROSTER);
+            }
             let begun = Instant::now();
             let batch = Batch { records: &records, notes: &notes, forgotten: &forgotten };
             self.keep(Pending { batch, commands }, doors).await?;
@@ -422,7 +445,7 @@ impl<Q: Queue> Actor<Q> {
                 }
                 Question::Drained(answer, reply) => drop(reply.send(answer)),
                 Question::Done(reply) => drop(reply.send(Ok(()))),
-                Question::Workers(reply) => drop(reply.send(Ok(self.scheduler.workers(now)))),
+                Question::Workers(reply) => drop(reply.send(Ok(self.crew()))),
                 Question::References(reply) => drop(reply.send(Ok(self.references()))),
                 Question::Backup(reply) => {
                     let copied = self.queue.copy().await;
@@ -434,13 +457,43 @@ impl<Q: Queue> Actor<Q> {
         Ok(())
     }
 
+    /// Who is there, and who was.
+    fn crew(&self) -> Crew {
+        let there = self.scheduler.workers(self.clock.now());
+        let offline = self.roster.offline(&there);
+        Crew { there, offline }
+    }
+
+    /// Takes notice of those who are there; it becomes durable with what comes next.
+    fn observe_workers(&mut self) {
+        let now = self.clock.now();
+        // Without a date no contact can be told.
+        let Some(zero) = self.scheduler.config().clock_zero else { return };
+        self.roster.observe(&self.scheduler.workers(now), zero.saturating_add(now.0));
+        self.is_roster_new = true;
+    }
+
+    fn roster_note(&self) -> Result<Note, SnapshotError> {
+        Ok(Note { subject: ROSTER, bytes: self.roster.encode()? })
+    }
+
+    /// At the end: last contacts as they are.
+    async fn note_roster(&mut self) {
+        self.observe_workers();
+        let Ok(note) = self.roster_note() else { return };
+        let batch = Batch { notes: &[note], forgotten: &[ROSTER], ..Batch::default() };
+        if let Err(error) = self.queue.append(batch).await {
+            tracing::warn!(%error, "the workers' last contacts are not noted");
+        }
+    }
+
     /// What a feed wants to hear.
     fn changes(&mut self, news: News) -> Changes {
         let now = self.clock.now();
         let touched = self.touched.replace(BTreeSet::new()).filter(|_| news == News::Changes);
         let is_wanted = |job| touched.as_ref().is_none_or(|touched| touched.contains(&job));
         let (jobs, there) = self.scheduler.changed_jobs(is_wanted, now);
-        Changes { jobs, there, workers: self.scheduler.workers(now), warnings: self.disks.warnings() }
+        Changes { jobs, there, workers: self.crew(), warnings: self.disks.warnings() }
     }
 
     pub(crate) fn references(&self) -> References {
@@ -452,6 +505,12 @@ impl<Q: Queue> Actor<Q> {
     async fn look_after(&mut self, commands: &mut Vec<Command>, doors: &mut Doors) -> Result<(), CoordinatorError> {
         self.queue.check()?;
         self.refresh_watched();
+        if Instant::now() >= self.roster_from {
+            self.roster_from = Instant::now() + Self::ROSTER;
+            if !self.workers.is_empty() {
+                self.observe_workers();
+            }
+        }
         self.sweep(commands, doors).await?;
         self.disks.look_later(&mut self.looked);
         if self.records >= self.snapshot && Instant::now() >= self.snapshots_from {

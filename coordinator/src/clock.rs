@@ -88,7 +88,7 @@ mod tests {
     use std::time::SystemTime;
 
     use femc_queue::Memory;
-    use femc_schedule::{Ledger, Scheduler};
+    use femc_schedule::{Ledger, Roster, Scheduler};
     use femc_store::Store;
     use tokio::sync::mpsc;
 
@@ -102,7 +102,7 @@ mod tests {
         let config = Config::default();
         let (scheduler, _) = Scheduler::new(config.scheduler.clone(), Ledger::default());
         let (_asks, watchers) = mpsc::channel(1);
-        let actor = Actor::new(scheduler, Memory::default(), Store::memory(), 0, watchers, &config);
+        let actor = Actor::new(scheduler, Memory::default(), Store::memory(), 0, Roster::default(), watchers, &config);
         let [time, configured] = [Time::default(), config.time].map(|time| Clock::from(Tick(0), time));
         let clocks = [time, configured, actor.clock];
         let show = || clocks.each_ref().map(|clock| clock.now().0);

@@ -21,6 +21,7 @@ mod session;
 mod start;
 mod wait;
 
+pub use actor::ROSTER;
 pub use clock::Time;
 pub use config::{Artifacts, Config, CoordinatorError, Exposure, Log};
 pub use femc_proto::{Entrance, Files, Limits, Site};

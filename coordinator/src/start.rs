@@ -9,7 +9,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 use femc_model::Tick;
 use femc_proto::{Connected, Io, ServeError, Server, TcpIncoming};
 use femc_queue::{Batch, Lost, Memory, Queue, Sqlite};
-use femc_schedule::{Fact, Ledger, Scheduler};
+use femc_schedule::{Fact, Ledger, Roster, Scheduler};
 use femc_store::Store;
 use femc_trust::AuditEvent;
 use tokio::net::TcpListener;
@@ -17,7 +17,7 @@ use tokio::sync::{mpsc, watch};
 use tokio::task::JoinHandle;
 use tokio_stream::Stream;
 
-use crate::actor::Actor;
+use crate::actor::{Actor, ROSTER};
 use crate::any_queue::AnyQueue;
 use crate::config::{Artifacts, Config, CoordinatorError, Exposure, Log};
 use crate::lead::{self, Standing};
@@ -127,11 +127,12 @@ impl Coordinator {
     ) -> Result<Handle, CoordinatorError> {
         let (address, url) = (config.listen, config.url(config.listen));
         let (scheduler, records) = recover(&config, &mut queue).await?;
+        let roster = roster(&mut queue).await?;
         let (calls, inbox) = mpsc::channel(Self::CALLS);
         let (stop, stopped) = watch::channel(());
         let (asked, figures) = mpsc::channel(1);
         config.metrics.leads(asked);
-        let actor = Actor::new(scheduler, queue, store.clone(), records, figures, &config);
+        let actor = Actor::new(scheduler, queue, store.clone(), records, roster, figures, &config);
         let actor = tokio::spawn(actor.run(Doors { calls: inbox, stop: stopped }));
         let (serving, mut until) = watch::channel(());
         let server = serve(
@@ -196,6 +197,18 @@ async fn recover(config: &Config, queue: &mut AnyQueue) -> Result<(Scheduler, us
     let (scheduler, opened) = Scheduler::new(femc_schedule::Config { clock_zero, ..config.scheduler.clone() }, ledger);
     queue.append(Batch::of(&[opened.encode(now)?])).await?;
     Ok((scheduler, contents.records.len() + 1))
+}
+
+/// Who has been there, as it was noted last; one that cannot be read is begun anew.
+async fn roster(queue: &mut AnyQueue) -> Result<Roster, CoordinatorError> {
+    let notes = queue.notes(ROSTER, 0).await?.notes;
+    let read = notes.last().map(|note| Roster::decode(note)).transpose();
+    Ok(read
+        .unwrap_or_else(|error| {
+            tracing::warn!(%error, "the workers of before are not known");
+            None
+        })
+        .unwrap_or_default())
 }
 
 /// Says what was acknowledged and is given up.

@@ -12,7 +12,7 @@ use femc_schedule::Command;
 use tokio::sync::{mpsc, watch};
 use tokio::time::Duration;
 
-use crate::actor::{Actor, SessionEvent};
+use crate::actor::{Actor, ROSTER, SessionEvent};
 use crate::config::CoordinatorError;
 
 /// Where calls come in, and the end.
@@ -110,7 +110,7 @@ impl<Q: Queue> Actor<Q> {
                 drop(reply.send(Err(place)));
             }
             // Garbage is what makes room. What is not durable yet may have released something that the log still names.
-            Call::References { reply } if pending.batch.forgotten.is_empty() => {
+            Call::References { reply } if pending.batch.forgotten.iter().all(|subject| *subject == ROSTER) => {
                 let References { mut artifacts, scenes } = self.references();
                 let released = pending.commands.iter().flat_map(|command| match command {
                     Command::Discard(digests) => digests.as_slice(),

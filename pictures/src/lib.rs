@@ -1,6 +1,7 @@
 //! Frames of a farm as pictures: where the service, which knows nothing of light, meets the film.
 //!
-//! [`draw`] is what [`femc_service::Site`] wants: thumbnails as PNG, pixels as planes of half floats. [`Partial`] is a frame in work,
+//! [`draw`] is what [`femc_service::Site`] wants: thumbnails as PNG, pixels, and what light statistics know of
+//! each, as planes of half floats. [`Partial`] is a frame in work,
 //! the same union that the farm will make, of what is there.
 #![deny(missing_docs)]
 
@@ -23,6 +24,11 @@ pub fn draw(source: Source, wanted: Wanted) -> Result<Vec<u8>, String> {
 
 fn drawn(source: Source, wanted: Wanted) -> Result<Vec<u8>, FilmError> {
     match (source, wanted) {
+        (Source::Statistics(bytes), Wanted::Maps) => planes::of_statistics(&bytes),
+        (Source::Statistics(_), _) => Err(FilmError::Corrupt("light statistics are no picture")),
+        (Source::Image(_) | Source::Preview(_) | Source::Parts(..), Wanted::Maps) => {
+            Err(FilmError::Corrupt("only light statistics have maps"))
+        }
         (Source::Preview(png), Wanted::Thumbnail { height }) => thumbnail::of_picture(&png, height),
         (Source::Preview(_), Wanted::Pixels) => Err(FilmError::Corrupt("a preview has no radiances")),
         (Source::Image(bytes), Wanted::Thumbnail { height }) => {
@@ -37,7 +43,7 @@ fn drawn(source: Source, wanted: Wanted) -> Result<Vec<u8>, FilmError> {
             let image = partial.image()?;
             match wanted {
                 Wanted::Thumbnail { height } => thumbnail::of_image(&image.color, height),
-                Wanted::Pixels => Ok(planes::of_frame(&image)),
+                Wanted::Pixels | Wanted::Maps => Ok(planes::of_frame(&image)),
             }
         }
     }

@@ -10,15 +10,19 @@
 //! | each | width x height half floats, row by row from the top left |
 //!
 //! All little-endian. Channels: R, G, B (linear Rec.709), Y (cd/m2), error (relative standard error of the pixel's block, -1 where nothing
-//! is known), samples. What is beyond the range of half floats is their greatest value.
+//! is known), samples. Of light statistics: depth (intersections of a path, mean), throughput (at its end, mean), deviation (standard
+//! deviation of the luminance of a sample, cd/m2); -1 where a pixel has no sample. What is beyond the range of half floats is their greatest value.
 
 use femc_film::{FilmError, FrameImage, exr};
+use femc_paths::Statistics;
+use femc_paths::pixels::{Maps, Pixel};
 use half::f16;
 use std::io::Cursor;
 
 const MAGIC: &[u8; 4] = b"FMXC";
 const VERSION: u32 = 1;
 const NAMES: [&str; 6] = ["R", "G", "B", "Y", "error", "samples"];
+const MAPS: [&str; 3] = ["depth", "throughput", "deviation"];
 
 /// Of a finished frame.
 pub fn of_exr(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
@@ -36,21 +40,41 @@ pub fn of_frame(image: &FrameImage) -> Vec<u8> {
 
 fn encode(image: &femc_film::Image, errors: &[f32], samples: impl Iterator<Item = f32>) -> Vec<u8> {
     let count = image.pixels.len();
-    let mut bytes = Vec::with_capacity(64 + 2 * NAMES.len() * count);
-    bytes.extend(MAGIC);
-    for number in [VERSION, image.width, image.height, NAMES.len() as u32] {
-        bytes.extend(number.to_le_bytes());
-    }
-    for name in NAMES {
-        bytes.extend((name.len() as u32).to_le_bytes());
-        bytes.extend(name.bytes());
-    }
+    let mut bytes = head([image.width, image.height], &NAMES);
     for channel in 0..3 {
         put(&mut bytes, image.pixels.iter().map(|pixel| pixel[channel]));
     }
     put(&mut bytes, (0..count).map(|at| image.luminance(at)));
     put(&mut bytes, errors.iter().copied());
     put(&mut bytes, samples);
+    bytes
+}
+
+/// Of a frame's light statistics.
+pub fn of_statistics(bytes: &[u8]) -> Result<Vec<u8>, FilmError> {
+    let statistics = Statistics::decode(bytes).map_err(|_| FilmError::Corrupt("the light statistics are damaged"))?;
+    let maps = Maps::of(&statistics);
+    let pixels: Vec<Pixel> = maps.pixels().collect();
+    let mut bytes = head(maps.film, &MAPS);
+    let of: [fn(&Pixel) -> f64; 3] = [|it| it.depth, |it| it.throughput, |it| it.variance.sqrt()];
+    for of in of {
+        let value = |pixel: &Pixel| if pixel.samples > 0 { of(pixel) as f32 } else { -1.0 };
+        put(&mut bytes, pixels.iter().map(value));
+    }
+    Ok(bytes)
+}
+
+/// What stands before the planes; there is room behind it for all of them.
+fn head([width, height]: [u32; 2], names: &[&str]) -> Vec<u8> {
+    let mut bytes = Vec::with_capacity(128 + 2 * names.len() * width as usize * height as usize);
+    bytes.extend(MAGIC);
+    for number in [VERSION, width, height, names.len() as u32] {
+        bytes.extend(number.to_le_bytes());
+    }
+    for name in names {
+        bytes.extend((name.len() as u32).to_le_bytes());
+        bytes.extend(name.bytes());
+    }
     bytes
 }
 

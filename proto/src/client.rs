@@ -5,7 +5,7 @@ use std::sync::Arc;
 use std::time::Duration;
 
 use femc_model::{
-    Artifact, Attempts, Control, Digest, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus,
+    Artifact, Attempts, Control, Crew, Digest, Drain, FrameParts, FrameRecord, FromWorker, JobId, JobSpec, JobStatus,
     LogRecord, Registration, Tick, ToWorker, WorkerId, WorkerName, WorkerStatus,
 };
 use hyper_util::rt::TokioIo;
@@ -224,11 +224,16 @@ impl Client {
         Ok(*JobShape::try_from(shape)?.spec)
     }
 
-    /// The workers that are there.
+    /// The workers that are there, in order of joining.
     pub async fn workers(&self) -> Result<Vec<WorkerStatus>, CallError> {
+        Ok(self.crew().await?.there)
+    }
+
+    /// The workers that are there, and those that were.
+    pub async fn crew(&self) -> Result<Crew, CallError> {
         let reply =
             self.jobs().list_workers(wire::ListWorkersRequest {}).await.map_err(|status| self.error(&status))?;
-        Ok(each(reply.into_inner().workers)?)
+        Ok(reply.into_inner().try_into()?)
     }
 
     /// Gives workers no more tasks, or tasks again; returns the sessions that it was done to.

@@ -109,7 +109,7 @@ pub const DECODERS: &[Decoder] = decoders! {
         None => false,
     };
     ListWorkersRequest => |_| true;
-    ListWorkersReply => |wire| each::<_, WorkerStatus>(wire.workers);
+    ListWorkersReply => there_and_back::<_, Crew>;
     DrainWorkersRequest => there_and_back::<_, (WorkerName, Drain)>;
     DrainWorkersReply => |_| true;
     FromWorker => messages::<_, FromWorker>;

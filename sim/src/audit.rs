@@ -2,6 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
+use femc_coordinator::ROSTER;
 use femc_model::{Artifact, Control, Digest, Ending, Epoch, JobId, JobSpec, JobStatus, TaskKey};
 use femc_queue::Note;
 use femc_schedule::{Fact, SnapshotError, decode_attempts};
@@ -519,7 +520,7 @@ pub(crate) fn noted<'a>(
     }
     counts.retain(|(task, _), _| !forgotten.contains(&task.job));
     let mut times: BTreeMap<(TaskKey, Epoch), (u64, u64)> = BTreeMap::new();
-    for note in notes {
+    for note in notes.iter().filter(|note| note.subject != ROSTER) {
         for attempt in decode_attempts(&note.bytes)?.into_iter().filter(|attempt| attempt.ending == Ending::Done) {
             let (times, samples) = times.entry((attempt.task, attempt.epoch)).or_default();
             *times += 1;

@@ -1,4 +1,4 @@
-//! The arguments as typed. Every command has a file under `command/`; what they share is here.
+//! The arguments that commands share, as typed; what a command has alone is in its file under `command/`.
 
 mod extras;
 mod metrics;
@@ -12,37 +12,11 @@ pub use select::SelectArgs;
 pub use settings::{SettingsArgs, Stats};
 pub use values::{Filter, Method};
 
-use crate::command;
 use crate::exit::{Failure, failed};
-use clap::{ArgAction, Args, Parser, Subcommand, ValueEnum};
-use clap_complete::Shell;
+use clap::{ArgAction, Args, ValueEnum};
 use femc_proto::Dial;
 use femc_trust::{Identity, Pass};
 use std::path::{Path, PathBuf};
-
-/// The whole command line.
-#[derive(Debug, Parser)]
-#[command(
-    name = "femc",
-    version,
-    about = "A physically based render farm: foggy scenes to frames, exactly",
-    after_help = "Examples:\n  \
-        femc render scenes/cornell-fog.mgf -o cornell.exr --spp 64\n  \
-        femc render scenes/roundabout.mgf --frames 1..24 --size 160x90 --spp 8 -o drive --video drive.mp4\n  \
-        femc coordinator & femc worker --join http://127.0.0.1:7878 & femc submit scene.mgf\n\n\
-        Exit codes: 0 done, 1 the work failed or a check found a fault, 2 wrong usage, \
-        3 interrupted (the same command goes on), 4 the server could not be reached.",
-    arg_required_else_help = true,
-    infer_subcommands = false
-)]
-pub struct Cli {
-    /// What all commands share.
-    #[command(flatten)]
-    pub common: CommonArgs,
-    /// The command.
-    #[command(subcommand)]
-    pub command: Command,
-}
 
 /// Flags of every command.
 #[derive(Clone, Debug, Args)]
@@ -135,77 +109,4 @@ impl IdentityArgs {
 /// Read one.
 pub fn identity(path: &Path) -> Result<Identity, Failure> {
     Identity::read(path).map_err(|error| failed(format!("--identity: {error}")))
-}
-
-/// The commands, in the order of `--help`.
-#[derive(Debug, Subcommand)]
-pub enum Command {
-    Render(command::render::RenderArgs),
-    Plan(command::plan::PlanArgs),
-    Check(command::check::CheckArgs),
-    Bench(command::bench::BenchArgs),
-    Compare(command::compare::CompareArgs),
-    Fireflies(command::fireflies::FirefliesArgs),
-    Field(command::field::FieldArgs),
-    Paths(command::paths::PathsArgs),
-    Bottlenecks(command::bottlenecks::BottlenecksArgs),
-    Coordinator(command::coordinator::CoordinatorArgs),
-    Worker(command::worker::WorkerArgs),
-    Submit(command::submit::SubmitArgs),
-    Sweep(command::sweep::SweepArgs),
-    #[cfg(feature = "openjd")]
-    Openjd(command::openjd::OpenjdArgs),
-    Jobs(command::jobs::JobsArgs),
-    Status(command::status::StatusArgs),
-    Watch(command::watch::WatchArgs),
-    Fetch(command::fetch::FetchArgs),
-    Logs(command::logs::LogsArgs),
-    Stats(command::stats::StatsArgs),
-    Report(command::report::ReportArgs),
-    Workers(command::workers::WorkersArgs),
-    Drain(command::drain::DrainArgs),
-    Gc(command::gc::GcArgs),
-    Backup(command::backup::BackupArgs),
-    Ca(command::ca::CaArgs),
-    /// Hold jobs: running tasks end, no new ones begin
-    #[command(after_help = "Examples:\n  femc pause 7\n  femc pause --owner ann")]
-    Pause(command::control::JobsArgs),
-    /// End a pause
-    #[command(after_help = "Examples:\n  femc resume 7 8")]
-    Resume(command::control::JobsArgs),
-    /// End jobs now; their finished frames stay
-    #[command(after_help = "Examples:\n  femc cancel 7\n  femc cancel 5 6 7\n  femc cancel --owner ann --name 'fog-*'")]
-    Cancel(command::control::JobsArgs),
-    /// Try again what failed of jobs, or what a cancel left undone
-    #[command(after_help = "Examples:\n  femc retry 7\n  femc retry 7 --frames 3,7..9\n\n\
-        Of a job that is done, and of the frames that are named, the images are read: frames whose image is damaged or gone are\n\
-        rendered again.")]
-    Retry(command::control::RetryArgs),
-    /// Change a job's priority
-    Priority(command::control::PriorityArgs),
-    /// Print a completion script for a shell
-    #[command(after_help = "Examples:\n  \
-        femc completions bash > ~/.local/share/bash-completion/completions/femc\n  \
-        femc completions zsh > \"${fpath[1]}/_femc\"")]
-    Completions {
-        /// The shell
-        shell: Shell,
-    },
-}
-
-impl Command {
-    /// What it is to those who collect spans.
-    #[cfg(feature = "otel")]
-    pub fn service(&self) -> &'static str {
-        match self {
-            Self::Coordinator(_) => "coordinator",
-            Self::Worker(_) => "worker",
-            _ => "client",
-        }
-    }
-
-    /// Whether the command runs until it is stopped, and so tells what it does as it goes.
-    pub fn is_service(&self) -> bool {
-        matches!(self, Self::Coordinator(_) | Self::Worker(_))
-    }
 }

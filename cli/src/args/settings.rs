@@ -1,5 +1,5 @@
 use super::{Filter, Method};
-use crate::request::{Budget, Frames, Override, Size};
+use crate::values::{Budget, Frames, Override, Size};
 use clap::{Args, ValueEnum};
 use std::path::PathBuf;
 

@@ -5,8 +5,8 @@ use crate::clock::Clock;
 use crate::exit::{Failure, failed, unreachable, usage};
 use crate::request::Asked;
 use femc_model::{
-    Artifact, Attempts, Control, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus, LogRecord,
-    Refusal, Stage, Tick, WorkerId, WorkerName, WorkerStatus,
+    Artifact, Attempts, Control, Crew, Digest, Drain, FrameParts, FrameRecord, Grid, JobId, JobSpec, JobStatus,
+    LogRecord, Refusal, Stage, Tick, WorkerId, WorkerName,
 };
 use femc_proto::{BackupError, CallError, Client, CollectMode, Collected, Dial, Found, JobShape, Listing, Why};
 use femc_worker::Parcel;
@@ -212,9 +212,9 @@ impl Farm {
         self.client.drain(worker, drain).await.map_err(map_call_error)
     }
 
-    /// The workers that are there.
-    pub async fn workers(&self) -> Result<Vec<WorkerStatus>, Failure> {
-        self.client.workers().await.map_err(map_call_error)
+    /// The workers that are there, and those that were.
+    pub async fn crew(&self) -> Result<Crew, Failure> {
+        self.client.crew().await.map_err(map_call_error)
     }
 
     /// A copy of the log; the artifacts that it refers to and the store has.

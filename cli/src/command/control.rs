@@ -4,7 +4,7 @@ use super::client::{self, Farm};
 use crate::args::{SelectArgs, ServerArgs};
 use crate::exit::{Exit, Failure, usage};
 use crate::output::{Say, human, job as show};
-use crate::request::Frames;
+use crate::values::Frames;
 use clap::Args;
 use femc_model::{Control, JobId, JobState, JobStatus, Wait};
 use std::collections::BTreeSet;

@@ -3,10 +3,11 @@
 use super::client::runtime;
 use super::interrupt::Interrupt;
 use super::metrics;
+use super::site::site;
 use crate::args::MetricsArgs;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::Say;
-use crate::request::{Budget, Volume};
+use crate::values::{Budget, Volume};
 use clap::Args;
 use femc_coordinator::{
     Artifacts, Config, Coordinator, CoordinatorError, Entrance, Exposure, Handle, Log, Loss, Metrics, Postgres,
@@ -186,7 +187,7 @@ pub fn run(args: CoordinatorArgs, say: Say) -> Result<Exit, Failure> {
         exposure,
         entrance,
         audit,
-        site: super::site(),
+        site: site(),
         log,
         artifacts: args.artifacts,
         scheduler: femc_schedule::Config {
@@ -273,7 +274,7 @@ fn tell(say: Say, standing: &Standing, url: &str) {
     match standing {
         Standing::Leads => {
             say.result(format!("listening on {url}"));
-            if !super::site().files.is_empty() {
+            if !site().files.is_empty() {
                 say.note(format!("the farm in a browser: {url}/"));
             }
         }

@@ -3,6 +3,7 @@
 //! second way to render.
 
 use super::client::{self, Farm};
+use super::site::site;
 use crate::exit::{Failure, failed};
 use crate::output::Say;
 use femc_coordinator::{Artifacts, Config, Coordinator, Handle, Log};
@@ -39,7 +40,7 @@ impl Embedded {
         let config = Config {
             log: Log::Sqlite(plan.log),
             artifacts: Artifacts::Folder(plan.artifacts),
-            site: super::site(),
+            site: site(),
             // Its workers end with it: there is nobody to wait for.
             scheduler: femc_schedule::Config { regroup: 0, ..femc_schedule::Config::default() },
             ..Config::default()
@@ -69,7 +70,7 @@ impl Embedded {
     /// Says where a browser shows it, and opens one where there is a desktop.
     pub fn show(&self, say: Say) {
         let page = format!("{}/", self.coordinator.url());
-        if super::site().files.is_empty() {
+        if site().files.is_empty() {
             say.warning(format!(
                 "--watch: this femc was built without its page; {page}api/v1/feed has the same as JSON"
             ));

@@ -4,7 +4,7 @@ use super::client;
 use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure};
 use crate::output::{Say, human, json};
-use crate::request::Budget;
+use crate::values::Budget;
 use clap::Args;
 use femc_proto::{CollectMode, Collected, Volume};
 use serde::Serialize;

@@ -5,7 +5,7 @@ use super::interrupt::Interrupt;
 use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure, interrupted, usage};
 use crate::output::{Say, human, json};
-use crate::request::{JobTasks, Tasks};
+use crate::values::{JobTasks, Tasks};
 use clap::Args;
 use femc_model::{Attempt, Epoch, LogRecord, LogText, TaskKey, Tick};
 use femc_service::view::LogJson;

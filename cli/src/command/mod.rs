@@ -1,4 +1,4 @@
-//! The commands, one a file.
+//! The command line, and the commands, one a file.
 
 pub mod backup;
 pub mod bench;
@@ -30,6 +30,7 @@ pub mod plan;
 mod preview;
 pub mod render;
 pub mod report;
+mod site;
 pub mod stats;
 pub mod status;
 mod subject;
@@ -39,11 +40,109 @@ pub mod watch;
 pub mod worker;
 pub mod workers;
 
-use crate::args::{Cli, Command};
+use crate::args::CommonArgs;
 use crate::exit::{Exit, Failure};
 use crate::output::Say;
-use femc_coordinator::{Files, Site};
+use clap::{CommandFactory, Parser, Subcommand};
+use clap_complete::Shell;
 use femc_model::Control;
+
+/// The whole command line.
+#[derive(Debug, Parser)]
+#[command(
+    name = "femc",
+    version,
+    about = "A physically based render farm: foggy scenes to frames, exactly",
+    after_help = "Examples:\n  \
+        femc render scenes/cornell-fog.mgf -o cornell.exr --spp 64\n  \
+        femc render scenes/roundabout.mgf --frames 1..24 --size 160x90 --spp 8 -o drive --video drive.mp4\n  \
+        femc coordinator & femc worker --join http://127.0.0.1:7878 & femc submit scene.mgf\n\n\
+        Exit codes: 0 done, 1 the work failed or a check found a fault, 2 wrong usage, \
+        3 interrupted (the same command goes on), 4 the server could not be reached.",
+    arg_required_else_help = true,
+    infer_subcommands = false
+)]
+pub struct Cli {
+    /// What all commands share.
+    #[command(flatten)]
+    pub common: CommonArgs,
+    /// The command.
+    #[command(subcommand)]
+    pub command: Command,
+}
+
+/// The commands, in the order of `--help`.
+#[derive(Debug, Subcommand)]
+pub enum Command {
+    Render(render::RenderArgs),
+    Plan(plan::PlanArgs),
+    Check(check::CheckArgs),
+    Bench(bench::BenchArgs),
+    Compare(compare::CompareArgs),
+    Fireflies(fireflies::FirefliesArgs),
+    Field(field::FieldArgs),
+    Paths(paths::PathsArgs),
+    Bottlenecks(bottlenecks::BottlenecksArgs),
+    Coordinator(coordinator::CoordinatorArgs),
+    Worker(worker::WorkerArgs),
+    Submit(submit::SubmitArgs),
+    Sweep(sweep::SweepArgs),
+    #[cfg(feature = "openjd")]
+    Openjd(openjd::OpenjdArgs),
+    Jobs(jobs::JobsArgs),
+    Status(status::StatusArgs),
+    Watch(watch::WatchArgs),
+    Fetch(fetch::FetchArgs),
+    Logs(logs::LogsArgs),
+    Stats(stats::StatsArgs),
+    Report(report::ReportArgs),
+    Workers(workers::WorkersArgs),
+    Drain(drain::DrainArgs),
+    Gc(gc::GcArgs),
+    Backup(backup::BackupArgs),
+    Ca(ca::CaArgs),
+    /// Hold jobs: running tasks end, no new ones begin
+    #[command(after_help = "Examples:\n  femc pause 7\n  femc pause --owner ann")]
+    Pause(control::JobsArgs),
+    /// End a pause
+    #[command(after_help = "Examples:\n  femc resume 7 8")]
+    Resume(control::JobsArgs),
+    /// End jobs now; their finished frames stay
+    #[command(after_help = "Examples:\n  femc cancel 7\n  femc cancel 5 6 7\n  femc cancel --owner ann --name 'fog-*'")]
+    Cancel(control::JobsArgs),
+    /// Try again what failed of jobs, or what a cancel left undone
+    #[command(after_help = "Examples:\n  femc retry 7\n  femc retry 7 --frames 3,7..9\n\n\
+        Of a job that is done, and of the frames that are named, the images are read: frames whose image is damaged or gone are\n\
+        rendered again.")]
+    Retry(control::RetryArgs),
+    /// Change a job's priority
+    Priority(control::PriorityArgs),
+    /// Print a completion script for a shell
+    #[command(after_help = "Examples:\n  \
+        femc completions bash > ~/.local/share/bash-completion/completions/femc\n  \
+        femc completions zsh > \"${fpath[1]}/_femc\"")]
+    Completions {
+        /// The shell
+        shell: Shell,
+    },
+}
+
+impl Command {
+    /// What it is to those who collect spans.
+    #[cfg(feature = "otel")]
+    pub fn service(&self) -> &'static str {
+        match self {
+            Self::Coordinator(_) => "coordinator",
+            Self::Worker(_) => "worker",
+            _ => "client",
+        }
+    }
+
+    /// Whether the command runs until it is stopped, and so tells what it does as it goes.
+    pub fn is_service(&self) -> bool {
+        matches!(self, Self::Coordinator(_) | Self::Worker(_))
+    }
+}
 
 /// Do what was asked.
 pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
@@ -80,15 +179,6 @@ pub fn run(cli: Cli, say: Say) -> Result<Exit, Failure> {
         Command::Cancel(args) => control::run(&args, &Control::Cancel, say),
         Command::Retry(args) => control::retry(&args, say),
         Command::Priority(args) => control::prioritize(&args, say),
-        Command::Completions { shell } => completions::run(shell),
+        Command::Completions { shell } => completions::run(shell, Cli::command()),
     }
-}
-
-/// What browsers are shown of a farm.
-fn site() -> Site {
-    #[cfg(feature = "ui")]
-    let files = Files(femc_web::FILES);
-    #[cfg(not(feature = "ui"))]
-    let files = Files::default();
-    Site { files, engine: femc_worker::engine().to_owned(), draw: Some(femc_pictures::draw) }
 }

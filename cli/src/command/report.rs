@@ -1,12 +1,12 @@
 //! `femc report JOB`: what became of jobs, as a page; or what is known of the light of frames.
 
-use super::bottlenecks::Report as Findings;
 use super::subject::{self, Logs, Subject};
 use crate::args::ServerArgs;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::Say;
-use crate::report::{Report, light};
 use clap::Args;
+use femc_reports::light::{Report as Findings, read};
+use femc_reports::pages::{Report, light};
 use std::path::{Path, PathBuf};
 
 /// Write a page about jobs: workers over time, durations, errors, samples, cost, failures; or about the light of frames
@@ -74,7 +74,7 @@ fn light_files(subjects: &[Subject]) -> Result<Option<Vec<PathBuf>>, Failure> {
 fn light_page(args: &ReportArgs, files: &[PathBuf], say: Say) -> Result<Exit, Failure> {
     let mut frames = Vec::new();
     for file in files {
-        let unit = super::paths::read(file)?;
+        let unit = read(file)?;
         let is_one = unit.frames.len() == 1;
         for statistics in unit.frames {
             // Of a union the frames' numbers tell them apart.

@@ -2,10 +2,10 @@
 
 use super::subject::{self, Logs, Subject};
 use crate::args::{FormatArgs, ServerArgs};
-use crate::attempts::{By, Json, columns, csv, human, rows, write_parquet};
 use crate::exit::{Exit, Failure};
 use crate::output::{Say, json};
 use clap::{Args, ValueEnum};
+use femc_reports::attempts::{By, Json, columns, csv, human, rows, write_parquet};
 use std::path::PathBuf;
 
 /// Print what jobs' tasks took: time, processor, memory, samples, rays, bytes

@@ -2,9 +2,9 @@
 
 use super::client::{self, Farm};
 use crate::args::ServerArgs;
-use crate::attempts::{FailureLog, JobRecord, read_all};
 use crate::exit::{Failure, usage};
 use femc_model::{Attempt, JobId, LogText, Tick};
+use femc_reports::attempts::{FailureLog, JobRecord, read_all};
 use std::convert::Infallible;
 use std::path::{Path, PathBuf};
 use std::str::FromStr;
@@ -67,7 +67,7 @@ fn kept(folder: &Path) -> Result<Vec<JobRecord>, Failure> {
         let folder = folder.display();
         return Err(usage(format!("{folder}: neither a job's number nor the folder of a sweep whose jobs have ended")));
     }
-    read_all(&jobs)
+    Ok(read_all(&jobs)?)
 }
 
 /// Where a sweep keeps the record of a ticket's job.

@@ -7,7 +7,7 @@ use crate::args::{IdentityArgs, MetricsArgs};
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::Say;
-use crate::request::{Budget, Hours, Volume, VolumeError};
+use crate::values::{Budget, Hours, Volume, VolumeError};
 use clap::Args;
 use femc_proto::Dial;
 use femc_worker::clip::{self, FFMPEG};

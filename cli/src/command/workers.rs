@@ -5,16 +5,22 @@ use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure};
 use crate::output::{Say, human, json};
 use clap::Args;
-use femc_model::WorkerStatus;
-use femc_service::view::{WorkerJson, intake};
+use femc_model::{Crew, OfflineWorker, WorkerStatus};
+use femc_service::view::{OfflineJson, WorkerJson, intake};
+use serde::Serialize;
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// List the farm's workers
 #[derive(Debug, Args)]
 #[command(after_help = "Examples:\n  \
     femc workers\n  \
     femc workers --json | jq 'map(.threads) | add'\n\n\
-    Intake: open; off (the worker wants no more tasks: it is leaving, or outside its --hours); draining (`femc drain`).")]
+    Intake: open; off (the worker wants no more tasks: it is leaving, or outside its --hours); draining (`femc drain`); offline (it was\n\
+    there, and is not now: silent says for how long).")]
 pub struct WorkersArgs {
+    /// List workers that were there and are not now in JSON, too; people see them without this
+    #[arg(long, requires = "json")]
+    offline: bool,
     #[command(flatten)]
     format: FormatArgs,
     #[command(flatten)]
@@ -23,19 +29,29 @@ pub struct WorkersArgs {
 
 /// List.
 pub fn run(args: &WorkersArgs, say: Say) -> Result<Exit, Failure> {
-    let workers = client::block_on(&args.server, async |farm| farm.workers().await)?;
+    let Crew { there, offline } = client::block_on(&args.server, async |farm| farm.crew().await)?;
     if args.format.json {
-        json::print(say, &workers.iter().map(WorkerJson::from).collect::<Vec<_>>())?;
-    } else if workers.is_empty() {
+        let offline = offline.iter().filter(|_| args.offline).map(OfflineJson::from).map(Line::Offline);
+        let lines: Vec<Line> = there.iter().map(WorkerJson::from).map(Line::There).chain(offline).collect();
+        json::print(say, &lines)?;
+    } else if there.is_empty() && offline.is_empty() {
         say.note(format!("no workers; start one with `femc worker --join {}`", args.server.server));
     } else {
-        let rows: Vec<Vec<String>> = workers.iter().map(row).collect();
+        let rows: Vec<Vec<String>> = there.iter().map(row).chain(offline.iter().map(offline_row)).collect();
         say.result(human::table(
             &["worker", "name", "threads", "tags", "tasks", "done", "failed", "silent", "intake"],
             &rows,
         ));
     }
     Ok(Exit::Done)
+}
+
+/// An element of the list.
+#[derive(Serialize)]
+#[serde(untagged)]
+enum Line {
+    There(WorkerJson),
+    Offline(OfflineJson),
 }
 
 fn row(worker: &WorkerStatus) -> Vec<String> {
@@ -49,5 +65,22 @@ fn row(worker: &WorkerStatus) -> Vec<String> {
         worker.failed.to_string(),
         human::seconds(worker.silent as f64 / 1000.0),
         intake(worker.intake).to_owned(),
+    ]
+}
+
+fn offline_row(worker: &OfflineWorker) -> Vec<String> {
+    let now = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+    let silent = now.saturating_sub(Duration::from_millis(worker.heard));
+    let none = || "-".to_owned();
+    vec![
+        none(),
+        worker.name.clone(),
+        worker.threads.to_string(),
+        worker.tags.join(","),
+        none(),
+        none(),
+        none(),
+        human::seconds(silent.as_secs_f64()),
+        OfflineJson::OFFLINE.to_owned(),
     ]
 }

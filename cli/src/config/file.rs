@@ -9,9 +9,9 @@
 //! join = "http://farm:7878"
 //! ```
 
-use super::{SERVICES, is_setting};
+use super::setting::{SERVICES, is_setting};
 use crate::exit::{Failure, failed, usage};
-use crate::request::Place;
+use crate::values::Place;
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{Arg, ArgAction, Command};
 use std::collections::BTreeMap;

@@ -4,16 +4,15 @@
 //! all that clap knows (kinds, ranges, help) holds for them, too, and nobody reads a setting in two ways.
 
 mod file;
+mod setting;
 mod show;
 
-use crate::args::Cli;
+use crate::command::Cli;
 use crate::exit::Failure;
-use clap::{Arg, ArgMatches, Command, CommandFactory, FromArgMatches};
+use clap::{Arg, Command, CommandFactory, FromArgMatches};
 use file::File;
+use setting::{SERVICES, is_setting};
 use std::ffi::OsString;
-
-/// Commands that run until they are stopped: each of their settings has an environment variable and a key in the file.
-const SERVICES: [&str; 2] = ["coordinator", "worker"];
 
 /// What comes of a command line.
 pub enum Parsed {
@@ -66,15 +65,4 @@ fn with_environment(command: Command) -> Command {
 fn lenient(command: Command) -> Command {
     let relaxed = |it: Command| it.subcommand_required(false).arg_required_else_help(false);
     relaxed(command).mut_subcommands(|it| relaxed(it).mut_args(|arg| arg.required(false)))
-}
-
-/// Whether an argument says how something is to be done, and so may stand in a file.
-fn is_setting(arg: &Arg) -> bool {
-    arg.get_long().is_some_and(|long| !matches!(long, "help" | "version" | "config" | "print-config"))
-}
-
-/// What the matches of a command say of one of its arguments, as text; `None`: it is not set.
-fn values(matches: &ArgMatches, arg: &Arg) -> Option<Vec<String>> {
-    let raw = matches.get_raw(arg.get_id().as_str())?;
-    Some(raw.map(|value| value.to_string_lossy().into_owned()).collect())
 }

@@ -1,7 +1,7 @@
 //! `--print-config`: what holds, and where it comes from. What is printed can be kept as a `femc.toml`.
 
 use super::file::File;
-use super::{SERVICES, is_setting, values};
+use super::setting::{SERVICES, is_setting, values};
 use clap::parser::ValueSource;
 use clap::{Arg, ArgAction, ArgMatches, Command};
 use std::fmt::Write as _;

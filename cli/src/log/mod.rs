@@ -3,7 +3,8 @@
 #[cfg(feature = "otel")]
 mod otel;
 
-use crate::args::{Cli, ColorChoice, LogFormat};
+use crate::args::{ColorChoice, LogFormat};
+use crate::command::Cli;
 use femc_worker::{TASK_LOG_LEVEL, TaskLogs};
 use std::io::{self, IsTerminal};
 use tracing_subscriber::filter::{LevelFilter, Targets};

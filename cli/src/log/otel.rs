@@ -1,7 +1,7 @@
 //! Spans of tasks and sessions to an OpenTelemetry collector: OTLP over gRPC, in programs built with the feature `otel`, where
 //! `OTEL_EXPORTER_OTLP_ENDPOINT` names one. The other usual `OTEL_` variables hold, too.
 
-use crate::args::Cli;
+use crate::command::Cli;
 use opentelemetry::trace::TracerProvider as _;
 use opentelemetry_otlp::{ExporterBuildError, SpanExporter};
 use opentelemetry_sdk::Resource;

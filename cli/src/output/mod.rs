@@ -1,11 +1,11 @@
 //! What is said, and where: results on stdout, progress, notes and errors on stderr.
 
 pub mod blocks;
-pub mod human;
 pub mod job;
 pub mod json;
 mod progress;
 mod say;
 
+pub use femc_reports::human;
 pub use progress::{Progress, Snapshot, Stage};
 pub use say::Say;

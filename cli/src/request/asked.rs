@@ -1,10 +1,11 @@
 //! A scene or a job file on the command line, with the settings typed, made into a plan.
 
-use super::{Frames, JobFile, Size, Stated};
+use super::picture::attributes;
+use super::{JobFile, Stated};
 use crate::args::{Filter, Method, SettingsArgs, Stats};
-use crate::command::render::picture::attributes;
 use crate::exit::{Failure, failed, usage};
 use crate::output::{Say, human};
+use crate::values::{Frames, Size};
 use femc_fault::{Pretense, pretended};
 use femc_import::{Bundle, ImportError, Loaded, ScenePath};
 use femc_pipeline::auto::{self, Choice};

@@ -212,6 +212,37 @@ fn the_record_says_who_did_what_and_what_was_refused_and_no_secret() {
     assert!(lines.iter().all(|line| line["call"] != "Jobs/Watch"), "who looks changes nothing");
 }
 
+/// Pages that are loaded without a login are no refused calls; what is asked for without one is, and so is who asks for nothing.
+#[test]
+fn a_page_that_is_loaded_from_an_encrypted_coordinator_is_not_in_the_record_as_refused() {
+    let place = Place::new();
+    for line in ["ca init --name nights", "ca issue coordinator farm", "ca token user ann --role viewer"] {
+        place.run(line).exits(0);
+    }
+    let line = "coordinator --listen 127.0.0.1:0 --store sqlite:farm.db --artifacts artifacts --identity farm.pem";
+    let mut farm = place.start(&format!("{line} --token-file femc-ca/tokens"));
+    let line = farm.first_line();
+    let address = line.split("https://").nth(1).and_then(|rest| rest.split_whitespace().next()).expect("an address");
+    let address = address.trim_end_matches('/').to_owned();
+    let get = |path: &str| {
+        let mut curl = std::process::Command::new("curl");
+        curl.args(["--silent", "--insecure", "--write-out", "%{http_code}", "--output"]);
+        curl.arg(place.path("answer")).arg(format!("https://{address}{path}"));
+        String::from_utf8(curl.output().expect("curl runs").stdout).expect("a status")
+    };
+    let record = || place.read("audit.jsonl");
+    assert_eq!([get("/"), get("/icon.svg")], ["200", "200"]);
+    assert_eq!(get("/api/v1/jobs"), "401");
+    farm.wait_until("the refusal is in the record", || record().contains("\"Jobs/List\""));
+    // It comes after the ends of the connections before.
+    drop(std::net::TcpStream::connect(&address).expect("a connection"));
+    farm.wait_until("who said nothing is in the record", || record().contains("\"connect\""));
+    let record = record();
+    let lines = record.lines().map(|line| serde_json::from_str::<serde_json::Value>(line).expect("JSON"));
+    let connects = lines.filter(|line| line["call"] == "connect").map(|line| line["times"].as_u64().unwrap_or(1));
+    assert!(connects.sum::<u64>() <= 2, "of four connections one was refused and one was silent: {record}");
+}
+
 #[test]
 fn what_is_no_authority_or_no_coordinator_s_identity_is_refused_with_a_way_out() {
     let place = Place::new();

@@ -223,3 +223,97 @@ fn several_jobs_are_steered_at_once_and_what_cannot_be_done_to_one_is_done_to_th
     run("cancel 1 --owner ann").exits(2);
     run("jobs --state odd").exits(2);
 }
+
+#[test]
+fn a_worker_that_is_gone_stays_known_with_its_last_contact_over_a_restart_of_the_coordinator() {
+    let place = Place::new();
+    let (mut coordinator, url) = coordinator(&place, 0);
+    let address = address(&url);
+    let start = |name: &str| place.start(&format!("worker --join {url} --name {name} --threads 1 --tags hall"));
+    let (mut first, mut second) = (start("w1"), start("w2"));
+    let now = || SystemTime::now().duration_since(UNIX_EPOCH).expect("a date").as_secs_f64();
+    let names = |list: &str| -> Vec<String> {
+        let workers = get(&address, "workers").json()[list].clone();
+        let mut names: Vec<String> =
+            workers.as_array().expect("a list").iter().map(|it| it["name"].to_string().replace('"', "")).collect();
+        names.sort();
+        names
+    };
+    coordinator.wait_until("both are there", || names("workers") == ["w1", "w2"]);
+    assert_eq!(names("offline"), [""; 0]);
+    first.kill();
+    coordinator.wait_until("the first is missed", || names("offline") == ["w1"]);
+    // Killed: it has no time to write anything down. The second worker goes while nobody listens.
+    let port = url.rsplit_once(':').expect("a port").1.to_owned();
+    coordinator.kill();
+    second.kill();
+    let line = format!("coordinator --listen 127.0.0.1:{port} --store sqlite:farm.db --artifacts artifacts");
+    let mut again = place.start(&line);
+    again.address();
+    assert_eq!(names("offline"), ["w1", "w2"]);
+    let offline = get(&address, "workers").json()["offline"].clone();
+    for worker in offline.as_array().expect("a list") {
+        let heard = worker["last_contact"].as_f64().expect("a date");
+        assert!((now() - PATIENCE.as_secs_f64()..=now()).contains(&heard), "{worker}, and it is {}", now());
+        assert_eq!((&worker["intake"], &worker["tags"][0]), (&"offline".into(), &"hall".into()));
+    }
+    let table = place.run(&format!("workers --server {url}")).exits(0).stdout();
+    assert_eq!(table.lines().filter(|line| line.ends_with("offline")).count(), 2, "{table}");
+    let json = |flags: &str| place.run(&format!("workers --json {flags} --server {url}")).exits(0).json();
+    assert_eq!((json(""), json("--offline")), (serde_json::json!([]), offline));
+    let mut listener = Listener::connect(&address, None);
+    let (kind, _, snapshot) = listener.next().expect("an event");
+    assert_eq!((kind.as_str(), snapshot["offline"].as_array().map(Vec::len)), ("snapshot", Some(2)));
+    let _back = start("w2");
+    again.wait_until("the second is back", || names("workers") == ["w2"] && names("offline") == ["w1"]);
+}
+
+#[test]
+fn maps_of_a_frame_are_what_its_light_statistics_know_of_each_pixel() {
+    let place = Place::new();
+    let (_coordinator, url) = coordinator(&place, 0);
+    let address = address(&url);
+    let (plain, job) = (submit(&place, &url, "--frames 1 --spp 4"), submit(&place, &url, "--frames 1 --spp 4 --stats"));
+    assert_eq!(get(&address, &format!("jobs/{job}/frames/1/maps")).status, 204, "nothing yet");
+    let _worker = place.start(&format!("worker --join {url} --threads 1"));
+    for job in [&plain, &job] {
+        place.run(&format!("watch {job} --server {url}")).exits(0);
+    }
+    assert_eq!(get(&address, &format!("jobs/{plain}/frames/1/maps")).status, 204, "it has no statistics");
+    let maps = get(&address, &format!("jobs/{job}/frames/1/maps"));
+    assert_eq!((maps.status, maps.header("content-type")), (200, "application/vnd.femc.pixels"));
+    let names = ["depth", "throughput", "deviation"];
+    let head = 20 + names.iter().map(|name| 4 + name.len()).sum::<usize>();
+    assert_eq!(maps.body.len(), head + 3 * 2 * 32 * 32);
+    let planes = &maps.body[head..];
+    place.run(&format!("fetch {job} -o out --server {url}")).exits(0);
+    let file = names_in(&place, "out").into_iter().find(|name| name.ends_with(".paths")).expect("statistics");
+    let pixels = place.run(&format!("paths out/{file} --table pixels --json")).exits(0).json();
+    let pixels = pixels.as_array().expect("pixels");
+    assert_eq!(pixels.len(), 32 * 32);
+    for pixel in pixels {
+        let number = |name: &str| pixel[name].as_f64().expect("a number");
+        let at = (number("pixel_y") * 32.0 + number("pixel_x")) as usize;
+        for (plane, name) in ["depth", "throughput"].into_iter().enumerate() {
+            let half = &planes[2 * (plane * 32 * 32 + at)..][..2];
+            let (sent, known) = (f64::from(half_float([half[0], half[1]])), number(name));
+            assert!((sent - known).abs() <= 1e-3 * known.abs() + 1e-4, "{name} of {pixel}: {sent}");
+        }
+    }
+}
+
+fn names_in(place: &Place, folder: &str) -> Vec<String> {
+    crate::common::names(&place.path(folder))
+}
+
+/// A half float that is finite and no subnormal number, or 0.
+fn half_float(bytes: [u8; 2]) -> f32 {
+    let bits = u16::from_le_bytes(bytes);
+    let (sign, exponent, mantissa) = (bits >> 15, i32::from(bits >> 10 & 31), f32::from(bits & 1023));
+    let size = if exponent == 0 {
+        mantissa / 1024.0 * 2f32.powi(-14)
+    } else {
+        (1.0 + mantissa / 1024.0) * 2f32.powi(exponent - 15)
+    };
+    if sign == 1 { -size } else { size }
+}

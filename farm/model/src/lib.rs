@@ -40,7 +40,9 @@ pub use result::{Artifact, Decision, FrameParts, FrameRecord, TaskResult};
 pub use session::{
     Death, FromWorker, HeldLease, LeaseLeft, Phase, Registration, RevokeReason, TaskProgress, TaskUsage, ToWorker,
 };
-pub use status::{Drain, FrameProgress, Intake, JobStatus, Quarantined, Wait, WorkerName, WorkerStatus};
+pub use status::{
+    Crew, Drain, FrameProgress, Intake, JobStatus, OfflineWorker, Quarantined, Wait, WorkerName, WorkerStatus,
+};
 pub use table::{FrameStatus, TaskFilter, TaskPage, TaskState, TaskStatus};
 pub use task::{Assignment, Input, More, NoTaskKey, Output, Stage, TaskKey, Work};
 pub use usage::{AttemptRecord, Attempts, Ending, Usage};

@@ -246,6 +246,30 @@ impl fmt::Display for WorkerName {
     }
 }
 
+/// The workers of a farm.
+#[derive(Debug, Clone, Default, PartialEq, Eq)]
+pub struct Crew {
+    /// Those that are there, in order of joining.
+    pub there: Vec<WorkerStatus>,
+    /// Those that were there, the latest first.
+    pub offline: Vec<OfflineWorker>,
+}
+
+/// A worker that was there. Of several of one name it is the one that was heard of last.
+#[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
+pub struct OfflineWorker {
+    /// Its name.
+    pub name: String,
+    /// Threads that rendered.
+    pub threads: u32,
+    /// Tags that the worker offered.
+    pub tags: Vec<String>,
+    /// Its build of the engine.
+    pub engine: String,
+    /// Its last contact, Unix milliseconds.
+    pub heard: u64,
+}
+
 /// A worker at a glance.
 #[derive(Debug, Clone, PartialEq, Eq, Serialize, Deserialize)]
 pub struct WorkerStatus {

@@ -4,8 +4,8 @@ use std::collections::BTreeSet;
 use std::fs::File;
 
 use femc_model::{
-    AttemptRecord, Control, Cut, Digest, Drain, FrameParts, FrameRecord, FrameStatus, JobId, JobSpec, JobStatus,
-    LogRecord, Refusal, TaskFilter, TaskPage, Tick, WorkerId, WorkerName, WorkerStatus,
+    AttemptRecord, Control, Crew, Cut, Digest, Drain, FrameParts, FrameRecord, FrameStatus, JobId, JobSpec, JobStatus,
+    LogRecord, Refusal, TaskFilter, TaskPage, Tick, WorkerId, WorkerName,
 };
 use tokio::sync::{oneshot, watch};
 
@@ -46,8 +46,8 @@ pub struct Changes {
     pub jobs: Vec<JobStatus>,
     /// Every job that there is.
     pub there: BTreeSet<JobId>,
-    /// All workers, in order of joining.
-    pub workers: Vec<WorkerStatus>,
+    /// The workers.
+    pub workers: Crew,
     /// What somebody should look after, for people.
     pub warnings: Vec<String>,
 }
@@ -186,10 +186,10 @@ pub enum Call<S> {
         /// In the order in which they ended.
         reply: Reply<AttemptPage>,
     },
-    /// The workers that are there.
+    /// The workers.
     Workers {
-        /// In order of joining.
-        reply: Reply<Vec<WorkerStatus>>,
+        /// Those that are there, and those that were.
+        reply: Reply<Crew>,
     },
     /// Give workers no more tasks, or tasks again.
     Drain {

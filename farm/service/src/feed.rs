@@ -22,7 +22,7 @@ use tokio::time::{Instant, MissedTickBehavior};
 use crate::access::Caller;
 use crate::call::{Call, Changes, News};
 use crate::farm::Farm;
-use crate::view::{JobJson, WorkerJson};
+use crate::view::{JobJson, OfflineJson, WorkerJson};
 
 /// What listeners hear; clones are the same feed.
 pub struct Feed<S> {
@@ -59,6 +59,9 @@ struct State {
     seq: u64,
     jobs: Kept,
     workers: Kept,
+    /// Workers that were there, as a JSON list.
+    offline: String,
+    offline_changed: u64,
     warnings: Vec<String>,
     warnings_changed: u64,
     /// Encoded: the last change, and all there is.
@@ -124,6 +127,8 @@ impl State {
             seq: 0,
             jobs: Kept::default(),
             workers: Kept::default(),
+            offline: "[]".to_owned(),
+            offline_changed: 0,
             warnings: Vec::new(),
             warnings_changed: 0,
             delta: None,
@@ -157,11 +162,13 @@ impl State {
     /// The event with all that has changed since.
     fn joined(&self, since: u64) -> Bytes {
         let warnings = if self.warnings_changed > since { json(&self.warnings) } else { "null".to_owned() };
+        let offline = if self.offline_changed > since { self.offline.clone() } else { "null".to_owned() };
         let fields = [
             ("jobs", self.jobs.since(since)),
             ("gone_jobs", self.jobs.gone_since(since)),
             ("workers", self.workers.since(since)),
             ("gone_workers", self.workers.gone_since(since)),
+            ("offline", offline),
             ("warnings", warnings),
         ];
         self.event("delta", &fields)
@@ -169,8 +176,12 @@ impl State {
 
     /// The event with all there is.
     fn whole(&self) -> Bytes {
-        let fields =
-            [("jobs", self.jobs.since(0)), ("workers", self.workers.since(0)), ("warnings", json(&self.warnings))];
+        let fields = [
+            ("jobs", self.jobs.since(0)),
+            ("workers", self.workers.since(0)),
+            ("offline", self.offline.clone()),
+            ("warnings", json(&self.warnings)),
+        ];
         self.event("snapshot", &fields)
     }
 
@@ -192,10 +203,15 @@ impl State {
         let jobs = jobs.iter().map(|job| (job.job.0, json(&JobJson::from(job)))).collect();
         let have_jobs_changed = self.jobs.update(jobs, |number| there.contains(&JobId(number)), next);
         let worker = |it: &WorkerStatus| (it.worker.0, json(&WorkerJson::from(it).silent(&silence)));
-        let workers: BTreeMap<u64, String> = workers.iter().map(worker).collect();
-        let numbers: BTreeSet<u64> = workers.keys().copied().collect();
-        let have_workers_changed = self.workers.update(workers, |number| numbers.contains(&number), next);
-        self.note(have_jobs_changed || have_workers_changed, warnings)
+        let sessions: BTreeMap<u64, String> = workers.there.iter().map(worker).collect();
+        let numbers: BTreeSet<u64> = sessions.keys().copied().collect();
+        let offline = json(&workers.offline.iter().map(OfflineJson::from).collect::<Vec<_>>());
+        let have_workers_changed = self.workers.update(sessions, |number| numbers.contains(&number), next);
+        let have_left = self.offline != offline;
+        if have_left {
+            (self.offline, self.offline_changed) = (offline, next);
+        }
+        self.note(have_jobs_changed || have_workers_changed || have_left, warnings)
     }
 
     /// Gives what has changed its number; says whether there is something new.
@@ -347,7 +363,7 @@ impl<S: Send + 'static> Listener<S> {
 
 #[cfg(test)]
 mod tests {
-    use femc_model::{Intake, WorkerId};
+    use femc_model::{Crew, Intake, OfflineWorker, WorkerId};
     use futures_util::StreamExt as _;
     use tokio::sync::mpsc;
 
@@ -362,7 +378,10 @@ mod tests {
                 match call {
                     Call::Changes { reply, .. } => {
                         asked.send_modify(|count| *count += 1);
-                        let workers = workers.borrow().iter().map(|number| worker(*number)).collect();
+                        let there: Vec<WorkerStatus> = workers.borrow().iter().map(|number| worker(*number)).collect();
+                        // The first worker is known for good.
+                        let first = Some(offline("w1")).filter(|_| there.iter().all(|it| it.name != "w1"));
+                        let workers = Crew { there, offline: first.into_iter().collect() };
                         drop(reply.send(Ok(Changes { workers, ..Changes::default() })));
                     }
                     other => panic!("nobody asks {other:?}"),
@@ -370,6 +389,11 @@ mod tests {
             }
         });
         (Farm::new(calls), count)
+    }
+
+    fn offline(name: &str) -> OfflineWorker {
+        let (tags, engine) = (Vec::new(), String::new());
+        OfflineWorker { name: name.to_owned(), threads: 1, tags, engine, heard: 1500 }
     }
 
     fn worker(number: u64) -> WorkerStatus {
@@ -447,6 +471,31 @@ mod tests {
         there.send_replace(vec![7]);
         let (_, _, data) = parts(&late.next().await.unwrap().unwrap());
         assert_eq!(numbers(&data["workers"]), [7], "what there is now, not what there was");
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn who_is_offline_is_told_once_and_again_when_that_changes() {
+        let (there, workers) = watch::channel(vec![1]);
+        let (farm, _) = farm(workers);
+        let feed = Feed::new(farm);
+        let mut listener = Box::pin(feed.listen(None, None));
+        let (_, _, snapshot) = parts(&listener.next().await.unwrap().unwrap());
+        assert_eq!(snapshot["offline"], serde_json::json!([]));
+        there.send_replace(vec![2]);
+        let (kind, id, delta) = parts(&listener.next().await.unwrap().unwrap());
+        assert_eq!((kind.as_str(), &delta["offline"][0]["name"]), ("delta", &"w1".into()));
+        assert_eq!(
+            (&delta["offline"][0]["intake"], &delta["offline"][0]["last_contact"]),
+            (&"offline".into(), &1.5.into())
+        );
+        there.send_replace(vec![2, 3]);
+        let (_, _, delta) = parts(&listener.next().await.unwrap().unwrap());
+        assert!(delta["offline"].is_null(), "it is as before: {delta}");
+        there.send_replace(vec![1, 2, 3]);
+        listener.next().await.unwrap().unwrap();
+        let mut back = Box::pin(feed.listen(Some(&id), None));
+        let (kind, _, delta) = parts(&back.next().await.unwrap().unwrap());
+        assert_eq!((kind.as_str(), &delta["offline"]), ("delta", &serde_json::json!([])), "it is back");
     }
 
     #[tokio::test(start_paused = true)]

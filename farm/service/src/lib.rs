@@ -20,7 +20,7 @@ pub use access::{Caller, Credential, Gate, Granted, Limits, Outcome, Place, Plac
 pub use call::{AttemptPage, Backup, Call, Changes, JobShape, Listing, News, References, Reply};
 pub use farm::Farm;
 pub use feed::Feed;
-pub use http::{Body, Files, Http, Introduced, Site, Visitor};
+pub use http::{Body, Files, Http, Introduced, Served, Site, Visitor};
 pub use operation::{Operation, Right};
 pub use picture::{Draw, Source, Wanted};
 pub use steer::store_refusal;

@@ -67,7 +67,7 @@ pub enum Operation {
 
 impl Operation {
     /// Those that requests over HTTP are.
-    pub const HTTP: [Self; 16] = [
+    pub const HTTP: [Self; 17] = [
         Self::List,
         Self::Status,
         Self::Control,
@@ -76,6 +76,7 @@ impl Operation {
         Self::Tasks,
         Self::Picture,
         Self::Attempts,
+        Self::ListWorkers,
         Self::DrainWorkers,
         Self::Feed,
         Self::Me,

@@ -20,6 +20,8 @@ pub enum Source {
     Image(Bytes),
     /// The tone-mapped image of a finished frame, PNG.
     Preview(Bytes),
+    /// The light statistics of a finished frame.
+    Statistics(Bytes),
     /// What there is of a frame in work.
     Parts(FrameParts, Vec<(Role, Bytes)>),
 }
@@ -34,6 +36,8 @@ pub enum Wanted {
     },
     /// Planes of half floats, as `docs/http.md` has them.
     Pixels,
+    /// The same of what light statistics know of each pixel.
+    Maps,
 }
 
 /// Makes pictures; it may take seconds. An error says what is wrong with the source.
@@ -92,6 +96,8 @@ impl Pictures {
                 let Some(output) = best(record, wanted) else { return Ok(None) };
                 (tag(&[output], wanted), vec![output], None)
             }
+            // Statistics are those of the whole frame.
+            None if wanted == Wanted::Maps => return Ok(None),
             None => {
                 let parts = farm.ask(|reply| Call::Parts { job, reply }).await?;
                 let Some(parts) = parts.into_iter().find(|parts| parts.frame == frame) else { return Ok(None) };
@@ -125,6 +131,7 @@ impl Pictures {
         let source = match (parts, artifacts.pop()) {
             (Some(parts), Some(last)) => Source::Parts(parts, artifacts.into_iter().chain([last]).collect()),
             (None, Some((Role::Preview, png))) => Source::Preview(png),
+            (None, Some((Role::Statistics, bytes))) => Source::Statistics(bytes),
             (None, Some((_, exr))) => Source::Image(exr),
             (_, None) => return Ok(None),
         };
@@ -159,6 +166,7 @@ fn best(record: &FrameRecord, wanted: Wanted) -> Option<Output> {
     match wanted {
         Wanted::Thumbnail { .. } => of_role(Role::Preview).or_else(|| of_role(Role::Image)),
         Wanted::Pixels => of_role(Role::Image),
+        Wanted::Maps => of_role(Role::Statistics),
     }
 }
 

@@ -30,7 +30,11 @@ impl<S> Farm<S> {
             }
             Control::RetryFrames(frames) => {
                 let frames: BTreeSet<u32> = frames.iter().copied().collect();
-                self.look_at_images(store, job, |frame| frames.contains(&frame)).await?;
+                // A frame that the job does not have is refused before any image is read.
+                let own = self.ask(|reply| Call::Shape { job, reply }).await?.spec.frames;
+                if frames.iter().all(|frame| own.contains(frame)) {
+                    self.look_at_images(store, job, |frame| frames.contains(&frame)).await?;
+                }
             }
             Control::Pause | Control::Resume | Control::Cancel | Control::Priority(_) => {}
         }
@@ -67,6 +71,59 @@ pub fn store_refusal(error: &StoreError) -> Refusal {
         StoreError::TooLarge { limit } => Refusal::ArtifactTooLarge { limit: *limit },
         StoreError::Medium { .. } | StoreError::Url { .. } | StoreError::Unsound { .. } => {
             Refusal::Unavailable { message: error.to_string() }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::sync::Arc;
+    use std::sync::atomic::{AtomicUsize, Ordering};
+
+    use femc_model::{Cut, Graph, Grid, JobSpec};
+    use tokio::sync::mpsc;
+
+    use super::*;
+    use crate::call::JobShape;
+
+    #[tokio::test]
+    async fn frames_that_the_job_does_not_have_are_refused_before_an_image_is_read() {
+        let (calls, mut inbox) = mpsc::channel::<Call<()>>(8);
+        let read = Arc::new(AtomicUsize::new(0));
+        let reads = read.clone();
+        tokio::spawn(async move {
+            while let Some(call) = inbox.recv().await {
+                match call {
+                    Call::Shape { reply, .. } => {
+                        let spec = JobSpec {
+                            name: "fog".into(),
+                            bundle: Digest::of(b"bundle"),
+                            entry: "fog.mgf".into(),
+                            settings: "{}".into(),
+                            frames: vec![3, 4],
+                            grid: Grid { film: [8, 8], tile: 8 },
+                            graph: Graph::default(),
+                            contents: Vec::new(),
+                            priority: 50,
+                            owner: "me".into(),
+                            tags: Vec::new(),
+                        };
+                        drop(reply.send(Ok(JobShape { spec: Box::new(spec), cut: Cut::Whole })));
+                    }
+                    Call::Frames { reply, .. } => {
+                        reads.fetch_add(1, Ordering::Relaxed);
+                        drop(reply.send(Ok(Vec::new())));
+                    }
+                    Call::Control { job, reply, .. } => drop(reply.send(Err(Refusal::Ended { job }))),
+                    other => panic!("nobody asks {other:?}"),
+                }
+            }
+        });
+        let (farm, store) = (Farm::new(calls), Store::memory());
+        for (frames, looks) in [(vec![3, 5], 0), (vec![3, 4], 1)] {
+            let steered = farm.steer(&store, None, JobId(7), Control::RetryFrames(frames)).await;
+            assert_eq!(steered, Err(Refusal::Ended { job: JobId(7) }), "the coordinator has the word");
+            assert_eq!(read.load(Ordering::Relaxed), looks);
         }
     }
 }

@@ -1,7 +1,8 @@
 //! Statuses of jobs and workers.
 
 use femc_model::{
-    Drain, FrameProgress, Intake, JobId, JobStatus, Quarantined, Wait, WorkerId, WorkerName, WorkerStatus,
+    Crew, Drain, FrameProgress, Intake, JobId, JobStatus, OfflineWorker, Quarantined, Wait, WorkerId, WorkerName,
+    WorkerStatus,
 };
 
 use super::graph::{kind, of_kind};
@@ -230,6 +231,36 @@ impl TryFrom<wire::WorkerStatus> for WorkerStatus {
         };
         let (worker, tasks) = (WorkerId(worker), each(tasks)?);
         Ok(Self { worker, name, threads, tags, tasks, silent, completed, failed, intake, engine })
+    }
+}
+
+impl From<OfflineWorker> for wire::OfflineWorker {
+    fn from(OfflineWorker { name, threads, tags, engine, heard }: OfflineWorker) -> Self {
+        Self { name, threads, tags, engine, heard }
+    }
+}
+
+impl TryFrom<wire::OfflineWorker> for OfflineWorker {
+    type Error = ConvertError;
+
+    fn try_from(wire: wire::OfflineWorker) -> Result<Self, ConvertError> {
+        let wire::OfflineWorker { name, threads, tags, engine, heard } = wire;
+        Ok(Self { name, threads, tags, engine, heard })
+    }
+}
+
+impl From<Crew> for wire::ListWorkersReply {
+    fn from(Crew { there, offline }: Crew) -> Self {
+        let workers = there.into_iter().map(Into::into).collect();
+        Self { workers, offline: offline.into_iter().map(Into::into).collect() }
+    }
+}
+
+impl TryFrom<wire::ListWorkersReply> for Crew {
+    type Error = ConvertError;
+
+    fn try_from(wire::ListWorkersReply { workers, offline }: wire::ListWorkersReply) -> Result<Self, ConvertError> {
+        Ok(Self { there: each(workers)?, offline: each(offline)? })
     }
 }
 

@@ -299,6 +299,14 @@ fn statuses_cross_the_wire() {
     for intake in [Intake::Open, Intake::Off, Intake::Drained] {
         crosses::<WorkerStatus, wire::WorkerStatus>(WorkerStatus { intake, ..worker.clone() });
     }
+    let offline = OfflineWorker {
+        name: "v".into(),
+        threads: 8,
+        tags: vec!["hall".into()],
+        engine: "0.2".into(),
+        heard: 1_795_680,
+    };
+    crosses::<Crew, wire::ListWorkersReply>(Crew { there: vec![worker], offline: vec![offline] });
     for worker in [WorkerName::Number(WorkerId(3)), WorkerName::Name("w".into())] {
         for drain in [Drain::Begin, Drain::Undo] {
             crosses::<(WorkerName, Drain), wire::DrainWorkersRequest>((worker.clone(), drain));

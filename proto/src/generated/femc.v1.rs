@@ -471,12 +471,15 @@ pub struct AttemptRecords {
 /// Asks for the workers.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]
 pub struct ListWorkersRequest {}
-/// The workers that are there.
+/// The workers.
 #[derive(Clone, PartialEq, ::prost::Message)]
 pub struct ListWorkersReply {
-    /// In order of joining.
+    /// Those that are there, in order of joining.
     #[prost(message, repeated, tag = "1")]
     pub workers: ::prost::alloc::vec::Vec<WorkerStatus>,
+    /// Those that were there, the latest first.
+    #[prost(message, repeated, tag = "2")]
+    pub offline: ::prost::alloc::vec::Vec<OfflineWorker>,
 }
 /// Which workers are to get no more tasks, or tasks again.
 #[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
@@ -897,6 +900,25 @@ pub struct WorkerStatus {
     /// Build of the engine.
     #[prost(string, tag = "21")]
     pub engine: ::prost::alloc::string::String,
+}
+/// A worker that was there. Of several of one name it is the one that was heard of last.
+#[derive(Clone, PartialEq, Eq, Hash, ::prost::Message)]
+pub struct OfflineWorker {
+    /// Its name.
+    #[prost(string, tag = "1")]
+    pub name: ::prost::alloc::string::String,
+    /// Threads that rendered.
+    #[prost(uint32, tag = "2")]
+    pub threads: u32,
+    /// What it offered.
+    #[prost(string, repeated, tag = "3")]
+    pub tags: ::prost::alloc::vec::Vec<::prost::alloc::string::String>,
+    /// Build of the engine.
+    #[prost(string, tag = "4")]
+    pub engine: ::prost::alloc::string::String,
+    /// Its last contact, Unix milliseconds.
+    #[prost(uint64, tag = "5")]
+    pub heard: u64,
 }
 /// A task's identity; there is no other. As text: `job/frame.round/kind/index`.
 #[derive(Clone, Copy, PartialEq, Eq, Hash, ::prost::Message)]

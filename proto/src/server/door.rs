@@ -31,12 +31,23 @@ pub(super) struct Peer {
     /// Of the connection, from 1.
     pub(super) number: u64,
     is_introduced: Arc<AtomicBool>,
+    is_served: Arc<AtomicBool>,
 }
 
 impl Peer {
     /// It has made a call that it may make: its connection may last.
     pub(super) fn introduce(&self) {
         self.is_introduced.store(true, Ordering::Relaxed);
+    }
+
+    /// It has got what everybody may have: its end is no refusal. Its connection has as little time as before.
+    pub(super) fn serve(&self) {
+        self.is_served.store(true, Ordering::Relaxed);
+    }
+
+    /// Whether it has asked for something that it may have.
+    fn is_heard(&self) -> bool {
+        self.is_introduced.load(Ordering::Relaxed) || self.is_served.load(Ordering::Relaxed)
     }
 }
 
@@ -112,7 +123,7 @@ impl Door {
         inside.numbers += 1;
         let number = inside.numbers;
         inside.of.insert(place, of_place + 1);
-        let peer = Peer { address, reached, number, is_introduced: Arc::default() };
+        let peer = Peer { address, reached, number, is_introduced: Arc::default(), is_served: Arc::default() };
         let deadline = Some(Box::pin(tokio::time::sleep(self.limits.introduction)));
         let idle = Idle::new(self.limits.idle);
         let audit = self.audit.clone().filter(|_| self.unheard == Unheard::Noted);
@@ -207,7 +218,7 @@ impl Idle {
 
 impl<C> Drop for Admitted<C> {
     fn drop(&mut self) {
-        if let Some(audit) = self.audit.take().filter(|_| !self.peer.is_introduced.load(Ordering::Relaxed)) {
+        if let Some(audit) = self.audit.take().filter(|_| !self.peer.is_heard()) {
             let why = "no accepted certificate, or no call that was allowed";
             audit.refused(connecting(self.peer.address, "Closed", why));
         }
@@ -321,6 +332,21 @@ mod tests {
         assert!(stays.is_err(), "something has passed");
         let error = guest.read_u8().await.unwrap_err();
         assert_eq!(error.kind(), io::ErrorKind::TimedOut);
+    }
+
+    #[tokio::test(start_paused = true)]
+    async fn who_has_got_a_file_of_the_page_and_nothing_else_is_not_noted_and_has_as_little_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let audit = Audit::open(&folder.path().join("audit.jsonl")).unwrap();
+        let door = Door::new(Limits::default(), Some(audit.clone()), Unheard::Noted);
+        let mut reader = door.admit(far("10.0.0.1:1")).unwrap();
+        reader.connect_info().serve();
+        assert_eq!(reader.read_u8().await.unwrap_err().kind(), io::ErrorKind::TimedOut);
+        drop(reader);
+        assert!(audit.latest(10).unwrap().is_empty());
+        drop(door.admit(far("10.0.0.2:1")).unwrap());
+        let lines = audit.latest(10).unwrap();
+        assert_eq!((lines.len(), &lines[0]["from"], &lines[0]["outcome"]), (1, &"10.0.0.2".into(), &"Closed".into()));
     }
 
     #[tokio::test]

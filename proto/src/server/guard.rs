@@ -6,7 +6,7 @@ use std::task::{Context, Poll};
 use std::time::Duration;
 
 use femc_model::Refusal;
-use femc_service::{Gate, Http, Introduced, Operation, Outcome, Shown, Trail, Visitor, Who};
+use femc_service::{Gate, Http, Introduced, Operation, Outcome, Served, Shown, Trail, Visitor, Who};
 use http::header::{AUTHORIZATION, CONTENT_TYPE};
 use http::{Request, Response};
 use tonic::body::Body;
@@ -157,8 +157,11 @@ where
             let (http, (visitor, peer)) = (self.guard.http.clone(), visitor(&request));
             return Box::pin(async move {
                 let response = http.serve(request, visitor).await;
-                if let Some(peer) = peer.filter(|_| response.extensions().get::<Introduced>().is_some()) {
+                let has = |is_there: bool| peer.as_ref().filter(|_| is_there);
+                if let Some(peer) = has(response.extensions().get::<Introduced>().is_some()) {
                     peer.introduce();
+                } else if let Some(peer) = has(response.extensions().get::<Served>().is_some()) {
+                    peer.serve();
                 }
                 Ok(response.map(Body::new))
             });

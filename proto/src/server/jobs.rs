@@ -112,8 +112,8 @@ impl wire::jobs_server::Jobs for Server {
     }
 
     async fn list_workers(&self, _: Request<wire::ListWorkersRequest>) -> Answer<wire::ListWorkersReply> {
-        let workers = self.ask(|reply| Call::Workers { reply }).await?;
-        Ok(Response::new(wire::ListWorkersReply { workers: workers.into_iter().map(Into::into).collect() }))
+        let crew = self.ask(|reply| Call::Workers { reply }).await?;
+        Ok(Response::new(crew.into()))
     }
 
     async fn drain_workers(&self, request: Request<wire::DrainWorkersRequest>) -> Answer<wire::DrainWorkersReply> {

@@ -104,14 +104,18 @@ export const api = {
   thumbnail: (job: number, frame: number, version: string, height = 90) =>
     `${BASE}/jobs/${job}/frames/${frame}/thumbnail.png${query({ height, v: version })}`,
 
-  /** The pixels of a frame, unless they still are those of `etag` (then `undefined`). */
+  /**
+   * The pixels of a frame, or what its light statistics know of each, unless they still are those of `etag` (then
+   * `undefined`).
+   */
   async pixels(
     job: number,
     frame: number,
     etag: string | null,
     signal?: AbortSignal,
+    what: 'pixels' | 'maps' = 'pixels',
   ): Promise<PixelAnswer | undefined> {
-    const answer = await fetch(`${BASE}/jobs/${job}/frames/${frame}/pixels`, {
+    const answer = await fetch(`${BASE}/jobs/${job}/frames/${frame}/${what}`, {
       signal: signal ?? null,
       cache: 'no-store',
       headers: etag ? { 'If-None-Match': etag } : {},

@@ -5,7 +5,7 @@
  */
 
 import { ApiError, failure } from './api';
-import type { Job, Worker } from './types';
+import type { Job, OfflineWorker, Worker } from './types';
 
 /** The farm as this page knows it. */
 export interface FarmState {
@@ -13,6 +13,8 @@ export interface FarmState {
   seq: string | null;
   jobs: ReadonlyMap<number, Job>;
   workers: ReadonlyMap<number, Worker>;
+  /** Those that were there, the latest first. */
+  offline: readonly OfflineWorker[];
   warnings: readonly string[];
 }
 
@@ -20,6 +22,7 @@ export interface Snapshot {
   seq: string;
   jobs: Job[];
   workers: Worker[];
+  offline: OfflineWorker[];
   warnings: string[];
 }
 
@@ -30,16 +33,18 @@ export interface Delta {
   workers?: Worker[];
   gone_workers?: number[];
   /** Null: as before. */
+  offline?: OfflineWorker[] | null;
   warnings?: string[] | null;
 }
 
-export const EMPTY: FarmState = { seq: null, jobs: new Map(), workers: new Map(), warnings: [] };
+export const EMPTY: FarmState = { seq: null, jobs: new Map(), workers: new Map(), offline: [], warnings: [] };
 
 export function fromSnapshot(snapshot: Snapshot): FarmState {
   return {
     seq: snapshot.seq,
     jobs: new Map(snapshot.jobs.map((job) => [job.job, job])),
     workers: new Map(snapshot.workers.map((worker) => [worker.worker, worker])),
+    offline: snapshot.offline,
     warnings: snapshot.warnings,
   };
 }
@@ -50,6 +55,7 @@ export function join(state: FarmState, delta: Delta): FarmState {
     seq: delta.seq,
     jobs: merge(state.jobs, delta.jobs, (job) => job.job, delta.gone_jobs),
     workers: merge(state.workers, delta.workers, (worker) => worker.worker, delta.gone_workers),
+    offline: delta.offline ?? state.offline,
     warnings: delta.warnings ?? state.warnings,
   };
 }
@@ -65,33 +71,6 @@ function merge<T>(
   for (const item of changed) after.set(key(item), item);
   for (const number of gone) after.delete(number);
   return after;
-}
-
-/** A worker that was there, and when it was heard of last, by this browser's clock. */
-export interface GoneWorker {
-  worker: Worker;
-  at: number;
-}
-
-const MOST_GONE = 500;
-
-/**
- * The workers that are gone since this page knows the farm, by name: one that is back under its name is not among them.
- * - `now`: milliseconds.
- */
-export function goneWorkers(
-  gone: readonly GoneWorker[],
-  before: ReadonlyMap<number, Worker>,
-  after: ReadonlyMap<number, Worker>,
-  now: number,
-): readonly GoneWorker[] {
-  if (before === after) return gone;
-  const names = new Set([...after.values()].map((worker) => worker.name));
-  const all = new Map(gone.map((it) => [it.worker.name, it]));
-  for (const worker of before.values()) {
-    if (!after.has(worker.worker)) all.set(worker.name, { worker, at: now - 1000 * worker.silent_seconds });
-  }
-  return [...all.values()].filter((it) => !names.has(it.worker.name)).slice(-MOST_GONE);
 }
 
 export interface FeedEvent {

@@ -5,13 +5,21 @@ import { halves } from './half';
 import type { Pixels } from './pixels';
 import { place, spread, valueAt, type Scale } from './scale';
 
-export type Show = 'picture' | 'luminance' | 'error' | 'samples' | 'difference';
+/** What light statistics know of pixels. */
+export const MAPS = ['deviation', 'depth', 'throughput'] as const;
+export type Mapped = (typeof MAPS)[number];
+export type Show = 'picture' | 'luminance' | 'error' | 'samples' | Mapped | 'difference';
+
+export const isMapped = (show: Show): show is Mapped => (MAPS as readonly string[]).includes(show);
 
 /** What is measured: name, unit, channel. */
 export const MEASURES: Record<Exclude<Show, 'picture'>, { title: string; unit: string; channel: string }> = {
   luminance: { title: 'Luminance', unit: 'cd/m²', channel: 'Y' },
   error: { title: 'Error', unit: 'relative standard error', channel: 'error' },
   samples: { title: 'Samples', unit: 'samples a pixel', channel: 'samples' },
+  deviation: { title: 'Deviation', unit: 'cd/m², standard deviation of a sample', channel: 'deviation' },
+  depth: { title: 'Depth', unit: 'intersections of a path', channel: 'depth' },
+  throughput: { title: 'Throughput', unit: 'left at the end of a path', channel: 'throughput' },
   difference: { title: 'Difference', unit: 'cd/m², other frame less this one', channel: 'Y' },
 };
 
@@ -111,9 +119,11 @@ export function suitableScale(show: Exclude<Show, 'picture'>, values: Float32Arr
     const ends = spread(some.map(Math.abs), 0.005);
     return ends && { low: -(ends[1] || 1e-6), high: ends[1] || 1e-6, logarithmic: false };
   }
-  const ends = spread(some, show === 'samples' ? 0 : 0.005, show !== 'samples');
+  const linear = show === 'samples' || show === 'depth' || show === 'throughput';
+  const ends = spread(some, show === 'samples' ? 0 : 0.005, !linear);
   if (!ends) return null;
   if (show === 'samples') return { low: 0, high: Math.max(ends[1], 1), logarithmic: false };
+  if (linear) return { low: ends[0], high: Math.max(ends[1], ends[0] * 1.01 + 1e-6), logarithmic: false };
   // Six decades at most: what is darker is as good as black.
   const high = ends[1];
   const low = Math.max(ends[0], high * 1e-6);

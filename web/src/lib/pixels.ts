@@ -4,6 +4,8 @@ import { halves } from './half';
 
 export const MAGIC = 0x43584d46;
 const NOT_A_NUMBER = 0x7e00;
+/** Channels of which there may be no value. */
+const UNKNOWN = new Set(['error', 'depth', 'throughput', 'deviation']);
 
 /** A frame's pixels: planes of half floats, row after row from the top left. */
 export class Pixels {
@@ -37,7 +39,7 @@ export class Pixels {
 }
 
 /**
- * An error that is not known is sent as -1: it becomes no number. Bits of negative half floats have the highest bit.
+ * What is not known is sent as -1: it becomes no number. Bits of negative half floats have the highest bit.
  */
 function forget(plane: Uint16Array) {
   for (let i = 0; i < plane.length; i++) if (plane[i]! > 0x8000) plane[i] = NOT_A_NUMBER;
@@ -73,7 +75,7 @@ export function decodePixels(buffer: ArrayBuffer): Pixels {
   for (const name of names) {
     // Names may leave the planes at an odd address: they are copied.
     const plane = new Uint16Array(buffer.slice(at, at + size));
-    if (name === 'error') forget(plane);
+    if (UNKNOWN.has(name)) forget(plane);
     planes.set(name, plane);
     at += size;
   }

@@ -1,7 +1,7 @@
 /** The pages' shared state: the farm, what is looked at, what is selected, and how this browser likes it. */
 
 import { api, ApiError, explain } from './api';
-import { EMPTY, Feed, goneWorkers, type Connection, type FarmState, type GoneWorker } from './feed';
+import { EMPTY, Feed, type Connection, type FarmState } from './feed';
 import { formatLasso, parseLasso, simplify, type Point } from './lasso';
 import { refusal, type Right } from './rights';
 import {
@@ -115,8 +115,6 @@ class Farm {
   state = $state.raw<FarmState>(EMPTY);
   connection = $state.raw<Connection>({ state: 'connecting' });
   me = $state.raw<Me | null>(null);
-  /** Workers that are gone since the page knows the farm. */
-  gone = $state.raw<readonly GoneWorker[]>([]);
   /** Whether a snapshot has come. */
   known = $derived(this.state.seq !== null);
   private feed: Feed | null = null;
@@ -126,10 +124,7 @@ class Farm {
     this.feed?.stop();
     this.connection = { state: 'connecting' };
     this.feed = new Feed({
-      farm: (state) => {
-        this.gone = goneWorkers(this.gone, this.state.workers, state.workers, Date.now());
-        this.state = state;
-      },
+      farm: (state) => (this.state = state),
       connection: (connection) => {
         const before = this.connection.state;
         this.connection = connection;
@@ -149,7 +144,6 @@ class Farm {
   private denied() {
     this.me = null;
     this.state = EMPTY;
-    this.gone = [];
     if (views.route.page !== 'login') {
       const from = location.pathname + location.search;
       views.go({ page: 'login' }, { from: from === '/' ? null : from });

@@ -72,6 +72,17 @@ export interface Worker {
   engine: string;
 }
 
+/** A worker that was there. */
+export interface OfflineWorker {
+  name: string;
+  threads: number;
+  tags: string[];
+  engine: string;
+  intake: 'offline';
+  /** Unix seconds. */
+  last_contact: number;
+}
+
 export interface Me {
   /** Null where nobody is asked. */
   name: string | null;

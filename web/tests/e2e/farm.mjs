@@ -1,6 +1,15 @@
 /** A farm of real processes in a folder of its own. */
 import { execFileSync, spawn } from 'node:child_process';
-import { appendFileSync, existsSync, mkdtempSync, readFileSync, rmSync } from 'node:fs';
+import {
+  appendFileSync,
+  chmodSync,
+  existsSync,
+  mkdtempSync,
+  readdirSync,
+  readFileSync,
+  rmSync,
+  writeFileSync,
+} from 'node:fs';
 import { createServer } from 'node:net';
 import { tmpdir } from 'node:os';
 import { dirname, join } from 'node:path';
@@ -107,6 +116,24 @@ export class Farm {
 
   job(number) {
     return JSON.parse(this.femc('jobs', '--json')).find((job) => job.job === number);
+  }
+
+  /** Where an artifact lies in the store; nothing where there is none. */
+  artifact(digest) {
+    const store = join(this.folder, 'artifacts');
+    const path = readdirSync(store, { recursive: true }).find((it) => it.replaceAll('/', '').endsWith(digest));
+    return path && join(store, path);
+  }
+
+  /** Changes a byte of an artifact; false where there is none. */
+  damage(digest) {
+    const path = this.artifact(digest);
+    if (!path) return false;
+    const bytes = readFileSync(path);
+    bytes[bytes.length >> 1] ^= 255;
+    chmodSync(path, 0o644);
+    writeFileSync(path, bytes);
+    return true;
   }
 
   token(name) {

@@ -157,6 +157,23 @@ await step('jobs: filter, states, order and groups, all in the address', async (
     'the oldest job comes first',
   );
   await until(() => query('sort') === 'job', 'order in the address', 5);
+  // The age: first the oldest, then the youngest, and each is told.
+  for (const [order, first] of [
+    ['-age', 'roundabout'],
+    ['age', 'roundabout'],
+  ]) {
+    await current.getByRole('button', { name: /^Age/ }).click();
+    await until(() => query('sort') === order, `order ${order} in the address`, 5);
+    const number = order === '-age' ? jobs.drive : jobs.huge;
+    const top = current.locator('.row.body').first();
+    await until(async () => (await top.locator('a').getAttribute('href')) === `/jobs/${number}`, `job ${number} first`);
+    equal(await top.locator('a').textContent(), first, 'its name');
+    const told = await top.locator('[title]').evaluateAll((all) => all.map((it) => it.textContent));
+    claim(
+      told.some((it) => / s$/.test(it)),
+      `its age is told: ${told}`,
+    );
+  }
   await current.getByLabel('Groups').selectOption('owner');
   await until(async () => (await current.locator('.grouphead').count()) === 3, 'three owners');
   await current.getByRole('button', { name: /eve/ }).click();
@@ -292,6 +309,46 @@ await step('picture: exposure, false color, error, samples, difference, split, a
   await current.goBack();
 });
 
+await step('frames: those that are selected are tried again', async () => {
+  // Of a job that is done a retry is refused unless an image is damaged: it finds this one, and renders that frame alone.
+  const outputs = async (frame) => {
+    const { frames } = await (await fetch(`${farm.url}/api/v1/jobs/${jobs.drive}/frames`)).json();
+    return frames.find((it) => it.frame === frame);
+  };
+  const image = (await outputs(3)).outputs.find((it) => it.role === 'image').digest;
+  claim(farm.damage(image), `the image ${image} lies in the store`);
+  await visit(`/jobs/${jobs.drive}?frames=3`);
+  await current.getByText('1 frame selected').waitFor();
+  await current.getByRole('button', { name: 'Retry', exact: true }).last().click();
+  await current.getByText('1 frame tried again: 3').waitFor();
+  equal((await outputs(4)).state, 'done', 'frame 4');
+  await until(async () => (await outputs(3)).state === 'done', 'frame 3 is rendered again', 120);
+  equal((await outputs(3)).outputs.find((it) => it.role === 'image').digest, image, 'the image, to the bit');
+});
+
+await step('heat maps of light statistics, where there are any', async () => {
+  await visit(`/jobs/${jobs.drive}/picture?frame=6`);
+  await current.locator('.host canvas').waitFor();
+  claim(await current.getByRole('button', { name: 'Depth', exact: true }).isDisabled(), 'a job without statistics');
+  jobs.stats = farm.submit('cornell.mgf', '--size', '48x48', '--spp', '8', '--stats', '--owner', 'stats', '--priority', '95');
+  await until(() => farm.job(jobs.stats).state === 'done', 'its statistics are there', 120);
+  await visit(`/jobs/${jobs.stats}/picture`);
+  await current.locator('.host canvas').waitFor();
+  for (const [name, unit] of [
+    ['Deviation', 'standard deviation of a sample'],
+    ['Throughput', 'left at the end of a path'],
+    ['Depth', 'intersections of a path'],
+  ]) {
+    await current.getByRole('button', { name, exact: true }).click();
+    await current.locator('.legend', { hasText: unit }).waitFor();
+  }
+  const box = await current.locator('.host').boundingBox();
+  await current.mouse.move(box.x + box.width / 2, box.y + box.height / 2);
+  const tip = Number((await current.locator('.host .tip').textContent()).trim());
+  claim(tip >= 1, `paths meet something: ${tip}`);
+  await accessible('a heat map');
+});
+
 await step('tasks: a row leads to attempts and logs', async () => {
   await visit(`/jobs/${jobs.drive}/tasks`);
   await chooseStage('image');
@@ -392,6 +449,8 @@ await step('workers: drained, taken back, killed while the page is open', async 
   await row('node-c').getByText('offline').waitFor();
   await accessible('workers, one of them gone');
   await shot('gone');
+  await current.reload();
+  await row('node-c').getByText('offline').waitFor();
 });
 
 await step('the coordinator is killed and started again: the page says so, and goes on', async () => {
@@ -403,6 +462,9 @@ await step('the coordinator is killed and started again: the page says so, and g
   await farm.coordinator();
   await current.getByText('live', { exact: true }).waitFor({ timeout: 15_000 });
   await until(async () => (await current.getByText(/^Connection lost/).count()) === 0, 'the banner goes');
+  await visit('/workers');
+  await current.locator('.row.body', { hasText: 'node-c' }).getByText('offline').waitFor();
+  await visit('/jobs');
   const late = farm.submit('cornell.mgf', '--size', '32x32', '--spp', '4', '--owner', 'late', '--priority', '90');
   await current.locator('.row.body', { hasText: 'late' }).waitFor();
   await until(() => farm.job(late).state === 'done', 'the farm goes on', 120);

@@ -3,16 +3,15 @@ import {
   EventParser,
   Feed,
   fromSnapshot,
-  goneWorkers,
   join,
   SILENCE_MS,
   type Connection,
   type FarmState,
 } from '../../src/lib/feed';
-import { job, worker } from './fixtures';
+import { job, offline, worker } from './fixtures';
 
 describe('joining', () => {
-  const begin = fromSnapshot({ seq: '7-1', jobs: [job(1), job(2)], workers: [worker(1)], warnings: ['low on room'] });
+  const begin = fromSnapshot({ seq: '7-1', jobs: [job(1), job(2)], workers: [worker(1)], offline: [], warnings: ['low on room'] });
 
   test('a delta adds, changes and removes, and leaves the state before it alone', () => {
     const after = join(begin, {
@@ -41,23 +40,17 @@ describe('joining', () => {
   });
 });
 
-describe('workers that are gone', () => {
-  const map = (...workers: ReturnType<typeof worker>[]) => new Map(workers.map((it) => [it.worker, it]));
+describe('workers that are offline', () => {
+  const begin = fromSnapshot({ seq: '7-1', jobs: [], workers: [], offline: [offline('a', 5)], warnings: [] });
 
-  test('they are remembered by name with the time when they were heard of', () => {
-    const gone = goneWorkers(
-      [],
-      map({ ...worker(1, 'a'), silent_seconds: 4 }, worker(2, 'b')),
-      map(worker(2, 'b')),
-      10_000,
-    );
-    expect(gone.map((it) => [it.worker.name, it.at])).toEqual([['a', 6_000]]);
-  });
-
-  test('one that is back under its name with another number is not gone', () => {
-    const gone = goneWorkers([], map(worker(1, 'a')), map(), 1);
-    expect(goneWorkers(gone, map(), map(worker(9, 'a')), 2)).toEqual([]);
-    expect(goneWorkers([], map(worker(1, 'a')), map(worker(9, 'a')), 1)).toEqual([]);
+  test('they are as told last, also where a delta says nothing of them', () => {
+    expect(join(begin, { seq: '7-2', offline: null }).offline).toBe(begin.offline);
+    expect(join(begin, { seq: '7-2', workers: [worker(3, 'a')], offline: [] }).offline).toEqual([]);
+    const after = join(begin, { seq: '7-2', offline: [offline('b', 9), offline('a', 5)] });
+    expect(after.offline.map((it) => [it.name, it.last_contact])).toEqual([
+      ['b', 9],
+      ['a', 5],
+    ]);
   });
 });
 
@@ -121,12 +114,12 @@ describe('following', () => {
     const coordinator = new Coordinator([
       new Response(
         events(
-          ['snapshot', { seq: '7-1', jobs: [job(1)], workers: [], warnings: [] }],
+          ['snapshot', { seq: '7-1', jobs: [job(1)], workers: [], offline: [], warnings: [] }],
           ['delta', { seq: '7-2', jobs: [job(2)] }],
         ),
       ),
       'refuse',
-      open(events(['snapshot', { seq: '8-1', jobs: [job(9)], workers: [], warnings: [] }])),
+      open(events(['snapshot', { seq: '8-1', jobs: [job(9)], workers: [], offline: [], warnings: [] }])),
     ]);
     const { feed, told } = follow(coordinator);
     await vi.advanceTimersByTimeAsync(0);
@@ -143,7 +136,7 @@ describe('following', () => {
 
   test('a connection without a sign of life is given up', async () => {
     const coordinator = new Coordinator([
-      open(events(['snapshot', { seq: '7-1', jobs: [], workers: [], warnings: [] }])),
+      open(events(['snapshot', { seq: '7-1', jobs: [], workers: [], offline: [], warnings: [] }])),
       'refuse',
     ]);
     const { feed, told } = follow(coordinator);

@@ -1,5 +1,5 @@
 import { MAGIC } from '../../src/lib/pixels';
-import type { Attempt, Job, Worker } from '../../src/lib/types';
+import type { Attempt, Job, OfflineWorker, Worker } from '../../src/lib/types';
 
 export const job = (number: number, more: Partial<Job> = {}): Job => ({
   job: number,
@@ -37,6 +37,15 @@ export const worker = (number: number, name = `node-${number}`): Worker => ({
   failed: 0,
   intake: 'open',
   engine: 'e',
+});
+
+export const offline = (name: string, last_contact: number): OfflineWorker => ({
+  name,
+  threads: 8,
+  tags: [],
+  engine: 'e',
+  intake: 'offline',
+  last_contact,
 });
 
 export const attempt = (task: string, began: number, ended: number, more: Partial<Attempt> = {}): Attempt => ({

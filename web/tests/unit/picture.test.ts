@@ -55,6 +55,13 @@ describe('measures', () => {
     expect([...difference(a, b)!]).toEqual([1, 0]);
     expect(difference(a, decodePixels(encode(1, 1, { Y: [0] })))).toBeNull();
   });
+  test('maps of light statistics are linear where they are shares and counts, and pixels without a sample have no value', () => {
+    const maps = decodePixels(encode(3, 1, { depth: [0x4000, 0x4400, 0xbc00], deviation: [0x3c00, 0x4900, 0xbc00] }));
+    expect([...maps.floats('depth')!]).toEqual([2, 4, NaN]);
+    expect(suitableScale('depth', maps.floats('depth')!)).toEqual({ low: 2, high: 4, logarithmic: false });
+    expect(suitableScale('deviation', maps.floats('deviation')!)).toEqual({ low: 1, high: 10, logarithmic: true });
+    expect(suitableScale('throughput', Float32Array.of(0, 0))?.low).toBe(0);
+  });
   test('the scale of differences has its white at zero', () => {
     const scale = suitableScale('difference', Float32Array.of(-1, 0.5, 3))!;
     expect(scale.low).toBe(-scale.high);

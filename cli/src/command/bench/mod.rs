@@ -1,22 +1,24 @@
 //! `femc bench SCENE..`: run time against error.
 
+mod measure;
 mod show;
 
 use crate::args::{Filter, FormatArgs, SettingsArgs};
-use crate::bench::measure::Bed;
-use crate::bench::method::{Budget, Method};
-use crate::bench::reference::Named;
-use crate::bench::setup::Setup;
-use crate::bench::summary::{Ladder, Summary};
-use crate::bench::{Record, Run};
 use crate::clock::Clock;
 use crate::command::client;
 use crate::command::interrupt::Interrupt;
 use crate::exit::{Exit, Failure, failed, usage};
-use crate::output::{Progress, Say, json};
-use crate::request::{Asked, Frames, FramesChosen, Override, Size};
+use crate::output::{Progress, Say, human, json};
+use crate::request::{Asked, FramesChosen};
+use crate::values::{Frames, Override, Size};
 use clap::Args;
 use femc_film::file::write_atomic;
+use femc_reports::bench::method::{Budget, Method};
+use femc_reports::bench::reference::Named;
+use femc_reports::bench::setup::Setup;
+use femc_reports::bench::summary::{Ladder, Summary};
+use femc_reports::bench::{Record, Run};
+use measure::Bed;
 use rayon::ThreadPool;
 use serde::Serialize;
 use std::path::PathBuf;
@@ -112,8 +114,8 @@ pub fn run(args: &BenchArgs, say: Say) -> Result<Exit, Failure> {
     if scenes.len() != reference.len() {
         return Err(usage(format!(
             "--reference: {} for {}; give one for each scene, in their order",
-            crate::output::human::count(reference.len() as u64, "reference"),
-            crate::output::human::count(scenes.len() as u64, "scene"),
+            human::count(reference.len() as u64, "reference"),
+            human::count(scenes.len() as u64, "scene"),
         )));
     }
     let threads = args.settings.threads.map_or(0, |threads| threads as usize);
@@ -141,16 +143,18 @@ pub fn run(args: &BenchArgs, say: Say) -> Result<Exit, Failure> {
         beds.push(bed);
     }
     let setups = beds.iter().map(|bed| bed.setup.clone()).collect();
-    let mut record = Record::open(out.as_deref(), Setup::here(pool.current_num_threads()), setups)?;
+    let mut record =
+        Record::open(out.as_deref(), Setup::here(pool.current_num_threads(), femc_worker::engine()), setups)?;
     let mut bench = Bench { args, ladders: &ladders, seeds: &seeds, pool: &pool, say };
     bench.measure(&mut record, &beds)?;
-    let summary = Summary::of(&record, &beds, &ladders, &seeds);
+    let noises: Vec<_> = beds.iter().map(|bed| (bed.setup.name.as_str(), bed.reference().noise)).collect();
+    let summary = Summary::of(&record, &noises, &ladders, &seeds);
     let document = Document { record: &record, summary: &summary };
     if let Some(out) = out {
         write_atomic(out, &encoded(&document)?).map_err(failed)?;
     }
     if let Some(page) = &args.report {
-        write_atomic(page, crate::report::bench::page(&record, &summary)?.as_bytes()).map_err(failed)?;
+        write_atomic(page, femc_reports::pages::bench::page(&record, &summary)?.as_bytes()).map_err(failed)?;
     }
     if args.format.json {
         json::print(say, &document)?;
@@ -284,7 +288,7 @@ fn relative_error(text: &str) -> Result<f64, String> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::bench::method::METHODS;
+    use femc_reports::bench::method::METHODS;
 
     #[test]
     fn methods_stand_side_by_side_in_each_seed_however_many_budgets_they_have() {

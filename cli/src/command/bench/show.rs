@@ -1,9 +1,9 @@
 //! The tables on stdout.
 
-use crate::bench::setup::Setup;
-use crate::bench::summary::Summary;
-use crate::bench::table::{self, Table};
 use crate::output::{Say, human};
+use femc_reports::bench::setup::Setup;
+use femc_reports::bench::summary::Summary;
+use femc_reports::bench::table::{self, Table};
 
 /// Print.
 pub fn print(setup: &Setup, summary: &Summary, say: Say) {

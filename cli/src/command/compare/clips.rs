@@ -1,6 +1,6 @@
 //! Two folders of frames: each frame of A against the frame of the same number of B.
 
-use super::read;
+use super::image::read;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Say, human, json};
 use serde::Serialize;

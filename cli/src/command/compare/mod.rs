@@ -1,15 +1,16 @@
 //! `femc compare A.exr B.exr`: how far an image is from a reference; of folders, frame by frame.
 
 mod clips;
+mod image;
 
 use crate::args::FormatArgs;
-use crate::exit::{Exit, Failure, failed, usage};
+use crate::exit::{Exit, Failure, failed};
 use crate::output::{Say, human, json};
 use clap::Args;
 use femc_film::metrics::{Comparison, Excluded, WorstPixel};
-use femc_film::{FilmError, exr};
+use image::read;
 use serde::Serialize;
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 /// Error of image A against the reference B: mse, relmse, psnr, ssim, flip, mean_ratio, and the worst pixel
 #[derive(Debug, Args)]
@@ -80,16 +81,6 @@ pub fn run(args: &CompareArgs, say: Say) -> Result<Exit, Failure> {
         print(say, &report);
     }
     Ok(Exit::Done)
-}
-
-fn read(path: &Path) -> Result<femc_film::Image, Failure> {
-    match exr::read(path) {
-        Ok(file) => Ok(file.image),
-        Err(FilmError::File { path, cause }) if cause.kind() == std::io::ErrorKind::NotFound => {
-            Err(usage(format!("{}: no such file; give two EXR images", path.display())))
-        }
-        Err(e) => Err(failed(e)),
-    }
 }
 
 fn print(say: Say, report: &Report) {

@@ -1,10 +1,8 @@
 //! Driving the embedded farm: submit or go on, write frames as they finish, stop when told to.
 
-use super::picture;
 use super::report::FrameReport;
 use super::state::State;
 use super::target::Target;
-use crate::attempts::JobRecord;
 use crate::clock::Clock;
 use crate::command::client::{self, Farm};
 use crate::command::embedded::{self, Embedded};
@@ -12,9 +10,12 @@ use crate::command::interrupt::Interrupt;
 use crate::command::subject::{self, Logs};
 use crate::exit::{Failure, failed, interrupted};
 use crate::output::{Progress, Say, job as show};
-use crate::request::{Asked, Exposure};
+use crate::request::Asked;
+use crate::request::picture;
+use crate::values::Exposure;
 use femc_fault::{Point, pass_async};
 use femc_model::{Control, FrameRecord, JobId, JobState};
+use femc_reports::attempts::JobRecord;
 use femc_worker::Parcel;
 use std::collections::{BTreeMap, btree_map::Entry};
 use std::path::{Path, PathBuf};

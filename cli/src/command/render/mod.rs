@@ -2,7 +2,6 @@
 
 mod clip;
 mod drive;
-pub mod picture;
 mod report;
 mod report_file;
 pub mod state;
@@ -17,7 +16,8 @@ use crate::args::{ExtrasArgs, FormatArgs, SettingsArgs};
 use crate::clock::Clock;
 use crate::exit::{Exit, Failure, failed, usage};
 use crate::output::{Say, human, json};
-use crate::request::{Asked, Exposure};
+use crate::request::{Asked, picture};
+use crate::values::Exposure;
 use clap::Args;
 use drive::{Made, Order};
 use report::{FrameReport, Report};

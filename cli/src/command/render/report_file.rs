@@ -1,8 +1,8 @@
 //! What a run's tasks took, as a file.
 
-use crate::attempts::{By, JobRecord, Json, columns, csv, rows, write_parquet};
 use crate::exit::{Failure, failed, usage};
-use crate::report;
+use femc_reports::attempts::{By, JobRecord, Json, columns, csv, rows, write_parquet};
+use femc_reports::pages;
 use std::path::{Path, PathBuf};
 
 /// A file to write it to.
@@ -38,7 +38,7 @@ impl ReportFile {
         let records = vec![record];
         let (columns, rows) = (columns(By::Attempt), rows(&records, By::Attempt));
         let bytes = match self.form {
-            Form::Page => report::Report { title: None, records }.html()?.into_bytes(),
+            Form::Page => pages::Report { title: None, records }.html()?.into_bytes(),
             Form::Csv => (csv(&columns, &rows) + "\n").into_bytes(),
             Form::Json => serde_json::to_vec_pretty(&Json(&columns, &rows)).map_err(failed)?,
             Form::Parquet => {

@@ -2,7 +2,7 @@
 
 use crate::exit::{Failure, usage};
 use crate::output::Say;
-use crate::request::{Asked, FramesChosen};
+use crate::request::{Asked, FramesChosen, picture};
 use std::path::{Path, PathBuf};
 
 /// Where frames go.
@@ -89,7 +89,7 @@ impl Target {
 
     /// Whether the frame is written as a picture.
     pub fn is_picture(&self) -> bool {
-        matches!(self, Self::Image(path) if super::picture::is_picture(path))
+        matches!(self, Self::Image(path) if picture::is_picture(path))
     }
 
     /// What the user calls it.

@@ -1,10 +1,11 @@
 //! Frames that a run before this one finished: known by what their files say of themselves.
 
 use super::drive::statistics_of;
-use super::picture;
 use super::report::{BadReport, First, FrameReport};
 use crate::exit::{Failure, failed};
-use crate::request::{Asked, Exposure};
+use crate::request::Asked;
+use crate::request::picture;
+use crate::values::Exposure;
 use std::path::Path;
 
 /// What the file of a finished frame says.

@@ -2,7 +2,6 @@
 
 use super::folder::{Folder, Order, Shot};
 use super::work::{Planned, Work};
-use crate::attempts::{JobRecord, write_record};
 use crate::clock::Clock;
 use crate::command::client::Farm;
 use crate::command::interrupt::Interrupt;
@@ -11,6 +10,7 @@ use crate::command::submit::own_key;
 use crate::exit::{Failure, interrupted};
 use crate::output::{Progress, Say, Snapshot, job as show};
 use femc_model::{Control, Digest, FrameRecord, JobId, JobSpec, JobState, JobStatus};
+use femc_reports::attempts::{JobRecord, write_record};
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 

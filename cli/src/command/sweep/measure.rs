@@ -1,10 +1,10 @@
 //! What the frames of a sweep show, in numbers: `frames` has a row for each frame, `variants` one for each variant.
 
 use super::folder::{Folder, Shot};
-use super::table::{Cells, Table};
 use super::work::{Planned, Work};
 use crate::exit::{Failure, failed};
 use femc_film::{Image, exr};
+use femc_reports::sweep::{Cells, Table};
 use std::collections::BTreeMap;
 
 /// A frame in numbers.

@@ -7,7 +7,6 @@ mod measure;
 mod plan;
 mod report;
 mod share;
-mod table;
 mod work;
 
 pub use plan::plan;

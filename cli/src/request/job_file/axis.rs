@@ -1,10 +1,10 @@
 //! One axis of a sweep: a selector or a setting, and its values.
 
 use super::change::Change;
-use super::place::{Fault, Place};
-use super::range::Range;
-use super::sweep::MAX_VARIANTS;
-use crate::request::{Budget, Override};
+use super::fault::Fault;
+use super::range::{MAX_VARIANTS, Range};
+use crate::values::Place;
+use crate::values::{Budget, Override};
 use std::borrow::Cow;
 use toml::Spanned;
 use toml::de::DeValue;

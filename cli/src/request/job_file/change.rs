@@ -1,7 +1,8 @@
 //! One setting of an image, or one scalar of a scene, and what it becomes.
 
+use super::fault::one_line;
 use crate::args::{Filter, Method, SettingsArgs};
-use crate::request::{Budget, Frames, Override, Size};
+use crate::values::{Budget, Frames, Override, Size};
 use serde::Deserialize;
 #[cfg(feature = "openjd")]
 use std::collections::BTreeMap;
@@ -37,7 +38,7 @@ pub enum Change {
 
 /// A value by the type that it is to have.
 fn typed<'d, T: Deserialize<'d>>(value: &Spanned<DeValue<'d>>) -> Result<T, String> {
-    T::deserialize(ValueDeserializer::from(value.clone())).map_err(|e| super::one_line(e.message()))
+    T::deserialize(ValueDeserializer::from(value.clone())).map_err(|e| one_line(e.message()))
 }
 
 impl Change {

@@ -1,6 +1,7 @@
 //! `[regions]` and `[contrasts]`: what is measured in every frame of a sweep.
 
-use super::place::{Fault, Place};
+use super::fault::Fault;
+use crate::values::Place;
 use serde::Deserialize as _;
 use std::collections::BTreeMap;
 use toml::Spanned;

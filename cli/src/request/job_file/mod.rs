@@ -2,23 +2,23 @@
 
 mod axis;
 mod change;
+mod fault;
 mod measures;
-mod place;
 mod range;
 mod stem;
 mod sweep;
 #[cfg(test)]
 mod sweep_tests;
 
+pub use fault::JobFileError;
 pub use measures::Measures;
-pub use place::{JobFileError, Place};
 pub use sweep::Sweep;
 #[cfg(feature = "openjd")]
 pub use {axis::Axis, change::Change, sweep::Mode};
 
-use super::{Budget, Frames, Override, Size};
 use crate::args::{Filter, Method, SettingsArgs, Stats};
-use place::Fault;
+use crate::values::{Budget, Frames, Override, Place, Size};
+use fault::{Fault, one_line};
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 use std::collections::{BTreeMap, BTreeSet};
@@ -243,10 +243,6 @@ fn offset_of(text: &str, key: &str) -> usize {
         offset += line.len();
     }
     0
-}
-
-fn one_line(message: &str) -> String {
-    message.lines().map(str::trim).collect::<Vec<_>>().join("; ")
 }
 
 #[cfg(test)]

@@ -1,10 +1,12 @@
 //! `{ from = 1e4, to = 1e5, steps = 4, scale = "log" }`.
 
-use super::place::Fault;
-use super::sweep::MAX_VARIANTS;
+use super::fault::Fault;
 use serde::Deserialize as _;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue, ValueDeserializer};
+
+/// Most variants of a sweep: each is a job and a folder.
+pub const MAX_VARIANTS: usize = 4096;
 
 /// Evenly spaced numbers, both ends included.
 #[derive(Clone, Copy, Debug, PartialEq)]

@@ -1,15 +1,14 @@
 //! `[sweep]`: what is varied, and how the axes are joined.
 
 use super::axis::{Axis, Choice};
-use super::place::{Fault, Place};
+use super::fault::Fault;
+use super::range::MAX_VARIANTS;
 use super::stem::stems;
 use crate::args::SettingsArgs;
+use crate::values::Place;
 use std::collections::BTreeSet;
 use toml::Spanned;
 use toml::de::{DeTable, DeValue};
-
-/// Most variants of a sweep: each is a job and a folder.
-pub const MAX_VARIANTS: usize = 4096;
 
 /// The axes of a sweep, in the order of the file, and how they are joined.
 #[derive(Debug)]

@@ -28,6 +28,14 @@ pub enum SnapshotError {
         /// What the note's first byte says.
         found: u8,
     },
+    /// A roster of workers that another version noted.
+    #[error(
+        "workers were noted in version {found}, which this program does not read: they are known again when they come"
+    )]
+    RosterVersion {
+        /// What the note's first byte says.
+        found: u8,
+    },
     /// Not what [`Ledger::encode`] writes.
     #[error("snapshot or fact is damaged: {0}")]
     Damaged(#[from] postcard::Error),

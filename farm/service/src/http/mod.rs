@@ -29,7 +29,7 @@ pub use answer::Body;
 use fault::Fault;
 pub use pages::Files;
 use route::Route;
-pub use visitor::{Introduced, Visitor};
+pub use visitor::{Introduced, Served, Visitor};
 
 /// What is served beside the farm itself.
 #[derive(Debug, Clone, Default)]
@@ -155,6 +155,8 @@ impl<S: Send + 'static> Http<S> {
         let mut response = self.respond(route, asked, body, caller, who, trail).await?;
         if is_known {
             response.extensions_mut().insert(Introduced);
+        } else {
+            response.extensions_mut().insert(Served);
         }
         Ok(response)
     }

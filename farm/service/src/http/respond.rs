@@ -6,7 +6,7 @@ use std::time::{SystemTime, UNIX_EPOCH};
 use ::http::header::{CACHE_CONTROL, ETAG, IF_NONE_MATCH, LOCATION, SET_COOKIE};
 use ::http::{HeaderValue, Response, StatusCode};
 use bytes::Bytes;
-use femc_model::{Cut, Grains, JobId, JobSpec, LogRecord, LogText, Refusal, TaskKey, TaskPage, Tick};
+use femc_model::{Crew, Cut, Grains, JobId, JobSpec, LogRecord, LogText, Refusal, TaskKey, TaskPage, Tick};
 use femc_trust::Holder;
 use http_body_util::{BodyExt as _, LengthLimitError, Limited};
 use serde::Serialize;
@@ -19,7 +19,7 @@ use crate::access::{Caller, Trail, Who};
 use crate::attempts::{By, JobRecord, Json, columns, rows_of_page};
 use crate::call::{AttemptPage, Call, JobShape, Listing};
 use crate::picture::Wanted;
-use crate::view::{FrameJson, JobJson, LogJson, SpecJson, TaskJson};
+use crate::view::{FrameJson, JobJson, LogJson, OfflineJson, SpecJson, TaskJson, WorkerJson};
 
 /// Who asks.
 #[derive(Serialize)]
@@ -54,6 +54,12 @@ struct Frames {
 struct Tasks {
     total: u64,
     tasks: Vec<TaskJson>,
+}
+
+#[derive(Serialize)]
+struct Workers {
+    workers: Vec<WorkerJson>,
+    offline: Vec<OfflineJson>,
 }
 
 #[derive(Serialize)]
@@ -105,6 +111,7 @@ impl<S: Send + 'static> Http<S> {
             Route::Attempts(job, from, task) => self.attempts(job, from, task).await,
             Route::Logs(job, since, task) => self.logs(job, since, task, who).await,
             Route::Picture(job, frame, wanted) => self.picture(asked, job, frame, wanted, who).await,
+            Route::Workers => self.workers().await,
             Route::Control => self.control(&self.whole(body).await?, caller.as_deref(), trail).await,
             Route::Drain => self.drain(&self.whole(body).await?, trail).await,
             Route::Audit(count) => self.audit(count).await,
@@ -249,7 +256,7 @@ impl<S: Send + 'static> Http<S> {
     ) -> Result<Response<Body>, Fault> {
         let place = match wanted {
             Wanted::Thumbnail { .. } => self.0.places.take(who).await,
-            Wanted::Pixels => self.0.large.take(who).await,
+            Wanted::Pixels | Wanted::Maps => self.0.large.take(who).await,
         };
         let known = asked.headers.get(IF_NONE_MATCH).and_then(|tag| tag.to_str().ok());
         let known = known.map(|tag| tag.trim_start_matches("W/").trim_matches('"'));
@@ -259,7 +266,7 @@ impl<S: Send + 'static> Http<S> {
         let mut response = match wanted {
             _ if known == Some(drawn.tag.as_str()) => answer::empty(StatusCode::NOT_MODIFIED),
             Wanted::Thumbnail { .. } => answer::bytes(StatusCode::OK, "image/png", drawn.bytes),
-            Wanted::Pixels => answer::large("application/vnd.femc.pixels", drawn.bytes, place),
+            Wanted::Pixels | Wanted::Maps => answer::large("application/vnd.femc.pixels", drawn.bytes, place),
         };
         let headers = response.headers_mut();
         // A digest in hexadecimal is good for a header.
@@ -268,6 +275,13 @@ impl<S: Send + 'static> Http<S> {
         }
         headers.insert(CACHE_CONTROL, HeaderValue::from_static("private, no-cache"));
         Ok(response)
+    }
+
+    async fn workers(&self) -> Result<Response<Body>, Fault> {
+        let Crew { there, offline } = self.0.farm.ask(|reply| Call::Workers { reply }).await?;
+        let workers = there.iter().map(WorkerJson::from).collect();
+        let offline = offline.iter().map(OfflineJson::from).collect();
+        Ok(answer::json(&Workers { workers, offline }))
     }
 
     async fn audit(&self, count: usize) -> Result<Response<Body>, Fault> {

@@ -30,6 +30,7 @@ pub(super) enum Route {
     /// A frame as a picture.
     Picture(JobId, u32, Wanted),
     Control,
+    Workers,
     Drain,
     /// The latest lines of the record.
     Audit(usize),
@@ -86,11 +87,13 @@ impl Route {
             ["jobs", job, "frames", frame, picture] => {
                 let wanted = match picture {
                     "pixels" => Wanted::Pixels,
+                    "maps" => Wanted::Maps,
                     "thumbnail.png" => Wanted::Thumbnail { height: height(query)? },
                     _ => return Err(Fault::Nowhere { path: path.to_owned() }),
                 };
                 (Self::Picture(number("job", job)?, number("frame", frame)?, wanted), Method::GET)
             }
+            ["workers"] => (Self::Workers, Method::GET),
             ["workers", "drain"] => (Self::Drain, Method::POST),
             ["audit"] => {
                 let count = query.number("count")?.unwrap_or(200);
@@ -137,6 +140,7 @@ impl Route {
             Self::Logs(..) => Operation::Logs,
             Self::Picture(..) => Operation::Picture,
             Self::Control => Operation::Control,
+            Self::Workers => Operation::ListWorkers,
             Self::Drain => Operation::DrainWorkers,
             Self::Audit(_) => Operation::ReadAudit,
         }
@@ -234,7 +238,7 @@ mod tests {
                 *seen.entry(route.operation()).or_default() += 1;
             }
         }
-        assert_eq!(seen.values().sum::<usize>(), 15);
+        assert_eq!(seen.values().sum::<usize>(), 17);
         // The page itself has no row, and what is no request has none.
         let documented = seen.into_keys().chain([Operation::Page, Operation::Other]);
         assert_eq!(documented.collect::<BTreeSet<_>>(), BTreeSet::from(Operation::HTTP));

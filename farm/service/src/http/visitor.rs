@@ -20,3 +20,8 @@ pub struct Visitor {
 /// Found in the extensions of a response: the request was one that its visitor may make, and its connection may last.
 #[derive(Debug, Clone, Copy)]
 pub struct Introduced;
+
+/// Found in the extensions of a response: the request was one that everybody may make, such as for a file of the page. Its visitor is
+/// as unknown as before, and nothing was refused.
+#[derive(Debug, Clone, Copy)]
+pub struct Served;

@@ -13,4 +13,4 @@ pub use log::LogJson;
 pub use spec::SpecJson;
 pub use table::{FrameJson, TaskJson};
 pub use words::count;
-pub use worker::{WorkerJson, intake};
+pub use worker::{OfflineJson, WorkerJson, intake};

@@ -1,6 +1,6 @@
 //! A worker as programs and pages read it.
 
-use femc_model::{Intake, WorkerStatus};
+use femc_model::{Intake, OfflineWorker, WorkerStatus};
 use serde::Serialize;
 
 /// A worker as JSON.
@@ -39,6 +39,29 @@ impl WorkerJson {
     /// With another measure of its silence.
     pub fn silent(self, measure: impl FnOnce(f64) -> f64) -> Self {
         Self { silent_seconds: measure(self.silent_seconds), ..self }
+    }
+}
+
+/// A worker that was there, as JSON.
+#[derive(Debug, Clone, PartialEq, Serialize)]
+pub struct OfflineJson {
+    name: String,
+    threads: u32,
+    tags: Vec<String>,
+    engine: String,
+    intake: &'static str,
+    last_contact: f64,
+}
+
+impl OfflineJson {
+    /// What stands in place of the intake.
+    pub const OFFLINE: &str = "offline";
+}
+
+impl From<&OfflineWorker> for OfflineJson {
+    fn from(worker: &OfflineWorker) -> Self {
+        let OfflineWorker { name, threads, tags, engine, heard } = worker.clone();
+        Self { name, threads, tags, engine, intake: Self::OFFLINE, last_contact: heard as f64 / 1000.0 }
     }
 }
 

@@ -1,0 +1,220 @@
+//! A job as a template: each task is `femc render` of one variant and of some frames.
+
+mod document;
+
+use super::import::TAGS;
+use super::place::relative;
+use super::template::{Template, TemplateError};
+use crate::args::Stats;
+use crate::request::{Change, JobFile, Mode};
+use crate::values::Frames;
+use document::{Document, HostAttribute, Parameter, Range, TaskParameter};
+use openjd_expr::escape_format_string;
+use std::collections::BTreeSet;
+use std::num::NonZeroUsize;
+use std::path::Path;
+
+/// A template, and what of the job is not in it.
+#[derive(Debug)]
+pub struct Exported {
+    /// JSON or YAML, as the file's name ends.
+    pub text: String,
+    /// One line each.
+    pub left_out: Vec<String>,
+}
+
+/// How a job's frames become tasks.
+#[derive(Clone, Copy, Debug)]
+pub struct FramesOf<'a> {
+    /// Those of every variant, ascending; not used where frames are an axis.
+    pub all: &'a [u32],
+    /// Most frames of a task.
+    pub chunk: NonZeroUsize,
+}
+
+/// The template of `job` that will stand at `out`.
+pub fn export(job: &JobFile, frames: FramesOf<'_>, out: &Path) -> Result<Exported, TemplateError> {
+    let (mut columns, zipped) = columns(job);
+    let stem = job.scene.file_stem().map(|stem| stem.to_string_lossy().into_owned()).unwrap_or_default();
+    let mut place = vec!["{{Param.Out}}".to_owned()];
+    place.extend((!columns.is_empty()).then(|| variant(&columns)));
+    let mut combination = columns.iter().map(|column| column.parameter.clone()).collect::<Vec<_>>().join(if zipped {
+        ", "
+    } else {
+        " * "
+    });
+    if zipped && columns.len() > 1 {
+        combination = format!("({combination})");
+    }
+    if !columns.iter().any(|column| column.name == "frames") {
+        let column = chunks(frames);
+        place.push(match column.parameter.as_str() {
+            "Frame" => format!("{}.{{{{Task.Param.Frame}}}}.exr", escape_format_string(&stem)),
+            chunk => format!("{{{{Task.Param.{chunk}}}}}"),
+        });
+        combination = if combination.is_empty() {
+            column.parameter.clone()
+        } else {
+            format!("{combination} * {}", column.parameter)
+        };
+        columns.push(column);
+    }
+    let mut args = vec!["render".to_owned(), "{{Param.Scene}}".to_owned(), "-o".to_owned(), place.join("/")];
+    args.extend(columns.iter().map(Column::flag));
+    args.extend(constants(job));
+    let file = job.path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+    let (tags, mut left_out) = tags(job);
+    left_out.extend(lost(job));
+    let document = Document {
+        name: job.path.file_stem().map(|name| escape_format_string(&name.to_string_lossy())).unwrap_or_default(),
+        description: format!("{file} by femc {}", env!("CARGO_PKG_VERSION")),
+        parameters: vec![
+            Parameter::scene(relative(out.parent().unwrap_or(Path::new("")), &job.scene)),
+            Parameter::out(stem),
+        ],
+        space: columns
+            .into_iter()
+            .map(|column| TaskParameter { name: column.parameter, range: column.range })
+            .collect(),
+        combination,
+        command: "femc".to_owned(),
+        args,
+        attributes: tags,
+    };
+    let text = document.write(out)?;
+    // What a template may not be, this may not be.
+    Template::parse(out, &text, &[])?;
+    Ok(Exported { text, left_out })
+}
+
+/// A task parameter and the flag that it is for.
+struct Column {
+    /// The setting's long name, or the selector.
+    name: String,
+    /// Name within variants' names.
+    label: String,
+    /// Name within the template.
+    parameter: String,
+    is_scalar: bool,
+    range: Range,
+}
+
+impl Column {
+    fn flag(&self) -> String {
+        let value = format!("{{{{Task.Param.{}}}}}", self.parameter);
+        if self.is_scalar {
+            format!("--set={}={value}", escape_format_string(&self.name))
+        } else {
+            format!("--{}={value}", self.name)
+        }
+    }
+}
+
+/// A column for each axis, and whether their values go together.
+fn columns(job: &JobFile) -> (Vec<Column>, bool) {
+    let Some(sweep) = &job.sweep else { return (Vec::new(), false) };
+    let mut used = BTreeSet::from(["Frame".to_owned(), "Frames".to_owned()]);
+    let column = |(axis, label): (&crate::request::Axis, String)| {
+        let safe = identifier(&label);
+        let mut parameter = safe.clone();
+        for n in 2.. {
+            if used.insert(parameter.clone()) {
+                break;
+            }
+            parameter = format!("{safe}x{n}");
+        }
+        let changes: Vec<&Change> = axis.choices.iter().map(|choice| &choice.change).collect();
+        let is_scalar = changes.iter().any(|change| matches!(change, Change::Scalar(_)));
+        Column { name: axis.name.clone(), label, parameter, is_scalar, range: Range::of(&changes) }
+    };
+    (sweep.axes.iter().zip(sweep.labels()).map(column).collect(), sweep.mode == Mode::Zip)
+}
+
+/// `SigmaS` of `sigma_s`: letters and digits alone, because older implementations know no others in combinations.
+fn identifier(label: &str) -> String {
+    let parts = label.split(|c: char| !c.is_ascii_alphanumeric()).filter(|part| !part.is_empty());
+    let part = |part: &str| part[..1].to_ascii_uppercase() + &part[1..];
+    let joined: String = parts.map(part).collect::<String>().chars().take(60).collect();
+    if joined.starts_with(|c: char| c.is_ascii_alphabetic()) { joined } else { format!("P{joined}") }
+}
+
+/// The folder of a variant, named as `femc sweep` names it.
+fn variant(columns: &[Column]) -> String {
+    let part =
+        |column: &Column| format!("{}={{{{Task.Param.{}}}}}", escape_format_string(&column.label), column.parameter);
+    columns.iter().map(part).collect::<Vec<_>>().join(",")
+}
+
+fn chunks(FramesOf { all, chunk }: FramesOf<'_>) -> Column {
+    let column = |parameter: &str, range| Column {
+        name: "frames".to_owned(),
+        label: String::new(),
+        parameter: parameter.to_owned(),
+        is_scalar: false,
+        range,
+    };
+    if chunk.get() == 1 {
+        return column("Frame", Range::frames(all));
+    }
+    // Frames of a job file have one step.
+    let text = |some: &[u32]| Frames::of(some).map(|frames| frames.to_string());
+    column("Frames", Range::Texts(all.chunks(chunk.get()).filter_map(text).collect()))
+}
+
+/// Flags of what is the same for all variants.
+fn constants(job: &JobFile) -> Vec<String> {
+    let axes: BTreeSet<&str> = job.sweep.iter().flat_map(|sweep| &sweep.axes).map(|axis| axis.name.as_str()).collect();
+    let is_stop = |name: &str| ["spp", "error", "time"].contains(&name);
+    let has_stop = axes.iter().any(|name| is_stop(name));
+    let is_varied = |change: &Change| {
+        axes.contains(change.name()) || change.name() == "frames" || (has_stop && is_stop(change.name()))
+    };
+    let flag = |change: Change| {
+        let (name, value) = (change.name(), change.text());
+        escape_format_string(&match &change {
+            Change::Scalar(_) => format!("--set={name}={value}"),
+            _ => format!("--{name}={value}"),
+        })
+    };
+    let mut flags: Vec<String> =
+        Change::all(&job.settings).into_iter().filter(|change| !is_varied(change)).map(flag).collect();
+    flags.extend(job.settings.workers.map(|n| format!("--workers={n}")));
+    flags.extend(job.settings.threads.map(|n| format!("--threads={n}")));
+    flags.extend(job.settings.stats.map(|stats| match stats {
+        Stats::Some => "--stats".to_owned(),
+        Stats::Full => "--stats=full".to_owned(),
+    }));
+    flags
+}
+
+/// Tags as an attribute of hosts, and lines about those that cannot be one's value.
+fn tags(job: &JobFile) -> (Option<HostAttribute>, Vec<String>) {
+    let is_value = |tag: &&String| {
+        let may_begin = |c: char| c.is_ascii_alphabetic() || c == '_';
+        let may_be = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+        tag.starts_with(may_begin) && tag.chars().all(may_be) && tag.len() <= 100
+    };
+    let (fit, unfit): (Vec<&String>, Vec<&String>) = job.tags.iter().partition(is_value);
+    let left_out = |tag: &String| left(job, "tags", &format!("`{tag}` is left out: no value of an attribute of hosts"));
+    let attribute = HostAttribute { name: TAGS, all_of: fit.into_iter().cloned().collect() };
+    (Some(attribute).filter(|attribute| !attribute.all_of.is_empty()), unfit.into_iter().map(left_out).collect())
+}
+
+/// Lines about what a template has no place for.
+fn lost(job: &JobFile) -> Vec<String> {
+    let mut lost = Vec::new();
+    if job.priority.is_some() {
+        lost.push(left(job, "priority", "is left out: who submits a template says how urgent it is"));
+    }
+    if job.settings.root.is_some() {
+        lost.push(left(job, "root", "is left out: add `--root` to the commands of the template"));
+    }
+    if !job.measures.regions.is_empty() {
+        lost.push(left(job, "regions", "and contrasts are left out: `femc sweep` measures them, and no task does"));
+    }
+    lost
+}
+
+fn left(job: &JobFile, key: &str, why: &str) -> String {
+    format!("{}: {key} {why}", job.at(key).unwrap_or_else(|| job.path.display().to_string()))
+}

@@ -1,0 +1,135 @@
+//! `femc openjd import` and `export`: sweeps from and for farms that speak Open Job Description
+//! (<https://github.com/OpenJobDescription>); docs/openjd.md has the table of what maps and what does not.
+//!
+//! A template becomes a sweep by what its tasks do, not by how it is written: the crate `openjd-model` reads it, checks it and
+//! goes through its parameter space, every task's command line is read as `femc render` reads its own, and settings that differ
+//! from task to task become axes. So products, associations, expressions and chunks need no rules of their own here. It costs
+//! that a template of another program's command lines is refused.
+
+mod export;
+mod import;
+mod place;
+mod spots;
+mod template;
+#[cfg(test)]
+mod tests;
+mod written;
+
+use crate::args::SettingsArgs;
+use crate::exit::{Exit, Failure, failed, usage};
+use crate::output::{Say, human};
+use crate::request::{Base, JobFile};
+use clap::{Args, Subcommand};
+use export::FramesOf;
+use std::num::NonZeroUsize;
+use std::path::{Path, PathBuf};
+use template::{Template, TemplateError};
+
+/// Make sweeps of Open Job Description templates, and templates of jobs
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc openjd export fog.toml -o fog.yaml --chunk 10   # each task: `femc render` of a variant and of 10 frames\n  \
+    openjd run fog.yaml                                  # or submitted to any farm that speaks it\n  \
+    femc openjd import fog.yaml -o fog.toml -p Scene=scenes/roundabout.mgf\n  \
+    femc sweep fog.toml -o fog\n\n\
+    docs/openjd.md says what maps and what does not; what is left out is printed on stderr, one line each.")]
+pub struct OpenjdArgs {
+    #[command(subcommand)]
+    command: OpenjdCommand,
+}
+
+#[derive(Debug, Subcommand)]
+enum OpenjdCommand {
+    /// Write the job file that does what a template's tasks do: they must run `femc render`
+    #[command(after_help = "Examples:\n  femc openjd import fog.yaml -o fog.toml\n  \
+        femc openjd import fog.yaml -o fog.toml -p Scene=scenes/roundabout.mgf -p Spp=64")]
+    Import(ImportArgs),
+    /// Write a job as a template whose tasks run `femc render`
+    #[command(after_help = "Examples:\n  femc openjd export fog.toml -o fog.yaml\n  \
+        femc openjd export fog.toml -o fog.json --chunk 10")]
+    Export(ExportArgs),
+}
+
+#[derive(Debug, Args)]
+struct ImportArgs {
+    /// Job template of specification 2023-09, YAML or JSON
+    #[arg(value_name = "TEMPLATE")]
+    template: PathBuf,
+    /// The job file
+    #[arg(long, short, value_name = "JOB.toml")]
+    out: PathBuf,
+    /// Value of a job parameter, where not its default (repeatable)
+    #[arg(long = "param", short, value_name = "NAME=VALUE", value_parser = named)]
+    params: Vec<(String, String)>,
+}
+
+#[derive(Debug, Args)]
+struct ExportArgs {
+    /// Job file, with or without a `[sweep]`
+    #[arg(value_name = "JOB.toml")]
+    job: PathBuf,
+    /// The template: JSON if it ends in .json, else YAML
+    #[arg(long, short, value_name = "TEMPLATE")]
+    out: PathBuf,
+    /// Most frames of a task
+    #[arg(long, value_name = "N", default_value = "1")]
+    chunk: NonZeroUsize,
+}
+
+fn named(text: &str) -> Result<(String, String), String> {
+    let split = text.split_once('=').filter(|(name, _)| !name.is_empty());
+    split.map(|(name, value)| (name.to_owned(), value.to_owned())).ok_or_else(|| "write NAME=VALUE".to_owned())
+}
+
+/// Import or export.
+pub fn run(args: &OpenjdArgs, say: Say) -> Result<Exit, Failure> {
+    match &args.command {
+        OpenjdCommand::Import(args) => import(args, say),
+        OpenjdCommand::Export(args) => export(args, say),
+    }
+}
+
+fn import(args: &ImportArgs, say: Say) -> Result<Exit, Failure> {
+    let template = Template::open(&args.template, &args.params).map_err(refused)?;
+    let imported = import::import(&template, &args.out).map_err(refused)?;
+    write(&args.out, &imported.text)?;
+    imported.left_out.iter().for_each(|line| say.note(format!("warning: {line}")));
+    say.note(format!("{}: {}", args.out.display(), human::count(imported.variants as u64, "variant")));
+    Ok(Exit::Done)
+}
+
+fn export(args: &ExportArgs, say: Say) -> Result<Exit, Failure> {
+    let job = JobFile::load(&args.job).map_err(usage)?;
+    let base = Base::open(&job.scene, job.settings.root.as_deref(), say)?;
+    let frames = frames(&job, &base)?;
+    let frames = FramesOf { all: &frames, chunk: args.chunk };
+    let exported = export::export(&job, frames, &args.out).map_err(refused)?;
+    write(&args.out, &exported.text)?;
+    exported.left_out.iter().for_each(|line| say.note(format!("warning: {line}")));
+    if let more @ 1.. = base.others() {
+        let files = human::count(more as u64, "further file");
+        say.note(format!("warning: the scene has {files}, which a template cannot name: tasks need them beside it"));
+    }
+    Ok(Exit::Done)
+}
+
+/// The frames of the first variant; every variant is planned, so that a template is no worse than its job.
+fn frames(job: &JobFile, base: &Base) -> Result<Vec<u32>, Failure> {
+    let ask = |settings: &SettingsArgs| Ok(base.ask(settings, &|key| job.at(key))?.plan.frames);
+    let Some(sweep) = &job.sweep else { return ask(&job.settings) };
+    let mut all =
+        sweep.variants().iter().map(|variant| ask(&variant.apply(&job.settings))).collect::<Result<Vec<_>, _>>()?;
+    Ok(all.swap_remove(0))
+}
+
+fn write(path: &Path, text: &str) -> Result<(), Failure> {
+    femc_film::file::write_atomic(path, text.as_bytes()).map_err(failed)
+}
+
+/// A file that cannot be read is wrong usage, as everywhere; a template that cannot be used is a fault that was found.
+fn refused(error: TemplateError) -> Failure {
+    match error {
+        TemplateError::Read { .. } => usage(error),
+        TemplateError::Faults { .. } => failed(error),
+    }
+}

@@ -1,0 +1,106 @@
+//! Where the parts of a template stand in its file.
+
+use crate::values::Place;
+use openjd_model::PathElement;
+use serde::Deserialize;
+use serde::de::{Deserializer, MapAccess, SeqAccess, Visitor};
+use serde_saphyr::{Location, Spanned};
+use std::fmt;
+
+/// A document's parts and their places; JSON is read as the YAML that it is.
+#[derive(Debug)]
+pub struct Spots(Option<Spanned<Node>>);
+
+/// A part of a document, without its scalars.
+#[derive(Debug)]
+enum Node {
+    Map(Vec<(String, Spanned<Node>)>),
+    List(Vec<Spanned<Node>>),
+    Scalar,
+}
+
+impl Spots {
+    /// Of a text; of one that cannot be read no place is known.
+    pub fn of(text: &str) -> Self {
+        Self(serde_saphyr::from_str(text).ok())
+    }
+
+    /// Where the part at `path` begins, or the innermost part around it that is there.
+    pub fn find(&self, path: &[PathElement]) -> Option<Place> {
+        let mut at = self.0.as_ref()?;
+        for element in path {
+            let inner = match (&at.value, element) {
+                (Node::Map(fields), PathElement::Field(name)) => {
+                    fields.iter().find(|(key, _)| key == name).map(|(_, v)| v)
+                }
+                (Node::List(items), PathElement::Index(index)) => items.get(*index),
+                _ => None,
+            };
+            let Some(inner) = inner else { break };
+            at = inner;
+        }
+        place(at.referenced)
+    }
+}
+
+/// A place, if it is known.
+pub fn place(at: Location) -> Option<Place> {
+    let [line, column] = [at.line(), at.column()].map(|number| usize::try_from(number).unwrap_or(0));
+    (line > 0 && column > 0).then_some(Place { line, column })
+}
+
+impl<'de> Deserialize<'de> for Node {
+    fn deserialize<D: Deserializer<'de>>(from: D) -> Result<Self, D::Error> {
+        from.deserialize_any(AnyNode)
+    }
+}
+
+struct AnyNode;
+
+impl<'de> Visitor<'de> for AnyNode {
+    type Value = Node;
+
+    fn expecting(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("any part of a document")
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut map: A) -> Result<Node, A::Error> {
+        let mut fields = Vec::new();
+        while let Some(entry) = map.next_entry()? {
+            fields.push(entry);
+        }
+        Ok(Node::Map(fields))
+    }
+
+    fn visit_seq<A: SeqAccess<'de>>(self, mut list: A) -> Result<Node, A::Error> {
+        let mut items = Vec::new();
+        while let Some(item) = list.next_element()? {
+            items.push(item);
+        }
+        Ok(Node::List(items))
+    }
+
+    fn visit_bool<E>(self, _: bool) -> Result<Node, E> {
+        Ok(Node::Scalar)
+    }
+
+    fn visit_i64<E>(self, _: i64) -> Result<Node, E> {
+        Ok(Node::Scalar)
+    }
+
+    fn visit_u64<E>(self, _: u64) -> Result<Node, E> {
+        Ok(Node::Scalar)
+    }
+
+    fn visit_f64<E>(self, _: f64) -> Result<Node, E> {
+        Ok(Node::Scalar)
+    }
+
+    fn visit_str<E>(self, _: &str) -> Result<Node, E> {
+        Ok(Node::Scalar)
+    }
+
+    fn visit_unit<E>(self) -> Result<Node, E> {
+        Ok(Node::Scalar)
+    }
+}

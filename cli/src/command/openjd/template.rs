@@ -1,0 +1,220 @@
+//! A template read and checked, its parameters bound, and the command lines of its tasks.
+
+use super::spots::{Spots, place};
+use crate::values::Place;
+use openjd_expr::{ExprValue, FormatStringOptions, PathFormat};
+use openjd_model::job::{Action, Job};
+use openjd_model::template::JobTemplate;
+use openjd_model::{
+    CallerLimits, DocumentType, JobParameterInputValues, JobParameterType, JobParameterValues, ModelError, PathElement,
+    PathParameterOptions, StepParameterSpaceIterator, SymbolTable, TaskParameterSet, build_symbol_table, create_job,
+    decode_job_template, preprocess_job_parameters,
+};
+use std::path::{Path, PathBuf};
+
+/// Most tasks that are looked at.
+const MAX_TASKS: u64 = 1 << 20;
+/// Extensions of the specification that are understood.
+const EXTENSIONS: [&str; 4] = ["TASK_CHUNKING", "EXPR", "FEATURE_BUNDLE_1", "REDACTED_ENV_VARS"];
+
+/// Why a file is no template, or no sweep.
+#[derive(Debug, thiserror::Error)]
+pub enum TemplateError {
+    /// Not readable.
+    #[error("{}: {cause}", path.display())]
+    Read {
+        /// The template.
+        path: PathBuf,
+        /// What the system says.
+        cause: std::io::Error,
+    },
+    /// Not of the specification, or of no use here.
+    #[error("{}", faults.join("\n"))]
+    Faults {
+        /// One line each: file, line, column, part, what is wrong there.
+        faults: Vec<String>,
+    },
+}
+
+/// A job template whose parameters have values.
+#[derive(Debug)]
+pub struct Template {
+    path: PathBuf,
+    spots: Spots,
+    /// As written.
+    pub written: JobTemplate,
+    /// With values for parameters.
+    pub job: Job,
+    values: JobParameterValues,
+}
+
+/// A part of a template by its path, names and numbers with points between: `steps.0.script`.
+pub fn part(path: &str) -> Vec<PathElement> {
+    let element = |part: &str| match part.parse() {
+        Ok(index) => PathElement::Index(index),
+        Err(_) => PathElement::Field(part.to_owned()),
+    };
+    path.split('.').filter(|part| !part.is_empty()).map(element).collect()
+}
+
+impl Template {
+    /// Read and check the file `path`; `given`: values of parameters by name.
+    pub fn open(path: &Path, given: &[(String, String)]) -> Result<Self, TemplateError> {
+        let read = |cause| TemplateError::Read { path: path.to_owned(), cause };
+        Self::parse(path, &std::fs::read_to_string(path).map_err(read)?, given)
+    }
+
+    /// The template in `text`, which stands in the file `path`.
+    pub fn parse(path: &Path, text: &str, given: &[(String, String)]) -> Result<Self, TemplateError> {
+        let spots = Spots::of(text);
+        let limits = CallerLimits { max_task_count: Some(MAX_TASKS), ..CallerLimits::default() };
+        let form = match path.extension() {
+            Some(extension) if extension == "json" => DocumentType::Json,
+            _ => DocumentType::Yaml,
+        };
+        let bound = || {
+            let document = openjd_model::template::parse::document_string_to_object(text, form, &limits)?;
+            let written = decode_job_template(document, Some(&EXTENSIONS), &limits)?;
+            let folder = super::place::absolute(path.parent().unwrap_or(Path::new("")), Path::new(""));
+            let here = super::place::absolute(Path::new(""), Path::new(""));
+            let (folder, here) = (folder.to_string_lossy(), here.to_string_lossy());
+            let options =
+                PathParameterOptions { allow_template_dir_walk_up: true, ..PathParameterOptions::new(&folder, &here) };
+            let given = given.iter().map(|(name, value)| (name.clone(), ExprValue::String(value.clone())));
+            let values =
+                preprocess_job_parameters(&written, &JobParameterInputValues::from_iter(given), &[], &options)?;
+            let context = written.default_validation_context().with_caller_limits(limits.clone());
+            let job = create_job(&written, &values, &context)?;
+            Ok((written, job, values))
+        };
+        match bound() {
+            Ok((written, job, values)) => Ok(Self { path: path.to_owned(), spots, written, job, values }),
+            Err(error) => Err(TemplateError::Faults { faults: faults(path, text, &spots, &error) }),
+        }
+    }
+
+    /// The folder that it stands in.
+    pub fn folder(&self) -> &Path {
+        self.path.parent().unwrap_or(Path::new(""))
+    }
+
+    /// The file's name.
+    pub fn file(&self) -> String {
+        self.path.file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default()
+    }
+
+    /// A line about a part of it: file, line, column, part, `what`.
+    pub fn line_about(&self, at: &str, what: impl std::fmt::Display) -> String {
+        let at = part(at);
+        line_about(&self.path, self.spots.find(&at), &at, what)
+    }
+
+    /// What is wrong with a part of it.
+    pub fn fault(&self, at: &str, what: impl std::fmt::Display) -> TemplateError {
+        TemplateError::Faults { faults: vec![self.line_about(at, what)] }
+    }
+
+    /// What the first step runs.
+    pub fn action(&self) -> &Action {
+        &self.job.steps[0].script.actions.on_run
+    }
+
+    /// The command of each task of the first step and its arguments, in the order of its parameter space.
+    pub fn command_lines(&self) -> Result<Vec<Vec<String>>, TemplateError> {
+        let spaced = |error: ModelError| self.fault("steps.0.parameterSpace", one_line(&error.to_string()));
+        let tasks: Vec<TaskParameterSet> = match &self.job.steps[0].parameter_space {
+            Some(space) => StepParameterSpaceIterator::new(space).map_err(spaced)?.collect(),
+            None => vec![TaskParameterSet::new()],
+        };
+        let job = self.symbols().map_err(|error| self.fault("parameterDefinitions", one_line(&error.to_string())))?;
+        tasks.iter().map(|task| self.command_line(&job, task)).collect()
+    }
+
+    /// What format strings may name, besides the task's own parameters.
+    fn symbols(&self) -> Result<SymbolTable, ModelError> {
+        let mut symbols = build_symbol_table(&self.values)?;
+        for (name, value) in self.values.iter().filter(|(_, value)| value.param_type == JobParameterType::Path) {
+            symbols.set(&format!("Param.{name}"), value.value.clone())?;
+        }
+        symbols.set("Job.Name", ExprValue::String(self.job.name.clone()))?;
+        symbols.set("Step.Name", ExprValue::String(self.job.steps[0].name.clone()))?;
+        Ok(symbols)
+    }
+
+    fn command_line(&self, job: &SymbolTable, task: &TaskParameterSet) -> Result<Vec<String>, TemplateError> {
+        let mut symbols = job.clone();
+        for (name, value) in task {
+            for of in ["Param", "RawParam"] {
+                let set = symbols.set(&format!("Task.{of}.{name}"), value.value.clone());
+                set.map_err(|error| self.fault("steps.0.parameterSpace", error))?;
+            }
+        }
+        let action = self.action();
+        let words = [("command".to_owned(), &action.command)].into_iter();
+        let words = words.chain(action.args.iter().flatten().enumerate().map(|(n, arg)| (format!("args.{n}"), arg)));
+        let options = FormatStringOptions::new().with_path_format(PathFormat::host());
+        let mut line = Vec::new();
+        for (at, word) in words {
+            let value = word.resolve_with(&symbols, &options);
+            let unknown = |error: &dyn std::fmt::Display| {
+                self.fault(&format!("steps.0.script.actions.onRun.{at}"), one_line(&error.to_string()))
+            };
+            match value.map_err(|error| unknown(&error))? {
+                ExprValue::Null => {}
+                ExprValue::ListString(words, _) => line.extend(words),
+                other => line.push(other.to_display_string()),
+            }
+        }
+        Ok(line)
+    }
+}
+
+/// Each fault of a template on a line of its own.
+fn faults(path: &Path, text: &str, spots: &Spots, error: &ModelError) -> Vec<String> {
+    match error {
+        ModelError::ModelValidation(all) => {
+            let line = |fault: &openjd_model::ValidationError| {
+                let what = fault.detail.as_ref().map_or(&fault.message, |detail| &detail.summary);
+                line_about(path, spots.find(&fault.path), &fault.path, one_line(what))
+            };
+            all.errors.iter().map(line).collect()
+        }
+        other => {
+            // What does not have the template's form is not told with its place; reading it once more tells that.
+            let again = serde_saphyr::from_str::<JobTemplate>(text).err();
+            vec![line_about(path, again.and_then(|error| place(error.location()?)), &[], one_line(&plain(other)))]
+        }
+    }
+}
+
+/// Without the name of the kind.
+fn plain(error: &ModelError) -> String {
+    match error {
+        ModelError::DecodeValidation(what) | ModelError::Compatibility(what) | ModelError::UnsupportedSchema(what) => {
+            what.clone()
+        }
+        other => other.to_string(),
+    }
+}
+
+fn line_about(path: &Path, place: Option<Place>, at: &[PathElement], what: impl std::fmt::Display) -> String {
+    let mut line = path.display().to_string();
+    if let Some(Place { line: row, column }) = place {
+        line.push_str(&format!(":{row}:{column}"));
+    }
+    let mut pointer = String::new();
+    for element in at {
+        match element {
+            PathElement::Field(name) if pointer.is_empty() => pointer.push_str(name),
+            PathElement::Field(name) => pointer.push_str(&format!(".{name}")),
+            PathElement::Index(index) => pointer.push_str(&format!("[{index}]")),
+        }
+    }
+    let gap = if pointer.is_empty() { "" } else { ": " };
+    format!("{line}: {pointer}{gap}{what}")
+}
+
+/// The first line of a message, which says it all; others draw it.
+fn one_line(message: &str) -> String {
+    message.lines().map(str::trim).find(|line| !line.is_empty()).unwrap_or_default().to_owned()
+}

@@ -1,0 +1,105 @@
+//! A task's command line, read as `femc render` reads its own.
+
+use crate::args::{CommonArgs, ExtrasArgs, SettingsArgs, Stats};
+use crate::command::render::RenderArgs;
+use crate::request::Change;
+use crate::values::Frames;
+use clap::error::ErrorKind;
+use clap::{Parser, Subcommand};
+use std::path::{Path, PathBuf};
+
+/// What a task renders.
+#[derive(Debug)]
+pub struct Written {
+    /// The scene, as written.
+    pub scene: PathBuf,
+    /// Frames; `None`: all.
+    pub frames: Option<Frames>,
+    /// All other settings of the image.
+    pub changes: Vec<Change>,
+    /// What changes no pixel.
+    pub rest: Rest,
+    /// Flags that a sweep has no place for.
+    pub left_out: Vec<&'static str>,
+}
+
+/// Settings that change no pixel.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Rest {
+    /// `--workers`
+    pub workers: Option<u32>,
+    /// `--threads`
+    pub threads: Option<u32>,
+    /// `--stats`
+    pub stats: Option<Stats>,
+}
+
+/// Which word of a command line is at fault.
+#[derive(Debug, Clone, Copy, PartialEq, Eq)]
+pub enum Word {
+    /// The program.
+    Command,
+    /// Some argument.
+    Arguments,
+}
+
+/// The command line of a task.
+#[derive(Parser)]
+#[command(name = "femc")]
+struct Line {
+    #[command(flatten)]
+    _common: CommonArgs,
+    #[command(subcommand)]
+    command: Command,
+}
+
+#[derive(Subcommand)]
+enum Command {
+    Render(RenderArgs),
+}
+
+impl Written {
+    /// Of a program and its arguments; else which of them is at fault, and why.
+    pub fn read(line: &[String]) -> Result<Self, (Word, String)> {
+        let program = line.first().map(String::as_str).unwrap_or_default();
+        let name = Path::new(program).file_name().map(|name| name.to_string_lossy().into_owned()).unwrap_or_default();
+        if name.strip_suffix(".exe").unwrap_or(&name) != "femc" {
+            return Err((Word::Command, format!("only `femc render` becomes a sweep, and this runs `{program}`")));
+        }
+        let wrong = |what: String| Err((Word::Arguments, what));
+        match Line::try_parse_from(line).map(|line| line.command) {
+            Ok(Command::Render(RenderArgs { replay: Some(_), .. })) => {
+                wrong("--replay renders one frame again by what its file says; a sweep has no such file".to_owned())
+            }
+            Ok(Command::Render(args)) => Ok(Self::of(args)),
+            Err(error) if error.kind() == ErrorKind::InvalidSubcommand => {
+                wrong("only `femc render` becomes a sweep, and this is another command of femc".to_owned())
+            }
+            Err(error) => {
+                let message = error.to_string();
+                let first = message.lines().next().unwrap_or_default();
+                wrong(first.strip_prefix("error: ").unwrap_or(first).to_owned())
+            }
+        }
+    }
+
+    fn of(args: RenderArgs) -> Self {
+        let RenderArgs { scene, out, exposure, report, fresh, extras, format, settings, replay: _, watch: _ } = args;
+        let ExtrasArgs { video, preview, contact_sheet } = extras;
+        let flags = [
+            ("--out", out.is_some()),
+            ("--exposure", exposure.is_some()),
+            ("--video", video.is_some()),
+            ("--preview", preview),
+            ("--contact-sheet", contact_sheet.is_some()),
+            ("--report", report.is_some()),
+            ("--fresh", fresh),
+            ("--json", format.json),
+            ("--root", settings.root.is_some()),
+        ];
+        let SettingsArgs { frames, workers, threads, stats, .. } = settings;
+        let changes = Change::all(&SettingsArgs { frames: None, ..settings });
+        let left_out = flags.into_iter().filter(|(_, given)| *given).map(|(flag, _)| flag).collect();
+        Self { scene, frames, changes, rest: Rest { workers, threads, stats }, left_out }
+    }
+}

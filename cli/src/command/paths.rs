@@ -1,0 +1,356 @@
+//! `femc paths FRAME.paths...`: the light paths of frames that were rendered with `--stats`.
+
+use crate::args::FormatArgs;
+use crate::exit::{Exit, Failure, usage};
+use crate::output::{Say, human as words, json};
+use clap::{Args, ValueEnum};
+use femc_pipeline::paths::octree::Root;
+use femc_pipeline::paths::query::{Condition, Query, is_in, is_known};
+use femc_pipeline::paths::represent::{Bins, Target, rarest, representative};
+use femc_pipeline::paths::schema::path_bins;
+use femc_pipeline::paths::{Kind, Path as LightPath, Statistics};
+use femc_reports::attempts::{Column, Json, csv, human, write_parquet};
+use femc_reports::light::path_table::{self as table, Frame, Match};
+use femc_reports::light::{self, Unit};
+use std::collections::BTreeSet;
+use std::path::PathBuf;
+
+/// List light paths of frames: where they have been, and what light they have found
+#[derive(Debug, Args)]
+#[command(after_help = "Examples:\n  \
+    femc paths box.paths                                        # what there is\n  \
+    femc paths box.paths --where 'radiance.g > 2 and bounce == 2 and interaction == reflection'\n  \
+    femc paths box.paths --object room.plant --then room.wall --table intersections --csv\n  \
+    femc paths box.paths --where 'occluder == door' --in 0,0,0,1,1,2.5 --json | jq length\n  \
+    femc paths box.paths --in room.plant --table intersections  # in the box of what paths have met of the plant\n  \
+    femc paths box.paths --rarest 100                           # paths with what few others have\n  \
+    femc paths fog/*/*.paths --table voxels --parquet fog.parquet      # one box for all, so that voxels can be compared\n  \
+    femc paths new.paths --table voxels --minus old.paths       # where light has become more, and less\n  \
+    femc paths drive --out drive.paths                          # all frames in a folder: one pool, one set of answers\n  \
+    femc paths drive.paths --few 5000                           # paths that stand for the whole clip\n  \
+    femc paths box.paths --few 5000 --parquet few.parquet && python3 -c \\\n    \
+    \"import pandas; print(pandas.read_parquet('few.parquet').radiance_g.describe())\"\n  \
+    femc paths box.paths --table pairs --parquet pairs.parquet\n\n\
+    A condition is asked of every intersection of a path: bounce, position.x .y .z, radiance.r .g .b, throughput.r .g .b, \
+    object, material, interaction (absorbed, emission, diffuse, glossy, reflection, refraction, straight, volume); of the lights that \
+    were looked for there: light, light.radiance.r .g .b, occluder, found; of the path: path.radiance.r .g .b, path.throughput.r .g .b, \
+    depth, pixel.x, pixel.y, sample, end (escaped, absorbed, roulette, depth, field). == != < <= > >= and or not ( ). An object is \
+    also all that is in it.\n\n\
+    The paths are a fair subset of all samples, by hashes of their numbers; the share is said. --brightest and --deepest are those of \
+    greatest radiance, and of greatest throughput after 8 intersections or more, of all samples.")]
+pub struct PathsArgs {
+    /// The files beside the frames, or folders of such files
+    #[arg(value_name = "FRAME.paths|FOLDER", required = true)]
+    files: Vec<PathBuf>,
+    /// Take the frames of all files as one: a frame that is given twice counts once
+    #[arg(long)]
+    union: bool,
+    /// Write the union of the frames of all files; it can be asked as a frame can
+    #[arg(long, value_name = "ALL.paths", conflicts_with_all = ["csv", "json", "parquet"])]
+    out: Option<PathBuf>,
+    /// What an intersection of the path is like
+    #[arg(long = "where", value_name = "CONDITION")]
+    condition: Option<String>,
+    /// Object that the path has come to
+    #[arg(long, value_name = "NAME")]
+    object: Option<String>,
+    /// Object that it has come to later (repeatable)
+    #[arg(long, value_name = "NAME", requires = "object")]
+    then: Vec<String>,
+    /// Corners of a box of the world that the intersection is in, m; or an object: the box of what paths have met of it
+    #[arg(long = "in", value_name = "X,Y,Z,X,Y,Z|NAME", allow_hyphen_values = true)]
+    within: Option<String>,
+    /// The brightest samples of each tile in place of a fair subset
+    #[arg(long, conflicts_with_all = ["deepest", "few", "rarest"])]
+    brightest: bool,
+    /// The deepest paths of greatest throughput of each tile in place of a fair subset
+    #[arg(long, conflicts_with_all = ["few", "rarest"])]
+    deepest: bool,
+    /// List N paths whose histograms are nearest to the histograms of all paths
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..))]
+    few: Option<u32>,
+    /// List N paths that have something which fewest others have, the rarest first
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..), conflicts_with = "few")]
+    rarest: Option<u32>,
+    /// With --table voxels: what the voxels have less in another frame of the same place
+    #[arg(long, value_name = "FRAME.paths")]
+    minus: Option<PathBuf>,
+    /// What a line is of
+    #[arg(long, value_enum, default_value_t = Table::Paths, value_name = "WHAT")]
+    table: Table,
+    /// Lines for people
+    #[arg(long, value_name = "N", default_value_t = 20)]
+    lines: usize,
+    /// Print CSV on stdout, the names of the columns first
+    #[arg(long, conflicts_with = "json")]
+    csv: bool,
+    /// Write an Apache Parquet file
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["json", "csv"])]
+    parquet: Option<PathBuf>,
+    #[command(flatten)]
+    format: FormatArgs,
+}
+
+/// What is listed.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+enum Table {
+    /// A path
+    Paths,
+    /// An intersection that is as asked for
+    Intersections,
+    /// A light that such a path has looked for
+    Lights,
+    /// A bin of an attribute's histogram, of all paths of the file
+    Histograms,
+    /// A bin of the histogram of two attributes
+    Pairs,
+    /// A voxel of the scene's box, with the energy of the paths' intersections
+    Voxels,
+    /// A pixel of the image, with what is known of all its samples
+    Pixels,
+}
+
+/// List.
+pub fn run(args: &PathsArgs, say: Say) -> Result<Exit, Failure> {
+    let mut units = light::units(&args.files)?;
+    if args.union || args.out.is_some() {
+        units = vec![light::united(units)?];
+    }
+    if let (Some(out), [unit]) = (&args.out, &units[..]) {
+        let (paths, bytes) = light::write(out, unit)?;
+        say.note(format!("{}: {} frames, {paths} paths, {bytes} bytes", out.display(), unit.frames.len()));
+        return Ok(Exit::Done);
+    }
+    let minus = args.minus.as_deref().map(light::read).transpose()?;
+    if minus.is_some() && (args.table != Table::Voxels || units.len() > 1) {
+        return Err(usage("--minus: with --table voxels, and one file; --union takes several as one"));
+    }
+    let query = query(args, &units)?;
+    let found: Vec<Frame<'_>> = units.iter().flat_map(|unit| found(args, unit, &query, say)).collect();
+    let out = Out { args, say };
+    match args.table {
+        Table::Paths => out.put(&table::paths(), &rows(&found, table::path_rows))?,
+        Table::Intersections => out.put(&table::intersections(), &rows(&found, table::intersection_rows))?,
+        Table::Lights => out.put(&table::lights(), &rows(&found, table::light_rows))?,
+        Table::Histograms => {
+            let rows: Vec<_> = units.iter().flat_map(table::bin_rows).collect();
+            out.put(&table::histograms(), &rows)?;
+        }
+        Table::Pairs => out.put(&table::pairs(), &units.iter().flat_map(table::pair_rows).collect::<Vec<_>>())?,
+        Table::Pixels => out.put(&table::pixels(), &rows(&found, table::pixel_rows))?,
+        Table::Voxels => {
+            let all = units.iter().chain(&minus).flat_map(|unit| &unit.frames);
+            let root = root(all);
+            let by_unit: Vec<&[Frame<'_>]> = found.chunk_by(|a, b| a.file == b.file).collect();
+            match &minus {
+                None => {
+                    let rows: Vec<_> = by_unit.iter().flat_map(|frames| table::voxel_rows(frames, root)).collect();
+                    out.put(&table::voxels(), &rows)?;
+                }
+                Some(minus) => {
+                    let others = self::found(args, minus, &query, say);
+                    out.put(&table::differences(), &table::difference_rows(&found, &others, root))?;
+                }
+            }
+        }
+    }
+    Ok(Exit::Done)
+}
+
+fn rows<'a, R>(frames: &'a [Frame<'a>], of: impl Fn(&'a Frame<'a>) -> Vec<R>) -> Vec<R> {
+    frames.iter().flat_map(of).collect()
+}
+
+/// The cube about the boxes of all frames. Voxels are parts of it, so all frames have the same voxels.
+fn root<'a>(all: impl Iterator<Item = &'a Statistics>) -> Root {
+    let (mut lower, mut upper) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+    for Statistics { scope, .. } in all {
+        for axis in 0..3 {
+            lower[axis] = lower[axis].min(scope.lower[axis]);
+            upper[axis] = upper[axis].max(scope.upper[axis]);
+        }
+    }
+    Root::around(lower, upper, table::LEVELS)
+}
+
+fn query(args: &PathsArgs, all: &[Unit]) -> Result<Query, Failure> {
+    let condition = args.condition.as_deref().map(Condition::parse).transpose();
+    let condition = condition.map_err(|error| usage(format!("--where: {error}")))?;
+    let objects: Vec<String> = args.object.iter().chain(&args.then).cloned().collect();
+    objects.iter().try_for_each(|object| known(object, all))?;
+    let within = args.within.as_deref().map(|within| corners(within, all)).transpose()?;
+    Ok(Query { condition, objects, within })
+}
+
+/// Whether some path has come to an object.
+fn known(object: &str, all: &[Unit]) -> Result<(), Failure> {
+    let frames = || all.iter().flat_map(|unit| &unit.frames);
+    if frames().any(|all| is_known(&all.names, object)) {
+        return Ok(());
+    }
+    let names = frames().flat_map(|all| all.names.values());
+    let known: BTreeSet<&str> =
+        names.filter(|(kind, _)| *kind == Kind::Object).map(|(_, name)| name.as_str()).collect();
+    let some: Vec<&str> = known.iter().copied().take(12).collect();
+    let more = if known.len() > some.len() { ", ..." } else { "" };
+    let files: Vec<&str> = all.iter().map(|unit| unit.file.as_str()).collect();
+    Err(usage(format!(
+        "no path of {} has come to an object {object:?}; known are {}{more}",
+        files.join(", "),
+        some.join(", ")
+    )))
+}
+
+/// Six numbers, or the box of the intersections with an object.
+fn corners(within: &str, all: &[Unit]) -> Result<[[f64; 3]; 2], Failure> {
+    let numbers: Result<Vec<f64>, _> = within.split(',').map(|number| number.trim().parse::<f64>()).collect();
+    match numbers.as_deref() {
+        Ok(&[a, b, c, d, e, f]) if [a, b, c, d, e, f].iter().all(|x| x.is_finite()) && a <= d && b <= e && c <= f => {
+            return Ok([[a, b, c], [d, e, f]]);
+        }
+        Err(_) if within.starts_with(char::is_alphabetic) || within.starts_with('_') => {}
+        _ => {
+            return Err(usage(
+                "--in: six numbers: the lower corner of the box, then the upper one; or an object's name",
+            ));
+        }
+    }
+    known(within, all)?;
+    let (mut low, mut high) = ([f64::INFINITY; 3], [f64::NEG_INFINITY; 3]);
+    for all in all.iter().flat_map(|unit| &unit.frames) {
+        for it in all.paths.values().flat_map(|path| &path.intersections) {
+            if is_in(&all.names, it.object, within) {
+                for axis in 0..3 {
+                    low[axis] = low[axis].min(it.position[axis]);
+                    high[axis] = high[axis].max(it.position[axis]);
+                }
+            }
+        }
+    }
+    if low[0] > high[0] {
+        return Err(usage(format!("--in: no recorded path has come to {within:?}; give the corners of its box")));
+    }
+    Ok([low, high])
+}
+
+/// The paths that are asked for, by frame, in the order of the file; the rarest of a frame in theirs.
+fn found<'a>(args: &PathsArgs, unit: &'a Unit, query: &Query, say: Say) -> Vec<Frame<'a>> {
+    let of_frame = |all: &'a Statistics| -> Vec<&'a LightPath> {
+        match (args.brightest, args.deepest) {
+            (true, _) => all.fireflies(),
+            (_, true) => all.bottlenecks(),
+            _ => all.paths.values().collect(),
+        }
+    };
+    // Paths are numbered through all frames of a file.
+    let paths: Vec<(usize, &LightPath)> = unit
+        .frames
+        .iter()
+        .enumerate()
+        .flat_map(|(frame, all)| of_frame(all).into_iter().map(move |it| (frame, it)))
+        .collect();
+    let all = || (0..paths.len() as u32).map(|number| (number, None)).collect();
+    let chosen: Vec<(u32, Option<f64>)> = match (args.few, args.rarest) {
+        (Some(few), _) => representatives(unit, few as usize, say),
+        (None, Some(most)) => rarest(&bins(unit), most as usize).into_iter().map(|number| (number, None)).collect(),
+        (None, None) => all(),
+    };
+    let mut frames: Vec<Frame<'a>> =
+        unit.frames.iter().map(|all| Frame { file: &unit.file, all, found: Vec::new() }).collect();
+    let mut count = 0;
+    for (number, weight) in chosen {
+        let Some(&(frame, path)) = paths.get(number as usize) else { continue };
+        let Frame { all, found, .. } = &mut frames[frame];
+        if let Some(places) = query.matches(&all.scope, &all.names, path) {
+            found.push(Match { number, path, places, weight });
+            count += 1;
+        }
+    }
+    note(args, unit, (count, paths.len()), say);
+    frames
+}
+
+/// Says how many of how many paths were found.
+fn note(args: &PathsArgs, unit: &Unit, (count, of): (usize, usize), say: Say) {
+    let what = match (args.brightest, args.deepest) {
+        (true, _) => "of the brightest",
+        (_, true) => "of the deepest",
+        _ => "recorded",
+    };
+    let is_fair = !args.brightest && !args.deepest && args.few.is_none() && args.rarest.is_none();
+    // All frames of a file have one share.
+    let share = unit.frames.first().map_or(1.0, Statistics::share);
+    let samples: u64 = unit.frames.iter().map(Statistics::samples).sum();
+    let about = if is_fair {
+        format!(", about {} samples", words::quantity(count as f64 / share.max(f64::MIN_POSITIVE)))
+    } else {
+        String::new()
+    };
+    let frames = if unit.frames.len() == 1 { String::new() } else { format!(" of {} frames", unit.frames.len()) };
+    say.note(format!(
+        "{count} of {of} paths {what}{about}; {} % of {} samples{frames} are recorded",
+        words::number(100.0 * share),
+        words::quantity(samples as f64)
+    ));
+}
+
+fn bins(unit: &Unit) -> Vec<Bins> {
+    let paths = unit.frames.iter().flat_map(|all| all.paths.values().map(|path| path_bins(&all.scope, path)));
+    paths.collect()
+}
+
+/// Numbers of paths that stand for all, in order, and what each counts so that every attribute is right.
+fn representatives(unit: &Unit, few: usize, say: Say) -> Vec<(u32, Option<f64>)> {
+    let bins = bins(unit);
+    let candidates = candidates(unit, few.saturating_mul(8));
+    let own: Vec<Bins> = candidates.iter().map(|number| bins[*number as usize]).collect();
+    let found = representative(&own, &Target::of(&bins), few);
+    say.note(format!(
+        "{} paths stand for {}: D = {:.4}, DJ = {:.3}; by their weights worth {:.0} of equal weight",
+        found.chosen.len(),
+        bins.len(),
+        found.distance.single,
+        found.distance.joint,
+        found.effective
+    ));
+    let numbers = found.chosen.into_iter().map(|place| candidates[place as usize]);
+    let mut chosen: Vec<_> = numbers.zip(found.weights.into_iter().map(Some)).collect();
+    chosen.sort_unstable_by_key(|(number, _)| *number);
+    chosen
+}
+
+/// Numbers of the paths of least hash, in the order of the hashes.
+fn candidates(unit: &Unit, most: usize) -> Vec<u32> {
+    let hashes = unit.frames.iter().flat_map(|all| all.paths.keys());
+    let mut all: Vec<_> = hashes.copied().zip(0u32..).collect();
+    all.sort_unstable();
+    all.into_iter().take(most).map(|(_, number)| number).collect()
+}
+
+struct Out<'a> {
+    args: &'a PathsArgs,
+    say: Say,
+}
+
+impl Out<'_> {
+    fn put<R>(&self, columns: &[Column<R>], rows: &[R]) -> Result<(), Failure> {
+        let Self { args, say } = *self;
+        if let Some(path) = &args.parquet {
+            write_parquet(path, columns, rows)?;
+            say.note(format!("{}: {} rows", path.display(), rows.len()));
+        } else if args.format.json {
+            json::print(say, &Json(columns, rows))?;
+        } else if args.csv {
+            say.result(csv(columns, rows));
+        } else if !rows.is_empty() {
+            say.result(human(columns, &rows[..rows.len().min(args.lines)]));
+            if rows.len() > args.lines {
+                say.note(format!(
+                    "and {} more; --lines, --csv, --json and --parquet list them",
+                    rows.len() - args.lines
+                ));
+            }
+        }
+        Ok(())
+    }
+}

@@ -1,0 +1,78 @@
+//! Rows as text: CSV, and a table for people.
+
+use crate::human;
+use femc_service::attempts::{Cell, Column, Kind, Reader};
+use std::borrow::Cow;
+
+/// Lines of fields with commas between, the names first; a gap is an empty field.
+pub fn csv<R>(columns: &[Column<R>], rows: &[R]) -> String {
+    let names: Vec<Cow<'_, str>> = columns.iter().map(|column| column.name.into()).collect();
+    let mut text = names.join(",");
+    for row in rows {
+        text.push('\n');
+        for (place, column) in columns.iter().enumerate() {
+            if place > 0 {
+                text.push(',');
+            }
+            match (column.of)(row) {
+                Cell::Text(field) => text.push_str(&quoted(&field)),
+                Cell::Count(count) => text.push_str(&count.to_string()),
+                Cell::Real(real) => text.push_str(&real.to_string()),
+                Cell::Gap => {}
+            }
+        }
+    }
+    text
+}
+
+/// A field in quotes where it needs them (RFC 4180).
+fn quoted(field: &str) -> Cow<'_, str> {
+    if field.contains([',', '"', '\n', '\r']) {
+        format!("\"{}\"", field.replace('"', "\"\"")).into()
+    } else {
+        field.into()
+    }
+}
+
+/// What people read of it: the columns' titles, and each row's cells in words.
+pub fn shown<R>(columns: &[Column<R>], rows: &[R]) -> (Vec<&'static str>, Vec<Vec<String>>) {
+    let shown: Vec<&Column<R>> = columns.iter().filter(|column| is_shown(column, rows)).collect();
+    let cells = |row: &R| shown.iter().map(|column| cell(column.kind, &(column.of)(row))).collect();
+    (shown.iter().map(|column| column.title).collect(), rows.iter().map(cells).collect())
+}
+
+fn is_shown<R>(column: &Column<R>, rows: &[R]) -> bool {
+    match column.reader {
+        Reader::Anybody => true,
+        Reader::Programs => false,
+        Reader::WhoCompares => rows.windows(2).any(|pair| (column.of)(&pair[0]) != (column.of)(&pair[1])),
+    }
+}
+
+/// A table.
+pub fn human<R>(columns: &[Column<R>], rows: &[R]) -> String {
+    let (titles, cells) = shown(columns, rows);
+    human::table(&titles, &cells)
+}
+
+fn cell(kind: Kind, cell: &Cell) -> String {
+    match (kind, cell) {
+        (_, Cell::Gap) => "-".to_owned(),
+        (_, Cell::Text(text)) => text.clone(),
+        (Kind::Bytes, Cell::Count(bytes)) => human::bytes(*bytes),
+        (_, Cell::Count(count)) => human::quantity(*count as f64),
+        (Kind::Share, Cell::Real(share)) => human::percent(*share),
+        (Kind::Number, Cell::Real(real)) => human::number(*real),
+        (_, Cell::Real(seconds)) => human::seconds(*seconds),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_field_that_could_be_taken_for_two_is_in_quotes() {
+        assert_eq!([quoted("lab 1"), quoted("a,b"), quoted("a \"b\"")], ["lab 1", "\"a,b\"", "\"a \"\"b\"\"\""]);
+    }
+}

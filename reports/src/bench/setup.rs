@@ -1,0 +1,106 @@
+//! On what is measured: what must be the same for figures to stand in one table.
+
+use serde::{Deserialize, Serialize};
+
+/// The machine and the program.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Setup {
+    /// Name of the processor.
+    pub processor: String,
+    /// Cores that this process may use.
+    pub cores: usize,
+    /// Threads that render.
+    pub threads: usize,
+    /// Version of femc.
+    pub version: String,
+    /// Build of the engine.
+    pub engine: String,
+    /// `release` or `debug`.
+    pub profile: String,
+    /// Architecture and instruction sets that the program was compiled for; wider ones that it finds it uses, too.
+    pub instructions: String,
+}
+
+/// A scene, what it is held against, and how it is seen.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct SceneSetup {
+    /// Stem of its file.
+    pub name: String,
+    /// Its file, as typed.
+    pub file: String,
+    /// Digest of what it holds, overrides applied.
+    pub digest: String,
+    /// Frame of its clip.
+    pub frame: u32,
+    /// Film, pixels.
+    pub film: [u32; 2],
+    /// Render settings, without those that differ from run to run.
+    pub settings: serde_json::Value,
+    /// The reference, as typed.
+    pub reference: String,
+    /// Digest of its pixels.
+    pub reference_digest: String,
+}
+
+/// What differs, where something does: name, there, here.
+pub type Difference = (&'static str, String, String);
+
+impl Setup {
+    /// Of this program on this machine.
+    /// - `engine`: build of the engine.
+    pub fn here(threads: usize, engine: &str) -> Self {
+        let sets = [
+            ("sse4.2", cfg!(target_feature = "sse4.2")),
+            ("avx2", cfg!(target_feature = "avx2")),
+            ("fma", cfg!(target_feature = "fma")),
+            ("avx512f", cfg!(target_feature = "avx512f")),
+        ];
+        let sets = sets.iter().filter(|(_, is_there)| *is_there).map(|(name, _)| *name);
+        Self {
+            processor: processor(),
+            cores: std::thread::available_parallelism().map_or(1, usize::from),
+            threads,
+            version: env!("CARGO_PKG_VERSION").to_owned(),
+            engine: engine.to_owned(),
+            profile: if cfg!(debug_assertions) { "debug" } else { "release" }.to_owned(),
+            instructions: std::iter::once(std::env::consts::ARCH).chain(sets).collect::<Vec<_>>().join(" "),
+        }
+    }
+
+    /// Between those of a file and these.
+    pub fn differences(&self, there: &Self) -> Vec<Difference> {
+        let all = [
+            ("processor", &there.processor, &self.processor),
+            ("cores", &there.cores.to_string(), &self.cores.to_string()),
+            ("threads", &there.threads.to_string(), &self.threads.to_string()),
+            ("version", &there.version, &self.version),
+            ("build of the engine", &there.engine, &self.engine),
+            ("profile", &there.profile, &self.profile),
+            ("instructions", &there.instructions, &self.instructions),
+        ]
+        .map(|(name, there, here)| (name, there.clone(), here.clone()));
+        all.into_iter().filter(|(_, there, here)| there != here).collect()
+    }
+}
+
+impl SceneSetup {
+    /// Between those of a file and these. Files may have other places.
+    pub fn differences(&self, there: &Self) -> Vec<Difference> {
+        let film = |[width, height]: [u32; 2]| format!("{width}x{height}");
+        let all = [
+            ("scene's content", there.digest.clone(), self.digest.clone()),
+            ("frame", there.frame.to_string(), self.frame.to_string()),
+            ("film", film(there.film), film(self.film)),
+            ("settings", there.settings.to_string(), self.settings.to_string()),
+            ("reference's pixels", there.reference_digest.clone(), self.reference_digest.clone()),
+        ];
+        all.into_iter().filter(|(_, there, here)| there != here).collect()
+    }
+}
+
+/// As the system names it.
+fn processor() -> String {
+    let text = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let name = text.lines().find(|line| line.starts_with("model name")).and_then(|line| line.split_once(':'));
+    name.map_or_else(|| format!("unnamed {}", std::env::consts::ARCH), |(_, name)| name.trim().to_owned())
+}

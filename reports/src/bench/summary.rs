@@ -1,0 +1,298 @@
+//! What measurements say together: means over seeds, efficiencies, ratios between methods.
+
+use super::method::Method;
+use super::record::{Record, Run};
+use super::reference::Noise;
+use super::statistics::{Estimate, Factor, Interval, median};
+use serde::Serialize;
+
+/// All of it.
+#[derive(Clone, Debug, Serialize)]
+pub struct Summary {
+    /// Seeds of every mean.
+    pub seeds: Vec<u64>,
+    /// Scene by scene.
+    pub scenes: Vec<SceneSummary>,
+    /// Over scenes, method by method.
+    pub methods: Vec<MethodSummary>,
+}
+
+/// Of one scene.
+#[derive(Clone, Debug, Serialize)]
+pub struct SceneSummary {
+    /// Its name.
+    pub scene: String,
+    /// What was taken off mse and relmse; `None`: nothing, the noise of the reference is not known.
+    pub reference_noise: Option<Noise>,
+    /// Methods and budgets.
+    pub points: Vec<Point>,
+    /// Methods.
+    pub methods: Vec<SceneMethod>,
+}
+
+/// A method with a budget in a scene: means over seeds.
+#[derive(Clone, Debug, Serialize)]
+pub struct Point {
+    /// Name of the method.
+    pub method: &'static str,
+    /// Its budget: samples a pixel or relative error.
+    pub budget: f64,
+    /// Samples a pixel that were drawn.
+    pub spp: f64,
+    /// Rays.
+    pub rays: f64,
+    /// Wall time, s.
+    pub seconds: Estimate,
+    /// The middle one, s.
+    pub seconds_median: f64,
+    /// Processor time, s.
+    pub cpu_seconds: Estimate,
+    /// Less the reference's noise, (cd/m2)^2.
+    pub mse: Estimate,
+    /// Less the reference's noise.
+    pub relmse: Estimate,
+    /// Share of the reference's noise in the relmse that was measured.
+    pub noise_share: Option<f64>,
+    /// With the reference's noise in it.
+    pub flip: Estimate,
+    /// Relative error of the worst block, with the reference's noise in it.
+    pub worst: Estimate,
+    /// 1 / (relmse x s); `None`: no error is left when the reference's noise is taken off.
+    pub efficiency: Option<Interval>,
+    /// Wall time over what the first method needs to the same relmse; `None`: of the first one, or outside of its measured range.
+    pub time_ratio: Option<Interval>,
+    /// The same to the same worst block.
+    pub worst_time_ratio: Option<Interval>,
+    #[serde(skip)]
+    factors: [Option<Factor>; 2],
+}
+
+/// A method in a scene: geometric means over its budgets; ratios over those in the first method's measured range.
+#[derive(Clone, Debug, Serialize)]
+pub struct SceneMethod {
+    /// Its name.
+    pub method: &'static str,
+    /// 1 / (relmse x s).
+    pub efficiency: Option<Interval>,
+    /// Its efficiency over the first method's at the same relmse.
+    pub efficiency_ratio: Option<Interval>,
+    /// One over that: time over the first method's to the same relmse.
+    pub time_ratio: Option<Interval>,
+    /// Time over the first method's to the same worst block.
+    pub worst_time_ratio: Option<Interval>,
+    #[serde(skip)]
+    ratios: [Option<Factor>; 2],
+}
+
+/// A method: geometric means over scenes.
+#[derive(Clone, Debug, Serialize)]
+pub struct MethodSummary {
+    /// Its name.
+    pub method: &'static str,
+    /// Scenes in which the ratio is known.
+    pub scenes: usize,
+    /// Its efficiency over the first method's at the same relmse.
+    pub efficiency_ratio: Option<Interval>,
+    /// One over that: time over the first method's to the same relmse.
+    pub time_ratio: Option<Interval>,
+    /// Time over the first method's to the same worst block.
+    pub worst_time_ratio: Option<Interval>,
+}
+
+/// A method and its budgets.
+pub type Ladder = (&'static Method, Vec<f64>);
+
+impl Summary {
+    /// Of what is measured of these.
+    /// - `scenes`: names, and the noise of their references where it is known.
+    pub fn of(record: &Record, scenes: &[(&str, Option<Noise>)], ladders: &[Ladder], seeds: &[u64]) -> Self {
+        let scenes: Vec<SceneSummary> = scenes
+            .iter()
+            .map(|&(scene, noise)| {
+                SceneSummary::of(scene, noise, ladders, |method, budget| {
+                    seeds.iter().filter_map(|&seed| record.run(scene, method, budget, seed)).collect()
+                })
+            })
+            .collect();
+        let methods = ladders.iter().map(|(method, _)| MethodSummary::of(method.name, &scenes)).collect();
+        Self { seeds: seeds.to_vec(), scenes, methods }
+    }
+}
+
+impl SceneSummary {
+    fn of<'a>(
+        scene: &str,
+        noise: Option<Noise>,
+        ladders: &[Ladder],
+        runs: impl Fn(&'static Method, f64) -> Vec<&'a Run>,
+    ) -> Self {
+        let (mut points, mut methods): (Vec<Point>, Vec<SceneMethod>) = (Vec::new(), Vec::new());
+        let mut first: Option<[Vec<(f64, Factor)>; 2]> = None;
+        for (method, budgets) in ladders {
+            let measured = budgets.iter().map(|&budget| (budget, runs(method, budget))).filter(|it| !it.1.is_empty());
+            let mut of_method: Vec<Point> =
+                measured.map(|(budget, runs)| Point::of(method.name, budget, noise, &runs)).collect();
+            let factors: Vec<Factor> = of_method.iter().filter_map(|point| point.factors[0]).collect();
+            let mut all: [Vec<Factor>; 2] = Default::default();
+            if let Some(first) = &first {
+                for point in &mut of_method {
+                    let ratios = std::array::from_fn(|place| {
+                        let there = Factor::interpolated(&first[place], point.scales()[place]);
+                        point.factors[place].zip(there).map(|(here, there)| here.over(there))
+                    });
+                    [point.time_ratio, point.worst_time_ratio] = ratios.map(time);
+                    all.iter_mut().zip(ratios).for_each(|(all, ratio)| all.extend(ratio));
+                }
+            } else {
+                let known = |place: usize| {
+                    of_method.iter().filter_map(move |it| Some((it.scales()[place], it.factors[place]?)))
+                };
+                first = Some([known(0).collect(), known(1).collect()]);
+            }
+            let ratios = all.map(|ratios| Factor::mean_of_dependent(&ratios));
+            let [time_ratio, worst_time_ratio] = ratios.map(time);
+            methods.push(SceneMethod {
+                method: method.name,
+                efficiency: Factor::geometric_mean(&factors).map(Factor::interval),
+                efficiency_ratio: ratios[0].map(Factor::interval),
+                time_ratio,
+                worst_time_ratio,
+                ratios,
+            });
+            points.extend(of_method);
+        }
+        Self { scene: scene.to_owned(), reference_noise: noise, points, methods }
+    }
+}
+
+/// Time over time, of an efficiency over an efficiency.
+fn time(ratio: Option<Factor>) -> Option<Interval> {
+    ratio.map(|ratio| ratio.inverse().interval())
+}
+
+impl Point {
+    /// The errors that methods are compared at, each as something that falls as one over the time.
+    fn scales(&self) -> [f64; 2] {
+        [self.relmse.mean, self.worst.mean * self.worst.mean]
+    }
+
+    fn of(method: &'static str, budget: f64, noise: Option<Noise>, runs: &[&Run]) -> Self {
+        let all = |of: fn(&Run) -> f64| runs.iter().map(|run| of(run)).collect::<Vec<f64>>();
+        let mean = |of: fn(&Run) -> f64| Estimate::of(&all(of));
+        let (mse_noise, relmse_noise) = noise.map_or((0.0, 0.0), |noise| (noise.mse, noise.relmse));
+        let (seconds, measured) = (all(|run| run.seconds), all(|run| run.relmse));
+        let errors: Vec<f64> = measured.iter().map(|relmse| relmse - relmse_noise).collect();
+        let squares = all(|run| run.worst * run.worst);
+        let factors = [Factor::efficiency(&errors, &seconds), Factor::efficiency(&squares, &seconds)];
+        Self {
+            method,
+            budget,
+            spp: mean(|run| run.spp).mean,
+            rays: mean(|run| run.rays as f64).mean,
+            seconds: Estimate::of(&seconds),
+            seconds_median: median(&seconds),
+            cpu_seconds: mean(|run| run.cpu_seconds),
+            mse: mean(|run| run.mse).less(mse_noise),
+            relmse: Estimate::of(&errors),
+            noise_share: noise.map(|noise| noise.relmse / Estimate::of(&measured).mean),
+            flip: mean(|run| run.flip),
+            worst: mean(|run| run.worst),
+            efficiency: factors[0].map(Factor::interval),
+            time_ratio: None,
+            worst_time_ratio: None,
+            factors,
+        }
+    }
+}
+
+impl MethodSummary {
+    fn of(method: &'static str, scenes: &[SceneSummary]) -> Self {
+        let of_method = |scene: &SceneSummary| scene.methods.iter().find(|it| it.method == method).map(|it| it.ratios);
+        let found: Vec<[Option<Factor>; 2]> = scenes.iter().filter_map(of_method).collect();
+        let of = |place: usize| found.iter().filter_map(|ratios| ratios[place]).collect::<Vec<Factor>>();
+        let ratios = [of(0), of(1)];
+        let [ratio, worst] = [0, 1].map(|place| Factor::geometric_mean(&ratios[place]));
+        Self {
+            method,
+            scenes: ratios[0].len().max(ratios[1].len()),
+            efficiency_ratio: ratio.map(Factor::interval),
+            time_ratio: time(ratio),
+            worst_time_ratio: time(worst),
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::super::method::METHODS;
+    use super::*;
+
+    /// A run whose own relmse is this.
+    fn run(method: &Method, budget: f64, seconds: f64, relmse: f64) -> Run {
+        Run {
+            scene: "box".to_owned(),
+            method: method.name.to_owned(),
+            budget,
+            seed: 1,
+            seconds,
+            first_pass_seconds: 0.0,
+            cpu_seconds: 2.0 * seconds,
+            samples: 64,
+            spp: 4.0,
+            rays: 100,
+            mse: 3.0 * (relmse + NOISE),
+            relmse: relmse + NOISE,
+            flip: 0.1,
+            worst: relmse.sqrt(),
+            left_out: 0,
+        }
+    }
+
+    const NOISE: f64 = 0.25;
+
+    #[test]
+    fn a_method_that_needs_half_the_time_is_twice_as_efficient_and_the_references_noise_has_no_say() {
+        let [pt, other] = [&METHODS[0], &METHODS[1]];
+        // relmse x s: 2 of the first method, 1 of the other, which goes beyond the range of the first.
+        let runs: Vec<Run> =
+            [(pt, 1.0, 1.0, 2.0), (pt, 4.0, 4.0, 0.5), (other, 0.5, 1.0, 1.0), (other, 0.2, 4.0, 0.25)]
+                .into_iter()
+                .flat_map(|(method, budget, seconds, relmse)| {
+                    [0.9, 1.1].map(|off| run(method, budget, seconds, relmse * off))
+                })
+                .collect();
+        let noise = Some(Noise { mse: 3.0 * NOISE, relmse: NOISE });
+        let ladders: Vec<Ladder> = vec![(pt, vec![1.0, 4.0]), (other, vec![0.5, 0.2])];
+        let scene = SceneSummary::of("box", noise, &ladders, |method, budget| {
+            runs.iter().filter(|run| run.is_of("box", method, budget)).collect()
+        });
+        let is_near = |a: f64, b: f64| (a / b - 1.0).abs() < 1e-9;
+        let point = &scene.points[0];
+        assert!(is_near(point.relmse.mean, 2.0) && is_near(point.mse.mean, 6.0), "{point:?}");
+        assert!(is_near(point.efficiency.expect("one").value, 0.5) && is_near(point.cpu_seconds.mean, 2.0));
+        assert!(is_near(point.noise_share.expect("a share"), 0.25 / 2.25));
+        let times: Vec<Option<Interval>> = scene.points.iter().map(|point| point.time_ratio).collect();
+        assert!(is_near(times[2].expect("within").value, 0.5) && times[3].is_none(), "{times:?}");
+        let worst: Vec<Option<Interval>> = scene.points.iter().map(|point| point.worst_time_ratio).collect();
+        assert!((worst[2].expect("within").value / 0.5 - 1.0).abs() < 0.01 && worst[3].is_none(), "{worst:?}");
+        let Interval { value, interval } = scene.methods[1].efficiency_ratio.expect("a ratio");
+        let [low, high] = interval.expect("an interval");
+        assert!(is_near(value, 2.0) && low < 1.9 && high > 2.1, "{value} {low} {high}");
+        let method = MethodSummary::of(other.name, &[scene.clone(), scene.clone()]);
+        assert!(method.scenes == 2 && is_near(method.efficiency_ratio.expect("a ratio").value, 2.0));
+        assert!(is_near(method.time_ratio.expect("a ratio").value, 0.5));
+        let first = MethodSummary::of(pt.name, &[scene]);
+        assert!(first.efficiency_ratio.is_none() && first.time_ratio.is_none(), "the first is not compared to itself");
+    }
+
+    #[test]
+    fn an_error_of_which_nothing_is_left_has_no_efficiency() {
+        let pt = &METHODS[0];
+        let runs = [run(pt, 1.0, 1.0, -0.01), run(pt, 1.0, 1.0, 0.005)];
+        let noise = Some(Noise { mse: 0.0, relmse: NOISE });
+        let scene = SceneSummary::of("box", noise, &[(pt, vec![1.0])], |_, _| runs.iter().collect());
+        assert!(scene.points[0].efficiency.is_none() && scene.methods[0].efficiency.is_none());
+        let unknown = SceneSummary::of("box", None, &[(pt, vec![1.0])], |_, _| runs.iter().collect());
+        assert!(unknown.points[0].relmse.mean > 0.2 && unknown.points[0].noise_share.is_none());
+    }
+}

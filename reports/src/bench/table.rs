@@ -1,0 +1,155 @@
+//! Figures as text, the same on a terminal and on a page.
+
+use super::method::Method;
+use super::setup::Setup;
+use super::statistics::{Estimate, Interval};
+use super::summary::{MethodSummary, Point, SceneSummary, Summary};
+use crate::human::{count, percent, quantity};
+
+/// Titles and rows.
+pub type Table = (Vec<&'static str>, Vec<Vec<String>>);
+
+/// Share of the reference's noise in an error from which on little of it is the image's own.
+const NOISY: f64 = 0.5;
+
+/// What it was measured with.
+pub fn facts(setup: &Setup, summary: &Summary) -> [(&'static str, String); 4] {
+    let seeds = match summary.seeds[..] {
+        [first, .., last] => format!("{first} to {last}"),
+        [one] => one.to_string(),
+        [] => "none".to_owned(),
+    };
+    let Setup { processor, cores, threads, version, engine, profile, instructions } = setup;
+    [
+        ("Machine", format!("{processor}, {}", count(*cores as u64, "core"))),
+        ("Threads", threads.to_string()),
+        ("Build", format!("femc {version}, {profile}, {instructions}, engine {engine}")),
+        ("Seeds", seeds),
+    ]
+}
+
+/// A scene's methods and budgets.
+pub fn points(scene: &SceneSummary) -> Table {
+    let titles = vec![
+        "method",
+        "budget",
+        "spp",
+        "seconds",
+        "median",
+        "cpu",
+        "relmse",
+        "mse",
+        "flip",
+        "worst block",
+        "1/(relmse s)",
+        "time at equal relmse",
+        "at equal worst block",
+    ];
+    let first = scene.methods.first().map_or("", |first| first.method);
+    (titles, scene.points.iter().map(|point| row(point, first)).collect())
+}
+
+fn row(point: &Point, first: &str) -> Vec<String> {
+    let budget = Method::named(point.method).map_or_else(|_| digits(point.budget), |it| it.shown(point.budget));
+    vec![
+        point.method.to_owned(),
+        budget,
+        digits(point.spp),
+        estimate(point.seconds),
+        digits(point.seconds_median),
+        digits(point.cpu_seconds.mean),
+        estimate(point.relmse),
+        estimate(point.mse),
+        estimate(point.flip),
+        estimate(point.worst),
+        point.efficiency.map_or_else(|| "-".to_owned(), interval),
+        if point.method == first { "1".to_owned() } else { ratio(point.time_ratio) },
+        if point.method == first { "1".to_owned() } else { ratio(point.worst_time_ratio) },
+    ]
+}
+
+/// What has to be known of a scene's figures.
+pub fn notes(scene: &SceneSummary) -> Vec<String> {
+    let mut notes = Vec::new();
+    match scene.reference_noise {
+        Some(noise) => notes.push(format!(
+            "the reference's own relmse {} and mse {} are taken off; flip and the worst block have its noise in them",
+            digits(noise.relmse),
+            digits(noise.mse)
+        )),
+        None => notes.push("the reference's own noise is not known and counts as error".to_owned()),
+    }
+    for point in scene.points.iter().filter(|point| point.noise_share.is_some_and(|share| share > NOISY)) {
+        let (method, budget) = (point.method, point.budget);
+        let share = percent(point.noise_share.unwrap_or_default());
+        notes.push(format!(
+            "{method}, {budget}: {share} of the measured relmse is the reference's noise; take a better one"
+        ));
+    }
+    notes
+}
+
+/// Methods beside the first one; no rows where there is no other.
+pub fn methods(summary: &Summary) -> Table {
+    let titles = vec!["method", "scenes", "efficiency at equal relmse", "time at equal relmse", "at equal worst block"];
+    let row = |method: &MethodSummary| {
+        vec![
+            method.method.to_owned(),
+            method.scenes.to_string(),
+            ratio(method.efficiency_ratio),
+            ratio(method.time_ratio),
+            ratio(method.worst_time_ratio),
+        ]
+    };
+    (titles, summary.methods.iter().skip(1).map(row).collect())
+}
+
+/// `0.0123 ±4 %`.
+pub fn estimate(it: Estimate) -> String {
+    let relative = it.half_width.map(|half| half / it.mean).filter(|it| it.is_finite() && *it >= 0.0);
+    match relative {
+        Some(relative) => format!("{} ±{}", digits(it.mean), percent(relative)),
+        None => digits(it.mean),
+    }
+}
+
+/// `12.5 (11.8 to 13.3)`.
+fn interval(it: Interval) -> String {
+    match it.interval {
+        Some([low, high]) => format!("{} ({} to {})", digits(it.value), digits(low), digits(high)),
+        None => digits(it.value),
+    }
+}
+
+/// Of a number at equal error.
+fn ratio(it: Option<Interval>) -> String {
+    it.map_or_else(|| "outside the measured range".to_owned(), interval)
+}
+
+/// Three digits that count.
+pub fn digits(value: f64) -> String {
+    let size = value.abs();
+    if size >= 1e4 {
+        return quantity(value);
+    }
+    if size < 1e-3 && size > 0.0 {
+        return format!("{value:.2e}");
+    }
+    let decimals = if size > 0.0 { (2 - size.log10().floor() as i32).clamp(0, 5) as usize } else { 0 };
+    let text = format!("{value:.decimals$}");
+    // 4.00 of a number of samples is 4.
+    if text.contains('.') && value.fract() == 0.0 { format!("{value:.0}") } else { text }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_have_three_digits_that_count() {
+        let shown = [0.012_345, 0.5, 4.0, 123.4, 0.000_123_4, 45_600.0, 0.0, -0.02].map(digits);
+        assert_eq!(shown, ["0.0123", "0.500", "4", "123", "1.23e-4", "45.6 k", "0", "-0.0200"]);
+        assert_eq!(estimate(Estimate { mean: 2.5, half_width: Some(0.1) }), "2.50 ±4.00 %");
+        assert_eq!(interval(Interval { value: 2.0, interval: Some([1.5, 2.5]) }), "2 (1.50 to 2.50)");
+    }
+}

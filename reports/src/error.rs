@@ -1,0 +1,171 @@
+use femc_film::FilmError;
+use femc_pipeline::paths::{PathsError, UnionError};
+use parquet::errors::ParquetError;
+use std::path::{Path, PathBuf};
+
+/// Why there is no report.
+#[derive(Debug, thiserror::Error)]
+pub enum ReportError {
+    /// A figure cannot be drawn.
+    #[error("a figure cannot be drawn: {0}")]
+    Figure(String),
+    /// A file cannot be read or written.
+    #[error("{}: {cause}", path.display())]
+    File {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        cause: std::io::Error,
+    },
+    /// A file or folder that was named cannot be read.
+    #[error("{}: {cause}", path.display())]
+    Named {
+        /// The file or folder.
+        path: PathBuf,
+        /// What the system says.
+        cause: std::io::Error,
+    },
+    /// A record of a job's attempts is damaged.
+    #[error("{}: {cause}", path.display())]
+    Record {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        cause: serde_json::Error,
+    },
+    /// Something cannot be said in JSON.
+    #[error(transparent)]
+    Json(#[from] serde_json::Error),
+    /// An image cannot be read, compared or written.
+    #[error(transparent)]
+    Film(#[from] FilmError),
+    /// A Parquet file cannot be made.
+    #[error("{}: {cause}", path.display())]
+    Parquet {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong.
+        cause: ParquetError,
+    },
+    /// A file of light statistics is damaged.
+    #[error("{}: {cause}", path.display())]
+    Statistics {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        cause: PathsError,
+    },
+    /// Frames that were united have no union any more.
+    #[error("{file}: {cause}")]
+    NoUnion {
+        /// The file, or the first and the last of several.
+        file: String,
+        /// Why not.
+        cause: UnionError,
+    },
+    /// A file of light statistics has no frame.
+    #[error("{}: no frame is in it", .0.display())]
+    NoFrame(PathBuf),
+    /// A folder without light statistics.
+    #[error("{}: no .paths file is in it; `femc render --stats` writes them beside frames", .0.display())]
+    NoStatistics(PathBuf),
+    /// Frames that are not of one job.
+    #[error("{file}: {cause}; only frames of one job have a union, and a frame has one content in it")]
+    Union {
+        /// The file that does not fit.
+        file: String,
+        /// Why not.
+        cause: UnionError,
+    },
+    /// A file that should hold measurements does not.
+    #[error("{}: no measurements by `femc bench`: {cause}; give another file, or move this one away", path.display())]
+    Measurements {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        cause: serde_json::Error,
+    },
+    /// Measurements in a form that this version does not read.
+    #[error("{}: form {found}, this version writes {own}; give another file", path.display())]
+    MeasurementsForm {
+        /// The file.
+        path: PathBuf,
+        /// Its form.
+        found: u32,
+        /// The form of this version.
+        own: u32,
+    },
+    /// Measurements that were made with something else.
+    #[error(
+        "{}: what is in it was measured with something else; give another file with -o, or move this one away. {differing}",
+        path.display()
+    )]
+    MeasuredOtherwise {
+        /// The file.
+        path: PathBuf,
+        /// What differs.
+        differing: String,
+    },
+    /// A reference that is not there.
+    #[error("--reference {}: no such file; give an EXR image", .0.display())]
+    NoReference(PathBuf),
+    /// A reference's images are of different sizes.
+    #[error("--reference {named}: its images are of different sizes, {sizes}")]
+    ReferenceSizes {
+        /// The reference, as typed.
+        named: String,
+        /// Both sizes, pixels.
+        sizes: String,
+    },
+    /// Two files beside a reference that look like its halves.
+    #[error(
+        "--reference {0}: the files _A and _B beside it are not its halves: their mean is another image; move them away, or \
+         give the halves themselves, A.exr,B.exr"
+    )]
+    NotHalves(String),
+}
+
+/// What is to blame for a missing report.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Blame {
+    /// What was asked for: another command line helps.
+    Usage,
+    /// A file or the machine.
+    Work,
+}
+
+impl ReportError {
+    /// What is to blame.
+    pub fn blame(&self) -> Blame {
+        match self {
+            Self::Named { .. }
+            | Self::NoStatistics(_)
+            | Self::Union { .. }
+            | Self::MeasuredOtherwise { .. }
+            | Self::NoReference(_)
+            | Self::ReferenceSizes { .. }
+            | Self::NotHalves(_) => Blame::Usage,
+            Self::Figure(_)
+            | Self::File { .. }
+            | Self::Record { .. }
+            | Self::Json(_)
+            | Self::Film(_)
+            | Self::Parquet { .. }
+            | Self::Statistics { .. }
+            | Self::NoUnion { .. }
+            | Self::NoFrame(_)
+            | Self::Measurements { .. }
+            | Self::MeasurementsForm { .. } => Blame::Work,
+        }
+    }
+
+    pub(crate) fn file(path: &Path) -> impl Fn(std::io::Error) -> Self {
+        let path = path.to_owned();
+        move |cause| Self::File { path: path.clone(), cause }
+    }
+
+    pub(crate) fn named(path: &Path) -> impl Fn(std::io::Error) -> Self {
+        let path = path.to_owned();
+        move |cause| Self::Named { path: path.clone(), cause }
+    }
+}

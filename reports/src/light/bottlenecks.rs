@@ -1,0 +1,350 @@
+//! What is found, with names in place of keys.
+
+use super::files::read;
+use crate::ReportError;
+use crate::human;
+use femc_pipeline::paths::bottlenecks::{Bottlenecks, By, Evidence, Part};
+use femc_pipeline::paths::{Name, Statistics};
+use serde::Serialize;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+/// What comes first.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Order {
+    /// The most noise.
+    Noise,
+    /// The most light.
+    Light,
+    /// The most intersections.
+    Work,
+    /// The most throughput after 8 intersections.
+    Deep,
+}
+
+impl Order {
+    fn of(self, evidence: &Evidence) -> f64 {
+        match self {
+            Self::Noise => evidence.noise,
+            Self::Light => evidence.light,
+            Self::Work => evidence.intersections,
+            Self::Deep => evidence.deep,
+        }
+    }
+}
+
+/// The whole.
+#[derive(Debug, Serialize)]
+pub struct Report {
+    /// Files that were read.
+    pub files: Vec<String>,
+    /// Samples of the frames.
+    pub samples: u64,
+    /// The share of them whose paths have 8 intersections or more.
+    pub deep_samples: f64,
+    /// What stands out.
+    pub findings: Vec<Finding>,
+    /// By object, material and interaction.
+    pub parts: Vec<Row>,
+    /// By object.
+    pub objects: Vec<Row>,
+    /// By material.
+    pub materials: Vec<Row>,
+    /// By lamp.
+    pub lamps: Vec<LampRow>,
+    /// The samples that add most to the noise.
+    pub fireflies: Vec<FireflyRow>,
+}
+
+/// A part and its shares.
+#[derive(Clone, Debug, Serialize)]
+pub struct Row {
+    /// Dotted name; none: the camera, fog, or something without a name.
+    pub object: Option<String>,
+    /// Name of the material or the medium.
+    pub material: Option<String>,
+    /// How paths went on.
+    pub interaction: Option<&'static str>,
+    /// Of the noise.
+    pub noise: f64,
+    /// Of the light.
+    pub light: f64,
+    /// Of the intersections.
+    pub work: f64,
+    /// Of the throughput that arrives after 8 intersections.
+    pub deep: f64,
+    /// Paths that begin there, of all that are recorded and begin anywhere.
+    pub begun: f64,
+    /// Their mean depth; none: there are none.
+    pub depth: Option<f64>,
+    /// Mean throughput that is left to them at the 8th intersection.
+    pub left: Option<f64>,
+    /// Mean depth of the others.
+    pub depth_of_others: f64,
+    /// What is left to the others.
+    pub left_of_others: f64,
+    /// Recorded intersections.
+    pub records: u64,
+}
+
+/// A lamp and its shares.
+#[derive(Clone, Debug, Serialize)]
+pub struct LampRow {
+    /// The object that holds it, and what emits; none: a first pass.
+    pub lamp: Option<String>,
+    /// Of the noise.
+    pub noise: f64,
+    /// Of the light.
+    pub light: f64,
+    /// Of the times that it was looked for, those with something in between.
+    pub hidden: f64,
+    /// Times that recorded paths have looked for it, or met it.
+    pub records: u64,
+}
+
+/// A sample.
+#[derive(Clone, Debug, Serialize)]
+pub struct FireflyRow {
+    /// File.
+    pub file: String,
+    /// Column of its pixel.
+    pub x: u32,
+    /// Row of its pixel.
+    pub y: u32,
+    /// Its number.
+    pub sample: u32,
+    /// cd/m2.
+    pub luminance: f64,
+    /// Mean of the pixel's other samples, cd/m2.
+    pub others: f64,
+    /// Of the noise of all.
+    pub noise: f64,
+    /// What has scattered most of its light.
+    pub object: Option<String>,
+    /// See above.
+    pub material: Option<String>,
+    /// See above.
+    pub interaction: Option<&'static str>,
+    /// The lamp.
+    pub lamp: Option<String>,
+    /// How it was found.
+    pub found: &'static str,
+}
+
+/// Something that stands out.
+#[derive(Clone, Debug, Serialize)]
+#[serde(tag = "what", rename_all = "lowercase")]
+pub enum Finding {
+    /// It adds the most noise.
+    Noise(Row),
+    /// It keeps paths bright and long.
+    Deep(Row),
+    /// Most of the work is done there.
+    Work(Row),
+    /// Its light adds the most noise.
+    Lamp(LampRow),
+    /// It adds the most noise of a sample.
+    Firefly(FireflyRow),
+}
+
+/// Samples that are listed.
+const FIREFLIES: usize = 1000;
+/// A part is a finding if the mean throughput that is left to the paths that begin there is so many times that of the other paths.
+const MORE: f64 = 2.0;
+
+impl Report {
+    /// Of files.
+    pub fn read(files: &[PathBuf], order: Order) -> Result<Self, ReportError> {
+        let mut all: [Bottlenecks; 3] = Default::default();
+        let (mut names, mut films) = (Vec::new(), Vec::new());
+        for file in files {
+            for statistics in read(file)?.frames {
+                add(&mut all, &statistics);
+                names.push(name(file));
+                films.push(statistics.scope.film[0]);
+            }
+        }
+        Ok(Self::of(&all, names, &films, order))
+    }
+
+    /// Of frames that were read.
+    pub fn of_frames(frames: &[(PathBuf, Statistics)]) -> Self {
+        let mut all: [Bottlenecks; 3] = Default::default();
+        frames.iter().for_each(|(_, statistics)| add(&mut all, statistics));
+        let widths: Vec<u32> = frames.iter().map(|(_, statistics)| statistics.scope.film[0]).collect();
+        Self::of(&all, frames.iter().map(|(file, _)| name(file)).collect(), &widths, Order::Noise)
+    }
+
+    fn of(all: &[Bottlenecks; 3], files: Vec<String>, widths: &[u32], order: Order) -> Self {
+        let rows = |by| {
+            let own = found(all, by);
+            own.ranked(|it| order.of(it)).into_iter().map(|(part, it)| row(own, part, &it)).collect::<Vec<Row>>()
+        };
+        let parts = found(all, By::Part);
+        let text = |name: Name| parts.text(name).map(str::to_owned);
+        let total = &parts.total;
+        let mut lamps: Vec<LampRow> = parts
+            .lamps
+            .iter()
+            .map(|(name, it)| LampRow {
+                lamp: text(*name),
+                noise: share(it.noise, total.noise),
+                light: share(it.light, total.light),
+                hidden: share(it.hidden as f64, it.records as f64),
+                records: it.records,
+            })
+            .collect();
+        lamps.sort_by(|a, b| b.noise.total_cmp(&a.noise).then(b.light.total_cmp(&a.light)));
+        let firefly = |(frame, it): &(usize, femc_pipeline::paths::bottlenecks::Firefly)| {
+            let width = widths.get(*frame).copied().unwrap_or(1).max(1);
+            FireflyRow {
+                file: files.get(*frame).cloned().unwrap_or_default(),
+                x: it.key.pixel % width,
+                y: it.key.pixel / width,
+                sample: it.key.sample,
+                luminance: f64::from(it.luminance),
+                others: it.others,
+                noise: share(it.noise, total.noise),
+                object: text(it.part.object),
+                material: text(it.part.material),
+                interaction: it.part.interaction.map(|it| it.word()),
+                lamp: text(it.lamp),
+                found: it.found.word(),
+            }
+        };
+        let fireflies: Vec<FireflyRow> = parts.fireflies.iter().take(FIREFLIES).map(firefly).collect();
+        let findings = findings(all, &lamps, &fireflies);
+        Self {
+            samples: parts.samples,
+            deep_samples: share(parts.deep_samples as f64, parts.samples as f64),
+            findings,
+            parts: rows(By::Part),
+            objects: rows(By::Object),
+            materials: rows(By::Material),
+            lamps,
+            fireflies,
+            files,
+        }
+    }
+}
+
+/// What is found of files that are read one after the other.
+fn found(all: &[Bottlenecks; 3], by: By) -> &Bottlenecks {
+    &all[by as usize]
+}
+
+fn add(all: &mut [Bottlenecks; 3], statistics: &Statistics) {
+    for by in [By::Part, By::Object, By::Material] {
+        all[by as usize].merge(Bottlenecks::of(statistics, by));
+    }
+}
+
+fn name(file: &Path) -> String {
+    file.display().to_string()
+}
+
+fn share(part: f64, all: f64) -> f64 {
+    if all > 0.0 { part / all } else { 0.0 }
+}
+
+fn row(all: &Bottlenecks, part: Part, evidence: &Evidence) -> Row {
+    let text = |name: Name| all.text(name).map(str::to_owned);
+    let others = all.others(evidence);
+    Row {
+        object: text(part.object),
+        material: text(part.material),
+        interaction: part.interaction.map(|it| it.word()),
+        noise: share(evidence.noise, all.total.noise),
+        light: share(evidence.light, all.total.light),
+        work: share(evidence.intersections, all.total.intersections),
+        deep: share(evidence.deep, all.total.deep),
+        begun: share(evidence.begun as f64, all.total.begun as f64),
+        depth: (evidence.begun > 0).then(|| evidence.depth()),
+        left: (evidence.begun > 0).then(|| evidence.left()),
+        depth_of_others: others.depth(),
+        left_of_others: others.left(),
+        records: evidence.records,
+    }
+}
+
+/// The object that is first by something, with the part of it that is.
+fn first(all: &[Bottlenecks; 3], of: impl Fn(&Bottlenecks, &Evidence) -> f64) -> Option<Row> {
+    let (objects, parts) = (found(all, By::Object), found(all, By::Part));
+    let ranked = objects.ranked(|it| of(objects, it));
+    let (object, evidence) = ranked.into_iter().find(|(part, _)| part.object != Name::NONE)?;
+    let of_object = |(part, _): &(Part, Evidence)| part.object == object.object;
+    let (part, _) = parts.ranked(|it| of(parts, it)).into_iter().find(of_object)?;
+    let own = row(objects, Part { object: object.object, ..part }, &evidence);
+    (of(objects, &evidence) > 0.0).then(|| Row { material: parts.text(part.material).map(str::to_owned), ..own })
+}
+
+fn findings(all: &[Bottlenecks; 3], lamps: &[LampRow], fireflies: &[FireflyRow]) -> Vec<Finding> {
+    let mut findings = Vec::new();
+    findings.extend(first(all, |_, it| it.noise).map(Finding::Noise));
+    let is_more = |row: &Row| row.left.is_some_and(|left| left > MORE * row.left_of_others);
+    findings.extend(first(all, Bottlenecks::lengthening).filter(is_more).map(Finding::Deep));
+    findings.extend(first(all, |_, it| it.intersections).map(Finding::Work));
+    findings.extend(lamps.first().filter(|lamp| lamp.noise > 0.0 && lamps.len() > 1).cloned().map(Finding::Lamp));
+    findings.extend(fireflies.first().cloned().map(Finding::Firefly));
+    findings
+}
+
+/// `ball (chrome, reflection)`.
+fn spelled(object: Option<&str>, material: Option<&str>, interaction: Option<&str>) -> String {
+    let within: Vec<&str> = [material, interaction].into_iter().flatten().collect();
+    let object = object.unwrap_or(if within.is_empty() { "the camera" } else { "-" });
+    if within.is_empty() { object.to_owned() } else { format!("{object} ({})", within.join(", ")) }
+}
+
+impl Row {
+    fn spelled(&self) -> String {
+        spelled(self.object.as_deref(), self.material.as_deref(), self.interaction)
+    }
+}
+
+impl fmt::Display for Finding {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        use human::{number, percent};
+        match self {
+            Self::Noise(row) => write!(
+                f,
+                "noise:       {}: {} of the noise, {} of the light",
+                row.spelled(),
+                percent(row.noise),
+                percent(row.light)
+            ),
+            Self::Deep(row) => write!(
+                f,
+                "long paths:  {}: after 8 intersections {} of the light could still pass, elsewhere {}; {} intersections a path, \
+                 elsewhere {}",
+                row.spelled(),
+                percent(row.left.unwrap_or(0.0)),
+                percent(row.left_of_others),
+                number(row.depth.unwrap_or(0.0)),
+                number(row.depth_of_others)
+            ),
+            Self::Work(row) => {
+                write!(f, "most work:   {}: {} of the intersections", row.spelled(), percent(row.work))
+            }
+            Self::Lamp(row) => write!(
+                f,
+                "noisy lamp:  {}: {} of the noise, {} of the light, hidden {} of the time",
+                row.lamp.as_deref().unwrap_or("-"),
+                percent(row.noise),
+                percent(row.light),
+                percent(row.hidden)
+            ),
+            Self::Firefly(row) => write!(
+                f,
+                "firefly:     {},{} #{} of {}: {} cd/m2 where the pixel's other samples have {}; by {}",
+                row.x,
+                row.y,
+                row.sample,
+                row.file,
+                number(row.luminance),
+                number(row.others),
+                spelled(row.object.as_deref(), row.material.as_deref(), row.interaction)
+            ),
+        }
+    }
+}

@@ -1,0 +1,108 @@
+//! A page about jobs.
+
+use super::page::Page;
+use super::{cost, durations, errors, heat, timeline, variants};
+use crate::ReportError;
+use crate::attempts::{By, JobRecord, Row, rows};
+use femc_model::Ending;
+use std::collections::BTreeSet;
+
+/// All that a report tells.
+pub struct Report {
+    /// What it is about; else the jobs say it.
+    pub title: Option<String>,
+    /// Of each job.
+    pub records: Vec<JobRecord>,
+}
+
+impl Report {
+    /// The file.
+    pub fn html(&self) -> Result<String, ReportError> {
+        let of = |by| rows(&self.records, by);
+        let (attempts, tasks, frames, workers) = (of(By::Attempt), of(By::Task), of(By::Frame), of(By::Worker));
+        let mut page = Page::new(&self.title());
+        page.facts(&self.facts(&workers, &attempts));
+        if attempts.is_empty() {
+            page.text("No attempt at a task has ended yet.");
+            return Ok(page.end());
+        }
+        page.section(
+            "Workers",
+            "Each bar is an attempt at a task; those that lie closer together than can be seen are one.",
+        );
+        page.figure(&timeline::draw(&attempts)?);
+        page.legend(&timeline::LEGEND);
+        page.table(By::Worker, &workers);
+        page.section("Durations of tasks", "From the beginning to the result, of tasks that compute.");
+        page.figures(&durations::draw(&attempts)?, "No such task is done yet.");
+        page.section("Error against time", "Relative error of a frame at the end of each round.");
+        page.figures(&errors::draw(&attempts)?, "No error has been measured yet.");
+        page.section("Samples", "Samples a pixel of each tile, of results that count.");
+        page.figures(&heat::draw(&tasks, &self.records)?, "No tile is done yet.");
+        page.section("Cost", "Processor seconds, attempts that came to nothing included.");
+        if self.records.len() > 1 {
+            let variants = of(By::Variant);
+            page.figure(&variants::draw(&variants)?);
+            page.table(By::Variant, &variants);
+        } else {
+            page.figure(&cost::draw(&frames)?);
+        }
+        page.table(By::Frame, &frames);
+        page.section("Failures", "Attempts that failed, with what their workers wrote down.");
+        page.failures(&self.records);
+        Ok(page.end())
+    }
+
+    fn title(&self) -> String {
+        match (&self.title, &self.records[..]) {
+            (Some(title), _) => title.clone(),
+            (None, [record]) => format!("Job {}: {}", record.job, record.spec.name),
+            (None, several) => {
+                let numbers: Vec<String> = several.iter().map(|record| record.job.to_string()).collect();
+                format!("Jobs {}", numbers.join(", "))
+            }
+        }
+    }
+
+    fn facts(&self, workers: &[Row], attempts: &[Row]) -> Vec<(&'static str, String)> {
+        use crate::human::{bytes, count, quantity, seconds};
+        let sum = |of: fn(&Row) -> f64| workers.iter().map(of).sum::<f64>();
+        let wasted: f64 = attempts.iter().filter(|row| row.ending != Some(Ending::Done)).map(|row| row.cpu).sum();
+        let unknown =
+            self.records.iter().flat_map(|record| &record.attempts).filter(|attempt| attempt.usage.is_none()).count();
+        let span = attempts.iter().map(|row| row.ended).fold(0.0, f64::max);
+        let films: BTreeSet<[u32; 2]> = self.records.iter().map(|record| record.spec.grid.film).collect();
+        let films: Vec<String> = films.iter().map(|[width, height]| format!("{width} x {height}")).collect();
+        let frames: usize = self.records.iter().map(|record| record.spec.frames.len()).sum();
+        let attempts_text = match unknown {
+            0 => attempts.len().to_string(),
+            _ => format!("{}; what {unknown} of them took is not known", attempts.len()),
+        };
+        vec![
+            ("Jobs", self.records.len().to_string()),
+            ("Frames", frames.to_string()),
+            ("Film", films.join(", ")),
+            ("First attempt to last", seconds(span)),
+            (
+                "Processor",
+                format!(
+                    "{}, of which {} in attempts that came to nothing",
+                    seconds(sum(|row| row.cpu)),
+                    seconds(wasted)
+                ),
+            ),
+            ("Workers", count(workers.len() as u64, "process").replace("processs", "processes")),
+            ("Attempts", attempts_text),
+            ("Samples", quantity(sum(|row| row.samples as f64))),
+            ("Rays", quantity(sum(|row| row.rays as f64))),
+            (
+                "Moved",
+                format!(
+                    "{} fetched, {} sent",
+                    bytes(sum(|row| row.fetched as f64) as u64),
+                    bytes(sum(|row| row.sent as f64) as u64)
+                ),
+            ),
+        ]
+    }
+}

@@ -1,0 +1,177 @@
+//! Charts of which both axes are logarithmic: lines through points, with bands.
+
+use super::figure::{FONT, figure, ticks};
+use crate::ReportError;
+use plotters::coord::combinators::BindKeyPoints;
+use plotters::prelude::*;
+use std::fmt::Write;
+
+/// A chart.
+pub struct Chart {
+    /// What its axes are.
+    pub axes: [&'static str; 2],
+    /// Its lines.
+    pub lines: Vec<Line>,
+}
+
+/// A line.
+pub struct Line {
+    /// Its color.
+    pub color: RGBColor,
+    /// In the order in which they are joined; those that are not positive are left out.
+    pub marks: Vec<Mark>,
+}
+
+/// A point.
+pub struct Mark {
+    /// Where.
+    pub at: (f64, f64),
+    /// Half of the band's width there.
+    pub half_width: Option<f64>,
+    /// What is shown when it is pointed at.
+    pub title: String,
+}
+
+/// A band that reaches down to zero or below ends at this share of the point.
+const LEAST: f64 = 0.2;
+
+impl Mark {
+    /// Ends of the band.
+    fn band(&self) -> (f64, f64) {
+        let half = self.half_width.unwrap_or(0.0);
+        ((self.at.1 - half).max(LEAST * self.at.1), self.at.1 + half)
+    }
+
+    fn is_shown(&self) -> bool {
+        let is_positive = |value: f64| value > 0.0 && value.is_finite();
+        is_positive(self.at.0) && is_positive(self.at.1)
+    }
+}
+
+/// Charts side by side, of this height; nothing where no point can be shown.
+pub fn draw(charts: Vec<Chart>, height: u32) -> Result<Vec<String>, ReportError> {
+    let shown = |mut chart: Chart| {
+        chart.lines.iter_mut().for_each(|line| line.marks.retain(Mark::is_shown));
+        chart
+    };
+    let charts: Vec<Chart> = charts.into_iter().map(shown).filter(|it| it.marks().next().is_some()).collect();
+    if charts.is_empty() {
+        return Ok(Vec::new());
+    }
+    let mut titled = String::new();
+    let svg = figure(height, |area| {
+        let places = area.split_evenly((1, charts.len()));
+        charts.iter().zip(places).try_for_each(|(chart, place)| chart.draw(&place, &mut titled))
+    })?;
+    // What is pointed at lies on top of everything.
+    Ok(vec![svg.replacen("</svg>", &format!("{titled}</svg>"), 1)])
+}
+
+impl Chart {
+    fn marks(&self) -> impl Iterator<Item = &Mark> {
+        self.lines.iter().flat_map(|line| &line.marks)
+    }
+
+    fn draw(&self, area: &super::figure::Area<'_>, titled: &mut String) -> super::figure::Drawn {
+        let (left, right) = around(self.marks().map(|mark| mark.at.0));
+        let (low, high) = around(self.marks().flat_map(|mark| <[f64; 2]>::from(mark.band())));
+        let [across, up] = [(left, right), (low, high)].map(|(least, most)| axis(least, most));
+        let mut chart = ChartBuilder::on(area)
+            .margin(10)
+            .margin_right(24)
+            .x_label_area_size(40)
+            .y_label_area_size(78)
+            .build_cartesian_2d(
+                (left..right).log_scale().with_key_points(across),
+                (low..high).log_scale().with_key_points(up),
+            )?;
+        chart
+            .configure_mesh()
+            .light_line_style(WHITE)
+            .bold_line_style(RGBColor(228, 228, 228))
+            .label_style(FONT)
+            .x_desc(self.axes[0])
+            .y_desc(self.axes[1])
+            .x_label_formatter(&|value| number(*value))
+            .y_label_formatter(&|value| number(*value))
+            .draw()?;
+        for Line { color, marks } in &self.lines {
+            let edge = |upper: bool| {
+                let end = move |(low, high): (f64, f64)| if upper { high } else { low };
+                marks.iter().map(move |mark| (mark.at.0, end(mark.band())))
+            };
+            let band: Vec<(f64, f64)> = edge(true).chain(edge(false).rev()).collect();
+            if marks.iter().any(|mark| mark.half_width.is_some()) {
+                chart.draw_series([Polygon::new(band, color.mix(0.18))])?;
+                // A band of a single point is a line, and so is every end.
+                let whiskers = marks.iter().map(|mark| {
+                    let ends = mark.band();
+                    PathElement::new(vec![(mark.at.0, ends.0), (mark.at.0, ends.1)], color.mix(0.5))
+                });
+                chart.draw_series(whiskers)?;
+            }
+            chart.draw_series(LineSeries::new(marks.iter().map(|mark| mark.at), color.stroke_width(2)))?;
+            for mark in marks {
+                let ((x, y), RGBColor(r, g, b)) = (chart.backend_coord(&mark.at), color);
+                let title = super::page::escaped(&mark.title);
+                // Writing into a string does not fail.
+                let _ = writeln!(
+                    titled,
+                    "<circle cx=\"{x}\" cy=\"{y}\" r=\"4\" fill=\"rgb({r},{g},{b})\" stroke=\"white\"><title>{title}</title></circle>"
+                );
+            }
+        }
+        Ok(())
+    }
+}
+
+/// A range with some room at both ends.
+fn around(values: impl Iterator<Item = f64>) -> (f64, f64) {
+    let (least, most) = values.fold((f64::INFINITY, 0.0_f64), |(least, most), it| (least.min(it), most.max(it)));
+    let room = (most / least).powf(0.06).max(1.25);
+    (least / room, most * room)
+}
+
+/// Decades, or where there are fewer than three more numbers between.
+fn axis(least: f64, most: f64) -> Vec<f64> {
+    let decades: Vec<f64> =
+        (least.log10().ceil() as i32..=most.log10().floor() as i32).map(|it| 10_f64.powi(it)).collect();
+    if decades.len() > 2 { decades } else { ticks(least, most) }
+}
+
+/// `0.02`, `5`, `2e-5`.
+fn number(value: f64) -> String {
+    if !(1e-3..1e5).contains(&value) {
+        return format!("{value:.1e}").replace(".0e", "e");
+    }
+    let decimals = (2 - value.log10().floor() as i32).clamp(0, 5) as usize;
+    let text = format!("{value:.decimals$}");
+    if text.contains('.') { text.trim_end_matches('0').trim_end_matches('.').to_owned() } else { text }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_axis_has_decades_or_more_numbers_where_it_is_short() {
+        assert_eq!(axis(0.5, 300.0), [1.0, 10.0, 100.0]);
+        assert_eq!(axis(0.9, 6.0), [1.0, 2.0, 5.0]);
+        assert_eq!(
+            [0.02, 5.0, 2e-5, 100.0, 0.1, 0.045, 1e5].map(number),
+            ["0.02", "5", "2e-5", "100", "0.1", "0.045", "1e5"]
+        );
+    }
+
+    #[test]
+    fn points_tell_what_they_are_and_those_that_have_no_logarithm_are_left_out() {
+        let mark = |x, y, half_width| Mark { at: (x, y), half_width, title: format!("{x} <s>") };
+        let line = |marks| Line { color: RGBColor(1, 2, 3), marks };
+        let marks = vec![mark(1.0, 0.5, Some(0.9)), mark(2.0, -0.1, None), mark(4.0, 0.1, Some(0.01))];
+        let svg = draw(vec![Chart { axes: ["s", "error"], lines: vec![line(marks)] }], 300).expect("drawn");
+        assert_eq!(svg[0].matches("<title>").count(), 2, "{}", svg[0]);
+        assert!(svg[0].contains("<title>4 &lt;s&gt;</title>") && svg[0].contains("<polygon"));
+        let nothing = vec![Chart { axes: ["s", "error"], lines: vec![line(vec![mark(1.0, 0.0, None)])] }];
+        assert!(draw(nothing, 300).expect("no fault").is_empty());
+    }
+}

@@ -1,0 +1,181 @@
+//! The HTML around the figures.
+
+use super::figure::WIDTH;
+use crate::attempts::{By, FailureLog, JobRecord, Row, columns, shown};
+use base64::Engine as _;
+use plotters::style::RGBColor;
+use std::fmt::Write;
+
+/// Widest that pictures are shown, pixels.
+const SHOWN: u32 = WIDTH / 2;
+/// Most lines of a table: the whole is for `femc stats`.
+const LINES: usize = 200;
+
+const STYLE: &str = "
+    body { font: 15px/1.5 sans-serif; color: #222; max-width: 1160px; margin: 2em auto; padding: 0 1em }
+    h1 { font-size: 1.5em } h2 { font-size: 1.15em; margin: 2em 0 .3em } p { margin: .3em 0 }
+    svg { width: 100%; height: auto } .wide { overflow-x: auto }
+    table { border-collapse: collapse; font-size: 13px; margin: .5em 0 }
+    th, td { text-align: left; padding: .2em .8em .2em 0; border-bottom: 1px solid #ddd; white-space: nowrap }
+    th { white-space: normal; vertical-align: bottom }
+    dl { display: grid; grid-template-columns: max-content auto; gap: .1em 1.2em } dt { color: #666 } dd { margin: 0 }
+    pre { background: #f5f5f5; padding: .8em; overflow-x: auto; font-size: 12px }
+    .map { display: inline-block; width: 49%; margin: .5em 0; font-size: 13px } .map img { width: 98%; height: auto; image-rendering: pixelated }
+    .key { display: inline-block; width: .9em; height: .9em; margin: 0 .4em 0 1em; vertical-align: -.1em }";
+
+/// A page in the making.
+pub struct Page(String);
+
+impl Page {
+    /// Under this title.
+    pub fn new(title: &str) -> Self {
+        let title = escaped(title);
+        Self(format!(
+            "<!DOCTYPE html>\n<html lang=\"en\"><head><meta charset=\"utf-8\"><title>{title}</title>\
+             <style>{STYLE}</style></head><body>\n<h1>{title}</h1>\n"
+        ))
+    }
+
+    /// Names and what they are.
+    pub fn facts(&mut self, facts: &[(&str, String)]) {
+        self.0.push_str("<dl>");
+        for (name, fact) in facts {
+            self.put(format_args!("<dt>{name}</dt><dd>{}</dd>", escaped(fact)));
+        }
+        self.0.push_str("</dl>\n");
+    }
+
+    /// The next part.
+    pub fn section(&mut self, title: &str, about: &str) {
+        self.put(format_args!("<h2>{}</h2>\n<p>{}</p>\n", escaped(title), escaped(about)));
+    }
+
+    /// A paragraph.
+    pub fn text(&mut self, text: &str) {
+        self.put(format_args!("<p>{}</p>\n", escaped(text)));
+    }
+
+    /// An SVG.
+    pub fn figure(&mut self, svg: &str) {
+        // Scaled as wide as the page, by its own proportions.
+        let (width, height) = (attribute(svg, "width"), attribute(svg, "height"));
+        let scaled = svg.replacen(
+            "<svg ",
+            &format!("<svg viewBox=\"0 0 {width} {height}\" "),
+            usize::from(!svg.contains("viewBox")),
+        );
+        self.put(format_args!("<figure style=\"margin: 0\">{scaled}</figure>\n"));
+    }
+
+    /// SVGs, or words where there are none.
+    pub fn figures(&mut self, svgs: &[String], without: &str) {
+        if svgs.is_empty() {
+            self.text(without);
+        }
+        svgs.iter().for_each(|svg| self.figure(svg));
+    }
+
+    /// A PNG, with a line under it.
+    pub fn picture(&mut self, title: &str, png: &[u8]) {
+        let (title, address, width) = (escaped(title), address(png), SHOWN);
+        self.put(format_args!(
+            "<figure class=\"map\"><img src=\"{address}\" width=\"{width}\" alt=\"{title}\"><figcaption>{title}</figcaption>\
+             </figure>\n"
+        ));
+    }
+
+    /// What colors mean.
+    pub fn legend(&mut self, entries: &[(&str, RGBColor)]) {
+        self.0.push_str("<p>");
+        for (name, RGBColor(r, g, b)) in entries {
+            self.put(format_args!("<span class=\"key\" style=\"background: rgb({r} {g} {b})\"></span>{name}"));
+        }
+        self.0.push_str("</p>\n");
+    }
+
+    /// Rows, as `femc stats` shows them.
+    pub fn table(&mut self, by: By, rows: &[Row]) {
+        let (titles, cells) = shown(&columns(by), &rows[..rows.len().min(LINES)]);
+        self.cells(&titles, &cells);
+        if rows.len() > LINES {
+            self.text(&format!("{} more are left out; `femc stats` has them all.", rows.len() - LINES));
+        }
+    }
+
+    /// Titles and rows of text.
+    pub fn cells<T: AsRef<str>>(&mut self, titles: &[T], rows: &[Vec<String>]) {
+        self.0.push_str("<div class=\"wide\"><table><tr>");
+        titles.iter().for_each(|title| self.put(format_args!("<th>{}</th>", escaped(title.as_ref()))));
+        for row in rows {
+            self.0.push_str("</tr>\n<tr>");
+            row.iter().for_each(|cell| self.put(format_args!("<td>{}</td>", escaped(cell))));
+        }
+        self.0.push_str("</tr></table></div>\n");
+    }
+
+    /// Failures and their logs.
+    pub fn failures(&mut self, records: &[JobRecord]) {
+        if records.iter().all(|record| record.failures.is_empty()) {
+            self.text("None.");
+        }
+        for record in records {
+            let (job, variant) = (record.job, escaped(record.variant.as_deref().unwrap_or_default()));
+            for FailureLog { task, worker, text } in &record.failures {
+                let (worker, text) = (escaped(worker), escaped(text));
+                self.put(format_args!(
+                    "<details><summary>{job} {variant} {task} on {worker}</summary><pre>{text}</pre></details>\n"
+                ));
+            }
+        }
+    }
+
+    /// The whole.
+    pub fn end(mut self) -> String {
+        self.0.push_str("</body></html>\n");
+        self.0
+    }
+
+    fn put(&mut self, what: std::fmt::Arguments<'_>) {
+        // Writing into a string does not fail.
+        let _ = self.0.write_fmt(what);
+    }
+}
+
+/// A picture as the address of an image.
+fn address(png: &[u8]) -> String {
+    format!("data:image/png;base64,{}", base64::engine::general_purpose::STANDARD.encode(png))
+}
+
+/// The value of the first attribute of that name, or nothing.
+fn attribute<'a>(svg: &'a str, name: &str) -> &'a str {
+    let rest = svg.split_once(&format!("{name}=\"")).map_or("", |(_, rest)| rest);
+    rest.split('"').next().unwrap_or("")
+}
+
+/// Text that is no markup.
+pub fn escaped(text: &str) -> String {
+    let mut safe = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => safe.push_str("&amp;"),
+            '<' => safe.push_str("&lt;"),
+            '>' => safe.push_str("&gt;"),
+            '"' => safe.push_str("&quot;"),
+            c => safe.push(c),
+        }
+    }
+    safe
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_others_wrote_is_text_and_nothing_else() {
+        assert_eq!(escaped("<b a=\"1\">&"), "&lt;b a=&quot;1&quot;&gt;&amp;");
+        let page = Page::new("<script>alert(1)</script>").end();
+        assert!(!page.contains("<script"), "{page}");
+        assert_eq!(address(b"abc"), "data:image/png;base64,YWJj");
+    }
+}

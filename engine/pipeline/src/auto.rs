@@ -141,7 +141,7 @@ pub fn pilot(source: &Source, settings: &Settings, plan: &Plan) -> Result<Option
     let rays = rays_a_sample * samples_a_pixel * f64::from(film[0]) * f64::from(film[1]) * frames;
     let surfaces = surfaces(source.scene()) as f64;
     let first_pass_rays = (LEAST_RAYS + RAYS_OF_SURFACE * surfaces) * solutions(source, &settings, plan)? as f64;
-    let most_gain = most_gain(splits.into_iter().flat_map(PixelNoise::into_pixels).collect());
+    let most_gain = most_gain(&splits.into_iter().flat_map(PixelNoise::into_pixels).collect::<Vec<_>>());
     Ok(Some(Pilot { samples, rays_a_sample, samples_a_pixel, most_gain, rays, first_pass_rays }))
 }
 
@@ -168,11 +168,11 @@ impl PixelSums {
 }
 
 /// Variance of a sample over the pixel's squared mean, of all light over that of the rest.
-fn most_gain(pixels: Vec<PixelSums>) -> f64 {
+fn most_gain(pixels: &[PixelSums]) -> f64 {
     let mean = |pixel: &PixelSums| pixel.all[0] / pixel.count;
     let floor = pixels.iter().map(mean).sum::<f64>() / pixels.len().max(1) as f64;
     let (mut all, mut rest) = (0.0, 0.0);
-    for pixel in &pixels {
+    for pixel in pixels {
         let weight = 1.0 / (mean(pixel).powi(2) + 0.01 * floor * floor);
         if weight.is_finite() {
             all += pixel.variance(pixel.all) * weight;

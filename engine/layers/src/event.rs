@@ -101,6 +101,14 @@ impl Event {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct LabelSet(pub(crate) u128);
 
+impl LabelSet {
+    /// The labels of both.
+    #[inline]
+    pub fn union(self, other: Self) -> Self {
+        Self(self.0 | other.0)
+    }
+}
+
 /// The labels that the expressions of a frame name.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Vocabulary(Vec<String>);

@@ -8,6 +8,7 @@ mod crates;
 mod first_pass;
 mod fuzz;
 mod honesty;
+mod layers;
 mod pairs;
 mod parts;
 mod references;

@@ -82,9 +82,9 @@ fn layers_in_any_parts_and_groups_are_the_same_and_sum_up_to_the_picture_also_wh
         }
         let image = picture(&[0..4, 4..8, 8..12], ends).resolve();
         for (at, color) in image.color.pixels.iter().enumerate() {
-            for channel in 0..3 {
+            for (channel, wanted) in color.iter().enumerate() {
                 let sum: f64 = whole.iter().map(|layer| f64::from(layer.color[at][channel])).sum();
-                let wanted = f64::from(color[channel]);
+                let wanted = f64::from(*wanted);
                 assert!((sum - wanted).abs() <= 4e-7 * wanted, "{ends:?} {at}: {sum} {wanted}");
             }
         }

@@ -152,9 +152,9 @@ fn part(image: &FrameImage, layers: &[LayerImage], names: &[&str]) {
     assert_eq!(parts.len(), names.len());
     assert!(parts.iter().all(|layer| sum(layer) > 0.0), "{names:?}");
     for (at, color) in image.color.pixels.iter().enumerate() {
-        for channel in 0..3 {
+        for (channel, wanted) in color.iter().enumerate() {
             let sum: f64 = parts.iter().map(|layer| f64::from(layer.color[at][channel])).sum();
-            let wanted = f64::from(color[channel]);
+            let wanted = f64::from(*wanted);
             assert!((sum - wanted).abs() <= 1e-6 * wanted, "{names:?}, pixel {at}: {sum}, not {wanted}");
         }
     }

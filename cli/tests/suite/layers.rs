@@ -95,11 +95,9 @@ fn variants_of_a_sweep_have_their_layers() {
     let text = "scene = \"fog.mgf\"\nsize = \"16x16\"\nspp = 4\nframes = 1\nlayers = [\"direct\", \"indirect\"]\n\
                 [sweep]\nseed = [1, 2]\n";
     place.write("job.toml", text);
-    place.run("sweep job.toml -o out").exits(0);
-    let files = std::fs::read_dir(place.path("out")).expect("a folder").map(|entry| entry.expect("an entry").path());
-    let is_picture = |name: &String| name.ends_with(".exr") && !name.ends_with(".layers.exr");
-    let names = files.filter_map(|path| Some(path.file_name()?.to_str()?.to_owned()));
-    let pictures: Vec<String> = names.filter(is_picture).collect();
+    place.run("sweep job.toml -o out --local").exits(0);
+    let manifest: serde_json::Value = serde_json::from_str(&place.read("out/sweep.json")).expect("JSON");
+    let pictures: Vec<&String> = manifest["files"].as_object().expect("files").keys().collect();
     assert_eq!(pictures.len(), 2, "{pictures:?}");
     for picture in pictures {
         part(&place, &format!("out/{}", picture.trim_end_matches(".exr")), &["direct", "indirect"]);

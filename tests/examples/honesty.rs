@@ -1,11 +1,11 @@
 //! Whether images are right on average and their claimed errors the true ones: many seeds of a scene against its reference.
 //!
-//! `cargo run --release -p femc-tests --example honesty -- SCENE.mgf REFERENCE (--error E | --spp N | --time S) [--seeds N] [--old-rule]`
+//! `cargo run --release -p femc-tests --example honesty -- SCENE.mgf REFERENCE (--error E | --spp N | --time S) [--method M] [--seeds N] [--old-rule]`
 //!
 //! REFERENCE: `<REFERENCE>_A.exr` and `<REFERENCE>_B.exr`, two independent images. `--old-rule` lets a tile end by the estimates that
 //! it stops: a control, which must fail. The clock of `--time` counts rays, 1e6 a second. One line of JSON.
 
-use femc_pipeline::{Settings, Stop};
+use femc_pipeline::{Method, Settings, Stop};
 use femc_tests::honesty::{Experiment, Measured, Rule, Verdict};
 use femc_tests::reference::Reference;
 use std::error::Error;
@@ -23,19 +23,26 @@ fn main() -> Result<(), Box<dyn Error>> {
         (None, None, Some(seconds)) => Stop::Time(seconds.parse()?),
         (None, None, None) => return Err("neither --error nor --spp nor --time".into()),
     };
+    let method = match option("--method").map_or("pt", String::as_str) {
+        "pt" => Method::Pt,
+        "fem" => Method::Fem,
+        "femc" => Method::Femc,
+        other => return Err(format!("--method {other}: it must be pt, fem or femc").into()),
+    };
     let seeds: u64 = option("--seeds").map_or(Ok(16), |text| text.parse())?;
     let first: u64 = option("--first-seed").map_or(Ok(1), |text| text.parse())?;
     let rule = if args.iter().any(|arg| arg == "--old-rule") { Rule::Peeking } else { Rule::Settings };
     let (folder, name) = (reference.parent().ok_or("no folder")?, reference.file_name().ok_or("no name")?);
     let reference = Reference::read(folder, &name.to_string_lossy());
     let loaded = Arc::new(femc_import::load_path(Path::new(scene))?.scene);
-    let experiment = Experiment::new(&loaded, Settings { stop, ..Settings::default() })?;
+    let film = reference.size();
+    let experiment = Experiment::new(&loaded, Settings { stop, method, size: Some(film), ..Settings::default() })?;
     let start = Instant::now();
     let shots = (first..first + seeds).map(|seed| experiment.shot(seed, rule));
     let said = Verdict::of(&reference, shots);
     let number = |of: Measured| serde_json::json!({ "value": of.value, "error": of.error });
     let line = serde_json::json!({
-        "scene": scene, "stop": stop, "rule": format!("{rule:?}"), "seeds": seeds,
+        "scene": scene, "method": method, "stop": stop, "rule": format!("{rule:?}"), "seeds": seeds,
         "bias": number(said.bias), "coverage": number(said.coverage), "relmse": number(said.relmse),
         "true_over_claimed": number(said.honesty), "worst": number(said.worst),
         "drawn": number(said.drawn), "counted": number(said.counted), "longest": number(said.longest),

@@ -4,7 +4,8 @@ use crate::reference::Reference;
 use femc_film::tile::OPEN;
 use femc_film::{FrameError, FrameImage, Pace, Rect, Stops, Tile, TileErrors, Tiling};
 use femc_pipeline::{
-    RenderError, RenderedFrame, RoundEnd, RoundVerdict, Settings, Source, Stop, by_rounds, plan, prepare, render_tile,
+    PlanError, Prepared, RenderError, RenderedFrame, RoundEnd, RoundVerdict, Settings, Source, Stop, by_rounds, plan,
+    prepare, render_tile,
 };
 use femc_scene::Scene;
 use std::ops::Range;
@@ -25,9 +26,8 @@ pub const RAYS_A_SECOND: f64 = 1e6;
 
 /// A scene that is rendered with many seeds.
 pub struct Experiment {
-    source: Source,
+    prepared: Prepared,
     settings: Settings,
-    frame: u32,
     tiling: Tiling,
     rounds: Vec<u32>,
 }
@@ -55,15 +55,17 @@ impl Shot {
 impl Experiment {
     /// Of the first frame.
     /// - errors: settings that are none of the scene's.
-    pub fn new(scene: &Arc<Scene>, settings: Settings) -> Result<Self, femc_pipeline::PlanError> {
+    pub fn new(scene: &Arc<Scene>, settings: Settings) -> Result<Self, PlanError> {
         Self::of_frame(scene, settings, 1)
     }
 
     /// - `frame`: counted from 1;
     /// - errors: settings that are none of the scene's, a frame that it has not.
-    pub fn of_frame(scene: &Arc<Scene>, settings: Settings, frame: u32) -> Result<Self, femc_pipeline::PlanError> {
+    pub fn of_frame(scene: &Arc<Scene>, settings: Settings, frame: u32) -> Result<Self, PlanError> {
         let plan = plan(scene, &settings, Some(&[frame]))?;
-        Ok(Self { source: Source::new(scene.clone()), settings, frame, tiling: plan.tiling, rounds: plan.rounds })
+        // No seed changes what is rendered, nor its first pass.
+        let prepared = prepare(&Source::new(scene.clone()), &settings, frame, None)?;
+        Ok(Self { prepared, settings, tiling: plan.tiling, rounds: plan.rounds })
     }
 
     /// The image of a seed.
@@ -72,10 +74,9 @@ impl Experiment {
     /// When it cannot be rendered: tests only.
     pub fn shot(&self, seed: u64, rule: Rule) -> Shot {
         let settings = Settings { seed, ..self.settings.clone() };
-        let prepared = prepare(&self.source, &settings, self.frame, None).unwrap_or_else(|error| panic!("{error}"));
         let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
         let rendered = frame(&settings, &self.rounds, self.tiling, rule, |rect, samples| {
-            Ok(render_tile(&prepared, &settings, rect, samples, &cancel, &progress)?.tile)
+            Ok(render_tile(&self.prepared, &settings, rect, samples, &cancel, &progress)?.tile)
         });
         let image = rendered.frame.resolve();
         let drawn: u64 = (self.tiling.rects().enumerate())

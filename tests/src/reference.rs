@@ -59,6 +59,11 @@ pub struct Comparison {
 }
 
 impl Reference {
+    /// Width and height, pixels.
+    pub fn size(&self) -> [u32; 2] {
+        [self.halves[0].width, self.halves[0].height]
+    }
+
     /// Of independent images of one size.
     pub fn new(halves: [Image; 2]) -> Self {
         Self { halves }

@@ -10,7 +10,9 @@ use crate::exit::{Failure, failed, interrupted, usage};
 use crate::request::Asked;
 use femc_pipeline::{Prepared, RenderError, Settings};
 use rayon::ThreadPool;
+use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64};
+use std::time::Duration;
 
 /// A scene that is rendered many times.
 pub struct Bed {
@@ -24,8 +26,17 @@ pub struct Bed {
 pub struct Ready<'a> {
     bed: &'a Bed,
     prepared: Prepared,
+    /// The same with the light of a method's first pass, by method.
+    lit: Vec<(femc_pipeline::Method, Lit)>,
     pool: &'a ThreadPool,
     cancel: &'a AtomicBool,
+}
+
+/// A frame with the light of its first pass, and what that took.
+struct Lit {
+    prepared: Prepared,
+    seconds: Duration,
+    cpu: Duration,
 }
 
 /// Edge of the tile that is rendered before the first clock starts, pixels.
@@ -66,7 +77,7 @@ impl Bed {
     /// Compile the scene, and warm up.
     pub fn ready<'a>(&'a self, pool: &'a ThreadPool, cancel: &'a AtomicBool) -> Result<Ready<'a>, Failure> {
         let Asked { source, settings, .. } = &self.asked;
-        let prepared = femc_pipeline::prepare(source, settings, self.setup.frame, None).map_err(failed)?;
+        let prepared = femc_pipeline::prepare_world(source, settings, self.setup.frame, None).map_err(failed)?;
         let [width, height] = self.setup.film;
         let (across, down) = (WARM_UP.min(width), WARM_UP.min(height));
         let (x, y) = ((width - across) / 2, (height - down) / 2);
@@ -74,22 +85,44 @@ impl Bed {
         let progress = AtomicU64::new(0);
         pool.install(|| femc_pipeline::render_tile(&prepared, settings, rect, 0..1, cancel, &progress))
             .map_err(ended)?;
-        Ok(Ready { bed: self, prepared, pool, cancel })
+        Ok(Ready { bed: self, prepared, lit: Vec::new(), pool, cancel })
     }
 }
 
 impl Ready<'_> {
-    /// Render one frame and hold it against the reference.
-    pub fn run(&self, method: &Method, budget: f64, seed: u64) -> Result<Run, Failure> {
+    /// What the first pass of a method took; solves it when it is asked for first. Its light and its seconds are those of all frames.
+    fn light(&mut self, method: femc_pipeline::Method) -> Result<usize, Failure> {
+        if let Some(at) = self.lit.iter().position(|(of, _)| *of == method) {
+            return Ok(at);
+        }
+        let Bed { setup, asked, .. } = self.bed;
+        let world = femc_pipeline::prepare_world(&asked.source, &asked.settings, setup.frame, Some(&self.prepared));
+        let mut prepared = world.map_err(failed)?;
+        let (clock, cpu) = (Clock, femc_worker::process_time());
+        let begun = clock.now();
+        let solution =
+            self.pool.install(|| femc_pipeline::first_pass(&prepared, method, self.cancel)).map_err(ended)?;
+        let (seconds, cpu) = (clock.since(begun), femc_worker::process_time().saturating_sub(cpu));
+        femc_pipeline::light(&mut prepared, Arc::new(solution.field)).map_err(failed)?;
+        self.lit.push((method, Lit { prepared, seconds, cpu }));
+        Ok(self.lit.len() - 1)
+    }
+
+    /// Render one frame and hold it against the reference. Its seconds are those of the first pass, too, where the method has one.
+    pub fn run(&mut self, method: &Method, budget: f64, seed: u64) -> Result<Run, Failure> {
         let Bed { setup, asked, reference } = self.bed;
         let settings = Settings { stop: method.stop(budget), method: method.light, seed, ..asked.settings.clone() };
         let plan = femc_pipeline::plan(asked.scene(), &settings, Some(&[setup.frame])).map_err(failed)?;
+        let lit = if method.light.has_first_pass() { Some(self.light(method.light)?) } else { None };
+        let lit = lit.map(|at| &self.lit[at].1);
+        let prepared = lit.map_or(&self.prepared, |lit| &lit.prepared);
+        let [first, first_cpu] = lit.map_or([Duration::ZERO; 2], |lit| [lit.seconds, lit.cpu]);
         let (clock, progress) = (Clock, AtomicU64::new(0));
         let (begun, cpu) = (clock.now(), femc_worker::process_time());
         let rendered = self.pool.install(|| {
             let seconds = |_| clock.since(begun).as_secs_f64();
             let (tiling, rounds) = (plan.tiling, &plan.rounds);
-            femc_pipeline::render_frame(&self.prepared, &settings, tiling, rounds, seconds, self.cancel, &progress)
+            femc_pipeline::render_frame(prepared, &settings, tiling, rounds, seconds, self.cancel, &progress)
         });
         let (seconds, cpu) = (clock.since(begun), femc_worker::process_time().saturating_sub(cpu));
         let rendered = rendered.map_err(ended)?;
@@ -101,8 +134,9 @@ impl Ready<'_> {
             method: method.name.to_owned(),
             budget,
             seed,
-            seconds: seconds.as_secs_f64(),
-            cpu_seconds: cpu.as_secs_f64(),
+            seconds: (first + seconds).as_secs_f64(),
+            first_pass_seconds: first.as_secs_f64(),
+            cpu_seconds: (first_cpu + cpu).as_secs_f64(),
             samples: rendered.samples,
             spp: rendered.samples as f64 / (width * height),
             rays: rendered.rays,

@@ -33,8 +33,11 @@ pub struct Run {
     pub budget: f64,
     /// Seed.
     pub seed: u64,
-    /// Wall time of the rendering alone, s.
+    /// Wall time of the first pass and of the rendering, s.
     pub seconds: f64,
+    /// Of these the first pass, which was solved once for all runs of its method; 0: the method has none.
+    #[serde(default)]
+    pub first_pass_seconds: f64,
     /// Processor time of the same, all threads, s.
     pub cpu_seconds: f64,
     /// Samples drawn, of all pixels.

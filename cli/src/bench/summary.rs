@@ -236,6 +236,7 @@ mod tests {
             budget,
             seed: 1,
             seconds,
+            first_pass_seconds: 0.0,
             cpu_seconds: 2.0 * seconds,
             samples: 64,
             spp: 4.0,

@@ -8,6 +8,7 @@ use crate::output::{Say, human, json};
 use crate::request::{Asked, JobFile, is_job};
 use clap::Args;
 use femc_model::{Graph, Hint, Need, Reach, Round, Scope, Template};
+use femc_pipeline::auto::Choice;
 use femc_pipeline::{LeftOut, PrepareError, Prepared, Stop};
 use serde::Serialize;
 use std::collections::BTreeSet;
@@ -80,6 +81,8 @@ struct Report {
     samples_least: u64,
     samples_most: u64,
     cost: Option<Cost>,
+    /// Why it is this method, where none was named and a trial was run.
+    choice: Option<Choice>,
     left_out: Vec<LeftOut>,
 }
 
@@ -112,6 +115,7 @@ pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
         return sweep::plan(&args.scene, &args.settings, run, args.format.json, say);
     }
     let asked = Asked::open(&args.scene, args.settings, say)?;
+    let asked = if run == Trial::Run { asked.decided()? } else { asked };
     let (plan, frames) = (&asked.plan, asked.plan.frames.len() as u64);
     let rounds = plan.rounds.len();
     let least = match asked.settings.stop {
@@ -148,6 +152,7 @@ pub fn run(args: PlanArgs, say: Say) -> Result<Exit, Failure> {
         samples_least,
         samples_most,
         cost,
+        choice: asked.choice.clone(),
         left_out: plan.left_out.clone(),
     };
     if args.format.json {
@@ -264,6 +269,9 @@ fn print(say: Say, report: &Report) {
         worlds => {
             say.result(format!("the frames are of {worlds} worlds; among those of one, nothing changes but the view"));
         }
+    }
+    if let Some(Choice { method: femc_pipeline::Method::Femc, reason, .. }) = &report.choice {
+        say.result(format!("a first pass guides the paths: {reason}"));
     }
     if report.first_passes > 0 {
         say.result(match (report.first_passes, frames.len()) {

@@ -56,7 +56,8 @@ struct Report {
 
 /// Submit.
 pub fn run(args: SubmitArgs, say: Say) -> Result<Exit, Failure> {
-    let asked = Asked::open(&args.scene, args.settings, say)?;
+    let asked = Asked::open(&args.scene, args.settings, say)?.decided()?;
+    asked.explain(say);
     let wish = args.extras.wish(asked.rate(&asked.plan.frames))?;
     let scene = asked.parcel()?;
     let count = human::count(asked.plan.frames.len() as u64, "frame");

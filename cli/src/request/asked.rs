@@ -7,7 +7,10 @@ use crate::exit::{Failure, failed, usage};
 use crate::output::{Say, human};
 use femc_fault::{Pretense, pretended};
 use femc_import::{Bundle, ImportError, Loaded, ScenePath};
-use femc_pipeline::{Layer, Plan, PlanError, PrepareError, Preset, Settings, SettingsError, Source, Stop, lamp_labels};
+use femc_pipeline::auto::{self, Choice};
+use femc_pipeline::{
+    FIRST_PASS, Layer, Plan, PlanError, PrepareError, Preset, Settings, SettingsError, Source, Stop, lamp_labels,
+};
 use femc_scene::Scene;
 use femc_worker::Parcel;
 use std::path::{Path, PathBuf};
@@ -27,6 +30,8 @@ pub struct Asked {
     pub settings: Settings,
     /// What would run.
     pub plan: Plan,
+    /// Why it is that method, where the settings left it open and it was asked ([`Self::decided`]).
+    pub choice: Option<Choice>,
     /// Whether the frames were chosen (or are all of a still).
     pub frames_chosen: FramesChosen,
     /// Embedded workers, >= 1.
@@ -110,14 +115,7 @@ impl Base {
             .map(|frames| frames.resolve(scene.frame_count()))
             .transpose()
             .map_err(|e| usage(format!("{}: {e}", named("frames"))))?;
-        let plan = femc_pipeline::plan(scene, &settings, frames.as_deref());
-        let mut plan = plan.map_err(|e| refused(&self.path, &e, &named))?;
-        if let Some(fan) = pretended(Pretense::Fan).and_then(|fan| fan.parse().ok()) {
-            plan.stages = femc_pipeline::stages(&plan.tiling, &plan.rounds, fan, plan.method);
-        }
-        if let Some(blocks) = pretended(Pretense::Blocks).and_then(|blocks| blocks.parse().ok()) {
-            plan.stages = femc_pipeline::in_blocks(plan.stages, plan.method, blocks);
-        }
+        let plan = planned(scene, &settings, frames.as_deref()).map_err(|e| refused(&self.path, &e, &named))?;
         Ok(Asked {
             path: self.path.clone(),
             place: self.place.clone(),
@@ -125,6 +123,7 @@ impl Base {
             files: self.files.clone(),
             settings,
             plan,
+            choice: None,
             frames_chosen: if frames.is_some() { FramesChosen::Typed } else { FramesChosen::All },
             workers: typed.workers.unwrap_or(1),
             threads: typed.threads,
@@ -183,6 +182,33 @@ impl Asked {
         Ok(asked)
     }
 
+    /// With a method, where the settings leave it open: a pilot says whether a first pass is worth what it takes.
+    pub fn decided(mut self) -> Result<Self, Failure> {
+        if self.settings.method != femc_pipeline::Method::Auto {
+            return Ok(self);
+        }
+        let failed = |e: &dyn std::fmt::Display| failed(format!("{}: {e}", self.path.display()));
+        let choice = auto::choose(&self.source, &self.settings, &self.plan).map_err(|e| failed(&e))?;
+        if choice.method == femc_pipeline::Method::Pt {
+            if let Some(left) = self.plan.left_out.iter_mut().find(|left| left.what == FIRST_PASS) {
+                left.reason.clone_from(&choice.reason);
+            }
+        } else {
+            self.settings.method = choice.method;
+            self.plan =
+                planned(self.source.scene(), &self.settings, Some(&self.plan.frames)).map_err(|e| failed(&e))?;
+        }
+        self.choice = Some(choice);
+        Ok(self)
+    }
+
+    /// Says why there is a first pass that nobody asked for.
+    pub fn explain(&self, say: Say) {
+        if let Some(Choice { method: femc_pipeline::Method::Femc, reason, .. }) = &self.choice {
+            say.note(format!("a first pass guides the paths: {reason}; `--method pt` does without"));
+        }
+    }
+
     /// The scene, overrides applied.
     pub fn scene(&self) -> &Arc<Scene> {
         self.source.scene()
@@ -219,6 +245,18 @@ impl Asked {
         let bundle = Bundle::gather(&self.place.disk(), &self.files).map_err(|e| cannot(&e))?;
         Parcel::pack(&bundle).map_err(|e| cannot(&e))
     }
+}
+
+/// Plans; development builds may cut stages otherwise than a plan does.
+fn planned(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Result<Plan, PlanError> {
+    let mut plan = femc_pipeline::plan(scene, settings, frames)?;
+    if let Some(fan) = pretended(Pretense::Fan).and_then(|fan| fan.parse().ok()) {
+        plan.stages = femc_pipeline::stages(&plan.tiling, &plan.rounds, fan, plan.method);
+    }
+    if let Some(blocks) = pretended(Pretense::Blocks).and_then(|blocks| blocks.parse().ok()) {
+        plan.stages = femc_pipeline::in_blocks(plan.stages, plan.method, blocks);
+    }
+    Ok(plan)
 }
 
 /// Import the scene at `path`, whose files are below `root` (`None`: below its folder). Faults name files as they are

@@ -25,6 +25,24 @@ fn number(value: &Value) -> f64 {
     value.as_f64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
+/// A first pass is solved once a method and is a part of what its frames take; its light is in their pixels.
+#[test]
+fn methods_with_a_first_pass_are_measured_with_its_light_and_its_seconds() {
+    let place = with_reference();
+    let line = "bench fog.mgf --reference ref.exr --size 24x16 --methods pt,fem,femc --spp 4,16 --seeds 1 --json";
+    let document = place.run(line).exits(0).json();
+    let of = |method: &str| runs(&document).iter().filter(|run| run["method"] == method).collect::<Vec<_>>();
+    for method in ["fem", "femc"] {
+        let first: Vec<f64> = of(method).iter().map(|run| number(&run["first_pass_seconds"])).collect();
+        assert!(first.len() == 2 && first[0] > 0.0 && first[0].total_cmp(&first[1]).is_eq(), "{method}: {first:?}");
+        for (run, paths) in of(method).iter().zip(of("pt")) {
+            assert!(number(&run["seconds"]) > first[0], "{run}");
+            assert_ne!(run["mse"], paths["mse"], "the same samples as path tracing: {run}");
+            assert_eq!(number(&paths["first_pass_seconds"]), 0.0);
+        }
+    }
+}
+
 #[test]
 fn errors_fall_with_the_budget_and_are_told_with_their_machine_and_seeds() {
     let place = with_reference();

@@ -91,6 +91,24 @@ fn the_shares_of_an_account_are_all_of_the_variance_and_of_the_light() {
     }
 }
 
+/// What a first pass has guided is a technique of its own in a guided frame, and in no other.
+#[test]
+fn light_that_came_by_a_guided_direction_is_named() {
+    let place = Place::new();
+    for (method, is_guided) in [("femc", true), ("pt", false)] {
+        place.run(&format!("render fog.mgf -o {method}.exr --frames 1 --spp 8 --method {method}")).exits(0);
+        let report = place.run(&format!("fireflies {method}.exr fog.mgf --json")).exits(0).json();
+        assert_eq!(report["unlike"], 0, "{method}");
+        let origins = report["origins"].as_array().expect("a list");
+        let guided: Vec<_> = origins.iter().filter(|origin| origin["guided"] == true).collect();
+        assert_eq!(!guided.is_empty(), is_guided, "{method}: {origins:?}");
+        assert!(guided.iter().all(|origin| origin["bounce"].as_u64() >= Some(1)), "{guided:?}");
+        assert!((sum(&report["origins"], "share") - 1.0).abs() < 1e-6, "{method}");
+        let said = place.run(&format!("fireflies {method}.exr fog.mgf")).exits(0).stdout();
+        assert_eq!(said.contains(", guided"), is_guided, "{said}");
+    }
+}
+
 #[test]
 fn a_frame_that_cannot_be_traced_again_says_why() {
     let place = Place::new();

@@ -203,3 +203,27 @@ fn a_plan_says_how_many_solutions_the_frames_share() {
     assert_eq!((with, without), (1.into(), 0.into()));
     assert_eq!((tasks, stages), (fewer.map(|n| n + 1), before.map(|n| n + 1)));
 }
+
+/// Nobody names a method: a pilot says whether a first pass is worth what it takes, and all commands say the same.
+#[test]
+fn a_large_job_of_a_room_is_guided_by_a_first_pass_and_a_small_one_is_not() {
+    let place = place();
+    let plan = |line: &str| place.run(&format!("plan still.mgf --frames 1 {line} --json")).exits(0).json();
+    let large = plan("--size 160x120 --spp 16384");
+    assert_eq!((&large["method"], &large["first_passes"]), (&"femc".into(), &1.into()), "{large}");
+    let choice = &large["choice"];
+    assert!(choice["pilot"]["most_gain"].as_f64().is_some_and(|gain| gain >= 1.5), "{choice}");
+    assert!(choice["reason"].as_str().is_some_and(|reason| reason.contains("% of the noise")), "{choice}");
+    let small = plan("--size 16x12 --spp 4");
+    assert_eq!((&small["method"], &small["choice"]["pilot"]), (&"pt".into(), &serde_json::Value::Null), "{small}");
+    let reason = &small["left_out"][0]["reason"];
+    assert!(reason.as_str().is_some_and(|reason| reason.starts_with("the job is small")), "{small}");
+    // A plan without a trial draws no samples, a method that is named needs none.
+    assert_eq!(plan("--size 160x120 --spp 16384 --no-trial")["method"], "pt");
+    assert_eq!(plan("--size 160x120 --spp 16384 --method pt")["choice"], serde_json::Value::Null);
+
+    let (_farm, url) = coordinator(&place, 0);
+    let line = format!("submit still.mgf --server {url} --frames 1 --size 160x120 --spp 16384");
+    let said = place.run(&line).exits(0);
+    assert!(said.stderr().contains("a first pass guides the paths"), "{}", said.stderr());
+}

@@ -24,6 +24,16 @@ pub struct Scattering<'a> {
     pub ahead: Rgb,
 }
 
+/// A direction, and who drew it.
+pub struct Drawn {
+    /// The direction, its weight and its density by the BSDF and the guide together.
+    pub sample: BsdfSample,
+    /// How much more often than by the BSDF alone such a direction is drawn.
+    pub often: f32,
+    /// Whether the guide drew it.
+    pub by_guide: bool,
+}
+
 impl<'a> Scattering<'a> {
     /// Without a guide.
     pub fn new(bsdf: &'a Bsdf, frame: &'a Frame, wo: Vec3A) -> Self {
@@ -60,13 +70,14 @@ impl<'a> Scattering<'a> {
     }
 
     /// Draws a direction from `u` in [0, 1)^2; `choice` in [0, 1) picks who draws it, and the lobe. `None`: the light is absorbed.
-    /// - returns also how much more often than by the BSDF alone such a direction is drawn.
     #[inline]
-    pub fn sample(&self, u: [f32; 2], choice: f32) -> Option<(BsdfSample, f32)> {
+    pub fn sample(&self, u: [f32; 2], choice: f32) -> Option<Drawn> {
         let Some((directions, share)) = &self.guide else {
-            return self.bsdf.sample(self.wo, u, choice).map(|drawn| (drawn, 1.0));
+            let sample = self.bsdf.sample(self.wo, u, choice)?;
+            return Some(Drawn { sample, often: 1.0, by_guide: false });
         };
-        let mut drawn = if choice < *share {
+        let by_guide = choice < *share;
+        let mut drawn = if by_guide {
             let wi = self.frame.to_local(directions.sample(choice / share, u));
             let transmitted = if wi.z * self.wo.z < 0.0 { Transmitted::Yes } else { Transmitted::No };
             BsdfSample { wi, weight: Rgb::ZERO, pdf: 0.0, lobe: LobeKind::Diffuse, transmitted, eta: 1.0 }
@@ -78,18 +89,18 @@ impl<'a> Scattering<'a> {
         if drawn.lobe == LobeKind::Delta {
             drawn.weight /= 1.0 - share;
             drawn.pdf *= 1.0 - share;
-            return Some((drawn, 1.0 - share));
+            return Some(Drawn { sample: drawn, often: 1.0 - share, by_guide });
         }
         let value = self.bsdf.eval(self.wo, drawn.wi);
         if value == Rgb::ZERO {
             return None;
         }
         let by_bsdf = self.bsdf.pdf(self.wo, drawn.wi);
-        let by_guide = directions.pdf(self.frame.to_world(drawn.wi));
-        drawn.pdf = by_bsdf * (1.0 - share) + by_guide * share;
+        let by_lobes = directions.pdf(self.frame.to_world(drawn.wi));
+        drawn.pdf = by_bsdf * (1.0 - share) + by_lobes * share;
         drawn.weight = value / drawn.pdf;
         // The BSDF may draw whatever it scatters, so its density is 0 by rounding at most.
         let often = drawn.pdf / by_bsdf.max(1e-6 * drawn.pdf);
-        Some((drawn, often))
+        Some(Drawn { sample: drawn, often, by_guide })
     }
 }

@@ -2,7 +2,7 @@
 
 use crate::dimensions as dim;
 use crate::fog::{Collision, Fog, FoggyRay, Scattered, Segment};
-use crate::guided::Scattering;
+use crate::guided::{Drawn, Scattering};
 use crate::record::{Contribution, Found, Hears, Leaving, Place, Recorder, Scatterer, Split, Stop, Vertex};
 use crate::shadow::Shadow;
 use crate::technique::{Technique, weight};
@@ -386,7 +386,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                             self.recorder.stop(vertices, Stop::Absorbed, throughput);
                             break;
                         };
-                        tell!(self.leave(Leaving::Scattered { pdf: new.pdf, by: Scatterer::Phase }));
+                        tell!(self.leave(Leaving::Scattered { pdf: new.pdf, by: Scatterer::Phase, by_guide: false }));
                         throughput *= new.weight;
                         std::mem::swap(&mut self.fog, &mut self.fog_before);
                         previous = Previous { position, came: Came::Medium { collision, phase: new.phase } };
@@ -510,7 +510,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             stream.seek(base + dim::LOBE);
             let choice = stream.next_1d();
             stream.seek(base + dim::DIRECTION);
-            let Some((scattered, often)) = scattering.sample(stream.next_2d(), choice) else {
+            let Some(Drawn { sample: scattered, often, by_guide }) = scattering.sample(stream.next_2d(), choice) else {
                 self.recorder.stop(
                     vertices,
                     if self.field.is_some() { Stop::Field } else { Stop::Absorbed },
@@ -550,7 +550,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             } else {
                 let by = if scattered.lobe == LobeKind::Glossy { Scatterer::Glossy } else { Scatterer::Diffuse };
                 tell!(self.split(|| Split::of(&bsdf, wo, scattered.wi)));
-                tell!(self.leave(Leaving::Scattered { pdf: scattered.pdf, by }));
+                tell!(self.leave(Leaving::Scattered { pdf: scattered.pdf, by, by_guide }));
                 Came::Surface { wanted, pdf: scattered.pdf }
             };
             previous = Previous { position: point.position, came };

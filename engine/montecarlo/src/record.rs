@@ -128,8 +128,10 @@ pub enum Leaving {
     Scattered {
         /// Density of the direction, 1/sr.
         pdf: f32,
-        /// What it was drawn by.
+        /// What scatters so.
         by: Scatterer,
+        /// Whether the direction was drawn by what a first pass knows of the light there.
+        by_guide: bool,
     },
 }
 

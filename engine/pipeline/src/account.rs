@@ -10,7 +10,7 @@ use crate::settings::Settings;
 use femc_film::Rect;
 use femc_math::Rgb;
 pub use femc_math::color::luminance;
-use femc_montecarlo::record::{Contribution, Found, Leaving, Place, Recording};
+use femc_montecarlo::record::{Contribution, Found, Leaving, Place, Recording, Step};
 use femc_prepared::Prepared;
 use femc_prepared::names::LampName;
 use femc_scene::ObjectId;
@@ -62,6 +62,8 @@ pub struct Origin {
     pub bounce: u32,
     /// How it came in.
     pub how: How,
+    /// Whether a first pass has drawn a direction of the path until then.
+    pub guided: bool,
     /// What it was scattered by.
     pub on: On,
     /// The lamp, by its place in [`Lamps::names`]; `None`: a medium.
@@ -110,7 +112,11 @@ impl Origin {
             Found::Field => (How::Field, before),
         };
         let lamp = it.light.and_then(|light| lamps.of_light.get(light as usize).copied());
-        Self { bounce: it.bounce, how, on, lamp }
+        let guided = |step: &Step| matches!(step.leaving, Some(Leaving::Scattered { by_guide: true, .. }));
+        // How the path goes on from where a lamp was drawn changes nothing of that.
+        let left = vertices.saturating_sub(usize::from(matches!(it.found, Found::Surface | Found::Field)));
+        let guided = recording.steps[..left].iter().any(guided);
+        Self { bounce: it.bounce, how, guided, on, lamp }
     }
 }
 

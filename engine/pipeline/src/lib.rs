@@ -6,6 +6,7 @@
 
 pub mod account;
 mod allocation;
+pub mod auto;
 mod budget;
 mod first_pass;
 mod first_pass_steps;
@@ -32,7 +33,7 @@ pub use first_pass::{OtherWorld, encode_solution, first_pass, first_pass_key, li
 pub use first_pass_steps::{aim, begin, blocks_of, first_pass_blocks, in_blocks, settle, surfaces};
 pub use in_process::{RenderedFrame, RoundEnd, by_rounds, render_frame};
 pub use layers::{LayerPlan, lamp_labels, render_with_layers};
-pub use plan::{LeftOut, Plan, PlanError, plan};
+pub use plan::{FIRST_PASS, LeftOut, Plan, PlanError, plan};
 pub use render::{Places, RenderError, RenderedTile, frame_key, prepare, prepare_world, render_tile};
 /// Names the build of the engine: of two programs that say the same, the same job gives the same bits (`build.rs` says what is in
 /// the name, `tests/builds` compares).

@@ -12,13 +12,18 @@ use femc_prepared::Prepared;
 use std::sync::atomic::{AtomicBool, AtomicU64};
 
 /// Pixels of a pilot, about: 15 blocks.
-const PIXELS: f64 = 3840.0;
+pub(crate) const PIXELS: f64 = 3840.0;
 /// Edge of a block and of a tile, pixels.
 const EDGE: u32 = 16;
 
 /// Film of a pilot for a film of this size, pixels.
-pub fn film([width, height]: [u32; 2]) -> [u32; 2] {
-    let scale = (PIXELS / (f64::from(width) * f64::from(height))).sqrt().min(1.0);
+pub fn film(size: [u32; 2]) -> [u32; 2] {
+    film_of(size, PIXELS)
+}
+
+/// The same of about so many pixels.
+pub(crate) fn film_of([width, height]: [u32; 2], pixels: f64) -> [u32; 2] {
+    let scale = (pixels / (f64::from(width) * f64::from(height))).sqrt().min(1.0);
     [width, height].map(|edge| ((f64::from(edge) * scale).round() as u32).clamp(1, edge.max(1)))
 }
 

@@ -36,6 +36,9 @@ pub struct LeftOut {
     pub reason: String,
 }
 
+/// What a plan leaves out where paths are traced alone.
+pub const FIRST_PASS: &str = "finite-element first pass";
+
 /// Why there is no plan.
 #[derive(Debug, thiserror::Error)]
 pub enum PlanError {
@@ -96,7 +99,7 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
     if let Some(allocation) = &settings.allocation {
         allocation.check_tiles(&tiling).map_err(SettingsError::Allocation)?;
     }
-    // Which frames two passes are worth for is not known in advance: path tracing is never far from the best.
+    // Whether a first pass is worth it a pilot says (`auto`), of which the settings that come here know the outcome.
     let method = if settings.method == Method::Auto { Method::Pt } else { settings.method };
     let stages = in_blocks(stages(&tiling, &rounds, fan(&tiling), method), method, first_pass_blocks(scene));
     let stages = if settings.statistics { with_statistics(stages) } else { stages };
@@ -108,7 +111,7 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
         }
         Method::Femc => Vec::new(),
         Method::Auto | Method::Pt => vec![left_out(
-            "finite-element first pass",
+            FIRST_PASS,
             "path tracing does without; `--method femc` guides paths by its solution, `--method fem` renders that",
         )],
     };

@@ -192,7 +192,7 @@ impl Bench<'_> {
                         format!("{}/{all}: {name}, {}, {}, seed {seed}", done + 1, method.name, method.shown(budget))
                     };
                     progress.at(done as f64 / all as f64, text);
-                    let ready = match &ready {
+                    let ready = match &mut ready {
                         Some(ready) => ready,
                         None => ready.insert(bed.ready(self.pool, &cancel)?),
                     };

@@ -40,7 +40,7 @@ fn blocks(report: &Report) -> Vec<Vec<String>> {
         let pixels = block.pixels.iter().map(|it| format!("{},{} {}", it.x, it.y, share(it.share)));
         let mostly = block.origins.first().map(|it| {
             let lamp = it.lamp.as_ref().map_or(String::new(), |it| format!(", {}", it.name));
-            format!("{} bounce {}, {}, {}{lamp}", share(it.share), it.bounce, it.how, spelled(&it.on))
+            format!("{} bounce {}, {}, {}{lamp}", share(it.share), it.bounce, technique(it), spelled(&it.on))
         });
         vec![
             format!("{},{}", block.x, block.y),
@@ -59,11 +59,16 @@ fn row(origin: &OriginReport) -> Vec<String> {
         share(origin.share),
         share(origin.light),
         origin.bounce.to_string(),
-        origin.how.to_owned(),
+        technique(origin),
         spelled(&origin.on),
         origin.lamp.as_ref().map_or(String::new(), lamp),
         format!("{x},{y} #{sample}: {} cd/m2, {} x mean", number(*luminance), number(*times_mean)),
     ]
+}
+
+/// `light drawn at a surface`, `lamp met by scattering, guided`.
+fn technique(origin: &OriginReport) -> String {
+    format!("{}{}", origin.how, if origin.guided { ", guided" } else { "" })
 }
 
 fn path(origin: &OriginReport) -> String {

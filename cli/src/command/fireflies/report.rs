@@ -73,6 +73,9 @@ pub struct OriginReport {
     pub bounce: u32,
     /// Technique.
     pub how: &'static str,
+    /// Whether the first pass has drawn a direction of the path until then, with the method `femc`.
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    pub guided: bool,
     /// What it was scattered by last.
     pub on: OnReport,
     /// The lamp; none: a medium that glows.
@@ -209,6 +212,7 @@ fn origins(account: &Account, frame: &Frame, names: &Names<'_>, most: usize) -> 
         light: part(it.mean, mean),
         bounce: origin.bounce,
         how: how(origin.how),
+        guided: origin.guided,
         on: names.on(origin.on),
         lamp: origin.lamp.map(|lamp| names.lamp(lamp)),
         brightest: names.brightest(frame, origin, &it.brightest),

@@ -81,7 +81,7 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     let report_file = args.report.as_deref().map(ReportFile::to).transpose()?;
     let asked = match &args.replay {
         Some(frame) => Asked::again(&args.scene, frame, args.settings, say)?,
-        None => Asked::open(&args.scene, args.settings, say)?,
+        None => Asked::open(&args.scene, args.settings, say)?.decided()?,
     };
     let target = Target::of(args.out.as_deref(), &asked.name(), asked.plan.frames.len())?;
     check_pictures(&target, &args.extras, args.exposure)?;
@@ -107,6 +107,7 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
             say.warning("--report: nothing was rendered, so there is nothing to tell; --fresh renders anew");
         }
     } else {
+        asked.explain(say);
         let old = if args.fresh { Old::Discard } else { Old::Keep };
         let order = Order {
             asked: &asked,

@@ -1,6 +1,6 @@
 //! A sweep checked against its scene: its variants, and for each frame what it is made from.
 
-use crate::args::SettingsArgs;
+use crate::args::{Method, SettingsArgs};
 use crate::command::client;
 use crate::exit::{Failure, failed, usage};
 use crate::output::Say;
@@ -65,7 +65,7 @@ pub struct Planning {
 }
 
 impl Work {
-    /// Read the job file `path`, apply `typed`, check every variant. Costs no rendering.
+    /// Read the job file `path`, apply `typed`, check every variant. Renders nothing but a pilot of the first one, where no method is named.
     pub fn open(path: &Path, typed: &SettingsArgs, say: Say) -> Result<Self, Failure> {
         let mut job = JobFile::load(path).map_err(usage)?;
         let sweep = job.sweep.take().ok_or_else(|| {
@@ -81,7 +81,7 @@ impl Work {
             )));
         }
         job.replaced(typed);
-        let settings = typed.clone().over(job.settings.clone());
+        let mut settings = typed.clone().over(job.settings.clone());
         let base = Base::open(&job.scene, settings.root.as_deref(), say)?;
         let mut work: Option<Self> = None;
         let mut frames = 0;
@@ -93,6 +93,14 @@ impl Work {
             let at = |key: &str| of_axis(key).map(|(_, choice)| job.shown(choice.place)).or_else(|| job.at(key));
             let mut asked = base.ask(&variant.apply(&settings), &at)?;
             (asked.priority, asked.tags) = (job.priority, job.tags.clone());
+            // All variants have one method: they are there to be compared.
+            if work.is_none() {
+                asked = asked.decided()?;
+                asked.explain(say);
+                if asked.plan.method == femc_pipeline::Method::Femc {
+                    settings.method = Some(Method::Femc);
+                }
+            }
             check_regions(&job, &asked)?;
             frames += asked.plan.frames.len();
             if frames > MAX_FRAMES {

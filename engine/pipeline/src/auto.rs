@@ -1,0 +1,299 @@
+//! Whether a first pass is worth what it takes.
+//!
+//! A pilot traces some paths of the job's first frame, which count in no image, and says two things: how much work the frame is, and how
+//! much of the samples' variance is in light that guides could find. Guides act where a path leaves a diffuse surface, so they can
+//! lessen the noise of light that was found after that, and of no other. Work is counted in rays, not in seconds: the choice
+//! depends on the job, not on the machine.
+
+use crate::first_pass::first_pass_key;
+use crate::first_pass_steps::{first_pass_blocks, surfaces};
+use crate::pilot;
+use crate::plan::Plan;
+use crate::render::{RenderError, frame_key, prepare, render_rows};
+use crate::settings::{Method, Settings, Stop};
+use femc_film::Rect;
+use femc_math::Rgb;
+use femc_math::color::luminance;
+use femc_montecarlo::record::{Contribution, Found, Hears, Leaving, Recorder, Scatterer, Vertex};
+use femc_prepared::{PrepareError, Source};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+
+/// Samples of each of a pilot's pixels that tell where variance comes from.
+const SAMPLES: u32 = 16;
+/// Rounds after which the samples that an error takes are extrapolated, and the samples by then.
+const ROUNDS: u32 = 3;
+const ROUNDS_SAMPLES: u32 = 16;
+/// A pilot has at most this share of the samples that the job has at least.
+const SHARE: f64 = 0.05;
+/// A pilot of fewer pixels is not worth asking.
+const FEWEST: f64 = 128.0;
+
+/// Work of a first pass, in rays of paths that take as long: at least, and for each surface.
+const LEAST_RAYS: f64 = 7e6;
+const RAYS_OF_SURFACE: f64 = 1.5e3;
+/// A first pass is worth it where it takes at most this share of the work of path tracing.
+const WORTH: f64 = 0.05;
+/// Least ratio of the samples' variance to that of the light which no guide can help.
+const BOUND: f64 = 1.5;
+
+/// The method that a job is rendered with, and why.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Choice {
+    /// Path tracing alone, or guided by a first pass.
+    pub method: Method,
+    /// What decided, in a sentence without its end.
+    pub reason: String,
+    /// What a pilot has found; `None`: the job is too small for one.
+    pub pilot: Option<Pilot>,
+}
+
+/// What some paths of a job say of it.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Pilot {
+    /// Samples that were drawn.
+    pub samples: u64,
+    /// Rays of a sample, mean.
+    pub rays_a_sample: f64,
+    /// Samples a pixel that the frame is likely to take.
+    pub samples_a_pixel: f64,
+    /// Variance of the samples over that of the light in them which no guide can help: what guides gain at most.
+    pub most_gain: f64,
+    /// Rays of all frames by path tracing.
+    pub rays: f64,
+    /// Work of the first passes that the frames share, in such rays.
+    pub first_pass_rays: f64,
+}
+
+/// Why nothing was chosen.
+#[derive(Debug, thiserror::Error)]
+pub enum ChoiceError {
+    /// The frame could not be made ready.
+    #[error(transparent)]
+    Prepare(#[from] PrepareError),
+    /// A tile was not rendered.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+}
+
+/// Chooses the method of a job whose settings leave it open ([`Method::Auto`]).
+/// - `source`: the scene, overrides applied; `plan`: of `settings`.
+pub fn choose(source: &Source, settings: &Settings, plan: &Plan) -> Result<Choice, ChoiceError> {
+    let paths = |reason: &str| Choice { method: Method::Pt, reason: reason.to_owned(), pilot: None };
+    if matches!(settings.stop, Stop::Time(_)) {
+        return Ok(paths("a frame by the clock is rendered from its first second on"));
+    }
+    let Some(found) = pilot(source, settings, plan)? else {
+        return Ok(paths("the job is small, and path tracing does it before a first pass were solved"));
+    };
+    let (method, reason) = found.choice();
+    Ok(Choice { method, reason, pilot: Some(found) })
+}
+
+impl Pilot {
+    /// The method, and what decides.
+    fn choice(&self) -> (Method, String) {
+        let work = 100.0 * self.first_pass_rays / self.rays;
+        let bounced = 100.0 * (1.0 - 1.0 / self.most_gain);
+        let noise = format!("light that has left a diffuse surface makes {bounced:.0} % of the noise");
+        if self.most_gain < BOUND {
+            (Method::Pt, format!("{noise}, and no guide could lessen the rest"))
+        } else if work > 100.0 * WORTH {
+            (Method::Pt, format!("a first pass takes about {work:.0} % of the work of path tracing, which is too much"))
+        } else {
+            (Method::Femc, format!("{noise}, and a first pass takes about {work:.1} % of the work of path tracing"))
+        }
+    }
+}
+
+/// Traces some paths of the first frame; `None`: the job is too small for that.
+pub fn pilot(source: &Source, settings: &Settings, plan: &Plan) -> Result<Option<Pilot>, ChoiceError> {
+    let settings = Settings { method: Method::Pt, statistics: false, ..settings.clone() };
+    let Some(&frame) = plan.frames.first() else { return Ok(None) };
+    let drawn = match settings.stop {
+        Stop::Error(_) => SAMPLES + ROUNDS_SAMPLES,
+        Stop::Spp(_) | Stop::Time(_) => SAMPLES,
+    };
+    let frames = plan.frames.len() as f64;
+    let pixels = SHARE * plan.samples_per_frame(1) as f64 * frames / f64::from(drawn);
+    if pixels < FEWEST {
+        return Ok(None);
+    }
+    let film = [plan.tiling.width, plan.tiling.height];
+    let [width, height] = pilot::film_of(film, pixels.min(pilot::PIXELS));
+    let settings = Settings { size: Some([width, height]), ..settings };
+    let prepared = prepare(source, &settings, frame, None)?;
+    let whole = Rect { x: 0, y: 0, width, height };
+    let (never, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+    let (rendered, splits) =
+        render_rows(&prepared, &settings, whole, 0..SAMPLES, &never, &progress, PixelNoise::default)?;
+    let samples = whole.area() * u64::from(SAMPLES);
+    let rays_a_sample = (rendered.rays + rendered.shadow_rays) as f64 / samples as f64;
+    let samples_a_pixel = match settings.stop {
+        Stop::Spp(spp) => f64::from(spp),
+        Stop::Error(_) | Stop::Time(_) => {
+            let rounds = std::cell::Cell::new(0);
+            let is_over = || rounds.replace(rounds.get() + 1) + 1 >= ROUNDS;
+            pilot::likely_samples(&prepared, &settings, is_over)?.unwrap_or(0.0)
+        }
+    };
+    let rays = rays_a_sample * samples_a_pixel * f64::from(film[0]) * f64::from(film[1]) * frames;
+    let surfaces = surfaces(source.scene()) as f64;
+    let first_pass_rays = (LEAST_RAYS + RAYS_OF_SURFACE * surfaces) * solutions(source, &settings, plan)? as f64;
+    let most_gain = most_gain(splits.into_iter().flat_map(PixelNoise::into_pixels).collect());
+    Ok(Some(Pilot { samples, rays_a_sample, samples_a_pixel, most_gain, rays, first_pass_rays }))
+}
+
+/// Solutions of the first pass that the frames share.
+fn solutions(source: &Source, settings: &Settings, plan: &Plan) -> Result<usize, PrepareError> {
+    let blocks = first_pass_blocks(source.scene());
+    let key = |&frame: &u32| Ok(first_pass_key(&frame_key(source, settings, frame)?, Method::Femc, blocks));
+    let keys: Result<BTreeSet<_>, PrepareError> = plan.frames.iter().map(key).collect();
+    Ok(keys?.len())
+}
+
+/// Sums of a pixel's samples: luminance and its square, of all light and of the light that no guide can help.
+#[derive(Clone, Copy, Debug, Default)]
+struct PixelSums {
+    count: f64,
+    all: [f64; 2],
+    rest: [f64; 2],
+}
+
+impl PixelSums {
+    fn variance(&self, [sum, squares]: [f64; 2]) -> f64 {
+        (squares - sum * sum / self.count).max(0.0) / (self.count - 1.0).max(1.0)
+    }
+}
+
+/// Variance of a sample over the pixel's squared mean, of all light over that of the rest.
+fn most_gain(pixels: Vec<PixelSums>) -> f64 {
+    let mean = |pixel: &PixelSums| pixel.all[0] / pixel.count;
+    let floor = pixels.iter().map(mean).sum::<f64>() / pixels.len().max(1) as f64;
+    let (mut all, mut rest) = (0.0, 0.0);
+    for pixel in &pixels {
+        let weight = 1.0 / (mean(pixel).powi(2) + 0.01 * floor * floor);
+        if weight.is_finite() {
+            all += pixel.variance(pixel.all) * weight;
+            rest += pixel.variance(pixel.rest) * weight;
+        }
+    }
+    if all <= rest { 1.0 } else { (all / rest.max(1e-6 * all)).max(1.0) }
+}
+
+/// Hears by pixel how much of the samples' light came by way of a diffuse surface.
+#[derive(Debug, Default)]
+struct PixelNoise {
+    pixel: Option<u32>,
+    now: PixelSums,
+    done: Vec<PixelSums>,
+    /// Times that the path has left a diffuse surface, and luminance that a guide could have found.
+    scattered: u32,
+    guidable: f64,
+}
+
+impl PixelNoise {
+    fn into_pixels(mut self) -> Vec<PixelSums> {
+        if self.now.count > 0.0 {
+            self.done.push(self.now);
+        }
+        self.done
+    }
+}
+
+impl Recorder for PixelNoise {
+    fn begin(&mut self, pixel: u32, _: u32) -> Hears {
+        if self.pixel != Some(pixel) && self.now.count > 0.0 {
+            self.done.push(std::mem::take(&mut self.now));
+        }
+        self.pixel = Some(pixel);
+        (self.scattered, self.guidable) = (0, 0.0);
+        Hears::All
+    }
+
+    fn vertex(&mut self, _: impl FnOnce() -> Vertex) {}
+
+    fn leave(&mut self, way: Leaving) {
+        self.scattered += u32::from(matches!(way, Leaving::Scattered { by: Scatterer::Diffuse, .. }));
+    }
+
+    fn hidden(&mut self, _: impl FnOnce() -> femc_geometry::Ray) {}
+
+    fn light(&mut self, contribution: impl FnOnce() -> Contribution) {
+        let contribution = contribution();
+        // A lamp that is met from the first surface is direct light: it is drawn from there, too.
+        let before = u32::from(contribution.found == Found::Met);
+        if self.scattered > before {
+            self.guidable += f64::from(luminance(contribution.color));
+        }
+    }
+
+    fn stop(&mut self, _: u32, _: femc_montecarlo::record::Stop, _: Rgb) {}
+
+    fn end(&mut self, color: Option<Rgb>) {
+        let Some(all) = color.map(|color| f64::from(luminance(color))) else { return };
+        let rest = all - self.guidable;
+        self.now.count += 1.0;
+        for (sums, value) in [(&mut self.now.all, all), (&mut self.now.rest, rest)] {
+            sums[0] += value;
+            sums[1] += value * value;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::sync::Arc;
+
+    fn source(name: &str) -> Source {
+        let path = format!("{}/../../scenes/{name}.mgf", env!("CARGO_MANIFEST_DIR"));
+        Source::new(Arc::new(femc_import::load_path(path.as_ref()).expect("a scene").scene))
+    }
+
+    fn chosen(source: &Source, size: [u32; 2], stop: Stop) -> Choice {
+        let settings = Settings { size: Some(size), stop, ..Settings::default() };
+        let plan = crate::plan(source.scene(), &settings, Some(&[1])).expect("a plan");
+        choose(source, &settings, &plan).expect("a choice")
+    }
+
+    #[test]
+    fn a_door_ajar_is_worth_a_first_pass_and_a_small_frame_or_one_by_the_clock_is_not() {
+        let source = source("door-ajar");
+        let large = chosen(&source, [320, 240], Stop::Spp(1024));
+        assert_eq!(large.method, Method::Femc, "{large:?}");
+        assert!(large.reason.contains("of the noise") && large.pilot.is_some_and(|pilot| pilot.most_gain > 4.0));
+        assert_eq!(chosen(&source, [320, 240], Stop::Spp(1024)), large, "a fact of the job");
+        let few = chosen(&source, [320, 240], Stop::Spp(16));
+        assert_eq!((few.method, few.pilot.is_some()), (Method::Pt, true), "{few:?}");
+        let small = chosen(&source, [32, 24], Stop::Spp(16));
+        assert_eq!((small.method, small.pilot), (Method::Pt, None));
+        assert_eq!(chosen(&source, [320, 240], Stop::Time(60.0)).method, Method::Pt);
+    }
+
+    /// An error asks for samples; the pilot says about how many.
+    #[test]
+    fn an_error_is_worth_as_much_as_the_samples_that_it_takes() {
+        let source = source("door-ajar");
+        let [coarse, fine] = [0.5, 0.005].map(|error| chosen(&source, [128, 96], Stop::Error(error)));
+        let spp = |choice: &Choice| choice.pilot.expect("a pilot").samples_a_pixel;
+        assert!(spp(&fine) > 100.0 * spp(&coarse), "{coarse:?} {fine:?}");
+        assert_eq!((coarse.method, fine.method), (Method::Pt, Method::Femc));
+    }
+
+    /// A white floor under a small lamp, in the open: what light has left it comes to nothing else.
+    #[test]
+    fn a_scene_without_light_by_way_of_surfaces_is_left_to_paths() {
+        let text = "camera main =\n\torigin 0 -3 2\n\ttarget 0 0 0\n\tfov 40\n\tfilm 64 64\nm white =\n\tsides 2\n\tc\n\trd 0.8\n\
+                    m lamp =\n\tsides 1\n\tc\n\ted 40000\nv a =\n\tp -9 -9 0\nv b =\n\tp 9 -9 0\nv c =\n\tp 9 9 0\nv d =\n\tp -9 9 0\n\
+                    m white\nf a b c d\nv l =\n\tp 0 0 2.5\nm lamp\nsph l 0.05\n";
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("floor.mgf");
+        std::fs::write(&path, text).expect("a file");
+        let scene = femc_import::load_path(&path).expect("a scene").scene;
+        let choice = chosen(&Source::new(Arc::new(scene)), [512, 512], Stop::Spp(4096));
+        let pilot = choice.pilot.expect("a pilot");
+        assert_eq!((choice.method, pilot.most_gain), (Method::Pt, 1.0), "{choice:?}");
+    }
+}

@@ -1,8 +1,8 @@
 //! Every message of the wire as a decoder of bytes, for fuzzing: generated types stay in here all the same.
 
 use femc_model::{
-    Artifact, AttemptRecord, Drain, FrameParts, FrameRecord, FromWorker, JobSpec, JobStatus, LogRecord, Refusal,
-    ToWorker, WorkerName, WorkerStatus,
+    Artifact, AttemptRecord, Crew, Drain, FrameParts, FrameRecord, FromWorker, JobSpec, JobStatus, LogRecord, Refusal,
+    ToWorker, WorkerName,
 };
 use prost::Message;
 

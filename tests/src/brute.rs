@@ -16,6 +16,17 @@ use std::f64::consts::{FRAC_1_PI, TAU};
 /// Segments begin this far from their surface, m: coordinates of a few metres are exact to 1e-15.
 const NEAR: f64 = 1e-9;
 
+/// What scatters a path, from the camera on.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Scatterer {
+    /// The diffuse part of a surface.
+    Diffuse,
+    /// The rough mirror of a surface.
+    Glossy,
+    /// Fog.
+    Fog,
+}
+
 /// A scene that is ready for [`Brute::image`].
 pub struct Brute {
     triangles: Vec<Triangle>,
@@ -71,37 +82,63 @@ impl Brute {
 
     /// Mean of `spp` samples a pixel; images of different seeds are independent.
     pub fn image(&self, seed: u32, spp: u32) -> Image {
+        let [image] = self.classes(seed, spp, |_| [true]);
+        image
+    }
+
+    /// The same of the light of paths that are of some class, an image a class.
+    /// - `of`: to which classes a path belongs that meets a lamp, by what has scattered it.
+    pub fn classes<const N: usize>(
+        &self,
+        seed: u32,
+        spp: u32,
+        of: impl Fn(&[Scatterer]) -> [bool; N] + Sync,
+    ) -> [Image; N] {
         let [width, height] = self.eye.film;
         let pixel = |index: u32| {
             // The generator's streams begin at random places of its one sequence.
             let mut rng = Rng::new(Rng::new(u64::from(seed) << 32 | u64::from(index)).bits());
             let corner = [index % width, index / width].map(f64::from);
-            let sum: DVec3 = (0..spp).map(|_| self.sample(corner, &mut rng)).sum();
-            (sum / f64::from(spp)).as_vec3().to_array()
+            let mut sums = [DVec3::ZERO; N];
+            let mut found = |path: &[Scatterer], radiance: DVec3| {
+                let classes = sums.iter_mut().zip(of(path)).filter(|(_, belongs)| *belongs);
+                classes.for_each(|(sum, _)| *sum += radiance);
+            };
+            (0..spp).for_each(|_| self.sample(corner, &mut rng, &mut found));
+            sums.map(|sum| (sum / f64::from(spp)).as_vec3().to_array())
         };
-        Image { width, height, pixels: (0..width * height).into_par_iter().map(pixel).collect() }
+        let pixels: Vec<[[f32; 3]; N]> = (0..width * height).into_par_iter().map(pixel).collect();
+        std::array::from_fn(|class| Image {
+            width,
+            height,
+            pixels: pixels.iter().map(|classes| classes[class]).collect(),
+        })
     }
 
-    /// Radiance that comes in through a place of a pixel, cd/m2.
-    fn sample(&self, corner: [f64; 2], rng: &mut Rng) -> DVec3 {
+    /// Finds the radiance that comes in through a place of a pixel, cd/m2, lamp by lamp that a path meets.
+    fn sample(&self, corner: [f64; 2], rng: &mut Rng, found: &mut impl FnMut(&[Scatterer], DVec3)) {
         let (mut origin, mut dir) = (self.eye.origin, self.eye.direction(corner.map(|x| x + rng.unit())));
-        let (mut radiance, mut throughput) = (DVec3::ZERO, DVec3::ONE);
+        let (mut throughput, mut path) = (DVec3::ONE, Vec::new());
         loop {
             let hit = self.nearest(origin, dir);
             let reach = hit.map_or(f64::INFINITY, |(t, _)| t);
             if let Some((t, fog)) = self.collision(reach, rng) {
                 if rng.unit() >= fog.albedo {
-                    return radiance;
+                    return;
                 }
+                path.push(Scatterer::Fog);
                 origin += dir * t;
                 dir = fog.scatter(dir, rng);
                 continue;
             }
-            let Some((t, triangle)) = hit else { return radiance };
+            let Some((t, triangle)) = hit else { return };
             let surface = &self.surfaces[triangle.surface];
-            radiance += throughput * surface.radiance;
+            if surface.radiance != DVec3::ZERO {
+                found(&path, throughput * surface.radiance);
+            }
             let normal = triangle.normal * -triangle.normal.dot(dir).signum();
-            let Some((wi, weight)) = surface.scatter(normal, -dir, rng) else { return radiance };
+            let Some((wi, weight, by)) = surface.scatter(normal, -dir, rng) else { return };
+            path.push(by);
             throughput *= weight;
             origin += dir * t;
             dir = wi;
@@ -180,17 +217,18 @@ impl Surface {
         }
     }
 
-    /// A direction and the factor on light from there, by the part of the reflection that is drawn; `None`: absorbed.
+    /// A direction and the factor on light from there, by the part of the reflection that is drawn, and that part;
+    /// `None`: absorbed.
     /// - `normal`: on the side of `wo`.
-    fn scatter(&self, normal: DVec3, wo: DVec3, rng: &mut Rng) -> Option<(DVec3, DVec3)> {
+    fn scatter(&self, normal: DVec3, wo: DVec3, rng: &mut Rng) -> Option<(DVec3, DVec3, Scatterer)> {
         let (diffuse, glossy) = (self.diffuse.max_element(), self.glossy.max_element());
         let part = rng.unit();
         if part < diffuse {
             let wi = rng.direction(|wi| wi.dot(normal));
-            Some((wi, self.diffuse / diffuse))
+            Some((wi, self.diffuse / diffuse, Scatterer::Diffuse))
         } else if part < diffuse + glossy {
             let wi = rng.direction(|wi| f64::from(u8::from(wi.dot(normal) > 0.0)));
-            Some((wi, self.glossy / glossy * (TAU * lobe(normal, wo, wi, self.alpha))))
+            Some((wi, self.glossy / glossy * (TAU * lobe(normal, wo, wi, self.alpha)), Scatterer::Glossy))
         } else {
             None
         }

@@ -13,12 +13,21 @@ pub const FIRST_PASS_BLOCKS: &str = "first-pass-blocks";
 /// The same of workers that know light statistics.
 pub const STATISTICS: &str = "statistics";
 
+/// The same of workers that know layers.
+pub const LAYERS: &str = "layers";
+
 /// The stages of a plan, as a job has them.
 pub fn graph(stages: &[engine::Stage]) -> Graph {
     let has_first_pass = stages.iter().any(|stage| stage.kind == engine::StageKind::FirstPass);
     let has_blocks = stages.iter().any(|stage| stage.kind == engine::StageKind::FirstPassBlock);
     let has_statistics = stages.iter().any(|stage| stage.makes.contains(&engine::Role::Statistics));
-    let known = [(has_first_pass, FIRST_PASS), (has_blocks, FIRST_PASS_BLOCKS), (has_statistics, STATISTICS)];
+    let has_layers = stages.iter().any(|stage| stage.makes.contains(&engine::Role::LayerImage));
+    let known = [
+        (has_first_pass, FIRST_PASS),
+        (has_blocks, FIRST_PASS_BLOCKS),
+        (has_statistics, STATISTICS),
+        (has_layers, LAYERS),
+    ];
     let tags: Vec<&str> = known.iter().filter(|it| it.0).map(|it| it.1).collect();
     Graph { stages: stages.iter().map(|stage| template(stage).tags(&tags)).collect() }
 }
@@ -85,6 +94,9 @@ fn role(role: &engine::Role) -> Role {
         engine::Role::Links => Role::Links,
         engine::Role::Rays => Role::Rays,
         engine::Role::Guides => Role::Guides,
+        engine::Role::Layers => Role::Layers,
+        engine::Role::LayerPixels => Role::LayerPixels,
+        engine::Role::LayerImage => Role::LayerImage,
     }
 }
 
@@ -109,6 +121,11 @@ mod tests {
                         assert_eq!(with_statistics.check(), Ok(()), "{film:?} {rounds:?} {fan} {method:?}");
                         let has_tag = |stage: &Template| stage.tags.iter().any(|tag| tag == STATISTICS);
                         assert!(with_statistics.stages.iter().all(has_tag));
+                        for count in [1, 20] {
+                            let with_layers = graph(&engine::with_layers(stages.clone(), &tiling, count));
+                            assert_eq!(with_layers.check(), Ok(()), "{film:?} {rounds:?} {fan} {method:?}");
+                            assert!(with_layers.stages.iter().all(|stage| stage.tags.iter().any(|tag| tag == LAYERS)));
+                        }
                         let cut = graph(&engine::in_blocks(stages.clone(), method, 5));
                         let graph = graph(&stages);
                         assert_eq!(graph.check(), Ok(()), "{film:?} {rounds:?} {fan} {method:?}");

@@ -1,6 +1,7 @@
 use super::{Filter, Method};
 use crate::values::{Budget, Frames, Override, Size};
 use clap::{Args, ValueEnum};
+use femc_pipeline::Layer;
 use std::path::PathBuf;
 
 /// Which samples are in the histograms.
@@ -73,6 +74,15 @@ pub struct SettingsArgs {
     /// takes about half as long again.
     #[arg(long, value_enum, value_name = "HOW", num_args = 0..=1, require_equals = true, default_missing_value = "some")]
     pub stats: Option<Stats>,
+    /// Write a layer of the light, too, into FRAME.layers.exr: a name and a light path expression, like direct=CDL (repeatable)
+    ///
+    /// Write a layer of the light, too, into FRAME.layers.exr, beside the frame: a name and a light path expression in the grammar of Open
+    /// Shading Language, like `--layer direct=CDL` (repeatable). `docs/layers.md` has the grammar and examples.
+    #[arg(long, value_name = "NAME=EXPRESSION")]
+    pub layer: Vec<Layer>,
+    /// The same by names of layers: guides (five), lamps (one a lamp), direct, indirect, fog, surfaces
+    #[arg(long, value_name = "NAMES", value_delimiter = ',')]
+    pub layers: Vec<String>,
 }
 
 impl SettingsArgs {
@@ -98,6 +108,8 @@ impl SettingsArgs {
             set: job.set.into_iter().chain(self.set).collect(),
             root: self.root.or(job.root),
             stats: self.stats.or(job.stats),
+            layer: job.layer.into_iter().chain(self.layer).collect(),
+            layers: job.layers.into_iter().chain(self.layers).collect(),
         }
     }
 }

@@ -3,7 +3,7 @@
 use super::client::{self, Farm};
 use super::lookout::Views;
 use super::preview::Partial;
-use super::render::{frame_name, still_name};
+use super::render::{frame_name, layers_of, statistics_of, still_name};
 use super::watch::{Words, follow};
 use crate::args::{FormatArgs, ServerArgs};
 use crate::exit::{Exit, Failure, failed};
@@ -78,12 +78,14 @@ pub fn run(args: &FetchArgs, say: Say) -> Result<Exit, Failure> {
         let (mut files, mut lost) = (Vec::new(), Vec::new());
         for frame in farm.frames(JobId(args.job)).await? {
             let path = args.out.join(frame_name(&status.name, frame.frame));
-            let statistics = match frame.statistics() {
-                Some(statistics) => file(farm, &statistics, &path.with_extension("paths")).await?,
-                None => true,
-            };
+            let mut beside = true;
+            for (artifact, path) in [(frame.statistics(), statistics_of(&path)), (frame.layers(), layers_of(&path))] {
+                if let Some(artifact) = artifact {
+                    beside &= file(farm, &artifact, &path).await?;
+                }
+            }
             match frame.image() {
-                Some(image) if statistics && file(farm, &image, &path).await? => files.push(path),
+                Some(image) if beside && file(farm, &image, &path).await? => files.push(path),
                 _ => lost.push(frame.frame),
             }
         }

@@ -9,7 +9,9 @@ use crate::values::{Frames, Size};
 use femc_fault::{Pretense, pretended};
 use femc_import::{Bundle, ImportError, Loaded, ScenePath};
 use femc_pipeline::auto::{self, Choice};
-use femc_pipeline::{FIRST_PASS, Plan, PlanError, PrepareError, Settings, SettingsError, Source, Stop};
+use femc_pipeline::{
+    FIRST_PASS, Layer, Plan, PlanError, PrepareError, Preset, Settings, SettingsError, Source, Stop, lamp_labels,
+};
 use femc_scene::Scene;
 use femc_worker::Parcel;
 use std::path::{Path, PathBuf};
@@ -99,12 +101,16 @@ impl Base {
         self.ask_for(settings(typed), typed, at)
     }
 
-    /// Check settings against the scene, and plan. Of what was `typed` only the frames, the workers and the threads count.
+    /// Check settings against the scene, and plan. Of what was `typed` only the frames, the layers, the workers and the threads
+    /// count.
     fn ask_for(&self, settings: Settings, typed: &SettingsArgs, at: At<'_>) -> Result<Asked, Failure> {
         let named = |key: &str| at(key).unwrap_or_else(|| format!("--{}", key.split('.').next().unwrap_or(key)));
         let source = self.source.variant(&settings.overrides);
         let source = source.map_err(|e| usage(format!("{}: {e}", named(&format!("set.{}", e.selector())))))?;
         let scene = source.scene();
+        let asked_for = layers(scene, typed, &named)?;
+        let layers = if asked_for.is_empty() { settings.layers } else { asked_for };
+        let settings = Settings { layers, ..settings };
         let frames = typed
             .frames
             .map(|frames| frames.resolve(scene.frame_count()))
@@ -305,6 +311,8 @@ fn refused(path: &Path, e: &PlanError, named: &dyn Fn(&str) -> String) -> Failur
         PlanError::Settings(SettingsError::Domain { setting, .. }) => usage(format!("{}: {e}", named(setting))),
         PlanError::Settings(SettingsError::Allocation(e)) => usage(format!("--replay: {e}")),
         PlanError::Settings(SettingsError::DepthOfElements(_)) => usage(format!("{}: {e}", named("method"))),
+        PlanError::Settings(SettingsError::LayersOfElements) => usage(format!("{}: {e}", named("method"))),
+        PlanError::Settings(SettingsError::Layers(_)) => usage(format!("{}: {e}", named("layer"))),
         PlanError::Film(_) => usage(format!("{}: {message}", named("size"))),
         PlanError::Settings(SettingsError::Selector(_))
         | PlanError::FrameOutside { .. }
@@ -337,8 +345,21 @@ fn settings(typed: &SettingsArgs) -> Settings {
         overrides: typed.set.iter().map(|o| (o.selector.clone(), o.value)).collect(),
         statistics: typed.stats.is_some(),
         full_statistics: typed.stats == Some(Stats::Full),
+        layers: Vec::new(),
         allocation: None,
     }
+}
+
+/// The layers typed, those of names before those of expressions.
+fn layers(scene: &Scene, typed: &SettingsArgs, named: &dyn Fn(&str) -> String) -> Result<Vec<Layer>, Failure> {
+    let lamps = if typed.layers.is_empty() { Vec::new() } else { lamp_labels(scene) };
+    let mut all = Vec::new();
+    for name in &typed.layers {
+        let preset = name.trim().parse().and_then(|preset: Preset| preset.layers(lamps.iter().map(String::as_str)));
+        all.extend(preset.map_err(|e| usage(format!("{}: {e}", named("layers"))))?);
+    }
+    all.extend(typed.layer.iter().cloned());
+    Ok(all)
 }
 
 fn method(method: Method) -> femc_pipeline::Method {

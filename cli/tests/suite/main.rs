@@ -17,6 +17,7 @@ mod first_pass;
 mod gc;
 mod inspect;
 mod interrupt;
+mod layers;
 mod logs;
 mod manual;
 mod messages;

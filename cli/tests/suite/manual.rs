@@ -166,6 +166,7 @@ pages! {
     bench: "bench.md",
     first_pass: "first-pass.md",
     two_passes: "two-passes.md",
+    layers: "layers.md",
     paths: "paths.md",
     formats: "formats.md",
     scenes: "scenes.md",

@@ -50,7 +50,7 @@ impl PixelSums {
         if self.hits > 0 {
             pixel.depth = (self.depth.value() / f64::from(self.hits)) as f32;
         }
-        let (weights, factor) = self.weights(is_held);
+        let (weights, factor) = (weights(self.count, is_held), variance_factor(self.count, is_held));
         let mean = |half: usize, channel: usize| match self.count[half] {
             0 => 0.0,
             count => self.color[half][channel].value() / f64::from(count),
@@ -63,17 +63,26 @@ impl PixelSums {
         pixel.luminance_variance = (factor * luminance(difference).powi(2)) as f32;
         pixel
     }
+}
 
-    /// The weights of the halves in the image, and what the square of their difference is to be multiplied by to be an unbiased
-    /// estimate of the variance of the mean with these weights. One half alone tells nothing: its squared mean stands in for
-    /// the variance (a relative error of 1).
-    fn weights(&self, is_held: bool) -> ([f64; HALVES], f64) {
-        let [a, b] = self.count.map(f64::from);
-        match (a > 0.0, b > 0.0) {
-            (true, true) if is_held => ([0.5; 2], 0.25),
-            (true, true) => ([a / (a + b), b / (a + b)], a * b / (a + b).powi(2)),
-            _ => ([f64::from(a > 0.0), f64::from(b > 0.0)], 1.0),
-        }
+/// The weights of the halves in the image, by their counts of samples. What one half alone tells has the weight 1.
+pub(crate) fn weights(count: [u32; HALVES], is_held: bool) -> [f64; HALVES] {
+    let [a, b] = count.map(f64::from);
+    match (a > 0.0, b > 0.0) {
+        (true, true) if is_held => [0.5; 2],
+        (true, true) => [a / (a + b), b / (a + b)],
+        _ => [f64::from(a > 0.0), f64::from(b > 0.0)],
+    }
+}
+
+/// What the square of the halves' difference is to be multiplied by to be an unbiased estimate of the variance of the mean with these
+/// weights. One half alone tells nothing: its squared mean stands in for the variance (a relative error of 1).
+pub(crate) fn variance_factor(count: [u32; HALVES], is_held: bool) -> f64 {
+    let [a, b] = count.map(f64::from);
+    match (a > 0.0, b > 0.0) {
+        (true, true) if is_held => 0.25,
+        (true, true) => a * b / (a + b).powi(2),
+        _ => 1.0,
     }
 }
 

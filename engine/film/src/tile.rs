@@ -167,7 +167,7 @@ impl PixelSums {
 
 /// Mantissa and exponent of a finite float: `v = mantissa * 2^exponent`; subnormals, which no sum can hold, are 0.
 #[inline]
-fn parts(v: f32) -> (u64, i32) {
+pub(crate) fn parts(v: f32) -> (u64, i32) {
     let bits = v.to_bits();
     let exponent = (bits >> 23) & 0xff;
     let mantissa = if exponent == 0 { 0 } else { (bits & 0x007f_ffff) | 0x0080_0000 };

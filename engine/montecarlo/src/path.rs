@@ -3,7 +3,7 @@
 use crate::dimensions as dim;
 use crate::fog::{Collision, Fog, FoggyRay, Scattered, Segment};
 use crate::guided::{Drawn, Scattering};
-use crate::record::{Contribution, Found, Hears, Leaving, Place, Recorder, Scatterer, Stop, Vertex};
+use crate::record::{Contribution, Found, Hears, Leaving, Place, Recorder, Scatterer, Split, Stop, Vertex};
 use crate::shadow::Shadow;
 use crate::technique::{Technique, weight};
 use femc_emission::{AtPoint, Choice, DeltaKind, Lobes};
@@ -341,6 +341,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                     fog.weigh(&stretch);
                     if let Some(scattered) = fog.airlight(&stretch, &mut stream) {
                         if HEARD
+                            && R::HIDDEN
                             && scattered.color == Rgb::ZERO
                             && let Some(shadow) = shadow_of(scene, &stretch, &scattered, &mut stream)
                         {
@@ -548,6 +549,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
                 Came::Surely
             } else {
                 let by = if scattered.lobe == LobeKind::Glossy { Scatterer::Glossy } else { Scatterer::Diffuse };
+                tell!(self.split(|| Split::of(&bsdf, wo, scattered.wi)));
                 tell!(self.leave(Leaving::Scattered { pdf: scattered.pdf, by, by_guide }));
                 Came::Surface { wanted, pdf: scattered.pdf }
             };
@@ -651,6 +653,7 @@ impl<'a, R: Recorder> Tracer<'a, R> {
             if light.delta == DeltaKind::Position { 0.0 } else { square(scattering.pdf(wi, light.dir) / light.pdf) };
         let weight = weight(self.settings.only, Technique::Light, by_scattering);
         let contribution = value * light.radiance * (weight / light.pdf);
+        tell!(self.split(|| Split::of(bsdf, wo, wi)));
         let mut inside = *inside;
         if MEDIA && (point.normal.dot(light.dir) > 0.0) == back {
             cross(&mut inside, &scene.materials[point.material as usize], back);

@@ -7,6 +7,7 @@
 use femc_geometry::Ray;
 use femc_math::Rgb;
 use femc_math::glam::Vec3A;
+use femc_scattering::Bsdf;
 pub use femc_scattering::Transmitted;
 
 /// Events of a sample that a recorder is told.
@@ -20,6 +21,9 @@ pub enum Hears {
 
 /// What the tracer calls for each vertex of a path, for each contribution to a sample, and at the path's end.
 pub trait Recorder {
+    /// Whether it wants to hear what hides light ([`Self::hidden`]): to find that out takes work.
+    const HIDDEN: bool = true;
+
     /// A camera sample begins: its pixel, a row-major index in the whole film, and its number. Says what is to be heard of it.
     fn begin(&mut self, pixel: u32, sample: u32) -> Hears;
     /// The path has come to a surface that may scatter, or to a collision in a medium.
@@ -28,6 +32,9 @@ pub trait Recorder {
     fn leave(&mut self, way: Leaving);
     /// The light that was drawn for the latest vertex, or for a point in fog, is hidden by a surface: its contribution, which is told next, is 0.
     fn hidden(&mut self, shadow: impl FnOnce() -> Ray);
+    /// What the surface of the latest vertex is to the direction that is told next: the one that the path goes on in, or that of the light
+    /// that was drawn. Of a mirror and of clear surfaces nothing is told.
+    fn split(&mut self, _split: impl FnOnce() -> Split) {}
     /// Light was found.
     fn light(&mut self, contribution: impl FnOnce() -> Contribution);
     /// The path goes no further.
@@ -126,6 +133,24 @@ pub enum Leaving {
         /// Whether the direction was drawn by what a first pass knows of the light there.
         by_guide: bool,
     },
+}
+
+/// Parts of what a surface scatters from one direction into another.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Split {
+    /// Whether the directions lie on different sides.
+    pub transmitted: Transmitted,
+    /// Share by channel that is scattered diffusely; the rest is glossy. In 0..1.
+    pub diffuse: Rgb,
+}
+
+impl Split {
+    /// Of light from `wi` to `wo`, unit, local frame: by the side that it comes from and by the lobes' shares of the BSDF's value there,
+    /// whatever drew the direction.
+    pub(crate) fn of(bsdf: &Bsdf, wo: Vec3A, wi: Vec3A) -> Self {
+        let transmitted = if wo.z * wi.z < 0.0 { Transmitted::Yes } else { Transmitted::No };
+        Self { transmitted, diffuse: bsdf.diffuse_share(wo, wi) }
+    }
 }
 
 /// What scatters in many directions.
@@ -228,5 +253,77 @@ impl Recording {
     /// `None`: it came from the camera.
     pub fn source(&self, vertices: usize) -> Option<&Step> {
         self.steps[..vertices].iter().rev().find(|step| step.leaving != Some(Leaving::Straight))
+    }
+}
+
+/// Two recorders of the same paths.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Both<A, B> {
+    /// The first.
+    pub first: A,
+    /// The second.
+    pub second: B,
+    hears: [bool; 2],
+}
+
+impl<A, B> Both<A, B> {
+    /// Both of them.
+    pub fn new(first: A, second: B) -> Self {
+        Self { first, second, hears: [false; 2] }
+    }
+}
+
+impl<A: Recorder, B: Recorder> Recorder for Both<A, B> {
+    const HIDDEN: bool = A::HIDDEN || B::HIDDEN;
+
+    fn begin(&mut self, pixel: u32, sample: u32) -> Hears {
+        self.hears = [self.first.begin(pixel, sample), self.second.begin(pixel, sample)].map(|it| it == Hears::All);
+        if self.hears == [false; 2] { Hears::End } else { Hears::All }
+    }
+
+    fn vertex(&mut self, vertex: impl FnOnce() -> Vertex) {
+        both(self, vertex, |it, vertex| it.vertex(|| vertex), |it, vertex| it.vertex(|| vertex));
+    }
+
+    fn leave(&mut self, way: Leaving) {
+        both(self, || way, |it, way| it.leave(way), |it, way| it.leave(way));
+    }
+
+    fn hidden(&mut self, shadow: impl FnOnce() -> Ray) {
+        both(self, shadow, |it, shadow| it.hidden(|| shadow), |it, shadow| it.hidden(|| shadow));
+    }
+
+    fn split(&mut self, split: impl FnOnce() -> Split) {
+        both(self, split, |it, split| it.split(|| split), |it, split| it.split(|| split));
+    }
+
+    fn light(&mut self, contribution: impl FnOnce() -> Contribution) {
+        both(self, contribution, |it, found| it.light(|| found), |it, found| it.light(|| found));
+    }
+
+    fn stop(&mut self, vertices: u32, why: Stop, throughput: Rgb) {
+        self.first.stop(vertices, why, throughput);
+        self.second.stop(vertices, why, throughput);
+    }
+
+    fn end(&mut self, color: Option<Rgb>) {
+        self.first.end(color);
+        self.second.end(color);
+    }
+}
+
+/// Tells those of two recorders that hear of the sample.
+fn both<A, B, T: Copy>(
+    Both { first, second, hears }: &mut Both<A, B>,
+    what: impl FnOnce() -> T,
+    to_first: impl FnOnce(&mut A, T),
+    to_second: impl FnOnce(&mut B, T),
+) {
+    let what = what();
+    if hears[0] {
+        to_first(first, what);
+    }
+    if hears[1] {
+        to_second(second, what);
     }
 }

@@ -11,6 +11,7 @@ mod budget;
 mod first_pass;
 mod first_pass_steps;
 mod in_process;
+mod layers;
 pub mod pilot;
 mod plan;
 mod render;
@@ -22,6 +23,7 @@ mod statistics;
 
 pub use allocation::{Allocation, AllocationError};
 pub use femc_field::{Field, FieldError, Form, Side, Statistics as FirstPassStatistics};
+pub use femc_layers::{Layer, LayerError, Preset};
 pub use femc_prepared::{PrepareError, Prepared, Source};
 pub use femc_radiosity::{
     self as radiosity, Aimed, Damaged, Found, Report as FirstPassReport, Settled, Sights, Solution, Underway,
@@ -30,6 +32,7 @@ pub use femc_scene::FrameKey;
 pub use first_pass::{OtherWorld, brightened, encode_solution, first_pass, first_pass_key, first_pass_world, light};
 pub use first_pass_steps::{aim, begin, blocks_of, first_pass_blocks, in_blocks, settle, surfaces};
 pub use in_process::{RenderedFrame, RoundEnd, by_rounds, render_frame};
+pub use layers::{LayerPlan, lamp_labels, render_with_layers};
 pub use plan::{FIRST_PASS, LeftOut, Plan, PlanError, plan};
 pub use render::{Places, RenderError, RenderedTile, frame_key, prepare, prepare_world, render_tile};
 /// Names the build of the engine: of two programs that say the same, the same job gives the same bits (`build.rs` says what is in
@@ -39,5 +42,5 @@ pub const BUILD: &str = env!("FEMC_ENGINE");
 pub use femc_paths as paths;
 pub use round::{RoundVerdict, UNLIT_SPP};
 pub use settings::{Method, Settings, SettingsError, Stop};
-pub use stage::{Loop, Need, Reach, Role, Round, Scope, Stage, StageKind, fan, stages, with_statistics};
+pub use stage::{Loop, Need, Reach, Role, Round, Scope, Stage, StageKind, fan, stages, with_layers, with_statistics};
 pub use statistics::{StatisticsPlan, render_with_statistics};

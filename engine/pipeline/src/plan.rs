@@ -1,8 +1,9 @@
 //! What would run, and what is left out and why.
 
 use crate::first_pass_steps::{first_pass_blocks, in_blocks};
+use crate::layers::unknown_label;
 use crate::settings::{Method, Settings, SettingsError, Stop};
-use crate::stage::{Stage, fan, stages, with_statistics};
+use crate::stage::{Stage, fan, stages, with_layers, with_statistics};
 use femc_film::{FilmError, Tiling};
 use femc_scene::Scene;
 use serde::{Deserialize, Serialize};
@@ -77,6 +78,7 @@ impl Plan {
 /// Plans a job. `frames`: the frames asked for; `None`: all. The overrides must have been applied to `scene`.
 pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Result<Plan, PlanError> {
     settings.check()?;
+    unknown_label(scene, &settings.layers).map_err(SettingsError::Layers)?;
     let camera = femc_prepared::find_camera(&scene.cameras, settings.camera.as_deref())?;
     let film = settings.size.unwrap_or(camera.film);
     let last = scene.frame_count();
@@ -101,6 +103,7 @@ pub fn plan(scene: &Scene, settings: &Settings, frames: Option<&[u32]>) -> Resul
     let method = if settings.method == Method::Auto { Method::Pt } else { settings.method };
     let stages = in_blocks(stages(&tiling, &rounds, fan(&tiling), method), method, first_pass_blocks(scene));
     let stages = if settings.statistics { with_statistics(stages) } else { stages };
+    let stages = if settings.layers.is_empty() { stages } else { with_layers(stages, &tiling, settings.layers.len()) };
     let left_out = |what: &str, reason: &str| LeftOut { what: what.into(), reason: reason.into() };
     let mut left_out = match method {
         Method::Fem => {

@@ -3,6 +3,7 @@
 use crate::allocation::{Allocation, AllocationError};
 use crate::budget::PILOT;
 use femc_film::Filter;
+use femc_layers::{Layer, LayerError};
 use femc_scene::{Scene, SelectorError};
 use serde::{Deserialize, Serialize};
 
@@ -30,6 +31,9 @@ pub struct Settings {
     /// Whether all samples are in the histograms of path statistics; else those that are recorded.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub full_statistics: bool,
+    /// Layers of the light, beside the picture.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub layers: Vec<Layer>,
     /// Of a frame that has a time: how its samples were divided when it was rendered first; `None`: by the clock.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub allocation: Option<Allocation>,
@@ -48,6 +52,7 @@ impl Default for Settings {
             overrides: Vec::new(),
             statistics: false,
             full_statistics: false,
+            layers: Vec::new(),
             allocation: None,
         }
     }
@@ -111,6 +116,14 @@ pub enum SettingsError {
         "a longest path (`max-depth` {0}) cannot be asked of the method `fem`, whose light has come any number of ways; use `pt`"
     )]
     DepthOfElements(u32),
+    /// Layers that no frame can have.
+    #[error(transparent)]
+    Layers(#[from] LayerError),
+    /// Elements do not know by what ways their light has come.
+    #[error(
+        "layers cannot be had of the method `fem`, whose light has come by ways that are not known; use `pt` or `femc`"
+    )]
+    LayersOfElements,
     /// Samples that no frame is made of.
     #[error(transparent)]
     Allocation(#[from] AllocationError),
@@ -143,6 +156,10 @@ impl Settings {
         }
         if self.method == Method::Fem && self.max_depth != 0 {
             return Err(SettingsError::DepthOfElements(self.max_depth));
+        }
+        femc_layers::parse_all(&self.layers)?;
+        if self.method == Method::Fem && !self.layers.is_empty() {
+            return Err(SettingsError::LayersOfElements);
         }
         Ok(self.allocation.as_ref().map_or(Ok(()), Allocation::check)?)
     }

@@ -98,6 +98,12 @@ pub enum Role {
     Rays,
     /// Where the light of a block comes from.
     Guides,
+    /// Sums of the layers of a tile's samples.
+    Layers,
+    /// Resolved layers of several tiles.
+    LayerPixels,
+    /// The layers of a finished image.
+    LayerImage,
 }
 
 /// Outputs of one role of a stage, which the tasks of another read.
@@ -235,6 +241,32 @@ pub fn with_statistics(mut stages: Vec<Stage>) -> Vec<Stage> {
     }
     image.makes.push(Role::Statistics);
     stages.push(image);
+    stages
+}
+
+/// Most sums of layers of a group: 104 bytes each, united in about a second.
+const GROUP_SUMS: u64 = 1 << 20;
+
+/// Adds layers to the stages of a job: nothing of its images changes. Behind the loop, when it is known which samples count, groups of
+/// tiles are resolved, and the image writes them.
+/// - `layers`: number of layers, not 0.
+pub fn with_layers(mut stages: Vec<Stage>, tiling: &Tiling, layers: usize) -> Vec<Stage> {
+    let find = |stages: &[Stage], kind| stages.iter().position(|stage| stage.kind == kind);
+    let (Some(render), Some(mut image)) = (find(&stages, StageKind::Render), stages.pop()) else { return stages };
+    let decide = find(&stages, StageKind::Decide);
+    stages[render].makes.push(Role::Layers);
+    let tile = u64::from(tiling.edge) * u64::from(tiling.edge) * layers as u64;
+    let fan = (GROUP_SUMS / tile.max(1)).clamp(1, GROUP_TILES) as u32;
+    let groups = (tiling.count() as u32).div_ceil(fan);
+    let mut reduce = Stage::of_frame(StageKind::Reduce, vec![(groups, 1)], &[Role::LayerPixels]);
+    let reach = Reach::Fan(NonZeroU32::new(fan).unwrap_or(NonZeroU32::MIN));
+    reduce.needs.push(Need { stage: render as u16, role: Role::Layers, reach, round: Round::Every });
+    if let Some(decide) = decide {
+        reduce = reduce.reads(decide as u16, Role::Stops, Reach::All);
+    }
+    image = image.reads(stages.len() as u16, Role::LayerPixels, Reach::All);
+    image.makes.push(Role::LayerImage);
+    stages.extend([reduce, image]);
     stages
 }
 

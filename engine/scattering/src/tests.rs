@@ -103,6 +103,23 @@ fn members_are_the_cheapest_that_have_the_parameters() {
 }
 
 #[test]
+fn what_is_diffuse_and_what_is_glossy_is_all() {
+    for (name, bsdf, _) in members() {
+        let gloss = match bsdf {
+            Bsdf::Dielectric(b) => Bsdf::Dielectric(b.clear()),
+            other => other.without_lambertian(),
+        };
+        for (wo, i) in views().into_iter().flat_map(|wo| (0..200).map(move |i| (wo, i))) {
+            let wi = random_direction(77, i);
+            let (all, share) = (bsdf.eval(wo, wi), bsdf.diffuse_share(wo, wi));
+            assert!(share.min_element() >= 0.0 && share.max_element() <= 1.0, "{name}: {share}");
+            let rest = all * (Rgb::ONE - share) - gloss.eval(wo, wi);
+            assert!(rest.abs().max_element() <= 2e-6 * all.max_element(), "{name} {wo} {wi}: {rest} of {all}");
+        }
+    }
+}
+
+#[test]
 fn samples_follow_the_density() {
     let cases: Vec<_> = members()
         .into_iter()

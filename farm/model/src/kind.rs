@@ -181,6 +181,12 @@ pub enum Role {
     Rays,
     /// Where the light of a block comes from.
     Guides,
+    /// Encoded sums of the layers of a tile's samples.
+    Layers,
+    /// Resolved layers of several tiles.
+    LayerPixels,
+    /// The layers of a finished image as EXR.
+    LayerImage,
 }
 
 /// A row of the roles' table.
@@ -196,7 +202,7 @@ pub struct RoleRow {
 
 impl Role {
     /// All, in the order of the table.
-    pub const ALL: [Self; 22] = [
+    pub const ALL: [Self; 25] = [
         Self::Tile,
         Self::Sums,
         Self::Pixels,
@@ -219,6 +225,9 @@ impl Role {
         Self::Links,
         Self::Rays,
         Self::Guides,
+        Self::Layers,
+        Self::LayerPixels,
+        Self::LayerImage,
     ];
 
     /// Its row of the table.
@@ -247,6 +256,9 @@ impl Role {
             Self::Links => row("links", false, false),
             Self::Rays => row("rays", false, false),
             Self::Guides => row("guides", false, false),
+            Self::Layers => row("layers", false, false),
+            Self::LayerPixels => row("layer-pixels", false, false),
+            Self::LayerImage => row("layer-image", true, false),
         }
     }
 

@@ -113,6 +113,11 @@ impl FrameRecord {
         self.output(Role::Statistics)
     }
 
+    /// The layers as EXR, where the job has some.
+    pub fn layers(&self) -> Option<Artifact> {
+        self.output(Role::LayerImage)
+    }
+
     /// The image tone-mapped, as PNG.
     pub fn preview(&self) -> Option<Artifact> {
         self.output(Role::Preview)

@@ -1879,6 +1879,12 @@ pub enum Role {
     Rays = 21,
     /// Where the light of a block comes from.
     Guides = 22,
+    /// Sums of the layers of a tile's samples. A worker that knows this role and the two below offers the tag `layers`.
+    Layers = 23,
+    /// Resolved layers of several tiles.
+    LayerPixels = 24,
+    /// The layers of a finished image: OpenEXR, beside the picture's.
+    LayerImage = 25,
 }
 impl Role {
     /// String value of the enum field names used in the ProtoBuf definition.
@@ -1910,6 +1916,9 @@ impl Role {
             Self::Links => "ROLE_LINKS",
             Self::Rays => "ROLE_RAYS",
             Self::Guides => "ROLE_GUIDES",
+            Self::Layers => "ROLE_LAYERS",
+            Self::LayerPixels => "ROLE_LAYER_PIXELS",
+            Self::LayerImage => "ROLE_LAYER_IMAGE",
         }
     }
     /// Creates an enum from field names used in the ProtoBuf definition.
@@ -1938,6 +1947,9 @@ impl Role {
             "ROLE_LINKS" => Some(Self::Links),
             "ROLE_RAYS" => Some(Self::Rays),
             "ROLE_GUIDES" => Some(Self::Guides),
+            "ROLE_LAYERS" => Some(Self::Layers),
+            "ROLE_LAYER_PIXELS" => Some(Self::LayerPixels),
+            "ROLE_LAYER_IMAGE" => Some(Self::LayerImage),
             _ => None,
         }
     }

@@ -8,6 +8,7 @@ mod crates;
 mod first_pass;
 mod fuzz;
 mod honesty;
+mod layers;
 mod modules;
 mod pairs;
 mod parts;

@@ -5,7 +5,7 @@ use femc_model::{Decision, Failure, More, Phase, Role, Template};
 use femc_pipeline::{Allocation, Settings, Stop};
 
 use super::union::{groups, tiles, tiling, union};
-use super::{Product, Tools, statistics, unfit};
+use super::{Product, Tools, layers, statistics, unfit};
 use crate::clock::Stopwatch;
 use crate::table::Task;
 
@@ -57,6 +57,10 @@ pub(crate) fn image(task: &Task, stage: &Template, tools: &Tools) -> Result<Prod
         let bytes = statistics::of_frame(task, tools)?;
         product.put(stage, Role::Statistics, || bytes);
     }
+    if stage.makes.contains(&Role::LayerImage) {
+        let bytes = layers::of_frame(task, tools, &settings, &image, &provenance)?;
+        product.put(stage, Role::LayerImage, || bytes);
+    }
     product.result.decision = stage.closes.map(|_| Decision::Done);
     product.result.relative_error = Some(error.worst).filter(|error| error.is_finite());
     product.result.seconds = watch.seconds();
@@ -69,7 +73,7 @@ fn pictures(image: &FrameImage, provenance: &Provenance) -> Result<(Vec<u8>, Vec
     Ok((file?, preview?))
 }
 
-fn damaged_picture(error: &FilmError) -> Failure {
+pub(super) fn damaged_picture(error: &FilmError) -> Failure {
     Failure::Panicked { message: format!("the image cannot be written: {error}") }
 }
 

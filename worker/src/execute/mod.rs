@@ -6,6 +6,7 @@ mod encode;
 mod first_pass;
 mod first_pass_steps;
 mod image;
+mod layers;
 mod reduce;
 mod render;
 mod statistics;

@@ -6,7 +6,7 @@ use femc_model::{Failure, More, Phase, Role, Template};
 
 use super::encode::levels;
 use super::union::{tiles, union};
-use super::{Product, Tools, statistics, unfit};
+use super::{Product, Tools, layers, statistics, unfit};
 use crate::clock::Stopwatch;
 use crate::sums;
 use crate::table::Task;
@@ -17,6 +17,9 @@ pub(crate) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     }
     if stage.makes.contains(&Role::Paths) {
         return statistics::reduce(task, stage, tools);
+    }
+    if stage.makes.contains(&Role::LayerPixels) {
+        return layers::reduce(task, stage, tools);
     }
     task.enter(Phase::Working);
     let watch = Stopwatch::start();

@@ -4,7 +4,7 @@ use std::sync::atomic::Ordering;
 
 use femc_film::Rect;
 use femc_model::{Failure, Phase, Role, Template, TileRect, Work};
-use femc_pipeline::{RenderError, StatisticsPlan, render_tile, render_with_statistics};
+use femc_pipeline::{LayerPlan, RenderError, StatisticsPlan, render_tile, render_with_layers, render_with_statistics};
 
 use super::{Product, Tools, unfit};
 use crate::clock::Stopwatch;
@@ -29,31 +29,39 @@ pub(crate) fn render(task: &Task, stage: &Template, tools: &Tools) -> Result<Pro
     let (settings, range) = (&read.settings, samples.clone());
     let (cancel, units) = (&task.cancel, &task.units);
     let rendered = tools.install(task, || {
-        let (outcome, statistics) = if stage.makes.contains(&Role::Paths) {
-            let plan = StatisticsPlan::of(&prepared, settings, grid.tile);
-            match render_with_statistics(&prepared, settings, &plan, rect, range, cancel, units) {
-                Ok((rendered, statistics)) => (Ok(rendered), Some(statistics.encode())),
-                Err(error) => (Err(error), None),
+        let makes = |role| stage.makes.contains(&role);
+        let statistics = makes(Role::Paths).then(|| StatisticsPlan::of(&prepared, settings, grid.tile));
+        let layers = makes(Role::Layers).then(|| LayerPlan::of(&prepared, settings)).transpose().map_err(unfit)?;
+        let outcome = match (&layers, &statistics) {
+            (Some(layers), of) => {
+                render_with_layers(&prepared, settings, layers, of.as_ref(), rect, range, cancel, units)
+                    .map(|(rendered, layers, of)| (rendered, of, Some(layers)))
             }
-        } else {
-            (render_tile(&prepared, settings, rect, range, cancel, units), None)
+            (None, Some(of)) => render_with_statistics(&prepared, settings, of, rect, range, cancel, units)
+                .map(|(rendered, of)| (rendered, Some(of), None)),
+            (None, None) => {
+                render_tile(&prepared, settings, rect, range, cancel, units).map(|rendered| (rendered, None, None))
+            }
         };
-        outcome.map(|rendered| {
+        let made = outcome.map(|(rendered, statistics, layers)| {
+            let (statistics, layers) = (statistics.map(|it| it.encode()), layers.map(|it| it.encode()));
             let (rays, shadow_rays, bad) = (rendered.rays, rendered.shadow_rays, rendered.tile.bad().total());
             task.account.rays.store(rays + shadow_rays, Ordering::Relaxed);
             tracing::debug!(?rect, ?samples, rays, shadow_rays, bad, seconds = watch.seconds(), "rendered");
             let thumbnail =
                 stage.makes.contains(&Role::Thumbnail).then(|| rendered.tile.thumbnail().encode_thumbnail());
-            (bad, rendered.tile.encode(), thumbnail, statistics)
+            (bad, rendered.tile.encode(), thumbnail, statistics, layers)
+        });
+        made.map_err(|error| match error {
+            RenderError::Cancelled => Failure::Cancelled,
+            RenderError::Film(error) => unfit(error),
         })
     });
-    let (bad_samples, bytes, thumbnail, statistics) = rendered.map_err(|error| match error {
-        RenderError::Cancelled => Failure::Cancelled,
-        RenderError::Film(error) => unfit(error),
-    })?;
+    let (bad_samples, bytes, thumbnail, statistics, layers) = rendered?;
     let mut product = Product::default();
     product.put(stage, Role::Tile, || bytes);
     product.put(stage, Role::Thumbnail, || thumbnail.unwrap_or_default());
+    product.put(stage, Role::Layers, || layers.unwrap_or_default());
     product.put(stage, Role::Paths, || statistics.unwrap_or_default());
     let result = &mut product.result;
     (result.units, result.bad_samples) = (rect.area() * samples.len() as u64, bad_samples);

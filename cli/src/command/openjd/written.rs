@@ -96,6 +96,8 @@ impl Written {
             ("--fresh", fresh),
             ("--json", format.json),
             ("--root", settings.root.is_some()),
+            ("--layer", !settings.layer.is_empty()),
+            ("--layers", !settings.layers.is_empty()),
         ];
         let SettingsArgs { frames, workers, threads, stats, .. } = settings;
         let changes = Change::all(&SettingsArgs { frames: None, ..settings });

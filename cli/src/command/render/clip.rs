@@ -1,6 +1,7 @@
 //! What is made of finished frames: previews, a contact sheet, a clip. All read the EXR files, and all frames of a run
 //! are shown with one exposure, so that a clip does not flicker.
 
+use super::layers;
 use super::report::Report;
 use crate::args::ExtrasArgs;
 use crate::exit::{Failure, failed};
@@ -33,6 +34,8 @@ pub fn write(
             let preview = Path::new(path).with_extension("png");
             write_atomic(&preview, &show(path)?.to_png().map_err(failed)?).map_err(failed)?;
             report.previews.push(preview.display().to_string());
+            let layers = layers::show(Path::new(path), &asked.settings.layers, Some(curve), exposure)?;
+            report.previews.extend(layers.iter().map(|path| path.display().to_string()));
         }
     }
     if let Some(path) = sheet {

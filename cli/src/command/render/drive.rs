@@ -1,5 +1,6 @@
 //! Driving the embedded farm: submit or go on, write frames as they finish, stop when told to.
 
+use super::beside::Found;
 use super::report::FrameReport;
 use super::state::State;
 use super::target::Target;
@@ -18,7 +19,6 @@ use femc_model::{Control, FrameRecord, JobId, JobState};
 use femc_reports::attempts::JobRecord;
 use femc_worker::Parcel;
 use std::collections::{BTreeMap, btree_map::Entry};
-use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 /// Between two looks: at first short, for small scenes.
@@ -162,21 +162,13 @@ impl Order<'_> {
     }
 }
 
-/// The file of a frame's light statistics, beside its picture.
-pub fn statistics_of(path: &Path) -> PathBuf {
-    path.with_extension("paths")
-}
-
-/// Write a finished frame; `None`: its image, or its statistics, are damaged or gone.
+/// Write a finished frame; `None`: its image, or what lies beside it, is damaged or gone.
 async fn write(order: &Order<'_>, farm: &Farm, record: &FrameRecord) -> Result<Option<FrameReport>, Failure> {
     let path = order.target.path(record.frame);
     let Some(bytes) = farm.image(record).await? else { return Ok(None) };
     let bytes = if picture::is_picture(&path) { picture::of_exr(&bytes, order.exposure)? } else { bytes };
-    // First: where the picture is, they are.
-    if let Some(statistics) = record.statistics() {
-        let Some(bytes) = farm.get_if_there(&statistics).await? else { return Ok(None) };
-        femc_film::file::write_atomic(&statistics_of(&path), &bytes).map_err(failed)?;
-    }
+    let Some(beside) = Found::fetch(farm, record).await? else { return Ok(None) };
+    beside.write(&path)?;
     pass_async(Point::RenderBeforeFile).await;
     femc_film::file::write_atomic(&path, &bytes).map_err(failed)?;
     pass_async(Point::RenderAfterFile).await;

@@ -1,14 +1,16 @@
 //! `femc render SCENE`: the same coordinator and workers as a farm's, inside this process.
 
+mod beside;
 mod clip;
 mod drive;
+mod layers;
 mod report;
 mod report_file;
 pub mod state;
 mod target;
 mod there;
 
-pub use drive::statistics_of;
+pub use beside::{Beside, Found as FoundBeside, layers_of, statistics_of};
 
 pub use target::{frame_name, still_name};
 
@@ -36,7 +38,8 @@ use there::Wanted;
     femc render scenes/roundabout.mgf -o drive --frames 1..24 --size 160x90 --spp 8 --video drive.mp4\n  \
     femc render scene.mgf -o out --error 0.02 --set medium.fog.sigma_s=0.05 --json\n  \
     femc render scenes/cornell-fog.mgf -o again.exr --replay cornell.exr    # the same pixels\n  \
-    femc render scenes/cornell-fog.mgf -o cornell.exr --report cornell.html    # where the time went\n\n\
+    femc render scenes/cornell-fog.mgf -o cornell.exr --report cornell.html    # where the time went\n  \
+    femc render scenes/cornell-fog.mgf -o cornell.exr --layers direct,indirect --layer fog='C.*V.*'\n\n\
     A second run with the same OUT and settings renders what is missing: frames that are finished stay, and a frame \
     that was interrupted keeps its samples. Frames whose scene or settings differ are rendered anew.")]
 pub struct RenderArgs {
@@ -128,6 +131,16 @@ pub fn run(args: RenderArgs, say: Say) -> Result<Exit, Failure> {
     if let ([file], true) = (report.files.as_slice(), target.is_picture()) {
         let attributes = picture::attributes(file.as_ref());
         report.exposure_ev = attributes.and_then(|attributes| attributes.get(picture::EV)?.parse().ok());
+    }
+    if target.is_picture() {
+        for file in &report.files {
+            let shown = layers::show(file.as_ref(), &asked.settings.layers, None, exposure)?;
+            report.previews.extend(shown.iter().map(|path| path.display().to_string()));
+        }
+    }
+    if !asked.settings.layers.is_empty() {
+        let files = report.files.iter().map(|file| layers_of(file.as_ref()).display().to_string());
+        report.layers = files.collect();
     }
     clip::write(&asked, &mut report, &args.extras, exposure, say)?;
     report.warn(say);

@@ -33,6 +33,8 @@ pub struct Report {
     pub bad: Vec<BadReport>,
     /// Exposure value of the pictures, where some were made.
     pub exposure_ev: Option<f64>,
+    /// Files of the frames' layers, where they have some.
+    pub layers: Vec<String>,
     /// PNG files beside the frames.
     pub previews: Vec<String>,
     /// The clip.

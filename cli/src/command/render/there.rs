@@ -1,6 +1,6 @@
 //! Frames that a run before this one finished: known by what their files say of themselves.
 
-use super::drive::statistics_of;
+use super::beside::Beside;
 use super::report::{BadReport, First, FrameReport};
 use crate::exit::{Failure, failed};
 use crate::request::Asked;
@@ -16,7 +16,7 @@ pub struct Wanted {
     allocation: Option<serde_json::Value>,
     scene: String,
     exposure: Exposure,
-    has_statistics: bool,
+    beside: Beside,
 }
 
 impl Wanted {
@@ -24,8 +24,8 @@ impl Wanted {
     pub fn new(asked: &Asked, exposure: Exposure) -> Result<Self, Failure> {
         let settings = serde_json::to_value(asked.settings.stated()).map_err(failed)?;
         let allocation = asked.settings.allocation.as_ref().map(serde_json::to_value).transpose().map_err(failed)?;
-        let (scene, has_statistics) = (asked.scene().digest().to_string(), asked.settings.statistics);
-        Ok(Self { settings, allocation, scene, exposure, has_statistics })
+        let (scene, beside) = (asked.scene().digest().to_string(), Beside::of(&asked.settings));
+        Ok(Self { settings, allocation, scene, exposure, beside })
     }
 
     /// The frame in `path`, if it is there, whole, and of this build of the engine, scene and settings.
@@ -41,7 +41,7 @@ impl Wanted {
             && settings == self.settings
             && (self.allocation.is_none() || self.allocation == allocation())
             && is_shown;
-        if !same || (self.has_statistics && !statistics_of(path).is_file()) {
+        if !same || !self.beside.are_there(path) {
             return None;
         }
         let number = |name| says(name)?.parse::<f64>().ok();

@@ -5,6 +5,7 @@ use super::work::{Planned, Work};
 use crate::clock::Clock;
 use crate::command::client::Farm;
 use crate::command::interrupt::Interrupt;
+use crate::command::render::FoundBeside;
 use crate::command::subject::{self, Logs};
 use crate::command::submit::own_key;
 use crate::exit::{Failure, interrupted};
@@ -190,18 +191,12 @@ impl Queued<'_> {
                     took = Took::NotAll;
                     continue;
                 };
-                let light = match record.statistics() {
-                    None => None,
-                    Some(statistics) => match farm.get_if_there(&statistics).await? {
-                        Some(light) => Some(light),
-                        None => {
-                            took = Took::NotAll;
-                            continue;
-                        }
-                    },
+                let Some(beside) = FoundBeside::fetch(farm, &record).await? else {
+                    took = Took::NotAll;
+                    continue;
                 };
                 let name = self.variant.file(record.frame);
-                folder.write(&name, &bytes, light.as_deref(), shot(&planning.key, &record))?;
+                folder.write(&name, &bytes, &beside, shot(&planning.key, &record))?;
                 self.open.remove(&record.frame);
             }
         }

@@ -6,7 +6,7 @@
 
 use super::work::{Planned, Work};
 use crate::clock::{Clock, Moment};
-use crate::command::render::statistics_of;
+use crate::command::render::{Beside, FoundBeside};
 use crate::exit::{Failure, failed};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -26,8 +26,8 @@ pub struct Folder {
     manifest: Manifest,
     by_key: BTreeMap<String, String>,
     saved: Moment,
-    /// Whether each frame has light statistics beside it.
-    has_statistics: bool,
+    /// What each frame has beside it.
+    beside: Beside,
 }
 
 #[derive(Default, Serialize, Deserialize)]
@@ -80,8 +80,8 @@ pub struct Order {
 
 impl Folder {
     /// Open the folder, which need not be there.
-    /// - `has_statistics`: whether frames without light statistics count as missing.
-    pub fn open(path: &Path, has_statistics: bool) -> Result<Self, Failure> {
+    /// - `beside`: files without which a frame counts as missing.
+    pub fn open(path: &Path, beside: Beside) -> Result<Self, Failure> {
         let file = path.join(MANIFEST);
         let manifest: Manifest = match fs::read(&file) {
             Ok(text) => serde_json::from_slice(&text).map_err(|e| {
@@ -90,19 +90,17 @@ impl Folder {
             Err(e) if e.kind() == ErrorKind::NotFound => Manifest::default(),
             Err(e) => return Err(failed(format!("{}: {e}", file.display()))),
         };
-        let mut folder =
-            Self { path: path.to_owned(), manifest, by_key: BTreeMap::new(), saved: Clock.now(), has_statistics };
+        let mut folder = Self { path: path.to_owned(), manifest, by_key: BTreeMap::new(), saved: Clock.now(), beside };
         folder.forget_what_is_gone();
         Ok(folder)
     }
 
     /// Only files that are there and whole count.
     fn forget_what_is_gone(&mut self) {
-        let (path, has_statistics) = (self.path.clone(), self.has_statistics);
+        let (path, beside) = (self.path.clone(), self.beside);
         self.manifest.files.retain(|name, _| {
             let path = path.join(name);
-            let is_whole = !has_statistics || statistics_of(&path).is_file();
-            is_whole && femc_film::exr::read_attributes(&path).is_ok()
+            beside.are_there(&path) && femc_film::exr::read_attributes(&path).is_ok()
         });
         let mut files: Vec<_> = self.manifest.files.iter().collect();
         // Of equal files the last one stands for all: one that was rendered rather than linked.
@@ -146,21 +144,17 @@ impl Folder {
         let Some(source) = self.by_key.get(key).cloned().filter(|source| source != name) else { return Ok(()) };
         let Some(shot) = self.manifest.files.get(&source).cloned() else { return Ok(()) };
         let (from, to) = (self.join(&source), self.join(name));
-        if self.has_statistics {
-            let to = statistics_of(&to);
-            same(&statistics_of(&from), &to).map_err(|e| failed(format!("{}: {e}", to.display())))?;
+        for (from, to) in self.beside.files(&from).zip(self.beside.files(&to)) {
+            same(&from, &to).map_err(|e| failed(format!("{}: {e}", to.display())))?;
         }
         same(&from, &to).map_err(|e| failed(format!("{}: {e}", to.display())))?;
         self.enter(name, Shot { same_as: Some(shot.same_as.unwrap_or(source)), ..shot });
         Ok(())
     }
 
-    /// Write a finished frame, and what is known of its light.
-    pub fn write(&mut self, name: &str, bytes: &[u8], light: Option<&[u8]>, shot: Shot) -> Result<(), Failure> {
-        // First: where the frame is, they are.
-        if let Some(light) = light {
-            femc_film::file::write_atomic(&statistics_of(&self.join(name)), light).map_err(failed)?;
-        }
+    /// Write a finished frame, and what lies beside it.
+    pub fn write(&mut self, name: &str, bytes: &[u8], beside: &FoundBeside, shot: Shot) -> Result<(), Failure> {
+        beside.write(&self.join(name))?;
         femc_film::file::write_atomic(&self.join(name), bytes).map_err(failed)?;
         self.enter(name, shot);
         if Clock.since(self.saved) >= EVERY { self.save() } else { Ok(()) }

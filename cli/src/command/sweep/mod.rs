@@ -14,6 +14,7 @@ pub use plan::plan;
 use super::client::{self, Farm};
 use super::embedded::{self, Embedded};
 use super::interrupt::Interrupt;
+use super::render::Beside;
 use super::render::state::{Identity, Old, State};
 use super::submit::own_key;
 use crate::args::{FormatArgs, ServerArgs, SettingsArgs};
@@ -79,7 +80,7 @@ pub fn run(args: &SweepArgs, say: Say) -> Result<Exit, Failure> {
         return Err(usage(format!("-o {} is a file; give a folder", out.display())));
     }
     let state = lock(&work, out)?;
-    let mut folder = Folder::open(out, work.first.settings.statistics)?;
+    let mut folder = Folder::open(out, Beside::of(&work.first.settings))?;
     if let Some(other) = folder.other_engine() {
         let (path, own) = (out.display(), femc_worker::engine());
         say.note(format!(

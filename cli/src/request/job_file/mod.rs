@@ -19,6 +19,7 @@ pub use {axis::Axis, change::Change, sweep::Mode};
 use crate::args::{Filter, Method, SettingsArgs, Stats};
 use crate::values::{Budget, Frames, Override, Place, Size};
 use fault::{Fault, one_line};
+use femc_pipeline::Layer;
 use serde::Deserialize;
 use serde::de::IgnoredAny;
 use std::collections::{BTreeMap, BTreeSet};
@@ -65,6 +66,10 @@ struct Written {
     threads: Option<u32>,
     root: Option<PathBuf>,
     stats: Option<StatsValue>,
+    #[serde(default)]
+    layers: Vec<String>,
+    #[serde(default)]
+    layer: BTreeMap<String, String>,
     priority: Option<u8>,
     #[serde(default)]
     tags: Vec<String>,
@@ -146,6 +151,8 @@ impl JobFile {
                 set: job.set.into_iter().map(|(selector, value)| Override { selector, value }).collect(),
                 root: job.root.map(|root| folder.join(root)),
                 stats: job.stats.and_then(StatsValue::how),
+                layer: job.layer.into_iter().map(|(name, expression)| Layer { name, expression }).collect(),
+                layers: job.layers,
             },
             priority: job.priority,
             tags: job.tags,

@@ -6,7 +6,7 @@ mod write;
 
 pub use layers::{decode_channels, read_channels};
 pub use read::{ExrFile, decode, read, read_attributes};
-pub use write::{Provenance, UNLIT, encode, errors, write};
+pub use write::{Provenance, UNLIT, encode, encode_layers, errors, write};
 
 /// Prefix of the string attributes that the renderer writes.
 pub const ATTRIBUTE_PREFIX: &str = "femc:";

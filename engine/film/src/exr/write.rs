@@ -5,7 +5,7 @@
 
 use crate::exr::{ATTRIBUTE_PREFIX, Threads};
 use crate::file::write_atomic;
-use crate::{BadSamples, FilmError, FrameError, FrameImage};
+use crate::{BadSamples, FilmError, FrameError, FrameImage, LayerImage};
 use exr::meta::attribute::{Chromaticities, Text};
 use exr::prelude::{
     AnyChannel, AnyChannels, AttributeValue, Encoding, FlatSamples, Image, Layer, LayerAttributes, LineOrder, Vec2,
@@ -82,13 +82,6 @@ pub const UNLIT: f32 = -1.0;
 /// `variance.Y` (of the luminance), `samples.Y` (32-bit integer), and `relative_error.Y`: of each block of 16 x 16 pixels the error
 /// that `provenance` names, [`UNLIT`] where it names none.
 pub fn encode(image: &FrameImage, provenance: &Provenance) -> Result<Vec<u8>, FilmError> {
-    let color = |name: &str, pixels: &[[f32; 3]]| {
-        ["R", "G", "B"]
-            .into_iter()
-            .enumerate()
-            .map(|(i, c)| floats(&format!("{name}{c}"), pixels.iter().map(|p| p[i])))
-            .collect::<Vec<_>>()
-    };
     let mut channels = color("", &image.color.pixels);
     channels.extend(color("albedo.", &image.albedo));
     channels.extend(color("variance.", &image.variance));
@@ -96,16 +89,42 @@ pub fn encode(image: &FrameImage, provenance: &Provenance) -> Result<Vec<u8>, Fi
     channels.push(floats("variance.Y", image.luminance_variance.iter().copied()));
     channels.push(floats("relative_error.Y", errors(&provenance.error, image).into_iter()));
     channels.push(AnyChannel::new("samples.Y", FlatSamples::U32(image.samples.clone())));
+    encode_channels([image.color.width, image.color.height], channels, provenance.attributes())
+}
 
+/// Encodes the colors of `image`, `samples.Y`, and of each layer its color and the variance of that: `NAME.R G B` and
+/// `NAME.variance.R G B`. What the attributes tell is the same however long it took: the same bytes for the same layers.
+pub fn encode_layers(image: &FrameImage, layers: &[LayerImage], provenance: &Provenance) -> Result<Vec<u8>, FilmError> {
+    let mut channels = color("", &image.color.pixels);
+    channels.push(AnyChannel::new("samples.Y", FlatSamples::U32(image.samples.clone())));
+    for LayerImage { name, color: mean, variance } in layers {
+        channels.extend(color(&format!("{name}."), mean));
+        channels.extend(color(&format!("{name}.variance."), variance));
+    }
+    let seconds = format!("{ATTRIBUTE_PREFIX}seconds");
+    let attributes = provenance.attributes().into_iter().filter(|(name, _)| *name != seconds).collect();
+    encode_channels([image.color.width, image.color.height], channels, attributes)
+}
+
+fn color(name: &str, pixels: &[[f32; 3]]) -> Vec<AnyChannel<FlatSamples>> {
+    let channel = |(i, c)| floats(&format!("{name}{c}"), pixels.iter().map(|p: &[f32; 3]| p[i]));
+    ["R", "G", "B"].into_iter().enumerate().map(channel).collect()
+}
+
+fn encode_channels(
+    [width, height]: [u32; 2],
+    channels: Vec<AnyChannel<FlatSamples>>,
+    texts: Vec<(String, String)>,
+) -> Result<Vec<u8>, FilmError> {
     let mut attributes = LayerAttributes { white_luminance: Some(1.0), ..LayerAttributes::default() };
-    for (name, value) in provenance.attributes() {
+    for (name, value) in texts {
         // UTF-8, as OpenEXR has it; the crate's own conversion would refuse what is not Latin-1.
         let value = Text::from_slice_unchecked(value.as_bytes());
         attributes.other.insert(Text::from(name.as_str()), AttributeValue::Text(value));
     }
     let encoding =
         Encoding { compression: Compression::ZIP16, blocks: Blocks::ScanLines, line_order: LineOrder::Increasing };
-    let size = Vec2(image.color.width as usize, image.color.height as usize);
+    let size = Vec2(width as usize, height as usize);
     let layer = Layer::new(size, attributes, encoding, AnyChannels::sort(channels.into()));
     let mut file = Image::from_layer(layer);
     file.attributes.chromaticities = Some(Chromaticities {
@@ -116,7 +135,7 @@ pub fn encode(image: &FrameImage, provenance: &Provenance) -> Result<Vec<u8>, Fi
     });
 
     let mut bytes = Cursor::new(Vec::new());
-    let written = match Threads::of(image.color.pixels.len()) {
+    let written = match Threads::of(width as usize * height as usize) {
         Threads::One => file.write().non_parallel().to_buffered(&mut bytes),
         Threads::Many => file.write().to_buffered(&mut bytes),
     };

@@ -2,6 +2,7 @@
 
 mod codec;
 mod exr;
+mod layers;
 mod merge;
 mod metrics;
 mod piece;

@@ -15,6 +15,8 @@ use crate::render::{RenderError, RenderedTile, render_rows};
 use crate::replay::Replay;
 use crate::settings::Settings;
 use femc_film::Rect;
+use femc_montecarlo::Recorder;
+use femc_montecarlo::record::Both;
 use femc_paths::{Counters, Path, PortionKey, Scope, Statistics};
 use femc_prepared::Prepared;
 use heard::{Heard, Tops};
@@ -87,14 +89,33 @@ pub fn render_with_statistics(
     cancel: &AtomicBool,
     progress: &AtomicU64,
 ) -> Result<(RenderedTile, Statistics), RenderError> {
+    let outcome = render_with_statistics_and(prepared, settings, plan, rect, samples, cancel, progress, || ());
+    outcome.map(|(rendered, statistics, _)| (rendered, statistics))
+}
+
+/// The same beside recorders of another kind; returns these in order, too.
+pub(crate) fn render_with_statistics_and<R: Recorder + Send>(
+    prepared: &Prepared,
+    settings: &Settings,
+    plan: &StatisticsPlan,
+    rect: Rect,
+    samples: Range<u32>,
+    cancel: &AtomicBool,
+    progress: &AtomicU64,
+    other: impl Fn() -> R + Sync,
+) -> Result<(RenderedTile, Statistics, Vec<R>), RenderError> {
     let names = SceneNames::new(prepared);
     let mut statistics = Statistics::new(plan.scope, plan.share(settings, &samples));
     // What is traced again is counted already.
     let again = Scope { is_full: false, ..plan.scope };
-    let recorder = || PathRecorder::new(&names, statistics.threshold, plan.scope);
+    let recorder = || Both::new(PathRecorder::new(&names, statistics.threshold, plan.scope), other());
     let (rendered, heard) = render_rows(prepared, settings, rect, samples.clone(), cancel, progress, recorder)?;
     let mut all = Heard::new();
-    heard.into_iter().for_each(|recorder| all.merge(recorder.heard));
+    let mut others = Vec::with_capacity(heard.len());
+    for Both { first, second, .. } in heard {
+        all.merge(first.heard);
+        others.push(second);
+    }
     let corner = rect.y * plan.scope.film[0] + rect.x;
     let tile = plan.scope.tile_of(corner);
     for ((half, counters), pixels) in (0..).zip(all.counters).zip(all.pixels) {
@@ -123,5 +144,5 @@ pub fn render_with_statistics(
     // Those that no record has go when the statistics settle.
     statistics.names = names.texts();
     statistics.settle();
-    Ok((rendered, statistics))
+    Ok((rendered, statistics, others))
 }

@@ -1,3 +1,4 @@
 //! The pipeline on small scenes.
 
+mod layers;
 mod statistics;

@@ -57,6 +57,18 @@ impl Dielectric {
         self
     }
 
+    /// The same without its diffuse parts.
+    #[cfg(test)]
+    pub(crate) fn clear(self) -> Self {
+        Self { rd: Rgb::ZERO, td: Rgb::ZERO, ..self }
+    }
+
+    /// The same with specular lobes that are deltas.
+    pub fn smooth(mut self) -> Self {
+        self.alpha = 0.0;
+        self
+    }
+
     /// Whether the specular lobes are deltas.
     #[inline]
     pub fn is_smooth(&self) -> bool {

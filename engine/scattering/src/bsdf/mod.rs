@@ -215,6 +215,23 @@ impl Bsdf {
         }
     }
 
+    /// Share of [`Self::eval`] that is of Lambertian lobes, by channel, in 0..1; the rest is of lobes about a direction. 0 where nothing is
+    /// scattered (test `what_is_diffuse_and_what_is_glossy_is_all`).
+    pub fn diffuse_share(&self, wo: Vec3A, wi: Vec3A) -> Rgb {
+        // Where the specular lobes are deltas, only what is diffuse is left.
+        let diffuse = match *self {
+            Self::Black | Self::Mirror(_) => return Rgb::ZERO,
+            Self::Diffuse(_) => return Rgb::ONE,
+            Self::Opaque(b) => Self::Opaque(Opaque { alpha: 0.0, ..b }),
+            Self::Sheet(b) => Self::Sheet(Sheet { rs_alpha: 0.0, ts_alpha: 0.0, ..b }),
+            Self::Dielectric(b) => Self::Dielectric(b.smooth()),
+        };
+        let (part, all) = (diffuse.eval(wo, wi), self.eval(wo, wi));
+        let share = |part: f32, all: f32| if all > 0.0 { (part / all).min(1.0) } else { 0.0 };
+        let ([a, b, c], [x, y, z]) = (part.to_array(), all.to_array());
+        Rgb::new(share(a, x), share(b, y), share(c, z))
+    }
+
     /// Density of [`Self::sample`], 1/sr, delta parts excluded; includes the probability of choosing a non-delta part.
     #[inline]
     pub fn pdf(&self, wo: Vec3A, wi: Vec3A) -> f32 {

@@ -1,0 +1,77 @@
+//! Files beside a frame's picture: its light statistics, its layers.
+
+use crate::command::client::Farm;
+use crate::exit::{Failure, failed};
+use femc_model::FrameRecord;
+use femc_pipeline::Settings;
+use std::path::{Path, PathBuf};
+
+/// The file of a frame's light statistics.
+pub fn statistics_of(path: &Path) -> PathBuf {
+    path.with_extension("paths")
+}
+
+/// The file of a frame's layers.
+pub fn layers_of(path: &Path) -> PathBuf {
+    path.with_extension("layers.exr")
+}
+
+/// Which of these files the frames have.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Beside {
+    statistics: bool,
+    layers: bool,
+}
+
+impl Beside {
+    /// Of frames with these settings.
+    pub fn of(settings: &Settings) -> Self {
+        Self { statistics: settings.statistics, layers: !settings.layers.is_empty() }
+    }
+
+    /// The files beside a picture.
+    pub fn files(self, path: &Path) -> impl Iterator<Item = PathBuf> {
+        let statistics = self.statistics.then(|| statistics_of(path));
+        statistics.into_iter().chain(self.layers.then(|| layers_of(path)))
+    }
+
+    /// Whether they are there.
+    pub fn are_there(self, path: &Path) -> bool {
+        self.files(path).all(|file| file.is_file())
+    }
+}
+
+/// What lies beside the pictures of one frame.
+#[derive(Debug, Default)]
+pub struct Found {
+    statistics: Option<Vec<u8>>,
+    layers: Option<Vec<u8>>,
+}
+
+impl Found {
+    /// From a farm; `None`: some of it is damaged or gone.
+    pub async fn fetch(farm: &Farm, record: &FrameRecord) -> Result<Option<Self>, Failure> {
+        let mut found = Self::default();
+        let wanted = [(record.statistics(), &mut found.statistics), (record.layers(), &mut found.layers)];
+        for (artifact, place) in wanted {
+            if let Some(artifact) = artifact {
+                *place = farm.get_if_there(&artifact).await?;
+                if place.is_none() {
+                    return Ok(None);
+                }
+            }
+        }
+        Ok(Some(found))
+    }
+
+    /// Writes it beside a picture, which comes after it: where the picture is, they are.
+    pub fn write(&self, path: &Path) -> Result<(), Failure> {
+        let files = [(&self.statistics, statistics_of(path)), (&self.layers, layers_of(path))];
+        for (bytes, file) in files {
+            if let Some(bytes) = bytes {
+                femc_film::file::write_atomic(&file, bytes).map_err(failed)?;
+            }
+        }
+        Ok(())
+    }
+}

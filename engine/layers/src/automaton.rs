@@ -1,0 +1,272 @@
+//! One deterministic automaton for all expressions of a frame.
+//!
+//! States are sets of positions: places of the expressions' events that the path may have just passed (Glushkov's construction,
+//! which has no empty steps). States that no path can tell apart are joined (Moore's refinement), and what is left is numbered in the
+//! order in which it is reached from the start: the table is a function of the layers and the label sets alone.
+
+use crate::error::LayerError;
+use crate::event::{Event, Kind, LabelSet, Vocabulary};
+use crate::expression::{Expression, Node};
+use crate::layer::{Layer, parse_all};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+
+/// Where a path stands in all expressions.
+pub type State = u16;
+
+/// Nothing that follows makes any layer take the path.
+pub const DEAD: State = 0;
+
+/// An event at something that has a set of labels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Symbol(u16);
+
+/// Kinds that follow the camera.
+const KINDS: usize = Kind::ALL.len() - 1;
+/// Most entries of the table while it is made.
+const MOST_ENTRIES: usize = 1 << 22;
+
+/// The expressions of all layers.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Automaton {
+    /// Label sets that something in the scene has, ascending.
+    sets: Vec<LabelSet>,
+    /// By state and symbol.
+    next: Vec<State>,
+    /// By state: a bit for each layer that takes a path which ends there.
+    accepts: Vec<u64>,
+    start: State,
+}
+
+impl Automaton {
+    /// Of these layers, in a scene whose objects, media and lamps have these sets of labels by `vocabulary`.
+    /// - errors: a layer is at fault, or all of them together take too many states.
+    pub fn new(
+        layers: &[Layer],
+        vocabulary: &Vocabulary,
+        sets: impl IntoIterator<Item = LabelSet>,
+    ) -> Result<Self, LayerError> {
+        let sets: Vec<LabelSet> = sets.into_iter().collect::<BTreeSet<_>>().into_iter().collect();
+        let most = (MOST_ENTRIES / (sets.len() * KINDS).max(1)).min(usize::from(State::MAX));
+        let expressions = parse_all(layers)?;
+        let positions = Positions::of(&expressions);
+        let subsets = Subsets::of(&positions, vocabulary, &sets, most).ok_or(LayerError::Complex(most))?;
+        Ok(subsets.minimal(sets))
+    }
+
+    /// The labels that the layers name.
+    pub fn vocabulary(layers: &[Layer]) -> Result<Vocabulary, LayerError> {
+        let expressions = parse_all(layers)?;
+        let events: Vec<&Event> = expressions.iter().flat_map(Expression::events).collect();
+        let labels: BTreeSet<&str> = events.iter().flat_map(|event| event.labels()).collect();
+        let count = labels.len();
+        Vocabulary::of(labels).ok_or(LayerError::Labels(count))
+    }
+
+    /// Number of states.
+    pub fn states(&self) -> usize {
+        self.accepts.len()
+    }
+
+    /// The state of a path that has left the camera.
+    pub fn start(&self) -> State {
+        self.start
+    }
+
+    /// An event of `kind`, which is not the camera, at something that has this set; `None`: nothing in the scene has it.
+    pub fn symbol(&self, kind: Kind, set: LabelSet) -> Option<Symbol> {
+        let class = self.sets.binary_search(&set).ok()?;
+        let kind = (kind as usize).checked_sub(1)?;
+        Some(Symbol((class * KINDS + kind) as u16))
+    }
+
+    /// The state after an event.
+    #[inline]
+    pub fn next(&self, state: State, symbol: Symbol) -> State {
+        self.next[usize::from(state) * self.sets.len() * KINDS + usize::from(symbol.0)]
+    }
+
+    /// The layers, a bit each, that take a path which ends in this state.
+    #[inline]
+    pub fn accepts(&self, state: State) -> u64 {
+        self.accepts[usize::from(state)]
+    }
+}
+
+/// The events of all expressions, and which may follow which.
+struct Positions<'a> {
+    events: Vec<&'a Event>,
+    /// Position `n`: those that may follow; `events.len() + layer`: those that a path may begin with.
+    follow: Vec<BTreeSet<usize>>,
+    /// By position: the layer of which a path may end there, as a bit.
+    last: Vec<u64>,
+}
+
+/// What a part of an expression begins and ends with, and whether no event at all fits it.
+struct Ends {
+    first: BTreeSet<usize>,
+    last: BTreeSet<usize>,
+    is_empty: bool,
+}
+
+impl<'a> Positions<'a> {
+    fn of(expressions: &'a [Expression]) -> Self {
+        let mut positions = Self { events: Vec::new(), follow: Vec::new(), last: Vec::new() };
+        let ends: Vec<Ends> = expressions.iter().map(|expression| positions.walk(&expression.0)).collect();
+        positions.last = vec![0; positions.events.len()];
+        for (layer, ends) in ends.into_iter().enumerate() {
+            ends.last.into_iter().for_each(|at| positions.last[at] |= 1 << layer);
+            positions.follow.push(ends.first);
+            // A path has an event at least.
+            positions.last.push(0);
+        }
+        positions
+    }
+
+    fn walk(&mut self, node: &'a Node) -> Ends {
+        match node {
+            Node::Event(event) => {
+                let at = self.events.len();
+                self.events.push(event);
+                self.follow.push(BTreeSet::new());
+                Ends { first: [at].into(), last: [at].into(), is_empty: false }
+            }
+            Node::Sequence(nodes) => {
+                let mut all = Ends { first: BTreeSet::new(), last: BTreeSet::new(), is_empty: true };
+                for node in nodes {
+                    let next = self.walk(node);
+                    self.join(&all.last, &next.first);
+                    if all.is_empty {
+                        all.first.extend(&next.first);
+                    }
+                    if !next.is_empty {
+                        all.last.clear();
+                    }
+                    all.last.extend(next.last);
+                    all.is_empty &= next.is_empty;
+                }
+                all
+            }
+            Node::Choice(nodes) => {
+                let mut all = Ends { first: BTreeSet::new(), last: BTreeSet::new(), is_empty: false };
+                for node in nodes {
+                    let one = self.walk(node);
+                    all.first.extend(one.first);
+                    all.last.extend(one.last);
+                    all.is_empty |= one.is_empty;
+                }
+                all
+            }
+            Node::Any(node) => Ends { is_empty: true, ..self.repeated(node) },
+            Node::Some(node) => self.repeated(node),
+            Node::Maybe(node) => Ends { is_empty: true, ..self.walk(node) },
+        }
+    }
+
+    fn repeated(&mut self, node: &'a Node) -> Ends {
+        let one = self.walk(node);
+        self.join(&one.last, &one.first);
+        one
+    }
+
+    fn join(&mut self, last: &BTreeSet<usize>, first: &BTreeSet<usize>) {
+        last.iter().for_each(|at| self.follow[*at].extend(first));
+    }
+}
+
+/// The automaton whose states are sets of positions.
+struct Subsets {
+    symbols: usize,
+    /// By state and symbol.
+    next: Vec<u32>,
+    accepts: Vec<u64>,
+    start: u32,
+}
+
+impl Subsets {
+    /// - `most`: states; `None`: there are more.
+    fn of(positions: &Positions<'_>, vocabulary: &Vocabulary, sets: &[LabelSet], most: usize) -> Option<Self> {
+        let fits = |kind: Kind, set: LabelSet| -> Vec<bool> {
+            let has = |label: &str| vocabulary.has(set, label);
+            positions.events.iter().map(|event| event.fits(kind, has)).collect()
+        };
+        let kinds = &Kind::ALL[1..];
+        let fitting: Vec<Vec<bool>> = sets
+            .iter()
+            .flat_map(|&set| kinds.iter().map(move |&kind| (kind, set)))
+            .map(|(kind, set)| fits(kind, set))
+            .collect();
+        let step = |state: &BTreeSet<usize>, fits: &[bool]| -> BTreeSet<usize> {
+            let after = state.iter().flat_map(|&at| &positions.follow[at]);
+            after.copied().filter(|&at| fits[at]).collect()
+        };
+        let begin: BTreeSet<usize> = (positions.events.len()..positions.follow.len()).collect();
+        let start = step(&begin, &fits(Kind::Camera, LabelSet::default()));
+        // The set of no positions is the dead state.
+        let mut known: BTreeMap<BTreeSet<usize>, u32> = [(BTreeSet::new(), 0)].into();
+        let mut queue: VecDeque<BTreeSet<usize>> = [BTreeSet::new()].into();
+        let mut number = |set: BTreeSet<usize>, queue: &mut VecDeque<BTreeSet<usize>>| {
+            let fresh = known.len() as u32;
+            *known.entry(set.clone()).or_insert_with(|| {
+                queue.push_back(set);
+                fresh
+            })
+        };
+        let start = number(start, &mut queue);
+        let (mut next, mut accepts) = (Vec::new(), Vec::new());
+        while let Some(state) = queue.pop_front() {
+            accepts.push(state.iter().fold(0, |layers, &at| layers | positions.last[at]));
+            for fits in &fitting {
+                next.push(number(step(&state, fits), &mut queue));
+            }
+            if accepts.len() + queue.len() > most {
+                return None;
+            }
+        }
+        Some(Self { symbols: fitting.len(), next, accepts, start })
+    }
+
+    /// The same with as few states as can be.
+    fn minimal(self, sets: Vec<LabelSet>) -> Automaton {
+        let Self { symbols, next, accepts, start } = self;
+        let row = |state: usize| &next[state * symbols..(state + 1) * symbols];
+        let mut class: Vec<u32> = numbered(accepts.iter().copied());
+        loop {
+            let signature = |state: usize| {
+                let after: Vec<u32> = row(state).iter().map(|&to| class[to as usize]).collect();
+                (class[state], after)
+            };
+            let finer = numbered((0..accepts.len()).map(signature));
+            let is_done = finer.iter().max() == class.iter().max();
+            class = finer;
+            if is_done {
+                break;
+            }
+        }
+        // The dead state first, then from the start on, as they are reached.
+        let mut order: Vec<usize> = vec![0];
+        let mut place: BTreeMap<u32, State> = [(class[0], DEAD)].into();
+        let mut visit = |state: u32, order: &mut Vec<usize>| {
+            *place.entry(class[state as usize]).or_insert_with(|| {
+                order.push(state as usize);
+                (order.len() - 1) as State
+            })
+        };
+        let start = visit(start, &mut order);
+        let (mut table, mut at) = (Vec::new(), 0);
+        while let Some(&state) = order.get(at) {
+            table.extend(row(state).iter().map(|&to| visit(to, &mut order)));
+            at += 1;
+        }
+        Automaton { sets, next: table, accepts: order.iter().map(|&state| accepts[state]).collect(), start }
+    }
+}
+
+/// Equal things have equal numbers, from 0 in order of their first.
+fn numbered<T: Ord>(all: impl Iterator<Item = T>) -> Vec<u32> {
+    let mut known = BTreeMap::new();
+    all.map(|it| {
+        let fresh = known.len() as u32;
+        *known.entry(it).or_insert(fresh)
+    })
+    .collect()
+}

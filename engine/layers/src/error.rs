@@ -1,0 +1,80 @@
+//! Why layers are refused.
+
+/// An expression that cannot be read.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{}", self.text())]
+pub struct ExpressionError {
+    /// The expression.
+    pub expression: String,
+    /// Where it is at fault, in characters from its beginning.
+    pub at: usize,
+    /// What could stand there.
+    pub expected: &'static str,
+}
+
+impl ExpressionError {
+    fn text(&self) -> String {
+        let Self { expression, at, expected } = self;
+        let found = match expression.chars().nth(*at) {
+            Some(found) => format!("`{found}` at character {}", at + 1),
+            None if expression.is_empty() => "nothing".to_owned(),
+            None => "its end".to_owned(),
+        };
+        // Control characters would move the caret.
+        let shown: String = expression.chars().map(|c| if c.is_control() { ' ' } else { c }).collect();
+        format!("found {found}; expected {expected}\n    {shown}\n    {:>1$}", '^', at + 1)
+    }
+}
+
+/// Layers that a frame cannot have.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum LayerError {
+    /// No `NAME=EXPRESSION`.
+    #[error("`{0}` is no layer; write NAME=EXPRESSION, like direct=CDL")]
+    Form(String),
+    /// No name for channels.
+    #[error("a layer cannot be called `{0}`; a name has 1 to 64 letters, digits, `_` and `-`")]
+    Name(String),
+    /// A name of channels that the file has anyway.
+    #[error("a layer cannot be called `{0}`: the file has channels of that name; choose another")]
+    Taken(String),
+    /// Two layers of a name.
+    #[error("two layers are called `{0}`; give each a name of its own")]
+    Twice(String),
+    /// Too many.
+    #[error("there are {0} layers; a frame has at most {most}", most = crate::MOST_LAYERS)]
+    Many(usize),
+    /// No preset of this name.
+    #[error("there are no layers called `{0}`; choose among {known}", known = crate::Preset::NAMES.join(", "))]
+    Preset(String),
+    /// Layers of lamps where there are none.
+    #[error("the scene has no lamps, so that there are no layers of `lamps`")]
+    NoLamps,
+    /// An expression that cannot be read.
+    #[error("layer `{layer}`: {cause}")]
+    Expression {
+        /// Name of the layer.
+        layer: String,
+        /// What is wrong.
+        cause: ExpressionError,
+    },
+    /// A label that nothing has.
+    #[error(
+        "layer `{layer}`: nothing in the scene is called `{label}`; a label is the name of an object, a material, a medium or a lamp \
+         (OBJECT/MATERIAL)"
+    )]
+    Label {
+        /// Name of the layer.
+        layer: String,
+        /// The label.
+        label: String,
+    },
+    /// Too many labels.
+    #[error("the layers name {0} objects and lamps; they may name {most}", most = crate::Vocabulary::MOST)]
+    Labels(usize),
+    /// The automaton is too large.
+    #[error(
+        "the layers together are too complex: they would take more than {0} states; leave some out, or make them simpler"
+    )]
+    Complex(usize),
+}

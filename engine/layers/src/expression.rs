@@ -1,0 +1,398 @@
+//! The grammar of light path expressions, as Open Shading Language has it.
+//!
+//! ```text
+//! choice   = sequence { "|" sequence }
+//! sequence = { item [ "*" | "+" | "?" ] }
+//! item     = event | "(" choice ")"
+//! event    = "." | LETTER | LABEL | "[" ["^"] { LETTER | LABEL | angle } "]" | angle
+//! angle    = "<" part [ part ] { LABEL | "[" ["^"] LABEL { LABEL } "]" | "." } ">"
+//! part     = "." | LETTER | "[" ["^"] { LETTER } "]"
+//! LETTER   = C R T V D G S L O B
+//! LABEL    = "'" text "'"
+//! ```
+//!
+//! The first part in angles is the type (`C R T V L O B`), the second the scattering (`D G S`). Spaces do not count.
+
+use crate::error::ExpressionError;
+use crate::event::{ANY, Class, Event, Kind};
+
+/// A part of an expression.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Node {
+    /// One event.
+    Event(Event),
+    /// One after the other; none: no event.
+    Sequence(Vec<Node>),
+    /// One of them.
+    Choice(Vec<Node>),
+    /// Any number of times, `*`.
+    Any(Box<Node>),
+    /// Once or more, `+`.
+    Some(Box<Node>),
+    /// Once or not, `?`.
+    Maybe(Box<Node>),
+}
+
+/// An expression that has been read.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Expression(pub(crate) Node);
+
+/// Most characters of an expression.
+const LONGEST: usize = 4096;
+/// Most parentheses within each other.
+const DEEPEST: usize = 64;
+
+const REFLECTED: u16 = 0b111 << Kind::ReflectedDiffuse as u16;
+const TRANSMITTED: u16 = 0b111 << Kind::TransmittedDiffuse as u16;
+const DIFFUSE: u16 = Kind::ReflectedDiffuse.bit() | Kind::TransmittedDiffuse.bit();
+const GLOSSY: u16 = Kind::ReflectedGlossy.bit() | Kind::TransmittedGlossy.bit();
+const SPECULAR: u16 = Kind::ReflectedSpecular.bit() | Kind::TransmittedSpecular.bit();
+
+/// Kinds of a type's letter.
+fn type_of(letter: char) -> Option<u16> {
+    Some(match letter {
+        'C' => Kind::Camera.bit(),
+        'R' => REFLECTED,
+        'T' => TRANSMITTED,
+        'V' => Kind::Volume.bit(),
+        'L' => Kind::Light.bit(),
+        'O' => Kind::Object.bit(),
+        'B' => Kind::Background.bit(),
+        _ => return None,
+    })
+}
+
+/// Kinds of a scattering's letter.
+fn scattering_of(letter: char) -> Option<u16> {
+    Some(match letter {
+        'D' => DIFFUSE,
+        'G' => GLOSSY,
+        'S' => SPECULAR,
+        _ => return None,
+    })
+}
+
+impl Expression {
+    /// Reads an expression.
+    pub fn parse(text: &str) -> Result<Self, ExpressionError> {
+        let mut parser = Parser { text, chars: text.chars().collect(), at: 0, depth: 0 };
+        if parser.chars.len() > LONGEST {
+            parser.at = LONGEST;
+            return Err(parser.expected("at most 4096 characters"));
+        }
+        let node = parser.choice()?;
+        match parser.peek() {
+            None => Ok(Self(node)),
+            Some(')') => Err(parser.expected("an event, as this parenthesis closes none")),
+            Some(_) => Err(parser.expected(EVENT)),
+        }
+    }
+
+    /// The expression as a tree.
+    pub fn node(&self) -> &Node {
+        &self.0
+    }
+
+    /// The events that it asks for.
+    pub fn events(&self) -> Vec<&Event> {
+        fn collect<'a>(node: &'a Node, all: &mut Vec<&'a Event>) {
+            match node {
+                Node::Event(event) => all.push(event),
+                Node::Sequence(nodes) | Node::Choice(nodes) => nodes.iter().for_each(|node| collect(node, all)),
+                Node::Any(node) | Node::Some(node) | Node::Maybe(node) => collect(node, all),
+            }
+        }
+        let mut all = Vec::new();
+        collect(&self.0, &mut all);
+        all
+    }
+}
+
+const EVENT: &str = "an event: `.`, one of C R T V D G S L O B, `<..>`, `[..]`, `(..)` or a label in quotes";
+
+struct Parser<'a> {
+    text: &'a str,
+    chars: Vec<char>,
+    at: usize,
+    depth: usize,
+}
+
+impl Parser<'_> {
+    fn expected(&self, expected: &'static str) -> ExpressionError {
+        ExpressionError { expression: self.text.to_owned(), at: self.at, expected }
+    }
+
+    /// The next character that is no space.
+    fn peek(&mut self) -> Option<char> {
+        while self.chars.get(self.at).is_some_and(|c| c.is_whitespace()) {
+            self.at += 1;
+        }
+        self.chars.get(self.at).copied()
+    }
+
+    fn take(&mut self, wanted: char) -> bool {
+        let is_there = self.peek() == Some(wanted);
+        self.at += usize::from(is_there);
+        is_there
+    }
+
+    fn choice(&mut self) -> Result<Node, ExpressionError> {
+        let mut all = vec![self.sequence()?];
+        while self.take('|') {
+            all.push(self.sequence()?);
+        }
+        Ok(if all.len() == 1 { all.remove(0) } else { Node::Choice(all) })
+    }
+
+    fn sequence(&mut self) -> Result<Node, ExpressionError> {
+        let mut all = Vec::new();
+        while let Some(next) = self.peek() {
+            if matches!(next, '|' | ')') {
+                break;
+            }
+            let mut item = self.item(next)?;
+            while let Some(repeat @ ('*' | '+' | '?')) = self.peek() {
+                self.at += 1;
+                let boxed = Box::new(item);
+                item = match repeat {
+                    '*' => Node::Any(boxed),
+                    '+' => Node::Some(boxed),
+                    _ => Node::Maybe(boxed),
+                };
+                // Each sign more is a level more for whoever walks through the tree.
+                if matches!(self.peek(), Some('*' | '+' | '?')) {
+                    return Err(self.expected("one sign of repetition for an event; use parentheses for more"));
+                }
+            }
+            all.push(item);
+        }
+        if all.is_empty() {
+            return Err(self.expected(EVENT));
+        }
+        Ok(if all.len() == 1 { all.remove(0) } else { Node::Sequence(all) })
+    }
+
+    fn item(&mut self, next: char) -> Result<Node, ExpressionError> {
+        match next {
+            '(' => {
+                if self.depth == DEEPEST {
+                    return Err(self.expected("at most 64 parentheses within each other"));
+                }
+                self.depth += 1;
+                self.at += 1;
+                let inner = self.choice()?;
+                if !self.take(')') {
+                    return Err(self.expected("`)`"));
+                }
+                self.depth -= 1;
+                Ok(inner)
+            }
+            '[' => self.bracket().map(Node::Event),
+            _ => match self.class()? {
+                Some(class) => Ok(Node::Event(Event::of(class))),
+                None => Err(self.expected(EVENT)),
+            },
+        }
+    }
+
+    /// One event without brackets; `None`: there is none.
+    fn class(&mut self) -> Result<Option<Class>, ExpressionError> {
+        let Some(next) = self.peek() else { return Ok(None) };
+        let plain = |kinds| Ok(Some(Class { kinds, labels: None }));
+        match next {
+            '.' => {
+                self.at += 1;
+                plain(ANY)
+            }
+            '\'' => Ok(Some(Class { kinds: ANY, labels: Some((vec![self.label()?], false)) })),
+            '<' => self.angle().map(Some),
+            letter => match type_of(letter).or_else(|| scattering_of(letter)) {
+                Some(kinds) => {
+                    self.at += 1;
+                    plain(kinds)
+                }
+                None => Ok(None),
+            },
+        }
+    }
+
+    /// `[..]` or `[^..]`
+    fn bracket(&mut self) -> Result<Event, ExpressionError> {
+        self.at += 1;
+        let negated = self.take('^');
+        let mut any = Vec::new();
+        while let Some(class) = self.class()? {
+            any.push(class);
+        }
+        if any.is_empty() || !self.take(']') {
+            return Err(self.expected(if any.is_empty() { EVENT } else { "an event, or `]`" }));
+        }
+        Ok(Event { any, negated })
+    }
+
+    /// `<type scattering 'label'>`
+    fn angle(&mut self) -> Result<Class, ExpressionError> {
+        self.at += 1;
+        let kinds = self.part(type_of, "a type: `.`, one of C R T V L O B, or some of them in brackets")?;
+        let kinds =
+            kinds.ok_or_else(|| self.expected("a type: `.`, one of C R T V L O B, or some of them in brackets"))?;
+        let start = self.at;
+        let scattering = "a scattering (`.`, one of D G S, or some of them in brackets), a label in quotes, or `>`";
+        let kinds = match self.part(scattering_of, scattering)? {
+            None => kinds,
+            // Any scattering is also none, which lamps, the camera and fog have.
+            Some(ANY) => kinds,
+            Some(scattering) => kinds & scattering,
+        };
+        if kinds == 0 {
+            self.at = start;
+            self.peek();
+            return Err(self.expected("a label or `>`: only R and T have a scattering"));
+        }
+        let labels = match self.peek() {
+            Some('.') => {
+                self.at += 1;
+                None
+            }
+            Some('\'') => Some((self.labels()?, false)),
+            Some('[') => {
+                self.at += 1;
+                let negated = self.take('^');
+                let labels = self.labels()?;
+                if !self.take(']') {
+                    return Err(self.expected("a label in quotes, or `]`"));
+                }
+                Some((labels, negated))
+            }
+            _ => None,
+        };
+        if !self.take('>') {
+            return Err(self.expected(if labels.is_some() { "`>`" } else { "a label in quotes, or `>`" }));
+        }
+        Ok(Class { kinds, labels })
+    }
+
+    /// A letter, a dot, or letters in brackets; `None`: there is none. Brackets of labels are none.
+    fn part(&mut self, of: fn(char) -> Option<u16>, wanted: &'static str) -> Result<Option<u16>, ExpressionError> {
+        match self.peek() {
+            Some('.') => {
+                self.at += 1;
+                Ok(Some(ANY))
+            }
+            Some('[') => {
+                let start = self.at;
+                self.at += 1;
+                let negated = self.take('^');
+                if self.peek() == Some('\'') {
+                    self.at = start;
+                    return Ok(None);
+                }
+                let mut kinds = 0;
+                while let Some(found) = self.peek().and_then(of) {
+                    kinds |= found;
+                    self.at += 1;
+                }
+                if kinds == 0 || !self.take(']') {
+                    return Err(self.expected(if kinds == 0 { wanted } else { "another letter, or `]`" }));
+                }
+                Ok(Some(if negated { ANY & !kinds } else { kinds }))
+            }
+            Some(letter) => Ok(of(letter).inspect(|_| self.at += 1)),
+            None => Ok(None),
+        }
+    }
+
+    fn labels(&mut self) -> Result<Vec<String>, ExpressionError> {
+        let mut all = Vec::new();
+        while self.peek() == Some('\'') {
+            all.push(self.label()?);
+        }
+        if all.is_empty() { Err(self.expected("a label in quotes")) } else { Ok(all) }
+    }
+
+    /// `'text'`, with `\'` for a quote and `\\` for a backslash.
+    fn label(&mut self) -> Result<String, ExpressionError> {
+        self.at += 1;
+        let (start, mut label) = (self.at, String::new());
+        loop {
+            let next = self.chars.get(self.at).copied();
+            self.at += 1;
+            match next {
+                Some('\'') if label.is_empty() => {
+                    self.at = start;
+                    return Err(self.expected("the text of a label"));
+                }
+                Some('\'') => return Ok(label),
+                Some('\\') if matches!(self.chars.get(self.at), Some('\'' | '\\')) => {
+                    label.push(self.chars[self.at]);
+                    self.at += 1;
+                }
+                Some(other) => label.push(other),
+                None => {
+                    self.at = self.chars.len();
+                    return Err(self.expected("`'`, which closes the label"));
+                }
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn fault(text: &str) -> (usize, &'static str) {
+        let error = Expression::parse(text).expect_err(text);
+        (error.at, error.expected)
+    }
+
+    #[test]
+    fn a_fault_is_shown_under_its_place_with_what_was_expected() {
+        let error = Expression::parse("C<RX>L").unwrap_err();
+        let text = error.to_string();
+        assert!(text.starts_with("found `X` at character 4; expected a label in quotes, or `>`"), "{text}");
+        let lines: Vec<&str> = text.lines().collect();
+        assert_eq!(lines[1..], ["    C<RX>L", "       ^"]);
+        assert_eq!(lines[1].find('X'), lines[2].find('^'));
+    }
+
+    #[test]
+    fn every_kind_of_fault_has_its_place() {
+        for (text, at) in [
+            ("", 0),
+            ("CX", 1),
+            ("C(DL", 4),
+            ("CD)L", 2),
+            ("C[DL", 4),
+            ("C[]L", 2),
+            ("C<", 2),
+            ("C<D>", 2),
+            ("C<LD>", 3),
+            ("C<VD>", 3),
+            ("C<R[DX]>", 5),
+            ("C<L'a", 5),
+            ("C<L''>", 4),
+            ("*", 0),
+            ("CD**L", 3),
+            ("C||L", 2),
+            ("C<R['a'D]>", 7),
+        ] {
+            assert_eq!(fault(text).0, at, "{text}: {:?}", fault(text));
+        }
+        assert_eq!(fault(&"(".repeat(70)).0, 64);
+        assert_eq!(fault(&"C".repeat(5000)).0, 4096);
+    }
+
+    #[test]
+    fn spaces_do_not_count_and_a_dot_is_everything() {
+        assert_eq!(Expression::parse(" C <R D> * L "), Expression::parse("C<RD>*L"));
+        assert_eq!(Expression::parse("C<...>L"), Expression::parse("C.L"));
+        assert_eq!(Expression::parse("C[R]L").map(|e| e.0), Expression::parse("CRL").map(|e| e.0));
+    }
+
+    #[test]
+    fn labels_may_hold_quotes() {
+        let expression = Expression::parse(r"C<L.'it\'s \\ a.b'>").unwrap();
+        assert_eq!(expression.events()[1].labels().collect::<Vec<_>>(), [r"it's \ a.b"]);
+    }
+}

@@ -1,0 +1,84 @@
+//! Layers: an expression under the name that its channels have.
+
+use crate::error::LayerError;
+use crate::expression::Expression;
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeSet;
+use std::str::FromStr;
+
+/// Most layers of a frame: a bit each of a word.
+pub const MOST_LAYERS: usize = 64;
+
+/// Channels that the file has besides those of layers.
+const TAKEN: [&str; 5] = ["samples", "variance", "albedo", "depth", "relative_error"];
+
+/// A layer as it is asked for.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+pub struct Layer {
+    /// What its channels are called.
+    pub name: String,
+    /// Light path expression of the light that counts in it.
+    pub expression: String,
+}
+
+impl Layer {
+    /// A layer of this name and expression.
+    pub fn new(name: impl Into<String>, expression: impl Into<String>) -> Self {
+        Self { name: name.into(), expression: expression.into() }
+    }
+
+    /// Its expression.
+    /// - errors: the name or the expression is at fault.
+    pub fn parse(&self) -> Result<Expression, LayerError> {
+        let is_fit = |c: char| c.is_ascii_alphanumeric() || c == '_' || c == '-';
+        if !(1..=64).contains(&self.name.len()) || !self.name.chars().all(is_fit) {
+            return Err(LayerError::Name(self.name.clone()));
+        }
+        if TAKEN.contains(&self.name.as_str()) {
+            return Err(LayerError::Taken(self.name.clone()));
+        }
+        Expression::parse(&self.expression).map_err(|cause| LayerError::Expression { layer: self.name.clone(), cause })
+    }
+}
+
+impl FromStr for Layer {
+    type Err = LayerError;
+
+    fn from_str(text: &str) -> Result<Self, LayerError> {
+        let (name, expression) = text.split_once('=').ok_or_else(|| LayerError::Form(text.to_owned()))?;
+        let layer = Self::new(name.trim(), expression.trim());
+        layer.parse().map(|_| layer)
+    }
+}
+
+/// The expressions of all layers of a frame.
+pub fn parse_all(layers: &[Layer]) -> Result<Vec<Expression>, LayerError> {
+    if layers.len() > MOST_LAYERS {
+        return Err(LayerError::Many(layers.len()));
+    }
+    let mut names = BTreeSet::new();
+    if let Some(twice) = layers.iter().find(|layer| !names.insert(&layer.name)) {
+        return Err(LayerError::Twice(twice.name.clone()));
+    }
+    layers.iter().map(Layer::parse).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_layer_is_a_name_and_an_expression_and_what_is_none_is_refused() {
+        assert_eq!("direct = CDL".parse(), Ok(Layer::new("direct", "CDL")));
+        assert_eq!("CDL".parse::<Layer>(), Err(LayerError::Form("CDL".into())));
+        assert_eq!("a.b=CDL".parse::<Layer>(), Err(LayerError::Name("a.b".into())));
+        assert_eq!("=CDL".parse::<Layer>(), Err(LayerError::Name(String::new())));
+        assert_eq!("samples=CDL".parse::<Layer>(), Err(LayerError::Taken("samples".into())));
+        let error = "a=C<".parse::<Layer>().unwrap_err().to_string();
+        assert!(error.starts_with("layer `a`: found its end; expected a type"), "{error}");
+        let twice = [Layer::new("a", "CL"), Layer::new("a", "CDL")];
+        assert_eq!(parse_all(&twice), Err(LayerError::Twice("a".into())));
+        let many: Vec<Layer> = (0..65).map(|i| Layer::new(format!("a{i}"), "CL")).collect();
+        assert_eq!(parse_all(&many), Err(LayerError::Many(65)));
+    }
+}

@@ -1,0 +1,192 @@
+//! Layers of a frame: light parted by light path expressions while it is rendered.
+//!
+//! A layer's sample is the part of the picture's sample that its expression takes. What makes an event:
+//!
+//! - a surface that scatters: `R` or `T` by the side that the light comes from, `D` or `G` by the shares of the BSDF's lobes for the two
+//!   directions, whatever drew the direction (a BSDF, a light, a guide); `S` where there is one direction alone. Where both lobes scatter, the
+//!   path goes on in two states, each with its share, so that nothing is added to the picture's noise, and layers that part the paths
+//!   sum up to the picture sample by sample;
+//! - a medium that scatters: `V`;
+//! - a lamp, however it was found: `L`; a medium that glows: `O`. There is no background, `B`;
+//! - surfaces that light goes straight through: none, since the way to a lamp leads through them, too.
+
+mod recorder;
+
+use crate::render::{RenderError, RenderedTile, render_rows};
+use crate::settings::Settings;
+use crate::statistics::{StatisticsPlan, render_with_statistics_and};
+use femc_film::{LayerSums, LayerTile, Rect};
+use femc_layers::{Automaton, LabelSet, Layer, LayerError, Vocabulary, parse_all};
+use femc_paths::Statistics;
+use femc_prepared::Prepared;
+use femc_scene::{LampKind, ObjectId, Scene};
+use recorder::LayerRecorder;
+use std::collections::BTreeSet;
+use std::ops::Range;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+
+/// The layers of a frame, compiled for its scene.
+#[derive(Clone, Debug)]
+pub struct LayerPlan {
+    automaton: Automaton,
+    /// Number of layers.
+    count: usize,
+    /// Label sets; empty where no layer names anything.
+    objects: Vec<LabelSet>,
+    materials: Vec<LabelSet>,
+    media: Vec<LabelSet>,
+    lamps: Vec<LabelSet>,
+}
+
+impl LayerPlan {
+    /// The layers that the settings name.
+    /// - errors: an expression is at fault, or there are too many states.
+    pub fn of(prepared: &Prepared, settings: &Settings) -> Result<Self, LayerError> {
+        let (layers, scene) = (&settings.layers, &prepared.scene);
+        let vocabulary = Automaton::vocabulary(layers)?;
+        let mut plan = Self {
+            automaton: Automaton::new(layers, &vocabulary, [LabelSet::default()])?,
+            count: layers.len(),
+            objects: Vec::new(),
+            materials: Vec::new(),
+            media: Vec::new(),
+            lamps: Vec::new(),
+        };
+        if vocabulary.labels().is_empty() {
+            return Ok(plan);
+        }
+        plan.objects = scene.objects.iter().map(|object| vocabulary.set(&[&object.name])).collect();
+        plan.materials = (0..prepared.materials.len())
+            .map(|material| vocabulary.set(&[prepared.material_name(material as u32)]))
+            .collect();
+        plan.media = scene.media.iter().map(|medium| vocabulary.set(&[&medium.name])).collect();
+        plan.lamps = (0..prepared.lights.len()).map(|light| lamp_set(prepared, &vocabulary, light as u32)).collect();
+        let unique = |sets: &[LabelSet]| sets.iter().copied().chain([LabelSet::default()]).collect::<BTreeSet<_>>();
+        let (objects, materials) = (unique(&plan.objects), unique(&plan.materials));
+        let surfaces = objects.iter().flat_map(|object| materials.iter().map(|material| object.union(*material)));
+        let sets = surfaces.chain(plan.media.iter().copied()).chain(plan.lamps.iter().copied());
+        plan.automaton = Automaton::new(layers, &vocabulary, sets)?;
+        Ok(plan)
+    }
+
+    /// Number of layers.
+    pub fn count(&self) -> usize {
+        self.count
+    }
+
+    /// The automaton of all their expressions.
+    pub fn automaton(&self) -> &Automaton {
+        &self.automaton
+    }
+
+    /// Whether what things are called matters.
+    fn is_labelled(&self) -> bool {
+        !self.objects.is_empty() || !self.materials.is_empty()
+    }
+
+    fn surface(&self, object: Option<ObjectId>, material: u32) -> LabelSet {
+        let object = object.and_then(|object| self.objects.get(object.index())).copied().unwrap_or_default();
+        object.union(self.materials.get(material as usize).copied().unwrap_or_default())
+    }
+
+    fn medium(&self, medium: u16) -> LabelSet {
+        self.media.get(usize::from(medium)).copied().unwrap_or_default()
+    }
+
+    fn lamp(&self, light: Option<u32>) -> LabelSet {
+        light.and_then(|light| self.lamps.get(light as usize)).copied().unwrap_or_default()
+    }
+}
+
+fn lamp_set(prepared: &Prepared, vocabulary: &Vocabulary, light: u32) -> LabelSet {
+    let lamp = prepared.lamp_name(light);
+    let kind = match &lamp.kind {
+        LampKind::Surface { material } => material,
+        LampKind::Luminaire { path } => path,
+        LampKind::Medium { medium } => medium,
+    };
+    vocabulary.set(&[&lamp.object, kind, &format!("{}/{kind}", lamp.object)])
+}
+
+/// Labels of a scene's lamps, each once: object and material, or photometric file, of what emits; a medium that glows by its name.
+pub fn lamp_labels(scene: &Scene) -> Vec<String> {
+    let object = |object: Option<ObjectId>| {
+        object.and_then(|object| scene.objects.get(object.index())).map_or("", |object| &object.name)
+    };
+    let surfaces = scene.groups.iter().flat_map(|group| {
+        let faces = group.faces.iter().map(|face| (face.object, face.material));
+        faces.chain(group.quadrics.iter().map(|quadric| (quadric.object, quadric.material)))
+    });
+    let emitting = surfaces.filter_map(|(of, material)| {
+        let material = scene.materials.get(material.index()).filter(|material| material.ed.luminous() > 0.0)?;
+        Some(format!("{}/{}", object(of), material.name))
+    });
+    let luminaires = scene.groups.iter().flat_map(|group| &group.luminaires).filter_map(|luminaire| {
+        let file = scene.photometry.get(luminaire.photometry.index())?;
+        Some(format!("{}/{}", object(luminaire.object), file.path))
+    });
+    let media = scene.media.iter().filter(|medium| medium.glow > 0.0).map(|medium| medium.name.clone());
+    emitting.chain(luminaires).chain(media).collect::<BTreeSet<_>>().into_iter().collect()
+}
+
+/// Refuses layers that name what the scene does not have.
+pub(crate) fn unknown_label(scene: &Scene, layers: &[Layer]) -> Result<(), LayerError> {
+    let expressions = parse_all(layers)?;
+    let labels = || expressions.iter().flat_map(|it| it.events()).flat_map(|event| event.labels());
+    if labels().next().is_none() {
+        return Ok(());
+    }
+    // Of a lamp the object, and what emits.
+    let objects: BTreeSet<&str> = scene.objects.iter().map(|object| object.name.as_str()).collect();
+    let emitting = scene.materials.iter().map(|it| &it.name).chain(scene.photometry.iter().map(|it| &it.path));
+    let emitting: BTreeSet<&str> = emitting.map(String::as_str).collect();
+    let media: BTreeSet<&str> = scene.media.iter().map(|medium| medium.name.as_str()).collect();
+    let is_object = |label: &str| {
+        let within =
+            |name: &&str| name.strip_prefix(label).is_some_and(|rest| rest.is_empty() || rest.starts_with('.'));
+        objects.range(label..).take_while(|name| name.starts_with(label)).any(within)
+    };
+    let is_lamp = |label: &str| {
+        let cuts = label.match_indices('/').map(|(at, _)| (&label[..at], &label[at + 1..]));
+        cuts.into_iter()
+            .any(|(object, kind)| (object.is_empty() || objects.contains(object)) && emitting.contains(kind))
+    };
+    let is_known =
+        |label: &str| is_object(label) || emitting.contains(label) || media.contains(label) || is_lamp(label);
+    for (layer, expression) in layers.iter().zip(&expressions) {
+        let unknown = expression.events().into_iter().flat_map(|event| event.labels()).find(|label| !is_known(label));
+        if let Some(label) = unknown {
+            return Err(LayerError::Label { layer: layer.name.clone(), label: label.to_owned() });
+        }
+    }
+    Ok(())
+}
+
+/// Renders samples of a tile as [`render_tile`](crate::render_tile) does, to the bit, with its layers, and with light statistics if asked for.
+pub fn render_with_layers(
+    prepared: &Prepared,
+    settings: &Settings,
+    plan: &LayerPlan,
+    statistics: Option<&StatisticsPlan>,
+    rect: Rect,
+    samples: Range<u32>,
+    cancel: &AtomicBool,
+    progress: &AtomicU64,
+) -> Result<(RenderedTile, LayerTile, Option<Statistics>), RenderError> {
+    let recorder = || LayerRecorder::new(plan, prepared);
+    let (range, (rendered, recorders, statistics)) = match statistics {
+        None => {
+            let outcome = render_rows(prepared, settings, rect, samples.clone(), cancel, progress, recorder)?;
+            (samples, (outcome.0, outcome.1, None))
+        }
+        Some(of) => {
+            let range = samples.clone();
+            let (rendered, statistics, recorders) =
+                render_with_statistics_and(prepared, settings, of, rect, samples, cancel, progress, recorder)?;
+            (range, (rendered, recorders, Some(statistics)))
+        }
+    };
+    let sums: Vec<LayerSums> = recorders.into_iter().flat_map(LayerRecorder::into_sums).collect();
+    let layers = LayerTile::of_pixels(rect, range, plan.count as u32, &sums)?;
+    Ok((rendered, layers, statistics))
+}

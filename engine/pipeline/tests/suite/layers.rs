@@ -1,0 +1,219 @@
+//! Layers of rendered tiles.
+
+use femc_film::tile::OPEN;
+use femc_film::{FilmError, Frame, FrameImage, LayerImage, LayerPiece, Rect, Tiling};
+use femc_import::{Bundle, load};
+use femc_pipeline::{
+    Layer, LayerPlan, Method, Prepared, Preset, Settings, Source, StatisticsPlan, Stop, lamp_labels, plan, prepare,
+    render_tile, render_with_layers, render_with_statistics,
+};
+use femc_scene::Scene;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+
+/// A floor that is matte and glossy, a mirror ball, a plate of colored glass, a sheet that scatters light through, two lamps, thin fog.
+const ROOM: &str = "\
+camera main =
+	origin 0 -3 1
+	target 0 0 .8
+	fov 60
+	film 24 16
+m floor =
+	c
+	cxy .4 .4
+	rd .5
+	c
+	rs .3 .2
+m paper =
+	c
+	rd .3
+	td .4
+m mirror =
+	rs .9 0
+m glass =
+	rs .05 0
+	ts .8 0
+m red =
+	sides 1
+	ed 500
+m blue =
+	sides 1
+	ed 300
+v a =
+	p -4 -4 0
+v b =
+	p 4 -4 0
+v c =
+	p 4 4 0
+v d =
+	p -4 4 0
+m floor
+o ground
+f a b c d
+o
+v o =
+	p .6 0 .5
+m mirror
+o ball
+sph o .5
+o
+v e =
+	p -.9 -.3 .2
+v f =
+	p -.3 -.3 .2
+v g =
+	p -.3 -.3 1.2
+v h =
+	p -.9 -.3 1.2
+m glass
+o pane
+f e f g h
+o
+v i =
+	p -.9 .6 .2
+v j =
+	p .1 .6 .2
+v k =
+	p .1 .6 1.2
+v n =
+	p -.9 .6 1.2
+m paper
+o screen
+f i j k n
+o
+o lamps
+v l =
+	p -.4 0 2
+m red
+o left
+sph l .2
+o
+v r =
+	p .4 1 1.6
+m blue
+o right
+sph r .1
+o
+o
+";
+const FOG: &str = "medium haze =\n\tsigma_s .1\nmglobal haze\n";
+
+fn settings(layers: Vec<Layer>, method: Method) -> Settings {
+    Settings { stop: Stop::Spp(8), method, layers, ..Settings::default() }
+}
+
+fn scene(text: &str) -> Scene {
+    let files = BTreeMap::from([("room.mgf".to_owned(), text.as_bytes().to_vec())]);
+    load(&Bundle(files), "room.mgf").unwrap_or_else(|e| panic!("{e}")).scene
+}
+
+fn world(text: &str, settings: &Settings) -> Prepared {
+    let source = Source::new(Arc::new(scene(text)));
+    plan(source.scene(), settings, None).unwrap_or_else(|e| panic!("{e}"));
+    prepare(&source, settings, 1, None).unwrap()
+}
+
+fn lamps(prepared: &Prepared) -> Vec<String> {
+    lamp_labels(&prepared.scene)
+}
+
+/// The picture of a world and its layers.
+fn rendered(prepared: &Prepared, settings: &Settings) -> Result<(FrameImage, Vec<LayerImage>), FilmError> {
+    let [width, height] = prepared.camera.film;
+    let (tiling, rect) = (Tiling::new(width, height, 64)?, Rect { x: 0, y: 0, width, height });
+    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+    let plan = LayerPlan::of(prepared, settings).unwrap();
+    let (tile, layers, none) =
+        render_with_layers(prepared, settings, &plan, None, rect, 0..8, &cancel, &progress).unwrap();
+    let plain = render_tile(prepared, settings, rect, 0..8, &cancel, &progress).unwrap();
+    assert!(tile.tile == plain.tile && none.is_none(), "layers change no sample");
+    let statistics = StatisticsPlan::of(prepared, settings, 64);
+    let with_all =
+        render_with_layers(prepared, settings, &plan, Some(&statistics), rect, 0..8, &cancel, &progress).unwrap();
+    let alone = render_with_statistics(prepared, settings, &statistics, rect, 0..8, &cancel, &progress).unwrap();
+    assert!(with_all.1 == layers && with_all.2 == Some(alone.1), "layers and statistics know nothing of each other");
+    let mut frame = Frame::new(tiling);
+    frame.insert(tile.tile)?;
+    let mut piece = LayerPiece::new(tiling, 0);
+    piece.put(&layers, OPEN)?;
+    let mut images = LayerImage::black(settings.layers.iter().map(|layer| layer.name.clone()), width, height);
+    LayerImage::put(&mut images, &piece)?;
+    Ok((frame.resolve(), images))
+}
+
+fn sum(image: &LayerImage) -> f64 {
+    image.color.as_flattened().iter().map(|value| f64::from(*value)).sum()
+}
+
+/// The layers `names` sum up to the picture, pixel by pixel; all of them have light.
+fn part(image: &FrameImage, layers: &[LayerImage], names: &[&str]) {
+    let parts: Vec<&LayerImage> = layers.iter().filter(|layer| names.contains(&layer.name.as_str())).collect();
+    assert_eq!(parts.len(), names.len());
+    assert!(parts.iter().all(|layer| sum(layer) > 0.0), "{names:?}");
+    for (at, color) in image.color.pixels.iter().enumerate() {
+        for (channel, wanted) in color.iter().enumerate() {
+            let sum: f64 = parts.iter().map(|layer| f64::from(layer.color[at][channel])).sum();
+            let wanted = f64::from(*wanted);
+            assert!((sum - wanted).abs() <= 1e-6 * wanted, "{names:?}, pixel {at}: {sum}, not {wanted}");
+        }
+    }
+}
+
+#[test]
+fn layers_that_part_the_paths_sum_up_to_the_picture_whose_samples_are_those_without_layers() {
+    for text in [ROOM.to_owned(), format!("{ROOM}{FOG}")] {
+        for method in [Method::Pt, Method::Femc] {
+            let is_foggy = text.len() > ROOM.len();
+            let labels = lamps(&world(&text, &settings(Vec::new(), method)));
+            let labels: Vec<&str> = labels.iter().map(String::as_str).collect();
+            assert_eq!(labels, ["lamps.left/red", "lamps.right/blue"]);
+            let presets = [Preset::Direct, Preset::Indirect, Preset::Lamps, Preset::Guides];
+            let mut layers: Vec<Layer> =
+                presets.iter().flat_map(|preset| preset.layers(labels.iter().copied()).unwrap()).collect();
+            // By the first event: the lamp itself, a lobe of a surface, the fog.
+            let first = [
+                ("seen", "CL"),
+                ("diffuse", "C<RD>.*"),
+                ("glossy", "C<RG>.*"),
+                ("mirrored", "C<RS>.*"),
+                ("through", "CT.*"),
+                ("fog", "CV.*"),
+            ];
+            layers.extend(first.map(|(name, expression)| Layer::new(name, expression)));
+            layers.push(Layer::new("on_ground", "C<..'ground'>.*"));
+            layers.push(Layer::new("elsewhere", "C<..[^'ground']>.*"));
+            let settings = settings(layers, method);
+            let prepared = world(&text, &settings);
+            let (image, layers) = rendered(&prepared, &settings).unwrap();
+            part(&image, &layers, &["direct", "indirect"]);
+            part(&image, &layers, &["lamp_lamps_left_red", "lamp_lamps_right_blue"]);
+            part(&image, &layers, &["full"]);
+            part(&image, &layers, &["on_ground", "elsewhere"]);
+            let mut first: Vec<&str> = first.iter().map(|it| it.0).collect();
+            if !is_foggy {
+                assert_eq!(first.pop(), Some("fog"));
+                assert!(layers.iter().any(|layer| layer.name == "fog" && sum(layer) == 0.0));
+            }
+            part(&image, &layers, &first);
+        }
+    }
+}
+
+#[test]
+fn labels_that_the_scene_does_not_have_are_refused_before_anything_runs() {
+    let scene = scene(ROOM);
+    let outcome = |label: &str| {
+        let layers = vec![Layer::new("one", format!("C.*<L.'{label}'>"))];
+        plan(&scene, &settings(layers, Method::Pt), None).map(drop).map_err(|e| e.to_string())
+    };
+    for known in ["lamps", "lamps.left", "red", "lamps.left/red", "mirror", "ball"] {
+        assert_eq!(outcome(known), Ok(()), "{known}");
+    }
+    for unknown in ["lamp", "lamps.", "left", "lamps.left/green", "lamps/red/", "haze"] {
+        let error = outcome(unknown).unwrap_err();
+        assert!(error.starts_with(&format!("layer `one`: nothing in the scene is called `{unknown}`")), "{error}");
+    }
+    let layers = vec![Layer::new("one", "CL")];
+    assert!(plan(&scene, &settings(layers, Method::Fem), None).is_err_and(|e| e.to_string().contains("`femc`")));
+}

@@ -1,0 +1,118 @@
+//! Layers of small rooms against the classes of paths of another path tracer ([`femc_tests::brute`]).
+
+use femc_film::tile::OPEN;
+use femc_film::{FrameImage, Image, LayerImage, LayerPiece, Rect, Tiling};
+use femc_math::color::LUMINANCE_WEIGHTS;
+use femc_pipeline::{Layer, LayerPlan, Method, Preset, Settings, Source, Stop, prepare, render_with_layers};
+use femc_tests::brute::{Brute, Scatterer};
+use femc_tests::reference::{Comparison, Reference, rooms};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64};
+
+/// Chance of a false alarm in one comparison.
+const LEVEL: f64 = 1e-4;
+/// Pixels of a block's side: a quarter of the film.
+const BLOCK: usize = 16;
+/// Samples a pixel of each half of the reference.
+const BRUTE_SPP: u32 = 2048;
+const SPP: u32 = 128;
+
+/// The layers that are compared, in order of [`classes`].
+fn layers() -> Vec<Layer> {
+    let mut layers = Preset::Guides.layers([]).unwrap();
+    layers.extend(Preset::Fog.layers([]).unwrap());
+    layers.push(Layer::new("glossy_first", "C<RG>.*"));
+    layers
+}
+
+/// The same, said of the path that was walked.
+fn classes(path: &[Scatterer]) -> [bool; 7] {
+    use Scatterer::{Diffuse, Fog, Glossy};
+    [
+        true,
+        *path == [Diffuse],
+        *path == [Glossy],
+        *path == [Diffuse] || *path == [Diffuse, Diffuse],
+        path.starts_with(&[Diffuse, Diffuse]),
+        path.contains(&Fog),
+        path.first() == Some(&Glossy),
+    ]
+}
+
+/// A layer as an image. The luminance's variance is that of channels which all err to one side: at least what it is.
+fn image(layer: LayerImage, [width, height]: [u32; 2]) -> FrameImage {
+    let weights = LUMINANCE_WEIGHTS.to_array();
+    let luminance = |v: &[f32; 3]| v.iter().zip(weights).map(|(v, w)| w * v.sqrt()).sum::<f32>().powi(2);
+    let count = layer.color.len();
+    FrameImage {
+        luminance_variance: layer.variance.iter().map(luminance).collect(),
+        color: Image { width, height, pixels: layer.color },
+        variance: layer.variance,
+        albedo: vec![[0.0; 3]; count],
+        depth: vec![0.0; count],
+        samples: vec![SPP; count],
+    }
+}
+
+/// Mean luminance, cd/m2.
+fn mean(image: &FrameImage) -> f32 {
+    let count = image.samples.len();
+    (0..count).map(|at| image.color.luminance(at)).sum::<f32>() / count as f32
+}
+
+fn rendered(name: &str, method: Method) -> Vec<FrameImage> {
+    let scene = femc_import::load_path(&rooms().join(format!("{name}.mgf"))).unwrap_or_else(|e| panic!("{e}")).scene;
+    let settings = Settings { stop: Stop::Spp(SPP), seed: 12, method, layers: layers(), ..Settings::default() };
+    let prepared = prepare(&Source::new(Arc::new(scene)), &settings, 1, None).unwrap();
+    let film @ [width, height] = prepared.camera.film;
+    let (cancel, progress) = (AtomicBool::new(false), AtomicU64::new(0));
+    let plan = LayerPlan::of(&prepared, &settings).unwrap();
+    let rect = Rect { x: 0, y: 0, width, height };
+    let (_, tile, _) = render_with_layers(&prepared, &settings, &plan, None, rect, 0..SPP, &cancel, &progress).unwrap();
+    let mut piece = LayerPiece::new(Tiling::new(width, height, 64).unwrap(), 0);
+    piece.put(&tile, OPEN).unwrap();
+    let mut images = LayerImage::black(settings.layers.iter().map(|layer| layer.name.clone()), width, height);
+    LayerImage::put(&mut images, &piece).unwrap();
+    images.into_iter().map(|layer| image(layer, film)).collect()
+}
+
+/// The references of a room, a class each.
+fn references(name: &str) -> Vec<Reference> {
+    let scene = femc_import::load_path(&rooms().join(format!("{name}.mgf"))).unwrap_or_else(|e| panic!("{e}")).scene;
+    let brute = Brute::new(&scene);
+    let [a, b] = [5, 6].map(|seed| brute.classes(seed, BRUTE_SPP, classes));
+    a.into_iter().zip(b).map(|(a, b)| Reference::new([a, b])).collect()
+}
+
+/// Every layer is the class of paths that its expression says, and no layer is that of another class.
+fn check(name: &str, dark: &[&str]) {
+    let (names, references) = (layers(), references(name));
+    for method in [Method::Pt, Method::Femc] {
+        let images = rendered(name, method);
+        for (number, (layer, image)) in names.iter().zip(&images).enumerate() {
+            let compared: Comparison = references[number].compare(image, BLOCK);
+            println!("{name} {method:?} {}: {compared:?}", layer.name);
+            if dark.contains(&layer.name.as_str()) {
+                assert_eq!(mean(image), 0.0, "{name}: {} has light", layer.name);
+                continue;
+            }
+            assert!(mean(image) > 0.0, "{name}: {} has no light", layer.name);
+            assert!(compared.agrees(LEVEL), "{name} {method:?}: {} is not what brute force says", layer.name);
+            let others = (0..images.len()).filter(|other| *other != number);
+            for other in others.filter(|other| !dark.contains(&names[*other].name.as_str())) {
+                let is_other = references[other].compare(image, BLOCK).agrees(LEVEL);
+                assert!(!is_other, "{name}: nobody tells {} from {}", layer.name, names[other].name);
+            }
+        }
+    }
+}
+
+#[test]
+fn layers_of_a_room_with_rough_mirrors_are_the_classes_of_paths_that_brute_force_finds() {
+    check("glossy", &["fog"]);
+}
+
+#[test]
+fn layers_of_a_room_in_fog_are_the_classes_of_paths_that_brute_force_finds() {
+    check("fog", &["direct_specular", "glossy_first"]);
+}

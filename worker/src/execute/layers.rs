@@ -1,0 +1,85 @@
+//! Layers: the sums of tiles, united and resolved in groups when it is known which samples count, and put together beside the picture.
+
+use std::collections::BTreeMap;
+
+use femc_film::tile::OPEN;
+use femc_film::{FrameImage, LayerImage, LayerPiece, LayerTile, Provenance, exr};
+use femc_model::{Failure, Phase, Role, Template};
+use femc_pipeline::Settings;
+
+use super::image::damaged_picture;
+use super::union::{Lost, expected, groups, stops, tiles, tiling};
+use super::{Product, Tools};
+use crate::clock::Stopwatch;
+use crate::table::Task;
+
+/// Tiles of a group, resolved.
+pub(super) fn reduce(task: &Task, stage: &Template, tools: &Tools) -> Result<Product, Failure> {
+    task.enter(Phase::Working);
+    let watch = Stopwatch::start();
+    let (tiling, stops) = (tiling(task)?, stops(task, tools)?);
+    let begin = stops.as_ref().map_or(0, |stops| stops.pace.begin);
+    let span = tiles(task, stage, Role::Layers)?;
+    // What each tile was rendered in.
+    let mut inputs: BTreeMap<u32, Vec<_>> = span.clone().map(|tile| (tile, Vec::new())).collect();
+    for input in task.assignment.work.of_role(Role::Layers) {
+        inputs.entry(input.item).or_default().push(input.output.artifact);
+    }
+    let (mut lost, mut piece) = (Lost::default(), LayerPiece::new(tiling, span.start as usize));
+    for (place, (tile, artifacts)) in inputs.iter().enumerate() {
+        if task.is_cancelled() {
+            return Err(Failure::Cancelled);
+        }
+        let ends = stops.as_ref().and_then(|stops| stops.ends.get(*tile as usize)).copied().unwrap_or(OPEN);
+        let mut parts = Vec::with_capacity(artifacts.len());
+        let here = lost.fetch(task, artifacts, tools)?;
+        tools.install(task, || {
+            for (artifact, bytes) in &here {
+                lost.check(*artifact, LayerTile::decode(bytes).map(|part| parts.push(part)));
+            }
+        });
+        if parts.len() < artifacts.len() {
+            continue;
+        }
+        // A tile without its parts, or with others than its samples, is made again.
+        let given = expected(task, place).end;
+        let united = LayerTile::united(parts, begin, ends).map_err(|error| error.to_string()).and_then(|all| {
+            let samples = all.samples();
+            if (samples.start, samples.end) == (begin, given) {
+                piece.put(&all, ends).map_err(|error| error.to_string())
+            } else {
+                Err(format!("tile {tile} holds the layers of samples {samples:?}, not {begin}..{given}"))
+            }
+        });
+        if let Err(message) = united {
+            if artifacts.is_empty() {
+                return Err(Failure::Panicked { message });
+            }
+            artifacts.iter().for_each(|artifact| lost.check(*artifact, Err(&message)));
+        }
+    }
+    lost.verdict()?;
+    let mut product = Product::default();
+    product.put(stage, Role::LayerPixels, || tools.install(task, || piece.encode()));
+    tracing::debug!(tiles = span.len(), seconds = watch.seconds(), "layers are united");
+    product.result.seconds = watch.seconds();
+    Ok(product)
+}
+
+/// All layers of a frame as a file.
+pub(super) fn of_frame(
+    task: &Task,
+    tools: &Tools,
+    settings: &Settings,
+    image: &FrameImage,
+    provenance: &Provenance,
+) -> Result<Vec<u8>, Failure> {
+    let (watch, tiling) = (Stopwatch::start(), tiling(task)?);
+    let names = settings.layers.iter().map(|layer| layer.name.clone());
+    let mut layers = LayerImage::black(names, tiling.width, tiling.height);
+    let account = |piece: &LayerPiece| (piece.tiling(), piece.tiles(), piece.samples().to_vec());
+    groups(task, Role::LayerPixels, tools, LayerPiece::decode, account, |piece| LayerImage::put(&mut layers, &piece))?;
+    let file = tools.install(task, || exr::encode_layers(image, &layers, provenance));
+    tracing::debug!(layers = layers.len(), seconds = watch.seconds(), "layers are put together");
+    file.map_err(|error| damaged_picture(&error))
+}
